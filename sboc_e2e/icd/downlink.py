@@ -1,0 +1,46 @@
+"""What ground knows of a frame once its packets are decoded."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.flags import FrameFlag
+from sboc_e2e.icd.frame import FrameHeader
+from sboc_e2e.icd.signals import BackgroundModel, RoiGroup, StarList
+
+
+@dataclass(frozen=True, kw_only=True)
+class Housekeeping:
+    """Counters of the on-board software for one frame."""
+
+    flags: FrameFlag
+    n_stars_found: int
+    n_stars_sent: int
+    n_detections: int
+    n_rois_sent: int
+    n_rois_dropped: int
+    bytes_dropped: int
+    threshold_sigma: float
+    background_adu: float
+    sigma_adu: float
+    n_masked: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DownlinkFrame:
+    """A frame rebuilt from intact packets; absent parts are None or empty and flagged.
+
+    adu_scale, adu_offset : one transmitted unit is ``adu_scale`` ADU and zero is ``adu_offset`` (1 and 0 for uint16 frames).
+    """
+
+    header: FrameHeader
+    flags: FrameFlag
+    housekeeping: Housekeeping | None
+    stars: StarList
+    rois: tuple[RoiGroup, ...]
+    background: BackgroundModel | None
+    thumbnail_adu: NDArray[np.float32] | None
+    whole_frame: NDArray[np.int32] | None
+    adu_scale: float = 1.0
+    adu_offset: float = 0.0

@@ -1,0 +1,17 @@
+"""What can go wrong, in three words: the user can mend it, the data break the contract, a plug-in is at fault."""
+
+
+class SbocError(Exception):
+    """Base of every error that the project raises on purpose; its text is one line."""
+
+
+class UserError(SbocError):
+    """Something the user can mend: one line that says what, where and what is allowed (exit code 2)."""
+
+
+class ContractError(UserError, ValueError):
+    """A value that breaks the contract: names the field, what was expected and what came."""
+
+
+class PluginError(SbocError):
+    """A swappable step raised, or returned what its Protocol forbids; names the step (exit code 3)."""

@@ -1,0 +1,205 @@
+"""Ground products: frame solutions, streaks, tracklets, orbits."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd import validate
+from sboc_e2e.icd.flags import FrameFlag, StreakFlag
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StreakPixels:
+    """Pixels of one ROI group, calibrated, flat lists of equal length n, without duplicates.
+
+    row, col : int32. value_e : float32, electrons above the background, stars subtracted where possible.
+    variance_e2 : float32, noise variance without the object; infinite for pixels not to be used.
+    gain_e_adu : to add the object's own Poisson noise in electrons. frame_shape : (rows, cols).
+    """
+
+    row: NDArray[np.int32]
+    col: NDArray[np.int32]
+    value_e: NDArray[np.float32]
+    variance_e2: NDArray[np.float32]
+    psf_sigma_px: float
+    frame_shape: tuple[int, int]
+
+    def __post_init__(self) -> None:
+        for name, dtype in (("row", "i4"), ("col", "i4"), ("value_e", "f4"), ("variance_e2", "f4")):
+            object.__setattr__(self, name, validate.array(f"pixels.{name}", getattr(self, name), dtype, (None,)))
+        validate.same_length("pixels", row=self.row, col=self.col, value_e=self.value_e, variance_e2=self.variance_e2)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StreakFit:
+    """A trail in pixels. Ends are PSF-centre positions; by growing col (then row) until the direction is known.
+
+    covariance_px2 : (4, 4) of (row0, col0, row1, col1).
+    end_interval_px : (2, 2) 68 % intervals of end 0 and end 1 along the trail, relative to the quoted position,
+    positive outwards; honest where `ENDS_NOT_GAUSSIAN`.
+    flux_e : inside the frame, all of the trail. sagitta_px, gradient : curvature and linear brightness change
+    (relative, end to end); 0 when the simpler model won. width_px : fitted PSF sigma.
+    light_curve_e_px : (k,) flux density in equal bins along the trail, may be empty. period_bins : of a periodic
+    light curve, in fractions of the trail; None without one.
+    """
+
+    row0: float
+    col0: float
+    row1: float
+    col1: float
+    covariance_px2: NDArray[np.float64]
+    end_interval_px: NDArray[np.float64]
+    sigma_cross_px: float
+    flux_e: float
+    flux_err_e: float
+    snr: float
+    sagitta_px: float
+    sagitta_err_px: float
+    gradient: float
+    width_px: float
+    width_err_px: float
+    chi2_nu: float
+    n_pixels: int
+    flags: StreakFlag
+    light_curve_e_px: NDArray[np.float32]
+    period_fraction: float | None = None
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "covariance_px2", validate.array("fit.covariance_px2", self.covariance_px2, "f8", (4, 4)))
+        object.__setattr__(self, "end_interval_px", validate.array("fit.end_interval_px", self.end_interval_px, "f8", (2, 2)))
+        object.__setattr__(self, "light_curve_e_px", validate.array("fit.light_curve_e_px", self.light_curve_e_px, "f4", (None,)))
+
+    @property
+    def length_px(self) -> float:
+        """Length of the chord."""
+        return float(np.hypot(self.row1 - self.row0, self.col1 - self.col0))
+
+    @property
+    def angle_deg(self) -> float:
+        """atan2(drow, dcol) modulo 180 of the chord."""
+        return float(np.degrees(np.arctan2(self.row1 - self.row0, self.col1 - self.col0)) % 180.0)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrameSolution:
+    """Camera of one frame, solved in apparent directions (conventions of `NominalCamera`).
+
+    quaternion : attitude at mid-exposure of the middle row; rate_rad_s : (3,) used to move it to other epochs.
+    covariance_rad2 : (3, 3) small rotation in the camera frame.
+    matched stars: star_index into the frame's star list, with catalogue V and B-V (NaN: unknown) and residuals in px.
+    """
+
+    frame: int
+    flags: FrameFlag
+    quaternion: NDArray[np.float64]
+    rate_rad_s: NDArray[np.float64]
+    covariance_rad2: NDArray[np.float64]
+    focal_px: float
+    center_row: float
+    center_col: float
+    k1: float
+    k2: float
+    p1: float
+    p2: float
+    n_stars: int
+    rms_px: float
+    star_index: NDArray[np.int32]
+    star_v_mag: NDArray[np.float32]
+    star_b_v: NDArray[np.float32]
+    star_residual_px: NDArray[np.float32]
+    """(n, 2) row and col residual."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotometricSolution:
+    """``V = zero_point_mag - 2.5 log10(e-/s on axis) + colour_term (B-V - 0.653)``, so a solar colour needs no term."""
+
+    frame: int
+    zero_point_mag: float
+    zero_point_err_mag: float
+    colour_term: float
+    n_stars: int
+    rms_mag: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StreakMeasurement:
+    """A streak on the sky: the fit plus sky position, epoch, magnitude and probability.
+
+    ra_deg, dec_deg : (3,) of end 0, middle, end 1, GCRS axes, aberration of the observer's geocentric velocity removed,
+    annual aberration and light time not. t_tai_ns : (3,) int64 epochs of the same points: of the rows' mid-exposure
+    until the direction is known, then true epochs of shutter open, middle, close. NaN and 0 where unknown.
+    """
+
+    frame: int
+    streak_id: int
+    roi_id: int
+    fit: StreakFit
+    row_mid: float
+    col_mid: float
+    ra_deg: NDArray[np.float64]
+    dec_deg: NDArray[np.float64]
+    t_tai_ns: NDArray[np.int64]
+    sigma_along_arcsec: float
+    sigma_cross_arcsec: float
+    mag: float
+    mag_err: float
+    probability: float
+    tracklet_id: int
+    """-1 while unlinked."""
+    flags: StreakFlag
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tracklet:
+    """One object over one or more frames, in time order.
+
+    streak_ids, frames : (n,) of the streaks used. t_tai_ns : (m,) epochs of the directions (ends and/or middles),
+    ra_deg, dec_deg : (m,) published directions, sigma_along_arcsec, sigma_cross_arcsec : (m,) one sigma.
+    ra_ref_deg, dec_ref_deg, t_ref_tai_ns, rate_deg_s, position_angle_deg : motion at the reference epoch.
+    chi2_nu : of the motion model. probability : that all of it is one real object.
+    """
+
+    tracklet_id: int
+    streak_ids: NDArray[np.int64]
+    frames: NDArray[np.int64]
+    t_tai_ns: NDArray[np.int64]
+    ra_deg: NDArray[np.float64]
+    dec_deg: NDArray[np.float64]
+    sigma_along_arcsec: NDArray[np.float64]
+    sigma_cross_arcsec: NDArray[np.float64]
+    t_ref_tai_ns: int
+    ra_ref_deg: float
+    dec_ref_deg: float
+    rate_deg_s: float
+    rate_err_deg_s: float
+    position_angle_deg: float
+    mag: float
+    mag_err: float
+    chi2_nu: float
+    probability: float
+    direction_resolved: bool
+    flags: StreakFlag
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OrbitEstimate:
+    """Posterior of a tracklet's range and orbit: each quantity as (5 %, median, 95 %), and the range modes.
+
+    modes : (k, 5) range_km, weight, a_km, e, i_deg. prior : what was assumed, in words.
+    """
+
+    tracklet_id: int
+    t_ref_tai_ns: int
+    range_km: NDArray[np.float64]
+    altitude_km: NDArray[np.float64]
+    a_km: NDArray[np.float64]
+    e: NDArray[np.float64]
+    i_deg: NDArray[np.float64]
+    size_m: NDArray[np.float64]
+    modes: NDArray[np.float64]
+    range_grid_km: NDArray[np.float64]
+    range_posterior: NDArray[np.float64]
+    prior: str
+    converged: bool

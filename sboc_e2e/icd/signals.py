@@ -1,0 +1,167 @@
+"""What the on-board software finds in a frame: background, stars, detections, strips of pixels."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd import validate
+from sboc_e2e.icd.errors import ContractError
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.frame import FrameHeader
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BackgroundModel:
+    """Sky level and noise on a mesh of square tiles; node (i, j) is the centre of tile (i, j).
+
+    level_adu, sigma_adu : (mesh_rows, mesh_cols) float32; ADU above the dark, and noise of one pixel.
+    Tile (i, j) covers rows ``i*tile_px ... (i+1)*tile_px - 1``; the last tile of a row may be shorter.
+    """
+
+    tile_px: int
+    level_adu: NDArray[np.float32]
+    sigma_adu: NDArray[np.float32]
+
+    def __post_init__(self) -> None:
+        validate.within("background.tile_px", self.tile_px, 1, 16384)
+        object.__setattr__(self, "level_adu", validate.array("background.level_adu", self.level_adu, np.float32, (None, None)))
+        shape = self.level_adu.shape
+        object.__setattr__(self, "sigma_adu", validate.array("background.sigma_adu", self.sigma_adu, np.float32, shape))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StarList:
+    """Stars by falling flux. Columns of equal length n; an empty list has n = 0.
+
+    row, col : float64 px, centroid. flux_e : float32, PSF-weighted flux in one exposure (ADU when no gain is known,
+    then the frame is flagged). snr : float32, matched-filter. flags : uint8 of `StarFlag`.
+    """
+
+    row: NDArray[np.float64]
+    col: NDArray[np.float64]
+    flux_e: NDArray[np.float32]
+    snr: NDArray[np.float32]
+    flags: NDArray[np.uint8]
+
+    def __post_init__(self) -> None:
+        for name, dtype in (("row", "f8"), ("col", "f8"), ("flux_e", "f4"), ("snr", "f4"), ("flags", "u1")):
+            object.__setattr__(self, name, validate.array(f"stars.{name}", getattr(self, name), dtype, (None,)))
+        validate.same_length("stars", row=self.row, col=self.col, flux_e=self.flux_e, snr=self.snr, flags=self.flags)
+
+    def __len__(self) -> int:
+        return len(self.row)
+
+    @classmethod
+    def empty(cls) -> "StarList":
+        """A list without stars."""
+        none = np.zeros(0)
+        return cls(row=none, col=none, flux_e=none, snr=none, flags=none)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Detection:
+    """A straight or slightly curved segment, from end 0 to end 1 (PSF-centre positions), in pixels.
+
+    snr : matched-filter S/N (sigma; noise without the object). sagitta_px : signed height of the arc over the chord
+    at its middle, positive towards (+drow, -dcol) rotated from the chord by +90 deg; 0 when straight.
+    Point-like detections have both ends equal or nearly so, and `StreakFlag.POINT_LIKE`.
+    """
+
+    row0: float
+    col0: float
+    row1: float
+    col1: float
+    snr: float
+    sagitta_px: float = 0.0
+    flags: StreakFlag = StreakFlag(0)
+
+    def __post_init__(self) -> None:
+        for name in ("row0", "col0", "row1", "col1", "snr", "sagitta_px"):
+            validate.finite(f"detection.{name}", getattr(self, name))
+
+    @property
+    def length_px(self) -> float:
+        """Distance of the ends."""
+        return float(np.hypot(self.row1 - self.row0, self.col1 - self.col0))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class DetectorView:
+    """Everything a detector or star extractor may look at.
+
+    residual_adu : (rows, cols) float32, dark and background level removed; masked pixels hold 0.
+    background : mesh of level and of the noise sigma per pixel.
+    mask : (rows, cols) uint8 of `MaskBit`; 0 = usable. stars : star list of this frame (empty for the extractor).
+    psf_sigma_px : nominal. history : earlier views, newest last, at most as many as the step declares.
+    """
+
+    header: FrameHeader
+    residual_adu: NDArray[np.float32]
+    background: BackgroundModel
+    mask: NDArray[np.uint8]
+    stars: StarList
+    psf_sigma_px: float
+    history: tuple["DetectorView", ...] = ()
+
+    def __post_init__(self) -> None:
+        shape = (self.header.rows, self.header.cols)
+        object.__setattr__(self, "residual_adu", validate.array("view.residual_adu", self.residual_adu, np.float32, shape))
+        object.__setattr__(self, "mask", validate.array("view.mask", self.mask, np.uint8, shape))
+
+
+FIXED_POINT = 1 << 16
+"""Strips give minor-axis positions in units of 1/65536 px."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Strip:
+    """A sheared rectangle of pixels that follows a piece of a streak; the unit that one ROI packet carries.
+
+    axis : 0 when the strip runs along rows (the major axis is row), 1 along cols.
+    Line i (0 <= i < n) lies at major coordinate ``major0 + i`` and covers minor coordinates
+    ``m(i) ... m(i) + width - 1`` with ``m(i) = (minor0_fp + i * slope_fp) >> 16`` (arithmetic shift; may be negative).
+    values_adu : (n, width) int32, raw minus rounded dark; pixels outside the frame hold `level_adu` and are ignored.
+    """
+
+    axis: int
+    major0: int
+    minor0_fp: int
+    slope_fp: int
+    level_adu: int
+    values_adu: NDArray[np.int32]
+
+    def __post_init__(self) -> None:
+        if self.axis not in (0, 1):
+            raise ContractError(f"strip.axis: expected 0 or 1, got {self.axis}")
+        validate.within("strip.slope_fp", self.slope_fp, -FIXED_POINT, FIXED_POINT)
+        object.__setattr__(self, "values_adu", validate.array("strip.values_adu", self.values_adu, np.int32, (None, None)))
+
+    def pixel_coordinates(self, rows: int, cols: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_]]:
+        """Row and col of each value, and whether it lies inside a frame of the given size; each (n, width)."""
+        row, col = strip_pixels(self.axis, self.major0, self.minor0_fp, self.slope_fp, self.values_adu.shape)
+        inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+        return row, col, inside
+
+
+def strip_pixels(
+    axis: int, major0: int, minor0_fp: int, slope_fp: int, shape: tuple[int, int]
+) -> tuple[NDArray[np.int32], NDArray[np.int32]]:
+    """Rows and cols, each (n, width), of a strip: the contract's one definition of where its values lie."""
+    n, width = shape
+    line = np.arange(n, dtype=np.int64)
+    minor = ((minor0_fp + line * slope_fp) >> 16)[:, None] + np.arange(width)
+    major = np.broadcast_to((major0 + line)[:, None], minor.shape)
+    row, col = (major, minor) if axis == 0 else (minor, major)
+    return row.astype(np.int32), col.astype(np.int32)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RoiGroup:
+    """One detected object of one frame: the detection and the strips that hold its pixels."""
+
+    roi_id: int
+    detection: Detection
+    strips: tuple[Strip, ...]
+    n_strips: int
+    """How many strips were sent; fewer in `strips` means that packets are missing."""

@@ -1,0 +1,150 @@
+"""One Protocol for each swappable step. A step is a frozen dataclass whose fields are its options.
+
+A step matches its Protocol by shape and inherits nothing. Arrays it receives are read-only. A step that needs memory
+beyond one frame declares it: `history_frames` for detectors; `initial_state` plus a method that returns
+``(state, result)`` for sequential steps, the state picklable and owned by the chain.
+"""
+
+from collections.abc import Sequence
+from typing import Any, Protocol, runtime_checkable
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.downlink import DownlinkFrame
+from sboc_e2e.icd.frame import Calibration, FrameHeader
+from sboc_e2e.icd.products import (
+    FrameSolution,
+    OrbitEstimate,
+    PhotometricSolution,
+    StreakFit,
+    StreakMeasurement,
+    StreakPixels,
+    Tracklet,
+)
+from sboc_e2e.icd.signals import BackgroundModel, Detection, DetectorView, StarList
+
+
+@runtime_checkable
+class BackgroundEstimator(Protocol):
+    """`onboard.background`: sky level and noise mesh of a frame."""
+
+    def estimate(
+        self, pixels_adu: NDArray[np.int32] | NDArray[np.uint16], dark_adu: NDArray[np.int16], mask: NDArray[np.uint8]
+    ) -> BackgroundModel:
+        """Mesh of ``pixels - dark`` over pixels whose mask is 0. All arrays (rows, cols)."""
+        ...
+
+
+@runtime_checkable
+class StarExtractor(Protocol):
+    """`onboard.star_extractor`: centroids and fluxes of stars."""
+
+    def extract(self, view: DetectorView) -> StarList:
+        """All stars found, by falling flux; the chain chooses which are sent."""
+        ...
+
+
+@runtime_checkable
+class Detector(Protocol):
+    """`onboard.detector`: moving objects as segments. The chain alone cuts, budgets and packs ROIs."""
+
+    @property
+    def history_frames(self) -> int:
+        """How many earlier views `DetectorView.history` shall hold (0 for none)."""
+        ...
+
+    def detect(self, view: DetectorView) -> tuple[Detection, ...]:
+        """Detections by falling S/N; ends inside or on the frame's edge."""
+        ...
+
+
+@runtime_checkable
+class Encoder(Protocol):
+    """`onboard.codec`: pixels to bytes. `number` names the block layout in the packet."""
+
+    @property
+    def number(self) -> int:
+        """Codec number of `layout.CodecNumber`, plug-ins 128-255."""
+        ...
+
+    @property
+    def lossless(self) -> bool:
+        """Whether decoding gives the same integers."""
+        ...
+
+    def encode(self, values_adu: NDArray[np.int32], *, level_adu: int, sigma_adu: float) -> bytes:
+        """Encode a (n, width) block around a level with the given noise."""
+        ...
+
+
+@runtime_checkable
+class Decoder(Protocol):
+    """`ground.decoder`: the other half of a codec."""
+
+    @property
+    def number(self) -> int:
+        """Codec number it decodes."""
+        ...
+
+    def decode(self, block: bytes, shape: tuple[int, int], *, level_adu: int, sigma_adu: float) -> NDArray[np.int32]:
+        """Decode a block; raises `ContractError` for anything malformed and allocates no more than shape needs."""
+        ...
+
+
+@runtime_checkable
+class StreakFitter(Protocol):
+    """`ground.streak_fitter`: trailed-PSF fit of one ROI group."""
+
+    def fit(self, pixels: StreakPixels, detection: Detection) -> StreakFit:
+        """Best model with its uncertainties; a failed fit is flagged, not raised."""
+        ...
+
+
+@runtime_checkable
+class Vetter(Protocol):
+    """`ground.vetter`: how probable it is that a fitted streak is a real object."""
+
+    def probability(self, fits: Sequence[StreakFit], frame: DownlinkFrame) -> NDArray[np.float64]:
+        """Calibrated probabilities, shape (len(fits),), of being a real object."""
+        ...
+
+
+@runtime_checkable
+class Astrometer(Protocol):
+    """`ground.astrometry`: camera solution of each frame; sequential, because distortion is learned over the run."""
+
+    def initial_state(self, calibration: Calibration, catalogue: Any) -> Any:
+        """State before the first frame; `catalogue` is a `sboc_e2e.catalogue.StarCatalogue`."""
+        ...
+
+    def solve(self, state: Any, frame: DownlinkFrame) -> tuple[Any, FrameSolution]:
+        """New state and the solution of this frame (flagged NO_SOLUTION when there is none)."""
+        ...
+
+
+@runtime_checkable
+class Photometer(Protocol):
+    """`ground.photometry`: zero point of a frame from its identified stars."""
+
+    def calibrate(self, frame: DownlinkFrame, solution: FrameSolution, calibration: Calibration) -> PhotometricSolution:
+        """Zero point, colour term and their uncertainties."""
+        ...
+
+
+@runtime_checkable
+class Linker(Protocol):
+    """`ground.linker`: streaks of all frames into tracklets."""
+
+    def link(self, headers: Sequence[FrameHeader], streaks: Sequence[StreakMeasurement]) -> tuple[Tracklet, ...]:
+        """Tracklets of two or more frames; directions resolved."""
+        ...
+
+
+@runtime_checkable
+class OrbitDeterminer(Protocol):
+    """`ground.orbit`: posterior of range and orbit of a tracklet."""
+
+    def estimate(self, tracklet: Tracklet, headers: Sequence[FrameHeader]) -> OrbitEstimate:
+        """Posterior over range; flagged when the arc says nothing."""
+        ...

@@ -1,0 +1,1 @@
+"""Optics: where light falls (projection), how wide (PSF, defocus) and how much (vignetting)."""

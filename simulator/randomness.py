@@ -1,0 +1,49 @@
+"""Random streams of the simulator: one generator for each physical effect, frame and block.
+
+A stream depends on nothing but ``(seed, effect, frame, block)``, so that adding an effect shifts nobody's noise and
+any worker may make any frame with the same bytes. The table is append-only: numbers are never reused.
+"""
+
+from enum import IntEnum
+
+import numpy as np
+
+
+class Effect(IntEnum):
+    """Numbers of the physical effects; part of what a seed means, so append only."""
+
+    POPULATION = 1  # which debris is met (frame 0)
+    FAINT_STARS = 2  # synthetic stars; block is the HEALPix pixel
+    CATALOGUE_ERRORS = 3  # displacement of the true sky from the catalogue
+    JITTER = 4  # attitude jitter; block is the axis
+    ATTITUDE_ERROR = 5  # star-tracker noise of each frame
+    OBSERVER_ERROR = 6  # GPS position and velocity noise of each frame
+    TIME_TAG = 7  # clock jitter of each frame
+    LIGHT_CURVE = 8  # tumbling periods, phases and glints (frame 0)
+    SCINTILLATION = 9  # of each frame
+    CLOUDS = 10  # cloud layer
+    SENSOR_MAP = 11  # fixed pattern of a sensor (frame 0)
+    DEFECTS = 12  # hot, warm, dead and telegraph pixels (frame 0)
+    TELEGRAPH = 13  # state of telegraph pixels in each frame
+    SHOT_AND_READ = 14  # block is the row block
+    RESET = 15
+    ROW_COLUMN_NOISE = 16
+    RADIATION = 17  # particle hits of each frame
+    CALIBRATION = 18  # noise of dark and flat calibration frames
+    STAR_LIGHT = 19  # shot noise of sources where it is drawn apart
+    GEOMETRY_AS_BUILT = 20  # departure of the as-built camera from the nominal one
+
+
+def generator(seed: int, effect: Effect | int, frame: int = 0, block: int = 0) -> np.random.Generator:
+    """The stream of one effect in one frame and block.
+
+    PCG64DXSM seeded by ``SeedSequence(seed, spawn_key=(effect, frame, block))`` (independent streams by hashing).
+    """
+    sequence = np.random.SeedSequence(seed, spawn_key=(int(effect), int(frame), int(block)))
+    return np.random.Generator(np.random.PCG64DXSM(sequence))
+
+
+def seed_word(seed: int, effect: Effect | int, frame: int = 0, block: int = 0) -> int:
+    """A 64-bit word of the same stream, for kernels that carry their own counter-based generator."""
+    sequence = np.random.SeedSequence(seed, spawn_key=(int(effect), int(frame), int(block)))
+    return int(sequence.generate_state(1, np.uint64)[0])

@@ -1,0 +1,83 @@
+"""Trails onto pixels: the sum of a moving, possibly defocused and varying point over bins of time.
+
+Flux sits at the mean position of each bin, so that the centroid of a trail is exact however long it is; curved and
+varying trails need nothing special. With bins of at most half a pixel the ripple along a trail,
+``2 exp(-2 pi^2 sigma^2 / step^2)``, is below 1e-6 for any sigma above 0.3 px. The cost is linear in length.
+"""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.exposure.stars import STAMP_LOSS_E, add_gaussian_points
+from simulator.optics.defocus import SMALLEST_DISC_SIGMA, add_defocused_points, defocused_kernel
+
+_FINEST_PHASES = 16
+
+
+def render_trail(
+    image_e: NDArray[np.float32],
+    row: NDArray[np.float64],
+    col: NDArray[np.float64],
+    flux_e: NDArray[np.float64],
+    sigma_px: float,
+    defocus_px: float = 0.0,
+    obstruction: float = 0.0,
+) -> None:
+    """Add a trail to an image of electrons, in place.
+
+    Parameters
+    ----------
+    image_e : (rows, cols) float32, electrons per pixel; what falls outside is lost.
+    row, col : (n,) px, mean positions of the time bins; neighbours at most 0.5 px apart.
+    flux_e : (n,) electrons of each bin.
+    sigma_px : Gaussian sigma of the PSF.
+    defocus_px, obstruction : diameter of the blur disc and its linear central obstruction.
+    """
+    row = np.ascontiguousarray(row, dtype=np.float64)
+    col = np.ascontiguousarray(col, dtype=np.float64)
+    flux_e = np.ascontiguousarray(flux_e, dtype=np.float64)
+    if row.size == 0:
+        return
+    if defocus_px <= SMALLEST_DISC_SIGMA * sigma_px:
+        sigma = np.full(row.size, sigma_px)
+        # The loss is shared out among the bins that overlap one pixel, about six sigma of half-pixel steps.
+        add_gaussian_points(image_e, row, col, flux_e, sigma, STAMP_LOSS_E / (12.0 * max(sigma_px, 1.0)))
+        return
+    phases = max(2, min(_FINEST_PHASES, int(_FINEST_PHASES * 24.0 / (24.0 + defocus_px))))
+    table, half, phases = defocused_kernel(defocus_px, obstruction, sigma_px, phases=phases)
+    add_defocused_points(image_e, row, col, flux_e, table, half, phases)
+
+
+def render_trail_patch(
+    row: NDArray[np.float64],
+    col: NDArray[np.float64],
+    flux_e: NDArray[np.float64],
+    sigma_px: float,
+    defocus_px: float = 0.0,
+    obstruction: float = 0.0,
+    *,
+    shape: tuple[int, int],
+) -> tuple[int, int, NDArray[np.float32]]:
+    """The same trail alone, on the smallest rectangle of a frame of `shape` that holds it.
+
+    Returns ``(row0, col0, patch)`` with patch[i, j] the electrons of pixel (row0 + i, col0 + j); an empty patch
+    (0, 0) when nothing falls inside.
+    """
+    margin = int(math.ceil(6.5 * sigma_px + 0.5 * defocus_px + 2.0))
+    lit = np.asarray(flux_e) > 0.0
+    if not lit.any():
+        return 0, 0, np.zeros((0, 0), dtype=np.float32)
+    row, col, flux_e = np.asarray(row)[lit], np.asarray(col)[lit], np.asarray(flux_e)[lit]
+    near = (row > -margin) & (row < shape[0] + margin) & (col > -margin) & (col < shape[1] + margin)
+    if not near.any():
+        return 0, 0, np.zeros((0, 0), dtype=np.float32)
+    row, col, flux_e = row[near], col[near], flux_e[near]
+    row0, row1 = max(0, int(row.min()) - margin), min(shape[0], int(row.max()) + margin + 1)
+    col0, col1 = max(0, int(col.min()) - margin), min(shape[1], int(col.max()) + margin + 1)
+    if row1 <= row0 or col1 <= col0:
+        return 0, 0, np.zeros((0, 0), dtype=np.float32)
+    patch = np.zeros((row1 - row0, col1 - col0), dtype=np.float32)
+    render_trail(patch, row - row0, col - col0, flux_e, sigma_px, defocus_px, obstruction)
+    return row0, col0, patch

@@ -1,0 +1,40 @@
+"""HEALPix pixels (NESTED order, Gorski et al. 2005, ApJ 622, 759) that a cone touches."""
+
+from functools import cache
+
+import numpy as np
+from astropy import units as u
+from astropy_healpix import HEALPix
+from numpy.typing import NDArray
+
+NSIDE = 64
+N_PIXELS = 12 * NSIDE**2
+
+
+def pixel_of(ra_deg: NDArray[np.float64], dec_deg: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Pixel number of each direction, shape (n,)."""
+    grid = HEALPix(nside=NSIDE, order="nested")
+    return np.asarray(grid.lonlat_to_healpix(ra_deg * u.deg, dec_deg * u.deg), dtype=np.int64)
+
+
+@cache
+def _centres() -> NDArray[np.float64]:
+    """Unit vectors of all pixel centres, shape (N_PIXELS, 3)."""
+    lon, lat = HEALPix(nside=NSIDE, order="nested").healpix_to_lonlat(np.arange(N_PIXELS))
+    lon, lat = lon.to_value(u.rad), lat.to_value(u.rad)
+    return np.stack((np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)), axis=1)
+
+
+def _largest_pixel_radius_rad() -> float:
+    """Largest distance from a pixel's centre to its corner: the pixel at z = 2/3 (Gorski et al., section 5)."""
+    z, phi = 2.0 / 3.0, np.pi / (4.0 * NSIDE)
+    z_corner = 1.0 - (1.0 - 1.0 / NSIDE) ** 2 / 3.0
+    centre = np.array([np.sqrt(1.0 - z * z) * np.cos(phi), np.sqrt(1.0 - z * z) * np.sin(phi), z])
+    corner = np.array([np.sqrt(1.0 - z_corner**2), 0.0, z_corner])
+    return float(np.arctan2(np.linalg.norm(np.cross(centre, corner)), centre @ corner))
+
+
+def pixels_in_cone(axis: NDArray[np.float64], radius_rad: float) -> NDArray[np.intp]:
+    """Numbers of all pixels that may hold a direction within `radius_rad` of the unit vector `axis` (3,)."""
+    reach = min(radius_rad + _largest_pixel_radius_rad(), np.pi)
+    return np.flatnonzero(_centres() @ axis >= np.cos(reach))

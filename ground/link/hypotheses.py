@@ -1,0 +1,272 @@
+"""Streaks into hypotheses of motion: which end came first, and when the object was at each end.
+
+An exposed row r is open from ``t_start + r tau`` to ``t_start + r tau + T``. If the shutter of its row opened on the object at
+end A and closed on it at end B, then the object was at A at ``t_start + r_A tau`` and at B at ``t_start + T + r_B tau``. A streak
+does not say which of its ends is A, so each one is two hypotheses, under a rolling shutter with two speeds
+``v = L_row / (T + L_row tau)`` and ``v = -L_row / (T - L_row tau)``. An object that overtakes the read-out (v tau > 1) is at B
+before it is at A: the same two formulae hold and the later epoch is the open one.
+"""
+
+from collections.abc import Sequence
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.errors import ContractError
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.frame import FrameHeader
+from sboc_e2e.icd.products import StreakMeasurement
+
+ARCSEC_RAD = np.pi / 648000.0
+
+FULL, ENTERING, LEAVING, POINT, CROSSING = range(5)
+"""Which epochs a hypothesis fixes: both ends, only the later one, only the earlier one, the middle, none."""
+
+_SIGMA_UNKNOWN_PX = 1.0
+"""End error of a streak whose fit gave no usable covariance: about the on-board detection's."""
+
+_CHANGE_POINT_TAILS = 1.5
+"""Widening of the 68 % interval of an end that is a change point, so that a Gaussian covers its exponential tails."""
+
+
+class StreakTable(NamedTuple):
+    """What linking needs of n streaks, in columns, by frame and then by input order.
+
+    index : position in the caller's sequence. frame : ordinal of the frame in time order. kind_flags : StreakFlag bits.
+    row : (n, 3) rows of end 0, middle, end 1. unit : (n, 3, 3) unit vectors of the same points.
+    sigma_along_rad, (n, 2) of both ends; sigma_cross_rad (n,). scale_rad_px : (n,) plate scale.
+    log_odds : (n,) of being real, from the vetter, relative to the mean of all.
+    """
+
+    index: NDArray[np.int64]
+    frame: NDArray[np.int64]
+    flags: NDArray[np.int64]
+    row: NDArray[np.float64]
+    unit: NDArray[np.float64]
+    sigma_along_rad: NDArray[np.float64]
+    sigma_cross_rad: NDArray[np.float64]
+    scale_rad_px: NDArray[np.float64]
+    log_odds: NDArray[np.float64]
+
+
+class FrameTable(NamedTuple):
+    """Frames in time order: number, start of row 0 (s after `origin_tai_ns`), exposure and line time (s), size (px)."""
+
+    number: NDArray[np.int64]
+    start_s: NDArray[np.float64]
+    exposure_s: NDArray[np.float64]
+    line_time_s: NDArray[np.float64]
+    shape: NDArray[np.int64]
+    origin_tai_ns: int
+
+
+class Nodes(NamedTuple):
+    """Hypotheses, two per streak (2 k: shutter opened at end 0; 2 k + 1: at end 1); a is the earlier point, b the later.
+
+    frame, kind : (m,). t_s : (m, 2) epochs of a and b. unit : (m, 2, 3). sigma_rad : (m, 3) along at a, along at b, cross.
+    length_rad, duration_s, fastest_rad_s, log_clutter, log_odds : (m,). sort_key : (m,) the component along `axis` of the
+    middle, ascending inside a frame through `order`; first : (frames + 1,) offsets into `order`.
+    """
+
+    frame: NDArray[np.int64]
+    kind: NDArray[np.int8]
+    t_s: NDArray[np.float64]
+    unit: NDArray[np.float64]
+    sigma_rad: NDArray[np.float64]
+    length_rad: NDArray[np.float64]
+    duration_s: NDArray[np.float64]
+    fastest_rad_s: NDArray[np.float64]
+    log_clutter: NDArray[np.float64]
+    log_odds: NDArray[np.float64]
+    sort_key: NDArray[np.float64]
+    order: NDArray[np.int64]
+    first: NDArray[np.int64]
+
+
+def frame_table(headers: Sequence[FrameHeader]) -> FrameTable:
+    """Columns of the headers by rising start of exposure."""
+    ordered = sorted(headers, key=lambda header: (header.t_start_tai_ns, header.frame))
+    origin_tai_ns = ordered[0].t_start_tai_ns if ordered else 0
+    return FrameTable(
+        number=np.array([header.frame for header in ordered], dtype=np.int64),
+        start_s=np.array([(header.t_start_tai_ns - origin_tai_ns) * 1e-9 for header in ordered]),
+        exposure_s=np.array([header.exposure_ns * 1e-9 for header in ordered]),
+        line_time_s=np.array([header.line_time_ns * 1e-9 for header in ordered]),
+        shape=np.array([(header.rows, header.cols) for header in ordered], dtype=np.int64).reshape(-1, 2),
+        origin_tai_ns=origin_tai_ns,
+    )
+
+
+def unit_vectors(ra_deg: NDArray[np.float64], dec_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Unit vectors (..., 3) of directions in degrees."""
+    ra, dec = np.radians(ra_deg), np.radians(dec_deg)
+    return np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=-1)
+
+
+def has_sky(streak: StreakMeasurement) -> bool:
+    """Whether the streak carries sky positions."""
+    return not streak.flags & StreakFlag.NO_SKY and bool(np.isfinite(streak.ra_deg).all() and np.isfinite(streak.dec_deg).all())
+
+
+def streak_table(
+    streaks: Sequence[StreakMeasurement],
+    index: Sequence[int],
+    frames: FrameTable,
+    *,
+    sky: bool,
+    pixel_scale_arcsec: float,
+    sigma_floor_px: float,
+) -> StreakTable:
+    """Columns of the streaks `index` points at; without sky positions pixels are put on a plane of the given scale.
+
+    Errors: a `ContractError` for a streak whose frame has no header.
+    """
+    ordinal = {int(number): k for k, number in enumerate(frames.number)}
+    missing = sorted({streaks[i].frame for i in index} - ordinal.keys())
+    if missing:
+        raise ContractError(f"linker: streaks of frame {missing[0]} have no header among the {len(ordinal)} given")
+    frame = np.array([ordinal[streaks[i].frame] for i in index], dtype=np.int64)
+    chosen = np.argsort(frame, kind="stable")
+    picked = [streaks[index[i]] for i in chosen]
+    frame = frame[chosen]
+    row = np.array([(s.fit.row0, s.row_mid, s.fit.row1) for s in picked]).reshape(-1, 3)
+    col = np.array([(s.fit.col0, s.col_mid, s.fit.col1) for s in picked]).reshape(-1, 3)
+    if sky:
+        unit = unit_vectors(
+            np.array([s.ra_deg for s in picked]).reshape(-1, 3), np.array([s.dec_deg for s in picked]).reshape(-1, 3)
+        )
+        scale = _plate_scale_rad_px(frame, row, col, unit, pixel_scale_arcsec * ARCSEC_RAD)
+    else:
+        scale = pixel_scale_arcsec * ARCSEC_RAD
+        centre = 0.5 * frames.shape[frame].astype(np.float64) if len(frame) else np.zeros((0, 2))
+        plane = np.stack([(col - centre[:, 1:]) * scale, (row - centre[:, :1]) * scale, np.ones_like(row)], axis=-1)
+        unit = plane / np.linalg.norm(plane, axis=-1, keepdims=True)
+    along_px, cross_px = _end_errors_px(picked)
+    probability = np.clip(np.array([s.probability if np.isfinite(s.probability) else 0.5 for s in picked]), 1e-6, 1.0 - 1e-6)
+    logit = np.log(probability / (1.0 - probability))
+    base = np.log(probability.mean() / (1.0 - probability.mean())) if len(picked) else 0.0
+    return StreakTable(
+        index=np.array([index[i] for i in chosen], dtype=np.int64),
+        frame=frame,
+        flags=np.array([int(s.flags | s.fit.flags) for s in picked], dtype=np.int64),
+        row=row,
+        unit=unit,
+        sigma_along_rad=np.hypot(along_px, sigma_floor_px) * scale,
+        sigma_cross_rad=np.hypot(cross_px, sigma_floor_px) * scale,
+        scale_rad_px=np.full(len(picked), scale),
+        log_odds=np.clip(logit - base, -2.3, 2.3),
+    )
+
+
+def _plate_scale_rad_px(
+    frame: NDArray[np.int64],
+    row: NDArray[np.float64],
+    col: NDArray[np.float64],
+    unit: NDArray[np.float64],
+    default_rad_px: float,
+) -> float:
+    """Median of sky distance over pixel distance: of the ends of streaks, and of neighbours in the list of one frame."""
+    own = np.linalg.norm(unit[:, 2] - unit[:, 0], axis=-1), np.hypot(row[:, 2] - row[:, 0], col[:, 2] - col[:, 0])
+    same = frame[1:] == frame[:-1]
+    step = np.linalg.norm(unit[1:, 1] - unit[:-1, 1], axis=-1)[same], np.hypot(np.diff(row[:, 1]), np.diff(col[:, 1]))[same]
+    chord, pixels = np.concatenate([own[0], step[0]]), np.concatenate([own[1], step[1]])
+    usable = pixels > 20.0
+    return float(np.median(chord[usable] / pixels[usable])) if usable.any() else default_rad_px
+
+
+def _end_errors_px(streaks: Sequence[StreakMeasurement]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Errors of both ends along (n, 2) and across (n,) the chord; 68 % intervals where they are wider than the covariance."""
+    covariance = np.array([s.fit.covariance_px2 for s in streaks]).reshape(-1, 4, 4)
+    interval = np.array([s.fit.end_interval_px for s in streaks]).reshape(-1, 2, 2)
+    ends = np.array([(s.fit.row0, s.fit.col0, s.fit.row1, s.fit.col1) for s in streaks]).reshape(-1, 4)
+    chord = ends[:, 2:] - ends[:, :2]
+    length = np.linalg.norm(chord, axis=1)
+    along = np.where(length[:, None] > 1e-6, chord / np.maximum(length, 1e-6)[:, None], np.array([1.0, 0.0]))
+    across = np.stack([-along[:, 1], along[:, 0]], axis=1)
+    blocks = np.stack([covariance[:, :2, :2], covariance[:, 2:, 2:]], axis=1)
+    var_along = np.einsum("ni,nkij,nj->nk", along, blocks, along)
+    var_across = np.einsum("ni,nkij,nj->nk", across, blocks, across).max(axis=1, initial=0.0)
+    half_width = 0.5 * np.nan_to_num(np.abs(interval[:, :, 1] - interval[:, :, 0]))
+    not_gaussian = np.array([bool((s.flags | s.fit.flags) & StreakFlag.ENDS_NOT_GAUSSIAN) for s in streaks], dtype=np.bool_)
+    half_width *= np.where(not_gaussian, _CHANGE_POINT_TAILS, 1.0)[:, None]
+    sigma_along = np.sqrt(np.where(np.isfinite(var_along) & (var_along > 0.0), var_along, _SIGMA_UNKNOWN_PX**2))
+    sigma_across = np.sqrt(np.where(np.isfinite(var_across) & (var_across > 0.0), var_across, _SIGMA_UNKNOWN_PX**2))
+    return np.maximum(sigma_along, half_width), sigma_across
+
+
+def end_epochs_s(
+    row_open: NDArray[np.float64],
+    row_close: NDArray[np.float64],
+    start_s: NDArray[np.float64],
+    exposure_s: NDArray[np.float64],
+    line_time_s: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Epochs at which the object was where its row's shutter opened and closed on it (s, same zero as `start_s`)."""
+    return start_s + line_time_s * row_open, start_s + exposure_s + line_time_s * row_close
+
+
+def nodes_of(table: StreakTable, frames: FrameTable) -> Nodes:
+    """Both hypotheses of every streak, with the density of chance streaks in its frame."""
+    n = len(table.index)
+    frame = np.repeat(table.frame, 2)
+    row_open, row_close = table.row[:, [0, 2]].ravel(), table.row[:, [2, 0]].ravel()
+    start, exposure, line = frames.start_s[frame], frames.exposure_s[frame], frames.line_time_s[frame]
+    t_open, t_close = end_epochs_s(row_open, row_close, start, exposure, line)
+    swap = t_close < t_open
+    unit_open = table.unit[:, [0, 2]].reshape(-1, 3)
+    unit_close = table.unit[:, [2, 0]].reshape(-1, 3)
+    sigma_open, sigma_close = table.sigma_along_rad.ravel(), table.sigma_along_rad[:, ::-1].ravel()
+    flags = np.repeat(table.flags, 2)
+    edge0, edge1 = (flags & StreakFlag.EDGE0) != 0, (flags & StreakFlag.EDGE1) != 0
+    second = np.arange(2 * n) % 2 == 1
+    cut_open, cut_close = np.where(second, edge1, edge0), np.where(second, edge0, edge1)
+    cut_a, cut_b = np.where(swap, cut_close, cut_open), np.where(swap, cut_open, cut_close)
+    kind = np.select([cut_a & cut_b, cut_a, cut_b], [CROSSING, ENTERING, LEAVING], FULL)
+    point = (flags & StreakFlag.POINT_LIKE) != 0
+    # a point has no direction: one hypothesis is enough, the other is barred as CROSSING is
+    kind = np.where(point, np.where(second, CROSSING, POINT), kind)
+
+    t_s = np.stack([np.where(swap, t_close, t_open), np.where(swap, t_open, t_close)], axis=1)
+    unit = np.stack([np.where(swap[:, None], unit_close, unit_open), np.where(swap[:, None], unit_open, unit_close)], axis=1)
+    sigma = np.stack([np.where(swap, sigma_close, sigma_open), np.where(swap, sigma_open, sigma_close)], axis=1)
+    length = np.linalg.norm(unit[:, 1] - unit[:, 0], axis=1)
+    duration = t_s[:, 1] - t_s[:, 0]
+    scale = np.repeat(table.scale_rad_px, 2)
+    middle = np.repeat(table.unit[:, 1], 2, axis=0)
+    t_s[point] = (start + 0.5 * exposure + line * np.repeat(table.row[:, 1], 2))[point, None]
+    unit[point] = middle[point][:, None, :]
+    cross = np.repeat(table.sigma_cross_rad, 2)
+    sigma[point] = np.maximum(sigma, cross[:, None])[point]
+    # an instant between the ends: nothing can be said of the speed
+    kind = np.where(~point & (duration < 1e-3 * exposure), CROSSING, kind)
+    fastest = np.where(point, (length + 3.0 * scale) / np.maximum(exposure, 1e-9), np.inf)
+
+    area = scale**2 * np.prod(frames.shape, axis=1)[frame]
+    crowd = np.bincount(table.frame, minlength=len(frames.number))[frame].astype(np.float64)
+    octaves = np.log(2.0 * np.hypot(*frames.shape.T))[frame]
+    # chance streaks: uniform over the frame, in direction and in the logarithm of length; in the coordinates of the fit's residuals
+    turned = np.log(2.0 * np.pi * np.maximum(length, scale))
+    vector = turned + np.log(np.maximum(length, scale) * octaves)
+    log_clutter = np.log(crowd / area) - np.select([kind == FULL, kind == POINT], [vector, 0.0], turned)
+
+    middles = table.unit[:, 1]
+    spread = middles.std(axis=0) if n else np.zeros(3)
+    key = middle[:, int(np.argmax(spread))]
+    order = np.lexsort((key, frame))
+    first = np.searchsorted(frame[order], np.arange(len(frames.number) + 1))
+    return Nodes(
+        frame=frame,
+        kind=kind.astype(np.int8),
+        t_s=np.ascontiguousarray(t_s),
+        unit=np.ascontiguousarray(unit),
+        sigma_rad=np.ascontiguousarray(np.column_stack([sigma, cross])),
+        length_rad=length,
+        duration_s=duration,
+        fastest_rad_s=fastest,
+        log_clutter=log_clutter,
+        log_odds=np.repeat(table.log_odds, 2),
+        sort_key=key,
+        order=order,
+        first=first.astype(np.int64),
+    )

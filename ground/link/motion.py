@@ -1,0 +1,242 @@
+"""The motion of one object over the sky: a projective straight line with a small acceleration, and its evidence.
+
+An object that moves uniformly relative to the camera at X(t) = X0 + V t, seen in the tangent plane of a fixed direction,
+is at ``x(t) = (x0 + v t) / (1 + kappa t)``: a straight line whose speed changes because the range does (kappa = range rate
+over range). Written as ``x0 + v t - kappa t x(t) = x(t)`` it is linear in (x0, v, kappa), and solved exactly by linear
+least squares. Differential gravity adds a constant acceleration with a narrow prior.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ground.link.hypotheses import CROSSING, ENTERING, FULL, LEAVING, POINT, Nodes
+
+N_PARAMETERS = 7
+"""x0, y0 (rad), vx, vy (rad/s), kappa (1/s), ax, ay (rad/s^2) on the tangent plane at the track's mean direction."""
+
+MAX_MEMBERS = 4096
+_LOG_2PI = math.log(2.0 * math.pi)
+_LOG_SPEEDS = 12.0
+"""Natural logarithm of the ratio of the fastest to the slowest speed a track may have: the prior is uniform in log speed."""
+_SLOWEST_RAD_S = 1e-6
+
+
+@njit(cache=True)
+def tangent_basis(centre: NDArray[np.float64], basis: NDArray[np.float64]) -> None:
+    """Two unit vectors east and north of `centre` (3,) into basis (2, 3); towards +x and +y at the poles."""
+    horizontal = math.hypot(centre[0], centre[1])
+    if horizontal > 1e-9:
+        basis[0, 0], basis[0, 1], basis[0, 2] = -centre[1] / horizontal, centre[0] / horizontal, 0.0
+    else:
+        basis[0, 0], basis[0, 1], basis[0, 2] = 1.0, 0.0, 0.0
+    basis[1, 0] = centre[1] * basis[0, 2] - centre[2] * basis[0, 1]
+    basis[1, 1] = centre[2] * basis[0, 0] - centre[0] * basis[0, 2]
+    basis[1, 2] = centre[0] * basis[0, 1] - centre[1] * basis[0, 0]
+
+
+@njit(cache=True)
+def to_plane(unit: NDArray[np.float64], centre: NDArray[np.float64], basis: NDArray[np.float64]) -> tuple[float, float]:
+    """Gnomonic coordinates (rad) of a direction."""
+    depth = unit[0] * centre[0] + unit[1] * centre[1] + unit[2] * centre[2]
+    x = unit[0] * basis[0, 0] + unit[1] * basis[0, 1] + unit[2] * basis[0, 2]
+    y = unit[0] * basis[1, 0] + unit[1] * basis[1, 1] + unit[2] * basis[1, 2]
+    return x / depth, y / depth
+
+
+@njit(cache=True)
+def position_on_plane(theta: NDArray[np.float64], t_s: float) -> tuple[float, float]:
+    """Plane coordinates (rad) at an epoch relative to the track's reference epoch."""
+    growth = 1.0 + theta[4] * t_s
+    half_t2 = 0.5 * t_s * t_s
+    return (theta[0] + theta[2] * t_s + theta[5] * half_t2) / growth, (theta[1] + theta[3] * t_s + theta[6] * half_t2) / growth
+
+
+@njit(cache=True)
+def velocity_on_plane(theta: NDArray[np.float64], t_s: float) -> tuple[float, float]:
+    """Plane velocity (rad/s) at an epoch relative to the track's reference epoch."""
+    growth = 1.0 + theta[4] * t_s
+    x, y = position_on_plane(theta, t_s)
+    return (theta[2] + theta[5] * t_s - theta[4] * x) / growth, (theta[3] + theta[6] * t_s - theta[4] * y) / growth
+
+
+@njit(cache=True)
+def _cholesky_solve(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> float:
+    """Solve in place for a symmetric positive matrix (its lower triangle becomes the factor); log determinant, or NaN."""
+    n = len(vector)
+    log_det = 0.0
+    for i in range(n):
+        for j in range(i + 1):
+            total = matrix[i, j]
+            for k in range(j):
+                total -= matrix[i, k] * matrix[j, k]
+            if i == j:
+                if not total > 0.0:
+                    return math.nan
+                matrix[i, i] = math.sqrt(total)
+                log_det += 2.0 * math.log(matrix[i, i])
+            else:
+                matrix[i, j] = total / matrix[j, j]
+    for i in range(n):
+        total = vector[i]
+        for k in range(i):
+            total -= matrix[i, k] * vector[k]
+        vector[i] = total / matrix[i, i]
+    for i in range(n - 1, -1, -1):
+        total = vector[i]
+        for k in range(i + 1, n):
+            total -= matrix[k, i] * vector[k]
+        vector[i] = total / matrix[i, i]
+    return log_det
+
+
+@njit(cache=True)
+def anchor(nodes: Nodes, node: int, late: bool) -> int:
+    """Which of the two points of a hypothesis carries an epoch: the later one if wanted and known, else the earlier."""
+    kind = nodes.kind[node]
+    if kind == ENTERING:
+        return 1
+    if kind == LEAVING:
+        return 0
+    return 1 if late else 0
+
+
+@njit(cache=True)
+def fit_motion(
+    nodes: Nodes,
+    members: NDArray[np.int64],
+    log_area: float,
+    sigma_acceleration: float,
+    centre: NDArray[np.float64],
+    basis: NDArray[np.float64],
+    theta: NDArray[np.float64],
+    factor: NDArray[np.float64],
+) -> tuple[float, float, int, float]:
+    """Fit one track; fills centre (3,), basis (2, 3), theta (7,) and factor (7, 7), the Cholesky factor of the information.
+
+    members : hypotheses in time order. log_area : of the field, ln(rad^2). sigma_acceleration : rad/s^2.
+    Returns chi-square, log evidence (natural, of all coordinates, in rad), number of coordinates, reference epoch (s).
+    The evidence is Laplace's: priors uniform over the field and in log speed and direction, kappa normal with four times the
+    angular speed (radial against transverse speed), accelerations normal.
+    """
+    n = len(members)
+    centre[:] = 0.0
+    t_ref = 0.0
+    for k in range(n):
+        node = members[k]
+        for p in range(2):
+            t_ref += nodes.t_s[node, p] / (2.0 * n)
+            for c in range(3):
+                centre[c] += nodes.unit[node, p, c]
+    norm = math.sqrt(centre[0] ** 2 + centre[1] ** 2 + centre[2] ** 2)
+    for c in range(3):
+        centre[c] /= norm
+    tangent_basis(centre, basis)
+
+    first, last = members[0], members[n - 1]
+    p_first, p_last = anchor(nodes, first, False), anchor(nodes, last, True)
+    xf, yf = to_plane(nodes.unit[first, p_first], centre, basis)
+    xl, yl = to_plane(nodes.unit[last, p_last], centre, basis)
+    span = nodes.t_s[last, p_last] - nodes.t_s[first, p_first]
+    speed = max(math.hypot(xl - xf, yl - yf) / max(span, 1e-6), _SLOWEST_RAD_S)
+    sigma_kappa = min(4.0 * speed, 2.0) + 1e-4
+
+    information = factor
+    information[:] = 0.0
+    theta[:] = 0.0
+    information[4, 4] = 1.0 / sigma_kappa**2
+    information[5, 5] = information[6, 6] = 1.0 / sigma_acceleration**2
+    design = np.zeros(N_PARAMETERS)
+    log_noise = 0.0
+    n_rows = 0
+    for k in range(n):
+        node = members[k]
+        kind = nodes.kind[node]
+        xa, ya = to_plane(nodes.unit[node, 0], centre, basis)
+        xb, yb = to_plane(nodes.unit[node, 1], centre, basis)
+        length = math.hypot(xb - xa, yb - ya)
+        ux, uy = ((xb - xa) / length, (yb - ya) / length) if length > 0.0 and kind != POINT else (1.0, 0.0)
+        for p in range(2):
+            if kind == POINT and p == 1:
+                continue
+            x, y = (xa, ya) if p == 0 else (xb, yb)
+            t = nodes.t_s[node, p] - t_ref
+            timed = not ((kind == ENTERING and p == 0) or (kind == LEAVING and p == 1))
+            if not timed:
+                # the frame's edge cut this end: it lies on the path, but its epoch follows from the speed
+                t = nodes.t_s[node, 1 - p] - t_ref + (length / speed if p == 1 else -length / speed)
+            for across in range(2):
+                if across == 0 and not timed:
+                    continue
+                nx, ny = (-uy, ux) if across == 1 else (ux, uy)
+                weight = 1.0 / (nodes.sigma_rad[node, 2] if across == 1 else nodes.sigma_rad[node, p])
+                value = (nx * x + ny * y) * weight
+                design[0], design[1] = nx * weight, ny * weight
+                design[2], design[3] = design[0] * t, design[1] * t
+                design[4] = -value * t
+                design[5], design[6] = 0.5 * design[2] * t, 0.5 * design[3] * t
+                for i in range(N_PARAMETERS):
+                    theta[i] += design[i] * value
+                    for j in range(i + 1):
+                        information[i, j] += design[i] * design[j]
+                log_noise -= math.log(weight)
+                n_rows += 1
+    log_det = _cholesky_solve(information, theta)
+    if math.isnan(log_det):
+        return math.inf, -math.inf, n_rows, t_ref
+    chi2 = (theta[4] / sigma_kappa) ** 2 + (theta[5] ** 2 + theta[6] ** 2) / sigma_acceleration**2
+    chi2 += _residual_chi2(nodes, members, centre, basis, theta, t_ref, speed)
+    moving = max(math.hypot(theta[2], theta[3]), _SLOWEST_RAD_S)
+    log_prior = -log_area - (_LOG_2PI + 2.0 * math.log(moving) + math.log(_LOG_SPEEDS))
+    log_prior -= math.log(sigma_kappa) + 2.0 * math.log(sigma_acceleration)
+    log_evidence = -0.5 * chi2 - 0.5 * n_rows * _LOG_2PI - log_noise + log_prior + 2.0 * _LOG_2PI - 0.5 * log_det
+    return chi2, log_evidence, n_rows, t_ref
+
+
+@njit(cache=True)
+def _residual_chi2(
+    nodes: Nodes,
+    members: NDArray[np.int64],
+    centre: NDArray[np.float64],
+    basis: NDArray[np.float64],
+    theta: NDArray[np.float64],
+    t_ref: float,
+    speed: float,
+) -> float:
+    """Chi-square of the same rows as in `fit_motion`, from residuals."""
+    chi2 = 0.0
+    for k in range(len(members)):
+        node = members[k]
+        kind = nodes.kind[node]
+        xa, ya = to_plane(nodes.unit[node, 0], centre, basis)
+        xb, yb = to_plane(nodes.unit[node, 1], centre, basis)
+        length = math.hypot(xb - xa, yb - ya)
+        ux, uy = ((xb - xa) / length, (yb - ya) / length) if length > 0.0 and kind != POINT else (1.0, 0.0)
+        for p in range(2):
+            if kind == POINT and p == 1:
+                continue
+            x, y = (xa, ya) if p == 0 else (xb, yb)
+            t = nodes.t_s[node, p] - t_ref
+            timed = not ((kind == ENTERING and p == 0) or (kind == LEAVING and p == 1))
+            if not timed:
+                t = nodes.t_s[node, 1 - p] - t_ref + (length / speed if p == 1 else -length / speed)
+            dx = theta[0] + theta[2] * t + 0.5 * theta[5] * t * t - x * (1.0 + theta[4] * t)
+            dy = theta[1] + theta[3] * t + 0.5 * theta[6] * t * t - y * (1.0 + theta[4] * t)
+            if timed:
+                chi2 += ((dx * ux + dy * uy) / nodes.sigma_rad[node, p]) ** 2
+            chi2 += ((-dx * uy + dy * ux) / nodes.sigma_rad[node, 2]) ** 2
+    return chi2
+
+
+@njit(cache=True)
+def usable(nodes: Nodes, node: int) -> bool:
+    """Whether a hypothesis can take part in a link."""
+    return nodes.kind[node] != CROSSING
+
+
+@njit(cache=True)
+def is_full(nodes: Nodes, node: int) -> bool:
+    """Whether both ends carry epochs, so that the hypothesis knows its own velocity."""
+    return nodes.kind[node] == FULL

@@ -1,0 +1,118 @@
+"""A linked track and its product, the `Tracklet`."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.link.hypotheses import ARCSEC_RAD, ENTERING, LEAVING, POINT, FrameTable, StreakTable
+from ground.link.motion import N_PARAMETERS, position_on_plane, velocity_on_plane
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.products import StreakMeasurement, Tracklet
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Track:
+    """Hypotheses in time order and the motion through them (parameters of `motion.fit_motion`).
+
+    points : (n, 2) epochs, units : (n, 2, 3) directions, sigma_rad : (n, 3), kinds : (n,) of the members.
+    covariance : (7, 7) of theta.
+    """
+
+    members: NDArray[np.int64]
+    log_odds: float
+    chi2_nu: float
+    t_ref_s: float
+    centre: NDArray[np.float64]
+    basis: NDArray[np.float64]
+    theta: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    points: NDArray[np.float64]
+    kinds: NDArray[np.int64]
+    sigma_rad: NDArray[np.float64]
+    units: NDArray[np.float64]
+
+
+def tracklet_of(
+    number: int,
+    track: Track,
+    table: StreakTable,
+    frames: FrameTable,
+    streaks: Sequence[StreakMeasurement],
+    sky: bool,
+) -> Tracklet:
+    """The contract's record of a track; directions and rates are NaN when it was linked in pixels."""
+    chosen = table.index[track.members // 2]
+    timed = np.column_stack([track.kinds != ENTERING, (track.kinds != LEAVING) & (track.kinds != POINT)])
+    unit, t_s = track.units[timed], track.points[timed]
+    by_time = np.argsort(t_s, kind="stable")
+    unit, t_s = unit[by_time], t_s[by_time]
+    along = track.sigma_rad[:, :2][timed][by_time]
+    across = np.repeat(track.sigma_rad[:, 2:], 2, axis=1)[timed][by_time]
+    ra, dec = _sky(unit, sky)
+
+    x, y = position_on_plane(track.theta, 0.0)
+    vx, vy = velocity_on_plane(track.theta, 0.0)
+    here = track.centre + x * track.basis[0] + y * track.basis[1]
+    there = track.centre + (x + vx) * track.basis[0] + (y + vy) * track.basis[1]
+    depth = float(np.linalg.norm(here))
+    rate = (there - here - here * float(np.dot(here, there - here)) / depth**2) / depth
+    here = here / depth
+    ra_ref, dec_ref = _sky(here[None, :], sky)
+    east = np.array([-here[1], here[0], 0.0]) / max(math.hypot(here[0], here[1]), 1e-12)
+    north = np.cross(here, east)
+    speed = math.hypot(vx, vy)
+    direction = np.zeros(N_PARAMETERS)
+    direction[2], direction[3] = vx / max(speed, 1e-15), vy / max(speed, 1e-15)
+    rate_err = math.sqrt(max(float(direction @ track.covariance @ direction), 0.0))
+    mag, mag_err = _mean_magnitude([streaks[k] for k in chosen])
+    flags = StreakFlag(0)
+    for k in chosen:
+        flags |= streaks[k].flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1 | StreakFlag.SATURATED | StreakFlag.VARIABLE)
+    directed = bool(np.any(track.kinds != POINT)) or len(chosen) > 2
+    if directed:
+        flags |= StreakFlag.DIRECTION_RESOLVED
+    if not sky:
+        flags |= StreakFlag.NO_SKY
+    return Tracklet(
+        tracklet_id=number,
+        streak_ids=np.array([streaks[k].streak_id for k in chosen], dtype=np.int64),
+        frames=np.array([streaks[k].frame for k in chosen], dtype=np.int64),
+        t_tai_ns=frames.origin_tai_ns + np.round(t_s * 1e9).astype(np.int64),
+        ra_deg=ra,
+        dec_deg=dec,
+        sigma_along_arcsec=along / ARCSEC_RAD if sky else np.full(len(ra), np.nan),
+        sigma_cross_arcsec=across / ARCSEC_RAD if sky else np.full(len(ra), np.nan),
+        t_ref_tai_ns=frames.origin_tai_ns + round(track.t_ref_s * 1e9),
+        ra_ref_deg=float(ra_ref[0]),
+        dec_ref_deg=float(dec_ref[0]),
+        rate_deg_s=math.degrees(float(np.linalg.norm(rate))) if sky else math.nan,
+        rate_err_deg_s=math.degrees(rate_err) if sky else math.nan,
+        position_angle_deg=math.degrees(math.atan2(float(rate @ east), float(rate @ north))) % 360.0 if sky else math.nan,
+        mag=mag,
+        mag_err=mag_err,
+        chi2_nu=track.chi2_nu,
+        probability=1.0 / (1.0 + math.exp(-min(track.log_odds, 700.0))),
+        direction_resolved=directed,
+        flags=flags,
+    )
+
+
+def _sky(unit: NDArray[np.float64], sky: bool) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Right ascension in [0, 360) and declination (deg) of unit vectors (m, 3); NaN when they are no sky directions."""
+    if not sky:
+        return np.full(len(unit), np.nan), np.full(len(unit), np.nan)
+    ra = np.degrees(np.arctan2(unit[:, 1], unit[:, 0])) % 360.0
+    return ra, np.degrees(np.arctan2(unit[:, 2], np.hypot(unit[:, 0], unit[:, 1])))
+
+
+def _mean_magnitude(streaks: Sequence[StreakMeasurement]) -> tuple[float, float]:
+    """Weighted mean of the members' magnitudes and its error, NaN without any."""
+    pairs = [(s.mag, s.mag_err) for s in streaks if math.isfinite(s.mag) and math.isfinite(s.mag_err) and s.mag_err > 0.0]
+    if not pairs:
+        return math.nan, math.nan
+    mag, err = np.array(pairs).T
+    weight = 1.0 / err**2
+    return float((mag * weight).sum() / weight.sum()), float(1.0 / math.sqrt(weight.sum()))

@@ -1,0 +1,123 @@
+"""Options of the detector: every effect can be switched off by its own number."""
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, kw_only=True)
+class DarkOptions:
+    """Dark current, its spread from pixel to pixel, and defective pixels."""
+
+    median_e_s: float = field(
+        default=0.1, metadata={"doc": "median dark current at the reference temperature", "min": 0.0, "max": 1e5}
+    )
+    spread: float = field(default=0.3, metadata={"doc": "sigma of ln(dark current) over pixels (DSNU)", "min": 0.0, "max": 2.0})
+    reference_k: float = field(default=263.15, metadata={"doc": "temperature of the quoted dark current", "min": 100.0, "max": 400.0})
+    activation_ev: float = field(default=0.63, metadata={"doc": "activation energy of the dark current", "min": 0.0, "max": 1.2})
+    warm_fraction: float = field(default=2e-4, metadata={"doc": "share of warm pixels", "min": 0.0, "max": 0.5})
+    warm_e_s: float = field(default=40.0, metadata={"doc": "median dark current of warm pixels", "min": 0.0, "max": 1e6})
+    hot_fraction: float = field(default=5e-5, metadata={"doc": "share of hot pixels", "min": 0.0, "max": 0.5})
+    hot_e_s: float = field(default=2000.0, metadata={"doc": "median dark current of hot pixels", "min": 0.0, "max": 1e7})
+    dead_fraction: float = field(default=2e-5, metadata={"doc": "share of pixels that do not respond to light", "min": 0.0, "max": 0.5})
+
+
+@dataclass(frozen=True, kw_only=True)
+class TelegraphOptions:
+    """Random telegraph signal: pixels that jump between two levels."""
+
+    fraction: float = field(default=5e-5, metadata={"doc": "share of telegraph pixels", "min": 0.0, "max": 0.5})
+    amplitude_e: float = field(default=25.0, metadata={"doc": "median jump of one exposure", "min": 0.0, "max": 1e5})
+    dwell_frames: int = field(default=8, metadata={"doc": "frames between draws of a pixel's state", "min": 1, "max": 100000})
+
+
+@dataclass(frozen=True, kw_only=True)
+class ReadoutOptions:
+    """Noise and structure of the read-out chain."""
+
+    read_noise_e: float = field(
+        default=2.3, metadata={"doc": "rms read noise over the sensor, high-gain channel", "min": 0.0, "max": 1000.0}
+    )
+    read_noise_spread: float = field(
+        default=0.15, metadata={"doc": "sigma of ln(read noise) over pixels (CMOS)", "min": 0.0, "max": 1.0}
+    )
+    low_gain_read_noise_e: float = field(
+        default=8.0, metadata={"doc": "read noise of the low-gain channel", "min": 0.0, "max": 1000.0}
+    )
+    row_noise_e: float = field(default=0.1, metadata={"doc": "offset of each row, new in each frame", "min": 0.0, "max": 100.0})
+    column_offset_e: float = field(default=0.3, metadata={"doc": "fixed offset of each column", "min": 0.0, "max": 100.0})
+    sense_node_ff: float = field(
+        default=1.5, metadata={"doc": "capacitance of the sense node in femtofarad, for reset (kTC) noise", "min": 0.0, "max": 1000.0}
+    )
+    correlated_double_sampling: bool = field(
+        default=True, metadata={"doc": "the reset level is measured and subtracted, which removes kTC noise"}
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ConverterOptions:
+    """Full well, linearity, amplifiers and analogue-to-digital conversion."""
+
+    full_well_e: float = field(default=39000.0, metadata={"doc": "charge that a pixel holds", "min": 10.0, "max": 1e7})
+    nonlinearity: float = field(
+        default=0.01, metadata={"doc": "relative loss of signal at full well, linear in signal", "min": 0.0, "max": 0.4}
+    )
+    bits: int = field(default=12, metadata={"doc": "bits of each converter", "min": 4, "max": 16})
+    gain_e_adu: float = field(default=1.2, metadata={"doc": "electrons per unit, high-gain channel", "min": 1e-3, "max": 1e4})
+    dual_gain: bool = field(default=True, metadata={"doc": "a second, low-gain channel takes over where the first ends"})
+    low_gain_e_adu: float = field(default=10.0, metadata={"doc": "electrons per unit, low-gain channel", "min": 1e-3, "max": 1e4})
+    handover: float = field(
+        default=0.95, metadata={"doc": "share of the high channel's range above which the low one is used", "min": 0.1, "max": 1.0}
+    )
+    pedestal_adu: int = field(default=100, metadata={"doc": "offset that keeps noise above zero", "min": 0, "max": 10000})
+
+
+@dataclass(frozen=True, kw_only=True)
+class BinningOptions:
+    """Joining pixels after conversion (on-chip sums of a CCD happen before it)."""
+
+    rows: int = field(default=1, metadata={"doc": "detector rows per delivered row", "min": 1, "max": 64})
+    cols: int = field(default=1, metadata={"doc": "detector columns per delivered column", "min": 1, "max": 64})
+    method: str = field(
+        default="mean",
+        metadata={"doc": "how pixels are joined", "choices": ("mean", "median", "weighted", "sum")},
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class WindowOptions:
+    """Part of the detector that is read out; 0 rows or columns mean all that follow the first."""
+
+    row0: int = field(default=0, metadata={"doc": "first detector row", "min": 0, "max": 16383})
+    col0: int = field(default=0, metadata={"doc": "first detector column", "min": 0, "max": 16383})
+    rows: int = field(default=0, metadata={"doc": "detector rows, 0 for all", "min": 0, "max": 16384})
+    cols: int = field(default=0, metadata={"doc": "detector columns, 0 for all", "min": 0, "max": 16384})
+
+
+@dataclass(frozen=True, kw_only=True)
+class CalibrationOptions:
+    """Calibration frames behind the dark, flat and defect maps that on-board and ground software may know."""
+
+    dark_frames: int = field(default=64, metadata={"doc": "dark frames averaged", "min": 1, "max": 100000})
+    flat_frames: int = field(default=64, metadata={"doc": "flat frames averaged", "min": 1, "max": 100000})
+    flat_level: float = field(default=0.4, metadata={"doc": "flat level as a share of full well", "min": 0.01, "max": 0.9})
+    hot_sigma: float = field(
+        default=6.0, metadata={"doc": "a dark signal this many read noises above the median is a defect", "min": 1.0, "max": 1000.0}
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class SensorOptions:
+    """The detector: its type and imperfections; the number and pitch of its pixels belong to the instrument."""
+
+    type: str = field(
+        default="cmos", metadata={"doc": "cmos clips at full well; ccd bleeds along columns", "choices": ("cmos", "ccd")}
+    )
+    temperature_k: float = field(default=263.15, metadata={"doc": "temperature of the detector", "min": 100.0, "max": 400.0})
+    shot_noise: bool = field(default=True, metadata={"doc": "photons and dark electrons come at random"})
+    prnu: float = field(default=0.008, metadata={"doc": "rms of the pixel response (PRNU)", "min": 0.0, "max": 0.2})
+    dark: DarkOptions = field(default_factory=DarkOptions, metadata={"doc": "dark current and defective pixels"})
+    telegraph: TelegraphOptions = field(default_factory=TelegraphOptions, metadata={"doc": "telegraph pixels"})
+    readout: ReadoutOptions = field(default_factory=ReadoutOptions, metadata={"doc": "noise of the read-out chain"})
+    converter: ConverterOptions = field(default_factory=ConverterOptions, metadata={"doc": "full well and conversion"})
+    binning: BinningOptions = field(default_factory=BinningOptions, metadata={"doc": "binning"})
+    window: WindowOptions = field(default_factory=WindowOptions, metadata={"doc": "read-out window"})
+    calibration: CalibrationOptions = field(default_factory=CalibrationOptions, metadata={"doc": "calibration frames"})

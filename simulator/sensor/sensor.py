@@ -1,0 +1,325 @@
+"""The sensor: mean photo-electrons in, ADU out, and what is known about it without looking at a frame."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from sboc_e2e.icd.errors import UserError
+from simulator.radiation.hits import HitList, no_hits
+from simulator.randomness import Effect, seed_word
+from simulator.sensor import digitise as passes
+from simulator.sensor.binning import bin_means, bin_pixels, noise_factor
+from simulator.sensor.calibration import CalibrationMaps, reduce_calibration
+from simulator.sensor.counter import NORMAL_TABLE
+from simulator.sensor.maps import (
+    dark_rate_of_class_e_s,
+    draw_fixed_pattern,
+    read_noise_of_class_e,
+    response_of_class,
+    telegraph_charge_e,
+)
+from simulator.sensor.options import SensorOptions
+from simulator.sensor.poisson import poisson_tables
+from simulator.sensor.statistics import entropy_bits, entropy_table, gaussian_entropy_bits, pixel_probabilities
+
+
+@dataclass(frozen=True, kw_only=True)
+class DeliveredPixels:
+    """Numbers of a delivered (windowed, binned) pixel."""
+
+    rows: int
+    cols: int
+    gain_e_adu: float
+    read_noise_e: float
+    saturation_adu: float
+    full_well_e: float
+
+
+class Sensor:
+    """A detector of (rows, cols) pixels with the fixed pattern of its seed.
+
+    All images of mean electrons are on the detector's grid of the read-out window, unbinned: (window rows, window cols).
+    """
+
+    def __init__(self, options: SensorOptions, *, rows: int, cols: int, seed: int) -> None:
+        window, binning = options.window, options.binning
+        self.options = options
+        self.seed = seed
+        self.window_rows = window.rows or rows - window.row0
+        self.window_cols = window.cols or cols - window.col0
+        if window.row0 + self.window_rows > rows or window.col0 + self.window_cols > cols or min(self.window_shape) < 1:
+            raise UserError(
+                f"sensor.window: rows {window.row0} to {window.row0 + self.window_rows}, columns {window.col0} to "
+                f"{window.col0 + self.window_cols} must lie within a detector of {rows} x {cols} pixels"
+            )
+        if self.window_rows < binning.rows or self.window_cols < binning.cols:
+            raise UserError(f"sensor.binning: {binning.rows} x {binning.cols} exceeds the window {self.window_shape}")
+        pattern = draw_fixed_pattern(options, rows, cols, seed)
+        part = np.s_[window.row0 : window.row0 + self.window_rows, window.col0 : window.col0 + self.window_cols]
+        self._pattern = pattern
+        self._response, self._dark, self._noise = pattern.response[part], pattern.dark[part], pattern.noise[part]
+        self._column_e = np.ascontiguousarray(pattern.column_e[part[1]])
+        self._response_of = response_of_class(options)
+        self._dark_rate_of = dark_rate_of_class_e_s(options)
+        self._noise_of = read_noise_of_class_e(options)
+        self._poisson = poisson_tables()
+        self._entropy: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
+
+    @property
+    def window_shape(self) -> tuple[int, int]:
+        """Detector rows and columns that are read out."""
+        return self.window_rows, self.window_cols
+
+    @property
+    def on_chip_sum(self) -> bool:
+        """A CCD that sums joins charge before it is read, at the price of one read noise."""
+        binning = self.options.binning
+        return self.options.type == "ccd" and binning.method == "sum" and binning.rows * binning.cols > 1
+
+    @property
+    def read_noise_e(self) -> float:
+        """Rms read noise of a detector pixel over the sensor, row noise and (without CDS) reset noise included."""
+        counts = np.bincount(self._noise[::7, ::5].ravel(), minlength=256)
+        variance = float((counts * self._noise_of**2).sum() / counts.sum())
+        return float(np.sqrt(variance + self.options.readout.row_noise_e**2))
+
+    @property
+    def delivered(self) -> DeliveredPixels:
+        """Gain, noise and saturation of a delivered pixel; electrons are those of its whole block."""
+        converter, binning = self.options.converter, self.options.binning
+        n = binning.rows * binning.cols
+        averaged = n > 1 and binning.method != "sum"
+        top = 2.0**converter.bits - 1.0
+        if converter.dual_gain:
+            top = (top - converter.pedestal_adu) * converter.low_gain_e_adu / converter.gain_e_adu + converter.pedestal_adu
+        well = converter.full_well_e * (1.0 - converter.nonlinearity)
+        noise = converter.full_well_e and (
+            self.options.readout.low_gain_read_noise_e if converter.dual_gain else self.options.readout.read_noise_e
+        )
+        saturation = min(top, (well - 5.0 * noise) / converter.gain_e_adu + converter.pedestal_adu, 65535.0)
+        if n > 1 and binning.method == "sum" and not self.on_chip_sum:
+            saturation = min(saturation * n, 65535.0)
+        return DeliveredPixels(
+            rows=self.window_rows // binning.rows,
+            cols=self.window_cols // binning.cols,
+            gain_e_adu=converter.gain_e_adu * (n if averaged else 1),
+            read_noise_e=self.read_noise_e * (1.0 if self.on_chip_sum else noise_factor(binning)),
+            saturation_adu=float(np.floor(saturation)),
+            full_well_e=converter.full_well_e * n,
+        )
+
+    def digitise(
+        self, mean_e: NDArray[np.float32], frame: int, exposure_s: float, hits: HitList | None = None, *, first_row: int = 0
+    ) -> NDArray[np.uint16]:
+        """A delivered frame from mean photo-electrons.
+
+        Parameters
+        ----------
+        mean_e : (n, window cols) float32, light collected during the exposure; all rows of the window, or a block of them
+            that starts at `first_row` (CMOS without binning only): a block gives the same values as the whole.
+        frame : number of the frame, which with the seed decides every random number.
+        exposure_s : for dark current.
+        hits : charge of particle tracks on the same grid as the whole detector.
+
+        Returns
+        -------
+        (rows, cols) uint16 ADU of delivered pixels.
+        """
+        n = mean_e.shape[0]
+        if mean_e.shape[1] != self.window_cols or first_row + n > self.window_rows:
+            raise UserError(f"sensor: image {mean_e.shape} does not fit the window {self.window_shape} at row {first_row}")
+        binned = self.options.binning.rows * self.options.binning.cols > 1
+        if n != self.window_rows and (binned or self.options.type == "ccd"):
+            raise UserError("sensor: a CCD or a binned sensor is digitised as a whole, not by blocks of rows")
+        mean_e = np.ascontiguousarray(mean_e, dtype=np.float32)
+        if self.options.type == "ccd":
+            adu = self._read_ccd(mean_e, frame, exposure_s, hits or no_hits())
+            return adu if self.on_chip_sum else bin_pixels(adu, self.options.binning, self._weight())
+        part = np.s_[first_row : first_row + n]
+        out = np.empty(mean_e.shape, dtype=np.uint16)
+        passes.digitise_rows(
+            mean_e,
+            self.options.window.row0 + first_row,
+            self._response[part],
+            self._dark[part],
+            self._noise[part],
+            self._response_of,
+            self._dark_rate_of * exposure_s,
+            self._noise_of,
+            self._column_e,
+            self.options.readout.row_noise_e,
+            *self._extra_charge(frame, hits or no_hits(), first_row, n),
+            self._words(frame),
+            self.options.shot_noise,
+            *self._poisson,
+            NORMAL_TABLE,
+            self._chain(),
+            out,
+        )
+        return bin_pixels(out, self.options.binning, self._weight())
+
+    def variance_e2(
+        self, mean_e: ArrayLike, exposure_s: float, *, row0: int = 0, col0: int = 0
+    ) -> NDArray[np.float32]:
+        """Noise variance of detector pixels in electrons squared: photons, dark current, read noise, quantisation.
+
+        mean_e : a scalar (then the median pixel is meant) or an image whose first pixel is (row0, col0) of the window; then
+            each pixel's own response, dark current and read noise count.
+        """
+        converter = self.options.converter
+        shot = 1.0 if self.options.shot_noise else 0.0
+        fixed = self.options.readout.row_noise_e**2 + converter.gain_e_adu**2 / 12.0
+        mean = np.asarray(mean_e, dtype=np.float32)
+        if mean.ndim == 0:
+            dark = self._dark_rate_of[128] * exposure_s
+            return np.asarray(shot * (mean + dark) + self._noise_of[128] ** 2 + fixed, dtype=np.float32)
+        part = np.s_[row0 : row0 + mean.shape[0], col0 : col0 + mean.shape[1]]
+        out = (shot * self._response_of).astype(np.float32)[self._response[part]]
+        out *= mean
+        out += (shot * self._dark_rate_of * exposure_s + fixed).astype(np.float32)[self._dark[part]]
+        out += (self._noise_of**2).astype(np.float32)[self._noise[part]]
+        return out
+
+    def entropy_bits(self, mean_e: NDArray[np.float32], exposure_s: float) -> float:
+        """Mean entropy of a detector pixel's ADU given its mean: what no lossless code can undercut.
+
+        Exact for Poisson electrons plus the pixel's read noise rounded to the high-gain unit, averaged over the sensor's
+        read noises and interpolated in the mean; above 400 e- the entropy of a rounded Gaussian, above the handover in the
+        low-gain unit.
+        """
+        if self._entropy is None:
+            codes = np.sort(self._noise[::31, ::17].ravel())
+            quantiles = codes[((np.arange(9) + 0.5) / 9 * codes.size).astype(int)]
+            self._entropy = entropy_table(self._noise_of[quantiles], self.options.converter.gain_e_adu)
+        converter = self.options.converter
+        roots, bits = self._entropy
+        total = 0.0
+        dark = self._dark_rate_of[128] * exposure_s
+        for row in range(0, mean_e.shape[0], 256):
+            mean = mean_e[row : row + 256].astype(np.float64) + dark
+            faint = np.interp(np.sqrt(np.maximum(mean, 0.0)), roots, bits)
+            bright = mean > roots[-1] ** 2
+            if bright.any():
+                level = mean[bright]
+                low = converter.dual_gain & (level > converter.handover * converter.gain_e_adu * (2**converter.bits - 1))
+                gain = np.where(low, converter.low_gain_e_adu, converter.gain_e_adu)
+                noise = np.where(low, self.options.readout.low_gain_read_noise_e, self._noise_of[128])
+                value = gaussian_entropy_bits((level + noise**2) / gain**2, 1.0)
+                faint[bright] = np.where(level < converter.full_well_e, value, 0.0)
+            total += float(faint.sum())
+        return total / mean_e.size
+
+    def sky_entropy_bits(self, mean_e: float) -> float:
+        """Exact entropy of the median pixel at one mean level."""
+        converter = self.options.converter
+        return entropy_bits(pixel_probabilities(mean_e, float(self._noise_of[128]), converter.gain_e_adu))
+
+    def calibration_maps(self, exposure_s: float, illumination: NDArray[np.float32] | None = None) -> CalibrationMaps:
+        """Dark, flat and defect maps of delivered pixels, reduced from calibration frames with their own noise.
+
+        illumination : (window rows, window cols) relative illumination of the flat field, 1 on axis; None for uniform.
+        """
+        return reduce_calibration(
+            self.options,
+            self._response_of,
+            self._dark_rate_of * exposure_s,
+            self._noise_of,
+            self._response,
+            self._dark,
+            self._noise,
+            self._column_e,
+            illumination,
+            seed_word(self.seed, Effect.CALIBRATION),
+            bin_means,
+        )
+
+    def _words(self, frame: int) -> tuple[np.uint64, np.uint64, np.uint64]:
+        return (
+            np.uint64(seed_word(self.seed, Effect.SHOT_AND_READ, frame, 0)),
+            np.uint64(seed_word(self.seed, Effect.SHOT_AND_READ, frame, 1)),
+            np.uint64(seed_word(self.seed, Effect.ROW_COLUMN_NOISE, frame)),
+        )
+
+    def _chain(self) -> tuple[float, float, float, float, float, float, bool, float, float]:
+        converter = self.options.converter
+        top = 2.0**converter.bits - 1.0
+        return (
+            converter.full_well_e,
+            converter.nonlinearity / converter.full_well_e,
+            converter.gain_e_adu,
+            top,
+            converter.handover * top,
+            float(converter.pedestal_adu),
+            converter.dual_gain,
+            converter.low_gain_e_adu,
+            self.options.readout.low_gain_read_noise_e,
+        )
+
+    def _extra_charge(
+        self, frame: int, hits: HitList, first_row: int, n: int
+    ) -> tuple[NDArray[np.int64], NDArray[np.int32], NDArray[np.float32]]:
+        """Telegraph jumps and particle charge of rows ``first_row ... first_row + n - 1`` of the window, by row."""
+        pattern, window = self._pattern, self.options.window
+        jump = telegraph_charge_e(pattern, self.options, self.seed, frame)
+        row = np.concatenate([pattern.telegraph_row, hits.row]) - window.row0 - first_row
+        col = np.concatenate([pattern.telegraph_col, hits.col]) - window.col0
+        charge = np.concatenate([jump, hits.charge_e])
+        inside = (row >= 0) & (row < n) & (col >= 0) & (col < self.window_cols) & (charge > 0.0)
+        row, col, charge = row[inside], col[inside], charge[inside]
+        order = np.argsort(row, kind="stable")
+        start = np.searchsorted(row[order], np.arange(n + 1)).astype(np.int64)
+        return start, col[order].astype(np.int32), charge[order].astype(np.float32)
+
+    def _read_ccd(self, mean_e: NDArray[np.float32], frame: int, exposure_s: float, hits: HitList) -> NDArray[np.uint16]:
+        """Charge of the whole chip, bleeding along columns, on-chip sums, conversion."""
+        words = self._words(frame)
+        charge = np.empty(mean_e.shape, dtype=np.float64)
+        passes.collect_rows(
+            mean_e,
+            self.options.window.row0,
+            self._response,
+            self._dark,
+            self._response_of,
+            self._dark_rate_of * exposure_s,
+            *self._extra_charge(frame, hits, 0, mean_e.shape[0]),
+            words[0],
+            self.options.shot_noise,
+            *self._poisson,
+            NORMAL_TABLE,
+            charge,
+        )
+        passes.bleed_columns(charge, self.options.converter.full_well_e)
+        noise, column = self._noise, self._column_e
+        if self.on_chip_sum:
+            binning = self.options.binning
+            charge = binning_sum(charge, binning.rows, binning.cols)
+            noise = noise[: charge.shape[0], : charge.shape[1]]
+            column = column[: charge.shape[1]]
+        out = np.empty(charge.shape, dtype=np.uint16)
+        passes.convert_rows(
+            charge,
+            self.options.window.row0,
+            noise,
+            self._noise_of,
+            column,
+            self.options.readout.row_noise_e,
+            words,
+            NORMAL_TABLE,
+            self._chain(),
+            out,
+        )
+        return out
+
+    def _weight(self) -> NDArray[np.float32] | None:
+        """Inverse noise variance in the dark; dead pixels weigh nothing. Only where binning asks for it."""
+        if self.options.binning.method != "weighted":
+            return None
+        variance = (self._noise_of**2).astype(np.float32)[self._noise] + self._dark_rate_of.astype(np.float32)[self._dark]
+        return np.asarray((self._response > 0) / np.maximum(variance, 1e-6), dtype=np.float32)
+
+
+def binning_sum(charge_e: NDArray[np.float64], rows: int, cols: int) -> NDArray[np.float64]:
+    """On-chip sum of charge over blocks."""
+    n, m = charge_e.shape[0] // rows, charge_e.shape[1] // cols
+    return np.ascontiguousarray(charge_e[: n * rows, : m * cols].reshape(n, rows, m, cols).sum(axis=(1, 3)))

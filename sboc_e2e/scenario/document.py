@@ -1,0 +1,188 @@
+"""The resolved scenario: options of the three segments, the chosen steps, what to keep, and back to a document."""
+
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
+from functools import cache
+from pathlib import Path
+from typing import Any, Final
+
+from pydantic import BaseModel, ConfigDict, Field, create_model
+
+from ground.options import GroundOptions
+from onboard.options import OnboardOptions
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.registry import SEAMS, Registry
+from sboc_e2e.scenario import option_models, toml_files
+from simulator.options import SimulatorOptions
+
+
+@dataclass(frozen=True, kw_only=True)
+class OutputOptions:
+    """What a run keeps on disk."""
+
+    keep_frames_every: int = field(
+        default=0, metadata={"doc": "frames/ keeps every n-th frame as FITS; 1 keeps all, 0 none", "min": 0, "max": 1_000_000}
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class HarnessOptions:
+    """Keys of a scenario that belong to no segment."""
+
+    description: str = field(default="", metadata={"doc": "what the scenario shows, in a sentence"})
+    seed: int = field(default=1, metadata={"doc": "seed of every random stream", "min": 0, "max": 2**63 - 1})
+    output: OutputOptions = field(default_factory=OutputOptions, metadata={"doc": "what is kept on disk"})
+
+
+@dataclass(frozen=True, kw_only=True)
+class Component:
+    """A chosen step: where it sits, the name it was asked for by, and the configured step itself."""
+
+    seam: str
+    name: str
+    step: Any
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scenario:
+    """Everything that decides the bytes of a run."""
+
+    name: str
+    description: str
+    seed: int
+    simulator: SimulatorOptions
+    onboard: OnboardOptions
+    ground: GroundOptions
+    output: OutputOptions
+    components: Mapping[str, Component]
+
+    def step(self, seam: str) -> Any:
+        """The configured step of a seam."""
+        return self.components[seam].step
+
+    def document(self) -> dict[str, Any]:
+        """TOML-shaped tables with every option, defaults included; `from_document` gives the same scenario back."""
+        tables: dict[str, Any] = {"description": self.description, "seed": self.seed}
+        tables |= option_models.to_document(self.simulator)
+        tables["onboard"] = option_models.to_document(self.onboard)
+        tables["ground"] = option_models.to_document(self.ground)
+        for seam, component in self.components.items():
+            segment, _, key = seam.partition(".")
+            tables[segment][key] = {"use": component.name, **option_models.to_document(component.step)}
+        tables["output"] = option_models.to_document(self.output)
+        return tables
+
+
+SEGMENT_OPTIONS: Final[dict[str, type]] = {"onboard": OnboardOptions, "ground": GroundOptions}
+
+
+@cache
+def scenario_model() -> type[BaseModel]:
+    """Pydantic model of a whole scenario file without its component tables."""
+    segments: dict[str, Any] = {
+        f"option_{name}": (option_models.model_of(options), Field(default=None, alias=name, description=f"{name} segment"))
+        for name, options in SEGMENT_OPTIONS.items()
+    }
+    return create_model(
+        "Scenario",
+        __config__=ConfigDict(extra="forbid", protected_namespaces=(), frozen=True),
+        __doc__="A run of the SBOC end-to-end demonstrator.",
+        **option_models.model_fields(HarnessOptions),
+        **option_models.model_fields(SimulatorOptions),
+        **segments,
+    )
+
+
+def available() -> dict[str, str]:
+    """Scenarios that come with the project: name and description."""
+    return {
+        path.stem: str(toml_files.read(path).get("description", "")) for path in sorted(toml_files.FOLDER.glob("*.toml"))
+    }
+
+
+def find(scenario: str) -> Path:
+    """File of a scenario given by name or path."""
+    path = Path(scenario)
+    if path.suffix != ".toml" and len(path.parts) == 1:
+        path = toml_files.FOLDER / f"{scenario}.toml"
+        if not path.is_file():
+            raise UserError(f'there is no scenario "{scenario[:80]}"; {option_models.did_you_mean(scenario, available())}')
+    elif not path.is_file():
+        raise UserError(f"{path}: no such scenario file; give a path to a .toml file or one of: {', '.join(available())}")
+    return path
+
+
+def load(
+    scenario: str,
+    *,
+    registry: Registry,
+    overrides: Iterable[str] = (),
+    use: Mapping[str, str] | None = None,
+    seed: int | None = None,
+) -> Scenario:
+    """The resolved scenario of a name or path.
+
+    overrides : ``key=value`` texts of ``--set``. use : step names typed on the command line by seam; they replace the
+    scenario's choice together with its options. Raises `UserError` of one line for anything wrong.
+    """
+    path = find(scenario)
+    document = toml_files.with_presets(toml_files.read(path), path.resolve().parent, str(path))
+    for seam, name in (use or {}).items():
+        segment, _, key = seam.partition(".")
+        document.setdefault(segment, {})[key] = {"use": name}
+    document = toml_files.with_overrides(document, overrides)
+    if seed is not None:
+        document["seed"] = seed
+    typed = frozenset((use or {}).values())
+    return from_document(document, name=path.stem, registry=registry, where=str(path), typed=typed)
+
+
+def from_document(
+    document: Mapping[str, Any], *, name: str, registry: Registry, where: str, typed: frozenset[str] = frozenset()
+) -> Scenario:
+    """The resolved scenario of TOML-shaped tables; `typed` holds the step names that the user typed."""
+    tables = {key: dict(value) if key in SEGMENT_OPTIONS and isinstance(value, Mapping) else value for key, value in document.items()}
+    components = {seam: _component(seam, _taken(tables, seam, where), registry, where, typed) for seam in SEAMS}
+    model: Any = option_models.validate(scenario_model(), tables, where)
+    harness: HarnessOptions = option_models.build(HarnessOptions, model, where)
+    segments = {
+        segment: option_models.build(options, given, f"{where}: {segment}")
+        if (given := getattr(model, f"option_{segment}")) is not None
+        else options()
+        for segment, options in SEGMENT_OPTIONS.items()
+    }
+    return Scenario(
+        name=name,
+        description=harness.description,
+        seed=harness.seed,
+        simulator=option_models.build(SimulatorOptions, model, where),
+        onboard=segments["onboard"],
+        ground=segments["ground"],
+        output=harness.output,
+        components=components,
+    )
+
+
+def _taken(tables: dict[str, Any], seam: str, where: str) -> dict[str, Any]:
+    """The component table of a seam, removed from the document."""
+    segment, _, key = seam.partition(".")
+    parent = tables.get(segment)
+    if not isinstance(parent, dict) or key not in parent:
+        return {}
+    table = parent.pop(key)
+    if not isinstance(table, dict):
+        raise UserError(f'{where}: {seam}: expected a table such as [{seam}] with use = "{SEAMS[seam].default}"')
+    return dict(table)
+
+
+def _component(seam: str, table: dict[str, Any], registry: Registry, where: str, typed: frozenset[str]) -> Component:
+    """The configured step of a component table; the default step when the table names none."""
+    name = table.pop("use", SEAMS[seam].default)
+    if not isinstance(name, str):
+        raise UserError(f"{where}: {seam}.use: expected the name of a step, got {name!r}"[:300])
+    try:
+        options = registry.resolve(seam, name, typed=name in typed)
+    except UserError as error:
+        raise UserError(f"{where}: {error}") from error
+    model = option_models.validate(option_models.model_of(options), table, f'{where}: [{seam}] use = "{name}"')
+    return Component(seam=seam, name=name, step=option_models.build(options, model, f"{where}: [{seam}]"))

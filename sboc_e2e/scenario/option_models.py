@@ -1,0 +1,304 @@
+"""From option dataclasses of the segments to pydantic models of TOML tables, and back to dataclasses.
+
+A field `exposure_s: float` with ``metadata={"doc": ..., "min": ..., "max": ...}`` becomes the key ``exposure`` that takes
+a quantity string; fields without a unit suffix take bare values; nested dataclasses are tables; tuples of dataclasses
+are arrays of tables. Segments know nothing of it.
+"""
+
+import dataclasses
+import difflib
+import types
+import typing
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from functools import cache
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationError, WithJsonSchema, create_model
+
+from sboc_e2e.icd.errors import SbocError, UserError
+from sboc_e2e.scenario import quantities
+
+MAX_STRING: Final = 4096
+_NAMES: Final = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}
+
+
+@dataclass(frozen=True, kw_only=True)
+class OptionField:
+    """One option: the dataclass field, its TOML key, unit, element type and validity."""
+
+    name: str
+    key: str
+    unit: str | None
+    hint: Any
+    default: Any
+    meta: Mapping[str, Any]
+
+    @property
+    def doc(self) -> str:
+        """What the option means, with its range."""
+        text = str(self.meta.get("doc", self.name.replace("_", " ")))
+        limits = _limits(self.meta, self.unit)
+        return f"{text} ({limits})" if limits else text
+
+
+def is_options(hint: Any) -> bool:
+    """Whether a type is an option dataclass."""
+    return isinstance(hint, type) and dataclasses.is_dataclass(hint)
+
+
+@cache
+def option_fields(options: type) -> tuple[OptionField, ...]:
+    """The options of a dataclass in their order; `UserError` when two fields would share a key."""
+    hints = typing.get_type_hints(options)
+    found: list[OptionField] = []
+    for item in dataclasses.fields(options):
+        if not item.init:
+            continue
+        hint = _without_none(hints[item.name])
+        key, unit = quantities.split_name(item.name) if _is_numeric(hint) else (item.name, None)
+        default: Any = item.default
+        if item.default_factory is not dataclasses.MISSING:
+            default = item.default_factory()
+        found.append(OptionField(name=item.name, key=key, unit=unit, hint=hint, default=default, meta=item.metadata))
+    keys = [item.key for item in found]
+    twice = sorted({key for key in keys if keys.count(key) > 1})
+    if twice:
+        raise UserError(f"options of {options.__module__}.{options.__qualname__}: two fields share the key {twice[0]!r}")
+    return tuple(found)
+
+
+@cache
+def model_of(options: type) -> type[BaseModel]:
+    """The pydantic model of a TOML table with these options; unknown keys are refused."""
+    return create_model(
+        options.__name__,
+        __config__=ConfigDict(extra="forbid", protected_namespaces=(), frozen=True, validate_by_alias=True),
+        __doc__=(options.__doc__ or "").strip().splitlines()[0] if options.__doc__ else "",
+        **model_fields(options),
+    )
+
+
+def model_fields(options: type) -> dict[str, Any]:
+    """Definitions for `pydantic.create_model`: attribute ``option_<name>`` with the TOML key as alias."""
+    return {
+        f"option_{item.name}": (
+            _annotation(item.hint, item.unit, item.meta),
+            Field(default=..., alias=item.key, description=item.doc)
+            if item.default is dataclasses.MISSING
+            else Field(default=None, alias=item.key, description=item.doc),
+        )
+        for item in option_fields(options)
+    }
+
+
+def to_options(options: type, model: BaseModel, default: Any = None) -> Any:
+    """Dataclass instance from a validated model: keys that were given, over `default` or the class's defaults."""
+    values: dict[str, Any] = {}
+    for item in option_fields(options):
+        attribute = f"option_{item.name}"
+        if attribute not in model.model_fields_set:
+            continue
+        base = getattr(default, item.name) if default is not None else item.default
+        values[item.name] = _value(item.hint, getattr(model, attribute), base)
+    if default is not None:
+        return dataclasses.replace(default, **values)
+    return options(**values)
+
+
+def to_document(instance: Any) -> dict[str, Any]:
+    """TOML-shaped table of all options of an instance, defaults included; None is left out."""
+    table: dict[str, Any] = {}
+    for item in option_fields(type(instance)):
+        value = getattr(instance, item.name)
+        if value is not None:
+            table[item.key] = _document_value(value, item.unit)
+    return table
+
+
+def validate(model: type[BaseModel], table: Mapping[str, Any], where: str) -> BaseModel:
+    """Validated model, or a `UserError` of one line that names the key, what was expected and what came."""
+    try:
+        return model.model_validate(table)
+    except ValidationError as error:
+        raise UserError(_one_line(error, model, where)) from error
+    except RecursionError as error:
+        raise UserError(f"{where}: nested too deeply") from error
+
+
+def build(options: type, model: BaseModel, where: str, default: Any = None) -> Any:
+    """`to_options`, with refusals of the dataclass itself turned into a `UserError` that names the table."""
+    try:
+        return to_options(options, model, default)
+    except SbocError as error:
+        raise UserError(f"{where}: {error}") from error
+    except (ValueError, TypeError) as error:
+        raise UserError(f"{where}: {options.__name__} refuses these options: {error}") from error
+
+
+def did_you_mean(word: str, known: Iterable[str]) -> str:
+    """A suggestion for a mistyped word and the list of what is known, for the end of an error line."""
+    names = sorted(known)
+    close = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
+    hint = f'did you mean "{close[0]}"? ' if close else ""
+    return f"{hint}known: {', '.join(names) if names else 'none'}"
+
+
+def _without_none(hint: Any) -> Any:
+    """``X | None -> X``: an absent key means None."""
+    if typing.get_origin(hint) in (types.UnionType, typing.Union):
+        rest = [arm for arm in typing.get_args(hint) if arm is not type(None)]
+        if len(rest) == 1:
+            return rest[0]
+    return hint
+
+
+def _is_numeric(hint: Any) -> bool:
+    """Whether values are numbers, alone or in a tuple."""
+    if typing.get_origin(hint) is tuple:
+        return all(arm is Ellipsis or arm in (int, float) for arm in typing.get_args(hint))
+    return hint in (int, float)
+
+
+def _limits(meta: Mapping[str, Any], unit: str | None) -> str:
+    """Range or choices in words, '' when there are none."""
+    if "choices" in meta:
+        return "one of " + ", ".join(str(choice) for choice in meta["choices"])
+    low, high = meta.get("min"), meta.get("max")
+    of_unit = f" {quantities.display(unit)}" if unit else ""
+    if low is not None and high is not None:
+        return f"{low:g} to {high:g}{of_unit}"
+    if low is not None:
+        return f"at least {low:g}{of_unit}"
+    return f"at most {high:g}{of_unit}" if high is not None else ""
+
+
+def _annotation(hint: Any, unit: str | None, meta: Mapping[str, Any]) -> Any:
+    """Type of a model's field."""
+    if is_options(hint):
+        return model_of(hint)
+    origin = typing.get_origin(hint)
+    if origin is tuple:
+        arms = typing.get_args(hint)
+        if len(arms) == 2 and arms[1] is Ellipsis:
+            return tuple[_annotation(arms[0], unit, meta), ...]  # type: ignore[misc]
+        return tuple[tuple(_annotation(arm, unit, meta) for arm in arms)]  # type: ignore[misc]
+    if origin is Literal:
+        return _scalar(str, None, {**meta, "choices": typing.get_args(hint)})
+    if hint in _NAMES:
+        return _scalar(hint, unit, meta)
+    raise UserError(f"an option of type {hint} cannot be written in a scenario")
+
+
+def _scalar(kind: type, unit: str | None, meta: Mapping[str, Any]) -> Any:
+    """Annotated scalar with this project's own checks and words."""
+    return Annotated[Any, PlainValidator(_checker(kind, unit, meta)), WithJsonSchema(_scalar_schema(kind, unit, meta))]
+
+
+def _checker(kind: type, unit: str | None, meta: Mapping[str, Any]) -> Callable[[object], Any]:
+    """Function that accepts a TOML value or raises ValueError with the reason."""
+    limits = _limits(meta, unit)
+
+    def check(value: object) -> Any:
+        result: Any
+        if unit is not None:
+            result = quantities.parse(value, unit)
+            if kind is int:
+                if abs(result - round(result)) > 1e-9 * max(1.0, abs(result)):
+                    raise ValueError(f"expected a whole number of {quantities.display(unit)}, got {value!r}")
+                result = round(result)
+        else:
+            accepted: tuple[type, ...] = (int, float) if kind is float else (kind,)
+            if not isinstance(value, accepted) or (isinstance(value, bool) and kind is not bool):
+                raise ValueError(f"expected {_NAMES[kind]}, got {quantities.shown(value)}")
+            if isinstance(value, str) and len(value) > MAX_STRING:
+                raise ValueError(f"expected at most {MAX_STRING} characters, got {len(value)}")
+            result = _finite(value) if kind is float else value
+        if "choices" in meta and result not in meta["choices"]:
+            raise ValueError(f"expected {limits}, got {quantities.shown(value)}")
+        if ("min" in meta and result < meta["min"]) or ("max" in meta and result > meta["max"]):
+            raise ValueError(f"expected {limits}, got {quantities.shown(value)}")
+        return result
+
+    return check
+
+
+def _finite(value: Any) -> float:
+    """A float that is neither infinite nor NaN."""
+    try:
+        number = float(value)
+    except OverflowError as error:
+        raise ValueError("expected a finite number, got an integer too large for a float") from error
+    if number != number or number in (float("inf"), float("-inf")):
+        raise ValueError(f"expected a finite number, got {value}")
+    return number
+
+
+def _scalar_schema(kind: type, unit: str | None, meta: Mapping[str, Any]) -> dict[str, Any]:
+    """JSON schema of a scalar."""
+    if unit is not None:
+        return {"type": "string", "pattern": r"^\s*[+-]?(\d|\.\d)", "examples": [f"1 {quantities.display(unit)}"]}
+    schema: dict[str, Any] = {"type": {bool: "boolean", int: "integer", float: "number", str: "string"}[kind]}
+    if "choices" in meta:
+        schema["enum"] = list(meta["choices"])
+    if "min" in meta:
+        schema["minimum"] = meta["min"]
+    if "max" in meta:
+        schema["maximum"] = meta["max"]
+    return schema
+
+
+def _value(hint: Any, value: Any, default: Any) -> Any:
+    """Dataclass value of a model's value."""
+    if is_options(hint):
+        return to_options(hint, value, default if is_options(type(default)) else None)
+    if typing.get_origin(hint) is tuple:
+        arms = typing.get_args(hint)
+        element = arms[0] if len(arms) == 2 and arms[1] is Ellipsis else None
+        return tuple(_value(element if element is not None else arms[i], item, None) for i, item in enumerate(value))
+    return value
+
+
+def _document_value(value: Any, unit: str | None) -> Any:
+    """TOML-shaped value of an option."""
+    if dataclasses.is_dataclass(value):
+        return to_document(value)
+    if isinstance(value, tuple):
+        return [_document_value(item, unit) for item in value]
+    if unit is not None:
+        return quantities.write(value, unit)
+    return value
+
+
+def _one_line(error: ValidationError, model: type[BaseModel], where: str) -> str:
+    """The first complaint of pydantic in this project's words."""
+    first = error.errors(include_url=False)[0]
+    path = ".".join(str(part) for part in first["loc"])
+    if first["type"] == "extra_forbidden":
+        *parents, key = first["loc"]
+        known = _keys_at(model, parents)
+        table = ".".join(str(part) for part in parents)
+        return f'{where}: unknown key "{key}"{f" in [{table}]" if table else ""}; {did_you_mean(str(key), known)}'
+    if first["type"] == "missing":
+        return f"{where}: {path} is missing"
+    cause = first.get("ctx", {}).get("error")
+    if cause is not None:
+        return f"{where}: {path}: {cause}"
+    if first["type"] in ("model_type", "model_attributes_type"):
+        return f"{where}: {path}: expected a table, got {quantities.shown(first['input'])}"
+    return f"{where}: {path}: {first['msg'][0].lower()}{first['msg'][1:]}, got {quantities.shown(first['input'])}"
+
+
+def _keys_at(model: type[BaseModel], path: list[int | str]) -> list[str]:
+    """Keys that are allowed in a nested table."""
+    current: Any = model
+    for part in path:
+        if isinstance(part, int):
+            continue
+        info = next((f for f in current.model_fields.values() if f.alias == part), None)
+        current = info.annotation if info is not None else None
+        while typing.get_origin(current) is tuple:
+            current = typing.get_args(current)[0]
+        if not (isinstance(current, type) and issubclass(current, BaseModel)):
+            return []
+    return [str(field.alias) for field in current.model_fields.values()]

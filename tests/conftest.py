@@ -1,0 +1,29 @@
+"""Settings that hold for every test: one thread per process, no network, offline time tables."""
+
+import os
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS"):
+    os.environ.setdefault(_variable, "1")
+
+from pathlib import Path
+
+import pytest
+from astropy.utils import iers
+from hypothesis import HealthCheck, settings
+
+iers.conf.auto_download = False
+iers.conf.iers_degraded_accuracy = "ignore"
+
+settings.register_profile("house", deadline=None, derandomize=True, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
+settings.load_profile("house")
+
+SHARED = Path(__file__).resolve().parents[2] / "shared"
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Folder of reference data that is not part of the project; tests that need it are skipped without it."""
+    folder = SHARED / "data"
+    if not folder.is_dir():
+        pytest.skip(f"reference data not present: {folder}")
+    return folder

@@ -1,0 +1,151 @@
+"""Plots of a report as SVG text, drawn without a display; neutral ink that reads on light and dark pages."""
+
+import io
+from collections.abc import Iterator
+from contextlib import contextmanager
+from itertools import pairwise
+from typing import Any, Final
+
+import matplotlib as mpl
+import numpy as np
+from astropy.table import Table
+from matplotlib.figure import Figure as Canvas
+from numpy.typing import NDArray
+
+from sboc_e2e.score.figures import proportion
+
+INK: Final = "#7a7f87"
+BLUE, ORANGE, GREEN, RED = "#3b82c4", "#d9822b", "#3a9d5d", "#c8453b"
+SERIES: Final = (BLUE, ORANGE, GREEN, RED, "#8a63b8", "#3aa6a6", "#a07a3a")
+
+_STYLE: Final[dict[Any, Any]] = {
+    "svg.hashsalt": "sboc",
+    "svg.fonttype": "none",
+    "font.size": 9,
+    "axes.edgecolor": INK,
+    "axes.labelcolor": INK,
+    "text.color": INK,
+    "xtick.color": INK,
+    "ytick.color": INK,
+    "axes.grid": True,
+    "grid.alpha": 0.25,
+    "axes.spines.top": False,
+    "axes.spines.right": False,
+    "legend.frameon": False,
+}
+
+
+@contextmanager
+def canvas(width_in: float, height_in: float, columns: int = 1) -> Iterator[tuple[Canvas, NDArray[Any]]]:
+    """A transparent figure with a row of axes, under the house style."""
+    with mpl.rc_context(_STYLE):
+        figure = Canvas(figsize=(width_in, height_in), layout="constrained")
+        figure.patch.set_alpha(0.0)
+        axes = np.atleast_1d(figure.subplots(1, columns))
+        for ax in axes:
+            ax.patch.set_alpha(0.0)
+        yield figure, axes
+
+
+def svg(figure: Canvas) -> str:
+    """The figure as an SVG element without dates, so that the same run gives the same page."""
+    out = io.StringIO()
+    with mpl.rc_context(_STYLE):
+        figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
+    text = out.getvalue()
+    return text[text.index("<svg") :]
+
+
+def completeness(series: dict[str, tuple[NDArray[np.float64], NDArray[np.bool_]]], ideal_snr50: float | None) -> str:
+    """Share detected against true S/N, in bins with Wilson intervals, for each named half or detector."""
+    edges = np.geomspace(3.0, 300.0, 15)
+    with canvas(6.4, 3.6) as (figure, (ax,)):
+        for k, (name, (snr, found)) in enumerate(series.items()):
+            x, y, low, high = [], [], [], []
+            for a, b in pairwise(edges):
+                inside = (snr >= a) & (snr < b)
+                if inside.any():
+                    share = proportion(int(found[inside].sum()), int(inside.sum()))
+                    x.append(np.sqrt(a * b) * (1 + 0.015 * k))
+                    y.append(share["value"])
+                    low.append(share["low"])
+                    high.append(share["high"])
+            y_array = np.array(y)
+            error = np.array([y_array - low, np.array(high) - y_array]).clip(0)
+            ax.errorbar(x, y, yerr=error, marker="o", ms=4, lw=1.2, capsize=2, color=SERIES[k % len(SERIES)], label=name)
+        if ideal_snr50 is not None:
+            ax.axvline(ideal_snr50, color=INK, ls="--", lw=1)
+            ax.text(ideal_snr50, 0.02, " ideal half point", rotation=90, va="bottom", fontsize=7)
+        ax.set(xscale="log", ylim=(-0.03, 1.05), xlabel="true matched-filter S/N", ylabel="share detected")
+        ax.set_xticks([3, 5, 7, 10, 20, 50, 100, 300], ["3", "5", "7", "10", "20", "50", "100", "300"])
+        ax.legend(loc="lower right")
+        return svg(figure)
+
+
+def residuals(rows: list[dict[str, float]]) -> str:
+    """Cross-track residual over its bound, end residual over the attainable bound, and pulls with the unit normal."""
+    with canvas(10.0, 3.2, columns=3) as (figure, axes):
+        snr = np.array([r["snr"] for r in rows])
+        axes[0].plot(snr, [r["cross_ratio"] for r in rows], ".", color=BLUE, ms=4)
+        for which, colour in (("end0_attainable", ORANGE), ("end1_attainable", GREEN)):
+            chosen = [(r["snr"], r[which]) for r in rows if which in r]
+            if chosen:
+                axes[1].plot(*zip(*chosen, strict=True), ".", color=colour, ms=4, label=which[:4])
+        for ax, name in ((axes[0], "cross-track / CRLB"), (axes[1], "ends / attainable bound")):
+            ax.axhspan(-1, 1, color=INK, alpha=0.12, lw=0)
+            ax.set(xscale="log", xlabel="true S/N", ylabel=name, ylim=(-5, 5))
+        bins = np.linspace(-5, 5, 31)
+        for name, colour in (("cross_pull", BLUE), ("along_pull", ORANGE)):
+            values = np.array([r[name] for r in rows if name in r and np.isfinite(r[name])])
+            if len(values):
+                axes[2].hist(values.clip(-5, 5), bins, histtype="step", density=True, color=colour, label=name.replace("_", " "))
+        axes[2].plot(bins, np.exp(-(bins**2) / 2) / np.sqrt(2 * np.pi), color=INK, lw=1, ls="--")
+        axes[2].set(xlabel="residual / its own sigma", ylabel="density")
+        axes[2].legend(fontsize=7)
+        return svg(figure)
+
+
+def magnitudes(rows: list[dict[str, float]]) -> str:
+    """Magnitude residuals against S/N."""
+    with canvas(4.8, 3.2) as (figure, (ax,)):
+        ax.plot([r["snr"] for r in rows], [r["residual_mag"] for r in rows], ".", color=BLUE, ms=4)
+        ax.axhline(0, color=INK, lw=1)
+        ax.set(xscale="log", xlabel="true S/N", ylabel="measured - true V (mag)", ylim=(-0.6, 0.6))
+        return svg(figure)
+
+
+def frame_vectors(grids: list[dict[str, Any]]) -> str:
+    """Solved minus true direction over the field, mean of all frames."""
+    with canvas(4.4, 3.8) as (figure, (ax,)):
+        east = np.mean([g["east_arcsec"] for g in grids], axis=0)
+        north = np.mean([g["north_arcsec"] for g in grids], axis=0)
+        arrows = ax.quiver(grids[0]["col"], grids[0]["row"], east, north, color=BLUE, angles="uv", width=0.004)
+        size = float(np.hypot(east, north).max())
+        ax.quiverkey(arrows, 0.8, 1.04, size, f'{size:.3f}"', labelpos="E")
+        ax.set(xlabel="col", ylabel="row", aspect="equal")
+        ax.invert_yaxis()
+        return svg(figure)
+
+
+def tracklets_on_sky(streaks: Table) -> str:
+    """Measured streaks of each tracklet on the sky; unlinked ones in grey."""
+    with canvas(5.6, 4.2) as (figure, (ax,)):
+        for s in streaks:
+            ra, dec = [s["ra0_deg"], s["ra1_deg"]], [s["dec0_deg"], s["dec1_deg"]]
+            if not np.all(np.isfinite([*ra, *dec])):
+                continue
+            tracklet = int(s["tracklet_id"])
+            colour = INK if tracklet < 0 else SERIES[tracklet % len(SERIES)]
+            ax.plot(ra, dec, color=colour, lw=0.8 if tracklet < 0 else 1.8)
+        ax.set(xlabel="right ascension (deg)", ylabel="declination (deg)")
+        ax.invert_xaxis()
+        return svg(figure)
+
+
+def downlink_bars(bytes_by_kind: dict[str, int], n_frames: int) -> str:
+    """Kilobytes per frame of each kind of packet."""
+    kinds = {k: v for k, v in bytes_by_kind.items() if v}
+    with canvas(4.8, 2.6) as (figure, (ax,)):
+        ax.barh(list(kinds), [v / 1000 / max(n_frames, 1) for v in kinds.values()], color=BLUE)
+        ax.set(xlabel="kB per frame")
+        return svg(figure)

@@ -1,0 +1,130 @@
+"""Write report.html and report.md into a run directory."""
+
+import json
+from importlib import resources
+from pathlib import Path
+from typing import Any, Final
+
+import jinja2
+
+from sboc_e2e.report import pictures, plots
+from sboc_e2e.report.layers import cases, completeness_series, frame_layers
+from sboc_e2e.report.words import figure_words, section_rows
+from sboc_e2e.score.astrometry import frame_astrometry, sky_paths, streak_astrometry
+from sboc_e2e.score.evaluation import Evaluation, evaluate
+from sboc_e2e.score.photometry import photometry
+
+MAX_PREVIEWS: Final = 24
+SECTIONS: Final = ("detection", "astrometry", "photometry", "linking", "orbit", "population", "compression", "timing")
+HEADLINES: Final = (
+    ("detection.ground.completeness_snr8", "completeness, S/N >= 8"),
+    ("detection.ground.false_per_frame", "false streaks per frame"),
+    ("detection.ground.snr50", "half-completeness S/N"),
+    ("astrometry.frame_rms_arcsec", "frame astrometry (arcsec)"),
+    ("astrometry.cross_crlb_ratio", "cross-track / CRLB"),
+    ("photometry.rms_mag", "streak magnitudes (mag rms)"),
+    ("linking.completeness", "objects linked"),
+    ("linking.purity", "tracklet purity"),
+    ("compression.reduction", "raw / downlink"),
+    ("timing.onboard_cpu_s_per_frame", "on-board CPU-s per frame"),
+)
+
+
+def _at(score: dict[str, Any], path: str) -> dict[str, Any]:
+    node: Any = score
+    for key in path.split("."):
+        node = node[key]
+    return dict(node)
+
+
+def write_report(run_dir: Path) -> None:
+    """Both pages, from score.json and what lies in the run directory; pictures only of frames that were kept."""
+    score = json.loads((run_dir / "score.json").read_text())
+    e = evaluate(run_dir)
+    _replace(run_dir / "report.md", markdown(score, e))
+    _replace(run_dir / "report.html", html(score, e, run_dir))
+
+
+def _replace(path: Path, text: str) -> None:
+    temporary = path.with_suffix(path.suffix + ".part")
+    temporary.write_text(text, encoding="utf-8")
+    temporary.replace(path)
+
+
+def markdown(score: dict[str, Any], e: Evaluation) -> str:
+    """A page short enough for a CI job summary."""
+    name = e.manifest.get("scenario", {}).get("name", "run") if isinstance(e.manifest.get("scenario"), dict) else "run"
+    lines = [f"# {name}: {e.n_frames} frames of {e.shape[0]} x {e.shape[1]}", "", "| figure | value | n |", "|---|---|---|"]
+    for path, label in HEADLINES:
+        value, note = figure_words(_at(score, path))
+        lines.append(f"| {label} | {value} | {note} |")
+    lines += ["", f"{len(e.truth)} truth streaks, {len(e.detected_ground)} measured, {len(e.false_rows)} false, "
+              f"{len(e.tracklets)} tracklets."]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def html(score: dict[str, Any], e: Evaluation, run_dir: Path) -> str:
+    """The self-contained page."""
+    kept = pictures.kept_frames(run_dir)
+    shown = sorted(kept)[:MAX_PREVIEWS]
+    case_lists = cases(e)
+    previews: dict[int, str] = {}
+    wanted: dict[int, list[dict[str, Any]]] = {}
+    for case in (*case_lists["misses"], *case_lists["false_alarms"]):
+        wanted.setdefault(case["frame"], []).append(case)
+    for number in sorted(kept):
+        if number not in shown and number not in wanted:
+            continue
+        image = pictures.read_pixels(kept[number])
+        if number in shown:
+            previews[number] = pictures.preview(image)
+        for case in wanted.get(number, ()):
+            case["picture"], case["row0"], case["col0"] = pictures.cutout(image, case["row"], case["col"])
+    data = {
+        "rows": e.shape[0],
+        "cols": e.shape[1],
+        "cutout": pictures.CUTOUT_PX,
+        "previews": previews,
+        "layers": frame_layers(e, shown),
+        "cases": case_lists,
+    }
+    folder = resources.files("sboc_e2e.report")
+    environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
+    page = environment.from_string((folder / "page.html.j2").read_text(encoding="utf-8"))
+    sections = {name: section_rows(score[name]) for name in SECTIONS}
+    return page.render(
+        title=str(run_dir.name),
+        manifest=json.dumps(e.manifest, indent=1, sort_keys=True),
+        headlines=[(label, *figure_words(_at(score, path))) for path, label in HEADLINES],
+        sections=sections,
+        plots=_plots(score, e),
+        n_frames=e.n_frames,
+        n_kept=len(kept),
+        shape=e.shape,
+        counts={k: len(v) for k, v in case_lists.items()},
+        # "</" must not end the script element that carries the data.
+        data=json.dumps(data, separators=(",", ":")).replace("</", "<\\/"),
+        css=(folder / "page.css").read_text(encoding="utf-8"),
+        js=(folder / "page.js").read_text(encoding="utf-8"),
+    )
+
+
+def _plots(score: dict[str, Any], e: Evaluation) -> list[tuple[str, str]]:
+    """Title and SVG of each plot that has something to show."""
+    out = [("Completeness", plots.completeness(completeness_series(e), _at(score, "detection.ground.ideal_snr50")["value"]))]
+    measured = {row: t for row, t in e.pairs.items() if t.index in e.bounds}
+    sky = sky_paths(e.truth_tables["streaks"], sorted({t.index for t in measured.values()}))
+    _, residuals = streak_astrometry(e.streaks, measured, e.bounds, sky)
+    if residuals:
+        out.append(("Streak positions against their bounds", plots.residuals(residuals)))
+    _, grids = frame_astrometry(e.frames, e.truth_tables["frames"])
+    if grids:
+        out.append(("Frame solution minus truth, mean over frames", plots.frame_vectors(grids)))
+    truth_mag = {t.index: float(e.truth_tables["streaks"]["mag"][t.index]) for t in e.truth}
+    _, magnitudes = photometry(e.streaks, measured, truth_mag, e.bounds, e.frames, e.truth_tables["frames"])
+    if magnitudes:
+        out.append(("Streak magnitudes", plots.magnitudes(magnitudes)))
+    if len(e.streaks):
+        out.append(("Tracklets on the sky", plots.tracklets_on_sky(e.streaks)))
+    out.append(("Downlink by kind of packet", plots.downlink_bars(score["compression"]["bytes_by_kind"], e.n_frames)))
+    return out

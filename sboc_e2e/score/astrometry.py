@@ -1,0 +1,201 @@
+"""Residuals of streaks and frames: in pixels against the true path and its bounds, on the sky in arcseconds."""
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from astropy.table import Table
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.flags import FrameFlag
+from sboc_e2e.score.bounds import TrailBounds
+from sboc_e2e.score.figures import absent, bootstrap, proportion, pull_width, rms
+from sboc_e2e.score.matching import TruthStreak, distance_to_path
+
+ARCSEC_PER_RAD = math.degrees(1.0) * 3600.0
+
+
+def _along_of_ends(measured: NDArray[np.float64], truth: TruthStreak) -> NDArray[np.float64]:
+    """Along-track residual of both measured ends, outward positive, in truth order (nearest assignment)."""
+    true_ends = truth.ends
+    chord = true_ends[1] - true_ends[0]
+    along = chord / max(float(np.hypot(*chord)), 1e-9)
+    ends = measured if float((measured[1] - measured[0]) @ along) >= 0 else measured[::-1]
+    return np.array([-(ends[0] - true_ends[0]) @ along, (ends[1] - true_ends[1]) @ along])
+
+
+def streak_astrometry(
+    streaks: Table, pairs: Mapping[int, TruthStreak], bounds: Mapping[int, TrailBounds], truth_sky: Mapping[int, "SkyPath"]
+) -> tuple[dict[str, Any], list[dict[str, float]]]:
+    """Figures, and one row of residuals for each matched streak (for plots).
+
+    streaks : products/streaks.ecsv. pairs : its row -> truth. bounds, truth_sky : by truth index.
+    """
+    rows: list[dict[str, float]] = []
+    for index, truth in pairs.items():
+        s = streaks[index]
+        ends = np.array([[s["row0"], s["col0"]], [s["row1"], s["col1"]]], dtype=float)
+        cross_px, _ = distance_to_path(ends.mean(axis=0), truth.path)
+        bound = bounds[truth.index]
+        out = {
+            "row": float(index),
+            "snr": truth.snr,
+            "length_px": truth.length_px,
+            "cross_px": cross_px,
+            "cross_ratio": cross_px / bound.cross_px,
+            "cross_pull": cross_px / float(s["sigma_cross_px"]) if s["sigma_cross_px"] > 0 else math.nan,
+        }
+        if truth.length_px >= 10.0:
+            end_px = _along_of_ends(ends, truth)
+            for which, crlb in ((0, bound.end0_px), (1, bound.end1_px)):
+                if crlb is not None:
+                    out[f"end{which}_px"] = float(end_px[which])
+                    out[f"end{which}_ratio"] = float(end_px[which]) / crlb
+                    out[f"end{which}_attainable"] = float(end_px[which]) / bound.attainable(crlb)
+        sky = truth_sky[truth.index]
+        if np.isfinite(s["ra_mid_deg"]) and s["t_mid_tai_ns"] > 0:
+            along, across = sky.offset_arcsec(float(s["ra_mid_deg"]), float(s["dec_mid_deg"]), int(s["t_mid_tai_ns"]))
+            out["sky_along_arcsec"], out["sky_cross_arcsec"] = along, across
+            if s["sigma_along_arcsec"] > 0:
+                out["along_pull"] = along / float(s["sigma_along_arcsec"])
+                out["sky_cross_pull"] = across / float(s["sigma_cross_arcsec"])
+        rows.append(out)
+
+    def column(*names: str, snr_min: float = 8.0) -> NDArray[np.float64]:
+        values = [r[name] for r in rows for name in names if name in r and r["snr"] >= snr_min]
+        values = [v for v in values if math.isfinite(v)]
+        return np.array(values, dtype=np.float64)
+
+    inside = column("along_pull")
+    figures = {
+        "cross_crlb_ratio": bootstrap(column("cross_ratio"), rms),
+        "ends_attainable_ratio": bootstrap(column("end0_attainable", "end1_attainable"), rms),
+        "ends_crlb_ratio": bootstrap(column("end0_ratio", "end1_ratio"), rms),
+        "cross_pull_std": bootstrap(column("cross_pull"), pull_width),
+        "along_pull_std": bootstrap(inside, pull_width),
+        "along_coverage_68": proportion(int((np.abs(inside) <= 1.0).sum()), len(inside), "no matched streak on the sky"),
+        "cross_rms_arcsec": bootstrap(column("sky_cross_arcsec"), rms),
+        "along_rms_arcsec": bootstrap(column("sky_along_arcsec"), rms),
+    }
+    return figures, rows
+
+
+class SkyPath:
+    """Published directions of a truth streak as unit vectors over time."""
+
+    def __init__(self, t_tai_ns: NDArray[np.int64], ra_deg: NDArray[np.float64], dec_deg: NDArray[np.float64]) -> None:
+        self._t0 = int(t_tai_ns[0])
+        self._t_s = (t_tai_ns - self._t0) / 1e9
+        self._unit = _unit(ra_deg, dec_deg)
+
+    def offset_arcsec(self, ra_deg: float, dec_deg: float, t_tai_ns: int) -> tuple[float, float]:
+        """Measured minus true direction at the measured epoch: along the motion and across it."""
+        t_s = (t_tai_ns - self._t0) / 1e9
+        span = max(float(self._t_s[-1] - self._t_s[0]), 1e-9)
+        # Beyond the ends (time errors, point-like trails) the path goes on straight.
+        where = float(np.clip(np.searchsorted(self._t_s, t_s) - 1, 0, len(self._t_s) - 2))
+        i = int(where)
+        step_s = max(float(self._t_s[i + 1] - self._t_s[i]), 1e-12)
+        true = self._unit[i] + (self._unit[i + 1] - self._unit[i]) * ((t_s - self._t_s[i]) / step_s)
+        true = true / np.linalg.norm(true)
+        motion = (self._unit[-1] - self._unit[0]) / span
+        motion = motion - (motion @ true) * true
+        norm = float(np.linalg.norm(motion))
+        along = motion / norm if norm > 1e-12 else _east(true)
+        across = np.cross(true, along)
+        offset = _unit(np.array([ra_deg]), np.array([dec_deg]))[0] - true
+        return float(offset @ along) * ARCSEC_PER_RAD, float(offset @ across) * ARCSEC_PER_RAD
+
+
+def _unit(ra_deg: NDArray[np.float64], dec_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+    ra, dec = np.radians(ra_deg), np.radians(dec_deg)
+    return np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=-1)
+
+
+def _east(unit: NDArray[np.float64]) -> NDArray[np.float64]:
+    east = np.array([-unit[1], unit[0], 0.0])
+    return np.asarray(east / max(float(np.linalg.norm(east)), 1e-12))
+
+
+def _solved_directions(
+    row: NDArray[np.float64], col: NDArray[np.float64], s: Any, epoch_s: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Apparent GCRS unit vectors of pixels by a frame solution, as the contract words it (`NominalCamera`).
+
+    epoch_s : time of each pixel's row from the solution's epoch (mid-exposure of the middle row).
+    """
+    u_d = (col - s["center_col"]) / s["focal_px"]
+    v_d = (row - s["center_row"]) / s["focal_px"]
+    u, v = u_d.copy(), v_d.copy()
+    for _ in range(20):
+        r2 = u * u + v * v
+        radial = 1.0 + s["k1"] * r2 + s["k2"] * r2 * r2
+        du = 2 * s["p1"] * u * v + s["p2"] * (r2 + 2 * u * u)
+        dv = s["p1"] * (r2 + 2 * v * v) + 2 * s["p2"] * u * v
+        u, v = (u_d - du) / radial, (v_d - dv) / radial
+    camera = np.stack([u, v, np.ones_like(u)], axis=-1)
+    camera /= np.linalg.norm(camera, axis=-1, keepdims=True)
+    # A camera that turns by w dt sees a fixed direction d at R(-w dt) d; to first order (arcseconds in a frame) d - dt w x d.
+    rate = np.array([s["rate_x_rad_s"], s["rate_y_rad_s"], s["rate_z_rad_s"]], dtype=float)
+    camera = camera + epoch_s[:, None] * np.cross(rate, camera)
+    camera /= np.linalg.norm(camera, axis=-1, keepdims=True)
+    return camera @ _rotation(np.array([s["qx"], s["qy"], s["qz"], s["qw"]], dtype=float))
+
+
+def _rotation(q: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Matrix that takes GCRS components to camera components, of a scalar-last quaternion."""
+    x, y, z, w = q / np.linalg.norm(q)
+    return np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+
+
+def frame_astrometry(frames: Table, truth_frames: Table) -> tuple[dict[str, Any], list[dict[str, Any]]]:
+    """`frame_rms_arcsec` and `frame_bias_arcsec` on the 9 x 9 grid of each solved frame, and the grids for plots."""
+    by_number = {int(t["frame"]): t for t in truth_frames}
+    frame_rms, biases, grids = [], [], []
+    for s in frames:
+        truth = by_number.get(int(s["frame"]))
+        if truth is None or int(s["flags"]) & FrameFlag.NO_SOLUTION:
+            continue
+        row, col = np.asarray(truth["grid_row"], float), np.asarray(truth["grid_col"], float)
+        middle_row = (float(s["rows"]) - 1.0) / 2.0
+        epoch_s = (row - middle_row) * float(truth["line_time_ns"]) * 1e-9
+        solved = _solved_directions(row, col, s, epoch_s)
+        true = _unit(np.asarray(truth["grid_ra_app_deg"], float), np.asarray(truth["grid_dec_app_deg"], float))
+        east = np.stack([-true[:, 1], true[:, 0], np.zeros(len(true))], axis=-1)
+        east /= np.linalg.norm(east, axis=-1, keepdims=True)
+        north = np.cross(true, east)
+        offset = (solved - true) * ARCSEC_PER_RAD
+        de, dn = np.einsum("ij,ij->i", offset, east), np.einsum("ij,ij->i", offset, north)
+        frame_rms.append(float(np.sqrt(np.mean(de**2 + dn**2))))
+        biases.append((float(de.mean()), float(dn.mean())))
+        grids.append({"frame": int(s["frame"]), "row": row, "col": col, "east_arcsec": de, "north_arcsec": dn})
+    if not frame_rms:
+        none = absent("no frame was solved")
+        return {"frame_rms_arcsec": none, "frame_bias_arcsec": none}, []
+
+    def bias(b: NDArray[np.float64]) -> float:
+        return float(np.hypot(*b.mean(axis=0)))
+
+    return {
+        "frame_rms_arcsec": bootstrap(frame_rms, rms, "fewer than three solved frames"),
+        "frame_bias_arcsec": bootstrap(biases, bias, "fewer than three solved frames"),
+    }, grids
+
+
+def sky_paths(truth_streaks: Table | NDArray[np.void], wanted: Sequence[int]) -> dict[int, SkyPath]:
+    """Sky paths of truth streaks by row of the table."""
+    return {
+        i: SkyPath(
+            np.asarray(truth_streaks["path_t_tai_ns"][i], np.int64),
+            np.asarray(truth_streaks["path_ra_deg"][i], float),
+            np.asarray(truth_streaks["path_dec_deg"][i], float),
+        )
+        for i in wanted
+    }

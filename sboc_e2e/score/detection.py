@@ -1,0 +1,117 @@
+"""Completeness and false alarms, of the on-board ROIs and of the measured streaks."""
+
+from collections.abc import Sequence
+from itertools import pairwise
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.signals import RoiGroup
+from sboc_e2e.score.figures import Figure, absent, exact, half_point, proportion, rate
+from sboc_e2e.score.ideal import ideal_snr50, ideal_threshold
+from sboc_e2e.score.matching import SNR_IGNORED, TruthStreak
+from sboc_e2e.score.trail import draw
+
+FLUX_HELD: Final = 0.90
+FLUX_OF_FALSE: Final = 0.10
+MAX_AREA_FRACTION: Final = 0.05
+SNR_EDGES: Final = (3.0, 5.0, 6.0, 7.0, 8.0, 10.0, 15.0, 30.0, 100.0, np.inf)
+LENGTH_EDGES: Final = (0.0, 10.0, 20.0, 50.0, 100.0, 200.0, 400.0, 1000.0, 2000.0, np.inf)
+RATE_EDGES: Final = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, np.inf)
+
+
+class RoiFootprints:
+    """Which truth streaks the ROIs of each frame hold, gathered frame by frame."""
+
+    def __init__(self, shape: tuple[int, int]) -> None:
+        self._held = np.zeros(shape, dtype=np.bool_)
+        self.captured: dict[int, float] = {}
+        self.false_groups: list[tuple[int, int]] = []
+        self.area_fraction: list[float] = []
+        self.n_groups = 0
+
+    def add_frame(self, frame: int, groups: Sequence[RoiGroup], truth: Sequence[TruthStreak]) -> None:
+        """Measure the ROIs of one frame against its truth streaks."""
+        rows, cols = self._held.shape
+        footprints: list[tuple[NDArray[np.int32], NDArray[np.int32]]] = []
+        for group in groups:
+            parts = [strip.pixel_coordinates(rows, cols) for strip in group.strips]
+            row = np.concatenate([r[inside] for r, _, inside in parts] or [np.zeros(0, np.int32)])
+            col = np.concatenate([c[inside] for _, c, inside in parts] or [np.zeros(0, np.int32)])
+            footprints.append((row, col))
+        trails = [(streak, *draw(streak.path).pixels(rows, cols)) for streak in truth]
+        best = np.zeros(len(groups))
+        for g, (row, col) in enumerate(footprints):
+            self._held[row, col] = True
+            for _, t_row, t_col, electrons in trails:
+                total = electrons.sum()
+                if total > 0:
+                    best[g] = max(best[g], electrons[self._held[t_row, t_col]].sum() / total)
+            self._held[row, col] = False
+        for row, col in footprints:
+            self._held[row, col] = True
+        self.area_fraction.append(float(np.count_nonzero(self._held)) / self._held.size if groups else 0.0)
+        for streak, t_row, t_col, electrons in trails:
+            total = electrons.sum()
+            self.captured[streak.index] = float(electrons[self._held[t_row, t_col]].sum() / total) if total > 0 else 0.0
+        for row, col in footprints:
+            self._held[row, col] = False
+        self.n_groups += len(groups)
+        self.false_groups += [(frame, group.roi_id) for group, share in zip(groups, best, strict=True) if share < FLUX_OF_FALSE]
+
+
+def _bins(truth: Sequence[TruthStreak], detected: NDArray[np.bool_]) -> list[dict[str, Any]]:
+    quantities = {
+        "snr": (SNR_EDGES, np.array([t.snr for t in truth])),
+        "length_px": (LENGTH_EDGES, np.array([t.length_px for t in truth])),
+        "rate_deg_s": (RATE_EDGES, np.array([t.rate_deg_s for t in truth])),
+    }
+    snr = quantities["snr"][1]
+    out = []
+    for name, (edges, value) in quantities.items():
+        for low, high in pairwise(edges):
+            chosen = (value >= low) & (value < high) & (snr >= (SNR_IGNORED if name == "snr" else 8.0))
+            if chosen.any():
+                share = proportion(int(detected[chosen].sum()), int(chosen.sum()))
+                out.append({"quantity": name, "from": low, "to": None if np.isinf(high) else high, "detected": share})
+    return out
+
+
+def detection_figures(
+    truth: Sequence[TruthStreak],
+    detected_index: set[int],
+    n_false: int,
+    n_frames: int,
+    shape: tuple[int, int],
+    sigma_px: float,
+) -> dict[str, Any]:
+    """Figures shared by the on-board and the ground half."""
+    counted = [t for t in truth if t.snr >= SNR_IGNORED]
+    found = np.array([t.index in detected_index for t in counted], dtype=bool)
+    snr = np.array([t.snr for t in counted])
+    length = np.array([t.length_px for t in counted])
+
+    def complete(limit: float) -> Figure:
+        above = snr >= limit
+        return proportion(int(found[above].sum()), int(above.sum()), f"no truth streak with S/N >= {limit:g}")
+
+    by_length = {}
+    for low, high in pairwise(LENGTH_EDGES):
+        chosen = (length >= low) & (length < high)
+        if chosen.any():
+            label = f"{low:g}-{high:g} px" if np.isfinite(high) else f">= {low:g} px"
+            by_length[label] = half_point(snr[chosen], found[chosen])
+    false = rate(n_false, n_frames, n_frames)
+    return {
+        "n_truth": exact(len(counted), len(counted)),
+        "n_detected": exact(int(found.sum()), len(counted)),
+        "completeness_snr8": complete(8.0),
+        "completeness_snr10": complete(10.0),
+        "snr50": half_point(snr, found) if counted else absent("no truth streak"),
+        "snr50_by_length": by_length,
+        "ideal_snr50": exact(ideal_snr50(0.1, *shape, sigma_px), 0),
+        "ideal_threshold": exact(ideal_threshold(0.1, *shape, sigma_px), 0),
+        "false_per_frame": false,
+        "bins": _bins(counted, found),
+    }

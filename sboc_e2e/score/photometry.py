@@ -1,0 +1,46 @@
+"""Magnitudes against the truth and against the flux bound; zero points."""
+
+import math
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from astropy.table import Table
+
+from sboc_e2e.score.bounds import TrailBounds
+from sboc_e2e.score.figures import bootstrap, pull_width, rms
+from sboc_e2e.score.matching import TruthStreak
+
+
+def photometry(
+    streaks: Table,
+    pairs: Mapping[int, TruthStreak],
+    truth_mag: Mapping[int, float],
+    bounds: Mapping[int, TrailBounds],
+    frames: Table,
+    truth_frames: Table,
+) -> tuple[dict[str, Any], list[dict[str, float]]]:
+    """Magnitude bias, scatter, bound ratio, pulls and the zero point's error; and residual rows for plots."""
+    rows: list[dict[str, float]] = []
+    for index, truth in pairs.items():
+        s = streaks[index]
+        if truth.snr < 8.0 or not np.isfinite(s["mag"]):
+            continue
+        residual = float(s["mag"]) - truth_mag[truth.index]
+        bound_mag = 2.5 / math.log(10) * bounds[truth.index].flux_relative
+        rows.append(
+            {"row": float(index), "snr": truth.snr, "residual_mag": residual, "ratio": residual / bound_mag,
+             "pull": residual / float(s["mag_err"]) if s["mag_err"] > 0 else math.nan}
+        )  # fmt: skip
+    residuals = np.array([r["residual_mag"] for r in rows])
+    pulls = np.array([r["pull"] for r in rows if math.isfinite(r["pull"])])
+    zero = {int(t["frame"]): float(t["zero_point_mag"]) for t in truth_frames}
+    errors = [float(s["zero_point_mag"]) - zero[int(s["frame"])] for s in frames
+              if int(s["frame"]) in zero and np.isfinite(s["zero_point_mag"])]  # fmt: skip
+    return {
+        "bias_mag": bootstrap(residuals, lambda v: float(np.median(v))),
+        "rms_mag": bootstrap(residuals, rms),
+        "crlb_ratio": bootstrap([r["ratio"] for r in rows], rms),
+        "pull_std": bootstrap(pulls, pull_width),
+        "zero_point_error_mag": bootstrap(errors, rms, "fewer than three frames with a zero point"),
+    }, rows

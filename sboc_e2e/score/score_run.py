@@ -1,0 +1,74 @@
+"""score.json: every section of DESIGN section 7 from one evaluation."""
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from sboc_e2e.score.astrometry import frame_astrometry, sky_paths, streak_astrometry
+from sboc_e2e.score.compression import compression
+from sboc_e2e.score.detection import MAX_AREA_FRACTION, detection_figures
+from sboc_e2e.score.evaluation import Evaluation, evaluate
+from sboc_e2e.score.figures import absent, bootstrap, exact
+from sboc_e2e.score.linking import linking
+from sboc_e2e.score.lossless import lossless_check
+from sboc_e2e.score.orbit import orbit
+from sboc_e2e.score.photometry import photometry
+from sboc_e2e.score.population import detections_per_day
+from sboc_e2e.score.timing import timing
+
+SCORE_VERSION = "1.0"
+
+
+def score_run(run_dir: Path, truth_dir: Path | None = None) -> dict[str, Any]:
+    """Score a run directory; external truth tables may stand in for its own.
+
+    Raises UserError when a table is missing or lacks a column.
+    """
+    return score_evaluation(evaluate(run_dir, truth_dir), run_dir)
+
+
+def score_evaluation(e: Evaluation, run_dir: Path | None = None) -> dict[str, Any]:
+    """All sections of score.json from an evaluation; `run_dir` gives the frames that the lossless check reads."""
+    sigma_px = float(np.median(e.truth_tables["streaks"]["psf_sigma_px"])) if e.truth else 0.85
+    onboard = detection_figures(e.truth, e.detected_onboard, len(e.footprints.false_groups), e.n_frames, e.shape, sigma_px)
+    area = e.footprints.area_fraction
+    onboard["roi_area_fraction"] = bootstrap(area, lambda v: float(v.mean()), "fewer than three frames")
+    ground = detection_figures(e.truth, e.detected_ground, len(e.false_rows), e.n_frames, e.shape, sigma_px)
+
+    wanted = sorted({t.index for t in e.pairs.values()})
+    measured = {row: t for row, t in e.pairs.items() if t.index in e.bounds and row in set(e.accepted)}
+    streak_figures, _ = streak_astrometry(e.streaks, measured, e.bounds, sky_paths(e.truth_tables["streaks"], wanted))
+    frame_figures, _ = frame_astrometry(e.frames, e.truth_tables["frames"])
+    truth_mag = {t.index: float(e.truth_tables["streaks"]["mag"][t.index]) for t in e.truth}
+    magnitudes, _ = photometry(e.streaks, measured, truth_mag, e.bounds, e.frames, e.truth_tables["frames"])
+    links, owner = linking(e.streaks, e.pairs, e.n_frames)
+
+    frame_rate_hz = float(e.manifest.get("frame_rate_hz") or 1.0)
+    span_s = e.n_frames / frame_rate_hz
+    found: dict[int, int] = {}
+    for row, truth in e.pairs.items():
+        if row in set(e.accepted):
+            found[truth.object_id] = found.get(truth.object_id, 0) + 1
+    captured = [e.footprints.captured[i] for i in sorted(e.detected_onboard)]
+    lossless_bits, bit_exact = lossless_check(run_dir) if run_dir else (absent("no frames"), absent("no frames"))
+    n_stars = sum(len(f.stars) for f in e.downlink_frames)
+    groups = {f.header.frame: f.rois for f in e.downlink_frames}
+    area_mean = float(np.mean(area)) if area else 0.0
+    return {
+        "score_version": SCORE_VERSION,
+        "passed": exact(float(area_mean <= MAX_AREA_FRACTION), e.n_frames),
+        "detection": {"onboard": onboard, "ground": ground},
+        "astrometry": streak_figures | frame_figures,
+        "photometry": magnitudes,
+        "linking": links,
+        "orbit": orbit(e.orbits, owner, e.truth_tables["streaks"], e.truth_tables["objects"]),
+        "population": detections_per_day(
+            e.truth_tables["objects"], found, span_s, len(e.false_rows), e.n_frames, frame_rate_hz
+        ),
+        "compression": compression(
+            e.downlink, e.n_frames, e.shape, n_stars, groups, captured, lossless_bits, bit_exact,
+            np.asarray(e.truth_tables["frames"]["entropy_bits"], float),
+        ),
+        "timing": timing(e.manifest, e.n_frames, frame_rate_hz),
+    }  # fmt: skip

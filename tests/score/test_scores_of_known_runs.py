@@ -1,0 +1,153 @@
+"""Known detections with known errors give the known scores; perfect scores 1, empty 0, shouting is punished."""
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+from astropy.table import Table, vstack
+
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.score.score_run import score_evaluation
+
+from .conftest import PIXEL_ARCSEC, Synthetic
+
+Factory = Callable[..., Synthetic]
+
+
+def test_a_perfect_detector_scores_one(synthetic: Factory) -> None:
+    run = synthetic(10)
+    score = score_evaluation(run.evaluation(run.perfect_streaks(), run.rois()))
+    for half in ("onboard", "ground"):
+        assert score["detection"][half]["completeness_snr8"]["value"] == 1.0
+        assert score["detection"][half]["false_per_frame"]["value"] == 0.0
+    assert score["linking"]["completeness"]["value"] == 1.0
+    assert score["linking"]["purity"]["value"] == 1.0
+    assert score["linking"]["fragments_per_object"]["value"] == 1.0
+    assert score["linking"]["direction_correct"]["value"] == 1.0
+    assert score["astrometry"]["cross_crlb_ratio"]["value"] == pytest.approx(0.0, abs=1e-6)
+    assert score["astrometry"]["cross_rms_arcsec"]["value"] == pytest.approx(0.0, abs=1e-3)
+    assert score["compression"]["captured_flux_fraction"]["value"] > 0.99
+
+
+def test_an_empty_detector_scores_zero(synthetic: Factory) -> None:
+    run = synthetic(10)
+    score = score_evaluation(run.evaluation(run.perfect_streaks()[:0]))
+    assert score["detection"]["ground"]["completeness_snr8"]["value"] == 0.0
+    assert score["detection"]["ground"]["false_per_frame"]["value"] == 0.0
+    assert score["linking"]["n_objects"]["value"] == 0
+    assert score["linking"]["completeness"]["value"] is None
+    assert score["linking"]["completeness"]["reason"]
+
+
+def test_shouting_everywhere_is_punished(synthetic: Factory) -> None:
+    run = synthetic(5)
+    loud = run.perfect_streaks()
+    shouts = []
+    for k in range(20):
+        extra = loud.copy()
+        extra["row0"] = (loud["row0"] + 11.0 * (k + 1)) % 250
+        extra["row1"] = (extra["row0"] + 40.0 + k) % 250
+        extra["tracklet_id"] = -1
+        shouts.append(extra)
+    score = score_evaluation(run.evaluation(vstack([loud, *shouts])))
+    assert score["detection"]["ground"]["completeness_snr8"]["value"] == 1.0
+    assert score["detection"]["ground"]["false_per_frame"]["value"] == pytest.approx(60.0)
+
+
+def test_duplicates_are_false(synthetic: Factory) -> None:
+    run = synthetic(5)
+    streaks = run.perfect_streaks()
+    score = score_evaluation(run.evaluation(vstack([streaks, streaks])))
+    assert score["detection"]["ground"]["false_per_frame"]["value"] == pytest.approx(3.0)
+
+
+def test_vetoed_streaks_are_neither_found_nor_false(synthetic: Factory) -> None:
+    run = synthetic(5)
+    streaks = run.perfect_streaks()
+    streaks["flags"] = int(StreakFlag.VETOED)
+    score = score_evaluation(run.evaluation(streaks))
+    assert score["detection"]["ground"]["completeness_snr8"]["value"] == 0.0
+    assert score["detection"]["ground"]["false_per_frame"]["value"] == 0.0
+    assert score["linking"]["veto_loss"]["value"] == 1.0
+
+
+def test_known_errors_give_known_ratios_and_pulls(synthetic: Factory) -> None:
+    """Cross-track errors of exactly 0.1 px rms with a quoted 0.1 px: pull 1; the same in arcseconds on the sky."""
+    run = synthetic(120)
+    streaks = run.perfect_streaks()
+    rng = np.random.default_rng(3)
+    offset = rng.normal(0.0, 0.1, len(streaks))
+    chord = np.array([12.0, 80.0]) / np.hypot(12.0, 80.0)
+    across = np.array([-chord[1], chord[0]])
+    for end in ("0", "1"):
+        streaks[f"row{end}"] = streaks[f"row{end}"] + offset * across[0]
+        streaks[f"col{end}"] = streaks[f"col{end}"] + offset * across[1]
+    streaks["dec_mid_deg"] = streaks["dec_mid_deg"] + offset * across[0] * PIXEL_ARCSEC / 3600.0
+    streaks["ra_mid_deg"] = streaks["ra_mid_deg"] - offset * across[1] * PIXEL_ARCSEC / 3600.0
+    e = run.evaluation(streaks)
+    score = score_evaluation(e)["astrometry"]
+    bound_px = next(iter(e.bounds.values())).cross_px
+    expected = np.sqrt(np.mean(offset**2))
+    assert score["cross_crlb_ratio"]["value"] == pytest.approx(expected / bound_px, rel=1e-3)
+    assert score["cross_pull_std"]["value"] == pytest.approx(1.0, abs=0.12)
+    assert score["cross_rms_arcsec"]["value"] == pytest.approx(expected * PIXEL_ARCSEC, rel=1e-2)
+    assert score["along_rms_arcsec"]["value"] == pytest.approx(0.0, abs=0.01)
+
+
+def test_magnitudes(synthetic: Factory) -> None:
+    run = synthetic(150)
+    streaks = run.perfect_streaks()
+    streaks["mag"] = streaks["mag"] + 0.02 + np.random.default_rng(5).normal(0.0, 0.05, len(streaks))
+    score = score_evaluation(run.evaluation(streaks))["photometry"]
+    assert score["bias_mag"]["value"] == pytest.approx(0.02, abs=0.01)
+    assert score["rms_mag"]["value"] == pytest.approx(np.hypot(0.02, 0.05), rel=0.1)
+
+
+def test_swapped_direction_and_mixed_tracklets_are_seen(synthetic: Factory) -> None:
+    run = synthetic(9)
+    streaks = run.perfect_streaks()
+    wrong = streaks.copy()
+    for a, b in (("row0", "row1"), ("col0", "col1")):
+        wrong[a], wrong[b] = streaks[b], streaks[a]
+    assert score_evaluation(run.evaluation(wrong))["linking"]["direction_correct"]["value"] == 0.0
+    mixed = run.perfect_streaks()
+    mixed["tracklet_id"] = 0
+    linking = score_evaluation(run.evaluation(mixed))["linking"]
+    assert linking["completeness"]["value"] == pytest.approx(1 / 3)
+
+
+def test_rois_beside_the_trail_are_false_and_miss_it(synthetic: Factory) -> None:
+    run = synthetic(6)
+    score = score_evaluation(run.evaluation(run.perfect_streaks(), run.rois(shift_px=25.0)))["detection"]["onboard"]
+    assert score["completeness_snr8"]["value"] == 0.0
+    assert score["false_per_frame"]["value"] == pytest.approx(3.0)
+
+
+def test_faint_truth_counts_neither_way(synthetic: Factory) -> None:
+    run = synthetic(4, snr=2.0)
+    found = score_evaluation(run.evaluation(run.perfect_streaks()))["detection"]["ground"]
+    missed = score_evaluation(run.evaluation(run.perfect_streaks()[:0]))["detection"]["ground"]
+    for score in (found, missed):
+        assert score["n_truth"]["value"] == 0
+        assert score["false_per_frame"]["value"] == 0.0
+
+
+def test_every_figure_has_n_and_interval_or_reason(synthetic: Factory) -> None:
+    run = synthetic(5)
+
+    def walk(node: object, path: str) -> int:
+        seen = 0
+        if isinstance(node, dict) and "value" in node and "n" in node:
+            if node["value"] is None:
+                assert node["reason"], path
+            else:
+                assert node["low"] <= node["value"] + 1e-9, path
+                assert node["value"] <= node["high"] + 1e-9, path
+            return 1
+        if isinstance(node, dict):
+            seen = sum(walk(v, f"{path}.{k}") for k, v in node.items())
+        if isinstance(node, list):
+            seen = sum(walk(v, path) for v in node)
+        return seen
+
+    assert walk(score_evaluation(run.evaluation(Table(run.perfect_streaks()))), "score") > 60

@@ -1,0 +1,144 @@
+"""Approximate Radon transform over dyadic segments: sums along all lines of all lengths 2^l of a half-resolution image.
+
+Block sums of height 2^(l+1) follow from pairs of height 2^l (Götz & Druckmüller 1996, Pattern Recognition 29, 711;
+Brady 1998, SIAM J. Comput. 27, 107; as a streak detector Nir et al. 2018, AJ 156, 229): with s the shift of a line over a
+block, ``S[l+1][j][s'](x) = S[l][2j][s'//2](x) + S[l][2j+1][s'//2](x + (s'+1)//2)``. Beside the blocks that begin at
+multiples of their height, those that begin half a height later are tested too, so that a segment of any phase has a block
+that holds most of it. Lines may enter and leave through the sides of the image: a block of shift s is stored for
+x = -s ... cols-1 at index x + s.
+"""
+
+import math
+from typing import Final
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+CELL: Final = 8
+"""Candidates of one block that cross its middle in the same cell of this many columns are one: the best of all shifts."""
+
+
+@nb.njit(cache=True)
+def _add_best(a: NDArray[np.int16], b: NDArray[np.int16], out: NDArray[np.int16]) -> np.int16:
+    best = np.int16(-32768)
+    for i in range(out.shape[0]):
+        value = np.int16(a[i] + b[i])
+        out[i] = value
+        best = max(best, value)
+    return best
+
+
+@nb.njit(cache=True)
+def _halve(values: NDArray[np.int16]) -> None:
+    for i in range(values.shape[0]):
+        values[i] = (values[i] + np.int16(1)) >> 1
+
+
+@nb.njit(cache=True)
+def _merge_row(a: NDArray[np.int16], b: NDArray[np.int16], out: NDArray[np.int16], lag: int) -> np.int16:
+    """out[k] = a[k - lag] + b[k] on rows of length n (a, b) and n + lag (out); the largest sum is returned."""
+    n = a.shape[0]
+    out[:lag] = b[:lag]
+    best = _add_best(a[: n - lag], b[lag:], out[lag:n])
+    out[n : n + lag] = a[n - lag :]
+    return best
+
+
+@nb.njit(cache=True)
+def _collect(
+    sums: NDArray[np.int16], shift: int, threshold: int, unit: float, best: NDArray[np.float32], place: NDArray[np.int32]
+) -> None:
+    """Keep the best sum of each cell of the block's middle; place holds (shift, first column)."""
+    for k in range(sums.shape[0]):
+        if sums[k] > threshold:
+            value = sums[k] * unit
+            first = k - shift
+            cell = max(0, (first + shift // 2) // CELL)
+            if value > best[cell]:
+                best[cell] = value
+                place[cell, 0] = shift
+                place[cell, 1] = first
+
+
+@nb.njit(cache=True)
+def line_sums(
+    image: NDArray[np.int16], noise: NDArray[np.float64], threshold_sigma: float, min_rows: int, max_found: int
+) -> NDArray[np.float32]:
+    """Segments along growing rows with 0 <= dcol/drow <= 1 whose sum exceeds the threshold.
+
+    image : (rows, cols) int16, zero mean. noise : (2,) standard deviation of a sum of n rows is sqrt(n (noise[0] +
+    (noise[1] - noise[0]) slope)). Returns (n, 5): first row, number of rows, first column, shift, S/N.
+    """
+    rows, cols = image.shape
+    found = np.empty((max_found, 5), np.float32)
+    n_found = 0
+    levels = 0
+    while (1 << levels) < rows:
+        levels += 1
+    full = 1 << levels
+    size = 0
+    for level in range(levels + 1):
+        height = 1 << level
+        size = max(size, ((rows + height - 1) // height) * height * (cols + height))
+    current, following = np.empty(size, np.int16), np.empty(size, np.int16)
+    for row in range(rows):
+        current[row * (cols + 1) : row * (cols + 1) + cols] = image[row]
+    blocks = rows
+    scratch = np.empty(cols + full, np.int16)
+    best = np.zeros(cols // CELL + full // CELL + 2, np.float32)
+    place = np.zeros((cols // CELL + full // CELL + 2, 2), np.int32)
+    unit_scale = 1.0
+    for level in range(levels):
+        half = 1 << level
+        height = 2 * half
+        pitch, next_pitch = cols + half, cols + height
+        next_blocks = (blocks + 1) // 2
+        searched = height >= min_rows
+        rescale = level == 5 or level == 8
+        for first in range(blocks):
+            last = first + 1
+            kept = first % 2 == 0
+            if last == blocks and not kept:
+                continue
+            best[:] = 0.0
+            hit = False
+            for shift in range(height):
+                part = shift // 2
+                lag = shift - part
+                a0 = (first * half + part) * pitch
+                a = current[a0 : a0 + cols + part]
+                if kept:
+                    o0 = (first // 2 * height + shift) * next_pitch
+                    out = following[o0 : o0 + cols + shift]
+                else:
+                    out = scratch[: cols + shift]
+                if last < blocks:
+                    b0 = (last * half + part) * pitch
+                    peak = _merge_row(a, current[b0 : b0 + cols + part], out, lag)
+                else:
+                    out[:lag] = 0
+                    out[lag:] = a
+                    peak = np.int16(0)
+                if searched:
+                    slope = shift / (height - 1)
+                    unit = unit_scale / math.sqrt(height * (noise[0] + (noise[1] - noise[0]) * slope))
+                    if peak * unit > threshold_sigma:
+                        _collect(out, shift, int(threshold_sigma / unit), unit, best, place)
+                        hit = True
+                if kept and rescale:
+                    _halve(out)
+            if hit:
+                for cell in range(best.shape[0]):
+                    if best[cell] > 0.0 and n_found < max_found:
+                        found[n_found, 0] = first * half
+                        found[n_found, 1] = height
+                        found[n_found, 2] = place[cell, 1]
+                        found[n_found, 3] = place[cell, 0]
+                        found[n_found, 4] = best[cell]
+                        n_found += 1
+        if rescale:
+            unit_scale *= 2.0
+        current, following = following, current
+        blocks = next_blocks
+    return found[:n_found]

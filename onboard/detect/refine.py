@@ -1,0 +1,347 @@
+"""Segments found on a coarse lattice -> maximum of the matched filter over ends, offset, angle and curvature.
+
+Coordinates here are (major, minor): major is the axis along which a line advances by one pixel per step (row for steep
+lines, col for flat ones, with the images handed in transposed), minor the other one.
+"""
+
+import math
+from typing import Final
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+OFFSETS: Final = 13
+"""Parallel paths of a corridor, one pixel apart; odd."""
+
+PIECES: Final = 48
+"""Most pieces that a corridor is cut into along its length."""
+
+
+@nb.njit(cache=True)
+def corridor_sums(
+    smooth: NDArray[np.int8], major0: int, major1: int, minor0: float, slope: float, piece: int,
+    sums: NDArray[np.int32], counts: NDArray[np.int32],
+) -> int:
+    """Sums of the smoothed image along OFFSETS parallel paths, in pieces of `piece` px; returns the number of pieces.
+
+    The middle path starts at (major0, minor0) and climbs by `slope` per px; sums, counts: (PIECES, OFFSETS).
+    """
+    n_major, n_minor = smooth.shape
+    half = OFFSETS // 2
+    n_piece = min(PIECES, (major1 - major0 + piece) // piece)
+    sums[:n_piece] = 0
+    counts[:n_piece] = 0
+    for p in range(n_piece):
+        for major in range(major0 + p * piece, min(major0 + (p + 1) * piece, major1 + 1)):
+            base = int(math.floor(minor0 + slope * (major - major0) + 0.5)) - half
+            if base >= 0 and base + OFFSETS <= n_minor:
+                for k in range(OFFSETS):
+                    sums[p, k] += smooth[major, base + k]
+                    counts[p, k] += 1
+            else:
+                for k in range(OFFSETS):
+                    if 0 <= base + k < n_minor:
+                        sums[p, k] += smooth[major, base + k]
+                        counts[p, k] += 1
+    return n_piece
+
+
+@nb.njit(cache=True)
+def _path_piece(
+    sums: NDArray[np.int32], counts: NDArray[np.int32], p: int, position: float
+) -> tuple[float, float]:
+    """Sum and count of a piece at a fractional path number, linear between paths."""
+    position = min(max(position, 0.0), OFFSETS - 1.001)
+    k = int(position)
+    f = position - k
+    return sums[p, k] * (1.0 - f) + sums[p, k + 1] * f, counts[p, k] * (1.0 - f) + counts[p, k + 1] * f
+
+
+@nb.njit(cache=True)
+def _bend(u: float) -> float:
+    """Parabola of height 1 over the unit interval."""
+    return 4.0 * u * (1.0 - u)
+
+
+@nb.njit(cache=True)
+def search_corridor(
+    sums: NDArray[np.int32], counts: NDArray[np.int32], n_piece: int, first: int, last: int, reach: float, variance: float
+) -> tuple[float, float, float, float, int, int]:
+    """Best (S/N, start offset, end offset, sagitta, first piece, last piece) of one corridor.
+
+    Starts from the pieces first..last; `variance` is that of a path sum per px. Offsets in px at the corridor's ends
+    (piece 0 and n_piece - 1), relative to the middle path.
+    """
+    half = OFFSETS // 2
+    best_o0, best_o1, best_sag, best_snr = 0.0, 0.0, 0.0, -1e9
+    for turn in range(2):
+        step = 1.0 if turn == 0 else 0.5
+        width = reach if turn == 0 else 1.0
+        span = max(1, n_piece - 1)
+        n_step = int(round(width / step))
+        base0, base1, base_sag = best_o0, best_o1, best_sag
+        u_first, u_last = (first - 0.5) / span, (last + 0.5) / span
+        centre0 = base0 + (base1 - base0) * u_first
+        centre1 = base0 + (base1 - base0) * u_last
+        best_snr = -1e9
+        for bend in range(-2, 3):
+            sag = base_sag + bend * step
+            if turn == 0 and last - first < 3 and bend != 0:
+                continue
+            for i in range(-n_step, n_step + 1):
+                for j in range(-n_step, n_step + 1):
+                    p0, p1 = centre0 + i * step, centre1 + j * step
+                    total, count = 0.0, 0.0
+                    for p in range(first, last + 1):
+                        u = (p - first + 0.5) / (last - first + 1)
+                        s, c = _path_piece(sums, counts, p, half + p0 + (p1 - p0) * u + sag * _bend(u))
+                        total += s
+                        count += c
+                    if count > 0.0:
+                        snr = total / math.sqrt(count * variance)
+                        if snr > best_snr:
+                            best_snr = snr
+                            gradient = (p1 - p0) / (u_last - u_first)
+                            best_o0 = p0 - gradient * u_first
+                            best_o1 = best_o0 + gradient
+                            best_sag = sag
+        # the line is fixed: choose the run of pieces
+        fixed_first, fixed_last = first, last
+        cumulative_s = np.zeros(n_piece + 1)
+        cumulative_c = np.zeros(n_piece + 1)
+        for p in range(n_piece):
+            u = p / span
+            v = (p - fixed_first + 0.5) / (fixed_last - fixed_first + 1)
+            s, c = _path_piece(sums, counts, p, half + best_o0 + (best_o1 - best_o0) * u + best_sag * _bend(v))
+            cumulative_s[p + 1] = cumulative_s[p] + s
+            cumulative_c[p + 1] = cumulative_c[p] + c
+        for i in range(n_piece):
+            for j in range(i, n_piece):
+                c = cumulative_c[j + 1] - cumulative_c[i]
+                if c > 0.0:
+                    snr = (cumulative_s[j + 1] - cumulative_s[i]) / math.sqrt(c * variance)
+                    if snr > best_snr:
+                        best_snr, first, last = snr, i, j
+        if first != fixed_first or last != fixed_last:
+            best_sag *= ((last - first + 1.0) / (fixed_last - fixed_first + 1.0)) ** 2
+    return best_snr, best_o0, best_o1, best_sag, first, last
+
+
+@nb.njit(cache=True)
+def path_minor(segment: NDArray[np.float64], major: float) -> float:
+    """Minor coordinate of a bent segment (major0, minor0, major1, minor1, sagitta) at `major`; straight beyond its ends."""
+    u = (major - segment[0]) / max(segment[2] - segment[0], 1e-6)
+    return segment[1] + (segment[3] - segment[1]) * u + (segment[4] * _bend(u) if 0.0 < u < 1.0 else 0.0)
+
+
+@nb.njit(cache=True)
+def cross_profile(
+    image: NDArray[np.int8], blocked: NDArray[np.uint8], major0: float, minor0: float, major1: float, minor1: float,
+    sagitta: float, extend_px: int, psf_sigma_px: float, signal: NDArray[np.float64], weight: NDArray[np.float64],
+) -> tuple[int, int]:
+    """Matched cross-track sums on each major line of a bent segment and its extension: ``sum(g x)`` and ``sum(g^2)``.
+
+    g is the unit-density trail across the line; masked pixels count in neither. image in units of sigma/16. Returns the
+    first major line and the number of lines; signal (sigma) and weight hold them. Sagitta is measured along minor.
+    """
+    n_major, n_minor = image.shape
+    length = max(major1 - major0, 1e-6)
+    slope = (minor1 - minor0) / length
+    cosine = 1.0 / math.sqrt(1.0 + slope * slope)
+    radius = int(math.ceil(3.0 * psf_sigma_px / cosine))
+    low = max(0, int(math.ceil(major0)) - extend_px)
+    high = min(n_major - 1, int(math.floor(major1)) + extend_px)
+    n = min(high - low + 1, signal.shape[0])
+    factor = -0.5 * (cosine / psf_sigma_px) ** 2
+    norm = 1.0 / (math.sqrt(2.0 * math.pi) * psf_sigma_px)
+    for k in range(n):
+        major = low + k
+        u = (major - major0) / length
+        minor = minor0 + slope * (major - major0) + (sagitta * _bend(u) if 0.0 < u < 1.0 else 0.0)
+        centre = int(math.floor(minor + 0.5))
+        s = w = 0.0
+        # g at equal steps by two multiplications per step: exp(a (d+1)^2) = exp(a d^2) exp(a (2 d + 1))
+        first = max(0, centre - radius)
+        d = first - minor
+        g = norm * math.exp(factor * d * d)
+        ratio = math.exp(factor * (2.0 * d + 1.0))
+        growth = math.exp(2.0 * factor)
+        for j in range(first, min(n_minor, centre + radius + 1)):
+            if blocked[major, j] == 0:
+                s += g * image[major, j]
+                w += g * g
+            g *= ratio
+            ratio *= growth
+        signal[k] = s / 16.0
+        weight[k] = w
+    return low, n
+
+
+@nb.njit(cache=True)
+def _profile_snr(signal: NDArray[np.float64], weight: NDArray[np.float64], n: int) -> float:
+    s = w = 0.0
+    for k in range(n):
+        s += signal[k]
+        w += weight[k]
+    return s / math.sqrt(w) if w > 0.0 else 0.0
+
+
+@nb.njit(cache=True)
+def best_run(signal: NDArray[np.float64], weight: NDArray[np.float64], n: int, min_px: int) -> tuple[float, int, int]:
+    """The run of lines [i, j) with the largest sum(signal)/sqrt(sum(weight)), found on a lattice of steps, then refined."""
+    cumulative_s, cumulative_w = np.zeros(n + 1), np.zeros(n + 1)
+    for k in range(n):
+        cumulative_s[k + 1] = cumulative_s[k] + signal[k]
+        cumulative_w[k + 1] = cumulative_w[k] + weight[k]
+    step = max(1, n // 64)
+    best, first, last = -1e9, 0, n
+    for i in range(0, n, step):
+        for j in range(i + step, n + 1, step):
+            w = cumulative_w[j] - cumulative_w[i]
+            if w > 0.0 and j - i >= min_px:
+                value = (cumulative_s[j] - cumulative_s[i]) / math.sqrt(w)
+                if value > best:
+                    best, first, last = value, i, j
+    while step > 1:
+        finer = max(1, step // 4)
+        i_low, i_high = max(0, first - step), min(n, first + step)
+        j_low, j_high = max(0, last - step), min(n, last + step)
+        for i in range(i_low, i_high + 1, finer):
+            for j in range(max(j_low, i + min_px), j_high + 1, finer):
+                w = cumulative_w[j] - cumulative_w[i]
+                if w > 0.0:
+                    value = (cumulative_s[j] - cumulative_s[i]) / math.sqrt(w)
+                    if value > best:
+                        best, first, last = value, i, j
+        step = finer
+    return best, first, last
+
+
+@nb.njit(cache=True)
+def polish(
+    image: NDArray[np.int8], blocked: NDArray[np.uint8], segment: NDArray[np.float64], psf_sigma_px: float,
+    signal: NDArray[np.float64], weight: NDArray[np.float64],
+) -> float:
+    """Maximise the matched filter over a bent segment (major0, minor0, major1, minor1, sagitta), in place; returns the S/N."""
+    snr = -1e9
+    for turn in range(3):
+        step = (0.6, 0.3, 0.15)[turn]
+        for _ in range(6):
+            moved = False
+            _, n = cross_profile(
+                image, blocked, segment[0], segment[1], segment[2], segment[3], segment[4], 0, psf_sigma_px, signal, weight
+            )
+            snr = _profile_snr(signal, weight, n)
+            for parameter in range(4):
+                for sign in (-1.0, 1.0):
+                    d0 = sign * step if parameter in (0, 2) else 0.0
+                    d1 = sign * step if parameter in (1, 2) else 0.0
+                    ds = sign * step if parameter == 3 else 0.0
+                    if parameter == 3 and segment[2] - segment[0] < 40.0:
+                        continue
+                    _, n = cross_profile(
+                        image, blocked, segment[0], segment[1] + d0, segment[2], segment[3] + d1, segment[4] + ds, 0,
+                        psf_sigma_px, signal, weight,
+                    )
+                    trial = _profile_snr(signal, weight, n)
+                    if trial > snr + 1e-3:
+                        snr = trial
+                        segment[1] += d0
+                        segment[3] += d1
+                        segment[4] += ds
+                        moved = True
+                        break
+            if not moved:
+                break
+        extend = int(max(12.0, 0.3 * (segment[2] - segment[0])))
+        low, n = cross_profile(
+            image, blocked, segment[0], segment[1], segment[2], segment[3], segment[4], extend, psf_sigma_px, signal, weight
+        )
+        snr, i, j = best_run(signal, weight, n, 4)
+        start, stop = low + i - 0.5, low + j - 0.5
+        old = max(segment[2] - segment[0], 1e-6)
+        begin, end = path_minor(segment, start), path_minor(segment, stop)
+        segment[0], segment[1], segment[2], segment[3] = start, begin, stop, end
+        segment[4] *= min(1.0, ((stop - start) / old) ** 2)
+    return snr
+
+
+@nb.njit(cache=True)
+def quarters(signal: NDArray[np.float64], weight: NDArray[np.float64], n: int) -> float:
+    """Chi-square (3 degrees of freedom) of four quarters of equal weight against one density."""
+    total_s = total_w = 0.0
+    for k in range(n):
+        total_s += signal[k]
+        total_w += weight[k]
+    if total_w <= 0.0:
+        return 0.0
+    density = total_s / total_w
+    chi2 = 0.0
+    s = w = 0.0
+    quarter, seen = 0, 0.0
+    for k in range(n):
+        s += signal[k]
+        w += weight[k]
+        seen += weight[k]
+        if seen >= 0.25 * (quarter + 1) * total_w or k == n - 1:
+            if w > 0.0:
+                chi2 += (s - density * w) ** 2 / w
+            s = w = 0.0
+            quarter += 1
+    return chi2
+
+
+@nb.njit(cache=True)
+def blank_path(
+    image: NDArray[np.int8], smooth: NDArray[np.int8], blocked: NDArray[np.uint8], segment: NDArray[np.float64], half_width: float
+) -> None:
+    """Take a found segment out of both images: pixels within half_width across it become 0 and blocked (4). In place."""
+    n_major, n_minor = image.shape
+    slope = (segment[3] - segment[1]) / max(segment[2] - segment[0], 1e-6)
+    reach = half_width * math.sqrt(1.0 + slope * slope)
+    for major in range(max(0, int(segment[0] - half_width)), min(n_major - 1, int(segment[2] + half_width) + 1) + 1):
+        minor = path_minor(segment, float(major))
+        for j in range(max(0, int(math.ceil(minor - reach))), min(n_minor - 1, int(math.floor(minor + reach))) + 1):
+            image[major, j] = 0
+            smooth[major, j] = 0
+            blocked[major, j] |= 4
+
+
+@nb.njit(cache=True)
+def resolve_one(
+    image: NDArray[np.int8], smooth: NDArray[np.int8], blocked: NDArray[np.uint8], candidate: NDArray[np.float64],
+    psf_sigma_px: float, n_sigma: float, first_sigma: float, segment: NDArray[np.float64],
+    sums: NDArray[np.int32], counts: NDArray[np.int32], signal: NDArray[np.float64], weight: NDArray[np.float64],
+) -> tuple[float, float]:
+    """Refine one candidate (major0, minor0, major1, minor1); returns (S/N, quarters chi-square), S/N 0 when it is nothing."""
+    length = candidate[2] - candidate[0]
+    slope = (candidate[3] - candidate[1]) / length
+    extend = max(8.0, 0.5 * length)
+    low = int(max(0.0, math.floor(candidate[0] - extend)))
+    high = int(min(image.shape[0] - 1.0, math.ceil(candidate[2] + extend)))
+    piece = max(2, (high - low + PIECES) // PIECES)
+    n_piece = corridor_sums(smooth, low, high, candidate[1] + slope * (low - candidate[0]), slope, piece, sums, counts)
+    first = min(n_piece - 1, max(0, int((candidate[0] - low) / piece)))
+    last = min(n_piece - 1, max(first, int((candidate[2] - low) / piece)))
+    cosine = 1.0 / math.sqrt(1.0 + slope * slope)
+    variance = 2.0 * math.sqrt(math.pi) * psf_sigma_px * cosine * 256.0
+    snr, o0, o1, sag, i, j = search_corridor(sums, counts, n_piece, first, last, 3.0, variance)
+    if snr < first_sigma:
+        return 0.0, 0.0
+    start, stop = low + i * piece - 0.5, min(float(high), low + (j + 1) * piece - 0.5)
+    span = max(1, n_piece - 1) * float(piece)
+    middle = low + 0.5 * (piece - 1)
+    for side in range(2):
+        major = start if side == 0 else stop
+        offset = o0 + (o1 - o0) * (major - middle) / span
+        segment[2 * side] = major
+        segment[2 * side + 1] = candidate[1] + slope * (major - candidate[0]) + offset
+    segment[4] = sag
+    snr = polish(image, blocked, segment, psf_sigma_px, signal, weight)
+    if snr < n_sigma:
+        return snr, 0.0
+    _, n = cross_profile(
+        image, blocked, segment[0], segment[1], segment[2], segment[3], segment[4], 0, psf_sigma_px, signal, weight
+    )
+    return snr, quarters(signal, weight, n)

@@ -1,0 +1,211 @@
+"""Residual image -> noise-normalised 8-bit image, star masks, PSF-smoothed images at full and half resolution.
+
+Everything here is a linear, symmetric operation on noise of unit variance followed by symmetric clipping, so that sums
+along lines stay N(0, 1) after division by their known standard deviation.
+"""
+
+import math
+from typing import Final
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+UNIT: Final = 16
+"""One sigma of a pixel in the 8-bit image."""
+
+
+@nb.njit(cache=True)
+def _quantise_run(source: NDArray[np.float32], mask: NDArray[np.uint8], scale: np.float32, out: NDArray[np.int8]) -> None:
+    for i in range(source.shape[0]):
+        value = source[i] * scale + np.float32(128.5)
+        value = min(max(value, np.float32(1.0)), np.float32(255.0))
+        out[i] = np.int8(np.int32(value) - 128)
+    for i in range(source.shape[0]):
+        out[i] = out[i] if mask[i] == 0 else np.int8(0)
+
+
+@nb.njit(cache=True)
+def quantise(
+    residual_adu: NDArray[np.float32], mask: NDArray[np.uint8], sigma_adu: NDArray[np.float32], tile_px: int
+) -> NDArray[np.int8]:
+    """Residual in units of sigma/16, clipped at +-7.9 sigma, masked pixels 0. All images (rows, cols); sigma is a mesh."""
+    rows, cols = residual_adu.shape
+    out = np.zeros((rows, cols), np.int8)
+    for row in range(rows):
+        mesh_row = min(row // tile_px, sigma_adu.shape[0] - 1)
+        for mesh_col in range((cols + tile_px - 1) // tile_px):
+            sigma = sigma_adu[mesh_row, min(mesh_col, sigma_adu.shape[1] - 1)]
+            if not sigma > 0.0:
+                continue
+            col0, col1 = mesh_col * tile_px, min((mesh_col + 1) * tile_px, cols)
+            _quantise_run(residual_adu[row, col0:col1], mask[row, col0:col1], np.float32(UNIT / sigma), out[row, col0:col1])
+    return out
+
+
+@nb.njit(cache=True)
+def blank_discs(
+    image: NDArray[np.int8], blocked: NDArray[np.uint8], row: NDArray[np.float64], col: NDArray[np.float64],
+    radius_px: NDArray[np.float64],
+) -> None:
+    """Set discs of the image to 0 and mark them in `blocked` (2). In place; positions and radii in px, shape (n,)."""
+    rows, cols = image.shape
+    for k in range(row.shape[0]):
+        radius = radius_px[k]
+        if radius <= 0.0:
+            continue
+        for i in range(max(0, math.ceil(row[k] - radius)), min(rows, math.floor(row[k] + radius) + 1)):
+            half = math.sqrt(max(0.0, radius * radius - (i - row[k]) ** 2))
+            for j in range(max(0, math.ceil(col[k] - half)), min(cols, math.floor(col[k] + half) + 1)):
+                image[i, j] = 0
+                blocked[i, j] |= 2
+
+
+@nb.njit(cache=True)
+def _tile_sums(values: NDArray[np.int8], blocked: NDArray[np.uint8], limit: int) -> tuple[int, int]:
+    total, count = np.int32(0), np.int32(0)
+    for i in range(values.shape[0]):
+        value = min(max(np.int32(values[i]), -limit), limit)
+        total += value
+        count += np.int32(1) if blocked[i] == 0 else np.int32(0)
+    return total, count
+
+
+@nb.njit(cache=True)
+def local_level(image: NDArray[np.int8], blocked: NDArray[np.uint8], tile_px: int) -> NDArray[np.float32]:
+    """Mean of the clipped image (+-3 sigma) in tiles, smoothed over 3 x 3 tiles; units of sigma/16.
+
+    A background that is wrong by 0.02 sigma per pixel shifts a line sum over 4,000 px by 2 sigma, so the level left over
+    by the mesh is taken out here. Shape (ceil(rows/tile), ceil(cols/tile)).
+    """
+    rows, cols = image.shape
+    n_row, n_col = (rows + tile_px - 1) // tile_px, (cols + tile_px - 1) // tile_px
+    total = np.zeros((n_row, n_col))
+    count = np.zeros((n_row, n_col))
+    for row in range(rows):
+        for j in range(n_col):
+            piece = slice(j * tile_px, min((j + 1) * tile_px, cols))
+            s, n = _tile_sums(image[row, piece], blocked[row, piece], 3 * UNIT)
+            total[row // tile_px, j] += s
+            count[row // tile_px, j] += n
+    level = np.zeros((n_row, n_col), np.float32)
+    for i in range(n_row):
+        for j in range(n_col):
+            s = n = 0.0
+            for di in range(max(0, i - 1), min(n_row, i + 2)):
+                for dj in range(max(0, j - 1), min(n_col, j + 2)):
+                    s += total[di, dj]
+                    n += count[di, dj]
+            level[i, j] = s / n if n > 0.0 else 0.0
+    return level
+
+
+def odd_taps(psf_sigma_px: float) -> NDArray[np.int16]:
+    """Half of a symmetric odd Gaussian kernel, centre first, as small integers (shape (r + 1,))."""
+    radius = max(1, min(6, math.floor(2.4 * psf_sigma_px + 0.5)))
+    return np.maximum(np.rint(16.0 * np.exp(-0.5 * (np.arange(radius + 1) / psf_sigma_px) ** 2)), 1).astype(np.int16)
+
+
+def even_taps(psf_sigma_px: float) -> NDArray[np.int16]:
+    """Half of a symmetric even Gaussian kernel (taps at 0.5, 1.5, ... px) as small integers (shape (r,))."""
+    radius = max(2, min(6, math.ceil(2.0 * psf_sigma_px)))
+    weights = np.exp(-0.5 * ((np.arange(radius) + 0.5) / psf_sigma_px) ** 2)
+    return np.maximum(np.rint(16.0 * weights), 1).astype(np.int16)
+
+
+@nb.njit(cache=True)
+def _add_rows(out: NDArray[np.int16], upper: NDArray[np.int8], lower: NDArray[np.int8], weight: np.int16) -> None:
+    for i in range(out.shape[0]):
+        out[i] = np.int16(out[i] + weight * np.int16(np.int16(upper[i]) + np.int16(lower[i])))
+
+
+@nb.njit(cache=True)
+def _add_row(out: NDArray[np.int16], row: NDArray[np.int8], weight: np.int16) -> None:
+    for i in range(out.shape[0]):
+        out[i] = np.int16(out[i] + weight * np.int16(row[i]))
+
+
+@nb.njit(cache=True)
+def _add_pairs(out: NDArray[np.int32], left: NDArray[np.int16], right: NDArray[np.int16], weight: np.int32) -> None:
+    for i in range(out.shape[0]):
+        out[i] += weight * (np.int32(left[i]) + np.int32(right[i]))
+
+
+@nb.njit(cache=True)
+def _store_clipped(total: NDArray[np.int32], scale: np.float32, limit: np.float32, out: NDArray[np.int8]) -> None:
+    for i in range(out.shape[0]):
+        value = min(max(np.float32(total[i]) * scale, -limit), limit) + np.float32(128.5)
+        out[i] = np.int8(np.int32(value) - 128)
+
+
+@nb.njit(cache=True)
+def smooth(
+    image: NDArray[np.int8], level: NDArray[np.float32], tile_px: int, taps: NDArray[np.int16], clip_sigma: float
+) -> NDArray[np.int8]:
+    """PSF-smoothed image, sigma = UNIT, clipped at +-clip_sigma; `level` is subtracted. Shape (rows, cols)."""
+    rows, cols = image.shape
+    radius = taps.shape[0] - 1
+    power, total_weight = float(taps[0]) ** 2, float(taps[0])
+    for k in range(1, radius + 1):
+        power += 2.0 * float(taps[k]) ** 2
+        total_weight += 2.0 * taps[k]
+    scale = np.float32(1.0 / power)
+    limit = np.float32(clip_sigma * UNIT)
+    out = np.empty((rows, cols), np.int8)
+    line = np.zeros(cols + 2 * radius, np.int16)
+    total = np.empty(cols, np.int32)
+    blank = np.zeros(cols, np.int8)
+    for row in range(rows):
+        middle = line[radius : radius + cols]
+        for j in range(level.shape[1]):
+            shift = np.int16(np.rint(level[row // tile_px, j] * total_weight))
+            middle[j * tile_px : (j + 1) * tile_px] = -shift
+        _add_row(middle, image[row], taps[0])
+        for k in range(1, radius + 1):
+            upper = image[row - k] if row >= k else blank
+            lower = image[row + k] if row + k < rows else blank
+            _add_rows(middle, upper, lower, taps[k])
+        total[:] = 0
+        for k in range(1, radius + 1):
+            _add_pairs(total, line[radius - k : radius - k + cols], line[radius + k : radius + k + cols], np.int32(taps[k]))
+        half = np.int32(taps[0])
+        for i in range(cols):
+            total[i] += half * np.int32(middle[i])
+        _store_clipped(total, scale, limit, out[row])
+    return out
+
+
+@nb.njit(cache=True)
+def smooth_binned(
+    image: NDArray[np.int8], level: NDArray[np.float32], tile_px: int, taps: NDArray[np.int16], clip_sigma: float
+) -> NDArray[np.int16]:
+    """PSF-smoothed image sampled at the centres of 2 x 2 pixels, sigma = 2 UNIT, clipped; shape (rows // 2, cols // 2)."""
+    rows, cols = image.shape
+    radius = taps.shape[0]
+    power, total_weight = 0.0, 0.0
+    for k in range(radius):
+        power += 2.0 * float(taps[k]) ** 2
+        total_weight += 2.0 * taps[k]
+    scale = np.float32(2.0 / power)
+    limit = np.float32(2.0 * clip_sigma * UNIT)
+    out = np.empty((rows // 2, cols // 2), np.int16)
+    line = np.zeros(cols + 2 * radius, np.int16)
+    total = np.empty(cols, np.int32)
+    blank = np.zeros(cols, np.int8)
+    for half_row in range(rows // 2):
+        middle = line[radius : radius + cols]
+        for j in range(level.shape[1]):
+            shift = np.int16(np.rint(level[2 * half_row // tile_px, j] * total_weight))
+            middle[j * tile_px : (j + 1) * tile_px] = -shift
+        for k in range(radius):
+            upper = image[2 * half_row - k] if 2 * half_row >= k else blank
+            lower = image[2 * half_row + 1 + k] if 2 * half_row + 1 + k < rows else blank
+            _add_rows(middle, upper, lower, taps[k])
+        total[:] = 0
+        for k in range(radius):
+            _add_pairs(total, line[radius - k : radius - k + cols], line[radius + 1 + k : radius + 1 + k + cols], np.int32(taps[k]))
+        target = out[half_row]
+        for i in range(target.shape[0]):
+            value = min(max(np.float32(total[2 * i]) * scale, -limit), limit) + np.float32(4096.5)
+            target[i] = np.int16(np.int32(value) - 4096)
+    return out

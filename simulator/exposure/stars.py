@@ -15,9 +15,7 @@ STAMP_LOSS_E: Final = 0.02
 _LARGEST_STAMP: Final = 257
 
 
-def render_stars(
-    image_e: NDArray[np.float32], row: ArrayLike, col: ArrayLike, flux_e: ArrayLike, sigma_px: ArrayLike
-) -> None:
+def render_stars(image_e: NDArray[np.float32], row: ArrayLike, col: ArrayLike, flux_e: ArrayLike, sigma_px: ArrayLike) -> None:
     """Add stars to an image of electrons, in place.
 
     Parameters
@@ -59,10 +57,10 @@ def add_gaussian_points(
         radius = min(cut_radius_px(flux, sigma_px[p], loss_e) + 0.5, 0.5 * (_LARGEST_STAMP - 3))
         if not (-radius < row[p] < rows + radius and -radius < col[p] < cols + radius):
             continue
-        r0 = max(0, int(math.ceil(row[p] - radius)))
-        r1 = min(rows - 1, int(math.floor(row[p] + radius)))
-        c0 = max(0, int(math.ceil(col[p] - radius)))
-        c1 = min(cols - 1, int(math.floor(col[p] + radius)))
+        r0 = max(0, math.ceil(row[p] - radius))
+        r1 = min(rows - 1, math.floor(row[p] + radius))
+        c0 = max(0, math.ceil(col[p] - radius))
+        c1 = min(cols - 1, math.floor(col[p] + radius))
         if r1 < r0 or c1 < c0:
             continue
         n_rows = r1 - r0 + 1

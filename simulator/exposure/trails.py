@@ -65,7 +65,7 @@ def render_trail_patch(
     Returns ``(row0, col0, patch)`` with patch[i, j] the electrons of pixel (row0 + i, col0 + j); an empty patch
     (0, 0) when nothing falls inside.
     """
-    margin = int(math.ceil(6.5 * sigma_px + 0.5 * defocus_px + 2.0))
+    margin = math.ceil(6.5 * sigma_px + 0.5 * defocus_px + 2.0)
     lit = np.asarray(flux_e) > 0.0
     if not lit.any():
         return 0, 0, np.zeros((0, 0), dtype=np.float32)

@@ -52,9 +52,9 @@ def defocused_kernel(
     The profile is integrated over pixels by the trapezoidal rule on the same grid; the whole is scaled such that the
     pixels of any phase sum to one on average, what is cut beyond `half` being below 1e-6.
     """
-    half = int(math.ceil(0.5 * diameter_px + 5.0 * sigma_px + 1.0))
+    half = math.ceil(0.5 * diameter_px + 5.0 * sigma_px + 1.0)
     reach = half + 0.5
-    n = int(round(2 * reach * phases)) + 1
+    n = round(2 * reach * phases) + 1
     axis = np.arange(n) / phases - reach
     radii = np.arange(0.0, reach * math.sqrt(2.0) + 0.1, 0.02 * min(1.0, sigma_px))
     profile = disc_profile(radii, diameter_px, obstruction, sigma_px)
@@ -89,8 +89,8 @@ def add_defocused_points(
     for p in range(row.size):
         if flux_e[p] == 0.0:
             continue
-        r_first = int(math.ceil(row[p] - half))
-        c_first = int(math.ceil(col[p] - half))
+        r_first = math.ceil(row[p] - half)
+        c_first = math.ceil(col[p] - half)
         x = (r_first - row[p] + half) * phases
         y = (c_first - col[p] + half) * phases
         i0 = int(x)
@@ -117,6 +117,4 @@ def add_defocused_points(
                 if c < 0 or c >= cols:
                     continue
                 j1 = min(j + 1, last)
-                image_e[r, c] += np.float32(
-                    w00 * table[i, j] + w01 * table[i, j1] + w10 * table[i1, j] + w11 * table[i1, j1]
-                )
+                image_e[r, c] += np.float32(w00 * table[i, j] + w01 * table[i, j1] + w10 * table[i1, j] + w11 * table[i1, j1])

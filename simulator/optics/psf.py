@@ -21,7 +21,8 @@ class PsfOptions:
 
     fwhm_px: float = field(default=2.0, metadata={"doc": "full width at half maximum on axis", "min": 0.2, "max": 100.0})
     corner_growth: float = field(
-        default=0.15, metadata={"doc": "relative widening at the corner of the field, quadratic in radius", "min": 0.0, "max": 5.0}
+        default=0.15,
+        metadata={"doc": "relative widening at the corner of the field, quadratic in radius", "min": 0.0, "max": 5.0},
     )
 
     @property

@@ -47,14 +47,17 @@ class Material:
 
 
 SILICON: Final = Material(
-    z=14, a=28.0855, density_g_cm3=2.329, excitation_ev=173.0, x0=0.2015, x1=2.8716, c=4.4355, slope=0.14921, power=3.2546, delta0=0.14,
+    z=14, a=28.0855, density_g_cm3=2.329, excitation_ev=173.0,
+    x0=0.2015, x1=2.8716, c=4.4355, slope=0.14921, power=3.2546, delta0=0.14,
     shells_kev=((2, 1.839), (8, 0.118)),
 )  # fmt: skip
 ALUMINIUM: Final = Material(
-    z=13, a=26.9815, density_g_cm3=2.699, excitation_ev=166.0, x0=0.1708, x1=3.0127, c=4.2395, slope=0.08024, power=3.6345, delta0=0.12
+    z=13, a=26.9815, density_g_cm3=2.699, excitation_ev=166.0,
+    x0=0.1708, x1=3.0127, c=4.2395, slope=0.08024, power=3.6345, delta0=0.12
 )  # fmt: skip
 COPPER: Final = Material(
-    z=29, a=63.546, density_g_cm3=8.960, excitation_ev=322.0, x0=-0.0254, x1=3.2792, c=4.4190, slope=0.14339, power=2.9044, delta0=0.08
+    z=29, a=63.546, density_g_cm3=8.960, excitation_ev=322.0,
+    x0=-0.0254, x1=3.2792, c=4.4190, slope=0.14339, power=2.9044, delta0=0.08
 )  # fmt: skip
 SHIELDS: Final = {"aluminium": ALUMINIUM, "copper": COPPER}
 
@@ -99,7 +102,9 @@ def stopping_power_mev_cm2_g(
     return np.asarray(K_MEV_CM2_MOL * material.z_over_a * np.asarray(charge) ** 2 / beta2 * np.maximum(bracket, 0.1))
 
 
-def landau_xi_kev(energy_mev_u: ArrayLike, length_um: ArrayLike, material: Material, charge: ArrayLike = 1.0) -> NDArray[np.float64]:
+def landau_xi_kev(
+    energy_mev_u: ArrayLike, length_um: ArrayLike, material: Material, charge: ArrayLike = 1.0
+) -> NDArray[np.float64]:
     """Landau's width parameter ``xi = K/2 (Z/A) z^2 rho x / beta^2``."""
     bg = beta_gamma(energy_mev_u)
     beta2 = bg**2 / (1.0 + bg**2)
@@ -127,7 +132,9 @@ def most_probable_loss_kev(
     )
 
 
-def binding_width_kev(energy_mev_u: ArrayLike, length_um: ArrayLike, material: Material, charge: ArrayLike = 1.0) -> NDArray[np.float64]:
+def binding_width_kev(
+    energy_mev_u: ArrayLike, length_um: ArrayLike, material: Material, charge: ArrayLike = 1.0
+) -> NDArray[np.float64]:
     """Gaussian width that electron binding adds to Landau's straggling in thin layers.
 
     Shulek et al. 1967 (Sov. J. Nucl. Phys. 4, 400): ``sigma^2 = (8/3) xi sum_i (Z_i/Z) I_i ln(2 m c^2 beta^2 / I_i)``. A shell is

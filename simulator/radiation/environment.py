@@ -123,7 +123,7 @@ def energy_of_rigidity_mev(rigidity_gv: float) -> float:
 
 
 def cosmic_rate_cm2_s(options: RadiationOptions, spectrum: CosmicRaySpectrum, cutoff_gv: float) -> float:
-    """Cosmic rays through one cm2 of a plane: the measured equatorial and polar rates, joined by the spectrum above the cutoff."""
+    """Cosmic rays through one cm2 of a plane: measured equatorial and polar rates, joined by the spectrum above the cutoff."""
     equator = spectrum.above(energy_of_rigidity_mev(_CUTOFF_GV * 0.8))
     open_share = np.clip((spectrum.above(energy_of_rigidity_mev(cutoff_gv)) - equator) / (1.0 - equator), 0.0, 1.0)
     return options.quiet_rate_cm2_s * (1.0 + (options.polar_factor - 1.0) * float(open_share))

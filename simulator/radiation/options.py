@@ -16,12 +16,11 @@ class RadiationOptions:
         },
     )
     quiet_rate_cm2_s: float = field(
-        default=1.2, metadata={"doc": "cosmic rays through each cm2 of the sensor per second near the equator", "min": 0.0, "max": 1e6}
+        default=1.2,
+        metadata={"doc": "cosmic rays through each cm2 of the sensor per second near the equator", "min": 0.0, "max": 1e6},
     )
     polar_factor: float = field(default=3.0, metadata={"doc": "polar over equatorial rate", "min": 1.0, "max": 100.0})
-    saa_factor: float = field(
-        default=1.0, metadata={"doc": "trapped protons over the AP8 MAX map", "min": 0.0, "max": 100.0}
-    )
+    saa_factor: float = field(default=1.0, metadata={"doc": "trapped protons over the AP8 MAX map", "min": 0.0, "max": 100.0})
     saa_peak_omni_cm2_s: float = field(
         default=3750.0,
         metadata={"doc": "omnidirectional flux above 50 MeV of environment saa (its peak at 700 km)", "min": 0.0, "max": 1e6},
@@ -32,10 +31,18 @@ class RadiationOptions:
     modulation_mv: float = field(
         default=650.0, metadata={"doc": "solar modulation potential in megavolt of cosmic rays", "min": 100.0, "max": 2000.0}
     )
-    shield_material: str = field(default="aluminium", metadata={"doc": "material of the shield", "choices": ("aluminium", "copper")})
-    shield_mm: float = field(default=10.0, metadata={"doc": "thickness of the shield in all directions", "min": 0.0, "max": 300.0})
-    depletion_um: float = field(default=10.0, metadata={"doc": "thickness of the charge-collecting layer", "min": 0.5, "max": 1000.0})
+    shield_material: str = field(
+        default="aluminium", metadata={"doc": "material of the shield", "choices": ("aluminium", "copper")}
+    )
+    shield_mm: float = field(
+        default=10.0, metadata={"doc": "thickness of the shield in all directions", "min": 0.0, "max": 300.0}
+    )
+    depletion_um: float = field(
+        default=10.0, metadata={"doc": "thickness of the charge-collecting layer", "min": 0.5, "max": 1000.0}
+    )
     diffusion_um: float = field(
         default=1.5, metadata={"doc": "rms sideways spread of charge from the far face of the layer", "min": 0.0, "max": 50.0}
     )
-    straggling: bool = field(default=True, metadata={"doc": "energy loss fluctuates (Landau, with Gaussian width in thin layers)"})
+    straggling: bool = field(
+        default=True, metadata={"doc": "energy loss fluctuates (Landau, with Gaussian width in thin layers)"}
+    )

@@ -1,4 +1,4 @@
-"""Particle tracks through the sensitive layer: charge shared among pixels by path length, spread by diffusion, clipped at edges."""
+"""Particle tracks through the sensitive layer: charge shared by path length, spread by diffusion, clipped at edges."""
 
 import math
 from typing import Final
@@ -53,9 +53,9 @@ def deposit(
             part = charge_e[t] * (until - at)
             sigma = spread_px * math.sqrt(middle)
             at = until
-            r_pixel = int(math.floor(row + 0.5))
-            c_pixel = int(math.floor(col + 0.5))
-            reach = 0 if sigma < _SPREAD_NEGLIGIBLE_PX else min(int(math.ceil(_REACH * sigma)), 15)
+            r_pixel = math.floor(row + 0.5)
+            c_pixel = math.floor(col + 0.5)
+            reach = 0 if sigma < _SPREAD_NEGLIGIBLE_PX else min(math.ceil(_REACH * sigma), 15)
             if r_pixel < -reach or r_pixel >= rows + reach or c_pixel < -reach or c_pixel >= cols + reach:
                 continue
             if reach == 0:

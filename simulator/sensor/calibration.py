@@ -19,7 +19,7 @@ from simulator.sensor.options import BinningOptions, SensorOptions
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class CalibrationMaps:
-    """Maps of delivered pixels: dark_adu float32 (pedestal and dark signal of one exposure), flat float32 (1 on axis), defects uint8."""
+    """Maps of delivered pixels: dark_adu (pedestal and dark signal of one exposure), flat (1 on axis), defects (`MaskBit`)."""
 
     dark_adu: NDArray[np.float32]
     flat: NDArray[np.float32]

@@ -11,29 +11,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.sensor.counter import GAMMA, draw, mix, normal, row_key
-from simulator.sensor.poisson import poisson
+from simulator.sensor.poisson import draw_poisson
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True)
 def collect_row(
-    mean_e, response, dark, response_of, dark_of, shot_noise, key, tables, first, means, normals, charge_e
-):  # type: ignore[no-untyped-def]  # numba infers the types; all are documented in `digitise_rows`
+    mean_e: NDArray[np.float32],
+    response: NDArray[np.uint8],
+    dark: NDArray[np.uint8],
+    response_of: NDArray[np.float64],
+    dark_of: NDArray[np.float64],
+    shot_noise: bool,
+    key: np.uint64,
+    tables: NDArray[np.uint64],
+    first: NDArray[np.float64],
+    normals: NDArray[np.float32],
+    work: tuple[NDArray[np.float64], NDArray[np.uint8]],
+    charge_e: NDArray[np.float64],
+) -> None:
     """Electrons that light and dark current leave in the pixels of one row."""
-    position = key
+    mean, doubt = work
     for c in range(mean_e.size):
-        position += GAMMA
-        mean = mean_e[c] * response_of[response[c]] + dark_of[dark[c]]
-        if shot_noise:
-            charge_e[c] = poisson(mean, position, tables, first, means, normals)
-        else:
-            charge_e[c] = mean
+        mean[c] = mean_e[c] * response_of[response[c]] + dark_of[dark[c]]
+    if shot_noise:
+        draw_poisson(mean, key, tables, first, normals, doubt, charge_e)
+    else:
+        charge_e[:] = mean
 
 
-@numba.njit(cache=True, inline="always")
+@numba.njit(cache=True)
 def convert_row(
-    charge_e, noise, noise_of, column_e, row_e, key, normals, chain, out
-):  # type: ignore[no-untyped-def]  # numba infers the types; all are documented in `digitise_rows`
-    """ADU of one row: full well, non-linearity, read noise, two amplifiers with a converter each, merged."""
+    charge_e: NDArray[np.float64],
+    noise: NDArray[np.uint8],
+    noise_of: NDArray[np.float64],
+    column_e: NDArray[np.float64],
+    row_e: float,
+    key: np.uint64,
+    normals: NDArray[np.float32],
+    chain: tuple[float, float, float, float, float, float, bool, float, float],
+    out: NDArray[np.uint16],
+) -> None:
+    """ADU of one row: full well, non-linearity, read noise, two amplifiers with a converter each, merged.
+
+    chain : full well (e-), loss per electron (1/e-), high gain (e-/ADU), highest code, code from which the low-gain channel is
+        used, pedestal (ADU), whether there is one, low gain (e-/ADU), its read noise (e-).
+    """
     full_well, bend, gain, top, handover, pedestal, dual, low_gain, low_noise = chain
     inverse_gain = 1.0 / gain
     position = key
@@ -72,8 +94,7 @@ def digitise_rows(
     words: tuple[np.uint64, np.uint64, np.uint64],
     shot_noise: bool,
     tables: NDArray[np.uint64],
-    first: NDArray[np.int64],
-    means: NDArray[np.float64],
+    first: NDArray[np.float64],
     normals: NDArray[np.float32],
     chain: tuple[float, float, float, float, float, float, bool, float, float],
     out: NDArray[np.uint16],
@@ -89,11 +110,12 @@ def digitise_rows(
     """
     shot_word, read_word, row_word = words
     charge_e = np.empty(mean_e.shape[1])
+    work = (np.empty(mean_e.shape[1]), np.empty(mean_e.shape[1], np.uint8))
     for r in range(mean_e.shape[0]):
         row = first_row + r
         collect_row(
             mean_e[r], response[r], dark[r], response_of, dark_of, shot_noise, row_key(shot_word, row),
-            tables, first, means, normals, charge_e,
+            tables, first, normals, work, charge_e,
         )  # fmt: skip
         for h in range(hit_start[r], hit_start[r + 1]):
             charge_e[hit_col[h]] += hit_e[h]
@@ -115,16 +137,16 @@ def collect_rows(
     shot_word: np.uint64,
     shot_noise: bool,
     tables: NDArray[np.uint64],
-    first: NDArray[np.int64],
-    means: NDArray[np.float64],
+    first: NDArray[np.float64],
     normals: NDArray[np.float32],
     charge_e: NDArray[np.float64],
 ) -> None:
     """The first half of `digitise_rows` alone, for a CCD, whose charge moves before it is converted."""
+    work = (np.empty(mean_e.shape[1]), np.empty(mean_e.shape[1], np.uint8))
     for r in range(mean_e.shape[0]):
         collect_row(
             mean_e[r], response[r], dark[r], response_of, dark_of, shot_noise, row_key(shot_word, first_row + r),
-            tables, first, means, normals, charge_e[r],
+            tables, first, normals, work, charge_e[r],
         )  # fmt: skip
         for h in range(hit_start[r], hit_start[r + 1]):
             charge_e[r, hit_col[h]] += hit_e[h]
@@ -173,9 +195,4 @@ def bleed_columns(charge_e: NDArray[np.float64], full_well_e: float) -> None:
                         taken = min(room, rest)
                         charge_e[k, c] += taken
                         rest -= taken
-                    elif room < 0.0:
-                        # A pixel that overflows itself passes its own excess on when its turn comes.
-                        if step < 0:
-                            rest += charge_e[k, c] - full_well_e
-                            charge_e[k, c] = full_well_e
                     k += step

@@ -47,8 +47,8 @@ class FixedPattern:
 def draw_fixed_pattern(options: SensorOptions, rows: int, cols: int, seed: int) -> FixedPattern:
     """The fixed pattern of a sensor of (rows, cols) pixels from its seed."""
     response, dark, noise = (np.empty((rows, cols), dtype=np.uint8) for _ in range(3))
-    words = tuple(np.uint64(seed_word(seed, Effect.SENSOR_MAP, block=block)) for block in range(3))
-    _draw_classes(words, NORMAL_TABLE, response, dark, noise)
+    word = [np.uint64(seed_word(seed, Effect.SENSOR_MAP, block=block)) for block in range(3)]
+    _draw_classes((word[0], word[1], word[2]), NORMAL_TABLE, response, dark, noise)
     rng = generator(seed, Effect.DEFECTS)
     for fraction, (low, high) in ((options.dark.warm_fraction, _WARM), (options.dark.hot_fraction, _HOT)):
         pixels = _draw_pixels(rng, rows * cols, fraction)
@@ -152,8 +152,8 @@ def _draw_classes(
         for c in range(cols):
             step = (np.uint64(c) + np.uint64(1)) * GAMMA
             z = normal(mix(key0 + step), normals)
-            response[r, c] = min(max(int(round(z / _RESPONSE_STEP)) + _MIDDLE, 1), 255)
+            response[r, c] = min(max(round(z / _RESPONSE_STEP) + _MIDDLE, 1), 255)
             z = normal(mix(key1 + step), normals)
-            dark[r, c] = min(max(int(round(z / _NORMAL_STEP)) + _MIDDLE, 64), 192)
+            dark[r, c] = min(max(round(z / _NORMAL_STEP) + _MIDDLE, 64), 192)
             z = normal(mix(key2 + step), normals)
-            noise[r, c] = min(max(int(round(z / _NORMAL_STEP)) + _MIDDLE, 0), 255)
+            noise[r, c] = min(max(round(z / _NORMAL_STEP) + _MIDDLE, 0), 255)

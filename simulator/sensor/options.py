@@ -11,13 +11,17 @@ class DarkOptions:
         default=0.1, metadata={"doc": "median dark current at the reference temperature", "min": 0.0, "max": 1e5}
     )
     spread: float = field(default=0.3, metadata={"doc": "sigma of ln(dark current) over pixels (DSNU)", "min": 0.0, "max": 2.0})
-    reference_k: float = field(default=263.15, metadata={"doc": "temperature of the quoted dark current", "min": 100.0, "max": 400.0})
+    reference_k: float = field(
+        default=263.15, metadata={"doc": "temperature of the quoted dark current", "min": 100.0, "max": 400.0}
+    )
     activation_ev: float = field(default=0.63, metadata={"doc": "activation energy of the dark current", "min": 0.0, "max": 1.2})
     warm_fraction: float = field(default=2e-4, metadata={"doc": "share of warm pixels", "min": 0.0, "max": 0.5})
     warm_e_s: float = field(default=40.0, metadata={"doc": "median dark current of warm pixels", "min": 0.0, "max": 1e6})
     hot_fraction: float = field(default=5e-5, metadata={"doc": "share of hot pixels", "min": 0.0, "max": 0.5})
     hot_e_s: float = field(default=2000.0, metadata={"doc": "median dark current of hot pixels", "min": 0.0, "max": 1e7})
-    dead_fraction: float = field(default=2e-5, metadata={"doc": "share of pixels that do not respond to light", "min": 0.0, "max": 0.5})
+    dead_fraction: float = field(
+        default=2e-5, metadata={"doc": "share of pixels that do not respond to light", "min": 0.0, "max": 0.5}
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -45,7 +49,8 @@ class ReadoutOptions:
     row_noise_e: float = field(default=0.1, metadata={"doc": "offset of each row, new in each frame", "min": 0.0, "max": 100.0})
     column_offset_e: float = field(default=0.3, metadata={"doc": "fixed offset of each column", "min": 0.0, "max": 100.0})
     sense_node_ff: float = field(
-        default=1.5, metadata={"doc": "capacitance of the sense node in femtofarad, for reset (kTC) noise", "min": 0.0, "max": 1000.0}
+        default=1.5,
+        metadata={"doc": "capacitance of the sense node in femtofarad, for reset (kTC) noise", "min": 0.0, "max": 1000.0},
     )
     correlated_double_sampling: bool = field(
         default=True, metadata={"doc": "the reset level is measured and subtracted, which removes kTC noise"}
@@ -65,7 +70,8 @@ class ConverterOptions:
     dual_gain: bool = field(default=True, metadata={"doc": "a second, low-gain channel takes over where the first ends"})
     low_gain_e_adu: float = field(default=10.0, metadata={"doc": "electrons per unit, low-gain channel", "min": 1e-3, "max": 1e4})
     handover: float = field(
-        default=0.95, metadata={"doc": "share of the high channel's range above which the low one is used", "min": 0.1, "max": 1.0}
+        default=0.95,
+        metadata={"doc": "share of the high channel's range above which the low one is used", "min": 0.1, "max": 1.0},
     )
     pedestal_adu: int = field(default=100, metadata={"doc": "offset that keeps noise above zero", "min": 0, "max": 10000})
 
@@ -100,7 +106,8 @@ class CalibrationOptions:
     flat_frames: int = field(default=64, metadata={"doc": "flat frames averaged", "min": 1, "max": 100000})
     flat_level: float = field(default=0.4, metadata={"doc": "flat level as a share of full well", "min": 0.01, "max": 0.9})
     hot_sigma: float = field(
-        default=6.0, metadata={"doc": "a dark signal this many read noises above the median is a defect", "min": 1.0, "max": 1000.0}
+        default=6.0,
+        metadata={"doc": "a dark signal this many read noises above the median is a defect", "min": 1.0, "max": 1000.0},
     )
 
 

@@ -85,58 +85,81 @@ def _alias_tables(means: NDArray[np.float64]) -> tuple[NDArray[np.uint64], NDArr
     return tables, first
 
 
-def poisson_tables() -> tuple[NDArray[np.uint64], NDArray[np.int64], NDArray[np.float64]]:
-    """Alias tables (LEVELS, 256), first counts (LEVELS,) and means (LEVELS,) for `poisson`."""
-    means = level_means()
-    tables, first = _alias_tables(means)
-    return tables, first, means
+def poisson_tables() -> tuple[NDArray[np.uint64], NDArray[np.float64]]:
+    """Alias tables (LEVELS, 256) and the first count of each level's support (LEVELS,), for `draw_poisson`."""
+    tables, first = _alias_tables(level_means())
+    return tables, first.astype(np.float64)
 
 
 @numba.njit(cache=True)
-def _rest_given_doubt(mean: float, key: np.uint64) -> int:
-    """Poisson number of mean <= 1 given an event of probability `mean` that includes all non-zero outcomes."""
-    u = uniform(mix(key ^ GAMMA)) * mean
+def draw_poisson(
+    mean: NDArray[np.float64],
+    key: np.uint64,
+    tables: NDArray[np.uint64],
+    first: NDArray[np.float64],
+    normals: NDArray[np.float32],
+    doubt: NDArray[np.uint8],
+    count: NDArray[np.float64],
+) -> None:
+    """Poisson numbers of means >= 0 (below 1e9), number c from word c of the stream `key`.
+
+    The first loop does for all pixels what nearly all of them need and has no branches, so that it runs on vectors; the
+    second mends the few whose remainder may not be zero and the bright ones. `doubt` (n,) is work space.
+    """
+    position = key
+    for c in range(mean.size):
+        position += GAMMA
+        bits = mix(position)
+        m = mean[c]
+        # Position on the grid of `level_means`; its fraction is the remainder in units of the grid step.
+        fine = m * _FINE
+        middle = _FINE_LEVELS + (m - _FINE_END) * _MIDDLE
+        coarse = (_FINE_LEVELS + _MIDDLE_LEVELS) + (m - _MIDDLE_END)
+        grid = fine if m < _FINE_END else (middle if m < _MIDDLE_END else coarse)
+        step = 1.0 / _FINE if m < _FINE_END else (1.0 / _MIDDLE if m < _MIDDLE_END else 1.0)
+        level = int(min(int(grid), LEVELS - 1))
+        rest = (grid - float(level)) * step
+        own = bits & np.uint64(_SUPPORT - 1)
+        entry = tables[level, np.int64(own)]
+        chosen = own if (bits >> np.uint64(32)) <= (entry >> np.uint64(32)) else entry & np.uint64(_SUPPORT - 1)
+        count[c] = first[level] + float(np.int64(chosen))
+        # 24 bits that the alias step left unused: zero is certain below 1 - rest, for 1 - rest <= exp(-rest).
+        spare = float(np.int64((bits >> np.uint64(8)) & np.uint64(0xFFFFFF))) * (1.0 / 16777216.0)
+        doubt[c] = (spare >= 1.0 - rest) | (m >= EXACT_BELOW)
+    position = key
+    for c in range(mean.size):
+        position += GAMMA
+        if doubt[c] == 0:
+            continue
+        m = mean[c]
+        if m >= EXACT_BELOW:
+            count[c] = _corrected_normal(m, normal(mix(position), normals))
+            continue
+        if m < _FINE_END:
+            rest = m - math.floor(m * _FINE) / _FINE
+        elif m < _MIDDLE_END:
+            rest = m - math.floor(m * _MIDDLE) / _MIDDLE
+        else:
+            rest = m - math.floor(m)
+        count[c] += _rest_given_doubt(rest, uniform(mix(position ^ key)))
+
+
+@numba.njit(cache=True)
+def _corrected_normal(mean: float, z: float) -> float:
+    """Poisson number of a large mean from a normal deviate (Cornish & Fisher's expansion to order 1/mean), rounded."""
+    root = math.sqrt(mean)
+    return max(math.floor(mean + root * z + (z * z - 1.0) / 6.0 + (z - z * z * z) / (72.0 * root) + 0.5), 0.0)
+
+
+@numba.njit(cache=True)
+def _rest_given_doubt(mean: float, u: float) -> float:
+    """Poisson number of mean <= 1 given an event of probability `mean` that holds all non-zero outcomes."""
     p = math.exp(-mean)
-    # In doubt means u lies in the upper `mean` of the unit interval; the zero outcome ends at exp(-mean) >= 1 - mean.
+    # The event is the upper `mean` of the unit interval; the zero outcome reaches into it up to exp(-mean).
     total = p - (1.0 - mean)
-    count = 0
-    while u > total and count < 40:
-        count += 1
+    count = 0.0
+    while u * mean > total and count < 40.0:
+        count += 1.0
         p *= mean / count
         total += p
     return count
-
-
-@numba.njit(cache=True, inline="always")
-def poisson(
-    mean: float,
-    key: np.uint64,
-    tables: NDArray[np.uint64],
-    first: NDArray[np.int64],
-    means: NDArray[np.float64],
-    normals: NDArray[np.float32],
-) -> float:
-    """Poisson number of any mean >= 0 from the random word at position `key` of a stream."""
-    bits = mix(key)
-    if mean < EXACT_BELOW:
-        if mean <= 0.0:
-            return 0.0
-        if mean < _FINE_END:
-            level = int(mean * _FINE)
-        elif mean < _MIDDLE_END:
-            level = _FINE_LEVELS + int((mean - _FINE_END) * _MIDDLE)
-        else:
-            level = _FINE_LEVELS + _MIDDLE_LEVELS + int(mean - _MIDDLE_END)
-        i = np.int64(bits & np.uint64(_SUPPORT - 1))
-        entry = tables[level, i]
-        if (bits >> np.uint64(32)) > (entry >> np.uint64(32)):
-            i = np.int64(entry & np.uint64(_SUPPORT - 1))
-        count = first[level] + i
-        rest = mean - means[level]
-        # 24 bits that the alias step left unused decide whether the remainder is zero: 1 - m <= exp(-m).
-        if float(np.int64((bits >> np.uint64(8)) & np.uint64(0xFFFFFF))) * (1.0 / 16777216.0) >= 1.0 - rest:
-            count += _rest_given_doubt(rest, key)
-        return float(count)
-    z = normal(bits, normals)
-    root = math.sqrt(mean)
-    return math.floor(mean + root * z + (z * z - 1.0) / 6.0 + (z - z * z * z) / (72.0 * root) + 0.5)

@@ -94,9 +94,8 @@ class Sensor:
         if converter.dual_gain:
             top = (top - converter.pedestal_adu) * converter.low_gain_e_adu / converter.gain_e_adu + converter.pedestal_adu
         well = converter.full_well_e * (1.0 - converter.nonlinearity)
-        noise = converter.full_well_e and (
-            self.options.readout.low_gain_read_noise_e if converter.dual_gain else self.options.readout.read_noise_e
-        )
+        readout = self.options.readout
+        noise = readout.low_gain_read_noise_e if converter.dual_gain else readout.read_noise_e
         saturation = min(top, (well - 5.0 * noise) / converter.gain_e_adu + converter.pedestal_adu, 65535.0)
         if n > 1 and binning.method == "sum" and not self.on_chip_sum:
             saturation = min(saturation * n, 65535.0)
@@ -159,9 +158,7 @@ class Sensor:
         )
         return bin_pixels(out, self.options.binning, self._weight())
 
-    def variance_e2(
-        self, mean_e: ArrayLike, exposure_s: float, *, row0: int = 0, col0: int = 0
-    ) -> NDArray[np.float32]:
+    def variance_e2(self, mean_e: ArrayLike, exposure_s: float, *, row0: int = 0, col0: int = 0) -> NDArray[np.float32]:
         """Noise variance of detector pixels in electrons squared: photons, dark current, read noise, quantisation.
 
         mean_e : a scalar (then the median pixel is meant) or an image whose first pixel is (row0, col0) of the window; then
@@ -175,10 +172,10 @@ class Sensor:
             dark = self._dark_rate_of[128] * exposure_s
             return np.asarray(shot * (mean + dark) + self._noise_of[128] ** 2 + fixed, dtype=np.float32)
         part = np.s_[row0 : row0 + mean.shape[0], col0 : col0 + mean.shape[1]]
-        out = (shot * self._response_of).astype(np.float32)[self._response[part]]
+        out = np.take((shot * self._response_of).astype(np.float32), self._response[part])
         out *= mean
-        out += (shot * self._dark_rate_of * exposure_s + fixed).astype(np.float32)[self._dark[part]]
-        out += (self._noise_of**2).astype(np.float32)[self._noise[part]]
+        out += np.take((shot * self._dark_rate_of * exposure_s + fixed).astype(np.float32), self._dark[part])
+        out += np.take((self._noise_of**2).astype(np.float32), self._noise[part])
         return out
 
     def entropy_bits(self, mean_e: NDArray[np.float32], exposure_s: float) -> float:
@@ -294,8 +291,7 @@ class Sensor:
         if self.on_chip_sum:
             binning = self.options.binning
             charge = binning_sum(charge, binning.rows, binning.cols)
-            noise = noise[: charge.shape[0], : charge.shape[1]]
-            column = column[: charge.shape[1]]
+            noise, column = noise[: charge.shape[0], : charge.shape[1]], column[: charge.shape[1]]
         out = np.empty(charge.shape, dtype=np.uint16)
         passes.convert_rows(
             charge,
@@ -315,7 +311,8 @@ class Sensor:
         """Inverse noise variance in the dark; dead pixels weigh nothing. Only where binning asks for it."""
         if self.options.binning.method != "weighted":
             return None
-        variance = (self._noise_of**2).astype(np.float32)[self._noise] + self._dark_rate_of.astype(np.float32)[self._dark]
+        variance = np.take((self._noise_of**2).astype(np.float32), self._noise)
+        variance += np.take(self._dark_rate_of.astype(np.float32), self._dark)
         return np.asarray((self._response > 0) / np.maximum(variance, 1e-6), dtype=np.float32)
 
 

@@ -103,7 +103,8 @@ def cases(e: Evaluation) -> dict[str, list[dict[str, Any]]]:
         names = ", ".join(flag.name or "" for flag in flags) or "no flag"
         false.append(
             {
-                "frame": int(s["frame"]), "row": float(s["row_mid"]), "col": float(s["col_mid"]), "snr": round(float(s["snr"]), 1),
+                "frame": int(s["frame"]), "row": float(s["row_mid"]), "col": float(s["col_mid"]),
+                "snr": round(float(s["snr"]), 1),
                 "length": round(float(s["length_px"]), 1), "what": f"streak {int(s['streak_id'])}",
                 "reason": f"no truth streak matches; flags: {names.lower()}",
                 "line": [[float(s["col0"]), float(s["row0"])], [float(s["col1"]), float(s["row1"])]],

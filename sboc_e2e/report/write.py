@@ -105,7 +105,7 @@ def html(score: dict[str, Any], e: Evaluation, run_dir: Path) -> str:
         # "</" must not end the script element that carries the data.
         data=json.dumps(data, separators=(",", ":")).replace("</", "<\\/"),
         css=(folder / "page.css").read_text(encoding="utf-8"),
-        js=(folder / "page.js").read_text(encoding="utf-8"),
+        js="".join((folder / name).read_text(encoding="utf-8") for name in ("page.js", "sort.js")),
     )
 
 

@@ -1,0 +1,142 @@
+"""What a campaign file asks for: points of the parameter space, replicas, and the seed of each task.
+
+A seed depends on the campaign's seed, the point's own values and the replica, never on order or worker count.
+"""
+
+import hashlib
+import itertools
+import tomllib
+from dataclasses import dataclass, field
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any, Final
+
+import astropy.units as u
+import numpy as np
+
+from sboc_e2e.icd.errors import UserError
+
+KEYS: Final = ("scenario", "description", "seed", "replicas", "draws", "set", "vary")
+RANGE_KEYS: Final = {"low", "high", "scale"}
+MAX_TASKS: Final = 1_000_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class Task:
+    """One run: where in the parameter space, which replica, which seed."""
+
+    number: int
+    point: tuple[tuple[str, Any], ...]
+    replica: int
+    seed: int
+
+    @property
+    def label(self) -> str:
+        """The point in words."""
+        return ", ".join(f"{key} = {value}" for key, value in self.point) or "the scenario as it is"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Campaign:
+    """A parsed campaign file.
+
+    vary : key -> list of values (grid) or a range to draw from (``{low, high, scale}``, then `draws` points are drawn).
+    """
+
+    name: str
+    scenario: str
+    description: str = ""
+    seed: int = 1
+    replicas: int = 1
+    draws: int = 0
+    constant: dict[str, Any] = field(default_factory=dict)
+    vary: dict[str, Any] = field(default_factory=dict)
+
+    def tasks(self) -> tuple[Task, ...]:
+        """All tasks in the order of their points."""
+        points = self._points()
+        if len(points) * self.replicas > MAX_TASKS:
+            raise UserError(f"campaign {self.name}: {len(points) * self.replicas} tasks; allowed are {MAX_TASKS}")
+        out = []
+        for point in points:
+            for replica in range(self.replicas):
+                out.append(Task(number=len(out), point=point, replica=replica, seed=self._seed(point, replica)))
+        return tuple(out)
+
+    def _seed(self, point: tuple[tuple[str, Any], ...], replica: int) -> int:
+        text = repr((self.seed, sorted((k, repr(v)) for k, v in point), replica))
+        return int.from_bytes(hashlib.sha256(text.encode()).digest()[:7], "big")
+
+    def _points(self) -> list[tuple[tuple[str, Any], ...]]:
+        lists = {k: v for k, v in self.vary.items() if isinstance(v, list)}
+        ranges = {k: v for k, v in self.vary.items() if not isinstance(v, list)}
+        grid = [tuple(zip(lists, values, strict=True)) for values in itertools.product(*lists.values())]
+        if not ranges:
+            return grid
+        rng = np.random.default_rng(np.random.SeedSequence(self.seed))
+        return [(*fixed, *((k, _draw(r, rng)) for k, r in ranges.items())) for fixed in grid for _ in range(self.draws)]
+
+
+def _draw(interval: dict[str, Any], rng: np.random.Generator) -> Any:
+    """A value between low and high, uniform or log-uniform; quantities keep the unit of `low`."""
+    low, high = u.Quantity(interval["low"]), u.Quantity(interval["high"])
+    a, b = float(low.value), float(high.to_value(low.unit))
+    share = float(rng.random())
+    value = a * (b / a) ** share if interval.get("scale") == "log" else a + (b - a) * share
+    return f"{value:.9g} {low.unit}" if isinstance(interval["low"], str) else value
+
+
+def read_campaign(path: Path) -> Campaign:
+    """A campaign file; raises UserError with one line for anything it does not allow."""
+    if not path.is_file():
+        raise UserError(f"{path}: no such campaign file")
+    try:
+        tables = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        raise UserError(f"{path}: not a TOML file: {error}") from error
+    for key in tables:
+        if key not in KEYS:
+            near = get_close_matches(key, KEYS, 1)
+            hint = f'; did you mean "{near[0]}"?' if near else f"; known are {', '.join(KEYS)}"
+            raise UserError(f'{path}: unknown key "{key}"{hint}')
+    if not isinstance(tables.get("scenario"), str):
+        raise UserError(f'{path}: scenario: expected a name such as "smoke"')
+    vary = tables.get("vary", {})
+    draws = _whole(path, tables, "draws", 0)
+    for key, value in vary.items():
+        if isinstance(value, list) and value:
+            continue
+        if not isinstance(value, dict) or not {"low", "high"} <= set(value) <= RANGE_KEYS:
+            raise UserError(f"{path}: vary.{key}: expected a list of values or {{low, high, scale}}")
+        if draws < 1:
+            raise UserError(f"{path}: draws: vary.{key} is a range, so draws must be 1 or more")
+        _draw_check(path, key, value)
+    return Campaign(
+        name=path.stem,
+        scenario=tables["scenario"],
+        description=str(tables.get("description", "")),
+        seed=_whole(path, tables, "seed", 1),
+        replicas=max(1, _whole(path, tables, "replicas", 1)),
+        draws=draws,
+        constant=dict(tables.get("set", {})),
+        vary=dict(vary),
+    )
+
+
+def _whole(path: Path, tables: dict[str, Any], key: str, default: int) -> int:
+    value = tables.get(key, default)
+    if not isinstance(value, int) or isinstance(value, bool) or value < 0:
+        raise UserError(f"{path}: {key}: expected a whole number of 0 or more, got {value!r}")
+    return value
+
+
+def _draw_check(path: Path, key: str, interval: dict[str, Any]) -> None:
+    try:
+        low, high = u.Quantity(interval["low"]), u.Quantity(interval["high"])
+        ordered = bool(high >= low)
+    except (TypeError, ValueError, u.UnitsError) as error:
+        raise UserError(f"{path}: vary.{key}: low and high need the same dimension ({error})") from error
+    if not ordered or interval.get("scale", "linear") not in ("linear", "log"):
+        raise UserError(f'{path}: vary.{key}: low must not exceed high; scale is "linear" or "log"')
+    if interval.get("scale") == "log" and float(low.value) <= 0:
+        raise UserError(f"{path}: vary.{key}: a log scale needs low > 0")

@@ -113,7 +113,11 @@ class FrameSolution:
 
 @dataclass(frozen=True, kw_only=True)
 class PhotometricSolution:
-    """``V = zero_point_mag - 2.5 log10(e-/s on axis) + colour_term (B-V - 0.653)``, so a solar colour needs no term."""
+    """``V = zero_point_mag - 2.5 log10(e-/s on axis) + colour_term (B-V - 0.653)``, so a solar colour needs no term.
+
+    field_mag : what the flat leaves over the field, added to V: coefficients of x, y, x2, x y, y2 with x (col) and y (row)
+    measured from the frame's middle in half diagonals. Zero-point error and rms are those of the fit; NaN without stars.
+    """
 
     frame: int
     zero_point_mag: float
@@ -121,6 +125,7 @@ class PhotometricSolution:
     colour_term: float
     n_stars: int
     rms_mag: float
+    field_mag: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -1,0 +1,290 @@
+"""`ground.astrometry: camera_fit`: match the star list, fit the camera, learn its distortion over the run."""
+
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.astrometry.apparent import apparent_directions, jyear_of, mid_frame_tai_ns, observer_at
+from ground.astrometry.camera import SHARED, Camera
+from ground.astrometry.camera_fit import CameraPrior, CameraSolution, fit_camera
+from ground.astrometry.matching import mutual_pairs, vote_offset
+from ground.astrometry.rotation import matrix_of, quaternion_of, rotation_by
+from sboc_e2e.catalogue import CatalogueFlag, StarCatalogue, Stars
+from sboc_e2e.icd.downlink import DownlinkFrame
+from sboc_e2e.icd.flags import FrameFlag, StarFlag
+from sboc_e2e.icd.frame import Calibration, FrameHeader, NominalCamera
+from sboc_e2e.icd.products import FrameSolution
+
+Array = NDArray[np.float64]
+
+ARCSEC: Final = np.pi / 648000.0
+UNUSABLE_LISTED: Final = int(StarFlag.SATURATED | StarFlag.EDGE | StarFlag.DEFECT | StarFlag.COSMIC_LIKE)
+UNUSABLE_CATALOGUE: Final = int(CatalogueFlag.NO_PROPER_MOTION | CatalogueFlag.DOUBLE | CatalogueFlag.SYNTHETIC)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class AstrometryState:
+    """What is known before a frame: camera, information on its shared parameters, the last attitude."""
+
+    catalogue: StarCatalogue
+    camera: Camera
+    prior: CameraPrior
+    psf_sigma_px: float
+    last: tuple[int, Array, Array] | None = None
+    """Epoch (TAI ns), matrix and rate (rad/s) of the last solved frame."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CameraFit:
+    """Attitude for each frame, focal length and distortion shared over the run by an information filter."""
+
+    search_radius_arcsec: float = field(
+        default=400.0, metadata={"doc": "error of the telemetered pointing that is searched first", "min": 1.0, "max": 20000.0}
+    )
+    wide_search_arcsec: float = field(
+        default=2500.0, metadata={"doc": "searched when the first radius gives nothing", "min": 1.0, "max": 40000.0}
+    )
+    search_roll_deg: float = field(
+        default=0.7, metadata={"doc": "error of the telemetered roll that is searched", "min": 0.0, "max": 10.0}
+    )
+    v_max: float = field(default=99.0, metadata={"doc": "faintest reference stars", "min": 0.0, "max": 99.0})
+    max_stars: int = field(default=600, metadata={"doc": "list stars used, brightest first", "min": 8, "max": 100000})
+    min_stars: int = field(default=8, metadata={"doc": "fewest matched stars that make a solution", "min": 4, "max": 1000})
+    centroid_floor_px: float = field(
+        default=0.01, metadata={"doc": "centroid error of the brightest stars", "min": 0.0, "max": 10.0}
+    )
+    prior_focal_ppm: float = field(default=1000.0, metadata={"doc": "error of the nominal focal length", "min": 0.0, "max": 1e6})
+    prior_distortion_px: float = field(
+        default=5.0, metadata={"doc": "error of each nominal distortion term at the corner", "min": 0.0, "max": 1e4}
+    )
+
+    def initial_state(self, calibration: Calibration, catalogue: Any) -> AstrometryState:
+        """The nominal camera with the prior that the options state."""
+        camera = Camera.nominal(calibration.camera)
+        return AstrometryState(
+            catalogue=catalogue,
+            camera=camera,
+            prior=CameraPrior(mean=camera.shared(), information=self._prior_information(calibration.camera)),
+            psf_sigma_px=calibration.camera.psf_sigma_px,
+        )
+
+    def solve(self, state: AstrometryState, frame: DownlinkFrame) -> tuple[AstrometryState, FrameSolution]:
+        """The solution of a frame; NO_SOLUTION with a telemetered or unit attitude when there is none."""
+        header = frame.header
+        middle = mid_frame_tai_ns(header)
+        start = _start_attitude(state, header, middle)
+        if start is None:
+            return state, unsolved(frame, state.camera, FrameFlag.NO_SOLUTION)
+        matrix, rate = start
+        found = self._match_and_fit(state, frame, matrix, rate, middle)
+        if found is None:
+            return state, unsolved(frame, state.camera, FrameFlag.NO_SOLUTION, matrix=matrix, rate=rate)
+        fit, stars, listed, chosen = found
+        new_state = AstrometryState(
+            catalogue=state.catalogue,
+            camera=fit.camera,
+            prior=CameraPrior(mean=fit.camera.shared(), information=state.prior.information + fit.information_gain),
+            psf_sigma_px=state.psf_sigma_px,
+            last=(middle, fit.matrix, rate),
+        )
+        return new_state, _solution_of(header.frame, fit, rate, stars, listed, chosen)
+
+    def _match_and_fit(
+        self, state: AstrometryState, frame: DownlinkFrame, matrix: Array, rate: Array, middle: int
+    ) -> tuple[CameraSolution, Stars, NDArray[np.intp], NDArray[np.intp]] | None:
+        """Fit, catalogue stars and the matched indices into the list and the catalogue; None without a credible match."""
+        header, camera = frame.header, state.camera
+        order = _matching_order(frame)[: self.max_stars]
+        measured = np.stack((frame.stars.row[order], frame.stars.col[order]), axis=1)
+        if len(order) < self.min_stars:
+            return None
+        turns = row_turns(header, measured[:, 0], rate, middle)
+        for radius_arcsec in (self.search_radius_arcsec, self.wide_search_arcsec):
+            stars, apparent = self._stars_around(state, header, matrix, camera, middle, radius_arcsec)
+            trial = self._vote(camera, header, measured, apparent @ matrix.T, radius_arcsec)
+            if trial is None:
+                continue
+            voted = trial @ matrix
+            result = self._refine(state, frame, measured, order, turns, stars, apparent, voted, camera)
+            if result is not None:
+                fit, listed, chosen = result
+                return fit, stars, listed, chosen
+        return None
+
+    def _stars_around(
+        self, state: AstrometryState, header: FrameHeader, matrix: Array, camera: Camera, middle: int, margin_arcsec: float
+    ) -> tuple[Stars, Array]:
+        """Catalogue stars that may lie in the frame, and their apparent directions."""
+        last_row, last_col = header.rows - 1.0, header.cols - 1.0
+        corners = camera.unproject(np.array([0.0, 0.0, last_row, last_row]), np.array([0.0, last_col, 0.0, last_col])) @ matrix
+        axis = corners.mean(axis=0)
+        axis /= np.linalg.norm(axis)
+        radius_deg = float(np.degrees(np.arccos(np.clip((corners @ axis).min(), -1.0, 1.0)))) + margin_arcsec / 3600.0 + 0.02
+        stars = state.catalogue.cone(
+            float(np.degrees(np.arctan2(axis[1], axis[0]))),
+            float(np.degrees(np.arcsin(np.clip(axis[2], -1.0, 1.0)))),
+            radius_deg,
+            epoch_jyear=jyear_of(middle),
+            v_max=self.v_max,
+        )
+        position, velocity = observer_at(header.observer, middle)
+        return stars, apparent_directions(stars.ra_deg, stars.dec_deg, middle, position, velocity)
+
+    def _vote(self, camera: Camera, header: FrameHeader, measured: Array, vectors: Array, radius_arcsec: float) -> Array | None:
+        """Rotation (3, 3) of the camera frame that the vote asks for; None when the vote says nothing."""
+        row, col = camera.project(vectors)
+        margin = radius_arcsec * ARCSEC * camera.focal_px
+        near = (row > -margin) & (row < header.rows + margin) & (col > -margin) & (col < header.cols + margin)
+        center = np.array([camera.center_row, camera.center_col])
+        half_size = 0.5 * float(np.hypot(header.rows, header.cols))
+        vote = vote_offset(
+            measured,
+            np.stack((row[near], col[near]), axis=1),
+            center=center,
+            reach_px=margin,
+            bin_px=max(1.0, 3.0 * margin / 200.0, 2e-4 * half_size),
+            roll_limit_rad=float(np.radians(self.search_roll_deg)),
+            half_size_px=half_size,
+        )
+        if not vote.significant:
+            return None
+        # list minus catalogue in px -> small rotation: d row = -f theta_x, d col = f theta_y, roll turns +col towards +row
+        theta = np.array([-vote.d_row_px / camera.focal_px, vote.d_col_px / camera.focal_px, 0.0])
+        return rotation_by(theta) @ rotation_by(np.array([0.0, 0.0, vote.roll_rad]))
+
+    def _refine(
+        self,
+        state: AstrometryState,
+        frame: DownlinkFrame,
+        measured: Array,
+        order: NDArray[np.intp],
+        turns: Array,
+        stars: Stars,
+        apparent: Array,
+        matrix: Array,
+        camera: Camera,
+    ) -> tuple[CameraSolution, NDArray[np.intp], NDArray[np.intp]] | None:
+        """Pairs within a shrinking radius, a fit after each; indices into the frame's list and the catalogue."""
+        scale = 0.5 * float(np.hypot(frame.header.rows, frame.header.cols))
+        radius = max(6.0, 5e-3 * scale)
+        usable_listed = (frame.stars.flags[order] & UNUSABLE_LISTED) == 0
+        usable_stars = (stars.flags & UNUSABLE_CATALOGUE) == 0
+        floor = max(1.5, 3.0 * state.psf_sigma_px)
+        fit: CameraSolution | None = None
+        for _ in range(7):
+            row, col = camera.project(apparent @ matrix.T)
+            inside = np.isfinite(row)
+            visible = np.flatnonzero(inside)
+            listed, chosen = mutual_pairs(measured, np.stack((row[inside], col[inside]), axis=1), radius)
+            chosen = visible[chosen]
+            good = usable_listed[listed] & usable_stars[chosen]
+            if good.sum() < self.min_stars:
+                good = np.ones(len(listed), dtype=bool)
+            if good.sum() < self.min_stars:
+                return None
+            listed, chosen = listed[good], chosen[good]
+            sigma = self._sigma_px(frame, order[listed], stars.sigma_mas[chosen], camera, state.psf_sigma_px)
+            # far from the solution all stars count alike; near it, as their errors say
+            sigma = np.maximum(sigma, 0.1 * radius if radius > floor else 0.0)
+            fit = fit_camera(
+                measured[listed], apparent[chosen], turns[listed], sigma, matrix=matrix, camera=camera, prior=state.prior
+            )
+            matrix, camera = fit.matrix, fit.camera
+            if radius <= floor:
+                break
+            spread = float(np.median(np.hypot(*fit.residual_px[fit.used].T)))
+            radius = max(floor, min(0.5 * radius, 6.0 * spread))
+        if fit is None or fit.used.sum() < self.min_stars or not _credible(fit, radius, len(stars), frame.header):
+            return None
+        return fit, order[listed], chosen
+
+    def _sigma_px(
+        self, frame: DownlinkFrame, listed: NDArray[np.intp], sigma_mas: NDArray[np.float32], camera: Camera, psf_sigma_px: float
+    ) -> Array:
+        """Error of each coordinate: centroid (PSF width over S/N), floor, catalogue."""
+        centroid = psf_sigma_px / np.maximum(frame.stars.snr[listed].astype(np.float64), 1.0)
+        catalogue = sigma_mas.astype(np.float64) * 1e-3 * ARCSEC * camera.focal_px
+        return np.asarray(np.sqrt(centroid**2 + self.centroid_floor_px**2 + catalogue**2))
+
+    def _prior_information(self, camera: NominalCamera) -> Array:
+        """Diagonal information matrix (5, 5) of the options' prior errors; distortion terms by their effect at the corner."""
+        r = 0.5 * float(np.hypot(camera.rows, camera.cols)) / camera.focal_px
+        tangent = max(self.prior_distortion_px, 1e-6) / camera.focal_px
+        sigma = np.array([max(self.prior_focal_ppm, 1e-3) * 1e-6, tangent / r**3, tangent / r**5, tangent / r**2, tangent / r**2])
+        return np.diag(1.0 / sigma**2)
+
+
+def row_turns(header: FrameHeader, row: Array, rate_rad_s: Array, middle_tai_ns: int) -> Array:
+    """Rotation (n, 3) of the camera between the frame's epoch and mid-exposure of each row."""
+    start = header.t_start_tai_ns + header.exposure_ns // 2 - middle_tai_ns
+    return np.asarray(((start + header.line_time_ns * row) * 1e-9)[:, None] * rate_rad_s)
+
+
+def unsolved(
+    frame: DownlinkFrame, camera: Camera, flags: FrameFlag, *, matrix: Array | None = None, rate: Array | None = None
+) -> FrameSolution:
+    """A solution that says there is none; the attitude is the best guess, else the unit quaternion."""
+    return FrameSolution(
+        frame=frame.header.frame,
+        flags=flags,
+        quaternion=np.array([0.0, 0.0, 0.0, 1.0]) if matrix is None else quaternion_of(matrix),
+        rate_rad_s=np.zeros(3) if rate is None else rate,
+        covariance_rad2=np.full((3, 3), np.nan),
+        **{name: getattr(camera, name) for name in ("focal_px", "center_row", "center_col", "k1", "k2", "p1", "p2")},
+        n_stars=0,
+        rms_px=float("nan"),
+        star_index=np.zeros(0, dtype=np.int32),
+        star_v_mag=np.zeros(0, dtype=np.float32),
+        star_b_v=np.zeros(0, dtype=np.float32),
+        star_residual_px=np.zeros((0, 2), dtype=np.float32),
+    )
+
+
+def _start_attitude(state: AstrometryState, header: FrameHeader, middle: int) -> tuple[Array, Array] | None:
+    """Attitude and rate to start from: telemetry, else the last solved frame moved by its rate."""
+    if header.attitude is not None:
+        return matrix_of(np.asarray(header.attitude.quaternion)), np.asarray(header.attitude.rate_rad_s)
+    if state.last is None:
+        return None
+    then, matrix, rate = state.last
+    # directions turn against the camera: R(t) = rotation(-rate dt) R(then)
+    return rotation_by(-rate * (middle - then) * 1e-9) @ matrix, rate
+
+
+def _matching_order(frame: DownlinkFrame) -> NDArray[np.intp]:
+    """Star list by falling flux, cosmic-like and defective entries last."""
+    doubtful = (frame.stars.flags & int(StarFlag.COSMIC_LIKE | StarFlag.DEFECT)) > 0
+    return np.lexsort((-frame.stars.flux_e.astype(np.float64), doubtful))
+
+
+def _credible(fit: CameraSolution, radius_px: float, n_catalogue: int, header: FrameHeader) -> bool:
+    """Residuals must crowd at zero: chance pairs fill the search circle evenly and have a median at 0.7 of its radius."""
+    distance = np.hypot(*fit.residual_px.T)
+    chance = n_catalogue * np.pi * (0.35 * radius_px) ** 2 / (header.rows * header.cols)
+    close = int((distance < 0.35 * radius_px).sum())
+    return close > 0.5 * len(distance) and close > 5.0 * chance
+
+
+def _solution_of(
+    frame: int, fit: CameraSolution, rate: Array, stars: Stars, listed: NDArray[np.intp], chosen: NDArray[np.intp]
+) -> FrameSolution:
+    """The contract's record of a fit."""
+    used = fit.used
+    camera = fit.camera
+    few = FrameFlag.FEW_STARS if int(used.sum()) < 3 + len(SHARED) else FrameFlag(0)
+    return FrameSolution(
+        frame=frame,
+        flags=few,
+        quaternion=quaternion_of(fit.matrix),
+        rate_rad_s=rate,
+        covariance_rad2=fit.covariance[:3, :3],
+        **{name: getattr(camera, name) for name in ("focal_px", "center_row", "center_col", "k1", "k2", "p1", "p2")},
+        n_stars=int(used.sum()),
+        rms_px=float(np.sqrt(np.mean(fit.residual_px[used] ** 2))),
+        star_index=listed[used].astype(np.int32),
+        star_v_mag=stars.v_mag[chosen[used]],
+        star_b_v=np.where(stars.flags[chosen[used]] & CatalogueFlag.ONE_BAND, np.float32(np.nan), stars.b_v[chosen[used]]),
+        star_residual_px=fit.residual_px[used].astype(np.float32),
+    )

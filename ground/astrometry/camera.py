@@ -1,0 +1,131 @@
+"""Camera model of the ground segment: directions of the camera frame to pixels and back, with derivatives.
+
+Gnomonic projection u = x/z, v = y/z, then Brown-Conrady distortion (Brown 1966, Photogrammetric Engineering 32, 444) as
+`sboc_e2e.icd.frame.NominalCamera` defines it in words. Parameters that are fitted are held in one vector.
+"""
+
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.frame import NominalCamera
+from sboc_e2e.icd.products import FrameSolution
+
+Array = NDArray[np.float64]
+
+SHARED: Final = ("ln focal", "k1", "k2", "p1", "p2")
+"""Parameters shared by all frames of a run, in the order of `Camera.shared`."""
+
+ATTITUDE: Final = 3
+"""Parameters of each frame: the small rotation in the camera frame."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Camera:
+    """Focal length and optical axis in pixels, distortion for tangents in radians."""
+
+    focal_px: float
+    center_row: float
+    center_col: float
+    k1: float
+    k2: float
+    p1: float
+    p2: float
+
+    @classmethod
+    def nominal(cls, camera: NominalCamera) -> "Camera":
+        """The camera as calibration has it."""
+        return cls(
+            focal_px=camera.focal_px,
+            center_row=camera.center_row,
+            center_col=camera.center_col,
+            k1=camera.k1,
+            k2=camera.k2,
+            p1=camera.p1,
+            p2=camera.p2,
+        )
+
+    @classmethod
+    def solved(cls, solution: FrameSolution) -> "Camera":
+        """The camera of a frame solution."""
+        return cls(
+            focal_px=solution.focal_px,
+            center_row=solution.center_row,
+            center_col=solution.center_col,
+            k1=solution.k1,
+            k2=solution.k2,
+            p1=solution.p1,
+            p2=solution.p2,
+        )
+
+    def shared(self) -> Array:
+        """(5,) parameters in the order of `SHARED`."""
+        return np.array([np.log(self.focal_px), self.k1, self.k2, self.p1, self.p2])
+
+    def with_shared(self, values: Array) -> "Camera":
+        """The camera with other shared parameters."""
+        log_focal, k1, k2, p1, p2 = (float(v) for v in values)
+        return replace(self, focal_px=float(np.exp(log_focal)), k1=k1, k2=k2, p1=p1, p2=p2)
+
+    def project(self, vectors: Array) -> tuple[Array, Array]:
+        """Rows and cols (n,) of camera-frame vectors (n, 3); NaN for those behind the camera."""
+        z = np.where(vectors[:, 2] > 1e-3, vectors[:, 2], np.nan)
+        u, v = vectors[:, 0] / z, vectors[:, 1] / z
+        du, dv = self._distorted(u, v)
+        return self.center_row + self.focal_px * dv, self.center_col + self.focal_px * du
+
+    def unproject(self, row: Array, col: Array) -> Array:
+        """Unit camera-frame vectors (n, 3) of pixels; Newton's iteration, 1e-13 rad for distortions below 10 %."""
+        u_seen = (np.asarray(col, dtype=np.float64) - self.center_col) / self.focal_px
+        v_seen = (np.asarray(row, dtype=np.float64) - self.center_row) / self.focal_px
+        u, v = u_seen.copy(), v_seen.copy()
+        for _ in range(5):
+            du, dv = self._distorted(u, v)
+            a, b, c = self._distortion_slopes(u, v)
+            determinant = a * c - b * b
+            ru, rv = u_seen - du, v_seen - dv
+            u, v = u + (c * ru - b * rv) / determinant, v + (a * rv - b * ru) / determinant
+        vectors = np.stack((u, v, np.ones_like(u)), axis=-1)
+        return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+    def derivatives(self, vectors: Array) -> tuple[Array, Array, Array]:
+        """Predicted (n, 2) row and col, with derivatives (n, 2, 3) by rotation and (n, 2, 5) by shared parameters."""
+        u, v = vectors[:, 0] / vectors[:, 2], vectors[:, 1] / vectors[:, 2]
+        r2 = u * u + v * v
+        du, dv = self._distorted(u, v)
+        a, b, c = self._distortion_slopes(u, v)
+        f = self.focal_px
+        # a rotation theta moves the vector by theta x vector; divided by z this moves (u, v) by
+        by_u = np.stack((-u * v, 1.0 + u * u, -v), axis=1)
+        by_v = np.stack((-(1.0 + v * v), u * v, u), axis=1)
+        rotation = f * np.stack((b[:, None] * by_u + c[:, None] * by_v, a[:, None] * by_u + b[:, None] * by_v), axis=1)
+        shared = f * np.stack(
+            (
+                np.stack((dv, v * r2, v * r2 * r2, r2 + 2.0 * v * v, 2.0 * u * v), axis=1),
+                np.stack((du, u * r2, u * r2 * r2, 2.0 * u * v, r2 + 2.0 * u * u), axis=1),
+            ),
+            axis=1,
+        )
+        return np.stack((self.center_row + f * dv, self.center_col + f * du), axis=1), rotation, shared
+
+    def _distorted(self, u: Array, v: Array) -> tuple[Array, Array]:
+        r2 = u * u + v * v
+        radial = 1.0 + r2 * (self.k1 + r2 * self.k2)
+        uv2 = 2.0 * u * v
+        return (
+            u * radial + self.p1 * uv2 + self.p2 * (r2 + 2.0 * u * u),
+            v * radial + self.p1 * (r2 + 2.0 * v * v) + self.p2 * uv2,
+        )
+
+    def _distortion_slopes(self, u: Array, v: Array) -> tuple[Array, Array, Array]:
+        """d u'/du, d u'/dv = d v'/du, d v'/dv."""
+        r2 = u * u + v * v
+        radial = 1.0 + r2 * (self.k1 + r2 * self.k2)
+        bend = 2.0 * (self.k1 + 2.0 * self.k2 * r2)
+        return (
+            radial + bend * u * u + 2.0 * self.p1 * v + 6.0 * self.p2 * u,
+            bend * u * v + 2.0 * self.p1 * u + 2.0 * self.p2 * v,
+            radial + bend * v * v + 6.0 * self.p1 * v + 2.0 * self.p2 * u,
+        )

@@ -1,0 +1,301 @@
+"""The order of the ground segment:
+
+packets -> frames -> camera solution -> zero point -> streak fits -> vetting -> sky and magnitude
+        -> tracklets -> directions, epochs, joint refit -> orbits
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.ingest import IngestReport, decode_downlink
+from ground.link import apply_links
+from ground.options import GroundOptions
+from ground.photometry.known_stars import known_stars
+from ground.photometry.magnitude import streak_magnitude
+from ground.photometry.streak_pixels import streak_pixels
+from ground.photometry.zero_point import flat_at
+from ground.records import FrameProducts, GroundProducts
+from ground.sky.measure import initial_epochs_ns, middle_of, with_sky
+from ground.sky.pixel_sky import HeaderSky, PixelSky, SolvedSky
+from sboc_e2e.catalogue import StarCatalogue
+from sboc_e2e.icd.downlink import DownlinkFrame
+from sboc_e2e.icd.flags import FrameFlag, StreakFlag
+from sboc_e2e.icd.frame import Calibration, FrameHeader, NominalCamera
+from sboc_e2e.icd.products import (
+    FrameSolution,
+    OrbitEstimate,
+    PhotometricSolution,
+    StreakFit,
+    StreakMeasurement,
+    StreakPixels,
+    Tracklet,
+)
+from sboc_e2e.icd.steps import Astrometer, Decoder, Linker, OrbitDeterminer, Photometer, StreakFitter, Vetter
+
+STREAKS_PER_FRAME: Final = 100_000
+"""streak_id = frame * this + number of the streak in its frame."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroundSteps:
+    """The swappable steps of the chain, configured."""
+
+    decoders: tuple[Decoder, ...]
+    streak_fitter: StreakFitter
+    vetter: Vetter
+    astrometry: Astrometer
+    photometry: Photometer
+    linker: Linker
+    orbit: OrbitDeterminer
+
+
+class GroundChain:
+    """Runs the steps in order; holds no state of its own besides what it was made with.
+
+    calibration : None for frames from outside; then dark is 0, the flat 1 and no pixel is defective.
+    """
+
+    def __init__(
+        self,
+        options: GroundOptions,
+        steps: GroundSteps,
+        *,
+        calibration: Calibration | None,
+        camera: NominalCamera,
+        catalogue: StarCatalogue,
+    ) -> None:
+        self._options = options
+        self._steps = steps
+        self._calibration = calibration
+        self._camera = camera
+        self._catalogue = catalogue
+
+    def ingest(self, downlink: bytes) -> tuple[tuple[DownlinkFrame, ...], IngestReport]:
+        """Frames rebuilt from all intact packets, by frame number, and what was missing."""
+        return decode_downlink(downlink, self._steps.decoders)
+
+    def initial_state(self) -> Any:
+        """State of the sequential step (astrometry) before the first frame; picklable."""
+        return self._steps.astrometry.initial_state(self._calibration_of(None), self._catalogue)
+
+    def process_frame(self, state: Any, frame: DownlinkFrame, *, wcs: Any = None) -> tuple[Any, FrameProducts]:
+        """Camera solution, zero point and measured streaks of one frame; frames come in order.
+
+        wcs : an astropy WCS (ICRS) that came with the frame and is used for directions instead of a solution.
+        """
+        calibration = self._calibration_of(frame.header)
+        state, solution = self._steps.astrometry.solve(state, frame)
+        photometry = self._steps.photometry.calibrate(frame, solution, calibration)
+        sky = _sky_of(frame.header, solution, wcs)
+        fits, flats = self._fit_streaks(frame, solution, photometry, calibration)
+        probabilities = self._steps.vetter.probability(fits, frame)
+        streaks = tuple(
+            self._measurement(number, fit, float(probabilities[number]), frame, solution, photometry, sky, flats[number])
+            for number, fit in enumerate(fits)
+        )
+        return state, FrameProducts(
+            header=frame.header, solution=solution, photometry=photometry, streaks=streaks, mean_flat=tuple(flats), wcs=wcs
+        )
+
+    def finish(
+        self, frames: Sequence[DownlinkFrame], products: Sequence[FrameProducts], ingest: IngestReport | None = None
+    ) -> GroundProducts:
+        """Tracklets, resolved streaks and orbits of a run; `frames` and `products` in the same order."""
+        headers = tuple(frame.header for frame in frames)
+        measured = [streak for product in products for streak in product.streaks]
+        tracklets = self._steps.linker.link(headers, measured)
+        resolved = apply_links(measured, tracklets, headers)
+        final = _finally_measured(resolved, tracklets, {product.header.frame: product for product in products})
+        tracklets = tuple(_with_magnitude(tracklet, final) for tracklet in tracklets)
+        orbits: tuple[OrbitEstimate, ...] = ()
+        if self._options.orbits:
+            located = [t for t in tracklets if not t.flags & StreakFlag.NO_SKY and t.direction_resolved]
+            orbits = tuple(self._steps.orbit.estimate(tracklet, headers) for tracklet in located)
+        return GroundProducts(
+            headers=headers,
+            solutions=tuple(product.solution for product in products),
+            photometry=tuple(product.photometry for product in products),
+            streaks=final,
+            tracklets=tracklets,
+            orbits=orbits,
+            ingest=ingest,
+        )
+
+    def streak_pixels(
+        self, frame: DownlinkFrame, solution: FrameSolution, photometry: PhotometricSolution
+    ) -> tuple[tuple[StreakPixels, bool], ...]:
+        """Calibrated pixels of each ROI group of a frame, and whether a known star lies under the trail."""
+        calibration = self._calibration_of(frame.header)
+        psf_sigma_px = calibration.camera.psf_sigma_px
+        stars = known_stars(frame, solution, photometry, calibration, self._catalogue, psf_sigma_px)
+        error = self._options.streak_photometry.star_model_error
+        return tuple(
+            streak_pixels(group, frame, calibration, stars, psf_sigma_px=psf_sigma_px, star_model_error=error)
+            for group in frame.rois
+        )
+
+    def _fit_streaks(
+        self, frame: DownlinkFrame, solution: FrameSolution, photometry: PhotometricSolution, calibration: Calibration
+    ) -> tuple[list[StreakFit], list[float]]:
+        """Fit of each ROI group, with the flags that the pixels and the packets say; and the mean flat under each."""
+        if not frame.rois:
+            return [], []
+        gain_assumed = StreakFlag.GAIN_ASSUMED if frame.header.gain_e_adu is None else StreakFlag(0)
+        fits, flats = [], []
+        for group, (pixels, crossed) in zip(frame.rois, self.streak_pixels(frame, solution, photometry), strict=True):
+            fit = self._steps.streak_fitter.fit(pixels, group.detection)
+            flags = fit.flags | group.detection.flags & _KEPT_FROM_BOARD | gain_assumed
+            if crossed:
+                flags |= StreakFlag.CROSSES_STAR
+            if len(group.strips) < group.n_strips:
+                flags |= StreakFlag.PIXELS_MISSING
+            fits.append(replace(fit, flags=flags))
+            flats.append(_mean_flat(calibration, fit))
+        return fits, flats
+
+    def _measurement(
+        self,
+        number: int,
+        fit: StreakFit,
+        probability: float,
+        frame: DownlinkFrame,
+        solution: FrameSolution,
+        photometry: PhotometricSolution,
+        sky: PixelSky | None,
+        mean_flat: float,
+    ) -> StreakMeasurement:
+        """A streak as it stands before linking."""
+        header = frame.header
+        row_mid, col_mid = middle_of(fit)
+        unknown = np.full(3, np.nan)
+        veto = StreakFlag.VETOED if probability < self._options.veto_below else StreakFlag(0)
+        streak = StreakMeasurement(
+            frame=header.frame,
+            streak_id=header.frame * STREAKS_PER_FRAME + number,
+            roi_id=frame.rois[number].roi_id,
+            fit=fit,
+            row_mid=row_mid,
+            col_mid=col_mid,
+            ra_deg=unknown,
+            dec_deg=unknown,
+            t_tai_ns=initial_epochs_ns(fit, row_mid, header),
+            sigma_along_arcsec=float("nan"),
+            sigma_cross_arcsec=float("nan"),
+            mag=float("nan"),
+            mag_err=float("nan"),
+            probability=probability,
+            tracklet_id=-1,
+            flags=fit.flags | veto,
+        )
+        return _with_brightness(with_sky(streak, header, sky, solution.covariance_rad2), header, photometry, mean_flat, None)
+
+    def _calibration_of(self, header: FrameHeader | None) -> Calibration:
+        """Calibration of the window that a frame covers, or an ideal one where none was given."""
+        if self._calibration is None:
+            rows, cols = (self._camera.rows, self._camera.cols) if header is None else (header.rows, header.cols)
+            return ideal_calibration(replace(self._camera, rows=rows, cols=cols))
+        rows, cols = self._calibration.dark_adu.shape
+        if header is None or (header.rows, header.cols) == (rows, cols):
+            return self._calibration
+        window = np.s_[
+            header.window_row0 : header.window_row0 + header.rows, header.window_col0 : header.window_col0 + header.cols
+        ]
+        return Calibration(
+            camera=replace(self._calibration.camera, rows=header.rows, cols=header.cols),
+            dark_adu=self._calibration.dark_adu[window],
+            flat=self._calibration.flat[window],
+            defects=self._calibration.defects[window],
+            provenance=self._calibration.provenance,
+        )
+
+
+_KEPT_FROM_BOARD: Final = (
+    StreakFlag.STATIC
+    | StreakFlag.SPIKE_LIKE
+    | StreakFlag.ROI_CUT
+    | StreakFlag.LOSSY
+    | StreakFlag.COSMIC_LIKE
+    | StreakFlag.SATURATED
+)
+"""Flags of the on-board detection that ground cannot find out again."""
+
+
+def ideal_calibration(camera: NominalCamera) -> Calibration:
+    """No dark, a flat of 1, no defects, without holding a frame's worth of memory."""
+    shape = (camera.rows, camera.cols)
+    return Calibration(
+        camera=camera,
+        dark_adu=np.broadcast_to(np.float32(0.0), shape),
+        flat=np.broadcast_to(np.float32(1.0), shape),
+        defects=np.broadcast_to(np.uint8(0), shape),
+        provenance="none",
+    )
+
+
+def _sky_of(header: FrameHeader, solution: FrameSolution, wcs: Any) -> PixelSky | None:
+    """Directions of a frame's pixels, if any are known."""
+    if wcs is not None:
+        return HeaderSky(header=header, wcs=wcs)
+    if solution.flags & FrameFlag.NO_SOLUTION:
+        return None
+    return SolvedSky(header=header, solution=solution)
+
+
+def _mean_flat(calibration: Calibration, fit: StreakFit) -> float:
+    """Mean response along the trail, relative to the axis."""
+    share = np.linspace(0.02, 0.98, 25)
+    row, col = fit.row0 + share * (fit.row1 - fit.row0), fit.col0 + share * (fit.col1 - fit.col0)
+    return float(np.mean(flat_at(calibration, row, col)))
+
+
+def _with_brightness(
+    streak: StreakMeasurement, header: FrameHeader, photometry: PhotometricSolution, mean_flat: float, crossing_s: float | None
+) -> StreakMeasurement:
+    """The streak with its magnitude, NaN and NO_MAGNITUDE where there is none."""
+    mag, mag_err = streak_magnitude(streak, header, photometry, mean_flat, crossing_s)
+    flags = streak.flags & ~StreakFlag.NO_MAGNITUDE
+    if not np.isfinite(mag):
+        flags |= StreakFlag.NO_MAGNITUDE
+    return replace(streak, mag=mag, mag_err=mag_err, flags=flags)
+
+
+def _finally_measured(
+    streaks: Sequence[StreakMeasurement], tracklets: Sequence[Tracklet], products: dict[int, FrameProducts]
+) -> tuple[StreakMeasurement, ...]:
+    """Streaks with directions at their final epochs and magnitudes for their final exposed times."""
+    rates = {tracklet.tracklet_id: tracklet.rate_deg_s for tracklet in tracklets}
+    final = []
+    for streak in streaks:
+        product = products[streak.frame]
+        sky = _sky_of(product.header, product.solution, product.wcs)
+        number = streak.streak_id - streak.frame * STREAKS_PER_FRAME
+        streak = with_sky(streak, product.header, sky, product.solution.covariance_rad2)
+        crossing_s = _crossing_s(streak, rates.get(streak.tracklet_id))
+        final.append(_with_brightness(streak, product.header, product.photometry, product.mean_flat[number], crossing_s))
+    return tuple(final)
+
+
+def _crossing_s(streak: StreakMeasurement, rate_deg_s: float | None) -> float | None:
+    """Time from end 0 to end 1 at the tracklet's rate."""
+    if rate_deg_s is None or not rate_deg_s > 0.0 or streak.flags & StreakFlag.NO_SKY:
+        return None
+    ra, dec = np.radians(streak.ra_deg), np.radians(streak.dec_deg)
+    ends = np.stack((np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)), axis=1)
+    chord = float(np.linalg.norm(ends[2] - ends[0]))
+    return float(np.degrees(2.0 * np.arcsin(min(0.5 * chord, 1.0)))) / rate_deg_s
+
+
+def _with_magnitude(tracklet: Tracklet, streaks: Sequence[StreakMeasurement]) -> Tracklet:
+    """The tracklet with the weighted mean of its members' final magnitudes."""
+    members: list[tuple[float, float]] = [
+        (s.mag, s.mag_err) for s in streaks if s.tracklet_id == tracklet.tracklet_id and np.isfinite(s.mag) and s.mag_err > 0.0
+    ]
+    if not members:
+        return replace(tracklet, mag=float("nan"), mag_err=float("nan"))
+    mag, err = np.array(members).T
+    weight: NDArray[np.float64] = 1.0 / err**2
+    return replace(tracklet, mag=float((mag * weight).sum() / weight.sum()), mag_err=float(1.0 / np.sqrt(weight.sum())))

@@ -1,0 +1,38 @@
+"""Options of the ground segment that belong to no swappable step."""
+
+from dataclasses import dataclass, field
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotometryOptions:
+    """Streak magnitudes and sizes."""
+
+    albedo: float = field(default=0.175, metadata={"doc": "albedo for which sizes are given", "min": 0.001, "max": 1.0})
+    star_model_error: float = field(
+        default=0.05,
+        metadata={"doc": "relative error of the PSF with which stars are taken out of streak pixels", "min": 0.0, "max": 1.0},
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
+class ProductOptions:
+    """Names that stand in messages."""
+
+    originator: str = field(default="SBOC", metadata={"doc": "ORIGINATOR of CCSDS messages"})
+    observer_name: str = field(default="SBOC-1", metadata={"doc": "name of the observing spacecraft"})
+    observer_id: str = field(default="2027-000A", metadata={"doc": "international designator of the spacecraft"})
+
+
+@dataclass(frozen=True, kw_only=True)
+class GroundOptions:
+    """Options of the ground chain."""
+
+    veto_below: float = field(
+        default=0.5, metadata={"doc": "streaks less probable than this are not linked", "min": 0.0, "max": 1.0}
+    )
+    orbits: bool = field(default=True, metadata={"doc": "whether coarse orbits are determined"})
+    joint_refit: bool = field(default=True, metadata={"doc": "whether all frames of a tracklet are fitted together"})
+    streak_photometry: PhotometryOptions = field(
+        default_factory=PhotometryOptions, metadata={"doc": "streak magnitudes and sizes"}
+    )
+    products: ProductOptions = field(default_factory=ProductOptions, metadata={"doc": "names in messages"})

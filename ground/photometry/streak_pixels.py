@@ -1,0 +1,167 @@
+"""ROI strips to calibrated electrons: dark rest, background mesh and pixel response removed, stars subtracted."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import erf
+
+from sboc_e2e.icd.downlink import DownlinkFrame
+from sboc_e2e.icd.flags import MaskBit
+from sboc_e2e.icd.frame import Calibration, FrameHeader
+from sboc_e2e.icd.products import StreakPixels
+from sboc_e2e.icd.signals import BackgroundModel, Detection, RoiGroup
+
+Array = NDArray[np.float64]
+
+UNUSABLE: Final = int(MaskBit.DEAD | MaskBit.HOT | MaskBit.MISSING)
+STAR_REACH_SIGMAS: Final = 5.0
+FAINTEST_STAR_SIGMAS: Final = 0.2
+"""Stars whose peak is below this many background sigmas are left in."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KnownStars:
+    """Stars to be taken out: positions (px) and fluxes (e-) in one exposure, (n,) each.
+
+    from_catalogue : the flux is a prediction, which a trail over the star cannot have spoilt.
+    """
+
+    row: Array
+    col: Array
+    flux_e: Array
+    from_catalogue: NDArray[np.bool_]
+
+
+def streak_pixels(
+    group: RoiGroup,
+    frame: DownlinkFrame,
+    calibration: Calibration,
+    stars: KnownStars,
+    *,
+    psf_sigma_px: float,
+    star_model_error: float,
+) -> tuple[StreakPixels, bool]:
+    """Pixels of a ROI group, ready for the fit, and whether a known star lies under the trail.
+
+    The flat is applied relative to its mean over the group, so that the fitted flux is what fell on the detector.
+    """
+    header = frame.header
+    row, col, value_adu = _unique_pixels(group, header)
+    value_adu = value_adu * frame.adu_scale + frame.adu_offset
+    gain = gain_e_adu(header)
+    flat = calibration.flat[row, col].astype(np.float64)
+    good_flat = flat > 0.05
+    relative = np.where(good_flat, flat / max(float(flat[good_flat].mean()) if good_flat.any() else 1.0, 0.05), 1.0)
+    dark = calibration.dark_adu[row, col].astype(np.float64)
+    level, sigma = background_at(frame, row, col)
+    # integer frames were sent less the rounded dark; the mesh was measured on the same differences. Float frames lost all of it
+    dark_rest = dark - np.rint(dark) if frame.adu_scale == 1.0 else 0.0
+    measured = value_adu - dark_rest - level
+    value_e = measured * gain / relative
+    variance = np.maximum(sigma * gain / relative, 1e-3) ** 2
+
+    saturation = header.saturation_adu if header.saturation_adu is not None else calibration.camera.saturation_adu
+    saturated = value_adu + dark >= 0.98 * saturation
+    bad = ((calibration.defects[row, col] & UNUSABLE) > 0) | ~good_flat | saturated
+    star_e, crossed = _star_light(row, col, stars, group.detection, psf_sigma_px, float(np.median(sigma)) * gain)
+    value_e = value_e - star_e
+    variance = variance + star_e + (star_model_error * star_e) ** 2
+    variance[bad] = np.inf
+    pixels = StreakPixels(
+        row=row.astype(np.int32),
+        col=col.astype(np.int32),
+        value_e=value_e.astype(np.float32),
+        variance_e2=variance.astype(np.float32),
+        psf_sigma_px=psf_sigma_px,
+        frame_shape=(header.rows, header.cols),
+    )
+    return pixels, crossed
+
+
+def gain_e_adu(header: FrameHeader) -> float:
+    """Gain of a frame; 1 where none is known (the frame is flagged GAIN_ASSUMED)."""
+    return header.gain_e_adu if header.gain_e_adu is not None else 1.0
+
+
+def background_at(frame: DownlinkFrame, row: NDArray[np.intp], col: NDArray[np.intp]) -> tuple[Array, Array]:
+    """Sky level and noise sigma (ADU) of pixels: bilinear in the mesh, else the frame's means, else 0 and the read noise."""
+    if frame.background is not None:
+        i, j = (
+            _mesh_coordinate(row, frame.background.level_adu.shape[0], frame.background, frame.header.rows),
+            _mesh_coordinate(col, frame.background.level_adu.shape[1], frame.background, frame.header.cols),
+        )
+        return _bilinear(frame.background.level_adu, i, j), _bilinear(frame.background.sigma_adu, i, j)
+    if frame.housekeeping is not None:
+        return np.full(len(row), frame.housekeeping.background_adu), np.full(len(row), max(frame.housekeeping.sigma_adu, 1e-3))
+    read_noise_e = frame.header.read_noise_e if frame.header.read_noise_e is not None else 5.0
+    return np.zeros(len(row)), np.full(len(row), read_noise_e / gain_e_adu(frame.header))
+
+
+def _unique_pixels(group: RoiGroup, header: FrameHeader) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
+    """Rows, cols and transmitted values of all strips inside the frame; a pixel of two strips counts once."""
+    flat_index, values = [], []
+    for strip in group.strips:
+        row, col, inside = strip.pixel_coordinates(header.rows, header.cols)
+        flat_index.append((row.astype(np.int64) * header.cols + col)[inside])
+        values.append(strip.values_adu[inside])
+    if not flat_index:
+        none = np.zeros(0, dtype=np.intp)
+        return none, none, np.zeros(0)
+    where, first = np.unique(np.concatenate(flat_index), return_index=True)
+    return where // header.cols, where % header.cols, np.concatenate(values)[first].astype(np.float64)
+
+
+def _mesh_coordinate(pixel: NDArray[np.intp], n_tiles: int, mesh: BackgroundModel, n_pixels: int) -> Array:
+    """Fractional tile index of pixels, held at the outermost tile centres; the last tile may be shorter."""
+    first = np.arange(n_tiles) * mesh.tile_px
+    centres = 0.5 * (first + np.minimum(first + mesh.tile_px, n_pixels) - 1.0)
+    return np.interp(pixel, centres, np.arange(n_tiles))
+
+
+def _bilinear(mesh: NDArray[np.float32], i: Array, j: Array) -> Array:
+    i0, j0 = np.minimum(i.astype(np.intp), max(mesh.shape[0] - 2, 0)), np.minimum(j.astype(np.intp), max(mesh.shape[1] - 2, 0))
+    i1, j1 = np.minimum(i0 + 1, mesh.shape[0] - 1), np.minimum(j0 + 1, mesh.shape[1] - 1)
+    di, dj = i - i0, j - j0
+    return np.asarray(
+        (1.0 - di) * ((1.0 - dj) * mesh[i0, j0] + dj * mesh[i0, j1]) + di * ((1.0 - dj) * mesh[i1, j0] + dj * mesh[i1, j1])
+    )
+
+
+def _star_light(
+    row: NDArray[np.intp], col: NDArray[np.intp], stars: KnownStars, detection: Detection, psf_sigma_px: float, sigma_e: float
+) -> tuple[Array, bool]:
+    """Electrons of known stars in each pixel (Gaussian PSF integrated over pixels), and whether one lies under the trail."""
+    light = np.zeros(len(row))
+    if len(row) == 0 or len(stars.row) == 0:
+        return light, False
+    reach = STAR_REACH_SIGMAS * psf_sigma_px + 1.0
+    peak = stars.flux_e / (2.0 * np.pi * psf_sigma_px**2 + 1.0)
+    across, beyond = distance_to_segment(detection, stars.row, stars.col)
+    on_trail = (across < 2.0 * psf_sigma_px + 1.0) & (beyond < 2.0 * psf_sigma_px)
+    # a listed star on the trail that no catalogue knows may be a piece of the trail itself
+    near = (
+        (stars.row > row.min() - reach) & (stars.row < row.max() + reach) & (stars.col > col.min() - reach)
+        & (stars.col < col.max() + reach) & (peak > FAINTEST_STAR_SIGMAS * sigma_e) & (stars.from_catalogue | ~on_trail)
+    )  # fmt: skip
+    root2 = np.sqrt(2.0) * psf_sigma_px
+    for k in np.flatnonzero(near):
+        d_row, d_col = row - stars.row[k], col - stars.col[k]
+        touched = np.flatnonzero((np.abs(d_row) < reach) & (np.abs(d_col) < reach))
+        by_row = erf((d_row[touched] + 0.5) / root2) - erf((d_row[touched] - 0.5) / root2)
+        by_col = erf((d_col[touched] + 0.5) / root2) - erf((d_col[touched] - 0.5) / root2)
+        light[touched] += 0.25 * stars.flux_e[k] * by_row * by_col
+    crossed = near & (across < 3.0 * psf_sigma_px + 1.0) & (beyond < 3.0 * psf_sigma_px) & (peak > 3.0 * sigma_e)
+    return light, bool(crossed.any())
+
+
+def distance_to_segment(detection: Detection, row: Array, col: Array) -> tuple[Array, Array]:
+    """Distance across the chord, and beyond its nearer end (0 alongside it), px."""
+    d_row, d_col = detection.row1 - detection.row0, detection.col1 - detection.col0
+    length = float(np.hypot(d_row, d_col))
+    if length < 1e-6:
+        return np.zeros(len(row)), np.hypot(row - detection.row0, col - detection.col0)
+    along = ((row - detection.row0) * d_row + (col - detection.col0) * d_col) / length
+    across = np.abs((row - detection.row0) * d_col - (col - detection.col0) * d_row) / length
+    return across, np.maximum(np.maximum(-along, along - length), 0.0)

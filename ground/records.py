@@ -1,0 +1,37 @@
+"""What the ground chain hands from step to step: results of one frame, results of a run."""
+
+from dataclasses import dataclass
+from typing import Any
+
+from ground.ingest import IngestReport
+from sboc_e2e.icd.frame import FrameHeader
+from sboc_e2e.icd.products import FrameSolution, OrbitEstimate, PhotometricSolution, StreakMeasurement, Tracklet
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrameProducts:
+    """Results of one frame before linking.
+
+    streaks : all measured ones, vetoed ones flagged VETOED. mean_flat : response at each streak relative to the axis.
+    wcs : the astropy WCS that came with the frame and was used, None when the frame was solved.
+    """
+
+    header: FrameHeader
+    solution: FrameSolution
+    photometry: PhotometricSolution
+    streaks: tuple[StreakMeasurement, ...]
+    mean_flat: tuple[float, ...]
+    wcs: Any = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GroundProducts:
+    """Results of a run, in frame order; streaks carry tracklet ids, resolved directions and final magnitudes."""
+
+    headers: tuple[FrameHeader, ...]
+    solutions: tuple[FrameSolution, ...]
+    photometry: tuple[PhotometricSolution, ...]
+    streaks: tuple[StreakMeasurement, ...]
+    tracklets: tuple[Tracklet, ...]
+    orbits: tuple[OrbitEstimate, ...]
+    ingest: IngestReport | None = None

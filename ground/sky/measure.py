@@ -1,0 +1,89 @@
+"""A fitted streak on the sky: directions and epochs of its ends and middle, and their errors."""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.sky.pixel_sky import PixelSky, published_directions, row_mid_exposure_tai_ns
+from ground.sky.published import spherical_deg
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.frame import FrameHeader
+from sboc_e2e.icd.products import StreakFit, StreakMeasurement
+
+Array = NDArray[np.float64]
+
+ARCSEC: Final = np.pi / 648000.0
+
+
+def middle_of(fit: StreakFit) -> tuple[float, float]:
+    """Row and col of the trail's middle: of the chord, moved onto the arc by the sagitta."""
+    row, col = 0.5 * (fit.row0 + fit.row1), 0.5 * (fit.col0 + fit.col1)
+    length = fit.length_px
+    if length < 1e-9 or fit.sagitta_px == 0.0:
+        return row, col
+    # the contract: positive towards (+drow, -dcol) rotated from the chord by +90 deg
+    d_row, d_col = (fit.row1 - fit.row0) / length, (fit.col1 - fit.col0) / length
+    return row + fit.sagitta_px * d_col, col - fit.sagitta_px * d_row
+
+
+def initial_epochs_ns(fit: StreakFit, row_mid: float, header: FrameHeader) -> NDArray[np.int64]:
+    """Mid-exposure epochs (3,) of the rows of end 0, middle and end 1, as they stand until the direction is known."""
+    return row_mid_exposure_tai_ns(header, np.array([fit.row0, row_mid, fit.row1]))
+
+
+def with_sky(
+    streak: StreakMeasurement, header: FrameHeader, sky: PixelSky | None, pointing_covariance_rad2: Array
+) -> StreakMeasurement:
+    """The streak with the published directions of its three points at its epochs, and one-sigma errors of the middle.
+
+    pointing_covariance_rad2 : (3, 3) of the solution, camera frame; NaN without one. Without a sky: NaN and NO_SKY.
+    """
+    fit = streak.fit
+    if sky is None:
+        unknown = np.full(3, np.nan)
+        return replace(
+            streak,
+            ra_deg=unknown,
+            dec_deg=unknown,
+            sigma_along_arcsec=float("nan"),
+            sigma_cross_arcsec=float("nan"),
+            flags=streak.flags | StreakFlag.NO_SKY,
+        )
+    row = np.array([fit.row0, streak.row_mid, fit.row1])
+    col = np.array([fit.col0, streak.col_mid, fit.col1])
+    vectors = published_directions(sky, header, row, col, streak.t_tai_ns)
+    ra_deg, dec_deg = spherical_deg(vectors)
+    along_px, cross_px = middle_sigma_px(fit)
+    scale_arcsec = pixel_scale_arcsec(sky, header, streak.row_mid, streak.col_mid)
+    pointing = 0.5 * float(pointing_covariance_rad2[0, 0] + pointing_covariance_rad2[1, 1])
+    pointing_arcsec = float(np.sqrt(pointing)) / ARCSEC if np.isfinite(pointing) else 0.0
+    return replace(
+        streak,
+        ra_deg=ra_deg,
+        dec_deg=dec_deg,
+        sigma_along_arcsec=float(np.hypot(along_px * scale_arcsec, pointing_arcsec)),
+        sigma_cross_arcsec=float(np.hypot(cross_px * scale_arcsec, pointing_arcsec)),
+        flags=streak.flags & ~StreakFlag.NO_SKY,
+    )
+
+
+def middle_sigma_px(fit: StreakFit) -> tuple[float, float]:
+    """One sigma of the middle along and across the chord."""
+    covariance = np.asarray(fit.covariance_px2)
+    middle = 0.25 * (covariance[:2, :2] + covariance[2:, 2:] + covariance[:2, 2:] + covariance[2:, :2])
+    length = fit.length_px
+    if length < 1e-6:
+        sigma = float(np.sqrt(max(0.5 * float(np.trace(middle)), 0.0)))
+        return sigma, sigma
+    along = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0]) / length
+    across = np.array([-along[1], along[0]])
+    return float(np.sqrt(max(along @ middle @ along, 0.0))), float(np.sqrt(max(across @ middle @ across, 0.0)))
+
+
+def pixel_scale_arcsec(sky: PixelSky, header: FrameHeader, row: float, col: float) -> float:
+    """Scale at a pixel: geometric mean over rows and cols."""
+    rows, cols = np.array([row, row + 1.0, row]), np.array([col, col, col + 1.0])
+    here, by_row, by_col = sky.apparent(rows, cols, np.full(3, row_mid_exposure_tai_ns(header, np.array([row]))[0]))
+    return float(np.sqrt(np.linalg.norm(np.cross(by_row - here, by_col - here)))) / ARCSEC

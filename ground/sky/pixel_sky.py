@@ -1,0 +1,71 @@
+"""Directions of pixels of one frame: through a solved camera, or through a WCS that came with the frame."""
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.astrometry.apparent import apparent_directions, mid_frame_tai_ns, observer_at
+from ground.astrometry.camera import Camera
+from ground.astrometry.rotation import matrix_of, turn
+from ground.sky.published import without_observer_aberration
+from sboc_e2e.icd.frame import FrameHeader
+from sboc_e2e.icd.products import FrameSolution
+
+Array = NDArray[np.float64]
+
+
+class PixelSky(Protocol):
+    """Directions of the pixels of a frame."""
+
+    def apparent(self, row: Array, col: Array, tai_ns: NDArray[np.int64]) -> Array:
+        """Apparent unit vectors (n, 3), GCRS axes, of pixels at the given epochs."""
+        ...
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SolvedSky:
+    """Directions through the solution of a frame; the attitude moves with the solution's rate."""
+
+    header: FrameHeader
+    solution: FrameSolution
+
+    @cached_property
+    def _matrix(self) -> Array:
+        return matrix_of(np.asarray(self.solution.quaternion))
+
+    def apparent(self, row: Array, col: Array, tai_ns: NDArray[np.int64]) -> Array:
+        """Apparent unit vectors (n, 3): a frame that turns by +angle sees directions turned by -angle."""
+        seconds = (np.asarray(tai_ns) - mid_frame_tai_ns(self.header)) * 1e-9
+        camera_frame = Camera.solved(self.solution).unproject(row, col)
+        turned: Array = seconds[:, None] * np.asarray(self.solution.rate_rad_s, dtype=np.float64)
+        return turn(camera_frame, turned) @ self._matrix
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HeaderSky:
+    """Directions through an astropy WCS (ICRS, catalogue-relative) that came with the frame; no motion inside the frame."""
+
+    header: FrameHeader
+    wcs: Any
+
+    def apparent(self, row: Array, col: Array, tai_ns: NDArray[np.int64]) -> Array:
+        """Apparent unit vectors (n, 3): the catalogue-relative direction with aberration put back, as for a star."""
+        ra, dec = self.wcs.all_pix2world(col, row, 0)
+        middle = mid_frame_tai_ns(self.header)
+        return apparent_directions(np.asarray(ra), np.asarray(dec), middle, *observer_at(self.header.observer, middle))
+
+
+def published_directions(sky: PixelSky, header: FrameHeader, row: Array, col: Array, tai_ns: NDArray[np.int64]) -> Array:
+    """Published unit vectors (n, 3) of pixels: apparent, less the aberration of the observer's geocentric velocity."""
+    apparent = sky.apparent(np.asarray(row, dtype=np.float64), np.asarray(col, dtype=np.float64), tai_ns)
+    velocity = np.array([observer_at(header.observer, int(t))[1] for t in np.atleast_1d(tai_ns)])
+    return without_observer_aberration(apparent, velocity)
+
+
+def row_mid_exposure_tai_ns(header: FrameHeader, row: Array) -> NDArray[np.int64]:
+    """Mid-exposure epochs of (fractional) rows."""
+    delay = np.rint(header.line_time_ns * np.asarray(row, dtype=np.float64)).astype(np.int64)
+    return header.t_start_tai_ns + delay + header.exposure_ns // 2

@@ -1,0 +1,33 @@
+"""The report is one file that loads nothing, names its misses, and stays small."""
+
+import re
+from pathlib import Path
+
+
+def test_page_is_self_contained(reported_run: Path) -> None:
+    page = (reported_run / "report.html").read_text()
+    assert not re.findall(r"""(?:src|href)\s*=\s*["']https?:""", page)
+    assert "@import" not in page
+    assert (reported_run / "report.html").stat().st_size < 25e6
+    assert not list(reported_run.glob("*.part"))
+
+
+def test_texts_from_the_run_are_escaped(reported_run: Path) -> None:
+    page = (reported_run / "report.html").read_text()
+    assert "&lt;/script&gt;" in page
+    assert page.count("</script>") == 2
+
+
+def test_summary_is_short_and_has_the_headlines(reported_run: Path) -> None:
+    summary = (reported_run / "report.md").read_text()
+    assert len(summary.splitlines()) < 30
+    assert "completeness, S/N >= 8" in summary
+    assert "12 truth streaks, 11 measured, 1 false" in summary
+
+
+def test_same_run_same_page(reported_run: Path) -> None:
+    from sboc_e2e.report import write_report
+
+    before = (reported_run / "report.html").read_bytes()
+    write_report(reported_run)
+    assert (reported_run / "report.html").read_bytes() == before

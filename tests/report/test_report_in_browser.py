@@ -1,0 +1,89 @@
+"""A person's way through the report, in a real headless Chromium."""
+
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+
+
+@pytest.fixture(scope="module")
+def page(reported_run: Path) -> Iterator[Any]:
+    if BROWSER is None:
+        pytest.skip("no Chromium installed (package chromium)")
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    flags = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run"]
+    with api.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=BROWSER, args=flags)
+        context = browser.new_context(viewport={"width": 1280, "height": 900}, offline=True)
+        tab = context.new_page()
+        errors: list[str] = []
+        tab.on("pageerror", lambda error: errors.append(str(error)))
+        tab.goto((reported_run / "report.html").as_uri())
+        tab.errors = errors
+        yield tab
+        browser.close()
+
+
+def test_frames_step_and_layers_toggle(page: Any) -> None:
+    assert page.inner_text("#which").startswith("frame 0 ")
+    page.focus("#viewer")
+    page.keyboard.press("ArrowRight")
+    assert page.inner_text("#which").startswith("frame 1 ")
+    page.keyboard.press("ArrowLeft")
+    shown = page.locator("#overlay polyline").count()
+    assert shown > 0
+    page.keyboard.press("t")
+    assert page.locator("#overlay polyline").count() < shown
+    page.keyboard.press("t")
+    assert page.locator("#overlay polyline").count() == shown
+
+
+def test_picture_is_there_and_zooms(page: Any) -> None:
+    assert page.evaluate("document.getElementById('picture').naturalWidth") > 0
+    page.focus("#viewer")
+    page.keyboard.press("+")
+    assert "scale(1.25)" in page.evaluate("document.getElementById('stage').style.transform")
+    page.keyboard.press("-")
+
+
+def test_a_miss_opens_with_its_reason(page: Any) -> None:
+    page.locator('[data-cases="misses"] button').first.click()
+    assert page.locator("#case").is_visible()
+    words = page.inner_text("#case-body")
+    assert "S/N 20" in words
+    assert "not detected on board" in words or "did not arrive" in words
+    assert page.evaluate("document.querySelector('#case-body img').naturalWidth") == 96
+    page.keyboard.press("Escape")
+    assert not page.locator("#case").is_visible()
+
+
+def test_false_alarm_opens(page: Any) -> None:
+    page.locator('[data-cases="false_alarms"] button').first.click()
+    assert "no truth streak matches" in page.inner_text("#case-body")
+    page.locator("#close").click()
+
+
+def test_tables_sort(page: Any) -> None:
+    column = "#figures table.sortable:first-of-type tbody td:first-child"
+    page.locator("#figures table.sortable th").first.click()
+    rising = page.locator(column).first.inner_text()
+    page.locator("#figures table.sortable th").first.click()
+    assert page.locator(column).first.inner_text() != rising
+
+
+@pytest.mark.parametrize("scheme", ["light", "dark"])
+@pytest.mark.parametrize("width", [390, 1280])
+def test_fits_phone_and_laptop_in_both_schemes(page: Any, scheme: str, width: int) -> None:
+    page.emulate_media(color_scheme=scheme)
+    page.set_viewport_size({"width": width, "height": 844})
+    assert page.evaluate("document.documentElement.scrollWidth") <= width
+    assert len(page.screenshot()) > 10_000
+    page.set_viewport_size({"width": 1280, "height": 900})
+
+
+def test_no_script_error(page: Any) -> None:
+    assert page.errors == []

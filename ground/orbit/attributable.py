@@ -1,0 +1,132 @@
+"""The directions of a tracklet condensed into a quadratic form that any orbit's curve can be held against.
+
+Free are four numbers (direction and rate at the reference epoch), which every orbit can meet; what is left of the data after
+them, their curvature, is what speaks of range and range rate (Milani et al. 2004, Icarus 170, 152: the attributable).
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.products import Tracklet
+
+_ARCSEC_RAD = np.pi / 648000.0
+_LONG_ARC_S = 60.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Attributable:
+    """Direction and rate at `t_ref_tai_ns`, and the data's demands on the curve between the nodes.
+
+    axes : (3, 3) rows e1, e2 (tangent plane) and the direction itself. rate_rad_s : (2,) along e1, e2 of the nominal motion.
+    node_s : (k,) epochs after the reference at which a model gives plane coordinates s = (x_1..x_k, y_1..y_k).
+    chi2 = constant - 2 linear.s + s.quadratic.s once the four free numbers are fitted; correction of the rate for a model is
+    rate_offset - rate_matrix s (2, 2k), with covariance rate_covariance (2, 2) in rad^2/s^2.
+    """
+
+    t_ref_tai_ns: int
+    axes: NDArray[np.float64]
+    rate_rad_s: NDArray[np.float64]
+    node_s: NDArray[np.float64]
+    constant: float
+    linear: NDArray[np.float64]
+    quadratic: NDArray[np.float64]
+    rate_offset: NDArray[np.float64]
+    rate_matrix: NDArray[np.float64]
+    rate_covariance: NDArray[np.float64]
+    n_directions: int
+
+
+def attributable_of(tracklet: Tracklet, sigma_floor_arcsec: float) -> Attributable | None:
+    """The quadratic form of a tracklet; None without two directions at different epochs."""
+    good = np.isfinite(tracklet.ra_deg) & np.isfinite(tracklet.dec_deg)
+    t_ns = tracklet.t_tai_ns[good]
+    if len(t_ns) < 2 or t_ns.max() == t_ns.min():
+        return None
+    along = _sigma_rad(tracklet.sigma_along_arcsec[good], sigma_floor_arcsec)
+    cross = _sigma_rad(tracklet.sigma_cross_arcsec[good], sigma_floor_arcsec)
+    ra, dec = np.radians(tracklet.ra_deg[good]), np.radians(tracklet.dec_deg[good])
+    unit = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=1)
+    t_ref_ns = int(t_ns.min()) + int(t_ns.max() - t_ns.min()) // 2
+    t_s = (t_ns - t_ref_ns) * 1e-9
+
+    axes = _axes(unit.mean(axis=0))
+    nominal = np.zeros(2)
+    n_terms = min(3, len(np.unique(t_ns)))
+    for _ in range(2):
+        plane = unit @ axes[:2].T / (unit @ axes[2])[:, None]
+        terms = np.vander(t_s, n_terms, increasing=True)
+        coefficients, *_ = np.linalg.lstsq(terms, plane, rcond=None)
+        nominal = coefficients[1]
+        axes = _axes(axes[2] + coefficients[0] @ axes[:2])
+    plane = unit @ axes[:2].T / (unit @ axes[2])[:, None]
+
+    node_s = _chebyshev_nodes(t_s, 5 if np.ptp(t_s) < _LONG_ARC_S else 7)
+    interpolation = _lagrange(t_s, node_s)
+    weight = _weights(nominal, along, cross)
+    m, k = len(t_s), len(node_s)
+    design = np.zeros((2 * m, 4))
+    design[:m, 0] = design[m:, 1] = 1.0
+    design[:m, 2] = design[m:, 3] = t_s
+    model = np.zeros((2 * m, 2 * k))
+    model[:m, :k] = model[m:, k:] = interpolation
+    data = np.concatenate([plane[:, 0], plane[:, 1]])
+    covariance = np.linalg.inv(design.T @ weight @ design)
+    solve = covariance @ design.T @ weight
+    projected = weight - weight @ design @ solve
+    projected = 0.5 * (projected + projected.T)
+    return Attributable(
+        t_ref_tai_ns=t_ref_ns,
+        axes=axes,
+        rate_rad_s=nominal,
+        node_s=node_s,
+        constant=float(data @ projected @ data),
+        linear=model.T @ projected @ data,
+        quadratic=model.T @ projected @ model,
+        rate_offset=(solve @ data)[2:],
+        rate_matrix=(solve @ model)[2:],
+        rate_covariance=covariance[2:, 2:],
+        n_directions=m,
+    )
+
+
+def _sigma_rad(sigma_arcsec: NDArray[np.float64], floor_arcsec: float) -> NDArray[np.float64]:
+    """One sigma with the floor added in quadrature; unknown ones count as three arcsec."""
+    known = np.where(np.isfinite(sigma_arcsec) & (sigma_arcsec > 0.0), sigma_arcsec, 3.0)
+    return np.asarray(np.hypot(known, floor_arcsec) * _ARCSEC_RAD)
+
+
+def _axes(direction: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Rows: two unit vectors across the direction, and the direction."""
+    w = direction / np.linalg.norm(direction)
+    helper = np.array([0.0, 0.0, 1.0]) if abs(w[2]) < 0.9 else np.array([1.0, 0.0, 0.0])
+    u = np.cross(helper, w)
+    u /= np.linalg.norm(u)
+    return np.array([u, np.cross(w, u), w])
+
+
+def _chebyshev_nodes(t_s: NDArray[np.float64], k: int) -> NDArray[np.float64]:
+    """Extrema of the Chebyshev polynomial over the arc, rising, the ends included."""
+    middle, half = 0.5 * (t_s.max() + t_s.min()), 0.5 * (t_s.max() - t_s.min())
+    return np.asarray(middle - half * np.cos(np.pi * np.arange(k) / (k - 1)))
+
+
+def _lagrange(t_s: NDArray[np.float64], node_s: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Matrix (m, k) that interpolates values at the nodes to the epochs."""
+    out = np.ones((len(t_s), len(node_s)))
+    for j, node in enumerate(node_s):
+        for i, other in enumerate(node_s):
+            if i != j:
+                out[:, j] *= (t_s - other) / (node - other)
+    return out
+
+
+def _weights(rate: NDArray[np.float64], along: NDArray[np.float64], cross: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Inverse covariance (2m, 2m) of all x, then all y; along and cross refer to the direction of motion."""
+    speed = float(np.hypot(*rate))
+    cos, sin = rate / speed if speed > 0.0 else (1.0, 0.0)
+    xx = cos**2 / along**2 + sin**2 / cross**2
+    yy = sin**2 / along**2 + cos**2 / cross**2
+    xy = cos * sin * (1.0 / along**2 - 1.0 / cross**2)
+    return np.block([[np.diag(xx), np.diag(xy)], [np.diag(xy), np.diag(yy)]])

@@ -1,0 +1,153 @@
+"""Weighted orbits over an adaptive grid of ranges, and what is reported of them."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.special import ndtri
+
+from ground.orbit.prior import PriorTable
+from ground.orbit.scan import N_COLUMNS, Problem, rows_per_range, scan_range
+
+_COARSE_STEPS = 240
+_MOST_RANGES = 900
+_LOG_CUT = 14.0
+"""Ranges whose density is exp(-14) of the best are left coarse; together they hold less than 1e-5."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Posterior:
+    """Weighted orbits: weight (n,) sums to one; range_km, a_km, e, i_rad (n,). log_range (k,) and density (k,) per ln range."""
+
+    weight: NDArray[np.float64]
+    range_km: NDArray[np.float64]
+    a_km: NDArray[np.float64]
+    e: NDArray[np.float64]
+    i_rad: NDArray[np.float64]
+    log_range: NDArray[np.float64]
+    density: NDArray[np.float64]
+
+
+def normal_pairs(start: int, n: int) -> NDArray[np.float64]:
+    """Members start ... start + n - 1 of a quasi-random sequence of standard normal pairs (Roberts' R2 sequence)."""
+    golden = 1.324717957244746
+    index = np.arange(start, start + n)[:, None]
+    return np.asarray(ndtri(np.clip((0.5 + index * np.array([1.0 / golden, 1.0 / golden**2])) % 1.0, 1e-9, 1.0 - 1e-9)))
+
+
+def scan(
+    problem: Problem,
+    prior: PriorTable,
+    log_weight_of_range: Callable[[float], float],
+    limits_km: tuple[float, float],
+    n_draws: int,
+) -> Posterior | None:
+    """Refine the range grid until no cell holds more than a hundredth of the mass; None if no bound orbit meets the data."""
+    log_range = list(np.linspace(np.log(limits_km[0]), np.log(limits_km[1]), _COARSE_STEPS))
+    buffer = np.empty((rows_per_range(n_draws), N_COLUMNS))
+    rows: dict[float, NDArray[np.float64]] = {}
+    log_density: dict[float, float] = {}
+    range_rate_ratio: dict[float, float] = {}
+    draws = 0
+
+    def evaluate(x: float, ratio: float) -> None:
+        nonlocal draws
+        rho = float(np.exp(x))
+        count, total, rate = scan_range(
+            problem, prior, rho, ratio * rho, normal_pairs(draws, n_draws), log_weight_of_range(rho), buffer
+        )
+        draws += n_draws
+        rows[x], log_density[x], range_rate_ratio[x] = buffer[:count].copy(), total, rate / rho
+
+    ratio = 0.0
+    for x in log_range:
+        evaluate(x, ratio)
+        ratio = range_rate_ratio[x]
+    while len(log_range) < _MOST_RANGES:
+        density = np.array([log_density[x] for x in log_range])
+        if not np.isfinite(density.max()):
+            return None
+        value = np.exp(density - density.max())
+        step = np.diff(log_range)
+        mass = 0.5 * (value[1:] + value[:-1]) * step
+        higher = np.maximum(density[1:], density[:-1])
+        floor = np.maximum(density, density.max() - 1e3)
+        steep = np.abs(np.diff(floor)) > 1.5
+        split = (mass > 0.01 * mass.sum()) | (steep & (higher > density.max() - _LOG_CUT) & (mass > 1e-4 * mass.sum()))
+        split &= step > 1e-7
+        if not split.any():
+            break
+        for k in np.flatnonzero(split):
+            evaluate(0.5 * (log_range[k] + log_range[k + 1]), range_rate_ratio[log_range[k]])
+        log_range = sorted(rows)
+    return _collected(log_range, rows, log_density)
+
+
+def _collected(log_range: list[float], rows: dict[float, NDArray[np.float64]], log_density: dict[float, float]) -> Posterior:
+    """Rows of all ranges with the widths of their cells."""
+    x = np.array(log_range)
+    width = np.gradient(x)
+    width[0], width[-1] = 0.5 * (x[1] - x[0]), 0.5 * (x[-1] - x[-2])
+    width[1:-1] = 0.5 * (x[2:] - x[:-2])
+    density = np.array([log_density[k] for k in log_range])
+    top = density.max()
+    table = np.vstack([np.column_stack([rows[k], np.full(len(rows[k]), w)]) for k, w in zip(log_range, width, strict=True)])
+    weight = np.exp(table[:, 0] - top) * table[:, 5]
+    keep = weight > 1e-9 * weight.max()
+    table, weight = table[keep], weight[keep] / weight[keep].sum()
+    value = np.exp(density - top)
+    return Posterior(
+        weight=weight,
+        range_km=table[:, 1],
+        a_km=table[:, 2],
+        e=table[:, 3],
+        i_rad=table[:, 4],
+        log_range=x,
+        density=value / float(value @ width),
+    )
+
+
+def quantiles(values: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArray[np.float64]:
+    """5 %, 50 % and 95 % points (3,) of weighted values, interpolated between the middles of their steps."""
+    order = np.argsort(values, kind="stable")
+    cumulative = np.cumsum(weight[order])
+    return np.interp([0.05, 0.5, 0.95], (cumulative - 0.5 * weight[order]) / cumulative[-1], values[order])
+
+
+def modes(posterior: Posterior) -> NDArray[np.float64]:
+    """Range modes (k, 5) by falling weight: range (km) at the peak, weight, and medians of a (km), e, i (deg) around it.
+
+    A mode is a peak of the density per ln(range), smoothed over a hundredth of the mass, between two minima; peaks with less
+    than 2 % of the mass are left out.
+    """
+    density = np.convolve(np.pad(posterior.density, 2, mode="edge"), np.full(5, 0.2), mode="valid")
+    inner = np.flatnonzero((density[1:-1] >= density[:-2]) & (density[1:-1] > density[2:])) + 1
+    peaks = [int(k) for k in inner if density[k] > 1e-3 * density.max()]
+    if not peaks:
+        peaks = [int(np.argmax(density))]
+    kept = [peaks[0]]
+    for k in peaks[1:]:
+        valley = density[kept[-1] : k + 1].min()
+        if valley > 0.5 * min(density[k], density[kept[-1]]):
+            kept[-1] = k if density[k] > density[kept[-1]] else kept[-1]
+        else:
+            kept.append(k)
+    bounds = [
+        -np.inf,
+        *(posterior.log_range[a + int(np.argmin(density[a : b + 1]))] for a, b in zip(kept, kept[1:], strict=False)),
+        np.inf,
+    ]
+    log_range = np.log(posterior.range_km)
+    out = []
+    for k, low, high in zip(kept, bounds[:-1], bounds[1:], strict=True):
+        inside = (log_range > low) & (log_range <= high)
+        mass = float(posterior.weight[inside].sum())
+        if mass < 0.02:
+            continue
+        medians = [
+            quantiles(column[inside], posterior.weight[inside])[1]
+            for column in (posterior.a_km, posterior.e, np.degrees(posterior.i_rad))
+        ]
+        out.append((float(np.exp(posterior.log_range[k])), mass, *medians))
+    return np.array(sorted(out, key=lambda mode: -mode[1])).reshape(-1, 5)

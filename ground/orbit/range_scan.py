@@ -1,0 +1,162 @@
+"""`ground.orbit: range_scan`: posterior of range and orbit from a short arc of directions."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.orbit.attributable import Attributable, attributable_of
+from ground.orbit.dynamics import propagate
+from ground.orbit.observer import observer_orbit
+from ground.orbit.posterior import Posterior, modes, normal_pairs, quantiles, scan
+from ground.orbit.prior import PriorShares, prior_table
+from ground.orbit.scan import Problem
+from ground.orbit.size import diameter_m, log_size_density, sun_direction
+from sboc_e2e.icd.frame import FrameHeader
+from sboc_e2e.icd.products import OrbitEstimate, Tracklet
+
+_EARTH_RADIUS_KM = 6378.137
+_MAG_UNKNOWN = 12.0
+"""V assumed for the size law's weight when a tracklet has no magnitude: about the limit of detection."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class RangeScan:
+    """Scan range; at each one weigh range rates and transverse rates by the data, by the population's orbits and sizes.
+
+    The prior carries the range of short arcs: catalogued LEO fragments, the same with the NASA model's breakup velocities,
+    and a tail that allows any bound orbit. Phase space is measured as it is (d3r d3v), so its volume vanishes at the camera
+    and the camera's own orbit, always a solution of the equations, is never one of the posterior's.
+    """
+
+    breakup_share: float = field(
+        default=0.5, metadata={"doc": "of objects that carry breakup velocities", "min": 0.0, "max": 1.0}
+    )
+    tail_share: float = field(default=0.02, metadata={"doc": "of objects on any bound orbit at all", "min": 1e-6, "max": 1.0})
+    ring_share: float = field(
+        default=0.02, metadata={"doc": "of objects on or near the geostationary ring", "min": 0.0, "max": 1.0}
+    )
+    albedo: float = field(default=0.13, metadata={"doc": "of a Lambert sphere, median", "min": 0.001, "max": 1.0})
+    albedo_sigma_ln: float = field(
+        default=0.5, metadata={"doc": "log-normal scatter of the albedo in the size interval", "min": 0.0, "max": 3.0}
+    )
+    nearest_km: float = field(default=0.05, metadata={"doc": "where the scan begins", "min": 1e-3, "max": 1e4})
+    farthest_km: float = field(default=60000.0, metadata={"doc": "where the scan ends", "min": 1.0, "max": 1e6})
+    sigma_floor_arcsec: float = field(
+        default=0.1, metadata={"doc": "error of directions common to no two frames, added", "min": 0.0, "max": 1e3}
+    )
+    draws: int = field(default=3, metadata={"doc": "transverse rates tried at each range", "min": 1, "max": 100})
+
+    def estimate(self, tracklet: Tracklet, headers: Sequence[FrameHeader]) -> OrbitEstimate:
+        """Posterior of one tracklet; not converged, with NaN, without sky positions or observer states near it."""
+        data = attributable_of(tracklet, self.sigma_floor_arcsec)
+        if data is None:
+            return _nothing(tracklet, self._words())
+        first_ns, last_ns = int(tracklet.t_tai_ns.min()), int(tracklet.t_tai_ns.max())
+        observer = observer_orbit(headers, first_ns, last_ns, data.t_ref_tai_ns)
+        if observer is None:
+            return _nothing(tracklet, self._words())
+        mag = tracklet.mag if math.isfinite(tracklet.mag) else _MAG_UNKNOWN
+        phase_rad = math.acos(max(-1.0, min(1.0, -float(data.axes[2] @ sun_direction(data.t_ref_tai_ns)))))
+        table = prior_table(
+            PriorShares(
+                catalogue=(1.0 - self.breakup_share) * (1.0 - self.tail_share - self.ring_share),
+                breakup=self.breakup_share * (1.0 - self.tail_share - self.ring_share),
+                tail=self.tail_share,
+                ring=self.ring_share,
+            )
+        )
+
+        def log_weight(range_km: float) -> float:
+            """Volume of phase space, d3r d3v = rho^4 d(direction) d(rate) d(rho) d(rho rate), per ln(rho), and the size law."""
+            size_m = float(diameter_m(mag, range_km, self.albedo, phase_rad))
+            return 5.0 * math.log(range_km) + log_size_density(size_m)
+
+        posterior = scan(problem_of(data, observer), table, log_weight, (self.nearest_km, self.farthest_km), self.draws)
+        if posterior is None:
+            return _nothing(tracklet, self._words())
+        return self._summary(tracklet, data, observer, posterior, phase_rad)
+
+    def _summary(
+        self,
+        tracklet: Tracklet,
+        data: Attributable,
+        observer: NDArray[np.float64],
+        posterior: Posterior,
+        phase_rad: float,
+    ) -> OrbitEstimate:
+        """The contract's record of a posterior; the size takes the magnitude's and the albedo's scatter with it."""
+        weight = posterior.weight
+        position = observer[:3] + posterior.range_km[:, None] * data.axes[2]
+        altitude = np.linalg.norm(position, axis=1) - _EARTH_RADIUS_KM
+        if math.isfinite(tracklet.mag):
+            normal = normal_pairs(0, len(weight))
+            mag_err = tracklet.mag_err if math.isfinite(tracklet.mag_err) else 0.0
+            scatter = np.exp(-0.5 * self.albedo_sigma_ln * normal[:, 0] - 0.2 * math.log(10.0) * mag_err * normal[:, 1])
+            size = quantiles(diameter_m(tracklet.mag, posterior.range_km, self.albedo, phase_rad) * scatter, weight)
+        else:
+            size = np.full(3, np.nan)
+        rho = np.exp(posterior.log_range)
+        return OrbitEstimate(
+            tracklet_id=tracklet.tracklet_id,
+            t_ref_tai_ns=data.t_ref_tai_ns,
+            range_km=quantiles(posterior.range_km, weight),
+            altitude_km=quantiles(altitude, weight),
+            a_km=quantiles(posterior.a_km, weight),
+            e=quantiles(posterior.e, weight),
+            i_deg=quantiles(np.degrees(posterior.i_rad), weight),
+            size_m=size,
+            modes=modes(posterior),
+            range_grid_km=rho,
+            range_posterior=posterior.density / rho,
+            prior=self._words(),
+            converged=True,
+        )
+
+    def _words(self) -> str:
+        """What was assumed."""
+        return (
+            f"phase-space volume; orbits of catalogued LEO fragments (2023), {100 * self.breakup_share:.0f} % of them with NASA "
+            f"breakup velocities, {100 * self.tail_share:.3g} % on any bound orbit, {100 * self.ring_share:.3g} % near the "
+            f"geostationary ring; size law d^-2.10 below 1 cm and d^-1.45 above; albedo {self.albedo:g}"
+        )
+
+
+def problem_of(data: Attributable, observer: NDArray[np.float64]) -> Problem:
+    """The arrays of the scan; observer : state (6,) km, km/s at the attributable's reference epoch."""
+    lower = np.linalg.cholesky(data.rate_covariance + 1e-24 * np.eye(2))
+    return Problem(
+        observer=observer,
+        observer_at_node=np.ascontiguousarray(propagate(observer, data.node_s)[:, :3]),
+        axes=np.ascontiguousarray(data.axes),
+        rate=data.rate_rad_s,
+        node_s=data.node_s,
+        constant=data.constant,
+        linear=data.linear,
+        quadratic=np.ascontiguousarray(data.quadratic),
+        rate_offset=data.rate_offset,
+        rate_matrix=np.ascontiguousarray(data.rate_matrix),
+        rate_factor=np.ascontiguousarray(lower),
+    )
+
+
+def _nothing(tracklet: Tracklet, words: str) -> OrbitEstimate:
+    """The record of a tracklet that allows no estimate."""
+    unknown = np.full(3, np.nan)
+    return OrbitEstimate(
+        tracklet_id=tracklet.tracklet_id,
+        t_ref_tai_ns=tracklet.t_ref_tai_ns,
+        range_km=unknown,
+        altitude_km=unknown,
+        a_km=unknown,
+        e=unknown,
+        i_deg=unknown,
+        size_m=unknown,
+        modes=np.zeros((0, 5)),
+        range_grid_km=np.zeros(0),
+        range_posterior=np.zeros(0),
+        prior=words,
+        converged=False,
+    )

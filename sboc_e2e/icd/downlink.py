@@ -41,6 +41,6 @@ class DownlinkFrame:
     rois: tuple[RoiGroup, ...]
     background: BackgroundModel | None
     thumbnail_adu: NDArray[np.float32] | None
-    whole_frame: NDArray[np.int32] | None
+    whole_frame: NDArray[np.int32] | NDArray[np.float32] | None
     adu_scale: float = 1.0
     adu_offset: float = 0.0

@@ -68,7 +68,8 @@ STAR_SNR_CODES_PER_OCTAVE: Final = 16.0
 HEADER_FIXED = struct.Struct(">HHBBHHffffddIIIIIIIffffI")
 """Header packet: rows, cols, bin_rows, bin_cols, window_row0, window_col0, gain, read noise, saturation_adu, temperature
 (NaN: unknown), adu_scale, adu_offset, then housekeeping: flags (low 16 bits), stars found, stars sent, detections,
-ROIs sent, ROIs dropped, bytes dropped, threshold sigma, background ADU, sigma ADU, reserved (0), masked pixels.
+ROIs sent, ROIs dropped, bytes dropped, threshold sigma, background ADU, sigma ADU, PSF sigma px as measured from stars
+(NaN: not measured), masked pixels.
 Then two telemetry blocks: this frame's and the previous frame's."""
 
 TELEMETRY = struct.Struct(">BI4d3d6dq3d3dff")
@@ -86,15 +87,19 @@ The item number of the packet is the roi_id, its segment the strip's number."""
 STRIP = struct.Struct(">BBHHHiiifI")
 """Codec number | axis | major0 | n | width | minor0_fp | slope_fp | level ADU | sigma ADU | block length in bytes."""
 
-MESH = struct.Struct(">HHHHHHff")
-"""BACKGROUND: tile_px | mesh rows | mesh cols | first mesh row in this packet | number of mesh rows | reserved |
-level unit ADU | sigma unit ADU; then zstd of level (int32) and sigma (uint16) codes, big endian, row by row."""
+MESH = struct.Struct(">HHHHHffiiI")
+"""BACKGROUND: tile_px | mesh rows | mesh cols | first mesh row in this packet | number of mesh rows | level unit ADU |
+sigma unit ADU | level centre code | sigma centre code | length of the level block in bytes; then the level and the
+sigma codes as two `PLANES` blocks coded around their centre codes; level = unit * code."""
 
 THUMBNAIL = struct.Struct(">HHHHHff")
 """rows | cols | pixels per cell | first row in this packet | number of rows | offset ADU | unit ADU; then zstd of uint8."""
 
 CHUNK = struct.Struct(">BBHHHHifI")
 """FRAME: codec number | reserved | first row | rows | first col | cols | level ADU | sigma ADU | block length."""
+
+SQRT_PLANES = struct.Struct(">ff")
+"""Head of a `SQRT_PLANES` block: step in ADU, gain in e-/ADU; then the codes as a `PLANES` block around zero."""
 
 MAX_STRIP_PIXELS: Final = 1 << 16
 """Largest number of pixels in one strip or chunk: decoders refuse more before they allocate."""

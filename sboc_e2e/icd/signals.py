@@ -121,7 +121,8 @@ class Strip:
     axis : 0 when the strip runs along rows (the major axis is row), 1 along cols.
     Line i (0 <= i < n) lies at major coordinate ``major0 + i`` and covers minor coordinates
     ``m(i) ... m(i) + width - 1`` with ``m(i) = (minor0_fp + i * slope_fp) >> 16`` (arithmetic shift; may be negative).
-    values_adu : (n, width) int32, raw minus rounded dark; pixels outside the frame hold `level_adu` and are ignored.
+    values_adu : (n, width) raw minus rounded dark, int32; float32 where a lossy codec gave halves of ADU. Pixels outside
+    the frame hold `level_adu` and are ignored.
     """
 
     axis: int
@@ -129,13 +130,14 @@ class Strip:
     minor0_fp: int
     slope_fp: int
     level_adu: int
-    values_adu: NDArray[np.int32]
+    values_adu: NDArray[np.int32] | NDArray[np.float32]
 
     def __post_init__(self) -> None:
         if self.axis not in (0, 1):
             raise ContractError(f"strip.axis: expected 0 or 1, got {self.axis}")
         validate.within("strip.slope_fp", self.slope_fp, -FIXED_POINT, FIXED_POINT)
-        object.__setattr__(self, "values_adu", validate.array("strip.values_adu", self.values_adu, np.int32, (None, None)))
+        dtype = np.float32 if np.asarray(self.values_adu).dtype == np.float32 else np.int32
+        object.__setattr__(self, "values_adu", validate.array("strip.values_adu", self.values_adu, dtype, (None, None)))
 
     def pixel_coordinates(self, rows: int, cols: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_]]:
         """Row and col of each value, and whether it lies inside a frame of the given size; each (n, width)."""

@@ -1,0 +1,55 @@
+"""What arrived, what did not, and what was wrong with it."""
+
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+
+@dataclass(frozen=True, kw_only=True)
+class ApidReport:
+    """Packets of one kind. missing : ranges (first, last) of sequence counts, unwrapped from the first one received."""
+
+    received: int
+    duplicates: int
+    missing: tuple[tuple[int, int], ...]
+    n_missing: int
+    bytes: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class IngestReport:
+    """Loss report of a downlink; JSON-able by `as_dict`.
+
+    run_id : the run that was decoded; None when there was no intact packet.
+    foreign_runs : intact packets of other runs, by run id. corrupted : packets with a wrong checksum; truncated :
+    packets that the end of the stream cut; garbage_bytes : bytes outside intact packets; other_contract : intact packets
+    of another contract version. conflicts : packets with the same place in a frame but other content.
+    frames_complete, frames_incomplete : frame numbers; frames_missing : numbers between the first and the last of which
+    nothing arrived; frames_unusable : something arrived, but not enough to build the frame.
+    missing_segments : per incomplete frame, how many packets of each kind are known to be missing.
+    decode_failures : one line for each intact packet whose content could not be decoded.
+    """
+
+    run_id: int | None
+    n_bytes: int
+    apids: Mapping[str, ApidReport]
+    foreign_runs: Mapping[int, int]
+    corrupted: int
+    truncated: int
+    garbage_bytes: int
+    other_contract: int
+    conflicts: int
+    frames_complete: tuple[int, ...]
+    frames_incomplete: tuple[int, ...]
+    frames_missing: tuple[tuple[int, int], ...]
+    frames_unusable: tuple[int, ...]
+    missing_segments: Mapping[int, Mapping[str, int]]
+    decode_failures: tuple[str, ...]
+    n_decode_failures: int
+
+    def as_dict(self) -> dict[str, Any]:
+        """Plain dictionaries, lists, numbers and strings."""
+        plain = asdict(self)
+        plain["foreign_runs"] = {str(run): n for run, n in self.foreign_runs.items()}
+        plain["missing_segments"] = {str(frame): dict(kinds) for frame, kinds in self.missing_segments.items()}
+        return plain

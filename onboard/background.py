@@ -1,0 +1,157 @@
+"""Background mesh: level and noise of the sky on square tiles, straight from raw minus dark.
+
+Every fourth row is enough (a tile of 64 x 64 px then has 1,024 samples: level to 0.03 sigma, noise to 2 %); the mesh is
+median-filtered over 3 x 3 tiles against bright stars, as in Source Extractor (Bertin & Arnouts 1996, section 7.1).
+"""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from sboc_e2e.icd.signals import BackgroundModel
+
+PROBES = 49
+"""Samples of a tile whose median centres its histogram."""
+
+BINS = 512
+CLIP_SIGMA = 3.0
+CLIPPED_STD = 0.9866
+"""Standard deviation of a unit Gaussian cut at +-3."""
+
+LEAST_SAMPLES = 32
+LEAST_SIGMA = 0.29
+"""Noise of an ideal quantiser, 1/sqrt(12), in units of the pixels: no frame has less."""
+
+
+@njit(cache=True)
+def _probe_tile(
+    pixels: NDArray[np.uint16], dark: NDArray[np.int16], mask: NDArray[np.uint8], window: tuple[int, int, int, int]
+) -> tuple[int, int]:
+    """Median and half the interquartile range of up to `PROBES` usable pixels spread over a tile; (0, -1) if none."""
+    row0, row1, col0, col1 = window
+    probes = np.empty(PROBES, dtype=np.int64)
+    count = 0
+    side = 7
+    for i in range(side):
+        row = row0 + (2 * i + 1) * (row1 - row0) // (2 * side)
+        for j in range(side):
+            col = col0 + (2 * j + 1) * (col1 - col0) // (2 * side)
+            if mask[row, col] == 0:
+                value = np.int64(pixels[row, col]) - np.int64(dark[row, col])
+                k = count
+                while k > 0 and probes[k - 1] > value:
+                    probes[k] = probes[k - 1]
+                    k -= 1
+                probes[k] = value
+                count += 1
+    if count == 0:
+        return 0, -1
+    return probes[count // 2], (probes[(3 * count) // 4] - probes[count // 4]) // 2
+
+
+@njit(cache=True)
+def _clipped_moments(histogram: NDArray[np.int64], start: int, spread: float) -> tuple[float, float, int]:
+    """Mean and standard deviation, in bins, of what lies within +-3 sigma of the mean, iterated from a start."""
+    centre, sigma, number = float(start), spread, 0
+    for _ in range(8):
+        low = max(0, int(math.ceil(centre - CLIP_SIGMA * sigma)))
+        high = min(BINS - 1, int(math.floor(centre + CLIP_SIGMA * sigma)))
+        number, total, squares = 0, 0.0, 0.0
+        for k in range(low, high + 1):
+            number += histogram[k]
+            total += histogram[k] * k
+            squares += histogram[k] * float(k) * k
+        if number == 0:
+            return centre, sigma, 0
+        mean = total / number
+        new_sigma = max(math.sqrt(max(squares / number - mean * mean, 0.0)) / CLIPPED_STD, LEAST_SIGMA)
+        settled = abs(mean - centre) < 0.002 * sigma and abs(new_sigma - sigma) < 0.002 * sigma
+        centre, sigma = mean, new_sigma
+        if settled:
+            break
+    return centre, sigma, number
+
+
+@njit(cache=True)
+def clipped_mesh(
+    pixels: NDArray[np.uint16],
+    dark: NDArray[np.int16],
+    mask: NDArray[np.uint8],
+    tile_px: int,
+    row_step: int,
+    level: NDArray[np.float32],
+    sigma: NDArray[np.float32],
+) -> None:
+    """Clipped mean and standard deviation of pixels - dark in each tile; NaN where too few pixels are usable."""
+    rows, cols = pixels.shape
+    histogram = np.zeros(BINS, dtype=np.int64)
+    for i in range(level.shape[0]):
+        row0, row1 = i * tile_px, min((i + 1) * tile_px, rows)
+        for j in range(level.shape[1]):
+            col0, col1 = j * tile_px, min((j + 1) * tile_px, cols)
+            level[i, j] = np.nan
+            sigma[i, j] = np.nan
+            middle, half_range = _probe_tile(pixels, dark, mask, (row0, row1, col0, col1))
+            if half_range < 0:
+                continue
+            bin_width = max(1, half_range // 4)
+            base = middle - bin_width * (BINS // 2)
+            histogram[:] = 0
+            step = row_step if row1 - row0 >= 4 * row_step else 1
+            for row in range(row0 + step // 2, row1, step):
+                for col in range(col0, col1):
+                    if mask[row, col] == 0:
+                        value = np.int64(pixels[row, col]) - np.int64(dark[row, col]) - base
+                        if 0 <= value < BINS * bin_width:
+                            histogram[value // bin_width] += 1
+            spread = max(1.5 * half_range / bin_width, 1.5)
+            mean, deviation, number = _clipped_moments(histogram, BINS // 2, spread)
+            if number >= LEAST_SAMPLES:
+                level[i, j] = base + mean * bin_width + 0.5 * (bin_width - 1)
+                variance = (deviation * bin_width) ** 2 - (bin_width * bin_width - 1) / 12.0
+                sigma[i, j] = math.sqrt(max(variance, LEAST_SIGMA * LEAST_SIGMA))
+
+
+def fill_gaps(mesh: NDArray[np.float32], otherwise: float) -> NDArray[np.float32]:
+    """Replace NaN nodes by the mean of their known neighbours, ring by ring; a mesh of NaN becomes a constant."""
+    known = np.isfinite(mesh)
+    if not known.any():
+        return np.full_like(mesh, otherwise)
+    filled = np.where(known, mesh, 0.0).astype(np.float64)
+    while not known.all():
+        values, weights = np.pad(filled * known, 1), np.pad(known.astype(np.float64), 1)
+        rows, cols = mesh.shape
+        shifts = [(i, j) for i in range(3) for j in range(3)]
+        total = sum(values[i : i + rows, j : j + cols] for i, j in shifts)
+        weight = sum(weights[i : i + rows, j : j + cols] for i, j in shifts)
+        new = ~known & (weight > 0)
+        filled[new] = total[new] / weight[new]
+        known = known | new
+    return filled.astype(np.float32)
+
+
+@dataclass(frozen=True, kw_only=True)
+class MeshBackground:
+    """`mesh`: clipped mean and noise on square tiles."""
+
+    tile_px: int = field(default=64, metadata={"doc": "side of a tile", "min": 8, "max": 1024})
+    row_step: int = field(default=4, metadata={"doc": "one row of so many is looked at", "min": 1, "max": 64})
+
+    def estimate(
+        self, pixels_adu: NDArray[np.int32] | NDArray[np.uint16], dark_adu: NDArray[np.int16], mask: NDArray[np.uint8]
+    ) -> BackgroundModel:
+        """Mesh of ``pixels - dark`` over pixels whose mask is 0."""
+        rows, cols = pixels_adu.shape
+        shape = (-(-rows // self.tile_px), -(-cols // self.tile_px))
+        level, sigma = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
+        clipped_mesh(pixels_adu, dark_adu, mask, self.tile_px, self.row_step, level, sigma)
+        level, sigma = fill_gaps(level, 0.0), fill_gaps(sigma, 1.0)
+        return BackgroundModel(
+            tile_px=self.tile_px,
+            level_adu=median_filter(level, size=3, mode="nearest"),
+            sigma_adu=median_filter(sigma, size=3, mode="nearest"),
+        )

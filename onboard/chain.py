@@ -1,0 +1,362 @@
+"""The order of things on board: counts, background, calibrated image, stars, detections, ROIs, packets.
+
+`OnboardChain.process` is a step from state and frame to state and packets. Bad frames give flagged packets; a plug-in
+that raises or breaks its Protocol stops the run and is named.
+"""
+
+import zlib
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard import packets
+from onboard.budget import Allowance, Outbox, packet_bytes, priority
+from onboard.calibrate import Counts, background_in_adu, residual_pass, to_counts
+from onboard.options import OnboardOptions
+from onboard.roi_coding import CodedRoi, code_roi
+from onboard.stars import best_spread
+from onboard.static import HotPixels, flag_static
+from onboard.thumbnail import thumbnail
+from onboard.whole_frame import frame_payloads
+from sboc_e2e.icd.downlink import Housekeeping
+from sboc_e2e.icd.errors import ContractError, PluginError, UserError
+from sboc_e2e.icd.flags import FrameFlag, MaskBit
+from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader, NominalCamera
+from sboc_e2e.icd.layout import HEADER_FIXED, TELEMETRY, Apid
+from sboc_e2e.icd.signals import BackgroundModel, Detection, DetectorView, RoiGroup, StarList
+from sboc_e2e.icd.steps import BackgroundEstimator, Detector, Encoder, StarExtractor
+from sboc_e2e.icd.tai import NS_PER_S
+
+OUTSIDE_TOLERANCE_PX = 2.0
+"""A detection's end may lie this far outside the frame: PSF centres of trails that touch the edge do."""
+
+RECENT_FRAMES = 2
+CHECKED_ROWS = 64
+"""Rows of a frame that go into the checksum which recognises a repeated frame."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class OnboardSteps:
+    """The swappable steps."""
+
+    background: BackgroundEstimator
+    star_extractor: StarExtractor
+    detector: Detector
+    codec: Encoder
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OnboardState:
+    """What the chain remembers from frame to frame; picklable.
+
+    history : views of the last frames, as many as the detector declares, newest last.
+    recent : detections of the last frames, for the STATIC flag. pixel_check : checksum of some rows of the last frame.
+    """
+
+    writer: packets.PacketWriter
+    allowance: Allowance
+    hot_pixels: HotPixels
+    previous: FrameHeader | None = None
+    history: tuple[DetectorView, ...] = ()
+    recent: tuple[tuple[Detection, ...], ...] = ()
+    pixel_check: int | None = None
+    frames_done: int = 0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OnboardResult:
+    """What one frame gave. rois : groups as sent. bytes_by_apid : bytes of packets of each APID, headers included."""
+
+    packets: bytes
+    housekeeping: Housekeeping
+    stars: StarList
+    detections: tuple[Detection, ...]
+    rois: tuple[RoiGroup, ...]
+    bytes_by_apid: dict[int, int]
+
+
+class OnboardChain:
+    """The on-board software, configured. It holds scratch memory, but nothing of the run's state."""
+
+    def __init__(
+        self,
+        options: OnboardOptions,
+        steps: OnboardSteps,
+        *,
+        calibration: Calibration | None,
+        camera: NominalCamera,
+        run_id: int,
+    ) -> None:
+        if not 0 <= run_id < 2**32:
+            raise ContractError(f"run_id: expected 0 to 4294967295, got {run_id}")
+        self._options = options
+        self._steps = steps
+        self._calibration = calibration
+        self._camera = camera
+        self._run_id = run_id
+        self._scratch: tuple[NDArray[np.float32], NDArray[np.uint8]] | None = None
+
+    def initial_state(self) -> OnboardState:
+        """State before the first frame."""
+        downlink = self._options.downlink
+        return OnboardState(
+            writer=packets.PacketWriter(run_id=self._run_id),
+            allowance=Allowance(rate_bytes_s=downlink.budget_mbit_s * 125_000.0, burst_s=downlink.burst_s),
+            hot_pixels=HotPixels.empty(),
+        )
+
+    def process(self, state: OnboardState, frame: Frame) -> tuple[OnboardState, OnboardResult]:
+        """Packets of one frame and the state after it. Arrays of the state belong to the chain."""
+        header = self._with_saturation(frame.header)
+        check = _checksum(frame.pixels)
+        counts = to_counts(replace(frame, header=header), self._calibration)
+        view, n_masked = self._calibrated(header, counts, state)
+        flags = _header_flags(header) | _sequence_flags(header, state, check) | _content_flags(view, counts, n_masked)
+        usable = not flags & (FrameFlag.ALL_MASKED | FrameFlag.EMPTY_SIGNAL | FrameFlag.REPEATED_FRAME)
+        if usable:
+            view = replace(view, stars=self._stars(view))
+            detections = flag_static(self._detections(view), state.recent)
+        else:
+            detections = ()
+        if len(view.stars) == 0:
+            flags |= FrameFlag.NO_STARS
+        outbox = Outbox(writer=state.writer, allowance=state.allowance.after(_elapsed_s(header, state.previous)), header=header)
+        housekeeping, rois = self._send(outbox, state, view, counts, detections, flags, n_masked)
+        keep = self._steps.detector.history_frames if usable else 0
+        history = (*state.history, replace(view, history=()))[-keep:] if keep > 0 else state.history
+        after = OnboardState(
+            writer=outbox.writer,
+            allowance=outbox.allowance,
+            hot_pixels=state.hot_pixels.after(view.stars, view.mask.shape) if usable else state.hot_pixels,
+            previous=header,
+            history=history,
+            recent=(*state.recent, detections)[-RECENT_FRAMES:] if usable else state.recent,
+            pixel_check=check,
+            frames_done=state.frames_done + 1,
+        )
+        result = OnboardResult(
+            packets=outbox.joined(),
+            housekeeping=housekeeping,
+            stars=view.stars,
+            detections=detections,
+            rois=rois,
+            bytes_by_apid=outbox.bytes_by_apid(),
+        )
+        return after, result
+
+    def _with_saturation(self, header: FrameHeader) -> FrameHeader:
+        """The header with the camera's saturation level where the frame brings none but a calibration is there."""
+        if header.saturation_adu is not None or self._calibration is None:
+            return header
+        return replace(header, saturation_adu=self._camera.saturation_adu)
+
+    def _calibrated(self, header: FrameHeader, counts: Counts, state: OnboardState) -> tuple[DetectorView, int]:
+        """The view without stars, and how many pixels are masked."""
+        defects = state.hot_pixels.masked(counts.defects)
+        estimated = self._guarded("background", self._steps.background.estimate, counts.pixels, counts.dark, defects)
+        if not isinstance(estimated, BackgroundModel):
+            raise self._fault("background", f"expected a BackgroundModel, got {type(estimated).__name__}")
+        background = background_in_adu(estimated, counts)
+        residual, mask = self._buffers(counts.pixels.shape)
+        n_masked = residual_pass(
+            counts.pixels,
+            counts.dark,
+            defects,
+            background.level_adu - np.float32(counts.adu_offset),
+            background.tile_px,
+            counts.saturation,
+            counts.adu_scale,
+            residual,
+            mask,
+        )
+        view = DetectorView(
+            header=header,
+            residual_adu=residual,
+            background=background,
+            mask=mask,
+            stars=StarList.empty(),
+            psf_sigma_px=self._camera.psf_sigma_px,
+            history=state.history,
+        )
+        return view, int(n_masked)
+
+    def _buffers(self, shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Memory for the calibrated image and the mask; used again for every frame unless views are kept."""
+        if self._steps.detector.history_frames > 0:
+            return np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.uint8)
+        if self._scratch is None or self._scratch[0].shape != shape:
+            self._scratch = (np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.uint8))
+        return self._scratch
+
+    def _stars(self, view: DetectorView) -> StarList:
+        """Stars of the extractor, checked."""
+        stars = self._guarded("star_extractor", self._steps.star_extractor.extract, view)
+        if not isinstance(stars, StarList):
+            raise self._fault("star_extractor", f"expected a StarList, got {type(stars).__name__}")
+        return stars
+
+    def _detections(self, view: DetectorView) -> tuple[Detection, ...]:
+        """Detections of the detector, checked."""
+        found = self._guarded("detector", self._steps.detector.detect, view)
+        rows, cols = view.mask.shape
+        if not isinstance(found, tuple | list):
+            raise self._fault("detector", f"expected a tuple of Detection, got {type(found).__name__}")
+        for detection in found:
+            if not isinstance(detection, Detection):
+                raise self._fault("detector", f"expected Detection, got {type(detection).__name__}")
+            slack = OUTSIDE_TOLERANCE_PX
+            for row, col in ((detection.row0, detection.col0), (detection.row1, detection.col1)):
+                if not (-slack <= row <= rows - 1 + slack and -slack <= col <= cols - 1 + slack):
+                    raise self._fault("detector", f"end ({row:.1f}, {col:.1f}) lies outside the frame of {rows} x {cols} px")
+        return tuple(found)
+
+    def _guarded(self, seam: str, call: Callable[..., Any], *arguments: Any) -> Any:
+        """What a step returns; whatever it raises becomes a `PluginError` that names it."""
+        try:
+            return call(*arguments)
+        except UserError:
+            raise
+        except Exception as error:  # a plug-in may raise anything; it is reported by name
+            raise self._fault(seam, f"{type(error).__name__}: {error}") from error
+
+    def _fault(self, seam: str, what: str) -> PluginError:
+        """The error that names a step."""
+        step = type(getattr(self._steps, seam))
+        return PluginError(f"onboard.{seam} {step.__module__}:{step.__qualname__}: {what}")
+
+    def _send(
+        self,
+        outbox: Outbox,
+        state: OnboardState,
+        view: DetectorView,
+        counts: Counts,
+        detections: tuple[Detection, ...],
+        flags: FrameFlag,
+        n_masked: int,
+    ) -> tuple[Housekeeping, tuple[RoiGroup, ...]]:
+        """Everything into the outbox in order of priority; what does not fit is counted."""
+        options, background = self._options.downlink, view.background
+        outbox.reserve(packet_bytes([bytes(HEADER_FIXED.size + 2 * TELEMETRY.size)]))
+        chosen = _part(view.stars, best_spread(view.stars, view.mask.shape, options.max_stars))
+        n_stars = len(chosen) if outbox.offer(Apid.STARS, packets.star_payloads(chosen)) else 0
+        order = priority(detections)
+        in_storm = len(detections) > self._options.roi.max_per_frame
+        flags |= FrameFlag.STORM if in_storm else FrameFlag(0)
+        groups = self._send_rois(outbox, view, counts, [detections[k] for k in order[: self._options.roi.max_per_frame]])
+        level, sigma = float(np.median(background.level_adu)), float(np.median(background.sigma_adu))
+        unit = float(np.float32(0.05 * max(sigma, 1e-6)))
+        outbox.offer(Apid.BACKGROUND, packets.background_payloads(background, level_unit_adu=unit, sigma_unit_adu=0.5 * unit))
+        cells, offset, step = thumbnail(view.residual_adu, level, sigma, options.thumbnail_px)
+        outbox.offer(
+            Apid.THUMBNAIL,
+            packets.thumbnail_payloads(cells, cell_px=options.thumbnail_px, offset_adu=offset, unit_adu=step),
+        )
+        if options.whole_frame_every > 0 and state.frames_done % options.whole_frame_every == 0:
+            outbox.send(Apid.FRAME, frame_payloads(counts, background, self._steps.codec))
+        kept_snr = [group.detection.snr for group in groups]
+        housekeeping = Housekeeping(
+            flags=flags | (FrameFlag.BUDGET_CUT if outbox.bytes_dropped else FrameFlag(0)),
+            n_stars_found=len(view.stars),
+            n_stars_sent=n_stars,
+            n_detections=len(detections),
+            n_rois_sent=len(groups),
+            n_rois_dropped=len(detections) - len(groups),
+            bytes_dropped=outbox.bytes_dropped,
+            threshold_sigma=min(kept_snr) if in_storm and kept_snr else 0.0,
+            background_adu=level,
+            sigma_adu=sigma,
+            n_masked=n_masked,
+        )
+        payload = packets.header_payload(
+            view.header,
+            housekeeping,
+            state.previous,
+            adu_scale=counts.adu_scale,
+            adu_offset=counts.adu_offset,
+            psf_sigma_px=view.psf_sigma_px,
+        )
+        outbox.send(Apid.HEADER, [payload])
+        return housekeeping, groups
+
+    def _send_rois(self, outbox: Outbox, view: DetectorView, counts: Counts, detections: list[Detection]) -> tuple[RoiGroup, ...]:
+        """ROIs in the given order: as planned, or tighter when that does not fit, or not at all."""
+        groups: list[RoiGroup] = []
+        for detection in detections:
+            coded = self._fitting(outbox, detection, view, counts)
+            if coded is None or not coded.strips:
+                continue
+            roi_id = len(groups)
+            outbox.offer(Apid.ROI, coded.payloads, item=roi_id)
+            groups.append(RoiGroup(roi_id=roi_id, detection=coded.detection, strips=coded.strips, n_strips=len(coded.strips)))
+        return tuple(groups)
+
+    def _fitting(self, outbox: Outbox, detection: Detection, view: DetectorView, counts: Counts) -> CodedRoi | None:
+        """The fullest form of a ROI that fits; None, counted as dropped, when even the tight one does not."""
+        full = code_roi(detection, view, counts, self._steps.codec, self._options.roi)
+        if outbox.fits(full.payloads):
+            return full
+        tight = code_roi(detection, view, counts, self._steps.codec, self._options.roi, tight=True)
+        fits = outbox.fits(tight.payloads)
+        outbox.bytes_dropped += packet_bytes(full.payloads) - (packet_bytes(tight.payloads) if fits else 0)
+        return tight if fits else None
+
+
+def _checksum(pixels: NDArray[np.uint16] | NDArray[np.float32]) -> int:
+    """Checksum of some rows, enough to recognise the same frame again."""
+    return zlib.crc32(np.ascontiguousarray(pixels[:: max(1, pixels.shape[0] // CHECKED_ROWS)]).data)
+
+
+def _elapsed_s(header: FrameHeader, previous: FrameHeader | None) -> float:
+    """Time for which the downlink budget has grown: since the frame before, or one exposure."""
+    if previous is None:
+        return max(header.exposure_ns, 1) / NS_PER_S
+    return (header.t_start_tai_ns - previous.t_start_tai_ns) / NS_PER_S
+
+
+def _header_flags(header: FrameHeader) -> FrameFlag:
+    """What the header does not know."""
+    missing = (
+        (header.gain_e_adu, FrameFlag.GAIN_ASSUMED),
+        (header.read_noise_e, FrameFlag.READ_NOISE_ASSUMED),
+        (header.attitude, FrameFlag.NO_ATTITUDE),
+        (header.observer, FrameFlag.NO_OBSERVER),
+    )
+    flags = FrameFlag(0)
+    for value, flag in missing:
+        flags |= flag if value is None else FrameFlag(0)
+    return flags
+
+
+def _sequence_flags(header: FrameHeader, state: OnboardState, check: int) -> FrameFlag:
+    """What is wrong with a frame's place in the run."""
+    flags, previous = FrameFlag(0), state.previous
+    if previous is None:
+        return flags
+    if header.t_start_tai_ns < previous.t_start_tai_ns + previous.exposure_ns:
+        flags |= FrameFlag.TIME_BACKWARDS
+    if check == state.pixel_check or header.frame == previous.frame:
+        flags |= FrameFlag.REPEATED_FRAME
+    return flags
+
+
+def _content_flags(view: DetectorView, counts: Counts, n_masked: int) -> FrameFlag:
+    """What is wrong with a frame's pixels."""
+    flags, size = FrameFlag(0), view.mask.size
+    if n_masked > 0.9 * size:
+        flags |= FrameFlag.ALL_MASKED
+    if n_masked > 0.5 * size and np.count_nonzero(view.mask & MaskBit.SATURATED) > 0.5 * size:
+        flags |= FrameFlag.SATURATED
+    first = counts.pixels[0, 0]
+    if (counts.pixels[0] == first).all() and (counts.pixels == first).all():
+        flags |= FrameFlag.EMPTY_SIGNAL
+    return flags
+
+
+def _part(stars: StarList, index: NDArray[np.intp]) -> StarList:
+    """Some entries of a star list."""
+    return StarList(
+        row=stars.row[index], col=stars.col[index], flux_e=stars.flux_e[index], snr=stars.snr[index], flags=stars.flags[index]
+    )

@@ -1,0 +1,87 @@
+"""What stays where it was: hot pixels learned over frames, and detections seen before at the same place."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.flags import MaskBit, StarFlag, StreakFlag
+from sboc_e2e.icd.signals import Detection, StarList
+
+SIGHTINGS = 3
+"""A sharp peak is taken for a hot pixel when seen at one pixel in so many frames."""
+
+FORGET_FRAMES = 64
+"""Candidates not seen for this many frames are forgotten; learned pixels are looked at afresh as often."""
+
+CAPACITY = 50_000
+SAME_PLACE_PX = 1.5
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class HotPixels:
+    """Candidates and learned hot pixels. pixel : flat indices, sorted; seen : sightings; last : frame of the last one."""
+
+    pixel: NDArray[np.int64]
+    seen: NDArray[np.int32]
+    last: NDArray[np.int64]
+    frames: int = 0
+
+    @classmethod
+    def empty(cls) -> "HotPixels":
+        """Nothing learned yet."""
+        return cls(pixel=np.zeros(0, np.int64), seen=np.zeros(0, np.int32), last=np.zeros(0, np.int64))
+
+    def after(self, stars: StarList, shape: tuple[int, int]) -> "HotPixels":
+        """State after a frame whose star list holds peaks sharper than the PSF."""
+        sharp = (stars.flags & StarFlag.COSMIC_LIKE) != 0
+        row = np.clip(np.rint(stars.row[sharp]), 0, shape[0] - 1).astype(np.int64)
+        col = np.clip(np.rint(stars.col[sharp]), 0, shape[1] - 1).astype(np.int64)
+        now = np.unique(row * shape[1] + col)
+        pixel = np.union1d(self.pixel, now)
+        seen, last = np.zeros(len(pixel), np.int32), np.zeros(len(pixel), np.int64)
+        known = np.searchsorted(pixel, self.pixel)
+        seen[known], last[known] = self.seen, self.last
+        fresh = np.searchsorted(pixel, now)
+        seen[fresh] += 1
+        last[fresh] = self.frames
+        keep = self.frames - last < FORGET_FRAMES
+        if np.count_nonzero(keep) > CAPACITY:
+            keep &= seen >= np.partition(seen[keep], -CAPACITY)[-CAPACITY]
+        pixel, seen, last = pixel[keep][:CAPACITY], seen[keep][:CAPACITY], last[keep][:CAPACITY]
+        return HotPixels(pixel=pixel, seen=seen, last=last, frames=self.frames + 1)
+
+    def learned(self) -> NDArray[np.int64]:
+        """Flat indices of pixels taken for hot."""
+        return self.pixel[self.seen >= SIGHTINGS]
+
+    def masked(self, defects: NDArray[np.uint8]) -> NDArray[np.uint8]:
+        """Defects with the learned pixels added; the input when nothing was learned."""
+        learned = self.learned()
+        learned = learned[learned < defects.size]
+        if len(learned) == 0:
+            return defects
+        out = defects.copy()
+        out.ravel()[learned] |= np.uint8(MaskBit.LEARNED_HOT)
+        return out
+
+
+def flag_static(detections: Sequence[Detection], recent: Sequence[Sequence[Detection]]) -> tuple[Detection, ...]:
+    """Detections with STATIC set when each end of the segment was seen at the same place in a recent frame."""
+    earlier = [_ends(d) for frame in recent for d in frame]
+    if not earlier or not detections:
+        return tuple(detections)
+    before = np.array(earlier)
+    out = []
+    for detection in detections:
+        apart = np.abs(before - np.array(_ends(detection))).max(axis=1)
+        same = bool((apart < SAME_PLACE_PX).any())
+        out.append(replace(detection, flags=detection.flags | StreakFlag.STATIC) if same else detection)
+    return tuple(out)
+
+
+def _ends(detection: Detection) -> tuple[float, float, float, float]:
+    """The ends in an order that does not depend on which is called 0."""
+    a, b = (detection.row0, detection.col0), (detection.row1, detection.col1)
+    return (*min(a, b), *max(a, b))

@@ -1,0 +1,79 @@
+"""Which entries of the star list are stars, and how much of the image they cost.
+
+A trail that is brighter than a few sigma per pixel enters the star list as a chain of "stars"; masking them would eat the
+trail. An entry is a piece of a trail when the light goes on along a straight path for 7 px on at least one side.
+"""
+
+import math
+from typing import Final
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.signals import StarList
+
+DIRECTIONS: Final = 24
+REACH_PX: Final = 7
+
+
+@nb.njit(cache=True)
+def _goes_on(
+    residual: NDArray[np.float32], row: float, col: float, level: float, scale: float, smooth: NDArray[np.int8], use_smooth: bool
+) -> bool:
+    """Whether every pair of neighbouring samples from 2 to 7 px in some direction is brighter than `level`."""
+    rows, cols = residual.shape
+    for k in range(DIRECTIONS):
+        angle = 2.0 * math.pi * k / DIRECTIONS
+        d_row, d_col = math.sin(angle), math.cos(angle)
+        before = 0.0
+        bright = True
+        for d in range(1, REACH_PX + 1):
+            i, j = int(math.floor(row + d * d_row + 0.5)), int(math.floor(col + d * d_col + 0.5))
+            if i < 0 or j < 0 or i >= rows or j >= cols:
+                bright = d > 4
+                break
+            value = float(smooth[i, j]) / 16.0 if use_smooth else residual[i, j] * scale
+            if d > 2 and 0.5 * (value + before) < level:
+                bright = False
+                break
+            before = value
+        if bright:
+            return True
+    return False
+
+
+@nb.njit(cache=True)
+def trail_pieces(
+    residual_adu: NDArray[np.float32], smooth: NDArray[np.int8], sigma_adu: NDArray[np.float32], tile_px: int,
+    row: NDArray[np.float64], col: NDArray[np.float64], snr: NDArray[np.float32], psf_sigma_px: float,
+) -> NDArray[np.bool_]:
+    """Entries that are pieces of trails, shape (n,). `smooth` is the PSF-smoothed image in units of sigma/16, not star-masked."""
+    out = np.zeros(row.shape[0], np.bool_)
+    peak = 1.0 / (2.0 * math.sqrt(math.pi) * psf_sigma_px)
+    for k in range(row.shape[0]):
+        mesh_row = min(max(int(row[k]) // tile_px, 0), sigma_adu.shape[0] - 1)
+        mesh_col = min(max(int(col[k]) // tile_px, 0), sigma_adu.shape[1] - 1)
+        sigma = sigma_adu[mesh_row, mesh_col]
+        if not sigma > 0.0:
+            continue
+        faint = snr[k] < 12.0
+        level = 0.35 * snr[k] * (1.0 if faint else peak)
+        out[k] = _goes_on(residual_adu, row[k], col[k], level, 1.0 / sigma, smooth, faint)
+    return out
+
+
+def mask_radii_px(snr: NDArray[np.float32], psf_sigma_px: float, halo_px: float) -> NDArray[np.float64]:
+    """Radius at which a Gaussian star of matched-filter S/N `snr` falls to 0.4 sigma of a pixel, plus a halo ~ sqrt(snr)."""
+    signal = np.maximum(np.asarray(snr, np.float64), 1.0)
+    peak = signal / (2.0 * math.sqrt(math.pi) * psf_sigma_px)
+    core = psf_sigma_px * np.sqrt(2.0 * np.log(np.maximum(peak / 0.4, 1.65)))
+    return core + 0.7 + halo_px * np.maximum(0.0, np.sqrt(signal / 100.0) - 1.0)
+
+
+def stars_only(
+    stars: StarList, pieces: NDArray[np.bool_], psf_sigma_px: float, halo_px: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Rows, cols and mask radii (px) of the entries that are stars."""
+    keep = ~pieces
+    return stars.row[keep], stars.col[keep], mask_radii_px(stars.snr[keep], psf_sigma_px, halo_px)

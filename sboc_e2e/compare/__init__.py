@@ -1,0 +1,5 @@
+"""Compare choices of one seam on the same frames: paired differences, curves, a gallery, and what each costs."""
+
+from sboc_e2e.compare.compare import compare
+
+__all__ = ["compare"]

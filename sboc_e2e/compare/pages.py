@@ -1,0 +1,89 @@
+"""compare.json, compare.md and compare.html from the outcomes of each choice."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.report import plots
+from sboc_e2e.report.page import simple_page, table
+from sboc_e2e.report.words import figure_words, number
+
+
+def completeness_plot(snr: NDArray[np.float64], found: dict[str, NDArray[np.bool_]], ideal: float | None) -> str:
+    """Completeness against true S/N, one curve for each choice."""
+    return plots.completeness({name: (snr, f) for name, f in found.items()}, ideal)
+
+
+def froc_plot(curves: dict[str, list[list[float]]]) -> str:
+    """Free-response curves of all choices."""
+    with plots.canvas(5.6, 3.6) as (figure, (ax,)):
+        for k, (name, curve) in enumerate(curves.items()):
+            points = np.array(curve or [[0.0, 0.0]])
+            ax.step(np.maximum(points[:, 0], 1e-3), points[:, 1], where="post", color=plots.SERIES[k % 7], label=name)
+        ax.set(xscale="log", xlabel="false per frame", ylabel="share of truth (S/N >= 3) found", ylim=(0, 1.02))
+        ax.legend(loc="lower right")
+        return plots.svg(figure)
+
+
+def choice_rows(result: dict[str, Any]) -> list[list[str]]:
+    """One row of words for each choice."""
+    rows = []
+    for name, c in result["choices"].items():
+        rows.append(
+            [
+                name,
+                figure_words(c["completeness_snr8"])[0],
+                figure_words(c["snr50"])[0],
+                figure_words(c["false_per_frame"])[0],
+                figure_words(c["cross_crlb_ratio"])[0],
+                number(c["cpu_ms_per_frame"]),
+                number(c["downlink_bits_per_frame"] / 1000),
+            ]
+        )
+    return rows
+
+
+HEAD = ("choice", "completeness S/N >= 8", "S/N half", "false per frame", "cross / CRLB", "CPU ms per frame", "kbit per frame")
+
+
+def pair_rows(result: dict[str, Any]) -> list[list[str]]:
+    """One row of words for each pair: gain of the second over the first."""
+    return [
+        [
+            f"{p['second']} - {p['first']}",
+            figure_words(p["difference"])[0],
+            str(p["mcnemar"]["only_first"]),
+            str(p["mcnemar"]["only_second"]),
+            number(p["mcnemar"]["p_value"]),
+        ]
+        for p in result["pairs"]
+    ]
+
+
+PAIR_HEAD = ("pair", "gain in completeness (S/N >= 5)", "only first", "only second", "McNemar p")
+
+
+def write_pages(result: dict[str, Any], pictures: dict[str, str], gallery: list[dict[str, Any]], out: Path) -> None:
+    """All three files; `pictures` are titled SVGs, `gallery` cut-outs of streaks that one found and another lost."""
+    (out / "compare.json").write_text(json.dumps(result, indent=1))
+    title = f"{result['seam']} on {result['scenario']}"
+    note = f"{result['n_frames']} frames, {result['n_truth']} truth streaks with S/N >= 3, {result['seeds']} seed(s); same frames for all."
+    rows, pairs = choice_rows(result), pair_rows(result)
+    lines = [f"# {title}", "", note, ""]
+    for head, body in ((HEAD, rows), (PAIR_HEAD, pairs)):
+        lines += ["| " + " | ".join(head) + " |", "|" + "---|" * len(head), *("| " + " | ".join(r) + " |" for r in body), ""]
+    (out / "compare.md").write_text("\n".join(lines))
+    body = [f"<p>{note}</p>", table(HEAD, rows), "<h2>Pairs</h2>", table(PAIR_HEAD, pairs), '<div class="plots">']
+    body += [f"<figure><figcaption>{name}</figcaption>{svg}</figure>" for name, svg in pictures.items()]
+    body += ["</div>", "<h2>Found by one, lost by another</h2>"]
+    body += ['<div class="cases">'] if gallery else ["<p>None.</p>"]
+    for item in gallery:
+        body.append(
+            f'<figure class="case"><img src="{item["picture"]}" alt="cut-out"><figcaption>S/N {item["snr"]:.1f}, '
+            f"{item['length_px']:.0f} px, frame {item['frame']}: found by {item['found']}, lost by {item['lost']}</figcaption></figure>"
+        )
+    body += ["</div>"] if gallery else []
+    (out / "compare.html").write_text(simple_page(title, body))

@@ -1,0 +1,73 @@
+"""Statistics of two choices judged on the same truth: McNemar's test and a bootstrap over objects."""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import stats
+
+from sboc_e2e.score.figures import CONFIDENCE, Figure, absent, figure
+
+DRAWS: Final = 1000
+_SEED: Final = 11
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Outcomes:
+    """Truth streaks of all seeds in one order, and what each choice made of them.
+
+    snr, length_px : (n,). cluster : (n,) object of each streak (with its seed): streaks of one object are not
+    independent, so objects are resampled, not streaks. found : choice -> (n,) bool.
+    """
+
+    snr: NDArray[np.float64]
+    length_px: NDArray[np.float64]
+    cluster: NDArray[np.int64]
+    found: dict[str, NDArray[np.bool_]]
+
+    def select(self, chosen: NDArray[np.bool_]) -> "Outcomes":
+        """The streaks of a mask."""
+        found = {name: f[chosen] for name, f in self.found.items()}
+        return Outcomes(snr=self.snr[chosen], length_px=self.length_px[chosen], cluster=self.cluster[chosen], found=found)
+
+
+def mcnemar(one: NDArray[np.bool_], other: NDArray[np.bool_]) -> dict[str, Any]:
+    """Streaks found by only one of two choices, and the exact two-sided probability of such an imbalance by chance.
+
+    McNemar (1947, Psychometrika 12, 153) in its exact binomial form.
+    """
+    only_one, only_other = int((one & ~other).sum()), int((other & ~one).sum())
+    disagreeing = only_one + only_other
+    p = float(stats.binomtest(only_one, disagreeing, 0.5).pvalue) if disagreeing else 1.0
+    return {"both": int((one & other).sum()), "only_first": only_one, "only_second": only_other, "p_value": p}
+
+
+def difference(outcomes: Outcomes, first: str, second: str) -> Figure:
+    """Completeness of the second choice minus that of the first, with a bootstrap interval over objects."""
+    n = len(outcomes.snr)
+    if n == 0:
+        return absent("no truth streak")
+    gain = outcomes.found[second].astype(float) - outcomes.found[first].astype(float)
+    _, member = np.unique(outcomes.cluster, return_inverse=True)
+    groups = int(member.max()) + 1
+    total, size = np.bincount(member, gain, groups), np.bincount(member, minlength=groups)
+    rng = np.random.default_rng(_SEED)
+    drawn = rng.integers(0, groups, (DRAWS, groups))
+    draws = total[drawn].sum(axis=1) / size[drawn].sum(axis=1)
+    low, high = np.quantile(draws, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return figure(float(gain.mean()), n, low, high)
+
+
+def froc(snr_of_hits: NDArray[np.float64], snr_of_false: NDArray[np.float64], n_truth: int, n_frames: int) -> list[list[float]]:
+    """Free-response curve: [false per frame, share of truth found] as the threshold on the measured S/N falls.
+
+    snr_of_hits : measured S/N of matched detections, snr_of_false : of false ones.
+    """
+    thresholds = np.unique(np.concatenate([snr_of_hits, snr_of_false]))[::-1]
+    if len(thresholds) > 200:
+        thresholds = thresholds[np.linspace(0, len(thresholds) - 1, 200).astype(int)]
+    return [
+        [float((snr_of_false >= t).sum() / max(n_frames, 1)), float((snr_of_hits >= t).sum() / max(n_truth, 1))]
+        for t in thresholds
+    ]

@@ -75,7 +75,7 @@ def middle_sigma_px(fit: StreakFit) -> tuple[float, float]:
     middle = 0.25 * (covariance[:2, :2] + covariance[2:, 2:] + covariance[:2, 2:] + covariance[2:, :2])
     length = fit.length_px
     if length < 1e-6:
-        sigma = float(np.sqrt(max(0.5 * float(np.trace(middle)), 0.0)))
+        sigma = float(np.sqrt(max(0.5 * float(middle[0, 0] + middle[1, 1]), 0.0)))
         return sigma, sigma
     along = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0]) / length
     across = np.array([-along[1], along[0]])

@@ -40,7 +40,7 @@ class SolvedSky:
         """Apparent unit vectors (n, 3): a frame that turns by +angle sees directions turned by -angle."""
         seconds = (np.asarray(tai_ns) - mid_frame_tai_ns(self.header)) * 1e-9
         camera_frame = Camera.solved(self.solution).unproject(row, col)
-        turned: Array = seconds[:, None] * np.asarray(self.solution.rate_rad_s, dtype=np.float64)
+        turned = np.outer(seconds, self.solution.rate_rad_s)
         return turn(camera_frame, turned) @ self._matrix
 
 

@@ -1,0 +1,1 @@
+"""What leaves ground: TDM and OEM messages, tables with units."""

@@ -1,0 +1,23 @@
+"""GCRS axes to EME2000 (mean equator and equinox of J2000.0): the IAU 2006 frame bias, 23 mas."""
+
+import erfa
+import numpy as np
+from numpy.typing import NDArray
+
+J2000_JD = 2451545.0
+
+
+def frame_bias() -> NDArray[np.float64]:
+    """Matrix (3, 3) with ``eme2000 = matrix @ gcrs`` (ERFA `bp06`)."""
+    bias, _, _ = erfa.bp06(J2000_JD, 0.0)
+    return np.asarray(bias)
+
+
+def eme2000_angles_deg(
+    ra_deg: NDArray[np.float64], dec_deg: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Right ascension in [0, 360) and declination, EME2000, of GCRS directions (n,)."""
+    ra, dec = np.radians(ra_deg), np.radians(dec_deg)
+    gcrs = np.stack((np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)))
+    x, y, z = frame_bias() @ gcrs
+    return np.degrees(np.arctan2(y, x)) % 360.0, np.degrees(np.arctan2(z, np.hypot(x, y)))

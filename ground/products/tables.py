@@ -1,0 +1,280 @@
+"""Tables of a run with units and descriptions, ready to be written as ECSV: frames, stars, streaks, tracklets, orbits."""
+
+import json
+from collections.abc import Sequence
+from typing import Any, Final
+
+import numpy as np
+from astropy.table import Column, Table
+
+from ground.astrometry.apparent import mid_frame_tai_ns
+from ground.astrometry.camera import Camera
+from ground.astrometry.rotation import matrix_of
+from ground.photometry.magnitude import sphere_size_m
+from ground.products.epochs import utc_text
+from ground.records import GroundProducts
+from ground.sky.published import spherical_deg
+from sboc_e2e.icd.downlink import DownlinkFrame
+from sboc_e2e.icd.flags import FrameFlag
+from sboc_e2e.icd.version import CONTRACT_VERSION
+
+DIRECTIONS: Final = (
+    "GCRS axes, observer-centred; aberration of the observer's geocentric velocity removed, annual aberration not removed, "
+    "light time not removed"
+)
+ARCSEC_PER_RAD: Final = 648000.0 / np.pi
+
+Spec = tuple[str, Any, str | None, str]
+"""Name, values, unit, description."""
+
+
+def frames_table(products: GroundProducts) -> Table:
+    """One row for each frame: epoch, pointing, camera, star statistics, zero point."""
+    headers, solutions, photometry = products.headers, products.solutions, products.photometry
+    solved = np.array([not s.flags & FrameFlag.NO_SOLUTION for s in solutions], dtype=bool)
+    ra, dec = _centre_directions(products)
+    sigma = np.array([np.sqrt(np.diag(s.covariance_rad2)) for s in solutions]).reshape(-1, 3) * ARCSEC_PER_RAD
+    quaternion = np.array([s.quaternion for s in solutions]).reshape(-1, 4)
+    return _table(
+        [
+            ("frame", [h.frame for h in headers], None, "frame number"),
+            ("t_start_utc", _text(utc_text([h.t_start_tai_ns for h in headers])), None, "start of exposure of row 0"),
+            ("t_mid_utc", _text(utc_text([mid_frame_tai_ns(h) for h in headers])), None, "mid-exposure of the middle row"),
+            ("exposure_s", [h.exposure_ns * 1e-9 for h in headers], "s", "exposure of each row"),
+            ("line_time_s", [h.line_time_ns * 1e-9 for h in headers], "s", "delay from row to row"),
+            ("rows", [h.rows for h in headers], "pix", "delivered rows"),
+            ("cols", [h.cols for h in headers], "pix", "delivered columns"),
+            ("solved", solved, None, "whether the attitude was solved from stars"),
+            ("ra_app_deg", ra, "deg", "apparent right ascension of the frame's middle (GCRS axes, all aberration in)"),
+            ("dec_app_deg", dec, "deg", "apparent declination of the frame's middle"),
+            ("q_x", quaternion[:, 0], None, "attitude quaternion, apparent GCRS directions to camera frame"),
+            ("q_y", quaternion[:, 1], None, "attitude quaternion"),
+            ("q_z", quaternion[:, 2], None, "attitude quaternion"),
+            ("q_w", quaternion[:, 3], None, "attitude quaternion, scalar"),
+            ("sigma_x_arcsec", sigma[:, 0], "arcsec", "error of the rotation about the col axis"),
+            ("sigma_y_arcsec", sigma[:, 1], "arcsec", "error of the rotation about the row axis"),
+            ("sigma_roll_arcsec", sigma[:, 2], "arcsec", "error of the rotation about the boresight"),
+            ("focal_px", [s.focal_px for s in solutions], "pix", "focal length"),
+            ("center_row", [s.center_row for s in solutions], "pix", "optical axis"),
+            ("center_col", [s.center_col for s in solutions], "pix", "optical axis"),
+            *(
+                (name, [getattr(s, name) for s in solutions], None, "Brown-Conrady distortion")
+                for name in ("k1", "k2", "p1", "p2")
+            ),
+            ("n_stars", [s.n_stars for s in solutions], None, "stars in the camera fit"),
+            ("rms_px", [s.rms_px for s in solutions], "pix", "rms of a coordinate's star residuals"),
+            ("zero_point_mag", [p.zero_point_mag for p in photometry], "mag", "V of 1 e-/s on axis for a solar colour"),
+            ("zero_point_err_mag", [p.zero_point_err_mag for p in photometry], "mag", "its error"),
+            ("colour_term", [p.colour_term for p in photometry], None, "mag of V for 1 mag of B-V"),
+            ("n_phot", [p.n_stars for p in photometry], None, "stars in the zero point"),
+            ("rms_mag", [p.rms_mag for p in photometry], "mag", "rms of the stars' residuals"),
+            ("flags", [int(s.flags) for s in solutions], None, "FrameFlag bits"),
+        ],
+        "frames",
+    )
+
+
+def stars_table(products: GroundProducts, frames: Sequence[DownlinkFrame]) -> Table:
+    """One row for each star that was received, with its identification where there is one."""
+    parts: dict[str, list[Any]] = {name: [] for name in ("frame", "row", "col", "flux", "snr", "flags", "v", "bv", "dr", "dc")}
+    for frame, solution in zip(frames, products.solutions, strict=True):
+        n = len(frame.stars)
+        matched = {name: np.full(n, np.nan) for name in ("v", "bv", "dr", "dc")}
+        index = np.asarray(solution.star_index, dtype=np.intp)
+        matched["v"][index], matched["bv"][index] = solution.star_v_mag, solution.star_b_v
+        matched["dr"][index], matched["dc"][index] = solution.star_residual_px[:, 0], solution.star_residual_px[:, 1]
+        parts["frame"].append(np.full(n, frame.header.frame))
+        for name, values in (("row", frame.stars.row), ("col", frame.stars.col), ("flux", frame.stars.flux_e)):
+            parts[name].append(values)
+        parts["snr"].append(frame.stars.snr)
+        parts["flags"].append(frame.stars.flags)
+        for name, values in matched.items():
+            parts[name].append(values)
+    column = {name: np.concatenate(values) if values else np.zeros(0) for name, values in parts.items()}
+    return _table(
+        [
+            ("frame", column["frame"].astype(np.int64), None, "frame number"),
+            ("row", column["row"], "pix", "centroid"),
+            ("col", column["col"], "pix", "centroid"),
+            ("flux_e", column["flux"], "electron", "flux in one exposure"),
+            ("snr", column["snr"], None, "matched-filter S/N"),
+            ("v_mag", column["v"], "mag", "catalogue V; NaN when not identified"),
+            ("b_v", column["bv"], "mag", "catalogue B-V"),
+            ("residual_row_px", column["dr"], "pix", "measured minus fitted"),
+            ("residual_col_px", column["dc"], "pix", "measured minus fitted"),
+            ("flags", column["flags"].astype(np.int64), None, "StarFlag bits"),
+        ],
+        "stars",
+    )
+
+
+def streaks_table(products: GroundProducts) -> Table:
+    """One row for each measured streak; ends by growing col before linking, by time after it (DIRECTION_RESOLVED)."""
+    streaks = products.streaks
+    fits = [s.fit for s in streaks]
+    covariance = np.array([f.covariance_px2 for f in fits]).reshape(-1, 4, 4)
+    interval = np.array([f.end_interval_px for f in fits]).reshape(-1, 2, 2)
+    ra, dec = (np.array([getattr(s, name) for s in streaks]).reshape(-1, 3) for name in ("ra_deg", "dec_deg"))
+    t = [np.array([s.t_tai_ns[k] for s in streaks], dtype=np.int64) for k in range(3)]
+    lists: list[Spec] = [
+        ("frame", [s.frame for s in streaks], None, "frame number, 0-based"),
+        ("streak_id", [s.streak_id for s in streaks], None, "unique in a run"),
+        ("roi_id", [s.roi_id for s in streaks], None, "ROI group it was measured in"),
+        ("row0", [f.row0 for f in fits], "pix", "PSF centre at end 0"),
+        ("col0", [f.col0 for f in fits], "pix", "PSF centre at end 0"),
+        ("row1", [f.row1 for f in fits], "pix", "PSF centre at end 1"),
+        ("col1", [f.col1 for f in fits], "pix", "PSF centre at end 1"),
+        ("row_mid", [s.row_mid for s in streaks], "pix", "middle of the trail"),
+        ("col_mid", [s.col_mid for s in streaks], "pix", "middle of the trail"),
+        ("length_px", [f.length_px for f in fits], "pix", "chord"),
+        ("angle_deg", [f.angle_deg for f in fits], "deg", "atan2(drow, dcol) mod 180 of the chord"),
+        ("flux_e", [f.flux_e for f in fits], "electron", "flux inside the frame"),
+        ("flux_err_e", [f.flux_err_e for f in fits], "electron", "its error"),
+        ("snr", [f.snr for f in fits], None, "matched-filter S/N, noise without the object"),
+        ("ra_mid_deg", ra[:, 1], "deg", "published right ascension of the middle"),
+        ("dec_mid_deg", dec[:, 1], "deg", "published declination of the middle"),
+        ("ra0_deg", ra[:, 0], "deg", "published right ascension of end 0"),
+        ("dec0_deg", dec[:, 0], "deg", "published declination of end 0"),
+        ("ra1_deg", ra[:, 2], "deg", "published right ascension of end 1"),
+        ("dec1_deg", dec[:, 2], "deg", "published declination of end 1"),
+        ("sigma_along_arcsec", [s.sigma_along_arcsec for s in streaks], "arcsec", "error of the middle along the trail"),
+        ("sigma_cross_arcsec", [s.sigma_cross_arcsec for s in streaks], "arcsec", "error of the middle across the trail"),
+        ("sigma_cross_px", [f.sigma_cross_px for f in fits], "pix", "error of the middle across the trail, fit alone"),
+    ]
+    names = ("row0", "col0", "row1", "col1")
+    lists += [
+        (f"cov_{names[i]}_{names[j]}", covariance[:, i, j], "pix2", "covariance of the ends")
+        for i in range(4)
+        for j in range(i, 4)
+    ]
+    lists += [
+        ("end0_low_px", interval[:, 0, 0], "pix", "68 % interval of end 0 along the trail, outwards positive"),
+        ("end0_high_px", interval[:, 0, 1], "pix", "68 % interval of end 0"),
+        ("end1_low_px", interval[:, 1, 0], "pix", "68 % interval of end 1 along the trail, outwards positive"),
+        ("end1_high_px", interval[:, 1, 1], "pix", "68 % interval of end 1"),
+        ("t_mid_utc", _text(utc_text(t[1])), None, "epoch of the middle"),
+        ("t0_tai_ns", t[0], "ns", "epoch of end 0 (mid-exposure of its row until the direction is known)"),
+        ("t_mid_tai_ns", t[1], "ns", "epoch of the middle"),
+        ("t1_tai_ns", t[2], "ns", "epoch of end 1 (mid-exposure of its row until the direction is known)"),
+        ("mag", [s.mag for s in streaks], "mag", "Johnson V for a solar colour"),
+        ("mag_err", [s.mag_err for s in streaks], "mag", "its error"),
+        ("sagitta_px", [f.sagitta_px for f in fits], "pix", "height of the arc over its chord, signed; 0 when straight"),
+        ("gradient", [f.gradient for f in fits], None, "relative brightness change from end 0 to end 1"),
+        ("width_px", [f.width_px for f in fits], "pix", "fitted PSF sigma"),
+        ("width_err_px", [f.width_err_px for f in fits], "pix", "its error"),
+        ("chi2_nu", [f.chi2_nu for f in fits], None, "chi-square of the fit by degrees of freedom"),
+        ("period_fraction", [_or_nan(f.period_fraction) for f in fits], None, "period of the light curve by the trail's length"),
+        ("probability", [s.probability for s in streaks], None, "that it is a real object, from this frame alone"),
+        ("tracklet_id", [s.tracklet_id for s in streaks], None, "-1 while unlinked"),
+        ("flags", [int(s.flags) for s in streaks], None, "StreakFlag bits"),
+    ]
+    table = _table(lists, "streaks")
+    table.meta["directions"] = DIRECTIONS
+    return table
+
+
+def tracklets_table(products: GroundProducts) -> Table:
+    """One row for each tracklet: motion at its reference epoch."""
+    tracklets = products.tracklets
+    table = _table(
+        [
+            ("tracklet_id", [t.tracklet_id for t in tracklets], None, "number of the tracklet"),
+            ("n_frames", [len(np.unique(t.frames)) for t in tracklets], None, "frames it was seen in"),
+            ("first_frame", [int(t.frames.min()) for t in tracklets], None, "first frame"),
+            ("last_frame", [int(t.frames.max()) for t in tracklets], None, "last frame"),
+            (
+                "streak_ids",
+                _text([" ".join(str(i) for i in t.streak_ids) for t in tracklets]),
+                None,
+                "streaks used, in time order",
+            ),
+            ("t_ref_utc", _text(utc_text([t.t_ref_tai_ns for t in tracklets])), None, "reference epoch"),
+            ("t_ref_tai_ns", [t.t_ref_tai_ns for t in tracklets], "ns", "reference epoch"),
+            ("ra_ref_deg", [t.ra_ref_deg for t in tracklets], "deg", "published right ascension at the reference epoch"),
+            ("dec_ref_deg", [t.dec_ref_deg for t in tracklets], "deg", "published declination at the reference epoch"),
+            ("rate_deg_s", [t.rate_deg_s for t in tracklets], "deg / s", "rate of the published direction"),
+            ("rate_err_deg_s", [t.rate_err_deg_s for t in tracklets], "deg / s", "its error"),
+            ("position_angle_deg", [t.position_angle_deg for t in tracklets], "deg", "of the motion, from north by east"),
+            ("mag", [t.mag for t in tracklets], "mag", "Johnson V for a solar colour"),
+            ("mag_err", [t.mag_err for t in tracklets], "mag", "its error"),
+            ("chi2_nu", [t.chi2_nu for t in tracklets], None, "of the motion model"),
+            ("probability", [t.probability for t in tracklets], None, "that all of it is one real object"),
+            (
+                "direction_resolved",
+                np.array([t.direction_resolved for t in tracklets], dtype=bool),
+                None,
+                "sense of motion known",
+            ),
+            ("flags", [int(t.flags) for t in tracklets], None, "StreakFlag bits"),
+        ],
+        "tracklets",
+    )
+    table.meta["directions"] = DIRECTIONS
+    return table
+
+
+def orbits_table(products: GroundProducts, albedo: float) -> Table:
+    """One row for each orbit estimate: 5 %, 50 % and 95 % points of the posterior, and its modes as JSON."""
+    orbits = products.orbits
+    mags = {t.tracklet_id: t.mag for t in products.tracklets}
+    columns: list[Spec] = [
+        ("tracklet_id", [o.tracklet_id for o in orbits], None, "tracklet"),
+        ("t_ref_utc", _text(utc_text([o.t_ref_tai_ns for o in orbits])), None, "reference epoch"),
+    ]
+    for name, unit, text in (
+        ("range_km", "km", "distance"),
+        ("altitude_km", "km", "height over a sphere of 6378.137 km"),
+        ("a_km", "km", "semi-major axis"),
+        ("e", None, "eccentricity"),
+        ("i_deg", "deg", "inclination"),
+        ("size_m", "m", "diameter"),
+    ):
+        values = np.array([getattr(o, name) for o in orbits]).reshape(-1, 3)
+        columns += [(f"{name}_{p}", values[:, k], unit, f"{text}, {p[1:]} % point") for k, p in enumerate(("p05", "p50", "p95"))]
+    columns += [
+        (
+            "size_albedo_m",
+            [sphere_size_m(mags.get(o.tracklet_id, np.nan), float(o.range_km[1]), albedo) for o in orbits],
+            "m",
+            f"diameter of a Lambert sphere of albedo {albedo} at the median range",
+        ),
+        (
+            "modes",
+            _text([json.dumps(np.round(o.modes, 6).tolist()) for o in orbits]),
+            None,
+            "[range_km, weight, a_km, e, i_deg] of each mode",
+        ),
+        ("prior", _text([o.prior for o in orbits]), None, "what was assumed"),
+        ("converged", np.array([o.converged for o in orbits], dtype=bool), None, "whether the arc says anything"),
+    ]
+    return _table(columns, "orbits")
+
+
+def _centre_directions(products: GroundProducts) -> tuple[Any, Any]:
+    """Apparent directions of the frames' middles, NaN where unsolved."""
+    vectors = np.full((len(products.headers), 3), np.nan)
+    for k, (header, solution) in enumerate(zip(products.headers, products.solutions, strict=True)):
+        if not solution.flags & FrameFlag.NO_SOLUTION:
+            middle = np.array([0.5 * (header.rows - 1)]), np.array([0.5 * (header.cols - 1)])
+            vectors[k] = (Camera.solved(solution).unproject(*middle) @ matrix_of(np.asarray(solution.quaternion)))[0]
+    return spherical_deg(vectors)
+
+
+def _table(columns: Sequence[Spec], name: str) -> Table:
+    """An astropy table; empty lists become empty columns of the right kind."""
+    made = []
+    for title, values, unit, text in columns:
+        array = np.asarray(values)
+        if array.size == 0 and array.dtype.kind == "f" and isinstance(values, list):
+            array = array.astype(np.int64 if title.endswith(("_id", "_ns", "frame", "frames", "flags")) else np.float64)
+        made.append(Column(array, name=title, unit=unit, description=text))
+    return Table(made, meta={"table": name, "contract_version": CONTRACT_VERSION})
+
+
+def _text(values: Sequence[str]) -> Any:
+    """A text column, also when empty."""
+    return np.array(list(values), dtype=str) if values else np.zeros(0, dtype="U1")
+
+
+def _or_nan(value: float | None) -> float:
+    return float("nan") if value is None else value

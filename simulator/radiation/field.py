@@ -5,22 +5,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
-from scipy.stats import landau
 
-from simulator.radiation.energy_loss import (
-    FANO,
-    PAIR_EV,
-    SHIELDS,
-    SILICON,
-    StoppingRange,
-    beta_gamma,
-    binding_width_kev,
-    landau_xi_kev,
-    maximum_transfer_mev,
-    most_probable_loss_kev,
-    stopping_power_mev_cm2_g,
-)
+from simulator.radiation.energy_loss import SHIELDS, SILICON, StoppingRange, stopping_power_mev_cm2_g
 from simulator.radiation.environment import (
     NUCLEI,
     CosmicRaySpectrum,
@@ -34,12 +20,10 @@ from simulator.radiation.environment import (
 )
 from simulator.radiation.hits import TRACK_DTYPE, HitList, no_hits
 from simulator.radiation.options import RadiationOptions
+from simulator.radiation.straggling import FANO, PAIR_EV, draw_loss_kev, landau_quantiles
 from simulator.radiation.tracks import deposit
 from simulator.randomness import Effect, generator
 
-_LANDAU_MODE: Final = -0.22278298
-"""Mode of the standard Landau distribution: the most probable loss lies there."""
-_LANDAU_QUANTILES: Final = 4096
 _GRAZING: Final = 0.02
 """Smallest cosine of incidence: flatter tracks (4 in 10,000) are drawn at 50 layer thicknesses of path."""
 
@@ -61,9 +45,7 @@ class ParticleField:
         self._shield = StoppingRange(SHIELDS[options.shield_material])
         self._spectrum = CosmicRaySpectrum(options.modulation_mv)
         self._stopped_mev = self._shield.stopped_below_mev_u(options.shield_mm)
-        nodes = (np.arange(_LANDAU_QUANTILES) + 0.5) / _LANDAU_QUANTILES
-        self._landau_nodes = nodes
-        self._landau = landau.ppf(nodes)
+        self._landau = landau_quantiles()
 
     def rates_cm2_s(self, position: tuple[float, float, float] | None) -> tuple[float, float, float]:
         """Crossings of one cm2 per second by cosmic rays and by trapped protons, and the cosmic rays' cutoff rigidity in GV.
@@ -163,18 +145,10 @@ class ParticleField:
         arrived = energy_mev_u > 0.0
         energy = np.where(arrived, energy_mev_u, 1.0)
         if self.options.straggling:
-            xi = landau_xi_kev(energy, path_um, SILICON, charge)
-            mode = most_probable_loss_kev(energy, path_um, SILICON, charge)
-            loss = mode + xi * (np.interp(rng.random(energy.size), self._landau_nodes, self._landau) - _LANDAU_MODE)
-            width = binding_width_kev(energy, path_um, SILICON, charge)
-            # The Gaussian is cut where the loss would fall below a tenth of the most probable one.
-            lowest = np.clip((0.1 * mode - loss) / np.maximum(width, 1e-9), -8.0, 8.0)
-            share = ndtr(lowest)
-            loss = loss + width * ndtri(np.clip(share + rng.random(energy.size) * (1.0 - share), 1e-12, 1.0 - 1e-12))
-            loss = np.clip(loss, 0.0, mode + 1e3 * maximum_transfer_mev(beta_gamma(energy)))
+            loss_kev = draw_loss_kev(rng, energy, path_um, charge, SILICON, self._landau)
         else:
-            loss = stopping_power_mev_cm2_g(energy, SILICON, charge) * SILICON.density_g_cm3 * path_um * 1e-4 * 1e3
-        loss = np.minimum(loss, 1e3 * energy * mass)
-        pairs = loss * 1e3 / PAIR_EV
+            loss_kev = stopping_power_mev_cm2_g(energy, SILICON, charge) * SILICON.density_g_cm3 * path_um * 1e-4 * 1e3
+        # No particle leaves more than it has.
+        pairs = np.minimum(loss_kev, 1e3 * energy * mass) * 1e3 / PAIR_EV
         pairs = pairs + np.sqrt(FANO * pairs) * rng.standard_normal(pairs.size)
         return np.where(arrived, np.maximum(pairs, 0.0), 0.0)

@@ -290,8 +290,9 @@ class Sensor:
         noise, column = self._noise, self._column_e
         if self.on_chip_sum:
             binning = self.options.binning
-            charge = binning_sum(charge, binning.rows, binning.cols)
-            noise, column = noise[: charge.shape[0], : charge.shape[1]], column[: charge.shape[1]]
+            rows, cols = self.window_rows // binning.rows, self.window_cols // binning.cols
+            charge = np.ascontiguousarray(_blocks_of(charge, rows, cols, binning.rows, binning.cols).sum(axis=(1, 3)))
+            noise, column = noise[:rows, :cols], column[:cols]
         out = np.empty(charge.shape, dtype=np.uint16)
         passes.convert_rows(
             charge,
@@ -316,7 +317,6 @@ class Sensor:
         return np.asarray((self._response > 0) / np.maximum(variance, 1e-6), dtype=np.float32)
 
 
-def binning_sum(charge_e: NDArray[np.float64], rows: int, cols: int) -> NDArray[np.float64]:
-    """On-chip sum of charge over blocks."""
-    n, m = charge_e.shape[0] // rows, charge_e.shape[1] // cols
-    return np.ascontiguousarray(charge_e[: n * rows, : m * cols].reshape(n, rows, m, cols).sum(axis=(1, 3)))
+def _blocks_of(charge_e: NDArray[np.float64], rows: int, cols: int, height: int, width: int) -> NDArray[np.float64]:
+    """View of (rows, height, cols, width) blocks of pixels."""
+    return charge_e[: rows * height, : cols * width].reshape(rows, height, cols, width)

@@ -1,0 +1,160 @@
+"""Particles: numbers, directions, straggling, charge in pixels, edges, determinism, and where the environment is."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy import stats
+
+from simulator.radiation import ParticleField, RadiationOptions
+from simulator.radiation.energy_loss import SILICON, most_probable_loss_kev, stopping_power_mev_cm2_g
+from simulator.radiation.environment import GeodeticPosition, trapped_omni_cm2_s
+from simulator.radiation.straggling import draw_loss_kev, landau_quantiles
+from simulator.radiation.tracks import deposit
+
+LARGE = {"rows": 4096, "cols": 4096, "pitch_um": 9.0, "seed": 3}
+
+
+def counts(environment, frames=40, **changes):
+    field = ParticleField(RadiationOptions(environment=environment, **changes), **LARGE)
+    return np.array([len(field.hits(k, 0.2, None).tracks) for k in range(frames)])
+
+
+@pytest.mark.parametrize(("environment", "expected"), [("quiet", 3.3), ("polar", 9.8)])
+def test_numbers_are_poisson_about_rate_times_area_times_time(environment, expected):
+    n = counts(environment, frames=400)
+    # 1.2 /cm2/s (polar: three times) x 13.59 cm2 x 0.2 s; a few longest tracks reach in from outside.
+    assert n.mean() == pytest.approx(expected, abs=4.0 * math.sqrt(expected / 400))
+    assert n.var() == pytest.approx(expected, rel=0.3)
+
+
+def test_the_peak_of_the_anomaly_fills_a_frame_with_thousands():
+    n = counts("saa", frames=3)
+    # 3,750 /cm2/s omnidirectional, half of it through a plane, x 13.59 cm2 x 0.2 s = 5,097, and a shield near 50 MeV.
+    assert 4700 < n.mean() < 5600
+    assert counts("saa", frames=1, shield_mm=60.0)[0] < 0.6 * n.mean()
+
+
+def test_every_frame_has_new_hits_and_the_same_seed_the_same():
+    field = ParticleField(RadiationOptions(environment="polar"), **LARGE)
+    first, again, other = field.hits(0, 0.2, None), field.hits(0, 0.2, None), field.hits(1, 0.2, None)
+    assert first.charge_e.tobytes() == again.charge_e.tobytes()
+    assert first.tracks.tobytes() != other.tracks.tobytes()
+
+
+def test_switched_off_there_are_no_hits():
+    hits = ParticleField(RadiationOptions(enabled=False, environment="saa"), **LARGE).hits(0, 0.2, None)
+    assert hits.row.size == 0
+    assert len(hits.tracks) == 0
+
+
+def test_directions_through_a_plane_are_cosine_weighted():
+    field = ParticleField(RadiationOptions(environment="saa", straggling=False), **LARGE)
+    tracks = field.hits(0, 0.4, None).tracks
+    sideways_um = np.hypot(tracks["row1"] - tracks["row0"], tracks["col1"] - tracks["col0"]).astype(float) * 9.0
+    cosine = 10.0 / np.hypot(10.0, sideways_um)
+    # An isotropic flux crosses a plane with density 2 cos(theta) d cos(theta): cos^2 is uniform.
+    assert stats.kstest(cosine[cosine > 0.05] ** 2, stats.uniform(0.0025, 0.9975).cdf).pvalue > 1e-3
+    azimuth = np.arctan2(tracks["row1"] - tracks["row0"], tracks["col1"] - tracks["col0"]).astype(float)
+    assert stats.kstest(azimuth, stats.uniform(-math.pi, 2.0 * math.pi).cdf).pvalue > 1e-3
+
+
+def test_straggling_is_landau_where_binding_does_not_matter():
+    n = 60_000
+    rng = np.random.default_rng(8)
+    energy, path = np.full(n, 3000.0), np.full(n, 1000.0)
+    unbound = replace(SILICON, shells_kev=())
+    loss = draw_loss_kev(rng, energy, path, np.ones(n), unbound, landau_quantiles())
+    mode = float(most_probable_loss_kev(3000.0, 1000.0, unbound))
+    xi = 1e3 * 0.5 * 0.307075 * unbound.z_over_a * 2.329 * 0.1 / (1.0 - (1.0 + 3000.0 / 938.27209) ** -2)
+    below = mode + 60.0 * xi  # the largest transfer cuts the far tail
+    reference = stats.landau(loc=mode + 0.22278298 * xi, scale=xi)
+    sample = loss[loss < below]
+    p = stats.kstest(sample, lambda x: reference.cdf(x) / reference.cdf(below)).pvalue
+    assert p > 1e-3
+
+
+def test_thin_layers_are_wider_than_landau_and_never_negative():
+    n = 40_000
+    losses = [
+        draw_loss_kev(np.random.default_rng(2), np.full(n, 534.0), np.full(n, 10.0), np.ones(n), m, landau_quantiles())
+        for m in (SILICON, replace(SILICON, shells_kev=()))
+    ]
+    spread = [np.subtract(*np.percentile(x, [84, 16])) for x in losses]
+    assert spread[0] > 1.2 * spread[1]
+    assert losses[0].min() > 0.0
+    # Pure Landau of a 534 MeV proton in 10 um: median 824 e-, 68 % between 715 and 1137 e-.
+    assert np.percentile(losses[1], [16, 50, 84]) / 3.65e-3 == pytest.approx([715.0, 824.0, 1137.0], rel=0.01)
+
+
+def test_without_straggling_the_charge_is_bethe_times_path():
+    field = ParticleField(RadiationOptions(environment="quiet", straggling=False, shield_mm=0.0), **LARGE)
+    tracks = np.concatenate([field.hits(k, 20.0, None).tracks for k in range(4)])
+    inside = (tracks["row0"] > 50) & (tracks["row0"] < 4000) & (tracks["col0"] > 50) & (tracks["col0"] < 4000)
+    t = tracks[inside]
+    path_um = np.hypot(10.0, 9.0 * np.hypot(t["row1"] - t["row0"], t["col1"] - t["col0"]))
+    per_um = np.median(t["charge_e"] / path_um)
+    # Fast protons and helium near minimum ionisation: 107 e-/um for a minimum-ionising particle and up to 25 % more.
+    assert 105.0 < per_um < 140.0
+    minimum = float(stopping_power_mev_cm2_g(2500.0, SILICON)) * 2.329 * 0.1 / 3.65e-3
+    assert minimum == pytest.approx(107.0, rel=0.01)
+
+
+def test_charge_is_split_by_path_length_without_diffusion():
+    # From (10.25, 10.0) to (10.25, 14.0): half a pixel, three whole ones, half a pixel.
+    ends = (np.array([10.25]), np.array([10.0]), np.array([10.25]), np.array([14.0]))
+    row, col, charge, inside = deposit(*ends, np.array([800.0]), 0.0, 32, 32, 100)
+    assert np.all(row == 10)
+    assert dict(zip(col.tolist(), charge.tolist(), strict=True)) == pytest.approx(
+        {10: 100.0, 11: 200.0, 12: 200.0, 13: 200.0, 14: 100.0}
+    )
+    assert inside[0] == pytest.approx(800.0)
+
+
+@pytest.mark.parametrize("spread_px", [0.0, 0.3])
+def test_tracks_are_clipped_at_every_edge(spread_px):
+    ends = np.array([[-4.0, 5.0, 3.0, 5.0], [5.0, -4.0, 5.0, 3.0], [28.0, 5.0, 35.0, 5.0], [5.0, 28.0, 5.0, 35.0]])
+    row, col, charge, inside = deposit(*ends.T.copy(), np.full(4, 700.0), spread_px, 32, 32, 20000)
+    assert row.min() >= 0
+    assert col.min() >= 0
+    assert row.max() <= 31
+    assert col.max() <= 31
+    # 3.5 of 7 px lie inside (pixel 0 begins at -0.5, pixel 31 ends at 31.5).
+    assert inside == pytest.approx(np.full(4, 350.0), abs=1.0 if spread_px == 0.0 else 30.0)
+    far = (row > 8) & (row < 26) | (col > 8) & (col < 26)
+    assert charge[far].sum() == pytest.approx(0.0, abs=1e-6)
+
+
+def test_diffusion_spreads_charge_and_keeps_it():
+    moments = []
+    for start in np.linspace(16.0, 17.0, 50, endpoint=False):
+        ends = (np.array([start]), np.array([16.2]), np.array([start]), np.array([18.2]))
+        row, _, charge, inside = deposit(*ends, np.array([1000.0]), 0.5, 32, 32, 5000)
+        assert inside[0] == pytest.approx(1000.0, rel=2e-3)
+        moments.append(float((charge * (row - start) ** 2).sum() / charge.sum()))
+    # Charge made evenly in depth: the mean over depth of the spread's variance is half of 0.5^2; the pixel adds 1/12.
+    assert np.mean(moments) == pytest.approx(0.5 * 0.25 + 1.0 / 12.0, rel=0.02)
+
+
+def test_the_position_along_the_orbit_decides():
+    field = ParticleField(RadiationOptions(environment="orbit"), **LARGE)
+    cosmic, trapped, _ = field.rates_cm2_s((-28.0, -52.0, 700.0))
+    assert trapped > 1400.0
+    quiet, none, _ = field.rates_cm2_s((0.0, 100.0, 700.0))
+    assert none == 0.0
+    assert quiet == pytest.approx(1.2, rel=0.05)
+    polar, _, _ = field.rates_cm2_s((80.0, -70.0, 700.0))
+    assert polar == pytest.approx(3.6, rel=0.02)
+    assert quiet <= cosmic < polar
+
+
+def test_the_map_is_ap8_closed_in_longitude_and_drifts_west():
+    peak = trapped_omni_cm2_s(GeodeticPosition(-30.0, -48.0, 780.0), 2015.0, 0.3)
+    assert peak == pytest.approx(4214.0, rel=1e-3)
+    west = trapped_omni_cm2_s(GeodeticPosition(-30.0, -51.0, 780.0), 2025.0, 0.3)
+    assert west == pytest.approx(peak, rel=1e-9)
+    at_700 = trapped_omni_cm2_s(GeodeticPosition(-30.0, -48.0, 700.0), 2015.0, 0.3)
+    assert at_700 == pytest.approx(3750.0, rel=0.01)
+    seam = [trapped_omni_cm2_s(GeodeticPosition(-30.0, lon, 780.0), 2015.0, 0.0) for lon in (179.99, -179.99)]
+    assert seam[0] == pytest.approx(seam[1], abs=0.1)

@@ -35,10 +35,12 @@ def frames_table(products: GroundProducts) -> Table:
     ra, dec = _centre_directions(products)
     sigma = np.array([np.sqrt(np.diag(s.covariance_rad2)) for s in solutions]).reshape(-1, 3) * ARCSEC_PER_RAD
     quaternion = np.array([s.quaternion for s in solutions]).reshape(-1, 4)
+    rate = np.array([s.rate_rad_s for s in solutions]).reshape(-1, 3)
     return _table(
         [
             ("frame", [h.frame for h in headers], None, "frame number"),
             ("t_start_utc", _text(utc_text([h.t_start_tai_ns for h in headers])), None, "start of exposure of row 0"),
+            ("t_start_tai_ns", [h.t_start_tai_ns for h in headers], "ns", "start of exposure of row 0"),
             ("t_mid_utc", _text(utc_text([mid_frame_tai_ns(h) for h in headers])), None, "mid-exposure of the middle row"),
             ("exposure_s", [h.exposure_ns * 1e-9 for h in headers], "s", "exposure of each row"),
             ("line_time_s", [h.line_time_ns * 1e-9 for h in headers], "s", "delay from row to row"),
@@ -47,10 +49,11 @@ def frames_table(products: GroundProducts) -> Table:
             ("solved", solved, None, "whether the attitude was solved from stars"),
             ("ra_app_deg", ra, "deg", "apparent right ascension of the frame's middle (GCRS axes, all aberration in)"),
             ("dec_app_deg", dec, "deg", "apparent declination of the frame's middle"),
-            ("q_x", quaternion[:, 0], None, "attitude quaternion, apparent GCRS directions to camera frame"),
-            ("q_y", quaternion[:, 1], None, "attitude quaternion"),
-            ("q_z", quaternion[:, 2], None, "attitude quaternion"),
-            ("q_w", quaternion[:, 3], None, "attitude quaternion, scalar"),
+            ("qx", quaternion[:, 0], None, "attitude quaternion, apparent GCRS directions to camera frame"),
+            ("qy", quaternion[:, 1], None, "attitude quaternion"),
+            ("qz", quaternion[:, 2], None, "attitude quaternion"),
+            ("qw", quaternion[:, 3], None, "attitude quaternion, scalar"),
+            *((f"rate_{axis}_rad_s", rate[:, k], "rad / s", "angular velocity, camera axes") for k, axis in enumerate("xyz")),
             ("sigma_x_arcsec", sigma[:, 0], "arcsec", "error of the rotation about the col axis"),
             ("sigma_y_arcsec", sigma[:, 1], "arcsec", "error of the rotation about the row axis"),
             ("sigma_roll_arcsec", sigma[:, 2], "arcsec", "error of the rotation about the boresight"),
@@ -220,17 +223,21 @@ def orbits_table(products: GroundProducts, albedo: float) -> Table:
     columns: list[Spec] = [
         ("tracklet_id", [o.tracklet_id for o in orbits], None, "tracklet"),
         ("t_ref_utc", _text(utc_text([o.t_ref_tai_ns for o in orbits])), None, "reference epoch"),
+        ("t_ref_tai_ns", [o.t_ref_tai_ns for o in orbits], "ns", "reference epoch"),
     ]
-    for name, unit, text in (
-        ("range_km", "km", "distance"),
-        ("altitude_km", "km", "height over a sphere of 6378.137 km"),
-        ("a_km", "km", "semi-major axis"),
-        ("e", None, "eccentricity"),
-        ("i_deg", "deg", "inclination"),
-        ("size_m", "m", "diameter"),
+    for name, suffix, unit, text in (
+        ("range", "_km", "km", "distance"),
+        ("altitude", "_km", "km", "height over a sphere of 6378.137 km"),
+        ("a", "_km", "km", "semi-major axis"),
+        ("e", "", None, "eccentricity"),
+        ("i", "_deg", "deg", "inclination"),
+        ("size", "_m", "m", "diameter"),
     ):
-        values = np.array([getattr(o, name) for o in orbits]).reshape(-1, 3)
-        columns += [(f"{name}_{p}", values[:, k], unit, f"{text}, {p[1:]} % point") for k, p in enumerate(("p05", "p50", "p95"))]
+        values = np.array([getattr(o, name + suffix) for o in orbits]).reshape(-1, 3)
+        columns += [
+            (f"{name}{point}{suffix}", values[:, k], unit, f"{text}, {share} of the posterior")
+            for k, (point, share) in enumerate((("_low", "5 %"), ("", "median"), ("_high", "95 %")))
+        ]
     columns += [
         (
             "size_albedo_m",

@@ -13,21 +13,23 @@ tells lit from unlit.
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ground.streaks.end_search import CoarseEnds, cumulative_ratio, log_ratio
 from ground.streaks.trail_model import edge
 
-ZONE_SIGMAS = 3.6
+ZONE_SIGMAS: Final = 3.4
 """Half width of the PSF's edge in which a pixel counts as partly lit."""
 
-COARSE_DROP = 16.0
-"""Natural-log drop from the best segment beyond which an end is not looked for."""
+DENSITY_STEPS_SIGMA: Final = 1.2 * np.arange(-4, 5)
+"""Nodes of the density in conditional sigmas: the trapezoid rule on a Gaussian is exact to 1e-5 at this spacing."""
 
-DENSITY_STEPS_SIGMA = 1.1 * np.arange(-4, 4)
-"""Nodes of the density in conditional sigmas: the trapezoid rule on a Gaussian is exact to 1e-6 at this spacing."""
+SHORT_NODES: Final = 25
+"""Nodes of each end of a short trail."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,44 +50,6 @@ class EndPosterior:
     mass0: NDArray[np.float64]
     grid1: NDArray[np.float64]
     mass1: NDArray[np.float64]
-
-
-@njit(cache=True)
-def log_ratio(value_e: float, variance_e2: float, mean_e: float) -> float:
-    """ln p(value | lit with this mean) - ln p(value | dark)."""
-    lit = variance_e2 + mean_e
-    residual = value_e - mean_e
-    return 0.5 * (value_e * value_e / variance_e2 - residual * residual / lit - math.log(lit / variance_e2))
-
-
-@njit(cache=True)
-def cumulative_ratio(
-    template: NDArray[np.float64], value_e: NDArray[np.float64], variance_e2: NDArray[np.float64], densities: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Running sums, shape (densities, n + 1), of the log ratio of fully lit pixels in order of u."""
-    n = value_e.size
-    total = np.zeros((densities.size, n + 1))
-    for k in range(densities.size):
-        running = 0.0
-        for i in range(n):
-            running += log_ratio(value_e[i], variance_e2[i], densities[k] * template[i])
-            total[k, i + 1] = running
-    return total
-
-
-@njit(cache=True)
-def best_segment(running: NDArray[np.float64]) -> tuple[int, int, float]:
-    """Indices (start, stop) of the segment with the largest sum, and that sum (Kadane's scan on running sums)."""
-    lowest = 0
-    best = -np.inf
-    start, stop = 0, running.size - 1
-    for j in range(1, running.size):
-        if running[j] - running[lowest] > best:
-            best = running[j] - running[lowest]
-            start, stop = lowest, j
-        if running[j] < running[lowest]:
-            lowest = j
-    return start, stop, best
 
 
 @njit(cache=True)
@@ -170,15 +134,6 @@ def _grid(low: float, high: float, step: float) -> NDArray[np.float64]:
     return np.linspace(low, high, max(3, int(math.ceil((high - low) / step)) + 1))
 
 
-def _density_nodes(
-    template: NDArray[np.float64], value_e: NDArray[np.float64], variance_e2: NDArray[np.float64], guess: float
-) -> tuple[float, float]:
-    """Density and its conditional sigma from fully lit pixels, weights with the object's noise at `guess`."""
-    weight = 1.0 / (variance_e2 + max(guess, 0.0) * template)
-    information = float(np.sum(weight * template * template))
-    return float(np.sum(weight * template * value_e)) / information, 1.0 / math.sqrt(information)
-
-
 def end_posterior(
     u: NDArray[np.float64],
     template: NDArray[np.float64],
@@ -186,71 +141,69 @@ def end_posterior(
     variance_e2: NDArray[np.float64],
     *,
     width_px: float,
-    guess: tuple[float, float, float],
-    fixed: tuple[float | None, float | None],
+    coarse: CoarseEnds,
+    brightness: tuple[float, float, float],
     line_parameters: int,
-) -> EndPosterior | None:
-    """Posterior of the ends along the trail; None where the pixels hold no trail.
+) -> EndPosterior:
+    """Posterior of the ends of a trail whose two edges do not overlap.
 
     u : (n,) ascending; template : (n,) electrons per unit density of a fully lit pixel; value_e, variance_e2 : (n,).
-    guess : (end0, end1, density). fixed : known ends (the frame's edge), None where free.
-    line_parameters : how many parameters of the centre line were maximised over; each lifts the flux by 1 / (2 S^2),
-    which the prior density**(-1/2) of each takes back.
+    coarse : where the ends were found, and which are the frame's edge. brightness : (half_px, q1, q2) of `trail_model`,
+    for the flux between two ends. line_parameters : how many parameters of the centre line were maximised over: each
+    lifts the S/N found by 1 / (2 S), which a prior S^(-1/2) of each takes back.
     """
-    if u.size < 5:
-        return None
-    end0, end1, density = guess
-    lit = slice(*np.searchsorted(u, (end0, end1)))
-    if lit.stop - lit.start < 3:
-        lit = slice(0, u.size)
-    sigma = density
-    for _ in range(2):
-        density, sigma = _density_nodes(template[lit], value_e[lit], variance_e2[lit], density)
-        density = max(density, sigma)
-    middle = np.array([density])
-    coarse = cumulative_ratio(template, value_e, variance_e2, middle)[0]
-    start, stop, _ = best_segment(coarse)
-    if fixed[0] is not None:
-        start = 0
-    if fixed[1] is not None:
-        stop = u.size
-    if stop - start < 3:
-        return None
-    density, sigma = _density_nodes(template[start:stop], value_e[start:stop], variance_e2[start:stop], density)
-    if density <= 0.0:
-        return None
-    split = (start + stop) // 2
-    snr2 = (density / sigma) ** 2
-    length = max(u[stop - 1] - u[start], 1.0)
-    scale = max(length / snr2, 0.15 * width_px)
-    drop0 = coarse[split] - coarse[: split + 1]
-    drop1 = coarse[split:] - coarse[split]
-    near0 = np.flatnonzero(drop0 > drop0.max() - COARSE_DROP)
-    near1 = np.flatnonzero(drop1 > drop1.max() - COARSE_DROP) + split
-    pad = 2.0 * width_px + scale
-    last = u.size - 1
-    low0, high0 = u[min(near0[0], last)] - pad, u[min(near0[-1], last)] + pad
-    low1, high1 = u[min(near1[0], last)] - pad, u[min(near1[-1], last)] + pad
-    step = max(scale / 12.0, 0.02)
-    densities = density + sigma * DENSITY_STEPS_SIGMA
-    densities = densities[densities > 0.05 * density]
-    reach = 2.0 * ZONE_SIGMAS * width_px
-    overlap = fixed[0] is None and fixed[1] is None and (u[stop - 1] - u[start] < 1.6 * reach or low1 - high0 < 0.5 * reach and length < 2.5 * reach)
-    if overlap:
-        spread = 4.0 * max(scale, 0.5 * width_px * 10.0 / math.sqrt(snr2), math.sqrt(3.5 * width_px * length / snr2))
-        grid0 = np.linspace(u[start] - spread, u[start] + spread, 33)
-        grid1 = np.linspace(u[stop - 1] - spread, u[stop - 1] + spread, 33)
-        log_joint = both_ends(grid0, grid1, u, template, value_e, variance_e2, densities, width_px)
+    split = int(np.searchsorted(u, 0.5 * (coarse.end0 + coarse.end1)))
+    scale = max(coarse.length_px / coarse.snr2, 0.15 * width_px)
+    step = max(scale / 8.0, 0.02)
+    pad = 2.0 * width_px + 0.5 * scale
+    center = u[min(split, u.size - 1)]
+    densities = coarse.density_e_px + coarse.density_err_e_px * DENSITY_STEPS_SIGMA
+    densities = densities[densities > 0.05 * coarse.density_e_px]
+    cumulative = cumulative_ratio(template, value_e, variance_e2, densities)
+    arrays = (u, template, value_e, variance_e2, densities, cumulative, split, width_px)
+    if coarse.edges[0]:
+        grid0, log0 = np.array([coarse.end0]), (cumulative[:, split] - cumulative[:, 0])[:, None]
     else:
-        center = 0.5 * (u[start] + u[stop - 1])
-        grid0 = np.array([fixed[0]]) if fixed[0] is not None else _grid(low0, min(high0, center - 0.25 * reach), step)
-        grid1 = np.array([fixed[1]]) if fixed[1] is not None else _grid(max(low1, center + 0.25 * reach), high1, step)
-        cumulative = cumulative_ratio(template, value_e, variance_e2, densities)
-        arrays = (u, template, value_e, variance_e2, densities, cumulative, split, width_px)
-        log0 = one_end(grid0, 1.0, *arrays) if fixed[0] is None else (cumulative[:, split] - cumulative[:, 0])[:, None]
-        log1 = one_end(grid1, -1.0, *arrays) if fixed[1] is None else (cumulative[:, -1] - cumulative[:, split])[:, None]
-        return _moments_separable(grid0, grid1, log0, log1, densities, line_parameters)
-    return _moments_joint(grid0, grid1, log_joint, densities, line_parameters)
+        grid0 = _grid(max(coarse.range0[0] - pad, coarse.limits[0]), min(coarse.range0[1] + pad, center - width_px), step)
+        log0 = one_end(grid0, 1.0, *arrays)
+    if coarse.edges[1]:
+        grid1, log1 = np.array([coarse.end1]), (cumulative[:, -1] - cumulative[:, split])[:, None]
+    else:
+        grid1 = _grid(max(coarse.range1[0] - pad, center + width_px), min(coarse.range1[1] + pad, coarse.limits[1]), step)
+        log1 = one_end(grid1, -1.0, *arrays)
+    tilt = 0.25 * line_parameters / coarse.length_px
+    log0 = log0 + tilt * (grid0 - coarse.end0)
+    log1 = log1 - tilt * (grid1 - coarse.end1)
+    return _moments_separable(grid0, grid1, log0, log1, densities, brightness, line_parameters)
+
+
+def short_trail_posterior(
+    u: NDArray[np.float64],
+    template: NDArray[np.float64],
+    value_e: NDArray[np.float64],
+    variance_e2: NDArray[np.float64],
+    *,
+    width_px: float,
+    center: NDArray[np.float64],
+    covariance: NDArray[np.float64],
+    line_parameters: int,
+) -> EndPosterior:
+    """The same for a uniform trail so short that its edges overlap: the full grid of (density, end 0, end 1).
+
+    center, covariance : (3,), (3, 3) of (density, end 0, end 1) from Fisher scoring; the grid spans several sigmas of it.
+    """
+    sigma = np.sqrt(np.diag(covariance))
+    given_ends = math.sqrt(1.0 / np.linalg.inv(covariance)[0, 0])
+    snr = center[0] / given_ends
+    spread = 4.2 + 12.0 / snr
+    count = min(max(int(2.0 * spread * sigma[0] / given_ends), 9), 24)
+    densities = np.linspace(max(center[0] - spread * sigma[0], 0.1 * center[0]), center[0] + spread * sigma[0], count)
+    grid0 = center[1] + sigma[1] * np.linspace(-spread, spread, SHORT_NODES)
+    grid1 = center[2] + sigma[2] * np.linspace(-spread, spread, SHORT_NODES)
+    log_joint = both_ends(grid0, grid1, u, template, value_e, variance_e2, densities, width_px)
+    length = np.maximum(grid1[None, :] - grid0[:, None], 0.25 * width_px)
+    log_joint -= 0.25 * line_parameters * (2.0 * np.log(densities)[:, None, None] + np.log(length))
+    return _moments_joint(grid0, grid1, log_joint, densities)
 
 
 def _moments_separable(
@@ -259,6 +212,7 @@ def _moments_separable(
     log0: NDArray[np.float64],
     log1: NDArray[np.float64],
     densities: NDArray[np.float64],
+    brightness: tuple[float, float, float],
     line_parameters: int,
 ) -> EndPosterior:
     """Moments of sum_k w_k p0(e0 | k) p1(e1 | k)."""
@@ -270,69 +224,67 @@ def _moments_separable(
     weight /= weight.sum()
     p0 /= z0[:, None]
     p1 /= z1[:, None]
-    m0, m1 = p0 @ grid0, p1 @ grid1
-    s0, s1 = p0 @ grid0**2, p1 @ grid1**2
-    return _assemble(grid0, grid1, weight @ p0, weight @ p1, weight, densities, m0, m1, s0, s1, m0 * m1)
-
-
-def _moments_joint(
-    grid0: NDArray[np.float64],
-    grid1: NDArray[np.float64],
-    log_joint: NDArray[np.float64],
-    densities: NDArray[np.float64],
-    line_parameters: int,
-) -> EndPosterior:
-    """Moments of the full grid (densities, grid0, grid1)."""
-    log_joint = log_joint - 0.5 * line_parameters * np.log(densities)[:, None, None]
-    joint = np.exp(log_joint - log_joint.max())
-    joint /= joint.sum()
-    weight = joint.sum(axis=(1, 2))
-    conditional = joint / np.maximum(weight, 1e-300)[:, None, None]
-    p0, p1 = conditional.sum(axis=2), conditional.sum(axis=1)
-    product = np.einsum("kab,a,b->k", conditional, grid0, grid1)
-    moments = (p0 @ grid0, p1 @ grid1, p0 @ grid0**2, p1 @ grid1**2, product)
-    return _assemble(grid0, grid1, weight @ p0, weight @ p1, weight, densities, *moments)
-
-
-def _assemble(
-    grid0: NDArray[np.float64],
-    grid1: NDArray[np.float64],
-    mass0: NDArray[np.float64],
-    mass1: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    densities: NDArray[np.float64],
-    m0: NDArray[np.float64],
-    m1: NDArray[np.float64],
-    s0: NDArray[np.float64],
-    s1: NDArray[np.float64],
-    m01: NDArray[np.float64],
-) -> EndPosterior:
-    """Means and covariances from the conditional moments of each density node."""
-    end0, end1 = float(weight @ m0), float(weight @ m1)
-    var0, var1 = float(weight @ s0) - end0**2, float(weight @ s1) - end1**2
-    cov = float(weight @ m01) - end0 * end1
-    length = m1 - m0
-    flux = float(weight @ (densities * length))
-    flux2 = float(weight @ (densities**2 * (s1 + s0 - 2.0 * m01)))
-    flux_end = np.array(
-        [
-            float(weight @ (densities * (m01 - s0))) - flux * end0,
-            float(weight @ (densities * (s1 - m01))) - flux * end1,
-        ]
-    )
+    weight0, weight1 = weight @ p0, weight @ p1
+    end0, end1 = float(weight0 @ grid0), float(weight1 @ grid1)
+    d0, d1 = grid0 - end0, grid1 - end1
+    m0, m1 = p0 @ d0, p1 @ d1
+    covariance = np.array([[weight0 @ d0**2, weight @ (m0 * m1)], [weight @ (m0 * m1), weight1 @ d1**2]])
+    lit0, lit1 = lit_length(grid0, brightness), lit_length(grid1, brightness)
+    f0, f1 = p0 @ lit0, p1 @ lit1
+    flux = float(weight @ (densities * (f1 - f0)))
+    square = float(weight @ (densities**2 * (p1 @ lit1**2 - 2.0 * f0 * f1 + p0 @ lit0**2)))
+    flux_end0 = float(weight @ (densities * (f1 * m0 - p0 @ (lit0 * d0))))
+    flux_end1 = float(weight @ (densities * (p1 @ (lit1 * d1) - f0 * m1)))
     return EndPosterior(
         end0=end0,
         end1=end1,
-        covariance_px2=np.array([[var0, cov], [cov, var1]]),
+        covariance_px2=covariance,
         density_e_px=float(weight @ densities),
         flux_e=flux,
-        flux_err_e=math.sqrt(max(flux2 - flux * flux, 0.0)),
-        flux_end_covariance=flux_end,
+        flux_err_e=math.sqrt(max(square - flux * flux, 0.0)),
+        flux_end_covariance=np.array([flux_end0, flux_end1]),
+        grid0=grid0,
+        mass0=weight0,
+        grid1=grid1,
+        mass1=weight1,
+    )
+
+
+def _moments_joint(
+    grid0: NDArray[np.float64], grid1: NDArray[np.float64], log_joint: NDArray[np.float64], densities: NDArray[np.float64]
+) -> EndPosterior:
+    """Moments of the full grid (densities, grid0, grid1)."""
+    joint = np.exp(log_joint - log_joint.max())
+    joint /= joint.sum()
+    ends = joint.sum(axis=0)
+    mass0, mass1 = ends.sum(axis=1), ends.sum(axis=0)
+    end0, end1 = float(mass0 @ grid0), float(mass1 @ grid1)
+    d0, d1 = grid0 - end0, grid1 - end1
+    cross = float(d0 @ ends @ d1)
+    length = grid1[None, :] - grid0[:, None]
+    first = np.tensordot(densities, joint, axes=1) * length
+    second = np.tensordot(densities**2, joint, axes=1) * length**2
+    flux = float(first.sum())
+    return EndPosterior(
+        end0=end0,
+        end1=end1,
+        covariance_px2=np.array([[mass0 @ d0**2, cross], [cross, mass1 @ d1**2]]),
+        density_e_px=float(densities @ joint.sum(axis=(1, 2))),
+        flux_e=flux,
+        flux_err_e=math.sqrt(max(float(second.sum()) - flux * flux, 0.0)),
+        flux_end_covariance=np.array([float(d0 @ first.sum(axis=1)), float(d1 @ first.sum(axis=0))]),
         grid0=grid0,
         mass0=mass0,
         grid1=grid1,
         mass1=mass1,
     )
+
+
+def lit_length(u: NDArray[np.float64], brightness: tuple[float, float, float]) -> NDArray[np.float64]:
+    """Integral of the brightness b(x) from 0 to u (px): the length of a uniform trail of the same flux."""
+    half, q1, q2 = brightness
+    x = u / half
+    return half * (x + 0.5 * q1 * x * x + q2 * (x**3 - x) / 3.0)
 
 
 def interval_68(grid: NDArray[np.float64], mass: NDArray[np.float64], mean: float) -> tuple[float, float]:

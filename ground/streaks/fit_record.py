@@ -1,14 +1,39 @@
 """`StreakFit` records from trail coordinates: order of the ends, covariances, and the record of a failed fit."""
 
 import math
+from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.streaks.centre_line import LineFit
+from ground.streaks.end_posterior import EndPosterior, interval_68
+from ground.streaks.light_curve import LightCurve
+from ground.streaks.point_source import PointFit
 from ground.streaks.trail_frame import TrailFrame
+from ground.streaks.trail_model import DENSITY, LN_WIDTH, PIXEL_VARIANCE_PX2, Q1, Q2, SAGITTA, SLOPE, V_MID
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit, StreakPixels
 from sboc_e2e.icd.signals import Detection
+
+SHARP: Final = 0.75
+WIDE: Final = 1.2
+"""Fitted over expected width below or above which a trail is COSMIC_LIKE or DEFOCUSED, if by three sigmas."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrailResult:
+    """What the fit found. `ends` refers to axes whose origin is `shift_px` before that of `line`'s, along the trail."""
+
+    line: LineFit
+    ends: EndPosterior
+    shift_px: float
+    edges: tuple[bool, bool]
+    crosses: bool
+    ln_width: float
+    ln_width_err: float
+    curve: LightCurve
 
 
 def pixel_covariance(
@@ -101,4 +126,128 @@ def failed_fit(detection: Detection, pixels: StreakPixels) -> StreakFit:
             flags=detection.flags | StreakFlag.FIT_FAILED | StreakFlag.ENDS_NOT_GAUSSIAN,
             light_curve_e_px=np.zeros(0, dtype=np.float32),
         )
+    )
+
+
+def trail_record(pixels: StreakPixels, detection: Detection, result: TrailResult, *, gaussian_ends: bool) -> StreakFit:
+    """The product record of a fitted trail."""
+    line, ends = result.line, result.ends
+    p, c = line.parameters, line.covariance
+    frame = line.pixels.frame
+    u = np.array([ends.end0, ends.end1]) - result.shift_px
+    x = u / line.half_px
+    # centre line at the ends and its derivatives by (V_MID, SLOPE, SAGITTA)
+    v = p[V_MID] + p[SLOPE] * x + p[SAGITTA] * (1.0 / 3.0 - x * x)
+    index = np.array([V_MID, SLOPE, SAGITTA])
+    jacobian = np.stack([np.ones(2), x, 1.0 / 3.0 - x * x], axis=1)
+    block = c[np.ix_(index, index)]
+    across = jacobian @ block @ jacobian.T
+    middle = np.array([1.0, 0.0, 1.0 / 3.0])
+    sigma_cross = math.sqrt(float(middle @ block @ middle))
+    row0, col0 = frame.to_pixel(u[0], v[0])
+    row1, col1 = frame.to_pixel(u[1], v[1])
+    low0, high0 = interval_68(ends.grid0, ends.mass0, ends.end0)
+    low1, high1 = interval_68(ends.grid1, ends.mass1, ends.end1)
+    width, width_err = psf_width(result.ln_width, result.ln_width_err)
+    return in_pixel_order(
+        StreakFit(
+            row0=row0,
+            col0=col0,
+            row1=row1,
+            col1=col1,
+            covariance_px2=pixel_covariance(frame, ends.covariance_px2, across),
+            end_interval_px=np.array([[-high0, -low0], [low1, high1]]),
+            sigma_cross_px=sigma_cross,
+            flux_e=ends.flux_e,
+            flux_err_e=_flux_error(result),
+            snr=line.snr,
+            sagitta_px=float(p[SAGITTA]),
+            sagitta_err_px=math.sqrt(c[SAGITTA, SAGITTA]),
+            gradient=float(2.0 * p[Q1]),
+            width_px=width,
+            width_err_px=width_err,
+            chi2_nu=line.chi2 / max(line.n_pixels - len(line.free) - 2, 1),
+            n_pixels=line.n_pixels,
+            flags=_trail_flags(pixels, detection, result, gaussian_ends),
+            light_curve_e_px=result.curve.density_e_px.astype(np.float32),
+            period_fraction=result.curve.period_fraction,
+        )
+    )
+
+
+def psf_width(ln_width: float, ln_width_err: float) -> tuple[float, float]:
+    """PSF sigma and error (px) from the width as seen by pixels; 0.05 px where the light is narrower than a pixel."""
+    width = math.exp(ln_width)
+    sigma = math.sqrt(max(width**2 - PIXEL_VARIANCE_PX2, 0.05**2))
+    return sigma, min(ln_width_err * width**2 / sigma, 1e3)
+
+
+def _flux_error(result: TrailResult) -> float:
+    """Flux error with the fitted width's share, where the width was free (the density scales with it)."""
+    line, ends = result.line, result.ends
+    if LN_WIDTH not in line.free:
+        return ends.flux_err_e
+    density = line.covariance[DENSITY, DENSITY]
+    ln_width = max(line.covariance[LN_WIDTH, LN_WIDTH], 1e-300)
+    share = line.covariance[DENSITY, LN_WIDTH] ** 2 / (density * ln_width)
+    return math.sqrt(ends.flux_err_e**2 + share * density * (ends.end1 - ends.end0) ** 2)
+
+
+def _trail_flags(pixels: StreakPixels, detection: Detection, result: TrailResult, gaussian_ends: bool) -> StreakFlag:
+    """Detection's flags with what the fit says instead of what the detector guessed."""
+    guessed = StreakFlag.POINT_LIKE | StreakFlag.EDGE0 | StreakFlag.EDGE1 | StreakFlag.CURVED | StreakFlag.COSMIC_LIKE
+    flags = detection.flags & ~guessed
+    parameters = result.line.parameters
+    expected = 0.5 * math.log(pixels.psf_sigma_px**2 + PIXEL_VARIANCE_PX2)
+    excess = result.ln_width - expected
+    chosen = (
+        (result.edges[0], StreakFlag.EDGE0),
+        (result.edges[1], StreakFlag.EDGE1),
+        (not gaussian_ends, StreakFlag.ENDS_NOT_GAUSSIAN),
+        (SAGITTA in result.line.free, StreakFlag.CURVED),
+        (result.crosses, StreakFlag.CROSSES_STAR),
+        (result.curve.variable or parameters[Q1] != 0.0 or parameters[Q2] != 0.0, StreakFlag.VARIABLE),
+        (excess < math.log(SHARP) and excess < -3.0 * result.ln_width_err, StreakFlag.COSMIC_LIKE),
+        (excess > math.log(WIDE) and excess > 3.0 * result.ln_width_err, StreakFlag.DEFOCUSED),
+    )
+    for true, flag in chosen:
+        if true:
+            flags |= flag
+    return flags
+
+
+def point_record(pixels: StreakPixels, detection: Detection, point: PointFit, wide: PointFit | None) -> StreakFit:
+    """The product record of a source that does not trail: both ends at its centre; `wide`: the fit with free width."""
+    position = point.covariance[1:3, 1:3]
+    sigma = math.sqrt(0.5 * float(np.trace(position)))
+    width, width_err = (pixels.psf_sigma_px, math.inf)
+    flags = (detection.flags & ~(StreakFlag.COSMIC_LIKE | StreakFlag.CURVED)) | StreakFlag.POINT_LIKE
+    if wide is not None:
+        ln_err = math.sqrt(wide.covariance[3, 3])
+        width, width_err = psf_width(math.log(wide.width_px), ln_err)
+        excess = math.log(wide.width_px / point.width_px)
+        if excess < math.log(SHARP) and excess < -3.0 * ln_err:
+            flags |= StreakFlag.COSMIC_LIKE
+        if excess > math.log(WIDE) and excess > 3.0 * ln_err:
+            flags |= StreakFlag.DEFOCUSED
+    return StreakFit(
+        row0=point.row,
+        col0=point.col,
+        row1=point.row,
+        col1=point.col,
+        covariance_px2=np.tile(position, (2, 2)),
+        end_interval_px=np.array([[-sigma, sigma], [-sigma, sigma]]),
+        sigma_cross_px=sigma,
+        flux_e=point.flux_e,
+        flux_err_e=math.sqrt(point.covariance[0, 0]),
+        snr=point.snr,
+        sagitta_px=0.0,
+        sagitta_err_px=0.0,
+        gradient=0.0,
+        width_px=width,
+        width_err_px=width_err,
+        chi2_nu=point.chi2 / max(point.n_pixels - 3, 1),
+        n_pixels=point.n_pixels,
+        flags=flags,
+        light_curve_e_px=np.zeros(0, dtype=np.float32),
     )

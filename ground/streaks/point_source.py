@@ -6,9 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PointFit:
     """Position (row, col), flux and width with covariance (4, 4) of (flux_e, row, col, ln width) as fitted."""
@@ -30,12 +27,15 @@ def fit_point(
     variance_e2: NDArray[np.float64],
     *,
     start: tuple[float, float],
-    psf_sigma_px: float,
+    width_px: float,
     free_width: bool,
     iterations: int = 30,
 ) -> PointFit | None:
-    """Fisher scoring with the object's Poisson noise from the model; None where the pixels hold no source."""
-    width = math.sqrt(psf_sigma_px**2 + PIXEL_VARIANCE_PX2)
+    """Fisher scoring from a Gaussian of `width_px`; None where the pixels hold no source.
+
+    width_px : pixel included. The object's own Poisson noise comes from the model.
+    """
+    width = width_px
     row0, col0, flux = start[0], start[1], 0.0
     n = 4 if free_width else 3
     covariance = np.zeros((4, 4))

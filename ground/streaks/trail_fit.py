@@ -1,41 +1,46 @@
-"""Fit of one trail: centre line by Fisher scoring, ends and flux by their posterior, alternately.
+"""Fit of one trail, in order: line, ends, intruders, refinements, local centre line, posterior of the ends, record.
 
-1. Axes along the detection's chord; the line is found with a widened PSF, then with the true one (coarse to fine).
-2. Posterior of both ends and the density along that line (`end_posterior`).
-3. The line again with the ends as found, each blurred by its own uncertainty (the expected template); then 2 again.
+The centre line and the shape are found by Fisher scoring with the ends as known so far, each blurred by its own
+uncertainty (the expected template); ends and flux come from their posterior along that line (`end_posterior`).
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.streaks.end_posterior import EndPosterior, end_posterior, interval_68
-from ground.streaks.fit_record import in_pixel_order, pixel_covariance
+from ground.streaks.centre_line import LineFit, effective_width_px, find_line, moved_to_middle, score, turned_along
+from ground.streaks.end_posterior import EndPosterior, end_posterior, short_trail_posterior
+from ground.streaks.end_search import CoarseEnds, coarse_ends
+from ground.streaks.fit_record import TrailResult, point_record, trail_record
+from ground.streaks.intruders import intruder_mask
+from ground.streaks.light_curve import light_curve
+from ground.streaks.model_choice import SHORTEST_WIDTHS, choose_model, width_estimate
 from ground.streaks.point_source import fit_point
 from ground.streaks.trail_frame import TrailFrame
-from ground.streaks.trail_model import (
-    DENSITY,
-    END0,
-    END1,
-    LN_WIDTH,
-    N_PARAMETERS,
-    PIXEL_VARIANCE_PX2,
-    SLOPE,
-    V_MID,
-    fisher_scoring,
-    quartic_px4,
-)
+from ground.streaks.trail_model import DENSITY, END0, END1, Q1, Q2, SAGITTA, SLOPE, V_MID, profiles
+from ground.streaks.trail_pixels import usable_pixels
+from ground.streaks.wiggle import local_offsets
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit, StreakPixels
 from sboc_e2e.icd.signals import Detection
 
-BEYOND_PX = 1e7
-"""Where an end is put that lies beyond the frame's edge."""
+CHANGE_POINT_SNR2: Final = 7.3
+"""Ends are change points below S^2 = 7.3 L / width: there the Cramer-Rao bound meets 4.39 L / S^2."""
 
-GAUSSIAN_ENDS_SNR2 = 7.3
-"""Ends are change points below S^2 = 7.3 L / sigma (the Cramer-Rao bound and the change-point law cross there)."""
+SHAPE_SNR: Final = 10.0
+"""Fainter trails are taken as straight and uniform."""
+
+POINT_WIDTHS: Final = 2.0
+"""Trails shorter than this many PSF sigmas are points."""
+
+OVERLAP_WIDTHS: Final = 9.0
+"""Below this length in widths the PSFs of the two ends overlap."""
+
+INTRUDER_ROUNDS: Final = 3
+WIGGLE_ROUNDS: Final = 3
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,252 +51,200 @@ class FitOptions:
     max_iterations: int
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class TrailPixels:
-    """Usable pixels near the trail in its frame, by ascending u; all (n,) float64, electrons and px."""
-
-    frame: TrailFrame
-    u: NDArray[np.float64]
-    v: NDArray[np.float64]
-    value_e: NDArray[np.float64]
-    variance_e2: NDArray[np.float64]
-
-    @classmethod
-    def select(cls, pixels: StreakPixels, usable: NDArray[np.bool_], frame: TrailFrame, reach_px: float) -> "TrailPixels":
-        """Usable pixels within `reach_px` of the line v = 0."""
-        u, v = frame.to_trail(pixels.row, pixels.col)
-        index = np.flatnonzero(usable & (np.abs(v) <= reach_px))
-        index = index[np.argsort(u[index], kind="stable")]
-        return cls(
-            frame=frame,
-            u=u[index],
-            v=v[index],
-            value_e=pixels.value_e[index].astype(np.float64),
-            variance_e2=pixels.variance_e2[index].astype(np.float64),
-        )
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LineFit:
-    """Parameters of `trail_model` with their covariance, and the frame they refer to."""
-
-    frame: TrailFrame
-    parameters: NDArray[np.float64]
-    covariance: NDArray[np.float64]
-    half_px: float
-    chi2: float
-    snr: float
-    n_pixels: int
-
-
 def fit_trail(pixels: StreakPixels, detection: Detection, options: FitOptions) -> StreakFit | None:
     """The fitted trail, or None where the pixels do not allow one."""
-    usable = np.isfinite(pixels.variance_e2) & np.isfinite(pixels.value_e) & (pixels.variance_e2 > 0.0)
-    if np.count_nonzero(usable) < 8:
-        return None
-    if StreakFlag.POINT_LIKE in detection.flags or detection.length_px < 2.0 * pixels.psf_sigma_px:
-        return _point_record(pixels, detection, usable)
+    width = effective_width_px(pixels.psf_sigma_px)
+    if StreakFlag.POINT_LIKE in detection.flags or detection.length_px < POINT_WIDTHS * pixels.psf_sigma_px:
+        return fit_untrailed(pixels, detection)
     frame = TrailFrame.of_chord(detection.row0, detection.col0, detection.row1, detection.col1)
-    edges = (StreakFlag.EDGE0 in detection.flags, StreakFlag.EDGE1 in detection.flags)
-    half = 0.5 * detection.length_px
-    line = _find_line(pixels, usable, frame, half, edges, options)
+    reach = options.max_shift_px + 6.0 * width + 1.0 + abs(detection.sagitta_px)
+    usable = usable_pixels(pixels, frame, reach)
+    flagged = (StreakFlag.EDGE0 in detection.flags, StreakFlag.EDGE1 in detection.flags)
+    line = find_line(
+        usable, 0.5 * detection.length_px, flagged,
+        width_px=width, sagitta_px=detection.sagitta_px, max_shift_px=options.max_shift_px,
+    )  # fmt: skip
     if line is None:
         return None
-    ends = _ends(pixels, usable, line, edges, (-half, half))
-    if ends is None:
-        return None
-    for _ in range(2):
-        middle, half = 0.5 * (ends.end0 + ends.end1), max(0.5 * (ends.end1 - ends.end0), 1.0)
-        line = _refine_line(pixels, usable, line, ends, middle, half, edges, options)
-        ends = _ends(pixels, usable, line, edges, (-half, half))
-        if ends is None:
+    found = _with_ends(line, flagged, pixels.frame_shape, options)
+    crosses = False
+    for _ in range(INTRUDER_ROUNDS):
+        if found is None:
             return None
-    if ends.end1 - ends.end0 < 2.0 * pixels.psf_sigma_px:
-        return _point_record(pixels, detection, usable)
-    return _record(pixels, detection, line, ends, edges)
-
-
-def _start(density: float, half: float, edges: tuple[bool, bool], width: float) -> NDArray[np.float64]:
-    """Parameter vector of a straight, uniform trail."""
-    parameters = np.zeros(N_PARAMETERS)
-    parameters[DENSITY] = density
-    parameters[END0] = -BEYOND_PX if edges[0] else -half
-    parameters[END1] = BEYOND_PX if edges[1] else half
-    parameters[LN_WIDTH] = math.log(width)
-    return parameters
-
-
-def _free(*names: int) -> NDArray[np.bool_]:
-    """Mask of free parameters."""
-    free = np.zeros(N_PARAMETERS, dtype=np.bool_)
-    free[list(names)] = True
-    return free
-
-
-def _limits(width: float) -> NDArray[np.float64]:
-    """Largest step of each parameter in one iteration: lengths of the PSF's size, the density free (it is linear)."""
-    limits = np.full(N_PARAMETERS, 0.7 * width)
-    limits[DENSITY] = np.inf
-    limits[LN_WIDTH] = 0.3
-    return limits
-
-
-def _effective_width(psf_sigma_px: float) -> float:
-    """Width of the PSF integrated over pixels."""
-    return math.sqrt(psf_sigma_px**2 + PIXEL_VARIANCE_PX2)
-
-
-def _find_line(
-    pixels: StreakPixels,
-    usable: NDArray[np.bool_],
-    frame: TrailFrame,
-    half: float,
-    edges: tuple[bool, bool],
-    options: FitOptions,
-) -> LineFit | None:
-    """The centre line from the detection's ends, coarse to fine; None where it runs away."""
-    width = _effective_width(pixels.psf_sigma_px)
-    near = TrailPixels.select(pixels, usable, frame, options.max_shift_px + 5.0 * width)
-    if near.u.size < 8:
+        mask, on_trail = intruder_mask(found[0], width)
+        if not mask.any():
+            break
+        crosses |= on_trail
+        kept = replace(found[0], pixels=found[0].pixels.take(~mask))
+        found = _with_ends(kept, found[1].edges, pixels.frame_shape, options)
+    if found is None:
         return None
-    parameters = _start(0.0, half, edges, width)
-    free = _free(DENSITY, V_MID, SLOPE)
-    covariance = np.zeros((N_PARAMETERS, N_PARAMETERS))
-    chi2 = snr2 = 0.0
-    used = 0
-    for widening, iterations in ((2.5, 4), (1.6, 4), (1.0, options.max_iterations)):
-        parameters[LN_WIDTH] = math.log(widening * width)
-        parameters, covariance, chi2, snr2, used, _ = fisher_scoring(
-            parameters, free, _limits(widening * width), near.u, near.v, near.value_e, near.variance_e2,
-            0.0, half, 0.0, 0.0, 0.0, iterations,
+    line, coarse = found
+    if coarse.length_px < OVERLAP_WIDTHS * width and not any(coarse.edges):
+        return _short_trail(pixels, detection, line, crosses, options)
+    line = _refined(line, coarse, options)
+    return _long_trail(pixels, detection, line, coarse.edges, crosses, options)
+
+
+def _with_ends(
+    line: LineFit, edges: tuple[bool, bool], shape: tuple[int, int], options: FitOptions
+) -> tuple[LineFit, CoarseEnds] | None:
+    """Coarse ends along the line, then the line again with them."""
+    coarse = _coarse(line, edges, shape)
+    if coarse is None:
+        return None
+    line = moved_to_middle(line, (coarse.end0, coarse.end1), coarse.edges)
+    free = tuple(p for p in line.free if p not in (END0, END1))
+    # hard edges: the PSF's own share of the spread is already in the model
+    line = score(
+        line.pixels, line.parameters, free,
+        half_px=line.half_px, blur_px=(coarse.sigma0_px, coarse.sigma1_px), iterations=options.max_iterations,
+    )  # fmt: skip
+    if not line.parameters[DENSITY] > 0.0 or not np.isfinite(line.parameters).all():
+        return None
+    return turned_along(line), coarse
+
+
+def _template(line: LineFit) -> NDArray[np.float64]:
+    """(n,) electrons per unit density of fully lit pixels on the fitted line, brightness included."""
+    p = line.parameters
+    return profiles(p, line.pixels.u, line.pixels.v, line.half_px, line.pixels.frame.angle_rad)
+
+
+def _coarse(line: LineFit, edges: tuple[bool, bool], shape: tuple[int, int]) -> CoarseEnds | None:
+    """`coarse_ends` on the pixels near the line."""
+    near = line.pixels.near(2.2 * line.width_px + abs(line.parameters[SAGITTA]))
+    at = replace(line, pixels=near)
+    half = line.half_px
+    return coarse_ends(
+        near.u, _template(at), near.value_e, near.variance_e2,
+        guess=(-half, half, float(line.parameters[DENSITY])), edges=edges,
+        image_limits=line.pixels.frame.image_limits(shape),
+    )  # fmt: skip
+
+
+def _refined(line: LineFit, coarse: CoarseEnds, options: FitOptions) -> LineFit:
+    """Curvature, brightness and width where the pixels ask for them, then the local centre line."""
+    gaussian = line.snr**2 > CHANGE_POINT_SNR2 * coarse.length_px / line.width_px
+    if gaussian:
+        ends = tuple(e for e, at_edge in zip((END0, END1), coarse.edges, strict=True) if not at_edge)
+        line = score(
+            line.pixels, line.parameters, (*line.free, *ends),
+            half_px=line.half_px, blur_px=(0.0, 0.0), iterations=options.max_iterations,
         )  # fmt: skip
-    if not parameters[DENSITY] > 0.0 or abs(parameters[V_MID]) + abs(parameters[SLOPE]) > 3.0 * options.max_shift_px:
-        return None
-    turned = frame.turned(0.0, parameters[V_MID], parameters[SLOPE] / half)
-    parameters[V_MID] = parameters[SLOPE] = 0.0
-    return LineFit(
-        frame=turned, parameters=parameters, covariance=covariance, half_px=half, chi2=chi2, snr=math.sqrt(snr2), n_pixels=used
-    )
+    shape = line.snr > SHAPE_SNR and coarse.length_px > SHORTEST_WIDTHS * line.width_px
+    line = choose_model(line, iterations=options.max_iterations, shape=shape)
+    for _ in range(WIGGLE_ROUNDS if shape else 0):
+        offsets = local_offsets(line, (-line.half_px, line.half_px))
+        if offsets is None:
+            break
+        straightened = replace(line.pixels, v=line.pixels.v - np.interp(line.pixels.u, *offsets))
+        line = score(
+            straightened, line.parameters, line.free,
+            half_px=line.half_px, blur_px=line.blur_px, iterations=options.max_iterations,
+        )  # fmt: skip
+    return line
 
 
-def _refine_line(
+def _long_trail(
     pixels: StreakPixels,
-    usable: NDArray[np.bool_],
+    detection: Detection,
     line: LineFit,
-    ends: EndPosterior,
-    middle: float,
-    half: float,
     edges: tuple[bool, bool],
+    crosses: bool,
     options: FitOptions,
-) -> LineFit:
-    """The line with the ends as found; its frame is centred between them and turned along it."""
-    width = _effective_width(pixels.psf_sigma_px)
-    frame = line.frame.turned(middle, 0.0, 0.0)
-    near = TrailPixels.select(pixels, usable, frame, 5.0 * width + 1.0)
-    blur = np.sqrt(np.maximum(np.diag(ends.covariance_px2), 0.0))
-    parameters, covariance, chi2, snr2, used, _ = fisher_scoring(
-        _start(ends.density_e_px, half, edges, width), _free(DENSITY, V_MID, SLOPE), _limits(width),
-        near.u, near.v, near.value_e, near.variance_e2,
-        0.0, half, float(blur[0]), float(blur[1]), quartic_px4(frame.angle_rad), options.max_iterations,
+) -> StreakFit | None:
+    """Posterior of the ends along the final line, and the record."""
+    coarse = _coarse(line, edges, pixels.frame_shape)
+    if coarse is None:
+        return None
+    near = line.pixels.near(2.7 * line.width_px + abs(line.parameters[SAGITTA]))
+    # the line's density has soft edges, the coarse one counts half-lit pixels as lit
+    ends = end_posterior(
+        near.u, _template(replace(line, pixels=near)), near.value_e, near.variance_e2,
+        width_px=line.width_px, coarse=replace(coarse, density_e_px=float(line.parameters[DENSITY])),
+        brightness=(line.half_px, float(line.parameters[Q1]), float(line.parameters[Q2])),
+        line_parameters=2 + (SAGITTA in line.free),
     )  # fmt: skip
-    turned = frame.turned(0.0, parameters[V_MID], parameters[SLOPE] / half)
-    parameters[V_MID] = parameters[SLOPE] = 0.0
-    return LineFit(
-        frame=turned, parameters=parameters, covariance=covariance, half_px=half, chi2=chi2, snr=math.sqrt(snr2), n_pixels=used
-    )
+    if ends.end1 - ends.end0 < POINT_WIDTHS * pixels.psf_sigma_px:
+        return fit_untrailed(pixels, detection)
+    return _record(pixels, detection, line, ends, coarse.edges, crosses, options)
 
 
-def _ends(
-    pixels: StreakPixels, usable: NDArray[np.bool_], line: LineFit, edges: tuple[bool, bool], guess: tuple[float, float]
-) -> EndPosterior | None:
-    """Posterior of the ends along the line; an end at the frame's edge is where the line leaves the image."""
-    width = _effective_width(pixels.psf_sigma_px)
-    near = TrailPixels.select(pixels, usable, line.frame, 2.7 * width)
-    quartic = quartic_px4(line.frame.angle_rad)
-    template = _profiles(near.v, width, quartic)
-    limits = line.frame.image_limits(pixels.frame_shape)
-    fixed = (limits[0] if edges[0] else None, limits[1] if edges[1] else None)
-    return end_posterior(
-        near.u, template, near.value_e, near.variance_e2,
-        width_px=width, guess=(guess[0], guess[1], float(line.parameters[DENSITY])), fixed=fixed, line_parameters=2,
+def _short_trail(
+    pixels: StreakPixels, detection: Detection, line: LineFit, crosses: bool, options: FitOptions
+) -> StreakFit | None:
+    """A trail whose ends overlap: Fisher scoring for where the joint posterior lies, then that posterior."""
+    free = (DENSITY, END0, END1, V_MID, SLOPE)
+    line = score(line.pixels, line.parameters, free, half_px=line.half_px, blur_px=(0.0, 0.0), iterations=options.max_iterations)
+    line = turned_along(line)
+    index = np.array([DENSITY, END0, END1])
+    center, covariance = line.parameters[index], line.covariance[np.ix_(index, index)]
+    regular = np.isfinite(center).all() and center[0] > 0.0 and np.linalg.eigvalsh(covariance)[0] > 0.0
+    if not regular or center[2] - center[1] < POINT_WIDTHS * pixels.psf_sigma_px:
+        return fit_untrailed(pixels, detection)
+    near = line.pixels.near(2.7 * line.width_px)
+    reach = center[2] - center[1] + 6.0 * line.width_px
+    near = near.take(np.abs(near.u - 0.5 * (center[1] + center[2])) < reach)
+    ends = short_trail_posterior(
+        near.u, _template(replace(line, pixels=near)), near.value_e, near.variance_e2,
+        width_px=line.width_px, center=center, covariance=covariance, line_parameters=2,
     )  # fmt: skip
-
-
-def _profiles(v: NDArray[np.float64], width: float, quartic: float) -> NDArray[np.float64]:
-    """`trail_model.profile` of each pixel."""
-    t2 = (v / width) ** 2
-    correction = 1.0 + quartic / (24.0 * width**4) * (t2 * t2 - 6.0 * t2 + 3.0)
-    return np.exp(-0.5 * t2) / (math.sqrt(2.0 * math.pi) * width) * correction
+    if ends.end1 - ends.end0 < POINT_WIDTHS * pixels.psf_sigma_px:
+        return fit_untrailed(pixels, detection)
+    return _record(pixels, detection, line, ends, (False, False), crosses, options)
 
 
 def _record(
-    pixels: StreakPixels, detection: Detection, line: LineFit, ends: EndPosterior, edges: tuple[bool, bool]
-) -> StreakFit:
-    """The product record of a fitted trail."""
-    v = line.covariance[V_MID, V_MID]
-    vs = line.covariance[V_MID, SLOPE]
-    s = line.covariance[SLOPE, SLOPE]
-    across = np.array([[v - 2.0 * vs + s, v - s], [v - s, v + 2.0 * vs + s]])
-    row0, col0 = line.frame.to_pixel(ends.end0, 0.0)
-    row1, col1 = line.frame.to_pixel(ends.end1, 0.0)
-    low0, high0 = interval_68(ends.grid0, ends.mass0, ends.end0)
-    low1, high1 = interval_68(ends.grid1, ends.mass1, ends.end1)
-    flags = detection.flags & ~StreakFlag.POINT_LIKE
-    length = ends.end1 - ends.end0
-    if not all(edges) and line.snr**2 < GAUSSIAN_ENDS_SNR2 * length / pixels.psf_sigma_px:
-        flags |= StreakFlag.ENDS_NOT_GAUSSIAN
-    return in_pixel_order(
-        StreakFit(
-            row0=row0,
-            col0=col0,
-            row1=row1,
-            col1=col1,
-            covariance_px2=pixel_covariance(line.frame, ends.covariance_px2, across),
-            end_interval_px=np.array([[-high0, -low0], [low1, high1]]),
-            sigma_cross_px=math.sqrt(v),
-            flux_e=ends.flux_e,
-            flux_err_e=ends.flux_err_e,
-            snr=line.snr,
-            sagitta_px=0.0,
-            sagitta_err_px=0.0,
-            gradient=0.0,
-            width_px=pixels.psf_sigma_px,
-            width_err_px=0.0,
-            chi2_nu=line.chi2 / max(line.n_pixels - 5, 1),
-            n_pixels=line.n_pixels,
-            flags=flags,
-            light_curve_e_px=np.zeros(0, dtype=np.float32),
-        )
+    pixels: StreakPixels,
+    detection: Detection,
+    line: LineFit,
+    ends: EndPosterior,
+    edges: tuple[bool, bool],
+    crosses: bool,
+    options: FitOptions,
+) -> StreakFit | None:
+    """Final line with the ends' posterior, width, light curve and flags."""
+    line = moved_to_middle(line, (ends.end0, ends.end1), edges)
+    shift = 0.5 * (ends.end0 + ends.end1)
+    blur = np.sqrt(np.maximum(np.diag(ends.covariance_px2), 0.0))
+    free = tuple(p for p in line.free if p not in (END0, END1))
+    line = score(
+        line.pixels, line.parameters, free,
+        half_px=line.half_px, blur_px=(float(blur[0]), float(blur[1])), iterations=options.max_iterations,
+    )  # fmt: skip
+    if not np.isfinite(line.parameters).all() or not line.parameters[DENSITY] > 0.0:
+        return None
+    ln_width, ln_width_err = width_estimate(line, options.max_iterations)
+    near = line.pixels.take(np.abs(line.pixels.v) < 3.0 * line.width_px + abs(line.parameters[SAGITTA]))
+    at = replace(line, pixels=near)
+    x = near.u / line.half_px
+    brightness = 1.0 + line.parameters[Q1] * x + line.parameters[Q2] * (x * x - 1.0 / 3.0)
+    template = _template(at)
+    curve = light_curve(
+        near.u, template / np.maximum(brightness, 0.05), near.value_e, near.variance_e2,
+        ends=(ends.end0 - shift, ends.end1 - shift),
+        smooth_density_e_px=line.parameters[DENSITY] * np.maximum(brightness, 0.05),
+        width_px=line.width_px, snr=line.snr,
+    )  # fmt: skip
+    result = TrailResult(
+        line=line, ends=ends, shift_px=shift, edges=edges, crosses=crosses, ln_width=ln_width, ln_width_err=ln_width_err, curve=curve
     )
+    gaussian = all(edges) or line.snr**2 > CHANGE_POINT_SNR2 * (ends.end1 - ends.end0) / line.width_px
+    return trail_record(pixels, detection, result, gaussian_ends=gaussian)
 
 
-def _point_record(pixels: StreakPixels, detection: Detection, usable: NDArray[np.bool_]) -> StreakFit | None:
-    """The product record of a source that does not trail: both ends at its centre."""
+def fit_untrailed(pixels: StreakPixels, detection: Detection) -> StreakFit | None:
+    """The fit of a point-like detection, or None where there is no source."""
+    usable = np.isfinite(pixels.variance_e2) & np.isfinite(pixels.value_e) & (pixels.variance_e2 > 0.0)
     start = (0.5 * (detection.row0 + detection.row1), 0.5 * (detection.col0 + detection.col1))
-    data = [np.asarray(a[usable], dtype=np.float64) for a in (pixels.row, pixels.col, pixels.value_e, pixels.variance_e2)]
-    point = fit_point(data[0], data[1], data[2], data[3], start=start, psf_sigma_px=pixels.psf_sigma_px, free_width=False)
+    near = usable & (np.hypot(pixels.row - start[0], pixels.col - start[1]) < 30.0)
+    row, col, value, variance = (
+        np.asarray(a[near], dtype=np.float64) for a in (pixels.row, pixels.col, pixels.value_e, pixels.variance_e2)
+    )
+    width = effective_width_px(pixels.psf_sigma_px)
+    point = fit_point(row, col, value, variance, start=start, width_px=width, free_width=False)
     if point is None:
         return None
-    position = point.covariance[1:3, 1:3]
-    sigma = math.sqrt(0.5 * float(np.trace(position)))
-    return StreakFit(
-        row0=point.row,
-        col0=point.col,
-        row1=point.row,
-        col1=point.col,
-        covariance_px2=np.tile(position, (2, 2)),
-        end_interval_px=np.array([[-sigma, sigma], [-sigma, sigma]]),
-        sigma_cross_px=sigma,
-        flux_e=point.flux_e,
-        flux_err_e=math.sqrt(point.covariance[0, 0]),
-        snr=point.snr,
-        sagitta_px=0.0,
-        sagitta_err_px=0.0,
-        gradient=0.0,
-        width_px=math.sqrt(max(point.width_px**2 - PIXEL_VARIANCE_PX2, 0.0)),
-        width_err_px=0.0,
-        chi2_nu=point.chi2 / max(point.n_pixels - 3, 1),
-        n_pixels=point.n_pixels,
-        flags=detection.flags | StreakFlag.POINT_LIKE,
-        light_curve_e_px=np.zeros(0, dtype=np.float32),
-    )
+    wide = fit_point(row, col, value, variance, start=(point.row, point.col), width_px=width, free_width=True)
+    return point_record(pixels, detection, point, wide)

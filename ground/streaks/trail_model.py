@@ -27,6 +27,12 @@ N_PARAMETERS: Final = 9
 DENSITY, END0, END1, V_MID, SLOPE, SAGITTA, Q1, Q2, LN_WIDTH = range(N_PARAMETERS)
 """Order of the parameter vector: e-/px along the trail, px, px, px, px per half length, px, -, -, ln px."""
 
+REACH_WIDTHS: Final = 4.5
+"""Pixels farther from the trail than this many widths hold nothing of it (1e-5 of its light) and are left out."""
+
+TOLERANCE_SIGMA: Final = 0.02
+"""Fisher scoring ends when no parameter moves by more than this part of its standard error."""
+
 _SQRT_HALF: Final = math.sqrt(0.5)
 _INV_SQRT_2PI: Final = 1.0 / math.sqrt(2.0 * math.pi)
 
@@ -81,10 +87,11 @@ def accumulate(
     blur0: float,
     blur1: float,
     quartic: float,
+    index: NDArray[np.int64],
     gradient: NDArray[np.float64],
     fisher: NDArray[np.float64],
 ) -> tuple[float, float, int]:
-    """Score vector and Fisher matrix (filled in place) of all parameters; chi2, matched-filter S/N^2 and pixels used.
+    """Score vector and Fisher matrix (filled in place) of the parameters `index`; chi2, S/N^2 and pixels used.
 
     Weights are 1 / (variance + model): the object's own Poisson noise, from the model and not from the data, so that
     the estimate is not biased. Derivatives are analytic; the fourth-cumulant term is left out of them (0.2 %).
@@ -95,7 +102,10 @@ def accumulate(
     width = math.exp(parameters[LN_WIDTH])
     width0 = math.hypot(width, blur0)
     width1 = math.hypot(width, blur1)
-    reach = 5.0 * width
+    reach = REACH_WIDTHS * width
+    reach0 = REACH_WIDTHS * width0
+    reach1 = REACH_WIDTHS * width1
+    n = index.size
     chi2 = 0.0
     snr2 = 0.0
     used = 0
@@ -104,6 +114,8 @@ def accumulate(
         centre = parameters[V_MID] + parameters[SLOPE] * x + parameters[SAGITTA] * (1.0 / 3.0 - x * x)
         offset = v[i] - centre
         if abs(offset) > reach or not variance_e2[i] < np.inf:
+            continue
+        if u[i] < parameters[END0] - reach0 or u[i] > parameters[END1] + reach1:
             continue
         across = profile(offset, width, quartic)
         phi0 = edge(u[i], parameters[END0], width0)
@@ -138,12 +150,12 @@ def accumulate(
         derivative[Q2] = parameters[DENSITY] * unit * x2
         along = amplitude * width * width * (-d0 * t0 / width0 + d1 * t1 / width1)
         derivative[LN_WIDTH] = mu * ((offset / width) ** 2 - 1.0) + along
-        for j in range(N_PARAMETERS):
-            wj = weight * derivative[j]
+        for j in range(n):
+            wj = weight * derivative[index[j]]
             gradient[j] += wj * residual
             for k in range(j + 1):
-                fisher[j, k] += wj * derivative[k]
-    for j in range(N_PARAMETERS):
+                fisher[j, k] += wj * derivative[index[k]]
+    for j in range(n):
         for k in range(j):
             fisher[k, j] = fisher[j, k]
     return chi2, snr2, used
@@ -172,21 +184,23 @@ def fisher_scoring(
     p = parameters.copy()
     index = np.flatnonzero(free)
     n = index.size
-    gradient = np.empty(N_PARAMETERS)
-    fisher = np.empty((N_PARAMETERS, N_PARAMETERS))
+    gradient = np.empty(n)
+    fisher = np.empty((n, n))
     covariance = np.zeros((N_PARAMETERS, N_PARAMETERS))
     converged = False
     chi2 = np.inf
     snr2 = 0.0
     used = 0
     for iteration in range(max_iterations + 1):
-        chi2, snr2, used = accumulate(p, u, v, value_e, variance_e2, u_mid, half, blur0, blur1, quartic, gradient, fisher)
+        chi2, snr2, used = accumulate(
+            p, u, v, value_e, variance_e2, u_mid, half, blur0, blur1, quartic, index, gradient, fisher
+        )
         matrix = np.empty((n, n))
         right = np.empty(n)
         for a in range(n):
-            right[a] = gradient[index[a]]
+            right[a] = gradient[a]
             for b in range(n):
-                matrix[a, b] = fisher[index[a], index[b]]
+                matrix[a, b] = fisher[a, b]
             matrix[a, a] = matrix[a, a] * (1.0 + 1e-9) + 1e-30
         scale = np.sqrt(np.diag(matrix))
         for a in range(n):
@@ -209,5 +223,54 @@ def fisher_scoring(
             worst = max(worst, abs(step[a]) / max(sigma, 1e-300))
         for a in range(n):
             p[index[a]] += shrink * step[a]
-        converged = worst < 0.01
+        converged = worst < TOLERANCE_SIGMA
     return p, covariance, chi2, snr2, used, converged
+
+
+@njit(cache=True)
+def mean_all(
+    parameters: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64], half: float, blur0: float, blur1: float
+) -> NDArray[np.float64]:
+    """Expected electrons of many pixels, shape (n,); arguments of `mean_e`, without the fourth-cumulant term."""
+    out = np.empty(u.size)
+    for i in range(u.size):
+        out[i] = mean_e(parameters, u[i], v[i], 0.0, half, blur0, blur1, 0.0)
+    return out
+
+
+@njit(cache=True)
+def line_scores(
+    parameters: NDArray[np.float64],
+    u: NDArray[np.float64],
+    v: NDArray[np.float64],
+    value_e: NDArray[np.float64],
+    variance_e2: NDArray[np.float64],
+    half: float,
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Score and information, each (n,), of every pixel for a shift of the centre line where it lies."""
+    width = math.exp(parameters[LN_WIDTH])
+    slope = np.empty(u.size)
+    information = np.empty(u.size)
+    for i in range(u.size):
+        x = u[i] / half
+        offset = v[i] - parameters[V_MID] - parameters[SLOPE] * x - parameters[SAGITTA] * (1.0 / 3.0 - x * x)
+        mu = mean_e(parameters, u[i], v[i], 0.0, half, 0.0, 0.0, 0.0)
+        weight = 1.0 / (variance_e2[i] + max(mu, 0.0))
+        derivative = mu * offset / (width * width)
+        slope[i] = weight * derivative * (value_e[i] - mu)
+        information[i] = weight * derivative * derivative
+    return slope, information
+
+
+def profiles(
+    parameters: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64], half: float, angle_rad: float
+) -> NDArray[np.float64]:
+    """Electrons per unit density, shape (n,), of pixels as if lit by the whole trail, brightness included (>= 5 % of mean)."""
+    x = u / half
+    width = math.exp(parameters[LN_WIDTH])
+    centre = parameters[V_MID] + parameters[SLOPE] * x + parameters[SAGITTA] * (1.0 / 3.0 - x * x)
+    t2 = ((v - centre) / width) ** 2
+    correction = 1.0 + quartic_px4(angle_rad) / (24.0 * width**4) * (t2 * t2 - 6.0 * t2 + 3.0)
+    brightness = np.maximum(1.0 + parameters[Q1] * x + parameters[Q2] * (x * x - 1.0 / 3.0), 0.05)
+    out: NDArray[np.float64] = brightness * np.exp(-0.5 * t2) * (_INV_SQRT_2PI / width) * correction
+    return out

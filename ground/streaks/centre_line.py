@@ -1,0 +1,200 @@
+"""Centre line of a trail by Fisher scoring: first found coarse to fine, then refined with the ends as known so far."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.streaks.trail_model import (
+    DENSITY,
+    END0,
+    END1,
+    LN_WIDTH,
+    N_PARAMETERS,
+    PIXEL_VARIANCE_PX2,
+    SAGITTA,
+    SLOPE,
+    V_MID,
+    fisher_scoring,
+    quartic_px4,
+)
+from ground.streaks.trail_pixels import TrailPixels
+
+BEYOND_PX: Final = 1e7
+"""Where an end is put that lies beyond the frame's edge."""
+
+SEARCH_STAGES: Final = ((2.5, 3), (1.6, 3), (1.0, 5))
+"""Widening of the PSF and iterations of each stage of the search for the line."""
+
+SEARCH_PIXELS: Final = 9000
+"""Pixels used to find the line; of longer trails every second, third ... pixel."""
+
+
+def effective_width_px(psf_sigma_px: float) -> float:
+    """Gaussian width of the PSF integrated over a pixel."""
+    return math.sqrt(psf_sigma_px**2 + PIXEL_VARIANCE_PX2)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LineFit:
+    """Parameters of `trail_model` with covariance (9, 9), in the axes of `pixels.frame`.
+
+    half_px : half of the reference length that x = u / half_px refers to. blur_px : extra width of both ends.
+    """
+
+    pixels: TrailPixels
+    parameters: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    half_px: float
+    blur_px: tuple[float, float]
+    free: tuple[int, ...]
+    chi2: float
+    snr: float
+    n_pixels: int
+
+    @property
+    def width_px(self) -> float:
+        """Width across the trail, pixel included."""
+        return math.exp(self.parameters[LN_WIDTH])
+
+
+def uniform_trail(density_e_px: float, half_px: float, edges: tuple[bool, bool], width_px: float) -> NDArray[np.float64]:
+    """Parameter vector of a straight, uniform trail between -half and +half (an end at the frame's edge is beyond it)."""
+    parameters = np.zeros(N_PARAMETERS)
+    parameters[DENSITY] = density_e_px
+    parameters[END0] = -BEYOND_PX if edges[0] else -half_px
+    parameters[END1] = BEYOND_PX if edges[1] else half_px
+    parameters[LN_WIDTH] = math.log(width_px)
+    return parameters
+
+
+def _limits(width_px: float) -> NDArray[np.float64]:
+    """Largest change of each parameter in one iteration: lengths of the PSF's size; the density is linear, so free."""
+    limits = np.full(N_PARAMETERS, 0.7 * width_px)
+    limits[DENSITY] = np.inf
+    limits[LN_WIDTH] = 0.3
+    limits[6:8] = 0.5
+    return limits
+
+
+def score(
+    pixels: TrailPixels,
+    parameters: NDArray[np.float64],
+    free: Sequence[int],
+    *,
+    half_px: float,
+    blur_px: tuple[float, float],
+    iterations: int,
+    quartic: bool = True,
+) -> LineFit:
+    """Fisher scoring of the free parameters."""
+    mask = np.zeros(N_PARAMETERS, dtype=np.bool_)
+    mask[list(free)] = True
+    quartic_term = quartic_px4(pixels.frame.angle_rad) if quartic else 0.0
+    found, covariance, chi2, snr2, used, _ = fisher_scoring(
+        parameters, mask, _limits(math.exp(parameters[LN_WIDTH])),
+        pixels.u, pixels.v, pixels.value_e, pixels.variance_e2,
+        0.0, half_px, blur_px[0], blur_px[1], quartic_term, iterations,
+    )  # fmt: skip
+    return LineFit(
+        pixels=pixels,
+        parameters=found,
+        covariance=covariance,
+        half_px=half_px,
+        blur_px=blur_px,
+        free=tuple(free),
+        chi2=chi2,
+        snr=math.sqrt(snr2),
+        n_pixels=used,
+    )
+
+
+def turned_along(line: LineFit) -> LineFit:
+    """The same line in axes along it: offset and slope become zero."""
+    parameters = line.parameters.copy()
+    frame = line.pixels.frame.turned(0.0, parameters[V_MID], parameters[SLOPE] / line.half_px)
+    parameters[V_MID] = parameters[SLOPE] = 0.0
+    return LineFit(
+        pixels=line.pixels.in_frame(frame),
+        parameters=parameters,
+        covariance=line.covariance,
+        half_px=line.half_px,
+        blur_px=line.blur_px,
+        free=line.free,
+        chi2=line.chi2,
+        snr=line.snr,
+        n_pixels=line.n_pixels,
+    )
+
+
+def find_line(
+    pixels: TrailPixels,
+    half_px: float,
+    edges: tuple[bool, bool],
+    *,
+    width_px: float,
+    sagitta_px: float,
+    max_shift_px: float,
+) -> LineFit | None:
+    """The line near the detection's, its ends taken as given; None where it runs away or holds no light."""
+    near = pixels.near(max_shift_px + 3.0 * width_px + abs(sagitta_px))
+    if near.u.size < 8:
+        return None
+    stride = -(-near.u.size // SEARCH_PIXELS)
+    if stride > 1:
+        near = near.take(np.arange(0, near.u.size, stride, dtype=np.intp))
+    parameters = uniform_trail(0.0, half_px, edges, width_px)
+    parameters[SAGITTA] = sagitta_px
+    free = [DENSITY, V_MID, SLOPE] + ([SAGITTA] if sagitta_px != 0.0 else [])
+    for widening, iterations in SEARCH_STAGES:
+        parameters[LN_WIDTH] = math.log(widening * width_px)
+        line = score(near, parameters, free, half_px=half_px, blur_px=(0.0, 0.0), iterations=iterations, quartic=False)
+        parameters = line.parameters
+    if not parameters[DENSITY] > 0.0 or abs(parameters[V_MID]) + abs(parameters[SLOPE]) > 3.0 * max_shift_px:
+        return None
+    turned = turned_along(line)
+    return LineFit(
+        pixels=pixels.in_frame(turned.pixels.frame).near(6.0 * width_px + 1.0 + abs(parameters[SAGITTA])),
+        parameters=turned.parameters,
+        covariance=turned.covariance,
+        half_px=half_px,
+        blur_px=(0.0, 0.0),
+        free=turned.free,
+        chi2=turned.chi2,
+        snr=turned.snr,
+        n_pixels=turned.n_pixels,
+    )
+
+
+def moved_to_middle(line: LineFit, ends: tuple[float, float], edges: tuple[bool, bool]) -> LineFit:
+    """The line with its origin midway between `ends` (u of the present axes) and x = +-1 at them."""
+    middle, half = 0.5 * (ends[0] + ends[1]), max(0.5 * (ends[1] - ends[0]), 0.5)
+    p = line.parameters.copy()
+    scale, shift = half / line.half_px, middle / line.half_px
+    sagitta, q1, q2 = p[SAGITTA], p[6], p[7]
+    centre = p[V_MID] + p[SLOPE] * shift + sagitta * (1.0 / 3.0 - shift * shift)
+    slope = (p[SLOPE] - 2.0 * sagitta * shift) * scale
+    p[SAGITTA] = sagitta * scale**2
+    p[V_MID] = centre - p[SAGITTA] / 3.0
+    p[SLOPE] = slope
+    mean = 1.0 + q1 * shift + q2 * (shift**2 - 1.0 / 3.0) + q2 * scale**2 / 3.0
+    p[DENSITY] *= max(mean, 0.05)
+    p[6] = (q1 + 2.0 * q2 * shift) * scale / max(mean, 0.05)
+    p[7] = q2 * scale**2 / max(mean, 0.05)
+    p[END0] = -BEYOND_PX if edges[0] else -half
+    p[END1] = BEYOND_PX if edges[1] else half
+    frame = line.pixels.frame.turned(middle, 0.0, 0.0)
+    return LineFit(
+        pixels=line.pixels.in_frame(frame),
+        parameters=p,
+        covariance=line.covariance,
+        half_px=half,
+        blur_px=line.blur_px,
+        free=line.free,
+        chi2=line.chi2,
+        snr=line.snr,
+        n_pixels=line.n_pixels,
+    )

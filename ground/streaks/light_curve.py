@@ -1,0 +1,88 @@
+"""Brightness along a trail: densities in equal bins, whether they vary, and a period where there is one."""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from astropy.timeseries import LombScargle
+from numpy.typing import NDArray
+
+BIN_WIDTHS: Final = 4.0
+"""Shortest bin in PSF widths: neighbouring bins are then nearly independent."""
+
+BIN_SNR: Final = 2.0
+"""Least S/N of one bin: fewer, longer bins for fainter trails."""
+
+MOST_BINS: Final = 200
+FALSE_ALARM: Final = 1e-3
+"""Of the variability test and of the period."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LightCurve:
+    """density_e_px, sigma_e_px : (k,) in equal bins from end 0 to end 1; variable: beyond chance; period_fraction: of the trail."""
+
+    density_e_px: NDArray[np.float64]
+    sigma_e_px: NDArray[np.float64]
+    variable: bool
+    period_fraction: float | None
+
+
+def light_curve(
+    u: NDArray[np.float64],
+    profile: NDArray[np.float64],
+    value_e: NDArray[np.float64],
+    variance_e2: NDArray[np.float64],
+    *,
+    ends: tuple[float, float],
+    smooth_density_e_px: NDArray[np.float64],
+    width_px: float,
+    snr: float,
+) -> LightCurve:
+    """Least-squares density of each bin.
+
+    u, value_e, variance_e2 : (n,). profile : (n,) cross-trail profile per unit density. smooth_density_e_px : (n,)
+    density of the fitted model, for the noise and as what "constant" means. Bins touching an end miss light of the
+    PSF's edge, so the outermost width of the trail is not used.
+    """
+    length = ends[1] - ends[0]
+    empty = LightCurve(density_e_px=np.zeros(0), sigma_e_px=np.zeros(0), variable=False, period_fraction=None)
+    n_bins = int(min(length / (BIN_WIDTHS * width_px), (snr / BIN_SNR) ** 2, MOST_BINS))
+    if n_bins < 4:
+        return empty
+    inner = (u > ends[0] + width_px) & (u < ends[1] - width_px)
+    place = np.clip(((u[inner] - ends[0]) * (n_bins / length)).astype(np.int64), 0, n_bins - 1)
+    weight = 1.0 / (variance_e2[inner] + np.maximum(smooth_density_e_px[inner] * profile[inner], 0.0))
+    information = np.bincount(place, weight * profile[inner] ** 2, n_bins)
+    if not np.all(information > 0.0):
+        return empty
+    density = np.bincount(place, weight * profile[inner] * value_e[inner], n_bins) / information
+    smooth = np.bincount(place, weight * profile[inner] ** 2 * smooth_density_e_px[inner], n_bins) / information
+    sigma = 1.0 / np.sqrt(information)
+    chi2 = float(np.sum(((density - smooth) / sigma) ** 2))
+    freedom = n_bins - 1
+    # Wilson & Hilferty (1931): the cube root of chi2/nu is nearly Gaussian
+    deviate = ((chi2 / freedom) ** (1.0 / 3.0) - (1.0 - 2.0 / (9.0 * freedom))) / math.sqrt(2.0 / (9.0 * freedom))
+    variable = deviate > 3.1
+    return LightCurve(
+        density_e_px=density,
+        sigma_e_px=sigma,
+        variable=variable,
+        period_fraction=_period(density - smooth, sigma) if n_bins >= 8 else None,
+    )
+
+
+def _period(residual: NDArray[np.float64], sigma: NDArray[np.float64]) -> float | None:
+    """Period in fractions of the trail by Lomb-Scargle (Zechmeister & Kurster 2009), None above the false-alarm limit."""
+    n = residual.size
+    position = (np.arange(n) + 0.5) / n
+    # at least 1.5 cycles in the trail, at most the Nyquist rate of the bins
+    frequency = np.linspace(1.5, 0.5 * n, max(8 * n, 32))
+    search = LombScargle(position, residual, sigma)
+    power = search.power(frequency)
+    best = int(np.argmax(power))
+    # a perfect sinusoid has power 1, where the formula divides by zero
+    peak = min(float(power[best]), 1.0 - 1e-9)
+    chance = search.false_alarm_probability(peak, maximum_frequency=0.5 * n, method="baluev")
+    return float(1.0 / frequency[best]) if chance < FALSE_ALARM else None

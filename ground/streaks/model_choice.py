@@ -1,0 +1,75 @@
+"""Which refinement of a straight, uniform trail the pixels ask for: score tests against the extended BIC.
+
+Rao's score statistic of a candidate parameter needs one pass over the pixels at the present best fit. The best
+candidate enters when its statistic exceeds ``ln n + 2 ln(candidates)`` (Chen & Chen 2008, extended BIC, gamma = 1);
+then the model is fitted again and the rest is asked again.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.streaks.centre_line import LineFit, score
+from ground.streaks.trail_model import LN_WIDTH, N_PARAMETERS, Q1, Q2, SAGITTA, accumulate, quartic_px4
+
+CANDIDATES: Final = (SAGITTA, Q1, Q2, LN_WIDTH)
+"""Curvature, linear and quadratic brightness, width."""
+
+SHORTEST_WIDTHS: Final = 10.0
+"""Trails shorter than this many widths have neither a measurable shape nor a light curve."""
+
+
+def score_tests(line: LineFit, candidates: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Of each candidate, given all free parameters: score statistic, one-step estimate and its standard error."""
+    p = line.pixels
+    index = np.array([*line.free, *candidates], dtype=np.int64)
+    gradient, fisher = np.empty(index.size), np.empty((index.size, index.size))
+    accumulate(
+        line.parameters, p.u, p.v, p.value_e, p.variance_e2, 0.0, line.half_px, line.blur_px[0], line.blur_px[1],
+        quartic_px4(p.frame.angle_rad), index, gradient, fisher,
+    )  # fmt: skip
+    n = len(line.free)
+    nuisance = np.linalg.pinv(fisher[:n, :n], rcond=1e-12, hermitian=True)
+    statistic, step, error = np.empty(len(candidates)), np.empty(len(candidates)), np.empty(len(candidates))
+    for k in range(len(candidates)):
+        row = fisher[n + k, :n] @ nuisance
+        information = fisher[n + k, n + k] - row @ fisher[:n, n + k]
+        slope = gradient[n + k] - row @ gradient[:n]
+        information = max(information, 1e-12 * fisher[n + k, n + k], 1e-300)
+        statistic[k], step[k], error[k] = slope**2 / information, slope / information, 1.0 / math.sqrt(information)
+    return statistic, step, error
+
+
+def choose_model(line: LineFit, *, iterations: int, shape: bool) -> LineFit:
+    """The fit with every refinement that pays for itself; `shape`: whether curvature and brightness are considered."""
+    open_candidates = [c for c in (CANDIDATES if shape else (LN_WIDTH,)) if c not in line.free]
+    while open_candidates:
+        statistic, step, _ = score_tests(line, tuple(open_candidates))
+        best = int(np.argmax(statistic))
+        if statistic[best] < math.log(max(line.n_pixels, 2)) + 2.0 * math.log(len(CANDIDATES)):
+            break
+        chosen = open_candidates.pop(best)
+        parameters = line.parameters.copy()
+        limit = 0.3 if chosen in (LN_WIDTH, Q1, Q2) else 2.0 * line.width_px
+        parameters[chosen] += float(np.clip(step[best], -limit, limit))
+        refitted = score(
+            line.pixels, parameters, (*line.free, chosen), half_px=line.half_px, blur_px=line.blur_px, iterations=iterations
+        )
+        if not (np.isfinite(refitted.parameters).all() and refitted.parameters[0] > 0.0):
+            break
+        line = refitted
+    return line
+
+
+def width_estimate(line: LineFit, iterations: int) -> tuple[float, float]:
+    """Fitted ln width and its error, whether or not the model needed it free: the vetter's sharpness."""
+    if LN_WIDTH in line.free:
+        return float(line.parameters[LN_WIDTH]), math.sqrt(line.covariance[LN_WIDTH, LN_WIDTH])
+    free = tuple(sorted({0, LN_WIDTH, *line.free} & set(range(N_PARAMETERS))))
+    wide = score(line.pixels, line.parameters, free, half_px=line.half_px, blur_px=line.blur_px, iterations=iterations)
+    value = float(wide.parameters[LN_WIDTH])
+    if not math.isfinite(value):
+        return float(line.parameters[LN_WIDTH]), math.inf
+    return value, math.sqrt(wide.covariance[LN_WIDTH, LN_WIDTH])

@@ -33,13 +33,13 @@ _CHANGE_POINT_TAILS = 1.5
 class StreakTable(NamedTuple):
     """What linking needs of n streaks, in columns, by frame and then by input order.
 
-    index : position in the caller's sequence. frame : ordinal of the frame in time order. kind_flags : StreakFlag bits.
+    source : position in the caller's sequence. frame : ordinal of the frame in time order. kind_flags : StreakFlag bits.
     row : (n, 3) rows of end 0, middle, end 1. unit : (n, 3, 3) unit vectors of the same points.
     sigma_along_rad, (n, 2) of both ends; sigma_cross_rad (n,). scale_rad_px : (n,) plate scale.
     log_odds : (n,) of being real, from the vetter, relative to the mean of all.
     """
 
-    index: NDArray[np.int64]
+    source: NDArray[np.int64]
     frame: NDArray[np.int64]
     flags: NDArray[np.int64]
     row: NDArray[np.float64]
@@ -147,7 +147,7 @@ def streak_table(
     logit = np.log(probability / (1.0 - probability))
     base = np.log(probability.mean() / (1.0 - probability.mean())) if len(picked) else 0.0
     return StreakTable(
-        index=np.array([index[i] for i in chosen], dtype=np.int64),
+        source=np.array([index[i] for i in chosen], dtype=np.int64),
         frame=frame,
         flags=np.array([int(s.flags | s.fit.flags) for s in picked], dtype=np.int64),
         row=row,
@@ -208,7 +208,7 @@ def end_epochs_s(
 
 def nodes_of(table: StreakTable, frames: FrameTable) -> Nodes:
     """Both hypotheses of every streak, with the density of chance streaks in its frame."""
-    n = len(table.index)
+    n = len(table.source)
     frame = np.repeat(table.frame, 2)
     row_open, row_close = table.row[:, [0, 2]].ravel(), table.row[:, [2, 0]].ravel()
     start, exposure, line = frames.start_s[frame], frames.exposure_s[frame], frames.line_time_s[frame]
@@ -245,7 +245,7 @@ def nodes_of(table: StreakTable, frames: FrameTable) -> Nodes:
     area = scale**2 * np.prod(frames.shape, axis=1)[frame]
     crowd = np.bincount(table.frame, minlength=len(frames.number))[frame].astype(np.float64)
     octaves = np.log(2.0 * np.hypot(*frames.shape.T))[frame]
-    # chance streaks: uniform over the frame, in direction and in the logarithm of length; in the coordinates of the fit's residuals
+    # chance streaks: uniform over the frame, in direction and in log length; in the coordinates of the fit's residuals
     turned = np.log(2.0 * np.pi * np.maximum(length, scale))
     vector = turned + np.log(np.maximum(length, scale) * octaves)
     log_clutter = np.log(crowd / area) - np.select([kind == FULL, kind == POINT], [vector, 0.0], turned)

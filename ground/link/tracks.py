@@ -44,7 +44,7 @@ def tracklet_of(
     sky: bool,
 ) -> Tracklet:
     """The contract's record of a track; directions and rates are NaN when it was linked in pixels."""
-    chosen = table.index[track.members // 2]
+    chosen = table.source[track.members // 2]
     timed = np.column_stack([track.kinds != ENTERING, (track.kinds != LEAVING) & (track.kinds != POINT)])
     unit, t_s = track.units[timed], track.points[timed]
     by_time = np.argsort(t_s, kind="stable")

@@ -49,7 +49,7 @@ def attributable_of(tracklet: Tracklet, sigma_floor_arcsec: float) -> Attributab
     ra, dec = np.radians(tracklet.ra_deg[good]), np.radians(tracklet.dec_deg[good])
     unit = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=1)
     t_ref_ns = int(t_ns.min()) + int(t_ns.max() - t_ns.min()) // 2
-    t_s = (t_ns - t_ref_ns) * 1e-9
+    t_s = np.asarray((t_ns - t_ref_ns) * 1e-9, dtype=np.float64)
 
     axes = _axes(unit.mean(axis=0))
     nominal = np.zeros(2)
@@ -72,7 +72,7 @@ def attributable_of(tracklet: Tracklet, sigma_floor_arcsec: float) -> Attributab
     model = np.zeros((2 * m, 2 * k))
     model[:m, :k] = model[m:, k:] = interpolation
     data = np.concatenate([plane[:, 0], plane[:, 1]])
-    covariance = np.linalg.inv(design.T @ weight @ design)
+    covariance = np.asarray(np.linalg.inv(design.T @ weight @ design), dtype=np.float64)
     solve = covariance @ design.T @ weight
     projected = weight - weight @ design @ solve
     projected = 0.5 * (projected + projected.T)

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -135,7 +136,7 @@ def modes(posterior: Posterior) -> NDArray[np.float64]:
             kept.append(k)
     bounds = [
         -np.inf,
-        *(posterior.log_range[a + int(np.argmin(density[a : b + 1]))] for a, b in zip(kept, kept[1:], strict=False)),
+        *(posterior.log_range[a + int(np.argmin(density[a : b + 1]))] for a, b in pairwise(kept)),
         np.inf,
     ]
     log_range = np.log(posterior.range_km)

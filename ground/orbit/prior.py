@@ -180,8 +180,8 @@ def prior_table(shares: PriorShares) -> PriorTable:
     volume = np.diff(a_edges)[:, None, None] * np.diff(e_edges)[None, :, None] * np.diff(i_edges)[None, None, :]
     parts = [(shares.catalogue * counts / counts.sum() / volume, a_edges, e_edges, i_edges)]
     if shares.breakup > 0.0:
-        density, *edges = breakup_density()
-        parts.append((shares.breakup * density, *edges))
+        density, a_wide, e_wide, i_wide = breakup_density()
+        parts.append((shares.breakup * density, a_wide, e_wide, i_wide))
     union = [np.unique(np.round(np.concatenate([part[k] for part in parts]), 9)) for k in (1, 2, 3)]
     middles = [0.5 * (edges[1:] + edges[:-1]) for edges in union]
     total = np.zeros(tuple(len(m) for m in middles))

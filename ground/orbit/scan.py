@@ -67,7 +67,7 @@ def curve(
             emitted = problem.node_s[j] * (1.0 - range_rate_km_s / LIGHT_KM_S)
             advance(state, emitted - epoch)
             epoch = emitted
-            x = y = z = 0.0
+            x, y, z = 0.0, 0.0, 0.0
             for c in range(3):
                 d = state[c] - problem.observer_at_node[j, c]
                 x += d * problem.axes[0, c]
@@ -127,14 +127,17 @@ def best_range_rate(
 
 
 @njit(cache=True)
+def _parabola(coefficients: NDArray[np.float64], u: float) -> float:
+    return float(coefficients[0] + u * (coefficients[1] + u * coefficients[2]))
+
+
+@njit(cache=True)
 def _eccentricity(
     problem: Problem, range_km: float, rate: float, du: NDArray[np.float64], state: NDArray[np.float64], span: NDArray[np.float64]
 ) -> float:
     """Eccentricity at a range rate; du : (2, 3) polynomial of the rate correction in the scaled range rate."""
     u = (rate - span[0]) / span[1]
-    target_state(
-        problem, range_km, rate, du[0, 0] + u * (du[0, 1] + u * du[0, 2]), du[1, 0] + u * (du[1, 1] + u * du[1, 2]), state
-    )
+    target_state(problem, range_km, rate, _parabola(du[0], u), _parabola(du[1], u), state)
     _, e, _ = elements(state[0], state[1], state[2], state[3], state[4], state[5])
     return e
 
@@ -191,7 +194,6 @@ def scan_range(
     # the nominal curve holds the nominal rate already: what the data want beyond it
     n_draws = len(normal)
     rates = np.empty(2 * _RIDGE_STEPS + _WINDOW_STEPS + 2)
-    values = np.empty((len(rates), 4))
     count = 0
     total = 0.0
     peak = -math.inf
@@ -237,16 +239,17 @@ def scan_range(
                 problem,
                 range_km,
                 grid[j],
-                du[0, 0] + u * (du[0, 1] + u * du[0, 2]),
-                du[1, 0] + u * (du[1, 1] + u * du[1, 2]),
+                _parabola(du[0], u),
+                _parabola(du[1], u),
                 state,
             )
-            a, e, i = elements(state[0], state[1], state[2], state[3], state[4], state[5])
-            density = phase_space_density(prior, a, e, i)
+            a, e, inclination = elements(state[0], state[1], state[2], state[3], state[4], state[5])
+            density = phase_space_density(prior, a, e, inclination)
             width = 0.5 * (grid[min(j + 1, n - 1)] - grid[max(j - 1, 0)])
             if density > 0.0 and width > 0.0:
                 log_weight = math.log(density * width / n_draws) - 0.5 * chi2 + log_range_weight
-                out[count, 0], out[count, 1], out[count, 2], out[count, 3], out[count, 4] = log_weight, range_km, a, e, i
+                out[count, 0], out[count, 1] = log_weight, range_km
+                out[count, 2], out[count, 3], out[count, 4] = a, e, inclination
                 count += 1
                 if log_weight > peak:
                     total = total * math.exp(peak - log_weight) + 1.0 if peak > -math.inf else 1.0

@@ -26,7 +26,7 @@ def lambert_phase(phase_rad: NDArray[np.float64] | float) -> NDArray[np.float64]
 
 
 def diameter_m(
-    mag: float, range_km: NDArray[np.float64], albedo: float, phase_rad: NDArray[np.float64] | float
+    mag: float, range_km: NDArray[np.float64] | float, albedo: float, phase_rad: NDArray[np.float64] | float
 ) -> NDArray[np.float64]:
     """Diameter (m) of a Lambert sphere: F / F_sun = albedo (d/2)^2 / rho^2 phase(phi)."""
     ratio = 10.0 ** (-0.4 * (mag - SUN_V_MAG))

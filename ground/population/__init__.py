@@ -1,0 +1,16 @@
+"""Counts of detections into the number of objects by size: response measured on injected objects, Bayesian unfolding."""
+
+from ground.population.exposure import Exposure, cone_cross_section_km2
+from ground.population.recover import Recovered, recover
+from ground.population.response import Response, categories, observed_counts, response_of
+
+__all__ = [
+    "Exposure",
+    "Recovered",
+    "Response",
+    "categories",
+    "cone_cross_section_km2",
+    "observed_counts",
+    "recover",
+    "response_of",
+]

@@ -57,7 +57,7 @@ class Campaign:
         points = self._points()
         if len(points) * self.replicas > MAX_TASKS:
             raise UserError(f"campaign {self.name}: {len(points) * self.replicas} tasks; allowed are {MAX_TASKS}")
-        out = []
+        out: list[Task] = []
         for point in points:
             for replica in range(self.replicas):
                 out.append(Task(number=len(out), point=point, replica=replica, seed=self._seed(point, replica)))

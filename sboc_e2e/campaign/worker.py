@@ -9,7 +9,7 @@ from astropy.table import Table
 
 from sboc_e2e.campaign.plan import Campaign, Task
 from sboc_e2e.registry import Registry
-from sboc_e2e.run import run_scenario
+from sboc_e2e.run.begin import begin_or_continue
 from sboc_e2e.scenario import load
 from sboc_e2e.score.evaluation import Evaluation, evaluate
 
@@ -26,7 +26,9 @@ def run_task(campaign: Campaign, task: Task, out: str) -> None:
     shutil.rmtree(folder, ignore_errors=True)
     scenario = load(campaign.scenario, registry=Registry(), overrides=overrides(campaign, task), seed=task.seed)
     try:
-        run_scenario(scenario, folder, stages=("simulate", "onboard", "ground"))
+        run = begin_or_continue(folder, scenario, workers=1)
+        run.simulate_and_onboard()
+        run.ground()
         table = shard(evaluate(folder), task)
         final = Path(out) / "shards" / f"{task.number:06d}.ecsv"
         temporary = final.with_suffix(".part")

@@ -70,11 +70,11 @@ def write_pages(result: dict[str, Any], pictures: dict[str, str], gallery: list[
     """All three files; `pictures` are titled SVGs, `gallery` cut-outs of streaks that one found and another lost."""
     (out / "compare.json").write_text(json.dumps(result, indent=1))
     title = f"{result['seam']} on {result['scenario']}"
-    note = f"{result['n_frames']} frames, {result['n_truth']} truth streaks with S/N >= 3, {result['seeds']} seed(s); same frames for all."
+    note = f"{result['n_frames']} frames, {result['n_truth']} truth streaks with S/N >= 3, {result['seeds']} seed(s)."
     rows, pairs = choice_rows(result), pair_rows(result)
     lines = [f"# {title}", "", note, ""]
-    for head, body in ((HEAD, rows), (PAIR_HEAD, pairs)):
-        lines += ["| " + " | ".join(head) + " |", "|" + "---|" * len(head), *("| " + " | ".join(r) + " |" for r in body), ""]
+    for head, cells in ((HEAD, rows), (PAIR_HEAD, pairs)):
+        lines += ["| " + " | ".join(head) + " |", "|" + "---|" * len(head), *("| " + " | ".join(r) + " |" for r in cells), ""]
     (out / "compare.md").write_text("\n".join(lines))
     body = [f"<p>{note}</p>", table(HEAD, rows), "<h2>Pairs</h2>", table(PAIR_HEAD, pairs), '<div class="plots">']
     body += [f"<figure><figcaption>{name}</figcaption>{svg}</figure>" for name, svg in pictures.items()]
@@ -83,7 +83,8 @@ def write_pages(result: dict[str, Any], pictures: dict[str, str], gallery: list[
     for item in gallery:
         body.append(
             f'<figure class="case"><img src="{item["picture"]}" alt="cut-out"><figcaption>S/N {item["snr"]:.1f}, '
-            f"{item['length_px']:.0f} px, frame {item['frame']}: found by {item['found']}, lost by {item['lost']}</figcaption></figure>"
+            f"{item['length_px']:.0f} px, frame {item['frame']}: found by {item['found']}, "
+            f"lost by {item['lost']}</figcaption></figure>"
         )
     body += ["</div>"] if gallery else []
     (out / "compare.html").write_text(simple_page(title, body))

@@ -4,20 +4,24 @@ import json
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from astropy.table import Table
 
 from ground.ingest import decode_downlink
+from ground.ingest.codecs import Ccsds121Decoder, PlanesDecoder, RawDecoder, SqrtPlanesDecoder
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.steps import Decoder
 from sboc_e2e.score.bounds import CHANGE_POINT, TrailBounds, trail_bounds
 from sboc_e2e.score.detection import FLUX_HELD, RoiFootprints
 from sboc_e2e.score.matching import SNR_IGNORED, MeasuredStreak, TruthStreak, match_all
 from sboc_e2e.score.trail import TruePath
 from sboc_e2e.truth import dtype_of
+
+SHIPPED_DECODERS: Final[tuple[Decoder, ...]] = (PlanesDecoder(), RawDecoder(), Ccsds121Decoder(), SqrtPlanesDecoder())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -122,13 +126,16 @@ def read_truth(folder: Path) -> dict[str, Table]:
     return tables
 
 
-def evaluate(run_dir: Path, truth_dir: Path | None = None) -> Evaluation:
-    """Read a finished run and match it with its truth (or with external truth tables)."""
+def evaluate(run_dir: Path, truth_dir: Path | None = None, extra_decoders: Sequence[Decoder] = ()) -> Evaluation:
+    """Read a finished run and match it with its truth (or with external truth tables).
+
+    extra_decoders : of codecs that do not come with the project.
+    """
     manifest = json.loads((run_dir / "manifest.json").read_text())
     truth_tables = read_truth(truth_dir or run_dir / "truth")
     products = {name: read_table(run_dir / "products" / f"{name}.ecsv") for name in ("streaks", "frames", "orbits", "tracklets")}
     downlink = (run_dir / "downlink.bin").read_bytes()
-    downlink_frames, _ = decode_downlink(downlink)
+    downlink_frames, _ = decode_downlink(downlink, (*SHIPPED_DECODERS, *extra_decoders))
     truth = truth_streaks(truth_tables["streaks"])
     shape = (int(products["frames"]["rows"][0]), int(products["frames"]["cols"][0])) if len(products["frames"]) else (1, 1)
     return assemble(truth, truth_tables, products, downlink, downlink_frames, shape, manifest)

@@ -1,0 +1,257 @@
+"""Run each choice of a seam on the same frames and judge them together.
+
+Simulated frames and downlinks are kept under the output folder by the content that decides them, so that a choice on
+ground runs neither the simulator nor the on-board half again, and a second comparison starts where the first one ended.
+"""
+
+import hashlib
+import json
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from sboc_e2e.compare.pages import completeness_plot, froc_plot, write_pages
+from sboc_e2e.compare.paired import Outcomes, difference, froc, mcnemar
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.registry import SEAMS, Registry
+from sboc_e2e.report import pictures
+from sboc_e2e.run.begin import begin_or_continue
+from sboc_e2e.run.pipeline import KEEP_KEY, Run
+from sboc_e2e.run.progress import Progress, Silent
+from sboc_e2e.scenario import Scenario, load
+from sboc_e2e.score.evaluation import Evaluation, evaluate
+from sboc_e2e.score.figures import bootstrap, half_point, proportion, rate, rms
+from sboc_e2e.score.ideal import ideal_snr50
+from sboc_e2e.score.matching import SNR_IGNORED, distance_to_path
+
+PAIR_SNR: Final = 5.0
+"""Pairs are judged on truth above this S/N: below it nobody finds anything, and agreement is empty."""
+
+MAX_GALLERY: Final = 24
+
+
+@dataclass(frozen=True, kw_only=True)
+class Request:
+    """What to compare: choices of one seam, on one scenario, with one or more seeds."""
+
+    scenario: str
+    seam: str
+    choices: tuple[str, ...]
+    seeds: int = 1
+    overrides: tuple[str, ...] = ()
+    workers: int = 0
+
+
+def _key(document: Any) -> str:
+    return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()[:16]
+
+
+def _link(source: Path, target: Path) -> None:
+    if not target.exists():
+        target.symlink_to(source.resolve(), target_is_directory=source.is_dir())
+
+
+class Workspace:
+    """Runs under one output folder, shared as far as their content allows."""
+
+    def __init__(self, out: Path, request: Request, progress: Progress) -> None:
+        self.out, self.request, self.progress = out, request, progress
+        self.registry = Registry()
+        # The simulator's part of a scenario is all that decides the frames.
+        self._not_simulator = {"onboard", "ground", "output", "description", "name"}
+
+    def scenario(self, choice: str | None, seed: int | None) -> Scenario:
+        """The scenario with a choice for the seam, keeping all frames."""
+        use = {self.request.seam: choice} if choice else None
+        overrides = (*self.request.overrides, f"{KEEP_KEY}=1")
+        return load(self.request.scenario, registry=self.registry, overrides=overrides, use=use, seed=seed)
+
+    def _run(self, kind: str, document: dict[str, Any], scenario: Scenario) -> Run:
+        path = self.out / kind / _key(document)
+        return begin_or_continue(path, scenario, workers=self.request.workers, progress=self.progress)
+
+    def frames(self, scenario: Scenario) -> Run:
+        """The simulated frames of a scenario."""
+        document = {k: v for k, v in scenario.document().items() if k not in self._not_simulator}
+        made = self._run("frames", document, scenario)
+        if not made.manifest.done("simulate"):
+            made.simulate()
+        return made
+
+    def choice(self, scenario: Scenario) -> Run:
+        """Results of a scenario on the shared frames and, where nothing on board differs, the shared downlink."""
+        frames = self.frames(scenario)
+        made = self._run("runs", scenario.document(), scenario)
+        if made.manifest.done("ground"):
+            return made
+        for folder in ("frames", "truth", "calibration"):
+            _link(frames.directory.path / folder, made.directory.path / folder)
+        made.manifest.stages["simulate"] = frames.manifest.stages["simulate"]
+        document = {k: v for k, v in scenario.document().items() if k not in ("ground", "output", "description")}
+        shared = self.out / "downlinks" / _key(document)
+        if (shared / "stage.json").is_file():
+            made.manifest.stages["onboard"] = json.loads((shared / "stage.json").read_text())
+        else:
+            made.onboard()
+            shared.mkdir(parents=True, exist_ok=True)
+            made.directory.downlink.replace(shared / "downlink.bin")
+            (shared / "stage.json").write_text(json.dumps(made.manifest.stages["onboard"]))
+        _link(shared / "downlink.bin", made.directory.downlink)
+        made.manifest.save()
+        made.ground()
+        return made
+
+
+def compare(request: Request, out: Path, progress: Progress | None = None) -> dict[str, Any]:
+    """Compare and write compare.json, compare.md and compare.html into `out`; returns what compare.json holds.
+
+    Raises UserError for an unknown seam or step, or fewer than two choices.
+    """
+    if request.seam not in SEAMS:
+        raise UserError(f'--seam: there is no seam "{request.seam}"; allowed are {", ".join(SEAMS)}')
+    if len(set(request.choices)) < 2:
+        raise UserError("--use: give two or more different choices to compare")
+    if request.seeds < 1:
+        raise UserError(f"--seeds: expected 1 or more, got {request.seeds}")
+    workspace = Workspace(out, request, progress or Silent())
+    base_seed = workspace.scenario(None, None).seed
+    runs: dict[str, list[tuple[Run, Evaluation]]] = {name: [] for name in request.choices}
+    for k in range(request.seeds):
+        for name in request.choices:
+            made = workspace.choice(workspace.scenario(name, base_seed + k))
+            runs[name].append((made, evaluate(made.directory.path)))
+    onboard = request.seam.startswith("onboard.")
+    outcomes = _outcomes({name: [e for _, e in pairs] for name, pairs in runs.items()}, onboard)
+    first = next(iter(runs.values()))
+    n_frames = sum(e.n_frames for _, e in first)
+    judged = outcomes.select(outcomes.snr >= PAIR_SNR)
+    names = list(request.choices)
+    curves = {name: _froc([e for _, e in pairs], onboard) for name, pairs in runs.items()}
+    result = {
+        "scenario": request.scenario,
+        "seam": request.seam,
+        "seeds": request.seeds,
+        "n_frames": n_frames,
+        "n_truth": len(outcomes.snr),
+        "judged_on": "ROIs on board" if onboard else "measured streaks after vetting",
+        "choices": {name: _choice(pairs, outcomes, name, onboard) for name, pairs in runs.items()},
+        "pairs": [
+            {
+                "first": a,
+                "second": b,
+                "difference": difference(judged, a, b),
+                "mcnemar": mcnemar(judged.found[a], judged.found[b]),
+            }
+            for i, a in enumerate(names)
+            for b in names[i + 1 :]
+        ],
+        "froc": curves,
+    }
+    shape, sigma = first[0][1].shape, float(np.median(first[0][1].truth_tables["streaks"]["psf_sigma_px"]))
+    svgs = {
+        "Completeness": completeness_plot(outcomes.snr, outcomes.found, ideal_snr50(0.1, *shape, sigma)),
+        "Free-response curve": froc_plot(curves),
+    }
+    write_pages(result, svgs, _gallery(runs, onboard), out)
+    return result
+
+
+def _detected(e: Evaluation, onboard: bool) -> set[int]:
+    return e.detected_onboard if onboard else e.detected_ground
+
+
+def _outcomes(evaluations: dict[str, list[Evaluation]], onboard: bool) -> Outcomes:
+    first = next(iter(evaluations.values()))
+    kept = [[t for t in e.truth if t.snr >= SNR_IGNORED] for e in first]
+    found = {
+        name: np.array([t.index in _detected(e, onboard) for e, truth in zip(es, kept, strict=True) for t in truth], dtype=bool)
+        for name, es in evaluations.items()
+    }
+    truth = [t for each in kept for t in each]
+    cluster = [1_000_000 * seed + t.object_id for seed, each in enumerate(kept) for t in each]
+    return Outcomes(
+        snr=np.array([t.snr for t in truth]),
+        length_px=np.array([t.length_px for t in truth]),
+        cluster=np.array(cluster, dtype=np.int64),
+        found=found,
+    )
+
+
+def _froc(evaluations: Sequence[Evaluation], onboard: bool) -> list[list[float]]:
+    """Curve over the measured S/N: of ROI groups for the on-board half, of measured streaks for ground."""
+    hits: list[float] = []
+    false: list[float] = []
+    n_truth = n_frames = 0
+    for e in evaluations:
+        n_truth += sum(t.snr >= SNR_IGNORED for t in e.truth)
+        n_frames += e.n_frames
+        if onboard:
+            snr = {(f.header.frame, g.roi_id): g.detection.snr for f in e.downlink_frames for g in f.rois}
+            bad = set(e.footprints.false_groups)
+            false += [s for key, s in snr.items() if key in bad]
+            by_frame: dict[int, list[float]] = {}
+            for (frame, roi), s in snr.items():
+                if (frame, roi) not in bad:
+                    by_frame.setdefault(frame, []).append(s)
+            # The ROI that holds a truth streak is not stored with it; the most significant true ROI of the frame stands for it.
+            for t in e.truth:
+                if t.index in e.detected_onboard and t.snr >= SNR_IGNORED and by_frame.get(t.frame):
+                    near = np.array(by_frame[t.frame])
+                    hits.append(float(near[np.argmin(np.abs(near - t.snr))]))
+        else:
+            accepted = set(e.accepted)
+            hits += [float(e.streaks["snr"][row]) for row, t in e.pairs.items() if row in accepted and t.snr >= SNR_IGNORED]
+            false += [float(e.streaks["snr"][row]) for row in e.false_rows]
+    return froc(np.array(hits), np.array(false), n_truth, n_frames)
+
+
+def _choice(pairs: Sequence[tuple[Run, Evaluation]], outcomes: Outcomes, name: str, onboard: bool) -> dict[str, Any]:
+    evaluations = [e for _, e in pairs]
+    found = outcomes.found[name]
+    bright = outcomes.snr >= 8.0
+    frames = sum(e.n_frames for e in evaluations)
+    false = sum(len(e.footprints.false_groups) if onboard else len(e.false_rows) for e in evaluations)
+    stage = "onboard" if onboard else "ground"
+    cpu_s = sum(float(run.manifest.stages[stage]["cpu_s"]) for run, _ in pairs)
+    cross = [_cross_ratio(e, row) for e in evaluations for row, t in e.pairs.items() if t.index in e.bounds and t.snr >= 8.0]
+    return {
+        "completeness_snr8": proportion(int(found[bright].sum()), int(bright.sum()), "no truth streak with S/N >= 8"),
+        "snr50": half_point(outcomes.snr, found),
+        "false_per_frame": rate(false, frames, frames),
+        "cross_crlb_ratio": bootstrap(cross, rms),
+        "cpu_ms_per_frame": 1000.0 * cpu_s / max(frames, 1),
+        "downlink_bits_per_frame": 8.0 * sum(len(e.downlink) for e in evaluations) / max(frames, 1),
+    }
+
+
+def _cross_ratio(e: Evaluation, row: int) -> float:
+    s, truth = e.streaks[row], e.pairs[row]
+    middle = np.array([s["row0"] + s["row1"], s["col0"] + s["col1"]], dtype=float) / 2
+    return distance_to_path(middle, truth.path)[0] / e.bounds[truth.index].cross_px
+
+
+def _gallery(runs: dict[str, list[tuple[Run, Evaluation]]], onboard: bool) -> list[dict[str, Any]]:
+    """Cut-outs of truth streaks that some choices found and others lost, most significant first."""
+    items = []
+    names = list(runs)
+    for seed in range(len(runs[names[0]])):
+        made, e = runs[names[0]][seed]
+        detected = {name: _detected(runs[name][seed][1], onboard) for name in names}
+        for t in e.truth:
+            found = [name for name in names if t.index in detected[name]]
+            if t.snr >= PAIR_SNR and 0 < len(found) < len(names):
+                lost = [name for name in names if name not in found]
+                items.append((t, made, found, lost))
+    items.sort(key=lambda item: -item[0].snr)
+    out = []
+    for t, made, found, lost in items[:MAX_GALLERY]:
+        image = pictures.read_pixels(made.directory.frame_file(t.frame))
+        picture, _, _ = pictures.cutout(image, float(t.ends[:, 0].mean()), float(t.ends[:, 1].mean()))
+        out.append(
+            {"picture": picture, "snr": t.snr, "length_px": t.length_px, "frame": t.frame,
+             "found": ", ".join(found), "lost": ", ".join(lost)}
+        )  # fmt: skip
+    return out

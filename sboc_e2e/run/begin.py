@@ -1,0 +1,25 @@
+"""A run directory for a scenario, continued when it holds the same run: for comparisons and campaigns."""
+
+from pathlib import Path
+
+from sboc_e2e.run.directory import RunDirectory
+from sboc_e2e.run.manifest import Manifest
+from sboc_e2e.run.pipeline import Run, worker_count
+from sboc_e2e.run.progress import Progress, Silent
+from sboc_e2e.scenario import Scenario
+
+
+def begin_or_continue(path: Path, scenario: Scenario, *, workers: int = 0, progress: Progress | None = None) -> Run:
+    """The run at `path`; stages that an earlier attempt of the same scenario and versions finished count as done."""
+    directory = RunDirectory(path=path)
+    wanted = Manifest.of(directory.manifest, scenario)
+    manifest = wanted
+    if directory.manifest.is_file():
+        found = Manifest.read(directory.manifest)
+        if found.scenario == wanted.scenario and found.versions == wanted.versions:
+            manifest = found
+    path.mkdir(parents=True, exist_ok=True)
+    manifest.save()
+    return Run(
+        directory=directory, manifest=manifest, scenario=scenario, workers=worker_count(workers), progress=progress or Silent()
+    )

@@ -1,0 +1,133 @@
+"""The instrument: aperture, focal plane geometry, throughput; and how far the built one departs from the nominal one."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.errors import UserError
+from simulator.optics.projection import Projection
+
+SUN_B_V = 0.653
+"""The Sun's B-V (Ramirez et al. 2012, ApJ 752, 5); fluxes are normalised at this colour."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class DistortionOptions:
+    """Brown-Conrady coefficients, for tangents (radians) as coordinates."""
+
+    k1: float = field(default=-1.0, metadata={"doc": "radial, third order", "min": -50.0, "max": 50.0})
+    k2: float = field(default=0.0, metadata={"doc": "radial, fifth order", "min": -5e3, "max": 5e3})
+    p1: float = field(default=2e-5, metadata={"doc": "tangential, along rows", "min": -0.1, "max": 0.1})
+    p2: float = field(default=-1e-5, metadata={"doc": "tangential, along cols", "min": -0.1, "max": 0.1})
+
+
+@dataclass(frozen=True, kw_only=True)
+class AsBuiltOptions:
+    """How the built camera departs from the nominal one that on-board and ground software know."""
+
+    focal_length_ppm: float = field(default=150.0, metadata={"doc": "relative error of the focal length", "min": -2e4, "max": 2e4})
+    center_row_px: float = field(default=1.8, metadata={"doc": "shift of the optical axis along rows", "min": -200.0, "max": 200.0})
+    center_col_px: float = field(default=-1.3, metadata={"doc": "shift of the optical axis along cols", "min": -200.0, "max": 200.0})
+    distortion: float = field(default=0.02, metadata={"doc": "relative error of k1 and k2", "min": -1.0, "max": 1.0})
+    zero_point_mag: float = field(default=0.04, metadata={"doc": "the built camera is brighter by this", "min": -2.0, "max": 2.0})
+    psf_width: float = field(default=0.02, metadata={"doc": "relative error of the PSF width", "min": -0.5, "max": 0.5})
+
+
+@dataclass(frozen=True, kw_only=True)
+class InstrumentOptions:
+    """Nominal instrument. The defaults are the ASSUMED SBOC-like one: its real numbers are unpublished."""
+
+    name: str = field(default="sboc_like", metadata={"doc": "name of the camera"})
+    aperture_m: float = field(default=0.20, metadata={"doc": "diameter of the entrance pupil", "min": 1e-3, "max": 20.0})
+    obstruction: float = field(default=0.0, metadata={"doc": "central obstruction, of the diameter", "min": 0.0, "max": 0.9})
+    focal_length_mm: float = field(default=400.0, metadata={"doc": "effective focal length", "min": 1.0, "max": 1e5})
+    pixel_um: float = field(default=9.0, metadata={"doc": "pitch of detector pixels", "min": 0.5, "max": 500.0})
+    rows: int = field(default=4096, metadata={"doc": "detector rows", "min": 16, "max": 16384})
+    cols: int = field(default=4096, metadata={"doc": "detector columns", "min": 16, "max": 16384})
+    efficiency: float = field(default=0.5, metadata={"doc": "optics times mean QE, electrons for each photon of the band", "min": 1e-4, "max": 1.0})
+    photons_v0_m2_s: float = field(
+        default=3.0e10, metadata={"doc": "photons of the band from V = 0, solar colour, per m2 and s", "min": 1e6, "max": 1e12}
+    )
+    band_short_nm: float = field(default=420.0, metadata={"doc": "short edge of the band", "min": 200.0, "max": 3000.0})
+    band_long_nm: float = field(default=850.0, metadata={"doc": "long edge of the band", "min": 250.0, "max": 5000.0})
+    stray_light_e_px_s: float = field(default=0.0, metadata={"doc": "stray light at the centre", "min": 0.0, "max": 1e5})
+    stray_gradient: float = field(default=0.0, metadata={"doc": "relative change of stray light across the columns", "min": -2.0, "max": 2.0})
+    distortion: DistortionOptions = field(default_factory=DistortionOptions)
+    as_built: AsBuiltOptions = field(default_factory=AsBuiltOptions)
+
+    def __post_init__(self) -> None:
+        if self.band_long_nm <= self.band_short_nm:
+            raise UserError(f"instrument.band_long: {self.band_long_nm} nm must be longer than band_short, {self.band_short_nm} nm")
+
+    @property
+    def focal_px(self) -> float:
+        """Nominal focal length in detector pixels."""
+        return self.focal_length_mm * 1e3 / self.pixel_um
+
+    @property
+    def area_m2(self) -> float:
+        """Collecting area."""
+        return 0.25 * np.pi * self.aperture_m**2 * (1.0 - self.obstruction**2)
+
+    @property
+    def zero_point_e_s(self) -> float:
+        """Nominal electrons per second of V = 0 and solar colour, on axis."""
+        return self.photons_v0_m2_s * self.area_m2 * self.efficiency
+
+    @property
+    def half_field_rad(self) -> tuple[float, float]:
+        """Tangents of half the field along rows and cols, without distortion."""
+        return 0.5 * self.rows / self.focal_px, 0.5 * self.cols / self.focal_px
+
+    def nominal_projection(self) -> Projection:
+        """Geometry that ground and on-board software assume, in detector pixels."""
+        return Projection(
+            focal_px=self.focal_px,
+            center_row=0.5 * (self.rows - 1),
+            center_col=0.5 * (self.cols - 1),
+            k1=self.distortion.k1,
+            k2=self.distortion.k2,
+            p1=self.distortion.p1,
+            p2=self.distortion.p2,
+        )
+
+    def true_projection(self) -> Projection:
+        """Geometry of the built camera, in detector pixels."""
+        nominal, built = self.nominal_projection(), self.as_built
+        return Projection(
+            focal_px=nominal.focal_px * (1.0 + 1e-6 * built.focal_length_ppm),
+            center_row=nominal.center_row + built.center_row_px,
+            center_col=nominal.center_col + built.center_col_px,
+            k1=nominal.k1 * (1.0 + built.distortion),
+            k2=nominal.k2 * (1.0 + built.distortion),
+            p1=nominal.p1,
+            p2=nominal.p2,
+        )
+
+    @property
+    def true_zero_point_e_s(self) -> float:
+        """Electrons per second of V = 0 and solar colour that the built camera gives on axis."""
+        return self.zero_point_e_s * 10.0 ** (0.4 * self.as_built.zero_point_mag)
+
+
+def temperature_of_colour(b_v: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Effective temperature (K) of a star of colour B-V (Ballesteros 2012, EPL 97, 34008, eq. 14)."""
+    x = 0.92 * np.clip(b_v, -0.4, 2.5)
+    return 4600.0 * (1.0 / (x + 1.7) + 1.0 / (x + 0.62))
+
+
+def band_factor(b_v: NDArray[np.float64], short_nm: float, long_nm: float) -> NDArray[np.float64]:
+    """Photons in the band over those of a solar-colour star of the same V.
+
+    Planck spectra of the colour's temperature, normalised at 551 nm (Johnson V), flat response between the edges.
+    """
+    wavelength_nm = np.linspace(short_nm, long_nm, 61)
+    table_b_v = np.linspace(-0.4, 2.5, 117)
+    temperature = temperature_of_colour(np.append(table_b_v, SUN_B_V))[:, None]
+
+    def photons(at_nm: NDArray[np.float64]) -> NDArray[np.float64]:
+        return at_nm**-4.0 / np.expm1(1.438777e7 / (at_nm * temperature))
+
+    ratio = np.trapezoid(photons(wavelength_nm[None, :]), wavelength_nm, axis=1) / photons(np.array([[551.0]]))[:, 0]
+    return np.interp(b_v, table_b_v, ratio[:-1] / ratio[-1])

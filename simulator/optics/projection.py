@@ -1,0 +1,83 @@
+"""The one coordinate module: directions of the camera frame to pixels and back.
+
+Pixels are (row, col), 0-based, the centre of pixel (0, 0) is (0.0, 0.0). The camera frame has +Z along the boresight,
++X to growing col, +Y to growing row. Gnomonic projection ``u = x/z, v = y/z``, then Brown-Conrady distortion
+(Brown 1966, Photogrammetric Engineering 32, 444)
+
+    u' = u (1 + k1 r2 + k2 r2^2) + 2 p1 u v + p2 (r2 + 2 u^2)
+    v' = v (1 + k1 r2 + k2 r2^2) + p1 (r2 + 2 v^2) + 2 p2 u v
+
+and ``col = center_col + focal_px u'``, ``row = center_row + focal_px v'``.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Projection:
+    """A camera's geometry in detector pixels (or delivered ones after `binned`)."""
+
+    focal_px: float
+    center_row: float
+    center_col: float
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+
+    def to_pixels(self, vectors: Array) -> tuple[Array, Array]:
+        """Rows and cols (n,) of camera-frame vectors (n, 3) of any length; NaN for those not in front of the camera."""
+        z = np.where(vectors[..., 2] > 0.0, vectors[..., 2], np.nan)
+        return self.tangent_to_pixels(vectors[..., 0] / z, vectors[..., 1] / z)
+
+    def tangent_to_pixels(self, u: Array, v: Array) -> tuple[Array, Array]:
+        """Rows and cols of undistorted tangent-plane coordinates (radians of tangent)."""
+        r2 = u * u + v * v
+        radial = 1.0 + r2 * (self.k1 + r2 * self.k2)
+        u_distorted = u * radial + 2.0 * self.p1 * u * v + self.p2 * (r2 + 2.0 * u * u)
+        v_distorted = v * radial + self.p1 * (r2 + 2.0 * v * v) + 2.0 * self.p2 * u * v
+        return self.center_row + self.focal_px * v_distorted, self.center_col + self.focal_px * u_distorted
+
+    def pixels_to_tangent(self, row: Array, col: Array) -> tuple[Array, Array]:
+        """Undistorted (u, v) of pixels, by Newton's method on the distortion (converges to 1e-15 in 5 steps)."""
+        target_u = (np.asarray(col, dtype=np.float64) - self.center_col) / self.focal_px
+        target_v = (np.asarray(row, dtype=np.float64) - self.center_row) / self.focal_px
+        u, v = target_u.copy(), target_v.copy()
+        for _ in range(6):
+            r2 = u * u + v * v
+            radial = 1.0 + r2 * (self.k1 + r2 * self.k2)
+            slope = 2.0 * (self.k1 + 2.0 * self.k2 * r2)
+            fu = u * radial + 2.0 * self.p1 * u * v + self.p2 * (r2 + 2.0 * u * u) - target_u
+            fv = v * radial + self.p1 * (r2 + 2.0 * v * v) + 2.0 * self.p2 * u * v - target_v
+            uu = radial + slope * u * u + 2.0 * self.p1 * v + 6.0 * self.p2 * u
+            vv = radial + slope * v * v + 6.0 * self.p1 * v + 2.0 * self.p2 * u
+            uv = slope * u * v + 2.0 * self.p1 * u + 2.0 * self.p2 * v
+            det = uu * vv - uv * uv
+            u, v = u - (vv * fu - uv * fv) / det, v - (uu * fv - uv * fu) / det
+        return u, v
+
+    def to_vectors(self, row: Array, col: Array) -> Array:
+        """Unit camera-frame vectors (n, 3) of pixels."""
+        u, v = self.pixels_to_tangent(row, col)
+        vectors = np.stack([u, v, np.ones_like(u)], axis=-1)
+        return vectors / np.linalg.norm(vectors, axis=-1, keepdims=True)
+
+    def delivered(self, *, bin_rows: int, bin_cols: int, window_row0: int, window_col0: int) -> "Projection":
+        """The same camera in delivered pixels, square binning only (focal_px is one number).
+
+        A delivered pixel's centre is the mean of its detector pixels' centres.
+        """
+        return Projection(
+            focal_px=self.focal_px / bin_cols,
+            center_row=(self.center_row - window_row0 - 0.5 * (bin_rows - 1)) / bin_rows,
+            center_col=(self.center_col - window_col0 - 0.5 * (bin_cols - 1)) / bin_cols,
+            k1=self.k1,
+            k2=self.k2,
+            p1=self.p1,
+            p2=self.p2,
+        )

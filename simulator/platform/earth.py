@@ -1,0 +1,90 @@
+"""Earth, Sun and time: constants and the ephemerides that the platform and the scene need, from ERFA.
+
+Everything is GCRS axes, kilometres and seconds. ERFA's `epv00` is the ephemeris of the Earth (a few km, far below
+1 mas of aberration and 1 arcsec of Sun direction).
+"""
+
+from typing import Final
+
+import erfa
+import numpy as np
+from astropy.time import Time
+from astropy.utils import iers
+from numpy.typing import NDArray
+
+from sboc_e2e.icd import tai
+from sboc_e2e.icd.errors import UserError
+
+MU_KM3_S2: Final = 398600.4418
+EARTH_RADIUS_KM: Final = 6378.137
+J2: Final = 1.08262668e-3
+"""WGS84/EGM96: gravitational parameter, equatorial radius, second zonal harmonic."""
+FLATTENING: Final = 1.0 / 298.257223563
+OMEGA_EARTH_RAD_S: Final = 7.292115e-5
+AU_KM: Final = 149597870.7
+SUN_RADIUS_KM: Final = 695700.0
+LIGHT_KM_S: Final = 299792.458
+DAY_S: Final = 86400.0
+
+iers.conf.auto_download = False
+iers.conf.iers_degraded_accuracy = "warn"
+
+
+def tai_ns_of_utc(epoch_utc: str) -> int:
+    """TAI nanoseconds of an ISO-8601 UTC epoch.
+
+    UserError if it cannot be read or lies outside the Earth-orientation data that are installed.
+    """
+    try:
+        time = Time(epoch_utc.removesuffix("Z"), scale="utc", format="isot" if "T" in epoch_utc else "iso")
+    except ValueError as error:
+        raise UserError(f"epoch_utc: {epoch_utc!r} is not an ISO-8601 date in UTC, like 2027-01-29T00:00:00") from error
+    table = iers.earth_orientation_table.get()
+    first, last = float(table["MJD"][0].value), float(table["MJD"][-1].value)
+    if not first <= time.mjd <= last:
+        allowed = f"{Time(first, format='mjd').iso[:10]} to {Time(last, format='mjd').iso[:10]}"
+        raise UserError(f"epoch_utc: {epoch_utc} lies outside the Earth-orientation data; allowed is {allowed}")
+    atomic = time.tai
+    return tai.from_jd_parts(atomic.jd1, atomic.jd2)
+
+
+def tt_parts(tai_ns: int) -> tuple[float, float]:
+    """Julian date (TT) as whole days and a fraction."""
+    jd1, jd2 = tai.to_jd_parts(tai_ns)
+    return jd1, jd2 + 32.184 / DAY_S
+
+
+def jyear(tai_ns: int) -> float:
+    """Julian epoch (years)."""
+    jd1, jd2 = tt_parts(tai_ns)
+    return 2000.0 + ((jd1 - 2451545.0) + jd2) / 365.25
+
+
+def earth_velocity_km_s(tai_ns: int) -> NDArray[np.float64]:
+    """Barycentric velocity of the Earth, (3,), BCRS axes (ERFA `epv00`)."""
+    _, barycentric = erfa.epv00(*tt_parts(tai_ns))
+    return np.asarray(barycentric["v"]) * (AU_KM / DAY_S)
+
+
+def sun_position_km(tai_ns: int) -> NDArray[np.float64]:
+    """Geocentric position of the Sun's centre, (3,), GCRS axes, geometric (light time moves it by less than 1e-7 rad)."""
+    heliocentric, _ = erfa.epv00(*tt_parts(tai_ns))
+    return -np.asarray(heliocentric["p"]) * AU_KM
+
+
+def itrs_from_gcrs(tai_ns: int) -> NDArray[np.float64]:
+    """(3, 3) matrix that takes GCRS vectors to ITRS: IAU 2006/2000A with UT1 and polar motion from the IERS tables."""
+    time = Time(*tai.to_jd_parts(tai_ns), format="jd", scale="tai")
+    table = iers.earth_orientation_table.get()
+    utc = time.utc
+    xp, yp = table.pm_xy(utc.jd1, utc.jd2)
+    ut1 = time.ut1
+    tt = time.tt
+    return np.asarray(
+        erfa.c2t06a(tt.jd1, tt.jd2, ut1.jd1, ut1.jd2, xp.to_value("rad"), yp.to_value("rad")), dtype=np.float64
+    ).reshape(3, 3)
+
+
+def geodetic_position_km(longitude_deg: float, latitude_deg: float, height_m: float) -> NDArray[np.float64]:
+    """ITRS position of a WGS84 site, (3,) (ERFA `gd2gc`, ellipsoid 1)."""
+    return np.asarray(erfa.gd2gc(1, np.radians(longitude_deg), np.radians(latitude_deg), height_m)) / 1000.0

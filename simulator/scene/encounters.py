@@ -1,0 +1,260 @@
+"""Encounters by importance sampling: which debris crosses the field during a run, and how often nature sends it.
+
+Candidates are points of the field's pyramid (direction uniform, logarithm of range uniform) at random times of the run,
+each with an orbit that passes through it. An orbit (a, e, i) with uniform node, perigee and anomaly has at radius r and
+latitude b the density (Kessler 1981, Icarus 48, 39)
+
+    s = 1 / (2 pi^3 r a sqrt((sin^2 i - sin^2 b) (r - q) (Q - r)))        objects / km^3
+
+A candidate that stays in the field for a time D of a run of length W is met by a random instant with probability D / W, so
+each stands for ``N s dV W / D / n`` encounters in nature. What a run shows is drawn among the detectable candidates
+of a size class in proportion to that number; its weight is the class's natural number over the number drawn.
+"""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.errors import UserError
+from simulator.platform.kepler import Elements, elements_of, velocity_through
+from simulator.randomness import Effect, generator
+from simulator.scene.debris import SizeClass, draw_orbits, low_orbit_share, number_larger
+from simulator.scene.reflection import lambert_flux, sunlit_fraction
+
+Array = NDArray[np.float64]
+
+NEAREST_KM = 0.05
+
+
+@dataclass(frozen=True, kw_only=True)
+class PopulationOptions:
+    """Debris that a run meets. Counts are of the run, so that the density is boosted by count over nature."""
+
+    classes: tuple[SizeClass, ...] = field(
+        default=(
+            SizeClass(from_mm=1.0, to_mm=3.0, count=3),
+            SizeClass(from_mm=3.0, to_mm=10.0, count=4),
+            SizeClass(from_mm=10.0, to_mm=100.0, count=5),
+            SizeClass(from_mm=100.0, to_mm=3000.0, count=5),
+        ),
+        metadata={"doc": "size classes"},
+    )
+    snr_min: float = field(default=5.0, metadata={"doc": "objects below this expected S/N are not drawn", "min": 0.0, "max": 1000.0})
+    albedo: float = field(default=0.1, metadata={"doc": "Bond albedo of the Lambert spheres", "min": 0.001, "max": 1.0})
+    nearest_km: float = field(default=NEAREST_KM, metadata={"doc": "smallest range at the drawn instant", "min": 0.001, "max": 1e5})
+    farthest_km: float = field(default=3000.0, metadata={"doc": "largest range", "min": 0.1, "max": 1e5})
+    low_orbit_share_small: float = field(default=0.65, metadata={"doc": "share of pieces below 1 cm in low orbits", "min": 0.0, "max": 1.0})
+    low_orbit_share_large: float = field(default=0.80, metadata={"doc": "share of pieces above 10 cm in low orbits", "min": 0.0, "max": 1.0})
+    spread_by_breakup: bool = field(default=True, metadata={"doc": "small pieces get a break-up's velocity change"})
+    tumbling_share: float = field(default=0.3, metadata={"doc": "share of objects whose brightness varies", "min": 0.0, "max": 1.0})
+    candidates: int = field(default=60000, metadata={"doc": "candidates drawn for each size class", "min": 1000, "max": 10000000})
+
+    def __post_init__(self) -> None:
+        if self.nearest_km >= self.farthest_km:
+            raise UserError(f"population.nearest: {self.nearest_km} km must be below population.farthest, {self.farthest_km} km")
+        for k, c in enumerate(self.classes):
+            if c.from_mm >= c.to_mm:
+                raise UserError(f"population.classes[{k}].from: {c.from_mm} mm must be below its `to`, {c.to_mm} mm")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Window:
+    """What the camera sees during the run, for choosing encounters.
+
+    attitude : (3, 3) GCRS to camera at the middle. half_row, half_col : tangents of half the field.
+    flux_e_s : electrons per second of V = 0. noise_variance_e2 : per pixel and exposure.
+    """
+
+    observer_km: Array
+    velocity_km_s: Array
+    attitude: Array
+    sun_km: Array
+    half_row: float
+    half_col: float
+    duration_s: float
+    exposure_s: float
+    flux_e_s: float
+    focal_px: float
+    sigma_px: float
+    noise_variance_e2: float
+    aperture_m: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Encounters:
+    """Candidates of a size class: states at a time of the run (s after its middle), rates, and what the camera makes of them.
+
+    natural : how many encounters of nature in one run each stands for. snr : expected in the best exposure.
+    """
+
+    size_m: Array
+    time_s: Array
+    position_km: Array
+    velocity_km_s: Array
+    range_km: Array
+    rate_deg_s: Array
+    stay_s: Array
+    snr: Array
+    natural: Array
+
+
+def draw_candidates(options: PopulationOptions, size_class: SizeClass, window: Window, rng: np.random.Generator) -> Encounters:
+    """Candidates of one size class, undetectable ones included."""
+    n = options.candidates
+    low_m, high_m = size_class.from_mm * 1e-3, size_class.to_mm * 1e-3
+    size_m = np.exp(rng.uniform(np.log(low_m), np.log(high_m), n))
+    density = number_density(size_m) * np.log(high_m / low_m)  # per draw, log-uniform proposal
+    population = density * low_orbit_share(size_m, options.low_orbit_share_small, options.low_orbit_share_large)
+    # Nothing fainter than snr_min at zero phase and at rest can be drawn: cut the proposal's ranges there.
+    reach = reach_km(size_m, options, window)
+    far = np.clip(reach, options.nearest_km * 1.001, options.farthest_km)
+    span = np.log(far / options.nearest_km)
+    range_km = options.nearest_km * np.exp(rng.random(n) * span)
+    u, v = rng.uniform(-window.half_col, window.half_col, n), rng.uniform(-window.half_row, window.half_row, n)
+    time_s = rng.uniform(-0.5, 0.5, n) * window.duration_s
+    slant = np.sqrt(1.0 + u * u + v * v)
+    camera = np.stack([u, v, np.ones(n)], axis=1) / slant[:, None] * range_km[:, None]
+    observer = window.observer_km + window.velocity_km_s * time_s[:, None]
+    position = observer + camera @ window.attitude
+    a_km, e, i_rad = draw_orbits(rng, size_m, spread=options.spread_by_breakup)
+    velocity = velocity_through(position, a_km, e, i_rad, rng.random(n) < 0.5, rng.random(n) < 0.5)
+    solid_angle = 4.0 * window.half_row * window.half_col / slant**3
+    volume_km3 = solid_angle * range_km**3 * span
+    with np.errstate(invalid="ignore"):
+        natural = population * spatial_density(position, a_km, e, i_rad) * volume_km3
+    relative = velocity - window.velocity_km_s
+    stay_s = time_in_field(camera, relative @ window.attitude.T, time_s, window)
+    across = relative - np.sum(relative * (position - observer), axis=1, keepdims=True) * (position - observer) / range_km[:, None] ** 2
+    rate_rad_s = np.linalg.norm(across, axis=1) / range_km
+    flux = lambert_flux(1.0, options.albedo, position, observer, window.sun_km) * size_m**2
+    flux = flux * sunlit_fraction(position, window.sun_km)
+    snr = expected_snr(flux * window.flux_e_s, rate_rad_s, stay_s, range_km, window)
+    reached = np.isfinite(velocity).all(axis=1) & (stay_s > 0.0) & (reach > options.nearest_km)
+    natural = np.where(reached, natural * window.duration_s / np.maximum(stay_s, 1e-9) / n, 0.0)
+    return Encounters(
+        size_m=size_m,
+        time_s=time_s,
+        position_km=position,
+        velocity_km_s=velocity,
+        range_km=range_km,
+        rate_deg_s=np.degrees(rate_rad_s),
+        stay_s=stay_s,
+        snr=np.where(reached, snr, 0.0),
+        natural=np.nan_to_num(natural),
+    )
+
+
+def number_density(size_m: Array) -> Array:
+    """``-dN / d ln d`` of the size law."""
+    step = 1.0005
+    return np.asarray((number_larger(size_m / step) - number_larger(size_m * step)) / (2.0 * np.log(step)))
+
+
+def spatial_density(position_km: Array, a_km: Array, e: Array, i_rad: Array) -> Array:
+    """Mean number of objects per km^3 at positions (n, 3) of one object on each orbit (Kessler 1981, eq. 13).
+
+    Zero where the orbit does not come.
+    """
+    radius = np.linalg.norm(position_km, axis=-1)
+    sin_lat2 = (position_km[..., 2] / radius) ** 2
+    radial = (radius - a_km * (1.0 - e)) * (a_km * (1.0 + e) - radius)
+    lateral = np.sin(i_rad) ** 2 - sin_lat2
+    inside = (radial > 0.0) & (lateral > 0.0)
+    root = np.sqrt(np.where(inside, radial * lateral, 1.0))
+    return np.where(inside, 1.0 / (2.0 * np.pi**3 * radius * a_km * root), 0.0)
+
+
+def time_in_field(camera_km: Array, rate_km_s: Array, time_s: Array, window: Window) -> Array:
+    """Seconds of the run that points (n, 3) of the camera frame, inside the field at `time_s`, spend in it, moving straight."""
+    earliest = -0.5 * window.duration_s - time_s
+    latest = 0.5 * window.duration_s - time_s
+    for axis, half in ((0, window.half_col), (1, window.half_row)):
+        for sign in (1.0, -1.0):
+            inside = half * camera_km[:, 2] + sign * camera_km[:, axis]
+            slope = half * rate_km_s[:, 2] + sign * rate_km_s[:, axis]
+            with np.errstate(divide="ignore", invalid="ignore"):
+                root = -inside / slope
+            latest = np.where(slope < 0.0, np.minimum(latest, root), latest)
+            earliest = np.where(slope > 0.0, np.maximum(earliest, root), earliest)
+    return np.asarray(np.maximum(latest - earliest, 0.0))
+
+
+def expected_snr(flux_e_s: Array, rate_rad_s: Array, stay_s: Array, range_km: Array, window: Window) -> Array:
+    """Matched-filter S/N of the best exposure: a straight uniform trail of a Gaussian PSF on uniform noise.
+
+    ``S = F / sqrt(2 sqrt(pi) s (L + 2 sqrt(pi) s) V)``, the defocus disc added to s by its second moment.
+    """
+    lit_s = np.minimum(window.exposure_s, stay_s)
+    blur_px = window.aperture_m * 1e-3 / range_km * window.focal_px
+    sigma = np.sqrt(window.sigma_px**2 + blur_px**2 / 16.0)
+    width = 2.0 * np.sqrt(np.pi) * sigma
+    length = rate_rad_s * lit_s * window.focal_px
+    return np.asarray(flux_e_s * lit_s / np.sqrt(width * (length + width) * window.noise_variance_e2))
+
+
+def reach_km(size_m: Array, options: PopulationOptions, window: Window) -> Array:
+    """Range at which an object at rest, at zero phase and in focus, has the smallest S/N that counts."""
+    sun2 = float(window.sun_km @ window.sun_km)
+    direction = window.attitude[2]
+    at_1_km = lambert_flux(1.0, options.albedo, direction[None], np.zeros((1, 3)), -direction[None] * np.sqrt(sun2))[0] * size_m**2
+    still = expected_snr(at_1_km * window.flux_e_s, np.zeros(1), np.array([window.exposure_s]), np.array([1e9]), window)
+    return np.asarray(np.sqrt(still / max(options.snr_min, 1e-3)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Drawn:
+    """Objects that the run shows, and what nature would have sent."""
+
+    elements: Elements
+    """(m,) osculating at `time_s` (seconds after the middle of the run)."""
+    time_s: Array
+    size_m: Array
+    weight: Array
+    natural_by_class: Array
+    """Detectable encounters of nature in one run, for each size class."""
+    drawn_by_class: NDArray[np.intp]
+
+
+def draw_encounters(options: PopulationOptions, window: Window, seed: int) -> Drawn:
+    """Draw the run's objects.
+
+    UserError when a class that shall be drawn has no detectable candidate.
+    """
+    chosen: list[Encounters] = []
+    picks: list[NDArray[np.intp]] = []
+    weights: list[Array] = []
+    natural = np.zeros(len(options.classes))
+    for k, size_class in enumerate(options.classes):
+        rng = generator(seed, Effect.POPULATION, block=k)
+        found = draw_candidates(options, size_class, window, rng)
+        share = np.where(found.snr >= options.snr_min, found.natural, 0.0)
+        natural[k] = share.sum()
+        if size_class.count == 0:
+            continue
+        if natural[k] <= 0.0:
+            raise UserError(
+                f"population.classes[{k}]: no debris of {size_class.from_mm:g} to {size_class.to_mm:g} mm reaches S/N "
+                f"{options.snr_min:g} between {options.nearest_km:g} and {options.farthest_km:g} km; set count = 0 or lower snr_min"
+            )
+        picks.append(rng.choice(len(share), size=size_class.count, p=share / natural[k]))
+        weights.append(np.full(size_class.count, natural[k] / size_class.count))
+        chosen.append(found)
+
+    def column(name: str) -> Array:
+        parts = [getattr(f, name)[p] for f, p in zip(chosen, picks, strict=True)]
+        return np.concatenate(parts) if parts else np.zeros(0)
+
+    if chosen:
+        elements = elements_of(column("position_km"), column("velocity_km_s"))
+    else:
+        none = np.zeros(0)
+        elements = Elements(a_km=none, e=none, i_rad=none, node_rad=none, argp_rad=none, mean_anomaly_rad=none)
+    return Drawn(
+        elements=elements,
+        time_s=column("time_s"),
+        size_m=column("size_m"),
+        weight=np.concatenate(weights) if weights else np.zeros(0),
+        natural_by_class=natural,
+        drawn_by_class=np.array([c.count for c in options.classes], dtype=np.intp),
+    )

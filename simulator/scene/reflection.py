@@ -1,0 +1,78 @@
+"""Sunlight on an object: Lambert sphere, tumbling, glints, and the Earth's shadow."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from simulator.platform.earth import AU_KM, EARTH_RADIUS_KM, SUN_RADIUS_KM
+
+Array = NDArray[np.float64]
+
+SUN_V_MAG: Final = -26.74
+"""Apparent V of the Sun at 1 au."""
+
+
+def lambert_flux(size_m: float, albedo: float, object_km: Array, observer_km: Array, sun_km: Array) -> Array:
+    """Flux of a sunlit Lambert sphere, in units of a V = 0 star; the Earth's shadow is not in it.
+
+    ``F = F_sun (a d^2 / 6 R^2) phi(alpha)``, ``phi = (sin alpha + (pi - alpha) cos alpha) / pi``: Bond albedo a of a Lambert
+    sphere of diameter d has the geometric albedo 2a/3 (Russell 1916, ApJ 43, 173). Positions (..., 3), GCRS, km.
+    """
+    to_observer = observer_km - object_km
+    to_sun = sun_km - object_km
+    range2 = np.sum(to_observer * to_observer, axis=-1)
+    sun2 = np.sum(to_sun * to_sun, axis=-1)
+    cosine = np.clip(np.sum(to_observer * to_sun, axis=-1) / np.sqrt(range2 * sun2), -1.0, 1.0)
+    alpha = np.arccos(cosine)
+    phase = (np.sin(alpha) + (np.pi - alpha) * cosine) / np.pi
+    return np.asarray(10.0 ** (-0.4 * SUN_V_MAG) * albedo * size_m**2 * 1e-6 / 6.0 * phase / range2 * AU_KM**2 / sun2)
+
+
+def sunlit_fraction(object_km: Array, sun_km: Array) -> Array:
+    """Share of the Sun's disc that the spherical Earth leaves uncovered, 0 in the umbra (..., 3) -> (...).
+
+    Overlap of two discs (Montenbruck & Gill, Satellite Orbits, section 3.4.2); refraction by the atmosphere is left out.
+    """
+    to_sun = sun_km - object_km
+    sun_distance = np.linalg.norm(to_sun, axis=-1)
+    radius = np.linalg.norm(object_km, axis=-1)
+    a = np.arcsin(SUN_RADIUS_KM / sun_distance)
+    b = np.arcsin(np.clip(EARTH_RADIUS_KM / radius, 0.0, 1.0))
+    c = np.arccos(np.clip(-np.sum(object_km * to_sun, axis=-1) / (radius * sun_distance), -1.0, 1.0))
+    with np.errstate(invalid="ignore", divide="ignore"):
+        x = (c * c + a * a - b * b) / (2.0 * c)
+        y = np.sqrt(np.clip(a * a - x * x, 0.0, None))
+        overlap = a * a * np.arccos(np.clip(x / a, -1, 1)) + b * b * np.arccos(np.clip((c - x) / b, -1, 1)) - c * y
+    partial = 1.0 - overlap / (np.pi * a * a)
+    covered = np.where(c < b - a, 0.0, np.where(c > a + b, 1.0, np.clip(partial, 0.0, 1.0)))
+    ring = 1.0 - np.minimum((b / a) ** 2, 1.0)
+    return np.asarray(np.where(c < a - b, ring, covered))
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightCurve:
+    """A tumbling body: a sinusoid on its mean brightness, and periodic glints.
+
+    amplitude : half of the peak-to-peak change over the mean, 0 to 1. A glint is a Gaussian flash of `glint_factor` times
+    the mean flux and `glint_width_s` (sigma), once each period.
+    """
+
+    period_s: float = 10.0
+    amplitude: float = 0.0
+    phase_rad: float = 0.0
+    glint_factor: float = 0.0
+    glint_width_s: float = 0.01
+
+    def factor(self, time_s: Array) -> Array:
+        """Brightness relative to the mean of the steady body."""
+        angle = 2.0 * np.pi * time_s / self.period_s + self.phase_rad
+        steady = 1.0 + self.amplitude * np.sin(angle)
+        if self.glint_factor == 0.0:
+            return np.asarray(steady)
+        since = (np.mod(angle + np.pi, 2.0 * np.pi) - np.pi) * self.period_s / (2.0 * np.pi)
+        return np.asarray(steady + self.glint_factor * np.exp(-0.5 * (since / self.glint_width_s) ** 2))
+
+
+STEADY: Final = LightCurve()

@@ -1,0 +1,246 @@
+"""Where a run's objects come from: options of each source, and the objects made from them."""
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.errors import UserError
+from simulator.platform.earth import EARTH_RADIUS_KM
+from simulator.platform.jitter import ARCSEC_RAD
+from simulator.platform.kepler import Elements, elements_of, velocity_through
+from simulator.randomness import Effect, generator
+from simulator.scene.encounters import Drawn
+from simulator.scene.objects import Identity, OrbitingObject, PixelPathObject, SkyPathObject, kepler_positions
+from simulator.scene.reflection import STEADY, LightCurve
+from simulator.scene.stars import unit_vectors
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class LightCurveOptions:
+    """Variation of one object's brightness."""
+
+    period_s: float = field(default=10.0, metadata={"doc": "period of tumbling", "min": 1e-3, "max": 1e6})
+    amplitude: float = field(default=0.0, metadata={"doc": "half of the peak-to-peak change over the mean", "min": 0.0, "max": 1.0})
+    phase_deg: float = field(default=0.0, metadata={"doc": "phase at the epoch", "min": -360.0, "max": 360.0})
+    glint_factor: float = field(default=0.0, metadata={"doc": "peak of the flash over the mean", "min": 0.0, "max": 1e6})
+    glint_width_s: float = field(default=0.01, metadata={"doc": "sigma of the flash", "min": 1e-6, "max": 1e4})
+
+    def curve(self) -> LightCurve:
+        """The light curve."""
+        return LightCurve(
+            period_s=self.period_s,
+            amplitude=self.amplitude,
+            phase_rad=float(np.radians(self.phase_deg)),
+            glint_factor=self.glint_factor,
+            glint_width_s=self.glint_width_s,
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class OrbitOptions:
+    """A sphere on a two-body orbit, elements osculating at the epoch of the run, GCRS axes."""
+
+    name: str = field(default="orbit", metadata={"doc": "name"})
+    size_m: float = field(default=1.0, metadata={"doc": "diameter", "min": 1e-5, "max": 1000.0})
+    albedo: float = field(default=0.175, metadata={"doc": "Bond albedo", "min": 0.001, "max": 1.0})
+    semi_major_axis_km: float = field(default=7178.0, metadata={"doc": "semi-major axis", "min": 6400.0, "max": 1e6})
+    eccentricity: float = field(default=0.001, metadata={"doc": "eccentricity", "min": 0.0, "max": 0.98})
+    inclination_deg: float = field(default=98.0, metadata={"doc": "inclination", "min": 0.0, "max": 180.0})
+    node_deg: float = field(default=0.0, metadata={"doc": "right ascension of the ascending node", "min": -360.0, "max": 360.0})
+    perigee_deg: float = field(default=0.0, metadata={"doc": "argument of perigee", "min": -360.0, "max": 360.0})
+    mean_anomaly_deg: float = field(default=0.0, metadata={"doc": "mean anomaly", "min": -360.0, "max": 360.0})
+    light_curve: LightCurveOptions = field(default_factory=LightCurveOptions, metadata={"doc": "variation"})
+
+
+@dataclass(frozen=True, kw_only=True)
+class PassingOptions:
+    """A sphere on an orbit of given size, shape and inclination that passes a given point of the field at a given time."""
+
+    name: str = field(default="passing", metadata={"doc": "name"})
+    size_m: float = field(default=1.0, metadata={"doc": "diameter", "min": 1e-5, "max": 1000.0})
+    albedo: float = field(default=0.175, metadata={"doc": "Bond albedo", "min": 0.001, "max": 1.0})
+    range_km: float = field(default=20000.0, metadata={"doc": "distance from the camera when it passes", "min": 0.01, "max": 1e6})
+    field_row: float = field(default=0.0, metadata={"doc": "place along rows: -1 first row, 0 centre, 1 last row", "min": -1.0, "max": 1.0})
+    field_col: float = field(default=0.0, metadata={"doc": "place along cols: -1 first column, 0 centre, 1 last column", "min": -1.0, "max": 1.0})
+    when: float = field(default=0.5, metadata={"doc": "time of passing, as a share of the run", "min": 0.0, "max": 1.0})
+    semi_major_axis_km: float = field(default=26560.0, metadata={"doc": "semi-major axis", "min": 6400.0, "max": 1e6})
+    eccentricity: float = field(default=0.7, metadata={"doc": "eccentricity", "min": 0.0, "max": 0.98})
+    inclination_deg: float = field(default=63.4, metadata={"doc": "inclination", "min": 0.0, "max": 180.0})
+    ascending: bool = field(default=True, metadata={"doc": "it moves northwards"})
+    outbound: bool = field(default=True, metadata={"doc": "it moves away from the Earth"})
+    light_curve: LightCurveOptions = field(default_factory=LightCurveOptions, metadata={"doc": "variation"})
+
+
+@dataclass(frozen=True, kw_only=True)
+class SkyPathOptions:
+    """A point on a great circle of the sky (published directions) at a constant rate."""
+
+    name: str = field(default="sky path", metadata={"doc": "name"})
+    v_mag: float = field(default=10.0, metadata={"doc": "V at the epoch", "min": -15.0, "max": 30.0})
+    mag_rate_s: float = field(default=0.0, metadata={"doc": "change of V per second", "min": -100.0, "max": 100.0})
+    ra_deg: float = field(default=0.0, metadata={"doc": "right ascension at the epoch", "min": -360.0, "max": 360.0})
+    dec_deg: float = field(default=0.0, metadata={"doc": "declination at the epoch", "min": -90.0, "max": 90.0})
+    east_arcsec_s: float = field(default=100.0, metadata={"doc": "rate towards the east", "min": -3.6e6, "max": 3.6e6})
+    north_arcsec_s: float = field(default=0.0, metadata={"doc": "rate towards the north", "min": -3.6e6, "max": 3.6e6})
+    range_km: float = field(default=1000.0, metadata={"doc": "distance, for defocus", "min": 1e-3, "max": 1e9})
+    light_curve: LightCurveOptions = field(default_factory=LightCurveOptions, metadata={"doc": "variation"})
+
+
+@dataclass(frozen=True, kw_only=True)
+class PixelPathOptions:
+    """A point on the detector, in delivered pixels; straight, or bent by a constant acceleration."""
+
+    name: str = field(default="pixel path", metadata={"doc": "name"})
+    v_mag: float = field(default=9.0, metadata={"doc": "V at the start", "min": -15.0, "max": 30.0})
+    mag_rate_s: float = field(default=0.0, metadata={"doc": "change of V per second", "min": -100.0, "max": 100.0})
+    row: float = field(default=0.0, metadata={"doc": "row at the start", "min": -1e6, "max": 1e6})
+    col: float = field(default=0.0, metadata={"doc": "column at the start", "min": -1e6, "max": 1e6})
+    row_rate_px_s: float = field(default=0.0, metadata={"doc": "motion along rows", "min": -1e7, "max": 1e7})
+    col_rate_px_s: float = field(default=0.0, metadata={"doc": "motion along columns", "min": -1e7, "max": 1e7})
+    row_bend_px_s2: float = field(default=0.0, metadata={"doc": "acceleration along rows in px/s2", "min": -1e8, "max": 1e8})
+    col_bend_px_s2: float = field(default=0.0, metadata={"doc": "acceleration along columns in px/s2", "min": -1e8, "max": 1e8})
+    restart: bool = field(default=True, metadata={"doc": "start anew when each frame's first row opens"})
+    light_curve: LightCurveOptions = field(default_factory=LightCurveOptions, metadata={"doc": "variation"})
+
+
+@dataclass(frozen=True, kw_only=True)
+class ObjectOptions:
+    """Objects beside the sampled population. The defaults are two far, slow ones, nearly star-like in one exposure."""
+
+    orbit: tuple[OrbitOptions, ...] = field(default=(), metadata={"doc": "two-body orbits"})
+    passing: tuple[PassingOptions, ...] = field(
+        default=(
+            PassingOptions(name="far-1", size_m=2.5, range_km=24000.0, field_row=-0.45, field_col=0.35),
+            PassingOptions(
+                name="far-2", size_m=4.0, range_km=33000.0, field_row=0.4, field_col=-0.5, semi_major_axis_km=38000.0,
+                eccentricity=0.2, inclination_deg=42.0, outbound=False,
+            ),
+        ),
+        metadata={"doc": "orbits that pass through the field"},
+    )  # fmt: skip - one line for each object
+    sky_path: tuple[SkyPathOptions, ...] = field(default=(), metadata={"doc": "paths on the sky"})
+    pixel_path: tuple[PixelPathOptions, ...] = field(default=(), metadata={"doc": "paths on the detector"})
+
+
+def orbiting(options: OrbitOptions) -> OrbitingObject:
+    """An object on the orbit of its options.
+
+    UserError when the orbit enters the Earth.
+    """
+    perigee_km = options.semi_major_axis_km * (1.0 - options.eccentricity) - EARTH_RADIUS_KM
+    if perigee_km < 0.0:
+        raise UserError(f"objects.orbit {options.name!r}: perigee height {perigee_km:.0f} km lies inside the Earth; allowed is above 0 km")
+    elements = Elements(
+        a_km=np.float64(options.semi_major_axis_km),
+        e=np.float64(options.eccentricity),
+        i_rad=np.radians(np.float64(options.inclination_deg)),
+        node_rad=np.radians(np.float64(options.node_deg)),
+        argp_rad=np.radians(np.float64(options.perigee_deg)),
+        mean_anomaly_rad=np.radians(np.float64(options.mean_anomaly_deg)),
+    )
+    return kepler_object(options.name, "orbit", options.size_m, options.albedo, elements, 0.0, curve=options.light_curve.curve())
+
+
+def passing(options: PassingOptions, observer_km: Array, direction: Array, time_s: float) -> OrbitingObject:
+    """An object that stands in a (published) direction at a time after the epoch.
+
+    UserError, by name, when the point lies inside the Earth or no such orbit passes through it.
+    """
+    position = observer_km + options.range_km * direction
+    radius = float(np.linalg.norm(position))
+    if radius < EARTH_RADIUS_KM:
+        raise UserError(f"objects.passing {options.name!r}: at {options.range_km:g} km it would be inside the Earth; allowed are other ranges")
+    velocity = velocity_through(
+        position[None],
+        np.array([options.semi_major_axis_km]),
+        np.array([options.eccentricity]),
+        np.radians([options.inclination_deg]),
+        np.array([options.ascending]),
+        np.array([options.outbound]),
+    )
+    if not np.isfinite(velocity).all():
+        low = options.semi_major_axis_km * (1 - options.eccentricity)
+        high = options.semi_major_axis_km * (1 + options.eccentricity)
+        latitude = float(np.degrees(np.arcsin(position[2] / radius)))
+        raise UserError(
+            f"objects.passing {options.name!r}: no such orbit passes radius {radius:.0f} km, latitude {latitude:.1f} deg; "
+            f"allowed are radii of {low:.0f} to {high:.0f} km and latitudes up to the inclination"
+        )
+    elements = elements_of(position, velocity)
+    one = Elements(**{name: getattr(elements, name)[0] for name in elements.__dataclass_fields__})
+    return kepler_object(options.name, "orbit", options.size_m, options.albedo, one, time_s, curve=options.light_curve.curve())
+
+
+def kepler_object(
+    name: str, kind: str, size_m: float, albedo: float, elements: Elements, epoch_s: float, *, weight: float = 1.0, curve: LightCurve = STEADY
+) -> OrbitingObject:
+    """An object whose elements hold `epoch_s` seconds after the epoch of the run."""
+    at_epoch = kepler_positions(elements)
+    return OrbitingObject(
+        identity=Identity(
+            name=name,
+            kind=kind,
+            size_m=size_m,
+            albedo=albedo,
+            weight=weight,
+            a_km=float(elements.a_km),
+            e=float(elements.e),
+            i_deg=float(np.degrees(elements.i_rad)),
+        ),
+        positions_km=lambda time_s: at_epoch(time_s - epoch_s),
+        light_curve=curve,
+    )
+
+
+def sky_path(options: SkyPathOptions) -> SkyPathObject:
+    """An object on a path of the sky."""
+    start = unit_vectors(np.array(options.ra_deg), np.array(options.dec_deg))
+    ra = np.radians(options.ra_deg)
+    east = np.array([-np.sin(ra), np.cos(ra), 0.0])
+    north = np.cross(start, east)
+    return SkyPathObject(
+        identity=Identity(name=options.name, kind="sky_path"),
+        start=start,
+        rate_rad_s=(options.east_arcsec_s * east + options.north_arcsec_s * north) * ARCSEC_RAD,
+        range_km=options.range_km,
+        v_mag=options.v_mag,
+        mag_rate_s=options.mag_rate_s,
+        light_curve=options.light_curve.curve(),
+    )
+
+
+def pixel_path(options: PixelPathOptions) -> PixelPathObject:
+    """An object on a path of the detector."""
+    return PixelPathObject(
+        identity=Identity(name=options.name, kind="pixel_path"),
+        row=options.row,
+        col=options.col,
+        row_rate_px_s=options.row_rate_px_s,
+        col_rate_px_s=options.col_rate_px_s,
+        row_bend_px_s2=options.row_bend_px_s2,
+        col_bend_px_s2=options.col_bend_px_s2,
+        v_mag=options.v_mag,
+        mag_rate_s=options.mag_rate_s,
+        restart=options.restart,
+        light_curve=options.light_curve.curve(),
+    )
+
+
+def population_objects(drawn: Drawn, albedo: float, middle_s: float, tumbling_share: float, seed: int) -> list[OrbitingObject]:
+    """The sampled debris; some of it tumbles (log-normal periods around 2 s, random phases and amplitudes)."""
+    rng = generator(seed, Effect.LIGHT_CURVE)
+    objects = []
+    for k in range(len(drawn.size_m)):
+        tumbles, period, amplitude, phase = rng.random(), rng.lognormal(np.log(2.0), 1.0), rng.uniform(0.1, 0.7), rng.uniform(0.0, 2 * np.pi)
+        curve = LightCurve(period_s=period, amplitude=amplitude, phase_rad=phase) if tumbles < tumbling_share else STEADY
+        one = Elements(**{name: getattr(drawn.elements, name)[k] for name in drawn.elements.__dataclass_fields__})
+        objects.append(
+            kepler_object(
+                f"debris-{k:03d}", "population", float(drawn.size_m[k]), albedo, one, middle_s + float(drawn.time_s[k]),
+                weight=float(drawn.weight[k]), curve=curve,
+            )  # fmt: skip - one line for what it is, one for the rest
+        )
+    return objects

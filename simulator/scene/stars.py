@@ -1,0 +1,178 @@
+"""The true sky: catalogue stars displaced by their quoted errors, and fainter synthetic ones, as directions and fluxes."""
+
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from astropy import units as u
+from astropy_healpix import HEALPix
+from numpy.typing import NDArray
+
+from sboc_e2e.catalogue import StarCatalogue
+from sboc_e2e.icd.errors import UserError
+from simulator.optics.instrument import InstrumentOptions, band_factor
+from simulator.randomness import Effect, generator, seed_word
+
+Array = NDArray[np.float64]
+
+MAS_RAD: Final = np.pi / 648000.0 / 1000.0
+
+# Stars per square degree brighter than a magnitude, all-sky mean of Gaia DR3 counts.
+_COUNT_MAG: Final = np.array([7.5, 9.0, 10.5, 12.0, 13.75, 15.5, 16.75, 18.0])
+_COUNT_DEG2: Final = np.array([0.65, 4.05, 14.2, 55.4, 249.0, 972.0, 2366.0, 5345.0])
+_CACHE_MARGIN_DEG: Final = 0.5
+
+
+@dataclass(frozen=True, kw_only=True)
+class StarOptions:
+    """Which stars shine and how far they stand from where the catalogue has them."""
+
+    enabled: bool = field(default=True, metadata={"doc": "stars shine"})
+    catalogue_errors: float = field(
+        default=1.0, metadata={"doc": "factor on the catalogue's quoted errors by which the true sky is displaced", "min": 0.0, "max": 100.0}
+    )
+    faint_limit_mag: float = field(default=16.0, metadata={"doc": "V of the faintest synthetic stars", "min": 0.0, "max": 18.0})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StarField:
+    """Stars around a direction, in sky order, catalogue stars first.
+
+    direction : (n, 3) unit vectors, ICRS/GCRS axes, proper motion applied, not aberrated. flux_e_s : (n,) on axis.
+    """
+
+    direction: Array
+    flux_e_s: Array
+    star_id: NDArray[np.int64]
+    v_mag: NDArray[np.float32]
+    b_v: NDArray[np.float32]
+
+
+def unit_vectors(ra_deg: Array, dec_deg: Array) -> Array:
+    """(n, 3) of right ascensions and declinations."""
+    ra, dec = np.radians(ra_deg), np.radians(dec_deg)
+    return np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=-1)
+
+
+def angles_deg(vectors: Array) -> tuple[Array, Array]:
+    """Right ascension [0, 360) and declination of vectors (..., 3)."""
+    ra = np.degrees(np.arctan2(vectors[..., 1], vectors[..., 0])) % 360.0
+    return ra, np.degrees(np.arctan2(vectors[..., 2], np.hypot(vectors[..., 0], vectors[..., 1])))
+
+
+def cumulative_counts_deg2(v_mag: Array | float) -> Array:
+    """Mean number of stars per square degree brighter than V, log-linear between the counts."""
+    return np.asarray(10.0 ** np.interp(v_mag, _COUNT_MAG, np.log10(_COUNT_DEG2)))
+
+
+class StarSky:
+    """Stars of any part of the sky at one epoch; the same star has the same place and flux whoever asks."""
+
+    def __init__(
+        self, options: StarOptions, instrument: InstrumentOptions, catalogue: StarCatalogue, *, seed: int, epoch_jyear: float
+    ) -> None:
+        self.options = options
+        self.instrument = instrument
+        self.catalogue = catalogue
+        self.seed = seed
+        self.epoch_jyear = epoch_jyear
+        self._healpix = HEALPix(nside=catalogue.nside, order="nested")
+        self._held: tuple[Array, float, StarField] | None = None
+        self._faint: dict[int, tuple[Array, Array, Array]] = {}
+
+    def around(self, direction: Array, radius_deg: float) -> StarField:
+        """All stars within a radius of a direction, and some beyond it (callers cut at the frame's edge).
+
+        UserError when the catalogue has no star there.
+        """
+        if self._held is not None:
+            centre, reach_deg, held = self._held
+            separation = np.degrees(np.arccos(np.clip(centre @ direction, -1.0, 1.0)))
+            if separation + radius_deg <= reach_deg:
+                return held
+        reach_deg = radius_deg + _CACHE_MARGIN_DEG
+        found = self._search(direction, reach_deg)
+        self._held = (direction, reach_deg, found)
+        return found
+
+    def _search(self, direction: Array, radius_deg: float) -> StarField:
+        ra, dec = angles_deg(direction)
+        stars = self.catalogue.cone(float(ra), float(dec), radius_deg, epoch_jyear=self.epoch_jyear)
+        if len(stars) == 0:
+            raise UserError(
+                f"star catalogue {self.catalogue.name}: no star within {radius_deg:.2f} deg of RA {float(ra):.3f}, "
+                f"Dec {float(dec):.3f} deg; choose a catalogue that covers the field"
+            )
+        bright = displaced(
+            unit_vectors(stars.ra_deg, stars.dec_deg),
+            stars.source_id,
+            self.options.catalogue_errors * stars.sigma_mas.astype(np.float64) * MAS_RAD,
+            seed_word(self.seed, Effect.CATALOGUE_ERRORS),
+        )
+        faint_direction, faint_v, faint_b_v, faint_id = self._faint_around(direction, radius_deg, stars.b_v)
+        v_mag = np.concatenate([stars.v_mag, faint_v]).astype(np.float32)
+        b_v = np.concatenate([stars.b_v, faint_b_v]).astype(np.float32)
+        camera = self.instrument
+        colour = band_factor(b_v.astype(np.float64), camera.band_short_nm, camera.band_long_nm)
+        return StarField(
+            direction=np.concatenate([bright, faint_direction]),
+            flux_e_s=camera.true_zero_point_e_s * 10.0 ** (-0.4 * v_mag.astype(np.float64)) * colour,
+            star_id=np.concatenate([stars.source_id, faint_id]),
+            v_mag=v_mag,
+            b_v=b_v,
+        )
+
+    def _faint_around(
+        self, direction: Array, radius_deg: float, colours: NDArray[np.float32]
+    ) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+        """Synthetic stars between the catalogue's depth and the limit, drawn for whole HEALPix pixels."""
+        from_mag, to_mag = self.catalogue.v_max, self.options.faint_limit_mag
+        if from_mag >= to_mag:
+            return np.zeros((0, 3)), np.zeros(0), np.zeros(0), np.zeros(0, dtype=np.int64)
+        ra, dec = angles_deg(direction)
+        pixels = np.sort(self._healpix.cone_search_lonlat(ra * u.deg, dec * u.deg, radius_deg * u.deg))
+        drawn = [self._faint_of_pixel(int(p), from_mag, to_mag) for p in pixels]
+        identity = np.concatenate([-(int(p) * 100_000 + 1 + np.arange(len(d[1]))) for p, d in zip(pixels, drawn, strict=True)])
+        vectors, v_mag, b_v = (np.concatenate([d[k] for d in drawn]) for k in range(3))
+        return vectors, v_mag, b_v, identity.astype(np.int64)
+
+    def _faint_of_pixel(self, pixel: int, from_mag: float, to_mag: float) -> tuple[Array, Array, Array]:
+        """Directions, V and B-V of one pixel's synthetic stars: all-sky counts scaled to the pixel's own bright stars."""
+        if pixel in self._faint:
+            return self._faint[pixel]
+        rng = generator(self.seed, Effect.FAINT_STARS, block=pixel)
+        area_deg2 = self._healpix.pixel_area.to_value("deg2")
+        base = float(cumulative_counts_deg2(from_mag))
+        scale = (float(self.catalogue.pixel_counts[pixel]) + 1.0) / (base * area_deg2 + 1.0)
+        n = int(rng.poisson(scale * (float(cumulative_counts_deg2(to_mag)) - base) * area_deg2))
+        longitude, latitude = self._healpix.healpix_to_lonlat(np.full(n, pixel), dx=rng.random(n), dy=rng.random(n))
+        vectors = unit_vectors(longitude.deg, latitude.deg)
+        nodes = np.linspace(from_mag, to_mag, 65)
+        counts = cumulative_counts_deg2(nodes)
+        v_mag = np.interp(rng.random(n), (counts - counts[0]) / (counts[-1] - counts[0]), nodes)
+        # Faint stars of the field are mostly late F to K dwarfs: B-V spread about 0.75 (Bahcall & Soneira 1980, ApJS 44, 73).
+        b_v = np.clip(rng.normal(0.75, 0.25, n), -0.2, 1.8)
+        self._faint[pixel] = (vectors, v_mag, b_v)
+        return self._faint[pixel]
+
+
+def displaced(direction: Array, identity: NDArray[np.int64], sigma_rad: Array, word: int) -> Array:
+    """Directions (n, 3) moved by normal errors (rad, each coordinate), decided by each star's own number and a seed word."""
+    first = _hash64(identity.astype(np.uint64) ^ np.uint64(word))
+    second = _hash64(first)
+    u1 = ((first >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53
+    u2 = (second >> np.uint64(11)).astype(np.float64) * 2.0**-53
+    radius = np.sqrt(-2.0 * np.log(u1)) * sigma_rad
+    east = np.stack([-direction[:, 1], direction[:, 0], np.zeros(len(direction))], axis=-1)
+    east /= np.maximum(np.linalg.norm(east, axis=-1, keepdims=True), 1e-12)
+    north = np.cross(direction, east)
+    moved = direction + (radius * np.cos(2 * np.pi * u2))[:, None] * east + (radius * np.sin(2 * np.pi * u2))[:, None] * north
+    return np.asarray(moved / np.linalg.norm(moved, axis=-1, keepdims=True))
+
+
+def _hash64(value: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """SplitMix64 (Steele, Lea & Flood 2014, OOPSLA), an avalanche of 64 bits."""
+    value = value + np.uint64(0x9E3779B97F4A7C15)
+    value = (value ^ (value >> np.uint64(30))) * np.uint64(0xBF58476D1CE4E5B9)
+    value = (value ^ (value >> np.uint64(27))) * np.uint64(0x94D049BB133111EB)
+    return value ^ (value >> np.uint64(31))

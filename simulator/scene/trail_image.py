@@ -1,0 +1,283 @@
+"""A moving object of one frame: its light on the image, and its row of the truth table."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicSpline
+
+from sboc_e2e import truth
+from simulator.exposure import render_trail
+from simulator.optics.projection import Projection
+from simulator.platform.line_of_sight import LineOfSight
+from simulator.scene.aberration import aberrate
+from simulator.scene.crossing import Interval, Place, RowShutter, exposed_intervals, path_length_px, time_bins
+from simulator.scene.objects import PixelPathObject, SkyObject
+from simulator.scene.stars import angles_deg
+
+Array = NDArray[np.float64]
+
+STEP_PX = 0.45
+BLOCK_PX = 96
+"""Trails are added to the image in blocks along their path, so that memory and time grow with length, not with area."""
+FAINTEST_E = 1e-3
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Path:
+    """A mover during one frame. Functions of time (n,), seconds after the epoch of the run.
+
+    place : rows and cols of the read-out window. flux_v0 : brightness in units of a V = 0 star.
+    apparent, published : (n, 3) unit directions, GCRS axes. range_km : distance.
+    """
+
+    place: Place
+    flux_v0: Callable[[Array], Array]
+    apparent: Callable[[Array], Array]
+    published: Callable[[Array], Array]
+    range_km: Callable[[Array], Array]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FocalPlane:
+    """What turns a path into light: functions of window rows and cols, and numbers of the camera.
+
+    sigma_px, illumination : functions of (row, col). variance_e2 : function of (image block, first row, first col).
+    saturation_e : signal at which a detector pixel saturates.
+    """
+
+    shape: tuple[int, int]
+    bin_rows: int
+    bin_cols: int
+    zero_point_e_s: float
+    sigma_px: Callable[[Array, Array], Array]
+    illumination: Callable[[Array, Array], Array]
+    variance_e2: Callable[[NDArray[np.float32], int, int], NDArray[np.float32]]
+    saturation_e: float
+    focal_px: float
+    aperture_m: float
+    obstruction: float
+
+
+def sky_path_of(thing: SkyObject, sight: LineOfSight, projection: Projection, sun_km: Array) -> Path:
+    """The path of an object with directions: splines of its apparent vector through the nodes of the frame.
+
+    The vector (direction times range) of unaccelerated motion is linear in time, so that splines lose nothing even where the
+    direction turns fast. Aberration is that of the observer's geocentric velocity: the Earth's own cancels for what moves
+    with the Earth.
+    """
+    seen = thing.seen(sight.node_s, sight.observer_km, sun_km)
+    distance = np.linalg.norm(seen.vector_km, axis=-1, keepdims=True)
+    published = CubicSpline(sight.node_s, seen.vector_km)
+    apparent = CubicSpline(sight.node_s, distance * aberrate(seen.vector_km / distance, sight.velocity_km_s))
+    at_1_km = CubicSpline(sight.node_s, seen.flux * distance[:, 0] ** 2)
+
+    def unit(vectors: Array) -> Array:
+        return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
+
+    def place(time_s: Array) -> tuple[Array, Array]:
+        return projection.to_pixels(sight.to_camera(time_s, apparent(time_s)))
+
+    def range_km(time_s: Array) -> Array:
+        return np.asarray(np.linalg.norm(published(time_s), axis=-1))
+
+    def flux_v0(time_s: Array) -> Array:
+        return np.asarray(np.maximum(at_1_km(time_s), 0.0) / range_km(time_s) ** 2 * thing.light_curve.factor(time_s))
+
+    return Path(
+        place=place,
+        flux_v0=flux_v0,
+        apparent=lambda time_s: unit(apparent(time_s)),
+        published=lambda time_s: unit(published(time_s)),
+        range_km=range_km,
+    )
+
+
+def pixel_path_of(
+    thing: PixelPathObject, sight: LineOfSight, projection: Projection, bin_rows: int, bin_cols: int, zero_s: float
+) -> Path:
+    """The path of an object that is given in delivered pixels; its directions follow from the camera.
+
+    zero_s : where its time starts, seconds after the epoch of the run.
+    """
+
+    def place(time_s: Array) -> tuple[Array, Array]:
+        row, col, _ = thing.place(time_s - zero_s)
+        return bin_rows * row + 0.5 * (bin_rows - 1), bin_cols * col + 0.5 * (bin_cols - 1)
+
+    def apparent(time_s: Array) -> Array:
+        return sight.to_gcrs(time_s, projection.to_vectors(*place(time_s)))
+
+    def published(time_s: Array) -> Array:
+        return aberrate(apparent(time_s), -sight.observer_at(time_s)[1])
+
+    return Path(
+        place=place,
+        flux_v0=lambda time_s: thing.place(time_s - zero_s)[2] * thing.light_curve.factor(time_s),
+        apparent=apparent,
+        published=published,
+        range_km=lambda time_s: np.full(np.shape(time_s), np.inf),
+    )
+
+
+def add_trail(
+    image_e: NDArray[np.float32],
+    scratch_e: NDArray[np.float32],
+    path: Path,
+    sight: LineOfSight,
+    shutter: RowShutter,
+    plane: FocalPlane,
+    *,
+    frame: int,
+    object_id: int,
+    epoch_tai_ns: int,
+) -> NDArray[np.void]:
+    """Add a mover's light to the image and return its rows of the truth (none when it is not in the frame).
+
+    scratch_e : zeroed image of the same shape, zero again afterwards.
+    """
+    middle_range = float(path.range_km(np.array([sight.reference_s]))[0])
+    blur_px = plane.aperture_m * 1e-3 / middle_range * plane.focal_px
+    margin_px = 6.0 * float(plane.sigma_px(np.zeros(1), np.zeros(1))[0]) + 0.5 * blur_px + 1.0
+    from_s, to_s = float(sight.node_s[0]), float(sight.node_s[-1])
+    lit = exposed_intervals(path.place, shutter, margin_px, from_s, to_s)
+    rows: list[NDArray[np.void]] = []
+    for stretch in lit:
+        inner = exposed_intervals(path.place, shutter, 0.5, stretch.start_s, stretch.end_s)
+        light = _render(image_e, scratch_e, path, stretch, plane)
+        if inner and light.flux_e > 0.0:
+            kept = max(inner, key=lambda i: i.end_s - i.start_s)
+            edges = Interval(
+                start_s=kept.start_s,
+                end_s=kept.end_s,
+                edge_start=kept.start_s > stretch.start_s + 1e-9 or stretch.edge_start,
+                edge_end=kept.end_s < stretch.end_s - 1e-9 or stretch.edge_end,
+            )
+            row = _truth_row(path, sight, edges, plane, light, epoch_tai_ns)
+            row["frame"], row["object_id"] = frame, object_id
+            rows.append(row)
+    return np.concatenate(rows) if rows else truth.empty("streaks")
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Light:
+    flux_e: float
+    snr: float
+    n_saturated: int
+    sigma_px: float
+    defocus_px: float
+
+
+def _render(image_e: NDArray[np.float32], scratch_e: NDArray[np.float32], path: Path, stretch: Interval, plane: FocalPlane) -> _Light:
+    """Integrate over bins of time, block by block along the path."""
+    time_s, width_s = time_bins(path.place, stretch, STEP_PX)
+    row, col = path.place(time_s)
+    flux_e = path.flux_v0(time_s) * plane.illumination(row, col) * (plane.zero_point_e_s * width_s)
+    blur_px = plane.aperture_m * 1e-3 / path.range_km(time_s) * plane.focal_px
+    sigma_px = plane.sigma_px(row, col)
+    per_block = max(int(BLOCK_PX / STEP_PX), 1)
+    blocks = [np.s_[k : k + per_block] for k in range(0, len(time_s), per_block)]
+    boxes = []
+    for block in blocks:
+        sigma, blur = float(sigma_px[block].mean()), float(blur_px[block].mean())
+        margin = int(np.ceil(6.5 * sigma + 0.5 * blur + 2.0))
+        first_row, last_row = _aligned(row[block], margin, plane.bin_rows, plane.shape[0])
+        first_col, last_col = _aligned(col[block], margin, plane.bin_cols, plane.shape[1])
+        if first_row >= last_row or first_col >= last_col:
+            continue
+        box = np.s_[first_row:last_row, first_col:last_col]
+        render_trail(
+            scratch_e[box], row[block] - first_row, col[block] - first_col, flux_e[block], sigma, blur, plane.obstruction
+        )
+        boxes.append((box, first_row, first_col))
+    total, snr2, saturated = 0.0, 0.0, 0
+    for box, first_row, first_col in boxes:
+        light = scratch_e[box]
+        variance = plane.variance_e2(image_e[box], first_row, first_col)
+        signal, noise2 = _binned(light, plane), _binned(variance, plane)
+        total += float(light.sum(dtype=np.float64))
+        snr2 += float((signal.astype(np.float64) ** 2 / noise2).sum())
+        image_e[box] += light
+        saturated += int(((light > FAINTEST_E) & (image_e[box] > plane.saturation_e)).sum())
+        light[...] = 0.0
+    middle = len(time_s) // 2
+    return _Light(
+        flux_e=total, snr=float(np.sqrt(snr2)), n_saturated=saturated, sigma_px=float(sigma_px[middle]), defocus_px=float(blur_px[middle])
+    )
+
+
+def _aligned(centre: Array, margin: int, step: int, size: int) -> tuple[int, int]:
+    """First and last-plus-one pixel around positions, on borders of delivered pixels, inside the frame."""
+    first = max(0, int(np.floor(centre.min())) - margin) // step * step
+    last = min(size, -(-(int(np.ceil(centre.max())) + margin + 1) // step) * step)
+    return first, last
+
+
+def _binned(values: NDArray[np.float32], plane: FocalPlane) -> NDArray[np.float32]:
+    """Sums over delivered pixels."""
+    if plane.bin_rows * plane.bin_cols == 1:
+        return values
+    n, m = values.shape[0] // plane.bin_rows, values.shape[1] // plane.bin_cols
+    blocks = values[: n * plane.bin_rows, : m * plane.bin_cols].reshape(n, plane.bin_rows, m, plane.bin_cols)
+    return np.asarray(blocks.sum(axis=(1, 3)))
+
+
+def _truth_row(
+    path: Path, sight: LineOfSight, seen: Interval, plane: FocalPlane, light: _Light, epoch_tai_ns: int
+) -> NDArray[np.void]:
+    """One row of the truth of streaks; positions in delivered pixels."""
+    out = truth.empty("streaks", 1)
+    time_s = np.linspace(seen.start_s, seen.end_s, truth.PATH_NODES)
+    dense_s = np.linspace(seen.start_s, seen.end_s, 16 * (truth.PATH_NODES - 1) + 1)
+    window_row, window_col = path.place(time_s)
+
+    def delivered(row: Array, col: Array) -> tuple[Array, Array]:
+        return (row - 0.5 * (plane.bin_rows - 1)) / plane.bin_rows, (col - 0.5 * (plane.bin_cols - 1)) / plane.bin_cols
+
+    row, col = delivered(window_row, window_col)
+    tai = epoch_tai_ns + np.round(time_s * 1e9).astype(np.int64)
+    flux_rate = path.flux_v0(time_s) * plane.illumination(window_row, window_col) * plane.zero_point_e_s
+    middle = np.array([0.5 * (seen.start_s + seen.end_s)])
+    step = np.array([1e-3 * max(seen.end_s - seen.start_s, 1e-6)])
+    camera = sight.to_camera(np.concatenate([middle - step, middle + step]), path.apparent(np.concatenate([middle - step, middle + step])))
+    angle = np.arctan2(np.linalg.norm(np.cross(camera[0], camera[1])), camera[0] @ camera[1])
+    drow, dcol = row[-1] - row[0], col[-1] - col[0]
+    chord = np.hypot(drow, dcol)
+    mid_row, mid_col = delivered(*path.place(middle))
+    off_row, off_col = mid_row[0] - 0.5 * (row[0] + row[-1]), mid_col[0] - 0.5 * (col[0] + col[-1])
+    ra, dec = angles_deg(path.published(time_s))
+    ra_app, dec_app = angles_deg(path.apparent(middle))
+    values = {
+        "row0": row[0],
+        "col0": col[0],
+        "row1": row[-1],
+        "col1": col[-1],
+        "edge0": seen.edge_start,
+        "edge1": seen.edge_end,
+        "t0_tai_ns": tai[0],
+        "t1_tai_ns": tai[-1],
+        "length_px": path_length_px(*delivered(*path.place(dense_s))),
+        "flux_e": light.flux_e,
+        "snr": light.snr,
+        "psf_sigma_px": np.hypot(light.sigma_px, 0.25 * light.defocus_px * np.sqrt(1.0 + plane.obstruction**2)) / plane.bin_cols,
+        "defocus_px": light.defocus_px / plane.bin_cols,
+        "sagitta_px": (off_row * dcol - off_col * drow) / chord if chord > 1e-9 else 0.0,
+        "gradient": 2.0 * (flux_rate[-1] - flux_rate[0]) / max(flux_rate[-1] + flux_rate[0], 1e-300),
+        "rate_deg_s": np.degrees(angle) / (2.0 * step[0]),
+        "range_km": path.range_km(middle)[0],
+        "mag": -2.5 * np.log10(max(path.flux_v0(middle)[0], 1e-40)),
+        "ra_app_deg": ra_app[0],
+        "dec_app_deg": dec_app[0],
+        "n_saturated": light.n_saturated,
+        "path_row": row,
+        "path_col": col,
+        "path_flux_e_s": flux_rate,
+        "path_t_tai_ns": tai,
+        "path_ra_deg": ra,
+        "path_dec_deg": dec,
+    }
+    for name, value in values.items():
+        out[name] = value
+    return out
+

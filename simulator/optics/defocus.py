@@ -4,6 +4,7 @@ A 20 cm telescope focused at infinity blurs a point at 1 km into 41 arcsec.
 """
 
 import math
+from functools import lru_cache
 from typing import Final
 
 import numba
@@ -42,6 +43,7 @@ def disc_profile(radius_px: NDArray[np.float64], diameter_px: float, obstruction
     return np.asarray(mass / (math.pi * (outer**2 - inner**2)), dtype=np.float64)
 
 
+@lru_cache(maxsize=16)
 def defocused_kernel(
     diameter_px: float, obstruction: float, sigma_px: float, *, phases: int = 16
 ) -> tuple[NDArray[np.float32], int, int]:
@@ -50,7 +52,8 @@ def defocused_kernel(
     Returns ``(table, half, phases)``: ``table[i, j]`` is the share of the flux in a pixel whose centre lies
     ``(i / phases - half, j / phases - half)`` from the point; `table` is square with ``2 half phases + 1`` nodes.
     The profile is integrated over pixels by the trapezoidal rule on the same grid; the whole is scaled such that the
-    pixels of any phase sum to one on average, what is cut beyond `half` being below 1e-6.
+    pixels of any phase sum to one on average, what is cut beyond `half` being below 1e-6. The last tables are kept, because a
+    trail is rendered on its frame and again alone; they are read-only.
     """
     half = math.ceil(0.5 * diameter_px + 5.0 * sigma_px + 1.0)
     reach = half + 0.5
@@ -62,7 +65,9 @@ def defocused_kernel(
     point = np.interp(radius.ravel(), radii, profile).reshape(n, n)
     table = _box_mean(_box_mean(point, phases, 0), phases, 1)
     table *= phases**2 / table.sum()
-    return table.astype(np.float32), half, phases
+    kernel = table.astype(np.float32)
+    kernel.flags.writeable = False
+    return kernel, half, phases
 
 
 def _box_mean(values: NDArray[np.float64], width: int, axis: int) -> NDArray[np.float64]:

@@ -21,7 +21,7 @@ from simulator.sensor.maps import (
 )
 from simulator.sensor.options import SensorOptions
 from simulator.sensor.poisson import poisson_tables
-from simulator.sensor.statistics import entropy_bits, entropy_table, gaussian_entropy_bits, pixel_probabilities
+from simulator.sensor.statistics import entropy_table, mean_entropy_bits, pixel_variance
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -172,10 +172,17 @@ class Sensor:
             dark = self._dark_rate_of[128] * exposure_s
             return np.asarray(shot * (mean + dark) + self._noise_of[128] ** 2 + fixed, dtype=np.float32)
         part = np.s_[row0 : row0 + mean.shape[0], col0 : col0 + mean.shape[1]]
-        out = np.take((shot * self._response_of).astype(np.float32), self._response[part])
-        out *= mean
-        out += np.take((shot * self._dark_rate_of * exposure_s + fixed).astype(np.float32), self._dark[part])
-        out += np.take((self._noise_of**2).astype(np.float32), self._noise[part])
+        out = np.empty(mean.shape, dtype=np.float32)
+        pixel_variance(
+            mean,
+            self._response[part],
+            self._dark[part],
+            self._noise[part],
+            shot * self._response_of,
+            shot * self._dark_rate_of * exposure_s + fixed,
+            self._noise_of**2,
+            out,
+        )
         return out
 
     def entropy_bits(self, mean_e: NDArray[np.float32], exposure_s: float) -> float:
@@ -189,28 +196,19 @@ class Sensor:
             codes = np.sort(self._noise[::31, ::17].ravel())
             quantiles = codes[((np.arange(9) + 0.5) / 9 * codes.size).astype(int)]
             self._entropy = entropy_table(self._noise_of[quantiles], self.options.converter.gain_e_adu)
-        converter = self.options.converter
-        roots, bits = self._entropy
-        total = 0.0
-        dark = self._dark_rate_of[128] * exposure_s
-        for row in range(0, mean_e.shape[0], 256):
-            mean = mean_e[row : row + 256].astype(np.float64) + dark
-            faint = np.interp(np.sqrt(np.maximum(mean, 0.0)), roots, bits)
-            bright = mean > roots[-1] ** 2
-            if bright.any():
-                level = mean[bright]
-                low = converter.dual_gain & (level > converter.handover * converter.gain_e_adu * (2**converter.bits - 1))
-                gain = np.where(low, converter.low_gain_e_adu, converter.gain_e_adu)
-                noise = np.where(low, self.options.readout.low_gain_read_noise_e, self._noise_of[128])
-                value = gaussian_entropy_bits((level + noise**2) / gain**2, 1.0)
-                faint[bright] = np.where(level < converter.full_well_e, value, 0.0)
-            total += float(faint.sum())
-        return total / mean_e.size
-
-    def sky_entropy_bits(self, mean_e: float) -> float:
-        """Exact entropy of the median pixel at one mean level."""
-        converter = self.options.converter
-        return entropy_bits(pixel_probabilities(mean_e, float(self._noise_of[128]), converter.gain_e_adu))
+        converter, readout = self.options.converter, self.options.readout
+        top = converter.gain_e_adu * (2.0**converter.bits - 1.0)
+        return mean_entropy_bits(
+            mean_e,
+            float(self._dark_rate_of[128]) * exposure_s,
+            *self._entropy,
+            (converter.gain_e_adu, float(self._noise_of[128]), converter.handover * top if converter.dual_gain else np.inf),
+            (
+                converter.low_gain_e_adu,
+                readout.low_gain_read_noise_e,
+                min(converter.full_well_e, np.inf if converter.dual_gain else top),
+            ),
+        )
 
     def calibration_maps(self, exposure_s: float, illumination: NDArray[np.float32] | None = None) -> CalibrationMaps:
         """Dark, flat and defect maps of delivered pixels, reduced from calibration frames with their own noise.

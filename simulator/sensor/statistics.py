@@ -3,6 +3,7 @@
 import math
 from typing import Final
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import gammaln, ndtr
@@ -50,3 +51,56 @@ def entropy_table(
 def gaussian_entropy_bits(variance_e2: NDArray[np.float64], gain_e_adu: float) -> NDArray[np.float64]:
     """Entropy of a rounded Gaussian much wider than one unit: ``log2(sigma sqrt(2 pi e) / gain)``."""
     return np.asarray(0.5 * np.log2(2.0 * math.pi * math.e * variance_e2 / gain_e_adu**2))
+
+
+@numba.njit(cache=True)
+def pixel_variance(
+    mean_e: NDArray[np.float32],
+    response: NDArray[np.uint8],
+    dark: NDArray[np.uint8],
+    noise: NDArray[np.uint8],
+    variance_per_e: NDArray[np.float64],
+    dark_variance_e2: NDArray[np.float64],
+    read_variance_e2: NDArray[np.float64],
+    out: NDArray[np.float32],
+) -> None:
+    """Noise variance of each pixel from its mean and its classes (`simulator.sensor.maps`); all images of one shape."""
+    for r in range(mean_e.shape[0]):
+        for c in range(mean_e.shape[1]):
+            out[r, c] = (
+                mean_e[r, c] * variance_per_e[response[r, c]] + dark_variance_e2[dark[r, c]] + read_variance_e2[noise[r, c]]
+            )
+
+
+@numba.njit(cache=True)
+def mean_entropy_bits(
+    mean_e: NDArray[np.float32],
+    dark_e: float,
+    roots: NDArray[np.float64],
+    bits: NDArray[np.float64],
+    high: tuple[float, float, float],
+    low: tuple[float, float, float],
+) -> float:
+    """Mean over an image of the entropy of each pixel's ADU.
+
+    roots, bits : `entropy_table`. high : gain, read noise and end (electrons) of the high-gain channel. low : gain and read
+    noise of the low-gain one, and the charge from which a pixel is saturated and says nothing.
+    """
+    high_gain, high_noise, handover_e = high
+    low_gain, low_noise, saturated_e = low
+    scale = (roots.size - 1) / roots[-1]
+    faint_end = roots[-1] ** 2
+    total = 0.0
+    for r in range(mean_e.shape[0]):
+        line = 0.0
+        for c in range(mean_e.shape[1]):
+            mean = max(mean_e[r, c] + dark_e, 0.0)
+            if mean < faint_end:
+                position = math.sqrt(mean) * scale
+                node = min(int(position), roots.size - 2)
+                line += bits[node] + (bits[node + 1] - bits[node]) * (position - node)
+            elif mean < saturated_e:
+                gain, noise = (high_gain, high_noise) if mean < handover_e else (low_gain, low_noise)
+                line += 0.5 * math.log2(2.0 * math.pi * math.e * (mean + noise**2) / gain**2)
+        total += line
+    return total / mean_e.size

@@ -117,7 +117,7 @@ def landau_from_collisions(xi_kev: float, restricted_kev: float, top_kev: float)
     """Density of the loss in a layer from single collisions: compound Poisson with Rutherford's law above 0.2 keV.
 
     Losses in smaller collisions count with their mean, which is the published loss restricted to 50 keV less what Rutherford's
-    law puts between 0.2 and 50 keV. `top_kev` ends the grid; collisions beyond it are left out of the density (they move no mode).
+    law puts between 0.2 and 50 keV. `top_kev` ends the grid; collisions beyond it move no mode and are left out.
     """
     smallest, step = 0.2, 0.02
     size = 1 << 16

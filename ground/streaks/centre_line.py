@@ -15,9 +15,12 @@ from ground.streaks.trail_model import (
     LN_WIDTH,
     N_PARAMETERS,
     PIXEL_VARIANCE_PX2,
+    Q1,
+    Q2,
     SAGITTA,
     SLOPE,
     V_MID,
+    accumulate,
     fisher_scoring,
     quartic_px4,
 )
@@ -56,6 +59,18 @@ class LineFit:
     n_pixels: int
 
     @property
+    def regular(self) -> bool:
+        """Whether the iteration ended at something that can be a trail: finite, bright, not inside out or out of scale."""
+        p = self.parameters
+        if not (np.isfinite(p).all() and np.isfinite(self.covariance).all() and p[DENSITY] > 0.0):
+            return False
+        # brightness must not turn negative along the trail, nor an end run away from where it was looked for
+        shape = abs(p[Q1]) + abs(p[Q2]) < 3.0 and abs(p[LN_WIDTH]) < 4.0
+        stray0 = abs(p[END0] + self.half_px) if END0 in self.free else 0.0
+        stray1 = abs(p[END1] - self.half_px) if END1 in self.free else 0.0
+        return bool(shape and max(stray0, stray1) < 0.9 * self.half_px + 3.0)
+
+    @property
     def width_px(self) -> float:
         """Width across the trail, pixel included."""
         return math.exp(self.parameters[LN_WIDTH])
@@ -76,7 +91,7 @@ def _limits(width_px: float) -> NDArray[np.float64]:
     limits = np.full(N_PARAMETERS, 0.7 * width_px)
     limits[DENSITY] = np.inf
     limits[LN_WIDTH] = 0.3
-    limits[6:8] = 0.5
+    limits[[Q1, Q2]] = 0.5
     return limits
 
 
@@ -130,6 +145,19 @@ def turned_along(line: LineFit) -> LineFit:
     )
 
 
+def curvature_statistic(line: LineFit) -> float:
+    """Rao's score statistic of a free sagitta, at the best straight line (1 by chance)."""
+    index = np.array([*line.free, SAGITTA], dtype=np.int64)
+    gradient, fisher = np.empty(index.size), np.empty((index.size, index.size))
+    p = line.pixels
+    accumulate(
+        line.parameters, p.u, p.v, p.value_e, p.variance_e2, 0.0, line.half_px, line.blur_px[0], line.blur_px[1],
+        0.0, index, gradient, fisher,
+    )  # fmt: skip
+    row = np.linalg.solve(fisher[:-1, :-1], fisher[:-1, -1])
+    return float((gradient[-1] - row @ gradient[:-1]) ** 2 / (fisher[-1, -1] - row @ fisher[:-1, -1]))
+
+
 def find_line(
     pixels: TrailPixels,
     half_px: float,
@@ -153,8 +181,14 @@ def find_line(
         parameters[LN_WIDTH] = math.log(widening * width_px)
         line = score(near, parameters, free, half_px=half_px, blur_px=(0.0, 0.0), iterations=iterations, quartic=False)
         parameters = line.parameters
-    if not parameters[DENSITY] > 0.0 or abs(parameters[V_MID]) + abs(parameters[SLOPE]) > 3.0 * max_shift_px:
+    if not line.regular or abs(parameters[V_MID]) + abs(parameters[SLOPE]) > 3.0 * max_shift_px:
         return None
+    if SAGITTA not in free and curvature_statistic(line) > math.log(near.u.size) + 3.0:
+        parameters = parameters.copy()
+        line = score(near, parameters, (*free, SAGITTA), half_px=half_px, blur_px=(0.0, 0.0), iterations=8, quartic=False)
+        parameters = line.parameters
+        if not line.regular:
+            return None
     turned = turned_along(line)
     return LineFit(
         pixels=pixels.in_frame(turned.pixels.frame).near(6.0 * width_px + 1.0 + abs(parameters[SAGITTA])),
@@ -174,7 +208,7 @@ def moved_to_middle(line: LineFit, ends: tuple[float, float], edges: tuple[bool,
     middle, half = 0.5 * (ends[0] + ends[1]), max(0.5 * (ends[1] - ends[0]), 0.5)
     p = line.parameters.copy()
     scale, shift = half / line.half_px, middle / line.half_px
-    sagitta, q1, q2 = p[SAGITTA], p[6], p[7]
+    sagitta, q1, q2 = p[SAGITTA], p[Q1], p[Q2]
     centre = p[V_MID] + p[SLOPE] * shift + sagitta * (1.0 / 3.0 - shift * shift)
     slope = (p[SLOPE] - 2.0 * sagitta * shift) * scale
     p[SAGITTA] = sagitta * scale**2
@@ -182,8 +216,8 @@ def moved_to_middle(line: LineFit, ends: tuple[float, float], edges: tuple[bool,
     p[SLOPE] = slope
     mean = 1.0 + q1 * shift + q2 * (shift**2 - 1.0 / 3.0) + q2 * scale**2 / 3.0
     p[DENSITY] *= max(mean, 0.05)
-    p[6] = (q1 + 2.0 * q2 * shift) * scale / max(mean, 0.05)
-    p[7] = q2 * scale**2 / max(mean, 0.05)
+    p[Q1] = (q1 + 2.0 * q2 * shift) * scale / max(mean, 0.05)
+    p[Q2] = q2 * scale**2 / max(mean, 0.05)
     p[END0] = -BEYOND_PX if edges[0] else -half
     p[END1] = BEYOND_PX if edges[1] else half
     frame = line.pixels.frame.turned(middle, 0.0, 0.0)

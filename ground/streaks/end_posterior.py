@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ground.streaks.end_search import CoarseEnds, cumulative_ratio, log_ratio
+from ground.streaks.end_search import CoarseEnds, cumulative_ratio, dark_excess
 from ground.streaks.trail_model import edge
 
 ZONE_SIGMAS: Final = 3.4
@@ -61,6 +61,7 @@ def one_end(
     value_e: NDArray[np.float64],
     variance_e2: NDArray[np.float64],
     densities: NDArray[np.float64],
+    noise_density: float,
     cumulative: NDArray[np.float64],
     split: int,
     width: float,
@@ -88,8 +89,11 @@ def one_end(
         for i in range(low, high):
             share = edge(u[i], grid[g], width)
             lit = template[i] * (share if sign > 0.0 else 1.0 - share)
+            noisy = variance_e2[i] + noise_density * lit
+            excess = dark_excess(value_e[i], variance_e2[i], noisy)
             for k in range(k_n):
-                out[k, g] += log_ratio(value_e[i], variance_e2[i], densities[k] * lit)
+                residual = value_e[i] - densities[k] * lit
+                out[k, g] += excess - 0.5 * residual * residual / noisy
     return out
 
 
@@ -102,6 +106,7 @@ def both_ends(
     value_e: NDArray[np.float64],
     variance_e2: NDArray[np.float64],
     densities: NDArray[np.float64],
+    noise_density: float,
     width: float,
 ) -> NDArray[np.float64]:
     """Log likelihood, shape (densities, grid0, grid1), when the edges overlap; -inf where end 1 is before end 0."""
@@ -124,8 +129,11 @@ def both_ends(
                 lit = template[i] * (share0[a, i] - share1[b, i])
                 if lit < 1e-4 * template[i]:
                     continue
+                noisy = variance_e2[i] + noise_density * lit
+                excess = dark_excess(value_e[i], variance_e2[i], noisy)
                 for k in range(densities.size):
-                    out[k, a, b] += log_ratio(value_e[i], variance_e2[i], densities[k] * lit)
+                    residual = value_e[i] - densities[k] * lit
+                    out[k, a, b] += excess - 0.5 * residual * residual / noisy
     return out
 
 
@@ -159,8 +167,8 @@ def end_posterior(
     center = u[min(split, u.size - 1)]
     densities = coarse.density_e_px + coarse.density_err_e_px * DENSITY_STEPS_SIGMA
     densities = densities[densities > 0.05 * coarse.density_e_px]
-    cumulative = cumulative_ratio(template, value_e, variance_e2, densities)
-    arrays = (u, template, value_e, variance_e2, densities, cumulative, split, width_px)
+    cumulative = cumulative_ratio(template, value_e, variance_e2, densities, coarse.density_e_px)
+    arrays = (u, template, value_e, variance_e2, densities, coarse.density_e_px, cumulative, split, width_px)
     if coarse.edges[0]:
         grid0, log0 = np.array([coarse.end0]), (cumulative[:, split] - cumulative[:, 0])[:, None]
     else:
@@ -200,7 +208,7 @@ def short_trail_posterior(
     densities = np.linspace(max(center[0] - spread * sigma[0], 0.1 * center[0]), center[0] + spread * sigma[0], count)
     grid0 = center[1] + sigma[1] * np.linspace(-spread, spread, SHORT_NODES)
     grid1 = center[2] + sigma[2] * np.linspace(-spread, spread, SHORT_NODES)
-    log_joint = both_ends(grid0, grid1, u, template, value_e, variance_e2, densities, width_px)
+    log_joint = both_ends(grid0, grid1, u, template, value_e, variance_e2, densities, float(center[0]), width_px)
     length = np.maximum(grid1[None, :] - grid0[:, None], 0.25 * width_px)
     log_joint -= 0.25 * line_parameters * (2.0 * np.log(densities)[:, None, None] + np.log(length))
     return _moments_joint(grid0, grid1, log_joint, densities)

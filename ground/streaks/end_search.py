@@ -53,25 +53,32 @@ class CoarseEnds:
 
 
 @njit(cache=True)
-def log_ratio(value_e: float, variance_e2: float, mean_e: float) -> float:
-    """ln p(value | lit with this mean) - ln p(value | dark)."""
-    lit = variance_e2 + mean_e
-    residual = value_e - mean_e
-    return 0.5 * (value_e * value_e / variance_e2 - residual * residual / lit - math.log(lit / variance_e2))
+def dark_excess(value_e: float, variance_e2: float, lit_e2: float) -> float:
+    """Part of the log ratio that does not depend on the mean: ln p(value | dark) without it, and both normalisations."""
+    return 0.5 * (value_e * value_e / variance_e2 - math.log(lit_e2 / variance_e2))
 
 
 @njit(cache=True)
 def cumulative_ratio(
-    template: NDArray[np.float64], value_e: NDArray[np.float64], variance_e2: NDArray[np.float64], densities: NDArray[np.float64]
+    template: NDArray[np.float64],
+    value_e: NDArray[np.float64],
+    variance_e2: NDArray[np.float64],
+    densities: NDArray[np.float64],
+    noise_density: float,
 ) -> NDArray[np.float64]:
-    """Running sums, shape (densities, n + 1), of the log ratio of fully lit pixels in order of u."""
+    """Running sums, shape (densities, n + 1), of ln p(value | lit) - ln p(value | dark) of pixels in order of u.
+
+    The variance of a lit pixel is taken at `noise_density` for all densities: that a lit pixel is noisier helps to tell
+    it from a dark one, but scatter that no model explains (tumbling, misfit) must not pass for brightness.
+    """
     n = value_e.size
     total = np.zeros((densities.size, n + 1))
-    for k in range(densities.size):
-        running = 0.0
-        for i in range(n):
-            running += log_ratio(value_e[i], variance_e2[i], densities[k] * template[i])
-            total[k, i + 1] = running
+    for i in range(n):
+        lit = variance_e2[i] + noise_density * template[i]
+        excess = dark_excess(value_e[i], variance_e2[i], lit)
+        for k in range(densities.size):
+            residual = value_e[i] - densities[k] * template[i]
+            total[k, i + 1] = total[k, i] + excess - 0.5 * residual * residual / lit
     return total
 
 
@@ -125,7 +132,7 @@ def coarse_ends(
         for _ in range(2):
             density, sigma = lit_density(template[start:stop], value_e[start:stop], variance_e2[start:stop], density)
             density = max(density, sigma)
-        running = cumulative_ratio(template, value_e, variance_e2, np.array([density]))[0]
+        running = cumulative_ratio(template, value_e, variance_e2, np.array([density]), density)[0]
         start, stop = best_segment(running)
         start, stop = 0 if edges[0] else start, u.size if edges[1] else stop
         if stop - start < 3:

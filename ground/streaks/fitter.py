@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from ground.streaks.fit_record import failed_fit
 from ground.streaks.trail_fit import FitOptions, fit_trail
 from sboc_e2e.icd.products import StreakFit, StreakPixels
@@ -22,5 +24,10 @@ class TrailedPsfFitter:
 
     def fit(self, pixels: StreakPixels, detection: Detection) -> StreakFit:
         """Best model with its uncertainties; a failed fit is flagged FIT_FAILED and carries the detection's values."""
-        result = fit_trail(pixels, detection, FitOptions(max_shift_px=self.max_shift_px, max_iterations=self.max_iterations))
+        options = FitOptions(max_shift_px=self.max_shift_px, max_iterations=self.max_iterations)
+        try:
+            result = fit_trail(pixels, detection, options)
+        except (ArithmeticError, ValueError, np.linalg.LinAlgError):
+            # singular matrices and the like of pixels that hold no trail; one bad ROI must not stop a run
+            result = None
         return failed_fit(detection, pixels) if result is None else result

@@ -40,7 +40,7 @@ def light_curve(
     width_px: float,
     snr: float,
 ) -> LightCurve:
-    """Least-squares density of each bin.
+    """Least-squares density of each bin; bins that masks leave empty hold the smooth model.
 
     u, value_e, variance_e2 : (n,). profile : (n,) cross-trail profile per unit density. smooth_density_e_px : (n,)
     density of the fitted model, for the noise and as what "constant" means. Bins touching an end miss light of the
@@ -55,13 +55,17 @@ def light_curve(
     place = np.clip(((u[inner] - ends[0]) * (n_bins / length)).astype(np.int64), 0, n_bins - 1)
     weight = 1.0 / (variance_e2[inner] + np.maximum(smooth_density_e_px[inner] * profile[inner], 0.0))
     information = np.bincount(place, weight * profile[inner] ** 2, n_bins)
-    if not np.all(information > 0.0):
+    seen = information > 0.2 * np.median(information)
+    if np.count_nonzero(seen) < 4:
         return empty
-    density = np.bincount(place, weight * profile[inner] * value_e[inner], n_bins) / information
-    smooth = np.bincount(place, weight * profile[inner] ** 2 * smooth_density_e_px[inner], n_bins) / information
-    sigma = 1.0 / np.sqrt(information)
-    chi2 = float(np.sum(((density - smooth) / sigma) ** 2))
-    freedom = n_bins - 1
+    known = np.where(seen, information, 1.0)
+    smooth = np.bincount(place, weight * profile[inner] ** 2 * smooth_density_e_px[inner], n_bins) / known
+    smooth = np.interp(np.arange(n_bins), np.flatnonzero(seen), smooth[seen])
+    measured = np.bincount(place, weight * profile[inner] * value_e[inner], n_bins) / known
+    density = np.where(seen, measured, smooth)
+    sigma = 1.0 / np.sqrt(known)
+    chi2 = float(np.sum(((density - smooth) / sigma)[seen] ** 2))
+    freedom = int(np.count_nonzero(seen)) - 1
     # Wilson & Hilferty (1931): the cube root of chi2/nu is nearly Gaussian
     deviate = ((chi2 / freedom) ** (1.0 / 3.0) - (1.0 - 2.0 / (9.0 * freedom))) / math.sqrt(2.0 / (9.0 * freedom))
     variable = deviate > 3.1
@@ -69,14 +73,15 @@ def light_curve(
         density_e_px=density,
         sigma_e_px=sigma,
         variable=variable,
-        period_fraction=_period(density - smooth, sigma) if n_bins >= 8 else None,
+        period_fraction=_period((density - smooth)[seen], sigma[seen], (np.flatnonzero(seen) + 0.5) / n_bins),
     )
 
 
-def _period(residual: NDArray[np.float64], sigma: NDArray[np.float64]) -> float | None:
+def _period(residual: NDArray[np.float64], sigma: NDArray[np.float64], position: NDArray[np.float64]) -> float | None:
     """Period in fractions of the trail by Lomb-Scargle (Zechmeister & Kurster 2009), None above the false-alarm limit."""
     n = residual.size
-    position = (np.arange(n) + 0.5) / n
+    if n < 8:
+        return None
     # at least 1.5 cycles in the trail, at most the Nyquist rate of the bins
     frequency = np.linspace(1.5, 0.5 * n, max(8 * n, 32))
     search = LombScargle(position, residual, sigma)

@@ -57,7 +57,7 @@ def choose_model(line: LineFit, *, iterations: int, shape: bool) -> LineFit:
         refitted = score(
             line.pixels, parameters, (*line.free, chosen), half_px=line.half_px, blur_px=line.blur_px, iterations=iterations
         )
-        if not (np.isfinite(refitted.parameters).all() and refitted.parameters[0] > 0.0):
+        if not refitted.regular:
             break
         line = refitted
     return line

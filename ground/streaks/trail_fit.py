@@ -15,7 +15,7 @@ from ground.streaks.centre_line import LineFit, effective_width_px, find_line, m
 from ground.streaks.end_posterior import EndPosterior, end_posterior, short_trail_posterior
 from ground.streaks.end_search import CoarseEnds, coarse_ends
 from ground.streaks.fit_record import TrailResult, point_record, trail_record
-from ground.streaks.intruders import intruder_mask
+from ground.streaks.intruders import at_median_brightness, intruder_mask
 from ground.streaks.light_curve import light_curve
 from ground.streaks.model_choice import SHORTEST_WIDTHS, choose_model, width_estimate
 from ground.streaks.point_source import fit_point
@@ -39,6 +39,9 @@ POINT_WIDTHS: Final = 2.0
 OVERLAP_WIDTHS: Final = 9.0
 """Below this length in widths the PSFs of the two ends overlap."""
 
+EDGE_REACH_PX: Final = 20.0
+"""An end flagged as the image's edge but farther than this from it is an ordinary end."""
+
 INTRUDER_ROUNDS: Final = 3
 WIGGLE_ROUNDS: Final = 3
 
@@ -59,15 +62,20 @@ def fit_trail(pixels: StreakPixels, detection: Detection, options: FitOptions) -
     frame = TrailFrame.of_chord(detection.row0, detection.col0, detection.row1, detection.col1)
     reach = options.max_shift_px + 6.0 * width + 1.0 + abs(detection.sagitta_px)
     usable = usable_pixels(pixels, frame, reach)
-    flagged = (StreakFlag.EDGE0 in detection.flags, StreakFlag.EDGE1 in detection.flags)
-    line = find_line(
-        usable, 0.5 * detection.length_px, flagged,
-        width_px=width, sagitta_px=detection.sagitta_px, max_shift_px=options.max_shift_px,
-    )  # fmt: skip
-    if line is None:
+    half = 0.5 * detection.length_px
+    flagged = _edges(detection, pixels.frame_shape)
+    first = find_line(
+        usable, half, flagged, width_px=width, sagitta_px=detection.sagitta_px, max_shift_px=options.max_shift_px
+    )
+    if first is None:
         return None
-    found = _with_ends(line, flagged, pixels.frame_shape, options)
-    crosses = False
+    # a bright star would pull both the line and the ends to itself, so it must go before they are looked for
+    mask, crosses = intruder_mask(at_median_brightness(first), width)
+    line = find_line(
+        usable.without(first.pixels.index[mask]), half, flagged,
+        width_px=width, sagitta_px=detection.sagitta_px, max_shift_px=options.max_shift_px,
+    ) if mask.any() else first  # fmt: skip
+    found = None if line is None else _with_ends(line, flagged, pixels.frame_shape, options)
     for _ in range(INTRUDER_ROUNDS):
         if found is None:
             return None
@@ -86,6 +94,18 @@ def fit_trail(pixels: StreakPixels, detection: Detection, options: FitOptions) -
     return _long_trail(pixels, detection, line, coarse.edges, crosses, options)
 
 
+def _edges(detection: Detection, shape: tuple[int, int]) -> tuple[bool, bool]:
+    """Which ends the detector places on the image's edge: flagged, and near enough to it to be believed."""
+    out = []
+    for flag, row, col in (
+        (StreakFlag.EDGE0, detection.row0, detection.col0),
+        (StreakFlag.EDGE1, detection.row1, detection.col1),
+    ):
+        gap = min(row + 0.5, col + 0.5, shape[0] - 0.5 - row, shape[1] - 0.5 - col)
+        out.append(flag in detection.flags and gap < EDGE_REACH_PX)
+    return out[0], out[1]
+
+
 def _with_ends(
     line: LineFit, edges: tuple[bool, bool], shape: tuple[int, int], options: FitOptions
 ) -> tuple[LineFit, CoarseEnds] | None:
@@ -100,9 +120,7 @@ def _with_ends(
         line.pixels, line.parameters, free,
         half_px=line.half_px, blur_px=(coarse.sigma0_px, coarse.sigma1_px), iterations=options.max_iterations,
     )  # fmt: skip
-    if not line.parameters[DENSITY] > 0.0 or not np.isfinite(line.parameters).all():
-        return None
-    return turned_along(line), coarse
+    return (turned_along(line), coarse) if line.regular else None
 
 
 def _template(line: LineFit) -> NDArray[np.float64]:
@@ -128,10 +146,11 @@ def _refined(line: LineFit, coarse: CoarseEnds, options: FitOptions) -> LineFit:
     gaussian = line.snr**2 > CHANGE_POINT_SNR2 * coarse.length_px / line.width_px
     if gaussian:
         ends = tuple(e for e, at_edge in zip((END0, END1), coarse.edges, strict=True) if not at_edge)
-        line = score(
+        sharp = score(
             line.pixels, line.parameters, (*line.free, *ends),
             half_px=line.half_px, blur_px=(0.0, 0.0), iterations=options.max_iterations,
         )  # fmt: skip
+        line = sharp if sharp.regular else line
     shape = line.snr > SHAPE_SNR and coarse.length_px > SHORTEST_WIDTHS * line.width_px
     line = choose_model(line, iterations=options.max_iterations, shape=shape)
     for _ in range(WIGGLE_ROUNDS if shape else 0):
@@ -139,10 +158,13 @@ def _refined(line: LineFit, coarse: CoarseEnds, options: FitOptions) -> LineFit:
         if offsets is None:
             break
         straightened = replace(line.pixels, v=line.pixels.v - np.interp(line.pixels.u, *offsets))
-        line = score(
+        straight = score(
             straightened, line.parameters, line.free,
             half_px=line.half_px, blur_px=line.blur_px, iterations=options.max_iterations,
         )  # fmt: skip
+        if not straight.regular:
+            break
+        line = straight
     return line
 
 
@@ -180,7 +202,7 @@ def _short_trail(
     line = turned_along(line)
     index = np.array([DENSITY, END0, END1])
     center, covariance = line.parameters[index], line.covariance[np.ix_(index, index)]
-    regular = np.isfinite(center).all() and center[0] > 0.0 and np.linalg.eigvalsh(covariance)[0] > 0.0
+    regular = line.regular and np.linalg.eigvalsh(covariance)[0] > 0.0
     if not regular or center[2] - center[1] < POINT_WIDTHS * pixels.psf_sigma_px:
         return fit_untrailed(pixels, detection)
     near = line.pixels.near(2.7 * line.width_px)
@@ -213,7 +235,7 @@ def _record(
         line.pixels, line.parameters, free,
         half_px=line.half_px, blur_px=(float(blur[0]), float(blur[1])), iterations=options.max_iterations,
     )  # fmt: skip
-    if not np.isfinite(line.parameters).all() or not line.parameters[DENSITY] > 0.0:
+    if not line.regular:
         return None
     ln_width, ln_width_err = width_estimate(line, options.max_iterations)
     near = line.pixels.take(np.abs(line.pixels.v) < 3.0 * line.width_px + abs(line.parameters[SAGITTA]))

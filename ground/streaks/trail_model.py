@@ -59,7 +59,8 @@ def profile(v: float, width: float, quartic: float) -> float:
     t2 = (v / width) ** 2
     if t2 > 60.0:
         return 0.0
-    return _INV_SQRT_2PI / width * math.exp(-0.5 * t2) * (1.0 + quartic / (24.0 * width**4) * (t2 * t2 - 6.0 * t2 + 3.0))
+    correction = 1.0 + quartic / (24.0 * width**4) * (t2 * t2 - 6.0 * t2 + 3.0)
+    return _INV_SQRT_2PI / width * math.exp(-0.5 * t2) * max(correction, 0.0)
 
 
 @njit(cache=True)
@@ -270,7 +271,7 @@ def profiles(
     width = math.exp(parameters[LN_WIDTH])
     centre = parameters[V_MID] + parameters[SLOPE] * x + parameters[SAGITTA] * (1.0 / 3.0 - x * x)
     t2 = ((v - centre) / width) ** 2
-    correction = 1.0 + quartic_px4(angle_rad) / (24.0 * width**4) * (t2 * t2 - 6.0 * t2 + 3.0)
+    correction = np.maximum(1.0 + quartic_px4(angle_rad) / (24.0 * width**4) * (t2 * t2 - 6.0 * t2 + 3.0), 0.0)
     brightness = np.maximum(1.0 + parameters[Q1] * x + parameters[Q2] * (x * x - 1.0 / 3.0), 0.05)
     out: NDArray[np.float64] = brightness * np.exp(-0.5 * t2) * (_INV_SQRT_2PI / width) * correction
     return out

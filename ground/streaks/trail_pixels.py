@@ -31,6 +31,10 @@ class TrailPixels:
             index=self.index[chosen],
         )
 
+    def without(self, removed: NDArray[np.intp]) -> "TrailPixels":
+        """All pixels but those of the given ROI indices."""
+        return self.take(~np.isin(self.index, removed))
+
     def in_frame(self, frame: TrailFrame) -> "TrailPixels":
         """The same pixels in other axes that differ by a shift and a turn."""
         turn_cos = self.frame.cos * frame.cos + self.frame.sin * frame.sin

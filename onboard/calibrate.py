@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import ContractError
 from sboc_e2e.icd.flags import MaskBit
-from sboc_e2e.icd.frame import Calibration, Frame
+from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader
 from sboc_e2e.icd.signals import BackgroundModel
 
 FLOAT_QUANTUM_SIGMA = 0.05
@@ -60,36 +60,58 @@ def float_counts(pixels: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArra
     return np.rint((values - offset) / scale).astype(np.int32), missing, scale, offset
 
 
-def to_counts(frame: Frame, calibration: Calibration | None) -> Counts:
-    """Integer pixels, integer dark and defects of a frame; calibration may be absent or larger (windowed readout)."""
-    header = frame.header
-    shape = (header.rows, header.cols)
-    if calibration is None:
-        dark_adu, defects = np.zeros(shape, dtype=np.float32), np.zeros(shape, dtype=np.uint8)
-    else:
+@dataclass(frozen=True, kw_only=True, eq=False)
+class IntegerCalibration:
+    """The calibration as the on-board software uses it: dark rounded to whole ADU (the ground knows the same), defects."""
+
+    dark: NDArray[np.int16]
+    defects: NDArray[np.uint8]
+
+    @classmethod
+    def of(cls, calibration: Calibration) -> "IntegerCalibration":
+        """Rounded dark of a calibration."""
+        dark = np.clip(np.rint(calibration.dark_adu), -32768, 32767).astype(np.int16)
+        return cls(dark=dark, defects=calibration.defects)
+
+    def window(self, header: FrameHeader) -> "IntegerCalibration":
+        """The part that a (windowed) frame covers."""
         row0, col0 = header.window_row0, header.window_col0
-        window = np.s_[row0 : row0 + shape[0], col0 : col0 + shape[1]]
-        dark_adu, defects = calibration.dark_adu[window], calibration.defects[window]
-        if dark_adu.shape != shape:
+        part = np.s_[row0 : row0 + header.rows, col0 : col0 + header.cols]
+        if self.dark[part].shape != (header.rows, header.cols):
             raise ContractError(
-                f"frame {header.frame}: shape {shape} at ({row0}, {col0}) does not lie inside the calibration's "
-                f"{calibration.dark_adu.shape}"
+                f"frame {header.frame}: expected a window inside the calibration's {self.dark.shape[0]} x "
+                f"{self.dark.shape[1]} px, got {header.rows} x {header.cols} at ({row0}, {col0})"
             )
-    saturation_adu = header.saturation_adu if header.saturation_adu is not None else math.inf
+        return IntegerCalibration(dark=self.dark[part], defects=self.defects[part])
+
+    @classmethod
+    def none(cls, header: FrameHeader) -> "IntegerCalibration":
+        """No dark and no defects."""
+        shape = (header.rows, header.cols)
+        return cls(dark=np.zeros(shape, dtype=np.int16), defects=np.zeros(shape, dtype=np.uint8))
+
+
+def to_counts(frame: Frame, calibration: IntegerCalibration) -> Counts:
+    """Integer pixels of a frame with the dark and defects that go with them."""
+    saturation_adu = frame.header.saturation_adu if frame.header.saturation_adu is not None else math.inf
     if frame.pixels.dtype == np.uint16:
-        dark = np.clip(np.rint(dark_adu), -32768, 32767).astype(np.int16)
-        saturation = int(min(max(saturation_adu, 1.0), 65535.0))
-        return Counts(pixels=frame.pixels, dark=dark, defects=defects, adu_scale=1.0, adu_offset=0.0, saturation=saturation)
-    net = frame.pixels - dark_adu if calibration is not None else frame.pixels
-    pixels, missing, scale, offset = float_counts(net)
-    saturation_count = min((saturation_adu - float(np.median(dark_adu)) - offset) / scale, 2.0**31 - 1)
+        return Counts(
+            pixels=frame.pixels,
+            dark=calibration.dark,
+            defects=calibration.defects,
+            adu_scale=1.0,
+            adu_offset=0.0,
+            saturation=int(min(max(saturation_adu, 1.0), 65535.0)),
+        )
+    pixels, missing, scale, offset = float_counts(frame.pixels - calibration.dark)
+    saturation = (saturation_adu - float(np.median(calibration.dark)) - offset) / scale
     return Counts(
         pixels=pixels,
-        dark=np.zeros(shape, dtype=np.int16),
-        defects=np.where(missing, defects | np.uint8(MaskBit.MISSING), defects),
+        dark=np.zeros_like(calibration.dark),
+        defects=np.where(missing, calibration.defects | np.uint8(MaskBit.MISSING), calibration.defects),
         adu_scale=scale,
         adu_offset=offset,
-        saturation=int(saturation_count),
+        saturation=int(min(saturation, 2.0**31 - 1)),
     )
 
 

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 
 from onboard import packets
 from onboard.budget import Allowance, Outbox, packet_bytes, priority
-from onboard.calibrate import Counts, background_in_adu, residual_pass, to_counts
+from onboard.calibrate import Counts, IntegerCalibration, background_in_adu, residual_pass, to_counts
 from onboard.options import OnboardOptions
 from onboard.roi_coding import CodedRoi, code_roi
+from onboard.star_free_sky import without_stars
 from onboard.stars import best_spread
 from onboard.static import HotPixels, flag_static
 from onboard.thumbnail import thumbnail
@@ -94,7 +95,7 @@ class OnboardChain:
             raise ContractError(f"run_id: expected 0 to 4294967295, got {run_id}")
         self._options = options
         self._steps = steps
-        self._calibration = calibration
+        self._calibration = None if calibration is None else IntegerCalibration.of(calibration)
         self._camera = camera
         self._run_id = run_id
         self._scratch: tuple[NDArray[np.float32], NDArray[np.uint8]] | None = None
@@ -112,12 +113,12 @@ class OnboardChain:
         """Packets of one frame and the state after it. Arrays of the state belong to the chain."""
         header = self._with_saturation(frame.header)
         check = _checksum(frame.pixels)
-        counts = to_counts(replace(frame, header=header), self._calibration)
-        view, n_masked = self._calibrated(header, counts, state)
+        counts = to_counts(replace(frame, header=header), self._calibration_of(header))
+        view, residual, n_masked = self._calibrated(header, counts, state)
         flags = _header_flags(header) | _sequence_flags(header, state, check) | _content_flags(view, counts, n_masked)
         usable = not flags & (FrameFlag.ALL_MASKED | FrameFlag.EMPTY_SIGNAL | FrameFlag.REPEATED_FRAME)
         if usable:
-            view = replace(view, stars=self._stars(view))
+            view = self._with_stars(view, residual)
             detections = flag_static(self._detections(view), state.recent)
         else:
             detections = ()
@@ -153,8 +154,14 @@ class OnboardChain:
             return header
         return replace(header, saturation_adu=self._camera.saturation_adu)
 
-    def _calibrated(self, header: FrameHeader, counts: Counts, state: OnboardState) -> tuple[DetectorView, int]:
-        """The view without stars, and how many pixels are masked."""
+    def _calibration_of(self, header: FrameHeader) -> IntegerCalibration:
+        """Dark and defects under a frame."""
+        return IntegerCalibration.none(header) if self._calibration is None else self._calibration.window(header)
+
+    def _calibrated(
+        self, header: FrameHeader, counts: Counts, state: OnboardState
+    ) -> tuple[DetectorView, NDArray[np.float32], int]:
+        """The view without stars, the memory of its calibrated image, and how many pixels are masked."""
         defects = state.hot_pixels.masked(counts.defects)
         estimated = self._guarded("background", self._steps.background.estimate, counts.pixels, counts.dark, defects)
         if not isinstance(estimated, BackgroundModel):
@@ -181,7 +188,7 @@ class OnboardChain:
             psf_sigma_px=self._camera.psf_sigma_px,
             history=state.history,
         )
-        return view, int(n_masked)
+        return view, residual, int(n_masked)
 
     def _buffers(self, shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Memory for the calibrated image and the mask; used again for every frame unless views are kept."""
@@ -191,12 +198,23 @@ class OnboardChain:
             self._scratch = (np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.uint8))
         return self._scratch
 
-    def _stars(self, view: DetectorView) -> StarList:
-        """Stars of the extractor, checked."""
+    def _with_stars(self, view: DetectorView, residual: NDArray[np.float32]) -> DetectorView:
+        """The view with its star list, and with level and noise of the sky measured beside these stars.
+
+        `residual` is the memory under the view's read-only image; it is brought to the new level.
+        """
         stars = self._guarded("star_extractor", self._steps.star_extractor.extract, view)
         if not isinstance(stars, StarList):
             raise self._fault("star_extractor", f"expected a StarList, got {type(stars).__name__}")
-        return stars
+        background = without_stars(
+            residual,
+            view.mask,
+            stars,
+            view.background,
+            gain_e_adu=view.header.gain_e_adu or 1.0,
+            psf_sigma_px=view.psf_sigma_px,
+        )
+        return replace(view, stars=stars, background=background)
 
     def _detections(self, view: DetectorView) -> tuple[Detection, ...]:
         """Detections of the detector, checked."""

@@ -13,52 +13,96 @@ from numba import njit
 from numpy.typing import NDArray
 
 from onboard.calibrate import expand_nodes
+from onboard.star_shape import MOST_STARS, FieldShape, measure_shape
 from sboc_e2e.icd.flags import MaskBit, StarFlag
 from sboc_e2e.icd.signals import DetectorView, StarList
 
 SATURATED = int(MaskBit.SATURATED)
-BLOCK = 32
-"""Columns that are tested for a hit together; the test is vectorised, the search within a block is not."""
+EDGE, BLENDED, DEFECT = int(StarFlag.EDGE), int(StarFlag.BLENDED), int(StarFlag.DEFECT)
+BRIGHT_PEAK_SIGMA = 12.0
+"""Stars with a brighter central pixel are fitted in the larger window."""
+
+SETTLED_PX2 = 1e-4
+"""A step shorter than 0.01 px is the last one: Gauss-Newton squares the error, 1e-4 px remain."""
 
 COSMIC_SHARPNESS = 1.7
 """A peak is sharper than a star when its contrast exceeds the PSF's by this factor at 5 sigma significance."""
+
+SHAPE_SNR = 40.0
+"""Stars above this S/N show the shape of the PSF."""
+
+TRAILED_OVER_PSF = 1.5
+"""Stars are called trailed when the smear is longer than this many PSF sigmas."""
 
 RIM_PX = 2
 """Peaks this close to a saturated pixel belong to the saturated star's rim."""
 
 
 @njit(cache=True)
-def _smooth_row(
-    residual: NDArray[np.float32], row: int, kernel: NDArray[np.float32], padded: NDArray[np.float32], out: NDArray[np.float32]
-) -> None:
-    """One row of the separable convolution; zeros outside the frame. kernel: centre and one side."""
-    rows, cols = residual.shape
-    radius = kernel.size - 1
-    middle = padded[radius : radius + cols]
-    source = residual[row]
-    for col in range(cols):
-        middle[col] = kernel[0] * source[col]
-    for k in range(1, radius + 1):
-        for neighbour in (row - k, row + k):
-            if 0 <= neighbour < rows:
-                source = residual[neighbour]
-                for col in range(cols):
-                    middle[col] += kernel[k] * source[col]
-    for col in range(cols):
-        out[col] = kernel[0] * padded[col + radius]
-    for k in range(1, radius + 1):
-        left, right = padded[radius - k : radius - k + cols], padded[radius + k : radius + k + cols]
-        for col in range(cols):
-            out[col] += kernel[k] * (left[col] + right[col])
+def _add_pair(k: np.float32, a: NDArray[np.float32], b: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+    """``out += k (a + b)``; a function of its own so that it is compiled to vector instructions."""
+    for col in range(out.size):
+        out[col] += k * (a[col] + b[col])
 
 
 @njit(cache=True)
-def _count_above(values: NDArray[np.float32], threshold: NDArray[np.float32]) -> int:
-    """How many values exceed their threshold."""
-    number = np.int32(0)
+def _weigh_five(
+    kernel: NDArray[np.float32],
+    a: NDArray[np.float32],
+    b: NDArray[np.float32],
+    c: NDArray[np.float32],
+    d: NDArray[np.float32],
+    e: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
+    """``out = k2 (a + e) + k1 (b + d) + k0 c``."""
+    k0, k1, k2 = kernel[0], kernel[1], kernel[2]
+    for col in range(out.size):
+        out[col] = k0 * c[col] + k1 * (b[col] + d[col]) + k2 * (a[col] + e[col])
+
+
+@njit(cache=True)
+def _smooth_row(
+    residual: NDArray[np.float32],
+    row: int,
+    kernel: NDArray[np.float32],
+    zeros: NDArray[np.float32],
+    padded: NDArray[np.float32],
+    out: NDArray[np.float32],
+) -> None:
+    """One row of the separable convolution; zeros outside the frame. kernel: centre and one side, at least 3 values."""
+    rows, cols = residual.shape
+    radius = kernel.size - 1
+    middle = padded[radius : radius + cols]
+    _weigh_five(
+        kernel,
+        residual[row - 2] if row >= 2 else zeros,
+        residual[row - 1] if row >= 1 else zeros,
+        residual[row],
+        residual[row + 1] if row + 1 < rows else zeros,
+        residual[row + 2] if row + 2 < rows else zeros,
+        middle,
+    )
+    for k in range(3, radius + 1):
+        _add_pair(kernel[k], residual[row - k] if row >= k else zeros, residual[row + k] if row + k < rows else zeros, middle)
+    _weigh_five(
+        kernel,
+        padded[radius - 2 : radius - 2 + cols],
+        padded[radius - 1 : radius - 1 + cols],
+        middle,
+        padded[radius + 1 : radius + 1 + cols],
+        padded[radius + 2 : radius + 2 + cols],
+        out,
+    )
+    for k in range(3, radius + 1):
+        _add_pair(kernel[k], padded[radius - k : radius - k + cols], padded[radius + k : radius + k + cols], out)
+
+
+@njit(cache=True)
+def _exceeds(values: NDArray[np.float32], threshold: NDArray[np.float32], out: NDArray[np.uint8]) -> None:
+    """1 where a value exceeds its threshold."""
     for k in range(values.size):
-        number += np.int32(values[k] > threshold[k])
-    return number
+        out[k] = np.uint8(values[k] > threshold[k])
 
 
 @njit(cache=True)
@@ -75,14 +119,17 @@ def find_peaks(
     kernel : centre and one side of the separable smoothing kernel. peaks : (capacity, 3) row, col, smoothed value.
     """
     rows, cols = residual.shape
+    zeros = np.zeros(cols, dtype=np.float32)
     padded = np.zeros(cols + 2 * (kernel.size - 1), dtype=np.float32)
     ring = np.zeros((3, cols), dtype=np.float32)
     limit = np.empty(cols, dtype=np.float32)
+    hits = np.zeros(-(-cols // 8) * 8, dtype=np.uint8)
+    words = hits.view(np.uint64)
     count, held = 0, -1
-    _smooth_row(residual, 0, kernel, padded, ring[0])
+    _smooth_row(residual, 0, kernel, zeros, padded, ring[0])
     for row in range(rows):
         if row + 1 < rows:
-            _smooth_row(residual, row + 1, kernel, padded, ring[(row + 1) % 3])
+            _smooth_row(residual, row + 1, kernel, zeros, padded, ring[(row + 1) % 3])
         else:
             ring[(row + 1) % 3, :] = 0.0
         tile = min(row // tile_px, sigma_nodes.shape[0] - 1)
@@ -91,13 +138,13 @@ def find_peaks(
             limit *= np.float32(threshold)
             held = tile
         here, above, below = ring[row % 3], ring[(row + 2) % 3], ring[(row + 1) % 3]
-        for start in range(0, cols, BLOCK):
-            stop = min(start + BLOCK, cols)
-            if _count_above(here[start:stop], limit[start:stop]) == 0:
+        _exceeds(here, limit, hits[:cols])
+        for word in range(words.size):
+            if words[word] == 0:
                 continue
-            for col in range(max(start, 1), min(stop, cols - 1)):
+            for col in range(max(8 * word, 1), min(8 * word + 8, cols - 1)):
                 value = here[col]
-                if value <= limit[col] or value < here[col - 1] or value <= here[col + 1]:
+                if hits[col] == 0 or value < here[col - 1] or value <= here[col + 1]:
                     continue
                 if value < above[col] or value < above[col - 1] or value < above[col + 1]:
                     continue
@@ -110,6 +157,105 @@ def find_peaks(
     return count
 
 
+@njit(cache=True, fastmath={"reassoc", "contract", "nsz", "arcp"})  # sums over a window, all finite: order is free
+def _normal_equations(
+    data: NDArray[np.float64],
+    usable: NDArray[np.float64],
+    psf: NDArray[np.float64],
+    drow: NDArray[np.float64],
+    dcol: NDArray[np.float64],
+    flux: float,
+    row: float,
+    col: float,
+    variance: float,
+    gain_e_adu: float,
+    shape_inverse: tuple[float, float, float],
+) -> tuple[float, float, float, float, float, float, float, float, float, float]:
+    """Gradient (flux, row, col), information matrix (ff, fr, fc, rr, rc, cc) and sum of squared PSF over the window."""
+    inv_rr, inv_rc, inv_cc = shape_inverse
+    gf, gr, gc, ff, fr, fc, rr, rc, cc, squares = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
+    for q in range(data.size):
+        t = psf[q]
+        model = flux * t
+        weight = usable[q] / (variance + model / gain_e_adu)
+        u, v = drow[q] - row, dcol[q] - col
+        slope_row = model * (inv_rr * u + inv_rc * v)
+        slope_col = model * (inv_cc * v + inv_rc * u)
+        misfit = (data[q] - model) * weight
+        gf += misfit * t
+        gr += misfit * slope_row
+        gc += misfit * slope_col
+        ff += weight * t * t
+        fr += weight * t * slope_row
+        fc += weight * t * slope_col
+        rr += weight * slope_row * slope_row
+        rc += weight * slope_row * slope_col
+        cc += weight * slope_col * slope_col
+        squares += usable[q] * t * t
+    return gf, gr, gc, ff, fr, fc, rr, rc, cc, squares
+
+
+@njit(cache=True)
+def _psf_at(
+    row: float,
+    col: float,
+    radius: int,
+    shape_inverse: tuple[float, float, float],
+    factors: NDArray[np.float64],
+    out: NDArray[np.float64],
+) -> None:
+    """Gaussian PSF of unit flux sampled in the window, for a star at (row, col) from its centre."""
+    inv_rr, inv_rc, inv_cc = shape_inverse
+    norm = math.sqrt(inv_rr * inv_cc - inv_rc * inv_rc) / (2.0 * math.pi)
+    side = 2 * radius + 1
+    for k in range(side):
+        factors[0, k] = norm * math.exp(-0.5 * inv_rr * (k - radius - row) ** 2)
+        factors[1, k] = math.exp(-0.5 * inv_cc * (k - radius - col) ** 2)
+    for i in range(side):
+        for j in range(side):
+            out[i * side + j] = factors[0, i] * factors[1, j]
+    if abs(inv_rc) * radius * radius < 0.15:  # nearly upright: a series is exact to 6e-4 in the corners and much faster
+        for i in range(side):
+            for j in range(side):
+                x = -inv_rc * (i - radius - row) * (j - radius - col)
+                out[i * side + j] *= 1.0 + x * (1.0 + 0.5 * x)
+    else:
+        for i in range(side):
+            for j in range(side):
+                out[i * side + j] *= math.exp(-inv_rc * (i - radius - row) * (j - radius - col))
+
+
+@njit(cache=True)
+def _take_window(
+    residual: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    row0: int,
+    col0: int,
+    radius: int,
+    data: NDArray[np.float64],
+    usable: NDArray[np.float64],
+) -> int:
+    """Pixels around a peak; unusable ones get weight 0. Returns `StarFlag` bits EDGE and DEFECT."""
+    rows, cols = residual.shape
+    side, flag = 2 * radius + 1, 0
+    if radius <= row0 < rows - radius and radius <= col0 < cols - radius:
+        for i in range(side):
+            for j in range(side):
+                q, r, c = i * side + j, row0 - radius + i, col0 - radius + j
+                data[q] = residual[r, c]
+                usable[q] = 1.0
+                if mask[r, c] != 0:
+                    usable[q], flag = 0.0, DEFECT
+        return flag
+    for i in range(side):
+        for j in range(side):
+            q, r, c = i * side + j, row0 - radius + i, col0 - radius + j
+            inside = 0 <= r < rows and 0 <= c < cols
+            data[q] = residual[r, c] if inside else 0.0
+            usable[q] = 1.0 if inside and mask[r, c] == 0 else 0.0
+    return EDGE
+
+
 @njit(cache=True)
 def fit_stars(
     residual: NDArray[np.float32],
@@ -117,84 +263,70 @@ def fit_stars(
     sigma_nodes: NDArray[np.float32],
     tile_px: int,
     peaks: NDArray[np.float32],
-    shape_inverse: tuple[float, float, float],
-    radius: int,
+    covariances: NDArray[np.float64],
+    radii: tuple[int, int],
     gain_e_adu: float,
     out: NDArray[np.float64],
     flags: NDArray[np.uint8],
 ) -> None:
-    """Gauss-Newton maximum likelihood of amplitude and position at every peak.
+    """Gauss-Newton maximum likelihood of flux and position at every peak.
 
-    shape_inverse : inverse covariance of the Gaussian PSF (rr, rc, cc), 1/px^2.
-    out : (n, 5) row, col, flux ADU, S/N, contrast of the central pixel over the PSF's; flags: `StarFlag` bits.
+    covariances : (n, 3) covariance (rr, rc, cc) of the Gaussian PSF at each peak, px^2. radii : half sides of the window of
+    faint (sky noise rules, the information is in the core) and of bright stars. out : (n, 5) row, col, flux ADU, S/N,
+    contrast of the central pixel over the PSF's; flags : `StarFlag` bits.
     """
-    rows, cols = residual.shape
-    inv_rr, inv_rc, inv_cc = shape_inverse
-    norm = 2.0 * math.pi / math.sqrt(inv_rr * inv_cc - inv_rc * inv_rc)
-    width = 2 * radius + 1
-    row_factor, col_factor = np.empty(width), np.empty(width)
+    offsets = (_window_offsets(radii[0]), _window_offsets(radii[1]))
+    largest = (2 * radii[1] + 1) ** 2
+    data, usable, psf = np.empty(largest), np.empty(largest), np.empty(largest)
+    factors = np.empty((2, 2 * radii[1] + 1))
     for n in range(peaks.shape[0]):
         row0, col0 = int(peaks[n, 0]), int(peaks[n, 1])
-        sigma = sigma_nodes[min(row0 // tile_px, sigma_nodes.shape[0] - 1), min(col0 // tile_px, sigma_nodes.shape[1] - 1)]
-        variance = float(sigma) * float(sigma)
-        row, col, flux = float(row0), float(col0), max(float(peaks[n, 2]), 0.1 * sigma) * 2.0 * norm
-        information = 1e-9
-        flag = np.uint8(0)
-        if row0 < radius or col0 < radius or row0 >= rows - radius or col0 >= cols - radius:
-            flag |= np.uint8(2)
-        for iteration in range(6):
-            for k in range(width):
-                row_factor[k] = math.exp(-0.5 * inv_rr * (row0 + k - radius - row) ** 2)
-                col_factor[k] = math.exp(-0.5 * inv_cc * (col0 + k - radius - col) ** 2)
-            ff, fr, fc, rr, rc, cc = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
-            gf, gr, gc, information = 0.0, 0.0, 0.0, 0.0
-            for i in range(max(0, row0 - radius), min(rows, row0 + radius + 1)):
-                drow = i - row
-                for j in range(max(0, col0 - radius), min(cols, col0 + radius + 1)):
-                    if mask[i, j] != 0:
-                        if iteration == 0:
-                            flag |= np.uint8(8)
-                        continue
-                    dcol = j - col
-                    psf = row_factor[i - row0 + radius] * col_factor[j - col0 + radius] / norm
-                    if inv_rc != 0.0:
-                        psf *= math.exp(-inv_rc * drow * dcol)
-                    model = flux * psf
-                    weight = 1.0 / (variance + max(model, 0.0) / gain_e_adu)
-                    slope_row = model * (inv_rr * drow + inv_rc * dcol)
-                    slope_col = model * (inv_cc * dcol + inv_rc * drow)
-                    misfit = (residual[i, j] - model) * weight
-                    gf += misfit * psf
-                    gr += misfit * slope_row
-                    gc += misfit * slope_col
-                    ff += weight * psf * psf
-                    fr += weight * psf * slope_row
-                    fc += weight * psf * slope_col
-                    rr += weight * slope_row * slope_row
-                    rc += weight * slope_row * slope_col
-                    cc += weight * slope_col * slope_col
-                    information += psf * psf
-            if ff <= 0.0:
+        sigma = float(sigma_nodes[min(row0 // tile_px, sigma_nodes.shape[0] - 1), min(col0 // tile_px, sigma_nodes.shape[1] - 1)])
+        crr, crc, ccc = covariances[n, 0], covariances[n, 1], covariances[n, 2]
+        cdet = crr * ccc - crc * crc
+        shape_inverse = (ccc / cdet, -crc / cdet, crr / cdet)
+        peak_psf = 1.0 / (2.0 * math.pi * math.sqrt(cdet))
+        bright = residual[row0, col0] > BRIGHT_PEAK_SIGMA * sigma
+        radius = radii[1] if bright else radii[0]
+        drow, dcol = offsets[1] if bright else offsets[0]
+        size = drow.size
+        flag = _take_window(residual, mask, row0, col0, radius, data, usable)
+        row, col, flux = 0.0, 0.0, 1.7 * max(float(peaks[n, 2]), 0.1 * sigma) / peak_psf
+        squares = 0.0
+        for _ in range(6):
+            _psf_at(row, col, radius, shape_inverse, factors, psf)
+            gf, gr, gc, ff, fr, fc, rr, rc, cc, squares = _normal_equations(
+                data[:size], usable[:size], psf[:size], drow, dcol, flux, row, col, sigma * sigma, gain_e_adu, shape_inverse
+            )
+            minor_f, minor_r, minor_c = rr * cc - rc * rc, ff * cc - fc * fc, ff * rr - fr * fr
+            det = ff * minor_f - fr * (fr * cc - rc * fc) + fc * (fr * rc - rr * fc)
+            if det <= 1e-9 * ff * rr * cc:
+                flag |= BLENDED
                 break
-            # the curvature of the positions is bounded below, or a flux near zero would throw the star away
-            floor = 0.05 * ff * flux * flux * math.sqrt(inv_rr * inv_cc) + 1e-12
-            rr, cc = rr + floor * (rr < floor), cc + floor * (cc < floor)
-            det = ff * (rr * cc - rc * rc) - fr * (fr * cc - rc * fc) + fc * (fr * rc - rr * fc)
-            if det <= 0.0:
-                break
-            step_flux = (gf * (rr * cc - rc * rc) - fr * (gr * cc - rc * gc) + fc * (gr * rc - rr * gc)) / det
-            step_row = (ff * (gr * cc - gc * rc) - gf * (fr * cc - rc * fc) + fc * (fr * gc - gr * fc)) / det
-            step_col = (ff * (rr * gc - rc * gr) - fr * (fr * gc - gr * fc) + gf * (fr * rc - rr * fc)) / det
+            mixed_fr, mixed_fc, mixed_rc = fc * rc - fr * cc, fr * rc - fc * rr, fr * fc - ff * rc
+            step_flux = (minor_f * gf + mixed_fr * gr + mixed_fc * gc) / det
+            step_row = (mixed_fr * gf + minor_r * gr + mixed_rc * gc) / det
+            step_col = (mixed_fc * gf + mixed_rc * gr + minor_c * gc) / det
             step_row, step_col = min(max(step_row, -0.7), 0.7), min(max(step_col, -0.7), 0.7)
-            row, col, flux = row + step_row, col + step_col, max(flux + step_flux, 0.1 * flux)
-            if step_row * step_row + step_col * step_col < 1e-7 and abs(step_flux) < 1e-4 * flux:
+            row, col, flux = row + step_row, col + step_col, max(flux + step_flux, 0.2 * flux)
+            if step_row * step_row + step_col * step_col < SETTLED_PX2 and abs(step_flux) < 0.02 * flux:
                 break
-        if abs(row - row0) > 1.5 or abs(col - col0) > 1.5:
-            row, col, flag = float(row0), float(col0), flag | np.uint8(4)
-        out[n, 0], out[n, 1], out[n, 2] = row, col, flux
-        out[n, 3] = flux * math.sqrt(information) / sigma
-        out[n, 4] = _contrast(residual, row0, col0) * norm / flux
+        if abs(row) > 1.2 or abs(col) > 1.2:
+            row, col, flag = 0.0, 0.0, flag | BLENDED
+        out[n, 0], out[n, 1], out[n, 2] = row0 + row, col0 + col, flux
+        out[n, 3] = flux * math.sqrt(squares) / sigma
+        out[n, 4] = _contrast(residual, row0, col0) / (peak_psf * flux)
         flags[n] = flag
+
+
+@njit(cache=True)
+def _window_offsets(radius: int) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Row and col of each pixel of a square window from its centre, flattened."""
+    side = 2 * radius + 1
+    drow, dcol = np.empty(side * side), np.empty(side * side)
+    for q in range(side * side):
+        drow[q], dcol[q] = q // side - radius, q % side - radius
+    return drow, dcol
 
 
 @njit(cache=True)
@@ -215,7 +347,7 @@ def near_saturation(mask: NDArray[np.uint8], peaks: NDArray[np.float32], reach: 
         row, col = int(peaks[n, 0]), int(peaks[n, 1])
         for i in range(max(0, row - reach), min(rows, row + reach + 1)):
             for j in range(max(0, col - reach), min(cols, col + reach + 1)):
-                if mask[i, j] & 4:
+                if mask[i, j] & SATURATED:
                     out[n] = True
     return out
 
@@ -230,11 +362,11 @@ def saturated_pixels(mask: NDArray[np.uint8], capacity: int) -> NDArray[np.int32
         line = mask[row]
         hits = np.int32(0)
         for col in range(cols):
-            hits += np.int32((line[col] & 4) != 0)
+            hits += np.int32((line[col] & SATURATED) != 0)
         if hits == 0:
             continue
         for col in range(cols):
-            if line[col] & 4:
+            if line[col] & SATURATED:
                 if count == capacity:
                     return out
                 out[count, 0], out[count, 1] = row, col
@@ -285,8 +417,8 @@ def saturated_stars(view: DetectorView, saturation_adu: float, capacity: int = 4
 
 
 def gaussian_kernel(sigma_px: float) -> NDArray[np.float32]:
-    """Centre and one side of a Gaussian of unit sum, out to three sigma."""
-    offsets = np.arange(max(2, math.ceil(3.0 * sigma_px)) + 1)
+    """Centre and one side of a Gaussian of unit sum, out to 2.2 sigma."""
+    offsets = np.arange(max(2, math.ceil(2.2 * sigma_px)) + 1)
     side = np.exp(-0.5 * (offsets / sigma_px) ** 2)
     return (side / (side[0] + 2.0 * side[1:].sum())).astype(np.float32)
 
@@ -307,18 +439,27 @@ class MatchedStars:
         count = find_peaks(view.residual_adu, sigma_nodes, tile_px, kernel, self.n_sigma * noise, peaks)
         peaks = peaks[:count]
         peaks = peaks[~near_saturation(view.mask, peaks, RIM_PX)]
+        sigma = float(np.median(sigma_nodes))
+        shape = measure_shape(
+            view.residual_adu,
+            view.mask,
+            _shape_stars(peaks, noise * sigma),
+            FieldShape.nominal(view.psf_sigma_px, view.mask.shape),
+        )
+        covariances = shape.covariance(peaks[:, 0].astype(np.float64), peaks[:, 1].astype(np.float64))
         gain = view.header.gain_e_adu if view.header.gain_e_adu is not None else 1.0
-        variance = view.psf_sigma_px**2 + 1.0 / 12.0
         fits, flags = np.empty((len(peaks), 5)), np.zeros(len(peaks), dtype=np.uint8)
-        shape_inverse = (1.0 / variance, 0.0, 1.0 / variance)
-        radius = max(3, math.ceil(3.5 * view.psf_sigma_px))
-        fit_stars(view.residual_adu, view.mask, sigma_nodes, tile_px, peaks, shape_inverse, radius, gain, fits, flags)
-        psf_contrast = 1.0 - math.exp(-0.5 / variance)
+        width = math.sqrt(float(shape.coefficients[[0, 2], 0].max()))
+        radii = (max(2, math.ceil(2.0 * width)), max(3, math.ceil(3.0 * width)))
+        fit_stars(view.residual_adu, view.mask, sigma_nodes, tile_px, peaks, covariances, radii, gain, fits, flags)
+        psf_contrast = 1.0 - 0.5 * (np.exp(-0.5 / covariances[:, 0]) + np.exp(-0.5 / covariances[:, 2]))
         sharp = fits[:, 4] - COSMIC_SHARPNESS * psf_contrast > 5.0 / np.maximum(fits[:, 3], 1.0)
         flags[sharp] |= np.uint8(StarFlag.COSMIC_LIKE)
+        if shape.smear_px > TRAILED_OVER_PSF * view.psf_sigma_px:
+            flags |= np.uint8(StarFlag.TRAILED)
         saturation = view.header.saturation_adu if view.header.saturation_adu is not None else 65535.0
         bright = saturated_stars(view, saturation)
-        bright_snr = bright[:, 2] / max(float(np.median(sigma_nodes)) * math.sqrt(4.0 * math.pi * variance), 1e-9)
+        bright_snr = bright[:, 2] / max(sigma * math.sqrt(4.0 * math.pi) * width, 1e-9)
         bright_flags = np.full(len(bright), int(StarFlag.SATURATED), dtype=np.uint8)
         flux = np.concatenate((fits[:, 2], bright[:, 2])) * gain
         order = np.argsort(-flux, kind="stable")
@@ -329,6 +470,12 @@ class MatchedStars:
             snr=np.concatenate((fits[:, 3], bright_snr))[order].astype(np.float32),
             flags=np.concatenate((flags, bright_flags))[order],
         )
+
+
+def _shape_stars(peaks: NDArray[np.float32], noise_adu: float) -> NDArray[np.float32]:
+    """Peaks bright enough for moments (40 sigma after smoothing), the brightest `MOST_STARS` of them."""
+    bright = peaks[peaks[:, 2] > SHAPE_SNR * noise_adu]
+    return bright[np.argsort(-bright[:, 2], kind="stable")[:MOST_STARS]]
 
 
 def best_spread(stars: StarList, shape: tuple[int, int], number: int, cells: int = 8) -> NDArray[np.intp]:

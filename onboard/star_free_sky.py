@@ -1,0 +1,152 @@
+"""The sky once more, without the stars: removes what their wings added to level and noise of the background mesh.
+
+Wings of listed stars below the clipping threshold lift a clipped mean by about 0.02 sigma. That is nothing for one pixel,
+but a trail of 1,000 px collects it to one sigma of its matched-filter S/N. With the star list at hand their pixels can be
+left out.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+from scipy.ndimage import uniform_filter
+
+from onboard.background import LEAST_SAMPLES, fill_gaps
+from onboard.calibrate import expand_nodes
+from sboc_e2e.icd.signals import BackgroundModel, StarList
+
+ROW_STEP = 8
+"""One row of so many is looked at."""
+
+FAINT_SIGMA = 0.03
+"""Stars are cut out as far as their light exceeds this share of the noise."""
+
+CLIP_SIGMA = 4.0
+MOST_STAR_RADIUS_PX = 64.0
+
+
+@njit(cache=True)
+def mark_stars(
+    row: NDArray[np.float64], col: NDArray[np.float64], reach: NDArray[np.float64], row_step: int, out: NDArray[np.uint8]
+) -> None:
+    """Set 1 in out (n, cols), whose line k is row ``k * row_step``, within `reach` px of each star."""
+    lines, cols = out.shape
+    for n in range(row.size):
+        first = max(0, int(math.ceil((row[n] - reach[n]) / row_step)))
+        last = min(lines - 1, int(math.floor((row[n] + reach[n]) / row_step)))
+        for line in range(first, last + 1):
+            away = line * row_step - row[n]
+            half = math.sqrt(max(reach[n] * reach[n] - away * away, 0.0))
+            for k in range(max(0, int(math.ceil(col[n] - half))), min(cols - 1, int(math.floor(col[n] + half))) + 1):
+                out[line, k] = 1
+
+
+@njit(cache=True, fastmath={"reassoc", "contract", "nsz"})  # sums of finite values: order is free
+def _row_sums(
+    residual: NDArray[np.float32], mask: NDArray[np.uint8], marked: NDArray[np.uint8], limit: np.float32
+) -> tuple[float, float, float]:
+    """Number, sum and sum of squares of usable values within +-limit."""
+    number, total, squares = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    for col in range(residual.size):
+        value = residual[col]
+        good = (mask[col] | marked[col]) == 0 and abs(value) < limit
+        kept = value if good else np.float32(0.0)
+        number += np.float32(1.0) if good else np.float32(0.0)
+        total += kept
+        squares += kept * kept
+    return number, total, squares
+
+
+@njit(cache=True)
+def star_free_moments(
+    residual: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    marked: NDArray[np.uint8],
+    row_step: int,
+    tile_px: int,
+    sigma_nodes: NDArray[np.float32],
+    mean: NDArray[np.float32],
+    deviation: NDArray[np.float32],
+) -> None:
+    """Mean and standard deviation of unmarked, unmasked values of each tile within 4 sigma; NaN where too few."""
+    rows, cols = residual.shape
+    for i in range(mean.shape[0]):
+        first = -(-i * tile_px // row_step)
+        for j in range(mean.shape[1]):
+            col0, col1 = j * tile_px, min((j + 1) * tile_px, cols)
+            limit = np.float32(CLIP_SIGMA) * sigma_nodes[i, j]
+            number, total, squares = 0.0, 0.0, 0.0
+            for line in range(first, marked.shape[0]):
+                row = line * row_step
+                if row >= min((i + 1) * tile_px, rows):
+                    break
+                n, s, q = _row_sums(residual[row, col0:col1], mask[row, col0:col1], marked[line, col0:col1], limit)
+                number, total, squares = number + n, total + s, squares + q
+            mean[i, j], deviation[i, j] = np.nan, np.nan
+            if number >= LEAST_SAMPLES:
+                mean[i, j] = total / number
+                deviation[i, j] = math.sqrt(max(squares / number - (total / number) ** 2, 0.0))
+
+
+@njit(cache=True)
+def _shift_row(residual: NDArray[np.float32], mask: NDArray[np.uint8], shift: NDArray[np.float32]) -> None:
+    """Take `shift` away from usable pixels."""
+    for col in range(residual.size):
+        residual[col] -= shift[col] if mask[col] == 0 else np.float32(0.0)
+
+
+@njit(cache=True)
+def shift_level(residual: NDArray[np.float32], mask: NDArray[np.uint8], nodes: NDArray[np.float32], tile_px: int) -> None:
+    """Take an interpolated mesh away from the image in place; masked pixels keep their 0."""
+    rows, cols = residual.shape
+    last = nodes.shape[0] - 1
+    upper, lower = np.empty(cols, dtype=np.float32), np.empty(cols, dtype=np.float32)
+    shift = np.empty(cols, dtype=np.float32)
+    held = -1
+    for row in range(rows):
+        position = min(max((row - 0.5 * (tile_px - 1)) / tile_px, 0.0), float(last))
+        above = min(int(position), max(last - 1, 0))
+        if above != held:
+            expand_nodes(nodes[above], tile_px, upper)
+            expand_nodes(nodes[min(above + 1, last)], tile_px, lower)
+            held = above
+        share = np.float32(position - above)
+        for col in range(cols):
+            shift[col] = upper[col] + share * (lower[col] - upper[col])
+        _shift_row(residual[row], mask[row], shift)
+
+
+def star_reach_px(stars: StarList, sigma_e: float, psf_sigma_px: float) -> NDArray[np.float64]:
+    """Distance at which a Gaussian star's light falls to `FAINT_SIGMA` of the noise; listed positions are exact enough."""
+    variance = psf_sigma_px**2 + 1.0 / 12.0
+    peak = stars.flux_e.astype(np.float64) / (2.0 * math.pi * variance)
+    ratio = np.maximum(peak / max(FAINT_SIGMA * sigma_e, 1e-9), 1.0)
+    return np.minimum(np.sqrt(2.0 * variance * np.log(ratio)) + 0.5, MOST_STAR_RADIUS_PX)
+
+
+def without_stars(
+    residual: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    stars: StarList,
+    background: BackgroundModel,
+    *,
+    gain_e_adu: float,
+    psf_sigma_px: float,
+) -> BackgroundModel:
+    """The background measured beside the stars; `residual` is brought to its level in place."""
+    tile_px, shape = background.tile_px, background.level_adu.shape
+    row_step = ROW_STEP if tile_px >= 4 * ROW_STEP else 1
+    marked = np.zeros((-(-residual.shape[0] // row_step), residual.shape[1]), dtype=np.uint8)
+    sigma_e = float(np.median(background.sigma_adu)) * gain_e_adu
+    mark_stars(stars.row, stars.col, star_reach_px(stars, sigma_e, psf_sigma_px), row_step, marked)
+    mean, deviation = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
+    star_free_moments(residual, mask, marked, row_step, tile_px, background.sigma_adu, mean, deviation)
+    shift = uniform_filter(fill_gaps(mean, 0.0), size=3, mode="nearest")
+    sigma = np.where(np.isfinite(deviation) & (deviation > 0.0), deviation, background.sigma_adu).astype(np.float32)
+    shift_level(residual, mask, shift, tile_px)
+    return BackgroundModel(
+        tile_px=tile_px,
+        level_adu=background.level_adu + shift,
+        sigma_adu=uniform_filter(sigma, size=3, mode="nearest"),
+    )

@@ -95,9 +95,7 @@ def scenario_model() -> type[BaseModel]:
 
 def available() -> dict[str, str]:
     """Scenarios that come with the project: name and description."""
-    return {
-        path.stem: str(toml_files.read(path).get("description", "")) for path in sorted(toml_files.FOLDER.glob("*.toml"))
-    }
+    return {path.stem: str(toml_files.read(path).get("description", "")) for path in sorted(toml_files.FOLDER.glob("*.toml"))}
 
 
 def find(scenario: str) -> Path:
@@ -141,7 +139,9 @@ def from_document(
     document: Mapping[str, Any], *, name: str, registry: Registry, where: str, typed: frozenset[str] = frozenset()
 ) -> Scenario:
     """The resolved scenario of TOML-shaped tables; `typed` holds the step names that the user typed."""
-    tables = {key: dict(value) if key in SEGMENT_OPTIONS and isinstance(value, Mapping) else value for key, value in document.items()}
+    tables = {
+        key: dict(value) if key in SEGMENT_OPTIONS and isinstance(value, Mapping) else value for key, value in document.items()
+    }
     components = {seam: _component(seam, _taken(tables, seam, where), registry, where, typed) for seam in SEAMS}
     model: Any = option_models.validate(scenario_model(), tables, where)
     harness: HarnessOptions = option_models.build(HarnessOptions, model, where)

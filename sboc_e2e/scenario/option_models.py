@@ -49,22 +49,23 @@ def is_options(hint: Any) -> bool:
 
 @cache
 def option_fields(options: type) -> tuple[OptionField, ...]:
-    """The options of a dataclass in their order; `UserError` when two fields would share a key."""
+    """The options of a dataclass in their order; fields that would share a key keep their unit suffix in it."""
     hints = typing.get_type_hints(options)
+    names = [item.name for item in dataclasses.fields(options) if item.init]
+    stripped = {name: quantities.split_name(name) if _is_numeric(_without_none(hints[name])) else (name, None) for name in names}
+    keys = [key for key, _ in stripped.values()]
     found: list[OptionField] = []
     for item in dataclasses.fields(options):
         if not item.init:
             continue
-        hint = _without_none(hints[item.name])
-        key, unit = quantities.split_name(item.name) if _is_numeric(hint) else (item.name, None)
+        key, unit = stripped[item.name]
+        if keys.count(key) > 1:
+            key = item.name
         default: Any = item.default
         if item.default_factory is not dataclasses.MISSING:
             default = item.default_factory()
+        hint = _without_none(hints[item.name])
         found.append(OptionField(name=item.name, key=key, unit=unit, hint=hint, default=default, meta=item.metadata))
-    keys = [item.key for item in found]
-    twice = sorted({key for key in keys if keys.count(key) > 1})
-    if twice:
-        raise UserError(f"options of {options.__module__}.{options.__qualname__}: two fields share the key {twice[0]!r}")
     return tuple(found)
 
 

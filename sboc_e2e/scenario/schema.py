@@ -37,7 +37,8 @@ def schema() -> dict[str, Any]:
         table = _table(tables, table_name)
         if table_name not in ("onboard", "ground") and table.get("type") == "object":
             table["properties"].setdefault(
-                "preset", {"type": "string", "description": "fragment of scenarios/presets that lies under this scenario's own keys"}
+                "preset",
+                {"type": "string", "description": "fragment of scenarios/presets that lies under this scenario's own keys"},
             )
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **tables}
 

@@ -1,0 +1,5 @@
+"""Command line: thin commands over the harness, exit codes, progress."""
+
+from sboc_e2e.cli.main import main
+
+__all__ = ["main"]

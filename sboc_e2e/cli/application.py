@@ -1,0 +1,176 @@
+"""The commands. Each parses its options, calls one function of the harness and says where the result is."""
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sboc_e2e.cli.progress import make_progress
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.registry import SEAMS, Registry, plugin_names
+from sboc_e2e.run.progress import Progress
+
+app = typer.Typer(
+    add_completion=False,
+    no_args_is_help=True,
+    rich_markup_mode=None,
+    pretty_exceptions_enable=False,
+    help="End-to-end demonstrator of a space-based optical debris camera: simulate, process on board and on ground, score.",
+)
+catalogue_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Star catalogues.")
+app.add_typer(catalogue_app, name="catalogue")
+
+Plugins = Annotated[list[str] | None, typer.Option("--plugin", help="trust a module that a scenario names as module:Class")]
+Overrides = Annotated[list[str] | None, typer.Option("--set", help="override a scenario key, such as sensor.prnu=0.01")]
+Uses = Annotated[list[str] | None, typer.Option("--use", help="swap a step: onboard.detector=lsd or =my_lab.nets:StreakNet")]
+Workers = Annotated[int, typer.Option("--workers", help="simulation processes, 0: one for each processor")]
+RunDir = Annotated[Path, typer.Argument(metavar="RUN_DIR", help="directory of a run")]
+
+
+@contextmanager
+def shown_progress() -> Iterator[Progress]:
+    """Progress that leaves the terminal tidy."""
+    progress = make_progress()
+    try:
+        yield progress
+    finally:
+        progress.close()
+
+
+def registry_of(plugins: list[str] | None) -> Registry:
+    """The registry that trusts the modules of ``--plugin``."""
+    return Registry(trusted_modules=plugin_names(plugins or ()))
+
+
+def parsed_uses(uses: list[str] | None) -> dict[str, str]:
+    """``seam=name`` texts by seam; a seam may be named without its segment where that is clear."""
+    result: dict[str, str] = {}
+    for text in uses or ():
+        seam, equals, name = text.partition("=")
+        matching = [known for known in SEAMS if known == seam or known.partition(".")[2] == seam]
+        if not equals or not name or len(matching) != 1:
+            raise UserError(f'--use: expected SEAM=NAME, got "{text[:80]}"; seams: {", ".join(SEAMS)}')
+        result[matching[0]] = name
+    return result
+
+
+def _version(wanted: bool) -> None:
+    if wanted:
+        from sboc_e2e.run.manifest import versions
+
+        for name, version in versions().items():
+            typer.echo(f"{name} {version}")
+        raise typer.Exit
+
+
+@app.callback()
+def _application(
+    version: Annotated[bool, typer.Option("--version", callback=_version, is_eager=True, help="versions that matter")] = False,
+) -> None:
+    """End-to-end demonstrator of a space-based optical debris camera."""
+
+
+@app.command()
+def run(
+    scenario: Annotated[str, typer.Argument(help="a name of `sboc scenarios` or the path of a TOML file")],
+    out: Annotated[Path | None, typer.Option("--out", help="run directory, default runs/<scenario>")] = None,
+    seed: Annotated[int | None, typer.Option("--seed", help="replaces the scenario's seed")] = None,
+    overrides: Overrides = None,
+    use: Uses = None,
+    plugin: Plugins = None,
+    resume: Annotated[bool, typer.Option("--resume", help="go on after the last complete frame")] = False,
+    force: Annotated[bool, typer.Option("--force", help="replace an earlier run")] = False,
+    workers: Workers = 0,
+) -> None:
+    """Simulate, process on board and on ground, score, report."""
+    from sboc_e2e import scenario as scenarios
+    from sboc_e2e.run import RunRequest
+    from sboc_e2e.run import run as execute
+
+    resolved = scenarios.load(
+        scenario, registry=registry_of(plugin), overrides=overrides or (), use=parsed_uses(use), seed=seed
+    )
+    target = out or Path("runs") / resolved.name
+    with shown_progress() as progress:
+        execute(RunRequest(scenario=resolved, out=target, resume=resume, force=force, workers=workers), progress)
+    typer.echo(f"{target}/report.html")
+
+
+def _stage(name: str, run_dir: Path, plugin: list[str] | None, workers: int = 0) -> None:
+    """Run one stage of an existing run."""
+    from sboc_e2e.run.pipeline import Run
+
+    with shown_progress() as progress:
+        opened = Run.open(run_dir, registry_of(plugin), workers=workers, progress=progress)
+        {"simulate": opened.simulate, "onboard": opened.onboard, "ground": opened.ground, "report": opened.report}[name]()
+
+
+@app.command()
+def simulate(run_dir: RunDir, plugin: Plugins = None, workers: Workers = 0) -> None:
+    """Make the frames and the truth of a run again."""
+    _stage("simulate", run_dir, plugin, workers)
+
+
+@app.command()
+def onboard(run_dir: RunDir, plugin: Plugins = None) -> None:
+    """Process the kept frames of a run on board: frames/ -> downlink.bin."""
+    _stage("onboard", run_dir, plugin)
+
+
+@app.command()
+def ground(run_dir: RunDir, plugin: Plugins = None) -> None:
+    """Process the downlink of a run on ground: downlink.bin -> products/."""
+    _stage("ground", run_dir, plugin)
+
+
+@app.command()
+def score(
+    run_dir: RunDir,
+    truth: Annotated[Path | None, typer.Option("--truth", help="folder with truth tables from elsewhere, in our columns")] = None,
+    plugin: Plugins = None,
+) -> None:
+    """Score the products of a run against truth: score.json."""
+    from sboc_e2e.run.pipeline import Run
+
+    with shown_progress() as progress:
+        Run.open(run_dir, registry_of(plugin), progress=progress).score(truth)
+    typer.echo(run_dir / "score.json")
+
+
+@app.command()
+def report(run_dir: RunDir, plugin: Plugins = None) -> None:
+    """Write report.html and report.md of a scored run."""
+    _stage("report", run_dir, plugin)
+    typer.echo(run_dir / "report.html")
+
+
+@app.command()
+def schema() -> None:
+    """Print the JSON schema of scenario files, for editors."""
+    from sboc_e2e.scenario import schema as scenario_schema
+
+    typer.echo(scenario_schema.text(), nl=False)
+
+
+@app.command()
+def scenarios() -> None:
+    """List the scenarios that come with the project."""
+    from sboc_e2e import scenario
+
+    for name, description in scenario.available().items():
+        typer.echo(f"{name:20} {description}")
+
+
+@catalogue_app.command("build")
+def catalogue_build(
+    source: Annotated[Path, typer.Argument(help="folder with tyc2.dat.00 ... and suppl_1.dat, or a Gaia table")],
+    out: Annotated[Path, typer.Option("--out", help="catalogue file to write (.npz)")],
+    depth: Annotated[float, typer.Option("--depth", help="faintest V of Tycho-2 stars, 99: all")] = 99.0,
+) -> None:
+    """Pack Tycho-2 to a depth, or a table with Gaia's column names, into a catalogue file."""
+    from sboc_e2e.catalogue import build
+
+    n_stars = build.build_tycho2(source, out, depth) if source.is_dir() else build.import_gaia(source, out)
+    typer.echo(f"{out}: {n_stars} stars")

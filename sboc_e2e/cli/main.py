@@ -1,0 +1,99 @@
+"""Entry point `sboc`: runs a command and turns every failure into one line and an exit code.
+
+0 done, 1 a check failed, 2 the user can mend it, 3 a plug-in or the program itself failed (traceback in the log file).
+"""
+
+import errno
+import os
+import sys
+import tempfile
+import traceback
+from pathlib import Path
+from typing import Final
+
+for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
+    # Worker processes parallelise; threads of libraries would only compete with them and change the order of sums.
+    os.environ.setdefault(_variable, "1")
+
+import typer
+from astropy.utils import iers
+
+from sboc_e2e.cli.application import app
+from sboc_e2e.icd.errors import PluginError, SbocError, UserError
+
+DONE: Final = 0
+CHECK_FAILED: Final = 1
+USER_ERROR: Final = 2
+PROGRAM_ERROR: Final = 3
+
+USAGE_ERROR: Final = typer.BadParameter.__mro__[2]
+"""Base of everything that the command-line parser complains about; its public name differs between versions of typer."""
+
+MENDABLE: Final = {
+    errno.ENOSPC: "free space, then go on with --resume",
+    errno.EDQUOT: "free space, then go on with --resume",
+    errno.EROFS: "choose an --out that can be written",
+    errno.EACCES: "choose an --out that can be written, or change its permissions",
+    errno.EPERM: "choose an --out that can be written, or change its permissions",
+    errno.ENAMETOOLONG: "choose a shorter path",
+}
+
+
+def main() -> None:
+    """Run the command line and leave with an exit code."""
+    iers.conf.auto_download = False
+    iers.conf.iers_degraded_accuracy = "ignore"
+    sys.exit(run(sys.argv[1:]))
+
+
+def run(arguments: list[str]) -> int:
+    """Run a command; returns its exit code."""
+    try:
+        result = app(args=arguments, prog_name="sboc", standalone_mode=False)
+        return result if isinstance(result, int) else DONE
+    except typer.Exit as leave:
+        return leave.exit_code
+    except USAGE_ERROR as error:
+        return _complain(error.format_message(), USER_ERROR)
+    except (typer.Abort, KeyboardInterrupt):
+        return _complain("interrupted; --resume goes on after the last complete frame", USER_ERROR)
+    except PluginError as error:
+        return _complain(f"{error} (traceback in {_log()})", PROGRAM_ERROR)
+    except UserError as error:
+        return _complain(str(error), USER_ERROR)
+    except SbocError as error:
+        return _complain(f"{error} (traceback in {_log()})", PROGRAM_ERROR)
+    except BrokenPipeError:
+        return DONE
+    except OSError as error:
+        if error.errno in MENDABLE:
+            where = f"{error.filename}: " if error.filename else ""
+            return _complain(f"{where}{error.strerror}; {MENDABLE[error.errno]}", USER_ERROR)
+        return _complain(f"{type(error).__name__}: {error} (traceback in {_log()})", PROGRAM_ERROR)
+    except MemoryError:
+        return _complain("out of memory; --workers 1 or a smaller detector need less", USER_ERROR)
+    except Exception as error:  # noqa: BLE001 - the one place where a bug becomes a line and a log file
+        return _complain(f"{type(error).__name__}: {error} (traceback in {_log()})", PROGRAM_ERROR)
+
+
+def _complain(text: str, code: int) -> int:
+    """One line on standard error."""
+    line = " ".join(text.split())
+    sys.stderr.write(f"sboc: {line}\n")
+    return code
+
+
+def _log() -> Path | str:
+    """Write the current traceback to a log file; its name."""
+    for folder in (Path.cwd(), Path(tempfile.gettempdir())):
+        path = folder / "sboc-error.log"
+        try:
+            path.write_text(traceback.format_exc(), encoding="utf-8")
+        except OSError:
+            continue
+        return path
+    return "no file: neither the working nor the temporary folder can be written"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,73 @@
+"""Commands that run many runs: comparisons, campaigns, the benchmark report."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sboc_e2e.cli.application import Overrides, Plugins, Workers, app, registry_of, shown_progress
+
+
+@app.command()
+def compare(
+    scenario: Annotated[str, typer.Argument(help="a name of `sboc scenarios` or the path of a TOML file")],
+    seam: Annotated[str, typer.Option("--seam", help="the step to exchange, such as onboard.detector")],
+    use: Annotated[list[str], typer.Option("--use", help="a choice: a name or module:Class; give two or more")],
+    seeds: Annotated[int, typer.Option("--seeds", help="how many seeds, from the scenario's on")] = 1,
+    out: Annotated[Path | None, typer.Option("--out", help="folder, default runs/compare-<scenario>")] = None,
+    overrides: Overrides = None,
+    plugin: Plugins = None,
+    workers: Workers = 0,
+) -> None:
+    """Judge choices of one step on the same frames: paired differences, curves, a gallery, what each costs."""
+    from sboc_e2e.compare import Request
+    from sboc_e2e.compare import compare as execute
+
+    target = out or Path("runs") / f"compare-{Path(scenario).stem}"
+    request = Request(
+        scenario=scenario, seam=seam, choices=tuple(use), seeds=seeds, overrides=tuple(overrides or ()), workers=workers
+    )
+    with shown_progress() as progress:
+        execute(request, target, registry_of(plugin), progress)
+    typer.echo((target / "compare.md").read_text())
+    typer.echo(target / "compare.html")
+
+
+@app.command()
+def sweep(
+    campaign: Annotated[Path, typer.Argument(help="campaign file, such as scenarios/campaigns/aperture_frame_rate.toml")],
+    out: Annotated[Path | None, typer.Option("--out", help="folder, default runs/sweep-<campaign>")] = None,
+    workers: Workers = 0,
+    scheduler: Annotated[str | None, typer.Option("--scheduler", help='dask scheduler "tcp://host:port", or "local"')] = None,
+) -> None:
+    """Run a campaign over scenario keys; finished tasks are kept, so the same command goes on after an interruption."""
+    from sboc_e2e.campaign import read_campaign, run_campaign
+    from sboc_e2e.campaign.aggregate import write_results
+
+    plan = read_campaign(campaign)
+    target = out or Path("runs") / f"sweep-{plan.name}"
+    result = run_campaign(plan, target, workers=workers or None, scheduler=scheduler, report=typer.echo)
+    write_results(plan, result, target)
+    typer.echo(f"{result.done} done, {result.skipped} were done before, {len(result.failed)} failed, {result.wall_s:.1f} s")
+    typer.echo(target / "campaign.html")
+    if result.failed:
+        raise typer.Exit(1)
+
+
+@app.command()
+def bench(
+    quick: Annotated[bool, typer.Option("--quick", help="the subset for CI, under four minutes")] = False,
+    check: Annotated[bool, typer.Option("--check", help="fail when a figure is worse than the committed baseline")] = False,
+    peers: Annotated[bool, typer.Option("--peers", help="also peers that live in an environment of their own")] = False,
+    write_baseline: Annotated[bool, typer.Option("--write-baseline", help="make these figures the baseline")] = False,
+    out: Annotated[Path, typer.Option("--out", help="folder of the report")] = Path("bench/out"),
+) -> None:
+    """Measure everything the project claims: report.json, report.md, report.html."""
+    from sboc_e2e.bench import run_bench
+
+    found = run_bench(out, quick=quick, peers=peers, check=check, rewrite_baseline=write_baseline, report=typer.echo)
+    typer.echo(out / "report.html")
+    for regression in found:
+        typer.echo(f"regression: {regression}", err=True)
+    if found:
+        raise typer.Exit(1)

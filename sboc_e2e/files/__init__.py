@@ -1,0 +1,1 @@
+"""Files of a run: atomic writes, tables, frames, calibration, checkpoints. Bytes in and out, no processing."""

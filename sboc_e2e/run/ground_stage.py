@@ -1,0 +1,147 @@
+"""Packets -> products: the ground chain frame by frame, then linking and orbits, then the tables.
+
+Reads downlink.bin, calibration/ and the star catalogue; nothing else of a run.
+"""
+
+import dataclasses
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from astropy.table import Column, Table
+
+from ground.chain import GroundChain, GroundSteps
+from ground.options import GroundOptions
+from ground.products import tables
+from ground.products.oem import oem_text
+from ground.products.tdm import tdm_text
+from ground.records import FrameProducts, GroundProducts
+from sboc_e2e.catalogue import StarCatalogue
+from sboc_e2e.files import checkpoint, ecsv
+from sboc_e2e.files.atomic import write_json, write_text
+from sboc_e2e.icd.downlink import DownlinkFrame
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.icd.frame import Calibration, NominalCamera
+from sboc_e2e.icd.steps import Decoder
+from sboc_e2e.registry import Registry, own_names
+from sboc_e2e.run.directory import RunDirectory
+from sboc_e2e.run.measure import Meter, peak_rss_mb, reset_peak
+from sboc_e2e.run.progress import Progress
+from sboc_e2e.run.states import StateKeeper
+from sboc_e2e.scenario import Scenario
+
+STAGE = "ground"
+TDM_NAME: Final = "tracklets.tdm"
+OEM_NAME: Final = "observer.oem"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Outside:
+    """What is known of frames from outside: file and HDU, and the WCS of its header, by frame number."""
+
+    origin: Mapping[int, tuple[str, int]] = field(default_factory=dict)
+    wcs: Mapping[int, Any] = field(default_factory=dict)
+
+
+def ground_chain(
+    scenario: Scenario, *, calibration: Calibration | None, camera: NominalCamera, catalogue: StarCatalogue
+) -> GroundChain:
+    """The ground chain of a scenario; every shipped decoder stands beside the chosen one."""
+    steps = GroundSteps(
+        decoders=_decoders(scenario.step("ground.decoder")),
+        streak_fitter=scenario.step("ground.streak_fitter"),
+        vetter=scenario.step("ground.vetter"),
+        astrometry=scenario.step("ground.astrometry"),
+        photometry=scenario.step("ground.photometry"),
+        linker=scenario.step("ground.linker"),
+        orbit=scenario.step("ground.orbit"),
+    )
+    return GroundChain(scenario.ground, steps, calibration=calibration, camera=camera, catalogue=catalogue)
+
+
+def _decoders(chosen: Decoder) -> tuple[Decoder, ...]:
+    registry = Registry()
+    shipped = (registry.resolve("ground.decoder", name)() for name in own_names("ground.decoder"))
+    return (chosen, *(decoder for decoder in shipped if decoder.number != chosen.number))
+
+
+@dataclass(kw_only=True)
+class GroundStage:
+    """The ground stage of a run."""
+
+    run: RunDirectory
+    chain: GroundChain
+    options: GroundOptions
+    catalogue: StarCatalogue
+    outside: Outside = field(default_factory=Outside)
+    meter: Meter = field(default_factory=Meter)
+
+    def execute(self, progress: Progress) -> tuple[int, float]:
+        """Make all products; returns the number of frames and the peak memory in MB."""
+        reset_peak()
+        try:
+            downlink = self.run.downlink.read_bytes()
+        except FileNotFoundError as error:
+            raise UserError(f"{self.run.downlink}: not found; the onboard stage writes it") from error
+        with self.meter:
+            frames, ingest = self.chain.ingest(downlink)
+        del downlink
+        products = self._frame_products(frames, progress)
+        with self.meter:
+            result = self.chain.finish(frames, products, ingest)
+        self._write(frames, result)
+        return len(frames), peak_rss_mb()
+
+    def _frame_products(self, frames: tuple[DownlinkFrame, ...], progress: Progress) -> list[FrameProducts]:
+        """Products of each frame, from the work folder as far as an earlier attempt came."""
+        keeper = StateKeeper(run=self.run, stage=STAGE, shared={"catalogue": self.catalogue})
+        last = keeper.last()
+        first, state = (0, self.chain.initial_state()) if last is None else (last[0] + 1, last[1])
+        progress.stage(STAGE, len(frames), first)
+        products: list[FrameProducts] = []
+        for position, frame in enumerate(frames):
+            path = self.run.work_file(STAGE, position, "result")
+            wcs = self.outside.wcs.get(frame.header.frame)
+            if position < first:
+                products.append(dataclasses.replace(checkpoint.load(path), wcs=wcs))
+                continue
+            with self.meter:
+                state, made = self.chain.process_frame(state, frame, wcs=wcs)
+            products.append(made)
+            checkpoint.save(path, dataclasses.replace(made, wcs=None))
+            keeper.offer(position, state)
+            progress.advance()
+        return products
+
+    def _write(self, frames: tuple[DownlinkFrame, ...], result: GroundProducts) -> None:
+        """The tables and messages of products/; earlier ones go first, so that nothing stale stays."""
+        folder, options = self.run.products, self.options
+        if folder.is_dir():
+            shutil.rmtree(folder)
+        made = {
+            "frames": _with_origin(tables.frames_table(result), self.outside.origin),
+            "stars": tables.stars_table(result, frames),
+            "streaks": tables.streaks_table(result),
+            "tracklets": tables.tracklets_table(result),
+            "orbits": tables.orbits_table(result, options.streak_photometry.albedo),
+        }
+        for name, table in made.items():
+            ecsv.write_table(folder / f"{name}.ecsv", table)
+        oem = oem_text(result.headers, options.products)
+        if oem is not None:
+            write_text(folder / OEM_NAME, oem)
+        tdm = tdm_text(result.tracklets, result.streaks, result.headers, options.products, oem_name=OEM_NAME if oem else None)
+        write_text(folder / TDM_NAME, tdm)
+        write_json(folder / "ingest.json", result.ingest.as_dict() if result.ingest else {})
+
+
+def _with_origin(table: Table, origin: Mapping[int, tuple[str, int]]) -> Table:
+    """The frames table with the file and HDU that each frame came from, where frames came from files."""
+    if origin:
+        places = [origin.get(int(frame), ("-", -1)) for frame in table["frame"]]
+        names = np.array([name for name, _ in places], dtype=str) if places else np.zeros(0, dtype="U1")
+        table["file"] = Column(names, description="file that the frame came from")
+        table["hdu"] = Column(np.array([hdu for _, hdu in places], dtype=np.int64), description="header-data unit in that file")
+    return table

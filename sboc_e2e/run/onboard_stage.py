@@ -1,0 +1,63 @@
+"""Frames -> packets: the on-board chain frame by frame, its packets kept per frame and joined at the end."""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+
+from onboard.chain import OnboardChain, OnboardSteps
+from sboc_e2e.files.atomic import replacing, write_bytes
+from sboc_e2e.icd.frame import Calibration, Frame, NominalCamera
+from sboc_e2e.run.directory import RunDirectory
+from sboc_e2e.run.measure import Meter, peak_rss_mb, reset_peak
+from sboc_e2e.run.progress import Progress
+from sboc_e2e.run.states import StateKeeper
+from sboc_e2e.scenario import Scenario
+
+STAGE = "onboard"
+
+
+def onboard_chain(scenario: Scenario, *, calibration: Calibration | None, camera: NominalCamera, run_id: int) -> OnboardChain:
+    """The on-board chain of a scenario."""
+    steps = OnboardSteps(
+        background=scenario.step("onboard.background"),
+        star_extractor=scenario.step("onboard.star_extractor"),
+        detector=scenario.step("onboard.detector"),
+        codec=scenario.step("onboard.codec"),
+    )
+    return OnboardChain(scenario.onboard, steps, calibration=calibration, camera=camera, run_id=run_id)
+
+
+@dataclass(kw_only=True)
+class OnboardStage:
+    """The on-board stage of a run, ready to take frames from `first` on."""
+
+    run: RunDirectory
+    chain: OnboardChain
+    meter: Meter = field(default_factory=Meter)
+    peak_rss_mb: float = 0.0
+    n_timed: int = 0
+
+    def __post_init__(self) -> None:
+        self._keeper = StateKeeper(run=self.run, stage=STAGE)
+        last = self._keeper.last()
+        self.first, self._state = (0, self.chain.initial_state()) if last is None else (last[0] + 1, last[1])
+
+    def take(self, frames: Iterable[Frame], progress: Progress) -> int:
+        """Process frames in order; returns how many the run has in all."""
+        position = self.first
+        for frame in frames:
+            reset_peak()
+            with self.meter:
+                self._state, result = self.chain.process(self._state, frame)
+            self.peak_rss_mb = max(self.peak_rss_mb, peak_rss_mb())
+            self.n_timed += 1
+            write_bytes(self.run.work_file(STAGE, position, "bin"), result.packets)
+            self._keeper.offer(position, self._state)
+            position += 1
+            progress.advance()
+        return position
+
+    def join(self, n_frames: int) -> None:
+        """Write downlink.bin from the packets of all frames."""
+        with replacing(self.run.downlink) as stream:
+            for position in range(n_frames):
+                stream.write(self.run.work_file(STAGE, position, "bin").read_bytes())

@@ -1,0 +1,231 @@
+"""Stages in order over a run directory: simulate and on board together, frame by frame; then ground, score, report."""
+
+import os
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Final
+
+from sboc_e2e import score as scoring
+from sboc_e2e.catalogue import StarCatalogue
+from sboc_e2e.files import calibration_files, frame_fits
+from sboc_e2e.files.atomic import write_json
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.icd.frame import Frame
+from sboc_e2e.registry import Registry
+from sboc_e2e.report import write_report
+from sboc_e2e.run import disk, truth_files
+from sboc_e2e.run.directory import STAGES, RunDirectory
+from sboc_e2e.run.ground_stage import GroundStage, ground_chain
+from sboc_e2e.run.manifest import Manifest, first_difference
+from sboc_e2e.run.onboard_stage import OnboardStage, onboard_chain
+from sboc_e2e.run.progress import Progress, Silent
+from sboc_e2e.run.simulation import FrameMaker, FrameStream, SimulationCost
+from sboc_e2e.scenario import Scenario
+
+KEEP_KEY: Final = "output.keep_frames_every"
+
+
+@dataclass(frozen=True, kw_only=True)
+class RunRequest:
+    """What the user asked for."""
+
+    scenario: Scenario
+    out: Path
+    resume: bool = False
+    force: bool = False
+    workers: int = 0
+    """Simulation processes; 0 for as many as there are processors."""
+
+
+@dataclass(kw_only=True)
+class Run:
+    """A run directory with its manifest and resolved scenario; each method is one stage."""
+
+    directory: RunDirectory
+    manifest: Manifest
+    scenario: Scenario
+    workers: int
+    progress: Progress = field(default_factory=Silent)
+
+    @classmethod
+    def open(cls, path: Path, registry: Registry, *, workers: int = 0, progress: Progress | None = None) -> "Run":
+        """An existing run. Raises `UserError` when the directory holds none."""
+        directory = RunDirectory(path=path).require()
+        manifest = Manifest.read(directory.manifest)
+        scenario = manifest.resolve(registry)
+        return cls(
+            directory=directory,
+            manifest=manifest,
+            scenario=scenario,
+            workers=worker_count(workers),
+            progress=progress or Silent(),
+        )
+
+    # -- simulate ---------------------------------------------------------------------------------------------------
+
+    def simulate(self) -> None:
+        """All frames and their truth; frames stay on disk as the scenario says."""
+        maker = self._maker()
+        simulator = maker.simulator()
+        self._write_calibration(simulator.calibration)
+        todo = [index for index in range(self.manifest.n_frames) if not maker.complete(index)]
+        self.manifest.forget(STAGES)
+        self.manifest.begin("simulate")
+        self.progress.stage("simulate", self.manifest.n_frames, self.manifest.n_frames - len(todo))
+        stream = FrameStream(maker=maker, indices=todo, workers=self.workers, hand_over=False, simulator=simulator)
+        for _ in stream:
+            self.progress.advance()
+        self._finish_simulation(maker, simulator.objects(), simulator.population_summary(), stream.cost)
+
+    def onboard(self) -> None:
+        """Packets of the kept frames. Raises `UserError` when not all frames were kept."""
+        self._require("simulate")
+        missing = [i for i in range(self.manifest.n_frames) if not self.directory.frame_file(i).exists()]
+        if missing:
+            raise UserError(
+                f"{self.directory.frames}: {len(missing)} of {self.manifest.n_frames} frames were not kept; "
+                f"simulate again with --set {KEEP_KEY}=1, or use `sboc run`, which hands frames on without keeping them"
+            )
+        self.directory.clear_work("onboard")
+        stage = self._onboard_stage()
+        self._begin_onboard(stage)
+        frames = (frame_fits.read(self.directory.frame_file(i)) for i in range(self.manifest.n_frames))
+        self._finish_onboard(stage, stage.take(frames, self.progress))
+
+    def simulate_and_onboard(self) -> None:
+        """Both halves of the space segment, streamed: no more than a few frames exist at a time."""
+        maker = self._maker()
+        simulator = maker.simulator()
+        self._write_calibration(simulator.calibration)
+        stage = self._onboard_stage()
+        self.manifest.begin("simulate")
+        self._begin_onboard(stage)
+        indices = range(stage.first, self.manifest.n_frames)
+        stream = FrameStream(maker=maker, indices=indices, workers=self.workers, hand_over=True, simulator=simulator)
+
+        def frames() -> Iterator[Frame]:
+            for frame in stream:
+                if frame is not None:
+                    yield frame
+
+        n_onboard = stage.take(frames(), self.progress)
+        self._finish_simulation(maker, simulator.objects(), simulator.population_summary(), stream.cost)
+        self._finish_onboard(stage, n_onboard)
+
+    # -- ground -----------------------------------------------------------------------------------------------------
+
+    def ground(self) -> None:
+        """Products from downlink, calibration and catalogue."""
+        calibration = calibration_files.read(self.directory.calibration)
+        camera = calibration_files.read_camera(self.directory.calibration)
+        catalogue = StarCatalogue.embedded()
+        chain = ground_chain(self.scenario, calibration=calibration, camera=camera, catalogue=catalogue)
+        stage = GroundStage(run=self.directory, chain=chain, options=self.scenario.ground, catalogue=catalogue)
+        self.manifest.forget(("score", "report"))
+        self.manifest.begin("ground")
+        n_frames, peak_mb = stage.execute(self.progress)
+        self.manifest.finish("ground", **_cost(stage.meter.wall_s, stage.meter.cpu_s, peak_mb, n_frames))
+        self.directory.clear_work("ground")
+
+    def score(self, truth: Path | None = None) -> None:
+        """score.json against the run's truth, or against tables of the same form from elsewhere."""
+        self._require("ground")
+        self.progress.stage("score", 1)
+        self.manifest.begin("score")
+        write_json(self.directory.score, scoring.score_run(self.directory.path, truth))
+        self.manifest.finish("score")
+        self.progress.advance()
+
+    def report(self) -> None:
+        """report.html and report.md."""
+        self._require("score")
+        self.progress.stage("report", 1)
+        self.manifest.begin("report")
+        write_report(self.directory.path)
+        self.manifest.finish("report")
+        self.progress.advance()
+
+    # -- parts ------------------------------------------------------------------------------------------------------
+
+    def _require(self, stage: str) -> None:
+        if not self.manifest.done(stage):
+            raise UserError(f"{self.directory.path}: stage {stage} is not done; run: sboc {stage} {self.directory.path}")
+
+    def _maker(self) -> FrameMaker:
+        return FrameMaker(
+            run=self.directory,
+            options=self.scenario.simulator,
+            seed=self.scenario.seed,
+            keep_every=self.scenario.output.keep_frames_every,
+        )
+
+    def _write_calibration(self, make: Callable[[], object]) -> None:
+        """Calibration is made once; a folder with a camera is complete."""
+        if not (self.directory.calibration / calibration_files.CAMERA).exists():
+            calibration_files.write(self.directory.calibration, make())  # type: ignore[arg-type]
+
+    def _onboard_stage(self) -> OnboardStage:
+        calibration = calibration_files.read(self.directory.calibration)
+        camera = calibration_files.read_camera(self.directory.calibration)
+        chain = onboard_chain(self.scenario, calibration=calibration, camera=camera, run_id=self.manifest.run_id)
+        return OnboardStage(run=self.directory, chain=chain)
+
+    def _begin_onboard(self, stage: OnboardStage) -> None:
+        self.manifest.forget(("ground", "score", "report"))
+        self.directory.clear_work("ground")
+        self.manifest.begin("onboard")
+        self.progress.stage("simulate + onboard", self.manifest.n_frames, stage.first)
+
+    def _finish_onboard(self, stage: OnboardStage, n_frames: int) -> None:
+        stage.join(n_frames)
+        self.manifest.finish("onboard", **_cost(stage.meter.wall_s, stage.meter.cpu_s, stage.peak_rss_mb, stage.n_timed))
+        self.directory.clear_work("onboard")
+
+    def _finish_simulation(self, maker: FrameMaker, objects: object, population: object, cost: SimulationCost) -> None:
+        truth_files.write(self.directory, maker.truth, self.manifest.n_frames, objects, population)  # type: ignore[arg-type]
+        self.manifest.finish("simulate", **_cost(cost.wall_s, cost.cpu_s, cost.peak_rss_mb, cost.n_frames))
+        self.directory.clear_work("simulate")
+
+
+def run(request: RunRequest, progress: Progress | None = None) -> Run:
+    """All stages of a scenario, from where an earlier attempt stopped when `resume` is set."""
+    shown = progress or Silent()
+    directory = RunDirectory(path=request.out)
+    wanted = Manifest.of(directory.manifest, request.scenario)
+    disk.check(request.out, request.scenario, shown)
+    manifest = wanted
+    if directory.prepare(resume=request.resume, force=request.force):
+        manifest = Manifest.read(directory.manifest)
+        _same_run(manifest, wanted)
+    else:
+        manifest.save()
+    made = Run(
+        directory=directory, manifest=manifest, scenario=request.scenario, workers=worker_count(request.workers), progress=shown
+    )
+    if not manifest.done("onboard"):
+        made.simulate_and_onboard()
+    for stage, execute in (("ground", made.ground), ("score", made.score), ("report", made.report)):
+        if not manifest.done(stage):
+            execute()
+    return made
+
+
+def worker_count(wanted: int) -> int:
+    """Processes to use: as asked, or one for each processor this process may run on."""
+    if wanted < 0:
+        raise UserError(f"--workers: expected 0 (one for each processor) or more, got {wanted}")
+    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return wanted or available
+
+
+def _same_run(found: Manifest, wanted: Manifest) -> None:
+    """Refuse to resume a run of another scenario or of other versions."""
+    difference = first_difference(found.scenario, wanted.scenario) or first_difference(found.versions, wanted.versions)
+    if difference:
+        raise UserError(f"{found.path.parent}: belongs to another run ({difference}); --force replaces it, --out goes elsewhere")
+
+
+def _cost(wall_s: float, cpu_s: float, peak_mb: float, n_frames: int) -> dict[str, float]:
+    """Figures of a stage; after a resume they cover the frames of the last attempt, whose number stands beside."""
+    return {"wall_s": round(wall_s, 3), "cpu_s": round(cpu_s, 3), "peak_rss_mb": round(peak_mb, 1), "timed_frames": n_frames}

@@ -26,9 +26,14 @@ N_ITERATIONS: Final = 8
 
 @dataclass(frozen=True, kw_only=True)
 class ZeroPoint:
-    """Robust linear fit; priors keep colour and field terms at the calibration's values where stars are few."""
+    """Robust linear fit; priors keep colour and field terms at the calibration's values where stars are few.
+
+    A square of the colour is fitted too: a wide band bends with colour, and a straight line would move the zero point of
+    solar colours by 0.02 mag.
+    """
 
     prior_colour_term: float = field(default=0.05, metadata={"doc": "error of the nominal colour term", "min": 1e-6, "max": 10.0})
+    prior_colour_square: float = field(default=0.1, metadata={"doc": "size of the term in colour squared", "min": 1e-6, "max": 10.0})
     prior_field_mag: float = field(default=0.02, metadata={"doc": "error of the flat over the field", "min": 1e-6, "max": 10.0})
     catalogue_error_mag: float = field(
         default=0.02,
@@ -51,19 +56,19 @@ class ZeroPoint:
                 frame=header.frame,
                 zero_point_mag=nominal_mag,
                 zero_point_err_mag=float("nan"),
-                colour_term=camera.colour_term,
+                colour_term=-camera.colour_term,
                 n_stars=0,
                 rms_mag=float("nan"),
             )
         stars = stars[keep]
         row, col = frame.stars.row[stars], frame.stars.col[stars]
         rate = frame.stars.flux_e[stars].astype(np.float64) / (header.exposure_ns * 1e-9) / flat_at(calibration, row, col)
-        design = np.column_stack(
-            (np.ones(len(stars)), solution.star_b_v[keep].astype(np.float64) - SUN_B_V, field_terms(header, row, col))
-        )
+        colour = solution.star_b_v[keep].astype(np.float64) - SUN_B_V
+        design = np.column_stack((np.ones(len(stars)), colour, colour**2, field_terms(header, row, col)))
         sigma = np.hypot(POGSON / np.maximum(frame.stars.snr[stars].astype(np.float64), 1.0), self.catalogue_error_mag)
-        prior_mean = np.array([0.0, camera.colour_term, 0.0, 0.0, 0.0, 0.0, 0.0])
-        prior_sigma = np.array([np.inf, self.prior_colour_term] + [self.prior_field_mag] * 5)
+        # the contract's camera has the term in its flux, this solution in its magnitude: opposite signs
+        prior_mean = np.array([0.0, -camera.colour_term, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
+        prior_sigma = np.array([np.inf, self.prior_colour_term, self.prior_colour_square] + [self.prior_field_mag] * 5)
         fit, covariance, rms, n_used = robust_linear_fit(
             design, solution.star_v_mag[keep] + 2.5 * np.log10(rate), sigma, prior_mean, prior_sigma
         )
@@ -74,7 +79,7 @@ class ZeroPoint:
             colour_term=float(fit[1]),
             n_stars=n_used,
             rms_mag=rms,
-            field_mag=(float(fit[2]), float(fit[3]), float(fit[4]), float(fit[5]), float(fit[6])),
+            field_mag=(float(fit[3]), float(fit[4]), float(fit[5]), float(fit[6]), float(fit[7])),
         )
 
 

@@ -72,7 +72,7 @@ class Field:
         return np.array(out)
 
 
-def make_field(catalogue: StarCatalogue, seed: int, options: FieldOptions = FieldOptions()) -> Field:  # noqa: B008  (frozen)
+def make_field(catalogue: StarCatalogue, seed: int, options: FieldOptions = FieldOptions()) -> Field:
     """A frame's star list over real stars, displaced by the catalogue's quoted errors, and wrong telemetry."""
     rng = np.random.default_rng(seed)
     size, middle = options.size, 0.5 * (options.size - 1)

@@ -20,7 +20,7 @@ from simulator.radiation.environment import (
 )
 from simulator.radiation.hits import TRACK_DTYPE, HitList, no_hits
 from simulator.radiation.options import RadiationOptions
-from simulator.radiation.straggling import FANO, PAIR_EV, draw_loss_kev, landau_quantiles
+from simulator.radiation.straggling import FANO, PAIR_EV, draw_loss_kev, landau_table
 from simulator.radiation.tracks import deposit
 from simulator.randomness import Effect, generator
 
@@ -45,7 +45,7 @@ class ParticleField:
         self._shield = StoppingRange(SHIELDS[options.shield_material])
         self._spectrum = CosmicRaySpectrum(options.modulation_mv)
         self._stopped_mev = self._shield.stopped_below_mev_u(options.shield_mm)
-        self._landau = landau_quantiles()
+        self._landau = landau_table()
 
     def rates_cm2_s(self, position: tuple[float, float, float] | None) -> tuple[float, float, float]:
         """Crossings of one cm2 per second by cosmic rays and by trapped protons, and the cosmic rays' cutoff rigidity in GV.

@@ -1,7 +1,7 @@
 """Straggling: how the energy that one particle loses in the sensitive layer scatters about its most probable value."""
 
 from functools import cache
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,7 @@ from simulator.radiation.energy_loss import (
     binding_width_kev,
     landau_xi_kev,
     maximum_transfer_mev,
-    most_probable_loss_kev,
+    stopping_power_mev_cm2_g,
 )
 
 PAIR_EV: Final = 3.65
@@ -24,20 +24,35 @@ FANO: Final = 0.115
 """Variance over mean of the number of pairs (Owens et al. 2002, Nucl. Instr. Meth. A 491, 437)."""
 
 _LANDAU_MODE: Final = -0.22278298
-"""Mode of the standard Landau distribution: the most probable loss lies there."""
+"""Mode of the standard Landau distribution."""
+
+_EULER_REST: Final = 0.4227843351
+"""1 minus Euler's constant."""
+
+_GAMMA_ABOVE: Final = 0.1
+"""Ratio xi / T_max from which a loss has so many collisions that three moments describe it."""
+
 _NODES: Final = 8192
 
 
-@cache
-def landau_quantiles() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Probabilities and quantiles of the standard Landau distribution.
+class LandauTable(NamedTuple):
+    """Standard Landau distribution: probabilities, their quantiles, and the mean of all that lies below each quantile."""
 
-    Nodes are dense in both tails; beyond the last one, at 1 - 1e-5, losses exceed the largest transfer of any proton here.
-    """
+    probability: NDArray[np.float64]
+    quantile: NDArray[np.float64]
+    mean_below: NDArray[np.float64]
+
+
+@cache
+def landau_table() -> LandauTable:
+    """Nodes dense in both tails, up to the millionth part of the upper one."""
     middle = (np.arange(_NODES) + 0.5) / _NODES
-    tail = 10.0 ** np.linspace(-5.0, -3.0, 200)
+    tail = 10.0 ** np.linspace(-6.0, -3.0, 600)
     probability = np.unique(np.concatenate([tail, middle, 1.0 - tail]))
-    return probability, landau.ppf(probability)
+    quantile = landau.ppf(probability)
+    steps = 0.5 * (quantile[1:] + quantile[:-1]) * np.diff(probability)
+    integral = quantile[0] * probability[0] + np.concatenate([[0.0], np.cumsum(steps)])
+    return LandauTable(probability, quantile, integral / probability)
 
 
 def draw_loss_kev(
@@ -46,18 +61,51 @@ def draw_loss_kev(
     path_um: NDArray[np.float64],
     charge: NDArray[np.float64],
     material: Material,
-    quantiles: tuple[NDArray[np.float64], NDArray[np.float64]],
+    table: LandauTable,
 ) -> NDArray[np.float64]:
-    """Energy losses of particles along their paths: Landau's law plus the Gaussian width of bound electrons.
+    """Energy losses of particles along their paths; their mean is Bethe's.
 
-    The Gaussian is cut where the loss would fall below a tenth of the most probable one; losses end at the most probable one
-    plus the largest transfer to one electron.
+    By kappa = xi / T_max (Seltzer & Berger 1964, NAS-NRC 1133, 187):
+
+    * below 0.1 Landau's law, ``loss = mean + xi (lambda + 1 - C + beta^2 + ln kappa)`` (Landau 1944), its endless tail cut at the
+      lambda that makes the mean right (as GEANT 3 does), plus the Gaussian width of bound electrons, itself cut where the loss
+      would fall below a tenth of the most probable one;
+    * above it (slow protons on long paths, heavy nuclei) a gamma distribution with Vavilov's mean, variance
+      ``xi T_max (1 - beta^2 / 2)`` and skewness ``(1/2 - beta^2/3) / sqrt(kappa (1 - beta^2/2)^3)`` (Vavilov 1957).
     """
+    bg = beta_gamma(energy_mev_u)
+    beta2 = bg**2 / (1.0 + bg**2)
+    top = 1e3 * maximum_transfer_mev(bg)
     xi = landau_xi_kev(energy_mev_u, path_um, material, charge)
-    mode = most_probable_loss_kev(energy_mev_u, path_um, material, charge)
-    loss = mode + xi * (np.interp(rng.random(mode.size), *quantiles) - _LANDAU_MODE)
+    kappa = xi / top
+    mean = 0.1 * stopping_power_mev_cm2_g(energy_mev_u, material, charge) * material.density_g_cm3 * path_um
+    few = kappa < _GAMMA_ABOVE
+    loss = np.empty_like(mean)
     width = binding_width_kev(energy_mev_u, path_um, material, charge)
-    share = ndtr(np.clip((0.1 * mode - loss) / np.maximum(width, 1e-9), -8.0, 8.0))
-    uniform = share + rng.random(mode.size) * (1.0 - share)
-    loss = loss + width * ndtri(np.clip(uniform, 1e-12, 1.0 - 1e-12))
-    return np.asarray(np.clip(loss, 0.0, mode + 1e3 * maximum_transfer_mev(beta_gamma(energy_mev_u))))
+    loss[few] = _landau_loss_kev(rng, mean[few], xi[few], beta2[few], kappa[few], width[few], table)
+    many = ~few
+    variance = xi[many] * top[many] * (1.0 - 0.5 * beta2[many])
+    skewness = (0.5 - beta2[many] / 3.0) / np.sqrt(kappa[many] * (1.0 - 0.5 * beta2[many]) ** 3)
+    shape = 4.0 / skewness**2
+    scatter = (rng.standard_gamma(shape) - shape) / np.sqrt(shape)
+    loss[many] = np.maximum(mean[many] + np.sqrt(variance) * scatter, 0.0)
+    return loss
+
+
+def _landau_loss_kev(
+    rng: np.random.Generator,
+    mean: NDArray[np.float64],
+    xi: NDArray[np.float64],
+    beta2: NDArray[np.float64],
+    kappa: NDArray[np.float64],
+    width: NDArray[np.float64],
+    table: LandauTable,
+) -> NDArray[np.float64]:
+    """The first case of `draw_loss_kev`."""
+    offset = _EULER_REST + beta2 + np.log(kappa)
+    share = np.interp(-offset, table.mean_below, table.probability)
+    loss = mean + xi * (np.interp(rng.random(mean.size) * share, table.probability, table.quantile) + offset)
+    mode = mean + xi * (_LANDAU_MODE + offset)
+    cut = ndtr(np.clip((0.1 * mode - loss) / np.maximum(width, 1e-9), -8.0, 8.0))
+    uniform = cut + rng.random(mean.size) * (1.0 - cut)
+    return np.asarray(np.maximum(loss + width * ndtri(np.clip(uniform, 1e-12, 1.0 - 1e-12)), 0.0))

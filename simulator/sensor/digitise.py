@@ -32,7 +32,9 @@ def collect_row(
     """Electrons that light and dark current leave in the pixels of one row."""
     mean, doubt = work
     for c in range(mean_e.size):
-        mean[c] = mean_e[c] * response_of[response[c]] + dark_of[dark[c]]
+        light = mean_e[c] * response_of[response[c]]
+        # Not a number and negative light count as none; no pixel sees a gigaelectron.
+        mean[c] = min(light if light > 0.0 else 0.0, 1e9) + dark_of[dark[c]]
     if shot_noise:
         draw_poisson(mean, key, tables, first, normals, doubt, charge_e)
     else:

@@ -10,7 +10,7 @@ from scipy import stats
 from simulator.radiation import ParticleField, RadiationOptions
 from simulator.radiation.energy_loss import SILICON, most_probable_loss_kev, stopping_power_mev_cm2_g
 from simulator.radiation.environment import GeodeticPosition, trapped_omni_cm2_s
-from simulator.radiation.straggling import draw_loss_kev, landau_quantiles
+from simulator.radiation.straggling import draw_loss_kev, landau_table
 from simulator.radiation.tracks import deposit
 
 LARGE = {"rows": 4096, "cols": 4096, "pitch_um": 9.0, "seed": 3}
@@ -65,20 +65,33 @@ def test_straggling_is_landau_where_binding_does_not_matter():
     rng = np.random.default_rng(8)
     energy, path = np.full(n, 3000.0), np.full(n, 1000.0)
     unbound = replace(SILICON, shells_kev=())
-    loss = draw_loss_kev(rng, energy, path, np.ones(n), unbound, landau_quantiles())
+    loss = draw_loss_kev(rng, energy, path, np.ones(n), unbound, landau_table())
     mode = float(most_probable_loss_kev(3000.0, 1000.0, unbound))
     xi = 1e3 * 0.5 * 0.307075 * unbound.z_over_a * 2.329 * 0.1 / (1.0 - (1.0 + 3000.0 / 938.27209) ** -2)
-    below = mode + 60.0 * xi  # the largest transfer cuts the far tail
+    below = mode + 20.0 * xi  # the far tail is cut to keep the mean
     reference = stats.landau(loc=mode + 0.22278298 * xi, scale=xi)
     sample = loss[loss < below]
     p = stats.kstest(sample, lambda x: reference.cdf(x) / reference.cdf(below)).pvalue
     assert p > 1e-3
 
 
+@pytest.mark.parametrize(
+    ("energy_mev_u", "charge", "path_um"),
+    [(3000.0, 1, 300.0), (534.0, 1, 10.0), (60.0, 1, 40.0), (60.0, 1, 400.0), (800.0, 8, 20.0), (500.0, 26, 10.0)],
+)
+def test_the_mean_loss_is_bethes_whatever_the_regime(energy_mev_u, charge, path_um):
+    n = 400_000
+    unbound = replace(SILICON, shells_kev=())
+    full = np.ones(n)
+    loss = draw_loss_kev(np.random.default_rng(4), energy_mev_u * full, path_um * full, charge * full, unbound, landau_table())
+    bethe = 0.1 * float(stopping_power_mev_cm2_g(energy_mev_u, unbound, charge)) * 2.329 * path_um
+    assert loss.mean() == pytest.approx(bethe, rel=0.02)
+
+
 def test_thin_layers_are_wider_than_landau_and_never_negative():
     n = 40_000
     losses = [
-        draw_loss_kev(np.random.default_rng(2), np.full(n, 534.0), np.full(n, 10.0), np.ones(n), m, landau_quantiles())
+        draw_loss_kev(np.random.default_rng(2), np.full(n, 534.0), np.full(n, 10.0), np.ones(n), m, landau_table())
         for m in (SILICON, replace(SILICON, shells_kev=()))
     ]
     spread = [np.subtract(*np.percentile(x, [84, 16])) for x in losses]

@@ -57,9 +57,8 @@ def _link(source: Path, target: Path) -> None:
 class Workspace:
     """Runs under one output folder, shared as far as their content allows."""
 
-    def __init__(self, out: Path, request: Request, progress: Progress) -> None:
-        self.out, self.request, self.progress = out, request, progress
-        self.registry = Registry()
+    def __init__(self, out: Path, request: Request, registry: Registry, progress: Progress) -> None:
+        self.out, self.request, self.registry, self.progress = out, request, registry, progress
         # The simulator's part of a scenario is all that decides the frames.
         self._not_simulator = {"onboard", "ground", "output", "description", "name"}
 
@@ -105,7 +104,9 @@ class Workspace:
         return made
 
 
-def compare(request: Request, out: Path, progress: Progress | None = None) -> dict[str, Any]:
+def compare(
+    request: Request, out: Path, registry: Registry | None = None, progress: Progress | None = None
+) -> dict[str, Any]:
     """Compare and write compare.json, compare.md and compare.html into `out`; returns what compare.json holds.
 
     Raises UserError for an unknown seam or step, or fewer than two choices.
@@ -116,7 +117,7 @@ def compare(request: Request, out: Path, progress: Progress | None = None) -> di
         raise UserError("--use: give two or more different choices to compare")
     if request.seeds < 1:
         raise UserError(f"--seeds: expected 1 or more, got {request.seeds}")
-    workspace = Workspace(out, request, progress or Silent())
+    workspace = Workspace(out, request, registry or Registry(), progress or Silent())
     base_seed = workspace.scenario(None, None).seed
     runs: dict[str, list[tuple[Run, Evaluation]]] = {name: [] for name in request.choices}
     for k in range(request.seeds):

@@ -1,0 +1,52 @@
+"""What the benchmark calls a regression, and what not."""
+
+from pathlib import Path
+
+import pytest
+
+from sboc_e2e.bench.baseline import read_baseline, regressions, write_baseline
+from sboc_e2e.bench.entries import Entry, flatten
+from sboc_e2e.icd.errors import UserError
+
+
+def entry(name: str, value: float, half: float = 0.0) -> Entry:
+    return Entry(name=name, value=value, n=100, low=value - half, high=value + half)
+
+
+def test_worse_than_noise_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "baseline.json"
+    write_baseline(path, [entry("run.completeness_snr8", 0.95, 0.02), entry("run.false_per_frame", 0.1, 0.02)])
+    found = regressions(
+        [entry("run.completeness_snr8", 0.80, 0.02), entry("run.false_per_frame", 0.5, 0.02)], read_baseline(path)
+    )
+    assert [r.name for r in found] == ["run.completeness_snr8", "run.false_per_frame"]
+    assert "0.8" in str(found[0])
+
+
+def test_better_or_within_noise_is_not(tmp_path: Path) -> None:
+    path = tmp_path / "baseline.json"
+    write_baseline(path, [entry("run.completeness_snr8", 0.90, 0.05), entry("x.cpu_s", 1.0), entry("note.count", 3.0)])
+    now = [entry("run.completeness_snr8", 0.86, 0.05), entry("x.cpu_s", 1.4), entry("note.count", 99.0), entry("new.rms_px", 9.0)]
+    assert regressions(now, read_baseline(path)) == []
+
+
+def test_missing_or_broken_baseline_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="no baseline"):
+        read_baseline(tmp_path / "none.json")
+    (tmp_path / "broken.json").write_text("{")
+    with pytest.raises(UserError, match="not a baseline"):
+        read_baseline(tmp_path / "broken.json")
+
+
+def test_nested_results_become_named_entries() -> None:
+    tree = {
+        "a": {"value": 1.5, "n": 3, "low": 1.0, "high": 2.0},
+        "b": {"c": 2},
+        "d": "text",
+        "e": {"value": None, "n": 0, "reason": "no"},
+    }
+    entries = {e.name: e for e in flatten("x", tree)}
+    assert entries["x.a"].sigma == pytest.approx(0.5 / 1.645)
+    assert entries["x.b.c"].value == 2.0
+    assert entries["x.e"].reason == "no"
+    assert set(entries) == {"x.a", "x.b.c", "x.e"}

@@ -1,0 +1,84 @@
+"""Campaign files: points, seeds that depend on nothing but the task, and errors of one line."""
+
+from pathlib import Path
+
+import pytest
+
+from sboc_e2e.campaign import read_campaign
+from sboc_e2e.campaign.worker import overrides
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.scenario.toml_files import FOLDER
+
+GRID = """
+scenario = "smoke"
+replicas = 2
+[set]
+frames = 3
+[vary]
+"instrument.aperture" = ["15 cm", "20 cm"]
+"onboard.detector.n_sigma" = [6.0, 7.0, 8.0]
+"""
+
+
+def written(folder: Path, text: str) -> Path:
+    path = folder / "campaign.toml"
+    path.write_text(text)
+    return path
+
+
+def test_grid_has_every_point_and_replica(tmp_path: Path) -> None:
+    tasks = read_campaign(written(tmp_path, GRID)).tasks()
+    assert len(tasks) == 12
+    assert len({(t.point, t.replica) for t in tasks}) == 12
+    assert [t.number for t in tasks] == list(range(12))
+
+
+def test_seeds_belong_to_the_task_not_to_its_place(tmp_path: Path) -> None:
+    one = {(dict(t.point)["instrument.aperture"], t.replica): t.seed
+           for t in read_campaign(written(tmp_path, GRID)).tasks() if dict(t.point)["onboard.detector.n_sigma"] == 7.0}  # fmt: skip
+    swapped = GRID.replace('["15 cm", "20 cm"]', '["20 cm", "30 cm", "15 cm"]').replace("[6.0, 7.0, 8.0]", "[7.0]")
+    other = {(dict(t.point)["instrument.aperture"], t.replica): t.seed
+             for t in read_campaign(written(tmp_path, swapped)).tasks()}  # fmt: skip
+    assert all(other[key] == seed for key, seed in one.items())
+    assert len(set(other.values())) == len(other)
+
+
+def test_overrides_are_those_of_the_command_line(tmp_path: Path) -> None:
+    campaign = read_campaign(written(tmp_path, GRID))
+    texts = overrides(campaign, campaign.tasks()[0])
+    assert texts == ["frames=3", "instrument.aperture=15 cm", "onboard.detector.n_sigma=6.0"]
+
+
+def test_random_draws_stay_inside_and_repeat(tmp_path: Path) -> None:
+    text = 'scenario = "smoke"\ndraws = 50\n[vary]\nframe_rate = {low = "1 Hz", high = "8 Hz", scale = "log"}\n'
+    tasks = read_campaign(written(tmp_path, text)).tasks()
+    rates = [float(dict(t.point)["frame_rate"].split()[0]) for t in tasks]
+    assert len(rates) == 50
+    assert min(rates) >= 1.0
+    assert max(rates) <= 8.0
+    assert tasks == read_campaign(written(tmp_path, text)).tasks()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"),
+    [
+        ("scenario = 'smoke'\nreplica = 2\n", 'did you mean "replicas"'),
+        ("replicas = 2\n", "scenario: expected a name"),
+        ("scenario = 'smoke'\nreplicas = -1\n", "replicas: expected a whole number"),
+        ("scenario = 'smoke'\n[vary]\nx = {low = '1 Hz'}\n", "vary.x: expected a list"),
+        ("scenario = 'smoke'\ndraws = 2\n[vary]\nx = {low = '1 Hz', high = '2 m'}\n", "same dimension"),
+        ("scenario = 'smoke'\n[vary]\nx = {low = 1, high = 2}\n", "draws must be 1 or more"),
+        ("scenario = \n", "not a TOML file"),
+    ],
+)
+def test_errors_name_the_key_in_one_line(tmp_path: Path, text: str, words: str) -> None:
+    with pytest.raises(UserError, match=words) as caught:
+        read_campaign(written(tmp_path, text)).tasks()
+    assert "\n" not in str(caught.value)
+
+
+def test_shipped_campaigns_are_readable() -> None:
+    paths = sorted((FOLDER / "campaigns").glob("*.toml"))
+    assert len(paths) >= 3
+    for path in paths:
+        assert read_campaign(path).tasks()

@@ -14,6 +14,7 @@
 Any frame can be made alone, by any process, with the same bytes.
 """
 
+from collections.abc import Iterable, Iterator
 from typing import Any
 
 import erfa
@@ -39,13 +40,13 @@ from simulator.platform.shutter import FrameTiming, frame_timing
 from simulator.platform.telemetry import attitude_estimate, observer_state
 from simulator.radiation.field import ParticleField
 from simulator.scene import sources
-from simulator.scene.crossing import RowShutter
+from simulator.scene.crossing import RowShutter, exposed_intervals
 from simulator.scene.encounters import Window, draw_encounters
 from simulator.scene.objects import PixelPathObject, SkyObject
 from simulator.scene.sky import SKY_GRID, fill_diffuse, surface_brightness_flux, unresolved_s10, zodiacal_s10
 from simulator.scene.star_image import place_stars
 from simulator.scene.stars import StarField, StarSky, angles_deg
-from simulator.scene.trail_image import FocalPlane, add_trail, pixel_path_of, sky_path_of
+from simulator.scene.trail_image import FocalPlane, Path, add_trail, pixel_path_of, sky_path_of
 from simulator.sensor import Sensor
 
 Array = NDArray[np.float64]
@@ -71,7 +72,6 @@ class Simulator:
         self._set_up_platform()
         self._sky = StarSky(options.stars, options.instrument, catalogue, seed=seed, epoch_jyear=earth.jyear(self._epoch))
         self._objects = self._make_objects()
-        self._first_range: dict[int, float] | None = None
 
     # ---------------------------------------------------------------- set-up
 
@@ -118,9 +118,7 @@ class Simulator:
         middle_s = 0.5 * duration_s
         self._drawn = draw_encounters(self.options.population, self._encounter_window(middle_s, duration_s), self.seed)
         population = self.options.population
-        found.extend(
-            sources.population_objects(self._drawn, population.albedo, middle_s, population.tumbling_share, self.seed)
-        )
+        found.extend(sources.population_objects(self._drawn, population.albedo, middle_s, population.tumbling_share, self.seed))
         return found
 
     def _passing(self, options: sources.PassingOptions, time_s: float) -> SkyObject:
@@ -256,14 +254,7 @@ class Simulator:
             raise UserError(f"frame {index}: allowed are 0 to {self.n_frames - 1}")
         delivered_timing, timing = self._timing(index)
         exposure_s = self.options.shutter.exposure_s
-        shutter = RowShutter(
-            open_s=(timing.t_start_tai_ns - self._epoch) * 1e-9,
-            line_s=timing.line_time_ns * 1e-9,
-            exposure_s=exposure_s,
-            rows=self._shape[0],
-            cols=self._shape[1],
-        )
-        sight = line_of_sight(timing, self._epoch, self._observer, self._attitude, self._jitter)
+        shutter, sight = self._shutter(timing), self._sight(timing)
         image_e, sky_e = self._diffuse(sight, exposure_s)
         stars = self._add_stars(image_e, sight, shutter, index)
         entropy = self._sensor.entropy_bits(image_e[::16], exposure_s)
@@ -291,6 +282,32 @@ class Simulator:
         )
         detector = frame_timing(options.shutter, options.clock, rows=self._shape[0], row_step=1, **common)
         return delivered, detector
+
+    def _shutter(self, timing: FrameTiming) -> RowShutter:
+        """When the rows of the window are open."""
+        return RowShutter(
+            open_s=(timing.t_start_tai_ns - self._epoch) * 1e-9,
+            line_s=timing.line_time_ns * 1e-9,
+            exposure_s=self.options.shutter.exposure_s,
+            rows=self._shape[0],
+            cols=self._shape[1],
+        )
+
+    def _sight(self, timing: FrameTiming) -> LineOfSight:
+        """How the camera moves during a frame."""
+        return line_of_sight(timing, self._epoch, self._observer, self._attitude, self._jitter)
+
+    def _paths(self, sight: LineOfSight, index: int, wanted: Iterable[int]) -> Iterator[tuple[int, Path]]:
+        """Paths of the wanted objects through a frame."""
+        sun_km = earth.sun_position_km(self._epoch + round(sight.reference_s * 1e9))
+        first_open_s = index / self.options.frame_rate_hz
+        for object_id in wanted:
+            thing = self._objects[object_id]
+            if isinstance(thing, PixelPathObject):
+                zero_s = first_open_s if thing.restart else 0.0
+                yield object_id, pixel_path_of(thing, sight, self._projection, self._binning.rows, self._binning.cols, zero_s)
+            else:
+                yield object_id, sky_path_of(thing, sight, self._projection, sun_km)
 
     def _diffuse(self, sight: LineOfSight, exposure_s: float) -> tuple[NDArray[np.float32], float]:
         """An image of sky and stray light, and the mean sky per detector pixel."""
@@ -337,24 +354,22 @@ class Simulator:
         self._to_delivered(out, "row", "col")
         return out
 
-    def _add_objects(
-        self, image_e: NDArray[np.float32], sight: LineOfSight, shutter: RowShutter, index: int
-    ) -> NDArray[np.void]:
+    def _add_objects(self, image_e: NDArray[np.float32], sight: LineOfSight, shutter: RowShutter, index: int) -> NDArray[np.void]:
         """Add all movers; their truth."""
-        sun_km = earth.sun_position_km(self._epoch + round(sight.reference_s * 1e9))
         plane = self._plane()
-        first_open_s = index / self.options.frame_rate_hz
         rows = [truth.empty("streaks")]
-        for object_id, thing in enumerate(self._objects):
-            if isinstance(thing, PixelPathObject):
-                zero_s = first_open_s if thing.restart else 0.0
-                path = pixel_path_of(thing, sight, self._projection, self._binning.rows, self._binning.cols, zero_s)
-            else:
-                path = sky_path_of(thing, sight, self._projection, sun_km)
+        for object_id, path in self._paths(sight, index, range(len(self._objects))):
             rows.append(
                 add_trail(
-                    image_e, self._scratch_e, path, sight, shutter, plane,
-                    frame=index, object_id=object_id, epoch_tai_ns=self._epoch,
+                    image_e,
+                    self._scratch_e,
+                    path,
+                    sight,
+                    shutter,
+                    plane,
+                    frame=index,
+                    object_id=object_id,
+                    epoch_tai_ns=self._epoch,
                 )  # fmt: skip - what is drawn on what, then which
             )
         return np.concatenate(rows)
@@ -436,7 +451,7 @@ class Simulator:
     # -------------------------------------------------------------- the run
 
     def objects(self) -> NDArray[np.void]:
-        """Truth of all objects; ranges from their first exposure that meets the field."""
+        """Truth of all objects, with the range at which each is first seen."""
         out = truth.empty("objects", len(self._objects))
         for k, thing in enumerate(self._objects):
             who = thing.identity
@@ -444,6 +459,17 @@ class Simulator:
             for name in ("name", "kind", "size_m", "albedo", "a_km", "e", "i_deg", "weight"):
                 out[k][name] = getattr(who, name)
             out[k]["range_km"] = np.nan
+        waiting = set(range(len(self._objects)))
+        for index in range(self.n_frames):
+            if not waiting:
+                break
+            _, timing = self._timing(index)
+            sight = self._sight(timing)
+            for k, path in self._paths(sight, index, sorted(waiting)):
+                lit = exposed_intervals(path.place, self._shutter(timing), 0.5, float(sight.node_s[0]), float(sight.node_s[-1]))
+                if lit:
+                    out[k]["range_km"] = path.range_km(np.array([0.5 * (lit[0].start_s + lit[0].end_s)]))[0]
+                    waiting.discard(k)
         return out
 
     def population_summary(self) -> dict[str, Any]:
@@ -460,7 +486,7 @@ class Simulator:
                     "drawn": shown,
                     "natural_in_run": natural,
                     "boost": shown / natural if natural > 0.0 else None,
-                    "expected_per_day": natural / duration_s * earth.DAY_S,
+                    "entering_per_day": float(drawn.per_day_by_class[k]),
                 }
             )
         total, shown = float(drawn.natural_by_class.sum()), int(drawn.drawn_by_class.sum())

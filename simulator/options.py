@@ -25,7 +25,9 @@ class SimulatorOptions:
     epoch_utc: str = field(default="2027-01-29T00:00:00", metadata={"doc": "opening of the first row of frame 0, UTC"})
     frames: int = field(default=24, metadata={"doc": "number of frames", "min": 1, "max": 1000000})
     frame_rate_hz: float = field(default=4.0, metadata={"doc": "frames per second", "min": 1e-4, "max": 1000.0})
-    instrument: InstrumentOptions = field(default_factory=InstrumentOptions, metadata={"doc": "aperture, focal plane, throughput"})
+    instrument: InstrumentOptions = field(
+        default_factory=InstrumentOptions, metadata={"doc": "aperture, focal plane, throughput"}
+    )
     psf: PsfOptions = field(default_factory=PsfOptions, metadata={"doc": "point-spread function"})
     vignetting: VignettingOptions = field(default_factory=VignettingOptions, metadata={"doc": "illumination of the field"})
     sensor: SensorOptions = field(default_factory=SensorOptions, metadata={"doc": "detector"})
@@ -34,7 +36,9 @@ class SimulatorOptions:
     platform: PlatformOptions = field(default_factory=PlatformOptions, metadata={"doc": "orbit or site"})
     pointing: PointingOptions = field(default_factory=PointingOptions, metadata={"doc": "pointing law"})
     jitter: JitterOptions = field(default_factory=JitterOptions, metadata={"doc": "micro-vibration, drift and bias"})
-    telemetry: TelemetryOptions = field(default_factory=TelemetryOptions, metadata={"doc": "errors of telemetered attitude and orbit"})
+    telemetry: TelemetryOptions = field(
+        default_factory=TelemetryOptions, metadata={"doc": "errors of telemetered attitude and orbit"}
+    )
     stars: StarOptions = field(default_factory=StarOptions, metadata={"doc": "stars"})
     sky: SkyOptions = field(default_factory=SkyOptions, metadata={"doc": "diffuse background"})
     population: PopulationOptions = field(default_factory=PopulationOptions, metadata={"doc": "sampled debris"})

@@ -26,9 +26,15 @@ class DistortionOptions:
 class AsBuiltOptions:
     """How the built camera departs from the nominal one that on-board and ground software know."""
 
-    focal_length_ppm: float = field(default=150.0, metadata={"doc": "relative error of the focal length", "min": -2e4, "max": 2e4})
-    center_row_px: float = field(default=1.8, metadata={"doc": "shift of the optical axis along rows", "min": -200.0, "max": 200.0})
-    center_col_px: float = field(default=-1.3, metadata={"doc": "shift of the optical axis along cols", "min": -200.0, "max": 200.0})
+    focal_length_ppm: float = field(
+        default=150.0, metadata={"doc": "relative error of the focal length", "min": -2e4, "max": 2e4}
+    )
+    center_row_px: float = field(
+        default=1.8, metadata={"doc": "shift of the optical axis along rows", "min": -200.0, "max": 200.0}
+    )
+    center_col_px: float = field(
+        default=-1.3, metadata={"doc": "shift of the optical axis along cols", "min": -200.0, "max": 200.0}
+    )
     distortion: float = field(default=0.02, metadata={"doc": "relative error of k1 and k2", "min": -1.0, "max": 1.0})
     zero_point_mag: float = field(default=0.04, metadata={"doc": "the built camera is brighter by this", "min": -2.0, "max": 2.0})
     psf_width: float = field(default=0.02, metadata={"doc": "relative error of the PSF width", "min": -0.5, "max": 0.5})
@@ -45,20 +51,26 @@ class InstrumentOptions:
     pixel_um: float = field(default=9.0, metadata={"doc": "pitch of detector pixels", "min": 0.5, "max": 500.0})
     rows: int = field(default=4096, metadata={"doc": "detector rows", "min": 16, "max": 16384})
     cols: int = field(default=4096, metadata={"doc": "detector columns", "min": 16, "max": 16384})
-    efficiency: float = field(default=0.5, metadata={"doc": "optics times mean QE, electrons for each photon of the band", "min": 1e-4, "max": 1.0})
+    efficiency: float = field(
+        default=0.5, metadata={"doc": "optics times mean QE, electrons for each photon of the band", "min": 1e-4, "max": 1.0}
+    )
     photons_v0_m2_s: float = field(
         default=3.0e10, metadata={"doc": "photons of the band from V = 0, solar colour, per m2 and s", "min": 1e6, "max": 1e12}
     )
     band_short_nm: float = field(default=420.0, metadata={"doc": "short edge of the band", "min": 200.0, "max": 3000.0})
     band_long_nm: float = field(default=850.0, metadata={"doc": "long edge of the band", "min": 250.0, "max": 5000.0})
     stray_light_e_px_s: float = field(default=0.0, metadata={"doc": "stray light at the centre", "min": 0.0, "max": 1e5})
-    stray_gradient: float = field(default=0.0, metadata={"doc": "relative change of stray light across the columns", "min": -2.0, "max": 2.0})
+    stray_gradient: float = field(
+        default=0.0, metadata={"doc": "relative change of stray light across the columns", "min": -2.0, "max": 2.0}
+    )
     distortion: DistortionOptions = field(default_factory=DistortionOptions)
     as_built: AsBuiltOptions = field(default_factory=AsBuiltOptions)
 
     def __post_init__(self) -> None:
         if self.band_long_nm <= self.band_short_nm:
-            raise UserError(f"instrument.band_long: {self.band_long_nm} nm must be longer than band_short, {self.band_short_nm} nm")
+            raise UserError(
+                f"instrument.band_long: {self.band_long_nm} nm must be longer than band_short, {self.band_short_nm} nm"
+            )
 
     @property
     def focal_px(self) -> float:

@@ -31,7 +31,9 @@ class VibrationLine:
 class JitterOptions:
     """Spectrum of the attitude error: white below a corner frequency, then a power law, and lines."""
 
-    cross_rms_arcsec: float = field(default=0.3, metadata={"doc": "rms of each axis across the boresight", "min": 0.0, "max": 3600.0})
+    cross_rms_arcsec: float = field(
+        default=0.3, metadata={"doc": "rms of each axis across the boresight", "min": 0.0, "max": 3600.0}
+    )
     roll_rms_arcsec: float = field(default=1.5, metadata={"doc": "rms about the boresight", "min": 0.0, "max": 36000.0})
     lowest_hz: float = field(default=0.02, metadata={"doc": "lowest frequency of the spectrum", "min": 1e-5, "max": 100.0})
     corner_hz: float = field(default=0.3, metadata={"doc": "the spectrum falls above this", "min": 1e-5, "max": 1000.0})
@@ -40,12 +42,20 @@ class JitterOptions:
     lines: tuple[VibrationLine, ...] = field(
         default=(VibrationLine(frequency_hz=33.0, rms_arcsec=0.03),), metadata={"doc": "wheel and cooler lines"}
     )
-    drift_x_arcsec_s: float = field(default=0.2, metadata={"doc": "constant rate about the camera's X", "min": -36000.0, "max": 36000.0})
-    drift_y_arcsec_s: float = field(default=-0.1, metadata={"doc": "constant rate about the camera's Y", "min": -36000.0, "max": 36000.0})
-    drift_roll_arcsec_s: float = field(default=0.0, metadata={"doc": "constant rate about the boresight", "min": -36000.0, "max": 36000.0})
+    drift_x_arcsec_s: float = field(
+        default=0.2, metadata={"doc": "constant rate about the camera's X", "min": -36000.0, "max": 36000.0}
+    )
+    drift_y_arcsec_s: float = field(
+        default=-0.1, metadata={"doc": "constant rate about the camera's Y", "min": -36000.0, "max": 36000.0}
+    )
+    drift_roll_arcsec_s: float = field(
+        default=0.0, metadata={"doc": "constant rate about the boresight", "min": -36000.0, "max": 36000.0}
+    )
     bias_x_arcsec: float = field(default=8.0, metadata={"doc": "constant offset about X", "min": -36000.0, "max": 36000.0})
     bias_y_arcsec: float = field(default=-5.0, metadata={"doc": "constant offset about Y", "min": -36000.0, "max": 36000.0})
-    bias_roll_arcsec: float = field(default=20.0, metadata={"doc": "constant offset about the boresight", "min": -36000.0, "max": 36000.0})
+    bias_roll_arcsec: float = field(
+        default=20.0, metadata={"doc": "constant offset about the boresight", "min": -36000.0, "max": 36000.0}
+    )
 
     def __post_init__(self) -> None:
         if not self.lowest_hz < self.highest_hz:

@@ -105,8 +105,4 @@ def velocity_through(position_km: Array, a_km: Array, e: Array, i_rad: Array, as
     with np.errstate(invalid="ignore"):
         vertical = np.sqrt(speed2 - horizontal * horizontal) * np.where(outbound, 1.0, -1.0)
         cos_azimuth = np.sqrt(1.0 - sin_azimuth * sin_azimuth) * np.where(ascending, 1.0, -1.0)
-    return (
-        vertical[..., None] * up
-        + (horizontal * sin_azimuth)[..., None] * east
-        + (horizontal * cos_azimuth)[..., None] * north
-    )
+    return vertical[..., None] * up + (horizontal * sin_azimuth)[..., None] * east + (horizontal * cos_azimuth)[..., None] * north

@@ -79,9 +79,7 @@ def _integral(step: Array, values: Array) -> Array:
     return np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * step * (values[1:] + values[:-1]), axis=0)])
 
 
-def line_of_sight(
-    timing: FrameTiming, epoch_tai_ns: int, observer: Observer, commanded: Attitude, jitter: Jitter
-) -> LineOfSight:
+def line_of_sight(timing: FrameTiming, epoch_tai_ns: int, observer: Observer, commanded: Attitude, jitter: Jitter) -> LineOfSight:
     """The camera's motion during the frame of a timing."""
     margin_ns = 1000
     first, last = timing.first_open_tai_ns - margin_ns, timing.last_close_tai_ns + margin_ns
@@ -105,5 +103,3 @@ def line_of_sight(
         fine_s=fine_s,
         turn_rad=rotation_vector_of(history @ true_middle.T),
     )
-
-

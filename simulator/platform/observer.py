@@ -28,9 +28,15 @@ class SiteOptions:
 class PlatformOptions:
     """What carries the camera. The defaults are a 700 km Sun-synchronous orbit with LTAN 18:00."""
 
-    kind: str = field(default="sun_synchronous", metadata={"doc": "the carrier", "choices": ("sun_synchronous", "kepler", "site")})
-    altitude_km: float = field(default=700.0, metadata={"doc": "height of the Sun-synchronous orbit", "min": 150.0, "max": 5900.0})
-    ltan_h: float = field(default=18.0, metadata={"doc": "local time of the ascending node at the epoch", "min": 0.0, "max": 24.0})
+    kind: str = field(
+        default="sun_synchronous", metadata={"doc": "the carrier", "choices": ("sun_synchronous", "kepler", "site")}
+    )
+    altitude_km: float = field(
+        default=700.0, metadata={"doc": "height of the Sun-synchronous orbit", "min": 150.0, "max": 5900.0}
+    )
+    ltan_h: float = field(
+        default=18.0, metadata={"doc": "local time of the ascending node at the epoch", "min": 0.0, "max": 24.0}
+    )
     latitude_argument_deg: float = field(
         default=40.0, metadata={"doc": "argument of latitude at the epoch (Sun-synchronous)", "min": -360.0, "max": 720.0}
     )
@@ -38,14 +44,20 @@ class PlatformOptions:
     eccentricity: float = field(default=0.001, metadata={"doc": "of the Kepler orbit", "min": 0.0, "max": 0.98})
     inclination_deg: float = field(default=98.0, metadata={"doc": "of the Kepler orbit", "min": 0.0, "max": 180.0})
     node_deg: float = field(default=0.0, metadata={"doc": "right ascension of its ascending node", "min": -360.0, "max": 360.0})
-    perigee_deg: float = field(default=0.0, metadata={"doc": "argument of perigee of the Kepler orbit", "min": -360.0, "max": 360.0})
-    mean_anomaly_deg: float = field(default=0.0, metadata={"doc": "of the Kepler orbit at the epoch", "min": -360.0, "max": 360.0})
+    perigee_deg: float = field(
+        default=0.0, metadata={"doc": "argument of perigee of the Kepler orbit", "min": -360.0, "max": 360.0}
+    )
+    mean_anomaly_deg: float = field(
+        default=0.0, metadata={"doc": "of the Kepler orbit at the epoch", "min": -360.0, "max": 360.0}
+    )
     site: SiteOptions = field(default_factory=SiteOptions)
 
     def __post_init__(self) -> None:
         if self.kind == "kepler" and self.semi_major_axis_km * (1.0 - self.eccentricity) < earth.EARTH_RADIUS_KM + 100.0:
             perigee_km = self.semi_major_axis_km * (1.0 - self.eccentricity) - earth.EARTH_RADIUS_KM
-            raise UserError(f"platform: perigee height {perigee_km:.0f} km lies inside the Earth's atmosphere; allowed is >= 100 km")
+            raise UserError(
+                f"platform: perigee height {perigee_km:.0f} km lies inside the Earth's atmosphere; allowed is >= 100 km"
+            )
 
 
 class Observer(Protocol):
@@ -122,7 +134,9 @@ def sun_synchronous_inclination_rad(a_km: float) -> float:
     motion = np.sqrt(earth.MU_KM3_S2 / a_km**3)
     cosine = -(2 * np.pi / TROPICAL_YEAR_S) / (1.5 * earth.J2 * (earth.EARTH_RADIUS_KM / a_km) ** 2 * motion)
     if abs(cosine) > 1.0:
-        raise UserError(f"platform.altitude: no Sun-synchronous orbit at {a_km - earth.EARTH_RADIUS_KM:.0f} km; allowed is up to 5900 km")
+        raise UserError(
+            f"platform.altitude: no Sun-synchronous orbit at {a_km - earth.EARTH_RADIUS_KM:.0f} km; allowed is up to 5900 km"
+        )
     return float(np.arccos(cosine))
 
 

@@ -23,9 +23,12 @@ class PointingOptions:
     law: str = field(default="anti_sun", metadata={"doc": "pointing law", "choices": LAWS})
     ra_deg: float = field(default=0.0, metadata={"doc": "right ascension (inertial, sidereal)", "min": -360.0, "max": 360.0})
     dec_deg: float = field(default=0.0, metadata={"doc": "declination (inertial, sidereal)", "min": -90.0, "max": 90.0})
-    roll_deg: float = field(default=0.0, metadata={"doc": "turn about the boresight; at 0 north is up", "min": -360.0, "max": 360.0})
+    roll_deg: float = field(
+        default=0.0, metadata={"doc": "turn about the boresight; at 0 north is up", "min": -360.0, "max": 360.0}
+    )
     tilt_deg: float = field(
-        default=180.0, metadata={"doc": "nadir law: angle of the boresight from nadir; 180 deg looks to the zenith", "min": 0.0, "max": 180.0}
+        default=180.0,
+        metadata={"doc": "nadir law: angle of the boresight from nadir; 180 deg looks to the zenith", "min": 0.0, "max": 180.0},
     )
     roll_rate_deg_s: float = field(default=0.0, metadata={"doc": "steady roll about the boresight", "min": -360.0, "max": 360.0})
     target: str = field(default="", metadata={"doc": "name of the object that the law `object` follows"})

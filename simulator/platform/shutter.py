@@ -12,7 +12,9 @@ class ShutterOptions:
     """Exposure of each row; a line time of zero is a global shutter."""
 
     exposure_s: float = field(default=0.2, metadata={"doc": "exposure of each row", "min": 1e-5, "max": 3600.0})
-    line_time_us: float = field(default=10.0, metadata={"doc": "delay from one detector row to the next; 0 is global", "min": 0.0, "max": 1e5})
+    line_time_us: float = field(
+        default=10.0, metadata={"doc": "delay from one detector row to the next; 0 is global", "min": 0.0, "max": 1e5}
+    )
     direction: str = field(
         default="down", metadata={"doc": "order in which rows start", "choices": ("down", "up", "alternating")}
     )
@@ -57,7 +59,15 @@ class FrameTiming:
 
 
 def frame_timing(
-    shutter: ShutterOptions, clock: ClockOptions, *, seed: int, epoch_tai_ns: int, frame: int, frame_rate_hz: float, rows: int, row_step: int
+    shutter: ShutterOptions,
+    clock: ClockOptions,
+    *,
+    seed: int,
+    epoch_tai_ns: int,
+    frame: int,
+    frame_rate_hz: float,
+    rows: int,
+    row_step: int,
 ) -> FrameTiming:
     """Times of one frame whose first row opens at ``epoch + frame / rate``.
 

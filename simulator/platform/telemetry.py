@@ -18,21 +18,29 @@ class TelemetryOptions:
     """Errors of the telemetered attitude and orbit; the stated sigmas are true ones."""
 
     attitude: bool = field(default=True, metadata={"doc": "the header carries an attitude"})
-    attitude_cross_arcsec: float = field(default=3.0, metadata={"doc": "noise of each frame across the boresight", "min": 0.0, "max": 36000.0})
-    attitude_roll_arcsec: float = field(default=15.0, metadata={"doc": "noise of each frame about the boresight", "min": 0.0, "max": 36000.0})
+    attitude_cross_arcsec: float = field(
+        default=3.0, metadata={"doc": "noise of each frame across the boresight", "min": 0.0, "max": 36000.0}
+    )
+    attitude_roll_arcsec: float = field(
+        default=15.0, metadata={"doc": "noise of each frame about the boresight", "min": 0.0, "max": 36000.0}
+    )
     misalignment_arcsec: float = field(
-        default=10.0, metadata={"doc": "constant misalignment of camera and star tracker, rms of each axis", "min": 0.0, "max": 36000.0}
+        default=10.0,
+        metadata={"doc": "constant misalignment of camera and star tracker, rms of each axis", "min": 0.0, "max": 36000.0},
     )
     rate_noise_arcsec_s: float = field(default=0.5, metadata={"doc": "noise of the telemetered rates", "min": 0.0, "max": 3600.0})
     orbit: bool = field(default=True, metadata={"doc": "the header carries the observer's state"})
     position_m: float = field(default=10.0, metadata={"doc": "GPS position error, rms of each axis", "min": 0.0, "max": 1e7})
     velocity_m_s: float = field(default=0.05, metadata={"doc": "GPS velocity error, rms of each axis", "min": 0.0, "max": 1e4})
     steady: float = field(
-        default=0.7, metadata={"doc": "share of the GPS error's variance that stays constant over the run", "min": 0.0, "max": 1.0}
+        default=0.7,
+        metadata={"doc": "share of the GPS error's variance that stays constant over the run", "min": 0.0, "max": 1.0},
     )
 
 
-def attitude_estimate(options: TelemetryOptions, attitude: Array, rate_rad_s: Array, *, seed: int, frame: int) -> AttitudeEstimate | None:
+def attitude_estimate(
+    options: TelemetryOptions, attitude: Array, rate_rad_s: Array, *, seed: int, frame: int
+) -> AttitudeEstimate | None:
     """Telemetered attitude of a frame from the true one (3, 3) and the true rate (3,) in the camera frame."""
     if not options.attitude:
         return None

@@ -75,7 +75,9 @@ def exposed_intervals(place: Place, shutter: RowShutter, margin_px: float, from_
         if beyond < _SCAN:
             end_s, edge_end = _refine(slack, time_s[beyond], time_s[beyond - 1])
         if end_s > start_s:
-            intervals.append(Interval(start_s=float(start_s), end_s=float(end_s), edge_start=bool(edge_start), edge_end=bool(edge_end)))
+            intervals.append(
+                Interval(start_s=float(start_s), end_s=float(end_s), edge_start=bool(edge_start), edge_end=bool(edge_end))
+            )
     return intervals
 
 

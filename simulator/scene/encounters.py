@@ -11,12 +11,13 @@ each stands for ``N s dV W / D / n`` encounters in nature. What a run shows is d
 of a size class in proportion to that number; its weight is the class's natural number over the number drawn.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import UserError
+from simulator.platform.earth import DAY_S
 from simulator.platform.kepler import Elements, elements_of, velocity_through
 from simulator.randomness import Effect, generator
 from simulator.scene.debris import SizeClass, draw_orbits, low_orbit_share, number_larger
@@ -24,7 +25,8 @@ from simulator.scene.reflection import lambert_flux, sunlit_fraction
 
 Array = NDArray[np.float64]
 
-NEAREST_KM = 0.05
+NEAR_SHARE = 100.0
+"""Ranges below a hundredth of the reach are not proposed: they hold a millionth of the volume."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,21 +35,37 @@ class PopulationOptions:
 
     classes: tuple[SizeClass, ...] = field(
         default=(
-            SizeClass(from_mm=1.0, to_mm=3.0, count=3),
-            SizeClass(from_mm=3.0, to_mm=10.0, count=4),
-            SizeClass(from_mm=10.0, to_mm=100.0, count=5),
-            SizeClass(from_mm=100.0, to_mm=3000.0, count=5),
+            SizeClass(from_mm=1.0, to_mm=3.0, count=4),
+            SizeClass(from_mm=3.0, to_mm=10.0, count=5),
+            SizeClass(from_mm=10.0, to_mm=100.0, count=6),
+            SizeClass(from_mm=100.0, to_mm=3000.0, count=6),
         ),
         metadata={"doc": "size classes"},
     )
-    snr_min: float = field(default=5.0, metadata={"doc": "objects below this expected S/N are not drawn", "min": 0.0, "max": 1000.0})
+    snr_min: float = field(
+        default=6.0, metadata={"doc": "objects below this expected S/N are not drawn", "min": 0.0, "max": 1000.0}
+    )
     albedo: float = field(default=0.1, metadata={"doc": "Bond albedo of the Lambert spheres", "min": 0.001, "max": 1.0})
-    nearest_km: float = field(default=NEAREST_KM, metadata={"doc": "smallest range at the drawn instant", "min": 0.001, "max": 1e5})
+    slowest_deg_s: float = field(
+        default=0.1,
+        metadata={
+            "doc": "objects slower than this are not drawn; many share the orbit type of the camera",
+            "min": 0.0,
+            "max": 1000.0,
+        },
+    )
+    nearest_km: float = field(default=0.05, metadata={"doc": "smallest range at the drawn instant", "min": 0.001, "max": 1e5})
     farthest_km: float = field(default=3000.0, metadata={"doc": "largest range", "min": 0.1, "max": 1e5})
-    low_orbit_share_small: float = field(default=0.65, metadata={"doc": "share of pieces below 1 cm in low orbits", "min": 0.0, "max": 1.0})
-    low_orbit_share_large: float = field(default=0.80, metadata={"doc": "share of pieces above 10 cm in low orbits", "min": 0.0, "max": 1.0})
+    low_orbit_share_small: float = field(
+        default=0.65, metadata={"doc": "share of pieces below 1 cm in low orbits", "min": 0.0, "max": 1.0}
+    )
+    low_orbit_share_large: float = field(
+        default=0.80, metadata={"doc": "share of pieces above 10 cm in low orbits", "min": 0.0, "max": 1.0}
+    )
     spread_by_breakup: bool = field(default=True, metadata={"doc": "small pieces get a break-up's velocity change"})
-    tumbling_share: float = field(default=0.3, metadata={"doc": "share of objects whose brightness varies", "min": 0.0, "max": 1.0})
+    tumbling_share: float = field(
+        default=0.3, metadata={"doc": "share of objects whose brightness varies", "min": 0.0, "max": 1.0}
+    )
     candidates: int = field(default=60000, metadata={"doc": "candidates drawn for each size class", "min": 1000, "max": 10000000})
 
     def __post_init__(self) -> None:
@@ -85,7 +103,8 @@ class Window:
 class Encounters:
     """Candidates of a size class: states at a time of the run (s after its middle), rates, and what the camera makes of them.
 
-    natural : how many encounters of nature in one run each stands for. snr : expected in the best exposure.
+    natural : how many objects of nature in one run each stands for; per_day : how many that enter in a day.
+    snr : expected in the best exposure.
     """
 
     size_m: Array
@@ -97,6 +116,7 @@ class Encounters:
     stay_s: Array
     snr: Array
     natural: Array
+    per_day: Array
 
 
 def draw_candidates(options: PopulationOptions, size_class: SizeClass, window: Window, rng: np.random.Generator) -> Encounters:
@@ -109,8 +129,9 @@ def draw_candidates(options: PopulationOptions, size_class: SizeClass, window: W
     # Nothing fainter than snr_min at zero phase and at rest can be drawn: cut the proposal's ranges there.
     reach = reach_km(size_m, options, window)
     far = np.clip(reach, options.nearest_km * 1.001, options.farthest_km)
-    span = np.log(far / options.nearest_km)
-    range_km = options.nearest_km * np.exp(rng.random(n) * span)
+    near = np.maximum(options.nearest_km, far / NEAR_SHARE)
+    span = np.log(far / near)
+    range_km = near * np.exp(rng.random(n) * span)
     u, v = rng.uniform(-window.half_col, window.half_col, n), rng.uniform(-window.half_row, window.half_row, n)
     time_s = rng.uniform(-0.5, 0.5, n) * window.duration_s
     slant = np.sqrt(1.0 + u * u + v * v)
@@ -125,13 +146,17 @@ def draw_candidates(options: PopulationOptions, size_class: SizeClass, window: W
         natural = population * spatial_density(position, a_km, e, i_rad) * volume_km3
     relative = velocity - window.velocity_km_s
     stay_s = time_in_field(camera, relative @ window.attitude.T, time_s, window)
-    across = relative - np.sum(relative * (position - observer), axis=1, keepdims=True) * (position - observer) / range_km[:, None] ** 2
+    whole_s = time_in_field(camera, relative @ window.attitude.T, np.zeros(n), replace(window, duration_s=2.0 * DAY_S))
+    across = (
+        relative
+        - np.sum(relative * (position - observer), axis=1, keepdims=True) * (position - observer) / range_km[:, None] ** 2
+    )
     rate_rad_s = np.linalg.norm(across, axis=1) / range_km
     flux = lambert_flux(1.0, options.albedo, position, observer, window.sun_km) * size_m**2
     flux = flux * sunlit_fraction(position, window.sun_km)
     snr = expected_snr(flux * window.flux_e_s, rate_rad_s, stay_s, range_km, window)
     reached = np.isfinite(velocity).all(axis=1) & (stay_s > 0.0) & (reach > options.nearest_km)
-    natural = np.where(reached, natural * window.duration_s / np.maximum(stay_s, 1e-9) / n, 0.0)
+    instant = np.nan_to_num(np.where(reached, natural, 0.0)) / n
     return Encounters(
         size_m=size_m,
         time_s=time_s,
@@ -141,7 +166,8 @@ def draw_candidates(options: PopulationOptions, size_class: SizeClass, window: W
         rate_deg_s=np.degrees(rate_rad_s),
         stay_s=stay_s,
         snr=np.where(reached, snr, 0.0),
-        natural=np.nan_to_num(natural),
+        natural=instant * window.duration_s / np.maximum(stay_s, 1e-9),
+        per_day=instant * DAY_S / np.maximum(whole_s, 1e-9),
     )
 
 
@@ -197,7 +223,9 @@ def reach_km(size_m: Array, options: PopulationOptions, window: Window) -> Array
     """Range at which an object at rest, at zero phase and in focus, has the smallest S/N that counts."""
     sun2 = float(window.sun_km @ window.sun_km)
     direction = window.attitude[2]
-    at_1_km = lambert_flux(1.0, options.albedo, direction[None], np.zeros((1, 3)), -direction[None] * np.sqrt(sun2))[0] * size_m**2
+    at_1_km = (
+        lambert_flux(1.0, options.albedo, direction[None], np.zeros((1, 3)), -direction[None] * np.sqrt(sun2))[0] * size_m**2
+    )
     still = expected_snr(at_1_km * window.flux_e_s, np.zeros(1), np.array([window.exposure_s]), np.array([1e9]), window)
     return np.asarray(np.sqrt(still / max(options.snr_min, 1e-3)))
 
@@ -212,7 +240,9 @@ class Drawn:
     size_m: Array
     weight: Array
     natural_by_class: Array
-    """Detectable encounters of nature in one run, for each size class."""
+    """Detectable objects of nature in the field during one run, for each size class."""
+    per_day_by_class: Array
+    """Detectable objects that enter the field per day, if the field stayed as it is in the middle of the run."""
     drawn_by_class: NDArray[np.intp]
 
 
@@ -224,11 +254,13 @@ def draw_encounters(options: PopulationOptions, window: Window, seed: int) -> Dr
     chosen: list[Encounters] = []
     picks: list[NDArray[np.intp]] = []
     weights: list[Array] = []
-    natural = np.zeros(len(options.classes))
+    natural, per_day = np.zeros(len(options.classes)), np.zeros(len(options.classes))
     for k, size_class in enumerate(options.classes):
         rng = generator(seed, Effect.POPULATION, block=k)
         found = draw_candidates(options, size_class, window, rng)
-        share = np.where(found.snr >= options.snr_min, found.natural, 0.0)
+        detectable = (found.snr >= options.snr_min) & (found.rate_deg_s >= options.slowest_deg_s)
+        share = np.where(detectable, found.natural, 0.0)
+        per_day[k] = np.where(detectable, found.per_day, 0.0).sum()
         natural[k] = share.sum()
         if size_class.count == 0:
             continue
@@ -256,5 +288,6 @@ def draw_encounters(options: PopulationOptions, window: Window, seed: int) -> Dr
         size_m=column("size_m"),
         weight=np.concatenate(weights) if weights else np.zeros(0),
         natural_by_class=natural,
+        per_day_by_class=per_day,
         drawn_by_class=np.array([c.count for c in options.classes], dtype=np.intp),
     )

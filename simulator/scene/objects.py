@@ -86,7 +86,7 @@ class SkyPathObject:
     """(3,) velocity of the unit direction at the epoch, perpendicular to it."""
     range_km: float
     v_mag: float
-    mag_rate_s: float = 0.0
+    brightening_per_s: float = 0.0
     light_curve: LightCurve = STEADY
 
     def seen(self, time_s: Array, observer_km: Array, sun_km: Array) -> Seen:
@@ -95,12 +95,15 @@ class SkyPathObject:
         along = self.rate_rad_s / speed if speed > 0.0 else np.zeros(3)
         angle = speed * np.asarray(time_s)[:, None]
         direction = np.cos(angle) * self.start + np.sin(angle) * along
-        return Seen(vector_km=self.range_km * direction, flux=10.0 ** (-0.4 * (self.v_mag + self.mag_rate_s * np.asarray(time_s))))
+        return Seen(
+            vector_km=self.range_km * direction,
+            flux=10.0 ** (-0.4 * self.v_mag) * np.exp(self.brightening_per_s * np.asarray(time_s)),
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PixelPathObject:
-    """A point that moves over the detector as told: delivered pixels, pixels per second (and per second squared).
+    """A point that moves over the detector as told: delivered pixels; a bend is what a constant acceleration adds in the first second.
 
     restart : time counts from the opening of each frame's first row instead of from the epoch.
     """
@@ -110,18 +113,18 @@ class PixelPathObject:
     col: float
     row_rate_px_s: float
     col_rate_px_s: float
-    row_bend_px_s2: float
-    col_bend_px_s2: float
+    row_bend_px: float
+    col_bend_px: float
     v_mag: float
-    mag_rate_s: float
+    brightening_per_s: float
     restart: bool
     light_curve: LightCurve = STEADY
 
     def place(self, time_s: Array) -> tuple[Array, Array, Array]:
         """Row, col and flux (units of a V = 0 star) at times."""
-        row = self.row + self.row_rate_px_s * time_s + 0.5 * self.row_bend_px_s2 * time_s**2
-        col = self.col + self.col_rate_px_s * time_s + 0.5 * self.col_bend_px_s2 * time_s**2
-        return row, col, 10.0 ** (-0.4 * (self.v_mag + self.mag_rate_s * time_s))
+        row = self.row + self.row_rate_px_s * time_s + self.row_bend_px * time_s**2
+        col = self.col + self.col_rate_px_s * time_s + self.col_bend_px * time_s**2
+        return row, col, 10.0 ** (-0.4 * self.v_mag) * np.exp(self.brightening_per_s * time_s)
 
 
 def kepler_positions(elements: Elements) -> Callable[[Array], Array]:

@@ -23,7 +23,9 @@ class LightCurveOptions:
     """Variation of one object's brightness."""
 
     period_s: float = field(default=10.0, metadata={"doc": "period of tumbling", "min": 1e-3, "max": 1e6})
-    amplitude: float = field(default=0.0, metadata={"doc": "half of the peak-to-peak change over the mean", "min": 0.0, "max": 1.0})
+    amplitude: float = field(
+        default=0.0, metadata={"doc": "half of the peak-to-peak change over the mean", "min": 0.0, "max": 1.0}
+    )
     phase_deg: float = field(default=0.0, metadata={"doc": "phase at the epoch", "min": -360.0, "max": 360.0})
     glint_factor: float = field(default=0.0, metadata={"doc": "peak of the flash over the mean", "min": 0.0, "max": 1e6})
     glint_width_s: float = field(default=0.01, metadata={"doc": "sigma of the flash", "min": 1e-6, "max": 1e4})
@@ -63,8 +65,12 @@ class PassingOptions:
     size_m: float = field(default=1.0, metadata={"doc": "diameter", "min": 1e-5, "max": 1000.0})
     albedo: float = field(default=0.175, metadata={"doc": "Bond albedo", "min": 0.001, "max": 1.0})
     range_km: float = field(default=20000.0, metadata={"doc": "distance from the camera when it passes", "min": 0.01, "max": 1e6})
-    field_row: float = field(default=0.0, metadata={"doc": "place along rows: -1 first row, 0 centre, 1 last row", "min": -1.0, "max": 1.0})
-    field_col: float = field(default=0.0, metadata={"doc": "place along cols: -1 first column, 0 centre, 1 last column", "min": -1.0, "max": 1.0})
+    field_row: float = field(
+        default=0.0, metadata={"doc": "place along rows: -1 first row, 0 centre, 1 last row", "min": -1.0, "max": 1.0}
+    )
+    field_col: float = field(
+        default=0.0, metadata={"doc": "place along cols: -1 first column, 0 centre, 1 last column", "min": -1.0, "max": 1.0}
+    )
     when: float = field(default=0.5, metadata={"doc": "time of passing, as a share of the run", "min": 0.0, "max": 1.0})
     semi_major_axis_km: float = field(default=26560.0, metadata={"doc": "semi-major axis", "min": 6400.0, "max": 1e6})
     eccentricity: float = field(default=0.7, metadata={"doc": "eccentricity", "min": 0.0, "max": 0.98})
@@ -80,7 +86,9 @@ class SkyPathOptions:
 
     name: str = field(default="sky path", metadata={"doc": "name"})
     v_mag: float = field(default=10.0, metadata={"doc": "V at the epoch", "min": -15.0, "max": 30.0})
-    mag_rate_s: float = field(default=0.0, metadata={"doc": "change of V per second", "min": -100.0, "max": 100.0})
+    brightening_per_s: float = field(
+        default=0.0, metadata={"doc": "relative change of flux per second (exponential)", "min": -1e3, "max": 1e3}
+    )
     ra_deg: float = field(default=0.0, metadata={"doc": "right ascension at the epoch", "min": -360.0, "max": 360.0})
     dec_deg: float = field(default=0.0, metadata={"doc": "declination at the epoch", "min": -90.0, "max": 90.0})
     east_arcsec_s: float = field(default=100.0, metadata={"doc": "rate towards the east", "min": -3.6e6, "max": 3.6e6})
@@ -95,13 +103,19 @@ class PixelPathOptions:
 
     name: str = field(default="pixel path", metadata={"doc": "name"})
     v_mag: float = field(default=9.0, metadata={"doc": "V at the start", "min": -15.0, "max": 30.0})
-    mag_rate_s: float = field(default=0.0, metadata={"doc": "change of V per second", "min": -100.0, "max": 100.0})
+    brightening_per_s: float = field(
+        default=0.0, metadata={"doc": "relative change of flux per second (exponential)", "min": -1e3, "max": 1e3}
+    )
     row: float = field(default=0.0, metadata={"doc": "row at the start", "min": -1e6, "max": 1e6})
     col: float = field(default=0.0, metadata={"doc": "column at the start", "min": -1e6, "max": 1e6})
     row_rate_px_s: float = field(default=0.0, metadata={"doc": "motion along rows", "min": -1e7, "max": 1e7})
     col_rate_px_s: float = field(default=0.0, metadata={"doc": "motion along columns", "min": -1e7, "max": 1e7})
-    row_bend_px_s2: float = field(default=0.0, metadata={"doc": "acceleration along rows in px/s2", "min": -1e8, "max": 1e8})
-    col_bend_px_s2: float = field(default=0.0, metadata={"doc": "acceleration along columns in px/s2", "min": -1e8, "max": 1e8})
+    row_bend_px: float = field(
+        default=0.0, metadata={"doc": "displacement along rows by acceleration in the first second", "min": -1e8, "max": 1e8}
+    )
+    col_bend_px: float = field(
+        default=0.0, metadata={"doc": "displacement along columns by acceleration in the first second", "min": -1e8, "max": 1e8}
+    )
     restart: bool = field(default=True, metadata={"doc": "start anew when each frame's first row opens"})
     light_curve: LightCurveOptions = field(default_factory=LightCurveOptions, metadata={"doc": "variation"})
 
@@ -115,8 +129,15 @@ class ObjectOptions:
         default=(
             PassingOptions(name="far-1", size_m=2.5, range_km=24000.0, field_row=-0.45, field_col=0.35),
             PassingOptions(
-                name="far-2", size_m=4.0, range_km=33000.0, field_row=0.4, field_col=-0.5, semi_major_axis_km=38000.0,
-                eccentricity=0.2, inclination_deg=42.0, outbound=False,
+                name="far-2",
+                size_m=4.0,
+                range_km=33000.0,
+                field_row=0.3,
+                field_col=0.6,
+                semi_major_axis_km=38000.0,
+                eccentricity=0.2,
+                inclination_deg=42.0,
+                outbound=False,
             ),
         ),
         metadata={"doc": "orbits that pass through the field"},
@@ -132,7 +153,9 @@ def orbiting(options: OrbitOptions) -> OrbitingObject:
     """
     perigee_km = options.semi_major_axis_km * (1.0 - options.eccentricity) - EARTH_RADIUS_KM
     if perigee_km < 0.0:
-        raise UserError(f"objects.orbit {options.name!r}: perigee height {perigee_km:.0f} km lies inside the Earth; allowed is above 0 km")
+        raise UserError(
+            f"objects.orbit {options.name!r}: perigee height {perigee_km:.0f} km lies inside the Earth; allowed is above 0 km"
+        )
     elements = Elements(
         a_km=np.float64(options.semi_major_axis_km),
         e=np.float64(options.eccentricity),
@@ -152,7 +175,9 @@ def passing(options: PassingOptions, observer_km: Array, direction: Array, time_
     position = observer_km + options.range_km * direction
     radius = float(np.linalg.norm(position))
     if radius < EARTH_RADIUS_KM:
-        raise UserError(f"objects.passing {options.name!r}: at {options.range_km:g} km it would be inside the Earth; allowed are other ranges")
+        raise UserError(
+            f"objects.passing {options.name!r}: at {options.range_km:g} km it would be inside the Earth; allowed are other ranges"
+        )
     velocity = velocity_through(
         position[None],
         np.array([options.semi_major_axis_km]),
@@ -175,7 +200,15 @@ def passing(options: PassingOptions, observer_km: Array, direction: Array, time_
 
 
 def kepler_object(
-    name: str, kind: str, size_m: float, albedo: float, elements: Elements, epoch_s: float, *, weight: float = 1.0, curve: LightCurve = STEADY
+    name: str,
+    kind: str,
+    size_m: float,
+    albedo: float,
+    elements: Elements,
+    epoch_s: float,
+    *,
+    weight: float = 1.0,
+    curve: LightCurve = STEADY,
 ) -> OrbitingObject:
     """An object whose elements hold `epoch_s` seconds after the epoch of the run."""
     at_epoch = kepler_positions(elements)
@@ -207,7 +240,7 @@ def sky_path(options: SkyPathOptions) -> SkyPathObject:
         rate_rad_s=(options.east_arcsec_s * east + options.north_arcsec_s * north) * ARCSEC_RAD,
         range_km=options.range_km,
         v_mag=options.v_mag,
-        mag_rate_s=options.mag_rate_s,
+        brightening_per_s=options.brightening_per_s,
         light_curve=options.light_curve.curve(),
     )
 
@@ -220,10 +253,10 @@ def pixel_path(options: PixelPathOptions) -> PixelPathObject:
         col=options.col,
         row_rate_px_s=options.row_rate_px_s,
         col_rate_px_s=options.col_rate_px_s,
-        row_bend_px_s2=options.row_bend_px_s2,
-        col_bend_px_s2=options.col_bend_px_s2,
+        row_bend_px=options.row_bend_px,
+        col_bend_px=options.col_bend_px,
         v_mag=options.v_mag,
-        mag_rate_s=options.mag_rate_s,
+        brightening_per_s=options.brightening_per_s,
         restart=options.restart,
         light_curve=options.light_curve.curve(),
     )
@@ -234,13 +267,24 @@ def population_objects(drawn: Drawn, albedo: float, middle_s: float, tumbling_sh
     rng = generator(seed, Effect.LIGHT_CURVE)
     objects = []
     for k in range(len(drawn.size_m)):
-        tumbles, period, amplitude, phase = rng.random(), rng.lognormal(np.log(2.0), 1.0), rng.uniform(0.1, 0.7), rng.uniform(0.0, 2 * np.pi)
+        tumbles, period, amplitude, phase = (
+            rng.random(),
+            rng.lognormal(np.log(2.0), 1.0),
+            rng.uniform(0.1, 0.7),
+            rng.uniform(0.0, 2 * np.pi),
+        )
         curve = LightCurve(period_s=period, amplitude=amplitude, phase_rad=phase) if tumbles < tumbling_share else STEADY
         one = Elements(**{name: getattr(drawn.elements, name)[k] for name in drawn.elements.__dataclass_fields__})
         objects.append(
             kepler_object(
-                f"debris-{k:03d}", "population", float(drawn.size_m[k]), albedo, one, middle_s + float(drawn.time_s[k]),
-                weight=float(drawn.weight[k]), curve=curve,
+                f"debris-{k:03d}",
+                "population",
+                float(drawn.size_m[k]),
+                albedo,
+                one,
+                middle_s + float(drawn.time_s[k]),
+                weight=float(drawn.weight[k]),
+                curve=curve,
             )  # fmt: skip - one line for what it is, one for the rest
         )
     return objects

@@ -29,7 +29,8 @@ class StarOptions:
 
     enabled: bool = field(default=True, metadata={"doc": "stars shine"})
     catalogue_errors: float = field(
-        default=1.0, metadata={"doc": "factor on the catalogue's quoted errors by which the true sky is displaced", "min": 0.0, "max": 100.0}
+        default=1.0,
+        metadata={"doc": "factor on the catalogue's quoted errors by which the true sky is displaced", "min": 0.0, "max": 100.0},
     )
     faint_limit_mag: float = field(default=16.0, metadata={"doc": "V of the faintest synthetic stars", "min": 0.0, "max": 18.0})
 

@@ -169,7 +169,9 @@ class _Light:
     defocus_px: float
 
 
-def _render(image_e: NDArray[np.float32], scratch_e: NDArray[np.float32], path: Path, stretch: Interval, plane: FocalPlane) -> _Light:
+def _render(
+    image_e: NDArray[np.float32], scratch_e: NDArray[np.float32], path: Path, stretch: Interval, plane: FocalPlane
+) -> _Light:
     """Integrate over bins of time, block by block along the path."""
     time_s, width_s = time_bins(path.place, stretch, STEP_PX)
     row, col = path.place(time_s)
@@ -203,7 +205,11 @@ def _render(image_e: NDArray[np.float32], scratch_e: NDArray[np.float32], path: 
         light[...] = 0.0
     middle = len(time_s) // 2
     return _Light(
-        flux_e=total, snr=float(np.sqrt(snr2)), n_saturated=saturated, sigma_px=float(sigma_px[middle]), defocus_px=float(blur_px[middle])
+        flux_e=total,
+        snr=float(np.sqrt(snr2)),
+        n_saturated=saturated,
+        sigma_px=float(sigma_px[middle]),
+        defocus_px=float(blur_px[middle]),
     )
 
 
@@ -239,8 +245,10 @@ def _truth_row(
     tai = epoch_tai_ns + np.round(time_s * 1e9).astype(np.int64)
     flux_rate = path.flux_v0(time_s) * plane.illumination(window_row, window_col) * plane.zero_point_e_s
     middle = np.array([0.5 * (seen.start_s + seen.end_s)])
-    step = np.array([1e-3 * max(seen.end_s - seen.start_s, 1e-6)])
-    camera = sight.to_camera(np.concatenate([middle - step, middle + step]), path.apparent(np.concatenate([middle - step, middle + step])))
+    step = np.array([0.25 * (seen.end_s - seen.start_s)])
+    camera = sight.to_camera(
+        np.concatenate([middle - step, middle + step]), path.apparent(np.concatenate([middle - step, middle + step]))
+    )
     angle = np.arctan2(np.linalg.norm(np.cross(camera[0], camera[1])), camera[0] @ camera[1])
     drow, dcol = row[-1] - row[0], col[-1] - col[0]
     chord = np.hypot(drow, dcol)
@@ -280,4 +288,3 @@ def _truth_row(
     for name, value in values.items():
         out[name] = value
     return out
-

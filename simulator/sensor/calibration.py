@@ -66,9 +66,8 @@ def reduce_calibration(
     median_noise_adu = float(noise_of_e[128]) / converter.gain_e_adu
     typical_adu = float(np.median(dark_adu[::13, ::7]))
     defects = np.zeros(response.shape, dtype=np.uint8)
-    defects[dark_adu > typical_adu + calibration.hot_sigma * median_noise_adu] |= np.uint8(MaskBit.HOT)
-    local = flat if illumination is None else flat / np.maximum(illumination, 1e-6)
-    defects[local < 0.5] |= np.uint8(MaskBit.DEAD)
+    hot_adu = typical_adu + calibration.hot_sigma * median_noise_adu
+    _flag_defects(dark_adu, flat, light, illumination is not None, hot_adu, defects)
     binning = options.binning
     if binning.rows * binning.cols > 1:
         rows, cols = response.shape[0] // binning.rows, response.shape[1] // binning.cols
@@ -120,3 +119,26 @@ def _average_frames(
                 signal *= light[r, c]
             sigma = np.sqrt((signal + dark_e + read_variance) / flat_frames)
             flat[r, c] = (signal + sigma * normal(mix(position), normals)) / flat_e
+
+
+_HOT = int(MaskBit.HOT)
+_DEAD = int(MaskBit.DEAD)
+
+
+@numba.njit(cache=True)
+def _flag_defects(
+    dark_adu: NDArray[np.float32],
+    flat: NDArray[np.float32],
+    light: NDArray[np.float32],
+    lit: bool,
+    hot_adu: float,
+    defects: NDArray[np.uint8],
+) -> None:
+    """Hot: dark signal above `hot_adu`. Dead: less than half of the response that the illumination asks for."""
+    for r in range(flat.shape[0]):
+        for c in range(flat.shape[1]):
+            expected = light[r, c] if lit else np.float32(1.0)
+            bits = _HOT if dark_adu[r, c] > hot_adu else 0
+            if flat[r, c] < 0.5 * expected:
+                bits |= _DEAD
+            defects[r, c] = bits

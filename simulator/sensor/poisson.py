@@ -22,18 +22,19 @@ _SUPPORT: Final = 256
 _FINE_END: Final = 8.0
 _MIDDLE_END: Final = 32.0
 _FINE: Final = 16.0
-_MIDDLE: Final = 4.0
+_MIDDLE: Final = 8.0
+_COARSE: Final = 4.0
 _FINE_LEVELS: Final = int(_FINE_END * _FINE)
 _MIDDLE_LEVELS: Final = int((_MIDDLE_END - _FINE_END) * _MIDDLE)
-_COARSE_LEVELS: Final = int(EXACT_BELOW - _MIDDLE_END)
+_COARSE_LEVELS: Final = int((EXACT_BELOW - _MIDDLE_END) * _COARSE)
 LEVELS: Final = _FINE_LEVELS + _MIDDLE_LEVELS + _COARSE_LEVELS
 
 
 def level_means() -> NDArray[np.float64]:
-    """Means of the grid: steps of 1/16 below 8, 1/4 below 32, 1 below 128 electrons."""
+    """Means of the grid: steps of 1/16 below 8, 1/8 below 32, 1/4 below 128 electrons."""
     fine = np.arange(_FINE_LEVELS) / _FINE
     middle = _FINE_END + np.arange(_MIDDLE_LEVELS) / _MIDDLE
-    coarse = _MIDDLE_END + np.arange(_COARSE_LEVELS)
+    coarse = _MIDDLE_END + np.arange(_COARSE_LEVELS) / _COARSE
     return np.concatenate([fine, middle, coarse])
 
 
@@ -114,9 +115,9 @@ def draw_poisson(
         # Position on the grid of `level_means`; its fraction is the remainder in units of the grid step.
         fine = m * _FINE
         middle = _FINE_LEVELS + (m - _FINE_END) * _MIDDLE
-        coarse = (_FINE_LEVELS + _MIDDLE_LEVELS) + (m - _MIDDLE_END)
+        coarse = (_FINE_LEVELS + _MIDDLE_LEVELS) + (m - _MIDDLE_END) * _COARSE
         grid = fine if m < _FINE_END else (middle if m < _MIDDLE_END else coarse)
-        step = 1.0 / _FINE if m < _FINE_END else (1.0 / _MIDDLE if m < _MIDDLE_END else 1.0)
+        step = 1.0 / _FINE if m < _FINE_END else (1.0 / _MIDDLE if m < _MIDDLE_END else 1.0 / _COARSE)
         level = int(min(int(grid), LEVELS - 1))
         rest = (grid - float(level)) * step
         own = bits & np.uint64(_SUPPORT - 1)
@@ -140,7 +141,7 @@ def draw_poisson(
         elif m < _MIDDLE_END:
             rest = m - math.floor(m * _MIDDLE) / _MIDDLE
         else:
-            rest = m - math.floor(m)
+            rest = m - math.floor(m * _COARSE) / _COARSE
         count[c] += _rest_given_doubt(rest, uniform(mix(position ^ key)))
 
 

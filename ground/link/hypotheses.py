@@ -65,8 +65,8 @@ class Nodes(NamedTuple):
     """Hypotheses, two per streak (2 k: shutter opened at end 0; 2 k + 1: at end 1); a is the earlier point, b the later.
 
     frame, kind : (m,). t_s : (m, 2) epochs of a and b. unit : (m, 2, 3). sigma_rad : (m, 3) along at a, along at b, cross.
-    length_rad, duration_s, fastest_rad_s, log_clutter, log_odds : (m,). sort_key : (m,) the component along `axis` of the
-    middle, ascending inside a frame through `order`; first : (frames + 1,) offsets into `order`.
+    length_rad, duration_s, fastest_rad_s, log_clutter, log_odds : (m,). order : (m,) nodes by frame, inside a frame by rising
+    component of their middle along axis `axis`; sorted_key : (m,) those components; first : (frames + 1,) offsets into both.
     """
 
     frame: NDArray[np.int64]
@@ -79,9 +79,10 @@ class Nodes(NamedTuple):
     fastest_rad_s: NDArray[np.float64]
     log_clutter: NDArray[np.float64]
     log_odds: NDArray[np.float64]
-    sort_key: NDArray[np.float64]
     order: NDArray[np.int64]
+    sorted_key: NDArray[np.float64]
     first: NDArray[np.int64]
+    axis: int
 
 
 def frame_table(headers: Sequence[FrameHeader]) -> FrameTable:
@@ -252,7 +253,8 @@ def nodes_of(table: StreakTable, frames: FrameTable) -> Nodes:
 
     middles = table.unit[:, 1]
     spread = middles.std(axis=0) if n else np.zeros(3)
-    key = middle[:, int(np.argmax(spread))]
+    axis = int(np.argmax(spread))
+    key = middle[:, axis]
     order = np.lexsort((key, frame))
     first = np.searchsorted(frame[order], np.arange(len(frames.number) + 1))
     return Nodes(
@@ -266,7 +268,8 @@ def nodes_of(table: StreakTable, frames: FrameTable) -> Nodes:
         fastest_rad_s=fastest,
         log_clutter=log_clutter,
         log_odds=np.repeat(table.log_odds, 2),
-        sort_key=key,
         order=order,
+        sorted_key=np.ascontiguousarray(key[order]),
         first=first.astype(np.int64),
+        axis=axis,
     )

@@ -55,12 +55,14 @@ class MotionLinker:
             table = streak_table(
                 streaks, index, frames, sky=sky, pixel_scale_arcsec=self.pixel_scale_arcsec, sigma_floor_px=self.sigma_floor_px
             )
-            tracks += [(track, table, sky) for track in self._tracks(table, frames, sky)]
+            tracks += [(track, table, sky) for track in self.tracks(table, frames, sky=sky)]
         tracks.sort(key=lambda entry: -entry[0].log_odds)
         return tuple(tracklet_of(number, track, table, frames, streaks, sky) for number, (track, table, sky) in enumerate(tracks))
 
-    def _tracks(self, table: StreakTable, frames: FrameTable, sky: bool) -> list[Track]:
+    def tracks(self, table: StreakTable, frames: FrameTable, *, sky: bool) -> list[Track]:
         """Tracks of one group of streaks, all on the sky or all in pixels."""
+        if len(table.frame) < 2:
+            return []
         nodes = nodes_of(table, frames)
         scale = float(table.scale_rad_px[0])
         shape = frames.shape[table.frame[0]]
@@ -95,6 +97,8 @@ class Search:
     log_new: float
 
 
+_SEED_REACH = 3
+"""Frames between the two streaks that start a search; an object that is seen every third frame only is found by growth."""
 _LOWEST_SEED = -12.0
 """Log evidence of a pair below which no third streak has been seen to rescue it (two points alone say little)."""
 
@@ -104,7 +108,7 @@ def best_tracks(nodes: Nodes, search: Search, min_log_odds: float) -> list[Track
     capacity = 4 * len(nodes.frame) + 64
     while True:
         found, pairs, gains = find_pairs(
-            nodes, search.reach, search.fastest_rad_s, search.floor_rad, search.log_area, search.sigma_acceleration,
+            nodes, min(search.reach, _SEED_REACH), search.fastest_rad_s, search.floor_rad, search.log_area, search.sigma_acceleration,
             _LOWEST_SEED, capacity,
         )  # fmt: skip
         if found <= capacity:

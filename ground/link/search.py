@@ -46,8 +46,36 @@ def _agrees(nodes: Nodes, node: int, chord: NDArray[np.float64], dt_s: float, fl
         return length <= 1.3 * speed * duration + floor_rad
     own = length / duration
     sigma = math.hypot(nodes.sigma_rad[node, 0], nodes.sigma_rad[node, 1]) / duration
-    drift = 3.0 * min(4.0 * speed, 2.0) * (dt_s + 0.5 * duration)
-    return abs(speed - own) <= _GATE * sigma + speed * min(drift, 3.0) + floor_rad / dt_s
+    drift = _drift(speed, dt_s + 0.5 * duration)
+    return abs(speed - own) <= _GATE * sigma + speed * drift + floor_rad / dt_s
+
+
+@njit(cache=True)
+def _key_window(nodes: Nodes, node: int, dt_s: float, fastest_rad_s: float, floor_rad: float) -> tuple[float, float]:
+    """Where, along the sorting axis, the middle of a streak about dt_s later can lie."""
+    unit = nodes.unit[node]
+    here = 0.5 * (unit[0, nodes.axis] + unit[1, nodes.axis])
+    limit = min(fastest_rad_s, nodes.fastest_rad_s[node])
+    span = abs(dt_s) + nodes.duration_s[node]
+    if not is_full(nodes, node):
+        reach = limit * span + floor_rad + nodes.length_rad[node]
+        return here - reach, here + reach
+    own = nodes.length_rad[node] / nodes.duration_s[node]
+    noise = _GATE * (nodes.sigma_rad[node, 0] + nodes.sigma_rad[node, 1]) / nodes.duration_s[node]
+    drift = _drift(own + noise, span)
+    slow, fast = max(own / (1.0 + drift) - noise, 0.0), min((own + noise) * (1.0 + drift), limit)
+    heading = (unit[1, nodes.axis] - unit[0, nodes.axis]) / max(nodes.length_rad[node], 1e-12)
+    # the epoch of a streak depends on its row: dt_s is good to the time of reading out the frame, covered by half the span
+    near, far = heading * slow * 0.5 * abs(dt_s), heading * fast * span
+    across = _GATE * nodes.sigma_rad[node, 2] * (1.0 + 2.0 * fast * span / max(nodes.length_rad[node], 1e-12)) + floor_rad
+    across += 0.5 * (fast * span) ** 2
+    return here + min(near, far) - across, here + max(near, far) + across
+
+
+@njit(cache=True)
+def _drift(speed_rad_s: float, dt_s: float) -> float:
+    """Largest relative change of speed to allow within dt_s: three sigma of the prior of range rate over range."""
+    return min(3.0 * min(4.0 * speed_rad_s, 2.0) * dt_s, 3.0)
 
 
 @njit(cache=True)
@@ -83,17 +111,12 @@ def find_pairs(
                 here = nodes.order[nodes.first[g] : nodes.first[g + 1]]
                 if len(here) == 0:
                     continue
-                span = nodes.t_s[here[0], 1] - nodes.t_s[i, p] + nodes.duration_s[i]
-                limit = min(fastest_rad_s, nodes.fastest_rad_s[i])
-                if is_full(nodes, i):
-                    own = nodes.length_rad[i] / nodes.duration_s[i]
-                    noise = (nodes.sigma_rad[i, 0] + nodes.sigma_rad[i, 1]) / nodes.duration_s[i]
-                    limit = min(limit, (own + _GATE * noise) * 4.0)
-                window = limit * max(span, 0.0) + floor_rad
-                start = np.searchsorted(nodes.sort_key[here], nodes.sort_key[i] - window)
-                for j in here[start:]:
-                    if nodes.sort_key[j] > nodes.sort_key[i] + window:
+                keys = nodes.sorted_key[nodes.first[g] : nodes.first[g + 1]]
+                low, high = _key_window(nodes, i, nodes.t_s[here[0], 1] - nodes.t_s[i, p], fastest_rad_s, floor_rad)
+                for place in range(np.searchsorted(keys, low), len(here)):
+                    if keys[place] > high:
                         break
+                    j = here[place]
                     if not usable(nodes, j) or nodes.kind[j] == ENTERING:
                         continue
                     q = anchor(nodes, j, False)
@@ -202,7 +225,7 @@ def grow(
                     lever = 1.0 + 2.0 * dt / max(arc, 1e-3)
                     noise = nodes.sigma_rad[j, 0] + nodes.sigma_rad[j, 1] + nodes.sigma_rad[edge, 0] + nodes.sigma_rad[edge, 1]
                     tolerance = _GATE * noise * lever + floor_rad + sigma_acceleration * dt * (dt + arc) * _GATE
-                    tolerance += speed * dt * min(3.0 * min(4.0 * speed, 2.0) * (dt + arc), 3.0)
+                    tolerance += speed * dt * _drift(speed, dt + arc)
                     if math.hypot(x - px, y - py) > tolerance:
                         continue
                     trial = np.empty(len(members) + 1, dtype=np.int64)

@@ -15,6 +15,7 @@ from sboc_e2e.icd.flags import MaskBit
 from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader
 from sboc_e2e.icd.signals import BackgroundModel
 
+FRACTIONS_PER_ADU = 128
 FLOAT_QUANTUM_SIGMA = 0.05
 """Float frames are rounded to this share of their noise."""
 
@@ -23,12 +24,14 @@ FLOAT_QUANTUM_SIGMA = 0.05
 class Counts:
     """A frame as integers: one count is `adu_scale` ADU, zero is `adu_offset` (1 and 0 for uint16 frames).
 
-    pixels : (rows, cols) uint16 or int32. dark : (rows, cols) int16, counts. defects : (rows, cols) uint8 of `MaskBit`.
+    pixels : (rows, cols) uint16 or int32. dark : (rows, cols) int16, counts. fraction : (rows, cols) int8, what rounding
+    took from the dark, in 1/128 ADU. defects : (rows, cols) uint8 of `MaskBit`.
     saturation : counts at and above which a pixel is saturated.
     """
 
     pixels: NDArray[np.uint16] | NDArray[np.int32]
     dark: NDArray[np.int16]
+    fraction: NDArray[np.int8]
     defects: NDArray[np.uint8]
     adu_scale: float
     adu_offset: float
@@ -62,16 +65,22 @@ def float_counts(pixels: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArra
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class IntegerCalibration:
-    """The calibration as the on-board software uses it: dark rounded to whole ADU (the ground knows the same), defects."""
+    """The calibration as the on-board software uses it.
+
+    dark : rounded to whole ADU, so that its removal is reversible and known at both ends of the link. fraction : the rest
+    of it in 1/128 ADU; left in, it would add 1/12 ADU^2 of fixed pattern to the image that the detector sees.
+    """
 
     dark: NDArray[np.int16]
+    fraction: NDArray[np.int8]
     defects: NDArray[np.uint8]
 
     @classmethod
     def of(cls, calibration: Calibration) -> "IntegerCalibration":
         """Rounded dark of a calibration."""
         dark = np.clip(np.rint(calibration.dark_adu), -32768, 32767).astype(np.int16)
-        return cls(dark=dark, defects=calibration.defects)
+        fraction = np.rint(np.clip(calibration.dark_adu - dark, -0.5, 0.5) * FRACTIONS_PER_ADU).astype(np.int8)
+        return cls(dark=dark, fraction=fraction, defects=calibration.defects)
 
     def window(self, header: FrameHeader) -> "IntegerCalibration":
         """The part that a (windowed) frame covers."""
@@ -82,13 +91,13 @@ class IntegerCalibration:
                 f"frame {header.frame}: expected a window inside the calibration's {self.dark.shape[0]} x "
                 f"{self.dark.shape[1]} px, got {header.rows} x {header.cols} at ({row0}, {col0})"
             )
-        return IntegerCalibration(dark=self.dark[part], defects=self.defects[part])
+        return IntegerCalibration(dark=self.dark[part], fraction=self.fraction[part], defects=self.defects[part])
 
     @classmethod
     def none(cls, header: FrameHeader) -> "IntegerCalibration":
         """No dark and no defects."""
         shape = (header.rows, header.cols)
-        return cls(dark=np.zeros(shape, dtype=np.int16), defects=np.zeros(shape, dtype=np.uint8))
+        return cls(dark=np.zeros(shape, np.int16), fraction=np.zeros(shape, np.int8), defects=np.zeros(shape, np.uint8))
 
 
 def to_counts(frame: Frame, calibration: IntegerCalibration) -> Counts:
@@ -98,6 +107,7 @@ def to_counts(frame: Frame, calibration: IntegerCalibration) -> Counts:
         return Counts(
             pixels=frame.pixels,
             dark=calibration.dark,
+            fraction=calibration.fraction,
             defects=calibration.defects,
             adu_scale=1.0,
             adu_offset=0.0,
@@ -108,6 +118,7 @@ def to_counts(frame: Frame, calibration: IntegerCalibration) -> Counts:
     return Counts(
         pixels=pixels,
         dark=np.zeros_like(calibration.dark),
+        fraction=calibration.fraction,
         defects=np.where(missing, calibration.defects | np.uint8(MaskBit.MISSING), calibration.defects),
         adu_scale=scale,
         adu_offset=offset,
@@ -146,6 +157,7 @@ def expand_nodes(nodes: NDArray[np.float32], tile_px: int, out: NDArray[np.float
 def _residual_row(
     pixels: NDArray[np.uint16],
     dark: NDArray[np.int16],
+    fraction: NDArray[np.int8],
     defects: NDArray[np.uint8],
     level: NDArray[np.float32],
     saturation: int,
@@ -155,10 +167,11 @@ def _residual_row(
 ) -> int:
     """One row of `residual_pass`; a function of its own so that it is compiled to vector instructions."""
     unusable = 0
+    unit = np.float32(1.0 / FRACTIONS_PER_ADU)
     for col in range(pixels.size):
         value = np.int32(pixels[col])
         bits = defects[col] | (np.uint8(4) if value >= saturation else np.uint8(0))
-        net = np.float32(value - np.int32(dark[col])) * scale - level[col]
+        net = np.float32(value - np.int32(dark[col])) * scale - np.float32(fraction[col]) * unit - level[col]
         residual[col] = net if bits == 0 else np.float32(0.0)
         mask[col] = bits
         unusable += np.int32(bits != 0)
@@ -169,6 +182,7 @@ def _residual_row(
 def residual_pass(
     pixels: NDArray[np.uint16],
     dark: NDArray[np.int16],
+    fraction: NDArray[np.int8],
     defects: NDArray[np.uint8],
     level_nodes: NDArray[np.float32],
     tile_px: int,
@@ -177,7 +191,7 @@ def residual_pass(
     residual: NDArray[np.float32],
     mask: NDArray[np.uint8],
 ) -> int:
-    """``residual = (pixels - dark) * scale - level`` and the mask; masked pixels get 0. Returns their number.
+    """``residual = (pixels - dark) * scale - fraction / 128 - level`` and the mask; masked pixels get 0. Returns their number.
 
     `MaskBit.SATURATED` (4) is set from the pixels before the dark is removed; level_nodes are relative to the offset.
     """
@@ -198,6 +212,6 @@ def residual_pass(
         for col in range(cols):
             level[col] = upper[col] + share * (lower[col] - upper[col])
         unusable += _residual_row(
-            pixels[row], dark[row], defects[row], level, saturation, np.float32(scale), residual[row], mask[row]
+            pixels[row], dark[row], fraction[row], defects[row], level, saturation, np.float32(scale), residual[row], mask[row]
         )
     return unusable

@@ -171,6 +171,7 @@ class OnboardChain:
         n_masked = residual_pass(
             counts.pixels,
             counts.dark,
+            counts.fraction,
             defects,
             background.level_adu - np.float32(counts.adu_offset),
             background.tile_px,

@@ -13,7 +13,7 @@ from sboc_e2e.icd.signals import FIXED_POINT, BackgroundModel, Detection, Strip
 LEAST_END_MARGIN_SIGMA = 6.0
 """Margin beyond a bright streak's end, in PSF sigmas: the light of the end itself."""
 
-STRAIGHT_WITHIN_PX = 0.5
+STRAIGHT_WITHIN_PX = 1.5
 """A strip is cut shorter until the trail's arc stays this close to its chord."""
 
 
@@ -42,10 +42,11 @@ def end_margin_px(length_px: float, snr: float, psf_sigma_px: float, factor: flo
 
 
 def arc_points(detection: Detection, fractions: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Points (n, 2) row, col on the detection's parabola at fractions of its chord (beyond 0 and 1 as well)."""
+    """Points (n, 2) row, col on the detection's parabola at fractions of its chord; beyond its ends on the tangents."""
     drow, dcol = detection.row1 - detection.row0, detection.col1 - detection.col0
     length = math.hypot(drow, dcol)
-    height = 4.0 * detection.sagitta_px * fractions * (1.0 - fractions)
+    rise = np.where(fractions < 0.0, fractions, np.where(fractions > 1.0, 1.0 - fractions, fractions * (1.0 - fractions)))
+    height = 4.0 * detection.sagitta_px * rise
     normal_row, normal_col = (dcol / length, -drow / length) if length > 0.0 else (0.0, 0.0)
     return np.column_stack(
         (detection.row0 + fractions * drow + height * normal_row, detection.col0 + fractions * dcol + height * normal_col)
@@ -93,11 +94,12 @@ def plan_strips(
     low, high = -margins[0] / length, 1.0 + margins[1] / length
     drow, dcol = abs(detection.row1 - detection.row0), abs(detection.col1 - detection.col0)
     axis = 0 if drow >= dcol else 1
-    sagitta = abs(detection.sagitta_px) * (high - low) ** 2
-    for_arc = math.ceil(math.sqrt(sagitta / STRAIGHT_WITHIN_PX)) if sagitta > STRAIGHT_WITHIN_PX else 1
+    # within a piece the arc departs from the chord by 1/n^2 of the whole; what remains is allowed for in the width
+    pieces_for_arc = max(1, math.ceil(math.sqrt(abs(detection.sagitta_px) / STRAIGHT_WITHIN_PX)))
+    half_width_px += abs(detection.sagitta_px) / pieces_for_arc**2
     lines = (high - low) * max(drow, dcol) + 1.0
     width = 2.0 * math.ceil(half_width_px * length / max(drow, dcol)) + 1.0
-    pieces = max(for_arc, math.ceil(lines * width / pixels_per_strip))
+    pieces = max(pieces_for_arc, math.ceil(lines * width / pixels_per_strip))
     nodes = arc_points(detection, np.linspace(low, high, pieces + 1))
     # neighbouring pieces share a node; the later one starts a line further on, so that no line is sent twice
     strips: list[StripGeometry] = []

@@ -35,29 +35,30 @@ def bits_per_pixel(sigma_counts: float) -> float:
 
 
 def trail_half_width_px(view: DetectorView, detection: Detection, *, least_px: float, largest_px: float) -> float:
-    """Half width across that holds the trail's light, measured on the image.
+    """Half width across that holds the trail's light, measured on the image: near objects are out of focus.
 
-    The mean profile across the trail is followed outwards from `least_px` as long as the next 2 px on either side still
-    hold a significant excess (3 sigma, and 0.5 % of the light within): near objects are out of focus.
+    The profile across the trail, above what lies at the largest distance, is followed outwards from `least_px` as long as
+    the next 2 px on either side hold a significant part of the light (4 sigma, and 1 % of what lies within).
     """
     reach = math.ceil(largest_px)
-    profile, number = cross_profile(view, detection, reach)
-    if number == 0:
+    if reach < least_px + 4.0:
         return least_px
-    sigma = float(np.median(view.background.sigma_adu)) * math.sqrt(number)
+    profile, number = cross_profile(view, detection, reach)
+    profile = profile - 0.5 * (np.median(profile[:4]) + np.median(profile[-4:]))
+    noise = float(np.median(view.background.sigma_adu)) * math.sqrt(number)
     half = least_px
     while half + 2.0 <= largest_px:
         inner = round(half)
         inside = profile[reach - inner : reach + inner + 1].sum()
         ring = profile[reach - inner - 2 : reach - inner].sum() + profile[reach + inner + 1 : reach + inner + 3].sum()
-        if ring < 3.0 * sigma * 2.0 or ring < 0.005 * inside:
+        if ring < 4.0 * noise * 2.0 or ring < 0.01 * inside:
             break
         half += 2.0
     return half
 
 
 def cross_profile(view: DetectorView, detection: Detection, reach: int) -> tuple[NDArray[np.float64], int]:
-    """Sum along the trail of the image at offsets -reach ... reach px across it (nearest pixels), and the samples summed."""
+    """Sum along the trail of the image at offsets -reach ... reach px across it (nearest pixels), and how many values each adds."""
     drow, dcol = detection.row1 - detection.row0, detection.col1 - detection.col0
     length = detection.length_px
     samples = max(1, min(int(length), 2000))

@@ -1,0 +1,55 @@
+# Verbs, each of which does all its own set-up in .venv from the lock file:
+#   make e2e SCENARIO=sso_antisun   the whole chain, ends with runs/<scenario>/report.html
+#   make test        fast tests         make test-full   all tests, under 40 minutes
+#   make lint        style, types, import rules, schema, licences
+#   make bench       the benchmark report         make fuzz   a million inputs against every parser
+#   make clean       remove the environment and everything that can be made again
+
+PYTHON ?= $(shell command -v python3.13 || command -v python3.12 || command -v python3.11 || command -v python3)
+SCENARIO ?= sso_antisun
+VENV := .venv
+BIN := $(VENV)/bin
+READY := $(VENV)/.ready
+FUZZ_RUNS ?= 1000000
+
+# One thread per process: worker processes parallelise, and sums keep their order.
+export OMP_NUM_THREADS := 1
+export OPENBLAS_NUM_THREADS := 1
+export NUMBA_NUM_THREADS := 1
+export PYTHONHASHSEED ?= 0
+
+.PHONY: e2e test test-full lint bench fuzz clean
+
+e2e: $(READY)
+	$(BIN)/sboc run $(SCENARIO) --force
+
+test: $(READY)
+	$(BIN)/python -m pytest -q -ra
+
+test-full: $(READY)
+	$(BIN)/python -m pytest -q -ra -m "slow or not slow"
+
+lint: $(READY)
+	$(BIN)/ruff check .
+	$(BIN)/mypy
+	$(BIN)/lint-imports --no-logo
+	$(BIN)/python -m sboc_e2e.licences --check LICENSES.md
+
+bench: $(READY)
+	$(BIN)/sboc bench
+
+fuzz: $(READY)
+	for target in packets codecs fits scenario; do $(BIN)/python -m tests.fuzz.$$target -runs=$(FUZZ_RUNS) -rss_limit_mb=2048 || exit 1; done
+
+clean:
+	rm -rf $(VENV) runs bench/out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .benchmarks
+	find . -name __pycache__ -type d -prune -exec rm -rf {} +
+
+# The environment follows the lock file and the project's metadata; the warm-up compiles numerical kernels once.
+$(READY): requirements.lock pyproject.toml
+	@$(PYTHON) -c 'import sys; sys.exit(0 if sys.version_info >= (3, 11) else "Python 3.11 or newer is needed: make PYTHON=/path/to/python3")'
+	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	$(BIN)/python -m sboc_e2e.warm_up
+	touch $@

@@ -5,8 +5,6 @@ varying trails need nothing special. With bins of at most half a pixel the rippl
 ``2 exp(-2 pi^2 sigma^2 / step^2)``, is below 1e-6 for any sigma above 0.3 px. The cost is linear in length.
 """
 
-import math
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -48,36 +46,3 @@ def render_trail(
     phases = max(2, min(_FINEST_PHASES, int(_FINEST_PHASES * 24.0 / (24.0 + defocus_px))))
     table, half, phases = defocused_kernel(defocus_px, obstruction, sigma_px, phases=phases)
     add_defocused_points(image_e, row, col, flux_e, table, half, phases)
-
-
-def render_trail_patch(
-    row: NDArray[np.float64],
-    col: NDArray[np.float64],
-    flux_e: NDArray[np.float64],
-    sigma_px: float,
-    defocus_px: float = 0.0,
-    obstruction: float = 0.0,
-    *,
-    shape: tuple[int, int],
-) -> tuple[int, int, NDArray[np.float32]]:
-    """The same trail alone, on the smallest rectangle of a frame of `shape` that holds it.
-
-    Returns ``(row0, col0, patch)`` with patch[i, j] the electrons of pixel (row0 + i, col0 + j); an empty patch
-    (0, 0) when nothing falls inside.
-    """
-    margin = math.ceil(6.5 * sigma_px + 0.5 * defocus_px + 2.0)
-    lit = np.asarray(flux_e) > 0.0
-    if not lit.any():
-        return 0, 0, np.zeros((0, 0), dtype=np.float32)
-    row, col, flux_e = np.asarray(row)[lit], np.asarray(col)[lit], np.asarray(flux_e)[lit]
-    near = (row > -margin) & (row < shape[0] + margin) & (col > -margin) & (col < shape[1] + margin)
-    if not near.any():
-        return 0, 0, np.zeros((0, 0), dtype=np.float32)
-    row, col, flux_e = row[near], col[near], flux_e[near]
-    row0, row1 = max(0, int(row.min()) - margin), min(shape[0], int(row.max()) + margin + 1)
-    col0, col1 = max(0, int(col.min()) - margin), min(shape[1], int(col.max()) + margin + 1)
-    if row1 <= row0 or col1 <= col0:
-        return 0, 0, np.zeros((0, 0), dtype=np.float32)
-    patch = np.zeros((row1 - row0, col1 - col0), dtype=np.float32)
-    render_trail(patch, row - row0, col - col0, flux_e, sigma_px, defocus_px, obstruction)
-    return row0, col0, patch

@@ -31,6 +31,16 @@ NUCLEI: Final = ((1.0, 1.0, 0.872), (2.0, 4.0, 0.118), (6.0, 12.0, 0.0045), (8.0
 neighbours joined to oxygen)."""
 
 
+GROUND_RATE_CM2_S: Final = 1.0 / 60.0
+"""Muons through a horizontal cm2 at sea level (Workman et al. 2022, section 30.3.1: about one per minute)."""
+
+GROUND_RIGIDITY_GV: Final = 36.0
+"""Muons of 4 GeV, their mean, have the beta gamma of a proton of this rigidity, and so lose as much."""
+
+EQUATOR_RIGIDITY_GV: Final = 12.0
+"""Cutoff where the environment is said to be quiet: the geomagnetic equator at 700 km."""
+
+
 class GeodeticPosition(NamedTuple):
     """Where the sensor is, WGS84."""
 
@@ -124,6 +134,6 @@ def energy_of_rigidity_mev(rigidity_gv: float) -> float:
 
 def cosmic_rate_cm2_s(options: RadiationOptions, spectrum: CosmicRaySpectrum, cutoff_gv: float) -> float:
     """Cosmic rays through one cm2 of a plane: measured equatorial and polar rates, joined by the spectrum above the cutoff."""
-    equator = spectrum.above(energy_of_rigidity_mev(_CUTOFF_GV * 0.8))
+    equator = spectrum.above(energy_of_rigidity_mev(EQUATOR_RIGIDITY_GV))
     open_share = np.clip((spectrum.above(energy_of_rigidity_mev(cutoff_gv)) - equator) / (1.0 - equator), 0.0, 1.0)
     return options.quiet_rate_cm2_s * (1.0 + (options.polar_factor - 1.0) * float(open_share))

@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 
 from simulator.radiation.energy_loss import SHIELDS, SILICON, StoppingRange, stopping_power_mev_cm2_g
 from simulator.radiation.environment import (
+    EQUATOR_RIGIDITY_GV,
+    GROUND_RATE_CM2_S,
+    GROUND_RIGIDITY_GV,
     NUCLEI,
     CosmicRaySpectrum,
     GeodeticPosition,
@@ -50,22 +53,21 @@ class ParticleField:
     def rates_cm2_s(self, position: tuple[float, float, float] | None) -> tuple[float, float, float]:
         """Crossings of one cm2 per second by cosmic rays and by trapped protons, and the cosmic rays' cutoff rigidity in GV.
 
-        position : geodetic latitude and longitude in degrees, altitude in km; None (a site without orbit) means quiet.
+        position : geodetic latitude and longitude in degrees, altitude in km; None for a site on the ground.
         """
         options = self.options
-        equator_gv = 12.0
+        trapped, cutoff_gv = 0.0, EQUATOR_RIGIDITY_GV
         match options.environment:
             case "saa":
                 trapped = options.saa_peak_omni_cm2_s
-                cutoff_gv = equator_gv
             case "polar":
-                trapped, cutoff_gv = 0.0, 0.0
+                cutoff_gv = 0.0
             case "orbit" if position is not None:
                 where = GeodeticPosition(*position)
                 trapped = trapped_omni_cm2_s(where, self.epoch_jyear, options.saa_drift_deg_yr)
                 cutoff_gv = cutoff_rigidity_gv(where)
-            case _:
-                trapped, cutoff_gv = 0.0, equator_gv
+            case "orbit" | "ground":
+                return GROUND_RATE_CM2_S, 0.0, GROUND_RIGIDITY_GV
         trapped *= 0.5 * options.saa_factor * trapped_above(self._stopped_mev)
         return cosmic_rate_cm2_s(options, self._spectrum, cutoff_gv), trapped, cutoff_gv
 

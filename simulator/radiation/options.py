@@ -11,8 +11,8 @@ class RadiationOptions:
     environment: str = field(
         default="orbit",
         metadata={
-            "doc": "orbit: the position decides; quiet, polar, saa: the same everywhere",
-            "choices": ("orbit", "quiet", "polar", "saa"),
+            "doc": "orbit: the position decides; quiet, polar, saa: the same everywhere; ground: muons at sea level",
+            "choices": ("orbit", "quiet", "polar", "saa", "ground"),
         },
     )
     quiet_rate_cm2_s: float = field(

@@ -14,6 +14,7 @@ from simulator.radiation.energy_loss import (
     binding_width_kev,
     landau_xi_kev,
     maximum_transfer_mev,
+    most_probable_loss_kev,
     stopping_power_mev_cm2_g,
 )
 
@@ -67,8 +68,8 @@ def draw_loss_kev(
 
     By kappa = xi / T_max (Seltzer & Berger 1964, NAS-NRC 1133, 187):
 
-    * below 0.1 Landau's law, ``loss = mean + xi (lambda + 1 - C + beta^2 + ln kappa)`` (Landau 1944), its endless tail cut at the
-      lambda that makes the mean right (as GEANT 3 does), plus the Gaussian width of bound electrons, itself cut where the loss
+    * below 0.1 Landau's law about the most probable loss, its endless tail cut where the mean of Landau's variable is
+      ``-(1 - C + beta^2 + ln kappa)``, which makes the mean loss right (as GEANT 3 does), plus the Gaussian width of bound electrons, itself cut where the loss
       would fall below a tenth of the most probable one;
     * above it (slow protons on long paths, heavy nuclei) a gamma distribution with Vavilov's mean, variance
       ``xi T_max (1 - beta^2 / 2)`` and skewness ``(1/2 - beta^2/3) / sqrt(kappa (1 - beta^2/2)^3)`` (Vavilov 1957).
@@ -82,7 +83,9 @@ def draw_loss_kev(
     few = kappa < _GAMMA_ABOVE
     loss = np.empty_like(mean)
     width = binding_width_kev(energy_mev_u, path_um, material, charge)
-    loss[few] = _landau_loss_kev(rng, mean[few], xi[few], beta2[few], kappa[few], width[few], table)
+    mode = most_probable_loss_kev(energy_mev_u, path_um, material, charge)
+    mean_lambda = -(_EULER_REST + beta2 + np.log(kappa))
+    loss[few] = _landau_loss_kev(rng, mode[few], xi[few], mean_lambda[few], width[few], table)
     many = ~few
     variance = xi[many] * top[many] * (1.0 - 0.5 * beta2[many])
     skewness = (0.5 - beta2[many] / 3.0) / np.sqrt(kappa[many] * (1.0 - 0.5 * beta2[many]) ** 3)
@@ -94,18 +97,15 @@ def draw_loss_kev(
 
 def _landau_loss_kev(
     rng: np.random.Generator,
-    mean: NDArray[np.float64],
+    mode: NDArray[np.float64],
     xi: NDArray[np.float64],
-    beta2: NDArray[np.float64],
-    kappa: NDArray[np.float64],
+    mean_lambda: NDArray[np.float64],
     width: NDArray[np.float64],
     table: LandauTable,
 ) -> NDArray[np.float64]:
-    """The first case of `draw_loss_kev`."""
-    offset = _EULER_REST + beta2 + np.log(kappa)
-    share = np.interp(-offset, table.mean_below, table.probability)
-    loss = mean + xi * (np.interp(rng.random(mean.size) * share, table.probability, table.quantile) + offset)
-    mode = mean + xi * (_LANDAU_MODE + offset)
+    """The first case of `draw_loss_kev`, from the most probable loss and the mean that lambda shall have."""
+    share = np.interp(mean_lambda, table.mean_below, table.probability)
+    loss = mode + xi * (np.interp(rng.random(mode.size) * share, table.probability, table.quantile) - _LANDAU_MODE)
     cut = ndtr(np.clip((0.1 * mode - loss) / np.maximum(width, 1e-9), -8.0, 8.0))
-    uniform = cut + rng.random(mean.size) * (1.0 - cut)
+    uniform = cut + rng.random(mode.size) * (1.0 - cut)
     return np.asarray(np.maximum(loss + width * ndtri(np.clip(uniform, 1e-12, 1.0 - 1e-12)), 0.0))

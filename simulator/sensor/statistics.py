@@ -48,11 +48,6 @@ def entropy_table(
     return roots, np.asarray(bits)
 
 
-def gaussian_entropy_bits(variance_e2: NDArray[np.float64], gain_e_adu: float) -> NDArray[np.float64]:
-    """Entropy of a rounded Gaussian much wider than one unit: ``log2(sigma sqrt(2 pi e) / gain)``."""
-    return np.asarray(0.5 * np.log2(2.0 * math.pi * math.e * variance_e2 / gain_e_adu**2))
-
-
 @numba.njit(cache=True)
 def pixel_variance(
     mean_e: NDArray[np.float32],
@@ -84,7 +79,8 @@ def mean_entropy_bits(
     """Mean over an image of the entropy of each pixel's ADU.
 
     roots, bits : `entropy_table`. high : gain, read noise and end (electrons) of the high-gain channel. low : gain and read
-    noise of the low-gain one, and the charge from which a pixel is saturated and says nothing.
+    noise of the low-gain one, and the charge from which a pixel is saturated and says nothing. Beyond the table a code is a
+    rounded Gaussian much wider than one unit, of entropy ``log2(sigma sqrt(2 pi e) / gain)``.
     """
     high_gain, high_noise, handover_e = high
     low_gain, low_noise, saturated_e = low

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy import integrate, signal
 
-from simulator.exposure import render_stars, render_trail, render_trail_patch
+from simulator.exposure import render_stars, render_trail
 from simulator.optics.defocus import blur_angle_rad, disc_profile
 from simulator.optics.psf import PsfOptions, sigma_at
 from simulator.optics.vignetting import VignettingOptions, relative_illumination
@@ -104,19 +104,6 @@ def test_the_disc_profile_has_unit_flux_and_is_flat_inside():
     area = np.pi * (6.0**2 - 1.8**2)
     assert np.interp(4.0, radius, profile) * area == pytest.approx(1.0, abs=0.02)
     assert np.interp(6.0, radius, profile) * area == pytest.approx(0.5, abs=0.06)
-
-
-def test_a_patch_is_the_same_trail():
-    t = (np.arange(300) + 0.5) / 300
-    row, col, flux = -10.0 + 60.0 * t, 80.0 + 50.0 * t, np.full(300, 7.0)
-    image = np.zeros((64, 100), dtype=np.float32)
-    render_trail(image, row, col, flux, 0.9, 3.0, 0.2)
-    row0, col0, patch = render_trail_patch(row, col, flux, 0.9, 3.0, 0.2, shape=(64, 100))
-    pasted = np.zeros_like(image)
-    pasted[row0 : row0 + patch.shape[0], col0 : col0 + patch.shape[1]] = patch
-    assert np.abs(pasted - image).max() < 1e-4 * image.max()
-    outside = render_trail_patch(row + 1000.0, col, flux, 0.9, shape=(64, 100))
-    assert outside[2].size == 0
 
 
 def test_the_blur_angle_is_41_arcsec_at_1_km_for_20_cm():

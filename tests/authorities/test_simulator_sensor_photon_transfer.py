@@ -8,7 +8,7 @@ from scipy import stats
 
 from simulator.sensor import Sensor, SensorOptions
 from simulator.sensor.options import ConverterOptions, ReadoutOptions
-from simulator.sensor.statistics import entropy_bits, gaussian_entropy_bits, pixel_probabilities
+from simulator.sensor.statistics import entropy_bits, pixel_probabilities
 
 LINEAR = replace(SensorOptions(), converter=ConverterOptions(nonlinearity=0.0))
 
@@ -88,4 +88,3 @@ def test_entropy_of_an_image_is_the_mean_over_its_pixels():
     mean_e = np.repeat(levels, 2).astype(np.float32)[None, :].repeat(4, axis=0)
     exact = [entropy_bits(pixel_probabilities(m, 2.3, 1.2)) for m in levels]
     assert sensor.entropy_bits(mean_e, 0.0) == pytest.approx(np.mean(exact), abs=2e-3)
-    assert gaussian_entropy_bits(np.array(250.0 + 2.3**2), 1.2) == pytest.approx(exact[3], abs=2e-3)

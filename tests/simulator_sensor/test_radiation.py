@@ -171,3 +171,11 @@ def test_the_map_is_ap8_closed_in_longitude_and_drifts_west():
     assert at_700 == pytest.approx(3750.0, rel=0.01)
     seam = [trapped_omni_cm2_s(GeodeticPosition(-30.0, lon, 780.0), 2015.0, 0.0) for lon in (179.99, -179.99)]
     assert seam[0] == pytest.approx(seam[1], abs=0.1)
+
+
+def test_on_the_ground_there_is_one_muon_per_minute_and_cm2():
+    field = ParticleField(RadiationOptions(environment="orbit"), **LARGE)
+    rate, trapped, rigidity_gv = field.rates_cm2_s(None)
+    assert (rate * 60.0, trapped) == (1.0, 0.0)
+    # beta gamma = rigidity / proton mass = 38, that of muons of 4 GeV.
+    assert rigidity_gv / 0.93827 == pytest.approx(math.sqrt((1.0 + 4.0 / 0.10566) ** 2 - 1.0), rel=0.02)

@@ -142,7 +142,21 @@ def _grid(low: float, high: float, step: float) -> NDArray[np.float64]:
     return np.linspace(low, high, max(3, int(math.ceil((high - low) / step)) + 1))
 
 
-def end_posterior(
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EndTables:
+    """Log likelihoods of each end given the density: log0 (K, G0) on grid0, log1 (K, G1) on grid1, densities (K,).
+
+    The joint one of (density, end 0, end 1) is their sum. An end at the image's edge has one node.
+    """
+
+    grid0: NDArray[np.float64]
+    grid1: NDArray[np.float64]
+    log0: NDArray[np.float64]
+    log1: NDArray[np.float64]
+    densities: NDArray[np.float64]
+
+
+def end_tables(
     u: NDArray[np.float64],
     template: NDArray[np.float64],
     value_e: NDArray[np.float64],
@@ -150,15 +164,11 @@ def end_posterior(
     *,
     width_px: float,
     coarse: CoarseEnds,
-    brightness: tuple[float, float, float],
-    line_parameters: int,
-) -> EndPosterior:
-    """Posterior of the ends of a trail whose two edges do not overlap.
+) -> EndTables:
+    """Likelihood of both ends of a trail whose two edges do not overlap.
 
     u : (n,) ascending; template : (n,) electrons per unit density of a fully lit pixel; value_e, variance_e2 : (n,).
-    coarse : where the ends were found, and which are the frame's edge. brightness : (half_px, q1, q2) of `trail_model`,
-    for the flux between two ends. line_parameters : how many parameters of the centre line were maximised over: each
-    lifts the S/N found by 1 / (2 S), which a prior S^(-1/2) of each takes back.
+    coarse : where the ends were found, and which are the frame's edge.
     """
     split = int(np.searchsorted(u, 0.5 * (coarse.end0 + coarse.end1)))
     scale = max(coarse.length_px / coarse.snr2, 0.15 * width_px)
@@ -179,10 +189,21 @@ def end_posterior(
     else:
         grid1 = _grid(max(coarse.range1[0] - pad, center + width_px), min(coarse.range1[1] + pad, coarse.limits[1]), step)
         log1 = one_end(grid1, -1.0, *arrays)
-    tilt = 0.25 * line_parameters / coarse.length_px
-    log0 = log0 + tilt * (grid0 - coarse.end0)
-    log1 = log1 - tilt * (grid1 - coarse.end1)
-    return _moments_separable(grid0, grid1, log0, log1, densities, brightness, line_parameters)
+    return EndTables(grid0=grid0, grid1=grid1, log0=log0, log1=log1, densities=densities)
+
+
+def end_posterior(tables: EndTables, *, brightness: tuple[float, float, float], line_parameters: int) -> EndPosterior:
+    """Posterior moments with flat priors on ends and density.
+
+    brightness : (half_px, q1, q2) of `trail_model`, for the flux between two ends. line_parameters : how many
+    parameters of the centre line were maximised over: each lifts the S/N found by 1 / (2 S), which a prior S^(-1/2) of
+    each takes back.
+    """
+    middle0, middle1 = float(tables.grid0.mean()), float(tables.grid1.mean())
+    tilt = 0.25 * line_parameters / max(middle1 - middle0, 1.0)
+    log0 = tables.log0 + tilt * (tables.grid0 - middle0)
+    log1 = tables.log1 - tilt * (tables.grid1 - middle1)
+    return _moments_separable(tables.grid0, tables.grid1, log0, log1, tables.densities, brightness, line_parameters)
 
 
 def short_trail_posterior(

@@ -176,7 +176,8 @@ def _one_side(
 ) -> tuple[float, float, float, float, float]:
     """Mean, sigma, range (low, high) and log evidence of one end."""
     top = float(log_likelihood.max())
-    mass = np.exp(log_likelihood - top) * np.maximum(steps, 0.0)
+    # far below the top the exponential would underflow into slow denormal numbers
+    mass = np.exp(np.maximum(log_likelihood - top, -200.0)) * np.maximum(steps, 0.0)
     total = float(mass.sum())
     mean = float(mass @ u) / total
     sigma = math.sqrt(max(float(mass @ (u - mean) ** 2) / total, 0.0))

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.streaks.centre_line import LineFit, effective_width_px, find_line, moved_to_middle, score, turned_along
-from ground.streaks.end_posterior import EndPosterior, end_posterior, short_trail_posterior
+from ground.streaks.end_posterior import EndPosterior, end_posterior, end_tables, short_trail_posterior
 from ground.streaks.end_search import CoarseEnds, coarse_ends
 from ground.streaks.fit_record import TrailResult, point_record, trail_record
 from ground.streaks.intruders import at_median_brightness, intruder_mask
@@ -182,12 +182,15 @@ def _long_trail(
         return None
     near = line.pixels.near(2.7 * line.width_px + abs(line.parameters[SAGITTA]))
     # the line's density has soft edges, the coarse one counts half-lit pixels as lit
-    ends = end_posterior(
+    tables = end_tables(
         near.u, _template(replace(line, pixels=near)), near.value_e, near.variance_e2,
         width_px=line.width_px, coarse=replace(coarse, density_e_px=float(line.parameters[DENSITY])),
+    )  # fmt: skip
+    ends = end_posterior(
+        tables,
         brightness=(line.half_px, float(line.parameters[Q1]), float(line.parameters[Q2])),
         line_parameters=2 + (SAGITTA in line.free),
-    )  # fmt: skip
+    )
     if ends.end1 - ends.end0 < POINT_WIDTHS * pixels.psf_sigma_px:
         return fit_untrailed(pixels, detection)
     return _record(pixels, detection, line, ends, coarse.edges, crosses, options)

@@ -1,0 +1,328 @@
+"""Joint refit of all frames of a tracklet: its common rate and the known epochs pin the ends along the track.
+
+In one faint frame the ends are change points, good to 4.39 L / S^2. But all frames of a tracklet show one motion: two
+numbers (where, how fast) or three (with a change of rate) fix the 2 n ends of n frames, because the epochs of shutter
+open and close are known at every row. The frames' end likelihoods (`end_posterior.EndTables`), each as a function of
+its two ends, are multiplied along this motion and integrated by importance sampling; every frame's ends and flux are
+then the posterior means under the common motion.
+
+For the caller (after linking): build one `TrackletFrame` for each streak, ends in time order (`reversed_ends`), and
+call `refit_tracklet`; the refitted `StreakFit` of each frame comes back in the same order, flagged REFIT. Only the
+along-track coordinate changes; frames that say nothing (edge to edge, failed) are returned as they came. Pointing errors
+common to a frame are not known here: where they matter, give their along-track sigma as `sigma_frame`.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import qmc
+from scipy.special import ndtri
+
+from ground.streaks.centre_line import effective_width_px, uniform_trail
+from ground.streaks.end_posterior import EndTables, end_tables, lit_length
+from ground.streaks.end_search import coarse_ends
+from ground.streaks.fit_record import pixel_covariance
+from ground.streaks.trail_fit import CHANGE_POINT_SNR2, OVERLAP_WIDTHS
+from ground.streaks.trail_frame import TrailFrame
+from ground.streaks.trail_model import Q1, SAGITTA, V_MID, profiles
+from ground.streaks.trail_pixels import usable_pixels
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.products import StreakFit, StreakPixels
+
+SAMPLES: Final = 4096
+"""Draws of the motion in each round (a Sobol sequence: the same numbers every time)."""
+
+ROUNDS: Final = 5
+EFFECTIVE_SAMPLES: Final = 400.0
+"""Rounds of re-centring the proposal end when the weights are worth this many independent draws."""
+
+STUDENT_FREEDOM: Final = 4.0
+"""Tails of the proposal: heavier than those of the product of change-point likelihoods."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrackletFrame:
+    """One frame of a tracklet.
+
+    fit : ends in time order (end 0 where the exposure began). along0, along1 : coordinate along the tracklet's path of
+    the fitted ends, in one unit for all frames (say arcsec along the great circle); along_per_px : its derivative along
+    the trail, from end 0 to end 1 (positive). t_open_s, t_close_s : shutter open on the row of end 0 and shutter close
+    on the row of end 1, from a common zero. line_time_s : signed. sigma_frame : pointing error along the path, in the
+    same unit.
+    """
+
+    pixels: StreakPixels
+    fit: StreakFit
+    along0: float
+    along1: float
+    along_per_px: float
+    t_open_s: float
+    t_close_s: float
+    line_time_s: float
+    sigma_frame: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Evidence:
+    """What a frame says of its ends, as displacements (px, along the trail) from the fitted ones."""
+
+    frame: TrackletFrame
+    tables: EndTables | None
+    precision: NDArray[np.float64]
+    rows_per_px: float
+
+
+def refit_tracklet(frames: Sequence[TrackletFrame], *, sigma_acceleration: float = 0.0) -> tuple[StreakFit, ...]:
+    """Refitted streaks, one for each frame and in their order.
+
+    sigma_acceleration : prior sigma of the change of rate, unit of `along` per s^2; 0 for a constant rate.
+    """
+    evidence = [_evidence(frame) for frame in frames]
+    ends = sum(2 - _edge_count(e.frame.fit) for e in evidence if e is not None)
+    if ends < 3:
+        return tuple(frame.fit for frame in frames)
+    used = [e for e in evidence if e is not None]
+    zero = float(np.mean([0.5 * (e.frame.t_open_s + e.frame.t_close_s) for e in used]))
+    start = _linear_start(used, zero, sigma_acceleration)
+    if start is None:
+        return tuple(frame.fit for frame in frames)
+    motion, weight = _sample(used, zero, sigma_acceleration, *start)
+    return tuple(
+        frame.fit if e is None else _refitted(e, motion, weight, zero) for frame, e in zip(frames, evidence, strict=True)
+    )
+
+
+def _edge_count(fit: StreakFit) -> int:
+    """Ends that are the image's edge."""
+    return int(StreakFlag.EDGE0 in fit.flags) + int(StreakFlag.EDGE1 in fit.flags)
+
+
+def _evidence(frame: TrackletFrame) -> _Evidence | None:
+    """End likelihood of a frame along its fitted line; None where it has no end or no fit."""
+    fit = frame.fit
+    length = fit.length_px
+    if StreakFlag.FIT_FAILED in fit.flags or _edge_count(fit) == 2 or not frame.along_per_px > 0.0:
+        return None
+    if StreakFlag.POINT_LIKE in fit.flags or length < 1.0:
+        return None
+    trail = TrailFrame.of_chord(fit.row0, fit.col0, fit.row1, fit.col1)
+    along = np.array([trail.sin, trail.cos])
+    covariance = np.array(
+        [[along @ fit.covariance_px2[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] @ along for j in range(2)] for i in range(2)]
+    )
+    free = [StreakFlag.EDGE0 not in fit.flags, StreakFlag.EDGE1 not in fit.flags]
+    precision = np.zeros((2, 2))
+    index = np.flatnonzero(free)
+    precision[np.ix_(index, index)] = np.linalg.inv(covariance[np.ix_(index, index)])
+    width = effective_width_px(frame.pixels.psf_sigma_px)
+    change_points = fit.snr**2 < 3.0 * CHANGE_POINT_SNR2 * length / width
+    tables = _tables(frame, trail) if change_points and length > OVERLAP_WIDTHS * width else None
+    return _Evidence(frame=frame, tables=tables, precision=precision, rows_per_px=trail.sin)
+
+
+def _tables(frame: TrackletFrame, trail: TrailFrame) -> EndTables | None:
+    """`end_tables` along the line of the fit, with u from the middle of its chord."""
+    fit, pixels = frame.fit, frame.pixels
+    width = effective_width_px(pixels.psf_sigma_px)
+    if abs(fit.width_px - pixels.psf_sigma_px) > 4.0 * fit.width_err_px and fit.width_px > 0.0:
+        width = effective_width_px(fit.width_px)
+    edges = (StreakFlag.EDGE0 in fit.flags, StreakFlag.EDGE1 in fit.flags)
+    half = 0.5 * fit.length_px
+    near = usable_pixels(pixels, trail, 2.7 * width + abs(fit.sagitta_px)).near(math.inf)
+    density = fit.flux_e / (2.0 * half)
+    parameters = uniform_trail(density, half, edges, width)
+    parameters[SAGITTA], parameters[V_MID], parameters[Q1] = fit.sagitta_px, 2.0 / 3.0 * fit.sagitta_px, 0.5 * fit.gradient
+    template = profiles(parameters, near.u, near.v, half, trail.angle_rad)
+    coarse = coarse_ends(
+        near.u, template, near.value_e, near.variance_e2,
+        guess=(-half, half, density), edges=edges, image_limits=trail.image_limits(pixels.frame_shape),
+    )  # fmt: skip
+    if coarse is None or coarse.edges != edges:
+        return None
+    coarse = replace(coarse, density_e_px=density)
+    return end_tables(near.u, template, near.value_e, near.variance_e2, width_px=width, coarse=coarse)
+
+
+def _basis(t_s: NDArray[np.float64] | float, n_parameters: int) -> NDArray[np.float64]:
+    """(1, t, t^2 / 2) truncated to the parameters of the motion, stacked on the last axis."""
+    t = np.asarray(t_s, dtype=np.float64)
+    return np.stack([np.ones_like(t), t, 0.5 * t * t][:n_parameters], axis=-1)
+
+
+def _linear_start(
+    used: list[_Evidence], zero_s: float, sigma_acceleration: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]] | None:
+    """Weighted least squares on the fitted ends: (parameters, covariance) of the motion."""
+    n = 3 if sigma_acceleration > 0.0 else 2
+    normal, right = np.zeros((n, n)), np.zeros(n)
+    if n == 3:
+        normal[2, 2] = sigma_acceleration**-2
+    for e in used:
+        f = e.frame
+        basis = _basis(np.array([f.t_open_s - zero_s, f.t_close_s - zero_s]), n)
+        spread = e.precision / f.along_per_px**2
+        normal += basis.T @ spread @ basis
+        right += basis.T @ spread @ np.array([f.along0, f.along1])
+    if np.linalg.matrix_rank(normal) < n:
+        return None
+    covariance = np.linalg.inv(normal)
+    return covariance @ right, covariance
+
+
+def displacements(
+    frame: TrackletFrame, rows_per_px: float, motion: NDArray[np.float64], zero_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where a motion (m, p) puts both ends, px along the trail from the fitted ones, each (m,).
+
+    An end that moves by x px lies ``x * rows_per_px`` rows further on and is exposed that many line times later:
+    along + along_per_px x = a(t + c x), c = rows_per_px * line_time; linear in x but for the acceleration over c x.
+    """
+    n = motion.shape[1]
+    delay = rows_per_px * frame.line_time_s
+    out = []
+    for along, t_s in ((frame.along0, frame.t_open_s - zero_s), (frame.along1, frame.t_close_s - zero_s)):
+        rate = motion[:, 1] + (motion[:, 2] * t_s if n == 3 else 0.0)
+        out.append((motion @ _basis(t_s, n) - along) / (frame.along_per_px - rate * delay))
+    return out[0], out[1]
+
+
+def _log_likelihood(e: _Evidence, x0: NDArray[np.float64], x1: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(m,) log likelihood of end displacements."""
+    if e.tables is None:
+        x = np.stack([x0, x1], axis=1)
+        quadratic: NDArray[np.float64] = -0.5 * np.einsum("mi,ij,mj->m", x, e.precision, x)
+        return quadratic
+    return np.asarray(np.logaddexp.reduce(_per_density(e, x0, x1), axis=0))
+
+
+def _per_density(e: _Evidence, x0: NDArray[np.float64], x1: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(K, m) log likelihood of end displacements and density; beyond the tables it falls off like at their borders."""
+    assert e.tables is not None
+    half = 0.5 * e.frame.fit.length_px
+    total = np.zeros((e.tables.densities.size, x0.size))
+    for grid, log, position in ((e.tables.grid0, e.tables.log0, x0 - half), (e.tables.grid1, e.tables.log1, x1 + half)):
+        if grid.size == 1:
+            total += log
+            continue
+        step = grid[1] - grid[0]
+        place = np.clip((position - grid[0]) / step, 0.0, grid.size - 1.000001)
+        left = place.astype(np.int64)
+        share = place - left
+        total += log[:, left] * (1.0 - share) + log[:, left + 1] * share
+        outside = np.maximum(np.maximum(grid[0] - position, position - grid[-1]), 0.0)
+        total -= outside / (4.0 * step)
+    return total
+
+
+def _sample(
+    used: list[_Evidence],
+    zero_s: float,
+    sigma_acceleration: float,
+    center: NDArray[np.float64],
+    covariance: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Draws (m, p) of the motion and their weights (m,), by adaptive importance sampling with a Student-t proposal."""
+    n = center.size
+    # the first Sobol point is the corner of the cube; half a cell inwards it is a point like the others
+    uniform = qmc.Sobol(n + 1, scramble=False).random(SAMPLES) + 0.5 / SAMPLES
+    normal = ndtri(uniform[:, :n])
+    # Student t: a normal over the root of a gamma variable of mean one, here from its Wilson-Hilferty quantiles
+    nu = STUDENT_FREEDOM
+    gamma = np.maximum(1.0 - 2.0 / (9.0 * nu) + ndtri(uniform[:, n]) * math.sqrt(2.0 / (9.0 * nu)), 0.05) ** 3
+    shape = normal / np.sqrt(gamma)[:, None]
+    widening = 1.5
+    motion, weight = np.tile(center, (SAMPLES, 1)), np.full(SAMPLES, 1.0 / SAMPLES)
+    for _ in range(ROUNDS):
+        factor = np.linalg.cholesky(covariance) * widening
+        motion = center + shape @ factor.T
+        log_proposal = -0.5 * np.sum(normal**2, axis=1) + 0.5 * n * np.log(gamma)
+        log_weight = -log_proposal
+        if n == 3:
+            log_weight -= 0.5 * (motion[:, 2] / sigma_acceleration) ** 2
+        for e in used:
+            log_weight += _log_likelihood(e, *displacements(e.frame, e.rows_per_px, motion, zero_s))
+        weight = np.exp(log_weight - log_weight.max())
+        weight /= weight.sum()
+        center = weight @ motion
+        scatter = motion - center
+        estimate = (scatter * weight[:, None]).T @ scatter
+        effective = 1.0 / float(np.sum(weight**2))
+        # few effective draws understate the spread: keep part of the old one
+        keep = 0.5 if effective < 30.0 else 0.0
+        covariance = (1.0 - keep) * estimate + keep * covariance + 1e-12 * np.diag(np.diag(covariance))
+        if effective > EFFECTIVE_SAMPLES:
+            break
+    return motion, weight
+
+
+def _quantile(values: NDArray[np.float64], weight: NDArray[np.float64], levels: tuple[float, float]) -> tuple[float, float]:
+    """Weighted quantiles."""
+    order = np.argsort(values)
+    total = np.cumsum(weight[order])
+    low, high = np.interp(levels, total / total[-1], values[order])
+    return float(low), float(high)
+
+
+def _refitted(e: _Evidence, motion: NDArray[np.float64], weight: NDArray[np.float64], zero_s: float) -> StreakFit:
+    """The frame's fit with ends and flux as the common motion has them."""
+    frame, fit = e.frame, e.frame.fit
+    x0, x1 = displacements(frame, e.rows_per_px, motion, zero_s)
+    at_edge = (StreakFlag.EDGE0 in fit.flags, StreakFlag.EDGE1 in fit.flags)
+    x0, x1 = (np.zeros_like(x) if edge else x for x, edge in zip((x0, x1), at_edge, strict=True))
+    shift0, shift1 = float(weight @ x0), float(weight @ x1)
+    d0, d1 = x0 - shift0, x1 - shift1
+    pointing = (frame.sigma_frame / frame.along_per_px) ** 2
+    covariance = np.array([[weight @ d0**2, weight @ (d0 * d1)], [weight @ (d0 * d1), weight @ d1**2]])
+    covariance += pointing * np.outer(~np.array(at_edge), ~np.array(at_edge))
+    trail = TrailFrame.of_chord(fit.row0, fit.col0, fit.row1, fit.col1)
+    across_axis = np.array([trail.cos, -trail.sin])
+    across = np.array(
+        [
+            [across_axis @ fit.covariance_px2[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] @ across_axis for j in range(2)]
+            for i in range(2)
+        ]
+    )
+    interval0 = _quantile(d0, weight, (0.158655, 0.841345))
+    interval1 = _quantile(d1, weight, (0.158655, 0.841345))
+    half = 0.5 * fit.length_px
+    # a chord turns about the old line: the ends stay on it
+    row0, col0 = trail.to_pixel(-half + shift0, 0.0)
+    row1, col1 = trail.to_pixel(half + shift1, 0.0)
+    flux, flux_err = _flux(e, x0, x1, weight)
+    kurtosis = max(float(weight @ d**4) / max(float(weight @ d**2), 1e-30) ** 2 for d in (d0, d1))
+    flags = (fit.flags | StreakFlag.REFIT) & ~StreakFlag.ENDS_NOT_GAUSSIAN
+    return replace(
+        fit,
+        row0=row0,
+        col0=col0,
+        row1=row1,
+        col1=col1,
+        covariance_px2=pixel_covariance(trail, covariance, across),
+        end_interval_px=np.array([[-interval0[1], -interval0[0]], [interval1[0], interval1[1]]]),
+        flux_e=flux,
+        flux_err_e=flux_err,
+        flags=flags | StreakFlag.ENDS_NOT_GAUSSIAN if kurtosis > 4.5 else flags,
+    )
+
+
+def _flux(
+    e: _Evidence, x0: NDArray[np.float64], x1: NDArray[np.float64], weight: NDArray[np.float64]
+) -> tuple[float, float]:
+    """Flux and error with the ends as drawn: the density given the ends, times the lit length between them."""
+    fit = e.frame.fit
+    if e.tables is None:
+        return fit.flux_e, fit.flux_err_e
+    half = 0.5 * fit.length_px
+    brightness = (half, 0.5 * fit.gradient, 0.0)
+    length = lit_length(x1 + half, brightness) - lit_length(x0 - half, brightness)
+    log = _per_density(e, x0, x1)
+    share = np.exp(log - log.max(axis=0))
+    share /= share.sum(axis=0)
+    first = e.tables.densities @ share
+    second = e.tables.densities**2 @ share
+    flux = float(weight @ (first * length))
+    return flux, math.sqrt(max(float(weight @ (second * length**2)) - flux**2, 0.0))

@@ -20,6 +20,7 @@ from typing import Any
 import erfa
 import numpy as np
 from numpy.typing import NDArray
+from sgp4.api import SGP4_ERRORS
 
 from sboc_e2e import truth
 from sboc_e2e.catalogue import StarCatalogue
@@ -43,6 +44,8 @@ from simulator.scene import sources
 from simulator.scene.crossing import RowShutter, exposed_intervals
 from simulator.scene.encounters import Window, draw_encounters
 from simulator.scene.objects import PixelPathObject, SkyObject
+from simulator.scene.prediction import predict_crossings
+from simulator.scene.satellites import SatelliteOptions, read_satellites, satellite_object
 from simulator.scene.sky import SKY_GRID, fill_diffuse, surface_brightness_flux, unresolved_s10, zodiacal_s10
 from simulator.scene.star_image import place_stars
 from simulator.scene.stars import StarField, StarSky, angles_deg
@@ -115,6 +118,7 @@ class Simulator:
         duration_s = self.options.frames / self.options.frame_rate_hz
         for o in given.passing:
             found.append(self._passing(o, o.when * duration_s))
+        found.extend(self._satellites(given.satellites, duration_s))
         middle_s = 0.5 * duration_s
         self._drawn = draw_encounters(self.options.population, self._encounter_window(middle_s, duration_s), self.seed)
         population = self.options.population
@@ -128,6 +132,29 @@ class Simulator:
         col = 0.5 * (self._shape[1] - 1) * (1.0 + options.field_col)
         camera = self._projection.to_vectors(np.array([row]), np.array([col]))[0]
         return sources.passing(options, self._observer.state(when)[0], self._attitude(when).T @ camera, time_s)
+
+    def _satellites(self, options: SatelliteOptions, duration_s: float) -> list[SkyObject]:
+        """Catalogued satellites that cross the field during the run, each once."""
+        self._refused: dict[str, int] = {}
+        if not options.file:
+            return []
+        predicted = predict_crossings(
+            read_satellites(options.file, options.names),
+            self._observer,
+            self._attitude,
+            self._projection,
+            self._shape,
+            self._epoch,
+            0.0,
+            duration_s,
+            options.farthest_km,
+        )
+        self._refused = predicted.refused
+        if options.names and self._refused:
+            name, code = next(iter(self._refused.items()))
+            raise UserError(f"satellite {name!r} of {options.file}: refused by SGP4 ({SGP4_ERRORS.get(code, code)})")
+        once = {id(c.satellite): c.satellite for c in predicted.crossings}
+        return [satellite_object(s, options, self._epoch) for s in once.values()]
 
     def _encounter_window(self, middle_s: float, duration_s: float) -> Window:
         """What the camera sees during the run, for drawing encounters."""
@@ -497,4 +524,5 @@ class Simulator:
             "natural_in_run": total,
             "drawn": shown,
             "boost": shown / total if total > 0.0 else None,
+            "satellites_refused_by_sgp4": self._refused,
         }

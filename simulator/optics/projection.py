@@ -31,9 +31,21 @@ class Projection:
     p2: float = 0.0
 
     def to_pixels(self, vectors: Array) -> tuple[Array, Array]:
-        """Rows and cols (n,) of camera-frame vectors (n, 3) of any length; NaN for those not in front of the camera."""
+        """Rows and cols (n,) of camera-frame vectors (n, 3) of any length.
+
+        NaN for those behind the camera, and for those so far out that the distortion polynomial folds back into the field.
+        """
         z = np.where(vectors[..., 2] > 0.0, vectors[..., 2], np.nan)
-        return self.tangent_to_pixels(vectors[..., 0] / z, vectors[..., 1] / z)
+        u, v = vectors[..., 0] / z, vectors[..., 1] / z
+        u = np.where(u * u + v * v < self.fold_r2, u, np.nan)
+        return self.tangent_to_pixels(u, v)
+
+    @property
+    def fold_r2(self) -> float:
+        """Squared tangent at which radial distortion stops growing outwards: first root of ``1 + 3 k1 x + 5 k2 x^2``."""
+        roots = np.roots([5.0 * self.k2, 3.0 * self.k1, 1.0])
+        ahead = [float(x.real) for x in roots if abs(x.imag) < 1e-12 and x.real > 0.0]
+        return min(ahead, default=np.inf)
 
     def tangent_to_pixels(self, u: Array, v: Array) -> tuple[Array, Array]:
         """Rows and cols of undistorted tangent-plane coordinates (radians of tangent)."""

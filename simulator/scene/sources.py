@@ -13,6 +13,7 @@ from simulator.randomness import Effect, generator
 from simulator.scene.encounters import Drawn
 from simulator.scene.objects import Identity, OrbitingObject, PixelPathObject, SkyPathObject, kepler_positions
 from simulator.scene.reflection import STEADY, LightCurve
+from simulator.scene.satellites import SatelliteOptions
 from simulator.scene.stars import unit_vectors
 
 Array = NDArray[np.float64]
@@ -144,6 +145,7 @@ class ObjectOptions:
     )  # fmt: skip - one line for each object
     sky_path: tuple[SkyPathOptions, ...] = field(default=(), metadata={"doc": "paths on the sky"})
     pixel_path: tuple[PixelPathOptions, ...] = field(default=(), metadata={"doc": "paths on the detector"})
+    satellites: SatelliteOptions = field(default_factory=SatelliteOptions, metadata={"doc": "catalogued satellites"})
 
 
 def orbiting(options: OrbitOptions) -> OrbitingObject:

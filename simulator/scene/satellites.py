@@ -1,0 +1,155 @@
+"""Catalogued satellites: element sets of a file (TLE, 3LE, OMM) propagated by SGP4 into GCRS axes."""
+
+import gzip
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from io import StringIO
+from pathlib import Path
+
+import erfa
+import numpy as np
+from astropy.time import Time
+from astropy.utils import iers
+from numpy.typing import NDArray
+from sgp4 import omm
+from sgp4.api import SGP4_ERRORS, WGS72, Satrec, SatrecArray
+
+from sboc_e2e.icd import tai
+from sboc_e2e.icd.errors import UserError
+from simulator.platform import earth
+from simulator.scene.objects import Identity, OrbitingObject
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SatelliteOptions:
+    """Satellites of a file of element sets; every one that crosses the field during the run is an object of it."""
+
+    file: str = field(default="", metadata={"doc": "TLE, 3LE or OMM (csv, xml) file, may be gzipped; empty for none"})
+    names: tuple[str, ...] = field(default=(), metadata={"doc": "only satellites of these names or numbers; empty for all"})
+    size_m: float = field(default=1.0, metadata={"doc": "diameter, the same for all", "min": 1e-3, "max": 1000.0})
+    albedo: float = field(default=0.175, metadata={"doc": "Bond albedo, the same for all", "min": 0.001, "max": 1.0})
+    farthest_km: float = field(default=50000.0, metadata={"doc": "satellites beyond are left out", "min": 1.0, "max": 1e6})
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Satellite:
+    """An element set and its name."""
+
+    name: str
+    record: Satrec
+
+
+def read_satellites(path: str | Path, names: Iterable[str] = ()) -> list[Satellite]:
+    """Element sets of a file; those of the given names or catalogue numbers, or all. SGP4 may refuse them later (`propagate`).
+
+    UserError for a missing file, a malformed set (with its line) and a name that is not there.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise UserError(f"satellite file {path}: no such file")
+    raw = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+    text = raw.decode("utf-8", errors="replace")
+    kind = path.with_suffix("").suffix if path.suffix == ".gz" else path.suffix
+    found = _read_omm(path, text, kind) if kind in (".csv", ".xml") else _read_lines(path, text)
+    wanted = set(names)
+    if wanted:
+        found = [s for s in found if s.name in wanted or str(s.record.satnum) in wanted]
+        missing = wanted - {s.name for s in found} - {str(s.record.satnum) for s in found}
+        if missing:
+            raise UserError(f"satellite file {path}: no element set named {', '.join(sorted(missing))}")
+    if not found:
+        raise UserError(f"satellite file {path}: holds no element set")
+    return found
+
+
+def _read_lines(path: Path, text: str) -> list[Satellite]:
+    lines = text.splitlines()
+    found = []
+    for k in range(len(lines) - 1):
+        first, second = lines[k].rstrip(), lines[k + 1].rstrip()
+        if not (first.startswith("1 ") and second.startswith("2 ")):
+            continue
+        for number, line in ((k + 1, first), (k + 2, second)):
+            if len(line) < 69 or _checksum(line) != line[68]:
+                raise UserError(f"satellite file {path}, line {number}: not an element line of 69 characters with a right checksum")
+        title = lines[k - 1].strip() if k > 0 and not lines[k - 1].startswith(("1 ", "2 ")) else ""
+        record = Satrec.twoline2rv(first, second, WGS72)
+        found.append(Satellite(name=title.removeprefix("0 ").strip() or first[2:7].strip(), record=record))
+    return found
+
+
+def _checksum(line: str) -> str:
+    """Last digit of the sum of digits, minus signs counting one."""
+    return str(sum(int(c) if c.isdigit() else c == "-" for c in line[:68]) % 10)
+
+
+def _read_omm(path: Path, text: str, kind: str) -> list[Satellite]:
+    parse = omm.parse_csv if kind == ".csv" else omm.parse_xml
+    found = []
+    try:
+        for number, fields in enumerate(parse(text.splitlines() if kind == ".csv" else StringIO(text))):
+            record = Satrec()
+            omm.initialize(record, fields)
+            found.append(Satellite(name=fields.get("OBJECT_NAME", f"set {number}"), record=record))
+    except (KeyError, ValueError) as error:
+        raise UserError(f"satellite file {path}: element set {len(found) + 1} cannot be read ({error})") from error
+    return found
+
+
+def gcrs_from_teme(tai_ns: int) -> Array:
+    """(3, 3) from SGP4's true equator, mean equinox to GCRS axes (Vallado et al. 2006, AIAA 2006-6753, appendix C).
+
+    TEME turns to the Earth-fixed frame by GMST82; from there IAU 2006/2000A leads to the GCRS.
+    """
+    time = Time(*tai.to_jd_parts(tai_ns), format="jd", scale="tai")
+    xp, yp = iers.earth_orientation_table.get().pm_xy(time.utc.jd1, time.utc.jd2)
+    ut1 = time.ut1
+    spin = erfa.rz(erfa.gmst82(ut1.jd1, ut1.jd2), np.eye(3))
+    polar = erfa.pom00(float(xp.to_value("rad")), float(yp.to_value("rad")), 0.0)
+    return np.asarray(earth.itrs_from_gcrs(tai_ns).T @ polar @ spin)
+
+
+def utc_parts(tai_ns: int) -> tuple[float, float]:
+    """Julian date (UTC) for SGP4."""
+    utc = Time(*tai.to_jd_parts(tai_ns), format="jd", scale="tai").utc
+    return float(utc.jd1), float(utc.jd2)
+
+
+def propagate(satellites: list[Satellite], epoch_tai_ns: int, time_s: Array) -> tuple[Array, Array, NDArray[np.uint8]]:
+    """Positions and velocities (m, n, 3), GCRS km and km/s, and SGP4's error codes (m, n), at times after an epoch."""
+    jd, fraction = utc_parts(epoch_tai_ns)
+    error, position, velocity = SatrecArray([s.record for s in satellites]).sgp4(
+        np.full(len(time_s), jd), fraction + np.asarray(time_s) / earth.DAY_S
+    )
+    turn = gcrs_from_teme(epoch_tai_ns + round(float(np.mean(time_s)) * 1e9))
+    return position @ turn.T, velocity @ turn.T, error
+
+
+def satellite_object(satellite: Satellite, options: SatelliteOptions, epoch_tai_ns: int) -> OrbitingObject:
+    """A satellite as an object of the run; UserError, by name, where SGP4 gives up during it."""
+    jd, fraction = utc_parts(epoch_tai_ns)
+    turn = gcrs_from_teme(epoch_tai_ns)
+
+    def positions_km(time_s: Array) -> Array:
+        time_s = np.atleast_1d(time_s)
+        error, position, _ = satellite.record.sgp4_array(np.full(len(time_s), jd), fraction + time_s / earth.DAY_S)
+        if error.any():
+            code = int(error[error > 0][0])
+            raise UserError(f"satellite {satellite.name!r}: refused by SGP4 ({SGP4_ERRORS.get(code, code)})")
+        return np.asarray(position @ turn.T)
+
+    record = satellite.record
+    return OrbitingObject(
+        identity=Identity(
+            name=satellite.name,
+            kind="tle",
+            size_m=options.size_m,
+            albedo=options.albedo,
+            a_km=float((earth.MU_KM3_S2 / (record.no_kozai / 60.0) ** 2) ** (1.0 / 3.0)),
+            e=float(record.ecco),
+            i_deg=float(np.degrees(record.inclo)),
+        ),
+        positions_km=positions_km,
+    )

@@ -39,7 +39,8 @@ def star_grid(
     flux = np.exp(rng.uniform(*np.log(flux_e), row.size))
     electrons = np.full((side, side), SKY_E)
     reach = 8
-    steps = np.linspace(-0.5, 0.5, max(1, int(8 * trail_px)) + 1)[:-1] * trail_px if trail_px > 0.0 else np.zeros(1)
+    n_steps = max(1, int(8 * trail_px))
+    steps = ((np.arange(n_steps) + 0.5) / n_steps - 0.5) * trail_px
     for r, c, f in zip(row, col, flux, strict=True):
         i, j, count = int(r) - reach, int(c) - reach, 2 * reach + 1
         across = axis_weights(c, j, count, sigma_px)
@@ -50,13 +51,11 @@ def star_grid(
 
 def centroid_bound_px(flux_e: float, sigma_px: float) -> float:
     """Cramer-Rao bound of one coordinate of a star in the middle of a pixel, flux and position free, sky known."""
-    offsets = np.arange(-8, 9)
     step = 1e-4
     profile = axis_weights(0.0, -8, 17, sigma_px)
     slope = (axis_weights(step, -8, 17, sigma_px) - axis_weights(-step, -8, 17, sigma_px)) / (2.0 * step)
     star = flux_e * np.outer(profile, profile)
     variance = star + SKY_E + READ_NOISE_E**2 + GAIN_E_ADU**2 / 12.0
-    assert len(offsets) == len(profile)
     return float(1.0 / np.sqrt(np.sum((flux_e * np.outer(slope, profile)) ** 2 / variance)))
 
 

@@ -1,0 +1,113 @@
+"""Background mesh: level and noise, with stars, gradients and masks; edge cases."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from onboard.background import MeshBackground, fill_gaps
+from onboard.calibrate import residual_pass
+from onboard.star_free_sky import without_stars
+from onboard.stars import MatchedStars
+from sboc_e2e.icd.signals import BackgroundModel
+from tests.onboard.star_fields import GAIN_E_ADU, PEDESTAL_ADU, READ_NOISE_E, SKY_E, star_grid
+from tests.onboard.test_stars import view_of
+
+NOISE_ADU = np.sqrt(SKY_E + READ_NOISE_E**2 + GAIN_E_ADU**2 / 12.0) / GAIN_E_ADU
+
+
+def mesh_of(pixels: NDArray[np.uint16], mask: NDArray[np.uint8] | None = None) -> BackgroundModel:
+    """Mesh of a frame on the pedestal."""
+    dark = np.full(pixels.shape, PEDESTAL_ADU, dtype=np.int16)
+    return MeshBackground().estimate(pixels, dark, np.zeros(pixels.shape, np.uint8) if mask is None else mask)
+
+
+def noisy(level_adu: NDArray[np.float64] | float, shape: tuple[int, int], seed: int, sigma: float = 2.4) -> NDArray[np.uint16]:
+    """Gaussian noise on a level above the pedestal."""
+    rng = np.random.default_rng(seed)
+    return np.clip(np.rint(level_adu + PEDESTAL_ADU + rng.normal(0.0, sigma, shape)), 0, 65535).astype(np.uint16)
+
+
+@pytest.mark.parametrize("sigma", [0.6, 2.4, 40.0, 900.0])
+def test_level_and_noise_of_plain_sky(sigma: float) -> None:
+    """Level to 0.02 sigma and noise to 2 % on the mean, whatever the scale."""
+    mesh = mesh_of(noisy(20000.0, (512, 512), 1, sigma))
+    assert mesh.level_adu.mean() == pytest.approx(20000.0, abs=0.02 * sigma)
+    assert mesh.sigma_adu.mean() == pytest.approx(np.hypot(sigma, 0.2887), rel=0.02)
+
+
+def test_level_follows_a_gradient() -> None:
+    """A slope of 40 ADU over the frame is followed to 0.15 sigma at the inner nodes."""
+    slope = np.linspace(0.0, 40.0, 512)[None, :] * np.ones((512, 1))
+    mesh = mesh_of(noisy(slope, (512, 512), 2))
+    nodes = 40.0 * (np.arange(8) * 64 + 31.5) / 511.0
+    assert np.abs(mesh.level_adu - nodes)[:, 1:-1].max() < 0.15 * 2.4
+
+
+def test_stars_do_not_lift_the_level_seen_by_the_detector() -> None:
+    """With a star on every 24 x 24 px, level within 0.01 sigma and noise within 1 % once the list is known."""
+    rng = np.random.default_rng(3)
+    field = star_grid(rng, side=1024, pitch=24, flux_e=(60.0, 20000.0), sigma_px=0.849)
+    view = view_of(field.exposed(rng))
+    stars = MatchedStars().extract(view)
+    residual = view.residual_adu.copy()
+    sky = without_stars(residual, view.mask, stars, view.background, gain_e_adu=GAIN_E_ADU, psf_sigma_px=0.849)
+    assert sky.level_adu.mean() == pytest.approx(SKY_E / GAIN_E_ADU, abs=0.01 * NOISE_ADU)
+    assert sky.sigma_adu.mean() == pytest.approx(NOISE_ADU, rel=0.01)
+    far = field.electrons < SKY_E + 0.01
+    assert residual[far].mean() == pytest.approx(0.0, abs=0.01 * NOISE_ADU)
+
+
+def test_masked_tiles_are_filled_from_neighbours() -> None:
+    """A masked quarter takes its level from the rest."""
+    pixels = noisy(100.0, (512, 512), 4)
+    mask = np.zeros(pixels.shape, dtype=np.uint8)
+    mask[:256, :256] = 1
+    pixels[:256, :256] = 60000
+    mesh = mesh_of(pixels, mask)
+    assert np.abs(mesh.level_adu - 100.0).max() < 1.0
+
+
+def test_nothing_usable_gives_a_finite_mesh() -> None:
+    """All masked: level 0, noise 1."""
+    mesh = mesh_of(noisy(0.0, (100, 130), 5), np.ones((100, 130), dtype=np.uint8))
+    assert mesh.level_adu.shape == (2, 3)
+    assert (mesh.level_adu == 0.0).all()
+    assert (mesh.sigma_adu == 1.0).all()
+
+
+def test_constant_frame_has_the_noise_of_its_quantisation() -> None:
+    """Equal pixels: exact level, noise not below 1/sqrt(12)."""
+    mesh = mesh_of(np.full((128, 128), PEDESTAL_ADU + 7, dtype=np.uint16))
+    assert (mesh.level_adu == 7.0).all()
+    assert mesh.sigma_adu.min() >= 0.28
+
+
+def test_gaps_are_filled_outwards() -> None:
+    """Known nodes stay; unknown ones become means of neighbours; nothing known becomes the default."""
+    mesh = np.full((3, 4), np.nan, dtype=np.float32)
+    mesh[0, 0] = 2.0
+    assert (fill_gaps(mesh, 9.0) == 2.0).all()
+    assert (fill_gaps(np.full((2, 2), np.nan, dtype=np.float32), 9.0) == 9.0).all()
+
+
+def test_residual_is_raw_minus_dark_minus_level() -> None:
+    """Against plain numpy with scipy's interpolation of the mesh, to float32."""
+    from scipy.ndimage import map_coordinates
+
+    rng = np.random.default_rng(6)
+    shape, tile = (150, 200), 32
+    pixels = rng.integers(200, 400, shape).astype(np.uint16)
+    dark, fraction = rng.integers(90, 110, shape).astype(np.int16), rng.integers(-64, 64, shape).astype(np.int8)
+    defects = (rng.random(shape) < 0.02).astype(np.uint8)
+    pixels[10, 20] = 5000
+    nodes = rng.normal(100.0, 5.0, (5, 7)).astype(np.float32)
+    residual, mask = np.empty(shape, np.float32), np.empty(shape, np.uint8)
+    number = residual_pass(pixels, dark, fraction, defects, nodes, tile, 4000, 1.0, residual, mask)
+    row, col = np.indices(shape)
+    where = [np.clip((row - 15.5) / tile, 0, 4), np.clip((col - 15.5) / tile, 0, 6)]
+    level = map_coordinates(nodes.astype(np.float64), where, order=1, mode="nearest")
+    expected = pixels.astype(np.float64) - dark - fraction / 128.0 - level
+    expected[(defects != 0) | (pixels >= 4000)] = 0.0
+    assert np.abs(residual - expected).max() < 1e-3
+    assert mask[10, 20] & 4
+    assert number == np.count_nonzero(mask)

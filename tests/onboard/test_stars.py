@@ -1,0 +1,174 @@
+"""Star list: unbiased, at the Cramer-Rao bound, with measured shapes; nothing invented on empty sky."""
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from onboard.background import MeshBackground
+from onboard.calibrate import residual_pass
+from onboard.stars import MatchedStars, best_spread
+from sboc_e2e.icd.flags import StarFlag
+from sboc_e2e.icd.frame import FrameHeader
+from sboc_e2e.icd.signals import DetectorView, StarList
+from tests.onboard.star_fields import (
+    GAIN_E_ADU,
+    PEDESTAL_ADU,
+    SKY_E,
+    StarField,
+    centroid_bound_px,
+    matched_snr,
+    star_grid,
+)
+
+SIGMA_PX = 0.849
+
+
+def view_of(pixels: NDArray[np.uint16], *, psf_sigma_px: float = SIGMA_PX, saturation_adu: float = 60000.0) -> DetectorView:
+    """The view that an extractor gets."""
+    shape = pixels.shape
+    dark, fraction = np.full(shape, PEDESTAL_ADU, np.int16), np.zeros(shape, np.int8)
+    defects, mask, residual = np.zeros(shape, np.uint8), np.empty(shape, np.uint8), np.empty(shape, np.float32)
+    background = MeshBackground().estimate(pixels, dark, defects)
+    residual_pass(
+        pixels, dark, fraction, defects, background.level_adu, background.tile_px, int(saturation_adu), 1.0, residual, mask
+    )
+    header = FrameHeader(
+        frame=0, t_start_tai_ns=0, exposure_ns=1, line_time_ns=0, rows=shape[0], cols=shape[1],
+        gain_e_adu=GAIN_E_ADU, saturation_adu=saturation_adu,
+    )  # fmt: skip
+    return DetectorView(
+        header=header,
+        residual_adu=residual,
+        background=background,
+        mask=mask,
+        stars=StarList.empty(),
+        psf_sigma_px=psf_sigma_px,
+    )
+
+
+def matched(field: StarField, stars: StarList) -> tuple[NDArray[np.float64], NDArray[np.intp], NDArray[np.bool_]]:
+    """Residuals (n, 2) of the nearest listed star, its index, and whether it is near enough."""
+    distance, index = cKDTree(np.column_stack((stars.row, stars.col))).query(np.column_stack((field.row, field.col)))
+    residual = np.column_stack((stars.row[index] - field.row, stars.col[index] - field.col))
+    return residual, index, distance < 1.5
+
+
+@pytest.fixture(scope="module")
+def measured() -> dict[str, NDArray[np.float64]]:
+    """Residuals of some 5,000 isolated stars of S/N 10 to 2,000 with their bounds."""
+    columns: dict[str, list[NDArray[np.float64]]] = {"row": [], "col": [], "flux": [], "bound": [], "snr": [], "listed_snr": []}
+    for seed in range(3):
+        rng = np.random.default_rng(seed)
+        field = star_grid(rng, side=1024, pitch=24, flux_e=(95.0, 20000.0), sigma_px=SIGMA_PX)
+        stars = MatchedStars().extract(view_of(field.exposed(rng)))
+        residual, index, found = matched(field, stars)
+        assert found.mean() > 0.995
+        columns["row"].append(residual[found, 0])
+        columns["col"].append(residual[found, 1])
+        columns["flux"].append(stars.flux_e[index][found] / field.flux_e[found])
+        columns["bound"].append(np.array([centroid_bound_px(f, SIGMA_PX) for f in field.flux_e[found]]))
+        columns["snr"].append(np.array([matched_snr(f, SIGMA_PX) for f in field.flux_e[found]]))
+        columns["listed_snr"].append(stars.snr[index][found])
+    return {name: np.concatenate(parts) for name, parts in columns.items()}
+
+
+@pytest.mark.parametrize("axis", ["row", "col"])
+def test_centroids_reach_the_cramer_rao_bound(measured: dict[str, NDArray[np.float64]], axis: str) -> None:
+    """rms <= 1.1 x the bound for S/N >= 10, over all stars and within each decade of S/N."""
+    pull = measured[axis] / measured["bound"]
+    assert np.sqrt(np.mean(pull**2)) < 1.1
+    for low, high in ((10.0, 30.0), (30.0, 300.0), (300.0, 3000.0)):
+        part = pull[(measured["snr"] >= low) & (measured["snr"] < high)]
+        assert len(part) > 500
+        assert np.sqrt(np.mean(part**2)) < 1.1
+
+
+@pytest.mark.parametrize("axis", ["row", "col"])
+def test_centroids_are_unbiased(measured: dict[str, NDArray[np.float64]], axis: str) -> None:
+    """Mean residual below 0.01 px; 0.002 px for bright stars, where it can be seen."""
+    assert abs(measured[axis].mean()) < 0.01
+    assert abs(measured[axis][measured["snr"] > 100].mean()) < 0.002
+
+
+def test_flux_is_unbiased(measured: dict[str, NDArray[np.float64]]) -> None:
+    """Bright stars to 0.3 %, faint ones to 2 % (those near the threshold are found when noise lifts them)."""
+    bright = measured["snr"] > 50
+    assert measured["flux"][bright].mean() == pytest.approx(1.0, abs=0.003)
+    assert measured["flux"][~bright].mean() == pytest.approx(1.0, abs=0.02)
+
+
+def test_listed_snr_is_the_matched_filter_snr(measured: dict[str, NDArray[np.float64]]) -> None:
+    """The list's S/N is the contract's, to 3 %."""
+    ratio = measured["listed_snr"] / measured["snr"]
+    assert np.median(ratio) == pytest.approx(1.0, abs=0.03)
+
+
+@pytest.mark.parametrize("nominal_px", [0.7, 1.0])
+def test_width_is_measured_not_believed(nominal_px: float) -> None:
+    """A nominal PSF that is 18 % wrong costs nothing in flux: the width comes from the stars."""
+    rng = np.random.default_rng(5)
+    field = star_grid(rng, side=768, pitch=24, flux_e=(2000.0, 20000.0), sigma_px=SIGMA_PX)
+    stars = MatchedStars().extract(view_of(field.exposed(rng), psf_sigma_px=nominal_px))
+    _, index, found = matched(field, stars)
+    assert np.mean(stars.flux_e[index][found] / field.flux_e[found]) == pytest.approx(1.0, abs=0.01)
+
+
+def test_short_trails_are_flagged_and_centred() -> None:
+    """Stars trailed by 3 px keep unbiased centroids (bound: that of a round star, times the smear along the trail)."""
+    rng = np.random.default_rng(6)
+    field = star_grid(rng, side=768, pitch=24, flux_e=(2000.0, 20000.0), sigma_px=SIGMA_PX, trail_px=3.0)
+    stars = MatchedStars().extract(view_of(field.exposed(rng)))
+    residual, index, found = matched(field, stars)
+    assert found.mean() > 0.99
+    assert ((stars.flags[index][found] & StarFlag.TRAILED) != 0).all()
+    assert abs(residual[found].mean(axis=0)).max() < 0.01
+    assert residual[found, 0].std() < 0.05
+
+
+def test_empty_sky_gives_next_to_no_stars() -> None:
+    """A million pixels of noise hold less than one 5-sigma peak in two thousand independent PSFs."""
+    rng = np.random.default_rng(7)
+    noise = StarField(electrons=np.full((1024, 1024), SKY_E), row=np.zeros(0), col=np.zeros(0), flux_e=np.zeros(0))
+    assert len(MatchedStars().extract(view_of(noise.exposed(rng)))) <= 8
+
+
+def test_saturated_star_is_one_entry() -> None:
+    """A star with a saturated core is listed once, flagged, at its centre."""
+    rng = np.random.default_rng(8)
+    field = star_grid(rng, side=192, pitch=128, flux_e=(3e5, 3.0001e5), sigma_px=SIGMA_PX)
+    pixels = np.minimum(field.exposed(rng), 20000)
+    stars = MatchedStars().extract(view_of(pixels, saturation_adu=20000.0))
+    flagged = (stars.flags & StarFlag.SATURATED) != 0
+    assert flagged.sum() == 1
+    near = np.hypot(stars.row - field.row[0], stars.col - field.col[0]) < 6.0
+    assert near.sum() == 1
+    assert np.hypot(stars.row[flagged] - field.row, stars.col[flagged] - field.col).max() < 0.7
+
+
+def test_hot_pixel_is_called_sharp() -> None:
+    """A single bright pixel is listed as COSMIC_LIKE, a star of the same light is not."""
+    rng = np.random.default_rng(9)
+    field = star_grid(rng, side=192, pitch=128, flux_e=(2000.0, 2000.1), sigma_px=SIGMA_PX)
+    pixels = field.exposed(rng)
+    pixels[20, 30] += 400
+    stars = MatchedStars().extract(view_of(pixels))
+    sharp = (stars.flags & StarFlag.COSMIC_LIKE) != 0
+    assert sharp[np.hypot(stars.row - 20, stars.col - 30).argmin()]
+    assert not sharp[np.hypot(stars.row - field.row[0], stars.col - field.col[0]).argmin()]
+
+
+def test_chosen_stars_cover_the_frame() -> None:
+    """With all bright stars in one corner, the chosen ones still come from every cell that has any."""
+    rng = np.random.default_rng(10)
+    n = 5000
+    row, col = rng.uniform(0, 1000, n), rng.uniform(0, 1000, n)
+    flux = np.where((row < 200) & (col < 200), 1e5, 1e2) * rng.uniform(1, 2, n)
+    order = np.argsort(-flux)
+    stars = StarList(
+        row=row[order], col=col[order], flux_e=flux[order], snr=flux[order], flags=np.zeros(n, dtype=np.uint8)
+    )
+    chosen = best_spread(stars, (1000, 1000), 256)
+    assert len(chosen) == 256
+    cells = (stars.row[chosen] // 125).astype(int) * 8 + (stars.col[chosen] // 125).astype(int)
+    assert np.bincount(cells, minlength=64).min() >= 3

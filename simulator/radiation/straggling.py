@@ -69,8 +69,8 @@ def draw_loss_kev(
     By kappa = xi / T_max (Seltzer & Berger 1964, NAS-NRC 1133, 187):
 
     * below 0.1 Landau's law about the most probable loss, its endless tail cut where the mean of Landau's variable is
-      ``-(1 - C + beta^2 + ln kappa)``, which makes the mean loss right (as GEANT 3 does), plus the Gaussian width of bound electrons, itself cut where the loss
-      would fall below a tenth of the most probable one;
+      ``-(1 - C + beta^2 + ln kappa)``, which makes the mean loss right (as GEANT 3 does), plus the Gaussian width of bound
+      electrons, itself cut where the loss would fall below a tenth of the most probable one;
     * above it (slow protons on long paths, heavy nuclei) a gamma distribution with Vavilov's mean, variance
       ``xi T_max (1 - beta^2 / 2)`` and skewness ``(1/2 - beta^2/3) / sqrt(kappa (1 - beta^2/2)^3)`` (Vavilov 1957).
     """

@@ -63,6 +63,13 @@ def velocity_on_plane(theta: NDArray[np.float64], t_s: float) -> tuple[float, fl
 
 
 @njit(cache=True)
+def kappa_sigma(speed_rad_s: float) -> float:
+    """Width of the prior of range rate over range (1/s): radial speeds of some times the transverse one, and a tail for those
+    that come head on."""
+    return min(4.0 * speed_rad_s + 0.05, 2.0)
+
+
+@njit(cache=True)
 def _cholesky_solve(matrix: NDArray[np.float64], vector: NDArray[np.float64]) -> float:
     """Solve in place for a symmetric positive matrix (its lower triangle becomes the factor); log determinant, or NaN."""
     n = len(vector)
@@ -118,8 +125,8 @@ def fit_motion(
 
     members : hypotheses in time order. log_area : of the field, ln(rad^2). sigma_acceleration : rad/s^2.
     Returns chi-square, log evidence (natural, of all coordinates, in rad), number of coordinates, reference epoch (s).
-    The evidence is Laplace's: priors uniform over the field and in log speed and direction, kappa normal with four times the
-    angular speed (radial against transverse speed), accelerations normal.
+    The evidence is Laplace's: priors uniform over the field and in log speed and direction, kappa (`kappa_sigma`) and
+    accelerations normal.
     """
     n = len(members)
     centre[:] = 0.0
@@ -141,7 +148,7 @@ def fit_motion(
     xl, yl = to_plane(nodes.unit[last, p_last], centre, basis)
     span = nodes.t_s[last, p_last] - nodes.t_s[first, p_first]
     speed = max(math.hypot(xl - xf, yl - yf) / max(span, 1e-6), _SLOWEST_RAD_S)
-    sigma_kappa = min(4.0 * speed, 2.0) + 1e-4
+    sigma_kappa = kappa_sigma(speed)
 
     information = factor
     information[:] = 0.0

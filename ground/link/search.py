@@ -12,6 +12,7 @@ from ground.link.motion import (
     anchor,
     fit_motion,
     is_full,
+    kappa_sigma,
     position_on_plane,
     to_plane,
     usable,
@@ -75,7 +76,7 @@ def _key_window(nodes: Nodes, node: int, dt_s: float, fastest_rad_s: float, floo
 @njit(cache=True)
 def _drift(speed_rad_s: float, dt_s: float) -> float:
     """Largest relative change of speed to allow within dt_s: three sigma of the prior of range rate over range."""
-    return min(3.0 * min(4.0 * speed_rad_s, 2.0) * dt_s, 3.0)
+    return min(3.0 * kappa_sigma(speed_rad_s) * dt_s, 3.0)
 
 
 @njit(cache=True)

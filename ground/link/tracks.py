@@ -18,7 +18,7 @@ class Track:
     """Hypotheses in time order and the motion through them (parameters of `motion.fit_motion`).
 
     points : (n, 2) epochs, units : (n, 2, 3) directions, sigma_rad : (n, 3), kinds : (n,) of the members.
-    covariance : (7, 7) of theta.
+    covariance : (7, 7) of theta. pieces : streaks (rows of the table) of broken trails that lie on the track.
     """
 
     members: NDArray[np.int64]
@@ -33,6 +33,7 @@ class Track:
     kinds: NDArray[np.int64]
     sigma_rad: NDArray[np.float64]
     units: NDArray[np.float64]
+    pieces: NDArray[np.int64]
 
 
 def tracklet_of(
@@ -45,6 +46,7 @@ def tracklet_of(
 ) -> Tracklet:
     """The contract's record of a track; directions and rates are NaN when it was linked in pixels."""
     chosen = table.source[track.members // 2]
+    whole = np.sort(np.concatenate([track.members // 2, track.pieces]))
     timed = np.column_stack([track.kinds != ENTERING, (track.kinds != LEAVING) & (track.kinds != POINT)])
     unit, t_s = track.units[timed], track.points[timed]
     by_time = np.argsort(t_s, kind="stable")
@@ -78,8 +80,8 @@ def tracklet_of(
         flags |= StreakFlag.NO_SKY
     return Tracklet(
         tracklet_id=number,
-        streak_ids=np.array([streaks[k].streak_id for k in chosen], dtype=np.int64),
-        frames=np.array([streaks[k].frame for k in chosen], dtype=np.int64),
+        streak_ids=np.array([streaks[k].streak_id for k in table.source[whole]], dtype=np.int64),
+        frames=np.array([streaks[k].frame for k in table.source[whole]], dtype=np.int64),
         t_tai_ns=frames.origin_tai_ns + np.round(t_s * 1e9).astype(np.int64),
         ra_deg=ra,
         dec_deg=dec,

@@ -115,12 +115,17 @@ def chance_streaks(n_frames: int, per_frame: float, rng: np.random.Generator, *,
     middle, angle = rng.random((n, 2)) * 4096.0, rng.random(n) * 2.0 * np.pi
     half = 0.5 * length[:, None] * np.stack([np.sin(angle), np.cos(angle)], axis=1)
     ends = np.clip(middle - half, 0.0, 4095.0), np.clip(middle + half, 0.0, 4095.0)
+    edge0, edge1 = np.any(ends[0] != middle - half, axis=1), np.any(ends[1] != middle + half, axis=1)
     points = np.stack([ends[0], 0.5 * (ends[0] + ends[1]), ends[1]], axis=1)
     plane = np.concatenate([(points[:, :, ::-1] - 2048.0) * PIXEL_RAD, np.ones((n, 3, 1))], axis=2)
     table = StreakTable(
         source=np.arange(n),
         frame=frame,
-        flags=np.where(np.linalg.norm(ends[1] - ends[0], axis=1) < 4.0, int(StreakFlag.POINT_LIKE), 0).astype(np.int64),
+        flags=(
+            np.where(np.linalg.norm(ends[1] - ends[0], axis=1) < 4.0, int(StreakFlag.POINT_LIKE), 0)
+            | np.where(edge0, int(StreakFlag.EDGE0), 0)
+            | np.where(edge1, int(StreakFlag.EDGE1), 0)
+        ).astype(np.int64),
         row=np.ascontiguousarray(points[:, :, 0]),
         unit=plane / np.linalg.norm(plane, axis=-1, keepdims=True),
         sigma_along_rad=np.full((n, 2), 0.54 * PIXEL_RAD),
@@ -202,4 +207,4 @@ def main(*, quick: bool = True) -> dict[str, Any]:
 if __name__ == "__main__":
     import sys
 
-    print(json.dumps(main(quick="--full" not in sys.argv), indent=1))
+    sys.stdout.write(json.dumps(main(quick="--full" not in sys.argv), indent=1) + "\n")

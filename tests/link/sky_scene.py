@@ -229,14 +229,17 @@ def observe(
             middle, angle = rng.random(2) * limits, rng.random() * 2 * np.pi
             length = 10 ** rng.uniform(0.8, 2.8)
             half = 0.5 * length * np.array([np.sin(angle), np.cos(angle)])
-            ends = np.clip(np.stack([middle - half, middle + half]), 0.0, limits)
-            found.append((ends, StreakFlag(0), -1, (0.0, 0.0)))
+            ends = np.stack([middle - half, middle + half])
+            outside = np.any((ends < 0.0) | (ends > limits), axis=1)
+            flags = (StreakFlag.EDGE0 if outside[0] else StreakFlag(0)) | (StreakFlag.EDGE1 if outside[1] else StreakFlag(0))
+            found.append((np.clip(ends, 0.0, limits), flags, -1, (0.0, 0.0)))
         rng.shuffle(found)  # type: ignore[arg-type]
         for ends, flags, owner, epochs in found:
             u = ends[1] - ends[0]
             length = float(np.hypot(*u))
             u = u / length if length > 0 else np.array([1.0, 0.0])
-            noisy = ends + rng.normal(0, sigma_along, (2, 1)) * u + rng.normal(0, sigma_cross, (2, 1)) * np.array([-u[1], u[0]])
+            error = min(sigma_along, 0.2 * length)
+            noisy = ends + rng.normal(0, error, (2, 1)) * u + rng.normal(0, sigma_cross, (2, 1)) * np.array([-u[1], u[0]])
             if length < 4.0:
                 flags |= StreakFlag.POINT_LIKE
             end0_first = True
@@ -245,7 +248,7 @@ def observe(
                 edges = flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1)
                 if edges in (StreakFlag.EDGE0, StreakFlag.EDGE1):
                     flags ^= StreakFlag.EDGE0 | StreakFlag.EDGE1
-            streaks.append(streak(camera, frame, len(streaks), noisy, sigma_along, sigma_cross, flags, sky=sky))
+            streaks.append(streak(camera, frame, len(streaks), noisy, error, sigma_cross, flags, sky=sky))
             truth.owner.append(owner)
             truth.end0_first.append(end0_first)
             truth.epochs_s.append(epochs)

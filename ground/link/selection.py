@@ -1,0 +1,100 @@
+"""Choice among candidate tracks: every streak to the one that needs it most; then fragments and pieces."""
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.link.hypotheses import FrameTable, Nodes, StreakTable
+from ground.link.merge import merged, pieces_of
+from ground.link.motion import N_PARAMETERS
+from ground.link.search import candidates, find_pairs, gain_of, grow
+from ground.link.tracks import Track
+
+
+@dataclass(frozen=True, kw_only=True)
+class Search:
+    """Numbers that the search needs, in radians and seconds; logarithms are natural."""
+
+    reach: int
+    fastest_rad_s: float
+    floor_rad: float
+    log_area: float
+    sigma_acceleration: float
+    log_seen: float
+    log_missed: float
+    log_new: float
+
+
+_SEED_REACH = 3
+"""Frames between the two streaks that start a search; an object that is seen every third frame only is found by growth."""
+_LOWEST_SEED = -12.0
+"""Log evidence of a pair below which no third streak has been seen to rescue it (two points alone say little)."""
+
+
+def best_tracks(nodes: Nodes, table: StreakTable, frames: FrameTable, search: Search, min_log_odds: float) -> list[Track]:
+    """Candidates by falling evidence; each streak goes to the first that claims it, later ones are regrown without it."""
+    capacity = 4 * len(nodes.frame) + 64
+    while True:
+        found, pairs, gains = find_pairs(
+            nodes, min(search.reach, _SEED_REACH), search.fastest_rad_s, search.floor_rad, search.log_area,
+            search.sigma_acceleration, _LOWEST_SEED, capacity,
+        )  # fmt: skip
+        if found <= capacity:
+            break
+        capacity = found
+    order = np.argsort(-gains[:found], kind="stable")
+    model = (search.log_area, search.sigma_acceleration, search.log_seen, search.log_missed)
+    growth = (search.reach, search.floor_rad, *model)
+    flat, offsets, gains = candidates(nodes, np.ascontiguousarray(pairs[:found][order]), *growth)
+    used = np.zeros(len(nodes.frame) // 2, dtype=np.bool_)
+    accepted: list[NDArray[np.int64]] = []
+    accepted_gains: list[float] = []
+    for k in np.argsort(-gains, kind="stable"):
+        if gains[k] + search.log_new < min_log_odds:
+            break
+        members, gain = flat[offsets[k] : offsets[k + 1]], float(gains[k])
+        if used[members // 2].any():
+            left = members[~used[members // 2]]
+            if len(left) < 2:
+                continue
+            members, gain = grow(nodes, left, used, *growth)
+            if gain + search.log_new < min_log_odds:
+                continue
+        used[members // 2] = True
+        accepted.append(members)
+        accepted_gains.append(gain)
+    joined, _ = merged(nodes, accepted, accepted_gains, search.reach, search.log_new, model)
+    tracks = []
+    for members in joined:
+        track = _described(nodes, members, search)
+        pieces = pieces_of(track, table, frames, nodes.kind, used)
+        used[pieces] = True
+        tracks.append(replace(track, pieces=pieces))
+    return tracks
+
+
+def _described(nodes: Nodes, members: NDArray[np.int64], search: Search) -> Track:
+    """The track of these hypotheses, with its motion."""
+    centre, basis, theta = np.empty(3), np.empty((2, 3)), np.empty(N_PARAMETERS)
+    factor = np.empty((N_PARAMETERS, N_PARAMETERS))
+    gain, chi2, rows, t_ref = gain_of(
+        nodes, members, search.log_area, search.sigma_acceleration, search.log_seen, search.log_missed, centre, basis, theta,
+        factor,
+    )  # fmt: skip
+    lower = np.linalg.inv(np.tril(factor))
+    return Track(
+        members=members,
+        log_odds=gain + search.log_new,
+        chi2_nu=chi2 / max(rows - 4, 1),
+        t_ref_s=t_ref,
+        centre=centre,
+        basis=basis,
+        theta=theta,
+        covariance=lower.T @ lower,
+        points=np.array([[nodes.t_s[m, 0], nodes.t_s[m, 1]] for m in members]),
+        kinds=nodes.kind[members].astype(np.int64),
+        sigma_rad=nodes.sigma_rad[members],
+        units=nodes.unit[members],
+        pieces=np.zeros(0, dtype=np.int64),
+    )

@@ -4,8 +4,9 @@ packets -> frames -> camera solution -> zero point -> streak fits -> vetting -> 
         -> tracklets -> directions, epochs, joint refit -> orbits
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
@@ -16,9 +17,10 @@ from ground.link import apply_links
 from ground.options import GroundOptions
 from ground.photometry.known_stars import known_stars
 from ground.photometry.magnitude import streak_magnitude
-from ground.photometry.streak_pixels import streak_pixels
+from ground.photometry.streak_pixels import KnownStars, streak_pixels
 from ground.photometry.zero_point import flat_at
 from ground.records import FrameProducts, GroundProducts
+from ground.refit import refit_streaks
 from ground.sky.measure import initial_epochs_ns, middle_of, with_sky
 from ground.sky.pixel_sky import HeaderSky, PixelSky, SolvedSky
 from sboc_e2e.catalogue import StarCatalogue
@@ -34,10 +36,14 @@ from sboc_e2e.icd.products import (
     StreakPixels,
     Tracklet,
 )
+from sboc_e2e.icd.signals import RoiGroup
 from sboc_e2e.icd.steps import Astrometer, Decoder, Linker, OrbitDeterminer, Photometer, StreakFitter, Vetter
 
 STREAKS_PER_FRAME: Final = 100_000
 """streak_id = frame * this + number of the streak in its frame."""
+
+FRAMES_REMEMBERED: Final = 64
+"""Frames whose stars are kept while tracklets are refitted."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -109,6 +115,9 @@ class GroundChain:
         measured = [streak for product in products for streak in product.streaks]
         tracklets = self._steps.linker.link(headers, measured)
         resolved = apply_links(measured, tracklets, headers)
+        if self._options.joint_refit:
+            solutions = [product.solution for product in products]
+            resolved = refit_streaks(resolved, tracklets, headers, solutions, self._pixel_source(frames, products))
         final = _finally_measured(resolved, tracklets, {product.header.frame: product for product in products})
         tracklets = tuple(_with_magnitude(tracklet, final) for tracklet in tracklets)
         orbits: tuple[OrbitEstimate, ...] = ()
@@ -125,17 +134,44 @@ class GroundChain:
             ingest=ingest,
         )
 
+    def _pixel_source(
+        self, frames: Sequence[DownlinkFrame], products: Sequence[FrameProducts]
+    ) -> Callable[[StreakMeasurement], StreakPixels]:
+        """Calibrated pixels of single streaks; the stars of the last frames asked for are kept."""
+        place = {frame.header.frame: k for k, frame in enumerate(frames)}
+
+        @lru_cache(maxsize=FRAMES_REMEMBERED)
+        def stars_of(number: int) -> KnownStars:
+            product = products[place[number]]
+            return self._known_stars(frames[place[number]], product.solution, product.photometry)
+
+        def pixels_of(streak: StreakMeasurement) -> StreakPixels:
+            frame = frames[place[streak.frame]]
+            group = frame.rois[streak.streak_id - streak.frame * STREAKS_PER_FRAME]
+            return self._pixels(group, frame, stars_of(streak.frame))[0]
+
+        return pixels_of
+
     def streak_pixels(
         self, frame: DownlinkFrame, solution: FrameSolution, photometry: PhotometricSolution
     ) -> tuple[tuple[StreakPixels, bool], ...]:
         """Calibrated pixels of each ROI group of a frame, and whether a known star lies under the trail."""
+        stars = self._known_stars(frame, solution, photometry)
+        return tuple(self._pixels(group, frame, stars) for group in frame.rois)
+
+    def _known_stars(self, frame: DownlinkFrame, solution: FrameSolution, photometry: PhotometricSolution) -> KnownStars:
         calibration = self._calibration_of(frame.header)
-        psf_sigma_px = calibration.camera.psf_sigma_px
-        stars = known_stars(frame, solution, photometry, calibration, self._catalogue, psf_sigma_px)
-        error = self._options.streak_photometry.star_model_error
-        return tuple(
-            streak_pixels(group, frame, calibration, stars, psf_sigma_px=psf_sigma_px, star_model_error=error)
-            for group in frame.rois
+        return known_stars(frame, solution, photometry, calibration, self._catalogue, calibration.camera.psf_sigma_px)
+
+    def _pixels(self, group: RoiGroup, frame: DownlinkFrame, stars: KnownStars) -> tuple[StreakPixels, bool]:
+        calibration = self._calibration_of(frame.header)
+        return streak_pixels(
+            group,
+            frame,
+            calibration,
+            stars,
+            psf_sigma_px=calibration.camera.psf_sigma_px,
+            star_model_error=self._options.streak_photometry.star_model_error,
         )
 
     def _fit_streaks(

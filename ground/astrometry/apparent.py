@@ -5,6 +5,8 @@ the Sun and aberration by the observer's barycentric velocity, Earth's (`epv00`)
 Parallax is left out (catalogue parallaxes are unknown; 0.05 arcsec at 20 pc).
 """
 
+from typing import Any
+
 import erfa
 import numpy as np
 from numpy.typing import NDArray
@@ -43,16 +45,20 @@ def observer_at(observer: ObserverState | None, tai_ns: int) -> tuple[Array, Arr
     return r + v * dt + 0.5 * pull * dt * dt, v + pull * dt
 
 
-def apparent_directions(ra_deg: Array, dec_deg: Array, tai_ns: int, position_m: Array, velocity_m_s: Array) -> Array:
-    """Unit vectors (n, 3) in GCRS axes of stars at ICRS positions (of date), seen from the camera."""
+def apparent_context(tai_ns: int, position_m: Array, velocity_m_s: Array) -> Any:
+    """ERFA's star-independent parameters (`apcs`) for a camera at this GCRS position and velocity."""
     day, fraction = to_jd_parts(tai_ns)
     fraction += TT_MINUS_TAI_DAYS
     heliocentric, barycentric = erfa.epv00(day, fraction)
     observer = np.zeros((), dtype=erfa.dt_pv)
     observer["p"], observer["v"] = position_m, velocity_m_s
-    context = erfa.apcs(day, fraction, observer, barycentric, heliocentric["p"])
-    ra, dec = erfa.atciqz(np.radians(ra_deg), np.radians(dec_deg), context)
-    return unit_vectors(ra, dec)
+    return erfa.apcs(day, fraction, observer, barycentric, heliocentric["p"])
+
+
+def apparent_directions(ra_deg: Array, dec_deg: Array, tai_ns: int, position_m: Array, velocity_m_s: Array) -> Array:
+    """Unit vectors (n, 3) in GCRS axes of stars at ICRS positions (of date), seen from the camera."""
+    context = apparent_context(tai_ns, position_m, velocity_m_s)
+    return unit_vectors(*erfa.atciqz(np.radians(ra_deg), np.radians(dec_deg), context))
 
 
 def unit_vectors(ra_rad: Array, dec_rad: Array) -> Array:

@@ -1,11 +1,12 @@
 """`ground.astrometry: camera_fit`: match the star list, fit the camera, learn its distortion over the run."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.astrometry import lost_in_space
 from ground.astrometry.apparent import apparent_directions, jyear_of, mid_frame_tai_ns, observer_at
 from ground.astrometry.camera import SHARED, Camera
 from ground.astrometry.camera_fit import CameraPrior, CameraSolution, fit_camera
@@ -20,6 +21,9 @@ from sboc_e2e.icd.products import FrameSolution
 Array = NDArray[np.float64]
 
 ARCSEC: Final = np.pi / 648000.0
+LOST_FRAMES_TRIED: Final = 5
+"""After so many frames in a row that no star pattern could place, the camera is taken for unknown."""
+
 UNUSABLE_LISTED: Final = int(StarFlag.SATURATED | StarFlag.EDGE | StarFlag.DEFECT | StarFlag.COSMIC_LIKE)
 UNUSABLE_CATALOGUE: Final = int(CatalogueFlag.NO_PROPER_MOTION | CatalogueFlag.DOUBLE | CatalogueFlag.SYNTHETIC)
 
@@ -34,6 +38,8 @@ class AstrometryState:
     psf_sigma_px: float
     last: tuple[int, Array, Array] | None = None
     """Epoch (TAI ns), matrix and rate (rad/s) of the last solved frame."""
+    lost: int = 0
+    """Frames in a row that no star pattern could place."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -55,6 +61,16 @@ class CameraFit:
     centroid_floor_px: float = field(
         default=0.01, metadata={"doc": "centroid error of the brightest stars", "min": 0.0, "max": 10.0}
     )
+    lost_in_space: str = field(
+        default="if_installed",
+        metadata={
+            "doc": "whether star patterns (extra `solve`) give the attitude where telemetry is absent or wrong by degrees",
+            "choices": ("if_installed", "required", "never"),
+        },
+    )
+    pattern_folder: str = field(
+        default="", metadata={"doc": "folder that keeps the pattern database from run to run; empty: made anew in memory"}
+    )
     prior_focal_ppm: float = field(default=1000.0, metadata={"doc": "error of the nominal focal length", "min": 0.0, "max": 1e6})
     prior_distortion_px: float = field(
         default=5.0, metadata={"doc": "error of each nominal distortion term at the corner", "min": 0.0, "max": 1e4}
@@ -75,21 +91,36 @@ class CameraFit:
         header = frame.header
         middle = mid_frame_tai_ns(header)
         start = _start_attitude(state, header, middle)
-        if start is None:
-            return state, unsolved(frame, state.camera, FrameFlag.NO_SOLUTION)
-        matrix, rate = start
-        found = self._match_and_fit(state, frame, matrix, rate, middle)
+        matrix, rate = start if start is not None else (None, np.zeros(3))
+        flags, lost = FrameFlag(0), 0
+        found = None if matrix is None else self._match_and_fit(state, frame, matrix, rate, middle)
         if found is None:
-            return state, unsolved(frame, state.camera, FrameFlag.NO_SOLUTION, matrix=matrix, rate=rate)
+            seen = self._by_star_pattern(state, frame)
+            found = None if seen is None else self._match_and_fit(state, frame, seen, rate, middle)
+            flags, lost = FrameFlag.ATTITUDE_FROM_SOLVER, state.lost + 1
+        if found is None:
+            return replace(state, lost=lost), unsolved(frame, state.camera, FrameFlag.NO_SOLUTION, matrix=matrix, rate=rate)
         fit, stars, listed, chosen = found
-        new_state = AstrometryState(
-            catalogue=state.catalogue,
+        new_state = replace(
+            state,
             camera=fit.camera,
             prior=CameraPrior(mean=fit.camera.shared(), information=state.prior.information + fit.information_gain),
-            psf_sigma_px=state.psf_sigma_px,
             last=(middle, fit.matrix, rate),
+            lost=0,
         )
-        return new_state, _solution_of(header.frame, fit, rate, stars, listed, chosen)
+        return new_state, _solution_of(header.frame, flags, fit, rate, stars, listed, chosen)
+
+    def _by_star_pattern(self, state: AstrometryState, frame: DownlinkFrame) -> Array | None:
+        """Attitude from star patterns; None when that is switched off, hopeless by now, or finds nothing."""
+        hopeless = state.lost >= LOST_FRAMES_TRIED
+        if self.lost_in_space == "never" or hopeless or len(frame.stars) < self.min_stars:
+            return None
+        if self.lost_in_space == "if_installed" and not lost_in_space.installed():
+            return None
+        header = frame.header
+        return lost_in_space.find_attitude(
+            frame.stars, state.camera, header.cols, header.rows, state.catalogue, self.pattern_folder
+        )
 
     def _match_and_fit(
         self, state: AstrometryState, frame: DownlinkFrame, matrix: Array, rate: Array, middle: int
@@ -268,15 +299,22 @@ def _credible(fit: CameraSolution, radius_px: float, n_catalogue: int, header: F
 
 
 def _solution_of(
-    frame: int, fit: CameraSolution, rate: Array, stars: Stars, listed: NDArray[np.intp], chosen: NDArray[np.intp]
+    frame: int,
+    flags: FrameFlag,
+    fit: CameraSolution,
+    rate: Array,
+    stars: Stars,
+    listed: NDArray[np.intp],
+    chosen: NDArray[np.intp],
 ) -> FrameSolution:
     """The contract's record of a fit."""
     used = fit.used
     camera = fit.camera
-    few = FrameFlag.FEW_STARS if int(used.sum()) < 3 + len(SHARED) else FrameFlag(0)
+    if int(used.sum()) < 3 + len(SHARED):
+        flags |= FrameFlag.FEW_STARS
     return FrameSolution(
         frame=frame,
-        flags=few,
+        flags=flags,
         quaternion=quaternion_of(fit.matrix),
         rate_rad_s=rate,
         covariance_rad2=fit.covariance[:3, :3],

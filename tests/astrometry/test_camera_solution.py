@@ -1,5 +1,6 @@
 """The camera fit finds attitude and distortion from star lists that it did not make, under bad telemetry."""
 
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -12,6 +13,7 @@ from ground.astrometry.rotation import matrix_of, quaternion_of, rotation_by
 from ground.photometry.zero_point import ZeroPoint
 from ground.sky.pixel_sky import SolvedSky, row_mid_exposure_tai_ns
 from sboc_e2e.catalogue import StarCatalogue
+from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.flags import FrameFlag
 from sboc_e2e.icd.signals import StarList
 from tests.astrometry.star_fields import ARCSEC, Field, FieldOptions, grid, make_field
@@ -91,7 +93,7 @@ def test_small_wide_frame_is_solved_too(catalogue):
 
 
 def test_stars_of_another_field_give_no_solution(catalogue):
-    fit = CameraFit()
+    fit = CameraFit(lost_in_space="never")
     field = make_field(catalogue, 1)
     rng = np.random.default_rng(2)
     stars = field.frame.stars
@@ -105,7 +107,8 @@ def test_stars_of_another_field_give_no_solution(catalogue):
     state = fit.initial_state(field.calibration, catalogue)
     after, solution = fit.solve(state, replace(field.frame, stars=scattered))
     assert solution.flags & FrameFlag.NO_SOLUTION
-    assert after is state
+    np.testing.assert_array_equal(after.prior.information, state.prior.information)
+    assert after.last is None
 
 
 def test_no_stars_and_no_attitude_flow_through(catalogue):
@@ -125,6 +128,27 @@ def test_a_frame_without_telemetry_starts_from_its_neighbour(catalogue):
     _, solution = fit.solve(state, replace(first.frame, header=header))
     assert not solution.flags & FrameFlag.NO_SOLUTION
     assert solution.n_stars > 200
+
+
+def test_star_patterns_give_the_attitude_that_telemetry_does_not(catalogue):
+    """Absent attitude, and one wrong by degrees; 20 % of the list is false."""
+    pytest.importorskip("tetra3rs", reason="the extra `solve` is not installed")
+    fit = CameraFit(lost_in_space="required")
+    absent = FieldOptions(attitude=False, false=0.2, ra_deg=250.0, dec_deg=-40.0)
+    for options in (absent, FieldOptions(pointing_error_arcsec=20000.0, false=0.2)):
+        field = make_field(catalogue, 6, options)
+        _, solution = fit.solve(fit.initial_state(field.calibration, catalogue), field.frame)
+        assert solution.flags & FrameFlag.ATTITUDE_FROM_SOLVER
+        assert solution.n_stars > 150
+        assert np.linalg.norm(_errors_arcsec(field, solution)[40]) < 0.1
+
+
+def test_missing_pattern_solver_is_named_when_it_is_required(catalogue, monkeypatch):
+    monkeypatch.setitem(sys.modules, "tetra3rs", None)
+    fit = CameraFit(lost_in_space="required")
+    field = make_field(catalogue, 6, FieldOptions(attitude=False))
+    with pytest.raises(UserError, match=r"sboc-e2e\[solve\]"):
+        fit.solve(fit.initial_state(field.calibration, catalogue), field.frame)
 
 
 def test_zero_point_and_colour_term_are_recovered(catalogue):

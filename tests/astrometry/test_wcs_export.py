@@ -1,0 +1,71 @@
+"""The exported TAN-SIP header says what the solution says, in astropy's reading, for frames and for cut-outs."""
+
+import astropy.units as u
+import numpy as np
+import pytest
+from astropy.coordinates import GCRS, ICRS, CartesianRepresentation, SkyCoord
+from astropy.time import Time
+from astropy.wcs import WCS
+
+from ground.astrometry.apparent import mid_frame_tai_ns, observer_at
+from ground.astrometry.astrometer import CameraFit
+from ground.astrometry.wcs_export import sip_header
+from ground.sky.pixel_sky import HeaderSky, SolvedSky
+from sboc_e2e.catalogue import StarCatalogue
+from sboc_e2e.icd.tai import to_jd_parts
+from tests.astrometry.star_fields import ARCSEC, grid, make_field
+
+
+@pytest.fixture(scope="module")
+def solved():
+    catalogue = StarCatalogue.embedded()
+    fit = CameraFit()
+    field = make_field(catalogue, 2)
+    return field, fit.solve(fit.initial_state(field.calibration, catalogue), field.frame)[1]
+
+
+def _icrs_by_astropy(field, solution, row, col):
+    """Apparent directions of pixels at mid-frame, turned into ICRS by astropy."""
+    header = field.frame.header
+    middle = mid_frame_tai_ns(header)
+    sky = SolvedSky(header=header, solution=solution)
+    apparent = sky.apparent(row, col, np.full(len(row), middle))
+    position, velocity = observer_at(header.observer, middle)
+    frame = GCRS(
+        obstime=Time(*to_jd_parts(middle), format="jd", scale="tai"),
+        obsgeoloc=CartesianRepresentation(position * u.m),
+        obsgeovel=CartesianRepresentation(velocity * u.m / u.s),
+    )
+    ra, dec = np.arctan2(apparent[:, 1], apparent[:, 0]), np.arcsin(apparent[:, 2])
+    return SkyCoord(ra=ra * u.rad, dec=dec * u.rad, frame=frame).transform_to(ICRS())
+
+
+@pytest.mark.parametrize(("first_row", "first_col", "rows", "cols"), [(0, 0, 0, 0), (1000, 2500, 300, 500)])
+def test_header_agrees_with_the_solution_and_inverts(solved, first_row, first_col, rows, cols):
+    field, solution = solved
+    wcs = WCS(sip_header(solution, field.frame.header, first_row=first_row, first_col=first_col, rows=rows, cols=cols))
+    size_row, size_col = (rows or 4096), (cols or 4096)
+    row, col = (a.ravel() for a in np.meshgrid(np.linspace(0, size_row - 1, 11), np.linspace(0, size_col - 1, 11), indexing="ij"))
+    ra, dec = wcs.all_pix2world(col, row, 0)
+    want = _icrs_by_astropy(field, solution, row + first_row, col + first_col)
+    apart = SkyCoord(ra=ra * u.deg, dec=dec * u.deg).separation(want).arcsec
+    assert apart.max() < 0.002
+    back_col, back_row = wcs.all_world2pix(ra, dec, 0)
+    assert np.abs(back_row - row).max() < 1e-3
+    assert np.abs(back_col - col).max() < 1e-3
+    # the inverse polynomials alone, without iteration: u = U + sum AP_pq U^p V^q about CRPIX
+    linear = wcs.wcs_world2pix(np.column_stack((ra, dec)), 1) - wcs.wcs.crpix
+    for coefficients, axis, want_px in ((wcs.sip.ap, 0, col), (wcs.sip.bp, 1, row)):
+        got = linear[:, axis] + np.polynomial.polynomial.polyval2d(linear[:, 0], linear[:, 1], coefficients)
+        assert np.abs(got + wcs.wcs.crpix[axis] - 1.0 - want_px).max() < 0.01
+
+
+def test_directions_through_a_header_are_those_of_the_solution(solved):
+    """Frames from outside bring a WCS: aberration is put back, so both roads give the same apparent direction."""
+    field, solution = solved
+    header = field.frame.header
+    row, col = grid(4096, 5)
+    epochs = np.full(len(row), mid_frame_tai_ns(header))
+    through_header = HeaderSky(header=header, wcs=WCS(sip_header(solution, header))).apparent(row, col, epochs)
+    direct = SolvedSky(header=header, solution=solution).apparent(row, col, epochs)
+    assert np.linalg.norm(through_header - direct, axis=1).max() < 0.002 * ARCSEC

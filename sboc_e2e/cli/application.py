@@ -147,6 +147,30 @@ def report(run_dir: RunDir, plugin: Plugins = None) -> None:
 
 
 @app.command()
+def process(
+    folder: Annotated[Path, typer.Argument(metavar="FITS_DIR", help="folder of FITS files, or one file")],
+    out: Annotated[Path, typer.Option("--out", help="directory for the products")],
+    camera: Annotated[str | None, typer.Option("--camera", help="instrument preset; without one a camera is guessed")] = None,
+    wcs: Annotated[str, typer.Option("--wcs", help="sky positions: header, solve or none")] = "header",
+    overrides: Overrides = None,
+    use: Uses = None,
+    plugin: Plugins = None,
+    force: Annotated[bool, typer.Option("--force", help="replace earlier products")] = False,
+) -> None:
+    """Process frames from outside: on board and on ground, without truth."""
+    from sboc_e2e import scenario as scenarios
+    from sboc_e2e.outside.fits_frames import FitsFolder
+    from sboc_e2e.outside.process import process as execute
+
+    registry = registry_of(plugin)
+    resolved = scenarios.bare("process", registry=registry, overrides=overrides or (), use=parsed_uses(use))
+    with shown_progress() as progress:
+        source = FitsFolder(path=folder, use_wcs=wcs == "header")
+        execute(source, resolved, out, camera=camera, wcs=wcs, force=force, registry=registry, progress=progress)
+    typer.echo(out / "products")
+
+
+@app.command()
 def schema() -> None:
     """Print the JSON schema of scenario files, for editors."""
     from sboc_e2e.scenario import schema as scenario_schema

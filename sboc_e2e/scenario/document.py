@@ -125,14 +125,33 @@ def load(
     """
     path = find(scenario)
     document = toml_files.with_presets(toml_files.read(path), path.resolve().parent, str(path))
-    for seam, name in (use or {}).items():
+    return _resolved(document, path.stem, str(path), registry, overrides, use or {}, seed)
+
+
+def bare(
+    name: str, *, registry: Registry, overrides: Iterable[str] = (), use: Mapping[str, str] | None = None
+) -> Scenario:
+    """A scenario without a file: defaults, overrides and typed steps."""
+    return _resolved({}, name, name, registry, overrides, use or {}, None)
+
+
+def _resolved(
+    document: dict[str, Any],
+    name: str,
+    where: str,
+    registry: Registry,
+    overrides: Iterable[str],
+    use: Mapping[str, str],
+    seed: int | None,
+) -> Scenario:
+    """The scenario of a document after what was typed on the command line."""
+    for seam, step in use.items():
         segment, _, key = seam.partition(".")
-        document.setdefault(segment, {})[key] = {"use": name}
+        document.setdefault(segment, {})[key] = {"use": step}
     document = toml_files.with_overrides(document, overrides)
     if seed is not None:
         document["seed"] = seed
-    typed = frozenset((use or {}).values())
-    return from_document(document, name=path.stem, registry=registry, where=str(path), typed=typed)
+    return from_document(document, name=name, registry=registry, where=where, typed=frozenset(use.values()))
 
 
 def from_document(

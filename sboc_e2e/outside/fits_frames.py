@@ -1,0 +1,259 @@
+"""FITS files as frames: plain or tile-compressed, integer or float, any number of image HDUs, with or without headers.
+
+One frame for each HDU that holds a 2-D image, in the order of file names. DATE-OBS is the start of exposure (UTC),
+EXPTIME seconds, GAIN e-/ADU, RDNOISE e-; each may be absent.
+"""
+
+import math
+import warnings
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from astropy.io import fits
+from astropy.time import Time
+from astropy.wcs import WCS
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.errors import ContractError, UserError
+from sboc_e2e.icd.frame import Frame, FrameHeader
+from sboc_e2e.icd.tai import NS_PER_S, from_jd_parts
+from sboc_e2e.outside.frame_source import SourcedFrame
+
+SUFFIXES: Final = (".fits", ".fit", ".fts", ".fits.fz", ".fit.fz", ".fits.gz")
+MAX_SIDE_PX: Final = 16384
+MIN_SIDE_PX: Final = 16
+MAX_PIXELS: Final = 10_000 * 10_000
+FIRST_ASSUMED_TAI_NS: Final = 1_325_376_000 * NS_PER_S
+"""2000-01-01T00:00:00 TAI: frames without a time are numbered from here, one second apart."""
+
+READ_ERRORS: Final = (
+    OSError, ValueError, TypeError, KeyError, IndexError, AttributeError, OverflowError, EOFError, NotImplementedError,
+    RuntimeError, ArithmeticError, fits.VerifyError, AssertionError, UnicodeError,
+)  # fmt: skip
+"""What damaged FITS files make astropy raise."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Place:
+    """An image: file, HDU, rows and columns."""
+
+    path: Path
+    hdu: int
+    rows: int
+    cols: int
+
+
+@dataclass(frozen=True, kw_only=True)
+class FitsFolder:
+    """A folder (or one file) of FITS images as a `FrameSource`.
+
+    use_wcs : hand on the WCS of headers. max_pixels : larger images are refused before they are read.
+    """
+
+    path: Path
+    use_wcs: bool = True
+    max_pixels: int = MAX_PIXELS
+
+    @cached_property
+    def places(self) -> tuple[Place, ...]:
+        """All images. Raises `UserError` for a missing or empty folder and for files that are not FITS."""
+        if self.path.is_file():
+            files = [self.path]
+        elif self.path.is_dir():
+            files = sorted(p for p in self.path.iterdir() if p.is_file() and p.name.lower().endswith(SUFFIXES))
+        else:
+            raise UserError(f"{self.path}: no such folder of FITS files")
+        if not files:
+            raise UserError(f"{self.path}: holds no FITS file; names must end in {', '.join(SUFFIXES)}")
+        found = [place for path in files for place in images_of(path, self.max_pixels)]
+        if not found:
+            raise UserError(f"{self.path}: no file holds a two-dimensional image")
+        return tuple(found)
+
+    @property
+    def n_frames(self) -> int:
+        """Number of images."""
+        return len(self.places)
+
+    def frames(self) -> Iterator[SourcedFrame]:
+        """Frames in order; times that do not rise are left as the headers have them."""
+        for number, place in enumerate(self.places):
+            yield read_frame(place, number, use_wcs=self.use_wcs)
+
+
+def images_of(path: Path, max_pixels: int = MAX_PIXELS) -> list[Place]:
+    """The 2-D images of a file, from its headers alone."""
+    places = []
+    try:
+        with _quietly(), fits.open(path, memmap=True, lazy_load_hdus=False) as hdus:
+            for index, hdu in enumerate(hdus):
+                shape = _shape(hdu)
+                if shape is None:
+                    continue
+                rows, cols = shape
+                small, large = min(rows, cols) < MIN_SIDE_PX, max(rows, cols) > MAX_SIDE_PX or rows * cols > max_pixels
+                if small or large:
+                    raise UserError(
+                        f"{path}, HDU {index}: image of {rows} x {cols}; allowed are sides of {MIN_SIDE_PX} to {MAX_SIDE_PX} px "
+                        f"and {max_pixels} pixels in all"
+                    )
+                places.append(Place(path=path, hdu=index, rows=rows, cols=cols))
+    except READ_ERRORS as error:
+        raise UserError(f"{path}: not a readable FITS file ({_first_line(error)})") from error
+    return places
+
+
+def read_frame(place: Place, number: int, *, use_wcs: bool = True) -> SourcedFrame:
+    """One image as a frame. Raises `UserError` when its data cannot be read."""
+    try:
+        with _quietly(), fits.open(place.path, memmap=False) as hdus:
+            hdu = hdus[place.hdu]
+            header = _headers(hdus, hdu)
+            data = hdu.data
+            wcs = _wcs(hdu.header) if use_wcs else None
+    except READ_ERRORS as error:
+        raise UserError(f"{place.path}, HDU {place.hdu}: cannot be read ({_first_line(error)})") from error
+    if data is None or np.shape(data) != (place.rows, place.cols) or data.dtype.kind not in "uif":
+        raise UserError(f"{place.path}, HDU {place.hdu}: holds no image of {place.rows} x {place.cols} numbers")
+    pixels, saturation = pixels_of(data)
+    notes: list[str] = []
+    frame_header = _frame_header(header, number, pixels.shape, saturation, notes)
+    return SourcedFrame(
+        frame=Frame(header=frame_header, pixels=pixels), file=place.path.name, hdu=place.hdu, wcs=wcs, notes=tuple(notes)
+    )
+
+
+def pixels_of(data: NDArray[Any]) -> tuple[NDArray[np.uint16] | NDArray[np.float32], float | None]:
+    """Pixels as the contract has them, and the value at which they saturate by their type (None: unknown).
+
+    Integers that fit are uint16; all else is float32, with NaN where there is no number.
+    """
+    if data.dtype.kind in "ui":
+        low, high = int(data.min()), int(data.max())
+        if low >= 0 and high <= 65535:
+            top = {1: 255.0, 2: 32767.0 if data.dtype.kind == "i" else 65535.0}.get(data.dtype.itemsize, 65535.0)
+            return np.ascontiguousarray(data, dtype=np.uint16), top
+        return np.ascontiguousarray(data, dtype=np.float32), None
+    with np.errstate(over="ignore", invalid="ignore"):
+        pixels = np.ascontiguousarray(data, dtype=np.float32)
+    unusable = ~np.isfinite(pixels)
+    if unusable.any():
+        pixels = pixels.copy()
+        pixels[unusable] = np.nan
+    return pixels, None
+
+
+def number_of(header: Mapping[str, Any], names: tuple[str, ...], low: float, high: float) -> float | None:
+    """The first finite number among header keys that lies in [low, high]; None without one."""
+    for name in names:
+        value = header.get(name)
+        try:
+            number = float(value) if value is not None and not isinstance(value, bool) else math.nan
+        except (TypeError, ValueError, OverflowError):
+            continue
+        if math.isfinite(number) and low <= number <= high:
+            return number
+    return None
+
+
+def start_tai_ns(header: Mapping[str, Any]) -> int | None:
+    """Start of exposure from DATE-OBS (with TIME-OBS or UT where the date stands alone) or MJD-OBS, UTC; None without one."""
+    date = header.get("DATE-OBS")
+    texts = []
+    if isinstance(date, str) and date.strip():
+        day = date.strip().rstrip("Z")
+        clock = next((str(header[key]).strip() for key in ("TIME-OBS", "UTC-OBS", "UT", "UTSTART") if header.get(key)), "")
+        texts = [day] if "T" in day or not clock else [f"{day}T{clock}", day]
+    for text in texts:
+        try:
+            moment = Time(text, format="isot" if "T" in text else "iso", scale="utc").tai
+            return _within_contract(from_jd_parts(float(moment.jd1), float(moment.jd2)))
+        except (ValueError, TypeError, OverflowError):
+            continue
+    mjd = number_of(header, ("MJD-OBS", "MJD-STR"), 36_934.0, 100_000.0)
+    if mjd is None:
+        return None
+    moment = Time(mjd, format="mjd", scale="utc").tai
+    return _within_contract(from_jd_parts(float(moment.jd1), float(moment.jd2)))
+
+
+def _within_contract(tai_ns: int) -> int | None:
+    """The epoch if headers may hold it."""
+    return tai_ns if 0 <= tai_ns < 2**62 else None
+
+
+def _frame_header(
+    header: Mapping[str, Any], number: int, shape: tuple[int, ...], saturation: float | None, notes: list[str]
+) -> FrameHeader:
+    start = start_tai_ns(header)
+    if start is None:
+        start = FIRST_ASSUMED_TAI_NS + number * NS_PER_S
+        notes.append("no DATE-OBS: the epoch is a number, not a time")
+    exposure_s = number_of(header, ("EXPTIME", "EXPOSURE", "EXP_TIME"), 0.0, 9e6)
+    if exposure_s is None:
+        notes.append("no EXPTIME: no magnitudes")
+    gain = number_of(header, ("GAIN", "EGAIN"), 1e-3, 1e4)
+    if gain is None:
+        notes.append("no GAIN: 1 e-/ADU is assumed")
+    read_noise = number_of(header, ("RDNOISE", "READNOIS", "RON"), 0.0, 1e5)
+    try:
+        return FrameHeader(
+            frame=number,
+            t_start_tai_ns=start,
+            exposure_ns=round((exposure_s or 0.0) * NS_PER_S),
+            line_time_ns=0,
+            rows=shape[0],
+            cols=shape[1],
+            gain_e_adu=gain,
+            read_noise_e=read_noise,
+            saturation_adu=number_of(header, ("SATURATE", "SATLEVEL"), 1.0, 1e9) or saturation,
+            temperature_k=None,
+        )
+    except ContractError as error:
+        raise UserError(f"frame {number}: {error}") from error
+
+
+def _headers(hdus: fits.HDUList, hdu: Any) -> dict[str, Any]:
+    """Keys of the primary header under those of the HDU's own."""
+    merged: dict[str, Any] = {}
+    for source in (hdus[0].header, hdu.header):
+        for card in source.cards:
+            if card.keyword and card.keyword not in ("COMMENT", "HISTORY"):
+                merged[card.keyword] = card.value
+    return merged
+
+
+def _shape(hdu: Any) -> tuple[int, int] | None:
+    """Rows and columns of an HDU with a 2-D image, None for everything else."""
+    if not isinstance(hdu, fits.PrimaryHDU | fits.ImageHDU | fits.CompImageHDU):
+        return None
+    shape = hdu.shape
+    return (int(shape[0]), int(shape[1])) if len(shape) == 2 and all(shape) else None
+
+
+def _wcs(header: fits.Header) -> WCS | None:
+    """The header's celestial WCS, if it has a usable one."""
+    try:
+        wcs = WCS(header)
+        if not wcs.has_celestial or wcs.naxis != 2:
+            return None
+        corner = wcs.pixel_to_world(0.0, 0.0)
+        return wcs if np.isfinite([corner.ra.deg, corner.dec.deg]).all() else None
+    except (*READ_ERRORS, MemoryError):
+        return None
+
+
+class _quietly(warnings.catch_warnings):  # noqa: N801 - reads as a statement: with _quietly()
+    """Headers of other people break the standard in ways that do not matter here."""
+
+    def __init__(self) -> None:
+        super().__init__(action="ignore")
+
+
+def _first_line(error: BaseException) -> str:
+    text = str(error).splitlines()
+    return f"{type(error).__name__}: {text[0][:160]}" if text else type(error).__name__

@@ -1,0 +1,31 @@
+"""The door through which frames come, simulated or real."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any, Protocol
+
+from sboc_e2e.icd.frame import Frame
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SourcedFrame:
+    """A frame and where it came from: file, header-data unit, and the astropy WCS of its header if it has one."""
+
+    frame: Frame
+    file: str
+    hdu: int
+    wcs: Any
+    notes: tuple[str, ...]
+
+
+class FrameSource(Protocol):
+    """Frames in order, one at a time."""
+
+    @property
+    def n_frames(self) -> int:
+        """How many frames there are."""
+        ...
+
+    def frames(self) -> Iterator[SourcedFrame]:
+        """The frames; each is made or read when it is asked for."""
+        ...

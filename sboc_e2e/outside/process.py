@@ -1,0 +1,97 @@
+"""`sboc process`: frames from outside through the on-board and the ground chain; products, and no score without truth."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final
+
+from sboc_e2e.catalogue import StarCatalogue
+from sboc_e2e.files import calibration_files
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.icd.frame import Frame, NominalCamera
+from sboc_e2e.outside.camera import camera_of_frame, camera_of_preset
+from sboc_e2e.outside.frame_source import FrameSource
+from sboc_e2e.registry import Registry
+from sboc_e2e.run.directory import RunDirectory
+from sboc_e2e.run.ground_stage import GroundStage, Outside, ground_chain
+from sboc_e2e.run.manifest import Manifest
+from sboc_e2e.run.onboard_stage import OnboardStage, onboard_chain
+from sboc_e2e.run.progress import Progress
+from sboc_e2e.scenario import Scenario
+
+WCS_CHOICES: Final = ("header", "solve", "none")
+
+
+@dataclass(kw_only=True)
+class Seen:
+    """What was learned of the frames as they went by."""
+
+    origin: dict[int, tuple[str, int]] = field(default_factory=dict)
+    wcs: dict[int, object] = field(default_factory=dict)
+    notes: dict[str, int] = field(default_factory=dict)
+
+
+def process(
+    source: FrameSource, scenario: Scenario, out: Path, *, camera: str | None, wcs: str, force: bool, registry: Registry, progress: Progress
+) -> None:
+    """Products of all frames of a source in a run directory.
+
+    camera : an instrument preset, None to guess one from the first frame. wcs : "header" uses the WCS of headers,
+    "solve" solves the attitude from stars (which takes a preset, for the scale), "none" gives pixel positions only.
+    """
+    if wcs not in WCS_CHOICES:
+        raise UserError(f'--wcs: expected one of {", ".join(WCS_CHOICES)}, got "{wcs[:40]}"')
+    directory = RunDirectory(path=out)
+    n_frames = source.n_frames
+    directory.prepare(resume=False, force=force)
+    known = camera_of_preset(camera, registry) if camera else None
+    first = next(iter(source.frames()))
+    nominal = _fitting(known, first.frame) if known else camera_of_frame(first)
+    manifest = Manifest.of(directory.manifest, scenario)
+    manifest.n_frames = n_frames
+    manifest.save()
+    calibration_files.write_camera(directory.calibration, nominal, f"preset {camera}" if camera else "guessed from the first frame")
+    seen = Seen()
+    chain = onboard_chain(scenario, calibration=None, camera=nominal, run_id=manifest.run_id)
+    board = OnboardStage(run=directory, chain=chain)
+    manifest.begin("onboard")
+    progress.stage("onboard", n_frames)
+    board.join(board.take(_noted(source, seen), progress))
+    manifest.finish("onboard", timed_frames=board.n_timed, cpu_s=board.meter.cpu_s, wall_s=board.meter.wall_s)
+    directory.clear_work("onboard")
+    for note, count in seen.notes.items():
+        progress.note(f"{count} of {n_frames} frames: {note}")
+    catalogue = StarCatalogue.embedded()
+    ground = GroundStage(
+        run=directory,
+        chain=ground_chain(scenario, calibration=None, camera=nominal, catalogue=catalogue),
+        options=scenario.ground,
+        catalogue=catalogue,
+        outside=Outside(origin=seen.origin, wcs=seen.wcs if wcs == "header" else {}),
+    )
+    manifest.begin("ground")
+    count, peak_mb = ground.execute(progress)
+    manifest.finish("ground", timed_frames=count, cpu_s=ground.meter.cpu_s, wall_s=ground.meter.wall_s, peak_rss_mb=peak_mb)
+    directory.clear_work("ground")
+
+
+def _noted(source: FrameSource, seen: Seen) -> Iterator[Frame]:
+    """Frames of a source, while what is known of each is noted."""
+    for sourced in source.frames():
+        number = sourced.frame.header.frame
+        seen.origin[number] = (sourced.file, sourced.hdu)
+        if sourced.wcs is not None:
+            seen.wcs[number] = sourced.wcs
+        for note in sourced.notes:
+            seen.notes[note] = seen.notes.get(note, 0) + 1
+        yield sourced.frame
+
+
+def _fitting(camera: NominalCamera, frame: Frame) -> NominalCamera:
+    """A preset's camera for a frame of another size: same scale, axis in the middle."""
+    header = frame.header
+    if (camera.rows, camera.cols) == (header.rows, header.cols):
+        return camera
+    return replace(
+        camera, rows=header.rows, cols=header.cols, center_row=0.5 * (header.rows - 1), center_col=0.5 * (header.cols - 1)
+    )

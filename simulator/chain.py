@@ -14,7 +14,7 @@
 Any frame can be made alone, by any process, with the same bytes.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from typing import Any
 
 import erfa
@@ -34,13 +34,15 @@ from simulator.options import SimulatorOptions
 from simulator.platform import earth
 from simulator.platform.jitter import make_jitter
 from simulator.platform.line_of_sight import LineOfSight, line_of_sight
-from simulator.platform.observer import make_observer
+from simulator.platform.observer import SiteObserver, make_observer
 from simulator.platform.pointing import commanded_attitude
 from simulator.platform.rotation import quaternion_of
 from simulator.platform.shutter import FrameTiming, frame_timing
 from simulator.platform.telemetry import attitude_estimate, observer_state
 from simulator.radiation.field import ParticleField
 from simulator.scene import sources
+from simulator.scene.aberration import aberrate
+from simulator.scene.atmosphere import Atmosphere
 from simulator.scene.crossing import RowShutter, exposed_intervals
 from simulator.scene.encounters import Window, draw_encounters
 from simulator.scene.objects import PixelPathObject, SkyObject
@@ -107,7 +109,57 @@ class Simulator:
         options = self.options
         self._observer = make_observer(options.platform, self._epoch)
         self._jitter = make_jitter(options.jitter, self.seed)
-        self._attitude = commanded_attitude(options.pointing, self._observer, self._epoch)
+        target = self._target_direction() if options.pointing.law == "object" else None
+        self._attitude = commanded_attitude(options.pointing, self._observer, self._epoch, target)
+        for tai_ns in (self._epoch, self._epoch + round(options.frames / options.frame_rate_hz * 1e9)):
+            self._refuse_earth(tai_ns)
+        air = self._air(self._epoch)
+        self._seeing_px = 0.0 if air is None else self._projection.focal_px * air.seeing_sigma_rad(self._attitude(self._epoch)[2])
+
+    def _target_direction(self) -> Callable[[int], Array]:
+        """Apparent direction of the object that the pointing follows, by its name."""
+        name, given = self.options.pointing.target, self.options.objects
+        found: list[SkyObject] = [sources.orbiting(o) for o in given.orbit if o.name == name]
+        found.extend(sources.sky_path(o) for o in given.sky_path if o.name == name)
+        if not found and given.satellites.file:
+            read = read_satellites(given.satellites.file, (name,))
+            found.extend(satellite_object(s, given.satellites, self._epoch) for s in read)
+        if not found:
+            raise UserError(
+                f"pointing.target: no object named {name!r}; allowed are objects.orbit, objects.sky_path, objects.satellites"
+            )
+
+        def direction(tai_ns: int) -> Array:
+            position, velocity = self._observer.state(tai_ns)
+            time_s = np.array([(tai_ns - self._epoch) * 1e-9])
+            vector = found[0].seen(time_s, position[None], earth.sun_position_km(tai_ns)).vector_km
+            apparent = aberrate(vector / np.linalg.norm(vector), velocity)
+            air = self._air(tai_ns)
+            return (apparent if air is None else air.refracted(apparent, np.linalg.norm(vector, axis=1)))[0]
+
+        return direction
+
+    def _air(self, tai_ns: int) -> Atmosphere | None:
+        """The atmosphere above a site; None in orbit."""
+        if not isinstance(self._observer, SiteObserver):
+            return None
+        return Atmosphere(options=self.options.atmosphere, up=self._observer.up(tai_ns), height_m=self._observer.site.height_m)
+
+    def _refuse_earth(self, tai_ns: int) -> None:
+        """UserError when the Earth, or the horizon of a site, reaches into the field."""
+        boresight, air = self._attitude(tai_ns)[2], self._air(tai_ns)
+        if air is not None:
+            air.refuse_low(boresight)
+            return
+        position = self._observer.state(tai_ns)[0]
+        radius = float(np.linalg.norm(position))
+        limb_deg = float(np.degrees(np.arcsin(earth.EARTH_RADIUS_KM / radius)))
+        from_nadir_deg = float(np.degrees(np.arccos(np.clip(-boresight @ position / radius, -1.0, 1.0))))
+        needed_deg = limb_deg + float(np.degrees(np.arctan(self._corner_px / self._projection.focal_px)))
+        if from_nadir_deg < needed_deg:
+            raise UserError(
+                f"pointing: the Earth reaches into the field, {from_nadir_deg:.1f} deg from nadir; allowed is above {needed_deg:.1f} deg"
+            )
 
     def _make_objects(self) -> list[SkyObject | PixelPathObject]:
         """All objects of the run in the order of the truth table: given ones first, then the population."""
@@ -202,15 +254,19 @@ class Simulator:
             center_col=self._projection.center_col,
             corner_radius_px=self._corner_px,
         )
-        return np.asarray(nominal * self._psf_scale)
+        return np.asarray(np.hypot(nominal * self._psf_scale, self._seeing_px))
 
     def _sky_rate_e_s(self, directions: Array) -> Array:
         """Diffuse light on axis in directions (n, 3): electrons per detector pixel and second."""
-        sky, camera = self.options.sky, self.options.instrument
+        sky = self.options.sky
         sun = earth.sun_position_km(self._epoch)
         s10 = sky.zodiacal * zodiacal_s10(directions, sun / np.linalg.norm(sun)) + sky.unresolved * unresolved_s10(directions)
+        return np.asarray(surface_brightness_flux(s10) * self._flux_to_rate_e_s())
+
+    def _flux_to_rate_e_s(self) -> float:
+        """Electrons per detector pixel and second of a surface brightness of one V = 0 star per square arcsecond."""
         pixel_arcsec2 = (np.degrees(1.0 / self._projection.focal_px) * 3600.0) ** 2
-        return np.asarray(surface_brightness_flux(s10) * camera.true_zero_point_e_s * pixel_arcsec2)
+        return float(self.options.instrument.true_zero_point_e_s * pixel_arcsec2)
 
     def _plane(self) -> FocalPlane:
         camera, exposure_s = self.options.instrument, self.options.shutter.exposure_s
@@ -282,7 +338,7 @@ class Simulator:
         delivered_timing, timing = self._timing(index)
         exposure_s = self.options.shutter.exposure_s
         shutter, sight = self._shutter(timing), self._sight(timing)
-        image_e, sky_e = self._diffuse(sight, exposure_s)
+        image_e, sky_e = self._diffuse(sight, exposure_s, index)
         stars = self._add_stars(image_e, sight, shutter, index)
         entropy = self._sensor.entropy_bits(image_e[::16], exposure_s)
         streaks = self._add_objects(image_e, sight, shutter, index)
@@ -328,21 +384,44 @@ class Simulator:
         """Paths of the wanted objects through a frame."""
         sun_km = earth.sun_position_km(self._epoch + round(sight.reference_s * 1e9))
         first_open_s = index / self.options.frame_rate_hz
+        air = self._air_of(sight)
         for object_id in wanted:
             thing = self._objects[object_id]
             if isinstance(thing, PixelPathObject):
                 zero_s = first_open_s if thing.restart else 0.0
                 yield object_id, pixel_path_of(thing, sight, self._projection, self._binning.rows, self._binning.cols, zero_s)
             else:
-                yield object_id, sky_path_of(thing, sight, self._projection, sun_km)
+                yield (
+                    object_id,
+                    sky_path_of(thing, sight, self._projection, sun_km, air, self._dimming(air, sight, index, object_id)),
+                )
 
-    def _diffuse(self, sight: LineOfSight, exposure_s: float) -> tuple[NDArray[np.float32], float]:
+    def _air_of(self, sight: LineOfSight) -> Atmosphere | None:
+        """The atmosphere in the middle of a frame."""
+        return self._air(self._epoch + round(sight.reference_s * 1e9))
+
+    def _dimming(self, air: Atmosphere | None, sight: LineOfSight, index: int, object_id: int) -> float:
+        """What extinction, clouds and scintillation leave of an object's flux in one frame."""
+        if air is None:
+            return 1.0
+        boresight = sight.reference[2]
+        flicker = air.flicker(
+            1, boresight, self.options.instrument.aperture_m, self.options.shutter.exposure_s, self.seed, index, 1 + object_id
+        )
+        return float(flicker[0] * air.transmission(boresight[None], self.seed, index)[0])
+
+    def _diffuse(self, sight: LineOfSight, exposure_s: float, index: int) -> tuple[NDArray[np.float32], float]:
         """An image of sky and stray light, and the mean sky per detector pixel."""
         nodes_row = np.linspace(0.0, self._shape[0] - 1.0, SKY_GRID)
         nodes_col = np.linspace(0.0, self._shape[1] - 1.0, SKY_GRID)
         row, col = np.meshgrid(nodes_row, nodes_col, indexing="ij")
         directions = self._projection.to_vectors(row.ravel(), col.ravel()) @ sight.reference
-        grid_e = (self._sky_rate_e_s(directions) * exposure_s).reshape(SKY_GRID, SKY_GRID).astype(np.float32)
+        rate_e_s = self._sky_rate_e_s(directions)
+        air = self._air_of(sight)
+        if air is not None:
+            rate_e_s = rate_e_s * air.transmission(directions, self.seed, index)
+            rate_e_s = rate_e_s + air.glow_flux(directions) * self._flux_to_rate_e_s()
+        grid_e = (rate_e_s * exposure_s).reshape(SKY_GRID, SKY_GRID).astype(np.float32)
         image_e = np.empty(self._shape, dtype=np.float32)
         camera = self.options.instrument
         fill_diffuse(image_e, self._illumination, grid_e, camera.stray_light_e_px_s * exposure_s, camera.stray_gradient)
@@ -361,10 +440,15 @@ class Simulator:
         radius_deg = float(np.degrees(np.arccos(np.clip((corners @ centre).min(), -1.0, 1.0)))) + 0.1
         swing_deg = float(np.degrees(np.ptp(sight.turn_rad, axis=0).max()))
         field: StarField = self._sky.around(centre @ sight.reference, radius_deg + swing_deg)
-        places = place_stars(field, sight, velocity, self._projection, shutter, margin_px=40.0)
+        air = self._air_of(sight)
+        places = place_stars(field, sight, velocity, self._projection, shutter, 40.0, air)
         row, col = places.row.mean(axis=0), places.col.mean(axis=0)
         sigma = np.sqrt(self._sigma_at(row, col) ** 2 + places.spread_px2)
         flux_e = field.flux_e_s[places.index] * shutter.exposure_s * self._illumination_at(row, col)
+        if air is not None:
+            flux_e *= air.transmission(field.direction[places.index], self.seed, index)
+            aperture_m = self.options.instrument.aperture_m
+            flux_e *= air.flicker(len(flux_e), sight.reference[2], aperture_m, shutter.exposure_s, self.seed, index)
         substeps = len(places.row)
         for k in range(substeps):
             render_stars(image_e, places.row[k], places.col[k], flux_e / substeps, sigma)
@@ -448,7 +532,9 @@ class Simulator:
         bins = self._binning
         vectors = self._projection.to_vectors(bins.rows * row + 0.5 * (bins.rows - 1), bins.cols * col + 0.5 * (bins.cols - 1))
         epoch_s = (timing.t_start_tai_ns - self._epoch) * 1e-9 + timing.line_time_ns * 1e-9 * row + 0.5 * exposure_s
-        ra, dec = angles_deg(sight.to_gcrs(epoch_s, vectors))
+        air = self._air_of(sight)
+        seen = sight.to_gcrs(epoch_s, vectors)
+        ra, dec = angles_deg(seen if air is None else air.unrefracted(seen))
         values = {
             "frame": index,
             "t_start_true_tai_ns": timing.t_start_tai_ns,

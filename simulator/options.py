@@ -11,6 +11,7 @@ from simulator.platform.pointing import PointingOptions
 from simulator.platform.shutter import ClockOptions, ShutterOptions
 from simulator.platform.telemetry import TelemetryOptions
 from simulator.radiation.options import RadiationOptions
+from simulator.scene.atmosphere import AtmosphereOptions
 from simulator.scene.encounters import PopulationOptions
 from simulator.scene.sky import SkyOptions
 from simulator.scene.sources import ObjectOptions
@@ -41,6 +42,7 @@ class SimulatorOptions:
     )
     stars: StarOptions = field(default_factory=StarOptions, metadata={"doc": "stars"})
     sky: SkyOptions = field(default_factory=SkyOptions, metadata={"doc": "diffuse background"})
+    atmosphere: AtmosphereOptions = field(default_factory=AtmosphereOptions, metadata={"doc": "air above a ground site"})
     population: PopulationOptions = field(default_factory=PopulationOptions, metadata={"doc": "sampled debris"})
     objects: ObjectOptions = field(default_factory=ObjectOptions, metadata={"doc": "objects given one by one"})
     radiation: RadiationOptions = field(default_factory=RadiationOptions, metadata={"doc": "particles"})

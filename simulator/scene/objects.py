@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from simulator.platform.earth import LIGHT_KM_S
 from simulator.platform.kepler import Elements, state_of
-from simulator.scene.reflection import STEADY, LightCurve, lambert_flux, sunlit_fraction
+from simulator.scene.reflection import STEADY, LightCurve, in_sight, lambert_flux, sunlit_fraction
 
 Array = NDArray[np.float64]
 
@@ -72,7 +72,9 @@ class OrbitingObject:
             delay_s = np.linalg.norm(position - observer_km, axis=-1) / LIGHT_KM_S
             position = self.positions_km(time_s - delay_s)
         flux = lambert_flux(self.identity.size_m, self.identity.albedo, position, observer_km, sun_km)
-        return Seen(vector_km=position - observer_km, flux=flux * sunlit_fraction(position, sun_km))
+        return Seen(
+            vector_km=position - observer_km, flux=flux * sunlit_fraction(position, sun_km) * in_sight(position, observer_km)
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -54,7 +54,7 @@ def predict_crossings(
     to_s: float,
     farthest_km: float = 1e6,
 ) -> Prediction:
-    """Satellites that come into a field of `shape` pixels between two times (s after the epoch). Light and shadow do not matter."""
+    """Satellites in a field of `shape` pixels between two times (s after the epoch), lit or not."""
     n = max(int(np.ceil((to_s - from_s) / STEP_S)), 1)
     half_s = 0.5 * (to_s - from_s) / n
     time_s = from_s + half_s * (2.0 * np.arange(n) + 1.0)
@@ -85,7 +85,9 @@ def _turn_rad(before: Array, after: Array) -> float:
     return float(np.arccos(np.clip(0.5 * (np.trace(after @ before.T) - 1.0), -1.0, 1.0)))
 
 
-def _may_cross(camera_km: Array, rate_km_s: Array, half_s: float, half_row: float, half_col: float, turn_rad: float) -> NDArray[np.bool_]:
+def _may_cross(
+    camera_km: Array, rate_km_s: Array, half_s: float, half_row: float, half_col: float, turn_rad: float
+) -> NDArray[np.bool_]:
     """Whether straight motion within +-half_s brings points (m, 3) into the widened field."""
     error_km = 0.5 * _LARGEST_ACCELERATION_KM_S2 * half_s**2
     earliest = np.full(len(camera_km), -half_s)

@@ -51,6 +51,15 @@ def sunlit_fraction(object_km: Array, sun_km: Array) -> Array:
     return np.asarray(np.where(c < a - b, ring, covered))
 
 
+def in_sight(object_km: Array, observer_km: Array) -> NDArray[np.bool_]:
+    """Whether the spherical Earth leaves the line from observers to objects (..., 3) free."""
+    line = object_km - observer_km
+    share = np.clip(-np.sum(observer_km * line, axis=-1) / np.sum(line * line, axis=-1), 0.0, 1.0)
+    nearest = observer_km + share[..., None] * line
+    grounded = np.sum(observer_km * line, axis=-1) >= 0.0  # it looks upwards, from a site too
+    return np.asarray(grounded | (np.sum(nearest * nearest, axis=-1) > EARTH_RADIUS_KM**2))
+
+
 @dataclass(frozen=True, kw_only=True)
 class LightCurve:
     """A tumbling body: a sinusoid on its mean brightness, and periodic glints.

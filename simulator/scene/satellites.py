@@ -73,7 +73,9 @@ def _read_lines(path: Path, text: str) -> list[Satellite]:
             continue
         for number, line in ((k + 1, first), (k + 2, second)):
             if len(line) < 69 or _checksum(line) != line[68]:
-                raise UserError(f"satellite file {path}, line {number}: not an element line of 69 characters with a right checksum")
+                raise UserError(
+                    f"satellite file {path}, line {number}: not an element line of 69 characters with a right checksum"
+                )
         title = lines[k - 1].strip() if k > 0 and not lines[k - 1].startswith(("1 ", "2 ")) else ""
         record = Satrec.twoline2rv(first, second, WGS72)
         found.append(Satellite(name=title.removeprefix("0 ").strip() or first[2:7].strip(), record=record))

@@ -9,6 +9,7 @@ from simulator.optics.projection import Projection
 from simulator.platform.line_of_sight import LineOfSight
 from simulator.platform.rotation import turned
 from simulator.scene.aberration import aberrate
+from simulator.scene.atmosphere import Atmosphere
 from simulator.scene.crossing import RowShutter
 from simulator.scene.stars import StarField
 
@@ -32,14 +33,21 @@ class StarPlaces:
 
 
 def place_stars(
-    stars: StarField, sight: LineOfSight, velocity_km_s: Array, projection: Projection, shutter: RowShutter, margin_px: float
+    stars: StarField,
+    sight: LineOfSight,
+    velocity_km_s: Array,
+    projection: Projection,
+    shutter: RowShutter,
+    margin_px: float,
+    air: Atmosphere | None,
 ) -> StarPlaces:
     """Positions of stars that come within `margin_px` of the frame.
 
     velocity_km_s : (3,) barycentric velocity of the observer in the middle of the frame; its change within a frame moves
     stars by less than 0.01 arcsec for exposures up to a second.
     """
-    seen = aberrate(stars.direction, velocity_km_s) @ sight.reference.T
+    apparent = aberrate(stars.direction, velocity_km_s)
+    seen = (apparent if air is None else air.refracted(apparent)) @ sight.reference.T
     row, col = projection.to_pixels(seen)
     drift_px = _largest_motion_px(sight, projection, shutter)
     reach = margin_px + drift_px
@@ -64,7 +72,7 @@ def place_stars(
 
 def _largest_motion_px(sight: LineOfSight, projection: Projection, shutter: RowShutter) -> float:
     """Upper bound of how far any star of the frame moves during one exposure: peak-to-peak turns within windows of it."""
-    steps = max(int(round(shutter.exposure_s / (sight.fine_s[1] - sight.fine_s[0]))), 1)
+    steps = max(round(shutter.exposure_s / float(sight.fine_s[1] - sight.fine_s[0])), 1)
     blocks = [sight.turn_rad[k : k + steps + 1] for k in range(0, len(sight.turn_rad), max(steps // 2, 1))]
     swing = np.max([np.ptp(b, axis=0) for b in blocks], axis=0)
     corner = 0.5 * np.hypot(shutter.rows, shutter.cols)

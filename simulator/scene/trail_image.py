@@ -12,6 +12,7 @@ from simulator.exposure import render_trail
 from simulator.optics.projection import Projection
 from simulator.platform.line_of_sight import LineOfSight
 from simulator.scene.aberration import aberrate
+from simulator.scene.atmosphere import Atmosphere
 from simulator.scene.crossing import Interval, Place, RowShutter, exposed_intervals, path_length_px, time_bins
 from simulator.scene.objects import PixelPathObject, SkyObject
 from simulator.scene.stars import angles_deg
@@ -60,24 +61,28 @@ class FocalPlane:
     obstruction: float
 
 
-def sky_path_of(thing: SkyObject, sight: LineOfSight, projection: Projection, sun_km: Array) -> Path:
+def sky_path_of(
+    thing: SkyObject, sight: LineOfSight, projection: Projection, sun_km: Array, air: Atmosphere | None, dimming: float = 1.0
+) -> Path:
     """The path of an object with directions: splines of its apparent vector through the nodes of the frame.
 
     The vector (direction times range) of unaccelerated motion is linear in time, so that splines lose nothing even where the
     direction turns fast. Aberration is that of the observer's geocentric velocity: the Earth's own cancels for what moves
-    with the Earth.
+    with the Earth. dimming : what the atmosphere leaves of the flux.
     """
     seen = thing.seen(sight.node_s, sight.observer_km, sun_km)
     distance = np.linalg.norm(seen.vector_km, axis=-1, keepdims=True)
     published = CubicSpline(sight.node_s, seen.vector_km)
-    apparent = CubicSpline(sight.node_s, distance * aberrate(seen.vector_km / distance, sight.velocity_km_s))
-    at_1_km = CubicSpline(sight.node_s, seen.flux * distance[:, 0] ** 2)
+    outside = aberrate(seen.vector_km / distance, sight.velocity_km_s)
+    apparent = CubicSpline(sight.node_s, distance * outside)
+    lifted = apparent if air is None else CubicSpline(sight.node_s, distance * air.refracted(outside, distance[:, 0]))
+    at_1_km = CubicSpline(sight.node_s, dimming * seen.flux * distance[:, 0] ** 2)
 
     def unit(vectors: Array) -> Array:
         return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
     def place(time_s: Array) -> tuple[Array, Array]:
-        return projection.to_pixels(sight.to_camera(time_s, apparent(time_s)))
+        return projection.to_pixels(sight.to_camera(time_s, lifted(time_s)))
 
     def range_km(time_s: Array) -> Array:
         return np.asarray(np.linalg.norm(published(time_s), axis=-1))

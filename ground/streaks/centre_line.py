@@ -32,6 +32,9 @@ BEYOND_PX: Final = 1e7
 SEARCH_STAGES: Final = ((2.5, 3), (1.6, 3), (1.0, 5))
 """Widening of the PSF and iterations of each stage of the search for the line."""
 
+CURVED_WIDTHS: Final = 40.0
+"""Shorter trails (in widths) are straight."""
+
 SEARCH_PIXELS: Final = 9000
 """Pixels used to find the line; of longer trails every second, third ... pixel."""
 
@@ -183,7 +186,8 @@ def find_line(
         parameters = line.parameters
     if not line.regular or abs(parameters[V_MID]) + abs(parameters[SLOPE]) > 3.0 * max_shift_px:
         return None
-    if SAGITTA not in free and curvature_statistic(line) > math.log(near.u.size) + 3.0:
+    long_enough = 2.0 * half_px > CURVED_WIDTHS * width_px
+    if SAGITTA not in free and long_enough and curvature_statistic(line) > math.log(near.u.size) + 3.0:
         parameters = parameters.copy()
         line = score(near, parameters, (*free, SAGITTA), half_px=half_px, blur_px=(0.0, 0.0), iterations=8, quartic=False)
         parameters = line.parameters

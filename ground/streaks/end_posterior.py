@@ -25,7 +25,7 @@ from ground.streaks.trail_model import edge
 ZONE_SIGMAS: Final = 3.4
 """Half width of the PSF's edge in which a pixel counts as partly lit."""
 
-DENSITY_STEPS_SIGMA: Final = 1.2 * np.arange(-4, 5)
+DENSITY_STEPS_SIGMA: Final[NDArray[np.float64]] = 1.2 * np.arange(-4.0, 5.0)
 """Nodes of the density in conditional sigmas: the trapezoid rule on a Gaussian is exact to 1e-5 at this spacing."""
 
 SHORT_NODES: Final = 25
@@ -139,7 +139,7 @@ def both_ends(
 
 def _grid(low: float, high: float, step: float) -> NDArray[np.float64]:
     """Nodes from low to high, at least three."""
-    return np.linspace(low, high, max(3, int(math.ceil((high - low) / step)) + 1))
+    return np.linspace(low, high, max(3, math.ceil((high - low) / step) + 1))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -175,8 +175,8 @@ def end_tables(
     step = max(scale / 8.0, 0.02)
     pad = 2.0 * width_px + 0.5 * scale
     center = u[min(split, u.size - 1)]
-    densities = coarse.density_e_px + coarse.density_err_e_px * DENSITY_STEPS_SIGMA
-    densities = densities[densities > 0.05 * coarse.density_e_px]
+    nodes = coarse.density_e_px + coarse.density_err_e_px * DENSITY_STEPS_SIGMA
+    densities: NDArray[np.float64] = nodes[nodes > 0.05 * coarse.density_e_px]
     cumulative = cumulative_ratio(template, value_e, variance_e2, densities, coarse.density_e_px)
     arrays = (u, template, value_e, variance_e2, densities, coarse.density_e_px, cumulative, split, width_px)
     if coarse.edges[0]:

@@ -36,9 +36,7 @@ class TrailResult:
     curve: LightCurve
 
 
-def pixel_covariance(
-    frame: TrailFrame, along_px2: NDArray[np.float64], across_px2: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def pixel_covariance(frame: TrailFrame, along_px2: NDArray[np.float64], across_px2: NDArray[np.float64]) -> NDArray[np.float64]:
     """(4, 4) covariance of (row0, col0, row1, col1) from the (2, 2) covariances of the ends along and across the trail."""
     out = np.empty((4, 4))
     along, across = np.array([frame.sin, frame.cos]), np.array([frame.cos, -frame.sin])

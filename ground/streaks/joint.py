@@ -19,8 +19,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.stats import qmc
 from scipy.special import ndtri
+from scipy.stats import qmc
 
 from ground.streaks.centre_line import effective_width_px, uniform_trail
 from ground.streaks.end_posterior import EndTables, end_tables, lit_length
@@ -169,7 +169,7 @@ def _linear_start(
         right += basis.T @ spread @ np.array([f.along0, f.along1])
     if np.linalg.matrix_rank(normal) < n:
         return None
-    covariance = np.linalg.inv(normal)
+    covariance: NDArray[np.float64] = np.linalg.inv(normal)
     return covariance @ right, covariance
 
 
@@ -196,15 +196,14 @@ def _log_likelihood(e: _Evidence, x0: NDArray[np.float64], x1: NDArray[np.float6
         x = np.stack([x0, x1], axis=1)
         quadratic: NDArray[np.float64] = -0.5 * np.einsum("mi,ij,mj->m", x, e.precision, x)
         return quadratic
-    return np.asarray(np.logaddexp.reduce(_per_density(e, x0, x1), axis=0))
-
-
-def _per_density(e: _Evidence, x0: NDArray[np.float64], x1: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(K, m) log likelihood of end displacements and density; beyond the tables it falls off like at their borders."""
-    assert e.tables is not None
     half = 0.5 * e.frame.fit.length_px
-    total = np.zeros((e.tables.densities.size, x0.size))
-    for grid, log, position in ((e.tables.grid0, e.tables.log0, x0 - half), (e.tables.grid1, e.tables.log1, x1 + half)):
+    return np.asarray(np.logaddexp.reduce(_per_density(e.tables, x0 - half, x1 + half), axis=0))
+
+
+def _per_density(tables: EndTables, end0: NDArray[np.float64], end1: NDArray[np.float64]) -> NDArray[np.float64]:
+    """(K, m) log likelihood of both ends (u, px) and density; beyond the tables it falls off steadily."""
+    total = np.zeros((tables.densities.size, end0.size))
+    for grid, log, position in ((tables.grid0, tables.log0, end0), (tables.grid1, tables.log1, end1)):
         if grid.size == 1:
             total += log
             continue
@@ -253,7 +252,9 @@ def _sample(
         effective = 1.0 / float(np.sum(weight**2))
         # few effective draws understate the spread: keep part of the old one
         keep = 0.5 if effective < 30.0 else 0.0
-        covariance = (1.0 - keep) * estimate + keep * covariance + 1e-12 * np.diag(np.diag(covariance))
+        covariance = np.asarray(
+            (1.0 - keep) * estimate + keep * covariance + 1e-12 * np.diag(np.diag(covariance)), dtype=np.float64
+        )
         if effective > EFFECTIVE_SAMPLES:
             break
     return motion, weight
@@ -309,9 +310,7 @@ def _refitted(e: _Evidence, motion: NDArray[np.float64], weight: NDArray[np.floa
     )
 
 
-def _flux(
-    e: _Evidence, x0: NDArray[np.float64], x1: NDArray[np.float64], weight: NDArray[np.float64]
-) -> tuple[float, float]:
+def _flux(e: _Evidence, x0: NDArray[np.float64], x1: NDArray[np.float64], weight: NDArray[np.float64]) -> tuple[float, float]:
     """Flux and error with the ends as drawn: the density given the ends, times the lit length between them."""
     fit = e.frame.fit
     if e.tables is None:
@@ -319,7 +318,7 @@ def _flux(
     half = 0.5 * fit.length_px
     brightness = (half, 0.5 * fit.gradient, 0.0)
     length = lit_length(x1 + half, brightness) - lit_length(x0 - half, brightness)
-    log = _per_density(e, x0, x1)
+    log = _per_density(e.tables, x0 - half, x1 + half)
     share = np.exp(log - log.max(axis=0))
     share /= share.sum(axis=0)
     first = e.tables.densities @ share

@@ -21,7 +21,10 @@ FALSE_ALARM: Final = 1e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LightCurve:
-    """density_e_px, sigma_e_px : (k,) in equal bins from end 0 to end 1; variable: beyond chance; period_fraction: of the trail."""
+    """density_e_px, sigma_e_px : (k,) in equal bins from end 0 to end 1.
+
+    variable : beyond chance. period_fraction : of the trail, None without a period.
+    """
 
     density_e_px: NDArray[np.float64]
     sigma_e_px: NDArray[np.float64]

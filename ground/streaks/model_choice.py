@@ -11,18 +11,18 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.streaks.centre_line import LineFit, score
+from ground.streaks.centre_line import CURVED_WIDTHS, LineFit, score
 from ground.streaks.trail_model import LN_WIDTH, N_PARAMETERS, Q1, Q2, SAGITTA, accumulate, quartic_px4
 
 CANDIDATES: Final = (SAGITTA, Q1, Q2, LN_WIDTH)
 """Curvature, linear and quadratic brightness, width."""
 
-SHORTEST_WIDTHS: Final = 10.0
-"""Trails shorter than this many widths have neither a measurable shape nor a light curve."""
+LEAST_WIDTHS: Final = {SAGITTA: CURVED_WIDTHS, Q1: 10.0, Q2: 20.0, LN_WIDTH: 0.0}
+"""Trails shorter than this many widths cannot tell a candidate from misplaced ends; natural curvature is nil there."""
 
 
-def score_tests(line: LineFit, candidates: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Of each candidate, given all free parameters: score statistic, one-step estimate and its standard error."""
+def score_tests(line: LineFit, candidates: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Of each candidate, given all free parameters: score statistic and one-step estimate."""
     p = line.pixels
     index = np.array([*line.free, *candidates], dtype=np.int64)
     gradient, fisher = np.empty(index.size), np.empty((index.size, index.size))
@@ -32,21 +32,23 @@ def score_tests(line: LineFit, candidates: tuple[int, ...]) -> tuple[NDArray[np.
     )  # fmt: skip
     n = len(line.free)
     nuisance = np.linalg.pinv(fisher[:n, :n], rcond=1e-12, hermitian=True)
-    statistic, step, error = np.empty(len(candidates)), np.empty(len(candidates)), np.empty(len(candidates))
+    statistic, step = np.empty(len(candidates)), np.empty(len(candidates))
     for k in range(len(candidates)):
         row = fisher[n + k, :n] @ nuisance
         information = fisher[n + k, n + k] - row @ fisher[:n, n + k]
         slope = gradient[n + k] - row @ gradient[:n]
         information = max(information, 1e-12 * fisher[n + k, n + k], 1e-300)
-        statistic[k], step[k], error[k] = slope**2 / information, slope / information, 1.0 / math.sqrt(information)
-    return statistic, step, error
+        statistic[k], step[k] = slope**2 / information, slope / information
+    return statistic, step
 
 
 def choose_model(line: LineFit, *, iterations: int, shape: bool) -> LineFit:
     """The fit with every refinement that pays for itself; `shape`: whether curvature and brightness are considered."""
-    open_candidates = [c for c in (CANDIDATES if shape else (LN_WIDTH,)) if c not in line.free]
+    widths = 2.0 * line.half_px / line.width_px
+    allowed = [c for c in CANDIDATES if widths > LEAST_WIDTHS[c]] if shape else [LN_WIDTH]
+    open_candidates = [c for c in allowed if c not in line.free]
     while open_candidates:
-        statistic, step, _ = score_tests(line, tuple(open_candidates))
+        statistic, step = score_tests(line, tuple(open_candidates))
         best = int(np.argmax(statistic))
         if statistic[best] < math.log(max(line.n_pixels, 2)) + 2.0 * math.log(len(CANDIDATES)):
             break

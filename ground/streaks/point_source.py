@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PointFit:
     """Position (row, col), flux and width with covariance (4, 4) of (flux_e, row, col, ln width) as fitted."""

@@ -4,7 +4,6 @@ The centre line and the shape are found by Fisher scoring with the ends as known
 uncertainty (the expected template); ends and flux come from their posterior along that line (`end_posterior`).
 """
 
-import math
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -17,7 +16,7 @@ from ground.streaks.end_search import CoarseEnds, coarse_ends
 from ground.streaks.fit_record import TrailResult, point_record, trail_record
 from ground.streaks.intruders import at_median_brightness, intruder_mask
 from ground.streaks.light_curve import light_curve
-from ground.streaks.model_choice import SHORTEST_WIDTHS, choose_model, width_estimate
+from ground.streaks.model_choice import choose_model, width_estimate
 from ground.streaks.point_source import fit_point
 from ground.streaks.trail_frame import TrailFrame
 from ground.streaks.trail_model import DENSITY, END0, END1, Q1, Q2, SAGITTA, SLOPE, V_MID, profiles
@@ -64,9 +63,7 @@ def fit_trail(pixels: StreakPixels, detection: Detection, options: FitOptions) -
     usable = usable_pixels(pixels, frame, reach)
     half = 0.5 * detection.length_px
     flagged = _edges(detection, pixels.frame_shape)
-    first = find_line(
-        usable, half, flagged, width_px=width, sagitta_px=detection.sagitta_px, max_shift_px=options.max_shift_px
-    )
+    first = find_line(usable, half, flagged, width_px=width, sagitta_px=detection.sagitta_px, max_shift_px=options.max_shift_px)
     if first is None:
         return None
     # a bright star would pull both the line and the ends to itself, so it must go before they are looked for
@@ -151,7 +148,7 @@ def _refined(line: LineFit, coarse: CoarseEnds, options: FitOptions) -> LineFit:
             half_px=line.half_px, blur_px=(0.0, 0.0), iterations=options.max_iterations,
         )  # fmt: skip
         line = sharp if sharp.regular else line
-    shape = line.snr > SHAPE_SNR and coarse.length_px > SHORTEST_WIDTHS * line.width_px
+    shape = line.snr > SHAPE_SNR
     line = choose_model(line, iterations=options.max_iterations, shape=shape)
     for _ in range(WIGGLE_ROUNDS if shape else 0):
         offsets = local_offsets(line, (-line.half_px, line.half_px))
@@ -253,8 +250,15 @@ def _record(
         width_px=line.width_px, snr=line.snr,
     )  # fmt: skip
     result = TrailResult(
-        line=line, ends=ends, shift_px=shift, edges=edges, crosses=crosses, ln_width=ln_width, ln_width_err=ln_width_err, curve=curve
-    )
+        line=line,
+        ends=ends,
+        shift_px=shift,
+        edges=edges,
+        crosses=crosses,
+        ln_width=ln_width,
+        ln_width_err=ln_width_err,
+        curve=curve,
+    )  # fmt: skip
     gaussian = all(edges) or line.snr**2 > CHANGE_POINT_SNR2 * (ends.end1 - ends.end0) / line.width_px
     return trail_record(pixels, detection, result, gaussian_ends=gaussian)
 

@@ -193,9 +193,7 @@ def fisher_scoring(
     snr2 = 0.0
     used = 0
     for iteration in range(max_iterations + 1):
-        chi2, snr2, used = accumulate(
-            p, u, v, value_e, variance_e2, u_mid, half, blur0, blur1, quartic, index, gradient, fisher
-        )
+        chi2, snr2, used = accumulate(p, u, v, value_e, variance_e2, u_mid, half, blur0, blur1, quartic, index, gradient, fisher)
         matrix = np.empty((n, n))
         right = np.empty(n)
         for a in range(n):

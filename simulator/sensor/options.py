@@ -2,6 +2,8 @@
 
 from dataclasses import dataclass, field
 
+from sboc_e2e.icd.errors import UserError
+
 
 @dataclass(frozen=True, kw_only=True)
 class DarkOptions:
@@ -74,6 +76,17 @@ class ConverterOptions:
         metadata={"doc": "share of the high channel's range above which the low one is used", "min": 0.1, "max": 1.0},
     )
     pedestal_adu: int = field(default=100, metadata={"doc": "offset that keeps noise above zero", "min": 0, "max": 10000})
+
+    def __post_init__(self) -> None:
+        top = 2**self.bits - 1
+        if self.pedestal_adu > top // 2:
+            raise UserError(
+                f"sensor.converter.pedestal: {self.pedestal_adu} ADU; allowed is up to half of {self.bits} bits, {top // 2}"
+            )
+        if self.dual_gain and self.low_gain_e_adu < self.gain_e_adu:
+            raise UserError(
+                f"sensor.converter.low_gain: {self.low_gain_e_adu:g} e-/ADU; allowed is the high channel's {self.gain_e_adu:g} or more"
+            )
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,6 +1,7 @@
 """The sensor: mean photo-electrons in, ADU out, and what is known about it without looking at a frame."""
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -77,7 +78,7 @@ class Sensor:
         binning = self.options.binning
         return self.options.type == "ccd" and binning.method == "sum" and binning.rows * binning.cols > 1
 
-    @property
+    @cached_property
     def read_noise_e(self) -> float:
         """Rms read noise of a detector pixel over the sensor, row noise and (without CDS) reset noise included."""
         counts = np.bincount(self._noise[::7, ::5].ravel(), minlength=256)

@@ -200,6 +200,22 @@ def test_defects_are_found_in_the_calibration_maps():
     assert np.corrcoef(measured[quiet], maps.flat[quiet])[0, 1] > 0.9
 
 
+def test_pixels_without_meaning_are_dark_not_a_crash():
+    image = np.full((16, 16), np.nan, dtype=np.float32)
+    image[3], image[5], image[7] = -50.0, np.inf, 1e30
+    sensor = Sensor(QUIET, rows=16, cols=16, seed=1)
+    adu = sensor.digitise(image, 0, 0.2)
+    assert (adu[[0, 3, 15]] == 100).all()
+    assert (adu[[5, 7]] >= sensor.delivered.saturation_adu).all()
+
+
+def test_impossible_converters_are_refused_by_name():
+    with pytest.raises(UserError, match=r"sensor\.converter\.pedestal: 100 ADU; allowed is up to half of 6 bits, 31"):
+        ConverterOptions(bits=6)
+    with pytest.raises(UserError, match=r"sensor\.converter\.low_gain"):
+        ConverterOptions(low_gain_e_adu=0.5)
+
+
 def test_a_window_beyond_the_detector_is_refused_by_name():
     with pytest.raises(UserError, match=r"sensor\.window.*96 x 64"):
         Sensor(SensorOptions(window=WindowOptions(row0=90, rows=10)), rows=96, cols=64, seed=1)

@@ -34,7 +34,7 @@ class StreakTable(NamedTuple):
     """What linking needs of n streaks, in columns, by frame and then by input order.
 
     source : position in the caller's sequence. frame : ordinal of the frame in time order. kind_flags : StreakFlag bits.
-    row : (n, 3) rows of end 0, middle, end 1. unit : (n, 3, 3) unit vectors of the same points.
+    row, col : (n, 3) px of end 0, middle, end 1. unit : (n, 3, 3) unit vectors of the same points.
     sigma_along_rad, (n, 2) of both ends; sigma_cross_rad (n,). scale_rad_px : (n,) plate scale.
     log_odds : (n,) of being real, from the vetter, relative to the mean of all.
     """
@@ -43,6 +43,7 @@ class StreakTable(NamedTuple):
     frame: NDArray[np.int64]
     flags: NDArray[np.int64]
     row: NDArray[np.float64]
+    col: NDArray[np.float64]
     unit: NDArray[np.float64]
     sigma_along_rad: NDArray[np.float64]
     sigma_cross_rad: NDArray[np.float64]
@@ -152,6 +153,7 @@ def streak_table(
         frame=frame,
         flags=np.array([int(s.flags | s.fit.flags) for s in picked], dtype=np.int64),
         row=row,
+        col=col,
         unit=unit,
         sigma_along_rad=np.hypot(along_px, sigma_floor_px) * scale,
         sigma_cross_rad=np.hypot(cross_px, sigma_floor_px) * scale,

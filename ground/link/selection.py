@@ -1,11 +1,12 @@
 """Choice among candidate tracks: every streak to the one that needs it most; then fragments and pieces."""
 
+import math
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.link.hypotheses import FrameTable, Nodes, StreakTable
+from ground.link.hypotheses import POINT, FrameTable, Nodes, StreakTable
 from ground.link.merge import merged, pieces_of
 from ground.link.motion import N_PARAMETERS
 from ground.link.search import candidates, find_pairs, gain_of, grow
@@ -61,6 +62,8 @@ def best_tracks(nodes: Nodes, table: StreakTable, frames: FrameTable, search: Se
             members, gain = grow(nodes, left, used, *growth)
             if gain + search.log_new < min_log_odds:
                 continue
+        if is_static(nodes, table, members):
+            continue
         used[members // 2] = True
         accepted.append(members)
         accepted_gains.append(gain)
@@ -72,6 +75,20 @@ def best_tracks(nodes: Nodes, table: StreakTable, frames: FrameTable, search: Se
         used[pieces] = True
         tracks.append(replace(track, pieces=pieces))
     return tracks
+
+
+_LEAST_PATH_PX = 2.0
+
+
+def is_static(nodes: Nodes, table: StreakTable, members: NDArray[np.int64]) -> bool:
+    """Whether a track of points goes nowhere, on the sky (a star's residual) or in the frame (a hot pixel)."""
+    if (nodes.kind[members] != POINT).any():
+        return False
+    streak = members // 2
+    first, last = streak[: max(len(streak) // 3, 1)], streak[-max(len(streak) // 3, 1) :]
+    sky = np.linalg.norm(table.unit[last, 1].mean(axis=0) - table.unit[first, 1].mean(axis=0)) / table.scale_rad_px[0]
+    pixels = math.hypot(*(p[last, 1].mean() - p[first, 1].mean() for p in (table.row, table.col)))
+    return bool(min(float(sky), pixels) < _LEAST_PATH_PX)
 
 
 def _described(nodes: Nodes, members: NDArray[np.int64], search: Search) -> Track:

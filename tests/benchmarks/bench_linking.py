@@ -127,6 +127,7 @@ def chance_streaks(n_frames: int, per_frame: float, rng: np.random.Generator, *,
             | np.where(edge1, int(StreakFlag.EDGE1), 0)
         ).astype(np.int64),
         row=np.ascontiguousarray(points[:, :, 0]),
+        col=np.ascontiguousarray(points[:, :, 1]),
         unit=plane / np.linalg.norm(plane, axis=-1, keepdims=True),
         sigma_along_rad=np.full((n, 2), 0.54 * PIXEL_RAD),
         sigma_cross_rad=np.full(n, 0.25 * PIXEL_RAD),

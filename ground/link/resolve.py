@@ -95,7 +95,7 @@ def _members_resolved(
         epochs, overtakes = _shutter_epochs_ns(s, header, max((last - first) / speed * 1e9, 1.0))
         epochs_ns.append(epochs)
         fast.append(overtakes)
-        timed.append(_timed_ends(s, epochs, tracklet.t_tai_ns))
+        timed.append(_timed_ends(s, epochs, tracklet.t_tai_ns, header.exposure_ns // 50))
     clock = _clock(along, np.array(epochs_ns), np.array(timed), tracklet.t_ref_tai_ns)
     return [
         s if s.flags & StreakFlag.POINT_LIKE else _dated(s, places, epochs, known, overtakes, clock)
@@ -137,13 +137,15 @@ def _clock(
     return lambda s: t_ref_ns + float(np.polynomial.polynomial.polyval((s - centre) / spread, coefficients))
 
 
-def _timed_ends(streak: StreakMeasurement, epochs_ns: tuple[int, int], listed_ns: NDArray[np.int64]) -> tuple[bool, bool]:
+def _timed_ends(
+    streak: StreakMeasurement, epochs_ns: tuple[int, int], listed_ns: NDArray[np.int64], slack_ns: int
+) -> tuple[bool, bool]:
     """Which ends are where the shutter opened or closed: not those on an edge, and none of a piece of a broken trail.
 
-    A tracklet lists epochs of its whole members' ends or middles; a streak with none of these is a piece.
+    A tracklet lists epochs of its whole members' ends or middles; a streak with none of these (to `slack_ns`) is a piece.
     """
     middle = (epochs_ns[0] + epochs_ns[1]) // 2
-    whole = any(int(np.abs(listed_ns - epoch).min()) < 1000 for epoch in (*epochs_ns, middle))
+    whole = any(int(np.abs(listed_ns - epoch).min()) <= slack_ns for epoch in (*epochs_ns, middle))
     return whole and not streak.flags & StreakFlag.EDGE0, whole and not streak.flags & StreakFlag.EDGE1
 
 

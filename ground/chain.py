@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.astrometry.header_wcs import identify_by_header
 from ground.ingest import IngestReport, decode_downlink
 from ground.link import apply_links
 from ground.options import GroundOptions
@@ -94,7 +95,10 @@ class GroundChain:
         wcs : an astropy WCS (ICRS) that came with the frame and is used for directions instead of a solution.
         """
         calibration = self._calibration_of(frame.header)
-        state, solution = self._steps.astrometry.solve(state, frame)
+        if wcs is None:
+            state, solution = self._steps.astrometry.solve(state, frame)
+        else:
+            solution = identify_by_header(frame, wcs, self._catalogue, self._camera)
         photometry = self._steps.photometry.calibrate(frame, solution, calibration)
         sky = _sky_of(frame.header, solution, wcs)
         fits, flats = self._fit_streaks(frame, solution, photometry, calibration)

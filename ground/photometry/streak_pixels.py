@@ -65,7 +65,9 @@ def streak_pixels(
     saturation = header.saturation_adu if header.saturation_adu is not None else calibration.camera.saturation_adu
     saturated = value_adu + dark >= 0.98 * saturation
     bad = ((calibration.defects[row, col] & UNUSABLE) > 0) | ~good_flat | saturated
-    star_e, crossed = _star_light(row, col, stars, group.detection, psf_sigma_px, float(np.median(sigma)) * gain)
+    star_e, crossed = _star_light(
+        row, col, stars, group.detection, psf_sigma_px, float(np.median(sigma)) * gain if len(sigma) else 1.0
+    )
     value_e = value_e - star_e
     variance = variance + star_e + (star_model_error * star_e) ** 2
     variance[bad] = np.inf

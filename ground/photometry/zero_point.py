@@ -33,7 +33,9 @@ class ZeroPoint:
     """
 
     prior_colour_term: float = field(default=0.05, metadata={"doc": "error of the nominal colour term", "min": 1e-6, "max": 10.0})
-    prior_colour_square: float = field(default=0.1, metadata={"doc": "size of the term in colour squared", "min": 1e-6, "max": 10.0})
+    prior_colour_square: float = field(
+        default=0.1, metadata={"doc": "size of the term in colour squared", "min": 1e-6, "max": 10.0}
+    )
     prior_field_mag: float = field(default=0.02, metadata={"doc": "error of the flat over the field", "min": 1e-6, "max": 10.0})
     catalogue_error_mag: float = field(
         default=0.02,

@@ -9,9 +9,11 @@ from astropy.wcs import WCS
 
 from ground.astrometry.apparent import mid_frame_tai_ns, observer_at
 from ground.astrometry.astrometer import CameraFit
+from ground.astrometry.header_wcs import identify_by_header
 from ground.astrometry.wcs_export import sip_header
 from ground.sky.pixel_sky import HeaderSky, SolvedSky
 from sboc_e2e.catalogue import StarCatalogue
+from sboc_e2e.icd.flags import FrameFlag
 from sboc_e2e.icd.tai import to_jd_parts
 from tests.astrometry.star_fields import ARCSEC, grid, make_field
 
@@ -69,3 +71,25 @@ def test_directions_through_a_header_are_those_of_the_solution(solved):
     through_header = HeaderSky(header=header, wcs=WCS(sip_header(solution, header))).apparent(row, col, epochs)
     direct = SolvedSky(header=header, solution=solution).apparent(row, col, epochs)
     assert np.linalg.norm(through_header - direct, axis=1).max() < 0.002 * ARCSEC
+
+
+def test_stars_are_identified_through_a_header(solved):
+    field, solution = solved
+    wcs = WCS(sip_header(solution, field.frame.header))
+    found = identify_by_header(field.frame, wcs, StarCatalogue.embedded(), field.calibration.camera)
+    assert found.flags & FrameFlag.NO_SOLUTION  # no attitude, but names
+    assert found.n_stars > 200
+    by_camera = dict(zip(solution.star_index.tolist(), solution.star_v_mag.tolist(), strict=True))
+    common = [
+        (v, by_camera[i]) for i, v in zip(found.star_index.tolist(), found.star_v_mag.tolist(), strict=True) if i in by_camera
+    ]
+    assert len(common) > 200
+    assert sum(a == b for a, b in common) > 0.99 * len(common)
+
+
+def test_a_header_of_another_field_names_no_stars(solved):
+    field, solution = solved
+    text = sip_header(solution, field.frame.header)
+    text["CRVAL1"] = text["CRVAL1"] + 40.0
+    found = identify_by_header(field.frame, WCS(text), StarCatalogue.embedded(), field.calibration.camera)
+    assert found.n_stars < 5

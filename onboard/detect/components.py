@@ -56,7 +56,9 @@ def segment_snr(masked: MaskedImage, ends: NDArray[np.float64], psf_sigma_px: fl
         row0, col0, row1, col1 = row1, col1, row0, col0
     room = math.ceil(row1 - row0) + 3
     signal, weight = np.zeros(room), np.zeros(room)
-    _, n = refine.cross_profile(image, blocked, row0, col0, max(row1, row0 + 1.0), col1, 0.0, 0, psf_sigma_px, signal, weight)
+    _, n = refine.cross_profile(
+        image, blocked, np.zeros((1, 1), np.float32), max(image.shape), row0, col0, max(row1, row0 + 1.0), col1, 0.0, 0, psf_sigma_px, signal, weight
+    )
     total = float(weight[:n].sum())
     return float(signal[:n].sum()) / math.sqrt(total) if total > 0.0 else 0.0
 

@@ -137,12 +137,14 @@ def path_minor(segment: NDArray[np.float64], major: float) -> float:
 
 @nb.njit(cache=True)
 def cross_profile(
-    image: NDArray[np.int8], blocked: NDArray[np.uint8], major0: float, minor0: float, major1: float, minor1: float,
-    sagitta: float, extend_px: int, psf_sigma_px: float, signal: NDArray[np.float64], weight: NDArray[np.float64],
+    image: NDArray[np.int8], blocked: NDArray[np.uint8], level: NDArray[np.float32], tile_px: int, major0: float, minor0: float,
+    major1: float, minor1: float, sagitta: float, extend_px: int, psf_sigma_px: float,
+    signal: NDArray[np.float64], weight: NDArray[np.float64],
 ) -> tuple[int, int]:
     """Matched cross-track sums on each major line of a bent segment and its extension: ``sum(g x)`` and ``sum(g^2)``.
 
-    g is the unit-density trail across the line; masked pixels count in neither. image in units of sigma/16. Returns the
+    g is the unit-density trail across the line; masked pixels count in neither. image and level (mesh of tiles) in units of
+    sigma/16. Returns the
     first major line and the number of lines; signal (sigma) and weight hold them. Sagitta is measured along minor.
     """
     n_major, n_minor = image.shape
@@ -160,7 +162,7 @@ def cross_profile(
         u = (major - major0) / length
         minor = minor0 + slope * (major - major0) + (sagitta * _bend(u) if 0.0 < u < 1.0 else 0.0)
         centre = int(math.floor(minor + 0.5))
-        s = w = 0.0
+        s = w = total = 0.0
         # g at equal steps by two multiplications per step: exp(a (d+1)^2) = exp(a d^2) exp(a (2 d + 1))
         first = max(0, centre - radius)
         d = first - minor
@@ -171,9 +173,11 @@ def cross_profile(
             if blocked[major, j] == 0:
                 s += g * image[major, j]
                 w += g * g
+                total += g
             g *= ratio
             ratio *= growth
-        signal[k] = s / 16.0
+        tile = min(max(centre // tile_px, 0), level.shape[1] - 1)
+        signal[k] = (s - total * level[major // tile_px, tile]) / 16.0
         weight[k] = w
     return low, n
 
@@ -220,7 +224,8 @@ def best_run(signal: NDArray[np.float64], weight: NDArray[np.float64], n: int, m
 
 @nb.njit(cache=True)
 def polish(
-    image: NDArray[np.int8], blocked: NDArray[np.uint8], segment: NDArray[np.float64], psf_sigma_px: float,
+    image: NDArray[np.int8], blocked: NDArray[np.uint8], level: NDArray[np.float32], tile_px: int,
+    segment: NDArray[np.float64], psf_sigma_px: float,
     signal: NDArray[np.float64], weight: NDArray[np.float64],
 ) -> float:
     """Maximise the matched filter over a bent segment (major0, minor0, major1, minor1, sagitta), in place; returns the S/N."""
@@ -230,7 +235,7 @@ def polish(
         for _ in range(6):
             moved = False
             _, n = cross_profile(
-                image, blocked, segment[0], segment[1], segment[2], segment[3], segment[4], 0, psf_sigma_px, signal, weight
+                image, blocked, level, tile_px, segment[0], segment[1], segment[2], segment[3], segment[4], 0, psf_sigma_px, signal, weight
             )
             snr = _profile_snr(signal, weight, n)
             for parameter in range(4):
@@ -241,7 +246,7 @@ def polish(
                     if parameter == 3 and segment[2] - segment[0] < 40.0:
                         continue
                     _, n = cross_profile(
-                        image, blocked, segment[0], segment[1] + d0, segment[2], segment[3] + d1, segment[4] + ds, 0,
+                        image, blocked, level, tile_px, segment[0], segment[1] + d0, segment[2], segment[3] + d1, segment[4] + ds, 0,
                         psf_sigma_px, signal, weight,
                     )
                     trial = _profile_snr(signal, weight, n)
@@ -256,7 +261,7 @@ def polish(
                 break
         extend = int(max(12.0, 0.3 * (segment[2] - segment[0])))
         low, n = cross_profile(
-            image, blocked, segment[0], segment[1], segment[2], segment[3], segment[4], extend, psf_sigma_px, signal, weight
+            image, blocked, level, tile_px, segment[0], segment[1], segment[2], segment[3], segment[4], extend, psf_sigma_px, signal, weight
         )
         snr, i, j = best_run(signal, weight, n, 4)
         start, stop = low + i - 0.5, low + j - 0.5
@@ -309,17 +314,72 @@ def blank_path(
 
 
 @nb.njit(cache=True)
-def resolve_one(
-    image: NDArray[np.int8], smooth: NDArray[np.int8], blocked: NDArray[np.uint8], candidate: NDArray[np.float64],
-    psf_sigma_px: float, n_sigma: float, first_sigma: float, segment: NDArray[np.float64],
-    sums: NDArray[np.int32], counts: NDArray[np.int32], signal: NDArray[np.float64], weight: NDArray[np.float64],
-) -> tuple[float, float]:
-    """Refine one candidate (major0, minor0, major1, minor1); returns (S/N, quarters chi-square), S/N 0 when it is nothing."""
+def brightest_points(
+    smooth: NDArray[np.int8], segment: NDArray[np.float64], apart_px: float, points: NDArray[np.float64]
+) -> None:
+    """The two brightest point sources on a segment, at least apart_px from each other: rows (major, minor, S/N) of points (2, 3)."""
+    n_major, n_minor = smooth.shape
+    for k in range(2):
+        points[k, 2] = 0.0
+        for major in range(max(0, int(segment[0]) - 2), min(n_major - 1, int(segment[2]) + 3) + 1):
+            if k == 1 and abs(major - points[0, 0]) < apart_px:
+                continue
+            centre = int(math.floor(path_minor(segment, float(major)) + 0.5))
+            for j in range(max(0, centre - 2), min(n_minor - 1, centre + 2) + 1):
+                value = smooth[major, j] / 16.0
+                if value > points[k, 2]:
+                    points[k, 0], points[k, 1], points[k, 2] = major, j, value
+
+
+@nb.njit(cache=True)
+def blank_point(
+    image: NDArray[np.int8], smooth: NDArray[np.int8], blocked: NDArray[np.uint8], major: int, minor: int, radius: int
+) -> None:
+    """Take a point source out of both images: a disc becomes 0 and blocked (8). In place."""
+    n_major, n_minor = image.shape
+    for i in range(max(0, major - radius), min(n_major - 1, major + radius) + 1):
+        for j in range(max(0, minor - radius), min(n_minor - 1, minor + radius) + 1):
+            if (i - major) ** 2 + (j - minor) ** 2 <= radius * radius:
+                image[i, j] = 0
+                smooth[i, j] = 0
+                blocked[i, j] |= 8
+
+
+@nb.njit(cache=True)
+def blank_stars_on_path(
+    image: NDArray[np.int8], smooth: NDArray[np.int8], blocked: NDArray[np.uint8], segment: NDArray[np.float64], limit: float
+) -> int:
+    """Take out points on a segment whose smoothed value exceeds `limit` sigma: unlisted stars; returns how many."""
+    n_major, n_minor = smooth.shape
+    found = 0
+    for major in range(max(0, int(segment[0]) - 1), min(n_major - 1, int(segment[2]) + 2) + 1):
+        centre = int(math.floor(path_minor(segment, float(major)) + 0.5))
+        for j in range(max(0, centre - 2), min(n_minor - 1, centre + 2) + 1):
+            value = smooth[major, j]
+            if value <= limit * 16.0:
+                continue
+            peak = True
+            for di in range(-1, 2):
+                for dj in range(-1, 2):
+                    if 0 <= major + di < n_major and 0 <= j + dj < n_minor and smooth[major + di, j + dj] > value:
+                        peak = False
+            if peak:
+                blank_point(image, smooth, blocked, major, j, 2)
+                found += 1
+    return found
+
+
+@nb.njit(cache=True)
+def locate(
+    smooth: NDArray[np.int8], candidate: NDArray[np.float64], psf_sigma_px: float, segment: NDArray[np.float64],
+    sums: NDArray[np.int32], counts: NDArray[np.int32],
+) -> float:
+    """First refinement of a candidate (major0, minor0, major1, minor1) on the smoothed image; fills segment, returns its S/N."""
     length = candidate[2] - candidate[0]
     slope = (candidate[3] - candidate[1]) / length
     extend = max(8.0, 0.5 * length)
     low = int(max(0.0, math.floor(candidate[0] - extend)))
-    high = int(min(image.shape[0] - 1.0, math.ceil(candidate[2] + extend)))
+    high = int(min(smooth.shape[0] - 1.0, math.ceil(candidate[2] + extend)))
     piece = max(2, (high - low + PIECES) // PIECES)
     n_piece = corridor_sums(smooth, low, high, candidate[1] + slope * (low - candidate[0]), slope, piece, sums, counts)
     first = min(n_piece - 1, max(0, int((candidate[0] - low) / piece)))
@@ -327,8 +387,6 @@ def resolve_one(
     cosine = 1.0 / math.sqrt(1.0 + slope * slope)
     variance = 2.0 * math.sqrt(math.pi) * psf_sigma_px * cosine * 256.0
     snr, o0, o1, sag, i, j = search_corridor(sums, counts, n_piece, first, last, 3.0, variance)
-    if snr < first_sigma:
-        return 0.0, 0.0
     start, stop = low + i * piece - 0.5, min(float(high), low + (j + 1) * piece - 0.5)
     span = max(1, n_piece - 1) * float(piece)
     middle = low + 0.5 * (piece - 1)
@@ -338,10 +396,20 @@ def resolve_one(
         segment[2 * side] = major
         segment[2 * side + 1] = candidate[1] + slope * (major - candidate[0]) + offset
     segment[4] = sag
-    snr = polish(image, blocked, segment, psf_sigma_px, signal, weight)
-    if snr < n_sigma:
-        return snr, 0.0
+    return snr
+
+
+@nb.njit(cache=True)
+def looks_like_trail(
+    image: NDArray[np.int8], smooth: NDArray[np.int8], blocked: NDArray[np.uint8], level: NDArray[np.float32], tile_px: int,
+    segment: NDArray[np.float64], snr: float, psf_sigma_px: float,
+    signal: NDArray[np.float64], weight: NDArray[np.float64], points: NDArray[np.float64],
+) -> bool:
+    """Whether a segment is better explained by one trail than by two point sources, and evenly bright along its quarters."""
     _, n = cross_profile(
-        image, blocked, segment[0], segment[1], segment[2], segment[3], segment[4], 0, psf_sigma_px, signal, weight
+        image, blocked, level, tile_px, segment[0], segment[1], segment[2], segment[3], segment[4], 0, psf_sigma_px, signal, weight
     )
-    return snr, quarters(signal, weight, n)
+    uneven = quarters(signal, weight, n)
+    brightest_points(smooth, segment, 4.7 * psf_sigma_px, points)
+    two_points = points[0, 2] ** 2 + points[1, 2] ** 2
+    return uneven < 16.0 + (0.3 * snr) ** 2 and snr * snr > two_points

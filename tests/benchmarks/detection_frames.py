@@ -84,15 +84,29 @@ def add_streak(scene: Scene, streak: Streak, rng: np.random.Generator) -> None:
     scene.streaks.append(streak)
 
 
-def star_field(size: int, n_stars: int, rng: np.random.Generator, *, faintest_snr: float = 2.5, listed_snr: float = 5.0) -> Scene:
-    """Noise and stars: n_stars above S/N 8 per 4096 x 4096, counts ~ S^-0.9 from `faintest_snr`; listed above `listed_snr`."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StarTruth:
+    """Positions (px) and S/N of the stars of a field."""
+
+    row: NDArray[np.float64]
+    col: NDArray[np.float64]
+    snr: NDArray[np.float64]
+
+
+def random_stars(size: int, n_stars: int, rng: np.random.Generator, *, faintest_snr: float = 2.5) -> StarTruth:
+    """n_stars above S/N 8 per 4096 x 4096 px, counts ~ S^-0.9 from `faintest_snr` to 20,000."""
+    n = rng.poisson(n_stars * (size / 4096.0) ** 2 * (8.0 / faintest_snr) ** 0.9)
+    snr = np.minimum(faintest_snr * (1.0 - rng.random(n)) ** (-1.0 / 0.9), 20_000.0)
+    return StarTruth(row=rng.uniform(-0.5, size - 0.5, n), col=rng.uniform(-0.5, size - 0.5, n), snr=snr)
+
+
+def exposure(
+    size: int, truth: StarTruth, rng: np.random.Generator, *, shift_px: tuple[float, float] = (0.0, 0.0), listed_snr: float = 5.0
+) -> Scene:
+    """Noise and the stars moved by `shift_px`; the star list holds those measured above `listed_snr`."""
     image = rng.standard_normal((size, size), dtype=np.float32) * np.float32(SIGMA)
-    expected = n_stars * (size / 4096.0) ** 2 * (8.0 / faintest_snr) ** 0.9
-    n = rng.poisson(expected)
-    snr = faintest_snr * (1.0 - rng.random(n)) ** (-1.0 / 0.9)
-    snr = np.minimum(snr, 20_000.0)
-    row, col = rng.uniform(-0.5, size - 0.5, n), rng.uniform(-0.5, size - 0.5, n)
-    flux = snr * SIGMA * 2.0 * math.sqrt(math.pi) * PSF_SIGMA_PX
+    row, col = truth.row + shift_px[0], truth.col + shift_px[1]
+    flux = truth.snr * SIGMA * 2.0 * math.sqrt(math.pi) * PSF_SIGMA_PX
     reach = np.arange(-5, 6)
     rows = np.rint(row).astype(np.int64)[:, None] + reach
     cols = np.rint(col).astype(np.int64)[:, None] + reach
@@ -101,13 +115,19 @@ def star_field(size: int, n_stars: int, rng: np.random.Generator, *, faintest_sn
     inside = ((rows >= 0) & (rows < size))[:, :, None] & ((cols >= 0) & (cols < size))[:, None, :]
     flat = rows[:, :, None] * size + cols[:, None, :]
     np.add.at(image.reshape(-1), flat[inside], light[inside].astype(np.float32))
-    measured = snr + rng.standard_normal(n)
-    listed = np.flatnonzero(measured > listed_snr)
+    measured = truth.snr + rng.standard_normal(len(truth.snr))
+    on_frame = (row > -0.5) & (row < size - 0.5) & (col > -0.5) & (col < size - 0.5)
+    listed = np.flatnonzero((measured > listed_snr) & on_frame)
     listed = listed[np.argsort(-measured[listed])]
     stars = StarList(
         row=row[listed], col=col[listed], flux_e=flux[listed], snr=measured[listed], flags=np.zeros(len(listed), np.uint8)
     )
     return Scene(image=image, stars=stars)
+
+
+def star_field(size: int, n_stars: int, rng: np.random.Generator) -> Scene:
+    """One frame of noise and stars."""
+    return exposure(size, random_stars(size, n_stars, rng), rng)
 
 
 def random_streak(size: int, length_px: float, snr: float, rng: np.random.Generator) -> Streak:

@@ -1,0 +1,191 @@
+"""What stood at the same place in the frame before: stars, spikes, blooming (fixed to the sky), hot columns (to the pixels).
+
+A mover leaves noise behind in the earlier frame; a star of true S/N s leaves s +- 1. So the temporal test needs no catalogue
+and no model of a star's halo. Positions are mapped by a (2, 3) transform of (row, col) from this frame to the earlier one.
+"""
+
+import math
+from dataclasses import dataclass
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.detect import registration
+from sboc_e2e.icd.signals import DetectorView
+
+IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class EarlierFrame:
+    """The preceding view and the transform (2, 3) of (row, col) from this frame into it."""
+
+    view: DetectorView
+    transform: NDArray[np.float64]
+
+
+def earlier_frame(view: DetectorView, reach_px: float) -> EarlierFrame | None:
+    """The newest view of the history when its stars can be matched with those of this frame."""
+    if not view.history or view.history[-1].residual_adu.shape != view.residual_adu.shape:
+        return None
+    transform = registration.register(view.stars, view.history[-1].stars, reach_px=reach_px)
+    return None if transform is None else EarlierFrame(view=view.history[-1], transform=transform)
+
+
+@nb.njit(cache=True)
+def _point_snr(
+    residual: NDArray[np.float32], mask: NDArray[np.uint8], row: float, col: float, sigma: float, psf_sigma_px: float
+) -> float:
+    """Matched-filter S/N of a point source at (row, col); NaN where less than half of its light falls on good pixels."""
+    rows, cols = residual.shape
+    radius = int(math.ceil(2.5 * psf_sigma_px))
+    centre_row, centre_col = int(math.floor(row + 0.5)), int(math.floor(col + 0.5))
+    factor = -0.5 / psf_sigma_px**2
+    signal = power = full = 0.0
+    for i in range(centre_row - radius, centre_row + radius + 1):
+        g_row = math.exp(factor * (i - row) ** 2)
+        for j in range(centre_col - radius, centre_col + radius + 1):
+            g = g_row * math.exp(factor * (j - col) ** 2)
+            full += g * g
+            if 0 <= i < rows and 0 <= j < cols and mask[i, j] == 0:
+                signal += g * residual[i, j]
+                power += g * g
+    return signal / (sigma * math.sqrt(power)) if power > 0.5 * full else math.nan
+
+
+@nb.njit(cache=True)
+def point_snr_before(
+    residual_adu: NDArray[np.float32], mask: NDArray[np.uint8], sigma_adu: NDArray[np.float32], tile_px: int,
+    transform: NDArray[np.float64], row: NDArray[np.float64], col: NDArray[np.float64], psf_sigma_px: float,
+) -> NDArray[np.float64]:
+    """S/N in the earlier frame at the mapped places of points (n,) of this frame; NaN where it cannot be known."""
+    out = np.full(row.shape[0], np.nan)
+    for k in range(row.shape[0]):
+        r = transform[0, 0] * row[k] + transform[0, 1] * col[k] + transform[0, 2]
+        c = transform[1, 0] * row[k] + transform[1, 1] * col[k] + transform[1, 2]
+        if not (-1.0 < r < residual_adu.shape[0] and -1.0 < c < residual_adu.shape[1]):
+            continue
+        mesh_row = min(max(int(r), 0) // tile_px, sigma_adu.shape[0] - 1)
+        mesh_col = min(max(int(c), 0) // tile_px, sigma_adu.shape[1] - 1)
+        sigma = sigma_adu[mesh_row, mesh_col]
+        if sigma > 0.0:
+            out[k] = _point_snr(residual_adu, mask, r, c, sigma, psf_sigma_px)
+    return out
+
+
+@nb.njit(cache=True)
+def segment_snr_before(
+    residual_adu: NDArray[np.float32], mask: NDArray[np.uint8], sigma_adu: NDArray[np.float32], tile_px: int,
+    transform: NDArray[np.float64], blocked: NDArray[np.uint8], ignored: int, level: NDArray[np.float32], level_tile_px: int,
+    ends: NDArray[np.float64], psf_sigma_px: float,
+) -> float:
+    """S/N along the mapped place of a segment (row0, col0, row1, col1) of this frame, on the pixels it was found on.
+
+    blocked : mask of this frame; bits `ignored` (the segment's own blanking) do not count. level : mesh of
+    the light that the background left over in this frame, sigma/16. NaN if most of the segment lies outside.
+    """
+    rows, cols = residual_adu.shape
+    d_row, d_col = ends[2] - ends[0], ends[3] - ends[1]
+    length = max(math.hypot(d_row, d_col), 1.0)
+    u_row, u_col = d_row / length, d_col / length
+    reach = 3.0 * psf_sigma_px
+    factor = -0.5 / psf_sigma_px**2
+    signal = power = total = 0.0
+    steep = abs(u_row) >= abs(u_col)
+    along = abs(u_row) if steep else abs(u_col)
+    start, stop = (ends[0], ends[2]) if steep else (ends[1], ends[3])
+    origin, slope = (ends[1], u_col / u_row) if steep else (ends[0], u_row / u_col if u_col != 0.0 else 0.0)
+    low, high = int(math.ceil(min(start, stop))), int(math.floor(max(start, stop)))
+    for major in range(low, high + 1):
+        minor = origin + slope * (major - start)
+        for k in range(int(math.ceil(minor - reach / along)), int(math.floor(minor + reach / along)) + 1):
+            i, j = (major, k) if steep else (k, major)
+            if not (0 <= i < blocked.shape[0] and 0 <= j < blocked.shape[1]) or (blocked[i, j] & ~ignored) != 0:
+                continue
+            g = math.exp(factor * ((k - minor) * along) ** 2)
+            total += g * g
+            r = int(math.floor(transform[0, 0] * i + transform[0, 1] * j + transform[0, 2] + 0.5))
+            c = int(math.floor(transform[1, 0] * i + transform[1, 1] * j + transform[1, 2] + 0.5))
+            if 0 <= r < rows and 0 <= c < cols and mask[r, c] == 0:
+                sigma = sigma_adu[min(r // tile_px, sigma_adu.shape[0] - 1), min(c // tile_px, sigma_adu.shape[1] - 1)]
+                if sigma > 0.0:
+                    signal += g * (residual_adu[r, c] / sigma - level[i // level_tile_px, j // level_tile_px] / 16.0)
+                    power += g * g
+    return signal / math.sqrt(power) if power > 0.5 * total and power > 0.0 else math.nan
+
+
+@nb.njit(cache=True)
+def _count_static(now: NDArray[np.int8], then: NDArray[np.int8], each: int, both: int) -> int:
+    count = np.int32(0)
+    for i in range(now.shape[0]):
+        bright = (np.int16(now[i]) + np.int16(then[i]) > both) & (now[i] > each) & (then[i] > each)
+        count += np.int32(bright)
+    return count
+
+
+@nb.njit(cache=True)
+def faint_static_stars(
+    now: NDArray[np.int8], then: NDArray[np.int8], transform: NDArray[np.float64], each: int, both: int, tile_px: int,
+    places: NDArray[np.float64],
+) -> int:
+    """Stars too faint for the star list but present in both frames; fills rows (row, col, S/N then) of places, returns how many.
+
+    now, then : PSF-smoothed images, sigma/16. A star is a local maximum of their sum where each exceeds `each` and the sum
+    exceeds `both` (sigma/16). The transform (this frame to the earlier one) acts as one whole-pixel shift for each tile.
+    """
+    rows, cols = now.shape
+    found = 0
+    for tile_row in range(0, rows, tile_px):
+        for tile_col in range(0, cols, tile_px):
+            r, c = tile_row + 0.5 * tile_px, tile_col + 0.5 * tile_px
+            d_row = int(math.floor(transform[0, 0] * r + transform[0, 1] * c + transform[0, 2] - r + 0.5))
+            d_col = int(math.floor(transform[1, 0] * r + transform[1, 1] * c + transform[1, 2] - c + 0.5))
+            first = max(tile_col, 1, 1 - d_col)
+            last = min(tile_col + tile_px, cols - 1, cols - 1 - d_col)
+            if last <= first:
+                continue
+            for i in range(max(tile_row, 1, 1 - d_row), min(tile_row + tile_px, rows - 1, rows - 1 - d_row)):
+                if _count_static(now[i, first:last], then[i + d_row, first + d_col : last + d_col], each, both) == 0:
+                    continue
+                for j in range(first, last):
+                    a, b = np.int32(now[i, j]), np.int32(then[i + d_row, j + d_col])
+                    if a <= each or b <= each or a + b <= both:
+                        continue
+                    peak = True
+                    for di in range(-1, 2):
+                        for dj in range(-1, 2):
+                            if np.int32(now[i + di, j + dj]) + np.int32(then[i + d_row + di, j + d_col + dj]) > a + b:
+                                peak = False
+                    if peak and found < places.shape[0]:
+                        places[found, 0], places[found, 1], places[found, 2] = i, j, b / 16.0
+                        found += 1
+    return found
+
+
+@nb.njit(cache=True)
+def subtract_stars(
+    image: NDArray[np.int8], blocked: NDArray[np.uint8], row: NDArray[np.float64], col: NDArray[np.float64],
+    snr: NDArray[np.float64], psf_sigma_px: float,
+) -> None:
+    """Subtract Gaussian stars of the given matched-filter S/N from an image in sigma/16, in place; columns (n,).
+
+    With the S/N of the *earlier* frame a mover's own light is not touched, and the star's place keeps its information at
+    twice the noise variance instead of losing it to a mask.
+    """
+    rows, cols = image.shape
+    radius = int(math.ceil(3.0 * psf_sigma_px))
+    factor = -0.5 / psf_sigma_px**2
+    # matched filter over the peak pixel of a Gaussian of unit peak: sqrt(sum g^2) = sqrt(pi) s
+    scale = 16.0 / (math.sqrt(math.pi) * psf_sigma_px)
+    profile = np.empty(2 * radius + 1)
+    for k in range(row.shape[0]):
+        i0, j0 = int(math.floor(row[k] + 0.5)) - radius, int(math.floor(col[k] + 0.5)) - radius
+        for m in range(2 * radius + 1):
+            profile[m] = math.exp(factor * (j0 + m - col[k]) ** 2)
+        for i in range(max(0, i0), min(rows, i0 + 2 * radius + 1)):
+            peak = snr[k] * scale * math.exp(factor * (i - row[k]) ** 2)
+            for j in range(max(0, j0), min(cols, j0 + 2 * radius + 1)):
+                if blocked[i, j] == 0:
+                    value = image[i, j] - peak * profile[j - j0]
+                    image[i, j] = np.int8(math.floor(min(max(value, -127.0), 127.0) + 0.5))

@@ -158,7 +158,7 @@ class Simulator:
         needed_deg = limb_deg + float(np.degrees(np.arctan(self._corner_px / self._projection.focal_px)))
         if from_nadir_deg < needed_deg:
             raise UserError(
-                f"pointing: the Earth reaches into the field, {from_nadir_deg:.1f} deg from nadir; allowed is above {needed_deg:.1f} deg"
+                f"pointing: the Earth stands in the field, {from_nadir_deg:.1f} deg from nadir; allowed is above {needed_deg:.1f}"
             )
 
     def _make_objects(self) -> list[SkyObject | PixelPathObject]:
@@ -170,6 +170,17 @@ class Simulator:
         duration_s = self.options.frames / self.options.frame_rate_hz
         for o in given.passing:
             found.append(self._passing(o, o.when * duration_s))
+        for e in given.encounter:
+            when = self._epoch + round(e.when * duration_s * 1e9)
+            found.append(
+                sources.encounter(
+                    e,
+                    *self._observer.state(when),
+                    self._attitude(when),
+                    self._field_direction(e.field_row, e.field_col),
+                    e.when * duration_s,
+                )
+            )
         found.extend(self._satellites(given.satellites, duration_s))
         middle_s = 0.5 * duration_s
         self._drawn = draw_encounters(self.options.population, self._encounter_window(middle_s, duration_s), self.seed)
@@ -177,12 +188,16 @@ class Simulator:
         found.extend(sources.population_objects(self._drawn, population.albedo, middle_s, population.tumbling_share, self.seed))
         return found
 
+    def _field_direction(self, field_row: float, field_col: float) -> Array:
+        """Direction in the camera frame of a place of the field, -1 to 1 along each axis."""
+        row = 0.5 * (self._shape[0] - 1) * (1.0 + field_row)
+        col = 0.5 * (self._shape[1] - 1) * (1.0 + field_col)
+        return np.asarray(self._projection.to_vectors(np.array([row]), np.array([col]))[0])
+
     def _passing(self, options: sources.PassingOptions, time_s: float) -> SkyObject:
         """An object that passes a place of the field at a time after the epoch."""
         when = self._epoch + round(time_s * 1e9)
-        row = 0.5 * (self._shape[0] - 1) * (1.0 + options.field_row)
-        col = 0.5 * (self._shape[1] - 1) * (1.0 + options.field_col)
-        camera = self._projection.to_vectors(np.array([row]), np.array([col]))[0]
+        camera = self._field_direction(options.field_row, options.field_col)
         return sources.passing(options, self._observer.state(when)[0], self._attitude(when).T @ camera, time_s)
 
     def _satellites(self, options: SatelliteOptions, duration_s: float) -> list[SkyObject]:

@@ -51,13 +51,14 @@ class SimulatorOptions:
 def smoke_options(base: SimulatorOptions | None = None) -> SimulatorOptions:
     """The small set-up `smoke_wide`: the field of the base on 512 x 512 larger pixels, six frames.
 
-    Aperture and focal length stay; a pixel is eight times wider, so that a small frame still has its stars.
+    The aperture shrinks to 4 cm, so that stars stand as far apart in pixels as in the large frame.
     """
     base = base or SimulatorOptions()
     scale = base.instrument.rows / 512
     instrument = replace(
         base.instrument,
         name="smoke_wide",
+        aperture_m=0.04,
         rows=512,
         cols=512,
         pixel_um=base.instrument.pixel_um * scale,

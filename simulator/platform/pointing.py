@@ -28,7 +28,19 @@ class PointingOptions:
     )
     tilt_deg: float = field(
         default=180.0,
-        metadata={"doc": "nadir law: angle of the boresight from nadir; 180 deg looks to the zenith", "min": 0.0, "max": 180.0},
+        metadata={
+            "doc": "nadir law: angle of the boresight from nadir; 180 deg looks to the zenith",
+            "min": -180.0,
+            "max": 180.0,
+        },
+    )
+    azimuth_deg: float = field(
+        default=90.0,
+        metadata={
+            "doc": "nadir law: where the tilt goes, from flight direction (0) to orbit normal (90 deg)",
+            "min": -360.0,
+            "max": 360.0,
+        },
     )
     roll_rate_deg_s: float = field(default=0.0, metadata={"doc": "steady roll about the boresight", "min": -360.0, "max": 360.0})
     target: str = field(default="", metadata={"doc": "name of the object that the law `object` follows"})
@@ -64,7 +76,11 @@ def commanded_attitude(
             normal = normal / np.linalg.norm(normal)
             forward = np.cross(normal, -down)
             tilt = np.radians(options.tilt_deg)
-            frame = matrix_of_axes(np.cos(tilt) * down + np.sin(tilt) * normal, forward)
+            azimuth = np.radians(options.azimuth_deg)
+            sideways = np.cos(azimuth) * forward + np.sin(azimuth) * normal
+            frame = matrix_of_axes(
+                np.cos(tilt) * down + np.sin(tilt) * sideways, np.cos(azimuth) * normal - np.sin(azimuth) * forward
+            )
             return np.asarray(small_rotation(np.array([0.0, 0.0, roll])) @ frame)
         if target_direction is None:
             raise ValueError("the law `object` needs a target")

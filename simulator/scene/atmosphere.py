@@ -153,7 +153,7 @@ class Atmosphere:
         elevation_deg = float(np.degrees(np.arcsin(direction @ self.up)))
         if elevation_deg < LOWEST_DEG:
             raise UserError(
-                f"pointing: the field stands at {elevation_deg:.1f} deg elevation at this site; allowed is above {LOWEST_DEG:g} deg"
+                f"pointing: the field stands at {elevation_deg:.1f} deg elevation; allowed is above {LOWEST_DEG:g} deg"
             )
 
 

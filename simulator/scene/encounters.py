@@ -8,7 +8,7 @@ latitude b the density (Kessler 1981, Icarus 48, 39)
 
 A candidate that stays in the field for a time D of a run of length W is met by a random instant with probability D / W, so
 each stands for ``N s dV W / D / n`` encounters in nature. What a run shows is drawn among the detectable candidates
-of a size class in proportion to that number; its weight is the class's natural number over the number drawn.
+of a size class, without repetition, in proportion to that number; its weight is the class's natural number over the number drawn.
 """
 
 from dataclasses import dataclass, field, replace
@@ -267,9 +267,13 @@ def draw_encounters(options: PopulationOptions, window: Window, seed: int) -> Dr
         if natural[k] <= 0.0:
             raise UserError(
                 f"population.classes[{k}]: no debris of {size_class.from_mm:g} to {size_class.to_mm:g} mm reaches S/N "
-                f"{options.snr_min:g} between {options.nearest_km:g} and {options.farthest_km:g} km; set count = 0 or lower snr_min"
+                f"{options.snr_min:g} between {options.nearest_km:g} and {options.farthest_km:g} km; set count = 0"
             )
-        picks.append(rng.choice(len(share), size=size_class.count, p=share / natural[k]))
+        if np.count_nonzero(share) < size_class.count:
+            raise UserError(
+                f"population.classes[{k}].count: only {np.count_nonzero(share)} candidates; raise population.candidates"
+            )
+        picks.append(rng.choice(len(share), size=size_class.count, replace=False, p=share / natural[k]))
         weights.append(np.full(size_class.count, natural[k] / size_class.count))
         chosen.append(found)
 

@@ -105,14 +105,16 @@ class SkyPathObject:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PixelPathObject:
-    """A point that moves over the detector as told: delivered pixels; a bend is what a constant acceleration adds in the first second.
+    """A point that moves over the detector as told, in delivered pixels.
+
+    A bend is what a constant acceleration adds in the first second.
 
     restart : time counts from the opening of each frame's first row instead of from the epoch.
     """
 
     identity: Identity
-    row: float
-    col: float
+    row_px: float
+    col_px: float
     row_rate_px_s: float
     col_rate_px_s: float
     row_bend_px: float
@@ -124,8 +126,8 @@ class PixelPathObject:
 
     def place(self, time_s: Array) -> tuple[Array, Array, Array]:
         """Row, col and flux (units of a V = 0 star) at times."""
-        row = self.row + self.row_rate_px_s * time_s + self.row_bend_px * time_s**2
-        col = self.col + self.col_rate_px_s * time_s + self.col_bend_px * time_s**2
+        row = self.row_px + self.row_rate_px_s * time_s + self.row_bend_px * time_s**2
+        col = self.col_px + self.col_rate_px_s * time_s + self.col_bend_px * time_s**2
         return row, col, 10.0 ** (-0.4 * self.v_mag) * np.exp(self.brightening_per_s * time_s)
 
 

@@ -82,6 +82,31 @@ class PassingOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class EncounterOptions:
+    """A sphere given by its motion relative to the camera at one instant; it then follows its own two-body orbit."""
+
+    name: str = field(default="encounter", metadata={"doc": "name"})
+    size_m: float = field(default=0.01, metadata={"doc": "diameter", "min": 1e-5, "max": 1000.0})
+    albedo: float = field(default=0.1, metadata={"doc": "Bond albedo", "min": 0.001, "max": 1.0})
+    range_km: float = field(default=10.0, metadata={"doc": "distance at that instant", "min": 0.01, "max": 1e6})
+    field_row: float = field(
+        default=0.0, metadata={"doc": "place along rows: -1 first row, 0 centre, 1 last row", "min": -1.0, "max": 1.0}
+    )
+    field_col: float = field(
+        default=0.0, metadata={"doc": "place along cols: -1 first column, 0 centre, 1 last column", "min": -1.0, "max": 1.0}
+    )
+    when: float = field(default=0.5, metadata={"doc": "the instant, as a share of the run", "min": 0.0, "max": 1.0})
+    closing_km_s: float = field(
+        default=0.0, metadata={"doc": "approach speed along the line of sight", "min": -20.0, "max": 20.0}
+    )
+    across_km_s: float = field(default=5.0, metadata={"doc": "speed across the line of sight", "min": 0.0, "max": 20.0})
+    heading_deg: float = field(
+        default=0.0, metadata={"doc": "its direction from growing cols to growing rows", "min": -360.0, "max": 360.0}
+    )
+    light_curve: LightCurveOptions = field(default_factory=LightCurveOptions, metadata={"doc": "variation"})
+
+
+@dataclass(frozen=True, kw_only=True)
 class SkyPathOptions:
     """A point on a great circle of the sky (published directions) at a constant rate."""
 
@@ -107,8 +132,8 @@ class PixelPathOptions:
     brightening_per_s: float = field(
         default=0.0, metadata={"doc": "relative change of flux per second (exponential)", "min": -1e3, "max": 1e3}
     )
-    row: float = field(default=0.0, metadata={"doc": "row at the start", "min": -1e6, "max": 1e6})
-    col: float = field(default=0.0, metadata={"doc": "column at the start", "min": -1e6, "max": 1e6})
+    row_px: float = field(default=0.0, metadata={"doc": "row at the start", "min": -1e6, "max": 1e6})
+    col_px: float = field(default=0.0, metadata={"doc": "column at the start", "min": -1e6, "max": 1e6})
     row_rate_px_s: float = field(default=0.0, metadata={"doc": "motion along rows", "min": -1e7, "max": 1e7})
     col_rate_px_s: float = field(default=0.0, metadata={"doc": "motion along columns", "min": -1e7, "max": 1e7})
     row_bend_px: float = field(
@@ -143,6 +168,7 @@ class ObjectOptions:
         ),
         metadata={"doc": "orbits that pass through the field"},
     )  # fmt: skip - one line for each object
+    encounter: tuple[EncounterOptions, ...] = field(default=(), metadata={"doc": "objects given by their relative motion"})
     sky_path: tuple[SkyPathOptions, ...] = field(default=(), metadata={"doc": "paths on the sky"})
     pixel_path: tuple[PixelPathOptions, ...] = field(default=(), metadata={"doc": "paths on the detector"})
     satellites: SatelliteOptions = field(default_factory=SatelliteOptions, metadata={"doc": "catalogued satellites"})
@@ -201,6 +227,29 @@ def passing(options: PassingOptions, observer_km: Array, direction: Array, time_
     return kepler_object(options.name, "orbit", options.size_m, options.albedo, one, time_s, curve=options.light_curve.curve())
 
 
+def encounter(
+    options: EncounterOptions, observer_km: Array, observer_km_s: Array, attitude: Array, camera: Array, time_s: float
+) -> OrbitingObject:
+    """An object that stands in a direction of the camera frame at a time after the epoch, with a given relative motion.
+
+    UserError, by name, when it would be inside the Earth or on no closed orbit.
+    """
+    position = observer_km + options.range_km * (attitude.T @ camera)
+    turn = np.radians(options.heading_deg)
+    heading = np.array([np.cos(turn), np.sin(turn), 0.0])
+    heading -= (heading @ camera) * camera
+    relative = options.across_km_s * heading / np.linalg.norm(heading) - options.closing_km_s * camera
+    elements = elements_of(position, observer_km_s + attitude.T @ relative)
+    if np.linalg.norm(position) < EARTH_RADIUS_KM:
+        raise UserError(f"objects.encounter {options.name!r}: at {options.range_km:g} km it would be inside the Earth")
+    if not 0.0 < float(elements.a_km) < 1e7:
+        speed = float(np.linalg.norm(observer_km_s + attitude.T @ relative))
+        raise UserError(f"objects.encounter {options.name!r}: {speed:.1f} km/s is beyond escape speed; allowed are closed orbits")
+    return kepler_object(
+        options.name, "orbit", options.size_m, options.albedo, elements, time_s, curve=options.light_curve.curve()
+    )
+
+
 def kepler_object(
     name: str,
     kind: str,
@@ -251,8 +300,8 @@ def pixel_path(options: PixelPathOptions) -> PixelPathObject:
     """An object on a path of the detector."""
     return PixelPathObject(
         identity=Identity(name=options.name, kind="pixel_path"),
-        row=options.row,
-        col=options.col,
+        row_px=options.row_px,
+        col_px=options.col_px,
         row_rate_px_s=options.row_rate_px_s,
         col_rate_px_s=options.col_rate_px_s,
         row_bend_px=options.row_bend_px,

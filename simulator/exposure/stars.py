@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 from simulator.optics.psf import cut_radius_px, pixel_weights
 
 STAMP_LOSS_E: Final = 0.02
-"""Electrons of a star that may fall outside its stamp: under 1 % of the noise of one pixel."""
+"""Electrons of a star that may fall outside its stamp, under 1 % of the noise of one pixel; 1e-4 of the flux if that is less."""
 
 _LARGEST_STAMP: Final = 257
 

@@ -59,12 +59,9 @@ def pixel_weights(centre_px: float, first: int, sigma_px: float, out: NDArray[np
 
 @numba.njit(cache=True)
 def cut_radius_px(flux_e: float, sigma_px: float, loss_e: float) -> float:
-    """Half-width of the square stamp outside which a Gaussian star keeps less than `loss_e` electrons.
+    """Half-width of the square stamp outside which a Gaussian keeps less than `loss_e` electrons and 1e-4 of its flux.
 
-    The light beyond x sigma on both axes is at most ``2 erfc(x / sqrt 2) flux``; the Chernoff bound
-    ``erfc(y) <= exp(-y^2)`` gives ``x = sqrt(2 ln(2 flux / loss))``.
+    The light beyond x sigma on either axis is at most ``2 erfc(x / sqrt 2) flux``; the Chernoff bound ``erfc(y) <= exp(-y^2)``
+    gives ``x = sqrt(2 ln(2 flux / loss))``.
     """
-    ratio = 2.0 * flux_e / loss_e
-    if ratio < math.e:
-        return sigma_px
-    return sigma_px * math.sqrt(2.0 * math.log(ratio))
+    return sigma_px * math.sqrt(2.0 * math.log(2.0 * max(flux_e / loss_e, 1e4)))

@@ -40,6 +40,8 @@ class FieldOptions:
     centroid_scale: float = 1.0
     zero_point_mag: float = 21.68
     catalogue_seed: int = 99
+    roll_deg: float | None = None
+    """None: drawn."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -95,7 +97,9 @@ def make_field(catalogue: StarCatalogue, seed: int, options: FieldOptions = Fiel
     apparent = sky.transform_to(seen_from).cartesian.xyz.value.T
     apparent = apparent / np.linalg.norm(apparent, axis=1, keepdims=True)
 
-    matrix = _pointing(options.ra_deg, options.dec_deg, float(rng.uniform(-np.pi, np.pi)))
+    drawn = float(rng.uniform(-np.pi, np.pi))
+    roll = drawn if options.roll_deg is None else np.radians(options.roll_deg)
+    matrix = _pointing(options.ra_deg, options.dec_deg, roll)
     rate = rng.normal(0.0, 2e-4, 3)
     focal, center = options.focal_px * (1.0 + 150e-6), (middle + 1.8 * size / 4096, middle - 1.3 * size / 4096)
     distortion = (-1.02, 0.0, 3e-5, -1e-5)

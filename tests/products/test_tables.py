@@ -1,0 +1,102 @@
+"""Tables have the promised columns with units, empty runs included, and survive ECSV."""
+
+import io
+import re
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+from ground.astrometry.astrometer import CameraFit
+from ground.chain import ideal_calibration
+from ground.photometry.zero_point import ZeroPoint
+from ground.products import tables
+from ground.records import GroundProducts
+from sboc_e2e.catalogue import StarCatalogue
+from tests.astrometry.star_fields import make_field
+
+STREAK_COLUMNS = {
+    *("frame", "streak_id", "row0", "col0", "row1", "col1", "row_mid", "col_mid", "length_px", "angle_deg", "flux_e"),
+    *("flux_err_e", "snr", "ra_mid_deg", "dec_mid_deg", "sigma_along_arcsec", "sigma_cross_arcsec", "t_mid_utc", "mag"),
+    *("mag_err", "tracklet_id", "flags"),
+}
+
+
+@pytest.fixture(scope="module")
+def run():
+    catalogue = StarCatalogue.embedded()
+    fit, photometer = CameraFit(), ZeroPoint()
+    fields = [make_field(catalogue, seed) for seed in range(2)]
+    state, solutions, photometry = fit.initial_state(fields[0].calibration, catalogue), [], []
+    for field in fields:
+        state, solution = fit.solve(state, field.frame)
+        solutions.append(solution)
+        photometry.append(photometer.calibrate(field.frame, solution, field.calibration))
+    frames = [field.frame for field in fields]
+    products = GroundProducts(
+        headers=tuple(frame.header for frame in frames),
+        solutions=tuple(solutions),
+        photometry=tuple(photometry),
+        streaks=(),
+        tracklets=(),
+        orbits=(),
+    )
+    return frames, products
+
+
+def _round_trip(table: Table) -> Table:
+    text = io.StringIO()
+    table.write(text, format="ascii.ecsv")
+    return Table.read(text.getvalue(), format="ascii.ecsv")
+
+
+def test_every_table_survives_ecsv_with_units_and_descriptions(run):
+    frames, products = run
+    made = [
+        tables.frames_table(products),
+        tables.stars_table(products, frames),
+        tables.streaks_table(products),
+        tables.tracklets_table(products),
+        tables.orbits_table(products, 0.175),
+    ]
+    for table in made:
+        back = _round_trip(table)
+        assert back.colnames == table.colnames
+        for name in table.colnames:
+            assert back[name].unit == table[name].unit
+            assert table[name].description
+            if len(table):
+                assert back[name].dtype.kind == table[name].dtype.kind
+
+
+def test_streaks_have_the_columns_that_are_promised(run):
+    _, products = run
+    table = tables.streaks_table(products)
+    assert set(table.colnames) >= STREAK_COLUMNS
+    assert len(table) == 0
+    assert "annual aberration not removed" in table.meta["directions"]
+
+
+def test_frames_table_points_where_the_camera_looks(run):
+    _, products = run
+    table = tables.frames_table(products)
+    assert table["solved"].all()
+    # the field's centre is 131.5, 17.9 (ICRS); aberration moves it by at most 26 arcsec
+    assert np.abs(table["ra_app_deg"] - 131.5).max() < 0.02
+    assert np.abs(table["dec_app_deg"] - 17.9).max() < 0.02
+    assert all(re.fullmatch(r"2027-01-2\dT\d\d:\d\d:\d\d\.\d{6}", text) for text in table["t_start_utc"])
+
+
+def test_stars_table_names_the_matched_ones(run):
+    frames, products = run
+    table = tables.stars_table(products, frames)
+    assert len(table) == sum(len(frame.stars) for frame in frames)
+    matched = np.isfinite(table["v_mag"])
+    assert matched.sum() == sum(s.n_stars for s in products.solutions)
+
+
+def test_an_ideal_calibration_takes_no_memory():
+    catalogue = StarCatalogue.embedded()
+    camera = make_field(catalogue, 0).calibration.camera
+    calibration = ideal_calibration(camera)
+    assert calibration.dark_adu.strides == (0, 0)

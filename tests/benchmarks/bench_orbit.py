@@ -1,0 +1,134 @@
+"""Orbit figures: coverage of 90 % intervals, errors of range, altitude and inclination, trivial roots, cost; Gauss as a peer.
+
+Encounters come from tests/orbit/encounters.py: Kessler's spatial density, the size law and a S/N limit, an adaptive integrator.
+"""
+
+import json
+import math
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import beta
+
+from ground.orbit import RangeScan
+from sboc_e2e.icd.products import Tracklet
+from tests.orbit.encounters import MU, T0_NS, draw_encounters, observed, sun_and_observer, trajectory
+
+SIZE_EDGES_M = (0.0, 0.003, 0.01, 0.1, 100.0)
+
+
+def share(k: int, n: int) -> dict[str, Any]:
+    """A proportion with its 95 % Clopper-Pearson interval."""
+    low = 0.0 if k == 0 else float(beta.ppf(0.025, k, n - k + 1))
+    high = 1.0 if k == n else float(beta.ppf(0.975, k + 1, n - k))
+    return {"value": k / n, "n": n, "interval": [low, high]}
+
+
+def median(values: NDArray[np.float64], rng: np.random.Generator) -> dict[str, Any]:
+    """A median with its 95 % bootstrap interval."""
+    draws = np.median(rng.choice(values, (1000, len(values))), axis=1)
+    return {"value": float(np.median(values)), "n": len(values), "interval": np.percentile(draws, [2.5, 97.5]).tolist()}
+
+
+def gauss_range_km(tracklet: Tracklet, observer: NDArray[np.float64]) -> float:
+    """Range at the middle epoch by Gauss' method (Curtis 2014, algorithm 5.5, without the iterative refinement); NaN if no root.
+
+    observer : state (6,) km, km/s at T0. Of several positive roots the one nearest to a LEO distance is taken.
+    """
+    pick = [0, len(tracklet.t_tai_ns) // 2, len(tracklet.t_tai_ns) - 1]
+    t = (tracklet.t_tai_ns[pick] - T0_NS) * 1e-9
+    ra, dec = np.radians(tracklet.ra_deg[pick]), np.radians(tracklet.dec_deg[pick])
+    q = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=1)
+    r = trajectory(observer, t)[:, :3]
+    tau1, tau3 = t[0] - t[1], t[2] - t[1]
+    tau = tau3 - tau1
+    p = np.cross(q[[1, 0, 0]], q[[2, 2, 1]])
+    d0 = float(q[0] @ p[0])
+    d = r @ p.T
+    a = (-d[0, 1] * tau3 / tau + d[1, 1] + d[2, 1] * tau1 / tau) / d0
+    b = (d[0, 1] * (tau3**2 - tau**2) * tau3 / tau + d[2, 1] * (tau**2 - tau1**2) * tau1 / tau) / 6.0 / d0
+    e = float(r[1] @ q[1])
+    r2 = float(r[1] @ r[1])
+    roots = np.roots([1.0, 0, -(a * a + 2 * a * e + r2), 0, 0, -2 * MU * b * (a + e), 0, 0, -(MU**2) * b * b])
+    real = roots[(np.abs(roots.imag) < 1e-6 * np.abs(roots)) & (roots.real > 6400.0)].real
+    ranges = a + MU * b / real**3
+    ranges = ranges[ranges > 0.0]
+    return float(ranges[np.argmin(np.abs(np.log(ranges / 1000.0)))]) if len(ranges) else math.nan
+
+
+def population(n: int, seed: int, *, breakup: bool, step: RangeScan) -> dict[str, Any]:
+    """Figures of n encounters."""
+    rng = np.random.default_rng(seed)
+    _, observer = sun_and_observer()
+    encounters = draw_encounters(n, rng, breakup=breakup, pool=max(400_000, 1000 * n))
+    inside = dict.fromkeys(("range", "altitude", "a", "e", "i", "size"), 0)
+    errors: dict[str, list[float]] = {name: [] for name in ("range", "altitude", "a", "i", "size", "gauss")}
+    sizes, trivial, spent = [], 0, 0.0
+    for one in encounters:
+        tracklet, headers = observed(one, rng)
+        start = time.process_time()
+        got = step.estimate(tracklet, headers)
+        spent += time.process_time() - start
+        altitude = float(np.linalg.norm(one.state[:3])) - 6378.137
+        truth = {"range": one.range_km, "altitude": altitude, "a": one.elements[0], "e": one.elements[1], "i": one.elements[2]}
+        found = {
+            "range": got.range_km,
+            "altitude": got.altitude_km,
+            "a": got.a_km,
+            "e": got.e,
+            "i": got.i_deg,
+            "size": got.size_m,
+        }
+        for name, value in (truth | {"size": one.size_m}).items():
+            inside[name] += int(found[name][0] <= value <= found[name][2])
+        errors["range"].append(abs(got.range_km[1] / one.range_km - 1.0))
+        errors["altitude"].append(abs(got.altitude_km[1] - altitude))
+        errors["a"].append(abs(got.a_km[1] - one.elements[0]))
+        errors["i"].append(abs(got.i_deg[1] - one.elements[2]))
+        errors["size"].append(abs(got.size_m[1] / one.size_m - 1.0))
+        gauss = gauss_range_km(tracklet, observer)
+        errors["gauss"].append(abs(gauss / one.range_km - 1.0) if math.isfinite(gauss) else math.inf)
+        trivial += int(got.range_km[1] < 0.1 * one.range_km)
+        sizes.append(one.size_m)
+    table = {name: np.array(values) for name, values in errors.items()}
+    boot = np.random.default_rng(0)
+    by_size = {}
+    for low, high in zip(SIZE_EDGES_M[:-1], SIZE_EDGES_M[1:], strict=True):
+        chosen = (np.array(sizes) >= low) & (np.array(sizes) < high)
+        if chosen.sum() >= 10:
+            by_size[f"{1e3 * low:g}-{1e3 * high:g} mm"] = median(table["range"][chosen], boot)
+    return {
+        "coverage_90": {name: share(count, n) for name, count in inside.items()},
+        "range_error_median": median(table["range"], boot),
+        "range_error_median_by_size": by_size,
+        "range_within_30_percent": share(int((table["range"] < 0.3).sum()), n),
+        "altitude_error_median_km": median(table["altitude"], boot),
+        "a_error_median_km": median(table["a"], boot),
+        "inclination_error_median_deg": median(table["i"], boot),
+        "trivial_root_rate": share(trivial, n),
+        "gauss_range_within_30_percent": share(int((table["gauss"] < 0.3).sum()), n),
+        "cpu_s_per_tracklet": spent / n,
+    }
+
+
+def main(*, quick: bool = True) -> dict[str, Any]:
+    """Figures for catalogue eccentricities and with breakup velocities, each with the prior of its own and with the mixed one."""
+    n = 150 if quick else 1500
+    start = time.process_time()
+    population(1, 0, breakup=False, step=RangeScan())
+    out: dict[str, Any] = {"cold_s": time.process_time() - start}
+    for breakup in (False, True):
+        name = "breakup" if breakup else "catalogue"
+        out[f"{name}_own_prior"] = population(
+            n, 1, breakup=breakup, step=RangeScan(breakup_share=float(breakup), albedo_sigma_ln=0.0)
+        )
+        out[f"{name}_mixed_prior"] = population(n, 1, breakup=breakup, step=RangeScan(albedo_sigma_ln=0.0))
+    return out
+
+
+if __name__ == "__main__":
+    import sys
+
+    sys.stdout.write(json.dumps(main(quick="--full" not in sys.argv), indent=1) + "\n")

@@ -46,8 +46,11 @@ def robust_noise(pixels: NDArray[np.float32]) -> tuple[float, float]:
         return 0.0, 0.0
     steps = np.diff(sample.astype(np.float64), axis=1)
     steps = np.abs(steps[np.isfinite(steps)])
-    noise = 1.4826 * float(np.median(steps)) / math.sqrt(2.0) if steps.size else 0.0
-    return float(np.median(finite)), noise
+    if steps.size == 0:
+        return float(np.median(finite)), 0.0
+    # the mean, not the median, of the common steps: frames that were integers once have few distinct steps
+    common = steps[steps <= 5.0 * 1.4826 * float(np.median(steps))]
+    return float(np.median(finite)), 0.5 * math.sqrt(math.pi) * float(common.mean())
 
 
 def float_counts(pixels: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.bool_], float, float]:

@@ -12,7 +12,15 @@ import zstandard
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import ContractError
-from sboc_e2e.icd.layout import DECOMPRESSED_LIMIT_BYTES, MAX_STRIP_PIXELS, SQRT_PLANES, CodecNumber
+from sboc_e2e.icd.layout import (
+    BYTES_ESCAPED,
+    DECOMPRESSED_LIMIT_BYTES,
+    MAX_STRIP_PIXELS,
+    NIBBLES_ESCAPED,
+    PLANES_ESCAPES,
+    SQRT_PLANES,
+    CodecNumber,
+)
 
 AEC_BLOCK_SIZE = 64
 AEC_SAMPLES_PER_REFERENCE = 128
@@ -36,16 +44,38 @@ def inflate(block: bytes, expected_bytes: int) -> bytes:
 
 
 def decode_planes(block: bytes, shape: tuple[int, int], level: int) -> NDArray[np.int32]:
-    """Inverse of level, zigzag and byte planes."""
+    """Inverse of level, zigzag and one of the three layouts of a `PLANES` block."""
     size = _checked_size(shape)
-    if not block or not 1 <= block[0] <= 4:
-        raise ContractError(f"planes block: expected 1 to 4 planes, got {block[0] if block else 'nothing'}")
-    n_planes = block[0]
-    planes = np.frombuffer(inflate(block[1:], n_planes * size), dtype=np.uint8).reshape(n_planes, size)
-    codes = planes[0].astype(np.uint32)
-    for plane in range(1, n_planes):
-        codes |= planes[plane].astype(np.uint32) << np.uint32(8 * plane)
+    kind, n_planes = (block[0] & 0xF0, block[0] & 0x0F) if block else (0, 0)
+    if kind not in (0, BYTES_ESCAPED, NIBBLES_ESCAPED) or not 1 <= n_planes <= 4:
+        raise ContractError(f"planes block: expected a known layout, got {block[:1].hex() or 'nothing'}")
+    if kind == 0:
+        return unzigzag(_joined(inflate(block[1:], n_planes * size), n_planes), level).reshape(shape)
+    if len(block) < 1 + PLANES_ESCAPES.size:
+        raise ContractError(f"planes block: expected at least {1 + PLANES_ESCAPES.size} bytes, got {len(block)}")
+    (n_escapes,) = PLANES_ESCAPES.unpack_from(block, 1)
+    n_body = size if kind == BYTES_ESCAPED else (size + 1) // 2
+    plain = inflate(block[1 + PLANES_ESCAPES.size :], n_body + n_planes * n_escapes)
+    body = np.frombuffer(plain, dtype=np.uint8, count=n_body)
+    if kind == NIBBLES_ESCAPED:
+        body = np.column_stack((body & 0x0F, body >> 4)).ravel()[:size]
+    escape = np.uint8(255 if kind == BYTES_ESCAPED else 15)
+    codes = body.astype(np.uint32)
+    where = np.flatnonzero(body == escape)
+    if len(where) != n_escapes:
+        raise ContractError(f"planes block: expected {n_escapes} escapes, got {len(where)}")
+    if n_escapes:
+        codes[where] += _joined(plain[n_body:], n_planes)
     return unzigzag(codes, level).reshape(shape)
+
+
+def _joined(planes: bytes, n_planes: int) -> NDArray[np.uint32]:
+    """Codes of byte planes, least significant first."""
+    split = np.frombuffer(planes, dtype=np.uint8).reshape(n_planes, -1)
+    codes = split[0].astype(np.uint32)
+    for plane in range(1, n_planes):
+        codes |= split[plane].astype(np.uint32) << np.uint32(8 * plane)
+    return codes
 
 
 def unzigzag(codes: NDArray[np.uint32], level: int) -> NDArray[np.int32]:
@@ -115,6 +145,7 @@ class Ccsds121Decoder:
         if not block or block[0] not in (8, 16, 32):
             raise ContractError(f"ccsds121 block: expected 8, 16 or 32 bits per sample, got {block[0] if block else 'nothing'}")
         item_bytes = block[0] // 8
+        whole_blocks = -(-size // AEC_BLOCK_SIZE) * AEC_BLOCK_SIZE * item_bytes  # the coder fills its last block
         try:
             plain = imagecodecs.aec_decode(
                 block[1:],
@@ -122,13 +153,14 @@ class Ccsds121Decoder:
                 flags=0,
                 blocksize=AEC_BLOCK_SIZE,
                 rsi=AEC_SAMPLES_PER_REFERENCE,
-                out=size * item_bytes,
+                out=whole_blocks,
             )
         except (imagecodecs.AecError, ValueError) as error:
             raise ContractError(f"ccsds121 block: {error}") from error
-        if len(plain) != size * item_bytes:
+        if len(plain) < size * item_bytes:
             raise ContractError(f"ccsds121 block: expected {size * item_bytes} bytes, got {len(plain)}")
-        return unzigzag(np.frombuffer(plain, dtype=f"u{item_bytes}").astype(np.uint32), level_adu).reshape(shape)
+        codes = np.frombuffer(plain, dtype=f"u{item_bytes}", count=size).astype(np.uint32)
+        return unzigzag(codes, level_adu).reshape(shape)
 
 
 @dataclass(frozen=True, kw_only=True)

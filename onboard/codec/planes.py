@@ -1,9 +1,13 @@
-"""Lossless default: level, zigzag, byte planes, zstd.
+"""Lossless default: level, zigzag, bytes or nibbles with escapes, zstd.
 
 Sky is uncorrelated noise, so prediction from neighbours costs bits; the local level is the best predictor there is,
-and a Huffman code of the low byte is within about one per cent of the entropy. Because the level is taken away
-before the bytes are split, the cost does not depend on where the sky falls (a plain byte shuffle loses 1.5 bits per
-pixel when the sky sits at a multiple of 256).
+and a Huffman code of what is left is within about one per cent of the entropy. Because the level is taken away before
+bytes are made, the cost does not depend on where the sky falls (a plain byte shuffle loses 1.5 bits per pixel when the
+sky sits at a multiple of 256).
+
+The codes are laid out in one of three ways, whichever is shortest: byte planes (strong signal everywhere); one byte
+each, with the few larger ones escaped to the end (stars); two in one byte (noise of about 2 ADU and less: a pair
+has a better Huffman code than each of the two, and zstd finds no false matches in it).
 """
 
 from dataclasses import dataclass
@@ -13,14 +17,16 @@ import zstandard
 from numba import njit
 from numpy.typing import NDArray
 
-from sboc_e2e.icd.layout import CodecNumber
+from sboc_e2e.icd.layout import BYTES_ESCAPED, NIBBLES_ESCAPED, PLANES_ESCAPES, CodecNumber
+
+TRY_BOTH_BELOW = 1 << 14
+"""Blocks with fewer pixels are coded both ways when either may win; large ones by rule."""
 
 
-def _parameters() -> zstandard.ZstdCompressionParameters:
-    """Huffman coding with as few matches as zstd allows: short matches in noise cost more than they save."""
-    return zstandard.ZstdCompressionParameters(
-        window_log=17, chain_log=6, hash_log=12, search_log=1, min_match=7, target_length=0, strategy=zstandard.STRATEGY_FAST
-    )
+_COMPRESSION = zstandard.ZstdCompressionParameters(
+    window_log=17, chain_log=6, hash_log=6, search_log=1, min_match=7, target_length=0, strategy=zstandard.STRATEGY_FAST
+)
+"""Huffman coding with as few matches as zstd allows: matches found in noise cost more than they save."""
 
 
 @njit(cache=True)
@@ -47,19 +53,95 @@ def split_planes(codes: NDArray[np.uint32], out: NDArray[np.uint8]) -> None:
             out[plane, k] = np.uint8((codes[k] >> shift) & np.uint32(0xFF))
 
 
+@njit(cache=True)
+def count_at_least(codes: NDArray[np.uint32]) -> tuple[int, int]:
+    """How many codes need an escape in nibbles (>= 15) and in bytes (>= 255)."""
+    nibbles, octets = np.int32(0), np.int32(0)
+    for k in range(codes.size):
+        nibbles += np.int32(codes[k] >= np.uint32(15))
+        octets += np.int32(codes[k] >= np.uint32(255))
+    return nibbles, octets
+
+
+@njit(cache=True)
+def pack_bytes(codes: NDArray[np.uint32], out: NDArray[np.uint8], escapes: NDArray[np.uint32]) -> None:
+    """One byte per code; 255 means that ``code - 255`` is the next escape."""
+    count = 0
+    for k in range(codes.size):
+        code = codes[k]
+        if code >= 255:
+            escapes[count] = code - np.uint32(255)
+            count += 1
+            code = np.uint32(255)
+        out[k] = np.uint8(code)
+
+
+@njit(cache=True)
+def pack_nibbles(codes: NDArray[np.uint32], out: NDArray[np.uint8], escapes: NDArray[np.uint32]) -> None:
+    """Two codes per byte, the first in the low half; 15 means that ``code - 15`` is the next escape."""
+    count = 0
+    for k in range(out.size):
+        first = codes[2 * k]
+        second = codes[2 * k + 1] if 2 * k + 1 < codes.size else np.uint32(0)
+        if first >= 15:
+            escapes[count] = first - np.uint32(15)
+            count += 1
+            first = np.uint32(15)
+        if second >= 15:
+            escapes[count] = second - np.uint32(15)
+            count += 1
+            second = np.uint32(15)
+        out[k] = np.uint8(first | (second << np.uint32(4)))
+
+
+def _n_planes(largest: int) -> int:
+    """Bytes that a code needs, at least one."""
+    return max(1, (largest.bit_length() + 7) // 8)
+
+
+def _in_planes(codes: NDArray[np.uint32], largest: int) -> bytes:
+    """Block of byte planes."""
+    planes = np.empty((_n_planes(largest), codes.size), dtype=np.uint8)
+    split_planes(codes, planes)
+    return bytes((len(planes),)) + _compressed(planes)
+
+
+def _escaped(codes: NDArray[np.uint32], largest: int, n_escapes: int, kind: int) -> bytes:
+    """Block of bytes or nibbles with escapes."""
+    n_body = codes.size if kind == BYTES_ESCAPED else (codes.size + 1) // 2
+    n_planes = _n_planes(largest)
+    plain = np.empty(n_body + n_planes * n_escapes, dtype=np.uint8)
+    escapes = np.empty(n_escapes, dtype=np.uint32)
+    (pack_bytes if kind == BYTES_ESCAPED else pack_nibbles)(codes, plain[:n_body], escapes)
+    split_planes(escapes, plain[n_body:].reshape(n_planes, n_escapes))
+    return bytes((kind | n_planes,)) + PLANES_ESCAPES.pack(n_escapes) + _compressed(plain)
+
+
+def _compressed(plain: NDArray[np.uint8]) -> bytes:
+    """One zstd frame that states its content size and carries no checksum (the packet has one)."""
+    return zstandard.ZstdCompressor(compression_params=_COMPRESSION).compress(plain.data)
+
+
 def encode_planes(values: NDArray[np.int32], level: int) -> bytes:
-    """Block of `CodecNumber.PLANES`: number of planes (1 byte), then one zstd frame of all planes."""
+    """Block of `CodecNumber.PLANES`: layout (1 byte), number of escapes where the layout has any (2), one zstd frame."""
     flat = np.ascontiguousarray(values, dtype=np.int32).ravel()
     codes = np.empty(flat.size, dtype=np.uint32)
-    n_planes = max(1, (int(zigzag(flat, level, codes)).bit_length() + 7) // 8)
-    planes = np.empty((n_planes, flat.size), dtype=np.uint8)
-    split_planes(codes, planes)
-    return bytes((n_planes,)) + zstandard.ZstdCompressor(compression_params=_parameters()).compress(planes.data)
+    largest = int(zigzag(flat, level, codes))
+    beyond_nibble, beyond_byte = count_at_least(codes)
+    if beyond_byte * 16 > flat.size:
+        return _in_planes(codes, largest)
+    nibbles_may_win = beyond_nibble * 64 <= flat.size
+    if nibbles_may_win and flat.size >= TRY_BOTH_BELOW:
+        return _escaped(codes, largest, int(beyond_nibble), NIBBLES_ESCAPED)
+    block = _escaped(codes, largest, int(beyond_byte), BYTES_ESCAPED)
+    if nibbles_may_win:
+        block = min(block, _escaped(codes, largest, int(beyond_nibble), NIBBLES_ESCAPED), key=len)
+    return block
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlanesCodec:
-    """`planes`: lossless, 1.01-1.03 times the entropy of noise."""
+    """`planes`: lossless, 1.01-1.03 times the entropy of noise in blocks of some thousand pixels."""
 
     @property
     def number(self) -> int:

@@ -98,6 +98,14 @@ THUMBNAIL = struct.Struct(">HHHHHff")
 CHUNK = struct.Struct(">BBHHHHifI")
 """FRAME: codec number | reserved | first row | rows | first col | cols | level ADU | sigma ADU | block length."""
 
+BYTES_ESCAPED: Final = 0x10
+NIBBLES_ESCAPED: Final = 0x20
+"""First byte of a `PLANES` block: 1-4 = so many byte planes; one of these | 1-4 = bytes or nibbles, then escapes of so
+many byte planes."""
+
+PLANES_ESCAPES = struct.Struct(">H")
+"""Second field of a `PLANES` block with escapes: their number."""
+
 SQRT_PLANES = struct.Struct(">ff")
 """Head of a `SQRT_PLANES` block: step in ADU, gain in e-/ADU; then the codes as a `PLANES` block around zero."""
 

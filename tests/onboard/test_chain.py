@@ -1,0 +1,358 @@
+"""The chain as a whole: bad input, budget, priorities, plug-ins that fail, determinism."""
+
+import pickle
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ground.ingest import decode_downlink
+from ground.ingest.codecs import PlanesDecoder, RawDecoder
+from onboard.background import MeshBackground
+from onboard.chain import OnboardSteps
+from onboard.codec import PlanesCodec, RawCodec, SqrtPlanesCodec
+from onboard.options import DownlinkOptions, RoiOptions
+from onboard.stars import MatchedStars
+from sboc_e2e.icd import layout
+from sboc_e2e.icd.errors import ContractError, PluginError
+from sboc_e2e.icd.flags import FrameFlag, StreakFlag
+from sboc_e2e.icd.frame import Frame
+from sboc_e2e.icd.signals import Detection, DetectorView
+from tests.onboard import small_run
+from tests.onboard.small_run import SIDE, STREAK, PlantedDetector, frame, header, start_run
+
+POINT = Detection(row0=60.0, col0=60.0, row1=60.0, col1=60.0, snr=9.0, flags=StreakFlag.POINT_LIKE)
+
+
+def steps_with(**changed: Any) -> OnboardSteps:
+    """The default steps with some of them replaced."""
+    usual: dict[str, Any] = {
+        "background": MeshBackground(),
+        "star_extractor": MatchedStars(),
+        "detector": PlantedDetector(),
+        "codec": PlanesCodec(),
+    }
+    return OnboardSteps(**{**usual, **changed})
+
+
+def only_frame(downlink: bytes) -> Any:
+    """The one frame of a downlink."""
+    frames, report = decode_downlink(downlink, [PlanesDecoder(), RawDecoder()])
+    assert report.n_decode_failures == 0
+    assert len(frames) == 1
+    return frames[0]
+
+
+def test_plain_frame_comes_down_whole() -> None:
+    """Header, stars, strips and mesh on ground equal what was found on board."""
+    run = start_run()
+    result = run.feed(frame(0))
+    got = only_frame(run.downlink)
+    assert got.flags == FrameFlag(0)
+    assert got.header.attitude is not None
+    assert got.housekeeping == replace(
+        result.housekeeping,
+        background_adu=pytest.approx(result.housekeeping.background_adu, rel=1e-6),
+        sigma_adu=pytest.approx(result.housekeeping.sigma_adu, rel=1e-6),
+    )
+    assert len(got.stars) == result.housekeeping.n_stars_sent > 20
+    assert len(got.rois) == 1
+    for sent, received in zip(result.rois[0].strips, got.rois[0].strips, strict=True):
+        assert (sent.values_adu == received.values_adu).all()
+        assert (sent.major0, sent.minor0_fp, sent.slope_fp) == (received.major0, received.minor0_fp, received.slope_fp)
+    assert got.rois[0].detection.snr == 20.0
+    assert got.background is not None
+    assert got.background.sigma_adu.mean() == pytest.approx(result.housekeeping.sigma_adu, rel=0.02)
+    assert got.thumbnail_adu is not None
+
+
+def test_values_are_raw_minus_rounded_dark() -> None:
+    """With a dark of 256.3 ADU the strips hold raw - 256."""
+    run = start_run()
+    run.feed(frame(0))
+    strip = only_frame(run.downlink).rois[0].strips[0]
+    row, col, inside = strip.pixel_coordinates(SIDE, SIDE)
+    assert (strip.values_adu[inside] == frame(0).pixels[row[inside], col[inside]].astype(int) - 256).all()
+
+
+@pytest.mark.parametrize(
+    ("pixels", "flag"),
+    [
+        (np.zeros((SIDE, SIDE), np.uint16), FrameFlag.EMPTY_SIGNAL),
+        (np.full((SIDE, SIDE), 65535, np.uint16), FrameFlag.SATURATED | FrameFlag.ALL_MASKED),
+        (np.full((SIDE, SIDE), np.nan, np.float32), FrameFlag.ALL_MASKED),
+        (np.full((SIDE, SIDE), np.inf, np.float32), FrameFlag.ALL_MASKED),
+        (np.full((SIDE, SIDE), 1e-3, np.float32), FrameFlag.EMPTY_SIGNAL),
+    ],
+)
+def test_frames_without_content_are_flagged(pixels: Any, flag: FrameFlag) -> None:
+    """All zero, all saturated, all NaN, all infinite, constant: a flagged header comes down, nothing is invented."""
+    run = start_run()
+    run.feed(frame(0, pixels=pixels))
+    got = only_frame(run.downlink)
+    assert got.flags & flag == flag
+    assert got.flags & FrameFlag.NO_STARS
+    assert len(got.stars) == 0
+    assert got.rois == ()
+
+
+def test_ninety_percent_masked_still_works() -> None:
+    """Stars in the remaining tenth are found; nothing is flagged as masked at 89 %."""
+    pixels = small_run.sky(0).astype(np.float32)
+    pixels[int(0.11 * SIDE) :] = np.nan
+    run = start_run(detections=())
+    run.feed(frame(0, pixels=pixels))
+    got = only_frame(run.downlink)
+    assert not got.flags & FrameFlag.ALL_MASKED
+    assert len(got.stars) >= 4
+    assert got.stars.row.max() < 0.12 * SIDE
+
+
+def test_no_star_and_one_star() -> None:
+    """An empty sky is flagged; one star is one star."""
+    rng = np.random.default_rng(3)
+    empty = np.rint(rng.normal(260.0, 2.4, (SIDE, SIDE))).astype(np.uint16)
+    one = empty.copy()
+    one[100:103, 50:53] += np.array([[30, 80, 30], [80, 200, 80], [30, 80, 30]], np.uint16)
+    run = start_run(detections=())
+    run.feed(frame(0, pixels=one))
+    got = only_frame(run.downlink)
+    assert len(got.stars) == 1
+    assert (got.stars.row[0], got.stars.col[0]) == (pytest.approx(101, abs=0.1), pytest.approx(51, abs=0.1))
+    run = start_run(detections=())
+    run.feed(frame(0, pixels=empty))
+    assert only_frame(run.downlink).flags & FrameFlag.NO_STARS
+
+
+def test_float_frame_is_rounded_at_a_twentieth_of_its_noise() -> None:
+    """Strips times scale plus offset give the float pixels back to 0.025 sigma."""
+    pixels = small_run.sky(0).astype(np.float32) * np.float32(0.37) + np.float32(1000.0)
+    run = start_run(with_calibration=False)
+    run.feed(frame(0, pixels=pixels))
+    got = only_frame(run.downlink)
+    sigma = 2.39 * 0.37
+    assert got.adu_scale == pytest.approx(0.05 * sigma, rel=0.1)
+    strip = got.rois[0].strips[0]
+    row, col, inside = strip.pixel_coordinates(SIDE, SIDE)
+    back = strip.values_adu[inside] * got.adu_scale + got.adu_offset
+    assert np.abs(back - pixels[row[inside], col[inside]]).max() <= 0.51 * got.adu_scale
+    assert got.background is not None
+    assert got.background.sigma_adu.mean() == pytest.approx(sigma, rel=0.05)
+    assert got.background.level_adu.mean() == pytest.approx(1000.0 + 0.37 * (256 + 2.8 / 1.2), abs=0.1 * sigma)
+
+
+def test_unknown_gain_and_telemetry_are_flagged() -> None:
+    """Without gain, read noise, attitude and observer: flags, and fluxes in ADU."""
+    bare = replace(header(0, telemetry=False), gain_e_adu=None, read_noise_e=None)
+    run = start_run()
+    run.feed(Frame(header=bare, pixels=small_run.sky(0)))
+    flags = only_frame(run.downlink).flags
+    expected = FrameFlag.GAIN_ASSUMED | FrameFlag.READ_NOISE_ASSUMED | FrameFlag.NO_ATTITUDE | FrameFlag.NO_OBSERVER
+    assert flags == expected
+
+
+def test_time_backwards_is_flagged_and_processed() -> None:
+    """A clock that jumps back costs the flag, not the frame; the budget does not shrink."""
+    run = start_run()
+    run.feed(frame(5))
+    back = replace(header(6), t_start_tai_ns=header(0).t_start_tai_ns)
+    result = run.feed(Frame(header=back, pixels=small_run.sky(6)))
+    assert result.housekeeping.flags & FrameFlag.TIME_BACKWARDS
+    assert result.housekeeping.n_rois_sent == 1
+
+
+def test_repeated_frame_sends_its_header_only() -> None:
+    """The same pixels under a new number publish nothing a second time."""
+    run = start_run()
+    run.feed(frame(0))
+    result = run.feed(Frame(header=header(1), pixels=small_run.sky(0)))
+    assert result.housekeeping.flags & FrameFlag.REPEATED_FRAME
+    assert result.housekeeping.n_stars_sent == 0
+    assert result.rois == ()
+
+
+def test_wrong_shape_names_both_shapes() -> None:
+    """A frame larger than the calibration is refused in one line."""
+    run = start_run()
+    with pytest.raises(ContractError, match=r"inside the calibration's 256 x 256 px, got 300 x 300 at \(0, 0\)"):
+        run.feed(frame(0, side=300, pixels=np.zeros((300, 300), np.uint16)))
+
+
+def test_wrong_dtype_is_refused_at_birth() -> None:
+    """Frames are uint16 or float32."""
+    with pytest.raises(ContractError, match="expected uint16 or float32, got int64"):
+        Frame(header=header(0), pixels=np.zeros((SIDE, SIDE), np.int64))  # type: ignore[arg-type]  # what the test is about
+
+
+def test_windowed_readout_uses_its_part_of_the_dark() -> None:
+    """A window of the detector subtracts the dark under it."""
+    window = replace(header(0, 64), window_row0=100, window_col0=120)
+    run = start_run(detections=(replace(STREAK, row0=10, col0=10, row1=50, col1=50),))
+    run.feed(Frame(header=window, pixels=small_run.sky(0, 64)))
+    assert only_frame(run.downlink).header.window_row0 == 100
+
+
+@dataclass(frozen=True, kw_only=True)
+class Raising:
+    """A detector with a bug."""
+
+    history_frames: int = 0
+
+    def detect(self, view: DetectorView) -> tuple[Detection, ...]:
+        """Fails."""
+        raise ZeroDivisionError("oops")
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scribbling:
+    """A detector that writes into its input."""
+
+    history_frames: int = 0
+
+    def detect(self, view: DetectorView) -> tuple[Detection, ...]:
+        """Tries to."""
+        view.residual_adu[0, 0] = 1.0
+        return ()
+
+
+@pytest.mark.parametrize(
+    ("detector", "message"),
+    [
+        (Raising(), r"onboard\.detector .*:Raising: ZeroDivisionError: oops"),
+        (Scribbling(), r"onboard\.detector .*:Scribbling: ValueError: assignment destination is read-only"),
+        (PlantedDetector(detections=(replace(STREAK, row1=300.0),)), r"PlantedDetector: end \(300\.0, 200\.0\) lies outside"),
+        (PlantedDetector(detections=("not a detection",)), "PlantedDetector: expected Detection, got str"),  # type: ignore[arg-type]  # on purpose
+    ],
+)
+def test_faulty_detector_stops_the_run_and_is_named(detector: Any, message: str) -> None:
+    """A plug-in's bug is a PluginError with its name."""
+    run = start_run(steps=steps_with(detector=detector))
+    with pytest.raises(PluginError, match=message):
+        run.feed(frame(0))
+
+
+def test_tight_budget_drops_in_order_of_priority() -> None:
+    """Stars stay, the better streak stays, the suspicious one and the pictures go; everything dropped is counted."""
+    good, cosmic = STREAK, replace(STREAK, row0=20.0, row1=140.0, snr=40.0, flags=StreakFlag.COSMIC_LIKE)
+    roomy = start_run(detections=(cosmic, good)).feed(frame(0))
+    needed = {apid: n for apid, n in roomy.bytes_by_apid.items() if apid in (layout.Apid.HEADER, layout.Apid.STARS)}
+    room = sum(needed.values()) + roomy.bytes_by_apid[layout.Apid.ROI] // 2 + 100
+    run = start_run(detections=(cosmic, good), downlink=DownlinkOptions(budget_mbit_s=room * 8 / 0.2 / 1e6, burst_s=0.0))
+    result = run.feed(frame(0))
+    assert result.housekeeping.flags & FrameFlag.BUDGET_CUT
+    assert [group.detection.snr for group in result.rois][0] == 20.0
+    assert result.housekeeping.n_rois_sent + result.housekeeping.n_rois_dropped == 2
+    assert result.housekeeping.bytes_dropped > 0
+    assert layout.Apid.BACKGROUND not in result.bytes_by_apid
+    assert len(result.packets) <= room
+
+
+def test_a_streak_that_does_not_fit_is_cut_before_it_is_dropped() -> None:
+    """Between the full and the tight size, the tight one is sent and flagged ROI_CUT."""
+    faint = replace(STREAK, snr=7.0)
+    full = start_run(detections=(faint,)).feed(frame(0))
+    fixed = full.bytes_by_apid[layout.Apid.HEADER] + full.bytes_by_apid[layout.Apid.STARS]
+    room = fixed + 0.8 * full.bytes_by_apid[layout.Apid.ROI]
+    run = start_run(detections=(faint,), downlink=DownlinkOptions(budget_mbit_s=room * 8 / 0.2 / 1e6, burst_s=0.0))
+    result = run.feed(frame(0))
+    assert result.rois[0].detection.flags & StreakFlag.ROI_CUT
+    assert result.housekeeping.n_rois_dropped == 0
+
+
+def test_unspent_budget_is_kept_for_a_burst() -> None:
+    """After quiet frames a burst may spend what they left, but not more than burst_s of it."""
+    run = start_run(detections=(), downlink=DownlinkOptions(budget_mbit_s=1.0, burst_s=0.5))
+    for number in range(5):
+        run.feed(frame(number))
+    rate = 1e6 / 8
+    assert 0.25 * rate < run.state.allowance.credit_bytes <= 0.5 * rate
+
+
+def test_storm_is_limited_and_flagged() -> None:
+    """More detections than allowed: the best are sent, the flag and the effective threshold come down."""
+    many = tuple(replace(POINT, row0=10.0 + 3 * k, row1=10.0 + 3 * k, snr=7.0 + k) for k in range(60))
+    run = start_run(detections=many, roi=RoiOptions(max_per_frame=10))
+    result = run.feed(frame(0))
+    assert result.housekeeping.flags & FrameFlag.STORM
+    assert result.housekeeping.n_rois_sent == 10
+    assert result.housekeeping.n_rois_dropped == 50
+    assert result.housekeeping.threshold_sigma == 57.0
+
+
+def test_what_stays_is_flagged_static_not_cut() -> None:
+    """A detection at the same place in two frames is sent with STATIC; a moving one is not flagged."""
+    run = start_run(detections=(STREAK,))
+    assert not run.feed(frame(0)).rois[0].detection.flags & StreakFlag.STATIC
+    assert run.feed(frame(1)).rois[0].detection.flags & StreakFlag.STATIC
+
+
+def test_hot_pixels_are_learned() -> None:
+    """A pixel that shines in three frames is masked from the fourth on; a cosmic ray in one frame is not."""
+    run = start_run(detections=())
+    for number in range(5):
+        pixels = small_run.sky(number)
+        pixels[33, 44] += 500
+        pixels[70 + number, 90] += 500
+        run.feed(frame(number, pixels=pixels))
+    learned = run.state.hot_pixels.learned()
+    assert list(learned) == [33 * SIDE + 44]
+    assert run.results[-1].housekeeping.n_masked == 1
+    assert run.results[2].housekeeping.n_masked == 0
+
+
+@pytest.mark.parametrize("codec", [PlanesCodec(), RawCodec()])
+def test_whole_frames_are_bit_exact(codec: Any) -> None:
+    """Every second frame comes down whole, equal to raw minus rounded dark, saturated stars included."""
+    run = start_run(codec=codec, downlink=DownlinkOptions(whole_frame_every=2))
+    pixels = small_run.sky(0)
+    pixels[100:110, 100:110] = 65535
+    run.feed(frame(0, pixels=pixels))
+    run.feed(frame(1))
+    frames, report = decode_downlink(run.downlink, [PlanesDecoder(), RawDecoder()])
+    assert report.frames_complete == (0, 1)
+    assert frames[1].whole_frame is None
+    assert frames[0].whole_frame is not None
+    assert (frames[0].whole_frame == pixels.astype(np.int32) - 256).all()
+
+
+def test_lossy_codec_is_flagged() -> None:
+    """Strips coded with loss say so."""
+    result = start_run(codec=SqrtPlanesCodec()).feed(frame(0))
+    assert result.rois[0].detection.flags & StreakFlag.LOSSY
+
+
+def test_packets_obey_the_size_limit_and_the_state_pickles() -> None:
+    """No packet beyond 4,096 bytes even for large strips; a pickled state goes on with the same bytes."""
+    wide = replace(STREAK, row0=0.0, col0=0.0, row1=255.0, col1=255.0, snr=6.5)
+    run = start_run(detections=(wide,), codec=RawCodec())
+    run.feed(frame(0))
+    data, at, sizes = run.downlink, 0, []
+    while at < len(data):
+        sizes.append(layout.PRIMARY.unpack_from(data, at)[2] + 7)
+        at += sizes[-1]
+    assert at == len(data)
+    assert max(sizes) <= layout.MAX_PACKET_BYTES
+    revived = pickle.loads(pickle.dumps(run.state))  # noqa: S301 - our own bytes, in a test of picklability
+    direct = run.chain.process(run.state, frame(1))[1].packets
+    assert run.chain.process(revived, frame(1))[1].packets == direct
+
+
+def test_views_are_kept_for_detectors_that_ask() -> None:
+    """A detector that declares two frames of history sees the two before, unchanged, oldest first."""
+
+    @dataclass(frozen=True, kw_only=True)
+    class Looking:
+        seen: list[Any]
+        history_frames: int = 2
+
+        def detect(self, view: DetectorView) -> tuple[Detection, ...]:
+            self.seen.append([(v.header.frame, float(v.residual_adu.sum())) for v in (*view.history, view)])
+            return ()
+
+    seen: list[Any] = []
+    run = start_run(steps=steps_with(detector=Looking(seen=seen)))
+    for number in range(4):
+        run.feed(frame(number))
+    assert [[number for number, _ in views] for views in seen] == [[0], [0, 1], [0, 1, 2], [1, 2, 3]]
+    assert seen[3][0] == seen[2][1] == seen[1][1]

@@ -160,13 +160,14 @@ def process(
     """Process frames from outside: on board and on ground, without truth."""
     from sboc_e2e import scenario as scenarios
     from sboc_e2e.outside.fits_frames import FitsFolder
+    from sboc_e2e.outside.process import base_document
     from sboc_e2e.outside.process import process as execute
 
     registry = registry_of(plugin)
-    resolved = scenarios.bare("process", registry=registry, overrides=overrides or (), use=parsed_uses(use))
+    resolved = scenarios.bare("process", base_document(wcs), registry=registry, overrides=overrides or (), use=parsed_uses(use))
     with shown_progress() as progress:
         source = FitsFolder(path=folder, use_wcs=wcs == "header")
-        execute(source, resolved, out, camera=camera, wcs=wcs, force=force, registry=registry, progress=progress)
+        execute(source, resolved, out, camera=camera, force=force, registry=registry, progress=progress)
     typer.echo(out / "products")
 
 

@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.files import calibration_files
@@ -31,16 +31,23 @@ class Seen:
     notes: dict[str, int] = field(default_factory=dict)
 
 
-def process(
-    source: FrameSource, scenario: Scenario, out: Path, *, camera: str | None, wcs: str, force: bool, registry: Registry, progress: Progress
-) -> None:
-    """Products of all frames of a source in a run directory.
+def base_document(wcs: str) -> dict[str, Any]:
+    """Scenario tables behind ``--wcs``: whether attitudes are searched for among all stars.
 
-    camera : an instrument preset, None to guess one from the first frame. wcs : "header" uses the WCS of headers,
-    "solve" solves the attitude from stars (which takes a preset, for the scale), "none" gives pixel positions only.
+    "header" uses the WCS of headers, "solve" solves the attitude from stars, "none" gives pixel positions only.
     """
     if wcs not in WCS_CHOICES:
         raise UserError(f'--wcs: expected one of {", ".join(WCS_CHOICES)}, got "{wcs[:40]}"')
+    return {"ground": {"astrometry": {"lost_in_space": "required" if wcs == "solve" else "never"}}}
+
+
+def process(
+    source: FrameSource, scenario: Scenario, out: Path, *, camera: str | None, force: bool, registry: Registry, progress: Progress
+) -> None:
+    """Products of all frames of a source in a run directory.
+
+    camera : an instrument preset, None to guess one from the first frame.
+    """
     directory = RunDirectory(path=out)
     n_frames = source.n_frames
     directory.prepare(resume=False, force=force)
@@ -67,7 +74,7 @@ def process(
         chain=ground_chain(scenario, calibration=None, camera=nominal, catalogue=catalogue),
         options=scenario.ground,
         catalogue=catalogue,
-        outside=Outside(origin=seen.origin, wcs=seen.wcs if wcs == "header" else {}),
+        outside=Outside(origin=seen.origin, wcs=seen.wcs),
     )
     manifest.begin("ground")
     count, peak_mb = ground.execute(progress)

@@ -191,6 +191,7 @@ class Run:
 def run(request: RunRequest, progress: Progress | None = None) -> Run:
     """All stages of a scenario, from where an earlier attempt stopped when `resume` is set."""
     shown = progress or Silent()
+    workers = worker_count(request.workers)
     directory = RunDirectory(path=request.out)
     wanted = Manifest.of(directory.manifest, request.scenario)
     disk.check(request.out, request.scenario, shown)
@@ -200,9 +201,7 @@ def run(request: RunRequest, progress: Progress | None = None) -> Run:
         _same_run(manifest, wanted)
     else:
         manifest.save()
-    made = Run(
-        directory=directory, manifest=manifest, scenario=request.scenario, workers=worker_count(request.workers), progress=shown
-    )
+    made = Run(directory=directory, manifest=manifest, scenario=request.scenario, workers=workers, progress=shown)
     if not manifest.done("onboard"):
         made.simulate_and_onboard()
     for stage, execute in (("ground", made.ground), ("score", made.score), ("report", made.report)):

@@ -129,10 +129,15 @@ def load(
 
 
 def bare(
-    name: str, *, registry: Registry, overrides: Iterable[str] = (), use: Mapping[str, str] | None = None
+    name: str,
+    document: Mapping[str, Any],
+    *,
+    registry: Registry,
+    overrides: Iterable[str] = (),
+    use: Mapping[str, str] | None = None,
 ) -> Scenario:
-    """A scenario without a file: defaults, overrides and typed steps."""
-    return _resolved({}, name, name, registry, overrides, use or {}, None)
+    """A scenario without a file: the given tables over the defaults, then overrides and typed steps."""
+    return _resolved(dict(document), name, name, registry, overrides, use or {}, None)
 
 
 def _resolved(

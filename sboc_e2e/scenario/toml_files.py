@@ -13,6 +13,7 @@ FOLDER: Final = Path(__file__).resolve().parents[2] / "scenarios"
 """Scenarios and presets that come with the project."""
 
 MAX_FILE_BYTES: Final = 1 << 20
+MAX_DEPTH: Final = 16
 _PRESET_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
@@ -32,11 +33,24 @@ def read(path: Path) -> dict[str, Any]:
 def parse(text: str, where: str) -> dict[str, Any]:
     """The tables of a TOML text; `UserError` of one line otherwise."""
     try:
-        return tomllib.loads(text)
+        document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
         raise UserError(f"{where}: not valid TOML: {error}") from error
     except (RecursionError, ValueError) as error:
         raise UserError(f"{where}: not valid TOML: {type(error).__name__}") from error
+    _refuse_deep(document, where)
+    return document
+
+
+def _refuse_deep(document: dict[str, Any], where: str) -> None:
+    """Refuse nesting that no scenario has and that later recursive steps could not walk."""
+    level: list[Any] = [document]
+    for _ in range(MAX_DEPTH):
+        below = [item.values() if isinstance(item, dict) else item for item in level if isinstance(item, dict | list)]
+        level = [value for values in below for value in values]
+        if not level:
+            return
+    raise UserError(f"{where}: tables are nested more than {MAX_DEPTH} deep")
 
 
 def with_presets(document: Mapping[str, Any], origin: Path, where: str) -> dict[str, Any]:
@@ -78,7 +92,7 @@ def with_overrides(document: Mapping[str, Any], overrides: Iterable[str]) -> dic
     for text in overrides:
         path, equals, value_text = text.partition("=")
         keys = [key.strip() for key in path.split(".")]
-        if not equals or not all(keys):
+        if not equals or not all(keys) or len(keys) > MAX_DEPTH:
             raise UserError(f'--set: expected key=value such as sensor.rows=512, got "{text[:80]}"')
         table = result
         for key in keys[:-1]:

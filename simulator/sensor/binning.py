@@ -44,6 +44,11 @@ def bin_means(values: NDArray[np.float32], options: BinningOptions) -> NDArray[n
     return np.asarray(_blocks(values, options).mean(axis=(1, 3)), dtype=np.float32)
 
 
+def bin_flags(flags: NDArray[np.uint8], options: BinningOptions) -> NDArray[np.uint8]:
+    """All flags of the pixels of each block."""
+    return np.asarray(np.bitwise_or.reduce(np.bitwise_or.reduce(_blocks(flags, options), axis=3), axis=1), dtype=np.uint8)
+
+
 def noise_factor(options: BinningOptions) -> float:
     """Noise of a binned pixel, in electrons of the whole block, over the noise of one detector pixel.
 

@@ -5,7 +5,6 @@ distribution that the average of N independent frames has (mean of the pixel, it
 frame-by-frame result only in higher moments that fall as 1/N.
 """
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numba
@@ -13,8 +12,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.flags import MaskBit
+from simulator.sensor.binning import bin_flags, bin_means
 from simulator.sensor.counter import GAMMA, NORMAL_TABLE, mix, normal, row_key
-from simulator.sensor.options import BinningOptions, SensorOptions
+from simulator.sensor.maps import PixelModel
+from simulator.sensor.options import SensorOptions
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,31 +29,30 @@ class CalibrationMaps:
 
 def reduce_calibration(
     options: SensorOptions,
-    response_of: NDArray[np.float64],
-    dark_of_e: NDArray[np.float64],
-    noise_of_e: NDArray[np.float64],
-    response: NDArray[np.uint8],
-    dark: NDArray[np.uint8],
-    noise: NDArray[np.uint8],
-    column_e: NDArray[np.float64],
+    pixels: PixelModel,
+    exposure_s: float,
     illumination: NDArray[np.float32] | None,
+    jumps: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]],
     word: int,
-    bin_means: Callable[[NDArray[np.float32], BinningOptions], NDArray[np.float32]],
 ) -> CalibrationMaps:
-    """Maps from the classes of all pixels; see `Sensor.calibration_maps`."""
+    """Maps of the pixels of a window.
+
+    illumination : (rows, cols) of the flat field, 1 on axis; None for uniform.
+    jumps : row, col and mean electrons of telegraph pixels over the dark frames. word : of the random stream.
+    """
     calibration, converter = options.calibration, options.converter
     flat_e = calibration.flat_level * converter.full_well_e
-    dark_adu = np.empty(response.shape, dtype=np.float32)
-    flat = np.empty(response.shape, dtype=np.float32)
+    dark_adu = np.empty(pixels.response.shape, dtype=np.float32)
+    flat = np.empty(pixels.response.shape, dtype=np.float32)
     light = illumination if illumination is not None else np.ones((1, 1), dtype=np.float32)
     _average_frames(
-        response,
-        dark,
-        noise,
-        response_of,
-        dark_of_e,
-        noise_of_e,
-        column_e,
+        pixels.response,
+        pixels.dark,
+        pixels.noise,
+        pixels.response_of,
+        pixels.dark_rate_of_e_s * exposure_s,
+        pixels.noise_of_e,
+        pixels.column_e,
         light,
         illumination is not None,
         flat_e,
@@ -63,16 +63,16 @@ def reduce_calibration(
         dark_adu,
         flat,
     )
-    median_noise_adu = float(noise_of_e[128]) / converter.gain_e_adu
+    row, col, jump_e = jumps
+    dark_adu[row, col] += jump_e / np.float32(converter.gain_e_adu)
+    median_noise_adu = pixels.median_noise_e / converter.gain_e_adu
     typical_adu = float(np.median(dark_adu[::13, ::7]))
-    defects = np.zeros(response.shape, dtype=np.uint8)
+    defects = np.zeros(flat.shape, dtype=np.uint8)
     hot_adu = typical_adu + calibration.hot_sigma * median_noise_adu
     _flag_defects(dark_adu, flat, light, illumination is not None, hot_adu, defects)
     binning = options.binning
     if binning.rows * binning.cols > 1:
-        rows, cols = response.shape[0] // binning.rows, response.shape[1] // binning.cols
-        blocks = defects[: rows * binning.rows, : cols * binning.cols].reshape(rows, binning.rows, cols, binning.cols)
-        defects = np.bitwise_or.reduce(np.bitwise_or.reduce(blocks, axis=3), axis=1)
+        defects = bin_flags(defects, binning)
         dark_adu, flat = bin_means(dark_adu, binning), bin_means(flat, binning)
         if binning.method == "sum":
             n = binning.rows * binning.cols

@@ -44,6 +44,45 @@ class FixedPattern:
     column_e: NDArray[np.float64]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PixelModel:
+    """Pixels of the read-out window: maps of classes, (rows, cols) uint8 each, and what each of the 256 classes means.
+
+    response_of : relative response. dark_rate_of_e_s : dark current. noise_of_e : read noise. column_e : (cols,) offsets.
+    """
+
+    response: NDArray[np.uint8]
+    dark: NDArray[np.uint8]
+    noise: NDArray[np.uint8]
+    response_of: NDArray[np.float64]
+    dark_rate_of_e_s: NDArray[np.float64]
+    noise_of_e: NDArray[np.float64]
+    column_e: NDArray[np.float64]
+
+    @property
+    def median_dark_e_s(self) -> float:
+        """Dark current of the median pixel."""
+        return float(self.dark_rate_of_e_s[_MIDDLE])
+
+    @property
+    def median_noise_e(self) -> float:
+        """Read noise of the median pixel."""
+        return float(self.noise_of_e[_MIDDLE])
+
+
+def pixel_model(options: SensorOptions, pattern: FixedPattern, rows: slice, cols: slice) -> PixelModel:
+    """The window ``[rows, cols]`` of a sensor."""
+    return PixelModel(
+        response=pattern.response[rows, cols],
+        dark=pattern.dark[rows, cols],
+        noise=pattern.noise[rows, cols],
+        response_of=response_of_class(options),
+        dark_rate_of_e_s=dark_rate_of_class_e_s(options),
+        noise_of_e=read_noise_of_class_e(options),
+        column_e=np.ascontiguousarray(pattern.column_e[cols]),
+    )
+
+
 def draw_fixed_pattern(options: SensorOptions, rows: int, cols: int, seed: int) -> FixedPattern:
     """The fixed pattern of a sensor of (rows, cols) pixels from its seed."""
     response, dark, noise = (np.empty((rows, cols), dtype=np.uint8) for _ in range(3))

@@ -85,7 +85,7 @@ class ConverterOptions:
             )
         if self.dual_gain and self.low_gain_e_adu < self.gain_e_adu:
             raise UserError(
-                f"sensor.converter.low_gain: {self.low_gain_e_adu:g} e-/ADU; allowed is the high channel's {self.gain_e_adu:g} or more"
+                f"sensor.converter.low_gain: {self.low_gain_e_adu:g} e-/ADU; allowed is {self.gain_e_adu:g}, the high one, or more"
             )
 
 

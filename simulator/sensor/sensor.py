@@ -10,16 +10,10 @@ from sboc_e2e.icd.errors import UserError
 from simulator.radiation.hits import HitList, no_hits
 from simulator.randomness import Effect, seed_word
 from simulator.sensor import digitise as passes
-from simulator.sensor.binning import bin_means, bin_pixels, noise_factor
+from simulator.sensor.binning import bin_pixels, noise_factor
 from simulator.sensor.calibration import CalibrationMaps, reduce_calibration
 from simulator.sensor.counter import NORMAL_TABLE
-from simulator.sensor.maps import (
-    dark_rate_of_class_e_s,
-    draw_fixed_pattern,
-    read_noise_of_class_e,
-    response_of_class,
-    telegraph_charge_e,
-)
+from simulator.sensor.maps import draw_fixed_pattern, pixel_model, telegraph_charge_e
 from simulator.sensor.options import SensorOptions
 from simulator.sensor.poisson import poisson_tables
 from simulator.sensor.statistics import entropy_table, mean_entropy_bits, pixel_variance
@@ -57,13 +51,10 @@ class Sensor:
         if self.window_rows < binning.rows or self.window_cols < binning.cols:
             raise UserError(f"sensor.binning: {binning.rows} x {binning.cols} exceeds the window {self.window_shape}")
         pattern = draw_fixed_pattern(options, rows, cols, seed)
-        part = np.s_[window.row0 : window.row0 + self.window_rows, window.col0 : window.col0 + self.window_cols]
+        in_rows = slice(window.row0, window.row0 + self.window_rows)
+        in_cols = slice(window.col0, window.col0 + self.window_cols)
         self._pattern = pattern
-        self._response, self._dark, self._noise = pattern.response[part], pattern.dark[part], pattern.noise[part]
-        self._column_e = np.ascontiguousarray(pattern.column_e[part[1]])
-        self._response_of = response_of_class(options)
-        self._dark_rate_of = dark_rate_of_class_e_s(options)
-        self._noise_of = read_noise_of_class_e(options)
+        self._pixels = pixel_model(options, pattern, in_rows, in_cols)
         self._poisson = poisson_tables()
         self._entropy: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None
 
@@ -81,8 +72,8 @@ class Sensor:
     @cached_property
     def read_noise_e(self) -> float:
         """Rms read noise of a detector pixel over the sensor, row noise and (without CDS) reset noise included."""
-        counts = np.bincount(self._noise[::7, ::5].ravel(), minlength=256)
-        variance = float((counts * self._noise_of**2).sum() / counts.sum())
+        counts = np.bincount(self._pixels.noise[::7, ::5].ravel(), minlength=256)
+        variance = float((counts * self._pixels.noise_of_e**2).sum() / counts.sum())
         return float(np.sqrt(variance + self.options.readout.row_noise_e**2))
 
     @property
@@ -141,13 +132,13 @@ class Sensor:
         passes.digitise_rows(
             mean_e,
             self.options.window.row0 + first_row,
-            self._response[part],
-            self._dark[part],
-            self._noise[part],
-            self._response_of,
-            self._dark_rate_of * exposure_s,
-            self._noise_of,
-            self._column_e,
+            self._pixels.response[part],
+            self._pixels.dark[part],
+            self._pixels.noise[part],
+            self._pixels.response_of,
+            self._pixels.dark_rate_of_e_s * exposure_s,
+            self._pixels.noise_of_e,
+            self._pixels.column_e,
             self.options.readout.row_noise_e,
             *self._extra_charge(frame, hits or no_hits(), first_row, n),
             self._words(frame),
@@ -170,18 +161,18 @@ class Sensor:
         fixed = self.options.readout.row_noise_e**2 + converter.gain_e_adu**2 / 12.0
         mean = np.asarray(mean_e, dtype=np.float32)
         if mean.ndim == 0:
-            dark = self._dark_rate_of[128] * exposure_s
-            return np.asarray(shot * (mean + dark) + self._noise_of[128] ** 2 + fixed, dtype=np.float32)
+            dark = self._pixels.median_dark_e_s * exposure_s
+            return np.asarray(shot * (mean + dark) + self._pixels.median_noise_e**2 + fixed, dtype=np.float32)
         part = np.s_[row0 : row0 + mean.shape[0], col0 : col0 + mean.shape[1]]
         out = np.empty(mean.shape, dtype=np.float32)
         pixel_variance(
             mean,
-            self._response[part],
-            self._dark[part],
-            self._noise[part],
-            shot * self._response_of,
-            shot * self._dark_rate_of * exposure_s + fixed,
-            self._noise_of**2,
+            self._pixels.response[part],
+            self._pixels.dark[part],
+            self._pixels.noise[part],
+            shot * self._pixels.response_of,
+            shot * self._pixels.dark_rate_of_e_s * exposure_s + fixed,
+            self._pixels.noise_of_e**2,
             out,
         )
         return out
@@ -194,16 +185,16 @@ class Sensor:
         low-gain unit.
         """
         if self._entropy is None:
-            codes = np.sort(self._noise[::31, ::17].ravel())
+            codes = np.sort(self._pixels.noise[::31, ::17].ravel())
             quantiles = codes[((np.arange(9) + 0.5) / 9 * codes.size).astype(int)]
-            self._entropy = entropy_table(self._noise_of[quantiles], self.options.converter.gain_e_adu)
+            self._entropy = entropy_table(self._pixels.noise_of_e[quantiles], self.options.converter.gain_e_adu)
         converter, readout = self.options.converter, self.options.readout
         top = converter.gain_e_adu * (2.0**converter.bits - 1.0)
         return mean_entropy_bits(
             mean_e,
-            float(self._dark_rate_of[128]) * exposure_s,
+            self._pixels.median_dark_e_s * exposure_s,
             *self._entropy,
-            (converter.gain_e_adu, float(self._noise_of[128]), converter.handover * top if converter.dual_gain else np.inf),
+            (converter.gain_e_adu, self._pixels.median_noise_e, converter.handover * top if converter.dual_gain else np.inf),
             (
                 converter.low_gain_e_adu,
                 readout.low_gain_read_noise_e,
@@ -216,19 +207,15 @@ class Sensor:
 
         illumination : (window rows, window cols) relative illumination of the flat field, 1 on axis; None for uniform.
         """
-        return reduce_calibration(
-            self.options,
-            self._response_of,
-            self._dark_rate_of * exposure_s,
-            self._noise_of,
-            self._response,
-            self._dark,
-            self._noise,
-            self._column_e,
-            illumination,
-            seed_word(self.seed, Effect.CALIBRATION),
-            bin_means,
-        )
+        pattern, window = self._pattern, self.options.window
+        # The dark frames (the last 256 of them) are taken before frame 0: telegraph pixels spend them in the states they then have.
+        states = range(-min(self.options.calibration.dark_frames, 256), 0)
+        jump_e = np.mean([telegraph_charge_e(pattern, self.options, self.seed, frame) for frame in states], axis=0)
+        row, col = pattern.telegraph_row.astype(np.int64) - window.row0, pattern.telegraph_col.astype(np.int64) - window.col0
+        inside = (row >= 0) & (row < self.window_rows) & (col >= 0) & (col < self.window_cols)
+        jumps = (row[inside], col[inside], jump_e[inside].astype(np.float32))
+        word = seed_word(self.seed, Effect.CALIBRATION)
+        return reduce_calibration(self.options, self._pixels, exposure_s, illumination, jumps, word)
 
     def _words(self, frame: int) -> tuple[np.uint64, np.uint64, np.uint64]:
         return (
@@ -274,10 +261,10 @@ class Sensor:
         passes.collect_rows(
             mean_e,
             self.options.window.row0,
-            self._response,
-            self._dark,
-            self._response_of,
-            self._dark_rate_of * exposure_s,
+            self._pixels.response,
+            self._pixels.dark,
+            self._pixels.response_of,
+            self._pixels.dark_rate_of_e_s * exposure_s,
             *self._extra_charge(frame, hits, 0, mean_e.shape[0]),
             words[0],
             self.options.shot_noise,
@@ -286,7 +273,7 @@ class Sensor:
             charge,
         )
         passes.bleed_columns(charge, self.options.converter.full_well_e)
-        noise, column = self._noise, self._column_e
+        noise, column = self._pixels.noise, self._pixels.column_e
         if self.on_chip_sum:
             binning = self.options.binning
             rows, cols = self.window_rows // binning.rows, self.window_cols // binning.cols
@@ -297,7 +284,7 @@ class Sensor:
             charge,
             self.options.window.row0,
             noise,
-            self._noise_of,
+            self._pixels.noise_of_e,
             column,
             self.options.readout.row_noise_e,
             words,
@@ -311,9 +298,9 @@ class Sensor:
         """Inverse noise variance in the dark; dead pixels weigh nothing. Only where binning asks for it."""
         if self.options.binning.method != "weighted":
             return None
-        variance = np.take((self._noise_of**2).astype(np.float32), self._noise)
-        variance += np.take(self._dark_rate_of.astype(np.float32), self._dark)
-        return np.asarray((self._response > 0) / np.maximum(variance, 1e-6), dtype=np.float32)
+        variance = np.take((self._pixels.noise_of_e**2).astype(np.float32), self._pixels.noise)
+        variance += np.take(self._pixels.dark_rate_of_e_s.astype(np.float32), self._pixels.dark)
+        return np.asarray((self._pixels.response > 0) / np.maximum(variance, 1e-6), dtype=np.float32)
 
 
 def _blocks_of(charge_e: NDArray[np.float64], rows: int, cols: int, height: int, width: int) -> NDArray[np.float64]:

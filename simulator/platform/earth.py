@@ -39,13 +39,20 @@ def tai_ns_of_utc(epoch_utc: str) -> int:
         time = Time(epoch_utc.removesuffix("Z"), scale="utc", format="isot" if "T" in epoch_utc else "iso")
     except ValueError as error:
         raise UserError(f"epoch_utc: {epoch_utc!r} is not an ISO-8601 date in UTC, like 2027-01-29T00:00:00") from error
+    atomic = time.tai
+    tai_ns = tai.from_jd_parts(atomic.jd1, atomic.jd2)
+    refuse_outside_data(tai_ns)
+    return tai_ns
+
+
+def refuse_outside_data(tai_ns: int) -> None:
+    """UserError for an epoch that the installed Earth-orientation data do not cover."""
     table = iers.earth_orientation_table.get()
     first, last = float(table["MJD"][0].value), float(table["MJD"][-1].value)
+    time = Time(*tai.to_jd_parts(tai_ns), format="jd", scale="tai")
     if not first <= time.mjd <= last:
         allowed = f"{Time(first, format='mjd').iso[:10]} to {Time(last, format='mjd').iso[:10]}"
-        raise UserError(f"epoch_utc: {epoch_utc} lies outside the Earth-orientation data; allowed is {allowed}")
-    atomic = time.tai
-    return tai.from_jd_parts(atomic.jd1, atomic.jd2)
+        raise UserError(f"epoch_utc: {time.iso[:10]} lies outside the Earth-orientation data; allowed is {allowed}")
 
 
 def tt_parts(tai_ns: int) -> tuple[float, float]:

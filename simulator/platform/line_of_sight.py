@@ -53,6 +53,11 @@ class LineOfSight:
         """Positions and velocities (n, 3)."""
         return CubicSpline(self.node_s, self.observer_km)(time_s), CubicSpline(self.node_s, self.velocity_km_s)(time_s)
 
+    @property
+    def middle_velocity_km_s(self) -> Array:
+        """Velocity (3,) of the observer in the middle of the frame."""
+        return np.asarray(self.velocity_km_s[len(self.velocity_km_s) // 2])
+
     def rate_rad_s(self) -> Array:
         """Angular velocity (3,) of the camera frame, in the camera frame, mean over the frame."""
         span = self.fine_s[-1] - self.fine_s[0]

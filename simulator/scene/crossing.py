@@ -97,9 +97,11 @@ def _refine(slack: Callable[[Array], tuple[Array, Array]], dark_s: float, seen_s
     return float(seen_s), edge
 
 
-def path_length_px(row: Array, col: Array) -> float:
-    """Length of the polygon through points."""
-    return float(np.hypot(np.diff(row), np.diff(col)).sum())
+def arc_length_px(chord_px: float, sagitta_px: float) -> float:
+    """Length of a flat arc, ``c + 8 s^2 / 3 c``; jitter along the way is not counted as length."""
+    if chord_px <= 4.0 * abs(sagitta_px):
+        return float(np.hypot(chord_px, 2.0 * sagitta_px))
+    return float(chord_px + 8.0 * sagitta_px**2 / (3.0 * chord_px))
 
 
 def time_bins(place: Place, interval: Interval, step_px: float) -> tuple[Array, float]:

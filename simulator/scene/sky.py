@@ -90,8 +90,10 @@ def unresolved_s10(directions: Array) -> Array:
     return np.asarray(np.interp(latitude_deg, _GALACTIC_LATITUDE_DEG, _UNRESOLVED_S10))
 
 
-def surface_brightness_flux(s10: Array) -> Array:
-    """Flux of one square arcsecond in units of a V = 0 star."""
+def diffuse_flux(options: SkyOptions, directions: Array, sun_km: Array) -> Array:
+    """Flux of one square arcsecond of sky in GCRS directions (n, 3), in units of a V = 0 star."""
+    zodiacal = zodiacal_s10(directions, sun_km / np.linalg.norm(sun_km))
+    s10 = options.zodiacal * zodiacal + options.unresolved * unresolved_s10(directions)
     return np.asarray(s10 * 10.0 ** (-0.4 * S10_MAG))
 
 

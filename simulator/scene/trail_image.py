@@ -9,11 +9,11 @@ from scipy.interpolate import CubicSpline
 
 from sboc_e2e import truth
 from simulator.exposure import render_trail
-from simulator.optics.projection import Projection
+from simulator.optics.camera import Camera
 from simulator.platform.line_of_sight import LineOfSight
 from simulator.scene.aberration import aberrate
 from simulator.scene.atmosphere import Atmosphere
-from simulator.scene.crossing import Interval, Place, RowShutter, exposed_intervals, path_length_px, time_bins
+from simulator.scene.crossing import Interval, Place, RowShutter, arc_length_px, exposed_intervals, time_bins
 from simulator.scene.objects import PixelPathObject, SkyObject
 from simulator.scene.stars import angles_deg
 
@@ -40,29 +40,8 @@ class Path:
     range_km: Callable[[Array], Array]
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class FocalPlane:
-    """What turns a path into light: functions of window rows and cols, and numbers of the camera.
-
-    sigma_px, illumination : functions of (row, col). variance_e2 : function of (image block, first row, first col).
-    saturation_e : signal at which a detector pixel saturates.
-    """
-
-    shape: tuple[int, int]
-    bin_rows: int
-    bin_cols: int
-    zero_point_e_s: float
-    sigma_px: Callable[[Array, Array], Array]
-    illumination: Callable[[Array, Array], Array]
-    variance_e2: Callable[[NDArray[np.float32], int, int], NDArray[np.float32]]
-    saturation_e: float
-    focal_px: float
-    aperture_m: float
-    obstruction: float
-
-
 def sky_path_of(
-    thing: SkyObject, sight: LineOfSight, projection: Projection, sun_km: Array, air: Atmosphere | None, dimming: float = 1.0
+    thing: SkyObject, sight: LineOfSight, camera: Camera, sun_km: Array, air: Atmosphere | None, dimming: float = 1.0
 ) -> Path:
     """The path of an object with directions: splines of its apparent vector through the nodes of the frame.
 
@@ -82,7 +61,7 @@ def sky_path_of(
         return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
     def place(time_s: Array) -> tuple[Array, Array]:
-        return projection.to_pixels(sight.to_camera(time_s, lifted(time_s)))
+        return camera.projection.to_pixels(sight.to_camera(time_s, lifted(time_s)))
 
     def range_km(time_s: Array) -> Array:
         return np.asarray(np.linalg.norm(published(time_s), axis=-1))
@@ -99,9 +78,7 @@ def sky_path_of(
     )
 
 
-def pixel_path_of(
-    thing: PixelPathObject, sight: LineOfSight, projection: Projection, bin_rows: int, bin_cols: int, zero_s: float
-) -> Path:
+def pixel_path_of(thing: PixelPathObject, sight: LineOfSight, camera: Camera, zero_s: float) -> Path:
     """The path of an object that is given in delivered pixels; its directions follow from the camera.
 
     zero_s : where its time starts, seconds after the epoch of the run.
@@ -109,10 +86,10 @@ def pixel_path_of(
 
     def place(time_s: Array) -> tuple[Array, Array]:
         row, col, _ = thing.place(time_s - zero_s)
-        return bin_rows * row + 0.5 * (bin_rows - 1), bin_cols * col + 0.5 * (bin_cols - 1)
+        return camera.undelivered(row, col)
 
     def apparent(time_s: Array) -> Array:
-        return sight.to_gcrs(time_s, projection.to_vectors(*place(time_s)))
+        return sight.to_gcrs(time_s, camera.projection.to_vectors(*place(time_s)))
 
     def published(time_s: Array) -> Array:
         return aberrate(apparent(time_s), -sight.observer_at(time_s)[1])
@@ -132,25 +109,23 @@ def add_trail(
     path: Path,
     sight: LineOfSight,
     shutter: RowShutter,
-    plane: FocalPlane,
+    camera: Camera,
     *,
-    frame: int,
-    object_id: int,
     epoch_tai_ns: int,
 ) -> NDArray[np.void]:
-    """Add a mover's light to the image and return its rows of the truth (none when it is not in the frame).
+    """Add a mover's light to the image; its rows of the truth, numbers of frame and object left open (none if unseen).
 
     scratch_e : zeroed image of the same shape, zero again afterwards.
     """
     middle_range = float(path.range_km(np.array([sight.reference_s]))[0])
-    blur_px = plane.aperture_m * 1e-3 / middle_range * plane.focal_px
-    margin_px = 6.0 * float(plane.sigma_px(np.zeros(1), np.zeros(1))[0]) + 0.5 * blur_px + 1.0
+    blur_px = camera.instrument.aperture_m * 1e-3 / middle_range * camera.projection.focal_px
+    margin_px = 6.0 * float(camera.sigma_at(np.zeros(1), np.zeros(1))[0]) + 0.5 * blur_px + 1.0
     from_s, to_s = float(sight.node_s[0]), float(sight.node_s[-1])
     lit = exposed_intervals(path.place, shutter, margin_px, from_s, to_s)
     rows: list[NDArray[np.void]] = []
     for stretch in lit:
         inner = exposed_intervals(path.place, shutter, 0.5, stretch.start_s, stretch.end_s)
-        light = _render(image_e, scratch_e, path, stretch, plane)
+        light = _render(image_e, scratch_e, path, stretch, camera)
         if inner and light.flux_e > 0.0:
             kept = max(inner, key=lambda i: i.end_s - i.start_s)
             edges = Interval(
@@ -159,8 +134,7 @@ def add_trail(
                 edge_start=kept.start_s > stretch.start_s + 1e-9 or stretch.edge_start,
                 edge_end=kept.end_s < stretch.end_s - 1e-9 or stretch.edge_end,
             )
-            row = _truth_row(path, sight, edges, plane, light, epoch_tai_ns)
-            row["frame"], row["object_id"] = frame, object_id
+            row = _truth_row(path, sight, edges, camera, light, epoch_tai_ns)
             rows.append(row)
     return np.concatenate(rows) if rows else truth.empty("streaks")
 
@@ -175,38 +149,44 @@ class _Light:
 
 
 def _render(
-    image_e: NDArray[np.float32], scratch_e: NDArray[np.float32], path: Path, stretch: Interval, plane: FocalPlane
+    image_e: NDArray[np.float32], scratch_e: NDArray[np.float32], path: Path, stretch: Interval, camera: Camera
 ) -> _Light:
     """Integrate over bins of time, block by block along the path."""
     time_s, width_s = time_bins(path.place, stretch, STEP_PX)
     row, col = path.place(time_s)
-    flux_e = path.flux_v0(time_s) * plane.illumination(row, col) * (plane.zero_point_e_s * width_s)
-    blur_px = plane.aperture_m * 1e-3 / path.range_km(time_s) * plane.focal_px
-    sigma_px = plane.sigma_px(row, col)
+    flux_e = path.flux_v0(time_s) * camera.illumination_at(row, col) * (camera.zero_point_e_s * width_s)
+    blur_px = camera.instrument.aperture_m * 1e-3 / path.range_km(time_s) * camera.projection.focal_px
+    sigma_px = camera.sigma_at(row, col)
     per_block = max(int(BLOCK_PX / STEP_PX), 1)
     blocks = [np.s_[k : k + per_block] for k in range(0, len(time_s), per_block)]
     boxes = []
     for block in blocks:
         sigma, blur = float(sigma_px[block].mean()), float(blur_px[block].mean())
         margin = int(np.ceil(6.5 * sigma + 0.5 * blur + 2.0))
-        first_row, last_row = _aligned(row[block], margin, plane.bin_rows, plane.shape[0])
-        first_col, last_col = _aligned(col[block], margin, plane.bin_cols, plane.shape[1])
+        first_row, last_row = _aligned(row[block], margin, camera.binning.rows, camera.shape[0])
+        first_col, last_col = _aligned(col[block], margin, camera.binning.cols, camera.shape[1])
         if first_row >= last_row or first_col >= last_col:
             continue
         box = np.s_[first_row:last_row, first_col:last_col]
         render_trail(
-            scratch_e[box], row[block] - first_row, col[block] - first_col, flux_e[block], sigma, blur, plane.obstruction
+            scratch_e[box],
+            row[block] - first_row,
+            col[block] - first_col,
+            flux_e[block],
+            sigma,
+            blur,
+            camera.instrument.obstruction,
         )
         boxes.append((box, first_row, first_col))
     total, snr2, saturated = 0.0, 0.0, 0
     for box, first_row, first_col in boxes:
         light = scratch_e[box]
-        variance = plane.variance_e2(image_e[box], first_row, first_col)
-        signal, noise2 = _binned(light, plane), _binned(variance, plane)
+        variance = camera.variance_e2(image_e[box], first_row, first_col)
+        signal, noise2 = camera.binned(light), camera.binned(variance)
         total += float(light.sum(dtype=np.float64))
         snr2 += float((signal.astype(np.float64) ** 2 / noise2).sum())
         image_e[box] += light
-        saturated += int(((light > FAINTEST_E) & (image_e[box] > plane.saturation_e)).sum())
+        saturated += int(((light > FAINTEST_E) & (image_e[box] > camera.saturation_e)).sum())
         light[...] = 0.0
     middle = len(time_s) // 2
     return _Light(
@@ -225,40 +205,27 @@ def _aligned(centre: Array, margin: int, step: int, size: int) -> tuple[int, int
     return first, last
 
 
-def _binned(values: NDArray[np.float32], plane: FocalPlane) -> NDArray[np.float32]:
-    """Sums over delivered pixels."""
-    if plane.bin_rows * plane.bin_cols == 1:
-        return values
-    n, m = values.shape[0] // plane.bin_rows, values.shape[1] // plane.bin_cols
-    blocks = values[: n * plane.bin_rows, : m * plane.bin_cols].reshape(n, plane.bin_rows, m, plane.bin_cols)
-    return np.asarray(blocks.sum(axis=(1, 3)))
-
-
 def _truth_row(
-    path: Path, sight: LineOfSight, seen: Interval, plane: FocalPlane, light: _Light, epoch_tai_ns: int
+    path: Path, sight: LineOfSight, seen: Interval, camera: Camera, light: _Light, epoch_tai_ns: int
 ) -> NDArray[np.void]:
     """One row of the truth of streaks; positions in delivered pixels."""
     out = truth.empty("streaks", 1)
     time_s = np.linspace(seen.start_s, seen.end_s, truth.PATH_NODES)
-    dense_s = np.linspace(seen.start_s, seen.end_s, 16 * (truth.PATH_NODES - 1) + 1)
     window_row, window_col = path.place(time_s)
 
-    def delivered(row: Array, col: Array) -> tuple[Array, Array]:
-        return (row - 0.5 * (plane.bin_rows - 1)) / plane.bin_rows, (col - 0.5 * (plane.bin_cols - 1)) / plane.bin_cols
-
-    row, col = delivered(window_row, window_col)
+    row, col = camera.delivered(window_row, window_col)
     tai = epoch_tai_ns + np.round(time_s * 1e9).astype(np.int64)
-    flux_rate = path.flux_v0(time_s) * plane.illumination(window_row, window_col) * plane.zero_point_e_s
+    flux_rate = path.flux_v0(time_s) * camera.illumination_at(window_row, window_col) * camera.zero_point_e_s
     middle = np.array([0.5 * (seen.start_s + seen.end_s)])
     step = np.array([0.25 * (seen.end_s - seen.start_s)])
-    camera = sight.to_camera(
-        np.concatenate([middle - step, middle + step]), path.apparent(np.concatenate([middle - step, middle + step]))
-    )
-    angle = np.arctan2(np.linalg.norm(np.cross(camera[0], camera[1])), camera[0] @ camera[1])
+    around = np.concatenate([middle - step, middle + step])
+    seen_at = sight.to_camera(around, path.apparent(around))
+    angle = np.arctan2(np.linalg.norm(np.cross(seen_at[0], seen_at[1])), seen_at[0] @ seen_at[1])
     drow, dcol = row[-1] - row[0], col[-1] - col[0]
     chord = np.hypot(drow, dcol)
-    mid_row, mid_col = delivered(*path.place(middle))
+    mid_row, mid_col = camera.delivered(*path.place(middle))
     off_row, off_col = mid_row[0] - 0.5 * (row[0] + row[-1]), mid_col[0] - 0.5 * (col[0] + col[-1])
+    sagitta_px = (off_row * dcol - off_col * drow) / chord if chord > 1e-9 else 0.0
     ra, dec = angles_deg(path.published(time_s))
     ra_app, dec_app = angles_deg(path.apparent(middle))
     values = {
@@ -270,12 +237,13 @@ def _truth_row(
         "edge1": seen.edge_end,
         "t0_tai_ns": tai[0],
         "t1_tai_ns": tai[-1],
-        "length_px": path_length_px(*delivered(*path.place(dense_s))),
+        "length_px": arc_length_px(chord, sagitta_px),
         "flux_e": light.flux_e,
         "snr": light.snr,
-        "psf_sigma_px": np.hypot(light.sigma_px, 0.25 * light.defocus_px * np.sqrt(1.0 + plane.obstruction**2)) / plane.bin_cols,
-        "defocus_px": light.defocus_px / plane.bin_cols,
-        "sagitta_px": (off_row * dcol - off_col * drow) / chord if chord > 1e-9 else 0.0,
+        "psf_sigma_px": np.hypot(light.sigma_px, 0.25 * light.defocus_px * np.sqrt(1.0 + camera.instrument.obstruction**2))
+        / camera.binning.cols,
+        "defocus_px": light.defocus_px / camera.binning.cols,
+        "sagitta_px": sagitta_px,
         "gradient": 2.0 * (flux_rate[-1] - flux_rate[0]) / max(flux_rate[-1] + flux_rate[0], 1e-300),
         "rate_deg_s": np.degrees(angle) / (2.0 * step[0]),
         "range_km": path.range_km(middle)[0],

@@ -1,0 +1,163 @@
+"""The camera as built and as believed: geometry, illumination and PSF over the read-out window, and its calibration.
+
+Pixels are those of the detector's read-out window, unbinned, unless a name says "delivered".
+"""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.frame import Calibration, NominalCamera
+from simulator.optics.instrument import SUN_B_V, InstrumentOptions, band_factor
+from simulator.optics.psf import PsfOptions, sigma_at
+from simulator.optics.vignetting import VignettingOptions, relative_illumination
+from simulator.sensor import Sensor, SensorOptions
+
+Array = NDArray[np.float64]
+
+
+class Camera:
+    """An instrument and its sensor. `seeing_px` (Gaussian sigma) widens the PSF of a camera on the ground."""
+
+    def __init__(
+        self,
+        instrument: InstrumentOptions,
+        psf: PsfOptions,
+        vignetting: VignettingOptions,
+        sensor: SensorOptions,
+        *,
+        exposure_s: float,
+        seed: int,
+    ) -> None:
+        self.instrument, self.exposure_s = instrument, exposure_s
+        self._psf, self._vignetting = psf, vignetting
+        self.sensor = Sensor(sensor, rows=instrument.rows, cols=instrument.cols, seed=seed)
+        self.binning, self._window = sensor.binning, sensor.window
+        self.shape = self.sensor.window_shape
+        self.projection = instrument.true_projection().delivered(
+            bin_rows=1, bin_cols=1, window_row0=sensor.window.row0, window_col0=sensor.window.col0
+        )
+        self.corner_px = 0.5 * float(np.hypot(instrument.rows, instrument.cols))
+        self.seeing_px = 0.0
+        self.zero_point_e_s = instrument.true_zero_point_e_s
+        self.illumination = np.empty(self.shape, dtype=np.float32)
+        rows, cols = np.arange(self.shape[0])[:, None], np.arange(self.shape[1])[None, :]
+        for first in range(0, self.shape[0], 256):
+            block = slice(first, first + 256)
+            self.illumination[block] = self.illumination_at(rows[block], cols)
+
+    def illumination_at(self, row: Array, col: Array) -> Array:
+        """Relative illumination at positions."""
+        return relative_illumination(
+            self._vignetting,
+            row,
+            col,
+            center_row=self.projection.center_row,
+            center_col=self.projection.center_col,
+            corner_radius_px=self.corner_px,
+            focal_px=self.projection.focal_px,
+        )
+
+    def sigma_at(self, row: Array, col: Array) -> Array:
+        """PSF sigma of the built camera, seeing included, at positions."""
+        nominal = sigma_at(
+            self._psf,
+            row,
+            col,
+            center_row=self.projection.center_row,
+            center_col=self.projection.center_col,
+            corner_radius_px=self.corner_px,
+        )
+        return np.asarray(np.hypot(nominal * (1.0 + self.instrument.as_built.psf_width), self.seeing_px))
+
+    def variance_e2(self, image_e: NDArray[np.float32], row0: int, col0: int) -> NDArray[np.float32]:
+        """Noise variance of detector pixels whose first is (row0, col0)."""
+        return self.sensor.variance_e2(image_e, self.exposure_s, row0=row0, col0=col0)
+
+    @property
+    def axis_sigma_px(self) -> float:
+        """PSF sigma on axis."""
+        return float(self.sigma_at(np.array([self.projection.center_row]), np.array([self.projection.center_col]))[0])
+
+    @property
+    def saturation_e(self) -> float:
+        """Signal at which a detector pixel saturates."""
+        converter = self.sensor.options.converter
+        return (self.sensor.delivered.saturation_adu - converter.pedestal_adu) * converter.gain_e_adu
+
+    @property
+    def surface_rate_e_s(self) -> float:
+        """Electrons per pixel and second of a surface brightness of one V = 0 star per square arcsecond."""
+        return float(self.zero_point_e_s * (np.degrees(1.0 / self.projection.focal_px) * 3600.0) ** 2)
+
+    def direction(self, field_row: float, field_col: float) -> Array:
+        """Direction (3,) in the camera frame of a place of the field, -1 to 1 along each axis."""
+        row = 0.5 * (self.shape[0] - 1) * (1.0 + field_row)
+        col = 0.5 * (self.shape[1] - 1) * (1.0 + field_col)
+        return np.asarray(self.projection.to_vectors(np.array([row]), np.array([col]))[0])
+
+    @property
+    def radius_rad(self) -> float:
+        """Angle from the centre of the field to its farthest corner."""
+        centre = self.direction(0.0, 0.0)
+        corners = [self.direction(r, c) @ centre for r in (-1.0, 1.0) for c in (-1.0, 1.0)]
+        return float(np.arccos(np.clip(min(corners), -1.0, 1.0)))
+
+    def delivered(self, row: Array, col: Array) -> tuple[Array, Array]:
+        """Delivered pixels of positions: the centre of a binned pixel is the mean of its pixels' centres."""
+        bins = self.binning
+        return (row - 0.5 * (bins.rows - 1)) / bins.rows, (col - 0.5 * (bins.cols - 1)) / bins.cols
+
+    def undelivered(self, row: Array, col: Array) -> tuple[Array, Array]:
+        """Positions of delivered pixels, the inverse of `delivered`."""
+        bins = self.binning
+        return bins.rows * row + 0.5 * (bins.rows - 1), bins.cols * col + 0.5 * (bins.cols - 1)
+
+    def binned(self, values: NDArray[np.float32]) -> NDArray[np.float32]:
+        """Sums over delivered pixels of a block that starts on their border."""
+        bins = self.binning
+        if bins.rows * bins.cols == 1:
+            return values
+        n, m = values.shape[0] // bins.rows, values.shape[1] // bins.cols
+        return np.asarray(values[: n * bins.rows, : m * bins.cols].reshape(n, bins.rows, m, bins.cols).sum(axis=(1, 3)))
+
+    def nominal(self) -> NominalCamera:
+        """The camera as ground and on-board software believe it to be, in delivered pixels."""
+        nominal, bins, delivered = self.instrument, self.binning, self.sensor.delivered
+        geometry = nominal.nominal_projection().delivered(
+            bin_rows=bins.rows, bin_cols=bins.cols, window_row0=self._window.row0, window_col0=self._window.col0
+        )
+        colours = np.linspace(0.2, 1.2, 11)
+        factor = band_factor(colours, nominal.band_short_nm, nominal.band_long_nm)
+        return NominalCamera(
+            name=nominal.name,
+            rows=delivered.rows,
+            cols=delivered.cols,
+            focal_px=geometry.focal_px,
+            center_row=geometry.center_row,
+            center_col=geometry.center_col,
+            k1=geometry.k1,
+            k2=geometry.k2,
+            p1=geometry.p1,
+            p2=geometry.p2,
+            psf_sigma_px=float(np.hypot(self._psf.sigma_px, self.seeing_px)) / bins.cols,
+            gain_e_adu=delivered.gain_e_adu,
+            read_noise_e=delivered.read_noise_e,
+            saturation_adu=delivered.saturation_adu,
+            full_well_e=delivered.full_well_e,
+            zero_point_e_s=nominal.zero_point_e_s,
+            colour_term=float(np.polyfit(colours - SUN_B_V, -2.5 * np.log10(factor), 1)[0]),
+            aperture_m=nominal.aperture_m,
+            obstruction=nominal.obstruction,
+        )
+
+    def calibration(self) -> Calibration:
+        """Nominal camera, and dark, flat and defects reduced from noisy calibration frames."""
+        maps = self.sensor.calibration_maps(self.exposure_s, self.illumination)
+        frames = self.sensor.options.calibration
+        return Calibration(
+            camera=self.nominal(),
+            dark_adu=maps.dark_adu,
+            flat=maps.flat,
+            defects=maps.defects,
+            provenance=f"simulated calibration: {frames.dark_frames} dark and {frames.flat_frames} flat frames",
+        )

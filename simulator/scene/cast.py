@@ -1,0 +1,177 @@
+"""The objects of a run, in the order of the truth table: given ones first, then satellites, then the sampled population."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from sgp4.api import SGP4_ERRORS
+
+from sboc_e2e.icd.errors import UserError
+from simulator.optics.camera import Camera
+from simulator.platform import earth
+from simulator.platform.carrier import Carrier
+from simulator.platform.observer import Observer
+from simulator.scene import sources
+from simulator.scene.aberration import aberrate
+from simulator.scene.atmosphere import Atmosphere
+from simulator.scene.encounters import Drawn, PopulationOptions, Window, draw_encounters
+from simulator.scene.objects import PixelPathObject, SkyObject
+from simulator.scene.prediction import predict_crossings
+from simulator.scene.satellites import SatelliteOptions, read_satellites, satellite_object
+
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cast:
+    """All objects, the encounters behind the sampled ones, and satellites that SGP4 refused with its error codes."""
+
+    objects: tuple[SkyObject | PixelPathObject, ...]
+    drawn: Drawn
+    refused: dict[str, int]
+    duration_s: float
+
+
+def make_cast(
+    given: sources.ObjectOptions,
+    population: PopulationOptions,
+    carrier: Carrier,
+    camera: Camera,
+    sky_e_s: float,
+    duration_s: float,
+) -> Cast:
+    """Make the objects. sky_e_s : sky in the middle of the field, electrons per pixel and second, for expected S/N."""
+    objects: list[SkyObject | PixelPathObject] = []
+    objects.extend(sources.orbiting(o) for o in given.orbit)
+    objects.extend(sources.sky_path(o) for o in given.sky_path)
+    objects.extend(sources.pixel_path(o) for o in given.pixel_path)
+    for o in given.passing:
+        when = carrier.tai_ns(o.when * duration_s)
+        direction = carrier.attitude(when).T @ camera.direction(o.field_row, o.field_col)
+        objects.append(sources.passing(o, carrier.observer.state(when)[0], direction, o.when * duration_s))
+    for e in given.encounter:
+        when = carrier.tai_ns(e.when * duration_s)
+        place = camera.direction(e.field_row, e.field_col)
+        objects.append(sources.encounter(e, *carrier.observer.state(when), carrier.attitude(when), place, e.when * duration_s))
+    found, refused = _satellites(given.satellites, carrier, camera, duration_s)
+    objects.extend(found)
+    middle_s = 0.5 * duration_s
+    drawn = draw_encounters(population, encounter_window(carrier, camera, sky_e_s, middle_s, duration_s), carrier.seed)
+    objects.extend(sources.population_objects(drawn, population.albedo, middle_s, population.tumbling_share, carrier.seed))
+    return Cast(objects=tuple(objects), drawn=drawn, refused=refused, duration_s=duration_s)
+
+
+def _satellites(
+    options: SatelliteOptions, carrier: Carrier, camera: Camera, duration_s: float
+) -> tuple[list[SkyObject], dict[str, int]]:
+    """Catalogued satellites that cross the field during the run, each once; and the refused ones.
+
+    UserError when one that was asked for by name is refused.
+    """
+    if not options.file:
+        return [], {}
+    predicted = predict_crossings(
+        read_satellites(options.file, options.names),
+        carrier.observer,
+        carrier.attitude,
+        camera.projection,
+        camera.shape,
+        carrier.epoch_tai_ns,
+        0.0,
+        duration_s,
+        options.farthest_km,
+    )
+    if options.names and predicted.refused:
+        name, code = next(iter(predicted.refused.items()))
+        raise UserError(f"satellite {name!r} of {options.file}: refused by SGP4 ({SGP4_ERRORS.get(code, code)})")
+    once = {id(c.satellite): c.satellite for c in predicted.crossings}
+    return [satellite_object(s, options, carrier.epoch_tai_ns) for s in once.values()], predicted.refused
+
+
+def encounter_window(carrier: Carrier, camera: Camera, sky_e_s: float, middle_s: float, duration_s: float) -> Window:
+    """What the camera sees during the run, for drawing encounters."""
+    middle = carrier.tai_ns(middle_s)
+    position, velocity = carrier.observer.state(middle)
+    return Window(
+        observer_km=position,
+        velocity_km_s=velocity,
+        attitude=carrier.attitude(middle),
+        sun_km=earth.sun_position_km(middle),
+        half_row=0.5 * camera.shape[0] / camera.projection.focal_px,
+        half_col=0.5 * camera.shape[1] / camera.projection.focal_px,
+        duration_s=duration_s,
+        exposure_s=camera.exposure_s,
+        flux_e_s=camera.zero_point_e_s,
+        focal_px=camera.projection.focal_px,
+        sigma_px=camera.axis_sigma_px,
+        noise_variance_e2=float(camera.sensor.variance_e2(sky_e_s * camera.exposure_s, camera.exposure_s)),
+        aperture_m=camera.instrument.aperture_m,
+    )
+
+
+def summary(options: PopulationOptions, cast: Cast) -> dict[str, Any]:
+    """Encounters of nature against those drawn, for each size class; JSON-able.
+
+    natural_in_run : detectable objects of nature in the field at some time of the run. entering_per_day : that enter it.
+    """
+    drawn = cast.drawn
+    classes = [
+        {
+            "from_mm": size_class.from_mm,
+            "to_mm": size_class.to_mm,
+            "drawn": int(drawn.drawn_by_class[k]),
+            "natural_in_run": float(drawn.natural_by_class[k]),
+            "boost": _ratio(drawn.drawn_by_class[k], drawn.natural_by_class[k]),
+            "entering_per_day": float(drawn.per_day_by_class[k]),
+        }
+        for k, size_class in enumerate(options.classes)
+    ]
+    return {
+        "duration_s": cast.duration_s,
+        "snr_min": options.snr_min,
+        "slowest_deg_s": options.slowest_deg_s,
+        "classes": classes,
+        "natural_in_run": float(drawn.natural_by_class.sum()),
+        "drawn": int(drawn.drawn_by_class.sum()),
+        "boost": _ratio(drawn.drawn_by_class.sum(), drawn.natural_by_class.sum()),
+        "satellites_refused_by_sgp4": cast.refused,
+    }
+
+
+def target_direction(
+    name: str,
+    given: sources.ObjectOptions,
+    observer: Observer,
+    epoch_tai_ns: int,
+    air_at: Callable[[Observer, int], Atmosphere | None],
+) -> Callable[[int], Array]:
+    """Apparent direction of the object that the pointing follows, as a function of TAI nanoseconds.
+
+    UserError when no object has that name.
+    """
+    found: list[SkyObject] = [sources.orbiting(o) for o in given.orbit if o.name == name]
+    found.extend(sources.sky_path(o) for o in given.sky_path if o.name == name)
+    if not found and given.satellites.file:
+        read = read_satellites(given.satellites.file, (name,))
+        found.extend(satellite_object(s, given.satellites, epoch_tai_ns) for s in read)
+    if not found:
+        raise UserError(
+            f"pointing.target: no object named {name!r}; allowed are names of objects.orbit, objects.sky_path, objects.satellites"
+        )
+
+    def direction(tai_ns: int) -> Array:
+        position, velocity = observer.state(tai_ns)
+        time_s = np.array([(tai_ns - epoch_tai_ns) * 1e-9])
+        vector = found[0].seen(time_s, position[None], earth.sun_position_km(tai_ns)).vector_km
+        distance_km = np.linalg.norm(vector, axis=1)
+        apparent = aberrate(vector / distance_km, velocity)
+        air = air_at(observer, tai_ns)
+        return np.asarray((apparent if air is None else air.refracted(apparent, distance_km))[0])
+
+    return direction
+
+
+def _ratio(shown: float, natural: float) -> float | None:
+    return float(shown) / float(natural) if natural > 0.0 else None

@@ -84,9 +84,7 @@ class ConverterOptions:
                 f"sensor.converter.pedestal: {self.pedestal_adu} ADU; allowed is up to half of {self.bits} bits, {top // 2}"
             )
         if self.dual_gain and self.low_gain_e_adu < self.gain_e_adu:
-            raise UserError(
-                f"sensor.converter.low_gain: {self.low_gain_e_adu:g} e-/ADU; allowed is {self.gain_e_adu:g}, the high one, or more"
-            )
+            raise UserError(f"sensor.converter.low_gain: {self.low_gain_e_adu:g} e-/ADU; allowed is {self.gain_e_adu:g} or more")
 
 
 @dataclass(frozen=True, kw_only=True)

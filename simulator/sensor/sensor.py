@@ -208,7 +208,7 @@ class Sensor:
         illumination : (window rows, window cols) relative illumination of the flat field, 1 on axis; None for uniform.
         """
         pattern, window = self._pattern, self.options.window
-        # The dark frames (the last 256 of them) are taken before frame 0: telegraph pixels spend them in the states they then have.
+        # The dark frames (the last 256 of them) are taken before frame 0, with telegraph pixels in the states they then have.
         states = range(-min(self.options.calibration.dark_frames, 256), 0)
         jump_e = np.mean([telegraph_charge_e(pattern, self.options, self.seed, frame) for frame in states], axis=0)
         row, col = pattern.telegraph_row.astype(np.int64) - window.row0, pattern.telegraph_col.astype(np.int64) - window.col0

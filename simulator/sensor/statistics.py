@@ -11,17 +11,20 @@ from scipy.special import gammaln, ndtr
 _GAUSSIAN_ABOVE_E: Final = 400.0
 """Mean electrons above which the entropy of a rounded Gaussian is used (error below 1e-3 bit there)."""
 
+_TAIL: Final = 6.5
+"""Standard deviations of either noise that are kept; what lies beyond adds less than 1e-8 bit."""
+
 
 def pixel_probabilities(mean_e: float, read_noise_e: float, gain_e_adu: float) -> NDArray[np.float64]:
     """Distribution of a pixel's ADU (up to an offset): Poisson electrons plus Gaussian read noise, rounded.
 
     The pedestal is an integer, so that code k holds signals of [k - 1/2, k + 1/2) units.
     """
-    reach = 9.0 * math.sqrt(mean_e + read_noise_e**2) + 12.0
+    reach = _TAIL * math.sqrt(mean_e) + 10.0
     counts = np.arange(max(0, int(mean_e - reach)), int(mean_e + reach) + 2)
     log_p = counts * math.log(mean_e) - mean_e - gammaln(counts + 1.0) if mean_e > 0.0 else np.where(counts == 0, 0.0, -np.inf)
-    low = math.floor((counts[0] - 9.0 * read_noise_e) / gain_e_adu) - 1
-    high = math.ceil((counts[-1] + 9.0 * read_noise_e) / gain_e_adu) + 1
+    low = math.floor((counts[0] - _TAIL * read_noise_e) / gain_e_adu) - 1
+    high = math.ceil((counts[-1] + _TAIL * read_noise_e) / gain_e_adu) + 1
     borders = (np.arange(low, high + 1) - 0.5) * gain_e_adu
     if read_noise_e > 0.0:
         below = ndtr((borders[None, :] - counts[:, None]) / read_noise_e)

@@ -12,6 +12,8 @@ from simulator.radiation.energy_loss import SILICON, most_probable_loss_kev, sto
 from simulator.radiation.environment import GeodeticPosition, trapped_omni_cm2_s
 from simulator.radiation.straggling import draw_loss_kev, landau_table
 from simulator.radiation.tracks import deposit
+from simulator.sensor import Sensor, SensorOptions
+from simulator.sensor.options import ConverterOptions
 
 LARGE = {"rows": 4096, "cols": 4096, "pitch_um": 9.0, "seed": 3}
 
@@ -179,3 +181,17 @@ def test_on_the_ground_there_is_one_muon_per_minute_and_cm2():
     assert (rate * 60.0, trapped) == (1.0, 0.0)
     # beta gamma = rigidity / proton mass = 38, that of muons of 4 GeV.
     assert rigidity_gv / 0.93827 == pytest.approx(math.sqrt((1.0 + 4.0 / 0.10566) ** 2 - 1.0), rel=0.02)
+
+
+def test_charge_of_hits_arrives_in_the_frame_where_the_truth_says():
+    field = ParticleField(RadiationOptions(environment="saa"), rows=256, cols=256, pitch_um=9.0, seed=3)
+    hits = field.hits(5, 0.5, None)
+    linear = SensorOptions(converter=ConverterOptions(nonlinearity=0.0, dual_gain=False, bits=16, full_well_e=1e7))
+    dark = np.zeros((256, 256), dtype=np.float32)
+    sensor = Sensor(linear, rows=256, cols=256, seed=1)
+    excess_e = 1.2 * (sensor.digitise(dark, 5, 0.5, hits).astype(float) - sensor.digitise(dark, 5, 0.5))
+    assert excess_e.sum() == pytest.approx(float(hits.charge_e.sum()), rel=1e-3)
+    assert float(hits.charge_e.sum()) == pytest.approx(float(hits.tracks["charge_e"].sum()), rel=1e-4)
+    brightest = hits.tracks[np.argmax(hits.tracks["charge_e"])]
+    row, col = (round(0.5 * float(brightest[f"{axis}0"] + brightest[f"{axis}1"])) for axis in ("row", "col"))
+    assert excess_e[max(row - 2, 0) : row + 3, max(col - 2, 0) : col + 3].max() > 200.0

@@ -6,6 +6,7 @@ Encounters come from tests/orbit/encounters.py: Kessler's spatial density, the s
 import json
 import math
 import time
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,7 +15,7 @@ from scipy.stats import beta
 
 from ground.orbit import RangeScan
 from sboc_e2e.icd.products import Tracklet
-from tests.orbit.encounters import MU, T0_NS, draw_encounters, observed, sun_and_observer, trajectory
+from tests.orbit.encounters import MU, PIXEL_ARCSEC, T0_NS, draw_encounters, observed, sun_and_observer, trajectory
 
 SIZE_EDGES_M = (0.0, 0.003, 0.01, 0.1, 100.0)
 
@@ -58,8 +59,8 @@ def gauss_range_km(tracklet: Tracklet, observer: NDArray[np.float64]) -> float:
     return float(ranges[np.argmin(np.abs(np.log(ranges / 1000.0)))]) if len(ranges) else math.nan
 
 
-def population(n: int, seed: int, *, breakup: bool, step: RangeScan) -> dict[str, Any]:
-    """Figures of n encounters."""
+def population(n: int, seed: int, *, breakup: bool, step: RangeScan, error_px: float | None = None) -> dict[str, Any]:
+    """Figures of n encounters; error_px : of every end, both ways, instead of errors that go with the S/N."""
     rng = np.random.default_rng(seed)
     _, observer = sun_and_observer()
     encounters = draw_encounters(n, rng, breakup=breakup, pool=max(400_000, 1000 * n))
@@ -67,7 +68,7 @@ def population(n: int, seed: int, *, breakup: bool, step: RangeScan) -> dict[str
     errors: dict[str, list[float]] = {name: [] for name in ("range", "altitude", "a", "i", "size", "gauss")}
     sizes, trivial, spent = [], 0, 0.0
     for one in encounters:
-        tracklet, headers = observed(one, rng)
+        tracklet, headers = observed(one, rng, error_px=error_px)
         start = time.process_time()
         got = step.estimate(tracklet, headers)
         spent += time.process_time() - start
@@ -95,7 +96,7 @@ def population(n: int, seed: int, *, breakup: bool, step: RangeScan) -> dict[str
     table = {name: np.array(values) for name, values in errors.items()}
     boot = np.random.default_rng(0)
     by_size = {}
-    for low, high in zip(SIZE_EDGES_M[:-1], SIZE_EDGES_M[1:], strict=True):
+    for low, high in pairwise(SIZE_EDGES_M):
         chosen = (np.array(sizes) >= low) & (np.array(sizes) < high)
         if chosen.sum() >= 10:
             by_size[f"{1e3 * low:g}-{1e3 * high:g} mm"] = median(table["range"][chosen], boot)
@@ -115,15 +116,15 @@ def population(n: int, seed: int, *, breakup: bool, step: RangeScan) -> dict[str
 
 def main(*, quick: bool = True) -> dict[str, Any]:
     """Figures for catalogue eccentricities and with breakup velocities, each with the prior of its own and with the mixed one."""
-    n = 150 if quick else 1500
+    n = 150 if quick else 1000
     start = time.process_time()
     population(1, 0, breakup=False, step=RangeScan())
     out: dict[str, Any] = {"cold_s": time.process_time() - start}
     for breakup in (False, True):
         name = "breakup" if breakup else "catalogue"
-        out[f"{name}_own_prior"] = population(
-            n, 1, breakup=breakup, step=RangeScan(breakup_share=float(breakup), albedo_sigma_ln=0.0)
-        )
+        own = RangeScan(breakup_share=float(breakup), albedo_sigma_ln=0.0)
+        out[f"{name}_own_prior"] = population(n, 1, breakup=breakup, step=own)
+        out[f"{name}_own_prior_1_arcsec"] = population(n, 1, breakup=breakup, step=own, error_px=1.0 / PIXEL_ARCSEC)
         out[f"{name}_mixed_prior"] = population(n, 1, breakup=breakup, step=RangeScan(albedo_sigma_ln=0.0))
     return out
 

@@ -1,7 +1,8 @@
 """Encounters of a space telescope with debris, drawn without the package's own densities: Kessler's spatial density instead.
 
-Kessler (1981, Icarus 48, 39): an orbit (a, e, i) with uniform node, perigee and anomaly spends per unit of volume the time
-``1 / (4 pi^2 R a sqrt((R - rp)(ra - R)))  x  (2/pi) / sqrt(sin^2 i - sin^2 latitude)`` at distance R; four velocities are possible.
+An orbit (a, e, i) with uniform node, perigee and anomaly spends, per unit of volume at distance R (Kessler 1981, Icarus 48, 39),
+the share ``1 / (4 pi^2 R a sqrt((R - rp)(ra - R)))  x  (2/pi) / sqrt(sin^2 i - sin^2 latitude)`` of its time; four velocities
+are possible there.
 """
 
 from dataclasses import dataclass
@@ -24,7 +25,7 @@ ALBEDO = 0.13
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Encounter:
-    """Truth at t = 0 (s, light emitted): state km, km/s; elements a (km), e, i (deg); range (km), rate (deg/s), size (m), V, S/N."""
+    """Truth when the light of t = 0 left: state (km, km/s), elements (km, 1, deg), range, rate, size, V, S/N."""
 
     state: NDArray[np.float64]
     elements: NDArray[np.float64]
@@ -61,7 +62,7 @@ def catalogue_orbits(n: int, rng: np.random.Generator) -> NDArray[np.float64]:
 
 
 def breakup_orbits(n: int, rng: np.random.Generator) -> NDArray[np.float64]:
-    """Catalogued orbits after a collision fragment's velocity change (Johnson et al. 2001), by Gauss' variational route: states."""
+    """Catalogued orbits after a collision fragment's velocity change (Johnson et al. 2001), in radius, speed and plane."""
     el = catalogue_orbits(n, rng)
     a, e, i = el.T
     f = _true_anomaly(rng.random(len(el)) * 2 * np.pi, e)
@@ -178,7 +179,7 @@ def trajectory(state: NDArray[np.float64], t_s: NDArray[np.float64]) -> NDArray[
 
 def observed(
     encounter: Encounter, rng: np.random.Generator, *, cadence_s: float = 0.25, exposure_s: float = 0.2, longest_s: float = 10.0,
-    along_px: float | None = None, cross_px: float | None = None,
+    error_px: float | None = None,
 ) -> tuple[Tracklet, tuple[FrameHeader, ...]]:  # fmt: skip
     """A tracklet of both ends in every frame of the pass, with errors that go with its S/N, and headers with noisy GPS states."""
     _, observer = sun_and_observer()
@@ -193,9 +194,8 @@ def observed(
         delay = np.linalg.norm(relative, axis=1) / LIGHT_KM_S
     unit = relative / np.linalg.norm(relative, axis=1, keepdims=True)
     length = encounter.rate_deg_s * exposure_s * 3600 / PIXEL_ARCSEC
-    along = max(2.0 / encounter.snr, 4.39 * length / encounter.snr**2) if along_px is None else along_px
-    cross = 2.0 / encounter.snr if cross_px is None else cross_px
-    along, cross = min(along, 0.4 * length + 0.3), max(cross, 0.03)
+    along, cross = max(2.0 / encounter.snr, 4.39 * length / encounter.snr**2), 2.0 / encounter.snr
+    along, cross = (min(along, 0.4 * length + 0.3), max(cross, 0.03)) if error_px is None else (error_px, error_px)
     way = unit[-1] - unit[0]
     way /= np.linalg.norm(way)
     side = np.cross(unit, way)

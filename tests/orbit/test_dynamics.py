@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from ground.orbit.breakup import state_of_elements
 from ground.orbit.dynamics import elements, propagate
-from ground.orbit.prior import state_of_elements
 
 MU = 398600.4418
 

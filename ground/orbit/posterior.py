@@ -119,36 +119,39 @@ def quantiles(values: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArr
 def modes(posterior: Posterior) -> NDArray[np.float64]:
     """Range modes (k, 5) by falling weight: range (km) at the peak, weight, and medians of a (km), e, i (deg) around it.
 
-    A mode is a peak of the density per ln(range), smoothed over a hundredth of the mass, between two minima; peaks with less
-    than 2 % of the mass are left out.
+    A mode is a peak of the density per ln(range), running mean over five ranges, together with everything up to the valleys
+    beside it. A valley higher than half of the lower peak does not divide, nor does one that leaves less than 2 % on a side.
+    The weights sum to one.
     """
     density = np.convolve(np.pad(posterior.density, 2, mode="edge"), np.full(5, 0.2), mode="valid")
-    inner = np.flatnonzero((density[1:-1] >= density[:-2]) & (density[1:-1] > density[2:])) + 1
-    peaks = [int(k) for k in inner if density[k] > 1e-3 * density.max()]
-    if not peaks:
-        peaks = [int(np.argmax(density))]
-    kept = [peaks[0]]
-    for k in peaks[1:]:
-        valley = density[kept[-1] : k + 1].min()
-        if valley > 0.5 * min(density[k], density[kept[-1]]):
-            kept[-1] = k if density[k] > density[kept[-1]] else kept[-1]
+    peaks = np.flatnonzero(np.diff(np.sign(np.diff(np.concatenate([[-1.0], density, [-1.0]])))) < 0)
+    valleys = [int(a + np.argmin(density[a : b + 1])) for a, b in pairwise(peaks)]
+    dividing: list[int] = []
+    top = float(density[: valleys[0] + 1].max()) if valleys else 0.0
+    for k, valley in enumerate(valleys):
+        following = float(density[valley : valleys[k + 1] + 1 if k + 1 < len(valleys) else None].max())
+        if density[valley] < 0.5 * min(top, following):
+            dividing.append(valley)
+            top = following
         else:
-            kept.append(k)
-    bounds = [
-        -np.inf,
-        *(posterior.log_range[a + int(np.argmin(density[a : b + 1]))] for a, b in pairwise(kept)),
-        np.inf,
-    ]
+            top = max(top, following)
     log_range = np.log(posterior.range_km)
+    while True:
+        cell = np.searchsorted(posterior.log_range[dividing], log_range, side="left")
+        mass = np.bincount(cell, weights=posterior.weight, minlength=len(dividing) + 1)
+        if mass.min() >= 0.02 or not dividing:
+            break
+        least = int(np.argmin(mass))
+        beside = [k for k in (least - 1, least) if 0 <= k < len(dividing)]
+        del dividing[max(beside, key=lambda k: density[dividing[k]])]
+    bounds = [0, *dividing, len(density) - 1]
     out = []
-    for k, low, high in zip(kept, bounds[:-1], bounds[1:], strict=True):
-        inside = (log_range > low) & (log_range <= high)
-        mass = float(posterior.weight[inside].sum())
-        if mass < 0.02:
-            continue
+    for k, (low, high) in enumerate(pairwise(bounds)):
+        inside = cell == k
         medians = [
             quantiles(column[inside], posterior.weight[inside])[1]
             for column in (posterior.a_km, posterior.e, np.degrees(posterior.i_rad))
         ]
-        out.append((float(np.exp(posterior.log_range[k])), mass, *medians))
+        peak = low + int(np.argmax(density[low : high + 1]))
+        out.append((float(np.exp(posterior.log_range[peak])), float(mass[k]), *medians))
     return np.array(sorted(out, key=lambda mode: -mode[1])).reshape(-1, 5)

@@ -33,7 +33,7 @@ def test_intervals_cover_and_no_trivial_root(breakup: bool) -> None:
         ]
         hits += [float(interval[0] <= value <= interval[2]) for interval, value in truth]
         assert np.trapezoid(got.range_posterior, got.range_grid_km) == pytest.approx(1.0, abs=0.1)
-        assert got.modes[:, 1].sum() == pytest.approx(1.0, abs=0.1)
+        assert got.modes[:, 1].sum() == pytest.approx(1.0, abs=1e-9)
     assert (hits / 40 >= 0.76).all()
 
 

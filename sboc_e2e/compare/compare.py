@@ -19,6 +19,7 @@ from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import SEAMS, Registry
 from sboc_e2e.report import pictures
 from sboc_e2e.run.begin import begin_or_continue
+from sboc_e2e.run.manifest import versions
 from sboc_e2e.run.pipeline import KEEP_KEY, Run
 from sboc_e2e.run.progress import Progress, Silent
 from sboc_e2e.scenario import Scenario, load
@@ -31,6 +32,7 @@ PAIR_SNR: Final = 5.0
 """Pairs are judged on truth above this S/N: below it nobody finds anything, and agreement is empty."""
 
 MAX_GALLERY: Final = 24
+SMALL_PX: Final = 20_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,8 +71,11 @@ class Workspace:
         return load(self.request.scenario, registry=self.registry, overrides=overrides, use=use, seed=seed)
 
     def _run(self, kind: str, document: dict[str, Any], scenario: Scenario) -> Run:
-        path = self.out / kind / _key(document)
-        return begin_or_continue(path, scenario, workers=self.request.workers, progress=self.progress)
+        path = self.out / kind / _key([document, versions()])
+        # Starting processes takes longer than a few small frames.
+        small = scenario.simulator.frames * scenario.simulator.instrument.rows * scenario.simulator.instrument.cols < SMALL_PX
+        workers = self.request.workers or (1 if small else 0)
+        return begin_or_continue(path, scenario, keyed=True, workers=workers, progress=self.progress)
 
     def frames(self, scenario: Scenario) -> Run:
         """The simulated frames of a scenario."""
@@ -90,7 +95,7 @@ class Workspace:
             _link(frames.directory.path / folder, made.directory.path / folder)
         made.manifest.stages["simulate"] = frames.manifest.stages["simulate"]
         document = {k: v for k, v in scenario.document().items() if k not in ("ground", "output", "description")}
-        shared = self.out / "downlinks" / _key(document)
+        shared = self.out / "downlinks" / _key([document, versions()])
         if (shared / "stage.json").is_file():
             made.manifest.stages["onboard"] = json.loads((shared / "stage.json").read_text())
         else:
@@ -104,9 +109,7 @@ class Workspace:
         return made
 
 
-def compare(
-    request: Request, out: Path, registry: Registry | None = None, progress: Progress | None = None
-) -> dict[str, Any]:
+def compare(request: Request, out: Path, registry: Registry | None = None, progress: Progress | None = None) -> dict[str, Any]:
     """Compare and write compare.json, compare.md and compare.html into `out`; returns what compare.json holds.
 
     Raises UserError for an unknown seam or step, or fewer than two choices.

@@ -9,14 +9,19 @@ from sboc_e2e.run.progress import Progress, Silent
 from sboc_e2e.scenario import Scenario
 
 
-def begin_or_continue(path: Path, scenario: Scenario, *, workers: int = 0, progress: Progress | None = None) -> Run:
-    """The run at `path`; stages that an earlier attempt of the same scenario and versions finished count as done."""
+def begin_or_continue(
+    path: Path, scenario: Scenario, *, keyed: bool = False, workers: int = 0, progress: Progress | None = None
+) -> Run:
+    """The run at `path`; stages that an earlier attempt of the same scenario and versions finished count as done.
+
+    keyed : the folder's name is a digest of all that decides its content, so an earlier run counts whatever else differs.
+    """
     directory = RunDirectory(path=path)
     wanted = Manifest.of(directory.manifest, scenario)
     manifest = wanted
     if directory.manifest.is_file():
         found = Manifest.read(directory.manifest)
-        if found.scenario == wanted.scenario and found.versions == wanted.versions:
+        if keyed or (found.scenario == wanted.scenario and found.versions == wanted.versions):
             manifest = found
     path.mkdir(parents=True, exist_ok=True)
     manifest.save()

@@ -40,7 +40,7 @@ class Camera:
         self.seeing_px = 0.0
         self.zero_point_e_s = instrument.true_zero_point_e_s
         self.illumination = np.empty(self.shape, dtype=np.float32)
-        rows, cols = np.arange(self.shape[0])[:, None], np.arange(self.shape[1])[None, :]
+        rows, cols = np.arange(self.shape[0], dtype=np.float64)[:, None], np.arange(self.shape[1], dtype=np.float64)[None, :]
         for first in range(0, self.shape[0], 256):
             block = slice(first, first + 256)
             self.illumination[block] = self.illumination_at(rows[block], cols)

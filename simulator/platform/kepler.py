@@ -25,6 +25,20 @@ class Elements:
     mean_anomaly_rad: Array
 
 
+def elements_deg(
+    a_km: float, e: float, inclination_deg: float, node_deg: float, perigee_deg: float, mean_anomaly_deg: float
+) -> Elements:
+    """Elements of one orbit from degrees."""
+    return Elements(
+        a_km=np.asarray(a_km, dtype=np.float64),
+        e=np.asarray(e, dtype=np.float64),
+        i_rad=np.asarray(np.radians(inclination_deg)),
+        node_rad=np.asarray(np.radians(node_deg)),
+        argp_rad=np.asarray(np.radians(perigee_deg)),
+        mean_anomaly_rad=np.asarray(np.radians(mean_anomaly_deg)),
+    )
+
+
 def eccentric_anomaly(mean_anomaly_rad: Array, e: Array) -> Array:
     """Root of Kepler's equation by Newton's method from Danby's starting value; converges for e < 0.99 in 6 steps."""
     mean = np.mod(np.asarray(mean_anomaly_rad) + np.pi, 2 * np.pi) - np.pi
@@ -87,7 +101,9 @@ def elements_of(position_km: Array, velocity_km_s: Array) -> Elements:
     )
 
 
-def velocity_through(position_km: Array, a_km: Array, e: Array, i_rad: Array, ascending: Array, outbound: Array) -> Array:
+def velocity_through(
+    position_km: Array, a_km: Array, e: Array, i_rad: Array, ascending: NDArray[np.bool_], outbound: NDArray[np.bool_]
+) -> Array:
     """Velocities (n, 3) of the orbits of given size, shape and inclination that pass through points (n, 3).
 
     `ascending` and `outbound` (bool) choose among the four of them. NaN where none passes: outside [perigee, apogee],

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import UserError
 from simulator.platform import earth
-from simulator.platform.kepler import Elements, state_of
+from simulator.platform.kepler import Elements, elements_deg, state_of
 
 Array = NDArray[np.float64]
 
@@ -148,24 +148,19 @@ def make_observer(options: PlatformOptions, epoch_tai_ns: int) -> OrbitingObserv
     if options.kind == "site":
         return SiteObserver(site=options.site)
     if options.kind == "kepler":
-        elements = Elements(
-            a_km=np.float64(options.semi_major_axis_km),
-            e=np.float64(options.eccentricity),
-            i_rad=np.radians(np.float64(options.inclination_deg)),
-            node_rad=np.radians(np.float64(options.node_deg)),
-            argp_rad=np.radians(np.float64(options.perigee_deg)),
-            mean_anomaly_rad=np.radians(np.float64(options.mean_anomaly_deg)),
+        elements = elements_deg(
+            options.semi_major_axis_km,
+            options.eccentricity,
+            options.inclination_deg,
+            options.node_deg,
+            options.perigee_deg,
+            options.mean_anomaly_deg,
         )
     else:
         a_km = earth.EARTH_RADIUS_KM + options.altitude_km
-        elements = Elements(
-            a_km=np.float64(a_km),
-            e=np.float64(0.0),
-            i_rad=np.float64(sun_synchronous_inclination_rad(a_km)),
-            node_rad=np.float64(mean_sun_ra_rad(epoch_tai_ns) + np.radians(15.0 * (options.ltan_h - 12.0))),
-            argp_rad=np.float64(0.0),
-            mean_anomaly_rad=np.radians(np.float64(options.latitude_argument_deg)),
-        )
+        inclination_deg = float(np.degrees(sun_synchronous_inclination_rad(a_km)))
+        node_deg = float(np.degrees(mean_sun_ra_rad(epoch_tai_ns))) + 15.0 * (options.ltan_h - 12.0)
+        elements = elements_deg(a_km, 0.0, inclination_deg, node_deg, 0.0, options.latitude_argument_deg)
     return OrbitingObserver(elements=elements, epoch_tai_ns=epoch_tai_ns)
 
 

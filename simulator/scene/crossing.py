@@ -111,4 +111,4 @@ def time_bins(place: Place, interval: Interval, step_px: float) -> tuple[Array, 
     fastest = float(np.hypot(np.diff(row), np.diff(col)).max()) * 64.0
     n = max(int(np.ceil(fastest / step_px)), 2)
     width_s = (interval.end_s - interval.start_s) / n
-    return interval.start_s + (np.arange(n) + 0.5) * width_s, width_s
+    return np.asarray(interval.start_s + (np.arange(n) + 0.5) * width_s, dtype=np.float64), width_s

@@ -57,7 +57,7 @@ def predict_crossings(
     """Satellites in a field of `shape` pixels between two times (s after the epoch), lit or not."""
     n = max(int(np.ceil((to_s - from_s) / STEP_S)), 1)
     half_s = 0.5 * (to_s - from_s) / n
-    time_s = from_s + half_s * (2.0 * np.arange(n) + 1.0)
+    time_s = np.asarray(from_s + half_s * (2.0 * np.arange(n) + 1.0), dtype=np.float64)
     position, velocity, error = propagate(satellites, epoch_tai_ns, time_s)
     bad = error.any(axis=1)
     refused = {satellites[k].name: int(error[k].max()) for k in np.flatnonzero(bad)}
@@ -131,7 +131,7 @@ def _crossings_of(
     change = np.diff(np.concatenate([[False], inside, [False]]).astype(np.int8))
     found = []
     for first, beyond in zip(np.flatnonzero(change == 1), np.flatnonzero(change == -1), strict=True):
-        middle = min((first + beyond) // 2, n - 2)
+        middle = min((int(first) + int(beyond)) // 2, n - 2)
         a, b = vector[middle] / distance[middle], vector[middle + 1] / distance[middle + 1]
         rate = np.arctan2(np.linalg.norm(np.cross(a, b)), a @ b) / (time_s[1] - time_s[0])
         found.append(

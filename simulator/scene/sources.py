@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from sboc_e2e.icd.errors import UserError
 from simulator.platform.earth import EARTH_RADIUS_KM
 from simulator.platform.jitter import ARCSEC_RAD
-from simulator.platform.kepler import Elements, elements_of, velocity_through
+from simulator.platform.kepler import Elements, elements_deg, elements_of, velocity_through
 from simulator.randomness import Effect, generator
 from simulator.scene.encounters import Drawn
 from simulator.scene.objects import Identity, OrbitingObject, PixelPathObject, SkyPathObject, kepler_positions
@@ -184,13 +184,13 @@ def orbiting(options: OrbitOptions) -> OrbitingObject:
         raise UserError(
             f"objects.orbit {options.name!r}: perigee height {perigee_km:.0f} km lies inside the Earth; allowed is above 0 km"
         )
-    elements = Elements(
-        a_km=np.float64(options.semi_major_axis_km),
-        e=np.float64(options.eccentricity),
-        i_rad=np.radians(np.float64(options.inclination_deg)),
-        node_rad=np.radians(np.float64(options.node_deg)),
-        argp_rad=np.radians(np.float64(options.perigee_deg)),
-        mean_anomaly_rad=np.radians(np.float64(options.mean_anomaly_deg)),
+    elements = elements_deg(
+        options.semi_major_axis_km,
+        options.eccentricity,
+        options.inclination_deg,
+        options.node_deg,
+        options.perigee_deg,
+        options.mean_anomaly_deg,
     )
     return kepler_object(options.name, "orbit", options.size_m, options.albedo, elements, 0.0, curve=options.light_curve.curve())
 

@@ -168,15 +168,8 @@ def _render(
         if first_row >= last_row or first_col >= last_col:
             continue
         box = np.s_[first_row:last_row, first_col:last_col]
-        render_trail(
-            scratch_e[box],
-            row[block] - first_row,
-            col[block] - first_col,
-            flux_e[block],
-            sigma,
-            blur,
-            camera.instrument.obstruction,
-        )
+        place = row[block] - first_row, col[block] - first_col
+        render_trail(scratch_e[box], *place, flux_e[block], sigma, blur, camera.instrument.obstruction)
         boxes.append((box, first_row, first_col))
     total, snr2, saturated = 0.0, 0.0, 0
     for box, first_row, first_col in boxes:
@@ -228,6 +221,8 @@ def _truth_row(
     sagitta_px = (off_row * dcol - off_col * drow) / chord if chord > 1e-9 else 0.0
     ra, dec = angles_deg(path.published(time_s))
     ra_app, dec_app = angles_deg(path.apparent(middle))
+    # A uniform disc of diameter d has the variance d^2/16 along each axis, an annulus of obstruction o (1 + o^2) times that.
+    disc_sigma_px = 0.25 * light.defocus_px * np.sqrt(1.0 + camera.instrument.obstruction**2)
     values = {
         "row0": row[0],
         "col0": col[0],
@@ -240,8 +235,7 @@ def _truth_row(
         "length_px": arc_length_px(chord, sagitta_px),
         "flux_e": light.flux_e,
         "snr": light.snr,
-        "psf_sigma_px": np.hypot(light.sigma_px, 0.25 * light.defocus_px * np.sqrt(1.0 + camera.instrument.obstruction**2))
-        / camera.binning.cols,
+        "psf_sigma_px": np.hypot(light.sigma_px, disc_sigma_px) / camera.binning.cols,
         "defocus_px": light.defocus_px / camera.binning.cols,
         "sagitta_px": sagitta_px,
         "gradient": 2.0 * (flux_rate[-1] - flux_rate[0]) / max(flux_rate[-1] + flux_rate[0], 1e-300),

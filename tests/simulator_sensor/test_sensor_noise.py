@@ -221,3 +221,15 @@ def test_a_window_beyond_the_detector_is_refused_by_name():
         Sensor(SensorOptions(window=WindowOptions(row0=90, rows=10)), rows=96, cols=64, seed=1)
     with pytest.raises(UserError, match="does not fit"):
         Sensor(SensorOptions(), rows=96, cols=64, seed=1).digitise(np.zeros((96, 63), dtype=np.float32), 0, 0.2)
+
+
+def test_noise_is_white_in_space():
+    options = replace(QUIET, readout=ReadoutOptions(row_noise_e=0.0, column_offset_e=0.0, read_noise_spread=0.0))
+    sensor = Sensor(options, rows=512, cols=512, seed=3)
+    sky = np.full((512, 512), 2.8, dtype=np.float32)
+    power = []
+    for frame in range(4):
+        noise = sensor.digitise(sky, frame, 0.2).astype(float)
+        power.append(np.abs(np.fft.rfft2(noise - noise.mean())) ** 2 / noise.size / noise.var())
+    # The mean of four exponential powers is gamma-distributed.
+    assert stats.kstest(np.mean(power, axis=0)[1:256, 1:256].ravel(), stats.gamma(4, scale=0.25).cdf).pvalue > 1e-3

@@ -29,7 +29,10 @@ LEAST_SIGMA = 0.29
 
 @njit(cache=True)
 def _probe_tile(
-    pixels: NDArray[np.uint16], dark: NDArray[np.int16], mask: NDArray[np.uint8], window: tuple[int, int, int, int]
+    pixels: NDArray[np.uint16] | NDArray[np.int32],
+    dark: NDArray[np.int16],
+    mask: NDArray[np.uint8],
+    window: tuple[int, int, int, int],
 ) -> tuple[int, int]:
     """Median and half the interquartile range of up to `PROBES` usable pixels spread over a tile; (0, -1) if none."""
     row0, row1, col0, col1 = window
@@ -58,8 +61,8 @@ def _clipped_moments(histogram: NDArray[np.int64], start: int, spread: float) ->
     """Mean and standard deviation, in bins, of what lies within +-3 sigma of the mean, iterated from a start."""
     centre, sigma, number = float(start), spread, 0
     for _ in range(8):
-        low = max(0, int(math.ceil(centre - CLIP_SIGMA * sigma)))
-        high = min(BINS - 1, int(math.floor(centre + CLIP_SIGMA * sigma)))
+        low = max(0, math.ceil(centre - CLIP_SIGMA * sigma))
+        high = min(BINS - 1, math.floor(centre + CLIP_SIGMA * sigma))
         number, total, squares = 0, 0.0, 0.0
         for k in range(low, high + 1):
             number += histogram[k]
@@ -78,7 +81,7 @@ def _clipped_moments(histogram: NDArray[np.int64], start: int, spread: float) ->
 
 @njit(cache=True)
 def clipped_mesh(
-    pixels: NDArray[np.uint16],
+    pixels: NDArray[np.uint16] | NDArray[np.int32],
     dark: NDArray[np.int16],
     mask: NDArray[np.uint8],
     tile_px: int,
@@ -126,8 +129,8 @@ def fill_gaps(mesh: NDArray[np.float32], otherwise: float) -> NDArray[np.float32
         values, weights = np.pad(filled * known, 1), np.pad(known.astype(np.float64), 1)
         rows, cols = mesh.shape
         shifts = [(i, j) for i in range(3) for j in range(3)]
-        total = sum(values[i : i + rows, j : j + cols] for i, j in shifts)
-        weight = sum(weights[i : i + rows, j : j + cols] for i, j in shifts)
+        total = np.sum([values[i : i + rows, j : j + cols] for i, j in shifts], axis=0)
+        weight = np.sum([weights[i : i + rows, j : j + cols] for i, j in shifts], axis=0)
         new = ~known & (weight > 0)
         filled[new] = total[new] / weight[new]
         known = known | new

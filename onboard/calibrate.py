@@ -5,6 +5,7 @@ The background image is never built: each row's level is interpolated from the m
 
 import math
 from dataclasses import dataclass
+from typing import cast
 
 import numpy as np
 from numba import njit
@@ -108,7 +109,7 @@ def to_counts(frame: Frame, calibration: IntegerCalibration) -> Counts:
     saturation_adu = frame.header.saturation_adu if frame.header.saturation_adu is not None else math.inf
     if frame.pixels.dtype == np.uint16:
         return Counts(
-            pixels=frame.pixels,
+            pixels=cast("NDArray[np.uint16]", frame.pixels),
             dark=calibration.dark,
             fraction=calibration.fraction,
             defects=calibration.defects,
@@ -116,7 +117,7 @@ def to_counts(frame: Frame, calibration: IntegerCalibration) -> Counts:
             adu_offset=0.0,
             saturation=int(min(max(saturation_adu, 1.0), 65535.0)),
         )
-    pixels, missing, scale, offset = float_counts(frame.pixels - calibration.dark)
+    pixels, missing, scale, offset = float_counts(cast("NDArray[np.float32]", frame.pixels) - calibration.dark.astype(np.float32))
     saturation = (saturation_adu - float(np.median(calibration.dark)) - offset) / scale
     return Counts(
         pixels=pixels,
@@ -158,7 +159,7 @@ def expand_nodes(nodes: NDArray[np.float32], tile_px: int, out: NDArray[np.float
 
 @njit(cache=True, fastmath={"contract", "nsz", "arcp"})  # no NaN reaches this loop; reordering changes the last bit only
 def _residual_row(
-    pixels: NDArray[np.uint16],
+    pixels: NDArray[np.uint16] | NDArray[np.int32],
     dark: NDArray[np.int16],
     fraction: NDArray[np.int8],
     defects: NDArray[np.uint8],
@@ -167,9 +168,9 @@ def _residual_row(
     scale: np.float32,
     residual: NDArray[np.float32],
     mask: NDArray[np.uint8],
-) -> int:
+) -> np.int32:
     """One row of `residual_pass`; a function of its own so that it is compiled to vector instructions."""
-    unusable = 0
+    unusable = np.int32(0)
     unit = np.float32(1.0 / FRACTIONS_PER_ADU)
     for col in range(pixels.size):
         value = np.int32(pixels[col])
@@ -183,7 +184,7 @@ def _residual_row(
 
 @njit(cache=True)
 def residual_pass(
-    pixels: NDArray[np.uint16],
+    pixels: NDArray[np.uint16] | NDArray[np.int32],
     dark: NDArray[np.int16],
     fraction: NDArray[np.int8],
     defects: NDArray[np.uint8],
@@ -214,7 +215,17 @@ def residual_pass(
         share = np.float32(position - above)
         for col in range(cols):
             level[col] = upper[col] + share * (lower[col] - upper[col])
-        unusable += _residual_row(
-            pixels[row], dark[row], fraction[row], defects[row], level, saturation, np.float32(scale), residual[row], mask[row]
+        unusable += int(
+            _residual_row(
+                pixels[row],
+                dark[row],
+                fraction[row],
+                defects[row],
+                level,
+                saturation,
+                np.float32(scale),
+                residual[row],
+                mask[row],
+            )
         )
     return unusable

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numba import njit
@@ -103,7 +104,7 @@ def plan_strips(
     nodes = arc_points(detection, np.linspace(low, high, pieces + 1))
     # neighbouring pieces share a node; the later one starts a line further on, so that no line is sent twice
     strips: list[StripGeometry] = []
-    for a, b in zip(nodes[:-1], nodes[1:], strict=True):
+    for a, b in pairwise(nodes):
         strip = piece_geometry(a, b, half_width_px, axis, shape)
         if strip is not None:
             strips.append(strip)
@@ -143,15 +144,13 @@ def _square(
     half = max(half_width_px, half_height_px)
     bands = max(1, math.ceil((2.0 * half + 1.0) ** 2 / pixels_per_strip))
     rows = np.linspace(row - half, row + half, bands + 1)
-    strips = [
-        piece_geometry(np.array((a, col)), np.array((b, col)), half, 0, shape) for a, b in zip(rows[:-1], rows[1:], strict=True)
-    ]
+    strips = [piece_geometry(np.array((a, col)), np.array((b, col)), half, 0, shape) for a, b in pairwise(rows)]
     return _without_repeats([strip for strip in strips if strip is not None])
 
 
 @njit(cache=True)
 def gather(
-    pixels: NDArray[np.uint16],
+    pixels: NDArray[np.uint16] | NDArray[np.int32],
     dark: NDArray[np.int16],
     axis: int,
     major0: int,

@@ -58,7 +58,7 @@ def trail_half_width_px(view: DetectorView, detection: Detection, *, least_px: f
 
 
 def cross_profile(view: DetectorView, detection: Detection, reach: int) -> tuple[NDArray[np.float64], int]:
-    """Sum along the trail of the image at offsets -reach ... reach px across it (nearest pixels), and how many values each adds."""
+    """Sum along the trail of the image at offsets -reach ... reach px across it (nearest pixels), and how many each adds."""
     drow, dcol = detection.row1 - detection.row0, detection.col1 - detection.col0
     length = detection.length_px
     samples = max(1, min(int(length), 2000))
@@ -108,7 +108,7 @@ def code_roi(
         level = round((level_adu - counts.adu_offset) / counts.adu_scale)
         sigma = float(np.float32(noise_adu / counts.adu_scale))
         strip = roi.cut_strip(geometry, counts.pixels, counts.dark, level)
-        block = encoded(codec, strip.values_adu, level, sigma)
+        block = encoded(codec, strip.values_adu.astype(np.int32, copy=False), level, sigma)
         if len(block) > BLOCK_ROOM_BYTES:
             if geometry.n * geometry.width == 1:
                 raise PluginError(f"codec {type(codec).__name__}: {len(block)} bytes for one pixel")

@@ -33,19 +33,19 @@ def mark_stars(
     """Set 1 in out (n, cols), whose line k is row ``k * row_step``, within `reach` px of each star."""
     lines, cols = out.shape
     for n in range(row.size):
-        first = max(0, int(math.ceil((row[n] - reach[n]) / row_step)))
-        last = min(lines - 1, int(math.floor((row[n] + reach[n]) / row_step)))
+        first = max(0, math.ceil((row[n] - reach[n]) / row_step))
+        last = min(lines - 1, math.floor((row[n] + reach[n]) / row_step))
         for line in range(first, last + 1):
             away = line * row_step - row[n]
             half = math.sqrt(max(reach[n] * reach[n] - away * away, 0.0))
-            for k in range(max(0, int(math.ceil(col[n] - half))), min(cols - 1, int(math.floor(col[n] + half))) + 1):
+            for k in range(max(0, math.ceil(col[n] - half)), min(cols - 1, math.floor(col[n] + half)) + 1):
                 out[line, k] = 1
 
 
 @njit(cache=True, fastmath={"reassoc", "contract", "nsz"})  # sums of finite values: order is free
 def _row_sums(
     residual: NDArray[np.float32], mask: NDArray[np.uint8], marked: NDArray[np.uint8], limit: np.float32
-) -> tuple[float, float, float]:
+) -> tuple[np.float32, np.float32, np.float32]:
     """Number, sum and sum of squares of usable values within +-limit."""
     number, total, squares = np.float32(0.0), np.float32(0.0), np.float32(0.0)
     for col in range(residual.size):
@@ -82,7 +82,7 @@ def star_free_moments(
                 if row >= min((i + 1) * tile_px, rows):
                     break
                 n, s, q = _row_sums(residual[row, col0:col1], mask[row, col0:col1], marked[line, col0:col1], limit)
-                number, total, squares = number + n, total + s, squares + q
+                number, total, squares = number + float(n), total + float(s), squares + float(q)
             mean[i, j], deviation[i, j] = np.nan, np.nan
             if number >= LEAST_SAMPLES:
                 mean[i, j] = total / number

@@ -151,7 +151,7 @@ def measure_shape(
         misfit = moments - terms[:, :n_terms] @ fitted
         middle = np.median(misfit[keep], axis=0)
         spread = 1.4826 * np.median(np.abs(misfit[keep] - middle), axis=0) + 1e-4
-        new_keep = (np.abs(misfit - middle) < CLIP_SIGMA * spread).all(axis=1)
+        new_keep: NDArray[np.bool_] = np.asarray((np.abs(misfit - middle) < CLIP_SIGMA * spread).all(axis=1))
         if np.count_nonzero(new_keep) < LEAST_STARS or (new_keep == keep).all():
             break
         keep = new_keep

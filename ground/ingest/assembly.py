@@ -1,12 +1,24 @@
 """Records of a frame put together; what a lost header held is taken from other packets of the run."""
 
+from bisect import bisect_left
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.ingest.records import Chunk, HeaderRecord, MeshBand, StripRecord, Telemetry, ThumbnailBand, star_list
+from ground.ingest.packets import Packet
+from ground.ingest.records import (
+    Chunk,
+    HeaderRecord,
+    MemoryLimit,
+    MeshBand,
+    Record,
+    StripRecord,
+    Telemetry,
+    ThumbnailBand,
+    star_list,
+)
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.errors import ContractError
 from sboc_e2e.icd.flags import FrameFlag
@@ -31,30 +43,51 @@ class FrameParts:
     chunks: list[Chunk] = field(default_factory=list)
     missing: dict[str, int] = field(default_factory=dict)
 
+    def add(self, packet: Packet, record: Record) -> None:
+        """Put a record where it belongs."""
+        if isinstance(record, HeaderRecord):
+            self.header = record
+        elif isinstance(record, StripRecord):
+            self.strips.setdefault(packet.item, []).append((packet.segment, record))
+        elif isinstance(record, MeshBand):
+            self.mesh.append(record)
+        elif isinstance(record, ThumbnailBand):
+            self.thumbnail.append(record)
+        elif isinstance(record, Chunk):
+            self.chunks.append(record)
+        else:
+            self.stars.append(record)
 
-def assemble(parts: Sequence[FrameParts]) -> tuple[tuple[DownlinkFrame, ...], tuple[int, ...]]:
-    """Frames in the order given, and the numbers of those that no header of the run lets one build."""
-    known = [part for part in parts if part.header is not None]
-    telemetry = {part.header.previous.frame: part.header.previous for part in known if part.header and part.header.previous}
+
+def assemble(
+    parts: Sequence[FrameParts], memory: MemoryLimit, failures: list[str]
+) -> tuple[tuple[DownlinkFrame, ...], tuple[int, ...]]:
+    """Frames in the order given (by number), and the numbers of those that no header of the run lets one build."""
+    headers = [part.header for part in parts if part.header is not None]
+    numbers = [header.header.frame for header in headers]
+    telemetry = {header.previous.frame: header.previous for header in headers if header.previous is not None}
     frames: list[DownlinkFrame] = []
     unusable: list[int] = []
     for part in parts:
-        record = part.header or _rebuilt_header(part, known, telemetry)
-        if record is None:
-            unusable.append(part.frame)
+        if part.header is not None:
+            frames.append(_frame(part, part.header, memory, failures))
+        elif headers:
+            nearest = headers[_nearest(numbers, part.frame)]
+            frames.append(_frame(part, _rebuilt_header(part, nearest, telemetry.get(part.frame)), memory, failures))
         else:
-            frames.append(_frame(part, record))
+            unusable.append(part.frame)
     return tuple(frames), tuple(unusable)
 
 
-def _rebuilt_header(part: FrameParts, known: Sequence[FrameParts], telemetry: dict[int, Telemetry]) -> HeaderRecord | None:
+def _nearest(numbers: Sequence[int], number: int) -> int:
+    """Index of the nearest of sorted numbers."""
+    after = bisect_left(numbers, number)
+    candidates = [k for k in (after - 1, after) if 0 <= k < len(numbers)]
+    return min(candidates, key=lambda k: abs(numbers[k] - number))
+
+
+def _rebuilt_header(part: FrameParts, nearest: HeaderRecord, repeated: Telemetry | None) -> HeaderRecord:
     """A lost header from the nearest one of the run, this frame's own times, and the telemetry that is repeated later."""
-    if not known:
-        return None
-    nearest = min(known, key=lambda other: (abs(other.frame - part.frame), other.frame)).header
-    if nearest is None:
-        return None
-    repeated = telemetry.get(part.frame)
     header = replace(
         nearest.header,
         frame=part.frame,
@@ -67,9 +100,15 @@ def _rebuilt_header(part: FrameParts, known: Sequence[FrameParts], telemetry: di
     return replace(nearest, header=header)
 
 
-def _frame(part: FrameParts, record: HeaderRecord) -> DownlinkFrame:
-    """A frame of its parts."""
+def _frame(part: FrameParts, record: HeaderRecord, memory: MemoryLimit, failures: list[str]) -> DownlinkFrame:
+    """A frame of its parts; a whole frame that cannot be put together is listed."""
     header = record.header
+    whole = None
+    if part.chunks:
+        try:
+            whole = _whole(part.chunks, header, memory)
+        except ContractError as error:
+            failures.append(f"frame {part.frame} FRAME: {error}")
     housekeeping = part.header.housekeeping if part.header is not None else None
     flags = housekeeping.flags if housekeeping is not None else FrameFlag.HEADER_REBUILT | _absent(header)
     if part.missing:
@@ -94,7 +133,7 @@ def _frame(part: FrameParts, record: HeaderRecord) -> DownlinkFrame:
         rois=tuple(groups),
         background=_mesh(part.mesh, header),
         thumbnail_adu=_thumbnail(part.thumbnail, header),
-        whole_frame=_whole(part.chunks, header),
+        whole_frame=whole,
         adu_scale=record.adu_scale,
         adu_offset=record.adu_offset,
     )
@@ -141,16 +180,18 @@ def _thumbnail(bands: Sequence[ThumbnailBand], header: FrameHeader) -> NDArray[n
     return out
 
 
-def _whole(chunks: Sequence[Chunk], header: FrameHeader) -> NDArray[np.int32] | NDArray[np.float32] | None:
+def _whole(chunks: Sequence[Chunk], header: FrameHeader, memory: MemoryLimit) -> NDArray[np.int32] | NDArray[np.float32] | None:
     """The whole frame if every pixel arrived; raw minus rounded dark, in transmitted units."""
-    if not chunks or sum(chunk.values.size for chunk in chunks) != header.rows * header.cols:
+    if sum(chunk.values.size for chunk in chunks) != header.rows * header.cols:
         return None
-    out = np.zeros((header.rows, header.cols), dtype=chunks[0].values.dtype)
+    if any(c.row + c.values.shape[0] > header.rows or c.col + c.values.shape[1] > header.cols for c in chunks):
+        raise ContractError(f"a chunk lies outside the frame of {header.rows} x {header.cols} px")
+    memory.take(5 * header.rows * header.cols)
+    out: NDArray[np.int32] | NDArray[np.float32] = np.zeros((header.rows, header.cols), dtype=np.int32)
+    if any(chunk.values.dtype == np.float32 for chunk in chunks):
+        out = np.zeros((header.rows, header.cols), dtype=np.float32)
     covered = np.zeros(out.shape, dtype=bool)
     for chunk in chunks:
-        n_rows, n_cols = chunk.values.shape
-        if chunk.row + n_rows > header.rows or chunk.col + n_cols > header.cols:
-            raise ContractError(f"frame {header.frame}: a chunk lies outside the frame of {header.rows} x {header.cols} px")
-        out[chunk.row : chunk.row + n_rows, chunk.col : chunk.col + n_cols] = chunk.values
-        covered[chunk.row : chunk.row + n_rows, chunk.col : chunk.col + n_cols] = True
+        part = np.s_[chunk.row : chunk.row + chunk.values.shape[0], chunk.col : chunk.col + chunk.values.shape[1]]
+        out[part], covered[part] = chunk.values, True
     return out if covered.all() else None

@@ -159,7 +159,7 @@ class Ccsds121Decoder:
             raise ContractError(f"ccsds121 block: {error}") from error
         if len(plain) < size * item_bytes:
             raise ContractError(f"ccsds121 block: expected {size * item_bytes} bytes, got {len(plain)}")
-        codes = np.frombuffer(plain, dtype=f"u{item_bytes}", count=size).astype(np.uint32)
+        codes = np.frombuffer(plain, dtype=f"<u{item_bytes}", count=size).astype(np.uint32)
         return unzigzag(codes, level_adu).reshape(shape)
 
 

@@ -1,21 +1,13 @@
 """A downlink to frames: the ground half of the packet interface."""
 
 from collections import Counter, defaultdict
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TypeVar
+from itertools import pairwise
 
 from ground.ingest.assembly import FrameParts, assemble
 from ground.ingest.packets import Packet, StreamFaults, read_packets
-from ground.ingest.records import (
-    HeaderRecord,
-    decode_chunk,
-    decode_header,
-    decode_mesh,
-    decode_stars,
-    decode_strip,
-    decode_thumbnail,
-)
+from ground.ingest.records import MemoryLimit, decode_record
 from ground.ingest.report import ApidReport, IngestReport
 from sboc_e2e.icd import layout
 from sboc_e2e.icd.downlink import DownlinkFrame
@@ -25,7 +17,6 @@ from sboc_e2e.icd.steps import Decoder
 
 FAILURES_LISTED = 1000
 COUNT_MODULUS = 1 << 14
-Record = TypeVar("Record")
 
 
 @dataclass(kw_only=True)
@@ -52,8 +43,9 @@ def decode_downlink(
     packets = by_run.get(run_id, []) if run_id is not None else []
     frames, tallies, conflicts = _sorted_into_frames(packets)
     failures: list[str] = []
-    parts = [_decoded(number, t_start, place, table, failures) for (number, t_start), place in sorted(frames.items())]
-    built, unusable = assemble(parts)
+    memory = MemoryLimit.for_stream(len(downlink))
+    parts = [_decoded(number, t_start, group, table, memory, failures) for (number, t_start), group in sorted(frames.items())]
+    built, unusable = assemble(parts, memory, failures)
     complete, incomplete, missing_segments = _completeness(parts)
     return built, IngestReport(
         run_id=run_id if packets else None,
@@ -147,7 +139,7 @@ def missing_counts(places: Sequence[tuple[int, int, int]]) -> tuple[tuple[int, i
         seen.update(unwrapped)
         reached = max(unwrapped)
     ordered = sorted(seen)
-    return tuple((a + 1, b - 1) for a, b in zip(ordered, ordered[1:], strict=False) if b > a + 1)
+    return tuple((a + 1, b - 1) for a, b in pairwise(ordered) if b > a + 1)
 
 
 def _first_of_run(counts: Sequence[int]) -> int:
@@ -158,7 +150,12 @@ def _first_of_run(counts: Sequence[int]) -> int:
 
 
 def _decoded(
-    number: int, t_start: int, packets: _FramePackets, decoders: Mapping[int, Decoder], failures: list[str]
+    number: int,
+    t_start: int,
+    packets: _FramePackets,
+    decoders: Mapping[int, Decoder],
+    memory: MemoryLimit,
+    failures: list[str],
 ) -> FrameParts:
     """Records of one frame; what cannot be decoded is listed and left out."""
     places = sorted(packets.by_place)
@@ -166,50 +163,27 @@ def _decoded(
     parts = FrameParts(
         frame=number, t_start_tai_ns=t_start, exposure_ns=any_packet.exposure_ns, line_time_ns=any_packet.line_time_ns
     )
-    expected: dict[tuple[int, int], int] = {}
+    expected: Counter[tuple[int, int]] = Counter()
     arrived: Counter[tuple[int, int]] = Counter()
-
-    def attempt(decode: Callable[[], Record], packet: Packet) -> Record | None:
-        try:
-            return decode()
-        except ContractError as error:
-            failures.append(f"frame {number} {Apid(packet.apid).name} item {packet.item} segment {packet.segment}: {error}")
-            return None
-
     for place in places:
         packet = packets.by_place[place]
         group = (packet.apid, packet.item)
-        expected[group] = max(expected.get(group, 0), packet.n_segments)
-        record: object | None
-        if packet.apid == Apid.HEADER:
-            header: HeaderRecord | None = attempt(lambda: decode_header(packet), packet)
-            parts.header = record = header
-        elif packet.apid == Apid.STARS:
-            record = attempt(lambda: decode_stars(packet), packet)
-            parts.stars += [record] if record is not None else []
-        elif packet.apid == Apid.ROI:
-            record = attempt(lambda: decode_strip(packet, decoders), packet)
-            if record is not None:
-                parts.strips.setdefault(packet.item, []).append((packet.segment, record))
-            parts.n_strips[packet.item] = max(parts.n_strips.get(packet.item, 0), packet.n_segments)
-        elif packet.apid == Apid.BACKGROUND:
-            record = attempt(lambda: decode_mesh(packet), packet)
-            parts.mesh += [record] if record is not None else []
-        elif packet.apid == Apid.THUMBNAIL:
-            record = attempt(lambda: decode_thumbnail(packet), packet)
-            parts.thumbnail += [record] if record is not None else []
-        else:
-            record = attempt(lambda: decode_chunk(packet, decoders), packet)
-            parts.chunks += [record] if record is not None else []
-        arrived[group] += record is not None
+        expected[group] = max(expected[group], packet.n_segments)
+        if packet.apid == Apid.ROI:
+            parts.n_strips[packet.item] = expected[group]
+        try:
+            parts.add(packet, decode_record(packet, decoders, memory))
+            arrived[group] += 1
+        except ContractError as error:
+            failures.append(f"frame {number} {Apid(packet.apid).name} item {packet.item} segment {packet.segment}: {error}")
     for group, n_segments in expected.items():
         if arrived[group] < n_segments:
             kind = Apid(group[0]).name.lower()
             parts.missing[kind] = parts.missing.get(kind, 0) + n_segments - arrived[group]
     if parts.header is None:
         parts.missing.setdefault("header", 1)
-    elif parts.header.housekeeping.n_rois_sent > len(parts.strips):
-        lost = parts.header.housekeeping.n_rois_sent - len(parts.strips)
+    elif parts.header.housekeeping.n_rois_sent > len(parts.n_strips):
+        lost = parts.header.housekeeping.n_rois_sent - len(parts.n_strips)
         parts.missing["roi"] = parts.missing.get("roi", 0) + lost
     return parts
 
@@ -225,4 +199,4 @@ def _completeness(
 
 def _gaps(numbers: Sequence[int]) -> tuple[tuple[int, int], ...]:
     """Ranges (first, last) absent between the first and the last of sorted numbers."""
-    return tuple((a + 1, b - 1) for a, b in zip(numbers, numbers[1:], strict=False) if b > a + 1)
+    return tuple((a + 1, b - 1) for a, b in pairwise(numbers) if b > a + 1)

@@ -22,9 +22,31 @@ from sboc_e2e.icd.frame import AttitudeEstimate, FrameHeader, ObserverState
 from sboc_e2e.icd.signals import Detection, StarList, Strip
 from sboc_e2e.icd.steps import Decoder
 
-
 Decoders = Mapping[int, Decoder]
-LARGEST_MESH_NODES = 1 << 20
+LARGEST_TABLE = 1 << 16
+"""Nodes of a background mesh or cells of a thumbnail."""
+
+MEMORY_FLOOR_BYTES = 1 << 27
+MEMORY_PER_STREAM_BYTE = 40
+"""Noise expands about tenfold when it is decoded; a stream that claims much more is not a downlink."""
+
+
+@dataclass(kw_only=True)
+class MemoryLimit:
+    """Bytes that decoded records may still take."""
+
+    left_bytes: int
+
+    @classmethod
+    def for_stream(cls, n_bytes: int) -> "MemoryLimit":
+        """128 MiB, and 40 bytes for each byte of the stream."""
+        return cls(left_bytes=MEMORY_FLOOR_BYTES + MEMORY_PER_STREAM_BYTE * n_bytes)
+
+    def take(self, n_bytes: int) -> None:
+        """Account for an array; refuse it when the limit is reached."""
+        if n_bytes > self.left_bytes:
+            raise ContractError(f"decoded data beyond the memory limit: {n_bytes} bytes wanted, {self.left_bytes} left")
+        self.left_bytes -= n_bytes
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -83,6 +105,32 @@ class Chunk:
     row: int
     col: int
     values: NDArray[np.int32] | NDArray[np.float32]
+
+
+Record = HeaderRecord | NDArray[np.void] | StripRecord | MeshBand | ThumbnailBand | Chunk
+
+
+def decode_record(packet: Packet, decoders: Decoders, memory: MemoryLimit) -> Record:
+    """The record of any packet, within a memory limit."""
+    if packet.apid == layout.Apid.HEADER:
+        return decode_header(packet)
+    if packet.apid == layout.Apid.STARS:
+        return decode_stars(packet)
+    if packet.apid == layout.Apid.ROI:
+        strip = decode_strip(packet, decoders)
+        memory.take(strip.strip.values_adu.nbytes)
+        return strip
+    if packet.apid == layout.Apid.BACKGROUND:
+        mesh = decode_mesh(packet)
+        memory.take(8 * mesh.shape[0] * mesh.shape[1])
+        return mesh
+    if packet.apid == layout.Apid.THUMBNAIL:
+        band = decode_thumbnail(packet)
+        memory.take(4 * band.shape[0] * band.shape[1])
+        return band
+    chunk = decode_chunk(packet, decoders)
+    memory.take(chunk.values.nbytes)
+    return chunk
 
 
 def _unpack(layout_struct: Any, payload: bytes, what: str, offset: int = 0) -> tuple[Any, ...]:
@@ -163,12 +211,14 @@ def decode_telemetry(payload: bytes, offset: int) -> Telemetry:
         upper = np.triu_indices(3)
         covariance[upper] = fields[9:15]
         covariance.T[upper] = fields[9:15]
-        attitude = AttitudeEstimate(quaternion=fields[2:6], rate_rad_s=fields[6:9], covariance_rad2=covariance)
+        attitude = AttitudeEstimate(
+            quaternion=np.array(fields[2:6]), rate_rad_s=np.array(fields[6:9]), covariance_rad2=covariance
+        )
     if present & layout.HAS_OBSERVER:
         observer = ObserverState(
             tai_ns=fields[15],
-            position_m=fields[16:19],
-            velocity_m_s=fields[19:22],
+            position_m=np.array(fields[16:19]),
+            velocity_m_s=np.array(fields[19:22]),
             sigma_position_m=fields[22],
             sigma_velocity_m_s=fields[23],
         )
@@ -196,8 +246,8 @@ def star_list(entries: NDArray[np.void]) -> StarList:
     return StarList(
         row=position["row"][order],
         col=position["col"][order],
-        flux_e=flux[order],
-        snr=(np.exp2(entries["snr"] / layout.STAR_SNR_CODES_PER_OCTAVE) - 1.0)[order],
+        flux_e=flux[order].astype(np.float32),
+        snr=(np.exp2(entries["snr"] / layout.STAR_SNR_CODES_PER_OCTAVE) - 1.0)[order].astype(np.float32),
         flags=entries["flags"][order],
     )
 
@@ -282,5 +332,5 @@ def decode_chunk(packet: Packet, decoders: Decoders) -> Chunk:
 
 def _check_band(what: str, rows: int, cols: int, first: int, n_rows: int) -> None:
     """Whether rows first ... first + n_rows - 1 lie inside a table of a reasonable size."""
-    if not (0 < rows * cols <= LARGEST_MESH_NODES and 0 < n_rows and first + n_rows <= rows):
+    if not (0 < rows * cols <= LARGEST_TABLE and n_rows > 0 and first + n_rows <= rows):
         raise ContractError(f"{what}: rows {first} to {first + n_rows - 1} of a table of {rows} x {cols}")

@@ -40,7 +40,7 @@ class Ccsds121Codec:
         codes = np.empty(flat.size, dtype=np.uint32)
         n_bits = int(zigzag(flat, level_adu, codes)).bit_length()
         bits = next(size for size in (8, 16, 32) if n_bits <= size)
-        samples = codes.astype(f"u{bits // 8}")
+        samples = codes.astype(f"<u{bits // 8}")
         coded = imagecodecs.aec_encode(
             samples.tobytes(), bitspersample=bits, flags=0, blocksize=BLOCK_SIZE, rsi=SAMPLES_PER_REFERENCE
         )

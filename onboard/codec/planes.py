@@ -30,7 +30,7 @@ _COMPRESSION = zstandard.ZstdCompressionParameters(
 
 
 @njit(cache=True)
-def zigzag(values: NDArray[np.int32], level: int, out: NDArray[np.uint32]) -> int:
+def zigzag(values: NDArray[np.int32], level: int, out: NDArray[np.uint32]) -> np.uint32:
     """Map ``value - level`` to 0, 1, 2, 3, ... for 0, -1, 1, -2, ...; returns the bitwise or of all codes.
 
     The difference is taken modulo 2**32, so every pair of int32 values is reversible.
@@ -54,7 +54,7 @@ def split_planes(codes: NDArray[np.uint32], out: NDArray[np.uint8]) -> None:
 
 
 @njit(cache=True)
-def count_at_least(codes: NDArray[np.uint32]) -> tuple[int, int]:
+def count_at_least(codes: NDArray[np.uint32]) -> tuple[np.int32, np.int32]:
     """How many codes need an escape in nibbles (>= 15) and in bytes (>= 255)."""
     nibbles, octets = np.int32(0), np.int32(0)
     for k in range(codes.size):

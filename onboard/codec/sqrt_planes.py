@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from onboard.codec.planes import encode_planes
 from sboc_e2e.icd.layout import SQRT_PLANES, CodecNumber
 
-
 KNEE_SIGMA = 3.0
 """Where the square root takes over from the line; fixed by ICD.md."""
 

@@ -100,8 +100,8 @@ class Frame:
     pixels: NDArray[np.uint16] | NDArray[np.float32]
 
     def __post_init__(self) -> None:
-        if not isinstance(self.pixels, np.ndarray) or self.pixels.dtype not in (np.uint16, np.float32):
-            got = getattr(self.pixels, "dtype", type(self.pixels).__name__)
+        got = getattr(self.pixels, "dtype", type(self.pixels).__name__)
+        if got not in (np.dtype(np.uint16), np.dtype(np.float32)):
             raise ContractError(f"frame.pixels: expected uint16 or float32, got {got}")
         shape = (self.header.rows, self.header.cols)
         object.__setattr__(self, "pixels", validate.array("frame.pixels", self.pixels, self.pixels.dtype, shape))

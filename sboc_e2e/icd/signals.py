@@ -55,8 +55,8 @@ class StarList:
     @classmethod
     def empty(cls) -> "StarList":
         """A list without stars."""
-        none = np.zeros(0)
-        return cls(row=none, col=none, flux_e=none, snr=none, flags=none)
+        none, none32 = np.zeros(0), np.zeros(0, dtype=np.float32)
+        return cls(row=none, col=none, flux_e=none32, snr=none32, flags=np.zeros(0, dtype=np.uint8))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,7 +74,7 @@ class Detection:
     col1: float
     snr: float
     sagitta_px: float = 0.0
-    flags: StreakFlag = StreakFlag(0)
+    flags: StreakFlag = StreakFlag(0)  # noqa: RUF009 - an enumeration member, immutable
 
     def __post_init__(self) -> None:
         for name in ("row0", "col0", "row1", "col1", "snr", "sagitta_px"):

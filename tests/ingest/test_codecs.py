@@ -86,9 +86,7 @@ def test_planes_come_near_the_entropy(sigma: float) -> None:
 
 
 @given(values=blocks, level=levels, sigma=st.floats(0.1, 1000.0), step=st.floats(0.05, 4.0))
-def test_near_lossless_errs_by_less_than_half_a_step(
-    values: NDArray[np.int32], level: int, sigma: float, step: float
-) -> None:
+def test_near_lossless_errs_by_less_than_half_a_step(values: NDArray[np.int32], level: int, sigma: float, step: float) -> None:
     """|error| <= half the step at the pixel's own noise (plus one ADU for rounding)."""
     sigma = float(np.float32(sigma))
     encoder = SqrtPlanesCodec(step_sigma=step)

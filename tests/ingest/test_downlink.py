@@ -13,6 +13,7 @@ from hypothesis import strategies as st
 from ground.ingest import decode_downlink
 from ground.ingest.codecs import PlanesDecoder, RawDecoder
 from ground.ingest.decoding import missing_counts
+from onboard.codec import PlanesCodec
 from sboc_e2e.icd import layout
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.errors import PluginError, UserError
@@ -292,3 +293,21 @@ def test_garbage_is_skipped_in_linear_time() -> None:
     frames, report = decode_downlink(head * (1_000_000 // len(head)), DECODERS)
     assert frames == ()
     assert report.corrupted + report.truncated == 1_000_000 // len(head)
+
+
+def test_expansion_bomb_hits_the_memory_limit() -> None:
+    """Thousands of small packets that each decode to 64 kpx: memory stays bounded, the rest is listed."""
+    run = small_run.short_run(1)
+    template = next(p for p in split(run.downlink) if apid(p) == Apid.ROI)
+    constant = PlanesCodec().encode(np.zeros((256, 256), dtype=np.int32), level_adu=0, sigma_adu=1.0)
+    head = layout.STRIP.pack(1, 0, 0, 256, 256, 0, 0, 0, 1.0, len(constant))
+    payload = template[layout.HEADER_BYTES : layout.HEADER_BYTES + layout.ROI_GROUP.size] + head + constant
+    stream = [run.downlink]
+    for item in range(2000):
+        packet = template[:38] + struct.pack(">HHH", item + 1, 0, 1) + template[44:]
+        stream.append(reseal(packet, payload))
+    frames, report = decode_downlink(b"".join(stream), DECODERS)
+    held = sum(strip.values_adu.nbytes for group in frames[0].rois for strip in group.strips)
+    assert held < 2**28
+    assert report.n_decode_failures > 1000
+    assert "memory limit" in report.decode_failures[0]

@@ -241,7 +241,7 @@ def test_tight_budget_drops_in_order_of_priority() -> None:
     run = start_run(detections=(cosmic, good), downlink=DownlinkOptions(budget_mbit_s=room * 8 / 0.2 / 1e6, burst_s=0.0))
     result = run.feed(frame(0))
     assert result.housekeeping.flags & FrameFlag.BUDGET_CUT
-    assert [group.detection.snr for group in result.rois][0] == 20.0
+    assert result.rois[0].detection.snr == 20.0
     assert result.housekeeping.n_rois_sent + result.housekeeping.n_rois_dropped == 2
     assert result.housekeeping.bytes_dropped > 0
     assert layout.Apid.BACKGROUND not in result.bytes_by_apid

@@ -165,9 +165,7 @@ def test_chosen_stars_cover_the_frame() -> None:
     row, col = rng.uniform(0, 1000, n), rng.uniform(0, 1000, n)
     flux = np.where((row < 200) & (col < 200), 1e5, 1e2) * rng.uniform(1, 2, n)
     order = np.argsort(-flux)
-    stars = StarList(
-        row=row[order], col=col[order], flux_e=flux[order], snr=flux[order], flags=np.zeros(n, dtype=np.uint8)
-    )
+    stars = StarList(row=row[order], col=col[order], flux_e=flux[order], snr=flux[order], flags=np.zeros(n, dtype=np.uint8))
     chosen = best_spread(stars, (1000, 1000), 256)
     assert len(chosen) == 256
     cells = (stars.row[chosen] // 125).astype(int) * 8 + (stars.col[chosen] // 125).astype(int)

@@ -33,7 +33,7 @@ def masked_image(view: DetectorView, halo_px: float) -> MaskedImage:
     """The view in units of sigma/16 with its stars (but not the trails in the star list) taken out."""
     sigma, tile_px = view.background.sigma_adu, view.background.tile_px
     image = whiten.quantise(view.residual_adu, view.mask, sigma, tile_px)
-    blocked = (view.mask != 0).astype(np.uint8)
+    blocked = whiten.unusable(view.mask)
     if len(view.stars):
         level = np.zeros((1, 1), np.float32)
         smooth = whiten.smooth(image, level, max(image.shape), whiten.odd_taps(view.psf_sigma_px), 7.0)

@@ -64,7 +64,7 @@ class DifferenceDetector:
         spread = cv2.dilate(np.maximum(old, 0.0), np.ones((3, 3), np.uint8))
         above = smoothed > self.n_sigma * noise + self.star_margin * spread
         segments = components.elongated_components(above, min_length_px=0.0, min_axis_ratio=1.0, min_area_px=self.min_area_px)
-        masked = components.MaskedImage(image=now, blocked=(view.mask != 0).astype(np.uint8))
+        masked = components.MaskedImage(image=now, blocked=whiten.unusable(view.mask))
         joined = components.join_collinear(segments, gap_px=12.0, across_px=2.5)
         return components.to_detections(
             masked, joined, psf_sigma_px=view.psf_sigma_px, min_snr=self.min_snr, max_detections=self.max_detections

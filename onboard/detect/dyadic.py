@@ -15,6 +15,8 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.detect.whiten import UNIT
+
 CELL: Final = 8
 """Candidates of one block that cross its middle in the same cell of this many columns are one: the best of all shifts."""
 
@@ -142,3 +144,39 @@ def line_sums(
         current, following = following, current
         blocks = next_blocks
     return found[:n_found]
+
+
+def half_resolution_noise(binned: NDArray[np.int16], taps: NDArray[np.int16], blocked: NDArray[np.uint8]) -> NDArray[np.float64]:
+    """Variance per row of a line sum of the half-resolution image, for slope 0 and slope 1 (shape (2,))."""
+    kernel = np.concatenate([taps[::-1], taps]).astype(np.float64)
+    correlation = np.correlate(kernel, kernel, "full")[len(kernel) - 1 :: 2]
+    correlation = correlation[1:] / correlation[0]
+    good = 1.0 - float(np.count_nonzero(blocked[::4, ::4])) / blocked[::4, ::4].size
+    variance = (2.0 * UNIT) ** 2 * max(good, 0.01)
+    return variance * np.array([1.0 + 2.0 * correlation.sum(), 1.0 + 2.0 * (correlation**2).sum()])
+
+
+def coarse_segments(
+    binned: NDArray[np.int16], noise: NDArray[np.float64], threshold_sigma: float, min_rows: int, max_found: int
+) -> NDArray[np.float64]:
+    """Candidates of all four quadrants of angles, (n, 6): axis, major0, minor0, major1, minor1 (px), S/N; best first."""
+    tables = []
+    for axis in (0, 1):
+        image = np.ascontiguousarray(binned.T) if axis else binned
+        for mirrored in (False, True):
+            source = np.ascontiguousarray(image[:, ::-1]) if mirrored else image
+            found = line_sums(source, noise, threshold_sigma, min_rows, max_found).astype(np.float64)
+            first = found[:, 2]
+            last = first + found[:, 3]
+            if mirrored:
+                first, last = image.shape[1] - 1 - first, image.shape[1] - 1 - last
+            table = np.empty((len(found), 6))
+            table[:, 0] = axis
+            table[:, 1] = 2.0 * found[:, 0] + 0.5
+            table[:, 2] = 2.0 * first + 0.5
+            table[:, 3] = 2.0 * (found[:, 0] + found[:, 1] - 1) + 0.5
+            table[:, 4] = 2.0 * last + 0.5
+            table[:, 5] = found[:, 4]
+            tables.append(table)
+    joined = np.concatenate(tables)
+    return joined[np.argsort(-joined[:, 5], kind="stable")]

@@ -75,12 +75,12 @@ def point_snr_before(
 
 
 @nb.njit(cache=True)
-def segment_snr_before(
+def segment_snr(
     residual_adu: NDArray[np.float32], mask: NDArray[np.uint8], sigma_adu: NDArray[np.float32], tile_px: int,
     transform: NDArray[np.float64], blocked: NDArray[np.uint8], ignored: int, level: NDArray[np.float32], level_tile_px: int,
     ends: NDArray[np.float64], psf_sigma_px: float,
 ) -> float:
-    """S/N along the mapped place of a segment (row0, col0, row1, col1) of this frame, on the pixels it was found on.
+    """S/N in a frame along the mapped place of a segment (row0, col0, row1, col1) of this one, on the pixels it was found on.
 
     blocked : mask of this frame; bits `ignored` (the segment's own blanking) do not count. level : mesh of
     the light that the background left over in this frame, sigma/16. NaN if most of the segment lies outside.

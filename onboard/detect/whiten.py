@@ -11,8 +11,12 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from sboc_e2e.icd.flags import MaskBit
+
 UNIT: Final = 16
 """One sigma of a pixel in the 8-bit image."""
+
+SATURATED: Final = int(MaskBit.SATURATED)
 
 
 @nb.njit(cache=True)
@@ -22,14 +26,18 @@ def _quantise_run(source: NDArray[np.float32], mask: NDArray[np.uint8], scale: n
         value = min(max(value, np.float32(1.0)), np.float32(255.0))
         out[i] = np.int8(np.int32(value) - 128)
     for i in range(source.shape[0]):
-        out[i] = out[i] if mask[i] == 0 else np.int8(0)
+        hidden = np.int8(127) if mask[i] == SATURATED else np.int8(0)
+        out[i] = out[i] if mask[i] == 0 else hidden
 
 
 @nb.njit(cache=True)
 def quantise(
     residual_adu: NDArray[np.float32], mask: NDArray[np.uint8], sigma_adu: NDArray[np.float32], tile_px: int
 ) -> NDArray[np.int8]:
-    """Residual in units of sigma/16, clipped at +-7.9 sigma, masked pixels 0. All images (rows, cols); sigma is a mesh."""
+    """Residual in units of sigma/16, clipped at +-7.9 sigma; saturated pixels hold the clip, other masked ones 0.
+
+    All images (rows, cols); sigma is a mesh.
+    """
     rows, cols = residual_adu.shape
     out = np.zeros((rows, cols), np.int8)
     for row in range(rows):
@@ -41,6 +49,11 @@ def quantise(
             col0, col1 = mesh_col * tile_px, min((mesh_col + 1) * tile_px, cols)
             _quantise_run(residual_adu[row, col0:col1], mask[row, col0:col1], np.float32(UNIT / sigma), out[row, col0:col1])
     return out
+
+
+def unusable(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Working mask, uint8: 1 where a pixel must not be used. A saturated one may: it is a bright trail's, or a listed star's."""
+    return ((mask != 0) & (mask != SATURATED)).astype(np.uint8)
 
 
 @nb.njit(cache=True)

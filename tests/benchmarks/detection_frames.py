@@ -5,12 +5,13 @@ sky's variance plus the object's own Poisson variance. Everything is in ADU of 1
 """
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
+from onboard.stars import MatchedStars
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import BackgroundModel, DetectorView, StarList
 
@@ -40,7 +41,6 @@ class Scene:
     """A frame with its truth."""
 
     image: NDArray[np.float32]
-    stars: StarList
     streaks: list[Streak] = field(default_factory=list)
 
 
@@ -101,9 +101,9 @@ def random_stars(size: int, n_stars: int, rng: np.random.Generator, *, faintest_
 
 
 def exposure(
-    size: int, truth: StarTruth, rng: np.random.Generator, *, shift_px: tuple[float, float] = (0.0, 0.0), listed_snr: float = 5.0
+    size: int, truth: StarTruth, rng: np.random.Generator, *, shift_px: tuple[float, float] = (0.0, 0.0)
 ) -> Scene:
-    """Noise and the stars moved by `shift_px`; the star list holds those measured above `listed_snr`."""
+    """Noise and the stars moved by `shift_px`."""
     image = rng.standard_normal((size, size), dtype=np.float32) * np.float32(SIGMA)
     row, col = truth.row + shift_px[0], truth.col + shift_px[1]
     flux = truth.snr * SIGMA * 2.0 * math.sqrt(math.pi) * PSF_SIGMA_PX
@@ -115,14 +115,7 @@ def exposure(
     inside = ((rows >= 0) & (rows < size))[:, :, None] & ((cols >= 0) & (cols < size))[:, None, :]
     flat = rows[:, :, None] * size + cols[:, None, :]
     np.add.at(image.reshape(-1), flat[inside], light[inside].astype(np.float32))
-    measured = truth.snr + rng.standard_normal(len(truth.snr))
-    on_frame = (row > -0.5) & (row < size - 0.5) & (col > -0.5) & (col < size - 0.5)
-    listed = np.flatnonzero((measured > listed_snr) & on_frame)
-    listed = listed[np.argsort(-measured[listed])]
-    stars = StarList(
-        row=row[listed], col=col[listed], flux_e=flux[listed], snr=measured[listed], flags=np.zeros(len(listed), np.uint8)
-    )
-    return Scene(image=image, stars=stars)
+    return Scene(image=image)
 
 
 def star_field(size: int, n_stars: int, rng: np.random.Generator) -> Scene:
@@ -144,14 +137,15 @@ def random_streak(size: int, length_px: float, snr: float, rng: np.random.Genera
 
 
 def view_of(scene: Scene, *, frame: int = 0, history: tuple[DetectorView, ...] = ()) -> DetectorView:
-    """The scene as a detector sees it, with an exact background and noise mesh."""
+    """The scene as a detector sees it: an exact noise mesh, and the star list of the default extractor."""
     rows, cols = scene.image.shape
     mesh = ((rows + 63) // 64, (cols + 63) // 64)
     background = BackgroundModel(tile_px=64, level_adu=np.zeros(mesh, np.float32), sigma_adu=np.full(mesh, SIGMA, np.float32))
     header = FrameHeader(
         frame=frame, t_start_tai_ns=10**18 + frame * 250_000_000, exposure_ns=200_000_000, line_time_ns=10_000, rows=rows, cols=cols
     )
-    return DetectorView(
-        header=header, residual_adu=scene.image, background=background, mask=np.zeros((rows, cols), np.uint8), stars=scene.stars,
-        psf_sigma_px=PSF_SIGMA_PX, history=history,
+    bare = DetectorView(
+        header=header, residual_adu=scene.image, background=background, mask=np.zeros((rows, cols), np.uint8),
+        stars=StarList.empty(), psf_sigma_px=PSF_SIGMA_PX,
     )
+    return replace(bare, stars=MatchedStars().extract(bare), history=history)

@@ -1,0 +1,163 @@
+"""Movers that look like stars: entries of the star list, up to about ten pixels long, that were not there a frame earlier."""
+
+import math
+from typing import Final
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+ANGLES: Final = 12
+PEAK_FRACTION: Final = 0.57
+"""Brightest pixel of a centred star over its matched-filter S/N, in sigma of a pixel, for a PSF of 2 px FWHM on square pixels."""
+
+
+@nb.njit(cache=True)
+def sharper_than_psf(
+    residual_adu: NDArray[np.float32], sigma_adu: NDArray[np.float32], tile_px: int,
+    row: NDArray[np.float64], col: NDArray[np.float64], snr: NDArray[np.float32],
+) -> NDArray[np.bool_]:
+    """Entries (n,) whose light sits in one pixel: particle hits and hot pixels, 3 sigma beyond what the PSF allows."""
+    rows, cols = residual_adu.shape
+    out = np.zeros(row.shape[0], np.bool_)
+    for k in range(row.shape[0]):
+        i0, j0 = int(math.floor(row[k] + 0.5)), int(math.floor(col[k] + 0.5))
+        if i0 < 0 or j0 < 0 or i0 >= rows or j0 >= cols:
+            continue
+        sigma = sigma_adu[min(i0 // tile_px, sigma_adu.shape[0] - 1), min(j0 // tile_px, sigma_adu.shape[1] - 1)]
+        peak = 0.0
+        for i in range(max(0, i0 - 1), min(rows, i0 + 2)):
+            for j in range(max(0, j0 - 1), min(cols, j0 + 2)):
+                peak = max(peak, residual_adu[i, j])
+        if sigma > 0.0:
+            peak /= sigma
+            out[k] = peak - PEAK_FRACTION * snr[k] > 2.5 and peak > 0.8 * snr[k]
+    return out
+
+
+@nb.njit(cache=True)
+def _short_snr(
+    image: NDArray[np.int8], blocked: NDArray[np.uint8], row: float, col: float, d_row: float, d_col: float, length: float,
+    psf_sigma_px: float,
+) -> float:
+    """Matched-filter S/N of a short trail centred at (row, col) along the unit vector (d_row, d_col)."""
+    rows, cols = image.shape
+    reach = int(math.ceil(0.5 * length + 2.5 * psf_sigma_px))
+    i0, j0 = int(math.floor(row + 0.5)), int(math.floor(col + 0.5))
+    root = 1.0 / (math.sqrt(2.0) * psf_sigma_px)
+    signal = power = full = 0.0
+    for i in range(i0 - reach, i0 + reach + 1):
+        for j in range(j0 - reach, j0 + reach + 1):
+            u = (i - row) * d_row + (j - col) * d_col
+            v = (i - row) * d_col - (j - col) * d_row
+            if abs(v) > 2.6 * psf_sigma_px or abs(u) > 0.5 * length + 2.6 * psf_sigma_px:
+                continue
+            across = math.exp(-((v * root) ** 2))
+            if length > 0.0:
+                t = across * (math.erf((u + 0.5 * length) * root) - math.erf((u - 0.5 * length) * root))
+            else:
+                t = across * math.exp(-((u * root) ** 2))
+            full += t * t
+            if 0 <= i < rows and 0 <= j < cols and blocked[i, j] == 0:
+                signal += t * image[i, j]
+                power += t * t
+    return signal / (16.0 * math.sqrt(power)) if power > 0.6 * full else 0.0
+
+
+@nb.njit(cache=True)
+def rough_short_trail(
+    smooth: NDArray[np.int8], row: float, col: float, psf_sigma_px: float
+) -> tuple[float, float, float, float, float]:
+    """(S/N, centre row, centre col, angle rad, length px) of the best trail of 0 to 12 px through a position.
+
+    From sums of the smoothed image along whole-pixel steps: a sum of n samples has variance n 2 sqrt(pi) s for n > 3 s.
+    """
+    rows, cols = smooth.shape
+    i0, j0 = int(math.floor(row + 0.5)), int(math.floor(col + 0.5))
+    best_snr, best_row, best_col, best_angle, best_length = smooth[i0, j0] / 16.0, row, col, 0.0, 0.0
+    half = 12
+    samples = np.zeros(2 * half + 1)
+    for k in range(ANGLES):
+        angle = math.pi * k / ANGLES
+        d_row, d_col = math.sin(angle), math.cos(angle)
+        for t in range(-half, half + 1):
+            i, j = int(math.floor(row + t * d_row + 0.5)), int(math.floor(col + t * d_col + 0.5))
+            samples[t + half] = smooth[i, j] / 16.0 if 0 <= i < rows and 0 <= j < cols else 0.0
+        for n in (4, 7, 10, 13):
+            norm = 1.0 / math.sqrt(n * 2.0 * math.sqrt(math.pi) * psf_sigma_px)
+            for first in range(half - n + 1, half + 1):
+                total = 0.0
+                for t in range(first, first + n):
+                    total += samples[t]
+                if total * norm > best_snr:
+                    middle = first + 0.5 * (n - 1) - half
+                    best_snr, best_angle, best_length = total * norm, angle, n - 1.0
+                    best_row, best_col = row + middle * d_row, col + middle * d_col
+    return best_snr, best_row, best_col, best_angle, best_length
+
+
+@nb.njit(cache=True)
+def fit_short_trail(
+    image: NDArray[np.int8], blocked: NDArray[np.uint8], rough: tuple[float, float, float, float, float], psf_sigma_px: float
+) -> tuple[float, float, float, float, float]:
+    """Exact (S/N, centre row, centre col, angle rad, length px) by a pattern search from a rough trail."""
+    _, row, col, angle, length = rough
+    snr = _short_snr(image, blocked, row, col, math.sin(angle), math.cos(angle), length, psf_sigma_px)
+    point = _short_snr(image, blocked, row, col, 0.0, 1.0, 0.0, psf_sigma_px)
+    # a trail has two parameters more than a point; it must earn them
+    if point + 0.3 > snr:
+        snr, length = point, 0.0
+    step = 1.0
+    while step > 0.2:
+        moved = False
+        for parameter in range(4):
+            if length == 0.0 and parameter == 2:
+                continue
+            for sign in (-1.0, 1.0):
+                r = row + (sign * step if parameter == 0 else 0.0)
+                c = col + (sign * step if parameter == 1 else 0.0)
+                a = angle + (sign * step * 0.2 if parameter == 2 else 0.0)
+                n = max(0.0, length + (sign * 2.0 * step if parameter == 3 else 0.0))
+                trial = _short_snr(image, blocked, r, c, math.sin(a), math.cos(a), n, psf_sigma_px)
+                if trial > snr + (0.05 if parameter == 3 and sign > 0.0 else 1e-3):
+                    snr, row, col, angle, length, moved = trial, r, c, a, n, True
+        if not moved:
+            step *= 0.5
+    return snr, row, col, angle, length
+
+
+@nb.njit(cache=True)
+def short_trails(
+    image: NDArray[np.int8], smooth: NDArray[np.int8], blocked: NDArray[np.uint8], row: NDArray[np.float64], col: NDArray[np.float64],
+    psf_sigma_px: float, n_sigma: float, found_bit: int, max_found: int,
+) -> NDArray[np.float64]:
+    """Short trails at positions (n,) in the given order: (m, 6) entry, S/N, row, col, angle rad, length px.
+
+    Each one found is taken out of the image (in place), so that other entries on the same trail find nothing.
+    """
+    rows, cols = image.shape
+    found = np.empty((max_found, 6))
+    n_found = 0
+    for k in range(row.shape[0]):
+        if n_found == max_found:
+            break
+        i0, j0 = int(math.floor(row[k] + 0.5)), int(math.floor(col[k] + 0.5))
+        if i0 < 0 or j0 < 0 or i0 >= rows or j0 >= cols or blocked[i0, j0] != 0:
+            continue
+        rough = rough_short_trail(smooth, row[k], col[k], psf_sigma_px)
+        if rough[0] < n_sigma - 1.2:
+            continue
+        snr, r, c, angle, length = fit_short_trail(image, blocked, rough, psf_sigma_px)
+        if snr < n_sigma:
+            continue
+        found[n_found, 0], found[n_found, 1] = k, snr
+        found[n_found, 2], found[n_found, 3], found[n_found, 4], found[n_found, 5] = r, c, angle, length
+        n_found += 1
+        radius = 0.5 * length + 4.0 * psf_sigma_px
+        for i in range(max(0, int(r - radius)), min(rows, int(r + radius) + 2)):
+            for j in range(max(0, int(c - radius)), min(cols, int(c + radius) + 2)):
+                u = (i - r) * math.sin(angle) + (j - c) * math.cos(angle)
+                v = (i - r) * math.cos(angle) - (j - c) * math.sin(angle)
+                if abs(v) <= 4.0 * psf_sigma_px and abs(u) <= radius:
+                    blocked[i, j] |= found_bit
+    return found[:n_found]

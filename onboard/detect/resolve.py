@@ -1,0 +1,94 @@
+"""Candidates, best first -> trails: refined, cleaned of stars on the way, tested, and taken out before the next one."""
+
+import math
+from typing import Final
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.detect import corridor, refine
+
+FOUND_BIT: Final = 4
+"""Bit of the working mask under detections already made."""
+
+NARROW_PX: Final = 0.4
+"""Sigma of the cross-track profile of a particle track: what one pixel makes of a line of no width."""
+
+
+@nb.njit(cache=True)
+def blanking_half_width(snr: float, length_px: float, psf_sigma_px: float) -> float:
+    """How far across a found trail its light can still matter (px): grows with its brightness per pixel."""
+    peak = snr * math.sqrt(2.0 * math.sqrt(math.pi) * psf_sigma_px / max(length_px, 1.0)) / (math.sqrt(2.0 * math.pi) * psf_sigma_px)
+    return 3.0 * psf_sigma_px + 1.0 + 1.5 * math.log2(max(1.0, peak))
+
+
+@nb.njit(cache=True)
+def accept(
+    image: NDArray[np.int8], smooth: NDArray[np.int8], blocked: NDArray[np.uint8], level: NDArray[np.float32], tile_px: int,
+    candidate: NDArray[np.float64], psf_sigma_px: float, n_sigma: float, first_sigma: float, min_length_px: float,
+    segment: NDArray[np.float64], sums: NDArray[np.int32], counts: NDArray[np.int32],
+    signal: NDArray[np.float64], weight: NDArray[np.float64], points: NDArray[np.float64],
+) -> tuple[float, float]:
+    """(S/N, S/N of a narrow track) of the trail at a candidate, S/N 0 when there is none.
+
+    The trail, and stars that were not in the star list but lie on the way, are taken out of the images.
+    """
+    if corridor.locate(smooth, candidate, psf_sigma_px, segment, sums, counts) < first_sigma:
+        return 0.0, 0.0
+    snr, length = 0.0, 0.0
+    for _ in range(4):
+        snr = refine.polish(image, blocked, level, tile_px, segment, psf_sigma_px, signal, weight)
+        length = math.hypot(segment[2] - segment[0], segment[3] - segment[1])
+        if snr < n_sigma or length < min_length_px:
+            return 0.0, 0.0
+        expected = snr * math.sqrt(2.0 * math.sqrt(math.pi) * psf_sigma_px / length)
+        if refine.blank_stars_on_path(image, smooth, blocked, segment, expected + 2.8) == 0:
+            break
+    if not refine.looks_like_trail(image, smooth, blocked, level, tile_px, segment, snr, psf_sigma_px, signal, weight, points):
+        return 0.0, 0.0
+    _, n = refine.cross_profile(
+        image, blocked, level, tile_px, segment[0], segment[1], segment[2], segment[3], segment[4], 0, NARROW_PX, signal, weight
+    )
+    narrow = refine.profile_snr(signal, weight, n)
+    refine.blank_path(image, smooth, blocked, segment, blanking_half_width(snr, length, psf_sigma_px))
+    return snr, narrow
+
+
+@nb.njit(cache=True)
+def resolve(
+    image: NDArray[np.int8], smooth: NDArray[np.int8], blocked: NDArray[np.uint8], level: NDArray[np.float32], tile_px: int,
+    candidates: NDArray[np.float64], psf_sigma_px: float, n_sigma: float, first_sigma: float, min_length_px: float, max_found: int,
+) -> NDArray[np.float64]:
+    """Trails among candidates (n, 6: axis, major0, minor0, major1, minor1, S/N; best first); the images are changed in place.
+
+    Returns (m, 8): axis, major0, minor0, major1, minor1, sagitta along minor (px), S/N, S/N of a narrow track.
+    """
+    image_t, smooth_t, blocked_t, level_t = image.T, smooth.T, blocked.T, level.T
+    found = np.empty((max_found, 8))
+    n_found = 0
+    sums = np.empty((corridor.PIECES, corridor.OFFSETS), np.int32)
+    counts = np.empty((corridor.PIECES, corridor.OFFSETS), np.int32)
+    signal = np.empty(max(image.shape) + 1)
+    weight = np.empty(max(image.shape) + 1)
+    segment, points = np.empty(5), np.zeros((2, 3))
+    for c in range(candidates.shape[0]):
+        if n_found == max_found:
+            break
+        if candidates[c, 0] == 0.0:
+            snr, narrow = accept(
+                image, smooth, blocked, level, tile_px, candidates[c, 1:5], psf_sigma_px, n_sigma, first_sigma, min_length_px,
+                segment, sums, counts, signal, weight, points,
+            )
+        else:
+            snr, narrow = accept(
+                image_t, smooth_t, blocked_t, level_t, tile_px, candidates[c, 1:5], psf_sigma_px, n_sigma, first_sigma,
+                min_length_px, segment, sums, counts, signal, weight, points,
+            )
+        if snr >= n_sigma:
+            found[n_found, 0] = candidates[c, 0]
+            found[n_found, 1:6] = segment
+            found[n_found, 6] = snr
+            found[n_found, 7] = narrow
+            n_found += 1
+    return found[:n_found]

@@ -1,0 +1,119 @@
+"""A view without its stars: bright ones masked, faint ones subtracted with the flux they had a frame earlier."""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.detect import point_movers, star_mask, static_sky, whiten
+from sboc_e2e.icd.signals import DetectorView
+
+TILE_PX: Final = 64
+"""Tiles of the level that the background mesh left over, and of whole-pixel shifts between frames."""
+
+POINT_CLIP_SIGMA: Final = 7.5
+"""Clip of the full-resolution smoothed image: what 8 bits hold."""
+
+SUBTRACT_SNR: Final = 8.0
+"""Stars up to this S/N are subtracted; brighter ones leave too much Poisson noise and PSF error and are masked."""
+
+STATIC_EACH: Final = 24
+"""An unlisted star shows at least 1.5 sigma in each of two frames ..."""
+
+STATIC_BOTH: Final = 81
+"""... and 3.6 sigma in their mean (3.6 sqrt 2 sigma in the sum), in sigma/16."""
+
+MAX_UNLISTED: Final = 200_000
+"""Room for unlisted stars."""
+
+HIT_RADIUS_PX: Final = 2.5
+"""Mask of a particle hit."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class WorkingImages:
+    """image, smooth : (rows, cols) int8, sigma/16, at full resolution; binned : (rows//2, cols//2) int16, sigma/32.
+
+    blocked : uint8, 0 = usable. level : mesh of what the background left over, sigma/16.
+    new : entries of the star list that the earlier frame does not show; sharp : those among them that are sharper than the PSF.
+    """
+
+    image: NDArray[np.int8]
+    smooth: NDArray[np.int8]
+    binned: NDArray[np.int16]
+    blocked: NDArray[np.uint8]
+    level: NDArray[np.float32]
+    new: NDArray[np.int64]
+    sharp: NDArray[np.bool_]
+
+
+def snr_before(
+    earlier: static_sky.EarlierFrame, row: NDArray[np.float64], col: NDArray[np.float64], psf_sigma_px: float
+) -> NDArray[np.float64]:
+    """Point-source S/N in the earlier frame at the mapped places of points of this one, shape (n,), NaN where unknown."""
+    then = earlier.view
+    return static_sky.point_snr_before(
+        then.residual_adu, then.mask, then.background.sigma_adu, then.background.tile_px, earlier.transform, row, col, psf_sigma_px
+    )
+
+
+def remove_stars_alone(view: DetectorView, image: NDArray[np.int8], blocked: NDArray[np.uint8], halo_px: float) -> None:
+    """Mask the listed stars of a frame without a predecessor, in place; entries that are pieces of trails stay."""
+    stars, psf_sigma_px = view.stars, view.psf_sigma_px
+    no_level = np.zeros((1, 1), np.float32)
+    smooth = whiten.smooth(image, no_level, max(image.shape), whiten.odd_taps(psf_sigma_px), POINT_CLIP_SIGMA)
+    pieces = star_mask.trail_pieces(
+        view.residual_adu, smooth, view.background.sigma_adu, view.background.tile_px, stars.row, stars.col, stars.snr, psf_sigma_px
+    )
+    radii = star_mask.mask_radii_px(stars.snr[~pieces], psf_sigma_px, halo_px)
+    whiten.blank_discs(image, blocked, stars.row[~pieces], stars.col[~pieces], radii)
+
+
+def remove_static_stars(
+    view: DetectorView, earlier: static_sky.EarlierFrame, image: NDArray[np.int8], blocked: NDArray[np.uint8], halo_px: float
+) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+    """Mask bright stars and subtract faint ones that the earlier frame shows too, listed or not; in place.
+
+    List entries that were not there are pieces of trails, movers or particle hits and stay in the image, except hits
+    sharper than the PSF, which are masked. Returns the new entries (indices) and which of them are sharp.
+    """
+    stars, psf_sigma_px = view.stars, view.psf_sigma_px
+    sigma, tile_px = view.background.sigma_adu, view.background.tile_px
+    before = snr_before(earlier, stars.row, stars.col, psf_sigma_px)
+    # unknown (masked or outside then): a star; else a star of this brightness is almost never fainter than a third of it
+    static = ~(before < np.maximum(1.5, 0.33 * stars.snr))
+    faint = static & (stars.snr < SUBTRACT_SNR) & (before < 1.5 * SUBTRACT_SNR)
+    bright = static & ~faint
+    radii = star_mask.mask_radii_px(stars.snr[bright], psf_sigma_px, halo_px)
+    whiten.blank_discs(image, blocked, stars.row[bright], stars.col[bright], radii)
+    static_sky.subtract_stars(image, blocked, stars.row[faint], stars.col[faint], before[faint], psf_sigma_px)
+    new = np.flatnonzero(~static)
+    sharp = point_movers.sharper_than_psf(view.residual_adu, sigma, tile_px, stars.row[new], stars.col[new], stars.snr[new])
+    hits = new[sharp]
+    whiten.blank_discs(image, blocked, stars.row[hits], stars.col[hits], np.full(len(hits), HIT_RADIUS_PX))
+    then, taps, no_level = earlier.view, whiten.odd_taps(psf_sigma_px), np.zeros((1, 1), np.float32)
+    image_then = whiten.quantise(then.residual_adu, then.mask, then.background.sigma_adu, then.background.tile_px)
+    smooth_then = whiten.smooth(image_then, no_level, max(image.shape), taps, POINT_CLIP_SIGMA)
+    smooth_now = whiten.smooth(image, no_level, max(image.shape), taps, POINT_CLIP_SIGMA)
+    places = np.empty((MAX_UNLISTED, 3))
+    n = static_sky.faint_static_stars(smooth_now, smooth_then, earlier.transform, STATIC_EACH, STATIC_BOTH, TILE_PX, places)
+    static_sky.subtract_stars(image, blocked, places[:n, 0], places[:n, 1], places[:n, 2], psf_sigma_px)
+    return new, sharp
+
+
+def working_images(
+    view: DetectorView, earlier: static_sky.EarlierFrame | None, *, clip_sigma: float, halo_px: float
+) -> WorkingImages:
+    """Noise-normalised, star-free and PSF-smoothed images of a view."""
+    image = whiten.quantise(view.residual_adu, view.mask, view.background.sigma_adu, view.background.tile_px)
+    blocked = whiten.unusable(view.mask)
+    new, sharp = np.zeros(0, np.int64), np.zeros(0, np.bool_)
+    if earlier is not None:
+        new, sharp = remove_static_stars(view, earlier, image, blocked, halo_px)
+    elif len(view.stars):
+        remove_stars_alone(view, image, blocked, halo_px)
+    level = whiten.local_level(image, blocked, TILE_PX)
+    smooth = whiten.smooth(image, level, TILE_PX, whiten.odd_taps(view.psf_sigma_px), POINT_CLIP_SIGMA)
+    binned = whiten.smooth_binned(image, level, TILE_PX, whiten.even_taps(view.psf_sigma_px), clip_sigma)
+    return WorkingImages(image=image, smooth=smooth, binned=binned, blocked=blocked, level=level, new=new, sharp=sharp)

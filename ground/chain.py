@@ -16,9 +16,9 @@ from ground.astrometry.header_wcs import identify_by_header
 from ground.ingest import IngestReport, decode_downlink
 from ground.link import apply_links
 from ground.options import GroundOptions
-from ground.photometry.known_stars import known_stars
+from ground.photometry.known_stars import FrameLight, frame_light
 from ground.photometry.magnitude import streak_magnitude
-from ground.photometry.streak_pixels import KnownStars, streak_pixels
+from ground.photometry.streak_pixels import streak_pixels
 from ground.photometry.zero_point import flat_at
 from ground.records import FrameProducts, GroundProducts
 from ground.refit import refit_streaks
@@ -145,38 +145,23 @@ class GroundChain:
         place = {frame.header.frame: k for k, frame in enumerate(frames)}
 
         @lru_cache(maxsize=FRAMES_REMEMBERED)
-        def stars_of(number: int) -> KnownStars:
+        def light_of(number: int) -> FrameLight:
             product = products[place[number]]
-            return self._known_stars(frames[place[number]], product.solution, product.photometry)
+            return self._light(frames[place[number]], product.solution, product.photometry)
 
         def pixels_of(streak: StreakMeasurement) -> StreakPixels:
             frame = frames[place[streak.frame]]
             group = frame.rois[streak.streak_id - streak.frame * STREAKS_PER_FRAME]
-            return self._pixels(group, frame, stars_of(streak.frame))[0]
+            return self._pixels(group, frame, light_of(streak.frame))[0]
 
         return pixels_of
 
-    def streak_pixels(
-        self, frame: DownlinkFrame, solution: FrameSolution, photometry: PhotometricSolution
-    ) -> tuple[tuple[StreakPixels, bool], ...]:
-        """Calibrated pixels of each ROI group of a frame, and whether a known star lies under the trail."""
-        stars = self._known_stars(frame, solution, photometry)
-        return tuple(self._pixels(group, frame, stars) for group in frame.rois)
+    def _light(self, frame: DownlinkFrame, solution: FrameSolution, photometry: PhotometricSolution) -> FrameLight:
+        return frame_light(frame, solution, photometry, self._calibration_of(frame.header), self._catalogue)
 
-    def _known_stars(self, frame: DownlinkFrame, solution: FrameSolution, photometry: PhotometricSolution) -> KnownStars:
-        calibration = self._calibration_of(frame.header)
-        return known_stars(frame, solution, photometry, calibration, self._catalogue, calibration.camera.psf_sigma_px)
-
-    def _pixels(self, group: RoiGroup, frame: DownlinkFrame, stars: KnownStars) -> tuple[StreakPixels, bool]:
-        calibration = self._calibration_of(frame.header)
-        return streak_pixels(
-            group,
-            frame,
-            calibration,
-            stars,
-            psf_sigma_px=calibration.camera.psf_sigma_px,
-            star_model_error=self._options.streak_photometry.star_model_error,
-        )
+    def _pixels(self, group: RoiGroup, frame: DownlinkFrame, light: FrameLight) -> tuple[StreakPixels, bool]:
+        error = self._options.streak_photometry.star_model_error
+        return streak_pixels(group, frame, self._calibration_of(frame.header), light, star_model_error=error)
 
     def _fit_streaks(
         self, frame: DownlinkFrame, solution: FrameSolution, photometry: PhotometricSolution, calibration: Calibration
@@ -185,8 +170,10 @@ class GroundChain:
         if not frame.rois:
             return [], []
         gain_assumed = StreakFlag.GAIN_ASSUMED if frame.header.gain_e_adu is None else StreakFlag(0)
+        light = self._light(frame, solution, photometry)
         fits, flats = [], []
-        for group, (pixels, crossed) in zip(frame.rois, self.streak_pixels(frame, solution, photometry), strict=True):
+        for group in frame.rois:
+            pixels, crossed = self._pixels(group, frame, light)
             fit = self._steps.streak_fitter.fit(pixels, group.detection)
             flags = fit.flags | group.detection.flags & _KEPT_FROM_BOARD | gain_assumed
             if crossed:

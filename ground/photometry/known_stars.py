@@ -1,5 +1,7 @@
 """Stars to take out of streak pixels: catalogue stars as predicted, other list stars as measured."""
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
@@ -7,7 +9,7 @@ from scipy.spatial import cKDTree
 from ground.astrometry.apparent import apparent_directions, jyear_of, mid_frame_tai_ns, observer_at
 from ground.astrometry.camera import Camera
 from ground.astrometry.rotation import matrix_of
-from ground.photometry.streak_pixels import KnownStars
+from ground.photometry.psf_width import PsfWidth, psf_width
 from ground.photometry.zero_point import SUN_B_V, flat_at
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.downlink import DownlinkFrame
@@ -21,13 +23,45 @@ SAME_STAR_SIGMAS = 3.0
 """A list star this many PSF widths from a predicted one is that star."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KnownStars:
+    """Stars to be taken out: positions (px) and fluxes (e-) in one exposure, (n,) each.
+
+    from_catalogue : the flux is a prediction, which a trail over the star cannot have spoilt.
+    """
+
+    row: Array
+    col: Array
+    flux_e: Array
+    from_catalogue: NDArray[np.bool_]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class FrameLight:
+    """What the pixels of a frame's streaks are freed from and fitted with: the known stars, the PSF's width."""
+
+    stars: KnownStars
+    width: PsfWidth
+
+
+def frame_light(
+    frame: DownlinkFrame,
+    solution: FrameSolution,
+    photometry: PhotometricSolution,
+    calibration: Calibration,
+    catalogue: StarCatalogue,
+) -> FrameLight:
+    """Known stars and PSF width of a frame."""
+    stars = known_stars(frame, solution, photometry, calibration, catalogue)
+    return FrameLight(stars=stars, width=psf_width(frame, calibration.camera))
+
+
 def known_stars(
     frame: DownlinkFrame,
     solution: FrameSolution,
     photometry: PhotometricSolution,
     calibration: Calibration,
     catalogue: StarCatalogue,
-    psf_sigma_px: float,
 ) -> KnownStars:
     """Positions and fluxes of all stars that ground knows in this frame."""
     listed = np.flatnonzero((frame.stars.flags & int(StarFlag.TRAILED | StarFlag.COSMIC_LIKE)) == 0)
@@ -39,7 +73,7 @@ def known_stars(
     new = np.ones(len(row), dtype=bool)
     if len(cat_row) and len(row):
         distance, nearest = cKDTree(np.column_stack((cat_row, cat_col))).query(np.column_stack((row, col)))
-        new = distance > SAME_STAR_SIGMAS * psf_sigma_px
+        new = distance > SAME_STAR_SIGMAS * calibration.camera.psf_sigma_px
         # the measured place of an identified star is better than the predicted one (catalogue error)
         same = np.flatnonzero(~new)
         cat_row[nearest[same]], cat_col[nearest[same]] = row[same], col[same]

@@ -1,17 +1,18 @@
 """ROI strips to calibrated electrons: dark rest, background mesh and pixel response removed, stars subtracted."""
 
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
+from ground.photometry.background import background_at, gain_e_adu
+from ground.photometry.known_stars import FrameLight, KnownStars
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import MaskBit
 from sboc_e2e.icd.frame import Calibration, FrameHeader
 from sboc_e2e.icd.products import StreakPixels
-from sboc_e2e.icd.signals import BackgroundModel, Detection, RoiGroup
+from sboc_e2e.icd.signals import Detection, RoiGroup
 
 Array = NDArray[np.float64]
 
@@ -21,33 +22,15 @@ FAINTEST_STAR_SIGMAS: Final = 0.2
 """Stars whose peak is below this many background sigmas are left in."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class KnownStars:
-    """Stars to be taken out: positions (px) and fluxes (e-) in one exposure, (n,) each.
-
-    from_catalogue : the flux is a prediction, which a trail over the star cannot have spoilt.
-    """
-
-    row: Array
-    col: Array
-    flux_e: Array
-    from_catalogue: NDArray[np.bool_]
-
-
 def streak_pixels(
-    group: RoiGroup,
-    frame: DownlinkFrame,
-    calibration: Calibration,
-    stars: KnownStars,
-    *,
-    psf_sigma_px: float,
-    star_model_error: float,
+    group: RoiGroup, frame: DownlinkFrame, calibration: Calibration, light: FrameLight, *, star_model_error: float
 ) -> tuple[StreakPixels, bool]:
     """Pixels of a ROI group, ready for the fit, and whether a known star lies under the trail.
 
     The flat is applied relative to its mean over the group, so that the fitted flux is what fell on the detector.
     """
-    header = frame.header
+    header, found = frame.header, group.detection
+    psf_sigma_px = light.width.at(0.5 * (found.row0 + found.row1), 0.5 * (found.col0 + found.col1))
     row, col, value_adu = _unique_pixels(group, header)
     value_adu = value_adu * frame.adu_scale + frame.adu_offset
     gain = gain_e_adu(header)
@@ -66,7 +49,7 @@ def streak_pixels(
     saturated = value_adu + dark >= 0.98 * saturation
     bad = ((calibration.defects[row, col] & UNUSABLE) > 0) | ~good_flat | saturated
     star_e, crossed = _star_light(
-        row, col, stars, group.detection, psf_sigma_px, float(np.median(sigma)) * gain if len(sigma) else 1.0
+        row, col, light.stars, found, psf_sigma_px, float(np.median(sigma)) * gain if len(sigma) else 1.0
     )
     value_e = value_e - star_e
     variance = variance + star_e + (star_model_error * star_e) ** 2
@@ -82,25 +65,6 @@ def streak_pixels(
     return pixels, crossed
 
 
-def gain_e_adu(header: FrameHeader) -> float:
-    """Gain of a frame; 1 where none is known (the frame is flagged GAIN_ASSUMED)."""
-    return header.gain_e_adu if header.gain_e_adu is not None else 1.0
-
-
-def background_at(frame: DownlinkFrame, row: NDArray[np.intp], col: NDArray[np.intp]) -> tuple[Array, Array]:
-    """Sky level and noise sigma (ADU) of pixels: bilinear in the mesh, else the frame's means, else 0 and the read noise."""
-    if frame.background is not None:
-        i, j = (
-            _mesh_coordinate(row, frame.background.level_adu.shape[0], frame.background, frame.header.rows),
-            _mesh_coordinate(col, frame.background.level_adu.shape[1], frame.background, frame.header.cols),
-        )
-        return _bilinear(frame.background.level_adu, i, j), _bilinear(frame.background.sigma_adu, i, j)
-    if frame.housekeeping is not None:
-        return np.full(len(row), frame.housekeeping.background_adu), np.full(len(row), max(frame.housekeeping.sigma_adu, 1e-3))
-    read_noise_e = frame.header.read_noise_e if frame.header.read_noise_e is not None else 5.0
-    return np.zeros(len(row)), np.full(len(row), read_noise_e / gain_e_adu(frame.header))
-
-
 def _unique_pixels(group: RoiGroup, header: FrameHeader) -> tuple[NDArray[np.intp], NDArray[np.intp], Array]:
     """Rows, cols and transmitted values of all strips inside the frame; a pixel of two strips counts once."""
     flat_index, values = [], []
@@ -113,22 +77,6 @@ def _unique_pixels(group: RoiGroup, header: FrameHeader) -> tuple[NDArray[np.int
         return none, none, np.zeros(0)
     where, first = np.unique(np.concatenate(flat_index), return_index=True)
     return where // header.cols, where % header.cols, np.concatenate(values)[first].astype(np.float64)
-
-
-def _mesh_coordinate(pixel: NDArray[np.intp], n_tiles: int, mesh: BackgroundModel, n_pixels: int) -> Array:
-    """Fractional tile index of pixels, held at the outermost tile centres; the last tile may be shorter."""
-    first = np.arange(n_tiles) * mesh.tile_px
-    centres = 0.5 * (first + np.minimum(first + mesh.tile_px, n_pixels) - 1.0)
-    return np.interp(pixel, centres, np.arange(n_tiles))
-
-
-def _bilinear(mesh: NDArray[np.float32], i: Array, j: Array) -> Array:
-    i0, j0 = np.minimum(i.astype(np.intp), max(mesh.shape[0] - 2, 0)), np.minimum(j.astype(np.intp), max(mesh.shape[1] - 2, 0))
-    i1, j1 = np.minimum(i0 + 1, mesh.shape[0] - 1), np.minimum(j0 + 1, mesh.shape[1] - 1)
-    di, dj = i - i0, j - j0
-    return np.asarray(
-        (1.0 - di) * ((1.0 - dj) * mesh[i0, j0] + dj * mesh[i0, j1]) + di * ((1.0 - dj) * mesh[i1, j0] + dj * mesh[i1, j1])
-    )
 
 
 def _star_light(

@@ -79,7 +79,7 @@ def middle_sigma_px(fit: StreakFit) -> tuple[float, float]:
         return sigma, sigma
     along = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0]) / length
     across = np.array([-along[1], along[0]])
-    return float(np.sqrt(max(along @ middle @ along, 0.0))), float(np.sqrt(max(across @ middle @ across, 0.0)))
+    return float(np.sqrt(max(float(along @ middle @ along), 0.0))), float(np.sqrt(max(float(across @ middle @ across), 0.0)))
 
 
 def pixel_scale_arcsec(sky: PixelSky, header: FrameHeader, row: float, col: float) -> float:

@@ -89,9 +89,7 @@ def run(
     from sboc_e2e.run import RunRequest
     from sboc_e2e.run import run as execute
 
-    resolved = scenarios.load(
-        scenario, registry=registry_of(plugin), overrides=overrides or (), use=parsed_uses(use), seed=seed
-    )
+    resolved = scenarios.load(scenario, registry=registry_of(plugin), overrides=overrides or (), use=parsed_uses(use), seed=seed)
     target = out or Path("runs") / resolved.name
     with shown_progress() as progress:
         execute(RunRequest(scenario=resolved, out=target, resume=resume, force=force, workers=workers), progress)
@@ -169,6 +167,25 @@ def process(
         source = FitsFolder(path=folder, use_wcs=wcs == "header")
         execute(source, resolved, out, camera=camera, force=force, registry=registry, progress=progress)
     typer.echo(out / "products")
+
+
+@app.command()
+def check(
+    path: Annotated[str, typer.Argument(metavar="MODULE:CLASS", help="the class of a step, in an installed or local module")],
+    seam: Annotated[str | None, typer.Option("--seam", help="the seam it is for, where its methods do not tell")] = None,
+) -> int:
+    """Examine a plug-in: bad frames, untouched input, determinism, places, speed."""
+    from sboc_e2e.checks import examine
+
+    place, verdicts = examine(path, Registry(), seam)
+    typer.echo(f"{path} as {place.name}")
+    for verdict in verdicts:
+        typer.echo(
+            f"  {'pass' if verdict.passed else 'FAIL'}  {verdict.question}{': ' if verdict.detail else ''}{verdict.detail}"
+        )
+    failed = sum(not verdict.passed for verdict in verdicts)
+    typer.echo(f"{len(verdicts) - failed} of {len(verdicts)} passed")
+    return 1 if failed else 0
 
 
 @app.command()

@@ -81,7 +81,10 @@ def star_sigma_px(pixels: NDArray[np.float32]) -> float | None:
     noise = max(float(background.globalrms), 1e-6)
     peak = float(image.max())
     stars = sources[
-        (sources["flag"] == 0) & (sources["b"] > 0.7 * sources["a"]) & (sources["peak"] > 15.0 * noise) & (sources["peak"] < 0.7 * peak)
+        (sources["flag"] == 0)
+        & (sources["b"] > 0.7 * sources["a"])
+        & (sources["peak"] > 15.0 * noise)
+        & (sources["peak"] < 0.7 * peak)
     ]
     if len(stars) < FEWEST_STARS:
         return None

@@ -247,7 +247,7 @@ def _wcs(header: fits.Header) -> WCS | None:
         return None
 
 
-class _quietly(warnings.catch_warnings):  # noqa: N801 - reads as a statement: with _quietly()
+class _quietly(warnings.catch_warnings):
     """Headers of other people break the standard in ways that do not matter here."""
 
     def __init__(self) -> None:

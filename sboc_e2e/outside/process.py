@@ -57,13 +57,15 @@ def process(
     manifest = Manifest.of(directory.manifest, scenario)
     manifest.n_frames = n_frames
     manifest.save()
-    calibration_files.write_camera(directory.calibration, nominal, f"preset {camera}" if camera else "guessed from the first frame")
+    calibration_files.write_camera(
+        directory.calibration, nominal, f"preset {camera}" if camera else "guessed from the first frame"
+    )
     seen = Seen()
     chain = onboard_chain(scenario, calibration=None, camera=nominal, run_id=manifest.run_id)
     board = OnboardStage(run=directory, chain=chain)
     manifest.begin("onboard")
     progress.stage("onboard", n_frames)
-    board.join(board.take(_noted(source, seen), progress))
+    board.join(board.take(_noted(source, seen), progress), scenario.faults, scenario.seed)
     manifest.finish("onboard", timed_frames=board.n_timed, cpu_s=board.meter.cpu_s, wall_s=board.meter.wall_s)
     directory.clear_work("onboard")
     for note, count in seen.notes.items():

@@ -4,6 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from onboard.chain import OnboardChain, OnboardSteps
+from sboc_e2e.faults import FaultOptions, damaged_packets, split_packets
 from sboc_e2e.files.atomic import replacing, write_bytes
 from sboc_e2e.icd.frame import Calibration, Frame, NominalCamera
 from sboc_e2e.run.directory import RunDirectory
@@ -56,8 +57,13 @@ class OnboardStage:
             progress.advance()
         return position
 
-    def join(self, n_frames: int) -> None:
-        """Write downlink.bin from the packets of all frames."""
+    def join(self, n_frames: int, faults: FaultOptions, seed: int) -> None:
+        """Write downlink.bin from the packets of all frames, as they arrive on ground."""
+        files = (self.run.work_file(STAGE, position, "bin") for position in range(n_frames))
         with replacing(self.run.downlink) as stream:
-            for position in range(n_frames):
-                stream.write(self.run.work_file(STAGE, position, "bin").read_bytes())
+            if faults.packets.any:
+                packets = [packet for path in files for packet in split_packets(path.read_bytes())]
+                stream.write(damaged_packets(packets, faults.packets, seed)[0])
+            else:
+                for path in files:
+                    stream.write(path.read_bytes())

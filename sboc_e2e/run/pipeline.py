@@ -8,6 +8,7 @@ from typing import Final
 
 from sboc_e2e import score as scoring
 from sboc_e2e.catalogue import StarCatalogue
+from sboc_e2e.faults import damaged_frame, delivered_frames
 from sboc_e2e.files import calibration_files, frame_fits
 from sboc_e2e.files.atomic import write_json
 from sboc_e2e.icd.errors import UserError
@@ -90,7 +91,8 @@ class Run:
         self.directory.clear_work("onboard")
         stage = self._onboard_stage()
         self._begin_onboard(stage)
-        frames = (frame_fits.read(self.directory.frame_file(i)) for i in range(self.manifest.n_frames))
+        plan = self._plan()
+        frames = (self._as_delivered(frame_fits.read(self.directory.frame_file(number))) for number in plan)
         self._finish_onboard(stage, stage.take(frames, self.progress))
 
     def simulate_and_onboard(self) -> None:
@@ -101,13 +103,16 @@ class Run:
         stage = self._onboard_stage()
         self.manifest.begin("simulate")
         self._begin_onboard(stage)
-        indices = range(stage.first, self.manifest.n_frames)
+        plan = self._plan()
+        indices = range(_next_to_make(plan, stage.first), self.manifest.n_frames)
         stream = FrameStream(maker=maker, indices=indices, workers=self.workers, hand_over=True, simulator=simulator)
 
         def frames() -> Iterator[Frame]:
+            position = stage.first
             for frame in stream:
-                if frame is not None:
-                    yield frame
+                while frame is not None and position < len(plan) and plan[position] == frame.header.frame:
+                    position += 1
+                    yield self._as_delivered(frame)
 
         n_onboard = stage.take(frames(), self.progress)
         self._finish_simulation(maker, simulator.objects(), simulator.population_summary(), stream.cost)
@@ -160,6 +165,14 @@ class Run:
             keep_every=self.scenario.output.keep_frames_every,
         )
 
+    def _plan(self) -> tuple[int, ...]:
+        """Numbers of the frames that reach the on-board software, in order."""
+        return delivered_frames(self.manifest.n_frames, self.scenario.faults, self.scenario.seed)
+
+    def _as_delivered(self, frame: Frame) -> Frame:
+        """A frame as the on-board software gets it."""
+        return damaged_frame(frame, self.scenario.faults, self.scenario.seed)
+
     def _write_calibration(self, make: Callable[[], object]) -> None:
         """Calibration is made once; a folder with a camera is complete."""
         if not (self.directory.calibration / calibration_files.CAMERA).exists():
@@ -175,10 +188,10 @@ class Run:
         self.manifest.forget(("ground", "score", "report"))
         self.directory.clear_work("ground")
         self.manifest.begin("onboard")
-        self.progress.stage("simulate + onboard", self.manifest.n_frames, stage.first)
+        self.progress.stage("simulate + onboard", len(self._plan()), stage.first)
 
     def _finish_onboard(self, stage: OnboardStage, n_frames: int) -> None:
-        stage.join(n_frames)
+        stage.join(n_frames, self.scenario.faults, self.scenario.seed)
         self.manifest.finish("onboard", **_cost(stage.meter.wall_s, stage.meter.cpu_s, stage.peak_rss_mb, stage.n_timed))
         self.directory.clear_work("onboard")
 
@@ -208,6 +221,12 @@ def run(request: RunRequest, progress: Progress | None = None) -> Run:
         if not manifest.done(stage):
             execute()
     return made
+
+
+def _next_to_make(plan: tuple[int, ...], first: int) -> int:
+    """The first frame to make so that the on-board stage can go on at position `first` and no dropped frame lacks its truth."""
+    after_last = plan[first - 1] + 1 if first > 0 else 0
+    return min(after_last, plan[first]) if first < len(plan) else after_last
 
 
 def worker_count(wanted: int) -> int:

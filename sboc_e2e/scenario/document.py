@@ -10,6 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, create_model
 
 from ground.options import GroundOptions
 from onboard.options import OnboardOptions
+from sboc_e2e.faults.options import FaultOptions
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import SEAMS, Registry
 from sboc_e2e.scenario import option_models, toml_files
@@ -32,6 +33,7 @@ class HarnessOptions:
     description: str = field(default="", metadata={"doc": "what the scenario shows, in a sentence"})
     seed: int = field(default=1, metadata={"doc": "seed of every random stream", "min": 0, "max": 2**63 - 1})
     output: OutputOptions = field(default_factory=OutputOptions, metadata={"doc": "what is kept on disk"})
+    faults: FaultOptions = field(default_factory=FaultOptions, metadata={"doc": "faults to inject between the segments"})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,6 +56,7 @@ class Scenario:
     onboard: OnboardOptions
     ground: GroundOptions
     output: OutputOptions
+    faults: FaultOptions
     components: Mapping[str, Component]
 
     def step(self, seam: str) -> Any:
@@ -70,6 +73,7 @@ class Scenario:
             segment, _, key = seam.partition(".")
             tables[segment][key] = {"use": component.name, **option_models.to_document(component.step)}
         tables["output"] = option_models.to_document(self.output)
+        tables["faults"] = option_models.to_document(self.faults)
         return tables
 
 
@@ -183,6 +187,7 @@ def from_document(
         onboard=segments["onboard"],
         ground=segments["ground"],
         output=harness.output,
+        faults=harness.faults,
         components=components,
     )
 

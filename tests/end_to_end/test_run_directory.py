@@ -20,10 +20,30 @@ from sboc_e2e.truth import TABLES
 from tests.end_to_end.conftest import command, digest, request, tiny
 
 PRODUCTS = ("frames.ecsv", "stars.ecsv", "streaks.ecsv", "tracklets.ecsv", "orbits.ecsv", "ingest.json")
-STREAK_COLUMNS = (
-    "frame streak_id row0 col0 row1 col1 row_mid col_mid length_px angle_deg flux_e flux_err_e snr ra_mid_deg dec_mid_deg "
-    "sigma_along_arcsec sigma_cross_arcsec t_mid_utc mag mag_err tracklet_id flags"
-).split()
+STREAK_COLUMNS = [
+    "frame",
+    "streak_id",
+    "row0",
+    "col0",
+    "row1",
+    "col1",
+    "row_mid",
+    "col_mid",
+    "length_px",
+    "angle_deg",
+    "flux_e",
+    "flux_err_e",
+    "snr",
+    "ra_mid_deg",
+    "dec_mid_deg",
+    "sigma_along_arcsec",
+    "sigma_cross_arcsec",
+    "t_mid_utc",
+    "mag",
+    "mag_err",
+    "tracklet_id",
+    "flags",
+]
 
 
 @pytest.fixture

@@ -65,7 +65,8 @@ class FrameTable(NamedTuple):
 class Nodes(NamedTuple):
     """Hypotheses, two per streak (2 k: shutter opened at end 0; 2 k + 1: at end 1); a is the earlier point, b the later.
 
-    frame, kind : (m,). t_s : (m, 2) epochs of a and b. unit : (m, 2, 3). sigma_rad : (m, 3) along at a, along at b, cross.
+    frame, kind : (m,). t_s : (m, 2) epochs of a and b. unit : (m, 2, 3). sigma_rad : (m, 3) along at a, along at b, cross;
+    measured_rad : the same without the floor.
     length_rad, duration_s, fastest_rad_s, log_clutter, log_odds : (m,). order : (m,) nodes by frame, inside a frame by rising
     component of their middle along axis `axis`; sorted_key : (m,) those components; first : (frames + 1,) offsets into both.
     """
@@ -75,6 +76,7 @@ class Nodes(NamedTuple):
     t_s: NDArray[np.float64]
     unit: NDArray[np.float64]
     sigma_rad: NDArray[np.float64]
+    measured_rad: NDArray[np.float64]
     length_rad: NDArray[np.float64]
     duration_s: NDArray[np.float64]
     fastest_rad_s: NDArray[np.float64]
@@ -118,7 +120,6 @@ def streak_table(
     *,
     sky: bool,
     pixel_scale_arcsec: float,
-    sigma_floor_px: float,
 ) -> StreakTable:
     """Columns of the streaks `index` points at; without sky positions pixels are put on a plane of the given scale.
 
@@ -155,8 +156,8 @@ def streak_table(
         row=row,
         col=col,
         unit=unit,
-        sigma_along_rad=np.hypot(along_px, sigma_floor_px) * scale,
-        sigma_cross_rad=np.hypot(cross_px, sigma_floor_px) * scale,
+        sigma_along_rad=along_px * scale,
+        sigma_cross_rad=cross_px * scale,
         scale_rad_px=np.full(len(picked), scale),
         log_odds=np.clip(logit - base, -2.3, 2.3),
     )
@@ -209,8 +210,11 @@ def end_epochs_s(
     return start_s + line_time_s * row_open, start_s + exposure_s + line_time_s * row_close
 
 
-def nodes_of(table: StreakTable, frames: FrameTable) -> Nodes:
-    """Both hypotheses of every streak, with the density of chance streaks in its frame."""
+def nodes_of(table: StreakTable, frames: FrameTable, sigma_floor_px: float) -> Nodes:
+    """Both hypotheses of every streak, with the density of chance streaks in its frame.
+
+    sigma_floor_px : added in quadrature to the fits' errors; pointing and motion model are not perfect.
+    """
     n = len(table.source)
     frame = np.repeat(table.frame, 2)
     row_open, row_close = table.row[:, [0, 2]].ravel(), table.row[:, [2, 0]].ravel()
@@ -241,6 +245,7 @@ def nodes_of(table: StreakTable, frames: FrameTable) -> Nodes:
     unit[point] = middle[point][:, None, :]
     cross = np.repeat(table.sigma_cross_rad, 2)
     sigma[point] = np.maximum(sigma, cross[:, None])[point]
+    measured = np.column_stack([sigma, cross])
     # an instant between the ends: nothing can be said of the speed
     kind = np.where(~point & (duration < 1e-3 * exposure), CROSSING, kind)
     fastest = np.where(point, (length + 3.0 * scale) / np.maximum(exposure, 1e-9), np.inf)
@@ -264,7 +269,8 @@ def nodes_of(table: StreakTable, frames: FrameTable) -> Nodes:
         kind=kind.astype(np.int8),
         t_s=np.ascontiguousarray(t_s),
         unit=np.ascontiguousarray(unit),
-        sigma_rad=np.ascontiguousarray(np.column_stack([sigma, cross])),
+        sigma_rad=np.ascontiguousarray(np.hypot(measured, sigma_floor_px * scale[:, None])),
+        measured_rad=np.ascontiguousarray(measured),
         length_rad=length,
         duration_s=duration,
         fastest_rad_s=fastest,

@@ -50,9 +50,7 @@ class MotionLinker:
             index = [k for k in alive if has_sky(streaks[k]) is sky]
             if len(index) < 2:
                 continue
-            table = streak_table(
-                streaks, index, frames, sky=sky, pixel_scale_arcsec=self.pixel_scale_arcsec, sigma_floor_px=self.sigma_floor_px
-            )
+            table = streak_table(streaks, index, frames, sky=sky, pixel_scale_arcsec=self.pixel_scale_arcsec)
             tracks += [(track, table, sky) for track in self.tracks(table, frames, sky=sky)]
         tracks.sort(key=lambda entry: -entry[0].log_odds)
         return tuple(tracklet_of(number, track, table, frames, streaks, sky) for number, (track, table, sky) in enumerate(tracks))
@@ -61,7 +59,7 @@ class MotionLinker:
         """Tracks of one group of streaks, all on the sky or all in pixels."""
         if len(table.frame) < 2:
             return []
-        nodes = nodes_of(table, frames)
+        nodes = nodes_of(table, frames, self.sigma_floor_px)
         scale = float(table.scale_rad_px[0])
         shape = frames.shape[table.frame[0]]
         log_area = math.log(float(shape[0]) * float(shape[1]) * scale**2)

@@ -111,7 +111,7 @@ def _described(nodes: Nodes, members: NDArray[np.int64], search: Search) -> Trac
         covariance=lower.T @ lower,
         points=np.array([[nodes.t_s[m, 0], nodes.t_s[m, 1]] for m in members]),
         kinds=nodes.kind[members].astype(np.int64),
-        sigma_rad=nodes.sigma_rad[members],
+        sigma_rad=nodes.measured_rad[members],
         units=nodes.unit[members],
         pieces=np.zeros(0, dtype=np.int64),
     )

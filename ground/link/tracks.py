@@ -17,7 +17,7 @@ from sboc_e2e.icd.products import StreakMeasurement, Tracklet
 class Track:
     """Hypotheses in time order and the motion through them (parameters of `motion.fit_motion`).
 
-    points : (n, 2) epochs, units : (n, 2, 3) directions, sigma_rad : (n, 3), kinds : (n,) of the members.
+    points : (n, 2) epochs, units : (n, 2, 3) directions, sigma_rad : (n, 3) as measured, kinds : (n,) of the members.
     covariance : (7, 7) of theta. pieces : streaks (rows of the table) of broken trails that lie on the track.
     """
 

@@ -2,5 +2,6 @@
 
 from ground.streaks.fitter import TrailedPsfFitter
 from ground.streaks.joint import TrackletFrame, refit_tracklet
+from ground.streaks.psf_field import PsfField
 
-__all__ = ["TrackletFrame", "TrailedPsfFitter", "refit_tracklet"]
+__all__ = ["PsfField", "TrackletFrame", "TrailedPsfFitter", "refit_tracklet"]

@@ -138,7 +138,7 @@ def coarse_ends(
         if stop - start < 3:
             return None
     density, sigma = lit_density(template[start:stop], value_e[start:stop], variance_e2[start:stop], density)
-    if not density > 0.0:
+    if not density > 0.0 or not np.isfinite(running).all():
         return None
     split = (start + stop) // 2
     length = max(u[stop - 1] - u[start], 1.0)

@@ -169,7 +169,7 @@ def _linear_start(
         right += basis.T @ spread @ np.array([f.along0, f.along1])
     if np.linalg.matrix_rank(normal) < n:
         return None
-    covariance: NDArray[np.float64] = np.linalg.inv(normal)
+    covariance = np.asarray(np.linalg.inv(normal), dtype=np.float64)
     return covariance @ right, covariance
 
 

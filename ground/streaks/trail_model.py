@@ -27,6 +27,9 @@ N_PARAMETERS: Final = 9
 DENSITY, END0, END1, V_MID, SLOPE, SAGITTA, Q1, Q2, LN_WIDTH = range(N_PARAMETERS)
 """Order of the parameter vector: e-/px along the trail, px, px, px, px per half length, px, -, -, ln px."""
 
+LN_PIXEL_WIDTH: Final = 0.5 * math.log(1.02 * PIXEL_VARIANCE_PX2)
+"""Narrowest width: light of no width of its own still fills a pixel."""
+
 REACH_WIDTHS: Final = 4.5
 """Pixels farther from the trail than this many widths hold nothing of it (1e-5 of its light) and are left out."""
 
@@ -222,6 +225,7 @@ def fisher_scoring(
             worst = max(worst, abs(step[a]) / max(sigma, 1e-300))
         for a in range(n):
             p[index[a]] += shrink * step[a]
+        p[LN_WIDTH] = max(p[LN_WIDTH], LN_PIXEL_WIDTH)
         converged = worst < TOLERANCE_SIGMA
     return p, covariance, chi2, snr2, used, converged
 

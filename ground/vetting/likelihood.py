@@ -1,35 +1,78 @@
-"""The step `ground.vetter`: posterior odds of a real object from a few features of its fit."""
+"""The step `ground.vetter`: posterior probability of a real object among the classes that detectors deliver.
+
+Each class (real trail, noise maximum, particle track, hot line, chain of stars) has a density of the features of its fits
+(`class_densities`) and a rate per frame. The rates start from what the options expect and follow the frame itself by
+expectation-maximisation: where a particle storm fills a frame with sharp short tracks, the odds of the next one turn.
+"""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.vetting.class_densities import REAL, class_densities
+from ground.vetting.features import features_of
 from sboc_e2e.icd.downlink import DownlinkFrame
-from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
 
+ITERATIONS: Final = 40
 
-def log_odds(fit: StreakFit, prior_log_odds: float) -> float:
-    """Natural log of P(real) / P(false): noise maxima by S/N, sharpness, goodness of fit, flags."""
-    score = prior_log_odds + 1.7 * (fit.snr - 6.8)
-    score -= 0.5 * max(fit.chi2_nu - 1.5, 0.0) ** 2
-    for flag, penalty in ((StreakFlag.COSMIC_LIKE, 6.0), (StreakFlag.STATIC, 6.0), (StreakFlag.SPIKE_LIKE, 5.0)):
-        if flag in fit.flags:
-            score -= penalty
-    if StreakFlag.FIT_FAILED in fit.flags:
-        score -= 3.0
-    return float(np.clip(score, -30.0, 30.0))
+
+def posterior_of_classes(
+    log_density: NDArray[np.float64], rate_per_frame: NDArray[np.float64], frames_worth: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Class probabilities (n, classes) of n detections of one frame.
+
+    log_density : (n, classes). rate_per_frame : (classes,) expected detections. frames_worth : (classes,) how many frames
+    the expectation is worth (a gamma prior of the Poisson rate): the larger, the less one frame can move it.
+    """
+    likelihood = np.exp(log_density - log_density.max(axis=1, keepdims=True))
+    rate = rate_per_frame.copy()
+    share = np.zeros_like(likelihood)
+    for _ in range(ITERATIONS):
+        share = likelihood * rate
+        share /= share.sum(axis=1, keepdims=True)
+        rate = (rate_per_frame * frames_worth + share.sum(axis=0)) / (frames_worth + 1.0)
+    return share
 
 
 @dataclass(frozen=True, kw_only=True)
 class LikelihoodVetter:
-    """Likelihood ratio of real trails against noise, particles, star residuals and spikes."""
+    """Posterior of class membership from the features of a fit; rates are of detections above the detector's threshold."""
 
-    prior_odds: float = field(default=1.0, metadata={"doc": "real to false detections before looking", "min": 1e-9, "max": 1e9})
+    psf_sigma_px: float = field(default=0.85, metadata={"doc": "PSF sigma that a real trail has", "min": 0.05, "max": 100.0})
+    real_per_frame: float = field(default=0.5, metadata={"doc": "expected real streaks per frame", "min": 1e-9, "max": 1e4})
+    noise_per_frame: float = field(default=0.1, metadata={"doc": "expected noise maxima per frame", "min": 1e-9, "max": 1e4})
+    particle_per_frame: float = field(
+        default=0.1, metadata={"doc": "expected particle tracks per frame", "min": 1e-9, "max": 1e4}
+    )
+    hot_line_per_frame: float = field(
+        default=0.02, metadata={"doc": "expected bad rows or columns per frame", "min": 1e-9, "max": 1e4}
+    )
+    star_chain_per_frame: float = field(
+        default=0.05, metadata={"doc": "expected star residuals per frame", "min": 1e-9, "max": 1e4}
+    )
+    steady_frames: float = field(
+        default=30.0, metadata={"doc": "frames that the rates of real streaks and noise are worth", "min": 0.1, "max": 1e6}
+    )
 
     def probability(self, fits: Sequence[StreakFit], frame: DownlinkFrame) -> NDArray[np.float64]:
         """Probabilities, shape (len(fits),), of being a real object."""
-        odds = np.array([log_odds(fit, float(np.log(self.prior_odds))) for fit in fits], dtype=np.float64)
-        return 1.0 / (1.0 + np.exp(-odds))
+        if not fits:
+            return np.zeros(0)
+        densities = class_densities()
+        rates = {
+            REAL: self.real_per_frame,
+            "noise": self.noise_per_frame,
+            "particle": self.particle_per_frame,
+            "hot_line": self.hot_line_per_frame,
+            "star_chain": self.star_chain_per_frame,
+        }
+        steady = {REAL: self.steady_frames, "noise": self.steady_frames}
+        features = [features_of(fit, self.psf_sigma_px) for fit in fits]
+        log_density = np.array([[densities[name].log_density(name, f) for name in rates] for f in features])
+        worth = np.array([steady.get(name, 1.0) for name in rates])
+        share = posterior_of_classes(log_density, np.array(list(rates.values())), worth)
+        return np.asarray(share[:, list(rates).index(REAL)], dtype=np.float64)

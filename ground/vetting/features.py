@@ -1,0 +1,71 @@
+"""What a fit tells of its nature, as few numbers: sharpness, S/N, length, chi-square, lumpiness, alignment, flags."""
+
+import math
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.products import StreakFit
+
+PIXEL_VARIANCE_PX2: Final = 1.0 / 12.0
+"""Second moment of a pixel: the width of light that has none of its own."""
+
+LEAST_BINS: Final = 4
+"""Shorter light curves say nothing of lumpiness."""
+
+ALIGNED_DEG: Final = 0.7
+ALIGNED_LENGTH_PX: Final = 15.0
+"""Longer trails within this angle of a row or column count as aligned."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Features:
+    """sharpness : ln of fitted over expected width, pixel included, with its error; NaN where the fit failed.
+
+    chi2_sigmas : (chi2/nu - 1) over its statistical error. lumpiness : scatter of the light curve over that expected of
+    a uniform trail, NaN for short ones.
+    """
+
+    sharpness: float
+    sharpness_err: float
+    ln_snr: float
+    ln_length: float
+    chi2_sigmas: float
+    lumpiness: float
+    aligned: bool
+    failed: bool
+    crosses: bool
+    static: bool
+    spike: bool
+
+
+def features_of(fit: StreakFit, psf_sigma_px: float) -> Features:
+    """Features of one fit, given the PSF that a real trail would have."""
+    failed = StreakFlag.FIT_FAILED in fit.flags
+    seen = fit.width_px**2 + PIXEL_VARIANCE_PX2
+    sharpness = 0.5 * math.log(seen / (psf_sigma_px**2 + PIXEL_VARIANCE_PX2))
+    error = fit.width_err_px * fit.width_px / seen
+    angle = min(fit.angle_deg % 90.0, 90.0 - fit.angle_deg % 90.0)
+    return Features(
+        sharpness=math.nan if failed else sharpness,
+        sharpness_err=min(error, 3.0) if math.isfinite(error) else 3.0,
+        ln_snr=math.log(max(fit.snr, 1e-3)),
+        ln_length=math.log(max(fit.length_px, 0.1)),
+        chi2_sigmas=math.nan if failed else (fit.chi2_nu - 1.0) * math.sqrt(0.5 * fit.n_pixels),
+        lumpiness=_lumpiness(fit),
+        aligned=fit.length_px > ALIGNED_LENGTH_PX and angle < ALIGNED_DEG,
+        failed=failed,
+        crosses=StreakFlag.CROSSES_STAR in fit.flags,
+        static=StreakFlag.STATIC in fit.flags,
+        spike=StreakFlag.SPIKE_LIKE in fit.flags,
+    )
+
+
+def _lumpiness(fit: StreakFit) -> float:
+    """Relative scatter of the bins over sqrt(k) / S, what the noise alone gives."""
+    curve = fit.light_curve_e_px.astype(np.float64)
+    if curve.size < LEAST_BINS or not curve.mean() > 0.0:
+        return math.nan
+    return float(curve.std() / curve.mean()) * fit.snr / math.sqrt(curve.size)

@@ -1,0 +1,116 @@
+"""Vetting: is the probability calibrated, how many real streaks are lost, how many false ones pass.
+
+Frames mix simulated detections of all classes (tests/streaks/impostors.py, other seeds than the vetter's table) at the rates
+that the vetter expects, and in a particle storm that it does not.
+"""
+
+import itertools
+import json
+import sys
+import time
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import beta
+
+from ground.streaks import TrailedPsfFitter
+from ground.vetting import LikelihoodVetter
+from sboc_e2e.icd.downlink import DownlinkFrame
+from sboc_e2e.icd.flags import FrameFlag
+from sboc_e2e.icd.frame import FrameHeader
+from sboc_e2e.icd.products import StreakFit
+from sboc_e2e.icd.signals import StarList
+from tests.streaks.impostors import CLASSES, draw
+
+SEED = 77
+VETO_BELOW = (0.5, 0.1, 0.02)
+"""Probabilities below which a chain may drop a streak."""
+
+QUIET = {"real": 0.5, "noise": 0.1, "particle": 0.1, "hot_line": 0.02, "star_chain": 0.05}
+STORM = QUIET | {"particle": 20.0}
+"""Detections per frame; a storm is what the rates' expectation knows nothing of."""
+
+
+def empty_frame() -> DownlinkFrame:
+    """A frame that says nothing: the vetter goes by the fits alone."""
+    header = FrameHeader(frame=0, t_start_tai_ns=1, exposure_ns=200_000_000, line_time_ns=0, rows=4096, cols=4096)
+    return DownlinkFrame(
+        header=header,
+        flags=FrameFlag(0),
+        housekeeping=None,
+        stars=StarList.empty(),
+        rois=(),
+        background=None,
+        thumbnail_adu=None,
+        whole_frame=None,
+    )
+
+
+def bank(n: int) -> dict[str, list[StreakFit]]:
+    """Fitted detections of each class."""
+    fitter = TrailedPsfFitter()
+    out = {}
+    for k, name in enumerate(CLASSES):
+        rng = np.random.default_rng([SEED, k])
+        shots = (draw(name, rng) for _ in range(n))
+        out[name] = [fitter.fit(shot.pixels, shot.detection) for shot in shots]
+    return out
+
+
+def judge(
+    fits: dict[str, list[StreakFit]], rates: dict[str, float], frames: int
+) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
+    """Probabilities and truth of all detections of simulated frames; bank entries are drawn with replacement."""
+    rng = np.random.default_rng([SEED, 99])
+    vetter, frame = LikelihoodVetter(), empty_frame()
+    probabilities, real = [], []
+    for _ in range(frames):
+        names = [name for name, rate in rates.items() for _ in range(rng.poisson(rate))]
+        if not names:
+            continue
+        drawn = [fits[name][rng.integers(len(fits[name]))] for name in names]
+        probabilities.append(vetter.probability(drawn, frame))
+        real.append(np.array([name == "real" for name in names]))
+    return np.concatenate(probabilities), np.concatenate(real)
+
+
+def share(k: int, n: int) -> dict[str, Any]:
+    """A proportion with its 95 % Clopper-Pearson interval."""
+    if n == 0:
+        return {"value": None, "n": 0, "low": None, "high": None, "reason": "no case"}
+    low = 0.0 if k == 0 else float(beta.ppf(0.025, k, n - k + 1))
+    high = 1.0 if k == n else float(beta.ppf(0.975, k + 1, n - k))
+    return {"value": k / n, "n": n, "low": low, "high": high}
+
+
+def figures_of(probability: NDArray[np.float64], real: NDArray[np.bool_]) -> dict[str, Any]:
+    """Reliability in bins of probability, Brier score, losses and passes."""
+    borders = np.array([0.0, 0.01, 0.1, 0.3, 0.5, 0.7, 0.9, 0.99, 1.0 + 1e-9])
+    reliability = []
+    for low, high in itertools.pairwise(borders):
+        chosen = (probability >= low) & (probability < high)
+        entry = share(int(real[chosen].sum()), int(chosen.sum()))
+        mean = float(probability[chosen].mean()) if chosen.any() else None
+        reliability.append({"from": low, "to": high, "mean_probability": mean, **entry})
+    out: dict[str, Any] = {"reliability": reliability, "brier_error": float(np.mean((probability - real) ** 2))}
+    for veto in VETO_BELOW:
+        out[f"veto_below_{veto:g}"] = {
+            "veto_loss": share(int((probability[real] < veto).sum()), int(real.sum())),
+            "false_passed": share(int((probability[~real] >= veto).sum()), int((~real).sum())),
+        }
+    return out
+
+
+def main(quick: bool = False) -> dict[str, Any]:
+    """Figures in quiet frames and in a storm."""
+    fits = bank(150 if quick else 2500)
+    frames = 1500 if quick else 20000
+    start = time.process_time()
+    quiet = figures_of(*judge(fits, QUIET, frames))
+    cost_ms = 1e3 * (time.process_time() - start) / frames
+    return {"quiet": quiet, "storm": figures_of(*judge(fits, STORM, frames // 20)), "cost_ms_per_frame": cost_ms}
+
+
+if __name__ == "__main__":
+    print(json.dumps(main(quick="--quick" in sys.argv), indent=1))  # noqa: T201  a script's output

@@ -1,0 +1,109 @@
+"""The vetter on simulated detections of all classes, other seeds than those its table was made from."""
+
+import pickle
+
+import numpy as np
+import pytest
+
+from ground.streaks import TrailedPsfFitter
+from ground.vetting import LikelihoodVetter
+from ground.vetting.class_densities import BINS, FLAG_SHARES, class_densities
+from sboc_e2e.icd.downlink import DownlinkFrame
+from sboc_e2e.icd.flags import FrameFlag, StreakFlag
+from sboc_e2e.icd.frame import FrameHeader
+from sboc_e2e.icd.products import StreakFit
+from sboc_e2e.icd.signals import StarList
+from sboc_e2e.icd.steps import Vetter
+from tests.streaks.impostors import CLASSES, draw
+
+PER_CLASS = 40
+
+
+@pytest.fixture(scope="module")
+def frame() -> DownlinkFrame:
+    return DownlinkFrame(
+        header=FrameHeader(frame=0, t_start_tai_ns=1, exposure_ns=200_000_000, line_time_ns=0, rows=4096, cols=4096),
+        flags=FrameFlag(0),
+        housekeeping=None,
+        stars=StarList.empty(),
+        rois=(),
+        background=None,
+        thumbnail_adu=None,
+        whole_frame=None,
+    )
+
+
+@pytest.fixture(scope="module")
+def fits() -> dict[str, list[StreakFit]]:
+    fitter = TrailedPsfFitter()
+    out = {}
+    for k, name in enumerate(CLASSES):
+        rng = np.random.default_rng([31, k])
+        shots = [draw(name, rng) for _ in range(PER_CLASS)]
+        out[name] = [fitter.fit(shot.pixels, shot.detection) for shot in shots]
+    return out
+
+
+def alone(fits: list[StreakFit], frame: DownlinkFrame) -> np.ndarray:
+    """Probability of each fit as the only one of its frame."""
+    vetter = LikelihoodVetter()
+    return np.array([vetter.probability([fit], frame)[0] for fit in fits])
+
+
+def test_matches_the_protocol_and_pickles() -> None:
+    assert isinstance(LikelihoodVetter(), Vetter)
+    assert pickle.loads(pickle.dumps(LikelihoodVetter())) == LikelihoodVetter()  # noqa: S301  its own bytes
+
+
+def test_no_fits_no_probabilities(frame: DownlinkFrame) -> None:
+    assert LikelihoodVetter().probability([], frame).shape == (0,)
+
+
+def test_real_streaks_pass_and_particles_do_not(fits: dict[str, list[StreakFit]], frame: DownlinkFrame) -> None:
+    """Of 40 each: no real streak below 2 %, no particle and no hot line above 50 %."""
+    real = alone(fits["real"], frame)
+    assert real.min() >= 0.02
+    assert np.median(real) > 0.9
+    for name in ("particle", "hot_line"):
+        assert alone(fits[name], frame).max() < 0.5, name
+
+
+def test_noise_maxima_are_doubted_by_their_faintness(fits: dict[str, list[StreakFit]], frame: DownlinkFrame) -> None:
+    """They look like streaks in all but S/N: less probable than bright streaks, more than particles."""
+    noise, real = alone(fits["noise"], frame), alone([fit for fit in fits["real"] if fit.snr > 12.0], frame)
+    assert np.median(noise) < 0.75
+    assert real.min() > np.median(noise)
+
+
+def test_flags_of_other_frames_and_stars_count(fits: dict[str, list[StreakFit]], frame: DownlinkFrame) -> None:
+    from dataclasses import replace
+
+    bright = max(fits["real"], key=lambda fit: fit.length_px)
+    plain = alone([bright], frame)[0]
+    static = alone([replace(bright, flags=bright.flags | StreakFlag.STATIC)], frame)[0]
+    spike = alone([replace(bright, flags=bright.flags | StreakFlag.SPIKE_LIKE)], frame)[0]
+    assert static < 0.5 * plain
+    assert spike < plain
+
+
+def test_a_storm_turns_the_odds_of_its_frame_only_towards_particles(
+    fits: dict[str, list[StreakFit]], frame: DownlinkFrame
+) -> None:
+    """Among forty particle tracks a short bright streak is less sure than alone; probabilities stay in [0, 1]."""
+    vetter = LikelihoodVetter()
+    candidate = fits["real"][0]
+    together = vetter.probability([candidate, *fits["particle"]], frame)
+    assert together[0] <= vetter.probability([candidate], frame)[0] + 1e-12
+    assert ((together >= 0.0) & (together <= 1.0)).all()
+
+
+def test_the_table_is_complete_and_normalised() -> None:
+    densities = class_densities()
+    assert set(densities) == set(CLASSES)
+    for density in densities.values():
+        assert sum(w for w, _, _ in density.sharpness) == pytest.approx(1.0, abs=1e-3)
+        for name, histogram in density.histograms.items():
+            assert histogram.size == len(BINS[name]) + 1
+            assert histogram.sum() == pytest.approx(1.0, abs=1e-4)
+            assert histogram.min() > 0.0
+        assert set(density.shares) == set(FLAG_SHARES)

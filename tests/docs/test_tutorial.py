@@ -28,7 +28,12 @@ def test_tutorial_runs_as_written(tmp_path: Path) -> None:
                 assert program == "sboc"
                 code = "from sboc_e2e.cli import main; main()"
                 done = subprocess.run(
-                    [sys.executable, "-c", code, *arguments], cwd=tmp_path, env=environment, capture_output=True, text=True, check=False
+                    [sys.executable, "-c", code, *arguments],
+                    cwd=tmp_path,
+                    env=environment,
+                    capture_output=True,
+                    text=True,
+                    check=False,
                 )
                 assert done.returncode == 0, f"{line}\n{done.stderr[-2000:]}"
                 commands += 1

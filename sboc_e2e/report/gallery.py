@@ -1,0 +1,57 @@
+"""Thumbnails of the shipped scenarios for the README: ``python -m sboc_e2e.report.gallery docs/gallery``.
+
+One frame of each scenario is simulated, stretched as a person sees it, and drawn small with its truth streaks marked.
+"""
+
+import sys
+from pathlib import Path
+from typing import Final
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.catalogue import StarCatalogue
+from sboc_e2e.registry import Registry
+from sboc_e2e.report.pictures import stretch
+from sboc_e2e.scenario import available, load
+from simulator.chain import Simulator
+
+THUMBNAIL_PX: Final = 360
+MARK_BGR: Final = (80, 190, 60)
+
+
+def thumbnail(name: str, catalogue: StarCatalogue) -> NDArray[np.uint8]:
+    """The middle frame of a scenario with its truth streaks, (height, width, 3) BGR."""
+    scenario = load(name, registry=Registry())
+    made = Simulator(scenario.simulator, seed=scenario.seed, catalogue=catalogue)
+    frame, truth = made.frame(made.n_frames // 2)
+    image = frame.pixels.astype(np.float32)
+    scale = THUMBNAIL_PX / max(image.shape)
+    size = (max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale)))
+    small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
+    picture = np.repeat(stretch(small)[:, :, None], 3, axis=2)
+    for streak in truth.streaks:
+        if streak["snr"] < 5.0:
+            continue
+        points = np.stack([streak["path_col"], streak["path_row"]], axis=1) * scale
+        # Marked beside the trail, so that the light itself stays visible.
+        ends = points[[0, -1]]
+        across = np.array([-(ends[1] - ends[0])[1], (ends[1] - ends[0])[0]])
+        across = 6.0 * across / max(float(np.hypot(*across)), 1e-6) if np.hypot(*across) > 1.0 else np.array([0.0, 6.0])
+        marks = np.rint(points + across).astype(np.int32)
+        cv2.polylines(picture, [marks], isClosed=False, color=MARK_BGR, thickness=1, lineType=cv2.LINE_AA)
+        cv2.circle(picture, tuple(int(v) for v in marks[-1]), 2, MARK_BGR, -1, cv2.LINE_AA)
+    return np.asarray(picture)
+
+
+def main(folder: Path) -> None:
+    """Write one PNG for each shipped scenario."""
+    folder.mkdir(parents=True, exist_ok=True)
+    catalogue = StarCatalogue.embedded()
+    for name in available():
+        cv2.imwrite(str(folder / f"{name}.png"), thumbnail(name, catalogue), [cv2.IMWRITE_PNG_COMPRESSION, 9])
+
+
+if __name__ == "__main__":
+    main(Path(sys.argv[1]))

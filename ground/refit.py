@@ -19,6 +19,16 @@ Array = NDArray[np.float64]
 
 UNUSABLE: Final = StreakFlag.NO_SKY | StreakFlag.POINT_LIKE | StreakFlag.FIT_FAILED | StreakFlag.FAST_ROWS
 FLUX_AGREEMENT_SIGMAS: Final = 3.5
+MOVED_CHI2: Final = 25.0
+"""Shift of the ends (heavy-tailed, so not 3 sigma) beyond which a frame does not belong to the joint motion."""
+
+UNUSUAL_CHI2: Final = 12.0
+CARRIED_SPREAD: Final = 1.5
+"""Error of ends that other frames' motion gives, in units of the largest error of those frames' ends."""
+
+TUMBLING: Final = 0.1
+"""Relative change of brightness from frame to frame that is nothing unusual."""
+
 GRAVITY_ARCSEC_S2: Final = 1.0
 """Change of rate that differential gravity makes, beyond the one of straight passages."""
 
@@ -47,16 +57,18 @@ def refit_streaks(
         ]
         if len(members) < 2:
             continue
-        path = _path_of(members)
-        frames = [
-            _tracklet_frame(m, header_of[m.frame], solution_of[m.frame], pixels_of(m), path, members[0].t_tai_ns[0])
-            for m in members
-        ]
+        path, zero_ns = _path_of(members), int(members[0].t_tai_ns[0])
+        frames = [_tracklet_frame(m, header_of[m.frame], solution_of[m.frame], pixels_of(m), path, zero_ns) for m in members]
         # a straight passage at rate w changes its rate by up to about 2 w^2
         rate_rad_s = float(np.radians(tracklet.rate_deg_s))
-        sigma_acceleration = 2.0 * rate_rad_s**2 / ARCSEC + GRAVITY_ARCSEC_S2
-        for member, fit in zip(members, refit_tracklet(frames, sigma_acceleration=sigma_acceleration), strict=True):
-            if fit.flags & StreakFlag.REFIT and _agrees(member.fit, fit):
+        used, fits = _refit_of_agreeing(frames, 2.0 * rate_rad_s**2 / ARCSEC + GRAVITY_ARCSEC_S2)
+        joint = dict(zip(used, fits, strict=True))
+        joint = {k: fit for k, fit in joint.items() if fit.flags & StreakFlag.REFIT and _agrees(members[k].fit, fit)}
+        others = [k for k in range(len(members)) if k not in joint]
+        joint |= {k: carried(frames[k], [frames[j] for j in joint], list(joint.values())) for k in others if len(joint) >= 2}
+        for k, fit in joint.items():
+            member = members[k]
+            if fit is not member.fit:
                 line_ns = header_of[member.frame].line_time_ns
                 row_mid, col_mid = middle_of(fit)
                 moved = np.array([fit.row0, row_mid, fit.row1]) - np.array([member.fit.row0, member.row_mid, member.fit.row1])
@@ -72,10 +84,111 @@ def refit_streaks(
     return tuple(out)
 
 
+def _refit_of_agreeing(frames: Sequence[TrackletFrame], sigma_acceleration: float) -> tuple[list[int], tuple[StreakFit, ...]]:
+    """Joint fits of the frames that show one motion of one source, and their numbers.
+
+    A star that no catalogue knows under or beside one trail would bend the common motion of all: such a frame stands out
+    by brightness and width, or by ends that the joint fit moves further than they can err.
+    """
+    used = [k for k, usual in enumerate(_usual([frame.fit for frame in frames])) if usual]
+    while True:
+        if len(used) < 2:
+            return [], ()
+        fits = refit_tracklet([frames[k] for k in used], sigma_acceleration=sigma_acceleration)
+        moved = np.array([_moved_chi2(frames[k].fit, fit) for k, fit in zip(used, fits, strict=True)])
+        if moved.max() <= MOVED_CHI2 or len(used) < 4:
+            return used, fits
+        used.pop(int(np.argmax(moved)))
+
+
+def carried(frame: TrackletFrame, clean: Sequence[TrackletFrame], joint: Sequence[StreakFit]) -> StreakFit:
+    """Fit of a frame that stands out, its ends put where the motion of the clean frames has them.
+
+    The joint fits lie on one motion; a parabola (a line for two frames) through their ends gives it back, between them but
+    not beyond. Ends on the frame's edge stay; the density of the light stays.
+    """
+    t_s, along, sigma = [], [], []
+    for place, fit in zip(clean, joint, strict=True):
+        unit, length = _along_of(place.fit)
+        for end, (flag, start, epoch) in enumerate(
+            ((StreakFlag.EDGE0, place.along0, place.t_open_s), (StreakFlag.EDGE1, place.along1, place.t_close_s))
+        ):
+            if fit.flags & flag:
+                continue
+            moved = np.array(_end(fit, end)) - np.array(_end(place.fit, end))
+            t_s.append(epoch + place.line_time_s * moved[0])
+            along.append(start + place.along_per_px * float(moved @ unit))
+            block = np.asarray(fit.covariance_px2)[2 * end : 2 * end + 2, 2 * end : 2 * end + 2]
+            sigma.append(float(np.sqrt(max(float(unit @ block @ unit), 0.0))))
+    if len(t_s) < 4 or not min(t_s) < frame.t_open_s < frame.t_close_s < max(t_s):
+        return frame.fit
+    motion = np.polynomial.Polynomial.fit(t_s, along, 2 if len(clean) > 2 else 1)
+    unit, length = _along_of(frame.fit)
+    shifts = []
+    for flag, start, epoch in (
+        (StreakFlag.EDGE0, frame.along0, frame.t_open_s),
+        (StreakFlag.EDGE1, frame.along1, frame.t_close_s),
+    ):
+        shift = 0.0
+        for _ in range(2):  # an end that moves to another row is exposed at another time
+            shift = (float(motion(epoch + frame.line_time_s * shift * unit[0])) - start) / frame.along_per_px
+        shifts.append(0.0 if frame.fit.flags & flag else shift)
+    lit = length + shifts[1] - shifts[0]
+    if lit < 0.2 * length or max(map(abs, shifts)) > length + 10.0:
+        return frame.fit
+    spread = CARRIED_SPREAD * max(sigma)
+    across = np.array([-unit[1], unit[0]])
+    keep = np.kron(np.eye(2), np.outer(across, across))
+    free = np.array([0.0 if frame.fit.flags & flag else spread**2 for flag in (StreakFlag.EDGE0, StreakFlag.EDGE1)])
+    covariance = keep @ np.asarray(frame.fit.covariance_px2) @ keep + np.kron(np.diag(free), np.outer(unit, unit))
+    return replace(
+        frame.fit,
+        row0=frame.fit.row0 + shifts[0] * unit[0],
+        col0=frame.fit.col0 + shifts[0] * unit[1],
+        row1=frame.fit.row1 + shifts[1] * unit[0],
+        col1=frame.fit.col1 + shifts[1] * unit[1],
+        covariance_px2=covariance,
+        end_interval_px=np.array([[-1.0, 1.0], [-1.0, 1.0]]) * np.sqrt(free)[:, None],
+        flux_e=frame.fit.flux_e * lit / length,
+        flux_err_e=frame.fit.flux_err_e * lit / length,
+        flags=frame.fit.flags & ~StreakFlag.ENDS_NOT_GAUSSIAN | StreakFlag.REFIT,
+    )
+
+
+def _along_of(fit: StreakFit) -> tuple[Array, float]:
+    """Unit vector (row, col) from end 0 to end 1, and the length."""
+    length = max(fit.length_px, 1e-6)
+    return np.array([fit.row1 - fit.row0, fit.col1 - fit.col0]) / length, length
+
+
+def _end(fit: StreakFit, end: int) -> tuple[float, float]:
+    return (fit.row0, fit.col0) if end == 0 else (fit.row1, fit.col1)
+
+
+def _usual(fits: Sequence[StreakFit]) -> NDArray[np.bool_]:
+    """Whether each fit's brightness per length and width agree with the tracklet's medians."""
+    density = np.array([fit.flux_e / max(fit.length_px, 1.0) for fit in fits])
+    density_err = np.array([fit.flux_err_e / max(fit.length_px, 1.0) for fit in fits])
+    width, width_err = np.array([fit.width_px for fit in fits]), np.array([fit.width_err_px for fit in fits])
+    by_density = (density - np.median(density)) / np.hypot(density_err, TUMBLING * np.median(density))
+    by_width = (width - np.median(width)) / np.maximum(width_err, 1e-3)
+    return np.asarray(by_density**2 + np.nan_to_num(by_width) ** 2 < UNUSUAL_CHI2)
+
+
+def _moved_chi2(single: StreakFit, joint: StreakFit) -> float:
+    """Squared shift of both ends in units of the single fit's errors along the trail."""
+    along, _ = _along_of(single)
+    shift0 = np.array([joint.row0 - single.row0, joint.col0 - single.col0]) @ along
+    shift1 = np.array([joint.row1 - single.row1, joint.col1 - single.col1]) @ along
+    covariance = np.asarray(single.covariance_px2)
+    variance0, variance1 = float(along @ covariance[:2, :2] @ along), float(along @ covariance[2:, 2:] @ along)
+    return float(shift0**2 / max(variance0, 0.01) + shift1**2 / max(variance1, 0.01))
+
+
 def _agrees(single: StreakFit, joint: StreakFit) -> bool:
     """Whether the joint fit still sees the flux of the single one; another flux is another source, a star on the track."""
     error = float(np.hypot(single.flux_err_e, joint.flux_err_e))
-    return abs(joint.flux_e - single.flux_e) <= FLUX_AGREEMENT_SIGMAS * error
+    return abs(joint.flux_e - single.flux_e) <= FLUX_AGREEMENT_SIGMAS * error and _moved_chi2(single, joint) <= MOVED_CHI2
 
 
 def _path_of(members: Sequence[StreakMeasurement]) -> Array:

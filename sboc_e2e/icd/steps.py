@@ -87,8 +87,13 @@ class Decoder(Protocol):
         """Codec number it decodes."""
         ...
 
-    def decode(self, block: bytes, shape: tuple[int, int], *, level_adu: int, sigma_adu: float) -> NDArray[np.int32]:
-        """Decode a block; raises `ContractError` for anything malformed and allocates no more than shape needs."""
+    def decode(
+        self, block: bytes, shape: tuple[int, int], *, level_adu: int, sigma_adu: float
+    ) -> NDArray[np.int32] | NDArray[np.float32]:
+        """Decode a block, to int32 or, after a loss, float32.
+
+        Raises `ContractError` for anything malformed and allocates no more than the shape needs.
+        """
         ...
 
 

@@ -34,8 +34,11 @@ def test_grid_has_every_point_and_replica(tmp_path: Path) -> None:
 
 
 def test_seeds_belong_to_the_task_not_to_its_place(tmp_path: Path) -> None:
-    one = {(dict(t.point)["instrument.aperture"], t.replica): t.seed
-           for t in read_campaign(written(tmp_path, GRID)).tasks() if dict(t.point)["onboard.detector.n_sigma"] == 7.0}  # fmt: skip
+    one = {
+        (dict(t.point)["instrument.aperture"], t.replica): t.seed
+        for t in read_campaign(written(tmp_path, GRID)).tasks()
+        if dict(t.point)["onboard.detector.n_sigma"] == 7.0
+    }
     swapped = GRID.replace('["15 cm", "20 cm"]', '["20 cm", "30 cm", "15 cm"]').replace("[6.0, 7.0, 8.0]", "[7.0]")
     other = {(dict(t.point)["instrument.aperture"], t.replica): t.seed
              for t in read_campaign(written(tmp_path, swapped)).tasks()}  # fmt: skip

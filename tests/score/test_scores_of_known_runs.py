@@ -8,7 +8,6 @@ from astropy.table import Table, vstack
 
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.score.score_run import score_evaluation
-
 from tests.score.conftest import PIXEL_ARCSEC, Synthetic
 
 Factory = Callable[..., Synthetic]

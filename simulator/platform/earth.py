@@ -4,6 +4,7 @@ Everything is GCRS axes, kilometres and seconds. ERFA's `epv00` is the ephemeris
 1 mas of aberration and 1 arcsec of Sun direction).
 """
 
+import warnings
 from typing import Final
 
 import erfa
@@ -36,10 +37,11 @@ def tai_ns_of_utc(epoch_utc: str) -> int:
     UserError if it cannot be read or lies outside the Earth-orientation data that are installed.
     """
     try:
-        time = Time(epoch_utc.removesuffix("Z"), scale="utc", format="isot" if "T" in epoch_utc else "iso")
+        with warnings.catch_warnings():  # ERFA calls years "dubious" that the table below refuses anyway
+            warnings.simplefilter("ignore", erfa.ErfaWarning)
+            atomic = Time(epoch_utc.removesuffix("Z"), scale="utc", format="isot" if "T" in epoch_utc else "iso").tai
     except ValueError as error:
         raise UserError(f"epoch_utc: {epoch_utc!r} is not an ISO-8601 date in UTC, like 2027-01-29T00:00:00") from error
-    atomic = time.tai
     tai_ns = tai.from_jd_parts(atomic.jd1, atomic.jd2)
     refuse_outside_data(tai_ns)
     return tai_ns

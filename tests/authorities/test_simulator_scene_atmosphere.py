@@ -1,0 +1,69 @@
+"""Refraction against ERFA `refco`, air mass and Young's scintillation formula."""
+
+import erfa
+import numpy as np
+import pytest
+
+from simulator.scene.atmosphere import Atmosphere, AtmosphereOptions, air_mass, scintillation_rms
+
+ARCSEC = np.pi / 648000.0
+UP = np.array([0.0, 0.0, 1.0])
+
+
+def at_zenith_distance(degrees):
+    z = np.radians(np.atleast_1d(degrees))
+    return np.stack([np.sin(z), np.zeros_like(z), np.cos(z)], axis=-1)
+
+
+def zenith_distance(directions):
+    return np.arccos(directions @ UP)
+
+
+@pytest.mark.parametrize(("height_m", "celsius"), [(0.0, 15.0), (565.0, 5.0), (2400.0, -5.0)])
+def test_refraction_within_a_hundredth_of_refco(height_m, celsius):
+    options = AtmosphereOptions(temperature_k=celsius + 273.15, humidity=0.4, wavelength_nm=600.0)
+    air = Atmosphere(options=options, up=UP, height_m=height_m)
+    pressure_hpa = 1013.25 * (1.0 - 2.25577e-5 * height_m) ** 5.25588
+    a, b = erfa.refco(pressure_hpa, celsius, 0.4, 0.6)
+    true = np.array([10.0, 30.0, 45.0, 60.0, 70.0])
+    observed = zenith_distance(air.refracted(at_zenith_distance(true)))
+    own = np.radians(true) - observed
+    reference = a * np.tan(observed) + b * np.tan(observed) ** 3
+    assert np.abs(own - reference).max() < 0.5 * ARCSEC
+    assert np.abs(own / reference - 1.0).max() < 0.01
+    assert 55.0 * ARCSEC < own[2] * 1013.25 / pressure_hpa < 62.0 * ARCSEC  # about 58 arcsec at 45 deg
+
+
+def test_refraction_and_its_inverse_cancel():
+    air = Atmosphere(options=AtmosphereOptions(), up=UP, height_m=565.0)
+    directions = at_zenith_distance(np.linspace(0.0, 75.0, 31))
+    assert np.abs(air.unrefracted(air.refracted(directions)) - directions).max() < 1e-3 * ARCSEC
+
+
+def test_near_objects_are_lifted_less():
+    """Parallactic refraction: 435 arcsec tan z sec z / range in km (Brown 1957), here with an 8 km scale height."""
+    air = Atmosphere(options=AtmosphereOptions(pressure=1.0, temperature_k=273.15, humidity=0.0), up=UP, height_m=0.0)
+    far = zenith_distance(air.refracted(at_zenith_distance(45.0)))
+    near = zenith_distance(air.refracted(at_zenith_distance(45.0), 1000.0))
+    expected = 435.0 / 1000.0 * np.tan(np.radians(45.0)) / np.cos(np.radians(45.0)) * ARCSEC
+    assert near[0] - far[0] == pytest.approx(expected, rel=0.15)
+
+
+def test_air_mass():
+    # 85 deg true is 84.84 deg apparent, where Kasten & Young (1989, Appl. Opt. 28, 4735) give 10.04
+    assert air_mass(np.cos(np.radians([0.0, 60.0, 85.0]))) == pytest.approx([1.0, 1.994, 10.04], abs=0.03)
+
+
+def test_scintillation_of_young_1967():
+    # Dravins et al. 1998 (PASP 110, 610): 0.09 D^(-2/3) for T = 0.5 s at sea level in the zenith
+    assert scintillation_rms(0.4, 1.0, 0.0, 0.5) == pytest.approx(0.09 * 40.0 ** (-2 / 3))
+    assert scintillation_rms(0.4, 2.0, 8000.0, 2.0) == pytest.approx(0.09 * 40.0 ** (-2 / 3) * 2.0**1.75 / np.e / 2.0)
+    air = Atmosphere(options=AtmosphereOptions(), up=UP, height_m=0.0)
+    factors = air.flicker(20000, UP, 0.4, 0.5, seed=1, frame=0)
+    assert factors.mean() == pytest.approx(1.0, abs=5e-4)
+    assert factors.std() == pytest.approx(0.09 * 40.0 ** (-2 / 3), rel=0.03)
+
+
+def test_extinction_and_clouds():
+    air = Atmosphere(options=AtmosphereOptions(extinction_mag=0.2, cloud_transmission=0.5), up=UP, height_m=0.0)
+    assert air.transmission(at_zenith_distance(60.0), 1, 0)[0] == pytest.approx(0.5 * 10 ** (-0.4 * 0.2 * 1.994), rel=1e-3)

@@ -39,11 +39,10 @@ class FieldShape:
         coefficients[[0, 2], 0] = psf_sigma_px**2 + 1.0 / 12.0
         return cls(coefficients=coefficients, shape=shape, n_stars=0)
 
-    def covariance(self, row: NDArray[np.float64], col: NDArray[np.float64]) -> NDArray[np.float64]:
-        """(n, 3) covariances rr, rc, cc at positions, px^2; never narrower than a pixel."""
-        out = _terms(row, col, self.shape) @ self.coefficients.T
-        out[:, 0] = np.maximum(out[:, 0], LEAST_VARIANCE_PX2)
-        out[:, 2] = np.maximum(out[:, 2], LEAST_VARIANCE_PX2)
+    def covariance(self, peaks: NDArray[np.float32]) -> NDArray[np.float64]:
+        """(n, 3) covariances rr, rc, cc at peaks (n, >= 2: row, col), px^2; never narrower than a pixel."""
+        out = np.empty((len(peaks), 3))
+        evaluate(self.coefficients, peaks, 2.0 / max(self.shape[0] - 1, 1), 2.0 / max(self.shape[1] - 1, 1), out)
         return out
 
     @property
@@ -64,6 +63,21 @@ def _terms(row: NDArray[np.float64], col: NDArray[np.float64], shape: tuple[int,
     y = 2.0 * row / max(shape[0] - 1, 1) - 1.0
     x = 2.0 * col / max(shape[1] - 1, 1) - 1.0
     return np.column_stack((np.ones_like(y), y, x, y * y, y * x, x * x))
+
+
+@njit(cache=True)
+def evaluate(
+    coefficients: NDArray[np.float64], peaks: NDArray[np.float32], row_unit: float, col_unit: float, out: NDArray[np.float64]
+) -> None:
+    """The polynomials of `FieldShape` at every peak."""
+    for n in range(peaks.shape[0]):
+        y, x = peaks[n, 0] * row_unit - 1.0, peaks[n, 1] * col_unit - 1.0
+        for k in range(3):
+            c = coefficients[k]
+            out[n, k] = c[0] + y * (c[1] + c[3] * y + c[4] * x) + x * (c[2] + c[5] * x)
+        out[n, 0], out[n, 2] = max(out[n, 0], LEAST_VARIANCE_PX2), max(out[n, 2], LEAST_VARIANCE_PX2)
+        bound = 0.9 * math.sqrt(out[n, 0] * out[n, 2])
+        out[n, 1] = min(max(out[n, 1], -bound), bound)
 
 
 @njit(cache=True)

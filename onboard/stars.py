@@ -19,23 +19,25 @@ from sboc_e2e.icd.signals import DetectorView, StarList
 
 SATURATED = int(MaskBit.SATURATED)
 EDGE, BLENDED, DEFECT = int(StarFlag.EDGE), int(StarFlag.BLENDED), int(StarFlag.DEFECT)
+SATURATED_STAR = int(StarFlag.SATURATED)
 BRIGHT_PEAK_SIGMA = 12.0
 """Stars with a brighter central pixel are fitted in the larger window."""
 
 SETTLED_PX2 = 1e-4
-"""A step shorter than 0.01 px is the last one: Gauss-Newton squares the error, 1e-4 px remain."""
+SETTLED_VARIANCE = 0.03
+"""A step shorter than 0.01 px, or than 0.17 of the error of the position, is the last one: Gauss-Newton squares it."""
 
 COSMIC_SHARPNESS = 1.7
 """A peak is sharper than a star when its contrast exceeds the PSF's by this factor at 5 sigma significance."""
+
+CANDIDATES_PER_STAR = 40
+"""The brightest so many times the wanted number take part in the choice of well-spread stars."""
 
 SHAPE_SNR = 40.0
 """Stars above this S/N show the shape of the PSF."""
 
 TRAILED_OVER_PSF = 1.5
 """Stars are called trailed when the smear is longer than this many PSF sigmas."""
-
-RIM_PX = 2
-"""Peaks this close to a saturated pixel belong to the saturated star's rim."""
 
 
 @njit(cache=True)
@@ -106,6 +108,12 @@ def _exceeds(values: NDArray[np.float32], threshold: NDArray[np.float32], out: N
 
 
 @njit(cache=True)
+def _vertex(before: np.float32, middle: np.float32, after: np.float32) -> np.float32:
+    """Where the parabola through three neighbouring values, the middle one largest, has its top, px from the middle."""
+    return np.float32(0.5) * (after - before) / (middle + middle - before - after)
+
+
+@njit(cache=True)
 def find_peaks(
     residual: NDArray[np.float32],
     sigma_nodes: NDArray[np.float32],
@@ -116,7 +124,9 @@ def find_peaks(
 ) -> int:
     """Local maxima of the smoothed image above ``threshold * sigma``; returns how many of them fitted into `peaks`.
 
-    kernel : centre and one side of the separable smoothing kernel. peaks : (capacity, 3) row, col, smoothed value.
+    kernel : centre and one side of the separable smoothing kernel. peaks : (capacity, 5) row, col, smoothed value, and
+    the fractions of a
+    pixel by which a parabola moves the peak.
     """
     rows, cols = residual.shape
     zeros = np.zeros(cols, dtype=np.float32)
@@ -153,6 +163,8 @@ def find_peaks(
                 if count == peaks.shape[0]:
                     return count
                 peaks[count, 0], peaks[count, 1], peaks[count, 2] = row, col, value
+                peaks[count, 3] = _vertex(above[col], value, below[col])
+                peaks[count, 4] = _vertex(here[col - 1], value, here[col + 1])
                 count += 1
     return count
 
@@ -235,7 +247,7 @@ def _take_window(
     data: NDArray[np.float64],
     usable: NDArray[np.float64],
 ) -> int:
-    """Pixels around a peak; unusable ones get weight 0. Returns `StarFlag` bits EDGE and DEFECT."""
+    """Pixels around a peak; unusable ones get weight 0. Returns `StarFlag` bits EDGE, DEFECT and SATURATED."""
     rows, cols = residual.shape
     side, flag = 2 * radius + 1, 0
     if radius <= row0 < rows - radius and radius <= col0 < cols - radius:
@@ -245,7 +257,8 @@ def _take_window(
                 data[q] = residual[r, c]
                 usable[q] = 1.0
                 if mask[r, c] != 0:
-                    usable[q], flag = 0.0, DEFECT
+                    usable[q] = 0.0
+                    flag |= SATURATED_STAR if mask[r, c] & SATURATED else DEFECT
         return flag
     for i in range(side):
         for j in range(side):
@@ -291,7 +304,8 @@ def fit_stars(
         drow, dcol = offsets[1] if bright else offsets[0]
         size = drow.size
         flag = _take_window(residual, mask, row0, col0, radius, data, usable)
-        row, col, flux = 0.0, 0.0, 1.7 * max(float(peaks[n, 2]), 0.1 * sigma) / peak_psf
+        row, col = float(peaks[n, 3]), float(peaks[n, 4])
+        flux = 1.7 * max(float(peaks[n, 2]), 0.1 * sigma) / peak_psf
         squares = 0.0
         for _ in range(6):
             _psf_at(row, col, radius, shape_inverse, factors, psf)
@@ -309,7 +323,9 @@ def fit_stars(
             step_col = (mixed_fc * gf + mixed_rc * gr + minor_c * gc) / det
             step_row, step_col = min(max(step_row, -0.7), 0.7), min(max(step_col, -0.7), 0.7)
             row, col, flux = row + step_row, col + step_col, max(flux + step_flux, 0.2 * flux)
-            if step_row * step_row + step_col * step_col < SETTLED_PX2 and abs(step_flux) < 0.02 * flux:
+            if step_row * step_row + step_col * step_col < max(SETTLED_PX2, SETTLED_VARIANCE / rr) and (
+                abs(step_flux) < 0.05 * flux
+            ):
                 break
         if abs(row) > 1.2 or abs(col) > 1.2:
             row, col, flag = 0.0, 0.0, flag | BLENDED
@@ -336,20 +352,6 @@ def _contrast(residual: NDArray[np.float32], row: int, col: int) -> float:
     around = residual[max(row - 1, 0), col] + residual[min(row + 1, rows - 1), col]
     around += residual[row, max(col - 1, 0)] + residual[row, min(col + 1, cols - 1)]
     return residual[row, col] - 0.25 * around
-
-
-@njit(cache=True)
-def near_saturation(mask: NDArray[np.uint8], peaks: NDArray[np.float32], reach: int) -> NDArray[np.bool_]:
-    """Whether a saturated pixel lies within `reach` of each peak."""
-    rows, cols = mask.shape
-    out = np.zeros(peaks.shape[0], dtype=np.bool_)
-    for n in range(peaks.shape[0]):
-        row, col = int(peaks[n, 0]), int(peaks[n, 1])
-        for i in range(max(0, row - reach), min(rows, row + reach + 1)):
-            for j in range(max(0, col - reach), min(cols, col + reach + 1)):
-                if mask[i, j] & SATURATED:
-                    out[n] = True
-    return out
 
 
 @njit(cache=True)
@@ -434,11 +436,10 @@ class MatchedStars:
         """All stars found, by falling flux."""
         kernel = gaussian_kernel(view.psf_sigma_px)
         noise = float(kernel[0] ** 2 + 2.0 * np.sum(kernel[1:] ** 2))
-        peaks = np.empty((self.max_stars, 3), dtype=np.float32)
+        peaks = np.empty((self.max_stars, 5), dtype=np.float32)
         sigma_nodes, tile_px = view.background.sigma_adu, view.background.tile_px
         count = find_peaks(view.residual_adu, sigma_nodes, tile_px, kernel, self.n_sigma * noise, peaks)
         peaks = peaks[:count]
-        peaks = peaks[~near_saturation(view.mask, peaks, RIM_PX)]
         sigma = float(np.median(sigma_nodes))
         shape = measure_shape(
             view.residual_adu,
@@ -446,12 +447,15 @@ class MatchedStars:
             _shape_stars(peaks, noise * sigma),
             FieldShape.nominal(view.psf_sigma_px, view.mask.shape),
         )
-        covariances = shape.covariance(peaks[:, 0].astype(np.float64), peaks[:, 1].astype(np.float64))
+        covariances = shape.covariance(peaks)
         gain = view.header.gain_e_adu if view.header.gain_e_adu is not None else 1.0
         fits, flags = np.empty((len(peaks), 5)), np.zeros(len(peaks), dtype=np.uint8)
         width = math.sqrt(float(shape.coefficients[[0, 2], 0].max()))
         radii = (max(2, math.ceil(2.0 * width)), max(3, math.ceil(3.0 * width)))
         fit_stars(view.residual_adu, view.mask, sigma_nodes, tile_px, peaks, covariances, radii, gain, fits, flags)
+        # what peaks beside saturated pixels belongs to the rim of the saturated star, which is listed below
+        clean = (flags & SATURATED_STAR) == 0
+        fits, flags, covariances = fits[clean], flags[clean], covariances[clean]
         psf_contrast = 1.0 - 0.5 * (np.exp(-0.5 / covariances[:, 0]) + np.exp(-0.5 / covariances[:, 2]))
         sharp = fits[:, 4] - COSMIC_SHARPNESS * psf_contrast > 5.0 / np.maximum(fits[:, 3], 1.0)
         flags[sharp] |= np.uint8(StarFlag.COSMIC_LIKE)
@@ -486,15 +490,22 @@ def best_spread(stars: StarList, shape: tuple[int, int], number: int, cells: int
     """
     if len(stars) == 0 or number == 0:
         return np.zeros(0, dtype=np.intp)
+    bright = np.sort(np.argsort(-stars.flux_e, kind="stable")[: CANDIDATES_PER_STAR * number])
+    return bright[_spread(stars, bright, shape, number, cells)]
+
+
+def _spread(stars: StarList, among: NDArray[np.intp], shape: tuple[int, int], number: int, cells: int) -> NDArray[np.intp]:
+    """The choice of `best_spread` among some stars, as sorted indices into `among`."""
+    flags, flux = stars.flags[among], stars.flux_e[among]
     worst = StarFlag.SATURATED | StarFlag.COSMIC_LIKE
     poor = StarFlag.EDGE | StarFlag.DEFECT | StarFlag.BLENDED
-    grade = np.where(stars.flags & worst, 2, np.where(stars.flags & poor, 1, 0))
-    cell_row = np.clip(stars.row * cells / shape[0], 0, cells - 1).astype(np.intp)
-    cell_col = np.clip(stars.col * cells / shape[1], 0, cells - 1).astype(np.intp)
+    grade = np.where(flags & worst, 2, np.where(flags & poor, 1, 0))
+    cell_row = np.clip(stars.row[among] * cells / shape[0], 0, cells - 1).astype(np.intp)
+    cell_col = np.clip(stars.col[among] * cells / shape[1], 0, cells - 1).astype(np.intp)
     cell = cell_row * cells + cell_col
-    order = np.lexsort((-stars.flux_e, grade, cell))
+    order = np.lexsort((-flux, grade, cell))
     first = np.concatenate(([True], cell[order][1:] != cell[order][:-1]))
     start = np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))
     turn = np.arange(len(order)) - start
-    chosen = order[np.lexsort((-stars.flux_e[order], turn, grade[order]))][:number]
+    chosen = order[np.lexsort((-flux[order], turn, grade[order]))][:number]
     return np.sort(chosen)

@@ -21,6 +21,10 @@ CELL: Final = 8
 """Candidates of one block that cross its middle in the same cell of this many columns are one: the best of all shifts."""
 
 
+LONG_BLOCK_STEP: Final = 0.08
+"""The threshold falls by so many sigma for each doubling of the block beyond 32 rows."""
+
+
 @nb.njit(cache=True)
 def _add_best(a: NDArray[np.int16], b: NDArray[np.int16], out: NDArray[np.int16]) -> np.int16:
     best = np.int16(-32768)
@@ -98,6 +102,8 @@ def line_sums(
         next_blocks = (blocks + 1) // 2
         searched = height >= min_rows
         rescale = level == 5 or level == 8
+        # long blocks fit a trail's length and slope less well, and there are few independent ones
+        wanted = threshold_sigma - LONG_BLOCK_STEP * max(0.0, math.log2(height / 32.0))
         for first in range(blocks):
             last = first + 1
             kept = first % 2 == 0
@@ -125,8 +131,8 @@ def line_sums(
                 if searched:
                     slope = shift / (height - 1)
                     unit = unit_scale / math.sqrt(height * (noise[0] + (noise[1] - noise[0]) * slope))
-                    if peak * unit > threshold_sigma:
-                        _collect(out, shift, int(threshold_sigma / unit), unit, best, place)
+                    if peak * unit > wanted:
+                        _collect(out, shift, int(wanted / unit), unit, best, place)
                         hit = True
                 if kept and rescale:
                     _halve(out)

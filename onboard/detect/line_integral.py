@@ -23,6 +23,9 @@ MIN_ROWS: Final = 4
 MAX_CANDIDATES: Final = 50_000
 """Room for candidates of one quadrant of angles."""
 
+FIRST_MARGIN: Final = 1.6
+"""The corridor search on whole pixels may fall so far short of the final S/N."""
+
 POINT_LIKE_PX: Final = 4.0
 """Trails shorter than about two PSF widths are called point-like."""
 
@@ -172,7 +175,7 @@ class LineIntegralDetector:
         noise = dyadic.half_resolution_noise(images.binned, whiten.even_taps(s_px), images.blocked)
         candidates = dyadic.coarse_segments(images.binned, noise, self.coarse_sigma, MIN_ROWS, MAX_CANDIDATES)
         table = resolve.resolve(
-            images.image, images.smooth, images.blocked, images.level, TILE_PX, candidates, s_px, n_sigma, n_sigma - 1.3,
+            images.image, images.smooth, images.blocked, images.level, TILE_PX, candidates, s_px, n_sigma, n_sigma - FIRST_MARGIN,
             self.min_length_px, self.max_detections,
         )
         found = [line_detection(row, view.residual_adu.shape) for row in table]
@@ -184,7 +187,7 @@ class LineIntegralDetector:
         # the working image is clipped: the S/N of a bright trail comes from the image itself
         unclipped = [segment_snr(d, view, static_sky.IDENTITY, images, s_px) if d.snr > 30.0 else d.snr for d in found]
         found = fragments.join([replace(d, snr=max(d.snr, s)) for d, s in zip(found, unclipped, strict=True)])
-        tracks = [d for d in found if d.flags & StreakFlag.COSMIC_LIKE] + particle_hits(view, images, n_sigma)
+        tracks = [d for d in found if d.flags & StreakFlag.COSMIC_LIKE] + particle_hits(view, images, n_sigma + self.short_margin)
         real = sorted((d for d in found if not d.flags & StreakFlag.COSMIC_LIKE), key=lambda d: -d.snr)
         tracks.sort(key=lambda d: -d.snr)
         return tuple((real + tracks[: self.max_cosmic_like])[: self.max_detections])

@@ -43,7 +43,9 @@ def accept(
         if snr < n_sigma or length < min_length_px:
             return 0.0, 0.0
         expected = snr * math.sqrt(2.0 * math.sqrt(math.pi) * psf_sigma_px / length)
-        if refine.blank_stars_on_path(image, smooth, blocked, segment, expected + 2.8) == 0:
+        # the longer the path, the higher the peaks that noise alone makes on it
+        excess = max(2.8, math.sqrt(2.0 * math.log(length)))
+        if refine.blank_stars_on_path(image, smooth, blocked, segment, expected + excess) == 0:
             break
     if not refine.looks_like_trail(image, smooth, blocked, level, tile_px, segment, snr, psf_sigma_px, signal, weight, points):
         return 0.0, 0.0

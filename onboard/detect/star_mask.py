@@ -16,6 +16,9 @@ from sboc_e2e.icd.signals import StarList
 DIRECTIONS: Final = 24
 REACH_PX: Final = 7
 
+MARGIN_PX: Final = 0.3
+"""Added to the radius at which a star falls to 0.4 sigma of a pixel."""
+
 
 @nb.njit(cache=True)
 def _goes_on(
@@ -68,7 +71,7 @@ def mask_radii_px(snr: NDArray[np.float32], psf_sigma_px: float, halo_px: float)
     signal = np.maximum(np.asarray(snr, np.float64), 1.0)
     peak = signal / (2.0 * math.sqrt(math.pi) * psf_sigma_px)
     core = psf_sigma_px * np.sqrt(2.0 * np.log(np.maximum(peak / 0.4, 1.65)))
-    return core + 0.7 + halo_px * np.maximum(0.0, np.sqrt(signal / 100.0) - 1.0)
+    return core + MARGIN_PX + halo_px * np.maximum(0.0, np.sqrt(signal / 100.0) - 1.0)
 
 
 def stars_only(

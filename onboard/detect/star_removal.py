@@ -18,11 +18,11 @@ POINT_CLIP_SIGMA: Final = 7.5
 SUBTRACT_SNR: Final = 8.0
 """Stars up to this S/N are subtracted; brighter ones leave too much Poisson noise and PSF error and are masked."""
 
-STATIC_EACH: Final = 24
-"""An unlisted star shows at least 1.5 sigma in each of two frames ..."""
+STATIC_EACH: Final = 32
+"""An unlisted star shows at least 2 sigma in each of two frames ..."""
 
-STATIC_BOTH: Final = 81
-"""... and 3.6 sigma in their mean (3.6 sqrt 2 sigma in the sum), in sigma/16."""
+STATIC_BOTH: Final = 86
+"""... and 3.8 sigma in their mean (3.8 sqrt 2 sigma in the sum), in sigma/16."""
 
 MAX_UNLISTED: Final = 200_000
 """Room for unlisted stars."""

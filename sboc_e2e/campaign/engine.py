@@ -39,7 +39,8 @@ def failure_path(out: Path, task: Task) -> Path:
 
 
 @contextmanager
-def _executor(workers: int, scheduler: str | None) -> Iterator[Executor]:
+def executor(workers: int, scheduler: str | None) -> Iterator[Executor]:
+    """Local processes, a dask LocalCluster ("local") or a dask scheduler, all behind the standard library's interface."""
     if scheduler is None:
         # Fresh interpreters: a forked child would inherit the parent's numba and BLAS threads.
         with ProcessPoolExecutor(max_workers=workers, mp_context=get_context("spawn")) as pool:
@@ -80,7 +81,7 @@ def run_campaign(
         (out / name).mkdir(parents=True, exist_ok=True)
     todo = [task for task in tasks if not shard_path(out, task).is_file()]
     failed: list[tuple[Task, str]] = []
-    with _executor(workers or os.cpu_count() or 1, scheduler) as pool:
+    with executor(workers or os.cpu_count() or 1, scheduler) as pool:
         running = {pool.submit(run_task, campaign, task, str(out)): task for task in todo}
         for count, future in enumerate(as_completed(running), 1):
             task = running[future]

@@ -1,0 +1,69 @@
+"""Campaigns: efficiency of two workers over one, overhead of the scheduler per task, and what a million frames would cost."""
+
+import tempfile
+import time
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+
+from sboc_e2e.campaign import Campaign, run_campaign
+from sboc_e2e.campaign.engine import executor
+from sboc_e2e.score.figures import absent, bootstrap, exact
+
+FRAMES: Final = 3
+NODES: Final = 100
+CORES_PER_NODE: Final = 2
+MILLION: Final = 1_000_000
+
+
+def nothing(_: int) -> None:
+    """An empty task."""
+
+
+def overhead_ms(workers: int, tasks: int) -> float:
+    """Milliseconds for each empty task through the process pool, start of the pool excluded."""
+    with executor(workers, None) as pool:
+        list(pool.map(nothing, range(workers * 4)))
+        start = time.perf_counter()
+        list(pool.map(nothing, range(tasks)))
+        return 1000.0 * (time.perf_counter() - start) / tasks
+
+
+def seconds(workers: int, tasks: int, folder: Path) -> float:
+    """Wall seconds of a campaign of smoke runs."""
+    campaign = Campaign(
+        name="bench",
+        scenario="smoke",
+        seed=1,
+        replicas=tasks,
+        constant={"frames": FRAMES},
+        vary={"instrument.aperture": ["4 cm"]},
+    )
+    result = run_campaign(campaign, folder, workers=workers)
+    if result.failed:
+        raise RuntimeError(result.failed[0][1])
+    return result.wall_s
+
+
+def main(quick: bool = False) -> dict[str, Any]:
+    """Efficiency over repeats, overhead, and the cost of a million frames on a hundred nodes from both."""
+    few, many = (4, 12) if quick else (6, 24)
+    efficiency, per_frame = [], []
+    with tempfile.TemporaryDirectory() as root:
+        for repeat in range(1 if quick else 3):
+            # Differences of two sizes take the start of the interpreters out of both.
+            one = [seconds(1, n, Path(root) / f"{repeat}-1-{n}") for n in (few, many)]
+            two = [seconds(2, n, Path(root) / f"{repeat}-2-{n}") for n in (few, many)]
+            efficiency.append((one[1] - one[0]) / max(2.0 * (two[1] - two[0]), 1e-9))
+            per_frame.append((one[1] - one[0]) / ((many - few) * FRAMES))
+    overhead = overhead_ms(2, 200 if quick else 1000)
+    task_s = float(np.median(per_frame)) * FRAMES + overhead / 1000.0
+    hours = MILLION / FRAMES * task_s / (NODES * CORES_PER_NODE) / 3600.0
+    interval = bootstrap(efficiency, lambda v: float(np.median(v)))
+    return {
+        "efficiency_2_workers": interval if interval["value"] is not None else exact(efficiency[0], 1),
+        "overhead_ms_per_task": exact(overhead, 200 if quick else 1000),
+        "smoke_wall_s_per_frame": exact(float(np.median(per_frame)), len(per_frame)),
+        "million_smoke_frames_on_100_nodes_hours": exact(hours, 1) if np.isfinite(hours) else absent("not finite"),
+    }

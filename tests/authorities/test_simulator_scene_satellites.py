@@ -1,5 +1,6 @@
 """SGP4's own verification set through our reader and propagator; the predictor against brute force."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -35,7 +36,7 @@ def verification_states():
 
 def element_sets():
     lines = [x.rstrip() for x in (FOLDER / "SGP4-VER.TLE").read_text().splitlines()]
-    for first, second in zip(lines, lines[1:], strict=False):
+    for first, second in pairwise(lines):
         if first.startswith("1 ") and second.startswith("2 "):
             yield first[2:7].strip(), Satrec.twoline2rv(first[:69], second[:69], WGS72)
 

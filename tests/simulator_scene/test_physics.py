@@ -1,5 +1,7 @@
 """Single effects of platform and scene against closed forms and brute force."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -103,26 +105,25 @@ def test_jitter_has_the_asked_rms_and_spectrum():
         drift_x_arcsec_s=0.0, drift_y_arcsec_s=0.0, bias_x_arcsec=0.0, bias_y_arcsec=0.0, bias_roll_arcsec=0.0,
     )  # fmt: skip
     jitter = make_jitter(options, seed=1)
-    time_s = np.arange(0.0, 2000.0, 1 / 256)
-    series = np.concatenate([jitter.rotation_vector(t) for t in np.split(time_s, 40)]) / ARCSEC_RAD
-    assert np.sqrt((series[:, 0] ** 2).mean()) == pytest.approx(np.hypot(0.5, 0.2), rel=0.03)
-    assert np.sqrt((series[:, 2] ** 2).mean()) == pytest.approx(np.hypot(2.0, 0.2), rel=0.03)
+    time_s = np.arange(0.0, 600.0, 1 / 128)
+    series = np.concatenate([jitter.rotation_vector(t) for t in np.split(time_s, 20)]) / ARCSEC_RAD
+    assert np.sqrt((series[:, 0] ** 2).mean()) == pytest.approx(np.hypot(0.5, 0.2), rel=0.06)
+    assert np.sqrt((series[:, 2] ** 2).mean()) == pytest.approx(np.hypot(2.0, 0.2), rel=0.06)
     power = np.abs(np.fft.rfft(series[:, 0])) ** 2 * 2.0 / len(series) ** 2
-    hertz = np.fft.rfftfreq(len(series), 1 / 256)
+    hertz = np.fft.rfftfreq(len(series), 1 / 128)
     line = power[(hertz > 39.9) & (hertz < 40.1)].sum()
     assert np.sqrt(line) == pytest.approx(0.2, rel=0.05)
     slow, fast = power[(hertz > 0.02) & (hertz < 0.3)].sum(), power[(hertz > 1.0) & (hertz < 30.0)].sum()
     expected_slow = 0.3 * np.arctan(1.0) - 0.3 * np.arctan(0.02 / 0.3)  # integral of 1 / (1 + (f/f0)^2)
     expected_fast = 0.3 * (np.arctan(100.0) - np.arctan(1.0 / 0.3))
-    assert slow / fast == pytest.approx(expected_slow / expected_fast, rel=0.25)
+    assert slow / fast == pytest.approx(expected_slow / expected_fast, rel=0.35)
 
 
 def test_jitter_is_random_access():
     jitter = make_jitter(JitterOptions(), seed=9)
     time_s = np.linspace(0.0, 3.0, 50)
-    assert np.array_equal(jitter.rotation_vector(time_s)[17:18], jitter.rotation_vector(time_s[17:18])) or np.allclose(
-        jitter.rotation_vector(time_s)[17:18], jitter.rotation_vector(time_s[17:18]), rtol=0.0, atol=1e-15
-    )
+    alone, among = jitter.rotation_vector(time_s[17:18]), jitter.rotation_vector(time_s)[17:18]
+    assert np.abs(alone - among).max() < 1e-15
 
 
 def test_nadir_law_turns_once_each_orbit():
@@ -187,12 +188,7 @@ def test_shadow_umbra_penumbra_and_light():
 def test_the_earth_hides_what_is_behind_it():
     observer = np.array([[7000.0, 0.0, 0.0]] * 3)
     things = np.array([[-7000.0, 0.0, 0.0], [20000.0, 0.0, 0.0], [0.0, 9000.0, 0.0]])
-    assert in_sight(things, observer).tolist() == [False, True, False] or in_sight(things, observer).tolist() == [
-        False,
-        True,
-        True,
-    ]
-    assert not in_sight(things, observer)[0]
+    assert in_sight(things, observer).tolist() == [False, True, False]  # the last line passes 5525 km from the centre
     site = np.array([[6378.0, 0.0, 0.0]])
     assert in_sight(np.array([[7000.0, 500.0, 0.0]]), site)[0]
 
@@ -286,7 +282,8 @@ def test_exposed_time_of_a_steady_mover(speed, start, line_us):
     intervals = exposed_intervals(place, shutter, 1e6, opens - 0.2, opens + 0.2)
     (only,) = intervals
     assert only.end_s - only.start_s == pytest.approx(exposure_s / abs(1.0 - speed * line_s), abs=1e-8)
-    assert not only.edge_start and not only.edge_end
+    assert not only.edge_start
+    assert not only.edge_end
 
 
 # ----------------------------------------------------------------- population
@@ -297,7 +294,7 @@ def test_size_law():
     assert number_larger(0.01) == pytest.approx(1.04e6, rel=0.02)
     assert number_larger(0.001) / 1.04e6 == pytest.approx(10**2.10)
     sizes = np.geomspace(0.002, 0.5, 200)
-    assert np.abs(-np.gradient(number_larger(sizes), np.log(sizes)) / number_density(sizes) - 1.0)[10:60].max() < 0.01
+    assert np.abs(-np.gradient(number_larger(sizes), np.log(sizes)) / number_density(sizes) - 1.0)[10:50].max() < 0.01
 
 
 def test_histogram_sums():
@@ -318,7 +315,7 @@ def test_drawn_orbits_stay_above_the_air():
 def test_kessler_density_against_counting():
     """Objects on one orbit with random angles, counted in a shell of radius and latitude."""
     rng = np.random.default_rng(2)
-    n, a, e, i = 2_000_000, 7300.0, 0.03, np.radians(70.0)
+    n, a, e, i = 1_000_000, 7300.0, 0.03, np.radians(70.0)
     angles = rng.uniform(0.0, 2 * np.pi, (3, n))
     full = np.ones(n)
     position, _ = state_of(
@@ -330,7 +327,7 @@ def test_kessler_density_against_counting():
     volume = 4.0 / 3.0 * np.pi * (7360.0**3 - 7340.0**3) * 0.02
     point = 7350.0 * np.array([[np.sqrt(0.75), 0.0, 0.5]])
     density = spatial_density(point, np.array([a]), np.array([e]), np.array([i]))[0]
-    assert inside.sum() / n / volume == pytest.approx(density, rel=0.03)
+    assert inside.sum() / n / volume == pytest.approx(density, rel=0.05)
 
 
 def default_window():
@@ -360,8 +357,6 @@ def test_natural_encounters_of_a_run(from_mm, to_mm, low, high):
 
 def test_sampler_counts_what_brute_force_counts():
     """Share of the population inside a wide pyramid at one instant: importance sampling against drawing everybody."""
-    from dataclasses import replace
-
     wide = replace(default_window(), half_row=np.tan(np.radians(15.0)), half_col=np.tan(np.radians(15.0)), duration_s=1e-3)
     rng = np.random.default_rng(5)
     n = 600_000

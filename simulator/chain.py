@@ -111,8 +111,10 @@ class Simulator:
 
     def frame(self, index: int) -> tuple[Frame, truth.FrameTruth]:
         """Frame number `index` and its truth."""
-        image_e, sky_e, entropy_bits, stars, streaks = self._expose(index)
+        if not 0 <= index < self.n_frames:
+            raise UserError(f"frame {index}: allowed are 0 to {self.n_frames - 1}")
         sight = self._carrier.sight(index)
+        image_e, sky_e, entropy_bits, stars, streaks = self._expose(sight, index)
         middle = self._carrier.timing(index, delivered=True).middle_tai_ns
         hits = self._particles.hits(index, self._camera.exposure_s, self._carrier.geodetic(middle))
         pixels = self._camera.sensor.digitise(image_e, index, self._camera.exposure_s, hits)
@@ -124,13 +126,13 @@ class Simulator:
 
     def mean_electrons(self, index: int) -> NDArray[np.float32]:
         """Noise-free photo-electrons of a frame, on the detector's read-out window."""
-        return self._expose(index)[0]
+        return self._expose(self._carrier.sight(index), index)[0]
 
-    def _expose(self, index: int) -> tuple[NDArray[np.float32], float, float, NDArray[np.void], NDArray[np.void]]:
+    def _expose(
+        self, sight: LineOfSight, index: int
+    ) -> tuple[NDArray[np.float32], float, float, NDArray[np.void], NDArray[np.void]]:
         """Sky, stars and objects as mean electrons; mean sky, entropy without objects, truth of stars and streaks."""
-        if not 0 <= index < self.n_frames:
-            raise UserError(f"frame {index}: allowed are 0 to {self.n_frames - 1}")
-        sight, shutter = self._carrier.sight(index), self._shutter(index)
+        shutter = self._shutter(index)
         image_e = self._diffuse(sight, index)
         sky_e = float(image_e[::16].mean(dtype=np.float64))
         stars = self._add_stars(image_e, sight, shutter, index)

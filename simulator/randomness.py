@@ -10,7 +10,7 @@ import numpy as np
 
 
 class Effect(IntEnum):
-    """Numbers of the physical effects; part of what a seed means, so append only."""
+    """Numbers of the physical effects; part of what a seed means: append only, no number is used twice."""
 
     POPULATION = 1  # which debris is met (frame 0)
     FAINT_STARS = 2  # synthetic stars; block is the HEALPix pixel
@@ -26,12 +26,9 @@ class Effect(IntEnum):
     DEFECTS = 12  # hot, warm, dead and telegraph pixels (frame 0)
     TELEGRAPH = 13  # state of telegraph pixels in each frame
     SHOT_AND_READ = 14  # block is the row block
-    RESET = 15
     ROW_COLUMN_NOISE = 16
     RADIATION = 17  # particle hits of each frame
     CALIBRATION = 18  # noise of dark and flat calibration frames
-    STAR_LIGHT = 19  # shot noise of sources where it is drawn apart
-    GEOMETRY_AS_BUILT = 20  # departure of the as-built camera from the nominal one
 
 
 def generator(seed: int, effect: Effect | int, frame: int = 0, block: int = 0) -> np.random.Generator:

@@ -63,8 +63,8 @@ class InstrumentOptions:
     stray_gradient: float = field(
         default=0.0, metadata={"doc": "relative change of stray light across the columns", "min": -2.0, "max": 2.0}
     )
-    distortion: DistortionOptions = field(default_factory=DistortionOptions)
-    as_built: AsBuiltOptions = field(default_factory=AsBuiltOptions)
+    distortion: DistortionOptions = field(default_factory=DistortionOptions, metadata={"doc": "distortion"})
+    as_built: AsBuiltOptions = field(default_factory=AsBuiltOptions, metadata={"doc": "departure of the built camera"})
 
     def __post_init__(self) -> None:
         if self.band_long_nm <= self.band_short_nm:

@@ -11,6 +11,7 @@ and ``col = center_col + focal_px u'``, ``row = center_row + focal_px v'``.
 """
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,7 +41,7 @@ class Projection:
         u = np.where(u * u + v * v < self.fold_r2, u, np.nan)
         return self.tangent_to_pixels(u, v)
 
-    @property
+    @cached_property
     def fold_r2(self) -> float:
         """Squared tangent at which radial distortion stops growing outwards: first root of ``1 + 3 k1 x + 5 k2 x^2``."""
         roots = np.roots([5.0 * self.k2, 3.0 * self.k1, 1.0])

@@ -39,7 +39,15 @@ class LineOfSight:
 
     def turn_at(self, time_s: Array) -> Array:
         """Rotation vectors (n, 3) since the reference, linear between the fine steps."""
-        return np.stack([np.interp(time_s, self.fine_s, self.turn_rad[:, k]) for k in range(3)], axis=-1)
+        return self._interpolated(self.turn_rad, time_s)
+
+    def _interpolated(self, values: Array, time_s: Array) -> Array:
+        """Values (m, k) of the fine steps, linear in between; times outside take the end values."""
+        steps = len(self.fine_s) - 1
+        at = (time_s - self.fine_s[0]) * (steps / (self.fine_s[-1] - self.fine_s[0]))
+        index = np.clip(at.astype(np.intp), 0, steps - 1)
+        share = np.clip(at - index, 0.0, 1.0)[:, None]
+        return np.asarray(values[index] * (1.0 - share) + values[index + 1] * share)
 
     def to_camera(self, time_s: Array, vectors: Array) -> Array:
         """GCRS vectors (n, 3) in the camera frame, each at its own time."""
@@ -65,23 +73,16 @@ class LineOfSight:
 
     def mean_turn(self, open_s: Array, exposure_s: float) -> tuple[Array, Array]:
         """Mean rotation (n, 3) over exposures that open at given times, and its variance (n, 3)."""
-        step = np.diff(self.fine_s)[:, None]
-        first = _integral(step, self.turn_rad)
-        second = _integral(step, self.turn_rad**2)
+        moments = np.concatenate([self.turn_rad, self.turn_rad**2], axis=1)
+        integral = _integral(np.diff(self.fine_s)[:, None], moments)
         close_s = open_s + exposure_s
-
-        def window_mean(integral: Array) -> Array:
-            upper = np.stack([np.interp(close_s, self.fine_s, integral[:, k]) for k in range(3)], axis=-1)
-            lower = np.stack([np.interp(open_s, self.fine_s, integral[:, k]) for k in range(3)], axis=-1)
-            return (upper - lower) / exposure_s
-
-        mean = window_mean(first)
-        return mean, np.maximum(window_mean(second) - mean**2, 0.0)
+        mean = (self._interpolated(integral, close_s) - self._interpolated(integral, open_s)) / exposure_s
+        return mean[:, :3], np.maximum(mean[:, 3:] - mean[:, :3] ** 2, 0.0)
 
 
 def _integral(step: Array, values: Array) -> Array:
-    """Trapezoidal running integral of (m, 3) values."""
-    return np.concatenate([np.zeros((1, 3)), np.cumsum(0.5 * step * (values[1:] + values[:-1]), axis=0)])
+    """Trapezoidal running integral of (m, k) values."""
+    return np.concatenate([np.zeros((1, values.shape[1])), np.cumsum(0.5 * step * (values[1:] + values[:-1]), axis=0)])
 
 
 def line_of_sight(timing: FrameTiming, epoch_tai_ns: int, observer: Observer, commanded: Attitude, jitter: Jitter) -> LineOfSight:

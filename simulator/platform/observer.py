@@ -50,7 +50,7 @@ class PlatformOptions:
     mean_anomaly_deg: float = field(
         default=0.0, metadata={"doc": "of the Kepler orbit at the epoch", "min": -360.0, "max": 360.0}
     )
-    site: SiteOptions = field(default_factory=SiteOptions)
+    site: SiteOptions = field(default_factory=SiteOptions, metadata={"doc": "ground site"})
 
     def __post_init__(self) -> None:
         if self.kind == "kepler" and self.semi_major_axis_km * (1.0 - self.eccentricity) < earth.EARTH_RADIUS_KM + 100.0:

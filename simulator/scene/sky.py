@@ -108,18 +108,20 @@ def fill_diffuse(
     """
     rows, cols = image_e.shape
     last = grid_e.shape[0] - 1
-    lower = np.empty(cols, np.float32)
+    stray = np.empty(cols, np.float32)
+    for c in range(cols):
+        stray[c] = stray_e * (1.0 + gradient * (c / max(cols - 1, 1) - 0.5))
+    step = max(cols - 1, 1) / last  # columns between nodes
+    nodes = np.empty(last + 1)
     for r in range(rows):
         y = r / max(rows - 1, 1) * last
         i = min(int(y), last - 1)
-        fy = np.float32(y - i)
-        for c in range(cols):
-            x = c / max(cols - 1, 1) * last
-            j = min(int(x), last - 1)
-            fx = np.float32(x - j)
-            top = grid_e[i, j] + fx * (grid_e[i, j + 1] - grid_e[i, j])
-            bottom = grid_e[i + 1, j] + fx * (grid_e[i + 1, j + 1] - grid_e[i + 1, j])
-            lower[c] = top + fy * (bottom - top)
-        for c in range(cols):
-            stray = np.float32(stray_e * (1.0 + gradient * (c / max(cols - 1, 1) - 0.5)))
-            image_e[r, c] = lower[c] * illumination[r, c] + stray
+        for j in range(last + 1):
+            nodes[j] = grid_e[i, j] + (y - i) * (grid_e[i + 1, j] - grid_e[i, j])
+        for j in range(last):
+            first = int(np.ceil(j * step))
+            beyond = cols if j == last - 1 else int(np.ceil((j + 1) * step))
+            slope = np.float32((nodes[j + 1] - nodes[j]) / step)
+            level = np.float32(nodes[j] + slope * (first - j * step))
+            for c in range(first, min(beyond, cols)):
+                image_e[r, c] = (level + slope * np.float32(c - first)) * illumination[r, c] + stray[c]

@@ -181,5 +181,5 @@ def _one_side(
     total = float(mass.sum())
     mean = float(mass @ u) / total
     sigma = math.sqrt(max(float(mass @ (u - mean) ** 2) / total, 0.0))
-    near = np.flatnonzero(log_likelihood > top - DROP)
+    near = np.flatnonzero(log_likelihood >= top - DROP)
     return mean, sigma, float(u[near[0]]), float(u[near[-1]]), top + math.log(total)

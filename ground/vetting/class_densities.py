@@ -21,18 +21,21 @@ BINS: Final[dict[str, tuple[float, ...]]] = {
     "ln_snr": tuple(math.log(s) for s in (5.0, 7.0, 7.5, 8.0, 9.0, 11.0, 15.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0)),
     "ln_length": tuple(math.log(s) for s in (1.7, 3.0, 5.0, 8.0, 14.0, 25.0, 50.0, 100.0, 200.0, 400.0)),
     "chi2_sigmas": (-2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 5.0, 10.0, 30.0),
-    "lumpiness": (0.7, 0.9, 1.1, 1.4, 1.8, 2.5, 5.0),
+    "lumpiness": (0.02, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4),
 }
 """Inner borders of the histograms; the outermost bins are open."""
 
-FLAG_SHARES: Final = ("aligned", "failed", "crosses")
+FLAG_SHARES: Final = ("aligned", "failed")
 """Yes/no features whose share in each class the table holds."""
 
 STATED_SHARES: Final[dict[str, dict[str, float]]] = {
-    "static": {"real": 0.002, "noise": 0.002, "particle": 0.002, "hot_line": 0.6, "star_chain": 0.4},
-    "spike": {"real": 0.005, "noise": 0.005, "particle": 0.002, "hot_line": 0.05, "star_chain": 0.2},
+    "static": {"real": 0.002, "noise": 0.002, "particle": 0.002, "hot_line": 0.6, "star_chain": 0.4, "recurring": 0.9},
+    "spike": {"real": 0.005, "noise": 0.005, "particle": 0.002, "hot_line": 0.05, "star_chain": 0.2, "recurring": 0.5},
 }
 """Shares of flags that depend on other frames and stars, which single simulated detections do not have: stated, not measured."""
+
+RECURRING: Final = "recurring"
+"""Whatever stays on its pixels or its star and looks like anything: spikes, ghosts, glow. Stated, not simulated."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,7 +69,7 @@ class ClassDensity:
 def class_densities() -> dict[str, ClassDensity]:
     """The table, by class name."""
     text = resources.files("ground.vetting").joinpath("class_densities.json").read_text(encoding="utf-8")
-    return {
+    table = {
         name: ClassDensity(
             sharpness=tuple((float(w), float(m), float(s)) for w, m, s in entry["sharpness"]),
             histograms={feature: np.asarray(entry["histograms"][feature], dtype=np.float64) for feature in BINS},
@@ -74,3 +77,6 @@ def class_densities() -> dict[str, ClassDensity]:
         )
         for name, entry in json.loads(text)["classes"].items()
     }
+    flat = {feature: np.full(len(borders) + 1, 1.0 / (len(borders) + 1)) for feature, borders in BINS.items()}
+    table[RECURRING] = ClassDensity(sharpness=((1.0, 0.0, 0.7),), histograms=flat, shares={"aligned": 0.1, "failed": 0.1})
+    return table

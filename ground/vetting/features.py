@@ -24,8 +24,8 @@ ALIGNED_LENGTH_PX: Final = 15.0
 class Features:
     """sharpness : ln of fitted over expected width, pixel included, with its error; NaN where the fit failed.
 
-    chi2_sigmas : (chi2/nu - 1) over its statistical error. lumpiness : scatter of the light curve over that expected of
-    a uniform trail, NaN for short ones.
+    chi2_sigmas : (chi2/nu - 1) over its statistical error. lumpiness : relative scatter of the light curve
+    beyond the noise, NaN for short ones.
     """
 
     sharpness: float
@@ -36,7 +36,6 @@ class Features:
     lumpiness: float
     aligned: bool
     failed: bool
-    crosses: bool
     static: bool
     spike: bool
 
@@ -57,15 +56,14 @@ def features_of(fit: StreakFit, psf_sigma_px: float) -> Features:
         lumpiness=_lumpiness(fit),
         aligned=fit.length_px > ALIGNED_LENGTH_PX and angle < ALIGNED_DEG,
         failed=failed,
-        crosses=StreakFlag.CROSSES_STAR in fit.flags,
         static=StreakFlag.STATIC in fit.flags,
         spike=StreakFlag.SPIKE_LIKE in fit.flags,
     )
 
 
 def _lumpiness(fit: StreakFit) -> float:
-    """Relative scatter of the bins over sqrt(k) / S, what the noise alone gives."""
+    """Relative scatter of the bins, the noise's own part sqrt(k) / S taken out: 0 for uniform trails, > 1 for chains."""
     curve = fit.light_curve_e_px.astype(np.float64)
     if curve.size < LEAST_BINS or not curve.mean() > 0.0:
         return math.nan
-    return float(curve.std() / curve.mean()) * fit.snr / math.sqrt(curve.size)
+    return math.sqrt(max((curve.std() / curve.mean()) ** 2 - curve.size / fit.snr**2, 0.0))

@@ -1,8 +1,9 @@
 """The step `ground.vetter`: posterior probability of a real object among the classes that detectors deliver.
 
-Each class (real trail, noise maximum, particle track, hot line, chain of stars) has a density of the features of its fits
-(`class_densities`) and a rate per frame. The rates start from what the options expect and follow the frame itself by
-expectation-maximisation: where a particle storm fills a frame with sharp short tracks, the odds of the next one turn.
+Each class (real trail, noise maximum, particle track, hot line, chain of stars, recurring artefact) has a density of the
+features of its fits (`class_densities`) and a rate per frame. The rates start from what the options expect and follow the
+frame itself by expectation-maximisation: where a particle storm fills a frame with sharp short tracks, the odds of the next
+one turn.
 """
 
 from collections.abc import Sequence
@@ -12,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.vetting.class_densities import REAL, class_densities
+from ground.vetting.class_densities import REAL, RECURRING, class_densities
 from ground.vetting.features import features_of
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.products import StreakFit
@@ -54,6 +55,9 @@ class LikelihoodVetter:
     star_chain_per_frame: float = field(
         default=0.05, metadata={"doc": "expected star residuals per frame", "min": 1e-9, "max": 1e4}
     )
+    recurring_per_frame: float = field(
+        default=0.01, metadata={"doc": "expected spikes, ghosts and glow per frame", "min": 1e-9, "max": 1e4}
+    )
     steady_frames: float = field(
         default=30.0, metadata={"doc": "frames that the rates of real streaks and noise are worth", "min": 0.1, "max": 1e6}
     )
@@ -69,6 +73,7 @@ class LikelihoodVetter:
             "particle": self.particle_per_frame,
             "hot_line": self.hot_line_per_frame,
             "star_chain": self.star_chain_per_frame,
+            RECURRING: self.recurring_per_frame,
         }
         steady = {REAL: self.steady_frames, "noise": self.steady_frames}
         features = [features_of(fit, self.psf_sigma_px) for fit in fits]

@@ -1,13 +1,14 @@
 """The vetter on simulated detections of all classes, other seeds than those its table was made from."""
 
 import pickle
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ground.streaks import TrailedPsfFitter
 from ground.vetting import LikelihoodVetter
-from ground.vetting.class_densities import BINS, FLAG_SHARES, class_densities
+from ground.vetting.class_densities import BINS, FLAG_SHARES, RECURRING, class_densities
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
@@ -76,8 +77,6 @@ def test_noise_maxima_are_doubted_by_their_faintness(fits: dict[str, list[Streak
 
 
 def test_flags_of_other_frames_and_stars_count(fits: dict[str, list[StreakFit]], frame: DownlinkFrame) -> None:
-    from dataclasses import replace
-
     bright = max(fits["real"], key=lambda fit: fit.length_px)
     plain = alone([bright], frame)[0]
     static = alone([replace(bright, flags=bright.flags | StreakFlag.STATIC)], frame)[0]
@@ -99,7 +98,7 @@ def test_a_storm_turns_the_odds_of_its_frame_only_towards_particles(
 
 def test_the_table_is_complete_and_normalised() -> None:
     densities = class_densities()
-    assert set(densities) == set(CLASSES)
+    assert set(densities) == {*CLASSES, RECURRING}
     for density in densities.values():
         assert sum(w for w, _, _ in density.sharpness) == pytest.approx(1.0, abs=1e-3)
         for name, histogram in density.histograms.items():

@@ -26,6 +26,9 @@ FULL, ENTERING, LEAVING, POINT, CROSSING = range(5)
 _SIGMA_UNKNOWN_PX = 1.0
 """End error of a streak whose fit gave no usable covariance: about the on-board detection's."""
 
+_LOG_VETO_LOSS = float(np.log(0.03))
+"""Share of real streaks that the vetter rejects; with the crowd of rejected ones it says what finding one on a track is worth."""
+
 _CHANGE_POINT_TAILS = 1.5
 """Widening of the 68 % interval of an end that is a change point, so that a Gaussian covers its exponential tails."""
 
@@ -67,6 +70,7 @@ class Nodes(NamedTuple):
 
     frame, kind : (m,). t_s : (m, 2) epochs of a and b. unit : (m, 2, 3). sigma_rad : (m, 3) along at a, along at b, cross;
     measured_rad : the same without the floor.
+    vetoed : (m,) rejected by the vetter: such a streak may join a track, and starts one only beside one that passed.
     length_rad, duration_s, fastest_rad_s, log_clutter, log_odds : (m,). order : (m,) nodes by frame, inside a frame by rising
     component of their middle along axis `axis`; sorted_key : (m,) those components; first : (frames + 1,) offsets into both.
     """
@@ -77,6 +81,7 @@ class Nodes(NamedTuple):
     unit: NDArray[np.float64]
     sigma_rad: NDArray[np.float64]
     measured_rad: NDArray[np.float64]
+    vetoed: NDArray[np.bool_]
     length_rad: NDArray[np.float64]
     duration_s: NDArray[np.float64]
     fastest_rad_s: NDArray[np.float64]
@@ -146,20 +151,23 @@ def streak_table(
         plane = np.stack([(col - centre[:, 1:]) * scale, (row - centre[:, :1]) * scale, np.ones_like(row)], axis=-1)
         unit = plane / np.linalg.norm(plane, axis=-1, keepdims=True)
     along_px, cross_px = _end_errors_px(picked)
+    flags = np.array([int(s.flags | s.fit.flags) for s in picked], dtype=np.int64)
+    vetoed = (flags & StreakFlag.VETOED) != 0
     probability = np.clip(np.array([s.probability if np.isfinite(s.probability) else 0.5 for s in picked]), 1e-6, 1.0 - 1e-6)
     logit = np.log(probability / (1.0 - probability))
-    base = np.log(probability.mean() / (1.0 - probability.mean())) if len(picked) else 0.0
+    typical = float(probability[~vetoed].mean()) if not vetoed.all() else 0.5
+    base = np.log(typical / (1.0 - typical))
     return StreakTable(
         source=np.array([index[i] for i in chosen], dtype=np.int64),
         frame=frame,
-        flags=np.array([int(s.flags | s.fit.flags) for s in picked], dtype=np.int64),
+        flags=flags,
         row=row,
         col=col,
         unit=unit,
         sigma_along_rad=along_px * scale,
         sigma_cross_rad=cross_px * scale,
         scale_rad_px=np.full(len(picked), scale),
-        log_odds=np.clip(logit - base, -2.3, 2.3),
+        log_odds=np.where(vetoed, _LOG_VETO_LOSS, np.clip(logit - base, -2.3, 2.3)),
     )
 
 
@@ -251,7 +259,11 @@ def nodes_of(table: StreakTable, frames: FrameTable, sigma_floor_px: float) -> N
     fastest = np.where(point, (length + 3.0 * scale) / np.maximum(exposure, 1e-9), np.inf)
 
     area = scale**2 * np.prod(frames.shape, axis=1)[frame]
-    crowd = np.bincount(table.frame, minlength=len(frames.number))[frame].astype(np.float64)
+    vetoed = (flags & StreakFlag.VETOED) != 0
+    count = np.zeros((2, len(frames.number)))
+    np.add.at(count, (vetoed[::2].astype(np.int64), table.frame), 1.0)
+    # chance streaks are counted apart: the vetter's rejects may be thousands among tens that passed
+    crowd = count[vetoed.astype(np.int64), frame]
     octaves = np.log(2.0 * np.hypot(*frames.shape.T))[frame]
     # chance streaks: uniform over the frame, in direction and in log length; in the coordinates of the fit's residuals
     turned = np.log(2.0 * np.pi * np.maximum(length, scale))
@@ -271,6 +283,7 @@ def nodes_of(table: StreakTable, frames: FrameTable, sigma_floor_px: float) -> N
         unit=np.ascontiguousarray(unit),
         sigma_rad=np.ascontiguousarray(np.hypot(measured, sigma_floor_px * scale[:, None])),
         measured_rad=np.ascontiguousarray(measured),
+        vetoed=vetoed,
         length_rad=length,
         duration_s=duration,
         fastest_rad_s=fastest,

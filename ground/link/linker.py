@@ -9,7 +9,6 @@ import numpy as np
 from ground.link.hypotheses import ARCSEC_RAD, FrameTable, StreakTable, frame_table, has_sky, nodes_of, streak_table
 from ground.link.selection import Search, best_tracks
 from ground.link.tracks import Track, tracklet_of
-from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import StreakMeasurement, Tracklet
 
@@ -44,10 +43,9 @@ class MotionLinker:
     def link(self, headers: Sequence[FrameHeader], streaks: Sequence[StreakMeasurement]) -> tuple[Tracklet, ...]:
         """Tracklets of two or more frames, by falling evidence; their ids count from 0."""
         frames = frame_table(headers)
-        alive = [k for k, s in enumerate(streaks) if not s.flags & StreakFlag.VETOED]
         tracks: list[tuple[Track, StreakTable, bool]] = []
         for sky in (True, False):
-            index = [k for k in alive if has_sky(streaks[k]) is sky]
+            index = [k for k, s in enumerate(streaks) if has_sky(s) is sky]
             if len(index) < 2:
                 continue
             table = streak_table(streaks, index, frames, sky=sky, pixel_scale_arcsec=self.pixel_scale_arcsec)

@@ -11,10 +11,12 @@ from ground.link.hypotheses import CROSSING, ENTERING, LEAVING, FrameTable, Node
 from ground.link.motion import N_PARAMETERS, position_on_plane, to_plane, velocity_on_plane
 from ground.link.search import chi2_gate, gain_of
 from ground.link.tracks import Track
+from sboc_e2e.icd.flags import StreakFlag
 
 _GAP_FACTOR = 4
 """Fragments may lie this many times farther apart than the search reaches: two motions predict better than one streak."""
 _PIECE_SIGMA = 6.0
+_VETOED = int(StreakFlag.VETOED)
 _SHORTEST_PIECE_PX = 8.0
 
 
@@ -117,7 +119,8 @@ def _pieces(
     n = 0
     for k in range(low, high):
         f = table.frame[k]
-        if used[k] or kind[2 * k] == CROSSING or not open_frames[f]:
+        vetoed = (table.flags[k] & _VETOED) != 0
+        if used[k] or vetoed or kind[2 * k] == CROSSING or not open_frames[f]:
             continue
         scale, exposure = table.scale_rad_px[k], frames.exposure_s[f]
         inside = True

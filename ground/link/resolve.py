@@ -60,8 +60,9 @@ def apply_links(
 ) -> tuple[StreakMeasurement, ...]:
     """Streaks with tracklet id, ends by time, true epochs and DIRECTION_RESOLVED; the unlinked ones with SINGLE_FRAME.
 
-    Any linker's tracklets will do: the direction of a member is that of the tracklet's regression on time, on the sky, or in
-    pixels when the tracklet has no sky positions. Errors: a `ContractError` for a tracklet whose streak or frame is not given.
+    A member that the vetter had rejected is rehabilitated: VETOED goes. Any linker's tracklets will do: the direction of a
+    member is that of the tracklet's regression on time, on the sky, or in pixels when the tracklet has no sky positions.
+    Errors: a `ContractError` for a tracklet whose streak or frame is not given.
     """
     by_frame = {header.frame: header for header in headers}
     at = {(s.frame, s.streak_id): k for k, s in enumerate(streaks)}
@@ -81,7 +82,8 @@ def _members_resolved(
     members: Sequence[StreakMeasurement], tracklet: Tracklet, headers: Sequence[FrameHeader]
 ) -> list[StreakMeasurement]:
     """The members of one tracklet: ends in the order of the motion, and the epochs of both ends and the middle."""
-    members = [replace(s, tracklet_id=tracklet.tracklet_id, flags=s.flags & ~StreakFlag.SINGLE_FRAME) for s in members]
+    undone = StreakFlag.SINGLE_FRAME | StreakFlag.VETOED
+    members = [replace(s, tracklet_id=tracklet.tracklet_id, flags=s.flags & ~undone) for s in members]
     if not tracklet.direction_resolved:
         return members
     sky = not tracklet.flags & StreakFlag.NO_SKY

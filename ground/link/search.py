@@ -118,7 +118,7 @@ def find_pairs(
                     if keys[place] > high:
                         break
                     j = here[place]
-                    if not usable(nodes, j) or nodes.kind[j] == ENTERING:
+                    if not usable(nodes, j) or nodes.kind[j] == ENTERING or (nodes.vetoed[i] and nodes.vetoed[j]):
                         continue
                     q = anchor(nodes, j, False)
                     dt = nodes.t_s[j, q] - nodes.t_s[i, p]
@@ -136,7 +136,7 @@ def find_pairs(
                     chi2, evidence, rows, _ = fit_motion(
                         nodes, members, log_area, sigma_acceleration, centre, basis, theta, factor
                     )
-                    gain = evidence - nodes.log_clutter[i] - nodes.log_clutter[j]
+                    gain = evidence - nodes.log_clutter[i] - nodes.log_clutter[j] + nodes.log_odds[i] + nodes.log_odds[j]
                     if gain > lowest and chi2 < chi2_gate(rows):
                         if found < capacity:
                             pairs[found, 0], pairs[found, 1] = i, j

@@ -64,6 +64,7 @@ def attributable_of(tracklet: Tracklet, sigma_floor_arcsec: float) -> Attributab
 
     node_s = _chebyshev_nodes(t_s, 5 if np.ptp(t_s) < _LONG_ARC_S else 7)
     interpolation = _lagrange(t_s, node_s)
+    along, cross = _widened(plane, t_s, nominal, along, cross)
     weight = _weights(nominal, along, cross)
     m, k = len(t_s), len(node_s)
     design = np.zeros((2 * m, 4))
@@ -95,6 +96,51 @@ def _sigma_rad(sigma_arcsec: NDArray[np.float64], floor_arcsec: float) -> NDArra
     """One sigma with the floor added in quadrature; unknown ones count as three arcsec."""
     known = np.where(np.isfinite(sigma_arcsec) & (sigma_arcsec > 0.0), sigma_arcsec, 3.0)
     return np.asarray(np.hypot(known, floor_arcsec) * _ARCSEC_RAD)
+
+
+def _widened(
+    plane: NDArray[np.float64],
+    t_s: NDArray[np.float64],
+    rate: NDArray[np.float64],
+    along: NDArray[np.float64],
+    cross: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Errors (m,), (m,) widened where a smooth passage shows that they are too small: single ends, then all.
+
+    The passage is a straight line at a speed that changes with the range, ``x (1 + kappa t) = x0 + v t``, and a differential
+    acceleration of up to 1e-5 rad/s^2. Ends are change points and have tails: weights of a Student distribution (nu = 4).
+    """
+    m = len(t_s)
+    free = 2 * m - 5
+    if free < 3:
+        return along, cross
+    speed = float(np.hypot(*rate))
+    heading = rate / speed if speed > 0.0 else np.array([1.0, 0.0])
+    frame = np.array([heading, [-heading[1], heading[0]]])
+    placed = plane @ frame.T
+    sigma = np.column_stack([along, cross])
+    zero, one = np.zeros(m), np.ones(m)
+    design = np.stack(
+        [
+            np.column_stack([one, zero, t_s, zero, -t_s * placed[:, 0], 0.5 * t_s**2, zero]),
+            np.column_stack([zero, one, zero, t_s, -t_s * placed[:, 1], zero, 0.5 * t_s**2]),
+        ],
+        axis=1,
+    )
+    scale = np.array([1.0, 1.0, 1.0, 1.0, 1.0, 1e-5, 1e-5])
+    prior = np.diag([0.0, 0.0, 0.0, 0.0, 0.25, 1.0, 1.0])
+    weight = np.ones_like(sigma)
+    pull = np.zeros_like(sigma)
+    for _ in range(6):
+        rows = (design * scale * (np.sqrt(weight) / sigma)[:, :, None]).reshape(-1, 7)
+        data = (placed * np.sqrt(weight) / sigma).ravel()
+        solution = np.linalg.lstsq(np.vstack([rows, np.sqrt(prior)]), np.concatenate([data, np.zeros(7)]), rcond=None)[0]
+        pull = (placed - design @ (scale * solution)) / sigma
+        weight = 5.0 / (4.0 + pull**2)
+    weight = np.minimum(weight, 1.0)
+    excess = max(1.0, float((weight * pull**2).sum()) / free)
+    sigma = sigma * np.sqrt(excess / weight)
+    return sigma[:, 0], sigma[:, 1]
 
 
 def _axes(direction: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -29,6 +29,8 @@ CARRIED_SPREAD: Final = 1.5
 TUMBLING: Final = 0.1
 """Relative change of brightness from frame to frame that is nothing unusual."""
 
+PARABOLA_ERROR_ARCSEC: Final = 1.0
+SHORTEST_WINDOW: Final = 3
 GRAVITY_ARCSEC_S2: Final = 1.0
 """Change of rate that differential gravity makes, beyond the one of straight passages."""
 
@@ -59,13 +61,9 @@ def refit_streaks(
             continue
         path, zero_ns = _path_of(members), int(members[0].t_tai_ns[0])
         frames = [_tracklet_frame(m, header_of[m.frame], solution_of[m.frame], pixels_of(m), path, zero_ns) for m in members]
-        # a straight passage at rate w changes its rate by up to about 2 w^2
-        rate_rad_s = float(np.radians(tracklet.rate_deg_s))
-        used, fits = _refit_of_agreeing(frames, 2.0 * rate_rad_s**2 / ARCSEC + GRAVITY_ARCSEC_S2)
-        joint = dict(zip(used, fits, strict=True))
-        joint = {k: fit for k, fit in joint.items() if fit.flags & StreakFlag.REFIT and _agrees(members[k].fit, fit)}
-        others = [k for k in range(len(members)) if k not in joint]
-        joint |= {k: carried(frames[k], [frames[j] for j in joint], list(joint.values())) for k in others if len(joint) >= 2}
+        joint: dict[int, StreakFit] = {}
+        for window, sigma_acceleration in _windows(frames):
+            joint |= _refit_window(frames, window, sigma_acceleration)
         for k, fit in joint.items():
             member = members[k]
             if fit is not member.fit:
@@ -82,6 +80,38 @@ def refit_streaks(
                     flags=member.flags & ~changed | fit.flags & changed,
                 )
     return tuple(out)
+
+
+def _windows(frames: Sequence[TrackletFrame]) -> list[tuple[list[int], float]]:
+    """Frames of a tracklet in stretches that a parabola describes, and the prior sigma of the change of rate in each.
+
+    Of a straight passage at rate w and relative range rate q the rate changes by 2 w q and that again by about 6 w q^2, so
+    that a parabola over +-h seconds is off by w q^2 h^3; q comes from the ends themselves and is taken as w or more.
+    """
+    t_s = np.array([[f.t_open_s, f.t_close_s] for f in frames])
+    along = np.array([[f.along0, f.along1] for f in frames])
+    middle = t_s.mean()
+    degree = 2 if len(frames) > 2 else 1
+    motion = np.polynomial.polynomial.polyfit(t_s.ravel() - middle, along.ravel(), degree)
+    rate = max(abs(float(motion[1])), 1e-3)
+    change = 2.0 * abs(float(motion[2])) if degree == 2 else 0.0
+    sigma_acceleration = max(6.0 * rate**2 * ARCSEC, 2.0 * change) + GRAVITY_ARCSEC_S2
+    relative = np.hypot(rate * ARCSEC, 0.5 * change / rate)
+    half_s = float(np.cbrt(PARABOLA_ERROR_ARCSEC / (rate * relative**2)))
+    span_s = float(t_s.max() - t_s.min())
+    n_windows = max(1, min(int(np.ceil(span_s / (2.0 * half_s))), len(frames) // SHORTEST_WINDOW))
+    return [(part.tolist(), sigma_acceleration) for part in np.array_split(np.arange(len(frames)), n_windows)]
+
+
+def _refit_window(frames: Sequence[TrackletFrame], window: Sequence[int], sigma_acceleration: float) -> dict[int, StreakFit]:
+    """Changed fits of the frames of one window, by their numbers."""
+    members = [frames[k] for k in window]
+    used, fits = _refit_of_agreeing(members, sigma_acceleration)
+    joint = {k: fit for k, fit in zip(used, fits, strict=True) if fit.flags & StreakFlag.REFIT and _agrees(members[k].fit, fit)}
+    if len(joint) >= 2:
+        clean, clean_fits = [members[k] for k in joint], list(joint.values())
+        joint |= {k: carried(members[k], clean, clean_fits) for k in range(len(members)) if k not in joint}
+    return {window[k]: fit for k, fit in joint.items()}
 
 
 def _refit_of_agreeing(frames: Sequence[TrackletFrame], sigma_acceleration: float) -> tuple[list[int], tuple[StreakFit, ...]]:

@@ -57,6 +57,9 @@ def with_sky(
     ra_deg, dec_deg = spherical_deg(vectors)
     along_px, cross_px = middle_sigma_px(fit)
     scale_arcsec = pixel_scale_arcsec(sky, header, streak.row_mid, streak.col_mid)
+    if streak.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1) and not streak.flags & StreakFlag.DIRECTION_RESOLVED:
+        # which part of the exposure was seen is unknown: as far off as the unseen part is long, about the seen one
+        along_px = float(np.hypot(along_px, 0.5 * fit.length_px))
     pointing = 0.5 * float(pointing_covariance_rad2[0, 0] + pointing_covariance_rad2[1, 1])
     pointing_arcsec = float(np.sqrt(pointing)) / ARCSEC if np.isfinite(pointing) else 0.0
     return replace(

@@ -24,7 +24,7 @@ def _position_px(t_s: float) -> float:
     return RATE_PX_S * t_s + 0.5 * ACCELERATION_PX_S2 * t_s**2
 
 
-def _frame(k: int, flags: StreakFlag = StreakFlag(0)) -> TrackletFrame:
+def _frame(k: int) -> TrackletFrame:
     """Frame k of a mover along (0.6, 0.8) in rows and cols, global shutter, ends good to 0.3 px."""
     opened, closed = 0.25 * k, 0.25 * k + 0.2
     start, stop = _position_px(opened), _position_px(closed)
@@ -46,7 +46,7 @@ def _frame(k: int, flags: StreakFlag = StreakFlag(0)) -> TrackletFrame:
         width_err_px=0.05,
         chi2_nu=1.0,
         n_pixels=500,
-        flags=flags,
+        flags=StreakFlag(0),
         light_curve_e_px=np.zeros(0, dtype=np.float32),
     )
     return TrackletFrame(

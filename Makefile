@@ -39,7 +39,7 @@ bench: $(READY)
 	$(BIN)/sboc bench
 
 fuzz: $(READY)
-	for target in packets codecs fits scenario; do $(BIN)/python -m tests.fuzz.$$target -runs=$(FUZZ_RUNS) -rss_limit_mb=2048 || exit 1; done
+	for target in packets codecs fits scenario; do $(BIN)/python -m tests.fuzz $$target -runs=$(FUZZ_RUNS) -rss_limit_mb=2048 || exit 1; done
 
 clean:
 	rm -rf $(VENV) runs bench/out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .benchmarks

@@ -10,7 +10,8 @@ import pytest
 
 from sboc_e2e import scenario
 from sboc_e2e.registry import Registry
-from sboc_e2e.run import RunRequest, run
+from sboc_e2e.run import RunDirectory, RunRequest, run
+from sboc_e2e.run.manifest import Manifest
 from sboc_e2e.run.pipeline import Run
 
 TINY = """
@@ -44,6 +45,17 @@ def request(path: Path, out: Path, *overrides: str, resume: bool = False, worker
     """A run of a scenario file."""
     resolved = scenario.load(str(path), registry=Registry(), overrides=overrides)
     return RunRequest(scenario=resolved, out=out, resume=resume, workers=workers, force=force)
+
+
+def products_only(asked: RunRequest) -> Run:
+    """The chain without score and report."""
+    directory = RunDirectory(path=asked.out)
+    directory.prepare(resume=False, force=False)
+    manifest = Manifest.of(directory.manifest, asked.scenario)
+    made = Run(directory=directory, manifest=manifest, scenario=asked.scenario, workers=asked.workers)
+    made.simulate_and_onboard()
+    made.ground()
+    return made
 
 
 def digest(run_dir: Path, *folders: str) -> dict[str, str]:

@@ -1,0 +1,17 @@
+"""``python -m tests.fuzz TARGET [-runs=N ...]``: a target under atheris, with the parsers instrumented for coverage."""
+
+import importlib
+import sys
+
+import atheris
+
+TARGETS = ("packets", "codecs", "fits", "scenario")
+
+if __name__ == "__main__":
+    name = sys.argv.pop(1) if len(sys.argv) > 1 else ""
+    if name not in TARGETS:
+        sys.exit(f"tests.fuzz: expected one of {', '.join(TARGETS)}, got {name!r}")
+    with atheris.instrument_imports(include=["ground.ingest", "sboc_e2e", "tomllib", "astropy.io.fits"]):
+        target = importlib.import_module(f"tests.fuzz.{name}")
+        limits = importlib.import_module("tests.fuzz.limits")
+    limits.fuzz(target.one_input)

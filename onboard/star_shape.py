@@ -146,8 +146,11 @@ def adaptive_moments(
 
 def measure_shape(
     residual: NDArray[np.float32], mask: NDArray[np.uint8], peaks: NDArray[np.float32], nominal: FieldShape
-) -> FieldShape:
-    """Shape over the field from the given bright peaks (n, 3: row, col, brightness), robustly; else the nominal one."""
+) -> tuple[FieldShape, float]:
+    """Shape over the field from the given bright peaks (n, >= 2: row, col), robustly; else the nominal one.
+
+    Also the share of the peaks whose moments settled: stars' do, pieces of trails do not.
+    """
     moments = np.empty((len(peaks), 3))
     start = float(nominal.coefficients[0, 0])
     radius = max(6, math.ceil(5.0 * math.sqrt(start)))
@@ -155,8 +158,9 @@ def measure_shape(
     settled = np.isfinite(moments[:, 0])
     moments = moments[settled]
     row, col = peaks[settled, 0].astype(np.float64), peaks[settled, 1].astype(np.float64)
+    share = float(settled.mean()) if len(settled) else 1.0
     if len(moments) < LEAST_STARS:
-        return nominal
+        return nominal, share
     terms = _terms(row, col, nominal.shape)
     keep = np.ones(len(moments), dtype=bool)
     for _ in range(6):
@@ -171,4 +175,5 @@ def measure_shape(
         keep = new_keep
     coefficients = np.zeros((3, 6))
     coefficients[:, :n_terms] = fitted.T
-    return FieldShape(coefficients=coefficients, shape=nominal.shape, n_stars=int(np.count_nonzero(keep)))
+    shape = FieldShape(coefficients=coefficients, shape=nominal.shape, n_stars=int(np.count_nonzero(keep)))
+    return shape, share

@@ -13,7 +13,8 @@ SIGHTINGS = 3
 """A sharp peak is taken for a hot pixel when seen at one pixel in so many frames."""
 
 FORGET_FRAMES = 64
-"""Candidates not seen for this many frames are forgotten; learned pixels are looked at afresh as often."""
+PATIENCE_FRAMES = 8
+"""A candidate is forgotten when it was not seen for 8 frames per sighting, 64 at most: particle hits must not pile up."""
 
 CAPACITY = 50_000
 SAME_PLACE_PX = 1.5
@@ -46,7 +47,7 @@ class HotPixels:
         fresh = np.searchsorted(pixel, now)
         seen[fresh] += 1
         last[fresh] = self.frames
-        keep = self.frames - last < FORGET_FRAMES
+        keep = self.frames - last < np.minimum(PATIENCE_FRAMES * seen, FORGET_FRAMES)
         if np.count_nonzero(keep) > CAPACITY:
             keep &= seen >= np.partition(seen[keep], -CAPACITY)[-CAPACITY]
         pixel, seen, last = pixel[keep][:CAPACITY], seen[keep][:CAPACITY], last[keep][:CAPACITY]

@@ -19,8 +19,8 @@ from numpy.typing import NDArray
 
 from sboc_e2e.icd.layout import BYTES_ESCAPED, NIBBLES_ESCAPED, PLANES_ESCAPES, CodecNumber
 
-TRY_BOTH_BELOW = 1 << 14
-"""Blocks with fewer pixels are coded both ways when either may win; large ones by rule."""
+NIBBLES_BELOW = 20
+"""Nibbles are tried when at most one code in so many needs an escape; the shorter block is sent."""
 
 
 _COMPRESSION = zstandard.ZstdCompressionParameters(
@@ -130,11 +130,8 @@ def encode_planes(values: NDArray[np.int32], level: int) -> bytes:
     beyond_nibble, beyond_byte = count_at_least(codes)
     if beyond_byte * 16 > flat.size:
         return _in_planes(codes, largest)
-    nibbles_may_win = beyond_nibble * 64 <= flat.size
-    if nibbles_may_win and flat.size >= TRY_BOTH_BELOW:
-        return _escaped(codes, largest, int(beyond_nibble), NIBBLES_ESCAPED)
     block = _escaped(codes, largest, int(beyond_byte), BYTES_ESCAPED)
-    if nibbles_may_win:
+    if beyond_nibble * NIBBLES_BELOW <= flat.size:
         block = min(block, _escaped(codes, largest, int(beyond_nibble), NIBBLES_ESCAPED), key=len)
     return block
 

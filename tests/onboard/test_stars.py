@@ -16,6 +16,7 @@ from tests.onboard.star_fields import (
     PEDESTAL_ADU,
     SKY_E,
     StarField,
+    axis_weights,
     centroid_bound_px,
     matched_snr,
     star_grid,
@@ -170,3 +171,47 @@ def test_chosen_stars_cover_the_frame() -> None:
     assert len(chosen) == 256
     cells = (stars.row[chosen] // 125).astype(int) * 8 + (stars.col[chosen] // 125).astype(int)
     assert np.bincount(cells, minlength=64).min() >= 3
+
+
+@pytest.mark.parametrize("vector", [(5.0, 0.0), (3.0, -4.0), (9.0, 4.5)])
+def test_long_trails_are_found_and_centred(vector: tuple[float, float]) -> None:
+    """Pointing that follows something else: every bright star once, TRAILED, unbiased, flux right to 2 %."""
+    rng = np.random.default_rng(11)
+    side, pitch, length = 512, 40, float(np.hypot(*vector))
+    nodes = np.arange(pitch, side - pitch, pitch)
+    row, col = (a.ravel() + rng.uniform(-0.5, 0.5, a.size) for a in np.meshgrid(nodes, nodes, indexing="ij"))
+    flux = np.exp(rng.uniform(np.log(2000.0), np.log(40000.0), row.size))
+    electrons = np.full((side, side), SKY_E)
+    steps = (np.arange(40) + 0.5) / 40 - 0.5
+    for r, c, f in zip(row, col, flux, strict=True):
+        for step in steps:
+            at_r, at_c = r + step * vector[0], c + step * vector[1]
+            i, j = int(at_r) - 5, int(at_c) - 5
+            spot = np.outer(axis_weights(at_r, i, 11, SIGMA_PX), axis_weights(at_c, j, 11, SIGMA_PX))
+            electrons[i : i + 11, j : j + 11] += f / 40 * spot
+    field = StarField(electrons=electrons, row=row, col=col, flux_e=flux)
+    stars = MatchedStars().extract(view_of(field.exposed(rng)))
+    residual, index, found = matched(field, stars)
+    assert found.all()
+    assert len(stars) <= len(row) + 2
+    assert ((stars.flags[index] & StarFlag.TRAILED) != 0).all()
+    along = residual @ np.array(vector) / length
+    assert abs(along.mean()) < 0.02
+    assert abs(residual.mean(axis=0)).max() < 0.02
+    assert np.median(stars.flux_e[index] / flux) == pytest.approx(1.0, abs=0.02)
+
+
+def test_particle_tracks_are_not_chosen_as_stars() -> None:
+    """Bright tracks a pixel wide are flagged, and come after all stars in the choice for the camera solution."""
+    rng = np.random.default_rng(12)
+    field = star_grid(rng, side=512, pitch=32, flux_e=(1000.0, 5000.0), sigma_px=SIGMA_PX)
+    pixels = field.exposed(rng)
+    tracks = rng.uniform(40, 470, (40, 2))
+    for r, c in tracks:
+        angle, length = rng.uniform(0, np.pi), rng.uniform(1.0, 9.0)
+        for step in np.linspace(0, length, 40):
+            pixels[int(r + step * np.sin(angle)), int(c + step * np.cos(angle))] += 60
+    stars = MatchedStars().extract(view_of(pixels))
+    chosen = best_spread(stars, (512, 512), 100)
+    distance, _ = cKDTree(np.column_stack((field.row, field.col))).query(np.column_stack((stars.row[chosen], stars.col[chosen])))
+    assert (distance < 1.0).mean() >= 0.98

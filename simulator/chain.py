@@ -236,18 +236,20 @@ class Simulator:
         return out
 
     def _paths(self, sight: LineOfSight, index: int, wanted: Iterable[int]) -> list[tuple[int, Path]]:
-        """Paths of the wanted objects through a frame."""
+        """Paths of those wanted objects that come near the field in a frame."""
         sun_km = earth.sun_position_km(self._carrier.tai_ns(sight.reference_s))
         first_open_s = index / self.options.frame_rate_hz
         air = self._air_of(sight)
         paths = []
         for object_id in wanted:
             thing = self._cast.objects[object_id]
+            path: Path | None
             if isinstance(thing, PixelPathObject):
                 path = pixel_path_of(thing, sight, self._camera, first_open_s if thing.restart else 0.0)
             else:
                 path = sky_path_of(thing, sight, self._camera, sun_km, air, self._dimming(air, sight, index, object_id))
-            paths.append((object_id, path))
+            if path is not None:
+                paths.append((object_id, path))
         return paths
 
     def _dimming(self, air: Atmosphere | None, sight: LineOfSight, index: int, object_id: int) -> float:

@@ -23,6 +23,8 @@ STEP_PX = 0.45
 BLOCK_PX = 96
 """Trails are added to the image in blocks along their path, so that memory and time grow with length, not with area."""
 FAINTEST_E = 1e-3
+OUTSIDE_MARGIN_RAD = 5e-3
+"""Beyond the corner of the field: refraction, defocus and jitter reach no farther."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -42,17 +44,19 @@ class Path:
 
 def sky_path_of(
     thing: SkyObject, sight: LineOfSight, camera: Camera, sun_km: Array, air: Atmosphere | None, dimming: float = 1.0
-) -> Path:
+) -> Path | None:
     """The path of an object with directions: splines of its apparent vector through the nodes of the frame.
 
     The vector (direction times range) of unaccelerated motion is linear in time, so that splines lose nothing even where the
     direction turns fast. Aberration is that of the observer's geocentric velocity: the Earth's own cancels for what moves
-    with the Earth. dimming : what the atmosphere leaves of the flux.
+    with the Earth. dimming : what the atmosphere leaves of the flux. None for an object that stays far outside the field.
     """
     seen = thing.seen(sight.node_s, sight.observer_km, sun_km)
     distance = np.linalg.norm(seen.vector_km, axis=-1, keepdims=True)
-    published = CubicSpline(sight.node_s, seen.vector_km)
     outside = aberrate(seen.vector_km / distance, sight.velocity_km_s)
+    if _stays_outside(sight.to_camera(sight.node_s, outside), camera):
+        return None
+    published = CubicSpline(sight.node_s, seen.vector_km)
     apparent = CubicSpline(sight.node_s, distance * outside)
     lifted = apparent if air is None else CubicSpline(sight.node_s, distance * air.refracted(outside, distance[:, 0]))
     at_1_km = CubicSpline(sight.node_s, dimming * seen.flux * distance[:, 0] ** 2)
@@ -76,6 +80,13 @@ def sky_path_of(
         published=lambda time_s: unit(published(time_s)),
         range_km=range_km,
     )
+
+
+def _stays_outside(directions: Array, camera: Camera) -> bool:
+    """Whether unit directions (k, 3) of the camera frame, at the nodes of a frame, and what joins them avoid the field."""
+    from_centre = np.arccos(np.clip(directions @ camera.direction(0.0, 0.0), -1.0, 1.0))
+    step = np.linalg.norm(np.diff(directions, axis=0), axis=1).max()
+    return bool(from_centre.min() - 1.6 * step > camera.radius_rad + OUTSIDE_MARGIN_RAD)
 
 
 def pixel_path_of(thing: PixelPathObject, sight: LineOfSight, camera: Camera, zero_s: float) -> Path:

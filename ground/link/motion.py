@@ -22,6 +22,10 @@ _LOG_2PI = math.log(2.0 * math.pi)
 _LOG_SPEEDS = 12.0
 """Natural logarithm of the ratio of the fastest to the slowest speed a track may have: the prior is uniform in log speed."""
 _SLOWEST_RAD_S = 1e-6
+_STUDENT_NU = 3.0
+_ROBUST_PASSES = 4
+_ROBUST_MEMBERS = 4
+"""Tracks shorter than this have too few ends to tell which one is wrong."""
 
 
 @njit(cache=True)
@@ -151,50 +155,58 @@ def fit_motion(
     sigma_kappa = kappa_sigma(speed)
 
     information = factor
-    information[:] = 0.0
-    theta[:] = 0.0
-    information[4, 4] = 1.0 / sigma_kappa**2
-    information[5, 5] = information[6, 6] = 1.0 / sigma_acceleration**2
     design = np.zeros(N_PARAMETERS)
-    log_noise = 0.0
-    n_rows = 0
-    for k in range(n):
-        node = members[k]
-        kind = nodes.kind[node]
-        xa, ya = to_plane(nodes.unit[node, 0], centre, basis)
-        xb, yb = to_plane(nodes.unit[node, 1], centre, basis)
-        length = math.hypot(xb - xa, yb - ya)
-        ux, uy = ((xb - xa) / length, (yb - ya) / length) if length > 0.0 and kind != POINT else (1.0, 0.0)
-        for p in range(2):
-            if kind == POINT and p == 1:
-                continue
-            x, y = (xa, ya) if p == 0 else (xb, yb)
-            t = nodes.t_s[node, p] - t_ref
-            timed = not ((kind == ENTERING and p == 0) or (kind == LEAVING and p == 1))
-            if not timed:
-                # the frame's edge cut this end: it lies on the path, but its epoch follows from the speed
-                t = nodes.t_s[node, 1 - p] - t_ref + (length / speed if p == 1 else -length / speed)
-            for across in range(2):
-                if across == 0 and not timed:
+    weights = np.ones((n, 2))
+    log_det, chi2 = 0.0, 0.0
+    for attempt in range(_ROBUST_PASSES):
+        information[:] = 0.0
+        theta[:] = 0.0
+        information[4, 4] = 1.0 / sigma_kappa**2
+        information[5, 5] = information[6, 6] = 1.0 / sigma_acceleration**2
+        log_noise = 0.0
+        n_rows = 0
+        for k in range(n):
+            node = members[k]
+            kind = nodes.kind[node]
+            xa, ya = to_plane(nodes.unit[node, 0], centre, basis)
+            xb, yb = to_plane(nodes.unit[node, 1], centre, basis)
+            length = math.hypot(xb - xa, yb - ya)
+            ux, uy = ((xb - xa) / length, (yb - ya) / length) if length > 0.0 and kind != POINT else (1.0, 0.0)
+            for p in range(2):
+                if kind == POINT and p == 1:
                     continue
-                nx, ny = (-uy, ux) if across == 1 else (ux, uy)
-                weight = 1.0 / (nodes.sigma_rad[node, 2] if across == 1 else nodes.sigma_rad[node, p])
-                value = (nx * x + ny * y) * weight
-                design[0], design[1] = nx * weight, ny * weight
-                design[2], design[3] = design[0] * t, design[1] * t
-                design[4] = -value * t
-                design[5], design[6] = 0.5 * design[2] * t, 0.5 * design[3] * t
-                for i in range(N_PARAMETERS):
-                    theta[i] += design[i] * value
-                    for j in range(i + 1):
-                        information[i, j] += design[i] * design[j]
-                log_noise -= math.log(weight)
-                n_rows += 1
-    log_det = _cholesky_solve(information, theta)
-    if math.isnan(log_det):
-        return math.inf, -math.inf, n_rows, t_ref
-    chi2 = (theta[4] / sigma_kappa) ** 2 + (theta[5] ** 2 + theta[6] ** 2) / sigma_acceleration**2
-    chi2 += _residual_chi2(nodes, members, centre, basis, theta, t_ref, speed)
+                x, y = (xa, ya) if p == 0 else (xb, yb)
+                t = nodes.t_s[node, p] - t_ref
+                timed = not ((kind == ENTERING and p == 0) or (kind == LEAVING and p == 1))
+                if not timed:
+                    # the frame's edge cut this end: it lies on the path, but its epoch follows from the speed
+                    t = nodes.t_s[node, 1 - p] - t_ref + (length / speed if p == 1 else -length / speed)
+                for across in range(2):
+                    if across == 0 and not timed:
+                        continue
+                    nx, ny = (-uy, ux) if across == 1 else (ux, uy)
+                    sigma = nodes.sigma_rad[node, 2] if across == 1 else nodes.sigma_rad[node, p]
+                    weight = (1.0 if across == 1 else math.sqrt(weights[k, p])) / sigma
+                    value = (nx * x + ny * y) * weight
+                    design[0], design[1] = nx * weight, ny * weight
+                    design[2], design[3] = design[0] * t, design[1] * t
+                    design[4] = -value * t
+                    design[5], design[6] = 0.5 * design[2] * t, 0.5 * design[3] * t
+                    for i in range(N_PARAMETERS):
+                        theta[i] += design[i] * value
+                        for j in range(i + 1):
+                            information[i, j] += design[i] * design[j]
+                    log_noise += math.log(sigma)
+                    n_rows += 1
+        log_det = _cholesky_solve(information, theta)
+        if math.isnan(log_det):
+            return math.inf, -math.inf, n_rows, t_ref
+        robust = attempt > 0
+        chi2 = (theta[4] / sigma_kappa) ** 2 + (theta[5] ** 2 + theta[6] ** 2) / sigma_acceleration**2
+        chi2 += _residual_chi2(nodes, members, centre, basis, theta, t_ref, speed, robust, weights)
+        free = max(n_rows - 4, 1)
+        if n < _ROBUST_MEMBERS or (not robust and chi2 < free + 3.0 * math.sqrt(2.0 * free)):
+            break
     moving = max(math.hypot(theta[2], theta[3]), _SLOWEST_RAD_S)
     log_prior = -log_area - (_LOG_2PI + 2.0 * math.log(moving) + math.log(_LOG_SPEEDS))
     log_prior -= math.log(sigma_kappa) + 2.0 * math.log(sigma_acceleration)
@@ -211,8 +223,14 @@ def _residual_chi2(
     theta: NDArray[np.float64],
     t_ref: float,
     speed: float,
+    robust: bool,
+    weights: NDArray[np.float64],
 ) -> float:
-    """Chi-square of the same rows as in `fit_motion`, from residuals."""
+    """Chi-square of the same rows as in `fit_motion`, from residuals; fills weights (n, 2) of a Student distribution.
+
+    robust : ends count along the trail as ``(nu + 1) ln(1 + r^2 / nu)``: they are change points, and a star or an edge may
+    have taken a piece of the trail.
+    """
     chi2 = 0.0
     for k in range(len(members)):
         node = members[k]
@@ -232,7 +250,9 @@ def _residual_chi2(
             dx = theta[0] + theta[2] * t + 0.5 * theta[5] * t * t - x * (1.0 + theta[4] * t)
             dy = theta[1] + theta[3] * t + 0.5 * theta[6] * t * t - y * (1.0 + theta[4] * t)
             if timed:
-                chi2 += ((dx * ux + dy * uy) / nodes.sigma_rad[node, p]) ** 2
+                pull2 = ((dx * ux + dy * uy) / nodes.sigma_rad[node, p]) ** 2
+                chi2 += (_STUDENT_NU + 1.0) * math.log(1.0 + pull2 / _STUDENT_NU) if robust else pull2
+                weights[k, p] = (_STUDENT_NU + 1.0) / (_STUDENT_NU + pull2)
             chi2 += ((-dx * uy + dy * ux) / nodes.sigma_rad[node, 2]) ** 2
     return chi2
 

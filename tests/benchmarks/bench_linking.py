@@ -174,7 +174,7 @@ def cost(n_frames: int, streaks_per_frame: int) -> dict[str, float]:
     }
 
 
-def main(*, quick: bool = True) -> dict[str, Any]:
+def main(quick: bool = True) -> dict[str, Any]:
     """All figures; quick: about a minute, else about ten."""
     camera, fast_rows = Camera(), Camera(rows=1024, cols=1024, line_time_s=100e-6)
     seeds = range(2 if quick else 12)
@@ -185,6 +185,7 @@ def main(*, quick: bool = True) -> dict[str, Any]:
         "slow_to_fast": (camera, (100.0, 4000.0), {}),
         "fast_and_cut": (camera, (2000.0, 9000.0), {}),
         "faint_ends": (camera, (100.0, 4000.0), {"sigma_along": 8.0, "sigma_cross": 0.4, "p_seen": 0.7}),
+        "wrong_ends": (camera, (100.0, 4000.0), {"p_wrong_end": 0.15}),
         "rolling_shutter": (fast_rows, (300.0, 4000.0), {}),
         "pixels_only": (camera, (100.0, 4000.0), {"sky": False}),
     }

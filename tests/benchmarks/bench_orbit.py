@@ -114,7 +114,7 @@ def population(n: int, seed: int, *, breakup: bool, step: RangeScan, error_px: f
     }
 
 
-def main(*, quick: bool = True) -> dict[str, Any]:
+def main(quick: bool = True) -> dict[str, Any]:
     """Figures for catalogue eccentricities and with breakup velocities, each with the prior of its own and with the mixed one."""
     n = 150 if quick else 1000
     start = time.process_time()

@@ -203,7 +203,8 @@ class Simulator:
         camera, air = self._camera, self._air_of(sight)
         velocity = earth.earth_velocity_km_s(self._carrier.tai_ns(sight.reference_s)) + sight.middle_velocity_km_s
         swing_rad = float(np.ptp(sight.turn_rad, axis=0).max())
-        radius_deg = float(np.degrees(camera.radius_rad + swing_rad)) + 0.1
+        margin_rad = 1.5 * STAR_MARGIN_PX / camera.projection.focal_px
+        radius_deg = float(np.degrees(camera.radius_rad + swing_rad + margin_rad))
         field = self._stars.around(camera.direction(0.0, 0.0) @ sight.reference, radius_deg)
         places = place_stars(field, sight, velocity, camera.projection, shutter, STAR_MARGIN_PX, air)
         row, col = places.row.mean(axis=0), places.col.mean(axis=0)

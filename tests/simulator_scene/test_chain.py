@@ -1,6 +1,7 @@
 """The chain as a whole: light against truth, bytes, telemetry, refusals."""
 
-from dataclasses import replace
+from dataclasses import fields, is_dataclass, replace
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -9,6 +10,7 @@ from scipy.interpolate import RectBivariateSpline
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
 from simulator.chain import Simulator
+from simulator.optics.instrument import band_factor, temperature_of_colour
 from simulator.optics.psf import PsfOptions
 from simulator.optics.vignetting import VignettingOptions
 from simulator.options import SimulatorOptions, smoke_options
@@ -300,3 +302,61 @@ def test_defaults_are_the_default_scenario():
     assert options.epoch_utc.startswith("2027-01-29")
     assert sum(c.count for c in options.population.classes) >= 12
     assert len(options.objects.passing) >= 2
+
+
+def test_moving_pointing_does_not_depend_on_the_order_of_frames(catalogue):
+    """The zenith sweeps the sky; stars held from an earlier frame must give the same bytes as a fresh search."""
+    options = small(frames=4, frame_rate_hz=0.2, pointing=PointingOptions(law="nadir", tilt_deg=180.0), sky=SkyOptions())
+    forwards = Simulator(options, seed=2, catalogue=catalogue)
+    for index in (0, 1):
+        forwards.frame(index)
+    alone = Simulator(options, seed=2, catalogue=catalogue)
+    assert forwards.frame(2)[0].pixels.tobytes() == alone.frame(2)[0].pixels.tobytes()
+    assert forwards.mean_electrons(3).tobytes() == alone.mean_electrons(3).tobytes()
+
+
+def test_defocused_trail_keeps_its_light(catalogue):
+    """A piece 1.5 km away is a disc of 27 arcsec; its light is all there and lies around the path."""
+    near = EncounterOptions(size_m=0.005, range_km=1.5, across_km_s=0.05, closing_km_s=0.1, heading_deg=-60.0)
+    options = small(stars=StarOptions(enabled=False), objects=ObjectOptions(passing=(), encounter=(near,)))
+    options = replace(options, instrument=replace(options.instrument, pixel_um=18.0))
+    simulator = Simulator(options, seed=1, catalogue=catalogue)
+    image = simulator.mean_electrons(2).astype(np.float64)
+    (streak,) = simulator.frame(2)[1].streaks
+    disc_px = options.instrument.aperture_m / (streak["range_km"] * 1e3) * 0.4 / 18e-6
+    assert streak["defocus_px"] == pytest.approx(disc_px, rel=0.02)
+    assert image.sum() == pytest.approx(streak["flux_e"], rel=1e-4)
+    weight = streak["path_flux_e_s"]
+    rows, cols = np.indices(image.shape)
+    assert abs((image * rows).sum() / image.sum() - np.trapezoid(streak["path_row"] * weight) / np.trapezoid(weight)) < 5e-3
+    assert abs((image * cols).sum() / image.sum() - np.trapezoid(streak["path_col"] * weight) / np.trapezoid(weight)) < 5e-3
+
+
+def option_tables(options_type, name="simulator"):
+    yield name, options_type
+    for f in fields(options_type):
+        if is_dataclass(f.type):
+            yield from option_tables(f.type, f"{name}.{f.name}")
+        for part in get_args(f.type):
+            if is_dataclass(part):
+                yield from option_tables(part, f"{name}.{f.name}[]")
+
+
+@pytest.mark.parametrize(("name", "table"), list(option_tables(SimulatorOptions)), ids=lambda v: v if isinstance(v, str) else "")
+def test_every_option_says_what_it_is_and_what_is_allowed(name, table):
+    free_text = {"name", "target", "file", "epoch_utc"}
+    for f in fields(table):
+        assert f.metadata.get("doc"), f"{name}.{f.name}"
+        if f.type in (int, float):
+            assert f.metadata["min"] <= f.default <= f.metadata["max"], f"{name}.{f.name}"
+        elif f.type is str and f.name not in free_text:
+            assert f.default in f.metadata["choices"], f"{name}.{f.name}"
+
+
+def test_photometry_of_the_default_instrument():
+    camera = SimulatorOptions().instrument
+    assert camera.zero_point_e_s == pytest.approx(4.7e8, rel=0.01)
+    colours = band_factor(np.array([0.0, 0.653, 1.5]), camera.band_short_nm, camera.band_long_nm)
+    assert colours[1] == pytest.approx(1.0, abs=1e-3)
+    assert colours[0] < 1.0 < colours[2]  # red stars give more photons in a red band for the same V
+    assert temperature_of_colour(np.array([0.653]))[0] == pytest.approx(5772.0, rel=0.02)

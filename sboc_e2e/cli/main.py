@@ -18,7 +18,7 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"
 import typer
 from astropy.utils import iers
 
-from sboc_e2e.cli import studies  # noqa: F401 - its commands join the application when it is imported
+from sboc_e2e.cli import studies, validation  # noqa: F401 - their commands join the application when they are imported
 from sboc_e2e.cli.application import app
 from sboc_e2e.icd.errors import PluginError, SbocError, UserError
 

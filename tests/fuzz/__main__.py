@@ -5,13 +5,19 @@ import sys
 
 import atheris
 
-TARGETS = ("packets", "codecs", "fits", "scenario")
+TARGETS = {
+    "packets": ["ground.ingest"],
+    "codecs": ["ground.ingest"],
+    "fits": ["sboc_e2e.outside.fits_frames", "astropy.io.fits"],
+    "scenario": ["sboc_e2e.scenario", "sboc_e2e.registry", "tomllib"],
+}
+"""Each target and the modules that are instrumented for it."""
 
 if __name__ == "__main__":
     name = sys.argv.pop(1) if len(sys.argv) > 1 else ""
     if name not in TARGETS:
         sys.exit(f"tests.fuzz: expected one of {', '.join(TARGETS)}, got {name!r}")
-    with atheris.instrument_imports(include=["ground.ingest", "sboc_e2e", "tomllib", "astropy.io.fits"]):
+    with atheris.instrument_imports(include=TARGETS[name]):
         target = importlib.import_module(f"tests.fuzz.{name}")
         limits = importlib.import_module("tests.fuzz.limits")
     limits.fuzz(target.one_input)

@@ -1,0 +1,54 @@
+"""LICENSES.md from the lock file and the metadata of installed packages: ``python -m sboc_e2e.licences LICENSES.md``."""
+
+import re
+import sys
+from importlib import metadata
+from pathlib import Path
+from typing import Final
+
+LOCK: Final = Path(__file__).resolve().parents[1] / "requirements.lock"
+_PINNED: Final = re.compile(r"^([A-Za-z0-9._-]+)==([^\s\\;]+)", re.MULTILINE)
+HEAD: Final = (
+    "# Licences\n\n"
+    "The project is under Apache-2.0 (LICENSE). Data that come with it: Tycho-2 (Hog et al. 2000) through the Debian source\n"
+    "package tycho2, BSD-2-Clause; derived statistics carry their provenance beside them.\n\n"
+    "Locked packages, from their own metadata; none is shipped with the project. `ccsds-ndm` (GPL) is used by tests only.\n\n"
+    "| package | version | licence |\n|---|---|---|\n"
+)
+
+
+def licence_of(name: str) -> str:
+    """Licence of an installed package in a few words: SPDX expression, else classifiers, else the first line of the field."""
+    try:
+        data = metadata.metadata(name)
+    except metadata.PackageNotFoundError:
+        return "not installed here"
+    expression = data.get("License-Expression")
+    if expression:
+        return str(expression)
+    classifiers = [c.rpartition(" :: ")[2] for c in data.get_all("Classifier") or () if c.startswith("License ::")]
+    known = [c for c in classifiers if c != "OSI Approved"]
+    text = "; ".join(known) or str(data.get("License") or "not stated").strip().splitlines()[0]
+    return text.replace("|", "/")[:80]
+
+
+def page() -> str:
+    """The whole page."""
+    pinned = sorted(_PINNED.findall(LOCK.read_text(encoding="utf-8")), key=lambda item: item[0].lower())
+    return HEAD + "".join(f"| {name} | {version} | {licence_of(name)} |\n" for name, version in pinned)
+
+
+def main(arguments: list[str]) -> int:
+    """Write the page, or with --check say whether the committed one is current."""
+    check, path = "--check" in arguments, Path(arguments[-1])
+    if check:
+        current = path.is_file() and path.read_text(encoding="utf-8") == page()
+        if not current:
+            print(f"{path}: not current; run: python -m sboc_e2e.licences {path}")
+        return 0 if current else 1
+    path.write_text(page(), encoding="utf-8")
+    return 0
+
+
+if __name__ == "__main__":
+    sys.exit(main(sys.argv[1:]))

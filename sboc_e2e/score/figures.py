@@ -64,7 +64,7 @@ def bootstrap(values: ArrayLike, statistic: Callable[[NDArray[np.float64]], floa
         return absent(reason, n)
     rng = np.random.default_rng(_SEED)
     draws = np.array([statistic(items[rng.integers(0, n, n)]) for _ in range(BOOTSTRAP_DRAWS)])
-    low, high = np.nanquantile(draws, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    low, high = np.quantile(draws, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return figure(statistic(items), n, low, high)
 
 
@@ -103,5 +103,8 @@ def half_point(snr: ArrayLike, detected: ArrayLike) -> Figure:
     everyone = np.arange(len(x))
     rng = np.random.default_rng(_SEED)
     draws = np.array([crossing(rng.integers(0, len(x), len(x))) for _ in range(100)])
-    low, high = np.nanquantile(draws, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    draws = draws[np.isfinite(draws)]
+    if len(draws) < 20:
+        return absent("nearly all or nearly none detected", len(x))
+    low, high = np.quantile(draws, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return figure(crossing(everyone), len(x), low, high)

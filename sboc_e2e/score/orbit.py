@@ -20,7 +20,7 @@ def orbit(orbits: Table, owner: Mapping[int, int], truth_streaks: Table, objects
     relative, altitude, inclination, covered, trivial = [], [], [], 0, 0
     for o in orbits:
         target = owner.get(int(o["tracklet_id"]), -1)
-        if target < 0 or not np.isfinite(o["range_km"]):
+        if target < 0 or not all(np.isfinite(o[name]) for name in ("range_km", "a_km", "i_deg")):
             continue
         mine = np.flatnonzero(streak_object == target)
         nearest = mine[np.argmin(np.abs(streak_time[mine] - int(o["t_ref_tai_ns"])))]
@@ -38,7 +38,7 @@ def orbit(orbits: Table, owner: Mapping[int, int], truth_streaks: Table, objects
         return dict.fromkeys((*names, "trivial_root_rate"), none)
 
     def median(v: Any) -> float:
-        return float(np.nanmedian(v))
+        return float(np.median(v))
 
     return {
         "range_error_median": bootstrap(relative, median, "fewer than three orbits"),

@@ -14,6 +14,12 @@ from numpy.typing import NDArray
 OFFSETS: Final = 13
 """Parallel paths of a corridor, one pixel apart; odd."""
 
+BOW_GAIN: Final = 0.6
+"""What half-pixel steps and a bent path can add to the S/N of a path on whole pixels."""
+
+BENT_PX: Final = 40.0
+"""Shorter segments are straight: their curvature cannot be measured."""
+
 PIECES: Final = 48
 """Most pieces that a corridor is cut into along its length."""
 
@@ -30,20 +36,25 @@ def corridor_sums(
     n_major, n_minor = smooth.shape
     half = OFFSETS // 2
     n_piece = min(PIECES, (major1 - major0 + piece) // piece)
-    sums[:n_piece] = 0
     counts[:n_piece] = 0
+    paths = np.empty(OFFSETS, np.int32)
     for p in range(n_piece):
+        paths[:] = 0
+        inside = 0
         for major in range(major0 + p * piece, min(major0 + (p + 1) * piece, major1 + 1)):
             base = int(math.floor(minor0 + slope * (major - major0) + 0.5)) - half
             if base >= 0 and base + OFFSETS <= n_minor:
+                inside += 1
                 for k in range(OFFSETS):
-                    sums[p, k] += smooth[major, base + k]
-                    counts[p, k] += 1
+                    paths[k] += smooth[major, base + k]
             else:
                 for k in range(OFFSETS):
                     if 0 <= base + k < n_minor:
-                        sums[p, k] += smooth[major, base + k]
+                        paths[k] += smooth[major, base + k]
                         counts[p, k] += 1
+        for k in range(OFFSETS):
+            sums[p, k] = paths[k]
+            counts[p, k] += inside
     return n_piece
 
 
@@ -65,78 +76,89 @@ def bend(u: float) -> float:
 
 
 @nb.njit(cache=True)
+def best_pieces(
+    sums: NDArray[np.int32], counts: NDArray[np.int32], n_piece: int, o0: float, o1: float, sag: float, first: int, last: int,
+    variance: float,
+) -> tuple[float, int, int]:
+    """The run of pieces with the highest S/N on a fixed path (offsets o0, o1 at the corridor's ends, bent between first and last)."""
+    half, span = OFFSETS // 2, max(1, n_piece - 1)
+    cumulative_s, cumulative_c = np.zeros(n_piece + 1), np.zeros(n_piece + 1)
+    for p in range(n_piece):
+        v = (p - first + 0.5) / (last - first + 1)
+        bow = sag * bend(v) if 0.0 < v < 1.0 else 0.0
+        s, c = _path_piece(sums, counts, p, half + o0 + (o1 - o0) * p / span + bow)
+        cumulative_s[p + 1] = cumulative_s[p] + s
+        cumulative_c[p + 1] = cumulative_c[p] + c
+    best, best_first, best_last = -1e9, first, last
+    for i in range(n_piece):
+        for j in range(i, n_piece):
+            c = cumulative_c[j + 1] - cumulative_c[i]
+            if c > 0.0:
+                snr = (cumulative_s[j + 1] - cumulative_s[i]) / math.sqrt(c * variance)
+                if snr > best:
+                    best, best_first, best_last = snr, i, j
+    return best, best_first, best_last
+
+
+@nb.njit(cache=True)
 def search_corridor(
-    sums: NDArray[np.int32], counts: NDArray[np.int32], n_piece: int, first: int, last: int, reach: float, variance: float
+    sums: NDArray[np.int32], counts: NDArray[np.int32], n_piece: int, first: int, last: int, reach: float, variance: float,
+    least: float,
 ) -> tuple[float, float, float, float, int, int]:
     """Best (S/N, start offset, end offset, sagitta, first piece, last piece) of one corridor.
 
-    Starts from the pieces first..last; `variance` is that of a path sum per px. Offsets in px at the corridor's ends
-    (piece 0 and n_piece - 1), relative to the middle path.
+    Starts from the pieces first..last; `variance` is that of a path sum per px. Offsets in px at the corridor's ends (piece 0
+    and n_piece - 1), relative to the middle path. Straight paths on whole pixels come first; only when they reach `least` less
+    BOW_GAIN are bent ones tried, at half-pixel steps.
     """
-    half = OFFSETS // 2
-    best_o0, best_o1, best_sag, best_snr = 0.0, 0.0, 0.0, -1e9
+    half, span = OFFSETS // 2, max(1, n_piece - 1)
+    o0 = o1 = sag = 0.0
+    snr = -1e9
     for turn in range(2):
-        step = 1.0 if turn == 0 else 0.5
-        width = reach if turn == 0 else 1.0
-        span = max(1, n_piece - 1)
-        n_step = int(round(width / step))
-        base0, base1, base_sag = best_o0, best_o1, best_sag
+        step, width = (1.0, reach) if turn == 0 else (0.5, 1.0)
+        n_step = round(width / step)
+        bows = 0 if turn == 0 or last - first < 3 else 2
         u_first, u_last = (first - 0.5) / span, (last + 0.5) / span
-        centre0 = base0 + (base1 - base0) * u_first
-        centre1 = base0 + (base1 - base0) * u_last
-        best_snr = -1e9
-        for bow in range(-2, 3):
-            sag = base_sag + bow * step
-            if turn == 0 and last - first < 3 and bow != 0:
-                continue
+        centre0, centre1 = o0 + (o1 - o0) * u_first, o0 + (o1 - o0) * u_last
+        snr = -1e9
+        for bow in range(-bows, bows + 1):
             for i in range(-n_step, n_step + 1):
                 for j in range(-n_step, n_step + 1):
                     p0, p1 = centre0 + i * step, centre1 + j * step
                     total, count = 0.0, 0.0
                     for p in range(first, last + 1):
                         u = (p - first + 0.5) / (last - first + 1)
-                        s, c = _path_piece(sums, counts, p, half + p0 + (p1 - p0) * u + sag * bend(u))
+                        s, c = _path_piece(sums, counts, p, half + p0 + (p1 - p0) * u + bow * bend(u))
                         total += s
                         count += c
-                    if count > 0.0:
+                    if count > 0.0 and total > snr * math.sqrt(count * variance):
                         snr = total / math.sqrt(count * variance)
-                        if snr > best_snr:
-                            best_snr = snr
-                            gradient = (p1 - p0) / (u_last - u_first)
-                            best_o0 = p0 - gradient * u_first
-                            best_o1 = best_o0 + gradient
-                            best_sag = sag
-        # the line is fixed: choose the run of pieces
-        fixed_first, fixed_last = first, last
-        cumulative_s = np.zeros(n_piece + 1)
-        cumulative_c = np.zeros(n_piece + 1)
-        for p in range(n_piece):
-            u = p / span
-            v = (p - fixed_first + 0.5) / (fixed_last - fixed_first + 1)
-            s, c = _path_piece(sums, counts, p, half + best_o0 + (best_o1 - best_o0) * u + best_sag * bend(v))
-            cumulative_s[p + 1] = cumulative_s[p] + s
-            cumulative_c[p + 1] = cumulative_c[p] + c
-        for i in range(n_piece):
-            for j in range(i, n_piece):
-                c = cumulative_c[j + 1] - cumulative_c[i]
-                if c > 0.0:
-                    snr = (cumulative_s[j + 1] - cumulative_s[i]) / math.sqrt(c * variance)
-                    if snr > best_snr:
-                        best_snr, first, last = snr, i, j
-        if first != fixed_first or last != fixed_last:
-            best_sag *= ((last - first + 1.0) / (fixed_last - fixed_first + 1.0)) ** 2
-    return best_snr, best_o0, best_o1, best_sag, first, last
+                        gradient = (p1 - p0) / (u_last - u_first)
+                        o0 = p0 - gradient * u_first
+                        o1 = o0 + gradient
+                        sag = float(bow)
+        longest, i, j = best_pieces(sums, counts, n_piece, o0, o1, sag, first, last, variance)
+        if longest > snr:
+            sag *= min(1.0, ((j - i + 1.0) / (last - first + 1.0)) ** 2)
+            snr, first, last = longest, i, j
+        if turn == 0 and snr < least - BOW_GAIN:
+            break
+    return snr, o0, o1, sag, first, last
 
 
 @nb.njit(cache=True)
 def locate(
-    smooth: NDArray[np.int8], candidate: NDArray[np.float64], psf_sigma_px: float, segment: NDArray[np.float64],
+    smooth: NDArray[np.int8], candidate: NDArray[np.float64], psf_sigma_px: float, usable: float, least: float, segment: NDArray[np.float64],
     sums: NDArray[np.int32], counts: NDArray[np.int32],
 ) -> float:
-    """First refinement of a candidate (major0, minor0, major1, minor1) on the smoothed image; fills segment, returns its S/N."""
+    """First refinement of a candidate (major0, minor0, major1, minor1) on the smoothed image; fills segment, returns its S/N.
+
+    usable : share of pixels that are not masked, by which the variance of sums is smaller. least : S/N below which the caller
+    drops the candidate.
+    """
     length = candidate[2] - candidate[0]
     slope = (candidate[3] - candidate[1]) / length
-    extend = max(8.0, 0.5 * length)
+    extend = max(8.0, 0.3 * length)
     low = int(max(0.0, math.floor(candidate[0] - extend)))
     high = int(min(smooth.shape[0] - 1.0, math.ceil(candidate[2] + extend)))
     piece = max(2, (high - low + PIECES) // PIECES)
@@ -144,8 +166,8 @@ def locate(
     first = min(n_piece - 1, max(0, int((candidate[0] - low) / piece)))
     last = min(n_piece - 1, max(first, int((candidate[2] - low) / piece)))
     cosine = 1.0 / math.sqrt(1.0 + slope * slope)
-    variance = 2.0 * math.sqrt(math.pi) * psf_sigma_px * cosine * 256.0
-    snr, o0, o1, sag, i, j = search_corridor(sums, counts, n_piece, first, last, 3.0, variance)
+    variance = 2.0 * math.sqrt(math.pi) * psf_sigma_px * cosine * 256.0 * usable
+    snr, o0, o1, sag, i, j = search_corridor(sums, counts, n_piece, first, last, 3.0, variance, least)
     start, stop = low + i * piece - 0.5, min(float(high), low + (j + 1) * piece - 0.5)
     span = max(1, n_piece - 1) * float(piece)
     middle = low + 0.5 * (piece - 1)
@@ -154,5 +176,5 @@ def locate(
         offset = o0 + (o1 - o0) * (major - middle) / span
         segment[2 * side] = major
         segment[2 * side + 1] = candidate[1] + slope * (major - candidate[0]) + offset
-    segment[4] = sag
+    segment[4] = sag if segment[2] - segment[0] >= BENT_PX else 0.0
     return snr

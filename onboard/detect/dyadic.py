@@ -21,7 +21,7 @@ CELL: Final = 8
 """Candidates of one block that cross its middle in the same cell of this many columns are one: the best of all shifts."""
 
 
-LONG_BLOCK_STEP: Final = 0.08
+LONG_BLOCK_STEP: Final = 0.06
 """The threshold falls by so many sigma for each doubling of the block beyond 32 rows."""
 
 
@@ -69,12 +69,14 @@ def _collect(
 
 @nb.njit(cache=True)
 def line_sums(
-    image: NDArray[np.int16], noise: NDArray[np.float64], threshold_sigma: float, min_rows: int, max_found: int
+    image: NDArray[np.int16], upside_down: bool, noise: NDArray[np.float64], threshold_sigma: float, min_rows: int, max_found: int,
+    current: NDArray[np.int16], following: NDArray[np.int16],
 ) -> NDArray[np.float32]:
     """Segments along growing rows with 0 <= dcol/drow <= 1 whose sum exceeds the threshold.
 
     image : (rows, cols) int16, zero mean. noise : (2,) standard deviation of a sum of n rows is sqrt(n (noise[0] +
-    (noise[1] - noise[0]) slope)). Returns (n, 5): first row, number of rows, first column, shift, S/N.
+    (noise[1] - noise[0]) slope)). upside_down : rows are taken in reverse. current, following : work space of `work_size`.
+    Returns (n, 5): first row, number of rows, first column, shift, S/N.
     """
     rows, cols = image.shape
     found = np.empty((max_found, 5), np.float32)
@@ -83,13 +85,8 @@ def line_sums(
     while (1 << levels) < rows:
         levels += 1
     full = 1 << levels
-    size = 0
-    for level in range(levels + 1):
-        height = 1 << level
-        size = max(size, ((rows + height - 1) // height) * height * (cols + height))
-    current, following = np.empty(size, np.int16), np.empty(size, np.int16)
     for row in range(rows):
-        current[row * (cols + 1) : row * (cols + 1) + cols] = image[row]
+        current[row * (cols + 1) : row * (cols + 1) + cols] = image[rows - 1 - row if upside_down else row]
     blocks = rows
     scratch = np.empty(cols + full, np.int16)
     best = np.zeros(cols // CELL + full // CELL + 2, np.float32)
@@ -152,14 +149,39 @@ def line_sums(
     return found[:n_found]
 
 
-def half_resolution_noise(binned: NDArray[np.int16], taps: NDArray[np.int16], blocked: NDArray[np.uint8]) -> NDArray[np.float64]:
-    """Variance per row of a line sum of the half-resolution image, for slope 0 and slope 1 (shape (2,))."""
+def half_resolution_noise(taps: NDArray[np.int16], usable: float) -> NDArray[np.float64]:
+    """Variance per row of a line sum of the half-resolution image, for slope 0 and slope 1 (shape (2,)).
+
+    taps : half of the even smoothing kernel, which correlates neighbours. usable : share of pixels that are not masked.
+    """
     kernel = np.concatenate([taps[::-1], taps]).astype(np.float64)
     correlation = np.correlate(kernel, kernel, "full")[len(kernel) - 1 :: 2]
     correlation = correlation[1:] / correlation[0]
-    good = 1.0 - float(np.count_nonzero(blocked[::4, ::4])) / blocked[::4, ::4].size
-    variance = (2.0 * UNIT) ** 2 * max(good, 0.01)
+    variance = (2.0 * UNIT) ** 2 * max(usable, 0.01)
     return variance * np.array([1.0 + 2.0 * correlation.sum(), 1.0 + 2.0 * (correlation**2).sum()])
+
+
+@nb.njit(cache=True)
+def work_size(rows: int, cols: int) -> int:
+    """Elements of one work array of `line_sums`: all block sums of the level that needs most."""
+    size, height = rows * (cols + 1), 1
+    while height < rows:
+        height *= 2
+        size = max(size, ((rows + height - 1) // height) * height * (cols + height))
+    return size
+
+
+@nb.njit(cache=True)
+def transposed(image: NDArray[np.int16]) -> NDArray[np.int16]:
+    """A transposed copy, made in blocks that fit the cache."""
+    rows, cols = image.shape
+    out = np.empty((cols, rows), np.int16)
+    for i0 in range(0, rows, 32):
+        for j0 in range(0, cols, 32):
+            for j in range(j0, min(cols, j0 + 32)):
+                for i in range(i0, min(rows, i0 + 32)):
+                    out[j, i] = image[i, j]
+    return out
 
 
 def coarse_segments(
@@ -167,22 +189,20 @@ def coarse_segments(
 ) -> NDArray[np.float64]:
     """Candidates of all four quadrants of angles, (n, 6): axis, major0, minor0, major1, minor1 (px), S/N; best first."""
     tables = []
+    size = max(work_size(*binned.shape), work_size(*binned.shape[::-1]))
+    current, following = np.empty(size, np.int16), np.empty(size, np.int16)
     for axis in (0, 1):
-        image = np.ascontiguousarray(binned.T) if axis else binned
-        for mirrored in (False, True):
-            source = np.ascontiguousarray(image[:, ::-1]) if mirrored else image
-            found = line_sums(source, noise, threshold_sigma, min_rows, max_found).astype(np.float64)
-            first = found[:, 2]
-            last = first + found[:, 3]
-            if mirrored:
-                first, last = image.shape[1] - 1 - first, image.shape[1] - 1 - last
-            table = np.empty((len(found), 6))
-            table[:, 0] = axis
-            table[:, 1] = 2.0 * found[:, 0] + 0.5
-            table[:, 2] = 2.0 * first + 0.5
-            table[:, 3] = 2.0 * (found[:, 0] + found[:, 1] - 1) + 0.5
-            table[:, 4] = 2.0 * last + 0.5
-            table[:, 5] = found[:, 4]
-            tables.append(table)
+        image = transposed(binned) if axis else binned
+        for upside_down in (False, True):
+            found = line_sums(
+                image, upside_down, noise, threshold_sigma, min_rows, max_found, current, following
+            ).astype(np.float64)
+            first, last = found[:, 0], found[:, 0] + found[:, 1] - 1.0
+            enter, leave = found[:, 2], found[:, 2] + found[:, 3]
+            if upside_down:
+                first, last = image.shape[0] - 1 - last, image.shape[0] - 1 - first
+                enter, leave = leave, enter
+            ends = 2.0 * np.stack([first, enter, last, leave], axis=1) + 0.5
+            tables.append(np.column_stack([np.full(len(found), float(axis)), ends, found[:, 4]]))
     joined = np.concatenate(tables)
     return joined[np.argsort(-joined[:, 5], kind="stable")]

@@ -23,11 +23,14 @@ MIN_ROWS: Final = 4
 MAX_CANDIDATES: Final = 50_000
 """Room for candidates of one quadrant of angles."""
 
-FIRST_MARGIN: Final = 1.6
+FIRST_MARGIN: Final = 1.4
 """The corridor search on whole pixels may fall so far short of the final S/N."""
 
 POINT_LIKE_PX: Final = 4.0
 """Trails shorter than about two PSF widths are called point-like."""
+
+SHARP_ENDS_PX: Final = 60.0
+"""Longer lines lose nothing by a template with sharp ends."""
 
 STORM_ENTRIES: Final = 1000
 """New star-list entries above which a particle storm raises the threshold."""
@@ -36,11 +39,18 @@ EDGE_PX: Final = 3.0
 """An end closer than this to the frame's edge may continue beyond it."""
 
 
-def edge_flags(ends: tuple[float, float, float, float], shape: tuple[int, int]) -> StreakFlag:
-    """EDGE0 and EDGE1 of a segment (row0, col0, row1, col1)."""
+def edge_flags(ends: tuple[float, float, float, float], shape: tuple[int, int], snr: float) -> StreakFlag:
+    """EDGE0 and EDGE1 of a segment (row0, col0, row1, col1): ends whose uncertainty reaches the frame's edge.
+
+    The change-point law of faint ends: rms sqrt(26) L / S^2.
+    """
+    length = math.hypot(ends[2] - ends[0], ends[3] - ends[1])
+    reach = EDGE_PX + min(20.0, math.sqrt(26.0) * length / snr**2)
+    u_row, u_col = ((ends[2] - ends[0]) / length, (ends[3] - ends[1]) / length) if length > 0.0 else (0.0, 0.0)
     flags = StreakFlag(0)
-    for row, col, flag in ((ends[0], ends[1], StreakFlag.EDGE0), (ends[2], ends[3], StreakFlag.EDGE1)):
-        if min(row, col, shape[0] - 1 - row, shape[1] - 1 - col) < EDGE_PX:
+    for row, col, sign, flag in ((ends[0], ends[1], -1.0, StreakFlag.EDGE0), (ends[2], ends[3], 1.0, StreakFlag.EDGE1)):
+        row, col = row + sign * reach * u_row, col + sign * reach * u_col
+        if row < 0.0 or col < 0.0 or row > shape[0] - 1 or col > shape[1] - 1:
             flags |= flag
     return flags
 
@@ -54,7 +64,7 @@ def line_detection(row: NDArray[np.float64], shape: tuple[int, int]) -> Detectio
     ends = (a0, b0, a1, b1) if axis == 0 else (b0, a0, b1, a1)
     slope = (row[4] - row[2]) / max(row[3] - row[1], 1e-6)
     sagitta = float(row[5]) / math.sqrt(1.0 + slope * slope)
-    flags = edge_flags(ends, shape)
+    flags = edge_flags(ends, shape, float(row[6]))
     # sharper than the PSF by 3 sigma: a particle track
     if row[7] ** 2 - row[6] ** 2 > 9.0:
         flags |= StreakFlag.COSMIC_LIKE
@@ -65,6 +75,23 @@ def line_detection(row: NDArray[np.float64], shape: tuple[int, int]) -> Detectio
     # positive side of the contract: (+drow, -dcol) turned from the chord, i.e. growing row for a chord along growing col
     signed = sagitta if axis == 1 else -sagitta
     return Detection(row0=ends[0], col0=ends[1], row1=ends[2], col1=ends[3], snr=float(row[6]), sagitta_px=signed, flags=flags)
+
+
+def with_blurred_ends(detection: Detection, images: WorkingImages, psf_sigma_px: float) -> Detection:
+    """A short line refitted with the template whose ends are blurred by the PSF: sharp ends cost it a few per cent of S/N."""
+    row, col = 0.5 * (detection.row0 + detection.row1), 0.5 * (detection.col0 + detection.col1)
+    angle = math.atan2(detection.row1 - detection.row0, detection.col1 - detection.col0)
+    rough = (detection.snr, row, col, angle, detection.length_px)
+    snr, row, col, angle, length = point_movers.fit_short_trail(
+        images.image, images.blocked, resolve.FOUND_BIT, rough, psf_sigma_px
+    )
+    if snr <= detection.snr:
+        return detection
+    limit_row, limit_col = images.image.shape[0] - 1.0, images.image.shape[1] - 1.0
+    half_row, half_col = 0.5 * length * math.sin(angle), 0.5 * length * math.cos(angle)
+    row0, row1 = (float(np.clip(row + sign * half_row, 0.0, limit_row)) for sign in (-1.0, 1.0))
+    col0, col1 = (float(np.clip(col + sign * half_col, 0.0, limit_col)) for sign in (-1.0, 1.0))
+    return replace(detection, row0=row0, col0=col0, row1=row1, col1=col1, snr=float(snr))
 
 
 def segment_snr(detection: Detection, seen: DetectorView, transform: NDArray[np.float64], images: WorkingImages, s_px: float) -> float:
@@ -114,7 +141,7 @@ def short_detections(
         limit_row, limit_col = view.residual_adu.shape[0] - 1.0, view.residual_adu.shape[1] - 1.0
         row0, row1 = (float(np.clip(row + sign * half_row, 0.0, limit_row)) for sign in (-1.0, 1.0))
         col0, col1 = (float(np.clip(col + sign * half_col, 0.0, limit_col)) for sign in (-1.0, 1.0))
-        flags = edge_flags((row0, col0, row1, col1), view.residual_adu.shape)
+        flags = edge_flags((row0, col0, row1, col1), view.residual_adu.shape, float(snr))
         if length < POINT_LIKE_PX:
             flags |= StreakFlag.POINT_LIKE
         found.append(Detection(row0=row0, col0=col0, row1=row1, col1=col1, snr=float(snr), flags=flags))
@@ -172,13 +199,16 @@ class LineIntegralDetector:
         earlier = static_sky.earlier_frame(view, self.reach_px)
         images = working_images(view, earlier, clip_sigma=self.clip_sigma, halo_px=self.halo_px)
         n_sigma = self.n_sigma + math.log10(max(1.0, len(images.new) / STORM_ENTRIES))
-        noise = dyadic.half_resolution_noise(images.binned, whiten.even_taps(s_px), images.blocked)
+        sample = images.blocked[::4, ::4]
+        usable = max(0.01, 1.0 - float(np.count_nonzero(sample)) / sample.size)
+        noise = dyadic.half_resolution_noise(whiten.even_taps(s_px), usable)
         candidates = dyadic.coarse_segments(images.binned, noise, self.coarse_sigma, MIN_ROWS, MAX_CANDIDATES)
         table = resolve.resolve(
-            images.image, images.smooth, images.blocked, images.level, TILE_PX, candidates, s_px, n_sigma, n_sigma - FIRST_MARGIN,
+            images.image, images.smooth, images.blocked, images.level, TILE_PX, candidates, s_px, usable, n_sigma, n_sigma - FIRST_MARGIN,
             self.min_length_px, self.max_detections,
         )
         found = [line_detection(row, view.residual_adu.shape) for row in table]
+        found = [with_blurred_ends(d, images, s_px) if d.length_px < SHARP_ENDS_PX else d for d in found]
         if earlier is None:
             found = [d for d in found if d.length_px >= 60.0 or d.snr >= n_sigma + self.single_frame_margin]
         else:

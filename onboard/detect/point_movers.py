@@ -37,10 +37,10 @@ def sharper_than_psf(
 
 @nb.njit(cache=True)
 def _short_snr(
-    image: NDArray[np.int8], blocked: NDArray[np.uint8], row: float, col: float, d_row: float, d_col: float, length: float,
+    image: NDArray[np.int8], blocked: NDArray[np.uint8], ignored: int, row: float, col: float, d_row: float, d_col: float, length: float,
     psf_sigma_px: float,
 ) -> float:
-    """Matched-filter S/N of a short trail centred at (row, col) along the unit vector (d_row, d_col)."""
+    """Matched-filter S/N of a short trail centred at (row, col) along the unit vector (d_row, d_col), ends blurred by the PSF."""
     rows, cols = image.shape
     reach = int(math.ceil(0.5 * length + 2.5 * psf_sigma_px))
     i0, j0 = int(math.floor(row + 0.5)), int(math.floor(col + 0.5))
@@ -58,7 +58,7 @@ def _short_snr(
             else:
                 t = across * math.exp(-((u * root) ** 2))
             full += t * t
-            if 0 <= i < rows and 0 <= j < cols and blocked[i, j] == 0:
+            if 0 <= i < rows and 0 <= j < cols and (blocked[i, j] & ~ignored) == 0:
                 signal += t * image[i, j]
                 power += t * t
     return signal / (16.0 * math.sqrt(power)) if power > 0.6 * full else 0.0
@@ -98,12 +98,16 @@ def rough_short_trail(
 
 @nb.njit(cache=True)
 def fit_short_trail(
-    image: NDArray[np.int8], blocked: NDArray[np.uint8], rough: tuple[float, float, float, float, float], psf_sigma_px: float
+    image: NDArray[np.int8], blocked: NDArray[np.uint8], ignored: int, rough: tuple[float, float, float, float, float],
+    psf_sigma_px: float,
 ) -> tuple[float, float, float, float, float]:
-    """Exact (S/N, centre row, centre col, angle rad, length px) by a pattern search from a rough trail."""
+    """Exact (S/N, centre row, centre col, angle rad, length px) by a pattern search from a rough trail.
+
+    Pixels are usable where `blocked` holds no bit but `ignored`.
+    """
     _, row, col, angle, length = rough
-    snr = _short_snr(image, blocked, row, col, math.sin(angle), math.cos(angle), length, psf_sigma_px)
-    point = _short_snr(image, blocked, row, col, 0.0, 1.0, 0.0, psf_sigma_px)
+    snr = _short_snr(image, blocked, ignored, row, col, math.sin(angle), math.cos(angle), length, psf_sigma_px)
+    point = _short_snr(image, blocked, ignored, row, col, 0.0, 1.0, 0.0, psf_sigma_px)
     # a trail has two parameters more than a point; it must earn them
     if point + 0.3 > snr:
         snr, length = point, 0.0
@@ -118,7 +122,7 @@ def fit_short_trail(
                 c = col + (sign * step if parameter == 1 else 0.0)
                 a = angle + (sign * step * 0.2 if parameter == 2 else 0.0)
                 n = max(0.0, length + (sign * 2.0 * step if parameter == 3 else 0.0))
-                trial = _short_snr(image, blocked, r, c, math.sin(a), math.cos(a), n, psf_sigma_px)
+                trial = _short_snr(image, blocked, ignored, r, c, math.sin(a), math.cos(a), n, psf_sigma_px)
                 if trial > snr + (0.05 if parameter == 3 and sign > 0.0 else 1e-3):
                     snr, row, col, angle, length, moved = trial, r, c, a, n, True
         if not moved:
@@ -147,7 +151,7 @@ def short_trails(
         rough = rough_short_trail(smooth, row[k], col[k], psf_sigma_px)
         if rough[0] < n_sigma - 1.2:
             continue
-        snr, r, c, angle, length = fit_short_trail(image, blocked, rough, psf_sigma_px)
+        snr, r, c, angle, length = fit_short_trail(image, blocked, 0, rough, psf_sigma_px)
         if snr < n_sigma:
             continue
         found[n_found, 0], found[n_found, 1] = k, snr

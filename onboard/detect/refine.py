@@ -9,7 +9,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.detect.corridor import bend
+from onboard.detect.corridor import BENT_PX, bend
 
 @nb.njit(cache=True)
 def path_minor(segment: NDArray[np.float64], major: float) -> float:
@@ -126,7 +126,7 @@ def polish(
                     d0 = sign * step if parameter in (0, 2) else 0.0
                     d1 = sign * step if parameter in (1, 2) else 0.0
                     ds = sign * step if parameter == 3 else 0.0
-                    if parameter == 3 and segment[2] - segment[0] < 40.0:
+                    if parameter == 3 and segment[2] - segment[0] < BENT_PX:
                         continue
                     _, n = cross_profile(
                         image, blocked, level, tile_px, segment[0], segment[1] + d0, segment[2], segment[3] + d1, segment[4] + ds, 0,
@@ -181,17 +181,14 @@ def quarters(signal: NDArray[np.float64], weight: NDArray[np.float64], n: int) -
 
 
 @nb.njit(cache=True)
-def blank_path(
-    image: NDArray[np.int8], smooth: NDArray[np.int8], blocked: NDArray[np.uint8], segment: NDArray[np.float64], half_width: float
-) -> None:
-    """Take a found segment out of both images: pixels within half_width across it become 0 and blocked (4). In place."""
-    n_major, n_minor = image.shape
+def blank_path(smooth: NDArray[np.int8], blocked: NDArray[np.uint8], segment: NDArray[np.float64], half_width: float) -> None:
+    """Take a found segment out: pixels within half_width across it become 0 in `smooth` and blocked (4). In place."""
+    n_major, n_minor = smooth.shape
     slope = (segment[3] - segment[1]) / max(segment[2] - segment[0], 1e-6)
     reach = half_width * math.sqrt(1.0 + slope * slope)
     for major in range(max(0, int(segment[0] - half_width)), min(n_major - 1, int(segment[2] + half_width) + 1) + 1):
         minor = path_minor(segment, float(major))
         for j in range(max(0, int(math.ceil(minor - reach))), min(n_minor - 1, int(math.floor(minor + reach))) + 1):
-            image[major, j] = 0
             smooth[major, j] = 0
             blocked[major, j] |= 4
 

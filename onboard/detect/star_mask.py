@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from sboc_e2e.icd.signals import StarList
 
-DIRECTIONS: Final = 24
+DIRECTIONS: Final = 36
 REACH_PX: Final = 7
 
 MARGIN_PX: Final = 0.3
@@ -24,7 +24,7 @@ MARGIN_PX: Final = 0.3
 def _goes_on(
     residual: NDArray[np.float32], row: float, col: float, level: float, scale: float, smooth: NDArray[np.int8], use_smooth: bool
 ) -> bool:
-    """Whether every pair of neighbouring samples from 2 to 7 px in some direction lies between `level` and five times that."""
+    """Whether every pair of neighbouring samples from 2 to 7 px in some direction lies between `level` and six times that."""
     rows, cols = residual.shape
     for k in range(DIRECTIONS):
         angle = 2.0 * math.pi * k / DIRECTIONS
@@ -37,7 +37,7 @@ def _goes_on(
                 bright = d > 4
                 break
             value = float(smooth[i, j]) / 16.0 if use_smooth else residual[i, j] * scale
-            if d > 2 and not level < 0.5 * (value + before) < 5.0 * level:
+            if d > 2 and not level < 0.5 * (value + before) < 6.0 * level:
                 bright = False
                 break
             before = value
@@ -61,7 +61,7 @@ def trail_pieces(
         if not sigma > 0.0:
             continue
         faint = snr[k] < 12.0
-        level = 0.5 * snr[k] * (1.0 if faint else peak)
+        level = 0.42 * snr[k] * (1.0 if faint else peak)
         out[k] = _goes_on(residual_adu, row[k], col[k], level, 1.0 / sigma, smooth, faint)
     return out
 

@@ -1,0 +1,286 @@
+"""Facts about the default detector: what it finds, what it refuses, and that its statistic is honest."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from onboard.detect import LineIntegralDetector, refine, whiten
+from onboard.detect.dyadic import line_sums, work_size
+from sboc_e2e.icd.flags import MaskBit, StreakFlag
+from sboc_e2e.icd.signals import Detection, DetectorView
+from sboc_e2e.icd.steps import Detector
+from tests.benchmarks.bench_detection import clip, score
+from tests.benchmarks.detection_frames import (
+    PSF_SIGMA_PX,
+    SIGMA,
+    Scene,
+    StarTruth,
+    Streak,
+    add_streak,
+    exposure,
+    random_stars,
+    view_of,
+)
+
+NO_STARS = StarTruth(row=np.zeros(0), col=np.zeros(0), snr=np.zeros(0))
+
+
+def noise_scene(size: int, seed: int) -> tuple[Scene, np.random.Generator]:
+    """Noise alone, and the generator that made it."""
+    rng = np.random.default_rng(seed)
+    return exposure(size, NO_STARS, rng), rng
+
+
+def found_in(scene: Scene, history: tuple[DetectorView, ...] = ()) -> tuple[Detection, ...]:
+    """Detections of the default detector."""
+    return LineIntegralDetector().detect(view_of(scene, frame=1, history=history))
+
+
+def test_matches_the_protocol() -> None:
+    assert isinstance(LineIntegralDetector(), Detector)
+    assert LineIntegralDetector().history_frames == 1
+
+
+@pytest.mark.parametrize(("height", "shift"), [(4, 2), (16, 16 - 1), (32, 0), (64, 21)])
+def test_dyadic_sum_of_a_drawn_line_is_its_number_of_pixels(height: int, shift: int) -> None:
+    """A line drawn by the recursion's own rule (shift halves as s//2 + (s+1)//2) is summed completely."""
+
+    def columns(rows: int, s: int) -> list[int]:
+        if rows == 1:
+            return [0]
+        first = columns(rows // 2, s // 2)
+        return first + [c + s - s // 2 for c in columns(rows // 2, s // 2)]
+
+    image = np.zeros((64, 200), np.int16)
+    for row, col in enumerate(columns(height, shift)):
+        image[row, 60 + col] = 7
+    work = np.empty((2, work_size(*image.shape)), np.int16)
+    table = line_sums(image, False, np.array([1.0, 1.0]), 2.0, height, 1000, work[0], work[1])
+    best = table[np.argmax(table[:, 4])]
+    assert best[0] == 0 and best[1] == height and best[2] == 60 and best[3] == shift
+    assert best[4] * math.sqrt(height) == pytest.approx(7 * height, rel=0.02)  # sums of 64 rows and more are halved and rounded
+
+
+def test_statistic_of_noise_is_standard_normal() -> None:
+    scene, rng = noise_scene(1024, 3)
+    image = whiten.quantise(scene.image, np.zeros(scene.image.shape, np.uint8), np.full((16, 16), SIGMA, np.float32), 64)
+    blocked, level = np.zeros(image.shape, np.uint8), np.zeros((16, 16), np.float32)
+    signal, weight = np.empty(1100), np.empty(1100)
+    values = []
+    for _ in range(1500):
+        row, col, length = rng.uniform(60, 600), rng.uniform(250, 750), rng.uniform(20, 380)
+        slope = rng.uniform(-0.6, 0.6)
+        _, n = refine.cross_profile(
+            image, blocked, level, 64, row, col, row + length, col + slope * length, 0.0, 0, PSF_SIGMA_PX, signal, weight
+        )
+        values.append(refine.profile_snr(signal, weight, n))
+    # lines overlap, so the standard error is about twice that of independent draws
+    assert np.mean(values) == pytest.approx(0.0, abs=0.10)
+    assert np.std(values) == pytest.approx(1.0, abs=0.05)
+
+
+def test_noise_alone_gives_nothing() -> None:
+    for seed in range(3):
+        assert found_in(noise_scene(1024, 200 + seed)[0]) == ()
+
+
+def test_stars_alone_give_nothing_when_the_frame_before_is_known() -> None:
+    rng = np.random.default_rng(5)
+    stars = random_stars(1024, 25_000, rng)
+    before = view_of(exposure(1024, stars, rng, shift_px=(0.4, -0.7)))
+    found = found_in(exposure(1024, stars, rng), (before,))
+    assert [d for d in found if not d.flags & StreakFlag.COSMIC_LIKE] == []
+
+
+def star_scene(seed: int, streaks: list[Streak], n_stars: int = 25_000) -> tuple[Scene, tuple[DetectorView, ...]]:
+    """A 1024 px star field with streaks, and the frame before; n_stars above S/N 8 per 4096 x 4096 px."""
+    rng = np.random.default_rng(seed)
+    stars = random_stars(1024, n_stars, rng)
+    before = view_of(exposure(1024, stars, rng, shift_px=(0.3, 0.2)))
+    scene = exposure(1024, stars, rng)
+    for streak in streaks:
+        add_streak(scene, streak, rng)
+    return scene, (before,)
+
+
+@pytest.mark.parametrize("length_px", [20.0, 60.0, 200.0, 800.0])
+def test_mean_statistic_is_the_matched_filter_snr_within_5_percent(length_px: float) -> None:
+    ratios = []
+    for seed in range(3):
+        rng = np.random.default_rng(100 + seed)
+        truth = []
+        for k in range(3):
+            angle = rng.uniform(-0.25, 0.25)
+            row, half = 250.0 + 250.0 * k, (0.5 * length_px * math.sin(angle), 0.5 * length_px * math.cos(angle))
+            truth.append(Streak(row0=row - half[0], col0=512.0 - half[1], row1=row + half[0], col1=512.0 + half[1], snr=20.0))
+        scene, history = star_scene(100 + seed, truth, n_stars=2_000)
+        paired, fragments, false = score(found_in(scene, history), truth)
+        assert fragments == 0 and false == 0
+        ratios += [d.snr / 20.0 for d in paired if d is not None]
+    assert len(ratios) == 9
+    # the mean of 9 scatters by 2 %: noise and the streaks' own Poisson noise
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.06)
+
+
+def test_bright_streaks_are_not_eaten_by_the_star_mask() -> None:
+    """Trails bright enough to fill the star list come out whole, each as one detection."""
+    truth = [
+        Streak(row0=100.0, col0=100.0, row1=115.0, col1=110.0, snr=60.0),
+        Streak(row0=300.0, col0=200.0, row1=340.0, col1=600.0, snr=300.0),
+        Streak(row0=900.0, col0=50.0, row1=500.0, col1=950.0, snr=1500.0),
+    ]
+    scene, history = star_scene(7, truth)
+    paired, fragments, false = score(found_in(scene, history), scene.streaks)
+    assert all(d is not None for d in paired)
+    assert fragments == 0 and false == 0
+    for detection, streak in zip(paired, truth, strict=True):
+        assert detection is not None and detection.snr == pytest.approx(streak.snr, rel=0.15)
+
+
+def test_point_like_mover_is_found_and_flagged() -> None:
+    scene, history = star_scene(8, [Streak(row0=700.0, col0=300.0, row1=700.0, col1=300.5, snr=25.0)])
+    found = [d for d in found_in(scene, history) if not d.flags & StreakFlag.COSMIC_LIKE]
+    assert len(found) == 1
+    assert math.hypot(0.5 * (found[0].row0 + found[0].row1) - 700.0, 0.5 * (found[0].col0 + found[0].col1) - 300.25) < 0.5
+    assert found[0].flags & StreakFlag.POINT_LIKE
+
+
+def test_parallel_streaks_stay_two_and_crossing_ones_are_found() -> None:
+    truth = [
+        Streak(row0=200.0, col0=100.0, row1=260.0, col1=500.0, snr=16.0),
+        Streak(row0=208.0, col0=100.0, row1=268.0, col1=500.0, snr=14.0),
+        Streak(row0=600.0, col0=300.0, row1=900.0, col1=500.0, snr=16.0),
+        Streak(row0=880.0, col0=280.0, row1=640.0, col1=520.0, snr=14.0),
+    ]
+    scene, rng = noise_scene(1024, 11)
+    for streak in truth:
+        add_streak(scene, streak, rng)
+    paired, fragments, false = score(found_in(scene), truth)
+    assert all(d is not None for d in paired)
+    assert fragments == 0 and false == 0
+
+
+def test_curved_and_varying_streaks_lose_less_than_5_percent() -> None:
+    means = {}
+    for name, change in (("straight", {}), ("curved", {"sagitta_px": 3.0}), ("varying", {"brightness_change": 0.4})):
+        values = []
+        for seed in range(2):
+            scene, rng = noise_scene(1024, 300 + seed)
+            truth = [
+                replace(Streak(row0=r, col0=200.0, row1=r + 90.0, col1=600.0, snr=18.0), **change) for r in (150.0, 450.0, 750.0)
+            ]
+            for streak in truth:
+                add_streak(scene, streak, rng)
+            paired, _, _ = score(found_in(scene), truth)
+            assert all(d is not None for d in paired)
+            values += [d.snr for d in paired if d is not None]
+        means[name] = float(np.mean(values))
+    assert means["curved"] > 0.95 * means["straight"]
+    assert means["varying"] > 0.95 * means["straight"]
+
+
+def test_sagitta_has_the_sign_of_the_contract() -> None:
+    """Positive towards (+drow, -dcol) turned from the chord: the bench draws with the normal (dcol, -drow) / length."""
+    for sign in (1.0, -1.0):
+        for ends in ((300.0, 200.0, 420.0, 700.0), (200.0, 300.0, 700.0, 420.0)):
+            scene, rng = noise_scene(1024, 12)
+            add_streak(scene, Streak(row0=ends[0], col0=ends[1], row1=ends[2], col1=ends[3], snr=60.0, sagitta_px=3.0 * sign), rng)
+            found = found_in(scene)
+            assert len(found) == 1 and found[0].flags & StreakFlag.CURVED
+            forward = (found[0].row1 - found[0].row0) * (ends[2] - ends[0]) + (found[0].col1 - found[0].col0) * (ends[3] - ends[1])
+            assert found[0].sagitta_px * np.sign(forward) == pytest.approx(3.0 * sign, abs=1.0)
+
+
+def test_streak_cut_by_the_edge_is_found_and_flagged() -> None:
+    scene, rng = noise_scene(1024, 13)
+    streak = Streak(row0=-100.0, col0=400.0, row1=200.0, col1=520.0, snr=15.0)
+    add_streak(scene, streak, rng)
+    found = found_in(scene)
+    paired, _, false = score(found, [clip(streak, 1024)])
+    assert paired[0] is not None and false == 0
+    at_edge = StreakFlag.EDGE0 if paired[0].row0 < paired[0].row1 else StreakFlag.EDGE1
+    assert paired[0].flags & at_edge
+
+
+def test_hot_column_and_aligned_stars_are_refused() -> None:
+    """What the frame before shows at the same place of the sensor or of the sky is no mover."""
+    rng = np.random.default_rng(14)
+    chain = StarTruth(row=400.0 + 4.5 * np.arange(6), col=300.0 + 3.0 * np.arange(6), snr=np.full(6, 6.0))
+    before, now = exposure(1024, chain, rng, shift_px=(1.0, 0.0)), exposure(1024, chain, rng)
+    for scene in (before, now):
+        scene.image[100:700, 800] += np.float32(3.0 * SIGMA)
+    stars = random_stars(1024, 20_000, rng)
+    for scene, shift in ((before, (1.0, 0.0)), (now, (0.0, 0.0))):
+        scene.image += exposure(1024, stars, np.random.default_rng(1), shift_px=shift).image * np.float32(0.5)
+    found = found_in(now, (view_of(before),))
+    assert [d for d in found if d.snr > 8.5] == []
+
+
+def test_particle_track_is_flagged_sharp() -> None:
+    scene, _ = noise_scene(512, 15)
+    for k in range(40):
+        scene.image[100 + k, 200 + k // 4] += np.float32(12.0 * SIGMA)
+    found = LineIntegralDetector(max_cosmic_like=5).detect(view_of(scene))
+    assert len(found) >= 1
+    assert all(d.flags & StreakFlag.COSMIC_LIKE for d in found)
+
+
+def masked(view: DetectorView, mask: NDArray[np.uint8]) -> DetectorView:
+    """The view with a mask; masked pixels hold 0 as the chain delivers them."""
+    return replace(view, mask=mask, residual_adu=np.where(mask == 0, view.residual_adu, 0).astype(np.float32))
+
+
+def test_streak_is_found_in_a_frame_masked_to_nine_tenths() -> None:
+    scene, rng = noise_scene(1024, 16)
+    add_streak(scene, Streak(row0=100.0, col0=100.0, row1=800.0, col1=900.0, snr=60.0), rng)
+    mask = np.where(rng.random(scene.image.shape) < 0.9, np.uint8(MaskBit.DEAD), np.uint8(0))
+    found = LineIntegralDetector().detect(masked(view_of(scene), mask))
+    assert len(found) >= 1
+    assert found[0].length_px == pytest.approx(1063.0, rel=0.05)
+    assert found[0].snr == pytest.approx(60.0 * math.sqrt(0.1), rel=0.25)
+
+
+@pytest.mark.parametrize("shape", [(64, 64), (100, 100), (65, 127), (20, 300), (7, 7), (1, 1)])
+@pytest.mark.parametrize("content", ["zero", "constant", "noise"])
+def test_small_and_empty_frames(shape: tuple[int, int], content: str) -> None:
+    rng = np.random.default_rng(17)
+    image = {"zero": np.zeros(shape), "constant": np.full(shape, 50.0 * SIGMA), "noise": SIGMA * rng.standard_normal(shape)}[content]
+    view = view_of(Scene(image=image.astype(np.float32)))
+    for history in ((), (view,)):
+        assert LineIntegralDetector().detect(replace(view, history=history)) == () or content == "constant"
+
+
+def test_saturated_frame_and_zero_noise_do_not_raise() -> None:
+    view = view_of(Scene(image=np.zeros((128, 128), np.float32)))
+    saturated = masked(view, np.full((128, 128), int(MaskBit.SATURATED), np.uint8))
+    LineIntegralDetector().detect(saturated)
+    no_noise = replace(view, background=replace(view.background, sigma_adu=np.zeros((2, 2), np.float32)))
+    assert LineIntegralDetector().detect(no_noise) == ()
+
+
+def test_input_is_untouched_and_result_deterministic_and_inside() -> None:
+    scene, history = star_scene(18, [Streak(row0=5.0, col0=5.0, row1=1020.0, col1=1018.0, snr=40.0)])
+    view = view_of(scene, frame=1, history=history)
+    copies = view.residual_adu.copy(), view.mask.copy(), history[0].residual_adu.copy()
+    first, second = LineIntegralDetector().detect(view), LineIntegralDetector().detect(view)
+    assert first == second and len(first) >= 1
+    for before, after in zip(copies, (view.residual_adu, view.mask, history[0].residual_adu), strict=True):
+        assert np.array_equal(before, after)
+    for d in first:
+        assert 0.0 <= min(d.row0, d.row1) and max(d.row0, d.row1) <= 1023.0
+        assert 0.0 <= min(d.col0, d.col1) and max(d.col0, d.col1) <= 1023.0
+    assert list(first) == sorted(first, key=lambda d: (bool(d.flags & StreakFlag.COSMIC_LIKE), -d.snr))
+
+
+def test_transposed_frame_gives_the_transposed_detections() -> None:
+    scene, rng = noise_scene(512, 19)
+    add_streak(scene, Streak(row0=100.0, col0=60.0, row1=180.0, col1=420.0, snr=25.0), rng)
+    upright = found_in(scene)
+    turned = found_in(Scene(image=np.ascontiguousarray(scene.image.T)))
+    assert len(upright) == len(turned) == 1
+    ends = sorted([(upright[0].row0, upright[0].col0), (upright[0].row1, upright[0].col1)])
+    other = sorted([(turned[0].col0, turned[0].row0), (turned[0].col1, turned[0].row1)])
+    assert np.abs(np.array(ends) - np.array(other)).max() < 0.2

@@ -39,12 +39,12 @@ def normal_pairs(start: int, n: int) -> NDArray[np.float64]:
 
 def scan(
     problem: Problem,
-    prior: PriorTable,
+    prior_of_range: Callable[[float], PriorTable],
     log_weight_of_range: Callable[[float], float],
     limits_km: tuple[float, float],
     n_draws: int,
 ) -> Posterior | None:
-    """Refine the range grid until no cell holds more than a hundredth of the mass; None if no bound orbit meets the data."""
+    """Scan, then refine until no cell of the range grid holds more than a hundredth of the mass; None without any bound orbit."""
     log_range = list(np.linspace(np.log(limits_km[0]), np.log(limits_km[1]), _COARSE_STEPS))
     buffer = np.empty((rows_per_range(n_draws), N_COLUMNS))
     rows: dict[float, NDArray[np.float64]] = {}
@@ -56,7 +56,7 @@ def scan(
         nonlocal draws
         rho = float(np.exp(x))
         count, total, rate = scan_range(
-            problem, prior, rho, ratio * rho, normal_pairs(draws, n_draws), log_weight_of_range(rho), buffer
+            problem, prior_of_range(rho), rho, ratio * rho, normal_pairs(draws, n_draws), log_weight_of_range(rho), buffer
         )
         draws += n_draws
         rows[x], log_density[x], range_rate_ratio[x] = buffer[:count].copy(), total, rate / rho

@@ -11,13 +11,17 @@ from ground.orbit.attributable import Attributable, attributable_of
 from ground.orbit.dynamics import propagate
 from ground.orbit.observer import observer_orbit
 from ground.orbit.posterior import Posterior, modes, normal_pairs, quantiles, scan
-from ground.orbit.prior import PriorShares, prior_table
+from ground.orbit.prior import PriorShares, PriorTable, prior_table
 from ground.orbit.scan import Problem
 from ground.orbit.size import diameter_m, log_size_density, sun_direction
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import OrbitEstimate, Tracklet
 
 _EARTH_RADIUS_KM = 6378.137
+_TYPICAL_RANGE_KM = 1000.0
+_DRAW_STEP_KM_S = 0.02
+"""Uncertainty of the transverse velocity at the typical range that asks for one more set of draws; orbits differ by as little."""
+_MOST_DRAWS = 12
 _MAG_UNKNOWN = 12.0
 """V assumed for the size law's weight when a tracklet has no magnitude: about the limit of detection."""
 
@@ -31,9 +35,13 @@ class RangeScan:
     and the camera's own orbit, always a solution of the equations, is never one of the posterior's.
     """
 
-    breakup_share: float = field(
-        default=0.5, metadata={"doc": "of objects that carry breakup velocities", "min": 0.0, "max": 1.0}
+    breakup_share_small: float = field(
+        default=0.8, metadata={"doc": "of small objects that carry breakup velocities", "min": 0.0, "max": 1.0}
     )
+    breakup_share_large: float = field(
+        default=0.1, metadata={"doc": "of larger ones, whose catalogued orbits hold them already", "min": 0.0, "max": 1.0}
+    )
+    small_below_m: float = field(default=0.1, metadata={"doc": "diameter that divides them", "min": 1e-4, "max": 100.0})
     tail_share: float = field(default=0.02, metadata={"doc": "of objects on any bound orbit at all", "min": 1e-6, "max": 1.0})
     ring_share: float = field(
         default=0.02, metadata={"doc": "of objects on or near the geostationary ring", "min": 0.0, "max": 1.0}
@@ -47,7 +55,10 @@ class RangeScan:
     sigma_floor_arcsec: float = field(
         default=0.1, metadata={"doc": "error of directions common to no two frames, added", "min": 0.0, "max": 1e3}
     )
-    draws: int = field(default=3, metadata={"doc": "transverse rates tried at each range", "min": 1, "max": 100})
+    draws: int = field(
+        default=3,
+        metadata={"doc": "transverse rates tried at each range, more where they are poorly known", "min": 1, "max": 100},
+    )
 
     def estimate(self, tracklet: Tracklet, headers: Sequence[FrameHeader]) -> OrbitEstimate:
         """Posterior of one tracklet; not converged, with NaN, without sky positions or observer states near it."""
@@ -60,21 +71,23 @@ class RangeScan:
             return _nothing(tracklet, self._words())
         mag = tracklet.mag if math.isfinite(tracklet.mag) else _MAG_UNKNOWN
         phase_rad = math.acos(max(-1.0, min(1.0, -float(data.axes[2] @ sun_direction(data.t_ref_tai_ns)))))
-        table = prior_table(
-            PriorShares(
-                catalogue=(1.0 - self.breakup_share) * (1.0 - self.tail_share - self.ring_share),
-                breakup=self.breakup_share * (1.0 - self.tail_share - self.ring_share),
-                tail=self.tail_share,
-                ring=self.ring_share,
-            )
-        )
+        small, large = (self._prior(share) for share in (self.breakup_share_small, self.breakup_share_large))
+
+        def size_m(range_km: float) -> float:
+            return float(diameter_m(mag, range_km, self.albedo, phase_rad))
+
+        def prior_of_range(range_km: float) -> PriorTable:
+            """At each range the magnitude says how large the object would be."""
+            return small if size_m(range_km) < self.small_below_m else large
 
         def log_weight(range_km: float) -> float:
             """Volume of phase space, d3r d3v = rho^4 d(direction) d(rate) d(rho) d(rho rate), per ln(rho), and the size law."""
-            size_m = float(diameter_m(mag, range_km, self.albedo, phase_rad))
-            return 5.0 * math.log(range_km) + log_size_density(size_m)
+            return 5.0 * math.log(range_km) + log_size_density(size_m(range_km))
 
-        posterior = scan(problem_of(data, observer), table, log_weight, (self.nearest_km, self.farthest_km), self.draws)
+        sigma_km_s = _TYPICAL_RANGE_KM * math.sqrt(float(np.trace(data.rate_covariance)))
+        draws = self.draws * min(1 + int(sigma_km_s / _DRAW_STEP_KM_S), _MOST_DRAWS)
+        limits_km = (self.nearest_km, self.farthest_km)
+        posterior = scan(problem_of(data, observer), prior_of_range, log_weight, limits_km, draws)
         if posterior is None:
             return _nothing(tracklet, self._words())
         return self._summary(tracklet, data, observer, posterior, phase_rad)
@@ -115,11 +128,25 @@ class RangeScan:
             converged=True,
         )
 
+    def _prior(self, breakup_share: float) -> PriorTable:
+        """Mixture with this share of breakup fragments."""
+        low_orbits = 1.0 - self.tail_share - self.ring_share
+        return prior_table(
+            PriorShares(
+                catalogue=(1.0 - breakup_share) * low_orbits,
+                breakup=breakup_share * low_orbits,
+                tail=self.tail_share,
+                ring=self.ring_share,
+            )
+        )
+
     def _words(self) -> str:
         """What was assumed."""
         return (
-            f"phase-space volume; orbits of catalogued LEO fragments (2023), {100 * self.breakup_share:.0f} % of them with NASA "
-            f"breakup velocities, {100 * self.tail_share:.3g} % on any bound orbit, {100 * self.ring_share:.3g} % near the "
+            f"phase-space volume; orbits of catalogued LEO fragments (2023), with NASA breakup velocities for "
+            f"{100 * self.breakup_share_small:.0f} % of objects below {100 * self.small_below_m:g} cm and "
+            f"{100 * self.breakup_share_large:.0f} % of larger ones; {100 * self.tail_share:.3g} % on any bound orbit, "
+            f"{100 * self.ring_share:.3g} % near the "
             f"geostationary ring; size law d^-2.10 below 1 cm and d^-1.45 above; albedo {self.albedo:g}"
         )
 

@@ -59,11 +59,11 @@ def gauss_range_km(tracklet: Tracklet, observer: NDArray[np.float64]) -> float:
     return float(ranges[np.argmin(np.abs(np.log(ranges / 1000.0)))]) if len(ranges) else math.nan
 
 
-def population(n: int, seed: int, *, breakup: bool, step: RangeScan, error_px: float | None = None) -> dict[str, Any]:
+def population(n: int, seed: int, *, kind: str, step: RangeScan, error_px: float | None = None) -> dict[str, Any]:
     """Figures of n encounters; error_px : of every end, both ways, instead of errors that go with the S/N."""
     rng = np.random.default_rng(seed)
     _, observer = sun_and_observer()
-    encounters = draw_encounters(n, rng, breakup=breakup, pool=max(400_000, 1000 * n))
+    encounters = draw_encounters(n, rng, population=kind, pool=max(400_000, 1000 * n))
     inside = dict.fromkeys(("range", "altitude", "a", "e", "i", "size"), 0)
     errors: dict[str, list[float]] = {name: [] for name in ("range", "altitude", "a", "i", "size", "gauss")}
     sizes, trivial, spent = [], 0, 0.0
@@ -115,17 +115,20 @@ def population(n: int, seed: int, *, breakup: bool, step: RangeScan, error_px: f
 
 
 def main(quick: bool = True) -> dict[str, Any]:
-    """Figures for catalogue eccentricities and with breakup velocities, each with the prior of its own and with the mixed one."""
+    """Figures by population and prior: each population with its own prior, the natural one with the default (mixed) prior.
+
+    "volume" is the set-up of published Monte-Carlos: 1 arcsec errors, catalogued orbits uniform in volume to 3,000 km.
+    """
     n = 150 if quick else 1000
     start = time.process_time()
-    population(1, 0, breakup=False, step=RangeScan())
+    population(1, 0, kind="catalogue", step=RangeScan())
     out: dict[str, Any] = {"cold_s": time.process_time() - start}
-    for breakup in (False, True):
-        name = "breakup" if breakup else "catalogue"
-        own = RangeScan(breakup_share=float(breakup), albedo_sigma_ln=0.0)
-        out[f"{name}_own_prior"] = population(n, 1, breakup=breakup, step=own)
-        out[f"{name}_own_prior_1_arcsec"] = population(n, 1, breakup=breakup, step=own, error_px=1.0 / PIXEL_ARCSEC)
-        out[f"{name}_mixed_prior"] = population(n, 1, breakup=breakup, step=RangeScan(albedo_sigma_ln=0.0))
+    own = RangeScan(breakup_share_small=0.0, breakup_share_large=0.0, albedo_sigma_ln=0.0)
+    thrown = RangeScan(breakup_share_small=1.0, breakup_share_large=1.0, albedo_sigma_ln=0.0)
+    out["volume_1_arcsec_own_prior"] = population(n, 1, kind="volume", step=own, error_px=1.0 / PIXEL_ARCSEC)
+    out["catalogue_own_prior"] = population(n, 1, kind="catalogue", step=own)
+    out["breakup_own_prior"] = population(n, 1, kind="breakup", step=thrown)
+    out["natural_default_prior"] = population(n, 1, kind="natural", step=RangeScan(albedo_sigma_ln=0.0))
     return out
 
 

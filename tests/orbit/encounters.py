@@ -105,10 +105,19 @@ def snr_of(mag: NDArray[np.float64], rate_deg_s: NDArray[np.float64]) -> NDArray
     return 4.7e8 * 10 ** (-0.4 * mag) * 0.2 / (2.84 * np.sqrt(3.0 * length))
 
 
-def draw_encounters(n: int, rng: np.random.Generator, *, breakup: bool, pool: int = 400_000) -> list[Encounter]:
-    """n encounters above S/N 8 that stay in the field for at least three frames, in nature's proportions."""
+def draw_encounters(n: int, rng: np.random.Generator, *, population: str, pool: int = 400_000) -> list[Encounter]:
+    """n encounters above S/N 8 that stay in the field for at least three frames, in nature's proportions.
+
+    population : "catalogue" or "breakup" for orbits of that kind at every size; "natural" has breakup velocities below 9.5 cm
+    and none above; "volume" leaves sizes and S/N out: catalogued orbits uniform in the field's volume to 3,000 km, no magnitude.
+    """
     sun, observer = sun_and_observer()
-    el = (breakup_orbits if breakup else catalogue_orbits)(pool, rng)
+    if population == "natural":
+        el = np.vstack([catalogue_orbits(pool // 2, rng), breakup_orbits(pool // 2, rng)])
+        thrown = np.arange(len(el)) >= pool // 2
+    else:
+        el = (breakup_orbits if population == "breakup" else catalogue_orbits)(pool, rng)
+        thrown = np.full(len(el), population == "breakup")
     m = len(el)
     rho = np.exp(rng.uniform(np.log(1.0), np.log(6000.0), m))
     tilt, turn = np.radians(2.64) * np.sqrt(rng.random(m)), rng.random(m) * 2 * np.pi
@@ -138,17 +147,24 @@ def draw_encounters(n: int, rng: np.random.Generator, *, breakup: bool, pool: in
     rate = np.degrees(np.linalg.norm(relative - np.einsum("ij,ij->i", relative, u)[:, None] * u, axis=1) / rho)
     mag_limit = -2.5 * np.log10(8.0 / snr_of(np.zeros(m), rate))
     faintest = 2e3 * rho * np.sqrt(10 ** (-0.4 * (mag_limit + 26.76)) / (ALBEDO * 2 / 3))
-    weight = np.where(rate < 5.28 / 0.75, density * rho**3 * larger_than(faintest), 0.0)
+    floor, ceiling = np.zeros(m), np.full(m, np.inf)
+    if population == "natural":
+        floor, ceiling = np.where(thrown, 0.0, 0.095), np.where(thrown, 0.095, np.inf)
+    most = larger_than(np.maximum(faintest, floor))
+    least = np.where(np.isfinite(ceiling), larger_than(np.minimum(ceiling, 1e3)), 0.0)
+    sizes = np.where(population == "volume", (rho < 3000.0).astype(float), np.maximum(most - least, 0.0))
+    weight = np.where(rate < 5.28 / 0.75, density * rho**3 * sizes, 0.0)
     picked = rng.choice(m, size=n, replace=False, p=weight / weight.sum())
     out = []
     for k in picked:
-        count = larger_than(faintest[k : k + 1])[0] * rng.random()
+        count = least[k] + (most[k] - least[k]) * rng.random()
         size = 0.01 * (count / 1.04e6) ** (-1 / 2.1) if count > 1.04e6 else 0.1 * (count / 3.65e4) ** (-1 / 1.45)
         mag = -26.76 - 2.5 * np.log10(ALBEDO * 2 / 3 * (size / (2e3 * rho[k])) ** 2)
         out.append(
             Encounter(
                 state=np.concatenate([position[k], velocity[k]]), elements=el[k] * [1, 1, 180 / np.pi], range_km=float(rho[k]),
-                rate_deg_s=float(rate[k]), size_m=float(size), mag=float(mag), snr=float(snr_of(mag, rate[k])),
+                rate_deg_s=float(rate[k]), size_m=float(size), mag=float(mag) if population != "volume" else np.nan,
+                snr=float(snr_of(mag, rate[k])),
             )
         )  # fmt: skip
     return out

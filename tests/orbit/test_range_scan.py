@@ -13,14 +13,15 @@ from sboc_e2e.icd.steps import OrbitDeterminer
 from tests.orbit.encounters import MU, T0_NS, Encounter, draw_encounters, observed, snr_of, sun_and_observer, trajectory
 
 
-@pytest.mark.parametrize("breakup", [False, True])
-def test_intervals_cover_and_no_trivial_root(breakup: bool) -> None:
+@pytest.mark.parametrize("population", ["catalogue", "breakup", "natural"])
+def test_intervals_cover_and_no_trivial_root(population: str) -> None:
     """40 encounters: 90 % intervals hold the truth in 76-100 % of cases (3 sigma of the binomial), none collapses."""
     rng = np.random.default_rng(21)
-    step = RangeScan(breakup_share=float(breakup), albedo_sigma_ln=0.0)
+    shares = {"catalogue": (0.0, 0.0), "breakup": (1.0, 1.0), "natural": (0.8, 0.1)}[population]
+    step = RangeScan(breakup_share_small=shares[0], breakup_share_large=shares[1], albedo_sigma_ln=0.0)
     assert isinstance(step, OrbitDeterminer)
     hits = np.zeros(4)
-    for one in draw_encounters(40, rng, breakup=breakup, pool=150_000):
+    for one in draw_encounters(40, rng, population=population, pool=150_000):
         tracklet, headers = observed(one, rng)
         got = step.estimate(tracklet, headers)
         assert got.converged
@@ -69,7 +70,7 @@ def test_long_arc_of_a_geostationary_object_is_least_squares() -> None:
 def test_nothing_to_work_with_is_said() -> None:
     """Without observer states or without sky positions there is no estimate, and it says so."""
     rng = np.random.default_rng(1)
-    one = draw_encounters(1, rng, breakup=False, pool=50_000)[0]
+    one = draw_encounters(1, rng, population="catalogue", pool=50_000)[0]
     tracklet, headers = observed(one, rng)
     blind = tuple(replace(h, observer=None) for h in headers)
     for case in (
@@ -85,7 +86,7 @@ def test_nothing_to_work_with_is_said() -> None:
 def test_same_input_gives_same_bytes() -> None:
     """No hidden randomness."""
     rng = np.random.default_rng(2)
-    tracklet, headers = observed(draw_encounters(1, rng, breakup=False, pool=50_000)[0], rng)
+    tracklet, headers = observed(draw_encounters(1, rng, population="catalogue", pool=50_000)[0], rng)
     one, other = RangeScan().estimate(tracklet, headers), RangeScan().estimate(tracklet, headers)
     assert one.range_km.tobytes() == other.range_km.tobytes()
     assert one.range_posterior.tobytes() == other.range_posterior.tobytes()
@@ -94,7 +95,7 @@ def test_same_input_gives_same_bytes() -> None:
 def test_light_time_is_the_orbit_s_business() -> None:
     """A target whose light left rho/c earlier: ignoring it would shift the state by v rho/c, 0.1 km at 4,000 km."""
     rng = np.random.default_rng(5)
-    one = next(e for e in draw_encounters(60, rng, breakup=False, pool=100_000) if e.range_km > 1500.0)
+    one = next(e for e in draw_encounters(60, rng, population="catalogue", pool=100_000) if e.range_km > 1500.0)
     tracklet, _ = observed(one, rng, error_px=0.0)
     data = attributable_of(tracklet, 0.01)
     assert data is not None

@@ -1,0 +1,113 @@
+"""Campaigns run, resume, list failures, and give the same bytes whatever the workers and interruptions."""
+
+import os
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+
+from sboc_e2e.campaign import Campaign, read_campaign, run_campaign
+from sboc_e2e.campaign.aggregate import read_shards, summarise, write_results
+from sboc_e2e.campaign.engine import failure_path, shard_path
+
+TEXT = """
+scenario = "smoke"
+replicas = 1
+[set]
+frames = 1
+[vary]
+"onboard.detector.n_sigma" = [7.0, 9.0]
+"instrument.aperture" = ["4 cm", "-4 cm"]
+"""
+
+
+@pytest.fixture(scope="module")
+def campaign(tmp_path_factory: pytest.TempPathFactory) -> Campaign:
+    path = tmp_path_factory.mktemp("campaign") / "small.toml"
+    path.write_text(TEXT)
+    return read_campaign(path)
+
+
+@pytest.fixture(scope="module")
+def finished(campaign: Campaign, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    out = tmp_path_factory.mktemp("out")
+    result = run_campaign(campaign, out, workers=1)
+    assert result.done == 2
+    assert len(result.failed) == 2
+    write_results(campaign, result, out)
+    return out
+
+
+def shards(campaign: Campaign, out: Path) -> dict[int, bytes]:
+    return {t.number: shard_path(out, t).read_bytes() for t in campaign.tasks() if shard_path(out, t).is_file()}
+
+
+@pytest.mark.slow
+def test_failed_tasks_are_listed_with_their_reason_and_the_rest_is_done(campaign: Campaign, finished: Path) -> None:
+    failures = [failure_path(finished, t).read_text() for t in campaign.tasks() if failure_path(finished, t).is_file()]
+    assert len(failures) == 2
+    assert all("instrument.aperture" in text and "20 m" in text for text in failures)
+    assert "failed" in (finished / "campaign.md").read_text()
+    assert "<h2>Failed tasks</h2>" in (finished / "campaign.html").read_text()
+    assert not any((finished / "work").iterdir())
+
+
+@pytest.mark.slow
+def test_finished_tasks_are_not_run_again(campaign: Campaign, finished: Path) -> None:
+    before = {p: p.stat().st_mtime_ns for p in (finished / "shards").iterdir()}
+    result = run_campaign(campaign, finished, workers=1)
+    assert result.skipped == 2
+    assert {p: p.stat().st_mtime_ns for p in (finished / "shards").iterdir()} == before
+
+
+@pytest.mark.slow
+def test_two_workers_give_the_same_bytes(campaign: Campaign, finished: Path, tmp_path: Path) -> None:
+    run_campaign(campaign, tmp_path, workers=2)
+    assert shards(campaign, tmp_path) == shards(campaign, finished)
+
+
+@pytest.mark.slow
+def test_dask_gives_the_same_bytes(campaign: Campaign, finished: Path, tmp_path: Path) -> None:
+    pytest.importorskip("distributed", reason="the extra distributed is not installed")
+    run_campaign(campaign, tmp_path, workers=1, scheduler="local")
+    assert shards(campaign, tmp_path) == shards(campaign, finished)
+
+
+@pytest.mark.slow
+def test_a_killed_sweep_goes_on_to_the_same_bytes(campaign: Campaign, finished: Path, tmp_path: Path) -> None:
+    path = tmp_path / "small.toml"
+    path.write_text(TEXT)
+    out = tmp_path / "out"
+    command = [
+        sys.executable,
+        "-c",
+        "from sboc_e2e.cli import main; main()",
+        "sweep",
+        str(path),
+        "--out",
+        str(out),
+        "--workers",
+        "1",
+    ]
+    for wait_s in (4.0, 8.0):
+        child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
+        time.sleep(wait_s)
+        if child.poll() is None:
+            os.killpg(child.pid, signal.SIGKILL)
+        child.wait()
+    assert run_campaign(campaign, out, workers=1).failed
+    assert shards(campaign, out) == shards(campaign, finished)
+
+
+@pytest.mark.slow
+def test_aggregates_count_every_streak(campaign: Campaign, finished: Path) -> None:
+    points = read_shards(finished)
+    assert len(points) == 2
+    for tables in points.values():
+        summary = summarise(tables)
+        assert summary["frames"] == 1
+        counted = sum(int((t["snr"] >= 8.0).sum()) for t in tables)
+        assert summary["completeness_snr8"]["n"] == counted

@@ -15,7 +15,7 @@ from scipy.ndimage import median_filter
 from sboc_e2e.icd.signals import BackgroundModel
 
 PROBES = 49
-"""Samples of a tile whose median centres its histogram."""
+"""Samples of a tile that centre its histogram."""
 
 BINS = 512
 CLIP_SIGMA = 3.0
@@ -34,7 +34,10 @@ def _probe_tile(
     mask: NDArray[np.uint8],
     window: tuple[int, int, int, int],
 ) -> tuple[int, int]:
-    """Median and half the interquartile range of up to `PROBES` usable pixels spread over a tile; (0, -1) if none."""
+    """Middle and half width of the shortest half of up to `PROBES` usable pixels spread over a tile; (0, -1) if none.
+
+    The shortest half (Rousseeuw 1984, JASA 79, 871) stays with the sky when stars or an overscan fill up to half a tile.
+    """
     row0, row1, col0, col1 = window
     probes = np.empty(PROBES, dtype=np.int64)
     count = 0
@@ -53,7 +56,12 @@ def _probe_tile(
                 count += 1
     if count == 0:
         return 0, -1
-    return probes[count // 2], (probes[(3 * count) // 4] - probes[count // 4]) // 2
+    half = count // 2
+    best = 0
+    for k in range(count - half):
+        if probes[k + half] - probes[k] < probes[best + half] - probes[best]:
+            best = k
+    return (probes[best] + probes[best + half]) // 2, (probes[best + half] - probes[best]) // 2
 
 
 @njit(cache=True)

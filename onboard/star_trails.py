@@ -22,6 +22,8 @@ FALL = 0.25
 """The autocorrelation is followed out to this share of its peak."""
 
 REFINED_STARS = 9
+LEAST_COMMON = 4
+"""So many stars at least must show the same trail; one streak across a frame without stars is none."""
 FIT_STEPS = 8
 
 
@@ -170,8 +172,8 @@ def matched_peaks(
 
 def refined(
     residual: NDArray[np.float32], mask: NDArray[np.uint8], peaks: NDArray[np.float32], guess: Trail, psf_sigma_px: float
-) -> tuple[Trail, float]:
-    """Trail and PSF width as medians over fits of the brightest usable stars with both free; the guess when none is."""
+) -> tuple[Trail, float] | None:
+    """Trail and PSF width as medians over fits of bright usable stars with both free; None when these do not agree."""
     vectors = []
     reach = [math.ceil(abs(half) + 5.0 * psf_sigma_px) + 3 for half in (0.5 * guess.drow, 0.5 * guess.dcol)]
     for row0, col0 in peaks[:, :2].astype(int):
@@ -181,16 +183,19 @@ def refined(
             continue
         flux = float(image.sum())
         start = np.array([flux, 0.0, 0.0, guess.drow, guess.dcol, psf_sigma_px])
-        fit = least_squares(_misfit, start, args=(image,), x_scale=np.array([flux, 1.0, 1.0, 1.0, 1.0, 0.3]), max_nfev=40)
+        fit = least_squares(_misfit, start, args=(image,), x_scale=np.array([flux, 1.0, 1.0, 1.0, 1.0, 0.3]), max_nfev=15)
         light = fit.x[0] if fit.success else 0.0
         if light > 0.0 and float(np.sum(fit.fun**2)) < 0.05 * float(np.sum(image.astype(np.float64) ** 2)):
             sign = 1.0 if fit.x[3] * guess.drow + fit.x[4] * guess.dcol >= 0.0 else -1.0
             vectors.append((sign * fit.x[3], sign * fit.x[4], abs(fit.x[5])))
         if len(vectors) == REFINED_STARS:
             break
-    if len(vectors) < 3:
-        return guess, psf_sigma_px
+    if len(vectors) < LEAST_COMMON:
+        return None
     drow, dcol, width = np.median(np.array(vectors), axis=0)
+    apart = np.median(np.hypot(*(np.array(vectors)[:, :2] - (drow, dcol)).T))
+    if apart > 0.2 * math.hypot(drow, dcol):
+        return None
     return Trail(drow=float(drow), dcol=float(dcol)), float(min(max(width, 0.4), 3.0 * psf_sigma_px))
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from onboard.star_fits import SATURATED, SATURATED_STAR, fit_stars
 from onboard.star_peaks import find_peaks, gaussian_kernel
 from onboard.star_shape import LEAST_STARS, MOST_STARS, FieldShape, measure_shape
-from onboard.star_trails import Trail, first_guess, fit_trails, matched_peaks, refined
+from onboard.star_trails import first_guess, fit_trails, matched_peaks, refined
 from sboc_e2e.icd.flags import StarFlag
 from sboc_e2e.icd.signals import DetectorView, StarList
 
@@ -29,13 +29,14 @@ SHAPE_SNR = 40.0
 LONG_TRAIL_PX = 4.0
 """Longer trails are not near enough to Gaussians; they get a template of their own."""
 
+LONGEST_TRAIL_PX = 100.0
 ENOUGH_SETTLED = 0.4
 """When fewer of the bright stars than this have the moments of a star, they are looked at as trails."""
 
 LEAST_TRAIL_SIGMA = 6.0
 MOST_BRIGHT_TRAILS = 24
 
-TRAILED_OVER_PSF = 1.5
+TRAILED_OVER_PSF = 2.0
 """Stars are called trailed when the smear is longer than this many PSF sigmas."""
 
 
@@ -124,9 +125,9 @@ class MatchedStars:
         nominal = FieldShape.nominal(view.psf_sigma_px, view.mask.shape)
         shape, share = measure_shape(view.residual_adu, view.mask, candidates, nominal)
         if len(candidates) >= LEAST_STARS and (shape.smear_px > LONG_TRAIL_PX or share < ENOUGH_SETTLED):
-            guess = first_guess(view.residual_adu, sigma)
-            if guess.length_px > LONG_TRAIL_PX:
-                return self._trailed(view, guess, sigma, gain)
+            trailed = self._trailed(view, sigma, gain)
+            if trailed is not None:
+                return trailed
         covariances = shape.covariance(peaks)
         fits, flags = np.empty((len(peaks), 6)), np.zeros(len(peaks), dtype=np.uint8)
         width = math.sqrt(float(shape.coefficients[[0, 2], 0].max()))
@@ -139,7 +140,7 @@ class MatchedStars:
         sharp = fits[:, 4] - COSMIC_SHARPNESS * psf_contrast > 5.0 / np.maximum(fits[:, 3], 1.0)
         flags[sharp] |= np.uint8(StarFlag.COSMIC_LIKE)
         flags[fits[:, 5] > NOT_A_STAR] |= np.uint8(StarFlag.BLENDED)
-        if shape.smear_px > TRAILED_OVER_PSF * view.psf_sigma_px:
+        if shape.smear_px > TRAILED_OVER_PSF * shape.sigma_px:
             flags |= np.uint8(StarFlag.TRAILED)
         saturation = view.header.saturation_adu if view.header.saturation_adu is not None else 65535.0
         bright = saturated_stars(view, saturation)
@@ -149,14 +150,19 @@ class MatchedStars:
             np.vstack((fits[:, :4], np.column_stack((bright, bright_snr)))), np.concatenate((flags, bright_flags)), gain
         )
 
-    def _trailed(self, view: DetectorView, guess: Trail, sigma_adu: float, gain_e_adu: float) -> StarList:
-        """Stars of a frame whose pointing moved by more than a few pixels."""
+    def _trailed(self, view: DetectorView, sigma_adu: float, gain_e_adu: float) -> StarList | None:
+        """Stars of a frame whose pointing moved by more than a few pixels; None when its stars share no such trail."""
         width = math.sqrt(view.psf_sigma_px**2 + 1.0 / 12.0)
         threshold = max(self.n_sigma, LEAST_TRAIL_SIGMA)
-        trail = guess
+        trail = first_guess(view.residual_adu, sigma_adu)
         for _ in range(2):
+            if not LONG_TRAIL_PX < trail.length_px < LONGEST_TRAIL_PX:
+                return None
             peaks = matched_peaks(view.residual_adu, trail, width, threshold, sigma_adu)[: self.max_stars]
-            trail, width = refined(view.residual_adu, view.mask, peaks[:MOST_BRIGHT_TRAILS], trail, width)
+            common = refined(view.residual_adu, view.mask, peaks[:MOST_BRIGHT_TRAILS], trail, width)
+            if common is None:
+                return None
+            trail, width = common
         fits, flags = np.empty((len(peaks), 4)), np.zeros(len(peaks), dtype=np.uint8)
         half = (0.5 * trail.drow, 0.5 * trail.dcol)
         fit_trails(view.residual_adu, view.mask, peaks, *half, width, sigma_adu, gain_e_adu, fits, flags)

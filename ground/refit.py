@@ -22,6 +22,8 @@ FLUX_AGREEMENT_SIGMAS: Final = 3.5
 MOVED_CHI2: Final = 25.0
 """Shift of the ends (heavy-tailed, so not 3 sigma) beyond which a frame does not belong to the joint motion."""
 
+OFF_MOTION_SIGMAS: Final = 3.5
+ROBUST_ITERATIONS: Final = 12
 UNUSUAL_CHI2: Final = 12.0
 CARRIED_SPREAD: Final = 1.5
 """Error of ends that other frames' motion gives, in units of the largest error of those frames' ends."""
@@ -120,7 +122,8 @@ def _refit_of_agreeing(frames: Sequence[TrackletFrame], sigma_acceleration: floa
     A star that no catalogue knows under or beside one trail would bend the common motion of all: such a frame stands out
     by brightness and width, or by ends that the joint fit moves further than they can err.
     """
-    used = [k for k, usual in enumerate(_usual([frame.fit for frame in frames])) if usual]
+    usual = _usual([frame.fit for frame in frames]) & _on_one_motion(frames, sigma_acceleration)
+    used = [int(k) for k in np.flatnonzero(usual)]
     while True:
         if len(used) < 2:
             return [], ()
@@ -203,6 +206,37 @@ def _usual(fits: Sequence[StreakFit]) -> NDArray[np.bool_]:
     by_density = (density - np.median(density)) / np.hypot(density_err, TUMBLING * np.median(density))
     by_width = (width - np.median(width)) / np.maximum(width_err, 1e-3)
     return np.asarray(by_density**2 + np.nan_to_num(by_width) ** 2 < UNUSUAL_CHI2)
+
+
+def _on_one_motion(frames: Sequence[TrackletFrame], sigma_acceleration: float) -> NDArray[np.bool_]:
+    """Whether the ends of each single fit lie on the parabola that most ends lie on (Cauchy weights, iterated)."""
+    t_s, along, sigma, owner = [], [], [], []
+    for k, frame in enumerate(frames):
+        unit, _ = _along_of(frame.fit)
+        covariance = np.asarray(frame.fit.covariance_px2)
+        ends = ((StreakFlag.EDGE0, frame.t_open_s, frame.along0, 0), (StreakFlag.EDGE1, frame.t_close_s, frame.along1, 2))
+        for flag, epoch, position, i in ends:
+            if not frame.fit.flags & flag:
+                variance = float(unit @ covariance[i : i + 2, i : i + 2] @ unit)
+                t_s.append(epoch)
+                along.append(position)
+                sigma.append(float(np.sqrt(max(variance, 0.01))) * frame.along_per_px)
+                owner.append(k)
+    good = np.ones(len(frames), dtype=bool)
+    if len(t_s) < 6:
+        return good
+    t, y, error = np.array(t_s), np.array(along), np.array(sigma)
+    design = np.stack((np.ones_like(t), t - t.mean(), 0.5 * (t - t.mean()) ** 2), axis=1)
+    prior = np.diag([0.0, 0.0, sigma_acceleration**-2])
+    weight = np.ones_like(t)
+    z = np.zeros_like(t)
+    for _ in range(ROBUST_ITERATIONS):
+        weighted = design * (weight / error**2)[:, None]
+        motion = np.linalg.solve(weighted.T @ design + prior, weighted.T @ y)
+        z = (y - design @ motion) / error
+        weight = 1.0 / (1.0 + (z / 2.0) ** 2)
+    np.logical_and.at(good, np.array(owner), np.abs(z) < OFF_MOTION_SIGMAS)
+    return good
 
 
 def _moved_chi2(single: StreakFit, joint: StreakFit) -> float:

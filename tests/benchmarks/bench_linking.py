@@ -197,7 +197,7 @@ def main(quick: bool = True) -> dict[str, Any]:
             movers = movers_of(view, np.random.default_rng([1, seed]), 120 if px_s[1] > 5000 else 60, 12.0, px_s)
             runs.append(score(view, movers, 48, seed, **settings))
         out[name] = summed(runs)
-    scale = 1 if quick else 10
+    scale = 1 if quick else 20
     out["false_50_chance_streaks"] = false_tracklets(3000 * scale, 50, cosmic=False, seed=5)
     out["false_20_cosmics_left_of_1000"] = false_tracklets(3000 * scale, 20, cosmic=True, seed=6)
     out["false_100_cosmics_left_of_5000"] = false_tracklets(1000 * scale, 100, cosmic=True, seed=7)

@@ -82,7 +82,9 @@ def population(n: int, seed: int, *, kind: str, step: RangeScan, error_px: float
             "i": got.i_deg,
             "size": got.size_m,
         }
-        for name, value in (truth | {"size": one.size_m}).items():
+        if math.isfinite(one.mag):
+            truth["size"] = one.size_m
+        for name, value in truth.items():
             inside[name] += int(found[name][0] <= value <= found[name][2])
         errors["range"].append(abs(got.range_km[1] / one.range_km - 1.0))
         errors["altitude"].append(abs(got.altitude_km[1] - altitude))
@@ -101,9 +103,9 @@ def population(n: int, seed: int, *, kind: str, step: RangeScan, error_px: float
         if chosen.sum() >= 10:
             by_size[f"{1e3 * low:g}-{1e3 * high:g} mm"] = median(table["range"][chosen], boot)
     return {
-        "coverage_90": {name: share(count, n) for name, count in inside.items()},
+        "coverage_90": {name: share(count, n) for name, count in inside.items() if name != "size" or kind != "volume"},
         "range_error_median": median(table["range"], boot),
-        "range_error_median_by_size": by_size,
+        "range_error_median_by_size": by_size if kind != "volume" else {},
         "range_within_30_percent": share(int((table["range"] < 0.3).sum()), n),
         "altitude_error_median_km": median(table["altitude"], boot),
         "a_error_median_km": median(table["a"], boot),

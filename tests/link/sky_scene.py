@@ -213,6 +213,8 @@ def observe(
                 continue
             grid = np.linspace(t_a, t_b, 400)
             p = mover.position[:, None] + mover.velocity[:, None] * grid
+            if (p[2] < 0.1).any():
+                continue
             path = np.stack(
                 [
                     0.5 * (camera.rows - 1) + camera.focal_px * p[1] / p[2],

@@ -9,7 +9,7 @@ import sys
 import tempfile
 import traceback
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"):
     # Worker processes parallelise; threads of libraries would only compete with them and change the order of sums.
@@ -27,7 +27,7 @@ CHECK_FAILED: Final = 1
 USER_ERROR: Final = 2
 PROGRAM_ERROR: Final = 3
 
-USAGE_ERROR: Final = typer.BadParameter.__mro__[2]
+USAGE_ERROR: Final[Any] = typer.BadParameter.__mro__[2]
 """Base of everything that the command-line parser complains about; its public name differs between versions of typer."""
 
 MENDABLE: Final = {

@@ -19,6 +19,7 @@ APIDS = frozenset(int(apid) for apid in layout.Apid)
 PREAMBLE_OFFSET = layout.PRIMARY.size
 TIME_OFFSET = PREAMBLE_OFFSET + len(layout.CUC_PREAMBLE)
 ITEM_OFFSET = TIME_OFFSET + layout.CUC_TIME.size
+LONGEST_EXPOSURE_NS = 2**53
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)
@@ -102,13 +103,14 @@ def _checksum_holds(stream: bytes, start: int, length: int) -> bool:
 
 
 def _parse(stream: bytes, start: int, length: int) -> Packet | None:
-    """An intact packet's fields; None when it is of another major version of the contract or its segments make no sense."""
+    """An intact packet's fields; None when it is of another major version of the contract or its fields make no sense."""
     first, second, _ = layout.PRIMARY.unpack_from(stream, start)
     seconds, fraction = layout.CUC_TIME.unpack_from(stream, start + TIME_OFFSET)
     major, _, run_id, frame, exposure_ns, line_time_ns, item, segment, n_segments = layout.ITEM.unpack_from(
         stream, start + ITEM_OFFSET
     )
-    if major != CONTRACT_MAJOR or segment >= n_segments:
+    sensible = segment < n_segments and exposure_ns <= LONGEST_EXPOSURE_NS and line_time_ns > -(2**31)
+    if major != CONTRACT_MAJOR or not sensible:
         return None
     return Packet(
         apid=first & 0x07FF,

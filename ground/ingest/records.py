@@ -26,6 +26,7 @@ Decoders = Mapping[int, Decoder]
 LARGEST_TABLE = 1 << 16
 """Nodes of a background mesh or cells of a thumbnail."""
 
+LARGEST_UNIT_ADU = 1e9
 MEMORY_FLOOR_BYTES = 1 << 27
 MEMORY_PER_STREAM_BYTE = 40
 """Noise expands about tenfold when it is decoded; a stream that claims much more is not a downlink."""
@@ -207,6 +208,8 @@ def decode_telemetry(payload: bytes, offset: int) -> Telemetry:
     present, frame = fields[0], fields[1]
     attitude, observer = None, None
     if present & layout.HAS_ATTITUDE:
+        if not all(abs(component) <= 2.0 for component in fields[2:6]):
+            raise ContractError(f"telemetry: expected a unit quaternion, got {fields[2:6]}")
         covariance = np.empty((3, 3))
         upper = np.triu_indices(3)
         covariance[upper] = fields[9:15]
@@ -293,7 +296,7 @@ def decode_mesh(packet: Packet) -> MeshBand:
         layout.MESH, packet.payload, "background packet"
     )
     _check_band("background packet", rows, cols, first, n_rows)
-    if tile == 0 or not (math.isfinite(level_unit) and math.isfinite(sigma_unit)):
+    if tile == 0 or not (0.0 < level_unit <= LARGEST_UNIT_ADU and 0.0 < sigma_unit <= LARGEST_UNIT_ADU):
         raise ContractError(f"background packet: expected a tile size and units, got {tile}, {level_unit}, {sigma_unit}")
     blocks = packet.payload[layout.MESH.size :]
     shape = (n_rows, cols)
@@ -312,7 +315,7 @@ def decode_thumbnail(packet: Packet) -> ThumbnailBand:
     """A thumbnail packet."""
     rows, cols, cell, first, n_rows, offset, unit = _unpack(layout.THUMBNAIL, packet.payload, "thumbnail packet")
     _check_band("thumbnail packet", rows, cols, first, n_rows)
-    if cell == 0 or not (math.isfinite(offset) and math.isfinite(unit)):
+    if cell == 0 or not (0.0 < unit <= LARGEST_UNIT_ADU and abs(offset) <= 1e3 * LARGEST_UNIT_ADU):
         raise ContractError(f"thumbnail packet: expected a cell size and units, got {cell}, {offset}, {unit}")
     plain = inflate(packet.payload[layout.THUMBNAIL.size :], n_rows * cols)
     cells = np.frombuffer(plain, dtype=np.uint8).reshape(n_rows, cols)

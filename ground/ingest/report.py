@@ -23,7 +23,8 @@ class IngestReport:
     run_id : the run that was decoded; None when there was no intact packet.
     foreign_runs : intact packets of other runs, by run id. corrupted : packets with a wrong checksum; truncated :
     packets that the end of the stream cut; garbage_bytes : bytes outside intact packets; other_contract : intact packets
-    of another contract version. conflicts : packets with the same place in a frame but other content.
+    of another contract version, or with fields out of range. conflicts : packets with the same place in a frame but
+    other content.
     frames_complete, frames_incomplete : frame numbers; frames_missing : numbers between the first and the last of which
     nothing arrived; frames_unusable : something arrived, but not enough to build the frame.
     missing_segments : per incomplete frame, how many packets of each kind are known to be missing.

@@ -209,6 +209,19 @@ def allocation_growth_mb(chain: OnboardChain, frame: Frame, n_frames: int) -> di
     return {"value": (late - early) / 1e6, "n": n_frames}
 
 
+def sizing(detector: Callable[[], Detector], frames: list[tuple[Frame, FrameTruth]], calibration: Calibration) -> dict[str, Any]:
+    """Memory that the chain with its calibration allocates, per frame and per Mpx, beside the frame itself."""
+    tracemalloc.start()
+    chain = chain_of(detector(), calibration)
+    state = chain.initial_state()
+    for frame, _ in frames[:3]:
+        state, _ = chain.process(state, frame)
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    mpx = frames[0][0].pixels.size / 1e6
+    return {"peak_allocated_mb": {"value": peak / 1e6, "n": 3}, "peak_allocated_mb_per_mpx": {"value": peak / 1e6 / mpx, "n": 3}}
+
+
 def cropped(frame: Frame, calibration: Calibration, side: int) -> tuple[OnboardChain, Frame]:
     """A chain and a frame of the first `side` rows and cols."""
     header = replace(frame.header, rows=side, cols=side)
@@ -243,6 +256,13 @@ def main(quick: bool = False) -> dict[str, Any]:
     out["speedup_over_sep"] = {"value": his / own, "n": n_frames - 1}
     out["stars"] = star_figures(bare[0].stars, frames[0][1], float(frames[0][1].frame["noise_e"][0]))
     out["peak_rss_mb_with_simulator"] = {"value": peak_kb / 1024.0, "n": 1}
+    out["memory_without_detector"] = sizing(NoDetector, frames, calibration)
+    out["memory_line_integral"] = sizing(LineIntegralDetector, frames, calibration)
+    per_frame = out["chain_without_detector"]["cpu_s_per_frame"]["value"]
+    out["chain_without_detector"]["cpu_ms_per_mpx"] = {
+        "value": 1e3 * per_frame / (frames[0][0].pixels.size / 1e6),
+        "n": n_frames - 1,
+    }
     corner = cropped(frames[0][0], calibration, 512)
     out["allocation_growth_mb"] = allocation_growth_mb(*corner, 100 if quick else 1000)
     return out

@@ -20,6 +20,7 @@ from sboc_e2e.icd.layout import CodecNumber
 from sboc_e2e.icd.signals import BackgroundModel, Detection, DetectorView, StarList
 from sboc_e2e.icd.steps import Decoder, Encoder
 from sboc_e2e.registry import SEAMS, Registry, Seam
+from sboc_e2e.scenario import option_models
 
 SHAPE: Final = (256, 320)
 OUTSIDE_TOLERANCE_PX: Final = 2.0
@@ -107,10 +108,9 @@ def _expect(condition: bool, otherwise: str) -> None:
 
 
 def _options_round_trip(step: Any) -> None:
-    from sboc_e2e.scenario import option_models
-
-    model = option_models.validate(option_models.model_of(type(step)), option_models.to_document(step), type(step).__name__)
-    _expect(option_models.build(type(step), model, "options") == step, "options change when written and read back")
+    kind: Any = type(step)
+    model = option_models.validate(option_models.model_of(kind), option_models.to_document(step), kind.__name__)
+    _expect(option_models.build(kind, model, "options") == step, "options change when written and read back")
 
 
 # -- detectors and star extractors --------------------------------------------------------------------------------------
@@ -174,7 +174,11 @@ def _view_questions(
     method: Callable[[DetectorView], Any], history: Callable[[], int], sound: Callable[[Any], None]
 ) -> Iterator[Verdict]:
     for kind in VIEWS:
-        yield _asked(f"survives a frame: {kind}", lambda kind=kind: sound(method(synthetic_view(kind, history()))))
+
+        def survived(kind: str = kind) -> None:
+            sound(method(synthetic_view(kind, history())))
+
+        yield _asked(f"survives a frame: {kind}", survived)
     yield _asked("survives without history", lambda: sound(method(synthetic_view("streak"))))
     yield _asked("leaves its input untouched", lambda: _input_untouched(method, synthetic_view("streak", history())))
     yield _asked("gives the same twice", lambda: _same_twice(method, synthetic_view("streak", history())))

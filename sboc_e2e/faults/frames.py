@@ -3,6 +3,7 @@
 import dataclasses
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sboc_e2e.faults.options import FaultOptions, HeaderFaults, PixelFaults
 from sboc_e2e.faults.random import FaultStream, generator
@@ -52,7 +53,7 @@ def _turned(attitude: AttitudeEstimate, angle_deg: float) -> AttitudeEstimate:
     return dataclasses.replace(attitude, quaternion=turned / np.linalg.norm(turned))
 
 
-def _damaged_pixels(frame: Frame, options: PixelFaults) -> np.ndarray[tuple[int, int], np.dtype[np.uint16]]:
+def _damaged_pixels(frame: Frame, options: PixelFaults) -> NDArray[np.uint16] | NDArray[np.float32]:
     """Pixels after the detector's faults; integer frames stay integer."""
     rows, cols = frame.pixels.shape
     image = frame.pixels.astype(np.float32)

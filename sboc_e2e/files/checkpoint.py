@@ -46,7 +46,8 @@ def to_bytes(value: Any, shared: Mapping[str, Any] = MappingProxyType({})) -> by
     arrays: list[NDArray[Any]] = []
     tree = json.dumps(_encode(value, arrays, {}, {id(item): name for name, item in shared.items()}))
     stream = io.BytesIO()
-    np.savez(stream, **{_TREE: np.frombuffer(tree.encode(), dtype=np.uint8)}, **{f"a{i}": a for i, a in enumerate(arrays)})
+    members: dict[str, Any] = {f"a{i}": array for i, array in enumerate(arrays)}
+    np.savez(stream, allow_pickle=False, **members, **{_TREE: np.frombuffer(tree.encode(), dtype=np.uint8)})
     return stream.getvalue()
 
 
@@ -110,7 +111,7 @@ def _decode(node: Any, arrays: list[NDArray[Any]], shared: Mapping[str, Any]) ->
         return _class(content, Enum)(node["value"])
     if kind == "record":
         found = _class(content, None)
-        record = object.__new__(found)
+        record: Any = object.__new__(found)
         for name, item in node["fields"].items():
             object.__setattr__(record, name, _decode(item, arrays, shared))
         return record

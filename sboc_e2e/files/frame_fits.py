@@ -46,7 +46,9 @@ def read(path: Path) -> Frame:
             header = _header(row, pixels.shape)
     except (OSError, KeyError, IndexError, ValueError, TypeError) as error:
         raise UserError(f"{path}: not a frame of a run ({type(error).__name__}); run the simulate stage again") from error
-    return Frame(header=header, pixels=pixels.astype(np.float32 if pixels.dtype.kind == "f" else np.uint16))
+    if pixels.dtype.kind == "f":
+        return Frame(header=header, pixels=pixels.astype(np.float32))
+    return Frame(header=header, pixels=pixels.astype(np.uint16))
 
 
 def to_bytes(frame: Frame) -> bytes:

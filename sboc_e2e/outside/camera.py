@@ -28,7 +28,7 @@ def camera_of_preset(name: str, registry: Registry) -> NominalCamera:
     path = Path(name) if name.endswith(".toml") else preset_path(name, FOLDER, "--camera")
     document = read(path) | {"frames": 1, "population": {"classes": []}, "objects": {"passing": []}}
     scenario = from_document(document, name=path.stem, registry=registry, where=str(path))
-    return Simulator(scenario.simulator, seed=scenario.seed, catalogue=StarCatalogue.embedded()).camera
+    return Simulator(scenario.simulator, seed=scenario.seed, catalogue=StarCatalogue.embedded()).camera()
 
 
 def camera_of_frame(sourced: SourcedFrame) -> NominalCamera:

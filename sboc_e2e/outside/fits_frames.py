@@ -251,7 +251,7 @@ class _quietly(warnings.catch_warnings):
     """Headers of other people break the standard in ways that do not matter here."""
 
     def __init__(self) -> None:
-        super().__init__(action="ignore")
+        super().__init__(record=False, action="ignore")
 
 
 def _first_line(error: BaseException) -> str:

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
-from onboard.chain import OnboardChain, OnboardSteps
+from onboard.chain import OnboardChain, OnboardState, OnboardSteps
 from sboc_e2e.faults import FaultOptions, damaged_packets, split_packets
 from sboc_e2e.files.atomic import replacing, write_bytes
 from sboc_e2e.icd.frame import Calibration, Frame, NominalCamera
@@ -40,7 +40,8 @@ class OnboardStage:
     def __post_init__(self) -> None:
         self._keeper = StateKeeper(run=self.run, stage=STAGE)
         last = self._keeper.last()
-        self.first, self._state = (0, self.chain.initial_state()) if last is None else (last[0] + 1, last[1])
+        self.first: int = 0 if last is None else last[0] + 1
+        self._state: OnboardState = self.chain.initial_state() if last is None else last[1]
 
     def take(self, frames: Iterable[Frame], progress: Progress) -> int:
         """Process frames in order; returns how many the run has in all."""

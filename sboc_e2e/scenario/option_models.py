@@ -110,7 +110,8 @@ def to_options(options: type, model: BaseModel, default: Any = None) -> Any:
 def to_document(instance: Any) -> dict[str, Any]:
     """TOML-shaped table of all options of an instance, defaults included; None is left out."""
     table: dict[str, Any] = {}
-    for item in option_fields(type(instance)):
+    kind: Any = type(instance)
+    for item in option_fields(kind):
         value = getattr(instance, item.name)
         if value is not None:
             table[item.key] = _document_value(value, item.unit)

@@ -24,10 +24,13 @@ frame_rate = "4 Hz"
 preset = "smoke_wide"
 rows = 128
 cols = 128
-pixel = "72 um"
+pixel = "144 um"
 
 [population]
 candidates = 2000
+
+[ground.astrometry]
+lost_in_space = "never"
 
 [output]
 keep_frames_every = 1

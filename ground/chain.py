@@ -18,12 +18,14 @@ from ground.link import apply_links
 from ground.options import GroundOptions
 from ground.photometry.known_stars import FrameLight, frame_light
 from ground.photometry.magnitude import streak_magnitude
+from ground.photometry.psf_width import with_star_list
 from ground.photometry.streak_pixels import streak_pixels
 from ground.photometry.zero_point import flat_at
-from ground.records import FrameProducts, GroundProducts
+from ground.records import FrameProducts, GroundProducts, GroundState
 from ground.refit import refit_streaks
 from ground.sky.measure import initial_epochs_ns, middle_of, with_sky
 from ground.sky.pixel_sky import HeaderSky, PixelSky, SolvedSky
+from ground.streaks.psf_field import PsfField
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
@@ -85,31 +87,47 @@ class GroundChain:
         """Frames rebuilt from all intact packets, by frame number, and what was missing."""
         return decode_downlink(downlink, self._steps.decoders)
 
-    def initial_state(self) -> Any:
-        """State of the sequential step (astrometry) before the first frame; picklable."""
-        return self._steps.astrometry.initial_state(self._calibration_of(None), self._catalogue)
+    def initial_state(self) -> GroundState:
+        """State before the first frame; picklable."""
+        camera = self._camera
+        return GroundState(
+            astrometry=self._steps.astrometry.initial_state(self._calibration_of(None), self._catalogue),
+            psf=PsfField.nominal(camera.psf_sigma_px, (camera.rows, camera.cols)),
+        )
 
-    def process_frame(self, state: Any, frame: DownlinkFrame, *, wcs: Any = None) -> tuple[Any, FrameProducts]:
+    def process_frame(self, state: GroundState, frame: DownlinkFrame, *, wcs: Any = None) -> tuple[GroundState, FrameProducts]:
         """Camera solution, zero point and measured streaks of one frame; frames come in order.
 
         wcs : an astropy WCS (ICRS) that came with the frame and is used for directions instead of a solution.
         """
         calibration = self._calibration_of(frame.header)
+        astrometry, psf = state.astrometry, state.psf
+        if not state.growth_known:
+            psf = with_star_list(psf, frame)
+        growth_known = state.growth_known or psf is not state.psf
         if wcs is None:
-            state, solution = self._steps.astrometry.solve(state, frame)
+            astrometry, solution = self._steps.astrometry.solve(astrometry, frame)
         else:
             solution = identify_by_header(frame, wcs, self._catalogue, self._camera)
         photometry = self._steps.photometry.calibrate(frame, solution, calibration)
         sky = _sky_of(frame.header, solution, wcs)
-        fits, flats = self._fit_streaks(frame, solution, photometry, calibration)
+        fits, flats = self._fit_streaks(frame, solution, photometry, calibration, psf)
         probabilities = self._steps.vetter.probability(fits, frame)
         streaks = tuple(
             self._measurement(number, fit, float(probabilities[number]), frame, solution, photometry, sky, flats[number])
             for number, fit in enumerate(fits)
         )
-        return state, FrameProducts(
-            header=frame.header, solution=solution, photometry=photometry, streaks=streaks, mean_flat=tuple(flats), wcs=wcs
+        likely = [s.fit for s in streaks if not s.flags & StreakFlag.VETOED]
+        products = FrameProducts(
+            header=frame.header,
+            solution=solution,
+            photometry=photometry,
+            streaks=streaks,
+            mean_flat=tuple(flats),
+            psf=psf,
+            wcs=wcs,
         )
+        return GroundState(astrometry=astrometry, psf=psf.updated(likely), growth_known=growth_known), products
 
     def finish(
         self, frames: Sequence[DownlinkFrame], products: Sequence[FrameProducts], ingest: IngestReport | None = None
@@ -147,7 +165,7 @@ class GroundChain:
         @lru_cache(maxsize=FRAMES_REMEMBERED)
         def light_of(number: int) -> FrameLight:
             product = products[place[number]]
-            return self._light(frames[place[number]], product.solution, product.photometry)
+            return self._light(frames[place[number]], product.solution, product.photometry, product.psf)
 
         def pixels_of(streak: StreakMeasurement) -> StreakPixels:
             frame = frames[place[streak.frame]]
@@ -156,21 +174,26 @@ class GroundChain:
 
         return pixels_of
 
-    def _light(self, frame: DownlinkFrame, solution: FrameSolution, photometry: PhotometricSolution) -> FrameLight:
-        return frame_light(frame, solution, photometry, self._calibration_of(frame.header), self._catalogue)
+    def _light(self, frame: DownlinkFrame, solution: FrameSolution, photometry: PhotometricSolution, psf: PsfField) -> FrameLight:
+        return frame_light(frame, solution, photometry, self._calibration_of(frame.header), self._catalogue, psf)
 
     def _pixels(self, group: RoiGroup, frame: DownlinkFrame, light: FrameLight) -> tuple[StreakPixels, bool]:
         error = self._options.streak_photometry.star_model_error
         return streak_pixels(group, frame, self._calibration_of(frame.header), light, star_model_error=error)
 
     def _fit_streaks(
-        self, frame: DownlinkFrame, solution: FrameSolution, photometry: PhotometricSolution, calibration: Calibration
+        self,
+        frame: DownlinkFrame,
+        solution: FrameSolution,
+        photometry: PhotometricSolution,
+        calibration: Calibration,
+        psf: PsfField,
     ) -> tuple[list[StreakFit], list[float]]:
         """Fit of each ROI group, with the flags that the pixels and the packets say; and the mean flat under each."""
         if not frame.rois:
             return [], []
         gain_assumed = StreakFlag.GAIN_ASSUMED if frame.header.gain_e_adu is None else StreakFlag(0)
-        light = self._light(frame, solution, photometry)
+        light = self._light(frame, solution, photometry, psf)
         fits, flats = [], []
         for group in frame.rois:
             pixels, crossed = self._pixels(group, frame, light)

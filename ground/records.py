@@ -4,8 +4,22 @@ from dataclasses import dataclass
 from typing import Any
 
 from ground.ingest import IngestReport
+from ground.streaks.psf_field import PsfField
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution, OrbitEstimate, PhotometricSolution, StreakMeasurement, Tracklet
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class GroundState:
+    """What the chain carries from frame to frame.
+
+    astrometry : state of the astrometry step. psf : learned width of the PSF. growth_known : whether a star list has told
+    how it grows over the field.
+    """
+
+    astrometry: Any
+    psf: PsfField
+    growth_known: bool = False
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -13,6 +27,7 @@ class FrameProducts:
     """Results of one frame before linking.
 
     streaks : all measured ones, vetoed ones flagged VETOED. mean_flat : response at each streak relative to the axis.
+    psf : width of the PSF over the field, as the run knew it when this frame came.
     wcs : the astropy WCS that came with the frame and was used, None when the frame was solved.
     """
 
@@ -21,6 +36,7 @@ class FrameProducts:
     photometry: PhotometricSolution
     streaks: tuple[StreakMeasurement, ...]
     mean_flat: tuple[float, ...]
+    psf: PsfField
     wcs: Any = None
 
 

@@ -70,6 +70,8 @@ def refit_streaks(
             member = members[k]
             if fit is not member.fit:
                 line_ns = header_of[member.frame].line_time_ns
+                # stars under the trail are masked in the single fit only: its light per length, the joint fit's length
+                fit = replace(fit, flux_e=member.fit.flux_e * fit.length_px / max(member.fit.length_px, 1e-6))
                 row_mid, col_mid = middle_of(fit)
                 moved = np.array([fit.row0, row_mid, fit.row1]) - np.array([member.fit.row0, member.row_mid, member.fit.row1])
                 changed = StreakFlag.REFIT | StreakFlag.ENDS_NOT_GAUSSIAN

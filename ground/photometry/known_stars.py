@@ -9,8 +9,8 @@ from scipy.spatial import cKDTree
 from ground.astrometry.apparent import apparent_directions, jyear_of, mid_frame_tai_ns, observer_at
 from ground.astrometry.camera import Camera
 from ground.astrometry.rotation import matrix_of
-from ground.photometry.psf_width import PsfWidth, psf_width
 from ground.photometry.zero_point import SUN_B_V, flat_at
+from ground.streaks.psf_field import PsfField
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag, StarFlag
@@ -41,7 +41,7 @@ class FrameLight:
     """What the pixels of a frame's streaks are freed from and fitted with: the known stars, the PSF's width."""
 
     stars: KnownStars
-    width: PsfWidth
+    psf: PsfField
 
 
 def frame_light(
@@ -50,10 +50,10 @@ def frame_light(
     photometry: PhotometricSolution,
     calibration: Calibration,
     catalogue: StarCatalogue,
+    psf: PsfField,
 ) -> FrameLight:
     """Known stars and PSF width of a frame."""
-    stars = known_stars(frame, solution, photometry, calibration, catalogue)
-    return FrameLight(stars=stars, width=psf_width(frame, calibration.camera))
+    return FrameLight(stars=known_stars(frame, solution, photometry, calibration, catalogue), psf=psf)
 
 
 def known_stars(

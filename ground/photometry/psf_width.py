@@ -6,7 +6,7 @@ PASP 95, 163) all over the field. Its scale hangs on the sigma that the extracto
 only that is taken: the width grows as the square of the distance from the axis, from the nominal width on it.
 """
 
-from dataclasses import dataclass
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from ground.photometry.background import background_at, gain_e_adu
 from ground.photometry.zero_point import UNUSABLE
+from ground.streaks.psf_field import PsfField
 from sboc_e2e.icd.downlink import DownlinkFrame
-from sboc_e2e.icd.frame import NominalCamera
 
 Array = NDArray[np.float64]
 
@@ -27,47 +27,39 @@ PRIOR_GROWTH: Final = 0.15
 STAR_SCATTER: Final = 0.04
 """Relative scatter of one star's width: steps of the transmitted S/N, neighbours, noise of the mesh."""
 
+GROWTH_ERROR: Final = 0.03
+"""Of the growth from one star list; taken once in a run, because the lists of all frames err alike."""
+
+LARGEST_GROWTH: Final = 0.8
 N_ITERATIONS: Final = 5
 
 
-@dataclass(frozen=True, kw_only=True)
-class PsfWidth:
-    """``sigma_px (1 + growth r^2)``, r the distance from the optical axis in half diagonals of the frame."""
-
-    sigma_px: float
-    growth: float
-    center_row: float
-    center_col: float
-    half_diagonal_px: float
-
-    def at(self, row: float, col: float) -> float:
-        """PSF sigma (px) at a pixel."""
-        r2 = ((row - self.center_row) ** 2 + (col - self.center_col) ** 2) / self.half_diagonal_px**2
-        return self.sigma_px * (1.0 + self.growth * r2)
+def with_star_list(field: PsfField, frame: DownlinkFrame) -> PsfField:
+    """The field of a run after the growth that a frame's star list shows; unchanged where stars are too few to tell."""
+    growth = growth_of(frame, field.center_row, field.center_col)
+    if growth is None:
+        return field
+    weight = GROWTH_ERROR**-2
+    evidence = np.diag([0.0, weight])
+    # PsfField holds ln sigma = a + b r^2
+    return replace(field, normal=field.normal + evidence, right=field.right + evidence @ np.array([0.0, np.log1p(growth)]))
 
 
-def psf_width(frame: DownlinkFrame, camera: NominalCamera) -> PsfWidth:
-    """The PSF's width over a frame; the nominal one everywhere where stars are too few to tell."""
+def growth_of(frame: DownlinkFrame, center_row: float, center_col: float) -> float | None:
+    """Relative widening of the PSF from the centre to the corner; None where stars are too few to tell."""
     header, stars = frame.header, frame.stars
-    half = 0.5 * float(np.hypot(header.rows, header.cols))
     clean = np.flatnonzero(((stars.flags & UNUSABLE) == 0) & (stars.flux_e > 0.0) & (stars.snr > 0.0))
-    growth = 0.0
-    if len(clean) >= FEWEST_STARS and frame.background is not None:
-        row, col = stars.row[clean], stars.col[clean]
-        near_row = np.clip(np.rint(row), 0, header.rows - 1).astype(np.intp)
-        near_col = np.clip(np.rint(col), 0, header.cols - 1).astype(np.intp)
-        _, sigma_adu = background_at(frame, near_row, near_col)
-        area_px = (stars.flux_e[clean] / (stars.snr[clean] * sigma_adu * gain_e_adu(header))) ** 2
-        width = np.sqrt(np.maximum(area_px / (4.0 * np.pi) - PIXEL_VARIANCE_PX2, 1e-3))
-        r2 = ((row - camera.center_row) ** 2 + (col - camera.center_col) ** 2) / half**2
-        growth = _relative_growth(width, r2)
-    return PsfWidth(
-        sigma_px=camera.psf_sigma_px,
-        growth=growth,
-        center_row=camera.center_row,
-        center_col=camera.center_col,
-        half_diagonal_px=half,
-    )
+    if len(clean) < FEWEST_STARS or frame.background is None:
+        return None
+    row, col = stars.row[clean], stars.col[clean]
+    near_row = np.clip(np.rint(row), 0, header.rows - 1).astype(np.intp)
+    near_col = np.clip(np.rint(col), 0, header.cols - 1).astype(np.intp)
+    _, sigma_adu = background_at(frame, near_row, near_col)
+    area_px = (stars.flux_e[clean] / (stars.snr[clean] * sigma_adu * gain_e_adu(header))) ** 2
+    width = np.sqrt(np.maximum(area_px / (4.0 * np.pi) - PIXEL_VARIANCE_PX2, 1e-3))
+    half2 = 0.25 * (header.rows**2 + header.cols**2)
+    growth = _relative_growth(width, ((row - center_row) ** 2 + (col - center_col) ** 2) / half2)
+    return growth if abs(growth) < LARGEST_GROWTH else None
 
 
 def _relative_growth(width: Array, r2: Array) -> float:

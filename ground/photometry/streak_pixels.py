@@ -30,7 +30,7 @@ def streak_pixels(
     The flat is applied relative to its mean over the group, so that the fitted flux is what fell on the detector.
     """
     header, found = frame.header, group.detection
-    psf_sigma_px = light.width.at(0.5 * (found.row0 + found.row1), 0.5 * (found.col0 + found.col1))
+    psf_sigma_px = light.psf.sigma_px(0.5 * (found.row0 + found.row1), 0.5 * (found.col0 + found.col1), found.length_px)
     row, col, value_adu = _unique_pixels(group, header)
     value_adu = value_adu * frame.adu_scale + frame.adu_offset
     gain = gain_e_adu(header)

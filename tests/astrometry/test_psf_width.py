@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ground.photometry.psf_width import psf_width
+from ground.photometry.psf_width import growth_of, with_star_list
+from ground.streaks.psf_field import PsfField
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.frame import NominalCamera
@@ -36,14 +37,16 @@ def _frame(growth: float, sigma_used: float, n: int = 250) -> tuple[DownlinkFram
 @pytest.mark.parametrize("sigma_used", [SIGMA_ADU, 1.3 * SIGMA_ADU])
 def test_growth_towards_the_corner_is_found(growth, sigma_used):
     frame, camera = _frame(growth, sigma_used)
-    width = psf_width(frame, camera)
-    assert width.at(camera.center_row, camera.center_col) == camera.psf_sigma_px
-    # 3 % of the width at the corner, with a wrong sigma bending it a little more through the pixel's own share
-    assert abs(width.at(0.0, 0.0) / camera.psf_sigma_px - (1.0 + growth)) < 0.035
+    # 3.5 % at the corner, with a wrong sigma bending it a little through the pixel's own share
+    assert abs(growth_of(frame, camera.center_row, camera.center_col) - growth) < 0.035
+    field = with_star_list(PsfField.nominal(camera.psf_sigma_px, (4096, 4096)), frame)
+    assert abs(field.sigma_px(0.0, 0.0) / field.sigma_px(2047.5, 2047.5) - (1.0 + growth)) < 0.05
+    assert abs(field.sigma_px(2047.5, 2047.5) / camera.psf_sigma_px - 1.0) < 1e-9
 
 
 def test_few_stars_or_no_background_say_nothing():
     frame, camera = _frame(0.4, SIGMA_ADU, n=20)
-    assert psf_width(frame, camera).growth == 0.0
+    field = PsfField.nominal(camera.psf_sigma_px, (4096, 4096))
+    assert with_star_list(field, frame) is field
     frame, camera = _frame(0.4, SIGMA_ADU)
-    assert psf_width(replace(frame, background=None), camera).growth == 0.0
+    assert with_star_list(field, replace(frame, background=None)) is field

@@ -8,8 +8,8 @@ from scipy.special import erf
 
 from ground.photometry.background import background_at
 from ground.photometry.known_stars import FrameLight, KnownStars
-from ground.photometry.psf_width import PsfWidth
 from ground.photometry.streak_pixels import streak_pixels
+from ground.streaks.psf_field import PsfField
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag, MaskBit
 from sboc_e2e.icd.frame import Calibration, FrameHeader, NominalCamera
@@ -18,7 +18,7 @@ from sboc_e2e.icd.signals import BackgroundModel, Detection, RoiGroup, StarList,
 SHAPE = (120, 160)
 GAIN, PSF = 1.5, 0.9
 DETECTION = Detection(row0=40.0, col0=30.0, row1=60.0, col1=110.0, snr=20.0)
-WIDTH = PsfWidth(sigma_px=PSF, growth=0.0, center_row=59.5, center_col=79.5, half_diagonal_px=100.0)
+WIDTH = PsfField.nominal(PSF, SHAPE)
 NO_STARS = KnownStars(row=np.zeros(0), col=np.zeros(0), flux_e=np.zeros(0), from_catalogue=np.zeros(0, dtype=bool))
 
 
@@ -112,7 +112,7 @@ def scene():
 
 def _pixels(scene, stars):
     frame, calibration, group, _ = scene
-    return streak_pixels(group, frame, calibration, FrameLight(stars=stars, width=WIDTH), star_model_error=0.05)
+    return streak_pixels(group, frame, calibration, FrameLight(stars=stars, psf=WIDTH), star_model_error=0.05)
 
 
 def test_background_dark_and_star_leave_nothing_but_rounding(scene):
@@ -167,6 +167,6 @@ def test_background_falls_back_to_what_is_known(scene):
 def test_an_empty_group_gives_no_pixels(scene):
     frame, calibration, group, stars = scene
     pixels, _ = streak_pixels(
-        replace(group, strips=()), frame, calibration, FrameLight(stars=stars, width=WIDTH), star_model_error=0.05
+        replace(group, strips=()), frame, calibration, FrameLight(stars=stars, psf=WIDTH), star_model_error=0.05
     )
     assert len(pixels.row) == 0

@@ -61,7 +61,9 @@ class BoundaryTensorDetector:
     """Components of pixels whose line-like boundary energy stands above that of the noise."""
 
     scale_px: float = field(default=1.5, metadata={"doc": "sigma of the tensor's Gaussian", "min": 0.5, "max": 20.0})
-    n_sigma: float = field(default=5.0, metadata={"doc": "threshold in robust deviations of the root energy", "min": 1.0, "max": 100.0})
+    n_sigma: float = field(
+        default=5.0, metadata={"doc": "threshold in robust deviations of the root energy", "min": 1.0, "max": 100.0}
+    )
     min_length_px: float = field(default=10.0, metadata={"doc": "least length", "min": 2.0, "max": 1000.0})
     min_axis_ratio: float = field(default=2.5, metadata={"doc": "least ratio of the axes", "min": 1.0, "max": 100.0})
     min_snr: float = field(default=7.0, metadata={"doc": "least matched-filter S/N", "min": 0.0, "max": 1000.0})

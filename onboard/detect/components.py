@@ -16,7 +16,6 @@ from onboard.detect import refine, star_mask, whiten
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView
 
-
 FWHM: Final = 2.354820045
 """Full width at half maximum of a Gaussian of unit sigma."""
 
@@ -57,7 +56,19 @@ def segment_snr(masked: MaskedImage, ends: NDArray[np.float64], psf_sigma_px: fl
     room = math.ceil(row1 - row0) + 3
     signal, weight = np.zeros(room), np.zeros(room)
     _, n = refine.cross_profile(
-        image, blocked, np.zeros((1, 1), np.float32), max(image.shape), row0, col0, max(row1, row0 + 1.0), col1, 0.0, 0, psf_sigma_px, signal, weight
+        image,
+        blocked,
+        np.zeros((1, 1), np.float32),
+        max(image.shape),
+        row0,
+        col0,
+        max(row1, row0 + 1.0),
+        col1,
+        0.0,
+        0,
+        psf_sigma_px,
+        signal,
+        weight,
     )
     total = float(weight[:n].sum())
     return float(signal[:n].sum()) / math.sqrt(total) if total > 0.0 else 0.0
@@ -70,9 +81,7 @@ def elongated_components(
 
     Length and axis ratio from the second moments of the pixels: a uniform bar of length L has variance L^2/12 along it.
     """
-    count, labels, _, _ = cv2.connectedComponentsWithStatsWithAlgorithm(
-        above.astype(np.uint8), 8, cv2.CV_32S, cv2.CCL_BBDT
-    )
+    count, labels, _, _ = cv2.connectedComponentsWithStatsWithAlgorithm(above.astype(np.uint8), 8, cv2.CV_32S, cv2.CCL_BBDT)
     row, col = np.nonzero(labels)
     label = labels[row, col]
     area = np.maximum(np.bincount(label, minlength=count), 1)
@@ -96,7 +105,7 @@ def elongated_components(
 
 def join_collinear(segments: NDArray[np.float64], *, gap_px: float, across_px: float) -> NDArray[np.float64]:
     """Join segments (n, 4) that continue each other: longest first, gaps up to gap_px or half of the longer one's length."""
-    todo = [s for s in segments[np.argsort(-np.hypot(segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1]))]]
+    todo = list(segments[np.argsort(-np.hypot(segments[:, 2] - segments[:, 0], segments[:, 3] - segments[:, 1]))])
     done: list[NDArray[np.float64]] = []
     while todo:
         main = todo.pop(0)

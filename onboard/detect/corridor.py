@@ -26,14 +26,20 @@ PIECES: Final = 48
 
 @nb.njit(cache=True)
 def corridor_sums(
-    smooth: NDArray[np.int8], major0: int, major1: int, minor0: float, slope: float, piece: int,
-    sums: NDArray[np.int32], counts: NDArray[np.int32],
+    smooth: NDArray[np.int8],
+    major0: int,
+    major1: int,
+    minor0: float,
+    slope: float,
+    piece: int,
+    sums: NDArray[np.int32],
+    counts: NDArray[np.int32],
 ) -> int:
     """Sums of the smoothed image along OFFSETS parallel paths, in pieces of `piece` px; returns the number of pieces.
 
     The middle path starts at (major0, minor0) and climbs by `slope` per px; sums, counts: (PIECES, OFFSETS).
     """
-    n_major, n_minor = smooth.shape
+    n_minor = smooth.shape[1]
     half = OFFSETS // 2
     n_piece = min(PIECES, (major1 - major0 + piece) // piece)
     counts[:n_piece] = 0
@@ -42,7 +48,7 @@ def corridor_sums(
         paths[:] = 0
         inside = 0
         for major in range(major0 + p * piece, min(major0 + (p + 1) * piece, major1 + 1)):
-            base = int(math.floor(minor0 + slope * (major - major0) + 0.5)) - half
+            base = math.floor(minor0 + slope * (major - major0) + 0.5) - half
             if base >= 0 and base + OFFSETS <= n_minor:
                 inside += 1
                 for k in range(OFFSETS):
@@ -59,9 +65,7 @@ def corridor_sums(
 
 
 @nb.njit(cache=True)
-def _path_piece(
-    sums: NDArray[np.int32], counts: NDArray[np.int32], p: int, position: float
-) -> tuple[float, float]:
+def _path_piece(sums: NDArray[np.int32], counts: NDArray[np.int32], p: int, position: float) -> tuple[float, float]:
     """Sum and count of a piece at a fractional path number, linear between paths."""
     position = min(max(position, 0.0), OFFSETS - 1.001)
     k = int(position)
@@ -77,10 +81,17 @@ def bend(u: float) -> float:
 
 @nb.njit(cache=True)
 def best_pieces(
-    sums: NDArray[np.int32], counts: NDArray[np.int32], n_piece: int, o0: float, o1: float, sag: float, first: int, last: int,
+    sums: NDArray[np.int32],
+    counts: NDArray[np.int32],
+    n_piece: int,
+    o0: float,
+    o1: float,
+    sag: float,
+    first: int,
+    last: int,
     variance: float,
 ) -> tuple[float, int, int]:
-    """The run of pieces with the highest S/N on a fixed path (offsets o0, o1 at the corridor's ends, bent between first and last)."""
+    """The run of pieces with the highest S/N on a fixed path (offsets o0, o1 at the corridor's ends, bent in first..last)."""
     half, span = OFFSETS // 2, max(1, n_piece - 1)
     cumulative_s, cumulative_c = np.zeros(n_piece + 1), np.zeros(n_piece + 1)
     for p in range(n_piece):
@@ -102,7 +113,13 @@ def best_pieces(
 
 @nb.njit(cache=True)
 def search_corridor(
-    sums: NDArray[np.int32], counts: NDArray[np.int32], n_piece: int, first: int, last: int, reach: float, variance: float,
+    sums: NDArray[np.int32],
+    counts: NDArray[np.int32],
+    n_piece: int,
+    first: int,
+    last: int,
+    reach: float,
+    variance: float,
     least: float,
 ) -> tuple[float, float, float, float, int, int]:
     """Best (S/N, start offset, end offset, sagitta, first piece, last piece) of one corridor.
@@ -148,8 +165,14 @@ def search_corridor(
 
 @nb.njit(cache=True)
 def locate(
-    smooth: NDArray[np.int8], candidate: NDArray[np.float64], psf_sigma_px: float, usable: float, least: float, segment: NDArray[np.float64],
-    sums: NDArray[np.int32], counts: NDArray[np.int32],
+    smooth: NDArray[np.int8],
+    candidate: NDArray[np.float64],
+    psf_sigma_px: float,
+    usable: float,
+    least: float,
+    segment: NDArray[np.float64],
+    sums: NDArray[np.int32],
+    counts: NDArray[np.int32],
 ) -> float:
     """First refinement of a candidate (major0, minor0, major1, minor1) on the smoothed image; fills segment, returns its S/N.
 

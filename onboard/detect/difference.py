@@ -16,9 +16,7 @@ from onboard.detect import components, registration, whiten
 from sboc_e2e.icd.signals import Detection, DetectorView
 
 
-def subtract_aligned(
-    now: NDArray[np.int8], earlier: NDArray[np.int8], transform: NDArray[np.float64]
-) -> NDArray[np.float32]:
+def subtract_aligned(now: NDArray[np.int8], earlier: NDArray[np.int8], transform: NDArray[np.float64]) -> NDArray[np.float32]:
     """``now - earlier`` with `earlier` moved by the (2, 3) transform of (row, col); both in sigma/16; result in sigma."""
     swap = transform[[1, 0]][:, [1, 0, 2]]
     moved = cv2.warpAffine(

@@ -69,8 +69,14 @@ def _collect(
 
 @nb.njit(cache=True)
 def line_sums(
-    image: NDArray[np.int16], upside_down: bool, noise: NDArray[np.float64], threshold_sigma: float, min_rows: int, max_found: int,
-    current: NDArray[np.int16], following: NDArray[np.int16],
+    image: NDArray[np.int16],
+    upside_down: bool,
+    noise: NDArray[np.float64],
+    threshold_sigma: float,
+    min_rows: int,
+    max_found: int,
+    current: NDArray[np.int16],
+    following: NDArray[np.int16],
 ) -> NDArray[np.float32]:
     """Segments along growing rows with 0 <= dcol/drow <= 1 whose sum exceeds the threshold.
 
@@ -194,9 +200,9 @@ def coarse_segments(
     for axis in (0, 1):
         image = transposed(binned) if axis else binned
         for upside_down in (False, True):
-            found = line_sums(
-                image, upside_down, noise, threshold_sigma, min_rows, max_found, current, following
-            ).astype(np.float64)
+            found = line_sums(image, upside_down, noise, threshold_sigma, min_rows, max_found, current, following).astype(
+                np.float64
+            )
             first, last = found[:, 0], found[:, 0] + found[:, 1] - 1.0
             enter, leave = found[:, 2], found[:, 2] + found[:, 3]
             if upside_down:

@@ -29,6 +29,9 @@ FIRST_MARGIN: Final = 1.4
 POINT_LIKE_PX: Final = 4.0
 """Trails shorter than about two PSF widths are called point-like."""
 
+BEND_COST: Final = 0.3
+"""Added to the threshold of bent trails."""
+
 SHARP_ENDS_PX: Final = 60.0
 """Longer lines lose nothing by a template with sharp ends."""
 
@@ -94,12 +97,23 @@ def with_blurred_ends(detection: Detection, images: WorkingImages, psf_sigma_px:
     return replace(detection, row0=row0, col0=col0, row1=row1, col1=col1, snr=float(snr))
 
 
-def segment_snr(detection: Detection, seen: DetectorView, transform: NDArray[np.float64], images: WorkingImages, s_px: float) -> float:
+def segment_snr(
+    detection: Detection, seen: DetectorView, transform: NDArray[np.float64], images: WorkingImages, s_px: float
+) -> float:
     """Matched-filter S/N of a detection's segment in a view (unclipped), on the pixels usable in this frame; NaN if outside."""
     ends = np.array([detection.row0, detection.col0, detection.row1, detection.col1])
     return static_sky.segment_snr(
-        seen.residual_adu, seen.mask, seen.background.sigma_adu, seen.background.tile_px, transform, images.blocked,
-        resolve.FOUND_BIT, images.level, TILE_PX, ends, s_px,
+        seen.residual_adu,
+        seen.mask,
+        seen.background.sigma_adu,
+        seen.background.tile_px,
+        transform,
+        images.blocked,
+        resolve.FOUND_BIT,
+        images.level,
+        TILE_PX,
+        ends,
+        s_px,
     )
 
 
@@ -130,7 +144,15 @@ def short_detections(
     stars, s_px = view.stars, view.psf_sigma_px
     entries = images.new[~images.sharp]
     table = point_movers.short_trails(
-        images.image, images.smooth, images.blocked, stars.row[entries], stars.col[entries], s_px, n_sigma, resolve.FOUND_BIT, max_found
+        images.image,
+        images.smooth,
+        images.blocked,
+        stars.row[entries],
+        stars.col[entries],
+        s_px,
+        n_sigma,
+        resolve.FOUND_BIT,
+        max_found,
     )
     before = snr_before(earlier, table[:, 2], table[:, 3], s_px)
     found = []
@@ -155,9 +177,12 @@ def particle_hits(view: DetectorView, images: WorkingImages, n_sigma: float) -> 
     hits = [k for k in images.new[images.sharp] if stars.snr[k] >= n_sigma]
     return [
         Detection(
-            row0=float(np.clip(stars.row[k], 0, rows - 1)), col0=float(np.clip(stars.col[k], 0, cols - 1)),
-            row1=float(np.clip(stars.row[k], 0, rows - 1)), col1=float(np.clip(stars.col[k], 0, cols - 1)),
-            snr=float(stars.snr[k]), flags=StreakFlag.COSMIC_LIKE | StreakFlag.POINT_LIKE,
+            row0=float(np.clip(stars.row[k], 0, rows - 1)),
+            col0=float(np.clip(stars.col[k], 0, cols - 1)),
+            row1=float(np.clip(stars.row[k], 0, rows - 1)),
+            col1=float(np.clip(stars.col[k], 0, cols - 1)),
+            snr=float(stars.snr[k]),
+            flags=StreakFlag.COSMIC_LIKE | StreakFlag.POINT_LIKE,
         )
         for k in sorted(hits, key=lambda k: -float(stars.snr[k]))
     ]
@@ -172,7 +197,9 @@ class LineIntegralDetector:
     """
 
     n_sigma: float = field(default=7.0, metadata={"doc": "matched-filter S/N of a detection", "min": 4.0, "max": 100.0})
-    coarse_sigma: float = field(default=4.5, metadata={"doc": "S/N on the coarse lattice worth refining", "min": 3.5, "max": 20.0})
+    coarse_sigma: float = field(
+        default=4.5, metadata={"doc": "S/N on the coarse lattice worth refining", "min": 3.5, "max": 20.0}
+    )
     clip_sigma: float = field(default=3.0, metadata={"doc": "clip of the PSF-smoothed image", "min": 2.0, "max": 7.0})
     halo_px: float = field(default=1.0, metadata={"doc": "star mask growth per sqrt(S/N / 100)", "min": 0.0, "max": 20.0})
     min_length_px: float = field(default=10.0, metadata={"doc": "least length of a line", "min": 4.0, "max": 1000.0})
@@ -180,7 +207,7 @@ class LineIntegralDetector:
         default=2.0, metadata={"doc": "added to n_sigma below 60 px when no earlier frame helps", "min": 0.0, "max": 20.0}
     )
     short_margin: float = field(
-        default=1.2, metadata={"doc": "added to n_sigma for trails under min_length: faint stars vary", "min": 0.0, "max": 20.0}
+        default=1.4, metadata={"doc": "added to n_sigma for trails under min_length: faint stars vary", "min": 0.0, "max": 20.0}
     )
     reach_px: float = field(default=300.0, metadata={"doc": "largest shift of stars between frames", "min": 0.0, "max": 5000.0})
     max_cosmic_like: int = field(default=1, metadata={"doc": "most particle hits reported per frame", "min": 0, "max": 10000})
@@ -204,10 +231,22 @@ class LineIntegralDetector:
         noise = dyadic.half_resolution_noise(whiten.even_taps(s_px), usable)
         candidates = dyadic.coarse_segments(images.binned, noise, self.coarse_sigma, MIN_ROWS, MAX_CANDIDATES)
         table = resolve.resolve(
-            images.image, images.smooth, images.blocked, images.level, TILE_PX, candidates, s_px, usable, n_sigma, n_sigma - FIRST_MARGIN,
-            self.min_length_px, self.max_detections,
+            images.image,
+            images.smooth,
+            images.blocked,
+            images.level,
+            TILE_PX,
+            candidates,
+            s_px,
+            usable,
+            n_sigma,
+            n_sigma - FIRST_MARGIN,
+            self.min_length_px,
+            self.max_detections,
         )
         found = [line_detection(row, view.residual_adu.shape) for row in table]
+        # a bend is one more free parameter
+        found = [d for d in found if not d.flags & StreakFlag.CURVED or d.snr >= n_sigma + BEND_COST]
         found = [with_blurred_ends(d, images, s_px) if d.length_px < SHARP_ENDS_PX else d for d in found]
         if earlier is None:
             found = [d for d in found if d.length_px >= 60.0 or d.snr >= n_sigma + self.single_frame_margin]

@@ -6,6 +6,7 @@ and in pieces, which are joined.
 """
 
 from dataclasses import dataclass, field
+from typing import Any
 
 import cv2
 import numpy as np
@@ -17,10 +18,8 @@ from sboc_e2e.icd.signals import Detection, DetectorView
 
 def line_segments(image: NDArray[np.uint8], *, min_length_px: float) -> NDArray[np.float64]:
     """Segments (n, 4) row0, col0, row1, col1 of an 8-bit image, pixel centres at integers."""
-    found = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD, 1.0).detect(image)[0]
-    if found is None:
-        return np.zeros((0, 4))
-    ends = np.asarray(found, np.float64).reshape(-1, 4)[:, [1, 0, 3, 2]]
+    found: Any = cv2.createLineSegmentDetector(cv2.LSD_REFINE_STD, 1.0).detect(image)[0]  # None when there are none
+    ends = np.asarray([] if found is None else found, np.float64).reshape(-1, 4)[:, [1, 0, 3, 2]]
     return ends[np.hypot(ends[:, 2] - ends[:, 0], ends[:, 3] - ends[:, 1]) >= min_length_px]
 
 
@@ -28,7 +27,9 @@ def line_segments(image: NDArray[np.uint8], *, min_length_px: float) -> NDArray[
 class LsdDetector:
     """OpenCV's LSD at half resolution."""
 
-    stretch_sigma: float = field(default=12.0, metadata={"doc": "S/N per filtered pixel shown as white", "min": 1.0, "max": 100.0})
+    stretch_sigma: float = field(
+        default=12.0, metadata={"doc": "S/N per filtered pixel shown as white", "min": 1.0, "max": 100.0}
+    )
     min_length_px: float = field(default=10.0, metadata={"doc": "least length of a segment", "min": 2.0, "max": 1000.0})
     min_snr: float = field(default=7.5, metadata={"doc": "least matched-filter S/N", "min": 0.0, "max": 1000.0})
     halo_px: float = field(default=1.0, metadata={"doc": "star mask growth per sqrt(S/N / 100)", "min": 0.0, "max": 20.0})

@@ -14,14 +14,18 @@ PEAK_FRACTION: Final = 0.57
 
 @nb.njit(cache=True)
 def sharper_than_psf(
-    residual_adu: NDArray[np.float32], sigma_adu: NDArray[np.float32], tile_px: int,
-    row: NDArray[np.float64], col: NDArray[np.float64], snr: NDArray[np.float32],
+    residual_adu: NDArray[np.float32],
+    sigma_adu: NDArray[np.float32],
+    tile_px: int,
+    row: NDArray[np.float64],
+    col: NDArray[np.float64],
+    snr: NDArray[np.float32],
 ) -> NDArray[np.bool_]:
     """Entries (n,) whose light sits in one pixel: particle hits and hot pixels, 3 sigma beyond what the PSF allows."""
     rows, cols = residual_adu.shape
     out = np.zeros(row.shape[0], np.bool_)
     for k in range(row.shape[0]):
-        i0, j0 = int(math.floor(row[k] + 0.5)), int(math.floor(col[k] + 0.5))
+        i0, j0 = math.floor(row[k] + 0.5), math.floor(col[k] + 0.5)
         if i0 < 0 or j0 < 0 or i0 >= rows or j0 >= cols:
             continue
         sigma = sigma_adu[min(i0 // tile_px, sigma_adu.shape[0] - 1), min(j0 // tile_px, sigma_adu.shape[1] - 1)]
@@ -37,13 +41,20 @@ def sharper_than_psf(
 
 @nb.njit(cache=True)
 def _short_snr(
-    image: NDArray[np.int8], blocked: NDArray[np.uint8], ignored: int, row: float, col: float, d_row: float, d_col: float, length: float,
+    image: NDArray[np.int8],
+    blocked: NDArray[np.uint8],
+    ignored: int,
+    row: float,
+    col: float,
+    d_row: float,
+    d_col: float,
+    length: float,
     psf_sigma_px: float,
 ) -> float:
     """Matched-filter S/N of a short trail centred at (row, col) along the unit vector (d_row, d_col), ends blurred by the PSF."""
     rows, cols = image.shape
-    reach = int(math.ceil(0.5 * length + 2.5 * psf_sigma_px))
-    i0, j0 = int(math.floor(row + 0.5)), int(math.floor(col + 0.5))
+    reach = math.ceil(0.5 * length + 2.5 * psf_sigma_px)
+    i0, j0 = math.floor(row + 0.5), math.floor(col + 0.5)
     root = 1.0 / (math.sqrt(2.0) * psf_sigma_px)
     signal = power = full = 0.0
     for i in range(i0 - reach, i0 + reach + 1):
@@ -73,7 +84,7 @@ def rough_short_trail(
     From sums of the smoothed image along whole-pixel steps: a sum of n samples has variance n 2 sqrt(pi) s for n > 3 s.
     """
     rows, cols = smooth.shape
-    i0, j0 = int(math.floor(row + 0.5)), int(math.floor(col + 0.5))
+    i0, j0 = math.floor(row + 0.5), math.floor(col + 0.5)
     best_snr, best_row, best_col, best_angle, best_length = smooth[i0, j0] / 16.0, row, col, 0.0, 0.0
     half = 12
     samples = np.zeros(2 * half + 1)
@@ -81,7 +92,7 @@ def rough_short_trail(
         angle = math.pi * k / ANGLES
         d_row, d_col = math.sin(angle), math.cos(angle)
         for t in range(-half, half + 1):
-            i, j = int(math.floor(row + t * d_row + 0.5)), int(math.floor(col + t * d_col + 0.5))
+            i, j = math.floor(row + t * d_row + 0.5), math.floor(col + t * d_col + 0.5)
             samples[t + half] = smooth[i, j] / 16.0 if 0 <= i < rows and 0 <= j < cols else 0.0
         for n in (4, 7, 10, 13):
             norm = 1.0 / math.sqrt(n * 2.0 * math.sqrt(math.pi) * psf_sigma_px)
@@ -98,7 +109,10 @@ def rough_short_trail(
 
 @nb.njit(cache=True)
 def fit_short_trail(
-    image: NDArray[np.int8], blocked: NDArray[np.uint8], ignored: int, rough: tuple[float, float, float, float, float],
+    image: NDArray[np.int8],
+    blocked: NDArray[np.uint8],
+    ignored: int,
+    rough: tuple[float, float, float, float, float],
     psf_sigma_px: float,
 ) -> tuple[float, float, float, float, float]:
     """Exact (S/N, centre row, centre col, angle rad, length px) by a pattern search from a rough trail.
@@ -132,8 +146,15 @@ def fit_short_trail(
 
 @nb.njit(cache=True)
 def short_trails(
-    image: NDArray[np.int8], smooth: NDArray[np.int8], blocked: NDArray[np.uint8], row: NDArray[np.float64], col: NDArray[np.float64],
-    psf_sigma_px: float, n_sigma: float, found_bit: int, max_found: int,
+    image: NDArray[np.int8],
+    smooth: NDArray[np.int8],
+    blocked: NDArray[np.uint8],
+    row: NDArray[np.float64],
+    col: NDArray[np.float64],
+    psf_sigma_px: float,
+    n_sigma: float,
+    found_bit: int,
+    max_found: int,
 ) -> NDArray[np.float64]:
     """Short trails at positions (n,) in the given order: (m, 6) entry, S/N, row, col, angle rad, length px.
 
@@ -145,7 +166,7 @@ def short_trails(
     for k in range(row.shape[0]):
         if n_found == max_found:
             break
-        i0, j0 = int(math.floor(row[k] + 0.5)), int(math.floor(col[k] + 0.5))
+        i0, j0 = math.floor(row[k] + 0.5), math.floor(col[k] + 0.5)
         if i0 < 0 or j0 < 0 or i0 >= rows or j0 >= cols or blocked[i0, j0] != 0:
             continue
         rough = rough_short_trail(smooth, row[k], col[k], psf_sigma_px)

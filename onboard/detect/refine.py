@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from onboard.detect.corridor import BENT_PX, bend
 
+
 @nb.njit(cache=True)
 def path_minor(segment: NDArray[np.float64], major: float) -> float:
     """Minor coordinate of a bent segment (major0, minor0, major1, minor1, sagitta) at `major`; straight beyond its ends."""
@@ -20,9 +21,19 @@ def path_minor(segment: NDArray[np.float64], major: float) -> float:
 
 @nb.njit(cache=True)
 def cross_profile(
-    image: NDArray[np.int8], blocked: NDArray[np.uint8], level: NDArray[np.float32], tile_px: int, major0: float, minor0: float,
-    major1: float, minor1: float, sagitta: float, extend_px: int, psf_sigma_px: float,
-    signal: NDArray[np.float64], weight: NDArray[np.float64],
+    image: NDArray[np.int8],
+    blocked: NDArray[np.uint8],
+    level: NDArray[np.float32],
+    tile_px: int,
+    major0: float,
+    minor0: float,
+    major1: float,
+    minor1: float,
+    sagitta: float,
+    extend_px: int,
+    psf_sigma_px: float,
+    signal: NDArray[np.float64],
+    weight: NDArray[np.float64],
 ) -> tuple[int, int]:
     """Matched cross-track sums on each major line of a bent segment and its extension: ``sum(g x)`` and ``sum(g^2)``.
 
@@ -34,9 +45,9 @@ def cross_profile(
     length = max(major1 - major0, 1e-6)
     slope = (minor1 - minor0) / length
     cosine = 1.0 / math.sqrt(1.0 + slope * slope)
-    radius = int(math.ceil(3.0 * psf_sigma_px / cosine))
-    low = max(0, int(math.ceil(major0)) - extend_px)
-    high = min(n_major - 1, int(math.floor(major1)) + extend_px)
+    radius = math.ceil(3.0 * psf_sigma_px / cosine)
+    low = max(0, math.ceil(major0) - extend_px)
+    high = min(n_major - 1, math.floor(major1) + extend_px)
     n = min(high - low + 1, signal.shape[0])
     factor = -0.5 * (cosine / psf_sigma_px) ** 2
     norm = 1.0 / (math.sqrt(2.0 * math.pi) * psf_sigma_px)
@@ -44,7 +55,7 @@ def cross_profile(
         major = low + k
         u = (major - major0) / length
         minor = minor0 + slope * (major - major0) + (sagitta * bend(u) if 0.0 < u < 1.0 else 0.0)
-        centre = int(math.floor(minor + 0.5))
+        centre = math.floor(minor + 0.5)
         s = w = total = 0.0
         # g at equal steps by two multiplications per step: exp(a (d+1)^2) = exp(a d^2) exp(a (2 d + 1))
         first = max(0, centre - radius)
@@ -67,6 +78,7 @@ def cross_profile(
 
 @nb.njit(cache=True)
 def profile_snr(signal: NDArray[np.float64], weight: NDArray[np.float64], n: int) -> float:
+    """Matched-filter S/N of the first n lines of a cross profile: sum(signal) / sqrt(sum(weight))."""
     s = w = 0.0
     for k in range(n):
         s += signal[k]
@@ -107,9 +119,14 @@ def best_run(signal: NDArray[np.float64], weight: NDArray[np.float64], n: int, m
 
 @nb.njit(cache=True)
 def polish(
-    image: NDArray[np.int8], blocked: NDArray[np.uint8], level: NDArray[np.float32], tile_px: int,
-    segment: NDArray[np.float64], psf_sigma_px: float,
-    signal: NDArray[np.float64], weight: NDArray[np.float64],
+    image: NDArray[np.int8],
+    blocked: NDArray[np.uint8],
+    level: NDArray[np.float32],
+    tile_px: int,
+    segment: NDArray[np.float64],
+    psf_sigma_px: float,
+    signal: NDArray[np.float64],
+    weight: NDArray[np.float64],
 ) -> float:
     """Maximise the matched filter over a bent segment (major0, minor0, major1, minor1, sagitta), in place; returns the S/N."""
     snr = -1e9
@@ -118,7 +135,19 @@ def polish(
         for _ in range(6):
             moved = False
             _, n = cross_profile(
-                image, blocked, level, tile_px, segment[0], segment[1], segment[2], segment[3], segment[4], 0, psf_sigma_px, signal, weight
+                image,
+                blocked,
+                level,
+                tile_px,
+                segment[0],
+                segment[1],
+                segment[2],
+                segment[3],
+                segment[4],
+                0,
+                psf_sigma_px,
+                signal,
+                weight,
             )
             snr = profile_snr(signal, weight, n)
             for parameter in range(4):
@@ -129,8 +158,19 @@ def polish(
                     if parameter == 3 and segment[2] - segment[0] < BENT_PX:
                         continue
                     _, n = cross_profile(
-                        image, blocked, level, tile_px, segment[0], segment[1] + d0, segment[2], segment[3] + d1, segment[4] + ds, 0,
-                        psf_sigma_px, signal, weight,
+                        image,
+                        blocked,
+                        level,
+                        tile_px,
+                        segment[0],
+                        segment[1] + d0,
+                        segment[2],
+                        segment[3] + d1,
+                        segment[4] + ds,
+                        0,
+                        psf_sigma_px,
+                        signal,
+                        weight,
                     )
                     trial = profile_snr(signal, weight, n)
                     if trial > snr + 1e-3:
@@ -144,7 +184,19 @@ def polish(
                 break
         extend = int(max(12.0, 0.3 * (segment[2] - segment[0])))
         low, n = cross_profile(
-            image, blocked, level, tile_px, segment[0], segment[1], segment[2], segment[3], segment[4], extend, psf_sigma_px, signal, weight
+            image,
+            blocked,
+            level,
+            tile_px,
+            segment[0],
+            segment[1],
+            segment[2],
+            segment[3],
+            segment[4],
+            extend,
+            psf_sigma_px,
+            signal,
+            weight,
         )
         snr, i, j = best_run(signal, weight, n, 4)
         start, stop = low + i - 0.5, low + j - 0.5
@@ -188,7 +240,7 @@ def blank_path(smooth: NDArray[np.int8], blocked: NDArray[np.uint8], segment: ND
     reach = half_width * math.sqrt(1.0 + slope * slope)
     for major in range(max(0, int(segment[0] - half_width)), min(n_major - 1, int(segment[2] + half_width) + 1) + 1):
         minor = path_minor(segment, float(major))
-        for j in range(max(0, int(math.ceil(minor - reach))), min(n_minor - 1, int(math.floor(minor + reach))) + 1):
+        for j in range(max(0, math.ceil(minor - reach)), min(n_minor - 1, math.floor(minor + reach)) + 1):
             smooth[major, j] = 0
             blocked[major, j] |= 4
 
@@ -197,14 +249,14 @@ def blank_path(smooth: NDArray[np.int8], blocked: NDArray[np.uint8], segment: ND
 def brightest_points(
     smooth: NDArray[np.int8], segment: NDArray[np.float64], apart_px: float, points: NDArray[np.float64]
 ) -> None:
-    """The two brightest point sources on a segment, at least apart_px from each other: rows (major, minor, S/N) of points (2, 3)."""
+    """The two brightest point sources on a segment, at least apart_px apart: rows (major, minor, S/N) of points (2, 3)."""
     n_major, n_minor = smooth.shape
     for k in range(2):
         points[k, 2] = 0.0
         for major in range(max(0, int(segment[0]) - 2), min(n_major - 1, int(segment[2]) + 3) + 1):
             if k == 1 and abs(major - points[0, 0]) < apart_px:
                 continue
-            centre = int(math.floor(path_minor(segment, float(major)) + 0.5))
+            centre = math.floor(path_minor(segment, float(major)) + 0.5)
             for j in range(max(0, centre - 2), min(n_minor - 1, centre + 2) + 1):
                 value = smooth[major, j] / 16.0
                 if value > points[k, 2]:
@@ -233,7 +285,7 @@ def blank_stars_on_path(
     n_major, n_minor = smooth.shape
     found = 0
     for major in range(max(0, int(segment[0]) - 1), min(n_major - 1, int(segment[2]) + 2) + 1):
-        centre = int(math.floor(path_minor(segment, float(major)) + 0.5))
+        centre = math.floor(path_minor(segment, float(major)) + 0.5)
         for j in range(max(0, centre - 2), min(n_minor - 1, centre + 2) + 1):
             value = smooth[major, j]
             if value <= limit * 16.0:
@@ -251,13 +303,33 @@ def blank_stars_on_path(
 
 @nb.njit(cache=True)
 def looks_like_trail(
-    image: NDArray[np.int8], smooth: NDArray[np.int8], blocked: NDArray[np.uint8], level: NDArray[np.float32], tile_px: int,
-    segment: NDArray[np.float64], snr: float, psf_sigma_px: float,
-    signal: NDArray[np.float64], weight: NDArray[np.float64], points: NDArray[np.float64],
+    image: NDArray[np.int8],
+    smooth: NDArray[np.int8],
+    blocked: NDArray[np.uint8],
+    level: NDArray[np.float32],
+    tile_px: int,
+    segment: NDArray[np.float64],
+    snr: float,
+    psf_sigma_px: float,
+    signal: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    points: NDArray[np.float64],
 ) -> bool:
     """Whether a segment is better explained by one trail than by two point sources, and evenly bright along its quarters."""
     _, n = cross_profile(
-        image, blocked, level, tile_px, segment[0], segment[1], segment[2], segment[3], segment[4], 0, psf_sigma_px, signal, weight
+        image,
+        blocked,
+        level,
+        tile_px,
+        segment[0],
+        segment[1],
+        segment[2],
+        segment[3],
+        segment[4],
+        0,
+        psf_sigma_px,
+        signal,
+        weight,
     )
     uneven = quarters(signal, weight, n)
     brightest_points(smooth, segment, 4.7 * psf_sigma_px, points)

@@ -22,16 +22,31 @@ NARROW_PX: Final = 0.4
 @nb.njit(cache=True)
 def blanking_half_width(snr: float, length_px: float, psf_sigma_px: float) -> float:
     """How far across a found trail its light can still matter (px): grows with its brightness per pixel."""
-    peak = snr * math.sqrt(2.0 * math.sqrt(math.pi) * psf_sigma_px / max(length_px, 1.0)) / (math.sqrt(2.0 * math.pi) * psf_sigma_px)
+    peak = (
+        snr * math.sqrt(2.0 * math.sqrt(math.pi) * psf_sigma_px / max(length_px, 1.0)) / (math.sqrt(2.0 * math.pi) * psf_sigma_px)
+    )
     return 3.0 * psf_sigma_px + 1.0 + 1.5 * math.log2(max(1.0, peak))
 
 
 @nb.njit(cache=True)
 def accept(
-    image: NDArray[np.int8], smooth: NDArray[np.int8], blocked: NDArray[np.uint8], level: NDArray[np.float32], tile_px: int,
-    candidate: NDArray[np.float64], psf_sigma_px: float, usable: float, n_sigma: float, first_sigma: float, min_length_px: float,
-    segment: NDArray[np.float64], sums: NDArray[np.int32], counts: NDArray[np.int32],
-    signal: NDArray[np.float64], weight: NDArray[np.float64], points: NDArray[np.float64],
+    image: NDArray[np.int8],
+    smooth: NDArray[np.int8],
+    blocked: NDArray[np.uint8],
+    level: NDArray[np.float32],
+    tile_px: int,
+    candidate: NDArray[np.float64],
+    psf_sigma_px: float,
+    usable: float,
+    n_sigma: float,
+    first_sigma: float,
+    min_length_px: float,
+    segment: NDArray[np.float64],
+    sums: NDArray[np.int32],
+    counts: NDArray[np.int32],
+    signal: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    points: NDArray[np.float64],
 ) -> tuple[float, float]:
     """(S/N, S/N of a narrow track) of the trail at a candidate, S/N 0 when there is none.
 
@@ -41,7 +56,19 @@ def accept(
         return 0.0, 0.0
     # one exact sum before the search over all parameters, which is costly
     _, n = refine.cross_profile(
-        image, blocked, level, tile_px, segment[0], segment[1], segment[2], segment[3], segment[4], 0, psf_sigma_px, signal, weight
+        image,
+        blocked,
+        level,
+        tile_px,
+        segment[0],
+        segment[1],
+        segment[2],
+        segment[3],
+        segment[4],
+        0,
+        psf_sigma_px,
+        signal,
+        weight,
     )
     if refine.profile_snr(signal, weight, n) < n_sigma - POLISH_GAIN:
         return 0.0, 0.0
@@ -68,8 +95,17 @@ def accept(
 
 @nb.njit(cache=True)
 def resolve(
-    image: NDArray[np.int8], smooth: NDArray[np.int8], blocked: NDArray[np.uint8], level: NDArray[np.float32], tile_px: int,
-    candidates: NDArray[np.float64], psf_sigma_px: float, usable: float, n_sigma: float, first_sigma: float, min_length_px: float,
+    image: NDArray[np.int8],
+    smooth: NDArray[np.int8],
+    blocked: NDArray[np.uint8],
+    level: NDArray[np.float32],
+    tile_px: int,
+    candidates: NDArray[np.float64],
+    psf_sigma_px: float,
+    usable: float,
+    n_sigma: float,
+    first_sigma: float,
+    min_length_px: float,
     max_found: int,
 ) -> NDArray[np.float64]:
     """Trails among candidates (n, 6: axis, major0, minor0, major1, minor1, S/N; best first); the images are changed in place.
@@ -91,13 +127,43 @@ def resolve(
             break
         if candidates[c, 0] == 0.0:
             snr, narrow = accept(
-                image, smooth, blocked, level, tile_px, candidates[c, 1:5], psf_sigma_px, usable, n_sigma, first_sigma, min_length_px,
-                segment, sums, counts, signal, weight, points,
+                image,
+                smooth,
+                blocked,
+                level,
+                tile_px,
+                candidates[c, 1:5],
+                psf_sigma_px,
+                usable,
+                n_sigma,
+                first_sigma,
+                min_length_px,
+                segment,
+                sums,
+                counts,
+                signal,
+                weight,
+                points,
             )
         else:
             snr, narrow = accept(
-                image_t, smooth_t, blocked_t, level_t, tile_px, candidates[c, 1:5], psf_sigma_px, usable, n_sigma, first_sigma,
-                min_length_px, segment, sums, counts, signal, weight, points,
+                image_t,
+                smooth_t,
+                blocked_t,
+                level_t,
+                tile_px,
+                candidates[c, 1:5],
+                psf_sigma_px,
+                usable,
+                n_sigma,
+                first_sigma,
+                min_length_px,
+                segment,
+                sums,
+                counts,
+                signal,
+                weight,
+                points,
             )
         if snr >= n_sigma:
             found[n_found, 0] = candidates[c, 0]

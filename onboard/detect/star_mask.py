@@ -32,7 +32,7 @@ def _goes_on(
         before = 0.0
         bright = True
         for d in range(1, REACH_PX + 1):
-            i, j = int(math.floor(row + d * d_row + 0.5)), int(math.floor(col + d * d_col + 0.5))
+            i, j = math.floor(row + d * d_row + 0.5), math.floor(col + d * d_col + 0.5)
             if i < 0 or j < 0 or i >= rows or j >= cols:
                 bright = d > 4
                 break
@@ -48,8 +48,14 @@ def _goes_on(
 
 @nb.njit(cache=True)
 def trail_pieces(
-    residual_adu: NDArray[np.float32], smooth: NDArray[np.int8], sigma_adu: NDArray[np.float32], tile_px: int,
-    row: NDArray[np.float64], col: NDArray[np.float64], snr: NDArray[np.float32], psf_sigma_px: float,
+    residual_adu: NDArray[np.float32],
+    smooth: NDArray[np.int8],
+    sigma_adu: NDArray[np.float32],
+    tile_px: int,
+    row: NDArray[np.float64],
+    col: NDArray[np.float64],
+    snr: NDArray[np.float32],
+    psf_sigma_px: float,
 ) -> NDArray[np.bool_]:
     """Entries that are pieces of trails, shape (n,). `smooth` is the PSF-smoothed image in units of sigma/16, not star-masked."""
     out = np.zeros(row.shape[0], np.bool_)

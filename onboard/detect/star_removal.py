@@ -54,7 +54,14 @@ def snr_before(
     """Point-source S/N in the earlier frame at the mapped places of points of this one, shape (n,), NaN where unknown."""
     then = earlier.view
     return static_sky.point_snr_before(
-        then.residual_adu, then.mask, then.background.sigma_adu, then.background.tile_px, earlier.transform, row, col, psf_sigma_px
+        then.residual_adu,
+        then.mask,
+        then.background.sigma_adu,
+        then.background.tile_px,
+        earlier.transform,
+        row,
+        col,
+        psf_sigma_px,
     )
 
 
@@ -64,7 +71,14 @@ def remove_stars_alone(view: DetectorView, image: NDArray[np.int8], blocked: NDA
     no_level = np.zeros((1, 1), np.float32)
     smooth = whiten.smooth(image, no_level, max(image.shape), whiten.odd_taps(psf_sigma_px), POINT_CLIP_SIGMA)
     pieces = star_mask.trail_pieces(
-        view.residual_adu, smooth, view.background.sigma_adu, view.background.tile_px, stars.row, stars.col, stars.snr, psf_sigma_px
+        view.residual_adu,
+        smooth,
+        view.background.sigma_adu,
+        view.background.tile_px,
+        stars.row,
+        stars.col,
+        stars.snr,
+        psf_sigma_px,
     )
     radii = star_mask.mask_radii_px(stars.snr[~pieces], psf_sigma_px, halo_px)
     whiten.blank_discs(image, blocked, stars.row[~pieces], stars.col[~pieces], radii)

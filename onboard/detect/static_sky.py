@@ -6,6 +6,7 @@ and no model of a star's halo. Positions are mapped by a (2, 3) transform of (ro
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numba as nb
 import numpy as np
@@ -14,7 +15,10 @@ from numpy.typing import NDArray
 from onboard.detect import registration
 from sboc_e2e.icd.signals import DetectorView
 
-IDENTITY = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+EDGE_PX: Final = 3.0
+"""Closer to the edge of the earlier frame a star is not measured there."""
+
+IDENTITY: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -39,32 +43,42 @@ def _point_snr(
 ) -> float:
     """Matched-filter S/N of a point source at (row, col); NaN where less than half of its light falls on good pixels."""
     rows, cols = residual.shape
-    radius = int(math.ceil(2.5 * psf_sigma_px))
-    centre_row, centre_col = int(math.floor(row + 0.5)), int(math.floor(col + 0.5))
+    radius = math.ceil(2.5 * psf_sigma_px)
+    centre_row, centre_col = math.floor(row + 0.5), math.floor(col + 0.5)
     factor = -0.5 / psf_sigma_px**2
+    # g along a row by two multiplications per step: exp(a (d+1)^2) = exp(a d^2) exp(a (2 d + 1))
+    d = centre_col - radius - col
+    first, first_ratio, growth = math.exp(factor * d * d), math.exp(factor * (2.0 * d + 1.0)), math.exp(2.0 * factor)
     signal = power = full = 0.0
     for i in range(centre_row - radius, centre_row + radius + 1):
-        g_row = math.exp(factor * (i - row) ** 2)
+        g, ratio = first * math.exp(factor * (i - row) ** 2), first_ratio
         for j in range(centre_col - radius, centre_col + radius + 1):
-            g = g_row * math.exp(factor * (j - col) ** 2)
             full += g * g
             if 0 <= i < rows and 0 <= j < cols and mask[i, j] == 0:
                 signal += g * residual[i, j]
                 power += g * g
+            g *= ratio
+            ratio *= growth
     return signal / (sigma * math.sqrt(power)) if power > 0.5 * full else math.nan
 
 
 @nb.njit(cache=True)
 def point_snr_before(
-    residual_adu: NDArray[np.float32], mask: NDArray[np.uint8], sigma_adu: NDArray[np.float32], tile_px: int,
-    transform: NDArray[np.float64], row: NDArray[np.float64], col: NDArray[np.float64], psf_sigma_px: float,
+    residual_adu: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    sigma_adu: NDArray[np.float32],
+    tile_px: int,
+    transform: NDArray[np.float64],
+    row: NDArray[np.float64],
+    col: NDArray[np.float64],
+    psf_sigma_px: float,
 ) -> NDArray[np.float64]:
     """S/N in the earlier frame at the mapped places of points (n,) of this frame; NaN where it cannot be known."""
     out = np.full(row.shape[0], np.nan)
     for k in range(row.shape[0]):
         r = transform[0, 0] * row[k] + transform[0, 1] * col[k] + transform[0, 2]
         c = transform[1, 0] * row[k] + transform[1, 1] * col[k] + transform[1, 2]
-        if not (-1.0 < r < residual_adu.shape[0] and -1.0 < c < residual_adu.shape[1]):
+        if not (EDGE_PX <= r <= residual_adu.shape[0] - 1 - EDGE_PX and EDGE_PX <= c <= residual_adu.shape[1] - 1 - EDGE_PX):
             continue
         mesh_row = min(max(int(r), 0) // tile_px, sigma_adu.shape[0] - 1)
         mesh_col = min(max(int(c), 0) // tile_px, sigma_adu.shape[1] - 1)
@@ -76,9 +90,17 @@ def point_snr_before(
 
 @nb.njit(cache=True)
 def segment_snr(
-    residual_adu: NDArray[np.float32], mask: NDArray[np.uint8], sigma_adu: NDArray[np.float32], tile_px: int,
-    transform: NDArray[np.float64], blocked: NDArray[np.uint8], ignored: int, level: NDArray[np.float32], level_tile_px: int,
-    ends: NDArray[np.float64], psf_sigma_px: float,
+    residual_adu: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    sigma_adu: NDArray[np.float32],
+    tile_px: int,
+    transform: NDArray[np.float64],
+    blocked: NDArray[np.uint8],
+    ignored: int,
+    level: NDArray[np.float32],
+    level_tile_px: int,
+    ends: NDArray[np.float64],
+    psf_sigma_px: float,
 ) -> float:
     """S/N in a frame along the mapped place of a segment (row0, col0, row1, col1) of this one, on the pixels it was found on.
 
@@ -96,17 +118,17 @@ def segment_snr(
     along = abs(u_row) if steep else abs(u_col)
     start, stop = (ends[0], ends[2]) if steep else (ends[1], ends[3])
     origin, slope = (ends[1], u_col / u_row) if steep else (ends[0], u_row / u_col if u_col != 0.0 else 0.0)
-    low, high = int(math.ceil(min(start, stop))), int(math.floor(max(start, stop)))
+    low, high = math.ceil(min(start, stop)), math.floor(max(start, stop))
     for major in range(low, high + 1):
         minor = origin + slope * (major - start)
-        for k in range(int(math.ceil(minor - reach / along)), int(math.floor(minor + reach / along)) + 1):
+        for k in range(math.ceil(minor - reach / along), math.floor(minor + reach / along) + 1):
             i, j = (major, k) if steep else (k, major)
             if not (0 <= i < blocked.shape[0] and 0 <= j < blocked.shape[1]) or (blocked[i, j] & ~ignored) != 0:
                 continue
             g = math.exp(factor * ((k - minor) * along) ** 2)
             total += g * g
-            r = int(math.floor(transform[0, 0] * i + transform[0, 1] * j + transform[0, 2] + 0.5))
-            c = int(math.floor(transform[1, 0] * i + transform[1, 1] * j + transform[1, 2] + 0.5))
+            r = math.floor(transform[0, 0] * i + transform[0, 1] * j + transform[0, 2] + 0.5)
+            c = math.floor(transform[1, 0] * i + transform[1, 1] * j + transform[1, 2] + 0.5)
             if 0 <= r < rows and 0 <= c < cols and mask[r, c] == 0:
                 sigma = sigma_adu[min(r // tile_px, sigma_adu.shape[0] - 1), min(c // tile_px, sigma_adu.shape[1] - 1)]
                 if sigma > 0.0:
@@ -121,12 +143,17 @@ def _count_static(now: NDArray[np.int8], then: NDArray[np.int8], each: int, both
     for i in range(now.shape[0]):
         bright = (np.int16(now[i]) + np.int16(then[i]) > both) & (now[i] > each) & (then[i] > each)
         count += np.int32(bright)
-    return count
+    return int(count)
 
 
 @nb.njit(cache=True)
 def faint_static_stars(
-    now: NDArray[np.int8], then: NDArray[np.int8], transform: NDArray[np.float64], each: int, both: int, tile_px: int,
+    now: NDArray[np.int8],
+    then: NDArray[np.int8],
+    transform: NDArray[np.float64],
+    each: int,
+    both: int,
+    tile_px: int,
     places: NDArray[np.float64],
 ) -> int:
     """Stars too faint for the star list but present in both frames; fills rows (row, col, S/N then) of places, returns how many.
@@ -139,8 +166,8 @@ def faint_static_stars(
     for tile_row in range(0, rows, tile_px):
         for tile_col in range(0, cols, tile_px):
             r, c = tile_row + 0.5 * tile_px, tile_col + 0.5 * tile_px
-            d_row = int(math.floor(transform[0, 0] * r + transform[0, 1] * c + transform[0, 2] - r + 0.5))
-            d_col = int(math.floor(transform[1, 0] * r + transform[1, 1] * c + transform[1, 2] - c + 0.5))
+            d_row = math.floor(transform[0, 0] * r + transform[0, 1] * c + transform[0, 2] - r + 0.5)
+            d_col = math.floor(transform[1, 0] * r + transform[1, 1] * c + transform[1, 2] - c + 0.5)
             first = max(tile_col, 1, 1 - d_col)
             last = min(tile_col + tile_px, cols - 1, cols - 1 - d_col)
             if last <= first:
@@ -165,8 +192,12 @@ def faint_static_stars(
 
 @nb.njit(cache=True)
 def subtract_stars(
-    image: NDArray[np.int8], blocked: NDArray[np.uint8], row: NDArray[np.float64], col: NDArray[np.float64],
-    snr: NDArray[np.float64], psf_sigma_px: float,
+    image: NDArray[np.int8],
+    blocked: NDArray[np.uint8],
+    row: NDArray[np.float64],
+    col: NDArray[np.float64],
+    snr: NDArray[np.float64],
+    psf_sigma_px: float,
 ) -> None:
     """Subtract Gaussian stars of the given matched-filter S/N from an image in sigma/16, in place; columns (n,).
 
@@ -174,13 +205,13 @@ def subtract_stars(
     twice the noise variance instead of losing it to a mask.
     """
     rows, cols = image.shape
-    radius = int(math.ceil(3.0 * psf_sigma_px))
+    radius = math.ceil(3.0 * psf_sigma_px)
     factor = -0.5 / psf_sigma_px**2
     # matched filter over the peak pixel of a Gaussian of unit peak: sqrt(sum g^2) = sqrt(pi) s
     scale = 16.0 / (math.sqrt(math.pi) * psf_sigma_px)
     profile = np.empty(2 * radius + 1)
     for k in range(row.shape[0]):
-        i0, j0 = int(math.floor(row[k] + 0.5)) - radius, int(math.floor(col[k] + 0.5)) - radius
+        i0, j0 = math.floor(row[k] + 0.5) - radius, math.floor(col[k] + 0.5) - radius
         for m in range(2 * radius + 1):
             profile[m] = math.exp(factor * (j0 + m - col[k]) ** 2)
         for i in range(max(0, i0), min(rows, i0 + 2 * radius + 1)):

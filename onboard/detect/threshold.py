@@ -51,7 +51,9 @@ class ThresholdDetector:
         binned = whiten.smooth_binned(masked.image, level, max(masked.image.shape), whiten.even_taps(view.psf_sigma_px), 30.0)
         sep.set_extract_pixstack(max(300_000, binned.size))
         segments = extract_elongated(
-            binned.astype(np.float32) / np.float32(2 * whiten.UNIT), n_sigma=self.n_sigma, min_area_px=self.min_area_px,
+            binned.astype(np.float32) / np.float32(2 * whiten.UNIT),
+            n_sigma=self.n_sigma,
+            min_area_px=self.min_area_px,
             min_axis_ratio=self.min_axis_ratio,
         )
         joined = components.join_collinear(2.0 * segments + 0.5, gap_px=20.0, across_px=2.5)

@@ -22,8 +22,11 @@ def warm_up() -> None:
     mesh = np.ones((2, 2), np.float32)
     view = DetectorView(
         header=FrameHeader(frame=0, t_start_tai_ns=0, exposure_ns=1, line_time_ns=0, rows=size, cols=size),
-        residual_adu=residual.astype(np.float32), background=BackgroundModel(tile_px=64, level_adu=mesh, sigma_adu=mesh),
-        mask=np.zeros((size, size), np.uint8), stars=stars, psf_sigma_px=0.85,
+        residual_adu=residual.astype(np.float32),
+        background=BackgroundModel(tile_px=64, level_adu=mesh, sigma_adu=mesh),
+        mask=np.zeros((size, size), np.uint8),
+        stars=stars,
+        psf_sigma_px=0.85,
     )
     LineIntegralDetector().detect(view)
     LineIntegralDetector().detect(replace(view, history=(view,)))

@@ -58,7 +58,10 @@ def unusable(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 @nb.njit(cache=True)
 def blank_discs(
-    image: NDArray[np.int8], blocked: NDArray[np.uint8], row: NDArray[np.float64], col: NDArray[np.float64],
+    image: NDArray[np.int8],
+    blocked: NDArray[np.uint8],
+    row: NDArray[np.float64],
+    col: NDArray[np.float64],
     radius_px: NDArray[np.float64],
 ) -> None:
     """Set discs of the image to 0 and mark them in `blocked` (2). In place; positions and radii in px, shape (n,)."""
@@ -76,12 +79,16 @@ def blank_discs(
 
 @nb.njit(cache=True)
 def _tile_sums(values: NDArray[np.int8], blocked: NDArray[np.uint8], limit: int) -> tuple[int, int]:
+    # 32-bit sums: twice the vector lanes of Python's integers
     total, count = np.int32(0), np.int32(0)
+    low, high = np.int32(-limit), np.int32(limit)
     for i in range(values.shape[0]):
-        value = min(max(np.int32(values[i]), -limit), limit)
+        value = np.int32(values[i])
+        value = low if value < low else value
+        value = high if value > high else value
         total += value
-        count += np.int32(1) if blocked[i] == 0 else np.int32(0)
-    return total, count
+        count += np.int32(blocked[i] == 0)
+    return int(total), int(count)
 
 
 @nb.njit(cache=True)
@@ -104,12 +111,12 @@ def local_level(image: NDArray[np.int8], blocked: NDArray[np.uint8], tile_px: in
     level = np.zeros((n_row, n_col), np.float32)
     for i in range(n_row):
         for j in range(n_col):
-            s = n = 0.0
+            light = pixels = 0.0
             for di in range(max(0, i - 1), min(n_row, i + 2)):
                 for dj in range(max(0, j - 1), min(n_col, j + 2)):
-                    s += total[di, dj]
-                    n += count[di, dj]
-            level[i, j] = s / n if n > 0.0 else 0.0
+                    light += total[di, dj]
+                    pixels += count[di, dj]
+            level[i, j] = light / pixels if pixels > 0.0 else 0.0
     return level
 
 
@@ -216,7 +223,9 @@ def smooth_binned(
             _add_rows(middle, upper, lower, taps[k])
         total[:] = 0
         for k in range(radius):
-            _add_pairs(total, line[radius - k : radius - k + cols], line[radius + 1 + k : radius + 1 + k + cols], np.int32(taps[k]))
+            _add_pairs(
+                total, line[radius - k : radius - k + cols], line[radius + 1 + k : radius + 1 + k + cols], np.int32(taps[k])
+            )
         target = out[half_row]
         for i in range(target.shape[0]):
             value = min(max(np.float32(total[2 * i]) * scale, -limit), limit) + np.float32(4096.5)

@@ -124,12 +124,24 @@ def blank_frames(detector: Detector, size: int, n: int, seed: int, n_stars: int 
         false += sum(not d.flags & StreakFlag.COSMIC_LIKE for d in found)
     # 95 % upper limit of a Poisson mean, Wilson-Hilferty approximation of the chi-square quantile
     upper = (false + 1) * (1.0 - 1.0 / (9 * (false + 1)) + 1.645 / (3.0 * math.sqrt(false + 1))) ** 3
-    return {"false_per_frame": round(false / n, 3), "upper95": round(upper / n, 3), "n": n, "cpu_s_median": round(float(np.median(cpu)), 3)}
+    return {
+        "false_per_frame": round(false / n, 3),
+        "upper95": round(upper / n, 3),
+        "n": n,
+        "cpu_s_median": round(float(np.median(cpu)), 3),
+    }
 
 
 def roc(
-    detector: Detector, size: int, n_frames: int, seed: int, *, lengths: Sequence[float] = LENGTHS_PX,
-    snr_range: tuple[float, float] = (5.0, 11.0), each: int = 4, n_stars: int = STARS,
+    detector: Detector,
+    size: int,
+    n_frames: int,
+    seed: int,
+    *,
+    lengths: Sequence[float] = LENGTHS_PX,
+    snr_range: tuple[float, float] = (5.0, 11.0),
+    each: int = 4,
+    n_stars: int = STARS,
 ) -> dict[str, Any]:
     """snr50 by length, false and fragment counts, mean S/N against truth, over frames that hold `each` streaks of each length."""
     usable = [length for length in lengths if length < 1.41 * size]
@@ -154,18 +166,22 @@ def roc(
             hit[length].append(detection is not None)
             if detection is not None and streak.snr > 9.0:
                 ratio[length].append(detection.snr / streak.snr)
-    near_10 = {length: [h for s, h in zip(snr[length], hit[length], strict=True) if 9.5 <= s] for length in usable}
+    near_10 = {length: [h for s, h in zip(snr[length], hit[length], strict=True) if s >= 9.5] for length in usable}
     return {
         "snr50_by_length": {f"{length:g}": snr50_with_interval(snr[length], hit[length], seed) for length in usable},
         "completeness_snr_9.5_to_max": {f"{x:g}": [round(float(np.mean(v)), 3), len(v)] for x, v in near_10.items() if v},
         "snr_ratio": {f"{x:g}": [round(float(np.mean(v)), 3), len(v)] for x, v in ratio.items() if v},
-        "false_per_frame": round(false / n_frames, 3), "fragments_per_frame": round(fragments / n_frames, 3), "n_frames": n_frames,
+        "false_per_frame": round(false / n_frames, 3),
+        "fragments_per_frame": round(fragments / n_frames, 3),
+        "n_frames": n_frames,
     }
 
 
 def shapes(detector: Detector, size: int, n_frames: int, seed: int) -> dict[str, Any]:
     """Completeness at S/N 12 of curved, varying, edge-cut, parallel and crossing streaks, and their S/N against straight ones."""
-    rows: dict[str, list[tuple[bool, float]]] = {name: [] for name in ("straight", "curved", "varying", "edge", "parallel", "crossing")}
+    rows: dict[str, list[tuple[bool, float]]] = {
+        name: [] for name in ("straight", "curved", "varying", "edge", "parallel", "crossing")
+    }
     for k in range(n_frames):
         rng = np.random.default_rng((seed, k))
         stars = random_stars(size, STARS, rng)
@@ -184,28 +200,45 @@ def shapes(detector: Detector, size: int, n_frames: int, seed: int) -> dict[str,
             base = random_streak(size, 400.0, 12.0, rng)
             draw("varying", Streak(**{**base.__dict__, "brightness_change": 0.4}))
             col, angle = float(rng.uniform(0.2, 0.8) * size), float(rng.uniform(0.4, 2.7))
-            draw("edge", Streak(row0=-80.0, col0=col, row1=-80.0 + 300 * math.sin(angle), col1=col + 300 * math.cos(angle), snr=12.0))
+            draw(
+                "edge",
+                Streak(row0=-80.0, col0=col, row1=-80.0 + 300 * math.sin(angle), col1=col + 300 * math.cos(angle), snr=12.0),
+            )
             base = random_streak(size, 300.0, 12.0, rng)
             u = ((base.row1 - base.row0) / 300.0, (base.col1 - base.col0) / 300.0)
             draw("parallel", base)
             other = (8.0 * u[1], -8.0 * u[0])
-            draw("parallel", Streak(
-                row0=base.row0 + other[0], col0=base.col0 + other[1], row1=base.row1 + other[0], col1=base.col1 + other[1], snr=12.0
-            ))
+            draw(
+                "parallel",
+                Streak(
+                    row0=base.row0 + other[0],
+                    col0=base.col0 + other[1],
+                    row1=base.row1 + other[0],
+                    col1=base.col1 + other[1],
+                    snr=12.0,
+                ),
+            )
             base = random_streak(size, 300.0, 12.0, rng)
             middle, half = (0.5 * (base.row0 + base.row1), 0.5 * (base.col0 + base.col1)), 120.0
             turn = math.atan2(base.row1 - base.row0, base.col1 - base.col0) + math.radians(50.0)
             draw("crossing", base)
-            draw("crossing", Streak(
-                row0=middle[0] - half * math.sin(turn), col0=middle[1] - half * math.cos(turn),
-                row1=middle[0] + half * math.sin(turn), col1=middle[1] + half * math.cos(turn), snr=12.0,
-            ))
+            draw(
+                "crossing",
+                Streak(
+                    row0=middle[0] - half * math.sin(turn),
+                    col0=middle[1] - half * math.cos(turn),
+                    row1=middle[0] + half * math.sin(turn),
+                    col1=middle[1] + half * math.cos(turn),
+                    snr=12.0,
+                ),
+            )
         paired, _, _ = score(detector.detect(view_of(scene, frame=1, history=(earlier,))), [clip(s, size) for s in scene.streaks])
         for name, detection in zip(names, paired, strict=True):
             rows[name].append((detection is not None, detection.snr / 12.0 if detection is not None else math.nan))
     return {
         name: {
-            "completeness": round(float(np.mean([r[0] for r in found])), 3), "n": len(found),
+            "completeness": round(float(np.mean([r[0] for r in found])), 3),
+            "n": len(found),
             "snr_ratio": round(float(np.nanmean([r[1] for r in found])), 3) if any(r[0] for r in found) else None,
         }
         for name, found in rows.items()
@@ -224,7 +257,10 @@ def clip(streak: Streak, size: int) -> Streak:
                 u1 = min(u1, a / (a - b))
     d_row, d_col = streak.row1 - streak.row0, streak.col1 - streak.col0
     return Streak(
-        row0=streak.row0 + u0 * d_row, col0=streak.col0 + u0 * d_col, row1=streak.row0 + u1 * d_row, col1=streak.col0 + u1 * d_col,
+        row0=streak.row0 + u0 * d_row,
+        col0=streak.col0 + u0 * d_col,
+        row1=streak.row0 + u1 * d_row,
+        col1=streak.col0 + u1 * d_col,
         snr=streak.snr,
     )
 
@@ -255,4 +291,4 @@ def main(quick: bool) -> dict[str, Any]:
 
 
 if __name__ == "__main__":
-    print(json.dumps(main("--quick" in sys.argv), indent=1))
+    sys.stdout.write(json.dumps(main("--quick" in sys.argv), indent=1) + "\n")

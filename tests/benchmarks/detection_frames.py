@@ -51,7 +51,7 @@ def _pixel_integral(position: NDArray[np.float64], pixel: NDArray[np.int64]) -> 
 
 def streak_template(streak: Streak, shape: tuple[int, int]) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Rows, cols and light (total 1 over an unbounded frame) of a streak; samples every ~0.2 px."""
-    n = max(1, int(math.ceil(streak.length_px / 0.2)))
+    n = max(1, math.ceil(streak.length_px / 0.2))
     u = (np.arange(n) + 0.5) / n
     height = streak.sagitta_px * 4.0 * u * (1.0 - u)
     length = max(streak.length_px, 1e-9)
@@ -100,9 +100,7 @@ def random_stars(size: int, n_stars: int, rng: np.random.Generator, *, faintest_
     return StarTruth(row=rng.uniform(-0.5, size - 0.5, n), col=rng.uniform(-0.5, size - 0.5, n), snr=snr)
 
 
-def exposure(
-    size: int, truth: StarTruth, rng: np.random.Generator, *, shift_px: tuple[float, float] = (0.0, 0.0)
-) -> Scene:
+def exposure(size: int, truth: StarTruth, rng: np.random.Generator, *, shift_px: tuple[float, float] = (0.0, 0.0)) -> Scene:
     """Noise and the stars moved by `shift_px`."""
     image = rng.standard_normal((size, size), dtype=np.float32) * np.float32(SIGMA)
     row, col = truth.row + shift_px[0], truth.col + shift_px[1]
@@ -110,7 +108,9 @@ def exposure(
     reach = np.arange(-5, 6)
     rows = np.rint(row).astype(np.int64)[:, None] + reach
     cols = np.rint(col).astype(np.int64)[:, None] + reach
-    light = flux[:, None, None] * _pixel_integral(row[:, None], rows)[:, :, None] * _pixel_integral(col[:, None], cols)[:, None, :]
+    light = (
+        flux[:, None, None] * _pixel_integral(row[:, None], rows)[:, :, None] * _pixel_integral(col[:, None], cols)[:, None, :]
+    )
     light = light + np.sqrt(light) * rng.standard_normal(light.shape)
     inside = ((rows >= 0) & (rows < size))[:, :, None] & ((cols >= 0) & (cols < size))[:, None, :]
     flat = rows[:, :, None] * size + cols[:, None, :]
@@ -131,9 +131,7 @@ def random_streak(size: int, length_px: float, snr: float, rng: np.random.Genera
         if abs(d_row) < size - 4 and abs(d_col) < size - 4:
             row = rng.uniform(2 + abs(d_row) / 2, size - 2 - abs(d_row) / 2)
             col = rng.uniform(2 + abs(d_col) / 2, size - 2 - abs(d_col) / 2)
-            return Streak(
-                row0=row - d_row / 2, col0=col - d_col / 2, row1=row + d_row / 2, col1=col + d_col / 2, snr=snr
-            )
+            return Streak(row0=row - d_row / 2, col0=col - d_col / 2, row1=row + d_row / 2, col1=col + d_col / 2, snr=snr)
 
 
 def view_of(scene: Scene, *, frame: int = 0, history: tuple[DetectorView, ...] = ()) -> DetectorView:
@@ -142,10 +140,19 @@ def view_of(scene: Scene, *, frame: int = 0, history: tuple[DetectorView, ...] =
     mesh = ((rows + 63) // 64, (cols + 63) // 64)
     background = BackgroundModel(tile_px=64, level_adu=np.zeros(mesh, np.float32), sigma_adu=np.full(mesh, SIGMA, np.float32))
     header = FrameHeader(
-        frame=frame, t_start_tai_ns=10**18 + frame * 250_000_000, exposure_ns=200_000_000, line_time_ns=10_000, rows=rows, cols=cols
+        frame=frame,
+        t_start_tai_ns=10**18 + frame * 250_000_000,
+        exposure_ns=200_000_000,
+        line_time_ns=10_000,
+        rows=rows,
+        cols=cols,
     )
     bare = DetectorView(
-        header=header, residual_adu=scene.image, background=background, mask=np.zeros((rows, cols), np.uint8),
-        stars=StarList.empty(), psf_sigma_px=PSF_SIGMA_PX,
+        header=header,
+        residual_adu=scene.image,
+        background=background,
+        mask=np.zeros((rows, cols), np.uint8),
+        stars=StarList.empty(),
+        psf_sigma_px=PSF_SIGMA_PX,
     )
     return replace(bare, stars=MatchedStars().extract(bare), history=history)

@@ -60,7 +60,10 @@ def test_dyadic_sum_of_a_drawn_line_is_its_number_of_pixels(height: int, shift: 
     work = np.empty((2, work_size(*image.shape)), np.int16)
     table = line_sums(image, False, np.array([1.0, 1.0]), 2.0, height, 1000, work[0], work[1])
     best = table[np.argmax(table[:, 4])]
-    assert best[0] == 0 and best[1] == height and best[2] == 60 and best[3] == shift
+    assert best[0] == 0
+    assert best[1] == height
+    assert best[2] == 60
+    assert best[3] == shift
     assert best[4] * math.sqrt(height) == pytest.approx(7 * height, rel=0.02)  # sums of 64 rows and more are halved and rounded
 
 
@@ -118,7 +121,8 @@ def test_mean_statistic_is_the_matched_filter_snr_within_5_percent(length_px: fl
             truth.append(Streak(row0=row - half[0], col0=512.0 - half[1], row1=row + half[0], col1=512.0 + half[1], snr=20.0))
         scene, history = star_scene(100 + seed, truth, n_stars=2_000)
         paired, fragments, false = score(found_in(scene, history), truth)
-        assert fragments == 0 and false == 0
+        assert fragments == 0
+        assert false == 0
         ratios += [d.snr / 20.0 for d in paired if d is not None]
     assert len(ratios) == 9
     # the mean of 9 scatters by 2 %: noise and the streaks' own Poisson noise
@@ -135,9 +139,11 @@ def test_bright_streaks_are_not_eaten_by_the_star_mask() -> None:
     scene, history = star_scene(7, truth)
     paired, fragments, false = score(found_in(scene, history), scene.streaks)
     assert all(d is not None for d in paired)
-    assert fragments == 0 and false == 0
+    assert fragments == 0
+    assert false == 0
     for detection, streak in zip(paired, truth, strict=True):
-        assert detection is not None and detection.snr == pytest.approx(streak.snr, rel=0.15)
+        assert detection is not None
+        assert detection.snr == pytest.approx(streak.snr, rel=0.15)
 
 
 def test_point_like_mover_is_found_and_flagged() -> None:
@@ -160,7 +166,8 @@ def test_parallel_streaks_stay_two_and_crossing_ones_are_found() -> None:
         add_streak(scene, streak, rng)
     paired, fragments, false = score(found_in(scene), truth)
     assert all(d is not None for d in paired)
-    assert fragments == 0 and false == 0
+    assert fragments == 0
+    assert false == 0
 
 
 def test_curved_and_varying_streaks_lose_less_than_5_percent() -> None:
@@ -187,10 +194,15 @@ def test_sagitta_has_the_sign_of_the_contract() -> None:
     for sign in (1.0, -1.0):
         for ends in ((300.0, 200.0, 420.0, 700.0), (200.0, 300.0, 700.0, 420.0)):
             scene, rng = noise_scene(1024, 12)
-            add_streak(scene, Streak(row0=ends[0], col0=ends[1], row1=ends[2], col1=ends[3], snr=60.0, sagitta_px=3.0 * sign), rng)
+            add_streak(
+                scene, Streak(row0=ends[0], col0=ends[1], row1=ends[2], col1=ends[3], snr=60.0, sagitta_px=3.0 * sign), rng
+            )
             found = found_in(scene)
-            assert len(found) == 1 and found[0].flags & StreakFlag.CURVED
-            forward = (found[0].row1 - found[0].row0) * (ends[2] - ends[0]) + (found[0].col1 - found[0].col0) * (ends[3] - ends[1])
+            assert len(found) == 1
+            assert found[0].flags & StreakFlag.CURVED
+            forward = (found[0].row1 - found[0].row0) * (ends[2] - ends[0]) + (found[0].col1 - found[0].col0) * (
+                ends[3] - ends[1]
+            )
             assert found[0].sagitta_px * np.sign(forward) == pytest.approx(3.0 * sign, abs=1.0)
 
 
@@ -200,7 +212,8 @@ def test_streak_cut_by_the_edge_is_found_and_flagged() -> None:
     add_streak(scene, streak, rng)
     found = found_in(scene)
     paired, _, false = score(found, [clip(streak, 1024)])
-    assert paired[0] is not None and false == 0
+    assert paired[0] is not None
+    assert false == 0
     at_edge = StreakFlag.EDGE0 if paired[0].row0 < paired[0].row1 else StreakFlag.EDGE1
     assert paired[0].flags & at_edge
 
@@ -247,7 +260,9 @@ def test_streak_is_found_in_a_frame_masked_to_nine_tenths() -> None:
 @pytest.mark.parametrize("content", ["zero", "constant", "noise"])
 def test_small_and_empty_frames(shape: tuple[int, int], content: str) -> None:
     rng = np.random.default_rng(17)
-    image = {"zero": np.zeros(shape), "constant": np.full(shape, 50.0 * SIGMA), "noise": SIGMA * rng.standard_normal(shape)}[content]
+    image = {"zero": np.zeros(shape), "constant": np.full(shape, 50.0 * SIGMA), "noise": SIGMA * rng.standard_normal(shape)}[
+        content
+    ]
     view = view_of(Scene(image=image.astype(np.float32)))
     for history in ((), (view,)):
         assert LineIntegralDetector().detect(replace(view, history=history)) == () or content == "constant"
@@ -266,12 +281,15 @@ def test_input_is_untouched_and_result_deterministic_and_inside() -> None:
     view = view_of(scene, frame=1, history=history)
     copies = view.residual_adu.copy(), view.mask.copy(), history[0].residual_adu.copy()
     first, second = LineIntegralDetector().detect(view), LineIntegralDetector().detect(view)
-    assert first == second and len(first) >= 1
+    assert first == second
+    assert len(first) >= 1
     for before, after in zip(copies, (view.residual_adu, view.mask, history[0].residual_adu), strict=True):
         assert np.array_equal(before, after)
     for d in first:
-        assert 0.0 <= min(d.row0, d.row1) and max(d.row0, d.row1) <= 1023.0
-        assert 0.0 <= min(d.col0, d.col1) and max(d.col0, d.col1) <= 1023.0
+        assert min(d.row0, d.row1) >= 0.0
+        assert max(d.row0, d.row1) <= 1023.0
+        assert min(d.col0, d.col1) >= 0.0
+        assert max(d.col0, d.col1) <= 1023.0
     assert list(first) == sorted(first, key=lambda d: (bool(d.flags & StreakFlag.COSMIC_LIKE), -d.snr))
 
 

@@ -67,7 +67,8 @@ def test_boundary_tensor_of_an_edge_and_a_line_has_one_response() -> None:
         rr, rc, cc = boundary_tensor.boundary_tensor(np.tile(profile, (64, 1)).astype(np.float32), 1.5)
         energy = (rr + cc)[32]
         assert abs(int(np.argmax(energy[10:54])) + 10 - 32) <= 0.5
-        assert rr[32, 32] < 1e-6 * cc[32, 32] and abs(rc[32, 32]) < 1e-6 * cc[32, 32]
+        assert rr[32, 32] < 1e-6 * cc[32, 32]
+        assert abs(rc[32, 32]) < 1e-6 * cc[32, 32]
 
 
 def test_quadrature_weights_follow_the_absolute_value_of_the_frequency() -> None:
@@ -86,7 +87,9 @@ def test_registration_recovers_shift_and_rotation() -> None:
 
     def stars(place: np.ndarray) -> StarList:
         n = len(place)
-        return StarList(row=place[:, 0], col=place[:, 1], flux_e=np.arange(n, 0, -1), snr=np.full(n, 20.0), flags=np.zeros(n, np.uint8))
+        return StarList(
+            row=place[:, 0], col=place[:, 1], flux_e=np.arange(n, 0, -1), snr=np.full(n, 20.0), flags=np.zeros(n, np.uint8)
+        )
 
     transform = register(stars(points), stars(moved[rng.permutation(400)[:380]]), reach_px=100.0)
     assert transform is not None

@@ -35,7 +35,7 @@ SEARCH_STAGES: Final = ((2.5, 3), (1.6, 3), (1.0, 5))
 CURVED_WIDTHS: Final = 40.0
 """Shorter trails (in widths) are straight."""
 
-SEARCH_PIXELS: Final = 9000
+SEARCH_PIXELS: Final = 6000
 """Pixels used to find the line; of longer trails every second, third ... pixel."""
 
 
@@ -195,7 +195,7 @@ def find_line(
             return None
     turned = turned_along(line)
     return LineFit(
-        pixels=pixels.in_frame(turned.pixels.frame).near(6.0 * width_px + 1.0 + abs(parameters[SAGITTA])),
+        pixels=pixels.in_frame(turned.pixels.frame).near(5.0 * width_px + 0.7 + abs(parameters[SAGITTA])),
         parameters=turned.parameters,
         covariance=turned.covariance,
         half_px=half_px,

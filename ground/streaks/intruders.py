@@ -1,72 +1,151 @@
-"""Light that is not the trail's: stars under it, crossing streaks, particle hits. Found in the residuals, then left out."""
+"""Light that is not the trail's: stars under it, crossing streaks, particle hits. Found in the residuals, then left out.
+
+A frame holds a star above S/N 5 in every 500 pixels, so most trails cross one that no list names. Point sources are looked for
+with the PSF on the residuals of the trail; where the trail itself is bright enough to vary, on the residuals of its
+running median, because tumbling is slower than a PSF.
+"""
 
 import math
 from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
+from scipy.ndimage import median_filter
 
 from ground.streaks.centre_line import LineFit
 from ground.streaks.trail_model import DENSITY, END0, END1, mean_all
 
-ALONE_SIGMAS: Final = 7.0
-"""Residual of a single pixel that starts a mask (Poisson tails of a faint sky pass 6 sigmas now and then)."""
+POINT_SIGMAS: Final = 4.2
+"""Matched-filter S/N of a point source that is masked: one by chance in a hundred trails of 100 px."""
 
-PAIR_SIGMAS: Final = (5.0, 2.5)
-"""Or: residual of a pixel, and of another one beside it."""
+SEED_SIGMAS: Final = 1.5
+"""Pixels this far above the model are tried as centres of a point source."""
 
-GROW_WIDTHS: Final = 2.5
-"""Radius of the mask around such a pixel, in PSF widths."""
+CLEAN_SIGMAS: Final = 0.3
+"""The mask reaches to where the source's light falls below this part of a pixel's noise."""
 
 MOST_MASKED: Final = 0.35
 """A larger share of the trail masked means that the model, not the sky, is at fault; then nothing is masked."""
 
+MEDIAN_WIDTHS: Final = 21
+MEDIAN_SNR: Final = 2.0
+"""Slices (one PSF width each) of the running median, and the S/N of a slice from which it replaces the smooth model."""
+
+
+def slice_densities(line: LineFit) -> tuple[NDArray[np.float64], float, NDArray[np.bool_]]:
+    """Density of each slice of one PSF width between the ends, u of the first, and which slices hold enough pixels."""
+    pixels, p = line.pixels, line.parameters
+    low, high = max(p[END0], float(pixels.u.min())), min(p[END1], float(pixels.u.max()))
+    lit = (pixels.u > low) & (pixels.u < high) & (np.abs(pixels.v) < 2.0 * line.width_px)
+    u, weight = pixels.u[lit], np.exp(-0.5 * (pixels.v[lit] / line.width_px) ** 2)
+    if u.size < 20:
+        return np.zeros(0), low, np.zeros(0, dtype=np.bool_)
+    slices = ((u - low) / line.width_px).astype(np.int64)
+    norm = np.bincount(slices, weight**2)
+    full = norm > 0.3 * norm.max()
+    peak = 1.0 / (math.sqrt(2.0 * math.pi) * line.width_px)
+    return np.bincount(slices, weight * pixels.value_e[lit]) / (np.maximum(norm, 1e-12) * peak), low, full
+
 
 def at_median_brightness(line: LineFit) -> LineFit:
     """The line with the median density of its slices where that is lower: one bright star does not lift a median."""
-    pixels, p = line.pixels, line.parameters
-    lit = (pixels.u > max(p[END0], pixels.u.min())) & (pixels.u < min(p[END1], pixels.u.max()))
-    lit &= np.abs(pixels.v) < 2.0 * line.width_px
-    if np.count_nonzero(lit) < 20:
+    densities, _, full = slice_densities(line)
+    if not full.any():
         return line
-    u, weight = pixels.u[lit], np.exp(-0.5 * (pixels.v[lit] / line.width_px) ** 2)
-    slices = ((u - u.min()) / line.width_px).astype(np.int64)
-    norm = np.bincount(slices, weight**2)
-    full = norm > 0.3 * norm.max()
-    profile_peak = 1.0 / (math.sqrt(2.0 * math.pi) * line.width_px)
-    densities = np.bincount(slices, weight * pixels.value_e[lit])[full] / (norm[full] * profile_peak)
-    parameters = p.copy()
-    parameters[DENSITY] = min(p[DENSITY], max(float(np.median(densities)), 0.0))
+    parameters = line.parameters.copy()
+    parameters[DENSITY] = min(parameters[DENSITY], max(float(np.median(densities[full])), 0.0))
     return replace(line, parameters=parameters)
 
 
-def residual_sigmas(line: LineFit) -> NDArray[np.float64]:
-    """(n,) residuals over their expected noise, the object's own included."""
-    mean = mean_all(line.parameters, line.pixels.u, line.pixels.v, line.half_px, line.blur_px[0], line.blur_px[1])
-    return (line.pixels.value_e - mean) / np.sqrt(line.pixels.variance_e2 + np.maximum(mean, 0.0))
-
-
-def intruder_mask(line: LineFit, width_px: float) -> tuple[NDArray[np.bool_], bool]:
-    """(n,) pixels to leave out, and whether any of them lies on the trail."""
+def expected_light(line: LineFit) -> NDArray[np.float64]:
+    """(n,) electrons of the trail: the model, following the running median of a bright trail."""
     pixels = line.pixels
-    sigmas = residual_sigmas(line)
-    bright = np.flatnonzero(sigmas > PAIR_SIGMAS[0])
+    mean = mean_all(line.parameters, pixels.u, pixels.v, line.half_px, line.blur_px[0], line.blur_px[1])
+    densities, low, full = slice_densities(line)
+    dark = not line.parameters[DENSITY] > 0.0
+    if dark or np.count_nonzero(full) < MEDIAN_WIDTHS or line.snr**2 / full.size < MEDIAN_SNR**2:
+        return mean
+    places = np.flatnonzero(full)
+    running = median_filter(densities[full], size=MEDIAN_WIDTHS, mode="nearest")
+    ratio = np.clip(running / line.parameters[DENSITY], 0.0, 5.0)
+    return mean * np.interp((pixels.u - low) / line.width_px - 0.5, places, ratio)
+
+
+@njit(cache=True)
+def point_source_snr(
+    seeds: NDArray[np.int64],
+    u: NDArray[np.float64],
+    v: NDArray[np.float64],
+    residual_e: NDArray[np.float64],
+    variance_e2: NDArray[np.float64],
+    width: float,
+) -> NDArray[np.float64]:
+    """Matched-filter S/N, shape (seeds,), of a point source at each seed pixel; pixels (n,) by ascending u."""
+    out = np.zeros(seeds.size)
+    reach = 3.0 * width
+    for k in range(seeds.size):
+        i = seeds[k]
+        low = np.searchsorted(u, u[i] - reach)
+        signal, information = 0.0, 0.0
+        j = low
+        while j < u.size and u[j] <= u[i] + reach:
+            r2 = (u[j] - u[i]) ** 2 + (v[j] - v[i]) ** 2
+            if r2 < reach * reach:
+                weight = math.exp(-0.5 * r2 / (width * width))
+                signal += weight * residual_e[j] / variance_e2[j]
+                information += weight * weight / variance_e2[j]
+            j += 1
+        out[k] = signal / math.sqrt(information)
+    return out
+
+
+def needed_snr(
+    line: LineFit,
+    seeds: NDArray[np.int64],
+    variance_e2: NDArray[np.float64],
+    end_error_px: tuple[float, float],
+    model_error: float,
+) -> NDArray[np.float64]:
+    """S/N above which the light at each seed is an intruder's, shape (seeds,).
+
+    On the line it may be the trail's own: a fully lit trail has a point-source S/N of density over pixel noise, of which
+    `model_error` may be left over, and all of it near an end that may be farther out than the model has it.
+    """
+    pixels, p, width = line.pixels, line.parameters, line.width_px
+    u = pixels.u[seeds]
+    guard0, guard1 = (4.0 * error + 2.0 * width for error in end_error_px)
+    near_end = (np.abs(u - p[END0]) < guard0) | (np.abs(u - p[END1]) < guard1)
+    share = np.where(near_end, 1.3, model_error) * (np.abs(pixels.v[seeds]) < 2.5 * width)
+    return POINT_SIGMAS + share * p[DENSITY] / np.sqrt(variance_e2[seeds])
+
+
+def intruder_mask(
+    line: LineFit, width_px: float, end_error_px: tuple[float, float], model_error: float = 0.35
+) -> tuple[NDArray[np.bool_], bool]:
+    """(n,) pixels to leave out, and whether any of them lies on the trail.
+
+    The line's pixels are by ascending u. end_error_px : how far off the model's ends may be. model_error : of its brightness.
+    """
+    pixels = line.pixels
     mask = np.zeros(pixels.u.size, dtype=np.bool_)
-    if bright.size == 0:
+    mean = expected_light(line)
+    residual, variance = pixels.value_e - mean, pixels.variance_e2 + np.maximum(mean, 0.0)
+    seeds = np.flatnonzero(residual > SEED_SIGMAS * np.sqrt(variance))
+    if seeds.size == 0:
         return mask, False
-    radius = GROW_WIDTHS * width_px
-    order = np.argsort(pixels.u, kind="stable")
-    sorted_u = pixels.u[order]
-    for seed in bright:
-        low, high = np.searchsorted(sorted_u, (pixels.u[seed] - radius, pixels.u[seed] + radius))
-        around = order[low:high]
-        distance = np.hypot(pixels.u[around] - pixels.u[seed], pixels.v[around] - pixels.v[seed])
-        paired = np.count_nonzero(sigmas[around[distance < 1.5]] > PAIR_SIGMAS[1]) > 1
-        if paired or sigmas[seed] > ALONE_SIGMAS:
-            mask[around[distance < radius]] = True
+    snr = point_source_snr(seeds, pixels.u, pixels.v, residual, variance, width_px)
+    foreign = snr > needed_snr(line, seeds, variance, end_error_px, model_error)
+    for seed, found in zip(seeds[foreign], snr[foreign], strict=True):
+        # amplitude over noise of the brightest pixel of a point source of this S/N
+        peak = found / (math.sqrt(math.pi) * width_px)
+        radius = width_px * math.sqrt(2.0 * math.log(max(peak / CLEAN_SIGMAS, 2.0)))
+        low, high = np.searchsorted(pixels.u, (pixels.u[seed] - radius, pixels.u[seed] + radius))
+        near = np.hypot(pixels.u[low:high] - pixels.u[seed], pixels.v[low:high] - pixels.v[seed]) < radius
+        mask[low:high] |= near
     inside = (pixels.u > line.parameters[END0]) & (pixels.u < line.parameters[END1]) & (np.abs(pixels.v) < 1.5 * width_px)
     share = float(mask[inside].mean()) if inside.any() else 0.0
     if share > MOST_MASKED:
         return np.zeros_like(mask), False
-    return mask, share > 0.0 and math.isfinite(share)
+    return mask, share > 0.0

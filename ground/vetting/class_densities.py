@@ -8,7 +8,7 @@ import math
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,17 +65,30 @@ class ClassDensity:
         return total
 
 
+def _document() -> dict[str, Any]:
+    """The file's content."""
+    text = resources.files("ground.vetting").joinpath("class_densities.json").read_text(encoding="utf-8")
+    document: dict[str, Any] = json.loads(text)
+    return document
+
+
+@cache
+def log_odds_calibration() -> tuple[float, float]:
+    """(offset, slope) that make the log odds of the independent features those of reality (Platt 1999)."""
+    entry = _document()["calibration"]
+    return float(entry["offset"]), float(entry["slope"])
+
+
 @cache
 def class_densities() -> dict[str, ClassDensity]:
     """The table, by class name."""
-    text = resources.files("ground.vetting").joinpath("class_densities.json").read_text(encoding="utf-8")
     table = {
         name: ClassDensity(
             sharpness=tuple((float(w), float(m), float(s)) for w, m, s in entry["sharpness"]),
             histograms={feature: np.asarray(entry["histograms"][feature], dtype=np.float64) for feature in BINS},
             shares={flag: float(entry["shares"][flag]) for flag in FLAG_SHARES},
         )
-        for name, entry in json.loads(text)["classes"].items()
+        for name, entry in _document()["classes"].items()
     }
     flat = {feature: np.full(len(borders) + 1, 1.0 / (len(borders) + 1)) for feature, borders in BINS.items()}
     table[RECURRING] = ClassDensity(sharpness=((1.0, 0.0, 0.7),), histograms=flat, shares={"aligned": 0.1, "failed": 0.1})

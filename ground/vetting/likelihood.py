@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.vetting.class_densities import REAL, RECURRING, class_densities
-from ground.vetting.features import features_of
+from ground.vetting.class_densities import REAL, RECURRING, class_densities, log_odds_calibration
+from ground.vetting.features import Features, features_of
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.products import StreakFit
 
@@ -66,18 +66,27 @@ class LikelihoodVetter:
         """Probabilities, shape (len(fits),), of being a real object."""
         if not fits:
             return np.zeros(0)
-        densities = class_densities()
-        rates = {
-            REAL: self.real_per_frame,
-            "noise": self.noise_per_frame,
-            "particle": self.particle_per_frame,
-            "hot_line": self.hot_line_per_frame,
-            "star_chain": self.star_chain_per_frame,
-            RECURRING: self.recurring_per_frame,
+        offset, slope = log_odds_calibration()
+        log_odds = self.log_odds([features_of(fit, self.psf_sigma_px) for fit in fits])
+        return np.asarray(1.0 / (1.0 + np.exp(-(offset + slope * log_odds))), dtype=np.float64)
+
+    def class_rates(self) -> dict[str, tuple[float, float]]:
+        """Of each class: expected detections per frame, and how many frames that expectation is worth."""
+        return {
+            REAL: (self.real_per_frame, self.steady_frames),
+            "noise": (self.noise_per_frame, self.steady_frames),
+            "particle": (self.particle_per_frame, 1.0),
+            "hot_line": (self.hot_line_per_frame, 1.0),
+            "star_chain": (self.star_chain_per_frame, 1.0),
+            RECURRING: (self.recurring_per_frame, 1.0),
         }
-        steady = {REAL: self.steady_frames, "noise": self.steady_frames}
-        features = [features_of(fit, self.psf_sigma_px) for fit in fits]
-        log_density = np.array([[densities[name].log_density(name, f) for name in rates] for f in features])
-        worth = np.array([steady.get(name, 1.0) for name in rates])
-        share = posterior_of_classes(log_density, np.array(list(rates.values())), worth)
-        return np.asarray(share[:, list(rates).index(REAL)], dtype=np.float64)
+
+    def log_odds(self, features: Sequence[Features]) -> NDArray[np.float64]:
+        """ln P(real) / P(not real), shape (n,), of the detections of one frame, features taken as independent."""
+        densities, classes = class_densities(), self.class_rates()
+        log_density = np.array([[densities[name].log_density(name, f) for name in classes] for f in features])
+        rate, worth = (np.array(column) for column in zip(*classes.values(), strict=True))
+        share = posterior_of_classes(log_density, rate, worth)
+        real = share[:, list(classes).index(REAL)]
+        rest = np.delete(share, list(classes).index(REAL), axis=1).sum(axis=1)
+        return np.asarray(np.log(np.maximum(real, 1e-12)) - np.log(np.maximum(rest, 1e-12)), dtype=np.float64)

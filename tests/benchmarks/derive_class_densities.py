@@ -13,7 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.streaks import TrailedPsfFitter
-from ground.vetting.class_densities import BINS, FLAG_SHARES
+from ground.vetting import LikelihoodVetter
+from ground.vetting.class_densities import BINS, FLAG_SHARES, REAL, class_densities, log_odds_calibration
 from ground.vetting.features import Features, features_of
 from tests.streaks.impostors import CLASSES, draw
 from tests.streaks.trail_rendering import PSF_SIGMA_PX
@@ -69,13 +70,50 @@ def entry(features: list[Features]) -> dict[str, object]:
     }
 
 
+def logistic(log_odds: NDArray[np.float64], real: NDArray[np.bool_]) -> tuple[float, float]:
+    """Maximum-likelihood (offset, slope) of P(real) = expit(offset + slope log_odds), by Newton's method (Platt 1999)."""
+    design = np.stack([np.ones_like(log_odds), log_odds], axis=1)
+    coefficients = np.array([0.0, 1.0])
+    for _ in range(50):
+        p = 1.0 / (1.0 + np.exp(-design @ coefficients))
+        hessian = (design * (p * (1.0 - p))[:, None]).T @ design
+        coefficients = coefficients + np.linalg.solve(hessian, design.T @ (real - p))
+    return float(coefficients[0]), float(coefficients[1])
+
+
+def calibration(frames: int) -> dict[str, float]:
+    """Correction of the log odds, measured on frames of fresh detections: the features are not quite independent."""
+    banks = {name: sample(name, CASES // 2, SEED + 1) for name in CLASSES}
+    rng = np.random.default_rng([SEED, 2])
+    vetter = LikelihoodVetter()
+    rates = {name: rate for name, (rate, _) in vetter.class_rates().items() if name in banks}
+    log_odds, real = [], []
+    for _ in range(frames):
+        names = [name for name, rate in rates.items() for _ in range(rng.poisson(rate))]
+        if names:
+            drawn = [banks[name][rng.integers(len(banks[name]))] for name in names]
+            log_odds.append(vetter.log_odds(drawn))
+            real.append(np.array([name == REAL for name in names]))
+    offset, slope = logistic(np.concatenate(log_odds), np.concatenate(real))
+    return {"offset": round(offset, 4), "slope": round(slope, 4)}
+
+
+def write(table: dict[str, object]) -> None:
+    """The table to its place."""
+    TABLE.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+    class_densities.cache_clear()
+    log_odds_calibration.cache_clear()
+
+
 def main() -> None:
-    """Simulate, fit, write."""
-    table = {
+    """Simulate, fit, write; then measure the calibration with the table in place."""
+    table: dict[str, object] = {
         "provenance": f"tests/benchmarks/derive_class_densities.py, seed {SEED}, {CASES} simulated detections of each class",
+        "calibration": {"offset": 0.0, "slope": 1.0},
         "classes": {name: entry(sample(name, CASES, SEED)) for name in CLASSES},
     }
-    TABLE.write_text(json.dumps(table, indent=1) + "\n", encoding="utf-8")
+    write(table)
+    write(table | {"calibration": calibration(frames=30000)})
 
 
 if __name__ == "__main__":

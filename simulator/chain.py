@@ -92,7 +92,7 @@ class Simulator:
             rows=self._camera.shape[0],
             row_step=self._camera.binning.rows,
         )
-        self._check_field(epoch, epoch + round(duration_s * 1e9))
+        self._check_field(duration_s)
         self._particles = ParticleField(
             options.radiation,
             rows=options.instrument.rows,
@@ -165,15 +165,19 @@ class Simulator:
         """The atmosphere in the middle of a frame."""
         return self._air(self._carrier.observer, self._carrier.tai_ns(sight.reference_s))
 
-    def _check_field(self, first_tai_ns: int, last_tai_ns: int) -> None:
-        """Refuse the Earth and the horizon in the field; set the seeing of a site."""
-        for tai_ns in (first_tai_ns, last_tai_ns):
+    def _check_field(self, duration_s: float) -> None:
+        """Refuse the Earth and the horizon in the field at 17 times of the run; set the seeing of a site to its mean."""
+        seeing_px = []
+        for time_s in np.linspace(0.0, duration_s, 17):
+            tai_ns = self._carrier.tai_ns(float(time_s))
             air, boresight = self._air(self._carrier.observer, tai_ns), self._carrier.attitude(tai_ns)[2]
             if air is None:
                 self._carrier.refuse_earth(tai_ns, self._camera.radius_rad)
             else:
                 air.refuse_low(boresight)
-                self._camera.seeing_px = self._camera.projection.focal_px * air.seeing_sigma_rad(boresight)
+                seeing_px.append(self._camera.projection.focal_px * air.seeing_sigma_rad(boresight))
+        if seeing_px:
+            self._camera.seeing_px = float(np.mean(seeing_px))
 
     # ------------------------------------------------------------- the scene
 

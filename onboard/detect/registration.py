@@ -11,6 +11,9 @@ from sboc_e2e.icd.signals import StarList
 BRIGHTEST: Final = 60
 """Stars of each list that vote for the shift."""
 
+MATCHED: Final = 1500
+"""Brightest stars of the earlier list that are matched for the fit; twice as many of the other list stand ready."""
+
 
 def _similarity(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
     """Least-squares 2 x 3 map [[a, -b, tr], [b, a, tc]] of points (n, 2) onto points (n, 2)."""
@@ -31,8 +34,8 @@ def apply(transform: NDArray[np.float64], points: NDArray[np.float64]) -> NDArra
 def register(earlier: StarList, now: StarList, *, reach_px: float) -> NDArray[np.float64] | None:
     """The (2, 3) transform that takes (row, col) of `earlier` to `now`, or None when fewer than 5 stars agree.
 
-    Shifts between the brightest stars vote in cells of 2 px (up to reach_px); the winner is refined by matching all stars
-    within 3, then 1.5 px and fitting a similarity. Rotation between frames must move no star by more than ~3 px for the vote.
+    Shifts between the brightest stars vote in cells of 2 px (up to reach_px); the winner is refined by matching bright
+    stars within 3, then 1.5 px and fitting a similarity. Rotation between frames must move no star by more than ~3 px for the vote.
     """
     if len(earlier) < 5 or len(now) < 5:
         return None
@@ -46,9 +49,8 @@ def register(earlier: StarList, now: StarList, *, reach_px: float) -> NDArray[np
     votes = tree.query_ball_point(shifts, 2.0, return_length=True)
     shift = shifts[tree.query_ball_point(shifts[int(np.argmax(votes))], 2.0)].mean(axis=0)
     transform = np.column_stack([np.eye(2), shift])
-    count = min(len(earlier), 2000)
-    points = np.column_stack([earlier.row, earlier.col])[:count]
-    target = np.column_stack([now.row, now.col])
+    points = np.column_stack([earlier.row, earlier.col])[:MATCHED]
+    target = np.column_stack([now.row, now.col])[: 2 * MATCHED]
     star_tree = cKDTree(target)
     for radius in (3.0, 1.5, 1.0):
         distance, index = star_tree.query(apply(transform, points), distance_upper_bound=radius)

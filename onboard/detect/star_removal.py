@@ -53,16 +53,20 @@ def snr_before(
 ) -> NDArray[np.float64]:
     """Point-source S/N in the earlier frame at the mapped places of points of this one, shape (n,), NaN where unknown."""
     then = earlier.view
-    return static_sky.point_snr_before(
+    out = np.empty(len(row))
+    # by row, so that neighbouring stars share what is in the cache
+    order = np.argsort(row, kind="stable")
+    out[order] = static_sky.point_snr_before(
         then.residual_adu,
         then.mask,
         then.background.sigma_adu,
         then.background.tile_px,
         earlier.transform,
-        row,
-        col,
+        row[order],
+        col[order],
         psf_sigma_px,
     )
+    return out
 
 
 def remove_stars_alone(view: DetectorView, image: NDArray[np.int8], blocked: NDArray[np.uint8], halo_px: float) -> None:

@@ -20,9 +20,11 @@ SATURATED: Final = int(MaskBit.SATURATED)
 
 
 @nb.njit(cache=True)
-def _quantise_run(source: NDArray[np.float32], mask: NDArray[np.uint8], scale: np.float32, out: NDArray[np.int8]) -> None:
+def _quantise_row(
+    source: NDArray[np.float32], mask: NDArray[np.uint8], scale: NDArray[np.float32], out: NDArray[np.int8]
+) -> None:
     for i in range(source.shape[0]):
-        value = source[i] * scale + np.float32(128.5)
+        value = source[i] * scale[i] + np.float32(128.5)
         value = min(max(value, np.float32(1.0)), np.float32(255.0))
         out[i] = np.int8(np.int32(value) - 128)
     for i in range(source.shape[0]):
@@ -36,18 +38,18 @@ def quantise(
 ) -> NDArray[np.int8]:
     """Residual in units of sigma/16, clipped at +-7.9 sigma; saturated pixels hold the clip, other masked ones 0.
 
-    All images (rows, cols); sigma is a mesh.
+    All images (rows, cols); sigma is a mesh, and where it is 0 the result is 0.
     """
     rows, cols = residual_adu.shape
-    out = np.zeros((rows, cols), np.int8)
+    out = np.empty((rows, cols), np.int8)
+    scale = np.zeros(cols, np.float32)
     for row in range(rows):
-        mesh_row = min(row // tile_px, sigma_adu.shape[0] - 1)
-        for mesh_col in range((cols + tile_px - 1) // tile_px):
-            sigma = sigma_adu[mesh_row, min(mesh_col, sigma_adu.shape[1] - 1)]
-            if not sigma > 0.0:
-                continue
-            col0, col1 = mesh_col * tile_px, min((mesh_col + 1) * tile_px, cols)
-            _quantise_run(residual_adu[row, col0:col1], mask[row, col0:col1], np.float32(UNIT / sigma), out[row, col0:col1])
+        if row % tile_px == 0:
+            mesh_row = min(row // tile_px, sigma_adu.shape[0] - 1)
+            for col in range(cols):
+                sigma = sigma_adu[mesh_row, min(col // tile_px, sigma_adu.shape[1] - 1)]
+                scale[col] = UNIT / sigma if sigma > 0.0 else 0.0
+        _quantise_row(residual_adu[row], mask[row], scale, out[row])
     return out
 
 
@@ -102,7 +104,7 @@ def local_level(image: NDArray[np.int8], blocked: NDArray[np.uint8], tile_px: in
     n_row, n_col = (rows + tile_px - 1) // tile_px, (cols + tile_px - 1) // tile_px
     total = np.zeros((n_row, n_col))
     count = np.zeros((n_row, n_col))
-    for row in range(rows):
+    for row in range(0, rows, 2):  # every other row: 9 x 2,048 px are enough for 0.007 sigma
         for j in range(n_col):
             piece = slice(j * tile_px, min((j + 1) * tile_px, cols))
             s, n = _tile_sums(image[row, piece], blocked[row, piece], 3 * UNIT)

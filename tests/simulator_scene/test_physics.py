@@ -382,3 +382,28 @@ def test_ranges_of_options_are_checked_together():
         PlatformOptions(kind="kepler", semi_major_axis_km=7000.0, eccentricity=0.3)
     with pytest.raises(UserError, match="jitter"):
         JitterOptions(lowest_hz=10.0, highest_hz=1.0)
+
+
+@pytest.mark.parametrize(
+    ("from_mm", "to_mm", "range_km", "rate_deg_s"),
+    # medians of detected objects as they enter the field, of an independent calculation good to a factor of two
+    [(1.0, 1.5, 7.0, 8.5), (3.0, 5.0, 13.0, 48.0), (10.0, 15.0, 74.0, 10.0), (50.0, 100.0, 680.0, 1.1)],
+)
+def test_median_range_and_rate_of_entering_debris(from_mm, to_mm, range_km, rate_deg_s):
+    options = PopulationOptions(candidates=40000)
+    found = draw_candidates(options, SizeClass(from_mm=from_mm, to_mm=to_mm), default_window(), np.random.default_rng(4))
+    entering = np.where((found.snr >= 8.0) & (found.rate_deg_s > 0.1), found.per_day, 0.0)
+
+    def median(values):
+        order = np.argsort(values)
+        total = np.cumsum(entering[order])
+        return values[order][np.searchsorted(total, 0.5 * total[-1])]
+
+    assert 0.5 < median(found.range_km) / range_km < 2.0
+    assert 0.5 < median(found.rate_deg_s) / rate_deg_s < 2.0
+
+
+def test_half_of_sub_centimetre_debris_crosses_within_one_exposure():
+    found = draw_candidates(PopulationOptions(), SizeClass(from_mm=1.0, to_mm=10.0), default_window(), np.random.default_rng(4))
+    entering = np.where((found.snr >= 8.0) & (found.rate_deg_s > 0.1), found.per_day, 0.0)
+    assert 0.3 < entering[found.stay_s < 0.2].sum() / entering.sum() < 0.7

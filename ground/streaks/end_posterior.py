@@ -45,7 +45,6 @@ class EndPosterior:
     density_e_px: float
     flux_e: float
     flux_err_e: float
-    flux_end_covariance: NDArray[np.float64]
     grid0: NDArray[np.float64]
     mass0: NDArray[np.float64]
     grid1: NDArray[np.float64]
@@ -262,8 +261,6 @@ def _moments_separable(
     f0, f1 = p0 @ lit0, p1 @ lit1
     flux = float(weight @ (densities * (f1 - f0)))
     square = float(weight @ (densities**2 * (p1 @ lit1**2 - 2.0 * f0 * f1 + p0 @ lit0**2)))
-    flux_end0 = float(weight @ (densities * (f1 * m0 - p0 @ (lit0 * d0))))
-    flux_end1 = float(weight @ (densities * (p1 @ (lit1 * d1) - f0 * m1)))
     return EndPosterior(
         end0=end0,
         end1=end1,
@@ -271,7 +268,6 @@ def _moments_separable(
         density_e_px=float(weight @ densities),
         flux_e=flux,
         flux_err_e=math.sqrt(max(square - flux * flux, 0.0)),
-        flux_end_covariance=np.array([flux_end0, flux_end1]),
         grid0=grid0,
         mass0=weight0,
         grid1=grid1,
@@ -301,7 +297,6 @@ def _moments_joint(
         density_e_px=float(densities @ joint.sum(axis=(1, 2))),
         flux_e=flux,
         flux_err_e=math.sqrt(max(float(second.sum()) - flux * flux, 0.0)),
-        flux_end_covariance=np.array([float(d0 @ first.sum(axis=1)), float(d1 @ first.sum(axis=0))]),
         grid0=grid0,
         mass0=mass0,
         grid1=grid1,

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.streaks.centre_line import CURVED_WIDTHS, LineFit, score
-from ground.streaks.trail_model import LN_WIDTH, N_PARAMETERS, Q1, Q2, SAGITTA, accumulate, quartic_px4
+from ground.streaks.trail_model import LN_WIDTH, Q1, Q2, SAGITTA, accumulate, quartic_px4
 
 CANDIDATES: Final = (SAGITTA, Q1, Q2, LN_WIDTH)
 """Curvature, linear and quadratic brightness, width."""
@@ -69,7 +69,7 @@ def width_estimate(line: LineFit, iterations: int) -> tuple[float, float]:
     """Fitted ln width and its error, whether or not the model needed it free: the vetter's sharpness."""
     if LN_WIDTH in line.free:
         return float(line.parameters[LN_WIDTH]), math.sqrt(line.covariance[LN_WIDTH, LN_WIDTH])
-    free = tuple(sorted({0, LN_WIDTH, *line.free} & set(range(N_PARAMETERS))))
+    free = (*line.free, LN_WIDTH)
     wide = score(line.pixels, line.parameters, free, half_px=line.half_px, blur_px=line.blur_px, iterations=iterations)
     value = float(wide.parameters[LN_WIDTH])
     if not math.isfinite(value):

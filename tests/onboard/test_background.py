@@ -6,7 +6,7 @@ from numpy.typing import NDArray
 
 from onboard.background import MeshBackground, fill_gaps
 from onboard.calibrate import residual_pass
-from onboard.star_free_sky import without_stars
+from onboard.star_free_sky import row_offsets, without_stars
 from onboard.stars import MatchedStars
 from sboc_e2e.icd.signals import BackgroundModel
 from tests.onboard.star_fields import GAIN_E_ADU, PEDESTAL_ADU, READ_NOISE_E, SKY_E, star_grid
@@ -111,3 +111,28 @@ def test_residual_is_raw_minus_dark_minus_level() -> None:
     assert np.abs(residual - expected).max() < 1e-3
     assert mask[10, 20] & 4
     assert number == np.count_nonzero(mask)
+
+
+def with_row_noise(seed: int, sigma_row: float) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
+    """A calibrated image of unit noise with offsets of whole rows."""
+    rng = np.random.default_rng(seed)
+    offsets = rng.normal(0.0, sigma_row, 600)
+    return (rng.normal(0.0, 1.0, (600, 2000)) + offsets[:, None]).astype(np.float32), offsets
+
+
+def test_row_offsets_are_found_where_there_are_any() -> None:
+    """Offsets of 0.1 sigma are known to the noise of a row's mean; without row noise nothing is taken away."""
+    image, offsets = with_row_noise(7, 0.1)
+    mask = np.zeros(image.shape, dtype=np.uint8)
+    found = row_offsets(image, mask, 1.0)
+    assert (found - offsets).std() < 1.6 / np.sqrt(image.shape[1])
+    image, _ = with_row_noise(8, 0.0)
+    assert np.abs(row_offsets(image, mask, 1.0)).max() < 0.03
+
+
+def test_a_bright_trail_along_a_row_survives() -> None:
+    """A trail of one sigma per pixel along a whole row keeps 70 % or more of its light."""
+    image, _ = with_row_noise(9, 0.05)
+    image[300] += 1.0
+    found = row_offsets(image, np.zeros(image.shape, dtype=np.uint8), 1.0)
+    assert found[300] < 0.3

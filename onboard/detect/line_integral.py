@@ -35,6 +35,9 @@ BEND_COST: Final = 0.3
 SHARP_ENDS_PX: Final = 60.0
 """Longer lines lose nothing by a template with sharp ends."""
 
+SHARP_EVIDENCE: Final = 12.0
+"""Gain in squared S/N by which a track of no width must beat the PSF: 3.5 sigma."""
+
 STORM_ENTRIES: Final = 1000
 """New star-list entries above which a particle storm raises the threshold."""
 
@@ -95,6 +98,17 @@ def with_blurred_ends(detection: Detection, images: WorkingImages, psf_sigma_px:
     row0, row1 = (float(np.clip(row + sign * half_row, 0.0, limit_row)) for sign in (-1.0, 1.0))
     col0, col1 = (float(np.clip(col + sign * half_col, 0.0, limit_col)) for sign in (-1.0, 1.0))
     return replace(detection, row0=row0, col0=col0, row1=row1, col1=col1, snr=float(snr))
+
+
+def flag_sharp(detection: Detection, images: WorkingImages) -> Detection:
+    """A short trail with COSMIC_LIKE set when a line of no width fits it better than the PSF by SHARP_EVIDENCE."""
+    row, col = 0.5 * (detection.row0 + detection.row1), 0.5 * (detection.col0 + detection.col1)
+    angle = math.atan2(detection.row1 - detection.row0, detection.col1 - detection.col0)
+    rough = (detection.snr, row, col, angle, detection.length_px)
+    narrow = point_movers.fit_short_trail(images.image, images.blocked, resolve.FOUND_BIT, rough, resolve.NARROW_PX)[0]
+    if narrow**2 - detection.snr**2 > SHARP_EVIDENCE:
+        return replace(detection, flags=detection.flags | StreakFlag.COSMIC_LIKE)
+    return detection
 
 
 def segment_snr(
@@ -253,6 +267,7 @@ class LineIntegralDetector:
         else:
             found = [d for d in found if moved(d, earlier, images, s_px, n_sigma)]
             found += short_detections(view, earlier, images, n_sigma + self.short_margin, self.max_detections)
+        found = [flag_sharp(d, images) if d.length_px < SHARP_ENDS_PX else d for d in found]
         # the working image is clipped: the S/N of a bright trail comes from the image itself
         unclipped = [segment_snr(d, view, static_sky.IDENTITY, images, s_px) if d.snr > 30.0 else d.snr for d in found]
         found = fragments.join([replace(d, snr=max(d.snr, s)) for d, s in zip(found, unclipped, strict=True)])

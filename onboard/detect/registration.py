@@ -35,7 +35,8 @@ def register(earlier: StarList, now: StarList, *, reach_px: float) -> NDArray[np
     """The (2, 3) transform that takes (row, col) of `earlier` to `now`, or None when fewer than 5 stars agree.
 
     Shifts between the brightest stars vote in cells of 2 px (up to reach_px); the winner is refined by matching bright
-    stars within 3, then 1.5 px and fitting a similarity. Rotation between frames must move no star by more than ~3 px for the vote.
+    stars within 3, then 1.5 px and fitting a similarity. Rotation
+    between frames must move no star by more than ~3 px for the vote.
     """
     if len(earlier) < 5 or len(now) < 5:
         return None

@@ -302,3 +302,21 @@ def test_transposed_frame_gives_the_transposed_detections() -> None:
     ends = sorted([(upright[0].row0, upright[0].col0), (upright[0].row1, upright[0].col1)])
     other = sorted([(turned[0].col0, turned[0].row0), (turned[0].col1, turned[0].row1)])
     assert np.abs(np.array(ends) - np.array(other)).max() < 0.2
+
+
+def test_particle_storm_neither_floods_nor_blinds() -> None:
+    """313 hits per 1024 x 1024 px are 5,000 per frame: the SAA peak."""
+    truth = [Streak(row0=100.0 + 150.0 * k, col0=150.0, row1=180.0 + 150.0 * k, col1=700.0, snr=14.0) for k in range(5)]
+    scene, history = star_scene(20, truth)
+    rng = np.random.default_rng(21)
+    for _ in range(313):
+        row, col, length, angle = (*rng.uniform(5.0, 1018.0, 2), rng.exponential(4.0), rng.uniform(0.0, math.pi))
+        path = np.linspace(0.0, length, 2 + int(2 * length))
+        rows = np.clip(np.rint(row + path * math.sin(angle)), 0, 1023).astype(np.int64)
+        cols = np.clip(np.rint(col + path * math.cos(angle)), 0, 1023).astype(np.int64)
+        np.add.at(scene.image, (rows, cols), np.float32(rng.lognormal(5.0, 0.6)))
+    found = LineIntegralDetector().detect(view_of(scene, frame=1, history=history))
+    paired, _, false = score(found, truth)
+    assert sum(d is not None for d in paired) >= 4
+    assert false <= 2
+    assert sum(bool(d.flags & StreakFlag.COSMIC_LIKE) for d in found) <= LineIntegralDetector().max_cosmic_like

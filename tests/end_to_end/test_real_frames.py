@@ -1,0 +1,61 @@
+"""Real frames of other telescopes (not part of the project; skipped with a reason when absent)."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+from sboc_e2e import cli
+from sboc_e2e.icd.flags import StreakFlag
+
+
+def streaks(shared_data: Path, name: str, out: Path) -> Table:
+    path = shared_data / "real" / name
+    if not path.exists():
+        pytest.skip(f"real frame not present: {path}")
+    assert cli.run(["process", str(path), "--out", str(out)]) == 0
+    return Table.read(out / "products" / "streaks.ecsv", format="ascii.ecsv")
+
+
+def published(table: Table) -> Table:
+    return table[(np.asarray(table["flags"]) & int(StreakFlag.VETOED)) == 0]
+
+
+def test_a_streak_with_both_ends_inside_is_measured(shared_data: Path, tmp_path: Path) -> None:
+    """SAAO, 512 x 512, one satellite of about 320 px; the eye puts its ends at (338, 22) and (310, 338)."""
+    table = streaks(shared_data, "saao_ystar_one_streak.fits", tmp_path / "out")
+    ends = np.array([table[name] for name in ("row0", "col0", "row1", "col1")]).T
+    away_px = np.abs(ends - [338, 22, 310, 338]).max(axis=1)
+    streak = table[np.argmin(away_px)]
+    assert away_px.min() < 4.0
+    assert 232.0 < streak["ra_mid_deg"] < 234.0
+    assert not int(streak["flags"]) & (StreakFlag.EDGE0 | StreakFlag.EDGE1)
+    assert np.count_nonzero(published(table)["length_px"] > 30) <= 1
+    frames = Table.read(tmp_path / "out" / "products" / "frames.ecsv", format="ascii.ecsv")
+    assert (frames["file"][0], int(frames["hdu"][0])) == ("saao_ystar_one_streak.fits", 0)
+
+
+@pytest.mark.slow
+def test_a_wide_defocused_streak_is_measured_from_edge_to_edge(shared_data: Path, tmp_path: Path) -> None:
+    """Subaru HSC, 400 x 400: one streak some 25 px wide from (400, 72) to (0, 217)."""
+    table = streaks(shared_data, "hsc_wide_defocused_streak.fits", tmp_path / "out")
+    brightest = table[table["length_px"] > 300]
+    middle = np.array([brightest["row_mid"], brightest["col_mid"]]).T
+    assert np.hypot(*(middle - [200, 144]).T).min() < 6.0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["opd_control.fits", "sdss_control.fits", "gmos_stars_cosmics.fits"])
+def test_frames_without_streaks_publish_none(shared_data: Path, tmp_path: Path, name: str) -> None:
+    table = streaks(shared_data, name, tmp_path / "out")
+    assert len(published(table)) == 0
+
+
+@pytest.mark.slow
+def test_seventy_extensions_of_raw_cut_outs_are_seventy_frames(shared_data: Path, tmp_path: Path) -> None:
+    """DECam, 100 x 100 each, tile-compressed; one wide streak in extension 33."""
+    table = streaks(shared_data, "decam_raw_cutouts.fits.fz", tmp_path / "out")
+    frames = Table.read(tmp_path / "out" / "products" / "frames.ecsv", format="ascii.ecsv")
+    assert list(frames["hdu"]) == list(range(1, 71))
+    assert len(published(table)) <= 14, "one published streak in five frames of material chosen to raise false alarms"

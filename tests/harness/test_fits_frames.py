@@ -1,0 +1,149 @@
+"""FITS files of others as frames: forms of data, headers with and without the keys that matter, WCS."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.io import fits
+
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.icd.tai import from_jd_parts
+from sboc_e2e.outside.camera import camera_of_frame, star_sigma_px
+from sboc_e2e.outside.fits_frames import FIRST_ASSUMED_TAI_NS, FitsFolder, start_tai_ns
+from sboc_e2e.outside.frame_source import SourcedFrame
+
+SKY = np.random.default_rng(4).normal(1000.0, 5.0, (65, 71))
+
+
+def frames(folder: Path) -> list[SourcedFrame]:
+    return list(FitsFolder(path=folder).frames())
+
+
+@pytest.mark.parametrize("dtype", ["uint8", "int16", "uint16", "int32", "uint32", "float32", "float64"])
+def test_every_type_of_pixel_keeps_its_values(tmp_path: Path, dtype: str) -> None:
+    image = (SKY / 8 if dtype == "uint8" else SKY).astype(dtype)
+    fits.PrimaryHDU(image).writeto(tmp_path / "a.fits")
+    (found,) = frames(tmp_path)
+    assert found.frame.pixels.dtype == (np.float32 if dtype.startswith("float") else np.uint16)
+    assert np.array_equal(found.frame.pixels, image.astype(found.frame.pixels.dtype))
+    assert found.frame.pixels.dtype.isnative
+
+
+def test_negative_large_and_missing_values_become_float_with_nan(tmp_path: Path) -> None:
+    fits.PrimaryHDU((SKY - 1000).astype(np.int16)).writeto(tmp_path / "a.fits")
+    fits.PrimaryHDU((SKY * 1000).astype(np.int32)).writeto(tmp_path / "b.fits")
+    holes = SKY.astype(np.float32)
+    holes[3, 4], holes[5, 6] = np.nan, np.inf
+    fits.PrimaryHDU(holes).writeto(tmp_path / "c.fits")
+    negative, large, missing = (found.frame.pixels for found in frames(tmp_path))
+    assert negative.dtype == large.dtype == missing.dtype == np.float32
+    assert negative.min() < 0
+    assert large.max() > 65535
+    assert np.isnan(missing[3, 4])
+    assert np.isnan(missing[5, 6])
+    assert np.isnan(missing).sum() == 2
+
+
+def test_tile_compressed_and_many_hdus_come_in_order_of_names(tmp_path: Path) -> None:
+    image = SKY.astype(np.int16)
+    table = fits.BinTableHDU(np.array([(1,)], dtype=[("x", "i4")]))
+    cube = fits.ImageHDU(np.zeros((3, 20, 20), np.int16))
+    compressed = fits.CompImageHDU(image, compression_type="RICE_1")
+    fits.HDUList([fits.PrimaryHDU(), table, compressed, cube, fits.ImageHDU(image + 1)]).writeto(tmp_path / "b.fits.fz")
+    fits.PrimaryHDU(image + 2).writeto(tmp_path / "a.FITS")
+    (tmp_path / "notes.txt").write_text("no image")
+    found = frames(tmp_path)
+    assert [(f.file, f.hdu, f.frame.header.frame) for f in found] == [("a.FITS", 0, 0), ("b.fits.fz", 2, 1), ("b.fits.fz", 4, 2)]
+    assert [int(f.frame.pixels[0, 0]) - int(image[0, 0]) for f in found] == [2, 0, 1]
+
+
+def test_headers_are_read_where_present(tmp_path: Path) -> None:
+    hdu = fits.PrimaryHDU(SKY.astype(np.uint16))
+    hdu.header.update({"DATE-OBS": "2024-03-01T02:03:04.5", "EXPTIME": 30.0, "GAIN": 1.6, "RDNOISE": 4.1, "SATURATE": 60000})
+    hdu.header.update(
+        {"CTYPE1": "RA---TAN", "CTYPE2": "DEC--TAN", "CRVAL1": 10.0, "CRVAL2": 20.0, "CRPIX1": 36.0, "CRPIX2": 33.0}
+    )
+    hdu.header.update({"CD1_1": -1e-3, "CD1_2": 0.0, "CD2_1": 0.0, "CD2_2": 1e-3})
+    hdu.writeto(tmp_path / "a.fits")
+    (found,) = frames(tmp_path)
+    header = found.frame.header
+    assert (header.exposure_ns, header.gain_e_adu, header.read_noise_e, header.saturation_adu) == (30 * 10**9, 1.6, 4.1, 60000.0)
+    # TAI - UTC has been 37 s since 2017.
+    assert header.t_start_tai_ns == from_jd_parts(2460370.5, (2 * 3600 + 3 * 60 + 4.5 + 37) / 86400)
+    assert found.wcs is not None
+    assert found.notes == ()
+    assert camera_of_frame(found).focal_px == pytest.approx(np.degrees(1) / 1e-3, rel=1e-6)
+    (bare,) = FitsFolder(path=tmp_path, use_wcs=False).frames()
+    assert bare.wcs is None
+
+
+@pytest.mark.parametrize(
+    ("header", "known"),
+    [
+        ({"DATE-OBS": "2024-03-01", "TIME-OBS": "02:03:04.5"}, True),
+        ({"DATE-OBS": "2024-03-01"}, True),
+        ({"MJD-OBS": 60370.0}, True),
+        ({"DATE-OBS": "yesterday"}, False),
+        ({"DATE-OBS": 20240301}, False),
+        ({"MJD-OBS": "soon"}, False),
+        ({"MJD-OBS": float("nan")}, False),
+        ({}, False),
+    ],
+)
+def test_times_are_read_or_known_to_be_unknown(header: dict[str, object], known: bool) -> None:
+    assert (start_tai_ns(header) is not None) == known
+
+
+def test_without_headers_all_is_assumed_and_said(tmp_path: Path) -> None:
+    fits.PrimaryHDU(SKY.astype(np.uint16)).writeto(tmp_path / "a.fits")
+    (found,) = frames(tmp_path)
+    assert found.frame.header.t_start_tai_ns == FIRST_ASSUMED_TAI_NS
+    assert found.frame.header.gain_e_adu is None
+    assert found.frame.header.exposure_ns == 0
+    assert len(found.notes) == 3
+
+
+@pytest.mark.parametrize("key", ["GAIN", "EXPTIME", "RDNOISE"])
+@pytest.mark.parametrize("value", ["high", -3.0, 1e30, True])
+def test_nonsense_in_a_header_counts_as_absent(tmp_path: Path, key: str, value: object) -> None:
+    hdu = fits.PrimaryHDU(SKY.astype(np.uint16))
+    hdu.header[key] = value
+    hdu.writeto(tmp_path / "a.fits")
+    (found,) = frames(tmp_path)
+    assert found.frame.header.gain_e_adu is None
+    assert found.frame.header.read_noise_e is None
+    assert found.frame.header.exposure_ns == 0
+
+
+def test_what_cannot_be_used_is_one_line(tmp_path: Path) -> None:
+    with pytest.raises(UserError, match="no such folder"):
+        frames(tmp_path / "none")
+    with pytest.raises(UserError, match="holds no FITS file"):
+        frames(tmp_path)
+    (tmp_path / "text.fits").write_text("hello")
+    with pytest.raises(UserError, match="not a readable FITS file"):
+        frames(tmp_path)
+    fits.PrimaryHDU().writeto(tmp_path / "text.fits", overwrite=True)
+    with pytest.raises(UserError, match="no file holds a two-dimensional image"):
+        frames(tmp_path)
+    fits.PrimaryHDU(np.zeros((4, 400), np.int16)).writeto(tmp_path / "text.fits", overwrite=True)
+    with pytest.raises(UserError, match="image of 4 x 400; allowed are sides of 16 to 16384 px"):
+        frames(tmp_path)
+    fits.PrimaryHDU(SKY.astype(np.uint16)).writeto(tmp_path / "text.fits", overwrite=True)
+    (tmp_path / "text.fits").write_bytes((tmp_path / "text.fits").read_bytes()[:4000])
+    with pytest.raises(UserError, match=r"cannot be read|not a readable FITS file"):
+        frames(tmp_path)
+
+
+@pytest.mark.parametrize(("sigma_px", "error"), [(0.8, 0.35), (1.2, 0.15), (2.5, 0.15)])
+def test_the_width_of_stars_is_estimated(sigma_px: float, error: float) -> None:
+    rng = np.random.default_rng(8)
+    rows, cols = np.mgrid[:300, :300]
+    image = rng.normal(100.0, 3.0, rows.shape)
+    for row, col in zip(np.repeat(np.arange(20, 300, 40), 7), np.tile(np.arange(20, 300, 40), 7), strict=True):
+        r, c, flux = row + rng.uniform(), col + rng.uniform(), rng.uniform(4e3, 2e4)
+        image += flux / (2 * np.pi * sigma_px**2) * np.exp(-0.5 * ((rows - r) ** 2 + (cols - c) ** 2) / sigma_px**2)
+    found = star_sigma_px(image.astype(np.float32))
+    assert found is not None
+    assert abs(found / sigma_px - 1.0) < error
+    assert star_sigma_px(rng.normal(100.0, 3.0, (200, 200)).astype(np.float32)) is None

@@ -154,14 +154,14 @@ def roc(
         stars = random_stars(size, n_stars, rng)
         earlier = history_of(size, stars, rng)
         scene = exposure(size, stars, rng)
-        for length in usable:
-            for _ in range(each):
-                add_streak(scene, random_streak(size, length, float(rng.uniform(*snr_range)), rng), rng)
+        # corner-to-corner streaks share two lines: one a frame, or they cover each other
+        drawn = [length for length in usable for _ in range(1 if length > 1.3 * size else each)]
+        for length in drawn:
+            add_streak(scene, random_streak(size, length, float(rng.uniform(*snr_range)), rng), rng)
         found = detector.detect(view_of(scene, frame=1, history=(earlier,)))
         paired, n_fragments, n_false = score(found, scene.streaks)
         false, fragments = false + n_false, fragments + n_fragments
-        for index, (streak, detection) in enumerate(zip(scene.streaks, paired, strict=True)):
-            length = usable[index // each]
+        for length, streak, detection in zip(drawn, scene.streaks, paired, strict=True):
             snr[length].append(streak.snr)
             hit[length].append(detection is not None)
             if detection is not None and streak.snr > 9.0:

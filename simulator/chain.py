@@ -49,6 +49,8 @@ Array = NDArray[np.float64]
 
 STAR_TRUTH_SNR = 5.0
 """Stars above this matched-filter S/N are in the truth table; the fainter ones are in the image only."""
+GRID_SAMPLES = 50
+"""Instants of the exposure over which the truth grid's directions are averaged."""
 STAR_MARGIN_PX = 40.0
 """Stars this far outside the frame are drawn for the light of their wings."""
 
@@ -298,7 +300,12 @@ class Simulator:
         row, col = np.meshgrid(*(np.linspace(0, n - 1.0, 9) for n in (delivered.rows, delivered.cols)), indexing="ij")
         row, col = row.ravel(), col.ravel()
         opened_s = (timing.t_start_tai_ns - self._epoch + timing.line_time_ns * row) * 1e-9
-        seen = sight.to_gcrs(opened_s + 0.5 * camera.exposure_s, camera.projection.to_vectors(*camera.undelivered(row, col)))
+        # A star's image is the mean over the exposure, and so is what a frame solution can know of the jitter.
+        shares = (np.arange(GRID_SAMPLES) + 0.5) / GRID_SAMPLES
+        times_s = (opened_s[:, None] + shares * camera.exposure_s).ravel()
+        vectors = np.repeat(camera.projection.to_vectors(*camera.undelivered(row, col)), GRID_SAMPLES, axis=0)
+        seen = sight.to_gcrs(times_s, vectors).reshape(len(row), GRID_SAMPLES, 3).mean(axis=1)
+        seen /= np.linalg.norm(seen, axis=1, keepdims=True)
         air = self._air_of(sight)
         ra, dec = angles_deg(seen if air is None else air.unrefracted(seen))
         values = {

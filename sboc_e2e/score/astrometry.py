@@ -8,7 +8,7 @@ import numpy as np
 from astropy.table import Table
 from numpy.typing import NDArray
 
-from sboc_e2e.icd.flags import FrameFlag
+from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.score.bounds import TrailBounds
 from sboc_e2e.score.figures import absent, bootstrap, proportion, pull_width, rms
 from sboc_e2e.score.matching import TruthStreak, distance_to_path
@@ -56,10 +56,13 @@ def streak_astrometry(
         sky = truth_sky[truth.index]
         if np.isfinite(s["ra_mid_deg"]) and s["t_mid_tai_ns"] > 0:
             along, across = sky.offset_arcsec(float(s["ra_mid_deg"]), float(s["dec_mid_deg"]), int(s["t_mid_tai_ns"]))
-            out["sky_along_arcsec"], out["sky_cross_arcsec"] = along, across
-            if s["sigma_along_arcsec"] > 0:
-                out["along_pull"] = along / float(s["sigma_along_arcsec"])
-                out["sky_cross_pull"] = across / float(s["sigma_cross_arcsec"])
+            out["sky_cross_arcsec"] = across
+            # A trail that the frame cuts and no other frame times has no epoch along its track.
+            timed = not (truth.path.edge0 or truth.path.edge1) or int(s["flags"]) & StreakFlag.DIRECTION_RESOLVED
+            if timed:
+                out["sky_along_arcsec"] = along
+                if s["sigma_along_arcsec"] > 0:
+                    out["along_pull"] = along / float(s["sigma_along_arcsec"])
         rows.append(out)
 
     def column(*names: str, snr_min: float = 8.0) -> NDArray[np.float64]:

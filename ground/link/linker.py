@@ -19,7 +19,7 @@ class MotionLinker:
 
     max_missed_frames: int = field(default=4, metadata={"doc": "frames that may pass without a streak", "min": 0, "max": 100})
     min_log_odds: float = field(
-        default=3.0, metadata={"doc": "natural log odds against chance that a tracklet needs", "min": -20.0, "max": 100.0}
+        default=4.0, metadata={"doc": "natural log odds against chance that a tracklet needs", "min": -20.0, "max": 100.0}
     )
     new_objects_per_frame: float = field(
         default=0.01, metadata={"doc": "objects that come into view per frame, to first order", "min": 1e-9, "max": 1e3}

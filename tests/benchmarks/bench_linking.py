@@ -200,7 +200,7 @@ def main(quick: bool = True) -> dict[str, Any]:
     scale = 1 if quick else 20
     out["false_50_chance_streaks"] = false_tracklets(3000 * scale, 50, cosmic=False, seed=5)
     out["false_20_cosmics_left_of_1000"] = false_tracklets(3000 * scale, 20, cosmic=True, seed=6)
-    out["false_100_cosmics_left_of_5000"] = false_tracklets(1000 * scale, 100, cosmic=True, seed=7)
+    out["false_100_cosmics_left_of_5000"] = false_tracklets(1500 * scale, 100, cosmic=True, seed=7)
     out["false_1000_cosmics_unvetted"] = false_tracklets(30 * scale, 1000, cosmic=True, seed=8, block=30)
     out["cost"] = cost(2000 if quick else 10_000, 50)
     return out

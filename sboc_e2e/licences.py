@@ -4,7 +4,7 @@ import re
 import sys
 from importlib import metadata
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 LOCK: Final = Path(__file__).resolve().parents[1] / "requirements.lock"
 _PINNED: Final = re.compile(r"^([A-Za-z0-9._-]+)==([^\s\\;]+)", re.MULTILINE)
@@ -20,7 +20,7 @@ HEAD: Final = (
 def licence_of(name: str) -> str:
     """Licence of an installed package in a few words: SPDX expression, else classifiers, else the first line of the field."""
     try:
-        data = metadata.metadata(name)
+        data: Any = metadata.metadata(name)
     except metadata.PackageNotFoundError:
         return "not installed here"
     expression = data.get("License-Expression")

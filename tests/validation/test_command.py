@@ -1,0 +1,96 @@
+"""`sboc validate`: its files, and one line for whatever is wrong with its input."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.io import fits
+
+from sboc_e2e.cli.main import run
+from tests.validation.test_measurements import star_frame
+
+SCENARIOS = Path(__file__).resolve().parents[2] / "scenarios" / "validation"
+
+
+@pytest.fixture(scope="module")
+def real(tmp_path_factory):
+    path = tmp_path_factory.mktemp("real") / "real.fits"
+    hdus = [fits.PrimaryHDU(), fits.ImageHDU(star_frame(seed=5)[0]), fits.ImageHDU(star_frame(seed=6)[0])]
+    fits.HDUList(hdus).writeto(path)
+    return path
+
+
+def test_two_files(real, tmp_path, capsys):
+    sim = tmp_path / "sim.fits"
+    fits.PrimaryHDU(star_frame(seed=7)[0]).writeto(sim)
+    assert run(["validate", str(sim), "--against", str(real), "--hdu", "2", "--out", str(tmp_path / "out")]) == 0
+    figures = json.loads((tmp_path / "out" / "validation.json").read_text())
+    assert figures["real"]["name"] == "real.fits[2]"
+    page = (tmp_path / "out" / "validation.html").read_text()
+    assert page.count("<svg") == 4
+    assert "http-equiv" not in page
+    assert 'src="http' not in page
+    assert capsys.readouterr().out.strip().endswith("validation.html")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["no-such-scenario", "--against", "REAL"], "there is no scenario"),
+        (["missing.fits", "--against", "REAL"], "no such FITS file"),
+        (["SIM", "--against", "missing.fits"], "no such FITS file"),
+        (["SIM", "--against", "TEXT"], "not a readable FITS file"),
+        (["SIM", "--against", "TABLE"], "no two-dimensional image"),
+        (["SIM", "--against", "REAL", "--hdu", "0"], "allowed are 1, 2"),
+        (["SIM", "--against", "FLAT"], "has no noise"),
+        (["SIM", "--against", "NAN"], "hold a number"),
+        (["SIM", "--against", "SMALL"], "allowed are sides"),
+        (["smoke", "--against", "REAL", "--frame", "99"], "frame 99"),
+    ],
+)
+def test_bad_input_is_one_line(arguments, words, real, tmp_path, capsys):
+    images = {
+        "SIM": star_frame(seed=8)[0],
+        "FLAT": np.ones((128, 128), np.float32),
+        "NAN": np.full((128, 128), np.nan, np.float32),
+        "SMALL": star_frame(seed=8)[0][:40, :40],
+    }
+    files = {"REAL": str(real)}
+    for name, image in images.items():
+        files[name] = str(tmp_path / f"{name}.fits")
+        fits.PrimaryHDU(image).writeto(files[name])
+    files["TEXT"] = str(tmp_path / "text.fits")
+    Path(files["TEXT"]).write_text("not a picture")
+    files["TABLE"] = str(tmp_path / "table.fits")
+    fits.HDUList([fits.PrimaryHDU(), fits.BinTableHDU(np.zeros(3, dtype=[("a", "f4")]))]).writeto(files["TABLE"])
+    code = run(["validate", *(files.get(a, a) for a in arguments), "--out", str(tmp_path / "out")])
+    text = capsys.readouterr().err
+    assert code == 2
+    assert text.count("\n") == 1
+    assert words in text
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("scenario", "frame", "limits"),
+    [
+        ("saao_ystar", "saao_ystar_one_streak.fits", {"wasserstein": 0.10, "counts": (0.7, 1.4), "width": 0.25}),
+        ("opd_ixon", "opd_control.fits", {"wasserstein": 0.05, "counts": (0.4, 2.5), "width": 0.5}),
+    ],
+)
+def test_recreated_real_frames(scenario, frame, limits, shared_data, tmp_path):
+    path = shared_data / "real" / frame
+    if not path.is_file():
+        pytest.skip(f"real frame not present: {path}")
+    out = tmp_path / "out"
+    assert run(["validate", str(SCENARIOS / f"{scenario}.toml"), "--against", str(path), "--out", str(out)]) == 0
+    figures = json.loads((out / "validation.json").read_text())
+    assert figures["match"]["gain"] == pytest.approx(1.0, abs=0.1)
+    assert abs(figures["match"]["simulated_level_adu"] / figures["match"]["real_level_adu"] - 1) < 0.05
+    assert figures["histogram"]["background"]["wasserstein_sigma"] < limits["wasserstein"]
+    counts = [figures["stars"][side]["per_mpx"]["value"] for side in ("simulated", "real")]
+    assert limits["counts"][0] < counts[0] / counts[1] < limits["counts"][1]
+    for axis in ("fwhm_major_px", "fwhm_minor_px"):
+        widths = [figures["psf"][side][axis]["value"] for side in ("simulated", "real")]
+        assert widths[0] == pytest.approx(widths[1], abs=limits["width"])

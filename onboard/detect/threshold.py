@@ -30,10 +30,10 @@ def extract_elongated(
 class ThresholdDetector:
     """sep on the PSF-filtered half-resolution image without its stars, elongation cut, joined pieces."""
 
-    n_sigma: float = field(default=3.0, metadata={"doc": "threshold of the filtered pixels", "min": 0.5, "max": 100.0})
-    min_area_px: int = field(default=6, metadata={"doc": "least area at half resolution", "min": 1, "max": 10000})
-    min_axis_ratio: float = field(default=2.5, metadata={"doc": "least ratio of the axes", "min": 1.0, "max": 100.0})
-    min_snr: float = field(default=7.0, metadata={"doc": "least matched-filter S/N", "min": 0.0, "max": 1000.0})
+    n_sigma: float = field(default=3.5, metadata={"doc": "threshold of the filtered pixels", "min": 0.5, "max": 100.0})
+    min_area_px: int = field(default=8, metadata={"doc": "least area at half resolution", "min": 1, "max": 10000})
+    min_axis_ratio: float = field(default=3.0, metadata={"doc": "least ratio of the axes", "min": 1.0, "max": 100.0})
+    min_snr: float = field(default=10.0, metadata={"doc": "least matched-filter S/N", "min": 0.0, "max": 1000.0})
     halo_px: float = field(default=1.0, metadata={"doc": "star mask growth per sqrt(S/N / 100)", "min": 0.0, "max": 20.0})
     max_detections: int = field(default=200, metadata={"doc": "most detections of a frame", "min": 1, "max": 10000})
 

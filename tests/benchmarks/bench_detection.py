@@ -93,7 +93,8 @@ def logistic_snr50(snr: NDArray[np.float64], found: NDArray[np.bool_]) -> float:
         x = (snr - p[0]) / math.exp(p[1])
         return float(np.sum(np.logaddexp(0.0, np.where(found, -x, x))) + 0.5 * ((p[1] + 0.7) / 0.7) ** 2)
 
-    return float(minimize(cost, np.array([7.2, -0.7]), method="Nelder-Mead").x[0])
+    crossing = minimize(cost, np.array([float(np.median(snr)), -0.7]), method="Nelder-Mead").x[0]
+    return float(np.clip(crossing, snr.min(), snr.max()))
 
 
 def snr50_with_interval(snr: Sequence[float], found: Sequence[bool], seed: int) -> dict[str, Any]:

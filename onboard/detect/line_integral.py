@@ -11,8 +11,9 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
-from onboard.detect import dyadic, fragments, point_movers, resolve, static_sky, whiten
+from onboard.detect import dyadic, fragments, point_movers, registration, resolve, static_sky, whiten
 from onboard.detect.star_removal import TILE_PX, WorkingImages, snr_before, working_images
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView
@@ -37,6 +38,15 @@ SHARP_ENDS_PX: Final = 60.0
 
 SHARP_EVIDENCE: Final = 12.0
 """Gain in squared S/N by which a track of no width must beat the PSF: 3.5 sigma."""
+
+SLOW_SNR: Final = 80.0
+"""Least S/N of star-like objects whose motion is seen as a shift of the centroid."""
+
+SLOW_SHIFT_PX: Final = 0.5
+"""Least shift of such an object between frames, stars held fixed."""
+
+SLOW_REACH_PX: Final = 3.0
+"""Largest such shift; faster objects leave their place empty and are new entries."""
 
 STORM_ENTRIES: Final = 1000
 """New star-list entries above which a particle storm raises the threshold."""
@@ -184,6 +194,29 @@ def short_detections(
     return found
 
 
+def slow_movers(view: DetectorView, earlier: static_sky.EarlierFrame) -> list[Detection]:
+    """Bright star-like objects that moved by a fraction of a pixel to a few pixels: clean list entries matched in both frames.
+
+    A centroid is good to about s sqrt(2) / S px, so at S/N SLOW_SNR a shift of SLOW_SHIFT_PX is over twenty sigma: what is left are blends.
+    """
+    stars, then = view.stars, earlier.view.stars
+    clean, known = (stars.snr >= SLOW_SNR) & (stars.flags == 0), then.snr >= 0.5 * SLOW_SNR
+    if not clean.any() or not known.any():
+        return []
+    tree = cKDTree(np.column_stack([then.row[known], then.col[known]]))
+    place = np.column_stack([stars.row[clean], stars.col[clean]])
+    shift, index = tree.query(registration.apply(earlier.transform, place), distance_upper_bound=SLOW_REACH_PX)
+    matched = np.isfinite(shift)
+    ratio = np.full(len(shift), np.inf)
+    ratio[matched] = then.snr[known][index[matched]] / stars.snr[clean][matched]
+    moved_far = matched & (shift > SLOW_SHIFT_PX) & (np.abs(np.log(ratio)) < 0.4)
+    return [
+        Detection(row0=float(row), col0=float(col), row1=float(row), col1=float(col), snr=float(snr), flags=StreakFlag.POINT_LIKE)
+        for (row, col), snr in zip(place[moved_far], stars.snr[clean][moved_far], strict=True)
+        if 0.0 <= row <= view.residual_adu.shape[0] - 1 and 0.0 <= col <= view.residual_adu.shape[1] - 1
+    ]
+
+
 def particle_hits(view: DetectorView, images: WorkingImages, n_sigma: float) -> list[Detection]:
     """New entries sharper than the PSF, brightest first."""
     stars = view.stars
@@ -267,9 +300,13 @@ class LineIntegralDetector:
         else:
             found = [d for d in found if moved(d, earlier, images, s_px, n_sigma)]
             found += short_detections(view, earlier, images, n_sigma + self.short_margin, self.max_detections)
+            found += slow_movers(view, earlier)
         found = [flag_sharp(d, images) if d.length_px < SHARP_ENDS_PX else d for d in found]
         # the working image is clipped: the S/N of a bright trail comes from the image itself
-        unclipped = [segment_snr(d, view, static_sky.IDENTITY, images, s_px) if d.snr > 30.0 else d.snr for d in found]
+        unclipped = [
+            segment_snr(d, view, static_sky.IDENTITY, images, s_px) if d.snr > 30.0 and d.length_px >= POINT_LIKE_PX else d.snr
+            for d in found
+        ]
         found = fragments.join([replace(d, snr=max(d.snr, s)) for d, s in zip(found, unclipped, strict=True)])
         tracks = [d for d in found if d.flags & StreakFlag.COSMIC_LIKE] + particle_hits(view, images, n_sigma + self.short_margin)
         real = sorted((d for d in found if not d.flags & StreakFlag.COSMIC_LIKE), key=lambda d: -d.snr)

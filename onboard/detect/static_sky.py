@@ -111,6 +111,8 @@ def segment_snr(
     d_row, d_col = ends[2] - ends[0], ends[3] - ends[1]
     length = max(math.hypot(d_row, d_col), 1.0)
     u_row, u_col = d_row / length, d_col / length
+    if u_row == 0.0 and u_col == 0.0:
+        u_col = 1.0
     reach = 3.0 * psf_sigma_px
     factor = -0.5 / psf_sigma_px**2
     signal = power = total = 0.0

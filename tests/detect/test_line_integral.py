@@ -154,6 +154,21 @@ def test_point_like_mover_is_found_and_flagged() -> None:
     assert found[0].flags & StreakFlag.POINT_LIKE
 
 
+@pytest.mark.parametrize("snr", [100.0, 300.0])
+def test_bright_slow_mover_is_found_by_its_shift(snr: float) -> None:
+    """One pixel per frame at S/N 100 and more: its light overlaps that of the frame before."""
+    rng = np.random.default_rng(9)
+    stars = random_stars(1024, 25_000, rng)
+    before, now = exposure(1024, stars, rng, shift_px=(0.3, 0.2)), exposure(1024, stars, rng)
+    for scene, col in ((before, 502.2), (now, 503.4)):
+        row = 610.0 + (0.3 if scene is before else 0.0)
+        add_streak(scene, Streak(row0=row, col0=col, row1=row, col1=col + 0.6, snr=snr), rng)
+    found = found_in(now, (view_of(before),))
+    near = [d for d in found if math.hypot(d.row0 - 610.0, 0.5 * (d.col0 + d.col1) - 503.7) < 1.0]
+    assert len(near) == 1
+    assert near[0].flags & StreakFlag.POINT_LIKE
+
+
 def test_parallel_streaks_stay_two_and_crossing_ones_are_found() -> None:
     truth = [
         Streak(row0=200.0, col0=100.0, row1=260.0, col1=500.0, snr=16.0),

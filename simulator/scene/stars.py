@@ -138,16 +138,23 @@ class StarSky:
         return vectors, v_mag, b_v, identity.astype(np.int64)
 
     def _faint_of_pixel(self, pixel: int, from_mag: float, to_mag: float) -> tuple[Array, Array, Array]:
-        """Directions, V and B-V of one pixel's synthetic stars: all-sky counts scaled to the pixel's own bright stars."""
+        """Directions, V and B-V of one pixel's synthetic stars: all-sky counts scaled to the bright stars around.
+
+        The density is interpolated between pixels, so that a cluster does not end at the edge of its pixel.
+        """
         if pixel in self._faint:
             return self._faint[pixel]
         rng = generator(self.seed, Effect.FAINT_STARS, block=pixel)
         area_deg2 = self._healpix.pixel_area.to_value("deg2")
         base = float(cumulative_counts_deg2(from_mag))
-        scale = (float(self.catalogue.pixel_counts[pixel]) + 1.0) / (base * area_deg2 + 1.0)
-        n = int(rng.poisson(scale * (float(cumulative_counts_deg2(to_mag)) - base) * area_deg2))
+        scale = (self.catalogue.pixel_counts + 1.0) / (base * area_deg2 + 1.0)
+        around = self._healpix.neighbours(pixel)
+        peak = float(max(scale[pixel], scale[around[around >= 0]].max()))
+        n = int(rng.poisson(peak * (float(cumulative_counts_deg2(to_mag)) - base) * area_deg2))
         longitude, latitude = self._healpix.healpix_to_lonlat(np.full(n, pixel), dx=rng.random(n), dy=rng.random(n))
-        vectors = unit_vectors(longitude.deg, latitude.deg)
+        kept = rng.random(n) * peak < self._healpix.interpolate_bilinear_lonlat(longitude, latitude, scale)
+        vectors = unit_vectors(longitude.deg[kept], latitude.deg[kept])
+        n = len(vectors)
         nodes = np.linspace(from_mag, to_mag, 65)
         counts = cumulative_counts_deg2(nodes)
         v_mag = np.interp(rng.random(n), (counts - counts[0]) / (counts[-1] - counts[0]), nodes)

@@ -197,7 +197,8 @@ def short_detections(
 def slow_movers(view: DetectorView, earlier: static_sky.EarlierFrame) -> list[Detection]:
     """Bright star-like objects that moved by a fraction of a pixel to a few pixels: clean list entries matched in both frames.
 
-    A centroid is good to about s sqrt(2) / S px, so at S/N SLOW_SNR a shift of SLOW_SHIFT_PX is over twenty sigma: what is left are blends.
+    A centroid is good to about s sqrt(2) / S px, so at S/N SLOW_SNR a shift of SLOW_SHIFT_PX is over twenty sigma: what is left
+    are blends.
     """
     stars, then = view.stars, earlier.view.stars
     clean, known = (stars.snr >= SLOW_SNR) & (stars.flags == 0), then.snr >= 0.5 * SLOW_SNR

@@ -83,7 +83,12 @@ def main(quick: bool) -> dict[str, Any]:
             np.save(frames, np.stack([scene.image for scene, _ in made]))
             answer = ask("findsat_trails", {"frames": str(frames), "bin_px": BIN_PX}, timeout_s=600.0 if quick else 1800.0)
     except PeerError as error:
-        names = [*_completeness("findsat_mrt", [], n_each), "findsat_mrt_false_per_frame", "findsat_mrt_cpu_s", "findsat_mrt_over_ours"]
+        names = [
+            *_completeness("findsat_mrt", [], n_each),
+            "findsat_mrt_false_per_frame",
+            "findsat_mrt_cpu_s",
+            "findsat_mrt_over_ours",
+        ]
         return result | {name: absent(error) for name in names}
     found_theirs: list[bool] = []
     false_theirs, cpu_theirs = 0, []

@@ -46,10 +46,14 @@ def our_frames() -> dict[str, Any]:
         d_row, d_col = math.sin(angle), math.cos(angle)
         paths.append(
             PixelPathOptions(
-                name=f"trail {len(paths)}", v_mag=9.0, row_px=row - 0.5 * LENGTH_PX * d_row, col_px=col - 0.5 * LENGTH_PX * d_col,
-                row_rate_px_s=rate * d_row, col_rate_px_s=rate * d_col,
+                name=f"trail {len(paths)}",
+                v_mag=9.0,
+                row_px=row - 0.5 * LENGTH_PX * d_row,
+                col_px=col - 0.5 * LENGTH_PX * d_col,
+                row_rate_px_s=rate * d_row,
+                col_rate_px_s=rate * d_col,
             )
-        )  # fmt: skip - a table of numbers
+        )
     base = SimulatorOptions()
     options = replace(
         base,

@@ -29,8 +29,14 @@ def ask(script: str, question: dict[str, Any], timeout_s: float = 900.0) -> dict
         command = [str(PYTHON), str(Path(__file__).with_name(f"{script}.py")), str(answer)]
         environment = os.environ | ONE_THREAD | {"TF_CPP_MIN_LOG_LEVEL": "3", "CUDA_VISIBLE_DEVICES": "-1"}
         try:
-            done = subprocess.run(  # noqa: S603 - our own command line
-                command, input=json.dumps(question), env=environment, capture_output=True, text=True, timeout=timeout_s, check=False
+            done = subprocess.run(
+                command,
+                input=json.dumps(question),
+                env=environment,
+                capture_output=True,
+                text=True,
+                timeout=timeout_s,
+                check=False,
             )
         except subprocess.TimeoutExpired as error:
             raise PeerError(f"no answer within {timeout_s:g} s") from error

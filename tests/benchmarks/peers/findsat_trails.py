@@ -1,4 +1,4 @@
-"""Run by the peers' interpreter: acstools findsat_mrt on frames, binned 4 x 4 as in its documentation's example for full frames."""
+"""Run by the peers' interpreter: acstools findsat_mrt on frames, binned and background-free as its documentation asks."""
 
 import json
 import sys
@@ -25,9 +25,15 @@ def trails(image: np.ndarray, bin_px: int) -> list[list[float]]:
     """Ends (row, col) of the trails that pass the finder's own filter, in pixels of the unbinned frame."""
     with tempfile.TemporaryDirectory() as folder:
         finder = TrailFinder(
-            clean(image, bin_px), processes=1, threshold=5, theta=np.arange(0, 180, 0.5), output_dir=folder,
-            save_catalog=False, save_diagnostic=False, plot=False,
-        )  # fmt: skip - a table of options
+            clean(image, bin_px),
+            processes=1,
+            threshold=5,
+            theta=np.arange(0, 180, 0.5),
+            output_dir=folder,
+            save_catalog=False,
+            save_diagnostic=False,
+            plot=False,
+        )
         finder.run_mrt()
         finder.find_mrt_sources()
         if finder.source_list is None or len(finder.source_list) == 0:

@@ -14,9 +14,7 @@ def draw(size: int, stars: np.ndarray, streaks: list, sigma_px: float, seed: int
     image = galsim.ImageF(size, size, scale=1.0, xmin=0, ymin=0)
     psf = galsim.Gaussian(sigma=sigma_px)
     for row, col, flux in stars:
-        stamp = psf.withFlux(flux).drawImage(
-            nx=15, ny=15, scale=1.0, center=galsim.PositionD(col, row), dtype=np.float32
-        )
+        stamp = psf.withFlux(flux).drawImage(nx=15, ny=15, scale=1.0, center=galsim.PositionD(col, row), dtype=np.float32)
         bounds = stamp.bounds & image.bounds
         if bounds.isDefined():
             image[bounds] += stamp[bounds]

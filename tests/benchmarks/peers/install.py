@@ -13,7 +13,7 @@ def main() -> None:
     """Create .peers/ beside the project's own environment and install what requirements.txt names."""
     if not PYTHON.exists():
         venv.create(FOLDER, with_pip=True)
-    subprocess.run([str(PYTHON), "-m", "pip", "install", "--quiet", "-r", str(REQUIREMENTS)], check=True)  # noqa: S603 - our own command line
+    subprocess.run([str(PYTHON), "-m", "pip", "install", "--quiet", "-r", str(REQUIREMENTS)], check=True)
     sys.stdout.write(f"{PYTHON}\n")
 
 

@@ -14,30 +14,47 @@ def configuration(size: int, n_stars: int, streaks: list[list[float]], exposure_
     return {
         "version": 1,
         "sim": {
-            "mode": "epsf", "spacial_osf": 3, "temporal_osf": 100, "padding": 20, "samples": 1, "save_jpeg": False,
-            "save_movie": False, "save_czml": False, "calculate_snr": False, "show_obs_boxes": False, "epsf": {"kernel_size": 15},
+            "mode": "epsf",
+            "spacial_osf": 3,
+            "temporal_osf": 100,
+            "padding": 20,
+            "samples": 1,
+            "save_jpeg": False,
+            "save_movie": False,
+            "save_czml": False,
+            "calculate_snr": False,
+            "show_obs_boxes": False,
+            "epsf": {"kernel_size": 15},
         },
         "fpa": {
-            "height": size, "width": size, "y_fov": side_deg, "x_fov": side_deg, "dark_current": 0.1, "gain": 1, "bias": 0,
-            "zeropoint": 21.68, "a2d": {"response": "linear", "fwc": 39000, "gain": 2.4, "bias": 100},
-            "noise": {"read": 2.3, "electronic": 0}, "psf": {"mode": "gaussian", "eod": 0.25},
-            "time": {"exposure": exposure_s, "gap": 0.05}, "num_frames": 4,
+            "height": size,
+            "width": size,
+            "y_fov": side_deg,
+            "x_fov": side_deg,
+            "dark_current": 0.1,
+            "gain": 1,
+            "bias": 0,
+            "zeropoint": 21.68,
+            "a2d": {"response": "linear", "fwc": 39000, "gain": 2.4, "bias": 100},
+            "noise": {"read": 2.3, "electronic": 0},
+            "psf": {"mode": "gaussian", "eod": 0.25},
+            "time": {"exposure": exposure_s, "gap": 0.05},
+            "num_frames": 4,
         },
         "background": {"stray": {"mode": "none"}, "galactic": 22.0},
         "geometry": {
             "time": [2027, 1, 29, 0, 0, 0.0],
             "stars": {
-                "mode": "bins", "mv": {"bins": [10.0, 11.0, 12.0, 13.0], "density": [share * per_deg2 for share in (0.1, 0.3, 0.6)]},
+                "mode": "bins",
+                "mv": {"bins": [10.0, 11.0, 12.0, 13.0], "density": [share * per_deg2 for share in (0.1, 0.3, 0.6)]},
                 "motion": {"mode": "affine", "rotation": 0.0, "translation": [0.0, 0.0]},
             },
             "obs": {
                 "mode": "list",
-                "list": [
-                    {"mode": "line", "origin": [r, c], "velocity": [vr, vc], "mv": 9.0} for r, c, vr, vc in streaks
-                ],
+                "list": [{"mode": "line", "origin": [r, c], "velocity": [vr, vc], "mv": 9.0} for r, c, vr, vc in streaks],
             },
         },
-    }  # fmt: skip - a table of numbers
+    }
 
 
 def main() -> None:

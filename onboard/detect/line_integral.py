@@ -39,6 +39,9 @@ SHARP_ENDS_PX: Final = 60.0
 SHARP_EVIDENCE: Final = 12.0
 """Gain in squared S/N by which a track of no width must beat the PSF: 3.5 sigma."""
 
+BLEND_PX: Final = 25.0
+"""Blends of stars look like trails up to this length in a single frame."""
+
 SLOW_SNR: Final = 80.0
 """Least S/N of star-like objects whose motion is seen as a shift of the centroid."""
 
@@ -241,7 +244,7 @@ class LineIntegralDetector:
     """Detects trails whose matched-filter S/N exceeds `n_sigma`, whatever their length, angle and position.
 
     Without a preceding frame whose stars can be matched, aligned faint stars cannot be told from short trails, so
-    `single_frame_margin` is added to the threshold of trails under 60 px and nothing star-like is reported.
+    `single_frame_margin` is added to the threshold of trails under 60 px and nothing as short as a blend of stars is reported.
     """
 
     n_sigma: float = field(default=7.0, metadata={"doc": "matched-filter S/N of a detection", "min": 4.0, "max": 100.0})
@@ -297,7 +300,8 @@ class LineIntegralDetector:
         found = [d for d in found if not d.flags & StreakFlag.CURVED or d.snr >= n_sigma + BEND_COST]
         found = [with_blurred_ends(d, images, s_px) if d.length_px < SHARP_ENDS_PX else d for d in found]
         if earlier is None:
-            found = [d for d in found if d.length_px >= 60.0 or d.snr >= n_sigma + self.single_frame_margin]
+            found = [d for d in found if d.length_px >= BLEND_PX]
+            found = [d for d in found if d.length_px >= SHARP_ENDS_PX or d.snr >= n_sigma + self.single_frame_margin]
         else:
             found = [d for d in found if moved(d, earlier, images, s_px, n_sigma)]
             found += short_detections(view, earlier, images, n_sigma + self.short_margin, self.max_detections)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.files.atomic import write_text
+from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import Registry
 from sboc_e2e.score.figures import Figure, absent, bootstrap, exact, rate, rms
 from sboc_e2e.validation import distances
@@ -63,6 +64,8 @@ def validate(request: Request, out: Path, registry: Registry) -> Validation:
     """Compare and write validation.json and validation.html into `out`. Raises `UserError` for anything wrong with the input."""
     from sboc_e2e.validation.page import page
 
+    if out.exists() and not out.is_dir():
+        raise UserError(f"--out {out}: is a file; allowed is a folder, which need not exist")
     real = from_fits(request.real, request.hdu, StarCatalogue.embedded)
     if is_fits(request.simulated):
         simulated = from_fits(Path(request.simulated), None, StarCatalogue.embedded)

@@ -72,6 +72,11 @@ def test_bad_input_is_one_line(arguments, words, real, tmp_path, capsys):
     assert not (tmp_path / "out").exists()
 
 
+def test_out_that_is_a_file(real, capsys):
+    assert run(["validate", str(real), "--against", str(real), "--out", str(real)]) == 2
+    assert "is a file" in capsys.readouterr().err
+
+
 @pytest.mark.parametrize(
     ("scenario", "frame", "limits"),
     [

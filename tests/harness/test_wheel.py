@@ -18,8 +18,11 @@ def test_the_wheel_builds_installs_and_lists_its_scenarios(tmp_path: Path) -> No
     (wheel,) = tmp_path.glob("*.whl")
     names = zipfile.ZipFile(wheel).namelist()
     for wanted in (
-        "sboc_e2e/catalogue/data/tycho2_v11.npz", "scenarios/smoke.toml", "scenarios/presets/sboc_like.toml", "simulator/chain.py",
-    ):  # fmt: skip
+        "sboc_e2e/catalogue/data/tycho2_v11.npz",
+        "scenarios/smoke.toml",
+        "scenarios/presets/sboc_like.toml",
+        "simulator/chain.py",
+    ):
         assert wanted in names
     assert not [name for name in names if name.startswith("tests/")]
     empty = tmp_path / "empty"

@@ -141,6 +141,7 @@ class GroundChain:
             solutions = [product.solution for product in products]
             resolved = refit_streaks(resolved, tracklets, headers, solutions, self._pixel_source(frames, products))
         final = _finally_measured(resolved, tracklets, {product.header.frame: product for product in products})
+        final = tuple(self._judged_alone(streak) for streak in final)
         tracklets = tuple(_with_magnitude(tracklet, final) for tracklet in tracklets)
         orbits: tuple[OrbitEstimate, ...] = ()
         if self._options.orbits:
@@ -155,6 +156,12 @@ class GroundChain:
             orbits=orbits,
             ingest=ingest,
         )
+
+    def _judged_alone(self, streak: StreakMeasurement) -> StreakMeasurement:
+        """A streak that no other frame supports is published on its own probability, which must be higher."""
+        if streak.tracklet_id >= 0 or streak.probability >= self._options.veto_unlinked_below:
+            return streak
+        return replace(streak, flags=streak.flags | StreakFlag.VETOED)
 
     def _pixel_source(
         self, frames: Sequence[DownlinkFrame], products: Sequence[FrameProducts]

@@ -30,6 +30,10 @@ class GroundOptions:
     veto_below: float = field(
         default=0.1, metadata={"doc": "streaks less probable than this are not linked", "min": 0.0, "max": 1.0}
     )
+    veto_unlinked_below: float = field(
+        default=0.5,
+        metadata={"doc": "streaks that no other frame supports need at least this probability", "min": 0.0, "max": 1.0},
+    )
     orbits: bool = field(default=True, metadata={"doc": "whether coarse orbits are determined"})
     joint_refit: bool = field(default=True, metadata={"doc": "whether all frames of a tracklet are fitted together"})
     streak_photometry: PhotometryOptions = field(

@@ -80,7 +80,7 @@ def _child(arguments: list[str], what: str) -> None:
 
 
 def _scores_of_run(name: str, arguments: tuple[str, ...], folder: Path) -> list[Entry]:
-    _child([sys.executable, "-m", "sboc_e2e.cli.main", "run", *arguments, "--out", str(folder), "--force"], name)
+    _child([sys.executable, "-m", "sboc_e2e", "run", *arguments, "--out", str(folder), "--force"], name)
     score: dict[str, Any] = json.loads((folder / "score.json").read_text())
     for section in ("score_version", "passed"):
         score.pop(section, None)

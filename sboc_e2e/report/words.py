@@ -27,7 +27,7 @@ def is_figure(item: Any) -> bool:
 def figure_words(figure: dict[str, Any]) -> tuple[str, str]:
     """Value with interval, and n or the reason of its absence."""
     if figure["value"] is None:
-        return "-", figure["reason"]
+        return "-", figure.get("reason", "no reason was recorded")
     low, high, value = figure["low"], figure["high"], figure["value"]
     text = number(value)
     if low != high:

@@ -21,7 +21,9 @@ _SEED: Final = 20270129
 
 
 def figure(value: float, n: int, low: float, high: float) -> Figure:
-    """A figure with its interval, rounded to what JSON readers can use."""
+    """A figure with its interval; JSON has no NaN, so a value or interval that is not finite is an absent figure."""
+    if not np.isfinite([value, low, high]).all():
+        return absent("not a finite number", n)
     return {"value": float(value), "n": int(n), "low": float(low), "high": float(high)}
 
 

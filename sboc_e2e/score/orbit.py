@@ -26,6 +26,8 @@ def orbit(orbits: Table, owner: Mapping[int, int], truth_streaks: Table, objects
         nearest = mine[np.argmin(np.abs(streak_time[mine] - int(o["t_ref_tai_ns"])))]
         true_km = float(truth_streaks["range_km"][nearest])
         truth = by_object[target]
+        if not np.isfinite([true_km, float(truth["a_km"]), float(truth["i_deg"])]).all():
+            continue
         relative.append(abs(float(o["range_km"]) - true_km) / true_km)
         altitude.append(abs(float(o["a_km"]) - float(truth["a_km"])))
         inclination.append(abs(float(o["i_deg"]) - float(truth["i_deg"])))

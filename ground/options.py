@@ -36,6 +36,12 @@ class GroundOptions:
     )
     orbits: bool = field(default=True, metadata={"doc": "whether coarse orbits are determined"})
     joint_refit: bool = field(default=True, metadata={"doc": "whether all frames of a tracklet are fitted together"})
+    known_objects_file: str = field(
+        default="", metadata={"doc": "element sets (TLE, 3LE) that tracklets are matched against; empty for none"}
+    )
+    precise_orbits_file: str = field(
+        default="", metadata={"doc": "ephemeris message (OEM) of objects that tell clock and pointing biases; empty for none"}
+    )
     streak_photometry: PhotometryOptions = field(
         default_factory=PhotometryOptions, metadata={"doc": "streak magnitudes and sizes"}
     )

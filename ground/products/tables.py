@@ -10,6 +10,7 @@ from astropy.table import Column, Table
 from ground.astrometry.apparent import mid_frame_tai_ns
 from ground.astrometry.camera import Camera
 from ground.astrometry.rotation import matrix_of
+from ground.orbit.catalogue_match import CatalogueMatch
 from ground.photometry.magnitude import sphere_size_m
 from ground.products.epochs import utc_text
 from ground.records import GroundProducts
@@ -285,3 +286,22 @@ def _text(values: Sequence[str]) -> Any:
 
 def _or_nan(value: float | None) -> float:
     return float("nan") if value is None else value
+
+
+def known_table(products: GroundProducts, matches: Sequence[CatalogueMatch]) -> Table:
+    """One row for each tracklet: the best catalogue object, or '-' and NaN where none could be compared."""
+    by_tracklet = {match.tracklet_id: match for match in matches}
+    found = [by_tracklet.get(t.tracklet_id) for t in products.tracklets]
+    columns: list[Spec] = [
+        ("tracklet_id", [t.tracklet_id for t in products.tracklets], None, "tracklet"),
+        ("known", np.array([m is not None and m.known for m in found], dtype=bool), None, "whether a catalogue object fits"),
+        ("name", _text([m.name if m is not None and m.known else "-" for m in found]), None, "object that fits best"),
+        ("number", np.array([m.number if m is not None and m.known else -1 for m in found], dtype=np.int64), None, "its number"),
+    ]
+    for name, unit, text in (
+        ("along_arcsec", "arcsec", "observed minus computed along the motion of the nearest object"),
+        ("cross_arcsec", "arcsec", "observed minus computed across it"),
+        ("sigmas", None, "distance in expected errors of element sets"),
+    ):
+        columns.append((name, [float("nan") if m is None else getattr(m, name) for m in found], unit, text))
+    return _table(columns, "known")

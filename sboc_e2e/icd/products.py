@@ -192,6 +192,7 @@ class Tracklet:
 class OrbitEstimate:
     """Posterior of a tracklet's range and orbit: each quantity as (5 %, median, 95 %), and the range modes.
 
+    range_posterior : density per km on range_grid_km.
     modes : (k, 5) range_km, weight, a_km, e, i_deg. prior : what was assumed, in words.
     """
 

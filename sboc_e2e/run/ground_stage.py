@@ -26,6 +26,7 @@ from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Calibration, NominalCamera
 from sboc_e2e.icd.steps import Decoder
 from sboc_e2e.registry import Registry, own_names
+from sboc_e2e.run import known_objects
 from sboc_e2e.run.directory import RunDirectory
 from sboc_e2e.run.measure import Meter, peak_rss_mb, reset_peak
 from sboc_e2e.run.progress import Progress
@@ -81,6 +82,7 @@ class GroundStage:
     def execute(self, progress: Progress) -> tuple[int, float]:
         """Make all products; returns the number of frames and the peak memory in MB."""
         reset_peak()
+        known, precise = known_objects.known_objects(self.options), known_objects.precise_orbits(self.options)
         try:
             downlink = self.run.downlink.read_bytes()
         except FileNotFoundError as error:
@@ -92,6 +94,10 @@ class GroundStage:
         with self.meter:
             result = self.chain.finish(frames, products, ingest)
         self._write(frames, result)
+        if known is not None:
+            ecsv.write_table(self.run.products / "known.ecsv", known_objects.matches(result, known))
+        if precise:
+            write_json(self.run.products / "bias.json", known_objects.bias(result, precise))
         return len(frames), peak_rss_mb()
 
     def _frame_products(self, frames: tuple[DownlinkFrame, ...], progress: Progress) -> list[FrameProducts]:

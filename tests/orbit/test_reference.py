@@ -1,6 +1,7 @@
 """Known objects: frames of SGP4 against astropy, catalogue match on element sets, biases put in and found again."""
 
 from dataclasses import replace
+from pathlib import Path
 
 import astropy.units as u
 import numpy as np
@@ -10,12 +11,16 @@ from astropy.time import Time
 from sgp4.api import WGS72, Satrec
 from sgp4.exporter import export_tle
 
+from ground.options import GroundOptions
 from ground.orbit.bias import estimate_bias
 from ground.orbit.catalogue_match import match_catalogue, read_elements
+from ground.orbit.ephemerides import bias_of_run, read_oem
 from ground.orbit.reference import PreciseOrbit, teme_to_gcrs, utc_jd
+from ground.products.epochs import utc_text
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.products import Tracklet
+from sboc_e2e.run.known_objects import known_objects
 from tests.orbit.encounters import LIGHT_KM_S, T0_NS, Encounter, observed, sun_and_observer, trajectory
 
 
@@ -134,3 +139,58 @@ def test_biases_are_found() -> None:
     assert sigma[0] < 3e-4
     assert bias.chi2_nu == pytest.approx(1.0, abs=0.3)
     assert estimate_bias([], all_headers) is None
+
+
+VANGUARD = """0 VANGUARD 1
+1 00005U 58002B   00179.78495062  .00000023  00000-0  28098-4 0  4753
+2 00005  34.2682 348.7242 1859667 331.7664  19.3264 10.82419157413667
+"""
+
+
+def test_ephemeris_message_gives_the_bias() -> None:
+    """Own OEM text of objects, one tracklet each, tags 2 ms late: states read back to 1 mm and the delay found; errors name lines."""
+    rng = np.random.default_rng(21)
+    _, satellites = element_sets(6, rng)
+    segments, tracklets, all_headers, starts = ["CCSDS_OEM_VERS = 2.0"], [], [], []
+    for k, satellite in enumerate(satellites):
+        start = state_of(satellite, T0_NS)
+        starts.append(start)
+        steps = np.arange(-60.0, 61.0, 20.0)
+        segments += [
+            "META_START", f"OBJECT_NAME = OBJECT {k}", "CENTER_NAME = EARTH", "REF_FRAME = GCRF",
+            "TIME_SYSTEM = UTC", "META_STOP",
+        ]  # fmt: skip
+        t_ns = [T0_NS + round(s * 1e9) for s in steps]
+        for epoch, state in zip(utc_text(t_ns, 9), trajectory(start, steps), strict=True):
+            segments.append(f"{epoch} " + " ".join(f"{x:.9f}" for x in state))
+        tracklet, headers = seen(start, rng)
+        tracklets.append(replace(tracklet, t_tai_ns=tracklet.t_tai_ns + 2_000_000))
+        all_headers += headers
+    text = "\n".join(segments)
+    orbits = read_oem(text)
+    assert [orbit.name for orbit in orbits] == [f"OBJECT {k}" for k in range(6)]
+    assert np.allclose(orbits[2].states(np.array([T0_NS]))[0, :3], starts[2][:3], atol=1e-3)
+    bias = bias_of_run(tracklets, all_headers, orbits)
+    assert bias is not None
+    sigma = np.sqrt(np.diag(bias.covariance))
+    assert abs(bias.time_s - 2e-3) < 4 * sigma[0] < 2e-3
+    assert bias_of_run(tracklets, all_headers, orbits[:0]) is None
+    with pytest.raises(UserError, match="REF_FRAME"):
+        read_oem(text.replace("GCRF", "MOON"))
+    with pytest.raises(UserError, match="line 8"):
+        read_oem("\n".join([*segments[:7], "nonsense"]))
+
+
+def test_files_of_known_objects(tmp_path: Path) -> None:
+    """A published element set (SGP4 verification, 5) is read from its file; missing and empty files are one-line errors."""
+    path = tmp_path / "known.tle"
+    path.write_text(VANGUARD)
+    known = known_objects(GroundOptions(known_objects_file=str(path)))
+    assert known is not None
+    assert (known.names, known.numbers.tolist()) == (("VANGUARD 1",), [5])
+    assert known_objects(GroundOptions()) is None
+    with pytest.raises(UserError, match="known_objects_file"):
+        known_objects(GroundOptions(known_objects_file=str(tmp_path / "none.tle")))
+    path.write_text("")
+    with pytest.raises(UserError, match="found none"):
+        known_objects(GroundOptions(known_objects_file=str(path)))

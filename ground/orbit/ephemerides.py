@@ -45,14 +45,14 @@ def read_oem(text: str) -> tuple[PreciseOrbit, ...]:
         elif word and not skipping and not word.startswith("COMMENT"):
             rows.append(_row(line, meta.get("TIME_SYSTEM", ""), number))
     if not orbits:
-        raise UserError("ephemeris message: expected at least one segment with states (META_START ... META_STOP, states), got none")
+        raise UserError("ephemeris message: expected at least one segment with states, got none")
     return tuple(orbits)
 
 
 def _check(meta: dict[str, str], number: int) -> None:
     for key, allowed in (("CENTER_NAME", ("EARTH",)), ("REF_FRAME", _FRAMES), ("TIME_SYSTEM", _TIMES)):
         if meta.get(key, "").upper() not in allowed:
-            raise UserError(f"ephemeris message, line {number}: expected {key} of {', '.join(allowed)}, got '{meta.get(key, '')}'")
+            raise UserError(f"ephemeris, line {number}: expected {key} of {', '.join(allowed)}, got '{meta.get(key, '')}'")
 
 
 def _row(line: str, system: str, number: int) -> tuple[int, list[float]]:

@@ -148,7 +148,7 @@ VANGUARD = """0 VANGUARD 1
 
 
 def test_ephemeris_message_gives_the_bias() -> None:
-    """Own OEM text of objects, one tracklet each, tags 2 ms late: states read back to 1 mm and the delay found; errors name lines."""
+    """Own OEM text of objects, one tracklet each, tags 2 ms late: states to 1 mm, delay found; errors name lines."""
     rng = np.random.default_rng(21)
     _, satellites = element_sets(6, rng)
     segments, tracklets, all_headers, starts = ["CCSDS_OEM_VERS = 2.0"], [], [], []

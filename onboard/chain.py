@@ -18,6 +18,7 @@ from onboard.calibrate import Counts, IntegerCalibration, background_in_adu, res
 from onboard.options import OnboardOptions
 from onboard.roi_coding import CodedRoi, code_roi
 from onboard.star_free_sky import without_stars
+from onboard.star_memory import EarlierStars, brought_forward, part_of, remembered_stars, usable_stars, with_frame
 from onboard.stars import best_spread
 from onboard.static import HotPixels, flag_static
 from onboard.thumbnail import thumbnail
@@ -33,6 +34,9 @@ from sboc_e2e.icd.tai import NS_PER_S
 
 OUTSIDE_TOLERANCE_PX = 2.0
 """A detection's end may lie this far outside the frame: PSF centres of trails that touch the edge do."""
+
+REMEMBERED_ITEM = 1
+"""Item number of the star packets with remembered stars; those measured in the frame are item 0."""
 
 RECENT_FRAMES = 2
 CHECKED_ROWS = 64
@@ -53,6 +57,7 @@ class OnboardSteps:
 class OnboardState:
     """What the chain remembers from frame to frame; picklable.
 
+    earlier_stars : star lists of the last frames, newest last.
     history : views of the last frames, as many as the detector declares, newest last.
     recent : detections of the last frames, for the STATIC flag. pixel_check : checksum of some rows of the last frame.
     """
@@ -63,6 +68,7 @@ class OnboardState:
     previous: FrameHeader | None = None
     history: tuple[DetectorView, ...] = ()
     recent: tuple[tuple[Detection, ...], ...] = ()
+    earlier_stars: tuple[EarlierStars, ...] = ()
     pixel_check: int | None = None
     frames_done: int = 0
 
@@ -120,12 +126,13 @@ class OnboardChain:
         if usable:
             view = self._with_stars(view, residual)
             detections = flag_static(self._detections(view), state.recent)
+            earlier = brought_forward(state.earlier_stars, view.stars)
         else:
-            detections = ()
+            detections, earlier = (), ()
         if len(view.stars) == 0:
             flags |= FrameFlag.NO_STARS
         outbox = Outbox(writer=state.writer, allowance=state.allowance.after(_elapsed_s(header, state.previous)), header=header)
-        housekeeping, rois = self._send(outbox, state, view, counts, detections, flags, n_masked)
+        housekeeping, rois = self._send(outbox, state, view, counts, detections, earlier, flags, n_masked)
         keep = self._steps.detector.history_frames if usable else 0
         history = (*state.history, replace(view, history=()))[-keep:] if keep > 0 else state.history
         after = OnboardState(
@@ -135,6 +142,9 @@ class OnboardChain:
             previous=header,
             history=history,
             recent=(*state.recent, detections)[-RECENT_FRAMES:] if usable else state.recent,
+            earlier_stars=with_frame(earlier, usable_stars(view.stars, detections, view.psf_sigma_px))
+            if usable
+            else state.earlier_stars,
             pixel_check=check,
             frames_done=state.frames_done + 1,
         )
@@ -253,18 +263,22 @@ class OnboardChain:
         view: DetectorView,
         counts: Counts,
         detections: tuple[Detection, ...],
+        earlier: tuple[EarlierStars, ...],
         flags: FrameFlag,
         n_masked: int,
     ) -> tuple[Housekeeping, tuple[RoiGroup, ...]]:
         """Everything into the outbox in order of priority; what does not fit is counted."""
         options, background = self._options.downlink, view.background
         outbox.reserve(packet_bytes([bytes(HEADER_FIXED.size + 2 * TELEMETRY.size)]))
-        chosen = _part(view.stars, best_spread(view.stars, view.mask.shape, options.max_stars))
+        chosen = part_of(view.stars, best_spread(view.stars, view.mask.shape, options.max_stars))
         n_stars = len(chosen) if outbox.offer(Apid.STARS, packets.star_payloads(chosen)) else 0
         order = priority(detections)
         in_storm = len(detections) > self._options.roi.max_per_frame
         flags |= FrameFlag.STORM if in_storm else FrameFlag(0)
         groups = self._send_rois(outbox, view, counts, [detections[k] for k in order[: self._options.roi.max_per_frame]])
+        old = remembered_stars(earlier, groups, psf_sigma_px=view.psf_sigma_px, most=options.max_stars)
+        if len(old) and outbox.offer(Apid.STARS, packets.star_payloads(old), item=REMEMBERED_ITEM):
+            n_stars += len(old)
         level, sigma = float(np.median(background.level_adu)), float(np.median(background.sigma_adu))
         unit = float(np.float32(0.05 * max(sigma, 1e-6)))
         outbox.offer(Apid.BACKGROUND, packets.background_payloads(background, level_unit_adu=unit, sigma_unit_adu=0.5 * unit))
@@ -372,10 +386,3 @@ def _content_flags(view: DetectorView, counts: Counts, n_masked: int) -> FrameFl
     if (counts.pixels[0] == first).all() and (counts.pixels == first).all():
         flags |= FrameFlag.EMPTY_SIGNAL
     return flags
-
-
-def _part(stars: StarList, index: NDArray[np.intp]) -> StarList:
-    """Some entries of a star list."""
-    return StarList(
-        row=stars.row[index], col=stars.col[index], flux_e=stars.flux_e[index], snr=stars.snr[index], flags=stars.flags[index]
-    )

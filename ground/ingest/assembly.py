@@ -21,7 +21,7 @@ from ground.ingest.records import (
 )
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.errors import ContractError
-from sboc_e2e.icd.flags import FrameFlag
+from sboc_e2e.icd.flags import FrameFlag, StarFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import BackgroundModel, RoiGroup, StarList
 
@@ -124,7 +124,7 @@ def _frame(part: FrameParts, record: HeaderRecord, memory: MemoryLimit, failures
                 n_strips=part.n_strips[roi_id],
             )
         )
-    stars = star_list(np.concatenate(part.stars)) if part.stars else StarList.empty()
+    stars, remembered = _stars(part.stars)
     return DownlinkFrame(
         header=header,
         flags=flags,
@@ -136,7 +136,17 @@ def _frame(part: FrameParts, record: HeaderRecord, memory: MemoryLimit, failures
         whole_frame=whole,
         adu_scale=record.adu_scale,
         adu_offset=record.adu_offset,
+        remembered=remembered,
     )
+
+
+def _stars(records: list[NDArray[np.void]]) -> tuple[StarList, StarList]:
+    """Stars measured in the frame, and stars remembered from the frames before."""
+    if not records:
+        return StarList.empty(), StarList.empty()
+    entries = np.concatenate(records)
+    old = (entries["flags"] & int(StarFlag.REMEMBERED)) > 0
+    return star_list(entries[~old]), star_list(entries[old])
 
 
 def _absent(header: FrameHeader) -> FrameFlag:

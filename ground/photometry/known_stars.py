@@ -1,6 +1,6 @@
-"""Stars to take out of streak pixels: catalogue stars as predicted, other list stars as measured."""
+"""Stars to take out of streak pixels: as remembered from earlier frames, as the catalogue predicts, else as measured."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag, StarFlag
 from sboc_e2e.icd.frame import Calibration
 from sboc_e2e.icd.products import FrameSolution, PhotometricSolution
+from sboc_e2e.icd.signals import StarList
 
 Array = NDArray[np.float64]
 
@@ -27,13 +28,15 @@ SAME_STAR_SIGMAS = 3.0
 class KnownStars:
     """Stars to be taken out: positions (px) and fluxes (e-) in one exposure, (n,) each.
 
-    from_catalogue : the flux is a prediction, which a trail over the star cannot have spoilt.
+    unspoilt : the flux is a prediction (catalogue, earlier frames), which a trail over the star cannot have changed.
+    inverse_snr : noise of the flux over the flux; its place errs by as many PSF widths. 0 for catalogue stars.
     """
 
     row: Array
     col: Array
     flux_e: Array
-    from_catalogue: NDArray[np.bool_]
+    unspoilt: NDArray[np.bool_]
+    inverse_snr: Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -63,26 +66,53 @@ def known_stars(
     calibration: Calibration,
     catalogue: StarCatalogue,
 ) -> KnownStars:
-    """Positions and fluxes of all stars that ground knows in this frame."""
-    listed = np.flatnonzero((frame.stars.flags & int(StarFlag.TRAILED | StarFlag.COSMIC_LIKE)) == 0)
-    row, col = frame.stars.row[listed], frame.stars.col[listed]
-    flux = frame.stars.flux_e[listed].astype(np.float64)
+    """Positions and fluxes of all stars that ground knows in this frame, each once."""
+    same_px = SAME_STAR_SIGMAS * calibration.camera.psf_sigma_px
+    old = _measured(frame.remembered, np.ones(len(frame.remembered), dtype=bool), unspoilt=True)
+    usable = (frame.stars.flags & int(StarFlag.TRAILED | StarFlag.COSMIC_LIKE)) == 0
+    listed = _measured(frame.stars, usable, unspoilt=False)
+    listed = _part(listed, ~_among(listed, old, same_px)[0])
     if solution.flags & FrameFlag.NO_SOLUTION:
-        return KnownStars(row=row, col=col, flux_e=flux, from_catalogue=np.zeros(len(row), dtype=bool))
-    cat_row, cat_col, cat_flux = _predicted(frame, solution, photometry, calibration, catalogue)
-    new = np.ones(len(row), dtype=bool)
-    if len(cat_row) and len(row):
-        distance, nearest = cKDTree(np.column_stack((cat_row, cat_col))).query(np.column_stack((row, col)))
-        new = distance > SAME_STAR_SIGMAS * calibration.camera.psf_sigma_px
-        # the measured place of an identified star is better than the predicted one (catalogue error)
-        same = np.flatnonzero(~new)
-        cat_row[nearest[same]], cat_col[nearest[same]] = row[same], col[same]
+        return _joined(old, listed)
+    predicted = _predicted(frame, solution, photometry, calibration, catalogue)
+    predicted = _part(predicted, ~_among(predicted, old, same_px)[0])
+    known, nearest = _among(listed, predicted, same_px)
+    # the measured place of an identified star is better than the predicted one (catalogue error)
+    same = np.flatnonzero(known)
+    predicted.row[nearest[same]], predicted.col[nearest[same]] = listed.row[same], listed.col[same]
+    return _joined(old, predicted, _part(listed, ~known))
+
+
+def _measured(stars: StarList, usable: NDArray[np.bool_], *, unspoilt: bool) -> KnownStars:
+    """Usable entries of a star list."""
     return KnownStars(
-        row=np.concatenate((cat_row, row[new])),
-        col=np.concatenate((cat_col, col[new])),
-        flux_e=np.concatenate((cat_flux, flux[new])),
-        from_catalogue=np.concatenate((np.ones(len(cat_row), dtype=bool), np.zeros(int(new.sum()), dtype=bool))),
+        row=stars.row[usable],
+        col=stars.col[usable],
+        flux_e=stars.flux_e[usable].astype(np.float64),
+        unspoilt=np.full(int(usable.sum()), unspoilt),
+        inverse_snr=1.0 / np.maximum(stars.snr[usable].astype(np.float64), 1.0),
     )
+
+
+def _part(stars: KnownStars, keep: NDArray[np.bool_]) -> KnownStars:
+    """Some of the stars."""
+    return KnownStars(**{field.name: getattr(stars, field.name)[keep] for field in fields(KnownStars)})
+
+
+def _joined(*parts: KnownStars) -> KnownStars:
+    """All stars of some parts."""
+    return KnownStars(
+        **{field.name: np.concatenate([getattr(part, field.name) for part in parts]) for field in fields(KnownStars)}
+    )
+
+
+def _among(stars: KnownStars, others: KnownStars, same_px: float) -> tuple[NDArray[np.bool_], NDArray[np.intp]]:
+    """Which stars are nearer than `same_px` to one of the others, and the index of the nearest of those."""
+    if len(stars.row) == 0 or len(others.row) == 0:
+        return np.zeros(len(stars.row), dtype=bool), np.zeros(len(stars.row), dtype=np.intp)
+    tree = cKDTree(np.column_stack((others.row, others.col)))
+    distance, nearest = tree.query(np.column_stack((stars.row, stars.col)))
+    return distance <= same_px, nearest
 
 
 def _predicted(
@@ -91,8 +121,8 @@ def _predicted(
     photometry: PhotometricSolution,
     calibration: Calibration,
     catalogue: StarCatalogue,
-) -> tuple[Array, Array, Array]:
-    """Rows, cols and fluxes of the catalogue stars inside a solved frame."""
+) -> KnownStars:
+    """The catalogue stars inside a solved frame."""
     header, camera = frame.header, Camera.solved(solution)
     matrix = matrix_of(np.asarray(solution.quaternion))
     middle = mid_frame_tai_ns(header)
@@ -113,4 +143,10 @@ def _predicted(
     row, col = row[inside], col[inside]
     magnitude = stars.v_mag[inside] - photometry.colour_term * (stars.b_v[inside] - SUN_B_V)
     rate_e_s = 10.0 ** (0.4 * (photometry.zero_point_mag - magnitude))
-    return row, col, rate_e_s * header.exposure_ns * 1e-9 * flat_at(calibration, row, col)
+    return KnownStars(
+        row=row,
+        col=col,
+        flux_e=rate_e_s * header.exposure_ns * 1e-9 * flat_at(calibration, row, col),
+        unspoilt=np.ones(len(row), dtype=bool),
+        inverse_snr=np.zeros(len(row)),
+    )

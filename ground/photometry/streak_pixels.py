@@ -48,11 +48,11 @@ def streak_pixels(
     saturation = header.saturation_adu if header.saturation_adu is not None else calibration.camera.saturation_adu
     saturated = value_adu + dark >= 0.98 * saturation
     bad = ((calibration.defects[row, col] & UNUSABLE) > 0) | ~good_flat | saturated
-    star_e, crossed = _star_light(
+    star_e, star_variance, crossed = _star_light(
         row, col, light.stars, found, psf_sigma_px, float(np.median(sigma)) * gain if len(sigma) else 1.0
     )
     value_e = value_e - star_e
-    variance = variance + star_e + (star_model_error * star_e) ** 2
+    variance = variance + star_e + (star_model_error * star_e) ** 2 + star_variance
     variance[bad] = np.inf
     pixels = StreakPixels(
         row=row.astype(np.int32),
@@ -81,19 +81,23 @@ def _unique_pixels(group: RoiGroup, header: FrameHeader) -> tuple[NDArray[np.int
 
 def _star_light(
     row: NDArray[np.intp], col: NDArray[np.intp], stars: KnownStars, detection: Detection, psf_sigma_px: float, sigma_e: float
-) -> tuple[Array, bool]:
-    """Electrons of known stars in each pixel (Gaussian PSF integrated over pixels), and whether one lies under the trail."""
-    light = np.zeros(len(row))
+) -> tuple[Array, Array, bool]:
+    """Electrons of known stars in each pixel (Gaussian PSF integrated over pixels), and whether one lies under the trail.
+
+    Second, the variance (e-^2) that errors of flux and place leave: with a place known to sigma / SNR in each coordinate,
+    (light / SNR)^2 (1 + r^2 / sigma^2) at the distance r from a Gaussian of width sigma.
+    """
+    light, variance = np.zeros(len(row)), np.zeros(len(row))
     if len(row) == 0 or len(stars.row) == 0:
-        return light, False
+        return light, variance, False
     reach = STAR_REACH_SIGMAS * psf_sigma_px + 1.0
     peak = stars.flux_e / (2.0 * np.pi * psf_sigma_px**2 + 1.0)
     across, beyond = distance_to_segment(detection, stars.row, stars.col)
     on_trail = (across < 2.0 * psf_sigma_px + 1.0) & (beyond < 2.0 * psf_sigma_px)
-    # a listed star on the trail that no catalogue knows may be a piece of the trail itself
+    # a star of this frame's list on the trail, unknown otherwise, may be a piece of the trail itself
     near = (
         (stars.row > row.min() - reach) & (stars.row < row.max() + reach) & (stars.col > col.min() - reach)
-        & (stars.col < col.max() + reach) & (peak > FAINTEST_STAR_SIGMAS * sigma_e) & (stars.from_catalogue | ~on_trail)
+        & (stars.col < col.max() + reach) & (peak > FAINTEST_STAR_SIGMAS * sigma_e) & (stars.unspoilt | ~on_trail)
     )  # fmt: skip
     root2 = np.sqrt(2.0) * psf_sigma_px
     for k in np.flatnonzero(near):
@@ -101,9 +105,12 @@ def _star_light(
         touched = np.flatnonzero((np.abs(d_row) < reach) & (np.abs(d_col) < reach))
         by_row = erf((d_row[touched] + 0.5) / root2) - erf((d_row[touched] - 0.5) / root2)
         by_col = erf((d_col[touched] + 0.5) / root2) - erf((d_col[touched] - 0.5) / root2)
-        light[touched] += 0.25 * stars.flux_e[k] * by_row * by_col
+        own = 0.25 * stars.flux_e[k] * by_row * by_col
+        r2 = (d_row[touched] ** 2 + d_col[touched] ** 2) / psf_sigma_px**2
+        light[touched] += own
+        variance[touched] += (stars.inverse_snr[k] * own) ** 2 * (1.0 + r2)
     crossed = near & (across < 3.0 * psf_sigma_px + 1.0) & (beyond < 3.0 * psf_sigma_px) & (peak > 3.0 * sigma_e)
-    return light, bool(crossed.any())
+    return light, variance, bool(crossed.any())
 
 
 def distance_to_segment(detection: Detection, row: Array, col: Array) -> tuple[Array, Array]:

@@ -1,6 +1,6 @@
 """What ground knows of a frame once its packets are decoded."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,6 +32,7 @@ class DownlinkFrame:
     """A frame rebuilt from intact packets; absent parts are None or empty and flagged.
 
     adu_scale, adu_offset : one transmitted unit is ``adu_scale`` ADU and zero is ``adu_offset`` (1 and 0 for uint16 frames).
+    stars : as measured in this frame. remembered : stars under its ROIs as the frames before showed them.
     """
 
     header: FrameHeader
@@ -44,3 +45,4 @@ class DownlinkFrame:
     whole_frame: NDArray[np.int32] | NDArray[np.float32] | None
     adu_scale: float = 1.0
     adu_offset: float = 0.0
+    remembered: StarList = field(default_factory=StarList.empty)

@@ -36,6 +36,7 @@ class StarFlag(IntFlag):
     TRAILED = 1 << 4
     COSMIC_LIKE = 1 << 5
     NEW = 1 << 6
+    REMEMBERED = 1 << 7
 
 
 class StreakFlag(IntFlag):
@@ -107,6 +108,7 @@ FLAG_TEXT: Final[dict[str, dict[str, str]]] = {
         "TRAILED": "elongated by motion of the pointing",
         "COSMIC_LIKE": "sharper than the PSF",
         "NEW": "not seen in the frame before",
+        "REMEMBERED": "place and flux from the frames before, because a region of interest lies over it",
     },
     "StreakFlag": {
         "EDGE0": "end 0 lies on the frame's edge: not an end of the exposure",

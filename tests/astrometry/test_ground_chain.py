@@ -22,7 +22,7 @@ from ground.streaks import TrailedPsfFitter
 from ground.vetting import LikelihoodVetter
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.downlink import DownlinkFrame
-from sboc_e2e.icd.flags import FrameFlag, StreakFlag
+from sboc_e2e.icd.flags import FrameFlag, StarFlag, StreakFlag
 from sboc_e2e.icd.signals import BackgroundModel, Detection, RoiGroup, StarList, Strip
 from tests.astrometry.star_fields import ARCSEC, EXPOSURE_NS, LINE_TIME_NS, VELOCITY_M_S, Field, FieldOptions, make_field
 
@@ -192,3 +192,35 @@ def test_frames_without_calibration_flow_through(fields):
     _, product = chain.process_frame(chain.initial_state(), fields[0].frame)
     assert len(product.streaks) == 1
     assert not product.solution.flags & FrameFlag.NO_SOLUTION
+
+
+def test_remembered_stars_leave_the_trail_and_never_enter_the_camera_fit(fields):
+    """A star of 3000 e- under the trail pulls it less when it is remembered; the camera fit does not notice the list."""
+    plain = fields[0].frame
+    group = plain.rois[0]
+    row0, col0 = 0.5 * (group.detection.row0 + group.detection.row1) + 1.0, 0.5 * (group.detection.col0 + group.detection.col1)
+    strip = group.strips[0]
+    row, col, _ = strip.pixel_coordinates(4096, 4096)
+    width = np.sqrt(2) * PSF_PX
+    by_row = erf((row + 0.5 - row0) / width) - erf((row - 0.5 - row0) / width)
+    by_col = erf((col + 0.5 - col0) / width) - erf((col - 0.5 - col0) / width)
+    values = strip.values_adu + np.rint(750.0 * by_row * by_col).astype(np.int32)
+    crossed = replace(plain, rois=(replace(group, strips=(replace(strip, values_adu=values),)),))
+    star = StarList(
+        row=np.array([row0]),
+        col=np.array([col0]),
+        flux_e=np.array([3000.0], dtype=np.float32),
+        snr=np.array([150.0], dtype=np.float32),
+        flags=np.array([int(StarFlag.REMEMBERED)], dtype=np.uint8),
+    )
+    chain = _chain(fields[0])
+    state = chain.initial_state()
+    results = [chain.process_frame(state, f)[1] for f in (plain, crossed, replace(crossed, remembered=star))]
+    clean, spoilt, freed = (np.array([r.streaks[0].row_mid, r.streaks[0].col_mid]) for r in results)
+    # the fit itself masks what it recognises as a star, so that the gain is less than whole
+    assert np.linalg.norm(freed - clean) < 0.7 * np.linalg.norm(spoilt - clean)
+    assert results[2].streaks[0].flags & StreakFlag.CROSSES_STAR
+    for result in results[1:]:
+        np.testing.assert_array_equal(result.solution.quaternion, results[0].solution.quaternion)
+        np.testing.assert_array_equal(result.solution.star_index, results[0].solution.star_index)
+        assert result.photometry.zero_point_mag == results[0].photometry.zero_point_mag

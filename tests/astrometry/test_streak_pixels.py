@@ -19,7 +19,9 @@ SHAPE = (120, 160)
 GAIN, PSF = 1.5, 0.9
 DETECTION = Detection(row0=40.0, col0=30.0, row1=60.0, col1=110.0, snr=20.0)
 WIDTH = PsfField.nominal(PSF, SHAPE)
-NO_STARS = KnownStars(row=np.zeros(0), col=np.zeros(0), flux_e=np.zeros(0), from_catalogue=np.zeros(0, dtype=bool))
+NO_STARS = KnownStars(
+    row=np.zeros(0), col=np.zeros(0), flux_e=np.zeros(0), unspoilt=np.zeros(0, dtype=bool), inverse_snr=np.zeros(0)
+)
 
 
 def _star_image(row: float, col: float, flux_e: float) -> np.ndarray:
@@ -106,7 +108,13 @@ def scene():
         whole_frame=None,
     )
     group = RoiGroup(roi_id=3, detection=DETECTION, strips=_strips(raw_adu - np.rint(calibration.dark_adu)), n_strips=2)
-    stars = KnownStars(row=np.array([46.0]), col=np.array([54.0]), flux_e=np.array([4000.0]), from_catalogue=np.array([True]))
+    stars = KnownStars(
+        row=np.array([46.0]),
+        col=np.array([54.0]),
+        flux_e=np.array([4000.0]),
+        unspoilt=np.array([True]),
+        inverse_snr=np.zeros(1),
+    )
     return frame, calibration, group, stars
 
 
@@ -148,8 +156,17 @@ def test_star_is_left_in_when_unknown_and_its_error_counts_when_known(scene):
     assert abs(extra - (peak + (0.05 * peak) ** 2)) < 0.02 * extra
 
 
+def test_error_of_a_remembered_star_counts_by_its_signal_to_noise(scene):
+    exact, _ = _pixels(scene, scene[3])
+    vague, _ = _pixels(scene, replace(scene[3], inverse_snr=np.array([0.1])))
+    centre = (exact.row == 46) & (exact.col == 54)
+    peak = _star_image(46.0, 54.0, 4000.0)[46, 54]
+    np.testing.assert_array_equal(vague.value_e, exact.value_e)
+    assert vague.variance_e2[centre][0] - exact.variance_e2[centre][0] == pytest.approx((0.1 * peak) ** 2, rel=0.01)
+
+
 def test_a_listed_star_on_the_trail_that_no_catalogue_knows_is_left_alone(scene):
-    stars = replace(scene[3], from_catalogue=np.array([False]))
+    stars = replace(scene[3], unspoilt=np.array([False]))
     pixels, crossed = _pixels(scene, stars)
     plain, _ = _pixels(scene, NO_STARS)
     np.testing.assert_array_equal(pixels.value_e, plain.value_e)

@@ -114,7 +114,7 @@ def test_lost_packets_cost_what_they_carried(packets: list[bytes], lost: set[int
         mine = [p for p in kept if frame_number(p) == f.header.frame]
         assert sum(len(g.strips) for g in f.rois) == sum(apid(p) == Apid.ROI for p in mine)
         star_bytes = sum(len(p) - layout.HEADER_BYTES - 2 for p in mine if apid(p) == Apid.STARS)
-        assert len(f.stars) * layout.STAR_DTYPE.itemsize == star_bytes
+        assert (len(f.stars) + len(f.remembered)) * layout.STAR_DTYPE.itemsize == star_bytes
         lost_header = not any(apid(p) == Apid.HEADER for p in mine)
         assert bool(f.flags & FrameFlag.HEADER_REBUILT) == lost_header
         if lost_header:

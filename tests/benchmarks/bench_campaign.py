@@ -48,7 +48,7 @@ def seconds(workers: int, tasks: int, folder: Path) -> float:
 
 def main(quick: bool = False) -> dict[str, Any]:
     """Efficiency over repeats, overhead, and the cost of a million frames on a hundred nodes from both."""
-    few, many = (4, 12) if quick else (6, 24)
+    few, many = (2, 6) if quick else (6, 24)
     efficiency, per_frame = [], []
     with tempfile.TemporaryDirectory() as root:
         for repeat in range(1 if quick else 3):

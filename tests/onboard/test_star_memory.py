@@ -34,9 +34,7 @@ def star_list(extra: list[tuple[float, float, float]], shift: tuple[float, float
 
 def group(detection: Detection) -> RoiGroup:
     """A strip of 13 rows around row 100, cols 50 to 149."""
-    strip = Strip(
-        axis=1, major0=50, minor0_fp=94 << 16, slope_fp=0, level_adu=0, values_adu=np.zeros((100, 13), dtype=np.int32)
-    )
+    strip = Strip(axis=1, major0=50, minor0_fp=94 << 16, slope_fp=0, level_adu=0, values_adu=np.zeros((100, 13), dtype=np.int32))
     return RoiGroup(roi_id=0, detection=detection, strips=(strip,), n_strips=1)
 
 

@@ -5,6 +5,10 @@ import os
 for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS"):
     os.environ.setdefault(_variable, "1")
 
+from sboc_e2e.kernel_cache import use_cache_of_these_sources
+
+use_cache_of_these_sources()
+
 from pathlib import Path
 
 import pytest

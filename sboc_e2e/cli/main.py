@@ -15,6 +15,10 @@ for _variable in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS"
     # Worker processes parallelise; threads of libraries would only compete with them and change the order of sums.
     os.environ.setdefault(_variable, "1")
 
+from sboc_e2e.kernel_cache import use_cache_of_these_sources
+
+use_cache_of_these_sources()
+
 import typer
 from astropy.utils import iers
 

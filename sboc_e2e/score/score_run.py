@@ -52,7 +52,7 @@ def score_evaluation(e: Evaluation, run_dir: Path | None = None) -> dict[str, An
             found[truth.object_id] = found.get(truth.object_id, 0) + 1
     captured = [e.footprints.captured[i] for i in sorted(e.detected_onboard)]
     lossless_bits, bit_exact = lossless_check(run_dir) if run_dir else (absent("no frames"), absent("no frames"))
-    n_stars = sum(len(f.stars) for f in e.downlink_frames)
+    n_stars = sum(len(f.stars) + len(f.remembered) for f in e.downlink_frames)
     groups = {f.header.frame: f.rois for f in e.downlink_frames}
     area_mean = float(np.mean(area)) if area else 0.0
     return {

@@ -1,7 +1,7 @@
 """Cramér–Rao bounds of a truth streak, from the inverse Fisher matrix of its noise-free trail.
 
 The derivatives are numerical, on the trail as simulated (curved, variable, blurred); the background is known; the
-noise variance is that without the object plus the object's own Poisson noise (DESIGN section 7).
+noise variance is that without the object plus the object's own Poisson noise (docs/scoring.md).
 """
 
 import math

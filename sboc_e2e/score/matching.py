@@ -1,4 +1,4 @@
-"""Which measured streak is which truth streak: one rule, one to one, best first (DESIGN section 7)."""
+"""Which measured streak is which truth streak: one rule, one to one, best first (docs/scoring.md)."""
 
 import math
 from dataclasses import dataclass

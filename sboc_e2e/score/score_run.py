@@ -1,4 +1,4 @@
-"""score.json: every section of DESIGN section 7 from one evaluation."""
+"""score.json: every section of docs/scoring.md from one evaluation."""
 
 from pathlib import Path
 from typing import Any

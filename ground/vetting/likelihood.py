@@ -61,6 +61,13 @@ class LikelihoodVetter:
     steady_frames: float = field(
         default=30.0, metadata={"doc": "frames that the rates of real streaks and noise are worth", "min": 0.1, "max": 1e6}
     )
+    widest: float = field(
+        default=12.0,
+        metadata={"doc": "width over the PSF beyond which a trail is a slope of the background", "min": 1.5, "max": 1e4},
+    )
+    widest_snr: float = field(
+        default=100.0, metadata={"doc": "S/N from which a trail may be wider than that", "min": 0.0, "max": 1e6}
+    )
 
     def probability(self, fits: Sequence[StreakFit], frame: DownlinkFrame) -> NDArray[np.float64]:
         """Probabilities, shape (len(fits),), of being a real object."""
@@ -68,7 +75,10 @@ class LikelihoodVetter:
             return np.zeros(0)
         offset, slope = log_odds_calibration()
         log_odds = self.log_odds([features_of(fit, self.psf_sigma_px) for fit in fits])
-        return np.asarray(1.0 / (1.0 + np.exp(-(offset + slope * log_odds))), dtype=np.float64)
+        probability = 1.0 / (1.0 + np.exp(-(offset + slope * log_odds)))
+        # The class densities end far below such widths: stray light, dead borders. No defocus makes them at these ranges.
+        slope_of_sky = [f.width_px > self.widest * self.psf_sigma_px and f.snr < self.widest_snr for f in fits]
+        return np.asarray(np.where(slope_of_sky, 0.0, probability), dtype=np.float64)
 
     def class_rates(self) -> dict[str, tuple[float, float]]:
         """Of each class: expected detections per frame, and how many frames that expectation is worth."""

@@ -28,44 +28,70 @@ LEAST_SIGMA = 0.29
 
 
 @njit(cache=True)
-def _probe_tile(
+def _probe_tiles(
     pixels: NDArray[np.uint16] | NDArray[np.int32],
     dark: NDArray[np.int16],
     mask: NDArray[np.uint8],
-    window: tuple[int, int, int, int],
-) -> tuple[int, int]:
-    """Middle and half width of the shortest half of up to `PROBES` usable pixels spread over a tile; (0, -1) if none.
+    row0: int,
+    row1: int,
+    tile_px: int,
+    probes: NDArray[np.int64],
+    count: NDArray[np.int64],
+) -> None:
+    """Up to `PROBES` usable pixels spread over each tile of a row of tiles, sorted, into (tiles, PROBES); and how many."""
+    cols, side = pixels.shape[1], 7
+    count[:] = 0
+    for i in range(side):
+        row = row0 + (2 * i + 1) * (row1 - row0) // (2 * side)
+        for tile in range(count.size):
+            col0, col1 = tile * tile_px, min((tile + 1) * tile_px, cols)
+            sorted_probes = probes[tile]
+            for j in range(side):
+                col = col0 + (2 * j + 1) * (col1 - col0) // (2 * side)
+                if mask[row, col] == 0:
+                    value = np.int64(pixels[row, col]) - np.int64(dark[row, col])
+                    k = count[tile]
+                    while k > 0 and sorted_probes[k - 1] > value:
+                        sorted_probes[k] = sorted_probes[k - 1]
+                        k -= 1
+                    sorted_probes[k] = value
+                    count[tile] += 1
+
+
+@njit(cache=True)
+def _shortest_half(probes: NDArray[np.int64]) -> tuple[int, int]:
+    """Middle and half width of the shortest half of sorted values; (0, -1) if there are none.
 
     The shortest half (Rousseeuw 1984, JASA 79, 871) stays with the sky when stars or an overscan fill up to half a tile.
     """
-    row0, row1, col0, col1 = window
-    probes = np.empty(PROBES, dtype=np.int64)
-    count = 0
-    side = 7
-    for i in range(side):
-        row = row0 + (2 * i + 1) * (row1 - row0) // (2 * side)
-        for j in range(side):
-            col = col0 + (2 * j + 1) * (col1 - col0) // (2 * side)
-            if mask[row, col] == 0:
-                value = np.int64(pixels[row, col]) - np.int64(dark[row, col])
-                k = count
-                while k > 0 and probes[k - 1] > value:
-                    probes[k] = probes[k - 1]
-                    k -= 1
-                probes[k] = value
-                count += 1
-    if count == 0:
+    if probes.size == 0:
         return 0, -1
-    half = count // 2
+    half = probes.size // 2
     best = 0
-    for k in range(count - half):
+    for k in range(probes.size - half):
         if probes[k + half] - probes[k] < probes[best + half] - probes[best]:
             best = k
     return (probes[best] + probes[best + half]) // 2, (probes[best + half] - probes[best]) // 2
 
 
 @njit(cache=True)
-def _clipped_moments(histogram: NDArray[np.int64], start: int, spread: float) -> tuple[float, float, int]:
+def _bins_of_row(
+    pixels: NDArray[np.uint16] | NDArray[np.int32],
+    dark: NDArray[np.int16],
+    mask: NDArray[np.uint8],
+    base: int,
+    shift: int,
+    out: NDArray[np.int32],
+) -> None:
+    """Bin of each pixel of a row, `BINS` for those that are masked or beyond; vector instructions, apart from the counting."""
+    for col in range(out.size):
+        value = (np.int64(pixels[col]) - np.int64(dark[col]) - base) >> shift
+        inside = 0 <= value < BINS and mask[col] == 0
+        out[col] = np.int32(value) if inside else np.int32(BINS)
+
+
+@njit(cache=True)
+def _clipped_moments(histogram: NDArray[np.int32], start: int, spread: float) -> tuple[float, float, int]:
     """Mean and standard deviation, in bins, of what lies within +-3 sigma of the mean, iterated from a start."""
     centre, sigma, number = float(start), spread, 0
     for _ in range(8):
@@ -99,31 +125,40 @@ def clipped_mesh(
 ) -> None:
     """Clipped mean and standard deviation of pixels - dark in each tile; NaN where too few pixels are usable."""
     rows, cols = pixels.shape
-    histogram = np.zeros(BINS, dtype=np.int64)
+    tiles = level.shape[1]
+    probes, count = np.empty((tiles, PROBES), dtype=np.int64), np.empty(tiles, dtype=np.int64)
+    base, shift, half_range = np.empty(tiles, np.int64), np.empty(tiles, np.int64), np.empty(tiles, np.int64)
+    histogram = np.empty((tiles, BINS + 1), dtype=np.int32)
+    bins = np.empty(tile_px, dtype=np.int32)
     for i in range(level.shape[0]):
         row0, row1 = i * tile_px, min((i + 1) * tile_px, rows)
-        for j in range(level.shape[1]):
-            col0, col1 = j * tile_px, min((j + 1) * tile_px, cols)
+        _probe_tiles(pixels, dark, mask, row0, row1, tile_px, probes, count)
+        for j in range(tiles):
+            middle, half_range[j] = _shortest_half(probes[j, : count[j]])
+            shift[j] = 0  # bins are a power of two wide
+            while half_range[j] >> (shift[j] + 3) > 0:
+                shift[j] += 1
+            base[j] = middle - (np.int64(BINS // 2) << shift[j])
+        histogram[:] = 0
+        step = row_step if row1 - row0 >= 4 * row_step else 1
+        # along the rows, as the memory lies
+        for row in range(row0 + step // 2, row1, step):
+            for j in range(tiles):
+                part = slice(j * tile_px, min((j + 1) * tile_px, cols))
+                width = part.stop - part.start
+                _bins_of_row(pixels[row, part], dark[row, part], mask[row, part], base[j], shift[j], bins[:width])
+                for k in range(width):
+                    histogram[j, bins[k]] += 1
+        for j in range(tiles):
             level[i, j] = np.nan
             sigma[i, j] = np.nan
-            middle, half_range = _probe_tile(pixels, dark, mask, (row0, row1, col0, col1))
-            if half_range < 0:
+            if half_range[j] < 0:
                 continue
-            bin_width = max(1, half_range // 4)
-            base = middle - bin_width * (BINS // 2)
-            histogram[:] = 0
-            step = row_step if row1 - row0 >= 4 * row_step else 1
-            for row in range(row0 + step // 2, row1, step):
-                for col in range(col0, col1):
-                    if mask[row, col] == 0:
-                        value = np.int64(pixels[row, col]) - np.int64(dark[row, col]) - base
-                        if 0 <= value < BINS * bin_width:
-                            histogram[value // bin_width] += 1
-            spread = max(1.5 * half_range / bin_width, 1.5)
-            mean, deviation, number = _clipped_moments(histogram, BINS // 2, spread)
+            bin_width = float(np.int64(1) << shift[j])
+            mean, deviation, number = _clipped_moments(histogram[j], BINS // 2, max(1.5 * half_range[j] / bin_width, 1.5))
             if number >= LEAST_SAMPLES:
-                level[i, j] = base + mean * bin_width + 0.5 * (bin_width - 1)
-                variance = (deviation * bin_width) ** 2 - (bin_width * bin_width - 1) / 12.0
+                level[i, j] = base[j] + mean * bin_width + 0.5 * (bin_width - 1.0)
+                variance = (deviation * bin_width) ** 2 - (bin_width * bin_width - 1.0) / 12.0
                 sigma[i, j] = math.sqrt(max(variance, LEAST_SIGMA * LEAST_SIGMA))
 
 

@@ -17,6 +17,9 @@ from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader
 from sboc_e2e.icd.signals import BackgroundModel
 
 FRACTIONS_PER_ADU = 128
+ROW_LIMIT_SIGMA = 2.5
+"""Values beyond so many sigmas take no part in the means of rows."""
+
 FLOAT_QUANTUM_SIGMA = 0.05
 """Float frames are rounded to this share of their noise."""
 
@@ -182,6 +185,22 @@ def _residual_row(
     return unusable
 
 
+@njit(cache=True, fastmath={"reassoc", "contract", "nsz"})  # sums of finite values: order is free
+def sums_within(
+    residual: NDArray[np.float32], mask: NDArray[np.uint8], marked: NDArray[np.uint8], limit: np.float32
+) -> tuple[np.float32, np.float32, np.float32]:
+    """Number, sum and sum of squares of usable values within +-limit."""
+    number, total, squares = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+    for col in range(residual.size):
+        value = residual[col]
+        good = (mask[col] | marked[col]) == 0 and abs(value) < limit
+        kept = value if good else np.float32(0.0)
+        number += np.float32(1.0) if good else np.float32(0.0)
+        total += kept
+        squares += kept * kept
+    return number, total, squares
+
+
 @njit(cache=True)
 def residual_pass(
     pixels: NDArray[np.uint16] | NDArray[np.int32],
@@ -192,17 +211,21 @@ def residual_pass(
     tile_px: int,
     saturation: int,
     scale: float,
+    limit: float,
     residual: NDArray[np.float32],
     mask: NDArray[np.uint8],
+    row_sums: NDArray[np.float64],
 ) -> int:
     """``residual = (pixels - dark) * scale - fraction / 128 - level`` and the mask; masked pixels get 0. Returns their number.
 
+    row_sums : (rows, 2) number and sum of each row's usable values within +-limit, taken while the row is in the cache.
     `MaskBit.SATURATED` (4) is set from the pixels before the dark is removed; level_nodes are relative to the offset.
     """
     rows, cols = pixels.shape
     last = level_nodes.shape[0] - 1
     upper, lower = np.empty(cols, dtype=np.float32), np.empty(cols, dtype=np.float32)
     level = np.empty(cols, dtype=np.float32)
+    unmarked = np.zeros(cols, dtype=np.uint8)
     held = -1
     unusable = 0
     for row in range(rows):
@@ -228,4 +251,6 @@ def residual_pass(
                 mask[row],
             )
         )
+        number, total, _ = sums_within(residual[row], mask[row], unmarked, np.float32(limit))
+        row_sums[row, 0], row_sums[row, 1] = number, total
     return unusable

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from onboard import packets
 from onboard.budget import Allowance, Outbox, packet_bytes, priority
-from onboard.calibrate import Counts, IntegerCalibration, background_in_adu, residual_pass, to_counts
+from onboard.calibrate import ROW_LIMIT_SIGMA, Counts, IntegerCalibration, background_in_adu, residual_pass, to_counts
 from onboard.options import OnboardOptions
 from onboard.roi_coding import CodedRoi, code_roi
 from onboard.star_free_sky import without_stars
@@ -85,6 +85,14 @@ class OnboardResult:
     bytes_by_apid: dict[int, int]
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Writable:
+    """residual : the memory under a view's read-only image. row_sums : (rows, 2) of `residual_pass`."""
+
+    residual: NDArray[np.float32]
+    row_sums: NDArray[np.float64]
+
+
 class OnboardChain:
     """The on-board software, configured. It holds scratch memory, but nothing of the run's state."""
 
@@ -120,11 +128,11 @@ class OnboardChain:
         header = self._with_saturation(frame.header)
         check = _checksum(frame.pixels)
         counts = to_counts(replace(frame, header=header), self._calibration_of(header))
-        view, residual, n_masked = self._calibrated(header, counts, state)
+        view, under, n_masked = self._calibrated(header, counts, state)
         flags = _header_flags(header) | _sequence_flags(header, state, check) | _content_flags(view, counts, n_masked)
         usable = not flags & (FrameFlag.ALL_MASKED | FrameFlag.EMPTY_SIGNAL | FrameFlag.REPEATED_FRAME)
         if usable:
-            view = self._with_stars(view, residual)
+            view = self._with_stars(view, under)
             detections = flag_static(self._detections(view), state.recent)
             earlier = brought_forward(state.earlier_stars, view.stars)
         else:
@@ -168,16 +176,15 @@ class OnboardChain:
         """Dark and defects under a frame."""
         return IntegerCalibration.none(header) if self._calibration is None else self._calibration.window(header)
 
-    def _calibrated(
-        self, header: FrameHeader, counts: Counts, state: OnboardState
-    ) -> tuple[DetectorView, NDArray[np.float32], int]:
-        """The view without stars, the memory of its calibrated image, and how many pixels are masked."""
+    def _calibrated(self, header: FrameHeader, counts: Counts, state: OnboardState) -> tuple[DetectorView, Writable, int]:
+        """The view without stars, what lies under it, and how many pixels are masked."""
         defects = state.hot_pixels.masked(counts.defects)
         estimated = self._guarded("background", self._steps.background.estimate, counts.pixels, counts.dark, defects)
         if not isinstance(estimated, BackgroundModel):
             raise self._fault("background", f"expected a BackgroundModel, got {type(estimated).__name__}")
         background = background_in_adu(estimated, counts)
         residual, mask = self._buffers(counts.pixels.shape)
+        row_sums = np.empty((len(residual), 2))
         n_masked = residual_pass(
             counts.pixels,
             counts.dark,
@@ -187,8 +194,10 @@ class OnboardChain:
             background.tile_px,
             counts.saturation,
             counts.adu_scale,
+            ROW_LIMIT_SIGMA * float(np.median(background.sigma_adu)),
             residual,
             mask,
+            row_sums,
         )
         view = DetectorView(
             header=header,
@@ -199,7 +208,7 @@ class OnboardChain:
             psf_sigma_px=self._camera.psf_sigma_px,
             history=state.history,
         )
-        return view, residual, int(n_masked)
+        return view, Writable(residual=residual, row_sums=row_sums), int(n_masked)
 
     def _buffers(self, shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Memory for the calibrated image and the mask; used again for every frame unless views are kept."""
@@ -209,17 +218,18 @@ class OnboardChain:
             self._scratch = (np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.uint8))
         return self._scratch
 
-    def _with_stars(self, view: DetectorView, residual: NDArray[np.float32]) -> DetectorView:
+    def _with_stars(self, view: DetectorView, under: Writable) -> DetectorView:
         """The view with its star list, and with level and noise of the sky measured beside these stars.
 
-        `residual` is the memory under the view's read-only image; it is brought to the new level.
+        The memory under the view's image is brought to the new level.
         """
         stars = self._guarded("star_extractor", self._steps.star_extractor.extract, view)
         if not isinstance(stars, StarList):
             raise self._fault("star_extractor", f"expected a StarList, got {type(stars).__name__}")
         background = without_stars(
-            residual,
+            under.residual,
             view.mask,
+            under.row_sums,
             stars,
             view.background,
             gain_e_adu=view.header.gain_e_adu or 1.0,

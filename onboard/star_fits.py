@@ -67,16 +67,26 @@ def _psf_at(
     col: float,
     radius: int,
     shape_inverse: tuple[float, float, float],
+    steps: tuple[float, float],
     factors: NDArray[np.float64],
     out: NDArray[np.float64],
 ) -> None:
-    """Gaussian PSF of unit flux sampled in the window, for a star at (row, col) from its centre."""
+    """Gaussian PSF of unit flux sampled in the window, for a star at (row, col) from its centre.
+
+    steps : ``exp(-inv_rr), exp(-inv_cc)``, the second ratios of the profiles along the axes.
+    """
     inv_rr, inv_rc, inv_cc = shape_inverse
     norm = math.sqrt(inv_rr * inv_cc - inv_rc * inv_rc) / (2.0 * math.pi)
     side = 2 * radius + 1
+    # a Gaussian on a grid by its ratios: exp(-a (x + 1)^2) = exp(-a x^2) q, q = exp(-a (2 x + 1)), next q by exp(-2 a)
+    first, ratio, change = norm * math.exp(-0.5 * inv_rr * (radius + row) ** 2), math.exp(inv_rr * (radius + row - 0.5)), steps[0]
     for k in range(side):
-        factors[0, k] = norm * math.exp(-0.5 * inv_rr * (k - radius - row) ** 2)
-        factors[1, k] = math.exp(-0.5 * inv_cc * (k - radius - col) ** 2)
+        factors[0, k] = first
+        first, ratio = first * ratio, ratio * change
+    first, ratio, change = math.exp(-0.5 * inv_cc * (radius + col) ** 2), math.exp(inv_cc * (radius + col - 0.5)), steps[1]
+    for k in range(side):
+        factors[1, k] = first
+        first, ratio = first * ratio, ratio * change
     for i in range(side):
         for j in range(side):
             out[i * side + j] = factors[0, i] * factors[1, j]
@@ -152,6 +162,7 @@ def fit_stars(
         crr, crc, ccc = covariances[n, 0], covariances[n, 1], covariances[n, 2]
         cdet = crr * ccc - crc * crc
         shape_inverse = (ccc / cdet, -crc / cdet, crr / cdet)
+        steps = (math.exp(-shape_inverse[0]), math.exp(-shape_inverse[2]))
         peak_psf = 1.0 / (2.0 * math.pi * math.sqrt(cdet))
         bright = residual[row0, col0] > BRIGHT_PEAK_SIGMA * sigma
         radius = radii[1] if bright else radii[0]
@@ -162,7 +173,7 @@ def fit_stars(
         flux = 1.7 * max(float(peaks[n, 2]), 0.1 * sigma) / peak_psf
         squares = 0.0
         for _ in range(6):
-            _psf_at(row, col, radius, shape_inverse, factors, psf)
+            _psf_at(row, col, radius, shape_inverse, steps, factors, psf)
             gf, gr, gc, ff, fr, fc, rr, rc, cc, squares = _normal_equations(
                 data[:size], usable[:size], psf[:size], drow, dcol, flux, row, col, sigma * sigma, gain_e_adu, shape_inverse
             )

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter, uniform_filter
 
 from onboard.background import LEAST_SAMPLES, fill_gaps
-from onboard.calibrate import expand_nodes
+from onboard.calibrate import expand_nodes, sums_within
 from sboc_e2e.icd.signals import BackgroundModel, StarList
 
 ROW_STEP = 8
@@ -24,7 +24,6 @@ FAINT_SIGMA = 0.03
 
 CLIP_SIGMA = 4.0
 MOST_STAR_RADIUS_PX = 64.0
-ROW_LIMIT_SIGMA = 2.5
 ROW_NEIGHBOURS = 65
 ROW_CLIP = 4.0
 LEAST_ROWS = 32
@@ -44,22 +43,6 @@ def mark_stars(
             half = math.sqrt(max(reach[n] * reach[n] - away * away, 0.0))
             for k in range(max(0, math.ceil(col[n] - half)), min(cols - 1, math.floor(col[n] + half)) + 1):
                 out[line, k] = 1
-
-
-@njit(cache=True, fastmath={"reassoc", "contract", "nsz"})  # sums of finite values: order is free
-def _row_sums(
-    residual: NDArray[np.float32], mask: NDArray[np.uint8], marked: NDArray[np.uint8], limit: np.float32
-) -> tuple[np.float32, np.float32, np.float32]:
-    """Number, sum and sum of squares of usable values within +-limit."""
-    number, total, squares = np.float32(0.0), np.float32(0.0), np.float32(0.0)
-    for col in range(residual.size):
-        value = residual[col]
-        good = (mask[col] | marked[col]) == 0 and abs(value) < limit
-        kept = value if good else np.float32(0.0)
-        number += np.float32(1.0) if good else np.float32(0.0)
-        total += kept
-        squares += kept * kept
-    return number, total, squares
 
 
 @njit(cache=True)
@@ -85,7 +68,7 @@ def star_free_moments(
                 row = line * row_step
                 if row >= min((i + 1) * tile_px, rows):
                     break
-                n, s, q = _row_sums(residual[row, col0:col1], mask[row, col0:col1], marked[line, col0:col1], limit)
+                n, s, q = sums_within(residual[row, col0:col1], mask[row, col0:col1], marked[line, col0:col1], limit)
                 number, total, squares = number + float(n), total + float(s), squares + float(q)
             mean[i, j], deviation[i, j] = np.nan, np.nan
             if number >= LEAST_SAMPLES:
@@ -93,29 +76,17 @@ def star_free_moments(
                 deviation[i, j] = math.sqrt(max(squares / number - (total / number) ** 2, 0.0))
 
 
-@njit(cache=True)
-def row_means(
-    residual: NDArray[np.float32], mask: NDArray[np.uint8], limit: float, mean: NDArray[np.float64], number: NDArray[np.float64]
-) -> None:
-    """Mean of usable values within +-limit of each row, and how many there are."""
-    unmarked = np.zeros(residual.shape[1], dtype=np.uint8)
-    for row in range(residual.shape[0]):
-        n, total, _ = _row_sums(residual[row], mask[row], unmarked, np.float32(limit))
-        number[row] = n
-        mean[row] = total / max(n, np.float32(1.0))
-
-
-def row_offsets(residual: NDArray[np.float32], mask: NDArray[np.uint8], sigma_adu: float) -> NDArray[np.float32]:
+def row_offsets(row_sums: NDArray[np.float64], cols: int, sigma_adu: float) -> NDArray[np.float32]:
     """Offsets that the readout gave to whole rows, ADU, by which a row differs from its neighbours.
 
+    row_sums : (rows, 2) number and sum of each row's usable values within +-`onboard.calibrate.ROW_LIMIT_SIGMA`; of `cols`.
     An offset of a tenth of the noise makes an edge-to-edge trail of S/N 6 out of one row of 4,096 px. Offsets are shrunk by
     the share of their scatter that pixel noise explains, and limited to `ROW_CLIP` of it, so that a readout without row
     noise changes nothing and a bright trail along a row is hardly touched.
     """
-    rows = residual.shape[0]
-    mean, number = np.empty(rows), np.empty(rows)
-    row_means(residual, mask, ROW_LIMIT_SIGMA * sigma_adu, mean, number)
-    full = number > 0.25 * residual.shape[1]
+    rows, number = len(row_sums), row_sums[:, 0]
+    mean = row_sums[:, 1] / np.maximum(number, 1.0)
+    full = number > 0.25 * cols
     if np.count_nonzero(full) < LEAST_ROWS:
         return np.zeros(rows, dtype=np.float32)
     offset = np.where(full, mean - median_filter(np.where(full, mean, np.median(mean[full])), ROW_NEIGHBOURS), 0.0)
@@ -171,13 +142,17 @@ def star_reach_px(stars: StarList, sigma_e: float, psf_sigma_px: float) -> NDArr
 def without_stars(
     residual: NDArray[np.float32],
     mask: NDArray[np.uint8],
+    row_sums: NDArray[np.float64],
     stars: StarList,
     background: BackgroundModel,
     *,
     gain_e_adu: float,
     psf_sigma_px: float,
 ) -> BackgroundModel:
-    """The background measured beside the stars; `residual` is brought to its level in place."""
+    """The background measured beside the stars; `residual` is brought to its level in place.
+
+    row_sums : as in `row_offsets`, of `residual` before the change.
+    """
     tile_px, shape = background.tile_px, background.level_adu.shape
     row_step = ROW_STEP if tile_px >= 4 * ROW_STEP else 1
     marked = np.zeros((-(-residual.shape[0] // row_step), residual.shape[1]), dtype=np.uint8)
@@ -187,7 +162,7 @@ def without_stars(
     star_free_moments(residual, mask, marked, row_step, tile_px, background.sigma_adu, mean, deviation)
     shift = uniform_filter(fill_gaps(mean, 0.0), size=3, mode="nearest")
     sigma = np.where(np.isfinite(deviation) & (deviation > 0.0), deviation, background.sigma_adu).astype(np.float32)
-    shift_level(residual, mask, shift, tile_px, row_offsets(residual, mask, float(np.median(sigma))))
+    shift_level(residual, mask, shift, tile_px, row_offsets(row_sums, residual.shape[1], float(np.median(sigma))))
     return BackgroundModel(
         tile_px=tile_px,
         level_adu=background.level_adu + shift,

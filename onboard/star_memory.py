@@ -56,7 +56,8 @@ def usable_stars(stars: StarList, detections: Sequence[Detection], psf_sigma_px:
     good = ((stars.flags & NOT_KEPT) == 0) & (stars.snr >= LEAST_SNR) & (stars.flux_e > 0.0)
     for detection in detections:
         reach = SPOILT_SIGMAS * psf_sigma_px + abs(detection.sagitta_px)
-        good &= distance_px(detection, stars.row, stars.col) > reach
+        near = np.flatnonzero(_beside(detection, stars, reach))
+        good[near] &= distance_px(detection, stars.row[near], stars.col[near]) > reach
     return part_of(stars, np.flatnonzero(good))
 
 
@@ -119,6 +120,14 @@ def distance_px(detection: Detection, row: Array, col: Array) -> Array:
     square = max(drow**2 + dcol**2, 1e-12)
     share = np.clip(((row - detection.row0) * drow + (col - detection.col0) * dcol) / square, 0.0, 1.0)
     return np.asarray(np.hypot(row - detection.row0 - share * drow, col - detection.col0 - share * dcol))
+
+
+def _beside(detection: Detection, stars: StarList, reach: float) -> NDArray[np.bool_]:
+    """Which stars lie in the upright rectangle about a detection, grown by `reach` px."""
+    top, bottom = sorted((detection.row0, detection.row1))
+    left, right = sorted((detection.col0, detection.col1))
+    inside = (stars.row >= top - reach) & (stars.row <= bottom + reach)
+    return np.asarray(inside & (stars.col >= left - reach) & (stars.col <= right + reach))
 
 
 def _chained(second: Array, first: Array) -> Array:

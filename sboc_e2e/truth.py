@@ -1,7 +1,7 @@
 """Truth tables: what the simulator knows and ground must never see. Columns, units and meanings, once.
 
 Each table is a numpy structured array of the dtypes below; the harness writes them as ECSV with these units and
-descriptions, and `sboc score --truth` reads tables of other simulators in the same form.
+descriptions. `sboc score --truth` reads a folder of them, or one table of the columns EXTERNAL from any other source.
 Published directions follow section "published direction" of ICD.md.
 """
 
@@ -110,6 +110,32 @@ COSMICS: Final = (
     Column(name="col1", dtype="f4", unit="pix", text="exit"),
     Column(name="charge_e", dtype="f4", unit="electron", text="electrons left inside the frame"),
 )
+
+EXTERNAL: Final = (
+    Column(name="frame", dtype="i4", unit="", text="frame number in products/frames.ecsv; or give file"),
+    Column(name="file", dtype="U64", unit="", text="name of the FITS file of the frame; or give frame"),
+    Column(name="hdu", dtype="i4", unit="", text="header-data unit in that file; needed where a file holds several frames"),
+    Column(name="object", dtype="U32", unit="", text="name or number of the object, the same in all its frames"),
+    Column(name="row0", dtype="f8", unit="pix", text="PSF centre at shutter open; may lie outside the frame"),
+    Column(name="col0", dtype="f8", unit="pix", text="PSF centre at shutter open; may lie outside the frame"),
+    Column(name="row1", dtype="f8", unit="pix", text="PSF centre at shutter close; may lie outside the frame"),
+    Column(name="col1", dtype="f8", unit="pix", text="PSF centre at shutter close; may lie outside the frame"),
+    Column(name="row_mid", dtype="f8", unit="pix", text="PSF centre at mid-exposure, for curved trails"),
+    Column(name="col_mid", dtype="f8", unit="pix", text="PSF centre at mid-exposure, for curved trails"),
+    Column(name="flux_e", dtype="f8", unit="electron", text="noise-free electrons from shutter open to shutter close"),
+    Column(name="mag", dtype="f8", unit="mag", text="apparent V at mid-exposure"),
+    Column(name="snr", dtype="f8", unit="", text="matched-filter S/N of the part inside the frame"),
+    Column(name="psf_sigma_px", dtype="f8", unit="pix", text="effective PSF sigma"),
+    Column(name="ra0_deg", dtype="f8", unit="deg", text="published right ascension at shutter open"),
+    Column(name="dec0_deg", dtype="f8", unit="deg", text="published declination at shutter open"),
+    Column(name="ra1_deg", dtype="f8", unit="deg", text="published right ascension at shutter close"),
+    Column(name="dec1_deg", dtype="f8", unit="deg", text="published declination at shutter close"),
+    Column(name="range_km", dtype="f8", unit="km", text="distance at mid-exposure"),
+)
+"""Truth from elsewhere in one table, a row for each trail; frames of the run that it does not name hold no object."""
+
+EXTERNAL_REQUIRED: Final = ("object", "row0", "col0", "row1", "col1")
+"""Columns that an external table must have, besides frame or file; every other is optional, cell by cell."""
 
 TABLES: Final = {"frames": FRAMES, "stars": STARS, "streaks": STREAKS, "cosmics": COSMICS, "objects": OBJECTS}
 

@@ -2,7 +2,8 @@
 
 Counts are ``n_c ~ Poisson(sum_i R_ci mu_i + b_c)``: R the response, mu the objects of each true class that crossed the field,
 b the false detections. A Gibbs sampler splits each count among its possible causes (multinomial), then draws mu (gamma), the
-response (Dirichlet, from finitely many injected objects) and b (gamma, from the finite measurement of the false-alarm rate).
+response (efficiency from a beta, categories of the detected from a Dirichlet distribution, both from finitely many injected
+objects) and b (gamma, from the finite measurement of the false-alarm rate).
 """
 
 from dataclasses import dataclass
@@ -15,9 +16,10 @@ from sboc_e2e.icd import validate
 from sboc_e2e.icd.errors import ContractError
 
 _JEFFREYS = 0.5
-"""Shape of the gamma prior of a Poisson mean: a class without a detection gets an upper limit of 1.92 (95 %) over efficiency."""
-_RESPONSE_PRIOR = 0.02
-"""Injected objects that each category is given before counting, so that no mixing is ruled out by few injections."""
+"""Shape of the gamma prior of a Poisson mean, and of the beta prior of an efficiency: a class without a detection gets an upper
+limit of 1.92 (95 %) over efficiency."""
+_CATEGORY_PRIOR = 0.02
+"""Detected objects that each category is given before counting, so that no mixing is ruled out by few injections."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -25,19 +27,23 @@ class Recovered:
     """Posterior of the objects that crossed the field: columns are 5 %, 50 % and 95 %.
 
     objects : (k, 3) per class. cumulative : (k, 3) larger than each class's lower edge. slope : (3,) b of
-    N(> d) ~ d^-b over the classes that were seen, NaN with fewer than two. draws : (n, k) of the sampler.
+    N(> d) ~ d^-b over the classes that were seen, NaN with fewer than two. draws : (n, k) of the sampler. lower_edge_m : (k,).
     """
 
     objects: NDArray[np.float64]
     cumulative: NDArray[np.float64]
     slope: NDArray[np.float64]
     draws: NDArray[np.float64]
+    lower_edge_m: NDArray[np.float64]
+    seen: NDArray[np.bool_]
 
     def per(self, exposure: NDArray[np.float64]) -> "Recovered":
         """The same per unit of exposure (k,): days, km^2 years. The slope is that of the rates."""
-        return _summary(self.draws / exposure, self._edges_ratio)
+        return _summary(self.draws / exposure, self.lower_edge_m, self.seen)
 
-    _edges_ratio: NDArray[np.float64]
+    def plus(self, other: "Recovered") -> "Recovered":
+        """The sum with an independent recovery of the same classes and as many draws."""
+        return _summary(self.draws + other.draws, self.lower_edge_m, self.seen | other.seen)
 
 
 def recover(
@@ -63,14 +69,15 @@ def recover(
     control = np.zeros(n_categories) if false_counted is None else np.asarray(false_counted, dtype=np.float64)
     known_false = false_counted is not None
 
-    injected = np.vstack([response.detected + _RESPONSE_PRIOR, response.missed + _RESPONSE_PRIOR])
+    kinds = response.detected + _CATEGORY_PRIOR
+    hits, misses = response.detected.sum(axis=0) + _JEFFREYS, response.missed + _JEFFREYS
     mu = np.full(n_classes, max(float(observed.sum()), 1.0) / n_classes)
     background = (control + _JEFFREYS) / false_exposure_ratio if known_false else np.zeros(n_categories)
     burn_in = n_draws // 4
     draws = np.empty((n_draws, n_classes))
     for step in range(-burn_in, n_draws):
-        share = rng.gamma(injected)
-        matrix = share[:-1] / share.sum(axis=0)
+        share = rng.gamma(kinds)
+        matrix = share / share.sum(axis=0) * rng.beta(hits, misses)
         cause = np.column_stack([matrix * mu, background])
         cause /= np.maximum(cause.sum(axis=1, keepdims=True), 1e-300)
         split = rng.multinomial(observed, cause)
@@ -79,29 +86,31 @@ def recover(
             background = rng.gamma(_JEFFREYS + control + split[:, -1]) / (1.0 + false_exposure_ratio)
         if step >= 0:
             draws[step] = mu
-    return _summary(draws, np.log(edges))
+    return _summary(draws, edges[:-1], np.median(draws, axis=0) > 1.0)
 
 
-def _summary(draws: NDArray[np.float64], log_edges: NDArray[np.float64]) -> Recovered:
+def _summary(draws: NDArray[np.float64], lower_edge_m: NDArray[np.float64], seen: NDArray[np.bool_]) -> Recovered:
     """Quantiles of classes, of sums over larger classes, and of the slope of the latter."""
     cumulative = np.cumsum(draws[:, ::-1], axis=1)[:, ::-1]
     points = [5.0, 50.0, 95.0]
     return Recovered(
         objects=np.percentile(draws, points, axis=0).T,
         cumulative=np.percentile(cumulative, points, axis=0).T,
-        slope=np.percentile(_slopes(cumulative, log_edges), points),
+        slope=np.percentile(slopes(cumulative, lower_edge_m, seen), points),
         draws=draws,
-        _edges_ratio=log_edges,
+        lower_edge_m=lower_edge_m,
+        seen=seen,
     )
 
 
-def _slopes(cumulative: NDArray[np.float64], log_edges: NDArray[np.float64]) -> NDArray[np.float64]:
-    """b of N(> d) ~ d^-b in each draw: least squares over lower edges, each weighted by its class's share of the counts."""
-    log_size = log_edges[:-1]
-    median = np.median(cumulative, axis=0)
-    weight = np.where(median > 1.0, median, 0.0)
-    if (weight > 0.0).sum() < 2:
+def slopes(
+    cumulative: NDArray[np.float64], lower_edge_m: NDArray[np.float64], seen: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """b (n,) of N(> d) ~ d^-b for rows of N (n, k): a straight line through ln N at the lower edges of the classes seen (k,).
+
+    NaN with fewer than two such classes.
+    """
+    if seen.sum() < 2:
         return np.full(len(cumulative), np.nan)
-    centre = float(weight @ log_size / weight.sum())
-    spread = weight * (log_size - centre)
-    return np.asarray(-(np.log(np.maximum(cumulative, 1e-12)) @ spread) / float(spread @ (log_size - centre)))
+    x = np.where(seen, np.log(lower_edge_m) - np.log(lower_edge_m[seen]).mean(), 0.0)
+    return np.asarray(-(np.log(np.maximum(cumulative, 1e-12)) @ x) / float(x @ x))

@@ -1,7 +1,7 @@
 """How objects of a size class show up: efficiency and mixing of classes, counted on injected objects.
 
 A detection falls into one of the observed categories: tracklets by estimated size, and single-frame detections, whose size
-nobody knows, by magnitude. Injected objects that are not detected at all are what the efficiency is missing.
+nobody knows, by magnitude if they have one. Injected objects that are not detected at all are what the efficiency is missing.
 """
 
 from dataclasses import dataclass
@@ -36,30 +36,35 @@ class Response:
         return np.where(injected > 0.0, self.detected.sum(axis=0) / np.where(injected > 0.0, injected, 1.0), np.nan)
 
 
+def n_categories(size_edges_m: NDArray[np.float64], mag_edges: NDArray[np.float64]) -> int:
+    """How many observed categories there are: classes of size, of magnitude, and the one of detections that have neither."""
+    return len(size_edges_m) + len(mag_edges) - 1
+
+
 def categories(
     size_m: NDArray[np.float64], mag: NDArray[np.float64], size_edges_m: NDArray[np.float64], mag_edges: NDArray[np.float64]
 ) -> NDArray[np.int64]:
     """Observed category (n,) of detections: class of size where it is known, else (single frame) class of magnitude after those.
 
-    size_m : (n,) estimated diameter, NaN without one. mag : (n,). Values beyond the edges fall into the outermost classes;
-    detections with neither are NOT_DETECTED, since nothing can be said of them.
+    size_m : (n,) estimated diameter, NaN without one. mag : (n,), NaN without one. Values beyond the edges fall into the
+    outermost classes. The last category holds detections with neither, most of them trails from edge to edge of one frame.
     """
-    n_size = len(size_edges_m) - 1
+    n_size, n_mag = len(size_edges_m) - 1, len(mag_edges) - 1
     by_size = np.clip(np.searchsorted(size_edges_m, size_m, side="right") - 1, 0, n_size - 1)
-    by_mag = n_size + np.clip(np.searchsorted(mag_edges, mag, side="right") - 1, 0, len(mag_edges) - 2)
-    return np.where(np.isfinite(size_m), by_size, np.where(np.isfinite(mag), by_mag, NOT_DETECTED)).astype(np.int64)
+    by_mag = n_size + np.clip(np.searchsorted(mag_edges, mag, side="right") - 1, 0, n_mag - 1)
+    return np.where(np.isfinite(size_m), by_size, np.where(np.isfinite(mag), by_mag, n_size + n_mag)).astype(np.int64)
 
 
-def observed_counts(category: NDArray[np.int64], n_categories: int) -> NDArray[np.int64]:
+def observed_counts(category: NDArray[np.int64], n_observed: int) -> NDArray[np.int64]:
     """Detections (c,) per category."""
-    return np.bincount(category[category >= 0], minlength=n_categories).astype(np.int64)
+    return np.bincount(category[category >= 0], minlength=n_observed).astype(np.int64)
 
 
 def response_of(
     true_size_m: NDArray[np.float64],
     category: NDArray[np.int64],
     size_edges_m: NDArray[np.float64],
-    n_categories: int,
+    n_observed: int,
 ) -> Response:
     """Count injected objects; category : (n,) of the detection of each one, NOT_DETECTED if there was none."""
     k = len(size_edges_m) - 1
@@ -67,6 +72,6 @@ def response_of(
     inside = (true_class >= 0) & (true_class < k)
     true_class, category = true_class[inside], category[inside]
     seen = category >= 0
-    detected = np.zeros((n_categories, k))
+    detected = np.zeros((n_observed, k))
     np.add.at(detected, (category[seen], true_class[seen]), 1.0)
     return Response(detected=detected, missed=np.bincount(true_class[~seen], minlength=k).astype(np.float64))

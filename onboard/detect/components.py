@@ -20,6 +20,10 @@ FWHM: Final = 2.354820045
 """Full width at half maximum of a Gaussian of unit sigma."""
 
 
+AROUND_PX: Final = star_mask.REACH_PX + 2 * 8
+"""Margin about a piece of the image: the reach of the test for trails and of the smoothing."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MaskedImage:
     """image : (rows, cols) int8, sigma/16; blocked : uint8, 0 = usable. Stars and defective pixels are blank in both."""
@@ -28,20 +32,57 @@ class MaskedImage:
     blocked: NDArray[np.uint8]
 
 
-def masked_image(view: DetectorView, halo_px: float) -> MaskedImage:
-    """The view in units of sigma/16 with its stars (but not the trails in the star list) taken out."""
+def masked_image(view: DetectorView, halo_px: float, least_snr: float = 0.0) -> MaskedImage:
+    """The view in units of sigma/16 with its stars from `least_snr` on (but not the trails in the star list) taken out."""
     sigma, tile_px = view.background.sigma_adu, view.background.tile_px
     image = whiten.quantise(view.residual_adu, view.mask, sigma, tile_px)
-    blocked = whiten.unusable(view.mask)
-    if len(view.stars):
-        level = np.zeros((1, 1), np.float32)
-        smooth = whiten.smooth(image, level, max(image.shape), whiten.odd_taps(view.psf_sigma_px), 7.0)
-        stars = view.stars
-        pieces = star_mask.trail_pieces(
-            view.residual_adu, smooth, sigma, tile_px, stars.row, stars.col, stars.snr, view.psf_sigma_px
-        )
-        whiten.blank_discs(image, blocked, *star_mask.stars_only(stars, pieces, view.psf_sigma_px, halo_px))
-    return MaskedImage(image=image, blocked=blocked)
+    masked = MaskedImage(image=image, blocked=whiten.unusable(view.mask))
+    _take_out(masked, view, np.flatnonzero(view.stars.snr >= least_snr), halo_px)
+    return masked
+
+
+def take_out_near(
+    masked: MaskedImage, view: DetectorView, segments: NDArray[np.float64], *, below_snr: float, within_px: float, halo_px: float
+) -> None:
+    """Take the stars fainter than `below_snr` near some segments (n, 4) out of an image as well, in place."""
+    faint = np.flatnonzero(view.stars.snr < below_snr)
+    for row0, col0, row1, col1 in segments:
+        row, col = view.stars.row[faint], view.stars.col[faint]
+        beside = (row > min(row0, row1) - within_px) & (row < max(row0, row1) + within_px)
+        beside &= (col > min(col0, col1) - within_px) & (col < max(col0, col1) + within_px)
+        index = faint[beside]
+        row, col, drow, dcol = row[beside] - row0, col[beside] - col0, row1 - row0, col1 - col0
+        share = np.clip((row * drow + col * dcol) / max(drow**2 + dcol**2, 1e-12), 0.0, 1.0)
+        _take_out(masked, view, index[np.hypot(row - share * drow, col - share * dcol) < within_px], halo_px)
+
+
+def _take_out(masked: MaskedImage, view: DetectorView, chosen: NDArray[np.intp], halo_px: float) -> None:
+    """Blank the chosen entries of the star list that are stars; faint ones are told from trails on a smoothed image."""
+    if len(chosen) == 0:
+        return
+    stars, background = view.stars, view.background
+    row, col, snr = stars.row[chosen], stars.col[chosen], stars.snr[chosen]
+    faint = snr < star_mask.FAINT_SNR
+    residual, sigma, tile_px = view.residual_adu, background.sigma_adu, background.tile_px
+    corner, smooth = (0, 0), np.zeros((1, 1), np.int8)
+    if faint.any():
+        window = _around(row, col, view.mask.shape, tile_px)
+        corner = (window[0].start, window[1].start)
+        piece, level = masked.image[window], np.zeros((1, 1), np.float32)
+        smooth = whiten.smooth(piece, level, max(piece.shape), whiten.odd_taps(view.psf_sigma_px), 7.0)
+        residual, sigma = residual[window], sigma[corner[0] // tile_px :, corner[1] // tile_px :]
+    trail = star_mask.trail_pieces(residual, smooth, sigma, tile_px, row - corner[0], col - corner[1], snr, view.psf_sigma_px)
+    radius = star_mask.mask_radii_px(snr[~trail], view.psf_sigma_px, halo_px)
+    whiten.blank_discs(masked.image, masked.blocked, row[~trail], col[~trail], radius)
+
+
+def _around(row: NDArray[np.float64], col: NDArray[np.float64], shape: tuple[int, ...], tile_px: int) -> tuple[slice, slice]:
+    """The part of a frame, from the corner of a mesh tile on, with some points and what tells stars from trails about them."""
+    parts = []
+    for values, size in ((row, shape[0]), (col, shape[1])):
+        first = max(math.floor(float(values.min())) - AROUND_PX, 0) // tile_px * tile_px
+        parts.append(slice(first, min(math.ceil(float(values.max())) + AROUND_PX + 1, size)))
+    return parts[0], parts[1]
 
 
 def segment_snr(masked: MaskedImage, ends: NDArray[np.float64], psf_sigma_px: float) -> float:

@@ -16,19 +16,28 @@ from sboc_e2e.icd.signals import StarList
 DIRECTIONS: Final = 36
 REACH_PX: Final = 7
 
+FAINT_SNR: Final = 12.0
+"""Fainter entries are looked at on the PSF-smoothed image."""
+
 MARGIN_PX: Final = 0.3
 """Added to the radius at which a star falls to 0.4 sigma of a pixel."""
 
 
 @nb.njit(cache=True)
 def _goes_on(
-    residual: NDArray[np.float32], row: float, col: float, level: float, scale: float, smooth: NDArray[np.int8], use_smooth: bool
+    residual: NDArray[np.float32],
+    row: float,
+    col: float,
+    level: float,
+    scale: float,
+    smooth: NDArray[np.int8],
+    use_smooth: bool,
+    unit: NDArray[np.float64],
 ) -> bool:
     """Whether every pair of neighbouring samples from 2 to 7 px in some direction lies between `level` and six times that."""
     rows, cols = residual.shape
     for k in range(DIRECTIONS):
-        angle = 2.0 * math.pi * k / DIRECTIONS
-        d_row, d_col = math.sin(angle), math.cos(angle)
+        d_row, d_col = unit[k, 0], unit[k, 1]
         before = 0.0
         bright = True
         for d in range(1, REACH_PX + 1):
@@ -60,15 +69,19 @@ def trail_pieces(
     """Entries that are pieces of trails, shape (n,). `smooth` is the PSF-smoothed image in units of sigma/16, not star-masked."""
     out = np.zeros(row.shape[0], np.bool_)
     peak = 1.0 / (2.0 * math.sqrt(math.pi) * psf_sigma_px)
+    unit = np.empty((DIRECTIONS, 2))
+    for k in range(DIRECTIONS):
+        angle = 2.0 * math.pi * k / DIRECTIONS
+        unit[k, 0], unit[k, 1] = math.sin(angle), math.cos(angle)
     for k in range(row.shape[0]):
         mesh_row = min(max(int(row[k]) // tile_px, 0), sigma_adu.shape[0] - 1)
         mesh_col = min(max(int(col[k]) // tile_px, 0), sigma_adu.shape[1] - 1)
         sigma = sigma_adu[mesh_row, mesh_col]
         if not sigma > 0.0:
             continue
-        faint = snr[k] < 12.0
+        faint = snr[k] < FAINT_SNR
         level = 0.42 * snr[k] * (1.0 if faint else peak)
-        out[k] = _goes_on(residual_adu, row[k], col[k], level, 1.0 / sigma, smooth, faint)
+        out[k] = _goes_on(residual_adu, row[k], col[k], level, 1.0 / sigma, smooth, faint, unit)
     return out
 
 

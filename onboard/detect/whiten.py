@@ -53,9 +53,19 @@ def quantise(
     return out
 
 
+@nb.njit(cache=True)
+def _unusable_row(mask: NDArray[np.uint8], out: NDArray[np.uint8]) -> None:
+    for i in range(out.size):
+        out[i] = np.uint8((mask[i] != 0) & (mask[i] != SATURATED))
+
+
+@nb.njit(cache=True)
 def unusable(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Working mask, uint8: 1 where a pixel must not be used. A saturated one may: it is a bright trail's, or a listed star's."""
-    return ((mask != 0) & (mask != SATURATED)).astype(np.uint8)
+    out = np.empty(mask.shape, np.uint8)
+    for row in range(mask.shape[0]):
+        _unusable_row(mask[row], out[row])
+    return out
 
 
 @nb.njit(cache=True)

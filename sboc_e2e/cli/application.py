@@ -126,7 +126,7 @@ def ground(run_dir: RunDir, plugin: Plugins = None) -> None:
 @app.command()
 def score(
     run_dir: RunDir,
-    truth: Annotated[Path | None, typer.Option("--truth", help="folder with truth tables from elsewhere, in our columns")] = None,
+    truth: Annotated[Path | None, typer.Option("--truth", help="truth from elsewhere: a table, or SatNet annotations")] = None,
     plugin: Plugins = None,
 ) -> None:
     """Score the products of a run against truth: score.json."""
@@ -202,7 +202,7 @@ def scenarios() -> None:
     from sboc_e2e import scenario
 
     for name, description in scenario.available().items():
-        typer.echo(f"{name:20} {description}")
+        typer.echo(f"{name:23} {description}")
 
 
 @catalogue_app.command("build")

@@ -46,10 +46,10 @@ def thumbnail(name: str, catalogue: StarCatalogue) -> NDArray[np.uint8]:
 
 
 def main(folder: Path) -> None:
-    """Write one PNG for each shipped scenario."""
+    """Write one PNG for each shipped scenario; recreated frames are on their own page, beside the real ones."""
     folder.mkdir(parents=True, exist_ok=True)
     catalogue = StarCatalogue.embedded()
-    for name in available():
+    for name in (name for name in available() if "/" not in name):
         cv2.imwrite(str(folder / f"{name}.png"), thumbnail(name, catalogue), [cv2.IMWRITE_PNG_COMPRESSION, 9])
 
 

@@ -1,5 +1,6 @@
 """What the frame viewer draws over a frame, and the list of misses and false alarms with their reasons."""
 
+import math
 from typing import Any, Final
 
 import numpy as np
@@ -7,10 +8,15 @@ import numpy as np
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Strip
 from sboc_e2e.score.evaluation import Evaluation
-from sboc_e2e.score.matching import SNR_IGNORED, TruthStreak
+from sboc_e2e.score.matching import TruthStreak
 
 MAX_CASES: Final = 40
 """Misses and false alarms shown, worst first; the counts of all stand beside them."""
+
+
+def _snr(value: float) -> float | None:
+    """S/N for a page; None where truth from elsewhere does not give it."""
+    return round(float(value), 1) if math.isfinite(value) else None
 
 
 def _outline(strip: Strip) -> list[list[float]]:
@@ -41,7 +47,7 @@ def frame_layers(e: Evaluation, frames: list[int]) -> list[dict[str, Any]]:
             {
                 "frame": number,
                 "truth": [
-                    {"line": _true_line(t), "snr": round(t.snr, 1), "object": t.object_id, "found": t.index in found}
+                    {"line": _true_line(t), "snr": _snr(t.snr), "object": t.object_id, "found": t.index in found}
                     for t in e.truth
                     if t.frame == number
                 ],
@@ -86,11 +92,12 @@ def _why_missed(e: Evaluation, streak: TruthStreak) -> str:
 def cases(e: Evaluation) -> dict[str, list[dict[str, Any]]]:
     """Misses (brightest first) and false alarms (most significant first), each with place, S/N and reason."""
     found = e.detected_ground
-    missed = sorted((t for t in e.truth if t.index not in found and t.snr >= SNR_IGNORED), key=lambda t: -t.snr)
+    missed = [t for t in e.truth if t.index not in found and t.counted]
+    missed.sort(key=lambda t: -t.snr if math.isfinite(t.snr) else 0.0)
     misses = [
         {
             "frame": t.frame,
-            "row": float(t.ends[:, 0].mean()), "col": float(t.ends[:, 1].mean()), "snr": round(t.snr, 1),
+            "row": float(t.ends[:, 0].mean()), "col": float(t.ends[:, 1].mean()), "snr": _snr(t.snr),
             "length": round(t.length_px, 1), "what": f"object {t.object_id}", "reason": _why_missed(e, t), "line": _true_line(t),
         }
         for t in missed[:MAX_CASES]
@@ -115,7 +122,7 @@ def cases(e: Evaluation) -> dict[str, list[dict[str, Any]]]:
 
 def completeness_series(e: Evaluation) -> dict[str, tuple[Any, Any]]:
     """S/N and detected of the counted truth, for both halves of the chain."""
-    counted = [t for t in e.truth if t.snr >= SNR_IGNORED]
+    counted = [t for t in e.truth if t.counted]
     snr = np.array([t.snr for t in counted])
     return {
         "ROIs on board": (snr, np.array([t.index in e.detected_onboard for t in counted], bool)),

@@ -35,7 +35,7 @@
         add(make("polygon", { points: points(outline), class: "roi" }));
       if (layers.truth) for (const t of frame.truth)
         add(make("polyline", { points: points(t.line), class: t.found ? "truth-found" : "truth-missed" }),
-          `object ${t.object}, S/N ${t.snr}`);
+          `object ${t.object}, S/N ${t.snr ?? "unknown"}`);
       if (layers.streaks) for (const s of frame.streaks)
         add(make("polyline", { points: points(s.line), class: s.vetoed ? "vetoed" : s.true ? "measured" : "false-alarm" }),
           `streak ${s.id}, S/N ${s.snr}`);
@@ -118,7 +118,7 @@
       body.append(shot);
     }
     const words = document.createElement("p");
-    words.textContent = `S/N ${item.snr}, length ${item.length} px, at row ${item.row.toFixed(1)}, col ${item.col.toFixed(1)}. ${item.reason}.`;
+    words.textContent = `S/N ${item.snr ?? "unknown"}, length ${item.length} px, at row ${item.row.toFixed(1)}, col ${item.col.toFixed(1)}. ${item.reason}.`;
     body.append(words);
     dialog.showModal();
   };
@@ -131,7 +131,7 @@
       image.alt = "";
       button.append(image);
     }
-    button.append(`S/N ${item.snr}, ${item.length} px, frame ${item.frame}`);
+    button.append(`S/N ${item.snr ?? "unknown"}, ${item.length} px, frame ${item.frame}`);
     button.onclick = () => open(item);
     list.append(button);
   }

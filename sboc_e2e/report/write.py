@@ -37,10 +37,13 @@ def _at(score: dict[str, Any], path: str) -> dict[str, Any]:
     return dict(node)
 
 
-def write_report(run_dir: Path) -> None:
-    """Both pages, from score.json and what lies in the run directory; pictures only of frames that were kept."""
+def write_report(run_dir: Path, evaluation: Evaluation | None = None) -> None:
+    """Both pages, from score.json and what lies in the run directory; pictures only of frames that were kept.
+
+    evaluation : that of the same directory, where the caller has scored it just before; it takes longer than the pages.
+    """
     score = json.loads((run_dir / "score.json").read_text())
-    e = evaluate(run_dir)
+    e = evaluation or evaluate(run_dir)
     _replace(run_dir / "report.md", markdown(score, e))
     _replace(run_dir / "report.html", html(score, e, run_dir))
 

@@ -100,7 +100,7 @@ class Manifest:
         record["state"] = "running"
         self.save()
 
-    def finish(self, stage: str, **figures: float) -> None:
+    def finish(self, stage: str, **figures: float | str) -> None:
         """Note that a stage is done, with its figures."""
         self.stages.setdefault(stage, {}).update(figures, state="done")
         self.save()

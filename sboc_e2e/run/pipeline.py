@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from sboc_e2e import score as scoring
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.faults import damaged_frame, delivered_frames
 from sboc_e2e.files import calibration_files, frame_fits
@@ -23,6 +22,7 @@ from sboc_e2e.run.onboard_stage import OnboardStage, onboard_chain
 from sboc_e2e.run.progress import Progress, Silent
 from sboc_e2e.run.simulation import FrameMaker, FrameStream, SimulationCost
 from sboc_e2e.scenario import Scenario
+from sboc_e2e.score import Evaluation, evaluate, score_evaluation
 
 KEEP_KEY: Final = "output.keep_frames_every"
 
@@ -48,6 +48,8 @@ class Run:
     scenario: Scenario
     workers: int
     progress: Progress = field(default_factory=Silent)
+    _evaluation: Evaluation | None = None
+    """What the score stage found, for the report that follows it."""
 
     @classmethod
     def open(cls, path: Path, registry: Registry, *, workers: int = 0, progress: Progress | None = None) -> "Run":
@@ -138,7 +140,8 @@ class Run:
         self._require("ground")
         self.progress.stage("score", 1)
         self.manifest.begin("score")
-        write_json(self.directory.score, scoring.score_run(self.directory.path, truth))
+        self._evaluation = evaluate(self.directory.path, truth)
+        write_json(self.directory.score, score_evaluation(self._evaluation, self.directory.path))
         self.manifest.finish("score")
         self.progress.advance()
 
@@ -147,7 +150,7 @@ class Run:
         self._require("score")
         self.progress.stage("report", 1)
         self.manifest.begin("report")
-        write_report(self.directory.path)
+        write_report(self.directory.path, self._evaluation)
         self.manifest.finish("report")
         self.progress.advance()
 

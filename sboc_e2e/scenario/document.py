@@ -98,18 +98,22 @@ def scenario_model() -> type[BaseModel]:
 
 
 def available() -> dict[str, str]:
-    """Scenarios that come with the project: name and description."""
-    return {path.stem: str(toml_files.read(path).get("description", "")) for path in sorted(toml_files.FOLDER.glob("*.toml"))}
+    """Scenarios that come with the project, recreated real frames last: name and description."""
+    paths = [path for pattern in ("*.toml", "validation/*.toml") for path in sorted(toml_files.FOLDER.glob(pattern))]
+    return {
+        path.relative_to(toml_files.FOLDER).with_suffix("").as_posix(): str(toml_files.read(path).get("description", ""))
+        for path in paths
+    }
 
 
 def find(scenario: str) -> Path:
     """File of a scenario given by name or path."""
     path = Path(scenario)
+    if scenario in available():
+        return toml_files.FOLDER / f"{scenario}.toml"
     if path.suffix != ".toml" and len(path.parts) == 1:
-        path = toml_files.FOLDER / f"{scenario}.toml"
-        if not path.is_file():
-            raise UserError(f'there is no scenario "{scenario[:80]}"; {option_models.did_you_mean(scenario, available())}')
-    elif not path.is_file():
+        raise UserError(f'there is no scenario "{scenario[:80]}"; {option_models.did_you_mean(scenario, available())}')
+    if not path.is_file():
         raise UserError(f"{path}: no such scenario file; give a path to a .toml file or one of: {', '.join(available())}")
     return path
 

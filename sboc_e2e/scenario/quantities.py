@@ -6,7 +6,8 @@ dimension. Fields without a suffix are dimensionless and take bare numbers.
 
 import math
 import re
-from functools import cache
+import warnings
+from functools import lru_cache
 from typing import Final
 
 from astropy import units
@@ -57,7 +58,7 @@ def display(unit: str) -> str:
     return short.replace("1e-6", "ppm").removeprefix("1")
 
 
-@cache
+@lru_cache(maxsize=1024)
 def _unit(text: str) -> units.UnitBase:
     """Parse a unit; `QuantityError` for anything that is none."""
     spelled = "1" + text if text.startswith("/") else text.strip()
@@ -68,7 +69,10 @@ def _unit(text: str) -> units.UnitBase:
     if not _UNIT_TEXT.match(spelled) or _LARGE_EXPONENT.search(spelled):
         raise QuantityError(f'unknown unit "{text[:MAX_TEXT]}"')
     try:
-        unit = units.Unit(spelled)
+        with warnings.catch_warnings():
+            # What the FITS standard discourages ("m/s/s") is a unit here, and not a line on the terminal.
+            warnings.simplefilter("ignore", units.UnitsWarning)
+            unit = units.Unit(spelled)
     except (ValueError, TypeError, OverflowError, ZeroDivisionError) as error:
         raise QuantityError(f'unknown unit "{text[:MAX_TEXT]}"') from error
     if not isinstance(unit, units.UnitBase):

@@ -3,6 +3,7 @@
 Every figure is a value with n and an interval, or no value and the reason; `docs/scoring.md` defines each with its formula.
 """
 
-from sboc_e2e.score.score_run import score_run
+from sboc_e2e.score.evaluation import Evaluation, evaluate
+from sboc_e2e.score.score_run import score_evaluation, score_run
 
-__all__ = ["score_run"]
+__all__ = ["Evaluation", "evaluate", "score_evaluation", "score_run"]

@@ -30,31 +30,33 @@ def streak_astrometry(
 ) -> tuple[dict[str, Any], list[dict[str, float]]]:
     """Figures, and one row of residuals for each matched streak (for plots).
 
-    streaks : products/streaks.ecsv. pairs : its row -> truth. bounds, truth_sky : by truth index.
+    streaks : products/streaks.ecsv. pairs : its row -> truth. bounds, truth_sky : by truth index, as far as they are known.
     """
     rows: list[dict[str, float]] = []
     for index, truth in pairs.items():
         s = streaks[index]
         ends = np.array([[s["row0"], s["col0"]], [s["row1"], s["col1"]]], dtype=float)
         cross_px, _ = distance_to_path(ends.mean(axis=0), truth.path)
-        bound = bounds[truth.index]
+        bound = bounds.get(truth.index)
         out = {
             "row": float(index),
             "snr": truth.snr,
             "length_px": truth.length_px,
             "cross_px": cross_px,
-            "cross_ratio": cross_px / bound.cross_px,
+            "cross_ratio": cross_px / bound.cross_px if bound else math.nan,
             "cross_pull": cross_px / float(s["sigma_cross_px"]) if s["sigma_cross_px"] > 0 else math.nan,
         }
         if truth.length_px >= 10.0:
             end_px = _along_of_ends(ends, truth)
-            for which, crlb in ((0, bound.end0_px), (1, bound.end1_px)):
-                if crlb is not None:
+            for which, cut in ((0, truth.path.edge0), (1, truth.path.edge1)):
+                if not cut:
                     out[f"end{which}_px"] = float(end_px[which])
+                crlb = (bound.end0_px, bound.end1_px)[which] if bound else None
+                if bound and crlb is not None:
                     out[f"end{which}_ratio"] = float(end_px[which]) / crlb
                     out[f"end{which}_attainable"] = float(end_px[which]) / bound.attainable(crlb)
-        sky = truth_sky[truth.index]
-        if np.isfinite(s["ra_mid_deg"]) and s["t_mid_tai_ns"] > 0:
+        sky = truth_sky.get(truth.index)
+        if sky is not None and np.isfinite(s["ra_mid_deg"]) and s["t_mid_tai_ns"] > 0:
             along, across = sky.offset_arcsec(float(s["ra_mid_deg"]), float(s["dec_mid_deg"]), int(s["t_mid_tai_ns"]))
             out["sky_cross_arcsec"] = across
             # A trail that the frame cuts and no other frame times has no epoch along its track.
@@ -66,15 +68,18 @@ def streak_astrometry(
         rows.append(out)
 
     def column(*names: str, snr_min: float = 8.0) -> NDArray[np.float64]:
-        values = [r[name] for r in rows for name in names if name in r and r["snr"] >= snr_min]
+        values = [r[name] for r in rows for name in names if name in r and not r["snr"] < snr_min]
         values = [v for v in values if math.isfinite(v)]
         return np.array(values, dtype=np.float64)
 
     inside = column("along_pull")
+    few = "too few to measure" if bounds or not pairs else "the truth gives no flux, so there are no bounds"
     figures = {
-        "cross_crlb_ratio": bootstrap(column("cross_ratio"), rms),
-        "ends_attainable_ratio": bootstrap(column("end0_attainable", "end1_attainable"), rms),
-        "ends_crlb_ratio": bootstrap(column("end0_ratio", "end1_ratio"), rms),
+        "cross_rms_px": bootstrap(column("cross_px"), rms),
+        "ends_rms_px": bootstrap(column("end0_px", "end1_px"), rms),
+        "cross_crlb_ratio": bootstrap(column("cross_ratio"), rms, few),
+        "ends_attainable_ratio": bootstrap(column("end0_attainable", "end1_attainable"), rms, few),
+        "ends_crlb_ratio": bootstrap(column("end0_ratio", "end1_ratio"), rms, few),
         "cross_pull_std": bootstrap(column("cross_pull"), pull_width),
         "along_pull_std": bootstrap(inside, pull_width),
         "along_coverage_68": proportion(int((np.abs(inside) <= 1.0).sum()), len(inside), "no matched streak on the sky"),
@@ -164,7 +169,7 @@ def frame_astrometry(frames: Table, truth_frames: Table) -> tuple[dict[str, Any]
     frame_rms, biases, grids = [], [], []
     for s in frames:
         truth = by_number.get(int(s["frame"]))
-        if truth is None or int(s["flags"]) & FrameFlag.NO_SOLUTION:
+        if truth is None or int(s["flags"]) & FrameFlag.NO_SOLUTION or not np.isfinite(truth["grid_ra_app_deg"]).all():
             continue
         row, col = np.asarray(truth["grid_row"], float), np.asarray(truth["grid_col"], float)
         middle_row = (float(s["rows"]) - 1.0) / 2.0
@@ -180,7 +185,7 @@ def frame_astrometry(frames: Table, truth_frames: Table) -> tuple[dict[str, Any]
         biases.append((float(de.mean()), float(dn.mean())))
         grids.append({"frame": int(s["frame"]), "row": row, "col": col, "east_arcsec": de, "north_arcsec": dn})
     if not frame_rms:
-        none = absent("no frame was solved")
+        none = absent("no frame was solved, or the truth has no directions of frames")
         return {"frame_rms_arcsec": none, "frame_bias_arcsec": none}, []
 
     def bias(b: NDArray[np.float64]) -> float:
@@ -193,7 +198,7 @@ def frame_astrometry(frames: Table, truth_frames: Table) -> tuple[dict[str, Any]
 
 
 def sky_paths(truth_streaks: Table | NDArray[np.void], wanted: Sequence[int]) -> dict[int, SkyPath]:
-    """Sky paths of truth streaks by row of the table."""
+    """Sky paths of truth streaks by row of the table, without those whose directions are not known."""
     return {
         i: SkyPath(
             np.asarray(truth_streaks["path_t_tai_ns"][i], np.int64),
@@ -201,4 +206,5 @@ def sky_paths(truth_streaks: Table | NDArray[np.void], wanted: Sequence[int]) ->
             np.asarray(truth_streaks["path_dec_deg"][i], float),
         )
         for i in wanted
+        if np.isfinite(truth_streaks["path_ra_deg"][i]).all()
     }

@@ -43,6 +43,7 @@ def compression(
     raw = n_frames * shape[0] * shape[1] * RAW_BITS_PER_PIXEL // 8
     kinds = bytes_by_kind(downlink)
     regular = len(downlink) - kinds["frame"]
+    entropies = entropy_bits[np.isfinite(entropy_bits)]
     n_groups = sum(len(g) for g in groups.values())
     return {
         "raw_bytes": exact(raw, n_frames),
@@ -51,7 +52,7 @@ def compression(
         "bytes_by_kind": kinds,
         "whole_frame_bytes": exact(kinds["frame"], n_frames),
         "bits_per_pixel_lossless": lossless_bits,
-        "entropy_bound_bits": bootstrap(entropy_bits, lambda v: float(v.mean()), "fewer than three frames with an entropy"),
+        "entropy_bound_bits": bootstrap(entropies, lambda v: float(v.mean()), "fewer than three frames with an entropy"),
         "captured_flux_fraction": bootstrap(captured, lambda v: float(v.mean()), "fewer than three detected streaks"),
         "lossless_bit_exact": bit_exact,
         "bits_per_star": exact(8 * kinds["stars"] / n_stars, n_stars) if n_stars else absent("no star sent"),

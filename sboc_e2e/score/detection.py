@@ -24,16 +24,18 @@ RATE_EDGES: Final = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, np.inf)
 class RoiFootprints:
     """Which truth streaks the ROIs of each frame hold, gathered frame by frame."""
 
-    def __init__(self, shape: tuple[int, int]) -> None:
-        self._held = np.zeros(shape, dtype=np.bool_)
+    def __init__(self) -> None:
+        self._held = np.zeros((0, 0), dtype=np.bool_)
         self.captured: dict[int, float] = {}
         self.false_groups: list[tuple[int, int]] = []
         self.area_fraction: list[float] = []
         self.n_groups = 0
 
-    def add_frame(self, frame: int, groups: Sequence[RoiGroup], truth: Sequence[TruthStreak]) -> None:
-        """Measure the ROIs of one frame against its truth streaks."""
-        rows, cols = self._held.shape
+    def add_frame(self, frame: int, shape: tuple[int, int], groups: Sequence[RoiGroup], truth: Sequence[TruthStreak]) -> None:
+        """Measure the ROIs of one frame of `shape` against its truth streaks."""
+        if self._held.shape != shape:
+            self._held = np.zeros(shape, dtype=np.bool_)
+        rows, cols = shape
         footprints: list[tuple[NDArray[np.int32], NDArray[np.int32]]] = []
         for group in groups:
             parts = [strip.pixel_coordinates(rows, cols) for strip in group.strips]
@@ -71,7 +73,7 @@ def _bins(truth: Sequence[TruthStreak], detected: NDArray[np.bool_]) -> list[dic
     out = []
     for name, (edges, value) in quantities.items():
         for low, high in pairwise(edges):
-            chosen = (value >= low) & (value < high) & (snr >= (SNR_IGNORED if name == "snr" else 8.0))
+            chosen = (value >= low) & (value < high) & ~(snr < (SNR_IGNORED if name == "snr" else 8.0))
             if chosen.any():
                 share = proportion(int(detected[chosen].sum()), int(chosen.sum()))
                 out.append({"quantity": name, "from": low, "to": None if np.isinf(high) else high, "detected": share})
@@ -87,18 +89,20 @@ def detection_figures(
     sigma_px: float,
 ) -> dict[str, Any]:
     """Figures shared by the on-board and the ground half."""
-    counted = [t for t in truth if t.snr >= SNR_IGNORED]
+    counted = [t for t in truth if t.counted]
     found = np.array([t.index in detected_index for t in counted], dtype=bool)
     snr = np.array([t.snr for t in counted])
     length = np.array([t.length_px for t in counted])
+    measured = np.isfinite(snr)
+    unknown = "the truth gives neither S/N nor flux" if counted and not measured.any() else ""
 
     def complete(limit: float) -> Figure:
         above = snr >= limit
-        return proportion(int(found[above].sum()), int(above.sum()), f"no truth streak with S/N >= {limit:g}")
+        return proportion(int(found[above].sum()), int(above.sum()), unknown or f"no truth streak with S/N >= {limit:g}")
 
     by_length = {}
     for low, high in pairwise(LENGTH_EDGES):
-        chosen = (length >= low) & (length < high)
+        chosen = (length >= low) & (length < high) & measured
         if chosen.any():
             label = f"{low:g}-{high:g} px" if np.isfinite(high) else f">= {low:g} px"
             by_length[label] = half_point(snr[chosen], found[chosen])
@@ -106,9 +110,10 @@ def detection_figures(
     return {
         "n_truth": exact(len(counted), len(counted)),
         "n_detected": exact(int(found.sum()), len(counted)),
+        "completeness": proportion(int(found.sum()), len(counted), "no truth streak"),
         "completeness_snr8": complete(8.0),
         "completeness_snr10": complete(10.0),
-        "snr50": half_point(snr, found) if counted else absent("no truth streak"),
+        "snr50": half_point(snr[measured], found[measured]) if measured.any() else absent(unknown or "no truth streak"),
         "snr50_by_length": by_length,
         "ideal_snr50": exact(ideal_snr50(0.1, *shape, sigma_px), 0),
         "ideal_threshold": exact(ideal_threshold(0.1, *shape, sigma_px), 0),

@@ -11,15 +11,19 @@ from astropy.table import Table
 
 from ground.ingest import decode_downlink
 from ground.ingest.codecs import Ccsds121Decoder, PlanesDecoder, RawDecoder, SqrtPlanesDecoder
+from sboc_e2e.files import calibration_files
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.steps import Decoder
 from sboc_e2e.score.bounds import CHANGE_POINT, TrailBounds, trail_bounds
 from sboc_e2e.score.detection import FLUX_HELD, RoiFootprints
+from sboc_e2e.score.external_truth import Truth, checked, completed
+from sboc_e2e.score.external_truth import read_table as read_external
 from sboc_e2e.score.matching import SNR_IGNORED, MeasuredStreak, TruthStreak, match_all
+from sboc_e2e.score.satnet import is_satnet, read_satnet
 from sboc_e2e.score.trail import TruePath
-from sboc_e2e.truth import dtype_of
+from sboc_e2e.truth import PATH_NODES, dtype_of
 
 SHIPPED_DECODERS: Final[tuple[Decoder, ...]] = (PlanesDecoder(), RawDecoder(), Ccsds121Decoder(), SqrtPlanesDecoder())
 
@@ -29,7 +33,7 @@ class Evaluation:
     """Truth streaks, measured streaks and who is who.
 
     pairs : row of `streaks` -> truth streak. vetted_out : rows of `streaks` that carry VETOED (not counted as measured).
-    bounds : by truth index, for truth with S/N >= 3 that was matched.
+    bounds : by truth index, for matched truth with S/N >= 3 whose S/N and flux are known.
     """
 
     shape: tuple[int, int]
@@ -75,10 +79,11 @@ def truth_streaks(table: Table) -> tuple[TruthStreak, ...]:
     for index, t in enumerate(table):
         length_px, snr = float(t["length_px"]), float(t["snr"])
         times = np.asarray(t["path_t_tai_ns"], np.int64)
+        flux_known = bool(np.isfinite(t["path_flux_e_s"]).all())
         path = TruePath(
             row=np.asarray(t["path_row"], float),
             col=np.asarray(t["path_col"], float),
-            flux_e_s=np.asarray(t["path_flux_e_s"], float),
+            flux_e_s=np.asarray(t["path_flux_e_s"], float) if flux_known else np.ones(PATH_NODES),
             duration_s=max(float(times[-1] - times[0]) * 1e-9, 1e-12),
             sigma_px=float(t["psf_sigma_px"]),
             edge0=bool(t["edge0"]),
@@ -93,7 +98,8 @@ def truth_streaks(table: Table) -> tuple[TruthStreak, ...]:
                 snr=snr,
                 length_px=length_px,
                 rate_deg_s=float(t["rate_deg_s"]),
-                attainable_end_px=CHANGE_POINT * length_px / max(snr, 1.0) ** 2,
+                attainable_end_px=CHANGE_POINT * length_px / max(snr, 1.0) ** 2 if np.isfinite(snr) else 0.0,
+                flux_known=flux_known,
             )
         )
     return tuple(out)
@@ -116,7 +122,7 @@ def read_table(path: Path) -> Table:
     return Table.read(path, format="ascii.ecsv")
 
 
-def read_truth(folder: Path) -> dict[str, Table]:
+def read_truth(folder: Path) -> Truth:
     """Truth tables a score needs; a table without the contract's columns is refused by name."""
     tables = {name: read_table(folder / f"{name}.ecsv") for name in ("frames", "streaks", "objects")}
     for name, table in tables.items():
@@ -126,19 +132,37 @@ def read_truth(folder: Path) -> dict[str, Table]:
     return tables
 
 
-def evaluate(run_dir: Path, truth_dir: Path | None = None, extra_decoders: Sequence[Decoder] = ()) -> Evaluation:
-    """Read a finished run and match it with its truth (or with external truth tables).
+def evaluate(run_dir: Path, truth: Path | None = None, extra_decoders: Sequence[Decoder] = ()) -> Evaluation:
+    """Read a finished run and match it with its truth, or with truth from elsewhere.
 
-    extra_decoders : of codecs that do not come with the project.
+    truth : a folder of our truth tables, one table of the columns `sboc_e2e.truth.EXTERNAL`, or SatNet annotations.
+    extra_decoders : of codecs that do not come with the project. Raises `UserError`.
     """
     manifest = json.loads((run_dir / "manifest.json").read_text())
-    truth_tables = read_truth(truth_dir or run_dir / "truth")
     products = {name: read_table(run_dir / "products" / f"{name}.ecsv") for name in ("streaks", "frames", "orbits", "tracklets")}
     downlink = (run_dir / "downlink.bin").read_bytes()
     downlink_frames, _ = decode_downlink(downlink, (*SHIPPED_DECODERS, *extra_decoders))
-    truth = truth_streaks(truth_tables["streaks"])
+    if truth is not None and not truth.exists():
+        raise UserError(f"{truth}: not found; --truth takes a table, a folder of truth tables or of SatNet annotations")
+    if truth is None or (truth.is_dir() and not is_satnet(truth)):
+        truth_tables = read_truth(truth or run_dir / "truth")
+    else:
+        truth_tables = _from_elsewhere(truth, run_dir, products["frames"], downlink_frames, int(manifest["n_frames"]))
     shape = (int(products["frames"]["rows"][0]), int(products["frames"]["cols"][0])) if len(products["frames"]) else (1, 1)
-    return assemble(truth, truth_tables, products, downlink, downlink_frames, shape, manifest)
+    streaks = truth_streaks(truth_tables["streaks"])
+    return assemble(streaks, truth_tables, products, downlink, downlink_frames, shape, manifest)
+
+
+def _from_elsewhere(truth: Path, run_dir: Path, frames: Table, downlink_frames: Sequence[DownlinkFrame], n_frames: int) -> Truth:
+    """Truth tables of a run from one table or from annotations."""
+    if truth.is_dir():
+        files = frames["file"] if "file" in frames.colnames else []
+        exposure_s = {str(name): float(s) for name, s in zip(files, frames["exposure_s"], strict=True)} if len(files) else {}
+        table = checked(read_satnet(truth, exposure_s), str(truth))
+    else:
+        table = read_external(truth)
+    camera = calibration_files.read_camera(run_dir / "calibration")
+    return completed(table, frames, downlink_frames, camera.psf_sigma_px, n_frames, str(truth))
 
 
 def assemble(
@@ -153,13 +177,14 @@ def assemble(
     """Match and bound; pure but for its arguments, so that synthetic runs can be scored."""
     matched = match_all(measured_streaks(products["streaks"]), list(truth))
     pairs = {row: truth[index] for row, index in matched.items()}
-    bounds = {t.index: trail_bounds(t.path, t.snr, shape) for t in pairs.values() if t.snr >= SNR_IGNORED}
-    footprints = RoiFootprints(shape)
+    bounds = {t.index: trail_bounds(t.path, t.snr, shape) for t in pairs.values() if t.snr >= SNR_IGNORED and t.flux_known}
+    footprints = RoiFootprints()
     by_frame: dict[int, list[TruthStreak]] = {}
     for t in truth:
         by_frame.setdefault(t.frame, []).append(t)
     for frame in downlink_frames:
-        footprints.add_frame(frame.header.frame, frame.rois, by_frame.get(frame.header.frame, []))
+        number, size = frame.header.frame, (frame.header.rows, frame.header.cols)
+        footprints.add_frame(number, size, frame.rois, by_frame.get(number, []))
     return Evaluation(
         shape=shape,
         n_frames=len(truth_tables["frames"]),

@@ -10,13 +10,15 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import optimize, stats
+from scipy import special, stats
 
 Figure = dict[str, Any]
 """``{"value", "n", "low", "high"}``, or ``{"value": None, "n", "reason"}``."""
 
 CONFIDENCE: Final = 0.90
 BOOTSTRAP_DRAWS: Final = 400
+HALF_POINT_DRAWS: Final = 100
+NEWTON_STEPS: Final = 60
 _SEED: Final = 20270129
 
 
@@ -58,6 +60,11 @@ def rate(events: int, exposure: float, n: int, reason: str = "no exposure") -> F
     return figure(events / exposure, n, low / exposure, high / exposure)
 
 
+def scaled(f: Figure, factor: float) -> Figure:
+    """The figure in a unit `1 / factor` as large."""
+    return {k: v * factor if k in ("value", "low", "high") and v is not None else v for k, v in f.items()}
+
+
 def bootstrap(values: ArrayLike, statistic: Callable[[NDArray[np.float64]], float], reason: str = "too few to measure") -> Figure:
     """A statistic of independent items, resampled over axis 0; needs at least three of them."""
     items = np.asarray(values, dtype=np.float64)
@@ -84,29 +91,60 @@ def half_point(snr: ArrayLike, detected: ArrayLike) -> Figure:
     """S/N at which a logistic curve in log S/N fitted to detections crosses one half, with a bootstrap interval."""
     x = np.log(np.maximum(np.asarray(snr, dtype=np.float64), 1e-3))
     y = np.asarray(detected, dtype=bool)
-    if len(x) < 10:
-        return absent("fewer than 10 streaks", len(x))
+    n = len(x)
+    if n < 10:
+        return absent("fewer than 10 streaks", n)
     if y.all() or not y.any():
-        return absent("all detected" if y.all() else "none detected", len(x))
-
-    def crossing(chosen: NDArray[np.intp]) -> float:
-        xs, ys = x[chosen], y[chosen]
-        if ys.all() or not ys.any():
-            return float("nan")
-        sign = np.where(ys, 1.0, -1.0)
-
-        def loss(p: NDArray[np.float64]) -> float:
-            # The weak prior on the slope (width 3 to 30 per unit of ln S/N) keeps separable samples finite.
-            margin = np.exp(p[1]) * (xs - p[0]) * sign
-            return float(np.sum(np.logaddexp(0.0, -margin)) + 0.5 * ((p[1] - np.log(10.0)) / 1.0) ** 2)
-
-        return float(np.exp(optimize.minimize(loss, [np.median(xs), np.log(10.0)], method="Nelder-Mead").x[0]))
-
-    everyone = np.arange(len(x))
+        return absent("all detected" if y.all() else "none detected", n)
     rng = np.random.default_rng(_SEED)
-    draws = np.array([crossing(rng.integers(0, len(x), len(x))) for _ in range(100)])
-    draws = draws[np.isfinite(draws)]
-    if len(draws) < 20:
-        return absent("nearly all or nearly none detected", len(x))
-    low, high = np.quantile(draws, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    return figure(crossing(everyone), len(x), low, high)
+    drawn = rng.integers(0, n, (HALF_POINT_DRAWS, n))
+    weight = np.stack([np.bincount(indices, minlength=n) for indices in drawn]).astype(np.float64)
+    mixed = (weight @ y > 0) & (weight @ ~y > 0)
+    if mixed.sum() < 20:
+        return absent("nearly all or nearly none detected", n)
+    fitted = np.exp(logistic_centres(x, y, np.vstack([np.ones(n), weight[mixed]])))
+    low, high = np.quantile(fitted[1:], [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return figure(float(fitted[0]), n, low, high)
+
+
+def logistic_centres(x: NDArray[np.float64], y: NDArray[np.bool_], weight: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Centres c of logistic curves 1/(1 + exp(-exp(q) (x - c))), one fit for each row of weights.
+
+    x : (n,). y : (n,) success. weight : (fits, n). The weak prior on q = ln slope (normal around ln 10, width 1: slopes of 3
+    to 30 per unit of x) keeps separable samples finite. Newton steps with a damping of their own for each fit.
+    """
+    sign = np.where(y, 1.0, -1.0)
+    order = np.argsort(x)
+    half = np.cumsum(weight[:, order], axis=1) >= weight.sum(axis=1, keepdims=True) / 2
+    at = np.stack([x[order][np.argmax(half, axis=1)], np.full(len(weight), np.log(10.0))], axis=1)
+    damping = np.ones(len(weight))
+    value, gradient, curvature = _logistic_loss(at, x, sign, weight)
+    for _ in range(NEWTON_STEPS):
+        damped = curvature + damping[:, None, None] * np.eye(2) * np.abs(curvature).max(axis=(1, 2))[:, None, None]
+        step = np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
+        trial = at - step
+        new = _logistic_loss(trial, x, sign, weight)
+        better = new[0] <= value
+        at[better], value[better] = trial[better], new[0][better]
+        gradient[better], curvature[better] = new[1][better], new[2][better]
+        damping = np.where(better, damping * 0.2, damping * 8.0)
+        if np.abs(step[better]).max(initial=0.0) < 1e-7 and better.any():
+            break
+    return at[:, 0]
+
+
+def _logistic_loss(
+    at: NDArray[np.float64], x: NDArray[np.float64], sign: NDArray[np.float64], weight: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Negative log posterior, its gradient (fits, 2) and Hessian (fits, 2, 2) in (centre, ln slope)."""
+    slope = np.exp(np.clip(at[:, 1:], -20.0, 20.0))
+    margin = slope * (x - at[:, :1]) * sign
+    miss = special.expit(-margin)
+    prior = at[:, 1] - np.log(10.0)
+    value = (weight * np.logaddexp(0.0, -margin)).sum(axis=1) + 0.5 * prior**2
+    by_centre, spread = -slope * sign, miss * (1.0 - miss)
+    gradient = np.stack([-(weight * miss * by_centre).sum(axis=1), prior - (weight * miss * margin).sum(axis=1)], axis=1)
+    cc = (weight * spread * by_centre**2).sum(axis=1)
+    cq = (weight * (spread * margin - miss) * by_centre).sum(axis=1)
+    qq = 1.0 + (weight * (spread * margin - miss) * margin).sum(axis=1)
+    return value, gradient, np.stack([np.stack([cc, cq], axis=1), np.stack([cq, qq], axis=1)], axis=1)

@@ -18,7 +18,10 @@ POINT_RADIUS_PX: Final = 3.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TruthStreak:
-    """One truth streak of one frame with what the scores need of it."""
+    """One truth streak of one frame with what the scores need of it.
+
+    snr, rate_deg_s : NaN where truth from elsewhere does not give them. flux_known : whether `path` carries electrons.
+    """
 
     index: int
     frame: int
@@ -28,6 +31,12 @@ class TruthStreak:
     length_px: float
     rate_deg_s: float
     attainable_end_px: float
+    flux_known: bool = True
+
+    @property
+    def counted(self) -> bool:
+        """Whether missing it counts: not below the S/N that is ignored; an unknown S/N counts."""
+        return not self.snr < SNR_IGNORED
 
     @property
     def ends(self) -> NDArray[np.float64]:

@@ -24,23 +24,24 @@ def photometry(
     rows: list[dict[str, float]] = []
     for index, truth in pairs.items():
         s = streaks[index]
-        if truth.snr < 8.0 or not np.isfinite(s["mag"]):
-            continue
         residual = float(s["mag"]) - truth_mag[truth.index]
-        bound_mag = 2.5 / math.log(10) * bounds[truth.index].flux_relative
+        if truth.snr < 8.0 or not math.isfinite(residual):
+            continue
+        bound = bounds.get(truth.index)
+        bound_mag = 2.5 / math.log(10) * bound.flux_relative if bound else math.nan
         rows.append(
             {"row": float(index), "snr": truth.snr, "residual_mag": residual, "ratio": residual / bound_mag,
              "pull": residual / float(s["mag_err"]) if s["mag_err"] > 0 else math.nan}
         )  # fmt: skip
     residuals = np.array([r["residual_mag"] for r in rows])
     pulls = np.array([r["pull"] for r in rows if math.isfinite(r["pull"])])
-    zero = {int(t["frame"]): float(t["zero_point_mag"]) for t in truth_frames}
+    zero = {int(t["frame"]): float(t["zero_point_mag"]) for t in truth_frames if np.isfinite(t["zero_point_mag"])}
     errors = [float(s["zero_point_mag"]) - zero[int(s["frame"])] for s in frames
               if int(s["frame"]) in zero and np.isfinite(s["zero_point_mag"])]  # fmt: skip
     return {
         "bias_mag": bootstrap(residuals, lambda v: float(np.median(v))),
         "rms_mag": bootstrap(residuals, rms),
-        "crlb_ratio": bootstrap([r["ratio"] for r in rows], rms),
+        "crlb_ratio": bootstrap([r["ratio"] for r in rows if math.isfinite(r["ratio"])], rms),
         "pull_std": bootstrap(pulls, pull_width),
         "zero_point_error_mag": bootstrap(errors, rms, "fewer than three frames with a zero point"),
     }, rows

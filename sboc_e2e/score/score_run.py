@@ -1,5 +1,7 @@
 """score.json: every section of docs/scoring.md from one evaluation."""
 
+from collections import Counter
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +17,18 @@ from sboc_e2e.score.lossless import lossless_check
 from sboc_e2e.score.orbit import orbit
 from sboc_e2e.score.photometry import photometry
 from sboc_e2e.score.population import detections_per_day
+from sboc_e2e.score.recovery import counted, field_deg, recovery
 from sboc_e2e.score.timing import timing
 
 SCORE_VERSION = "1.0"
 
 
-def score_run(run_dir: Path, truth_dir: Path | None = None) -> dict[str, Any]:
-    """Score a run directory; external truth tables may stand in for its own.
+def score_run(run_dir: Path, truth: Path | None = None) -> dict[str, Any]:
+    """Score a run directory; truth from elsewhere (see `evaluate`) may stand in for its own.
 
     Raises UserError when a table is missing or lacks a column.
     """
-    return score_evaluation(evaluate(run_dir, truth_dir), run_dir)
+    return score_evaluation(evaluate(run_dir, truth), run_dir)
 
 
 def score_evaluation(e: Evaluation, run_dir: Path | None = None) -> dict[str, Any]:
@@ -37,7 +40,7 @@ def score_evaluation(e: Evaluation, run_dir: Path | None = None) -> dict[str, An
     ground = detection_figures(e.truth, e.detected_ground, len(e.false_rows), e.n_frames, e.shape, sigma_px)
 
     wanted = sorted({t.index for t in e.pairs.values()})
-    measured = {row: t for row, t in e.pairs.items() if t.index in e.bounds and row in set(e.accepted)}
+    measured = {row: t for row, t in e.pairs.items() if t.counted and row in set(e.accepted)}
     streak_figures, _ = streak_astrometry(e.streaks, measured, e.bounds, sky_paths(e.truth_tables["streaks"], wanted))
     frame_figures, _ = frame_astrometry(e.frames, e.truth_tables["frames"])
     truth_mag = {t.index: float(e.truth_tables["streaks"]["mag"][t.index]) for t in e.truth}
@@ -46,10 +49,6 @@ def score_evaluation(e: Evaluation, run_dir: Path | None = None) -> dict[str, An
 
     frame_rate_hz = float(e.manifest.get("frame_rate_hz") or 1.0)
     span_s = e.n_frames / frame_rate_hz
-    found: dict[int, int] = {}
-    for row, truth in e.pairs.items():
-        if row in set(e.accepted):
-            found[truth.object_id] = found.get(truth.object_id, 0) + 1
     captured = [e.footprints.captured[i] for i in sorted(e.detected_onboard)]
     lossless_bits, bit_exact = lossless_check(run_dir) if run_dir else (absent("no frames"), absent("no frames"))
     n_stars = sum(len(f.stars) + len(f.remembered) for f in e.downlink_frames)
@@ -63,12 +62,21 @@ def score_evaluation(e: Evaluation, run_dir: Path | None = None) -> dict[str, An
         "photometry": magnitudes,
         "linking": links,
         "orbit": orbit(e.orbits, owner, e.truth_tables["streaks"], e.truth_tables["objects"]),
-        "population": detections_per_day(
-            e.truth_tables["objects"], found, span_s, len(e.false_rows), e.n_frames, frame_rate_hz
-        ),
+        "population": _population(e, owner, span_s, frame_rate_hz),
         "compression": compression(
             e.downlink, e.n_frames, e.shape, n_stars, groups, captured, lossless_bits, bit_exact,
             np.asarray(e.truth_tables["frames"]["entropy_bits"], float),
         ),
         "timing": timing(e.manifest, e.n_frames, frame_rate_hz),
     }  # fmt: skip
+
+
+def _population(e: Evaluation, owner: Mapping[int, int], span_s: float, frame_rate_hz: float) -> dict[str, Any]:
+    """Injected, detected and recovered debris, class by class."""
+    objects, accepted = e.truth_tables["objects"], set(e.accepted)
+    found = Counter(truth.object_id for row, truth in e.pairs.items() if row in accepted)
+    direct = detections_per_day(objects, found, span_s, len(e.false_rows), e.n_frames, frame_rate_hz)
+    sample = counted(objects, e.streaks, e.orbits, e.pairs, owner, e.n_frames)
+    inferred = recovery(sample, span_s, field_deg(e.truth_tables["frames"]))
+    classes = [a | b for a, b in zip(direct["size_classes"], inferred["size_classes"], strict=True)]
+    return inferred | {"size_classes": classes, "false_per_day": direct["false_per_day"]}

@@ -7,6 +7,9 @@ from sboc_e2e.icd.errors import ContractError
 
 DECODERS = (PlanesDecoder(), RawDecoder(), Ccsds121Decoder(), SqrtPlanesDecoder())
 HEAD = struct.Struct(">BHHif")
+LARGEST_SIDE = 64
+SHAPES_OF_ANY_SIZE = 192
+"""First bytes from here on leave the shape as it is; below, it is small enough for the block to be decoded."""
 
 
 def one_input(data: bytes) -> None:
@@ -14,6 +17,8 @@ def one_input(data: bytes) -> None:
     if len(data) < HEAD.size:
         return
     which, rows, cols, level, sigma = HEAD.unpack_from(data)
+    if which < SHAPES_OF_ANY_SIZE:
+        rows, cols = 1 + (rows - 1) % LARGEST_SIDE, 1 + (cols - 1) % LARGEST_SIDE
     try:
         values = DECODERS[which % len(DECODERS)].decode(data[HEAD.size :], (rows, cols), level_adu=level, sigma_adu=sigma)
     except ContractError:

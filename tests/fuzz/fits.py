@@ -1,5 +1,6 @@
-"""Fuzz target: any bytes as a FITS file, alone and as the tail of a valid header."""
+"""Fuzz target: any bytes as a FITS file; those that do not begin as one follow the start of a valid header."""
 
+import os
 import tempfile
 from pathlib import Path
 
@@ -14,16 +15,17 @@ HEADER = "".join(
     )
 ).encode()  # fmt: skip
 MAX_PIXELS = 1 << 20
-_FOLDER = tempfile.TemporaryDirectory(prefix="sboc-fuzz-")
+_MEMORY = Path("/dev/shm")  # noqa: S108 - the name inside is random
+_FOLDER = tempfile.TemporaryDirectory(prefix="sboc-fuzz-", dir=_MEMORY if os.access(_MEMORY, os.W_OK) else None)
+"""A million files are written fast only where no disk is behind them."""
 
 
 def one_input(data: bytes) -> None:
-    """Frames of a file with these bytes: frames or a UserError."""
-    for content in (data, HEADER + data):
-        path = Path(_FOLDER.name) / "input.fits"
-        path.write_bytes(content)
-        try:
-            for sourced in FitsFolder(path=path, max_pixels=MAX_PIXELS).frames():
-                assert sourced.frame.pixels.ndim == 2
-        except UserError as error:
-            assert "\n" not in str(error)
+    """Frames of a file: frames or a UserError."""
+    path = Path(_FOLDER.name) / "input.fits"
+    path.write_bytes(data if data.startswith(HEADER[:8]) else HEADER + data)
+    try:
+        for sourced in FitsFolder(path=path, max_pixels=MAX_PIXELS).frames():
+            assert sourced.frame.pixels.ndim == 2
+    except UserError as error:
+        assert "\n" not in str(error)

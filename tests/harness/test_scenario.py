@@ -112,6 +112,13 @@ def test_missing_large_and_binary_files_are_refused(tmp_path: Path) -> None:
         scenario.load("smok", registry=REGISTRY)
 
 
+def test_recreated_frames_are_listed_and_found_by_name() -> None:
+    assert {"smoke", "validation/saao_ystar", "validation/opd_ixon"} <= set(scenario.available())
+    assert scenario.load("validation/saao_ystar", registry=REGISTRY).name == "saao_ystar"
+    with pytest.raises(UserError, match="no such scenario file"):
+        scenario.load("validation/nothing", registry=REGISTRY)
+
+
 def test_deep_nesting_is_refused_without_a_traceback(tmp_path: Path) -> None:
     assert refusal(tmp_path, "a = " + "[" * 5000 + "]" * 5000)
     assert refusal(tmp_path, "[" + ".".join("a" * 5000) + "]\nb = 1")

@@ -32,8 +32,9 @@ def view_of(pixels: NDArray[np.uint16], *, psf_sigma_px: float = SIGMA_PX, satur
     defects, mask, residual = np.zeros(shape, np.uint8), np.empty(shape, np.uint8), np.empty(shape, np.float32)
     background = MeshBackground().estimate(pixels, dark, defects)
     residual_pass(
-        pixels, dark, fraction, defects, background.level_adu, background.tile_px, int(saturation_adu), 1.0, residual, mask
-    )
+        pixels, dark, fraction, defects, background.level_adu, background.tile_px, int(saturation_adu), 1.0, 10.0, residual, mask,
+        np.empty((shape[0], 2)),
+    )  # fmt: skip
     header = FrameHeader(
         frame=0, t_start_tai_ns=0, exposure_ns=1, line_time_ns=0, rows=shape[0], cols=shape[1],
         gain_e_adu=GAIN_E_ADU, saturation_adu=saturation_adu,

@@ -3,6 +3,11 @@
 import re
 from pathlib import Path
 
+import pytest
+
+from sboc_e2e.report import write_report
+from sboc_e2e.score import evaluate
+
 
 def test_page_is_self_contained(reported_run: Path) -> None:
     page = (reported_run / "report.html").read_text()
@@ -26,8 +31,15 @@ def test_summary_is_short_and_has_the_headlines(reported_run: Path) -> None:
 
 
 def test_same_run_same_page(reported_run: Path) -> None:
-    from sboc_e2e.report import write_report
-
     before = (reported_run / "report.html").read_bytes()
     write_report(reported_run)
+    assert (reported_run / "report.html").read_bytes() == before
+
+
+def test_evaluation_handed_over_gives_the_same_page(reported_run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The score stage hands its evaluation to the report, which then does not make another one."""
+    before = (reported_run / "report.html").read_bytes()
+    evaluation = evaluate(reported_run)
+    monkeypatch.setattr("sboc_e2e.report.write.evaluate", None)
+    write_report(reported_run, evaluation)
     assert (reported_run / "report.html").read_bytes() == before

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scipy import stats
+from scipy import optimize, stats
 
 from sboc_e2e.score import figures
 
@@ -42,3 +42,19 @@ def test_half_point_of_all_or_nothing_has_a_reason() -> None:
 def test_pull_width_of_a_unit_normal_is_one() -> None:
     z = np.random.default_rng(3).normal(size=200_000)
     assert figures.pull_width(z) == pytest.approx(1.0, abs=0.005)
+
+
+def test_logistic_centre_is_the_maximum_of_its_likelihood() -> None:
+    """Against a general minimiser without derivatives, on weighted samples that overlap and that are separable."""
+    rng = np.random.default_rng(5)
+    for sharpness in (2.0, 200.0):
+        x = rng.normal(2.0, 0.7, 60)
+        y = rng.random(60) < 1 / (1 + np.exp(-sharpness * (x - 2.1)))
+        weight = rng.integers(0, 4, 60).astype(float)
+
+        def loss(p: np.ndarray, y: np.ndarray = y, x: np.ndarray = x, weight: np.ndarray = weight) -> float:
+            margin = np.exp(p[1]) * (x - p[0]) * np.where(y, 1, -1)
+            return float(weight @ np.logaddexp(0, -margin) + 0.5 * (p[1] - np.log(10)) ** 2)
+
+        best = optimize.minimize(loss, [2.0, np.log(10)], method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-10})
+        assert figures.logistic_centres(x, y, weight[None])[0] == pytest.approx(best.x[0], abs=1e-5)

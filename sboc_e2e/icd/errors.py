@@ -2,7 +2,13 @@
 
 
 class SbocError(Exception):
-    """Base of every error that the project raises on purpose; its text is one line."""
+    """Base of every error that the project raises on purpose; its text is one line.
+
+    Texts quote what users and files wrote: line breaks and control characters in them become spaces.
+    """
+
+    def __init__(self, text: str) -> None:
+        super().__init__("".join(letter if letter.isprintable() else " " for letter in str(text)))
 
 
 class UserError(SbocError):

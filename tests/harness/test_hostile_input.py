@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.outside.fits_frames import FitsFolder
-from tests.fuzz import codecs, packets, scenario
+from sboc_e2e.registry import Registry
+from tests.fuzz import codecs, packets, scenario, seeds
 from tests.fuzz import fits as fits_target
 
 CARDS = (
@@ -102,3 +103,25 @@ def test_an_image_that_claims_to_be_huge_is_refused_before_it_is_read(tmp_path: 
     path.write_bytes(header.tostring().encode())
     with pytest.raises(UserError, match="60000 x 60000; allowed are sides of 16 to 16384 px"):
         FitsFolder(path=path).frames().__next__()
+
+
+TARGETS = {"packets": packets, "codecs": codecs, "fits": fits_target, "scenario": scenario}
+FOUND = sorted(path for path in seeds.FOUND.rglob("*") if path.is_file())
+
+
+@pytest.mark.parametrize("path", FOUND, ids=[f"{path.parent.name}/{path.name}" for path in FOUND])
+def test_inputs_that_once_found_something_find_nothing_more(path: Path) -> None:
+    TARGETS[path.parent.name].one_input(path.read_bytes())
+
+
+@pytest.mark.parametrize("target", sorted(seeds.SEEDS))
+def test_fuzzing_begins_with_inputs_that_are_valid_and_short(target: str) -> None:
+    for data in seeds.SEEDS[target]():
+        assert 0 < len(data) <= seeds.MAX_BYTES[target]
+        TARGETS[target].one_input(data)
+
+
+def test_control_characters_of_a_file_do_not_reach_the_terminal() -> None:
+    with pytest.raises(UserError) as caught:
+        Registry().resolve("onboard.detector", "a\n\x1b[31mred\r:B")
+    assert str(caught.value).isprintable()

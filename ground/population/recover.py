@@ -1,9 +1,9 @@
 """The number of objects by size from counted detections: Poisson unfolding with everything's uncertainty in.
 
 Counts are ``n_c ~ Poisson(sum_i R_ci mu_i + b_c)``: R the response, mu the objects of each true class that crossed the field,
-b the false detections. A Gibbs sampler splits each count among its possible causes (multinomial), then draws mu (gamma), the
-response (efficiency from a beta, categories of the detected from a Dirichlet distribution, both from finitely many injected
-objects) and b (gamma, from the finite measurement of the false-alarm rate).
+b the false detections. A Gibbs sampler splits each count among its possible causes (multinomial), draws mu (gamma), then how
+many were missed (Poisson), with these the efficiency (beta) and the categories of the detected (Dirichlet), both of which start
+from finitely many injected objects, and b (gamma, from the finite measurement of the false-alarm rate).
 """
 
 from dataclasses import dataclass
@@ -21,13 +21,17 @@ limit of 1.92 (95 %) over efficiency."""
 _CATEGORY_PRIOR = 0.02
 """Detected objects that each category is given before counting, so that no mixing is ruled out by few injections."""
 
+_FEWEST = 3.0
+"""Objects above an edge below which priors weigh too much for the slope."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recovered:
     """Posterior of the objects that crossed the field: columns are 5 %, 50 % and 95 %.
 
     objects : (k, 3) per class. cumulative : (k, 3) larger than each class's lower edge. slope : (3,) b of
-    N(> d) ~ d^-b over the classes that were seen, NaN with fewer than two. draws : (n, k) of the sampler. lower_edge_m : (k,).
+    N(> d) ~ d^-b, NaN with fewer than two classes seen. draws : (n, k) of the sampler. lower_edge_m : (k,).
+    counts : (k,) medians of N(> d) as numbers of objects, the weights of the slope.
     """
 
     objects: NDArray[np.float64]
@@ -35,15 +39,15 @@ class Recovered:
     slope: NDArray[np.float64]
     draws: NDArray[np.float64]
     lower_edge_m: NDArray[np.float64]
-    seen: NDArray[np.bool_]
+    counts: NDArray[np.float64]
 
     def per(self, exposure: NDArray[np.float64]) -> "Recovered":
         """The same per unit of exposure (k,): days, km^2 years. The slope is that of the rates."""
-        return _summary(self.draws / exposure, self.lower_edge_m, self.seen)
+        return _summary(self.draws / exposure, self.lower_edge_m, self.counts)
 
     def plus(self, other: "Recovered") -> "Recovered":
         """The sum with an independent recovery of the same classes and as many draws."""
-        return _summary(self.draws + other.draws, self.lower_edge_m, self.seen | other.seen)
+        return _summary(self.draws + other.draws, self.lower_edge_m, self.counts + other.counts)
 
 
 def recover(
@@ -54,12 +58,14 @@ def recover(
     *,
     false_counted: NDArray[np.float64] | None = None,
     false_exposure_ratio: float = 1.0,
+    prior: float = _JEFFREYS,
     n_draws: int = 4000,
 ) -> Recovered:
     """Unfold counts (c,).
 
     false_counted : (c,) false detections counted in a control sample (empty fields, injected cosmics);
-    false_exposure_ratio : length of that sample over that of the run. Errors: a `ContractError` for columns of other lengths.
+    false_exposure_ratio : length of that sample over that of the run. prior : shape of each class's gamma prior; parts of a
+    sample that will be added up share Jeffreys' one half. Errors: a `ContractError` for columns of other lengths.
     """
     n_categories, n_classes = response.detected.shape
     observed = validate.array("population.observed", observed, np.int64, (n_categories,))
@@ -72,45 +78,53 @@ def recover(
     kinds = response.detected + _CATEGORY_PRIOR
     hits, misses = response.detected.sum(axis=0) + _JEFFREYS, response.missed + _JEFFREYS
     mu = np.full(n_classes, max(float(observed.sum()), 1.0) / n_classes)
-    background = (control + _JEFFREYS) / false_exposure_ratio if known_false else np.zeros(n_categories)
+    # shared by the categories: a whole one in each would be taken from the objects
+    false_prior = _JEFFREYS / n_categories
+    background = (control + false_prior) / false_exposure_ratio if known_false else np.zeros(n_categories)
     burn_in = n_draws // 4
     draws = np.empty((n_draws, n_classes))
+    split = np.zeros((n_categories, n_classes + 1))
+    efficiency = hits / (hits + misses)
     for step in range(-burn_in, n_draws):
-        share = rng.gamma(kinds)
-        matrix = share / share.sum(axis=0) * rng.beta(hits, misses)
+        share = rng.gamma(kinds + split[:, :-1])
+        missed = rng.poisson(np.minimum(mu * (1.0 - efficiency), 1e9))
+        efficiency = rng.beta(hits + split[:, :-1].sum(axis=0), misses + missed)
+        matrix = share / share.sum(axis=0) * efficiency
         cause = np.column_stack([matrix * mu, background])
         cause /= np.maximum(cause.sum(axis=1, keepdims=True), 1e-300)
         split = rng.multinomial(observed, cause)
-        mu = rng.gamma(_JEFFREYS + split[:, :-1].sum(axis=0)) / np.maximum(matrix.sum(axis=0), 1e-12)
+        mu = rng.gamma(prior + split[:, :-1].sum(axis=0)) / np.maximum(matrix.sum(axis=0), 1e-12)
         if known_false:
-            background = rng.gamma(_JEFFREYS + control + split[:, -1]) / (1.0 + false_exposure_ratio)
+            background = rng.gamma(false_prior + control + split[:, -1]) / (1.0 + false_exposure_ratio)
         if step >= 0:
             draws[step] = mu
-    return _summary(draws, edges[:-1], np.median(draws, axis=0) > 1.0)
+    return _summary(draws, edges[:-1], np.median(np.cumsum(draws[:, ::-1], axis=1)[:, ::-1], axis=0))
 
 
-def _summary(draws: NDArray[np.float64], lower_edge_m: NDArray[np.float64], seen: NDArray[np.bool_]) -> Recovered:
+def _summary(draws: NDArray[np.float64], lower_edge_m: NDArray[np.float64], counts: NDArray[np.float64]) -> Recovered:
     """Quantiles of classes, of sums over larger classes, and of the slope of the latter."""
     cumulative = np.cumsum(draws[:, ::-1], axis=1)[:, ::-1]
     points = [5.0, 50.0, 95.0]
     return Recovered(
         objects=np.percentile(draws, points, axis=0).T,
         cumulative=np.percentile(cumulative, points, axis=0).T,
-        slope=np.percentile(slopes(cumulative, lower_edge_m, seen), points),
+        slope=np.percentile(slopes(cumulative, lower_edge_m, counts), points),
         draws=draws,
         lower_edge_m=lower_edge_m,
-        seen=seen,
+        counts=counts,
     )
 
 
 def slopes(
-    cumulative: NDArray[np.float64], lower_edge_m: NDArray[np.float64], seen: NDArray[np.bool_]
+    cumulative: NDArray[np.float64], lower_edge_m: NDArray[np.float64], counts: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """b (n,) of N(> d) ~ d^-b for rows of N (n, k): a straight line through ln N at the lower edges of the classes seen (k,).
+    """b (n,) of N(> d) ~ d^-b for rows of N (n, k): a straight line through ln N at the lower edges (k,), weighted by `counts`.
 
-    NaN with fewer than two such classes.
+    Edges above which three objects or fewer were counted have no weight; NaN with fewer than two others.
     """
-    if seen.sum() < 2:
+    weight = np.where(counts > _FEWEST, counts, 0.0)
+    if (weight > 0.0).sum() < 2:
         return np.full(len(cumulative), np.nan)
-    x = np.where(seen, np.log(lower_edge_m) - np.log(lower_edge_m[seen]).mean(), 0.0)
-    return np.asarray(-(np.log(np.maximum(cumulative, 1e-12)) @ x) / float(x @ x))
+    log_size = np.log(lower_edge_m)
+    x = weight * (log_size - float(weight @ log_size) / weight.sum())
+    return np.asarray(-(np.log(np.maximum(cumulative, 1e-12)) @ x) / float(x @ log_size))

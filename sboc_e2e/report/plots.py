@@ -142,6 +142,18 @@ def tracklets_on_sky(streaks: Table) -> str:
         return svg(figure)
 
 
+def larger_than(rows: list[dict[str, Any]]) -> str:
+    """Objects larger than d that cross the field in a day: injected, and recovered with their intervals."""
+    with canvas(4.8, 3.2) as (figure, (ax,)):
+        size_mm = np.array([1000.0 * r["larger_than_m"] for r in rows])
+        ax.plot(size_mm, [r["injected_per_day"]["value"] for r in rows], "s-", color=INK, ms=4, lw=1, label="injected")
+        value, low, high = (np.array([r["recovered_per_day"][k] for r in rows]) for k in ("value", "low", "high"))
+        ax.errorbar(size_mm * 1.04, value, (value - low, high - value), fmt="o", color=BLUE, ms=4, capsize=2, label="recovered")
+        ax.set(xscale="log", yscale="log", xlabel="diameter d (mm)", ylabel="objects larger than d, per day")
+        ax.legend(fontsize=7)
+        return svg(figure)
+
+
 def downlink_bars(bytes_by_kind: dict[str, int], n_frames: int) -> str:
     """Kilobytes per frame of each kind of packet."""
     kinds = {k: v for k, v in bytes_by_kind.items() if v}

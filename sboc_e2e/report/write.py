@@ -40,7 +40,8 @@ def _at(score: dict[str, Any], path: str) -> dict[str, Any]:
 def write_report(run_dir: Path, evaluation: Evaluation | None = None) -> None:
     """Both pages, from score.json and what lies in the run directory; pictures only of frames that were kept.
 
-    evaluation : that of the same directory, where the caller has scored it just before; it takes longer than the pages.
+    evaluation : that of the same directory, with the truth that score.json was made with; needed where that came from
+    elsewhere, and quicker where the caller has just scored it.
     """
     score = json.loads((run_dir / "score.json").read_text())
     e = evaluation or evaluate(run_dir)
@@ -129,5 +130,7 @@ def _plots(score: dict[str, Any], e: Evaluation) -> list[tuple[str, str]]:
         out.append(("Streak magnitudes", plots.magnitudes(magnitudes)))
     if len(e.streaks):
         out.append(("Tracklets on the sky", plots.tracklets_on_sky(e.streaks)))
+    if score["population"]["larger_than"]:
+        out.append(("Small debris: injected and recovered", plots.larger_than(score["population"]["larger_than"])))
     out.append(("Downlink by kind of packet", plots.downlink_bars(score["compression"]["bytes_by_kind"], e.n_frames)))
     return out

@@ -18,6 +18,7 @@ from ground.population import (
     NOT_DETECTED,
     Exposure,
     Recovered,
+    Response,
     categories,
     cone_cross_section_km2,
     n_categories,
@@ -27,7 +28,7 @@ from ground.population import (
     slopes,
 )
 from sboc_e2e.icd.flags import StreakFlag
-from sboc_e2e.score.figures import Figure, absent, figure, proportion, rate, scaled
+from sboc_e2e.score.figures import Figure, absent, exact, figure, proportion, rate, scaled
 from sboc_e2e.score.matching import TruthStreak
 
 SIZE_EDGES_M: Final = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
@@ -39,6 +40,14 @@ RANGE_SHARE: Final = 0.9
 _EDGES: Final = np.array(SIZE_EDGES_M)
 _N_OBSERVED: Final = n_categories(_EDGES, np.array(MAG_EDGES))
 _SEED: Final = 20270129
+_ARRAYS: Final = {
+    "size_m": np.float64,
+    "weight": np.float64,
+    "range_km": np.float64,
+    "category": np.int64,
+    "surplus": np.int64,
+    "surplus_frame": np.int64,
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,32 +67,35 @@ class Counted:
     surplus_frame: NDArray[np.int64]
     n_frames: int
 
+    def as_lists(self) -> dict[str, Any]:
+        """The same as JSON knows it, for the metadata of a table; `Counted.from_lists` reads it."""
+        arrays = {name: getattr(self, name).tolist() for name in _ARRAYS}
+        return {name: [None if v != v else v for v in values] for name, values in arrays.items()} | {"n_frames": self.n_frames}
+
+    @classmethod
+    def from_lists(cls, lists: Mapping[str, Any]) -> "Counted":
+        """What `as_lists` gave."""
+        arrays: dict[str, Any] = {
+            name: np.array([np.nan if v is None else v for v in lists[name]], dtype=kind) for name, kind in _ARRAYS.items()
+        }
+        return cls(**arrays, n_frames=int(lists["n_frames"]))
+
     def halves(self) -> tuple["Counted", "Counted"]:
         """Every other object, and every other frame's surplus."""
         return self._half(0), self._half(1)
 
     def _half(self, rest: int) -> "Counted":
         objects, surplus = np.arange(len(self.size_m)) % 2 == rest, self.surplus_frame % 2 == rest
-        return Counted(
-            size_m=self.size_m[objects],
-            weight=self.weight[objects],
-            range_km=self.range_km[objects],
-            category=self.category[objects],
-            surplus=self.surplus[surplus],
-            surplus_frame=self.surplus_frame[surplus],
-            n_frames=(self.n_frames + 1 - rest) // 2,
-        )
+        kept = {name: getattr(self, name)[surplus if name.startswith("surplus") else objects] for name in _ARRAYS}
+        return Counted(**kept, n_frames=(self.n_frames + 1 - rest) // 2)
 
 
 def together(runs: Sequence[Counted]) -> Counted:
     """Several runs as one long one; frames of different runs count on."""
     offsets = np.cumsum([0, *(run.n_frames for run in runs[:-1])])
-    joined = {
-        name: np.concatenate([getattr(run, name) for run in runs])
-        for name in ("size_m", "weight", "range_km", "category", "surplus")
-    }
-    frames = np.concatenate([run.surplus_frame + offset for run, offset in zip(runs, offsets, strict=True)])
-    return Counted(**joined, surplus_frame=frames, n_frames=sum(run.n_frames for run in runs))
+    joined = {name: np.concatenate([getattr(run, name) for run in runs]) for name in _ARRAYS}
+    joined["surplus_frame"] += np.repeat(offsets, [len(run.surplus) for run in runs])
+    return Counted(**joined, n_frames=sum(run.n_frames for run in runs))
 
 
 def counted(
@@ -136,62 +148,69 @@ def counted(
     )
 
 
-def recovery(sample: Counted, span_s: float, field_deg: float) -> dict[str, Any]:
+def recovery(sample: Counted, span_s: float, field_deg: float, injected: Counted | None = None) -> dict[str, Any]:
     """Objects by size class a day and per km^2 and year, and N(> d) with its slope: injected and recovered.
 
     span_s : time in which `sample.weight` objects of nature cross the field. field_deg : full angle of the viewing cone.
-    A class is unfolded when each half of the injected objects has a detected one of it; N(> d) sums over such classes alone, for
-    the injected objects too.
+    injected : other runs (of as many seeds as one likes) whose objects tell the efficiency and the false alarms; without them
+    each half of the sample does so for the other half. A class is unfolded when its efficiency is measured, that is when one of
+    it was detected in every sample that tells it; N(> d) sums over such classes alone, for the injected objects too.
     """
     first, second = sample.halves()
-    responses = [response_of(half.size_m, half.category, _EDGES, _N_OBSERVED) for half in (first, second)]
-    measured = np.logical_and(*(response.detected.sum(axis=0) > 0.0 for response in responses))
-    of_class = np.searchsorted(_EDGES, sample.size_m, side="right") - 1
-    inside = [of_class == k for k in range(len(_EDGES) - 1)]
-    seen = sample.category != NOT_DETECTED
-    weight = np.array([sample.weight[mine].mean() if mine.any() else 1.0 for mine in inside])
-    area_km2 = cone_cross_section_km2(field_deg, np.array([_reach_km(sample.range_km[mine]) for mine in inside]))
+    ways = [(sample, injected)] if injected else [(first, second), (second, first)]
+    responses = [response_of(other.size_m, other.category, _EDGES, _N_OBSERVED) for _, other in ways]
+    use = np.flatnonzero(np.logical_and.reduce([response.detected.sum(axis=0) > 0.0 for response in responses]))
+    exposed = injected or sample
+    inside = _by_class(sample.size_m)
+    weight = np.array([exposed.weight[mine].mean() if mine.any() else 1.0 for mine in _by_class(exposed.size_m)])
+    reach_km = np.array([_reach_km(exposed.range_km[mine]) for mine in _by_class(exposed.size_m)])
+    area_km2 = cone_cross_section_km2(field_deg, reach_km)
     exposure = Exposure(duration_s=span_s, boost=1.0 / weight, area_km2=area_km2)
-    got = _both_ways(first, second, responses, measured) if measured.any() else None
-    true = np.array([sample.weight[mine].sum() for mine in inside]) / (span_s / 86_400.0)
-    use = np.flatnonzero(measured)
-    a_day = got.per(exposure.days()[use]) if got else None
-    a_km2_year = got.per(exposure.km2_years()[use]) if got else None
-    place = {int(k): j for j, k in enumerate(use)}
-    classes, larger = [], []
+    got = _unfolded(ways, responses, use) if len(use) else None
+    true = np.array([sample.weight[mine].sum() for mine in inside])
+    n, n_seen = (np.array([int((mine & chosen).sum()) for mine in inside]) for chosen in (True, sample.category != NOT_DETECTED))
+    classes: list[dict[str, Any]] = []
     for k, (low, high) in enumerate(pairwise(SIZE_EDGES_M)):
-        n_seen, n = int((seen & inside[k]).sum()), int(inside[k].sum())
-        row: dict[str, Any] = {"from_m": low, "to_m": high, "efficiency": proportion(n_seen, n, "no object of this size")}
-        reason = "no object of this size" if n == 0 else "too few detected to measure the efficiency on others"
-        row["recovered_per_day"] = _figure(a_day.objects[place[k]], n_seen) if a_day and k in place else absent(reason, n_seen)
-        flux = a_km2_year and k in place and area_km2[k] > 0.0
-        row["injected_per_km2_year"] = (
-            _scaled_count(n, true[k] / n * 365.25 / area_km2[k]) if flux else absent(reason, n)
+        none = absent("no object of this size" if n[k] == 0 else "too few detected to tell the efficiency of others", int(n[k]))
+        classes.append(
+            {"from_m": low, "to_m": high, "efficiency": proportion(int(n_seen[k]), int(n[k]), "no object of this size")}
+            | dict.fromkeys(("recovered_per_day", "injected_per_km2_year", "recovered_per_km2_year"), none)
         )
-        row["recovered_per_km2_year"] = _figure(a_km2_year.objects[place[k]], n_seen) if flux and a_km2_year else absent(reason, n)
-        classes.append(row)
-        if a_day and k in place:
-            above = use[place[k] :]
-            n_above, total = int(sum(inside[j].sum() for j in above)), float(true[above].sum())
-            larger.append(
-                {
-                    "larger_than_m": low,
-                    "injected_per_day": _scaled_count(n_above, total / n_above),
-                    "recovered_per_day": _figure(a_day.cumulative[place[k]], int(sum((seen & inside[j]).sum() for j in above))),
-                }
-            )
-    few = absent("fewer than two size classes with a measured efficiency", int(seen.sum()))
+    few = absent("fewer than two size classes with a measured efficiency", int(n_seen.sum()))
+    larger: list[dict[str, Any]] = []
+    if got is None:
+        return {"size_classes": classes, "larger_than": larger, "injected_slope": few, "recovered_slope": few}
+    days = span_s / 86_400.0
+    a_day = got.per(exposure.days()[use])
+    for j, k in enumerate(use.tolist()):
+        above = use[j:]
+        classes[k]["recovered_per_day"] = _figure(a_day.objects[j], int(n_seen[k]))
+        if area_km2[k] > 0.0:
+            per_area = 365.25 / area_km2[k]
+            classes[k]["injected_per_km2_year"] = _counted(int(n[k]), true[k] / days * per_area)
+            classes[k]["recovered_per_km2_year"] = _figure(a_day.objects[j] * per_area, int(n_seen[k]))
+        larger.append(
+            {
+                "larger_than_m": SIZE_EDGES_M[k],
+                "injected_per_day": _counted(int(n[above].sum()), float(true[above].sum()) / days),
+                "recovered_per_day": _figure(a_day.cumulative[j], int(n_seen[above].sum())),
+            }
+        )
     return {
         "size_classes": classes,
         "larger_than": larger,
-        "injected_slope": _injected_slope(true[use], [int(inside[k].sum()) for k in use], _EDGES[use], few),
-        "recovered_slope": _figure(a_day.slope, int(seen.sum())) if a_day and np.isfinite(a_day.slope).all() else few,
+        "injected_slope": _injected_slope(true[use], n[use], _EDGES[use], a_day.counts, few),
+        "recovered_slope": _figure(a_day.slope, int(n_seen.sum())) if np.isfinite(a_day.slope).all() else few,
     }
 
 
+def _by_class(size_m: NDArray[np.float64]) -> list[NDArray[np.bool_]]:
+    return [(size_m >= low) & (size_m < high) for low, high in pairwise(SIZE_EDGES_M)]
+
+
 def field_deg(frames: Table) -> float:
-    """Full angle of the cone whose solid angle is that of the first frame's 9 x 9 grid of directions; 0 without frames."""
-    if not len(frames):
+    """Full angle of the cone whose solid angle is that of the first frame's 9 x 9 grid of directions; 0 where it is not known."""
+    if not len(frames) or not np.isfinite(frames["grid_ra_app_deg"][0]).all():
         return 0.0
     ra, dec = np.radians(frames["grid_ra_app_deg"][0]), np.radians(frames["grid_dec_app_deg"][0])
     unit = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=1).reshape(9, 9, 3)
@@ -201,36 +220,33 @@ def field_deg(frames: Table) -> float:
     return float(np.degrees(2.0 * np.sqrt(area_sr / np.pi)))
 
 
-def _both_ways(first: Counted, second: Counted, responses: Sequence[Any], measured: NDArray[np.bool_]) -> Recovered:
-    """Each half unfolded with the other's response and surplus, added up."""
+def _unfolded(ways: Sequence[tuple[Counted, Counted]], responses: Sequence[Response], use: NDArray[np.intp]) -> Recovered:
+    """Each sample unfolded with the response and the surplus of its other, added up; `use` : classes."""
     rng = np.random.default_rng(_SEED)
-    use = np.flatnonzero(measured)
-    edges = np.append(_EDGES[use], _EDGES[use[-1] + 1])
     found = []
-    for mine, other, response in ((first, second, responses[1]), (second, first, responses[0])):
-        observed = observed_counts(np.concatenate([mine.category, mine.surplus]), _N_OBSERVED)
+    for (mine, other), response in zip(ways, responses, strict=True):
         found.append(
             recover(
-                observed,
-                type(response)(detected=response.detected[:, use], missed=response.missed[use]),
-                edges,
+                observed_counts(np.concatenate([mine.category, mine.surplus]), _N_OBSERVED),
+                Response(detected=response.detected[:, use], missed=response.missed[use]),
+                np.append(_EDGES[use], _EDGES[use[-1] + 1]),
                 rng,
                 false_counted=observed_counts(other.surplus, _N_OBSERVED).astype(np.float64),
                 false_exposure_ratio=max(other.n_frames, 1) / max(mine.n_frames, 1),
+                prior=0.5 / len(ways),
                 n_draws=DRAWS,
             )
         )
-    return found[0].plus(found[1])
+    return found[0] if len(found) == 1 else found[0].plus(found[1])
 
 
-def _injected_slope(true: NDArray[np.float64], counts: Sequence[int], lower_edge_m: NDArray[np.float64], few: Figure) -> Figure:
-    """Slope of the injected N(> d) over the same classes, with the Poisson scatter of their numbers."""
-    if len(counts) < 2:
-        return few
-    draws = np.random.default_rng(_SEED).gamma(np.array(counts) + 0.5, size=(DRAWS, len(counts))) / np.array(counts) * true
-    drawn = slopes(np.cumsum(draws[:, ::-1], axis=1)[:, ::-1], lower_edge_m, np.ones(len(counts), bool))
-    value = slopes(np.cumsum(true[None, ::-1], axis=1)[:, ::-1], lower_edge_m, np.ones(len(counts), bool))[0]
-    return figure(float(value), int(sum(counts)), *np.percentile(drawn, [5.0, 95.0]))
+def _injected_slope(
+    true: NDArray[np.float64], n: NDArray[np.int64], lower_edge_m: NDArray[np.float64], counts: NDArray[np.float64], few: Figure
+) -> Figure:
+    """Slope of the injected N(> d) through the same classes as the recovered one, with the Poisson scatter of their numbers."""
+    draws = np.random.default_rng(_SEED).gamma(n + 0.5, size=(DRAWS, len(n))) / np.maximum(n, 1) * true
+    value, drawn = (slopes(np.cumsum(v[:, ::-1], axis=1)[:, ::-1], lower_edge_m, counts) for v in (true[None], draws))
+    return figure(float(value[0]), int(n.sum()), *np.percentile(drawn, [5.0, 95.0])) if np.isfinite(value[0]) else few
 
 
 def _reach_km(range_km: NDArray[np.float64]) -> float:
@@ -243,9 +259,9 @@ def _figure(quantiles: NDArray[np.float64], n: int) -> Figure:
     return figure(float(quantiles[1]), n, float(quantiles[0]), float(quantiles[2]))
 
 
-def _scaled_count(n: int, factor: float) -> Figure:
-    """A Poisson count in other units, with Garwood's interval."""
-    return scaled(rate(n, 1.0, n), factor)
+def _counted(n: int, value: float) -> Figure:
+    """A value that rests on a Poisson count, with Garwood's interval; with none counted the limits stay unknown."""
+    return scaled(rate(n, 1.0, n), value / n) if n else exact(0.0, 0)
 
 
 def _column(table: Table, name: str, kind: type) -> list[Any]:

@@ -122,7 +122,7 @@ def _predicted(
     calibration: Calibration,
     catalogue: StarCatalogue,
 ) -> KnownStars:
-    """The catalogue stars inside a solved frame."""
+    """The catalogue stars inside a solved frame with a zero point."""
     header, camera = frame.header, Camera.solved(solution)
     matrix = matrix_of(np.asarray(solution.quaternion))
     middle = mid_frame_tai_ns(header)
@@ -140,6 +140,8 @@ def _predicted(
     apparent = apparent_directions(stars.ra_deg, stars.dec_deg, middle, *observer_at(header.observer, middle))
     row, col = camera.project(apparent @ matrix.T)
     inside = np.flatnonzero((row > -0.5) & (row < header.rows - 0.5) & (col > -0.5) & (col < header.cols - 0.5))
+    if not np.isfinite(photometry.zero_point_mag):
+        inside = inside[:0]  # without a zero point nothing is known of their light
     row, col = row[inside], col[inside]
     magnitude = stars.v_mag[inside] - photometry.colour_term * (stars.b_v[inside] - SUN_B_V)
     rate_e_s = 10.0 ** (0.4 * (photometry.zero_point_mag - magnitude))

@@ -44,9 +44,9 @@ class ZeroPoint:
     min_stars: int = field(default=5, metadata={"doc": "fewest stars that make a zero point", "min": 1, "max": 1000})
 
     def calibrate(self, frame: DownlinkFrame, solution: FrameSolution, calibration: Calibration) -> PhotometricSolution:
-        """Zero point of a frame; the calibration's own, with NaN as its error, when stars are too few."""
+        """Zero point of a frame; when stars are too few the calibration's own, with NaN as its error, or NaN if it has none."""
         camera, header = calibration.camera, frame.header
-        nominal_mag = 2.5 * float(np.log10(camera.zero_point_e_s))
+        nominal_mag = 2.5 * float(np.log10(camera.zero_point_e_s)) if camera.zero_point_e_s else float("nan")
         stars = np.asarray(solution.star_index, dtype=np.intp)
         constant = (frame.stars.flags[stars] & UNUSABLE) == 0
         measured = np.isfinite(solution.star_v_mag) & np.isfinite(solution.star_b_v) & (frame.stars.flux_e[stars] > 0.0)

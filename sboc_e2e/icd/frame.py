@@ -117,7 +117,8 @@ class NominalCamera:
     ``v' = v (1 + k1 r2 + k2 r2^2) + p1 (r2 + 2 v^2) + 2 p2 u v``;
     ``col = center_col + focal_px u'``, ``row = center_row + focal_px v'``.
     Photometry, in words: a star gives ``zero_point_e_s * 10**(-0.4 (V + colour_term (B-V - 0.653)))`` e-/s on axis,
-    times the flat; 0.653 is the Sun's B-V. Values are of delivered (binned) pixels.
+    times the flat; 0.653 is the Sun's B-V. `zero_point_e_s` is None for a camera of which nobody knows it. Values are of
+    delivered (binned) pixels.
     """
 
     name: str
@@ -135,7 +136,7 @@ class NominalCamera:
     read_noise_e: float
     saturation_adu: float
     full_well_e: float
-    zero_point_e_s: float
+    zero_point_e_s: float | None
     colour_term: float = 0.0
     aperture_m: float
     obstruction: float = 0.0
@@ -144,7 +145,8 @@ class NominalCamera:
         validate.within("camera.focal_px", self.focal_px, 1.0, 1e9)
         validate.within("camera.psf_sigma_px", self.psf_sigma_px, 0.05, 1e3)
         validate.within("camera.gain_e_adu", self.gain_e_adu, 1e-6, 1e6)
-        validate.within("camera.zero_point_e_s", self.zero_point_e_s, 1e-6, 1e30)
+        if self.zero_point_e_s is not None:
+            validate.within("camera.zero_point_e_s", self.zero_point_e_s, 1e-6, 1e30)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

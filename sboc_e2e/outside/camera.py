@@ -19,7 +19,6 @@ from simulator.chain import Simulator
 ASSUMED_PSF_SIGMA_PX: Final = 1.2
 ASSUMED_FOCAL_PX: Final = 1e5
 ASSUMED_SATURATION_ADU: Final = 1e9
-ASSUMED_ZERO_POINT_E_S: Final = 1e9
 FEWEST_STARS: Final = 5
 
 
@@ -50,7 +49,7 @@ def camera_of_frame(sourced: SourcedFrame) -> NominalCamera:
         read_noise_e=header.read_noise_e or 0.0,
         saturation_adu=saturation,
         full_well_e=saturation * gain,
-        zero_point_e_s=ASSUMED_ZERO_POINT_E_S,
+        zero_point_e_s=None,
         aperture_m=1.0,
     )
 

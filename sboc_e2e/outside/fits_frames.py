@@ -168,19 +168,18 @@ def start_tai_ns(header: Mapping[str, Any]) -> int | None:
         texts = [day] if "T" in day or not clock else [f"{day}T{clock}", day]
     for text in texts:
         try:
-            moment = Time(text, format="isot" if "T" in text else "iso", scale="utc").tai
-            return _within_contract(from_jd_parts(float(moment.jd1), float(moment.jd2)))
+            return _tai_ns(Time(text, format="isot" if "T" in text else "iso", scale="utc"))
         except (ValueError, TypeError, OverflowError):
             continue
     mjd = number_of(header, ("MJD-OBS", "MJD-STR"), 36_934.0, 100_000.0)
-    if mjd is None:
-        return None
-    moment = Time(mjd, format="mjd", scale="utc").tai
-    return _within_contract(from_jd_parts(float(moment.jd1), float(moment.jd2)))
+    return None if mjd is None else _tai_ns(Time(mjd, format="mjd", scale="utc"))
 
 
-def _within_contract(tai_ns: int) -> int | None:
-    """The epoch if headers may hold it."""
+def _tai_ns(utc: Time) -> int | None:
+    """An epoch on the scale of the contract, if headers may hold it; years before leap seconds are no cause for a warning."""
+    with _quietly():
+        tai = utc.tai
+    tai_ns = from_jd_parts(float(tai.jd1), float(tai.jd2))
     return tai_ns if 0 <= tai_ns < 2**62 else None
 
 

@@ -136,13 +136,15 @@ class Run:
         self.directory.clear_work("ground")
 
     def score(self, truth: Path | None = None) -> None:
-        """score.json against the run's truth, or against tables of the same form from elsewhere."""
+        """score.json against the run's truth, or against truth from elsewhere, which the report reads again."""
         self._require("ground")
         self.progress.stage("score", 1)
-        self.manifest.begin("score")
         self._evaluation = evaluate(self.directory.path, truth)
-        write_json(self.directory.score, score_evaluation(self._evaluation, self.directory.path))
-        self.manifest.finish("score")
+        figures = score_evaluation(self._evaluation, self.directory.path)
+        self.manifest.forget(("score", "report"))
+        self.manifest.begin("score")
+        write_json(self.directory.score, figures)
+        self.manifest.finish("score", **({"truth": str(truth.resolve())} if truth else {}))
         self.progress.advance()
 
     def report(self) -> None:
@@ -150,7 +152,9 @@ class Run:
         self._require("score")
         self.progress.stage("report", 1)
         self.manifest.begin("report")
-        write_report(self.directory.path, self._evaluation)
+        truth = self.manifest.stages["score"].get("truth")
+        evaluation = self._evaluation or evaluate(self.directory.path, Path(truth) if truth else None)
+        write_report(self.directory.path, evaluation)
         self.manifest.finish("report")
         self.progress.advance()
 

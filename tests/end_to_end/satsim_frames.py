@@ -1,4 +1,4 @@
-"""Frames and annotations in the layout of SatSim (ssc-ai/satsim, satsim/io: fits.py and satnet.py), written by the test itself."""
+"""Frames and annotations in the layout of SatSim (ssc-ai/satsim, satsim/io: fits.py, satnet.py), written by the test itself."""
 
 import json
 from pathlib import Path

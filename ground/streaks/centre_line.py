@@ -22,6 +22,7 @@ from ground.streaks.trail_model import (
     V_MID,
     accumulate,
     fisher_scoring,
+    mean_all,
     quartic_px4,
 )
 from ground.streaks.trail_pixels import TrailPixels
@@ -161,6 +162,24 @@ def curvature_statistic(line: LineFit) -> float:
     return float((gradient[-1] - row @ gradient[:-1]) ** 2 / (fisher[-1, -1] - row @ fisher[:-1, -1]))
 
 
+def minus_two_ln_likelihood(line: LineFit) -> float:
+    """Of all the line's pixels, but for a constant; its noise is Gaussian with the object's own Poisson noise."""
+    p = line.pixels
+    mean = mean_all(line.parameters, p.u, p.v, line.half_px, line.blur_px[0], line.blur_px[1])
+    variance = p.variance_e2 + np.maximum(mean, 0.0)
+    return float(np.sum((p.value_e - mean) ** 2 / variance + np.log(variance)))
+
+
+def _searched(pixels: TrailPixels, parameters: NDArray[np.float64], half_px: float, width_px: float) -> LineFit:
+    """Coarse to fine with widened PSFs; bent where the start is."""
+    free = (DENSITY, V_MID, SLOPE) + ((SAGITTA,) if parameters[SAGITTA] != 0.0 else ())
+    for widening, iterations in SEARCH_STAGES:
+        parameters[LN_WIDTH] = math.log(widening * width_px)
+        line = score(pixels, parameters, free, half_px=half_px, blur_px=(0.0, 0.0), iterations=iterations, quartic=False)
+        parameters = line.parameters
+    return line
+
+
 def find_line(
     pixels: TrailPixels,
     half_px: float,
@@ -177,19 +196,21 @@ def find_line(
     stride = -(-near.u.size // SEARCH_PIXELS)
     if stride > 1:
         near = near.take(np.arange(0, near.u.size, stride, dtype=np.intp))
-    parameters = uniform_trail(0.0, half_px, edges, width_px)
-    parameters[SAGITTA] = sagitta_px
-    free = [DENSITY, V_MID, SLOPE] + ([SAGITTA] if sagitta_px != 0.0 else [])
-    for widening, iterations in SEARCH_STAGES:
-        parameters[LN_WIDTH] = math.log(widening * width_px)
-        line = score(near, parameters, free, half_px=half_px, blur_px=(0.0, 0.0), iterations=iterations, quartic=False)
-        parameters = line.parameters
+    line = _searched(near, uniform_trail(0.0, half_px, edges, width_px), half_px, width_px)
+    if sagitta_px != 0.0:
+        parameters = uniform_trail(0.0, half_px, edges, width_px)
+        parameters[SAGITTA] = sagitta_px
+        bent = _searched(near, parameters, half_px, width_px)
+        gain = minus_two_ln_likelihood(line) - minus_two_ln_likelihood(bent)
+        if bent.regular and (not line.regular or gain > math.log(near.u.size) + 3.0):
+            line = bent
+    parameters = line.parameters
     if not line.regular or abs(parameters[V_MID]) + abs(parameters[SLOPE]) > 3.0 * max_shift_px:
         return None
     long_enough = 2.0 * half_px > CURVED_WIDTHS * width_px
-    if SAGITTA not in free and long_enough and curvature_statistic(line) > math.log(near.u.size) + 3.0:
+    if SAGITTA not in line.free and long_enough and curvature_statistic(line) > math.log(near.u.size) + 3.0:
         parameters = parameters.copy()
-        line = score(near, parameters, (*free, SAGITTA), half_px=half_px, blur_px=(0.0, 0.0), iterations=8, quartic=False)
+        line = score(near, parameters, (*line.free, SAGITTA), half_px=half_px, blur_px=(0.0, 0.0), iterations=8, quartic=False)
         parameters = line.parameters
         if not line.regular:
             return None

@@ -11,7 +11,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.streaks.centre_line import CURVED_WIDTHS, LineFit, score
+from ground.streaks.centre_line import CURVED_WIDTHS, LineFit, minus_two_ln_likelihood, score
 from ground.streaks.trail_model import LN_WIDTH, Q1, Q2, SAGITTA, accumulate, quartic_px4
 
 CANDIDATES: Final = (SAGITTA, Q1, Q2, LN_WIDTH)
@@ -42,6 +42,29 @@ def score_tests(line: LineFit, candidates: tuple[int, ...]) -> tuple[NDArray[np.
     return statistic, step
 
 
+def evidence_needed(line: LineFit) -> float:
+    """Chi-square that a refinement must be worth (extended BIC)."""
+    return math.log(max(line.n_pixels, 2)) + 2.0 * math.log(len(CANDIDATES))
+
+
+def straight_unless_evident(line: LineFit, *, iterations: int) -> LineFit:
+    """The line without a curvature that does not pay for itself.
+
+    A detector bends faint trails to noise and to stars beside them; nature hardly ever does. The likelihood ratio decides:
+    about a bend that noise made, the curvature's own error is far too small.
+    """
+    if SAGITTA not in line.free:
+        return line
+    parameters = line.parameters.copy()
+    parameters[SAGITTA] = 0.0
+    free = tuple(f for f in line.free if f != SAGITTA)
+    straight = score(line.pixels, parameters, free, half_px=line.half_px, blur_px=line.blur_px, iterations=iterations)
+    if not straight.regular:
+        return line
+    gain = minus_two_ln_likelihood(straight) - minus_two_ln_likelihood(line)
+    return straight if gain < evidence_needed(line) else line
+
+
 def choose_model(line: LineFit, *, iterations: int, shape: bool) -> LineFit:
     """The fit with every refinement that pays for itself; `shape`: whether curvature and brightness are considered."""
     widths = 2.0 * line.half_px / line.width_px
@@ -50,7 +73,7 @@ def choose_model(line: LineFit, *, iterations: int, shape: bool) -> LineFit:
     while open_candidates:
         statistic, step = score_tests(line, tuple(open_candidates))
         best = int(np.argmax(statistic))
-        if statistic[best] < math.log(max(line.n_pixels, 2)) + 2.0 * math.log(len(CANDIDATES)):
+        if statistic[best] < evidence_needed(line):
             break
         chosen = open_candidates.pop(best)
         parameters = line.parameters.copy()

@@ -16,7 +16,7 @@ from ground.streaks.end_search import CoarseEnds, coarse_ends
 from ground.streaks.fit_record import TrailResult, point_record, trail_record
 from ground.streaks.intruders import at_median_brightness, intruder_mask
 from ground.streaks.light_curve import light_curve
-from ground.streaks.model_choice import choose_model, width_estimate
+from ground.streaks.model_choice import choose_model, straight_unless_evident, width_estimate
 from ground.streaks.point_source import fit_point
 from ground.streaks.trail_frame import TrailFrame
 from ground.streaks.trail_model import DENSITY, END0, END1, Q1, Q2, SAGITTA, SLOPE, V_MID, profiles
@@ -118,7 +118,9 @@ def _with_ends(
         line.pixels, line.parameters, free,
         half_px=line.half_px, blur_px=(coarse.sigma0_px, coarse.sigma1_px), iterations=min(8, options.max_iterations),
     )  # fmt: skip
-    return (turned_along(line), coarse) if line.regular else None
+    if not line.regular:
+        return None
+    return turned_along(straight_unless_evident(line, iterations=min(8, options.max_iterations))), coarse
 
 
 def _template(line: LineFit) -> NDArray[np.float64]:

@@ -14,6 +14,7 @@ from sboc_e2e.score.figures import absent, bootstrap, proportion, pull_width, rm
 from sboc_e2e.score.matching import TruthStreak, distance_to_path
 
 ARCSEC_PER_RAD = math.degrees(1.0) * 3600.0
+SHORTEST_LINE_PX = 4.0
 
 
 def _along_of_ends(measured: NDArray[np.float64], truth: TruthStreak) -> NDArray[np.float64]:
@@ -23,6 +24,29 @@ def _along_of_ends(measured: NDArray[np.float64], truth: TruthStreak) -> NDArray
     along = chord / max(float(np.hypot(*chord)), 1e-9)
     ends = measured if float((measured[1] - measured[0]) @ along) >= 0 else measured[::-1]
     return np.array([-(ends[0] - true_ends[0]) @ along, (ends[1] - true_ends[1]) @ along])
+
+
+def _across_of_line(ends: NDArray[np.float64], sagitta_px: float, truth: TruthStreak) -> float:
+    """Mean distance (px) of the measured arc across the true path, over what both cover; of its middle where it has no length.
+
+    The bound is that of a trail moved as a whole. Jitter bends the path within an exposure, so a point of it is not the whole.
+    Positive to the side that is the motion turned from (drow, dcol) to (-dcol, drow).
+    """
+    chord = ends[1] - ends[0]
+    half = 0.5 * float(np.hypot(*chord))
+    if half < SHORTEST_LINE_PX / 2:
+        return distance_to_path(ends.mean(axis=0), truth.path)[0]
+    along = chord / (2.0 * half)
+    normal = np.array([-along[1], along[0]])
+    nodes = np.stack([truth.path.row, truth.path.col], axis=1) - ends.mean(axis=0)
+    x = nodes @ along / half
+    common = np.abs(x) <= 1.0
+    if np.count_nonzero(common) < 2:
+        return distance_to_path(ends.mean(axis=0), truth.path)[0]
+    # the contract: a positive sagitta bends the chord towards (+dcol, -drow)
+    offset = -sagitta_px * (1.0 - x[common] ** 2) - nodes[common] @ normal
+    mean = float(np.trapezoid(offset, x[common]) / (x[common][-1] - x[common][0]))
+    return mean if float((truth.ends[1] - truth.ends[0]) @ along) >= 0.0 else -mean
 
 
 def streak_astrometry(
@@ -36,7 +60,7 @@ def streak_astrometry(
     for index, truth in pairs.items():
         s = streaks[index]
         ends = np.array([[s["row0"], s["col0"]], [s["row1"], s["col1"]]], dtype=float)
-        cross_px, _ = distance_to_path(ends.mean(axis=0), truth.path)
+        cross_px = _across_of_line(ends, float(s["sagitta_px"]), truth)
         bound = bounds.get(truth.index)
         out = {
             "row": float(index),

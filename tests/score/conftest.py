@@ -72,7 +72,7 @@ class Synthetic:
         out["ra_mid_deg"], out["dec_mid_deg"] = t["path_ra_deg"][:, middle], t["path_dec_deg"][:, middle]
         out["t_mid_tai_ns"] = t["path_t_tai_ns"][:, middle]
         out["sigma_cross_px"], out["sigma_cross_arcsec"], out["sigma_along_arcsec"] = 0.1, 0.5, 2.0
-        out["mag_err"] = 0.05
+        out["mag_err"], out["sagitta_px"] = 0.05, 0.0
         out["flags"] = np.full(n, int(StreakFlag.DIRECTION_RESOLVED))
         return out
 

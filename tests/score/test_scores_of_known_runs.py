@@ -93,6 +93,21 @@ def test_known_errors_give_known_ratios_and_pulls(synthetic: Factory) -> None:
     assert score["along_rms_arcsec"]["value"] == pytest.approx(0.0, abs=0.01)
 
 
+def test_a_path_that_jitters_is_compared_as_a_whole(synthetic: Factory) -> None:
+    """A trail bent by jitter of 0.05 px, measured by the line through its middle, is measured without error; its arc likewise."""
+    run = synthetic(3)
+    t = run.tables["streaks"]
+    node = np.linspace(0, 1, t["path_row"].shape[1])
+    chord = np.array([12.0, 80.0]) / np.hypot(12.0, 80.0)
+    t["path_row"] = t["path_row"] + chord[1] * (0.05 * np.sin(6 * np.pi * node) + 4.0 * node * (1.0 - node))
+    t["path_col"] = t["path_col"] - chord[0] * (0.05 * np.sin(6 * np.pi * node) + 4.0 * node * (1.0 - node))
+    streaks = run.perfect_streaks()
+    # the contract: positive towards (+dcol, -drow) of the chord
+    streaks["sagitta_px"] = 1.0
+    cross_px = score_evaluation(run.evaluation(streaks))["astrometry"]["cross_rms_px"]["value"]
+    assert cross_px == pytest.approx(0.0, abs=0.003)
+
+
 def test_magnitudes(synthetic: Factory) -> None:
     run = synthetic(150)
     streaks = run.perfect_streaks()

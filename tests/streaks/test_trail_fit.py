@@ -141,6 +141,17 @@ def test_curvature_gradient_and_width_are_found_where_they_are() -> None:
     assert plain.sagitta_px == 0.0
 
 
+def test_a_bend_that_the_detector_guessed_is_not_taken_over() -> None:
+    """Faint straight trails handed over as bent ones are fitted as if handed over straight."""
+    rng = np.random.default_rng(27)
+    for _ in range(15):
+        exposure = expose(rng, trail_at(rng, 120.0), 11.0)
+        bent = replace(exposure.detection, sagitta_px=0.9, flags=exposure.detection.flags | StreakFlag.CURVED)
+        straight, guessed = fit_of(exposure), FITTER.fit(exposure.pixels, bent)
+        assert (StreakFlag.CURVED in guessed.flags) == (StreakFlag.CURVED in straight.flags)
+        assert abs(errors_of(exposure, guessed)[2]) < abs(errors_of(exposure, straight)[2]) + 0.5 * straight.sigma_cross_px
+
+
 def test_a_tumbling_trail_has_its_period_and_its_flux() -> None:
     """Seven flashes in a trail: the Lomb-Scargle period within 3 %; a steady trail has none."""
     rng = np.random.default_rng(8)

@@ -10,7 +10,6 @@ from dataclasses import dataclass, field
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter
 
 from sboc_e2e.icd.signals import BackgroundModel
 
@@ -162,6 +161,13 @@ def clipped_mesh(
                 sigma[i, j] = math.sqrt(max(variance, LEAST_SIGMA * LEAST_SIGMA))
 
 
+def neighbourhoods(mesh: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(9, rows, cols): every node with its eight neighbours; the outer nodes are repeated beyond the edge."""
+    rows, cols = mesh.shape
+    padded = np.pad(mesh, 1, mode="edge")
+    return np.stack([padded[i : i + rows, j : j + cols] for i in range(3) for j in range(3)])
+
+
 def fill_gaps(mesh: NDArray[np.float32], otherwise: float) -> NDArray[np.float32]:
     """Replace NaN nodes by the mean of their known neighbours, ring by ring; a mesh of NaN becomes a constant."""
     known = np.isfinite(mesh)
@@ -198,6 +204,6 @@ class MeshBackground:
         level, sigma = fill_gaps(level, 0.0), fill_gaps(sigma, 1.0)
         return BackgroundModel(
             tile_px=self.tile_px,
-            level_adu=median_filter(level, size=3, mode="nearest"),
-            sigma_adu=median_filter(sigma, size=3, mode="nearest"),
+            level_adu=np.median(neighbourhoods(level), axis=0),
+            sigma_adu=np.median(neighbourhoods(sigma), axis=0),
         )

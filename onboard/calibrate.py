@@ -17,6 +17,7 @@ from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader
 from sboc_e2e.icd.signals import BackgroundModel
 
 FRACTIONS_PER_ADU = 128
+ROWS_AT_ONCE = 64
 ROW_LIMIT_SIGMA = 2.5
 """Values beyond so many sigmas take no part in the means of rows."""
 
@@ -85,8 +86,12 @@ class IntegerCalibration:
     @classmethod
     def of(cls, calibration: Calibration) -> "IntegerCalibration":
         """Rounded dark of a calibration."""
-        dark = np.clip(np.rint(calibration.dark_adu), -32768, 32767).astype(np.int16)
-        fraction = np.rint(np.clip(calibration.dark_adu - dark, -0.5, 0.5) * FRACTIONS_PER_ADU).astype(np.int8)
+        shape = calibration.dark_adu.shape
+        dark, fraction = np.empty(shape, dtype=np.int16), np.empty(shape, dtype=np.int8)
+        for row in range(0, shape[0], ROWS_AT_ONCE):  # temporaries of the whole map would be the largest of the process
+            part = slice(row, row + ROWS_AT_ONCE)
+            dark[part] = np.clip(np.rint(calibration.dark_adu[part]), -32768, 32767)
+            fraction[part] = np.rint(np.clip(calibration.dark_adu[part] - dark[part], -0.5, 0.5) * FRACTIONS_PER_ADU)
         return cls(dark=dark, fraction=fraction, defects=calibration.defects)
 
     def window(self, header: FrameHeader) -> "IntegerCalibration":

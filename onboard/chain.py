@@ -112,7 +112,7 @@ class OnboardChain:
         self._calibration = None if calibration is None else IntegerCalibration.of(calibration)
         self._camera = camera
         self._run_id = run_id
-        self._scratch: list[tuple[NDArray[np.float32], NDArray[np.uint8]]] = []
+        self._scratch: tuple[NDArray[np.float32], NDArray[np.uint8]] | None = None
 
     def initial_state(self) -> OnboardState:
         """State before the first frame."""
@@ -124,11 +124,7 @@ class OnboardChain:
         )
 
     def process(self, state: OnboardState, frame: Frame) -> tuple[OnboardState, OnboardResult]:
-        """Packets of one frame and the state after it.
-
-        Arrays of the state belong to the chain and are written again when their view has left the history: a state is to
-        be gone on from once, or to be pickled.
-        """
+        """Packets of one frame and the state after it. Arrays of the state belong to the chain."""
         header = self._with_saturation(frame.header)
         check = _checksum(frame.pixels)
         counts = to_counts(replace(frame, header=header), self._calibration_of(header))
@@ -187,7 +183,7 @@ class OnboardChain:
         if not isinstance(estimated, BackgroundModel):
             raise self._fault("background", f"expected a BackgroundModel, got {type(estimated).__name__}")
         background = background_in_adu(estimated, counts)
-        residual, mask = self._buffers(counts.pixels.shape, state.history)
+        residual, mask = self._buffers(counts.pixels.shape)
         row_sums = np.empty((len(residual), 2))
         n_masked = residual_pass(
             counts.pixels,
@@ -214,16 +210,13 @@ class OnboardChain:
         )
         return view, Writable(residual=residual, row_sums=row_sums), int(n_masked)
 
-    def _buffers(
-        self, shape: tuple[int, ...], history: tuple[DetectorView, ...]
-    ) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
-        """Memory for the calibrated image and the mask, which no kept view lies on; used again from frame to frame."""
-        self._scratch = [pair for pair in self._scratch if pair[0].shape == shape]
-        for residual, mask in self._scratch:
-            if not any(np.may_share_memory(residual, view.residual_adu) for view in history):
-                return residual, mask
-        self._scratch.append((np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.uint8)))
-        return self._scratch[-1]
+    def _buffers(self, shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+        """Memory for the calibrated image and the mask; used again for every frame unless views are kept."""
+        if self._steps.detector.history_frames > 0:
+            return np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.uint8)
+        if self._scratch is None or self._scratch[0].shape != shape:
+            self._scratch = (np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.uint8))
+        return self._scratch
 
     def _with_stars(self, view: DetectorView, under: Writable) -> DetectorView:
         """The view with its star list, and with level and noise of the sky measured beside these stars.
@@ -326,7 +319,7 @@ class OnboardChain:
             state.previous,
             adu_scale=counts.adu_scale,
             adu_offset=counts.adu_offset,
-            psf_sigma_px=view.psf_sigma_px,
+            psf_sigma_px=view.stars.psf_sigma_px,
         )
         outbox.send(Apid.HEADER, [payload])
         return housekeeping, groups

@@ -86,7 +86,7 @@ def header_payload(
     *,
     adu_scale: float,
     adu_offset: float,
-    psf_sigma_px: float,
+    psf_sigma_px: float | None,
 ) -> bytes:
     """Frame header, housekeeping, and the telemetry of this and of the previous frame."""
     fixed = layout.HEADER_FIXED.pack(
@@ -112,7 +112,7 @@ def header_payload(
         housekeeping.threshold_sigma,
         housekeeping.background_adu,
         housekeeping.sigma_adu,
-        psf_sigma_px,
+        _or_nan(psf_sigma_px),
         housekeeping.n_masked,
     )
     return fixed + telemetry_block(header) + telemetry_block(previous)

@@ -10,9 +10,8 @@ import math
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import median_filter, uniform_filter
 
-from onboard.background import LEAST_SAMPLES, fill_gaps
+from onboard.background import LEAST_SAMPLES, fill_gaps, neighbourhoods
 from onboard.calibrate import expand_nodes, sums_within
 from sboc_e2e.icd.signals import BackgroundModel, StarList
 
@@ -76,6 +75,36 @@ def star_free_moments(
                 deviation[i, j] = math.sqrt(max(squares / number - (total / number) ** 2, 0.0))
 
 
+@njit(cache=True)
+def running_median(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
+    """Median of the `width` (odd) values about each; the end values are mirrored beyond the ends."""
+    n, half = values.size, width // 2
+    out = np.empty(n)
+    window = np.empty(width)
+    for k in range(-half, half + 1):
+        window[k + half] = values[_mirrored(k, n)]
+    window.sort()
+    for k in range(n):
+        out[k] = window[half]
+        leaving, entering = values[_mirrored(k - half, n)], values[_mirrored(k + half + 1, n)]
+        place = np.searchsorted(window, leaving)
+        while place + 1 < width and window[place + 1] < entering:
+            window[place] = window[place + 1]
+            place += 1
+        while place > 0 and window[place - 1] > entering:
+            window[place] = window[place - 1]
+            place -= 1
+        window[place] = entering
+    return out
+
+
+@njit(cache=True)
+def _mirrored(k: int, n: int) -> int:
+    """Index of a value beyond the ends of an array of n: d c b a | a b c d | d c b a."""
+    k = k % (2 * n)
+    return k if k < n else 2 * n - 1 - k
+
+
 def row_offsets(row_sums: NDArray[np.float64], cols: int, sigma_adu: float) -> NDArray[np.float32]:
     """Offsets that the readout gave to whole rows, ADU, by which a row differs from its neighbours.
 
@@ -89,7 +118,7 @@ def row_offsets(row_sums: NDArray[np.float64], cols: int, sigma_adu: float) -> N
     full = number > 0.25 * cols
     if np.count_nonzero(full) < LEAST_ROWS:
         return np.zeros(rows, dtype=np.float32)
-    offset = np.where(full, mean - median_filter(np.where(full, mean, np.median(mean[full])), ROW_NEIGHBOURS), 0.0)
+    offset = np.where(full, mean - running_median(np.where(full, mean, np.median(mean[full])), ROW_NEIGHBOURS), 0.0)
     scatter2 = (1.4826 * float(np.median(np.abs(offset[full])))) ** 2
     noise2 = sigma_adu**2 / float(np.median(number[full]))
     share = max(scatter2 - 1.3 * noise2, 0.0) / max(scatter2, 1e-30)
@@ -160,11 +189,11 @@ def without_stars(
     mark_stars(stars.row, stars.col, star_reach_px(stars, sigma_e, psf_sigma_px), row_step, marked)
     mean, deviation = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
     star_free_moments(residual, mask, marked, row_step, tile_px, background.sigma_adu, mean, deviation)
-    shift = uniform_filter(fill_gaps(mean, 0.0), size=3, mode="nearest")
+    shift = neighbourhoods(fill_gaps(mean, 0.0)).mean(axis=0)
     sigma = np.where(np.isfinite(deviation) & (deviation > 0.0), deviation, background.sigma_adu).astype(np.float32)
     shift_level(residual, mask, shift, tile_px, row_offsets(row_sums, residual.shape[1], float(np.median(sigma))))
     return BackgroundModel(
         tile_px=tile_px,
         level_adu=background.level_adu + shift,
-        sigma_adu=uniform_filter(sigma, size=3, mode="nearest"),
+        sigma_adu=neighbourhoods(sigma).mean(axis=0),
     )

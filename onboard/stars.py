@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from onboard.star_fits import SATURATED, SATURATED_STAR, fit_stars
 from onboard.star_peaks import find_peaks, gaussian_kernel
 from onboard.star_shape import LEAST_STARS, MOST_STARS, FieldShape, measure_shape
-from onboard.star_trails import first_guess, fit_trails, matched_peaks, refined
 from sboc_e2e.icd.flags import StarFlag
 from sboc_e2e.icd.signals import DetectorView, StarList
 
@@ -125,9 +124,9 @@ class MatchedStars:
         nominal = FieldShape.nominal(view.psf_sigma_px, view.mask.shape)
         shape, share = measure_shape(view.residual_adu, view.mask, candidates, nominal)
         if len(candidates) >= LEAST_STARS and (shape.smear_px > LONG_TRAIL_PX or share < ENOUGH_SETTLED):
-            trailed = self._trailed(view, sigma, gain)
-            if trailed is not None:
-                return trailed
+            stars = self._trailed(view, sigma, gain)
+            if stars is not None:
+                return stars
         covariances = shape.covariance(peaks)
         fits, flags = np.empty((len(peaks), 6)), np.zeros(len(peaks), dtype=np.uint8)
         width = math.sqrt(float(shape.coefficients[[0, 2], 0].max()))
@@ -140,18 +139,22 @@ class MatchedStars:
         sharp = fits[:, 4] - COSMIC_SHARPNESS * psf_contrast > 5.0 / np.maximum(fits[:, 3], 1.0)
         flags[sharp] |= np.uint8(StarFlag.COSMIC_LIKE)
         flags[fits[:, 5] > NOT_A_STAR] |= np.uint8(StarFlag.BLENDED)
-        if shape.smear_px > TRAILED_OVER_PSF * shape.sigma_px:
+        trailed = shape.smear_px > TRAILED_OVER_PSF * shape.sigma_px
+        if trailed:
             flags |= np.uint8(StarFlag.TRAILED)
         saturation = view.header.saturation_adu if view.header.saturation_adu is not None else 65535.0
         bright = saturated_stars(view, saturation)
         bright_snr = bright[:, 2] / max(sigma * math.sqrt(4.0 * math.pi) * width, 1e-9)
         bright_flags = np.full(len(bright), int(StarFlag.SATURATED), dtype=np.uint8)
-        return by_flux(
-            np.vstack((fits[:, :4], np.column_stack((bright, bright_snr)))), np.concatenate((flags, bright_flags)), gain
-        )
+        every = np.vstack((fits[:, :4], np.column_stack((bright, bright_snr))))
+        measured = shape.sigma_px if shape.n_stars > 0 and not trailed else None
+        return by_flux(every, np.concatenate((flags, bright_flags)), gain, measured)
 
     def _trailed(self, view: DetectorView, sigma_adu: float, gain_e_adu: float) -> StarList | None:
         """Stars of a frame whose pointing moved by more than a few pixels; None when its stars share no such trail."""
+        # OpenCV and scipy.optimize take 40 MB of memory that frames with stars as points do not need
+        from onboard.star_trails import first_guess, fit_trails, matched_peaks, refined
+
         width = math.sqrt(view.psf_sigma_px**2 + 1.0 / 12.0)
         threshold = max(self.n_sigma, LEAST_TRAIL_SIGMA)
         trail = first_guess(view.residual_adu, sigma_adu)
@@ -170,7 +173,9 @@ class MatchedStars:
         return by_flux(fits, flags, gain_e_adu)
 
 
-def by_flux(fits: NDArray[np.float64], flags: NDArray[np.uint8], gain_e_adu: float) -> StarList:
+def by_flux(
+    fits: NDArray[np.float64], flags: NDArray[np.uint8], gain_e_adu: float, psf_sigma_px: float | None = None
+) -> StarList:
     """Star list by falling flux of fits (n, 4): row, col, flux ADU, S/N."""
     order = np.argsort(-fits[:, 2], kind="stable")
     fits = fits[order]
@@ -180,6 +185,7 @@ def by_flux(fits: NDArray[np.float64], flags: NDArray[np.uint8], gain_e_adu: flo
         flux_e=(fits[:, 2] * gain_e_adu).astype(np.float32),
         snr=fits[:, 3].astype(np.float32),
         flags=flags[order],
+        psf_sigma_px=psf_sigma_px,
     )
 
 

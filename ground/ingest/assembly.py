@@ -137,6 +137,7 @@ def _frame(part: FrameParts, record: HeaderRecord, memory: MemoryLimit, failures
         adu_scale=record.adu_scale,
         adu_offset=record.adu_offset,
         remembered=remembered,
+        psf_sigma_px=part.header.psf_sigma_px if part.header is not None else None,
     )
 
 

@@ -68,6 +68,7 @@ class HeaderRecord:
     previous: Telemetry | None
     adu_scale: float
     adu_offset: float
+    psf_sigma_px: float | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -155,7 +156,7 @@ def decode_header(packet: Packet) -> HeaderRecord:
     (
         rows, cols, bin_rows, bin_cols, window_row0, window_col0, gain, read_noise, saturation, temperature,
         adu_scale, adu_offset, flags, stars_found, stars_sent, detections, rois_sent, rois_dropped, bytes_dropped,
-        threshold, background, sigma, _, n_masked,
+        threshold, background, sigma, psf_sigma, n_masked,
     ) = layout.HEADER_FIXED.unpack_from(packet.payload)  # fmt: skip
     if not (math.isfinite(adu_scale) and adu_scale > 0.0 and math.isfinite(adu_offset)):
         raise ContractError(f"header packet: expected a positive ADU scale, got {adu_scale} and offset {adu_offset}")
@@ -199,6 +200,7 @@ def decode_header(packet: Packet) -> HeaderRecord:
         previous=before if has_previous else None,
         adu_scale=adu_scale,
         adu_offset=adu_offset,
+        psf_sigma_px=psf_sigma if 0.0 < psf_sigma < 1e3 else None,
     )
 
 

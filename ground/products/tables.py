@@ -29,8 +29,8 @@ Spec = tuple[str, Any, str | None, str]
 """Name, values, unit, description."""
 
 
-def frames_table(products: GroundProducts) -> Table:
-    """One row for each frame: epoch, pointing, camera, star statistics, zero point."""
+def frames_table(products: GroundProducts, frames: Sequence[DownlinkFrame]) -> Table:
+    """One row for each frame: epoch, pointing, camera, star statistics, zero point; flags from on board and from ground."""
     headers, solutions, photometry = products.headers, products.solutions, products.photometry
     solved = np.array([not s.flags & FrameFlag.NO_SOLUTION for s in solutions], dtype=bool)
     ra, dec = _centre_directions(products)
@@ -72,7 +72,13 @@ def frames_table(products: GroundProducts) -> Table:
             ("colour_term", [p.colour_term for p in photometry], None, "mag of V for 1 mag of B-V"),
             ("n_phot", [p.n_stars for p in photometry], None, "stars in the zero point"),
             ("rms_mag", [p.rms_mag for p in photometry], "mag", "rms of the stars' residuals"),
-            ("flags", [int(s.flags) for s in solutions], None, "FrameFlag bits"),
+            (
+                "psf_sigma_px",
+                [_or_nan(f.psf_sigma_px) for f in frames],
+                "pix",
+                "PSF sigma in mid-field, measured on board",
+            ),
+            ("flags", [int(s.flags | f.flags) for s, f in zip(solutions, frames, strict=True)], None, "FrameFlag bits"),
         ],
         "frames",
     )

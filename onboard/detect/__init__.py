@@ -1,11 +1,25 @@
-"""Detectors of moving objects: `line_integral` (the default) and published methods beside it, behind one Protocol."""
+"""Detectors of moving objects: `line_integral` (the default) and published methods beside it, behind one Protocol.
 
-from onboard.detect.boundary_tensor import BoundaryTensorDetector
-from onboard.detect.difference import DifferenceDetector
-from onboard.detect.line_integral import LineIntegralDetector
-from onboard.detect.lsd import LsdDetector
-from onboard.detect.threshold import ThresholdDetector
-from onboard.detect.warm_up import warm_up
+Each loads when it is asked for: OpenCV and sep take 20 MB of memory that the default detector does not need.
+"""
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from onboard.detect.boundary_tensor import BoundaryTensorDetector
+    from onboard.detect.difference import DifferenceDetector
+    from onboard.detect.line_integral import LineIntegralDetector
+    from onboard.detect.lsd import LsdDetector
+    from onboard.detect.threshold import ThresholdDetector
+
+_MODULES = {
+    "BoundaryTensorDetector": "boundary_tensor",
+    "DifferenceDetector": "difference",
+    "LineIntegralDetector": "line_integral",
+    "LsdDetector": "lsd",
+    "ThresholdDetector": "threshold",
+}
 
 __all__ = [
     "BoundaryTensorDetector",
@@ -13,5 +27,10 @@ __all__ = [
     "LineIntegralDetector",
     "LsdDetector",
     "ThresholdDetector",
-    "warm_up",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _MODULES:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module(f"{__name__}.{_MODULES[name]}"), name)

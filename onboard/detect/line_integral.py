@@ -11,10 +11,10 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from onboard.detect import dyadic, fragments, point_movers, registration, resolve, static_sky, whiten
 from onboard.detect.star_removal import TILE_PX, WorkingImages, snr_before, working_images
+from onboard.nearest import nearest
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView
 
@@ -207,9 +207,9 @@ def slow_movers(view: DetectorView, earlier: static_sky.EarlierFrame) -> list[De
     clean, known = (stars.snr >= SLOW_SNR) & (stars.flags == 0), then.snr >= 0.5 * SLOW_SNR
     if not clean.any() or not known.any():
         return []
-    tree = cKDTree(np.column_stack([then.row[known], then.col[known]]))
     place = np.column_stack([stars.row[clean], stars.col[clean]])
-    shift, index = tree.query(registration.apply(earlier.transform, place), distance_upper_bound=SLOW_REACH_PX)
+    before = np.column_stack([then.row[known], then.col[known]])
+    shift, index = nearest(registration.apply(earlier.transform, place), before, SLOW_REACH_PX)
     matched = np.isfinite(shift)
     ratio = np.full(len(shift), np.inf)
     ratio[matched] = then.snr[known][index[matched]] / stars.snr[clean][matched]

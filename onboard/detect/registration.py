@@ -4,8 +4,8 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
+from onboard.nearest import nearest, number_within
 from sboc_e2e.icd.signals import StarList
 
 BRIGHTEST: Final = 60
@@ -46,15 +46,13 @@ def register(earlier: StarList, now: StarList, *, reach_px: float) -> NDArray[np
     shifts = shifts[np.abs(shifts).max(axis=1) <= reach_px]
     if len(shifts) == 0:
         return None
-    tree = cKDTree(shifts)
-    votes = tree.query_ball_point(shifts, 2.0, return_length=True)
-    shift = shifts[tree.query_ball_point(shifts[int(np.argmax(votes))], 2.0)].mean(axis=0)
+    winner = shifts[int(np.argmax(number_within(shifts, 2.0)))]
+    shift = shifts[np.hypot(*(shifts - winner).T) <= 2.0].mean(axis=0)
     transform = np.column_stack([np.eye(2), shift])
     points = np.column_stack([earlier.row, earlier.col])[:MATCHED]
     target = np.column_stack([now.row, now.col])[: 2 * MATCHED]
-    star_tree = cKDTree(target)
     for radius in (3.0, 1.5, 1.0):
-        distance, index = star_tree.query(apply(transform, points), distance_upper_bound=radius)
+        distance, index = nearest(apply(transform, points), target, radius)
         matched = np.isfinite(distance)
         if np.count_nonzero(matched) < 5:
             return None

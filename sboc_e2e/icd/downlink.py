@@ -32,6 +32,7 @@ class DownlinkFrame:
     """A frame rebuilt from intact packets; absent parts are None or empty and flagged.
 
     adu_scale, adu_offset : one transmitted unit is ``adu_scale`` ADU and zero is ``adu_offset`` (1 and 0 for uint16 frames).
+    psf_sigma_px : width of the PSF in the middle of the frame as measured on board, without the pixel; None: unknown.
     stars : as measured in this frame. remembered : stars under its ROIs as the frames before showed them.
     """
 
@@ -46,3 +47,4 @@ class DownlinkFrame:
     adu_scale: float = 1.0
     adu_offset: float = 0.0
     remembered: StarList = field(default_factory=StarList.empty)
+    psf_sigma_px: float | None = None

@@ -36,6 +36,7 @@ class StarList:
 
     row, col : float64 px, centroid. flux_e : float32, PSF-weighted flux in one exposure (ADU when no gain is known,
     then the frame is flagged). snr : float32, matched-filter. flags : uint8 of `StarFlag`.
+    psf_sigma_px : width of the PSF in the middle of the frame as these stars show it, without the pixel; None when not measured.
     """
 
     row: NDArray[np.float64]
@@ -43,10 +44,13 @@ class StarList:
     flux_e: NDArray[np.float32]
     snr: NDArray[np.float32]
     flags: NDArray[np.uint8]
+    psf_sigma_px: float | None = None
 
     def __post_init__(self) -> None:
         for name, dtype in (("row", "f8"), ("col", "f8"), ("flux_e", "f4"), ("snr", "f4"), ("flags", "u1")):
             object.__setattr__(self, name, validate.array(f"stars.{name}", getattr(self, name), dtype, (None,)))
+        if self.psf_sigma_px is not None:
+            validate.within("stars.psf_sigma_px", self.psf_sigma_px, 0.0, 1e3)
         validate.same_length("stars", row=self.row, col=self.col, flux_e=self.flux_e, snr=self.snr, flags=self.flags)
 
     def __len__(self) -> int:

@@ -127,7 +127,7 @@ class GroundStage:
         if folder.is_dir():
             shutil.rmtree(folder)
         made = {
-            "frames": _with_origin(tables.frames_table(result), self.outside.origin),
+            "frames": _with_origin(tables.frames_table(result, frames), self.outside.origin),
             "stars": tables.stars_table(result, frames),
             "streaks": tables.streaks_table(result),
             "tracklets": tables.tracklets_table(result),

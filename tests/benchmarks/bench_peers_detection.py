@@ -15,7 +15,8 @@ from typing import Any
 
 import numpy as np
 
-from onboard.detect import LineIntegralDetector, warm_up
+from onboard.detect import LineIntegralDetector
+from onboard.detect.warm_up import warm_up
 from sboc_e2e.score.figures import proportion, rate
 from tests.benchmarks.bench_detection import history_of, score
 from tests.benchmarks.detection_frames import Scene, Streak, add_streak, exposure, random_stars, random_streak, view_of

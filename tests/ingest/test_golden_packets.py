@@ -86,6 +86,7 @@ def check_header(packet: Packet) -> None:
     """Frame header, housekeeping, telemetry of two frames."""
     record = records.decode_header(packet)
     assert record.housekeeping == cases.HOUSEKEEPING
+    assert record.psf_sigma_px == 0.875
     for name in ("frame", "t_start_tai_ns", "exposure_ns", "line_time_ns", "rows", "cols", "bin_rows", "bin_cols",
                  "window_row0", "window_col0", "gain_e_adu", "read_noise_e", "saturation_adu", "temperature_k"):  # fmt: skip
         assert getattr(record.header, name) == getattr(cases.HEADER, name), name

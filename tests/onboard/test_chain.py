@@ -57,6 +57,7 @@ def test_plain_frame_comes_down_whole() -> None:
         sigma_adu=pytest.approx(result.housekeeping.sigma_adu, rel=1e-6),
     )
     assert len(got.stars) == result.housekeeping.n_stars_sent > 20
+    assert got.psf_sigma_px == pytest.approx(0.849, rel=0.03)
     assert len(got.rois) == 1
     for sent, received in zip(result.rois[0].strips, got.rois[0].strips, strict=True):
         assert (sent.values_adu == received.values_adu).all()
@@ -123,6 +124,7 @@ def test_no_star_and_one_star() -> None:
     run = start_run(detections=())
     run.feed(frame(0, pixels=empty))
     assert only_frame(run.downlink).flags & FrameFlag.NO_STARS
+    assert only_frame(run.downlink).psf_sigma_px is None
 
 
 def test_float_frame_is_rounded_at_a_twentieth_of_its_noise() -> None:

@@ -114,6 +114,7 @@ def test_width_is_measured_not_believed(nominal_px: float) -> None:
     stars = MatchedStars().extract(view_of(field.exposed(rng), psf_sigma_px=nominal_px))
     _, index, found = matched(field, stars)
     assert np.mean(stars.flux_e[index][found] / field.flux_e[found]) == pytest.approx(1.0, abs=0.01)
+    assert stars.psf_sigma_px == pytest.approx(SIGMA_PX, rel=0.01)
 
 
 def test_short_trails_are_flagged_and_centred() -> None:

@@ -2,6 +2,7 @@
 
 import io
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from ground.photometry.zero_point import ZeroPoint
 from ground.products import tables
 from ground.records import GroundProducts
 from sboc_e2e.catalogue import StarCatalogue
+from sboc_e2e.icd.flags import FrameFlag
 from tests.astrometry.star_fields import make_field
 
 STREAK_COLUMNS = {
@@ -53,7 +55,7 @@ def _round_trip(table: Table) -> Table:
 def test_every_table_survives_ecsv_with_units_and_descriptions(run):
     frames, products = run
     made = [
-        tables.frames_table(products),
+        tables.frames_table(products, frames),
         tables.stars_table(products, frames),
         tables.streaks_table(products),
         tables.tracklets_table(products),
@@ -78,13 +80,23 @@ def test_streaks_have_the_columns_that_are_promised(run):
 
 
 def test_frames_table_points_where_the_camera_looks(run):
-    _, products = run
-    table = tables.frames_table(products)
+    frames, products = run
+    table = tables.frames_table(products, frames)
     assert table["solved"].all()
     # the field's centre is 131.5, 17.9 (ICRS); aberration moves it by at most 26 arcsec
     assert np.abs(table["ra_app_deg"] - 131.5).max() < 0.02
     assert np.abs(table["dec_app_deg"] - 17.9).max() < 0.02
     assert all(re.fullmatch(r"2027-01-2\dT\d\d:\d\d:\d\d\.\d{6}", text) for text in table["t_start_utc"])
+
+
+def test_frames_table_has_what_the_spacecraft_said(run):
+    frames, products = run
+    told = [replace(frame, flags=FrameFlag.STORM | FrameFlag.BUDGET_CUT, psf_sigma_px=0.93) for frame in frames]
+    table = tables.frames_table(products, told)
+    assert (table["flags"] & int(FrameFlag.STORM) > 0).all()
+    assert (table["flags"] & int(FrameFlag.BUDGET_CUT) > 0).all()
+    assert table["psf_sigma_px"].tolist() == [0.93] * len(frames)
+    assert np.isnan(tables.frames_table(products, frames)["psf_sigma_px"]).all()
 
 
 def test_stars_table_names_the_matched_ones(run):

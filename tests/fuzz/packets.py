@@ -5,6 +5,7 @@ import binascii
 from ground.ingest import decode_downlink
 from ground.ingest.codecs import Ccsds121Decoder, PlanesDecoder, RawDecoder, SqrtPlanesDecoder
 from sboc_e2e.icd import layout
+from sboc_e2e.icd.version import CONTRACT_MAJOR, CONTRACT_MINOR
 
 DECODERS = (PlanesDecoder(), RawDecoder(), Ccsds121Decoder(), SqrtPlanesDecoder())
 APIDS = tuple(layout.Apid)
@@ -15,7 +16,7 @@ def packet_around(data: bytes) -> bytes:
     apid = APIDS[data[0] % len(APIDS)] if data else APIDS[0]
     item = (data[1:] + bytes(layout.ITEM.size))[: layout.ITEM.size]
     fields = list(layout.ITEM.unpack(item))
-    fields[0], fields[1] = 1, 0
+    fields[0], fields[1] = CONTRACT_MAJOR, CONTRACT_MINOR
     body = layout.CUC_PREAMBLE + layout.CUC_TIME.pack(2_179_000_000, 0) + layout.ITEM.pack(*fields)
     body += data[1 + layout.ITEM.size :][: layout.MAX_PAYLOAD_BYTES]
     head = layout.PRIMARY.pack(0x0800 | apid, 0xC000, len(body) + layout.CRC.size - 1)

@@ -9,6 +9,8 @@ from astropy.io import fits
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from ground.ingest import decode_downlink
+from sboc_e2e.icd import layout
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.outside.fits_frames import FitsFolder
 from sboc_e2e.registry import Registry
@@ -119,6 +121,13 @@ def test_fuzzing_begins_with_inputs_that_are_valid_and_short(target: str) -> Non
     for data in seeds.SEEDS[target]():
         assert 0 < len(data) <= seeds.MAX_BYTES[target]
         TARGETS[target].one_input(data)
+
+
+def test_packets_that_the_fuzz_target_frames_itself_are_of_this_contract() -> None:
+    for data in seeds.packets():
+        stream = packets.packet_around(data) if data[0] < len(layout.Apid) else data
+        _, report = decode_downlink(stream, packets.DECODERS)
+        assert sum(kind["received"] for kind in report.as_dict()["apids"].values()) == 1
 
 
 def test_control_characters_of_a_file_do_not_reach_the_terminal() -> None:

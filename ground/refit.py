@@ -31,7 +31,9 @@ CARRIED_SPREAD: Final = 1.5
 TUMBLING: Final = 0.1
 """Relative change of brightness from frame to frame that is nothing unusual."""
 
-PARABOLA_ERROR_ARCSEC: Final = 1.0
+PARABOLA_ERROR: Final = 0.3
+"""Largest departure of the motion from its parabola, in units of the median error of an end (most 1 arcsec)."""
+
 SHORTEST_WINDOW: Final = 3
 GRAVITY_ARCSEC_S2: Final = 1.0
 """Change of rate that differential gravity makes, beyond the one of straight passages."""
@@ -61,6 +63,7 @@ def refit_streaks(
         ]
         if len(members) < 2:
             continue
+        members = [_timed_by_shutter(m, header_of[m.frame]) for m in members]
         path, zero_ns = _path_of(members), int(members[0].t_tai_ns[0])
         frames = [_tracklet_frame(m, header_of[m.frame], solution_of[m.frame], pixels_of(m), path, zero_ns) for m in members]
         joint: dict[int, StreakFit] = {}
@@ -75,15 +78,52 @@ def refit_streaks(
                 row_mid, col_mid = middle_of(fit)
                 moved = np.array([fit.row0, row_mid, fit.row1]) - np.array([member.fit.row0, member.row_mid, member.fit.row1])
                 changed = StreakFlag.REFIT | StreakFlag.ENDS_NOT_GAUSSIAN
+                epochs = member.t_tai_ns + np.rint(line_ns * moved).astype(np.int64)
                 out[at[member.streak_id]] = replace(
                     member,
                     fit=fit,
                     row_mid=row_mid,
                     col_mid=col_mid,
-                    t_tai_ns=member.t_tai_ns + np.rint(line_ns * moved).astype(np.int64),
+                    t_tai_ns=_with_edge_epoch(epochs, frames[k], frames, joint, zero_ns),
                     flags=member.flags & ~changed | fit.flags & changed,
                 )
     return tuple(out)
+
+
+def _timed_by_shutter(member: StreakMeasurement, header: FrameHeader) -> StreakMeasurement:
+    """The streak with the shutter's epochs at both ends but those on the frame's edge.
+
+    A linker gives an end that lies off the motion the epoch at which the motion passed it; here the end is what is doubted.
+    """
+    epochs = member.t_tai_ns.copy()
+    if not member.flags & StreakFlag.EDGE0:
+        epochs[0] = header.t_start_tai_ns + round(header.line_time_ns * member.fit.row0)
+    if not member.flags & StreakFlag.EDGE1:
+        epochs[2] = header.t_start_tai_ns + header.exposure_ns + round(header.line_time_ns * member.fit.row1)
+    epochs[1] = (epochs[0] + epochs[2]) // 2
+    return replace(member, t_tai_ns=epochs)
+
+
+def _with_edge_epoch(
+    epochs_ns: NDArray[np.int64], frame: TrackletFrame, frames: Sequence[TrackletFrame], joint: dict[int, StreakFit], zero_ns: int
+) -> NDArray[np.int64]:
+    """Epochs (3,) of a trail cut by the frame: its edge was passed when the joint motion says."""
+    edges = [bool(frame.fit.flags & flag) for flag in (StreakFlag.EDGE0, StreakFlag.EDGE1)]
+    own = [k for k in joint if frames[k] is frame]
+    if edges[0] == edges[1] or not own:
+        return epochs_ns
+    t_s, along, _ = _timed_ends([frames[k] for k in joint], list(joint.values()))
+    if len(t_s) < 3:
+        return epochs_ns
+    passed_s = np.polynomial.Polynomial.fit(along, t_s, 2 if len(t_s) > 4 else 1)
+    # between two places the smooth fit is better than at one
+    own_s, own_along, _ = _timed_ends([frame], [joint[own[0]]])
+    cut_along = frame.along0 if edges[0] else frame.along1
+    cut_s = own_s[0] + float(passed_s(cut_along) - passed_s(own_along[0]))
+    out = epochs_ns.copy()
+    out[0 if edges[0] else 2] = zero_ns + round(cut_s * 1e9)
+    out[1] = (out[0] + out[2]) // 2
+    return out
 
 
 def _windows(frames: Sequence[TrackletFrame]) -> list[tuple[list[int], float]]:
@@ -101,10 +141,24 @@ def _windows(frames: Sequence[TrackletFrame]) -> list[tuple[list[int], float]]:
     change = 2.0 * abs(float(motion[2])) if degree == 2 else 0.0
     sigma_acceleration = max(6.0 * rate**2 * ARCSEC, 2.0 * change) + GRAVITY_ARCSEC_S2
     relative = np.hypot(rate * ARCSEC, 0.5 * change / rate)
-    half_s = float(np.cbrt(PARABOLA_ERROR_ARCSEC / (rate * relative**2)))
+    error = PARABOLA_ERROR * float(
+        np.median([e for frame in frames for e in _end_errors_arcsec(frame)] or [1.0 / PARABOLA_ERROR])
+    )
+    half_s = float(np.cbrt(min(error, 1.0) / (rate * relative**2)))
     span_s = float(t_s.max() - t_s.min())
     n_windows = max(1, min(int(np.ceil(span_s / (2.0 * half_s))), len(frames) // SHORTEST_WINDOW))
     return [(part.tolist(), sigma_acceleration) for part in np.array_split(np.arange(len(frames)), n_windows)]
+
+
+def _end_errors_arcsec(frame: TrackletFrame) -> list[float]:
+    """One sigma of each end along the trail, the edge's ends excepted."""
+    unit, _ = _along_of(frame.fit)
+    covariance = np.asarray(frame.fit.covariance_px2)
+    flags = (StreakFlag.EDGE0, StreakFlag.EDGE1)
+    variance = [
+        float(unit @ covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] @ unit) for k in (0, 1) if not frame.fit.flags & flags[k]
+    ]
+    return [float(np.sqrt(max(v, 1e-4))) * frame.along_per_px for v in variance]
 
 
 def _refit_window(frames: Sequence[TrackletFrame], window: Sequence[int], sigma_acceleration: float) -> dict[int, StreakFit]:
@@ -142,22 +196,10 @@ def carried(frame: TrackletFrame, clean: Sequence[TrackletFrame], joint: Sequenc
     The joint fits lie on one motion; a parabola (a line for two frames) through their ends gives it back, between them but
     not beyond. Ends on the frame's edge stay; the density of the light stays.
     """
-    t_s, along, sigma = [], [], []
-    for place, fit in zip(clean, joint, strict=True):
-        unit, length = _along_of(place.fit)
-        for end, (flag, start, epoch) in enumerate(
-            ((StreakFlag.EDGE0, place.along0, place.t_open_s), (StreakFlag.EDGE1, place.along1, place.t_close_s))
-        ):
-            if fit.flags & flag:
-                continue
-            moved = np.array(_end(fit, end)) - np.array(_end(place.fit, end))
-            t_s.append(epoch + place.line_time_s * moved[0])
-            along.append(start + place.along_per_px * float(moved @ unit))
-            block = np.asarray(fit.covariance_px2)[2 * end : 2 * end + 2, 2 * end : 2 * end + 2]
-            sigma.append(float(np.sqrt(max(float(unit @ block @ unit), 0.0))))
-    if len(t_s) < 4 or not min(t_s) < frame.t_open_s < frame.t_close_s < max(t_s):
+    t_s, along, sigma = _timed_ends(clean, joint)
+    if len(t_s) < 3 or not min(t_s) < frame.t_open_s < frame.t_close_s < max(t_s):
         return frame.fit
-    motion = np.polynomial.Polynomial.fit(t_s, along, 2 if len(clean) > 2 else 1)
+    motion = np.polynomial.Polynomial.fit(t_s, along, 2 if len(t_s) > 4 else 1)
     unit, length = _along_of(frame.fit)
     shifts = []
     for flag, start, epoch in (
@@ -188,6 +230,24 @@ def carried(frame: TrackletFrame, clean: Sequence[TrackletFrame], joint: Sequenc
         flux_err_e=frame.fit.flux_err_e * lit / length,
         flags=frame.fit.flags & ~StreakFlag.ENDS_NOT_GAUSSIAN | StreakFlag.REFIT,
     )
+
+
+def _timed_ends(frames: Sequence[TrackletFrame], joint: Sequence[StreakFit]) -> tuple[list[float], list[float], list[float]]:
+    """Of all ends where the shutter acted: epoch (s), place along the path, error along the trail (px)."""
+    t_s, along, sigma = [], [], []
+    for place, fit in zip(frames, joint, strict=True):
+        unit, _ = _along_of(place.fit)
+        for end, (flag, start, epoch) in enumerate(
+            ((StreakFlag.EDGE0, place.along0, place.t_open_s), (StreakFlag.EDGE1, place.along1, place.t_close_s))
+        ):
+            if fit.flags & flag:
+                continue
+            moved = np.array(_end(fit, end)) - np.array(_end(place.fit, end))
+            t_s.append(epoch + place.line_time_s * moved[0])
+            along.append(start + place.along_per_px * float(moved @ unit))
+            block = np.asarray(fit.covariance_px2)[2 * end : 2 * end + 2, 2 * end : 2 * end + 2]
+            sigma.append(float(np.sqrt(max(float(unit @ block @ unit), 0.0))))
+    return t_s, along, sigma
 
 
 def _along_of(fit: StreakFit) -> tuple[Array, float]:

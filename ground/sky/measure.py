@@ -60,6 +60,9 @@ def with_sky(
     if streak.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1) and not streak.flags & StreakFlag.DIRECTION_RESOLVED:
         # which part of the exposure was seen is unknown: as far off as the unseen part is long, about the seen one
         along_px = float(np.hypot(along_px, 0.5 * fit.length_px))
+    elif bool(streak.flags & StreakFlag.EDGE0) != bool(streak.flags & StreakFlag.EDGE1):
+        # the edge was passed when the other end's epoch says, so that end's error is that of the whole trail
+        along_px *= 2.0
     pointing = 0.5 * float(pointing_covariance_rad2[0, 0] + pointing_covariance_rad2[1, 1])
     pointing_arcsec = float(np.sqrt(pointing)) / ARCSEC if np.isfinite(pointing) else 0.0
     return replace(

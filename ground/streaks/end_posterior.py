@@ -145,7 +145,8 @@ def _grid(low: float, high: float, step: float) -> NDArray[np.float64]:
 class EndTables:
     """Log likelihoods of each end given the density: log0 (K, G0) on grid0, log1 (K, G1) on grid1, densities (K,).
 
-    The joint one of (density, end 0, end 1) is their sum. An end at the image's edge has one node.
+    The joint one of (density, end 0, end 1) is their sum. An end at the image's edge has one node. open0, open1 : the grid
+    reaches to the last pixel, beyond which the end may lie as well as on it.
     """
 
     grid0: NDArray[np.float64]
@@ -153,6 +154,8 @@ class EndTables:
     log0: NDArray[np.float64]
     log1: NDArray[np.float64]
     densities: NDArray[np.float64]
+    open0: bool
+    open1: bool
 
 
 def end_tables(
@@ -188,7 +191,15 @@ def end_tables(
     else:
         grid1 = _grid(max(coarse.range1[0] - pad, center + width_px), min(coarse.range1[1] + pad, coarse.limits[1]), step)
         log1 = one_end(grid1, -1.0, *arrays)
-    return EndTables(grid0=grid0, grid1=grid1, log0=log0, log1=log1, densities=densities)
+    return EndTables(
+        grid0=grid0,
+        grid1=grid1,
+        log0=log0,
+        log1=log1,
+        densities=densities,
+        open0=bool(grid0[0] <= coarse.limits[0]),
+        open1=bool(grid1[-1] >= coarse.limits[1]),
+    )
 
 
 def end_posterior(tables: EndTables, *, brightness: tuple[float, float, float], line_parameters: int) -> EndPosterior:

@@ -22,14 +22,15 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import qmc
 
-from ground.streaks.centre_line import effective_width_px, uniform_trail
+from ground.streaks.centre_line import LineFit, effective_width_px, uniform_trail
 from ground.streaks.end_posterior import EndTables, end_tables, lit_length
 from ground.streaks.end_search import coarse_ends
 from ground.streaks.fit_record import pixel_covariance
+from ground.streaks.intruders import intruder_mask
 from ground.streaks.trail_fit import CHANGE_POINT_SNR2, OVERLAP_WIDTHS
 from ground.streaks.trail_frame import TrailFrame
-from ground.streaks.trail_model import Q1, SAGITTA, V_MID, profiles
-from ground.streaks.trail_pixels import usable_pixels
+from ground.streaks.trail_model import N_PARAMETERS, Q1, SAGITTA, V_MID, profiles
+from ground.streaks.trail_pixels import TrailPixels, usable_pixels
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit, StreakPixels
 
@@ -132,10 +133,11 @@ def _tables(frame: TrackletFrame, trail: TrailFrame) -> EndTables | None:
         width = effective_width_px(fit.width_px)
     edges = (StreakFlag.EDGE0 in fit.flags, StreakFlag.EDGE1 in fit.flags)
     half = 0.5 * fit.length_px
-    near = usable_pixels(pixels, trail, 2.7 * width + abs(fit.sagitta_px)).near(math.inf)
+    near = usable_pixels(pixels, trail, 5.0 * width + abs(fit.sagitta_px)).near(math.inf)
     density = fit.flux_e / (2.0 * half)
     parameters = uniform_trail(density, half, edges, width)
     parameters[SAGITTA], parameters[V_MID], parameters[Q1] = fit.sagitta_px, 2.0 / 3.0 * fit.sagitta_px, 0.5 * fit.gradient
+    near = _without_intruders(near, parameters, fit, width).near(2.7 * width + abs(fit.sagitta_px))
     template = profiles(parameters, near.u, near.v, half, trail.angle_rad)
     coarse = coarse_ends(
         near.u, template, near.value_e, near.variance_e2,
@@ -145,6 +147,24 @@ def _tables(frame: TrackletFrame, trail: TrailFrame) -> EndTables | None:
         return None
     coarse = replace(coarse, density_e_px=density)
     return end_tables(near.u, template, near.value_e, near.variance_e2, width_px=width, coarse=coarse)
+
+
+def _without_intruders(pixels: TrailPixels, parameters: NDArray[np.float64], fit: StreakFit, width_px: float) -> TrailPixels:
+    """Pixels by ascending u without the stars and crossing streaks that the single fit left out too."""
+    errors = np.sqrt(np.maximum([0.5 * np.trace(fit.covariance_px2[i : i + 2, i : i + 2]) for i in (0, 2)], 0.0))
+    line = LineFit(
+        pixels=pixels,
+        parameters=parameters,
+        covariance=np.zeros((N_PARAMETERS, N_PARAMETERS)),
+        half_px=0.5 * fit.length_px,
+        blur_px=(float(errors[0]), float(errors[1])),
+        free=(),
+        chi2=math.nan,
+        snr=fit.snr,
+        n_pixels=pixels.u.size,
+    )
+    mask, _ = intruder_mask(line, width_px, line.blur_px)
+    return pixels.take(~mask)
 
 
 def _basis(t_s: NDArray[np.float64] | float, n_parameters: int) -> NDArray[np.float64]:
@@ -201,9 +221,13 @@ def _log_likelihood(e: _Evidence, x0: NDArray[np.float64], x1: NDArray[np.float6
 
 
 def _per_density(tables: EndTables, end0: NDArray[np.float64], end1: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(K, m) log likelihood of both ends (u, px) and density; beyond the tables it falls off steadily."""
+    """(K, m) log likelihood of both ends (u, px) and density; beyond the tables it falls off steadily, beyond the pixels not."""
     total = np.zeros((tables.densities.size, end0.size))
-    for grid, log, position in ((tables.grid0, tables.log0, end0), (tables.grid1, tables.log1, end1)):
+    sides = (
+        (tables.grid0, tables.log0, end0, tables.open0, False),
+        (tables.grid1, tables.log1, end1, False, tables.open1),
+    )
+    for grid, log, position, open_below, open_above in sides:
         if grid.size == 1:
             total += log
             continue
@@ -212,8 +236,9 @@ def _per_density(tables: EndTables, end0: NDArray[np.float64], end1: NDArray[np.
         left = place.astype(np.int64)
         share = place - left
         total += log[:, left] * (1.0 - share) + log[:, left + 1] * share
-        outside = np.maximum(np.maximum(grid[0] - position, position - grid[-1]), 0.0)
-        total -= outside / (4.0 * step)
+        below, above = grid[0] - position, position - grid[-1]
+        outside = np.maximum(np.where(open_below, 0.0, below), np.where(open_above, 0.0, above))
+        total -= np.maximum(outside, 0.0) / (4.0 * step)
     return total
 
 

@@ -104,6 +104,22 @@ def test_a_wrong_shutter_sign_would_be_seen() -> None:
     assert bad > 5.0
 
 
+def test_an_end_beyond_the_pixels_comes_from_the_other_frames() -> None:
+    """The detector saw half of the middle trail and sent its pixels only; the fit ends there, the joint refit where it ended."""
+    frames, truths = tracklet(np.random.default_rng(77), 200.0, 16.0, 5, 0.0)
+    cut, trail = frames[2], truths[2]
+    cos, sin = trail.axes
+    u = (cut.pixels.row - trail.row0) * sin + (cut.pixels.col - trail.col0) * cos
+    kept = u < 100.0
+    columns = {name: getattr(cut.pixels, name)[kept] for name in ("row", "col", "value_e", "variance_e2")}
+    # half of the trail is all that those pixels show
+    half = (cut.fit.row0 + cut.fit.row1) / 2.0, (cut.fit.col0 + cut.fit.col1) / 2.0
+    short = replace(cut.fit, row1=half[0], col1=half[1], flux_e=0.5 * cut.fit.flux_e, snr=cut.fit.snr / math.sqrt(2.0))
+    frames[2] = replace(cut, pixels=replace(cut.pixels, **columns), fit=short, along1=0.5 * (cut.along0 + cut.along1))
+    fit = refit_tracklet(frames)[2]
+    assert np.abs(along_errors(trail, fit)).max() < 6.0
+
+
 def test_frames_without_ends_come_back_as_they_went() -> None:
     """Edge-to-edge trails and failed fits say nothing; too few ends change nothing."""
     frames, _ = tracklet(np.random.default_rng(23), 80.0, 20.0, 3, 0.0)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.astrometry.header_wcs import identify_by_header
+from ground.guard import all_of, fault, guarded, probabilities_of
 from ground.ingest import IngestReport, decode_downlink
 from ground.link import apply_links
 from ground.options import GroundOptions
@@ -90,8 +91,10 @@ class GroundChain:
     def initial_state(self) -> GroundState:
         """State before the first frame; picklable."""
         camera = self._camera
+        step = self._steps.astrometry
+        first = guarded("astrometry", step, "", object, step.initial_state, self._calibration_of(None), self._catalogue)
         return GroundState(
-            astrometry=self._steps.astrometry.initial_state(self._calibration_of(None), self._catalogue),
+            astrometry=first,
             psf=PsfField.nominal(camera.psf_sigma_px, (camera.rows, camera.cols)),
         )
 
@@ -106,13 +109,16 @@ class GroundChain:
             psf = with_star_list(psf, frame)
         growth_known = state.growth_known or psf is not state.psf
         if wcs is None:
-            astrometry, solution = self._steps.astrometry.solve(astrometry, frame)
+            astrometry, solution = self._solved(astrometry, frame)
         else:
             solution = identify_by_header(frame, wcs, self._catalogue, self._camera)
-        photometry = self._steps.photometry.calibrate(frame, solution, calibration)
+        steps, where = self._steps, f"frame {frame.header.frame}"
+        calibrate = steps.photometry.calibrate
+        photometry = guarded("photometry", steps.photometry, where, PhotometricSolution, calibrate, frame, solution, calibration)
         sky = _sky_of(frame.header, solution, wcs)
         fits, flats = self._fit_streaks(frame, solution, photometry, calibration, psf)
-        probabilities = self._steps.vetter.probability(fits, frame)
+        judged = guarded("vetter", steps.vetter, where, object, steps.vetter.probability, fits, frame)
+        probabilities = probabilities_of(steps.vetter, where, judged, len(fits))
         streaks = tuple(
             self._measurement(number, fit, float(probabilities[number]), frame, solution, photometry, sky, flats[number])
             for number, fit in enumerate(fits)
@@ -135,7 +141,8 @@ class GroundChain:
         """Tracklets, resolved streaks and orbits of a run; `frames` and `products` in the same order."""
         headers = tuple(frame.header for frame in frames)
         measured = [streak for product in products for streak in product.streaks]
-        tracklets = self._steps.linker.link(headers, measured)
+        linker = self._steps.linker
+        tracklets = all_of("linker", linker, "", guarded("linker", linker, "", object, linker.link, headers, measured), Tracklet)
         resolved = apply_links(measured, tracklets, headers)
         if self._options.joint_refit:
             solutions = [product.solution for product in products]
@@ -146,7 +153,7 @@ class GroundChain:
         orbits: tuple[OrbitEstimate, ...] = ()
         if self._options.orbits:
             located = [t for t in tracklets if not t.flags & StreakFlag.NO_SKY and t.direction_resolved]
-            orbits = tuple(self._steps.orbit.estimate(tracklet, headers) for tracklet in located)
+            orbits = tuple(self._orbit_of(tracklet, headers) for tracklet in located)
         return GroundProducts(
             headers=headers,
             solutions=tuple(product.solution for product in products),
@@ -156,6 +163,20 @@ class GroundChain:
             orbits=orbits,
             ingest=ingest,
         )
+
+    def _solved(self, state: Any, frame: DownlinkFrame) -> tuple[Any, FrameSolution]:
+        """Next state of the astrometry and the frame's solution."""
+        step, where = self._steps.astrometry, f"frame {frame.header.frame}"
+        result = guarded("astrometry", step, where, tuple, step.solve, state, frame)
+        if len(result) != 2 or not isinstance(result[1], FrameSolution):
+            raise fault("astrometry", step, where, "expected a state and a FrameSolution")
+        return result
+
+    def _orbit_of(self, tracklet: Tracklet, headers: Sequence[FrameHeader]) -> OrbitEstimate:
+        """Orbit of one tracklet."""
+        step, where = self._steps.orbit, f"tracklet {tracklet.tracklet_id} from frame {int(tracklet.frames.min())}"
+        estimate: OrbitEstimate = guarded("orbit", step, where, OrbitEstimate, step.estimate, tracklet, headers)
+        return estimate
 
     def _judged_alone(self, streak: StreakMeasurement) -> StreakMeasurement:
         """A streak that no other frame supports is published on its own probability, which must be higher."""
@@ -202,9 +223,10 @@ class GroundChain:
         gain_assumed = StreakFlag.GAIN_ASSUMED if frame.header.gain_e_adu is None else StreakFlag(0)
         light = self._light(frame, solution, photometry, psf)
         fits, flats = [], []
+        fitter, where = self._steps.streak_fitter, f"frame {frame.header.frame}"
         for group in frame.rois:
             pixels, crossed = self._pixels(group, frame, light)
-            fit = self._steps.streak_fitter.fit(pixels, group.detection)
+            fit = guarded("streak_fitter", fitter, where, StreakFit, fitter.fit, pixels, group.detection)
             flags = fit.flags | group.detection.flags & _KEPT_FROM_BOARD | gain_assumed
             if crossed:
                 flags |= StreakFlag.CROSSES_STAR

@@ -11,7 +11,7 @@ from ground.ingest.records import MemoryLimit, decode_record
 from ground.ingest.report import ApidReport, IngestReport
 from sboc_e2e.icd import layout
 from sboc_e2e.icd.downlink import DownlinkFrame
-from sboc_e2e.icd.errors import ContractError, UserError
+from sboc_e2e.icd.errors import ContractError, PluginError, UserError
 from sboc_e2e.icd.layout import Apid
 from sboc_e2e.icd.steps import Decoder
 
@@ -176,6 +176,8 @@ def _decoded(
             arrived[group] += 1
         except ContractError as error:
             failures.append(f"frame {number} {Apid(packet.apid).name} item {packet.item} segment {packet.segment}: {error}")
+        except PluginError as error:
+            raise PluginError(f"{error} (frame {number})") from error
     for group, n_segments in expected.items():
         if arrived[group] < n_segments:
             kind = Apid(group[0]).name.lower()

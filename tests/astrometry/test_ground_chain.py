@@ -1,6 +1,8 @@
 """The ground chain on frames made without it: star list and trail in, tracklet with sky positions and magnitudes out."""
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -81,7 +83,10 @@ def fields() -> list[Field]:
     return made
 
 
-def _chain(field: Field, **options) -> GroundChain:
+def chain_of(
+    field: Field, *, steps_of: Callable[[GroundSteps], GroundSteps] = lambda steps: steps, orbits: bool = False, **options: Any
+) -> GroundChain:
+    """The default chain over a field; `steps_of` may exchange steps."""
     steps = GroundSteps(
         decoders=(PlanesDecoder(),),
         streak_fitter=TrailedPsfFitter(),
@@ -92,8 +97,8 @@ def _chain(field: Field, **options) -> GroundChain:
         orbit=RangeScan(),
     )
     return GroundChain(
-        GroundOptions(orbits=False, **options),
-        steps,
+        GroundOptions(orbits=orbits, **options),
+        steps_of(steps),
         calibration=field.calibration,
         camera=field.calibration.camera,
         catalogue=StarCatalogue.embedded(),
@@ -101,7 +106,7 @@ def _chain(field: Field, **options) -> GroundChain:
 
 
 def _run(fields: list[Field], frames: list[DownlinkFrame], **options):
-    chain = _chain(fields[0], **options)
+    chain = chain_of(fields[0], **options)
     state, products = chain.initial_state(), []
     for frame in frames:
         state, product = chain.process_frame(state, frame)
@@ -168,7 +173,7 @@ def test_frames_without_attitude_and_stars_keep_their_pixel_products(fields):
 
 
 def test_a_wcs_from_outside_gives_the_same_sky(fields):
-    chain = _chain(fields[0])
+    chain = chain_of(fields[0])
     state, solved = chain.process_frame(chain.initial_state(), fields[0].frame)
     wcs = WCS(sip_header(solved.solution, fields[0].frame.header))
     bare = replace(fields[0].frame, header=replace(fields[0].frame.header, attitude=None))
@@ -184,7 +189,7 @@ def test_a_wcs_from_outside_gives_the_same_sky(fields):
 def test_frames_without_calibration_flow_through(fields):
     chain = GroundChain(
         GroundOptions(orbits=False),
-        _chain(fields[0])._steps,
+        chain_of(fields[0])._steps,
         calibration=None,
         camera=fields[0].calibration.camera,
         catalogue=StarCatalogue.embedded(),
@@ -213,7 +218,7 @@ def test_remembered_stars_leave_the_trail_and_never_enter_the_camera_fit(fields)
         snr=np.array([150.0], dtype=np.float32),
         flags=np.array([int(StarFlag.REMEMBERED)], dtype=np.uint8),
     )
-    chain = _chain(fields[0])
+    chain = chain_of(fields[0])
     state = chain.initial_state()
     results = [chain.process_frame(state, f)[1] for f in (plain, crossed, replace(crossed, remembered=star))]
     clean, spoilt, freed = (np.array([r.streaks[0].row_mid, r.streaks[0].col_mid]) for r in results)

@@ -1,0 +1,51 @@
+"""Calls of swappable steps: what a step raises, or returns against its Protocol, stops the run and names the step."""
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.errors import ContractError, PluginError, UserError
+
+
+def guarded(seam: str, step: object, where: str, returns: type, call: Callable[..., Any], *arguments: Any) -> Any:
+    """What a step's method returns.
+
+    seam : such as "linker". where : such as "frame 12", or empty. returns : type the result must have. Errors: a `PluginError`
+    with the seam, the class and the place for what the step raises, records that break the contract included, and for other
+    types; a `UserError` about something that the user can mend passes.
+    """
+    try:
+        result = call(*arguments)
+    except Exception as error:  # a plug-in may raise anything; it is reported by name
+        if isinstance(error, UserError) and not isinstance(error, ContractError):
+            raise
+        raise fault(seam, step, where, f"{type(error).__name__}: {error}") from error
+    if not isinstance(result, returns):
+        raise fault(seam, step, where, f"expected {returns.__name__}, got {type(result).__name__}")
+    return result
+
+
+def fault(seam: str, step: object, where: str, what: str) -> PluginError:
+    """The error that names a step and the place."""
+    name = f"ground.{seam} {type(step).__module__}:{type(step).__qualname__}"
+    return PluginError(f"{name}, {where}: {what}" if where else f"{name}: {what}")
+
+
+def probabilities_of(step: object, where: str, values: Any, n: int) -> NDArray[np.float64]:
+    """Probabilities (n,) from a vetter, checked."""
+    array = np.asarray(values, dtype=np.float64) if getattr(values, "dtype", None) is not None else None
+    if array is None or array.shape != (n,) or not ((array >= 0.0) & (array <= 1.0)).all():
+        raise fault("vetter", step, where, f"expected {n} probabilities from 0 to 1")
+    return array
+
+
+def all_of(seam: str, step: object, where: str, values: Any, kind: type) -> tuple[Any, ...]:
+    """A sequence whose members are all of a type, as a tuple."""
+    if not isinstance(values, tuple | list):
+        raise fault(seam, step, where, f"expected a tuple of {kind.__name__}, got {type(values).__name__}")
+    for value in values:
+        if not isinstance(value, kind):
+            raise fault(seam, step, where, f"expected {kind.__name__}, got {type(value).__name__}")
+    return tuple(values)

@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import Final
 
 from sboc_e2e.bench.entries import EITHER, LOWER, Entry
+from sboc_e2e.files.atomic import write_text
 from sboc_e2e.icd.errors import UserError
 
 SIGMAS: Final = 4.0
@@ -34,8 +35,7 @@ class Regression:
 def write_baseline(path: Path, entries: Iterable[Entry]) -> None:
     """Keep values and their noise of all figures that have a better direction."""
     kept = {e.name: {"value": e.value, "sigma": e.sigma} for e in entries if e.value is not None and e.better != EITHER}
-    path.parent.mkdir(parents=True, exist_ok=True)
-    path.write_text(json.dumps(kept, indent=1, sort_keys=True) + "\n")
+    write_text(path, json.dumps(kept, indent=1, sort_keys=True) + "\n")
 
 
 def read_baseline(path: Path) -> dict[str, dict[str, float]]:

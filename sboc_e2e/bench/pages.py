@@ -8,6 +8,7 @@ from typing import Any, Final
 
 from sboc_e2e.bench.entries import HIGHER, LOWER, Entry
 from sboc_e2e.bench.quoted import QUOTED_PEERS
+from sboc_e2e.files.atomic import write_text
 from sboc_e2e.report import plots
 from sboc_e2e.report.page import simple_page, table
 from sboc_e2e.report.words import number
@@ -34,16 +35,17 @@ def write_pages(
     """All files of the report."""
     figures = [vars(e) | {"better": e.better, "unit": e.unit} for e in entries]
     summary = {"environment": environment, "wall_s": costs, "regressions": list(regressions), "figures": figures}
-    (out / "report.json").write_text(json.dumps(summary, indent=1))
+    write_text(out / "report.json", json.dumps(summary, indent=1))
     for way, name in ((LOWER, "benchmark-action-smaller.json"), (HIGHER, "benchmark-action-bigger.json")):
         items = [
             {"name": e.name, "unit": e.unit or "1", "value": e.value, "range": f"{e.low:.4g} to {e.high:.4g}"}
             for e in entries
             if e.better == way and e.value is not None
         ]
-        (out / name).write_text(json.dumps(items, indent=1))
-    with (out / HISTORY).open("a") as stream:
-        stream.write(json.dumps({"environment": environment, "values": {e.name: e.value for e in entries}}) + "\n")
+        write_text(out / name, json.dumps(items, indent=1))
+    earlier = (out / HISTORY).read_text(encoding="utf-8") if (out / HISTORY).exists() else ""
+    line = json.dumps({"environment": environment, "values": {e.name: e.value for e in entries}})
+    write_text(out / HISTORY, f"{earlier}{line}\n")
     head = ("figure", "value [90 %]", "unit", "n or reason")
     rows = [_words(e) for e in entries]
     quick = "quick" if environment["quick"] else "full"
@@ -55,7 +57,7 @@ def write_pages(
     lines += ["| " + " | ".join(head) + " |", "|---|---|---|---|", *("| " + " | ".join(r) + " |" for r in rows)]
     lines += ["", "Peers that are not on the package index, as their sources quote them:", ""]
     lines += ["| peer | figure | source |", "|---|---|---|", *("| " + " | ".join(q) + " |" for q in QUOTED_PEERS)]
-    (out / "report.md").write_text("\n".join(lines) + "\n")
+    write_text(out / "report.md", "\n".join(lines) + "\n")
     body = [f"<p>{took}</p>"]
     if regressions:
         body += ["<h2>Regressions</h2>", "<ul>", *(f"<li>{r}</li>" for r in regressions), "</ul>"]
@@ -63,7 +65,7 @@ def write_pages(
     body += ["<h2>Peers, quoted</h2>", table(("peer", "figure", "source"), QUOTED_PEERS)]
     body += ["<h2>Wall seconds of each bench</h2>", table(("bench", "s"), [(k, f"{v:.1f}") for k, v in costs.items()])]
     body += ["<h2>History</h2>", f"<figure>{history_plot(out / HISTORY)}</figure>"]
-    (out / "report.html").write_text(simple_page("Benchmark report", body))
+    write_text(out / "report.html", simple_page("Benchmark report", body))
 
 
 def history_plot(path: Path) -> str:

@@ -13,6 +13,7 @@ from typing import Any, Final
 from sboc_e2e.bench.baseline import Regression, read_baseline, regressions, write_baseline
 from sboc_e2e.bench.entries import Entry, flatten
 from sboc_e2e.bench.pages import write_pages
+from sboc_e2e.files.atomic import require_writable
 from sboc_e2e.icd.errors import UserError
 
 ROOT: Final = Path(__file__).resolve().parents[2]
@@ -45,7 +46,7 @@ def run_bench(
     """
     if not SCRIPTS.is_dir():
         raise UserError(f"sboc bench runs from a source checkout: {SCRIPTS} is not there")
-    out.mkdir(parents=True, exist_ok=True)
+    require_writable(out)
     start = time.monotonic()
     entries: list[Entry] = []
     costs: dict[str, float] = {}

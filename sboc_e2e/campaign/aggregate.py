@@ -11,6 +11,7 @@ from astropy.table import Table
 
 from sboc_e2e.campaign.engine import CampaignResult
 from sboc_e2e.campaign.plan import Campaign
+from sboc_e2e.files.atomic import write_text
 from sboc_e2e.report import plots
 from sboc_e2e.report.page import simple_page, table
 from sboc_e2e.report.words import figure_words
@@ -105,12 +106,11 @@ def write_results(campaign: Campaign, result: CampaignResult, out: Path) -> None
     points = read_shards(out)
     summary = {point: summarise(shards) for point, shards in points.items()}
     failed = [{"point": task.label, "replica": task.replica, "reason": reason} for task, reason in result.failed]
-    (out / "campaign.json").write_text(
-        json.dumps({"campaign": campaign.name, "scenario": campaign.scenario, "points": summary, "failed": failed}, indent=1)
-    )
-    (out / "campaign.md").write_text(_markdown(campaign, summary, failed))
+    result_page = {"campaign": campaign.name, "scenario": campaign.scenario, "points": summary, "failed": failed}
+    write_text(out / "campaign.json", json.dumps(result_page, indent=1))
+    write_text(out / "campaign.md", _markdown(campaign, summary, failed))
     figures = {point: _heat_map(shards) for point, shards in points.items()}
-    (out / "campaign.html").write_text(_html(campaign, summary, failed, figures))
+    write_text(out / "campaign.html", _html(campaign, summary, failed, figures))
 
 
 def _label(point: str) -> str:

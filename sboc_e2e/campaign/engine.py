@@ -15,6 +15,7 @@ from pathlib import Path
 
 from sboc_e2e.campaign.plan import Campaign, Task
 from sboc_e2e.campaign.worker import run_task
+from sboc_e2e.files.atomic import UNWRITABLE, require_writable, write_text
 from sboc_e2e.icd.errors import UserError
 
 
@@ -78,7 +79,7 @@ def run_campaign(
     start = time.monotonic()
     tasks = campaign.tasks()
     for name in ("shards", "failed", "work"):
-        (out / name).mkdir(parents=True, exist_ok=True)
+        require_writable(out / name)
     todo = [task for task in tasks if not shard_path(out, task).is_file()]
     failed: list[tuple[Task, str]] = []
     with executor(workers or os.cpu_count() or 1, scheduler) as pool:
@@ -90,9 +91,14 @@ def run_campaign(
                 future.result()
                 failure.unlink(missing_ok=True)
                 report(f"{count}/{len(todo)} {task.label}, replica {task.replica}")
-            except Exception as error:  # noqa: BLE001  a task that fails is listed with its reason, the rest goes on
+            except Exception as error:  # a task that fails is listed with its reason, the rest goes on
+                if isinstance(error, OSError) and error.errno in UNWRITABLE:
+                    # The next tasks would meet the same: stop, and keep what is done.
+                    for waiting in running:
+                        waiting.cancel()
+                    raise
                 reason = f"{type(error).__name__}: {error}".splitlines()[0][:500]
-                failure.write_text(f"{task.label}, replica {task.replica}: {reason}\n")
+                write_text(failure, f"{task.label}, replica {task.replica}: {reason}\n")
                 failed.append((task, reason))
                 report(f"{count}/{len(todo)} FAILED {task.label}, replica {task.replica}: {reason}")
     return CampaignResult(

@@ -1,5 +1,6 @@
 """One task of a campaign: run, evaluate, leave a shard. Everything a worker process does."""
 
+import io
 import json
 import shutil
 from pathlib import Path
@@ -8,6 +9,7 @@ import numpy as np
 from astropy.table import Table
 
 from sboc_e2e.campaign.plan import Campaign, Task
+from sboc_e2e.files.atomic import write_text
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.begin import begin_or_continue
 from sboc_e2e.scenario import load
@@ -30,10 +32,9 @@ def run_task(campaign: Campaign, task: Task, out: str) -> None:
         run.simulate_and_onboard()
         run.ground()
         table = shard(evaluate(folder), task)
-        final = Path(out) / "shards" / f"{task.number:06d}.ecsv"
-        temporary = final.with_suffix(".part")
-        table.write(temporary, format="ascii.ecsv", overwrite=True)
-        temporary.replace(final)
+        text = io.StringIO()
+        table.write(text, format="ascii.ecsv")
+        write_text(Path(out) / "shards" / f"{task.number:06d}.ecsv", text.getvalue())
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 

@@ -35,12 +35,14 @@ USAGE_ERROR: Final[Any] = typer.BadParameter.__mro__[2]
 """Base of everything that the command-line parser complains about; its public name differs between versions of typer."""
 
 MENDABLE: Final = {
-    errno.ENOSPC: "free space, then go on with --resume",
-    errno.EDQUOT: "free space, then go on with --resume",
+    errno.ENOSPC: "free space and start again; a run goes on with --resume",
+    errno.EDQUOT: "free space and start again; a run goes on with --resume",
+    errno.EFBIG: "allow larger files (ulimit -f) and start again; a run goes on with --resume",
     errno.EROFS: "choose an --out that can be written",
     errno.EACCES: "choose an --out that can be written, or change its permissions",
     errno.EPERM: "choose an --out that can be written, or change its permissions",
     errno.ENAMETOOLONG: "choose a shorter path",
+    errno.ENOTDIR: "choose an --out below a folder",
 }
 
 

@@ -15,6 +15,7 @@ import numpy as np
 
 from sboc_e2e.compare.pages import completeness_plot, froc_plot, write_pages
 from sboc_e2e.compare.paired import Outcomes, difference, froc, mcnemar
+from sboc_e2e.files.atomic import require_writable, write_text
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import SEAMS, Registry
 from sboc_e2e.report import pictures
@@ -100,9 +101,9 @@ class Workspace:
             made.manifest.stages["onboard"] = json.loads((shared / "stage.json").read_text())
         else:
             made.onboard()
-            shared.mkdir(parents=True, exist_ok=True)
+            require_writable(shared)
             made.directory.downlink.replace(shared / "downlink.bin")
-            (shared / "stage.json").write_text(json.dumps(made.manifest.stages["onboard"]))
+            write_text(shared / "stage.json", json.dumps(made.manifest.stages["onboard"]))
         _link(shared / "downlink.bin", made.directory.downlink)
         made.manifest.save()
         made.ground()

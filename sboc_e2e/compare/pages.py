@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from sboc_e2e.files.atomic import write_text
 from sboc_e2e.report import plots
 from sboc_e2e.report.page import simple_page, table
 from sboc_e2e.report.words import figure_words, number
@@ -68,14 +69,14 @@ PAIR_HEAD = ("pair", "gain in completeness (S/N >= 5)", "only first", "only seco
 
 def write_pages(result: dict[str, Any], pictures: dict[str, str], gallery: list[dict[str, Any]], out: Path) -> None:
     """All three files; `pictures` are titled SVGs, `gallery` cut-outs of streaks that one found and another lost."""
-    (out / "compare.json").write_text(json.dumps(result, indent=1))
+    write_text(out / "compare.json", json.dumps(result, indent=1))
     title = f"{result['seam']} on {result['scenario']}"
     note = f"{result['n_frames']} frames, {result['n_truth']} truth streaks with S/N >= 3, {result['seeds']} seed(s)."
     rows, pairs = choice_rows(result), pair_rows(result)
     lines = [f"# {title}", "", note, ""]
     for head, cells in ((HEAD, rows), (PAIR_HEAD, pairs)):
         lines += ["| " + " | ".join(head) + " |", "|" + "---|" * len(head), *("| " + " | ".join(r) + " |" for r in cells), ""]
-    (out / "compare.md").write_text("\n".join(lines))
+    write_text(out / "compare.md", "\n".join(lines))
     body = [f"<p>{note}</p>", table(HEAD, rows), "<h2>Pairs</h2>", table(PAIR_HEAD, pairs), '<div class="plots">']
     body += [f"<figure><figcaption>{name}</figcaption>{svg}</figure>" for name, svg in pictures.items()]
     body += ["</div>", "<h2>Found by one, lost by another</h2>"]
@@ -87,4 +88,4 @@ def write_pages(result: dict[str, Any], pictures: dict[str, str], gallery: list[
             f"lost by {item['lost']}</figcaption></figure>"
         )
     body += ["</div>"] if gallery else []
-    (out / "compare.html").write_text(simple_page(title, body))
+    write_text(out / "compare.html", simple_page(title, body))

@@ -1,5 +1,6 @@
 """Files that are either whole or not there: written under a temporary name in the same folder, then renamed."""
 
+import errno
 import json
 import os
 from collections.abc import Iterator
@@ -8,19 +9,38 @@ from pathlib import Path
 from typing import IO, Any, Final
 
 TEMPORARY_SUFFIX: Final = ".part"
+UNWRITABLE: Final = frozenset(
+    {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENAMETOOLONG, errno.ENOTDIR}
+)
+"""What the system says when a place cannot be written, for whatever reason of the user's side."""
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[IO[bytes]]:
-    """A binary file that takes the place of `path` when the block ends well, and vanishes when it does not."""
+    """A binary file that takes the place of `path` when the block ends well, and vanishes when it does not.
+
+    Errors of the system name the file, also those of writing, which do not by themselves.
+    """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f"{path.name}.{os.getpid()}{TEMPORARY_SUFFIX}")
     try:
         with temporary.open("wb") as stream:
             yield stream
         temporary.replace(path)
+    except OSError as error:
+        if error.filename is None:
+            error.filename = str(path)
+        raise
     finally:
         temporary.unlink(missing_ok=True)
+
+
+def require_writable(folder: Path) -> None:
+    """Make a folder and prove that files can be made in it, before long work; raises `OSError` that names it."""
+    folder.mkdir(parents=True, exist_ok=True)
+    with replacing(folder / ".writable"):
+        pass
+    (folder / ".writable").unlink()
 
 
 def write_bytes(path: Path, data: bytes) -> None:

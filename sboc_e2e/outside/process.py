@@ -50,10 +50,11 @@ def process(
     """
     directory = RunDirectory(path=out)
     n_frames = source.n_frames
-    directory.prepare(resume=False, force=force)
     known = camera_of_preset(camera, registry) if camera else None
     first = next(iter(source.frames()))
     nominal = _fitting(known, first.frame) if known else camera_of_frame(first)
+    # Only now: what is wrong with frames or camera costs no earlier products.
+    directory.prepare(resume=False, force=force)
     manifest = Manifest.of(directory.manifest, scenario)
     manifest.n_frames = n_frames
     manifest.save()

@@ -7,6 +7,7 @@ from typing import Any, Final
 
 import jinja2
 
+from sboc_e2e.files.atomic import write_text
 from sboc_e2e.report import pictures, plots
 from sboc_e2e.report.layers import cases, completeness_series, frame_layers
 from sboc_e2e.report.words import figure_words, section_rows
@@ -45,14 +46,8 @@ def write_report(run_dir: Path, evaluation: Evaluation | None = None) -> None:
     """
     score = json.loads((run_dir / "score.json").read_text())
     e = evaluation or evaluate(run_dir)
-    _replace(run_dir / "report.md", markdown(score, e))
-    _replace(run_dir / "report.html", html(score, e, run_dir))
-
-
-def _replace(path: Path, text: str) -> None:
-    temporary = path.with_suffix(path.suffix + ".part")
-    temporary.write_text(text, encoding="utf-8")
-    temporary.replace(path)
+    write_text(run_dir / "report.md", markdown(score, e))
+    write_text(run_dir / "report.html", html(score, e, run_dir))
 
 
 def markdown(score: dict[str, Any], e: Evaluation) -> str:

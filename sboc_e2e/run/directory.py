@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
-from sboc_e2e.files.atomic import remove_leftovers
+from sboc_e2e.files.atomic import remove_leftovers, require_writable
 from sboc_e2e.icd.errors import UserError
 
 STAGES: Final = ("simulate", "onboard", "ground", "score", "report")
@@ -103,7 +103,7 @@ class RunDirectory:
             occupied = False
         elif occupied and not resume:
             raise UserError(f"{self.path}: holds a run; --resume goes on with it, --force replaces it")
-        self.path.mkdir(parents=True, exist_ok=True)
+        require_writable(self.path)
         if occupied:
             for folder in (self.path, self.frames, self.calibration, self.truth, self.products):
                 remove_leftovers(folder)

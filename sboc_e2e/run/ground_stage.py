@@ -7,6 +7,7 @@ import dataclasses
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
@@ -93,12 +94,23 @@ class GroundStage:
         products = self._frame_products(frames, progress)
         with self.meter:
             result = self.chain.finish(frames, products, ingest)
-        self._write(frames, result)
+        made = self.run.work(STAGE) / "products"
+        shutil.rmtree(made, ignore_errors=True)
+        self._write(made, frames, result)
         if known is not None:
-            ecsv.write_table(self.run.products / "known.ecsv", known_objects.matches(result, known))
+            ecsv.write_table(made / "known.ecsv", known_objects.matches(result, known))
         if precise:
-            write_json(self.run.products / "bias.json", known_objects.bias(result, precise))
+            write_json(made / "bias.json", known_objects.bias(result, precise))
+        self._publish(made)
         return len(frames), peak_rss_mb()
+
+    def _publish(self, made: Path) -> None:
+        """Finished products take the place of earlier ones, which stay until then; nothing stale is left among them."""
+        earlier = self.run.work(STAGE) / "earlier"
+        shutil.rmtree(earlier, ignore_errors=True)
+        if self.run.products.is_dir():
+            self.run.products.rename(earlier)
+        made.rename(self.run.products)
 
     def _frame_products(self, frames: tuple[DownlinkFrame, ...], progress: Progress) -> list[FrameProducts]:
         """Products of each frame, from the work folder as far as an earlier attempt came."""
@@ -121,11 +133,9 @@ class GroundStage:
             progress.advance()
         return products
 
-    def _write(self, frames: tuple[DownlinkFrame, ...], result: GroundProducts) -> None:
-        """The tables and messages of products/; earlier ones go first, so that nothing stale stays."""
-        folder, options = self.run.products, self.options
-        if folder.is_dir():
-            shutil.rmtree(folder)
+    def _write(self, folder: Path, frames: tuple[DownlinkFrame, ...], result: GroundProducts) -> None:
+        """The tables and messages of products/."""
+        options = self.options
         made = {
             "frames": _with_origin(tables.frames_table(result, frames), self.outside.origin),
             "stars": tables.stars_table(result, frames),

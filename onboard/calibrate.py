@@ -92,7 +92,7 @@ class IntegerCalibration:
             part = slice(row, row + ROWS_AT_ONCE)
             dark[part] = np.clip(np.rint(calibration.dark_adu[part]), -32768, 32767)
             fraction[part] = np.rint(np.clip(calibration.dark_adu[part] - dark[part], -0.5, 0.5) * FRACTIONS_PER_ADU)
-        return cls(dark=dark, fraction=fraction, defects=calibration.defects)
+        return cls(dark=dark, fraction=fraction, defects=calibration.defects.copy())
 
     def window(self, header: FrameHeader) -> "IntegerCalibration":
         """The part that a (windowed) frame covers."""

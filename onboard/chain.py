@@ -178,27 +178,28 @@ class OnboardChain:
 
     def _calibrated(self, header: FrameHeader, counts: Counts, state: OnboardState) -> tuple[DetectorView, Writable, int]:
         """The view without stars, what lies under it, and how many pixels are masked."""
-        defects = state.hot_pixels.masked(counts.defects)
-        estimated = self._guarded("background", self._steps.background.estimate, counts.pixels, counts.dark, defects)
-        if not isinstance(estimated, BackgroundModel):
-            raise self._fault("background", f"expected a BackgroundModel, got {type(estimated).__name__}")
-        background = background_in_adu(estimated, counts)
         residual, mask = self._buffers(counts.pixels.shape)
         row_sums = np.empty((len(residual), 2))
-        n_masked = residual_pass(
-            counts.pixels,
-            counts.dark,
-            counts.fraction,
-            defects,
-            background.level_adu - np.float32(counts.adu_offset),
-            background.tile_px,
-            counts.saturation,
-            counts.adu_scale,
-            ROW_LIMIT_SIGMA * float(np.median(background.sigma_adu)),
-            residual,
-            mask,
-            row_sums,
-        )
+        with state.hot_pixels.added_to(counts.defects):
+            given = (counts.pixels, _read_only(counts.dark), _read_only(counts.defects))
+            estimated = self._guarded("background", self._steps.background.estimate, *given)
+            if not isinstance(estimated, BackgroundModel):
+                raise self._fault("background", f"expected a BackgroundModel, got {type(estimated).__name__}")
+            background = background_in_adu(estimated, counts)
+            n_masked = residual_pass(
+                counts.pixels,
+                counts.dark,
+                counts.fraction,
+                counts.defects,
+                background.level_adu - np.float32(counts.adu_offset),
+                background.tile_px,
+                counts.saturation,
+                counts.adu_scale,
+                ROW_LIMIT_SIGMA * float(np.median(background.sigma_adu)),
+                residual,
+                mask,
+                row_sums,
+            )
         view = DetectorView(
             header=header,
             residual_adu=residual,
@@ -345,6 +346,13 @@ class OnboardChain:
         fits = outbox.fits(tight.payloads)
         outbox.bytes_dropped += packet_bytes(full.payloads) - (packet_bytes(tight.payloads) if fits else 0)
         return tight if fits else None
+
+
+def _read_only(array: NDArray[Any]) -> NDArray[Any]:
+    """A view that a plug-in cannot write to."""
+    view = array.view()
+    view.flags.writeable = False
+    return view
 
 
 def _checksum(pixels: NDArray[np.uint16] | NDArray[np.float32]) -> int:

@@ -1,6 +1,7 @@
 """What stays where it was: hot pixels learned over frames, and detections seen before at the same place."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -57,15 +58,17 @@ class HotPixels:
         """Flat indices of pixels taken for hot."""
         return self.pixel[self.seen >= SIGHTINGS]
 
-    def masked(self, defects: NDArray[np.uint8]) -> NDArray[np.uint8]:
-        """Defects with the learned pixels added; the input when nothing was learned."""
+    @contextmanager
+    def added_to(self, defects: NDArray[np.uint8]) -> Iterator[None]:
+        """The learned pixels are in the map of defects as long as this lasts: a copy of the map would be a frame's memory."""
         learned = self.learned()
-        learned = learned[learned < defects.size]
-        if len(learned) == 0:
-            return defects
-        out = defects.copy()
-        out.ravel()[learned] |= np.uint8(MaskBit.LEARNED_HOT)
-        return out
+        place = np.divmod(learned[learned < defects.size], defects.shape[1])
+        before = defects[place]
+        defects[place] = before | np.uint8(MaskBit.LEARNED_HOT)
+        try:
+            yield
+        finally:
+            defects[place] = before
 
 
 def flag_static(detections: Sequence[Detection], recent: Sequence[Sequence[Detection]]) -> tuple[Detection, ...]:

@@ -23,8 +23,8 @@ from onboard.detect import (
     LineIntegralDetector,
     LsdDetector,
     ThresholdDetector,
-    warm_up,
 )
+from onboard.detect.warm_up import warm_up
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView
 from sboc_e2e.icd.steps import Detector
@@ -280,7 +280,7 @@ def main(quick: bool) -> dict[str, Any]:
     """All figures of this benchmark, JSON-able."""
     warm_up()
     detector = LineIntegralDetector()
-    size, n = (2048, 4) if quick else (4096, 20)
+    size, n = (2048, 4) if quick else (4096, 8)
     result: dict[str, Any] = {"size_px": size, "stars_above_snr8": int(STARS * (size / 4096) ** 2)}
     result["blank"] = blank_frames(detector, size, n, seed=11)
     result["noise_only"] = blank_frames(detector, size, n, seed=12, n_stars=0)

@@ -6,11 +6,15 @@ Times are process CPU seconds of one thread; compilation is excluded and given a
 
 import json
 import math
-import resource
+import pickle
+import subprocess
+import sys
+import tempfile
 import time
 import tracemalloc
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -29,26 +33,21 @@ from onboard.stars import MatchedStars
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.flags import StarFlag
 from sboc_e2e.icd.frame import Calibration, Frame
-from sboc_e2e.icd.signals import Detection, DetectorView, RoiGroup, StarList
+from sboc_e2e.icd.signals import Detection, RoiGroup, StarList
 from sboc_e2e.icd.steps import Detector
 from sboc_e2e.truth import FrameTruth
 from simulator.chain import Simulator
 from simulator.options import SimulatorOptions
+from tests.benchmarks import onboard_process
 from tests.benchmarks.bench_codecs import best_cpu_s, figure
+from tests.benchmarks.onboard_process import NoDetector
 from tests.onboard.star_fields import axis_weights
 
 RAW_BITS = 12
+SAA_PEAK_HITS = 5100.0
+"""Hits per frame of the default sensor and exposure at the default peak of the South Atlantic Anomaly."""
 
-
-@dataclass(frozen=True, kw_only=True)
-class NoDetector:
-    """Finds nothing: the chain's own cost."""
-
-    history_frames: int = 0
-
-    def detect(self, view: DetectorView) -> tuple[Detection, ...]:
-        """Nothing."""
-        return ()
+STORM_HITS = (1000, 3000, 5000)
 
 
 def chain_of(detector: Detector, calibration: Calibration) -> OnboardChain:
@@ -169,11 +168,14 @@ def downlink_figures(results: list[OnboardResult], frames: list[tuple[Frame, Fra
     """Reduction, bits by kind, captured flux of streaks that were found, what the budget dropped."""
     raw = frames[0][0].pixels.size * RAW_BITS / 8
     shape = frames[0][0].pixels.shape
-    captured, n_found, n_snr8 = [], 0, 0
+    captured, n_found, n_snr8, n_detected, n_lost = [], 0, 0, 0, 0
     for result, (_, truth) in zip(results, frames, strict=True):
         for streak in truth.streaks[truth.streaks["snr"] >= 8]:
             share = captured_flux(result.rois, streak, shape)
             n_snr8 += 1
+            if share >= 0.5 or detected(result.detections, streak):
+                n_detected += 1
+                n_lost += int(share < 0.5)
             if share >= 0.5:
                 n_found += 1
                 captured.append(share)
@@ -188,7 +190,8 @@ def downlink_figures(results: list[OnboardResult], frames: list[tuple[Frame, Fra
         "captured_flux_fraction_least": {"value": min(captured, default=0.0), "n": len(captured)},
         "completeness_snr8": {"value": n_found / max(n_snr8, 1), "n": n_snr8},
         "rois_per_frame": figure([float(len(r.rois)) for r in results]),
-        "rois_dropped_by_budget": figure([float(r.housekeeping.n_rois_dropped) for r in results]),
+        "detected_but_lost_fraction": {"value": n_lost / max(n_detected, 1), "n": n_detected},
+        "rois_dropped": figure([float(r.housekeeping.n_rois_dropped) for r in results]),
     }
 
 
@@ -222,6 +225,70 @@ def sizing(detector: Callable[[], Detector], frames: list[tuple[Frame, FrameTrut
     return {"peak_allocated_mb": {"value": peak / 1e6, "n": 3}, "peak_allocated_mb_per_mpx": {"value": peak / 1e6 / mpx, "n": 3}}
 
 
+def clock_hz() -> float | None:
+    """Clock of the first processor, for sizing others by cycles (Linux on x86); None where it is not told."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        return 1e6 * float(next(line for line in lines if line.startswith("cpu MHz")).split(":")[1])
+    except (OSError, StopIteration, ValueError):
+        return None
+
+
+def detected(detections: tuple[Detection, ...], streak: NDArray[np.void]) -> bool:
+    """Whether some detection lies on a truth streak: both ends within 12 px of its path and half of its length covered."""
+    path = np.column_stack((streak["path_row"], streak["path_col"]))
+    length = float(np.hypot(*np.diff(path, axis=0).T).sum())
+    share = np.linspace(0.0, 1.0, 200) * (len(path) - 1)
+    fine = np.column_stack([np.interp(share, np.arange(len(path)), path[:, k]) for k in (0, 1)])
+    for d in detections:
+        ends = np.array([[d.row0, d.col0], [d.row1, d.col1]])
+        if np.hypot(*(fine[:, None] - ends).transpose(2, 0, 1)).min(axis=0).max() < 12.0 and d.length_px > 0.5 * length - 12.0:
+            return True
+    return False
+
+
+def storm(hits: int, n_frames: int) -> dict[str, Any]:
+    """The default chain in a particle storm of about so many hits per frame: what is sent, found, and lost to the budget."""
+    options = SimulatorOptions()
+    peak = options.radiation.saa_peak_omni_cm2_s * hits / SAA_PEAK_HITS
+    radiation = replace(options.radiation, environment="saa", saa_peak_omni_cm2_s=peak)
+    simulator = Simulator(replace(options, radiation=radiation), seed=5, catalogue=StarCatalogue.embedded())
+    frames = [simulator.frame(number) for number in range(n_frames)]
+    results, times, _ = timed_run(chain_of(LineIntegralDetector(), simulator.calibration()), frames)
+    sent = downlink_figures(results, frames)
+    names = ("total_reduction", "completeness_snr8", "detected_but_lost_fraction", "rois_per_frame", "rois_dropped")
+    return {
+        "hits": figure([float(len(truth.cosmics)) for _, truth in frames]),
+        "detections": figure([float(len(r.detections)) for r in results]),
+        "cpu_s_per_frame": figure(times),
+        **{name: sent[name] for name in names},
+    }
+
+
+def process_memory(frames: list[tuple[Frame, FrameTruth]], calibration: Calibration) -> dict[str, Any]:
+    """Resident memory of the on-board software alone in a process, by stage, with each detector.
+
+    The floor is the interpreter with its compiler and libraries; a flight build without them has the rest.
+    """
+    out: dict[str, Any] = {}
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        (folder / "calibration.pickle").write_bytes(pickle.dumps(calibration))
+        (folder / "camera.pickle").write_bytes(pickle.dumps(calibration.camera))
+        for number, (frame, _) in enumerate(frames[:4]):
+            (folder / f"{number}.pickle").write_bytes(pickle.dumps(frame))
+        for detector in ("none", "threshold", "line_integral"):
+            command = [sys.executable, "-m", onboard_process.__name__, name, detector]
+            done = subprocess.run(command, check=True, capture_output=True, text=True)
+            stages = json.loads(done.stdout)
+            mpx = frames[0][0].pixels.size / 1e6
+            stages["peak_above_libraries_and_kernels"] = stages["peak"] - stages["libraries_and_kernels"]
+            out[detector] = {f"{stage}_rss_mb": {"value": value, "n": len(frames[:4])} for stage, value in stages.items()}
+            own = stages["peak_above_libraries_and_kernels"] / mpx
+            out[detector]["peak_above_libraries_and_kernels_rss_mb_per_mpx"] = {"value": own, "n": len(frames[:4])}
+    return out
+
+
 def cropped(frame: Frame, calibration: Calibration, side: int) -> tuple[OnboardChain, Frame]:
     """A chain and a frame of the first `side` rows and cols."""
     header = replace(frame.header, rows=side, cols=side)
@@ -237,7 +304,6 @@ def main(quick: bool = False) -> dict[str, Any]:
     out: dict[str, Any] = {}
     bare, bare_times, cold = timed_run(chain_of(NoDetector(), calibration), frames)
     out["chain_without_detector"] = {**spread(bare_times), "first_frame_cpu_s": figure([cold])}
-    peak_kb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     detectors: dict[str, Callable[[], Detector]] = {"threshold": ThresholdDetector, "line_integral": LineIntegralDetector}
     for name, detector in detectors.items():
         results, times, cold = timed_run(chain_of(detector(), calibration), frames)
@@ -255,14 +321,16 @@ def main(quick: bool = False) -> dict[str, Any]:
     )
     out["speedup_over_sep"] = {"value": his / own, "n": n_frames - 1}
     out["stars"] = star_figures(bare[0].stars, frames[0][1], float(frames[0][1].frame["noise_e"][0]))
-    out["peak_rss_mb_with_simulator"] = {"value": peak_kb / 1024.0, "n": 1}
+    out["process"] = process_memory(frames, calibration)
     out["memory_without_detector"] = sizing(NoDetector, frames, calibration)
     out["memory_line_integral"] = sizing(LineIntegralDetector, frames, calibration)
-    per_frame = out["chain_without_detector"]["cpu_s_per_frame"]["value"]
-    out["chain_without_detector"]["cpu_ms_per_mpx"] = {
-        "value": 1e3 * per_frame / (frames[0][0].pixels.size / 1e6),
-        "n": n_frames - 1,
-    }
+    for name in ("chain_without_detector", *(f"chain_{detector}" for detector in detectors)):
+        per_mpx_ms = 1e3 * out[name]["cpu_s_per_frame"]["value"] / (frames[0][0].pixels.size / 1e6)
+        out[name]["cpu_ms_per_mpx"] = {"value": per_mpx_ms, "n": n_frames - 1}
+        if clock_hz() is not None:
+            out[name]["cycles_per_px"] = {"value": 1e-9 * per_mpx_ms * clock_hz(), "n": n_frames - 1}
+    if not quick:
+        out["storm"] = {f"{hits}_hits": storm(hits, 3) for hits in STORM_HITS}
     corner = cropped(frames[0][0], calibration, 512)
     out["allocation_growth_mb"] = allocation_growth_mb(*corner, 100 if quick else 1000)
     return out

@@ -1,6 +1,7 @@
 """Soak of the on-board chain: thousands of frames from eight stored ones; memory must stay flat, latency is a histogram."""
 
 import dataclasses
+import json
 import resource
 import time
 from pathlib import Path
@@ -57,6 +58,9 @@ def soak(scenario_name: str, n_frames: int, overrides: tuple[str, ...] = ()) -> 
         "frames": exact(n_frames, n_frames),
         "growth_mb_per_1000_frames": exact(growth, len(frames)),
         "resident_rss_mb": exact(memory_mb[-1], 1),
+        "resident_rss_mb_least_after_settling": exact(min(memory_mb[settled:]), len(frames)),
+        "resident_rss_mb_most_after_settling": exact(max(memory_mb[settled:]), len(frames)),
+        "downlink_bytes_per_frame": exact(sent / n_frames, n_frames),
         **{f"latency_cpu_ms_p{p}": exact(float(q), len(frames)) for p, q in zip((50, 90, 99, 100), quantiles, strict=True)},
         "latency_histogram": {"edges_ms": edges.round(2).tolist(), "counts": counts.tolist()},
     }
@@ -66,3 +70,7 @@ def main(quick: bool = False) -> dict[str, Any]:
     """10,000 frames of 512 x 512 and 2,000 of 4096 x 4096; the quick form takes 200 and none."""
     small = soak("smoke", 200 if quick else 10_000)
     return {"smoke_512": small} if quick else {"smoke_512": small, "sso_antisun_4096": soak("sso_antisun", 2_000)}
+
+
+if __name__ == "__main__":
+    print(json.dumps(main(), indent=2))  # noqa: T201 - the script's result

@@ -1,0 +1,101 @@
+"""The on-board software alone in a process, as it would fly: ``python -m tests.benchmarks.onboard_process FOLDER DETECTOR``.
+
+FOLDER holds `calibration.pickle`, `camera.pickle` and frames 0.pickle, 1.pickle, ... Prints resident memory (MB of 10^6 bytes)
+stage by stage as JSON. Nothing but the interpreter is loaded before the first figure.
+"""
+
+import json
+import pickle
+import resource
+import sys
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+STATUS = Path("/proc/self/status")
+CLASSES = {"threshold": "ThresholdDetector", "line_integral": "LineIntegralDetector"}
+
+
+class NoDetector:
+    """Finds nothing: the chain's own cost."""
+
+    history_frames = 0
+
+    def detect(self, view: Any) -> tuple[Any, ...]:
+        """Nothing."""
+        return ()
+
+
+def memory_mb(field: str) -> float:
+    """`VmRSS` (now) or `VmHWM` (peak since the last reset) of this process; elsewhere than on Linux the peak of its life."""
+    if not STATUS.exists():
+        return resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e3
+    line = next(line for line in STATUS.read_text().splitlines() if line.startswith(field))
+    return int(line.split()[1]) * 1024 / 1e6
+
+
+def reset_peak() -> None:
+    """Start a new peak where that is possible."""
+    try:
+        Path("/proc/self/clear_refs").write_text("5")
+    except OSError:
+        return
+
+
+def _small_frames(chain_type: Any, options: Any, steps: Any, camera: Any) -> None:
+    """Two frames of 256 x 256 with stars and a trail, so that every compiled kernel is in memory."""
+    import numpy as np
+
+    from sboc_e2e.icd.frame import Frame, FrameHeader
+
+    side = 256
+    chain = chain_type(options, steps, calibration=None, camera=camera, run_id=1)
+    state = chain.initial_state()
+    for number in range(2):
+        rng = np.random.default_rng(number)
+        pixels = rng.normal(260.0, 2.4, (side, side))
+        row, col = np.indices((side, side), dtype=float)
+        for star in range(40):
+            at = (6.0 * star + 5.0, (37.0 * star) % 240.0 + 8.0)
+            pixels += 60.0 * (1 + star % 5) * np.exp(-0.5 * ((row - at[0]) ** 2 + (col - at[1]) ** 2) / 0.8)
+        pixels += 4.0 * np.exp(-0.5 * ((row - 30.0 - 20.0 * number - 0.7 * col) / 0.9) ** 2)
+        header = FrameHeader(
+            frame=number, t_start_tai_ns=2_000_000_000_000_000_000 + number * 250_000_000, exposure_ns=200_000_000,
+            line_time_ns=10_000, rows=side, cols=side, gain_e_adu=1.2, read_noise_e=2.3, saturation_adu=32000.0,
+        )  # fmt: skip
+        state, _ = chain.process(state, Frame(header=header, pixels=np.rint(pixels).astype(np.uint16)))
+
+
+def main(folder: Path, detector: str) -> dict[str, float]:
+    """Memory after each stage, and the peak while frames are processed."""
+    out = {"interpreter": memory_mb("VmRSS")}
+    import_module("numba")
+    out["numpy_and_numba"] = memory_mb("VmRSS")
+    from onboard.background import MeshBackground
+    from onboard.chain import OnboardChain, OnboardSteps
+    from onboard.codec import PlanesCodec
+    from onboard.options import OnboardOptions
+    from onboard.stars import MatchedStars
+
+    found = NoDetector if detector == "none" else getattr(import_module(f"onboard.detect.{detector}"), CLASSES[detector])
+    out["libraries"] = memory_mb("VmRSS")
+    steps = OnboardSteps(background=MeshBackground(), star_extractor=MatchedStars(), detector=found(), codec=PlanesCodec())
+    _small_frames(OnboardChain, OnboardOptions(), steps, pickle.loads((folder / "camera.pickle").read_bytes()))  # noqa: S301 - as above
+    out["libraries_and_kernels"] = memory_mb("VmRSS")
+    calibration = pickle.loads((folder / "calibration.pickle").read_bytes())  # noqa: S301 - written by the benchmark
+    chain = OnboardChain(OnboardOptions(), steps, calibration=calibration, camera=calibration.camera, run_id=1)
+    del calibration
+    out["calibrated"] = memory_mb("VmRSS")
+    state, peaks = chain.initial_state(), []
+    for number in range(len(list(folder.glob("[0-9]*.pickle")))):
+        frame = pickle.loads((folder / f"{number}.pickle").read_bytes())  # noqa: S301 - written by the benchmark
+        reset_peak()
+        state, _ = chain.process(state, frame)
+        peaks.append(memory_mb("VmHWM"))
+    out["after_frames"] = memory_mb("VmRSS")
+    out["peak"] = max(peaks[1:])
+    return out
+
+
+if __name__ == "__main__":
+    print(json.dumps(main(Path(sys.argv[1]), sys.argv[2])))  # noqa: T201 - the script's result

@@ -252,6 +252,54 @@ def test_a_damaged_detector_publishes_nothing_false_and_keeps_what_it_can(
     assert len(missed) <= len(unharmed) // 20
 
 
+SMALL_PIXELS = 'instrument.pixel="36 um"'
+STORM = (SMALL_PIXELS, "radiation.enabled=true", 'radiation.environment="saa"')
+"""The peak of the South Atlantic Anomaly at 700 km; a pixel of 36 um meets 16 times the tracks of one of 9 um."""
+
+AS_IN_SBOC = 'radiation.saa_peak_omni="230 cm-2 s-1"'
+"""The same tracks for each pixel as there."""
+
+
+def test_in_a_particle_storm_nothing_false_is_published_and_trails_are_still_measured(healthy: Run, tmp_path: Path) -> None:
+    done = made(tmp_path, *STORM, AS_IN_SBOC)
+    table = streaks_of(done.directory)
+    assert np.all(true_ones(done.directory, published(table)))
+    assert np.count_nonzero(true_ones(done.directory, table)) >= 0.9 * len(published(streaks_of(healthy.directory)))
+    assert len(published(table)) >= 0.7 * len(published(streaks_of(healthy.directory)))
+
+
+def test_a_storm_beyond_the_limit_of_detections_is_cut_and_said(tmp_path: Path) -> None:
+    done = made(tmp_path, *STORM, "onboard.roi.max_per_frame=8")
+    frames, _ = decode_downlink(done.directory.downlink.read_bytes(), SHIPPED_DECODERS)
+    counts = [frame.housekeeping for frame in frames if frame.housekeeping is not None]
+    assert any(count.n_detections > 8 for count in counts)
+    for frame, count in zip(frames, counts, strict=True):
+        assert bool(frame.flags & FrameFlag.STORM) == (count.n_detections > 8)
+        assert count.n_rois_sent <= 8
+        assert count.n_rois_sent + count.n_rois_dropped == count.n_detections
+    table = published(streaks_of(done.directory))
+    assert np.all(true_ones(done.directory, table))
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    "override",
+    ["faults.pixels.stuck_column=100", "faults.pixels.dead_quadrant=true", "faults.pixels.stray_light=300 ADU"],
+    ids=["stuck column", "dead quadrant", "stray light"],
+)
+def test_a_damaged_detector_with_a_wide_psf_publishes_nothing_more_that_is_false(tmp_path: Path, override: str) -> None:
+    """Pixels half as wide, so that the PSF covers twice as many: faults are sharper than stars."""
+    false, true = [], []
+    for folder, overrides in (("healthy", (SMALL_PIXELS,)), ("hurt", (SMALL_PIXELS, override))):
+        (tmp_path / folder).mkdir()
+        done = made(tmp_path / folder, *overrides)
+        table = published(streaks_of(done.directory))
+        true.append(np.count_nonzero(true_ones(done.directory, table)))
+        false.append(len(table) - true[-1])
+    assert false[1] <= false[0] + 2
+    assert true[1] >= 0.6 * true[0], "three quadrants are left in the worst case, and trails that cross into the fourth are cut"
+
+
 def test_damaged_downlinks_cannot_be_damaged_again() -> None:
     with pytest.raises(UserError, match="ends inside a packet"):
         split_packets(bytes(20))

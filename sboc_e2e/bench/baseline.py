@@ -1,4 +1,9 @@
-"""The committed baseline, and what counts as a regression: worse by more than the measured noise allows."""
+"""The committed baseline, and what counts as a regression: worse by more than the measured noise allows.
+
+A figure is kept with the standard deviation of its measured noise (its 90 % interval as a normal's). It has regressed when it
+is worse by more than four standard deviations of baseline and measurement together, and by more than a floor. Figures without
+a measured noise are reported and not judged; timings and memory have a fixed tolerance. Biases are judged by their size.
+"""
 
 import json
 from collections.abc import Iterable
@@ -14,6 +19,7 @@ SIGMAS: Final = 4.0
 FLOOR_SHARE: Final = 0.02
 """Smallest change that counts, as a share of the baseline: differences below are not worth a failed build."""
 
+TIMING_UNITS: Final = ("s", "ms", "MB", "MB/s")
 TIMING_SHARE: Final = 0.5
 """Timings and memory of shared machines scatter by tens of per cent; ratios to peers in the same run are the sharper test."""
 
@@ -32,9 +38,14 @@ class Regression:
         return f"{self.name}: {self.now:.4g} where the baseline has {self.before:.4g} (allowed change {self.allowed:.2g})"
 
 
+def judged(e: Entry) -> bool:
+    """Whether a figure can regress: it has a value, a better direction, and a noise that is known."""
+    return e.value is not None and e.better != EITHER and (e.measured or e.unit in TIMING_UNITS)
+
+
 def write_baseline(path: Path, entries: Iterable[Entry]) -> None:
-    """Keep values and their noise of all figures that have a better direction."""
-    kept = {e.name: {"value": e.value, "sigma": e.sigma} for e in entries if e.value is not None and e.better != EITHER}
+    """Keep values and their noise of all figures that can regress."""
+    kept = {e.name: {"value": e.value, "sigma": e.sigma} for e in entries if judged(e)}
     write_text(path, json.dumps(kept, indent=1, sort_keys=True) + "\n")
 
 
@@ -53,12 +64,13 @@ def regressions(entries: Iterable[Entry], baseline: dict[str, dict[str, float]])
     out = []
     for e in entries:
         before = baseline.get(e.name)
-        if before is None or e.value is None or e.better == EITHER:
+        if before is None or e.value is None or not judged(e):
             continue
-        value = float(before["value"])
-        share = TIMING_SHARE if e.unit in ("s", "ms", "MB", "MB/s") else FLOOR_SHARE
-        allowed = max(SIGMAS * (e.sigma**2 + float(before["sigma"]) ** 2) ** 0.5, share * abs(value), 1e-9)
-        worse = e.value - value if e.better == LOWER else value - e.value
+        signed = float(before["value"])
+        value, now = (abs(signed), abs(e.value)) if "bias" in e.name else (signed, e.value)
+        share = TIMING_SHARE if e.unit in TIMING_UNITS else FLOOR_SHARE
+        allowed = max(SIGMAS * (e.sigma**2 + float(before["sigma"]) ** 2) ** 0.5, share * value, 1e-9)
+        worse = now - value if e.better == LOWER else value - now
         if worse > allowed:
-            out.append(Regression(name=e.name, before=value, now=e.value, allowed=allowed))
+            out.append(Regression(name=e.name, before=signed, now=e.value, allowed=allowed))
     return out

@@ -54,6 +54,8 @@ class Entry:
     low: float
     high: float
     reason: str = ""
+    measured: bool = True
+    """Whether the bench gave an interval (a deterministic figure has one without width); bare numbers have an unknown noise."""
 
     @property
     def better(self) -> str:
@@ -72,22 +74,34 @@ class Entry:
 
 
 def flatten(prefix: str, tree: Any) -> list[Entry]:
-    """Entries of a nested result: figures as they are, bare numbers as figures without interval; texts and lists left out."""
-    if is_figure(tree):
+    """Entries of a nested result: figures as they are, bare numbers as figures of unknown noise; texts and lists left out.
+
+    Intervals are `low` and `high`, a pair `interval`, or, for rates of rare events, only an upper limit.
+    """
+    if is_figure(tree) or (isinstance(tree, dict) and "value" in tree and "n_frames" in tree):
+        n = int(tree.get("n") or tree.get("n_frames") or 0)
         if tree["value"] is None:
-            return [Entry(name=prefix, value=None, n=int(tree["n"]), low=0.0, high=0.0, reason=str(tree.get("reason", "")))]
+            return [Entry(name=prefix, value=None, n=n, low=0.0, high=0.0, reason=str(tree.get("reason", "")))]
         value = float(tree["value"])
-        low, high = tree.get("low"), tree.get("high")
-        return [
-            Entry(
-                name=prefix, value=value, n=int(tree["n"] or 0), low=value if low is None else float(low),
-                high=value if high is None else float(high),
-            )
-        ]  # fmt: skip
+        low, high, known = _interval(tree, value)
+        return [Entry(name=prefix, value=value, n=n, low=low, high=high, measured=known)]
     if isinstance(tree, bool):
         return []
     if isinstance(tree, int | float):
-        return [Entry(name=prefix, value=float(tree), n=1, low=float(tree), high=float(tree))]
+        return [Entry(name=prefix, value=float(tree), n=1, low=float(tree), high=float(tree), measured=False)]
     if isinstance(tree, dict):
         return [entry for key, item in tree.items() for entry in flatten(f"{prefix}.{key}", item)]
     return []
+
+
+def _interval(tree: dict[str, Any], value: float) -> tuple[float, float, bool]:
+    """Ends of a figure's interval, and whether it has one."""
+    if tree.get("low") is not None and tree.get("high") is not None:
+        return float(tree["low"]), float(tree["high"]), True
+    pair = tree.get("interval")
+    if isinstance(pair, list | tuple) and len(pair) == 2 and None not in pair:
+        return float(pair[0]), float(pair[1]), True
+    upper = next((tree[key] for key in ("upper_95", "upper95") if tree.get(key) is not None), None)
+    if upper is not None:
+        return max(0.0, 2.0 * value - float(upper)), float(upper), True
+    return value, value, False

@@ -1,4 +1,4 @@
-"""Run the benches, each in a process of its own, and gather their figures."""
+"""Run the parts of the benchmark report, each in a process of its own, and gather their figures."""
 
 import json
 import os
@@ -7,27 +7,21 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, Final
 
 from sboc_e2e.bench.baseline import Regression, read_baseline, regressions, write_baseline
 from sboc_e2e.bench.entries import Entry, flatten
 from sboc_e2e.bench.pages import write_pages
-from sboc_e2e.files.atomic import require_writable
+from sboc_e2e.bench.parts import COSTS, ROOT, SCRIPTS, Part, cost_words, expected_costs, parts
+from sboc_e2e.files.atomic import require_writable, write_json
 from sboc_e2e.icd.errors import UserError
 
-ROOT: Final = Path(__file__).resolve().parents[2]
-SCRIPTS: Final = ROOT / "tests" / "benchmarks"
 ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS"), "1")
-
-RUNS: Final = (
-    ("smoke", ("smoke",)),
-    ("sso_antisun", ("sso_antisun",)),
-)
-QUICK_RUNS: Final = (
-    ("smoke", ("smoke",)),
-    ("sso_antisun_8_frames", ("sso_antisun", "--set", "frames=8")),
-)
+Measured = tuple[list[Entry], float]
+"""Figures of a part, and its wall seconds."""
 
 
 def run_bench(
@@ -35,41 +29,78 @@ def run_bench(
     *,
     quick: bool = False,
     peers: bool = False,
+    long: bool = False,
+    only: tuple[str, ...] = (),
     check: bool = False,
     rewrite_baseline: bool = False,
     report: Callable[[str], None] = lambda line: None,
 ) -> list[Regression]:
-    """Write report.json, report.md, report.html, benchmark-action.json and a line of history into `out`.
+    """Write report.json, report.md, report.html, files for github-action-benchmark and a line of history into `out`.
 
     quick : the subset for CI. peers : also the peers that live in an environment of their own (tests/benchmarks/peers).
-    check : compare with bench/baseline.json; the regressions are returned. Raises UserError outside a source checkout.
+    long : the parts that last hours in full. only : names of parts, empty for all.
+    check : compare with the baseline; the regressions are returned. Raises UserError outside a source checkout, for an
+    unknown part, and when the baseline that `check` needs is not there, before anything runs.
     """
     if not SCRIPTS.is_dir():
         raise UserError(f"sboc bench runs from a source checkout: {SCRIPTS} is not there")
+    baseline_path = baseline_file(quick=quick)
+    baseline = read_baseline(baseline_path) if check else {}
+    known = [part.name for part in parts(quick=quick, peers=True)]
+    if unknown := set(only) - set(known):
+        raise UserError(f"--only: there is no part {', '.join(sorted(unknown))}; known: {', '.join(known)}")
+    if only and rewrite_baseline:
+        raise UserError("--write-baseline: a baseline holds all parts; leave --only out")
+    wanted = parts(quick=quick, peers=peers or any(name.startswith("peers_") for name in only), long=long, only=only)
     require_writable(out)
+    processors = max(1, os.cpu_count() or 1)
+    report(cost_words(expected_costs(wanted, quick=quick), wanted, processors))
     start = time.monotonic()
-    entries: list[Entry] = []
-    costs: dict[str, float] = {}
-    for name, arguments in QUICK_RUNS if quick else RUNS:
-        report(f"run {name}")
-        began = time.monotonic()
-        entries += _scores_of_run(name, arguments, out / "runs" / name)
-        costs[name] = time.monotonic() - began
-    for script in sorted(SCRIPTS.glob("bench_*.py")):
-        name = script.stem.removeprefix("bench_")
-        if name.startswith("peers_") and not peers:
-            continue
-        report(f"bench {name}")
-        began = time.monotonic()
-        entries += flatten(name, _run_script(script.stem, quick, out))
-        costs[name] = time.monotonic() - began
+    done = _measure(wanted, out, processors, report)
+    entries = [entry for part in wanted for entry in done[part.name][0]]
+    costs = {part.name: round(done[part.name][1], 1) for part in wanted}
     environment = _environment() | {"quick": quick, "wall_s": round(time.monotonic() - start, 1)}
-    baseline_path = ROOT / "bench" / ("baseline_quick.json" if quick else "baseline.json")
     if rewrite_baseline:
         write_baseline(baseline_path, entries)
-    found = regressions(entries, read_baseline(baseline_path)) if check else []
+        stored = json.loads(COSTS.read_text()) if COSTS.is_file() else {}
+        write_json(COSTS, stored | {"quick" if quick else "full": costs})
+    found = regressions(entries, baseline)
     write_pages(entries, costs, environment, [str(r) for r in found], out)
     return found
+
+
+def baseline_file(*, quick: bool) -> Path:
+    """The committed baseline of the quick or the full benchmark."""
+    return ROOT / "bench" / ("baseline_quick.json" if quick else "baseline.json")
+
+
+def check_report(path: Path, baseline: Path | None = None) -> list[Regression]:
+    """Regressions of a stored report.json against a baseline, by default the committed one of its size. Raises UserError."""
+    try:
+        stored = json.loads(path.read_text(encoding="utf-8"))
+        quick, figures = bool(stored["environment"]["quick"]), stored["figures"]
+        entries = [Entry(**{f.name: figure[f.name] for f in fields(Entry)}) for figure in figures]
+    except OSError as error:
+        raise UserError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{path}: not a report.json of sboc bench ({type(error).__name__}: {error})") from error
+    return regressions(entries, read_baseline(baseline or baseline_file(quick=quick)))
+
+
+def _measure(wanted: list[Part], out: Path, processors: int, report: Callable[[str], None]) -> dict[str, Measured]:
+    """Parts that need the machine for themselves one after the other, then the rest side by side."""
+
+    def one(part: Part) -> Measured:
+        report(f"{'run' if part.scenario else 'bench'} {part.name}")
+        began = time.monotonic()
+        entries = _scores_of_run(part, out / "runs" / part.name) if part.scenario else flatten(part.name, _run_script(part, out))
+        return entries, time.monotonic() - began
+
+    done = {part.name: one(part) for part in wanted if part.alone}
+    shared = [part for part in wanted if not part.alone]
+    with ThreadPoolExecutor(processors) as pool:
+        done |= dict(zip((part.name for part in shared), pool.map(one, shared), strict=True))
+    return done
 
 
 def _child(arguments: list[str], what: str) -> None:
@@ -80,17 +111,18 @@ def _child(arguments: list[str], what: str) -> None:
         raise UserError(f"benchmark {what} failed with exit code {done.returncode}: {last[0][:300]}")
 
 
-def _scores_of_run(name: str, arguments: tuple[str, ...], folder: Path) -> list[Entry]:
-    _child([sys.executable, "-m", "sboc_e2e", "run", *arguments, "--out", str(folder), "--force"], name)
+def _scores_of_run(part: Part, folder: Path) -> list[Entry]:
+    _child([sys.executable, "-m", "sboc_e2e", "run", *part.scenario, "--out", str(folder), "--force"], part.name)
     score: dict[str, Any] = json.loads((folder / "score.json").read_text())
     for section in ("score_version", "passed"):
         score.pop(section, None)
-    return flatten(name, score)
+    return flatten(part.name, score)
 
 
-def _run_script(module: str, quick: bool, out: Path) -> dict[str, Any]:
+def _run_script(part: Part, out: Path) -> dict[str, Any]:
+    module = f"bench_{part.name}"
     result = out / f"{module}.json"
-    _child([sys.executable, "-m", "tests.benchmarks.driver", module, "quick" if quick else "full", str(result)], module)
+    _child([sys.executable, "-m", "tests.benchmarks.driver", module, "quick" if part.quick else "full", str(result)], module)
     return dict(json.loads(result.read_text()))
 
 

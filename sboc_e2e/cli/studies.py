@@ -59,14 +59,24 @@ def bench(
     quick: Annotated[bool, typer.Option("--quick", help="the subset for CI, under four minutes")] = False,
     check: Annotated[bool, typer.Option("--check", help="fail when a figure is worse than the committed baseline")] = False,
     peers: Annotated[bool, typer.Option("--peers", help="also peers that live in an environment of their own")] = False,
+    long: Annotated[bool, typer.Option("--long", help="the soak of thousands of frames in full: hours")] = False,
+    only: Annotated[list[str] | None, typer.Option("--only", help="a part, such as orbit; may be repeated")] = None,
     write_baseline: Annotated[bool, typer.Option("--write-baseline", help="make these figures the baseline")] = False,
+    stored: Annotated[Path | None, typer.Option("--report", help="check this report.json instead of measuring")] = None,
+    baseline: Annotated[Path | None, typer.Option("--baseline", help="baseline of --report, default the committed one")] = None,
     out: Annotated[Path, typer.Option("--out", help="folder of the report")] = Path("bench/out"),
 ) -> None:
-    """Measure everything the project claims: report.json, report.md, report.html."""
-    from sboc_e2e.bench import run_bench
+    """Measure everything the project claims: report.json, report.md, report.html. Says what it costs before it starts."""
+    from sboc_e2e.bench import check_report, run_bench
 
-    found = run_bench(out, quick=quick, peers=peers, check=check, rewrite_baseline=write_baseline, report=typer.echo)
-    typer.echo(out / "report.html")
+    if stored is not None:
+        found = check_report(stored, baseline)
+    else:
+        found = run_bench(
+            out, quick=quick, peers=peers, long=long, only=tuple(only or ()), check=check, rewrite_baseline=write_baseline,
+            report=typer.echo,
+        )  # fmt: skip
+        typer.echo(out / "report.html")
     for regression in found:
         typer.echo(f"regression: {regression}", err=True)
     if found:

@@ -48,5 +48,33 @@ def test_nested_results_become_named_entries() -> None:
     entries = {e.name: e for e in flatten("x", tree)}
     assert entries["x.a"].sigma == pytest.approx(0.5 / 1.645)
     assert entries["x.b.c"].value == 2.0
+    assert entries["x.a"].measured
+    assert not entries["x.b.c"].measured
     assert entries["x.e"].reason == "no"
     assert set(entries) == {"x.a", "x.b.c", "x.e"}
+
+
+def test_every_form_of_interval_is_noise() -> None:
+    tree = {
+        "pair": {"value": 0.5, "n": 40, "interval": [0.4, 0.6]},
+        "rare": {"value": 0.1, "n_frames": 100, "upper_95": 0.3},
+        "ends": {"value": 0.5, "n": 40, "low": 0.4, "high": 0.6},
+    }
+    entries = {e.name: e for e in flatten("x", tree)}
+    assert entries["x.pair"].sigma == pytest.approx(entries["x.ends"].sigma)
+    assert entries["x.rare"].sigma == pytest.approx(0.3 / (2 * 1.645))
+    assert entries["x.rare"].n == 100
+
+
+def test_unknown_noise_is_not_judged_but_timings_are(tmp_path: Path) -> None:
+    path = tmp_path / "baseline.json"
+    write_baseline(path, flatten("x", {"rms_px": 1.0, "cpu_s": 1.0}))
+    assert set(read_baseline(path)) == {"x.cpu_s"}
+    assert [r.name for r in regressions(flatten("x", {"rms_px": 9.0, "cpu_s": 9.0}), read_baseline(path))] == ["x.cpu_s"]
+
+
+def test_a_bias_is_judged_by_its_size(tmp_path: Path) -> None:
+    path = tmp_path / "baseline.json"
+    write_baseline(path, [entry("x.bias_mag", 0.01, 0.01)])
+    assert regressions([entry("x.bias_mag", -0.011, 0.01)], read_baseline(path)) == []
+    assert [r.name for r in regressions([entry("x.bias_mag", -0.2, 0.01)], read_baseline(path))] == ["x.bias_mag"]

@@ -48,10 +48,10 @@ def seconds(workers: int, tasks: int, folder: Path) -> float:
 
 def main(quick: bool = False) -> dict[str, Any]:
     """Efficiency over repeats, overhead, and the cost of a million frames on a hundred nodes from both."""
-    few, many = (2, 6) if quick else (6, 24)
+    few, many = (2, 6) if quick else (2, 8)
     efficiency, per_frame = [], []
     with tempfile.TemporaryDirectory() as root:
-        for repeat in range(1 if quick else 3):
+        for repeat in range(1 if quick else 4):
             # Differences of two sizes take the start of the interpreters out of both.
             one = [seconds(1, n, Path(root) / f"{repeat}-1-{n}") for n in (few, many)]
             two = [seconds(2, n, Path(root) / f"{repeat}-2-{n}") for n in (few, many)]

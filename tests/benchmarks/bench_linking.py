@@ -175,9 +175,9 @@ def cost(n_frames: int, streaks_per_frame: int) -> dict[str, float]:
 
 
 def main(quick: bool = True) -> dict[str, Any]:
-    """All figures; quick: about a minute, else about ten."""
+    """All figures; quick: about a minute, else about four."""
     camera, fast_rows = Camera(), Camera(rows=1024, cols=1024, line_time_s=100e-6)
-    seeds = range(2 if quick else 12)
+    seeds = range(2 if quick else 5)
     start = time.process_time()
     score(camera, movers_of(camera, np.random.default_rng(0), 3, 2.0, (100, 1000)), 8, 0, false_per_frame=5)
     cold_s = time.process_time() - start
@@ -197,7 +197,7 @@ def main(quick: bool = True) -> dict[str, Any]:
             movers = movers_of(view, np.random.default_rng([1, seed]), 120 if px_s[1] > 5000 else 60, 12.0, px_s)
             runs.append(score(view, movers, 48, seed, **settings))
         out[name] = summed(runs)
-    scale = 1 if quick else 20
+    scale = 1 if quick else 10
     out["false_50_chance_streaks"] = false_tracklets(3000 * scale, 50, cosmic=False, seed=5)
     out["false_20_cosmics_left_of_1000"] = false_tracklets(3000 * scale, 20, cosmic=True, seed=6)
     out["false_100_cosmics_left_of_5000"] = false_tracklets(1500 * scale, 100, cosmic=True, seed=7)

@@ -121,7 +121,7 @@ def main(quick: bool = True) -> dict[str, Any]:
 
     "volume" is the set-up of published Monte-Carlos: 1 arcsec errors, catalogued orbits uniform in volume to 3,000 km.
     """
-    n = 150 if quick else 1000
+    n = 150 if quick else 500
     start = time.process_time()
     population(1, 0, kind="catalogue", step=RangeScan())
     out: dict[str, Any] = {"cold_s": time.process_time() - start}

@@ -145,7 +145,7 @@ def single_frames(quick: bool) -> dict[str, Any]:
     cells, out = {}, {}
     for length in lengths:
         for snr in snrs:
-            n = 60 if quick else (500 if length < 1000 else 150)
+            n = 60 if quick else (200 if length < 1000 else 80)
             cells[length, snr] = run_cell(length, snr, n, seed=5)
             out[f"length_{length:g}_snr_{snr:g}"] = figures_of([cells[length, snr]])
     out["all_snr_8_up"] = figures_of([cell for (_, snr), cell in cells.items() if snr >= 8.0])
@@ -264,7 +264,7 @@ def tracklets(quick: bool) -> dict[str, Any]:
         cells += [(100.0, 25.0, 4, 0.0), (100.0, 25.0, 4, 1e-4), (300.0, 15.0, 6, 0.0), (300.0, 25.0, 8, 0.0)]
     return {
         f"length_{length:g}_snr_{snr:g}_frames_{frames}" + ("_rolling" if tau else ""): tracklet_cell(
-            length, snr, frames, 25 if quick else 80, tau, seed=9
+            length, snr, frames, 25 if quick else 40, tau, seed=9
         )
         for length, snr, frames, tau in cells
     }

@@ -1,0 +1,87 @@
+"""`sboc bench --check` from outside: exit codes and lines for an equal and for a worse report; costs said before."""
+
+import json
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from sboc_e2e.bench.baseline import read_baseline, write_baseline
+from sboc_e2e.bench.entries import Entry
+from sboc_e2e.bench.parts import cost_words, expected_costs, parts
+from sboc_e2e.bench.run_bench import baseline_file
+from sboc_e2e.cli.main import run
+
+FIGURES = (
+    Entry(name="smoke.detection.ground.completeness_snr8", value=0.95, n=200, low=0.92, high=0.97),
+    Entry(name="smoke.detection.ground.false_per_frame", value=0.1, n=60, low=0.03, high=0.2),
+    Entry(name="smoke.timing.onboard_cpu_s_per_frame", value=0.05, n=6, low=0.05, high=0.05),
+)
+
+
+def stored(path: Path, figures: list[dict[str, Any]]) -> Path:
+    path.write_text(json.dumps({"environment": {"quick": True}, "figures": figures}))
+    return path
+
+
+@pytest.fixture
+def baseline(tmp_path: Path) -> Path:
+    path = tmp_path / "baseline.json"
+    write_baseline(path, FIGURES)
+    return path
+
+
+def test_the_same_measurement_passes(tmp_path: Path, baseline: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    report = stored(tmp_path / "report.json", [vars(f) for f in FIGURES])
+    assert run(["bench", "--check", "--report", str(report), "--baseline", str(baseline)]) == 0
+    assert "regression" not in capfd.readouterr().err
+
+
+def test_a_worse_report_fails_with_one_line_for_each_figure(
+    tmp_path: Path, baseline: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    worse = {"completeness_snr8": 0.7, "false_per_frame": 2.0, "onboard_cpu_s_per_frame": 0.2}
+    figures = [vars(f) | {"value": worse[f.name.rpartition(".")[2]]} for f in FIGURES]
+    report = stored(tmp_path / "report.json", figures)
+    assert run(["bench", "--check", "--report", str(report), "--baseline", str(baseline)]) == 1
+    lines = capfd.readouterr().err.splitlines()
+    assert [line.split(":")[1].strip() for line in lines] == [f.name for f in FIGURES]
+    assert all(line.startswith("regression: ") and "baseline has" in line for line in lines)
+
+
+def test_what_is_no_report_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    (tmp_path / "broken.json").write_text("{}")
+    assert run(["bench", "--check", "--report", str(tmp_path / "broken.json")]) == 2
+    assert run(["bench", "--only", "nothing"]) == 2
+    lines = capfd.readouterr().err.splitlines()
+    assert len(lines) == 2
+    assert "not a report.json" in lines[0]
+    assert "known: smoke" in lines[1]
+
+
+def test_the_committed_baseline_is_of_parts_that_exist() -> None:
+    names = {part.name for part in parts(quick=True, peers=True)}
+    assert {figure.partition(".")[0] for figure in read_baseline(baseline_file(quick=True))} <= names
+
+
+def test_cost_is_said_in_words() -> None:
+    wanted = parts(quick=True, peers=False)
+    costs = dict.fromkeys((part.name for part in wanted), 60.0)
+    alone = sum(part.alone for part in wanted)
+    assert f"about {alone + (len(wanted) - alone) / 2:.0f} minutes" in cost_words(costs, wanted, 2)
+    assert "not timed yet: orbit" in cost_words(costs | {"orbit": None}, wanted, 2)
+    assert expected_costs(wanted, quick=True).keys() == costs.keys()
+
+
+@pytest.mark.slow
+def test_a_part_measured_twice_does_not_regress(tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    """The same code and seeds measured twice: accuracies repeat exactly, timings stay within their tolerance."""
+    out = tmp_path / "out"
+    assert run(["bench", "--quick", "--only", "codecs", "--out", str(out)]) == 0
+    assert "1 parts" in capfd.readouterr().out
+    figures = [Entry(**{k: v for k, v in f.items() if k not in ("better", "unit")}) for f in
+               json.loads((out / "report.json").read_text())["figures"]]  # fmt: skip
+    write_baseline(tmp_path / "first.json", figures)
+    assert run(["bench", "--quick", "--only", "codecs", "--out", str(out)]) == 0
+    assert run(["bench", "--check", "--report", str(out / "report.json"), "--baseline", str(tmp_path / "first.json")]) == 0
+    assert len((out / "history.jsonl").read_text().splitlines()) == 2

@@ -4,7 +4,7 @@
     scene       which stars, sky and objects shine there: aberration, light time, shadow, phase
     projection  gnomonic with distortion, in one coordinate module
     brightness  magnitudes and colours to electrons, zodiacal and stray light
-    atmosphere  (ground sites) refraction, extinction, seeing, scintillation, clouds, sky glow
+    atmosphere  (ground sites) refraction, extinction, seeing and image motion, scintillation, clouds, sky glow
     motion      pointing, jitter and relative motion; each row at its own epoch
     exposure    stars and trails through PSF, defocus and vignetting into mean photo-electrons
     radiation   particle tracks as charge
@@ -36,6 +36,7 @@ from simulator.platform.pointing import commanded_attitude
 from simulator.platform.rotation import quaternion_of
 from simulator.radiation.field import ParticleField
 from simulator.radiation.hits import HitList
+from simulator.randomness import Effect, generator
 from simulator.scene.atmosphere import Atmosphere
 from simulator.scene.cast import make_cast, summary, target_direction
 from simulator.scene.crossing import RowShutter, exposed_intervals
@@ -44,6 +45,7 @@ from simulator.scene.sky import SKY_GRID, diffuse_flux, fill_diffuse
 from simulator.scene.star_image import StarPlaces, place_stars
 from simulator.scene.stars import StarField, StarSky, angles_deg
 from simulator.scene.trail_image import Path, add_trail, pixel_path_of, sky_path_of
+from simulator.scene.turbulence import Unsteadiness
 
 Array = NDArray[np.float64]
 
@@ -80,7 +82,7 @@ class Simulator:
         observer = make_observer(options.platform, epoch)
         target = None
         if options.pointing.law == "object":
-            target = target_direction(options.pointing.target, options.objects, observer, epoch, self._air)
+            target = target_direction(options.pointing.target, options.objects, observer, epoch, options.light, self._air)
         self._carrier = Carrier(
             epoch_tai_ns=epoch,
             seed=seed,
@@ -106,7 +108,9 @@ class Simulator:
         self._stars = StarSky(options.stars, options.instrument, catalogue, seed=seed, epoch_jyear=earth.jyear(epoch))
         middle = self._carrier.attitude(epoch + round(0.5e9 * duration_s))[2]
         sky_e_s = float(self._sky_rate_e_s(middle[None], self._air(observer, epoch), 0)[0])
-        self._cast = make_cast(options.objects, options.population, self._carrier, self._camera, sky_e_s, duration_s)
+        self._cast = make_cast(
+            options.objects, options.population, self._carrier, self._camera, options.light, sky_e_s, duration_s
+        )
         self._scratch_e = np.zeros(self._camera.shape, dtype=np.float32)
 
     # ------------------------------------------------------------- one frame
@@ -207,7 +211,11 @@ class Simulator:
         if not self.options.stars.enabled:
             return truth.empty("stars")
         camera, air = self._camera, self._air_of(sight)
-        velocity = earth.earth_velocity_km_s(self._carrier.tai_ns(sight.reference_s)) + sight.middle_velocity_km_s
+        velocity = np.zeros(3)
+        if self.options.light.annual_aberration:
+            velocity = velocity + earth.earth_velocity_km_s(self._carrier.tai_ns(sight.reference_s))
+        if self.options.light.orbital_aberration:
+            velocity = velocity + sight.middle_velocity_km_s
         swing_rad = float(np.ptp(sight.turn_rad, axis=0).max())
         margin_rad = 1.5 * STAR_MARGIN_PX / camera.projection.focal_px
         radius_deg = float(np.degrees(camera.radius_rad + swing_rad + margin_rad))
@@ -246,26 +254,32 @@ class Simulator:
         """Paths of those wanted objects that come near the field in a frame."""
         sun_km = earth.sun_position_km(self._carrier.tai_ns(sight.reference_s))
         first_open_s = index / self.options.frame_rate_hz
-        air = self._air_of(sight)
+        air, light = self._air_of(sight), self.options.light
         paths = []
         for object_id in wanted:
             thing = self._cast.objects[object_id]
             path: Path | None
+            unsteady = self._turbulence(air, sight, index, object_id)
             if isinstance(thing, PixelPathObject):
-                path = pixel_path_of(thing, sight, self._camera, first_open_s if thing.restart else 0.0)
+                path = pixel_path_of(thing, sight, self._camera, first_open_s if thing.restart else 0.0, light, unsteady)
             else:
-                path = sky_path_of(thing, sight, self._camera, sun_km, air, self._dimming(air, sight, index, object_id))
+                dimming = self._dimming(air, sight, index)
+                path = sky_path_of(thing, sight, self._camera, sun_km, light, air, dimming, unsteady)
             if path is not None:
                 paths.append((object_id, path))
         return paths
 
-    def _dimming(self, air: Atmosphere | None, sight: LineOfSight, index: int, object_id: int) -> float:
-        """What extinction, clouds and scintillation leave of an object's flux in one frame."""
+    def _dimming(self, air: Atmosphere | None, sight: LineOfSight, index: int) -> float:
+        """What extinction and clouds leave of an object's flux in one frame."""
+        return 1.0 if air is None else float(air.transmission(sight.reference[2][None], self.seed, index)[0])
+
+    def _turbulence(self, air: Atmosphere | None, sight: LineOfSight, index: int, object_id: int) -> Unsteadiness | None:
+        """Scintillation and image motion of one object while the rows of one frame are open."""
         if air is None:
-            return 1.0
-        boresight, camera = sight.reference[2], self._camera
-        flicker = air.flicker(1, boresight, camera.instrument.aperture_m, camera.exposure_s, self.seed, index, 1 + object_id)
-        return float(flicker[0] * air.transmission(boresight[None], self.seed, index)[0])
+            return None
+        rng = generator(self.seed, Effect.TURBULENCE, index, object_id)
+        span = float(sight.node_s[0]), float(sight.node_s[-1])
+        return air.unsteadiness(sight.reference[2], self._camera.instrument.aperture_m, *span, rng)
 
     # ------------------------------------------------- what is said about it
 

@@ -13,6 +13,7 @@ from simulator.platform.telemetry import TelemetryOptions
 from simulator.radiation.options import RadiationOptions
 from simulator.scene.atmosphere import AtmosphereOptions
 from simulator.scene.encounters import PopulationOptions
+from simulator.scene.light import LightOptions
 from simulator.scene.sky import SkyOptions
 from simulator.scene.sources import ObjectOptions
 from simulator.scene.stars import StarOptions
@@ -42,6 +43,7 @@ class SimulatorOptions:
     )
     stars: StarOptions = field(default_factory=StarOptions, metadata={"doc": "stars"})
     sky: SkyOptions = field(default_factory=SkyOptions, metadata={"doc": "diffuse background"})
+    light: LightOptions = field(default_factory=LightOptions, metadata={"doc": "the light's way to the camera"})
     atmosphere: AtmosphereOptions = field(default_factory=AtmosphereOptions, metadata={"doc": "air above a ground site"})
     population: PopulationOptions = field(default_factory=PopulationOptions, metadata={"doc": "sampled debris"})
     objects: ObjectOptions = field(default_factory=ObjectOptions, metadata={"doc": "objects given one by one"})

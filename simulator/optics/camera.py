@@ -74,6 +74,15 @@ class Camera:
         return self.sensor.variance_e2(image_e, self.exposure_s, row0=row0, col0=col0)
 
     @property
+    def blurring_aperture_m(self) -> float:
+        """Aperture that defocuses near objects; 0 where defocus is switched off."""
+        return self.instrument.aperture_m if self._psf.near_field_defocus else 0.0
+
+    def defocus_px(self, range_km: Array) -> Array:
+        """Diameter of the blur disc of objects at given ranges; the focus is at infinity."""
+        return np.asarray(self.blurring_aperture_m * 1e-3 / range_km * self.projection.focal_px)
+
+    @property
     def axis_sigma_px(self) -> float:
         """PSF sigma on axis."""
         return float(self.sigma_at(np.array([self.projection.center_row]), np.array([self.projection.center_col]))[0])
@@ -123,7 +132,7 @@ class Camera:
     def nominal(self) -> NominalCamera:
         """The camera as ground and on-board software believe it to be, in delivered pixels."""
         nominal, bins, delivered = self.instrument, self.binning, self.sensor.delivered
-        geometry = nominal.nominal_projection().delivered(
+        geometry = nominal.known_projection().delivered(
             bin_rows=bins.rows, bin_cols=bins.cols, window_row0=self._window.row0, window_col0=self._window.col0
         )
         colours = np.linspace(0.2, 1.2, 11)

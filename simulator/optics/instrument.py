@@ -6,20 +6,35 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import UserError
-from simulator.optics.projection import Projection
+from simulator.optics.projection import Projection, without_sip
+from simulator.optics.sip import Sip
+
+SIP_RADIUS = 1.25
+"""A SIP polynomial holds this far from the axis, in half diagonals of the detector; beyond it nothing is imaged."""
 
 SUN_B_V = 0.653
 """The Sun's B-V (Ramirez et al. 2012, ApJ 752, 5); fluxes are normalised at this colour."""
 
 
 @dataclass(frozen=True, kw_only=True)
+class SipTermOptions:
+    """One term ``coefficient (col - axis)^col_power (row - axis)^row_power`` of a SIP polynomial, pixels of the detector."""
+
+    col_power: int = field(default=2, metadata={"doc": "power of the column offset", "min": 0, "max": 9})
+    row_power: int = field(default=0, metadata={"doc": "power of the row offset", "min": 0, "max": 9})
+    coefficient: float = field(default=0.0, metadata={"doc": "in px to 1 minus the sum of powers", "min": -1e-2, "max": 1e-2})
+
+
+@dataclass(frozen=True, kw_only=True)
 class DistortionOptions:
-    """Brown-Conrady coefficients, for tangents (radians) as coordinates."""
+    """Brown-Conrady coefficients, for tangents (radians) as coordinates; and, behind them, a forward SIP polynomial."""
 
     k1: float = field(default=-1.0, metadata={"doc": "radial, third order", "min": -50.0, "max": 50.0})
     k2: float = field(default=0.0, metadata={"doc": "radial, fifth order", "min": -5e3, "max": 5e3})
     p1: float = field(default=2e-5, metadata={"doc": "tangential, along rows", "min": -0.1, "max": 0.1})
     p2: float = field(default=-1e-5, metadata={"doc": "tangential, along cols", "min": -0.1, "max": 0.1})
+    sip_a: tuple[SipTermOptions, ...] = field(default=(), metadata={"doc": "SIP terms A of the columns"})
+    sip_b: tuple[SipTermOptions, ...] = field(default=(), metadata={"doc": "SIP terms B of the rows"})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -35,7 +50,7 @@ class AsBuiltOptions:
     center_col_px: float = field(
         default=-1.3, metadata={"doc": "shift of the optical axis along cols", "min": -200.0, "max": 200.0}
     )
-    distortion: float = field(default=0.02, metadata={"doc": "relative error of k1 and k2", "min": -1.0, "max": 1.0})
+    distortion: float = field(default=0.02, metadata={"doc": "relative error of k1, k2 and SIP", "min": -1.0, "max": 1.0})
     zero_point_mag: float = field(default=0.04, metadata={"doc": "the built camera is brighter by this", "min": -2.0, "max": 2.0})
     psf_width: float = field(default=0.02, metadata={"doc": "relative error of the PSF width", "min": -0.5, "max": 0.5})
 
@@ -71,6 +86,7 @@ class InstrumentOptions:
             raise UserError(
                 f"instrument.band_long: {self.band_long_nm} nm must be longer than band_short, {self.band_short_nm} nm"
             )
+        self.sip()
 
     @property
     def focal_px(self) -> float:
@@ -92,8 +108,28 @@ class InstrumentOptions:
         """Tangents of half the field along rows and cols, without distortion."""
         return 0.5 * self.rows / self.focal_px, 0.5 * self.cols / self.focal_px
 
+    def sip(self, factor: float = 1.0) -> Sip | None:
+        """The SIP polynomial with all terms times a factor; None without terms.
+
+        UserError for powers that SIP does not have, and for a polynomial that folds the field.
+        """
+        if not self.distortion.sip_a and not self.distortion.sip_b:
+            return None
+        terms = [
+            tuple((t.col_power, t.row_power, factor * t.coefficient) for t in side)
+            for side in (self.distortion.sip_a, self.distortion.sip_b)
+        ]
+        made = Sip(a=terms[0], b=terms[1], radius_px=SIP_RADIUS * 0.5 * float(np.hypot(self.rows, self.cols)))
+        made.refuse_folding("instrument.distortion.sip")
+        return made
+
+    def known_projection(self) -> Projection:
+        """What ground and on-board software know of the nominal geometry: no SIP, but its best fit in the terms they have."""
+        nominal = self.nominal_projection()
+        return nominal if nominal.sip is None else without_sip(nominal, self.rows, self.cols)
+
     def nominal_projection(self) -> Projection:
-        """Geometry that ground and on-board software assume, in detector pixels."""
+        """Geometry of the nominal instrument, in detector pixels."""
         return Projection(
             focal_px=self.focal_px,
             center_row=0.5 * (self.rows - 1),
@@ -102,6 +138,7 @@ class InstrumentOptions:
             k2=self.distortion.k2,
             p1=self.distortion.p1,
             p2=self.distortion.p2,
+            sip=self.sip(),
         )
 
     def true_projection(self) -> Projection:
@@ -115,6 +152,7 @@ class InstrumentOptions:
             k2=nominal.k2 * (1.0 + built.distortion),
             p1=nominal.p1,
             p2=nominal.p2,
+            sip=self.sip(1.0 + built.distortion),
         )
 
     @property

@@ -7,7 +7,8 @@ Pixels are (row, col), 0-based, the centre of pixel (0, 0) is (0.0, 0.0). The ca
     u' = u (1 + k1 r2 + k2 r2^2) + 2 p1 u v + p2 (r2 + 2 u^2)
     v' = v (1 + k1 r2 + k2 r2^2) + p1 (r2 + 2 v^2) + 2 p2 u v
 
-and ``col = center_col + focal_px u'``, ``row = center_row + focal_px v'``.
+and ``col = center_col + focal_px u'``, ``row = center_row + focal_px v'``. A SIP polynomial, where given, stands between these
+and the pixels (`simulator.optics.sip`).
 """
 
 from dataclasses import dataclass
@@ -15,6 +16,8 @@ from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
+
+from simulator.optics.sip import Sip
 
 Array = NDArray[np.float64]
 
@@ -30,6 +33,7 @@ class Projection:
     k2: float = 0.0
     p1: float = 0.0
     p2: float = 0.0
+    sip: Sip | None = None
 
     def to_pixels(self, vectors: Array) -> tuple[Array, Array]:
         """Rows and cols (n,) of camera-frame vectors (n, 3) of any length.
@@ -54,12 +58,18 @@ class Projection:
         radial = 1.0 + r2 * (self.k1 + r2 * self.k2)
         u_distorted = u * radial + 2.0 * self.p1 * u * v + self.p2 * (r2 + 2.0 * u * u)
         v_distorted = v * radial + self.p1 * (r2 + 2.0 * v * v) + 2.0 * self.p2 * u * v
-        return self.center_row + self.focal_px * v_distorted, self.center_col + self.focal_px * u_distorted
+        along_col, along_row = self.focal_px * u_distorted, self.focal_px * v_distorted
+        if self.sip is not None:
+            along_col, along_row = self.sip.pixel_offsets(along_col, along_row)
+        return self.center_row + along_row, self.center_col + along_col
 
     def pixels_to_tangent(self, row: Array, col: Array) -> tuple[Array, Array]:
         """Undistorted (u, v) of pixels, by Newton's method on the distortion (converges to 1e-15 in 5 steps)."""
-        target_u = (np.asarray(col, dtype=np.float64) - self.center_col) / self.focal_px
-        target_v = (np.asarray(row, dtype=np.float64) - self.center_row) / self.focal_px
+        along_col = np.asarray(col, dtype=np.float64) - self.center_col
+        along_row = np.asarray(row, dtype=np.float64) - self.center_row
+        if self.sip is not None:
+            along_col, along_row = self.sip.corrected_offsets(along_col, along_row)
+        target_u, target_v = along_col / self.focal_px, along_row / self.focal_px
         u, v = target_u.copy(), target_v.copy()
         for _ in range(6):
             r2 = u * u + v * v
@@ -93,4 +103,25 @@ class Projection:
             k2=self.k2,
             p1=self.p1,
             p2=self.p2,
+            sip=None if self.sip is None else self.sip.in_pixels_of(bin_cols),
         )
+
+
+def without_sip(projection: Projection, rows: int, cols: int) -> Projection:
+    """The Brown-Conrady camera nearest to one with SIP: least squares of pixel positions on 33 x 33 places of the detector.
+
+    All its parameters, the axis and the focal length included, are free; the position is linear in ``f, f k1, f k2, f p1, f p2``.
+    What no such camera has (SIP terms without radial or tangential symmetry) stays as error of those who use it.
+    """
+    row, col = (v.ravel() for v in np.meshgrid(np.linspace(0, rows - 1, 33), np.linspace(0, cols - 1, 33), indexing="ij"))
+    u, v = projection.pixels_to_tangent(row, col)
+    r2, one, none = u * u + v * v, np.ones_like(u), np.zeros_like(u)
+    of_col = [none, one, u, u * r2, u * r2**2, 2.0 * u * v, r2 + 2.0 * u * u]
+    of_row = [one, none, v, v * r2, v * r2**2, r2 + 2.0 * v * v, 2.0 * u * v]
+    design = np.concatenate([np.stack(of_row, axis=1), np.stack(of_col, axis=1)])
+    scale = np.abs(design).max(axis=0)
+    center_row, center_col, focal, *terms = np.linalg.lstsq(design / scale, np.concatenate([row, col]), rcond=None)[0] / scale
+    k1, k2, p1, p2 = (float(t / focal) for t in terms)
+    return Projection(
+        focal_px=float(focal), center_row=float(center_row), center_col=float(center_col), k1=k1, k2=k2, p1=p1, p2=p2
+    )

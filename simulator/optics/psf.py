@@ -17,12 +17,15 @@ FWHM_PER_SIGMA: Final = 2.0 * math.sqrt(2.0 * math.log(2.0))
 
 @dataclass(frozen=True, kw_only=True)
 class PsfOptions:
-    """Width of the PSF on axis and its growth over the field."""
+    """Width of the PSF on axis, its growth over the field, and defocus of near objects."""
 
     fwhm_px: float = field(default=2.0, metadata={"doc": "full width at half maximum on axis", "min": 0.2, "max": 100.0})
     corner_growth: float = field(
         default=0.15,
         metadata={"doc": "relative widening at the corner of the field, quadratic in radius", "min": 0.0, "max": 5.0},
+    )
+    near_field_defocus: bool = field(
+        default=True, metadata={"doc": "objects at a finite range are blurred by a disc of angle aperture / range"}
     )
 
     @property

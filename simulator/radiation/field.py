@@ -121,7 +121,7 @@ class ParticleField:
     ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
         """Energy per nucleon behind the shield, charge and mass number; what the shield stops was never counted."""
         options = self.options
-        kinds = np.array(NUCLEI)
+        kinds = np.array(NUCLEI if options.nuclei else NUCLEI[:1])
         kind = rng.choice(len(kinds), size=n_cosmic, p=kinds[:, 2] / kinds[:, 2].sum())
         charge = np.concatenate([kinds[kind, 0], np.ones(n_trapped)])
         mass = np.concatenate([kinds[kind, 1], np.ones(n_trapped)])

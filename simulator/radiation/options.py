@@ -37,6 +37,7 @@ class RadiationOptions:
     shield_mm: float = field(
         default=10.0, metadata={"doc": "thickness of the shield in all directions", "min": 0.0, "max": 300.0}
     )
+    nuclei: bool = field(default=True, metadata={"doc": "cosmic rays hold nuclei from helium to iron; off: protons only"})
     depletion_um: float = field(
         default=10.0, metadata={"doc": "thickness of the charge-collecting layer", "min": 0.5, "max": 1000.0}
     )

@@ -9,6 +9,7 @@ from sboc_e2e.icd.errors import UserError
 from simulator.platform.earth import EARTH_RADIUS_KM
 from simulator.platform.jitter import ARCSEC_RAD
 from simulator.randomness import Effect, generator
+from simulator.scene.turbulence import Unsteadiness, crossing_s, draw_unsteadiness, tilt_variance_rad2
 
 Array = NDArray[np.float64]
 
@@ -32,6 +33,11 @@ class AtmosphereOptions:
     extinction_mag: float = field(default=0.15, metadata={"doc": "extinction for each air mass", "min": 0.0, "max": 5.0})
     seeing_arcsec: float = field(default=1.5, metadata={"doc": "FWHM at the zenith", "min": 0.0, "max": 60.0})
     scintillation: bool = field(default=True, metadata={"doc": "stars and objects scintillate"})
+    image_motion: bool = field(default=True, metadata={"doc": "objects wander in the seeing disc during an exposure"})
+    wind_m_s: float = field(
+        default=10.0, metadata={"doc": "wind that carries the turbulence over the aperture", "min": 0.5, "max": 100.0}
+    )
+    outer_scale_m: float = field(default=20.0, metadata={"doc": "outer scale of the turbulence", "min": 1.0, "max": 1e4})
     glow_mag_arcsec2: float = field(
         default=21.8, metadata={"doc": "airglow and scattered light at the zenith, V", "min": 5.0, "max": 30.0}
     )
@@ -129,13 +135,32 @@ class Atmosphere:
     def flicker(
         self, n: int, direction: Array, aperture_m: float, exposure_s: float, seed: int, frame: int, block: int = 0
     ) -> Array:
-        """Log-normal factors (n,) of mean 1 with Young's rms at the air mass of a direction."""
+        """Log-normal factors (n,) of mean 1 with Young's rms at the air mass of a direction: stars of a whole exposure."""
         if not self.options.scintillation:
             return np.ones(n)
         rms = scintillation_rms(aperture_m, self.mass(direction[None]), self.height_m, exposure_s)[0]
         sigma2 = np.log1p(rms**2)
         draw = generator(seed, Effect.SCINTILLATION, frame, block).standard_normal(n)
         return np.asarray(np.exp(np.sqrt(sigma2) * draw - 0.5 * sigma2))
+
+    def unsteadiness(
+        self, direction: Array, aperture_m: float, from_s: float, to_s: float, rng: np.random.Generator
+    ) -> Unsteadiness | None:
+        """What turbulence does to an object in a direction (3,) between two times; None with both effects switched off."""
+        o = self.options
+        if not (o.scintillation or o.image_motion):
+            return None
+        rms = float(scintillation_rms(aperture_m, self.mass(direction[None]), self.height_m, 1.0)[0])
+        sigma_rad = self.seeing_sigma_rad(direction)
+        return draw_unsteadiness(
+            rng,
+            from_s=from_s,
+            to_s=to_s,
+            crossing=crossing_s(aperture_m, o.wind_m_s),
+            long_exposure_rms_1s=rms if o.scintillation else 0.0,
+            tilt_variance=tilt_variance_rad2(sigma_rad, o.wavelength_nm * 1e-9, aperture_m) if o.image_motion else 0.0,
+            lowest_hz=o.wind_m_s / o.outer_scale_m,
+        )
 
     def glow_flux(self, directions: Array) -> Array:
         """Glow of a square arcsecond in units of a V = 0 star, in directions (n, 3).

@@ -17,6 +17,7 @@ from simulator.scene import sources
 from simulator.scene.aberration import aberrate
 from simulator.scene.atmosphere import Atmosphere
 from simulator.scene.encounters import Drawn, PopulationOptions, Window, draw_encounters
+from simulator.scene.light import LightOptions
 from simulator.scene.objects import PixelPathObject, SkyObject
 from simulator.scene.prediction import predict_crossings
 from simulator.scene.satellites import SatelliteOptions, read_satellites, satellite_object
@@ -39,6 +40,7 @@ def make_cast(
     population: PopulationOptions,
     carrier: Carrier,
     camera: Camera,
+    light: LightOptions,
     sky_e_s: float,
     duration_s: float,
 ) -> Cast:
@@ -58,7 +60,7 @@ def make_cast(
     found, refused = _satellites(given.satellites, carrier, camera, duration_s)
     objects.extend(found)
     middle_s = 0.5 * duration_s
-    drawn = draw_encounters(population, encounter_window(carrier, camera, sky_e_s, middle_s, duration_s), carrier.seed)
+    drawn = draw_encounters(population, encounter_window(carrier, camera, light, sky_e_s, middle_s, duration_s), carrier.seed)
     objects.extend(sources.population_objects(drawn, population.albedo, middle_s, population.tumbling_share, carrier.seed))
     return Cast(objects=tuple(objects), drawn=drawn, refused=refused, duration_s=duration_s)
 
@@ -90,7 +92,9 @@ def _satellites(
     return [satellite_object(s, options, carrier.epoch_tai_ns) for s in once.values()], predicted.refused
 
 
-def encounter_window(carrier: Carrier, camera: Camera, sky_e_s: float, middle_s: float, duration_s: float) -> Window:
+def encounter_window(
+    carrier: Carrier, camera: Camera, light: LightOptions, sky_e_s: float, middle_s: float, duration_s: float
+) -> Window:
     """What the camera sees during the run, for drawing encounters."""
     middle = carrier.tai_ns(middle_s)
     position, velocity = carrier.observer.state(middle)
@@ -107,7 +111,8 @@ def encounter_window(carrier: Carrier, camera: Camera, sky_e_s: float, middle_s:
         focal_px=camera.projection.focal_px,
         sigma_px=camera.axis_sigma_px,
         noise_variance_e2=float(camera.sensor.variance_e2(sky_e_s * camera.exposure_s, camera.exposure_s)),
-        aperture_m=camera.instrument.aperture_m,
+        aperture_m=camera.blurring_aperture_m,
+        light=light,
     )
 
 
@@ -145,6 +150,7 @@ def target_direction(
     given: sources.ObjectOptions,
     observer: Observer,
     epoch_tai_ns: int,
+    light: LightOptions,
     air_at: Callable[[Observer, int], Atmosphere | None],
 ) -> Callable[[int], Array]:
     """Apparent direction of the object that the pointing follows, as a function of TAI nanoseconds.
@@ -164,9 +170,9 @@ def target_direction(
     def direction(tai_ns: int) -> Array:
         position, velocity = observer.state(tai_ns)
         time_s = np.array([(tai_ns - epoch_tai_ns) * 1e-9])
-        vector = found[0].seen(time_s, position[None], earth.sun_position_km(tai_ns)).vector_km
+        vector = found[0].seen(time_s, position[None], earth.sun_position_km(tai_ns), light).vector_km
         distance_km = np.linalg.norm(vector, axis=1)
-        apparent = aberrate(vector / distance_km, velocity)
+        apparent = aberrate(vector / distance_km, velocity if light.orbital_aberration else np.zeros(3))
         air = air_at(observer, tai_ns)
         return np.asarray((apparent if air is None else air.refracted(apparent, distance_km))[0])
 

@@ -21,6 +21,7 @@ from simulator.platform.earth import DAY_S
 from simulator.platform.kepler import Elements, elements_of, velocity_through
 from simulator.randomness import Effect, generator
 from simulator.scene.debris import SizeClass, draw_orbits, low_orbit_share, number_larger
+from simulator.scene.light import LightOptions
 from simulator.scene.reflection import lambert_flux, sunlit_fraction
 
 Array = NDArray[np.float64]
@@ -81,7 +82,8 @@ class Window:
     """What the camera sees during the run, for choosing encounters.
 
     attitude : (3, 3) GCRS to camera at the middle. half_row, half_col : tangents of half the field.
-    flux_e_s : electrons per second of V = 0. noise_variance_e2 : per pixel and exposure.
+    flux_e_s : electrons per second of V = 0. noise_variance_e2 : per pixel and exposure. aperture_m : that defocuses near
+    objects. light : which effects act on its way.
     """
 
     observer_km: Array
@@ -97,6 +99,7 @@ class Window:
     sigma_px: float
     noise_variance_e2: float
     aperture_m: float
+    light: LightOptions
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -152,8 +155,10 @@ def draw_candidates(options: PopulationOptions, size_class: SizeClass, window: W
         - np.sum(relative * (position - observer), axis=1, keepdims=True) * (position - observer) / range_km[:, None] ** 2
     )
     rate_rad_s = np.linalg.norm(across, axis=1) / range_km
-    flux = lambert_flux(1.0, options.albedo, position, observer, window.sun_km) * size_m**2
-    flux = flux * sunlit_fraction(position, window.sun_km)
+    light = window.light
+    flux = lambert_flux(1.0, options.albedo, position, observer, window.sun_km, phase_function=light.phase_function) * size_m**2
+    if light.earth_shadow:
+        flux = flux * sunlit_fraction(position, window.sun_km)
     snr = expected_snr(flux * window.flux_e_s, rate_rad_s, stay_s, range_km, window)
     reached = np.isfinite(velocity).all(axis=1) & (stay_s > 0.0) & (reach > options.nearest_km)
     instant = np.nan_to_num(np.where(reached, natural, 0.0)) / n

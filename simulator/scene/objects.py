@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from simulator.platform.earth import LIGHT_KM_S
 from simulator.platform.kepler import Elements, state_of
+from simulator.scene.light import LightOptions
 from simulator.scene.reflection import STEADY, LightCurve, in_sight, lambert_flux, sunlit_fraction
 
 Array = NDArray[np.float64]
@@ -52,7 +53,7 @@ class SkyObject(Protocol):
         """Its variation."""
         ...
 
-    def seen(self, time_s: Array, observer_km: Array, sun_km: Array) -> Seen:
+    def seen(self, time_s: Array, observer_km: Array, sun_km: Array, light: LightOptions) -> Seen:
         """At times (n,) after the epoch of the run, from observer positions (n, 3)."""
         ...
 
@@ -65,16 +66,17 @@ class OrbitingObject:
     positions_km: Callable[[Array], Array]
     light_curve: LightCurve = STEADY
 
-    def seen(self, time_s: Array, observer_km: Array, sun_km: Array) -> Seen:
+    def seen(self, time_s: Array, observer_km: Array, sun_km: Array, light: LightOptions) -> Seen:
         """Light left the object ``range / c`` earlier; two rounds leave (v/c)^2 of the light time, below 1 mm."""
         position = self.positions_km(time_s)
-        for _ in range(2):
+        for _ in range(2 if light.light_time else 0):
             delay_s = np.linalg.norm(position - observer_km, axis=-1) / LIGHT_KM_S
             position = self.positions_km(time_s - delay_s)
-        flux = lambert_flux(self.identity.size_m, self.identity.albedo, position, observer_km, sun_km)
-        return Seen(
-            vector_km=position - observer_km, flux=flux * sunlit_fraction(position, sun_km) * in_sight(position, observer_km)
-        )
+        size_m, albedo = self.identity.size_m, self.identity.albedo
+        flux = lambert_flux(size_m, albedo, position, observer_km, sun_km, phase_function=light.phase_function)
+        if light.earth_shadow:
+            flux = flux * sunlit_fraction(position, sun_km)
+        return Seen(vector_km=position - observer_km, flux=flux * in_sight(position, observer_km))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,8 +93,8 @@ class SkyPathObject:
     brightening_per_s: float = 0.0
     light_curve: LightCurve = STEADY
 
-    def seen(self, time_s: Array, observer_km: Array, sun_km: Array) -> Seen:
-        """Neither observer nor Sun matter: the path is given."""
+    def seen(self, time_s: Array, observer_km: Array, sun_km: Array, light: LightOptions) -> Seen:
+        """Neither observer nor Sun nor the light's way matter: the path is given."""
         speed = float(np.linalg.norm(self.rate_rad_s))
         along = self.rate_rad_s / speed if speed > 0.0 else np.zeros(3)
         angle = speed * np.asarray(time_s)[:, None]

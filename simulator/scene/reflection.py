@@ -14,11 +14,14 @@ SUN_V_MAG: Final = -26.74
 """Apparent V of the Sun at 1 au."""
 
 
-def lambert_flux(size_m: float, albedo: float, object_km: Array, observer_km: Array, sun_km: Array) -> Array:
+def lambert_flux(
+    size_m: float, albedo: float, object_km: Array, observer_km: Array, sun_km: Array, *, phase_function: bool = True
+) -> Array:
     """Flux of a sunlit Lambert sphere, in units of a V = 0 star; the Earth's shadow is not in it.
 
     ``F = F_sun (a d^2 / 6 R^2) phi(alpha)``, ``phi = (sin alpha + (pi - alpha) cos alpha) / pi``: Bond albedo a of a Lambert
     sphere of diameter d has the geometric albedo 2a/3 (Russell 1916, ApJ 43, 173). Positions (..., 3), GCRS, km.
+    Without phase function, ``phi = 1``.
     """
     to_observer = observer_km - object_km
     to_sun = sun_km - object_km
@@ -26,7 +29,7 @@ def lambert_flux(size_m: float, albedo: float, object_km: Array, observer_km: Ar
     sun2 = np.sum(to_sun * to_sun, axis=-1)
     cosine = np.clip(np.sum(to_observer * to_sun, axis=-1) / np.sqrt(range2 * sun2), -1.0, 1.0)
     alpha = np.arccos(cosine)
-    phase = (np.sin(alpha) + (np.pi - alpha) * cosine) / np.pi
+    phase = (np.sin(alpha) + (np.pi - alpha) * cosine) / np.pi if phase_function else 1.0
     return np.asarray(10.0 ** (-0.4 * SUN_V_MAG) * albedo * size_m**2 * 1e-6 / 6.0 * phase / range2 * AU_KM**2 / sun2)
 
 

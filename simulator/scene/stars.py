@@ -32,6 +32,7 @@ class StarOptions:
         default=1.0,
         metadata={"doc": "factor on the catalogue's quoted errors by which the true sky is displaced", "min": 0.0, "max": 100.0},
     )
+    colours: bool = field(default=True, metadata={"doc": "flux follows a star's colour; off: all have the Sun's"})
     faint_limit_mag: float = field(default=16.0, metadata={"doc": "V of the faintest synthetic stars", "min": 0.0, "max": 18.0})
 
 
@@ -114,7 +115,7 @@ class StarSky:
         v_mag = np.concatenate([stars.v_mag, faint_v]).astype(np.float32)
         b_v = np.concatenate([stars.b_v, faint_b_v]).astype(np.float32)
         camera = self.instrument
-        colour = band_factor(b_v.astype(np.float64), camera.band_short_nm, camera.band_long_nm)
+        colour = band_factor(b_v.astype(np.float64), camera.band_short_nm, camera.band_long_nm) if self.options.colours else 1.0
         return StarField(
             direction=np.concatenate([bright, faint_direction]),
             flux_e_s=camera.true_zero_point_e_s * 10.0 ** (-0.4 * v_mag.astype(np.float64)) * colour,

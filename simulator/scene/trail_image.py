@@ -14,8 +14,10 @@ from simulator.platform.line_of_sight import LineOfSight
 from simulator.scene.aberration import aberrate
 from simulator.scene.atmosphere import Atmosphere
 from simulator.scene.crossing import Interval, Place, RowShutter, arc_length_px, exposed_intervals, time_bins
+from simulator.scene.light import LightOptions
 from simulator.scene.objects import PixelPathObject, SkyObject
 from simulator.scene.stars import angles_deg
+from simulator.scene.turbulence import Unsteadiness
 
 Array = NDArray[np.float64]
 
@@ -33,6 +35,7 @@ class Path:
 
     place : rows and cols of the read-out window. flux_v0 : brightness in units of a V = 0 star.
     apparent, published : (n, 3) unit directions, GCRS axes. range_km : distance.
+    turbulence : what the air of a site does to the light on the way; place and flux_v0, and so the truth, are without it.
     """
 
     place: Place
@@ -40,20 +43,30 @@ class Path:
     apparent: Callable[[Array], Array]
     published: Callable[[Array], Array]
     range_km: Callable[[Array], Array]
+    turbulence: Unsteadiness | None = None
 
 
 def sky_path_of(
-    thing: SkyObject, sight: LineOfSight, camera: Camera, sun_km: Array, air: Atmosphere | None, dimming: float = 1.0
+    thing: SkyObject,
+    sight: LineOfSight,
+    camera: Camera,
+    sun_km: Array,
+    light: LightOptions,
+    air: Atmosphere | None,
+    dimming: float = 1.0,
+    turbulence: Unsteadiness | None = None,
 ) -> Path | None:
     """The path of an object with directions: splines of its apparent vector through the nodes of the frame.
 
     The vector (direction times range) of unaccelerated motion is linear in time, so that splines lose nothing even where the
     direction turns fast. Aberration is that of the observer's geocentric velocity: the Earth's own cancels for what moves
-    with the Earth. dimming : what the atmosphere leaves of the flux. None for an object that stays far outside the field.
+    with the Earth. dimming : what the atmosphere leaves of the flux on average. None for an object far outside the field.
     """
-    seen = thing.seen(sight.node_s, sight.observer_km, sun_km)
+    seen = thing.seen(sight.node_s, sight.observer_km, sun_km, light)
     distance = np.linalg.norm(seen.vector_km, axis=-1, keepdims=True)
-    outside = aberrate(seen.vector_km / distance, sight.velocity_km_s)
+    outside = seen.vector_km / distance
+    if light.orbital_aberration:
+        outside = aberrate(outside, sight.velocity_km_s)
     if _stays_outside(sight.to_camera(sight.node_s, outside), camera):
         return None
     published = CubicSpline(sight.node_s, seen.vector_km)
@@ -79,6 +92,7 @@ def sky_path_of(
         apparent=lambda time_s: unit(apparent(time_s)),
         published=lambda time_s: unit(published(time_s)),
         range_km=range_km,
+        turbulence=turbulence,
     )
 
 
@@ -89,7 +103,14 @@ def _stays_outside(directions: Array, camera: Camera) -> bool:
     return bool(from_centre.min() - 1.6 * step > camera.radius_rad + OUTSIDE_MARGIN_RAD)
 
 
-def pixel_path_of(thing: PixelPathObject, sight: LineOfSight, camera: Camera, zero_s: float) -> Path:
+def pixel_path_of(
+    thing: PixelPathObject,
+    sight: LineOfSight,
+    camera: Camera,
+    zero_s: float,
+    light: LightOptions,
+    turbulence: Unsteadiness | None = None,
+) -> Path:
     """The path of an object that is given in delivered pixels; its directions follow from the camera.
 
     zero_s : where its time starts, seconds after the epoch of the run.
@@ -103,7 +124,8 @@ def pixel_path_of(thing: PixelPathObject, sight: LineOfSight, camera: Camera, ze
         return sight.to_gcrs(time_s, camera.projection.to_vectors(*place(time_s)))
 
     def published(time_s: Array) -> Array:
-        return aberrate(apparent(time_s), -sight.observer_at(time_s)[1])
+        velocity_km_s = sight.observer_at(time_s)[1]
+        return aberrate(apparent(time_s), -velocity_km_s) if light.orbital_aberration else apparent(time_s)
 
     return Path(
         place=place,
@@ -111,6 +133,7 @@ def pixel_path_of(thing: PixelPathObject, sight: LineOfSight, camera: Camera, ze
         apparent=apparent,
         published=published,
         range_km=lambda time_s: np.full(np.shape(time_s), np.inf),
+        turbulence=turbulence,
     )
 
 
@@ -128,8 +151,7 @@ def add_trail(
 
     scratch_e : zeroed image of the same shape, zero again afterwards.
     """
-    middle_range = float(path.range_km(np.array([sight.reference_s]))[0])
-    blur_px = camera.instrument.aperture_m * 1e-3 / middle_range * camera.projection.focal_px
+    blur_px = float(camera.defocus_px(path.range_km(np.array([sight.reference_s])))[0])
     margin_px = 6.0 * float(camera.sigma_at(np.zeros(1), np.zeros(1))[0]) + 0.5 * blur_px + 1.0
     from_s, to_s = float(sight.node_s[0]), float(sight.node_s[-1])
     lit = exposed_intervals(path.place, shutter, margin_px, from_s, to_s)
@@ -163,11 +185,18 @@ def _render(
     image_e: NDArray[np.float32], scratch_e: NDArray[np.float32], path: Path, stretch: Interval, camera: Camera
 ) -> _Light:
     """Integrate over bins of time, block by block along the path."""
-    time_s, width_s = time_bins(path.place, stretch, STEP_PX)
+    longest_bin_s = np.inf if path.turbulence is None else path.turbulence.step_s
+    time_s, width_s = time_bins(path.place, stretch, STEP_PX, longest_bin_s)
     row, col = path.place(time_s)
     flux_e = path.flux_v0(time_s) * camera.illumination_at(row, col) * (camera.zero_point_e_s * width_s)
-    blur_px = camera.instrument.aperture_m * 1e-3 / path.range_km(time_s) * camera.projection.focal_px
+    blur_px = camera.defocus_px(path.range_km(time_s))
     sigma_px = camera.sigma_at(row, col)
+    seen_sigma_px = sigma_px
+    if path.turbulence is not None:
+        factor, row_rad, col_rad = path.turbulence.at(time_s)
+        focal_px = camera.projection.focal_px
+        row, col, flux_e = row + focal_px * row_rad, col + focal_px * col_rad, flux_e * factor
+        sigma_px = np.sqrt(np.maximum(sigma_px**2 - (focal_px * path.turbulence.tilt_sigma_rad) ** 2, (0.2 * sigma_px) ** 2))
     per_block = max(int(BLOCK_PX / STEP_PX), 1)
     blocks = [np.s_[k : k + per_block] for k in range(0, len(time_s), per_block)]
     boxes = []
@@ -197,7 +226,7 @@ def _render(
         flux_e=total,
         snr=float(np.sqrt(snr2)),
         n_saturated=saturated,
-        sigma_px=float(sigma_px[middle]),
+        sigma_px=float(seen_sigma_px[middle]),
         defocus_px=float(blur_px[middle]),
     )
 

@@ -64,6 +64,55 @@ def test_scintillation_of_young_1967():
     assert factors.std() == pytest.approx(0.09 * 40.0 ** (-2 / 3), rel=0.03)
 
 
+@pytest.mark.parametrize(("exposure_s", "diameter_m"), [(20.0, 0.4), (5.0, 0.2)])
+def test_brightness_along_a_trail_has_youngs_variance_over_long_exposures(exposure_s, diameter_m):
+    """Means over exposures of 500 and 250 crossing times against Young's formula; n = 300, so that 3 sigma are 12 %."""
+    air = Atmosphere(options=AtmosphereOptions(), up=UP, height_m=565.0)
+    means = []
+    for k in range(300):
+        drawn = air.unsteadiness(UP, diameter_m, 100.0, 100.0 + exposure_s, np.random.default_rng(k))
+        means.append(drawn.at(np.linspace(100.0, 100.0 + exposure_s, 4001))[0].mean())
+    assert np.mean(means) == pytest.approx(1.0, abs=1e-3)
+    assert np.std(means) == pytest.approx(float(scintillation_rms(diameter_m, 1.0, 565.0, exposure_s)), rel=0.13)
+
+
+def test_brightness_is_steady_within_a_tenth_of_the_crossing_time():
+    """Autocorrelation: near 1 within D / 10 V, below 0.2 after three crossings."""
+    air = Atmosphere(options=AtmosphereOptions(wind_m_s=10.0), up=UP, height_m=0.0)
+    drawn = air.unsteadiness(UP, 0.4, 0.0, 60.0, np.random.default_rng(1))
+    at = np.arange(0.0, 59.0, 0.004)
+    factor = drawn.at(at)[0] - 1.0
+    correlation = [float(np.mean(factor[:-k] * factor[k:]) / np.mean(factor**2)) for k in (1, 30)]
+    assert correlation[0] > 0.95
+    assert abs(correlation[1]) < 0.2
+
+
+def test_image_motion_has_the_variance_of_sarazin_and_roddier():
+    """0.18 lambda^2 r0^(-5/3) D^(-1/3): 0.28 arcsec on each axis for 0.9 arcsec at 500 nm over 1 m."""
+    options = AtmosphereOptions(seeing_arcsec=0.9, wavelength_nm=500.0)
+    air = Atmosphere(options=options, up=UP, height_m=0.0)
+    fried_m = 0.98 * 500e-9 / (0.9 * ARCSEC)
+    expected = np.sqrt(0.18) * 500e-9 * fried_m ** (-5 / 6) * 1.0 ** (-1 / 6)
+    assert expected / ARCSEC == pytest.approx(0.28, abs=0.03)
+    drawn = [air.unsteadiness(UP, 1.0, 0.0, 100.0, np.random.default_rng(k)) for k in range(20)]
+    assert drawn[0].tilt_sigma_rad == pytest.approx(expected, rel=1e-6)
+    spread = np.sqrt(np.mean([d.shift_rad**2 for d in drawn], axis=(0, 1)))
+    assert spread == pytest.approx(np.full(2, expected), rel=0.1)
+
+
+def test_each_half_of_turbulence_has_its_switch():
+    def drawn(**options):
+        air = Atmosphere(options=AtmosphereOptions(**options), up=UP, height_m=0.0)
+        return air.unsteadiness(UP, 0.4, 0.0, 10.0, np.random.default_rng(1))
+
+    assert drawn(scintillation=False, image_motion=False) is None
+    assert (drawn(scintillation=False).factor == 1.0).all()
+    assert drawn(scintillation=False).shift_rad.std() > 0.0
+    assert not drawn(image_motion=False).shift_rad.any()
+    assert drawn(image_motion=False).tilt_sigma_rad == 0.0
+    assert drawn(image_motion=False).factor.std() > 0.0
+
+
 def test_extinction_and_clouds():
     air = Atmosphere(options=AtmosphereOptions(extinction_mag=0.2, cloud_transmission=0.5), up=UP, height_m=0.0)
     assert air.transmission(at_zenith_distance(60.0), 1, 0)[0] == pytest.approx(0.5 * 10 ** (-0.4 * 0.2 * 1.994), rel=1e-3)

@@ -2,11 +2,15 @@
 
 import numpy as np
 import pytest
-from astropy.wcs import WCS, Sip
+from astropy.wcs import WCS
+from astropy.wcs import Sip as AstropySip
 from hypothesis import given
 from hypothesis import strategies as st
 
+from sboc_e2e.icd.errors import UserError
+from simulator.optics.instrument import DistortionOptions, InstrumentOptions, SipTermOptions
 from simulator.optics.projection import Projection
+from simulator.optics.sip import Sip
 from simulator.platform.rotation import matrix_of_boresight
 from simulator.scene.stars import unit_vectors
 
@@ -42,7 +46,7 @@ def test_distortion_within_1e_6_px_of_sip():
     ap[3, 0] = ap[1, 2] = bp[0, 3] = bp[2, 1] = k1 / f**2
     ap[1, 1], ap[2, 0], ap[0, 2] = 2 * p1 / f, 3 * p2 / f, p2 / f
     bp[0, 2], bp[2, 0], bp[1, 1] = 3 * p1 / f, p1 / f, 2 * p2 / f
-    sip = Sip(None, None, ap, bp, [2048.5, 2048.5])
+    sip = AstropySip(None, None, ap, bp, [2048.5, 2048.5])
     rng = np.random.default_rng(2)
     u, v = rng.uniform(-0.046, 0.046, (2, 400))
     row, col = projection.tangent_to_pixels(u, v)
@@ -84,3 +88,83 @@ def test_binning_and_window_keep_directions():
     # delivered pixel 0 covers detector pixels 20 to 23, whose mean is 21.5
     assert binned_row[0] == pytest.approx((row[0] - 21.5) / 4.0, abs=1e-9)
     assert binned_col[0] == pytest.approx((col[0] - 9.5) / 4.0, abs=1e-9)
+
+
+SIP_A = ((2, 0, 1.1e-6), (1, 1, -6e-7), (0, 2, 3e-7), (3, 0, -9e-11), (1, 2, -8e-11), (2, 3, 4e-18))
+SIP_B = ((2, 0, -4e-7), (1, 1, 9e-7), (0, 2, -7e-7), (0, 3, -9.5e-11), (2, 1, -7e-11))
+
+
+def sip_matrix(terms):
+    out = np.zeros((6, 6))
+    for p, q, coefficient in terms:
+        out[p, q] = coefficient
+    return out
+
+
+def test_forward_sip_and_its_inverse_within_1e_6_px_of_astropy():
+    """Pixel to sky by astropy's SIP and TAN, sky to pixel by ours."""
+    sip = Sip(a=SIP_A, b=SIP_B, radius_px=1.25 * 2896.3)
+    projection = Projection(focal_px=FOCAL_PX, center_row=2047.5, center_col=2049.25, sip=sip)
+    frame = matrix_of_boresight(unit_vectors(np.array(131.0), np.array(18.2)), 0.0)
+    wcs = WCS(naxis=2)
+    wcs.wcs.ctype = ["RA---TAN-SIP", "DEC--TAN-SIP"]
+    wcs.wcs.crval, wcs.wcs.crpix = [131.0, 18.2], [2050.25, 2048.5]
+    wcs.wcs.cd = np.diag([-1.0, -1.0]) * np.degrees(1.0 / FOCAL_PX)
+    wcs.sip = AstropySip(sip_matrix(SIP_A), sip_matrix(SIP_B), None, None, [2050.25, 2048.5])
+    row, col = np.random.default_rng(3).uniform(0.0, 4095.0, (2, 2000))
+    sky = wcs.all_pix2world(np.stack([col, row], axis=1), 0)
+    own_row, own_col = projection.to_pixels(unit_vectors(sky[:, 0], sky[:, 1]) @ frame.T)
+    assert np.abs(own_row - row).max() < 1e-6
+    assert np.abs(own_col - col).max() < 1e-6
+    back_row, back_col = projection.to_pixels(projection.to_vectors(row, col))
+    assert max(np.abs(back_row - row).max(), np.abs(back_col - col).max()) < 1e-8
+    plain_row, plain_col = wcs.wcs_world2pix(sky, 0).T[::-1]
+    assert np.hypot(plain_row - row, plain_col - col).max() > 5.0  # the distortion that is compared
+
+
+def test_sip_in_binned_pixels_keeps_directions():
+    whole = Projection(focal_px=FOCAL_PX, center_row=1000.0, center_col=900.0, sip=Sip(a=SIP_A, b=SIP_B, radius_px=3000.0))
+    part = whole.delivered(bin_rows=4, bin_cols=4, window_row0=20, window_col0=8)
+    row, col = whole.to_pixels(np.array([[0.01, -0.02, 1.0]]))
+    binned_row, binned_col = part.to_pixels(np.array([[0.01, -0.02, 1.0]]))
+    assert binned_row[0] == pytest.approx((row[0] - 21.5) / 4.0, abs=1e-9)
+    assert binned_col[0] == pytest.approx((col[0] - 9.5) / 4.0, abs=1e-9)
+
+
+def test_what_is_known_of_a_sip_camera_is_its_best_radial_and_tangential_fit():
+    """Radial terms that SIP can write are recovered; what is left of others is stated by the fit's residual, not hidden."""
+    k1, f = -1.0, FOCAL_PX
+    radial = Projection(focal_px=f, center_row=2047.5, center_col=2047.5, k1=k1)
+    inverse = -k1 / f**2  # to first order
+    cubic = ((3, 0, inverse), (1, 2, inverse)), ((0, 3, inverse), (2, 1, inverse))
+    nominal = InstrumentOptions(
+        distortion=DistortionOptions(
+            k1=0.0,
+            p1=0.0,
+            p2=0.0,
+            sip_a=tuple(SipTermOptions(col_power=p, row_power=q, coefficient=c) for p, q, c in cubic[0]),
+            sip_b=tuple(SipTermOptions(col_power=p, row_power=q, coefficient=c) for p, q, c in cubic[1]),
+        )
+    )
+    known = nominal.known_projection()
+    assert known.sip is None
+    assert known.k1 == pytest.approx(k1, rel=0.01)
+    assert known.focal_px == pytest.approx(nominal.focal_px, rel=1e-5)
+    row, col = np.random.default_rng(4).uniform(0.0, 4095.0, (2, 500))
+    there = known.to_pixels(nominal.nominal_projection().to_vectors(row, col))
+    assert max(np.abs(there[0] - row).max(), np.abs(there[1] - col).max()) < 0.01
+    assert np.abs(radial.to_vectors(row, col) - known.to_vectors(row, col)).max() < 0.1 / f
+    assert InstrumentOptions().known_projection() == InstrumentOptions().nominal_projection()
+
+
+@pytest.mark.parametrize(
+    ("terms", "words"),
+    [
+        ((SipTermOptions(col_power=1, row_power=0, coefficient=1e-3),), "sums of 2 to 9"),
+        ((SipTermOptions(col_power=2, row_power=0, coefficient=1e-3),), "shifts of up to"),
+        ((SipTermOptions(col_power=9, row_power=0, coefficient=-6e-30),), "areas shrink"),
+    ],
+)
+def test_impossible_sip_is_refused_by_name(terms, words):
+    with pytest.raises(UserError, match=r"instrument\.distortion\.sip_a.*" + words):
+        InstrumentOptions(distortion=DistortionOptions(sip_a=terms))

@@ -19,6 +19,7 @@ from simulator.scene import sky
 from simulator.scene.crossing import RowShutter, exposed_intervals
 from simulator.scene.debris import SizeClass, draw_orbits, number_larger, orbit_histogram
 from simulator.scene.encounters import PopulationOptions, Window, draw_candidates, number_density, spatial_density
+from simulator.scene.light import LightOptions
 from simulator.scene.objects import kepler_positions
 from simulator.scene.reflection import LightCurve, in_sight, lambert_flux, sunlit_fraction
 from simulator.scene.sources import SkyPathOptions, kepler_object, sky_path
@@ -197,7 +198,7 @@ def test_light_time_of_a_far_object():
     elements = elements_deg(42164.0, 0.0, 5.0, 0.0, 0.0, 0.0)
     thing = kepler_object("x", "orbit", 1.0, 0.1, elements, 0.0)
     observer = np.zeros((1, 3))
-    seen = thing.seen(np.zeros(1), observer, np.array([earth.AU_KM, 0.0, 0.0])).vector_km[0]
+    seen = thing.seen(np.zeros(1), observer, np.array([earth.AU_KM, 0.0, 0.0]), LightOptions()).vector_km[0]
     delay_s = 42164.0 / earth.LIGHT_KM_S
     assert np.abs(seen - kepler_positions(elements)(np.array([-delay_s]))[0]).max() < 1e-6
     assert np.linalg.norm(seen - kepler_positions(elements)(np.zeros(1))[0]) == pytest.approx(3.0747 * delay_s, rel=1e-3)
@@ -213,7 +214,7 @@ def test_tumbling_and_glints():
 
 def test_sky_path_keeps_its_rate():
     path = sky_path(SkyPathOptions(ra_deg=50.0, dec_deg=60.0, east_arcsec_s=300.0, north_arcsec_s=400.0))
-    seen = path.seen(np.array([0.0, 100.0]), np.zeros((2, 3)), np.zeros(3)).vector_km
+    seen = path.seen(np.array([0.0, 100.0]), np.zeros((2, 3)), np.zeros(3), LightOptions()).vector_km
     cosine = seen[0] @ seen[1] / np.linalg.norm(seen[0]) / np.linalg.norm(seen[1])
     assert np.degrees(np.arccos(cosine)) * 3600.0 == pytest.approx(50000.0, rel=1e-6)
 
@@ -338,7 +339,7 @@ def default_window():
     return Window(
         observer_km=position, velocity_km_s=velocity, attitude=attitude, sun_km=earth.sun_position_km(tai_ns),
         half_row=2048 * 9e-6 / 0.4, half_col=2048 * 9e-6 / 0.4, duration_s=6.0, exposure_s=0.2, flux_e_s=4.7e8,
-        focal_px=44444.0, sigma_px=0.85, noise_variance_e2=8.1, aperture_m=0.2,
+        focal_px=44444.0, sigma_px=0.85, noise_variance_e2=8.1, aperture_m=0.2, light=LightOptions(),
     )  # fmt: skip
 
 

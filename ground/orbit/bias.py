@@ -21,7 +21,8 @@ _HALF_STEP_S = 0.05
 class Bias:
     """Late time tags (s, positive: the tags are later than the truth) and pointing (arcsec, towards east and north).
 
-    covariance : (3, 3) of (time_s, east_arcsec, north_arcsec). n_used, n_clipped : directions. chi2_nu : of those used.
+    covariance : (3, 3) of (time_s, east_arcsec, north_arcsec), widened by chi2_nu where that exceeds one.
+    n_used, n_clipped : directions. chi2_nu : of those used.
     """
 
     time_s: float
@@ -39,8 +40,9 @@ def estimate_bias(
     """Weighted least squares of ``observed - computed = -rate x delay + (east, north)``, clipped at 4.5 sigma.
 
     A tag that is late by dt belongs to a place the object had passed dt earlier, so the object seems behind by rate x dt. The
-    observer's own displacement in dt is part of the rate. Time and pointing part only if objects move in different directions:
-    the covariance says how well. None without any direction inside the tables.
+    camera's own states carry the same clock's tags (contract), so that they are right for the tagged epochs: the rate is that
+    of the object's motion alone, seen from a camera at rest. Time and pointing part only if objects move in different directions
+    or at different rates: the covariance says how well. None without any direction inside the tables.
     """
     rows, values = [], []
     for tracklet, orbit in pairs:
@@ -52,9 +54,10 @@ def estimate_bias(
         t_s = np.asarray((t_ns - t_ref) * 1e-9, dtype=np.float64)
         places = propagate(observer, t_s)
         computed, _ = seen_from(orbit.states, t_ns, places[:, :3])
-        before, after = propagate(observer, t_s - _HALF_STEP_S)[:, :3], propagate(observer, t_s + _HALF_STEP_S)[:, :3]
         half_ns = round(_HALF_STEP_S * 1e9)
-        rate = seen_from(orbit.states, t_ns + half_ns, after)[0] - seen_from(orbit.states, t_ns - half_ns, before)[0]
+        rate = (
+            seen_from(orbit.states, t_ns + half_ns, places[:, :3])[0] - seen_from(orbit.states, t_ns - half_ns, places[:, :3])[0]
+        )
         rate /= 2.0 * _HALF_STEP_S
         ra, dec = np.radians(tracklet.ra_deg), np.radians(tracklet.dec_deg)
         seen = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=1)
@@ -87,12 +90,15 @@ def estimate_bias(
             break
         use = kept
     residual = (data - design @ solution)[use]
+    chi2_nu = float(residual @ residual) / max(len(residual) - 3, 1)
+    # errors that all directions of an object share (states of GPS, the orbit itself) show in chi-square alone
+    covariance = np.linalg.pinv(information) * max(1.0, chi2_nu)
     return Bias(
         time_s=float(solution[0]),
         east_arcsec=float(solution[1]),
         north_arcsec=float(solution[2]),
-        covariance=np.asarray(np.linalg.pinv(information), dtype=np.float64),
+        covariance=np.asarray(covariance, dtype=np.float64),
         n_used=int(use.sum()) // 2,
         n_clipped=int((~use).sum()),
-        chi2_nu=float(residual @ residual) / max(len(residual) - 3, 1),
+        chi2_nu=chi2_nu,
     )

@@ -1,5 +1,7 @@
 """Files of known objects beside a run: element sets to match against, precise ephemerides to find biases with."""
 
+import gzip
+import zlib
 from pathlib import Path
 from typing import Any
 
@@ -47,8 +49,10 @@ def bias(result: GroundProducts, orbits: tuple[PreciseOrbit, ...]) -> dict[str, 
 
 
 def _text(path: str, option: str) -> str:
+    """Text of a file, which may be gzipped."""
     try:
-        return Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
+        raw = Path(path).read_bytes()
+        return (gzip.decompress(raw) if path.endswith(".gz") else raw).decode("utf-8")
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not a text file"
         raise UserError(f"ground.{option}: {path}: {reason}; give a readable file or an empty string for none") from error

@@ -19,6 +19,7 @@ from ground.orbit.reference import PreciseOrbit, teme_to_gcrs, utc_jd
 from ground.products.epochs import utc_text
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
+from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import Tracklet
 from sboc_e2e.run.known_objects import known_objects
 from tests.orbit.encounters import LIGHT_KM_S, T0_NS, Encounter, observed, sun_and_observer, trajectory
@@ -108,6 +109,16 @@ def test_broken_element_sets_are_named() -> None:
         read_elements(broken)
 
 
+def tagged_late(headers: tuple[FrameHeader, ...], late_ns: int) -> list[FrameHeader]:
+    """Headers whose clock is late: start of exposure and epoch of the state alike."""
+    moved = []
+    for h in headers:
+        assert h.observer is not None
+        state = replace(h.observer, tai_ns=h.observer.tai_ns + late_ns)
+        moved.append(replace(h, t_start_tai_ns=h.t_start_tai_ns + late_ns, observer=state))
+    return moved
+
+
 def test_biases_are_found() -> None:
     """Tags 2 ms late and pointing off by 1.5 and -0.7 arcsec, from 12 tracklets: found within 4 sigma, these below 0.2 arcsec."""
     rng = np.random.default_rng(12)
@@ -128,7 +139,7 @@ def test_biases_are_found() -> None:
             ra_deg=tracklet.ra_deg + east / 3600 / np.cos(np.radians(tracklet.dec_deg)),
         )  # fmt: skip
         pairs.append((moved, orbit))
-        all_headers += headers
+        all_headers += tagged_late(headers, late_ns)
     bias = estimate_bias(pairs, all_headers)
     assert bias is not None
     sigma = np.sqrt(np.diag(bias.covariance))
@@ -165,7 +176,7 @@ def test_ephemeris_message_gives_the_bias() -> None:
             segments.append(f"{epoch} " + " ".join(f"{x:.9f}" for x in state))
         tracklet, headers = seen(start, rng)
         tracklets.append(replace(tracklet, t_tai_ns=tracklet.t_tai_ns + 2_000_000))
-        all_headers += headers
+        all_headers += tagged_late(headers, 2_000_000)
     text = "\n".join(segments)
     orbits = read_oem(text)
     assert [orbit.name for orbit in orbits] == [f"OBJECT {k}" for k in range(6)]

@@ -55,6 +55,7 @@ def compression(
         "entropy_bound_bits": bootstrap(entropies, lambda v: float(v.mean()), "fewer than three frames with an entropy"),
         "captured_flux_fraction": bootstrap(captured, lambda v: float(v.mean()), "fewer than three detected streaks"),
         "lossless_bit_exact": bit_exact,
+        "bits_per_frame": exact(8 * regular / n_frames, n_frames) if n_frames else absent("no frame"),
         "bits_per_star": exact(8 * kinds["stars"] / n_stars, n_stars) if n_stars else absent("no star sent"),
         "bits_per_streak": exact(8 * kinds["roi"] / n_groups, n_groups) if n_groups else absent("no ROI sent"),
     }

@@ -28,6 +28,8 @@ from simulator.options import SimulatorOptions
 
 SIGMA_ADU = 2.37
 BLOCK_PX = 1 << 16
+CONTEXTS = (-1.5, 1.5, 2.5, 4.0, 6.0, 10.0, 20.0, 50.0, 200.0)
+"""Weighted mean of the neighbours above and to the left, ADU above the level, that part pixels into classes."""
 
 
 def figure(values: list[float]) -> dict[str, Any]:
@@ -64,14 +66,41 @@ def noise(rng: np.random.Generator, shape: tuple[int, int]) -> NDArray[np.int32]
     return rng.normal(100.0 + rng.random(), SIGMA_ADU, shape).round().astype(np.int32)
 
 
+def order_zero_bits(values: NDArray[np.int32]) -> float:
+    """Entropy per pixel of the values' own histogram: no code that treats all pixels alike needs less."""
+    counts = np.bincount(values.ravel() - values.min())
+    share = counts[counts > 0] / values.size
+    return -float(np.sum(share * np.log2(share)))
+
+
+def floors(values: NDArray[np.int32], level: int, entropy: float) -> dict[str, float]:
+    """What coders that know no star could reach at best, over the bound that knows every star's light.
+
+    All pixels alike; and each pixel by how bright its neighbours above and to the left are, in `CONTEXTS` classes with ideal
+    codes that cost nothing to send (the entropy of a context model; Rissanen & Langdon 1981, IEEE Trans. Inf. Theory 27, 12).
+    """
+    above = (values - level).astype(np.float32)
+    near = np.zeros_like(above)
+    near[1:, 1:-1] = (2.0 * above[:-1, 1:-1] + 2.0 * above[1:, :-2] + above[:-1, :-2] + above[:-1, 2:]) / 6.0
+    kind = np.digitize(near, CONTEXTS)
+    parts = [values[kind == k] for k in range(len(CONTEXTS) + 1)]
+    by_context = sum(order_zero_bits(part) * part.size for part in parts if part.size) / values.size
+    return {
+        "no_context": order_zero_bits(values) / entropy,
+        "context": by_context / entropy,
+        "star_share": float(np.mean(kind > 2)),
+    }
+
+
 def whole_frames(frames: list[tuple[Frame, float]], calibration: Calibration) -> dict[str, Any]:
     """Lossless whole frames: the codec on blocks of 64 kpx, and in packets with every header; entropy from truth."""
     codec, dark = PlanesCodec(), IntegerCalibration.of(calibration)
-    blocks, packets, speeds, decode_speeds, exact = [], [], [], [], []
+    blocks, packets, speeds, decode_speeds, exact, least = [], [], [], [], [], []
     for frame, entropy in frames:
         counts = to_counts(frame, dark)
         values = frame.pixels.astype(np.int32) - dark.dark
         level = int(np.median(values))
+        least.append(floors(values, level, entropy))
         rows = BLOCK_PX // values.shape[1]
         parts = [values[k : k + rows] for k in range(0, len(values), rows)]
 
@@ -102,6 +131,9 @@ def whole_frames(frames: list[tuple[Frame, float]], calibration: Calibration) ->
         "entropy_bits": figure([entropy for _, entropy in frames]),
         "bits_over_entropy_ratio": figure(blocks),
         "bits_in_packets_over_entropy_ratio": figure(packets),
+        "best_without_context_over_entropy_ratio": figure([f["no_context"] for f in least]),
+        "best_with_context_over_entropy_ratio": figure([f["context"] for f in least]),
+        "pixels_beside_stars_fraction": figure([f["star_share"] for f in least]),
         "encode_mb_s": figure(speeds),
         "decode_mb_s": figure(decode_speeds),
         "encode_into_packets_mb_s": figure([frame.pixels.nbytes / packet_s / 1e6]),

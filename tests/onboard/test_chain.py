@@ -12,6 +12,7 @@ from ground.ingest.codecs import PlanesDecoder, RawDecoder
 from onboard.background import MeshBackground
 from onboard.chain import OnboardSteps
 from onboard.codec import PlanesCodec, RawCodec, SqrtPlanesCodec
+from onboard.detect import LineIntegralDetector, ThresholdDetector
 from onboard.options import DownlinkOptions, RoiOptions
 from onboard.stars import MatchedStars
 from sboc_e2e.icd import layout
@@ -108,6 +109,24 @@ def test_ninety_percent_masked_still_works() -> None:
     assert not got.flags & FrameFlag.ALL_MASKED
     assert len(got.stars) >= 4
     assert got.stars.row.max() < 0.12 * SIDE
+
+
+@pytest.mark.parametrize("detector", [LineIntegralDetector(), ThresholdDetector()])
+def test_detectors_live_with_frames_that_are_mostly_missing(detector: Any) -> None:
+    """89 % NaN, scattered or in one piece, with a saturated block: nothing that is invented, and a trail in the rest is found."""
+    rng = np.random.default_rng(12)
+    row, col = np.indices((SIDE, SIDE), dtype=np.float64)
+    sky = rng.normal(260.0, 2.4, (SIDE, SIDE)) + 12.0 * np.exp(-0.5 * ((row - 14.0) / 0.9) ** 2) * ((col > 40) & (col < 180))
+    pixels = sky.astype(np.float32)
+    pixels[10:14, 200:204] = 65535.0
+    scattered = pixels.copy()
+    scattered[rng.random(pixels.shape) < 0.89] = np.nan
+    pixels[28:] = np.nan
+    run = start_run(steps=steps_with(detector=detector))
+    assert run.feed(frame(0, pixels=scattered)).housekeeping.n_detections <= 1
+    whole = run.feed(frame(1, pixels=pixels))
+    assert any(d.length_px > 100.0 and abs(d.row0 - 14.0) < 2.0 and abs(d.row1 - 14.0) < 2.0 for d in whole.detections)
+    assert len(whole.detections) <= 2
 
 
 def test_no_star_and_one_star() -> None:

@@ -19,7 +19,7 @@ from ground.link import apply_links
 from ground.options import GroundOptions
 from ground.photometry.known_stars import FrameLight, frame_light
 from ground.photometry.magnitude import streak_magnitude
-from ground.photometry.psf_width import with_star_list
+from ground.photometry.psf_width import in_frame, with_star_list
 from ground.photometry.streak_pixels import streak_pixels
 from ground.photometry.zero_point import flat_at
 from ground.records import FrameProducts, GroundProducts, GroundState
@@ -108,6 +108,7 @@ class GroundChain:
         if not state.growth_known:
             psf = with_star_list(psf, frame)
         growth_known = state.growth_known or psf is not state.psf
+        psf = in_frame(psf, frame)
         if wcs is None:
             astrometry, solution = self._solved(astrometry, frame)
         else:

@@ -3,7 +3,8 @@
 A matched-filter S/N is ``flux sqrt(sum p^2) / sigma``, p the PSF that the extractor measured where the star stands. Flux,
 S/N and the background's sigma thus give the PSF's noise-equivalent area ``1 / sum p^2 = 4 pi sigma_psf^2`` (King 1983,
 PASP 95, 163) all over the field. Its scale hangs on the sigma that the extractor used; its run over the field does not, and
-only that is taken: the width grows as the square of the distance from the axis, from the nominal width on it.
+only that is taken: the width grows as the square of the distance from the axis. On the axis it is the one that the frame
+brings along from the extractor's own fits, or the nominal one.
 """
 
 from dataclasses import replace
@@ -32,6 +33,11 @@ GROWTH_ERROR: Final = 0.03
 
 LARGEST_GROWTH: Final = 0.8
 N_ITERATIONS: Final = 5
+
+
+def in_frame(field: PsfField, frame: DownlinkFrame) -> PsfField:
+    """The field scaled to the width that the frame's own stars showed on board: focus and seeing change from frame to frame."""
+    return field if frame.psf_sigma_px is None else replace(field, nominal_px=frame.psf_sigma_px)
 
 
 def with_star_list(field: PsfField, frame: DownlinkFrame) -> PsfField:

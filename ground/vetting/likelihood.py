@@ -43,7 +43,10 @@ def posterior_of_classes(
 class LikelihoodVetter:
     """Posterior of class membership from the features of a fit; rates are of detections above the detector's threshold."""
 
-    psf_sigma_px: float = field(default=0.85, metadata={"doc": "PSF sigma that a real trail has", "min": 0.05, "max": 100.0})
+    psf_sigma_px: float = field(
+        default=0.85,
+        metadata={"doc": "PSF sigma that a real trail has, in frames whose stars do not tell", "min": 0.05, "max": 100.0},
+    )
     real_per_frame: float = field(default=0.5, metadata={"doc": "expected real streaks per frame", "min": 1e-9, "max": 1e4})
     noise_per_frame: float = field(default=0.1, metadata={"doc": "expected noise maxima per frame", "min": 1e-9, "max": 1e4})
     particle_per_frame: float = field(
@@ -74,10 +77,11 @@ class LikelihoodVetter:
         if not fits:
             return np.zeros(0)
         offset, slope = log_odds_calibration()
-        log_odds = self.log_odds([features_of(fit, self.psf_sigma_px) for fit in fits])
+        psf_sigma_px = self.psf_sigma_px if frame.psf_sigma_px is None else frame.psf_sigma_px
+        log_odds = self.log_odds([features_of(fit, psf_sigma_px) for fit in fits])
         probability = 1.0 / (1.0 + np.exp(-(offset + slope * log_odds)))
         # The class densities end far below such widths: stray light, dead borders. No defocus makes them at these ranges.
-        slope_of_sky = [f.width_px > self.widest * self.psf_sigma_px and f.snr < self.widest_snr for f in fits]
+        slope_of_sky = [f.width_px > self.widest * psf_sigma_px and f.snr < self.widest_snr for f in fits]
         return np.asarray(np.where(slope_of_sky, 0.0, probability), dtype=np.float64)
 
     def class_rates(self) -> dict[str, tuple[float, float]]:

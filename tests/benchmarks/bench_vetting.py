@@ -177,6 +177,7 @@ def false_alarms(fits: dict[str, list[StreakFit]], n_noise: int) -> dict[str, An
 def main(quick: bool = False) -> dict[str, Any]:
     """Figures in quiet frames and in a storm."""
     fits = bank(150 if quick else 1000)
+    injected = false_alarms(fits, 400 if quick else 4000)
     frames = 1500 if quick else 20000
     start = time.process_time()
     quiet = figures_of(*judge(fits, QUIET, frames))

@@ -60,14 +60,17 @@ def noise_maximum(rng: np.random.Generator) -> Exposure:
     (1.09 at 20 px falling to 0.13 at 1,000 px).
     """
     while True:
-        length = float(rng.uniform(10.0, LONGEST_PX))
-        if rng.random() < math.exp(-length / 350.0):
-            break
-    snr = THRESHOLD_SNR
-    while True:
         snr = THRESHOLD_SNR + rng.exponential(1.0 / THRESHOLD_SNR)
         extra = snr - THRESHOLD_SNR
         if rng.random() < (snr / THRESHOLD_SNR) ** 3 * math.exp(-0.5 * extra**2) / 1.3:
+            return noise_of_statistic(rng, snr)
+
+
+def noise_of_statistic(rng: np.random.Generator, snr: float) -> Exposure:
+    """A noise maximum given its statistic: the rarest ones cost no more than the common ones (conditional injection)."""
+    while True:
+        length = float(rng.uniform(10.0, LONGEST_PX))
+        if rng.random() < math.exp(-length / 350.0):
             break
     shot = expose(rng, trail_at(rng, length), snr, cross_error_px=0.2)
     template = render(shot.trail, shot.pixels.row, shot.pixels.col)

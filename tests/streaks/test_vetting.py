@@ -16,6 +16,7 @@ from sboc_e2e.icd.products import StreakFit
 from sboc_e2e.icd.signals import StarList
 from sboc_e2e.icd.steps import Vetter
 from tests.streaks.impostors import CLASSES, draw
+from tests.streaks.trail_rendering import PSF_SIGMA_PX, expose, trail_at
 
 PER_CLASS = 40
 
@@ -106,3 +107,16 @@ def test_the_table_is_complete_and_normalised() -> None:
             assert histogram.sum() == pytest.approx(1.0, abs=1e-4)
             assert histogram.min() > 0.0
         assert set(density.shares) == set(FLAG_SHARES)
+
+
+def test_the_width_that_a_frame_reports_is_the_one_that_its_trails_should_have(frame: DownlinkFrame) -> None:
+    """Trails of a telescope with six times the width are sure where the frame's stars tell that width, and doubted elsewhere."""
+    rng = np.random.default_rng(12)
+    wide_px = 6.0 * PSF_SIGMA_PX
+    shots = [expose(rng, trail_at(rng, 60.0, sigma_px=wide_px), 30.0, half_px=25.0) for _ in range(6)]
+    fitter = TrailedPsfFitter()
+    fits = [fitter.fit(replace(shot.pixels, psf_sigma_px=wide_px), shot.detection) for shot in shots]
+    told, untold = alone(fits, replace(frame, psf_sigma_px=wide_px)), alone(fits, frame)
+    assert told.min() > 0.9
+    assert untold.min() < 0.8
+    assert np.median(untold) < np.median(told)

@@ -3,9 +3,11 @@
 A seed depends on the campaign's seed, the point's own values and the replica, never on order or worker count.
 """
 
+import dataclasses
 import hashlib
 import itertools
 import tomllib
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from difflib import get_close_matches
 from pathlib import Path
@@ -62,6 +64,20 @@ class Campaign:
             for replica in range(self.replicas):
                 out.append(Task(number=len(out), point=point, replica=replica, seed=self._seed(point, replica)))
         return tuple(out)
+
+    def reduced(self, replicas: int | None, overrides: Sequence[str]) -> "Campaign":
+        """The same campaign with fewer replicas or other values of keys that it does not vary (``key=value`` texts)."""
+        constant = dict(self.constant)
+        for text in overrides:
+            key, equals, value = text.partition("=")
+            if not equals or not key.strip():
+                raise UserError(f'--set: expected key=value such as frames=3, got "{text[:80]}"')
+            if key.strip() in self.vary:
+                raise UserError(f"--set: campaign {self.name} varies {key.strip()}")
+            constant[key.strip()] = value.strip()
+        if replicas is not None and replicas < 1:
+            raise UserError(f"--replicas: expected 1 or more, got {replicas}")
+        return dataclasses.replace(self, constant=constant, replicas=replicas or self.replicas)
 
     def _seed(self, point: tuple[tuple[str, Any], ...], replica: int) -> int:
         text = repr((self.seed, sorted((k, repr(v)) for k, v in point), replica))

@@ -14,6 +14,8 @@ from sboc_e2e.registry import Registry
 from sboc_e2e.run.begin import begin_or_continue
 from sboc_e2e.scenario import load
 from sboc_e2e.score.evaluation import Evaluation, evaluate
+from sboc_e2e.score.linking import linking
+from sboc_e2e.score.recovery import counted, field_deg
 
 
 def overrides(campaign: Campaign, task: Task) -> list[str]:
@@ -48,6 +50,9 @@ def shard(e: Evaluation, task: Task) -> Table:
     place = {int(o): i for i, o in enumerate(objects["object_id"])}
     mine = np.array([place[int(o)] for o in streaks["object_id"]], dtype=int)
     onboard, ground = e.detected_onboard, e.detected_ground
+    _, owner = linking(e.streaks, e.pairs, e.n_frames)
+    accepted = set(e.accepted)
+    found = {truth.object_id for row, truth in e.pairs.items() if row in accepted}
     table = Table()
     for name in ("frame", "object_id", "snr", "length_px", "rate_deg_s", "range_km", "mag"):
         table[name] = np.asarray(streaks[name])
@@ -66,6 +71,8 @@ def shard(e: Evaluation, task: Task) -> Table:
         "n_false_ground": len(e.false_rows),
         "downlink_bytes": len(e.downlink),
         "n_objects": len(objects),
-        "injected": [[float(o["size_m"]), float(o["weight"])] for o in objects if str(o["kind"]) == "population"],
+        "field_deg": field_deg(e.truth_tables["frames"]),
+        "found": [int(o["object_id"]) in found for o in objects if str(o["kind"]) == "population"],
+        "counted": counted(objects, e.streaks, e.orbits, e.pairs, owner, e.n_frames).as_lists(),
     }
     return table

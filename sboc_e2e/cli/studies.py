@@ -37,14 +37,16 @@ def compare(
 def sweep(
     campaign: Annotated[Path, typer.Argument(help="campaign file, such as scenarios/campaigns/aperture_frame_rate.toml")],
     out: Annotated[Path | None, typer.Option("--out", help="folder, default runs/sweep-<campaign>")] = None,
+    overrides: Overrides = None,
+    replicas: Annotated[int | None, typer.Option("--replicas", help="replaces the campaign's number of replicas")] = None,
     workers: Workers = 0,
     scheduler: Annotated[str | None, typer.Option("--scheduler", help='dask scheduler "tcp://host:port", or "local"')] = None,
 ) -> None:
     """Run a campaign over scenario keys; finished tasks are kept, so the same command goes on after an interruption."""
     from sboc_e2e.campaign import read_campaign, run_campaign
-    from sboc_e2e.campaign.aggregate import write_results
+    from sboc_e2e.campaign.pages import write_results
 
-    plan = read_campaign(campaign)
+    plan = read_campaign(campaign).reduced(replicas, overrides or ())
     target = out or Path("runs") / f"sweep-{plan.name}"
     result = run_campaign(plan, target, workers=workers or None, scheduler=scheduler, report=typer.echo)
     write_results(plan, result, target)

@@ -1,5 +1,6 @@
 """Campaigns run, resume, list failures, and give the same bytes whatever the workers and interruptions."""
 
+import json
 import os
 import signal
 import subprocess
@@ -10,8 +11,11 @@ from pathlib import Path
 import pytest
 
 from sboc_e2e.campaign import Campaign, read_campaign, run_campaign
-from sboc_e2e.campaign.aggregate import read_shards, summarise, write_results
+from sboc_e2e.campaign.aggregate import read_shards, summarise
 from sboc_e2e.campaign.engine import failure_path, shard_path
+from sboc_e2e.campaign.pages import write_results
+from sboc_e2e.cli.main import run
+from sboc_e2e.scenario.toml_files import FOLDER
 
 TEXT = """
 scenario = "smoke"
@@ -111,3 +115,17 @@ def test_aggregates_count_every_streak(campaign: Campaign, finished: Path) -> No
         assert summary["frames"] == 1
         counted = sum(int((t["snr"] >= 8.0).sum()) for t in tables)
         assert summary["completeness_snr8"]["n"] == counted
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", sorted((FOLDER / "campaigns").glob("*.toml")), ids=lambda path: path.stem)
+def test_shipped_campaigns_run_in_a_reduced_form(path: Path, tmp_path: Path) -> None:
+    """Every point of each shipped campaign once, on two frames: shards, table, pictures over the varied keys."""
+    assert run(["sweep", str(path), "--set", "frames=2", "--replicas", "1", "--workers", "2", "--out", str(tmp_path)]) == 0
+    result = json.loads((tmp_path / "campaign.json").read_text())
+    plan = read_campaign(path)
+    assert len(result["points"]) == len(plan.tasks()) // plan.replicas
+    assert result["failed"] == []
+    page = (tmp_path / "campaign.html").read_text()
+    assert page.count("<svg") >= 1 + len(result["points"])
+    assert all(point["frames"] == 2 for point in result["points"].values())

@@ -85,3 +85,15 @@ def test_shipped_campaigns_are_readable() -> None:
     assert len(paths) >= 3
     for path in paths:
         assert read_campaign(path).tasks()
+
+
+def test_a_campaign_can_be_tried_in_a_reduced_form(tmp_path: Path) -> None:
+    campaign = read_campaign(written(tmp_path, GRID))
+    small = campaign.reduced(1, ("frames=1", "seed=4"))
+    assert len(small.tasks()) == 6
+    assert overrides(small, small.tasks()[0])[:2] == ["frames=1", "seed=4"]
+    assert small.tasks()[0].seed == campaign.tasks()[0].seed
+    with pytest.raises(UserError, match=r"varies instrument\.aperture"):
+        campaign.reduced(None, ("instrument.aperture=1 m",))
+    with pytest.raises(UserError, match="--replicas"):
+        campaign.reduced(0, ())

@@ -1,0 +1,126 @@
+"""Pictures of a campaign: completeness over size and range, headline figures over the varied keys, N(> d)."""
+
+from collections.abc import Sequence
+from typing import Any, Final
+
+import astropy.units as u
+import numpy as np
+from astropy.table import Table
+
+from sboc_e2e.campaign.aggregate import RANGE_EDGES_KM, SIZE_EDGES_M
+from sboc_e2e.report import plots
+
+HEADLINES: Final = (
+    ("completeness_snr8", "completeness, S/N >= 8"),
+    ("false_per_frame", "false per frame"),
+    ("downlink_bytes_per_frame", "bytes per frame"),
+)
+LEAST_IN_CELL: Final = 1
+
+
+def heat_map(shards: list[Table]) -> str:
+    """Completeness over size and range, cells with the number of streaks behind them."""
+    size = np.concatenate([np.asarray(s["size_m"], float) for s in shards])
+    distance = np.concatenate([np.asarray(s["range_km"], float) for s in shards])
+    found = np.concatenate([np.asarray(s["detected_ground"], bool) for s in shards])
+    all_n, _, _ = np.histogram2d(size, distance, (SIZE_EDGES_M, RANGE_EDGES_KM))
+    hit_n, _, _ = np.histogram2d(size[found], distance[found], (SIZE_EDGES_M, RANGE_EDGES_KM))
+    with plots.canvas(5.6, 4.0) as (figure, (ax,)):
+        ax.grid(visible=False)
+        share = np.where(all_n >= LEAST_IN_CELL, hit_n / np.maximum(all_n, 1), np.nan)
+        mesh = ax.pcolormesh(RANGE_EDGES_KM, SIZE_EDGES_M, share, vmin=0, vmax=1, cmap="viridis", rasterized=True)
+        figure.colorbar(mesh, ax=ax, label="share of truth streaks detected")
+        for i, j in np.argwhere(all_n >= LEAST_IN_CELL):
+            x = np.sqrt(RANGE_EDGES_KM[j] * RANGE_EDGES_KM[j + 1])
+            y = np.sqrt(SIZE_EDGES_M[i] * SIZE_EDGES_M[i + 1])
+            ink = "white" if share[i, j] < 0.6 else "black"
+            ax.text(x, y, f"{int(all_n[i, j])}", ha="center", va="center", fontsize=7, color=ink)
+        ax.set(xscale="log", yscale="log", xlabel="range (km)", ylabel="size (m)")
+        return plots.svg(figure)
+
+
+def over_keys(points: Sequence[tuple[dict[str, Any], dict[str, Any]]]) -> str | None:
+    """Headline figures over one varied key as curves with intervals, over two as heat maps; None for other campaigns.
+
+    points : (values of the varied keys, summary) of each point.
+    """
+    keys = list(points[0][0]) if points else []
+    if len(points) < 2 or not 1 <= len(keys) <= 2:
+        return None
+    with plots.canvas(10.0, 3.2, columns=len(HEADLINES)) as (figure, axes):
+        for ax, (name, label) in zip(axes, HEADLINES, strict=True):
+            if len(keys) == 1:
+                _curve(ax, keys[0], [(values[keys[0]], summary[name]) for values, summary in points], label)
+            else:
+                cells = [(values[keys[0]], values[keys[1]], _value(summary[name])) for values, summary in points]
+                _grid(figure, ax, keys, cells, label)
+        return plots.svg(figure)
+
+
+def larger_than(per_day: dict[str, Any]) -> str | None:
+    """N(> d) a day, injected and recovered with intervals; None where nothing could be recovered."""
+    rows = [r for r in per_day["larger_than"] if r["recovered_per_day"]["value"] is not None]
+    if not rows:
+        return None
+    size = np.array([r["larger_than_m"] for r in rows])
+    with plots.canvas(4.8, 3.4) as (figure, (ax,)):
+        for name, colour, shift in (("injected", plots.INK, 1.0), ("recovered", plots.BLUE, 1.03)):
+            cells = [r[f"{name}_per_day"] for r in rows]
+            value = np.array([c["value"] for c in cells])
+            ends = np.array([[max(c["value"] - c["low"], 0.0), max(c["high"] - c["value"], 0.0)] for c in cells]).T
+            ax.errorbar(size * shift, value, yerr=ends, fmt="o-", ms=4, lw=1.2, capsize=2, color=colour, label=name)
+        ax.set(xscale="log", yscale="log", xlabel="diameter d (m)", ylabel="objects larger than d, a day")
+        ax.legend()
+        return plots.svg(figure)
+
+
+def _value(item: Any) -> float:
+    value = item["value"] if isinstance(item, dict) else item
+    return float("nan") if value is None else float(value)
+
+
+def _number(value: Any) -> float | None:
+    """A value of a key as a number, without its unit; None for texts."""
+    try:
+        return float(u.Quantity(value).value)
+    except (TypeError, ValueError):
+        return None
+
+
+def _curve(ax: Any, key: str, cells: list[tuple[Any, Any]], label: str) -> None:
+    numbers = [_number(value) for value, _ in cells]
+    known = [number for number in numbers if number is not None]
+    measured = len(known) == len(numbers)
+    x = np.array(known, dtype=float) if measured else np.arange(len(cells), dtype=float)
+    y = np.array([_value(item) for _, item in cells])
+    ends = [(item["low"], item["high"]) if isinstance(item, dict) and item["value"] is not None else (v, v)
+            for v, (_, item) in zip(y, cells, strict=True)]  # fmt: skip
+    error = np.array([[max(v - low, 0.0), max(high - v, 0.0)] for v, (low, high) in zip(y, ends, strict=True)]).T
+    order = np.argsort(x)
+    ax.errorbar(x[order], y[order], yerr=error[:, order], fmt="o-", ms=4, lw=1.2, capsize=2, color=plots.BLUE)
+    if measured and x.min() > 0 and x.max() > 8 * x.min():
+        ax.set_xscale("log")
+    if not measured:
+        ax.set_xticks(x, [str(value) for value, _ in cells])
+    unit = str(cells[0][0]).partition(" ")[2] if isinstance(cells[0][0], str) and measured else ""
+    ax.set(xlabel=f"{key} ({unit})" if unit else key, title=label)
+    ax.title.set_fontsize(9)
+
+
+def _grid(figure: Any, ax: Any, keys: list[str], cells: list[tuple[Any, Any, float]], label: str) -> None:
+    first, second = (list(dict.fromkeys(cell[axis] for cell in cells)) for axis in (0, 1))
+    table = np.full((len(second), len(first)), np.nan)
+    for a, b, value in cells:
+        table[second.index(b), first.index(a)] = value
+    ax.grid(visible=False)
+    image = ax.imshow(table, origin="lower", aspect="auto", cmap="viridis")
+    low, high = np.nanmin(table), np.nanmax(table)
+    for (j, i), value in np.ndenumerate(table):
+        if np.isfinite(value):
+            ink = "white" if value < low + 0.6 * (high - low) else "black"
+            ax.text(i, j, f"{value:.3g}", ha="center", va="center", fontsize=8, color=ink)
+    ax.set_xticks(range(len(first)), [str(value) for value in first])
+    ax.set_yticks(range(len(second)), [str(value) for value in second])
+    ax.set(xlabel=keys[0], ylabel=keys[1], title=label)
+    ax.title.set_fontsize(9)
+    figure.colorbar(image, ax=ax)

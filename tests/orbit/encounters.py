@@ -105,8 +105,13 @@ def snr_of(mag: NDArray[np.float64], rate_deg_s: NDArray[np.float64]) -> NDArray
     return 4.7e8 * 10 ** (-0.4 * mag) * 0.2 / (2.84 * np.sqrt(3.0 * length))
 
 
-def draw_encounters(n: int, rng: np.random.Generator, *, population: str, pool: int = 400_000) -> list[Encounter]:
+def draw_encounters(
+    n: int, rng: np.random.Generator, *, population: str, pool: int = 400_000, passes: bool = False
+) -> list[Encounter]:
     """n encounters above S/N 8 that stay in the field for at least three frames, in nature's proportions.
+
+    passes : in proportion to objects that pass through the field, each once, as a long run's tracklets are; otherwise to objects
+    in the field at an instant, among which those that hardly move, companions of the camera's own orbit, are in the majority.
 
     population : "catalogue" or "breakup" for orbits of that kind at every size; "natural" has breakup velocities below 9.5 cm
     and none above; "volume" leaves sizes and S/N out: catalogued orbits uniform in the field's volume to 3,000 km, no magnitude.
@@ -153,7 +158,7 @@ def draw_encounters(n: int, rng: np.random.Generator, *, population: str, pool: 
     most = larger_than(np.maximum(faintest, floor))
     least = np.where(np.isfinite(ceiling), larger_than(np.minimum(ceiling, 1e3)), 0.0)
     sizes = np.where(population == "volume", (rho < 3000.0).astype(float), np.maximum(most - least, 0.0))
-    weight = np.where(rate < 5.28 / 0.75, density * rho**3 * sizes, 0.0)
+    weight = np.where(rate < 5.28 / 0.75, density * rho**3 * sizes * (rate if passes else 1.0), 0.0)
     picked = rng.choice(m, size=n, replace=False, p=weight / weight.sum())
     out = []
     for k in picked:

@@ -1,6 +1,6 @@
 """Source-level astrometry and photometry: detected stars against where the catalogue has them, and real against simulated."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -16,6 +16,8 @@ NEAR_PX: Final = 3.0
 VOTE_PX: Final = 2.0
 MIN_VOTES: Final = 3
 """Fewer pairs with one shift may be chance; the WCS is then taken as it is."""
+DEPTH: Final = 1.5
+"""Catalogue stars that take part, brightest first, for each detected one: those far below the detection limit pair by chance."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -38,6 +40,7 @@ class StarMatch:
 
 def match_known(sources: Sources, known: KnownStars) -> StarMatch:
     """Pair catalogue stars with detected ones: the offset that most pairs share (a vote), then the nearest within `NEAR_PX`."""
+    known = _brightest(known, int(DEPTH * len(sources)))
     place = np.stack([sources.row, sources.col], axis=1)
     expected = np.stack([known.row, known.col], axis=1)
     offset = _common_offset(place, expected)
@@ -59,6 +62,11 @@ def match_known(sources: Sources, known: KnownStars) -> StarMatch:
         place_col=place[found, 1],
         magnitude=magnitude,
     )
+
+
+def _brightest(known: KnownStars, n: int) -> KnownStars:
+    kept = np.sort(np.argsort(known.v_mag, kind="stable")[: max(n, MIN_VOTES)])
+    return replace(known, **{name: getattr(known, name)[kept] for name in ("star_id", "row", "col", "v_mag")})
 
 
 def _common_offset(place: NDArray[np.float64], expected: NDArray[np.float64]) -> NDArray[np.float64]:

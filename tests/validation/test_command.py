@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 from astropy.io import fits
 
+from ground.astrometry import lost_in_space
 from sboc_e2e.cli.main import run
+from tests.validation import star_field
 from tests.validation.test_measurements import star_frame
 
 SCENARIOS = Path(__file__).resolve().parents[2] / "scenarios" / "validation"
@@ -99,3 +101,27 @@ def test_recreated_real_frames(scenario, frame, limits, shared_data, tmp_path):
     for axis in ("fwhm_major_px", "fwhm_minor_px"):
         widths = [figures["psf"][side][axis]["value"] for side in ("simulated", "real")]
         assert widths[0] == pytest.approx(widths[1], abs=limits["width"])
+
+
+def test_places_and_magnitudes_of_a_real_star_field(shared_data, tmp_path):
+    """A frame without header, solved lost in space, against its recreation: 230 stars in both, their scatter not fitted."""
+    tiff = shared_data / "real" / "2019-07-29T204726_Alt60_Azi135_Try1.tiff"
+    if not tiff.is_file() or not lost_in_space.installed():
+        pytest.skip(f"real frame or extra `solve` not present: {tiff}")
+    field, out = tmp_path / "field.fits", tmp_path / "out"
+    assert star_field.solve_field(tiff, field) > 150
+    assert run(["validate", str(SCENARIOS / "delft_field.toml"), "--against", str(field), "--out", str(out)]) == 0
+    figures = json.loads((out / "validation.json").read_text())
+    assert figures["match"]["gain"] == pytest.approx(1.0, abs=0.1)
+    stars = figures["catalogue"]
+    both = stars["real_minus_simulated"]
+    assert both["n"] > 230
+    assert abs(both["offset_mag"]) < 0.05  # the zero point, fitted
+    assert np.abs(both["offset_px"]).max() < 0.1  # the direction, fitted
+    for axis in ("row_rms_px", "col_rms_px"):  # 40.3 arcsec each pixel: 10 arcsec
+        assert stars["real"][axis]["value"] < 0.25
+        assert 0.7 < stars["real"][axis]["value"] / stars["simulated"][axis]["value"] < 1.8
+    scatter = [stars[side]["magnitude_scatter_mag"]["value"] for side in ("real", "simulated")]
+    assert scatter[0] == pytest.approx(scatter[1], abs=0.06)
+    counts = [figures["stars"][side]["per_mpx"]["value"] for side in ("simulated", "real")]
+    assert counts[0] / counts[1] == pytest.approx(1.0, abs=0.25)

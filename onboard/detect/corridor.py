@@ -20,8 +20,17 @@ BOW_GAIN: Final = 0.6
 BENT_PX: Final = 40.0
 """Shorter segments are straight: their curvature cannot be measured."""
 
+LANES: Final = 16
+"""Pixels read at once: the paths of a corridor, filled up to whole vector registers."""
+
 PIECES: Final = 48
 """Most pieces that a corridor is cut into along its length."""
+
+
+@nb.njit(cache=True)
+def _add_lanes(paths: NDArray[np.int32], values: NDArray[np.int8]) -> None:
+    for k in range(LANES):
+        paths[k] += values[k]
 
 
 @nb.njit(cache=True)
@@ -43,16 +52,15 @@ def corridor_sums(
     half = OFFSETS // 2
     n_piece = min(PIECES, (major1 - major0 + piece) // piece)
     counts[:n_piece] = 0
-    paths = np.empty(OFFSETS, np.int32)
+    paths = np.empty(LANES, np.int32)
     for p in range(n_piece):
         paths[:] = 0
         inside = 0
         for major in range(major0 + p * piece, min(major0 + (p + 1) * piece, major1 + 1)):
             base = math.floor(minor0 + slope * (major - major0) + 0.5) - half
-            if base >= 0 and base + OFFSETS <= n_minor:
+            if base >= 0 and base + LANES <= n_minor:
                 inside += 1
-                for k in range(OFFSETS):
-                    paths[k] += smooth[major, base + k]
+                _add_lanes(paths, smooth[major, base : base + LANES])
             else:
                 for k in range(OFFSETS):
                     if 0 <= base + k < n_minor:
@@ -100,15 +108,14 @@ def best_pieces(
         s, c = _path_piece(sums, counts, p, half + o0 + (o1 - o0) * p / span + bow)
         cumulative_s[p + 1] = cumulative_s[p] + s
         cumulative_c[p + 1] = cumulative_c[p] + c
-    best, best_first, best_last = -1e9, first, last
+    # runs are compared by the square of their S/N without division: a / b > c / d for b, d > 0 is a d > c b
+    power, pixels, best_first, best_last = -1e18, 1.0, first, last
     for i in range(n_piece):
         for j in range(i, n_piece):
-            c = cumulative_c[j + 1] - cumulative_c[i]
-            if c > 0.0:
-                snr = (cumulative_s[j + 1] - cumulative_s[i]) / math.sqrt(c * variance)
-                if snr > best:
-                    best, best_first, best_last = snr, i, j
-    return best, best_first, best_last
+            s, c = cumulative_s[j + 1] - cumulative_s[i], cumulative_c[j + 1] - cumulative_c[i]
+            if c > 0.0 and s * abs(s) * pixels > power * c:
+                power, pixels, best_first, best_last = s * abs(s), c, i, j
+    return math.copysign(math.sqrt(abs(power) / (pixels * variance)), power), best_first, best_last
 
 
 @nb.njit(cache=True)

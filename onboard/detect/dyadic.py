@@ -109,9 +109,10 @@ def line_sums(
         wanted = threshold_sigma - LONG_BLOCK_STEP * max(0.0, math.log2(height / 32.0))
         for first in range(blocks):
             last = first + 1
-            kept = first % 2 == 0
-            if last == blocks and not kept:
+            even = first % 2 == 0
+            if last == blocks and not even:
                 continue
+            kept = even and height < rows
             best[:] = 0.0
             hit = False
             for shift in range(height):
@@ -169,9 +170,9 @@ def half_resolution_noise(taps: NDArray[np.int16], usable: float) -> NDArray[np.
 
 @nb.njit(cache=True)
 def work_size(rows: int, cols: int) -> int:
-    """Elements of one work array of `line_sums`: all block sums of the level that needs most."""
+    """Elements of one work array of `line_sums`: all block sums of the level that needs most (the last one is not kept)."""
     size, height = rows * (cols + 1), 1
-    while height < rows:
+    while 2 * height < rows:
         height *= 2
         size = max(size, ((rows + height - 1) // height) * height * (cols + height))
     return size

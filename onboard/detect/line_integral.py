@@ -12,8 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.detect import dyadic, fragments, point_movers, registration, resolve, static_sky, whiten
-from onboard.detect.star_removal import TILE_PX, WorkingImages, snr_before, working_images
+from onboard.detect import dyadic, fragments, point_movers, registration, resolve, static_sky, strip, whiten
+from onboard.detect.star_removal import POINT_CLIP_SIGMA, TILE_PX, WorkingImages, snr_before, working_images
 from onboard.nearest import nearest
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView
@@ -165,14 +165,19 @@ def moved(
 
 
 def short_detections(
-    view: DetectorView, earlier: static_sky.EarlierFrame, images: WorkingImages, n_sigma: float, max_found: int
+    view: DetectorView,
+    earlier: static_sky.EarlierFrame,
+    images: WorkingImages,
+    smooth: NDArray[np.int8],
+    n_sigma: float,
+    max_found: int,
 ) -> list[Detection]:
     """Star-like and short movers: new entries of the star list, refined; a static source of changed brightness is refused."""
     stars, s_px = view.stars, view.psf_sigma_px
     entries = images.new[~images.sharp]
     table = point_movers.short_trails(
         images.image,
-        images.smooth,
+        smooth,
         images.blocked,
         stars.row[entries],
         stars.col[entries],
@@ -275,15 +280,24 @@ class LineIntegralDetector:
             return ()
         s_px = view.psf_sigma_px
         earlier = static_sky.earlier_frame(view, self.reach_px)
-        images = working_images(view, earlier, clip_sigma=self.clip_sigma, halo_px=self.halo_px)
+        images = working_images(view, earlier, halo_px=self.halo_px)
         n_sigma = self.n_sigma + math.log10(max(1.0, len(images.new) / STORM_ENTRIES))
         sample = images.blocked[::4, ::4]
         usable = max(0.01, 1.0 - float(np.count_nonzero(sample)) / sample.size)
-        noise = dyadic.half_resolution_noise(whiten.even_taps(s_px), usable)
-        candidates = dyadic.coarse_segments(images.binned, noise, self.coarse_sigma, MIN_ROWS, MAX_CANDIDATES)
+        taps = whiten.even_taps(s_px)
+        noise = dyadic.half_resolution_noise(taps, usable)
+        # one smoothed image after the other: the coarse one and its line sums are gone before the fine one is made
+        candidates = dyadic.coarse_segments(
+            whiten.smooth_binned(images.image, images.level, TILE_PX, taps, self.clip_sigma),
+            noise,
+            self.coarse_sigma,
+            MIN_ROWS,
+            MAX_CANDIDATES,
+        )
+        smooth = whiten.smooth(images.image, images.level, TILE_PX, whiten.odd_taps(s_px), POINT_CLIP_SIGMA)
         table = resolve.resolve(
             images.image,
-            images.smooth,
+            smooth,
             images.blocked,
             images.level,
             TILE_PX,
@@ -294,6 +308,7 @@ class LineIntegralDetector:
             n_sigma - FIRST_MARGIN,
             self.min_length_px,
             self.max_detections,
+            strip.work_space(max(images.image.shape), s_px),
         )
         found = [line_detection(row, view.residual_adu.shape) for row in table]
         # a bend is one more free parameter
@@ -304,7 +319,7 @@ class LineIntegralDetector:
             found = [d for d in found if d.length_px >= SHARP_ENDS_PX or d.snr >= n_sigma + self.single_frame_margin]
         else:
             found = [d for d in found if moved(d, earlier, images, s_px, n_sigma)]
-            found += short_detections(view, earlier, images, n_sigma + self.short_margin, self.max_detections)
+            found += short_detections(view, earlier, images, smooth, n_sigma + self.short_margin, self.max_detections)
             found += slow_movers(view, earlier)
         found = [flag_sharp(d, images) if d.length_px < SHARP_ENDS_PX else d for d in found]
         # the working image is clipped: the S/N of a bright trail comes from the image itself

@@ -10,13 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.detect.corridor import BENT_PX, bend
-
-
-@nb.njit(cache=True)
-def path_minor(segment: NDArray[np.float64], major: float) -> float:
-    """Minor coordinate of a bent segment (major0, minor0, major1, minor1, sagitta) at `major`; straight beyond its ends."""
-    u = (major - segment[0]) / max(segment[2] - segment[0], 1e-6)
-    return segment[1] + (segment[3] - segment[1]) * u + (segment[4] * bend(u) if 0.0 < u < 1.0 else 0.0)
+from onboard.detect.strip import Strip, cross_sections, gather, minor_at, path_sums
 
 
 @nb.njit(cache=True)
@@ -127,81 +121,50 @@ def polish(
     psf_sigma_px: float,
     signal: NDArray[np.float64],
     weight: NDArray[np.float64],
+    strip: Strip,
 ) -> float:
     """Maximise the matched filter over a bent segment (major0, minor0, major1, minor1, sagitta), in place; returns the S/N."""
+    values, usable, clean, corner, shift, table, norms = strip
+    trial = np.empty(5)
     snr = -1e9
+    low = n = 0
     for turn in range(3):
         step = (0.6, 0.3, 0.15)[turn]
+        extend = int(max(12.0, 0.3 * (segment[2] - segment[0])))
+        # a strip serves all turns, unless the ends have come near its own
+        near0 = low > 0 and segment[0] - low < 0.5 * extend
+        near1 = low + n < image.shape[0] and low + n - segment[2] < 0.5 * extend
+        if turn == 0 or near0 or near1:
+            low, n = gather(image, blocked, level, tile_px, segment, extend, values, usable, clean, corner, shift)
+        first, last = max(0, math.ceil(segment[0]) - low), min(n, math.floor(segment[2]) + 1 - low)
+        radius = 0
         for _ in range(6):
             moved = False
-            _, n = cross_profile(
-                image,
-                blocked,
-                level,
-                tile_px,
-                segment[0],
-                segment[1],
-                segment[2],
-                segment[3],
-                segment[4],
-                0,
-                psf_sigma_px,
-                signal,
-                weight,
-            )
-            snr = profile_snr(signal, weight, n)
+            slope = (segment[3] - segment[1]) / max(segment[2] - segment[0], 1e-6)
+            radius = cross_sections(slope, psf_sigma_px, table, norms)
+            snr = path_sums(values, usable, clean, corner, shift, first, last, low, segment, table, norms, radius, signal, weight)
             for parameter in range(4):
+                if parameter == 3 and segment[2] - segment[0] < BENT_PX:
+                    continue
                 for sign in (-1.0, 1.0):
-                    d0 = sign * step if parameter in (0, 2) else 0.0
-                    d1 = sign * step if parameter in (1, 2) else 0.0
-                    ds = sign * step if parameter == 3 else 0.0
-                    if parameter == 3 and segment[2] - segment[0] < BENT_PX:
-                        continue
-                    _, n = cross_profile(
-                        image,
-                        blocked,
-                        level,
-                        tile_px,
-                        segment[0],
-                        segment[1] + d0,
-                        segment[2],
-                        segment[3] + d1,
-                        segment[4] + ds,
-                        0,
-                        psf_sigma_px,
-                        signal,
-                        weight,
+                    trial[:] = segment
+                    trial[1] += sign * step if parameter in (0, 2) else 0.0
+                    trial[3] += sign * step if parameter in (1, 2) else 0.0
+                    trial[4] += sign * step if parameter == 3 else 0.0
+                    value = path_sums(
+                        values, usable, clean, corner, shift, first, last, low, trial, table, norms, radius, signal, weight
                     )
-                    trial = profile_snr(signal, weight, n)
-                    if trial > snr + 1e-3:
-                        snr = trial
-                        segment[1] += d0
-                        segment[3] += d1
-                        segment[4] += ds
-                        moved = True
+                    if value > snr + 1e-3:
+                        snr, moved = value, True
+                        segment[:] = trial
                         break
             if not moved:
                 break
-        extend = int(max(12.0, 0.3 * (segment[2] - segment[0])))
-        low, n = cross_profile(
-            image,
-            blocked,
-            level,
-            tile_px,
-            segment[0],
-            segment[1],
-            segment[2],
-            segment[3],
-            segment[4],
-            extend,
-            psf_sigma_px,
-            signal,
-            weight,
-        )
+        path_sums(values, usable, clean, corner, shift, 0, n, low, segment, table, norms, radius, signal, weight)
         snr, i, j = best_run(signal, weight, n, 4)
         start, stop = low + i - 0.5, low + j - 0.5
         old = max(segment[2] - segment[0], 1e-6)
-        begin, end = path_minor(segment, start), path_minor(segment, stop)
+        begin, end = minor_at(segment, start), minor_at(segment, stop)
         segment[0], segment[1], segment[2], segment[3] = start, begin, stop, end
         segment[4] *= min(1.0, ((stop - start) / old) ** 2)
     return snr
@@ -239,7 +202,7 @@ def blank_path(smooth: NDArray[np.int8], blocked: NDArray[np.uint8], segment: ND
     slope = (segment[3] - segment[1]) / max(segment[2] - segment[0], 1e-6)
     reach = half_width * math.sqrt(1.0 + slope * slope)
     for major in range(max(0, int(segment[0] - half_width)), min(n_major - 1, int(segment[2] + half_width) + 1) + 1):
-        minor = path_minor(segment, float(major))
+        minor = minor_at(segment, float(major))
         for j in range(max(0, math.ceil(minor - reach)), min(n_minor - 1, math.floor(minor + reach)) + 1):
             smooth[major, j] = 0
             blocked[major, j] |= 4
@@ -256,7 +219,7 @@ def brightest_points(
         for major in range(max(0, int(segment[0]) - 2), min(n_major - 1, int(segment[2]) + 3) + 1):
             if k == 1 and abs(major - points[0, 0]) < apart_px:
                 continue
-            centre = math.floor(path_minor(segment, float(major)) + 0.5)
+            centre = math.floor(minor_at(segment, float(major)) + 0.5)
             for j in range(max(0, centre - 2), min(n_minor - 1, centre + 2) + 1):
                 value = smooth[major, j] / 16.0
                 if value > points[k, 2]:
@@ -285,7 +248,7 @@ def blank_stars_on_path(
     n_major, n_minor = smooth.shape
     found = 0
     for major in range(max(0, int(segment[0]) - 1), min(n_major - 1, int(segment[2]) + 2) + 1):
-        centre = math.floor(path_minor(segment, float(major)) + 0.5)
+        centre = math.floor(minor_at(segment, float(major)) + 0.5)
         for j in range(max(0, centre - 2), min(n_minor - 1, centre + 2) + 1):
             value = smooth[major, j]
             if value <= limit * 16.0:

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.detect import corridor, refine
+from onboard.detect.strip import Strip
 
 FOUND_BIT: Final = 4
 """Bit of the working mask under detections already made."""
@@ -47,6 +48,7 @@ def accept(
     signal: NDArray[np.float64],
     weight: NDArray[np.float64],
     points: NDArray[np.float64],
+    strip: Strip,
 ) -> tuple[float, float]:
     """(S/N, S/N of a narrow track) of the trail at a candidate, S/N 0 when there is none.
 
@@ -74,7 +76,7 @@ def accept(
         return 0.0, 0.0
     snr, length = 0.0, 0.0
     for _ in range(4):
-        snr = refine.polish(image, blocked, level, tile_px, segment, psf_sigma_px, signal, weight)
+        snr = refine.polish(image, blocked, level, tile_px, segment, psf_sigma_px, signal, weight, strip)
         length = math.hypot(segment[2] - segment[0], segment[3] - segment[1])
         if snr < n_sigma or length < min_length_px:
             return 0.0, 0.0
@@ -107,10 +109,11 @@ def resolve(
     first_sigma: float,
     min_length_px: float,
     max_found: int,
+    strip: Strip,
 ) -> NDArray[np.float64]:
     """Trails among candidates (n, 6: axis, major0, minor0, major1, minor1, S/N; best first); the images are changed in place.
 
-    usable : share of pixels that are not masked.
+    usable : share of pixels that are not masked. strip : work space for the longer side of the frame.
 
     Returns (m, 8): axis, major0, minor0, major1, minor1, sagitta along minor (px), S/N, S/N of a narrow track.
     """
@@ -144,6 +147,7 @@ def resolve(
                 signal,
                 weight,
                 points,
+                strip,
             )
         else:
             snr, narrow = accept(
@@ -164,6 +168,7 @@ def resolve(
                 signal,
                 weight,
                 points,
+                strip,
             )
         if snr >= n_sigma:
             found[n_found, 0] = candidates[c, 0]

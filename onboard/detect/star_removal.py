@@ -33,15 +33,13 @@ HIT_RADIUS_PX: Final = 2.5
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class WorkingImages:
-    """image, smooth : (rows, cols) int8, sigma/16, at full resolution; binned : (rows//2, cols//2) int16, sigma/32.
+    """image : (rows, cols) int8, sigma/16, noise-normalised and without stars.
 
     blocked : uint8, 0 = usable. level : mesh of what the background left over, sigma/16.
     new : entries of the star list that the earlier frame does not show; sharp : those among them that are sharper than the PSF.
     """
 
     image: NDArray[np.int8]
-    smooth: NDArray[np.int8]
-    binned: NDArray[np.int16]
     blocked: NDArray[np.uint8]
     level: NDArray[np.float32]
     new: NDArray[np.int64]
@@ -110,20 +108,47 @@ def remove_static_stars(
     sharp = point_movers.sharper_than_psf(view.residual_adu, sigma, tile_px, stars.row[new], stars.col[new], stars.snr[new])
     hits = new[sharp]
     whiten.blank_discs(image, blocked, stars.row[hits], stars.col[hits], np.full(len(hits), HIT_RADIUS_PX))
-    then, taps, no_level = earlier.view, whiten.odd_taps(psf_sigma_px), np.zeros((1, 1), np.float32)
-    image_then = whiten.quantise(then.residual_adu, then.mask, then.background.sigma_adu, then.background.tile_px)
-    smooth_then = whiten.smooth(image_then, no_level, max(image.shape), taps, POINT_CLIP_SIGMA)
-    smooth_now = whiten.smooth(image, no_level, max(image.shape), taps, POINT_CLIP_SIGMA)
-    places = np.empty((MAX_UNLISTED, 3))
-    n = static_sky.faint_static_stars(smooth_now, smooth_then, earlier.transform, STATIC_EACH, STATIC_BOTH, TILE_PX, places)
-    static_sky.subtract_stars(image, blocked, places[:n, 0], places[:n, 1], places[:n, 2], psf_sigma_px)
+    places = unlisted_stars(image, earlier, psf_sigma_px)
+    static_sky.subtract_stars(image, blocked, places[:, 0], places[:, 1], places[:, 2], psf_sigma_px)
     return new, sharp
 
 
-def working_images(
-    view: DetectorView, earlier: static_sky.EarlierFrame | None, *, clip_sigma: float, halo_px: float
-) -> WorkingImages:
-    """Noise-normalised, star-free and PSF-smoothed images of a view."""
+def unlisted_stars(image: NDArray[np.int8], earlier: static_sky.EarlierFrame, psf_sigma_px: float) -> NDArray[np.float64]:
+    """Stars too faint for the list that the earlier frame shows too, (n, 3): row, col, S/N then.
+
+    The two frames are smoothed in bands of one row of tiles, which stay in the cache, instead of as whole images.
+    """
+    then, taps, no_level = earlier.view, whiten.odd_taps(psf_sigma_px), np.zeros((1, 1), np.float32)
+    rows, cols = image.shape
+    margin = len(taps)  # the kernel's reach, and one row for the test of a local maximum
+    places, found = np.empty((MAX_UNLISTED, 3)), 0
+    for top in range(0, rows, TILE_PX):
+        low, high = static_sky.shifted_rows(earlier.transform, top, TILE_PX, cols)
+        first, stop = max(0, top + low - margin), min(rows, top + TILE_PX + high + margin)
+        if stop <= first:
+            continue
+        sigma, tile_px = then.background.sigma_adu, then.background.tile_px
+        band_then = whiten.quantise_rows(then.residual_adu, then.mask, sigma, tile_px, first, stop)
+        now_first, now_stop = max(0, top - margin), min(rows, top + TILE_PX + margin)
+        found = static_sky.faint_static_stars(
+            whiten.smooth(image[now_first:now_stop], no_level, max(image.shape), taps, POINT_CLIP_SIGMA),
+            whiten.smooth(band_then, no_level, max(image.shape), taps, POINT_CLIP_SIGMA),
+            now_first,
+            first,
+            top,
+            rows,
+            earlier.transform,
+            STATIC_EACH,
+            STATIC_BOTH,
+            TILE_PX,
+            places,
+            found,
+        )
+    return places[:found]
+
+
+def working_images(view: DetectorView, earlier: static_sky.EarlierFrame | None, *, halo_px: float) -> WorkingImages:
+    """Noise-normalised and star-free image of a view."""
     image = whiten.quantise(view.residual_adu, view.mask, view.background.sigma_adu, view.background.tile_px)
     blocked = whiten.unusable(view.mask)
     new, sharp = np.zeros(0, np.int64), np.zeros(0, np.bool_)
@@ -132,6 +157,4 @@ def working_images(
     elif len(view.stars):
         remove_stars_alone(view, image, blocked, halo_px)
     level = whiten.local_level(image, blocked, TILE_PX)
-    smooth = whiten.smooth(image, level, TILE_PX, whiten.odd_taps(view.psf_sigma_px), POINT_CLIP_SIGMA)
-    binned = whiten.smooth_binned(image, level, TILE_PX, whiten.even_taps(view.psf_sigma_px), clip_sigma)
-    return WorkingImages(image=image, smooth=smooth, binned=binned, blocked=blocked, level=level, new=new, sharp=sharp)
+    return WorkingImages(image=image, blocked=blocked, level=level, new=new, sharp=sharp)

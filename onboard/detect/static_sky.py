@@ -148,47 +148,60 @@ def _count_static(now: NDArray[np.int8], then: NDArray[np.int8], each: int, both
     return int(count)
 
 
+def shifted_rows(transform: NDArray[np.float64], top: int, tile_px: int, cols: int) -> tuple[int, int]:
+    """Smallest and largest whole-pixel row shift of the tiles whose first row is `top`."""
+    middle = top + 0.5 * tile_px
+    shift = transform[0, 0] * middle + transform[0, 1] * np.array([0.0, cols + 0.5 * tile_px]) + transform[0, 2] - middle
+    return math.floor(shift.min() + 0.5), math.floor(shift.max() + 0.5)
+
+
 @nb.njit(cache=True)
 def faint_static_stars(
     now: NDArray[np.int8],
     then: NDArray[np.int8],
+    now_first: int,
+    then_first: int,
+    top: int,
+    rows: int,
     transform: NDArray[np.float64],
     each: int,
     both: int,
     tile_px: int,
     places: NDArray[np.float64],
+    found: int,
 ) -> int:
-    """Stars too faint for the star list but present in both frames; fills rows (row, col, S/N then) of places, returns how many.
+    """Stars of one row of tiles, too faint for the star list but present in both frames.
 
-    now, then : PSF-smoothed images, sigma/16. A star is a local maximum of their sum where each exceeds `each` and the sum
-    exceeds `both` (sigma/16). The transform (this frame to the earlier one) acts as one whole-pixel shift for each tile.
+    Fills rows (row, col, S/N then) of places from number `found` on and returns how many there are now. now, then : PSF-smoothed
+    bands of the two frames, sigma/16, that begin at rows now_first and then_first of frames of `rows` rows; top : first row of
+    the tiles. A star is a local maximum of the sum where each exceeds `each` and the sum exceeds `both` (sigma/16). The
+    transform (this frame to the earlier one) acts as one whole-pixel shift for each tile.
     """
-    rows, cols = now.shape
-    found = 0
-    for tile_row in range(0, rows, tile_px):
-        for tile_col in range(0, cols, tile_px):
-            r, c = tile_row + 0.5 * tile_px, tile_col + 0.5 * tile_px
-            d_row = math.floor(transform[0, 0] * r + transform[0, 1] * c + transform[0, 2] - r + 0.5)
-            d_col = math.floor(transform[1, 0] * r + transform[1, 1] * c + transform[1, 2] - c + 0.5)
-            first = max(tile_col, 1, 1 - d_col)
-            last = min(tile_col + tile_px, cols - 1, cols - 1 - d_col)
-            if last <= first:
+    cols = now.shape[1]
+    for tile_col in range(0, cols, tile_px):
+        r, c = top + 0.5 * tile_px, tile_col + 0.5 * tile_px
+        d_row = math.floor(transform[0, 0] * r + transform[0, 1] * c + transform[0, 2] - r + 0.5)
+        d_col = math.floor(transform[1, 0] * r + transform[1, 1] * c + transform[1, 2] - c + 0.5)
+        first = max(tile_col, 1, 1 - d_col)
+        last = min(tile_col + tile_px, cols - 1, cols - 1 - d_col)
+        if last <= first:
+            continue
+        for row in range(max(top, 1, 1 - d_row), min(top + tile_px, rows - 1, rows - 1 - d_row)):
+            i, m = row - now_first, row + d_row - then_first
+            if _count_static(now[i, first:last], then[m, first + d_col : last + d_col], each, both) == 0:
                 continue
-            for i in range(max(tile_row, 1, 1 - d_row), min(tile_row + tile_px, rows - 1, rows - 1 - d_row)):
-                if _count_static(now[i, first:last], then[i + d_row, first + d_col : last + d_col], each, both) == 0:
+            for j in range(first, last):
+                a, b = np.int32(now[i, j]), np.int32(then[m, j + d_col])
+                if a <= each or b <= each or a + b <= both:
                     continue
-                for j in range(first, last):
-                    a, b = np.int32(now[i, j]), np.int32(then[i + d_row, j + d_col])
-                    if a <= each or b <= each or a + b <= both:
-                        continue
-                    peak = True
-                    for di in range(-1, 2):
-                        for dj in range(-1, 2):
-                            if np.int32(now[i + di, j + dj]) + np.int32(then[i + d_row + di, j + d_col + dj]) > a + b:
-                                peak = False
-                    if peak and found < places.shape[0]:
-                        places[found, 0], places[found, 1], places[found, 2] = i, j, b / 16.0
-                        found += 1
+                peak = True
+                for di in range(-1, 2):
+                    for dj in range(-1, 2):
+                        if np.int32(now[i + di, j + dj]) + np.int32(then[m + di, j + d_col + dj]) > a + b:
+                            peak = False
+                if peak and found < places.shape[0]:
+                    places[found, 0], places[found, 1], places[found, 2] = row, j, b / 16.0
+                    found += 1
     return found
 
 

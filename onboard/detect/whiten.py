@@ -33,6 +33,28 @@ def _quantise_row(
 
 
 @nb.njit(cache=True)
+def quantise_rows(
+    residual_adu: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    sigma_adu: NDArray[np.float32],
+    tile_px: int,
+    first: int,
+    stop: int,
+) -> NDArray[np.int8]:
+    """Rows first..stop-1 of `quantise`, shape (stop - first, cols)."""
+    cols = residual_adu.shape[1]
+    out = np.empty((stop - first, cols), np.int8)
+    scale = np.zeros(cols, np.float32)
+    for row in range(first, stop):
+        if row == first or row % tile_px == 0:
+            mesh_row = min(row // tile_px, sigma_adu.shape[0] - 1)
+            for col in range(cols):
+                sigma = sigma_adu[mesh_row, min(col // tile_px, sigma_adu.shape[1] - 1)]
+                scale[col] = UNIT / sigma if sigma > 0.0 else 0.0
+        _quantise_row(residual_adu[row], mask[row], scale, out[row - first])
+    return out
+
+
 def quantise(
     residual_adu: NDArray[np.float32], mask: NDArray[np.uint8], sigma_adu: NDArray[np.float32], tile_px: int
 ) -> NDArray[np.int8]:
@@ -40,17 +62,7 @@ def quantise(
 
     All images (rows, cols); sigma is a mesh, and where it is 0 the result is 0.
     """
-    rows, cols = residual_adu.shape
-    out = np.empty((rows, cols), np.int8)
-    scale = np.zeros(cols, np.float32)
-    for row in range(rows):
-        if row % tile_px == 0:
-            mesh_row = min(row // tile_px, sigma_adu.shape[0] - 1)
-            for col in range(cols):
-                sigma = sigma_adu[mesh_row, min(col // tile_px, sigma_adu.shape[1] - 1)]
-                scale[col] = UNIT / sigma if sigma > 0.0 else 0.0
-        _quantise_row(residual_adu[row], mask[row], scale, out[row])
-    return out
+    return quantise_rows(residual_adu, mask, sigma_adu, tile_px, 0, residual_adu.shape[0])
 
 
 @nb.njit(cache=True)

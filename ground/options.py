@@ -16,11 +16,14 @@ class PhotometryOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ProductOptions:
-    """Names that stand in messages."""
+    """Names that stand in messages, and what is drawn."""
 
     originator: str = field(default="SBOC", metadata={"doc": "ORIGINATOR of CCSDS messages"})
     observer_name: str = field(default="SBOC-1", metadata={"doc": "name of the observing spacecraft"})
     observer_id: str = field(default="2027-000A", metadata={"doc": "international designator of the spacecraft"})
+    tracklet_plots: bool = field(
+        default=False, metadata={"doc": "whether a picture of each tracklet is drawn (path, residuals, light curve)"}
+    )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -36,6 +39,9 @@ class GroundOptions:
     )
     orbits: bool = field(default=True, metadata={"doc": "whether coarse orbits are determined"})
     joint_refit: bool = field(default=True, metadata={"doc": "whether all frames of a tracklet are fitted together"})
+    catalogue_file: str = field(
+        default="", metadata={"doc": "star catalogue made by `sboc catalogue build`; empty for the one that comes along"}
+    )
     known_objects_file: str = field(
         default="", metadata={"doc": "element sets (TLE, 3LE) that tracklets are matched against; empty for none"}
     )
@@ -45,4 +51,4 @@ class GroundOptions:
     streak_photometry: PhotometryOptions = field(
         default_factory=PhotometryOptions, metadata={"doc": "streak magnitudes and sizes"}
     )
-    products: ProductOptions = field(default_factory=ProductOptions, metadata={"doc": "names in messages"})
+    products: ProductOptions = field(default_factory=ProductOptions, metadata={"doc": "names in messages, pictures"})

@@ -5,7 +5,6 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.files import calibration_files
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Frame, NominalCamera
@@ -13,7 +12,7 @@ from sboc_e2e.outside.camera import camera_of_frame, camera_of_preset
 from sboc_e2e.outside.frame_source import FrameSource
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.directory import RunDirectory
-from sboc_e2e.run.ground_stage import GroundStage, Outside, ground_chain
+from sboc_e2e.run.ground_stage import GroundStage, Outside, ground_chain, star_catalogue
 from sboc_e2e.run.manifest import Manifest
 from sboc_e2e.run.onboard_stage import OnboardStage, onboard_chain
 from sboc_e2e.run.progress import Progress
@@ -50,6 +49,7 @@ def process(
     """
     directory = RunDirectory(path=out)
     n_frames = source.n_frames
+    catalogue = star_catalogue(scenario.ground)
     known = camera_of_preset(camera, registry) if camera else None
     first = next(iter(source.frames()))
     nominal = _fitting(known, first.frame) if known else camera_of_frame(first)
@@ -71,7 +71,6 @@ def process(
     directory.clear_work("onboard")
     for note, count in seen.notes.items():
         progress.note(f"{count} of {n_frames} frames: {note}")
-    catalogue = StarCatalogue.embedded()
     ground = GroundStage(
         run=directory,
         chain=ground_chain(scenario, calibration=None, camera=nominal, catalogue=catalogue),

@@ -63,6 +63,11 @@ def ground_chain(
     return GroundChain(scenario.ground, steps, calibration=calibration, camera=camera, catalogue=catalogue)
 
 
+def star_catalogue(options: GroundOptions) -> StarCatalogue:
+    """The star catalogue that ground uses. Raises `UserError` for a file that is none."""
+    return StarCatalogue.open(options.catalogue_file) if options.catalogue_file else StarCatalogue.embedded()
+
+
 def _decoders(chosen: Decoder) -> tuple[Decoder, ...]:
     registry = Registry()
     shipped = (registry.resolve("ground.decoder", name)() for name in own_names("ground.decoder"))
@@ -151,6 +156,13 @@ class GroundStage:
         tdm = tdm_text(result.tracklets, result.streaks, result.headers, options.products, oem_name=OEM_NAME if oem else None)
         write_text(folder / TDM_NAME, tdm)
         write_json(folder / "ingest.json", result.ingest.as_dict() if result.ingest else {})
+        if options.products.tracklet_plots:
+            # here, since matplotlib takes longer to load than a frame to process
+            from ground.products.tracklet_plot import tracklet_svg
+
+            for tracklet in result.tracklets:
+                path = folder / "plots" / f"tracklet_{tracklet.tracklet_id:06d}.svg"
+                write_text(path, tracklet_svg(tracklet, result.streaks))
 
 
 def _with_origin(table: Table, origin: Mapping[int, tuple[str, int]]) -> Table:

@@ -6,7 +6,6 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final
 
-from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.faults import damaged_frame, delivered_frames
 from sboc_e2e.files import calibration_files, frame_fits
 from sboc_e2e.files.atomic import write_json
@@ -16,7 +15,7 @@ from sboc_e2e.registry import Registry
 from sboc_e2e.report import write_report
 from sboc_e2e.run import disk, truth_files
 from sboc_e2e.run.directory import STAGES, RunDirectory
-from sboc_e2e.run.ground_stage import GroundStage, ground_chain
+from sboc_e2e.run.ground_stage import GroundStage, ground_chain, star_catalogue
 from sboc_e2e.run.manifest import Manifest, first_difference
 from sboc_e2e.run.onboard_stage import OnboardStage, onboard_chain
 from sboc_e2e.run.progress import Progress, Silent
@@ -126,7 +125,7 @@ class Run:
         """Products from downlink, calibration and catalogue."""
         calibration = calibration_files.read(self.directory.calibration)
         camera = calibration_files.read_camera(self.directory.calibration)
-        catalogue = StarCatalogue.embedded()
+        catalogue = star_catalogue(self.scenario.ground)
         chain = ground_chain(self.scenario, calibration=calibration, camera=camera, catalogue=catalogue)
         stage = GroundStage(run=self.directory, chain=chain, options=self.scenario.ground, catalogue=catalogue)
         self.manifest.forget(("score", "report"))
@@ -214,6 +213,7 @@ def run(request: RunRequest, progress: Progress | None = None) -> Run:
     workers = worker_count(request.workers)
     directory = RunDirectory(path=request.out)
     wanted = Manifest.of(directory.manifest, request.scenario)
+    star_catalogue(request.scenario.ground)  # what is wrong with it is said before hours of simulation, not after
     disk.check(request.out, request.scenario, shown)
     manifest = wanted
     if directory.prepare(resume=request.resume, force=request.force):

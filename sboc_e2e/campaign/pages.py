@@ -60,7 +60,7 @@ def _html(campaign: Campaign, summary: dict[str, Any], failed: list[dict[str, An
     body = [f"<p>{campaign.description}</p>", table(_HEAD, [[_label(p), *_cells(s)] for p, s in summary.items()])]
     overview = over_keys([(json.loads(point), s) for point, s in summary.items()])
     if overview:
-        body.append(f"<figure><figcaption>Over the varied keys, with 90 % intervals</figcaption>{overview}</figure>")
+        body.append(f"<figure><figcaption>Over the varied keys</figcaption>{overview}</figure>")
     for point, s in summary.items():
         size = [
             [f"{c['from_m'] * 1000:g}-{c['to_m'] * 1000:g} mm", *(figure_words(c[k])[0] for k in _DAY)]

@@ -9,6 +9,7 @@ from astropy.table import Table
 
 from sboc_e2e.campaign.aggregate import RANGE_EDGES_KM, SIZE_EDGES_M
 from sboc_e2e.report import plots
+from sboc_e2e.report.words import number
 
 HEADLINES: Final = (
     ("completeness_snr8", "completeness, S/N >= 8"),
@@ -70,6 +71,7 @@ def larger_than(per_day: dict[str, Any]) -> str | None:
             ends = np.array([[max(c["value"] - c["low"], 0.0), max(c["high"] - c["value"], 0.0)] for c in cells]).T
             ax.errorbar(size * shift, value, yerr=ends, fmt="o-", ms=4, lw=1.2, capsize=2, color=colour, label=name)
         ax.set(xscale="log", yscale="log", xlabel="diameter d (m)", ylabel="objects larger than d, a day")
+        ax.set_xlim(SIZE_EDGES_M[0] / 1.5, SIZE_EDGES_M[-1] * 1.5)
         ax.legend()
         return plots.svg(figure)
 
@@ -118,7 +120,7 @@ def _grid(figure: Any, ax: Any, keys: list[str], cells: list[tuple[Any, Any, flo
     for (j, i), value in np.ndenumerate(table):
         if np.isfinite(value):
             ink = "white" if value < low + 0.6 * (high - low) else "black"
-            ax.text(i, j, f"{value:.3g}", ha="center", va="center", fontsize=8, color=ink)
+            ax.text(i, j, number(float(f"{value:.3g}")), ha="center", va="center", fontsize=8, color=ink)
     ax.set_xticks(range(len(first)), [str(value) for value in first])
     ax.set_yticks(range(len(second)), [str(value) for value in second])
     ax.set(xlabel=keys[0], ylabel=keys[1], title=label)

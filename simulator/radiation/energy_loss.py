@@ -80,14 +80,23 @@ def maximum_transfer_mev(bg: NDArray[np.float64], mass_mev: float = PROTON_MEV) 
     return np.asarray(2.0 * ELECTRON_MEV * bg**2 / (1.0 + 2.0 * gamma * ratio + ratio**2))
 
 
+SHELL_LOWEST: Final = 0.13
+"""Momentum over mass down to which the shell correction was fitted (8 MeV protons); it is held constant below."""
+
+
+def shell_correction(bg: NDArray[np.float64], material: Material) -> NDArray[np.float64]:
+    """Shell correction C/Z to the logarithm of Bethe's formula (Barkas & Berger 1964, NASA SP-3013; Leo 1994, equation 2.33)."""
+    x = np.maximum(bg, SHELL_LOWEST) ** -2.0
+    square = (0.422377 + (0.0304043 - 0.00038106 * x) * x) * x * 1e-6
+    cube = (3.858019 + (-0.1667989 + 0.00157955 * x) * x) * x * 1e-9
+    return np.asarray((square * material.excitation_ev**2 + cube * material.excitation_ev**3) / material.z)
+
+
 def stopping_power_mev_cm2_g(
     energy_mev_u: ArrayLike, material: Material, charge: ArrayLike = 1.0, mass_mev: float = PROTON_MEV
 ) -> NDArray[np.float64]:
-    """Mean electronic energy loss per g/cm2 (Bethe with density correction, equation 34.5), proportional to charge squared.
-
-    Shell and Barkas corrections are left out: too high against PSTAR by 1.6 % (silicon) and 3.5 % (copper) at 10 MeV, by
-    0.1 % and 0.5 % at 100 MeV.
-    """
+    """Mean electronic energy loss per g/cm2 (Bethe with density and shell corrections, equation 34.5), proportional to charge
+    squared. Barkas and Bloch corrections are left out."""
     bg = beta_gamma(energy_mev_u, mass_mev)
     beta2 = bg**2 / (1.0 + bg**2)
     excitation = material.excitation_ev * 1e-6
@@ -95,6 +104,7 @@ def stopping_power_mev_cm2_g(
         0.5 * np.log(2.0 * ELECTRON_MEV * bg**2 * maximum_transfer_mev(bg, mass_mev) / excitation**2)
         - beta2
         - 0.5 * density_correction(bg, material)
+        - shell_correction(bg, material)
     )
     return np.asarray(K_MEV_CM2_MOL * material.z_over_a * np.asarray(charge) ** 2 / beta2 * np.maximum(bracket, 0.1))
 

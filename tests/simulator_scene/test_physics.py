@@ -239,6 +239,31 @@ def test_zodiacal_light_of_leinert(beta_deg, from_sun_deg, mag):
     assert -2.5 * np.log10(flux[0]) == pytest.approx(mag, abs=0.012)
 
 
+def test_every_cell_of_the_zodiacal_table():
+    """Sums over latitudes and over longitudes (from 15 deg on) of the copy of Leinert's table 17 in EXOSIMS 3.6.6 (BSD-3)."""
+    table = sky._ZODIACAL[3:]
+    assert table.sum(axis=1).astype(int).tolist() == [
+        26544,
+        17253,
+        11737,
+        8372,
+        6225,
+        4854,
+        3984,
+        2627,
+        2038,
+        1719,
+        1523,
+        1399,
+        1353,
+        1374,
+        1490,
+        1597,
+    ]
+    assert table.sum(axis=0).astype(int).tolist() == [30246, 21066, 12890, 8541, 6144, 4753, 3795, 2391, 1678, 1353, 1232]
+    assert sky._ZODIACAL[0, 3:].tolist() == [3140, 1610, 985, 640, 275, 150, 100, 77]
+
+
 def test_galactic_pole_is_dark_and_the_plane_bright():
     pole = unit_vectors(np.array(192.85948), np.array(27.12825))[None]
     centre = unit_vectors(np.array(266.405), np.array(-28.936))[None]

@@ -13,10 +13,12 @@ from ground.astrometry.rotation import matrix_of
 from ground.orbit.catalogue_match import CatalogueMatch
 from ground.photometry.magnitude import sphere_size_m
 from ground.products.epochs import utc_text
+from ground.products.light_curve import light_curve
 from ground.records import GroundProducts
 from ground.sky.published import spherical_deg
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag
+from sboc_e2e.icd.products import StreakMeasurement
 from sboc_e2e.icd.version import CONTRACT_VERSION
 
 DIRECTIONS: Final = (
@@ -186,6 +188,10 @@ def streaks_table(products: GroundProducts) -> Table:
 def tracklets_table(products: GroundProducts) -> Table:
     """One row for each tracklet: motion at its reference epoch."""
     tracklets = products.tracklets
+    members: dict[int, list[StreakMeasurement]] = {}
+    for streak in products.streaks:
+        members.setdefault(streak.tracklet_id, []).append(streak)
+    curves = [light_curve(members.get(t.tracklet_id, [])) for t in tracklets]
     table = _table(
         [
             ("tracklet_id", [t.tracklet_id for t in tracklets], None, "number of the tracklet"),
@@ -207,6 +213,13 @@ def tracklets_table(products: GroundProducts) -> Table:
             ("position_angle_deg", [t.position_angle_deg for t in tracklets], "deg", "of the motion, from north by east"),
             ("mag", [t.mag for t in tracklets], "mag", "Johnson V for a solar colour"),
             ("mag_err", [t.mag_err for t in tracklets], "mag", "its error"),
+            ("period_s", [c.period_s for c in curves], "s", "period of the brightness from frame to frame, NaN without one"),
+            (
+                "period_false_alarm",
+                [c.false_alarm for c in curves],
+                None,
+                "probability of as high a peak of the periodogram without a period, NaN when not tried",
+            ),
             ("chi2_nu", [t.chi2_nu for t in tracklets], None, "of the motion model"),
             ("probability", [t.probability for t in tracklets], None, "that all of it is one real object"),
             (

@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.detect import dyadic, fragments, point_movers, registration, resolve, static_sky, strip, whiten
+from onboard.detect import context, dyadic, fragments, point_movers, registration, resolve, static_sky, strip, whiten
 from onboard.detect.star_removal import POINT_CLIP_SIGMA, TILE_PX, WorkingImages, snr_before, working_images
 from onboard.nearest import nearest
 from sboc_e2e.icd.flags import StreakFlag
@@ -50,6 +50,16 @@ SLOW_SHIFT_PX: Final = 0.5
 
 SLOW_REACH_PX: Final = 3.0
 """Largest such shift; faster objects leave their place empty and are new entries."""
+
+STAR_LIKE_PX: Final = 20.0
+"""Shorter trails may be a faint star, or two of them in a row."""
+
+VARIED_SIGMA: Final = 4.8
+"""Rise of a point source between two frames, in sigma of their difference, that stars of constant light do not reach.
+
+With N stars per frame near the threshold false alarms are N Q(z): 30,000 give 0.02 per frame. A star-like object that was not
+there before is thus found from S on, S^2 = 2 z^2 (1 + nu S / 2) (`point_movers.object_noise`): 8.8 in the preset.
+"""
 
 STORM_ENTRIES: Final = 1000
 """New star-list entries above which a particle storm raises the threshold."""
@@ -145,13 +155,19 @@ def segment_snr(
 
 
 def moved(
-    detection: Detection, earlier: static_sky.EarlierFrame, images: WorkingImages, psf_sigma_px: float, n_sigma: float
+    detection: Detection,
+    earlier: static_sky.EarlierFrame,
+    images: WorkingImages,
+    psf_sigma_px: float,
+    n_sigma: float,
+    short_margin: float,
 ) -> bool:
     """Whether a detection stays above n_sigma once what the earlier frame shows at its place is held against it.
 
     The place is that among the stars (faint stars in a row, spikes) and that on the sensor (columns). Light there counts at
     0.7 of its S/N beyond half a sigma. Long segments gather unlisted stars in the earlier frame, where none were removed:
-    they are refused only when nearly all of their light was there before.
+    they are refused only when nearly all of their light was there before. The part of short_margin asked of short ones goes
+    from all at no length to nothing at STAR_LIKE_PX.
     """
     for transform in (earlier.transform, static_sky.IDENTITY):
         before = segment_snr(detection, earlier.view, transform, images, psf_sigma_px)
@@ -159,7 +175,8 @@ def moved(
             continue
         if before > 0.8 * detection.snr:
             return False
-        if detection.length_px < 150.0 and detection.snr - 0.7 * max(0.0, before - 0.5) < n_sigma:
+        margin = short_margin * max(0.0, 1.0 - detection.length_px / STAR_LIKE_PX)
+        if detection.length_px < 150.0 and detection.snr - 0.7 * max(0.0, before - 0.5) < n_sigma + margin:
             return False
     return True
 
@@ -187,9 +204,10 @@ def short_detections(
         max_found,
     )
     before = snr_before(earlier, table[:, 2], table[:, 3], s_px)
+    sigma_e = float(np.median(view.background.sigma_adu)) * (view.header.gain_e_adu or 1.0)
     found = []
     for (_, snr, row, col, angle, length), then in zip(table, before, strict=True):
-        if not snr - max(then, 0.0) > n_sigma:
+        if not (snr - max(then, 0.0) > n_sigma and point_movers.rise_sigma(snr, then, s_px, sigma_e) > VARIED_SIGMA):
             continue
         half_row, half_col = 0.5 * length * math.sin(angle), 0.5 * length * math.cos(angle)
         limit_row, limit_col = view.residual_adu.shape[0] - 1.0, view.residual_adu.shape[1] - 1.0
@@ -263,7 +281,12 @@ class LineIntegralDetector:
         default=2.0, metadata={"doc": "added to n_sigma below 60 px when no earlier frame helps", "min": 0.0, "max": 20.0}
     )
     short_margin: float = field(
-        default=1.4, metadata={"doc": "added to n_sigma for trails under min_length: faint stars vary", "min": 0.0, "max": 20.0}
+        default=1.4,
+        metadata={
+            "doc": "added to n_sigma for star-like trails, falling to 0 at 20 px: faint stars vary",
+            "min": 0.0,
+            "max": 20.0,
+        },
     )
     reach_px: float = field(default=300.0, metadata={"doc": "largest shift of stars between frames", "min": 0.0, "max": 5000.0})
     max_cosmic_like: int = field(default=1, metadata={"doc": "most particle hits reported per frame", "min": 0, "max": 10000})
@@ -318,7 +341,7 @@ class LineIntegralDetector:
             found = [d for d in found if d.length_px >= BLEND_PX]
             found = [d for d in found if d.length_px >= SHARP_ENDS_PX or d.snr >= n_sigma + self.single_frame_margin]
         else:
-            found = [d for d in found if moved(d, earlier, images, s_px, n_sigma)]
+            found = [d for d in found if moved(d, earlier, images, s_px, n_sigma, self.short_margin)]
             found += short_detections(view, earlier, images, smooth, n_sigma + self.short_margin, self.max_detections)
             found += slow_movers(view, earlier)
         found = [flag_sharp(d, images) if d.length_px < SHARP_ENDS_PX else d for d in found]
@@ -328,6 +351,9 @@ class LineIntegralDetector:
             for d in found
         ]
         found = fragments.join([replace(d, snr=max(d.snr, s)) for d, s in zip(found, unclipped, strict=True)])
+        static = np.full(len(view.stars), earlier is not None)
+        static[images.new] = False
+        found = [context.with_context(d, view, static) for d in found]
         tracks = [d for d in found if d.flags & StreakFlag.COSMIC_LIKE] + particle_hits(view, images, n_sigma + self.short_margin)
         real = sorted((d for d in found if not d.flags & StreakFlag.COSMIC_LIKE), key=lambda d: -d.snr)
         tracks.sort(key=lambda d: -d.snr)

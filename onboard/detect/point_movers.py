@@ -12,6 +12,21 @@ PEAK_FRACTION: Final = 0.57
 """Brightest pixel of a centred star over its matched-filter S/N, in sigma of a pixel, for a PSF of 2 px FWHM on square pixels."""
 
 
+def object_noise(psf_sigma_px: float, sigma_e: float) -> float:
+    """nu in the variance 1 + nu S of a point source's matched-filter S/N S: its own Poisson noise beside the sky's.
+
+    For a Gaussian t of unit sum the variance of sum(t x) is sigma^2 sum(t^2) + F sum(t^3), with sum(t^2) = 1/(4 pi s^2),
+    sum(t^3) = 1/(12 pi^2 s^4) and F = 2 sqrt(pi) s sigma S: nu = 2 / (3 sqrt(pi) s sigma). sigma_e : noise of a pixel, e-.
+    """
+    return 2.0 / (3.0 * math.sqrt(math.pi) * psf_sigma_px * sigma_e) if sigma_e > 0.0 else 0.0
+
+
+def rise_sigma(snr: float, before: float, psf_sigma_px: float, sigma_e: float) -> float:
+    """Difference of a place's S/N now and before in its standard deviation, were it a star of constant light; NaN as before."""
+    mean = max(0.0, 0.5 * (snr + before))
+    return (snr - before) / math.sqrt(2.0 * (1.0 + object_noise(psf_sigma_px, sigma_e) * mean))
+
+
 @nb.njit(cache=True)
 def sharper_than_psf(
     residual_adu: NDArray[np.float32],

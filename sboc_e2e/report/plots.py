@@ -119,9 +119,10 @@ def frame_vectors(grids: list[dict[str, Any]]) -> str:
     with canvas(4.4, 3.8) as (figure, (ax,)):
         east = np.mean([g["east_arcsec"] for g in grids], axis=0)
         north = np.mean([g["north_arcsec"] for g in grids], axis=0)
+        ax.margins(0.12)
         arrows = ax.quiver(grids[0]["col"], grids[0]["row"], east, north, color=BLUE, angles="uv", width=0.004)
         size = float(np.hypot(east, north).max())
-        ax.quiverkey(arrows, 0.8, 1.04, size, f'{size:.3f}"', labelpos="E")
+        ax.quiverkey(arrows, 0.86, 0.03, size, f'{size:.3f}"', labelpos="N", coordinates="axes")
         ax.set(xlabel="col", ylabel="row", aspect="equal")
         ax.invert_yaxis()
         return svg(figure)

@@ -16,6 +16,7 @@ from sboc_e2e.score.evaluation import Evaluation, evaluate
 from sboc_e2e.score.photometry import photometry
 
 MAX_PREVIEWS: Final = 24
+RESIDUALS_TITLE: Final = "Streak positions against their bounds"
 SECTIONS: Final = ("detection", "astrometry", "photometry", "linking", "orbit", "population", "compression", "timing")
 HEADLINES: Final = (
     ("detection.ground.completeness_snr8", "completeness, S/N >= 8"),
@@ -97,6 +98,7 @@ def html(score: dict[str, Any], e: Evaluation, run_dir: Path) -> str:
         headlines=[(label, *figure_words(_at(score, path))) for path, label in HEADLINES],
         sections=sections,
         plots=_plots(score, e),
+        wide_plots=(RESIDUALS_TITLE,),
         n_frames=e.n_frames,
         n_kept=len(kept),
         shape=e.shape,
@@ -115,7 +117,7 @@ def _plots(score: dict[str, Any], e: Evaluation) -> list[tuple[str, str]]:
     sky = sky_paths(e.truth_tables["streaks"], sorted({t.index for t in measured.values()}))
     _, residuals = streak_astrometry(e.streaks, measured, e.bounds, sky)
     if residuals:
-        out.append(("Streak positions against their bounds", plots.residuals(residuals)))
+        out.append((RESIDUALS_TITLE, plots.residuals(residuals)))
     _, grids = frame_astrometry(e.frames, e.truth_tables["frames"])
     if grids:
         out.append(("Frame solution minus truth, mean over frames", plots.frame_vectors(grids)))

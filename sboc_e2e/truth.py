@@ -46,7 +46,7 @@ STREAKS: Final = (
     Column(name="sagitta_px", dtype="f8", unit="pix", text="height of the arc over its chord, signed"),
     Column(name="gradient", dtype="f8", unit="", text="relative brightness change from end 0 to end 1"),
     Column(name="rate_deg_s", dtype="f8", unit="deg / s", text="apparent rate against the camera frame at mid-trail"),
-    Column(name="range_km", dtype="f8", unit="km", text="distance at mid-trail"),
+    Column(name="range_km", dtype="f8", unit="km", text="distance at mid-trail, NaN for a path over pixels"),
     Column(name="mag", dtype="f8", unit="mag", text="apparent V at mid-trail"),
     Column(name="ra_app_deg", dtype="f8", unit="deg", text="apparent right ascension of mid-trail"),
     Column(name="dec_app_deg", dtype="f8", unit="deg", text="apparent declination of mid-trail"),
@@ -69,7 +69,12 @@ OBJECTS: Final = (
     Column(name="e", dtype="f8", unit="", text="eccentricity"),
     Column(name="i_deg", dtype="f8", unit="deg", text="inclination"),
     Column(name="weight", dtype="f8", unit="", text="objects in nature that this drawn one stands for"),
-    Column(name="range_km", dtype="f8", unit="km", text="distance at its first truth streak, NaN if never in a frame"),
+    Column(
+        name="range_km",
+        dtype="f8",
+        unit="km",
+        text="distance at its first truth streak, NaN if never in a frame or a path over pixels",
+    ),
 )
 
 FRAMES: Final = (

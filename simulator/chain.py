@@ -385,7 +385,8 @@ class Simulator:
             for k, path in self._paths(sight, index, sorted(waiting)):
                 lit = exposed_intervals(path.place, shutter, 0.5, first_s, last_s)
                 if lit:
-                    out[k]["range_km"] = path.range_km(np.array([0.5 * (lit[0].start_s + lit[0].end_s)]))[0]
+                    distance_km = path.range_km(np.array([0.5 * (lit[0].start_s + lit[0].end_s)]))[0]
+                    out[k]["range_km"] = distance_km if np.isfinite(distance_km) else np.nan
                     waiting.discard(k)
         return out
 

@@ -24,7 +24,12 @@ class PointingOptions:
     ra_deg: float = field(default=0.0, metadata={"doc": "right ascension (inertial, sidereal)", "min": -360.0, "max": 360.0})
     dec_deg: float = field(default=0.0, metadata={"doc": "declination (inertial, sidereal)", "min": -90.0, "max": 90.0})
     roll_deg: float = field(
-        default=0.0, metadata={"doc": "turn about the boresight; at 0 north is up", "min": -360.0, "max": 360.0}
+        default=0.0,
+        metadata={
+            "doc": "turn about the boresight; at 0 rows grow to the south, columns to the west, at 180 deg to north and east",
+            "min": -360.0,
+            "max": 360.0,
+        },
     )
     tilt_deg: float = field(
         default=180.0,

@@ -259,6 +259,7 @@ def _truth_row(
     mid_row, mid_col = camera.delivered(*path.place(middle))
     off_row, off_col = mid_row[0] - 0.5 * (row[0] + row[-1]), mid_col[0] - 0.5 * (col[0] + col[-1])
     sagitta_px = (off_row * dcol - off_col * drow) / chord if chord > 1e-9 else 0.0
+    distance_km = path.range_km(middle)[0]
     ra, dec = angles_deg(path.published(time_s))
     ra_app, dec_app = angles_deg(path.apparent(middle))
     # A uniform disc of diameter d has the variance d^2/16 along each axis, an annulus of obstruction o (1 + o^2) times that.
@@ -280,7 +281,7 @@ def _truth_row(
         "sagitta_px": sagitta_px,
         "gradient": 2.0 * (flux_rate[-1] - flux_rate[0]) / max(flux_rate[-1] + flux_rate[0], 1e-300),
         "rate_deg_s": np.degrees(angle) / (2.0 * step[0]),
-        "range_km": path.range_km(middle)[0],
+        "range_km": distance_km if np.isfinite(distance_km) else np.nan,  # a path over pixels is at no distance
         "mag": -2.5 * np.log10(max(path.flux_v0(middle)[0], 1e-40)),
         "ra_app_deg": ra_app[0],
         "dec_app_deg": dec_app[0],

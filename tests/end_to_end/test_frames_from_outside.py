@@ -1,0 +1,85 @@
+"""`sboc process` on frames of odd kinds: sizes, compression, floats, several HDUs, and where directions come from."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.table import Table
+
+from sboc_e2e import cli
+from sboc_e2e.scenario.toml_files import FOLDER as SCENARIOS
+from sboc_e2e.scenario.toml_files import preset_path
+
+SIGMA_PX = 1.2
+
+
+def image_of(rows: int, cols: int) -> np.ndarray:
+    """Sky, a dozen stars, and one bright trail through the middle half of the frame."""
+    rng = np.random.default_rng(rows * cols)
+    grid = np.mgrid[:rows, :cols].astype(float)
+    image = np.full((rows, cols), 300.0)
+    spots = [(*rng.uniform(0.1, 0.9, 2) * (rows, cols), 4000.0) for _ in range(12)]
+    spots += [(rows * (0.40 + 0.2 * p), cols * (0.3 + 0.4 * p), 300.0) for p in np.linspace(0.0, 1.0, rows)]
+    for row, col, flux in spots:
+        image += flux / (2 * np.pi * SIGMA_PX**2) * np.exp(-0.5 * ((grid[0] - row) ** 2 + (grid[1] - col) ** 2) / SIGMA_PX**2)
+    return rng.normal(image, 4.0)
+
+
+def processed(source: Path, out: Path, *extra: str) -> tuple[Table, Table]:
+    assert cli.run(["process", str(source), "--out", str(out), *extra]) == 0
+    frames, streaks = (Table.read(out / "products" / f"{name}.ecsv", format="ascii.ecsv") for name in ("frames", "streaks"))
+    return frames, streaks
+
+
+def near_the_trail(streaks: Table, frame: int, rows: int, cols: int) -> bool:
+    """Whether a streak of the frame has both ends within 3 px of the true ones."""
+    true = np.array([0.4 * rows, 0.3 * cols, 0.6 * rows, 0.7 * cols])
+    mine = streaks[np.asarray(streaks["frame"]) == frame]
+    found = np.array([mine[name] for name in ("row0", "col0", "row1", "col1")], dtype=float).T
+    return bool(len(found)) and float(np.abs(found - true).max(axis=1).min()) < 3.0
+
+
+@pytest.mark.parametrize("shape", [(64, 64), (65, 97), (130, 71)])
+def test_frames_of_any_size_and_kind_are_taken(tmp_path: Path, shape: tuple[int, int]) -> None:
+    image = image_of(*shape)
+    tiles = fits.CompImageHDU(np.rint(image).astype(np.int16), compression_type="RICE_1", tile_shape=(16, shape[1]))
+    several = [fits.PrimaryHDU(), tiles, fits.ImageHDU(image.astype(np.float32)), fits.ImageHDU(np.rint(image).astype(np.uint16))]
+    fits.HDUList(several).writeto(tmp_path / "odd.fits.fz")
+    frames, streaks = processed(tmp_path / "odd.fits.fz", tmp_path / "out", "--wcs", "none")
+    assert list(frames["hdu"]) == [1, 2, 3]
+    assert [(int(rows), int(cols)) for rows, cols in zip(frames["rows"], frames["cols"], strict=True)] == [shape] * 3
+    assert not np.asarray(frames["solved"]).any()
+    for name in ("ra_mid_deg", "mag"):
+        assert not np.isfinite(np.asarray(streaks[name], dtype=float)).any()
+
+
+def test_directions_come_from_the_header_and_a_camera_from_a_file(tmp_path: Path) -> None:
+    hdu = fits.PrimaryHDU(np.rint(image_of(96, 96)).astype(np.uint16))
+    hdu.header.update({"DATE-OBS": "2027-01-29T00:00:00", "EXPTIME": 0.2, "GAIN": 1.5, "RDNOISE": 3.0})
+    hdu.header.update(
+        {"CTYPE1": "RA---TAN", "CTYPE2": "DEC--TAN", "CRVAL1": 10.0, "CRVAL2": 20.0, "CRPIX1": 48.5, "CRPIX2": 48.5}
+    )
+    hdu.header.update({"CD1_1": -2e-3, "CD1_2": 0.0, "CD2_1": 0.0, "CD2_2": 2e-3})
+    hdu.writeto(tmp_path / "sky.fits")
+    camera = tmp_path / "camera.toml"
+    camera.write_text(preset_path("smoke_wide", SCENARIOS, "test").read_text())
+    _, streaks = processed(tmp_path / "sky.fits", tmp_path / "header", "--wcs", "header", "--camera", str(camera))
+    assert near_the_trail(streaks, 0, 96, 96)
+    # The trail's middle is (47.5, 47.5), the pixel of CRVAL by FITS's count from one.
+    best = streaks[np.argmax(streaks["snr"])]
+    assert abs(best["ra_mid_deg"] - 10.0) < 2e-3 * 2
+    assert abs(best["dec_mid_deg"] - 20.0) < 2e-3 * 2
+    _, bare = processed(tmp_path / "sky.fits", tmp_path / "none", "--wcs", "none", "--camera", str(camera))
+    assert not np.isfinite(bare["ra_mid_deg"]).any()
+
+
+def test_a_camera_file_that_is_none_is_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    fits.PrimaryHDU(np.rint(image_of(64, 64)).astype(np.uint16)).writeto(tmp_path / "a.fits")
+    (tmp_path / "bad.toml").write_text("[instrument]\nrowz = 3\n")
+    for camera, words in ((tmp_path / "bad.toml", 'unknown key "rowz"'), (tmp_path / "none.toml", "cannot be read")):
+        capsys.readouterr()
+        assert cli.run(["process", str(tmp_path / "a.fits"), "--out", str(tmp_path / "out"), "--camera", str(camera)]) == 2
+        (line,) = capsys.readouterr().err.splitlines()
+        assert words in line
+        assert not (tmp_path / "out").exists()

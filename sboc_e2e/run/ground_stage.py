@@ -158,7 +158,7 @@ class GroundStage:
         write_json(folder / "ingest.json", result.ingest.as_dict() if result.ingest else {})
         if options.products.tracklet_plots:
             # here, since matplotlib takes longer to load than a frame to process
-            from ground.products.tracklet_plot import tracklet_svg
+            from sboc_e2e.run.tracklet_plot import tracklet_svg
 
             for tracklet in result.tracklets:
                 path = folder / "plots" / f"tracklet_{tracklet.tracklet_id:06d}.svg"

@@ -9,17 +9,21 @@ import pytest
 from ground.link import MotionLinker, apply_links
 from ground.products.light_curve import light_curve
 from ground.products.tables import tracklets_table
-from ground.products.tracklet_plot import tracklet_svg
 from ground.records import GroundProducts
+from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import StreakMeasurement, Tracklet
+from sboc_e2e.run.tracklet_plot import tracklet_svg
 from tests.link.sky_scene import Camera, observe, pixel_mover
 
 N_FRAMES = 40
 PERIOD_S = 1.7
 
 
+Linked = tuple[list[StreakMeasurement], Tracklet, tuple[FrameHeader, ...]]
+
+
 @pytest.fixture(scope="module")
-def linked() -> tuple[list[StreakMeasurement], Tracklet, tuple]:
+def linked() -> Linked:
     """One object in 40 frames at 4 Hz and its tracklet."""
     camera = Camera()
     mover = pixel_mover(camera, 2000.0, 500.0, 20.0, 250.0, t_s=0.0, range_km=500.0, range_rate_km_s=0.0)
@@ -38,28 +42,28 @@ def bright(streaks: list[StreakMeasurement], amplitude: float, rng: np.random.Ge
     return out
 
 
-def test_period_of_a_tumbling_object(linked) -> None:
+def test_period_of_a_tumbling_object(linked: Linked) -> None:
     """Amplitude 0.2 mag, errors 0.05: the period within 3 %."""
     curve = light_curve(bright(linked[0], 0.2, np.random.default_rng(2)))
     assert curve.period_s == pytest.approx(PERIOD_S, rel=0.03)
     assert curve.false_alarm < 1e-4
 
 
-def test_steady_objects_have_no_period(linked) -> None:
+def test_steady_objects_have_no_period(linked: Linked) -> None:
     """Of 100 steady ones at most five show a period at a false-alarm probability of 1 %."""
     rng = np.random.default_rng(3)
     found = [np.isfinite(light_curve(bright(linked[0], 0.0, rng)).period_s) for _ in range(100)]
     assert sum(found) <= 5
 
 
-def test_few_frames_have_no_period(linked) -> None:
+def test_few_frames_have_no_period(linked: Linked) -> None:
     curve = light_curve(bright(linked[0], 0.2, np.random.default_rng(2))[:7])
     assert len(curve.t_s) == 7
     assert np.isnan([curve.period_s, curve.false_alarm]).all()
     assert len(light_curve([]).t_s) == 0
 
 
-def test_table_and_picture_show_the_period(linked) -> None:
+def test_table_and_picture_show_the_period(linked: Linked) -> None:
     """The tracklets table has the period; the picture is a valid document, names it, and repeats byte for byte."""
     streaks, tracklet, headers = bright(linked[0], 0.2, np.random.default_rng(2)), linked[1], linked[2]
     products = GroundProducts(

@@ -11,8 +11,6 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from sboc_e2e.icd.signals import StarList
-
 DIRECTIONS: Final = 36
 REACH_PX: Final = 7
 
@@ -91,11 +89,3 @@ def mask_radii_px(snr: NDArray[np.float32], psf_sigma_px: float, halo_px: float)
     peak = signal / (2.0 * math.sqrt(math.pi) * psf_sigma_px)
     core = psf_sigma_px * np.sqrt(2.0 * np.log(np.maximum(peak / 0.4, 1.65)))
     return core + MARGIN_PX + halo_px * np.maximum(0.0, np.sqrt(signal / 100.0) - 1.0)
-
-
-def stars_only(
-    stars: StarList, pieces: NDArray[np.bool_], psf_sigma_px: float, halo_px: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Rows, cols and mask radii (px) of the entries that are stars."""
-    keep = ~pieces
-    return stars.row[keep], stars.col[keep], mask_radii_px(stars.snr[keep], psf_sigma_px, halo_px)

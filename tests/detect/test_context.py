@@ -18,7 +18,10 @@ def view_with(row: float, col: float, flags: int = 0) -> DetectorView:
     bare = view_of(Scene(image=np.zeros((192, 192), np.float32)))
     one = np.array([1.0])
     return replace(
-        bare, stars=StarList(row=row * one, col=col * one, flux_e=one, snr=50.0 * one, flags=np.array([flags], np.uint8))
+        bare,
+        stars=StarList(
+            row=row * one, col=col * one, flux_e=one, snr=np.array([50.0], np.float32), flags=np.array([flags], np.uint8)
+        ),
     )
 
 

@@ -40,7 +40,8 @@ def run_bench(
     quick : the subset for CI. peers : also the peers that live in an environment of their own (tests/benchmarks/peers).
     long : the parts that last hours in full. only : names of parts, empty for all.
     check : compare with the baseline; the regressions are returned. Raises UserError outside a source checkout, for an
-    unknown part, and when the baseline that `check` needs is not there, before anything runs.
+    unknown part, and when the baseline that `check` needs is not there, before anything runs; and after the report is
+    written when a part failed.
     """
     if not SCRIPTS.is_dir():
         raise UserError(f"sboc bench runs from a source checkout: {SCRIPTS} is not there")
@@ -60,12 +61,15 @@ def run_bench(
     entries = [entry for part in wanted for entry in done[part.name][0]]
     costs = {part.name: round(done[part.name][1], 1) for part in wanted}
     environment = _environment() | {"quick": quick, "wall_s": round(time.monotonic() - start, 1)}
-    if rewrite_baseline:
+    failed = [entry.name for entry in entries if entry.name in done]
+    if rewrite_baseline and not failed:
         write_baseline(baseline_path, entries)
         stored = json.loads(COSTS.read_text()) if COSTS.is_file() else {}
         write_json(COSTS, stored | {"quick" if quick else "full": costs})
     found = regressions(entries, baseline)
     write_pages(entries, costs, environment, [str(r) for r in found], out)
+    if failed:
+        raise UserError(f"{out / 'report.json'}: parts that failed: {', '.join(failed)}; no baseline was written")
     return found
 
 
@@ -93,8 +97,13 @@ def _measure(wanted: list[Part], out: Path, processors: int, report: Callable[[s
     def one(part: Part) -> Measured:
         report(f"{'run' if part.scenario else 'bench'} {part.name}")
         began = time.monotonic()
-        entries = _scores_of_run(part, out / "runs" / part.name) if part.scenario else flatten(part.name, _run_script(part, out))
-        return entries, time.monotonic() - began
+        try:
+            made = _scores_of_run(part, out / "runs" / part.name) if part.scenario else flatten(part.name, _run_script(part, out))
+        except UserError as error:
+            # The other parts took minutes: they are worth a report of their own.
+            report(f"FAILED {part.name}: {error}")
+            made = [Entry(name=part.name, value=None, n=0, low=0.0, high=0.0, reason=str(error))]
+        return made, time.monotonic() - began
 
     done = {part.name: one(part) for part in wanted if part.alone}
     shared = [part for part in wanted if not part.alone]

@@ -1,6 +1,7 @@
 """`sboc bench --check` from outside: exit codes and lines for an equal and for a worse report; costs said before."""
 
 import json
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -8,9 +9,10 @@ import pytest
 
 from sboc_e2e.bench.baseline import read_baseline, write_baseline
 from sboc_e2e.bench.entries import Entry
-from sboc_e2e.bench.parts import cost_words, expected_costs, parts
+from sboc_e2e.bench.parts import Part, cost_words, expected_costs, parts
 from sboc_e2e.bench.run_bench import baseline_file
 from sboc_e2e.cli.main import run
+from sboc_e2e.icd.errors import UserError
 
 FIGURES = (
     Entry(name="smoke.detection.ground.completeness_snr8", value=0.95, n=200, low=0.92, high=0.97),
@@ -57,6 +59,24 @@ def test_what_is_no_report_is_one_line(tmp_path: Path, capfd: pytest.CaptureFixt
     assert len(lines) == 2
     assert "not a report.json" in lines[0]
     assert "known: smoke" in lines[1]
+
+
+def test_a_part_that_fails_is_named_and_the_report_written(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    def broken(part: Part, out: Path) -> dict[str, Any]:
+        if part.name == "orbit":
+            raise UserError("benchmark orbit failed with exit code 1: NameError")
+        return {"rms_px": 1.0}
+
+    monkeypatch.setattr(
+        sys.modules["sboc_e2e.bench.run_bench"], "_run_script", broken
+    )  # the package exports a function of that name
+    assert run(["bench", "--quick", "--only", "orbit", "--only", "vetting", "--out", str(tmp_path)]) == 2
+    assert "parts that failed: orbit" in capfd.readouterr().err
+    figures = {f["name"]: f for f in json.loads((tmp_path / "report.json").read_text())["figures"]}
+    assert "NameError" in figures["orbit"]["reason"]
+    assert figures["vetting.rms_px"]["value"] == 1.0
 
 
 def test_the_committed_baseline_is_of_parts_that_exist() -> None:

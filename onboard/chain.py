@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from onboard import packets
 from onboard.budget import Allowance, Outbox, packet_bytes, priority
 from onboard.calibrate import ROW_LIMIT_SIGMA, Counts, IntegerCalibration, background_in_adu, residual_pass, to_counts
+from onboard.dead_area import with_dead_area
 from onboard.options import OnboardOptions
 from onboard.roi_coding import CodedRoi, code_roi
 from onboard.star_free_sky import without_stars
@@ -128,6 +129,7 @@ class OnboardChain:
         header = self._with_saturation(frame.header)
         check = _checksum(frame.pixels)
         counts = to_counts(replace(frame, header=header), self._calibration_of(header))
+        counts = replace(counts, defects=with_dead_area(counts.defects, counts.pixels, counts.saturation))
         view, under, n_masked = self._calibrated(header, counts, state)
         flags = _header_flags(header) | _sequence_flags(header, state, check) | _content_flags(view, counts, n_masked)
         usable = not flags & (FrameFlag.ALL_MASKED | FrameFlag.EMPTY_SIGNAL | FrameFlag.REPEATED_FRAME)

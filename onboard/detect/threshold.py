@@ -23,9 +23,13 @@ def extract_elongated(
 ) -> NDArray[np.float64]:
     """Segments (n, 4) row0, col0, row1, col1 of the elongated sources of an image; `threshold` in its units."""
     # sep writes to its whole pixel stack first: room for the pixels above the threshold is enough and ten times as fast
+    room_before = sep.get_extract_pixstack()
     sep.set_extract_pixstack(int(np.count_nonzero(image > threshold)) + 1000)
     pixels = image.astype(np.float32)
-    sources = sep.extract(pixels, threshold, minarea=min_area_px, filter_kernel=None, deblend_cont=1.0, clean=False)
+    try:
+        sources = sep.extract(pixels, threshold, minarea=min_area_px, filter_kernel=None, deblend_cont=1.0, clean=False)
+    finally:
+        sep.set_extract_pixstack(room_before)
     long = sources[sources["a"] >= min_axis_ratio * np.maximum(sources["b"], 0.29)]
     half = 0.5 * np.sqrt(12.0) * long["a"]
     d_row, d_col = half * np.sin(long["theta"]), half * np.cos(long["theta"])

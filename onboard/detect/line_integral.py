@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.detect import context, dyadic, fragments, point_movers, registration, resolve, static_sky, strip, whiten
+from onboard.detect import context, dyadic, fragments, point_movers, registration, resolve, sharpness, static_sky, strip, whiten
 from onboard.detect.star_removal import POINT_CLIP_SIGMA, TILE_PX, WorkingImages, snr_before, working_images
 from onboard.nearest import nearest
 from sboc_e2e.icd.flags import StreakFlag
@@ -23,6 +23,9 @@ MIN_ROWS: Final = 4
 
 MAX_CANDIDATES: Final = 50_000
 """Room for candidates of one quadrant of angles."""
+
+MAX_TRAILS: Final = 2_000
+"""Room for trails before particle tracks are told apart: those of a storm come first, being brighter."""
 
 FIRST_MARGIN: Final = 1.4
 """The corridor search on whole pixels may fall so far short of the final S/N."""
@@ -35,9 +38,6 @@ BEND_COST: Final = 0.3
 
 SHARP_ENDS_PX: Final = 60.0
 """Longer lines lose nothing by a template with sharp ends."""
-
-SHARP_EVIDENCE: Final = 12.0
-"""Gain in squared S/N by which a track of no width must beat the PSF: 3.5 sigma."""
 
 BLEND_PX: Final = 25.0
 """Blends of stars look like trails up to this length in a single frame."""
@@ -94,9 +94,6 @@ def line_detection(row: NDArray[np.float64], shape: tuple[int, int]) -> Detectio
     slope = (row[4] - row[2]) / max(row[3] - row[1], 1e-6)
     sagitta = float(row[5]) / math.sqrt(1.0 + slope * slope)
     flags = edge_flags(ends, shape, float(row[6]))
-    # sharper than the PSF by 3 sigma: a particle track
-    if row[7] ** 2 - row[6] ** 2 > 9.0:
-        flags |= StreakFlag.COSMIC_LIKE
     if abs(sagitta) < 0.5:
         sagitta = 0.0
     else:
@@ -121,17 +118,6 @@ def with_blurred_ends(detection: Detection, images: WorkingImages, psf_sigma_px:
     row0, row1 = (float(np.clip(row + sign * half_row, 0.0, limit_row)) for sign in (-1.0, 1.0))
     col0, col1 = (float(np.clip(col + sign * half_col, 0.0, limit_col)) for sign in (-1.0, 1.0))
     return replace(detection, row0=row0, col0=col0, row1=row1, col1=col1, snr=float(snr))
-
-
-def flag_sharp(detection: Detection, images: WorkingImages) -> Detection:
-    """A short trail with COSMIC_LIKE set when a line of no width fits it better than the PSF by SHARP_EVIDENCE."""
-    row, col = 0.5 * (detection.row0 + detection.row1), 0.5 * (detection.col0 + detection.col1)
-    angle = math.atan2(detection.row1 - detection.row0, detection.col1 - detection.col0)
-    rough = (detection.snr, row, col, angle, detection.length_px)
-    narrow = point_movers.fit_short_trail(images.image, images.blocked, resolve.FOUND_BIT, rough, resolve.NARROW_PX)[0]
-    if narrow**2 - detection.snr**2 > SHARP_EVIDENCE:
-        return replace(detection, flags=detection.flags | StreakFlag.COSMIC_LIKE)
-    return detection
 
 
 def segment_snr(
@@ -187,7 +173,6 @@ def short_detections(
     images: WorkingImages,
     smooth: NDArray[np.int8],
     n_sigma: float,
-    max_found: int,
 ) -> list[Detection]:
     """Star-like and short movers: new entries of the star list, refined; a static source of changed brightness is refused."""
     stars, s_px = view.stars, view.psf_sigma_px
@@ -201,7 +186,7 @@ def short_detections(
         s_px,
         n_sigma,
         resolve.FOUND_BIT,
-        max_found,
+        MAX_TRAILS,
     )
     before = snr_before(earlier, table[:, 2], table[:, 3], s_px)
     sigma_e = float(np.median(view.background.sigma_adu)) * (view.header.gain_e_adu or 1.0)
@@ -330,7 +315,7 @@ class LineIntegralDetector:
             n_sigma,
             n_sigma - FIRST_MARGIN,
             self.min_length_px,
-            self.max_detections,
+            MAX_TRAILS,
             strip.work_space(max(images.image.shape), s_px),
         )
         found = [line_detection(row, view.residual_adu.shape) for row in table]
@@ -342,9 +327,9 @@ class LineIntegralDetector:
             found = [d for d in found if d.length_px >= SHARP_ENDS_PX or d.snr >= n_sigma + self.single_frame_margin]
         else:
             found = [d for d in found if moved(d, earlier, images, s_px, n_sigma, self.short_margin)]
-            found += short_detections(view, earlier, images, smooth, n_sigma + self.short_margin, self.max_detections)
+            found += short_detections(view, earlier, images, smooth, n_sigma + self.short_margin)
             found += slow_movers(view, earlier)
-        found = [flag_sharp(d, images) if d.length_px < SHARP_ENDS_PX else d for d in found]
+        found = [sharpness.with_sharpness(d, view, images.level, TILE_PX) for d in found]
         # the working image is clipped: the S/N of a bright trail comes from the image itself
         unclipped = [
             segment_snr(d, view, static_sky.IDENTITY, images, s_px) if d.snr > 30.0 and d.length_px >= POINT_LIKE_PX else d.snr

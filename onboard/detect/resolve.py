@@ -16,9 +16,6 @@ FOUND_BIT: Final = 4
 POLISH_GAIN: Final = 1.3
 """The search over all parameters hardly ever raises the S/N of a located segment by more than this."""
 
-NARROW_PX: Final = 0.4
-"""Sigma of the cross-track profile of a particle track: what one pixel makes of a line of no width."""
-
 
 @nb.njit(cache=True)
 def blanking_half_width(snr: float, length_px: float, psf_sigma_px: float) -> float:
@@ -49,13 +46,13 @@ def accept(
     weight: NDArray[np.float64],
     points: NDArray[np.float64],
     strip: Strip,
-) -> tuple[float, float]:
-    """(S/N, S/N of a narrow track) of the trail at a candidate, S/N 0 when there is none.
+) -> float:
+    """S/N of the trail at a candidate, 0 when there is none.
 
     The trail, and stars that were not in the star list but lie on the way, are taken out of the images.
     """
     if corridor.locate(smooth, candidate, psf_sigma_px, usable, first_sigma, segment, sums, counts) < first_sigma:
-        return 0.0, 0.0
+        return 0.0
     # one exact sum before the search over all parameters, which is costly
     _, n = refine.cross_profile(
         image,
@@ -73,26 +70,22 @@ def accept(
         weight,
     )
     if refine.profile_snr(signal, weight, n) < n_sigma - POLISH_GAIN:
-        return 0.0, 0.0
+        return 0.0
     snr, length = 0.0, 0.0
     for _ in range(4):
         snr = refine.polish(image, blocked, level, tile_px, segment, psf_sigma_px, signal, weight, strip)
         length = math.hypot(segment[2] - segment[0], segment[3] - segment[1])
         if snr < n_sigma or length < min_length_px:
-            return 0.0, 0.0
+            return 0.0
         expected = snr * math.sqrt(2.0 * math.sqrt(math.pi) * psf_sigma_px / length)
         # the longer the path, the higher the peaks that noise alone makes on it
         excess = max(2.8, math.sqrt(2.0 * math.log(length)))
         if refine.blank_stars_on_path(image, smooth, blocked, segment, expected + excess) == 0:
             break
     if not refine.looks_like_trail(image, smooth, blocked, level, tile_px, segment, snr, psf_sigma_px, signal, weight, points):
-        return 0.0, 0.0
-    _, n = refine.cross_profile(
-        image, blocked, level, tile_px, segment[0], segment[1], segment[2], segment[3], segment[4], 0, NARROW_PX, signal, weight
-    )
-    narrow = refine.profile_snr(signal, weight, n)
+        return 0.0
     refine.blank_path(smooth, blocked, segment, blanking_half_width(snr, length, psf_sigma_px))
-    return snr, narrow
+    return snr
 
 
 @nb.njit(cache=True)
@@ -115,10 +108,10 @@ def resolve(
 
     usable : share of pixels that are not masked. strip : work space for the longer side of the frame.
 
-    Returns (m, 8): axis, major0, minor0, major1, minor1, sagitta along minor (px), S/N, S/N of a narrow track.
+    Returns (m, 7): axis, major0, minor0, major1, minor1, sagitta along minor (px), S/N.
     """
     image_t, smooth_t, blocked_t, level_t = image.T, smooth.T, blocked.T, level.T
-    found = np.empty((max_found, 8))
+    found = np.empty((max_found, 7))
     n_found = 0
     sums = np.empty((corridor.PIECES, corridor.OFFSETS), np.int32)
     counts = np.empty((corridor.PIECES, corridor.OFFSETS), np.int32)
@@ -129,7 +122,7 @@ def resolve(
         if n_found == max_found:
             break
         if candidates[c, 0] == 0.0:
-            snr, narrow = accept(
+            snr = accept(
                 image,
                 smooth,
                 blocked,
@@ -150,7 +143,7 @@ def resolve(
                 strip,
             )
         else:
-            snr, narrow = accept(
+            snr = accept(
                 image_t,
                 smooth_t,
                 blocked_t,
@@ -174,6 +167,5 @@ def resolve(
             found[n_found, 0] = candidates[c, 0]
             found[n_found, 1:6] = segment
             found[n_found, 6] = snr
-            found[n_found, 7] = narrow
             n_found += 1
     return found[:n_found]

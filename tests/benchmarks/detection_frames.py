@@ -134,8 +134,8 @@ def random_streak(size: int, length_px: float, snr: float, rng: np.random.Genera
             return Streak(row0=row - d_row / 2, col0=col - d_col / 2, row1=row + d_row / 2, col1=col + d_col / 2, snr=snr)
 
 
-def view_of(scene: Scene, *, frame: int = 0, history: tuple[DetectorView, ...] = ()) -> DetectorView:
-    """The scene as a detector sees it: an exact noise mesh, and the star list of the default extractor."""
+def bare_view(scene: Scene, *, frame: int = 0) -> DetectorView:
+    """The scene with an exact noise mesh and an empty star list."""
     rows, cols = scene.image.shape
     mesh = ((rows + 63) // 64, (cols + 63) // 64)
     background = BackgroundModel(tile_px=64, level_adu=np.zeros(mesh, np.float32), sigma_adu=np.full(mesh, SIGMA, np.float32))
@@ -147,7 +147,7 @@ def view_of(scene: Scene, *, frame: int = 0, history: tuple[DetectorView, ...] =
         rows=rows,
         cols=cols,
     )
-    bare = DetectorView(
+    return DetectorView(
         header=header,
         residual_adu=scene.image,
         background=background,
@@ -155,4 +155,9 @@ def view_of(scene: Scene, *, frame: int = 0, history: tuple[DetectorView, ...] =
         stars=StarList.empty(),
         psf_sigma_px=PSF_SIGMA_PX,
     )
+
+
+def view_of(scene: Scene, *, frame: int = 0, history: tuple[DetectorView, ...] = ()) -> DetectorView:
+    """The scene as a detector sees it: an exact noise mesh, and the star list of the default extractor."""
+    bare = bare_view(scene, frame=frame)
     return replace(bare, stars=MatchedStars().extract(bare), history=history)

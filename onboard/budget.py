@@ -42,6 +42,14 @@ def priority(detections: Sequence[Detection]) -> NDArray[np.intp]:
     return np.lexsort((snr, suspicion)) if detections else np.zeros(0, dtype=np.intp)
 
 
+def within_limits(detections: Sequence[Detection], *, most: int, most_cosmic_like: int) -> list[Detection]:
+    """The detections that may be sent in a frame, by `priority`: at most so many, and so many of them particle hits."""
+    ordered = [detections[k] for k in priority(detections)]
+    hits = [d for d in ordered if d.flags & StreakFlag.COSMIC_LIKE]
+    over = {id(d) for d in hits[most_cosmic_like:]}
+    return [d for d in ordered if id(d) not in over][:most]
+
+
 def packet_bytes(payloads: Sequence[bytes]) -> int:
     """Bytes on the link of some payloads with their headers and checksums."""
     return sum(layout.HEADER_BYTES + layout.CRC.size + len(payload) for payload in payloads)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard import packets
-from onboard.budget import Allowance, Outbox, packet_bytes, priority
+from onboard.budget import Allowance, Outbox, packet_bytes, within_limits
 from onboard.calibrate import ROW_LIMIT_SIGMA, Counts, IntegerCalibration, background_in_adu, residual_pass, to_counts
 from onboard.dead_area import with_dead_area
 from onboard.options import OnboardOptions
@@ -26,7 +26,7 @@ from onboard.thumbnail import thumbnail
 from onboard.whole_frame import frame_payloads
 from sboc_e2e.icd.downlink import Housekeeping
 from sboc_e2e.icd.errors import ContractError, PluginError, UserError
-from sboc_e2e.icd.flags import FrameFlag, MaskBit
+from sboc_e2e.icd.flags import FrameFlag, MaskBit, StreakFlag
 from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.layout import HEADER_FIXED, TELEMETRY, Apid
 from sboc_e2e.icd.signals import BackgroundModel, Detection, DetectorView, RoiGroup, StarList
@@ -285,10 +285,11 @@ class OnboardChain:
         outbox.reserve(packet_bytes([bytes(HEADER_FIXED.size + 2 * TELEMETRY.size)]))
         chosen = part_of(view.stars, best_spread(view.stars, view.mask.shape, options.max_stars))
         n_stars = len(chosen) if outbox.offer(Apid.STARS, packets.star_payloads(chosen)) else 0
-        order = priority(detections)
-        in_storm = len(detections) > self._options.roi.max_per_frame
+        limits = self._options.roi
+        in_storm = len(detections) > limits.max_per_frame
         flags |= FrameFlag.STORM if in_storm else FrameFlag(0)
-        groups = self._send_rois(outbox, view, counts, [detections[k] for k in order[: self._options.roi.max_per_frame]])
+        sendable = within_limits(detections, most=limits.max_per_frame, most_cosmic_like=limits.max_cosmic_like)
+        groups = self._send_rois(outbox, view, counts, sendable)
         old = remembered_stars(earlier, groups, psf_sigma_px=view.psf_sigma_px, most=options.max_stars)
         if len(old) and outbox.offer(Apid.STARS, packets.star_payloads(old), item=REMEMBERED_ITEM):
             n_stars += len(old)
@@ -302,7 +303,7 @@ class OnboardChain:
         )
         if options.whole_frame_every > 0 and state.frames_done % options.whole_frame_every == 0:
             outbox.send(Apid.FRAME, frame_payloads(counts, background, self._steps.codec))
-        kept_snr = [group.detection.snr for group in groups]
+        kept_snr = [group.detection.snr for group in groups if not group.detection.flags & StreakFlag.COSMIC_LIKE]
         housekeeping = Housekeeping(
             flags=flags | (FrameFlag.BUDGET_CUT if outbox.bytes_dropped else FrameFlag(0)),
             n_stars_found=len(view.stars),

@@ -19,6 +19,9 @@ class RoiOptions:
     max_per_frame: int = field(
         default=60, metadata={"doc": "detections sent per frame; more means a particle storm", "min": 1, "max": 10000}
     )
+    max_cosmic_like: int = field(
+        default=1, metadata={"doc": "those flagged as particle hits among them; the others are counted", "min": 0, "max": 10000}
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

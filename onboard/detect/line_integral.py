@@ -229,8 +229,8 @@ def slow_movers(view: DetectorView, earlier: static_sky.EarlierFrame) -> list[De
     ]
 
 
-def particle_hits(view: DetectorView, images: WorkingImages, n_sigma: float) -> list[Detection]:
-    """New entries sharper than the PSF, brightest first."""
+def particle_hits(view: DetectorView, images: WorkingImages, n_sigma: float, most: int) -> list[Detection]:
+    """New entries sharper than the PSF, brightest first and no more than `most`."""
     stars = view.stars
     rows, cols = view.residual_adu.shape
     hits = [k for k in images.new[images.sharp] if stars.snr[k] >= n_sigma]
@@ -243,7 +243,7 @@ def particle_hits(view: DetectorView, images: WorkingImages, n_sigma: float) -> 
             snr=float(stars.snr[k]),
             flags=StreakFlag.COSMIC_LIKE | StreakFlag.POINT_LIKE,
         )
-        for k in sorted(hits, key=lambda k: -float(stars.snr[k]))
+        for k in sorted(hits, key=lambda k: -float(stars.snr[k]))[:most]
     ]
 
 
@@ -274,8 +274,9 @@ class LineIntegralDetector:
         },
     )
     reach_px: float = field(default=300.0, metadata={"doc": "largest shift of stars between frames", "min": 0.0, "max": 5000.0})
-    max_cosmic_like: int = field(default=1, metadata={"doc": "most particle hits reported per frame", "min": 0, "max": 10000})
-    max_detections: int = field(default=200, metadata={"doc": "most detections of a frame", "min": 1, "max": 10000})
+    max_detections: int = field(
+        default=200, metadata={"doc": "most detections of a frame, particle hits last", "min": 1, "max": 10000}
+    )
 
     @property
     def history_frames(self) -> int:
@@ -339,7 +340,9 @@ class LineIntegralDetector:
         static = np.full(len(view.stars), earlier is not None)
         static[images.new] = False
         found = [context.with_context(d, view, static) for d in found]
-        tracks = [d for d in found if d.flags & StreakFlag.COSMIC_LIKE] + particle_hits(view, images, n_sigma + self.short_margin)
+        tracks = [d for d in found if d.flags & StreakFlag.COSMIC_LIKE]
         real = sorted((d for d in found if not d.flags & StreakFlag.COSMIC_LIKE), key=lambda d: -d.snr)
+        room = max(0, self.max_detections - len(real))
+        tracks += particle_hits(view, images, n_sigma + self.short_margin, room)
         tracks.sort(key=lambda d: -d.snr)
-        return tuple((real + tracks[: self.max_cosmic_like])[: self.max_detections])
+        return tuple((real + tracks)[: self.max_detections])

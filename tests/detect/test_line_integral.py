@@ -252,7 +252,7 @@ def test_particle_track_is_flagged_sharp() -> None:
     scene, _ = noise_scene(512, 15)
     for k in range(40):
         scene.image[100 + k, 200 + k // 4] += np.float32(12.0 * SIGMA)
-    found = LineIntegralDetector(max_cosmic_like=5).detect(view_of(scene))
+    found = LineIntegralDetector().detect(view_of(scene))
     assert len(found) >= 1
     assert all(d.flags & StreakFlag.COSMIC_LIKE for d in found)
 
@@ -406,4 +406,5 @@ def test_particle_storm_neither_floods_nor_blinds() -> None:
     paired, _, false = score(found, truth)
     assert sum(d is not None for d in paired) >= 4
     assert false <= 2
-    assert sum(bool(d.flags & StreakFlag.COSMIC_LIKE) for d in found) <= LineIntegralDetector().max_cosmic_like
+    assert sum(bool(d.flags & StreakFlag.COSMIC_LIKE) for d in found) >= 100
+    assert len(found) <= LineIntegralDetector().max_detections

@@ -290,6 +290,18 @@ def test_unspent_budget_is_kept_for_a_burst() -> None:
     assert 0.25 * rate < run.state.allowance.credit_bytes <= 0.5 * rate
 
 
+def test_particle_hits_never_displace_a_trail_and_are_counted() -> None:
+    """300 hits far brighter than a streak: it is sent, with one of them; the others are counted as dropped."""
+    hit = replace(POINT, flags=StreakFlag.COSMIC_LIKE | StreakFlag.POINT_LIKE)
+    hits = tuple(replace(hit, row0=5.0 + 0.5 * k, row1=5.0 + 0.5 * k, snr=1000.0 + k) for k in range(300))
+    result = start_run(detections=(*hits, STREAK)).feed(frame(0))
+    counts = result.housekeeping
+    assert [group.detection.snr for group in result.rois] == [STREAK.snr, 1299.0]
+    assert (counts.n_detections, counts.n_rois_sent, counts.n_rois_dropped) == (301, 2, 299)
+    assert counts.flags & FrameFlag.STORM
+    assert counts.threshold_sigma == STREAK.snr
+
+
 def test_storm_is_limited_and_flagged() -> None:
     """More detections than allowed: the best are sent, the flag and the effective threshold come down."""
     many = tuple(replace(POINT, row0=10.0 + 3 * k, row1=10.0 + 3 * k, snr=7.0 + k) for k in range(60))

@@ -21,7 +21,7 @@ NOISY_ABOVE: Final = 0.4
 
 def dead_tiles(pixels: NDArray[np.uint16] | NDArray[np.int32]) -> NDArray[np.bool_]:
     """(tile rows, tile columns) of `TILE_PX`: True where the detector does not answer."""
-    rows, cols = pixels.shape
+    cols = pixels.shape[1]
     sample = pixels[::ROW_STEP]
     differs = np.zeros(sample.shape, dtype=np.uint8)
     np.not_equal(sample[:, 1:], sample[:, :-1], out=differs[:, 1:].view(np.bool_))

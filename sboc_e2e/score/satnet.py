@@ -21,8 +21,8 @@ ENDS: Final = ("y_start", "x_start", "y_end", "x_end")
 
 
 def is_satnet(folder: Path) -> bool:
-    """Whether a folder holds annotations, in itself or in its folder Annotations."""
-    return bool(_files(folder))
+    """Whether a folder holds annotations, in itself or in its folder Annotations, and no truth tables."""
+    return not (folder / "streaks.ecsv").exists() and bool(_files(folder))
 
 
 def read_satnet(folder: Path, exposure_s: Mapping[str, float]) -> Table:

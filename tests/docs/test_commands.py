@@ -30,7 +30,9 @@ NOT_RUN: Final = {
 BORROWED_FILES: Final = {"README.md": "docs/tutorial.md"}
 """The README sketches the detector that the tutorial writes out."""
 
-REAL_FRAMES: Final = {"docs/validation.md": ("saao_ystar_one_streak.fits", "opd_control.fits")}
+REAL_FRAMES: Final = {
+    "docs/validation.md": ("saao_ystar_one_streak.fits", "opd_control.fits", "2019-07-29T204726_Alt60_Azi135_Try1.tiff")
+}
 """Frames that are not part of the project and that a reader has to have."""
 
 

@@ -21,15 +21,14 @@ NOISY_ABOVE: Final = 0.4
 
 def dead_tiles(pixels: NDArray[np.uint16] | NDArray[np.int32]) -> NDArray[np.bool_]:
     """(tile rows, tile columns) of `TILE_PX`: True where the detector does not answer."""
-    cols = pixels.shape[1]
     sample = pixels[::ROW_STEP]
+    first_row, first_col = (np.arange(0, n, step) for n, step in zip(sample.shape, (TILE_PX // ROW_STEP, TILE_PX), strict=True))
     differs = np.zeros(sample.shape, dtype=np.uint8)
     np.not_equal(sample[:, 1:], sample[:, :-1], out=differs[:, 1:].view(np.bool_))
-    along_rows = np.add.reduceat(differs, np.arange(0, cols, TILE_PX), axis=1)
-    in_tiles = np.add.reduceat(along_rows, np.arange(0, len(sample), TILE_PX // ROW_STEP), axis=0, dtype=np.int64)
-    side_rows = np.diff(np.append(np.arange(0, len(sample), TILE_PX // ROW_STEP), len(sample)))
-    side_cols = np.diff(np.append(np.arange(0, cols, TILE_PX), cols))
-    share: NDArray[np.float64] = in_tiles / (side_rows[:, np.newaxis] * side_cols)
+    along_rows = np.add.reduceat(differs, first_col, axis=1)
+    in_tiles = np.add.reduceat(along_rows, first_row, axis=0, dtype=np.int64)
+    size = np.outer(np.diff(first_row, append=sample.shape[0]), np.diff(first_col, append=sample.shape[1]))
+    share: NDArray[np.float64] = in_tiles / size
     return (share < DEAD_BELOW) & bool(np.median(share) > NOISY_ABOVE)
 
 

@@ -19,6 +19,8 @@ from sboc_e2e.icd.signals import Detection, DetectorView
 FWHM: Final = 2.354820045
 """Full width at half maximum of a Gaussian of unit sigma."""
 
+HALF_RESOLUTION_UNIT: Final = 2 * whiten.UNIT
+"""One sigma of the noise in `half_resolution`."""
 
 AROUND_PX: Final = star_mask.REACH_PX + 2 * 8
 """Margin about a piece of the image: the reach of the test for trails and of the smoothing."""
@@ -39,6 +41,12 @@ def masked_image(view: DetectorView, halo_px: float, least_snr: float = 0.0) -> 
     masked = MaskedImage(image=image, blocked=whiten.unusable(view.mask))
     _take_out(masked, view, np.flatnonzero(view.stars.snr >= least_snr), halo_px)
     return masked
+
+
+def half_resolution(masked: MaskedImage, psf_sigma_px: float) -> NDArray[np.int16]:
+    """The image filtered by the PSF and binned 2 x 2; its noise is `HALF_RESOLUTION_UNIT`."""
+    no_level = np.zeros((1, 1), np.float32)
+    return whiten.smooth_binned(masked.image, no_level, max(masked.image.shape), whiten.even_taps(psf_sigma_px), 30.0)
 
 
 def take_out_near(

@@ -12,7 +12,7 @@ import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.detect import components, whiten
+from onboard.detect import components
 from sboc_e2e.icd.signals import Detection, DetectorView
 
 
@@ -45,9 +45,9 @@ class LsdDetector:
         masked = components.masked_image(view, self.halo_px)
         if min(view.residual_adu.shape) < 16:
             return ()
-        level = np.zeros((1, 1), np.float32)
-        binned = whiten.smooth_binned(masked.image, level, max(masked.image.shape), whiten.even_taps(view.psf_sigma_px), 30.0)
-        grey = np.clip(binned.astype(np.float32) * (255.0 / (2 * whiten.UNIT * self.stretch_sigma)), 0.0, 255.0).astype(np.uint8)
+        binned = components.half_resolution(masked, view.psf_sigma_px)
+        white = components.HALF_RESOLUTION_UNIT * self.stretch_sigma
+        grey = np.clip(binned.astype(np.float32) * (255.0 / white), 0.0, 255.0).astype(np.uint8)
         segments = 2.0 * line_segments(grey, min_length_px=0.5 * self.min_length_px) + 0.5
         joined = components.join_collinear(segments, gap_px=20.0, across_px=6.0)
         return components.to_detections(

@@ -11,7 +11,7 @@ import numpy as np
 import sep
 from numpy.typing import NDArray
 
-from onboard.detect import components, star_mask, whiten
+from onboard.detect import components, star_mask
 from sboc_e2e.icd.signals import Detection, DetectorView
 
 FAINT_STARS_PX = 8.0
@@ -57,11 +57,9 @@ class ThresholdDetector:
         if min(view.residual_adu.shape) < 8:
             return ()
         masked = components.masked_image(view, self.halo_px, star_mask.FAINT_SNR)
-        level = np.zeros((1, 1), np.float32)
-        binned = whiten.smooth_binned(masked.image, level, max(masked.image.shape), whiten.even_taps(view.psf_sigma_px), 30.0)
         segments = extract_elongated(
-            binned,
-            threshold=self.n_sigma * 2.0 * whiten.UNIT,
+            components.half_resolution(masked, view.psf_sigma_px),
+            threshold=self.n_sigma * components.HALF_RESOLUTION_UNIT,
             min_area_px=self.min_area_px,
             min_axis_ratio=self.min_axis_ratio,
         )

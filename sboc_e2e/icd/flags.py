@@ -35,7 +35,6 @@ class StarFlag(IntFlag):
     DEFECT = 1 << 3
     TRAILED = 1 << 4
     COSMIC_LIKE = 1 << 5
-    NEW = 1 << 6
     REMEMBERED = 1 << 7
 
 
@@ -74,10 +73,8 @@ class MaskBit(IntFlag):
     DEAD = 1 << 0
     HOT = 1 << 1
     SATURATED = 1 << 2
-    STAR = 1 << 3
     MISSING = 1 << 4
     LEARNED_HOT = 1 << 5
-    BLEED = 1 << 6
 
 
 FLAG_TEXT: Final[dict[str, dict[str, str]]] = {
@@ -107,7 +104,6 @@ FLAG_TEXT: Final[dict[str, dict[str, str]]] = {
         "DEFECT": "a defective pixel lies inside the window",
         "TRAILED": "elongated by motion of the pointing",
         "COSMIC_LIKE": "sharper than the PSF",
-        "NEW": "not seen in the frame before",
         "REMEMBERED": "place and flux from the frames before, because a region of interest lies over it",
     },
     "StreakFlag": {
@@ -140,9 +136,7 @@ FLAG_TEXT: Final[dict[str, dict[str, str]]] = {
         "DEAD": "no response",
         "HOT": "dark current too high or unstable",
         "SATURATED": "at or above the saturation level",
-        "STAR": "within the mask of a listed star",
         "MISSING": "NaN in the delivered frame, or outside the window",
         "LEARNED_HOT": "found hot by the on-board software",
-        "BLEED": "within a bleeding column",
     },
 }

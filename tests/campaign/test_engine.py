@@ -6,8 +6,10 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import suppress
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from sboc_e2e.campaign import Campaign, read_campaign, run_campaign
@@ -25,6 +27,13 @@ frames = 1
 [vary]
 "onboard.detector.n_sigma" = [7.0, 9.0]
 "instrument.aperture" = ["4 cm", "-4 cm"]
+"""
+
+TINY = """
+"instrument.rows" = [128]
+"instrument.cols" = [128]
+"instrument.pixel" = ["144 um"]
+"population.candidates" = [2000]
 """
 
 
@@ -81,29 +90,43 @@ def test_dask_gives_the_same_bytes(campaign: Campaign, finished: Path, tmp_path:
 
 
 @pytest.mark.slow
-def test_a_killed_sweep_goes_on_to_the_same_bytes(campaign: Campaign, finished: Path, tmp_path: Path) -> None:
-    path = tmp_path / "small.toml"
-    path.write_text(TEXT)
-    out = tmp_path / "out"
-    command = [
-        sys.executable,
-        "-c",
-        "from sboc_e2e.cli import main; main()",
-        "sweep",
-        str(path),
-        "--out",
-        str(out),
-        "--workers",
-        "1",
-    ]
-    for wait_s in (4.0, 8.0):
+def test_a_sweep_killed_at_twenty_points_ends_with_the_same_bytes(tmp_path: Path) -> None:
+    """Twenty kills at random moments, each followed by going on in the same folder; a finished sweep is begun anew."""
+    path = tmp_path / "tiny.toml"
+    path.write_text(TEXT + TINY)
+    campaign = read_campaign(path)
+    run_campaign(campaign, tmp_path / "undisturbed", workers=1)
+    expected = shards(campaign, tmp_path / "undisturbed")
+    assert len(expected) == 2
+    delays_s = np.random.default_rng(20).uniform(0.0, 6.0, size=200)
+    kills = finished = 0
+    for attempt, delay_s in enumerate(delays_s):
+        out = tmp_path / f"killed-{finished}"
+        command = [sys.executable, "-m", "sboc_e2e", "sweep", str(path), "--out", str(out), "--workers", str(1 + attempt % 2)]
         child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL, start_new_session=True)
-        time.sleep(wait_s)
+        wait_for(out / "work", child)
+        with suppress(subprocess.TimeoutExpired):
+            child.wait(delay_s)
         if child.poll() is None:
             os.killpg(child.pid, signal.SIGKILL)
+            kills += 1
         child.wait()
-    assert run_campaign(campaign, out, workers=1).failed
-    assert shards(campaign, out) == shards(campaign, finished)
+        if kills == 20 or child.returncode >= 0:
+            run_campaign(campaign, out, workers=1)
+            assert shards(campaign, out) == expected
+            assert not [leftover for leftover in out.rglob("*") if leftover.suffix == ".part"]
+            assert not any((out / "work").iterdir())
+            finished += 1
+        if kills == 20:
+            break
+    assert kills == 20
+
+
+def wait_for(folder: Path, child: subprocess.Popen[bytes]) -> None:
+    """Until the folder is there or the process has ended."""
+    deadline = time.monotonic() + 120.0
+    while not folder.exists() and child.poll() is None and time.monotonic() < deadline:
+        time.sleep(0.01)
 
 
 @pytest.mark.slow

@@ -12,7 +12,7 @@ from sboc_e2e.outside.camera import camera_of_frame, camera_of_preset
 from sboc_e2e.outside.frame_source import FrameSource
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.directory import RunDirectory
-from sboc_e2e.run.ground_stage import GroundStage, Outside, ground_chain, star_catalogue
+from sboc_e2e.run.ground_stage import GroundStage, Outside, ground_chain, require_files, star_catalogue
 from sboc_e2e.run.manifest import Manifest
 from sboc_e2e.run.onboard_stage import OnboardStage, onboard_chain
 from sboc_e2e.run.progress import Progress
@@ -49,6 +49,7 @@ def process(
     """
     directory = RunDirectory(path=out)
     n_frames = source.n_frames
+    require_files(scenario.ground)
     catalogue = star_catalogue(scenario.ground)
     known = camera_of_preset(camera, registry) if camera else None
     first = next(iter(source.frames()))

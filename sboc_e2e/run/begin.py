@@ -3,6 +3,7 @@
 from pathlib import Path
 
 from sboc_e2e.run.directory import RunDirectory
+from sboc_e2e.run.ground_stage import require_files
 from sboc_e2e.run.manifest import Manifest
 from sboc_e2e.run.pipeline import Run, worker_count
 from sboc_e2e.run.progress import Progress, Silent
@@ -16,6 +17,7 @@ def begin_or_continue(
 
     keyed : the folder's name is a digest of all that decides its content, so an earlier run counts whatever else differs.
     """
+    require_files(scenario.ground)
     directory = RunDirectory(path=path)
     wanted = Manifest.of(directory.manifest, scenario)
     manifest = wanted

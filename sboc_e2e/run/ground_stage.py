@@ -65,7 +65,17 @@ def ground_chain(
 
 def star_catalogue(options: GroundOptions) -> StarCatalogue:
     """The star catalogue that ground uses. Raises `UserError` for a file that is none."""
-    return StarCatalogue.open(options.catalogue_file) if options.catalogue_file else StarCatalogue.embedded()
+    try:
+        return StarCatalogue.open(options.catalogue_file) if options.catalogue_file else StarCatalogue.embedded()
+    except UserError as error:
+        raise UserError(f"ground.catalogue_file: {error}") from error
+
+
+def require_files(options: GroundOptions) -> None:
+    """Open what ground is to read beside a run, so that a bad file is refused before hours of simulation, not after."""
+    star_catalogue(options)
+    known_objects.known_objects(options)
+    known_objects.precise_orbits(options)
 
 
 def _decoders(chosen: Decoder) -> tuple[Decoder, ...]:

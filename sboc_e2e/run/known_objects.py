@@ -2,8 +2,9 @@
 
 import gzip
 import zlib
+from collections.abc import Callable
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from astropy.table import Table
@@ -16,20 +17,22 @@ from ground.products.tables import known_table
 from ground.records import GroundProducts
 from sboc_e2e.icd.errors import UserError
 
+_Content = TypeVar("_Content")
+
 
 def known_objects(options: GroundOptions) -> KnownObjects | None:
-    """Element sets of `known_objects_file`; None without one."""
+    """Element sets of `known_objects_file`; None without one. Raises `UserError` for a file that is missing or holds none."""
     if not options.known_objects_file:
         return None
-    known = read_elements(_text(options.known_objects_file, "known_objects_file"))
+    known = _read(options.known_objects_file, "known_objects_file", read_elements)
     if not known.satellites:
         raise UserError(f"ground.known_objects_file: {options.known_objects_file}: expected two-line element sets, found none")
     return known
 
 
 def precise_orbits(options: GroundOptions) -> tuple[PreciseOrbit, ...]:
-    """Orbits of `precise_orbits_file`; none without one."""
-    return read_oem(_text(options.precise_orbits_file, "precise_orbits_file")) if options.precise_orbits_file else ()
+    """Orbits of `precise_orbits_file`; none without one. Raises `UserError` for a file that is missing or no such message."""
+    return _read(options.precise_orbits_file, "precise_orbits_file", read_oem) if options.precise_orbits_file else ()
 
 
 def matches(result: GroundProducts, known: KnownObjects) -> Table:
@@ -48,11 +51,13 @@ def bias(result: GroundProducts, orbits: tuple[PreciseOrbit, ...]) -> dict[str, 
     return values | {"n_used": found.n_used, "n_clipped": found.n_clipped, "chi2_nu": found.chi2_nu}
 
 
-def _text(path: str, option: str) -> str:
-    """Text of a file, which may be gzipped."""
+def _read(path: str, option: str, parse: Callable[[str], _Content]) -> _Content:
+    """What a file holds, which may be gzipped; errors name the key and the file."""
     try:
         raw = Path(path).read_bytes()
-        return (gzip.decompress(raw) if path.endswith(".gz") else raw).decode("utf-8")
+        return parse((gzip.decompress(raw) if path.endswith(".gz") else raw).decode("utf-8"))
     except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
         reason = getattr(error, "strerror", None) or "not a text file"
         raise UserError(f"ground.{option}: {path}: {reason}; give a readable file or an empty string for none") from error
+    except UserError as error:
+        raise UserError(f"ground.{option}: {path}: {error}") from error

@@ -15,7 +15,7 @@ from sboc_e2e.registry import Registry
 from sboc_e2e.report import write_report
 from sboc_e2e.run import disk, truth_files
 from sboc_e2e.run.directory import STAGES, RunDirectory
-from sboc_e2e.run.ground_stage import GroundStage, ground_chain, star_catalogue
+from sboc_e2e.run.ground_stage import GroundStage, ground_chain, require_files, star_catalogue
 from sboc_e2e.run.manifest import Manifest, first_difference
 from sboc_e2e.run.onboard_stage import OnboardStage, onboard_chain
 from sboc_e2e.run.progress import Progress, Silent
@@ -213,7 +213,7 @@ def run(request: RunRequest, progress: Progress | None = None) -> Run:
     workers = worker_count(request.workers)
     directory = RunDirectory(path=request.out)
     wanted = Manifest.of(directory.manifest, request.scenario)
-    star_catalogue(request.scenario.ground)  # what is wrong with it is said before hours of simulation, not after
+    require_files(request.scenario.ground)
     disk.check(request.out, request.scenario, shown)
     manifest = wanted
     if directory.prepare(resume=request.resume, force=request.force):

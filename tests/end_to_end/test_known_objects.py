@@ -5,10 +5,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from astropy.io import fits
 from astropy.table import Table
 
 from sboc_e2e.cli.main import run as command
 from tests.docs.documents import blocks
+from tests.end_to_end.conftest import tiny
+
+GOOD_ELEMENTS = """0 VANGUARD 1
+1 00005U 58002B   00179.78495062  .00000023  00000-0  28098-4 0  4753
+2 00005  34.2682 348.7242 1859667 331.7664  19.3264 10.82419157413667
+"""
+OEM_HEAD = (
+    "CCSDS_OEM_VERS = 2.0\nMETA_START\nOBJECT_NAME = A\nCENTER_NAME = EARTH\nREF_FRAME = {frame}\nTIME_SYSTEM = UTC\nMETA_STOP\n"
+)
 
 
 @pytest.fixture(scope="module")
@@ -52,3 +62,44 @@ def test_biases_are_within_their_sigma(products: Path) -> None:
     assert bias["time_s"]["sigma"] < 0.005
     assert bias["east_arcsec"]["sigma"] < 5.0
     assert bias["n_used"] >= 10
+
+
+@pytest.mark.parametrize(
+    ("option", "content", "words"),
+    [
+        ("known_objects_file", None, "No such file or directory; give a readable file or an empty string"),
+        ("known_objects_file", b"", "expected two-line element sets, found none"),
+        ("known_objects_file", b"\xff\xfe\x00", "not a text file; give a readable file"),
+        ("known_objects_file", GOOD_ELEMENTS.rsplit("\n", 2)[0].encode(), "line 3: expected a line that starts with '2 '"),
+        ("precise_orbits_file", None, "No such file or directory; give a readable file or an empty string"),
+        ("precise_orbits_file", b"", "expected at least one segment with states, got none"),
+        ("precise_orbits_file", OEM_HEAD.format(frame="MOON").encode(), "line 7: expected REF_FRAME of EME2000, GCRF, ICRF"),
+        ("precise_orbits_file", OEM_HEAD.format(frame="GCRF").encode() + b"here", "line 8: expected an epoch and six numbers"),
+        ("catalogue_file", None, "no such file; make one with `sboc catalogue build`"),
+        ("catalogue_file", b"no catalogue", "make it again with `sboc catalogue build`"),
+    ],
+)
+@pytest.mark.parametrize("verb", ["run", "process"])
+def test_a_bad_file_is_one_line_before_the_run_starts(
+    tmp_path: Path,
+    capsys: pytest.CaptureFixture[str],
+    verb: str,
+    option: str,
+    content: bytes | None,
+    words: str,
+) -> None:
+    """File, what is wrong and what is allowed, with exit code 2; nothing is made, not even the run's folder."""
+    path, out = tmp_path / "given.txt", tmp_path / "run"
+    if content is not None:
+        path.write_bytes(content)
+    if verb == "process":
+        fits.PrimaryHDU(np.zeros((64, 64), dtype=np.uint16)).writeto(tmp_path / "frame.fits")
+        source = tmp_path / "frame.fits"
+    else:
+        source = tiny(tmp_path)
+    assert command([verb, str(source), "--out", str(out), "--set", f"ground.{option}={path}"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith(f"sboc: ground.{option}: ")
+    assert str(path) in line
+    assert words in line
+    assert not out.exists()

@@ -42,6 +42,8 @@ class FieldOptions:
     catalogue_seed: int = 99
     roll_deg: float | None = None
     """None: drawn."""
+    rate_rad_s: tuple[float, float, float] | None = None
+    """None: drawn."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -101,6 +103,8 @@ def make_field(catalogue: StarCatalogue, seed: int, options: FieldOptions = Fiel
     roll = drawn if options.roll_deg is None else np.radians(options.roll_deg)
     matrix = _pointing(options.ra_deg, options.dec_deg, roll)
     rate = rng.normal(0.0, 2e-4, 3)
+    if options.rate_rad_s is not None:
+        rate = np.array(options.rate_rad_s)
     focal, center = options.focal_px * (1.0 + 150e-6), (middle + 1.8 * size / 4096, middle - 1.3 * size / 4096)
     distortion = (-1.02, 0.0, 3e-5, -1e-5)
     row, col = _project(apparent, matrix, rate, focal, center, distortion, middle)

@@ -111,7 +111,6 @@ class Simulator:
         self._cast = make_cast(
             options.objects, options.population, self._carrier, self._camera, options.light, sky_e_s, duration_s
         )
-        self._scratch_e = np.zeros(self._camera.shape, dtype=np.float32)
 
     # ------------------------------------------------------------- one frame
 
@@ -145,7 +144,7 @@ class Simulator:
         entropy_bits = self._camera.sensor.entropy_bits(image_e[::16], self._camera.exposure_s)
         streaks = [truth.empty("streaks")]
         for object_id, path in self._paths(sight, index, range(len(self._cast.objects))):
-            trail = add_trail(image_e, self._scratch_e, path, sight, shutter, self._camera, epoch_tai_ns=self._epoch)
+            trail = add_trail(image_e, path, sight, shutter, self._camera, epoch_tai_ns=self._epoch)
             trail["frame"], trail["object_id"] = index, object_id
             streaks.append(trail)
         return image_e, sky_e, entropy_bits, stars, np.concatenate(streaks)
@@ -203,7 +202,7 @@ class Simulator:
         image_e = np.empty(shape, dtype=np.float32)
         stray_e = camera.instrument.stray_light_e_px_s * camera.exposure_s
         grid_e = (rate_e_s * camera.exposure_s).astype(np.float32)
-        fill_diffuse(image_e, camera.illumination, grid_e, stray_e, camera.instrument.stray_gradient)
+        fill_diffuse(image_e, *camera.illumination, grid_e, stray_e, camera.instrument.stray_gradient)
         return image_e
 
     def _add_stars(self, image_e: NDArray[np.float32], sight: LineOfSight, shutter: RowShutter, index: int) -> NDArray[np.void]:

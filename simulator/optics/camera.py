@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sboc_e2e.icd.frame import Calibration, NominalCamera
 from simulator.optics.instrument import SUN_B_V, InstrumentOptions, band_factor
 from simulator.optics.psf import PsfOptions, sigma_at
-from simulator.optics.vignetting import VignettingOptions, relative_illumination
+from simulator.optics.vignetting import IlluminationGrid, VignettingOptions, grid_step_px, node_places, relative_illumination
 from simulator.sensor import Sensor, SensorOptions
 
 Array = NDArray[np.float64]
@@ -39,11 +39,9 @@ class Camera:
         self.corner_px = 0.5 * float(np.hypot(instrument.rows, instrument.cols))
         self.seeing_px = 0.0
         self.zero_point_e_s = instrument.true_zero_point_e_s
-        self.illumination = np.empty(self.shape, dtype=np.float32)
-        rows, cols = np.arange(self.shape[0], dtype=np.float64)[:, None], np.arange(self.shape[1], dtype=np.float64)[None, :]
-        for first in range(0, self.shape[0], 256):
-            block = slice(first, first + 256)
-            self.illumination[block] = self.illumination_at(rows[block], cols)
+        step_px = grid_step_px(vignetting, self.corner_px)
+        nodes = self.illumination_at(*node_places(self.shape, step_px)).astype(np.float32)
+        self.illumination = IlluminationGrid(nodes, step_px)
 
     def illumination_at(self, row: Array, col: Array) -> Array:
         """Relative illumination at positions."""

@@ -4,7 +4,9 @@ Everything is GCRS axes, kilometres and seconds. ERFA's `epv00` is the ephemeris
 1 mas of aberration and 1 arcsec of Sun direction).
 """
 
+import gc
 import warnings
+from functools import cache
 from typing import Final
 
 import erfa
@@ -31,6 +33,14 @@ iers.conf.auto_download = False
 iers.conf.iers_degraded_accuracy = "warn"
 
 
+@cache
+def _orientation_data() -> iers.IERS:
+    """The installed Earth-orientation data. Their reader leaves 80 MB of dead objects in reference cycles."""
+    table = iers.earth_orientation_table.get()
+    gc.collect()
+    return table
+
+
 def tai_ns_of_utc(epoch_utc: str) -> int:
     """TAI nanoseconds of an ISO-8601 UTC epoch.
 
@@ -49,7 +59,7 @@ def tai_ns_of_utc(epoch_utc: str) -> int:
 
 def refuse_outside_data(tai_ns: int) -> None:
     """UserError for an epoch that the installed Earth-orientation data do not cover."""
-    table = iers.earth_orientation_table.get()
+    table = _orientation_data()
     first, last = float(table["MJD"][0].value), float(table["MJD"][-1].value)
     time = Time(*tai.to_jd_parts(tai_ns), format="jd", scale="tai")
     if not first <= time.mjd <= last:
@@ -84,7 +94,7 @@ def sun_position_km(tai_ns: int) -> NDArray[np.float64]:
 def itrs_from_gcrs(tai_ns: int) -> NDArray[np.float64]:
     """(3, 3) matrix that takes GCRS vectors to ITRS: IAU 2006/2000A with UT1 and polar motion from the IERS tables."""
     time = Time(*tai.to_jd_parts(tai_ns), format="jd", scale="tai")
-    table = iers.earth_orientation_table.get()
+    table = _orientation_data()
     utc = time.utc
     xp, yp = table.pm_xy(utc.jd1, utc.jd2)
     ut1 = time.ut1

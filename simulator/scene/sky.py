@@ -7,6 +7,8 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.optics.vignetting import illumination_of_row
+
 Array = NDArray[np.float64]
 
 S10_MAG: Final = 27.78
@@ -99,10 +101,16 @@ def diffuse_flux(options: SkyOptions, directions: Array, sun_km: Array) -> Array
 
 @numba.njit(cache=True)
 def fill_diffuse(
-    image_e: NDArray[np.float32], illumination: NDArray[np.float32], grid_e: NDArray[np.float32], stray_e: float, gradient: float
+    image_e: NDArray[np.float32],
+    light_nodes: NDArray[np.float32],
+    light_step_px: int,
+    grid_e: NDArray[np.float32],
+    stray_e: float,
+    gradient: float,
 ) -> None:
     """Set an image (rows, cols) to sky times illumination plus stray light.
 
+    light_nodes, light_step_px : an `IlluminationGrid`.
     grid_e : (g, g) electrons per pixel at equally spaced nodes from corner to corner, interpolated bilinearly.
     stray_e : at the middle column; `gradient` is its relative change from the first column to the last.
     """
@@ -113,7 +121,9 @@ def fill_diffuse(
         stray[c] = stray_e * (1.0 + gradient * (c / max(cols - 1, 1) - 0.5))
     step = max(cols - 1, 1) / last  # columns between nodes
     nodes = np.empty(last + 1)
+    light, light_ends = np.empty(cols, np.float32), np.empty((2, cols), np.float32)
     for r in range(rows):
+        illumination_of_row(light_nodes, light_step_px, r, light_ends, light)
         y = r / max(rows - 1, 1) * last
         i = min(int(y), last - 1)
         for j in range(last + 1):
@@ -124,4 +134,4 @@ def fill_diffuse(
             slope = np.float32((nodes[j + 1] - nodes[j]) / step)
             level = np.float32(nodes[j] + slope * (first - j * step))
             for c in range(first, min(beyond, cols)):
-                image_e[r, c] = (level + slope * np.float32(c - first)) * illumination[r, c] + stray[c]
+                image_e[r, c] = (level + slope * np.float32(c - first)) * light[c] + stray[c]

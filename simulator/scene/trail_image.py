@@ -139,7 +139,6 @@ def pixel_path_of(
 
 def add_trail(
     image_e: NDArray[np.float32],
-    scratch_e: NDArray[np.float32],
     path: Path,
     sight: LineOfSight,
     shutter: RowShutter,
@@ -147,10 +146,7 @@ def add_trail(
     *,
     epoch_tai_ns: int,
 ) -> NDArray[np.void]:
-    """Add a mover's light to the image; its rows of the truth, numbers of frame and object left open (none if unseen).
-
-    scratch_e : zeroed image of the same shape, zero again afterwards.
-    """
+    """Add a mover's light to the image; its rows of the truth, numbers of frame and object left open (none if unseen)."""
     blur_px = float(camera.defocus_px(path.range_km(np.array([sight.reference_s])))[0])
     margin_px = 6.0 * float(camera.sigma_at(np.zeros(1), np.zeros(1))[0]) + 0.5 * blur_px + 1.0
     from_s, to_s = float(sight.node_s[0]), float(sight.node_s[-1])
@@ -158,7 +154,7 @@ def add_trail(
     rows: list[NDArray[np.void]] = []
     for stretch in lit:
         inner = exposed_intervals(path.place, shutter, 0.5, stretch.start_s, stretch.end_s)
-        light = _render(image_e, scratch_e, path, stretch, camera)
+        light = _render(image_e, path, stretch, camera)
         if inner and light.flux_e > 0.0:
             kept = max(inner, key=lambda i: i.end_s - i.start_s)
             edges = Interval(
@@ -181,9 +177,7 @@ class _Light:
     defocus_px: float
 
 
-def _render(
-    image_e: NDArray[np.float32], scratch_e: NDArray[np.float32], path: Path, stretch: Interval, camera: Camera
-) -> _Light:
+def _render(image_e: NDArray[np.float32], path: Path, stretch: Interval, camera: Camera) -> _Light:
     """Integrate over bins of time, block by block along the path."""
     longest_bin_s = np.inf if path.turbulence is None else path.turbulence.step_s
     time_s, width_s = time_bins(path.place, stretch, STEP_PX, longest_bin_s)
@@ -198,22 +192,26 @@ def _render(
         row, col, flux_e = row + focal_px * row_rad, col + focal_px * col_rad, flux_e * factor
         sigma_px = np.sqrt(np.maximum(sigma_px**2 - (focal_px * path.turbulence.tilt_sigma_rad) ** 2, (0.2 * sigma_px) ** 2))
     per_block = max(int(BLOCK_PX / STEP_PX), 1)
-    blocks = [np.s_[k : k + per_block] for k in range(0, len(time_s), per_block)]
     boxes = []
-    for block in blocks:
+    for block in [np.s_[k : k + per_block] for k in range(0, len(time_s), per_block)]:
         sigma, blur = float(sigma_px[block].mean()), float(blur_px[block].mean())
         margin = int(np.ceil(6.5 * sigma + 0.5 * blur + 2.0))
         first_row, last_row = _aligned(row[block], margin, camera.binning.rows, camera.shape[0])
         first_col, last_col = _aligned(col[block], margin, camera.binning.cols, camera.shape[1])
-        if first_row >= last_row or first_col >= last_col:
-            continue
-        box = np.s_[first_row:last_row, first_col:last_col]
+        if first_row < last_row and first_col < last_col:
+            boxes.append((block, sigma, blur, (first_row, last_row, first_col, last_col)))
+    # Light of the trail alone, from its first pixel to its last; the system gives memory only to what is written.
+    top, left = (min((b[-1][k] for b in boxes), default=0) for k in (0, 2))
+    bottom, right = (max((b[-1][k] for b in boxes), default=0) for k in (1, 3))
+    trail_e = np.zeros((bottom - top, right - left), dtype=np.float32)
+    for block, sigma, blur, (first_row, last_row, first_col, last_col) in boxes:
         place = row[block] - first_row, col[block] - first_col
-        render_trail(scratch_e[box], *place, flux_e[block], sigma, blur, camera.instrument.obstruction)
-        boxes.append((box, first_row, first_col))
+        light = trail_e[first_row - top : last_row - top, first_col - left : last_col - left]
+        render_trail(light, *place, flux_e[block], sigma, blur, camera.instrument.obstruction)
     total, snr2, saturated = 0.0, 0.0, 0
-    for box, first_row, first_col in boxes:
-        light = scratch_e[box]
+    for _, _, _, (first_row, last_row, first_col, last_col) in boxes:
+        box = np.s_[first_row:last_row, first_col:last_col]
+        light = trail_e[first_row - top : last_row - top, first_col - left : last_col - left]
         variance = camera.variance_e2(image_e[box], first_row, first_col)
         signal, noise2 = camera.binned(light), camera.binned(variance)
         total += float(light.sum(dtype=np.float64))

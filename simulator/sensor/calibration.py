@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.flags import MaskBit
+from simulator.optics.vignetting import IlluminationGrid, illumination_of_row
 from simulator.sensor.binning import bin_flags, bin_means
 from simulator.sensor.counter import GAMMA, NORMAL_TABLE, mix, normal, row_key
 from simulator.sensor.maps import PixelModel
@@ -31,20 +32,19 @@ def reduce_calibration(
     options: SensorOptions,
     pixels: PixelModel,
     exposure_s: float,
-    illumination: NDArray[np.float32] | None,
+    illumination: IlluminationGrid,
     jumps: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]],
     word: int,
 ) -> CalibrationMaps:
     """Maps of the pixels of a window.
 
-    illumination : (rows, cols) of the flat field, 1 on axis; None for uniform.
+    illumination : of the flat field, 1 on axis.
     jumps : row, col and mean electrons of telegraph pixels over the dark frames. word : of the random stream.
     """
     calibration, converter = options.calibration, options.converter
     flat_e = calibration.flat_level * converter.full_well_e
     dark_adu = np.empty(pixels.response.shape, dtype=np.float32)
     flat = np.empty(pixels.response.shape, dtype=np.float32)
-    light = illumination if illumination is not None else np.ones((1, 1), dtype=np.float32)
     _average_frames(
         pixels.response,
         pixels.dark,
@@ -53,8 +53,7 @@ def reduce_calibration(
         pixels.dark_rate_of_e_s * exposure_s,
         pixels.noise_of_e,
         pixels.column_e,
-        light,
-        illumination is not None,
+        *illumination,
         flat_e,
         (converter.gain_e_adu, float(converter.pedestal_adu), converter.full_well_e, converter.nonlinearity),
         (float(calibration.dark_frames), float(calibration.flat_frames)),
@@ -69,7 +68,7 @@ def reduce_calibration(
     typical_adu = float(np.median(dark_adu[::13, ::7]))
     defects = np.zeros(flat.shape, dtype=np.uint8)
     hot_adu = typical_adu + calibration.hot_sigma * median_noise_adu
-    _flag_defects(dark_adu, flat, light, illumination is not None, hot_adu, defects)
+    _flag_defects(dark_adu, flat, *illumination, hot_adu, defects)
     binning = options.binning
     if binning.rows * binning.cols > 1:
         defects = bin_flags(defects, binning)
@@ -91,8 +90,8 @@ def _average_frames(
     dark_of: NDArray[np.float64],
     noise_of: NDArray[np.float64],
     column_e: NDArray[np.float64],
-    light: NDArray[np.float32],
-    lit: bool,
+    light_nodes: NDArray[np.float32],
+    light_step_px: int,
     flat_e: float,
     converter: tuple[float, float, float, float],
     frames: tuple[float, float],
@@ -104,7 +103,9 @@ def _average_frames(
     gain, pedestal, full_well, bend = converter
     dark_frames, flat_frames = frames
     rounding = 1.0 / 12.0
+    light, light_ends = np.empty(flat.shape[1], np.float32), np.empty((2, flat.shape[1]), np.float32)
     for r in range(response.shape[0]):
+        illumination_of_row(light_nodes, light_step_px, r, light_ends, light)
         position = row_key(word, r)
         for c in range(response.shape[1]):
             dark_e = min(dark_of[dark[r, c]], full_well)
@@ -114,9 +115,7 @@ def _average_frames(
             linear = dark_e - bend / full_well * dark_e**2
             dark_adu[r, c] = pedestal + (linear + column_e[c]) / gain + sigma * normal(mix(position), normals)
             position += GAMMA
-            signal = flat_e * response_of[response[r, c]]
-            if lit:
-                signal *= light[r, c]
+            signal = flat_e * response_of[response[r, c]] * light[c]
             sigma = np.sqrt((signal + dark_e + read_variance) / flat_frames)
             flat[r, c] = (signal + sigma * normal(mix(position), normals)) / flat_e
 
@@ -129,16 +128,17 @@ _DEAD = int(MaskBit.DEAD)
 def _flag_defects(
     dark_adu: NDArray[np.float32],
     flat: NDArray[np.float32],
-    light: NDArray[np.float32],
-    lit: bool,
+    light_nodes: NDArray[np.float32],
+    light_step_px: int,
     hot_adu: float,
     defects: NDArray[np.uint8],
 ) -> None:
     """Hot: dark signal above `hot_adu`. Dead: less than half of the response that the illumination asks for."""
+    light, light_ends = np.empty(flat.shape[1], np.float32), np.empty((2, flat.shape[1]), np.float32)
     for r in range(flat.shape[0]):
+        illumination_of_row(light_nodes, light_step_px, r, light_ends, light)
         for c in range(flat.shape[1]):
-            expected = light[r, c] if lit else np.float32(1.0)
             bits = _HOT if dark_adu[r, c] > hot_adu else 0
-            if flat[r, c] < 0.5 * expected:
+            if flat[r, c] < 0.5 * light[c]:
                 bits |= _DEAD
             defects[r, c] = bits

@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from sboc_e2e.icd.errors import UserError
+from simulator.optics.vignetting import IlluminationGrid, even_illumination
 from simulator.radiation.hits import HitList, no_hits
 from simulator.randomness import Effect, seed_word
 from simulator.sensor import digitise as passes
@@ -202,10 +203,10 @@ class Sensor:
             ),
         )
 
-    def calibration_maps(self, exposure_s: float, illumination: NDArray[np.float32] | None = None) -> CalibrationMaps:
+    def calibration_maps(self, exposure_s: float, illumination: IlluminationGrid | None = None) -> CalibrationMaps:
         """Dark, flat and defect maps of delivered pixels, reduced from calibration frames with their own noise.
 
-        illumination : (window rows, window cols) relative illumination of the flat field, 1 on axis; None for uniform.
+        illumination : of the flat field over the window, 1 on axis; None for uniform.
         """
         pattern, window = self._pattern, self.options.window
         # The dark frames (the last 256 of them) are taken before frame 0, with telegraph pixels in the states they then have.
@@ -215,7 +216,9 @@ class Sensor:
         inside = (row >= 0) & (row < self.window_rows) & (col >= 0) & (col < self.window_cols)
         jumps = (row[inside], col[inside], jump_e[inside].astype(np.float32))
         word = seed_word(self.seed, Effect.CALIBRATION)
-        return reduce_calibration(self.options, self._pixels, exposure_s, illumination, jumps, word)
+        return reduce_calibration(
+            self.options, self._pixels, exposure_s, illumination or even_illumination(self.window_shape), jumps, word
+        )
 
     def _words(self, frame: int) -> tuple[np.uint64, np.uint64, np.uint64]:
         return (

@@ -9,7 +9,14 @@ from scipy import integrate, signal
 from simulator.exposure import render_stars, render_trail
 from simulator.optics.defocus import blur_angle_rad, disc_profile
 from simulator.optics.psf import PsfOptions, sigma_at
-from simulator.optics.vignetting import VignettingOptions, relative_illumination
+from simulator.optics.vignetting import (
+    IlluminationGrid,
+    VignettingOptions,
+    grid_step_px,
+    illumination_of_row,
+    node_places,
+    relative_illumination,
+)
 
 
 def centroid(image):
@@ -133,3 +140,31 @@ def test_width_and_illumination_over_the_field():
     both = relative_illumination(VignettingOptions(corner_loss=0.2), [2047.5, 0.0], [2047.5, 0.0], **kwargs)
     assert both[0] == 1.0
     assert both[1] == pytest.approx(0.8 * 0.99154, rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("shape", "options"),
+    [
+        ((4096, 4096), VignettingOptions()),
+        ((1500, 2049), VignettingOptions(corner_loss=0.5, start=0.0)),
+        ((511, 512), VignettingOptions()),
+        ((300, 301), VignettingOptions(corner_loss=1.0, start=0.9)),
+    ],
+)
+def test_illumination_between_the_nodes_is_that_of_each_pixel(shape, options):
+    radius = 0.5 * math.hypot(*shape)
+    kwargs = {
+        "center_row": 0.5 * shape[0] + 3.3,
+        "center_col": 0.5 * shape[1],
+        "corner_radius_px": radius,
+        "focal_px": 11 * radius,
+    }
+    step_px = grid_step_px(options, radius)
+    grid = IlluminationGrid(relative_illumination(options, *node_places(shape, step_px), **kwargs).astype(np.float32), step_px)
+    assert grid.nodes.nbytes < 2e6
+    ends, line, col = np.empty((2, shape[1]), np.float32), np.empty(shape[1], np.float32), np.arange(shape[1])
+    for row in range(shape[0]):
+        illumination_of_row(*grid, row, ends, line)
+        if row % 7 == 0 or row == shape[0] - 1:
+            expected = relative_illumination(options, float(row), col, **kwargs)
+            assert np.abs(line - expected).max() < 1e-4

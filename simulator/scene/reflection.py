@@ -10,8 +10,8 @@ from simulator.platform.earth import AU_KM, EARTH_RADIUS_KM, SUN_RADIUS_KM
 
 Array = NDArray[np.float64]
 
-SUN_V_MAG: Final = -26.74
-"""Apparent V of the Sun at 1 au."""
+SUN_V_MAG: Final = -26.76
+"""Apparent V (Vega system) of the Sun at 1 au: absolute V 4.81 (Willmer 2018, ApJS 236, 47, table 3)."""
 
 
 def lambert_flux(

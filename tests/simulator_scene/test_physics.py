@@ -154,7 +154,7 @@ def test_time_tags_carry_offset_and_drift():
 
 
 def test_lambert_sphere_at_zero_phase():
-    """V = -26.74 - 2.5 log10(a d^2 / 6 R^2): 10 cm at 1000 km, albedo 0.1, is 12.7."""
+    """V = -26.76 - 2.5 log10(a d^2 / 6 R^2): 10 cm at 1000 km, albedo 0.1, is 12.7."""
     sun = np.array([[-earth.AU_KM, 0.0, 0.0]])
     flux = lambert_flux(0.1, 0.1, np.array([[1000.0, 0.0, 0.0]]), np.zeros((1, 3)), sun)
     assert -2.5 * np.log10(flux[0]) == pytest.approx(12.7, abs=0.05)

@@ -2,7 +2,8 @@
 
 from onboard.codec.ccsds121 import Ccsds121Codec
 from onboard.codec.planes import PlanesCodec
+from onboard.codec.rans import RansCodec
 from onboard.codec.raw import RawCodec
 from onboard.codec.sqrt_planes import SqrtPlanesCodec
 
-__all__ = ["Ccsds121Codec", "PlanesCodec", "RawCodec", "SqrtPlanesCodec"]
+__all__ = ["Ccsds121Codec", "PlanesCodec", "RansCodec", "RawCodec", "SqrtPlanesCodec"]

@@ -3,7 +3,7 @@
 from typing import Final
 
 CONTRACT_MAJOR: Final = 2
-CONTRACT_MINOR: Final = 0
+CONTRACT_MINOR: Final = 1
 CONTRACT_VERSION: Final = f"{CONTRACT_MAJOR}.{CONTRACT_MINOR}"
 
 HISTORY: Final = (
@@ -13,6 +13,7 @@ HISTORY: Final = (
         "remembered stars are item 1 of the star packets and no measurements of the frame; near-lossless strips decode to the "
         "mean of a code's integers, float32; the header's PSF width is the measured one, NaN when it was not measured",
     ),
+    ("2.1", "codec 4, rans"),
 )
 """The major number grows when a decoder of the version before would take something for what it is not, the minor one when it
 would only miss or refuse what is new. Decoders skip and count packets of another major version."""

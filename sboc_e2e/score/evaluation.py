@@ -11,6 +11,7 @@ from astropy.table import Table
 
 from ground.ingest import decode_downlink
 from ground.ingest.codecs import Ccsds121Decoder, PlanesDecoder, RawDecoder, SqrtPlanesDecoder
+from ground.ingest.rans import RansDecoder
 from sboc_e2e.files import calibration_files
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.errors import UserError
@@ -25,7 +26,13 @@ from sboc_e2e.score.satnet import is_satnet, read_satnet
 from sboc_e2e.score.trail import TruePath
 from sboc_e2e.truth import PATH_NODES, dtype_of
 
-SHIPPED_DECODERS: Final[tuple[Decoder, ...]] = (PlanesDecoder(), RawDecoder(), Ccsds121Decoder(), SqrtPlanesDecoder())
+SHIPPED_DECODERS: Final[tuple[Decoder, ...]] = (
+    PlanesDecoder(),
+    RawDecoder(),
+    Ccsds121Decoder(),
+    SqrtPlanesDecoder(),
+    RansDecoder(),
+)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

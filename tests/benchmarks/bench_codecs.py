@@ -12,17 +12,20 @@ from typing import Any
 
 import imagecodecs
 import numpy as np
+import zstandard
 from numpy.typing import NDArray
 from scipy.stats import norm
 
 from ground.ingest.codecs import PlanesDecoder, SqrtPlanesDecoder
+from ground.ingest.rans import RansDecoder
 from onboard.background import MeshBackground
 from onboard.calibrate import IntegerCalibration, to_counts
-from onboard.codec import Ccsds121Codec, PlanesCodec, SqrtPlanesCodec
+from onboard.codec import Ccsds121Codec, PlanesCodec, RansCodec, SqrtPlanesCodec
 from onboard.whole_frame import frame_payloads
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.frame import Calibration, Frame
 from sboc_e2e.icd.layout import CRC, HEADER_BYTES, STRIP
+from sboc_e2e.icd.steps import Decoder, Encoder
 from simulator.chain import Simulator
 from simulator.options import SimulatorOptions
 
@@ -92,52 +95,69 @@ def floors(values: NDArray[np.int32], level: int, entropy: float) -> dict[str, f
     }
 
 
-def whole_frames(frames: list[tuple[Frame, float]], calibration: Calibration) -> dict[str, Any]:
+def whole_frames(
+    frames: list[tuple[Frame, float]], calibration: Calibration, encoder: Encoder, decoder: Decoder
+) -> dict[str, Any]:
     """Lossless whole frames: the codec on blocks of 64 kpx, and in packets with every header; entropy from truth."""
-    codec, dark = PlanesCodec(), IntegerCalibration.of(calibration)
-    blocks, packets, speeds, decode_speeds, exact, least = [], [], [], [], [], []
+    dark = IntegerCalibration.of(calibration)
+    blocks, packets, speeds, decode_speeds, exact, over_zstd = [], [], [], [], [], []
     for frame, entropy in frames:
         counts = to_counts(frame, dark)
         values = frame.pixels.astype(np.int32) - dark.dark
         level = int(np.median(values))
-        least.append(floors(values, level, entropy))
         rows = BLOCK_PX // values.shape[1]
         parts = [values[k : k + rows] for k in range(0, len(values), rows)]
 
         def encode(parts: list[NDArray[np.int32]] = parts, level: int = level) -> list[bytes]:
-            return [codec.encode(part, level_adu=level, sigma_adu=SIGMA_ADU) for part in parts]
+            return [encoder.encode(part, level_adu=level, sigma_adu=SIGMA_ADU) for part in parts]
 
         coded = encode()
         blocks.append(8.0 * sum(map(len, coded)) / values.size / entropy)
-        speeds.append(frame.pixels.nbytes / best_cpu_s(encode) / 1e6)
+        encode_s = best_cpu_s(encode)
+        speeds.append(frame.pixels.nbytes / encode_s / 1e6)
+        zstd = zstandard.ZstdCompressor(level=1)
+        raw = [frame.pixels[k : k + rows].tobytes() for k in range(0, len(values), rows)]
+        over_zstd.append(best_cpu_s(lambda raw=raw, zstd=zstd: [zstd.compress(part) for part in raw]) / encode_s)  # type: ignore[misc]
 
         def decode(
             coded: list[bytes] = coded, parts: list[NDArray[np.int32]] = parts, level: int = level
         ) -> list[NDArray[np.int32]]:
             pairs = zip(coded, parts, strict=True)
-            return [PlanesDecoder().decode(c, p.shape, level_adu=level, sigma_adu=SIGMA_ADU) for c, p in pairs]
+            return [np.asarray(decoder.decode(c, p.shape, level_adu=level, sigma_adu=SIGMA_ADU)) for c, p in pairs]
 
         decode_speeds.append(frame.pixels.nbytes / best_cpu_s(decode) / 1e6)
         exact.append(all((a == b).all() for a, b in zip(decode(), parts, strict=True)))
         background = MeshBackground().estimate(counts.pixels, counts.dark, counts.defects)
-        payloads = frame_payloads(counts, background, codec)
+        payloads = frame_payloads(counts, background, encoder)
         size = sum(len(payload) + HEADER_BYTES + CRC.size for payload in payloads)
         packets.append(8.0 * size / values.size / entropy)
     frame, _ = frames[0]
     counts = to_counts(frame, dark)
     background = MeshBackground().estimate(counts.pixels, counts.dark, counts.defects)
-    packet_s = best_cpu_s(lambda: frame_payloads(counts, background, codec))
+    packet_s = best_cpu_s(lambda: frame_payloads(counts, background, encoder))
     return {
-        "entropy_bits": figure([entropy for _, entropy in frames]),
         "bits_over_entropy_ratio": figure(blocks),
         "bits_in_packets_over_entropy_ratio": figure(packets),
-        "best_without_context_over_entropy_ratio": figure([f["no_context"] for f in least]),
-        "best_with_context_over_entropy_ratio": figure([f["context"] for f in least]),
-        "pixels_beside_stars_fraction": figure([f["star_share"] for f in least]),
         "encode_mb_s": figure(speeds),
+        "encode_speed_over_zstd1_ratio": figure(over_zstd),
         "decode_mb_s": figure(decode_speeds),
         "encode_into_packets_mb_s": figure([frame.pixels.nbytes / packet_s / 1e6]),
         "lossless_bit_exact": figure([float(e) for e in exact]),
+    }
+
+
+def bounds(frames: list[tuple[Frame, float]], calibration: Calibration) -> dict[str, Any]:
+    """Entropy from truth, and what coders that know no star could reach."""
+    dark = IntegerCalibration.of(calibration)
+    least = []
+    for frame, entropy in frames:
+        values = frame.pixels.astype(np.int32) - dark.dark
+        least.append(floors(values, int(np.median(values)), entropy))
+    return {
+        "entropy_bits": figure([entropy for _, entropy in frames]),
+        "best_without_context_over_entropy_ratio": figure([f["no_context"] for f in least]),
+        "best_with_context_over_entropy_ratio": figure([f["context"] for f in least]),
+        "pixels_beside_stars_fraction": figure([f["star_share"] for f in least]),
     }
 
 
@@ -145,13 +165,14 @@ def roi_blocks(n: int) -> dict[str, Any]:
     """64 x 64 px of sky, strip header counted; CCSDS 121, JPEG-LS and JPEG XL beside it."""
     rng = np.random.default_rng(1)
     entropy = entropy_bits(SIGMA_ADU)
-    results: dict[str, list[float]] = {"planes": [], "ccsds121": [], "jpegls": [], "jpegxl": []}
+    results: dict[str, list[float]] = {"planes": [], "rans": [], "ccsds121": [], "jpegls": [], "jpegxl": []}
     times: dict[str, list[float]] = {name: [] for name in results}
     for _ in range(n):
         values = noise(rng, (64, 64))
         level = int(np.median(values))
         coders: dict[str, Callable[[], bytes]] = {
             "planes": lambda v=values, m=level: PlanesCodec().encode(v, level_adu=m, sigma_adu=SIGMA_ADU),  # type: ignore[misc]
+            "rans": lambda v=values, m=level: RansCodec().encode(v, level_adu=m, sigma_adu=SIGMA_ADU),  # type: ignore[misc]
             "ccsds121": lambda v=values, m=level: Ccsds121Codec().encode(v, level_adu=m, sigma_adu=SIGMA_ADU),  # type: ignore[misc]
             "jpegls": lambda v=values: imagecodecs.jpegls_encode(v.astype(np.uint16)),  # type: ignore[misc]
             "jpegxl": lambda v=values: imagecodecs.jpegxl_encode(v.astype(np.uint16), lossless=True),  # type: ignore[misc]
@@ -204,7 +225,11 @@ def main(quick: bool = False) -> dict[str, Any]:
         frames.append((frame, float(truth.frame["entropy_bits"][0])))
     n = 50 if quick else 400
     return {
-        "whole_frame": whole_frames(frames, simulator.calibration()),
+        "whole_frame": {
+            **bounds(frames, simulator.calibration()),
+            **whole_frames(frames, simulator.calibration(), PlanesCodec(), PlanesDecoder()),
+        },
+        "whole_frame_rans": whole_frames(frames, simulator.calibration(), RansCodec(), RansDecoder()),
         "roi_64x64": roi_blocks(n),
         "near_lossless": near_lossless(max(4, n // 20)),
     }

@@ -3,9 +3,10 @@
 import struct
 
 from ground.ingest.codecs import Ccsds121Decoder, PlanesDecoder, RawDecoder, SqrtPlanesDecoder
+from ground.ingest.rans import RansDecoder
 from sboc_e2e.icd.errors import ContractError
 
-DECODERS = (PlanesDecoder(), RawDecoder(), Ccsds121Decoder(), SqrtPlanesDecoder())
+DECODERS = (PlanesDecoder(), RawDecoder(), Ccsds121Decoder(), SqrtPlanesDecoder(), RansDecoder())
 HEAD = struct.Struct(">BHHif")
 LARGEST_SIDE = 64
 SHAPES_OF_ANY_SIZE = 192

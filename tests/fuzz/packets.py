@@ -4,10 +4,11 @@ import binascii
 
 from ground.ingest import decode_downlink
 from ground.ingest.codecs import Ccsds121Decoder, PlanesDecoder, RawDecoder, SqrtPlanesDecoder
+from ground.ingest.rans import RansDecoder
 from sboc_e2e.icd import layout
 from sboc_e2e.icd.version import CONTRACT_MAJOR, CONTRACT_MINOR
 
-DECODERS = (PlanesDecoder(), RawDecoder(), Ccsds121Decoder(), SqrtPlanesDecoder())
+DECODERS = (PlanesDecoder(), RawDecoder(), Ccsds121Decoder(), SqrtPlanesDecoder(), RansDecoder())
 APIDS = tuple(layout.Apid)
 
 

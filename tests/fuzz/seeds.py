@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from astropy.io import fits
 
-from onboard.codec import Ccsds121Codec, PlanesCodec, RawCodec, SqrtPlanesCodec
+from onboard.codec import Ccsds121Codec, PlanesCodec, RansCodec, RawCodec, SqrtPlanesCodec
 from sboc_e2e.icd.layout import CRC, HEADER_BYTES, ITEM, Apid
 from sboc_e2e.scenario import schema
 from sboc_e2e.scenario.toml_files import FOLDER
@@ -16,7 +16,7 @@ GOLDEN = Path(__file__).resolve().parents[1] / "golden"
 FOUND = Path(__file__).parent / "found"
 """Inputs that found something, in a folder for each target; tests run them for ever."""
 
-ENCODERS = (PlanesCodec(), RawCodec(), Ccsds121Codec(), SqrtPlanesCodec())
+ENCODERS = (PlanesCodec(), RawCodec(), Ccsds121Codec(), SqrtPlanesCodec(), RansCodec())
 """In the order of the decoders of the codec target."""
 
 MAX_BYTES = {"packets": 4096, "codecs": 2048, "fits": 12_000, "scenario": 4096}

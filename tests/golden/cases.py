@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from onboard import packets
-from onboard.codec import PlanesCodec, RawCodec
+from onboard.codec import PlanesCodec, RansCodec, RawCodec
 from sboc_e2e.icd.downlink import Housekeeping
 from sboc_e2e.icd.flags import FrameFlag, StarFlag, StreakFlag
 from sboc_e2e.icd.frame import AttitudeEstimate, FrameHeader, ObserverState
@@ -155,6 +155,18 @@ CELLS = np.array([[0, 16, 17], [255, 15, 16]], dtype=np.uint8)
 CHUNK = np.array([[5, 6, 4, 5], [5, 300, 5, -2]])
 
 
+STAR = np.array(
+    [
+        [4, 5, 7, 3, 5, 6],
+        [5, 9, 40, 21, 6, 2],
+        [6, 31, 5000, 90, 8, 5],
+        [3, 8, 70000, 300, 4, -200],
+        [5, 6, 4, 5, 5, 2000000000],
+    ]
+)
+"""A star, a saturated column, values that need the escape: the block of codec `rans`, level 5."""
+
+
 def make_packets() -> dict[str, bytes]:
     """The packet of each kind as the on-board software writes it."""
     writer = packets.PacketWriter(run_id=RUN_ID, counts={int(apid): 16383 for apid in Apid})
@@ -192,6 +204,8 @@ def main() -> None:
             writer = csv.writer(file, lineterminator="\n")
             writer.writerow(("offset", "format", "field", "value"))
             writer.writerows((offset, form, name, repr(value)) for offset, form, name, value in table(kind, packet))
+    (FOLDER / "rans.bin").write_bytes(RansCodec().encode(STAR, level_adu=5, sigma_adu=2.375))
+    np.savetxt(FOLDER / "rans.csv", STAR, fmt="%d", delimiter=",")
 
 
 if __name__ == "__main__":

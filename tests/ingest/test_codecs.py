@@ -1,5 +1,6 @@
 """Codecs and their decoders: lossless is bit-exact, near-lossless is bounded, hostile blocks are refused."""
 
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -11,15 +12,24 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from ground.ingest.codecs import Ccsds121Decoder, PlanesDecoder, RawDecoder, SqrtPlanesDecoder, inflate
-from onboard.codec import Ccsds121Codec, PlanesCodec, RawCodec, SqrtPlanesCodec
+from ground.ingest.rans import SPANS, RansDecoder, sky_model
+from onboard.codec import Ccsds121Codec, PlanesCodec, RansCodec, RawCodec, SqrtPlanesCodec
+from onboard.codec import rans as rans_on_board
 from sboc_e2e.icd.errors import ContractError
 from sboc_e2e.icd.layout import MAX_STRIP_PIXELS, CodecNumber
 from sboc_e2e.icd.steps import Decoder, Encoder
 
-LOSSLESS = [(PlanesCodec(), PlanesDecoder()), (Ccsds121Codec(), Ccsds121Decoder()), (RawCodec(), RawDecoder())]
+LOSSLESS = [
+    (PlanesCodec(), PlanesDecoder()),
+    (Ccsds121Codec(), Ccsds121Decoder()),
+    (RawCodec(), RawDecoder()),
+    (RansCodec(), RansDecoder()),
+]
 ALL = [*LOSSLESS, (SqrtPlanesCodec(), SqrtPlanesDecoder())]
-NAMES = ["planes", "ccsds121", "raw", "sqrt_planes"]
+NAMES = ["planes", "ccsds121", "raw", "rans", "sqrt_planes"]
+N_LOSSLESS = len(LOSSLESS)
 SIGMA_ADU = 2.37
+GOLDEN = Path(__file__).parents[1] / "golden"
 
 blocks = hnp.arrays(np.int32, hnp.array_shapes(min_dims=2, max_dims=2, max_side=40), elements=st.integers(-(2**17), 2**17))
 levels = st.integers(-(2**17), 2**17)
@@ -51,7 +61,7 @@ def test_numbers_are_those_of_the_contract(encoder: Encoder, decoder: Decoder) -
     assert encoder.number in set(CodecNumber)
 
 
-@pytest.mark.parametrize(("encoder", "decoder"), LOSSLESS, ids=NAMES[:3])
+@pytest.mark.parametrize(("encoder", "decoder"), LOSSLESS, ids=NAMES[:N_LOSSLESS])
 @given(values=blocks, level=levels)
 def test_lossless_is_bit_exact(encoder: Encoder, decoder: Decoder, values: NDArray[np.int32], level: int) -> None:
     """Any integers around any level come back."""
@@ -59,7 +69,7 @@ def test_lossless_is_bit_exact(encoder: Encoder, decoder: Decoder, values: NDArr
     assert (decoder.decode(block, values.shape, level_adu=level, sigma_adu=1.0) == values).all()
 
 
-@pytest.mark.parametrize(("encoder", "decoder"), LOSSLESS, ids=NAMES[:3])
+@pytest.mark.parametrize(("encoder", "decoder"), LOSSLESS, ids=NAMES[:N_LOSSLESS])
 @pytest.mark.parametrize("value", [-(2**31), -1, 0, 255, 256, 65535, 2**31 - 1])
 def test_constant_blocks_of_any_value(encoder: Encoder, decoder: Decoder, value: int) -> None:
     """Constant and extreme values, around levels at the other end."""
@@ -83,6 +93,66 @@ def test_planes_come_near_the_entropy(sigma: float) -> None:
     values = noise(300.3, sigma, (256, 256))
     bits = 8.0 * len(PlanesCodec().encode(values, level_adu=300, sigma_adu=sigma)) / values.size
     assert bits <= 1.03 * entropy_bits(sigma) + 0.01
+
+
+@pytest.mark.parametrize("sigma", [1.0, 2.37, 6.9, 17.5, 40.0])
+def test_rans_comes_nearer_to_the_entropy(sigma: float) -> None:
+    """A block of 64 x 148 px, which fills a packet, costs at most 1.02 times its entropy; level and noise need not be exact."""
+    values = noise(300.3, sigma, (64, 148))
+    for level, given_sigma in ((300, sigma), (298, 3.0 * sigma)):
+        bits = 8.0 * len(RansCodec().encode(values, level_adu=level, sigma_adu=given_sigma)) / values.size
+        assert bits <= 1.02 * entropy_bits(sigma) + 0.01
+
+
+@pytest.mark.parametrize("kind", ["zero", "constant", "saturated", "half saturated", "random", "stars", "any integers", "ramp"])
+@pytest.mark.parametrize("shape", [(64, 64), (1, 9), (9, 1), (3, 2), (5, 1021)])
+def test_rans_is_bit_exact_on_frames_of_every_kind(kind: str, shape: tuple[int, int]) -> None:
+    """What the model does not expect costs bits, never a value."""
+    rng = np.random.default_rng(5)
+    sky = noise(100.0, 2.4, shape)
+    values = {
+        "zero": np.zeros(shape, dtype=np.int32),
+        "constant": np.full(shape, 31_111, dtype=np.int32),
+        "saturated": np.full(shape, 65_535, dtype=np.int32),
+        "half saturated": np.where(np.arange(shape[1]) < shape[1] // 2, sky, 65_535).astype(np.int32),
+        "random": rng.integers(0, 65_536, shape).astype(np.int32),
+        "stars": sky + rng.pareto(0.9, shape).clip(0, 60_000).astype(np.int32),
+        "any integers": rng.integers(-(2**31), 2**31, shape).astype(np.int32),
+        "ramp": np.add.outer(np.arange(shape[0]), 70 * np.arange(shape[1])).astype(np.int32),
+    }[kind]
+    for level in (0, 100, int(values[0, 0])):
+        block = RansCodec().encode(values, level_adu=level, sigma_adu=2.4)
+        assert (RansDecoder().decode(block, shape, level_adu=level, sigma_adu=0.0) == values).all()
+
+
+def test_both_halves_work_out_the_same_model_of_the_sky() -> None:
+    """Limits and slots of on board and ground, each worked out in its own way, over noise and centre."""
+    assert (np.column_stack((rans_on_board.FIRST, rans_on_board.LAST)) == SPANS).all()
+    centres = np.random.default_rng(2).integers(-60, 60, 256)
+    for noise_code in range(0, 256, 4):
+        for centre_code in (0, 8, -8, int(centres[noise_code]), 32767, -32768):
+            limits, table = rans_on_board.model(noise_code, centre_code)
+            there_limits, slots, _ = sky_model(noise_code, centre_code)
+            assert (limits == there_limits).all()
+            assert (table["start"].reshape(slots.shape[0], -1) == slots[:, :-1]).all()
+
+
+def test_golden_rans_block() -> None:
+    """The block on disk and its values; ICD.md alone must be enough to read it."""
+    values = np.loadtxt(GOLDEN / "rans.csv", dtype=np.int32, delimiter=",")
+    block = (GOLDEN / "rans.bin").read_bytes()
+    assert RansCodec().encode(values, level_adu=5, sigma_adu=2.375) == block
+    assert (RansDecoder().decode(block, values.shape, level_adu=5, sigma_adu=2.375) == values).all()
+
+
+@pytest.mark.parametrize("cut", [0, 1, 22, 24, -1, -2])
+def test_rans_refuses_what_does_not_end_as_it_began(cut: int) -> None:
+    """Blocks cut short, and one with a word too many."""
+    values = noise(50.0, 3.0, (20, 30))
+    block = RansCodec().encode(values, level_adu=50, sigma_adu=3.0)
+    for wrong in (block[:cut], block + b"\0\0", block[:3] + bytes(5) + block[8:], block[:-2] + bytes([block[-2] ^ 1, block[-1]])):
+        with pytest.raises(ContractError):
+            RansDecoder().decode(wrong, values.shape, level_adu=50, sigma_adu=3.0)
 
 
 @given(values=blocks, level=levels, sigma=st.floats(0.1, 1000.0), step=st.floats(0.05, 4.0))

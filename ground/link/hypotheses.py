@@ -7,8 +7,8 @@ does not say which of its ends is A, so each one is two hypotheses, under a roll
 before it is at A: the same two formulae hold and the later epoch is the open one.
 """
 
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Iterable, Sequence
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,17 +33,21 @@ _CHANGE_POINT_TAILS = 1.5
 """Widening of the 68 % interval of an end that is a change point, so that a Gaussian covers its exponential tails."""
 
 
+_BLOCK: Final = 8192
+"""Streaks at a time: what is computed on the way to the tables is several times as large as they are."""
+
+
 class StreakTable(NamedTuple):
     """What linking needs of n streaks, in columns, by frame and then by input order.
 
-    source : position in the caller's sequence. frame : ordinal of the frame in time order. kind_flags : StreakFlag bits.
+    frame : ordinal of the frame in time order. streak_id : inside it. flags : StreakFlag bits. mag, mag_err : NaN where unknown.
     row, col : (n, 3) px of end 0, middle, end 1. unit : (n, 3, 3) unit vectors of the same points.
     sigma_along_rad, (n, 2) of both ends; sigma_cross_rad (n,). scale_rad_px : (n,) plate scale.
     log_odds : (n,) of being real, from the vetter, relative to the mean of all.
     """
 
-    source: NDArray[np.int64]
     frame: NDArray[np.int64]
+    streak_id: NDArray[np.int64]
     flags: NDArray[np.int64]
     row: NDArray[np.float64]
     col: NDArray[np.float64]
@@ -52,6 +56,8 @@ class StreakTable(NamedTuple):
     sigma_cross_rad: NDArray[np.float64]
     scale_rad_px: NDArray[np.float64]
     log_odds: NDArray[np.float64]
+    mag: NDArray[np.float64]
+    mag_err: NDArray[np.float64]
 
 
 class FrameTable(NamedTuple):
@@ -118,57 +124,84 @@ def has_sky(streak: StreakMeasurement) -> bool:
     return not streak.flags & StreakFlag.NO_SKY and bool(np.isfinite(streak.ra_deg).all() and np.isfinite(streak.dec_deg).all())
 
 
-def streak_table(
-    streaks: Sequence[StreakMeasurement],
-    index: Sequence[int],
-    frames: FrameTable,
-    *,
-    sky: bool,
-    pixel_scale_arcsec: float,
-) -> StreakTable:
-    """Columns of the streaks `index` points at; without sky positions pixels are put on a plane of the given scale.
+def streak_tables(
+    streaks: Iterable[StreakMeasurement], frames: FrameTable, pixel_scale_arcsec: float
+) -> tuple[StreakTable, StreakTable]:
+    """Columns of the streaks that have sky positions, and of those that have none, which are put on a plane of the given scale.
 
+    Records are gone through once and not kept, so that a long run may make them one after another.
     Errors: a `ContractError` for a streak whose frame has no header.
     """
     ordinal = {int(number): k for k, number in enumerate(frames.number)}
-    missing = sorted({streaks[i].frame for i in index} - ordinal.keys())
-    if missing:
-        raise ContractError(f"linker: streaks of frame {missing[0]} have no header among the {len(ordinal)} given")
-    frame = np.array([ordinal[streaks[i].frame] for i in index], dtype=np.int64)
-    chosen = np.argsort(frame, kind="stable")
-    picked = [streaks[index[i]] for i in chosen]
-    frame = frame[chosen]
-    row = np.array([(s.fit.row0, s.row_mid, s.fit.row1) for s in picked]).reshape(-1, 3)
-    col = np.array([(s.fit.col0, s.col_mid, s.fit.col1) for s in picked]).reshape(-1, 3)
+    waiting: tuple[list[StreakMeasurement], list[StreakMeasurement]] = ([], [])
+    blocks: tuple[list[dict[str, NDArray[Any]]], list[dict[str, NDArray[Any]]]] = ([], [])
+    scale = pixel_scale_arcsec * ARCSEC_RAD
+    for streak in streaks:
+        if streak.frame not in ordinal:
+            raise ContractError(f"linker: streaks of frame {streak.frame} have no header among the {len(ordinal)} given")
+        group = int(not has_sky(streak))
+        waiting[group].append(streak)
+        if len(waiting[group]) == _BLOCK:
+            blocks[group].append(_columns(waiting[group], ordinal, frames, group == 0, scale))
+            waiting[group].clear()
+    for group in (0, 1):
+        blocks[group].append(_columns(waiting[group], ordinal, frames, group == 0, scale))
+    return _table(blocks[0], scale, sky=True), _table(blocks[1], scale, sky=False)
+
+
+def _columns(
+    streaks: Sequence[StreakMeasurement], ordinal: dict[int, int], frames: FrameTable, sky: bool, scale_rad_px: float
+) -> dict[str, NDArray[Any]]:
+    """Columns of a `StreakTable` for some streaks, in their order; errors in px, and the vetter's probability for its odds."""
+    frame = np.array([ordinal[s.frame] for s in streaks], dtype=np.int64)
+    row = np.array([(s.fit.row0, s.row_mid, s.fit.row1) for s in streaks]).reshape(-1, 3)
+    col = np.array([(s.fit.col0, s.col_mid, s.fit.col1) for s in streaks]).reshape(-1, 3)
     if sky:
         unit = unit_vectors(
-            np.array([s.ra_deg for s in picked]).reshape(-1, 3), np.array([s.dec_deg for s in picked]).reshape(-1, 3)
+            np.array([s.ra_deg for s in streaks]).reshape(-1, 3), np.array([s.dec_deg for s in streaks]).reshape(-1, 3)
         )
-        scale = _plate_scale_rad_px(frame, row, col, unit, pixel_scale_arcsec * ARCSEC_RAD)
     else:
-        scale = pixel_scale_arcsec * ARCSEC_RAD
-        centre = 0.5 * frames.shape[frame].astype(np.float64) if len(frame) else np.zeros((0, 2))
-        plane = np.stack([(col - centre[:, 1:]) * scale, (row - centre[:, :1]) * scale, np.ones_like(row)], axis=-1)
+        centre = 0.5 * frames.shape[frame].astype(np.float64)
+        plane = np.stack([(col - centre[:, 1:]) * scale_rad_px, (row - centre[:, :1]) * scale_rad_px, np.ones_like(row)], axis=-1)
         unit = plane / np.linalg.norm(plane, axis=-1, keepdims=True)
-    along_px, cross_px = _end_errors_px(picked)
-    flags = np.array([int(s.flags | s.fit.flags) for s in picked], dtype=np.int64)
-    vetoed = (flags & StreakFlag.VETOED) != 0
-    probability = np.clip(np.array([s.probability if np.isfinite(s.probability) else 0.5 for s in picked]), 1e-6, 1.0 - 1e-6)
-    logit = np.log(probability / (1.0 - probability))
-    typical = float(probability[~vetoed].mean()) if not vetoed.all() else 0.5
+    along_px, cross_px = _end_errors_px(streaks)
+    return {
+        "frame": frame,
+        "streak_id": np.array([s.streak_id for s in streaks], dtype=np.int64),
+        "flags": np.array([int(s.flags | s.fit.flags) for s in streaks], dtype=np.int64),
+        "row": row,
+        "col": col,
+        "unit": unit,
+        "sigma_along_rad": along_px,
+        "sigma_cross_rad": cross_px,
+        "log_odds": np.array([s.probability for s in streaks], dtype=np.float64),
+        "mag": np.array([s.mag for s in streaks], dtype=np.float64),
+        "mag_err": np.array([s.mag_err for s in streaks], dtype=np.float64),
+    }
+
+
+def _table(blocks: list[dict[str, NDArray[Any]]], scale_rad_px: float, *, sky: bool) -> StreakTable:
+    """The table of all blocks, which are used up; scale_rad_px holds where the streaks do not show it."""
+    order = np.argsort(np.concatenate([block["frame"] for block in blocks]), kind="stable")
+    joined = {name: np.concatenate([block.pop(name) for block in blocks])[order] for name in list(blocks[0])}
+    scale = scale_rad_px
+    if sky and len(order):
+        scale = _plate_scale_rad_px(joined["frame"], joined["row"], joined["col"], joined["unit"], scale_rad_px)
+    joined["sigma_along_rad"] *= scale
+    joined["sigma_cross_rad"] *= scale
+    joined["scale_rad_px"] = np.full(len(order), scale)
+    vetoed = (joined["flags"] & StreakFlag.VETOED) != 0
+    joined["log_odds"] = _relative_log_odds(joined["log_odds"], vetoed)
+    return StreakTable(**joined)
+
+
+def _relative_log_odds(probability: NDArray[np.float64], vetoed: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Log odds (n,) of being real relative to the mean of those that passed; NaN: even odds."""
+    known = np.clip(np.where(np.isfinite(probability), probability, 0.5), 1e-6, 1.0 - 1e-6)
+    logit = np.log(known / (1.0 - known))
+    typical = float(known[~vetoed].mean()) if not vetoed.all() else 0.5
     base = np.log(typical / (1.0 - typical))
-    return StreakTable(
-        source=np.array([index[i] for i in chosen], dtype=np.int64),
-        frame=frame,
-        flags=flags,
-        row=row,
-        col=col,
-        unit=unit,
-        sigma_along_rad=along_px * scale,
-        sigma_cross_rad=cross_px * scale,
-        scale_rad_px=np.full(len(picked), scale),
-        log_odds=np.where(vetoed, _LOG_VETO_LOSS, np.clip(logit - base, -2.3, 2.3)),
-    )
+    return np.where(vetoed, _LOG_VETO_LOSS, np.clip(logit - base, -2.3, 2.3))
 
 
 def _plate_scale_rad_px(
@@ -223,7 +256,30 @@ def nodes_of(table: StreakTable, frames: FrameTable, sigma_floor_px: float) -> N
 
     sigma_floor_px : added in quadrature to the fits' errors; pointing and motion model are not perfect.
     """
-    n = len(table.source)
+    n = len(table.frame)
+    count = np.zeros((2, len(frames.number)))
+    np.add.at(count, (((table.flags & StreakFlag.VETOED) != 0).astype(np.int64), table.frame), 1.0)
+    columns: dict[str, NDArray[Any]] = {}
+    for low in range(0, max(n, 1), _BLOCK):
+        part = StreakTable._make(column[low : low + _BLOCK] for column in table)
+        made = _hypotheses(part, frames, count, sigma_floor_px)
+        if not columns:
+            columns = {name: np.empty((2 * n, *values.shape[1:]), dtype=values.dtype) for name, values in made.items()}
+        for name, values in made.items():
+            columns[name][2 * low : 2 * low + len(values)] = values
+    spread = table.unit[:, 1].std(axis=0) if n else np.zeros(3)
+    axis = int(np.argmax(spread))
+    key = np.repeat(table.unit[:, 1, axis], 2)
+    order = np.lexsort((key, columns["frame"]))
+    first = np.searchsorted(columns["frame"][order], np.arange(len(frames.number) + 1))
+    return Nodes(**columns, order=order, sorted_key=np.ascontiguousarray(key[order]), first=first.astype(np.int64), axis=axis)
+
+
+def _hypotheses(
+    table: StreakTable, frames: FrameTable, count: NDArray[np.float64], sigma_floor_px: float
+) -> dict[str, NDArray[Any]]:
+    """The columns of `Nodes` for some streaks. count : (2, frames) streaks of each frame that passed the vetter, and others."""
+    n = len(table.frame)
     frame = np.repeat(table.frame, 2)
     row_open, row_close = table.row[:, [0, 2]].ravel(), table.row[:, [2, 0]].ravel()
     start, exposure, line = frames.start_s[frame], frames.exposure_s[frame], frames.line_time_s[frame]
@@ -260,8 +316,6 @@ def nodes_of(table: StreakTable, frames: FrameTable, sigma_floor_px: float) -> N
 
     area = scale**2 * np.prod(frames.shape, axis=1)[frame]
     vetoed = (flags & StreakFlag.VETOED) != 0
-    count = np.zeros((2, len(frames.number)))
-    np.add.at(count, (vetoed[::2].astype(np.int64), table.frame), 1.0)
     # chance streaks are counted apart: the vetter's rejects may be thousands among tens that passed
     crowd = count[vetoed.astype(np.int64), frame]
     octaves = np.log(2.0 * np.hypot(*frames.shape.T))[frame]
@@ -270,27 +324,17 @@ def nodes_of(table: StreakTable, frames: FrameTable, sigma_floor_px: float) -> N
     vector = turned + np.log(np.maximum(length, scale) * octaves)
     log_clutter = np.log(crowd / area) - np.select([kind == FULL, kind == POINT], [vector, 0.0], turned)
 
-    middles = table.unit[:, 1]
-    spread = middles.std(axis=0) if n else np.zeros(3)
-    axis = int(np.argmax(spread))
-    key = middle[:, axis]
-    order = np.lexsort((key, frame))
-    first = np.searchsorted(frame[order], np.arange(len(frames.number) + 1))
-    return Nodes(
-        frame=frame,
-        kind=kind.astype(np.int8),
-        t_s=np.ascontiguousarray(t_s),
-        unit=np.ascontiguousarray(unit),
-        sigma_rad=np.ascontiguousarray(np.hypot(measured, sigma_floor_px * scale[:, None])),
-        measured_rad=np.ascontiguousarray(measured),
-        vetoed=vetoed,
-        length_rad=length,
-        duration_s=duration,
-        fastest_rad_s=fastest,
-        log_clutter=log_clutter,
-        log_odds=np.repeat(table.log_odds, 2),
-        order=order,
-        sorted_key=np.ascontiguousarray(key[order]),
-        first=first.astype(np.int64),
-        axis=axis,
-    )
+    return {
+        "frame": frame,
+        "kind": kind.astype(np.int8),
+        "t_s": t_s,
+        "unit": unit,
+        "sigma_rad": np.hypot(measured, sigma_floor_px * scale[:, None]),
+        "measured_rad": measured,
+        "vetoed": vetoed,
+        "length_rad": length,
+        "duration_s": duration,
+        "fastest_rad_s": fastest,
+        "log_clutter": log_clutter,
+        "log_odds": np.repeat(table.log_odds, 2),
+    }

@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ground.link.hypotheses import ARCSEC_RAD, FrameTable, StreakTable, frame_table, has_sky, nodes_of, streak_table
+from ground.link.hypotheses import ARCSEC_RAD, FrameTable, StreakTable, frame_table, nodes_of, streak_tables
 from ground.link.selection import Search, best_tracks
 from ground.link.tracks import Track, tracklet_of
 from sboc_e2e.icd.frame import FrameHeader
@@ -41,17 +41,13 @@ class MotionLinker:
     )
 
     def link(self, headers: Sequence[FrameHeader], streaks: Sequence[StreakMeasurement]) -> tuple[Tracklet, ...]:
-        """Tracklets of two or more frames, by falling evidence; their ids count from 0."""
+        """Tracklets of two or more frames, by falling evidence; their ids count from 0. Streaks are gone through once."""
         frames = frame_table(headers)
         tracks: list[tuple[Track, StreakTable, bool]] = []
-        for sky in (True, False):
-            index = [k for k, s in enumerate(streaks) if has_sky(s) is sky]
-            if len(index) < 2:
-                continue
-            table = streak_table(streaks, index, frames, sky=sky, pixel_scale_arcsec=self.pixel_scale_arcsec)
+        for table, sky in zip(streak_tables(streaks, frames, self.pixel_scale_arcsec), (True, False), strict=True):
             tracks += [(track, table, sky) for track in self.tracks(table, frames, sky=sky)]
         tracks.sort(key=lambda entry: -entry[0].log_odds)
-        return tuple(tracklet_of(number, track, table, frames, streaks, sky) for number, (track, table, sky) in enumerate(tracks))
+        return tuple(tracklet_of(number, track, table, frames, sky) for number, (track, table, sky) in enumerate(tracks))
 
     def tracks(self, table: StreakTable, frames: FrameTable, *, sky: bool) -> list[Track]:
         """Tracks of one group of streaks, all on the sky or all in pixels."""

@@ -115,6 +115,38 @@ def anchor(nodes: Nodes, node: int, late: bool) -> int:
 
 
 @njit(cache=True)
+def _ends(
+    nodes: Nodes,
+    node: int,
+    centre: NDArray[np.float64],
+    basis: NDArray[np.float64],
+    t_ref: float,
+    speed: float,
+    out: NDArray[np.float64],
+) -> tuple[float, float, int]:
+    """Ends of a hypothesis into out (2, 4): x, y (rad) on the plane, epoch (s) after `t_ref`, 1 where the shutter set it, else 0.
+
+    Returns the trail's direction on the plane and the number of ends: a point has one. An end that the frame's edge cut lies
+    on the path, but its epoch follows from the other one and the speed (rad/s).
+    """
+    kind = nodes.kind[node]
+    for p in range(2):
+        out[p, 0], out[p, 1] = to_plane(nodes.unit[node, p], centre, basis)
+        out[p, 2], out[p, 3] = nodes.t_s[node, p] - t_ref, 1.0
+    if kind == POINT:
+        return 1.0, 0.0, 1
+    dx, dy = out[1, 0] - out[0, 0], out[1, 1] - out[0, 1]
+    length = math.hypot(dx, dy)
+    if kind == ENTERING:
+        out[0, 2], out[0, 3] = out[1, 2] - length / speed, 0.0
+    elif kind == LEAVING:
+        out[1, 2], out[1, 3] = out[0, 2] + length / speed, 0.0
+    if length > 0.0:
+        return dx / length, dy / length, 2
+    return 1.0, 0.0, 2
+
+
+@njit(cache=True)
 def fit_motion(
     nodes: Nodes,
     members: NDArray[np.int64],
@@ -156,6 +188,7 @@ def fit_motion(
 
     information = factor
     design = np.zeros(N_PARAMETERS)
+    ends = np.empty((2, 4))
     weights = np.ones((n, 2))
     log_det, chi2 = 0.0, 0.0
     for attempt in range(_ROBUST_PASSES):
@@ -167,20 +200,10 @@ def fit_motion(
         n_rows = 0
         for k in range(n):
             node = members[k]
-            kind = nodes.kind[node]
-            xa, ya = to_plane(nodes.unit[node, 0], centre, basis)
-            xb, yb = to_plane(nodes.unit[node, 1], centre, basis)
-            length = math.hypot(xb - xa, yb - ya)
-            ux, uy = ((xb - xa) / length, (yb - ya) / length) if length > 0.0 and kind != POINT else (1.0, 0.0)
-            for p in range(2):
-                if kind == POINT and p == 1:
-                    continue
-                x, y = (xa, ya) if p == 0 else (xb, yb)
-                t = nodes.t_s[node, p] - t_ref
-                timed = not ((kind == ENTERING and p == 0) or (kind == LEAVING and p == 1))
-                if not timed:
-                    # the frame's edge cut this end: it lies on the path, but its epoch follows from the speed
-                    t = nodes.t_s[node, 1 - p] - t_ref + (length / speed if p == 1 else -length / speed)
+            ux, uy, n_ends = _ends(nodes, node, centre, basis, t_ref, speed, ends)
+            for p in range(n_ends):
+                x, y, t = ends[p, 0], ends[p, 1], ends[p, 2]
+                timed = ends[p, 3] > 0.0
                 for across in range(2):
                     if across == 0 and not timed:
                         continue
@@ -232,21 +255,13 @@ def _residual_chi2(
     have taken a piece of the trail.
     """
     chi2 = 0.0
+    ends = np.empty((2, 4))
     for k in range(len(members)):
         node = members[k]
-        kind = nodes.kind[node]
-        xa, ya = to_plane(nodes.unit[node, 0], centre, basis)
-        xb, yb = to_plane(nodes.unit[node, 1], centre, basis)
-        length = math.hypot(xb - xa, yb - ya)
-        ux, uy = ((xb - xa) / length, (yb - ya) / length) if length > 0.0 and kind != POINT else (1.0, 0.0)
-        for p in range(2):
-            if kind == POINT and p == 1:
-                continue
-            x, y = (xa, ya) if p == 0 else (xb, yb)
-            t = nodes.t_s[node, p] - t_ref
-            timed = not ((kind == ENTERING and p == 0) or (kind == LEAVING and p == 1))
-            if not timed:
-                t = nodes.t_s[node, 1 - p] - t_ref + (length / speed if p == 1 else -length / speed)
+        ux, uy, n_ends = _ends(nodes, node, centre, basis, t_ref, speed, ends)
+        for p in range(n_ends):
+            x, y, t = ends[p, 0], ends[p, 1], ends[p, 2]
+            timed = ends[p, 3] > 0.0
             dx = theta[0] + theta[2] * t + 0.5 * theta[5] * t * t - x * (1.0 + theta[4] * t)
             dy = theta[1] + theta[3] * t + 0.5 * theta[6] * t * t - y * (1.0 + theta[4] * t)
             if timed:

@@ -1,7 +1,6 @@
 """A linked track and its product, the `Tracklet`."""
 
 import math
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,7 +9,7 @@ from numpy.typing import NDArray
 from ground.link.hypotheses import ARCSEC_RAD, ENTERING, LEAVING, POINT, FrameTable, StreakTable
 from ground.link.motion import N_PARAMETERS, position_on_plane, velocity_on_plane
 from sboc_e2e.icd.flags import StreakFlag
-from sboc_e2e.icd.products import StreakMeasurement, Tracklet
+from sboc_e2e.icd.products import Tracklet
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,12 +40,11 @@ def tracklet_of(
     track: Track,
     table: StreakTable,
     frames: FrameTable,
-    streaks: Sequence[StreakMeasurement],
     sky: bool,
 ) -> Tracklet:
     """The contract's record of a track; directions and rates are NaN when it was linked in pixels."""
-    chosen = table.source[track.members // 2]
-    whole = np.sort(np.concatenate([track.members // 2, track.pieces]))
+    chosen = track.members // 2
+    whole = np.sort(np.concatenate([chosen, track.pieces]))
     timed = np.column_stack([track.kinds != ENTERING, (track.kinds != LEAVING) & (track.kinds != POINT)])
     unit, t_s = track.units[timed], track.points[timed]
     by_time = np.argsort(t_s, kind="stable")
@@ -69,10 +67,9 @@ def tracklet_of(
     direction = np.zeros(N_PARAMETERS)
     direction[2], direction[3] = vx / max(speed, 1e-15), vy / max(speed, 1e-15)
     rate_err = math.sqrt(max(float(direction @ track.covariance @ direction), 0.0))
-    mag, mag_err = _mean_magnitude([streaks[k] for k in chosen])
-    flags = StreakFlag(0)
-    for k in chosen:
-        flags |= streaks[k].flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1 | StreakFlag.SATURATED | StreakFlag.VARIABLE)
+    mag, mag_err = _mean_magnitude(table.mag[chosen], table.mag_err[chosen])
+    inherited = StreakFlag.EDGE0 | StreakFlag.EDGE1 | StreakFlag.SATURATED | StreakFlag.VARIABLE
+    flags = StreakFlag(int(np.bitwise_or.reduce(table.flags[chosen]))) & inherited
     directed = bool(np.any(track.kinds != POINT)) or len(chosen) > 2
     if directed:
         flags |= StreakFlag.DIRECTION_RESOLVED
@@ -80,8 +77,8 @@ def tracklet_of(
         flags |= StreakFlag.NO_SKY
     return Tracklet(
         tracklet_id=number,
-        streak_ids=np.array([streaks[k].streak_id for k in table.source[whole]], dtype=np.int64),
-        frames=np.array([streaks[k].frame for k in table.source[whole]], dtype=np.int64),
+        streak_ids=table.streak_id[whole],
+        frames=frames.number[table.frame[whole]],
         t_tai_ns=frames.origin_tai_ns + np.round(t_s * 1e9).astype(np.int64),
         ra_deg=ra,
         dec_deg=dec,
@@ -110,11 +107,10 @@ def _sky(unit: NDArray[np.float64], sky: bool) -> tuple[NDArray[np.float64], NDA
     return ra, np.degrees(np.arctan2(unit[:, 2], np.hypot(unit[:, 0], unit[:, 1])))
 
 
-def _mean_magnitude(streaks: Sequence[StreakMeasurement]) -> tuple[float, float]:
+def _mean_magnitude(mag: NDArray[np.float64], mag_err: NDArray[np.float64]) -> tuple[float, float]:
     """Weighted mean of the members' magnitudes and its error, NaN without any."""
-    pairs = [(s.mag, s.mag_err) for s in streaks if math.isfinite(s.mag) and math.isfinite(s.mag_err) and s.mag_err > 0.0]
-    if not pairs:
+    known = np.isfinite(mag) & np.isfinite(mag_err) & (mag_err > 0.0)
+    if not known.any():
         return math.nan, math.nan
-    mag, err = np.array(pairs).T
-    weight = 1.0 / err**2
-    return float((mag * weight).sum() / weight.sum()), float(1.0 / math.sqrt(weight.sum()))
+    weight = 1.0 / mag_err[known] ** 2
+    return float((mag[known] * weight).sum() / weight.sum()), float(1.0 / math.sqrt(weight.sum()))

@@ -6,8 +6,11 @@ bank of chance streaks and of cosmic-ray tracks whose lengths follow isotropic f
 
 import json
 import math
-import resource
+import subprocess
+import sys
 import time
+from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -16,9 +19,13 @@ from scipy.stats import beta, chi2
 from ground.link import MotionLinker, apply_links
 from ground.link.hypotheses import ARCSEC_RAD, FrameTable, StreakTable
 from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.frame import FrameHeader
+from sboc_e2e.icd.products import StreakFit, StreakMeasurement
+from sboc_e2e.run.measure import peak_rss_mb
 from tests.link.sky_scene import Camera, Mover, observe, pixel_mover
 
 PIXEL_RAD = 4.64 * ARCSEC_RAD
+BLOCK_FRAMES = 500
 
 
 def share(k: int, n: int) -> dict[str, Any]:
@@ -104,12 +111,14 @@ def summed(runs: list[dict[str, int]]) -> dict[str, Any]:
     }
 
 
-def chance_streaks(n_frames: int, per_frame: float, rng: np.random.Generator, *, cosmic: bool) -> tuple[StreakTable, FrameTable]:
+def chance_streaks(
+    n_frames: int, per_frame: float, rng: np.random.Generator, *, cosmic: bool, exactly: bool = False
+) -> tuple[StreakTable, FrameTable]:
     """A bank of detections without objects: uniform in place and direction; lengths of cosmic tracks or uniform in the logarithm.
 
-    Isotropic flux through a layer of 1.1 px gives P(> L) = 1 / (1 + (L / 1.1 px)^2).
+    Isotropic flux through a layer of 1.1 px gives P(> L) = 1 / (1 + (L / 1.1 px)^2). exactly : as many in each frame.
     """
-    frame = np.repeat(np.arange(n_frames), rng.poisson(per_frame, n_frames))
+    frame = np.repeat(np.arange(n_frames), round(per_frame) if exactly else rng.poisson(per_frame, n_frames))
     n = len(frame)
     length = 1.1 * np.sqrt(1.0 / rng.uniform(1e-7, 1.0, n) - 1.0) if cosmic else 10 ** rng.uniform(0.8, 2.8, n)
     middle, angle = rng.random((n, 2)) * 4096.0, rng.random(n) * 2.0 * np.pi
@@ -119,8 +128,8 @@ def chance_streaks(n_frames: int, per_frame: float, rng: np.random.Generator, *,
     points = np.stack([ends[0], 0.5 * (ends[0] + ends[1]), ends[1]], axis=1)
     plane = np.concatenate([(points[:, :, ::-1] - 2048.0) * PIXEL_RAD, np.ones((n, 3, 1))], axis=2)
     table = StreakTable(
-        source=np.arange(n),
         frame=frame,
+        streak_id=np.arange(n),
         flags=(
             np.where(np.linalg.norm(ends[1] - ends[0], axis=1) < 4.0, int(StreakFlag.POINT_LIKE), 0)
             | np.where(edge0, int(StreakFlag.EDGE0), 0)
@@ -133,6 +142,8 @@ def chance_streaks(n_frames: int, per_frame: float, rng: np.random.Generator, *,
         sigma_cross_rad=np.full(n, 0.15 * PIXEL_RAD),
         scale_rad_px=np.full(n, PIXEL_RAD),
         log_odds=np.zeros(n),
+        mag=np.full(n, 10.0),
+        mag_err=np.full(n, 0.1),
     )
     frames = FrameTable(
         number=np.arange(n_frames),
@@ -157,21 +168,81 @@ def false_tracklets(n_frames: int, per_frame: float, *, cosmic: bool, seed: int,
     return rate_per_1000(found, done) | {"streaks_per_frame": per_frame, "cpu_s_per_frame": (time.process_time() - start) / done}
 
 
-def cost(n_frames: int, streaks_per_frame: int) -> dict[str, float]:
-    """CPU seconds and memory beyond the streaks themselves to link a long run."""
-    table, frames = chance_streaks(n_frames, streaks_per_frame, np.random.default_rng(3), cosmic=False)
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+class Records(Sequence[StreakMeasurement]):
+    """Chance streaks of a run as the contract's records, each made when it is asked for: as a stage reads them from its files."""
+
+    def __init__(self, n_frames: int, per_frame: int) -> None:
+        self.n_frames, self.per_frame = n_frames, per_frame
+        self._block, self._table = -1, None
+
+    def __len__(self) -> int:
+        return self.n_frames * self.per_frame
+
+    def __getitem__(self, k: int) -> StreakMeasurement:  # type: ignore[override]
+        if not 0 <= k < len(self):
+            raise IndexError(k)
+        block, place = divmod(k, BLOCK_FRAMES * self.per_frame)
+        if block != self._block:
+            frames = min(BLOCK_FRAMES, self.n_frames - block * BLOCK_FRAMES)
+            rng = np.random.default_rng([3, block])
+            self._block, self._table = block, chance_streaks(frames, self.per_frame, rng, cosmic=False, exactly=True)[0]
+        return self._record(k, place, block * BLOCK_FRAMES)
+
+    def _record(self, k: int, place: int, first_frame: int) -> StreakMeasurement:
+        table = self._table
+        row, col, unit = table.row[place], table.col[place], table.unit[place]
+        flags = StreakFlag(int(table.flags[place]))
+        fit = StreakFit(
+            row0=float(row[0]), col0=float(col[0]), row1=float(row[2]), col1=float(col[2]),
+            covariance_px2=np.diag([0.25, 0.0225, 0.25, 0.0225]), end_interval_px=np.array([[-0.5, 0.5], [-0.5, 0.5]]),
+            sigma_cross_px=0.15, flux_e=1000.0 + k, flux_err_e=50.0 + k, snr=20.0 + k, sagitta_px=0.0, sagitta_err_px=0.1 + k,
+            gradient=0.1 + k, width_px=0.85 + k, width_err_px=0.02 + k, chi2_nu=1.0 + k, n_pixels=100, flags=flags,
+            light_curve_e_px=np.arange(10, dtype=np.float32),
+        )  # fmt: skip
+        return StreakMeasurement(
+            frame=first_frame + int(table.frame[place]), streak_id=k, roi_id=k, fit=fit, row_mid=float(row[1]),
+            col_mid=float(col[1]), ra_deg=np.degrees(np.arctan2(unit[:, 1], unit[:, 0])),
+            dec_deg=np.degrees(np.arcsin(unit[:, 2])),
+            t_tai_ns=np.zeros(3, dtype=np.int64), sigma_along_arcsec=2.3 + k, sigma_cross_arcsec=0.7 + k, mag=10.0 + k,
+            mag_err=0.1 + k, probability=0.5, tracklet_id=-1, flags=flags,
+        )  # fmt: skip
+
+
+def run_cost(n_frames: int, per_frame: int, *, held: bool) -> dict[str, Any]:
+    """CPU seconds and peak memory of this process to link a long run from its records; held : all of them exist at once."""
+    headers = [
+        FrameHeader(
+            frame=k, t_start_tai_ns=10**18 + k * 250_000_000, exposure_ns=200_000_000, line_time_ns=10_000, rows=4096, cols=4096
+        )
+        for k in range(n_frames)
+    ]  # fmt: skip
+    MotionLinker().link(headers[:40], Records(40, per_frame))  # compiles
+    compiled_mb = peak_rss_mb()
     start = time.process_time()
-    MotionLinker().tracks(table, frames, sky=True)
-    spent = time.process_time() - start
-    after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    records: Sequence[StreakMeasurement] = Records(n_frames, per_frame)
+    if held:
+        records = tuple(records)
+    made_s, records_mb = time.process_time() - start, peak_rss_mb()
+    start = time.process_time()
+    found = MotionLinker().link(headers, records)
     return {
         "frames": n_frames,
-        "streaks": len(table.frame),
-        "cpu_s": spent,
-        "peak_rss_mb": after / 1024,
-        "added_mb": (after - before) / 1024,
+        "streaks": len(records),
+        "tracklets": len(found),
+        "cpu_s": time.process_time() - start,
+        "records_cpu_s": made_s,
+        "peak_rss_mb": peak_rss_mb(),
+        "before_records_mb": compiled_mb,
+        "before_linking_mb": records_mb,
     }
+
+
+def cost(n_frames: int, per_frame: int, *, held: bool) -> dict[str, Any]:
+    """`run_cost` in a process of its own, whose memory nothing else has used."""
+    words = [sys.executable, "-m", "tests.benchmarks.bench_linking", "--cost", str(n_frames), str(per_frame), str(int(held))]
+    done = subprocess.run(words, capture_output=True, text=True, check=True, cwd=Path(__file__).parents[2])
+    figures: dict[str, Any] = json.loads(done.stdout)
+    return figures
 
 
 def main(quick: bool = True) -> dict[str, Any]:
@@ -202,11 +273,16 @@ def main(quick: bool = True) -> dict[str, Any]:
     out["false_20_cosmics_left_of_1000"] = false_tracklets(3000 * scale, 20, cosmic=True, seed=6)
     out["false_100_cosmics_left_of_5000"] = false_tracklets(1500 * scale, 100, cosmic=True, seed=7)
     out["false_1000_cosmics_unvetted"] = false_tracklets(30 * scale, 1000, cosmic=True, seed=8, block=30)
-    out["cost"] = cost(2000 if quick else 10_000, 50)
+    # as the chain hands them over, all records exist; from files one after another, only the linker's own tables do
+    n_frames = 2000 if quick else 10_000
+    out["cost"] = cost(n_frames, 50, held=False)
+    out["cost_with_all_records_held"] = cost(n_frames, 50, held=True)
     return out
 
 
 if __name__ == "__main__":
-    import sys
-
-    sys.stdout.write(json.dumps(main(quick="--full" not in sys.argv), indent=1) + "\n")
+    if sys.argv[1:2] == ["--cost"]:
+        result = run_cost(int(sys.argv[2]), int(sys.argv[3]), held=sys.argv[4] == "1")
+    else:
+        result = main(quick="--full" not in sys.argv)
+    sys.stdout.write(json.dumps(result, indent=1) + "\n")

@@ -9,9 +9,10 @@ import pytest
 
 from ground.ingest import decode_downlink
 from ground.ingest.codecs import PlanesDecoder, RawDecoder
+from ground.ingest.rans import RansDecoder
 from onboard.background import MeshBackground
 from onboard.chain import OnboardSteps
-from onboard.codec import PlanesCodec, RawCodec, SqrtPlanesCodec
+from onboard.codec import PlanesCodec, RansCodec, RawCodec, SqrtPlanesCodec
 from onboard.detect import LineIntegralDetector, ThresholdDetector
 from onboard.options import DownlinkOptions, RoiOptions
 from onboard.stars import MatchedStars
@@ -334,7 +335,7 @@ def test_hot_pixels_are_learned() -> None:
     assert run.results[2].housekeeping.n_masked == 0
 
 
-@pytest.mark.parametrize("codec", [PlanesCodec(), RawCodec()])
+@pytest.mark.parametrize("codec", [PlanesCodec(), RansCodec(), RawCodec()])
 def test_whole_frames_are_bit_exact(codec: Any) -> None:
     """Every second frame comes down whole, equal to raw minus rounded dark, saturated stars included."""
     run = start_run(codec=codec, downlink=DownlinkOptions(whole_frame_every=2))
@@ -342,7 +343,7 @@ def test_whole_frames_are_bit_exact(codec: Any) -> None:
     pixels[100:110, 100:110] = 65535
     run.feed(frame(0, pixels=pixels))
     run.feed(frame(1))
-    frames, report = decode_downlink(run.downlink, [PlanesDecoder(), RawDecoder()])
+    frames, report = decode_downlink(run.downlink, [PlanesDecoder(), RansDecoder(), RawDecoder()])
     assert report.frames_complete == (0, 1)
     assert frames[1].whole_frame is None
     assert frames[0].whole_frame is not None

@@ -16,7 +16,6 @@ from typing import Any
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from sboc_e2e.icd.layout import (
     RANS_CLASSES,
@@ -266,6 +265,8 @@ FIRST, LAST = _first_and_last()
 @lru_cache(maxsize=128)
 def model(noise_code: int, centre_code: int) -> tuple[NDArray[np.int16], NDArray[Any]]:
     """Limits of the classes and table of symbols for a sky; ICD.md, section 4, says how they follow."""
+    from scipy.special import ndtr  # takes 20 MB of memory that other codecs do not need
+
     sigma = 2.0 ** (noise_code / 16.0 - 4.0)
     centre = centre_code * sigma / 16.0
     limits = np.ceil(5.0 * (np.array(RANS_LIMITS_SIGMA) * sigma + centre))

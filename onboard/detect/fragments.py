@@ -52,13 +52,14 @@ def _union(main: Detection, piece: Detection, along: tuple[float, float]) -> Det
 
 def join(detections: Sequence[Detection]) -> list[Detection]:
     """Detections with pieces of the same trail joined; the order of the result is by falling S/N."""
-    todo = sorted(detections, key=lambda d: -d.snr)
+    # the longest first: its line is the one that others are compared with, whichever piece is the brightest
+    todo = sorted(detections, key=lambda d: (-d.length_px, -d.snr))
     done: list[Detection] = []
     while todo:
         main = todo.pop(0)
         k = 0
         while k < len(todo):
-            along = continuation(main, todo[k]) if main.length_px >= todo[k].length_px else None
+            along = continuation(main, todo[k])
             if along is None:
                 k += 1
             else:

@@ -1,0 +1,21 @@
+"""Pieces of one trail become one detection, whichever of them is the brighter."""
+
+import pytest
+
+from onboard.detect.fragments import join
+from sboc_e2e.icd.signals import Detection
+
+SHORT = Detection(row0=295.0, col0=100.0, row1=355.0, col1=100.0, snr=9.0)
+LONG = Detection(row0=387.0, col0=100.0, row1=471.0, col1=100.0, snr=7.0)
+ASIDE = Detection(row0=387.0, col0=110.0, row1=471.0, col1=110.0, snr=7.0)
+
+
+@pytest.mark.parametrize("pieces", [(SHORT, LONG), (LONG, SHORT)])
+def test_short_bright_and_long_faint_piece_are_one(pieces: tuple[Detection, Detection]) -> None:
+    (one,) = join(pieces)
+    assert (one.row0, one.row1) == (295.0, 471.0)
+    assert one.snr == pytest.approx((9.0**2 + 7.0**2) ** 0.5)
+
+
+def test_parallel_pieces_stay_two_by_falling_snr() -> None:
+    assert join([ASIDE, SHORT]) == [SHORT, ASIDE]

@@ -1,4 +1,4 @@
-"""Detection benchmark: snr50 by length, false detections per frame, honesty of the statistic, CPU-seconds; peers on request.
+"""Detection benchmark: snr50 by length, false detections per frame, what mimics trails, honesty of the statistic, CPU-seconds.
 
 Frames are rendered by `detection_frames`, independently of the simulator. Run from the repository's root:
 
@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import minimize
+from scipy.stats import beta, chi2
 
 from onboard.detect import (
     BoundaryTensorDetector,
@@ -29,10 +30,13 @@ from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView
 from sboc_e2e.icd.steps import Detector
 from tests.benchmarks.detection_frames import (
+    Artefact,
     StarTruth,
     Streak,
+    add_artefacts,
     add_streak,
     exposure,
+    random_artefacts,
     random_stars,
     random_streak,
     view_of,
@@ -178,6 +182,98 @@ def roc(
     }
 
 
+def trail_beside(artefact: Artefact, size: int, rng: np.random.Generator) -> Streak:
+    """A trail of 100 to 300 px at S/N 12 that passes an artefact at 10 to 60 px."""
+    while True:
+        angle, length = float(rng.uniform(0.0, 2.0 * math.pi)), float(rng.uniform(100.0, 300.0))
+        apart, along = float(rng.uniform(10.0, 60.0)), float(rng.uniform(-0.4, 0.4)) * length
+        row = artefact.row + apart * math.cos(angle) + along * math.sin(angle)
+        col = artefact.col - apart * math.sin(angle) + along * math.cos(angle)
+        half = (0.5 * length * math.sin(angle), 0.5 * length * math.cos(angle))
+        ends = (row - half[0], col - half[1], row + half[0], col + half[1])
+        if min(ends) > 5.0 and max(ends) < size - 6.0:
+            return Streak(row0=ends[0], col0=ends[1], row1=ends[2], col1=ends[3], snr=12.0)
+
+
+def kind_of(found: Detection, artefacts: Sequence[Artefact]) -> str:
+    """The kind of the artefact that a false detection's nearer end lies closest to, in units of its reach; else "sky"."""
+    best, kind = 1.0, "sky"
+    for artefact in artefacts:
+        ends = ((found.row0, found.col0), (found.row1, found.col1))
+        apart = min(math.hypot(row - artefact.row, col - artefact.col) for row, col in ends) / artefact.reach_px
+        if apart < best:
+            best, kind = apart, artefact.kind
+    return kind
+
+
+def rate(count: int, n: int) -> dict[str, Any]:
+    """A rate per frame with its 90 % interval (Garwood)."""
+    low = float(chi2.ppf(0.05, 2 * count)) / 2.0 if count else 0.0
+    return {
+        "value": round(count / n, 3),
+        "low": round(low / n, 3),
+        "high": round(float(chi2.ppf(0.95, 2 * count + 2)) / 2.0 / n, 3),
+        "n": n,
+    }
+
+
+def share(count: int, n: int) -> dict[str, Any]:
+    """A share with its 90 % interval (Clopper-Pearson)."""
+    low = float(beta.ppf(0.05, count, n - count + 1)) if count else 0.0
+    high = float(beta.ppf(0.95, count + 1, n - count)) if count < n else 1.0
+    return {"value": round(count / n, 3), "low": round(low, 3), "high": round(high, 3), "n": n}
+
+
+def artefacts(detector: Detector, size: int, n_frames: int, seed: int) -> dict[str, Any]:
+    """False detections at spikes, bleeding columns, halos, pairs and chains of stars, and what is found of trails beside them.
+
+    Frames hold the numbers of `random_artefacts`. Each is looked at with its predecessor and alone (the first of a run);
+    detections flagged SPIKE_LIKE, which ground vets by it, are counted apart. Trails are added in a second pass: one
+    beside each bright star, half as many anywhere.
+    """
+    kinds = ("spikes", "column", "halo", "pair", "chain", "sky")
+    false = {way: dict.fromkeys(kinds, 0) for way in ("with_history", "alone")}
+    flagged = dict.fromkeys(false, 0)
+    bright = kinds[:3]
+    hits, drawn = dict.fromkeys((*bright, "elsewhere"), 0), dict.fromkeys((*bright, "elsewhere"), 0)
+    for k in range(n_frames):
+        rng = np.random.default_rng((seed, k))
+        stars = random_stars(size, STARS, rng)
+        things, more = random_artefacts(size, rng)
+        every = StarTruth(
+            row=np.concatenate([stars.row, more.row]),
+            col=np.concatenate([stars.col, more.col]),
+            snr=np.concatenate([stars.snr, more.snr]),
+        )
+        shift = tuple(float(x) for x in rng.normal(0.0, 0.4, 2))
+        before = exposure(size, every, rng, shift_px=shift)
+        add_artefacts(before, things, rng, shift_px=shift)
+        scene = exposure(size, every, rng)
+        add_artefacts(scene, things, rng)
+        history = (view_of(before),)
+        for way, past in (("with_history", history), ("alone", ())):
+            for d in detector.detect(view_of(scene, frame=1, history=past)):
+                if d.flags & StreakFlag.SPIKE_LIKE:
+                    flagged[way] += 1
+                elif not d.flags & StreakFlag.COSMIC_LIKE:
+                    false[way][kind_of(d, things)] += 1
+        near = [thing for thing in things if thing.kind in bright]
+        trails = [(thing.kind, trail_beside(thing, size, rng)) for thing in near]
+        trails += [("elsewhere", random_streak(size, float(rng.uniform(100.0, 300.0)), 12.0, rng)) for _ in near[::2]]
+        for _, trail in trails:
+            add_streak(scene, trail, rng)
+        paired, _, _ = score(detector.detect(view_of(scene, frame=1, history=history)), scene.streaks)
+        for (kind, _), hit in zip(trails, paired, strict=True):
+            drawn[kind] += 1
+            hits[kind] += hit is not None
+    return {
+        **{way: {f"false_{kind}": rate(counts[kind], n_frames) for kind in kinds} for way, counts in false.items()},
+        "spike_like": {way: rate(flagged[way], n_frames) for way in flagged},
+        "completeness_beside": {kind: share(hits[kind], drawn[kind]) for kind in hits},
+        "n_frames": n_frames,
+    }
+
+
 def shapes(detector: Detector, size: int, n_frames: int, seed: int) -> dict[str, Any]:
     """Completeness at S/N 12 of curved, varying, edge-cut, parallel and crossing streaks, and their S/N against straight ones."""
     rows: dict[str, list[tuple[bool, float]]] = {
@@ -286,6 +382,7 @@ def main(quick: bool) -> dict[str, Any]:
     result["noise_only"] = blank_frames(detector, size, n, seed=12, n_stars=0)
     result["roc"] = roc(detector, size, n, seed=13, each=3 if quick else 4)
     result["shapes"] = shapes(detector, size, max(1, n // 4), seed=14)
+    result["artefacts"] = artefacts(detector, 2048, 1 if quick else 24, seed=16)
     if not quick:
         result["peers"] = peers(2048, 3, seed=15)
     return result

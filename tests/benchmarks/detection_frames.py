@@ -1,7 +1,8 @@
 """Frames of noise, stars and streaks for the detection benchmark: rendered here, independently of the simulator.
 
 A streak is drawn as closely spaced pixel-integrated Gaussians (error functions), a star as one; noise is Gaussian with the
-sky's variance plus the object's own Poisson variance. Everything is in ADU of 1 e-, sigma 2.84 of the preset.
+sky's variance plus the object's own Poisson variance. Everything is in ADU of 1 e-, sigma 2.84 of the preset. What peers take
+for trails is drawn on request: diffraction spikes, bleeding columns, halos with ghosts, pairs and chains of stars.
 """
 
 import math
@@ -12,11 +13,28 @@ from numpy.typing import NDArray
 from scipy.special import erf
 
 from onboard.stars import MatchedStars
+from sboc_e2e.icd.flags import MaskBit
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import BackgroundModel, DetectorView, StarList
 
 SIGMA = 2.84
 PSF_SIGMA_PX = 2.0 / 2.354820045
+
+FULL_WELL = 39_000.0
+"""Pixels at this charge are saturated (e-, the preset's); what is beyond it bleeds along the column."""
+
+SPIKE_SHARE, SPIKE_CORE_PX = 0.02, 10.0
+"""Light that four vanes of 2 mm take from a pupil of 200 mm (Babinet: their share of its area), and the length over which
+the diffraction at their width spreads it; along an arm it falls as 1 / (core^2 + r^2)."""
+
+HALO_SHARE, HALO_CORE_PX = 0.02, 3.0
+"""Light scattered into the aureole, falling as 1 / (core^2 + r^2)^1.5 (dust and micro-roughness; King 1971, PASP 83, 199)."""
+
+GHOST_SHARE, GHOST_RADIUS_PX = 1e-3, 45.0
+"""Light reflected twice between detector and window: a defocused disc with a sharp rim."""
+
+TRAP_SHARE, TRAP_PX = 5e-4, 60.0
+"""What traps hold back of a bleeding column's charge and release behind its end, over so many pixels."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -135,7 +153,7 @@ def random_streak(size: int, length_px: float, snr: float, rng: np.random.Genera
 
 
 def bare_view(scene: Scene, *, frame: int = 0) -> DetectorView:
-    """The scene with an exact noise mesh and an empty star list."""
+    """The scene with an exact noise mesh and an empty star list; saturated pixels are masked and hold 0, as after calibration."""
     rows, cols = scene.image.shape
     mesh = ((rows + 63) // 64, (cols + 63) // 64)
     background = BackgroundModel(tile_px=64, level_adu=np.zeros(mesh, np.float32), sigma_adu=np.full(mesh, SIGMA, np.float32))
@@ -146,12 +164,14 @@ def bare_view(scene: Scene, *, frame: int = 0) -> DetectorView:
         line_time_ns=10_000,
         rows=rows,
         cols=cols,
+        saturation_adu=FULL_WELL,
     )
+    full = scene.image >= FULL_WELL
     return DetectorView(
         header=header,
-        residual_adu=scene.image,
+        residual_adu=np.where(full, np.float32(0.0), scene.image) if full.any() else scene.image,
         background=background,
-        mask=np.zeros((rows, cols), np.uint8),
+        mask=full.astype(np.uint8) * np.uint8(MaskBit.SATURATED),
         stars=StarList.empty(),
         psf_sigma_px=PSF_SIGMA_PX,
     )
@@ -161,3 +181,132 @@ def view_of(scene: Scene, *, frame: int = 0, history: tuple[DetectorView, ...] =
     """The scene as a detector sees it: an exact noise mesh, and the star list of the default extractor."""
     bare = bare_view(scene, frame=frame)
     return replace(bare, stars=MatchedStars().extract(bare), history=history)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Artefact:
+    """Something that is not a moving object: its kind, its centre (px), and how far it reaches from there."""
+
+    kind: str
+    row: float
+    col: float
+    reach_px: float
+    flux_e: float = 0.0
+    turn: float = 0.0
+
+
+def star_flux(snr: float) -> float:
+    """Light of a star of matched-filter S/N `snr`, e-."""
+    return snr * SIGMA * 2.0 * math.sqrt(math.pi) * PSF_SIGMA_PX
+
+
+def random_artefacts(size: int, rng: np.random.Generator) -> tuple[list[Artefact], StarTruth]:
+    """Bright stars with spikes, bleeding columns or halos, and the stars of pairs and chains; fixed to the sky.
+
+    Per 2048 x 2048 px four of each kind of bright star (1e5 to 3e6 e- with spikes, the same with halos, 1e6 to 1e7 with
+    columns), 40 pairs and 20 chains. Magnitudes of one pair or chain scatter by 0.3: they look even.
+    """
+    share = (size / 2048.0) ** 2
+    found: list[Artefact] = []
+
+    def place() -> tuple[float, float]:
+        return float(rng.uniform(0.0, size - 1.0)), float(rng.uniform(0.0, size - 1.0))
+
+    turn = float(rng.uniform(0.0, 0.5 * math.pi))  # the vanes are the camera's: one angle for all stars
+    for kind, low, high, reach in (("spikes", 1e5, 3e6, 300.0), ("halo", 1e5, 3e6, 80.0), ("column", 1e6, 1e7, 150.0)):
+        for _ in range(round(4 * share)):
+            row, col = place()
+            flux = float(np.exp(rng.uniform(math.log(low), math.log(high))))
+            found.append(Artefact(kind=kind, row=row, col=col, reach_px=reach, flux_e=flux, turn=turn))
+    rows, cols, snrs = [], [], []
+    for kind, number in (("pair", 40), ("chain", 20)):
+        for _ in range(round(number * share)):
+            row, col = place()
+            n = 2 if kind == "pair" else int(rng.integers(3, 8))
+            apart = float(rng.uniform(2.0, 25.0) if kind == "pair" else rng.uniform(3.0, 15.0))
+            angle, level = float(rng.uniform(0.0, math.pi)), float(rng.uniform(3.0, 12.0))
+            along = (np.arange(n) - 0.5 * (n - 1)) * apart
+            rows.append(row + along * math.sin(angle) + rng.normal(0.0, 0.3, n))
+            cols.append(col + along * math.cos(angle) + rng.normal(0.0, 0.3, n))
+            snrs.append(level * 10.0 ** rng.normal(0.0, 0.12, n))
+            found.append(Artefact(kind=kind, row=row, col=col, reach_px=0.5 * n * apart + 10.0))
+    stars = StarTruth(row=np.concatenate(rows), col=np.concatenate(cols), snr=np.concatenate(snrs))
+    return found, stars
+
+
+def _window(
+    artefact: Artefact, reach: int, shape: tuple[int, int]
+) -> tuple[tuple[slice, slice], NDArray[np.float32], NDArray[np.float32]]:
+    """Part of a frame around an artefact, and the distances of its rows (n, 1) and cols (m,) from it."""
+    first = (max(0, round(artefact.row) - reach), max(0, round(artefact.col) - reach))
+    stop = (min(shape[0], round(artefact.row) + reach + 1), min(shape[1], round(artefact.col) + reach + 1))
+    row, col = (np.arange(first[k], stop[k], dtype=np.float32) for k in (0, 1))
+    d_row, d_col = row - np.float32(artefact.row), col - np.float32(artefact.col)
+    return (slice(first[0], stop[0]), slice(first[1], stop[1])), d_row[:, None], d_col
+
+
+def _star_light(d_row: NDArray[np.float32], d_col: NDArray[np.float32]) -> NDArray[np.float32]:
+    root = math.sqrt(2.0) * PSF_SIGMA_PX
+    across = [0.5 * (erf((d + 0.5) / root) - erf((d - 0.5) / root)) for d in (d_row, d_col)]
+    return np.asarray(across[0] * across[1], dtype=np.float32)
+
+
+def _spikes(d_row: NDArray[np.float32], d_col: NDArray[np.float32], turn: float) -> NDArray[np.float32]:
+    """Four arms of unit light in all, as wide as the PSF."""
+    light = np.zeros((d_row.size, d_col.size), np.float32)
+    for angle in (turn, turn + 0.5 * math.pi):
+        along = d_row * np.float32(math.sin(angle)) + d_col * np.float32(math.cos(angle))
+        across = d_row * np.float32(math.cos(angle)) - d_col * np.float32(math.sin(angle))
+        near = np.abs(across) < 4.0 * PSF_SIGMA_PX
+        profile = SPIKE_CORE_PX / math.pi / (SPIKE_CORE_PX**2 + along[near] ** 2)
+        width = math.sqrt(2.0 * math.pi) * PSF_SIGMA_PX
+        light[near] += 0.5 * profile * np.exp(-0.5 * (across[near] / PSF_SIGMA_PX) ** 2) / width
+    return light
+
+
+def bleed(charge: NDArray[np.float32]) -> None:
+    """Charge beyond the full well flows to the nearest free pixels of its column, half of it to either side; in place.
+
+    Behind the last full pixel traps release a faint tail upwards, where the column is read last.
+    """
+    for col in np.flatnonzero((charge > FULL_WELL).any(axis=0)):
+        line = charge[:, col]
+        while (full := np.flatnonzero(line > FULL_WELL)).size:
+            first = last = int(full[0])
+            while last + 1 < len(line) and line[last + 1] > FULL_WELL:
+                last += 1
+            excess = float(np.sum(line[first : last + 1] - FULL_WELL))
+            line[first : last + 1] = FULL_WELL
+            for step, start in ((-1, first - 1), (1, last + 1)):
+                left, row = 0.5 * excess, start
+                while left > 0.0 and 0 <= row < len(line):
+                    taken = min(left, max(0.0, FULL_WELL - float(line[row])))
+                    line[row] = min(FULL_WELL, line[row] + taken)
+                    left -= taken
+                    row += step
+                if step > 0 and excess > 2.0 * FULL_WELL and row < len(line):
+                    tail = np.arange(min(len(line) - row, round(4 * TRAP_PX)))
+                    line[row : row + len(tail)] += TRAP_SHARE * excess / TRAP_PX * np.exp(-tail / TRAP_PX)
+
+
+def add_artefacts(
+    scene: Scene, artefacts: list[Artefact], rng: np.random.Generator, *, shift_px: tuple[float, float] = (0.0, 0.0)
+) -> None:
+    """Draw the bright stars among the artefacts with their own noise, moved by `shift_px`; pairs and chains are stars already."""
+    for artefact in (replace(a, row=a.row + shift_px[0], col=a.col + shift_px[1]) for a in artefacts if a.flux_e > 0.0):
+        part, d_row, d_col = _window(artefact, 400 if artefact.kind == "spikes" else 120, scene.image.shape)
+        if not d_row.size:
+            continue
+        light = _star_light(d_row, d_col)
+        if artefact.kind == "spikes":
+            light += SPIKE_SHARE * _spikes(d_row, d_col, artefact.turn)
+        elif artefact.kind == "halo":
+            r2 = d_row**2 + d_col**2
+            light += HALO_SHARE * HALO_CORE_PX / (2.0 * math.pi) / (HALO_CORE_PX**2 + r2) ** 1.5
+            light += GHOST_SHARE / (math.pi * GHOST_RADIUS_PX**2) * (r2 < GHOST_RADIUS_PX**2)
+        electrons = artefact.flux_e * light
+        scene.image[part] += (electrons + np.sqrt(electrons) * rng.standard_normal(light.shape, dtype=np.float32)).astype(
+            np.float32
+        )
+        if artefact.kind == "column":
+            bleed(scene.image[part])

@@ -1,122 +1,102 @@
-"""CPU seconds of one 2048 x 2048 frame with 3,000 stars and 5 streaks of 300 px: this simulator beside SatSim and GalSim.
+"""CPU seconds of one frame with 3,000 stars and 5 streaks of 300 px, 2048 and 4096 px wide: ours beside SatSim and GalSim.
 
-Each program gets the same pixel scale, PSF sigma (0.85 px), exposure, zero point and read noise, one thread, and four frames of
-which the first (set-up, compilation, caches) is not counted. Ours has every effect of its default camera on besides, the
-peers what their features allow: SatSim in its quickest mode (ePSF, 3 sub-pixels), GalSim with stamps and its CCD noise.
+Each program gets the same pixel scale, PSF sigma (0.85 px), exposure, zero point and read noise, one thread, and frames of
+which the first (set-up, compilation, caches) is not counted. What each renders:
+
+ours    everything of the default camera: orbit and pointing with jitter, rolling shutter, aberration, distortion,
+        field-dependent PSF, zodiacal light, vignetting, particle tracks by Bethe-Bloch, exact Poisson noise at low levels,
+        dark current, fixed pattern, hot and telegraph pixels, row, column and read noise, non-linearity, two amplifiers,
+        header, truth of stars and streaks; `ours_all_stars`: with 30,000 stars (4096 x 4096 px) and 12 streaks
+SatSim  its quickest mode (ePSF, 3 sub-pixels): stars, streaks, even background, shot and read noise, full well, 14 bit
+GalSim  a stamp for each star, boxes convolved with the PSF, even background, shot and read noise, 16 bit
+numpy   no scene at all: exact Poisson of an even background, normal read noise, converter
+
+Ours is measured before and after the peers, since other work on the machine slows all of them.
 """
 
 import json
 import math
-import resource
 import sys
-import time
-from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
-from astropy.utils import iers
 
-from sboc_e2e.catalogue import StarCatalogue
-from simulator.chain import Simulator
-from simulator.options import SimulatorOptions
-from simulator.scene.encounters import PopulationOptions
-from simulator.scene.sources import ObjectOptions, PixelPathOptions
+from tests.benchmarks.bench_simulator_sensor import SKY_E, cpu_s, numpy_floor
 from tests.benchmarks.peers.environment import PeerError, absent, ask, spread
+from tests.benchmarks.simulator_process import ALL_STARS_MAG, EXPOSURE_S, LENGTH_PX, trails
+from tests.benchmarks.simulator_process import ask as ask_ours
 
-SIZE_PX = 2048
 N_STARS = 3000
-EXPOSURE_S = 0.2
-LENGTH_PX = 300.0
 PSF_SIGMA_PX = 0.85
-FAINT_LIMIT_MAG = 14.3
-"""V down to which the field at the anti-Sun point of the epoch holds about `N_STARS` stars; the real number is reported."""
+FAINT_LIMIT_MAG = {2048: 14.3, 4096: 12.7}
+"""V down to which a field of that size at the anti-Sun point of the epoch holds about `N_STARS` stars; the number is reported."""
 
 
-def trails(n: int) -> list[tuple[float, float, float]]:
-    """Row, col of the middle (px) and angle (rad) of streaks wholly inside the frame."""
-    rng = np.random.default_rng(20270129)
-    return [(*rng.uniform(0.2 * SIZE_PX, 0.8 * SIZE_PX, 2), float(rng.uniform(0.0, math.pi))) for _ in range(n)]
-
-
-def our_frames() -> dict[str, Any]:
-    """CPU seconds of three frames after the first, stars in the frame, peak memory of this process."""
-    paths = []
-    for row, col, angle in trails(5):
-        rate = LENGTH_PX / EXPOSURE_S
-        d_row, d_col = math.sin(angle), math.cos(angle)
-        paths.append(
-            PixelPathOptions(
-                name=f"trail {len(paths)}",
-                v_mag=9.0,
-                row_px=row - 0.5 * LENGTH_PX * d_row,
-                col_px=col - 0.5 * LENGTH_PX * d_col,
-                row_rate_px_s=rate * d_row,
-                col_rate_px_s=rate * d_col,
-            )
-        )
-    base = SimulatorOptions()
-    options = replace(
-        base,
-        frames=4,
-        instrument=replace(base.instrument, rows=SIZE_PX, cols=SIZE_PX),
-        stars=replace(base.stars, faint_limit_mag=FAINT_LIMIT_MAG),
-        population=PopulationOptions(classes=()),
-        objects=ObjectOptions(passing=(), pixel_path=tuple(paths)),
-    )
-    simulator = Simulator(options, seed=1, catalogue=StarCatalogue.embedded())
-    costs, n_stars = [], 0
-    for k in range(4):
-        begin = time.process_time()
-        _, truth = simulator.frame(k)
-        costs.append(time.process_time() - begin)
-        n_stars = len(truth.stars)
-    peak_mb = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
-    return {"cpu_s": costs[1:], "first_cpu_s": costs[0], "n_stars": n_stars, "peak_mb": peak_mb}
-
-
-def questions() -> dict[str, dict[str, Any]]:
+def questions(size_px: int) -> dict[str, dict[str, Any]]:
     """The same scene in the words of each peer."""
     rng = np.random.default_rng(1)
     streaks = []
-    for row, col, angle in trails(5):
+    for row, col, angle in trails(5, size_px):
         rate = LENGTH_PX / EXPOSURE_S
-        begin = [(x - 0.5 * LENGTH_PX * d) / SIZE_PX for x, d in ((row, math.sin(angle)), (col, math.cos(angle)))]
+        begin = [(x - 0.5 * LENGTH_PX * d) / size_px for x, d in ((row, math.sin(angle)), (col, math.cos(angle)))]
         streaks.append([*begin, rate * math.sin(angle), rate * math.cos(angle)])
     flux_e = np.minimum(100.0 * rng.random(N_STARS) ** (-1 / 0.9), 2e5)
-    stars = np.column_stack([rng.uniform(0, SIZE_PX, (N_STARS, 2)), flux_e])
+    stars = np.column_stack([rng.uniform(0, size_px, (N_STARS, 2)), flux_e])
     return {
-        "satsim_frame": {"size": SIZE_PX, "n_stars": N_STARS, "streaks": streaks, "exposure_s": EXPOSURE_S},
+        "satsim_frame": {"size": size_px, "n_stars": N_STARS, "streaks": streaks, "exposure_s": EXPOSURE_S},
         "galsim_frame": {
-            "size": SIZE_PX,
+            "size": size_px,
             "stars": stars.tolist(),
-            "streaks": [[row, col, LENGTH_PX, math.degrees(angle), 20000.0] for row, col, angle in trails(5)],
+            "streaks": [[row, col, LENGTH_PX, math.degrees(angle), 20000.0] for row, col, angle in trails(5, size_px)],
             "sigma_px": PSF_SIGMA_PX,
         },
     }
 
 
-def main(quick: bool) -> dict[str, Any]:
-    """CPU seconds for each frame of each program, peak memory, and their ratios to ours."""
-    iers.conf.auto_download = False
-    ours = our_frames()
-    result: dict[str, Any] = {
-        "ours_cpu_s": spread(ours["cpu_s"]),
-        "ours_stars_above_snr5": {"value": ours["n_stars"], "n": 1, "low": ours["n_stars"], "high": ours["n_stars"]},
-        "ours_peak_mb": {"value": ours["peak_mb"], "n": 1, "low": ours["peak_mb"], "high": ours["peak_mb"]},
-    }
-    for script, question in questions().items():
+def exact(value: float) -> dict[str, Any]:
+    """A figure measured once."""
+    return spread([value])
+
+
+def ratio(above: list[float], below: list[float]) -> dict[str, Any]:
+    """Ratio of medians, with the least and the largest that the repeats allow."""
+    value = spread(above)["value"] / spread(below)["value"]
+    return {"value": value, "n": len(above), "low": min(above) / max(below), "high": max(above) / min(below)}
+
+
+def one_size(size_px: int, timeout_s: float) -> dict[str, Any]:
+    """All programs at one frame size."""
+    mean_e = np.full((size_px, size_px), SKY_E, dtype=np.float32)
+    scenes = {"ours": (FAINT_LIMIT_MAG[size_px], 5), "ours_all_stars": (ALL_STARS_MAG, 12)}
+    first = {name: ask_ours(size_px, *scene) for name, scene in scenes.items()}
+    costs = {"numpy_floor": [cpu_s(partial(numpy_floor, mean_e), 1) for _ in range(3)]}
+    result: dict[str, Any] = {}
+    for script, question in questions(size_px).items():
         name = script.removesuffix("_frame")
         try:
-            answer = ask(script, question, timeout_s=300.0 if quick else 900.0)
+            answer = ask(script, question, timeout_s=timeout_s)
         except PeerError as error:
             result |= {f"{name}_{what}": absent(error) for what in ("cpu_s", "over_ours", "peak_mb")}
             continue
-        result[f"{name}_cpu_s"] = spread(answer["cpu_s"])
-        low, high = min(answer["cpu_s"]) / max(ours["cpu_s"]), max(answer["cpu_s"]) / min(ours["cpu_s"])
-        ratio = result[f"{name}_cpu_s"]["value"] / result["ours_cpu_s"]["value"]
-        result[f"{name}_over_ours"] = {"value": ratio, "n": len(answer["cpu_s"]), "low": low, "high": high}
-        result[f"{name}_peak_mb"] = {"value": answer["peak_mb"], "n": 1, "low": answer["peak_mb"], "high": answer["peak_mb"]}
+        costs[name] = answer["cpu_s"]
+        result[f"{name}_peak_mb"] = exact(answer["peak_mb"])
+    for name, scene in scenes.items():
+        again = ask_ours(size_px, *scene)
+        costs[name] = first[name]["cpu_s"] + again["cpu_s"]
+        result[f"{name}_stars_above_snr5"] = exact(again["n_stars"])
+        result[f"{name}_peak_mb"] = spread([first[name]["peak_mb"], again["peak_mb"]])
+    for name, values in costs.items():
+        result[f"{name}_cpu_s"] = spread(values)
+        if name != "ours":
+            result[f"{name}_over_ours"] = ratio(values, costs["ours"])
     return result
+
+
+def main(quick: bool) -> dict[str, Any]:
+    """CPU seconds for each frame of each program, peak memory, and their ratios to ours; `quick`: the smaller frame only."""
+    sizes = [2048] if quick else [2048, 4096]
+    return {f"{size_px}_px": one_size(size_px, 300.0 if quick else 900.0) for size_px in sizes}
 
 
 if __name__ == "__main__":

@@ -1,14 +1,15 @@
-"""Cost of the sensor half of the simulator in CPU seconds of one core, beside numpy's floor measured in the same run.
+"""Cost of the simulator and of its sensor half in CPU seconds of one core, beside numpy's floor measured in the same run.
 
 `main()` returns a dictionary of figures; run as a script it prints them as JSON. Compilation is excluded (a first call at a small
-size) and the cold time of that call is given apart.
+size) and the cold time of that call is given apart. Whole frames (all effects, all stars, streaks) are made in a process of
+their own.
 """
 
 import json
 import resource
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
@@ -18,6 +19,8 @@ from numpy.typing import NDArray
 from simulator.exposure import render_stars, render_trail
 from simulator.radiation import ParticleField, RadiationOptions
 from simulator.sensor import Sensor, SensorOptions
+from tests.benchmarks.peers.environment import spread
+from tests.benchmarks.simulator_process import ALL_STARS_MAG, ask
 
 SKY_E = 2.8
 EXPOSURE_S = 0.2
@@ -81,6 +84,25 @@ def bench_trails(repeats: int) -> dict[str, float]:
     return figures
 
 
+def exponent(size: Sequence[float], cost: Sequence[float]) -> float:
+    """Power of `size` with which a cost grows: 1 is linear."""
+    return float(np.polyfit(np.log(size), np.log(cost), 1)[0])
+
+
+def bench_whole_frames(sizes: Sequence[int], n_processes: int) -> dict[str, Any]:
+    """CPU seconds and peak memory of whole frames for each size, and the power of the number of pixels with which they grow."""
+    figures: dict[str, Any] = {}
+    for size in sizes:
+        answers = [ask(size, ALL_STARS_MAG, round(12 * (size / 4096) ** 2)) for _ in range(n_processes)]
+        figures[str(size)] = {
+            "cpu_s": spread([cost for answer in answers for cost in answer["cpu_s"]]),
+            "peak_rss_mb": spread([answer["peak_mb"] for answer in answers]),
+            "n_stars": float(answers[0]["n_stars"]),
+        }
+    figures["exponent_of_pixels"] = exponent([size**2 for size in sizes], [figures[str(size)]["cpu_s"]["low"] for size in sizes])
+    return figures
+
+
 def main(quick: bool = False) -> dict[str, Any]:
     """All figures; `quick` leaves out the largest frame."""
     start = time.process_time()
@@ -89,6 +111,10 @@ def main(quick: bool = False) -> dict[str, Any]:
     sizes = (1024, 2048) if quick else (1024, 2048, 4096)
     figures: dict[str, Any] = {"cold_cpu_s": cold_s, "trails_cpu_s": bench_trails(3)}
     figures["frames_cpu_s"] = {str(size): bench_size(size, 2 if size == 4096 else 3) for size in sizes}
+    for defocus in ("0", "8"):
+        lengths = (300, 1000, 3000)
+        cost = [figures["trails_cpu_s"][f"trail_{length}_px_defocus_{defocus}"] for length in lengths]
+        figures[f"trail_exponent_of_length_defocus_{defocus}"] = exponent(lengths, cost)
     per_mpx = [figures["frames_cpu_s"][str(size)]["digitise"] / size**2 * 1e6 for size in sizes]
     figures["digitise_cpu_s_per_mpx"] = dict(zip(map(str, sizes), per_mpx, strict=True))
     figures["peak_rss_mb"] = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024.0
@@ -98,6 +124,11 @@ def main(quick: bool = False) -> dict[str, Any]:
         frame = figures["frames_cpu_s"][str(size)]
         frame["numpy_floor"] = cpu_s(partial(numpy_floor, mean_e), 1)
         frame["digitise_over_numpy_floor"] = frame["digitise"] / frame["numpy_floor"]
+    whole = figures["whole_frames"] = bench_whole_frames(sizes, 1 if quick else 3)
+    for size in sizes:
+        whole[str(size)]["over_numpy_floor"] = (
+            whole[str(size)]["cpu_s"]["value"] / figures["frames_cpu_s"][str(size)]["numpy_floor"]
+        )
     return figures
 
 

@@ -4,15 +4,20 @@ from collections.abc import Sequence
 from html import escape
 from typing import Any
 
+import cv2
 import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.report.page import simple_page, table
-from sboc_e2e.report.pictures import cutout, preview
+from sboc_e2e.report.pictures import cutout, preview, stretch
 from sboc_e2e.report.plots import BLUE, ORANGE, canvas, svg
 from sboc_e2e.validation import distances
 from sboc_e2e.validation.validate import Side, Validation, counted, matched_values
 
+PICTURE_PX = 360
+"""Side of each half of the small picture."""
+GREY_STEP = 8
+"""Greys are rounded to this: noise does not compress otherwise."""
 NAMES = ("simulated", "real")
 COLOURS = (BLUE, ORANGE)
 
@@ -40,6 +45,18 @@ def page(result: Validation) -> str:
         "</ul>",
     ]
     return simple_page("Validation against a real frame", pieces)
+
+
+def picture(result: Validation) -> bytes:
+    """A small PNG for documents: real on the left, simulated on the right, in the same units and with one stretch."""
+    real, simulated = result.real.picture.image, result.simulated.picture.image
+    images = (real, result.match.gain * simulated + result.match.bias)
+    scale = PICTURE_PX / max(real.shape)
+    size = (max(1, round(real.shape[1] * scale)), max(1, round(real.shape[0] * scale)))
+    small = [cv2.resize(image.astype(np.float32), size, interpolation=cv2.INTER_AREA) for image in images]
+    grey = stretch(np.hstack([small[0], np.full((size[1], 6), np.nan, np.float32), small[1]]))
+    _, encoded = cv2.imencode(".png", grey // GREY_STEP * GREY_STEP, [cv2.IMWRITE_PNG_COMPRESSION, 9])
+    return encoded.tobytes()
 
 
 def _figure(content: str, caption: str) -> str:

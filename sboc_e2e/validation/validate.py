@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.catalogue import StarCatalogue
-from sboc_e2e.files.atomic import write_text
+from sboc_e2e.files.atomic import write_bytes, write_text
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import Registry
 from sboc_e2e.score.figures import Figure, absent, bootstrap, exact, rate, rms
@@ -61,8 +61,8 @@ class Validation:
 
 
 def validate(request: Request, out: Path, registry: Registry) -> Validation:
-    """Compare and write validation.json and validation.html into `out`. Raises `UserError` for anything wrong with the input."""
-    from sboc_e2e.validation.page import page
+    """Compare and write validation.json, .html and .png into `out`. Raises `UserError` for anything wrong with the input."""
+    from sboc_e2e.validation.page import page, picture
 
     if out.exists() and not out.is_dir():
         raise UserError(f"--out {out}: is a file; allowed is a folder, which need not exist")
@@ -75,6 +75,7 @@ def validate(request: Request, out: Path, registry: Registry) -> Validation:
     out.mkdir(parents=True, exist_ok=True)
     write_text(out / "validation.json", json.dumps(result.figures, indent=1) + "\n")
     write_text(out / "validation.html", page(result))
+    write_bytes(out / "validation.png", picture(result))
     return result
 
 

@@ -33,6 +33,9 @@ def test_two_files(real, tmp_path, capsys):
     assert page.count("<svg") == 4
     assert "http-equiv" not in page
     assert 'src="http' not in page
+    picture = (tmp_path / "out" / "validation.png").read_bytes()
+    assert picture[1:4] == b"PNG"
+    assert len(picture) < 200_000
     assert capsys.readouterr().out.strip().endswith("validation.html")
 
 

@@ -1,5 +1,6 @@
 """What fits into the downlink: an allowance in bytes that grows with time, spent in order of priority."""
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 
@@ -15,7 +16,7 @@ from sboc_e2e.icd.signals import Detection
 
 @dataclass(frozen=True, kw_only=True)
 class Allowance:
-    """Bytes that may still be sent; never more than the rate gives in `burst_s`."""
+    """Bytes that may still be sent; never more than the rate gives in `burst_s`. A rate of 0 is no limit."""
 
     rate_bytes_s: float
     burst_s: float
@@ -23,6 +24,8 @@ class Allowance:
 
     def after(self, elapsed_s: float) -> "Allowance":
         """The allowance some time later; the time since the last frame is granted even beyond `burst_s`."""
+        if self.rate_bytes_s == 0.0:
+            return replace(self, credit_bytes=math.inf)
         elapsed_s = max(elapsed_s, 0.0)
         granted = self.credit_bytes + self.rate_bytes_s * elapsed_s
         return replace(self, credit_bytes=min(granted, self.rate_bytes_s * max(self.burst_s, elapsed_s)))

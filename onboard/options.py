@@ -29,7 +29,7 @@ class DownlinkOptions:
     """What may be sent."""
 
     budget_mbit_s: float = field(
-        default=4.0, metadata={"doc": "downlink rate for everything but whole frames", "min": 1e-3, "max": 1e5}
+        default=4.0, metadata={"doc": "downlink rate for everything but whole frames; 0: no limit", "min": 0.0, "max": 1e5}
     )
     burst_s: float = field(default=2.0, metadata={"doc": "unspent budget is kept for so long", "min": 0.0, "max": 86400.0})
     max_stars: int = field(default=250, metadata={"doc": "stars sent per frame", "min": 0, "max": 20000})

@@ -31,13 +31,17 @@ class Seen:
 
 
 def base_document(wcs: str) -> dict[str, Any]:
-    """Scenario tables behind ``--wcs``: whether attitudes are searched for among all stars.
+    """Scenario tables of frames from outside: no downlink to fit into, and what ``--wcs`` says of attitudes.
 
     "header" uses the WCS of headers, "solve" solves the attitude from stars, "none" gives pixel positions only.
+    Frames without EXPTIME or with one DATE-OBS for all would earn no bytes.
     """
     if wcs not in WCS_CHOICES:
         raise UserError(f'--wcs: expected one of {", ".join(WCS_CHOICES)}, got "{wcs[:40]}"')
-    return {"ground": {"astrometry": {"lost_in_space": "required" if wcs == "solve" else "never"}}}
+    return {
+        "onboard": {"downlink": {"budget": "0 Mbit/s"}},
+        "ground": {"astrometry": {"lost_in_space": "required" if wcs == "solve" else "never"}},
+    }
 
 
 def process(

@@ -11,6 +11,7 @@ from ground.ingest import decode_downlink
 from ground.ingest.codecs import PlanesDecoder, RawDecoder
 from ground.ingest.rans import RansDecoder
 from onboard.background import MeshBackground
+from onboard.budget import Allowance
 from onboard.chain import OnboardSteps
 from onboard.codec import PlanesCodec, RansCodec, RawCodec, SqrtPlanesCodec
 from onboard.detect import LineIntegralDetector, ThresholdDetector
@@ -289,6 +290,13 @@ def test_unspent_budget_is_kept_for_a_burst() -> None:
         run.feed(frame(number))
     rate = 1e6 / 8
     assert 0.25 * rate < run.state.allowance.credit_bytes <= 0.5 * rate
+
+
+def test_without_a_limit_frames_that_took_no_time_are_sent_all_the_same() -> None:
+    """Exposures of unknown length and frames of one and the same time earn nothing at any rate but 0."""
+    assert Allowance(rate_bytes_s=5e5, burst_s=2.0).after(0.0).credit_bytes == 0.0
+    unlimited = Allowance(rate_bytes_s=0.0, burst_s=2.0).after(0.0)
+    assert unlimited.spend(10**12).after(0.0).credit_bytes == np.inf
 
 
 def test_particle_hits_never_displace_a_trail_and_are_counted() -> None:

@@ -80,6 +80,14 @@ def bayes_bound(estimates: list[OrbitEstimate]) -> float:
     return float(brentq(excess, 1e-5, 0.9, xtol=1e-5)) if excess(1e-5) < 0.0 else 0.0
 
 
+def stated_errors(estimate: OrbitEstimate) -> NDArray[np.float64]:
+    """|posterior median / true range - 1| (200,) of truths drawn from the posterior: spread like those found if it is right."""
+    x, mass = np.log(estimate.range_grid_km), estimate.range_posterior * estimate.range_grid_km
+    cumulative = np.concatenate([[0.0], np.cumsum(0.5 * (mass[1:] + mass[:-1]) * np.diff(x))])
+    truths = np.exp(np.interp((np.arange(200) + 0.5) / 200.0, cumulative / cumulative[-1], x))
+    return np.abs(estimate.range_km[1] / truths - 1.0)
+
+
 def population(
     n: int, seed: int, *, kind: str, step: RangeScan, error_px: float | None = None, passes: bool = False
 ) -> dict[str, Any]:
@@ -133,6 +141,7 @@ def population(
         "coverage_90": {name: share(count, n) for name, count in inside.items() if name != "size" or kind != "volume"},
         "range_error_median": median(table["range"], boot),
         "range_error_median_of_best_mode": median(table["mode"], boot),
+        "range_error_median_stated": float(np.median([stated_errors(estimate) for estimate in estimates])),
         "range_error_median_bayes_bound": bayes_bound(estimates),
         "rate_median_deg_s": float(np.median(rates)),
         "range_error_median_by_size": by_size if kind != "volume" else {},

@@ -21,6 +21,9 @@ from simulator.scene.objects import Identity, OrbitingObject
 
 Array = NDArray[np.float64]
 
+ELEMENT_LINE = 69
+"""Characters of a line of elements."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class SatelliteOptions:
@@ -67,18 +70,23 @@ def read_satellites(path: str | Path, names: Iterable[str] = ()) -> list[Satelli
 def _read_lines(path: Path, text: str) -> list[Satellite]:
     lines = text.splitlines()
     found = []
+    paired: set[int] = set()
     for k in range(len(lines) - 1):
         first, second = lines[k].rstrip(), lines[k + 1].rstrip()
         if not (first.startswith("1 ") and second.startswith("2 ")):
             continue
+        paired |= {k, k + 1}
         for number, line in ((k + 1, first), (k + 2, second)):
-            if len(line) < 69 or _checksum(line) != line[68]:
+            if len(line) < ELEMENT_LINE or _checksum(line) != line[68]:
                 raise UserError(
                     f"satellite file {path}, line {number}: not an element line of 69 characters with a right checksum"
                 )
         title = lines[k - 1].strip() if k > 0 and not lines[k - 1].startswith(("1 ", "2 ")) else ""
         record = Satrec.twoline2rv(first, second, WGS72)
         found.append(Satellite(name=title.removeprefix("0 ").strip() or first[2:7].strip(), record=record))
+    for k, line in enumerate(lines):
+        if k not in paired and len(line.rstrip()) == ELEMENT_LINE and line.startswith(("1 ", "2 ")):
+            raise UserError(f"satellite file {path}, line {k + 1}: half an element set; its other line must stand beside it")
     return found
 
 

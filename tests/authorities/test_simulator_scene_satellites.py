@@ -101,6 +101,10 @@ def test_bad_files_are_refused_by_name(tmp_path):
     bad.write_text(f"0 VANGUARD 1\n{first[:-1]}5\n{second}\n")
     with pytest.raises(UserError, match="line 2"):
         read_satellites(bad)
+    half = tmp_path / "half.3le"
+    half.write_text(f"0 VANGUARD 1\n{first}\n{second}\n0 OTHER\n{first}\n0 NEXT\n")
+    with pytest.raises(UserError, match="line 5: half an element set"):
+        read_satellites(half)
     empty = tmp_path / "empty.3le"
     empty.write_text("nothing\n")
     with pytest.raises(UserError, match="no element set"):

@@ -191,11 +191,11 @@ def _table(blocks: list[dict[str, NDArray[Any]]], scale_rad_px: float, *, sky: b
     joined["sigma_cross_rad"] *= scale
     joined["scale_rad_px"] = np.full(len(order), scale)
     vetoed = (joined["flags"] & StreakFlag.VETOED) != 0
-    joined["log_odds"] = _relative_log_odds(joined["log_odds"], vetoed)
+    joined["log_odds"] = relative_log_odds(joined["log_odds"], vetoed)
     return StreakTable(**joined)
 
 
-def _relative_log_odds(probability: NDArray[np.float64], vetoed: NDArray[np.bool_]) -> NDArray[np.float64]:
+def relative_log_odds(probability: NDArray[np.float64], vetoed: NDArray[np.bool_]) -> NDArray[np.float64]:
     """Log odds (n,) of being real relative to the mean of those that passed; NaN: even odds."""
     known = np.clip(np.where(np.isfinite(probability), probability, 0.5), 1e-6, 1.0 - 1e-6)
     logit = np.log(known / (1.0 - known))

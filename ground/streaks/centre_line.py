@@ -36,8 +36,9 @@ SEARCH_STAGES: Final = ((2.5, 3), (1.6, 3), (1.0, 5))
 CURVED_WIDTHS: Final = 40.0
 """Shorter trails (in widths) are straight."""
 
-SEARCH_PIXELS: Final = 6000
-"""Pixels used to find the line; of longer trails every second, third ... pixel."""
+SEARCH_PIXELS: Final = 2000
+SEARCH_BLOCK_PX: Final = 0.5
+"""The line is searched in at most about this many values: pixels, or of longer trails means over blocks this wide."""
 
 
 def effective_width_px(psf_sigma_px: float) -> float:
@@ -193,9 +194,9 @@ def find_line(
     near = pixels.near(max_shift_px + 3.0 * width_px + abs(sagitta_px))
     if near.u.size < 8:
         return None
-    stride = -(-near.u.size // SEARCH_PIXELS)
-    if stride > 1:
-        near = near.take(np.arange(0, near.u.size, stride, dtype=np.intp))
+    if near.u.size > SEARCH_PIXELS:
+        blocks_across = 2.0 * (max_shift_px + 3.0 * width_px + abs(sagitta_px)) / SEARCH_BLOCK_PX
+        near = near.in_blocks(float(near.u[-1] - near.u[0]) * blocks_across / SEARCH_PIXELS, SEARCH_BLOCK_PX)
     line = _searched(near, uniform_trail(0.0, half_px, edges, width_px), half_px, width_px)
     if sagitta_px != 0.0:
         parameters = uniform_trail(0.0, half_px, edges, width_px)

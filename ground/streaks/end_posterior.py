@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ground.streaks.end_search import CoarseEnds, cumulative_ratio, dark_excess
+from ground.streaks.end_search import CoarseEnds, at_density, dark_excess, running_ratio
 from ground.streaks.trail_model import edge
 
 ZONE_SIGMAS: Final = 3.4
@@ -59,18 +59,16 @@ def one_end(
     template: NDArray[np.float64],
     value_e: NDArray[np.float64],
     variance_e2: NDArray[np.float64],
-    densities: NDArray[np.float64],
     noise_density: float,
-    cumulative: NDArray[np.float64],
+    running: NDArray[np.float64],
     split: int,
     width: float,
 ) -> NDArray[np.float64]:
-    """Log likelihood, shape (densities, grid), of one end over the pixels on its side of `split`.
+    """Log likelihood of one end over the pixels on its side of `split`: (3, grid) coefficients for `at_density`.
 
-    sign : +1 for end 0 (lit where u > end), -1 for end 1. u is ascending.
+    sign : +1 for end 0 (lit where u > end), -1 for end 1. u is ascending. running : of `running_ratio`.
     """
-    k_n = densities.size
-    out = np.zeros((k_n, grid.size))
+    out = np.zeros((3, grid.size))
     reach = ZONE_SIGMAS * width
     for g in range(grid.size):
         low = np.searchsorted(u, grid[g] - reach)
@@ -78,21 +76,20 @@ def one_end(
         if sign > 0.0:
             high = min(high, split)
             low = min(low, split)
-            for k in range(k_n):
-                out[k, g] = cumulative[k, split] - cumulative[k, high]
+            for c in range(3):
+                out[c, g] = running[c, split] - running[c, high]
         else:
             low = max(low, split)
             high = max(high, split)
-            for k in range(k_n):
-                out[k, g] = cumulative[k, low] - cumulative[k, split]
+            for c in range(3):
+                out[c, g] = running[c, low] - running[c, split]
         for i in range(low, high):
             share = edge(u[i], grid[g], width)
             lit = template[i] * (share if sign > 0.0 else 1.0 - share)
             noisy = variance_e2[i] + noise_density * lit
-            excess = dark_excess(value_e[i], variance_e2[i], noisy)
-            for k in range(k_n):
-                residual = value_e[i] - densities[k] * lit
-                out[k, g] += excess - 0.5 * residual * residual / noisy
+            out[0, g] += dark_excess(value_e[i], variance_e2[i], noisy) - 0.5 * value_e[i] * value_e[i] / noisy
+            out[1, g] += value_e[i] * lit / noisy
+            out[2, g] += lit * lit / noisy
     return out
 
 
@@ -179,23 +176,22 @@ def end_tables(
     center = u[min(split, u.size - 1)]
     nodes = coarse.density_e_px + coarse.density_err_e_px * DENSITY_STEPS_SIGMA
     densities: NDArray[np.float64] = nodes[nodes > 0.05 * coarse.density_e_px]
-    cumulative = cumulative_ratio(template, value_e, variance_e2, densities, coarse.density_e_px)
-    arrays = (u, template, value_e, variance_e2, densities, coarse.density_e_px, cumulative, split, width_px)
+    grid0 = _grid(max(coarse.range0[0] - pad, coarse.limits[0]), min(coarse.range0[1] + pad, center - width_px), step)
+    grid1 = _grid(max(coarse.range1[0] - pad, center + width_px), min(coarse.range1[1] + pad, coarse.limits[1]), step)
     if coarse.edges[0]:
-        grid0, log0 = np.array([coarse.end0]), (cumulative[:, split] - cumulative[:, 0])[:, None]
-    else:
-        grid0 = _grid(max(coarse.range0[0] - pad, coarse.limits[0]), min(coarse.range0[1] + pad, center - width_px), step)
-        log0 = one_end(grid0, 1.0, *arrays)
+        grid0 = np.array([coarse.end0])
     if coarse.edges[1]:
-        grid1, log1 = np.array([coarse.end1]), (cumulative[:, -1] - cumulative[:, split])[:, None]
-    else:
-        grid1 = _grid(max(coarse.range1[0] - pad, center + width_px), min(coarse.range1[1] + pad, coarse.limits[1]), step)
-        log1 = one_end(grid1, -1.0, *arrays)
+        grid1 = np.array([coarse.end1])
+    running = running_ratio(template, value_e, variance_e2, coarse.density_e_px)
+    arrays = (u, template, value_e, variance_e2, coarse.density_e_px, running, split, width_px)
+    # an end on the image's edge: all pixels on its side are lit
+    side0 = (running[:, split] - running[:, 0])[:, None] if coarse.edges[0] else one_end(grid0, 1.0, *arrays)
+    side1 = (running[:, -1] - running[:, split])[:, None] if coarse.edges[1] else one_end(grid1, -1.0, *arrays)
     return EndTables(
         grid0=grid0,
         grid1=grid1,
-        log0=log0,
-        log1=log1,
+        log0=at_density(side0[:, None], densities[:, None]),
+        log1=at_density(side1[:, None], densities[:, None]),
         densities=densities,
         open0=bool(grid0[0] <= coarse.limits[0]),
         open1=bool(grid1[-1] >= coarse.limits[1]),

@@ -59,27 +59,30 @@ def dark_excess(value_e: float, variance_e2: float, lit_e2: float) -> float:
 
 
 @njit(cache=True)
-def cumulative_ratio(
-    template: NDArray[np.float64],
-    value_e: NDArray[np.float64],
-    variance_e2: NDArray[np.float64],
-    densities: NDArray[np.float64],
-    noise_density: float,
+def running_ratio(
+    template: NDArray[np.float64], value_e: NDArray[np.float64], variance_e2: NDArray[np.float64], noise_density: float
 ) -> NDArray[np.float64]:
-    """Running sums, shape (densities, n + 1), of ln p(value | lit) - ln p(value | dark) of pixels in order of u.
+    """Running sums of ln p(value | lit) - ln p(value | dark) of pixels in order of u: (3, n + 1) coefficients for `at_density`.
 
     The variance of a lit pixel is taken at `noise_density` for all densities: that a lit pixel is noisier helps to tell
     it from a dark one, but scatter that no model explains (tumbling, misfit) must not pass for brightness.
     """
     n = value_e.size
-    total = np.zeros((densities.size, n + 1))
+    total = np.zeros((3, n + 1))
     for i in range(n):
         lit = variance_e2[i] + noise_density * template[i]
-        excess = dark_excess(value_e[i], variance_e2[i], lit)
-        for k in range(densities.size):
-            residual = value_e[i] - densities[k] * template[i]
-            total[k, i + 1] = total[k, i] + excess - 0.5 * residual * residual / lit
+        weighted = template[i] / lit
+        total[0, i + 1] = total[0, i] + dark_excess(value_e[i], variance_e2[i], lit) - 0.5 * value_e[i] * value_e[i] / lit
+        total[1, i + 1] = total[1, i] + value_e[i] * weighted
+        total[2, i + 1] = total[2, i] + template[i] * weighted
     return total
+
+
+def at_density(coefficients: NDArray[np.float64], density_e_px: NDArray[np.float64] | float) -> NDArray[np.float64]:
+    """Log ratio c0 + c1 d - c2 d^2 / 2 at the density d, which broadcasts against the coefficients' (3, ...) last axes."""
+    density = np.asarray(density_e_px)
+    ratio: NDArray[np.float64] = coefficients[0] + density * (coefficients[1] - 0.5 * density * coefficients[2])
+    return ratio
 
 
 @njit(cache=True)
@@ -132,7 +135,7 @@ def coarse_ends(
         for _ in range(2):
             density, sigma = lit_density(template[start:stop], value_e[start:stop], variance_e2[start:stop], density)
             density = max(density, sigma)
-        running = cumulative_ratio(template, value_e, variance_e2, np.array([density]), density)[0]
+        running = at_density(running_ratio(template, value_e, variance_e2, density), density)
         start, stop = best_segment(running)
         start, stop = 0 if edges[0] else start, u.size if edges[1] else stop
         if stop - start < 3:

@@ -15,6 +15,9 @@ BIN_SNR: Final = 2.0
 """Least S/N of one bin: fewer, longer bins for fainter trails."""
 
 MOST_BINS: Final = 200
+SLACK: Final = 1.3
+"""The power of a period may be this much higher than that of the plain spectrum."""
+
 FALSE_ALARM: Final = 1e-3
 """Of the variability test and of the period."""
 
@@ -84,6 +87,13 @@ def _period(residual: NDArray[np.float64], sigma: NDArray[np.float64], position:
     """Period in fractions of the trail by Lomb-Scargle (Zechmeister & Kurster 2009), None above the false-alarm limit."""
     n = residual.size
     if n < 8:
+        return None
+    # the plain spectrum, as if the bins were all there and equally good, tells at once whether a search can find anything
+    weight = sigma**-2
+    centred = residual - np.average(residual, weights=weight)
+    spectrum = np.abs(np.fft.rfft(centred * weight, 8 * n)) ** 2
+    power = SLACK * 2.0 * float(spectrum.max()) / (weight.sum() * float(weight @ centred**2))
+    if n * max(1.0 - power, 0.0) ** (0.5 * (n - 3)) > FALSE_ALARM:
         return None
     # at least 1.5 cycles in the trail, at most the Nyquist rate of the bins
     frequency = np.linspace(1.5, 0.5 * n, max(8 * n, 32))

@@ -88,11 +88,18 @@ def choose_model(line: LineFit, *, iterations: int, shape: bool) -> LineFit:
     return line
 
 
+SMALL_STEP: Final = 0.05
+"""Change of ln width that one step of Fisher scoring gets right (to its square)."""
+
+
 def width_estimate(line: LineFit, iterations: int) -> tuple[float, float]:
     """Fitted ln width and its error, whether or not the model needed it free: the vetter's sharpness."""
     if LN_WIDTH in line.free:
         return float(line.parameters[LN_WIDTH]), math.sqrt(line.covariance[LN_WIDTH, LN_WIDTH])
     free = (*line.free, LN_WIDTH)
+    statistic, step = score_tests(line, (LN_WIDTH,))
+    if abs(step[0]) < SMALL_STEP:
+        return float(line.parameters[LN_WIDTH] + step[0]), float(abs(step[0]) / math.sqrt(max(statistic[0], 1e-300)))
     wide = score(line.pixels, line.parameters, free, half_px=line.half_px, blur_px=line.blur_px, iterations=iterations)
     value = float(wide.parameters[LN_WIDTH])
     if not math.isfinite(value):

@@ -104,56 +104,59 @@ def accumulate(
     fisher[:] = 0.0
     derivative = np.empty(N_PARAMETERS)
     width = math.exp(parameters[LN_WIDTH])
-    width0 = math.hypot(width, blur0)
-    width1 = math.hypot(width, blur1)
+    width0, width1 = math.hypot(width, blur0), math.hypot(width, blur1)
     reach = REACH_WIDTHS * width
-    reach0 = REACH_WIDTHS * width0
-    reach1 = REACH_WIDTHS * width1
+    density, end0, end1 = parameters[DENSITY], parameters[END0], parameters[END1]
+    v_mid, slope, sagitta = parameters[V_MID], parameters[SLOPE], parameters[SAGITTA]
+    q1, q2 = parameters[Q1], parameters[Q2]
+    first, last = end0 - REACH_WIDTHS * width0, end1 + REACH_WIDTHS * width1
+    inv_half, inv_width, inv_width0, inv_width1 = 1.0 / half, 1.0 / width, 1.0 / width0, 1.0 / width1
+    norm, kurtosis = _INV_SQRT_2PI / width, quartic / (24.0 * width**4)
     n = index.size
     chi2 = 0.0
     snr2 = 0.0
     used = 0
     for i in range(u.size):
-        x = (u[i] - u_mid) / half
-        centre = parameters[V_MID] + parameters[SLOPE] * x + parameters[SAGITTA] * (1.0 / 3.0 - x * x)
-        offset = v[i] - centre
-        if abs(offset) > reach or not variance_e2[i] < np.inf:
+        if u[i] < first or u[i] > last:
             continue
-        if u[i] < parameters[END0] - reach0 or u[i] > parameters[END1] + reach1:
-            continue
-        across = profile(offset, width, quartic)
-        phi0 = edge(u[i], parameters[END0], width0)
-        phi1 = edge(u[i], parameters[END1], width1)
-        share = phi0 - phi1
+        x = (u[i] - u_mid) * inv_half
         x2 = x * x - 1.0 / 3.0
-        brightness = 1.0 + parameters[Q1] * x + parameters[Q2] * x2
+        offset = v[i] - (v_mid + slope * x - sagitta * x2)
+        variance = variance_e2[i]
+        if abs(offset) > reach or not variance < np.inf:
+            continue
+        v2 = (offset * inv_width) ** 2
+        across = norm * math.exp(-0.5 * v2) * max(1.0 + kurtosis * (v2 * v2 - 6.0 * v2 + 3.0), 0.0)
+        t0 = (u[i] - end0) * inv_width0
+        t1 = (u[i] - end1) * inv_width1
+        # most pixels are far from both ends
+        share, d0, d1 = 1.0, 0.0, 0.0
+        if t0 < 6.0:
+            share = edge(u[i], end0, width0)
+            d0 = _INV_SQRT_2PI * inv_width0 * math.exp(-0.5 * t0 * t0)
+        if t1 > -6.0:
+            share -= edge(u[i], end1, width1)
+            d1 = _INV_SQRT_2PI * inv_width1 * math.exp(-0.5 * t1 * t1)
+        brightness = 1.0 + q1 * x + q2 * x2
         unit = share * across
-        mu = parameters[DENSITY] * brightness * unit
-        weight = 1.0 / (variance_e2[i] + max(mu, 0.0))
+        mu = density * brightness * unit
+        weight = 1.0 / (variance + max(mu, 0.0))
         residual = value_e[i] - mu
         chi2 += residual * residual * weight
-        snr2 += mu * mu / variance_e2[i]
+        snr2 += mu * mu / variance
         used += 1
-        t0 = (u[i] - parameters[END0]) / width0
-        t1 = (u[i] - parameters[END1]) / width1
-        d0 = 0.0
-        d1 = 0.0
-        if abs(t0) < 6.0:
-            d0 = _INV_SQRT_2PI / width0 * math.exp(-0.5 * t0 * t0)
-        if abs(t1) < 6.0:
-            d1 = _INV_SQRT_2PI / width1 * math.exp(-0.5 * t1 * t1)
-        amplitude = parameters[DENSITY] * brightness * across
-        slope_v = mu * offset / (width * width)
+        amplitude = density * brightness * across
+        slope_v = mu * offset * inv_width * inv_width
         derivative[DENSITY] = brightness * unit
         derivative[END0] = -amplitude * d0
         derivative[END1] = amplitude * d1
         derivative[V_MID] = slope_v
         derivative[SLOPE] = slope_v * x
         derivative[SAGITTA] = -slope_v * x2
-        derivative[Q1] = parameters[DENSITY] * unit * x
-        derivative[Q2] = parameters[DENSITY] * unit * x2
-        along = amplitude * width * width * (-d0 * t0 / width0 + d1 * t1 / width1)
-        derivative[LN_WIDTH] = mu * ((offset / width) ** 2 - 1.0) + along
+        derivative[Q1] = density * unit * x
+        derivative[Q2] = density * unit * x2
+        along = amplitude * width * width * (-d0 * t0 * inv_width0 + d1 * t1 * inv_width1)
+        derivative[LN_WIDTH] = mu * (v2 - 1.0) + along
         for j in range(n):
             wj = weight * derivative[index[j]]
             gradient[j] += wj * residual
@@ -183,7 +186,8 @@ def fisher_scoring(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float, int, bool]:
     """Iterate Fisher scoring on the free parameters: (parameters, covariance (9, 9), chi2, snr2, pixels, converged).
 
-    limits : (9,) largest change of each parameter in one step (the trust region). Covariance is zero where fixed.
+    limits : (9,) largest change of each parameter in one step (the trust region). Covariance is zero where fixed; it belongs to
+    the place before the last step, which differs by `TOLERANCE_SIGMA` at most where the iteration converged.
     """
     p = parameters.copy()
     index = np.flatnonzero(free)
@@ -213,7 +217,7 @@ def fisher_scoring(
         for a in range(n):
             for b in range(n):
                 covariance[index[a], index[b]] = inverse[a, b] / (scale[a] * scale[b])
-        if converged or iteration == max_iterations:
+        if iteration == max_iterations:
             break
         step = inverse @ right
         worst = 0.0
@@ -226,7 +230,11 @@ def fisher_scoring(
         for a in range(n):
             p[index[a]] += shrink * step[a]
         p[LN_WIDTH] = max(p[LN_WIDTH], LN_PIXEL_WIDTH)
-        converged = worst < TOLERANCE_SIGMA
+        if worst < TOLERANCE_SIGMA:
+            converged = True
+            for a in range(n):
+                chi2 -= gradient[a] * shrink * step[a]
+            break
     return p, covariance, chi2, snr2, used, converged
 
 
@@ -235,9 +243,21 @@ def mean_all(
     parameters: NDArray[np.float64], u: NDArray[np.float64], v: NDArray[np.float64], half: float, blur0: float, blur1: float
 ) -> NDArray[np.float64]:
     """Expected electrons of many pixels, shape (n,); arguments of `mean_e`, without the fourth-cumulant term."""
-    out = np.empty(u.size)
+    density, end0, end1 = parameters[DENSITY], parameters[END0], parameters[END1]
+    v_mid, slope, sagitta = parameters[V_MID], parameters[SLOPE], parameters[SAGITTA]
+    q1, q2 = parameters[Q1], parameters[Q2]
+    width = math.exp(parameters[LN_WIDTH])
+    width0, width1 = math.hypot(width, blur0), math.hypot(width, blur1)
+    inv_half, inv_width, norm = 1.0 / half, 1.0 / width, _INV_SQRT_2PI / width
+    out = np.zeros(u.size)
     for i in range(u.size):
-        out[i] = mean_e(parameters, u[i], v[i], 0.0, half, blur0, blur1, 0.0)
+        share = edge(u[i], end0, width0) - edge(u[i], end1, width1)
+        x = u[i] * inv_half
+        x2 = x * x - 1.0 / 3.0
+        offset = (v[i] - v_mid - slope * x + sagitta * x2) * inv_width
+        v2 = offset * offset
+        if share != 0.0 and v2 < 60.0:
+            out[i] = density * (1.0 + q1 * x + q2 * x2) * share * norm * math.exp(-0.5 * v2)
     return out
 
 

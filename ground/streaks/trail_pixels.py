@@ -50,6 +50,31 @@ class TrailPixels:
             index=self.index,
         )
 
+    def in_blocks(self, length_px: float, width_px: float) -> "TrailPixels":
+        """Means of the pixels in blocks of this length along u and width along v, weighted by their noise.
+
+        index : of one pixel of each block.
+        """
+        across = np.floor((self.v - self.v.min()) / width_px).astype(np.int64)
+        place = np.floor((self.u - self.u.min()) / length_px).astype(np.int64) * (int(across.max()) + 1) + across
+        weight = 1.0 / self.variance_e2
+        total = np.bincount(place, weight)
+        lit = np.flatnonzero(total)
+        one_of = np.zeros(total.size, dtype=np.intp)
+        one_of[place] = self.index
+
+        def mean(values: NDArray[np.float64]) -> NDArray[np.float64]:
+            return np.bincount(place, weight * values)[lit] / total[lit]
+
+        return TrailPixels(
+            frame=self.frame,
+            u=mean(self.u),
+            v=mean(self.v),
+            value_e=mean(self.value_e),
+            variance_e2=1.0 / total[lit],
+            index=one_of[lit],
+        )
+
     def near(self, reach_px: float) -> "TrailPixels":
         """Pixels within `reach_px` of v = 0, by ascending u."""
         chosen = np.flatnonzero(np.abs(self.v) <= reach_px)

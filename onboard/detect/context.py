@@ -7,33 +7,41 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.detect.star_mask import mask_radii_px
 from sboc_e2e.icd.flags import MaskBit, StarFlag, StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView
 
 UNDER_SIGMAS: Final = 3.0
 """A star whose centre lies closer to a trail, in PSF widths, shines into its cross-section."""
 
-SPIKE_REACH_PX: Final = 40.0
-"""A spike or a bleeding column begins no farther from the centre of its saturated star ..."""
+SPIKE_SNR: Final = 5000.0
+"""Least S/N of a star with visible spikes: 2 % of its light in four arms make a line of S/N 4 to 7 just outside its mask."""
+
+SPIKE_REACH_PX: Final = 60.0
+"""A spike or a bleeding column begins no farther outside the mask of its star ..."""
+
+SPIKE_LENGTH_PX: Final = 200.0
+"""... opposite arms, joined across the star, reach no farther ..."""
 
 SPIKE_ACROSS_PX: Final = 2.0
-"""... and its line passes the centre as close as this."""
+"""... and its line passes the centre as close as this, its own uncertainty added."""
 
 
-def with_context(detection: Detection, view: DetectorView, static: NDArray[np.bool_]) -> Detection:
+def with_context(detection: Detection, view: DetectorView, is_star: NDArray[np.bool_], halo_px: float) -> Detection:
     """The detection with SATURATED, CROSSES_STAR and SPIKE_LIKE where they are known to be true.
 
-    static : (n,) entries of the view's star list that the frame before shows too; only they count as stars, for a bright trail
-    is in the list itself.
+    is_star : (n,) entries of the view's star list that are stars, for a bright trail is in the list itself. halo_px : growth
+    of the star mask. A trail that happens to aim at a bright star is SPIKE_LIKE too: about one in 200.
     """
     flags = detection.flags | (StreakFlag.SATURATED if _saturated(detection, view.mask) else StreakFlag(0))
-    length = detection.length_px
+    length, stars = detection.length_px, view.stars
     u_row, u_col = (
         ((detection.row1 - detection.row0) / length, (detection.col1 - detection.col0) / length) if length else (0.0, 0.0)
     )
-    reach, stars = SPIKE_REACH_PX, view.stars
+    radii = mask_radii_px(stars.snr, view.psf_sigma_px, halo_px)
+    reach = SPIKE_REACH_PX + radii
     near = (
-        static
+        is_star
         & (stars.row > min(detection.row0, detection.row1) - reach)
         & (stars.row < max(detection.row0, detection.row1) + reach)
     )
@@ -45,9 +53,15 @@ def with_context(detection: Detection, view: DetectorView, static: NDArray[np.bo
         flags |= StreakFlag.CROSSES_STAR
     beyond = np.maximum(-along, along - length)
     across = np.abs(d_row * u_col - d_col * u_row)
-    bright = (stars.flags[near] & StarFlag.SATURATED) != 0
-    if length > 0.0 and (bright & (beyond > 0.0) & (beyond < SPIKE_REACH_PX) & (across < SPIKE_ACROSS_PX)).any():
-        flags |= StreakFlag.SPIKE_LIKE
+    bright = ((stars.flags[near] & StarFlag.SATURATED) != 0) | (stars.snr[near] > SPIKE_SNR)
+    if length > 0.0:
+        # three sigma of a fitted line at a distance: its angle is known to sqrt(24) s / (S L)
+        turn = 3.0 * math.sqrt(24.0) * view.psf_sigma_px / (detection.snr * length)
+        aims = across < SPIKE_ACROSS_PX + turn * np.maximum(0.0, beyond + 0.5 * length)
+        begins = (beyond > 0.0) & (beyond < reach[near])
+        both_arms = (np.abs(along / length - 0.5) < 0.25) & (length < 2.0 * (radii[near] + SPIKE_LENGTH_PX))
+        if (bright & aims & (begins | both_arms)).any():
+            flags |= StreakFlag.SPIKE_LIKE
     return replace(detection, flags=flags)
 
 

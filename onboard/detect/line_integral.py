@@ -54,6 +54,9 @@ SLOW_REACH_PX: Final = 3.0
 STAR_LIKE_PX: Final = 20.0
 """Shorter trails may be a faint star, or two of them in a row."""
 
+GATHERING_PX: Final = 150.0
+"""Longer trails gather so many unlisted stars in the earlier frame that their light there says little."""
+
 VARIED_SIGMA: Final = 4.8
 """Rise of a point source between two frames, in sigma of their difference, that stars of constant light do not reach.
 
@@ -140,6 +143,11 @@ def segment_snr(
     )
 
 
+def _snr_beyond(snr: float, before: float) -> float:
+    """S/N of a detection less what stood there before: 0.7 of its S/N, the first half sigma taken for noise."""
+    return snr - 0.7 * max(0.0, before - 0.5)
+
+
 def moved(
     detection: Detection,
     earlier: static_sky.EarlierFrame,
@@ -150,20 +158,24 @@ def moved(
 ) -> bool:
     """Whether a detection stays above n_sigma once what the earlier frame shows at its place is held against it.
 
-    The place is that among the stars (faint stars in a row, spikes) and that on the sensor (columns). Light there counts at
-    0.7 of its S/N beyond half a sigma. Long segments gather unlisted stars in the earlier frame, where none were removed:
-    they are refused only when nearly all of their light was there before. The part of short_margin asked of short ones goes
-    from all at no length to nothing at STAR_LIKE_PX.
+    The place is that among the stars (faint stars in a row, spikes) and that on the sensor (columns). Light of stars that were
+    subtracted from this frame does not count, and long segments are refused only when nearly all of their light was there before.
+    The part of short_margin asked of short ones goes from all at no length to nothing at STAR_LIKE_PX.
     """
-    for transform in (earlier.transform, static_sky.IDENTITY):
+    row, col, then = images.subtracted.T
+    ends = np.array([detection.row0, detection.col0, detection.row1, detection.col1])
+    wanted = n_sigma + short_margin * max(0.0, 1.0 - detection.length_px / STAR_LIKE_PX)
+    # among the stars these lie where they lie in this frame, on the sensor where the earlier frame had them
+    for transform, places in ((earlier.transform, static_sky.IDENTITY), (static_sky.IDENTITY, earlier.transform)):
         before = segment_snr(detection, earlier.view, transform, images, psf_sigma_px)
         if math.isnan(before):
             continue
         if before > 0.8 * detection.snr:
             return False
-        margin = short_margin * max(0.0, 1.0 - detection.length_px / STAR_LIKE_PX)
-        if detection.length_px < 150.0 and detection.snr - 0.7 * max(0.0, before - 0.5) < n_sigma + margin:
-            return False
+        if detection.length_px < GATHERING_PX and _snr_beyond(detection.snr, before) < wanted:
+            before -= static_sky.subtracted_snr(row, col, then, places, ends, psf_sigma_px)
+            if _snr_beyond(detection.snr, before) < wanted:
+                return False
     return True
 
 
@@ -212,7 +224,8 @@ def slow_movers(view: DetectorView, earlier: static_sky.EarlierFrame) -> list[De
     are blends.
     """
     stars, then = view.stars, earlier.view.stars
-    clean, known = (stars.snr >= SLOW_SNR) & (stars.flags == 0), then.snr >= 0.5 * SLOW_SNR
+    # in both frames: a particle that hits a star moves its centroid
+    clean, known = (stars.snr >= SLOW_SNR) & (stars.flags == 0), (then.snr >= 0.5 * SLOW_SNR) & (then.flags == 0)
     if not clean.any() or not known.any():
         return []
     place = np.column_stack([stars.row[clean], stars.col[clean]])
@@ -260,7 +273,10 @@ class LineIntegralDetector:
         default=4.5, metadata={"doc": "S/N on the coarse lattice worth refining", "min": 3.5, "max": 20.0}
     )
     clip_sigma: float = field(default=3.0, metadata={"doc": "clip of the PSF-smoothed image", "min": 2.0, "max": 7.0})
-    halo_px: float = field(default=1.0, metadata={"doc": "star mask growth per sqrt(S/N / 100)", "min": 0.0, "max": 20.0})
+    halo_px: float = field(
+        default=1.0,
+        metadata={"doc": "star mask growth per (S/N / 100)^(1/3); ^(1/2) without an earlier frame", "min": 0.0, "max": 20.0},
+    )
     min_length_px: float = field(default=10.0, metadata={"doc": "least length of a line", "min": 4.0, "max": 1000.0})
     single_frame_margin: float = field(
         default=2.0, metadata={"doc": "added to n_sigma below 60 px when no earlier frame helps", "min": 0.0, "max": 20.0}
@@ -337,9 +353,7 @@ class LineIntegralDetector:
             for d in found
         ]
         found = fragments.join([replace(d, snr=max(d.snr, s)) for d, s in zip(found, unclipped, strict=True)])
-        static = np.full(len(view.stars), earlier is not None)
-        static[images.new] = False
-        found = [context.with_context(d, view, static) for d in found]
+        found = [context.with_context(d, view, images.stars, self.halo_px) for d in found]
         tracks = [d for d in found if d.flags & StreakFlag.COSMIC_LIKE]
         real = sorted((d for d in found if not d.flags & StreakFlag.COSMIC_LIKE), key=lambda d: -d.snr)
         room = max(0, self.max_detections - len(real))

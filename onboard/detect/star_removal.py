@@ -36,12 +36,16 @@ class WorkingImages:
     """image : (rows, cols) int8, sigma/16, noise-normalised and without stars.
 
     blocked : uint8, 0 = usable. level : mesh of what the background left over, sigma/16.
-    new : entries of the star list that the earlier frame does not show; sharp : those among them that are sharper than the PSF.
+    stars : which entries of the star list are stars. subtracted : (n, 3) row, col and S/N then of the stars that were subtracted,
+    not masked. new : entries that the earlier frame does not show; sharp : those among
+    them that are sharper than the PSF.
     """
 
     image: NDArray[np.int8]
     blocked: NDArray[np.uint8]
     level: NDArray[np.float32]
+    stars: NDArray[np.bool_]
+    subtracted: NDArray[np.float64]
     new: NDArray[np.int64]
     sharp: NDArray[np.bool_]
 
@@ -67,8 +71,13 @@ def snr_before(
     return out
 
 
-def remove_stars_alone(view: DetectorView, image: NDArray[np.int8], blocked: NDArray[np.uint8], halo_px: float) -> None:
-    """Mask the listed stars of a frame without a predecessor, in place; entries that are pieces of trails stay."""
+def remove_stars_alone(
+    view: DetectorView, image: NDArray[np.int8], blocked: NDArray[np.uint8], halo_px: float
+) -> NDArray[np.bool_]:
+    """Mask the listed stars of a frame without a predecessor, in place; entries that are pieces of trails stay.
+
+    Returns which entries are stars, (n,).
+    """
     stars, psf_sigma_px = view.stars, view.psf_sigma_px
     no_level = np.zeros((1, 1), np.float32)
     smooth = whiten.smooth(image, no_level, max(image.shape), whiten.odd_taps(psf_sigma_px), POINT_CLIP_SIGMA)
@@ -84,15 +93,17 @@ def remove_stars_alone(view: DetectorView, image: NDArray[np.int8], blocked: NDA
     )
     radii = star_mask.mask_radii_px(stars.snr[~pieces], psf_sigma_px, halo_px)
     whiten.blank_discs(image, blocked, stars.row[~pieces], stars.col[~pieces], radii)
+    return ~pieces
 
 
 def remove_static_stars(
     view: DetectorView, earlier: static_sky.EarlierFrame, image: NDArray[np.int8], blocked: NDArray[np.uint8], halo_px: float
-) -> tuple[NDArray[np.int64], NDArray[np.bool_]]:
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.float64]]:
     """Mask bright stars and subtract faint ones that the earlier frame shows too, listed or not; in place.
 
     List entries that were not there are pieces of trails, movers or particle hits and stay in the image, except hits
-    sharper than the PSF, which are masked. Returns the new entries (indices) and which of them are sharp.
+    sharper than the PSF, which are masked. Returns the new entries (indices), which of them are sharp, and what was
+    subtracted, (n, 3): row, col, S/N then.
     """
     stars, psf_sigma_px = view.stars, view.psf_sigma_px
     sigma, tile_px = view.background.sigma_adu, view.background.tile_px
@@ -101,7 +112,7 @@ def remove_static_stars(
     static = ~(before < np.maximum(1.5, 0.33 * stars.snr))
     faint = static & (stars.snr < SUBTRACT_SNR) & (before < 1.5 * SUBTRACT_SNR)
     bright = static & ~faint
-    radii = star_mask.mask_radii_px(stars.snr[bright], psf_sigma_px, halo_px)
+    radii = star_mask.mask_radii_px(stars.snr[bright], psf_sigma_px, halo_px, power=star_mask.HALO_WITH_EARLIER)
     whiten.blank_discs(image, blocked, stars.row[bright], stars.col[bright], radii)
     static_sky.subtract_stars(image, blocked, stars.row[faint], stars.col[faint], before[faint], psf_sigma_px)
     new = np.flatnonzero(~static)
@@ -110,7 +121,8 @@ def remove_static_stars(
     whiten.blank_discs(image, blocked, stars.row[hits], stars.col[hits], np.full(len(hits), HIT_RADIUS_PX))
     places = unlisted_stars(image, earlier, psf_sigma_px)
     static_sky.subtract_stars(image, blocked, places[:, 0], places[:, 1], places[:, 2], psf_sigma_px)
-    return new, sharp
+    listed = np.column_stack([stars.row[faint], stars.col[faint], before[faint]])
+    return new, sharp, np.concatenate([listed, places])
 
 
 def unlisted_stars(image: NDArray[np.int8], earlier: static_sky.EarlierFrame, psf_sigma_px: float) -> NDArray[np.float64]:
@@ -152,9 +164,11 @@ def working_images(view: DetectorView, earlier: static_sky.EarlierFrame | None, 
     image = whiten.quantise(view.residual_adu, view.mask, view.background.sigma_adu, view.background.tile_px)
     blocked = whiten.unusable(view.mask)
     new, sharp = np.zeros(0, np.int64), np.zeros(0, np.bool_)
+    is_star, subtracted = np.ones(len(view.stars), np.bool_), np.zeros((0, 3))
     if earlier is not None:
-        new, sharp = remove_static_stars(view, earlier, image, blocked, halo_px)
+        new, sharp, subtracted = remove_static_stars(view, earlier, image, blocked, halo_px)
+        is_star[new] = False
     elif len(view.stars):
-        remove_stars_alone(view, image, blocked, halo_px)
+        is_star = remove_stars_alone(view, image, blocked, halo_px)
     level = whiten.local_level(image, blocked, TILE_PX)
-    return WorkingImages(image=image, blocked=blocked, level=level, new=new, sharp=sharp)
+    return WorkingImages(image=image, blocked=blocked, level=level, stars=is_star, subtracted=subtracted, new=new, sharp=sharp)

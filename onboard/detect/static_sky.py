@@ -140,6 +140,37 @@ def segment_snr(
 
 
 @nb.njit(cache=True)
+def subtracted_snr(
+    row: NDArray[np.float64],
+    col: NDArray[np.float64],
+    snr: NDArray[np.float64],
+    transform: NDArray[np.float64],
+    ends: NDArray[np.float64],
+    psf_sigma_px: float,
+) -> float:
+    """S/N that Gaussian stars (n,) at the mapped places add to a segment (row0, col0, row1, col1) whose pixels are all usable.
+
+    With g = exp(-v^2 / 2 s^2) across the segment and a star S exp(-r^2 / 2 s^2) / (sqrt(pi) s): sum(g star) is
+    S sqrt(2 pi) s exp(-v0^2 / 4 s^2) times the star's share between the ends, and sum(g^2) is L sqrt(pi) s.
+    """
+    length = max(math.hypot(ends[2] - ends[0], ends[3] - ends[1]), 1.0)
+    u_row, u_col = (ends[2] - ends[0]) / length, (ends[3] - ends[1]) / length
+    reach = 4.0 * psf_sigma_px
+    root = 1.0 / (math.sqrt(2.0) * psf_sigma_px)
+    light = 0.0
+    for k in range(row.shape[0]):
+        d_row = transform[0, 0] * row[k] + transform[0, 1] * col[k] + transform[0, 2] - ends[0]
+        if abs(d_row) > length + reach:
+            continue
+        d_col = transform[1, 0] * row[k] + transform[1, 1] * col[k] + transform[1, 2] - ends[1]
+        along, across = d_row * u_row + d_col * u_col, d_row * u_col - d_col * u_row
+        if abs(across) < reach and -reach < along < length + reach:
+            inside = 0.5 * (math.erf((length - along) * root) + math.erf(along * root))
+            light += snr[k] * inside * math.exp(-0.25 * (across / psf_sigma_px) ** 2)
+    return light * math.sqrt(2.0 * math.pi) * psf_sigma_px / math.sqrt(length * math.sqrt(math.pi) * psf_sigma_px)
+
+
+@nb.njit(cache=True)
 def _count_static(now: NDArray[np.int8], then: NDArray[np.int8], each: int, both: int) -> int:
     count = np.int32(0)
     for i in range(now.shape[0]):

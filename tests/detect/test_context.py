@@ -34,12 +34,20 @@ def view_with(row: float, col: float, flags: int = 0) -> DetectorView:
         (51.0, 140.0, StarFlag.SATURATED, True, StreakFlag.SPIKE_LIKE),
         (49.0, 30.0, StarFlag.SATURATED, True, StreakFlag.SPIKE_LIKE),
         (51.0, 140.0, StarFlag(0), True, StreakFlag(0)),
+        (
+            51.0,
+            85.0,
+            StarFlag.SATURATED,
+            True,
+            StreakFlag.SPIKE_LIKE | StreakFlag.CROSSES_STAR,
+        ),  # two arms joined across the star
+        (51.0, 65.0, StarFlag.SATURATED, True, StreakFlag.CROSSES_STAR),
         (58.0, 140.0, StarFlag.SATURATED, True, StreakFlag(0)),
         (50.0, 190.0, StarFlag.SATURATED, True, StreakFlag(0)),
     ],
 )
 def test_stars_under_and_beyond_a_trail(row: float, col: float, star: StarFlag, static: bool, expected: StreakFlag) -> None:
-    found = with_context(TRAIL, view_with(row, col, star), np.array([static]))
+    found = with_context(TRAIL, view_with(row, col, star), np.array([static]), 1.0)
     assert found == replace(TRAIL, flags=StreakFlag.EDGE0 | expected)
 
 
@@ -48,11 +56,11 @@ def test_saturated_pixel_on_the_path(row: int, flagged: bool) -> None:
     view = view_with(150.0, 150.0)
     mask = np.zeros(view.mask.shape, np.uint8)
     mask[row, 100] = MaskBit.SATURATED
-    found = with_context(TRAIL, replace(view, mask=mask), np.array([True]))
+    found = with_context(TRAIL, replace(view, mask=mask), np.array([True]), 1.0)
     assert bool(found.flags & StreakFlag.SATURATED) == flagged
 
 
 def test_star_like_detection_does_not_point_anywhere() -> None:
     point = replace(TRAIL, col1=60.0)
-    found = with_context(point, view_with(50.0, 80.0, StarFlag.SATURATED), np.array([True]))
+    found = with_context(point, view_with(50.0, 80.0, StarFlag.SATURATED), np.array([True]), 1.0)
     assert found.flags == StreakFlag.EDGE0

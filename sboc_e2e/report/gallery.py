@@ -3,7 +3,8 @@
 One frame of each scenario is simulated, stretched as a person sees it, and drawn small with its truth streaks marked.
 """
 
-import sys
+import argparse
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
@@ -18,21 +19,27 @@ from sboc_e2e.scenario import available, load
 from simulator.chain import Simulator
 
 THUMBNAIL_PX: Final = 360
+MARKED_SNR: Final = 5.0
 MARK_BGR: Final = (80, 190, 60)
 
 
 def thumbnail(name: str, catalogue: StarCatalogue) -> NDArray[np.uint8]:
-    """The middle frame of a scenario with its truth streaks, (height, width, 3) BGR."""
+    """The frame nearest to the middle that shows a streak, with its truth streaks marked, (height, width, 3) BGR."""
     scenario = load(name, registry=Registry())
     made = Simulator(scenario.simulator, seed=scenario.seed, catalogue=catalogue)
-    frame, truth = made.frame(made.n_frames // 2)
+    middle = made.n_frames // 2
+    frame, truth = made.frame(middle)
+    for index in sorted(range(made.n_frames), key=lambda index: abs(index - middle))[1:]:
+        if (truth.streaks["snr"] >= MARKED_SNR).any():
+            break
+        frame, truth = made.frame(index)
     image = frame.pixels.astype(np.float32)
     scale = THUMBNAIL_PX / max(image.shape)
     size = (max(1, round(image.shape[1] * scale)), max(1, round(image.shape[0] * scale)))
     small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
     picture = np.repeat(stretch(small)[:, :, None], 3, axis=2)
     for streak in truth.streaks:
-        if streak["snr"] < 5.0:
+        if streak["snr"] < MARKED_SNR:
             continue
         points = np.stack([streak["path_col"], streak["path_row"]], axis=1) * scale
         # Marked beside the trail, so that the light itself stays visible.
@@ -45,8 +52,11 @@ def thumbnail(name: str, catalogue: StarCatalogue) -> NDArray[np.uint8]:
     return np.asarray(picture)
 
 
-def main(folder: Path) -> None:
+def main(arguments: Sequence[str] | None = None) -> None:
     """Write one PNG for each shipped scenario; recreated frames are on their own page, beside the real ones."""
+    parser = argparse.ArgumentParser(prog="python -m sboc_e2e.report.gallery", description="Thumbnails of the shipped scenarios.")
+    parser.add_argument("folder", type=Path, help="where the PNG files go; made if it is not there")
+    folder: Path = parser.parse_args(arguments).folder
     folder.mkdir(parents=True, exist_ok=True)
     catalogue = StarCatalogue.embedded()
     for name in (name for name in available() if "/" not in name):
@@ -54,4 +64,4 @@ def main(folder: Path) -> None:
 
 
 if __name__ == "__main__":
-    main(Path(sys.argv[1]))
+    main()

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.streaks import known_width
 from ground.streaks.centre_line import LineFit
 from ground.streaks.end_posterior import EndPosterior, interval_68
 from ground.streaks.light_curve import LightCurve
@@ -18,6 +19,9 @@ from sboc_e2e.icd.products import StreakFit, StreakPixels
 from sboc_e2e.icd.signals import Detection
 
 SHARP: Final = 0.75
+EXTENDED_SIGMAS: Final = 3.0
+"""Excess of width from which a point-like source is taken as wider than the PSF."""
+
 WIDE: Final = 1.2
 """Fitted over expected width below or above which a trail is COSMIC_LIKE or DEFOCUSED, if by three sigmas."""
 
@@ -147,6 +151,7 @@ def trail_record(pixels: StreakPixels, detection: Detection, result: TrailResult
     low0, high0 = interval_68(ends.grid0, ends.mass0, ends.end0)
     low1, high1 = interval_68(ends.grid1, ends.mass1, ends.end1)
     width, width_err = psf_width(result.ln_width, result.ln_width_err)
+    flux, flux_err = _flux(result)
     return in_pixel_order(
         StreakFit(
             row0=row0,
@@ -156,8 +161,8 @@ def trail_record(pixels: StreakPixels, detection: Detection, result: TrailResult
             covariance_px2=pixel_covariance(frame, ends.covariance_px2, across),
             end_interval_px=np.array([[-high0, -low0], [low1, high1]]),
             sigma_cross_px=sigma_cross,
-            flux_e=ends.flux_e,
-            flux_err_e=_flux_error(result),
+            flux_e=flux,
+            flux_err_e=flux_err,
             snr=line.snr,
             sagitta_px=float(p[SAGITTA]),
             sagitta_err_px=math.sqrt(c[SAGITTA, SAGITTA]),
@@ -180,15 +185,18 @@ def psf_width(ln_width: float, ln_width_err: float) -> tuple[float, float]:
     return sigma, min(ln_width_err * width**2 / sigma, 1e3)
 
 
-def _flux_error(result: TrailResult) -> float:
-    """Flux error with the fitted width's share, where the width was free (the density scales with it)."""
+def _flux(result: TrailResult) -> tuple[float, float]:
+    """Flux and error, the width's share included: the density scales with it, whether it was free or known within a prior."""
     line, ends = result.line, result.ends
     if LN_WIDTH not in line.free:
-        return ends.flux_err_e
+        excess, error = known_width.posterior(result.ln_width - line.parameters[LN_WIDTH], result.ln_width_err)
+        slope = known_width.flux_slope(ends.density_e_px, float(np.median(line.pixels.variance_e2)), line.width_px)
+        flux = ends.flux_e * math.exp(slope * excess)
+        return flux, math.hypot(ends.flux_err_e, flux * slope * error)
     density = line.covariance[DENSITY, DENSITY]
     ln_width = max(line.covariance[LN_WIDTH, LN_WIDTH], 1e-300)
     share = line.covariance[DENSITY, LN_WIDTH] ** 2 / (density * ln_width)
-    return math.sqrt(ends.flux_err_e**2 + share * density * (ends.end1 - ends.end0) ** 2)
+    return ends.flux_e, math.sqrt(ends.flux_err_e**2 + share * density * (ends.end1 - ends.end0) ** 2)
 
 
 def _trail_flags(pixels: StreakPixels, detection: Detection, result: TrailResult, gaussian_ends: bool) -> StreakFlag:
@@ -215,9 +223,11 @@ def _trail_flags(pixels: StreakPixels, detection: Detection, result: TrailResult
 
 
 def point_record(pixels: StreakPixels, detection: Detection, point: PointFit, wide: PointFit | None) -> StreakFit:
-    """The product record of a source that does not trail: both ends at its centre; `wide`: the fit with free width."""
-    position = point.covariance[1:3, 1:3]
-    sigma = math.sqrt(0.5 * float(np.trace(position)))
+    """The product record of a source that does not trail: both ends at its centre; `wide`: the fit with free width.
+
+    A bright source that moves by a pixel or two shows that it is wider than the PSF, and has its light from the wide fit.
+    """
+    matched_snr = point.snr
     width, width_err = (pixels.psf_sigma_px, math.inf)
     flags = (detection.flags & ~(StreakFlag.COSMIC_LIKE | StreakFlag.CURVED)) | StreakFlag.POINT_LIKE
     if wide is not None:
@@ -228,6 +238,10 @@ def point_record(pixels: StreakPixels, detection: Detection, point: PointFit, wi
             flags |= StreakFlag.COSMIC_LIKE
         if excess > math.log(WIDE) and excess > 3.0 * ln_err:
             flags |= StreakFlag.DEFOCUSED
+        if excess > EXTENDED_SIGMAS * ln_err:
+            point = wide
+    position = point.covariance[1:3, 1:3]
+    sigma = math.sqrt(0.5 * float(np.trace(position)))
     return StreakFit(
         row0=point.row,
         col0=point.col,
@@ -238,7 +252,7 @@ def point_record(pixels: StreakPixels, detection: Detection, point: PointFit, wi
         sigma_cross_px=sigma,
         flux_e=point.flux_e,
         flux_err_e=math.sqrt(point.covariance[0, 0]),
-        snr=point.snr,
+        snr=matched_snr,
         sagitta_px=0.0,
         sagitta_err_px=0.0,
         gradient=0.0,

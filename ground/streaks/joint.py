@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 from scipy.stats import qmc
 
+from ground.streaks import known_width
 from ground.streaks.centre_line import LineFit, effective_width_px, uniform_trail
 from ground.streaks.end_posterior import EndTables, end_tables, lit_length
 from ground.streaks.end_search import coarse_ends
@@ -349,4 +350,14 @@ def _flux(e: _Evidence, x0: NDArray[np.float64], x1: NDArray[np.float64], weight
     first = e.tables.densities @ share
     second = e.tables.densities**2 @ share
     flux = float(weight @ (first * length))
-    return flux, math.sqrt(max(float(weight @ (second * length**2)) - flux**2, 0.0))
+    given_width = math.sqrt(max(float(weight @ (second * length**2)) - flux**2, 0.0))
+    return flux, math.hypot(given_width, flux * _width_error(e.frame))
+
+
+def _width_error(frame: TrackletFrame) -> float:
+    """Relative error of the flux for what the single fit left open of the PSF's width."""
+    fit, variance = frame.fit, frame.pixels.variance_e2
+    width = effective_width_px(fit.width_px)
+    _, error = known_width.posterior(0.0, fit.width_err_px * fit.width_px / width**2)
+    noise = float(np.median(variance[np.isfinite(variance)]))
+    return known_width.flux_slope(fit.flux_e / max(fit.length_px, 1.0), noise, width) * error

@@ -29,8 +29,9 @@ OUTLIER_SIGMAS: Final = 3.5
 
 UNFIT: Final = (
     StreakFlag.FIT_FAILED | StreakFlag.COSMIC_LIKE | StreakFlag.DEFOCUSED | StreakFlag.SATURATED | StreakFlag.STATIC
-    | StreakFlag.SPIKE_LIKE | StreakFlag.CROSSES_STAR
+    | StreakFlag.SPIKE_LIKE | StreakFlag.CROSSES_STAR | StreakFlag.POINT_LIKE
 )  # fmt: skip
+"""What teaches nothing. A bright point that moves by a pixel is wider than the PSF by many of its errors, and does not say so."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -50,4 +50,6 @@ def test_particles_and_defocused_objects_teach_nothing(template: StreakFit) -> N
     sharp = replace(template, width_px=0.2, flags=StreakFlag.COSMIC_LIKE)
     outlier = replace(template, width_px=2.5, width_err_px=0.05)
     faint = replace(template, snr=5.0)
-    assert field.updated([sharp, outlier, faint]) is field
+    # a bright point that moves by a pixel is wider than the PSF by many of its errors, though by little
+    point = replace(template, width_px=0.93, width_err_px=0.004, flags=StreakFlag.POINT_LIKE)
+    assert field.updated([sharp, outlier, faint, point]) is field

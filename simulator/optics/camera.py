@@ -3,6 +3,8 @@
 Pixels are those of the detector's read-out window, unbinned, unless a name says "delivered".
 """
 
+from functools import cached_property
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -102,7 +104,7 @@ class Camera:
         col = 0.5 * (self.shape[1] - 1) * (1.0 + field_col)
         return np.asarray(self.projection.to_vectors(np.array([row]), np.array([col]))[0])
 
-    @property
+    @cached_property
     def radius_rad(self) -> float:
         """Angle from the centre of the field to its farthest corner."""
         centre = self.direction(0.0, 0.0)

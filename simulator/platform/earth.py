@@ -6,7 +6,7 @@ Everything is GCRS axes, kilometres and seconds. ERFA's `epv00` is the ephemeris
 
 import gc
 import warnings
-from functools import cache
+from functools import cache, lru_cache
 from typing import Final
 
 import erfa
@@ -91,6 +91,7 @@ def sun_position_km(tai_ns: int) -> NDArray[np.float64]:
     return -np.asarray(heliocentric["p"]) * AU_KM
 
 
+@lru_cache(maxsize=512)
 def itrs_from_gcrs(tai_ns: int) -> NDArray[np.float64]:
     """(3, 3) matrix that takes GCRS vectors to ITRS: IAU 2006/2000A with UT1 and polar motion from the IERS tables."""
     time = Time(*tai.to_jd_parts(tai_ns), format="jd", scale="tai")
@@ -99,9 +100,9 @@ def itrs_from_gcrs(tai_ns: int) -> NDArray[np.float64]:
     xp, yp = table.pm_xy(utc.jd1, utc.jd2)
     ut1 = time.ut1
     tt = time.tt
-    return np.asarray(
-        erfa.c2t06a(tt.jd1, tt.jd2, ut1.jd1, ut1.jd2, xp.to_value("rad"), yp.to_value("rad")), dtype=np.float64
-    ).reshape(3, 3)
+    out = np.array(erfa.c2t06a(tt.jd1, tt.jd2, ut1.jd1, ut1.jd2, xp.to_value("rad"), yp.to_value("rad"))).reshape(3, 3)
+    out.flags.writeable = False
+    return out
 
 
 def geodetic_position_km(longitude_deg: float, latitude_deg: float, height_m: float) -> NDArray[np.float64]:

@@ -188,7 +188,7 @@ class Sensor:
         if self._entropy is None:
             codes = np.sort(self._pixels.noise[::31, ::17].ravel())
             quantiles = codes[((np.arange(9) + 0.5) / 9 * codes.size).astype(int)]
-            self._entropy = entropy_table(self._pixels.noise_of_e[quantiles], self.options.converter.gain_e_adu)
+            self._entropy = entropy_table(tuple(self._pixels.noise_of_e[quantiles].tolist()), self.options.converter.gain_e_adu)
         converter, readout = self.options.converter, self.options.readout
         top = converter.gain_e_adu * (2.0**converter.bits - 1.0)
         return mean_entropy_bits(

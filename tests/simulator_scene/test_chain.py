@@ -360,3 +360,12 @@ def test_photometry_of_the_default_instrument():
     assert colours[1] == pytest.approx(1.0, abs=1e-3)
     assert colours[0] < 1.0 < colours[2]  # red stars give more photons in a red band for the same V
     assert temperature_of_colour(np.array([0.653]))[0] == pytest.approx(5772.0, rel=0.02)
+
+
+def test_stray_light_is_a_ramp_across_the_columns_and_knows_no_vignetting(catalogue):
+    camera = replace(smoke_options().instrument, stray_light_e_px_s=30.0, stray_gradient=0.4)
+    options = small(instrument=camera, vignetting=VignettingOptions(corner_loss=0.5), stars=StarOptions(enabled=False))
+    mean_e = Simulator(options, seed=1, catalogue=catalogue).mean_electrons(0)
+    across = np.linspace(-0.5, 0.5, mean_e.shape[1])
+    expected = 30.0 * options.shutter.exposure_s * (1.0 + 0.4 * across)
+    assert np.abs(mean_e - expected[None, :]).max() < 1e-4

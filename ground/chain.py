@@ -27,6 +27,7 @@ from ground.refit import refit_streaks
 from ground.sky.measure import initial_epochs_ns, middle_of, with_sky
 from ground.sky.pixel_sky import HeaderSky, PixelSky, SolvedSky
 from ground.streaks.psf_field import PsfField
+from ground.vetting.repeated import repeated
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
@@ -118,8 +119,9 @@ class GroundChain:
         photometry = guarded("photometry", steps.photometry, where, PhotometricSolution, calibrate, frame, solution, calibration)
         sky = _sky_of(frame.header, solution, wcs)
         fits, flats = self._fit_streaks(frame, solution, photometry, calibration, psf)
-        judged = guarded("vetter", steps.vetter, where, object, steps.vetter.probability, fits, frame)
+        judged = guarded("vetter", steps.vetter, where, object, steps.vetter.probability, fits, self._with_known_width(frame))
         probabilities = probabilities_of(steps.vetter, where, judged, len(fits))
+        probabilities = np.where(repeated(fits, probabilities), 0.0, probabilities)
         streaks = tuple(
             self._measurement(number, fit, float(probabilities[number]), frame, solution, photometry, sky, flats[number])
             for number, fit in enumerate(fits)
@@ -164,6 +166,12 @@ class GroundChain:
             orbits=orbits,
             ingest=ingest,
         )
+
+    def _with_known_width(self, frame: DownlinkFrame) -> DownlinkFrame:
+        """The frame with the camera's PSF where its own stars did not tell one and the camera's is more than a guess."""
+        if frame.psf_sigma_px is not None or not self._camera.psf_known:
+            return frame
+        return replace(frame, psf_sigma_px=self._camera.psf_sigma_px)
 
     def _solved(self, state: Any, frame: DownlinkFrame) -> tuple[Any, FrameSolution]:
         """Next state of the astrometry and the frame's solution."""

@@ -24,7 +24,7 @@ ALIGNED_LENGTH_PX: Final = 15.0
 class Features:
     """sharpness : ln of fitted over expected width, pixel included, with its error; NaN where the fit failed.
 
-    chi2_sigmas : (chi2/nu - 1) over its statistical error. lumpiness : relative scatter of the light curve
+    chi2_sigmas : (chi2/nu - 1) over its error, statistical and of the model. lumpiness : relative scatter of the light curve
     beyond the noise, NaN for short ones.
     """
 
@@ -40,19 +40,26 @@ class Features:
     spike: bool
 
 
-def features_of(fit: StreakFit, psf_sigma_px: float) -> Features:
-    """Features of one fit, given the PSF that a real trail would have."""
-    failed = StreakFlag.FIT_FAILED in fit.flags
+def features_of(fit: StreakFit, psf_sigma_px: float, *, ln_psf_error: float = 0.0, model_error: float = 0.0) -> Features:
+    """Features of one fit, given the PSF that a real trail would have.
+
+    ln_psf_error : one sigma of ln psf_sigma_px. model_error : share of a real trail's light that the model may miss or put
+    beside its place; it adds (model_error * snr)^2 to chi2, which therefore says less of brighter trails.
+    """
+    failed = StreakFlag.FIT_FAILED in fit.flags or fit.n_pixels == 0
     seen = fit.width_px**2 + PIXEL_VARIANCE_PX2
     sharpness = 0.5 * math.log(seen / (psf_sigma_px**2 + PIXEL_VARIANCE_PX2))
-    error = fit.width_err_px * fit.width_px / seen
+    error = math.hypot(
+        fit.width_err_px * fit.width_px / seen, ln_psf_error * psf_sigma_px**2 / (psf_sigma_px**2 + PIXEL_VARIANCE_PX2)
+    )
+    chi2_error = math.nan if failed else math.hypot(math.sqrt(2.0 / fit.n_pixels), (model_error * fit.snr) ** 2 / fit.n_pixels)
     angle = min(fit.angle_deg % 90.0, 90.0 - fit.angle_deg % 90.0)
     return Features(
         sharpness=math.nan if failed else sharpness,
         sharpness_err=min(error, 3.0) if math.isfinite(error) else 3.0,
         ln_snr=math.log(max(fit.snr, 1e-3)),
         ln_length=math.log(max(fit.length_px, 0.1)),
-        chi2_sigmas=math.nan if failed else (fit.chi2_nu - 1.0) * math.sqrt(0.5 * fit.n_pixels),
+        chi2_sigmas=math.nan if failed else (fit.chi2_nu - 1.0) / chi2_error,
         lumpiness=_lumpiness(fit),
         aligned=fit.length_px > ALIGNED_LENGTH_PX and angle < ALIGNED_DEG,
         failed=failed,

@@ -6,8 +6,9 @@ frame itself by expectation-maximisation: where a particle storm fills a frame w
 one turn.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -19,6 +20,28 @@ from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.products import StreakFit
 
 ITERATIONS: Final = 40
+
+UNKNOWN_PSF_SIGMA_PX: Final = 1.2
+UNKNOWN_LN_PSF: Final = 0.7
+"""PSF sigma where neither stars nor a camera tell it, and one sigma of its logarithm: half to twice, cameras being sampled."""
+
+WIDEST_UNKNOWN: Final = 3.0
+"""What is wider than so many assumed widths is, if faint, more often a slope of the background than a trail."""
+
+NARROWEST_PX: Final = 0.3
+"""No optics in front of pixels are narrower (FWHM 0.7 px): columns, particles."""
+
+LEAST_SNR_UNKNOWN: Final = 20.0
+"""What residuals of the flat field and rows of stars reach in frames without calibration."""
+
+FARTHEST_OUTSIDE_PX: Final = 20.0
+"""A fit that ends farther outside the frame has left its pixels."""
+
+LN_BRIGHTEST_SNR: Final = math.log(300.0)
+"""The class densities know of debris up to this S/N. Other telescopes see satellites: brighter ones count as this bright."""
+
+LEAST_ELONGATION: Final = 4.0 * 2.355
+"""Length over width (sigma) below which nothing tells a trail from blended stars or a galaxy when no star shows the PSF."""
 
 
 def posterior_of_classes(
@@ -39,13 +62,29 @@ def posterior_of_classes(
     return share
 
 
+def _beyond_knowledge(fit: StreakFit, frame: DownlinkFrame) -> bool:
+    """Whether a frame that nobody calibrated and whose stars tell no PSF cannot carry this fit."""
+    outside = max(-fit.row0, -fit.row1, -fit.col0, -fit.col1)
+    outside = max(outside, max(fit.row0, fit.row1) - frame.header.rows, max(fit.col0, fit.col1) - frame.header.cols)
+    return fit.snr < LEAST_SNR_UNKNOWN or fit.width_px < NARROWEST_PX or outside > FARTHEST_OUTSIDE_PX
+
+
+def _blob(fit: StreakFit, psf_sigma_px: float, *, unknown: bool) -> bool:
+    """Whether a source is too round to be told from blends, galaxies and halos, its width being unknown or not the PSF's."""
+    return fit.length_px < LEAST_ELONGATION * fit.width_px and (unknown or fit.width_px > WIDEST_UNKNOWN * psf_sigma_px)
+
+
 @dataclass(frozen=True, kw_only=True)
 class LikelihoodVetter:
     """Posterior of class membership from the features of a fit; rates are of detections above the detector's threshold."""
 
-    psf_sigma_px: float = field(
-        default=0.85,
-        metadata={"doc": "PSF sigma that a real trail has, in frames whose stars do not tell", "min": 0.05, "max": 100.0},
+    model_error: float = field(
+        default=0.0,
+        metadata={
+            "doc": "share of a real trail's light that turbulence and tracking move from the model",
+            "min": 0.0,
+            "max": 1.0,
+        },
     )
     real_per_frame: float = field(default=0.5, metadata={"doc": "expected real streaks per frame", "min": 1e-9, "max": 1e4})
     noise_per_frame: float = field(default=0.1, metadata={"doc": "expected noise maxima per frame", "min": 1e-9, "max": 1e4})
@@ -77,12 +116,20 @@ class LikelihoodVetter:
         if not fits:
             return np.zeros(0)
         offset, slope = log_odds_calibration()
-        psf_sigma_px = self.psf_sigma_px if frame.psf_sigma_px is None else frame.psf_sigma_px
-        log_odds = self.log_odds([features_of(fit, psf_sigma_px) for fit in fits])
-        probability = 1.0 / (1.0 + np.exp(-(offset + slope * log_odds)))
+        unknown = frame.psf_sigma_px is None
+        psf_sigma_px = UNKNOWN_PSF_SIGMA_PX if frame.psf_sigma_px is None else frame.psf_sigma_px
+        ln_psf_error = math.hypot(UNKNOWN_LN_PSF, self.model_error) if unknown else self.model_error
+        features = [features_of(fit, psf_sigma_px, ln_psf_error=ln_psf_error, model_error=self.model_error) for fit in fits]
+        if unknown:
+            features = [replace(each, ln_snr=min(each.ln_snr, LN_BRIGHTEST_SNR)) for each in features]
+        probability = 1.0 / (1.0 + np.exp(-(offset + slope * self.log_odds(features))))
         # The class densities end far below such widths: stray light, dead borders. No defocus makes them at these ranges.
-        slope_of_sky = [f.width_px > self.widest * psf_sigma_px and f.snr < self.widest_snr for f in fits]
-        return np.asarray(np.where(slope_of_sky, 0.0, probability), dtype=np.float64)
+        widest_px = psf_sigma_px * (min(self.widest, WIDEST_UNKNOWN) if unknown else self.widest)
+        refused = [f.width_px > widest_px and f.snr < self.widest_snr for f in fits]
+        refused = [r or (unknown and _beyond_knowledge(f, frame)) for r, f in zip(refused, fits, strict=True)]
+        if self.model_error > 0.0:
+            refused = [r or _blob(f, psf_sigma_px, unknown=unknown) for r, f in zip(refused, fits, strict=True)]
+        return np.asarray(np.where(refused, 0.0, probability), dtype=np.float64)
 
     def class_rates(self) -> dict[str, tuple[float, float]]:
         """Of each class: expected detections per frame, and how many frames that expectation is worth."""

@@ -117,8 +117,8 @@ class NominalCamera:
     ``v' = v (1 + k1 r2 + k2 r2^2) + p1 (r2 + 2 v^2) + 2 p2 u v``;
     ``col = center_col + focal_px u'``, ``row = center_row + focal_px v'``.
     Photometry, in words: a star gives ``zero_point_e_s * 10**(-0.4 (V + colour_term (B-V - 0.653)))`` e-/s on axis,
-    times the flat; 0.653 is the Sun's B-V. `zero_point_e_s` is None for a camera of which nobody knows it. Values are of
-    delivered (binned) pixels.
+    times the flat; 0.653 is the Sun's B-V. `zero_point_e_s` is None for a camera of which nobody knows it; `psf_known` is
+    False where `psf_sigma_px` is no more than a guess. Values are of delivered (binned) pixels.
     """
 
     name: str
@@ -132,6 +132,7 @@ class NominalCamera:
     p1: float = 0.0
     p2: float = 0.0
     psf_sigma_px: float
+    psf_known: bool = True
     gain_e_adu: float
     read_noise_e: float
     saturation_adu: float

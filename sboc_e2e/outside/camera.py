@@ -45,6 +45,7 @@ def camera_of_frame(sourced: SourcedFrame) -> NominalCamera:
         center_row=0.5 * (header.rows - 1),
         center_col=0.5 * (header.cols - 1),
         psf_sigma_px=star_sigma_px(np.asarray(pixels, dtype=np.float32)) or ASSUMED_PSF_SIGMA_PX,
+        psf_known=False,
         gain_e_adu=gain,
         read_noise_e=header.read_noise_e or 0.0,
         saturation_adu=saturation,

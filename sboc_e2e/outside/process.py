@@ -20,6 +20,9 @@ from sboc_e2e.scenario import Scenario
 
 WCS_CHOICES: Final = ("header", "solve", "none")
 
+MODEL_ERROR: Final = 0.2
+"""Share of a trail's light by which telescopes on the ground differ from the fit's model: turbulence, tracking, tumbling."""
+
 
 @dataclass(kw_only=True)
 class Seen:
@@ -40,7 +43,10 @@ def base_document(wcs: str) -> dict[str, Any]:
         raise UserError(f'--wcs: expected one of {", ".join(WCS_CHOICES)}, got "{wcs[:40]}"')
     return {
         "onboard": {"downlink": {"budget": "0 Mbit/s"}},
-        "ground": {"astrometry": {"lost_in_space": "required" if wcs == "solve" else "never"}},
+        "ground": {
+            "astrometry": {"lost_in_space": "required" if wcs == "solve" else "never"},
+            "vetter": {"model_error": MODEL_ERROR},
+        },
     }
 
 

@@ -9,6 +9,7 @@ import pytest
 from ground.streaks import TrailedPsfFitter
 from ground.vetting import LikelihoodVetter
 from ground.vetting.class_densities import BINS, FLAG_SHARES, RECURRING, class_densities
+from ground.vetting.repeated import repeated
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
@@ -32,6 +33,7 @@ def frame() -> DownlinkFrame:
         background=None,
         thumbnail_adu=None,
         whole_frame=None,
+        psf_sigma_px=PSF_SIGMA_PX,
     )
 
 
@@ -120,3 +122,34 @@ def test_the_width_that_a_frame_reports_is_the_one_that_its_trails_should_have(f
     assert told.min() > 0.9
     assert untold.min() < 0.8
     assert np.median(untold) < np.median(told)
+
+
+def test_where_nobody_knows_the_width_any_is_believed_but_not_in_blobs(frame: DownlinkFrame) -> None:
+    """Without stars or a camera that tell the PSF: wide trails pass, sources no longer than four times their FWHM do not."""
+    rng, fitter, unknown = np.random.default_rng(14), TrailedPsfFitter(), replace(frame, psf_sigma_px=None)
+    wide_px = 3.0 * PSF_SIGMA_PX
+    for length_px, believed in ((80.0, True), (15.0, False)):
+        shots = [expose(rng, trail_at(rng, length_px, sigma_px=wide_px), 40.0, half_px=15.0) for _ in range(4)]
+        fits = [fitter.fit(replace(shot.pixels, psf_sigma_px=wide_px), shot.detection) for shot in shots]
+        vetter = LikelihoodVetter(model_error=0.2)
+        probability = np.array([vetter.probability([fit], unknown)[0] for fit in fits])
+        assert (probability.min() > 0.5) if believed else (probability.max() == 0.0)
+
+
+def test_what_turbulence_does_to_a_bright_trail_is_no_evidence_against_it(
+    fits: dict[str, list[StreakFit]], frame: DownlinkFrame
+) -> None:
+    """Light that lies beside the model adds (share x S/N)^2 to chi-square, whose statistical error takes no notice of it."""
+    ragged = replace(max(fits["real"], key=lambda fit: fit.snr), snr=220.0, chi2_nu=3.2, n_pixels=1900)
+    assert LikelihoodVetter(model_error=0.2).probability([ragged], frame)[0] > 0.9
+    assert LikelihoodVetter().probability([ragged], frame)[0] < LikelihoodVetter(model_error=0.2).probability([ragged], frame)[0]
+
+
+def test_a_trail_found_twice_is_published_once(fits: dict[str, list[StreakFit]]) -> None:
+    """The fainter of two fits on the same line, and a piece of it; another one beside it stays."""
+    bright = max((fit for fit in fits["real"] if fit.length_px > 40.0), key=lambda fit: fit.snr)
+    again = replace(bright, snr=0.8 * bright.snr, row0=bright.row0 + 0.4, row1=bright.row1 - 0.4)
+    piece = replace(again, snr=0.5 * bright.snr, row1=0.5 * (bright.row0 + bright.row1), col1=0.5 * (bright.col0 + bright.col1))
+    beside = replace(again, row0=bright.row0 + 30.0, row1=bright.row1 + 30.0, col0=bright.col0 - 30.0, col1=bright.col1 - 30.0)
+    assert repeated([piece, bright, again, beside], np.ones(4)).tolist() == [True, False, True, False]
+    assert not repeated([piece, bright, again, beside], np.array([0.9, 0.0, 0.0, 0.9])).any(), "by a fit that is not believed"

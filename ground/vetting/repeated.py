@@ -1,0 +1,37 @@
+"""One trail, one streak: wide or ragged trails are detected more than once, along their flanks or in pieces."""
+
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.products import StreakFit
+
+SAME_TRAIL_WIDTHS: Final = 3.0
+SUPPORTS_ABOVE: Final = 0.1
+"""A fit wholly within so many widths of a brighter one of at least this probability is of the same trail."""
+
+
+def repeated(fits: Sequence[StreakFit], probability: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(n,) which fits lie in the light of a brighter probable one: its flanks, or its whole length, found once more."""
+    out = np.zeros(len(fits), dtype=np.bool_)
+    order = sorted(range(len(fits)), key=lambda k: -fits[k].snr)
+    for place, i in enumerate(order):
+        if out[i] or probability[i] < SUPPORTS_ABOVE or not fits[i].length_px > 0.0:
+            continue
+        reach = SAME_TRAIL_WIDTHS * fits[i].width_px
+        for j in order[place + 1 :]:
+            out[j] |= _inside(fits[j], fits[i], reach)
+    return out
+
+
+def _inside(fit: StreakFit, trail: StreakFit, reach: float) -> bool:
+    """Whether both ends of a fit lie within `reach` of the chord of another, its bend allowed for."""
+    drow, dcol = (trail.row1 - trail.row0) / trail.length_px, (trail.col1 - trail.col0) / trail.length_px
+    for row, col in ((fit.row0, fit.col0), (fit.row1, fit.col1)):
+        r, c = row - trail.row0, col - trail.col0
+        along, across = r * drow + c * dcol, r * dcol - c * drow
+        if not -reach <= along <= trail.length_px + reach or abs(across) > reach + abs(trail.sagitta_px):
+            return False
+    return True

@@ -275,7 +275,11 @@ class LineIntegralDetector:
     clip_sigma: float = field(default=3.0, metadata={"doc": "clip of the PSF-smoothed image", "min": 2.0, "max": 7.0})
     halo_px: float = field(
         default=1.0,
-        metadata={"doc": "star mask growth per (S/N / 100)^(1/3); ^(1/2) without an earlier frame", "min": 0.0, "max": 20.0},
+        metadata={
+            "doc": "star mask growth per sqrt(S/N / 100), slower beyond 5000 with an earlier frame",
+            "min": 0.0,
+            "max": 20.0,
+        },
     )
     min_length_px: float = field(default=10.0, metadata={"doc": "least length of a line", "min": 4.0, "max": 1000.0})
     single_frame_margin: float = field(

@@ -26,6 +26,9 @@ HALO_ALONE: Final = 0.5
 HALO_WITH_EARLIER: Final = 1.0 / 3.0
 """... and S^(1/3) covers the steep part; the rest is held against the earlier frame instead of being lost to trails."""
 
+STEEP_HALO: Final = 2.0
+"""Growth per (S/N)^(1/3) over that per its root: 2 % of the light falling as r^-3 from 3 px are then masked down to 0.4 sigma."""
+
 
 @nb.njit(cache=True)
 def _goes_on(

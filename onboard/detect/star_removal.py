@@ -112,7 +112,9 @@ def remove_static_stars(
     static = ~(before < np.maximum(1.5, 0.33 * stars.snr))
     faint = static & (stars.snr < SUBTRACT_SNR) & (before < 1.5 * SUBTRACT_SNR)
     bright = static & ~faint
-    radii = star_mask.mask_radii_px(stars.snr[bright], psf_sigma_px, halo_px, power=star_mask.HALO_WITH_EARLIER)
+    radii = star_mask.mask_radii_px(
+        stars.snr[bright], psf_sigma_px, star_mask.STEEP_HALO * halo_px, power=star_mask.HALO_WITH_EARLIER
+    )
     whiten.blank_discs(image, blocked, stars.row[bright], stars.col[bright], radii)
     static_sky.subtract_stars(image, blocked, stars.row[faint], stars.col[faint], before[faint], psf_sigma_px)
     new = np.flatnonzero(~static)

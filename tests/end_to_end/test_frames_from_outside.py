@@ -15,11 +15,16 @@ SIGMA_PX = 1.2
 
 
 def image_of(rows: int, cols: int) -> np.ndarray:
-    """Sky, a dozen stars, and one bright trail through the middle half of the frame."""
+    """Sky, a dozen stars, and one bright trail through the middle of the frame, in whose line no star stands."""
     rng = np.random.default_rng(rows * cols)
     grid = np.mgrid[:rows, :cols].astype(float)
     image = np.full((rows, cols), 300.0)
-    spots = [(*rng.uniform(0.1, 0.9, 2) * (rows, cols), 4000.0) for _ in range(12)]
+    along = np.array([0.2 * rows, 0.4 * cols]) / np.hypot(0.2 * rows, 0.4 * cols)
+    spots: list[tuple[float, float, float]] = []
+    while len(spots) < 12:
+        row, col = rng.uniform(0.1, 0.9, 2) * (rows, cols)
+        if abs((row - 0.5 * rows) * along[1] - (col - 0.5 * cols) * along[0]) > 8.0:
+            spots.append((row, col, 4000.0))
     spots += [(rows * (0.40 + 0.2 * p), cols * (0.3 + 0.4 * p), 300.0) for p in np.linspace(0.0, 1.0, rows)]
     for row, col, flux in spots:
         image += flux / (2 * np.pi * SIGMA_PX**2) * np.exp(-0.5 * ((grid[0] - row) ** 2 + (grid[1] - col) ** 2) / SIGMA_PX**2)
@@ -49,6 +54,8 @@ def test_frames_of_any_size_and_kind_are_taken(tmp_path: Path, shape: tuple[int,
     frames, streaks = processed(tmp_path / "odd.fits.fz", tmp_path / "out", "--wcs", "none")
     assert list(frames["hdu"]) == [1, 2, 3]
     assert [(int(rows), int(cols)) for rows, cols in zip(frames["rows"], frames["cols"], strict=True)] == [shape] * 3
+    # the frames after it show the same trail at the same place: static, no mover
+    assert near_the_trail(streaks, 0, *shape), streaks
     assert not np.asarray(frames["solved"]).any()
     for name in ("ra_mid_deg", "mag"):
         assert not np.isfinite(np.asarray(streaks[name], dtype=float)).any()

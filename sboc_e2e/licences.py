@@ -1,7 +1,9 @@
 """LICENSES.md from the lock file and the metadata of installed packages: ``python -m sboc_e2e.licences LICENSES.md``."""
 
+import argparse
 import re
 import sys
+from collections.abc import Sequence
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
@@ -38,10 +40,16 @@ def page() -> str:
     return HEAD + "".join(f"| {name} | {version} | {licence_of(name)} |\n" for name, version in pinned)
 
 
-def main(arguments: list[str]) -> int:
+def main(arguments: Sequence[str] | None = None) -> int:
     """Write the page, or with --check say whether the committed one is current."""
-    check, path = "--check" in arguments, Path(arguments[-1])
-    if check:
+    parser = argparse.ArgumentParser(
+        prog="python -m sboc_e2e.licences", description="Licences of all locked packages, as a page."
+    )
+    parser.add_argument("--check", action="store_true", help="write nothing, fail when the page is not current")
+    parser.add_argument("page", type=Path, help="the page's file, LICENSES.md")
+    asked = parser.parse_args(arguments)
+    path: Path = asked.page
+    if asked.check:
         current = path.is_file() and path.read_text(encoding="utf-8") == page()
         if not current:
             print(f"{path}: not current; run: python -m sboc_e2e.licences {path}")
@@ -51,4 +59,4 @@ def main(arguments: list[str]) -> int:
 
 
 if __name__ == "__main__":
-    sys.exit(main(sys.argv[1:]))
+    sys.exit(main())

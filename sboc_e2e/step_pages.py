@@ -3,8 +3,8 @@
 ``python -m sboc_e2e.step_pages docs/steps.md`` writes the page; a test holds it to the code.
 """
 
+import argparse
 import inspect
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -63,4 +63,6 @@ def _options(step: type) -> str:
 
 
 if __name__ == "__main__":
-    Path(sys.argv[1]).write_text(page(), encoding="utf-8")
+    parser = argparse.ArgumentParser(prog="python -m sboc_e2e.step_pages", description="Write the page of steps.")
+    parser.add_argument("page", type=Path, help="the page's file, docs/steps.md")
+    parser.parse_args().page.write_text(page(), encoding="utf-8")

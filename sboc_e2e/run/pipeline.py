@@ -22,6 +22,7 @@ from sboc_e2e.run.progress import Progress, Silent
 from sboc_e2e.run.simulation import FrameMaker, FrameStream, SimulationCost
 from sboc_e2e.scenario import Scenario
 from sboc_e2e.score import Evaluation, evaluate, score_evaluation
+from simulator.chain import Simulator
 
 KEEP_KEY: Final = "output.keep_frames_every"
 
@@ -96,10 +97,14 @@ class Run:
         frames = (self._as_delivered(frame_fits.read(self.directory.frame_file(number))) for number in plan)
         self._finish_onboard(stage, stage.take(frames, self.progress))
 
-    def simulate_and_onboard(self) -> None:
+    def open_simulator(self) -> Simulator:
+        """The scenario's simulator; writes nothing. Raises `UserError` for what it cannot simulate."""
+        return self._maker().simulator()
+
+    def simulate_and_onboard(self, simulator: Simulator | None = None) -> None:
         """Both halves of the space segment, streamed: no more than a few frames exist at a time."""
         maker = self._maker()
-        simulator = maker.simulator()
+        simulator = simulator or maker.simulator()
         self._write_calibration(simulator.calibration)
         stage = self._onboard_stage()
         self.manifest.begin("simulate")
@@ -215,17 +220,18 @@ def run(request: RunRequest, progress: Progress | None = None) -> Run:
     wanted = Manifest.of(directory.manifest, request.scenario)
     require_files(request.scenario.ground)
     disk.check(request.out, request.scenario, shown)
-    manifest = wanted
+    made = Run(directory=directory, manifest=wanted, scenario=request.scenario, workers=workers, progress=shown)
+    # What the simulator refuses leaves no folder behind, and with --force the earlier run stays.
+    simulator = None if request.resume else made.open_simulator()
     if directory.prepare(resume=request.resume, force=request.force):
-        manifest = Manifest.read(directory.manifest)
-        _same_run(manifest, wanted)
+        made.manifest = Manifest.read(directory.manifest)
+        _same_run(made.manifest, wanted)
     else:
-        manifest.save()
-    made = Run(directory=directory, manifest=manifest, scenario=request.scenario, workers=workers, progress=shown)
-    if not manifest.done("onboard"):
-        made.simulate_and_onboard()
+        made.manifest.save()
+    if not made.manifest.done("onboard"):
+        made.simulate_and_onboard(simulator)
     for stage, execute in (("ground", made.ground), ("score", made.score), ("report", made.report)):
-        if not manifest.done(stage):
+        if not made.manifest.done(stage):
             execute()
     return made
 

@@ -7,6 +7,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import RoiGroup
 from sboc_e2e.score.figures import Figure, absent, exact, half_point, proportion, rate
 from sboc_e2e.score.ideal import ideal_snr50, ideal_threshold
@@ -16,6 +17,8 @@ from sboc_e2e.score.trail import draw
 FLUX_HELD: Final = 0.90
 FLUX_OF_FALSE: Final = 0.10
 MAX_AREA_FRACTION: Final = 0.05
+IMPOSTOR: Final = StreakFlag.COSMIC_LIKE | StreakFlag.SPIKE_LIKE
+"""Flags by which the on-board software itself says that a region holds no object."""
 SNR_EDGES: Final = (3.0, 5.0, 6.0, 7.0, 8.0, 10.0, 15.0, 30.0, 100.0, np.inf)
 LENGTH_EDGES: Final = (0.0, 10.0, 20.0, 50.0, 100.0, 200.0, 400.0, 1000.0, 2000.0, np.inf)
 RATE_EDGES: Final = (0.0, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, np.inf)
@@ -28,6 +31,7 @@ class RoiFootprints:
         self._held = np.zeros((0, 0), dtype=np.bool_)
         self.captured: dict[int, float] = {}
         self.false_groups: list[tuple[int, int]] = []
+        self.n_false_unflagged = 0
         self.area_fraction: list[float] = []
         self.n_groups = 0
 
@@ -60,7 +64,9 @@ class RoiFootprints:
         for row, col in footprints:
             self._held[row, col] = False
         self.n_groups += len(groups)
-        self.false_groups += [(frame, group.roi_id) for group, share in zip(groups, best, strict=True) if share < FLUX_OF_FALSE]
+        false = [group for group, share in zip(groups, best, strict=True) if share < FLUX_OF_FALSE]
+        self.false_groups += [(frame, group.roi_id) for group in false]
+        self.n_false_unflagged += sum(not group.detection.flags & IMPOSTOR for group in false)
 
 
 def _bins(truth: Sequence[TruthStreak], detected: NDArray[np.bool_]) -> list[dict[str, Any]]:

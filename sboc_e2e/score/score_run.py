@@ -11,7 +11,7 @@ from sboc_e2e.score.astrometry import frame_astrometry, sky_paths, streak_astrom
 from sboc_e2e.score.compression import compression
 from sboc_e2e.score.detection import MAX_AREA_FRACTION, detection_figures
 from sboc_e2e.score.evaluation import Evaluation, evaluate
-from sboc_e2e.score.figures import absent, bootstrap, exact
+from sboc_e2e.score.figures import absent, bootstrap, exact, rate
 from sboc_e2e.score.linking import linking
 from sboc_e2e.score.lossless import lossless_check
 from sboc_e2e.score.orbit import orbit
@@ -36,6 +36,7 @@ def score_evaluation(e: Evaluation, run_dir: Path | None = None) -> dict[str, An
     sigma_px = float(np.median(e.truth_tables["streaks"]["psf_sigma_px"])) if e.truth else 0.85
     onboard = detection_figures(e.truth, e.detected_onboard, len(e.footprints.false_groups), e.n_frames, e.shape, sigma_px)
     area = e.footprints.area_fraction
+    onboard["false_unflagged_per_frame"] = rate(e.footprints.n_false_unflagged, e.n_frames, e.n_frames)
     onboard["roi_area_fraction"] = bootstrap(area, lambda v: float(v.mean()), "fewer than three frames")
     ground = detection_figures(e.truth, e.detected_ground, len(e.false_rows), e.n_frames, e.shape, sigma_px)
 

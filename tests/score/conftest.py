@@ -76,8 +76,8 @@ class Synthetic:
         out["flags"] = np.full(n, int(StreakFlag.DIRECTION_RESOLVED))
         return out
 
-    def rois(self, shift_px: float = 0.0) -> list[DownlinkFrame]:
-        """Downlinked frames whose strips follow the true trails, moved across by `shift_px`."""
+    def rois(self, shift_px: float = 0.0, flags: StreakFlag = StreakFlag(0)) -> list[DownlinkFrame]:  # noqa: B008 - immutable
+        """Downlinked frames whose strips follow the true trails, moved across by `shift_px`; `flags` as set on board."""
         out = []
         t = self.tables["streaks"]
         for frame in range(self.n_frames):
@@ -93,7 +93,7 @@ class Synthetic:
                     axis=1, major0=major0, minor0_fp=round(minor0 * 65536), slope_fp=round(slope * 65536), level_adu=0,
                     values_adu=np.zeros((n, 15), np.int32),
                 )  # fmt: skip
-                detection = Detection(row0=s["row0"], col0=s["col0"], row1=s["row1"], col1=s["col1"], snr=s["snr"])
+                detection = Detection(row0=s["row0"], col0=s["col0"], row1=s["row1"], col1=s["col1"], snr=s["snr"], flags=flags)
                 groups.append(RoiGroup(roi_id=k, detection=detection, strips=(strip,), n_strips=1))
             out.append(
                 DownlinkFrame(

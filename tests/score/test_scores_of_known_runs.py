@@ -130,11 +130,16 @@ def test_swapped_direction_and_mixed_tracklets_are_seen(synthetic: Factory) -> N
     assert linking["completeness"]["value"] == pytest.approx(1 / 3)
 
 
-def test_rois_beside_the_trail_are_false_and_miss_it(synthetic: Factory) -> None:
+@pytest.mark.parametrize(
+    ("flags", "unflagged"), [(StreakFlag(0), 3.0), (StreakFlag.COSMIC_LIKE, 0.0), (StreakFlag.SPIKE_LIKE, 0.0)]
+)
+def test_rois_beside_the_trail_are_false_and_miss_it(synthetic: Factory, flags: StreakFlag, unflagged: float) -> None:
     run = synthetic(6)
-    score = score_evaluation(run.evaluation(run.perfect_streaks(), run.rois(shift_px=25.0)))["detection"]["onboard"]
+    frames = run.rois(shift_px=25.0, flags=flags)
+    score = score_evaluation(run.evaluation(run.perfect_streaks(), frames))["detection"]["onboard"]
     assert score["completeness_snr8"]["value"] == 0.0
     assert score["false_per_frame"]["value"] == pytest.approx(3.0)
+    assert score["false_unflagged_per_frame"]["value"] == pytest.approx(unflagged)
 
 
 def test_faint_truth_counts_neither_way(synthetic: Factory) -> None:

@@ -47,6 +47,7 @@ def test_an_element_set_that_sgp4_refuses(tmp_path, capsys):
 )
 def test_objects_and_epochs_that_cannot_be(override, words, tmp_path, capsys):
     assert words in words_of(capsys, tmp_path, override)
+    assert not (tmp_path / "run").exists()
 
 
 def test_a_catalogue_without_stars_in_the_field(tmp_path, capsys, monkeypatch):

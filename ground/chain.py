@@ -50,6 +50,10 @@ STREAKS_PER_FRAME: Final = 100_000
 FRAMES_REMEMBERED: Final = 64
 """Frames whose stars are kept while tracklets are refitted."""
 
+LEAST_SNR_ALONE: Final = 6.0
+"""Noise alone has 46 maxima above it in a frame of 4096 x 4096, 0.1 above 7 (Euler characteristic of the S/N over all segments,
+Adler & Taylor 2007): what was detected above 7 and fits below 6 is left to frames that support each other."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class GroundSteps:
@@ -189,7 +193,8 @@ class GroundChain:
 
     def _judged_alone(self, streak: StreakMeasurement) -> StreakMeasurement:
         """A streak that no other frame supports is published on its own probability, which must be higher."""
-        if streak.tracklet_id >= 0 or streak.probability >= self._options.veto_unlinked_below:
+        alone_enough = streak.probability >= self._options.veto_unlinked_below and streak.fit.snr >= LEAST_SNR_ALONE
+        if streak.tracklet_id >= 0 or alone_enough:
             return streak
         return replace(streak, flags=streak.flags | StreakFlag.VETOED)
 

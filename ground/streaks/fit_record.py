@@ -19,11 +19,11 @@ from sboc_e2e.icd.products import StreakFit, StreakPixels
 from sboc_e2e.icd.signals import Detection
 
 SHARP: Final = 0.75
-EXTENDED_SIGMAS: Final = 3.0
-"""Excess of width from which a point-like source is taken as wider than the PSF."""
-
 WIDE: Final = 1.2
 """Fitted over expected width below or above which a trail is COSMIC_LIKE or DEFOCUSED, if by three sigmas."""
+
+EXTENDED_SIGMAS: Final = 3.0
+"""Excess of width from which a point-like source is taken as wider than the PSF."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

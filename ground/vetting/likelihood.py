@@ -123,13 +123,18 @@ class LikelihoodVetter:
         if unknown:
             features = [replace(each, ln_snr=min(each.ln_snr, LN_BRIGHTEST_SNR)) for each in features]
         probability = 1.0 / (1.0 + np.exp(-(offset + slope * self.log_odds(features))))
-        # The class densities end far below such widths: stray light, dead borders. No defocus makes them at these ranges.
-        widest_px = psf_sigma_px * (min(self.widest, WIDEST_UNKNOWN) if unknown else self.widest)
-        refused = [f.width_px > widest_px and f.snr < self.widest_snr for f in fits]
-        refused = [r or (unknown and _beyond_knowledge(f, frame)) for r, f in zip(refused, fits, strict=True)]
-        if self.model_error > 0.0:
-            refused = [r or _blob(f, psf_sigma_px, unknown=unknown) for r, f in zip(refused, fits, strict=True)]
+        refused = [self._refused(fit, frame, psf_sigma_px, unknown=unknown) for fit in fits]
         return np.asarray(np.where(refused, 0.0, probability), dtype=np.float64)
+
+    def _refused(self, fit: StreakFit, frame: DownlinkFrame, psf_sigma_px: float, *, unknown: bool) -> bool:
+        """Whether a fit is no trail whatever the densities say; unknown : the PSF's width is assumed."""
+        # The class densities end far below such widths: stray light, dead borders. No defocus makes them at these ranges.
+        widest = min(self.widest, WIDEST_UNKNOWN) if unknown else self.widest
+        if fit.width_px > widest * psf_sigma_px and fit.snr < self.widest_snr:
+            return True
+        if unknown and _beyond_knowledge(fit, frame):
+            return True
+        return self.model_error > 0.0 and _blob(fit, psf_sigma_px, unknown=unknown)
 
     def class_rates(self) -> dict[str, tuple[float, float]]:
         """Of each class: expected detections per frame, and how many frames that expectation is worth."""

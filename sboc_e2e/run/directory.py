@@ -87,22 +87,26 @@ class RunDirectory:
         if parent.is_dir() and not any(parent.iterdir()):
             parent.rmdir()
 
-    def prepare(self, *, resume: bool, force: bool) -> bool:
-        """Make the directory ready; True when there is an earlier run of it to resume.
+    def check(self, *, resume: bool, force: bool) -> bool:
+        """Whether something is there; touches nothing.
 
-        Raises `UserError` when something is there and neither `resume` nor `force` says what to do with it; `force`
-        removes nothing but run directories.
+        Raises `UserError` when neither `resume` nor `force` says what to do with it, or when it is no run directory.
         """
         if self.path.exists() and not self.path.is_dir():
             raise UserError(f"{self.path}: is a file; --out takes a directory")
         occupied = self.path.is_dir() and any(self.path.iterdir())
         if occupied and not self.manifest.is_file():
             raise UserError(f"{self.path}: is not empty and holds no run (no manifest.json); choose another --out")
-        if occupied and force and not resume:
+        if occupied and not (resume or force):
+            raise UserError(f"{self.path}: holds a run; --resume goes on with it, --force replaces it")
+        return occupied
+
+    def prepare(self, *, resume: bool, force: bool) -> bool:
+        """Make the directory ready after a `check`; True when there is an earlier run of it to resume, else that is removed."""
+        occupied = self.check(resume=resume, force=force)
+        if occupied and not resume:
             shutil.rmtree(self.path)
             occupied = False
-        elif occupied and not resume:
-            raise UserError(f"{self.path}: holds a run; --resume goes on with it, --force replaces it")
         require_writable(self.path)
         if occupied:
             for folder in (self.path, self.frames, self.calibration, self.truth, self.products):

@@ -218,6 +218,7 @@ def run(request: RunRequest, progress: Progress | None = None) -> Run:
     workers = worker_count(request.workers)
     directory = RunDirectory(path=request.out)
     wanted = Manifest.of(directory.manifest, request.scenario)
+    directory.check(resume=request.resume, force=request.force)
     require_files(request.scenario.ground)
     disk.check(request.out, request.scenario, shown)
     made = Run(directory=directory, manifest=wanted, scenario=request.scenario, workers=workers, progress=shown)

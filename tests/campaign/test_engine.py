@@ -5,7 +5,6 @@ import os
 import signal
 import subprocess
 import sys
-import time
 from contextlib import suppress
 from pathlib import Path
 
@@ -18,6 +17,7 @@ from sboc_e2e.campaign.engine import failure_path, shard_path
 from sboc_e2e.campaign.pages import write_results
 from sboc_e2e.cli.main import run
 from sboc_e2e.scenario.toml_files import FOLDER
+from tests.processes import wait_for
 
 TEXT = """
 scenario = "smoke"
@@ -120,13 +120,6 @@ def test_a_sweep_killed_at_twenty_points_ends_with_the_same_bytes(tmp_path: Path
         if kills == 20:
             break
     assert kills == 20
-
-
-def wait_for(folder: Path, child: subprocess.Popen[bytes]) -> None:
-    """Until the folder is there or the process has ended."""
-    deadline = time.monotonic() + 120.0
-    while not folder.exists() and child.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.01)
 
 
 @pytest.mark.slow

@@ -33,6 +33,7 @@ from simulator.scene.encounters import PopulationOptions
 from simulator.scene.sky import SkyOptions
 from simulator.scene.sources import ObjectOptions
 from simulator.scene.stars import StarOptions
+from tests.star_light import check_places
 
 LIMIT_PX = 1e-3
 STILL = JitterOptions(
@@ -60,19 +61,7 @@ def test_light_truth_and_header_agree(tmp_path: Path) -> None:
     # Light against truth labels, both through the file: FITS pixel = index + 1.
     frame_fits.write(tmp_path / "0.fits", replace(frame, pixels=simulator.mean_electrons(0)))
     image = fits.getdata(tmp_path / "0.fits").astype(np.float64)
-    stars, at, checked = truth.stars, np.arange(-9, 10), 0
-    for star in stars:
-        neighbours = np.hypot(stars["row"] - star["row"], stars["col"] - star["col"]) < 25.0
-        row, col = round(float(star["row"])), round(float(star["col"]))
-        if neighbours.sum() > 1 or not (12 < row < image.shape[0] - 12 and 12 < col < image.shape[1] - 12):
-            continue
-        box = image[row - 9 : row + 10, col - 9 : col + 10]
-        if box.sum() > 1.002 * star["flux_e"]:  # a star too faint for the truth table lies in the box
-            continue
-        assert abs(box.sum(axis=1) @ at / box.sum() + row - star["row"]) < LIMIT_PX
-        assert abs(box.sum(axis=0) @ at / box.sum() + col - star["col"]) < LIMIT_PX
-        checked += 1
-    assert checked >= 5
+    assert check_places(image, truth.stars, LIMIT_PX) >= 5
 
     # Truth labels against the header.
     camera, told = simulator.calibration().camera, truth.frame

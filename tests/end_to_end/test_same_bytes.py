@@ -13,6 +13,7 @@ import pytest
 from sboc_e2e.run import run
 from sboc_e2e.run.pipeline import Run
 from tests.end_to_end.conftest import command, digest, request, tiny
+from tests.processes import wait_for
 
 
 def test_two_workers_give_the_same_bytes_as_one(finished: Run, tmp_path: Path) -> None:
@@ -26,9 +27,7 @@ def killed_and_resumed(scenario_file: Path, out: Path, delay_s: float, extra: tu
     """Kill a run after a while and resume it; whether it was still running when killed."""
     arguments = [sys.executable, "-m", "sboc_e2e", "run", str(scenario_file), "--out", str(out), *extra]
     process = subprocess.Popen(arguments, stderr=subprocess.DEVNULL, start_new_session=True)
-    deadline = time.monotonic() + 120.0
-    while not (out / "manifest.json").exists() and process.poll() is None and time.monotonic() < deadline:
-        time.sleep(0.01)
+    wait_for(out / "manifest.json", process)
     time.sleep(delay_s)
     running = process.poll() is None
     if running:

@@ -16,6 +16,7 @@ from astropy.utils import iers
 from hypothesis import HealthCheck, settings
 
 iers.conf.auto_download = False
+iers.conf.auto_max_age = None
 iers.conf.iers_degraded_accuracy = "ignore"
 
 settings.register_profile("house", deadline=None, derandomize=True, max_examples=60, suppress_health_check=[HealthCheck.too_slow])

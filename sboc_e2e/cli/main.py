@@ -20,7 +20,6 @@ from sboc_e2e.kernel_cache import use_cache_of_these_sources
 use_cache_of_these_sources()
 
 import typer
-from astropy.utils import iers
 
 from sboc_e2e.cli import studies, validation  # noqa: F401 - their commands join the application when they are imported
 from sboc_e2e.cli.application import app
@@ -48,8 +47,6 @@ MENDABLE: Final = {
 
 def main() -> None:
     """Run the command line and leave with an exit code."""
-    iers.conf.auto_download = False
-    iers.conf.iers_degraded_accuracy = "ignore"
     sys.exit(run(sys.argv[1:]))
 
 

@@ -29,7 +29,9 @@ SUN_RADIUS_KM: Final = 695700.0
 LIGHT_KM_S: Final = 299792.458
 DAY_S: Final = 86400.0
 
+# The installed tables, whatever today's date is: a run must give the same bytes next year, and without a network.
 iers.conf.auto_download = False
+iers.conf.auto_max_age = None
 iers.conf.iers_degraded_accuracy = "warn"
 
 

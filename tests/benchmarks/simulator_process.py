@@ -14,7 +14,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-from astropy.utils import iers
 
 from sboc_e2e.catalogue import StarCatalogue
 from simulator.chain import Simulator
@@ -65,7 +64,6 @@ def options(size_px: int, faint_limit_mag: float, n_streaks: int) -> SimulatorOp
 
 def measure(size_px: int, faint_limit_mag: float, n_streaks: int) -> dict[str, Any]:
     """The figures, measured in this process."""
-    iers.conf.auto_download = False
     simulator = Simulator(options(size_px, faint_limit_mag, n_streaks), seed=1, catalogue=StarCatalogue.embedded())
     costs, peaks, made = [], [], None
     for k in range(N_FRAMES):

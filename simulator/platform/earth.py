@@ -4,19 +4,18 @@ Everything is GCRS axes, kilometres and seconds. ERFA's `epv00` is the ephemeris
 1 mas of aberration and 1 arcsec of Sun direction).
 """
 
-import gc
 import warnings
-from functools import cache, lru_cache
+from functools import lru_cache
 from typing import Final
 
 import erfa
 import numpy as np
 from astropy.time import Time
-from astropy.utils import iers
 from numpy.typing import NDArray
 
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
+from simulator.platform import earth_orientation
 
 MU_KM3_S2: Final = 398600.4418
 EARTH_RADIUS_KM: Final = 6378.137
@@ -28,19 +27,6 @@ AU_KM: Final = 149597870.7
 SUN_RADIUS_KM: Final = 695700.0
 LIGHT_KM_S: Final = 299792.458
 DAY_S: Final = 86400.0
-
-# The installed tables, whatever today's date is: a run must give the same bytes next year, and without a network.
-iers.conf.auto_download = False
-iers.conf.auto_max_age = None
-iers.conf.iers_degraded_accuracy = "warn"
-
-
-@cache
-def _orientation_data() -> iers.IERS:
-    """The installed Earth-orientation data. Their reader leaves 80 MB of dead objects in reference cycles."""
-    table = iers.earth_orientation_table.get()
-    gc.collect()
-    return table
 
 
 def tai_ns_of_utc(epoch_utc: str) -> int:
@@ -61,8 +47,8 @@ def tai_ns_of_utc(epoch_utc: str) -> int:
 
 def refuse_outside_data(tai_ns: int) -> None:
     """UserError for an epoch that the installed Earth-orientation data do not cover."""
-    table = _orientation_data()
-    first, last = float(table["MJD"][0].value), float(table["MJD"][-1].value)
+    days = earth_orientation.daily_values().mjd
+    first, last = days[0], days[-1]
     time = Time(*tai.to_jd_parts(tai_ns), format="jd", scale="tai")
     if not first <= time.mjd <= last:
         allowed = f"{Time(first, format='mjd').iso[:10]} to {Time(last, format='mjd').iso[:10]}"
@@ -96,13 +82,8 @@ def sun_position_km(tai_ns: int) -> NDArray[np.float64]:
 @lru_cache(maxsize=512)
 def itrs_from_gcrs(tai_ns: int) -> NDArray[np.float64]:
     """(3, 3) matrix that takes GCRS vectors to ITRS: IAU 2006/2000A with UT1 and polar motion from the IERS tables."""
-    time = Time(*tai.to_jd_parts(tai_ns), format="jd", scale="tai")
-    table = _orientation_data()
-    utc = time.utc
-    xp, yp = table.pm_xy(utc.jd1, utc.jd2)
-    ut1 = time.ut1
-    tt = time.tt
-    out = np.array(erfa.c2t06a(tt.jd1, tt.jd2, ut1.jd1, ut1.jd2, xp.to_value("rad"), yp.to_value("rad"))).reshape(3, 3)
+    now = earth_orientation.at(tai_ns)
+    out = np.array(erfa.c2t06a(*tt_parts(tai_ns), *now.ut1, now.x_rad, now.y_rad)).reshape(3, 3)
     out.flags.writeable = False
     return out
 

@@ -9,14 +9,13 @@ from pathlib import Path
 import erfa
 import numpy as np
 from astropy.time import Time
-from astropy.utils import iers
 from numpy.typing import NDArray
 from sgp4 import omm
 from sgp4.api import SGP4_ERRORS, WGS72, Satrec, SatrecArray
 
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
-from simulator.platform import earth
+from simulator.platform import earth, earth_orientation
 from simulator.scene.objects import Identity, OrbitingObject
 
 Array = NDArray[np.float64]
@@ -113,11 +112,9 @@ def gcrs_from_teme(tai_ns: int) -> Array:
 
     TEME turns to the Earth-fixed frame by GMST82; from there IAU 2006/2000A leads to the GCRS.
     """
-    time = Time(*tai.to_jd_parts(tai_ns), format="jd", scale="tai")
-    xp, yp = iers.earth_orientation_table.get().pm_xy(time.utc.jd1, time.utc.jd2)
-    ut1 = time.ut1
-    spin = erfa.rz(erfa.gmst82(ut1.jd1, ut1.jd2), np.eye(3))
-    polar = erfa.pom00(float(xp.to_value("rad")), float(yp.to_value("rad")), 0.0)
+    now = earth_orientation.at(tai_ns)
+    spin = erfa.rz(erfa.gmst82(*now.ut1), np.eye(3))
+    polar = erfa.pom00(now.x_rad, now.y_rad, 0.0)
     return np.asarray(earth.itrs_from_gcrs(tai_ns).T @ polar @ spin)
 
 

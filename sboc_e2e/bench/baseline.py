@@ -3,6 +3,7 @@
 A figure is kept with the standard deviation of its measured noise (its 90 % interval as a normal's). It has regressed when it
 is worse by more than four standard deviations of baseline and measurement together, and by more than a floor. Figures without
 a measured noise are reported and not judged; timings and memory have a fixed tolerance. Biases are judged by their size.
+Timings are compared in units of the part's yardstick: a baseline made on a fast machine serves on a slow one.
 """
 
 import json
@@ -11,6 +12,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
+from sboc_e2e.bench import yardstick
 from sboc_e2e.bench.entries import EITHER, LOWER, Entry
 from sboc_e2e.files.atomic import write_text
 from sboc_e2e.icd.errors import UserError
@@ -19,9 +21,11 @@ SIGMAS: Final = 4.0
 FLOOR_SHARE: Final = 0.02
 """Smallest change that counts, as a share of the baseline: differences below are not worth a failed build."""
 
-TIMING_UNITS: Final = ("s", "ms", "MB", "MB/s")
-TIMING_SHARE: Final = 0.5
-"""Timings and memory of shared machines scatter by tens of per cent; ratios to peers in the same run are the sharper test."""
+MACHINE_POWER: Final = {"s": 1, "ms": 1, "MB/s": -1, "MB": 0}
+"""Power of the yardstick's time that figures of a unit follow from machine to machine."""
+MACHINE_SHARE: Final = {"s": 0.5, "ms": 0.5, "MB/s": 0.5, "MB": 0.1}
+"""Smallest change of such figures that counts: timings of shared machines scatter by tens of per cent even in units of the
+yardstick; ratios to peers in the same run are the sharper test."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -30,6 +34,7 @@ class Regression:
 
     name: str
     before: float
+    """What the baseline has; timings as this machine would have taken."""
     now: float
     allowed: float
 
@@ -40,12 +45,20 @@ class Regression:
 
 def judged(e: Entry) -> bool:
     """Whether a figure can regress: it has a value, a better direction, and a noise that is known."""
-    return e.value is not None and e.better != EITHER and (e.measured or e.unit in TIMING_UNITS)
+    return e.value is not None and e.better != EITHER and (e.measured or e.unit in MACHINE_SHARE)
+
+
+def _is_yardstick(e: Entry) -> bool:
+    return e.name.endswith(f".{yardstick.NAME}")
+
+
+def _part(e: Entry) -> str:
+    return e.name.partition(".")[0]
 
 
 def write_baseline(path: Path, entries: Iterable[Entry]) -> None:
-    """Keep values and their noise of all figures that can regress."""
-    kept = {e.name: {"value": e.value, "sigma": e.sigma} for e in entries if judged(e)}
+    """Keep values and their noise of all figures that can regress, and the yardsticks."""
+    kept = {e.name: {"value": e.value, "sigma": e.sigma} for e in entries if judged(e) or _is_yardstick(e)}
     write_text(path, json.dumps(kept, indent=1, sort_keys=True) + "\n")
 
 
@@ -61,15 +74,20 @@ def read_baseline(path: Path) -> dict[str, dict[str, float]]:
 
 def regressions(entries: Iterable[Entry], baseline: dict[str, dict[str, float]]) -> list[Regression]:
     """Figures that are worse than the baseline by more than four sigma of both and the floor."""
+    entries = list(entries)
+    slower = {
+        _part(e): e.value / baseline[e.name]["value"] for e in entries if _is_yardstick(e) and e.value and e.name in baseline
+    }
     out = []
     for e in entries:
         before = baseline.get(e.name)
         if before is None or e.value is None or not judged(e):
             continue
-        signed = float(before["value"])
+        scale = slower.get(_part(e), 1.0) ** MACHINE_POWER.get(e.unit, 0)
+        signed, sigma = scale * float(before["value"]), scale * float(before["sigma"])
         value, now = (abs(signed), abs(e.value)) if "bias" in e.name else (signed, e.value)
-        share = TIMING_SHARE if e.unit in TIMING_UNITS else FLOOR_SHARE
-        allowed = max(SIGMAS * (e.sigma**2 + float(before["sigma"]) ** 2) ** 0.5, share * value, 1e-9)
+        share = MACHINE_SHARE.get(e.unit, FLOOR_SHARE)
+        allowed = max(SIGMAS * (e.sigma**2 + sigma**2) ** 0.5, share * value, 1e-9)
         worse = now - value if e.better == LOWER else value - now
         if worse > allowed:
             out.append(Regression(name=e.name, before=signed, now=e.value, allowed=allowed))

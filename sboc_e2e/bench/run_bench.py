@@ -16,6 +16,8 @@ from sboc_e2e.bench.baseline import Regression, read_baseline, regressions, writ
 from sboc_e2e.bench.entries import Entry, flatten
 from sboc_e2e.bench.pages import write_pages
 from sboc_e2e.bench.parts import COSTS, ROOT, SCRIPTS, Part, cost_words, expected_costs, parts
+from sboc_e2e.bench.yardstick import NAME as YARDSTICK
+from sboc_e2e.bench.yardstick import yardstick_s
 from sboc_e2e.files.atomic import require_writable, write_json
 from sboc_e2e.icd.errors import UserError
 
@@ -96,13 +98,15 @@ def _measure(wanted: list[Part], out: Path, processors: int, report: Callable[[s
 
     def one(part: Part) -> Measured:
         report(f"{'run' if part.scenario else 'bench'} {part.name}")
-        began = time.monotonic()
+        began, fast = time.monotonic(), yardstick_s()
         try:
             made = _scores_of_run(part, out / "runs" / part.name) if part.scenario else flatten(part.name, _run_script(part, out))
         except UserError as error:
             # The other parts took minutes: they are worth a report of their own.
             report(f"FAILED {part.name}: {error}")
             made = [Entry(name=part.name, value=None, n=0, low=0.0, high=0.0, reason=str(error))]
+        both = sorted((fast, yardstick_s()))
+        made.append(Entry(name=f"{part.name}.{YARDSTICK}", value=sum(both) / 2, n=2, low=both[0], high=both[1]))
         return made, time.monotonic() - began
 
     done = {part.name: one(part) for part in wanted if part.alone}

@@ -78,3 +78,19 @@ def test_a_bias_is_judged_by_its_size(tmp_path: Path) -> None:
     write_baseline(path, [entry("x.bias_mag", 0.01, 0.01)])
     assert regressions([entry("x.bias_mag", -0.011, 0.01)], read_baseline(path)) == []
     assert [r.name for r in regressions([entry("x.bias_mag", -0.2, 0.01)], read_baseline(path))] == ["x.bias_mag"]
+
+
+def test_timings_are_compared_in_units_of_the_yardstick(tmp_path: Path) -> None:
+    """On a machine of half the speed twice the CPU seconds are no regression, and the same seconds hide one of a factor two."""
+    path = tmp_path / "baseline.json"
+    write_baseline(
+        path, [entry("x.yardstick_s", 0.1), entry("x.cpu_s", 1.0), entry("x.encode_mb_s", 400.0), entry("x.rss_mb", 300.0)]
+    )
+    slow = [entry("x.yardstick_s", 0.2), entry("x.cpu_s", 2.0), entry("x.encode_mb_s", 200.0), entry("x.rss_mb", 300.0)]
+    assert regressions(slow, read_baseline(path)) == []
+    fast = [entry("x.yardstick_s", 0.05), entry("x.cpu_s", 1.0), entry("x.encode_mb_s", 390.0), entry("x.rss_mb", 340.0)]
+    assert [(r.name, r.before) for r in regressions(fast, read_baseline(path))] == [
+        ("x.cpu_s", 0.5),
+        ("x.encode_mb_s", 800.0),
+        ("x.rss_mb", 300.0),
+    ]

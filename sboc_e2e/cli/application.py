@@ -7,10 +7,9 @@ from typing import Annotated
 
 import typer
 
-from sboc_e2e.cli.progress import make_progress
+from sboc_e2e.cli.progress import BarProgress, PlainProgress, make_progress
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import SEAMS, Registry, plugin_names
-from sboc_e2e.run.progress import Progress
 
 app = typer.Typer(
     add_completion=False,
@@ -30,7 +29,7 @@ RunDir = Annotated[Path, typer.Argument(metavar="RUN_DIR", help="directory of a 
 
 
 @contextmanager
-def shown_progress() -> Iterator[Progress]:
+def shown_progress() -> Iterator[PlainProgress | BarProgress]:
     """Progress that leaves the terminal tidy."""
     progress = make_progress()
     try:

@@ -20,6 +20,7 @@ from ground.options import GroundOptions
 from ground.photometry.known_stars import FrameLight, frame_light
 from ground.photometry.magnitude import streak_magnitude
 from ground.photometry.psf_width import in_frame, with_star_list
+from ground.photometry.sky_memory import filtered_sky
 from ground.photometry.streak_pixels import streak_pixels
 from ground.photometry.zero_point import flat_at
 from ground.records import FrameProducts, GroundProducts, GroundState
@@ -110,6 +111,7 @@ class GroundChain:
         """
         calibration = self._calibration_of(frame.header)
         astrometry, psf = state.astrometry, state.psf
+        sky_memory, frame = filtered_sky(state.sky, frame)
         if not state.growth_known:
             psf = with_star_list(psf, frame)
         growth_known = state.growth_known or psf is not state.psf
@@ -138,9 +140,11 @@ class GroundChain:
             streaks=streaks,
             mean_flat=tuple(flats),
             psf=psf,
+            background=frame.background,
             wcs=wcs,
         )
-        return GroundState(astrometry=astrometry, psf=psf.updated(likely), growth_known=growth_known), products
+        state = GroundState(astrometry=astrometry, psf=psf.updated(likely), growth_known=growth_known, sky=sky_memory)
+        return state, products
 
     def finish(
         self, frames: Sequence[DownlinkFrame], products: Sequence[FrameProducts], ingest: IngestReport | None = None
@@ -210,7 +214,8 @@ class GroundChain:
             return self._light(frames[place[number]], product.solution, product.photometry, product.psf)
 
         def pixels_of(streak: StreakMeasurement) -> StreakPixels:
-            frame = frames[place[streak.frame]]
+            position = place[streak.frame]
+            frame = replace(frames[position], background=products[position].background)
             group = frame.rois[streak.streak_id - streak.frame * STREAKS_PER_FRAME]
             return self._pixels(group, frame, light_of(streak.frame))[0]
 

@@ -4,9 +4,11 @@ from dataclasses import dataclass
 from typing import Any
 
 from ground.ingest import IngestReport
+from ground.photometry.sky_memory import SkyMemory
 from ground.streaks.psf_field import PsfField
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution, OrbitEstimate, PhotometricSolution, StreakMeasurement, Tracklet
+from sboc_e2e.icd.signals import BackgroundModel
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -14,12 +16,13 @@ class GroundState:
     """What the chain carries from frame to frame.
 
     astrometry : state of the astrometry step. psf : learned width of the PSF. growth_known : whether a star list has told
-    how it grows over the field.
+    how it grows over the field. sky : level of the sky on the mesh, None before the first frame.
     """
 
     astrometry: Any
     psf: PsfField
     growth_known: bool = False
+    sky: SkyMemory | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -28,6 +31,7 @@ class FrameProducts:
 
     streaks : all measured ones, vetoed ones flagged VETOED. mean_flat : response at each streak relative to the axis.
     psf : width of the PSF over the field, as the run knew it when this frame came.
+    background : mesh of the sky with the level that the frames so far give.
     wcs : the astropy WCS that came with the frame and was used, None when the frame was solved.
     """
 
@@ -37,6 +41,7 @@ class FrameProducts:
     streaks: tuple[StreakMeasurement, ...]
     mean_flat: tuple[float, ...]
     psf: PsfField
+    background: BackgroundModel | None
     wcs: Any = None
 
 

@@ -21,6 +21,7 @@ from ground.photometry.known_stars import FrameLight, frame_light
 from ground.photometry.magnitude import streak_magnitude
 from ground.photometry.psf_width import in_frame, with_star_list
 from ground.photometry.sky_memory import filtered_sky
+from ground.photometry.star_memory import with_hidden_stars
 from ground.photometry.streak_pixels import streak_pixels
 from ground.photometry.zero_point import flat_at
 from ground.records import FrameProducts, GroundProducts, GroundState
@@ -124,6 +125,7 @@ class GroundChain:
         calibrate = steps.photometry.calibrate
         photometry = guarded("photometry", steps.photometry, where, PhotometricSolution, calibrate, frame, solution, calibration)
         sky = _sky_of(frame.header, solution, wcs)
+        star_memory, frame = with_hidden_stars(state.stars, frame, solution)
         fits, flats = self._fit_streaks(frame, solution, photometry, calibration, psf)
         judged = guarded("vetter", steps.vetter, where, object, steps.vetter.probability, fits, self._with_known_width(frame))
         probabilities = probabilities_of(steps.vetter, where, judged, len(fits))
@@ -143,7 +145,9 @@ class GroundChain:
             background=frame.background,
             wcs=wcs,
         )
-        state = GroundState(astrometry=astrometry, psf=psf.updated(likely), growth_known=growth_known, sky=sky_memory)
+        state = GroundState(
+            astrometry=astrometry, psf=psf.updated(likely), growth_known=growth_known, sky=sky_memory, stars=star_memory
+        )
         return state, products
 
     def finish(

@@ -5,6 +5,7 @@ from typing import Any
 
 from ground.ingest import IngestReport
 from ground.photometry.sky_memory import SkyMemory
+from ground.photometry.star_memory import EarlierStars
 from ground.streaks.psf_field import PsfField
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution, OrbitEstimate, PhotometricSolution, StreakMeasurement, Tracklet
@@ -16,13 +17,15 @@ class GroundState:
     """What the chain carries from frame to frame.
 
     astrometry : state of the astrometry step. psf : learned width of the PSF. growth_known : whether a star list has told
-    how it grows over the field. sky : level of the sky on the mesh, None before the first frame.
+    how it grows over the field. sky : level of the sky on the mesh, None before the first frame. stars : those under
+    the regions of the last frames.
     """
 
     astrometry: Any
     psf: PsfField
     growth_known: bool = False
     sky: SkyMemory | None = None
+    stars: tuple[EarlierStars, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

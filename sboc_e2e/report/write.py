@@ -13,7 +13,7 @@ from sboc_e2e.report.layers import cases, completeness_series, frame_layers
 from sboc_e2e.report.words import figure_words, section_rows
 from sboc_e2e.score.astrometry import frame_astrometry, sky_paths, streak_astrometry
 from sboc_e2e.score.evaluation import Evaluation, evaluate
-from sboc_e2e.score.photometry import photometry
+from sboc_e2e.score.photometry import mean_magnitudes, photometry
 
 MAX_PREVIEWS: Final = 24
 RESIDUALS_TITLE: Final = "Streak positions against their bounds"
@@ -121,7 +121,7 @@ def _plots(score: dict[str, Any], e: Evaluation) -> list[tuple[str, str]]:
     _, grids = frame_astrometry(e.frames, e.truth_tables["frames"])
     if grids:
         out.append(("Frame solution minus truth, mean over frames", plots.frame_vectors(grids)))
-    truth_mag = {t.index: float(e.truth_tables["streaks"]["mag"][t.index]) for t in e.truth}
+    truth_mag = mean_magnitudes(e.truth_tables["streaks"], e.truth)
     _, magnitudes = photometry(e.streaks, measured, truth_mag, e.bounds, e.frames, e.truth_tables["frames"])
     if magnitudes:
         out.append(("Streak magnitudes", plots.magnitudes(magnitudes)))

@@ -1,7 +1,7 @@
 """Magnitudes against the truth and against the flux bound; zero points."""
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -10,6 +10,20 @@ from astropy.table import Table
 from sboc_e2e.score.bounds import TrailBounds
 from sboc_e2e.score.figures import bootstrap, pull_width, rms
 from sboc_e2e.score.matching import TruthStreak
+
+
+def mean_magnitudes(streaks: Table, truth: Sequence[TruthStreak]) -> dict[int, float]:
+    """V of the mean light of each trail, by truth index: the table's is that of mid-trail, where a tumbling object may flash.
+
+    streaks : truth table of trails.
+    """
+    out = {}
+    for t in truth:
+        light = t.path.flux_e_s
+        mean = float(np.trapezoid(light)) / (len(light) - 1)
+        middle = float(light[len(light) // 2])
+        out[t.index] = float(streaks["mag"][t.index]) - 2.5 * math.log10(max(mean, 1e-300) / max(middle, 1e-300))
+    return out
 
 
 def photometry(

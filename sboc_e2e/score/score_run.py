@@ -15,7 +15,7 @@ from sboc_e2e.score.figures import absent, bootstrap, exact, rate
 from sboc_e2e.score.linking import linking
 from sboc_e2e.score.lossless import lossless_check
 from sboc_e2e.score.orbit import orbit
-from sboc_e2e.score.photometry import photometry
+from sboc_e2e.score.photometry import mean_magnitudes, photometry
 from sboc_e2e.score.population import detections_per_day
 from sboc_e2e.score.recovery import counted, field_deg, recovery
 from sboc_e2e.score.timing import timing
@@ -44,7 +44,7 @@ def score_evaluation(e: Evaluation, run_dir: Path | None = None) -> dict[str, An
     measured = {row: t for row, t in e.pairs.items() if t.counted and row in set(e.accepted)}
     streak_figures, _ = streak_astrometry(e.streaks, measured, e.bounds, sky_paths(e.truth_tables["streaks"], wanted))
     frame_figures, _ = frame_astrometry(e.frames, e.truth_tables["frames"])
-    truth_mag = {t.index: float(e.truth_tables["streaks"]["mag"][t.index]) for t in e.truth}
+    truth_mag = mean_magnitudes(e.truth_tables["streaks"], e.truth)
     magnitudes, _ = photometry(e.streaks, measured, truth_mag, e.bounds, e.frames, e.truth_tables["frames"])
     links, owner = linking(e.streaks, e.pairs, e.n_frames)
 

@@ -1,12 +1,14 @@
 """Known detections with known errors give the known scores; perfect scores 1, empty 0, shouting is punished."""
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from astropy.table import Table, vstack
 
 from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.score.photometry import mean_magnitudes
 from sboc_e2e.score.score_run import score_evaluation
 from tests.score.conftest import PIXEL_ARCSEC, Synthetic
 
@@ -115,6 +117,18 @@ def test_magnitudes(synthetic: Factory) -> None:
     score = score_evaluation(run.evaluation(streaks))["photometry"]
     assert score["bias_mag"]["value"] == pytest.approx(0.02, abs=0.01)
     assert score["rms_mag"]["value"] == pytest.approx(np.hypot(0.02, 0.05), rel=0.1)
+
+
+def test_a_flash_at_mid_trail_is_not_the_brightness_of_the_trail(synthetic: Factory) -> None:
+    run = synthetic(20)
+    evaluation = run.evaluation(run.perfect_streaks())
+    truth = evaluation.truth[0]
+    light = np.ones(33)
+    light[16] = 3.0
+    flashing = replace(truth, path=replace(truth.path, flux_e_s=light))
+    mag = mean_magnitudes(evaluation.truth_tables["streaks"], [flashing])[truth.index]
+    # 34 / 32 of the steady light in all, three times as much in the middle
+    assert mag == pytest.approx(11.0 - 2.5 * np.log10(34.0 / 32.0 / 3.0))
 
 
 def test_swapped_direction_and_mixed_tracklets_are_seen(synthetic: Factory) -> None:

@@ -10,6 +10,7 @@ from ground.astrometry import lost_in_space
 from ground.astrometry.apparent import apparent_directions, jyear_of, mid_frame_tai_ns, observer_at
 from ground.astrometry.camera import SHARED, Camera
 from ground.astrometry.camera_fit import CameraPrior, CameraSolution, fit_camera
+from ground.astrometry.lost_in_space import PatternMatch
 from ground.astrometry.matching import mutual_pairs, vote_offset
 from ground.astrometry.rotation import matrix_of, quaternion_of, rotation_by
 from sboc_e2e.catalogue import CatalogueFlag, StarCatalogue, Stars
@@ -23,6 +24,9 @@ Array = NDArray[np.float64]
 ARCSEC: Final = np.pi / 648000.0
 LOST_FRAMES_TRIED: Final = 5
 """After so many frames in a row that no star pattern could place, the camera is taken for unknown."""
+
+CAMERA_FIELDS: Final = ("focal_px", "center_row", "center_col", "k1", "k2", "p1", "p2", "mirrored")
+"""What a `Camera` and a `FrameSolution` have in common."""
 
 UNUSABLE_LISTED: Final = int(StarFlag.SATURATED | StarFlag.EDGE | StarFlag.DEFECT | StarFlag.COSMIC_LIKE)
 UNUSABLE_CATALOGUE: Final = int(CatalogueFlag.NO_PROPER_MOTION | CatalogueFlag.DOUBLE | CatalogueFlag.SYNTHETIC)
@@ -96,7 +100,9 @@ class CameraFit:
         found = None if matrix is None else self._match_and_fit(state, frame, matrix, rate, middle)
         if found is None:
             seen = self._by_star_pattern(state, frame)
-            found = None if seen is None else self._match_and_fit(state, frame, seen, rate, middle)
+            if seen is not None:
+                as_seen = replace(state, camera=replace(state.camera, mirrored=seen.mirrored))
+                found = self._match_and_fit(as_seen, frame, seen.matrix, rate, middle)
             flags, lost = FrameFlag.ATTITUDE_FROM_SOLVER, state.lost + 1
         if found is None:
             return replace(state, lost=lost), unsolved(frame, state.camera, FrameFlag.NO_SOLUTION, matrix=matrix, rate=rate)
@@ -110,8 +116,8 @@ class CameraFit:
         )
         return new_state, _solution_of(header.frame, flags, fit, rate, stars, listed, chosen)
 
-    def _by_star_pattern(self, state: AstrometryState, frame: DownlinkFrame) -> Array | None:
-        """Attitude from star patterns; None when that is switched off, hopeless by now, or finds nothing."""
+    def _by_star_pattern(self, state: AstrometryState, frame: DownlinkFrame) -> PatternMatch | None:
+        """Attitude and parity from star patterns; None when that is switched off, hopeless by now, or finds nothing."""
         hopeless = state.lost >= LOST_FRAMES_TRIED
         if self.lost_in_space == "never" or hopeless or len(frame.stars) < self.min_stars:
             return None
@@ -182,8 +188,9 @@ class CameraFit:
         if not vote.significant:
             return None
         # list minus catalogue in px -> small rotation: d row = -f theta_x, d col = f theta_y, roll turns +col towards +row
-        theta = np.array([-vote.d_row_px / camera.focal_px, vote.d_col_px / camera.focal_px, 0.0])
-        return rotation_by(theta) @ rotation_by(np.array([0.0, 0.0, vote.roll_rad]))
+        hand = -1.0 if camera.mirrored else 1.0
+        theta = np.array([-vote.d_row_px / camera.focal_px, hand * vote.d_col_px / camera.focal_px, 0.0])
+        return rotation_by(theta) @ rotation_by(np.array([0.0, 0.0, hand * vote.roll_rad]))
 
     def _refine(
         self,
@@ -263,7 +270,7 @@ def unsolved(
         quaternion=np.array([0.0, 0.0, 0.0, 1.0]) if matrix is None else quaternion_of(matrix),
         rate_rad_s=np.zeros(3) if rate is None else rate,
         covariance_rad2=np.full((3, 3), np.nan),
-        **{name: getattr(camera, name) for name in ("focal_px", "center_row", "center_col", "k1", "k2", "p1", "p2")},
+        **{name: getattr(camera, name) for name in CAMERA_FIELDS},
         n_stars=0,
         rms_px=float("nan"),
         star_index=np.zeros(0, dtype=np.int32),
@@ -318,7 +325,7 @@ def _solution_of(
         quaternion=quaternion_of(fit.matrix),
         rate_rad_s=rate,
         covariance_rad2=fit.covariance[:3, :3],
-        **{name: getattr(camera, name) for name in ("focal_px", "center_row", "center_col", "k1", "k2", "p1", "p2")},
+        **{name: getattr(camera, name) for name in CAMERA_FIELDS},
         n_stars=int(used.sum()),
         rms_px=float(np.sqrt(np.mean(fit.residual_px[used] ** 2))),
         star_index=listed[used].astype(np.int32),

@@ -1,7 +1,7 @@
 """Camera model of the ground segment: directions of the camera frame to pixels and back, with derivatives.
 
-Gnomonic projection u = x/z, v = y/z, then Brown-Conrady distortion (Brown 1966, Photogrammetric Engineering 32, 444) as
-`sboc_e2e.icd.frame.NominalCamera` defines it in words. Parameters that are fitted are held in one vector.
+Gnomonic projection u = x/z (-x/z in a mirrored image), v = y/z, then Brown-Conrady distortion (Brown 1966, Photogrammetric
+Engineering 32, 444) as `sboc_e2e.icd.frame.NominalCamera` defines it in words. Parameters that are fitted are held in one vector.
 """
 
 from dataclasses import dataclass, replace
@@ -24,7 +24,10 @@ ATTITUDE: Final = 3
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
-    """Focal length and optical axis in pixels, distortion for tangents in radians."""
+    """Focal length and optical axis in pixels, distortion for tangents in radians.
+
+    mirrored : columns grow against +X of the camera frame, as after an odd number of reflections.
+    """
 
     focal_px: float
     center_row: float
@@ -33,6 +36,7 @@ class Camera:
     k2: float
     p1: float
     p2: float
+    mirrored: bool = False
 
     @classmethod
     def nominal(cls, camera: NominalCamera) -> "Camera":
@@ -58,6 +62,7 @@ class Camera:
             k2=solution.k2,
             p1=solution.p1,
             p2=solution.p2,
+            mirrored=solution.mirrored,
         )
 
     def shared(self) -> Array:
@@ -72,7 +77,7 @@ class Camera:
     def project(self, vectors: Array) -> tuple[Array, Array]:
         """Rows and cols (n,) of camera-frame vectors (n, 3); NaN for those behind the camera."""
         z = np.where(vectors[:, 2] > 1e-3, vectors[:, 2], np.nan)
-        u, v = vectors[:, 0] / z, vectors[:, 1] / z
+        u, v = self._hand * vectors[:, 0] / z, vectors[:, 1] / z
         du, dv = self._distorted(u, v)
         return self.center_row + self.focal_px * dv, self.center_col + self.focal_px * du
 
@@ -87,19 +92,20 @@ class Camera:
             determinant = a * c - b * b
             ru, rv = u_seen - du, v_seen - dv
             u, v = u + (c * ru - b * rv) / determinant, v + (a * rv - b * ru) / determinant
-        vectors = np.stack((u, v, np.ones_like(u)), axis=-1)
+        vectors = np.stack((self._hand * u, v, np.ones_like(u)), axis=-1)
         return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 
     def derivatives(self, vectors: Array) -> tuple[Array, Array, Array]:
         """Predicted (n, 2) row and col, with derivatives (n, 2, 3) by rotation and (n, 2, 5) by shared parameters."""
-        u, v = vectors[:, 0] / vectors[:, 2], vectors[:, 1] / vectors[:, 2]
+        hand = self._hand
+        u, v = hand * vectors[:, 0] / vectors[:, 2], vectors[:, 1] / vectors[:, 2]
         r2 = u * u + v * v
         du, dv = self._distorted(u, v)
         a, b, c = self._distortion_slopes(u, v)
         f = self.focal_px
         # a rotation theta moves the vector by theta x vector; divided by z this moves (u, v) by
-        by_u = np.stack((-u * v, 1.0 + u * u, -v), axis=1)
-        by_v = np.stack((-(1.0 + v * v), u * v, u), axis=1)
+        by_u = np.stack((-u * v, hand * (1.0 + u * u), -hand * v), axis=1)
+        by_v = np.stack((-(1.0 + v * v), hand * u * v, hand * u), axis=1)
         rotation = f * np.stack((b[:, None] * by_u + c[:, None] * by_v, a[:, None] * by_u + b[:, None] * by_v), axis=1)
         shared = f * np.stack(
             (
@@ -109,6 +115,11 @@ class Camera:
             axis=1,
         )
         return np.stack((self.center_row + f * dv, self.center_col + f * du), axis=1), rotation, shared
+
+    @property
+    def _hand(self) -> float:
+        """Sign of columns along +X."""
+        return -1.0 if self.mirrored else 1.0
 
     def _distorted(self, u: Array, v: Array) -> tuple[Array, Array]:
         r2 = u * u + v * v

@@ -1,11 +1,14 @@
 """Attitude without telemetry: star patterns in a database made from the catalogue (extra `solve`, package tetra3rs).
 
 The pattern solver (tetra3: Pedrotti et al., European Space Agency) gives the attitude to some ten arcsec; matching and
-camera fit then go on as if it had been telemetered.
+camera fit then go on as if it had been telemetered. Its patterns are ratios of distances, which a mirror leaves as they are:
+the parity of the image comes out with the attitude, and so does the scale of an unknown camera.
 """
 
 import struct
 import tempfile
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from importlib.util import find_spec
 from pathlib import Path
@@ -28,7 +31,19 @@ BRIGHTEST_USED: Final = 80
 FIELD_TOLERANCE: Final = 0.02
 """The field's width is known to this share."""
 
-TIMEOUT_MS: Final = 2000
+FEWEST_STARS: Final = 8
+
+HINT_TOLERANCE: Final = 0.15
+"""A header's pixel scale or focal length is nominal: reducers, binning and rounded values lie within this share."""
+
+DATABASES: Final = ((29.0, 28.0, 50.0), (17.0, 16.5, 28.0), (10.0, 9.6, 16.5), (5.8, 5.5, 9.6), (3.4, 3.2, 5.5), (2.0, 1.6, 3.2))
+"""Width (deg) for which a pattern database is made, and those of the fields that it serves: patterns smaller than the field are
+found more often (62 of 62 at 1.25 to 1.7 times the width, 58 of 62 at 0.9). Narrow ones take long to make (2 deg: 50 s)."""
+
+NARROWEST_DEG: Final = DATABASES[-1][1]
+"""Narrower fields hold too few stars of a catalogue to V = 11 for patterns, and their database would not fit into memory."""
+
+PATTERNS_PER_FIELD: Final = 50
 
 SOLVER_STAR: Final = np.dtype(
     [("number", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("mag", "<f4"), ("pm_ra", "<f4"), ("pm_dec", "<f4")]
@@ -36,32 +51,100 @@ SOLVER_STAR: Final = np.dtype(
 """One star of the solver's table: 36 bytes, after a header of magic, version and count."""
 
 
-def find_attitude(stars: StarList, camera: Camera, cols: int, rows: int, catalogue: StarCatalogue, folder: str) -> Array | None:
-    """Matrix (3, 3), GCRS to camera frame, of a star list; None when no pattern fits.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PatternMatch:
+    """Matrix (3, 3), GCRS to camera frame; whether the image is mirrored (`Camera`); focal length of its width."""
+
+    matrix: Array
+    mirrored: bool
+    focal_px: float
+
+
+def find_attitude(
+    stars: StarList, camera: Camera, cols: int, rows: int, catalogue: StarCatalogue, folder: str
+) -> PatternMatch | None:
+    """Attitude and parity of a star list; None when no pattern fits.
 
     folder : where the pattern database is kept from run to run; empty: made anew in memory. Aberration (20 arcsec) is not in it.
     Raises `UserError` when the extra is not installed.
     """
-    solver = _solver()
-    width_deg = float(np.degrees(2.0 * np.arctan(0.5 * cols / camera.focal_px)))
-    database = _database(round(width_deg, 1), folder, catalogue.name, catalogue)
-    order = np.argsort(-stars.flux_e, kind="stable")[:BRIGHTEST_USED]
-    vectors = camera.unproject(stars.row[order], stars.col[order])
-    x, y = camera.focal_px * vectors[:, 0] / vectors[:, 2], camera.focal_px * vectors[:, 1] / vectors[:, 2]
+    vectors = replace(camera, mirrored=False).unproject(stars.row, stars.col)
+    plane = camera.focal_px * vectors[:, :2] / vectors[:, 2:]
+    width_deg = width_of(camera.focal_px, cols)
+    return _matched(plane, stars.flux_e, (rows, cols), width_deg, FIELD_TOLERANCE * width_deg, catalogue, folder)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StarField:
+    """Stars of an image of an unknown camera: places (n,) in px, light (n,) in any unit, and the image's size."""
+
+    row: Array
+    col: Array
+    flux: NDArray[np.floating[Any]]
+    rows: int
+    cols: int
+
+
+def find_scale(fields: Sequence[StarField], hints_px: Sequence[float], catalogue: StarCatalogue) -> PatternMatch | None:
+    """The first of some images of one unknown camera that a pattern fits; None when none does.
+
+    hints_px : focal lengths to try before all widths. Raises `UserError` when the extra is not installed.
+    """
+    hinted = [width_of(focal_px, fields[0].cols) for focal_px in hints_px]
+    if hinted and max(hinted) < NARROWEST_DEG:
+        return None
+    trials = [(width_deg, HINT_TOLERANCE * width_deg) for width_deg in hinted]
+    trials += [(0.5 * (low_deg + high_deg), 0.5 * (high_deg - low_deg)) for _, low_deg, high_deg in DATABASES]
+    for width_deg, error_deg in trials:
+        for field in fields:
+            plane = np.stack((field.col - 0.5 * (field.cols - 1), field.row - 0.5 * (field.rows - 1)), axis=1)
+            found = _matched(plane, field.flux, (field.rows, field.cols), width_deg, error_deg, catalogue, "")
+            if found is not None:
+                return found
+    return None
+
+
+def width_of(focal_px: float, cols: int) -> float:
+    """Width (deg) of the field over all columns."""
+    return float(np.degrees(2.0 * np.arctan(0.5 * cols / focal_px)))
+
+
+def _matched(
+    plane: Array,
+    flux: NDArray[np.floating[Any]],
+    shape: tuple[int, int],
+    width_deg: float,
+    error_deg: float,
+    catalogue: StarCatalogue,
+    folder: str,
+) -> PatternMatch | None:
+    """What the patterns of stars at (n, 2) x, y (px from the axis, free of distortion) say."""
+    solver = required_solver()
+    if width_deg < NARROWEST_DEG or len(plane) < FEWEST_STARS:
+        return None
+    made_for_deg = next(made_for_deg for made_for_deg, low_deg, _ in DATABASES if width_deg >= low_deg)
+    database = _database(made_for_deg, folder, catalogue.name, catalogue)
+    if database is None:
+        return None
+    order = np.argsort(-flux, kind="stable")[:BRIGHTEST_USED]
     centroids = [
-        solver.Centroid(x=float(a), y=float(b), brightness=float(f)) for a, b, f in zip(x, y, stars.flux_e[order], strict=True)
+        solver.Centroid(x=float(x), y=float(y), brightness=float(f)) for (x, y), f in zip(plane[order], flux[order], strict=True)
     ]
     result = database.solve_from_centroids(
         centroids,
         fov_estimate_deg=width_deg,
-        image_width=cols,
-        image_height=rows,
-        fov_max_error_deg=FIELD_TOLERANCE * width_deg,
-        solve_timeout_ms=TIMEOUT_MS,
+        image_width=shape[1],
+        image_height=shape[0],
+        fov_max_error_deg=error_deg,
+        solve_timeout_ms=None,
     )
-    if not result or result.parity_flip:
+    if not result:
         return None
-    return np.asarray(result.rotation_matrix_icrs_to_camera, dtype=np.float64)
+    return PatternMatch(
+        matrix=np.asarray(result.rotation_matrix_icrs_to_camera, dtype=np.float64),
+        mirrored=bool(result.parity_flip),
+        focal_px=float(0.5 * shape[1] / np.tan(np.radians(0.5 * result.fov_deg))),
+    )
 
 
 def installed() -> bool:
@@ -69,8 +152,8 @@ def installed() -> bool:
     return find_spec("tetra3rs") is not None
 
 
-def _solver() -> Any:
-    """The optional package."""
+def required_solver() -> Any:
+    """The optional package. Raises `UserError` where it is not installed."""
     try:
         import tetra3rs  # the extra `solve`
     except ImportError as error:
@@ -78,10 +161,13 @@ def _solver() -> Any:
     return tetra3rs
 
 
-@lru_cache(maxsize=4)
+@lru_cache(maxsize=2)
 def _database(width_deg: float, folder: str, name: str, catalogue: StarCatalogue) -> Any:
-    """The pattern database for a field width: read from `folder`, or made (some seconds, once per process) and kept there."""
-    solver = _solver()
+    """The pattern database for a field width: read from `folder`, or made (1 to 40 s, once per process) and kept there.
+
+    None where the catalogue has no star whose motion is known.
+    """
+    solver = required_solver()
     path = Path(folder) / f"patterns-{name.replace(' ', '-').lower()}-{width_deg:.1f}deg.bin"
     if folder and path.is_file():
         try:
@@ -91,8 +177,16 @@ def _database(width_deg: float, folder: str, name: str, catalogue: StarCatalogue
     with tempfile.TemporaryDirectory() as work:
         table = Path(work) / "stars.bin"
         v_max = _write_stars(table, catalogue, width_deg)
+        if v_max is None:
+            return None
         made = solver.SolverDatabase.generate_from_gaia(
-            catalog_path=str(table), max_fov_deg=width_deg, min_fov_deg=width_deg, star_max_magnitude=v_max
+            catalog_path=str(table),
+            max_fov_deg=width_deg,
+            min_fov_deg=width_deg,
+            star_max_magnitude=v_max,
+            patterns_per_lattice_field=PATTERNS_PER_FIELD,
+            # more and fainter stars make more patterns of narrow fields: as few as still solved every trial
+            lattice_field_oversampling=int(np.clip(2.0 * width_deg**2, 8, 100)),
         )
     if folder:
         part = path.with_name(path.name + ".part")
@@ -104,13 +198,15 @@ def _database(width_deg: float, folder: str, name: str, catalogue: StarCatalogue
     return made
 
 
-def _write_stars(path: Path, catalogue: StarCatalogue, width_deg: float) -> float:
-    """Bright reference stars in the binary form that the solver reads; returns their faintest magnitude.
+def _write_stars(path: Path, catalogue: StarCatalogue, width_deg: float) -> float | None:
+    """Bright reference stars in the binary form that the solver reads; returns their faintest magnitude, None without stars.
 
     Positions are those of 2027 with no motion: a decade moves few stars by more than the solver's tolerance.
     """
     stars = catalogue.cone(0.0, 0.0, 180.0, epoch_jyear=2027.0)
     stars = stars.take((stars.flags & int(CatalogueFlag.NO_PROPER_MOTION)) == 0)
+    if len(stars) == 0:
+        return None
     wanted = round(STARS_PER_FIELD * 41253.0 / width_deg**2)
     v_max = float(np.sort(stars.v_mag)[min(wanted, len(stars)) - 1])
     stars = stars.take(stars.v_mag <= v_max)

@@ -67,6 +67,7 @@ def frames_table(products: GroundProducts, frames: Sequence[DownlinkFrame]) -> T
                 (name, [getattr(s, name) for s in solutions], None, "Brown-Conrady distortion")
                 for name in ("k1", "k2", "p1", "p2")
             ),
+            ("mirrored", np.array([s.mirrored for s in solutions], dtype=bool), None, "columns grow against the camera's +X"),
             ("n_stars", [s.n_stars for s in solutions], None, "stars in the camera fit"),
             ("rms_px", [s.rms_px for s in solutions], "pix", "rms of a coordinate's star residuals"),
             ("zero_point_mag", [p.zero_point_mag for p in photometry], "mag", "V of 1 e-/s on axis for a solar colour"),

@@ -35,4 +35,6 @@ def import_gaia(path: str | Path, out: str | Path) -> int:
 def _write(out: Path, raw: RawStars, *, name: str, provenance: str, v_max: float) -> int:
     if not out.parent.is_dir():
         raise UserError(f"catalogue output {out}: folder {out.parent} does not exist")
+    if not (raw.v_mag < v_max).any():
+        raise UserError(f"catalogue output {out}: none of {len(raw.v_mag)} stars has a magnitude below {v_max:g}")
     return write_packed(out, raw, name=name, provenance=provenance, v_max=v_max)

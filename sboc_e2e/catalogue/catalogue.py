@@ -58,6 +58,8 @@ class StarCatalogue:
             raise UserError(f"star catalogue {path}: {error}; make it again with `sboc catalogue build`") from error
         counts = content["counts"].astype(np.int64)
         n_stars = int(counts.sum())
+        if n_stars == 0:
+            raise UserError(f"star catalogue {path}: holds no stars; make it again with `sboc catalogue build`")
         hip = np.zeros(n_stars, dtype=np.int32)
         hip[np.cumsum(content["hip_row"])] = content["hip_number"]
         pm = np.stack((content["pm_ra"], content["pm_dec"]), axis=1).astype(np.int32)

@@ -1,16 +1,18 @@
 """A nominal camera for frames of an unknown one: what headers say, what stars show, and neutral values for the rest."""
 
+from itertools import islice
 from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 import sep
-from astropy.wcs.utils import proj_plane_pixel_scales
 from numpy.typing import NDArray
 
+from ground.astrometry import lost_in_space
 from sboc_e2e.catalogue import StarCatalogue
-from sboc_e2e.icd.frame import NominalCamera
-from sboc_e2e.outside.frame_source import SourcedFrame
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.icd.frame import Frame, NominalCamera
+from sboc_e2e.outside.frame_source import FrameSource, SourcedFrame
 from sboc_e2e.registry import Registry
 from sboc_e2e.scenario import from_document
 from sboc_e2e.scenario.toml_files import FOLDER, preset_path, read
@@ -20,6 +22,11 @@ ASSUMED_PSF_SIGMA_PX: Final = 1.2
 ASSUMED_FOCAL_PX: Final = 1e5
 ASSUMED_SATURATION_ADU: Final = 1e9
 FEWEST_STARS: Final = 5
+FRAMES_TRIED: Final = 3
+ROUNDEST_TRAIL: Final = 0.5
+"""Sources whose minor axis is less than this share of the major one are no stars."""
+
+NO_SOURCES: Final = np.zeros(0, dtype=[(name, "f8") for name in ("x", "y", "a", "b", "flux", "peak")] + [("flag", "i8")])
 
 
 def camera_of_preset(name: str, registry: Registry) -> NominalCamera:
@@ -41,7 +48,7 @@ def camera_of_frame(sourced: SourcedFrame) -> NominalCamera:
         name="unknown",
         rows=header.rows,
         cols=header.cols,
-        focal_px=focal_px_of(sourced.wcs),
+        focal_px=next(iter(sourced.focal_hints_px), ASSUMED_FOCAL_PX),
         center_row=0.5 * (header.rows - 1),
         center_col=0.5 * (header.cols - 1),
         psf_sigma_px=star_sigma_px(np.asarray(pixels, dtype=np.float32)) or ASSUMED_PSF_SIGMA_PX,
@@ -55,12 +62,44 @@ def camera_of_frame(sourced: SourcedFrame) -> NominalCamera:
     )
 
 
-def focal_px_of(wcs: Any) -> float:
-    """Focal length in pixels from the plate scale of a WCS; a neutral value without one."""
-    if wcs is None:
-        return ASSUMED_FOCAL_PX
-    scale_deg = float(np.sqrt(np.prod(proj_plane_pixel_scales(wcs.celestial))))
-    return float(1.0 / np.radians(scale_deg)) if 0.0 < scale_deg < 10.0 else ASSUMED_FOCAL_PX
+def focal_px_by_stars(source: FrameSource, catalogue: StarCatalogue) -> float:
+    """Focal length in pixels of an unknown camera, from star patterns of its first frames.
+
+    Raises `UserError`, which says what to give instead, where none of them fits.
+    """
+    fields: list[lost_in_space.StarField] = []
+    hints: tuple[float, ...] = ()
+    for sourced in islice(source.frames(), FRAMES_TRIED):
+        fields.append(_star_field(sourced.frame))
+        hints = hints or sourced.focal_hints_px
+    found = lost_in_space.find_scale(fields, hints, catalogue)
+    if found is not None:
+        return found.focal_px
+    narrowest, widest = lost_in_space.NARROWEST_DEG, lost_in_space.DATABASES[0][2]
+    said = f"; the header says {lost_in_space.width_of(hints[0], fields[0].cols):.2g} deg" if hints else ""
+    raise UserError(
+        f"--wcs solve: the stars of the first {len(fields)} frames fit no field {narrowest:g} to {widest:g} deg wide{said}; "
+        "give --camera, or PIXSCALE (arcsec) in the headers, or take --wcs header or --wcs none"
+    )
+
+
+def refuse_narrow_field(camera: NominalCamera) -> None:
+    """Raises `UserError` for a field that star patterns cannot solve."""
+    width_deg = lost_in_space.width_of(camera.focal_px, camera.cols)
+    if width_deg < lost_in_space.NARROWEST_DEG:
+        raise UserError(
+            f"--wcs solve: {camera.cols} columns of camera {camera.name} are {width_deg:.2g} deg; patterns need "
+            f"{lost_in_space.NARROWEST_DEG:g}; take --wcs header or --wcs none"
+        )
+
+
+def _star_field(frame: Frame) -> lost_in_space.StarField:
+    """Star-like sources of a frame."""
+    sources = _sources(frame.pixels)[0]
+    stars = sources[sources["b"] > ROUNDEST_TRAIL * sources["a"]]
+    return lost_in_space.StarField(
+        row=stars["y"], col=stars["x"], flux=stars["flux"], rows=frame.header.rows, cols=frame.header.cols
+    )
 
 
 def star_sigma_px(pixels: NDArray[np.float32]) -> float | None:
@@ -69,18 +108,7 @@ def star_sigma_px(pixels: NDArray[np.float32]) -> float | None:
     Moments above a threshold miss the wings; sources well above it, as taken here, give the width to 15 %. Below 1 px the
     pixels themselves widen it, by a third at 0.8 px.
     """
-    image = np.nan_to_num(np.ascontiguousarray(pixels, dtype=np.float32), nan=float(np.nanmedian(pixels)))
-    try:
-        background = sep.Background(image)
-        sources = sep.extract(image - background.back(), 5.0, err=max(background.globalrms, 1e-6), minarea=5)
-    except Exception as error:  # sep raises bare Exception when its buffers overflow in crowded frames
-        if "internal pixel buffer full" in str(error) or "object deblending overflow" in str(error):
-            return None
-        raise
-    if len(sources) == 0:
-        return None
-    noise = max(float(background.globalrms), 1e-6)
-    peak = float(image.max())
+    sources, noise, peak = _sources(pixels)
     stars = sources[
         (sources["flag"] == 0)
         & (sources["b"] > 0.7 * sources["a"])
@@ -90,3 +118,17 @@ def star_sigma_px(pixels: NDArray[np.float32]) -> float | None:
     if len(stars) < FEWEST_STARS:
         return None
     return float(np.clip(np.median(np.sqrt(stars["a"] * stars["b"])), 0.4, 20.0))
+
+
+def _sources(pixels: NDArray[Any]) -> tuple[NDArray[Any], float, float]:
+    """SExtractor's records of what is brighter than 5 sigma, none in frames too crowded for it; noise and highest value."""
+    image = np.nan_to_num(np.ascontiguousarray(pixels, dtype=np.float32), nan=float(np.nanmedian(pixels)))
+    background = sep.Background(image)
+    noise, peak = max(float(background.globalrms), 1e-6), float(image.max())
+    image -= background.back()
+    try:
+        return sep.extract(image, 5.0, err=noise, minarea=5), noise, peak
+    except Exception as error:  # sep raises bare Exception when its buffers overflow in crowded frames
+        if "internal pixel buffer full" in str(error) or "object deblending overflow" in str(error):
+            return NO_SOURCES, noise, peak
+        raise

@@ -16,6 +16,7 @@ import numpy as np
 from astropy.io import fits
 from astropy.time import Time
 from astropy.wcs import WCS
+from astropy.wcs.utils import proj_plane_pixel_scales
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import ContractError, UserError
@@ -27,6 +28,9 @@ SUFFIXES: Final = (".fits", ".fit", ".fts", ".fits.fz", ".fit.fz", ".fits.gz")
 MAX_SIDE_PX: Final = 16384
 MIN_SIDE_PX: Final = 16
 MAX_PIXELS: Final = 10_000 * 10_000
+FINEST_DEG: Final = 1e-7
+COARSEST_DEG: Final = 0.5
+"""Larger pixels are not believed: 1 is the default of a header's keys."""
 FIRST_ASSUMED_TAI_NS: Final = 1_325_376_000 * NS_PER_S
 """2000-01-01T00:00:00 TAI: frames without a time are numbered from here, one second apart."""
 
@@ -110,7 +114,7 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True) -> SourcedFra
             hdu = hdus[place.hdu]
             header = _headers(hdus, hdu)
             data = hdu.data
-            wcs = _wcs(hdu.header) if use_wcs else None
+            wcs = _wcs(hdu.header)
     except MemoryError:
         raise
     except Exception as error:  # as above
@@ -121,7 +125,12 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True) -> SourcedFra
     notes: list[str] = []
     frame_header = _frame_header(header, number, pixels.shape, saturation, notes)
     return SourcedFrame(
-        frame=Frame(header=frame_header, pixels=pixels), file=place.path.name, hdu=place.hdu, wcs=wcs, notes=tuple(notes)
+        frame=Frame(header=frame_header, pixels=pixels),
+        file=place.path.name,
+        hdu=place.hdu,
+        wcs=wcs if use_wcs else None,
+        notes=tuple(notes),
+        focal_hints_px=focal_hints_px(header, wcs),
     )
 
 
@@ -156,6 +165,37 @@ def number_of(header: Mapping[str, Any], names: tuple[str, ...], low: float, hig
         if math.isfinite(number) and low <= number <= high:
             return number
     return None
+
+
+def focal_hints_px(header: Mapping[str, Any], wcs: WCS | None) -> tuple[float, ...]:
+    """Distinct focal lengths in pixels: by the WCS, by keys of the pixel scale (arcsec), by focal length (mm) and pixel (um).
+
+    Programs differ on whether XPIXSZ and PIXSIZE1 count binning, so both readings are given.
+    """
+    scales_deg = [] if wcs is None else [_scale_deg(wcs)]
+    scale_arcsec = number_of(header, ("PIXSCALE", "SECPIX", "SECPIX1", "SCALE"), 1e-3, 3600.0)
+    if scale_arcsec is not None:
+        scales_deg.append(scale_arcsec / 3600.0)
+    focal_mm = number_of(header, ("FOCALLEN", "FOCAL"), 1.0, 1e6)
+    pixel_um = number_of(header, ("XPIXSZ", "PIXSIZE1"), 0.1, 1e3)
+    if focal_mm is not None and pixel_um is not None:
+        binning = number_of(header, ("XBINNING", "CCDXBIN"), 1.0, 64.0) or 1.0
+        scales_deg += [math.degrees(1e-3 * pixel_um * factor / focal_mm) for factor in (1.0, binning)]
+    scales_deg.append(abs(number_of(header, ("CDELT1",), -COARSEST_DEG, COARSEST_DEG) or 0.0))
+    hints: list[float] = []
+    for scale_deg in scales_deg:
+        if FINEST_DEG < scale_deg < COARSEST_DEG and all(abs(math.radians(scale_deg) * known - 1.0) > 0.02 for known in hints):
+            hints.append(1.0 / math.radians(scale_deg))
+    return tuple(hints)
+
+
+def _scale_deg(wcs: WCS) -> float:
+    """Size of a pixel by a WCS, the geometric mean of both axes; 0 where it has none."""
+    try:
+        with _quietly():
+            return float(np.sqrt(np.prod(proj_plane_pixel_scales(wcs.celestial))))
+    except Exception:  # noqa: BLE001 - as in `_wcs`: whatever a header holds, the frame is a frame
+        return 0.0
 
 
 def start_tai_ns(header: Mapping[str, Any]) -> int | None:

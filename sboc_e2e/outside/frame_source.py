@@ -9,13 +9,17 @@ from sboc_e2e.icd.frame import Frame
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SourcedFrame:
-    """A frame and where it came from: file, header-data unit, and the astropy WCS of its header if it has one."""
+    """A frame and where it came from: file, header-data unit, and the astropy WCS of its header if it has one.
+
+    focal_hints_px : focal lengths in pixels that the header tells in one way or another, the best first.
+    """
 
     frame: Frame
     file: str
     hdu: int
     wcs: Any
     notes: tuple[str, ...]
+    focal_hints_px: tuple[float, ...] = ()
 
 
 class FrameSource(Protocol):

@@ -5,10 +5,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
+from ground.astrometry import lost_in_space
 from sboc_e2e.files import calibration_files
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Frame, NominalCamera
-from sboc_e2e.outside.camera import camera_of_frame, camera_of_preset
+from sboc_e2e.outside.camera import camera_of_frame, camera_of_preset, focal_px_by_stars, refuse_narrow_field
 from sboc_e2e.outside.frame_source import FrameSource
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.directory import RunDirectory
@@ -51,19 +52,35 @@ def base_document(wcs: str) -> dict[str, Any]:
 
 
 def process(
-    source: FrameSource, scenario: Scenario, out: Path, *, camera: str | None, force: bool, registry: Registry, progress: Progress
+    source: FrameSource,
+    scenario: Scenario,
+    out: Path,
+    *,
+    camera: str | None,
+    solve: bool = False,
+    force: bool,
+    registry: Registry,
+    progress: Progress,
 ) -> None:
     """Products of all frames of a source in a run directory.
 
-    camera : an instrument preset, None to guess one from the first frame.
+    camera : an instrument preset, None to guess one from the first frame. solve : `--wcs solve`; an unknown camera's focal
+    length then comes from its stars.
     """
     directory = RunDirectory(path=out)
     n_frames = source.n_frames
     require_files(scenario.ground)
+    if solve:
+        lost_in_space.required_solver()
     catalogue = star_catalogue(scenario.ground)
     known = camera_of_preset(camera, registry) if camera else None
     first = next(iter(source.frames()))
     nominal = _fitting(known, first.frame) if known else camera_of_frame(first)
+    if solve and known is None:
+        nominal = replace(nominal, focal_px=focal_px_by_stars(source, catalogue))
+    if solve:
+        refuse_narrow_field(nominal)
+    del first  # its pixels
     # Only now: what is wrong with frames or camera costs no earlier products.
     directory.prepare(resume=False, force=force)
     manifest = Manifest.of(directory.manifest, scenario)

@@ -143,6 +143,29 @@ def test_star_patterns_give_the_attitude_that_telemetry_does_not(catalogue):
         assert np.linalg.norm(_errors_arcsec(field, solution)[40]) < 0.1
 
 
+def test_a_mirrored_image_gives_the_directions_of_the_image_itself(catalogue):
+    """Columns counted from the other side; the parity is found, kept for the next frame, and costs nothing."""
+    pytest.importorskip("tetra3rs", reason="the extra `solve` is not installed")
+    fit = CameraFit(lost_in_space="required")
+    field = make_field(catalogue, 6, FieldOptions(attitude=False))
+    header, stars, camera = field.frame.header, field.frame.stars, field.calibration.camera
+    mirror = replace(field.frame, stars=replace(stars, col=4095.0 - stars.col))
+    mirror_camera = replace(camera, center_col=4095.0 - camera.center_col, p2=-camera.p2)
+    row, col = grid(4096)
+    epochs = row_mid_exposure_tai_ns(header, row)
+    _, plain = fit.solve(fit.initial_state(field.calibration, catalogue), field.frame)
+    state, solution = fit.solve(fit.initial_state(replace(field.calibration, camera=mirror_camera), catalogue), mirror)
+    assert solution.mirrored
+    assert not plain.mirrored
+    want, got = (
+        SolvedSky(header=header, solution=s).apparent(row, c, epochs) for s, c in ((plain, col), (solution, 4095.0 - col))
+    )
+    assert np.linalg.norm(got - want, axis=1).max() < 1e-4 * ARCSEC
+    _, again = fit.solve(state, mirror)
+    assert again.mirrored
+    assert not again.flags & FrameFlag.ATTITUDE_FROM_SOLVER
+
+
 def test_missing_pattern_solver_is_named_when_it_is_required(catalogue, monkeypatch):
     monkeypatch.setitem(sys.modules, "tetra3rs", None)
     fit = CameraFit(lost_in_space="required")
@@ -162,8 +185,9 @@ def test_zero_point_and_colour_term_are_recovered(catalogue):
         assert abs(result.zero_point_mag - 21.68) < 5.0 * result.zero_point_err_mag
 
 
-def test_camera_model_inverts_and_its_derivatives_are_right():
-    camera = Camera(focal_px=4000.0, center_row=511.0, center_col=498.0, k1=-0.8, k2=0.3, p1=1e-3, p2=-2e-3)
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_camera_model_inverts_and_its_derivatives_are_right(mirrored):
+    camera = Camera(focal_px=4000.0, center_row=511.0, center_col=498.0, k1=-0.8, k2=0.3, p1=1e-3, p2=-2e-3, mirrored=mirrored)
     rng = np.random.default_rng(3)
     row, col = rng.uniform(0.0, 1023.0, (2, 50))
     vectors = camera.unproject(row, col)

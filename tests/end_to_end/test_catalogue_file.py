@@ -56,6 +56,20 @@ def test_a_catalogue_built_from_a_gaia_table_solves_the_frames(
     assert np.all(np.abs(after["zero_point_mag"] - before["zero_point_mag"]) < 0.1)
 
 
+def empty(catalogue: Path, out: Path) -> None:
+    """A whole, well-formed catalogue file without stars."""
+    with np.load(catalogue) as archive:
+        content = {key: archive[key] for key in archive.files}
+    for key, values in content.items():
+        if values.ndim == 2 and key != "fast_pm":
+            content[key] = values[:, :0]
+        elif key == "counts":
+            content[key] = np.zeros_like(values)
+        elif values.ndim:
+            content[key] = values[:0]
+    np.savez_compressed(out, **content)
+
+
 def test_a_catalogue_that_is_missing_or_not_whole_is_one_line_before_any_work(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -64,7 +78,13 @@ def test_a_catalogue_that_is_missing_or_not_whole_is_one_line_before_any_work(
     assert cli.run(["catalogue", "build", str(tmp_path / "gaia.ecsv"), "--out", str(good)]) == 0
     (tmp_path / "cut.npz").write_bytes(good.read_bytes()[: good.stat().st_size // 2])
     (tmp_path / "text.npz").write_text("no catalogue")
-    for name, words in (("none.npz", "no such file; make one with"), ("cut.npz", "make it again"), ("text.npz", "make it again")):
+    empty(good, tmp_path / "empty.npz")
+    for name, words in (
+        ("none.npz", "no such file; make one with"),
+        ("cut.npz", "make it again"),
+        ("text.npz", "make it again"),
+        ("empty.npz", "holds no stars"),
+    ):
         capsys.readouterr()
         out = tmp_path / "run"
         key = f"ground.catalogue_file={tmp_path / name}"
@@ -81,6 +101,12 @@ def test_a_catalogue_that_is_missing_or_not_whole_is_one_line_before_any_work(
         ("table.txt", "ra dec", "expected .fits, .ecsv or .parquet"),
         ("cut.fits", "SIMPLE  =", "cannot be read"),
         ("cut.ecsv", "# %ECSV 1.0\n# ---\n", "cannot be read"),
+        (
+            "dark.ecsv",
+            "# %ECSV 1.0\n# ---\n# datatype:\n# - {name: ra, datatype: float64}\n# - {name: dec, datatype: float64}\n"
+            "# - {name: phot_g_mean_mag, datatype: float64}\nra dec phot_g_mean_mag\n10.0 20.0 nan\n",
+            "none of 1 stars has a magnitude",
+        ),
     ],
 )
 def test_a_gaia_table_that_cannot_be_read_is_one_line(

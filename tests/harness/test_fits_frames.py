@@ -78,6 +78,26 @@ def test_headers_are_read_where_present(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
+    ("keys", "scales_arcsec"),
+    [
+        ({"PIXSCALE": 2.5}, [2.5]),
+        ({"SECPIX1": 0.6, "PIXSCALE": "coarse"}, [0.6]),
+        ({"FOCALLEN": 1000.0, "XPIXSZ": 9.0}, [1.8564]),
+        ({"FOCALLEN": 1000.0, "PIXSIZE1": 9.0, "XBINNING": 2}, [1.8564, 3.7128]),
+        ({"PIXSCALE": 1.85, "FOCALLEN": 1000.0, "XPIXSZ": 9.0}, [1.85]),
+        ({"CDELT1": -1e-3}, [3.6]),
+        ({"CDELT1": 1.0, "PIXSCALE": -3.0, "FOCALLEN": 0.0, "XPIXSZ": 9.0}, []),
+    ],
+)
+def test_the_pixel_scale_is_read_in_many_forms(tmp_path: Path, keys: dict[str, object], scales_arcsec: list[float]) -> None:
+    hdu = fits.PrimaryHDU(SKY.astype(np.uint16))
+    hdu.header.update(keys)
+    hdu.writeto(tmp_path / "a.fits")
+    (found,) = frames(tmp_path)
+    assert np.degrees(1.0 / np.array(found.focal_hints_px)) * 3600.0 == pytest.approx(scales_arcsec, rel=1e-3)
+
+
+@pytest.mark.parametrize(
     ("header", "known"),
     [
         ({"DATE-OBS": "2024-03-01", "TIME-OBS": "02:03:04.5"}, True),

@@ -82,9 +82,10 @@ def _attitude(sources: Sources, rows: int, cols: int, focal_px: float, catalogue
         snr=sources.snr.astype(np.float32),
         flags=np.zeros(n, dtype=np.uint8),
     )
-    turn = lost_in_space.find_attitude(stars, camera, cols, rows, catalogue, "")
-    assert turn is not None, "no star pattern fits"
-    return turn
+    seen = lost_in_space.find_attitude(stars, camera, cols, rows, catalogue, "")
+    assert seen is not None, "no star pattern fits"
+    assert not seen.mirrored, "the frame is mirrored"
+    return seen.matrix
 
 
 if __name__ == "__main__":

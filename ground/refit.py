@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from ground.astrometry.apparent import unit_vectors
 from ground.sky.measure import ARCSEC, middle_of
-from ground.streaks.joint import TrackletFrame, refit_tracklet
+from ground.streaks.joint import TrackletFrame, flux_between, refit_tracklet
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution, StreakFit, StreakMeasurement, StreakPixels, Tracklet
@@ -73,8 +73,6 @@ def refit_streaks(
             member = members[k]
             if fit is not member.fit:
                 line_ns = header_of[member.frame].line_time_ns
-                # stars under the trail are masked in the single fit only: its light per length, the joint fit's length
-                fit = replace(fit, flux_e=member.fit.flux_e * fit.length_px / max(member.fit.length_px, 1e-6))
                 row_mid, col_mid = middle_of(fit)
                 moved = np.array([fit.row0, row_mid, fit.row1]) - np.array([member.fit.row0, member.row_mid, member.fit.row1])
                 changed = StreakFlag.REFIT | StreakFlag.ENDS_NOT_GAUSSIAN
@@ -213,6 +211,9 @@ def carried(frame: TrackletFrame, clean: Sequence[TrackletFrame], joint: Sequenc
     lit = length + shifts[1] - shifts[0]
     if lit < 0.2 * length or max(map(abs, shifts)) > length + 10.0:
         return frame.fit
+    flux, flux_err = flux_between(frame, *shifts)
+    if not flux > 0.0:
+        return frame.fit
     spread = CARRIED_SPREAD * max(sigma)
     across = np.array([-unit[1], unit[0]])
     keep = np.kron(np.eye(2), np.outer(across, across))
@@ -226,8 +227,8 @@ def carried(frame: TrackletFrame, clean: Sequence[TrackletFrame], joint: Sequenc
         col1=frame.fit.col1 + shifts[1] * unit[1],
         covariance_px2=covariance,
         end_interval_px=np.array([[-1.0, 1.0], [-1.0, 1.0]]) * np.sqrt(free)[:, None],
-        flux_e=frame.fit.flux_e * lit / length,
-        flux_err_e=frame.fit.flux_err_e * lit / length,
+        flux_e=flux,
+        flux_err_e=flux_err,
         flags=frame.fit.flags & ~StreakFlag.ENDS_NOT_GAUSSIAN | StreakFlag.REFIT,
     )
 

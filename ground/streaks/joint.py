@@ -25,7 +25,7 @@ from scipy.stats import qmc
 from ground.streaks import known_width
 from ground.streaks.centre_line import LineFit, effective_width_px, uniform_trail
 from ground.streaks.end_posterior import EndTables, end_tables, lit_length
-from ground.streaks.end_search import coarse_ends
+from ground.streaks.end_search import coarse_ends, lit_density
 from ground.streaks.fit_record import pixel_covariance
 from ground.streaks.intruders import intruder_mask
 from ground.streaks.trail_fit import CHANGE_POINT_SNR2, OVERLAP_WIDTHS
@@ -41,6 +41,9 @@ SAMPLES: Final = 4096
 ROUNDS: Final = 5
 EFFECTIVE_SAMPLES: Final = 400.0
 """Rounds of re-centring the proposal end when the weights are worth this many independent draws."""
+
+LEAST_PIXELS: Final = 20
+"""Fewer lit pixels give no brightness."""
 
 STUDENT_FREEDOM: Final = 4.0
 """Tails of the proposal: heavier than those of the product of change-point likelihoods."""
@@ -128,21 +131,11 @@ def _evidence(frame: TrackletFrame) -> _Evidence | None:
 
 def _tables(frame: TrackletFrame, trail: TrailFrame) -> EndTables | None:
     """`end_tables` along the line of the fit, with u from the middle of its chord."""
-    fit, pixels = frame.fit, frame.pixels
-    width = effective_width_px(pixels.psf_sigma_px)
-    if abs(fit.width_px - pixels.psf_sigma_px) > 4.0 * fit.width_err_px and fit.width_px > 0.0:
-        width = effective_width_px(fit.width_px)
-    edges = (StreakFlag.EDGE0 in fit.flags, StreakFlag.EDGE1 in fit.flags)
-    half = 0.5 * fit.length_px
-    near = usable_pixels(pixels, trail, 5.0 * width + abs(fit.sagitta_px)).near(math.inf)
-    density = fit.flux_e / (2.0 * half)
-    parameters = uniform_trail(density, half, edges, width)
-    parameters[SAGITTA], parameters[V_MID], parameters[Q1] = fit.sagitta_px, 2.0 / 3.0 * fit.sagitta_px, 0.5 * fit.gradient
-    near = _without_intruders(near, parameters, fit, width).near(2.7 * width + abs(fit.sagitta_px))
-    template = profiles(parameters, near.u, near.v, half, trail.angle_rad)
+    near, template, width = _lit_pixels(frame, trail)
+    half, density, edges = _segment(frame.fit)
     coarse = coarse_ends(
         near.u, template, near.value_e, near.variance_e2,
-        guess=(-half, half, density), edges=edges, image_limits=trail.image_limits(pixels.frame_shape),
+        guess=(-half, half, density), edges=edges, image_limits=trail.image_limits(frame.pixels.frame_shape),
     )  # fmt: skip
     if coarse is None or coarse.edges != edges:
         return None
@@ -150,8 +143,46 @@ def _tables(frame: TrackletFrame, trail: TrailFrame) -> EndTables | None:
     return end_tables(near.u, template, near.value_e, near.variance_e2, width_px=width, coarse=coarse)
 
 
+def _segment(fit: StreakFit) -> tuple[float, float, tuple[bool, bool]]:
+    """Half length, density and which ends are the image's edge."""
+    half = 0.5 * fit.length_px
+    return half, fit.flux_e / (2.0 * half), (StreakFlag.EDGE0 in fit.flags, StreakFlag.EDGE1 in fit.flags)
+
+
+def _lit_pixels(frame: TrackletFrame, trail: TrailFrame) -> tuple[TrailPixels, NDArray[np.float64], float]:
+    """Pixels near the fit's line without intruders, electrons per unit density of each when fully lit, width of the profile."""
+    fit, pixels = frame.fit, frame.pixels
+    width = effective_width_px(pixels.psf_sigma_px)
+    if abs(fit.width_px - pixels.psf_sigma_px) > 4.0 * fit.width_err_px and fit.width_px > 0.0:
+        width = effective_width_px(fit.width_px)
+    half, density, edges = _segment(fit)
+    near = usable_pixels(pixels, trail, 5.0 * width + abs(fit.sagitta_px)).near(math.inf)
+    parameters = uniform_trail(density, half, edges, width)
+    parameters[SAGITTA], parameters[V_MID], parameters[Q1] = fit.sagitta_px, 2.0 / 3.0 * fit.sagitta_px, 0.5 * fit.gradient
+    near = _without_intruders(near, parameters, fit, width).near(2.7 * width + abs(fit.sagitta_px))
+    return near, profiles(parameters, near.u, near.v, half, trail.angle_rad), width
+
+
+def flux_between(frame: TrackletFrame, shift0: float, shift1: float) -> tuple[float, float]:
+    """Flux and error of a frame's trail whose ends lie by these px along the trail from the fitted ones.
+
+    A fit that ended elsewhere held other pixels for lit: its density is not that of the trail.
+    """
+    fit = frame.fit
+    near, template, _ = _lit_pixels(frame, TrailFrame.of_chord(fit.row0, fit.col0, fit.row1, fit.col1))
+    half, density, _ = _segment(fit)
+    lit = (near.u > shift0 - half) & (near.u < half + shift1)
+    length = 2.0 * half + shift1 - shift0
+    if np.count_nonzero(lit) < LEAST_PIXELS:
+        return density * length, fit.flux_err_e * length / (2.0 * half)
+    density, error = lit_density(template[lit], near.value_e[lit], near.variance_e2[lit], density)
+    return density * length, math.hypot(error, density * _width_error(frame)) * length
+
+
 def _without_intruders(pixels: TrailPixels, parameters: NDArray[np.float64], fit: StreakFit, width_px: float) -> TrailPixels:
     """Pixels by ascending u without the stars and crossing streaks that the single fit left out too."""
+    if pixels.u.size == 0:
+        return pixels
     errors = np.sqrt(np.maximum([0.5 * np.trace(fit.covariance_px2[i : i + 2, i : i + 2]) for i in (0, 2)], 0.0))
     line = LineFit(
         pixels=pixels,

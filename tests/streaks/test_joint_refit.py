@@ -8,6 +8,7 @@ import pytest
 
 from ground.streaks import TrackletFrame, TrailedPsfFitter, refit_tracklet
 from ground.streaks.fit_record import reversed_ends
+from ground.streaks.joint import flux_between
 from sboc_e2e.icd.flags import StreakFlag
 from tests.streaks.trail_rendering import Trail, expose, trail_at
 
@@ -118,6 +119,18 @@ def test_an_end_beyond_the_pixels_comes_from_the_other_frames() -> None:
     frames[2] = replace(cut, pixels=replace(cut.pixels, **columns), fit=short, along1=0.5 * (cut.along0 + cut.along1))
     fit = refit_tracklet(frames)[2]
     assert np.abs(along_errors(trail, fit)).max() < 6.0
+
+
+def test_light_between_other_ends_is_measured_there() -> None:
+    """A fit that saw two thirds of a trail, a quarter too bright: its density does not hold for the rest."""
+    frames, truths = tracklet(np.random.default_rng(78), 150.0, 40.0, 2, 0.0)
+    frame, trail = frames[0], truths[0]
+    fit = frame.fit
+    third = (fit.row0 + 2.0 * fit.row1) / 3.0, (fit.col0 + 2.0 * fit.col1) / 3.0
+    short = replace(fit, row1=third[0], col1=third[1], flux_e=1.25 * 2.0 / 3.0 * fit.flux_e)
+    flux, error = flux_between(replace(frame, fit=short), 0.0, fit.length_px / 3.0)
+    assert abs(flux - trail.flux_e) < 3.0 * error
+    assert error < 0.04 * flux
 
 
 def test_frames_without_ends_come_back_as_they_went() -> None:

@@ -6,6 +6,7 @@ that the vetter expects, and in a particle storm that it does not.
 
 import itertools
 import json
+import math
 import sys
 import time
 from typing import Any, NamedTuple
@@ -21,7 +22,15 @@ from sboc_e2e.icd.flags import FrameFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import StreakFit
 from sboc_e2e.icd.signals import StarList
-from tests.streaks.impostors import CLASSES, THRESHOLD_SNR, draw, noise_of_statistic
+from tests.streaks.impostors import (
+    CHAIN_LENGTHS_PX,
+    CLASSES,
+    THRESHOLD_SNR,
+    chain_of_unlisted,
+    chains_per_frame,
+    draw,
+    noise_of_statistic,
+)
 from tests.streaks.trail_rendering import PSF_SIGMA_PX
 
 SEED = 77
@@ -34,6 +43,9 @@ STORM = QUIET | {"particle": 20.0}
 
 NOISE_SNR = (THRESHOLD_SNR, 12.0)
 """Statistics of noise maxima injected conditionally: at the upper end one frame in 1e12 has one."""
+
+CHAIN_STARS = (2, 3, 4, 5, 6, 7, 8)
+"""Stars in a row that are injected; each further one is a hundredth as frequent."""
 
 FALSE_PER_FRAME = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 
@@ -144,6 +156,53 @@ def conditional_noise(n: int) -> tuple[list[StreakFit], NDArray[np.float64]]:
     return fits, QUIET["noise"] * density / density.sum()
 
 
+def conditional_chains(n: int) -> tuple[list[StreakFit], NDArray[np.float64], NDArray[np.int64]]:
+    """Rows of unlisted stars that reach the detector's threshold: fits, how many of each a frame has, number of stars.
+
+    n attempts for each number of stars, lengths spread evenly in their logarithm; the density of faint stars carries the rate to
+    where no simulation of frames gets. A detector with a predecessor frame drops nearly all of them, because they do not move:
+    these are the rates of single frames.
+    """
+    fitter, rng = TrailedPsfFitter(), np.random.default_rng([SEED, 8])
+    low, high = (math.log(x) for x in CHAIN_LENGTHS_PX)
+    fits, weights, counts = [], [], []
+    for count in CHAIN_STARS:
+        for k in range(n):
+            length = math.exp(low + (k + 0.5) / n * (high - low))
+            shot = chain_of_unlisted(rng, count, length)
+            if shot.snr < THRESHOLD_SNR:
+                continue
+            fits.append(fitter.fit(shot.pixels, shot.detection))
+            weights.append(chains_per_frame(count, length) * length * (high - low) / n)
+            counts.append(count)
+    return fits, np.array(weights), np.array(counts)
+
+
+def chain_alarms(levels: list[dict[str, Any]], n: int) -> dict[str, Any]:
+    """False alarms of rows of unlisted stars in frames without a predecessor, above the thresholds of `levels`."""
+    fits, weights, counts = conditional_chains(n)
+    probability = alone(fits)
+    return {
+        "detected_per_frame": false_per_frame(weights),
+        "by_stars": {
+            f"{count}": {
+                "detected_per_frame": float(weights[counts == count].sum()),
+                "largest_probability": float(probability[counts == count].max(initial=0.0)),
+                "n": int(np.count_nonzero(counts == count)),
+            }
+            for count in CHAIN_STARS
+        },
+        "levels": [
+            {
+                "probability_above": level["probability_above"],
+                "measured_per_frame": false_per_frame(weights[probability >= level["probability_above"]]),
+                "smallest_weight": float(weights.min()) if weights.size else None,
+            }
+            for level in levels
+        ],
+    }
+
+
 def false_per_frame(weights: NDArray[np.float64]) -> dict[str, Any]:
     """Sum of weighted events with a 95 % interval: Poisson in the number of events of equal weight that are worth as much."""
     if weights.size == 0:
@@ -196,6 +255,7 @@ def main(quick: bool = False) -> dict[str, Any]:
     """Figures in quiet frames and in a storm."""
     fits = bank(150 if quick else 1000)
     injected = false_alarms(fits, 400 if quick else 4000)
+    injected["unlisted_chains"] = chain_alarms(injected["levels"], 60 if quick else 400)
     frames = 1200 if quick else 8000
     start = time.process_time()
     quiet = figures_of(judge(fits, QUIET, frames))

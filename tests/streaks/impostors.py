@@ -6,6 +6,7 @@ All are exposures of the little camera of `trail_rendering`; nothing of the fitt
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -109,17 +110,63 @@ def star_chain(rng: np.random.Generator) -> Exposure:
     length = power_law(rng, 1.5, 6.0, 120.0)
     trail = trail_at(rng, length, sigma_px=PSF_SIGMA_PX)
     row, col = strip(trail, margin_px=25.0, half_px=8.0)
-    cos, sin = trail.axes
     count = int(rng.integers(2, 5))
     places = np.concatenate([[0.0, 1.0], rng.random(count - 2)])
+    stars = [(place, rng.normal(0.0, 0.5), power_law(rng, 2.0, 20.0, 400.0)) for place in places]
+    return _of_mean(rng, trail, row, col, _stars_in_a_row(trail, row, col, stars))
+
+
+def _stars_in_a_row(
+    trail: Trail, row: NDArray[np.int32], col: NDArray[np.int32], stars: list[tuple[float, float, float]]
+) -> NDArray[np.float64]:
+    """Electrons (n,) of stars given by place along the trail (0 to 1), offset across it (px) and flux."""
+    cos, sin = trail.axes
     mean = np.zeros(row.shape)
-    for place in places:
-        offset = rng.normal(0.0, 0.5)
-        r = trail.row0 + place * length * sin + offset * cos
-        c = trail.col0 + place * length * cos - offset * sin
-        star = Trail(row0=r, col0=c - 1e-3, row1=r, col1=c + 1e-3, flux_e=power_law(rng, 2.0, 20.0, 400.0), sigma_px=PSF_SIGMA_PX)
-        mean += render(star, row, col)
-    return _of_mean(rng, trail, row, col, mean)
+    for place, offset, flux in stars:
+        r = trail.row0 + place * trail.length_px * sin + offset * cos
+        c = trail.col0 + place * trail.length_px * cos - offset * sin
+        mean += render(Trail(row0=r, col0=c - 1e-3, row1=r, col1=c + 1e-3, flux_e=flux, sigma_px=PSF_SIGMA_PX), row, col)
+    return mean
+
+
+LISTED_E: Final = 52.0
+FAINTEST_E: Final = 26.0
+"""Stars of S/N 5, from which a star list names them, and 2.5, below which they are sky."""
+
+STARS_PER_PX2: Final = 30_600 / 4096**2
+"""Above LISTED_E: the truth tables of `sso_antisun` (30,482 and 30,818 in frames 13 and 22; Gaia's counts, docs/physics.md)."""
+
+COUNTS_SLOPE: Final = 0.80
+"""-d ln N(> flux) / d ln flux, all sky: 24,000 per frame above S/N 8 to 35,000 above S/N 5."""
+
+UNLISTED_PER_PX2: Final = STARS_PER_PX2 * ((LISTED_E / FAINTEST_E) ** COUNTS_SLOPE - 1.0)
+ROW_WIDTH_PX: Final = 2.0
+"""Stars within so wide a strip are in a row."""
+
+CHAIN_LENGTHS_PX: Final = (6.0, 120.0)
+
+
+def chains_per_frame(count: int, length_px: float) -> float:
+    """Rows of `count` unlisted stars per px of length in a frame of 4096 x 4096: a pair, and the others between the two.
+
+    Unordered pairs of a Poisson field at a distance, times the Poisson probability of `count` - 2 stars in the strip between.
+    """
+    pairs = 0.5 * UNLISTED_PER_PX2**2 * 4096**2 * 2.0 * math.pi * length_px
+    between = UNLISTED_PER_PX2 * ROW_WIDTH_PX * length_px
+    return pairs * between ** (count - 2) * math.exp(-between) / math.factorial(count - 2)
+
+
+def chain_of_unlisted(rng: np.random.Generator, count: int, length_px: float) -> Exposure:
+    """A row of `count` stars that no list names: its ends are stars, the others lie anywhere between (conditional injection)."""
+    trail = trail_at(rng, length_px, sigma_px=PSF_SIGMA_PX)
+    row, col = strip(trail, margin_px=25.0, half_px=8.0)
+    places = np.concatenate([[0.0, 1.0], rng.random(count - 2)])
+    half = 0.5 * ROW_WIDTH_PX
+    stars = [
+        (place, 0.0 if k < 2 else float(rng.uniform(-half, half)), power_law(rng, 1.0 + COUNTS_SLOPE, FAINTEST_E, LISTED_E))
+        for k, place in enumerate(places)
+    ]
+    return _of_mean(rng, trail, row, col, _stars_in_a_row(trail, row, col, stars))
 
 
 def _arranged(rng: np.random.Generator, trail: Trail, lumps: NDArray[np.float64]) -> Exposure:

@@ -36,7 +36,10 @@ FEWEST_STARS: Final = 8
 HINT_TOLERANCE: Final = 0.15
 """A header's pixel scale or focal length is nominal: reducers, binning and rounded values lie within this share."""
 
-DATABASES: Final = ((29.0, 28.0, 50.0), (17.0, 16.5, 28.0), (10.0, 9.6, 16.5), (5.8, 5.5, 9.6), (3.4, 3.2, 5.5), (2.0, 1.6, 3.2))
+DATABASES: Final = (
+    (29.0, 40.0, 60.0), (20.0, 28.0, 40.0), (14.0, 19.0, 28.0), (9.6, 13.0, 19.0),
+    (6.6, 9.0, 13.0), (4.4, 6.0, 9.0), (3.0, 4.0, 6.0), (2.0, 1.6, 4.0),
+)  # fmt: skip
 """Width (deg) for which a pattern database is made, and those of the fields that it serves: patterns smaller than the field are
 found more often (62 of 62 at 1.25 to 1.7 times the width, 58 of 62 at 0.9). Narrow ones take long to make (2 deg: 50 s)."""
 

@@ -75,8 +75,8 @@ def solved_wcs(frame: Table.Row) -> WCS:
         t_start_tai_ns=int(frame["t_start_tai_ns"]),
         exposure_ns=round(1e9 * float(frame["exposure_s"])),
         line_time_ns=0,
-        rows=SIDE_PX,
-        cols=SIDE_PX,
+        rows=int(frame["rows"]),
+        cols=int(frame["cols"]),
     )
     return WCS(sip_header(solution, header))  # type: ignore[arg-type]
 

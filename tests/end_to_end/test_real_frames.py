@@ -4,10 +4,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from astropy.coordinates import SkyCoord
+from astropy.io import fits
 from astropy.table import Table
+from astropy.wcs import WCS
 
 from sboc_e2e import cli
 from sboc_e2e.icd.flags import StreakFlag
+from tests.end_to_end.test_directions_from_stars import solved_wcs
+from tests.validation.star_field import solve_field
 
 
 def streaks(shared_data: Path, name: str, out: Path) -> Table:
@@ -51,6 +56,34 @@ def test_a_wide_defocused_streak_is_published_once_from_edge_to_edge(shared_data
 def test_frames_without_streaks_publish_none(shared_data: Path, tmp_path: Path, name: str) -> None:
     table = streaks(shared_data, name, tmp_path / "out")
     assert len(published(table)) == 0
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("mirrored", [False, True])
+@pytest.mark.parametrize("name", ["Alt40_Azi-135", "Alt40_Azi45", "Alt60_Azi-45", "Alt60_Azi135"])
+def test_a_real_star_field_is_solved_with_no_camera_given(shared_data: Path, tmp_path: Path, name: str, mirrored: bool) -> None:
+    """ESA's tetra3 fields of 11.4 deg: places of the identified stars against a TAN-SIP fitted to the same image by astropy."""
+    pytest.importorskip("tetra3rs", reason="the extra `solve` is not installed")
+    (frame,) = (shared_data / "real").glob(f"*_{name}_Try1.tiff")
+    solve_field(frame, tmp_path / "reference.fits")
+    reference, image = WCS(fits.getheader(tmp_path / "reference.fits")), fits.getdata(tmp_path / "reference.fits")
+    hdu = fits.PrimaryHDU(image[:, ::-1] if mirrored else image)
+    hdu.header.update({"DATE-OBS": "2019-07-29T20:47:26", "EXPTIME": 0.2})
+    hdu.writeto(tmp_path / "field.fits")
+    assert cli.run(["process", str(tmp_path / "field.fits"), "--out", str(tmp_path / "out"), "--wcs", "solve"]) == 0
+    frames, stars = (
+        Table.read(tmp_path / "out" / "products" / f"{kind}.ecsv", format="ascii.ecsv") for kind in ("frames", "stars")
+    )
+    assert bool(frames["solved"][0])
+    assert bool(frames["mirrored"][0]) == mirrored
+    named = stars[np.isfinite(np.asarray(stars["v_mag"], dtype=float))]
+    row, col = np.asarray(named["row"], dtype=float), np.asarray(named["col"], dtype=float)
+    found = SkyCoord(*solved_wcs(frames[0]).pixel_to_world_values(col, row), unit="deg")
+    there = SkyCoord(*reference.pixel_to_world_values(image.shape[1] - 1.0 - col if mirrored else col, row), unit="deg")
+    away_px = found.separation(there).rad * frames["focal_px"][0]
+    assert len(away_px) > 80
+    assert away_px.max() < 1.0
+    assert np.median(away_px) < 0.1
 
 
 @pytest.mark.slow

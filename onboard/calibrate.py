@@ -30,7 +30,7 @@ class Counts:
     """A frame as integers: one count is `adu_scale` ADU, zero is `adu_offset` (1 and 0 for uint16 frames).
 
     pixels : (rows, cols) uint16 or int32. dark : (rows, cols) int16, counts. fraction : (rows, cols) int8, what rounding
-    took from the dark, in 1/128 ADU. defects : (rows, cols) uint8 of `MaskBit`.
+    took from the dark, in 1/128 ADU. defects : (rows, cols) uint8 of `MaskBit`, writable: it becomes the mask.
     saturation : counts at and above which a pixel is saturated.
     """
 
@@ -77,11 +77,13 @@ class IntegerCalibration:
 
     dark : rounded to whole ADU, so that its removal is reversible and known at both ends of the link. fraction : the rest
     of it in 1/128 ADU; left in, it would add 1/12 ADU^2 of fixed pattern to the image that the detector sees.
+    defects : (n, 4) runs of pixels with the same bits, for the map would take a byte a pixel: row, first col, col after the
+    last, `MaskBit`.
     """
 
     dark: NDArray[np.int16]
     fraction: NDArray[np.int8]
-    defects: NDArray[np.uint8]
+    defects: NDArray[np.int32]
 
     @classmethod
     def of(cls, calibration: Calibration) -> "IntegerCalibration":
@@ -92,7 +94,7 @@ class IntegerCalibration:
             part = slice(row, row + ROWS_AT_ONCE)
             dark[part] = np.clip(np.rint(calibration.dark_adu[part]), -32768, 32767)
             fraction[part] = np.rint(np.clip(calibration.dark_adu[part] - dark[part], -0.5, 0.5) * FRACTIONS_PER_ADU)
-        return cls(dark=dark, fraction=fraction, defects=calibration.defects.copy())
+        return cls(dark=dark, fraction=fraction, defects=runs_of(calibration.defects))
 
     def window(self, header: FrameHeader) -> "IntegerCalibration":
         """The part that a (windowed) frame covers."""
@@ -103,35 +105,64 @@ class IntegerCalibration:
                 f"frame {header.frame}: expected a window inside the calibration's {self.dark.shape[0]} x "
                 f"{self.dark.shape[1]} px, got {header.rows} x {header.cols} at ({row0}, {col0})"
             )
-        return IntegerCalibration(dark=self.dark[part], fraction=self.fraction[part], defects=self.defects[part])
+        first = np.array((row0, col0, col0, 0), dtype=np.int32)
+        return IntegerCalibration(dark=self.dark[part], fraction=self.fraction[part], defects=self.defects - first)
 
     @classmethod
     def none(cls, header: FrameHeader) -> "IntegerCalibration":
         """No dark and no defects."""
         shape = (header.rows, header.cols)
-        return cls(dark=np.zeros(shape, np.int16), fraction=np.zeros(shape, np.int8), defects=np.zeros(shape, np.uint8))
+        return cls(dark=np.zeros(shape, np.int16), fraction=np.zeros(shape, np.int8), defects=np.zeros((0, 4), np.int32))
 
 
-def to_counts(frame: Frame, calibration: IntegerCalibration) -> Counts:
-    """Integer pixels of a frame with the dark and defects that go with them."""
+def runs_of(defects: NDArray[np.uint8]) -> NDArray[np.int32]:
+    """Runs (n, 4) of a map of defects, as in `IntegerCalibration`."""
+    runs = []
+    for row in range(0, len(defects), ROWS_AT_ONCE):
+        part = np.pad(defects[row : row + ROWS_AT_ONCE], ((0, 0), (1, 1)))
+        line, col = np.nonzero(part[:, 1:] != part[:, :-1])
+        bits = part[line, col + 1]
+        # the next change in the row ends a run: each row ends with 0
+        start = np.flatnonzero(bits)
+        runs.append(np.column_stack((line[start] + row, col[start], col[start + 1], bits[start])))
+    return np.concatenate(runs).astype(np.int32)
+
+
+@njit(cache=True)
+def write_runs(runs: NDArray[np.int32], out: NDArray[np.uint8]) -> None:
+    """A map of defects from its runs; what lies outside of the map is left out."""
+    rows, cols = out.shape
+    out[:] = 0
+    for k in range(runs.shape[0]):
+        if 0 <= runs[k, 0] < rows:
+            for col in range(max(runs[k, 1], 0), min(runs[k, 2], cols)):
+                out[runs[k, 0], col] = runs[k, 3]
+
+
+def to_counts(frame: Frame, calibration: IntegerCalibration, defects: NDArray[np.uint8] | None = None) -> Counts:
+    """Integer pixels of a frame with the dark and defects that go with them. defects : memory for their map."""
+    if defects is None:
+        defects = np.empty(frame.pixels.shape, dtype=np.uint8)
+    write_runs(calibration.defects, defects)
     saturation_adu = frame.header.saturation_adu if frame.header.saturation_adu is not None else math.inf
     if frame.pixels.dtype == np.uint16:
         return Counts(
             pixels=cast("NDArray[np.uint16]", frame.pixels),
             dark=calibration.dark,
             fraction=calibration.fraction,
-            defects=calibration.defects,
+            defects=defects,
             adu_scale=1.0,
             adu_offset=0.0,
             saturation=int(min(max(saturation_adu, 1.0), 65535.0)),
         )
     pixels, missing, scale, offset = float_counts(cast("NDArray[np.float32]", frame.pixels) - calibration.dark.astype(np.float32))
+    defects[missing] |= np.uint8(MaskBit.MISSING)
     saturation = (saturation_adu - float(np.median(calibration.dark)) - offset) / scale
     return Counts(
         pixels=pixels,
         dark=np.zeros_like(calibration.dark),
         fraction=calibration.fraction,
-        defects=np.where(missing, calibration.defects | np.uint8(MaskBit.MISSING), calibration.defects),
+        defects=defects,
         adu_scale=scale,
         adu_offset=offset,
         saturation=int(min(saturation, 2.0**31 - 1)),
@@ -170,19 +201,18 @@ def _residual_row(
     pixels: NDArray[np.uint16] | NDArray[np.int32],
     dark: NDArray[np.int16],
     fraction: NDArray[np.int8],
-    defects: NDArray[np.uint8],
+    mask: NDArray[np.uint8],
     level: NDArray[np.float32],
     saturation: int,
     scale: np.float32,
     residual: NDArray[np.float32],
-    mask: NDArray[np.uint8],
 ) -> np.int32:
     """One row of `residual_pass`; a function of its own so that it is compiled to vector instructions."""
     unusable = np.int32(0)
     unit = np.float32(1.0 / FRACTIONS_PER_ADU)
     for col in range(pixels.size):
         value = np.int32(pixels[col])
-        bits = defects[col] | (np.uint8(4) if value >= saturation else np.uint8(0))
+        bits = mask[col] | (np.uint8(4) if value >= saturation else np.uint8(0))
         net = np.float32(value - np.int32(dark[col])) * scale - np.float32(fraction[col]) * unit - level[col]
         residual[col] = net if bits == 0 else np.float32(0.0)
         mask[col] = bits
@@ -211,18 +241,18 @@ def residual_pass(
     pixels: NDArray[np.uint16] | NDArray[np.int32],
     dark: NDArray[np.int16],
     fraction: NDArray[np.int8],
-    defects: NDArray[np.uint8],
+    mask: NDArray[np.uint8],
     level_nodes: NDArray[np.float32],
     tile_px: int,
     saturation: int,
     scale: float,
     limit: float,
     residual: NDArray[np.float32],
-    mask: NDArray[np.uint8],
     row_sums: NDArray[np.float64],
 ) -> int:
-    """``residual = (pixels - dark) * scale - fraction / 128 - level`` and the mask; masked pixels get 0. Returns their number.
+    """``residual = (pixels - dark) * scale - fraction / 128 - level``; masked pixels get 0. Returns their number.
 
+    mask : the map of defects, to which saturated pixels are added.
     row_sums : (rows, 2) number and sum of each row's usable values within +-limit, taken while the row is in the cache.
     `MaskBit.SATURATED` (4) is set from the pixels before the dark is removed; level_nodes are relative to the offset.
     """
@@ -248,12 +278,11 @@ def residual_pass(
                 pixels[row],
                 dark[row],
                 fraction[row],
-                defects[row],
+                mask[row],
                 level,
                 saturation,
                 np.float32(scale),
                 residual[row],
-                mask[row],
             )
         )
         number, total, _ = sums_within(residual[row], mask[row], unmarked, np.float32(limit))

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from onboard import packets
 from onboard.budget import Allowance, Outbox, packet_bytes, within_limits
 from onboard.calibrate import ROW_LIMIT_SIGMA, Counts, IntegerCalibration, background_in_adu, residual_pass, to_counts
-from onboard.dead_area import with_dead_area
+from onboard.dead_area import mark_dead_area
 from onboard.options import OnboardOptions
 from onboard.roi_coding import CodedRoi, code_roi
 from onboard.star_free_sky import without_stars
@@ -30,7 +30,7 @@ from sboc_e2e.icd.flags import FrameFlag, MaskBit, StreakFlag
 from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.layout import HEADER_FIXED, TELEMETRY, Apid
 from sboc_e2e.icd.signals import BackgroundModel, Detection, DetectorView, RoiGroup, StarList
-from sboc_e2e.icd.steps import BackgroundEstimator, Detector, Encoder, StarExtractor
+from sboc_e2e.icd.steps import BackgroundEstimator, Detector, Encoder, SelectiveMemory, StarExtractor
 from sboc_e2e.icd.tai import NS_PER_S
 
 OUTSIDE_TOLERANCE_PX = 2.0
@@ -59,7 +59,7 @@ class OnboardState:
     """What the chain remembers from frame to frame; picklable.
 
     earlier_stars : star lists of the last frames, newest last.
-    history : views of the last frames, as many as the detector declares, newest last.
+    history : views of the last frames, or what the detector keeps of them, as many as it declares, newest last.
     recent : detections of the last frames, for the STATIC flag. pixel_check : checksum of some rows of the last frame.
     """
 
@@ -67,7 +67,7 @@ class OnboardState:
     allowance: Allowance
     hot_pixels: HotPixels
     previous: FrameHeader | None = None
-    history: tuple[DetectorView, ...] = ()
+    history: tuple[Any, ...] = ()
     recent: tuple[tuple[Detection, ...], ...] = ()
     earlier_stars: tuple[EarlierStars, ...] = ()
     pixel_check: int | None = None
@@ -128,9 +128,11 @@ class OnboardChain:
         """Packets of one frame and the state after it. Arrays of the state belong to the chain."""
         header = self._with_saturation(frame.header)
         check = _checksum(frame.pixels)
-        counts = to_counts(replace(frame, header=header), self._calibration_of(header))
-        counts = replace(counts, defects=with_dead_area(counts.defects, counts.pixels, counts.saturation))
-        view, under, n_masked = self._calibrated(header, counts, state)
+        residual, mask = self._buffers(frame.pixels.shape)
+        counts = to_counts(replace(frame, header=header), self._calibration_of(header), mask)
+        mark_dead_area(mask, counts.pixels, counts.saturation)
+        state.hot_pixels.mark(mask)
+        view, under, n_masked = self._calibrated(header, counts, residual, state)
         flags = _header_flags(header) | _sequence_flags(header, state, check) | _content_flags(view, counts, n_masked)
         usable = not flags & (FrameFlag.ALL_MASKED | FrameFlag.EMPTY_SIGNAL | FrameFlag.REPEATED_FRAME)
         if usable:
@@ -144,7 +146,7 @@ class OnboardChain:
         outbox = Outbox(writer=state.writer, allowance=state.allowance.after(_elapsed_s(header, state.previous)), header=header)
         housekeeping, rois = self._send(outbox, state, view, counts, detections, earlier, flags, n_masked)
         keep = self._steps.detector.history_frames if usable else 0
-        history = (*state.history, replace(view, history=()))[-keep:] if keep > 0 else state.history
+        history = (*state.history, self._remembered(view))[-keep:] if keep > 0 else state.history
         after = OnboardState(
             writer=outbox.writer,
             allowance=outbox.allowance,
@@ -178,35 +180,34 @@ class OnboardChain:
         """Dark and defects under a frame."""
         return IntegerCalibration.none(header) if self._calibration is None else self._calibration.window(header)
 
-    def _calibrated(self, header: FrameHeader, counts: Counts, state: OnboardState) -> tuple[DetectorView, Writable, int]:
-        """The view without stars, what lies under it, and how many pixels are masked."""
-        residual, mask = self._buffers(counts.pixels.shape)
+    def _calibrated(
+        self, header: FrameHeader, counts: Counts, residual: NDArray[np.float32], state: OnboardState
+    ) -> tuple[DetectorView, Writable, int]:
+        """The view without stars, what lies under it, and how many pixels are masked; `residual` is filled."""
         row_sums = np.empty((len(residual), 2))
-        with state.hot_pixels.added_to(counts.defects):
-            given = (counts.pixels, _read_only(counts.dark), _read_only(counts.defects))
-            estimated = self._guarded("background", self._steps.background.estimate, *given)
-            if not isinstance(estimated, BackgroundModel):
-                raise self._fault("background", f"expected a BackgroundModel, got {type(estimated).__name__}")
-            background = background_in_adu(estimated, counts)
-            n_masked = residual_pass(
-                counts.pixels,
-                counts.dark,
-                counts.fraction,
-                counts.defects,
-                background.level_adu - np.float32(counts.adu_offset),
-                background.tile_px,
-                counts.saturation,
-                counts.adu_scale,
-                ROW_LIMIT_SIGMA * float(np.median(background.sigma_adu)),
-                residual,
-                mask,
-                row_sums,
-            )
+        given = (counts.pixels, _read_only(counts.dark), _read_only(counts.defects))
+        estimated = self._guarded("background", self._steps.background.estimate, *given)
+        if not isinstance(estimated, BackgroundModel):
+            raise self._fault("background", f"expected a BackgroundModel, got {type(estimated).__name__}")
+        background = background_in_adu(estimated, counts)
+        n_masked = residual_pass(
+            counts.pixels,
+            counts.dark,
+            counts.fraction,
+            counts.defects,
+            background.level_adu - np.float32(counts.adu_offset),
+            background.tile_px,
+            counts.saturation,
+            counts.adu_scale,
+            ROW_LIMIT_SIGMA * float(np.median(background.sigma_adu)),
+            residual,
+            row_sums,
+        )
         view = DetectorView(
             header=header,
             residual_adu=residual,
             background=background,
-            mask=mask,
+            mask=counts.defects,
             stars=StarList.empty(),
             psf_sigma_px=self._camera.psf_sigma_px,
             history=state.history,
@@ -215,7 +216,7 @@ class OnboardChain:
 
     def _buffers(self, shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Memory for the calibrated image and the mask; used again for every frame unless views are kept."""
-        if self._steps.detector.history_frames > 0:
+        if self._steps.detector.history_frames > 0 and not isinstance(self._steps.detector, SelectiveMemory):
             return np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.uint8)
         if self._scratch is None or self._scratch[0].shape != shape:
             self._scratch = (np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.uint8))
@@ -239,6 +240,12 @@ class OnboardChain:
             psf_sigma_px=view.psf_sigma_px,
         )
         return replace(view, stars=stars, background=background)
+
+    def _remembered(self, view: DetectorView) -> Any:
+        """What the history holds of a view."""
+        view = replace(view, history=())
+        detector = self._steps.detector
+        return self._guarded("detector", detector.remembered, view) if isinstance(detector, SelectiveMemory) else view
 
     def _detections(self, view: DetectorView) -> tuple[Detection, ...]:
         """Detections of the detector, checked."""

@@ -6,6 +6,7 @@ Dark sky is never without noise. Left in, a dead part would pull level and noise
 from typing import Final
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.flags import MaskBit
@@ -19,32 +20,42 @@ NOISY_ABOVE: Final = 0.4
 """Share in the median tile above which noise resolves the counts, so that its absence means something."""
 
 
+@njit(cache=True)
+def _count_differing(row: NDArray[np.uint16] | NDArray[np.int32]) -> int:
+    """How many pixels of a row differ from their left neighbours."""
+    count = np.int32(0)
+    for col in range(1, row.size):
+        count += np.int32(row[col] != row[col - 1])
+    return int(count)
+
+
+@njit(cache=True)
+def shares_that_differ(pixels: NDArray[np.uint16] | NDArray[np.int32], share: NDArray[np.float64]) -> None:
+    """Share of each tile's pixels, on every `ROW_STEP`-th row, that differ from their left neighbours."""
+    rows, cols = pixels.shape
+    for i in range(share.shape[0]):
+        for j in range(share.shape[1]):
+            first, stop = j * TILE_PX, min((j + 1) * TILE_PX, cols)
+            number = 0
+            for row in range(i * TILE_PX, min((i + 1) * TILE_PX, rows), ROW_STEP):
+                share[i, j] += _count_differing(pixels[row, max(first - 1, 0) : stop])
+                number += stop - first
+            share[i, j] /= number
+
+
 def dead_tiles(pixels: NDArray[np.uint16] | NDArray[np.int32]) -> NDArray[np.bool_]:
     """(tile rows, tile columns) of `TILE_PX`: True where the detector does not answer."""
-    sample = pixels[::ROW_STEP]
-    first_row, first_col = (np.arange(0, n, step) for n, step in zip(sample.shape, (TILE_PX // ROW_STEP, TILE_PX), strict=True))
-    differs = np.zeros(sample.shape, dtype=np.uint8)
-    np.not_equal(sample[:, 1:], sample[:, :-1], out=differs[:, 1:].view(np.bool_))
-    along_rows = np.add.reduceat(differs, first_col, axis=1)
-    in_tiles = np.add.reduceat(along_rows, first_row, axis=0, dtype=np.int64)
-    size = np.outer(np.diff(first_row, append=sample.shape[0]), np.diff(first_col, append=sample.shape[1]))
-    share: NDArray[np.float64] = in_tiles / size
+    share = np.zeros((-(-pixels.shape[0] // TILE_PX), -(-pixels.shape[1] // TILE_PX)))
+    shares_that_differ(pixels, share)
     return (share < DEAD_BELOW) & bool(np.median(share) > NOISY_ABOVE)
 
 
-def with_dead_area(
-    defects: NDArray[np.uint8], pixels: NDArray[np.uint16] | NDArray[np.int32], saturation: int
-) -> NDArray[np.uint8]:
-    """The defect map with `MaskBit.DEAD` on dead tiles; the map itself where there is none.
+def mark_dead_area(defects: NDArray[np.uint8], pixels: NDArray[np.uint16] | NDArray[np.int32], saturation: int) -> None:
+    """Set `MaskBit.DEAD` on dead tiles of the map of defects.
 
     Saturated parts do not differ either; they are not dead, and are masked as what they are.
     """
-    dead = dead_tiles(pixels)
-    if not dead.any():
-        return defects
-    marked = defects.copy()
-    for i, j in zip(*np.nonzero(dead), strict=True):
+    for i, j in zip(*np.nonzero(dead_tiles(pixels)), strict=True):
         part = np.s_[i * TILE_PX : (i + 1) * TILE_PX, j * TILE_PX : (j + 1) * TILE_PX]
         if not (pixels[part] >= saturation).any():
-            marked[part] |= np.uint8(MaskBit.DEAD)
-    return marked
+            defects[part] |= np.uint8(MaskBit.DEAD)

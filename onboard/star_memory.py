@@ -5,15 +5,17 @@ lists of the last frames are kept with the transforms of (row, col) into the new
 hold, away from their own trails, is sent with its mean place and flux. A mover is never at the same place of the sky twice.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from onboard.detect import registration
 from sboc_e2e.icd.flags import StarFlag, StreakFlag
-from sboc_e2e.icd.signals import FIXED_POINT, Detection, RoiGroup, StarList, Strip
+from sboc_e2e.icd.signals import FIXED_POINT, Detection, RoiGroup, StarList
 
 Array = NDArray[np.float64]
 
@@ -139,22 +141,30 @@ def _under_rois(place: Array, groups: Sequence[RoiGroup], margin_px: float) -> N
     """Which points (n, 2) lie in a strip of the groups, or within the margin of one."""
     inside = np.zeros(len(place), dtype=bool)
     for group in groups:
-        for strip in group.strips:
-            inside |= _near_strip(strip, place, margin_px)
+        for s in group.strips:
+            _mark_near(place, s.axis, s.major0, s.minor0_fp, s.slope_fp, s.values_adu.shape, margin_px, inside)
     return inside
 
 
-def _near_strip(strip: Strip, place: Array, margin_px: float) -> NDArray[np.bool_]:
-    """Which points (n, 2) lie within the margin of a strip."""
-    n, width = strip.values_adu.shape
-    line = place[:, strip.axis] - strip.major0
-    first = np.floor((strip.minor0_fp + np.rint(line) * strip.slope_fp) / FIXED_POINT)
-    across = place[:, 1 - strip.axis] - first
-    margin_across = margin_px * float(np.hypot(1.0, strip.slope_fp / FIXED_POINT))
-    return np.asarray(
-        (line > -0.5 - margin_px) & (line < n - 0.5 + margin_px)
-        & (across > -0.5 - margin_across) & (across < width - 0.5 + margin_across)
-    )  # fmt: skip
+@njit(cache=True)
+def _mark_near(
+    place: Array,
+    axis: int,
+    major0: int,
+    minor0_fp: int,
+    slope_fp: int,
+    shape: tuple[int, int],
+    margin_px: float,
+    inside: NDArray[np.bool_],
+) -> None:
+    """Set True for the points (n, 2) within the margin of a strip."""
+    n, width = shape
+    margin_across = margin_px * math.hypot(1.0, slope_fp / FIXED_POINT)
+    for k in range(place.shape[0]):
+        line = place[k, axis] - major0
+        if -0.5 - margin_px < line < n - 0.5 + margin_px:
+            across = place[k, 1 - axis] - math.floor((minor0_fp + np.rint(line) * slope_fp) / FIXED_POINT)
+            inside[k] |= -0.5 - margin_across < across < width - 0.5 + margin_across
 
 
 def _means(entries: Array) -> Array:

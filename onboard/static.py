@@ -1,7 +1,6 @@
 """What stays where it was: hot pixels learned over frames, and detections seen before at the same place."""
 
-from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -58,17 +57,10 @@ class HotPixels:
         """Flat indices of pixels taken for hot."""
         return self.pixel[self.seen >= SIGHTINGS]
 
-    @contextmanager
-    def added_to(self, defects: NDArray[np.uint8]) -> Iterator[None]:
-        """The learned pixels are in the map of defects as long as this lasts: a copy of the map would be a frame's memory."""
+    def mark(self, defects: NDArray[np.uint8]) -> None:
+        """Set `MaskBit.LEARNED_HOT` on the learned pixels of the map of defects."""
         learned = self.learned()
-        place = np.divmod(learned[learned < defects.size], defects.shape[1])
-        before = defects[place]
-        defects[place] = before | np.uint8(MaskBit.LEARNED_HOT)
-        try:
-            yield
-        finally:
-            defects[place] = before
+        defects[np.divmod(learned[learned < defects.size], defects.shape[1])] |= np.uint8(MaskBit.LEARNED_HOT)
 
 
 def flag_static(detections: Sequence[Detection], recent: Sequence[Sequence[Detection]]) -> tuple[Detection, ...]:

@@ -178,28 +178,38 @@ def work_size(rows: int, cols: int) -> int:
     return size
 
 
-@nb.njit(cache=True)
-def transposed(image: NDArray[np.int16]) -> NDArray[np.int16]:
-    """A transposed copy, made in blocks that fit the cache."""
-    rows, cols = image.shape
-    out = np.empty((cols, rows), np.int16)
-    for i0 in range(0, rows, 32):
-        for j0 in range(0, cols, 32):
-            for j in range(j0, min(cols, j0 + 32)):
-                for i in range(i0, min(rows, i0 + 32)):
-                    out[j, i] = image[i, j]
+def turned(image: NDArray[np.int16], room: NDArray[np.int16]) -> NDArray[np.int16]:
+    """The image transposed in its own memory; room : work space of at least as many elements."""
+    copy = room[: image.size].reshape(image.shape[::-1])
+    _transpose(image, copy)
+    out = image.reshape(copy.shape)
+    out[:] = copy
     return out
+
+
+@nb.njit(cache=True)
+def _transpose(image: NDArray[np.int16], out: NDArray[np.int16]) -> None:
+    """In blocks whose rows fit the ways of the cache: rows of 4,096 bytes all fall into one set."""
+    rows, cols = image.shape
+    for i0 in range(0, rows, 32):
+        for j0 in range(0, cols, 8):
+            for i in range(i0, min(rows, i0 + 32)):
+                for j in range(j0, min(cols, j0 + 8)):
+                    out[j, i] = image[i, j]
 
 
 def coarse_segments(
     binned: NDArray[np.int16], noise: NDArray[np.float64], threshold_sigma: float, min_rows: int, max_found: int
 ) -> NDArray[np.float64]:
-    """Candidates of all four quadrants of angles, (n, 6): axis, major0, minor0, major1, minor1 (px), S/N; best first."""
+    """Candidates of all four quadrants of angles, (n, 6): axis, major0, minor0, major1, minor1 (px), S/N; best first.
+
+    The memory of `binned` is used up.
+    """
     tables = []
     size = max(work_size(*binned.shape), work_size(*binned.shape[::-1]))
     current, following = np.empty(size, np.int16), np.empty(size, np.int16)
     for axis in (0, 1):
-        image = transposed(binned) if axis else binned
+        image = turned(binned, current) if axis else binned
         for upside_down in (False, True):
             found = line_sums(image, upside_down, noise, threshold_sigma, min_rows, max_found, current, following).astype(
                 np.float64

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.detect import context, dyadic, fragments, point_movers, registration, resolve, sharpness, static_sky, strip, whiten
+from onboard.detect.kept_frame import KeptFrame, kept
 from onboard.detect.star_removal import POINT_CLIP_SIGMA, TILE_PX, WorkingImages, snr_before, working_images
 from onboard.nearest import nearest
 from sboc_e2e.icd.flags import StreakFlag
@@ -123,17 +124,14 @@ def with_blurred_ends(detection: Detection, images: WorkingImages, psf_sigma_px:
     return replace(detection, row0=row0, col0=col0, row1=row1, col1=col1, snr=float(snr))
 
 
-def segment_snr(
-    detection: Detection, seen: DetectorView, transform: NDArray[np.float64], images: WorkingImages, s_px: float
-) -> float:
-    """Matched-filter S/N of a detection's segment in a view (unclipped), on the pixels usable in this frame; NaN if outside."""
+def segment_snr(detection: Detection, view: DetectorView, images: WorkingImages, s_px: float) -> float:
+    """Matched-filter S/N of a detection's segment in the unclipped image, on its usable pixels; NaN where these are few."""
     ends = np.array([detection.row0, detection.col0, detection.row1, detection.col1])
     return static_sky.segment_snr(
-        seen.residual_adu,
-        seen.mask,
-        seen.background.sigma_adu,
-        seen.background.tile_px,
-        transform,
+        view.residual_adu,
+        view.mask,
+        view.background.sigma_adu,
+        view.background.tile_px,
         images.blocked,
         resolve.FOUND_BIT,
         images.level,
@@ -167,7 +165,9 @@ def moved(
     wanted = n_sigma + short_margin * max(0.0, 1.0 - detection.length_px / STAR_LIKE_PX)
     # among the stars these lie where they lie in this frame, on the sensor where the earlier frame had them
     for transform, places in ((earlier.transform, static_sky.IDENTITY), (static_sky.IDENTITY, earlier.transform)):
-        before = segment_snr(detection, earlier.view, transform, images, psf_sigma_px)
+        before = static_sky.segment_snr_before(
+            earlier.frame.pixels, transform, images.blocked, resolve.FOUND_BIT, images.level, TILE_PX, ends, psf_sigma_px
+        )
         if math.isnan(before):
             continue
         if before > 0.8 * detection.snr:
@@ -223,7 +223,7 @@ def slow_movers(view: DetectorView, earlier: static_sky.EarlierFrame) -> list[De
     A centroid is good to about s sqrt(2) / S px, so at S/N SLOW_SNR a shift of SLOW_SHIFT_PX is over twenty sigma: what is left
     are blends.
     """
-    stars, then = view.stars, earlier.view.stars
+    stars, then = view.stars, earlier.frame.stars
     # in both frames: a particle that hits a star moves its centroid
     clean, known = (stars.snr >= SLOW_SNR) & (stars.flags == 0), (then.snr >= 0.5 * SLOW_SNR) & (then.flags == 0)
     if not clean.any() or not known.any():
@@ -303,6 +303,10 @@ class LineIntegralDetector:
         """The preceding frame tells stars from movers."""
         return 1
 
+    def remembered(self, view: DetectorView) -> KeptFrame:
+        """The history holds a fifth of a view's bytes."""
+        return kept(view)
+
     def detect(self, view: DetectorView) -> tuple[Detection, ...]:
         """Detections by falling S/N; particle hits (flagged) after everything else."""
         if min(view.residual_adu.shape) < 2 * MIN_ROWS:
@@ -353,8 +357,7 @@ class LineIntegralDetector:
         found = [sharpness.with_sharpness(d, view, images.level, TILE_PX) for d in found]
         # the working image is clipped: the S/N of a bright trail comes from the image itself
         unclipped = [
-            segment_snr(d, view, static_sky.IDENTITY, images, s_px) if d.snr > 30.0 and d.length_px >= POINT_LIKE_PX else d.snr
-            for d in found
+            segment_snr(d, view, images, s_px) if d.snr > 30.0 and d.length_px >= POINT_LIKE_PX else d.snr for d in found
         ]
         found = fragments.join([replace(d, snr=max(d.snr, s)) for d, s in zip(found, unclipped, strict=True)])
         found = [context.with_context(d, view, images.stars, self.halo_px) for d in found]

@@ -47,7 +47,7 @@ def _goes_on(
         d_row, d_col = unit[k, 0], unit[k, 1]
         before = 0.0
         bright = True
-        for d in range(1, REACH_PX + 1):
+        for d in range(2, REACH_PX + 1):
             i, j = math.floor(row + d * d_row + 0.5), math.floor(col + d * d_col + 0.5)
             if i < 0 or j < 0 or i >= rows or j >= cols:
                 bright = d > 4

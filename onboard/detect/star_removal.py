@@ -7,6 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.detect import point_movers, star_mask, static_sky, whiten
+from onboard.detect.kept_frame import quantised
 from sboc_e2e.icd.signals import DetectorView
 
 TILE_PX: Final = 64
@@ -50,24 +51,18 @@ class WorkingImages:
     sharp: NDArray[np.bool_]
 
 
+def by_row(row: NDArray[np.float64]) -> NDArray[np.intp]:
+    """The order in which neighbouring stars share what is in the cache."""
+    return np.argsort(row, kind="stable")
+
+
 def snr_before(
     earlier: static_sky.EarlierFrame, row: NDArray[np.float64], col: NDArray[np.float64], psf_sigma_px: float
 ) -> NDArray[np.float64]:
     """Point-source S/N in the earlier frame at the mapped places of points of this one, shape (n,), NaN where unknown."""
-    then = earlier.view
     out = np.empty(len(row))
-    # by row, so that neighbouring stars share what is in the cache
-    order = np.argsort(row, kind="stable")
-    out[order] = static_sky.point_snr_before(
-        then.residual_adu,
-        then.mask,
-        then.background.sigma_adu,
-        then.background.tile_px,
-        earlier.transform,
-        row[order],
-        col[order],
-        psf_sigma_px,
-    )
+    order = by_row(row)
+    out[order] = static_sky.point_snr_before(earlier.frame.pixels, earlier.transform, row[order], col[order], psf_sigma_px)
     return out
 
 
@@ -110,8 +105,9 @@ def remove_static_stars(
     before = snr_before(earlier, stars.row, stars.col, psf_sigma_px)
     # unknown (masked or outside then): a star; else a star of this brightness is almost never fainter than a third of it
     static = ~(before < np.maximum(1.5, 0.33 * stars.snr))
-    faint = static & (stars.snr < SUBTRACT_SNR) & (before < 1.5 * SUBTRACT_SNR)
-    bright = static & ~faint
+    is_faint = static & (stars.snr < SUBTRACT_SNR) & (before < 1.5 * SUBTRACT_SNR)
+    order = by_row(stars.row)
+    faint, bright = order[is_faint[order]], order[(static & ~is_faint)[order]]
     radii = star_mask.mask_radii_px(
         stars.snr[bright], psf_sigma_px, star_mask.STEEP_HALO * halo_px, power=star_mask.HALO_WITH_EARLIER
     )
@@ -132,7 +128,7 @@ def unlisted_stars(image: NDArray[np.int8], earlier: static_sky.EarlierFrame, ps
 
     The two frames are smoothed in bands of one row of tiles, which stay in the cache, instead of as whole images.
     """
-    then, taps, no_level = earlier.view, whiten.odd_taps(psf_sigma_px), np.zeros((1, 1), np.float32)
+    codes, taps, no_level = earlier.frame.pixels[0], whiten.odd_taps(psf_sigma_px), np.zeros((1, 1), np.float32)
     rows, cols = image.shape
     margin = len(taps)  # the kernel's reach, and one row for the test of a local maximum
     places, found = np.empty((MAX_UNLISTED, 3)), 0
@@ -141,12 +137,10 @@ def unlisted_stars(image: NDArray[np.int8], earlier: static_sky.EarlierFrame, ps
         first, stop = max(0, top + low - margin), min(rows, top + TILE_PX + high + margin)
         if stop <= first:
             continue
-        sigma, tile_px = then.background.sigma_adu, then.background.tile_px
-        band_then = whiten.quantise_rows(then.residual_adu, then.mask, sigma, tile_px, first, stop)
         now_first, now_stop = max(0, top - margin), min(rows, top + TILE_PX + margin)
         found = static_sky.faint_static_stars(
             whiten.smooth(image[now_first:now_stop], no_level, max(image.shape), taps, POINT_CLIP_SIGMA),
-            whiten.smooth(band_then, no_level, max(image.shape), taps, POINT_CLIP_SIGMA),
+            whiten.smooth(quantised(codes[first:stop]), no_level, max(image.shape), taps, POINT_CLIP_SIGMA),
             now_first,
             first,
             top,

@@ -13,6 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.detect import registration
+from onboard.detect.kept_frame import BEYOND, KeptFrame, KeptPixels, in_sigmas, kept
+from onboard.detect.whiten import UNIT
 from sboc_e2e.icd.signals import DetectorView
 
 EDGE_PX: Final = 3.0
@@ -23,26 +25,29 @@ IDENTITY: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EarlierFrame:
-    """The preceding view and the transform (2, 3) of (row, col) from this frame into it."""
+    """What was kept of the preceding frame, and the transform (2, 3) of (row, col) from this frame into it."""
 
-    view: DetectorView
+    frame: KeptFrame
     transform: NDArray[np.float64]
 
 
 def earlier_frame(view: DetectorView, reach_px: float) -> EarlierFrame | None:
-    """The newest view of the history when its stars can be matched with those of this frame."""
-    if not view.history or view.history[-1].residual_adu.shape != view.residual_adu.shape:
+    """The newest frame of the history when its stars can be matched with those of this frame; kept frames or whole views."""
+    if not view.history:
         return None
-    transform = registration.register(view.stars, view.history[-1].stars, reach_px=reach_px)
-    return None if transform is None else EarlierFrame(view=view.history[-1], transform=transform)
+    newest = view.history[-1]
+    frame = newest if isinstance(newest, KeptFrame) else kept(newest)
+    if frame.pixels[0].shape != view.residual_adu.shape:
+        return None
+    transform = registration.register(view.stars, frame.stars, reach_px=reach_px)
+    return None if transform is None else EarlierFrame(frame=frame, transform=transform)
 
 
 @nb.njit(cache=True)
-def _point_snr(
-    residual: NDArray[np.float32], mask: NDArray[np.uint8], row: float, col: float, sigma: float, psf_sigma_px: float
-) -> float:
-    """Matched-filter S/N of a point source at (row, col); NaN where less than half of its light falls on good pixels."""
-    rows, cols = residual.shape
+def _point_snr(pixels: KeptPixels, row: float, col: float, psf_sigma_px: float) -> float:
+    """Matched-filter S/N of a point source at (row, col); NaN where less than half of its light falls on known pixels."""
+    codes = pixels[0]
+    rows, cols = codes.shape
     radius = math.ceil(2.5 * psf_sigma_px)
     centre_row, centre_col = math.floor(row + 0.5), math.floor(col + 0.5)
     factor = -0.5 / psf_sigma_px**2
@@ -54,38 +59,53 @@ def _point_snr(
         g, ratio = first * math.exp(factor * (i - row) ** 2), first_ratio
         for j in range(centre_col - radius, centre_col + radius + 1):
             full += g * g
-            if 0 <= i < rows and 0 <= j < cols and mask[i, j] == 0:
-                signal += g * residual[i, j]
-                power += g * g
+            if 0 <= i < rows and 0 <= j < cols:
+                value = float(codes[i, j])
+                if abs(value) >= BEYOND:
+                    value = UNIT * in_sigmas(pixels, i, j)
+                if not math.isnan(value):
+                    signal += g * value
+                    power += g * g
             g *= ratio
             ratio *= growth
-    return signal / (sigma * math.sqrt(power)) if power > 0.5 * full else math.nan
+    return signal / (UNIT * math.sqrt(power)) if power > 0.5 * full else math.nan
 
 
 @nb.njit(cache=True)
 def point_snr_before(
-    residual_adu: NDArray[np.float32],
-    mask: NDArray[np.uint8],
-    sigma_adu: NDArray[np.float32],
-    tile_px: int,
+    pixels: KeptPixels,
     transform: NDArray[np.float64],
     row: NDArray[np.float64],
     col: NDArray[np.float64],
     psf_sigma_px: float,
 ) -> NDArray[np.float64]:
     """S/N in the earlier frame at the mapped places of points (n,) of this frame; NaN where it cannot be known."""
+    rows, cols = pixels[0].shape
     out = np.full(row.shape[0], np.nan)
     for k in range(row.shape[0]):
         r = transform[0, 0] * row[k] + transform[0, 1] * col[k] + transform[0, 2]
         c = transform[1, 0] * row[k] + transform[1, 1] * col[k] + transform[1, 2]
-        if not (EDGE_PX <= r <= residual_adu.shape[0] - 1 - EDGE_PX and EDGE_PX <= c <= residual_adu.shape[1] - 1 - EDGE_PX):
-            continue
-        mesh_row = min(max(int(r), 0) // tile_px, sigma_adu.shape[0] - 1)
-        mesh_col = min(max(int(c), 0) // tile_px, sigma_adu.shape[1] - 1)
-        sigma = sigma_adu[mesh_row, mesh_col]
-        if sigma > 0.0:
-            out[k] = _point_snr(residual_adu, mask, r, c, sigma, psf_sigma_px)
+        if EDGE_PX <= r <= rows - 1 - EDGE_PX and EDGE_PX <= c <= cols - 1 - EDGE_PX:
+            out[k] = _point_snr(pixels, r, c, psf_sigma_px)
     return out
+
+
+@nb.njit(cache=True)
+def _path(ends: NDArray[np.float64]) -> tuple[bool, float, int, int, float, float, float]:
+    """A segment (row0, col0, row1, col1) line by line of its major axis: whether that is row, the cosine to it, first and last
+    line; and minor = origin + slope (line - start).
+    """
+    d_row, d_col = ends[2] - ends[0], ends[3] - ends[1]
+    length = max(math.hypot(d_row, d_col), 1.0)
+    u_row, u_col = d_row / length, d_col / length
+    if u_row == 0.0 and u_col == 0.0:
+        u_col = 1.0
+    steep = abs(u_row) >= abs(u_col)
+    along = abs(u_row) if steep else abs(u_col)
+    start, stop = (ends[0], ends[2]) if steep else (ends[1], ends[3])
+    origin, slope = (ends[1], u_col / u_row) if steep else (ends[0], u_row / u_col if u_col != 0.0 else 0.0)
+    low, high = math.ceil(min(start, stop)), math.floor(max(start, stop))
+    return steep, along, low, high, origin, slope, start
 
 
 @nb.njit(cache=True)
@@ -94,6 +114,40 @@ def segment_snr(
     mask: NDArray[np.uint8],
     sigma_adu: NDArray[np.float32],
     tile_px: int,
+    blocked: NDArray[np.uint8],
+    ignored: int,
+    level: NDArray[np.float32],
+    level_tile_px: int,
+    ends: NDArray[np.float64],
+    psf_sigma_px: float,
+) -> float:
+    """S/N along a segment (row0, col0, row1, col1) of this frame, not clipped; NaN if most of its pixels are masked.
+
+    blocked : working mask; bits `ignored` (the segment's own blanking) do not count. level : mesh of the light that the
+    background left over, sigma/16.
+    """
+    factor, reach = -0.5 / psf_sigma_px**2, 3.0 * psf_sigma_px
+    signal = power = total = 0.0
+    steep, along, low, high, origin, slope, start = _path(ends)
+    for major in range(low, high + 1):
+        minor = origin + slope * (major - start)
+        for k in range(math.ceil(minor - reach / along), math.floor(minor + reach / along) + 1):
+            i, j = (major, k) if steep else (k, major)
+            if not (0 <= i < blocked.shape[0] and 0 <= j < blocked.shape[1]) or (blocked[i, j] & ~ignored) != 0:
+                continue
+            g = math.exp(factor * ((k - minor) * along) ** 2)
+            total += g * g
+            if mask[i, j] == 0:
+                sigma = sigma_adu[min(i // tile_px, sigma_adu.shape[0] - 1), min(j // tile_px, sigma_adu.shape[1] - 1)]
+                if sigma > 0.0:
+                    signal += g * (residual_adu[i, j] / sigma - level[i // level_tile_px, j // level_tile_px] / 16.0)
+                    power += g * g
+    return signal / math.sqrt(power) if power > 0.5 * total and power > 0.0 else math.nan
+
+
+@nb.njit(cache=True)
+def segment_snr_before(
+    pixels: KeptPixels,
     transform: NDArray[np.float64],
     blocked: NDArray[np.uint8],
     ignored: int,
@@ -102,25 +156,14 @@ def segment_snr(
     ends: NDArray[np.float64],
     psf_sigma_px: float,
 ) -> float:
-    """S/N in a frame along the mapped place of a segment (row0, col0, row1, col1) of this one, on the pixels it was found on.
+    """As `segment_snr`, in an earlier frame at the mapped place of a segment of this one, on the pixels it was found on.
 
-    blocked : mask of this frame; bits `ignored` (the segment's own blanking) do not count. level : mesh of
-    the light that the background left over in this frame, sigma/16. NaN if most of the segment lies outside.
+    NaN if most of the segment lies outside.
     """
-    rows, cols = residual_adu.shape
-    d_row, d_col = ends[2] - ends[0], ends[3] - ends[1]
-    length = max(math.hypot(d_row, d_col), 1.0)
-    u_row, u_col = d_row / length, d_col / length
-    if u_row == 0.0 and u_col == 0.0:
-        u_col = 1.0
-    reach = 3.0 * psf_sigma_px
-    factor = -0.5 / psf_sigma_px**2
+    rows, cols = pixels[0].shape
+    factor, reach = -0.5 / psf_sigma_px**2, 3.0 * psf_sigma_px
     signal = power = total = 0.0
-    steep = abs(u_row) >= abs(u_col)
-    along = abs(u_row) if steep else abs(u_col)
-    start, stop = (ends[0], ends[2]) if steep else (ends[1], ends[3])
-    origin, slope = (ends[1], u_col / u_row) if steep else (ends[0], u_row / u_col if u_col != 0.0 else 0.0)
-    low, high = math.ceil(min(start, stop)), math.floor(max(start, stop))
+    steep, along, low, high, origin, slope, start = _path(ends)
     for major in range(low, high + 1):
         minor = origin + slope * (major - start)
         for k in range(math.ceil(minor - reach / along), math.floor(minor + reach / along) + 1):
@@ -131,10 +174,10 @@ def segment_snr(
             total += g * g
             r = math.floor(transform[0, 0] * i + transform[0, 1] * j + transform[0, 2] + 0.5)
             c = math.floor(transform[1, 0] * i + transform[1, 1] * j + transform[1, 2] + 0.5)
-            if 0 <= r < rows and 0 <= c < cols and mask[r, c] == 0:
-                sigma = sigma_adu[min(r // tile_px, sigma_adu.shape[0] - 1), min(c // tile_px, sigma_adu.shape[1] - 1)]
-                if sigma > 0.0:
-                    signal += g * (residual_adu[r, c] / sigma - level[i // level_tile_px, j // level_tile_px] / 16.0)
+            if 0 <= r < rows and 0 <= c < cols:
+                value = in_sigmas(pixels, r, c)
+                if not math.isnan(value):
+                    signal += g * (value - level[i // level_tile_px, j // level_tile_px] / 16.0)
                     power += g * g
     return signal / math.sqrt(power) if power > 0.5 * total and power > 0.0 else math.nan
 

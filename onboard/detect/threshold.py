@@ -5,6 +5,7 @@ JOSS 1, 58): extraction without deblending, axis ratio and size from the second 
 moves with the square root of the length: fast, good for short and bright trails, blind to long faint ones.
 """
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -24,7 +25,7 @@ def extract_elongated(
     """Segments (n, 4) row0, col0, row1, col1 of the elongated sources of an image; `threshold` in its units."""
     # sep writes to its whole pixel stack first: room for the pixels above the threshold is enough and ten times as fast
     room_before = sep.get_extract_pixstack()
-    sep.set_extract_pixstack(int(np.count_nonzero(image > threshold)) + 1000)
+    sep.set_extract_pixstack(int(np.count_nonzero(image > math.floor(threshold))) + 1000)
     pixels = image.astype(np.float32)
     try:
         sources = sep.extract(pixels, threshold, minarea=min_area_px, filter_kernel=None, deblend_cont=1.0, clean=False)

@@ -1,6 +1,7 @@
 """What the on-board software finds in a frame: background, stars, detections, strips of pixels."""
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -97,7 +98,8 @@ class DetectorView:
     residual_adu : (rows, cols) float32, dark and background level removed; masked pixels hold 0.
     background : mesh of level and of the noise sigma per pixel.
     mask : (rows, cols) uint8 of `MaskBit`; 0 = usable. stars : star list of this frame (empty for the extractor).
-    psf_sigma_px : nominal. history : earlier views, newest last, at most as many as the step declares.
+    psf_sigma_px : nominal. history : earlier views, newest last, at most as many as the step declares; or what its `remembered`
+    made of them (`sboc_e2e.icd.steps.SelectiveMemory`).
     """
 
     header: FrameHeader
@@ -106,7 +108,7 @@ class DetectorView:
     mask: NDArray[np.uint8]
     stars: StarList
     psf_sigma_px: float
-    history: tuple["DetectorView", ...] = ()
+    history: tuple[Any, ...] = ()
 
     def __post_init__(self) -> None:
         shape = (self.header.rows, self.header.cols)

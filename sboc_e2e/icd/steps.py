@@ -60,6 +60,15 @@ class Detector(Protocol):
 
 
 @runtime_checkable
+class SelectiveMemory(Protocol):
+    """Optional part of a detector that looks at earlier frames: what of a view it needs later, instead of the whole view."""
+
+    def remembered(self, view: DetectorView) -> Any:
+        """What `DetectorView.history` shall hold of this view: picklable, with no reference to the view's arrays."""
+        ...
+
+
+@runtime_checkable
 class Encoder(Protocol):
     """`onboard.codec`: pixels to bytes. `number` names the block layout in the packet."""
 

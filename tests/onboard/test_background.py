@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from onboard.background import MeshBackground, fill_gaps
-from onboard.calibrate import residual_pass
+from onboard.calibrate import residual_pass, runs_of, write_runs
 from onboard.star_free_sky import row_offsets, without_stars
 from onboard.stars import MatchedStars
 from sboc_e2e.icd.signals import BackgroundModel
@@ -103,9 +103,9 @@ def test_residual_is_raw_minus_dark_minus_level() -> None:
     defects = (rng.random(shape) < 0.02).astype(np.uint8)
     pixels[10, 20] = 5000
     nodes = rng.normal(100.0, 5.0, (5, 7)).astype(np.float32)
-    residual, mask = np.empty(shape, np.float32), np.empty(shape, np.uint8)
+    residual, mask = np.empty(shape, np.float32), defects.copy()
     sums = np.empty((150, 2))
-    number = residual_pass(pixels, dark, fraction, defects, nodes, tile, 4000, 1.0, 60.0, residual, mask, sums)
+    number = residual_pass(pixels, dark, fraction, mask, nodes, tile, 4000, 1.0, 60.0, residual, sums)
     row, col = np.indices(shape)
     where = [np.clip((row - 15.5) / tile, 0, 4), np.clip((col - 15.5) / tile, 0, 6)]
     level = map_coordinates(nodes.astype(np.float64), where, order=1, mode="nearest")
@@ -147,3 +147,18 @@ def test_a_bright_trail_along_a_row_survives() -> None:
     image[300] += 1.0
     found = row_offsets(row_sums(image), 2000, 1.0)
     assert found[300] < 0.3
+
+
+@pytest.mark.parametrize("density", [0.0, 0.003, 0.5, 1.0])
+def test_a_map_of_defects_survives_as_runs(density: float) -> None:
+    """The map and every window of it, also one that reaches beyond it."""
+    rng = np.random.default_rng(11)
+    defects = np.where(rng.random((150, 70)) < density, rng.integers(1, 64, (150, 70)), 0).astype(np.uint8)
+    defects[140:] = defects[140, 0]
+    runs, out = runs_of(defects), np.full((150, 70), 255, np.uint8)
+    write_runs(runs, out)
+    assert np.array_equal(out, defects)
+    window = np.full((30, 90), 255, np.uint8)
+    write_runs(runs - np.array((120, 10, 10, 0), np.int32), window)
+    assert np.array_equal(window[:, :60], defects[120:, 10:])
+    assert not window[:, 60:].any()

@@ -29,10 +29,10 @@ def view_of(pixels: NDArray[np.uint16], *, psf_sigma_px: float = SIGMA_PX, satur
     """The view that an extractor gets."""
     shape = pixels.shape
     dark, fraction = np.full(shape, PEDESTAL_ADU, np.int16), np.zeros(shape, np.int8)
-    defects, mask, residual = np.zeros(shape, np.uint8), np.empty(shape, np.uint8), np.empty(shape, np.float32)
-    background = MeshBackground().estimate(pixels, dark, defects)
+    mask, residual = np.zeros(shape, np.uint8), np.empty(shape, np.float32)
+    background = MeshBackground().estimate(pixels, dark, mask)
     residual_pass(
-        pixels, dark, fraction, defects, background.level_adu, background.tile_px, int(saturation_adu), 1.0, 10.0, residual, mask,
+        pixels, dark, fraction, mask, background.level_adu, background.tile_px, int(saturation_adu), 1.0, 10.0, residual,
         np.empty((shape[0], 2)),
     )  # fmt: skip
     header = FrameHeader(

@@ -14,16 +14,18 @@ SUN_V_MAG = -26.76
 def exposed_time_s(streak: StreakMeasurement, header: FrameHeader, crossing_s: float | None) -> tuple[float, float] | None:
     """Time that the flux of a streak was collected in, and its relative error; None where it cannot be known.
 
-    A mover is exposed for ``T / |1 - v_row tau|``, which is the time between the epochs of its ends once its direction is
-    known. crossing_s : trail length over the tracklet's rate, for trails cut by the frame's edge. Before the direction is
-    known both travel directions count: their mean, with half their difference as the error.
+    A mover is exposed for ``T / |1 - v_row tau|``, which is the time from the opening of the shutter on the row of end 0 to
+    its closing on that of end 1 once the direction is known. crossing_s : trail length over the tracklet's rate, for trails
+    cut by the frame's edge. Before the direction is known both travel directions count: their mean, with half their
+    difference as the error.
     """
     exposure_s = header.exposure_ns * 1e-9
     cut = bool(streak.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1))
     if cut:
         return None if crossing_s is None or crossing_s <= 0.0 else (crossing_s, 0.01)
     if streak.flags & StreakFlag.DIRECTION_RESOLVED:
-        return max(abs(int(streak.t_tai_ns[2]) - int(streak.t_tai_ns[0])) * 1e-9, 1e-9), 0.0
+        # of the shutter: where an end lies off the motion, its epoch is that of the motion
+        return max(abs(exposure_s + header.line_time_ns * (streak.fit.row1 - streak.fit.row0) * 1e-9), 1e-9), 0.0
     read_out_s = abs(header.line_time_ns * (streak.fit.row1 - streak.fit.row0)) * 1e-9
     longest, shortest = exposure_s + read_out_s, abs(exposure_s - read_out_s)
     return max(exposure_s, 1e-9), 0.5 * (longest - shortest) / max(exposure_s, 1e-9)

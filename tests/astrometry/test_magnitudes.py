@@ -87,6 +87,14 @@ def test_exposed_time_of_a_mover_is_that_of_brute_force(rows_per_s):
     assert abs(mag_err - np.hypot(0.01086, 0.003)) < 1e-4
 
 
+def test_an_end_off_the_motion_does_not_shorten_the_exposure():
+    """The epoch of such an end is that at which the motion passed it; the shutter knows nothing of that."""
+    streak = _streak(100.0, 100.0, (0, EXPOSURE_NS // 2, int(0.8 * EXPOSURE_NS)), 1000.0, StreakFlag.DIRECTION_RESOLVED)
+    seconds, error = exposed_time_s(streak, _header(), None)
+    assert seconds == pytest.approx(EXPOSURE_NS * 1e-9, rel=1e-12)
+    assert error == 0.0
+
+
 def test_before_the_direction_is_known_both_directions_are_in_the_error():
     row0, row1, t0, t1 = _brute_force(1000.0, 2000.0)
     streak = _streak(row0, row1, [10**18] * 3, 1e4, StreakFlag(0))

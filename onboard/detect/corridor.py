@@ -103,8 +103,7 @@ def best_pieces(
     half, span = OFFSETS // 2, max(1, n_piece - 1)
     cumulative_s, cumulative_c = np.zeros(n_piece + 1), np.zeros(n_piece + 1)
     for p in range(n_piece):
-        v = (p - first + 0.5) / (last - first + 1)
-        bow = sag * bend(v) if 0.0 < v < 1.0 else 0.0
+        bow = sag * bend((p - first + 0.5) / (last - first + 1))
         s, c = _path_piece(sums, counts, p, half + o0 + (o1 - o0) * p / span + bow)
         cumulative_s[p + 1] = cumulative_s[p] + s
         cumulative_c[p + 1] = cumulative_c[p] + c
@@ -163,7 +162,15 @@ def search_corridor(
                         sag = float(bow)
         longest, i, j = best_pieces(sums, counts, n_piece, o0, o1, sag, first, last, variance)
         if longest > snr:
-            sag *= min(1.0, ((j - i + 1.0) / (last - first + 1.0)) ** 2)
+            # the same parabola by its new chord
+            pieces = last - first + 1.0
+            u_first, u_last = (i - 0.5) / span, (j + 0.5) / span
+            p0 = o0 + (o1 - o0) * u_first + sag * bend((i - first) / pieces)
+            p1 = o0 + (o1 - o0) * u_last + sag * bend((j + 1 - first) / pieces)
+            gradient = (p1 - p0) / (u_last - u_first)
+            o0 = p0 - gradient * u_first
+            o1 = o0 + gradient
+            sag *= ((j - i + 1.0) / pieces) ** 2
             snr, first, last = longest, i, j
         if turn == 0 and snr < least - BOW_GAIN:
             break

@@ -118,12 +118,16 @@ def polish(
     level: NDArray[np.float32],
     tile_px: int,
     segment: NDArray[np.float64],
+    bends: bool,
     psf_sigma_px: float,
     signal: NDArray[np.float64],
     weight: NDArray[np.float64],
     strip: Strip,
 ) -> float:
-    """Maximise the matched filter over a bent segment (major0, minor0, major1, minor1, sagitta), in place; returns the S/N."""
+    """Maximise the matched filter over a segment (major0, minor0, major1, minor1, sagitta), in place; returns the S/N.
+
+    bends : whether the sagitta is free.
+    """
     values, usable, clean, corner, shift, table, norms = strip
     trial = np.empty(5)
     snr = -1e9
@@ -144,7 +148,7 @@ def polish(
             radius = cross_sections(slope, psf_sigma_px, table, norms)
             snr = path_sums(values, usable, clean, corner, shift, first, last, low, segment, table, norms, radius, signal, weight)
             for parameter in range(4):
-                if parameter == 3 and segment[2] - segment[0] < BENT_PX:
+                if parameter == 3 and not (bends and segment[2] - segment[0] >= BENT_PX):
                     continue
                 for sign in (-1.0, 1.0):
                     trial[:] = segment
@@ -166,7 +170,7 @@ def polish(
         old = max(segment[2] - segment[0], 1e-6)
         begin, end = minor_at(segment, start), minor_at(segment, stop)
         segment[0], segment[1], segment[2], segment[3] = start, begin, stop, end
-        segment[4] *= min(1.0, ((stop - start) / old) ** 2)
+        segment[4] *= ((stop - start) / old) ** 2
     return snr
 
 

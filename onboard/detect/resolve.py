@@ -17,6 +17,18 @@ POLISH_GAIN: Final = 1.3
 """The search over all parameters hardly ever raises the S/N of a located segment by more than this."""
 
 
+BEND_GAIN: Final = 6.0
+"""A bend must raise the squared S/N by so much, and that of a bent trail must exceed n_sigma squared by as much.
+
+Noise bends lines too: the sagitta's metric is 0.0616 S^2 per px^2 (4/45 / (2 s^2)), so that 6 px of it make
+7 x 1.5 / sqrt(2 pi) = 4 times as many false maxima; exp(-6 / 2) leaves a fifth.
+"""
+
+SHARP_ENDS_PX: Final = 60.0
+SHARP_LOSS: Final = 0.15
+"""What a template with sharp ends may cost a line shorter than that, which is fitted again with blurred ones."""
+
+
 @nb.njit(cache=True)
 def blanking_half_width(snr: float, length_px: float, psf_sigma_px: float) -> float:
     """How far across a found trail its light can still matter (px): grows with its brightness per pixel."""
@@ -24,6 +36,17 @@ def blanking_half_width(snr: float, length_px: float, psf_sigma_px: float) -> fl
         snr * math.sqrt(2.0 * math.sqrt(math.pi) * psf_sigma_px / max(length_px, 1.0)) / (math.sqrt(2.0 * math.pi) * psf_sigma_px)
     )
     return 3.0 * psf_sigma_px + 1.0 + 1.5 * math.log2(max(1.0, peak))
+
+
+@nb.njit(cache=True)
+def length_inside(segment: NDArray[np.float64], n_minor: int) -> float:
+    """Length (px) of a segment within the frame: a star on the edge lights up lines that run along it outside."""
+    length = math.hypot(segment[2] - segment[0], segment[3] - segment[1])
+    low, high = min(segment[1], segment[3]), max(segment[1], segment[3])
+    inside = min(high, n_minor - 0.5) - max(low, -0.5)
+    if inside < 0.0:
+        return 0.0
+    return length * inside / (high - low) if high - low > inside else length
 
 
 @nb.njit(cache=True)
@@ -40,6 +63,7 @@ def accept(
     first_sigma: float,
     min_length_px: float,
     segment: NDArray[np.float64],
+    straight: NDArray[np.float64],
     sums: NDArray[np.int32],
     counts: NDArray[np.int32],
     signal: NDArray[np.float64],
@@ -47,7 +71,7 @@ def accept(
     points: NDArray[np.float64],
     strip: Strip,
 ) -> float:
-    """S/N of the trail at a candidate, 0 when there is none.
+    """S/N of the trail at a candidate, 0 when there is none; lines under SHARP_ENDS_PX are let through SHARP_LOSS below n_sigma.
 
     The trail, and stars that were not in the star list but lie on the way, are taken out of the images.
     """
@@ -73,13 +97,25 @@ def accept(
         return 0.0
     snr, length = 0.0, 0.0
     for _ in range(4):
-        snr = refine.polish(image, blocked, level, tile_px, segment, psf_sigma_px, signal, weight, strip)
-        length = math.hypot(segment[2] - segment[0], segment[3] - segment[1])
-        if snr < n_sigma or length < min_length_px:
+        snr = refine.polish(image, blocked, level, tile_px, segment, True, psf_sigma_px, signal, weight, strip)
+        length = length_inside(segment, image.shape[1])
+        wanted = n_sigma - (SHARP_LOSS if length < SHARP_ENDS_PX else 0.0)
+        if snr < wanted or length < min_length_px:
             return 0.0
+        if segment[4] != 0.0:
+            straight[:] = segment
+            straight[1] += 2.0 / 3.0 * segment[4]
+            straight[3] += 2.0 / 3.0 * segment[4]
+            straight[4] = 0.0
+            snr_straight = refine.polish(image, blocked, level, tile_px, straight, False, psf_sigma_px, signal, weight, strip)
+            if snr * snr - BEND_GAIN < max(snr_straight, wanted) ** 2:
+                segment[:], snr = straight, snr_straight
+                length = length_inside(segment, image.shape[1])
+                if snr < n_sigma - (SHARP_LOSS if length < SHARP_ENDS_PX else 0.0) or length < min_length_px:
+                    return 0.0
         expected = snr * math.sqrt(2.0 * math.sqrt(math.pi) * psf_sigma_px / length)
-        # the longer the path, the higher the peaks that noise alone makes on it
-        excess = max(2.8, math.sqrt(2.0 * math.log(length)))
+        # the longer the path, the higher the peaks that noise alone makes on it: one trail in a hundred has a higher one
+        excess = math.sqrt(2.0 * math.log(6.0 * length))
         if refine.blank_stars_on_path(image, smooth, blocked, segment, expected + excess) == 0:
             break
     if not refine.looks_like_trail(image, smooth, blocked, level, tile_px, segment, snr, psf_sigma_px, signal, weight, points):
@@ -117,7 +153,7 @@ def resolve(
     counts = np.empty((corridor.PIECES, corridor.OFFSETS), np.int32)
     signal = np.empty(max(image.shape) + 1)
     weight = np.empty(max(image.shape) + 1)
-    segment, points = np.empty(5), np.zeros((2, 3))
+    segment, straight, points = np.empty(5), np.empty(5), np.zeros((2, 3))
     for c in range(candidates.shape[0]):
         if n_found == max_found:
             break
@@ -135,6 +171,7 @@ def resolve(
                 first_sigma,
                 min_length_px,
                 segment,
+                straight,
                 sums,
                 counts,
                 signal,
@@ -156,6 +193,7 @@ def resolve(
                 first_sigma,
                 min_length_px,
                 segment,
+                straight,
                 sums,
                 counts,
                 signal,
@@ -163,7 +201,7 @@ def resolve(
                 points,
                 strip,
             )
-        if snr >= n_sigma:
+        if snr > 0.0:
             found[n_found, 0] = candidates[c, 0]
             found[n_found, 1:6] = segment
             found[n_found, 6] = snr

@@ -66,9 +66,9 @@ def work_space(lines: int, psf_sigma_px: float) -> Strip:
 
 @nb.njit(cache=True)
 def minor_at(segment: NDArray[np.float64], major: float) -> float:
-    """Minor coordinate of a bent segment (major0, minor0, major1, minor1, sagitta) at `major`; straight beyond its ends."""
+    """Minor coordinate of a bent segment (major0, minor0, major1, minor1, sagitta) at `major`, beyond its ends too."""
     u = (major - segment[0]) / max(segment[2] - segment[0], 1e-6)
-    return segment[1] + (segment[3] - segment[1]) * u + (segment[4] * bend(u) if 0.0 < u < 1.0 else 0.0)
+    return segment[1] + (segment[3] - segment[1]) * u + segment[4] * bend(u)
 
 
 @nb.njit(cache=True)

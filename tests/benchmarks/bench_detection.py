@@ -382,7 +382,7 @@ def main(quick: bool) -> dict[str, Any]:
     result["noise_only"] = blank_frames(detector, size, n, seed=12, n_stars=0)
     result["roc"] = roc(detector, size, n, seed=13, each=3 if quick else 4)
     result["shapes"] = shapes(detector, size, max(1, n // 4), seed=14)
-    result["artefacts"] = artefacts(detector, 2048, 1 if quick else 24, seed=16)
+    result["artefacts"] = artefacts(detector, 2048, 1 if quick else 48, seed=46)
     if not quick:
         result["peers"] = peers(2048, 3, seed=15)
     return result

@@ -38,7 +38,11 @@ DIRECTIONS: Final = (
 )
 """First pattern that fits a figure's name decides; anything else is reported and not judged."""
 
+TIMES: Final = "x"
+"""Unit of a ratio of two timings of the same run."""
+
 UNITS: Final = (
+    ("*speedup*", TIMES), ("*_over_numpy_floor", TIMES),
     ("*_arcsec", "arcsec"), ("*_mag", "mag"), ("*cpu_s*", "s"), ("*_s_per_frame", "s"), ("*_mb", "MB"), ("*mb_s*", "MB/s"),
     ("*_km", "km"), ("*_deg", "deg"), ("*_px", "px"), ("*bits*", "bit"), ("*_bytes", "B"), ("*_ms*", "ms"), ("*_s", "s"),
 )  # fmt: skip

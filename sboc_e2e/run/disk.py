@@ -1,5 +1,6 @@
 """What a run will take on disk, said before it starts and refused when it cannot fit."""
 
+import os
 import shutil
 from pathlib import Path
 from typing import Final
@@ -33,7 +34,8 @@ def check(out: Path, scenario: Scenario, progress: Progress) -> None:
     existing = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.is_dir())
     free = shutil.disk_usage(existing).free
     progress.note(f"disk: about {_mb(stays)} in {out}, {_mb(passing)} more while it runs; {_mb(free)} free")
-    if stays + passing > free:
+    # where nothing can be written at all, the first attempt to write says why
+    if stays + passing > free and os.access(existing, os.W_OK):
         raise UserError(
             f"{out}: needs about {_mb(stays + passing)}, {_mb(free)} are free; "
             "fewer frames, or output.keep_frames_every = 0, need less"

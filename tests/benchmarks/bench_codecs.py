@@ -139,7 +139,7 @@ def whole_frames(
         "bits_over_entropy_ratio": figure(blocks),
         "bits_in_packets_over_entropy_ratio": figure(packets),
         "encode_mb_s": figure(speeds),
-        "encode_speed_over_zstd1_ratio": figure(over_zstd),
+        "encode_speedup_over_zstd1": figure(over_zstd),
         "decode_mb_s": figure(decode_speeds),
         "encode_into_packets_mb_s": figure([frame.pixels.nbytes / packet_s / 1e6]),
         "lossless_bit_exact": figure([float(e) for e in exact]),

@@ -49,6 +49,9 @@ SLOW_REACH_PX: Final = 3.0
 STAR_LIKE_PX: Final = 20.0
 """Shorter trails may be a faint star, or two of them in a row."""
 
+GATHERING_PX: Final = 1000.0
+"""Longer trails gather so many unlisted stars in the earlier frame that their light there says little."""
+
 STATIC_SHARE: Final = 0.15
 """Light left by stars is the same in both frames: false lines (142 in 16 blank frames) showed 0.15 of their S/N more in the
 earlier one than trails do ..."""
@@ -155,7 +158,7 @@ def moved(
     """Whether a detection stays above n_sigma once what the earlier frame shows at its place is held against it.
 
     The place is that among the stars (faint stars in a row, spikes) and that on the sensor (columns). Light of stars that were
-    subtracted from this frame does not count.
+    subtracted from this frame does not count, and long segments are refused only when nearly all of their light was there before.
     The part of short_margin asked of short ones goes from all at no length to nothing at STAR_LIKE_PX.
     """
     row, col, then = images.subtracted.T
@@ -170,7 +173,7 @@ def moved(
             continue
         if before > 0.8 * detection.snr:
             return False
-        if _snr_beyond(detection.snr, before) < wanted:
+        if detection.length_px < GATHERING_PX and _snr_beyond(detection.snr, before) < wanted:
             before -= static_sky.subtracted_snr(row, col, then, places, ends, psf_sigma_px)
             if _snr_beyond(detection.snr, before) < wanted:
                 return False

@@ -13,7 +13,7 @@ HISTORY: Final = (
         "remembered stars are item 1 of the star packets and no measurements of the frame; near-lossless strips decode to the "
         "mean of a code's integers, float32; the header's PSF width is the measured one, NaN when it was not measured",
     ),
-    ("2.1", "codec 4, rans"),
+    ("2.1", "codec 4, rans; mirrored frame solutions; detectors that choose what their history holds; cameras of unknown PSF"),
 )
 """The major number grows when a decoder of the version before would take something for what it is not, the minor one when it
 would only miss or refuse what is new. Decoders skip and count packets of another major version."""

@@ -13,7 +13,7 @@ import pytest
 from ground.ingest import records
 from ground.ingest.codecs import PlanesDecoder, RawDecoder
 from ground.ingest.packets import Packet, StreamFaults, read_packets
-from sboc_e2e.icd import flags
+from sboc_e2e.icd import flags, version
 from sboc_e2e.icd.flags import FLAG_TEXT
 from sboc_e2e.icd.layout import Apid
 from tests.golden import cases
@@ -179,3 +179,9 @@ def test_icd_lists_every_flag(table: str) -> None:
     for flag in getattr(flags, table):
         assert f"| {flag.value.bit_length() - 1} | `{flag.name}` | {FLAG_TEXT[table][flag.name]} |" in ICD
     assert len(FLAG_TEXT[table]) == len(getattr(flags, table))
+
+
+def test_icd_names_the_version_in_the_packets() -> None:
+    """The page, the newest entry of the history and the number in every packet agree."""
+    assert re.search(r"^Version (\S+) ", ICD, re.MULTILINE).group(1) == version.CONTRACT_VERSION  # type: ignore[union-attr]
+    assert version.HISTORY[-1][0] == version.CONTRACT_VERSION

@@ -7,10 +7,11 @@ Timings are compared in units of the part's yardstick: a baseline made on a fast
 """
 
 import json
-from collections.abc import Iterable
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from types import MappingProxyType
+from typing import Any, Final
 
 from sboc_e2e.bench import yardstick
 from sboc_e2e.bench.entries import EITHER, LOWER, TIMES, Entry
@@ -52,14 +53,20 @@ def _is_yardstick(e: Entry) -> bool:
     return e.name.endswith(f".{yardstick.NAME}")
 
 
-def _part(e: Entry) -> str:
-    return e.name.partition(".")[0]
+def _part(name: str) -> str:
+    return name.partition(".")[0]
 
 
-def write_baseline(path: Path, entries: Iterable[Entry]) -> None:
-    """Keep values and their noise of all figures that can regress, and the yardsticks."""
-    kept = {e.name: {"value": e.value, "sigma": e.sigma} for e in entries if judged(e) or _is_yardstick(e)}
-    write_text(path, json.dumps(kept, indent=1, sort_keys=True) + "\n")
+def write_baseline(path: Path, entries: Iterable[Entry], kept: Mapping[str, dict[str, float]] = MappingProxyType({})) -> None:
+    """Values and their noise of all figures that can regress, and the yardsticks.
+
+    kept : an earlier baseline, of which parts that are not among the entries stay.
+    """
+    entries = list(entries)
+    measured = {_part(e.name) for e in entries}
+    baseline: dict[str, Any] = {name: figure for name, figure in kept.items() if _part(name) not in measured}
+    baseline |= {e.name: {"value": e.value, "sigma": e.sigma} for e in entries if judged(e) or _is_yardstick(e)}
+    write_text(path, json.dumps(baseline, indent=1, sort_keys=True) + "\n")
 
 
 def read_baseline(path: Path) -> dict[str, dict[str, float]]:
@@ -76,14 +83,14 @@ def regressions(entries: Iterable[Entry], baseline: dict[str, dict[str, float]])
     """Figures that are worse than the baseline by more than four sigma of both and the floor."""
     entries = list(entries)
     slower = {
-        _part(e): e.value / baseline[e.name]["value"] for e in entries if _is_yardstick(e) and e.value and e.name in baseline
+        _part(e.name): e.value / baseline[e.name]["value"] for e in entries if _is_yardstick(e) and e.value and e.name in baseline
     }
     out = []
     for e in entries:
         before = baseline.get(e.name)
         if before is None or e.value is None or not judged(e):
             continue
-        scale = slower.get(_part(e), 1.0) ** MACHINE_POWER.get(e.unit, 0)
+        scale = slower.get(_part(e.name), 1.0) ** MACHINE_POWER.get(e.unit, 0)
         signed, sigma = scale * float(before["value"]), scale * float(before["sigma"])
         value, now = (abs(signed), abs(e.value)) if "bias" in e.name else (signed, e.value)
         share = MACHINE_SHARE.get(e.unit, FLOOR_SHARE)

@@ -94,3 +94,10 @@ def test_timings_are_compared_in_units_of_the_yardstick(tmp_path: Path) -> None:
         ("x.encode_mb_s", 800.0),
         ("x.rss_mb", 300.0),
     ]
+
+
+def test_one_part_is_written_anew_and_the_others_stay(tmp_path: Path) -> None:
+    path = tmp_path / "baseline.json"
+    write_baseline(path, [entry("x.cpu_s", 1.0), entry("x.old_cpu_s", 1.0), entry("y.cpu_s", 1.0)])
+    write_baseline(path, [entry("x.cpu_s", 2.0)], kept=read_baseline(path))
+    assert {name: figure["value"] for name, figure in read_baseline(path).items()} == {"x.cpu_s": 2.0, "y.cpu_s": 1.0}

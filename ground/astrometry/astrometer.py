@@ -1,6 +1,6 @@
 """`ground.astrometry: camera_fit`: match the star list, fit the camera, learn its distortion over the run."""
 
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -24,9 +24,6 @@ Array = NDArray[np.float64]
 ARCSEC: Final = np.pi / 648000.0
 LOST_FRAMES_TRIED: Final = 5
 """After so many frames in a row that no star pattern could place, the camera is taken for unknown."""
-
-CAMERA_FIELDS: Final = ("focal_px", "center_row", "center_col", "k1", "k2", "p1", "p2", "mirrored")
-"""What a `Camera` and a `FrameSolution` have in common."""
 
 UNUSABLE_LISTED: Final = int(StarFlag.SATURATED | StarFlag.EDGE | StarFlag.DEFECT | StarFlag.COSMIC_LIKE)
 UNUSABLE_CATALOGUE: Final = int(CatalogueFlag.NO_PROPER_MOTION | CatalogueFlag.DOUBLE | CatalogueFlag.SYNTHETIC)
@@ -270,7 +267,7 @@ def unsolved(
         quaternion=np.array([0.0, 0.0, 0.0, 1.0]) if matrix is None else quaternion_of(matrix),
         rate_rad_s=np.zeros(3) if rate is None else rate,
         covariance_rad2=np.full((3, 3), np.nan),
-        **{name: getattr(camera, name) for name in CAMERA_FIELDS},
+        **asdict(camera),
         n_stars=0,
         rms_px=float("nan"),
         star_index=np.zeros(0, dtype=np.int32),
@@ -325,7 +322,7 @@ def _solution_of(
         quaternion=quaternion_of(fit.matrix),
         rate_rad_s=rate,
         covariance_rad2=fit.covariance[:3, :3],
-        **{name: getattr(camera, name) for name in CAMERA_FIELDS},
+        **asdict(camera),
         n_stars=int(used.sum()),
         rms_px=float(np.sqrt(np.mean(fit.residual_px[used] ** 2))),
         star_index=listed[used].astype(np.int32),

@@ -4,7 +4,7 @@ Gnomonic projection u = x/z (-x/z in a mirrored image), v = y/z, then Brown-Conr
 Engineering 32, 444) as `sboc_e2e.icd.frame.NominalCamera` defines it in words. Parameters that are fitted are held in one vector.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 from typing import Final
 
 import numpy as np
@@ -53,17 +53,8 @@ class Camera:
 
     @classmethod
     def solved(cls, solution: FrameSolution) -> "Camera":
-        """The camera of a frame solution."""
-        return cls(
-            focal_px=solution.focal_px,
-            center_row=solution.center_row,
-            center_col=solution.center_col,
-            k1=solution.k1,
-            k2=solution.k2,
-            p1=solution.p1,
-            p2=solution.p2,
-            mirrored=solution.mirrored,
-        )
+        """The camera of a frame solution, which has all fields of a camera."""
+        return cls(**{field.name: getattr(solution, field.name) for field in fields(cls)})
 
     def shared(self) -> Array:
         """(5,) parameters in the order of `SHARED`."""

@@ -23,11 +23,11 @@ def exposed_time_s(streak: StreakMeasurement, header: FrameHeader, crossing_s: f
     cut = bool(streak.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1))
     if cut:
         return None if crossing_s is None or crossing_s <= 0.0 else (crossing_s, 0.01)
+    # of the shutter: where an end lies off the motion, its epoch is that of the motion
+    read_out_s = header.line_time_ns * (streak.fit.row1 - streak.fit.row0) * 1e-9
     if streak.flags & StreakFlag.DIRECTION_RESOLVED:
-        # of the shutter: where an end lies off the motion, its epoch is that of the motion
-        return max(abs(exposure_s + header.line_time_ns * (streak.fit.row1 - streak.fit.row0) * 1e-9), 1e-9), 0.0
-    read_out_s = abs(header.line_time_ns * (streak.fit.row1 - streak.fit.row0)) * 1e-9
-    longest, shortest = exposure_s + read_out_s, abs(exposure_s - read_out_s)
+        return max(abs(exposure_s + read_out_s), 1e-9), 0.0
+    longest, shortest = exposure_s + abs(read_out_s), abs(exposure_s - abs(read_out_s))
     return max(exposure_s, 1e-9), 0.5 * (longest - shortest) / max(exposure_s, 1e-9)
 
 

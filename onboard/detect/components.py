@@ -68,7 +68,7 @@ def _take_out(masked: MaskedImage, view: DetectorView, chosen: NDArray[np.intp],
     """Blank the chosen entries of the star list that are stars; faint ones are told from trails on a smoothed image."""
     if len(chosen) == 0:
         return
-    chosen = chosen[np.argsort(view.stars.row[chosen], kind="stable")]  # neighbours share what is in the cache
+    chosen = chosen[star_mask.by_row(view.stars.row[chosen])]
     stars, background = view.stars, view.background
     row, col, snr = stars.row[chosen], stars.col[chosen], stars.snr[chosen]
     faint = snr < star_mask.FAINT_SNR

@@ -30,6 +30,11 @@ SHARP_LOSS: Final = 0.15
 
 
 @nb.njit(cache=True)
+def _wanted_sigma(n_sigma: float, length_px: float) -> float:
+    return n_sigma - (SHARP_LOSS if length_px < SHARP_ENDS_PX else 0.0)
+
+
+@nb.njit(cache=True)
 def blanking_half_width(snr: float, length_px: float, psf_sigma_px: float) -> float:
     """How far across a found trail its light can still matter (px): grows with its brightness per pixel."""
     peak = (
@@ -99,7 +104,7 @@ def accept(
     for _ in range(4):
         snr = refine.polish(image, blocked, level, tile_px, segment, True, psf_sigma_px, signal, weight, strip)
         length = length_inside(segment, image.shape[1])
-        wanted = n_sigma - (SHARP_LOSS if length < SHARP_ENDS_PX else 0.0)
+        wanted = _wanted_sigma(n_sigma, length)
         if snr < wanted or length < min_length_px:
             return 0.0
         if segment[4] != 0.0:
@@ -111,7 +116,7 @@ def accept(
             if snr * snr - BEND_GAIN < max(snr_straight, wanted) ** 2:
                 segment[:], snr = straight, snr_straight
                 length = length_inside(segment, image.shape[1])
-                if snr < n_sigma - (SHARP_LOSS if length < SHARP_ENDS_PX else 0.0) or length < min_length_px:
+                if snr < _wanted_sigma(n_sigma, length) or length < min_length_px:
                     return 0.0
         expected = snr * math.sqrt(2.0 * math.sqrt(math.pi) * psf_sigma_px / length)
         # the longer the path, the higher the peaks that noise alone makes on it: one trail in a hundred has a higher one

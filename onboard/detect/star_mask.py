@@ -30,6 +30,11 @@ STEEP_HALO: Final = 2.0
 """Growth per (S/N)^(1/3) over that per its root: 2 % of the light falling as r^-3 from 3 px are then masked down to 0.4 sigma."""
 
 
+def by_row(row: NDArray[np.float64]) -> NDArray[np.intp]:
+    """The order in which neighbouring stars share what is in the cache."""
+    return np.argsort(row, kind="stable")
+
+
 @nb.njit(cache=True)
 def _goes_on(
     residual: NDArray[np.float32],

@@ -51,17 +51,12 @@ class WorkingImages:
     sharp: NDArray[np.bool_]
 
 
-def by_row(row: NDArray[np.float64]) -> NDArray[np.intp]:
-    """The order in which neighbouring stars share what is in the cache."""
-    return np.argsort(row, kind="stable")
-
-
 def snr_before(
     earlier: static_sky.EarlierFrame, row: NDArray[np.float64], col: NDArray[np.float64], psf_sigma_px: float
 ) -> NDArray[np.float64]:
     """Point-source S/N in the earlier frame at the mapped places of points of this one, shape (n,), NaN where unknown."""
     out = np.empty(len(row))
-    order = by_row(row)
+    order = star_mask.by_row(row)
     out[order] = static_sky.point_snr_before(earlier.frame.pixels, earlier.transform, row[order], col[order], psf_sigma_px)
     return out
 
@@ -106,7 +101,7 @@ def remove_static_stars(
     # unknown (masked or outside then): a star; else a star of this brightness is almost never fainter than a third of it
     static = ~(before < np.maximum(1.5, 0.33 * stars.snr))
     is_faint = static & (stars.snr < SUBTRACT_SNR) & (before < 1.5 * SUBTRACT_SNR)
-    order = by_row(stars.row)
+    order = star_mask.by_row(stars.row)
     faint, bright = order[is_faint[order]], order[(static & ~is_faint)[order]]
     radii = star_mask.mask_radii_px(
         stars.snr[bright], psf_sigma_px, star_mask.STEEP_HALO * halo_px, power=star_mask.HALO_WITH_EARLIER

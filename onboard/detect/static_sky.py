@@ -91,10 +91,14 @@ def point_snr_before(
 
 
 @nb.njit(cache=True)
-def _path(ends: NDArray[np.float64]) -> tuple[bool, float, int, int, float, float, float]:
-    """A segment (row0, col0, row1, col1) line by line of its major axis: whether that is row, the cosine to it, first and last
-    line; and minor = origin + slope (line - start).
+def _lit_pixels(
+    blocked: NDArray[np.uint8], ignored: int, ends: NDArray[np.float64], psf_sigma_px: float
+) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]:
+    """Rows, columns and profile (n,) of the pixels within 3 sigma of a segment (row0, col0, row1, col1).
+
+    Line by line of its major axis; pixels with bits of `blocked` other than `ignored` are left out.
     """
+    factor, reach = -0.5 / psf_sigma_px**2, 3.0 * psf_sigma_px
     d_row, d_col = ends[2] - ends[0], ends[3] - ends[1]
     length = max(math.hypot(d_row, d_col), 1.0)
     u_row, u_col = d_row / length, d_col / length
@@ -105,7 +109,17 @@ def _path(ends: NDArray[np.float64]) -> tuple[bool, float, int, int, float, floa
     start, stop = (ends[0], ends[2]) if steep else (ends[1], ends[3])
     origin, slope = (ends[1], u_col / u_row) if steep else (ends[0], u_row / u_col if u_col != 0.0 else 0.0)
     low, high = math.ceil(min(start, stop)), math.floor(max(start, stop))
-    return steep, along, low, high, origin, slope, start
+    most = max(high - low + 1, 0) * (math.floor(2.0 * reach / along) + 1)
+    at_row, at_col, profile = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most)
+    n = 0
+    for major in range(low, high + 1):
+        minor = origin + slope * (major - start)
+        for k in range(math.ceil(minor - reach / along), math.floor(minor + reach / along) + 1):
+            i, j = (major, k) if steep else (k, major)
+            if 0 <= i < blocked.shape[0] and 0 <= j < blocked.shape[1] and (blocked[i, j] & ~ignored) == 0:
+                at_row[n], at_col[n], profile[n] = i, j, math.exp(factor * ((k - minor) * along) ** 2)
+                n += 1
+    return at_row[:n], at_col[:n], profile[:n]
 
 
 @nb.njit(cache=True)
@@ -126,22 +140,16 @@ def segment_snr(
     blocked : working mask; bits `ignored` (the segment's own blanking) do not count. level : mesh of the light that the
     background left over, sigma/16.
     """
-    factor, reach = -0.5 / psf_sigma_px**2, 3.0 * psf_sigma_px
     signal = power = total = 0.0
-    steep, along, low, high, origin, slope, start = _path(ends)
-    for major in range(low, high + 1):
-        minor = origin + slope * (major - start)
-        for k in range(math.ceil(minor - reach / along), math.floor(minor + reach / along) + 1):
-            i, j = (major, k) if steep else (k, major)
-            if not (0 <= i < blocked.shape[0] and 0 <= j < blocked.shape[1]) or (blocked[i, j] & ~ignored) != 0:
-                continue
-            g = math.exp(factor * ((k - minor) * along) ** 2)
-            total += g * g
-            if mask[i, j] == 0:
-                sigma = sigma_adu[min(i // tile_px, sigma_adu.shape[0] - 1), min(j // tile_px, sigma_adu.shape[1] - 1)]
-                if sigma > 0.0:
-                    signal += g * (residual_adu[i, j] / sigma - level[i // level_tile_px, j // level_tile_px] / 16.0)
-                    power += g * g
+    at_row, at_col, profile = _lit_pixels(blocked, ignored, ends, psf_sigma_px)
+    for k in range(profile.size):
+        i, j, g = at_row[k], at_col[k], profile[k]
+        total += g * g
+        if mask[i, j] == 0:
+            sigma = sigma_adu[min(i // tile_px, sigma_adu.shape[0] - 1), min(j // tile_px, sigma_adu.shape[1] - 1)]
+            if sigma > 0.0:
+                signal += g * (residual_adu[i, j] / sigma - level[i // level_tile_px, j // level_tile_px] / 16.0)
+                power += g * g
     return signal / math.sqrt(power) if power > 0.5 * total and power > 0.0 else math.nan
 
 
@@ -161,24 +169,18 @@ def segment_snr_before(
     NaN if most of the segment lies outside.
     """
     rows, cols = pixels[0].shape
-    factor, reach = -0.5 / psf_sigma_px**2, 3.0 * psf_sigma_px
     signal = power = total = 0.0
-    steep, along, low, high, origin, slope, start = _path(ends)
-    for major in range(low, high + 1):
-        minor = origin + slope * (major - start)
-        for k in range(math.ceil(minor - reach / along), math.floor(minor + reach / along) + 1):
-            i, j = (major, k) if steep else (k, major)
-            if not (0 <= i < blocked.shape[0] and 0 <= j < blocked.shape[1]) or (blocked[i, j] & ~ignored) != 0:
-                continue
-            g = math.exp(factor * ((k - minor) * along) ** 2)
-            total += g * g
-            r = math.floor(transform[0, 0] * i + transform[0, 1] * j + transform[0, 2] + 0.5)
-            c = math.floor(transform[1, 0] * i + transform[1, 1] * j + transform[1, 2] + 0.5)
-            if 0 <= r < rows and 0 <= c < cols:
-                value = in_sigmas(pixels, r, c)
-                if not math.isnan(value):
-                    signal += g * (value - level[i // level_tile_px, j // level_tile_px] / 16.0)
-                    power += g * g
+    at_row, at_col, profile = _lit_pixels(blocked, ignored, ends, psf_sigma_px)
+    for k in range(profile.size):
+        i, j, g = at_row[k], at_col[k], profile[k]
+        total += g * g
+        r = math.floor(transform[0, 0] * i + transform[0, 1] * j + transform[0, 2] + 0.5)
+        c = math.floor(transform[1, 0] * i + transform[1, 1] * j + transform[1, 2] + 0.5)
+        if 0 <= r < rows and 0 <= c < cols:
+            value = in_sigmas(pixels, r, c)
+            if not math.isnan(value):
+                signal += g * (value - level[i // level_tile_px, j // level_tile_px] / 16.0)
+                power += g * g
     return signal / math.sqrt(power) if power > 0.5 * total and power > 0.0 else math.nan
 
 

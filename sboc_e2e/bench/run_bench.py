@@ -43,13 +43,14 @@ def run_bench(
     long : the parts that last hours in full. only : names of parts, empty for all.
     rewrite_baseline : the figures replace those of the baseline; with `only`, those of these parts.
     check : compare with the baseline; the regressions are returned. Raises UserError outside a source checkout, for an
-    unknown part, and when the baseline that `check` needs is not there, before anything runs; and after the report is
-    written when a part failed.
+    unknown part, and when the baseline that `check` or a part of a new one needs is not there, before anything runs; and
+    after the report is written when a part failed.
     """
     if not SCRIPTS.is_dir():
         raise UserError(f"sboc bench runs from a source checkout: {SCRIPTS} is not there")
     baseline_path = baseline_file(quick=quick)
     baseline = read_baseline(baseline_path) if check else {}
+    kept = read_baseline(baseline_path) if rewrite_baseline and only else {}
     known = [part.name for part in parts(quick=quick, peers=True)]
     if unknown := set(only) - set(known):
         raise UserError(f"--only: there is no part {', '.join(sorted(unknown))}; known: {', '.join(known)}")
@@ -65,7 +66,7 @@ def run_bench(
     failed = [entry.name for entry in entries if entry.name in done]
     if rewrite_baseline and not failed:
         # each part has a yardstick of its own, so that parts measured on different days stand side by side
-        write_baseline(baseline_path, entries, kept=read_baseline(baseline_path) if only else {})
+        write_baseline(baseline_path, entries, kept=kept)
         stored = json.loads(COSTS.read_text()) if COSTS.is_file() else {}
         size = "quick" if quick else "full"
         write_json(COSTS, stored | {size: (stored.get(size, {}) if only else {}) | costs})

@@ -85,11 +85,10 @@ class StreakFit:
 class FrameSolution:
     """Camera of one frame, solved in apparent directions (conventions of `NominalCamera`).
 
-    mirrored : the image is mirrored, ``u = -x/z`` instead of x/z; all else, distortion included, stays.
-
     quaternion : attitude at mid-exposure of the middle row; rate_rad_s : (3,) used to move it to other epochs.
     covariance_rad2 : (3, 3) small rotation in the camera frame.
     matched stars: star_index into the frame's star list, with catalogue V and B-V (NaN: unknown) and residuals in px.
+    mirrored : the image is mirrored, ``u = -x/z`` instead of x/z; all else, distortion included, stays.
     """
 
     frame: int

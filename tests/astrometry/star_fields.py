@@ -12,10 +12,10 @@ from scipy.spatial.transform import Rotation
 
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.downlink import DownlinkFrame
-from sboc_e2e.icd.flags import FrameFlag
 from sboc_e2e.icd.frame import AttitudeEstimate, Calibration, FrameHeader, NominalCamera, ObserverState
 from sboc_e2e.icd.signals import StarList
 from sboc_e2e.icd.tai import from_jd_parts
+from tests.downlink import bare_frame
 
 ARCSEC = np.pi / 648000.0
 EXPOSURE_NS, LINE_TIME_NS = 200_000_000, 10_000
@@ -143,15 +143,9 @@ def make_field(catalogue: StarCatalogue, seed: int, options: FieldOptions = Fiel
             tai_ns=mid_ns, position_m=POSITION_M, velocity_m_s=VELOCITY_M_S, sigma_position_m=10.0, sigma_velocity_m_s=0.1
         ),
     )
-    frame = DownlinkFrame(
-        header=header,
-        flags=FrameFlag(0),
-        housekeeping=None,
+    frame = bare_frame(
+        header,
         stars=StarList(row=list_row[order], col=list_col[order], flux_e=flux[order], snr=snr[order], flags=np.zeros(len(order))),
-        rois=(),
-        background=None,
-        thumbnail_adu=None,
-        whole_frame=None,
     )
     return Field(
         frame=frame,

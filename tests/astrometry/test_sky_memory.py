@@ -7,9 +7,9 @@ import pytest
 
 from ground.photometry.sky_memory import filtered_sky
 from sboc_e2e.icd.downlink import DownlinkFrame
-from sboc_e2e.icd.flags import FrameFlag
 from sboc_e2e.icd.frame import FrameHeader
-from sboc_e2e.icd.signals import BackgroundModel, StarList
+from sboc_e2e.icd.signals import BackgroundModel
+from tests.downlink import bare_frame
 
 SHAPE = (32, 32)
 NOISE_SIGMAS, STEP_SIGMAS = 0.02, 0.05
@@ -31,16 +31,7 @@ def frame_of(number: int, level_adu: np.ndarray, rng: np.random.Generator, gain_
     header = FrameHeader(
         frame=number, t_start_tai_ns=1 + number, exposure_ns=1, line_time_ns=0, rows=2048, cols=2048, gain_e_adu=gain_e_adu
     )
-    return DownlinkFrame(
-        header=header,
-        flags=FrameFlag(0),
-        housekeeping=None,
-        stars=StarList.empty(),
-        rois=(),
-        background=mesh,
-        thumbnail_adu=None,
-        whole_frame=None,
-    )
+    return bare_frame(header, background=mesh)
 
 
 def errors(frames: list[DownlinkFrame], level_adu: np.ndarray) -> list[float]:

@@ -13,6 +13,7 @@ from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution
 from sboc_e2e.icd.signals import Detection, RoiGroup, StarList
+from tests.downlink import bare_frame
 
 FOCAL_PX = 40_000.0
 STAR = np.array([0.001, -0.002, 1.0])
@@ -56,17 +57,7 @@ def frame_of(number: int, mover: tuple[float, float], stars: np.ndarray) -> Down
         snr=np.full(len(stars), 15.0, dtype=np.float32),
         flags=np.zeros(len(stars), dtype=np.uint8),
     )
-    return DownlinkFrame(
-        header=header,
-        flags=FrameFlag(0),
-        housekeeping=None,
-        stars=StarList.empty(),
-        rois=(RoiGroup(roi_id=0, detection=detection, n_strips=0, strips=()),),
-        background=None,
-        thumbnail_adu=None,
-        whole_frame=None,
-        remembered=sent,
-    )
+    return bare_frame(header, rois=(RoiGroup(roi_id=0, detection=detection, n_strips=0, strips=()),), remembered=sent)
 
 
 def star_at(number: int) -> tuple[float, float]:

@@ -10,10 +10,10 @@ from ground.photometry.background import background_at
 from ground.photometry.known_stars import FrameLight, KnownStars
 from ground.photometry.streak_pixels import streak_pixels
 from ground.streaks.psf_field import PsfField
-from sboc_e2e.icd.downlink import DownlinkFrame
-from sboc_e2e.icd.flags import FrameFlag, MaskBit
+from sboc_e2e.icd.flags import MaskBit
 from sboc_e2e.icd.frame import Calibration, FrameHeader, NominalCamera
-from sboc_e2e.icd.signals import BackgroundModel, Detection, RoiGroup, StarList, Strip
+from sboc_e2e.icd.signals import BackgroundModel, Detection, RoiGroup, Strip
+from tests.downlink import bare_frame
 
 SHAPE = (120, 160)
 GAIN, PSF = 1.5, 0.9
@@ -97,16 +97,7 @@ def scene():
     header = FrameHeader(
         frame=0, t_start_tai_ns=0, exposure_ns=10**8, line_time_ns=0, rows=SHAPE[0], cols=SHAPE[1], gain_e_adu=GAIN
     )
-    frame = DownlinkFrame(
-        header=header,
-        flags=FrameFlag(0),
-        housekeeping=None,
-        stars=StarList.empty(),
-        rois=(),
-        background=background,
-        thumbnail_adu=None,
-        whole_frame=None,
-    )
+    frame = bare_frame(header, background=background)
     group = RoiGroup(roi_id=3, detection=DETECTION, strips=_strips(raw_adu - np.rint(calibration.dark_adu)), n_strips=2)
     stars = KnownStars(
         row=np.array([46.0]),

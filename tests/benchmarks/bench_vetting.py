@@ -17,11 +17,8 @@ from scipy.stats import beta, chi2
 
 from ground.streaks import TrailedPsfFitter
 from ground.vetting import LikelihoodVetter
-from sboc_e2e.icd.downlink import DownlinkFrame
-from sboc_e2e.icd.flags import FrameFlag
-from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import StreakFit
-from sboc_e2e.icd.signals import StarList
+from tests.downlink import frame_of_psf
 from tests.streaks.impostors import (
     CHAIN_LENGTHS_PX,
     CLASSES,
@@ -50,22 +47,6 @@ CHAIN_STARS = (2, 3, 4, 5, 6, 7, 8)
 FALSE_PER_FRAME = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
 
 
-def empty_frame() -> DownlinkFrame:
-    """A frame that says nothing but its PSF: the vetter goes by the fits alone."""
-    header = FrameHeader(frame=0, t_start_tai_ns=1, exposure_ns=200_000_000, line_time_ns=0, rows=4096, cols=4096)
-    return DownlinkFrame(
-        header=header,
-        flags=FrameFlag(0),
-        housekeeping=None,
-        stars=StarList.empty(),
-        rois=(),
-        background=None,
-        thumbnail_adu=None,
-        whole_frame=None,
-        psf_sigma_px=PSF_SIGMA_PX,
-    )
-
-
 def bank(n: int) -> dict[str, list[StreakFit]]:
     """Fitted detections: n of each false class, four times as many real ones, of which a hundredth is what matters."""
     fitter = TrailedPsfFitter()
@@ -88,7 +69,7 @@ class Judged(NamedTuple):
 def judge(fits: dict[str, list[StreakFit]], rates: dict[str, float], frames: int) -> Judged:
     """All detections of simulated frames; a detection of the bank comes again only when all of its class have been seen."""
     rng = np.random.default_rng([SEED, 99])
-    vetter, frame = LikelihoodVetter(), empty_frame()
+    vetter, frame = LikelihoodVetter(), frame_of_psf(PSF_SIGMA_PX)
     places = {name: np.concatenate([[0], np.cumsum([len(f) for f in fits.values()])])[k] for k, name in enumerate(fits)}
     decks: dict[str, list[int]] = {name: [] for name in fits}
     judged = []
@@ -139,7 +120,7 @@ def figures_of(judged: Judged) -> dict[str, Any]:
 
 def alone(fits: list[StreakFit]) -> NDArray[np.float64]:
     """Probability of each fit as the only detection of its frame."""
-    vetter, frame = LikelihoodVetter(), empty_frame()
+    vetter, frame = LikelihoodVetter(), frame_of_psf(PSF_SIGMA_PX)
     return np.array([vetter.probability([fit], frame)[0] for fit in fits])
 
 

@@ -1,5 +1,6 @@
 """`sboc process --wcs solve`: directions, parity and scale from the stars of a frame alone."""
 
+from dataclasses import fields
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -13,6 +14,7 @@ from astropy.time import Time
 from astropy.wcs import WCS
 
 from ground.astrometry import lost_in_space
+from ground.astrometry.camera import Camera
 from ground.astrometry.wcs_export import sip_header
 from sboc_e2e import cli
 from sboc_e2e.catalogue import StarCatalogue
@@ -68,8 +70,7 @@ def written(folder: Path, image: np.ndarray, **keys: float) -> str:
 def solved_wcs(frame: Table.Row) -> WCS:
     """The world coordinates of a row of products/frames.ecsv, by the program's own export."""
     quaternion = np.array([frame[name] for name in ("qx", "qy", "qz", "qw")])
-    names = ("focal_px", "center_row", "center_col", "k1", "k2", "p1", "p2", "mirrored")
-    solution = SimpleNamespace(quaternion=quaternion, **{name: frame[name] for name in names})
+    solution = SimpleNamespace(quaternion=quaternion, **{field.name: frame[field.name] for field in fields(Camera)})
     header = FrameHeader(
         frame=0,
         t_start_tai_ns=int(frame["t_start_tai_ns"]),

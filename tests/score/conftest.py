@@ -8,11 +8,12 @@ import pytest
 from astropy.table import Table
 
 from sboc_e2e.icd.downlink import DownlinkFrame
-from sboc_e2e.icd.flags import FrameFlag, StreakFlag
+from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
-from sboc_e2e.icd.signals import Detection, RoiGroup, StarList, Strip
+from sboc_e2e.icd.signals import Detection, RoiGroup, Strip
 from sboc_e2e.score.evaluation import Evaluation, assemble, truth_streaks
 from sboc_e2e.truth import PATH_NODES, empty
+from tests.downlink import bare_frame
 
 SHAPE = (256, 256)
 PIXEL_ARCSEC = 4.64
@@ -95,12 +96,7 @@ class Synthetic:
                 )  # fmt: skip
                 detection = Detection(row0=s["row0"], col0=s["col0"], row1=s["row1"], col1=s["col1"], snr=s["snr"], flags=flags)
                 groups.append(RoiGroup(roi_id=k, detection=detection, strips=(strip,), n_strips=1))
-            out.append(
-                DownlinkFrame(
-                    header=header, flags=FrameFlag(0), housekeeping=None, stars=StarList.empty(), rois=tuple(groups),
-                    background=None, thumbnail_adu=None, whole_frame=None,
-                )
-            )  # fmt: skip
+            out.append(bare_frame(header, rois=tuple(groups)))
         return out
 
     def evaluation(self, streaks: Table, frames: list[DownlinkFrame] | None = None) -> Evaluation:

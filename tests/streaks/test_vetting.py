@@ -11,11 +11,10 @@ from ground.vetting import LikelihoodVetter
 from ground.vetting.class_densities import BINS, FLAG_SHARES, RECURRING, class_densities
 from ground.vetting.repeated import repeated
 from sboc_e2e.icd.downlink import DownlinkFrame
-from sboc_e2e.icd.flags import FrameFlag, StreakFlag
-from sboc_e2e.icd.frame import FrameHeader
+from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
-from sboc_e2e.icd.signals import StarList
 from sboc_e2e.icd.steps import Vetter
+from tests.downlink import frame_of_psf
 from tests.streaks.impostors import CLASSES, draw
 from tests.streaks.trail_rendering import PSF_SIGMA_PX, expose, trail_at
 
@@ -24,17 +23,7 @@ PER_CLASS = 40
 
 @pytest.fixture(scope="module")
 def frame() -> DownlinkFrame:
-    return DownlinkFrame(
-        header=FrameHeader(frame=0, t_start_tai_ns=1, exposure_ns=200_000_000, line_time_ns=0, rows=4096, cols=4096),
-        flags=FrameFlag(0),
-        housekeeping=None,
-        stars=StarList.empty(),
-        rois=(),
-        background=None,
-        thumbnail_adu=None,
-        whole_frame=None,
-        psf_sigma_px=PSF_SIGMA_PX,
-    )
+    return frame_of_psf(PSF_SIGMA_PX)
 
 
 @pytest.fixture(scope="module")

@@ -59,6 +59,8 @@ def run_bench(
     processors = max(1, os.cpu_count() or 1)
     report(cost_words(expected_costs(wanted, quick=quick), wanted, processors))
     start = time.monotonic()
+    report("compile kernels that are not compiled yet")
+    _child([sys.executable, "-m", "sboc_e2e.warm_up"], "warm-up")
     done = _measure(wanted, out, processors, report)
     entries = [entry for part in wanted for entry in done[part.name][0]]
     costs = {part.name: round(done[part.name][1], 1) for part in wanted}

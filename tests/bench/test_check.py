@@ -69,7 +69,9 @@ def test_a_part_that_fails_is_named_and_the_report_written(
             raise UserError("benchmark orbit failed with exit code 1: NameError")
         return {"rms_px": 1.0}
 
-    monkeypatch.setattr(sys.modules["sboc_e2e.bench.run_bench"], "_run_script", broken)
+    bench = sys.modules["sboc_e2e.bench.run_bench"]
+    monkeypatch.setattr(bench, "_run_script", broken)
+    monkeypatch.setattr(bench, "_child", lambda arguments, what: None)  # no warm-up
     assert run(["bench", "--quick", "--only", "orbit", "--only", "vetting", "--out", str(tmp_path)]) == 2
     assert "parts that failed: orbit" in capfd.readouterr().err
     figures = {f["name"]: f for f in json.loads((tmp_path / "report.json").read_text())["figures"]}

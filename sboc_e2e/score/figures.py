@@ -1,8 +1,8 @@
 """A figure of a score: value, how many it rests on, its interval; or no value and the reason why not.
 
 Intervals hold 90 %. Proportions use Wilson's interval (Wilson 1927, JASA 22, 209), rates of rare events the exact
-Poisson interval (Garwood 1936, Biometrika 28, 437), everything else the percentile bootstrap (Efron 1979) over the
-items that were measured, with a fixed seed so that a score repeats.
+Poisson interval (Garwood 1936, Biometrika 28, 437), points of half completeness the profile likelihood, everything else the
+percentile bootstrap (Efron 1979) over the items that were measured, with a fixed seed so that a score repeats.
 """
 
 from collections.abc import Callable
@@ -10,14 +10,18 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import special, stats
+from scipy import interpolate, optimize, special, stats
 
 Figure = dict[str, Any]
 """``{"value", "n", "low", "high"}``, or ``{"value": None, "n", "reason"}``."""
 
 CONFIDENCE: Final = 0.90
 BOOTSTRAP_DRAWS: Final = 400
-HALF_POINT_DRAWS: Final = 100
+VAGUE: Final = 2.0
+"""Ratio of the ends of an interval of S/N beyond which a point in it says nothing."""
+LAPSES: Final = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3)
+HALVES: Final = 101
+HALF_REACH: Final = 1.5
 NEWTON_STEPS: Final = 60
 _SEED: Final = 20270129
 
@@ -88,7 +92,11 @@ def pull_width(z: NDArray[np.float64]) -> float:
 
 
 def half_point(snr: ArrayLike, detected: ArrayLike) -> Figure:
-    """S/N at which a logistic curve in log S/N fitted to detections crosses one half, with a bootstrap interval."""
+    """S/N at which a logistic curve in log S/N fitted to detections crosses one half, with a profile-likelihood interval.
+
+    A share of the streaks, whatever their S/N, may be lost to other reasons (stars, edges). Where no streak lies between the
+    missed and the detected ones the interval is that gap; where it spans a factor of more than `VAGUE`, there is no value.
+    """
     x = np.log(np.maximum(np.asarray(snr, dtype=np.float64), 1e-3))
     y = np.asarray(detected, dtype=bool)
     n = len(x)
@@ -96,55 +104,62 @@ def half_point(snr: ArrayLike, detected: ArrayLike) -> Figure:
         return absent("fewer than 10 streaks", n)
     if y.all() or not y.any():
         return absent("all detected" if y.all() else "none detected", n)
-    rng = np.random.default_rng(_SEED)
-    drawn = rng.integers(0, n, (HALF_POINT_DRAWS, n))
-    weight = np.stack([np.bincount(indices, minlength=n) for indices in drawn]).astype(np.float64)
-    mixed = (weight @ y > 0) & (weight @ ~y > 0)
-    if mixed.sum() < 20:
-        return absent("nearly all or nearly none detected", n)
-    fitted = np.exp(logistic_centres(x, y, np.vstack([np.ones(n), weight[mixed]])))
-    low, high = np.quantile(fitted[1:], [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
-    return figure(float(fitted[0]), n, low, high)
+    centre, low, high = np.exp(logistic_half(x, y))
+    if high > VAGUE * low:
+        return absent(f"too few streaks near it: anywhere between S/N {low:.3g} and {high:.3g}", n)
+    return figure(centre, n, low, high)
 
 
-def logistic_centres(x: NDArray[np.float64], y: NDArray[np.bool_], weight: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Centres c of logistic curves 1/(1 + exp(-exp(q) (x - c))), one fit for each row of weights.
+def logistic_half(x: NDArray[np.float64], y: NDArray[np.bool_]) -> tuple[float, float, float]:
+    """Where the curve (1 - lapse)/(1 + exp(-slope (x - c))) through successes crosses one half, and its 90 % interval.
 
-    x : (n,). y : (n,) success. weight : (fits, n). The weak prior on q = ln slope (normal around ln 10, width 1: slopes of 3
-    to 30 per unit of x) keeps separable samples finite. Newton steps with a damping of their own for each fit.
+    x : (n,). y : (n,) success. The interval is where the likelihood, at the best slope and lapse for each place, stays above
+    exp(-2.706/2) of its maximum (Wilks 1938, Ann. Math. Statist. 9, 60). Lapses (Wichmann & Hill 2001, Perception & Psychophysics
+    63, 1293) take one of `LAPSES` with the weak prior (1 - lapse)^19; ln slope is normal around ln 10 with width 1, slopes of 3
+    to 30 per unit of x, which keeps separable samples finite.
     """
-    sign = np.where(y, 1.0, -1.0)
-    order = np.argsort(x)
-    half = np.cumsum(weight[:, order], axis=1) >= weight.sum(axis=1, keepdims=True) / 2
-    at = np.stack([x[order][np.argmax(half, axis=1)], np.full(len(weight), np.log(10.0))], axis=1)
-    damping = np.ones(len(weight))
-    value, gradient, curvature = _logistic_loss(at, x, sign, weight)
+    place, which = np.unique(np.round(x, 3 if len(x) <= 500 else 2), return_inverse=True)
+    hits = np.bincount(which, weights=y).astype(np.float64)
+    misses = np.bincount(which) - hits
+    limit = stats.chi2.ppf(CONFIDENCE, 1) / 2
+    low, high = float(place[0]) - HALF_REACH, float(place[-1]) + HALF_REACH
+    for _ in range(3):  # each grid covers the interval that the one before it found, and one step more
+        grid = np.linspace(low, high, HALVES)
+        loss = np.min([_best_loss(grid, lapse, place, hits, misses) for lapse in LAPSES], axis=0)
+        inside = np.flatnonzero(loss <= loss.min() + limit)
+        low, high = float(grid[max(inside[0] - 1, 0)]), float(grid[min(inside[-1] + 1, HALVES - 1)])
+    best, first, last = int(np.argmin(loss)), int(inside[0]), int(inside[-1])
+    curve = interpolate.CubicSpline(grid, loss - loss.min() - limit)
+    around = grid[max(best - 1, 0)], grid[min(best + 1, HALVES - 1)]
+    centre = optimize.minimize_scalar(curve, bounds=around, method="bounded").x
+    below = optimize.brentq(curve, low, grid[first]) if first else low
+    above = optimize.brentq(curve, grid[last], high) if last < HALVES - 1 else high
+    return float(centre), float(below), float(above)
+
+
+def _best_loss(
+    half: NDArray[np.float64], lapse: float, place: NDArray[np.float64], hits: NDArray[np.float64], misses: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Negative log posterior at the best slope for each point of half success (m,), by Newton's steps in q = ln slope.
+
+    place : (n,) abscissae with numbers of successes and failures.
+    """
+    offset, at_half = place - half[:, None], special.logit(0.5 / (1.0 - lapse))
+    q = np.full(len(half), np.log(10.0))
     for _ in range(NEWTON_STEPS):
-        damped = curvature + damping[:, None, None] * np.eye(2) * np.abs(curvature).max(axis=(1, 2))[:, None, None]
-        step = np.linalg.solve(damped, gradient[:, :, None])[:, :, 0]
-        trial = at - step
-        new = _logistic_loss(trial, x, sign, weight)
-        better = new[0] <= value
-        at[better], value[better] = trial[better], new[0][better]
-        gradient[better], curvature[better] = new[1][better], new[2][better]
-        damping = np.where(better, damping * 0.2, damping * 8.0)
-        if np.abs(step[better]).max(initial=0.0) < 1e-7 and better.any():
+        rise = np.clip(np.exp(q)[:, None] * offset, -500.0, 500.0)
+        share, rest = special.expit(at_half + rise), special.expit(-at_half - rise)
+        failing = (1.0 - lapse) * share * rest / (lapse + (1.0 - lapse) * rest)
+        first = misses * failing - hits * rest  # derivatives of the loss by the logistic's argument
+        second = misses * failing * (rest - share + failing) + hits * share * rest
+        slope = q - np.log(10.0) + (first * rise).sum(axis=1)
+        bend = 1.0 + ((second * rise + first) * rise).sum(axis=1)
+        step = np.clip(slope / np.maximum(bend, 1.0), -0.5, 0.5)
+        q -= step
+        if np.abs(step).max() < 1e-5:
             break
-    return at[:, 0]
-
-
-def _logistic_loss(
-    at: NDArray[np.float64], x: NDArray[np.float64], sign: NDArray[np.float64], weight: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Negative log posterior, its gradient (fits, 2) and Hessian (fits, 2, 2) in (centre, ln slope)."""
-    slope = np.exp(np.clip(at[:, 1:], -20.0, 20.0))
-    margin = slope * (x - at[:, :1]) * sign
-    miss = special.expit(-margin)
-    prior = at[:, 1] - np.log(10.0)
-    value = (weight * np.logaddexp(0.0, -margin)).sum(axis=1) + 0.5 * prior**2
-    by_centre, spread = -slope * sign, miss * (1.0 - miss)
-    gradient = np.stack([-(weight * miss * by_centre).sum(axis=1), prior - (weight * miss * margin).sum(axis=1)], axis=1)
-    cc = (weight * spread * by_centre**2).sum(axis=1)
-    cq = (weight * (spread * margin - miss) * by_centre).sum(axis=1)
-    qq = 1.0 + (weight * (spread * margin - miss) * margin).sum(axis=1)
-    return value, gradient, np.stack([np.stack([cc, cq], axis=1), np.stack([cq, qq], axis=1)], axis=1)
+    rise = np.clip(np.exp(q)[:, None] * offset, -500.0, 500.0)
+    found = (1.0 - lapse) * special.expit(at_half + rise)
+    lost = lapse + (1.0 - lapse) * special.expit(-at_half - rise)
+    cost = -(hits * np.log(found) + misses * np.log(lost)).sum(axis=1)
+    return np.asarray(cost + 0.5 * (q - np.log(10.0)) ** 2 - 19.0 * np.log1p(-lapse))

@@ -1,5 +1,7 @@
 """Intervals and fits of the scores against closed forms."""
 
+from collections.abc import Callable
+
 import numpy as np
 import pytest
 from scipy import optimize, stats
@@ -44,17 +46,48 @@ def test_pull_width_of_a_unit_normal_is_one() -> None:
     assert figures.pull_width(z) == pytest.approx(1.0, abs=0.005)
 
 
-def test_logistic_centre_is_the_maximum_of_its_likelihood() -> None:
-    """Against a general minimiser without derivatives, on weighted samples that overlap and that are separable."""
+def test_half_point_and_its_interval_are_those_of_the_likelihood() -> None:
+    """Against a general minimiser without derivatives, on samples that overlap, are separable, or have misses far above."""
     rng = np.random.default_rng(5)
-    for sharpness in (2.0, 200.0):
-        x = rng.normal(2.0, 0.7, 60)
-        y = rng.random(60) < 1 / (1 + np.exp(-sharpness * (x - 2.1)))
-        weight = rng.integers(0, 4, 60).astype(float)
+    for sharpness, lapse in ((2.0, 0.0), (200.0, 0.0), (10.0, 0.08)):
+        x = np.round(rng.normal(2.0, 0.7, 60), 3)
+        y = rng.random(60) < (1 - lapse) / (1 + np.exp(-sharpness * (x - 2.1)))
 
-        def loss(p: np.ndarray, y: np.ndarray = y, x: np.ndarray = x, weight: np.ndarray = weight) -> float:
-            margin = np.exp(p[1]) * (x - p[0]) * np.where(y, 1, -1)
-            return float(weight @ np.logaddexp(0, -margin) + 0.5 * (p[1] - np.log(10)) ** 2)
+        def loss(half: float, q: float, lapse: float, y: np.ndarray = y, x: np.ndarray = x) -> float:
+            share = (1 - lapse) / (1 + np.exp(np.clip(-np.exp(q) * (x - half) + np.log(1 - 2 * lapse), -500, 500)))
+            chance = np.where(y, share, 1 - share)
+            return float(-np.log(np.maximum(chance, 1e-200)).sum() + 0.5 * (q - np.log(10)) ** 2 - 19 * np.log(1 - lapse))
 
-        best = optimize.minimize(loss, [2.0, np.log(10)], method="Nelder-Mead", options={"xatol": 1e-7, "fatol": 1e-10})
-        assert figures.logistic_centres(x, y, weight[None])[0] == pytest.approx(best.x[0], abs=1e-5)
+        def profile(half: float, loss: Callable[[float, float, float], float] = loss) -> float:
+            return min(
+                optimize.minimize_scalar(lambda q, lapse=lapse: loss(half, q, lapse), bounds=(-2.0, 8.0), method="bounded").fun
+                for lapse in figures.LAPSES
+            )
+
+        starts = np.linspace(1.5, 2.7, 121)
+        start = starts[np.argmin([profile(c) for c in starts])]
+        best = optimize.minimize_scalar(profile, bounds=(start - 0.02, start + 0.02), method="bounded")
+        limit = float(best.fun) + 2.7055 / 2
+        ends = [
+            optimize.brentq(lambda c, limit=limit: profile(c) - limit, *sorted((best.x, best.x + way))) for way in (-1.5, 1.5)
+        ]
+        assert figures.logistic_half(x, y) == pytest.approx((best.x, *ends), abs=1e-3)
+
+
+def test_interval_of_the_half_point_holds_the_truth_as_often_as_it_says() -> None:
+    """200 samples of 40 streaks around S/N 7, unit noise: 90 % within three standard deviations of the count."""
+    rng = np.random.default_rng(7)
+    inside = []
+    for _ in range(200):
+        snr = rng.uniform(4.0, 11.0, 40)
+        f = figures.half_point(snr, rng.random(40) < stats.norm.cdf(snr - 7.0))
+        inside.append(f["low"] <= 7.0 <= f["high"])
+    assert np.mean(inside) == pytest.approx(0.90, abs=3 * np.sqrt(0.09 / 200))
+
+
+def test_half_point_in_a_gap_without_streaks_has_no_value() -> None:
+    f = figures.half_point(np.concatenate([np.linspace(4, 6, 10), np.linspace(25, 40, 10)]), np.arange(20) >= 10)
+    assert f["value"] is None
+    low, high = (float(word) for word in f["reason"].rpartition("S/N ")[2].split(" and "))
+    assert 5.0 < low < 6.5
+    assert 22.0 < high < 26.0

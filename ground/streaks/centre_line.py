@@ -166,7 +166,7 @@ def curvature_statistic(line: LineFit) -> float:
 def minus_two_ln_likelihood(line: LineFit) -> float:
     """Of all the line's pixels, but for a constant; its noise is Gaussian with the object's own Poisson noise."""
     p = line.pixels
-    mean = mean_all(line.parameters, p.u, p.v, line.half_px, line.blur_px[0], line.blur_px[1])
+    mean = mean_all(line.parameters, p.u, p.v, line.half_px, line.blur_px[0], line.blur_px[1], 0.0)
     variance = p.variance_e2 + np.maximum(mean, 0.0)
     return float(np.sum((p.value_e - mean) ** 2 / variance + np.log(variance)))
 

@@ -19,7 +19,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ground.streaks.end_search import CoarseEnds, at_density, dark_excess, running_ratio
+from ground.streaks.end_search import CoarseEnds, at_density, pixel_ratio, running_ratio
 from ground.streaks.trail_model import edge
 
 ZONE_SIGMAS: Final = 3.4
@@ -51,7 +51,7 @@ class EndPosterior:
     mass1: NDArray[np.float64]
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def one_end(
     grid: NDArray[np.float64],
     sign: float,
@@ -86,14 +86,14 @@ def one_end(
         for i in range(low, high):
             share = edge(u[i], grid[g], width)
             lit = template[i] * (share if sign > 0.0 else 1.0 - share)
-            noisy = variance_e2[i] + noise_density * lit
-            out[0, g] += dark_excess(value_e[i], variance_e2[i], noisy) - 0.5 * value_e[i] * value_e[i] / noisy
-            out[1, g] += value_e[i] * lit / noisy
-            out[2, g] += lit * lit / noisy
+            c0, c1, c2 = pixel_ratio(value_e[i], variance_e2[i], lit, noise_density)
+            out[0, g] += c0
+            out[1, g] += c1
+            out[2, g] += c2
     return out
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def both_ends(
     grid0: NDArray[np.float64],
     grid1: NDArray[np.float64],
@@ -101,11 +101,10 @@ def both_ends(
     template: NDArray[np.float64],
     value_e: NDArray[np.float64],
     variance_e2: NDArray[np.float64],
-    densities: NDArray[np.float64],
     noise_density: float,
     width: float,
 ) -> NDArray[np.float64]:
-    """Log likelihood, shape (densities, grid0, grid1), when the edges overlap; -inf where end 1 is before end 0."""
+    """Log likelihood when the edges overlap: (3, grid0, grid1) coefficients for `at_density`; -inf where end 1 is first."""
     n = u.size
     share0 = np.empty((grid0.size, n))
     share1 = np.empty((grid1.size, n))
@@ -115,21 +114,20 @@ def both_ends(
     for b in range(grid1.size):
         for i in range(n):
             share1[b, i] = edge(u[i], grid1[b], width)
-    out = np.zeros((densities.size, grid0.size, grid1.size))
+    out = np.zeros((3, grid0.size, grid1.size))
     for a in range(grid0.size):
         for b in range(grid1.size):
             if grid1[b] < grid0[a]:
-                out[:, a, b] = -np.inf
+                out[0, a, b] = -np.inf
                 continue
             for i in range(n):
-                lit = template[i] * (share0[a, i] - share1[b, i])
-                if lit < 1e-4 * template[i]:
+                share = share0[a, i] - share1[b, i]
+                if share < 1e-4:
                     continue
-                noisy = variance_e2[i] + noise_density * lit
-                excess = dark_excess(value_e[i], variance_e2[i], noisy)
-                for k in range(densities.size):
-                    residual = value_e[i] - densities[k] * lit
-                    out[k, a, b] += excess - 0.5 * residual * residual / noisy
+                c0, c1, c2 = pixel_ratio(value_e[i], variance_e2[i], template[i] * share, noise_density)
+                out[0, a, b] += c0
+                out[1, a, b] += c1
+                out[2, a, b] += c2
     return out
 
 
@@ -235,7 +233,8 @@ def short_trail_posterior(
     densities = np.linspace(max(center[0] - spread * sigma[0], 0.1 * center[0]), center[0] + spread * sigma[0], count)
     grid0 = center[1] + sigma[1] * np.linspace(-spread, spread, SHORT_NODES)
     grid1 = center[2] + sigma[2] * np.linspace(-spread, spread, SHORT_NODES)
-    log_joint = both_ends(grid0, grid1, u, template, value_e, variance_e2, densities, float(center[0]), width_px)
+    coefficients = both_ends(grid0, grid1, u, template, value_e, variance_e2, float(center[0]), width_px)
+    log_joint = at_density(coefficients[:, None], densities[:, None, None])
     length = np.maximum(grid1[None, :] - grid0[:, None], 0.25 * width_px)
     log_joint -= 0.25 * line_parameters * (2.0 * np.log(densities)[:, None, None] + np.log(length))
     return _moments_joint(grid0, grid1, log_joint, densities)

@@ -52,13 +52,16 @@ class CoarseEnds:
         return (self.density_e_px / self.density_err_e_px) ** 2
 
 
-@njit(cache=True)
-def dark_excess(value_e: float, variance_e2: float, lit_e2: float) -> float:
-    """Part of the log ratio that does not depend on the mean: ln p(value | dark) without it, and both normalisations."""
-    return 0.5 * (value_e * value_e / variance_e2 - math.log(lit_e2 / variance_e2))
+@njit(cache=True, error_model="numpy")
+def pixel_ratio(value_e: float, variance_e2: float, lit: float, noise_density: float) -> tuple[float, float, float]:
+    """ln p(value | lit) - ln p(value | dark) of one pixel: coefficients for `at_density`; lit : electrons per unit density."""
+    light = noise_density * lit
+    inverse = 1.0 / (variance_e2 + light)
+    constant = 0.5 * (value_e * value_e * light * inverse / variance_e2 + math.log(variance_e2 * inverse))
+    return constant, value_e * lit * inverse, lit * lit * inverse
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def running_ratio(
     template: NDArray[np.float64], value_e: NDArray[np.float64], variance_e2: NDArray[np.float64], noise_density: float
 ) -> NDArray[np.float64]:
@@ -70,11 +73,10 @@ def running_ratio(
     n = value_e.size
     total = np.zeros((3, n + 1))
     for i in range(n):
-        lit = variance_e2[i] + noise_density * template[i]
-        weighted = template[i] / lit
-        total[0, i + 1] = total[0, i] + dark_excess(value_e[i], variance_e2[i], lit) - 0.5 * value_e[i] * value_e[i] / lit
-        total[1, i + 1] = total[1, i] + value_e[i] * weighted
-        total[2, i + 1] = total[2, i] + template[i] * weighted
+        c0, c1, c2 = pixel_ratio(value_e[i], variance_e2[i], template[i], noise_density)
+        total[0, i + 1] = total[0, i] + c0
+        total[1, i + 1] = total[1, i] + c1
+        total[2, i + 1] = total[2, i] + c2
     return total
 
 
@@ -85,7 +87,7 @@ def at_density(coefficients: NDArray[np.float64], density_e_px: NDArray[np.float
     return ratio
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def best_segment(running: NDArray[np.float64]) -> tuple[int, int]:
     """Indices (start, stop) of the segment with the largest sum (Kadane's scan on running sums)."""
     lowest = 0

@@ -62,7 +62,7 @@ def at_median_brightness(line: LineFit) -> LineFit:
 def expected_light(line: LineFit) -> NDArray[np.float64]:
     """(n,) electrons of the trail: the model, following the running median of a bright trail."""
     pixels = line.pixels
-    mean = mean_all(line.parameters, pixels.u, pixels.v, line.half_px, line.blur_px[0], line.blur_px[1])
+    mean = mean_all(line.parameters, pixels.u, pixels.v, line.half_px, line.blur_px[0], line.blur_px[1], 0.0)
     densities, low, full = slice_densities(line)
     dark = not line.parameters[DENSITY] > 0.0
     if dark or np.count_nonzero(full) < MEDIAN_WIDTHS or line.snr**2 / full.size < MEDIAN_SNR**2:
@@ -73,7 +73,7 @@ def expected_light(line: LineFit) -> NDArray[np.float64]:
     return mean * np.interp((pixels.u - low) / line.width_px - 0.5, places, ratio)
 
 
-@njit(cache=True)
+@njit(cache=True, error_model="numpy")
 def point_source_snr(
     seeds: NDArray[np.int64],
     u: NDArray[np.float64],
@@ -85,6 +85,7 @@ def point_source_snr(
     """Matched-filter S/N, shape (seeds,), of a point source at each seed pixel; pixels (n,) by ascending u."""
     out = np.zeros(seeds.size)
     reach = 3.0 * width
+    precision = 1.0 / variance_e2
     for k in range(seeds.size):
         i = seeds[k]
         low = np.searchsorted(u, u[i] - reach)
@@ -94,8 +95,8 @@ def point_source_snr(
             r2 = (u[j] - u[i]) ** 2 + (v[j] - v[i]) ** 2
             if r2 < reach * reach:
                 weight = math.exp(-0.5 * r2 / (width * width))
-                signal += weight * residual_e[j] / variance_e2[j]
-                information += weight * weight / variance_e2[j]
+                signal += weight * residual_e[j] * precision[j]
+                information += weight * weight * precision[j]
             j += 1
         out[k] = signal / math.sqrt(information)
     return out

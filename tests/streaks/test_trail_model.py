@@ -20,7 +20,7 @@ from ground.streaks.trail_model import (
     SLOPE,
     V_MID,
     accumulate,
-    mean_e,
+    mean_all,
     quartic_px4,
 )
 from tests.streaks.trail_rendering import Trail, render, strip, trail_at
@@ -36,7 +36,7 @@ def model_image(trail: Trail, row: np.ndarray, col: np.ndarray) -> np.ndarray:
     p[LN_WIDTH] = math.log(effective_width_px(trail.sigma_px))
     p[SAGITTA], p[V_MID], p[Q1] = trail.sagitta_px, 2.0 / 3.0 * trail.sagitta_px, 0.5 * trail.gradient
     quartic = quartic_px4(frame.angle_rad)
-    return np.array([mean_e(p, a, b, 0.0, half, 0.0, 0.0, quartic) for a, b in zip(u, v, strict=True)])
+    return mean_all(p, u, v, half, 0.0, 0.0, quartic)
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 13.0, 45.0, 88.0])
@@ -73,7 +73,7 @@ def test_score_and_fisher_matrix_match_finite_differences() -> None:
     accumulate(p, u, v, value, variance, 0.0, half, 0.3, 0.5, 0.0, index, gradient, fisher)
 
     def image(q: np.ndarray) -> np.ndarray:
-        return np.array([mean_e(q, a, b, 0.0, half, 0.3, 0.5, 0.0) for a, b in zip(u, v, strict=True)])
+        return mean_all(q, u, v, half, 0.3, 0.5, 0.0)
 
     mean = image(p)
     used = mean > 1e-4 * mean.max()  # both sides leave out pixels beyond 4.5 widths

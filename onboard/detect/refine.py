@@ -141,12 +141,11 @@ def polish(
         if turn == 0 or near0 or near1:
             low, n = gather(image, blocked, level, tile_px, segment, extend, values, usable, clean, corner, shift)
         first, last = max(0, math.ceil(segment[0]) - low), min(n, math.floor(segment[2]) + 1 - low)
-        radius = 0
         for _ in range(6):
             moved = False
             slope = (segment[3] - segment[1]) / max(segment[2] - segment[0], 1e-6)
-            radius = cross_sections(slope, psf_sigma_px, table, norms)
-            snr = path_sums(values, usable, clean, corner, shift, first, last, low, segment, table, norms, radius, signal, weight)
+            cross_sections(slope, psf_sigma_px, table, norms)
+            snr = path_sums(values, usable, clean, corner, shift, first, last, low, segment, table, norms, signal, weight)
             for parameter in range(4):
                 if parameter == 3 and not (bends and segment[2] - segment[0] >= BENT_PX):
                     continue
@@ -155,16 +154,17 @@ def polish(
                     trial[1] += sign * step if parameter in (0, 2) else 0.0
                     trial[3] += sign * step if parameter in (1, 2) else 0.0
                     trial[4] += sign * step if parameter == 3 else 0.0
-                    value = path_sums(
-                        values, usable, clean, corner, shift, first, last, low, trial, table, norms, radius, signal, weight
-                    )
+                    value = path_sums(values, usable, clean, corner, shift, first, last, low, trial, table, norms, signal, weight)
                     if value > snr + 1e-3:
                         snr, moved = value, True
                         segment[:] = trial
                         break
             if not moved:
                 break
-        path_sums(values, usable, clean, corner, shift, 0, n, low, segment, table, norms, radius, signal, weight)
+        whole = path_sums(values, usable, clean, corner, shift, 0, n, low, segment, table, norms, signal, weight)
+        if whole < -1e8:  # the segment has turned so far that its extension leaves the strip
+            low, n = gather(image, blocked, level, tile_px, segment, extend, values, usable, clean, corner, shift)
+            path_sums(values, usable, clean, corner, shift, 0, n, low, segment, table, norms, signal, weight)
         snr, i, j = best_run(signal, weight, n, 4)
         start, stop = low + i - 0.5, low + j - 0.5
         old = max(segment[2] - segment[0], 1e-6)

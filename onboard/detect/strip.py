@@ -120,14 +120,15 @@ def gather(
 
 
 @nb.njit(cache=True)
-def cross_sections(slope: float, psf_sigma_px: float, table: NDArray[np.int32], norms: NDArray[np.float64]) -> int:
-    """Fill table (PHASES, lanes) with a trail's cross-section for each phase, in 1/SCALE; returns its radius in px.
+def cross_sections(slope: float, psf_sigma_px: float, table: NDArray[np.int32], norms: NDArray[np.float64]) -> None:
+    """Fill table (PHASES, lanes) with a trail's cross-section for each phase, in 1/SCALE.
 
-    norms (PHASES, 2) : sums of the cross-section and of its square. The middle tap of phase p lies (p + 0.5) / PHASES - 0.5 px
+    norms (PHASES, 2) : sums of the cross-section and of its square. Tap lanes // 2 of phase p lies (p + 0.5) / PHASES - 0.5 px
     before the path.
     """
     cosine = 1.0 / math.sqrt(1.0 + slope * slope)
-    radius = min((table.shape[1] - 1) // 2, math.ceil(3.0 * psf_sigma_px / cosine))
+    middle = table.shape[1] // 2
+    radius = min(table.shape[1] - 1 - middle, math.ceil(3.0 * psf_sigma_px / cosine))
     factor = -0.5 * (cosine / psf_sigma_px) ** 2
     norm = SCALE / (math.sqrt(2.0 * math.pi) * psf_sigma_px)
     growth = math.exp(2.0 * factor)
@@ -135,15 +136,15 @@ def cross_sections(slope: float, psf_sigma_px: float, table: NDArray[np.int32], 
         d = -radius - ((p + 0.5) / PHASES - 0.5)
         g, ratio = norm * math.exp(factor * d * d), math.exp(factor * (2.0 * d + 1.0))
         total = power = 0.0
-        for j in range(table.shape[1]):
-            tap = math.floor(g + 0.5) if j <= 2 * radius else 0
+        table[p] = 0
+        for j in range(middle - radius, middle + radius + 1):
+            tap = math.floor(g + 0.5)
             table[p, j] = tap
             total += tap
             power += float(tap) * tap
             g *= ratio
             ratio *= growth
         norms[p, 0], norms[p, 1] = total / SCALE, power / SCALE**2
-    return radius
 
 
 @nb.njit(cache=True)
@@ -177,7 +178,6 @@ def path_sums(
     segment: NDArray[np.float64],
     table: NDArray[np.int32],
     norms: NDArray[np.float64],
-    radius: int,
     signal: NDArray[np.float64],
     weight: NDArray[np.float64],
 ) -> float:
@@ -192,7 +192,7 @@ def path_sums(
         minor = minor_at(segment, float(low + k))
         centre = math.floor(minor + 0.5)
         phase = min(PHASES - 1, int((minor - centre + 0.5) * PHASES))
-        start = centre - radius - corner[k]
+        start = centre - taps // 2 - corner[k]
         if start < 0 or start + taps > across:
             return -1e9
         total, power = norms[phase, 0], norms[phase, 1]

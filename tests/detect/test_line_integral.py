@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from onboard.detect import LineIntegralDetector, refine, sharpness, whiten
+from onboard.detect import LineIntegralDetector, refine, sharpness, strip, whiten
 from onboard.detect.dyadic import line_sums, work_size
 from sboc_e2e.icd.flags import MaskBit, StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView
@@ -216,6 +216,18 @@ def test_noise_does_not_bend_straight_streaks() -> None:
         found += [d for d in score(found_in(scene), truth)[0] if d is not None]
     assert len(found) >= 17
     assert sum(d.sagitta_px != 0.0 for d in found) <= 1
+
+
+def test_search_over_all_parameters_sums_every_line_of_the_strip() -> None:
+    """Where a segment turned far on its way, what the work arrays held before once came out as S/N."""
+    rng = np.random.default_rng(41)
+    image = np.clip(np.rint(16.0 * rng.standard_normal((400, 400))), -127, 127).astype(np.int8)
+    blocked, level, space = np.zeros(image.shape, np.uint8), np.zeros((7, 7), np.float32), strip.work_space(400, PSF_SIGMA_PX)
+    for _ in range(400):
+        row, col, slope = rng.uniform(150.0, 230.0), rng.uniform(150.0, 230.0), rng.uniform(-1.0, 1.0)
+        segment = np.array([row, col, row + 10.0, col + 10.0 * slope, 0.0])
+        signal, weight = np.full(401, 1e6), np.ones(401)
+        assert refine.polish(image, blocked, level, 64, segment, True, PSF_SIGMA_PX, signal, weight, space) < 8.0
 
 
 def test_sagitta_has_the_sign_of_the_contract() -> None:

@@ -11,12 +11,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from onboard.dark_map import BAND_ROWS, FRACTIONS_PER_ADU, STEPS_PER_ADU, Codes, DarkMap, split_value, whole_steps
 from sboc_e2e.icd.errors import ContractError
 from sboc_e2e.icd.flags import MaskBit
 from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader
 from sboc_e2e.icd.signals import BackgroundModel
 
-FRACTIONS_PER_ADU = 128
 ROWS_AT_ONCE = 64
 ROW_LIMIT_SIGMA = 2.5
 """Values beyond so many sigmas take no part in the means of rows."""
@@ -29,14 +29,13 @@ FLOAT_QUANTUM_SIGMA = 0.05
 class Counts:
     """A frame as integers: one count is `adu_scale` ADU, zero is `adu_offset` (1 and 0 for uint16 frames).
 
-    pixels : (rows, cols) uint16 or int32. dark : (rows, cols) int16, counts. fraction : (rows, cols) int8, what rounding
-    took from the dark, in 1/128 ADU. defects : (rows, cols) uint8 of `MaskBit`, writable: it becomes the mask.
+    pixels : (rows, cols) uint16 or int32. dark : whole counts, and what rounding took from the dark, in ADU.
+    defects : (rows, cols) uint8 of `MaskBit`, writable: it becomes the mask.
     saturation : counts at and above which a pixel is saturated.
     """
 
     pixels: NDArray[np.uint16] | NDArray[np.int32]
-    dark: NDArray[np.int16]
-    fraction: NDArray[np.int8]
+    dark: DarkMap
     defects: NDArray[np.uint8]
     adu_scale: float
     adu_offset: float
@@ -75,44 +74,36 @@ def float_counts(pixels: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArra
 class IntegerCalibration:
     """The calibration as the on-board software uses it.
 
-    dark : rounded to whole ADU, so that its removal is reversible and known at both ends of the link. fraction : the rest
-    of it in 1/128 ADU; left in, it would add 1/12 ADU^2 of fixed pattern to the image that the detector sees.
+    dark : rounded to whole ADU, so that its removal is reversible and known at both ends of the link, and the rest of it; left
+    in, that would add 1/12 ADU^2 of fixed pattern to the image that the detector sees.
     defects : (n, 4) runs of pixels with the same bits, for the map would take a byte a pixel: row, first col, col after the
     last, `MaskBit`.
     """
 
-    dark: NDArray[np.int16]
-    fraction: NDArray[np.int8]
+    dark: DarkMap
     defects: NDArray[np.int32]
 
     @classmethod
     def of(cls, calibration: Calibration) -> "IntegerCalibration":
         """Rounded dark of a calibration."""
-        shape = calibration.dark_adu.shape
-        dark, fraction = np.empty(shape, dtype=np.int16), np.empty(shape, dtype=np.int8)
-        for row in range(0, shape[0], ROWS_AT_ONCE):  # temporaries of the whole map would be the largest of the process
-            part = slice(row, row + ROWS_AT_ONCE)
-            dark[part] = np.clip(np.rint(calibration.dark_adu[part]), -32768, 32767)
-            fraction[part] = np.rint(np.clip(calibration.dark_adu[part] - dark[part], -0.5, 0.5) * FRACTIONS_PER_ADU)
-        return cls(dark=dark, fraction=fraction, defects=runs_of(calibration.defects))
+        return cls(dark=DarkMap.of(calibration.dark_adu), defects=runs_of(calibration.defects))
 
     def window(self, header: FrameHeader) -> "IntegerCalibration":
         """The part that a (windowed) frame covers."""
         row0, col0 = header.window_row0, header.window_col0
-        part = np.s_[row0 : row0 + header.rows, col0 : col0 + header.cols]
-        if self.dark[part].shape != (header.rows, header.cols):
+        if row0 + header.rows > self.dark.shape[0] or col0 + header.cols > self.dark.shape[1]:
             raise ContractError(
                 f"frame {header.frame}: expected a window inside the calibration's {self.dark.shape[0]} x "
                 f"{self.dark.shape[1]} px, got {header.rows} x {header.cols} at ({row0}, {col0})"
             )
         first = np.array((row0, col0, col0, 0), dtype=np.int32)
-        return IntegerCalibration(dark=self.dark[part], fraction=self.fraction[part], defects=self.defects - first)
+        return IntegerCalibration(dark=self.dark.window(row0, col0, (header.rows, header.cols)), defects=self.defects - first)
 
     @classmethod
     def none(cls, header: FrameHeader) -> "IntegerCalibration":
         """No dark and no defects."""
-        shape = (header.rows, header.cols)
-        return cls(dark=np.zeros(shape, np.int16), fraction=np.zeros(shape, np.int8), defects=np.zeros((0, 4), np.int32))
+        dark = DarkMap.of_fractions(np.zeros((header.rows, header.cols), np.int8))
+        return cls(dark=dark, defects=np.zeros((0, 4), np.int32))
 
 
 def runs_of(defects: NDArray[np.uint8]) -> NDArray[np.int32]:
@@ -149,19 +140,18 @@ def to_counts(frame: Frame, calibration: IntegerCalibration, defects: NDArray[np
         return Counts(
             pixels=cast("NDArray[np.uint16]", frame.pixels),
             dark=calibration.dark,
-            fraction=calibration.fraction,
             defects=defects,
             adu_scale=1.0,
             adu_offset=0.0,
             saturation=int(min(max(saturation_adu, 1.0), 65535.0)),
         )
-    pixels, missing, scale, offset = float_counts(cast("NDArray[np.float32]", frame.pixels) - calibration.dark.astype(np.float32))
+    dark = calibration.dark.whole_adu()
+    pixels, missing, scale, offset = float_counts(cast("NDArray[np.float32]", frame.pixels) - dark.astype(np.float32))
     defects[missing] |= np.uint8(MaskBit.MISSING)
-    saturation = (saturation_adu - float(np.median(calibration.dark)) - offset) / scale
+    saturation = (saturation_adu - float(np.median(dark)) - offset) / scale
     return Counts(
         pixels=pixels,
-        dark=np.zeros_like(calibration.dark),
-        fraction=calibration.fraction,
+        dark=DarkMap.of_fractions(calibration.dark.fractions()),
         defects=defects,
         adu_scale=scale,
         adu_offset=offset,
@@ -199,21 +189,26 @@ def expand_nodes(nodes: NDArray[np.float32], tile_px: int, out: NDArray[np.float
 @njit(cache=True, fastmath={"contract", "nsz", "arcp"})  # no NaN reaches this loop; reordering changes the last bit only
 def _residual_row(
     pixels: NDArray[np.uint16] | NDArray[np.int32],
-    dark: NDArray[np.int16],
-    fraction: NDArray[np.int8],
+    codes: NDArray[np.int8] | NDArray[np.int16],
+    middle: NDArray[np.int16],
+    rest: NDArray[np.int16],
+    one_byte: bool,
     mask: NDArray[np.uint8],
     level: NDArray[np.float32],
     saturation: int,
     scale: np.float32,
     residual: NDArray[np.float32],
 ) -> np.int32:
-    """One row of `residual_pass`; a function of its own so that it is compiled to vector instructions."""
+    """One row of `residual_pass` but for the table of the dark; a function of its own so that its loop becomes vectors."""
     unusable = np.int32(0)
     unit = np.float32(1.0 / FRACTIONS_PER_ADU)
     for col in range(pixels.size):
+        away = np.int32(np.int32(codes[col]) + np.int32(rest[col]))
+        steps = whole_steps(away, one_byte)
+        fraction = np.int32(away - np.int32(steps * np.int32(STEPS_PER_ADU)))
         value = np.int32(pixels[col])
         bits = mask[col] | (np.uint8(4) if value >= saturation else np.uint8(0))
-        net = np.float32(value - np.int32(dark[col])) * scale - np.float32(fraction[col]) * unit - level[col]
+        net = np.float32(np.int32(value - np.int32(middle[col])) - steps) * scale - np.float32(fraction) * unit - level[col]
         residual[col] = net if bits == 0 else np.float32(0.0)
         mask[col] = bits
         unusable += np.int32(bits != 0)
@@ -239,8 +234,7 @@ def sums_within(
 @njit(cache=True)
 def residual_pass(
     pixels: NDArray[np.uint16] | NDArray[np.int32],
-    dark: NDArray[np.int16],
-    fraction: NDArray[np.int8],
+    dark: Codes,
     mask: NDArray[np.uint8],
     level_nodes: NDArray[np.float32],
     tile_px: int,
@@ -260,6 +254,8 @@ def residual_pass(
     last = level_nodes.shape[0] - 1
     upper, lower = np.empty(cols, dtype=np.float32), np.empty(cols, dtype=np.float32)
     level = np.empty(cols, dtype=np.float32)
+    codes, middle, first, column, value, corner = dark
+    left, right = corner[1], corner[1] + cols
     unmarked = np.zeros(cols, dtype=np.uint8)
     held = -1
     unusable = 0
@@ -273,11 +269,15 @@ def residual_pass(
         share = np.float32(position - above)
         for col in range(cols):
             level[col] = upper[col] + share * (lower[col] - upper[col])
+        line = row + corner[0]
+        band = line // BAND_ROWS
         unusable += int(
             _residual_row(
                 pixels[row],
-                dark[row],
-                fraction[row],
+                codes[line, left:right],
+                middle[0, band, left:right],
+                middle[1, band, left:right],
+                codes.itemsize == 1,
                 mask[row],
                 level,
                 saturation,
@@ -285,6 +285,12 @@ def residual_pass(
                 residual[row],
             )
         )
+        for k in range(first[line], first[line + 1]):
+            col = column[k] - left
+            if 0 <= col < cols and mask[row, col] == 0:
+                whole, fraction = split_value(value[k])
+                net = np.float32(np.int64(pixels[row, col]) - whole) * np.float32(scale)
+                residual[row, col] = net - np.float32(fraction) * np.float32(1.0 / FRACTIONS_PER_ADU) - level[col]
         number, total, _ = sums_within(residual[row], mask[row], unmarked, np.float32(limit))
         row_sums[row, 0], row_sums[row, 1] = number, total
     return unusable

@@ -185,15 +185,16 @@ class OnboardChain:
     ) -> tuple[DetectorView, Writable, int]:
         """The view without stars, what lies under it, and how many pixels are masked; `residual` is filled."""
         row_sums = np.empty((len(residual), 2))
-        given = (counts.pixels, _read_only(counts.dark), _read_only(counts.defects))
+        # the calibrated image is not there yet: its memory holds the whole ADU of the dark until then
+        dark = counts.dark.whole_adu(residual.reshape(-1).view(np.int16)[: residual.size].reshape(residual.shape))
+        given = (counts.pixels, _read_only(dark), _read_only(counts.defects))
         estimated = self._guarded("background", self._steps.background.estimate, *given)
         if not isinstance(estimated, BackgroundModel):
             raise self._fault("background", f"expected a BackgroundModel, got {type(estimated).__name__}")
         background = background_in_adu(estimated, counts)
         n_masked = residual_pass(
             counts.pixels,
-            counts.dark,
-            counts.fraction,
+            counts.dark.codes,
             counts.defects,
             background.level_adu - np.float32(counts.adu_offset),
             background.tile_px,

@@ -8,6 +8,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from onboard.dark_map import Codes, DarkMap, whole_at
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import FIXED_POINT, BackgroundModel, Detection, Strip
 
@@ -151,7 +152,7 @@ def _square(
 @njit(cache=True)
 def gather(
     pixels: NDArray[np.uint16] | NDArray[np.int32],
-    dark: NDArray[np.int16],
+    dark: Codes,
     axis: int,
     major0: int,
     minor0_fp: int,
@@ -166,17 +167,15 @@ def gather(
         for j in range(out.shape[1]):
             row, col = (major0 + i, first + j) if axis == 0 else (first + j, major0 + i)
             if 0 <= row < rows and 0 <= col < cols:
-                out[i, j] = np.int32(pixels[row, col]) - np.int32(dark[row, col])
+                out[i, j] = np.int32(pixels[row, col]) - np.int32(whole_at(dark, row, col))
             else:
                 out[i, j] = level
 
 
-def cut_strip(
-    geometry: StripGeometry, pixels: NDArray[np.uint16] | NDArray[np.int32], dark: NDArray[np.int16], level: int
-) -> Strip:
+def cut_strip(geometry: StripGeometry, pixels: NDArray[np.uint16] | NDArray[np.int32], dark: DarkMap, level: int) -> Strip:
     """The pixels of a strip."""
     values = np.empty((geometry.n, geometry.width), dtype=np.int32)
-    gather(pixels, dark, geometry.axis, geometry.major0, geometry.minor0_fp, geometry.slope_fp, level, values)
+    gather(pixels, dark.codes, geometry.axis, geometry.major0, geometry.minor0_fp, geometry.slope_fp, level, values)
     return Strip(
         axis=geometry.axis,
         major0=geometry.major0,

@@ -52,7 +52,7 @@ def _chunk(window: tuple[int, int, int, int], counts: Counts, background: Backgr
     """Payload of a rectangle (row, rows, col, cols), and the length of its block."""
     row, n_rows, col, n_cols = window
     part = np.s_[row : row + n_rows, col : col + n_cols]
-    values = counts.pixels[part].astype(np.int32) - counts.dark[part]
+    values = counts.pixels[part].astype(np.int32) - counts.dark.window(row, col, (n_rows, n_cols)).whole_adu()
     i = min((row + n_rows // 2) // background.tile_px, background.level_adu.shape[0] - 1)
     j = min((col + n_cols // 2) // background.tile_px, background.level_adu.shape[1] - 1)
     level = round((float(background.level_adu[i, j]) - counts.adu_offset) / counts.adu_scale)

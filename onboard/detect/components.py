@@ -8,7 +8,6 @@ import math
 from dataclasses import dataclass
 from typing import Final
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 
@@ -131,6 +130,8 @@ def elongated_components(
 
     Length and axis ratio from the second moments of the pixels: a uniform bar of length L has variance L^2/12 along it.
     """
+    import cv2  # takes 20 MB of memory that `threshold` does not need
+
     count, labels, _, _ = cv2.connectedComponentsWithStatsWithAlgorithm(above.astype(np.uint8), 8, cv2.CV_32S, cv2.CCL_BBDT)
     row, col = np.nonzero(labels)
     label = labels[row, col]

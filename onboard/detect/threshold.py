@@ -27,6 +27,7 @@ def extract_elongated(
     room_before = sep.get_extract_pixstack()
     sep.set_extract_pixstack(int(np.count_nonzero(image > math.floor(threshold))) + 1000)
     pixels = image.astype(np.float32)
+    del image
     try:
         sources = sep.extract(pixels, threshold, minarea=min_area_px, filter_kernel=None, deblend_cont=1.0, clean=False)
     finally:

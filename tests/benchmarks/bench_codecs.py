@@ -103,7 +103,7 @@ def whole_frames(
     blocks, packets, speeds, decode_speeds, exact, over_zstd = [], [], [], [], [], []
     for frame, entropy in frames:
         counts = to_counts(frame, dark)
-        values = frame.pixels.astype(np.int32) - dark.dark
+        values = frame.pixels.astype(np.int32) - dark.dark.whole_adu()
         level = int(np.median(values))
         rows = BLOCK_PX // values.shape[1]
         parts = [values[k : k + rows] for k in range(0, len(values), rows)]
@@ -127,13 +127,13 @@ def whole_frames(
 
         decode_speeds.append(frame.pixels.nbytes / best_cpu_s(decode) / 1e6)
         exact.append(all((a == b).all() for a, b in zip(decode(), parts, strict=True)))
-        background = MeshBackground().estimate(counts.pixels, counts.dark, counts.defects)
+        background = MeshBackground().estimate(counts.pixels, counts.dark.whole_adu(), counts.defects)
         payloads = frame_payloads(counts, background, encoder)
         size = sum(len(payload) + HEADER_BYTES + CRC.size for payload in payloads)
         packets.append(8.0 * size / values.size / entropy)
     frame, _ = frames[0]
     counts = to_counts(frame, dark)
-    background = MeshBackground().estimate(counts.pixels, counts.dark, counts.defects)
+    background = MeshBackground().estimate(counts.pixels, counts.dark.whole_adu(), counts.defects)
     packet_s = best_cpu_s(lambda: frame_payloads(counts, background, encoder))
     return {
         "bits_over_entropy_ratio": figure(blocks),
@@ -151,7 +151,7 @@ def bounds(frames: list[tuple[Frame, float]], calibration: Calibration) -> dict[
     dark = IntegerCalibration.of(calibration)
     least = []
     for frame, entropy in frames:
-        values = frame.pixels.astype(np.int32) - dark.dark
+        values = frame.pixels.astype(np.int32) - dark.dark.whole_adu()
         least.append(floors(values, int(np.median(values)), entropy))
     return {
         "entropy_bits": figure([entropy for _, entropy in frames]),

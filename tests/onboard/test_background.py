@@ -6,6 +6,7 @@ from numpy.typing import NDArray
 
 from onboard.background import MeshBackground, fill_gaps
 from onboard.calibrate import residual_pass, runs_of, write_runs
+from onboard.dark_map import DarkMap
 from onboard.star_free_sky import row_offsets, without_stars
 from onboard.stars import MatchedStars
 from sboc_e2e.icd.signals import BackgroundModel
@@ -105,7 +106,8 @@ def test_residual_is_raw_minus_dark_minus_level() -> None:
     nodes = rng.normal(100.0, 5.0, (5, 7)).astype(np.float32)
     residual, mask = np.empty(shape, np.float32), defects.copy()
     sums = np.empty((150, 2))
-    number = residual_pass(pixels, dark, fraction, mask, nodes, tile, 4000, 1.0, 60.0, residual, sums)
+    dark_map = DarkMap.of((dark + fraction / 128.0).astype(np.float32))
+    number = residual_pass(pixels, dark_map.codes, mask, nodes, tile, 4000, 1.0, 60.0, residual, sums)
     row, col = np.indices(shape)
     where = [np.clip((row - 15.5) / tile, 0, 4), np.clip((col - 15.5) / tile, 0, 6)]
     level = map_coordinates(nodes.astype(np.float64), where, order=1, mode="nearest")

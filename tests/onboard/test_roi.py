@@ -9,6 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from onboard import roi
+from onboard.dark_map import DarkMap
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection, strip_pixels
 
@@ -103,7 +104,7 @@ def test_cut_reads_raw_minus_dark_and_pads_with_the_level() -> None:
     rng = np.random.default_rng(1)
     pixels, dark = rng.integers(0, 65536, SHAPE).astype(np.uint16), rng.integers(-50, 300, SHAPE).astype(np.int16)
     geometry = roi.StripGeometry(axis=1, major0=3, n=40, width=9, minor0_fp=-4 << 16, slope_fp=12345)
-    strip = roi.cut_strip(geometry, pixels, dark, 17)
+    strip = roi.cut_strip(geometry, pixels, DarkMap.of(dark.astype(np.float32)), 17)
     row, col, inside = strip.pixel_coordinates(*SHAPE)
     expected = np.where(inside, pixels[row.clip(0), col].astype(np.int64) - dark[row.clip(0), col], 17)
     assert (strip.values_adu == expected).all()

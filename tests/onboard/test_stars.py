@@ -7,6 +7,7 @@ from scipy.spatial import cKDTree
 
 from onboard.background import MeshBackground
 from onboard.calibrate import residual_pass
+from onboard.dark_map import DarkMap
 from onboard.stars import MatchedStars, best_spread
 from sboc_e2e.icd.flags import StarFlag
 from sboc_e2e.icd.frame import FrameHeader
@@ -28,11 +29,11 @@ SIGMA_PX = 0.849
 def view_of(pixels: NDArray[np.uint16], *, psf_sigma_px: float = SIGMA_PX, saturation_adu: float = 60000.0) -> DetectorView:
     """The view that an extractor gets."""
     shape = pixels.shape
-    dark, fraction = np.full(shape, PEDESTAL_ADU, np.int16), np.zeros(shape, np.int8)
+    dark = DarkMap.of(np.full(shape, PEDESTAL_ADU, np.float32))
     mask, residual = np.zeros(shape, np.uint8), np.empty(shape, np.float32)
-    background = MeshBackground().estimate(pixels, dark, mask)
+    background = MeshBackground().estimate(pixels, dark.whole_adu(), mask)
     residual_pass(
-        pixels, dark, fraction, mask, background.level_adu, background.tile_px, int(saturation_adu), 1.0, 10.0, residual,
+        pixels, dark.codes, mask, background.level_adu, background.tile_px, int(saturation_adu), 1.0, 10.0, residual,
         np.empty((shape[0], 2)),
     )  # fmt: skip
     header = FrameHeader(

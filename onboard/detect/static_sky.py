@@ -109,7 +109,7 @@ def _lit_pixels(
     start, stop = (ends[0], ends[2]) if steep else (ends[1], ends[3])
     origin, slope = (ends[1], u_col / u_row) if steep else (ends[0], u_row / u_col if u_col != 0.0 else 0.0)
     low, high = math.ceil(min(start, stop)), math.floor(max(start, stop))
-    most = max(high - low + 1, 0) * (math.floor(2.0 * reach / along) + 1)
+    most = max(high - low + 1, 0) * (math.floor(2.0 * reach / along) + 2)  # one more, for sums are rounded
     at_row, at_col, profile = np.empty(most, np.int32), np.empty(most, np.int32), np.empty(most)
     n = 0
     for major in range(low, high + 1):

@@ -153,7 +153,10 @@ def polish(
                     trial[:] = segment
                     trial[1] += sign * step if parameter in (0, 2) else 0.0
                     trial[3] += sign * step if parameter in (1, 2) else 0.0
-                    trial[4] += sign * step if parameter == 3 else 0.0
+                    if parameter == 3:  # about its mean place, or bend and offset would wait for each other
+                        trial[1] -= 2.0 / 3.0 * sign * step
+                        trial[3] -= 2.0 / 3.0 * sign * step
+                        trial[4] += sign * step
                     value = path_sums(values, usable, clean, corner, shift, first, last, low, trial, table, norms, signal, weight)
                     if value > snr + 1e-3:
                         snr, moved = value, True

@@ -230,6 +230,21 @@ def test_search_over_all_parameters_sums_every_line_of_the_strip() -> None:
         assert refine.polish(image, blocked, level, 64, segment, True, PSF_SIGMA_PX, signal, weight, space) < 8.0
 
 
+def test_bend_is_found_from_a_straight_start() -> None:
+    """The fit from straight lines beside a bent trail comes as high as the fit from the truth."""
+    blocked, level, space = np.zeros((260, 260), np.uint8), np.zeros((5, 5), np.float32), strip.work_space(260, PSF_SIGMA_PX)
+    signal, weight = np.empty(261), np.empty(261)
+    for seed in range(6):
+        scene = exposure(260, NO_STARS, rng := np.random.default_rng((42, seed)))
+        add_streak(scene, Streak(row0=30.0, col0=100.0, row1=230.0, col1=130.0, snr=12.0, sagitta_px=-3.0), rng)
+        image = np.clip(np.rint(16.0 * scene.image / SIGMA), -127, 127).astype(np.int8)
+        fits = []
+        for offset, sagitta in ((0.0, 3.05), (0.0, 0.0), (2.0, 0.0), (3.0, 0.0)):
+            segment = np.array([30.0, 100.0 + offset, 230.0, 130.0 + offset, sagitta])
+            fits.append(refine.polish(image, blocked, level, 64, segment, True, PSF_SIGMA_PX, signal, weight, space))
+        assert min(fits[1:]) > 0.98 * fits[0]
+
+
 def test_sagitta_has_the_sign_of_the_contract() -> None:
     """Positive towards (+drow, -dcol) turned from the chord: the bench draws with the normal (dcol, -drow) / length."""
     for sign in (1.0, -1.0):

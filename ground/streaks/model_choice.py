@@ -20,6 +20,11 @@ CANDIDATES: Final = (SAGITTA, Q1, Q2, LN_WIDTH)
 LEAST_WIDTHS: Final = {SAGITTA: CURVED_WIDTHS, Q1: 10.0, Q2: 20.0, LN_WIDTH: 0.0}
 """Trails shorter than this many widths cannot tell a candidate from misplaced ends; natural curvature is nil there."""
 
+SHORT_WIDTHS: Final = 30.0
+SHORT_EVIDENCE: Final = 25.0
+"""Chi-square that brightness must be worth on trails shorter than this many widths: there it trades with the place of an end,
+and one gradient in a hundred that noise made costs as much as all other errors of the ends together."""
+
 
 def score_tests(line: LineFit, candidates: tuple[int, ...]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Of each candidate, given all free parameters: score statistic and one-step estimate."""
@@ -42,9 +47,10 @@ def score_tests(line: LineFit, candidates: tuple[int, ...]) -> tuple[NDArray[np.
     return statistic, step
 
 
-def evidence_needed(line: LineFit) -> float:
+def evidence_needed(line: LineFit, candidate: int) -> float:
     """Chi-square that a refinement must be worth (extended BIC)."""
-    return math.log(max(line.n_pixels, 2)) + 2.0 * math.log(len(CANDIDATES))
+    least = SHORT_EVIDENCE if candidate in (Q1, Q2) and 2.0 * line.half_px < SHORT_WIDTHS * line.width_px else 0.0
+    return max(math.log(max(line.n_pixels, 2)) + 2.0 * math.log(len(CANDIDATES)), least)
 
 
 def straight_unless_evident(line: LineFit, *, iterations: int) -> LineFit:
@@ -62,7 +68,7 @@ def straight_unless_evident(line: LineFit, *, iterations: int) -> LineFit:
     if not straight.regular:
         return line
     gain = minus_two_ln_likelihood(straight) - minus_two_ln_likelihood(line)
-    return straight if gain < evidence_needed(line) else line
+    return straight if gain < evidence_needed(line, SAGITTA) else line
 
 
 def choose_model(line: LineFit, *, iterations: int, shape: bool) -> LineFit:
@@ -72,8 +78,9 @@ def choose_model(line: LineFit, *, iterations: int, shape: bool) -> LineFit:
     open_candidates = [c for c in allowed if c not in line.free]
     while open_candidates:
         statistic, step = score_tests(line, tuple(open_candidates))
-        best = int(np.argmax(statistic))
-        if statistic[best] < evidence_needed(line):
+        gain = statistic - [evidence_needed(line, c) for c in open_candidates]
+        best = int(np.argmax(gain))
+        if gain[best] < 0.0:
             break
         chosen = open_candidates.pop(best)
         parameters = line.parameters.copy()

@@ -141,6 +141,16 @@ def test_curvature_gradient_and_width_are_found_where_they_are() -> None:
     assert plain.sagitta_px == 0.0
 
 
+def test_noise_makes_no_gradient_on_short_trails() -> None:
+    """There brightness trades with the place of an end: with the evidence that long trails need, one end in fifty went astray."""
+    rng = np.random.default_rng(24)
+    for length_px in (10.0, 20.0):
+        fits = [fit_of(expose(rng, trail_at(rng, length_px), 25.0)) for _ in range(CASES)]
+        assert all(fit.gradient == 0.0 for fit in fits)
+    bright = fit_of(expose(rng, trail_at(rng, 22.0, gradient=0.9), 150.0))
+    assert bright.gradient == pytest.approx(0.9 * math.copysign(1.0, bright.gradient), abs=0.25)
+
+
 def test_a_bend_that_the_detector_guessed_is_not_taken_over() -> None:
     """Faint straight trails handed over as bent ones are fitted as if handed over straight."""
     rng = np.random.default_rng(27)

@@ -70,10 +70,20 @@ def _smooth_row(
 
 
 @njit(cache=True)
-def _exceeds(values: NDArray[np.float32], threshold: NDArray[np.float32], out: NDArray[np.uint8]) -> None:
-    """1 where a value exceeds its threshold."""
-    for k in range(values.size):
-        out[k] = np.uint8(values[k] > threshold[k])
+def _tops(
+    here: NDArray[np.float32],
+    left: NDArray[np.float32],
+    right: NDArray[np.float32],
+    above: NDArray[np.float32],
+    below: NDArray[np.float32],
+    threshold: NDArray[np.float32],
+    out: NDArray[np.uint8],
+) -> None:
+    """1 where a value exceeds its threshold and its four nearest neighbours; of equal ones the last counts."""
+    for k in range(here.size):
+        value = here[k]
+        across = (value > threshold[k]) & (value >= left[k]) & (value > right[k])
+        out[k] = np.uint8(across & (value >= above[k]) & (value > below[k]))
 
 
 @njit(cache=True)
@@ -116,17 +126,15 @@ def find_peaks(
             limit *= np.float32(threshold)
             held = tile
         here, above, below = ring[row % 3], ring[(row + 2) % 3], ring[(row + 1) % 3]
-        _exceeds(here, limit, hits[:cols])
+        _tops(here[1:-1], here[:-2], here[2:], above[1:-1], below[1:-1], limit[1:-1], hits[1 : cols - 1])
         for word in range(words.size):
             if words[word] == 0:
                 continue
-            for col in range(max(8 * word, 1), min(8 * word + 8, cols - 1)):
+            for col in range(8 * word, min(8 * word + 8, cols)):
                 value = here[col]
-                if hits[col] == 0 or value < here[col - 1] or value <= here[col + 1]:
+                if hits[col] == 0 or value < above[col - 1] or value < above[col + 1]:
                     continue
-                if value < above[col] or value < above[col - 1] or value < above[col + 1]:
-                    continue
-                if value <= below[col] or value <= below[col - 1] or value <= below[col + 1]:
+                if value <= below[col - 1] or value <= below[col + 1]:
                     continue
                 if count == peaks.shape[0]:
                     return count

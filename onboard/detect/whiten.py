@@ -14,10 +14,14 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.prefetch import prefetch
 from sboc_e2e.icd.flags import MaskBit
 
 UNIT: Final = 16
 """One sigma of a pixel in the 8-bit image."""
+
+STARS_AHEAD: Final = 8
+"""Pixels are asked for so many stars before the one whose turn it is."""
 
 SATURATED: Final = int(MaskBit.SATURATED)
 
@@ -105,6 +109,16 @@ def unusable(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 @nb.njit(cache=True)
+def _ask_for_disc(image: NDArray[np.int8], blocked: NDArray[np.uint8], row: float, col: float, radius: float) -> None:
+    """Begin to load the middle of each line of a disc."""
+    middle = math.floor(col + 0.5)
+    if 0 <= middle < image.shape[1]:
+        for i in range(max(0, math.ceil(row - radius)), min(image.shape[0], math.floor(row + radius) + 1)):
+            prefetch(image, i, middle)
+            prefetch(blocked, i, middle)
+
+
+@nb.njit(cache=True)
 def blank_discs(
     image: NDArray[np.int8],
     blocked: NDArray[np.uint8],
@@ -115,6 +129,8 @@ def blank_discs(
     """Set discs of the image to 0 and mark them in `blocked` (2). In place; positions and radii in px, shape (n,)."""
     rows, cols = image.shape
     for k in range(row.shape[0]):
+        if k + STARS_AHEAD < row.shape[0]:
+            _ask_for_disc(image, blocked, row[k + STARS_AHEAD], col[k + STARS_AHEAD], radius_px[k + STARS_AHEAD])
         radius = radius_px[k]
         if radius <= 0.0:
             continue

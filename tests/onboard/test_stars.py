@@ -8,7 +8,7 @@ from scipy.spatial import cKDTree
 from onboard.background import MeshBackground
 from onboard.calibrate import residual_pass
 from onboard.dark_map import DarkMap
-from onboard.stars import MatchedStars, best_spread
+from onboard.stars import MatchedStars, best_spread, falling
 from sboc_e2e.icd.flags import StarFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import DetectorView, StarList
@@ -218,3 +218,11 @@ def test_particle_tracks_are_not_chosen_as_stars() -> None:
     chosen = best_spread(stars, (512, 512), 100)
     distance, _ = cKDTree(np.column_stack((field.row, field.col))).query(np.column_stack((stars.row[chosen], stars.col[chosen])))
     assert (distance < 1.0).mean() >= 0.98
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 7, 3000])
+def test_falling_is_a_stable_sort(n: int) -> None:
+    """Without equal values, with some, and with nothing else."""
+    rng = np.random.default_rng(n)
+    for values in (rng.random(n), rng.integers(0, n // 3 + 1, n).astype(float), np.zeros(n)):
+        assert (falling(values) == np.argsort(-values, kind="stable")).all()

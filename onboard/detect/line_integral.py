@@ -89,12 +89,23 @@ def edge_flags(ends: tuple[float, float, float, float], shape: tuple[int, int], 
     return flags
 
 
+def _inside(ends: NDArray[np.float64], shape: tuple[int, int]) -> tuple[float, float, float, float]:
+    """The part inside the frame of a segment (major0, minor0, major1, minor1); along it, so that its direction stays."""
+    start, way = ends[:2], ends[2:] - ends[:2]
+    last = np.array(shape) - 1.0
+    low, high = 0.0, 1.0
+    for k in range(2):
+        if abs(way[k]) > 1e-6:
+            cuts = sorted((-start[k] / way[k], (last[k] - start[k]) / way[k]))
+            low, high = max(low, cuts[0]), min(high, cuts[1])
+    (a0, b0), (a1, b1) = (np.clip(start + u * way, 0.0, last) for u in (low, max(low, high)))
+    return float(a0), float(b0), float(a1), float(b1)
+
+
 def line_detection(row: NDArray[np.float64], shape: tuple[int, int]) -> Detection:
     """A row of `resolve.resolve` as a contract record, ends inside the frame."""
     axis = int(row[0])
-    limits = shape if axis == 0 else shape[::-1]
-    a0, a1 = (float(np.clip(row[k], 0.0, limits[0] - 1.0)) for k in (1, 3))
-    b0, b1 = (float(np.clip(row[k], 0.0, limits[1] - 1.0)) for k in (2, 4))
+    a0, b0, a1, b1 = _inside(row[1:5], shape if axis == 0 else shape[::-1])
     ends = (a0, b0, a1, b1) if axis == 0 else (b0, a0, b1, a1)
     slope = (row[4] - row[2]) / max(row[3] - row[1], 1e-6)
     sagitta = float(row[5]) / math.sqrt(1.0 + slope * slope)

@@ -82,7 +82,10 @@ def profile_snr(signal: NDArray[np.float64], weight: NDArray[np.float64], n: int
 
 @nb.njit(cache=True)
 def best_run(signal: NDArray[np.float64], weight: NDArray[np.float64], n: int, min_px: int) -> tuple[float, int, int]:
-    """The run of lines [i, j) with the largest sum(signal)/sqrt(sum(weight)), found on a lattice of steps, then refined."""
+    """The run of lines [i, j) with the largest sum(signal)/sqrt(sum(weight)), found on a lattice of steps, then refined.
+
+    Lines without weight, outside the frame or masked, belong to no run: its ends have some.
+    """
     cumulative_s, cumulative_w = np.zeros(n + 1), np.zeros(n + 1)
     for k in range(n):
         cumulative_s[k + 1] = cumulative_s[k] + signal[k]
@@ -108,6 +111,10 @@ def best_run(signal: NDArray[np.float64], weight: NDArray[np.float64], n: int, m
                     if value > best:
                         best, first, last = value, i, j
         step = finer
+    while first < last and weight[first] == 0.0:
+        first += 1
+    while last > first and weight[last - 1] == 0.0:
+        last -= 1
     return best, first, last
 
 

@@ -1,5 +1,6 @@
 """Facts about the default detector: what it finds, what it refuses, and that its statistic is honest."""
 
+import itertools
 import math
 from dataclasses import replace
 
@@ -263,15 +264,31 @@ def test_sagitta_has_the_sign_of_the_contract() -> None:
 
 
 def test_streak_cut_by_the_edge_is_found_and_flagged() -> None:
-    scene, rng = noise_scene(1024, 13)
-    streak = Streak(row0=-100.0, col0=400.0, row1=200.0, col1=520.0, snr=15.0)
-    add_streak(scene, streak, rng)
-    found = found_in(scene)
-    paired, _, false = score(found, [clip(streak, 1024)])
-    assert paired[0] is not None
-    assert false == 0
-    at_edge = StreakFlag.EDGE0 if paired[0].row0 < paired[0].row1 else StreakFlag.EDGE1
-    assert paired[0].flags & at_edge
+    """At every edge, steep and flat: the cut end lies near the edge, both ends on the trail."""
+    flagged = []
+    for turns, across_deg in itertools.product(range(4), (-70.0, -20.0, 55.0)):
+        scene, rng = noise_scene(512, 13)
+        u_row, u_col = np.cos(np.radians(across_deg)), np.sin(np.radians(across_deg))
+        row, col = np.array([-100.0 * u_row, 200.0 * u_row]), 250.0 + np.array([-100.0 * u_col, 200.0 * u_col])
+        for _ in range(turns):
+            row, col = col, 511.0 - row
+        streak = Streak(row0=row[0], col0=col[0], row1=row[1], col1=col[1], snr=14.0)
+        add_streak(scene, streak, rng)
+        found = found_in(scene)
+        inside = clip(streak, 512)
+        paired, _, false = score(found, [inside])
+        assert paired[0] is not None
+        assert false == 0
+        ends = np.array([[paired[0].row0, paired[0].col0], [paired[0].row1, paired[0].col1]])
+        truth = np.array([[inside.row0, inside.col0], [inside.row1, inside.col1]])
+        gap = np.hypot(*np.moveaxis(ends[:, None] - truth, -1, 0))
+        cut = int(np.argmin(gap[:, 0]))  # which end is the one at the edge
+        assert gap[cut, 0] < 16.0  # a faint end may stop short of it: 5.1 L / S^2 rms
+        flagged.append(bool(paired[0].flags & (StreakFlag.EDGE0, StreakFlag.EDGE1)[cut]))
+        assert not paired[0].flags & (StreakFlag.EDGE1, StreakFlag.EDGE0)[cut]
+        along = (truth[1] - truth[0]) / np.hypot(*(truth[1] - truth[0]))
+        assert np.abs((ends - truth[0]) @ (-along[1], along[0])).max() < 1.0
+    assert sum(flagged) >= 8
 
 
 def test_hot_column_and_aligned_stars_are_refused() -> None:

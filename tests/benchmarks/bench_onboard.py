@@ -6,6 +6,7 @@ Times are process CPU seconds of one thread; compilation is excluded and given a
 
 import json
 import math
+import os
 import pickle
 import subprocess
 import sys
@@ -57,14 +58,20 @@ def chain_of(detector: Detector, calibration: Calibration) -> OnboardChain:
 
 
 def timed_run(chain: OnboardChain, frames: list[tuple[Frame, FrameTruth]]) -> tuple[list[OnboardResult], list[float], float]:
-    """Results and CPU seconds of each frame after the first, whose time (compilation) comes apart."""
-    state, results, times = chain.initial_state(), [], []
-    for frame, _ in frames:
-        start = time.process_time()
-        state, result = chain.process(state, frame)
-        times.append(time.process_time() - start)
-        results.append(result)
-    return results, times[1:], times[0]
+    """Results and CPU seconds of each frame after the first; and of the very first one, with what it compiles or loads.
+
+    The frames go through twice, and the second time counts: kernels that a later frame is the first to need are there by then.
+    """
+    first_frame_s = 0.0
+    for again in (False, True):
+        state, results, times = chain.initial_state(), [], []
+        for frame, _ in frames:
+            start = time.process_time()
+            state, result = chain.process(state, frame)
+            times.append(time.process_time() - start)
+            results.append(result)
+        first_frame_s = first_frame_s if again else times[0]
+    return results, times[1:], first_frame_s
 
 
 def spread(times: list[float]) -> dict[str, Any]:
@@ -279,7 +286,8 @@ def process_memory(frames: list[tuple[Frame, FrameTruth]], calibration: Calibrat
             (folder / f"{number}.pickle").write_bytes(pickle.dumps(frame))
         for detector in ("none", "threshold", "line_integral"):
             command = [sys.executable, "-m", onboard_process.__name__, name, detector]
-            done = subprocess.run(command, check=True, capture_output=True, text=True)
+            environment = {**os.environ, **onboard_process.ENVIRONMENT}
+            done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
             stages = json.loads(done.stdout)
             mpx = frames[0][0].pixels.size / 1e6
             stages["peak_above_libraries_and_kernels"] = stages["peak"] - stages["libraries_and_kernels"]

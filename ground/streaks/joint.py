@@ -24,6 +24,7 @@ from scipy.stats import qmc
 
 from ground.streaks import known_width
 from ground.streaks.centre_line import LineFit, effective_width_px, uniform_trail
+from ground.streaks.common_direction import common_turns
 from ground.streaks.end_posterior import EndTables, end_tables, lit_length
 from ground.streaks.end_search import coarse_ends, lit_density
 from ground.streaks.fit_record import pixel_covariance
@@ -86,7 +87,7 @@ def refit_tracklet(frames: Sequence[TrackletFrame], *, sigma_acceleration: float
 
     sigma_acceleration : prior sigma of the change of rate, unit of `along` per s^2; 0 for a constant rate.
     """
-    evidence = [_evidence(frame) for frame in frames]
+    evidence = [_evidence(frame, turn) for frame, turn in zip(frames, common_turns([f.fit for f in frames]), strict=True)]
     ends = sum(2 - _edge_count(e.frame.fit) for e in evidence if e is not None)
     if ends < 3:
         return tuple(frame.fit for frame in frames)
@@ -106,8 +107,8 @@ def _edge_count(fit: StreakFit) -> int:
     return int(StreakFlag.EDGE0 in fit.flags) + int(StreakFlag.EDGE1 in fit.flags)
 
 
-def _evidence(frame: TrackletFrame) -> _Evidence | None:
-    """End likelihood of a frame along its fitted line; None where it has no end or no fit."""
+def _evidence(frame: TrackletFrame, turn_rad: float) -> _Evidence | None:
+    """End likelihood of a frame along its line, turned by this about its middle; None where it has no end or no fit."""
     fit = frame.fit
     length = fit.length_px
     if StreakFlag.FIT_FAILED in fit.flags or _edge_count(fit) == 2 or not frame.along_per_px > 0.0:
@@ -125,12 +126,13 @@ def _evidence(frame: TrackletFrame) -> _Evidence | None:
     precision[np.ix_(index, index)] = np.linalg.inv(covariance[np.ix_(index, index)])
     width = effective_width_px(frame.pixels.psf_sigma_px)
     change_points = fit.snr**2 < 3.0 * CHANGE_POINT_SNR2 * length / width
-    tables = _tables(frame, trail) if change_points and length > OVERLAP_WIDTHS * width else None
+    turned = trail.turned(0.0, 0.0, turn_rad)
+    tables = _tables(frame, turned) if change_points and length > OVERLAP_WIDTHS * width else None
     return _Evidence(frame=frame, tables=tables, precision=precision, rows_per_px=trail.sin)
 
 
 def _tables(frame: TrackletFrame, trail: TrailFrame) -> EndTables | None:
-    """`end_tables` along the line of the fit, with u from the middle of its chord."""
+    """`end_tables` along a line near the fit's, with u from the middle of its chord."""
     near, template, width = _lit_pixels(frame, trail)
     half, density, edges = _segment(frame.fit)
     coarse = coarse_ends(

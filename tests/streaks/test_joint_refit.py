@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from ground.streaks import TrackletFrame, TrailedPsfFitter, refit_tracklet
+from ground.streaks.common_direction import common_turns
 from ground.streaks.fit_record import reversed_ends
 from ground.streaks.joint import flux_between
 from sboc_e2e.icd.flags import StreakFlag
@@ -85,6 +86,21 @@ def test_faint_ends_become_several_times_better(line_time_s: float) -> None:
     # 12 tracklets of two free numbers each: 24 independent errors, scatter of their rms 15 %
     assert 0.6 < float(np.sqrt(np.mean(np.square(z)))) < 1.5
     assert 0.4 < float(np.mean(covered)) < 0.9
+
+
+def test_a_line_that_noise_turned_is_turned_back_unless_the_lines_really_differ() -> None:
+    """Towards the mean of the others, by as much as its own error lets it; never by more than that."""
+    rng = np.random.default_rng(8)
+    frames, _ = tracklet(rng, 60.0, 12.0, 5, 0.0)
+    fits = [frame.fit for frame in frames]
+    angles = np.array([math.atan2(fit.row1 - fit.row0, fit.col1 - fit.col0) for fit in fits])
+    turns = common_turns(fits)
+    assert 0.0 < np.std(angles + turns) < 0.3 * np.std(angles)
+    fanned = [replace(fit, row1=fit.row1 + 4.0 * k) for k, fit in enumerate(fits)]
+    assert not common_turns(fanned).any()
+    assert not common_turns(fits[:1]).any()
+    failed = [replace(fits[0], flags=StreakFlag.FIT_FAILED), *fits[1:]]
+    assert common_turns(failed)[0] == 0.0
 
 
 def test_a_wrong_shutter_sign_would_be_seen() -> None:

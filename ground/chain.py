@@ -368,10 +368,13 @@ def _with_brightness(
 def _finally_measured(
     streaks: Sequence[StreakMeasurement], tracklets: Sequence[Tracklet], products: dict[int, FrameProducts]
 ) -> tuple[StreakMeasurement, ...]:
-    """Streaks with directions at their final epochs and magnitudes for their final exposed times."""
+    """Streaks with directions at their final epochs and magnitudes for their final exposed times, where these are new."""
     rates = {tracklet.tracklet_id: tracklet.rate_deg_s for tracklet in tracklets}
     final = []
     for streak in streaks:
+        if streak.tracklet_id < 0:  # measured as its frame alone has it
+            final.append(streak)
+            continue
         product = products[streak.frame]
         sky = _sky_of(product.header, product.solution, product.wcs)
         number = streak.streak_id - streak.frame * STREAKS_PER_FRAME

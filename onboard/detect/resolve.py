@@ -17,11 +17,11 @@ POLISH_GAIN: Final = 1.3
 """The search over all parameters hardly ever raises the S/N of a located segment by more than this."""
 
 
-BEND_GAIN: Final = 6.0
+BEND_GAIN: Final = 9.0
 """A bend must raise the squared S/N by so much, and that of a bent trail must exceed n_sigma squared by as much.
 
-Noise bends lines too: the sagitta's metric is 0.0616 S^2 per px^2 (4/45 / (2 s^2)), so that 6 px of it make
-7 x 1.5 / sqrt(2 pi) = 4 times as many false maxima; exp(-6 / 2) leaves a fifth.
+Noise bends lines too: the sagitta's metric is 0.0616 S^2 per px^2 (4/45 / (2 s^2)), so that 16 px of it make
+7 x 4 / sqrt(2 pi) = 11 times as many false maxima; exp(-9 / 2) leaves an eighth of one.
 """
 
 SHARP_ENDS_PX: Final = 60.0

@@ -1,5 +1,6 @@
 """A view without its stars: bright ones masked, faint ones subtracted with the flux they had a frame earlier."""
 
+import math
 from dataclasses import dataclass
 from typing import Final
 
@@ -28,6 +29,13 @@ STATIC_BOTH: Final = 86
 MAX_UNLISTED: Final = 200_000
 """Room for unlisted stars."""
 
+TRAIL_LEVEL: Final = 2.5
+"""Point-source S/N on the faintest trails of 20 px that are found (7 sqrt(2 sqrt(pi) s / 20) = 2.7): there `star_light` tells a
+star from noise in the earlier frame."""
+
+COUNTS_SLOPE: Final = 0.9
+"""Stars above S/N S are as many as S to minus this."""
+
 HIT_RADIUS_PX: Final = 2.5
 """Mask of a particle hit."""
 
@@ -37,9 +45,9 @@ class WorkingImages:
     """image : (rows, cols) int8, sigma/16, noise-normalised and without stars.
 
     blocked : uint8, 0 = usable. level : mesh of what the background left over, sigma/16.
-    stars : which entries of the star list are stars. subtracted : (n, 3) row, col and S/N then of the stars that were subtracted,
-    not masked. new : entries that the earlier frame does not show; sharp : those among
-    them that are sharper than the PSF.
+    stars : which entries of the star list are stars. subtracted : (n, 3) row, col and S/N of the light that was
+    subtracted, not masked. new : entries that the earlier frame does not show; sharp : those among them that are sharper than
+    the PSF.
     """
 
     image: NDArray[np.int8]
@@ -93,7 +101,7 @@ def remove_static_stars(
 
     List entries that were not there are pieces of trails, movers or particle hits and stay in the image, except hits
     sharper than the PSF, which are masked. Returns the new entries (indices), which of them are sharp, and what was
-    subtracted, (n, 3): row, col, S/N then.
+    subtracted, (n, 3): row, col, S/N.
     """
     stars, psf_sigma_px = view.stars, view.psf_sigma_px
     sigma, tile_px = view.background.sigma_adu, view.background.tile_px
@@ -112,21 +120,48 @@ def remove_static_stars(
     sharp = point_movers.sharper_than_psf(view.residual_adu, sigma, tile_px, stars.row[new], stars.col[new], stars.snr[new])
     hits = new[sharp]
     whiten.blank_discs(image, blocked, stars.row[hits], stars.col[hits], np.full(len(hits), HIT_RADIUS_PX))
-    places = unlisted_stars(image, earlier, psf_sigma_px)
+    bright_per_px = float(np.count_nonzero(stars.snr[static] > SUBTRACT_SNR)) / image.size
+    places = unlisted_stars(image, earlier, bright_per_px, psf_sigma_px)
     static_sky.subtract_stars(image, blocked, places[:, 0], places[:, 1], places[:, 2], psf_sigma_px)
     listed = np.column_stack([stars.row[faint], stars.col[faint], before[faint]])
     return new, sharp, np.concatenate([listed, places])
 
 
-def unlisted_stars(image: NDArray[np.int8], earlier: static_sky.EarlierFrame, psf_sigma_px: float) -> NDArray[np.float64]:
-    """Stars too faint for the list that the earlier frame shows too, (n, 3): row, col, S/N then.
+def star_light(
+    now: NDArray[np.float64], then: NDArray[np.float64], bright_per_px: float, psf_sigma_px: float
+) -> NDArray[np.float64]:
+    """What to take for a star's light, (n,) in S/N, where smoothed frames have a common maximum of S/N now and then.
+
+    Either noise peaks there in the earlier frame, or a star of that S/N stands there. A trail of point-source S/N t makes that
+    P(t) = noise(then) phi(now - t) + star(then) phi((now - t - then) / sqrt 2) / sqrt 2. With light d taken away the place adds
+    (now - d) t - t^2 / 2 to a trail's log likelihood: d is what makes this log P(t) / P(0) at t = TRAIL_LEVEL. So a trail over
+    noise that passes for a faint star keeps its light, and stars do not come through.
+
+    bright_per_px : stars above SUBTRACT_SNR per px, from which star(S) follows. noise(S) : maxima of smoothed noise per px and
+    S/N (Adler & Taylor 2007, leading term).
+    """
+    noise = then * (then**2 - 1.0) * np.exp(-0.5 * then**2) / (2.0 * psf_sigma_px**2 * (2.0 * math.pi) ** 1.5)
+    star = COUNTS_SLOPE / SUBTRACT_SNR * bright_per_px * (then / SUBTRACT_SNR) ** (-1.0 - COUNTS_SLOPE)
+
+    def likelihood(trail: float) -> NDArray[np.float64]:
+        beside = now - trail
+        return noise * np.exp(-0.5 * beside**2) + math.sqrt(0.5) * star * np.exp(-0.25 * (beside - then) ** 2)
+
+    gain = np.log(likelihood(TRAIL_LEVEL) / likelihood(0.0))
+    return np.clip(now - gain / TRAIL_LEVEL - 0.5 * TRAIL_LEVEL, 0.0, then)
+
+
+def unlisted_stars(
+    image: NDArray[np.int8], earlier: static_sky.EarlierFrame, bright_per_px: float, psf_sigma_px: float
+) -> NDArray[np.float64]:
+    """Stars too faint for the list that the earlier frame shows too, (n, 3): row, col, S/N to subtract.
 
     The two frames are smoothed in bands of one row of tiles, which stay in the cache, instead of as whole images.
     """
     codes, taps, no_level = earlier.frame.pixels[0], whiten.odd_taps(psf_sigma_px), np.zeros((1, 1), np.float32)
     rows, cols = image.shape
     margin = len(taps)  # the kernel's reach, and one row for the test of a local maximum
-    places, found = np.empty((MAX_UNLISTED, 3)), 0
+    places, found = np.empty((MAX_UNLISTED, 4)), 0
     for top in range(0, rows, TILE_PX):
         low, high = static_sky.shifted_rows(earlier.transform, top, TILE_PX, cols)
         first, stop = max(0, top + low - margin), min(rows, top + TILE_PX + high + margin)
@@ -147,7 +182,8 @@ def unlisted_stars(image: NDArray[np.int8], earlier: static_sky.EarlierFrame, ps
             places,
             found,
         )
-    return places[:found]
+    row, col, now, then = places[:found].T
+    return np.column_stack([row, col, star_light(now, then, bright_per_px, psf_sigma_px)])
 
 
 def working_images(view: DetectorView, earlier: static_sky.EarlierFrame | None, *, halo_px: float) -> WorkingImages:

@@ -248,7 +248,7 @@ def faint_static_stars(
 ) -> int:
     """Stars of one row of tiles, too faint for the star list but present in both frames.
 
-    Fills rows (row, col, S/N then) of places from number `found` on and returns how many there are now. now, then : PSF-smoothed
+    Fills rows (row, col, S/N now, S/N then) of places from number `found` on and returns how many there are. now, then : smoothed
     bands of the two frames, sigma/16, that begin at rows now_first and then_first of frames of `rows` rows; top : first row of
     the tiles. A star is a local maximum of the sum where each exceeds `each` and the sum exceeds `both` (sigma/16). The
     transform (this frame to the earlier one) acts as one whole-pixel shift for each tile.
@@ -276,7 +276,8 @@ def faint_static_stars(
                         if np.int32(now[i + di, j + dj]) + np.int32(then[m + di, j + d_col + dj]) > a + b:
                             peak = False
                 if peak and found < places.shape[0]:
-                    places[found, 0], places[found, 1], places[found, 2] = row, j, b / 16.0
+                    places[found, 0], places[found, 1] = row, j
+                    places[found, 2], places[found, 3] = a / 16.0, b / 16.0
                     found += 1
     return found
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from onboard.detect import LineIntegralDetector, refine, sharpness, strip, whiten
 from onboard.detect.dyadic import line_sums, work_size
+from onboard.detect.star_removal import star_light
 from sboc_e2e.icd.flags import MaskBit, StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView
 from sboc_e2e.icd.steps import Detector
@@ -244,6 +245,16 @@ def test_bend_is_found_from_a_straight_start() -> None:
             segment = np.array([30.0, 100.0 + offset, 230.0, 130.0 + offset, sagitta])
             fits.append(refine.polish(image, blocked, level, 64, segment, True, PSF_SIGMA_PX, signal, weight, space))
         assert min(fits[1:]) > 0.98 * fits[0]
+
+
+def test_light_of_a_trail_over_noise_is_not_a_stars() -> None:
+    """A place with S/N 3 now and 2.6 then keeps most of its light; one with 5 and 5 is a star; without stars nothing is one."""
+    now, then = np.array([2.9, 5.0, 7.0, 2.1]), np.array([2.6, 5.0, 4.5, 7.0])
+    light = star_light(now, then, 25_000 / 4096**2, PSF_SIGMA_PX)
+    assert light[0] < 1.0
+    assert light[1] > 4.0
+    assert np.all((light >= 0.0) & (light <= then))
+    assert not star_light(now, then, 0.0, PSF_SIGMA_PX).any()
 
 
 def test_sagitta_has_the_sign_of_the_contract() -> None:

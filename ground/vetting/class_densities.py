@@ -20,7 +20,7 @@ REAL: Final = "real"
 BINS: Final[dict[str, tuple[float, ...]]] = {
     "ln_snr": tuple(math.log(s) for s in (5.0, 7.0, 7.5, 8.0, 9.0, 11.0, 15.0, 25.0, 50.0, 100.0, 200.0, 400.0, 800.0)),
     "ln_length": tuple(math.log(s) for s in (1.7, 3.0, 5.0, 8.0, 14.0, 25.0, 50.0, 100.0, 200.0, 400.0)),
-    "chi2_sigmas": (-2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 5.0, 10.0, 30.0),
+    "chi2_sigmas": (-2.0, -1.0, 0.0, 1.0, 2.0, 3.0, 5.0, 10.0, 30.0, 100.0),
     "lumpiness": (0.02, 0.1, 0.2, 0.35, 0.5, 0.7, 1.0, 1.4),
 }
 """Inner borders of the histograms; the outermost bins are open."""
@@ -29,9 +29,15 @@ FLAG_SHARES: Final = ("aligned", "failed")
 """Yes/no features whose share in each class the table holds."""
 
 STATED_SHARES: Final[dict[str, dict[str, float]]] = {
-    "static": {"real": 0.002, "noise": 0.002, "particle": 0.002, "hot_line": 0.6, "star_chain": 0.4, "recurring": 0.9},
-    "spike": {"real": 0.005, "noise": 0.005, "particle": 0.002, "hot_line": 0.05, "star_chain": 0.2, "recurring": 0.5},
-}
+    "static": {
+        "real": 0.002, "noise": 0.002, "particle": 0.002, "hit_group": 0.002, "hot_line": 0.6, "star_chain": 0.4,
+        "recurring": 0.9,
+    },
+    "spike": {
+        "real": 0.005, "noise": 0.005, "particle": 0.002, "hit_group": 0.002, "hot_line": 0.05, "star_chain": 0.2,
+        "recurring": 0.5,
+    },
+}  # fmt: skip
 """Shares of flags that depend on other frames and stars, which single simulated detections do not have: stated, not measured."""
 
 RECURRING: Final = "recurring"

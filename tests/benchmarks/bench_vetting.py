@@ -15,9 +15,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta, chi2
 
+from ground.chain import LEAST_SNR_ALONE
 from ground.streaks import TrailedPsfFitter
 from ground.vetting import LikelihoodVetter
 from sboc_e2e.icd.products import StreakFit
+from tests.benchmarks import rare_impostors
 from tests.downlink import frame_of_psf
 from tests.streaks.impostors import (
     CHAIN_LENGTHS_PX,
@@ -34,8 +36,8 @@ SEED = 77
 VETO_BELOW = (0.5, 0.1, 0.02)
 """Probabilities below which a chain may drop a streak."""
 
-QUIET = {"real": 0.5, "noise": 0.1, "particle": 0.1, "hot_line": 0.02, "star_chain": 0.05}
-STORM = QUIET | {"particle": 20.0}
+QUIET = {"real": 0.5, "noise": 0.1, "particle": 0.1, "hit_group": 0.005, "hot_line": 0.02, "star_chain": 0.05}
+STORM = QUIET | {"particle": 20.0, "hit_group": 1.0}
 """Detections per frame; a storm is what the rates' expectation knows nothing of."""
 
 NOISE_SNR = (THRESHOLD_SNR, 12.0)
@@ -44,7 +46,17 @@ NOISE_SNR = (THRESHOLD_SNR, 12.0)
 CHAIN_STARS = (2, 3, 4, 5, 6, 7, 8)
 """Stars in a row that are injected; each further one is a hundredth as frequent."""
 
+CHAIN_SHARES = {3: 4, 4: 4, 5: 2}
+"""Attempts for these numbers of stars, over those for the others: few reach the threshold, and those are most of what passes."""
+
 FALSE_PER_FRAME = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)
+
+
+Noise = tuple[list[StreakFit], NDArray[np.float64]]
+"""Fits, and how many of each a frame has."""
+
+Chains = tuple[list[StreakFit], NDArray[np.float64], NDArray[np.int64]]
+"""The same, and numbers of stars."""
 
 
 def bank(n: int) -> dict[str, list[StreakFit]]:
@@ -124,7 +136,7 @@ def alone(fits: list[StreakFit]) -> NDArray[np.float64]:
     return np.array([vetter.probability([fit], frame)[0] for fit in fits])
 
 
-def conditional_noise(n: int) -> tuple[list[StreakFit], NDArray[np.float64]]:
+def conditional_noise(n: int) -> Noise:
     """Noise maxima of statistics spread evenly over NOISE_SNR, and how many of each a frame has (QUIET's rate of noise).
 
     p(S) ~ S^3 exp(-S^2 / 2), the expected Euler characteristic, carries the rate to where no simulation of frames gets.
@@ -137,31 +149,52 @@ def conditional_noise(n: int) -> tuple[list[StreakFit], NDArray[np.float64]]:
     return fits, QUIET["noise"] * density / density.sum()
 
 
-def conditional_chains(n: int) -> tuple[list[StreakFit], NDArray[np.float64], NDArray[np.int64]]:
+def conditional_chains(n: int) -> Chains:
     """Rows of unlisted stars that reach the detector's threshold: fits, how many of each a frame has, number of stars.
 
-    n attempts for each number of stars, lengths spread evenly in their logarithm; the density of faint stars carries the rate to
-    where no simulation of frames gets. A detector with a predecessor frame drops nearly all of them, because they do not move:
-    these are the rates of single frames.
+    n attempts for each number of stars (more by CHAIN_SHARES), lengths spread evenly in their logarithm; the density of faint
+    stars carries the rate to where no simulation of frames gets. A detector with a predecessor frame drops nearly all of them,
+    because they do not move: these are the rates of single frames.
     """
     fitter, rng = TrailedPsfFitter(), np.random.default_rng([SEED, 8])
     low, high = (math.log(x) for x in CHAIN_LENGTHS_PX)
     fits, weights, counts = [], [], []
     for count in CHAIN_STARS:
-        for k in range(n):
-            length = math.exp(low + (k + 0.5) / n * (high - low))
+        attempts = n * CHAIN_SHARES.get(count, 1)
+        for k in range(attempts):
+            length = math.exp(low + (k + 0.5) / attempts * (high - low))
             shot = chain_of_unlisted(rng, count, length)
             if shot.snr < THRESHOLD_SNR:
                 continue
             fits.append(fitter.fit(shot.pixels, shot.detection))
-            weights.append(chains_per_frame(count, length) * length * (high - low) / n)
+            weights.append(chains_per_frame(count, length) * length * (high - low) / attempts)
             counts.append(count)
     return fits, np.array(weights), np.array(counts)
 
 
-def chain_alarms(levels: list[dict[str, Any]], n: int) -> dict[str, Any]:
+def published_alone(real: list[StreakFit], noise: Noise, chains: Chains, rare: dict[str, Any]) -> dict[str, Any]:
+    """What is published of single frames at limits of the probability, S/N LEAST_SNR_ALONE or more: real share, false per frame.
+
+    Particle hits and bad lines stand in `rare`; rows of stars are those of a frame without a predecessor.
+    """
+    snr = [np.array([fit.snr for fit in found]) for found in (real, noise[0], chains[0])]
+    odds = [alone(found) for found in (real, noise[0], chains[0])]
+    out = {}
+    for level in rare_impostors.LEVELS:
+        kept, *false = ((p >= level) & (s >= LEAST_SNR_ALONE) for p, s in zip(odds, snr, strict=True))
+        out[f"above_{level:g}"] = {
+            "real_kept": share(int(kept.sum()), kept.size),
+            "noise": false_per_frame(noise[1][false[0]]),
+            "rows_of_stars": false_per_frame(chains[1][false[1]]),
+            "hot_lines": rare["hot_lines"][f"above_{level:g}"],
+            "hits": {name: levels[f"above_{level:g}"] for name, levels in rare["hits"].items()},
+        }
+    return out
+
+
+def chain_alarms(levels: list[dict[str, Any]], chains: Chains) -> dict[str, Any]:
     """False alarms of rows of unlisted stars in frames without a predecessor, above the thresholds of `levels`."""
-    fits, weights, counts = conditional_chains(n)
+    fits, weights, counts = chains
     probability = alone(fits)
     return {
         "detected_per_frame": false_per_frame(weights),
@@ -194,7 +227,7 @@ def false_per_frame(weights: NDArray[np.float64]) -> dict[str, Any]:
     return {"value": float(weights.sum()), "n": int(weights.size), "low": float(low * mean), "high": float(high * mean)}
 
 
-def false_alarms(fits: dict[str, list[StreakFit]], n_noise: int) -> dict[str, Any]:
+def false_alarms(fits: dict[str, list[StreakFit]], noise_cases: Noise) -> dict[str, Any]:
     """False alarms per frame that the vetter states and that injection measures, above thresholds of the probability.
 
     Stated: the sum of 1 - P over everything above the threshold, real and false. Noise maxima are injected conditionally;
@@ -202,7 +235,7 @@ def false_alarms(fits: dict[str, list[StreakFit]], n_noise: int) -> dict[str, An
     """
     probability = {name: alone(found) for name, found in fits.items() if name != "noise"}
     weight = {name: np.full(p.size, QUIET[name] / p.size) for name, p in probability.items()}
-    noise, weight["noise"] = conditional_noise(n_noise)
+    noise, weight["noise"] = noise_cases
     probability["noise"] = alone(noise)
     p, w = (np.concatenate([each[name] for name in probability]) for each in (probability, weight))
     order = np.argsort(-p)
@@ -235,8 +268,10 @@ def false_alarms(fits: dict[str, list[StreakFit]], n_noise: int) -> dict[str, An
 def main(quick: bool = False) -> dict[str, Any]:
     """Figures in quiet frames and in a storm."""
     fits = bank(150 if quick else 1000)
-    injected = false_alarms(fits, 400 if quick else 4000)
-    injected["unlisted_chains"] = chain_alarms(injected["levels"], 60 if quick else 400)
+    noise, chains = conditional_noise(400 if quick else 4000), conditional_chains(60 if quick else 800)
+    injected = false_alarms(fits, noise)
+    injected["unlisted_chains"] = chain_alarms(injected["levels"], chains)
+    rare = rare_impostors.main(quick)
     frames = 1200 if quick else 8000
     start = time.process_time()
     quiet = figures_of(judge(fits, QUIET, frames))
@@ -245,6 +280,8 @@ def main(quick: bool = False) -> dict[str, Any]:
         "quiet": quiet,
         "storm": figures_of(judge(fits, STORM, frames // 20)),
         "false_alarms": injected,
+        "published_alone": published_alone(fits["real"], noise, chains, rare),
+        "more_hits": {name: figures for name, figures in rare.items() if name.startswith("hits_")},
         "cost_ms_per_frame": cost_ms,
     }
 

@@ -10,10 +10,9 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
-from sboc_e2e.icd.flags import StreakFlag
-from sboc_e2e.icd.products import StreakPixels
-from sboc_e2e.icd.signals import Detection
+from tests.streaks.particle_hits import NUMBERS, SEEN_NUMBERS, Hits, seen
 from tests.streaks.trail_rendering import (
     PSF_SIGMA_PX,
     READ_NOISE_E,
@@ -29,6 +28,13 @@ from tests.streaks.trail_rendering import (
 
 THRESHOLD_SNR = 7.0
 LONGEST_PX = 500.0
+
+HOT_LENGTHS_PX: Final = (6.0, LONGEST_PX)
+HOT_LEVELS: Final = (1.2, 30.0)
+"""Of bad lines, over the read noise."""
+
+GROUP_PX: Final = 12.0
+"""Hits closer than this to one another may be taken for one trail."""
 
 
 def power_law(rng: np.random.Generator, slope: float, low: float, high: float) -> float:
@@ -82,27 +88,38 @@ def noise_of_statistic(rng: np.random.Generator, snr: float) -> Exposure:
 
 
 def particle_track(rng: np.random.Generator) -> Exposure:
-    """A fast proton's track: isotropic through a 10 um layer of 9 um pixels, 107 e/um with straggling, little diffusion."""
-    layer_px = 10.0 / 9.0
-    length = layer_px / math.sqrt(rng.random() * 0.12 + 1e-4)
-    sigma = float(rng.uniform(0.08, 0.3))
-    charge = 107.0 * 9.0 * math.hypot(length, layer_px) * rng.lognormal(0.0, 0.35)
-    trail = replace(trail_at(rng, min(length, LONGEST_PX), sigma_px=sigma), flux_e=charge)
-    lumps = 1.0 + 0.35 * rng.standard_gamma(0.6, 4 + int(length))
-    return _arranged(rng, trail, lumps)
+    """A track through silicon whose charge spreads by 1 to 4.5 um; one in five is shorter than 3 px."""
+    lengths = (0.0, 3.0) if rng.random() < 0.2 else (3.0, math.inf)
+    return _silicon(rng, Hits(lengths_px=lengths, spread_px=rng.uniform(0.1, 0.5), trapped=rng.random() < 0.5))
+
+
+def hit_group(rng: np.random.Generator) -> Exposure:
+    """Two to four hits close together, taken for one trail. (What is fitted to a row of them stays below S/N 6.)"""
+    count = int(rng.integers(2, 5))
+    return _silicon(rng, Hits(count=count, within_px=GROUP_PX, spread_px=rng.uniform(0.1, 0.5), trapped=rng.random() < 0.5))
+
+
+def _silicon(rng: np.random.Generator, hits: Hits) -> Exposure:
+    """One exposure of these hits."""
+    return hits.exposure(rng.standard_normal(NUMBERS))
 
 
 def hot_line(rng: np.random.Generator) -> Exposure:
     """A piece of a noisy column or row, one pixel wide."""
-    length = power_law(rng, 1.0001, 6.0, LONGEST_PX)
-    along_row = rng.random() < 0.3
+    return hot_line_of(rng.standard_normal(NUMBERS))
+
+
+def hot_line_of(z: NDArray[np.float64]) -> Exposure:
+    """The piece of a noisy column or row of NUMBERS standard normal numbers: lengths even in their logarithm, levels ~ x^-2."""
+    u = ndtr(z[:3])
+    half = 0.5 * HOT_LENGTHS_PX[0] * (HOT_LENGTHS_PX[1] / HOT_LENGTHS_PX[0]) ** float(u[0])
+    low, high = HOT_LEVELS
+    level = 1.0 / (1.0 / low + float(u[1]) * (1.0 / high - 1.0 / low))
     centre = 2000.0
-    half = 0.5 * length
-    ends = (centre, centre - half, centre, centre + half) if along_row else (centre - half, centre, centre + half, centre)
-    trail = Trail(row0=ends[0], col0=ends[1], row1=ends[2], col1=ends[3], flux_e=1.0, sigma_px=0.03)
-    level = power_law(rng, 2.0, 1.2, 30.0)
-    trail = replace(trail, flux_e=level * READ_NOISE_E * length)
-    return _arranged(rng, trail, np.ones(4))
+    ends = (centre, centre - half, centre, centre + half) if u[2] < 0.3 else (centre - half, centre, centre + half, centre)
+    trail = Trail(row0=ends[0], col0=ends[1], row1=ends[2], col1=ends[3], flux_e=level * READ_NOISE_E * 2.0 * half, sigma_px=0.03)
+    row, col = strip(trail, margin_px=20.0, half_px=8.0)
+    return seen(trail, row, col, render(trail, row, col), z[3 : 3 + SEEN_NUMBERS], z[3 + SEEN_NUMBERS :])
 
 
 def star_chain(rng: np.random.Generator) -> Exposure:
@@ -169,52 +186,18 @@ def chain_of_unlisted(rng: np.random.Generator, count: int, length_px: float) ->
     return _of_mean(rng, trail, row, col, _stars_in_a_row(trail, row, col, stars))
 
 
-def _arranged(rng: np.random.Generator, trail: Trail, lumps: NDArray[np.float64]) -> Exposure:
-    """A sharp trail with brightness in equal lumps along it."""
-    row, col = strip(trail, margin_px=20.0, half_px=8.0)
-    cos, sin = trail.axes
-    mean = np.zeros(row.shape)
-    pieces = lumps / lumps.sum()
-    for k, share in enumerate(pieces):
-        a, b = k / lumps.size, (k + 1) / lumps.size
-        piece = replace(
-            trail,
-            row0=trail.row0 + a * trail.length_px * sin,
-            col0=trail.col0 + a * trail.length_px * cos,
-            row1=trail.row0 + b * trail.length_px * sin,
-            col1=trail.col0 + b * trail.length_px * cos,
-            flux_e=trail.flux_e * share,
-        )
-        mean += render(piece, row, col)
-    return _of_mean(rng, trail, row, col, mean)
-
-
 def _of_mean(
     rng: np.random.Generator, trail: Trail, row: NDArray[np.int32], col: NDArray[np.int32], mean: NDArray[np.float64]
 ) -> Exposure:
-    """A noisy exposure of expected electrons; the detection knows the chord to half a pixel."""
-    pixels = StreakPixels(
-        row=row,
-        col=col,
-        value_e=rng.poisson(mean + SKY_E) - SKY_E + rng.normal(0.0, READ_NOISE_E, mean.shape),
-        variance_e2=np.full(row.shape, VARIANCE_E2),
-        psf_sigma_px=PSF_SIGMA_PX,
-        frame_shape=(4096, 4096),
-    )
-    # what a PSF-wide template of the chord collects
-    template = render(replace(trail, sigma_px=PSF_SIGMA_PX, flux_e=1.0), row, col)
-    snr = float(np.sum(mean * template) / math.sqrt(float(np.sum(template**2)) * VARIANCE_E2))
-    error = rng.normal(0.0, 0.4, 4)
-    guess = trail.moved(error[0], error[1], error[2], error[3], 0.0)
-    point = StreakFlag.POINT_LIKE if trail.length_px < 2.0 else StreakFlag(0)
-    detection = Detection(row0=guess.row0, col0=guess.col0, row1=guess.row1, col1=guess.col1, snr=snr, flags=point)
-    return Exposure(trail=trail, pixels=pixels, detection=detection, snr=snr)
+    """A noisy exposure of expected electrons."""
+    return seen(trail, row, col, mean, rng.standard_normal(SEEN_NUMBERS), rng.standard_normal(row.shape))
 
 
 CLASSES: dict[str, Callable[[np.random.Generator], Exposure]] = {
     "real": real_streak,
     "noise": noise_maximum,
     "particle": particle_track,
+    "hit_group": hit_group,
     "hot_line": hot_line,
     "star_chain": star_chain,
 }

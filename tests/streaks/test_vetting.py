@@ -1,5 +1,6 @@
 """The vetter on simulated detections of all classes, other seeds than those its table was made from."""
 
+import math
 import pickle
 from dataclasses import replace
 
@@ -53,11 +54,11 @@ def test_no_fits_no_probabilities(frame: DownlinkFrame) -> None:
 
 
 def test_real_streaks_pass_and_particles_do_not(fits: dict[str, list[StreakFit]], frame: DownlinkFrame) -> None:
-    """Of 40 each: no real streak below 2 %, no particle and no hot line above 50 %."""
+    """Of 40 each: no real streak below 2 %, no particle, group of hits or hot line above 50 %."""
     real = alone(fits["real"], frame)
     assert real.min() >= 0.02
     assert np.median(real) > 0.9
-    for name in ("particle", "hot_line"):
+    for name in ("particle", "hit_group", "hot_line"):
         assert alone(fits[name], frame).max() < 0.5, name
 
 
@@ -66,6 +67,15 @@ def test_noise_maxima_are_doubted_by_their_faintness(fits: dict[str, list[Streak
     noise, real = alone(fits["noise"], frame), alone([fit for fit in fits["real"] if fit.snr > 12.0], frame)
     assert np.median(noise) < 0.75
     assert real.min() > np.median(noise)
+
+
+def test_hits_beside_each_other_are_no_trail_though_as_wide_as_one(
+    fits: dict[str, list[StreakFit]], frame: DownlinkFrame
+) -> None:
+    """Fitted as one trail some are as wide as the PSF; chi-square 30 sigma and more beyond any trail's tells them."""
+    wide = [fit for fit in fits["hit_group"] if abs(math.log(fit.width_px / PSF_SIGMA_PX)) < 0.2]
+    assert len(wide) >= 3
+    assert alone(wide, frame).max() < 0.1
 
 
 def test_flags_of_other_frames_and_stars_count(fits: dict[str, list[StreakFit]], frame: DownlinkFrame) -> None:

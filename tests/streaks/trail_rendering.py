@@ -80,7 +80,7 @@ def trail_at(
 
 
 @njit(cache=True)
-def _accumulate(row, col, light, sigma, row_min, col_min, image):
+def accumulate(row, col, light, sigma, row_min, col_min, image):
     reach = int(6.0 * sigma + 2.0)
     scale = 1.0 / (sigma * math.sqrt(2.0))
     count = 2 * reach + 1
@@ -103,7 +103,7 @@ def render(trail: Trail, row: NDArray[np.int32], col: NDArray[np.int32]) -> NDAr
     """Expected electrons of the given pixels, (n,)."""
     row_min, col_min = int(row.min()), int(col.min())
     image = np.zeros((int(row.max()) - row_min + 1, int(col.max()) - col_min + 1))
-    _accumulate(*trail.nodes(), trail.sigma_px, row_min, col_min, image)
+    accumulate(*trail.nodes(), trail.sigma_px, row_min, col_min, image)
     return image[row - row_min, col - col_min]
 
 

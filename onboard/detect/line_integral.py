@@ -281,7 +281,7 @@ class LineIntegralDetector:
     """Detects trails whose matched-filter S/N exceeds `n_sigma`, whatever their length, angle and position.
 
     A bank of all segments needs 7.0 in pure noise for 0.1 false detections per 4096 x 4096 px. What is left of faint stars makes
-    the noise of a line 4 % larger in a field of 25,000 stars above S/N 8, hence the default of 7.2.
+    the noise of a line 3 % larger in a field of 25,000 stars above S/N 8, hence the default of 7.2.
 
     Without a preceding frame whose stars can be matched, aligned faint stars cannot be told from short trails, so
     `single_frame_margin` is added to the threshold of trails under 60 px and nothing as short as a blend of stars is reported.

@@ -14,8 +14,6 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
-from scipy.optimize import minimize
 from scipy.stats import beta, chi2
 
 from onboard.detect import (
@@ -29,6 +27,7 @@ from onboard.detect.warm_up import warm_up
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView
 from sboc_e2e.icd.steps import Detector
+from sboc_e2e.score.figures import half_point
 from tests.benchmarks.detection_frames import (
     Artefact,
     StarTruth,
@@ -88,26 +87,6 @@ def score(found: Sequence[Detection], truth: Sequence[Streak]) -> tuple[list[Det
             left.remove(hit)
     fragments = sum(any(overlaps(d, streak) for streak in truth) for d in left)
     return paired, fragments, len(left) - fragments
-
-
-def logistic_snr50(snr: NDArray[np.float64], found: NDArray[np.bool_]) -> float:
-    """S/N where a logistic fit of detection crosses one half (weak prior on the width keeps separable data finite)."""
-
-    def cost(p: NDArray[np.float64]) -> float:
-        x = (snr - p[0]) / math.exp(p[1])
-        return float(np.sum(np.logaddexp(0.0, np.where(found, -x, x))) + 0.5 * ((p[1] + 0.7) / 0.7) ** 2)
-
-    crossing = minimize(cost, np.array([float(np.median(snr)), -0.7]), method="Nelder-Mead").x[0]
-    return float(np.clip(crossing, snr.min(), snr.max()))
-
-
-def snr50_with_interval(snr: Sequence[float], found: Sequence[bool], seed: int) -> dict[str, Any]:
-    """snr50, its 90 % bootstrap interval and n."""
-    s, f = np.array(snr), np.array(found, dtype=bool)
-    rng = np.random.default_rng(seed)
-    draws = [logistic_snr50(s[k], f[k]) for k in (rng.integers(0, len(s), len(s)) for _ in range(100))]
-    low, high = np.percentile(draws, [5.0, 95.0])
-    return {"value": round(logistic_snr50(s, f), 2), "low": round(float(low), 2), "high": round(float(high), 2), "n": len(s)}
 
 
 def history_of(size: int, stars: StarTruth, rng: np.random.Generator) -> DetectorView:
@@ -173,7 +152,7 @@ def roc(
                 ratio[length].append(detection.snr / streak.snr)
     near_10 = {length: [h for s, h in zip(snr[length], hit[length], strict=True) if s >= 9.5] for length in usable}
     return {
-        "snr50_by_length": {f"{length:g}": snr50_with_interval(snr[length], hit[length], seed) for length in usable},
+        "snr50_by_length": {f"{length:g}": half_point(snr[length], hit[length]) for length in usable},
         "completeness_snr_9.5_to_max": {f"{x:g}": [round(float(np.mean(v)), 3), len(v)] for x, v in near_10.items() if v},
         "snr_ratio": {f"{x:g}": [round(float(np.mean(v)), 3), len(v)] for x, v in ratio.items() if v},
         "false_per_frame": round(false / n_frames, 3),

@@ -11,6 +11,8 @@ LOWER: Final = "lower"
 EITHER: Final = "either"
 
 DIRECTIONS: Final = (
+    ("*cold_cpu_s", EITHER),  # with compilation, where a kernel is compiled for the first time
+    ("*first_frame_cpu_s", EITHER),
     ("*completeness*", HIGHER),
     ("*captured_flux*", HIGHER),
     ("*purity*", HIGHER),

@@ -11,6 +11,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from onboard.row_table import place_of
+
 FRACTIONS_PER_ADU: Final = 128
 STEPS_PER_ADU: Final = FRACTIONS_PER_ADU + 1
 """A value of the map is STEPS_PER_ADU * (whole ADU) + fraction: fractions are -64 ... 64, for half an ADU may go either way."""
@@ -167,14 +169,8 @@ def whole_at(dark: Codes, row: int, col: int) -> int:
     """Whole ADU of a pixel."""
     codes, middle, first, column, value, corner = dark
     row, col = row + corner[0], col + corner[1]
+    place = place_of(first, column, row, col)
+    if place >= 0:
+        return split_value(value[place])[0]
     step = middle[1, row // BAND_ROWS, col] + np.int64(codes[row, col])
-    low, high = first[row], first[row + 1]
-    while low < high:
-        half = (low + high) // 2
-        if column[half] < col:
-            low = half + 1
-        else:
-            high = half
-    if low < first[row + 1] and column[low] == col:
-        return split_value(value[low])[0]
     return middle[0, row // BAND_ROWS, col] + split_value(step)[0]

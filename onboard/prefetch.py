@@ -12,6 +12,9 @@ from numba.core import cgutils
 from numba.extending import intrinsic
 from numpy.typing import NDArray
 
+STARS_AHEAD: Final = 8
+"""Pixels are asked for so many stars of a list before the one whose turn it is."""
+
 READ, KEEP_CLOSE, DATA = 0, 3, 1
 """Arguments of LLVM's `llvm.prefetch`."""
 

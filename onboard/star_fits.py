@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from onboard.prefetch import prefetch
+from onboard.prefetch import STARS_AHEAD, prefetch
 from sboc_e2e.icd.flags import MaskBit, StarFlag
 
 SATURATED = int(MaskBit.SATURATED)
@@ -21,9 +21,6 @@ BRIGHT_PEAK_SIGMA = 12.0
 
 WHOLE_VECTORS = 32
 """Windows are filled up to a multiple of so many pixels: four vectors of eight, as compilers unroll them."""
-
-STARS_AHEAD = 8
-"""Pixels are asked for so many stars before the one that is fitted."""
 
 SETTLED_PX2 = 1e-4
 SETTLED_VARIANCE = 0.03

@@ -1,6 +1,6 @@
 """Compile the numerical kernels once, by running the smoke scenario into a folder that is then removed.
 
-numba keeps what it compiled beside the modules, so that the first real run and benchmarks do not pay for it.
+numba keeps what it compiled (`sboc_e2e.kernel_cache`), so that the first real run and benchmarks do not pay for it.
 """
 
 import sys

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.detect.whiten import SATURATED, UNIT, code_of, pixel_scale
+from onboard.row_table import place_of
 from sboc_e2e.icd.signals import DetectorView, StarList
 
 MASKED: Final = -128
@@ -105,14 +106,8 @@ def in_sigmas(pixels: KeptPixels, row: int, col: int) -> float:
         return code / UNIT
     if code == MASKED:
         return math.nan
-    low, high = first[row], first[row + 1]
-    while low < high:
-        middle = (low + high) // 2
-        if column[middle] < col:
-            low = middle + 1
-        else:
-            high = middle
-    return float(value[low]) if low < first[row + 1] and column[low] == col else math.nan
+    place = place_of(first, column, row, col)
+    return float(value[place]) if place >= 0 else math.nan
 
 
 @nb.njit(cache=True)

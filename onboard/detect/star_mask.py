@@ -11,12 +11,9 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.prefetch import prefetch
+from onboard.prefetch import STARS_AHEAD, prefetch
 
 DIRECTIONS: Final = 36
-
-STARS_AHEAD: Final = 8
-"""Pixels are asked for so many stars before the one whose turn it is."""
 
 ASKED_PX: Final = 3
 """Most stars are told from trails within so many pixels."""

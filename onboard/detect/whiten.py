@@ -14,14 +14,11 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.prefetch import prefetch
+from onboard.prefetch import STARS_AHEAD, prefetch
 from sboc_e2e.icd.flags import MaskBit
 
 UNIT: Final = 16
 """One sigma of a pixel in the 8-bit image."""
-
-STARS_AHEAD: Final = 8
-"""Pixels are asked for so many stars before the one whose turn it is."""
 
 SATURATED: Final = int(MaskBit.SATURATED)
 

@@ -28,6 +28,19 @@ def lengths_of(tracks: NDArray[np.void]) -> NDArray[np.float64]:
     return np.hypot(tracks["row1"] - tracks["row0"], tracks["col1"] - tracks["col0"]).astype(np.float64)
 
 
+def charge_e_um(tracks: NDArray[np.void]) -> NDArray[np.float64]:
+    """Electrons per um of path of the simulator's tracks."""
+    return np.asarray(tracks["charge_e"] / (PITCH_UM * np.hypot(lengths_of(tracks), THICKNESS_PX)))
+
+
+def drawn_charge_e_um(kind: Hits, *, seed: int) -> NDArray[np.float64]:
+    """The same of 2,000 tracks of the tests."""
+    rng = np.random.default_rng(seed)
+    drawn = [kind.track(rng.random(8), np.zeros(2), rng.standard_normal(600)) for _ in range(2000)]
+    length_px = np.linalg.norm([track.stop - track.start for track in drawn], axis=1)
+    return np.array([track.cells_e.sum() for track in drawn]) / (PITCH_UM * np.hypot(length_px, THICKNESS_PX))
+
+
 def test_lengths_follow_the_closed_form(tracks: NDArray[np.void]) -> None:
     """Isotropic flux through a plate, up to the simulator's flattest tracks at 50 thicknesses."""
     seen = np.sort(lengths_of(tracks))
@@ -37,14 +50,8 @@ def test_lengths_follow_the_closed_form(tracks: NDArray[np.void]) -> None:
 
 def test_charge_per_path_is_that_of_trapped_protons(tracks: NDArray[np.void]) -> None:
     """Quartiles of electrons per um agree to a quarter: the one from Bethe and Landau, the other from beta^(-5/3) and Moyal."""
-    path_um = PITCH_UM * np.hypot(lengths_of(tracks), THICKNESS_PX)
-    theirs = np.quantile(tracks["charge_e"] / path_um, (0.25, 0.5, 0.75))
-    rng, kind = np.random.default_rng(4), Hits(trapped=True)
-    ours = []
-    for _ in range(2000):
-        track = kind.track(rng.random(8), np.zeros(2), rng.standard_normal(600))
-        path = PITCH_UM * math.hypot(float(np.linalg.norm(track.stop - track.start)), THICKNESS_PX)
-        ours.append(float(track.cells_e.sum()) / path)
+    theirs = np.quantile(charge_e_um(tracks), (0.25, 0.5, 0.75))
+    ours = drawn_charge_e_um(Hits(trapped=True), seed=4)
     assert np.quantile(ours, (0.25, 0.5, 0.75)) == pytest.approx(theirs, rel=0.25)
 
 
@@ -75,16 +82,8 @@ def test_tracks_are_no_more_even_than_the_simulators() -> None:
 
 def test_the_faintest_pixels_of_tracks_are_alike(tracks: NDArray[np.void]) -> None:
     """The lower tail of the loss, where a hit is as faint as debris: tenth and hundredth of the simulator's within a third."""
-    path_um = PITCH_UM * np.hypot(lengths_of(tracks), THICKNESS_PX)
-    longer = lengths_of(tracks) > 3.0
-    theirs = (tracks["charge_e"] / path_um)[longer]
-    rng, kind = np.random.default_rng(6), Hits(trapped=True, lengths_px=(3.0, math.inf))
-    ours = np.array(
-        [
-            t.cells_e.sum() / (PITCH_UM * math.hypot(float(np.linalg.norm(t.stop - t.start)), THICKNESS_PX))
-            for t in (kind.track(rng.random(8), np.zeros(2), rng.standard_normal(600)) for _ in range(2000))
-        ]
-    )
+    theirs = charge_e_um(tracks[lengths_of(tracks) > 3.0])
+    ours = drawn_charge_e_um(Hits(trapped=True, lengths_px=(3.0, math.inf)), seed=6)
     assert np.quantile(ours, (0.01, 0.1)) == pytest.approx(np.quantile(theirs, (0.01, 0.1)), rel=0.35)
 
 

@@ -17,6 +17,7 @@ from sboc_e2e.compare.pages import completeness_plot, froc_plot, write_pages
 from sboc_e2e.compare.paired import Outcomes, difference, froc, mcnemar
 from sboc_e2e.files.atomic import require_writable, write_text
 from sboc_e2e.icd.errors import UserError
+from sboc_e2e.icd.signals import Detection
 from sboc_e2e.registry import SEAMS, Registry
 from sboc_e2e.report import pictures
 from sboc_e2e.run.begin import begin_or_continue
@@ -24,13 +25,17 @@ from sboc_e2e.run.manifest import versions
 from sboc_e2e.run.pipeline import KEEP_KEY, Run
 from sboc_e2e.run.progress import Progress, Silent
 from sboc_e2e.scenario import Scenario, load
+from sboc_e2e.score.detection import IMPOSTOR
 from sboc_e2e.score.evaluation import Evaluation, evaluate
-from sboc_e2e.score.figures import bootstrap, half_point, proportion, rate, rms
+from sboc_e2e.score.figures import absent, bootstrap, half_point, proportion, rate, rms
 from sboc_e2e.score.ideal import ideal_snr50
 from sboc_e2e.score.matching import SNR_IGNORED, distance_to_path
 
 PAIR_SNR: Final = 5.0
 """Pairs are judged on truth above this S/N: below it nobody finds anything, and agreement is empty."""
+
+FLAGGED_BEHIND: Final = 1e9
+"""More than any S/N."""
 
 MAX_GALLERY: Final = 24
 SMALL_PX: Final = 20_000_000
@@ -185,8 +190,13 @@ def _outcomes(evaluations: dict[str, list[Evaluation]], onboard: bool) -> Outcom
     )
 
 
+def _rank(detection: Detection) -> float:
+    """Detections fall behind all others, in the order of their S/N, once flagged as no debris: so they are sent."""
+    return detection.snr - (FLAGGED_BEHIND if detection.flags & IMPOSTOR else 0.0)
+
+
 def _froc(evaluations: Sequence[Evaluation], onboard: bool) -> list[list[float]]:
-    """Curve over the measured S/N: of ROI groups for the on-board half, of measured streaks for ground."""
+    """Curve over the rank of ROI groups for the on-board half, over the measured S/N of streaks for ground."""
     hits: list[float] = []
     false: list[float] = []
     n_truth = n_frames = 0
@@ -194,13 +204,13 @@ def _froc(evaluations: Sequence[Evaluation], onboard: bool) -> list[list[float]]
         n_truth += sum(t.snr >= SNR_IGNORED for t in e.truth)
         n_frames += e.n_frames
         if onboard:
-            snr = {(f.header.frame, g.roi_id): g.detection.snr for f in e.downlink_frames for g in f.rois}
+            rank = {(f.header.frame, g.roi_id): _rank(g.detection) for f in e.downlink_frames for g in f.rois}
             bad = set(e.footprints.false_groups)
-            false += [s for key, s in snr.items() if key in bad]
+            false += [r for key, r in rank.items() if key in bad]
             by_frame: dict[int, list[float]] = {}
-            for (frame, roi), s in snr.items():
+            for (frame, roi), r in rank.items():
                 if (frame, roi) not in bad:
-                    by_frame.setdefault(frame, []).append(s)
+                    by_frame.setdefault(frame, []).append(r)
             # The ROI that holds a truth streak is not stored with it; the most significant true ROI of the frame stands for it.
             for t in e.truth:
                 if t.index in e.detected_onboard and t.snr >= SNR_IGNORED and by_frame.get(t.frame):
@@ -219,6 +229,7 @@ def _choice(pairs: Sequence[tuple[Run, Evaluation]], outcomes: Outcomes, name: s
     bright = outcomes.snr >= 8.0
     frames = sum(e.n_frames for e in evaluations)
     false = sum(len(e.footprints.false_groups) if onboard else len(e.false_rows) for e in evaluations)
+    unflagged = sum(e.footprints.n_false_unflagged for e in evaluations)
     stage = "onboard" if onboard else "ground"
     cpu_s = sum(float(run.manifest.stages[stage]["cpu_s"]) for run, _ in pairs)
     cross = [_cross_ratio(e, row) for e in evaluations for row, t in e.pairs.items() if t.index in e.bounds and t.snr >= 8.0]
@@ -226,6 +237,7 @@ def _choice(pairs: Sequence[tuple[Run, Evaluation]], outcomes: Outcomes, name: s
         "completeness_snr8": proportion(int(found[bright].sum()), int(bright.sum()), "no truth streak with S/N >= 8"),
         "snr50": half_point(outcomes.snr, found),
         "false_per_frame": rate(false, frames, frames),
+        "false_unflagged_per_frame": rate(unflagged, frames, frames) if onboard else absent("ground has left flagged ones out"),
         "cross_crlb_ratio": bootstrap(cross, rms),
         "cpu_ms_per_frame": 1000.0 * cpu_s / max(frames, 1),
         "downlink_bits_per_frame": 8.0 * sum(len(e.downlink) for e in evaluations) / max(frames, 1),

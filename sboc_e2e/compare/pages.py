@@ -20,12 +20,13 @@ def completeness_plot(snr: NDArray[np.float64], found: dict[str, NDArray[np.bool
 
 def froc_plot(curves: dict[str, list[list[float]]]) -> str:
     """Free-response curves of all choices."""
-    with plots.canvas(5.6, 3.6) as (figure, (ax,)):
+    with plots.canvas() as (figure, (ax,)):
         for k, (name, curve) in enumerate(curves.items()):
             points = np.array(curve or [[0.0, 0.0]])
             ax.step(np.maximum(points[:, 0], 1e-3), points[:, 1], where="post", color=plots.SERIES[k % 7], label=name)
         ax.set(xscale="log", xlabel="false per frame", ylabel="share of truth (S/N >= 3) found", ylim=(0, 1.02))
-        ax.legend(loc="lower right")
+        plots.plain_logarithmic(ax.xaxis)
+        ax.legend(loc="upper left")
         return plots.svg(figure)
 
 
@@ -39,6 +40,7 @@ def choice_rows(result: dict[str, Any]) -> list[list[str]]:
                 figure_words(c["completeness_snr8"])[0],
                 figure_words(c["snr50"])[0],
                 figure_words(c["false_per_frame"])[0],
+                figure_words(c["false_unflagged_per_frame"])[0],
                 figure_words(c["cross_crlb_ratio"])[0],
                 number(c["cpu_ms_per_frame"]),
                 number(c["downlink_bits_per_frame"] / 1000),
@@ -47,7 +49,16 @@ def choice_rows(result: dict[str, Any]) -> list[list[str]]:
     return rows
 
 
-HEAD = ("choice", "completeness S/N >= 8", "S/N half", "false per frame", "cross / CRLB", "CPU ms per frame", "kbit per frame")
+HEAD = (
+    "choice",
+    "completeness S/N >= 8",
+    "S/N half",
+    "false per frame",
+    "of these unflagged",
+    "cross / CRLB",
+    "CPU ms per frame",
+    "kbit per frame",
+)
 
 
 def pair_rows(result: dict[str, Any]) -> list[list[str]]:

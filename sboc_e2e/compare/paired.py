@@ -59,15 +59,15 @@ def difference(outcomes: Outcomes, first: str, second: str) -> Figure:
     return figure(float(gain.mean()), n, low, high)
 
 
-def froc(snr_of_hits: NDArray[np.float64], snr_of_false: NDArray[np.float64], n_truth: int, n_frames: int) -> list[list[float]]:
-    """Free-response curve: [false per frame, share of truth found] as the threshold on the measured S/N falls.
+def froc(rank_of_hits: NDArray[np.float64], rank_of_false: NDArray[np.float64], n_truth: int, n_frames: int) -> list[list[float]]:
+    """Free-response curve: [false per frame, share of truth found] as the threshold on the rank falls.
 
-    snr_of_hits : measured S/N of matched detections, snr_of_false : of false ones.
+    rank_of_hits : S/N, or what else detections are ordered by, of matched ones, rank_of_false : of false ones.
     """
-    thresholds = np.unique(np.concatenate([snr_of_hits, snr_of_false]))[::-1]
+    thresholds = np.unique(np.concatenate([rank_of_hits, rank_of_false]))[::-1]
     if len(thresholds) > 200:
         thresholds = thresholds[np.linspace(0, len(thresholds) - 1, 200).astype(int)]
     return [
-        [float((snr_of_false >= t).sum() / max(n_frames, 1)), float((snr_of_hits >= t).sum() / max(n_truth, 1))]
+        [float((rank_of_false >= t).sum() / max(n_frames, 1)), float((rank_of_hits >= t).sum() / max(n_truth, 1))]
         for t in thresholds
     ]

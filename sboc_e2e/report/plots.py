@@ -9,7 +9,9 @@ from typing import Any, Final
 import matplotlib as mpl
 import numpy as np
 from astropy.table import Table
+from matplotlib.axis import Axis
 from matplotlib.figure import Figure as Canvas
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from sboc_e2e.score.figures import proportion
@@ -36,8 +38,8 @@ _STYLE: Final[dict[Any, Any]] = {
 
 
 @contextmanager
-def canvas(width_in: float, height_in: float, columns: int = 1) -> Iterator[tuple[Canvas, NDArray[Any]]]:
-    """A transparent figure with a row of axes, under the house style."""
+def canvas(width_in: float = 5.6, height_in: float = 3.6, columns: int = 1) -> Iterator[tuple[Canvas, NDArray[Any]]]:
+    """A transparent figure with a row of axes, under the house style; as it is, for half the width of a page."""
     with mpl.rc_context(_STYLE):
         figure = Canvas(figsize=(width_in, height_in), layout="constrained")
         figure.patch.set_alpha(0.0)
@@ -45,6 +47,13 @@ def canvas(width_in: float, height_in: float, columns: int = 1) -> Iterator[tupl
         for ax in axes:
             ax.patch.set_alpha(0.0)
         yield figure, axes
+
+
+def plain_logarithmic(axis: Axis) -> None:
+    """Ticks at 1, 2 and 5 times powers of ten, as plain numbers: for axes of one to three decades."""
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    axis.set_major_formatter("{x:g}")
+    axis.set_minor_formatter(NullFormatter())
 
 
 def svg(figure: Canvas) -> str:
@@ -59,7 +68,7 @@ def svg(figure: Canvas) -> str:
 def completeness(series: dict[str, tuple[NDArray[np.float64], NDArray[np.bool_]]], ideal_snr50: float | None) -> str:
     """Share detected against true S/N, in bins with Wilson intervals, for each named half or detector."""
     edges = np.geomspace(3.0, 300.0, 15)
-    with canvas(6.4, 3.6) as (figure, (ax,)):
+    with canvas() as (figure, (ax,)):
         for k, (name, (snr, found)) in enumerate(series.items()):
             x, y, low, high = [], [], [], []
             for a, b in pairwise(edges):
@@ -74,11 +83,10 @@ def completeness(series: dict[str, tuple[NDArray[np.float64], NDArray[np.bool_]]
             error = np.array([y_array - low, np.array(high) - y_array]).clip(0)
             ax.errorbar(x, y, yerr=error, marker="o", ms=4, lw=1.2, capsize=2, color=SERIES[k % len(SERIES)], label=name)
         if ideal_snr50 is not None:
-            ax.axvline(ideal_snr50, color=INK, ls="--", lw=1)
-            ax.text(ideal_snr50, 0.02, " ideal half point", rotation=90, va="bottom", fontsize=7)
+            ax.axvline(ideal_snr50, color=INK, ls="--", lw=1, label="ideal half point")
         ax.set(xscale="log", ylim=(-0.03, 1.05), xlabel="true matched-filter S/N", ylabel="share detected")
-        ax.set_xticks([3, 5, 7, 10, 20, 50, 100, 300], ["3", "5", "7", "10", "20", "50", "100", "300"])
-        ax.legend(loc="lower right")
+        plain_logarithmic(ax.xaxis)
+        figure.legend(loc="outside upper center", ncols=3)
         return svg(figure)
 
 
@@ -94,6 +102,7 @@ def residuals(rows: list[dict[str, float]]) -> str:
         for ax, name in ((axes[0], "cross-track / CRLB"), (axes[1], "ends / attainable bound")):
             ax.axhspan(-1, 1, color=INK, alpha=0.12, lw=0)
             ax.set(xscale="log", xlabel="true S/N", ylabel=name, ylim=(-5, 5))
+            plain_logarithmic(ax.xaxis)
         bins = np.linspace(-5, 5, 31)
         for name, colour in (("cross_pull", BLUE), ("along_pull", ORANGE)):
             values = np.array([r[name] for r in rows if name in r and np.isfinite(r[name])])
@@ -107,22 +116,23 @@ def residuals(rows: list[dict[str, float]]) -> str:
 
 def magnitudes(rows: list[dict[str, float]]) -> str:
     """Magnitude residuals against S/N."""
-    with canvas(4.8, 3.2) as (figure, (ax,)):
+    with canvas() as (figure, (ax,)):
         ax.plot([r["snr"] for r in rows], [r["residual_mag"] for r in rows], ".", color=BLUE, ms=4)
         ax.axhline(0, color=INK, lw=1)
         ax.set(xscale="log", xlabel="true S/N", ylabel="measured - true V (mag)", ylim=(-0.6, 0.6))
+        plain_logarithmic(ax.xaxis)
         return svg(figure)
 
 
 def frame_vectors(grids: list[dict[str, Any]]) -> str:
     """Solved minus true direction over the field, mean of all frames."""
-    with canvas(4.4, 3.8) as (figure, (ax,)):
+    with canvas() as (figure, (ax,)):
         east = np.mean([g["east_arcsec"] for g in grids], axis=0)
         north = np.mean([g["north_arcsec"] for g in grids], axis=0)
         ax.margins(0.12)
         arrows = ax.quiver(grids[0]["col"], grids[0]["row"], east, north, color=BLUE, angles="uv", width=0.004)
         size = float(np.hypot(east, north).max())
-        ax.quiverkey(arrows, 0.86, 0.03, size, f'{size:.3f}"', labelpos="N", coordinates="axes")
+        ax.quiverkey(arrows, 1.06, 0.96, size, f'{size:.3f}"', labelpos="S", coordinates="axes")
         ax.set(xlabel="col", ylabel="row", aspect="equal")
         ax.invert_yaxis()
         return svg(figure)
@@ -130,7 +140,7 @@ def frame_vectors(grids: list[dict[str, Any]]) -> str:
 
 def tracklets_on_sky(streaks: Table) -> str:
     """Measured streaks of each tracklet on the sky; unlinked ones in grey."""
-    with canvas(5.6, 4.2) as (figure, (ax,)):
+    with canvas() as (figure, (ax,)):
         for s in streaks:
             ra, dec = [s["ra0_deg"], s["ra1_deg"]], [s["dec0_deg"], s["dec1_deg"]]
             if not np.all(np.isfinite([*ra, *dec])):
@@ -145,12 +155,14 @@ def tracklets_on_sky(streaks: Table) -> str:
 
 def larger_than(rows: list[dict[str, Any]]) -> str:
     """Objects larger than d that cross the field in a day: injected, and recovered with their intervals."""
-    with canvas(4.8, 3.2) as (figure, (ax,)):
+    with canvas() as (figure, (ax,)):
         size_mm = np.array([1000.0 * r["larger_than_m"] for r in rows])
         ax.plot(size_mm, [r["injected_per_day"]["value"] for r in rows], "s-", color=INK, ms=4, lw=1, label="injected")
         value, low, high = (np.array([r["recovered_per_day"][k] for r in rows]) for k in ("value", "low", "high"))
         ax.errorbar(size_mm * 1.04, value, (value - low, high - value), fmt="o", color=BLUE, ms=4, capsize=2, label="recovered")
         ax.set(xscale="log", yscale="log", xlabel="diameter d (mm)", ylabel="objects larger than d, per day")
+        for axis in (ax.xaxis, ax.yaxis):
+            plain_logarithmic(axis)
         ax.legend(fontsize=7)
         return svg(figure)
 
@@ -158,7 +170,7 @@ def larger_than(rows: list[dict[str, Any]]) -> str:
 def downlink_bars(bytes_by_kind: dict[str, int], n_frames: int) -> str:
     """Kilobytes per frame of each kind of packet."""
     kinds = {k: v for k, v in bytes_by_kind.items() if v}
-    with canvas(4.8, 2.6) as (figure, (ax,)):
+    with canvas() as (figure, (ax,)):
         ax.barh(list(kinds), [v / 1000 / max(n_frames, 1) for v in kinds.values()], color=BLUE)
         ax.set(xlabel="kB per frame")
         return svg(figure)

@@ -4,7 +4,7 @@ packets -> frames -> camera solution -> zero point -> streak fits -> vetting -> 
         -> tracklets -> directions, epochs, joint refit -> orbits
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Final
@@ -16,6 +16,7 @@ from ground.astrometry.header_wcs import identify_by_header
 from ground.guard import all_of, fault, guarded, probabilities_of
 from ground.ingest import IngestReport, decode_downlink
 from ground.link import apply_links
+from ground.on_demand import OnDemand
 from ground.options import GroundOptions
 from ground.photometry.known_stars import FrameLight, frame_light
 from ground.photometry.magnitude import streak_magnitude
@@ -28,6 +29,7 @@ from ground.records import FrameProducts, GroundProducts, GroundState
 from ground.refit import refit_streaks
 from ground.sky.measure import initial_epochs_ns, middle_of, with_sky
 from ground.sky.pixel_sky import HeaderSky, PixelSky, SolvedSky
+from ground.streak_rows import STREAKS_PER_FRAME, LinkedStreaks, RunStreaks, StreakRows
 from ground.streaks.psf_field import PsfField
 from ground.vetting.repeated import repeated
 from sboc_e2e.catalogue import StarCatalogue
@@ -46,11 +48,8 @@ from sboc_e2e.icd.products import (
 from sboc_e2e.icd.signals import RoiGroup
 from sboc_e2e.icd.steps import Astrometer, Decoder, Linker, OrbitDeterminer, Photometer, StreakFitter, Vetter
 
-STREAKS_PER_FRAME: Final = 100_000
-"""streak_id = frame * this + number of the streak in its frame."""
-
 FRAMES_REMEMBERED: Final = 64
-"""Frames whose stars are kept while tracklets are refitted."""
+"""Frames that are kept with their stars while tracklets are refitted."""
 
 LEAST_SNR_ALONE: Final = 6.0
 """Noise alone has 46 maxima above it in a frame of 4096 x 4096, 0.1 above 7 (Euler characteristic of the S/N over all segments,
@@ -139,7 +138,7 @@ class GroundChain:
             header=frame.header,
             solution=solution,
             photometry=photometry,
-            streaks=streaks,
+            streaks=StreakRows.of(streaks),
             mean_flat=tuple(flats),
             psf=psf,
             background=frame.background,
@@ -153,31 +152,61 @@ class GroundChain:
     def finish(
         self, frames: Sequence[DownlinkFrame], products: Sequence[FrameProducts], ingest: IngestReport | None = None
     ) -> GroundProducts:
-        """Tracklets, resolved streaks and orbits of a run; `frames` and `products` in the same order."""
-        headers = tuple(frame.header for frame in frames)
-        measured = [streak for product in products for streak in product.streaks]
+        """Tracklets, resolved streaks and orbits of a run; `frames` and `products` in the same order.
+
+        Both are gone through more than once and asked for single items, none of which is kept for long: they may make their
+        items on demand (`ground.on_demand`), and then the result does so too.
+        """
+        small = [(product.header, product.photometry, len(product.streaks)) for product in products]
+        headers, counts = tuple(header for header, _, _ in small), [count for _, _, count in small]
         linker = self._steps.linker
-        tracklets = all_of("linker", linker, "", guarded("linker", linker, "", object, linker.link, headers, measured), Tracklet)
-        resolved = apply_links(measured, tracklets, headers)
-        if self._options.joint_refit:
-            solutions = [product.solution for product in products]
-            resolved = refit_streaks(resolved, tracklets, headers, solutions, self._pixel_source(frames, products))
-        final = _finally_measured(resolved, tracklets, {product.header.frame: product for product in products})
-        final = tuple(self._judged_alone(streak) for streak in final)
-        tracklets = tuple(_with_magnitude(tracklet, final) for tracklet in tracklets)
+        measured = RunStreaks(counts, lambda k: products[k].streaks)
+        found = all_of("linker", linker, "", guarded("linker", linker, "", object, linker.link, headers, measured), Tracklet)
+        pixels_of = self._pixel_source(frames, products, headers)
+        tracklets, linked = list(found), LinkedStreaks({header.frame: k for k, header in enumerate(headers)}, len(found))
+        # by time, so that tracklets of the same frames follow each other
+        for number in sorted(range(len(found)), key=lambda k: int(found[k].frames.min())):
+            tracklets[number], members = self._resolved(found[number], linked, headers, products, pixels_of)
+            linked.put(number, members)
         orbits: tuple[OrbitEstimate, ...] = ()
         if self._options.orbits:
             located = [t for t in tracklets if not t.flags & StreakFlag.NO_SKY and t.direction_resolved]
             orbits = tuple(self._orbit_of(tracklet, headers) for tracklet in located)
+        final = OnDemand(len(products), lambda k: self._final(products[k].streaks, linked.of_frame(k)))
         return GroundProducts(
             headers=headers,
-            solutions=tuple(product.solution for product in products),
-            photometry=tuple(product.photometry for product in products),
-            streaks=final,
-            tracklets=tracklets,
+            solutions=OnDemand(len(products), lambda k: products[k].solution),
+            photometry=tuple(photometry for _, photometry, _ in small),
+            streaks=RunStreaks(counts, final.__getitem__),
+            tracklets=tuple(tracklets),
+            members=linked.members,
             orbits=orbits,
             ingest=ingest,
         )
+
+    def _resolved(
+        self,
+        tracklet: Tracklet,
+        linked: LinkedStreaks,
+        headers: Sequence[FrameHeader],
+        products: Sequence[FrameProducts],
+        pixels_of: Callable[[StreakMeasurement], StreakPixels],
+    ) -> tuple[Tracklet, Sequence[StreakMeasurement]]:
+        """A tracklet with its magnitude, and its members in frame order: directions, epochs, joint refit, brightness."""
+        places = linked.places_of(tracklet)
+        own = [headers[k] for k in dict.fromkeys(place for place, _ in places)]
+        given = [products[k].streaks[number] for k, number in places if 0 <= number < len(products[k].streaks)]
+        members = apply_links(given, (tracklet,), own)
+        if self._options.joint_refit:
+            members = refit_streaks(members, tracklet, own, lambda frame: products[linked.place[frame]].solution, pixels_of)
+        final = [_finally_measured(member, products[linked.place[member.frame]], tracklet.rate_deg_s) for member in members]
+        return _with_magnitude(tracklet, final), final
+
+    def _final(
+        self, streaks: Sequence[StreakMeasurement], members: Mapping[int, StreakMeasurement]
+    ) -> Sequence[StreakMeasurement]:
+        """All streaks of a frame as published; members : those of tracklets, by number."""
+        return [members[k] if k in members else self._judged_alone(streak) for k, streak in enumerate(streaks)]
 
     def _with_known_width(self, frame: DownlinkFrame) -> DownlinkFrame:
         """The frame with the camera's PSF where its own stars did not tell one and the camera's is more than a guess."""
@@ -202,26 +231,24 @@ class GroundChain:
     def _judged_alone(self, streak: StreakMeasurement) -> StreakMeasurement:
         """A streak that no other frame supports is published on its own probability, which must be higher."""
         alone_enough = streak.probability >= self._options.veto_unlinked_below and streak.fit.snr >= LEAST_SNR_ALONE
-        if streak.tracklet_id >= 0 or alone_enough:
-            return streak
-        return replace(streak, flags=streak.flags | StreakFlag.VETOED)
+        veto = StreakFlag(0) if alone_enough else StreakFlag.VETOED
+        return replace(streak, tracklet_id=-1, flags=streak.flags | StreakFlag.SINGLE_FRAME | veto)
 
     def _pixel_source(
-        self, frames: Sequence[DownlinkFrame], products: Sequence[FrameProducts]
+        self, frames: Sequence[DownlinkFrame], products: Sequence[FrameProducts], headers: Sequence[FrameHeader]
     ) -> Callable[[StreakMeasurement], StreakPixels]:
-        """Calibrated pixels of single streaks; the stars of the last frames asked for are kept."""
-        place = {frame.header.frame: k for k, frame in enumerate(frames)}
+        """Calibrated pixels of single streaks; the last frames asked for are kept with their stars."""
+        place = {header.frame: k for k, header in enumerate(headers)}
 
         @lru_cache(maxsize=FRAMES_REMEMBERED)
-        def light_of(number: int) -> FrameLight:
-            product = products[place[number]]
-            return self._light(frames[place[number]], product.solution, product.photometry, product.psf)
+        def lit(number: int) -> tuple[DownlinkFrame, FrameLight]:
+            frame, product = frames[place[number]], products[place[number]]
+            light = self._light(frame, product.solution, product.photometry, product.psf)
+            return replace(frame, background=product.background), light
 
         def pixels_of(streak: StreakMeasurement) -> StreakPixels:
-            position = place[streak.frame]
-            frame = replace(frames[position], background=products[position].background)
-            group = frame.rois[streak.streak_id - streak.frame * STREAKS_PER_FRAME]
-            return self._pixels(group, frame, light_of(streak.frame))[0]
+            frame, light = lit(streak.frame)
+            return self._pixels(frame.rois[streak.streak_id - streak.frame * STREAKS_PER_FRAME], frame, light)[0]
 
         return pixels_of
 
@@ -365,28 +392,18 @@ def _with_brightness(
     return replace(streak, mag=mag, mag_err=mag_err, flags=flags)
 
 
-def _finally_measured(
-    streaks: Sequence[StreakMeasurement], tracklets: Sequence[Tracklet], products: dict[int, FrameProducts]
-) -> tuple[StreakMeasurement, ...]:
-    """Streaks with directions at their final epochs and magnitudes for their final exposed times, where these are new."""
-    rates = {tracklet.tracklet_id: tracklet.rate_deg_s for tracklet in tracklets}
-    final = []
-    for streak in streaks:
-        if streak.tracklet_id < 0:  # measured as its frame alone has it
-            final.append(streak)
-            continue
-        product = products[streak.frame]
-        sky = _sky_of(product.header, product.solution, product.wcs)
-        number = streak.streak_id - streak.frame * STREAKS_PER_FRAME
-        streak = with_sky(streak, product.header, sky, product.solution.covariance_rad2)
-        crossing_s = _crossing_s(streak, rates.get(streak.tracklet_id))
-        final.append(_with_brightness(streak, product.header, product.photometry, product.mean_flat[number], crossing_s))
-    return tuple(final)
+def _finally_measured(streak: StreakMeasurement, product: FrameProducts, rate_deg_s: float) -> StreakMeasurement:
+    """A member of a tracklet with directions at its final epochs and a magnitude for its final exposed time."""
+    sky = _sky_of(product.header, product.solution, product.wcs)
+    number = streak.streak_id - streak.frame * STREAKS_PER_FRAME
+    streak = with_sky(streak, product.header, sky, product.solution.covariance_rad2)
+    crossing_s = _crossing_s(streak, rate_deg_s)
+    return _with_brightness(streak, product.header, product.photometry, product.mean_flat[number], crossing_s)
 
 
-def _crossing_s(streak: StreakMeasurement, rate_deg_s: float | None) -> float | None:
+def _crossing_s(streak: StreakMeasurement, rate_deg_s: float) -> float | None:
     """Time from end 0 to end 1 at the tracklet's rate."""
-    if rate_deg_s is None or not rate_deg_s > 0.0 or streak.flags & StreakFlag.NO_SKY:
+    if not rate_deg_s > 0.0 or streak.flags & StreakFlag.NO_SKY:
         return None
     ra, dec = np.radians(streak.ra_deg), np.radians(streak.dec_deg)
     ends = np.stack((np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)), axis=1)
@@ -394,13 +411,11 @@ def _crossing_s(streak: StreakMeasurement, rate_deg_s: float | None) -> float | 
     return float(np.degrees(2.0 * np.arcsin(min(0.5 * chord, 1.0)))) / rate_deg_s
 
 
-def _with_magnitude(tracklet: Tracklet, streaks: Sequence[StreakMeasurement]) -> Tracklet:
+def _with_magnitude(tracklet: Tracklet, members: Sequence[StreakMeasurement]) -> Tracklet:
     """The tracklet with the weighted mean of its members' final magnitudes."""
-    members: list[tuple[float, float]] = [
-        (s.mag, s.mag_err) for s in streaks if s.tracklet_id == tracklet.tracklet_id and np.isfinite(s.mag) and s.mag_err > 0.0
-    ]
-    if not members:
+    known: list[tuple[float, float]] = [(s.mag, s.mag_err) for s in members if np.isfinite(s.mag) and s.mag_err > 0.0]
+    if not known:
         return replace(tracklet, mag=float("nan"), mag_err=float("nan"))
-    mag, err = np.array(members).T
+    mag, err = np.array(known).T
     weight: NDArray[np.float64] = 1.0 / err**2
     return replace(tracklet, mag=float((mag * weight).sum() / weight.sum()), mag_err=float(1.0 / np.sqrt(weight.sum())))

@@ -1,5 +1,6 @@
 """What the ground chain hands from step to step: results of one frame, results of a run."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -41,7 +42,7 @@ class FrameProducts:
     header: FrameHeader
     solution: FrameSolution
     photometry: PhotometricSolution
-    streaks: tuple[StreakMeasurement, ...]
+    streaks: Sequence[StreakMeasurement]
     mean_flat: tuple[float, ...]
     psf: PsfField
     background: BackgroundModel | None
@@ -50,12 +51,16 @@ class FrameProducts:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GroundProducts:
-    """Results of a run, in frame order; streaks carry tracklet ids, resolved directions and final magnitudes."""
+    """Results of a run, in frame order; streaks carry tracklet ids, resolved directions and final magnitudes.
 
-    headers: tuple[FrameHeader, ...]
-    solutions: tuple[FrameSolution, ...]
-    photometry: tuple[PhotometricSolution, ...]
-    streaks: tuple[StreakMeasurement, ...]
+    members : the streaks of each tracklet. What is as long as the run may be made on demand: go through it in order.
+    """
+
+    headers: Sequence[FrameHeader]
+    solutions: Sequence[FrameSolution]
+    photometry: Sequence[PhotometricSolution]
+    streaks: Sequence[StreakMeasurement]
     tracklets: tuple[Tracklet, ...]
+    members: tuple[Sequence[StreakMeasurement], ...]
     orbits: tuple[OrbitEstimate, ...]
     ingest: IngestReport | None = None

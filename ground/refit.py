@@ -41,50 +41,47 @@ GRAVITY_ARCSEC_S2: Final = 1.0
 
 def refit_streaks(
     streaks: Sequence[StreakMeasurement],
-    tracklets: Sequence[Tracklet],
+    tracklet: Tracklet,
     headers: Sequence[FrameHeader],
-    solutions: Sequence[FrameSolution],
+    solution_of: Callable[[int], FrameSolution],
     pixels_of: Callable[[StreakMeasurement], StreakPixels],
 ) -> tuple[StreakMeasurement, ...]:
-    """Streaks whose direction is resolved, refitted with the other frames of their tracklet; the others as they came.
+    """The streaks of a tracklet refitted together, where their direction is resolved; the others as they came.
 
-    pixels_of : calibrated pixels of a streak. Sky positions are those of the old fit until they are measured anew.
+    solution_of : of a frame, by its number; pixels_of : calibrated pixels of a streak. Sky positions are those of the old fit
+    until they are measured anew.
     """
     header_of = {header.frame: header for header in headers}
-    solution_of = {solution.frame: solution for solution in solutions}
     at = {streak.streak_id: k for k, streak in enumerate(streaks)}
+    members = [streaks[at[int(i)]] for i in tracklet.streak_ids]
+    # two members of one frame are fragments of one trail: their inner ends are no ends
+    often = Counter(m.frame for m in members)
+    members = [m for m in members if m.flags & StreakFlag.DIRECTION_RESOLVED and not m.flags & UNUSABLE and often[m.frame] == 1]
+    if len(members) < 2:
+        return tuple(streaks)
+    members = [_timed_by_shutter(m, header_of[m.frame]) for m in members]
+    path, zero_ns = _path_of(members), int(members[0].t_tai_ns[0])
+    frames = [_tracklet_frame(m, header_of[m.frame], solution_of(m.frame), pixels_of(m), path, zero_ns) for m in members]
+    joint: dict[int, StreakFit] = {}
+    for window, sigma_acceleration in _windows(frames):
+        joint |= _refit_window(frames, window, sigma_acceleration)
     out = list(streaks)
-    for tracklet in tracklets:
-        members = [streaks[at[int(i)]] for i in tracklet.streak_ids]
-        # two members of one frame are fragments of one trail: their inner ends are no ends
-        often = Counter(m.frame for m in members)
-        members = [
-            m for m in members if m.flags & StreakFlag.DIRECTION_RESOLVED and not m.flags & UNUSABLE and often[m.frame] == 1
-        ]
-        if len(members) < 2:
-            continue
-        members = [_timed_by_shutter(m, header_of[m.frame]) for m in members]
-        path, zero_ns = _path_of(members), int(members[0].t_tai_ns[0])
-        frames = [_tracklet_frame(m, header_of[m.frame], solution_of[m.frame], pixels_of(m), path, zero_ns) for m in members]
-        joint: dict[int, StreakFit] = {}
-        for window, sigma_acceleration in _windows(frames):
-            joint |= _refit_window(frames, window, sigma_acceleration)
-        for k, fit in joint.items():
-            member = members[k]
-            if fit is not member.fit:
-                line_ns = header_of[member.frame].line_time_ns
-                row_mid, col_mid = middle_of(fit)
-                moved = np.array([fit.row0, row_mid, fit.row1]) - np.array([member.fit.row0, member.row_mid, member.fit.row1])
-                changed = StreakFlag.REFIT | StreakFlag.ENDS_NOT_GAUSSIAN
-                epochs = member.t_tai_ns + np.rint(line_ns * moved).astype(np.int64)
-                out[at[member.streak_id]] = replace(
-                    member,
-                    fit=fit,
-                    row_mid=row_mid,
-                    col_mid=col_mid,
-                    t_tai_ns=_with_edge_epoch(epochs, frames[k], frames, joint, zero_ns),
-                    flags=member.flags & ~changed | fit.flags & changed,
-                )
+    for k, fit in joint.items():
+        member = members[k]
+        if fit is not member.fit:
+            line_ns = header_of[member.frame].line_time_ns
+            row_mid, col_mid = middle_of(fit)
+            moved = np.array([fit.row0, row_mid, fit.row1]) - np.array([member.fit.row0, member.row_mid, member.fit.row1])
+            changed = StreakFlag.REFIT | StreakFlag.ENDS_NOT_GAUSSIAN
+            epochs = member.t_tai_ns + np.rint(line_ns * moved).astype(np.int64)
+            out[at[member.streak_id]] = replace(
+                member,
+                fit=fit,
+                row_mid=row_mid,
+                col_mid=col_mid,
+                t_tai_ns=_with_edge_epoch(epochs, frames[k], frames, joint, zero_ns),
+                flags=member.flags & ~changed | fit.flags & changed,
+            )
     return tuple(out)
 
 

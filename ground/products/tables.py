@@ -1,11 +1,16 @@
-"""Tables of a run with units and descriptions, ready to be written as ECSV: frames, stars, streaks, tracklets, orbits."""
+"""Tables of a run with units and descriptions, ready to be written as ECSV: frames, stars, streaks, tracklets, orbits.
+
+Tables with rows for each frame, star or streak come in pieces, of which one is in memory at a time.
+"""
 
 import json
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from itertools import islice
 from typing import Any, Final
 
 import numpy as np
 from astropy.table import Column, Table
+from numpy.typing import NDArray
 
 from ground.astrometry.apparent import mid_frame_tai_ns
 from ground.astrometry.camera import Camera
@@ -18,7 +23,9 @@ from ground.records import GroundProducts
 from ground.sky.published import spherical_deg
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag
-from sboc_e2e.icd.products import StreakMeasurement
+from sboc_e2e.icd.frame import FrameHeader
+from sboc_e2e.icd.products import FrameSolution, PhotometricSolution, StreakMeasurement
+from sboc_e2e.icd.signals import StarList
 from sboc_e2e.icd.version import CONTRACT_VERSION
 
 DIRECTIONS: Final = (
@@ -27,15 +34,30 @@ DIRECTIONS: Final = (
 )
 ARCSEC_PER_RAD: Final = 648000.0 / np.pi
 
+FRAMES_AT_ONCE: Final = 64
+STREAKS_AT_ONCE: Final = 4096
+
 Spec = tuple[str, Any, str | None, str]
 """Name, values, unit, description."""
 
 
-def frames_table(products: GroundProducts, frames: Sequence[DownlinkFrame]) -> Table:
+def frames_tables(products: GroundProducts, frames: Sequence[DownlinkFrame]) -> Iterator[Table]:
     """One row for each frame: epoch, pointing, camera, star statistics, zero point; flags from on board and from ground."""
-    headers, solutions, photometry = products.headers, products.solutions, products.photometry
+    for part in _parts(len(frames)):
+        said = [(frame.flags, frame.psf_sigma_px) for frame in (frames[k] for k in part)]
+        at = slice(part.start, part.stop)
+        yield _frames_table(products.headers[at], products.solutions[at], products.photometry[at], said)
+
+
+def _frames_table(
+    headers: Sequence[FrameHeader],
+    solutions: Sequence[FrameSolution],
+    photometry: Sequence[PhotometricSolution],
+    said: Sequence[tuple[FrameFlag, float | None]],
+) -> Table:
+    """said : flags and PSF width from on board."""
     solved = np.array([not s.flags & FrameFlag.NO_SOLUTION for s in solutions], dtype=bool)
-    ra, dec = _centre_directions(products)
+    ra, dec = _centre_directions(headers, solutions)
     sigma = np.array([np.sqrt(np.diag(s.covariance_rad2)) for s in solutions]).reshape(-1, 3) * ARCSEC_PER_RAD
     quaternion = np.array([s.quaternion for s in solutions]).reshape(-1, 4)
     rate = np.array([s.rate_rad_s for s in solutions]).reshape(-1, 3)
@@ -60,47 +82,50 @@ def frames_table(products: GroundProducts, frames: Sequence[DownlinkFrame]) -> T
             ("sigma_x_arcsec", sigma[:, 0], "arcsec", "error of the rotation about the col axis"),
             ("sigma_y_arcsec", sigma[:, 1], "arcsec", "error of the rotation about the row axis"),
             ("sigma_roll_arcsec", sigma[:, 2], "arcsec", "error of the rotation about the boresight"),
-            ("focal_px", [s.focal_px for s in solutions], "pix", "focal length"),
-            ("center_row", [s.center_row for s in solutions], "pix", "optical axis"),
-            ("center_col", [s.center_col for s in solutions], "pix", "optical axis"),
-            *(
-                (name, [getattr(s, name) for s in solutions], None, "Brown-Conrady distortion")
-                for name in ("k1", "k2", "p1", "p2")
-            ),
+            ("focal_px", _floats(solutions, "focal_px"), "pix", "focal length"),
+            ("center_row", _floats(solutions, "center_row"), "pix", "optical axis"),
+            ("center_col", _floats(solutions, "center_col"), "pix", "optical axis"),
+            *((name, _floats(solutions, name), None, "Brown-Conrady distortion") for name in ("k1", "k2", "p1", "p2")),
             ("mirrored", np.array([s.mirrored for s in solutions], dtype=bool), None, "columns grow against the camera's +X"),
             ("n_stars", [s.n_stars for s in solutions], None, "stars in the camera fit"),
-            ("rms_px", [s.rms_px for s in solutions], "pix", "rms of a coordinate's star residuals"),
-            ("zero_point_mag", [p.zero_point_mag for p in photometry], "mag", "V of 1 e-/s on axis for a solar colour"),
-            ("zero_point_err_mag", [p.zero_point_err_mag for p in photometry], "mag", "its error"),
-            ("colour_term", [p.colour_term for p in photometry], None, "mag of V for 1 mag of B-V"),
+            ("rms_px", _floats(solutions, "rms_px"), "pix", "rms of a coordinate's star residuals"),
+            ("zero_point_mag", _floats(photometry, "zero_point_mag"), "mag", "V of 1 e-/s on axis for a solar colour"),
+            ("zero_point_err_mag", _floats(photometry, "zero_point_err_mag"), "mag", "its error"),
+            ("colour_term", _floats(photometry, "colour_term"), None, "mag of V for 1 mag of B-V"),
             ("n_phot", [p.n_stars for p in photometry], None, "stars in the zero point"),
-            ("rms_mag", [p.rms_mag for p in photometry], "mag", "rms of the stars' residuals"),
+            ("rms_mag", _floats(photometry, "rms_mag"), "mag", "rms of the stars' residuals"),
             (
                 "psf_sigma_px",
-                [_or_nan(f.psf_sigma_px) for f in frames],
+                [_or_nan(psf_sigma_px) for _, psf_sigma_px in said],
                 "pix",
                 "PSF sigma in mid-field, measured on board",
             ),
-            ("flags", [int(s.flags | f.flags) for s, f in zip(solutions, frames, strict=True)], None, "FrameFlag bits"),
+            ("flags", [int(s.flags | flags) for s, (flags, _) in zip(solutions, said, strict=True)], None, "FrameFlag bits"),
         ],
         "frames",
     )
 
 
-def stars_table(products: GroundProducts, frames: Sequence[DownlinkFrame]) -> Table:
+def stars_tables(products: GroundProducts, frames: Sequence[DownlinkFrame]) -> Iterator[Table]:
     """One row for each star that was received, with its identification where there is one."""
+    for part in _parts(len(frames)):
+        yield _stars_table([(frames[k].header.frame, frames[k].stars, products.solutions[k]) for k in part])
+
+
+def _stars_table(found: Sequence[tuple[int, StarList, FrameSolution]]) -> Table:
+    """found : number, stars and solution of each frame."""
     parts: dict[str, list[Any]] = {name: [] for name in ("frame", "row", "col", "flux", "snr", "flags", "v", "bv", "dr", "dc")}
-    for frame, solution in zip(frames, products.solutions, strict=True):
-        n = len(frame.stars)
+    for number, stars, solution in found:
+        n = len(stars)
         matched = {name: np.full(n, np.nan) for name in ("v", "bv", "dr", "dc")}
         index = np.asarray(solution.star_index, dtype=np.intp)
         matched["v"][index], matched["bv"][index] = solution.star_v_mag, solution.star_b_v
         matched["dr"][index], matched["dc"][index] = solution.star_residual_px[:, 0], solution.star_residual_px[:, 1]
-        parts["frame"].append(np.full(n, frame.header.frame))
-        for name, values in (("row", frame.stars.row), ("col", frame.stars.col), ("flux", frame.stars.flux_e)):
+        parts["frame"].append(np.full(n, number))
+        for name, values in (("row", stars.row), ("col", stars.col), ("flux", stars.flux_e)):
             parts[name].append(values)
-        parts["snr"].append(frame.stars.snr)
-        parts["flags"].append(frame.stars.flags)
+        parts["snr"].append(stars.snr)
+        parts["flags"].append(stars.flags)
         for name, values in matched.items():
             parts[name].append(values)
     column = {name: np.concatenate(values) if values else np.zeros(0) for name, values in parts.items()}
@@ -121,9 +146,16 @@ def stars_table(products: GroundProducts, frames: Sequence[DownlinkFrame]) -> Ta
     )
 
 
-def streaks_table(products: GroundProducts) -> Table:
+def streaks_tables(products: GroundProducts) -> Iterator[Table]:
     """One row for each measured streak; ends by growing col before linking, by time after it (DIRECTION_RESOLVED)."""
-    streaks = products.streaks
+    left = iter(products.streaks)
+    part = list(islice(left, STREAKS_AT_ONCE))
+    yield _streaks_table(part)
+    while part := list(islice(left, STREAKS_AT_ONCE)):
+        yield _streaks_table(part)
+
+
+def _streaks_table(streaks: Sequence[StreakMeasurement]) -> Table:
     fits = [s.fit for s in streaks]
     covariance = np.array([f.covariance_px2 for f in fits]).reshape(-1, 4, 4)
     interval = np.array([f.end_interval_px for f in fits]).reshape(-1, 2, 2)
@@ -189,10 +221,7 @@ def streaks_table(products: GroundProducts) -> Table:
 def tracklets_table(products: GroundProducts) -> Table:
     """One row for each tracklet: motion at its reference epoch."""
     tracklets = products.tracklets
-    members: dict[int, list[StreakMeasurement]] = {}
-    for streak in products.streaks:
-        members.setdefault(streak.tracklet_id, []).append(streak)
-    curves = [light_curve(members.get(t.tracklet_id, [])) for t in tracklets]
+    curves = [light_curve(members) for members in products.members]
     table = _table(
         [
             ("tracklet_id", [t.tracklet_id for t in tracklets], None, "number of the tracklet"),
@@ -278,10 +307,16 @@ def orbits_table(products: GroundProducts, albedo: float) -> Table:
     return _table(columns, "orbits")
 
 
-def _centre_directions(products: GroundProducts) -> tuple[Any, Any]:
+def _parts(n_frames: int) -> Iterator[range]:
+    """Places of the frames of each piece; one empty piece where there is no frame."""
+    for low in range(0, max(n_frames, 1), FRAMES_AT_ONCE):
+        yield range(low, min(low + FRAMES_AT_ONCE, n_frames))
+
+
+def _centre_directions(headers: Sequence[FrameHeader], solutions: Sequence[FrameSolution]) -> tuple[Any, Any]:
     """Apparent directions of the frames' middles, NaN where unsolved."""
-    vectors = np.full((len(products.headers), 3), np.nan)
-    for k, (header, solution) in enumerate(zip(products.headers, products.solutions, strict=True)):
+    vectors = np.full((len(headers), 3), np.nan)
+    for k, (header, solution) in enumerate(zip(headers, solutions, strict=True)):
         if not solution.flags & FrameFlag.NO_SOLUTION:
             middle = np.array([0.5 * (header.rows - 1)]), np.array([0.5 * (header.cols - 1)])
             vectors[k] = (Camera.solved(solution).unproject(*middle) @ matrix_of(np.asarray(solution.quaternion)))[0]
@@ -302,6 +337,11 @@ def _table(columns: Sequence[Spec], name: str) -> Table:
 def _text(values: Sequence[str]) -> Any:
     """A text column, also when empty."""
     return np.array(list(values), dtype=str) if values else np.zeros(0, dtype="U1")
+
+
+def _floats(records: Sequence[object], name: str) -> NDArray[np.float64]:
+    """A field of records as floats in every piece of a table, whatever numbers a step gave."""
+    return np.array([getattr(record, name) for record in records], dtype=np.float64)
 
 
 def _or_nan(value: float | None) -> float:

@@ -17,7 +17,7 @@ VALIDATED_FROM = 0.9
 
 def tdm_text(
     tracklets: Sequence[Tracklet],
-    streaks: Sequence[StreakMeasurement],
+    members: Sequence[Sequence[StreakMeasurement]],
     headers: Sequence[FrameHeader],
     names: ProductOptions,
     *,
@@ -25,6 +25,7 @@ def tdm_text(
 ) -> str:
     """The message. Tracklets without sky positions are left out; an empty message has no segment.
 
+    members : the streaks of each tracklet, which have its magnitudes.
     oem_name : file with the observer's states, None when there are none. CREATION_DATE is the epoch of the last frame,
     so that the same data give the same bytes.
     """
@@ -36,16 +37,12 @@ def tdm_text(
         f"ORIGINATOR = {names.originator}",
         "",
     ]
-    by_tracklet: dict[int, list[StreakMeasurement]] = {}
-    for streak in streaks:
-        by_tracklet.setdefault(streak.tracklet_id, []).append(streak)
     observed = {header.frame: header.observer is not None for header in headers}
-    for tracklet in tracklets:
+    for tracklet, streaks in zip(tracklets, members, strict=True):
         if tracklet.flags & StreakFlag.NO_SKY or len(tracklet.t_tai_ns) == 0:
             continue
-        members = by_tracklet.get(tracklet.tracklet_id, [])
         observer_known = all(observed.get(int(frame), False) for frame in tracklet.frames)
-        lines += _segment(tracklet, members, names, oem_name if observer_known else None, observer_known)
+        lines += _segment(tracklet, streaks, names, oem_name if observer_known else None, observer_known)
     return "\n".join(lines) + "\n"
 
 

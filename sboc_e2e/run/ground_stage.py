@@ -5,7 +5,7 @@ Reads downlink.bin, calibration/ and the star catalogue; nothing else of a run.
 
 import dataclasses
 import shutil
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -14,6 +14,7 @@ import numpy as np
 from astropy.table import Column, Table
 
 from ground.chain import GroundChain, GroundSteps
+from ground.on_demand import OnDemand
 from ground.options import GroundOptions
 from ground.products import tables
 from ground.products.oem import oem_text
@@ -32,11 +33,14 @@ from sboc_e2e.run.directory import RunDirectory
 from sboc_e2e.run.measure import Meter, peak_rss_mb, reset_peak
 from sboc_e2e.run.progress import Progress
 from sboc_e2e.run.states import StateKeeper
+from sboc_e2e.run.table_pieces import write_pieces
 from sboc_e2e.scenario import Scenario
 
 STAGE = "ground"
 TDM_NAME: Final = "tracklets.tdm"
 OEM_NAME: Final = "observer.oem"
+PRODUCTS_KEPT: Final = 64
+"""Frames whose products stay in memory after they were asked for: as long as most tracklets last."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,8 +109,8 @@ class GroundStage:
             raise UserError(f"{self.run.downlink}: not found; the onboard stage writes it") from error
         with self.meter:
             frames, ingest = self.chain.ingest(downlink)
-        del downlink
-        products = self._frame_products(frames, progress)
+        self._process_frames(frames, progress)
+        products = OnDemand(len(frames), self._stored, keep=PRODUCTS_KEPT)
         with self.meter:
             result = self.chain.finish(frames, products, ingest)
         made = self.run.work(STAGE) / "products"
@@ -127,52 +131,48 @@ class GroundStage:
             self.run.products.rename(earlier)
         made.rename(self.run.products)
 
-    def _frame_products(self, frames: tuple[DownlinkFrame, ...], progress: Progress) -> list[FrameProducts]:
-        """Products of each frame, from the work folder as far as an earlier attempt came."""
+    def _process_frames(self, frames: Sequence[DownlinkFrame], progress: Progress) -> None:
+        """Products of each frame into the work folder, from where an earlier attempt stopped."""
         keeper = StateKeeper(run=self.run, stage=STAGE, shared={"catalogue": self.catalogue})
         last = keeper.last()
         first, state = (0, self.chain.initial_state()) if last is None else (last[0] + 1, last[1])
         progress.stage(STAGE, len(frames), first)
-        products: list[FrameProducts] = []
-        for position, frame in enumerate(frames):
-            path = self.run.work_file(STAGE, position, "result")
-            wcs = self.outside.wcs.get(frame.header.frame)
-            if position < first:
-                products.append(dataclasses.replace(checkpoint.load(path), wcs=wcs))
-                continue
+        for position in range(first, len(frames)):
+            frame = frames[position]
             with self.meter:
-                state, made = self.chain.process_frame(state, frame, wcs=wcs)
-            products.append(made)
-            checkpoint.save(path, dataclasses.replace(made, wcs=None))
+                state, made = self.chain.process_frame(state, frame, wcs=self.outside.wcs.get(frame.header.frame))
+            checkpoint.save(self.run.work_file(STAGE, position, "result"), dataclasses.replace(made, wcs=None))
             keeper.offer(position, state)
             progress.advance()
-        return products
 
-    def _write(self, folder: Path, frames: tuple[DownlinkFrame, ...], result: GroundProducts) -> None:
+    def _stored(self, position: int) -> FrameProducts:
+        """Products of a frame from the work folder."""
+        products: FrameProducts = checkpoint.load(self.run.work_file(STAGE, position, "result"))
+        wcs = self.outside.wcs.get(products.header.frame)
+        return products if wcs is None else dataclasses.replace(products, wcs=wcs)
+
+    def _write(self, folder: Path, frames: Sequence[DownlinkFrame], result: GroundProducts) -> None:
         """The tables and messages of products/."""
         options = self.options
-        made = {
-            "frames": _with_origin(tables.frames_table(result, frames), self.outside.origin),
-            "stars": tables.stars_table(result, frames),
-            "streaks": tables.streaks_table(result),
-            "tracklets": tables.tracklets_table(result),
-            "orbits": tables.orbits_table(result, options.streak_photometry.albedo),
-        }
-        for name, table in made.items():
-            ecsv.write_table(folder / f"{name}.ecsv", table)
+        pieces = (_with_origin(table, self.outside.origin) for table in tables.frames_tables(result, frames))
+        write_pieces(folder / "frames.ecsv", pieces)
+        write_pieces(folder / "stars.ecsv", tables.stars_tables(result, frames))
+        write_pieces(folder / "streaks.ecsv", tables.streaks_tables(result))
+        ecsv.write_table(folder / "tracklets.ecsv", tables.tracklets_table(result))
+        ecsv.write_table(folder / "orbits.ecsv", tables.orbits_table(result, options.streak_photometry.albedo))
         oem = oem_text(result.headers, options.products)
         if oem is not None:
             write_text(folder / OEM_NAME, oem)
-        tdm = tdm_text(result.tracklets, result.streaks, result.headers, options.products, oem_name=OEM_NAME if oem else None)
+        tdm = tdm_text(result.tracklets, result.members, result.headers, options.products, oem_name=OEM_NAME if oem else None)
         write_text(folder / TDM_NAME, tdm)
         write_json(folder / "ingest.json", result.ingest.as_dict() if result.ingest else {})
         if options.products.tracklet_plots:
             # here, since matplotlib takes longer to load than a frame to process
             from sboc_e2e.run.tracklet_plot import tracklet_svg
 
-            for tracklet in result.tracklets:
+            for tracklet, members in zip(result.tracklets, result.members, strict=True):
                 path = folder / "plots" / f"tracklet_{tracklet.tracklet_id:06d}.svg"
-                write_text(path, tracklet_svg(tracklet, result.streaks))
+                write_text(path, tracklet_svg(tracklet, members))
 
 
 def _with_origin(table: Table, origin: Mapping[int, tuple[str, int]]) -> Table:

@@ -14,9 +14,8 @@ from sboc_e2e.icd.products import StreakMeasurement, Tracklet
 _STYLE: Final = {"svg.hashsalt": "sboc", "svg.fonttype": "none", "font.size": 8, "axes.grid": True, "grid.alpha": 0.25}
 
 
-def tracklet_svg(tracklet: Tracklet, streaks: Sequence[StreakMeasurement]) -> str:
-    """SVG document; `streaks` : all of the run, of which the members are taken. Without dates, so that bytes repeat."""
-    members = [s for s in streaks if s.tracklet_id == tracklet.tracklet_id]
+def tracklet_svg(tracklet: Tracklet, members: Sequence[StreakMeasurement]) -> str:
+    """SVG document of a tracklet and its streaks. Without dates, so that bytes repeat."""
     curve = light_curve(members)
     t_s = np.asarray((tracklet.t_tai_ns - tracklet.t_tai_ns.min()) * 1e-9, dtype=np.float64)
     good = np.isfinite(tracklet.ra_deg) & np.isfinite(tracklet.dec_deg)

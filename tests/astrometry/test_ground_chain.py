@@ -17,7 +17,7 @@ from ground.link import MotionLinker
 from ground.options import GroundOptions, ProductOptions
 from ground.orbit import RangeScan
 from ground.photometry.zero_point import ZeroPoint
-from ground.products.tables import streaks_table
+from ground.products.tables import streaks_tables
 from ground.products.tdm import tdm_text
 from ground.sky.published import LIGHT_M_S
 from ground.streaks import TrailedPsfFitter
@@ -152,10 +152,10 @@ def test_a_mover_becomes_one_tracklet_with_its_direction_and_exposed_time(fields
         np.testing.assert_allclose((streak.t_tai_ns - t0_ns) * 1e-9, [opened, 0.5 * (opened + closed), closed], atol=5e-5)
         assert abs(streak.mag - true_mag) < 4.0 * streak.mag_err
     assert abs(tracklet.mag - true_mag) < 0.02
-    message = tdm_text(result.tracklets, result.streaks, result.headers, ProductOptions(), oem_name=None)
+    message = tdm_text(result.tracklets, result.members, result.headers, ProductOptions(), oem_name=None)
     assert message.count("META_START") == 1
     assert message.count("MAG =") == N_FRAMES
-    table = streaks_table(result)
+    (table,) = streaks_tables(result)
     assert (table["tracklet_id"] == 0).all()
 
 
@@ -169,7 +169,7 @@ def test_frames_without_attitude_and_stars_keep_their_pixel_products(fields):
     assert len(result.streaks) == N_FRAMES
     assert all(streak.flags & StreakFlag.NO_SKY for streak in result.streaks)
     assert all(np.isfinite(streak.fit.row0) for streak in result.streaks)
-    assert len(streaks_table(result)) == N_FRAMES
+    assert len(next(streaks_tables(result))) == N_FRAMES
 
 
 def test_a_wcs_from_outside_gives_the_same_sky(fields):

@@ -67,7 +67,7 @@ def test_table_and_picture_show_the_period(linked: Linked) -> None:
     """The tracklets table has the period; the picture is a valid document, names it, and repeats byte for byte."""
     streaks, tracklet, headers = bright(linked[0], 0.2, np.random.default_rng(2)), linked[1], linked[2]
     products = GroundProducts(
-        headers=tuple(headers), solutions=(), photometry=(), streaks=tuple(streaks), tracklets=(tracklet,), orbits=()
+        headers=headers, solutions=(), photometry=(), streaks=streaks, tracklets=(tracklet,), members=(streaks,), orbits=()
     )
     table = tracklets_table(products)
     assert table["period_s"][0] == pytest.approx(PERIOD_S, rel=0.03)

@@ -57,15 +57,17 @@ def tracklet(number: int, probability: float = 0.99) -> Tracklet:
 def message(*tracklets: Tracklet) -> str:
     """The message of tracklets, each with a streak and a magnitude in every frame."""
     ends = np.array([[10.0, 10.0], [20.0, 40.0]])
-    streaks = [
-        replace(
-            streak(Camera(), k, k, ends, 0.3, 0.1, StreakFlag(0)),
-            tracklet_id=one.tracklet_id, mag=mag, t_tai_ns=np.full(3, T0_TAI_NS + k * STEP_NS),
-        )
+    members = [
+        [
+            replace(
+                streak(Camera(), k, k, ends, 0.3, 0.1, StreakFlag(0)),
+                tracklet_id=one.tracklet_id, mag=mag, t_tai_ns=np.full(3, T0_TAI_NS + k * STEP_NS),
+            )
+            for k, mag in enumerate(MAGNITUDES)
+        ]
         for one in tracklets
-        for k, mag in enumerate(MAGNITUDES)
     ]  # fmt: skip
-    return tdm_text(tracklets, streaks, headers(), ProductOptions(), oem_name="observer.oem")
+    return tdm_text(tracklets, members, headers(), ProductOptions(), oem_name="observer.oem")
 
 
 def segments(text: str) -> list[list[str]]:
@@ -149,7 +151,7 @@ def test_magnitudes_stand_at_the_middle_of_each_exposure(tmp_path: Path) -> None
     seen = [(plain(row.epoch), float(plain(row.mag))) for row in segment.data.observation if row.mag is not None]
     assert [mag for _, mag in seen] == list(MAGNITUDES)
     assert [epoch for epoch, _ in seen] == [f"2027-01-29T00:00:00.{250 * k:03d}000" for k in range(3)]
-    bare = tdm_text([tracklet(17)], [], headers(), ProductOptions(), oem_name="observer.oem")
+    bare = tdm_text([tracklet(17)], [[]], headers(), ProductOptions(), oem_name="observer.oem")
     assert "MAG =" not in bare
     assert "DATA_TYPES = ANGLE_1,ANGLE_2\n" in bare
 

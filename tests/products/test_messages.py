@@ -89,7 +89,7 @@ def _tai_ns(utc: str) -> float:
 
 def test_tdm_reads_back_with_angles_epochs_and_conventions(tmp_path):
     tracklet = _tracklet()
-    text = tdm_text([tracklet], [], _headers(), ProductOptions(), oem_name="observer.oem")
+    text = tdm_text([tracklet], [[]], _headers(), ProductOptions(), oem_name="observer.oem")
     message = _read(text, tmp_path)
     (segment,) = message.body.segment
     meta = segment.metadata
@@ -129,7 +129,7 @@ def _bias_by_angles(dpsibi, depsbi, dra):
 
 
 def test_each_tracklet_has_its_segment_and_segments_hold_no_blank_line(tmp_path):
-    text = tdm_text([_tracklet(1), _tracklet(2)], [], _headers(), ProductOptions(), oem_name=None)
+    text = tdm_text([_tracklet(1), _tracklet(2)], [[], []], _headers(), ProductOptions(), oem_name=None)
     assert len(_read(text, tmp_path).body.segment) == 2
     for segment in re.findall(r"META_START.*?DATA_STOP", text, flags=re.DOTALL):
         assert "\n\n" not in segment
@@ -137,13 +137,13 @@ def test_each_tracklet_has_its_segment_and_segments_hold_no_blank_line(tmp_path)
 
 
 def test_tdm_without_observer_says_that_aberration_stayed():
-    text = tdm_text([_tracklet()], [], _headers(observed=False), ProductOptions(), oem_name="observer.oem")
+    text = tdm_text([_tracklet()], [[]], _headers(observed=False), ProductOptions(), oem_name="observer.oem")
     assert "geocentric velocity NOT removed" in text
     assert "EPHEMERIS_NAME" not in text
 
 
 def test_creation_date_is_the_last_frame_so_that_bytes_repeat():
-    texts = {tdm_text([_tracklet()], [], _headers(), ProductOptions(), oem_name=None) for _ in range(2)}
+    texts = {tdm_text([_tracklet()], [[]], _headers(), ProductOptions(), oem_name=None) for _ in range(2)}
     assert len(texts) == 1
     assert "CREATION_DATE = 2027-01-2" in texts.pop()
 

@@ -1,0 +1,193 @@
+"""Streaks as rows of numbers: half a kilobyte each, where a record with its arrays takes five times as much."""
+
+from bisect import bisect_right
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from itertools import accumulate
+from typing import Any, Final, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.products import StreakFit, StreakMeasurement, Tracklet
+
+STREAKS_PER_FRAME: Final = 100_000
+"""streak_id = frame * this + number of the streak in its frame."""
+
+FIT_NUMBERS: Final = (
+    "row0", "col0", "row1", "col1", "sigma_cross_px", "flux_e", "flux_err_e", "snr", "sagitta_px", "sagitta_err_px", "gradient",
+    "width_px", "width_err_px", "chi2_nu",
+)  # fmt: skip
+NUMBERS: Final = ("row_mid", "col_mid", "sigma_along_arcsec", "sigma_cross_arcsec", "mag", "mag_err", "probability")
+COUNTS: Final = ("frame", "streak_id", "roi_id", "tracklet_id")
+
+ROW: Final = np.dtype(
+    [
+        ("counts", "i8", len(COUNTS)),
+        ("numbers", "f8", len(NUMBERS)),
+        ("sky_deg", "f8", (2, 3)),
+        ("t_tai_ns", "i8", 3),
+        ("flags", "i8", 2),
+        ("n_pixels", "i8"),
+        ("fit_numbers", "f8", len(FIT_NUMBERS)),
+        ("covariance_px2", "f8", (4, 4)),
+        ("end_interval_px", "f8", (2, 2)),
+        ("period_fraction", "f8"),
+        ("curve_end", "i8"),
+    ]
+)
+"""`sky_deg` : right ascensions, declinations. `flags` : of the measurement, of its fit. `period_fraction` : NaN for none.
+`curve_end` : where the light curve ends among all curves; it begins where the one before ends."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class StreakRows(Sequence[StreakMeasurement]):
+    """Streaks; a record is made when one is asked for. rows : (n,) of `ROW`. curves_e_px : light curves one after the other."""
+
+    rows: NDArray[np.void]
+    curves_e_px: NDArray[np.float32]
+
+    @classmethod
+    def of(cls, streaks: Iterable[StreakMeasurement]) -> "StreakRows":
+        """The rows of records."""
+        made: list[tuple[Any, ...]] = []
+        curves: list[NDArray[np.float32]] = [np.zeros(0, dtype=np.float32)]
+        end = 0
+        for streak in streaks:
+            fit = streak.fit
+            curves.append(fit.light_curve_e_px)
+            end += len(fit.light_curve_e_px)
+            made.append(
+                (
+                    [getattr(streak, name) for name in COUNTS],
+                    [getattr(streak, name) for name in NUMBERS],
+                    (streak.ra_deg, streak.dec_deg),
+                    streak.t_tai_ns,
+                    (int(streak.flags), int(fit.flags)),
+                    fit.n_pixels,
+                    [getattr(fit, name) for name in FIT_NUMBERS],
+                    fit.covariance_px2,
+                    fit.end_interval_px,
+                    np.nan if fit.period_fraction is None else fit.period_fraction,
+                    end,
+                )
+            )
+        rows, joined = np.array(made, dtype=ROW), np.concatenate(curves)
+        for array in (rows, joined):
+            array.flags.writeable = False
+        return cls(rows=rows, curves_e_px=joined)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    @overload
+    def __getitem__(self, at: int) -> StreakMeasurement: ...
+
+    @overload
+    def __getitem__(self, at: slice) -> Sequence[StreakMeasurement]: ...
+
+    def __getitem__(self, at: int | slice) -> StreakMeasurement | Sequence[StreakMeasurement]:
+        if isinstance(at, slice):
+            return [self._record(k) for k in range(len(self.rows))[at]]
+        return self._record(range(len(self.rows))[at])
+
+    def _record(self, k: int) -> StreakMeasurement:
+        row = self.rows[k]
+        flags, fit_flags = row["flags"].tolist()
+        period = float(row["period_fraction"])
+        fit = StreakFit(
+            covariance_px2=row["covariance_px2"],
+            end_interval_px=row["end_interval_px"],
+            n_pixels=int(row["n_pixels"]),
+            flags=StreakFlag(fit_flags),
+            light_curve_e_px=self.curves_e_px[self.rows["curve_end"][k - 1] if k else 0 : row["curve_end"]],
+            period_fraction=None if np.isnan(period) else period,
+            **dict(zip(FIT_NUMBERS, row["fit_numbers"].tolist(), strict=True)),
+        )
+        return StreakMeasurement(
+            fit=fit,
+            ra_deg=row["sky_deg"][0],
+            dec_deg=row["sky_deg"][1],
+            t_tai_ns=row["t_tai_ns"],
+            flags=StreakFlag(flags),
+            **dict(zip(COUNTS, row["counts"].tolist(), strict=True)),
+            **dict(zip(NUMBERS, row["numbers"].tolist(), strict=True)),
+        )
+
+
+class RunStreaks(Sequence[StreakMeasurement]):
+    """Streaks of a run, one frame after the other. counts : of each frame; of_frame : those of the k-th frame."""
+
+    def __init__(self, counts: Iterable[int], of_frame: Callable[[int], Sequence[StreakMeasurement]]) -> None:
+        self._first = list(accumulate(counts, initial=0))
+        self._of_frame = of_frame
+
+    def __len__(self) -> int:
+        return self._first[-1]
+
+    def __iter__(self) -> Iterator[StreakMeasurement]:
+        for k in range(len(self._first) - 1):
+            yield from self._of_frame(k)
+
+    @overload
+    def __getitem__(self, at: int) -> StreakMeasurement: ...
+
+    @overload
+    def __getitem__(self, at: slice) -> Sequence[StreakMeasurement]: ...
+
+    def __getitem__(self, at: int | slice) -> StreakMeasurement | Sequence[StreakMeasurement]:
+        if isinstance(at, slice):
+            return [self[k] for k in range(len(self))[at]]
+        at = range(len(self))[at]
+        frame = bisect_right(self._first, at) - 1
+        return self._of_frame(frame)[at - self._first[frame]]
+
+
+class LinkedStreaks:
+    """The members of all tracklets of a run, and where they belong.
+
+    place : position in the run of each frame number. A streak that two tracklets claim belongs to the later one.
+    """
+
+    def __init__(self, place: Mapping[int, int], n_tracklets: int) -> None:
+        self.place = place
+        self._members = [StreakRows.of(())] * n_tracklets
+        self._sorted: tuple[NDArray[np.int64], NDArray[np.int64]] | None = None
+
+    @property
+    def members(self) -> tuple[StreakRows, ...]:
+        """Of each tracklet, in frame order."""
+        return tuple(self._members)
+
+    def places_of(self, tracklet: Tracklet) -> list[tuple[int, int]]:
+        """Position of the frame and number in it of each member, rising; streaks of unknown frames are left out."""
+        keys = zip(tracklet.frames.tolist(), tracklet.streak_ids.tolist(), strict=True)
+        return sorted((self.place[frame], i - frame * STREAKS_PER_FRAME) for frame, i in keys if frame in self.place)
+
+    def put(self, number: int, members: Iterable[StreakMeasurement]) -> None:
+        """Keep the members of a tracklet."""
+        self._members[number] = StreakRows.of(members)
+        self._sorted = None
+
+    def of_frame(self, k: int) -> dict[int, StreakMeasurement]:
+        """The linked streaks of the k-th frame by their numbers."""
+        keys, owners = self._index()
+        low, high = np.searchsorted(keys, (k * STREAKS_PER_FRAME, (k + 1) * STREAKS_PER_FRAME))
+        found = {}
+        for key, (tracklet, row) in zip(keys[low:high].tolist(), owners[low:high].tolist(), strict=True):
+            found[key - k * STREAKS_PER_FRAME] = self._members[tracklet][row]
+        return found
+
+    def _index(self) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Sorted places (n,) of all members as frame position * STREAKS_PER_FRAME + number; tracklet and row (n, 2) of each."""
+        if self._sorted is None:
+            counts = [rows.rows["counts"] for rows in self._members]
+            frame, streak_id = np.concatenate([np.zeros((0, len(COUNTS)), dtype=np.int64), *counts])[:, :2].T
+            position = np.array([self.place[f] for f in frame.tolist()], dtype=np.int64)
+            keys = streak_id + (position - frame) * STREAKS_PER_FRAME
+            tracklet = np.repeat(np.arange(len(counts)), [len(c) for c in counts])
+            row = np.concatenate([np.zeros(0, dtype=np.int64), *(np.arange(len(c)) for c in counts)])
+            order = np.argsort(keys, kind="stable")
+            self._sorted = keys[order], np.column_stack((tracklet, row))[order]
+        return self._sorted

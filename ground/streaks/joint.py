@@ -19,14 +19,14 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtri
+from scipy.special import ndtr, ndtri
 from scipy.stats import qmc
 
 from ground.streaks import known_width
 from ground.streaks.centre_line import LineFit, effective_width_px, uniform_trail
 from ground.streaks.common_direction import common_turns
 from ground.streaks.end_posterior import EndTables, end_tables, lit_length
-from ground.streaks.end_search import coarse_ends, lit_density
+from ground.streaks.end_search import coarse_ends
 from ground.streaks.fit_record import pixel_covariance
 from ground.streaks.intruders import intruder_mask
 from ground.streaks.trail_fit import CHANGE_POINT_SNR2, OVERLAP_WIDTHS
@@ -45,6 +45,9 @@ EFFECTIVE_SAMPLES: Final = 400.0
 
 LEAST_PIXELS: Final = 20
 """Fewer lit pixels give no brightness."""
+
+LEAST_LIT: Final = 1e-3
+"""Light of a pixel, over that of the brightest, below which it tells nothing of the trail's."""
 
 STUDENT_FREEDOM: Final = 4.0
 """Tails of the proposal: heavier than those of the product of change-point likelihoods."""
@@ -133,7 +136,7 @@ def _evidence(frame: TrackletFrame, turn_rad: float) -> _Evidence | None:
 
 def _tables(frame: TrackletFrame, trail: TrailFrame) -> EndTables | None:
     """`end_tables` along a line near the fit's, with u from the middle of its chord."""
-    near, template, width = _lit_pixels(frame, trail)
+    near, template, width = _lit_pixels(frame, trail, frame.fit.gradient)
     half, density, edges = _segment(frame.fit)
     coarse = coarse_ends(
         near.u, template, near.value_e, near.variance_e2,
@@ -151,8 +154,11 @@ def _segment(fit: StreakFit) -> tuple[float, float, tuple[bool, bool]]:
     return half, fit.flux_e / (2.0 * half), (StreakFlag.EDGE0 in fit.flags, StreakFlag.EDGE1 in fit.flags)
 
 
-def _lit_pixels(frame: TrackletFrame, trail: TrailFrame) -> tuple[TrailPixels, NDArray[np.float64], float]:
-    """Pixels near the fit's line without intruders, electrons per unit density of each when fully lit, width of the profile."""
+def _lit_pixels(frame: TrackletFrame, trail: TrailFrame, gradient: float) -> tuple[TrailPixels, NDArray[np.float64], float]:
+    """Pixels near the fit's line without intruders, electrons per unit density of each when fully lit, width of the profile.
+
+    gradient : of the brightness, relative change from end to end.
+    """
     fit, pixels = frame.fit, frame.pixels
     width = effective_width_px(pixels.psf_sigma_px)
     if abs(fit.width_px - pixels.psf_sigma_px) > 4.0 * fit.width_err_px and fit.width_px > 0.0:
@@ -162,6 +168,7 @@ def _lit_pixels(frame: TrackletFrame, trail: TrailFrame) -> tuple[TrailPixels, N
     parameters = uniform_trail(density, half, edges, width)
     parameters[SAGITTA], parameters[V_MID], parameters[Q1] = fit.sagitta_px, 2.0 / 3.0 * fit.sagitta_px, 0.5 * fit.gradient
     near = _without_intruders(near, parameters, fit, width).near(2.7 * width + abs(fit.sagitta_px))
+    parameters[Q1] = 0.5 * gradient
     return near, profiles(parameters, near.u, near.v, half, trail.angle_rad), width
 
 
@@ -171,14 +178,26 @@ def flux_between(frame: TrackletFrame, shift0: float, shift1: float) -> tuple[fl
     A fit that ended elsewhere held other pixels for lit: its density is not that of the trail.
     """
     fit = frame.fit
-    near, template, _ = _lit_pixels(frame, TrailFrame.of_chord(fit.row0, fit.col0, fit.row1, fit.col1))
-    half, density, _ = _segment(fit)
-    lit = (near.u > shift0 - half) & (near.u < half + shift1)
-    length = 2.0 * half + shift1 - shift0
+    near, template, width = _lit_pixels(frame, TrailFrame.of_chord(fit.row0, fit.col0, fit.row1, fit.col1), gradient=0.0)
+    half, density, edges = _segment(fit)
+    end0, end1 = shift0 - half, half + shift1
+    length = end1 - end0
+    # the PSF spreads each end over its neighbours
+    share0 = 1.0 if edges[0] else ndtr((near.u - end0) / width)
+    share1 = 1.0 if edges[1] else ndtr((end1 - near.u) / width)
+    template = template * np.clip(share0 + share1 - 1.0, 0.0, 1.0)
+    lit = template > LEAST_LIT * template.max(initial=0.0)
     if np.count_nonzero(lit) < LEAST_PIXELS:
         return density * length, fit.flux_err_e * length / (2.0 * half)
-    density, error = lit_density(template[lit], near.value_e[lit], near.variance_e2[lit], density)
-    return density * length, math.hypot(error, density * _width_error(frame)) * length
+    template, value, variance = template[lit], near.value_e[lit], near.variance_e2[lit]
+    # polynomials that add no light between the ends: how the brightness changes along the trail does not touch the flux
+    x = (2.0 * near.u[lit] - end0 - end1) / length
+    shapes = [np.ones_like(x), x, x * x - 1.0 / 3.0] if StreakFlag.VARIABLE in fit.flags else [np.ones_like(x)]
+    columns = template * np.stack(shapes)
+    weighted = columns / (variance + density * template)
+    covariance = np.linalg.pinv(weighted @ columns.T, rcond=1e-9, hermitian=True)
+    found = float(covariance[0] @ (weighted @ value))
+    return found * length, math.hypot(math.sqrt(covariance[0, 0]), found * _width_error(frame)) * length
 
 
 def _without_intruders(pixels: TrailPixels, parameters: NDArray[np.float64], fit: StreakFit, width_px: float) -> TrailPixels:

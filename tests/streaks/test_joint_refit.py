@@ -149,6 +149,24 @@ def test_light_between_other_ends_is_measured_there() -> None:
     assert error < 0.04 * flux
 
 
+@pytest.mark.parametrize("gradient", [0.0, 1.2])
+def test_light_of_a_short_bright_trail_is_whole(gradient: float) -> None:
+    """The PSF spreads both ends of 20 px over 4 % of the light, and a fit that ended early has the wrong gradient."""
+    rng = np.random.default_rng(79)
+    errors = []
+    for _ in range(16):
+        shot = expose(rng, trail_at(rng, 20.0, angle_rad=0.4, gradient=gradient), 200.0)
+        fit = TrailedPsfFitter().fit(shot.pixels, shot.detection)
+        frame = TrackletFrame(
+            pixels=shot.pixels, fit=fit, along0=0.0, along1=20.0, along_per_px=1.0,
+            t_open_s=0.0, t_close_s=EXPOSURE_S, line_time_s=0.0,
+        )  # fmt: skip
+        ends = along_errors(shot.trail, fit)
+        flux, error = flux_between(frame, -float(ends[0]), -float(ends[1]))
+        errors.append((flux - shot.trail.flux_e) / error)
+    assert abs(np.mean(errors)) < 1.0
+
+
 def test_frames_without_ends_come_back_as_they_went() -> None:
     """Edge-to-edge trails and failed fits say nothing; too few ends change nothing."""
     frames, _ = tracklet(np.random.default_rng(23), 80.0, 20.0, 3, 0.0)

@@ -20,11 +20,21 @@ SPIKE_SNR: Final = 5000.0
 SPIKE_REACH_PX: Final = 60.0
 """A spike or a bleeding column begins no farther outside the mask of its star ..."""
 
-SPIKE_LENGTH_PX: Final = 200.0
-"""... opposite arms, joined across the star, reach no farther ..."""
+ARM_PX: Final = 200.0
+ARM_SNR: Final = 50_000.0
+MOST_ARM_PX: Final = 300.0
+"""... opposite arms, joined across the star, reach no farther, growing as the root of S/N / ARM_SNR up to the most, to which
+saturated stars are held at once ..."""
+
+ARM_SHARE: Final = 0.09
+"""... and the shorter one has so much of the length ..."""
 
 SPIKE_ACROSS_PX: Final = 2.0
-"""... and its line passes the centre as close as this, its own uncertainty added."""
+"""... and its line passes the centre as close as this, its own uncertainty added ..."""
+
+COLUMN_ACROSS_PX: Final = 6.0
+COLUMN_SLOPE: Final = 0.1
+"""... or as this along the columns of a saturated star: several bleed side by side, and which ones do hangs on its place."""
 
 
 def with_context(detection: Detection, view: DetectorView, is_star: NDArray[np.bool_], halo_px: float) -> Detection:
@@ -53,13 +63,16 @@ def with_context(detection: Detection, view: DetectorView, is_star: NDArray[np.b
         flags |= StreakFlag.CROSSES_STAR
     beyond = np.maximum(-along, along - length)
     across = np.abs(d_row * u_col - d_col * u_row)
-    bright = ((stars.flags[near] & StarFlag.SATURATED) != 0) | (stars.snr[near] > SPIKE_SNR)
+    full = (stars.flags[near] & StarFlag.SATURATED) != 0
+    bright = full | (stars.snr[near] > SPIKE_SNR)
     if length > 0.0:
         # three sigma of a fitted line at a distance: its angle is known to sqrt(24) s / (S L)
         turn = 3.0 * math.sqrt(24.0) * view.psf_sigma_px / (detection.snr * length)
-        aims = across < SPIKE_ACROSS_PX + turn * np.maximum(0.0, beyond + 0.5 * length)
+        least = np.where(full & (abs(u_col) < COLUMN_SLOPE), COLUMN_ACROSS_PX, SPIKE_ACROSS_PX)
+        aims = across < least + turn * np.maximum(0.0, beyond + 0.5 * length)
         begins = (beyond > 0.0) & (beyond < reach[near])
-        both_arms = (np.abs(along / length - 0.5) < 0.25) & (length < 2.0 * (radii[near] + SPIKE_LENGTH_PX))
+        arm = radii[near] + np.where(full, MOST_ARM_PX, np.minimum(MOST_ARM_PX, ARM_PX * np.sqrt(stars.snr[near] / ARM_SNR)))
+        both_arms = (beyond <= -ARM_SHARE * length) & (np.maximum(along, length - along) < arm)
         if (bright & aims & (begins | both_arms)).any():
             flags |= StreakFlag.SPIKE_LIKE
     return replace(detection, flags=flags)

@@ -12,7 +12,19 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.detect import context, dyadic, fragments, point_movers, registration, resolve, sharpness, static_sky, strip, whiten
+from onboard.detect import (
+    context,
+    dyadic,
+    fragments,
+    halos,
+    point_movers,
+    registration,
+    resolve,
+    sharpness,
+    static_sky,
+    strip,
+    whiten,
+)
 from onboard.detect.kept_frame import KeptFrame, kept
 from onboard.detect.star_removal import POINT_CLIP_SIGMA, TILE_PX, WorkingImages, snr_before, working_images
 from onboard.nearest import nearest
@@ -186,6 +198,7 @@ def moved(
         )
         if math.isnan(before):
             continue
+        before -= halos.subtracted_snr(images.halos, places, images.blocked, resolve.FOUND_BIT, ends, psf_sigma_px)
         if before > 0.8 * detection.snr:
             return False
         if detection.length_px < GATHERING_PX and _snr_beyond(detection.snr, before) < wanted:
@@ -295,7 +308,7 @@ class LineIntegralDetector:
     halo_px: float = field(
         default=1.0,
         metadata={
-            "doc": "star mask growth per sqrt(S/N / 100), slower beyond 5000 with an earlier frame",
+            "doc": "star mask growth per sqrt(S/N / 100) up to S/N 1000; halos of brighter stars are measured",
             "min": 0.0,
             "max": 20.0,
         },

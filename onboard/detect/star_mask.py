@@ -26,15 +26,6 @@ FAINT_SNR: Final = 12.0
 MARGIN_PX: Final = 0.3
 """Added to the radius at which a star falls to 0.4 sigma of a pixel."""
 
-HALO_ALONE: Final = 0.5
-"""Growth of a halo's radius with S/N: aureoles fall as r^-2 to r^-3 (King 1971, PASP 83, 199), so S^(1/2) covers them all ..."""
-
-HALO_WITH_EARLIER: Final = 1.0 / 3.0
-"""... and S^(1/3) covers the steep part; the rest is held against the earlier frame instead of being lost to trails."""
-
-STEEP_HALO: Final = 2.0
-"""Growth per (S/N)^(1/3) over that per its root: 2 % of the light falling as r^-3 from 3 px are then masked down to 0.4 sigma."""
-
 
 def by_row(row: NDArray[np.float64]) -> NDArray[np.intp]:
     """The order in which neighbouring stars share what is in the cache."""
@@ -118,11 +109,9 @@ def trail_pieces(
     return out
 
 
-def mask_radii_px(
-    snr: NDArray[np.float32], psf_sigma_px: float, halo_px: float, *, power: float = HALO_ALONE
-) -> NDArray[np.float64]:
-    """Radius at which a Gaussian star of matched-filter S/N `snr` falls to 0.4 sigma of a pixel, plus a halo ~ snr^power."""
+def mask_radii_px(snr: NDArray[np.float32], psf_sigma_px: float, halo_px: float | NDArray[np.float64]) -> NDArray[np.float64]:
+    """Radius at which a Gaussian star of matched-filter S/N `snr` falls to 0.4 sigma of a pixel, plus a halo ~ sqrt(snr)."""
     signal = np.maximum(np.asarray(snr, np.float64), 1.0)
     peak = signal / (2.0 * math.sqrt(math.pi) * psf_sigma_px)
     core = psf_sigma_px * np.sqrt(2.0 * np.log(np.maximum(peak / 0.4, 1.65)))
-    return core + MARGIN_PX + halo_px * np.maximum(0.0, (signal / 100.0) ** power - 1.0)
+    return core + MARGIN_PX + halo_px * np.maximum(0.0, np.sqrt(signal / 100.0) - 1.0)

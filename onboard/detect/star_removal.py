@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.detect import point_movers, star_mask, static_sky, whiten
+from onboard.detect import halos, point_movers, star_mask, static_sky, whiten
 from onboard.detect.kept_frame import quantised
 from sboc_e2e.icd.signals import DetectorView
 
@@ -36,6 +36,9 @@ star from noise in the earlier frame."""
 COUNTS_SLOPE: Final = 0.9
 """Stars above S/N S are as many as S to minus this."""
 
+CLIPPED_RADIUS_PX: Final = 2.0
+"""Mask about pixels where both smoothed frames are at their clip: blends, the bright part of spikes, tails of columns."""
+
 HIT_RADIUS_PX: Final = 2.5
 """Mask of a particle hit."""
 
@@ -55,6 +58,7 @@ class WorkingImages:
     level: NDArray[np.float32]
     stars: NDArray[np.bool_]
     subtracted: NDArray[np.float64]
+    halos: halos.Halos
     new: NDArray[np.int64]
     sharp: NDArray[np.bool_]
 
@@ -89,14 +93,24 @@ def remove_stars_alone(
         stars.snr,
         psf_sigma_px,
     )
-    radii = star_mask.mask_radii_px(stars.snr[~pieces], psf_sigma_px, halo_px)
-    whiten.blank_discs(image, blocked, stars.row[~pieces], stars.col[~pieces], radii)
+    mask_stars(view, star_mask.by_row(stars.row)[~pieces[star_mask.by_row(stars.row)]], image, blocked, halo_px)
     return ~pieces
+
+
+def mask_stars(
+    view: DetectorView, chosen: NDArray[np.intp], image: NDArray[np.int8], blocked: NDArray[np.uint8], halo_px: float
+) -> halos.Halos:
+    """Mask some of the listed stars, those from `halos.HALO_SNR` on with their halos as they are measured; in place."""
+    snr, sigma_e = view.stars.snr[chosen], float(np.median(view.background.sigma_adu)) * (view.header.gain_e_adu or 1.0)
+    bright = snr >= halos.HALO_SNR
+    radii = star_mask.mask_radii_px(snr, view.psf_sigma_px, np.where(bright, 0.0, halo_px))
+    whiten.blank_discs(image, blocked, view.stars.row[chosen], view.stars.col[chosen], radii)
+    return halos.take_out(image, blocked, view.stars, chosen[bright], radii[bright], sigma_e)
 
 
 def remove_static_stars(
     view: DetectorView, earlier: static_sky.EarlierFrame, image: NDArray[np.int8], blocked: NDArray[np.uint8], halo_px: float
-) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.float64]]:
+) -> tuple[NDArray[np.int64], NDArray[np.bool_], NDArray[np.float64], halos.Halos]:
     """Mask bright stars and subtract faint ones that the earlier frame shows too, listed or not; in place.
 
     List entries that were not there are pieces of trails, movers or particle hits and stay in the image, except hits
@@ -111,20 +125,17 @@ def remove_static_stars(
     is_faint = static & (stars.snr < SUBTRACT_SNR) & (before < 1.5 * SUBTRACT_SNR)
     order = star_mask.by_row(stars.row)
     faint, bright = order[is_faint[order]], order[(static & ~is_faint)[order]]
-    radii = star_mask.mask_radii_px(
-        stars.snr[bright], psf_sigma_px, star_mask.STEEP_HALO * halo_px, power=star_mask.HALO_WITH_EARLIER
-    )
-    whiten.blank_discs(image, blocked, stars.row[bright], stars.col[bright], radii)
+    light = mask_stars(view, bright, image, blocked, halo_px)
     static_sky.subtract_stars(image, blocked, stars.row[faint], stars.col[faint], before[faint], psf_sigma_px)
     new = np.flatnonzero(~static)
     sharp = point_movers.sharper_than_psf(view.residual_adu, sigma, tile_px, stars.row[new], stars.col[new], stars.snr[new])
     hits = new[sharp]
     whiten.blank_discs(image, blocked, stars.row[hits], stars.col[hits], np.full(len(hits), HIT_RADIUS_PX))
     bright_per_px = float(np.count_nonzero(stars.snr[static] > SUBTRACT_SNR)) / image.size
-    places = unlisted_stars(image, earlier, bright_per_px, psf_sigma_px)
+    places = unlisted_stars(image, blocked, earlier, bright_per_px, psf_sigma_px)
     static_sky.subtract_stars(image, blocked, places[:, 0], places[:, 1], places[:, 2], psf_sigma_px)
     listed = np.column_stack([stars.row[faint], stars.col[faint], before[faint]])
-    return new, sharp, np.concatenate([listed, places])
+    return new, sharp, np.concatenate([listed, places]), light
 
 
 def star_light(
@@ -152,7 +163,11 @@ def star_light(
 
 
 def unlisted_stars(
-    image: NDArray[np.int8], earlier: static_sky.EarlierFrame, bright_per_px: float, psf_sigma_px: float
+    image: NDArray[np.int8],
+    blocked: NDArray[np.uint8],
+    earlier: static_sky.EarlierFrame,
+    bright_per_px: float,
+    psf_sigma_px: float,
 ) -> NDArray[np.float64]:
     """Stars too faint for the list that the earlier frame shows too, (n, 3): row, col, S/N to subtract.
 
@@ -178,11 +193,15 @@ def unlisted_stars(
             earlier.transform,
             STATIC_EACH,
             STATIC_BOTH,
+            round(POINT_CLIP_SIGMA * whiten.UNIT),
             TILE_PX,
             places,
             found,
         )
     row, col, now, then = places[:found].T
+    clipped = now + then >= 2.0 * POINT_CLIP_SIGMA
+    whiten.blank_discs(image, blocked, row[clipped], col[clipped], np.full(int(clipped.sum()), CLIPPED_RADIUS_PX))
+    row, col, now, then = places[:found][~clipped].T
     return np.column_stack([row, col, star_light(now, then, bright_per_px, psf_sigma_px)])
 
 
@@ -192,10 +211,13 @@ def working_images(view: DetectorView, earlier: static_sky.EarlierFrame | None, 
     blocked = whiten.unusable(view.mask)
     new, sharp = np.zeros(0, np.int64), np.zeros(0, np.bool_)
     is_star, subtracted = np.ones(len(view.stars), np.bool_), np.zeros((0, 3))
+    light = halos.none()
     if earlier is not None:
-        new, sharp, subtracted = remove_static_stars(view, earlier, image, blocked, halo_px)
+        new, sharp, subtracted, light = remove_static_stars(view, earlier, image, blocked, halo_px)
         is_star[new] = False
     elif len(view.stars):
         is_star = remove_stars_alone(view, image, blocked, halo_px)
     level = whiten.local_level(image, blocked, TILE_PX)
-    return WorkingImages(image=image, blocked=blocked, level=level, stars=is_star, subtracted=subtracted, new=new, sharp=sharp)
+    return WorkingImages(
+        image=image, blocked=blocked, level=level, stars=is_star, subtracted=subtracted, halos=light, new=new, sharp=sharp
+    )

@@ -20,6 +20,9 @@ from sboc_e2e.icd.signals import DetectorView
 EDGE_PX: Final = 3.0
 """Closer to the edge of the earlier frame a star is not measured there."""
 
+CLIP_SIGMA: Final = BEYOND / UNIT
+"""Clip of the image that trails are found on; a pixel at the end of a bled column, brighter then than now, tells nothing more."""
+
 IDENTITY: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
@@ -91,7 +94,7 @@ def point_snr_before(
 
 
 @nb.njit(cache=True)
-def _lit_pixels(
+def lit_pixels(
     blocked: NDArray[np.uint8], ignored: int, ends: NDArray[np.float64], psf_sigma_px: float
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float64]]:
     """Rows, columns and profile (n,) of the pixels within 3 sigma of a segment (row0, col0, row1, col1).
@@ -141,7 +144,7 @@ def segment_snr(
     background left over, sigma/16.
     """
     signal = power = total = 0.0
-    at_row, at_col, profile = _lit_pixels(blocked, ignored, ends, psf_sigma_px)
+    at_row, at_col, profile = lit_pixels(blocked, ignored, ends, psf_sigma_px)
     for k in range(profile.size):
         i, j, g = at_row[k], at_col[k], profile[k]
         total += g * g
@@ -170,7 +173,7 @@ def segment_snr_before(
     """
     rows, cols = pixels[0].shape
     signal = power = total = 0.0
-    at_row, at_col, profile = _lit_pixels(blocked, ignored, ends, psf_sigma_px)
+    at_row, at_col, profile = lit_pixels(blocked, ignored, ends, psf_sigma_px)
     for k in range(profile.size):
         i, j, g = at_row[k], at_col[k], profile[k]
         total += g * g
@@ -179,6 +182,7 @@ def segment_snr_before(
         if 0 <= r < rows and 0 <= c < cols:
             value = in_sigmas(pixels, r, c)
             if not math.isnan(value):
+                value = min(value, CLIP_SIGMA)
                 signal += g * (value - level[i // level_tile_px, j // level_tile_px] / 16.0)
                 power += g * g
     return signal / math.sqrt(power) if power > 0.5 * total and power > 0.0 else math.nan
@@ -242,6 +246,7 @@ def faint_static_stars(
     transform: NDArray[np.float64],
     each: int,
     both: int,
+    clip: int,
     tile_px: int,
     places: NDArray[np.float64],
     found: int,
@@ -273,7 +278,9 @@ def faint_static_stars(
                 peak = True
                 for di in range(-1, 2):
                     for dj in range(-1, 2):
-                        if np.int32(now[i + di, j + dj]) + np.int32(then[m + di, j + d_col + dj]) > a + b:
+                        beside = np.int32(now[i + di, j + dj]) + np.int32(then[m + di, j + d_col + dj])
+                        # of equal neighbours the first one, unless both frames are at their clip: all of that plain counts
+                        if beside > a + b or (beside == a + b < 2 * clip and (di < 0 or (di == 0 and dj < 0))):
                             peak = False
                 if peak and found < places.shape[0]:
                     places[found, 0], places[found, 1] = row, j

@@ -1,0 +1,38 @@
+"""What the earlier frame shows counts once, and a pixel of it no more than the clip of the image that trails are found on."""
+
+import numpy as np
+import pytest
+
+from onboard.detect import static_sky
+
+SIZE = 64
+CLIP = 120
+
+
+@pytest.mark.parametrize(("level", "expected"), [(CLIP - 20, 1), (CLIP, 12)])
+def test_of_equal_neighbours_one_is_a_star_unless_they_are_clipped(level: int, expected: int) -> None:
+    frame = np.zeros((SIZE, SIZE), np.int8)
+    frame[30:33, 20:24] = level
+    places = np.empty((100, 4))
+    found = static_sky.faint_static_stars(frame, frame, 0, 0, 0, SIZE, static_sky.IDENTITY, 32, 86, CLIP, SIZE, places, 0)
+    assert found == expected
+    assert (places[:found, 2:] == level / 16.0).all()
+
+
+def test_one_pixel_of_the_earlier_frame_is_not_a_trail() -> None:
+    """The end of a bled column differs from frame to frame: 5,000 sigma then, nothing now."""
+    codes, first = np.zeros((SIZE, SIZE), np.int8), np.zeros(SIZE + 1, np.int64)
+    codes[32, 32] = 127
+    first[33:] = 1
+    pixels = (codes, first, np.array([32], np.int32), np.array([5000.0], np.float32))
+    before = static_sky.segment_snr_before(
+        pixels,
+        static_sky.IDENTITY,
+        np.zeros((SIZE, SIZE), np.uint8),
+        0,
+        np.zeros((1, 1), np.float32),
+        SIZE,
+        np.array([32.0, 7.0, 32.0, 57.0]),
+        0.85,
+    )
+    assert 0.5 < before < 1.0

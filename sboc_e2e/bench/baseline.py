@@ -2,7 +2,8 @@
 
 A figure is kept with the standard deviation of its measured noise (its 90 % interval as a normal's). It has regressed when it
 is worse by more than four standard deviations of baseline and measurement together, and by more than a floor. Figures without
-a measured noise are reported and not judged; timings and memory have a fixed tolerance. Biases are judged by their size.
+a measured noise are reported and not judged; timings and memory have a fixed tolerance. Biases are judged by their size, pulls
+and coverages by their distance from what they should be.
 Timings are compared in units of the part's yardstick: a baseline made on a fast machine serves on a slow one.
 """
 
@@ -14,7 +15,7 @@ from types import MappingProxyType
 from typing import Any, Final
 
 from sboc_e2e.bench import yardstick
-from sboc_e2e.bench.entries import EITHER, LOWER, TIMES, Entry
+from sboc_e2e.bench.entries import AIMED, EITHER, HIGHER, TIMES, Entry
 from sboc_e2e.files.atomic import write_text
 from sboc_e2e.icd.errors import UserError
 
@@ -92,10 +93,10 @@ def regressions(entries: Iterable[Entry], baseline: dict[str, dict[str, float]])
             continue
         scale = slower.get(_part(e.name), 1.0) ** MACHINE_POWER.get(e.unit, 0)
         signed, sigma = scale * float(before["value"]), scale * float(before["sigma"])
-        value, now = (abs(signed), abs(e.value)) if "bias" in e.name else (signed, e.value)
+        value, now = (abs(signed - e.aim), abs(e.value - e.aim)) if e.better == AIMED else (signed, e.value)
         share = MACHINE_SHARE.get(e.unit, FLOOR_SHARE)
         allowed = max(SIGMAS * (e.sigma**2 + sigma**2) ** 0.5, share * value, 1e-9)
-        worse = now - value if e.better == LOWER else value - now
+        worse = value - now if e.better == HIGHER else now - value
         if worse > allowed:
             out.append(Regression(name=e.name, before=signed, now=e.value, allowed=allowed))
     return out

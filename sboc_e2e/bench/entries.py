@@ -9,6 +9,7 @@ from sboc_e2e.report.words import is_figure
 HIGHER: Final = "higher"
 LOWER: Final = "lower"
 EITHER: Final = "either"
+AIMED: Final = "aimed"
 
 DIRECTIONS: Final = (
     ("*cold_cpu_s", EITHER),  # with compilation, where a kernel is compiled for the first time
@@ -27,7 +28,10 @@ DIRECTIONS: Final = (
     ("*snr50*", LOWER),
     ("*_ratio*", LOWER),
     ("*rms*", LOWER),
-    ("*bias*", LOWER),
+    ("*bias*", AIMED),
+    ("*pull_std*", AIMED),
+    ("*coverage_68*", AIMED),
+    ("*coverage_90*", AIMED),
     ("*error*", LOWER),
     ("*trivial*", LOWER),
     ("*veto_loss*", LOWER),
@@ -39,6 +43,9 @@ DIRECTIONS: Final = (
     ("*_ms*", LOWER),
 )
 """First pattern that fits a figure's name decides; anything else is reported and not judged."""
+
+AIMS: Final = (("*bias*", 0.0), ("*pull_std*", 1.0), ("*coverage_68*", 0.6827), ("*coverage_90*", 0.9))
+"""What figures that may miss to either side should be: of them the distance from there is judged."""
 
 TIMES: Final = "x"
 """Unit of a ratio of two timings of the same run."""
@@ -67,6 +74,11 @@ class Entry:
     def better(self) -> str:
         """Which way is better."""
         return next((way for pattern, way in DIRECTIONS if fnmatch(self.name, pattern)), EITHER)
+
+    @property
+    def aim(self) -> float:
+        """What the figure should be where it may miss to either side, else 0."""
+        return next((aim for pattern, aim in AIMS if fnmatch(self.name, pattern)), 0.0)
 
     @property
     def unit(self) -> str:

@@ -80,6 +80,20 @@ def test_a_bias_is_judged_by_its_size(tmp_path: Path) -> None:
     assert [r.name for r in regressions([entry("x.bias_mag", -0.2, 0.01)], read_baseline(path))] == ["x.bias_mag"]
 
 
+@pytest.mark.parametrize(
+    ("name", "good", "bad"),
+    [("pull_std", 0.98, (0.7, 1.3)), ("coverage_68", 0.68, (0.5, 0.85)), ("coverage_90.range", 0.9, (0.8, 0.99))],
+)
+def test_calibration_is_judged_by_its_distance_from_what_it_should_be(
+    tmp_path: Path, name: str, good: float, bad: tuple[float, float]
+) -> None:
+    path = tmp_path / "baseline.json"
+    write_baseline(path, [entry(f"x.{name}", good, 0.01)])
+    assert regressions([entry(f"x.{name}", good + 0.01, 0.01)], read_baseline(path)) == []
+    for value in bad:
+        assert [r.name for r in regressions([entry(f"x.{name}", value, 0.01)], read_baseline(path))] == [f"x.{name}"]
+
+
 def test_timings_are_compared_in_units_of_the_yardstick(tmp_path: Path) -> None:
     """On a machine of half the speed twice the CPU seconds are no regression, and the same seconds hide one of a factor two."""
     path = tmp_path / "baseline.json"

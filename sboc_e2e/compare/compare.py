@@ -21,6 +21,7 @@ from sboc_e2e.icd.signals import Detection
 from sboc_e2e.registry import SEAMS, Registry
 from sboc_e2e.report import pictures
 from sboc_e2e.run.begin import begin_or_continue
+from sboc_e2e.run.ground_stage import require_files
 from sboc_e2e.run.manifest import versions
 from sboc_e2e.run.pipeline import KEEP_KEY, Run
 from sboc_e2e.run.progress import Progress, Silent
@@ -118,20 +119,24 @@ class Workspace:
 def compare(request: Request, out: Path, registry: Registry | None = None, progress: Progress | None = None) -> dict[str, Any]:
     """Compare and write compare.json, compare.md and compare.html into `out`; returns what compare.json holds.
 
-    Raises UserError for an unknown seam or step, or fewer than two choices.
+    Raises UserError for an unknown seam or step, or fewer than two choices, before anything is simulated or written.
     """
     if request.seam not in SEAMS:
         raise UserError(f'--seam: there is no seam "{request.seam}"; allowed are {", ".join(SEAMS)}')
-    if len(set(request.choices)) < 2:
-        raise UserError("--use: give two or more different choices to compare")
+    if len(request.choices) < 2 or len(set(request.choices)) < len(request.choices):
+        raise UserError("--use: give two or more choices to compare, each of them once")
     if request.seeds < 1:
         raise UserError(f"--seeds: expected 1 or more, got {request.seeds}")
     workspace = Workspace(out, request, registry or Registry(), progress or Silent())
     base_seed = workspace.scenario(None, None).seed
+    # All of them before the first runs: a misspelt choice costs no simulation.
+    scenarios = {(k, name): workspace.scenario(name, base_seed + k) for k in range(request.seeds) for name in request.choices}
+    for scenario in scenarios.values():
+        require_files(scenario.ground)
     runs: dict[str, list[tuple[Run, Evaluation]]] = {name: [] for name in request.choices}
     for k in range(request.seeds):
         for name in request.choices:
-            made = workspace.choice(workspace.scenario(name, base_seed + k))
+            made = workspace.choice(scenarios[k, name])
             runs[name].append((made, evaluate(made.directory.path)))
     onboard = request.seam.startswith("onboard.")
     outcomes = _outcomes({name: [e for _, e in pairs] for name, pairs in runs.items()}, onboard)

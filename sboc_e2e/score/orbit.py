@@ -10,7 +10,7 @@ from astropy.table import Table
 from sboc_e2e.score.figures import absent, bootstrap, proportion
 
 TRIVIAL_RANGE_SHARE: Final = 0.05
-"""A range below this share of the true one has collapsed onto the observer's own orbit."""
+"""An interval of ranges wholly below this share of the true one has collapsed onto the observer's own orbit."""
 
 
 def orbit(orbits: Table, owner: Mapping[int, int], truth_streaks: Table, objects: Table) -> dict[str, Any]:
@@ -34,7 +34,7 @@ def orbit(orbits: Table, owner: Mapping[int, int], truth_streaks: Table, objects
         altitude.append(abs(float(o["a_km"]) - float(truth["a_km"])))
         inclination.append(abs(float(o["i_deg"]) - float(truth["i_deg"])))
         covered += bool(o["range_low_km"] <= true_km <= o["range_high_km"])
-        trivial += bool(o["range_km"] < TRIVIAL_RANGE_SHARE * true_km)
+        trivial += bool(o["range_high_km"] < TRIVIAL_RANGE_SHARE * true_km)
     n = len(relative)
     if n == 0:
         none = absent("no orbit of a true object")

@@ -78,6 +78,10 @@ class Scenario:
 
 
 SEGMENT_OPTIONS: Final[dict[str, type]] = {"onboard": OnboardOptions, "ground": GroundOptions}
+SEGMENT_SEAMS: Final = {
+    segment: tuple(seam.partition(".")[2] for seam in SEAMS if seam.startswith(f"{segment}.")) for segment in SEGMENT_OPTIONS
+}
+"""Keys of component tables by segment; they are read before the model of the segment's options."""
 
 
 @cache
@@ -175,7 +179,7 @@ def from_document(
         key: dict(value) if key in SEGMENT_OPTIONS and isinstance(value, Mapping) else value for key, value in document.items()
     }
     components = {seam: _component(seam, _taken(tables, seam, where), registry, where, typed) for seam in SEAMS}
-    model: Any = option_models.validate(scenario_model(), tables, where)
+    model: Any = option_models.validate(scenario_model(), tables, where, also=SEGMENT_SEAMS)
     harness: HarnessOptions = option_models.build(HarnessOptions, model, where)
     segments = {
         segment: option_models.build(options, given, f"{where}: {segment}")

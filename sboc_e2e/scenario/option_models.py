@@ -118,12 +118,17 @@ def to_document(instance: Any) -> dict[str, Any]:
     return table
 
 
-def validate(model: type[BaseModel], table: Mapping[str, Any], where: str) -> BaseModel:
-    """Validated model, or a `UserError` of one line that names the key, what was expected and what came."""
+def validate(
+    model: type[BaseModel], table: Mapping[str, Any], where: str, also: Mapping[str, tuple[str, ...]] = types.MappingProxyType({})
+) -> BaseModel:
+    """Validated model, or a `UserError` of one line that names the key, what was expected and what came.
+
+    also : keys of nested tables that are allowed though the model does not have them, for the list of what is known.
+    """
     try:
         return model.model_validate(table)
     except ValidationError as error:
-        raise UserError(_one_line(error, model, where)) from error
+        raise UserError(_one_line(error, model, where, also)) from error
     except RecursionError as error:
         raise UserError(f"{where}: nested too deeply") from error
 
@@ -272,14 +277,14 @@ def _document_value(value: Any, unit: str | None) -> Any:
     return value
 
 
-def _one_line(error: ValidationError, model: type[BaseModel], where: str) -> str:
+def _one_line(error: ValidationError, model: type[BaseModel], where: str, also: Mapping[str, tuple[str, ...]]) -> str:
     """The first complaint of pydantic in this project's words."""
     first = error.errors(include_url=False)[0]
     path = ".".join(str(part) for part in first["loc"])
     if first["type"] == "extra_forbidden":
         *parents, key = first["loc"]
-        known = _keys_at(model, parents)
         table = ".".join(str(part) for part in parents)
+        known = [*also.get(table, ()), *_keys_at(model, parents)]
         return f'{where}: unknown key "{key}"{f" in [{table}]" if table else ""}; {did_you_mean(str(key), known)}'
     if first["type"] == "missing":
         return f"{where}: {path} is missing"

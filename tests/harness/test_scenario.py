@@ -75,6 +75,8 @@ def test_own_keys_win_over_a_preset_and_overrides_over_both(tmp_path: Path) -> N
         ('[instrument]\npreset = "../../etc/passwd"', ("there is no preset",)),
         ('[onboard.detector]\nuse = "nonsuch"', ('no step is called "nonsuch"', "line_integral", "lsd")),
         ('[onboard.detector]\nuse = "lsd"\nn_sgma = 3', ('[onboard.detector] use = "lsd"', 'unknown key "n_sgma"')),
+        ("[onboard]\ndetecter = 3", ('unknown key "detecter" in [onboard]', 'did you mean "detector"?', "star_extractor", "roi")),
+        ("[ground.linkr]\nuse = 3", ('unknown key "linkr" in [ground]', 'did you mean "linker"?')),
         ("[onboard]\ndetector = 3", ("onboard.detector: expected a table",)),
         ("[onboard.detector]\nuse = 3", ("onboard.detector.use: expected the name of a step",)),
         ("a = [", ("not valid TOML",)),

@@ -1,6 +1,6 @@
 """Detectors of moving objects: `line_integral` (the default) and published methods beside it, behind one Protocol.
 
-Each loads when it is asked for: OpenCV and sep take 20 MB of memory that the default detector does not need.
+Each loads when it is asked for: OpenCV takes 20 MB of memory that most do not need.
 """
 
 from importlib import import_module

@@ -29,7 +29,7 @@ MARGIN_PX: Final = 0.3
 
 def by_row(row: NDArray[np.float64]) -> NDArray[np.intp]:
     """The order in which neighbouring stars share what is in the cache."""
-    return np.argsort(row, kind="stable")
+    return np.argsort(np.clip(row, 0.0, 65535.0).astype(np.uint16), kind="stable")  # of 16 bits, counted instead of compared
 
 
 @nb.njit(cache=True)

@@ -10,7 +10,6 @@ from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ground.astrometry.header_wcs import identify_by_header
 from ground.guard import all_of, fault, guarded, probabilities_of
@@ -19,7 +18,7 @@ from ground.link import apply_links
 from ground.on_demand import OnDemand
 from ground.options import GroundOptions
 from ground.photometry.known_stars import FrameLight, frame_light
-from ground.photometry.magnitude import streak_magnitude
+from ground.photometry.magnitude import mean_magnitude, streak_magnitude
 from ground.photometry.psf_width import in_frame, with_star_list
 from ground.photometry.sky_memory import filtered_sky
 from ground.photometry.star_memory import with_hidden_stars
@@ -29,6 +28,7 @@ from ground.records import FrameProducts, GroundProducts, GroundState
 from ground.refit import refit_streaks
 from ground.sky.measure import initial_epochs_ns, middle_of, with_sky
 from ground.sky.pixel_sky import HeaderSky, PixelSky, SolvedSky
+from ground.sky.sphere import unit_vectors
 from ground.streak_rows import STREAKS_PER_FRAME, LinkedStreaks, RunStreaks, StreakRows
 from ground.streaks.psf_field import PsfField
 from ground.vetting.repeated import repeated
@@ -405,17 +405,12 @@ def _crossing_s(streak: StreakMeasurement, rate_deg_s: float) -> float | None:
     """Time from end 0 to end 1 at the tracklet's rate."""
     if not rate_deg_s > 0.0 or streak.flags & StreakFlag.NO_SKY:
         return None
-    ra, dec = np.radians(streak.ra_deg), np.radians(streak.dec_deg)
-    ends = np.stack((np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)), axis=1)
+    ends = unit_vectors(np.radians(streak.ra_deg), np.radians(streak.dec_deg))
     chord = float(np.linalg.norm(ends[2] - ends[0]))
     return float(np.degrees(2.0 * np.arcsin(min(0.5 * chord, 1.0)))) / rate_deg_s
 
 
 def _with_magnitude(tracklet: Tracklet, members: Sequence[StreakMeasurement]) -> Tracklet:
     """The tracklet with the weighted mean of its members' final magnitudes."""
-    known: list[tuple[float, float]] = [(s.mag, s.mag_err) for s in members if np.isfinite(s.mag) and s.mag_err > 0.0]
-    if not known:
-        return replace(tracklet, mag=float("nan"), mag_err=float("nan"))
-    mag, err = np.array(known).T
-    weight: NDArray[np.float64] = 1.0 / err**2
-    return replace(tracklet, mag=float((mag * weight).sum() / weight.sum()), mag_err=float(1.0 / np.sqrt(weight.sum())))
+    mag, mag_err = mean_magnitude(np.array([s.mag for s in members]), np.array([s.mag_err for s in members]))
+    return replace(tracklet, mag=mag, mag_err=mag_err)

@@ -5,9 +5,8 @@ from dataclasses import dataclass, field
 
 @dataclass(frozen=True, kw_only=True)
 class PhotometryOptions:
-    """Streak magnitudes and sizes."""
+    """Light of streaks."""
 
-    albedo: float = field(default=0.175, metadata={"doc": "albedo for which sizes are given", "min": 0.001, "max": 1.0})
     star_model_error: float = field(
         default=0.05,
         metadata={"doc": "relative error of the PSF with which stars are taken out of streak pixels", "min": 0.0, "max": 1.0},
@@ -48,7 +47,5 @@ class GroundOptions:
     precise_orbits_file: str = field(
         default="", metadata={"doc": "ephemeris message (OEM) of objects that tell clock and pointing biases; empty for none"}
     )
-    streak_photometry: PhotometryOptions = field(
-        default_factory=PhotometryOptions, metadata={"doc": "streak magnitudes and sizes"}
-    )
+    streak_photometry: PhotometryOptions = field(default_factory=PhotometryOptions, metadata={"doc": "light of streaks"})
     products: ProductOptions = field(default_factory=ProductOptions, metadata={"doc": "names in messages, pictures"})

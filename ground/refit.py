@@ -8,8 +8,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.astrometry.apparent import unit_vectors
-from ground.sky.measure import ARCSEC, middle_of
+from ground.sky.measure import middle_of
+from ground.sky.sphere import ARCSEC_RAD, unit_vectors
 from ground.streaks.joint import TrackletFrame, flux_between, refit_tracklet
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
@@ -134,8 +134,8 @@ def _windows(frames: Sequence[TrackletFrame]) -> list[tuple[list[int], float]]:
     motion = np.polynomial.polynomial.polyfit(t_s.ravel() - middle, along.ravel(), degree)
     rate = max(abs(float(motion[1])), 1e-3)
     change = 2.0 * abs(float(motion[2])) if degree == 2 else 0.0
-    sigma_acceleration = max(6.0 * rate**2 * ARCSEC, 2.0 * change) + GRAVITY_ARCSEC_S2
-    relative = np.hypot(rate * ARCSEC, 0.5 * change / rate)
+    sigma_acceleration = max(6.0 * rate**2 * ARCSEC_RAD, 2.0 * change) + GRAVITY_ARCSEC_S2
+    relative = np.hypot(rate * ARCSEC_RAD, 0.5 * change / rate)
     error = PARABOLA_ERROR * float(
         np.median([e for frame in frames for e in _end_errors_arcsec(frame)] or [1.0 / PARABOLA_ERROR])
     )
@@ -333,7 +333,7 @@ def _tracklet_frame(
 ) -> TrackletFrame:
     """One frame of the refit: coordinates along the path in arcsec, times in seconds from `zero_tai_ns`."""
     seen = unit_vectors(np.radians(streak.ra_deg), np.radians(streak.dec_deg)) @ path.T
-    along = np.arctan2(seen[:, 1], seen[:, 0]) / ARCSEC
+    along = np.arctan2(seen[:, 1], seen[:, 0]) / ARCSEC_RAD
     pointing = np.asarray(solution.covariance_rad2)
     return TrackletFrame(
         pixels=pixels,
@@ -344,5 +344,5 @@ def _tracklet_frame(
         t_open_s=float(streak.t_tai_ns[0] - zero_tai_ns) * 1e-9,
         t_close_s=float(streak.t_tai_ns[2] - zero_tai_ns) * 1e-9,
         line_time_s=header.line_time_ns * 1e-9,
-        sigma_frame=float(np.sqrt(0.5 * max(pointing[0, 0] + pointing[1, 1], 0.0))) / ARCSEC,
+        sigma_frame=float(np.sqrt(0.5 * max(pointing[0, 0] + pointing[1, 1], 0.0))) / ARCSEC_RAD,
     )

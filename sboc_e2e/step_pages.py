@@ -18,7 +18,7 @@ options below; a scenario chooses it with a table such as
 
     [onboard.detector]
     use = "line_integral"
-    n_sigma = 7.0
+    n_sigma = 7.2
 
 and a command line with `--use onboard.detector=my_lab.nets:StreakNet`. Entry-point groups are `sboc_e2e.<seam>`.
 """

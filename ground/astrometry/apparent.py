@@ -11,6 +11,7 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.sky.sphere import unit_vectors
 from sboc_e2e.icd.frame import FrameHeader, ObserverState
 from sboc_e2e.icd.tai import to_jd_parts
 
@@ -59,9 +60,3 @@ def apparent_directions(ra_deg: Array, dec_deg: Array, tai_ns: int, position_m: 
     """Unit vectors (n, 3) in GCRS axes of stars at ICRS positions (of date), seen from the camera."""
     context = apparent_context(tai_ns, position_m, velocity_m_s)
     return unit_vectors(*erfa.atciqz(np.radians(ra_deg), np.radians(dec_deg), context))
-
-
-def unit_vectors(ra_rad: Array, dec_rad: Array) -> Array:
-    """Unit vectors (n, 3) of spherical positions."""
-    cos_dec = np.cos(dec_rad)
-    return np.stack((cos_dec * np.cos(ra_rad), cos_dec * np.sin(ra_rad), np.sin(dec_rad)), axis=-1)

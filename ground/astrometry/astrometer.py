@@ -13,6 +13,7 @@ from ground.astrometry.camera_fit import CameraPrior, CameraSolution, fit_camera
 from ground.astrometry.lost_in_space import PatternMatch
 from ground.astrometry.matching import mutual_pairs, vote_offset
 from ground.astrometry.rotation import matrix_of, quaternion_of, rotation_by
+from ground.sky.sphere import ARCSEC_RAD
 from sboc_e2e.catalogue import CatalogueFlag, StarCatalogue, Stars
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag, StarFlag
@@ -21,7 +22,6 @@ from sboc_e2e.icd.products import FrameSolution
 
 Array = NDArray[np.float64]
 
-ARCSEC: Final = np.pi / 648000.0
 LOST_FRAMES_TRIED: Final = 5
 """After so many frames in a row that no star pattern could place, the camera is taken for unknown."""
 
@@ -169,7 +169,7 @@ class CameraFit:
     def _vote(self, camera: Camera, header: FrameHeader, measured: Array, vectors: Array, radius_arcsec: float) -> Array | None:
         """Rotation (3, 3) of the camera frame that the vote asks for; None when the vote says nothing."""
         row, col = camera.project(vectors)
-        margin = radius_arcsec * ARCSEC * camera.focal_px
+        margin = radius_arcsec * ARCSEC_RAD * camera.focal_px
         near = (row > -margin) & (row < header.rows + margin) & (col > -margin) & (col < header.cols + margin)
         center = np.array([camera.center_row, camera.center_col])
         half_size = 0.5 * float(np.hypot(header.rows, header.cols))
@@ -240,7 +240,7 @@ class CameraFit:
     ) -> Array:
         """Error of each coordinate: centroid (PSF width over S/N), floor, catalogue."""
         centroid = psf_sigma_px / np.maximum(frame.stars.snr[listed].astype(np.float64), 1.0)
-        catalogue = sigma_mas.astype(np.float64) * 1e-3 * ARCSEC * camera.focal_px
+        catalogue = sigma_mas.astype(np.float64) * 1e-3 * ARCSEC_RAD * camera.focal_px
         return np.asarray(np.sqrt(centroid**2 + self.centroid_floor_px**2 + catalogue**2))
 
     def _prior_information(self, camera: NominalCamera) -> Array:

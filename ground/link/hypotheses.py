@@ -13,12 +13,11 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.sky.sphere import ARCSEC_RAD, unit_vectors
 from sboc_e2e.icd.errors import ContractError
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import StreakMeasurement
-
-ARCSEC_RAD = np.pi / 648000.0
 
 FULL, ENTERING, LEAVING, POINT, CROSSING = range(5)
 """Which epochs a hypothesis fixes: both ends, only the later one, only the earlier one, the middle, none."""
@@ -113,12 +112,6 @@ def frame_table(headers: Sequence[FrameHeader]) -> FrameTable:
     )
 
 
-def unit_vectors(ra_deg: NDArray[np.float64], dec_deg: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Unit vectors (..., 3) of directions in degrees."""
-    ra, dec = np.radians(ra_deg), np.radians(dec_deg)
-    return np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=-1)
-
-
 def has_sky(streak: StreakMeasurement) -> bool:
     """Whether the streak carries sky positions."""
     return not streak.flags & StreakFlag.NO_SKY and bool(np.isfinite(streak.ra_deg).all() and np.isfinite(streak.dec_deg).all())
@@ -157,9 +150,8 @@ def _columns(
     row = np.array([(s.fit.row0, s.row_mid, s.fit.row1) for s in streaks]).reshape(-1, 3)
     col = np.array([(s.fit.col0, s.col_mid, s.fit.col1) for s in streaks]).reshape(-1, 3)
     if sky:
-        unit = unit_vectors(
-            np.array([s.ra_deg for s in streaks]).reshape(-1, 3), np.array([s.dec_deg for s in streaks]).reshape(-1, 3)
-        )
+        ra, dec = (np.radians([getattr(s, name) for s in streaks]).reshape(-1, 3) for name in ("ra_deg", "dec_deg"))
+        unit = unit_vectors(ra, dec)
     else:
         centre = 0.5 * frames.shape[frame].astype(np.float64)
         plane = np.stack([(col - centre[:, 1:]) * scale_rad_px, (row - centre[:, :1]) * scale_rad_px, np.ones_like(row)], axis=-1)

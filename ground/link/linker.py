@@ -6,9 +6,10 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from ground.link.hypotheses import ARCSEC_RAD, FrameTable, StreakTable, frame_table, nodes_of, streak_tables
+from ground.link.hypotheses import FrameTable, StreakTable, frame_table, nodes_of, streak_tables
 from ground.link.selection import Search, best_tracks
 from ground.link.tracks import Track, tracklet_of
+from ground.sky.sphere import ARCSEC_RAD
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import StreakMeasurement, Tracklet
 

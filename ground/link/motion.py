@@ -17,7 +17,6 @@ from ground.link.hypotheses import CROSSING, ENTERING, FULL, LEAVING, POINT, Nod
 N_PARAMETERS = 7
 """x0, y0 (rad), vx, vy (rad/s), kappa (1/s), ax, ay (rad/s^2) on the tangent plane at the track's mean direction."""
 
-MAX_MEMBERS = 4096
 _LOG_2PI = math.log(2.0 * math.pi)
 _LOG_SPEEDS = 12.0
 """Natural logarithm of the ratio of the fastest to the slowest speed a track may have: the prior is uniform in log speed."""

@@ -7,51 +7,23 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.link.hypotheses import unit_vectors
+from ground.sky.sphere import unit_vectors
+from ground.streaks.fit_record import reversed_ends, swap_edge_flags
 from sboc_e2e.icd.errors import ContractError
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
-from sboc_e2e.icd.products import StreakFit, StreakMeasurement, Tracklet
-
-
-def reversed_fit(fit: StreakFit) -> StreakFit:
-    """The same trail with end 0 and end 1 exchanged."""
-    swap = [2, 3, 0, 1]
-    return replace(
-        fit,
-        row0=fit.row1,
-        col0=fit.col1,
-        row1=fit.row0,
-        col1=fit.col0,
-        covariance_px2=fit.covariance_px2[np.ix_(swap, swap)],
-        end_interval_px=fit.end_interval_px[::-1],
-        sagitta_px=-fit.sagitta_px,
-        gradient=-fit.gradient,
-        light_curve_e_px=fit.light_curve_e_px[::-1],
-        flags=_edges_exchanged(fit.flags),
-    )
-
-
-def _edges_exchanged(flags: StreakFlag) -> StreakFlag:
-    """EDGE0 for EDGE1 and the other way round."""
-    edges = StreakFlag.EDGE0 | StreakFlag.EDGE1
-    out = flags & ~edges
-    if flags & StreakFlag.EDGE0:
-        out |= StreakFlag.EDGE1
-    if flags & StreakFlag.EDGE1:
-        out |= StreakFlag.EDGE0
-    return out
+from sboc_e2e.icd.products import StreakMeasurement, Tracklet
 
 
 def reversed_streak(streak: StreakMeasurement) -> StreakMeasurement:
     """The same streak with its ends exchanged."""
     return replace(
         streak,
-        fit=reversed_fit(streak.fit),
+        fit=reversed_ends(streak.fit),
         ra_deg=streak.ra_deg[::-1],
         dec_deg=streak.dec_deg[::-1],
         t_tai_ns=streak.t_tai_ns[::-1],
-        flags=_edges_exchanged(streak.flags),
+        flags=swap_edge_flags(streak.flags),
     )
 
 
@@ -160,7 +132,7 @@ def _slope(t_ns: NDArray[np.int64], position: NDArray[np.float64]) -> NDArray[np
 
 def _sky_rate(tracklet: Tracklet) -> NDArray[np.float64]:
     """Mean rate of the unit vector (rad/s)."""
-    return _slope(tracklet.t_tai_ns, unit_vectors(tracklet.ra_deg, tracklet.dec_deg))
+    return _slope(tracklet.t_tai_ns, unit_vectors(np.radians(tracklet.ra_deg), np.radians(tracklet.dec_deg)))
 
 
 def _pixel_rate(members: Sequence[StreakMeasurement], headers: Sequence[FrameHeader]) -> NDArray[np.float64]:
@@ -175,7 +147,7 @@ def _ends(streak: StreakMeasurement, sky: bool) -> NDArray[np.float64]:
     """Both ends: unit vectors (2, 3) or rows and cols (2, 2)."""
     if not sky:
         return np.array([[streak.fit.row0, streak.fit.col0], [streak.fit.row1, streak.fit.col1]])
-    return unit_vectors(streak.ra_deg[[0, 2]], streak.dec_deg[[0, 2]])
+    return unit_vectors(np.radians(streak.ra_deg[[0, 2]]), np.radians(streak.dec_deg[[0, 2]]))
 
 
 def _shutter_epochs_ns(streak: StreakMeasurement, header: FrameHeader, crossing_ns: float) -> tuple[tuple[int, int], bool]:

@@ -6,8 +6,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.link.hypotheses import ARCSEC_RAD, ENTERING, LEAVING, POINT, FrameTable, StreakTable
+from ground.link.hypotheses import ENTERING, LEAVING, POINT, FrameTable, StreakTable
 from ground.link.motion import N_PARAMETERS, position_on_plane, velocity_on_plane
+from ground.photometry.magnitude import mean_magnitude
+from ground.sky.sphere import ARCSEC_RAD, spherical_deg
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import Tracklet
 
@@ -67,7 +69,7 @@ def tracklet_of(
     direction = np.zeros(N_PARAMETERS)
     direction[2], direction[3] = vx / max(speed, 1e-15), vy / max(speed, 1e-15)
     rate_err = math.sqrt(max(float(direction @ track.covariance @ direction), 0.0))
-    mag, mag_err = _mean_magnitude(table.mag[chosen], table.mag_err[chosen])
+    mag, mag_err = mean_magnitude(table.mag[chosen], table.mag_err[chosen])
     inherited = StreakFlag.EDGE0 | StreakFlag.EDGE1 | StreakFlag.SATURATED | StreakFlag.VARIABLE
     flags = StreakFlag(int(np.bitwise_or.reduce(table.flags[chosen]))) & inherited
     directed = bool(np.any(track.kinds != POINT)) or len(chosen) > 2
@@ -101,16 +103,4 @@ def tracklet_of(
 
 def _sky(unit: NDArray[np.float64], sky: bool) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Right ascension in [0, 360) and declination (deg) of unit vectors (m, 3); NaN when they are no sky directions."""
-    if not sky:
-        return np.full(len(unit), np.nan), np.full(len(unit), np.nan)
-    ra = np.degrees(np.arctan2(unit[:, 1], unit[:, 0])) % 360.0
-    return ra, np.degrees(np.arctan2(unit[:, 2], np.hypot(unit[:, 0], unit[:, 1])))
-
-
-def _mean_magnitude(mag: NDArray[np.float64], mag_err: NDArray[np.float64]) -> tuple[float, float]:
-    """Weighted mean of the members' magnitudes and its error, NaN without any."""
-    known = np.isfinite(mag) & np.isfinite(mag_err) & (mag_err > 0.0)
-    if not known.any():
-        return math.nan, math.nan
-    weight = 1.0 / mag_err[known] ** 2
-    return float((mag[known] * weight).sum() / weight.sum()), float(1.0 / math.sqrt(weight.sum()))
+    return spherical_deg(unit if sky else np.full_like(unit, np.nan))

@@ -9,9 +9,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.sky.sphere import ARCSEC_RAD, unit_vectors
 from sboc_e2e.icd.products import Tracklet
 
-_ARCSEC_RAD = np.pi / 648000.0
 _LONG_ARC_S = 60.0
 
 
@@ -35,7 +35,6 @@ class Attributable:
     rate_offset: NDArray[np.float64]
     rate_matrix: NDArray[np.float64]
     rate_covariance: NDArray[np.float64]
-    n_directions: int
 
 
 def attributable_of(tracklet: Tracklet, sigma_floor_arcsec: float) -> Attributable | None:
@@ -46,8 +45,7 @@ def attributable_of(tracklet: Tracklet, sigma_floor_arcsec: float) -> Attributab
         return None
     along = _sigma_rad(tracklet.sigma_along_arcsec[good], sigma_floor_arcsec)
     cross = _sigma_rad(tracklet.sigma_cross_arcsec[good], sigma_floor_arcsec)
-    ra, dec = np.radians(tracklet.ra_deg[good]), np.radians(tracklet.dec_deg[good])
-    unit = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=1)
+    unit = unit_vectors(np.radians(tracklet.ra_deg[good]), np.radians(tracklet.dec_deg[good]))
     t_ref_ns = int(t_ns.min()) + int(t_ns.max() - t_ns.min()) // 2
     t_s = np.asarray((t_ns - t_ref_ns) * 1e-9, dtype=np.float64)
 
@@ -88,14 +86,13 @@ def attributable_of(tracklet: Tracklet, sigma_floor_arcsec: float) -> Attributab
         rate_offset=(solve @ data)[2:],
         rate_matrix=(solve @ model)[2:],
         rate_covariance=covariance[2:, 2:],
-        n_directions=m,
     )
 
 
 def _sigma_rad(sigma_arcsec: NDArray[np.float64], floor_arcsec: float) -> NDArray[np.float64]:
     """One sigma with the floor added in quadrature; unknown ones count as three arcsec."""
     known = np.where(np.isfinite(sigma_arcsec) & (sigma_arcsec > 0.0), sigma_arcsec, 3.0)
-    return np.asarray(np.hypot(known, floor_arcsec) * _ARCSEC_RAD)
+    return np.asarray(np.hypot(known, floor_arcsec) * ARCSEC_RAD)
 
 
 def _widened(

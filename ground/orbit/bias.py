@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 from ground.orbit.dynamics import propagate
 from ground.orbit.observer import observer_orbit
 from ground.orbit.reference import PreciseOrbit, seen_from
+from ground.sky.sphere import ARCSEC_RAD, unit_vectors
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import Tracklet
 
-_ARCSEC_RAD = np.pi / 648000.0
 _CLIP_SIGMA = 4.5
 _HALF_STEP_S = 0.05
 
@@ -59,8 +59,8 @@ def estimate_bias(
             seen_from(orbit.states, t_ns + half_ns, places[:, :3])[0] - seen_from(orbit.states, t_ns - half_ns, places[:, :3])[0]
         )
         rate /= 2.0 * _HALF_STEP_S
-        ra, dec = np.radians(tracklet.ra_deg), np.radians(tracklet.dec_deg)
-        seen = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=1)
+        ra = np.radians(tracklet.ra_deg)
+        seen = unit_vectors(ra, np.radians(tracklet.dec_deg))
         east = np.stack([-np.sin(ra), np.cos(ra), np.zeros(len(ra))], axis=1)
         north = np.cross(seen, east)
         for k in range(len(t_ns)):
@@ -72,9 +72,9 @@ def estimate_bias(
             for axis, sigma in ((heading, tracklet.sigma_along_arcsec[k]), (side, tracklet.sigma_cross_arcsec[k])):
                 weight = 1.0 / np.hypot(sigma, sigma_floor_arcsec)
                 rows.append(
-                    np.array([-float(rate[k] @ axis) / _ARCSEC_RAD, float(east[k] @ axis), float(north[k] @ axis)]) * weight
+                    np.array([-float(rate[k] @ axis) / ARCSEC_RAD, float(east[k] @ axis), float(north[k] @ axis)]) * weight
                 )
-                values.append(float((seen[k] - computed[k]) @ axis) / _ARCSEC_RAD * weight)
+                values.append(float((seen[k] - computed[k]) @ axis) / ARCSEC_RAD * weight)
     if len(rows) < 3:
         return None
     design, data = np.array(rows), np.array(values)

@@ -11,11 +11,11 @@ from ground.orbit.attributable import attributable_of
 from ground.orbit.dynamics import LIGHT_KM_S
 from ground.orbit.observer import observer_orbit
 from ground.orbit.reference import teme_to_gcrs, utc_jd
+from ground.sky.sphere import ARCSEC_RAD
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import Tracklet
 
-_ARCSEC_RAD = np.pi / 648000.0
 _FARTHEST_SIGMA = 4.0
 
 
@@ -32,8 +32,8 @@ class KnownObjects:
 class CatalogueMatch:
     """The best catalogue object for a tracklet, observed minus computed.
 
-    time_offset_s : along-track residual over the rate, the object being late when positive. sigmas : distance in units of the
-    element sets' expected errors. n_candidates : objects within four of them; known : at least one.
+    sigmas : distance in units of the element sets' expected errors. n_candidates : objects within four of them;
+    known : at least one.
     """
 
     tracklet_id: int
@@ -42,7 +42,6 @@ class CatalogueMatch:
     name: str
     along_arcsec: float
     cross_arcsec: float
-    time_offset_s: float
     rate_residual_arcsec_s: float
     range_km: float
     sigmas: float
@@ -131,10 +130,9 @@ def match_catalogue(
                 known=bool(sigmas[best] < _FARTHEST_SIGMA),
                 number=int(known.numbers[best]),
                 name=known.names[best],
-                along_arcsec=float(along[best] / _ARCSEC_RAD),
-                cross_arcsec=float(cross[best] / _ARCSEC_RAD),
-                time_offset_s=float(-along[best] / max(float(speed[best, 0]), 1e-12)),
-                rate_residual_arcsec_s=float(rate_error[best] / _ARCSEC_RAD),
+                along_arcsec=float(along[best] / ARCSEC_RAD),
+                cross_arcsec=float(cross[best] / ARCSEC_RAD),
+                rate_residual_arcsec_s=float(rate_error[best] / ARCSEC_RAD),
                 range_km=float(rho[best]),
                 sigmas=float(sigmas[best]),
                 n_candidates=int((sigmas < _FARTHEST_SIGMA).sum()),

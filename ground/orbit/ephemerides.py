@@ -11,6 +11,8 @@ from ground.orbit.bias import Bias, estimate_bias
 from ground.orbit.dynamics import propagate
 from ground.orbit.observer import observer_orbit
 from ground.orbit.reference import PreciseOrbit, seen_from
+from ground.products.eme2000 import frame_bias
+from ground.sky.sphere import ARCSEC_RAD, unit_vectors
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import FrameHeader
@@ -79,7 +81,7 @@ def _orbit(meta: dict[str, str], rows: list[tuple[int, list[float]]]) -> Precise
     t_ns, states = np.array([t for t, _ in rows], dtype=np.int64), np.array([state for _, state in rows])
     if len(t_ns) < 2 or (np.diff(t_ns) <= 0).any():
         raise UserError(f"ephemeris message: expected two or more states of rising epochs for {name}")
-    turn = erfa.bp00(erfa.DJ00, 0.0)[0].T if meta["REF_FRAME"].upper() == "EME2000" else np.eye(3)
+    turn = frame_bias().T if meta["REF_FRAME"].upper() == "EME2000" else np.eye(3)
     position_km, velocity_km_s = states[:, :3] @ turn.T, states[:, 3:] @ turn.T
     return PreciseOrbit(name=name, t_tai_ns=t_ns, position_km=position_km, velocity_km_s=velocity_km_s)
 
@@ -110,7 +112,6 @@ def _distance_arcsec(tracklet: Tracklet, headers: Sequence[FrameHeader], orbit: 
         return float("inf")
     places = propagate(observer, np.asarray((t_ns - t_ref) * 1e-9, dtype=np.float64))[:, :3]
     computed, _ = seen_from(orbit.states, t_ns, places)
-    ra, dec = np.radians(tracklet.ra_deg), np.radians(tracklet.dec_deg)
-    seen = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=1)
-    distance = float(np.max(np.linalg.norm(seen - computed, axis=1))) * 648000.0 / np.pi
+    seen = unit_vectors(np.radians(tracklet.ra_deg), np.radians(tracklet.dec_deg))
+    distance = float(np.max(np.linalg.norm(seen - computed, axis=1))) / ARCSEC_RAD
     return distance if np.isfinite(distance) else float("inf")

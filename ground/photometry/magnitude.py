@@ -1,14 +1,14 @@
-"""Magnitude of a streak from its flux, its exposed time and the frame's zero point; size for an albedo and a range."""
+"""Magnitude of a streak from its flux, its exposed time and the frame's zero point; magnitude of a tracklet."""
+
+import math
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ground.photometry.zero_point import POGSON, field_terms
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import PhotometricSolution, StreakMeasurement
-
-SUN_V_MAG = -26.76
-"""Apparent V of the Sun at 1 au (Willmer 2018, ApJS 236, 47)."""
 
 
 def exposed_time_s(streak: StreakMeasurement, header: FrameHeader, crossing_s: float | None) -> tuple[float, float] | None:
@@ -54,11 +54,10 @@ def streak_magnitude(
     return mag, float(np.sqrt(flux_err**2 + zero_point_err**2 + (POGSON * relative_error) ** 2))
 
 
-def sphere_size_m(v_mag: float, range_km: float, albedo: float, phase_rad: float = 0.0) -> float:
-    """Diameter of a Lambert sphere of this magnitude at this range, at 1 au from the Sun.
-
-    F / F_sun = A (d/2)^2 / rho^2 * 2 / (3 pi) * [(pi - phi) cos phi + sin phi] (Russell 1916, ApJ 43, 173).
-    """
-    phase = 2.0 / (3.0 * np.pi) * ((np.pi - phase_rad) * np.cos(phase_rad) + np.sin(phase_rad))
-    flux_ratio = 10.0 ** (-0.4 * (v_mag - SUN_V_MAG))
-    return float(2.0 * range_km * 1e3 * np.sqrt(flux_ratio / (albedo * phase)))
+def mean_magnitude(mag: NDArray[np.float64], mag_err: NDArray[np.float64]) -> tuple[float, float]:
+    """Weighted mean of the magnitudes (n,) that are known and its error, NaN without any."""
+    known = np.isfinite(mag) & np.isfinite(mag_err) & (mag_err > 0.0)
+    if not known.any():
+        return math.nan, math.nan
+    weight = 1.0 / mag_err[known] ** 2
+    return float((mag[known] * weight).sum() / weight.sum()), float(1.0 / math.sqrt(weight.sum()))

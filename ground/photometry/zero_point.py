@@ -48,9 +48,9 @@ class ZeroPoint:
         camera, header = calibration.camera, frame.header
         nominal_mag = 2.5 * float(np.log10(camera.zero_point_e_s)) if camera.zero_point_e_s else float("nan")
         stars = np.asarray(solution.star_index, dtype=np.intp)
-        constant = (frame.stars.flags[stars] & UNUSABLE) == 0
+        clean = (frame.stars.flags[stars] & UNUSABLE) == 0
         measured = np.isfinite(solution.star_v_mag) & np.isfinite(solution.star_b_v) & (frame.stars.flux_e[stars] > 0.0)
-        keep = constant & measured
+        keep = clean & measured
         if keep.sum() < self.min_stars:
             keep = measured
         if keep.sum() < self.min_stars or header.exposure_ns == 0:

@@ -4,6 +4,8 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.sky.sphere import spherical_deg, unit_vectors
+
 J2000_JD = 2451545.0
 
 
@@ -17,7 +19,4 @@ def eme2000_angles_deg(
     ra_deg: NDArray[np.float64], dec_deg: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Right ascension in [0, 360) and declination, EME2000, of GCRS directions (n,)."""
-    ra, dec = np.radians(ra_deg), np.radians(dec_deg)
-    gcrs = np.stack((np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)))
-    x, y, z = frame_bias() @ gcrs
-    return np.degrees(np.arctan2(y, x)) % 360.0, np.degrees(np.arctan2(z, np.hypot(x, y)))
+    return spherical_deg(unit_vectors(np.radians(ra_deg), np.radians(dec_deg)) @ frame_bias().T)

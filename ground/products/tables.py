@@ -16,23 +16,16 @@ from ground.astrometry.apparent import mid_frame_tai_ns
 from ground.astrometry.camera import Camera
 from ground.astrometry.rotation import matrix_of
 from ground.orbit.catalogue_match import CatalogueMatch
-from ground.photometry.magnitude import sphere_size_m
 from ground.products.epochs import utc_text
 from ground.products.light_curve import light_curve
 from ground.records import GroundProducts
-from ground.sky.published import spherical_deg
+from ground.sky.sphere import ARCSEC_RAD, spherical_deg
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution, PhotometricSolution, StreakMeasurement
 from sboc_e2e.icd.signals import StarList
 from sboc_e2e.icd.version import CONTRACT_VERSION
-
-DIRECTIONS: Final = (
-    "GCRS axes, observer-centred; aberration of the observer's geocentric velocity removed, annual aberration not removed, "
-    "light time not removed"
-)
-ARCSEC_PER_RAD: Final = 648000.0 / np.pi
 
 FRAMES_AT_ONCE: Final = 64
 STREAKS_AT_ONCE: Final = 4096
@@ -58,7 +51,7 @@ def _frames_table(
     """said : flags and PSF width from on board."""
     solved = np.array([not s.flags & FrameFlag.NO_SOLUTION for s in solutions], dtype=bool)
     ra, dec = _centre_directions(headers, solutions)
-    sigma = np.array([np.sqrt(np.diag(s.covariance_rad2)) for s in solutions]).reshape(-1, 3) * ARCSEC_PER_RAD
+    sigma = np.array([np.sqrt(np.diag(s.covariance_rad2)) for s in solutions]).reshape(-1, 3) / ARCSEC_RAD
     quaternion = np.array([s.quaternion for s in solutions]).reshape(-1, 4)
     rate = np.array([s.rate_rad_s for s in solutions]).reshape(-1, 3)
     return _table(
@@ -149,13 +142,14 @@ def _stars_table(found: Sequence[tuple[int, StarList, FrameSolution]]) -> Table:
 def streaks_tables(products: GroundProducts) -> Iterator[Table]:
     """One row for each measured streak; ends by growing col before linking, by time after it (DIRECTION_RESOLVED)."""
     left = iter(products.streaks)
+    directions = _directions(products.headers)
     part = list(islice(left, STREAKS_AT_ONCE))
-    yield _streaks_table(part)
+    yield _streaks_table(part, directions)
     while part := list(islice(left, STREAKS_AT_ONCE)):
-        yield _streaks_table(part)
+        yield _streaks_table(part, directions)
 
 
-def _streaks_table(streaks: Sequence[StreakMeasurement]) -> Table:
+def _streaks_table(streaks: Sequence[StreakMeasurement], directions: str) -> Table:
     fits = [s.fit for s in streaks]
     covariance = np.array([f.covariance_px2 for f in fits]).reshape(-1, 4, 4)
     interval = np.array([f.end_interval_px for f in fits]).reshape(-1, 2, 2)
@@ -214,7 +208,7 @@ def _streaks_table(streaks: Sequence[StreakMeasurement]) -> Table:
         ("flags", [int(s.flags) for s in streaks], None, "StreakFlag bits"),
     ]
     table = _table(lists, "streaks")
-    table.meta["directions"] = DIRECTIONS
+    table.meta["directions"] = directions
     return table
 
 
@@ -262,14 +256,13 @@ def tracklets_table(products: GroundProducts) -> Table:
         ],
         "tracklets",
     )
-    table.meta["directions"] = DIRECTIONS
+    table.meta["directions"] = _directions(products.headers)
     return table
 
 
-def orbits_table(products: GroundProducts, albedo: float) -> Table:
+def orbits_table(products: GroundProducts) -> Table:
     """One row for each orbit estimate: 5 %, 50 % and 95 % points of the posterior, and its modes as JSON."""
     orbits = products.orbits
-    mags = {t.tracklet_id: t.mag for t in products.tracklets}
     columns: list[Spec] = [
         ("tracklet_id", [o.tracklet_id for o in orbits], None, "tracklet"),
         ("t_ref_utc", _text(utc_text([o.t_ref_tai_ns for o in orbits])), None, "reference epoch"),
@@ -281,7 +274,7 @@ def orbits_table(products: GroundProducts, albedo: float) -> Table:
         ("a", "_km", "km", "semi-major axis"),
         ("e", "", None, "eccentricity"),
         ("i", "_deg", "deg", "inclination"),
-        ("size", "_m", "m", "diameter"),
+        ("size", "_m", "m", "diameter of a Lambert sphere of the albedo in prior, with its scatter"),
     ):
         values = np.array([getattr(o, name + suffix) for o in orbits]).reshape(-1, 3)
         columns += [
@@ -289,12 +282,6 @@ def orbits_table(products: GroundProducts, albedo: float) -> Table:
             for k, (point, share) in enumerate((("_low", "5 %"), ("", "median"), ("_high", "95 %")))
         ]
     columns += [
-        (
-            "size_albedo_m",
-            [sphere_size_m(mags.get(o.tracklet_id, np.nan), float(o.range_km[1]), albedo) for o in orbits],
-            "m",
-            f"diameter of a Lambert sphere of albedo {albedo} at the median range",
-        ),
         (
             "modes",
             _text([json.dumps(np.round(o.modes, 6).tolist()) for o in orbits]),
@@ -334,6 +321,18 @@ def _table(columns: Sequence[Spec], name: str) -> Table:
     return Table(made, meta={"table": name, "contract_version": CONTRACT_VERSION})
 
 
+def _directions(headers: Sequence[FrameHeader]) -> str:
+    """What a run's published directions are, in words; without the observer's state nothing can be removed."""
+    unknown = sum(header.observer is None for header in headers)
+    if unknown == 0:
+        removed = "aberration of the observer's geocentric velocity removed"
+    elif unknown < len(headers):
+        removed = "aberration of the observer's geocentric velocity removed, except in frames flagged NO_OBSERVER"
+    else:
+        removed = "observer state unknown: aberration of the observer's geocentric velocity not removed"
+    return f"GCRS axes, observer-centred; {removed}, annual aberration not removed, light time not removed"
+
+
 def _text(values: Sequence[str]) -> Any:
     """A text column, also when empty."""
     return np.array(list(values), dtype=str) if values else np.zeros(0, dtype="U1")
@@ -361,7 +360,11 @@ def known_table(products: GroundProducts, matches: Sequence[CatalogueMatch]) -> 
     for name, unit, text in (
         ("along_arcsec", "arcsec", "observed minus computed along the motion of the nearest object"),
         ("cross_arcsec", "arcsec", "observed minus computed across it"),
+        ("rate_residual_arcsec_s", "arcsec / s", "length of the difference between observed and computed rate"),
+        ("range_km", "km", "distance of the nearest object"),
         ("sigmas", None, "distance in expected errors of element sets"),
     ):
         columns.append((name, [float("nan") if m is None else getattr(m, name) for m in found], unit, text))
+    n_candidates = np.array([0 if m is None else m.n_candidates for m in found], dtype=np.int64)
+    columns.append(("n_candidates", n_candidates, None, "objects that would do; more than one: ambiguous"))
     return _table(columns, "known")

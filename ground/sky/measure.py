@@ -1,20 +1,17 @@
 """A fitted streak on the sky: directions and epochs of its ends and middle, and their errors."""
 
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ground.sky.pixel_sky import PixelSky, published_directions, row_mid_exposure_tai_ns
-from ground.sky.published import spherical_deg
+from ground.sky.sphere import ARCSEC_RAD, spherical_deg
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import StreakFit, StreakMeasurement
 
 Array = NDArray[np.float64]
-
-ARCSEC: Final = np.pi / 648000.0
 
 
 def middle_of(fit: StreakFit) -> tuple[float, float]:
@@ -64,7 +61,7 @@ def with_sky(
         # the edge was passed when the other end's epoch says, so that end's error is that of the whole trail
         along_px *= 2.0
     pointing = 0.5 * float(pointing_covariance_rad2[0, 0] + pointing_covariance_rad2[1, 1])
-    pointing_arcsec = float(np.sqrt(pointing)) / ARCSEC if np.isfinite(pointing) else 0.0
+    pointing_arcsec = float(np.sqrt(pointing)) / ARCSEC_RAD if np.isfinite(pointing) else 0.0
     return replace(
         streak,
         ra_deg=ra_deg,
@@ -92,4 +89,4 @@ def pixel_scale_arcsec(sky: PixelSky, header: FrameHeader, row: float, col: floa
     """Scale at a pixel: geometric mean over rows and cols."""
     rows, cols = np.array([row, row + 1.0, row]), np.array([col, col, col + 1.0])
     here, by_row, by_col = sky.apparent(rows, cols, np.full(3, row_mid_exposure_tai_ns(header, np.array([row]))[0]))
-    return float(np.sqrt(np.linalg.norm(np.cross(by_row - here, by_col - here)))) / ARCSEC
+    return float(np.sqrt(np.linalg.norm(np.cross(by_row - here, by_col - here)))) / ARCSEC_RAD

@@ -23,9 +23,3 @@ def without_observer_aberration(apparent: Array, velocity_m_s: Array) -> Array:
     along = np.sum(apparent * beta, axis=-1, keepdims=True)
     moved = inverse_gamma * apparent + (1.0 + along / (1.0 + inverse_gamma)) * beta
     return np.asarray(moved / np.linalg.norm(moved, axis=-1, keepdims=True))
-
-
-def spherical_deg(vectors: Array) -> tuple[Array, Array]:
-    """Right ascension in [0, 360) and declination, deg, of vectors (n, 3)."""
-    ra = np.degrees(np.arctan2(vectors[..., 1], vectors[..., 0])) % 360.0
-    return ra, np.degrees(np.arctan2(vectors[..., 2], np.hypot(vectors[..., 0], vectors[..., 1])))

@@ -80,7 +80,7 @@ class MaskBit(IntFlag):
 FLAG_TEXT: Final[dict[str, dict[str, str]]] = {
     "FrameFlag": {
         "GAIN_ASSUMED": "no gain was given; 1 e-/ADU was used",
-        "READ_NOISE_ASSUMED": "no read noise was given; it was estimated from the frame",
+        "READ_NOISE_ASSUMED": "no read noise was given; noise is what the background mesh says, 5 e- without one",
         "NO_ATTITUDE": "telemetry carries no attitude",
         "NO_OBSERVER": "telemetry carries no observer state",
         "NO_STARS": "no star was found on board",
@@ -94,7 +94,7 @@ FLAG_TEXT: Final[dict[str, dict[str, str]]] = {
         "PACKETS_MISSING": "packets of this frame did not arrive intact",
         "NO_SOLUTION": "the attitude could not be solved; no sky positions",
         "ATTITUDE_FROM_SOLVER": "attitude found without telemetry",
-        "FEW_STARS": "fewer matched stars than the fit has parameters; attitude from telemetry or neighbours",
+        "FEW_STARS": "fewer matched stars than the camera fit has parameters; the priors hold what stars leave open",
         "HEADER_REBUILT": "header packet lost; values come from other packets of this or the next frame",
     },
     "StarFlag": {

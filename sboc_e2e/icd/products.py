@@ -15,7 +15,7 @@ class StreakPixels:
 
     row, col : int32. value_e : float32, electrons above the background, stars subtracted where possible.
     variance_e2 : float32, noise variance without the object; infinite for pixels not to be used.
-    gain_e_adu : to add the object's own Poisson noise in electrons. frame_shape : (rows, cols).
+    psf_sigma_px : expected at the trail, without the pixel. frame_shape : (rows, cols).
     """
 
     row: NDArray[np.int32]
@@ -40,7 +40,7 @@ class StreakFit:
     positive outwards; honest where `ENDS_NOT_GAUSSIAN`.
     flux_e : inside the frame, all of the trail. sagitta_px, gradient : curvature and linear brightness change
     (relative, end to end); 0 when the simpler model won. width_px : fitted PSF sigma.
-    light_curve_e_px : (k,) flux density in equal bins along the trail, may be empty. period_bins : of a periodic
+    light_curve_e_px : (k,) flux density in equal bins along the trail, may be empty. period_fraction : of a periodic
     light curve, in fractions of the trail; None without one.
     """
 

@@ -159,7 +159,7 @@ class GroundStage:
         write_pieces(folder / "stars.ecsv", tables.stars_tables(result, frames))
         write_pieces(folder / "streaks.ecsv", tables.streaks_tables(result))
         ecsv.write_table(folder / "tracklets.ecsv", tables.tracklets_table(result))
-        ecsv.write_table(folder / "orbits.ecsv", tables.orbits_table(result, options.streak_photometry.albedo))
+        ecsv.write_table(folder / "orbits.ecsv", tables.orbits_table(result))
         oem = oem_text(result.headers, options.products)
         if oem is not None:
             write_text(folder / OEM_NAME, oem)

@@ -186,7 +186,7 @@ def recovery(sample: Counted, span_s: float, field_deg: float, injected: Counted
         above = use[j:]
         classes[k]["recovered_per_day"] = _figure(a_day.objects[j], int(n_seen[k]))
         if area_km2[k] > 0.0:
-            per_area = 365.25 / area_km2[k]
+            per_area = float(exposure.days()[k] / exposure.km2_years()[k])
             classes[k]["injected_per_km2_year"] = _counted(int(n[k]), true[k] / days * per_area)
             classes[k]["recovered_per_km2_year"] = _figure(a_day.objects[j] * per_area, int(n_seen[k]))
         larger.append(

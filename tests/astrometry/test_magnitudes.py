@@ -3,11 +3,14 @@
 import numpy as np
 import pytest
 
-from ground.photometry.magnitude import exposed_time_s, sphere_size_m, streak_magnitude
+from ground.orbit.size import diameter_m
+from ground.photometry.magnitude import exposed_time_s, streak_magnitude
 from ground.photometry.zero_point import robust_linear_fit
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import PhotometricSolution, StreakFit, StreakMeasurement
+from simulator.platform.earth import AU_KM
+from simulator.scene.reflection import lambert_flux
 
 EXPOSURE_NS, LINE_NS, ROWS = 200_000_000, 100_000, 2048
 
@@ -127,7 +130,12 @@ def test_a_trail_cut_by_the_edge_has_a_magnitude_only_with_a_rate():
 )
 def test_sizes_are_those_of_the_lambert_sphere_at_full_phase(size_m, range_km, v_mag):
     """Magnitudes of spheres of albedo 0.175 at full phase, to the 0.1 mag they are quoted with."""
-    assert abs(2.5 * np.log10((sphere_size_m(v_mag, range_km, 0.175) / size_m) ** 2)) < 0.1
+    assert abs(2.5 * np.log10((diameter_m(v_mag, range_km, 0.175, 0.0) / size_m) ** 2)) < 0.1
+
+
+def test_a_sphere_at_quadrature_is_as_bright_as_the_simulator_makes_it():
+    flux = lambert_flux(0.02, 0.13, np.array([100.0, 0.0, 0.0]), np.zeros(3), np.array([0.0, AU_KM, 0.0]))
+    assert diameter_m(float(-2.5 * np.log10(flux)), 100.0, 0.13, 0.5 * np.pi) == pytest.approx(0.02, rel=1e-3)
 
 
 def test_robust_fit_ignores_outliers_and_keeps_priors():

@@ -50,6 +50,7 @@ def test_known_and_unknown_tracklets(products: Path) -> None:
         assert abs(row["cross_arcsec"]) < 10.0
         # 7 km/s for 20 ms are 140 m, at least 12 arcsec at 2,350 km; at 747 km 39
         assert -45.0 < row["along_arcsec"] < -5.0
+        assert row["n_candidates"] == 1
     assert len(np.unique(truth["object_id"])) == 3
 
 

@@ -60,7 +60,7 @@ def test_every_table_survives_ecsv_with_units_and_descriptions(run):
         *tables.stars_tables(products, frames),
         *tables.streaks_tables(products),
         tables.tracklets_table(products),
-        tables.orbits_table(products, 0.175),
+        tables.orbits_table(products),
     ]
     for table in made:
         back = _round_trip(table)
@@ -78,6 +78,15 @@ def test_streaks_have_the_columns_that_are_promised(run):
     assert set(table.colnames) >= STREAK_COLUMNS
     assert len(table) == 0
     assert "annual aberration not removed" in table.meta["directions"]
+
+
+@pytest.mark.parametrize(("without", "said"), [(0, "velocity removed,"), (1, "NO_OBSERVER"), (2, "velocity not removed")])
+def test_tables_say_what_was_removed_from_directions(run, without, said):
+    _, products = run
+    headers = [replace(header, observer=None) if k < without else header for k, header in enumerate(products.headers)]
+    told = replace(products, headers=headers)
+    for table in (*tables.streaks_tables(told), tables.tracklets_table(told)):
+        assert said in table.meta["directions"]
 
 
 def test_frames_table_points_where_the_camera_looks(run):

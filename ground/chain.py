@@ -73,6 +73,7 @@ class GroundChain:
     """Runs the steps in order; holds no state of its own besides what it was made with.
 
     calibration : None for frames from outside; then dark is 0, the flat 1 and no pixel is defective.
+    run_id : the run whose packets are used; None for the one with most packets.
     """
 
     def __init__(
@@ -83,16 +84,18 @@ class GroundChain:
         calibration: Calibration | None,
         camera: NominalCamera,
         catalogue: StarCatalogue,
+        run_id: int | None = None,
     ) -> None:
         self._options = options
         self._steps = steps
         self._calibration = calibration
         self._camera = camera
         self._catalogue = catalogue
+        self._run_id = run_id
 
     def ingest(self, downlink: bytes) -> tuple[tuple[DownlinkFrame, ...], IngestReport]:
-        """Frames rebuilt from all intact packets, by frame number, and what was missing."""
-        return decode_downlink(downlink, self._steps.decoders)
+        """Frames rebuilt from all intact packets of the run, by frame number, and what was missing."""
+        return decode_downlink(downlink, self._steps.decoders, run_id=self._run_id)
 
     def initial_state(self) -> GroundState:
         """State before the first frame; picklable."""

@@ -101,7 +101,7 @@ def _stage(name: str, run_dir: Path, plugin: list[str] | None, workers: int = 0)
 
     with shown_progress() as progress:
         opened = Run.open(run_dir, registry_of(plugin), workers=workers, progress=progress)
-        {"simulate": opened.simulate, "onboard": opened.onboard, "ground": opened.ground, "report": opened.report}[name]()
+        {"simulate": opened.simulate, "onboard": opened.onboard, "report": opened.report}[name]()
 
 
 @app.command()
@@ -117,9 +117,16 @@ def onboard(run_dir: RunDir, plugin: Plugins = None) -> None:
 
 
 @app.command()
-def ground(run_dir: RunDir, plugin: Plugins = None) -> None:
+def ground(
+    run_dir: RunDir,
+    run_id: Annotated[int | None, typer.Option("--run-id", help="whose packets of a mixed downlink, default this run's")] = None,
+    plugin: Plugins = None,
+) -> None:
     """Process the downlink of a run on ground: downlink.bin -> products/."""
-    _stage("ground", run_dir, plugin)
+    from sboc_e2e.run.pipeline import Run
+
+    with shown_progress() as progress:
+        Run.open(run_dir, registry_of(plugin), progress=progress).ground(run_id)
 
 
 @app.command()

@@ -22,7 +22,7 @@ from sboc_e2e.registry import SEAMS, Registry
 from sboc_e2e.report import pictures
 from sboc_e2e.run.begin import begin_or_continue
 from sboc_e2e.run.ground_stage import require_files
-from sboc_e2e.run.manifest import versions
+from sboc_e2e.run.manifest import run_id, versions
 from sboc_e2e.run.pipeline import KEEP_KEY, Run
 from sboc_e2e.run.progress import Progress, Silent
 from sboc_e2e.scenario import Scenario, load
@@ -102,7 +102,9 @@ class Workspace:
             _link(frames.directory.path / folder, made.directory.path / folder)
         made.manifest.stages["simulate"] = frames.manifest.stages["simulate"]
         document = {k: v for k, v in scenario.document().items() if k not in ("ground", "output", "description")}
-        shared = self.out / "downlinks" / _key([document, versions()])
+        # Whose packets they are depends on nothing that choices on ground differ in: any of them may read them.
+        made.manifest.run_id = run_id(document)
+        shared = self.out / "downlinks" / _key([document, versions(), made.manifest.run_id])
         if (shared / "stage.json").is_file():
             made.manifest.stages["onboard"] = json.loads((shared / "stage.json").read_text())
         else:

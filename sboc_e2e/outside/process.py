@@ -101,7 +101,7 @@ def process(
         progress.note(f"{count} of {n_frames} frames: {note}")
     ground = GroundStage(
         run=directory,
-        chain=ground_chain(scenario, calibration=None, camera=nominal, catalogue=catalogue),
+        chain=ground_chain(scenario, calibration=None, camera=nominal, catalogue=catalogue, run_id=manifest.run_id),
         options=scenario.ground,
         catalogue=catalogue,
         outside=Outside(origin=seen.origin, wcs=seen.wcs),

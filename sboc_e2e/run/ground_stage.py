@@ -14,6 +14,7 @@ import numpy as np
 from astropy.table import Column, Table
 
 from ground.chain import GroundChain, GroundSteps
+from ground.ingest import IngestReport
 from ground.on_demand import OnDemand
 from ground.options import GroundOptions
 from ground.products import tables
@@ -42,6 +43,9 @@ OEM_NAME: Final = "observer.oem"
 PRODUCTS_KEPT: Final = 64
 """Frames whose products stay in memory after they were asked for: as long as most tracklets last."""
 
+RUNS_NAMED: Final = 5
+"""Other runs that a line names; `ingest.json` has all of them."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Outside:
@@ -52,9 +56,14 @@ class Outside:
 
 
 def ground_chain(
-    scenario: Scenario, *, calibration: Calibration | None, camera: NominalCamera, catalogue: StarCatalogue
+    scenario: Scenario,
+    *,
+    calibration: Calibration | None,
+    camera: NominalCamera,
+    catalogue: StarCatalogue,
+    run_id: int | None = None,
 ) -> GroundChain:
-    """The ground chain of a scenario; every shipped decoder stands beside the chosen one."""
+    """The ground chain of a scenario for the packets of a run; every shipped decoder stands beside the chosen one."""
     steps = GroundSteps(
         decoders=_decoders(scenario.step("ground.decoder")),
         streak_fitter=scenario.step("ground.streak_fitter"),
@@ -64,7 +73,7 @@ def ground_chain(
         linker=scenario.step("ground.linker"),
         orbit=scenario.step("ground.orbit"),
     )
-    return GroundChain(scenario.ground, steps, calibration=calibration, camera=camera, catalogue=catalogue)
+    return GroundChain(scenario.ground, steps, calibration=calibration, camera=camera, catalogue=catalogue, run_id=run_id)
 
 
 def star_catalogue(options: GroundOptions) -> StarCatalogue:
@@ -109,6 +118,7 @@ class GroundStage:
             raise UserError(f"{self.run.downlink}: not found; the onboard stage writes it") from error
         with self.meter:
             frames, ingest = self.chain.ingest(downlink)
+        _judge_runs(self.run.downlink, ingest, progress)
         self._process_frames(frames, progress)
         products = OnDemand(len(frames), self._stored, keep=PRODUCTS_KEPT)
         with self.meter:
@@ -173,6 +183,19 @@ class GroundStage:
             for tracklet, members in zip(result.tracklets, result.members, strict=True):
                 path = folder / "plots" / f"tracklet_{tracklet.tracklet_id:06d}.svg"
                 write_text(path, tracklet_svg(tracklet, members))
+
+
+def _judge_runs(path: Path, ingest: IngestReport, progress: Progress) -> None:
+    """Say what a downlink holds of other runs. Raises `UserError` when it holds nothing else."""
+    if not ingest.foreign_runs:
+        return
+    by_size = sorted(ingest.foreign_runs.items(), key=lambda pair: (-pair[1], pair[0]))
+    listed = ", ".join(f"{run} ({n} packets)" for run, n in by_size[:RUNS_NAMED]) + (", ..." if len(by_size) > RUNS_NAMED else "")
+    if ingest.run_id is None:
+        raise UserError(
+            f"{path}: no intact packet of the run asked for, only of others: {listed}; --run-id NUMBER takes one of them"
+        )
+    progress.note(f"{path}: packets of other runs were left out: {listed}; --run-id NUMBER takes one of them")
 
 
 def _with_origin(table: Table, origin: Mapping[int, tuple[str, int]]) -> Table:

@@ -94,10 +94,9 @@ class Manifest:
         """Whether a stage has finished."""
         return self.stages.get(stage, {}).get("state") == "done"
 
-    def begin(self, stage: str) -> None:
-        """Note that a stage runs; time of an interrupted attempt is kept and added to."""
-        record = self.stages.setdefault(stage, {})
-        record["state"] = "running"
+    def begin(self, stage: str, **figures: int) -> None:
+        """Note that a stage runs, and on what; time of an interrupted attempt is kept and added to."""
+        self.stages.setdefault(stage, {}).update(figures, state="running")
         self.save()
 
     def finish(self, stage: str, **figures: float | str) -> None:

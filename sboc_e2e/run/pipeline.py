@@ -126,15 +126,18 @@ class Run:
 
     # -- ground -----------------------------------------------------------------------------------------------------
 
-    def ground(self) -> None:
-        """Products from downlink, calibration and catalogue."""
+    def ground(self, run_id: int | None = None) -> None:
+        """Products from downlink, calibration and catalogue; run_id : whose packets are used, None for this run's."""
+        wanted = self.manifest.run_id if run_id is None else run_id
         calibration = calibration_files.read(self.directory.calibration)
         camera = calibration_files.read_camera(self.directory.calibration)
         catalogue = star_catalogue(self.scenario.ground)
-        chain = ground_chain(self.scenario, calibration=calibration, camera=camera, catalogue=catalogue)
+        chain = ground_chain(self.scenario, calibration=calibration, camera=camera, catalogue=catalogue, run_id=wanted)
         stage = GroundStage(run=self.directory, chain=chain, options=self.scenario.ground, catalogue=catalogue)
+        if self.manifest.stages.get("ground", {}).get("run_id", self.manifest.run_id) != wanted:
+            self.directory.clear_work("ground")  # an interrupted attempt at another run's packets
         self.manifest.forget(("score", "report"))
-        self.manifest.begin("ground")
+        self.manifest.begin("ground", run_id=wanted)
         n_frames, peak_mb = stage.execute(self.progress)
         self.manifest.finish("ground", **_cost(stage.meter.wall_s, stage.meter.cpu_s, peak_mb, n_frames))
         self.directory.clear_work("ground")

@@ -148,7 +148,8 @@ def evaluate(run_dir: Path, truth: Path | None = None, extra_decoders: Sequence[
     manifest = json.loads((run_dir / "manifest.json").read_text())
     products = {name: read_table(run_dir / "products" / f"{name}.ecsv") for name in ("streaks", "frames", "orbits", "tracklets")}
     downlink = (run_dir / "downlink.bin").read_bytes()
-    downlink_frames, _ = decode_downlink(downlink, (*SHIPPED_DECODERS, *extra_decoders))
+    run_id = manifest.get("stages", {}).get("ground", {}).get("run_id")
+    downlink_frames, _ = decode_downlink(downlink, (*SHIPPED_DECODERS, *extra_decoders), run_id=run_id)
     if truth is not None and not truth.exists():
         raise UserError(f"{truth}: not found; --truth takes a table, a folder of truth tables or of SatNet annotations")
     if truth is None or (truth.is_dir() and not is_satnet(truth)):

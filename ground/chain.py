@@ -333,11 +333,16 @@ class GroundChain:
         rows, cols = self._calibration.dark_adu.shape
         if header is None or (header.rows, header.cols) == (rows, cols):
             return self._calibration
-        window = np.s_[
-            header.window_row0 : header.window_row0 + header.rows, header.window_col0 : header.window_col0 + header.cols
-        ]
+        camera, (row0, col0) = self._calibration.camera, header.corner_in((rows, cols))
+        window = np.s_[row0 : row0 + header.rows, col0 : col0 + header.cols]
         return Calibration(
-            camera=replace(self._calibration.camera, rows=header.rows, cols=header.cols),
+            camera=replace(
+                camera,
+                rows=header.rows,
+                cols=header.cols,
+                center_row=camera.center_row - row0,
+                center_col=camera.center_col - col0,
+            ),
             dark_adu=self._calibration.dark_adu[window],
             flat=self._calibration.flat[window],
             defects=self._calibration.defects[window],

@@ -12,7 +12,6 @@ from numba import njit
 from numpy.typing import NDArray
 
 from onboard.dark_map import BAND_ROWS, FRACTIONS_PER_ADU, STEPS_PER_ADU, Codes, DarkMap, split_value, whole_steps
-from sboc_e2e.icd.errors import ContractError
 from sboc_e2e.icd.flags import MaskBit
 from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader
 from sboc_e2e.icd.signals import BackgroundModel
@@ -89,13 +88,8 @@ class IntegerCalibration:
         return cls(dark=DarkMap.of(calibration.dark_adu), defects=runs_of(calibration.defects))
 
     def window(self, header: FrameHeader) -> "IntegerCalibration":
-        """The part that a (windowed) frame covers."""
-        row0, col0 = header.window_row0, header.window_col0
-        if row0 + header.rows > self.dark.shape[0] or col0 + header.cols > self.dark.shape[1]:
-            raise ContractError(
-                f"frame {header.frame}: expected a window inside the calibration's {self.dark.shape[0]} x "
-                f"{self.dark.shape[1]} px, got {header.rows} x {header.cols} at ({row0}, {col0})"
-            )
+        """The part that a frame covers."""
+        row0, col0 = header.corner_in(self.dark.shape)
         first = np.array((row0, col0, col0, 0), dtype=np.int32)
         return IntegerCalibration(dark=self.dark.window(row0, col0, (header.rows, header.cols)), defects=self.defects - first)
 

@@ -91,6 +91,27 @@ class FrameHeader:
         if self.read_noise_e is not None:
             validate.within("header.read_noise_e", self.read_noise_e, 0.0, 1e6)
 
+    def corner_in(self, shape: tuple[int, int]) -> tuple[int, int]:
+        """Row and column of this frame's first pixel in calibration maps of a shape (delivered pixels).
+
+        Maps of the frame's own shape were made for its window; larger ones cover the whole detector. Raises `ContractError`
+        for a window that leaves them, or that does not begin on a border of their binned pixels.
+        """
+        if shape == (self.rows, self.cols):
+            return 0, 0
+        (row, rest_row), (col, rest_col) = divmod(self.window_row0, self.bin_rows), divmod(self.window_col0, self.bin_cols)
+        if rest_row or rest_col:
+            raise ContractError(
+                f"frame {self.frame}: expected a window that begins on a border of the calibration's pixels of {self.bin_rows} x "
+                f"{self.bin_cols}, got detector pixel ({self.window_row0}, {self.window_col0})"
+            )
+        if row + self.rows > shape[0] or col + self.cols > shape[1]:
+            raise ContractError(
+                f"frame {self.frame}: expected a window inside the calibration's {shape[0]} x {shape[1]} px, "
+                f"got {self.rows} x {self.cols} at ({row}, {col})"
+            )
+        return row, col
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Frame:
@@ -154,6 +175,7 @@ class NominalCamera:
 class Calibration:
     """What on-board and ground software may know of the camera; reduced from calibration frames with their own noise.
 
+    The maps are of delivered pixels and cover what the frames cover, or the whole detector (`FrameHeader.corner_in`).
     dark_adu : (rows, cols) float32, pedestal and dark signal of one exposure.
     flat : (rows, cols) float32, relative response, 1 on axis.
     defects : (rows, cols) uint8 of `flags.MaskBit`.

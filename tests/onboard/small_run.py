@@ -55,8 +55,8 @@ def camera(side: int = SIDE) -> NominalCamera:
     )
 
 
-def calibration(side: int = SIDE, dark_adu: float = PEDESTAL_ADU) -> Calibration:
-    """A dark with a fraction of an ADU, a flat of one, no defects."""
+def calibration(side: int = SIDE, dark_adu: float | NDArray[np.float64] = PEDESTAL_ADU) -> Calibration:
+    """A dark, the same everywhere or a map, a flat of one, no defects."""
     shape = (side, side)
     return Calibration(
         camera=camera(side),
@@ -133,6 +133,7 @@ def start_run(
     roi: RoiOptions | None = None,
     steps: OnboardSteps | None = None,
     run_id: int = RUN_ID,
+    dark_adu: float | NDArray[np.float64] = PEDESTAL_ADU,
 ) -> Run:
     """A chain before its first frame."""
     chain = OnboardChain(
@@ -144,7 +145,7 @@ def start_run(
             detector=PlantedDetector(detections=detections),
             codec=codec or PlanesCodec(),
         ),
-        calibration=calibration(side) if with_calibration else None,
+        calibration=calibration(side, dark_adu) if with_calibration else None,
         camera=camera(side),
         run_id=run_id,
     )

@@ -208,12 +208,36 @@ def test_wrong_dtype_is_refused_at_birth() -> None:
         Frame(header=header(0), pixels=np.zeros((SIDE, SIDE), np.int64))  # type: ignore[arg-type]  # what the test is about
 
 
-def test_windowed_readout_uses_its_part_of_the_dark() -> None:
-    """A window of the detector subtracts the dark under it."""
-    window = replace(header(0, 64), window_row0=100, window_col0=120)
-    run = start_run(detections=(replace(STREAK, row0=10, col0=10, row1=50, col1=50),))
-    run.feed(Frame(header=window, pixels=small_run.sky(0, 64)))
-    assert only_frame(run.downlink).header.window_row0 == 100
+DARK_ADU = 256.0 + 0.27 * np.arange(SIDE)[:, None] + 0.41 * np.arange(SIDE)
+"""A dark that differs everywhere."""
+
+
+@pytest.mark.parametrize(("window", "binning", "whole"), [((100, 120), 1, True), ((200, 240), 2, True), ((100, 120), 1, False)])
+def test_windowed_readout_uses_its_part_of_the_dark(window: tuple[int, int], binning: int, whole: bool) -> None:
+    """What a strip carries is above the dark under it: maps of the whole detector, and maps that were made for the window."""
+    given = replace(header(0, 64), window_row0=window[0], window_col0=window[1], bin_rows=binning, bin_cols=binning)
+    part = DARK_ADU[100:164, 120:184]
+    pixels = np.rint(small_run.sky(0, 64) - small_run.PEDESTAL_ADU + part).astype(np.uint16)
+    side, dark = (SIDE, DARK_ADU) if whole else (64, part)
+    run = start_run(detections=(replace(STREAK, row0=10, col0=10, row1=50, col1=50),), side=side, dark_adu=dark)
+    run.feed(Frame(header=given, pixels=pixels))
+    (group,) = only_frame(run.downlink).rois
+    above = pixels - np.rint(part.astype(np.float32))
+    for strip in group.strips:
+        row, col, inside = strip.pixel_coordinates(64, 64)
+        assert np.array_equal(strip.values_adu[inside], above[row[inside], col[inside]])
+
+
+def test_window_across_binned_pixels_is_refused() -> None:
+    """Pixels of a window that begins inside of a binned pixel are not those of the calibration."""
+    run = start_run()
+    with pytest.raises(ContractError, match=r"border of the calibration's pixels of 2 x 2, got detector pixel \(201, 240\)"):
+        run.feed(
+            Frame(
+                header=replace(header(0, 64), window_row0=201, window_col0=240, bin_rows=2, bin_cols=2),
+                pixels=small_run.sky(0, 64),
+            )
+        )
 
 
 @dataclass(frozen=True, kw_only=True)

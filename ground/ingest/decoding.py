@@ -4,19 +4,23 @@ from collections import Counter, defaultdict
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
+from typing import Final
 
 from ground.ingest.assembly import FrameParts, assemble
 from ground.ingest.packets import Packet, StreamFaults, read_packets
 from ground.ingest.records import MemoryLimit, decode_record
 from ground.ingest.report import ApidReport, IngestReport
 from sboc_e2e.icd import layout
-from sboc_e2e.icd.downlink import DownlinkFrame
+from sboc_e2e.icd.downlink import DownlinkFrame, Housekeeping
 from sboc_e2e.icd.errors import ContractError, PluginError, UserError
+from sboc_e2e.icd.flags import FrameFlag
 from sboc_e2e.icd.layout import Apid
 from sboc_e2e.icd.steps import Decoder
 
 FAILURES_LISTED = 1000
 COUNT_MODULUS = 1 << 14
+ALWAYS_SENT: Final = frozenset({Apid.STARS, Apid.BACKGROUND, Apid.THUMBNAIL})
+"""Kinds that every frame has unless its header says that something did not fit into the budget."""
 
 
 @dataclass(kw_only=True)
@@ -184,10 +188,20 @@ def _decoded(
             parts.missing[kind] = parts.missing.get(kind, 0) + n_segments - arrived[group]
     if parts.header is None:
         parts.missing.setdefault("header", 1)
-    elif parts.header.housekeeping.n_rois_sent > len(parts.n_strips):
-        lost = parts.header.housekeeping.n_rois_sent - len(parts.n_strips)
-        parts.missing["roi"] = parts.missing.get("roi", 0) + lost
+    else:
+        _note_lost_items(parts, parts.header.housekeeping, {apid for apid, _ in expected})
     return parts
+
+
+def _note_lost_items(parts: FrameParts, sent: Housekeeping, arrived: set[int]) -> None:
+    """Note what the header says was sent and no packet of which arrived; of a lost list or image at least one packet."""
+    if sent.n_rois_sent > len(parts.n_strips):
+        parts.missing["roi"] = parts.missing.get("roi", 0) + sent.n_rois_sent - len(parts.n_strips)
+    lost = {Apid.STARS} if sent.n_stars_sent > sum(map(len, parts.stars)) else set()
+    if not sent.flags & FrameFlag.BUDGET_CUT:
+        lost |= ALWAYS_SENT - arrived
+    for apid in lost:
+        parts.missing.setdefault(apid.name.lower(), 1)
 
 
 def _completeness(

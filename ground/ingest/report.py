@@ -27,7 +27,8 @@ class IngestReport:
     other content.
     frames_complete, frames_incomplete : frame numbers; frames_missing : numbers between the first and the last of which
     nothing arrived; frames_unusable : something arrived, but not enough to build the frame.
-    missing_segments : per incomplete frame, how many packets of each kind are known to be missing.
+    missing_segments : per incomplete frame, how many packets of each kind are known to be missing; a whole frame of which no
+    packet arrived shows in the sequence counts of `apids` only.
     decode_failures : one line for each intact packet whose content could not be decoded.
     """
 

@@ -147,7 +147,10 @@ def test_a_damaged_packet_costs_what_it_carried_and_is_reported(healthy: Run, tm
     assert received == len(packets) - len(damage.gone)
     hit = {place_of(packets[index]) for index in damage.gone}
     unharmed_frames = {frame for frame in range(6) if not any(f == frame for _, f, _ in hit)}
-    assert unharmed_frames <= set(report["frames_complete"])
+    assert unharmed_frames == set(report["frames_complete"])
+    kinds_hit = {frame: {Apid(apid).name.lower() for apid, f, _ in hit if f == frame} for _, frame, _ in hit}
+    for frame in set(report["frames_incomplete"]):
+        assert "header" in kinds_hit[frame] or kinds_hit[frame] == set(report["missing_segments"][str(frame)])
     lost_groups = {(frame, item) for apid, frame, item in hit if apid == Apid.ROI}
     before = {(int(s["frame"]), int(s["roi_id"])) for s in streaks_of(healthy.directory)}
     after = {(int(s["frame"]), int(s["roi_id"])) for s in streaks_of(directory)}

@@ -14,6 +14,7 @@ from ground.ingest import decode_downlink
 from ground.ingest.codecs import PlanesDecoder, RawDecoder
 from ground.ingest.decoding import missing_counts
 from onboard.codec import PlanesCodec
+from onboard.options import DownlinkOptions
 from sboc_e2e.icd import layout
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.errors import PluginError, UserError
@@ -119,13 +120,37 @@ def test_lost_packets_cost_what_they_carried(packets: list[bytes], lost: set[int
         assert bool(f.flags & FrameFlag.HEADER_REBUILT) == lost_header
         if lost_header:
             assert f.header.t_start_tai_ns == small_run.header(f.header.frame).t_start_tai_ns
-    # a background or thumbnail that is lost entirely shows in the sequence counts only
-    seen_by_segments = set(report.frames_incomplete)
+    assert set(report.frames_incomplete) == {frame_number(p) for p in kept} & damaged
+    assert set(report.frames_complete) == {frame_number(p) for p in kept} - damaged
+    for f in frames:
+        assert bool(f.flags & FrameFlag.PACKETS_MISSING) == (f.header.frame in damaged)
     for number in damaged & built:
-        kinds = {apid(packets[k]) for k in lost if frame_number(packets[k]) == number}
-        if Apid.HEADER in kinds or Apid.ROI in kinds:
-            assert number in seen_by_segments
-    assert set(report.frames_complete) | seen_by_segments == {frame_number(p) for p in kept}
+        kinds = {Apid(apid(packets[k])).name.lower() for k in lost if frame_number(packets[k]) == number}
+        if "header" not in kinds:
+            assert set(report.missing_segments[number]) == kinds
+
+
+@pytest.mark.parametrize("kind", [Apid.STARS, Apid.BACKGROUND, Apid.THUMBNAIL], ids=lambda kind: kind.name.lower())
+def test_a_list_or_an_image_that_is_lost_entirely_is_named_by_its_frame(packets: list[bytes], kind: Apid) -> None:
+    """The header says what was sent; what did not fit into the budget is not missed."""
+    kept = [p for p in packets if not (apid(p) == kind and frame_number(p) == 1)]
+    frames, report = decode_downlink(b"".join(kept), DECODERS)
+    assert report.frames_complete == (0, 2, 3)
+    assert report.missing_segments == {1: {kind.name.lower(): 1}}
+    assert [bool(f.flags & FrameFlag.PACKETS_MISSING) for f in frames] == [False, True, False, False]
+
+
+def test_what_the_budget_kept_back_is_not_missed() -> None:
+    """A link with room for header, stars and regions, but not for the images of the sky."""
+    roomy = small_run.start_run().feed(small_run.frame(0)).bytes_by_apid
+    room = sum(roomy[kind] for kind in (Apid.HEADER, Apid.STARS, Apid.ROI)) + 10
+    run = small_run.start_run(downlink=DownlinkOptions(budget_mbit_s=room * 8 / 0.2 / 1e6, burst_s=0.0))
+    packets = split(run.feed(small_run.frame(0)).packets)
+    assert {apid(p) for p in packets} == {Apid.HEADER, Apid.STARS, Apid.ROI}
+    _, report = decode_downlink(b"".join(packets), DECODERS)
+    assert report.frames_complete == (0,)
+    _, report = decode_downlink(b"".join(p for p in packets if apid(p) != Apid.STARS), DECODERS)
+    assert report.missing_segments == {0: {"stars": 1}}
 
 
 def test_inner_losses_are_named_by_sequence_count(packets: list[bytes]) -> None:

@@ -69,8 +69,7 @@ class Run:
 
     def simulate(self) -> None:
         """All frames and their truth; frames stay on disk as the scenario says."""
-        maker = self._maker()
-        simulator = maker.simulator()
+        maker, simulator = self._maker(), self.open_simulator()
         self._write_calibration(simulator.calibration)
         todo = [index for index in range(self.manifest.n_frames) if not maker.complete(index)]
         self.manifest.forget(STAGES)
@@ -99,12 +98,15 @@ class Run:
 
     def open_simulator(self) -> Simulator:
         """The scenario's simulator; writes nothing. Raises `UserError` for what it cannot simulate."""
-        return self._maker().simulator()
+        try:
+            return self._maker().simulator()
+        except UserError as error:
+            raise UserError(f"scenario {self.scenario.name}: {error}") from error
 
     def simulate_and_onboard(self, simulator: Simulator | None = None) -> None:
         """Both halves of the space segment, streamed: no more than a few frames exist at a time."""
         maker = self._maker()
-        simulator = simulator or maker.simulator()
+        simulator = simulator or self.open_simulator()
         self._write_calibration(simulator.calibration)
         stage = self._onboard_stage()
         self.manifest.begin("simulate")

@@ -1,8 +1,8 @@
 """The resolved scenario: options of the three segments, the chosen steps, what to keep, and back to a document."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
-from functools import cache
+from functools import cache, partial
 from pathlib import Path
 from typing import Any, Final
 
@@ -76,6 +76,9 @@ class Scenario:
         tables["faults"] = option_models.to_document(self.faults)
         return tables
 
+
+MAX_LABEL: Final = 120
+"""Characters of what was typed that an error repeats."""
 
 SEGMENT_OPTIONS: Final[dict[str, type]] = {"onboard": OnboardOptions, "ground": GroundOptions}
 SEGMENT_SEAMS: Final = {
@@ -161,14 +164,31 @@ def _resolved(
     use: Mapping[str, str],
     seed: int | None,
 ) -> Scenario:
-    """The scenario of a document after what was typed on the command line."""
-    for seam, step in use.items():
-        segment, _, key = seam.partition(".")
-        document.setdefault(segment, {})[key] = {"use": step}
-    document = toml_files.with_overrides(document, overrides)
+    """The scenario of a document after what was typed on the command line; a refusal names what was typed, or the file."""
+    layers: list[tuple[str, Callable[[dict[str, Any]], dict[str, Any]]]] = [
+        *((f"--use {seam}={step}", partial(_with_step, seam=seam, step=step)) for seam, step in use.items()),
+        *((f"--set {text}", partial(toml_files.with_override, text=text)) for text in overrides),
+    ]
     if seed is not None:
-        document["seed"] = seed
-    return from_document(document, name=name, registry=registry, where=where, typed=frozenset(use.values()))
+        layers.append((f"--seed {seed}", lambda tables: {**tables, "seed": seed}))
+    stages = [(where, document)]
+    for label, changed in layers:
+        stages.append((label[:MAX_LABEL], changed(stages[-1][1])))
+    resolve = partial(from_document, name=name, registry=registry, typed=frozenset(use.values()))
+    try:
+        return resolve(stages[-1][1], where=where)
+    except UserError:
+        # The first that cannot stand is to blame; a file that is wrong for itself is, whatever was typed.
+        for label, tables in stages:
+            resolve(tables, where=label)
+        raise
+
+
+def _with_step(document: Mapping[str, Any], *, seam: str, step: str) -> dict[str, Any]:
+    """The document with the step of a seam that was typed; the scenario's choice and its options are gone."""
+    segment, _, key = seam.partition(".")
+    table = document.get(segment, {})
+    return {**document, segment: {**table, key: {"use": step}} if isinstance(table, Mapping) else table}
 
 
 def from_document(

@@ -3,7 +3,7 @@
 import copy
 import re
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any, Final
 
@@ -86,20 +86,19 @@ def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
-def with_overrides(document: Mapping[str, Any], overrides: Iterable[str]) -> dict[str, Any]:
+def with_override(document: Mapping[str, Any], text: str) -> dict[str, Any]:
     """The document after ``--set table.key=value``; a value that is not TOML is taken as a string."""
     result = copy.deepcopy(dict(document))
-    for text in overrides:
-        path, equals, value_text = text.partition("=")
-        keys = [key.strip() for key in path.split(".")]
-        if not equals or not all(keys) or len(keys) > MAX_DEPTH:
-            raise UserError(f'--set: expected key=value such as sensor.rows=512, got "{text[:80]}"')
-        table = result
-        for key in keys[:-1]:
-            table = table.setdefault(key, {})
-            if not isinstance(table, dict):
-                raise UserError(f'--set: "{key}" in "{path}" is not a table')
-        table[keys[-1]] = _value(value_text.strip())
+    path, equals, value_text = text.partition("=")
+    keys = [key.strip() for key in path.split(".")]
+    if not equals or not all(keys) or len(keys) > MAX_DEPTH:
+        raise UserError(f'--set: expected key=value such as instrument.rows=512, got "{text[:80]}"')
+    table = result
+    for key in keys[:-1]:
+        table = table.setdefault(key, {})
+        if not isinstance(table, dict):
+            raise UserError(f'--set: "{key}" in "{path}" is not a table')
+    table[keys[-1]] = _value(value_text.strip())
     return result
 
 

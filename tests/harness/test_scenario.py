@@ -3,6 +3,7 @@
 import json
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import pytest
 from hypothesis import given
@@ -96,6 +97,27 @@ def test_what_is_wrong_is_said_in_one_line(tmp_path: Path, text: str, words: tup
 )
 def test_a_wrong_override_is_said_in_one_line(tmp_path: Path, override: str, words: str) -> None:
     assert words in refusal(tmp_path, "seed = 1", override)
+
+
+@pytest.mark.parametrize(
+    ("typed", "words"),
+    [
+        ({"overrides": ["seed=2", "frames=abc", "frame_rate=1 Hz"]}, "--set frames=abc: frames: expected an integer, got 'abc'"),
+        ({"overrides": ["onboard.detector.n_sgma=7"]}, "--set onboard.detector.n_sgma=7: [onboard.detector]"),
+        (
+            {"use": {"onboard.detector": "treshold"}},
+            '--use onboard.detector=treshold: onboard.detector: no step is called "tresh',
+        ),
+        ({"seed": -1, "overrides": ["frames=2"]}, "--seed -1: seed: "),
+    ],
+)
+def test_a_refusal_names_what_was_typed(tmp_path: Path, typed: dict[str, Any], words: str) -> None:
+    with pytest.raises(UserError) as caught:
+        scenario.load(written(tmp_path, "seed = 1"), registry=REGISTRY, **typed)
+    assert str(caught.value).startswith(words)
+    with pytest.raises(UserError) as caught:
+        scenario.load(written(tmp_path, "sed = 1"), registry=REGISTRY, **typed)
+    assert str(caught.value).startswith(f"{tmp_path}/mine.toml: ")
 
 
 def test_missing_large_and_binary_files_are_refused(tmp_path: Path) -> None:

@@ -42,6 +42,7 @@ def test_an_element_set_that_sgp4_refuses(tmp_path, capsys):
         ('objects.encounter=[{name="near",range="200000 km",heading="0 deg"}]', "objects.encounter 'near'"),
         ('objects.passing=[{name="gone",range="900000 km"}]', "objects.passing 'gone'"),
         ('epoch_utc="2099-01-01T00:00:00"', "2099-01-01 lies outside the Earth-orientation data"),
+        ("epoch_utc=yesterday", "scenario smoke: epoch_utc: 'yesterday' is not an ISO-8601 date"),
         ('epoch_utc="1950-01-01T00:00:00"', "1950-01-01 lies outside the Earth-orientation data"),
     ],
 )

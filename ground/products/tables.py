@@ -310,13 +310,17 @@ def _centre_directions(headers: Sequence[FrameHeader], solutions: Sequence[Frame
     return spherical_deg(vectors)
 
 
+WHOLE_NUMBERS: Final = ("_id", "_ns", "frame", "frames", "flags", "rows", "cols")
+"""How the names of columns of integers end, besides those that begin with n_."""
+
+
 def _table(columns: Sequence[Spec], name: str) -> Table:
     """An astropy table; empty lists become empty columns of the right kind."""
     made = []
     for title, values, unit, text in columns:
         array = np.asarray(values)
         if array.size == 0 and array.dtype.kind == "f" and isinstance(values, list):
-            array = array.astype(np.int64 if title.endswith(("_id", "_ns", "frame", "frames", "flags")) else np.float64)
+            array = array.astype(np.int64 if title.startswith("n_") or title.endswith(WHOLE_NUMBERS) else np.float64)
         made.append(Column(array, name=title, unit=unit, description=text))
     return Table(made, meta={"table": name, "contract_version": CONTRACT_VERSION})
 

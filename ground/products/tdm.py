@@ -25,11 +25,11 @@ def tdm_text(
 ) -> str:
     """The message. Tracklets without sky positions are left out; an empty message has no segment.
 
-    members : the streaks of each tracklet, which have its magnitudes.
+    members : the streaks of each tracklet, which have its magnitudes. headers : at least one.
     oem_name : file with the observer's states, None when there are none. CREATION_DATE is the epoch of the last frame,
     so that the same data give the same bytes.
     """
-    created = utc_text([max((h.t_start_tai_ns for h in headers), default=0)], 3)[0]
+    created = utc_text([max(h.t_start_tai_ns for h in headers)], 3)[0]
     lines = [
         "CCSDS_TDM_VERS = 2.0",
         "COMMENT Angles of space-based optical tracklets; what was corrected is stated in each segment",

@@ -118,7 +118,7 @@ class GroundStage:
             raise UserError(f"{self.run.downlink}: not found; the onboard stage writes it") from error
         with self.meter:
             frames, ingest = self.chain.ingest(downlink)
-        _judge_runs(self.run.downlink, ingest, progress)
+        _judge(self.run.downlink, ingest, progress)
         self._process_frames(frames, progress)
         products = OnDemand(len(frames), self._stored, keep=PRODUCTS_KEPT)
         with self.meter:
@@ -173,8 +173,10 @@ class GroundStage:
         oem = oem_text(result.headers, options.products)
         if oem is not None:
             write_text(folder / OEM_NAME, oem)
-        tdm = tdm_text(result.tracklets, result.members, result.headers, options.products, oem_name=OEM_NAME if oem else None)
-        write_text(folder / TDM_NAME, tdm)
+        if result.headers:  # a message says when it was made, which is when the last frame was
+            oem_name = OEM_NAME if oem else None
+            tdm = tdm_text(result.tracklets, result.members, result.headers, options.products, oem_name=oem_name)
+            write_text(folder / TDM_NAME, tdm)
         write_json(folder / "ingest.json", result.ingest.as_dict() if result.ingest else {})
         if options.products.tracklet_plots:
             # here, since matplotlib takes longer to load than a frame to process
@@ -185,17 +187,23 @@ class GroundStage:
                 write_text(path, tracklet_svg(tracklet, members))
 
 
-def _judge_runs(path: Path, ingest: IngestReport, progress: Progress) -> None:
-    """Say what a downlink holds of other runs. Raises `UserError` when it holds nothing else."""
-    if not ingest.foreign_runs:
-        return
-    by_size = sorted(ingest.foreign_runs.items(), key=lambda pair: (-pair[1], pair[0]))
-    listed = ", ".join(f"{run} ({n} packets)" for run, n in by_size[:RUNS_NAMED]) + (", ..." if len(by_size) > RUNS_NAMED else "")
-    if ingest.run_id is None:
+def _judge(path: Path, ingest: IngestReport, progress: Progress) -> None:
+    """Say what a downlink lacks of this run and holds of others. Raises `UserError` when it holds nothing of this run."""
+    others = sorted(ingest.foreign_runs.items(), key=lambda pair: (-pair[1], pair[0]))
+    listed = ", ".join(f"{run} ({n} packets)" for run, n in others[:RUNS_NAMED]) + (", ..." if len(others) > RUNS_NAMED else "")
+    if ingest.run_id is None and others:
         raise UserError(
             f"{path}: no intact packet of the run asked for, only of others: {listed}; --run-id NUMBER takes one of them"
         )
-    progress.note(f"{path}: packets of other runs were left out: {listed}; --run-id NUMBER takes one of them")
+    if ingest.run_id is None and ingest.n_bytes > 0:
+        unread = f" and {ingest.other_contract} of other versions of the contract" if ingest.other_contract else ""
+        raise UserError(f"{path}: {ingest.n_bytes} bytes without an intact packet{unread}; the onboard stage writes it")
+    if ingest.run_id is None:
+        raise UserError(f"{path}: empty; the onboard stage writes it")
+    if others:
+        progress.note(f"{path}: packets of other runs were left out: {listed}; --run-id NUMBER takes one of them")
+    if ingest.frames_unusable:
+        progress.note(f"{path}: no intact header packet, without which none of {len(ingest.frames_unusable)} frames can be built")
 
 
 def _with_origin(table: Table, origin: Mapping[int, tuple[str, int]]) -> Table:

@@ -69,6 +69,10 @@ class RoiFootprints:
         self.n_false_unflagged += sum(not group.detection.flags & IMPOSTOR for group in false)
 
 
+def _ideal(value: float | None) -> Figure:
+    return absent("the frame is too small for the formula") if value is None else exact(value, 0)
+
+
 def _bins(truth: Sequence[TruthStreak], detected: NDArray[np.bool_]) -> list[dict[str, Any]]:
     quantities = {
         "snr": (SNR_EDGES, np.array([t.snr for t in truth])),
@@ -121,8 +125,8 @@ def detection_figures(
         "completeness_snr10": complete(10.0),
         "snr50": half_point(snr[measured], found[measured]) if measured.any() else absent(unknown or "no truth streak"),
         "snr50_by_length": by_length,
-        "ideal_snr50": exact(ideal_snr50(0.1, *shape, sigma_px), 0),
-        "ideal_threshold": exact(ideal_threshold(0.1, *shape, sigma_px), 0),
+        "ideal_snr50": _ideal(ideal_snr50(0.1, *shape, sigma_px)),
+        "ideal_threshold": _ideal(ideal_threshold(0.1, *shape, sigma_px)),
         "false_per_frame": false,
         "bins": _bins(counted, found),
     }

@@ -156,9 +156,17 @@ def evaluate(run_dir: Path, truth: Path | None = None, extra_decoders: Sequence[
         truth_tables = read_truth(truth or run_dir / "truth")
     else:
         truth_tables = _from_elsewhere(truth, run_dir, products["frames"], downlink_frames, int(manifest["n_frames"]))
-    shape = (int(products["frames"]["rows"][0]), int(products["frames"]["cols"][0])) if len(products["frames"]) else (1, 1)
+    shape = _shape(run_dir, products["frames"])
     streaks = truth_streaks(truth_tables["streaks"])
     return assemble(streaks, truth_tables, products, downlink, downlink_frames, shape, manifest)
+
+
+def _shape(run_dir: Path, frames: Table) -> tuple[int, int]:
+    """Rows and columns of the frames; the nominal camera's where no frame arrived."""
+    if len(frames):
+        return int(frames["rows"][0]), int(frames["cols"][0])
+    camera = calibration_files.read_camera(run_dir / "calibration")
+    return camera.rows, camera.cols
 
 
 def _from_elsewhere(truth: Path, run_dir: Path, frames: Table, downlink_frames: Sequence[DownlinkFrame], n_frames: int) -> Truth:

@@ -16,6 +16,9 @@ _ROUGHNESS_LENGTH_PX: Final = (20.0, 50.0, 100.0, 200.0, 400.0, 1000.0, 2000.0)
 _ROUGHNESS_FACTOR: Final = (1.09, 0.87, 0.69, 0.48, 0.24, 0.13, 0.10)
 MIN_LENGTH_PX: Final = 10.0
 FREE_PARAMETERS: Final = 4
+LEAST_THRESHOLD: Final = 3.0
+MOST_THRESHOLD: Final = 15.0
+"""Between these the formula, which holds for high thresholds and falls there, is solved."""
 
 
 def expected_false(threshold: float, rows: int, cols: int, sigma_px: float) -> float:
@@ -31,14 +34,25 @@ def expected_false(threshold: float, rows: int, cols: int, sigma_px: float) -> f
     return float(threshold ** (d - 1) * math.exp(-(threshold**2) / 2) * (2 * math.pi) ** (-(d + 1) / 2) * volume)
 
 
-def ideal_threshold(false_per_frame: float, rows: int, cols: int, sigma_px: float) -> float:
-    """Threshold (sigma) at which the ideal detector has the given false alarms in each frame."""
-    return float(optimize.brentq(lambda u: expected_false(u, rows, cols, sigma_px) - false_per_frame, 3.0, 15.0))
+def ideal_threshold(false_per_frame: float, rows: int, cols: int, sigma_px: float) -> float | None:
+    """Threshold (sigma) at which the ideal detector has the given false alarms in each frame.
+
+    None for a frame so small beside the PSF, or without room for a segment, that fewer are expected above 3 sigma.
+    """
+    if max(rows, cols) <= MIN_LENGTH_PX or expected_false(LEAST_THRESHOLD, rows, cols, sigma_px) < false_per_frame:
+        return None
+    limits = (LEAST_THRESHOLD, MOST_THRESHOLD)
+    return float(optimize.brentq(lambda u: expected_false(u, rows, cols, sigma_px) - false_per_frame, *limits))
 
 
-def ideal_snr50(false_per_frame: float, rows: int, cols: int, sigma_px: float) -> float:
-    """True S/N that the ideal detector finds half of: the maximised statistic sits d/(2 S) above the true S/N."""
+def ideal_snr50(false_per_frame: float, rows: int, cols: int, sigma_px: float) -> float | None:
+    """True S/N that the ideal detector finds half of: the maximised statistic sits d/(2 S) above the true S/N.
+
+    None where there is no threshold.
+    """
     threshold = ideal_threshold(false_per_frame, rows, cols, sigma_px)
+    if threshold is None:
+        return None
     snr = threshold
     for _ in range(20):
         snr = threshold - FREE_PARAMETERS / (2 * snr)

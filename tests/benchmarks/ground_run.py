@@ -151,7 +151,7 @@ def finish(folder: Path, n_frames: int) -> dict[str, Any]:
     _, nothing = chain.ingest(b"")
 
     def ingest(_: bytes) -> tuple[OnDemand[DownlinkFrame], IngestReport]:
-        return OnDemand(n_frames, partial(frame_of, run), keep=64), nothing
+        return OnDemand(n_frames, partial(frame_of, run), keep=64), dataclasses.replace(nothing, run_id=0)
 
     chain.ingest = ingest  # type: ignore[assignment, method-assign]  # frames on demand take the place of packets
     stage = GroundStage(run=run, chain=chain, options=scenario.ground, catalogue=catalogue)

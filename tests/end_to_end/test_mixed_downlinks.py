@@ -7,10 +7,11 @@ import struct
 from pathlib import Path
 
 import pytest
+from astropy.table import Table
 
 from sboc_e2e import cli
 from sboc_e2e.faults import split_packets
-from sboc_e2e.icd.layout import CRC_START, HEADER_BYTES, ITEM
+from sboc_e2e.icd.layout import CRC_START, HEADER_BYTES, ITEM, Apid
 from sboc_e2e.run.pipeline import Run
 from tests.end_to_end.conftest import digest
 from tests.onboard import small_run
@@ -72,3 +73,54 @@ def test_a_downlink_of_other_runs_only_is_one_line(copy: Path, capfd: pytest.Cap
     assert cli.run(["ground", str(copy)]) == 2
     assert f"only of others: {OTHER} ({len(own)} packets); --run-id NUMBER takes one of them" in capfd.readouterr().err
     assert digest(copy) | {"downlink.bin": ""} == before | {"downlink.bin": ""}
+
+
+@pytest.mark.parametrize(
+    ("content", "words"),
+    [
+        (b"", "empty"),
+        (b"no packets " * 900, "9900 bytes without an intact packet"),
+        (bytes(5000), "5000 bytes without an intact"),
+    ],
+    ids=["empty", "garbage", "zeros"],
+)
+def test_a_downlink_without_packets_is_one_line(
+    copy: Path, capfd: pytest.CaptureFixture[str], content: bytes, words: str
+) -> None:
+    """Products of before stay."""
+    before = digest(copy)
+    (copy / "downlink.bin").write_bytes(content)
+    assert cli.run(["ground", str(copy)]) == 2
+    said = capfd.readouterr().err
+    assert f"sboc: {copy}/downlink.bin: {words}" in said
+    assert "Warning" not in said
+    assert digest(copy) | {"downlink.bin": ""} == before | {"downlink.bin": ""}
+
+
+def test_packets_without_any_header_give_empty_products_and_a_score_of_absent_numbers(
+    copy: Path, capfd: pytest.CaptureFixture[str]
+) -> None:
+    """Tables of the same columns and kinds without rows, no message of a date nobody knows, a report."""
+    columns = {path.name: _kinds(path) for path in sorted((copy / "products").glob("*.ecsv"))}
+    packets = split_packets((copy / "downlink.bin").read_bytes())
+    kept = [packet for packet in packets if int.from_bytes(packet[:2], "big") & 0x7FF != Apid.HEADER]
+    (copy / "downlink.bin").write_bytes(b"".join(kept))
+    assert cli.run(["ground", str(copy)]) == 0
+    said = capfd.readouterr().err
+    assert "no intact header packet, without which none of 4 frames can be built" in said
+    assert "Warning" not in said
+    assert json.loads((copy / "products" / "ingest.json").read_text())["frames_unusable"] == [0, 1, 2, 3]
+    assert {path.name: _kinds(path) for path in sorted((copy / "products").glob("*.ecsv"))} == columns
+    assert all(len(Table.read(path, format="ascii.ecsv")) == 0 for path in (copy / "products").glob("*.ecsv"))
+    assert sorted(path.name for path in (copy / "products").iterdir()) == sorted([*columns, "ingest.json"])
+    assert cli.run(["score", str(copy)]) == 0
+    assert cli.run(["report", str(copy)]) == 0
+    ground = json.loads((copy / "score.json").read_text())["detection"]["ground"]
+    assert ground["completeness"]["value"] == 0.0
+    assert ground["ideal_threshold"]["value"] > 3.0
+
+
+def _kinds(path: Path) -> list[tuple[str, str]]:
+    """Name and kind of each column; texts differ in length only."""
+    table = Table.read(path, format="ascii.ecsv")
+    return [(name, table[name].dtype.kind) for name in table.colnames]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from sboc_e2e.score.bounds import trail_bounds
+from sboc_e2e.score.detection import detection_figures
 from sboc_e2e.score.ideal import expected_false, ideal_snr50, ideal_threshold
 from sboc_e2e.score.trail import TruePath, draw
 
@@ -64,3 +65,12 @@ def test_ideal_threshold_of_the_preset() -> None:
     assert ideal_snr50(0.1, 4096, 4096, 0.849) == pytest.approx(6.65, abs=0.1)
     assert ideal_threshold(0.1, 2048, 2048, 0.849) == pytest.approx(6.7, abs=0.06)
     assert expected_false(7.0, 4096, 4096, 0.849) > expected_false(7.5, 4096, 4096, 0.849)
+
+
+@pytest.mark.parametrize("frame", [(1, 1, 0.85), (8, 8, 0.85), (11, 11, 0.85), (24, 24, 3.0)])
+def test_a_frame_too_small_for_the_formula_has_no_ideal_threshold(frame: tuple[int, int, float]) -> None:
+    """Below 3 sigma the leading term says nothing; the score gives the reason."""
+    assert ideal_threshold(0.1, *frame) is None
+    assert ideal_snr50(0.1, *frame) is None
+    figures = detection_figures((), set(), 0, 3, frame[:2], frame[2])
+    assert figures["ideal_threshold"]["reason"] == figures["ideal_snr50"]["reason"] == "the frame is too small for the formula"

@@ -2,6 +2,7 @@
 
 from bisect import bisect_left
 from collections.abc import Sequence
+from collections.abc import Set as AbstractSet
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -46,7 +47,7 @@ class FrameParts:
     def add(self, packet: Packet, record: Record) -> None:
         """Put a record where it belongs."""
         if isinstance(record, HeaderRecord):
-            self.header = record
+            self.header = replace(record, header=replace(record.header, frame=self.frame))
         elif isinstance(record, StripRecord):
             self.strips.setdefault(packet.item, []).append((packet.segment, record))
         elif isinstance(record, MeshBand):
@@ -60,12 +61,15 @@ class FrameParts:
 
 
 def assemble(
-    parts: Sequence[FrameParts], memory: MemoryLimit, failures: list[str]
+    parts: Sequence[FrameParts], memory: MemoryLimit, failures: list[str], ambiguous: AbstractSet[int] = frozenset()
 ) -> tuple[tuple[DownlinkFrame, ...], tuple[int, ...]]:
-    """Frames in the order given (by number), and the numbers of those that no header of the run lets one build."""
+    """Frames in the order given (by number), and the numbers of those that no header of the run lets one build.
+
+    ambiguous : numbers that several frames had, whose telemetry a later header may repeat for any of them.
+    """
     headers = [part.header for part in parts if part.header is not None]
     numbers = [header.header.frame for header in headers]
-    telemetry = {header.previous.frame: header.previous for header in headers if header.previous is not None}
+    telemetry = {h.previous.frame: h.previous for h in headers if h.previous and h.previous.frame not in ambiguous}
     frames: list[DownlinkFrame] = []
     unusable: list[int] = []
     for part in parts:

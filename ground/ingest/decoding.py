@@ -1,9 +1,9 @@
 """A downlink to frames: the ground half of the packet interface."""
 
 from collections import Counter, defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
-from itertools import pairwise
+from itertools import chain, pairwise
 from typing import Final
 
 from ground.ingest.assembly import FrameParts, assemble
@@ -19,6 +19,9 @@ from sboc_e2e.icd.steps import Decoder
 
 FAILURES_LISTED = 1000
 COUNT_MODULUS = 1 << 14
+NUMBERS = 1 << 32
+"""Frame numbers there are."""
+
 ALWAYS_SENT: Final = frozenset({Apid.STARS, Apid.BACKGROUND, Apid.THUMBNAIL})
 """Kinds that every frame has unless its header says that something did not fit into the budget."""
 
@@ -48,8 +51,10 @@ def decode_downlink(
     frames, tallies, conflicts = _sorted_into_frames(packets)
     failures: list[str] = []
     memory = MemoryLimit.for_stream(len(downlink))
-    parts = [_decoded(number, t_start, group, table, memory, failures) for (number, t_start), group in sorted(frames.items())]
-    built, unusable = assemble(parts, memory, failures)
+    renumbered = _renumbered(frames)
+    keys = {key[0]: key for key in sorted(frames, reverse=True)} | renumbered
+    parts = [_decoded(number, key[1], frames[key], table, memory, failures) for number, key in sorted(keys.items())]
+    built, unusable = assemble(parts, memory, failures, ambiguous={number for number, _ in renumbered.values()})
     complete, incomplete, missing_segments = _completeness(parts)
     return built, IngestReport(
         run_id=run_id if packets else None,
@@ -65,6 +70,7 @@ def decode_downlink(
         frames_incomplete=incomplete,
         frames_missing=_gaps(sorted({number for number, _ in frames})),
         frames_unusable=unusable,
+        renumbered=renumbered,
         missing_segments=missing_segments,
         decode_failures=tuple(failures[:FAILURES_LISTED]),
         n_decode_failures=len(failures),
@@ -119,6 +125,19 @@ def _sorted_into_frames(
             bytes=n_bytes[apid],
         )
     return dict(frames), reports, conflicts
+
+
+def _renumbered(frames: Iterable[tuple[int, int]]) -> dict[int, tuple[int, int]]:
+    """Of frames (number, start time): own numbers, after the last one and by time, for those whose number an earlier one has."""
+    later: list[tuple[int, int]] = []
+    numbers: set[int] = set()
+    for number, t_start in sorted(frames):
+        if number in numbers:
+            later.append((t_start, number))
+        numbers.add(number)
+    last = max(numbers, default=0)
+    free = (number for number in chain(range(last + 1, NUMBERS), range(last)) if number not in numbers)
+    return {own: (number, t_start) for own, (t_start, number) in zip(free, sorted(later), strict=False)}
 
 
 def missing_counts(places: Sequence[tuple[int, int, int]]) -> tuple[tuple[int, int], ...]:

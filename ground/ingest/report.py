@@ -27,6 +27,8 @@ class IngestReport:
     other content.
     frames_complete, frames_incomplete : frame numbers; frames_missing : numbers between the first and the last of which
     nothing arrived; frames_unusable : something arrived, but not enough to build the frame.
+    renumbered : by the number they have in products, number on the link and start (TAI ns) of frames whose number an earlier
+    frame of the run has.
     missing_segments : per incomplete frame, how many packets of each kind are known to be missing; a whole frame of which no
     packet arrived shows in the sequence counts of `apids` only.
     decode_failures : one line for each intact packet whose content could not be decoded.
@@ -45,6 +47,7 @@ class IngestReport:
     frames_incomplete: tuple[int, ...]
     frames_missing: tuple[tuple[int, int], ...]
     frames_unusable: tuple[int, ...]
+    renumbered: Mapping[int, tuple[int, int]]
     missing_segments: Mapping[int, Mapping[str, int]]
     decode_failures: tuple[str, ...]
     n_decode_failures: int
@@ -53,5 +56,8 @@ class IngestReport:
         """Plain dictionaries, lists, numbers and strings."""
         plain = asdict(self)
         plain["foreign_runs"] = {str(run): n for run, n in self.foreign_runs.items()}
+        plain["renumbered"] = {
+            str(own): {"frame": number, "t_start_tai_ns": t_start} for own, (number, t_start) in self.renumbered.items()
+        }
         plain["missing_segments"] = {str(frame): dict(kinds) for frame, kinds in self.missing_segments.items()}
         return plain

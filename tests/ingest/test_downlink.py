@@ -179,6 +179,40 @@ def test_lost_header_is_rebuilt_with_repeated_telemetry(packets: list[bytes]) ->
     assert report.missing_segments[1] == {"header": 1}
 
 
+def renamed(packet: bytes, number: int) -> bytes:
+    """The packet as one of another frame."""
+    return reseal(
+        packet[:FRAME_OFFSET] + struct.pack(">I", number) + packet[FRAME_OFFSET + 4 :], packet[layout.HEADER_BYTES : -2]
+    )
+
+
+def test_frames_of_one_number_and_two_epochs_are_both_there_and_told_apart(packets: list[bytes]) -> None:
+    """As after a counter that was set back: the later one goes on after the last, and telemetry is not mistaken."""
+    straight, _ = decode_downlink(b"".join(packets), DECODERS)
+    twice = [renamed(p, 1) if frame_number(p) == 2 else p for p in packets]
+    frames, report = decode_downlink(b"".join(reversed(twice)), DECODERS)
+    assert [f.header.frame for f in frames] == [0, 1, 3, 4]
+    moved = [straight[k] for k in (0, 1, 3, 2)]
+    assert [c[1:] for c in content(frames)] == [c[1:] for c in content(tuple(moved))]
+    assert report.renumbered == {4: (1, straight[2].header.t_start_tai_ns)}
+    assert report.frames_complete == (0, 1, 3, 4)
+    assert report.frames_missing == ((2, 2),)
+    assert json.loads(json.dumps(report.as_dict()))["renumbered"]["4"]["frame"] == 1
+    without = [p for p in twice if not (apid(p) == Apid.HEADER and frame_number(p) == 1)]
+    frames, report = decode_downlink(b"".join(without), DECODERS)
+    assert [f.header.t_start_tai_ns for f in frames] == [f.header.t_start_tai_ns for f in moved]
+    assert [f.header.attitude is None for f in frames] == [False, True, False, True]
+    assert report.missing_segments == {1: {"header": 1}, 4: {"header": 1}}
+
+
+def test_the_last_number_there_is_may_come_twice(packets: list[bytes]) -> None:
+    """Then the second frame takes the first free number."""
+    ends = [renamed(p, 2**32 - 1) if frame_number(p) > 1 else p for p in packets]
+    frames, report = decode_downlink(b"".join(ends), DECODERS)
+    assert [f.header.frame for f in frames] == [0, 1, 2, 2**32 - 1]
+    assert list(report.renumbered) == [2]
+
+
 def test_no_header_at_all_is_unusable_but_listed(packets: list[bytes]) -> None:
     """Without any header packet no frame has a size."""
     frames, report = decode_downlink(b"".join(p for p in packets if apid(p) != Apid.HEADER), DECODERS)

@@ -29,11 +29,15 @@ def estimate_bytes(scenario: Scenario) -> tuple[int, int]:
 
 
 def check(out: Path, scenario: Scenario, progress: Progress) -> None:
-    """Print the cost; `UserError` when the disk has not that much."""
+    """Print what will be made and its cost; `UserError` when the disk has not that much."""
     stays, passing = estimate_bytes(scenario)
     existing = next(folder for folder in (out.absolute(), *out.absolute().parents) if folder.is_dir())
     free = shutil.disk_usage(existing).free
-    progress.note(f"disk: about {_mb(stays)} in {out}, {_mb(passing)} more while it runs; {_mb(free)} free")
+    frames, instrument = scenario.simulator.frames, scenario.simulator.instrument
+    progress.note(
+        f"{frames} frames of {instrument.rows} x {instrument.cols} px; "
+        f"disk: about {_mb(stays)} in {out}, {_mb(passing)} more while it runs; {_mb(free)} free"
+    )
     # where nothing can be written at all, the first attempt to write says why
     if stays + passing > free and os.access(existing, os.W_OK):
         raise UserError(

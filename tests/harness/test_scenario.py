@@ -80,6 +80,8 @@ def test_own_keys_win_over_a_preset_and_overrides_over_both(tmp_path: Path) -> N
         ("[ground.linkr]\nuse = 3", ('unknown key "linkr" in [ground]', 'did you mean "linker"?')),
         ("[onboard]\ndetector = 3", ("onboard.detector: expected a table",)),
         ("[onboard.detector]\nuse = 3", ("onboard.detector.use: expected the name of a step",)),
+        ("", ("holds no key", "frames = 6")),
+        ("# frames = 6\n", ("holds no key",)),
         ("a = [", ("not valid TOML",)),
         ("a = 1\na = 2", ("not valid TOML",)),
     ],

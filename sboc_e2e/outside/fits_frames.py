@@ -22,12 +22,15 @@ from numpy.typing import NDArray
 from sboc_e2e.icd.errors import ContractError, UserError
 from sboc_e2e.icd.frame import Frame, FrameHeader
 from sboc_e2e.icd.tai import NS_PER_S, from_jd_parts
-from sboc_e2e.outside.frame_source import SourcedFrame
+from sboc_e2e.outside.frame_source import Note, SourcedFrame
 
 SUFFIXES: Final = (".fits", ".fit", ".fts", ".fits.fz", ".fit.fz", ".fits.gz")
 MAX_SIDE_PX: Final = 16384
 MIN_SIDE_PX: Final = 16
 MAX_PIXELS: Final = 10_000 * 10_000
+MJD_KEYS: Final = ("MJD-OBS", "MJD-STR")
+MAX_SHOWN: Final = 40
+"""Characters of a header's value that a note repeats."""
 FINEST_DEG: Final = 1e-7
 COARSEST_DEG: Final = 0.5
 """Larger pixels are not believed: 1 is the default of a header's keys."""
@@ -122,7 +125,7 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True) -> SourcedFra
     if data is None or np.shape(data) != (place.rows, place.cols) or data.dtype.kind not in "uif":
         raise UserError(f"{place.path}, HDU {place.hdu}: holds no image of {place.rows} x {place.cols} numbers")
     pixels, saturation = pixels_of(data)
-    notes: list[str] = []
+    notes: list[Note] = []
     frame_header = _frame_header(header, number, pixels.shape, saturation, notes)
     return SourcedFrame(
         frame=Frame(header=frame_header, pixels=pixels),
@@ -208,35 +211,40 @@ def start_tai_ns(header: Mapping[str, Any]) -> int | None:
         texts = [day] if "T" in day or not clock else [f"{day}T{clock}", day]
     for text in texts:
         try:
-            return _tai_ns(Time(text, format="isot" if "T" in text else "iso", scale="utc"))
+            with _quietly():
+                return _tai_ns(Time(text, format="isot" if "T" in text else "iso", scale="utc"))
         except (ValueError, TypeError, OverflowError):
             continue
-    mjd = number_of(header, ("MJD-OBS", "MJD-STR"), 36_934.0, 100_000.0)
-    return None if mjd is None else _tai_ns(Time(mjd, format="mjd", scale="utc"))
+    mjd = number_of(header, MJD_KEYS, 36_934.0, 100_000.0)
+    with _quietly():
+        return None if mjd is None else _tai_ns(Time(mjd, format="mjd", scale="utc"))
 
 
 def _tai_ns(utc: Time) -> int | None:
-    """An epoch on the scale of the contract, if headers may hold it; years before leap seconds are no cause for a warning."""
-    with _quietly():
-        tai = utc.tai
+    """An epoch on the scale of the contract, if headers may hold it."""
+    tai = utc.tai
     tai_ns = from_jd_parts(float(tai.jd1), float(tai.jd2))
     return tai_ns if 0 <= tai_ns < 2**62 else None
 
 
 def _frame_header(
-    header: Mapping[str, Any], number: int, shape: tuple[int, ...], saturation: float | None, notes: list[str]
+    header: Mapping[str, Any], number: int, shape: tuple[int, ...], saturation: float | None, notes: list[Note]
 ) -> FrameHeader:
+    def known(names: tuple[str, ...], low: float, high: float, without: str, *, quiet: bool = False) -> float | None:
+        value = number_of(header, names, low, high)
+        if value is None and (not quiet or any(header.get(name) is not None for name in names)):
+            notes.append(_missing(header, names, f"is no number from {low:g} to {high:g}", without))
+        return value
+
     start = start_tai_ns(header)
     if start is None:
         start = FIRST_ASSUMED_TAI_NS + number * NS_PER_S
-        notes.append("no DATE-OBS: the epoch is a number, not a time")
-    exposure_s = number_of(header, ("EXPTIME", "EXPOSURE", "EXP_TIME"), 0.0, 9e6)
-    if exposure_s is None:
-        notes.append("no EXPTIME: no magnitudes")
-    gain = number_of(header, ("GAIN", "EGAIN"), 1e-3, 1e4)
-    if gain is None:
-        notes.append("no GAIN: 1 e-/ADU is assumed")
-    read_noise = number_of(header, ("RDNOISE", "READNOIS", "RON"), 0.0, 1e5)
+        wanted = "is no time from 1958 to 2104"
+        notes.append(_missing(header, ("DATE-OBS", *MJD_KEYS), wanted, "the epoch is a number, not a time"))
+    exposure_s = known(("EXPTIME", "EXPOSURE", "EXP_TIME"), 0.0, 9e6, "no magnitudes")
+    gain = known(("GAIN", "EGAIN"), 1e-3, 1e4, "1 e-/ADU is assumed")
+    read_noise = known(("RDNOISE", "READNOIS", "RON"), 0.0, 1e5, "it is ignored", quiet=True)
+    full = known(("SATURATE", "SATLEVEL"), 1.0, 1e9, "it is ignored", quiet=True)
     try:
         return FrameHeader(
             frame=number,
@@ -247,11 +255,19 @@ def _frame_header(
             cols=shape[1],
             gain_e_adu=gain,
             read_noise_e=read_noise,
-            saturation_adu=number_of(header, ("SATURATE", "SATLEVEL"), 1.0, 1e9) or saturation,
+            saturation_adu=full or saturation,
             temperature_k=None,
         )
     except ContractError as error:
         raise UserError(f"frame {number}: {error}") from error
+
+
+def _missing(header: Mapping[str, Any], names: tuple[str, ...], wanted: str, without: str) -> Note:
+    """Note on a value that a header has not, or not as one that can be used; both need another remedy."""
+    given = next((name for name in names if header.get(name) is not None), None)
+    if given is None:
+        return Note(kind=f"no {names[0]}", text=f"no {names[0]}: {without}")
+    return Note(kind=given, text=f"{given} = {str(header[given])[:MAX_SHOWN]!r} {wanted}: {without}")
 
 
 def _headers(hdus: fits.HDUList, hdu: Any) -> dict[str, Any]:

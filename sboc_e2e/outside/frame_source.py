@@ -7,6 +7,14 @@ from typing import Any, Protocol
 from sboc_e2e.icd.frame import Frame
 
 
+@dataclass(frozen=True, kw_only=True)
+class Note:
+    """What a user should know of a frame. kind : the same for notes of which one stands for all."""
+
+    kind: str
+    text: str
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SourcedFrame:
     """A frame and where it came from: file, header-data unit, and the astropy WCS of its header if it has one.
@@ -18,7 +26,7 @@ class SourcedFrame:
     file: str
     hdu: int
     wcs: Any
-    notes: tuple[str, ...]
+    notes: tuple[Note, ...]
     focal_hints_px: tuple[float, ...] = ()
 
 

@@ -31,7 +31,8 @@ class Seen:
 
     origin: dict[int, tuple[str, int]] = field(default_factory=dict)
     wcs: dict[int, object] = field(default_factory=dict)
-    notes: dict[str, int] = field(default_factory=dict)
+    notes: dict[str, list[str]] = field(default_factory=dict)
+    """Texts of the notes by kind."""
 
 
 def base_document(wcs: str) -> dict[str, Any]:
@@ -97,8 +98,8 @@ def process(
     board.join(board.take(_noted(source, seen), progress), scenario.faults, scenario.seed)
     manifest.finish("onboard", timed_frames=board.n_timed, cpu_s=board.meter.cpu_s, wall_s=board.meter.wall_s)
     directory.clear_work("onboard")
-    for note, count in seen.notes.items():
-        progress.note(f"{count} of {n_frames} frames: {note}")
+    for texts in seen.notes.values():
+        progress.note(f"{len(texts)} of {n_frames} frames: {texts[0]}")
     ground = GroundStage(
         run=directory,
         chain=ground_chain(scenario, calibration=None, camera=nominal, catalogue=catalogue, run_id=manifest.run_id),
@@ -120,7 +121,7 @@ def _noted(source: FrameSource, seen: Seen) -> Iterator[Frame]:
         if sourced.wcs is not None:
             seen.wcs[number] = sourced.wcs
         for note in sourced.notes:
-            seen.notes[note] = seen.notes.get(note, 0) + 1
+            seen.notes.setdefault(note.kind, []).append(note.text)
         yield sourced.frame
 
 

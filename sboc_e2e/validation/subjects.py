@@ -69,7 +69,7 @@ def from_fits(path: Path, hdu: int | None, catalogue: Callable[[], StarCatalogue
     image = np.ascontiguousarray(sourced.frame.pixels, dtype=np.float32)
     _refuse_empty(image, f"{path}, HDU {chosen.hdu}")
     epoch_jyear = 2000.0 + (header.t_start_tai_ns * 1e-9 / 86400.0 - 10957.5) / 365.25
-    stars, notes = None, list(sourced.notes)
+    stars, notes = None, [note.text for note in sourced.notes]
     if sourced.wcs is not None:
         stars = catalogue_stars(sourced.wcs, image.shape, catalogue(), epoch_jyear)
         if stars is None:

@@ -1,5 +1,6 @@
 """FITS files of others as frames: forms of data, headers with and without the keys that matter, WCS."""
 
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -9,8 +10,8 @@ from astropy.io import fits
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.tai import from_jd_parts
 from sboc_e2e.outside.camera import camera_of_frame, star_sigma_px
-from sboc_e2e.outside.fits_frames import FIRST_ASSUMED_TAI_NS, FitsFolder, start_tai_ns
-from sboc_e2e.outside.frame_source import SourcedFrame
+from sboc_e2e.outside.fits_frames import FIRST_ASSUMED_TAI_NS, FitsFolder, _frame_header, start_tai_ns
+from sboc_e2e.outside.frame_source import Note, SourcedFrame
 
 SKY = np.random.default_rng(4).normal(1000.0, 5.0, (65, 71))
 
@@ -120,7 +121,7 @@ def test_without_headers_all_is_assumed_and_said(tmp_path: Path) -> None:
     assert found.frame.header.t_start_tai_ns == FIRST_ASSUMED_TAI_NS
     assert found.frame.header.gain_e_adu is None
     assert found.frame.header.exposure_ns == 0
-    assert len(found.notes) == 3
+    assert [note.text.partition(":")[0] for note in found.notes] == ["no DATE-OBS", "no EXPTIME", "no GAIN"]
 
 
 @pytest.mark.parametrize("key", ["GAIN", "EXPTIME", "RDNOISE"])
@@ -133,6 +134,24 @@ def test_nonsense_in_a_header_counts_as_absent(tmp_path: Path, key: str, value: 
     assert found.frame.header.gain_e_adu is None
     assert found.frame.header.read_noise_e is None
     assert found.frame.header.exposure_ns == 0
+    # What is there and no use is not said to be missing.
+    (note,) = (note for note in found.notes if note.kind == key)
+    assert note.text.startswith(f"{key} = {str(value)!r} is no number from ")
+
+
+@pytest.mark.parametrize("date", ["yesterday", "1850-06-01T00:00:00", "1850-06-01", "9999-01-01T00:00:00\x1b"])
+def test_a_date_that_cannot_be_is_shown_and_warns_of_nothing_else(
+    tmp_path: Path, date: str, capfd: pytest.CaptureFixture[str]
+) -> None:
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        header = {"DATE-OBS": date, "EXPTIME": 1.0, "GAIN": 1.0}
+        notes: list[Note] = []
+        made = _frame_header(header, 0, (64, 64), None, notes)
+    assert made.t_start_tai_ns == FIRST_ASSUMED_TAI_NS
+    (note,) = notes
+    assert note.text == f"DATE-OBS = {date!r} is no time from 1958 to 2104: the epoch is a number, not a time"
+    assert not caught
 
 
 def test_what_cannot_be_used_is_one_line(tmp_path: Path) -> None:

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from ground.astrometry.header_wcs import identify_by_header
-from ground.guard import all_of, fault, guarded, probabilities_of
+from ground.guard import fault, guarded, links_of, probabilities_of
 from ground.ingest import IngestReport, decode_downlink
 from ground.link import apply_links
 from ground.on_demand import OnDemand
@@ -164,7 +164,8 @@ class GroundChain:
         headers, counts = tuple(header for header, _, _ in small), [count for _, _, count in small]
         linker = self._steps.linker
         measured = RunStreaks(counts, lambda k: products[k].streaks)
-        found = all_of("linker", linker, "", guarded("linker", linker, "", object, linker.link, headers, measured), Tracklet)
+        given = {header.frame: count for header, count in zip(headers, counts, strict=True)}
+        found = links_of(linker, guarded("linker", linker, "", object, linker.link, headers, measured), given)
         pixels_of = self._pixel_source(frames, products, headers)
         tracklets, linked = list(found), LinkedStreaks({header.frame: k for k, header in enumerate(headers)}, len(found))
         # by time, so that tracklets of the same frames follow each other

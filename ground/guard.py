@@ -1,12 +1,14 @@
 """Calls of swappable steps: what a step raises, or returns against its Protocol, stops the run and names the step."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.streak_rows import STREAKS_PER_FRAME
 from sboc_e2e.icd.errors import ContractError, PluginError, UserError
+from sboc_e2e.icd.products import Tracklet
 
 
 def guarded(seam: str, step: object, where: str, returns: type, call: Callable[..., Any], *arguments: Any) -> Any:
@@ -49,3 +51,33 @@ def all_of(seam: str, step: object, where: str, values: Any, kind: type) -> tupl
         if not isinstance(value, kind):
             raise fault(seam, step, where, f"expected {kind.__name__}, got {type(value).__name__}")
     return tuple(values)
+
+
+def links_of(step: object, values: Any, counts: Mapping[int, int]) -> tuple[Tracklet, ...]:
+    """Tracklets from a linker, checked: each has an id of its own and members, which are streaks of the run that no other has.
+
+    counts : streaks of each frame, by frame number.
+    """
+    tracklets: tuple[Tracklet, ...] = all_of("linker", step, "", values, Tracklet)
+    owner: dict[int, int] = {}
+    numbers: set[int] = set()
+    for tracklet in tracklets:
+        where = f"tracklet {tracklet.tracklet_id}"
+        if tracklet.tracklet_id in numbers:
+            raise fault("linker", step, where, "the id of two tracklets")
+        numbers.add(tracklet.tracklet_id)
+        frames, streaks = np.asarray(tracklet.frames), np.asarray(tracklet.streak_ids)
+        if (
+            frames.ndim != 1
+            or frames.shape != streaks.shape
+            or not {frames.dtype.kind, streaks.dtype.kind} <= {"i", "u"}
+            or not len(frames)
+        ):
+            raise fault("linker", step, where, "expected one or more members, each with integers for frame and streak")
+        for frame, streak in zip(frames.tolist(), streaks.tolist(), strict=True):
+            if not 0 <= streak - frame * STREAKS_PER_FRAME < counts.get(frame, 0):
+                raise fault("linker", step, where, f"streak {streak} of frame {frame} is none of those given")
+            if streak in owner:
+                raise fault("linker", step, where, f"streak {streak} is in tracklet {owner[streak]} already")
+            owner[streak] = tracklet.tracklet_id
+    return tracklets

@@ -151,7 +151,7 @@ class Linker(Protocol):
     """`ground.linker`: streaks of all frames into tracklets."""
 
     def link(self, headers: Sequence[FrameHeader], streaks: Sequence[StreakMeasurement]) -> tuple[Tracklet, ...]:
-        """Tracklets of two or more frames; directions resolved."""
+        """Tracklets of two or more frames, each with an id of its own, no streak in two of them; directions resolved."""
         ...
 
 

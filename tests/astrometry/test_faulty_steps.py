@@ -13,6 +13,8 @@ from ground.guard import guarded
 from sboc_e2e.cli.main import run as command
 from sboc_e2e.icd import validate
 from sboc_e2e.icd.errors import PluginError, UserError
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.products import Tracklet
 from tests.astrometry.star_fields import Field
 from tests.astrometry.test_ground_chain import chain_of, fields
 
@@ -49,6 +51,28 @@ class StartsThenFails:
         return Broken(answer=self.answer)._fail()
 
 
+def linked(*members: tuple[int, tuple[tuple[int, int], ...]]) -> tuple[Tracklet, ...]:
+    """Tracklets of given ids and members (frame, streak id)."""
+    return tuple(
+        Tracklet(
+            tracklet_id=number,
+            frames=np.array([frame for frame, _ in keys], dtype=np.int64),
+            streak_ids=np.array([streak for _, streak in keys], dtype=np.int64),
+            t_tai_ns=np.zeros(0, np.int64),
+            ra_deg=np.zeros(0),
+            dec_deg=np.zeros(0),
+            sigma_along_arcsec=np.zeros(0),
+            sigma_cross_arcsec=np.zeros(0),
+            t_ref_tai_ns=0,
+            **dict.fromkeys(("ra_ref_deg", "dec_ref_deg", "rate_deg_s", "rate_err_deg_s", "position_angle_deg"), 0.0),
+            **dict.fromkeys(("mag", "mag_err", "chi2_nu", "probability"), 0.5),
+            direction_resolved=False,
+            flags=StreakFlag.NO_SKY,
+        )
+        for number, keys in members
+    )
+
+
 CASES: Sequence[tuple[str, Any, str]] = (
     ("astrometry", Broken(), r"ground\.astrometry .*:Broken: ZeroDivisionError: oops"),
     ("astrometry", StartsThenFails(), r"ground\.astrometry .*:StartsThenFails, frame 0: ZeroDivisionError: oops"),
@@ -61,6 +85,21 @@ CASES: Sequence[tuple[str, Any, str]] = (
     ("vetter", Broken(answer=np.array([1.5])), r"Broken, frame 0: expected 1 probabilities from 0 to 1"),
     ("linker", Broken(), r"ground\.linker .*:Broken: ZeroDivisionError: oops"),
     ("linker", Broken(answer=("no tracklet",)), r"ground\.linker .*:Broken: expected Tracklet, got str"),
+    (
+        "linker",
+        Broken(answer=linked((7, ((99, 9_900_000),)))),
+        r"Broken, tracklet 7: streak 9900000 of frame 99 is none of those",
+    ),
+    ("linker", Broken(answer=linked((7, ((0, 5),)))), r"Broken, tracklet 7: streak 5 of frame 0 is none of those given"),
+    (
+        "linker",
+        Broken(answer=linked((7, ((0, 100_000),)))),
+        r"Broken, tracklet 7: streak 100000 of frame 0 is none of those given",
+    ),
+    ("linker", Broken(answer=linked((7, ()))), r"Broken, tracklet 7: expected one or more members"),
+    ("linker", Broken(answer=linked((7, ((0, 0),)), (8, ((0, 0),)))), r"Broken, tracklet 8: streak 0 is in tracklet 7 already"),
+    ("linker", Broken(answer=linked((7, ((0, 0), (0, 0))))), r"Broken, tracklet 7: streak 0 is in tracklet 7 already"),
+    ("linker", Broken(answer=linked((7, ((0, 0),)), (7, ((1, 100_000),)))), r"Broken, tracklet 7: the id of two tracklets"),
     ("orbit", Broken(), r"ground\.orbit .*:Broken, tracklet 0 from frame 0: ZeroDivisionError: oops"),
 )
 

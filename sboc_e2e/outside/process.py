@@ -96,7 +96,7 @@ def process(
     manifest.begin("onboard")
     progress.stage("onboard", n_frames)
     board.join(board.take(_noted(source, seen), progress), scenario.faults, scenario.seed)
-    manifest.finish("onboard", timed_frames=board.n_timed, cpu_s=board.meter.cpu_s, wall_s=board.meter.wall_s)
+    manifest.finish("onboard", **board.figures())
     directory.clear_work("onboard")
     for texts in seen.notes.values():
         progress.note(f"{len(texts)} of {n_frames} frames: {texts[0]}")
@@ -108,8 +108,8 @@ def process(
         outside=Outside(origin=seen.origin, wcs=seen.wcs),
     )
     manifest.begin("ground")
-    count, peak_mb = ground.execute(progress)
-    manifest.finish("ground", timed_frames=count, cpu_s=ground.meter.cpu_s, wall_s=ground.meter.wall_s, peak_rss_mb=peak_mb)
+    ground.execute(progress)
+    manifest.finish("ground", **ground.figures())
     directory.clear_work("ground")
 
 

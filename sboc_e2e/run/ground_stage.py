@@ -31,7 +31,7 @@ from sboc_e2e.icd.steps import Decoder
 from sboc_e2e.registry import Registry, own_names
 from sboc_e2e.run import known_objects
 from sboc_e2e.run.directory import RunDirectory
-from sboc_e2e.run.measure import Meter, peak_rss_mb, reset_peak
+from sboc_e2e.run.measure import Meter, peak_rss_mb, reset_peak, stage_figures
 from sboc_e2e.run.progress import Progress
 from sboc_e2e.run.states import StateKeeper
 from sboc_e2e.run.table_pieces import write_pieces
@@ -107,9 +107,12 @@ class GroundStage:
     catalogue: StarCatalogue
     outside: Outside = field(default_factory=Outside)
     meter: Meter = field(default_factory=Meter)
+    frame_meter: Meter = field(default_factory=Meter)
+    """Of what `meter` adds up, the work that is done frame by frame."""
+    peak_rss_mb: float = 0.0
 
-    def execute(self, progress: Progress) -> tuple[int, float]:
-        """Make all products; returns the number of frames and the peak memory in MB."""
+    def execute(self, progress: Progress) -> None:
+        """Make all products."""
         reset_peak()
         known, precise = known_objects.known_objects(self.options), known_objects.precise_orbits(self.options)
         try:
@@ -131,7 +134,12 @@ class GroundStage:
         if precise:
             write_json(made / "bias.json", known_objects.bias(result, precise))
         self._publish(made)
-        return len(frames), peak_rss_mb()
+        self.peak_rss_mb = peak_rss_mb()
+
+    def figures(self) -> dict[str, float]:
+        """What the stage cost, for the manifest."""
+        meter, frames = self.meter, self.frame_meter
+        return stage_figures(wall_s=meter.wall_s, cpu_s=meter.cpu_s, frames_cpu_s=frames.blocks_cpu_s, peak_mb=self.peak_rss_mb)
 
     def _publish(self, made: Path) -> None:
         """Finished products take the place of earlier ones, which stay until then; nothing stale is left among them."""
@@ -149,7 +157,7 @@ class GroundStage:
         progress.stage(STAGE, len(frames), first)
         for position in range(first, len(frames)):
             frame = frames[position]
-            with self.meter:
+            with self.meter, self.frame_meter:
                 state, made = self.chain.process_frame(state, frame, wcs=self.outside.wcs.get(frame.header.frame))
             checkpoint.save(self.run.work_file(STAGE, position, "result"), dataclasses.replace(made, wcs=None))
             keeper.offer(position, state)

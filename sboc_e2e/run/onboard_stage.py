@@ -8,7 +8,7 @@ from sboc_e2e.faults import FaultOptions, damaged_packets, split_packets
 from sboc_e2e.files.atomic import replacing, write_bytes
 from sboc_e2e.icd.frame import Calibration, Frame, NominalCamera
 from sboc_e2e.run.directory import RunDirectory
-from sboc_e2e.run.measure import Meter, peak_rss_mb, reset_peak
+from sboc_e2e.run.measure import Meter, peak_rss_mb, reset_peak, stage_figures
 from sboc_e2e.run.progress import Progress
 from sboc_e2e.run.states import StateKeeper
 from sboc_e2e.scenario import Scenario
@@ -35,7 +35,6 @@ class OnboardStage:
     chain: OnboardChain
     meter: Meter = field(default_factory=Meter)
     peak_rss_mb: float = 0.0
-    n_timed: int = 0
 
     def __post_init__(self) -> None:
         self._keeper = StateKeeper(run=self.run, stage=STAGE)
@@ -51,12 +50,16 @@ class OnboardStage:
             with self.meter:
                 self._state, result = self.chain.process(self._state, frame)
             self.peak_rss_mb = max(self.peak_rss_mb, peak_rss_mb())
-            self.n_timed += 1
             write_bytes(self.run.work_file(STAGE, position, "bin"), result.packets)
             self._keeper.offer(position, self._state)
             position += 1
             progress.advance()
         return position
+
+    def figures(self) -> dict[str, float]:
+        """What the stage cost, for the manifest."""
+        meter = self.meter
+        return stage_figures(wall_s=meter.wall_s, cpu_s=meter.cpu_s, frames_cpu_s=meter.blocks_cpu_s, peak_mb=self.peak_rss_mb)
 
     def join(self, n_frames: int, faults: FaultOptions, seed: int) -> None:
         """Write downlink.bin from the packets of all frames, as they arrive on ground."""

@@ -140,8 +140,8 @@ class Run:
             self.directory.clear_work("ground")  # an interrupted attempt at another run's packets
         self.manifest.forget(("score", "report"))
         self.manifest.begin("ground", run_id=wanted)
-        n_frames, peak_mb = stage.execute(self.progress)
-        self.manifest.finish("ground", **_cost(stage.meter.wall_s, stage.meter.cpu_s, peak_mb, n_frames))
+        stage.execute(self.progress)
+        self.manifest.finish("ground", **stage.figures())
         self.directory.clear_work("ground")
 
     def score(self, truth: Path | None = None) -> None:
@@ -208,12 +208,12 @@ class Run:
 
     def _finish_onboard(self, stage: OnboardStage, n_frames: int) -> None:
         stage.join(n_frames, self.scenario.faults, self.scenario.seed)
-        self.manifest.finish("onboard", **_cost(stage.meter.wall_s, stage.meter.cpu_s, stage.peak_rss_mb, stage.n_timed))
+        self.manifest.finish("onboard", **stage.figures())
         self.directory.clear_work("onboard")
 
     def _finish_simulation(self, maker: FrameMaker, objects: object, population: object, cost: SimulationCost) -> None:
         truth_files.write(self.directory, maker.truth, self.manifest.n_frames, objects, population)  # type: ignore[arg-type]
-        self.manifest.finish("simulate", **_cost(cost.wall_s, cost.cpu_s, cost.peak_rss_mb, cost.n_frames))
+        self.manifest.finish("simulate", **cost.figures())
         self.directory.clear_work("simulate")
 
 
@@ -261,8 +261,3 @@ def _same_run(found: Manifest, wanted: Manifest) -> None:
     difference = first_difference(found.scenario, wanted.scenario) or first_difference(found.versions, wanted.versions)
     if difference:
         raise UserError(f"{found.path.parent}: belongs to another run ({difference}); --force replaces it, --out goes elsewhere")
-
-
-def _cost(wall_s: float, cpu_s: float, peak_mb: float, n_frames: int) -> dict[str, float]:
-    """Figures of a stage; after a resume they cover the frames of the last attempt, whose number stands beside."""
-    return {"wall_s": round(wall_s, 3), "cpu_s": round(cpu_s, 3), "peak_rss_mb": round(peak_mb, 1), "timed_frames": n_frames}

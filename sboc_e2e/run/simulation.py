@@ -12,7 +12,7 @@ from sboc_e2e.files import checkpoint, frame_fits
 from sboc_e2e.icd.errors import PluginError
 from sboc_e2e.icd.frame import Frame
 from sboc_e2e.run.directory import RunDirectory
-from sboc_e2e.run.measure import Meter, peak_rss_mb, reset_peak
+from sboc_e2e.run.measure import Meter, peak_rss_mb, reset_peak, stage_figures
 from sboc_e2e.truth import FrameTruth
 from simulator.chain import Simulator
 from simulator.options import SimulatorOptions
@@ -24,10 +24,20 @@ STAGE = "simulate"
 class SimulationCost:
     """What the frames cost, summed over processes; peak memory of the largest."""
 
-    n_frames: int = 0
     wall_s: float = 0.0
-    cpu_s: float = 0.0
+    frames_cpu_s: list[float] = field(default_factory=list)
     peak_rss_mb: float = 0.0
+
+    def add(self, wall_s: float, cpu_s: float, peak_mb: float) -> None:
+        """A frame was made."""
+        self.wall_s += wall_s
+        self.frames_cpu_s.append(cpu_s)
+        self.peak_rss_mb = max(self.peak_rss_mb, peak_mb)
+
+    def figures(self) -> dict[str, float]:
+        """What the stage cost, for the manifest."""
+        cpu_s = sum(self.frames_cpu_s)
+        return stage_figures(wall_s=self.wall_s, cpu_s=cpu_s, frames_cpu_s=self.frames_cpu_s, peak_mb=self.peak_rss_mb)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -95,7 +105,7 @@ class FrameStream:
             meter = Meter()
             with meter:
                 frame = self.maker.make(self.simulator, index)
-            self._add(meter.wall_s, meter.cpu_s, peak_rss_mb())
+            self.cost.add(meter.wall_s, meter.cpu_s, peak_rss_mb())
             yield frame if self.hand_over else None
 
     def _elsewhere(self) -> Iterator[Frame | None]:
@@ -112,7 +122,7 @@ class FrameStream:
             for index in self.indices:
                 while len(waiting) < self.workers + 1 and (following := next(todo, None)) is not None:
                     waiting.append(pool.submit(_make_in_worker, following, self.hand_over))
-                self._add(*waiting.pop(0).result())
+                self.cost.add(*waiting.pop(0).result())
                 yield self._take(index) if self.hand_over else None
         except BrokenProcessPool as error:
             raise PluginError("a simulation worker died (out of memory, or killed); go on with --resume --workers 1") from error
@@ -124,12 +134,6 @@ class FrameStream:
         frame: Frame = checkpoint.load(path)
         path.unlink()
         return frame
-
-    def _add(self, wall_s: float, cpu_s: float, peak_mb: float) -> None:
-        self.cost.n_frames += 1
-        self.cost.wall_s += wall_s
-        self.cost.cpu_s += cpu_s
-        self.cost.peak_rss_mb = max(self.cost.peak_rss_mb, peak_mb)
 
 
 _worker: dict[str, Any] = {}

@@ -83,6 +83,7 @@ def test_the_manifest_says_what_was_run(finished: Run) -> None:
     assert manifest["versions"]["numpy"] == np.__version__
     for stage in ("simulate", "onboard", "ground"):
         assert manifest["stages"][stage]["cpu_s"] > 0
+        assert 0 < manifest["stages"][stage]["median_frame_cpu_s"] <= manifest["stages"][stage]["cpu_s"]
 
 
 def test_a_kept_frame_gives_its_header_back(finished: Run) -> None:

@@ -3,6 +3,7 @@
 #   make test        fast tests         make test-full   all tests, under 40 minutes
 #   make lint        style, types, import rules, schema, licences
 #   make bench       the benchmark report         make fuzz   a million inputs against every parser
+#   make bench-check the quick benchmark against the committed baseline; fails where a figure became worse
 #   make clean       remove the environment and everything that can be made again
 
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
@@ -18,7 +19,7 @@ export OPENBLAS_NUM_THREADS := 1
 export NUMBA_NUM_THREADS := 1
 export PYTHONHASHSEED ?= 0
 
-.PHONY: e2e test test-full lint bench fuzz clean
+.PHONY: e2e test test-full lint bench bench-check fuzz clean
 
 e2e: $(READY)
 	$(BIN)/sboc run $(SCENARIO) --force
@@ -37,6 +38,9 @@ lint: $(READY)
 
 bench: $(READY)
 	$(BIN)/sboc bench
+
+bench-check: $(READY)
+	$(BIN)/sboc bench --quick --check
 
 fuzz: $(READY)
 	for target in packets codecs fits scenario; do $(BIN)/python -m tests.fuzz $$target -runs=$(FUZZ_RUNS) -rss_limit_mb=2048 || exit 1; done

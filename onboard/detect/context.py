@@ -69,7 +69,10 @@ def with_context(detection: Detection, view: DetectorView, is_star: NDArray[np.b
         # three sigma of a fitted line at a distance: its angle is known to sqrt(24) s / (S L)
         turn = 3.0 * math.sqrt(24.0) * view.psf_sigma_px / (detection.snr * length)
         least = np.where(full & (abs(u_col) < COLUMN_SLOPE), COLUMN_ACROSS_PX, SPIKE_ACROSS_PX)
-        aims = across < least + turn * np.maximum(0.0, beyond + 0.5 * length)
+        # a bent line runs between its chord and its parabola, wherever it goes beyond its ends
+        ahead = np.maximum(0.0, beyond) / length
+        bow = abs(detection.sagitta_px) * np.maximum(1.0, 4.0 * ahead * (1.0 + ahead))
+        aims = across < least + bow + turn * np.maximum(0.0, beyond + 0.5 * length)
         begins = (beyond > 0.0) & (beyond < reach[near])
         arm = radii[near] + np.where(full, MOST_ARM_PX, np.minimum(MOST_ARM_PX, ARM_PX * np.sqrt(stars.snr[near] / ARM_SNR)))
         both_arms = (beyond <= -ARM_SHARE * length) & (np.maximum(along, length - along) < arm)

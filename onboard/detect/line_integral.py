@@ -192,9 +192,13 @@ def moved(
     ends = np.array([detection.row0, detection.col0, detection.row1, detection.col1])
     wanted = n_sigma + short_margin * max(0.0, 1.0 - detection.length_px / STAR_LIKE_PX)
     # among the stars these lie where they lie in this frame, on the sensor where the earlier frame had them
-    for transform, places in ((earlier.transform, static_sky.IDENTITY), (static_sky.IDENTITY, earlier.transform)):
+    back = registration.inverse(earlier.transform)
+    for transform, sky, places in (
+        (earlier.transform, static_sky.IDENTITY, static_sky.IDENTITY),
+        (static_sky.IDENTITY, back, earlier.transform),
+    ):
         before = static_sky.segment_snr_before(
-            earlier.frame.pixels, transform, images.blocked, resolve.FOUND_BIT, images.level, TILE_PX, ends, psf_sigma_px
+            earlier.frame.pixels, transform, sky, images.blocked, resolve.FOUND_BIT, images.level, TILE_PX, ends, psf_sigma_px
         )
         if math.isnan(before):
             continue

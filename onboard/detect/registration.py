@@ -31,6 +31,12 @@ def apply(transform: NDArray[np.float64], points: NDArray[np.float64]) -> NDArra
     return np.asarray(points @ transform[:, :2].T + transform[:, 2])
 
 
+def inverse(transform: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The (2, 3) transform that undoes another."""
+    back = np.linalg.inv(transform[:, :2])
+    return np.column_stack([back, -back @ transform[:, 2]])
+
+
 def register(earlier: StarList, now: StarList, *, reach_px: float) -> NDArray[np.float64] | None:
     """The (2, 3) transform that takes (row, col) of `earlier` to `now`, or None when fewer than 5 stars agree.
 

@@ -160,6 +160,7 @@ def segment_snr(
 def segment_snr_before(
     pixels: KeptPixels,
     transform: NDArray[np.float64],
+    sky: NDArray[np.float64],
     blocked: NDArray[np.uint8],
     ignored: int,
     level: NDArray[np.float32],
@@ -169,7 +170,8 @@ def segment_snr_before(
 ) -> float:
     """As `segment_snr`, in an earlier frame at the mapped place of a segment of this one, on the pixels it was found on.
 
-    NaN if most of the segment lies outside.
+    sky : transform from that place to where its stars are in this frame; pixels of masked ones are left out. NaN if most of the
+    segment lies outside.
     """
     rows, cols = pixels[0].shape
     signal = power = total = 0.0
@@ -180,8 +182,11 @@ def segment_snr_before(
         r = math.floor(transform[0, 0] * i + transform[0, 1] * j + transform[0, 2] + 0.5)
         c = math.floor(transform[1, 0] * i + transform[1, 1] * j + transform[1, 2] + 0.5)
         if 0 <= r < rows and 0 <= c < cols:
+            m = math.floor(sky[0, 0] * i + sky[0, 1] * j + sky[0, 2] + 0.5)
+            n = math.floor(sky[1, 0] * i + sky[1, 1] * j + sky[1, 2] + 0.5)
+            star = 0 <= m < rows and 0 <= n < cols and (blocked[m, n] & ~ignored) != 0
             value = in_sigmas(pixels, r, c)
-            if not math.isnan(value):
+            if not (star or math.isnan(value)):
                 value = min(value, CLIP_SIGMA)
                 signal += g * (value - level[i // level_tile_px, j // level_tile_px] / 16.0)
                 power += g * g

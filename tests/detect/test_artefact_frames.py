@@ -16,6 +16,7 @@ from tests.benchmarks.detection_frames import (
     bleed,
     exposure,
     random_stars,
+    random_streak,
     view_of,
 )
 
@@ -71,3 +72,16 @@ def test_spikes_of_a_first_frame_are_named() -> None:
     found = LineIntegralDetector().detect(view_of(scene))
     assert found
     assert all(d.flags & StreakFlag.SPIKE_LIKE for d in found)
+
+
+def test_pointing_that_moved_hides_no_trails() -> None:
+    """Stars of the preceding frame stood on other pixels: each trail of these has some of theirs under it."""
+    rng = np.random.default_rng(11)
+    stars = random_stars(SIZE, 25_000, rng)
+    history = (view_of(exposure(SIZE, stars, rng, shift_px=(20.3, -13.7))),)
+    scene = exposure(SIZE, stars, rng)
+    for _ in range(12):
+        add_streak(scene, random_streak(SIZE, 200.0, 12.0, rng), rng)
+    paired, _, false = score(LineIntegralDetector().detect(view_of(scene, frame=1, history=history)), scene.streaks)
+    assert sum(found is not None for found in paired) >= 11
+    assert false == 0

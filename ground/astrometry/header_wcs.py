@@ -4,6 +4,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
+from scipy.stats import poisson
 
 from ground.astrometry.apparent import jyear_of, mid_frame_tai_ns
 from ground.astrometry.astrometer import UNUSABLE_CATALOGUE, unsolved
@@ -18,12 +19,19 @@ from sboc_e2e.icd.products import FrameSolution
 SEARCH_PX: Final = 20.0
 """How far a header's WCS may be off."""
 
+LARGEST_CHANCE: Final = 1e-3
+"""Of as many stars falling together at any offset although the WCS is that of another field. `Vote.significant`, which serves
+searches a hundred times as wide, asks for eight stars where this asks for five."""
+
 MATCH_SIGMAS: Final = 4.0
 LARGEST_FIELD_DEG: Final = 30.0
 
 
 def identify_by_header(frame: DownlinkFrame, wcs: Any, catalogue: StarCatalogue, camera: NominalCamera) -> FrameSolution:
-    """A record without attitude (NO_SOLUTION) that names the list stars which the header's WCS puts on catalogue stars."""
+    """A record without attitude (NO_SOLUTION) that names the list stars which the header's WCS puts on catalogue stars.
+
+    It names none when as many may fall together by chance: the WCS of another field would give a zero point of wrong stars.
+    """
     nothing = unsolved(frame, Camera.nominal(camera), FrameFlag.NO_SOLUTION)
     header = frame.header
     corner_col = np.array([0.0, header.cols - 1.0, 0.0, header.cols - 1.0, 0.5 * header.cols])
@@ -43,16 +51,18 @@ def identify_by_header(frame: DownlinkFrame, wcs: Any, catalogue: StarCatalogue,
     inside = np.flatnonzero((row > -0.5) & (row < header.rows - 0.5) & (col > -0.5) & (col < header.cols - 0.5))
     predicted = np.stack((row[inside], col[inside]), axis=1)
     listed = np.stack((frame.stars.row, frame.stars.col), axis=1)
+    bin_px = max(1.0, camera.psf_sigma_px)
     vote = vote_offset(
         listed,
         predicted,
         center=np.array([0.5 * header.rows, 0.5 * header.cols]),
         reach_px=SEARCH_PX,
-        bin_px=max(1.0, camera.psf_sigma_px),
+        bin_px=bin_px,
         roll_limit_rad=0.0,
         half_size_px=0.5 * float(np.hypot(header.rows, header.cols)),
     )
-    if vote.votes < 1:
+    offsets = (2.0 * SEARCH_PX / bin_px + 1.0) ** 2
+    if offsets * poisson.sf(vote.votes - 1, vote.chance) > LARGEST_CHANCE:
         return nothing
     predicted = predicted + np.array([vote.d_row_px, vote.d_col_px])
     index, chosen = mutual_pairs(listed, predicted, MATCH_SIGMAS * max(1.0, camera.psf_sigma_px))

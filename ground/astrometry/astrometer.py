@@ -10,7 +10,6 @@ from ground.astrometry import lost_in_space
 from ground.astrometry.apparent import apparent_directions, jyear_of, mid_frame_tai_ns, observer_at
 from ground.astrometry.camera import SHARED, Camera
 from ground.astrometry.camera_fit import CameraPrior, CameraSolution, fit_camera
-from ground.astrometry.lost_in_space import PatternMatch
 from ground.astrometry.matching import mutual_pairs, vote_offset
 from ground.astrometry.rotation import matrix_of, quaternion_of, rotation_by
 from ground.sky.sphere import ARCSEC_RAD
@@ -21,6 +20,8 @@ from sboc_e2e.icd.frame import Calibration, FrameHeader, NominalCamera
 from sboc_e2e.icd.products import FrameSolution
 
 Array = NDArray[np.float64]
+Match = tuple[CameraSolution, Stars, NDArray[np.intp], NDArray[np.intp]]
+"""Fit, catalogue stars, and the matched indices into the star list and the catalogue."""
 
 LOST_FRAMES_TRIED: Final = 5
 """After so many frames in a row that no star pattern could place, the camera is taken for unknown."""
@@ -40,7 +41,7 @@ class AstrometryState:
     last: tuple[int, Array, Array] | None = None
     """Epoch (TAI ns), matrix and rate (rad/s) of the last solved frame."""
     lost: int = 0
-    """Frames in a row that no star pattern could place."""
+    """Frames in a row whose star patterns were looked for in vain; frames without enough stars do not count."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,14 +94,13 @@ class CameraFit:
         middle = mid_frame_tai_ns(header)
         start = _start_attitude(state, header, middle)
         matrix, rate = start if start is not None else (None, np.zeros(3))
-        flags, lost = FrameFlag(0), 0
+        flags, lost = FrameFlag(0), state.lost
         found = None if matrix is None else self._match_and_fit(state, frame, matrix, rate, middle)
         if found is None:
-            seen = self._by_star_pattern(state, frame)
-            if seen is not None:
-                as_seen = replace(state, camera=replace(state.camera, mirrored=seen.mirrored))
-                found = self._match_and_fit(as_seen, frame, seen.matrix, rate, middle)
-            flags, lost = FrameFlag.ATTITUDE_FROM_SOLVER, state.lost + 1
+            flags = FrameFlag.ATTITUDE_FROM_SOLVER
+            if self._star_patterns_may_tell(state, frame):
+                lost += 1
+                found = self._match_star_pattern(state, frame, rate, middle)
         if found is None:
             return replace(state, lost=lost), unsolved(frame, state.camera, FrameFlag.NO_SOLUTION, matrix=matrix, rate=rate)
         fit, stars, listed, chosen = found
@@ -113,22 +113,28 @@ class CameraFit:
         )
         return new_state, _solution_of(header.frame, flags, fit, rate, stars, listed, chosen)
 
-    def _by_star_pattern(self, state: AstrometryState, frame: DownlinkFrame) -> PatternMatch | None:
-        """Attitude and parity from star patterns; None when that is switched off, hopeless by now, or finds nothing."""
+    def _star_patterns_may_tell(self, state: AstrometryState, frame: DownlinkFrame) -> bool:
+        """Whether it is worth to look for star patterns: not when switched off, hopeless by now, or without enough stars."""
         hopeless = state.lost >= LOST_FRAMES_TRIED
         if self.lost_in_space == "never" or hopeless or len(frame.stars) < self.min_stars:
-            return None
-        if self.lost_in_space == "if_installed" and not lost_in_space.installed():
-            return None
+            return False
+        return self.lost_in_space != "if_installed" or lost_in_space.installed()
+
+    def _match_star_pattern(self, state: AstrometryState, frame: DownlinkFrame, rate: Array, middle: int) -> Match | None:
+        """As `_match_and_fit`, from the attitude and parity that star patterns give; None when they give none."""
         header = frame.header
-        return lost_in_space.find_attitude(
+        seen = lost_in_space.find_attitude(
             frame.stars, state.camera, header.cols, header.rows, state.catalogue, self.pattern_folder
         )
+        if seen is None:
+            return None
+        as_seen = replace(state, camera=replace(state.camera, mirrored=seen.mirrored))
+        return self._match_and_fit(as_seen, frame, seen.matrix, rate, middle)
 
     def _match_and_fit(
         self, state: AstrometryState, frame: DownlinkFrame, matrix: Array, rate: Array, middle: int
-    ) -> tuple[CameraSolution, Stars, NDArray[np.intp], NDArray[np.intp]] | None:
-        """Fit, catalogue stars and the matched indices into the list and the catalogue; None without a credible match."""
+    ) -> Match | None:
+        """The match from a start attitude; None without a credible one."""
         header, camera = frame.header, state.camera
         order = _matching_order(frame)[: self.max_stars]
         measured = np.stack((frame.stars.row[order], frame.stars.col[order]), axis=1)

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from ground.astrometry import lost_in_space
 from ground.astrometry.astrometer import CameraFit
 from ground.astrometry.camera import Camera
 from ground.astrometry.rotation import matrix_of, quaternion_of, rotation_by
@@ -164,6 +165,21 @@ def test_a_mirrored_image_gives_the_directions_of_the_image_itself(catalogue):
     _, again = fit.solve(state, mirror)
     assert again.mirrored
     assert not again.flags & FrameFlag.ATTITUDE_FROM_SOLVER
+
+
+def test_frames_with_too_few_stars_do_not_use_up_the_tries_for_star_patterns(catalogue, monkeypatch):
+    """Seven empty frames, then stars: patterns are looked for until five frames with stars were tried in vain."""
+    asked = []
+    monkeypatch.setattr(lost_in_space, "installed", lambda: True)
+    monkeypatch.setattr(lost_in_space, "find_attitude", lambda *given: asked.append(len(given[0])))
+    fit = CameraFit()
+    field = make_field(catalogue, 6, FieldOptions(attitude=False))
+    state = fit.initial_state(field.calibration, catalogue)
+    empty = replace(field.frame, stars=StarList.empty())
+    for frame in (*[empty] * 7, *[field.frame] * 3, empty, *[field.frame] * 4):
+        state, solution = fit.solve(state, frame)
+        assert solution.flags & FrameFlag.NO_SOLUTION
+    assert asked == [len(field.frame.stars)] * 5
 
 
 def test_missing_pattern_solver_is_named_when_it_is_required(catalogue, monkeypatch):

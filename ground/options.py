@@ -15,11 +15,18 @@ class PhotometryOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ProductOptions:
-    """Names that stand in messages, and what is drawn."""
+    """Names that stand in messages, and what is written beside the tables."""
 
     originator: str = field(default="SBOC", metadata={"doc": "ORIGINATOR of CCSDS messages"})
     observer_name: str = field(default="SBOC-1", metadata={"doc": "name of the observing spacecraft"})
     observer_id: str = field(default="2027-000A", metadata={"doc": "international designator of the spacecraft"})
+    images: str = field(
+        default="frames",
+        metadata={
+            "doc": "pixels written as FITS with a WCS: frames that came down whole, or thumbnails and regions of all frames too",
+            "choices": ("none", "frames", "all"),
+        },
+    )
     tracklet_plots: bool = field(
         default=False, metadata={"doc": "whether a picture of each tracklet is drawn (path, residuals, light curve)"}
     )

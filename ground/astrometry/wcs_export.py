@@ -1,11 +1,13 @@
-"""A solved camera as a TAN-SIP world coordinate system for FITS headers.
+"""Directions of a frame's pixels as a TAN-SIP world coordinate system for FITS headers, of frames, cut-outs and binned images.
 
 A header's WCS gives catalogue-relative (ICRS) directions, as any catalogue overlay expects: aberration and light deflection
 are taken out. Coefficients come from linear least squares on a grid of pixels in scaled coordinates (Shupe et al. 2005,
 ASP Conf. 347, 491), not from an iterative fit to stars.
 """
 
-from typing import Final
+import re
+from collections.abc import Callable
+from typing import Any, Final
 
 import erfa
 import numpy as np
@@ -15,30 +17,40 @@ from numpy.typing import NDArray
 from ground.astrometry.apparent import apparent_context, mid_frame_tai_ns, observer_at
 from ground.astrometry.camera import Camera
 from ground.astrometry.rotation import matrix_of
+from sboc_e2e.icd.flags import FrameFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution
 
 Array = NDArray[np.float64]
 
+PixelIcrs = Callable[[Array, Array], tuple[Array, Array]]
+"""Rows and cols (n,) to right ascension and declination (deg), catalogue-relative."""
+
 SIP_ORDER: Final = 5
 GRID: Final = 25
+_COEFFICIENT: Final = re.compile(r"[AB]P?_\d_\d")
 
 
-def sip_header(
-    solution: FrameSolution, header: FrameHeader, *, first_row: int = 0, first_col: int = 0, rows: int = 0, cols: int = 0
-) -> fits.Header:
-    """FITS keywords of a TAN-SIP WCS for a solved frame, or for a cut-out of it.
+def pixel_icrs(header: FrameHeader, solution: FrameSolution, wcs: Any = None) -> PixelIcrs | None:
+    """ICRS directions of a frame's pixels: through the WCS that came with it, else through its solution, else None.
 
-    first_row, first_col : frame pixel that is pixel (0, 0) of the cut-out; rows, cols : its size, 0 for the whole frame.
-    The WCS holds at the frame's mid-exposure; the turning of the camera while rows are read is left out.
+    A solution holds at mid-exposure of the middle row; the turning of the camera while rows are read is left out.
     """
-    rows, cols = rows or header.rows, cols or header.cols
-    middle_row, middle_col = first_row + 0.5 * (rows - 1), first_col + 0.5 * (cols - 1)
+    if wcs is not None:
+        return lambda row, col: wcs.all_pix2world(col, row, 0)
+    if solution.flags & FrameFlag.NO_SOLUTION:
+        return None
+    return lambda row, col: _icrs(solution, header, row, col)
+
+
+def sip_header(icrs: PixelIcrs, rows: int, cols: int) -> fits.Header:
+    """FITS keywords of a TAN-SIP WCS for an image of rows x cols pixels."""
+    middle_row, middle_col = 0.5 * (rows - 1), 0.5 * (cols - 1)
     half = 0.5 * max(rows, cols)
     v, u = (
         a.ravel() for a in np.meshgrid(np.linspace(-0.5, 0.5, GRID) * rows, np.linspace(-0.5, 0.5, GRID) * cols, indexing="ij")
     )
-    ra, dec = _icrs(solution, header, np.append(middle_row + v, middle_row), np.append(middle_col + u, middle_col))
+    ra, dec = icrs(np.append(middle_row + v, middle_row), np.append(middle_col + u, middle_col))
     ra0, dec0 = float(ra[-1]), float(dec[-1])
     xi, eta = _gnomonic_deg(ra[:-1], dec[:-1], ra0, dec0)
 
@@ -58,7 +70,7 @@ def sip_header(
     out["CUNIT1"], out["CUNIT2"] = "deg", "deg"
     out["RADESYS"], out["EQUINOX"] = "ICRS", 2000.0
     # FITS counts pixels from 1
-    out["CRPIX1"], out["CRPIX2"] = middle_col - first_col + 1.0, middle_row - first_row + 1.0
+    out["CRPIX1"], out["CRPIX2"] = middle_col + 1.0, middle_row + 1.0
     out["CRVAL1"], out["CRVAL2"] = ra0, dec0
     for i in (0, 1):
         for j in (0, 1):
@@ -68,6 +80,35 @@ def sip_header(
         for (p, q), value in zip(powers, coefficients, strict=True):
             if p + q >= 2 or name in ("AP", "BP"):
                 out[f"{name}_{p}_{q}"] = float(value)
+    return out
+
+
+def of_cut_out(header: fits.Header, first_row: int, first_col: int) -> fits.Header:
+    """The WCS of a cut-out whose pixel (0, 0) is this pixel of the image; LTV and LTM tell viewers the pixels of the image."""
+    out = header.copy()
+    out["CRPIX1"], out["CRPIX2"] = header["CRPIX1"] - first_col, header["CRPIX2"] - first_row
+    out["LTV1"], out["LTV2"] = -float(first_col), -float(first_row)
+    out["LTM1_1"], out["LTM2_2"] = 1.0, 1.0
+    return out
+
+
+def without_inverse(header: fits.Header) -> fits.Header:
+    """The WCS without the polynomials from directions to pixels, half of its cards: readers iterate instead."""
+    return fits.Header([tuple(card) for card in header.cards if not card.keyword.startswith(("AP_", "BP_"))])
+
+
+def of_binned(header: fits.Header, cell_px: int) -> fits.Header:
+    """The WCS of an image of cells of cell_px x cell_px pixels."""
+    out = header.copy()
+    for axis in ("1", "2"):
+        out[f"CRPIX{axis}"] = (header[f"CRPIX{axis}"] - 0.5) / cell_px + 0.5
+        out[f"LTV{axis}"], out[f"LTM{axis}_{axis}"] = 0.5 - 0.5 / cell_px, 1.0 / cell_px
+    for key, value in header.items():
+        if key.startswith("CD"):
+            out[key] = value * cell_px
+        elif _COEFFICIENT.fullmatch(key):
+            p, q = key.split("_")[1:]
+            out[key] = value * float(cell_px) ** (int(p) + int(q) - 1)
     return out
 
 

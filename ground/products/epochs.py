@@ -15,3 +15,8 @@ def utc_text(tai_ns: Sequence[int] | NDArray[np.int64], digits: int = 6) -> list
         return []
     parts = np.array([to_jd_parts(int(t)) for t in tai_ns])
     return [str(text) for text in Time(parts[:, 0], parts[:, 1], format="jd", scale="tai", precision=digits).utc.isot]
+
+
+def utc_mjd(tai_ns: int) -> float:
+    """Modified Julian date, UTC."""
+    return float(Time(*to_jd_parts(tai_ns), format="jd", scale="tai").utc.mjd)

@@ -13,17 +13,19 @@ from typing import Any, Final
 import numpy as np
 from astropy.table import Column, Table
 
+from ground.astrometry.wcs_export import pixel_icrs
 from ground.chain import GroundChain, GroundSteps
 from ground.ingest import IngestReport
 from ground.on_demand import OnDemand
 from ground.options import GroundOptions
 from ground.products import tables
+from ground.products.images import frame_images, has_images
 from ground.products.oem import oem_text
 from ground.products.tdm import tdm_text
 from ground.records import FrameProducts, GroundProducts
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.files import checkpoint, ecsv
-from sboc_e2e.files.atomic import write_json, write_text
+from sboc_e2e.files.atomic import replacing, write_json, write_text
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Calibration, NominalCamera
@@ -186,6 +188,7 @@ class GroundStage:
             tdm = tdm_text(result.tracklets, result.members, result.headers, options.products, oem_name=oem_name)
             write_text(folder / TDM_NAME, tdm)
         write_json(folder / "ingest.json", result.ingest.as_dict() if result.ingest else {})
+        self._write_images(folder / "images", frames, result)
         if options.products.tracklet_plots:
             # here, since matplotlib takes longer to load than a frame to process
             from sboc_e2e.run.tracklet_plot import tracklet_svg
@@ -193,6 +196,16 @@ class GroundStage:
             for tracklet, members in zip(result.tracklets, result.members, strict=True):
                 path = folder / "plots" / f"tracklet_{tracklet.tracklet_id:06d}.svg"
                 write_text(path, tracklet_svg(tracklet, members))
+
+    def _write_images(self, folder: Path, frames: Sequence[DownlinkFrame], result: GroundProducts) -> None:
+        """Pixels that came down, as FITS, a frame at a time."""
+        wanted = self.options.products.images
+        for position, frame in enumerate(frames):
+            if has_images(frame, wanted):
+                number = frame.header.frame
+                icrs = pixel_icrs(frame.header, result.solutions[position], self.outside.wcs.get(number))
+                with replacing(folder / f"{number:06d}.fits") as stream:
+                    frame_images(frame, icrs, wanted).writeto(stream)
 
 
 def _judge(path: Path, ingest: IngestReport, progress: Progress) -> None:

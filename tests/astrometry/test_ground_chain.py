@@ -10,7 +10,7 @@ from astropy.wcs import WCS
 from scipy.special import erf
 
 from ground.astrometry.astrometer import CameraFit
-from ground.astrometry.wcs_export import sip_header
+from ground.astrometry.wcs_export import pixel_icrs, sip_header
 from ground.chain import GroundChain, GroundSteps
 from ground.ingest.codecs import PlanesDecoder
 from ground.link import MotionLinker
@@ -175,7 +175,7 @@ def test_frames_without_attitude_and_stars_keep_their_pixel_products(fields):
 def test_a_wcs_from_outside_gives_the_same_sky(fields):
     chain = chain_of(fields[0])
     state, solved = chain.process_frame(chain.initial_state(), fields[0].frame)
-    wcs = WCS(sip_header(solved.solution, fields[0].frame.header))
+    wcs = WCS(sip_header(pixel_icrs(fields[0].frame.header, solved.solution), 4096, 4096))
     bare = replace(fields[0].frame, header=replace(fields[0].frame.header, attitude=None))
     _, outside = chain.process_frame(state, bare, wcs=wcs)
     assert outside.solution.n_stars > 200  # named through the header, so that there is a zero point

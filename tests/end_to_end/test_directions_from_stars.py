@@ -15,9 +15,10 @@ from astropy.wcs import WCS
 
 from ground.astrometry import lost_in_space
 from ground.astrometry.camera import Camera
-from ground.astrometry.wcs_export import sip_header
+from ground.astrometry.wcs_export import pixel_icrs, sip_header
 from sboc_e2e import cli
 from sboc_e2e.catalogue import StarCatalogue
+from sboc_e2e.icd.flags import FrameFlag
 from sboc_e2e.icd.frame import FrameHeader
 
 SIDE_PX, PIXEL_DEG, SIGMA_PX = 512, float(np.degrees(72e-6 / 0.4)), 1.1
@@ -70,7 +71,9 @@ def written(folder: Path, image: np.ndarray, **keys: float) -> str:
 def solved_wcs(frame: Table.Row) -> WCS:
     """The world coordinates of a row of products/frames.ecsv, by the program's own export."""
     quaternion = np.array([frame[name] for name in ("qx", "qy", "qz", "qw")])
-    solution = SimpleNamespace(quaternion=quaternion, **{field.name: frame[field.name] for field in fields(Camera)})
+    solution = SimpleNamespace(
+        flags=FrameFlag(0), quaternion=quaternion, **{field.name: frame[field.name] for field in fields(Camera)}
+    )
     header = FrameHeader(
         frame=0,
         t_start_tai_ns=int(frame["t_start_tai_ns"]),
@@ -79,7 +82,7 @@ def solved_wcs(frame: Table.Row) -> WCS:
         rows=int(frame["rows"]),
         cols=int(frame["cols"]),
     )
-    return WCS(sip_header(solution, header))  # type: ignore[arg-type]
+    return WCS(sip_header(pixel_icrs(header, solution), header.rows, header.cols))  # type: ignore[arg-type]
 
 
 @needs_solver

@@ -15,7 +15,7 @@ from astropy.time import Time
 from astropy.wcs import WCS
 
 from ground.astrometry.apparent import mid_frame_tai_ns
-from ground.astrometry.wcs_export import sip_header
+from ground.astrometry.wcs_export import pixel_icrs, sip_header
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.files import frame_fits
 from sboc_e2e.icd.flags import FrameFlag
@@ -79,7 +79,8 @@ def test_light_truth_and_header_agree(tmp_path: Path) -> None:
     observer = ObserverState(
         tai_ns=middle, position_m=position, velocity_m_s=velocity, sigma_position_m=1.0, sigma_velocity_m_s=1.0
     )
-    wcs = WCS(sip_header(solution, replace(frame.header, observer=observer)))
+    header = replace(frame.header, observer=observer)
+    wcs = WCS(sip_header(pixel_icrs(header, solution), header.rows, header.cols))
     seen = GCRS(
         obstime=Time(*to_jd_parts(middle), format="jd", scale="tai"),
         obsgeoloc=CartesianRepresentation(position * u.m), obsgeovel=CartesianRepresentation(velocity * u.m / u.s),

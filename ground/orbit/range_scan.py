@@ -14,6 +14,7 @@ from ground.orbit.posterior import Posterior, modes, normal_pairs, quantiles, sc
 from ground.orbit.prior import PriorShares, PriorTable, prior_table
 from ground.orbit.scan import Problem
 from ground.orbit.size import diameter_m, log_size_density, sun_direction
+from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import OrbitEstimate, Tracklet
 
@@ -59,6 +60,15 @@ class RangeScan:
         default=3,
         metadata={"doc": "transverse rates tried at each range, more where they are poorly known", "min": 1, "max": 100},
     )
+
+    def __post_init__(self) -> None:
+        if self.nearest_km >= self.farthest_km:
+            raise UserError(f"nearest: {self.nearest_km:g} km; allowed is less than farthest, {self.farthest_km:g} km")
+        if self.tail_share + self.ring_share > 1.0:
+            raise UserError(
+                f"tail_share and ring_share: {self.tail_share:g} and {self.ring_share:g}; allowed is a sum of 1 at most, "
+                "low orbits have the rest"
+            )
 
     def estimate(self, tracklet: Tracklet, headers: Sequence[FrameHeader]) -> OrbitEstimate:
         """Posterior of one tracklet; not converged, with NaN, without sky positions or observer states near it."""

@@ -82,6 +82,14 @@ def test_own_keys_win_over_a_preset_and_overrides_over_both(tmp_path: Path) -> N
         ("[onboard.detector]\nuse = 3", ("onboard.detector.use: expected the name of a step",)),
         ("", ("holds no key", "frames = 6")),
         ("# frames = 6\n", ("holds no key",)),
+        (
+            '[ground.orbit]\nnearest = "100 km"\nfarthest = "50 km"',
+            ("[ground.orbit]: nearest: 100 km; allowed is less than farthest, 50 km",),
+        ),
+        (
+            "[ground.orbit]\ntail_share = 0.7\nring_share = 0.4",
+            ("[ground.orbit]: tail_share and ring_share: 0.7 and 0.4; allowed is a sum of 1 at most",),
+        ),
         ("a = [", ("not valid TOML",)),
         ("a = 1\na = 2", ("not valid TOML",)),
     ],

@@ -9,6 +9,7 @@ from ground.orbit import RangeScan
 from ground.orbit.attributable import attributable_of
 from ground.orbit.range_scan import problem_of
 from ground.orbit.scan import curve
+from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.steps import OrbitDeterminer
 from tests.orbit.encounters import MU, T0_NS, Encounter, draw_encounters, observed, snr_of, sun_and_observer, trajectory
 
@@ -110,3 +111,30 @@ def test_light_time_is_the_orbit_s_business() -> None:
     chi2 = data.constant - 2.0 * data.linear @ out + out @ data.quadratic @ out
     # errors of 0.01 arcsec: an arc curve wrong by that much would show
     assert chi2 < 2.0 * len(tracklet.t_tai_ns)
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        {"tail_share": 1.0, "ring_share": 0.0},
+        {"tail_share": 0.5, "ring_share": 0.5},
+        {"nearest_km": 100.0, "farthest_km": 100.1},
+        {"nearest_km": 9000.0, "farthest_km": 1e6},
+        {"nearest_km": 0.001, "farthest_km": 1.0},
+    ],
+)
+def test_options_at_their_limits_give_an_estimate_or_say_that_there_is_none(options: dict[str, float]) -> None:
+    """No low orbits, hardly a range to scan, only ranges where nothing is."""
+    rng = np.random.default_rng(2)
+    tracklet, headers = observed(draw_encounters(1, rng, population="catalogue", pool=50_000)[0], rng)
+    estimate = RangeScan(**options).estimate(tracklet, headers)
+    assert estimate.converged == bool(np.isfinite(estimate.range_km).all())
+    if estimate.converged:
+        low, high = RangeScan(**options).nearest_km, RangeScan(**options).farthest_km
+        assert ((estimate.range_km >= 0.99 * low) & (estimate.range_km <= 1.01 * high)).all()
+
+
+@pytest.mark.parametrize("options", [{"nearest_km": 100.0, "farthest_km": 100.0}, {"tail_share": 0.7, "ring_share": 0.4}])
+def test_options_that_contradict_each_other_are_refused(options: dict[str, float]) -> None:
+    with pytest.raises(UserError, match="allowed is"):
+        RangeScan(**options)

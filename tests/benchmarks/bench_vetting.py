@@ -43,10 +43,10 @@ STORM = QUIET | {"particle": 20.0, "hit_group": 1.0}
 NOISE_SNR = (THRESHOLD_SNR, 12.0)
 """Statistics of noise maxima injected conditionally: at the upper end one frame in 1e12 has one."""
 
-CHAIN_STARS = (2, 3, 4, 5, 6, 7, 8)
-"""Stars in a row that are injected; each further one is a hundredth as frequent."""
+CHAIN_STARS = (2, 3, 4, 5, 6)
+"""Stars in a row that are injected; each further one is a tenth as frequent, seven and eight are 1e-3 of what passes."""
 
-CHAIN_SHARES = {3: 4, 4: 4, 5: 2}
+CHAIN_SHARES = {3: 8, 4: 16, 5: 4}
 """Attempts for these numbers of stars, over those for the others: few reach the threshold, and those are most of what passes."""
 
 FALSE_PER_FRAME = (1e-2, 1e-3, 1e-4, 1e-5, 1e-6)

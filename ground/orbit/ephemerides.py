@@ -31,21 +31,24 @@ def read_oem(text: str) -> tuple[PreciseOrbit, ...]:
     orbits: list[PreciseOrbit] = []
     meta: dict[str, str] = {}
     rows: list[tuple[int, list[float]]] = []
-    skipping = False
+    skipping = described = False
     for number, line in enumerate([*text.splitlines(), "META_START"], start=1):
         word = line.split("=")[0].strip()
         if word == "META_START":
             if rows:
                 orbits.append(_orbit(meta, rows))
-            meta, rows, skipping = {}, [], False
+            meta, rows, skipping, described = {}, [], False, False
         elif word in ("COVARIANCE_START", "COVARIANCE_STOP"):
             skipping = word == "COVARIANCE_START"
         elif "=" in line and not skipping:
             meta[word] = line.split("=", 1)[1].strip()
         elif word == "META_STOP":
             _check(meta, number)
+            described = True
         elif word and not skipping and not word.startswith("COMMENT"):
-            rows.append(_row(line, meta.get("TIME_SYSTEM", ""), number))
+            if not described:
+                raise UserError(f"ephemeris message, line {number}: expected META_STOP before states, got '{line[:40]}'")
+            rows.append(_row(line, meta["TIME_SYSTEM"], number))
     if not orbits:
         raise UserError("ephemeris message: expected at least one segment with states, got none")
     return tuple(orbits)
@@ -65,6 +68,8 @@ def _row(line: str, system: str, number: int) -> tuple[int, list[float]]:
         date, clock = epoch.rstrip("Z").split("T")
         day = datetime.strptime(date, "%Y-%m-%d" if date.count("-") == 2 else "%Y-%j")
         hour, minute, second = clock.split(":")
+        if not float(second) < 61.0:
+            raise ValueError("seconds beyond a minute")
         parts = erfa.dtf2d(system.upper(), day.year, day.month, day.day, int(hour), int(minute), float(second))
     except ValueError as error:
         raise UserError(f"ephemeris message, line {number}: expected an epoch and six numbers, got '{line[:40]}'") from error

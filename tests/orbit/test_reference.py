@@ -190,6 +190,12 @@ def test_ephemeris_message_gives_the_bias() -> None:
         read_oem(text.replace("GCRF", "MOON"))
     with pytest.raises(UserError, match="line 8"):
         read_oem("\n".join([*segments[:7], "nonsense"]))
+    with pytest.raises(UserError, match=r"line 7: expected META_STOP before states, got '2027"):
+        read_oem(text.replace("META_STOP\n", ""))
+    with pytest.raises(UserError, match=r"line 1: expected META_STOP before states, got '2027"):
+        read_oem("\n".join(segments[7:]))
+    with pytest.raises(UserError, match="line 8: expected an epoch and six numbers"):
+        read_oem("\n".join([*segments[:7], "2027-01-29T00:00:9000 1 2 3 4 5 6"]))
 
 
 def test_files_of_known_objects(tmp_path: Path) -> None:

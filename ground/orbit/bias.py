@@ -22,7 +22,7 @@ class Bias:
     """Late time tags (s, positive: the tags are later than the truth) and pointing (arcsec, towards east and north).
 
     covariance : (3, 3) of (time_s, east_arcsec, north_arcsec), widened by chi2_nu where that exceeds one.
-    n_used, n_clipped : directions. chi2_nu : of those used.
+    n_used, n_clipped : directions of which both coordinates were used, and the others. chi2_nu : of what was used.
     """
 
     time_s: float
@@ -93,12 +93,13 @@ def estimate_bias(
     chi2_nu = float(residual @ residual) / max(len(residual) - 3, 1)
     # errors that all directions of an object share (states of GPS, the orbit itself) show in chi-square alone
     covariance = np.linalg.pinv(information) * max(1.0, chi2_nu)
+    whole = use.reshape(-1, 2).all(axis=1)
     return Bias(
         time_s=float(solution[0]),
         east_arcsec=float(solution[1]),
         north_arcsec=float(solution[2]),
         covariance=np.asarray(covariance, dtype=np.float64),
-        n_used=int(use.sum()) // 2,
-        n_clipped=int((~use).sum()),
+        n_used=int(whole.sum()),
+        n_clipped=int((~whole).sum()),
         chi2_nu=chi2_nu,
     )

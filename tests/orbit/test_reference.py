@@ -152,6 +152,30 @@ def test_biases_are_found() -> None:
     assert estimate_bias([], all_headers) is None
 
 
+def test_directions_that_do_not_fit_are_counted_as_directions() -> None:
+    """One of the directions is off by half a degree across the motion: its other coordinate may stay."""
+    rng = np.random.default_rng(12)
+    _, satellites = element_sets(4, rng)
+    pairs, all_headers = [], []
+    for k, satellite in enumerate(satellites):
+        start = state_of(satellite, T0_NS)
+        tracklet, headers = seen(start, rng)
+        steps = np.arange(-60.0, 61.0, 20.0)
+        states = trajectory(start, steps)
+        t_ns = T0_NS + np.round(steps * 1e9).astype(np.int64)
+        orbit = PreciseOrbit(name="reference", t_tai_ns=t_ns, position_km=states[:, :3], velocity_km_s=states[:, 3:])
+        if k == 2:
+            off = np.zeros(len(tracklet.dec_deg))
+            off[1] = 0.5
+            tracklet = replace(tracklet, dec_deg=tracklet.dec_deg + off)
+        pairs.append((tracklet, orbit))
+        all_headers += headers
+    bias = estimate_bias(pairs, all_headers)
+    assert bias is not None
+    assert bias.n_clipped == 1
+    assert bias.n_used == sum(len(tracklet.t_tai_ns) for tracklet, _ in pairs) - 1
+
+
 VANGUARD = """0 VANGUARD 1
 1 00005U 58002B   00179.78495062  .00000023  00000-0  28098-4 0  4753
 2 00005  34.2682 348.7242 1859667 331.7664  19.3264 10.82419157413667

@@ -50,10 +50,13 @@ def test_solution_is_right_to_hundredths_of_an_arcsec(catalogue):
 
 
 def test_pulls_of_the_attitude_are_near_one(catalogue):
-    """Without displaced stars and with the catalogue error taken out of the weights, errors match the covariance."""
+    """Without displaced stars and with the catalogue error taken out of the weights, errors match the covariance.
+
+    The rms of 200 pulls scatters by 0.05, and four of these are allowed; 96 pulls of other fields had 1.06.
+    """
     fit = CameraFit(centroid_floor_px=0.0)
     pulls = []
-    for seed in range(12):
+    for seed in range(100):
         field = make_field(catalogue, seed, FieldOptions(catalogue_seed=seed, n_stars=150))
         _, solution = fit.solve(fit.initial_state(field.calibration, catalogue), field.frame)
         # the optical axis differs from the nominal one, so compare directions at the frame's middle, not quaternions
@@ -61,7 +64,7 @@ def test_pulls_of_the_attitude_are_near_one(catalogue):
         in_camera = matrix_of(np.asarray(solution.quaternion)) @ errors
         sigma = np.sqrt(np.diag(solution.covariance_rad2))
         pulls += [in_camera[0] / sigma[1], in_camera[1] / sigma[0]]
-    assert 0.6 < np.sqrt(np.mean(np.square(pulls))) < 1.5
+    assert np.sqrt(np.mean(np.square(pulls))) == pytest.approx(1.0, abs=0.2)
 
 
 def test_distortion_is_learned_over_a_run_of_small_star_lists(catalogue):

@@ -118,7 +118,7 @@ def star_scene(seed: int, streaks: list[Streak], n_stars: int = 25_000) -> tuple
 @pytest.mark.parametrize("length_px", [20.0, 60.0, 200.0, 800.0])
 def test_mean_statistic_is_the_matched_filter_snr_within_5_percent(length_px: float) -> None:
     ratios = []
-    for seed in range(3):
+    for seed in range(12):
         rng = np.random.default_rng(100 + seed)
         truth = []
         for k in range(3):
@@ -130,9 +130,9 @@ def test_mean_statistic_is_the_matched_filter_snr_within_5_percent(length_px: fl
         assert fragments == 0
         assert false == 0
         ratios += [d.snr / 20.0 for d in paired if d is not None]
-    assert len(ratios) == 9
-    # the mean of 9 scatters by 2 %: noise and the streaks' own Poisson noise
-    assert np.mean(ratios) == pytest.approx(1.0, abs=0.06)
+    assert len(ratios) == 36
+    # the mean of 36 scatters by 1 %, from noise and the streaks' own Poisson noise; of 36 others it was 0.98 to 0.99
+    assert np.mean(ratios) == pytest.approx(1.0, abs=0.05)
 
 
 def test_bright_streaks_are_not_eaten_by_the_star_mask() -> None:

@@ -96,17 +96,22 @@ def test_an_exposure_is_a_function_of_its_numbers() -> None:
 
 
 def test_splitting_finds_the_tail_of_a_sum_of_squares() -> None:
-    """P(x^2 + y^2 > s) = exp(-s / 2) down to 3e-9, and one number beyond 6 sigma; four repeats agree to a factor of two."""
-    for dimension, level, truth in ((2, 39.0, math.exp(-19.5)), (1, 6.0, float(norm.sf(6.0)))):
+    """P(x^2 + y^2 > s) = exp(-s / 2) down to 3e-9, and one number beyond 6 sigma.
+
+    Levels are quantiles of the samples that are counted, a bias of order 1 / n: with n = 300 the estimate is too high by 21 +- 3
+    and 34 +- 5 % (1,600 repeats). Of 400 repeats the mean scatters by 6 and 9 % of the truth, and four of these are allowed.
+    """
+    cases = ((2, 39.0, math.exp(-19.5), 1.21, 0.06), (1, 6.0, float(norm.sf(6.0)), 1.34, 0.09))
+    for dimension, level, truth, bias, scatter in cases:
 
         def value(z: NDArray[np.float64], dimension: int = dimension) -> tuple[float, float]:
             x = float(z @ z) if dimension == 2 else float(z[0])
             return x, x
 
         found = [
-            tail_of(value, dimension, 300, np.random.default_rng(k), last=level, rarest=1e-12).above(level) for k in range(4)
+            tail_of(value, dimension, 300, np.random.default_rng(k), last=level, rarest=1e-12).above(level) for k in range(400)
         ]
-        assert np.mean(found) == pytest.approx(truth, rel=1.0)
+        assert np.mean(found) / truth == pytest.approx(bias, abs=4.0 * scatter)
 
 
 def test_splitting_stops_on_a_plateau_and_keeps_its_weights() -> None:

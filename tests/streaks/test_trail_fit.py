@@ -33,7 +33,7 @@ from tests.streaks.trail_rendering import (
 )
 
 FITTER = TrailedPsfFitter()
-CASES = 120
+CASES = 600
 SLACK = 4.0 / math.sqrt(2.0 * CASES)
 
 
@@ -58,9 +58,10 @@ def test_matches_the_protocol() -> None:
 
 @pytest.mark.parametrize(("length_px", "snr"), [(20.0, 50.0), (60.0, 30.0), (100.0, 8.0), (150.0, 15.0)])
 def test_reaches_the_bounds(length_px: float, snr: float) -> None:
-    """Cross-track and flux within 1.10 of the bound, ends within 1.30 of the attainable law, pulls one, coverage 68 %.
+    """Cross-track and flux within 1.10 of the bound, ends within 1.20 of the attainable law, pulls one, coverage 68 %.
 
-    1.30 and not 1.15: between the two laws the best equivariant estimator itself lies up to 1.3 above both (bench_streak_fit).
+    In 1,500 other cases of each: across 0.98, 1.08, 1.11, 1.01, flux 0.97, 1.00, 1.08, 0.99, ends 1.00, 1.14, 1.03, 1.19,
+    coverage 0.69, 0.66, 0.65, 0.67, pulls 0.96 to 1.10.
     """
     rng = np.random.default_rng([11, int(length_px)])
     across, flux, ends, covered, z_across, z_flux = [], [], [], [], [], []
@@ -84,12 +85,12 @@ def test_reaches_the_bounds(length_px: float, snr: float) -> None:
 
     assert rms(across) < 1.10 + SLACK
     assert rms(flux) < 1.10 + SLACK
-    assert rms(ends) < 1.30 + SLACK
-    assert abs(np.mean(flux)) < 0.15 + 4.0 / math.sqrt(CASES)
+    assert rms(ends) < 1.20 + SLACK
+    assert abs(np.mean(flux)) < 4.0 / math.sqrt(CASES)
     assert abs(np.mean(covered) - 0.68) < 4.0 * math.sqrt(0.68 * 0.32 / (2 * CASES))
     for z in (z_across, z_flux):
         # the median of z^2 of n normals scatters by 1.17 / sqrt(n) relative to its root
-        assert abs(math.sqrt(np.median(np.square(z)) / 0.4549) - 1.0) < 0.1 + 4.0 * 1.17 / math.sqrt(CASES)
+        assert abs(math.sqrt(np.median(np.square(z)) / 0.4549) - 1.0) < 4.0 * 1.17 / math.sqrt(CASES)
 
 
 def test_faint_ends_are_flagged_as_change_points_and_bright_ones_not() -> None:

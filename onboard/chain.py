@@ -29,12 +29,10 @@ from sboc_e2e.icd.errors import ContractError, PluginError, UserError
 from sboc_e2e.icd.flags import FrameFlag, MaskBit, StreakFlag
 from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.layout import HEADER_FIXED, TELEMETRY, Apid
-from sboc_e2e.icd.signals import BackgroundModel, Detection, DetectorView, RoiGroup, StarList
+from sboc_e2e.icd.results import check_background, check_detections, check_stars
+from sboc_e2e.icd.signals import Detection, DetectorView, RoiGroup, StarList
 from sboc_e2e.icd.steps import BackgroundEstimator, Detector, Encoder, SelectiveMemory, StarExtractor
 from sboc_e2e.icd.tai import NS_PER_S
-
-OUTSIDE_TOLERANCE_PX = 2.0
-"""A detection's end may lie this far outside the frame: PSF centres of trails that touch the edge do."""
 
 REMEMBERED_ITEM = 1
 """Item number of the star packets with remembered stars; those measured in the frame are item 0."""
@@ -189,8 +187,7 @@ class OnboardChain:
         dark = counts.dark.whole_adu(residual.reshape(-1).view(np.int16)[: residual.size].reshape(residual.shape))
         given = (counts.pixels, _read_only(dark), _read_only(counts.defects))
         estimated = self._guarded("background", self._steps.background.estimate, *given)
-        if not isinstance(estimated, BackgroundModel):
-            raise self._fault("background", f"expected a BackgroundModel, got {type(estimated).__name__}")
+        self._guarded("background", check_background, estimated, counts.pixels.shape)
         background = background_in_adu(estimated, counts)
         n_masked = residual_pass(
             counts.pixels,
@@ -229,8 +226,7 @@ class OnboardChain:
         The memory under the view's image is brought to the new level.
         """
         stars = self._guarded("star_extractor", self._steps.star_extractor.extract, view)
-        if not isinstance(stars, StarList):
-            raise self._fault("star_extractor", f"expected a StarList, got {type(stars).__name__}")
+        self._guarded("star_extractor", check_stars, stars, view.mask.shape)
         background = without_stars(
             under.residual,
             view.mask,
@@ -251,26 +247,21 @@ class OnboardChain:
     def _detections(self, view: DetectorView) -> tuple[Detection, ...]:
         """Detections of the detector, checked."""
         found = self._guarded("detector", self._steps.detector.detect, view)
-        rows, cols = view.mask.shape
-        if not isinstance(found, tuple | list):
-            raise self._fault("detector", f"expected a tuple of Detection, got {type(found).__name__}")
-        for detection in found:
-            if not isinstance(detection, Detection):
-                raise self._fault("detector", f"expected Detection, got {type(detection).__name__}")
-            slack = OUTSIDE_TOLERANCE_PX
-            for row, col in ((detection.row0, detection.col0), (detection.row1, detection.col1)):
-                if not (-slack <= row <= rows - 1 + slack and -slack <= col <= cols - 1 + slack):
-                    raise self._fault("detector", f"end ({row:.1f}, {col:.1f}) lies outside the frame of {rows} x {cols} px")
+        self._guarded("detector", check_detections, found, view.mask.shape)
         return tuple(found)
 
     def _guarded(self, seam: str, call: Callable[..., Any], *arguments: Any) -> Any:
-        """What a step returns; whatever it raises becomes a `PluginError` that names it."""
+        """What a step, or a check of its result, returns; whatever it raises becomes a `PluginError` that names the step.
+
+        A `UserError` about something that the user can mend passes; a record that breaks the contract is the step's fault.
+        """
         try:
             return call(*arguments)
-        except UserError:
-            raise
         except Exception as error:  # a plug-in may raise anything; it is reported by name
-            raise self._fault(seam, f"{type(error).__name__}: {error}") from error
+            if isinstance(error, UserError) and not isinstance(error, ContractError):
+                raise
+            what = str(error) if isinstance(error, ContractError) else f"{type(error).__name__}: {error}"
+            raise self._fault(seam, what) from error
 
     def _fault(self, seam: str, what: str) -> PluginError:
         """The error that names a step."""

@@ -13,17 +13,17 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.files import checkpoint
-from sboc_e2e.icd.errors import UserError
+from sboc_e2e.icd.errors import ContractError, UserError
 from sboc_e2e.icd.flags import MaskBit
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.layout import CodecNumber
-from sboc_e2e.icd.signals import BackgroundModel, Detection, DetectorView, StarList
+from sboc_e2e.icd.results import check_background, check_detections, check_stars
+from sboc_e2e.icd.signals import BackgroundModel, DetectorView, StarList
 from sboc_e2e.icd.steps import Decoder, Encoder
 from sboc_e2e.registry import SEAMS, Registry, Seam
 from sboc_e2e.scenario import option_models
 
 SHAPE: Final = (256, 320)
-OUTSIDE_TOLERANCE_PX: Final = 2.0
 SLOW_S: Final = 5.0
 EXAMINED: Final = ("onboard.background", "onboard.star_extractor", "onboard.detector", "onboard.codec", "ground.decoder")
 """Seams whose steps are tried on synthetic input; steps of the others are examined without being run."""
@@ -93,7 +93,7 @@ def _asked(question: str, trial: Callable[[], object]) -> Verdict:
         trial()
     except Exception as error:  # noqa: BLE001 - a plug-in may raise anything; that is what is being examined
         text = str(error).splitlines()[0] if str(error) else "no reason given"
-        kind = "" if isinstance(error, Failed) else f"{type(error).__name__}: "
+        kind = "" if isinstance(error, Failed | ContractError) else f"{type(error).__name__}: "
         return Verdict(question=question, passed=False, detail=f"{kind}{text}"[:200])
     return Verdict(question=question, passed=True, detail="")
 
@@ -187,22 +187,13 @@ def _view_questions(
 
 def _detections_are_sound(found: Any) -> None:
     _expect(isinstance(found, tuple), f"returned a {type(found).__name__}, expected a tuple")
-    for detection in found:
-        _expect(isinstance(detection, Detection), f"returned a {type(detection).__name__}, expected Detection")
-        inside = all(
-            -OUTSIDE_TOLERANCE_PX <= value <= size - 1 + OUTSIDE_TOLERANCE_PX
-            for value, size in (
-                (detection.row0, SHAPE[0]), (detection.row1, SHAPE[0]), (detection.col0, SHAPE[1]), (detection.col1, SHAPE[1]),
-            )
-        )  # fmt: skip
-        _expect(inside, "a detection's end lies outside the frame")
+    check_detections(found, SHAPE)
     order = [detection.snr for detection in found]
     _expect(order == sorted(order, reverse=True), "detections are not ordered by falling S/N")
 
 
 def _stars_are_sound(found: Any) -> None:
-    _expect(isinstance(found, StarList), f"returned a {type(found).__name__}, expected StarList")
-    _expect(bool(np.all(np.diff(found.flux_e) <= 0)), "stars are not ordered by falling flux")
+    check_stars(found, SHAPE)
     inside = (found.row >= -1) & (found.row <= SHAPE[0]) & (found.col >= -1) & (found.col <= SHAPE[1])
     _expect(bool(inside.all()), "a star lies outside the frame")
 
@@ -237,9 +228,7 @@ def _background_questions(step: Any) -> Iterator[Verdict]:
 
     def sound(pixels: NDArray[Any], mask: NDArray[np.uint8], near: float | None) -> None:
         model = step.estimate(pixels, dark, mask)
-        _expect(isinstance(model, BackgroundModel), f"returned a {type(model).__name__}, expected BackgroundModel")
-        finite = np.isfinite(model.level_adu).all() and np.isfinite(model.sigma_adu).all() and (model.sigma_adu >= 0).all()
-        _expect(bool(finite), "level or sigma is not finite, or sigma is negative")
+        check_background(model, SHAPE)
         if near is not None:
             _expect(
                 abs(float(np.median(model.level_adu)) - near) < 1.0, f"level {np.median(model.level_adu):.1f}, expected {near}"

@@ -21,7 +21,7 @@ from sboc_e2e.icd import layout
 from sboc_e2e.icd.errors import ContractError, PluginError
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.icd.frame import Frame
-from sboc_e2e.icd.signals import Detection, DetectorView
+from sboc_e2e.icd.signals import BackgroundModel, Detection, DetectorView, StarList
 from tests.onboard import small_run
 from tests.onboard.small_run import SIDE, STREAK, PlantedDetector, frame, header, start_run
 
@@ -269,7 +269,7 @@ class Scribbling:
         (Raising(), r"onboard\.detector .*:Raising: ZeroDivisionError: oops"),
         (Scribbling(), r"onboard\.detector .*:Scribbling: ValueError: assignment destination is read-only"),
         (PlantedDetector(detections=(replace(STREAK, row1=300.0),)), r"PlantedDetector: end \(300\.0, 200\.0\) lies outside"),
-        (PlantedDetector(detections=("not a detection",)), "PlantedDetector: expected Detection, got str"),  # type: ignore[arg-type]  # on purpose
+        (PlantedDetector(detections=("not a detection",)), "PlantedDetector: expected a Detection, got str"),  # type: ignore[arg-type]  # on purpose
     ],
 )
 def test_faulty_detector_stops_the_run_and_is_named(detector: Any, message: str) -> None:
@@ -277,6 +277,68 @@ def test_faulty_detector_stops_the_run_and_is_named(detector: Any, message: str)
     run = start_run(steps=steps_with(detector=detector))
     with pytest.raises(PluginError, match=message):
         run.feed(frame(0))
+
+
+@pytest.mark.parametrize(
+    ("wrong", "message"),
+    [
+        ({"snr": 1e300}, r"detection\.snr: expected a value in \[0, 1e\+09\], got 1e\+300"),
+        ({"snr": -1.0}, r"detection\.snr: expected a value in \[0, 1e\+09\], got -1"),
+        ({"sagitta_px": 1e39}, r"detection\.sagitta_px: expected a value within \+-256, got 1e\+39"),
+    ],
+)
+def test_numbers_that_no_packet_holds_are_the_detectors_fault(wrong: dict[str, float], message: str) -> None:
+    """They are found when the detector returns, by its name, not while packets are made."""
+    run = start_run(detections=(replace(STREAK, **wrong),))  # type: ignore[arg-type]  # floats only
+    with pytest.raises(PluginError, match=rf"onboard\.detector .*:PlantedDetector: {message}"):
+        run.feed(frame(0))
+
+
+@dataclass(frozen=True, kw_only=True)
+class Mistaken:
+    """Background estimator and star extractor in one that spoils a right answer."""
+
+    level_adu: float = 2.0
+    sigma_adu: float = 2.4
+    tiles: int = 4
+    row: float = 50.0
+    flux_e: tuple[float, float] = (200.0, 100.0)
+
+    def estimate(self, pixels_adu: Any, dark_adu: Any, mask: Any) -> BackgroundModel:
+        """A flat sky with one node of its own."""
+        level, sigma = np.full((self.tiles, 4), 2.0), np.full((self.tiles, 4), 2.4)
+        level[0, 0], sigma[1, 1] = self.level_adu, self.sigma_adu
+        return BackgroundModel(tile_px=64, level_adu=level, sigma_adu=sigma)
+
+    def extract(self, view: DetectorView) -> StarList:
+        """Two stars."""
+        flux = np.array(self.flux_e)
+        return StarList(row=np.array([self.row, 60.0]), col=np.array([9.0, 80.0]), flux_e=flux, snr=flux, flags=np.zeros(2))
+
+
+@pytest.mark.parametrize(
+    ("seam", "step", "message"),
+    [
+        ("background", Mistaken(level_adu=np.nan), r"level_adu: expected values in \[-2\.14748e\+09, 2\.14748e\+09\], got nan"),
+        ("background", Mistaken(sigma_adu=-1.0), r"sigma_adu: expected values in \[1e-06, 2\.14748e\+09\], got -1"),
+        ("background", Mistaken(sigma_adu=0.0), r"sigma_adu: expected values in \[1e-06, 2\.14748e\+09\], got 0"),
+        ("background", Mistaken(tiles=5), r"expected a mesh of \(4, 4\) for tiles of 64 px, got \(5, 4\)"),
+        ("star_extractor", Mistaken(row=np.nan), r"row: expected values in \[-64, 319\], got nan"),
+        ("star_extractor", Mistaken(row=5e8), r"row: expected values in \[-64, 319\], got 5e\+08"),
+        ("star_extractor", Mistaken(flux_e=(np.inf, 100.0)), r"flux_e: expected values in .* got inf"),
+        ("star_extractor", Mistaken(flux_e=(100.0, 200.0)), "expected stars by falling flux"),
+    ],
+)
+def test_what_background_and_stars_must_be_is_checked_for_every_frame(seam: str, step: Mistaken, message: str) -> None:
+    """Nothing that breaks the contract reaches the packets, and the step that broke it is named."""
+    run = start_run(steps=steps_with(**{seam: step}))
+    with pytest.raises(PluginError, match=rf"onboard\.{seam} .*:Mistaken: {message}"):
+        run.feed(frame(0))
+
+
+def test_two_plausible_answers_pass() -> None:
+    """What the test above spoils."""
+    assert len(start_run(steps=steps_with(background=Mistaken(), star_extractor=Mistaken())).feed(frame(0)).stars) == 2
 
 
 def test_tight_budget_drops_in_order_of_priority() -> None:

@@ -31,7 +31,7 @@ from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.layout import HEADER_FIXED, TELEMETRY, Apid
 from sboc_e2e.icd.results import check_background, check_detections, check_stars
 from sboc_e2e.icd.signals import Detection, DetectorView, RoiGroup, StarList
-from sboc_e2e.icd.steps import BackgroundEstimator, Detector, Encoder, SelectiveMemory, StarExtractor
+from sboc_e2e.icd.steps import BackgroundEstimator, Detector, Encoder, GainAwareEncoder, SelectiveMemory, StarExtractor
 from sboc_e2e.icd.tai import NS_PER_S
 
 REMEMBERED_ITEM = 1
@@ -281,6 +281,7 @@ class OnboardChain:
     ) -> tuple[Housekeeping, tuple[RoiGroup, ...]]:
         """Everything into the outbox in order of priority; what does not fit is counted."""
         options, background = self._options.downlink, view.background
+        codec = self._codec_of(counts)
         outbox.reserve(packet_bytes([bytes(HEADER_FIXED.size + 2 * TELEMETRY.size)]))
         chosen = part_of(view.stars, best_spread(view.stars, view.mask.shape, options.max_stars))
         n_stars = len(chosen) if outbox.offer(Apid.STARS, packets.star_payloads(chosen)) else 0
@@ -288,7 +289,7 @@ class OnboardChain:
         in_storm = len(detections) > limits.max_per_frame
         flags |= FrameFlag.STORM if in_storm else FrameFlag(0)
         sendable = within_limits(detections, most=limits.max_per_frame, most_cosmic_like=limits.max_cosmic_like)
-        groups = self._send_rois(outbox, view, counts, sendable)
+        groups = self._send_rois(outbox, view, counts, codec, sendable)
         old = remembered_stars(earlier, groups, psf_sigma_px=view.psf_sigma_px, most=options.max_stars)
         if len(old) and outbox.offer(Apid.STARS, packets.star_payloads(old), item=REMEMBERED_ITEM):
             n_stars += len(old)
@@ -301,7 +302,7 @@ class OnboardChain:
             packets.thumbnail_payloads(cells, cell_px=options.thumbnail_px, offset_adu=offset, unit_adu=step),
         )
         if options.whole_frame_every > 0 and state.frames_done % options.whole_frame_every == 0:
-            outbox.send(Apid.FRAME, frame_payloads(counts, background, self._steps.codec))
+            outbox.send(Apid.FRAME, frame_payloads(counts, background, codec))
         kept_snr = [group.detection.snr for group in groups if not group.detection.flags & StreakFlag.COSMIC_LIKE]
         housekeeping = Housekeeping(
             flags=flags | (FrameFlag.BUDGET_CUT if outbox.bytes_dropped else FrameFlag(0)),
@@ -327,11 +328,21 @@ class OnboardChain:
         outbox.send(Apid.HEADER, [payload])
         return housekeeping, groups
 
-    def _send_rois(self, outbox: Outbox, view: DetectorView, counts: Counts, detections: list[Detection]) -> tuple[RoiGroup, ...]:
+    def _codec_of(self, counts: Counts) -> Encoder:
+        """The codec as a frame's counts need it."""
+        codec = self._steps.codec
+        if counts.adu_scale == 1.0 or not isinstance(codec, GainAwareEncoder):
+            return codec
+        scaled: Encoder = self._guarded("codec", codec.for_counts, counts.adu_scale)
+        return scaled
+
+    def _send_rois(
+        self, outbox: Outbox, view: DetectorView, counts: Counts, codec: Encoder, detections: list[Detection]
+    ) -> tuple[RoiGroup, ...]:
         """ROIs in the given order: as planned, or tighter when that does not fit, or not at all."""
         groups: list[RoiGroup] = []
         for detection in detections:
-            coded = self._fitting(outbox, detection, view, counts)
+            coded = self._fitting(outbox, detection, view, counts, codec)
             if coded is None or not coded.strips:
                 continue
             roi_id = len(groups)
@@ -339,12 +350,14 @@ class OnboardChain:
             groups.append(RoiGroup(roi_id=roi_id, detection=coded.detection, strips=coded.strips, n_strips=len(coded.strips)))
         return tuple(groups)
 
-    def _fitting(self, outbox: Outbox, detection: Detection, view: DetectorView, counts: Counts) -> CodedRoi | None:
+    def _fitting(
+        self, outbox: Outbox, detection: Detection, view: DetectorView, counts: Counts, codec: Encoder
+    ) -> CodedRoi | None:
         """The fullest form of a ROI that fits; None, counted as dropped, when even the tight one does not."""
-        full = code_roi(detection, view, counts, self._steps.codec, self._options.roi)
+        full = code_roi(detection, view, counts, codec, self._options.roi)
         if outbox.fits(full.payloads):
             return full
-        tight = code_roi(detection, view, counts, self._steps.codec, self._options.roi, tight=True)
+        tight = code_roi(detection, view, counts, codec, self._options.roi, tight=True)
         fits = outbox.fits(tight.payloads)
         outbox.bytes_dropped += packet_bytes(full.payloads) - (packet_bytes(tight.payloads) if fits else 0)
         return tight if fits else None

@@ -7,7 +7,7 @@ al. 2010, PASP 122, 336, section 2); below the knee it is linear with a step of 
 that all steps hold equally many integers.
 """
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,6 +48,10 @@ class SqrtPlanesCodec:
     def lossless(self) -> bool:
         """Decoding differs from the input by up to half a step."""
         return False
+
+    def for_counts(self, adu_scale: float) -> "SqrtPlanesCodec":
+        """The codec with the gain of a count of `adu_scale` ADU."""
+        return replace(self, electrons_per_adu=self.electrons_per_adu * adu_scale)
 
     def encode(self, values_adu: NDArray[np.int32], *, level_adu: int, sigma_adu: float) -> bytes:
         """Step and gain as the decoder shall use them, then the codes as a `planes` block around zero."""

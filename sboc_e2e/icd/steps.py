@@ -88,6 +88,15 @@ class Encoder(Protocol):
 
 
 @runtime_checkable
+class GainAwareEncoder(Protocol):
+    """Optional part of an encoder whose blocks depend on the gain: float frames are sent in counts of their own."""
+
+    def for_counts(self, adu_scale: float) -> Encoder:
+        """The encoder of a frame one count of which is `adu_scale` ADU."""
+        ...
+
+
+@runtime_checkable
 class Decoder(Protocol):
     """`ground.decoder`: the other half of a codec."""
 

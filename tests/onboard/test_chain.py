@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from ground.ingest import decode_downlink
-from ground.ingest.codecs import PlanesDecoder, RawDecoder
+from ground.ingest.codecs import PlanesDecoder, RawDecoder, SqrtPlanesDecoder
 from ground.ingest.rans import RansDecoder
 from onboard.background import MeshBackground
 from onboard.budget import Allowance
@@ -41,7 +41,7 @@ def steps_with(**changed: Any) -> OnboardSteps:
 
 def only_frame(downlink: bytes) -> Any:
     """The one frame of a downlink."""
-    frames, report = decode_downlink(downlink, [PlanesDecoder(), RawDecoder()])
+    frames, report = decode_downlink(downlink, [PlanesDecoder(), RawDecoder(), SqrtPlanesDecoder()])
     assert report.n_decode_failures == 0
     assert len(frames) == 1
     return frames[0]
@@ -163,6 +163,32 @@ def test_float_frame_is_rounded_at_a_twentieth_of_its_noise() -> None:
     assert got.background is not None
     assert got.background.sigma_adu.mean() == pytest.approx(sigma, rel=0.05)
     assert got.background.level_adu.mean() == pytest.approx(1000.0 + 0.37 * (256 + 2.8 / 1.2), abs=0.1 * sigma)
+
+
+def test_near_lossless_steps_follow_the_noise_in_float_frames_too() -> None:
+    """A trail of 9,000 ADU: as many bytes as the same frame takes in integers, and errors of the same share of the noise."""
+    along, row, col = np.linspace(0.0, 1.0, 2000)[:, None, None], np.arange(SIDE)[:, None], np.arange(SIDE)
+    trail = np.zeros((SIDE, SIDE))
+    for share in along.ravel():
+        i, j = STREAK.row0 + share * (STREAK.row1 - STREAK.row0), STREAK.col0 + share * (STREAK.col1 - STREAK.col0)
+        near = np.s_[int(i) - 6 : int(i) + 8, int(j) - 6 : int(j) + 8]
+        trail[near] += np.exp(-0.5 * ((row[near[0]] - i) ** 2 + (col[near[1]] - j) ** 2) / 2.0**2)
+    bright = np.random.default_rng(1).poisson(trail * (9000.0 * 1.2 / trail.max())) / 1.2
+    pixels = np.rint(small_run.sky(0) + bright)
+    sent = []
+    for dtype in (np.uint16, np.float32):
+        run = start_run(codec=SqrtPlanesCodec())
+        result = run.feed(frame(0, pixels=pixels.astype(dtype)))
+        (group,), got = only_frame(run.downlink).rois, only_frame(run.downlink)
+        errors = []
+        for strip in group.strips:
+            i, j, inside = strip.pixel_coordinates(SIDE, SIDE)
+            value = strip.values_adu[inside] * got.adu_scale + got.adu_offset
+            i, j = i[inside], j[inside]
+            errors.append((value + 256.0 - pixels[i, j]) / np.sqrt(2.4**2 + bright[i, j] / 1.2))
+        sent.append((result.bytes_by_apid[layout.Apid.ROI], np.concatenate(errors).std()))
+    assert sent[1][0] == pytest.approx(sent[0][0], rel=0.05)
+    assert sent[1][1] == pytest.approx(sent[0][1], rel=0.1)
 
 
 def test_unknown_gain_and_telemetry_are_flagged() -> None:

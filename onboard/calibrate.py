@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from onboard.dark_map import BAND_ROWS, FRACTIONS_PER_ADU, STEPS_PER_ADU, Codes, DarkMap, split_value, whole_steps
 from sboc_e2e.icd.flags import MaskBit
-from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader
+from sboc_e2e.icd.frame import LARGEST_ADU, Calibration, Frame, FrameHeader
 from sboc_e2e.icd.signals import BackgroundModel
 
 ROWS_AT_ONCE = 64
@@ -41,9 +41,10 @@ class Counts:
     saturation: int
 
 
-def robust_noise(pixels: NDArray[np.float32]) -> tuple[float, float]:
+def robust_noise(pixels: NDArray[np.float32], missing: NDArray[np.bool_]) -> tuple[float, float]:
     """Median of a float frame and its noise from differences of neighbours (free of gradients and of most stars)."""
-    sample = pixels[:: max(1, pixels.shape[0] // 256)]
+    step = max(1, pixels.shape[0] // 256)
+    sample = np.where(missing[::step], np.float32(np.nan), pixels[::step])
     finite = sample[np.isfinite(sample)]
     if finite.size == 0:
         return 0.0, 0.0
@@ -57,9 +58,9 @@ def robust_noise(pixels: NDArray[np.float32]) -> tuple[float, float]:
 
 
 def float_counts(pixels: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.bool_], float, float]:
-    """A float frame as (counts, missing, scale, offset), rounded at 0.05 sigma; NaN and infinities are missing."""
-    missing = ~np.isfinite(pixels)
-    offset, noise = robust_noise(pixels)
+    """A float frame as (counts, missing, scale, offset), rounded at 0.05 sigma; what is no measurement is missing."""
+    missing = ~(np.abs(pixels) <= LARGEST_ADU)  # NaN too
+    offset, noise = robust_noise(pixels, missing)
     values = np.where(missing, np.float32(offset), pixels).astype(np.float64)
     reach = float(np.abs(values - offset).max(initial=0.0))
     scale = max(FLOAT_QUANTUM_SIGMA * noise, reach / 2.0**29)
@@ -149,7 +150,7 @@ def to_counts(frame: Frame, calibration: IntegerCalibration, defects: NDArray[np
         defects=defects,
         adu_scale=scale,
         adu_offset=offset,
-        saturation=int(min(saturation, 2.0**31 - 1)),
+        saturation=int(min(max(saturation, -(2.0**31)), 2.0**31 - 1)),
     )
 
 

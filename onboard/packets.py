@@ -22,6 +22,9 @@ from sboc_e2e.icd.tai import NS_PER_S
 from sboc_e2e.icd.version import CONTRACT_MAJOR, CONTRACT_MINOR
 
 SEQUENCE_MODULUS = 1 << 14
+MESH_CODE_LIMIT = 1 << 30
+"""Mesh codes are 32 bits, and so are their differences; no sky is further from the dark in units of its noise."""
+
 STARS_PER_PACKET = 100
 """Stars are dealt out in turn over packets of at most this many, so that a lost packet takes a fair share only."""
 
@@ -181,8 +184,10 @@ def roi_payload(detection: Detection, strip: Strip, codec_number: int, sigma_adu
 
 def background_payloads(background: BackgroundModel, *, level_unit_adu: float, sigma_unit_adu: float) -> tuple[bytes, ...]:
     """The background mesh in bands of rows that fit into one packet each."""
-    level = np.rint(background.level_adu / level_unit_adu).astype(np.int32)
-    sigma = np.rint(background.sigma_adu / sigma_unit_adu).astype(np.int32)
+    level, sigma = (
+        np.clip(np.rint(values / unit), -MESH_CODE_LIMIT, MESH_CODE_LIMIT).astype(np.int32)
+        for values, unit in ((background.level_adu, level_unit_adu), (background.sigma_adu, sigma_unit_adu))
+    )
     room = layout.MAX_PAYLOAD_BYTES - layout.MESH.size
 
     def band(first: int, last: int) -> list[bytes]:

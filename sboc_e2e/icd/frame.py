@@ -1,12 +1,16 @@
 """Frames and what is known about them when they leave the camera."""
 
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.icd import validate
 from sboc_e2e.icd.errors import ContractError
+
+LARGEST_ADU: Final = 1e15
+"""Float frames hold no more: squares of their values are numbers of 32 bits too."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -90,6 +94,8 @@ class FrameHeader:
             validate.within("header.gain_e_adu", self.gain_e_adu, 1e-6, 1e6)
         if self.read_noise_e is not None:
             validate.within("header.read_noise_e", self.read_noise_e, 0.0, 1e6)
+        if self.saturation_adu is not None:
+            validate.within("header.saturation_adu", self.saturation_adu, 0.0, LARGEST_ADU)
 
     def corner_in(self, shape: tuple[int, int]) -> tuple[int, int]:
         """Row and column of this frame's first pixel in calibration maps of a shape (delivered pixels).

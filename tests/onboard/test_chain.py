@@ -191,6 +191,26 @@ def test_near_lossless_steps_follow_the_noise_in_float_frames_too() -> None:
     assert sent[1][1] == pytest.approx(sent[0][1], rel=0.1)
 
 
+@pytest.mark.parametrize("saturation_adu", [np.nan, -1e30, np.inf])
+def test_saturation_level_must_be_a_number_of_the_sensor(saturation_adu: float) -> None:
+    """Refused when the header is made, by its name."""
+    with pytest.raises(ContractError, match=r"header\.saturation_adu: expected a value in"):
+        replace(header(0), saturation_adu=saturation_adu)
+
+
+def test_float_values_beyond_all_measurement_are_missing() -> None:
+    """Near the end of 32-bit floats, and below: the frame is processed, or flagged as a whole."""
+    huge = small_run.sky(0).astype(np.float32) * np.float32(1e35)
+    run = start_run(with_calibration=False)
+    run.feed(frame(0, pixels=huge))
+    assert only_frame(run.downlink).flags & FrameFlag.ALL_MASKED
+    column = small_run.sky(1).astype(np.float32)
+    column[:, 9] = 3e38
+    assert run.feed(frame(1, pixels=column)).housekeeping.n_masked == SIDE
+    high = small_run.sky(2).astype(np.float32) + np.float32(1e14)
+    assert run.feed(frame(2, pixels=high)).housekeeping.n_masked == SIDE * SIDE
+
+
 def test_unknown_gain_and_telemetry_are_flagged() -> None:
     """Without gain, read noise, attitude and observer: flags, and fluxes in ADU."""
     bare = replace(header(0, telemetry=False), gain_e_adu=None, read_noise_e=None)

@@ -111,7 +111,9 @@ def _take_window(
             inside = 0 <= r < rows and 0 <= c < cols
             data[q] = residual[r, c] if inside else 0.0
             usable[q] = 1.0 if inside and mask[r, c] == 0 else 0.0
-    return EDGE
+            if inside and mask[r, c] != 0:
+                flag |= SATURATED_STAR if mask[r, c] & SATURATED else DEFECT
+    return flag | EDGE
 
 
 @njit(cache=True)

@@ -8,8 +8,9 @@ from scipy.spatial import cKDTree
 from onboard.background import MeshBackground
 from onboard.calibrate import residual_pass
 from onboard.dark_map import DarkMap
+from onboard.star_fits import fit_stars
 from onboard.stars import MatchedStars, best_spread, falling
-from sboc_e2e.icd.flags import StarFlag
+from sboc_e2e.icd.flags import MaskBit, StarFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import DetectorView, StarList
 from tests.onboard.star_fields import (
@@ -148,6 +149,20 @@ def test_saturated_star_is_one_entry() -> None:
     near = np.hypot(stars.row - field.row[0], stars.col - field.col[0]) < 6.0
     assert near.sum() == 1
     assert np.hypot(stars.row[flagged] - field.row, stars.col[flagged] - field.col).max() < 0.7
+
+
+@pytest.mark.parametrize("row", [1, 9, 30])
+def test_pixels_that_spoil_a_window_are_told_at_the_edge_too(row: int) -> None:
+    """A saturated and a defective pixel beside the peak, whether or not the window reaches beyond the frame."""
+    residual, mask = np.zeros((32, 32), np.float32), np.zeros((32, 32), np.uint8)
+    residual[row, 20] = 100.0
+    mask[row - 1, 20], mask[row, 21] = MaskBit.SATURATED, MaskBit.HOT
+    peaks = np.array([[row, 20, 60.0, 0.0, 0.0]], np.float32)
+    fits, flags = np.empty((1, 6)), np.zeros(1, np.uint8)
+    covariance = np.array([[0.8, 0.0, 0.8]])
+    fit_stars(residual, mask, np.full((1, 1), 2.4, np.float32), 64, peaks, covariance, (2, 3), 1.2, fits, flags)
+    edge = StarFlag(0) if row == 9 else StarFlag.EDGE
+    assert StarFlag(int(flags[0])) & ~StarFlag.BLENDED == StarFlag.SATURATED | StarFlag.DEFECT | edge
 
 
 def test_hot_pixel_is_called_sharp() -> None:

@@ -82,7 +82,10 @@ def code_roi(
     """Strips and payloads of a detection; `tight` gives the least that is of use and flags it ROI_CUT."""
     sigma_px = math.hypot(view.psf_sigma_px, 0.29)
     half_width = trail_half_width_px(
-        view, detection, least_px=options.half_width_sigma * sigma_px, largest_px=options.max_half_width_px
+        view,
+        detection,
+        least_px=min(options.half_width_sigma * sigma_px, options.max_half_width_px),
+        largest_px=options.max_half_width_px,
     )
     margin = roi.end_margin_px(detection.length_px, detection.snr, sigma_px, options.end_margin)
     if tight:

@@ -387,6 +387,14 @@ def test_two_plausible_answers_pass() -> None:
     assert len(start_run(steps=steps_with(background=Mistaken(), star_extractor=Mistaken())).feed(frame(0)).stars) == 2
 
 
+@pytest.mark.parametrize("most_px", [2.0, 4.0])
+def test_no_region_is_wider_than_its_largest_half_width(most_px: float) -> None:
+    """The largest half width holds for the one that is asked for by PSF sigmas too."""
+    level = replace(STREAK, row1=STREAK.row0)
+    result = start_run(detections=(level,), roi=RoiOptions(half_width_sigma=20.0, max_half_width_px=most_px)).feed(frame(0))
+    assert max(strip.values_adu.shape[1] for strip in result.rois[0].strips) <= 2 * most_px + 2
+
+
 def test_tight_budget_drops_in_order_of_priority() -> None:
     """Stars stay, the better streak stays, the suspicious one and the pictures go; everything dropped is counted."""
     good, cosmic = STREAK, replace(STREAK, row0=20.0, row1=140.0, snr=40.0, flags=StreakFlag.COSMIC_LIKE)

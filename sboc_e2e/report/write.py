@@ -129,5 +129,9 @@ def _plots(score: dict[str, Any], e: Evaluation) -> list[tuple[str, str]]:
         out.append(("Tracklets on the sky", plots.tracklets_on_sky(e.streaks)))
     if score["population"]["larger_than"]:
         out.append(("Small debris: injected and recovered", plots.larger_than(score["population"]["larger_than"])))
-    out.append(("Downlink by kind of packet", plots.downlink_bars(score["compression"]["bytes_by_kind"], e.n_frames)))
+    units = ("frame", "star", "streak")
+    bits = ", ".join(f"{figure_words(_at(score, f'compression.bits_per_{unit}'))[0]} a {unit}" for unit in units)
+    out.append(
+        (f"Downlink by kind of packet; bits: {bits}", plots.downlink_bars(score["compression"]["bytes_by_kind"], e.n_frames))
+    )
     return out

@@ -1,19 +1,22 @@
 """Completeness and false alarms, of the on-board ROIs and of the measured streaks."""
 
-from collections.abc import Sequence
+from collections import Counter
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.downlink import Housekeeping
+from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.icd.signals import RoiGroup
 from sboc_e2e.score.figures import Figure, absent, exact, half_point, proportion, rate
 from sboc_e2e.score.ideal import ideal_snr50, ideal_threshold
 from sboc_e2e.score.matching import SNR_IGNORED, TruthStreak
 from sboc_e2e.score.trail import draw
 
+LEAST_DETECTABLE_SNR: Final = 8.0
 FLUX_HELD: Final = 0.90
 FLUX_OF_FALSE: Final = 0.10
 MAX_AREA_FRACTION: Final = 0.05
@@ -69,6 +72,21 @@ class RoiFootprints:
         self.n_false_unflagged += sum(not group.detection.flags & IMPOSTOR for group in false)
 
 
+def lost_to_budget(truth: Sequence[TruthStreak], detected_index: set[int], records: Mapping[int, Housekeeping]) -> Figure:
+    """Share of the truth with S/N >= 8 that the limits of the downlink may have cost, at most.
+
+    records : housekeeping by frame. The packets say how many detections were held back in a frame, not which: as many of the
+    frame's missed streaks are counted. What is held back for looking like a particle hit is left out, as long as the frame is
+    within its budget and no storm.
+    """
+    wanted = [t for t in truth if t.counted and t.snr >= LEAST_DETECTABLE_SNR and t.frame in records]
+    missed = Counter(t.frame for t in wanted if t.index not in detected_index)
+    limited = FrameFlag.BUDGET_CUT | FrameFlag.STORM
+    dropped = {frame: record.n_rois_dropped for frame, record in records.items() if record.flags & limited}
+    lost = sum(min(missed[frame], number) for frame, number in dropped.items())
+    return proportion(lost, len(wanted), "no truth streak with S/N >= 8 in a frame with housekeeping")
+
+
 def _ideal(value: float | None) -> Figure:
     return absent("the frame is too small for the formula") if value is None else exact(value, 0)
 
@@ -83,7 +101,7 @@ def _bins(truth: Sequence[TruthStreak], detected: NDArray[np.bool_]) -> list[dic
     out = []
     for name, (edges, value) in quantities.items():
         for low, high in pairwise(edges):
-            chosen = (value >= low) & (value < high) & ~(snr < (SNR_IGNORED if name == "snr" else 8.0))
+            chosen = (value >= low) & (value < high) & ~(snr < (SNR_IGNORED if name == "snr" else LEAST_DETECTABLE_SNR))
             if chosen.any():
                 share = proportion(int(detected[chosen].sum()), int(chosen.sum()))
                 out.append({"quantity": name, "from": low, "to": None if np.isinf(high) else high, "detected": share})
@@ -121,7 +139,7 @@ def detection_figures(
         "n_truth": exact(len(counted), len(counted)),
         "n_detected": exact(int(found.sum()), len(counted)),
         "completeness": proportion(int(found.sum()), len(counted), "no truth streak"),
-        "completeness_snr8": complete(8.0),
+        "completeness_snr8": complete(LEAST_DETECTABLE_SNR),
         "completeness_snr10": complete(10.0),
         "snr50": half_point(snr[measured], found[measured]) if measured.any() else absent(unknown or "no truth streak"),
         "snr50_by_length": by_length,

@@ -9,7 +9,7 @@ import numpy as np
 
 from sboc_e2e.score.astrometry import frame_astrometry, sky_paths, streak_astrometry
 from sboc_e2e.score.compression import compression
-from sboc_e2e.score.detection import MAX_AREA_FRACTION, detection_figures
+from sboc_e2e.score.detection import MAX_AREA_FRACTION, detection_figures, lost_to_budget
 from sboc_e2e.score.evaluation import Evaluation, evaluate
 from sboc_e2e.score.figures import absent, bootstrap, exact, rate
 from sboc_e2e.score.linking import linking
@@ -38,6 +38,8 @@ def score_evaluation(e: Evaluation, run_dir: Path | None = None) -> dict[str, An
     area = e.footprints.area_fraction
     onboard["false_unflagged_per_frame"] = rate(e.footprints.n_false_unflagged, e.n_frames, e.n_frames)
     onboard["roi_area_fraction"] = bootstrap(area, lambda v: float(v.mean()), "fewer than three frames")
+    records = {f.header.frame: f.housekeeping for f in e.downlink_frames if f.housekeeping is not None}
+    onboard["lost_to_budget"] = lost_to_budget(e.truth, e.detected_onboard, records)
     ground = detection_figures(e.truth, e.detected_ground, len(e.false_rows), e.n_frames, e.shape, sigma_px)
 
     wanted = sorted({t.index for t in e.pairs.values()})

@@ -30,6 +30,12 @@ def test_summary_is_short_and_has_the_headlines(reported_run: Path) -> None:
     assert "12 truth streaks, 11 measured, 1 false" in summary
 
 
+def test_downlink_is_told_in_bits_for_each_thing_that_is_sent(reported_run: Path) -> None:
+    """Beside the plot of kinds of packets; this run sent nothing."""
+    page = (reported_run / "report.html").read_text()
+    assert "Downlink by kind of packet; bits: 0 a frame, - a star, - a streak" in page
+
+
 def test_same_run_same_page(reported_run: Path) -> None:
     before = (reported_run / "report.html").read_bytes()
     write_report(reported_run)

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from astropy.table import Table, vstack
 
-from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.downlink import Housekeeping
+from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.score.photometry import mean_magnitudes
 from sboc_e2e.score.score_run import score_evaluation
 from tests.score.conftest import PIXEL_ARCSEC, Synthetic
@@ -53,6 +54,24 @@ def test_shouting_everywhere_is_punished(synthetic: Factory) -> None:
     score = score_evaluation(run.evaluation(vstack([loud, *shouts])))
     assert score["detection"]["ground"]["completeness_snr8"]["value"] == 1.0
     assert score["detection"]["ground"]["false_per_frame"]["value"] == pytest.approx(60.0)
+
+
+def test_streaks_lost_to_the_budget_are_those_missed_where_detections_were_held_back(synthetic: Factory) -> None:
+    """Ten frames of three streaks, one missed in each: lost where the budget cut, at most as many as were held back."""
+    run = synthetic(10)
+    held_back = {0: (2, FrameFlag.BUDGET_CUT), 1: (1, FrameFlag.STORM), 2: (0, FrameFlag.BUDGET_CUT), 3: (5, FrameFlag(0))}
+    frames = []
+    for frame in run.rois():
+        dropped, flags = held_back.get(frame.header.frame, (0, FrameFlag(0)))
+        record = Housekeeping(
+            flags=flags, n_stars_found=9, n_stars_sent=9, n_detections=2 + dropped, n_rois_sent=2, n_rois_dropped=dropped,
+            bytes_dropped=0, threshold_sigma=0.0, background_adu=2.0, sigma_adu=2.4, n_masked=0,
+        )  # fmt: skip
+        frames.append(replace(frame, rois=frame.rois[:2], housekeeping=record))
+    score = score_evaluation(run.evaluation(run.perfect_streaks(), frames))
+    assert score["detection"]["onboard"]["lost_to_budget"]["value"] == pytest.approx(2 / 30)
+    bare = score_evaluation(run.evaluation(run.perfect_streaks(), run.rois()))
+    assert bare["detection"]["onboard"]["lost_to_budget"]["value"] is None
 
 
 def test_duplicates_are_false(synthetic: Factory) -> None:

@@ -18,7 +18,7 @@ from ground.link import apply_links
 from ground.on_demand import OnDemand
 from ground.options import GroundOptions
 from ground.photometry.known_stars import FrameLight, frame_light
-from ground.photometry.magnitude import mean_magnitude, streak_magnitude
+from ground.photometry.magnitude import crossing_time_s, magnitude_at_1deg_s, mean_magnitude, streak_magnitude
 from ground.photometry.psf_width import in_frame, with_star_list
 from ground.photometry.sky_memory import filtered_sky
 from ground.photometry.star_memory import with_hidden_stars
@@ -28,7 +28,6 @@ from ground.records import FrameProducts, GroundProducts, GroundState
 from ground.refit import refit_streaks
 from ground.sky.measure import initial_epochs_ns, middle_of, with_sky
 from ground.sky.pixel_sky import HeaderSky, PixelSky, SolvedSky
-from ground.sky.sphere import unit_vectors
 from ground.streak_rows import STREAKS_PER_FRAME, LinkedStreaks, RunStreaks, StreakRows
 from ground.streaks.psf_field import PsfField
 from ground.vetting.repeated import repeated
@@ -398,7 +397,8 @@ def _with_brightness(
     flags = streak.flags & ~StreakFlag.NO_MAGNITUDE
     if not np.isfinite(mag):
         flags |= StreakFlag.NO_MAGNITUDE
-    return replace(streak, mag=mag, mag_err=mag_err, flags=flags)
+    at_rate, at_rate_err = magnitude_at_1deg_s(streak, header, photometry, mean_flat)
+    return replace(streak, mag=mag, mag_err=mag_err, mag_at_1deg_s=at_rate, mag_at_1deg_s_err=at_rate_err, flags=flags)
 
 
 def _finally_measured(streak: StreakMeasurement, product: FrameProducts, rate_deg_s: float) -> StreakMeasurement:
@@ -406,17 +406,8 @@ def _finally_measured(streak: StreakMeasurement, product: FrameProducts, rate_de
     sky = _sky_of(product.header, product.solution, product.wcs)
     number = streak.streak_id - streak.frame * STREAKS_PER_FRAME
     streak = with_sky(streak, product.header, sky, product.solution.covariance_rad2)
-    crossing_s = _crossing_s(streak, rate_deg_s)
+    crossing_s = crossing_time_s(streak, rate_deg_s)
     return _with_brightness(streak, product.header, product.photometry, product.mean_flat[number], crossing_s)
-
-
-def _crossing_s(streak: StreakMeasurement, rate_deg_s: float) -> float | None:
-    """Time from end 0 to end 1 at the tracklet's rate."""
-    if not rate_deg_s > 0.0 or streak.flags & StreakFlag.NO_SKY:
-        return None
-    ends = unit_vectors(np.radians(streak.ra_deg), np.radians(streak.dec_deg))
-    chord = float(np.linalg.norm(ends[2] - ends[0]))
-    return float(np.degrees(2.0 * np.arcsin(min(0.5 * chord, 1.0)))) / rate_deg_s
 
 
 def _with_magnitude(tracklet: Tracklet, members: Sequence[StreakMeasurement]) -> Tracklet:

@@ -19,7 +19,10 @@ FIT_NUMBERS: Final = (
     "row0", "col0", "row1", "col1", "sigma_cross_px", "flux_e", "flux_err_e", "snr", "sagitta_px", "sagitta_err_px", "gradient",
     "width_px", "width_err_px", "chi2_nu",
 )  # fmt: skip
-NUMBERS: Final = ("row_mid", "col_mid", "sigma_along_arcsec", "sigma_cross_arcsec", "mag", "mag_err", "probability")
+NUMBERS: Final = (
+    "row_mid", "col_mid", "sigma_along_arcsec", "sigma_cross_arcsec", "mag", "mag_err", "mag_at_1deg_s", "mag_at_1deg_s_err",
+    "probability",
+)  # fmt: skip
 COUNTS: Final = ("frame", "streak_id", "roi_id", "tracklet_id")
 
 ROW: Final = np.dtype(
@@ -43,7 +46,10 @@ ROW: Final = np.dtype(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StreakRows(Sequence[StreakMeasurement]):
-    """Streaks; a record is made when one is asked for. rows : (n,) of `ROW`. curves_e_px : light curves one after the other."""
+    """Streaks; a record is made when one is asked for.
+
+    rows : (n,) of `ROW`. curves_e_px : (2, m) light curves one after the other, and their errors.
+    """
 
     rows: NDArray[np.void]
     curves_e_px: NDArray[np.float32]
@@ -52,11 +58,11 @@ class StreakRows(Sequence[StreakMeasurement]):
     def of(cls, streaks: Iterable[StreakMeasurement]) -> "StreakRows":
         """The rows of records."""
         made: list[tuple[Any, ...]] = []
-        curves: list[NDArray[np.float32]] = [np.zeros(0, dtype=np.float32)]
+        curves: list[NDArray[np.float32]] = [np.zeros((2, 0), dtype=np.float32)]
         end = 0
         for streak in streaks:
             fit = streak.fit
-            curves.append(fit.light_curve_e_px)
+            curves.append(np.stack((fit.light_curve_e_px, fit.light_curve_err_e_px)))
             end += len(fit.light_curve_e_px)
             made.append(
                 (
@@ -73,7 +79,7 @@ class StreakRows(Sequence[StreakMeasurement]):
                     end,
                 )
             )
-        rows, joined = np.array(made, dtype=ROW), np.concatenate(curves)
+        rows, joined = np.array(made, dtype=ROW), np.concatenate(curves, axis=1)
         for array in (rows, joined):
             array.flags.writeable = False
         return cls(rows=rows, curves_e_px=joined)
@@ -96,12 +102,14 @@ class StreakRows(Sequence[StreakMeasurement]):
         row = self.rows[k]
         flags, fit_flags = row["flags"].tolist()
         period = float(row["period_fraction"])
+        curve, curve_err = self.curves_e_px[:, self.rows["curve_end"][k - 1] if k else 0 : row["curve_end"]]
         fit = StreakFit(
             covariance_px2=row["covariance_px2"],
             end_interval_px=row["end_interval_px"],
             n_pixels=int(row["n_pixels"]),
             flags=StreakFlag(fit_flags),
-            light_curve_e_px=self.curves_e_px[self.rows["curve_end"][k - 1] if k else 0 : row["curve_end"]],
+            light_curve_e_px=curve,
+            light_curve_err_e_px=curve_err,
             period_fraction=None if np.isnan(period) else period,
             **dict(zip(FIT_NUMBERS, row["fit_numbers"].tolist(), strict=True)),
         )

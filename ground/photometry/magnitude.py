@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.photometry.zero_point import POGSON, field_terms
+from ground.sky.sphere import unit_vectors
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import PhotometricSolution, StreakMeasurement
@@ -52,6 +53,28 @@ def streak_magnitude(
     zero_point_err = 0.0 if np.isnan(zero_point.zero_point_err_mag) else zero_point.zero_point_err_mag
     flux_err = POGSON * streak.fit.flux_err_e / streak.fit.flux_e
     return mag, float(np.sqrt(flux_err**2 + zero_point_err**2 + (POGSON * relative_error) ** 2))
+
+
+def crossing_time_s(streak: StreakMeasurement, rate_deg_s: float) -> float | None:
+    """Time from end 0 to end 1 at a rate on the sky; None without positions or a rate."""
+    if not rate_deg_s > 0.0 or streak.flags & StreakFlag.NO_SKY:
+        return None
+    ends = unit_vectors(np.radians(streak.ra_deg), np.radians(streak.dec_deg))
+    chord = float(np.linalg.norm(ends[2] - ends[0]))
+    return float(np.degrees(2.0 * np.arcsin(min(0.5 * chord, 1.0)))) / rate_deg_s
+
+
+def magnitude_at_1deg_s(
+    streak: StreakMeasurement, header: FrameHeader, zero_point: PhotometricSolution, mean_flat: float
+) -> tuple[float, float]:
+    """Magnitude of a trail that the frame's edge cuts if it moved by 1 deg/s, and its error; NaN for any other trail.
+
+    The density of a trail is brightness over speed whatever the shutter, so at another rate the magnitude is this one less
+    2.5 log10(rate in deg/s).
+    """
+    if not streak.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1):
+        return math.nan, math.nan
+    return streak_magnitude(streak, header, zero_point, mean_flat, crossing_time_s(streak, 1.0))
 
 
 def mean_magnitude(mag: NDArray[np.float64], mag_err: NDArray[np.float64]) -> tuple[float, float]:

@@ -21,7 +21,7 @@ from ground.products.light_curve import light_curve
 from ground.records import GroundProducts
 from ground.sky.sphere import ARCSEC_RAD, spherical_deg
 from sboc_e2e.icd.downlink import DownlinkFrame
-from sboc_e2e.icd.flags import FrameFlag
+from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution, PhotometricSolution, StreakMeasurement
 from sboc_e2e.icd.signals import StarList
@@ -29,6 +29,11 @@ from sboc_e2e.icd.version import CONTRACT_VERSION
 
 FRAMES_AT_ONCE: Final = 64
 STREAKS_AT_ONCE: Final = 4096
+
+CROSSINGS: Final = (
+    "SINGLE_FRAME with EDGE0 and EDGE1 is an object that crossed the field within one exposure; its speed is unknown: "
+    "mag = mag_at_1deg_s - 2.5 log10(rate in deg/s)"
+)
 
 Spec = tuple[str, Any, str | None, str]
 """Name, values, unit, description."""
@@ -155,6 +160,8 @@ def _streaks_table(streaks: Sequence[StreakMeasurement], directions: str) -> Tab
     interval = np.array([f.end_interval_px for f in fits]).reshape(-1, 2, 2)
     ra, dec = (np.array([getattr(s, name) for s in streaks]).reshape(-1, 3) for name in ("ra_deg", "dec_deg"))
     t = [np.array([s.t_tai_ns[k] for s in streaks], dtype=np.int64) for k in range(3)]
+    length = np.array([np.nan if f.flags & StreakFlag.POINT_LIKE or f.length_px == 0.0 else f.length_px for f in fits])
+    density = np.array([(f.flux_e, f.flux_err_e) for f in fits]).reshape(-1, 2) / length[:, None]
     lists: list[Spec] = [
         ("frame", [s.frame for s in streaks], None, "frame number, 0-based"),
         ("streak_id", [s.streak_id for s in streaks], None, "unique in a run"),
@@ -169,6 +176,13 @@ def _streaks_table(streaks: Sequence[StreakMeasurement], directions: str) -> Tab
         ("angle_deg", [f.angle_deg for f in fits], "deg", "atan2(drow, dcol) mod 180 of the chord"),
         ("flux_e", [f.flux_e for f in fits], "electron", "flux inside the frame"),
         ("flux_err_e", [f.flux_err_e for f in fits], "electron", "its error"),
+        (
+            "density_e_px",
+            density[:, 0],
+            "electron / pix",
+            "flux over length, NaN for points: brightness over speed, of any shutter",
+        ),
+        ("density_err_e_px", density[:, 1], "electron / pix", "flux_err_e over length"),
         ("snr", [f.snr for f in fits], None, "matched-filter S/N, noise without the object"),
         ("ra_mid_deg", ra[:, 1], "deg", "published right ascension of the middle"),
         ("dec_mid_deg", dec[:, 1], "deg", "published declination of the middle"),
@@ -197,6 +211,8 @@ def _streaks_table(streaks: Sequence[StreakMeasurement], directions: str) -> Tab
         ("t1_tai_ns", t[2], "ns", "epoch of end 1 (mid-exposure of its row until the direction is known)"),
         ("mag", [s.mag for s in streaks], "mag", "Johnson V for a solar colour"),
         ("mag_err", [s.mag_err for s in streaks], "mag", "its error"),
+        ("mag_at_1deg_s", [s.mag_at_1deg_s for s in streaks], "mag", "of trails cut by an edge: mag if they move by 1 deg/s"),
+        ("mag_at_1deg_s_err", [s.mag_at_1deg_s_err for s in streaks], "mag", "its error"),
         ("sagitta_px", [f.sagitta_px for f in fits], "pix", "height of the arc over its chord, signed; 0 when straight"),
         ("gradient", [f.gradient for f in fits], None, "relative brightness change from end 0 to end 1"),
         ("width_px", [f.width_px for f in fits], "pix", "fitted PSF sigma"),
@@ -209,6 +225,7 @@ def _streaks_table(streaks: Sequence[StreakMeasurement], directions: str) -> Tab
     ]
     table = _table(lists, "streaks")
     table.meta["directions"] = directions
+    table.meta["crossings"] = CROSSINGS
     return table
 
 

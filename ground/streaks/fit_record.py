@@ -92,6 +92,7 @@ def reversed_ends(fit: StreakFit) -> StreakFit:
         n_pixels=fit.n_pixels,
         flags=swap_edge_flags(fit.flags),
         light_curve_e_px=fit.light_curve_e_px[::-1],
+        light_curve_err_e_px=fit.light_curve_err_e_px[::-1],
         period_fraction=fit.period_fraction,
     )
 
@@ -173,6 +174,7 @@ def trail_record(pixels: StreakPixels, detection: Detection, result: TrailResult
             n_pixels=line.n_pixels,
             flags=_trail_flags(pixels, detection, result, gaussian_ends),
             light_curve_e_px=result.curve.density_e_px.astype(np.float32),
+            light_curve_err_e_px=result.curve.sigma_e_px.astype(np.float32),
             period_fraction=result.curve.period_fraction,
         )
     )

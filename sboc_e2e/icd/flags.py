@@ -127,7 +127,7 @@ FLAG_TEXT: Final[dict[str, dict[str, str]]] = {
         "NO_SKY": "no frame solution",
         "NO_MAGNITUDE": "no zero point, or no exposure time on the rows",
         "PIXELS_MISSING": "ROI packets are missing",
-        "SINGLE_FRAME": "not linked to any other frame",
+        "SINGLE_FRAME": "not linked to any other frame; with EDGE0 and EDGE1: crossed the field within one exposure",
         "REFIT": "refitted jointly with the other frames of its tracklet",
         "GAIN_ASSUMED": "flux is in ADU because no gain was given",
         "FAST_ROWS": "moves about as fast as the rolling shutter or faster",

@@ -1,6 +1,6 @@
 """Ground products: frame solutions, streaks, tracklets, orbits."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,8 +40,8 @@ class StreakFit:
     positive outwards; honest where `ENDS_NOT_GAUSSIAN`.
     flux_e : inside the frame, all of the trail. sagitta_px, gradient : curvature and linear brightness change
     (relative, end to end); 0 when the simpler model won. width_px : fitted PSF sigma.
-    light_curve_e_px : (k,) flux density in equal bins along the trail, may be empty. period_fraction : of a periodic
-    light curve, in fractions of the trail; None without one.
+    light_curve_e_px : (k,) flux density in equal bins along the trail from end 0 to end 1, may be empty; light_curve_err_e_px :
+    (k,) one sigma, NaN when not given. period_fraction : of a periodic light curve, in fractions of the trail; None without one.
     """
 
     row0: float
@@ -63,12 +63,16 @@ class StreakFit:
     n_pixels: int
     flags: StreakFlag
     light_curve_e_px: NDArray[np.float32]
+    light_curve_err_e_px: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
     period_fraction: float | None = None
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "covariance_px2", validate.array("fit.covariance_px2", self.covariance_px2, "f8", (4, 4)))
         object.__setattr__(self, "end_interval_px", validate.array("fit.end_interval_px", self.end_interval_px, "f8", (2, 2)))
         object.__setattr__(self, "light_curve_e_px", validate.array("fit.light_curve_e_px", self.light_curve_e_px, "f4", (None,)))
+        bins = self.light_curve_e_px.shape
+        error = self.light_curve_err_e_px if len(self.light_curve_err_e_px) else np.full(bins, np.nan, dtype=np.float32)
+        object.__setattr__(self, "light_curve_err_e_px", validate.array("fit.light_curve_err_e_px", error, "f4", bins))
 
     @property
     def length_px(self) -> float:
@@ -137,6 +141,8 @@ class StreakMeasurement:
     ra_deg, dec_deg : (3,) of end 0, middle, end 1, GCRS axes, aberration of the observer's geocentric velocity removed,
     annual aberration and light time not. t_tai_ns : (3,) int64 epochs of the same points: of the rows' mid-exposure
     until the direction is known, then true epochs of shutter open, middle, close. NaN and 0 where unknown.
+    mag_at_1deg_s : of a trail that the frame's edge cuts, for a rate of 1 deg/s; at another it is
+    ``mag_at_1deg_s - 2.5 log10(rate in deg/s)``. NaN for others.
     """
 
     frame: int
@@ -156,6 +162,8 @@ class StreakMeasurement:
     tracklet_id: int
     """-1 while unlinked."""
     flags: StreakFlag
+    mag_at_1deg_s: float = float("nan")
+    mag_at_1deg_s_err: float = float("nan")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -22,6 +22,7 @@ from ground.products import tables
 from ground.products.images import frame_images, has_images
 from ground.products.oem import oem_text
 from ground.products.tdm import tdm_text
+from ground.products.trail_light import trail_light_tables
 from ground.records import FrameProducts, GroundProducts
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.files import checkpoint, ecsv
@@ -178,6 +179,7 @@ class GroundStage:
         write_pieces(folder / "frames.ecsv", pieces)
         write_pieces(folder / "stars.ecsv", tables.stars_tables(result, frames))
         write_pieces(folder / "streaks.ecsv", tables.streaks_tables(result))
+        write_pieces(folder / "light_curves.ecsv", trail_light_tables(result))
         ecsv.write_table(folder / "tracklets.ecsv", tables.tracklets_table(result))
         ecsv.write_table(folder / "orbits.ecsv", tables.orbits_table(result))
         oem = oem_text(result.headers, options.products)

@@ -1,10 +1,12 @@
 """Magnitudes: exposed time under a rolling shutter against brute force, and sizes against published values."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ground.orbit.size import diameter_m
-from ground.photometry.magnitude import exposed_time_s, streak_magnitude
+from ground.photometry.magnitude import crossing_time_s, exposed_time_s, magnitude_at_1deg_s, streak_magnitude
 from ground.photometry.zero_point import robust_linear_fit
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
@@ -19,7 +21,7 @@ def _header() -> FrameHeader:
     return FrameHeader(frame=0, t_start_tai_ns=10**18, exposure_ns=EXPOSURE_NS, line_time_ns=LINE_NS, rows=ROWS, cols=ROWS)
 
 
-def _streak(row0: float, row1: float, t_ns, flux_e: float, flags: StreakFlag) -> StreakMeasurement:
+def measured_streak(row0: float, row1: float, t_ns, flux_e: float, flags: StreakFlag) -> StreakMeasurement:
     fit = StreakFit(
         row0=row0,
         col0=100.0,
@@ -78,7 +80,7 @@ def test_exposed_time_of_a_mover_is_that_of_brute_force(rows_per_s):
     assert abs(exposed - EXPOSURE_NS * 1e-9 / abs(1.0 - rows_per_s * LINE_NS * 1e-9)) < 1e-5
     # after linking, ends carry the epochs of shutter open and close on their rows
     epochs = [10**18 + round(LINE_NS * row0), 0, 10**18 + round(LINE_NS * row1) + EXPOSURE_NS]
-    streak = _streak(row0, row1, epochs, 1e4, StreakFlag.DIRECTION_RESOLVED)
+    streak = measured_streak(row0, row1, epochs, 1e4, StreakFlag.DIRECTION_RESOLVED)
     seconds, error = exposed_time_s(streak, _header(), None)
     assert abs(seconds - exposed) < 1e-5
     assert error == 0.0
@@ -92,7 +94,7 @@ def test_exposed_time_of_a_mover_is_that_of_brute_force(rows_per_s):
 
 def test_an_end_off_the_motion_does_not_shorten_the_exposure():
     """The epoch of such an end is that at which the motion passed it; the shutter knows nothing of that."""
-    streak = _streak(100.0, 100.0, (0, EXPOSURE_NS // 2, int(0.8 * EXPOSURE_NS)), 1000.0, StreakFlag.DIRECTION_RESOLVED)
+    streak = measured_streak(100.0, 100.0, (0, EXPOSURE_NS // 2, int(0.8 * EXPOSURE_NS)), 1000.0, StreakFlag.DIRECTION_RESOLVED)
     seconds, error = exposed_time_s(streak, _header(), None)
     assert seconds == pytest.approx(EXPOSURE_NS * 1e-9, rel=1e-12)
     assert error == 0.0
@@ -100,13 +102,13 @@ def test_an_end_off_the_motion_does_not_shorten_the_exposure():
 
 def test_before_the_direction_is_known_both_directions_are_in_the_error():
     row0, row1, t0, t1 = _brute_force(1000.0, 2000.0)
-    streak = _streak(row0, row1, [10**18] * 3, 1e4, StreakFlag(0))
+    streak = measured_streak(row0, row1, [10**18] * 3, 1e4, StreakFlag(0))
     seconds, error = exposed_time_s(streak, _header(), None)
     assert abs(seconds * (1.0 + error) - (t1 - t0)) < 2e-4 or abs(seconds * (1.0 - error) - (t1 - t0)) < 2e-4
 
 
 def test_a_trail_cut_by_the_edge_has_a_magnitude_only_with_a_rate():
-    streak = _streak(0.0, 300.0, [10**18] * 3, 1e4, StreakFlag.EDGE0 | StreakFlag.EDGE1)
+    streak = measured_streak(0.0, 300.0, [10**18] * 3, 1e4, StreakFlag.EDGE0 | StreakFlag.EDGE1)
     assert exposed_time_s(streak, _header(), None) is None
     assert exposed_time_s(streak, _header(), 0.04)[0] == 0.04
     zero_point = PhotometricSolution(
@@ -115,6 +117,31 @@ def test_a_trail_cut_by_the_edge_has_a_magnitude_only_with_a_rate():
     assert np.isnan(streak_magnitude(streak, _header(), zero_point, 1.0, None)[0])
     mag, _ = streak_magnitude(streak, _header(), zero_point, 1.0, 0.04)
     assert abs(mag - (21.0 - 2.5 * np.log10(1e4 / 0.04))) < 1e-9
+
+
+@pytest.mark.parametrize("rows_per_s", [-20_000.0, -5_000.0, 5_000.0, 20_000.0])
+def test_a_crosser_s_magnitude_follows_from_its_rate_under_a_rolling_shutter(rows_per_s):
+    """Light of fine time steps of an object of magnitude 12 on those rows of 0 to 300 that are open when it passes."""
+    t = np.arange(-0.5, 0.5, 1e-6)
+    row = 150.0 + rows_per_s * (t - 0.1)
+    opens = LINE_NS * 1e-9 * row
+    lit = (t >= opens) & (t <= opens + EXPOSURE_NS * 1e-9) & (row >= 0.0) & (row <= 300.0)
+    assert np.ptp(row[lit]) > 299.0
+    rate_e_s, deg_px = 10.0 ** (-0.4 * (12.0 - 21.0)), 5.28 / 4096
+    streak = measured_streak(0.0, 300.0, [10**18] * 3, rate_e_s * 1e-6 * lit.sum(), StreakFlag.EDGE0 | StreakFlag.EDGE1)
+    streak = replace(streak, dec_deg=np.array([0.0, 150.0, 300.0]) * deg_px)
+    zero_point = PhotometricSolution(
+        frame=0, zero_point_mag=21.0, zero_point_err_mag=0.003, colour_term=0.0, n_stars=100, rms_mag=0.02
+    )
+    at_rate, error = magnitude_at_1deg_s(streak, _header(), zero_point, 1.0)
+    rate_deg_s = abs(rows_per_s) * deg_px
+    assert at_rate - 2.5 * np.log10(rate_deg_s) == pytest.approx(12.0, abs=0.002)
+    assert 0.01 < error < 0.02
+    # the same as for a tracklet that knows the rate
+    known = streak_magnitude(streak, _header(), zero_point, 1.0, crossing_time_s(streak, rate_deg_s))
+    assert known == pytest.approx((at_rate - 2.5 * np.log10(rate_deg_s), error))
+    inside = replace(streak, flags=StreakFlag(0))
+    assert np.isnan(magnitude_at_1deg_s(inside, _header(), zero_point, 1.0)).all()
 
 
 @pytest.mark.parametrize(

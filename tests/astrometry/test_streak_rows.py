@@ -30,7 +30,10 @@ def streaks() -> list[StreakMeasurement]:
             s,
             streak_id=s.frame * STREAKS_PER_FRAME + k,
             fit=dataclasses.replace(
-                s.fit, light_curve_e_px=np.arange(k % 4, dtype=np.float32), period_fraction=0.1 * k if k % 2 else None
+                s.fit,
+                light_curve_e_px=np.arange(k % 4, dtype=np.float32),
+                light_curve_err_e_px=np.linspace(0.1, 0.2, k % 4, dtype=np.float32),
+                period_fraction=0.1 * k if k % 2 else None,
             ),
         )
         for k, s in enumerate(made)

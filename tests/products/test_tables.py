@@ -14,13 +14,14 @@ from ground.photometry.zero_point import ZeroPoint
 from ground.products import tables
 from ground.records import GroundProducts
 from sboc_e2e.catalogue import StarCatalogue
-from sboc_e2e.icd.flags import FrameFlag
+from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from tests.astrometry.star_fields import make_field
+from tests.astrometry.test_magnitudes import measured_streak
 
 STREAK_COLUMNS = {
     *("frame", "streak_id", "row0", "col0", "row1", "col1", "row_mid", "col_mid", "length_px", "angle_deg", "flux_e"),
     *("flux_err_e", "snr", "ra_mid_deg", "dec_mid_deg", "sigma_along_arcsec", "sigma_cross_arcsec", "t_mid_utc", "mag"),
-    *("mag_err", "tracklet_id", "flags"),
+    *("mag_err", "tracklet_id", "flags", "density_e_px", "density_err_e_px", "mag_at_1deg_s", "mag_at_1deg_s_err"),
 }
 
 
@@ -78,6 +79,17 @@ def test_streaks_have_the_columns_that_are_promised(run):
     assert set(table.colnames) >= STREAK_COLUMNS
     assert len(table) == 0
     assert "annual aberration not removed" in table.meta["directions"]
+
+
+def test_crossings_are_told_and_points_have_no_density(run):
+    _, products = run
+    edges = StreakFlag.EDGE0 | StreakFlag.EDGE1 | StreakFlag.SINGLE_FRAME
+    one, other = (measured_streak(0.0, 200.0, [2 * 10**18] * 3, 1e4, flags) for flags in (edges, StreakFlag.POINT_LIKE))
+    (table,) = tables.streaks_tables(replace(products, streaks=(replace(one, mag_at_1deg_s=11.5, mag_at_1deg_s_err=0.1), other)))
+    assert table["density_e_px"].tolist() == pytest.approx([50.0, np.nan], nan_ok=True)
+    assert table["density_err_e_px"].tolist() == pytest.approx([0.5, np.nan], nan_ok=True)
+    assert table["mag_at_1deg_s"].tolist() == pytest.approx([11.5, np.nan], nan_ok=True)
+    assert "mag_at_1deg_s - 2.5 log10(rate in deg/s)" in table.meta["crossings"]
 
 
 @pytest.mark.parametrize(("without", "said"), [(0, "velocity removed,"), (1, "NO_OBSERVER"), (2, "velocity not removed")])

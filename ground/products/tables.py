@@ -20,12 +20,22 @@ from ground.products.epochs import utc_text
 from ground.products.light_curve import light_curve
 from ground.records import GroundProducts
 from ground.sky.sphere import ARCSEC_RAD, spherical_deg
-from sboc_e2e.icd.downlink import DownlinkFrame
+from sboc_e2e.icd.downlink import DownlinkFrame, Housekeeping
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution, PhotometricSolution, StreakMeasurement
 from sboc_e2e.icd.signals import StarList
 from sboc_e2e.icd.version import CONTRACT_VERSION
+
+COUNTERS: Final = (
+    ("n_stars_found", None, "stars found on board"),
+    ("n_detections", None, "detections of the on-board detector"),
+    ("n_rois_sent", None, "regions of interest sent"),
+    ("n_rois_dropped", None, "detections of which no region was sent"),
+    ("bytes_dropped", "byte", "bytes that did not fit into the downlink budget"),
+    ("n_masked", "pix", "pixels masked on board"),
+)
+"""Fields of `Housekeeping` that `frames.ecsv` has: name, unit, meaning."""
 
 FRAMES_AT_ONCE: Final = 64
 STREAKS_AT_ONCE: Final = 4096
@@ -42,7 +52,7 @@ Spec = tuple[str, Any, str | None, str]
 def frames_tables(products: GroundProducts, frames: Sequence[DownlinkFrame]) -> Iterator[Table]:
     """One row for each frame: epoch, pointing, camera, star statistics, zero point; flags from on board and from ground."""
     for part in _parts(len(frames)):
-        said = [(frame.flags, frame.psf_sigma_px) for frame in (frames[k] for k in part)]
+        said = [(frame.flags, frame.psf_sigma_px, frame.housekeeping) for frame in (frames[k] for k in part)]
         at = slice(part.start, part.stop)
         yield _frames_table(products.headers[at], products.solutions[at], products.photometry[at], said)
 
@@ -51,9 +61,10 @@ def _frames_table(
     headers: Sequence[FrameHeader],
     solutions: Sequence[FrameSolution],
     photometry: Sequence[PhotometricSolution],
-    said: Sequence[tuple[FrameFlag, float | None]],
+    said: Sequence[tuple[FrameFlag, float | None, Housekeeping | None]],
 ) -> Table:
-    """said : flags and PSF width from on board."""
+    """said : flags, PSF width and counters from on board."""
+    counters = [housekeeping for _, _, housekeeping in said]
     solved = np.array([not s.flags & FrameFlag.NO_SOLUTION for s in solutions], dtype=bool)
     ra, dec = _centre_directions(headers, solutions)
     sigma = np.array([np.sqrt(np.diag(s.covariance_rad2)) for s in solutions]).reshape(-1, 3) / ARCSEC_RAD
@@ -94,11 +105,21 @@ def _frames_table(
             ("rms_mag", _floats(photometry, "rms_mag"), "mag", "rms of the stars' residuals"),
             (
                 "psf_sigma_px",
-                [_or_nan(psf_sigma_px) for _, psf_sigma_px in said],
+                [_or_nan(psf_sigma_px) for _, psf_sigma_px, _ in said],
                 "pix",
                 "PSF sigma in mid-field, measured on board",
             ),
-            ("flags", [int(s.flags | flags) for s, (flags, _) in zip(solutions, said, strict=True)], None, "FrameFlag bits"),
+            *(
+                (name, [-1 if c is None else getattr(c, name) for c in counters], unit, text + "; -1: header packet lost")
+                for name, unit, text in COUNTERS
+            ),
+            (
+                "threshold_sigma",
+                [float("nan") if c is None else float(c.threshold_sigma) for c in counters],
+                None,
+                "least S/N that a particle storm's limit of regions let through, 0 outside storms; NaN: header packet lost",
+            ),
+            ("flags", [int(s.flags | flags) for s, (flags, _, _) in zip(solutions, said, strict=True)], None, "FrameFlag bits"),
         ],
         "frames",
     )
@@ -327,7 +348,7 @@ def _centre_directions(headers: Sequence[FrameHeader], solutions: Sequence[Frame
     return spherical_deg(vectors)
 
 
-WHOLE_NUMBERS: Final = ("_id", "_ns", "frame", "frames", "flags", "rows", "cols")
+WHOLE_NUMBERS: Final = ("_id", "_ns", "frame", "frames", "flags", "rows", "cols", "dropped")
 """How the names of columns of integers end, besides those that begin with n_."""
 
 

@@ -17,6 +17,7 @@ from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from tests.astrometry.star_fields import make_field
 from tests.astrometry.test_magnitudes import measured_streak
+from tests.golden.cases import HOUSEKEEPING
 
 STREAK_COLUMNS = {
     *("frame", "streak_id", "row0", "col0", "row1", "col1", "row_mid", "col_mid", "length_px", "angle_deg", "flux_e"),
@@ -113,12 +114,21 @@ def test_frames_table_points_where_the_camera_looks(run):
 
 def test_frames_table_has_what_the_spacecraft_said(run):
     frames, products = run
-    told = [replace(frame, flags=FrameFlag.STORM | FrameFlag.BUDGET_CUT, psf_sigma_px=0.93) for frame in frames]
+    told = [
+        replace(frame, flags=FrameFlag.STORM | FrameFlag.BUDGET_CUT, psf_sigma_px=0.93, housekeeping=HOUSEKEEPING)
+        for frame in frames
+    ]
     (table,) = tables.frames_tables(products, told)
     assert (table["flags"] & int(FrameFlag.STORM) > 0).all()
     assert (table["flags"] & int(FrameFlag.BUDGET_CUT) > 0).all()
     assert table["psf_sigma_px"].tolist() == [0.93] * len(frames)
-    assert np.isnan(next(tables.frames_tables(products, frames))["psf_sigma_px"]).all()
+    for name, _, _ in tables.COUNTERS:
+        assert table[name].tolist() == [getattr(HOUSEKEEPING, name)] * len(frames)
+    assert table["threshold_sigma"].tolist() == [HOUSEKEEPING.threshold_sigma] * len(frames)
+    (lost,) = tables.frames_tables(products, [replace(frame, housekeeping=None) for frame in frames])
+    assert np.isnan(lost["psf_sigma_px"]).all()
+    assert np.isnan(lost["threshold_sigma"]).all()
+    assert (lost["n_rois_dropped"] == -1).all()
 
 
 def test_stars_table_names_the_matched_ones(run):

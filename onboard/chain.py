@@ -301,7 +301,8 @@ class OnboardChain:
             Apid.THUMBNAIL,
             packets.thumbnail_payloads(cells, cell_px=options.thumbnail_px, offset_adu=offset, unit_adu=step),
         )
-        if options.whole_frame_every > 0 and state.frames_done % options.whole_frame_every == 0:
+        in_turn = options.whole_frame_every > 0 and state.frames_done % options.whole_frame_every == 0
+        if in_turn or view.header.frame in options.whole_frames:
             outbox.send(Apid.FRAME, frame_payloads(counts, background, codec))
         kept_snr = [group.detection.snr for group in groups if not group.detection.flags & StreakFlag.COSMIC_LIKE]
         housekeeping = Housekeeping(

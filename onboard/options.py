@@ -37,6 +37,9 @@ class DownlinkOptions:
     whole_frame_every: int = field(
         default=0, metadata={"doc": "every n-th frame is sent whole, on top of the budget; 0: none", "min": 0, "max": 1000000}
     )
+    whole_frames: tuple[int, ...] = field(
+        default=(), metadata={"doc": "numbers of frames that are sent whole on request, on top of the budget", "min": 0}
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

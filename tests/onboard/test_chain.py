@@ -286,6 +286,13 @@ def test_window_across_binned_pixels_is_refused() -> None:
         )
 
 
+def test_frames_on_request_are_sent_whole() -> None:
+    """By their numbers, beside every n-th, and no other."""
+    run = start_run(downlink=DownlinkOptions(whole_frames=(2, 3), whole_frame_every=4))
+    sent = [layout.Apid.FRAME in run.feed(frame(number)).bytes_by_apid for number in range(6)]
+    assert sent == [True, False, True, True, True, False]
+
+
 @dataclass(frozen=True, kw_only=True)
 class Raising:
     """A detector with a bug."""

@@ -10,6 +10,7 @@ from ground.astrometry.apparent import jyear_of, mid_frame_tai_ns
 from ground.astrometry.astrometer import UNUSABLE_CATALOGUE, unsolved
 from ground.astrometry.camera import Camera
 from ground.astrometry.matching import mutual_pairs, vote_offset
+from ground.sky.sphere import unit_vectors
 from sboc_e2e.catalogue import CatalogueFlag, StarCatalogue
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag
@@ -37,7 +38,7 @@ def identify_by_header(frame: DownlinkFrame, wcs: Any, catalogue: StarCatalogue,
     corner_col = np.array([0.0, header.cols - 1.0, 0.0, header.cols - 1.0, 0.5 * header.cols])
     corner_row = np.array([0.0, 0.0, header.rows - 1.0, header.rows - 1.0, 0.5 * header.rows])
     ra, dec = (np.radians(a) for a in wcs.all_pix2world(corner_col, corner_row, 0))
-    vectors = np.stack((np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)), axis=1)
+    vectors = unit_vectors(ra, dec)
     radius_deg = float(np.degrees(np.arccos(np.clip((vectors[:4] @ vectors[4]).min(), -1.0, 1.0))))
     if not radius_deg < LARGEST_FIELD_DEG:
         return nothing

@@ -1,5 +1,7 @@
 """The exported TAN-SIP header says what the solution says, in astropy's reading, for frames and for cut-outs."""
 
+from dataclasses import replace
+
 import astropy.units as u
 import numpy as np
 import pytest
@@ -94,6 +96,18 @@ def test_a_binned_image_has_the_directions_of_its_cells_centres(solved):
     assert np.abs(back_row - cell_row).max() < 1e-4
     assert np.abs(back_col - cell_col).max() < 1e-4
     assert (row + 1.0) * header["LTM2_2"] + header["LTV2"] - 1.0 == pytest.approx(cell_row)
+
+
+def test_a_wcs_that_came_with_the_frame_is_what_is_exported(solved):
+    field, solution = solved
+    header, unsolved = field.frame.header, replace(solution, flags=FrameFlag.NO_SOLUTION)
+    assert pixel_icrs(header, unsolved) is None
+    given = WCS(_wcs(field, solution))
+    row, col = grid(4096, 7)
+    icrs = pixel_icrs(header, unsolved, given)
+    got = WCS(sip_header(icrs, header.rows, header.cols)).all_pix2world(col, row, 0)
+    want = SkyCoord(*given.all_pix2world(col, row, 0), unit="deg")
+    assert SkyCoord(*got, unit="deg").separation(want).arcsec.max() < 0.002
 
 
 def test_directions_through_a_header_are_those_of_the_solution(solved):

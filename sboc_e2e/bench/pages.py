@@ -2,9 +2,12 @@
 
 import fnmatch
 import json
+import math
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from sboc_e2e.bench.entries import HIGHER, LOWER, Entry
 from sboc_e2e.bench.quoted import QUOTED_PEERS
@@ -19,6 +22,23 @@ TRENDS: Final = (
     "sso_antisun*.detection.ground.false_per_frame",
     "sso_antisun*.timing.onboard_cpu_s_per_frame",
     "sso_antisun*.compression.reduction",
+)
+
+BIN_RATIO: Final = 0.02
+"""Width of a bin of latencies, in their logarithm."""
+
+SIZED: Final = (
+    ("without a detector", "chain_without_detector", "none"),
+    ("threshold", "chain_threshold", "threshold"),
+    ("line_integral", "chain_line_integral", "line_integral"),
+)
+"""Rows of the on-board sizing: what is said, and the names under `onboard.` of its times and of its process's memory."""
+
+SIZES: Final = (
+    ("CPU ms / Mpx", "onboard.{0}.cpu_ms_per_mpx"),
+    ("cycles / px", "onboard.{0}.cycles_per_px"),
+    ("MB / Mpx beside libraries", "onboard.process.{1}.peak_above_libraries_and_kernels_rss_mb_per_mpx"),
+    ("MB at the peak of the process", "onboard.process.{1}.peak_rss_mb"),
 )
 
 
@@ -62,10 +82,43 @@ def write_pages(
     if regressions:
         body += ["<h2>Regressions</h2>", "<ul>", *(f"<li>{r}</li>" for r in regressions), "</ul>"]
     body += ["<h2>Figures</h2>", table(head, rows)]
+    body += _onboard_sizing(entries, out / "bench_onboard.json")
     body += ["<h2>Peers, quoted</h2>", table(("peer", "figure", "source"), QUOTED_PEERS)]
     body += ["<h2>Wall seconds of each bench</h2>", table(("bench", "s"), [(k, f"{v:.1f}") for k, v in costs.items()])]
     body += ["<h2>History</h2>", f"<figure>{history_plot(out / HISTORY)}</figure>"]
     write_text(out / "report.html", simple_page("Benchmark report", body))
+
+
+def _onboard_sizing(entries: Sequence[Entry], result: Path) -> list[str]:
+    """What the on-board chain asks of a processor for each Mpx, and how its latencies are spread; nothing if not measured."""
+    values = {e.name: e.value for e in entries}
+    rows = []
+    for label, chain, process in SIZED:
+        found = [values.get(name.format(chain, process)) for _, name in SIZES]
+        if any(value is not None for value in found):
+            rows.append((label, *("-" if value is None else number(value) for value in found)))
+    if not rows:
+        return []
+    note = (
+        "Operations are given as processor cycles, CPU time times clock: the work of one core with its vector units, "
+        "which holds however many instructions it retires in a cycle."
+    )
+    body = ["<h2>On-board sizing</h2>", table(("chain", *(title for title, _ in SIZES)), rows), f"<p>{note}</p>"]
+    return [*body, f"<figure>{latency_plot(json.loads(result.read_text(encoding='utf-8')))}</figure>"]
+
+
+def latency_plot(onboard: dict[str, Any]) -> str:
+    """Histograms of CPU time of single frames, by chain; bins of 2 %."""
+    with plots.canvas(10.0, 2.8) as (figure, (ax,)):
+        for (label, chain, _), colour in zip(SIZED, plots.SERIES, strict=False):
+            latencies = np.array(onboard[chain]["latencies_cpu_s"])
+            n_bins = max(1, math.ceil(math.log(latencies.max() / latencies.min()) / BIN_RATIO))
+            bins = latencies.min() * np.exp(BIN_RATIO * np.arange(n_bins + 1))
+            ax.hist(latencies, bins, histtype="stepfilled", alpha=0.7, color=colour, label=f"{label}, n = {latencies.size}")
+        ax.set(xscale="log", xlabel="CPU s per frame", ylabel="frames")
+        plots.plain_logarithmic(ax.xaxis)
+        figure.legend(loc="outside upper center", ncols=len(SIZED))
+        return plots.svg(figure)
 
 
 def history_plot(path: Path) -> str:

@@ -75,12 +75,11 @@ earlier one than trails do ..."""
 STATIC_SIGMA: Final = 1.7
 """... and what exceeds this, as one place in 22 does by noise, is taken for a star, a spike or a column."""
 
-VARIED_SIGMA: Final = 5.0
+VARIED_SIGMA: Final = 4.8
 """Rise of a point source between two frames, in sigma of their difference, that stars of constant light do not reach.
 
-With N stars per frame near the threshold false alarms would be N Q(z), but S/N is the best over place and length: 30,000 gave
-0.04 per frame at 4.8. A star-like object that was not there before is thus found from S on, S^2 = 2 z^2 (1 + nu S / 2)
-(`point_movers.object_noise`): 9.3 in the preset.
+With N stars per frame near the threshold false alarms are N Q(z): 30,000 give 0.02 per frame. A star-like object that was not
+there before is thus found from S on, S^2 = 2 z^2 (1 + nu S / 2) (`point_movers.object_noise`): 8.8 in the preset.
 """
 
 STORM_ENTRIES: Final = 1000
@@ -299,13 +298,13 @@ class LineIntegralDetector:
     """Detects trails whose matched-filter S/N exceeds `n_sigma`, whatever their length, angle and position.
 
     A bank of all segments needs 7.0 in pure noise for 0.1 false detections per 4096 x 4096 px. What is left of faint stars makes
-    the noise of a line 2 % larger in a field of 25,000 stars above S/N 8, hence the default of 7.15.
+    the noise of a line 3 % larger in a field of 25,000 stars above S/N 8, hence the default of 7.2.
 
     Without a preceding frame whose stars can be matched, aligned faint stars cannot be told from short trails, so
     `single_frame_margin` is added to the threshold of trails under 60 px and nothing as short as a blend of stars is reported.
     """
 
-    n_sigma: float = field(default=7.15, metadata={"doc": "matched-filter S/N of a detection", "min": 4.0, "max": 100.0})
+    n_sigma: float = field(default=7.2, metadata={"doc": "matched-filter S/N of a detection", "min": 4.0, "max": 100.0})
     coarse_sigma: float = field(
         default=4.5, metadata={"doc": "S/N on the coarse lattice worth refining", "min": 3.5, "max": 20.0}
     )

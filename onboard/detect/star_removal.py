@@ -20,17 +20,11 @@ POINT_CLIP_SIGMA: Final = 7.5
 SUBTRACT_SNR: Final = 8.0
 """Stars up to this S/N are subtracted; brighter ones leave too much Poisson noise and PSF error and are masked."""
 
-STATIC_EACH: Final = 36
-"""An unlisted star shows at least 2.25 sigma in each of two frames ..."""
+STATIC_EACH: Final = 32
+"""An unlisted star shows at least 2 sigma in each of two frames ..."""
 
 STATIC_BOTH: Final = 86
 """... and 3.8 sigma in their mean (3.8 sqrt 2 sigma in the sum), in sigma/16."""
-
-CHANGE_SIGMA: Final = 3.0
-"""Stars of constant light change no more between two frames, in sigma of their difference."""
-
-SURE_SNR: Final = 3.5
-"""Noise in the earlier frame hardly ever shows a star of this S/N just where this frame lists one."""
 
 MAX_UNLISTED: Final = 200_000
 """Room for unlisted stars."""
@@ -132,10 +126,7 @@ def remove_static_stars(
     order = star_mask.by_row(stars.row)
     faint, bright = order[is_faint[order]], order[(static & ~is_faint)[order]]
     light = mask_stars(view, bright, image, blocked, halo_px)
-    sigma_e = float(np.median(sigma)) * (view.header.gain_e_adu or 1.0)
-    noise_per_snr = point_movers.object_noise(psf_sigma_px, sigma_e)
-    snr = listed_light(stars.snr[faint].astype(np.float64), before[faint], noise_per_snr)
-    static_sky.subtract_stars(image, blocked, stars.row[faint], stars.col[faint], snr, psf_sigma_px)
+    static_sky.subtract_stars(image, blocked, stars.row[faint], stars.col[faint], before[faint], psf_sigma_px)
     new = np.flatnonzero(~static)
     sharp = point_movers.sharper_than_psf(view.residual_adu, sigma, tile_px, stars.row[new], stars.col[new], stars.snr[new])
     hits = new[sharp]
@@ -143,21 +134,8 @@ def remove_static_stars(
     bright_per_px = float(np.count_nonzero(stars.snr[static] > SUBTRACT_SNR)) / image.size
     places = unlisted_stars(image, blocked, earlier, bright_per_px, psf_sigma_px)
     static_sky.subtract_stars(image, blocked, places[:, 0], places[:, 1], places[:, 2], psf_sigma_px)
-    listed = np.column_stack([stars.row[faint], stars.col[faint], snr])
+    listed = np.column_stack([stars.row[faint], stars.col[faint], before[faint]])
     return new, sharp, np.concatenate([listed, places]), light
-
-
-def listed_light(now: NDArray[np.float64], then: NDArray[np.float64], noise_per_snr: float) -> NDArray[np.float64]:
-    """What to subtract, (n,) in S/N, for listed stars of S/N now and then.
-
-    The change now - then is what a trail adds and has the variance 2 v, v = 1 + noise_per_snr S, where empty sky has 1. So a
-    share of 1 / (2 v) of it stays in the image, the weight of such a place in a sum along a line; a larger change than
-    CHANGE_SIGMA is a trail's, and what exceeds it stays in whole. So does all of it at places that may have been noise then.
-    """
-    variance = 2.0 * (1.0 + noise_per_snr * np.maximum(0.5 * (now + then), 0.0))
-    limit = CHANGE_SIGMA * np.sqrt(variance)
-    share = np.where(then > SURE_SNR, 1.0 - 1.0 / variance, 0.0)
-    return then + share * np.clip(now - then, -limit, limit)
 
 
 def star_light(
@@ -173,7 +151,7 @@ def star_light(
     bright_per_px : stars above SUBTRACT_SNR per px, from which star(S) follows. noise(S) : maxima of smoothed noise per px and
     S/N (Adler & Taylor 2007, leading term).
     """
-    noise = (then**2 - 1.0) * np.exp(-0.5 * then**2) / (2.0 * psf_sigma_px**2 * (2.0 * math.pi) ** 1.5)
+    noise = then * (then**2 - 1.0) * np.exp(-0.5 * then**2) / (2.0 * psf_sigma_px**2 * (2.0 * math.pi) ** 1.5)
     star = COUNTS_SLOPE / SUBTRACT_SNR * bright_per_px * (then / SUBTRACT_SNR) ** (-1.0 - COUNTS_SLOPE)
 
     def likelihood(trail: float) -> NDArray[np.float64]:
@@ -217,7 +195,6 @@ def unlisted_stars(
             STATIC_BOTH,
             round(POINT_CLIP_SIGMA * whiten.UNIT),
             TILE_PX,
-            psf_sigma_px,
             places,
             found,
         )

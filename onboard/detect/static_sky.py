@@ -253,7 +253,6 @@ def faint_static_stars(
     both: int,
     clip: int,
     tile_px: int,
-    psf_sigma_px: float,
     places: NDArray[np.float64],
     found: int,
 ) -> int:
@@ -262,17 +261,13 @@ def faint_static_stars(
     Fills rows (row, col, S/N now, S/N then) of places from number `found` on and returns how many there are. now, then : smoothed
     bands of the two frames, sigma/16, that begin at rows now_first and then_first of frames of `rows` rows; top : first row of
     the tiles. A star is a local maximum of the sum where each exceeds `each` and the sum exceeds `both` (sigma/16). The
-    transform (this frame to the earlier one) acts as one whole-pixel shift for each tile; what that leaves of it moves the star
-    in the earlier band only, and so half as much in the sum. Smoothed stars are exp(-r^2 / 4 s^2): twice their gradient over
-    the peak is the displacement over s^2, from which follow the place and what the peak pixel missed, unless both are at `clip`.
+    transform (this frame to the earlier one) acts as one whole-pixel shift for each tile.
     """
-    cols, below = now.shape[1], (clip - 1) / 16.0
+    cols = now.shape[1]
     for tile_col in range(0, cols, tile_px):
         r, c = top + 0.5 * tile_px, tile_col + 0.5 * tile_px
         d_row = math.floor(transform[0, 0] * r + transform[0, 1] * c + transform[0, 2] - r + 0.5)
         d_col = math.floor(transform[1, 0] * r + transform[1, 1] * c + transform[1, 2] - c + 0.5)
-        rest_row = transform[0, 0] * r + transform[0, 1] * c + transform[0, 2] - r - d_row
-        rest_col = transform[1, 0] * r + transform[1, 1] * c + transform[1, 2] - c - d_col
         first = max(tile_col, 1, 1 - d_col)
         last = min(tile_col + tile_px, cols - 1, cols - 1 - d_col)
         if last <= first:
@@ -295,18 +290,6 @@ def faint_static_stars(
                 if peak and found < places.shape[0]:
                     places[found, 0], places[found, 1] = row, j
                     places[found, 2], places[found, 3] = a / 16.0, b / 16.0
-                    if a + b < 2 * clip:
-                        scale = psf_sigma_px**2 / (a + b)
-                        down = float(now[i + 1, j]) + then[m + 1, j + d_col] - now[i - 1, j] - then[m - 1, j + d_col]
-                        right = float(now[i, j + 1]) + then[m, j + d_col + 1] - now[i, j - 1] - then[m, j + d_col - 1]
-                        off_row = min(max(scale * down, -0.5), 0.5) - 0.5 * rest_row
-                        off_col = min(max(scale * right, -0.5), 0.5) - 0.5 * rest_col
-                        off_now = off_row**2 + off_col**2
-                        off_then = (off_row + rest_row) ** 2 + (off_col + rest_col) ** 2
-                        places[found, 0] += off_row
-                        places[found, 1] += off_col
-                        places[found, 2] = min(places[found, 2] * math.exp(0.25 * off_now / psf_sigma_px**2), below)
-                        places[found, 3] = min(places[found, 3] * math.exp(0.25 * off_then / psf_sigma_px**2), below)
                     found += 1
     return found
 

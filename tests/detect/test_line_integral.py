@@ -10,11 +10,9 @@ from numpy.typing import NDArray
 
 from onboard.detect import LineIntegralDetector, refine, sharpness, strip, whiten
 from onboard.detect.dyadic import line_sums, work_size
-from onboard.detect.kept_frame import KeptFrame
-from onboard.detect.star_removal import TRAIL_LEVEL, listed_light, star_light, unlisted_stars
-from onboard.detect.static_sky import EarlierFrame, subtract_stars
+from onboard.detect.star_removal import star_light
 from sboc_e2e.icd.flags import MaskBit, StreakFlag
-from sboc_e2e.icd.signals import Detection, DetectorView, StarList
+from sboc_e2e.icd.signals import Detection, DetectorView
 from sboc_e2e.icd.steps import Detector
 from tests.benchmarks.bench_detection import clip, score
 from tests.benchmarks.detection_frames import (
@@ -27,7 +25,6 @@ from tests.benchmarks.detection_frames import (
     bare_view,
     exposure,
     random_stars,
-    streak_template,
     view_of,
 )
 
@@ -258,42 +255,6 @@ def test_light_of_a_trail_over_noise_is_not_a_stars() -> None:
     assert light[1] > 4.0
     assert np.all((light >= 0.0) & (light <= then))
     assert not star_light(now, then, 0.0, PSF_SIGMA_PX).any()
-
-
-def test_a_listed_stars_change_is_weighed_by_its_noise() -> None:
-    """Of a change of 2 between frames of noise 1 the half stays, less of a noisy star's; of a trail on top all beyond 3 sigma.
-
-    What may have been noise then is no reason to doubt a change.
-    """
-    now, then = np.array([6.0, 7.0, 5.0, 16.0, 5.0]), np.array([6.0, 5.0, 7.0, 6.0, 2.0])
-    quiet, noisy = (now - listed_light(now, then, noise) for noise in (0.0, 0.15))
-    assert list(quiet) == pytest.approx([0.0, 1.0, -1.0, 10.0 - 1.5 * math.sqrt(2.0), 3.0])
-    assert noisy[1] == pytest.approx(2.0 / (2.0 * 1.9))
-    assert noisy[3] == pytest.approx(10.0 - (1.0 - 1.0 / 5.3) * 3.0 * math.sqrt(5.3))
-
-
-def test_unlisted_stars_are_found_between_pixels() -> None:
-    """Drawn without noise at any part of a pixel, the earlier frame displaced by another: place, light and what they leave."""
-    rng = np.random.default_rng(43)
-    for _ in range(8):
-        (row, col), shift = 64.0 + rng.uniform(-0.5, 0.5, 2), rng.uniform(-0.5, 0.5, 2)
-        codes = []
-        for d_row, d_col in ((0.0, 0.0), shift):
-            star = Streak(row0=row + d_row, col0=col + d_col, row1=row + d_row, col1=col + d_col, snr=6.0)
-            rows, cols, light = streak_template(star, (128, 128))
-            codes.append(np.zeros((128, 128), np.int8))
-            codes[-1][rows, cols] = np.rint(16.0 * star.snr * light / math.sqrt(float(np.sum(light**2))))
-        image, blocked = codes[0].copy(), np.zeros((128, 128), np.uint8)
-        pixels = (codes[1], np.zeros(129, np.int64), np.zeros(0, np.int32), np.zeros(0, np.float32))
-        transform = np.column_stack([np.eye(2), shift])
-        earlier = EarlierFrame(frame=KeptFrame(pixels=pixels, stars=StarList.empty()), transform=transform)
-        places = unlisted_stars(image, blocked, earlier, 25_000 / 4096**2, PSF_SIGMA_PX)
-        assert len(places) == 1
-        assert math.hypot(places[0, 0] - row, places[0, 1] - col) < 0.2
-        assert places[0, 2] == pytest.approx(6.0 - 0.25 * TRAIL_LEVEL, rel=0.06)
-        before = float(np.sum(image.astype(float) ** 2))
-        subtract_stars(image, blocked, *places.T, PSF_SIGMA_PX)
-        assert float(np.sum(image.astype(float) ** 2)) < 0.05 * before
 
 
 def test_level_costs_a_trail_of_any_length_a_hundredth_of_its_light() -> None:

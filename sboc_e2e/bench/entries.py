@@ -37,6 +37,7 @@ DIRECTIONS: Final = (
     ("*veto_loss*", LOWER),
     ("*fragments*", LOWER),
     ("*cpu*", LOWER),
+    ("*.timing.*_s_per_frame", EITHER),  # wall seconds, which parts and programs beside it stretch
     ("*_s_per_frame*", LOWER),
     ("*rss*", LOWER),
     ("*bits*", LOWER),
@@ -50,8 +51,11 @@ AIMS: Final = (("*bias*", 0.0), ("*pull_std*", 1.0), ("*coverage_68*", 0.6827), 
 TIMES: Final = "x"
 """Unit of a ratio of two timings of the same run."""
 
+REAL_TIME: Final = "x real time"
+"""Unit of a speed in units of the frame rate."""
+
 UNITS: Final = (
-    ("*speedup*", TIMES), ("*_over_numpy_floor", TIMES),
+    ("*realtime_factor*", REAL_TIME), ("*speedup*", TIMES), ("*_over_numpy_floor", TIMES),
     ("*_arcsec", "arcsec"), ("*_mag", "mag"), ("*cpu_s*", "s"), ("*_s_per_frame", "s"), ("*_mb", "MB"), ("*mb_s*", "MB/s"),
     ("*_km", "km"), ("*_deg", "deg"), ("*_px", "px"), ("*bits*", "bit"), ("*_bytes", "B"), ("*_ms*", "ms"), ("*_s", "s"),
 )  # fmt: skip

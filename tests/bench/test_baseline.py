@@ -110,6 +110,17 @@ def test_timings_are_compared_in_units_of_the_yardstick(tmp_path: Path) -> None:
     ]
 
 
+def test_speed_in_real_time_follows_the_machine_and_wall_seconds_are_not_judged(tmp_path: Path) -> None:
+    """Half the machine is half as fast; programs beside a part stretch its wall seconds and not its CPU seconds."""
+    path = tmp_path / "baseline.json"
+    names = ("yardstick_s", "timing.realtime_factor_onboard", "timing.onboard_s_per_frame", "timing.onboard_cpu_s_per_frame")
+    write_baseline(path, [entry(f"x.{name}", value) for name, value in zip(names, (0.1, 4.0, 0.06, 0.06), strict=True)])
+    slow = [entry(f"x.{name}", value) for name, value in zip(names, (0.2, 2.0, 0.5, 0.12), strict=True)]
+    assert regressions(slow, read_baseline(path)) == []
+    worse = [entry(f"x.{name}", value) for name, value in zip(names, (0.1, 1.5, 0.06, 0.12), strict=True)]
+    assert [r.name for r in regressions(worse, read_baseline(path))] == [f"x.{names[1]}", f"x.{names[3]}"]
+
+
 def test_one_part_is_written_anew_and_the_others_stay(tmp_path: Path) -> None:
     path = tmp_path / "baseline.json"
     write_baseline(path, [entry("x.cpu_s", 1.0), entry("x.old_cpu_s", 1.0), entry("y.cpu_s", 1.0)])

@@ -22,6 +22,10 @@ from sboc_e2e.icd.signals import RoiGroup, Strip
 NONE, ALL = "none", "all"
 """Choices of `ProductOptions.images` beside "frames"."""
 
+DIRECTIONS: Final = (
+    "The WCS gives the places of stars (ICRS, all aberration removed). Published directions of streaks keep annual aberration "
+    "and differ from it by up to 21 arcsec."
+)
 BLANK: Final = -(2**31)
 LARGEST_BOX_PX: Final = 512 * 512
 """A region in a larger box is written strip by strip: of the box of a trail from corner to corner next to nothing was sent."""
@@ -54,6 +58,8 @@ def frame_images(frame: DownlinkFrame, icrs: PixelIcrs | None, wanted: str) -> f
         made += _regions(frame, wcs, known)
     primary = fits.PrimaryHDU()
     primary.header.extend(_cards(header))
+    if known:
+        primary.header["COMMENT"] = DIRECTIONS
     return fits.HDUList([primary, *made])
 
 

@@ -9,13 +9,11 @@ import numpy as np
 
 from sboc_e2e.campaign import Campaign, run_campaign
 from sboc_e2e.campaign.engine import executor
-from sboc_e2e.score.figures import absent, bootstrap, exact, figure
+from sboc_e2e.score.figures import Figure, absent, bootstrap, exact, figure
 
 FRAMES: Final = 3
 REPEATS: Final = 4
-POOLS: Final = 5
-"""Pools that the overhead is measured in: it doubles when the system is busy elsewhere."""
-
+OVERHEADS: Final = 5
 FEW, MANY = 2, 6
 """Tasks of the two campaigns whose difference is timed."""
 NODES: Final = 100
@@ -27,13 +25,19 @@ def nothing(_: int) -> None:
     """An empty task."""
 
 
-def overhead_ms(workers: int, tasks: int) -> float:
-    """Milliseconds for each empty task through the process pool, start of the pool excluded."""
+def overhead_ms(workers: int, tasks: int) -> Figure:
+    """Milliseconds for each empty task through the process pool, start of the pool excluded: median and range of some repeats.
+
+    A single one doubles when the system is busy elsewhere.
+    """
+    found = []
     with executor(workers, None) as pool:
         list(pool.map(nothing, range(workers * 4)))
-        start = time.perf_counter()
-        list(pool.map(nothing, range(tasks)))
-        return 1000.0 * (time.perf_counter() - start) / tasks
+        for _ in range(OVERHEADS):
+            start = time.perf_counter()
+            list(pool.map(nothing, range(tasks)))
+            found.append(1000.0 * (time.perf_counter() - start) / tasks)
+    return figure(float(np.median(found)), OVERHEADS, min(found), max(found))
 
 
 def seconds(workers: int, tasks: int, folder: Path) -> float:
@@ -57,9 +61,8 @@ def main(quick: bool = False) -> dict[str, Any]:
 
     quick : the overhead alone; an efficiency takes minutes of campaigns and one of them says nothing.
     """
-    overheads = [overhead_ms(2, 200 if quick else 1000) for _ in range(POOLS)]
-    overhead = float(np.median(overheads))
-    result: dict[str, Any] = {"overhead_ms_per_task": figure(overhead, POOLS, min(overheads), max(overheads))}
+    overhead = overhead_ms(2, 200 if quick else 1000)
+    result: dict[str, Any] = {"overhead_ms_per_task": overhead}
     if quick:
         return result
     efficiency, per_frame = [], []
@@ -70,7 +73,7 @@ def main(quick: bool = False) -> dict[str, Any]:
             two = [seconds(2, n, Path(root) / f"{repeat}-2-{n}") for n in (FEW, MANY)]
             efficiency.append((one[1] - one[0]) / max(2.0 * (two[1] - two[0]), 1e-9))
             per_frame.append((one[1] - one[0]) / ((MANY - FEW) * FRAMES))
-    task_s = float(np.median(per_frame)) * FRAMES + overhead / 1000.0
+    task_s = float(np.median(per_frame)) * FRAMES + overhead["value"] / 1000.0
     hours = MILLION / FRAMES * task_s / (NODES * CORES_PER_NODE) / 3600.0
     return result | {
         "efficiency_2_workers": bootstrap(efficiency, lambda v: float(np.median(v))),

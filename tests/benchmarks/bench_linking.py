@@ -281,7 +281,7 @@ def main(quick: bool = True) -> dict[str, Any]:
     # here, so that the process that links alone does not load what a whole stage needs
     from tests.benchmarks import ground_run
 
-    out["ground_run"] = ground_run.ask(1000 if quick else 10_000, 50)
+    out["ground_run"] = ground_run.ask(300 if quick else 10_000, 50)
     return out
 
 

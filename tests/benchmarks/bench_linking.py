@@ -31,11 +31,11 @@ VETTED = 0.995
 
 
 def share(k: int, n: int) -> dict[str, Any]:
-    """A proportion with its 95 % Clopper-Pearson interval."""
+    """A proportion with its 90 % Clopper-Pearson interval."""
     if n == 0:
         return {"value": None, "n": 0, "interval": None, "reason": "no case"}
-    low = 0.0 if k == 0 else float(beta.ppf(0.025, k, n - k + 1))
-    high = 1.0 if k == n else float(beta.ppf(0.975, k + 1, n - k))
+    low = 0.0 if k == 0 else float(beta.ppf(0.05, k, n - k + 1))
+    high = 1.0 if k == n else float(beta.ppf(0.95, k + 1, n - k))
     return {"value": k / n, "n": n, "interval": [low, high]}
 
 

@@ -22,16 +22,16 @@ SIZE_EDGES_M = (0.0, 0.003, 0.01, 0.1, 100.0)
 
 
 def share(k: int, n: int) -> dict[str, Any]:
-    """A proportion with its 95 % Clopper-Pearson interval."""
-    low = 0.0 if k == 0 else float(beta.ppf(0.025, k, n - k + 1))
-    high = 1.0 if k == n else float(beta.ppf(0.975, k + 1, n - k))
+    """A proportion with its 90 % Clopper-Pearson interval."""
+    low = 0.0 if k == 0 else float(beta.ppf(0.05, k, n - k + 1))
+    high = 1.0 if k == n else float(beta.ppf(0.95, k + 1, n - k))
     return {"value": k / n, "n": n, "interval": [low, high]}
 
 
 def median(values: NDArray[np.float64], rng: np.random.Generator) -> dict[str, Any]:
-    """A median with its 95 % bootstrap interval."""
+    """A median with its 90 % bootstrap interval."""
     draws = np.median(rng.choice(values, (1000, len(values))), axis=1)
-    return {"value": float(np.median(values)), "n": len(values), "interval": np.percentile(draws, [2.5, 97.5]).tolist()}
+    return {"value": float(np.median(values)), "n": len(values), "interval": np.percentile(draws, [5.0, 95.0]).tolist()}
 
 
 def gauss_range_km(tracklet: Tracklet, observer: NDArray[np.float64]) -> float:

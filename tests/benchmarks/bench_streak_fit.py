@@ -1,7 +1,7 @@
 """Streak fits against the Cramér-Rao bound: cross-track, ends, flux, pulls, coverage, joint refits, cost.
 
 Trails come from tests/streaks/trail_rendering.py (brute-force integration, numerical Fisher matrix), not from the fitter's
-model. Ratios are sqrt(mean((residual / bound)^2)) with 95 % bootstrap intervals; pulls sqrt(median(z^2) / 0.4549).
+model. Ratios are sqrt(mean((residual / bound)^2)) with 90 % bootstrap intervals; pulls sqrt(median(z^2) / 0.4549).
 ``ends_attainable`` refers to max(CRLB, 4.39 L / S^2); ``ends_best_equivariant`` to the larger of the CRLB and the rms of
 Pitman's estimator with everything else known, which no fit can beat: between the two laws it lies above both.
 """
@@ -36,13 +36,13 @@ MEDIAN_Z2 = 0.4549
 
 
 def figure(values: NDArray[np.float64], statistic: Callable[[NDArray[np.float64]], float], seed: int = 1) -> dict[str, Any]:
-    """Value, n and 95 % bootstrap interval of a statistic of (n,) or (n, k) values, rows drawn together."""
+    """Value, n and 90 % bootstrap interval of a statistic of (n,) or (n, k) values, rows drawn together."""
     n = len(values)
     if n < 5:
         return {"value": None, "n": n, "low": None, "high": None, "reason": "fewer than five cases"}
     rng = np.random.default_rng(seed)
     draws = np.array([statistic(values[rng.integers(0, n, n)]) for _ in range(200)])
-    low, high = np.quantile(draws, (0.025, 0.975))
+    low, high = np.quantile(draws, (0.05, 0.95))
     return {"value": float(statistic(values)), "n": n, "low": float(low), "high": float(high)}
 
 
@@ -205,12 +205,17 @@ def tracklet_cell(length_px: float, snr: float, n_frames: int, n: int, line_time
             low, high = fit.end_interval_px[:, 0], fit.end_interval_px[:, 1]
             outward = np.array([error[0], -error[1]])
             covered.append((low <= outward) & (outward <= high))
+
+    def by_tracklet(values: list[NDArray[Any]]) -> NDArray[np.float64]:
+        # frames of a tracklet share its motion, so tracklets are drawn, not frames
+        return np.array(values, dtype=np.float64).reshape(-1, n_frames * 2)
+
     return {
-        "along_joint_crlb_ratio": figure(np.array(ratios), rms),
-        "along_joint_crlb_ratio_robust": figure(np.array(ratios), pull),
-        "single_frame_over_joint_crlb_ratio": figure(np.array(single), rms),
-        "along_pull_std": figure(np.array(z), pull),
-        "coverage_68": figure(np.array(covered, dtype=np.float64), lambda x: float(np.mean(x))),
+        "along_joint_crlb_ratio": figure(by_tracklet(ratios), rms),
+        "along_joint_crlb_ratio_robust": figure(by_tracklet(ratios), pull),
+        "single_frame_over_joint_crlb_ratio": figure(by_tracklet(single), rms),
+        "along_pull_std": figure(by_tracklet(z), pull),
+        "coverage_68": figure(by_tracklet(covered), lambda x: float(np.mean(x))),
         "joint_change_point_over_crlb": 4.39 * length_px / (n_frames * snr**2) / float(np.mean(bound)),
         "cost_ms": float(np.median(cost)),
     }

@@ -98,11 +98,11 @@ def judge(fits: dict[str, list[StreakFit]], rates: dict[str, float], frames: int
 
 
 def share(k: float, n: int) -> dict[str, Any]:
-    """A proportion with its 95 % Clopper-Pearson interval."""
+    """A proportion with its 90 % Clopper-Pearson interval."""
     if n == 0:
         return {"value": None, "n": 0, "low": None, "high": None, "reason": "no case"}
-    low = 0.0 if k == 0 else float(beta.ppf(0.025, k, n - k + 1))
-    high = 1.0 if k == n else float(beta.ppf(0.975, k + 1, n - k))
+    low = 0.0 if k == 0 else float(beta.ppf(0.05, k, n - k + 1))
+    high = 1.0 if k == n else float(beta.ppf(0.95, k + 1, n - k))
     return {"value": k / n, "n": n, "low": low, "high": high}
 
 
@@ -218,12 +218,12 @@ def chain_alarms(levels: list[dict[str, Any]], chains: Chains) -> dict[str, Any]
 
 
 def false_per_frame(weights: NDArray[np.float64]) -> dict[str, Any]:
-    """Sum of weighted events with a 95 % interval: Poisson in the number of events of equal weight that are worth as much."""
+    """Sum of weighted events with a 90 % interval: Poisson in the number of events of equal weight that are worth as much."""
     if weights.size == 0:
         return {"value": 0.0, "n": 0, "low": 0.0}
     mean = float((weights**2).sum() / weights.sum())
     worth = float(weights.sum()) / mean
-    low, high = 0.5 * chi2.ppf(0.025, 2.0 * worth), 0.5 * chi2.ppf(0.975, 2.0 * worth + 2.0)
+    low, high = 0.5 * chi2.ppf(0.05, 2.0 * worth), 0.5 * chi2.ppf(0.95, 2.0 * worth + 2.0)
     return {"value": float(weights.sum()), "n": int(weights.size), "low": float(low * mean), "high": float(high * mean)}
 
 

@@ -165,8 +165,9 @@ class GroundChain:
         measured = RunStreaks(counts, lambda k: products[k].streaks)
         given = {header.frame: count for header, count in zip(headers, counts, strict=True)}
         found = links_of(linker, guarded("linker", linker, "", object, linker.link, headers, measured), given)
-        pixels_of = self._pixel_source(frames, products, headers)
-        tracklets, linked = list(found), LinkedStreaks({header.frame: k for k, header in enumerate(headers)}, len(found))
+        place = {header.frame: k for k, header in enumerate(headers)}
+        pixels_of = self._pixel_source(frames, products, place)
+        tracklets, linked = list(found), LinkedStreaks(place, len(found))
         # by time, so that tracklets of the same frames follow each other
         for number in sorted(range(len(found)), key=lambda k: int(found[k].frames.min())):
             tracklets[number], members = self._resolved(found[number], linked, headers, products, pixels_of)
@@ -198,7 +199,7 @@ class GroundChain:
         """A tracklet with its magnitude, and its members in frame order: directions, epochs, joint refit, brightness."""
         places = linked.places_of(tracklet)
         own = [headers[k] for k in dict.fromkeys(place for place, _ in places)]
-        given = [products[k].streaks[number] for k, number in places if 0 <= number < len(products[k].streaks)]
+        given = [products[k].streaks[number] for k, number in places]
         members = apply_links(given, (tracklet,), own)
         if self._options.joint_refit:
             members = refit_streaks(members, tracklet, own, lambda frame: products[linked.place[frame]].solution, pixels_of)
@@ -238,10 +239,9 @@ class GroundChain:
         return replace(streak, tracklet_id=-1, flags=streak.flags | StreakFlag.SINGLE_FRAME | veto)
 
     def _pixel_source(
-        self, frames: Sequence[DownlinkFrame], products: Sequence[FrameProducts], headers: Sequence[FrameHeader]
+        self, frames: Sequence[DownlinkFrame], products: Sequence[FrameProducts], place: Mapping[int, int]
     ) -> Callable[[StreakMeasurement], StreakPixels]:
-        """Calibrated pixels of single streaks; the last frames asked for are kept with their stars."""
-        place = {header.frame: k for k, header in enumerate(headers)}
+        """Calibrated pixels of single streaks; the last frames asked for are kept with their stars. place : of frame numbers."""
 
         @lru_cache(maxsize=FRAMES_REMEMBERED)
         def lit(number: int) -> tuple[DownlinkFrame, FrameLight]:

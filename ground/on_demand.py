@@ -1,5 +1,6 @@
 """Sequences whose items are made when they are asked for, so that a long run is never in memory as a whole."""
 
+from abc import abstractmethod
 from collections.abc import Callable, Sequence
 from functools import lru_cache
 from typing import TypeVar, overload
@@ -7,15 +8,11 @@ from typing import TypeVar, overload
 Item = TypeVar("Item")
 
 
-class OnDemand(Sequence[Item]):
-    """`length` items, item k being ``make(k)``; those last asked for are kept."""
+class ByPlace(Sequence[Item]):
+    """A sequence whose item at a place from 0 to its length is `_item(place)`."""
 
-    def __init__(self, length: int, make: Callable[[int], Item], *, keep: int = 1) -> None:
-        self._length = length
-        self._made = lru_cache(maxsize=keep)(make)
-
-    def __len__(self) -> int:
-        return self._length
+    @abstractmethod
+    def _item(self, place: int) -> Item: ...
 
     @overload
     def __getitem__(self, at: int) -> Item: ...
@@ -25,5 +22,19 @@ class OnDemand(Sequence[Item]):
 
     def __getitem__(self, at: int | slice) -> Item | Sequence[Item]:
         if isinstance(at, slice):
-            return [self._made(k) for k in range(self._length)[at]]
-        return self._made(range(self._length)[at])
+            return [self._item(k) for k in range(len(self))[at]]
+        return self._item(range(len(self))[at])
+
+
+class OnDemand(ByPlace[Item]):
+    """`length` items, item k being ``make(k)``; those last asked for are kept."""
+
+    def __init__(self, length: int, make: Callable[[int], Item], *, keep: int = 1) -> None:
+        self._length = length
+        self._made = lru_cache(maxsize=keep)(make)
+
+    def __len__(self) -> int:
+        return self._length
+
+    def _item(self, place: int) -> Item:
+        return self._made(place)

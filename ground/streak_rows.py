@@ -4,11 +4,12 @@ from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import accumulate
-from typing import Any, Final, overload
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.on_demand import ByPlace
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit, StreakMeasurement, Tracklet
 
@@ -45,7 +46,7 @@ ROW: Final = np.dtype(
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class StreakRows(Sequence[StreakMeasurement]):
+class StreakRows(ByPlace[StreakMeasurement]):
     """Streaks; a record is made when one is asked for.
 
     rows : (n,) of `ROW`. curves_e_px : (2, m) light curves one after the other, and their errors.
@@ -87,22 +88,11 @@ class StreakRows(Sequence[StreakMeasurement]):
     def __len__(self) -> int:
         return len(self.rows)
 
-    @overload
-    def __getitem__(self, at: int) -> StreakMeasurement: ...
-
-    @overload
-    def __getitem__(self, at: slice) -> Sequence[StreakMeasurement]: ...
-
-    def __getitem__(self, at: int | slice) -> StreakMeasurement | Sequence[StreakMeasurement]:
-        if isinstance(at, slice):
-            return [self._record(k) for k in range(len(self.rows))[at]]
-        return self._record(range(len(self.rows))[at])
-
-    def _record(self, k: int) -> StreakMeasurement:
-        row = self.rows[k]
+    def _item(self, place: int) -> StreakMeasurement:
+        row = self.rows[place]
         flags, fit_flags = row["flags"].tolist()
         period = float(row["period_fraction"])
-        curve, curve_err = self.curves_e_px[:, self.rows["curve_end"][k - 1] if k else 0 : row["curve_end"]]
+        curve, curve_err = self.curves_e_px[:, self.rows["curve_end"][place - 1] if place else 0 : row["curve_end"]]
         fit = StreakFit(
             covariance_px2=row["covariance_px2"],
             end_interval_px=row["end_interval_px"],
@@ -124,7 +114,7 @@ class StreakRows(Sequence[StreakMeasurement]):
         )
 
 
-class RunStreaks(Sequence[StreakMeasurement]):
+class RunStreaks(ByPlace[StreakMeasurement]):
     """Streaks of a run, one frame after the other. counts : of each frame; of_frame : those of the k-th frame."""
 
     def __init__(self, counts: Iterable[int], of_frame: Callable[[int], Sequence[StreakMeasurement]]) -> None:
@@ -138,18 +128,9 @@ class RunStreaks(Sequence[StreakMeasurement]):
         for k in range(len(self._first) - 1):
             yield from self._of_frame(k)
 
-    @overload
-    def __getitem__(self, at: int) -> StreakMeasurement: ...
-
-    @overload
-    def __getitem__(self, at: slice) -> Sequence[StreakMeasurement]: ...
-
-    def __getitem__(self, at: int | slice) -> StreakMeasurement | Sequence[StreakMeasurement]:
-        if isinstance(at, slice):
-            return [self[k] for k in range(len(self))[at]]
-        at = range(len(self))[at]
-        frame = bisect_right(self._first, at) - 1
-        return self._of_frame(frame)[at - self._first[frame]]
+    def _item(self, place: int) -> StreakMeasurement:
+        frame = bisect_right(self._first, place) - 1
+        return self._of_frame(frame)[place - self._first[frame]]
 
 
 class LinkedStreaks:

@@ -12,6 +12,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.detect.kept_frame import BEYOND
 from onboard.detect.static_sky import lit_pixels
 from onboard.detect.whiten import UNIT, blank_discs
 from sboc_e2e.icd.signals import StarList
@@ -30,9 +31,6 @@ MASKED_SIGMA: Final = 1.0
 
 FADED_SIGMA: Final = 0.1
 """A halo ends at the first ring that is fainter."""
-
-CLIPPED: Final = 127
-"""Saturated pixels hold this: columns that bled are no halo."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -58,7 +56,8 @@ def _ring_median(
         d2 = (i - row) ** 2
         far, near = math.sqrt(max(outer * outer - d2, 0.0)), math.sqrt(max(inner * inner - d2, 0.0))
         for j in range(max(0, math.ceil(col - far)), min(image.shape[1] - 1, math.floor(col + far)) + 1):
-            if abs(j - col) >= near and blocked[i, j] == 0 and image[i, j] < CLIPPED:
+            # saturated pixels are at the clip, and columns that bled are no halo
+            if abs(j - col) >= near and blocked[i, j] == 0 and image[i, j] < BEYOND:
                 counts[np.int32(image[i, j]) + 128] += 1
                 n += 1
     if n < 20:

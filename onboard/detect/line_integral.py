@@ -26,7 +26,7 @@ from onboard.detect import (
     whiten,
 )
 from onboard.detect.kept_frame import KeptFrame, kept
-from onboard.detect.star_removal import POINT_CLIP_SIGMA, TILE_PX, WorkingImages, snr_before, working_images
+from onboard.detect.star_removal import POINT_CLIP_SIGMA, TILE_PX, WorkingImages, noise_e, snr_before, working_images
 from onboard.nearest import nearest
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView
@@ -234,7 +234,7 @@ def short_detections(
         MAX_TRAILS,
     )
     before = snr_before(earlier, table[:, 2], table[:, 3], s_px)
-    sigma_e = float(np.median(view.background.sigma_adu)) * (view.header.gain_e_adu or 1.0)
+    sigma_e = noise_e(view)
     found = []
     for (_, snr, row, col, angle, length), then in zip(table, before, strict=True):
         if not (snr - max(then, 0.0) > n_sigma and point_movers.rise_sigma(snr, then, s_px, sigma_e) > VARIED_SIGMA):

@@ -93,19 +93,25 @@ def remove_stars_alone(
         stars.snr,
         psf_sigma_px,
     )
-    mask_stars(view, star_mask.by_row(stars.row)[~pieces[star_mask.by_row(stars.row)]], image, blocked, halo_px)
+    order = star_mask.by_row(stars.row)
+    mask_stars(view, order[~pieces[order]], image, blocked, halo_px)
     return ~pieces
+
+
+def noise_e(view: DetectorView) -> float:
+    """Noise of a pixel, e-; ADU where the gain is not known."""
+    return float(np.median(view.background.sigma_adu)) * (view.header.gain_e_adu or 1.0)
 
 
 def mask_stars(
     view: DetectorView, chosen: NDArray[np.intp], image: NDArray[np.int8], blocked: NDArray[np.uint8], halo_px: float
 ) -> halos.Halos:
     """Mask some of the listed stars, those from `halos.HALO_SNR` on with their halos as they are measured; in place."""
-    snr, sigma_e = view.stars.snr[chosen], float(np.median(view.background.sigma_adu)) * (view.header.gain_e_adu or 1.0)
+    snr = view.stars.snr[chosen]
     bright = snr >= halos.HALO_SNR
     radii = star_mask.mask_radii_px(snr, view.psf_sigma_px, np.where(bright, 0.0, halo_px))
     whiten.blank_discs(image, blocked, view.stars.row[chosen], view.stars.col[chosen], radii)
-    return halos.take_out(image, blocked, view.stars, chosen[bright], radii[bright], sigma_e)
+    return halos.take_out(image, blocked, view.stars, chosen[bright], radii[bright], noise_e(view))
 
 
 def remove_static_stars(

@@ -17,6 +17,7 @@ from sboc_e2e.compare.pages import completeness_plot, froc_plot, write_pages
 from sboc_e2e.compare.paired import Outcomes, difference, froc, mcnemar
 from sboc_e2e.files.atomic import require_writable, write_text
 from sboc_e2e.icd.errors import UserError
+from sboc_e2e.icd.results import LARGEST_SNR
 from sboc_e2e.icd.signals import Detection
 from sboc_e2e.registry import SEAMS, Registry
 from sboc_e2e.report import pictures
@@ -34,9 +35,6 @@ from sboc_e2e.score.matching import SNR_IGNORED, distance_to_path
 
 PAIR_SNR: Final = 5.0
 """Pairs are judged on truth above this S/N: below it nobody finds anything, and agreement is empty."""
-
-FLAGGED_BEHIND: Final = 1e9
-"""More than any S/N."""
 
 MAX_GALLERY: Final = 24
 SMALL_PX: Final = 20_000_000
@@ -199,7 +197,7 @@ def _outcomes(evaluations: dict[str, list[Evaluation]], onboard: bool) -> Outcom
 
 def _rank(detection: Detection) -> float:
     """Detections fall behind all others, in the order of their S/N, once flagged as no debris: so they are sent."""
-    return detection.snr - (FLAGGED_BEHIND if detection.flags & IMPOSTOR else 0.0)
+    return detection.snr - (LARGEST_SNR if detection.flags & IMPOSTOR else 0.0)
 
 
 def _froc(evaluations: Sequence[Evaluation], onboard: bool) -> list[list[float]]:

@@ -7,6 +7,7 @@ each row are JSON lists, as the format prescribes.
 import json
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from pathlib import Path
 from typing import IO, Any, Final
 
@@ -83,16 +84,24 @@ def write_parts(
 
 def write_table(path: Path, table: Table) -> None:
     """Write an astropy table atomically, with its units, descriptions and string metadata."""
+    write_pieces(path, [table])
+
+
+def write_pieces(path: Path, pieces: Iterable[Table]) -> None:
+    """The same from consecutive pieces of one table, at least one, holding one in memory; the first says what columns are."""
+    left = iter(pieces)
+    first = next(left)
     columns = [
         TableColumn(
             name=name,
-            dtype=np.dtype((table[name].dtype, table[name].shape[1:])),
-            unit=str(table[name].unit or ""),
-            text=str(table[name].description or ""),
+            dtype=np.dtype((first[name].dtype, first[name].shape[1:])),
+            unit=str(first[name].unit or ""),
+            text=str(first[name].description or ""),
         )
-        for name in table.colnames
+        for name in first.colnames
     ]
-    write(path, columns, table.as_array(), [(str(key), str(value)) for key, value in table.meta.items()])
+    meta = [(str(key), str(value)) for key, value in first.meta.items()]
+    write_parts(path, columns, (piece.as_array() for piece in chain((first,), left)), meta)
 
 
 def _write(

@@ -37,7 +37,6 @@ from sboc_e2e.run.directory import RunDirectory
 from sboc_e2e.run.measure import Meter, peak_rss_mb, reset_peak, stage_figures
 from sboc_e2e.run.progress import Progress
 from sboc_e2e.run.states import StateKeeper
-from sboc_e2e.run.table_pieces import write_pieces
 from sboc_e2e.scenario import Scenario
 
 STAGE = "ground"
@@ -176,10 +175,10 @@ class GroundStage:
         """The tables and messages of products/."""
         options = self.options
         pieces = (_with_origin(table, self.outside.origin) for table in tables.frames_tables(result, frames))
-        write_pieces(folder / "frames.ecsv", pieces)
-        write_pieces(folder / "stars.ecsv", tables.stars_tables(result, frames))
-        write_pieces(folder / "streaks.ecsv", tables.streaks_tables(result))
-        write_pieces(folder / "light_curves.ecsv", trail_light_tables(result))
+        ecsv.write_pieces(folder / "frames.ecsv", pieces)
+        ecsv.write_pieces(folder / "stars.ecsv", tables.stars_tables(result, frames))
+        ecsv.write_pieces(folder / "streaks.ecsv", tables.streaks_tables(result))
+        ecsv.write_pieces(folder / "light_curves.ecsv", trail_light_tables(result))
         ecsv.write_table(folder / "tracklets.ecsv", tables.tracklets_table(result))
         ecsv.write_table(folder / "orbits.ecsv", tables.orbits_table(result))
         oem = oem_text(result.headers, options.products)

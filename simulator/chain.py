@@ -24,8 +24,8 @@ from sboc_e2e import truth
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader, NominalCamera
+from simulator.camera import Camera
 from simulator.exposure import render_stars
-from simulator.optics.camera import Camera
 from simulator.options import SimulatorOptions
 from simulator.platform import earth
 from simulator.platform.carrier import Carrier

@@ -1,17 +1,17 @@
 """`ground.astrometry: camera_fit`: match the star list, fit the camera, learn its distortion over the run."""
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ground.astrometry import lost_in_space
-from ground.astrometry.apparent import apparent_directions, jyear_of, mid_frame_tai_ns, observer_at
 from ground.astrometry.camera import SHARED, Camera
 from ground.astrometry.camera_fit import CameraPrior, CameraSolution, fit_camera
 from ground.astrometry.matching import mutual_pairs, vote_offset
-from ground.astrometry.rotation import matrix_of, quaternion_of, rotation_by
+from ground.sky.apparent import apparent_directions, jyear_of, mid_frame_tai_ns, observer_at
+from ground.sky.rotation import matrix_of, quaternion_of, rotation_by
 from ground.sky.sphere import ARCSEC_RAD
 from sboc_e2e.catalogue import CatalogueFlag, StarCatalogue, Stars
 from sboc_e2e.icd.downlink import DownlinkFrame
@@ -273,7 +273,7 @@ def unsolved(
         quaternion=np.array([0.0, 0.0, 0.0, 1.0]) if matrix is None else quaternion_of(matrix),
         rate_rad_s=np.zeros(3) if rate is None else rate,
         covariance_rad2=np.full((3, 3), np.nan),
-        **asdict(camera),
+        camera=camera,
         n_stars=0,
         rms_px=float("nan"),
         star_index=np.zeros(0, dtype=np.int32),
@@ -328,7 +328,7 @@ def _solution_of(
         quaternion=quaternion_of(fit.matrix),
         rate_rad_s=rate,
         covariance_rad2=fit.covariance[:3, :3],
-        **asdict(camera),
+        camera=camera,
         n_stars=int(used.sum()),
         rms_px=float(np.sqrt(np.mean(fit.residual_px[used] ** 2))),
         star_index=listed[used].astype(np.int32),

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.astrometry.camera import ATTITUDE, SHARED, Camera
-from ground.astrometry.rotation import rotation_by
+from ground.sky.rotation import rotation_by
 
 Array = NDArray[np.float64]
 

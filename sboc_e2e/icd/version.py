@@ -16,8 +16,8 @@ HISTORY: Final = (
     ("2.1", "codec 4, rans; mirrored frame solutions; detectors that choose what their history holds; cameras of unknown PSF"),
     (
         "2.2",
-        "frame solutions carry a camera of any model (pixel to direction and back) instead of Brown-Conrady numbers; the table of "
-        "frames has the directions of a 9 x 9 grid of pixels, and the columns that the camera's model names",
+        "frame solutions carry a camera of any model (pixel to direction and back) instead of Brown-Conrady numbers; the table "
+        "of frames has the directions of a 9 x 9 grid of pixels, and the columns that the camera's model names",
     ),
 )
 """The major number grows when a decoder of the version before would take something for what it is not, the minor one when it

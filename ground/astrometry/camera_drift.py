@@ -38,8 +38,8 @@ CHANGES_S: Final = 1000.0
 """Mean time after which a motion gives way to another one: eclipses and slews are this far apart. Longer gaps count as this."""
 
 FORGETS: Final = 3
-"""A star that crosses the field pulls the focal length one way first and the other way later, so the bias forgets faster than the
-field moves: for a field that moved by the share d the focal length's correlation is 1 - 2 d at first, with k1 free 1 - 3 d or less."""
+"""A star that crosses the field pulls the focal length one way first and the other way later, so the bias forgets faster than
+the field moves: after a move by the share d of the field its correlation is 1 - 2 d, with k1 free 1 - 3 d or less."""
 
 LEAST_WEIGHT: Final = 1e-12
 UNKNOWN: Final = 1e-9

@@ -1,6 +1,7 @@
-"""The camera's shared parameters over many frames of the same stars: with and without thermal drift, errors mean what they say."""
+"""The camera's shared parameters over frames of the same stars: with and without thermal drift, errors mean what they say."""
 
 from collections.abc import Callable
+
 import numpy as np
 import pytest
 

@@ -55,7 +55,9 @@ def attributable_of(tracklet: Tracklet, sigma_floor_arcsec: float) -> Attributab
 
     axes = _axes(unit.mean(axis=0))
     nominal = np.zeros(2)
-    n_terms = min(3, len(np.unique(t_ns)))
+    # the cubic of a near object's passage would go into the rate, and with the speed of its approach into the curvature
+    n_epochs = len(np.unique(t_ns))
+    n_terms = min(4 if n_epochs >= 6 else 3, n_epochs)
     for _ in range(2):
         plane = unit @ axes[:2].T / (unit @ axes[2])[:, None]
         terms = np.vander(t_s, n_terms, increasing=True)

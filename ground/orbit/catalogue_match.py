@@ -162,17 +162,17 @@ def match_catalogue(
         nearest = dict.fromkeys(known.numbers[k] for k in within[np.argsort(sigmas[within], kind="stable")])
         best_of = {n: min((k for k in within if known.numbers[k] == n), key=lambda k: sigmas[k]) for n in nearest}
 
-        def chance_of(k: int, angle=angle, rate_error=rate_error, sigmas=sigmas, size=size, data=data) -> float:
-            """Chance that an object other than k matches as well."""
+        reach_rad_s = _RATE_SHARE * float(np.hypot(*data.rate_rad_s))
+        chances: dict[int, float] = {}
+        for k in (best, *(int(one) for one in best_of.values())):
             others = known.numbers != known.numbers[k]
-            density = local_density(angle[others], rate_error[others], _RATE_SHARE * float(np.hypot(*data.rate_rad_s)))
-            return chance_probability(density, float(sigmas[k]), float(size[k]))
-
+            density = local_density(angle[others], rate_error[others], reach_rad_s)
+            chances[k] = chance_probability(density, float(sigmas[k]), float(size[k]))
         candidates = tuple(
-            Candidate(number=int(n), name=known.names[k], sigmas=float(sigmas[k]), chance_probability=chance_of(k))
+            Candidate(number=int(n), name=known.names[int(k)], sigmas=float(sigmas[k]), chance_probability=chances[int(k)])
             for n, k in best_of.items()
         )
-        chance = chance_of(best)
+        chance = chances[best]
         out.append(
             CatalogueMatch(
                 tracklet_id=tracklet.tracklet_id,
@@ -212,9 +212,9 @@ def _nothing_near(tracklet_id: int) -> CatalogueMatch:
 def local_density(angle_rad: NDArray[np.float64], rate_error_rad_s: NDArray[np.float64], rate_reach_rad_s: float) -> float:
     """Predicted objects per sr and (rad/s)^2 around a tracklet.
 
-    angle_rad, rate_error_rad_s : (n,) distances of the objects from it in place and in rate. A cell that is 18 deg wide in place and
-    `rate_reach_rad_s` in rate shrinks in both until it holds `_NEIGHBOURS` objects: the density is (k - 1) / volume, which has no bias
-    (Loftsgaarden & Quesenberry 1965, Ann. Math. Statist. 36, 1049). With fewer, half an object is added.
+    angle_rad, rate_error_rad_s : (n,) distances of the objects from it in place and in rate. A cell that is 18 deg wide in place
+    and `rate_reach_rad_s` in rate shrinks in both until it holds `_NEIGHBOURS` objects: the density is (k - 1) / volume, without
+    bias (Loftsgaarden & Quesenberry 1965, Ann. Math. Statist. 36, 1049). With fewer, half an object is added.
     """
     widest = np.arccos(_FIELD_COSINE)
     reach = max(rate_reach_rad_s, ARCSEC_RAD)

@@ -48,8 +48,8 @@ class ObserverArc:
 
     t_tai_ns : (n,) nodes, rising, from `REACH_S` before the first fix to as much after the last. state : (n, 6) km, km/s;
     covariance : (n, 6, 6). kind : "orbit" or "site". first_tai_ns, last_tai_ns : epochs of the first and last fix.
-    n_fixes, n_rejected : used and left out as outliers. scatter : (2,) fresh errors of positions and velocities by the stated ones.
-    push_km_s2 : unmodelled acceleration allowed for.
+    n_fixes, n_rejected : used and left out as outliers. scatter : (2,) fresh errors of positions and of velocities by the
+    stated ones. push_km_s2 : unmodelled acceleration allowed for.
     """
 
     t_tai_ns: NDArray[np.int64]
@@ -153,7 +153,7 @@ def _arc(fixes: Sequence[ObserverState]) -> ObserverArc:
     start = _moved(state[first : first + 1], np.array([-(fix_ns[first] - node_ns[0]) * 1e-9]), spin)[0]
     doubt = stated[first] * 100.0
     doubt[:3] += doubt[3:] * abs(t_s[place[first]])
-    best: tuple[float, float, Array, Array, Array, NDArray[np.bool_]] | None = None
+    tried: list[tuple[float, float, Array, Array, Array, NDArray[np.bool_]]] = []
     for push in (0.0,) if spin.any() else _PUSHES_KM_S2:
         scatter, kept = np.ones(2), good.copy()
         for _ in range(4):
@@ -169,9 +169,8 @@ def _arc(fixes: Sequence[ObserverState]) -> ObserverArc:
             kept = good & (np.abs(pull / np.repeat(scatter, 3)).max(axis=1) < _REJECTED_SIGMA)
             if not kept.any():
                 kept = good.copy()
-        if best is None or fitness > best[0] + _CLEARLY_BETTER:
-            best = (fitness, push, smoothed, covariance, scatter, kept)
-    assert best is not None
+        tried.append((fitness, push, smoothed, covariance, scatter, kept))
+    best = tried[-1] if tried[-1][0] > tried[0][0] + _CLEARLY_BETTER else tried[0]
     _, push, smoothed, covariance, scatter, kept = best
     return ObserverArc(
         t_tai_ns=node_ns,
@@ -242,7 +241,7 @@ def _agreeing(t_s: Array, state: Array, sigma: Array, spin: Array) -> NDArray[np
 
 
 def _scatter(pull: Array, covariance: Array, stated: Array, kept: NDArray[np.bool_]) -> Array:
-    """Fresh errors (2,) of positions and velocities in units of the stated ones, from the residuals and what the fit took of them.
+    """Fresh errors (2,) of positions and velocities in units of the stated ones, from the residuals and the fit's own.
 
     Three numbers that say one are added, for arcs of few fixes.
     """

@@ -21,8 +21,8 @@ _LOG_CUT = 14.0
 class Posterior:
     """Weighted orbits: weight (n,) sums to one; range_km, a_km, e, i_rad (n,). log_range (k,) and density (k,) per ln range.
 
-    range_rate_km_s, rate_width_km_s : (n,) and how much of the range rate each stands for. rate_shift_rad_s : (n, 2) correction of
-    the nominal transverse rate.
+    range_rate_km_s, rate_width_km_s : (n,) and how much of the range rate each stands for. rate_shift_rad_s : (n, 2) correction
+    of the nominal transverse rate.
     """
 
     weight: NDArray[np.float64]

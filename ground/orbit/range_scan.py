@@ -196,7 +196,7 @@ class RangeScan:
 
 
 def problem_of(data: Attributable, observer: NDArray[np.float64], at_node_km: NDArray[np.float64]) -> Problem:
-    """The arrays of the scan; observer : state (6,) km, km/s at the attributable's reference epoch; at_node_km : (k, 3) places."""
+    """The arrays of the scan; observer : state (6,) km, km/s at the reference epoch; at_node_km : (k, 3) places."""
     lower = np.linalg.cholesky(data.rate_covariance + 1e-24 * np.eye(2))
     return Problem(
         observer=observer,

@@ -19,14 +19,14 @@ Array = NDArray[np.float64]
 N_STATE = 15
 _LONGEST_STEP_S = 20.0
 _PROBE = np.array([1e-2, 1e-2, 1e-2, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5])
-"""Steps of position (km), velocity (km/s) and acceleration (km/s^2) for the derivatives of the motion, which is close to linear."""
+"""Steps of position (km), velocity (km/s) and acceleration (km/s^2) for derivatives of the motion, which is close to linear."""
 
 
 class ArcModel(NamedTuple):
     """How an arc moves and how its fixes err.
 
-    spin : (3,) rad/s of the Earth for a camera that turns with it, zeros for one in orbit. push_km_s2, push_time_s : one sigma and
-    correlation time of the unmodelled acceleration. steady : (6,) one sigma of the error that all fixes share.
+    spin : (3,) rad/s of the Earth for a camera that turns with it, zeros for one in orbit. push_km_s2, push_time_s : one sigma
+    and correlation time of the unmodelled acceleration. steady : (6,) one sigma of the error that all fixes share.
     """
 
     spin: Array
@@ -108,8 +108,8 @@ def smooth_arc(
 ) -> tuple[Array, Array, float]:
     """States (n, 15), covariances (n, 15, 15) at the nodes, and the logarithm of the likelihood of the fixes.
 
-    t_s : (n,) rising. fix, sigma : (n, 6) km, km/s; used : (n,) False for nodes without a fix. start, start_sigma : (6,) a state at
-    the first node and how little it is believed.
+    t_s : (n,) rising. fix, sigma : (n, 6) km, km/s; used : (n,) False for nodes without a fix. start, start_sigma : (6,) a state
+    at the first node and how little it is believed.
     """
     n = len(t_s)
     filtered, predicted = np.empty((n, N_STATE)), np.empty((n, N_STATE))

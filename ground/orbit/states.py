@@ -1,4 +1,4 @@
-"""The posterior of a tracklet as states: equally probable samples, their mean and covariance, and whether these two say it all."""
+"""The posterior of a tracklet as states: equally probable samples, their mean and covariance, and whether these say it all."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -47,7 +47,7 @@ class Shape:
         """The figures beside what is allowed."""
         return (
             f"largest deviation of a distribution function from the normal one {self.deviation:.3f} (Gaussian below "
-            f"{_LARGEST_DEVIATION:g}), beyond the 99.9 % surface {100 * self.tail:.2f} % (Gaussian below {100 * _LARGEST_TAIL:g} %)"
+            f"{_LARGEST_DEVIATION:g}), share beyond the 99.9 % surface {100 * self.tail:.2f} % (below {100 * _LARGEST_TAIL:g} %)"
         )
 
 
@@ -68,8 +68,8 @@ def shape_of(samples: Array) -> Shape:
 def state_of(posterior: Posterior, data: Attributable, problem: Problem, observer_covariance: Array) -> OrbitState:
     """States at the attributable's reference epoch: direction, rate, range and range rate, and where the camera was.
 
-    observer_covariance : (6, 6) km, km/s at that epoch. The samples come from the weighted orbits by systematic resampling in order
-    of their range (Kitagawa 1996, J. Comput. Graph. Stat. 5, 1), so that none is left out that weighs as much as one sample.
+    observer_covariance : (6, 6) km, km/s at that epoch. The samples come from the weighted orbits by systematic resampling in
+    order of their range (Kitagawa 1996, J. Comput. Graph. Stat. 5, 1), so that none is left out that weighs as much as a sample.
     """
     rng = np.random.default_rng(_SEED)
     order = np.lexsort((posterior.range_rate_km_s, posterior.range_km))
@@ -120,7 +120,7 @@ def _states(
     rate_shift: Array,
     place_noise: Array,
 ) -> Array:
-    """States (n, 6) at the reference epoch of weighted orbits (n,); place_noise (n, 2) of the direction once the rate is given."""
+    """States (n, 6) at the reference epoch of weighted orbits (n,); place_noise (n, 2) : of the direction at a given rate."""
     n, k2 = len(range_km), len(problem.linear)
     out = np.empty((n, 6))
     work, path = np.empty(6), np.empty(k2)

@@ -20,13 +20,13 @@ def lacking(products: GroundProducts, *, orbits_wanted: bool) -> list[str]:
     unplaced = sum(h.observer is None for h in headers)
     if unplaced == n:
         said.append(
-            "no frame has a state of the observer (GPS): observer.oem is not written, no orbit is determined, and the aberration of the "
-            "observer's velocity is not removed from directions"
+            "no frame has a state of the observer (GPS): observer.oem is not written, no orbit is determined, and "
+            "the aberration of the observer's velocity is not removed from directions"
         )
     elif unplaced:
         said.append(
-            f"{unplaced} of {n} frames have no state of the observer (NO_OBSERVER): the aberration of its velocity is not removed from "
-            "directions in them"
+            f"{unplaced} of {n} frames have no state of the observer (NO_OBSERVER): the aberration of its velocity is not "
+            "removed from directions in them"
         )
     unpointed = sum(h.attitude is None for h in headers)
     if unpointed:

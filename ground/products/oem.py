@@ -18,7 +18,7 @@ _COVARIANCE_STEP: Final = 10
 
 
 def oem_text(headers: Sequence[FrameHeader], names: ProductOptions) -> str | None:
-    """The message: a state for each second of each arc, from the first frame or fix to the last; None when no frame has a state."""
+    """The message: a state for each second of each arc, from first frame or fix to last; None when no frame has a state."""
     orbit = observer_orbit(headers)
     if orbit is None:
         return None
@@ -79,14 +79,12 @@ def _how_made(arc: ObserverArc) -> list[str]:
     if arc.kind == "site":
         motion = "a point that turns with the Earth about the pole of date"
     else:
-        motion = (
-            f"two-body motion with J2 and an unmodelled acceleration of {1e6 * arc.push_km_s2:.2g} mm/s2, one sigma, over 600 s"
-        )
+        motion = f"two-body motion, J2, an unmodelled acceleration of {1e6 * arc.push_km_s2:.2g} mm/s2 (one sigma, over 600 s)"
     position, velocity = arc.scatter
     return [
         f"Smoothed orbit of the observer, the one that all orbits were computed with: {motion}",
         f"Least squares (filter and smoother) through {arc.n_fixes} telemetered fixes; {arc.n_rejected} outliers left out",
-        f"Fresh errors of the fixes: {position:.2f} (positions) and {velocity:.2f} (velocities) of the stated sigma; the rest of it is "
-        "taken as common to all and is in the covariance",
+        f"Fresh errors of the fixes: {position:.2f} (positions), {velocity:.2f} (velocities) of the stated sigma; the rest of it "
+        "is taken as common to all and is in the covariance",
         "Epochs are those of the on-board clock",
     ]

@@ -24,9 +24,7 @@ def opm_text(estimate: OrbitEstimate, names: ProductOptions, created_tai_ns: int
     bias = frame_bias()
     if state.gaussian:
         chosen = state.mean
-        kind = [
-            "State and covariance: mean and second moments of the posterior of this tracklet alone; it is Gaussian by the test below"
-        ]
+        kind = ["State and covariance: mean and second moments of this tracklet's posterior, which is Gaussian by the test below"]
     else:
         chosen = _most_central(state.sample_state, state.mean, state.covariance)
         kind = [
@@ -39,11 +37,11 @@ def opm_text(estimate: OrbitEstimate, names: ProductOptions, created_tai_ns: int
         "CCSDS_OPM_VERS = 2.0",
         f"CREATION_DATE = {utc_text([created_tai_ns], 3)[0]}",
         f"ORIGINATOR = {names.originator}",
-        f"COMMENT Orbit of tracklet {estimate.tracklet_id} from an arc of seconds: the prior carries most of what is known of the range",
+        f"COMMENT Orbit of tracklet {estimate.tracklet_id} from an arc of seconds: the prior carries the range",
         f"COMMENT Prior: {estimate.prior}",
         *(f"COMMENT {text}" for text in kind),
         f"COMMENT Test: {state.shape}",
-        f"COMMENT Range: {estimate.range_km[1]:.4g} km, 90 % of the posterior in {estimate.range_km[0]:.4g} to {estimate.range_km[2]:.4g}",
+        "COMMENT Range {1:.4g} km, 90 % of the posterior in {0:.4g} to {2:.4g}".format(*estimate.range_km),
         f"OBJECT_NAME = UCT-{estimate.tracklet_id:06d}",
         "OBJECT_ID = UNKNOWN",
         "CENTER_NAME = EARTH",

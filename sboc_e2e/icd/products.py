@@ -202,7 +202,7 @@ class Tracklet:
 class OrbitState:
     """Posterior of an object's place and velocity at one epoch, GCRS axes, geocentric, km and km/s.
 
-    t_tai_ns : the epoch at which the states hold (not that at which light left). mean, covariance : (6,), (6, 6) of the posterior.
+    t_tai_ns : the epoch at which the states hold (not that at which light left). mean (6,), covariance (6, 6) : of the posterior.
     gaussian : whether these describe it; if not, only the samples do. shape : the figures of that test, in words.
     sample_weight : (n,) sums to one; sample_state : (n, 6).
     """
@@ -231,9 +231,9 @@ class OrbitEstimate:
 
     range_posterior : density per km on range_grid_km.
     modes : (k, 5) range_km, weight, a_km, e, i_deg. prior : what was assumed, in words.
-    node_deg, perigee_deg, mean_anomaly_deg, latitude_argument_deg : (3,) medians in [0, 360), the other two points beside them without
-    a jump at 360; NaN when not estimated. state : the posterior as states; None without one. lacks : why nothing was estimated,
-    in words; empty when something was.
+    node_deg, perigee_deg, mean_anomaly_deg, latitude_argument_deg : (3,) medians in [0, 360), the other two points beside them
+    without a jump at 360; NaN when not estimated. state : the posterior as states; None without one. lacks : why nothing was
+    estimated, in words; empty when something was.
     """
 
     tracklet_id: int

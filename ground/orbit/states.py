@@ -31,7 +31,8 @@ _TAIL_CHI2: Final = 22.458
 class Shape:
     """How far samples are from a normal distribution with their mean and covariance.
 
-    deviation : largest difference of distribution functions, over the six principal axes and the distance from the mean.
+    deviation : largest difference of distribution functions, over the six coordinates, the six principal axes and the
+    distance from the mean.
     tail : share beyond the surface that should leave out 0.1 %.
     """
 
@@ -59,7 +60,7 @@ def shape_of(samples: Array) -> Shape:
     value, axes = np.linalg.eigh(np.cov((offset / scale).T, bias=True))
     whitened = (offset / scale) @ axes / np.sqrt(np.maximum(value, 1e-14))
     middle = ((np.arange(n) + 0.5) / n)[:, None]
-    each = np.abs(ndtr(np.sort(whitened, axis=0)) - middle).max()
+    each = np.abs(ndtr(np.sort(np.hstack([whitened, offset / scale]), axis=0)) - middle).max()
     square = np.sort((whitened**2).sum(axis=1))
     radial = np.abs(gammainc(0.5 * k, 0.5 * square) - middle[:, 0]).max()
     return Shape(deviation=float(max(each, radial)), tail=float((square > _TAIL_CHI2).mean()))

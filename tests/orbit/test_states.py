@@ -86,7 +86,7 @@ def test_a_near_object_s_approach_is_measured_without_bias() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize("population", ["catalogue", "natural"])
 def test_states_are_consistent(population: str) -> None:
-    """480 passing objects, of which 150 or more are published with a covariance: their mean NEES is 0.9 to 1.1.
+    """540 passing objects, of which 150 or more are published with a covariance: their mean NEES is 0.9 to 1.1.
 
     What is not Gaussian is calibrated too: 90 % intervals of node, perigee and anomaly hold 84 to 95 % (4 sigma).
     """
@@ -94,7 +94,7 @@ def test_states_are_consistent(population: str) -> None:
     own = {"breakup_share_small": 0.0, "breakup_share_large": 0.0} if population == "catalogue" else {}
     # directions of the generator have no error but their own, for which the step would add a floor
     step = RangeScan(albedo_sigma_ln=0.0, sigma_floor_arcsec=0.0, **own)
-    values, inside, n = [], np.zeros(3), 480
+    values, inside, n = [], np.zeros(3), 540
     for one in draw_encounters(n, rng, population=population, pool=400_000, passes=True):
         tracklet, headers = observed(one, rng, steady=0.7)
         got = step.estimate(tracklet, headers)

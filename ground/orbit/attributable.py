@@ -22,7 +22,8 @@ class Attributable:
     axes : (3, 3) rows e1, e2 (tangent plane) and the direction itself. rate_rad_s : (2,) along e1, e2 of the nominal motion.
     node_s : (k,) epochs after the reference at which a model gives plane coordinates s = (x_1..x_k, y_1..y_k).
     chi2 = constant - 2 linear.s + s.quadratic.s once the four free numbers are fitted; correction of the rate for a model is
-    rate_offset - rate_matrix s (2, 2k), with covariance rate_covariance (2, 2) in rad^2/s^2.
+    rate_offset - rate_matrix s (2, 2k), with covariance rate_covariance (2, 2) in rad^2/s^2. In the same way the direction at the
+    reference epoch is place_offset - place_matrix s in the tangent plane; covariance (4, 4) of direction and rate together.
     """
 
     t_ref_tai_ns: int
@@ -35,6 +36,9 @@ class Attributable:
     rate_offset: NDArray[np.float64]
     rate_matrix: NDArray[np.float64]
     rate_covariance: NDArray[np.float64]
+    place_offset: NDArray[np.float64]
+    place_matrix: NDArray[np.float64]
+    covariance: NDArray[np.float64]
 
 
 def attributable_of(tracklet: Tracklet, sigma_floor_arcsec: float) -> Attributable | None:
@@ -51,7 +55,9 @@ def attributable_of(tracklet: Tracklet, sigma_floor_arcsec: float) -> Attributab
 
     axes = _axes(unit.mean(axis=0))
     nominal = np.zeros(2)
-    n_terms = min(3, len(np.unique(t_ns)))
+    # the cubic of a near object's passage would go into the rate, and with the speed of its approach into the curvature
+    n_epochs = len(np.unique(t_ns))
+    n_terms = min(4 if n_epochs >= 6 else 3, n_epochs)
     for _ in range(2):
         plane = unit @ axes[:2].T / (unit @ axes[2])[:, None]
         terms = np.vander(t_s, n_terms, increasing=True)
@@ -86,6 +92,9 @@ def attributable_of(tracklet: Tracklet, sigma_floor_arcsec: float) -> Attributab
         rate_offset=(solve @ data)[2:],
         rate_matrix=(solve @ model)[2:],
         rate_covariance=covariance[2:, 2:],
+        place_offset=(solve @ data)[:2],
+        place_matrix=(solve @ model)[:2],
+        covariance=covariance,
     )
 
 

@@ -24,7 +24,7 @@ from sboc_e2e.icd.downlink import DownlinkFrame, Housekeeping
 from sboc_e2e.icd.errors import PluginError
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
-from sboc_e2e.icd.products import FrameSolution, PhotometricSolution, StreakMeasurement
+from sboc_e2e.icd.products import FrameSolution, OrbitEstimate, PhotometricSolution, StreakMeasurement
 from sboc_e2e.icd.signals import StarList
 from sboc_e2e.icd.version import CONTRACT_VERSION
 
@@ -330,6 +330,17 @@ def orbits_table(products: GroundProducts) -> Table:
             (f"{name}{point}{suffix}", values[:, k], unit, f"{text}, {share} of the posterior")
             for k, (point, share) in enumerate((("_low", "5 %"), ("", "median"), ("_high", "95 %")))
         ]
+    for name, text in (
+        ("node", "right ascension of the ascending node"),
+        ("perigee", "argument of perigee"),
+        ("mean_anomaly", "mean anomaly"),
+        ("latitude_argument", "angle from the ascending node"),
+    ):
+        values = np.array([getattr(o, f"{name}_deg") for o in orbits]).reshape(-1, 3)
+        columns += [
+            (f"{name}{point}_deg", values[:, k], "deg", f"{text}, {share} of the posterior, no jump at 360 beside the median")
+            for k, (point, share) in enumerate((("_low", "5 %"), ("", "median"), ("_high", "95 %")))
+        ]
     columns += [
         (
             "modes",
@@ -339,8 +350,22 @@ def orbits_table(products: GroundProducts) -> Table:
         ),
         ("prior", _text([o.prior for o in orbits]), None, "what was assumed"),
         ("converged", np.array([o.converged for o in orbits], dtype=bool), None, "whether the arc says anything"),
+        (
+            "gaussian",
+            np.array([o.state is not None and o.state.gaussian for o in orbits], dtype=bool),
+            None,
+            "whether a mean and a covariance describe the posterior of the state (then the OPM has them)",
+        ),
+        ("state", _text([_state_words(o) for o in orbits]), None, "how Gaussian the state is, or why there is none"),
     ]
     return _table(columns, "orbits")
+
+
+def _state_words(orbit: OrbitEstimate) -> str:
+    """Figures of the test of a state, or what is lacking for one."""
+    if orbit.state is not None:
+        return orbit.state.shape
+    return f"none: {orbit.lacks}" if orbit.lacks else "none: the orbit step gives no state"
 
 
 def _parts(n_frames: int) -> Iterator[range]:
@@ -426,13 +451,24 @@ def _or_nan(value: float | None) -> float:
 
 
 def known_table(products: GroundProducts, matches: Sequence[CatalogueMatch]) -> Table:
-    """One row for each tracklet: the best catalogue object, or '-' and NaN where none could be compared."""
+    """One row for each tracklet: the nearest catalogue object and all that would do; '-' and NaN where none could be compared."""
     by_tracklet = {match.tracklet_id: match for match in matches}
     found = [by_tracklet.get(t.tracklet_id) for t in products.tracklets]
     columns: list[Spec] = [
         ("tracklet_id", [t.tracklet_id for t in products.tracklets], None, "tracklet"),
-        ("known", np.array([m is not None and m.known for m in found], dtype=bool), None, "whether a catalogue object fits"),
-        ("name", _text([m.name if m is not None and m.known else "-" for m in found]), None, "object that fits best"),
+        (
+            "known",
+            np.array([m is not None and m.known for m in found], dtype=bool),
+            None,
+            "whether one catalogue object fits, no other, and chance gives no such match",
+        ),
+        (
+            "status",
+            _text([_status(m) for m in found]),
+            None,
+            "known; ambiguous: candidates are hypotheses; unknown: none fits; not compared: no directions or no observer orbit",
+        ),
+        ("name", _text([m.name if m is not None and m.known else "-" for m in found]), None, "object, when known"),
         ("number", np.array([m.number if m is not None and m.known else -1 for m in found], dtype=np.int64), None, "its number"),
     ]
     for name, unit, text in (
@@ -441,8 +477,29 @@ def known_table(products: GroundProducts, matches: Sequence[CatalogueMatch]) -> 
         ("rate_residual_arcsec_s", "arcsec / s", "length of the difference between observed and computed rate"),
         ("range_km", "km", "distance of the nearest object"),
         ("sigmas", None, "distance in expected errors of element sets"),
+        (
+            "chance_probability",
+            None,
+            "that an unrelated object fits as well as the nearest, from the density of predicted objects in place and rate",
+        ),
     ):
         columns.append((name, [float("nan") if m is None else getattr(m, name) for m in found], unit, text))
     n_candidates = np.array([0 if m is None else m.n_candidates for m in found], dtype=np.int64)
     columns.append(("n_candidates", n_candidates, None, "objects that would do; more than one: ambiguous"))
+    hypotheses = [
+        [[c.number, c.name, round(c.sigmas, 3), float(f"{c.chance_probability:.3g}")] for c in (m.candidates if m else ())]
+        for m in found
+    ]
+    columns.append(
+        ("candidates", _text([json.dumps(h) for h in hypotheses]), None, "[number, name, sigmas, chance_probability] of each")
+    )
     return _table(columns, "known")
+
+
+def _status(match: CatalogueMatch | None) -> str:
+    """Word for what a comparison with the catalogue gave."""
+    if match is None:
+        return "not compared"
+    if match.known:
+        return "known"
+    return "ambiguous" if match.candidates else "unknown"

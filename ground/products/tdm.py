@@ -5,8 +5,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from ground.options import ProductOptions
-from ground.products.eme2000 import eme2000_angles_deg
 from ground.products.epochs import utc_text
+from ground.sky.eme2000 import eme2000_angles_deg
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import StreakMeasurement, Tracklet

@@ -199,11 +199,41 @@ class Tracklet:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class OrbitState:
+    """Posterior of an object's place and velocity at one epoch, GCRS axes, geocentric, km and km/s.
+
+    t_tai_ns : the epoch at which the states hold (not that at which light left). mean (6,), covariance (6, 6) : of the posterior.
+    gaussian : whether these describe it; if not, only the samples do. shape : the figures of that test, in words.
+    sample_weight : (n,) sums to one; sample_state : (n, 6).
+    """
+
+    t_tai_ns: int
+    mean: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    gaussian: bool
+    shape: str
+    sample_weight: NDArray[np.float64]
+    sample_state: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        n = len(self.sample_weight)
+        for name, shape in (("mean", (6,)), ("covariance", (6, 6)), ("sample_weight", (n,)), ("sample_state", (n, 6))):
+            object.__setattr__(self, name, validate.finite_array(f"orbit_state.{name}", getattr(self, name), shape))
+
+
+def _unknown() -> NDArray[np.float64]:
+    return np.full(3, np.nan)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class OrbitEstimate:
     """Posterior of a tracklet's range and orbit: each quantity as (5 %, median, 95 %), and the range modes.
 
     range_posterior : density per km on range_grid_km.
     modes : (k, 5) range_km, weight, a_km, e, i_deg. prior : what was assumed, in words.
+    node_deg, perigee_deg, mean_anomaly_deg, latitude_argument_deg : (3,) medians in [0, 360), the other two points beside them
+    without a jump at 360; NaN when not estimated. state : the posterior as states; None without one. lacks : why nothing was
+    estimated, in words; empty when something was.
     """
 
     tracklet_id: int
@@ -219,3 +249,9 @@ class OrbitEstimate:
     range_posterior: NDArray[np.float64]
     prior: str
     converged: bool
+    node_deg: NDArray[np.float64] = field(default_factory=_unknown)
+    perigee_deg: NDArray[np.float64] = field(default_factory=_unknown)
+    mean_anomaly_deg: NDArray[np.float64] = field(default_factory=_unknown)
+    latitude_argument_deg: NDArray[np.float64] = field(default_factory=_unknown)
+    state: OrbitState | None = None
+    lacks: str = ""

@@ -20,7 +20,10 @@ from ground.on_demand import OnDemand
 from ground.options import GroundOptions
 from ground.products import tables
 from ground.products.images import frame_images, has_images
+from ground.products.lacking import lacking
 from ground.products.oem import oem_text
+from ground.products.opm import SAMPLES_NAME, opm_text
+from ground.products.orbit_samples import orbit_samples_tables
 from ground.products.tdm import tdm_text
 from ground.products.trail_light import trail_light_tables
 from ground.records import FrameProducts, GroundProducts
@@ -181,6 +184,11 @@ class GroundStage:
         ecsv.write_pieces(folder / "light_curves.ecsv", trail_light_tables(result))
         ecsv.write_table(folder / "tracklets.ecsv", tables.tracklets_table(result))
         ecsv.write_table(folder / "orbits.ecsv", tables.orbits_table(result))
+        ecsv.write_pieces(folder / SAMPLES_NAME, orbit_samples_tables(result.orbits, result.headers))
+        for orbit in result.orbits:
+            opm = opm_text(orbit, options.products, max(header.t_start_tai_ns for header in result.headers))
+            if opm is not None:
+                write_text(folder / "states" / f"tracklet_{orbit.tracklet_id:06d}.opm", opm)
         oem = oem_text(result.headers, options.products)
         if oem is not None:
             write_text(folder / OEM_NAME, oem)
@@ -188,7 +196,8 @@ class GroundStage:
             oem_name = OEM_NAME if oem else None
             tdm = tdm_text(result.tracklets, result.members, result.headers, options.products, oem_name=oem_name)
             write_text(folder / TDM_NAME, tdm)
-        write_json(folder / "ingest.json", result.ingest.as_dict() if result.ingest else {})
+        said = {"products_lack": lacking(result, orbits_wanted=options.orbits)}
+        write_json(folder / "ingest.json", (result.ingest.as_dict() if result.ingest else {}) | said)
         self._write_images(folder / "images", frames, result)
         if options.products.tracklet_plots:
             # here, since matplotlib takes longer to load than a frame to process

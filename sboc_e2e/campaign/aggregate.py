@@ -1,6 +1,7 @@
 """Shards to answers: completeness by S/N, size, range and rate; debris a day by size class, injected, detected, recovered."""
 
 from collections import defaultdict
+from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -18,10 +19,10 @@ RATE_EDGES_DEG_S: Final = (0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1000.0)
 AXES: Final = (("size_m", SIZE_EDGES_M), ("range_km", RANGE_EDGES_KM), ("rate_deg_s", RATE_EDGES_DEG_S))
 
 
-def read_shards(out: Path) -> dict[str, list[Table]]:
-    """Shards by the text of their point."""
+def read_shards(paths: Iterable[Path]) -> dict[str, list[Table]]:
+    """Shards by the text of their point, in the order of the paths."""
     points: dict[str, list[Table]] = defaultdict(list)
-    for path in sorted((out / "shards").glob("*.ecsv")):
+    for path in paths:
         table = Table.read(path, format="ascii.ecsv")
         points[table.meta["point"]].append(table)
     return dict(points)

@@ -19,7 +19,7 @@ _DAY: Final = ("injected_per_day", "detected_per_day", "recovered_per_day")
 
 def write_results(campaign: Campaign, result: CampaignResult, out: Path) -> None:
     """All three files; failed tasks are listed with their reason."""
-    points = read_shards(out)
+    points = read_shards(result.shards)
     summary = {point: summarise(shards) for point, shards in points.items()}
     failed = [{"point": task.label, "replica": task.replica, "reason": reason} for task, reason in result.failed]
     document = {"campaign": campaign.name, "scenario": campaign.scenario, "points": summary, "failed": failed}

@@ -105,7 +105,7 @@ def compare(
                 "first": a,
                 "second": b,
                 "difference": difference(judged, a, b),
-                "mcnemar": mcnemar(judged.found[a], judged.found[b]),
+                "mcnemar": mcnemar(judged.found[a], judged.found[b], judged.cluster),
             }
             for i, a in enumerate(names)
             for b in names[i + 1 :]
@@ -193,6 +193,7 @@ def _choice(pairs: Sequence[tuple[Run, Evaluation]], outcomes: Outcomes, name: s
         "cross_crlb_ratio": bootstrap(cross, rms),
         "median_cpu_ms_per_frame": _median_cpu_ms(costs),
         "cpu_ms_per_frame": 1000.0 * sum(cost["cpu_s"] for cost in costs) / max(frames, 1),
+        "notes": sorted({note for e in evaluations for note in e.notes}),
         "downlink_bits_per_frame": 8.0 * sum(len(e.downlink) for e in evaluations) / max(frames, 1),
     }
 

@@ -42,7 +42,7 @@ def test_one_object_is_no_evidence() -> None:
 
 
 def correlated(rng: np.random.Generator, objects: int, gain: float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Streaks of objects, each of which suits one of two choices more than the other; `gain` is what the second has on the average."""
+    """Streaks of objects, each of which suits one of two choices more than the other; `gain` is the second's on the average."""
     counts = rng.integers(1, 13, objects)
     cluster = np.repeat(np.arange(objects), counts)
     easy, taste = rng.normal(0.0, 1.0, objects)[cluster], rng.normal(0.0, 1.5, objects)[cluster]

@@ -118,7 +118,7 @@ def test_results_of_an_edited_plugin_are_refused(tmp_path: Path, stand_in: list[
     text = GRID.replace('"onboard.detector.n_sigma" = [6.0, 7.0]', '"onboard.detector.use" = ["line_integral", "lsd"]')
     campaign_run(tmp_path, text)
     record = record | {"source_sha256": "b"}
-    with pytest.raises(UserError, match=r"plugins\.onboard\.detect\.lsd:LsdDetector\.source_sha256 was 'a' and is 'b'"):
+    with pytest.raises(UserError, match=r"plugins\.onboard\.detect\.peers\.lsd:LsdDetector\.source_sha256 was 'a' and is 'b'"):
         campaign_run(tmp_path, text)
     assert campaign_run(tmp_path, text.replace(', "lsd"', "")).skipped == 1
 

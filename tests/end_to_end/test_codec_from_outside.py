@@ -1,4 +1,4 @@
-"""A codec from outside is scored with its decoder; without one nothing runs, and a downlink that nobody reads is no silent zero."""
+"""A codec from outside is scored with its decoder; without one nothing runs, and a downlink that nobody reads says so."""
 
 import importlib
 import json

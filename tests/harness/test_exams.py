@@ -9,8 +9,8 @@ import pytest
 
 from ground.streaks.fit_record import failed_fit
 from ground.streaks.fitter import TrailedPsfFitter
-from onboard.codec.planes import PlanesCodec
-from onboard.detect.line_integral import LineIntegralDetector
+from onboard.detect.line_integral.detector import LineIntegralDetector
+from onboard.downlink.codec.planes import PlanesCodec
 from sboc_e2e.checks import examine
 from sboc_e2e.cli.main import run
 from sboc_e2e.exams import codec, detector, fitter
@@ -84,7 +84,7 @@ def test_a_codec_is_run_there_and_back() -> None:
 
 
 def test_the_time_limit_follows_the_frame(capsys: pytest.CaptureFixture[str]) -> None:
-    _, verdicts = examine("onboard.stars:MatchedStars", Registry(), None, (256, 512))
+    _, verdicts = examine("onboard.stars.matched:MatchedStars", Registry(), None, (256, 512))
     assert any(v.question.startswith("takes less than 1.31 s for 256 x 512 pixels") for v in verdicts)
-    assert run(["check", "onboard.stars:MatchedStars", "--shape", "10x10"]) == 2
+    assert run(["check", "onboard.stars.matched:MatchedStars", "--shape", "10x10"]) == 2
     assert "--shape: expected ROWSxCOLS" in capsys.readouterr().err

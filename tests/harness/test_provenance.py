@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from onboard.detect.lsd import LsdDetector
+from onboard.detect.peers.lsd import LsdDetector
 from sboc_e2e import provenance, scenario
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.manifest import Manifest

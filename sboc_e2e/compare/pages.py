@@ -98,13 +98,13 @@ def verdict(result: dict[str, Any]) -> list[str]:
             lines.append(f"{p['second']} and {p['first']}: {p['difference']['reason']}.")
             continue
         better, worse = (p["second"], p["first"]) if gain >= 0 else (p["first"], p["second"])
-        a, b = (result["choices"][name]["cpu_ms_per_frame"] for name in (better, worse))
+        cost = [figure_words(result["choices"][name]["median_cpu_ms_per_frame"])[0] for name in (better, worse)]
         false = [figure_words(result["choices"][name]["false_per_frame"])[0] for name in (better, worse)]
         sure = "more than chance explains" if p_value < LEVEL else "no more than chance explains"
+        streaks = f"{number(100 * abs(gain))} of 100 streaks with S/N >= 5 more than" if gain else "as many streaks as"
         lines.append(
-            f"{better} finds {number(100 * abs(gain))} % more of the streaks with S/N >= 5 than {worse}: {sure} "
-            f"(p = {number(p_value)}); false per frame {false[0]} against {false[1]}, "
-            f"CPU {number(a)} against {number(b)} ms per frame."
+            f"{better} finds {streaks} {worse}: {sure} (p = {number(p_value)}); false per frame {false[0]} against {false[1]}, "
+            f"CPU {cost[0]} against {cost[1]} ms in the median frame."
         )
     return lines
 

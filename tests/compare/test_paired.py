@@ -76,12 +76,12 @@ def test_words_say_who_found_what() -> None:
         "mcnemar": {"both": 20, "only_first": 51, "only_second": 9, "objects_disagreeing": 14, "p_value": 0.003},
     }  # fmt: skip
     none = {"value": 0.5, "n": 4, "low": 0.5, "high": 0.5}
-    choices = {name: {"cpu_ms_per_frame": 20.0, "false_per_frame": none} for name in ("line_integral", "difference")}
+    choices = {name: {"median_cpu_ms_per_frame": none, "false_per_frame": none} for name in ("line_integral", "difference")}
     (row,) = pair_rows({"pairs": [pair]})
     assert row[0] == "difference against line_integral"
     assert row[2] == "9 found by difference only, 51 by line_integral only"
     (sentence,) = verdict({"pairs": [pair], "choices": choices})
-    assert sentence.startswith("line_integral finds 12 % more of the streaks with S/N >= 5 than difference: more than chance")
+    assert sentence.startswith("line_integral finds 12 of 100 streaks with S/N >= 5 more than difference: more than chance")
 
 
 def test_equal_choices_do_not_differ() -> None:

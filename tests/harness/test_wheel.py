@@ -44,9 +44,9 @@ def test_the_wheel_builds_installs_and_lists_its_scenarios(tmp_path: Path) -> No
         command = [python, "-c", code, site, *arguments]
         return subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
 
-    swept = sboc("sweep", "threshold_froc", "--set", "frames=1", "--replicas", "1", "--workers", "1", "--out", "swept")
-    assert swept.returncode == 0, swept.stderr
-    assert "6 done" in swept.stdout
+    swept = sboc("sweep", "threshold_froc", "--set", "framse=1")
+    assert swept.returncode == 2
+    assert 'campaign threshold_froc: framse=1: unknown key "framse"; did you mean "frames"?' in swept.stderr
     unknown = sboc("bench", "--only", "orbit")
     assert unknown.returncode == 2
     assert "known: smoke, sso_antisun" in unknown.stderr

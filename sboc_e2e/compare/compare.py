@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from sboc_e2e.compare.pages import completeness_plot, froc_plot, write_pages
-from sboc_e2e.compare.paired import Outcomes, difference, froc, mcnemar
+from sboc_e2e.compare.paired import PAIR_SNR, Outcomes, difference, froc, mcnemar
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.results import LARGEST_SNR
 from sboc_e2e.icd.signals import Detection
@@ -29,9 +29,6 @@ from sboc_e2e.score.evaluation import Evaluation
 from sboc_e2e.score.figures import absent, bootstrap, exact, half_point, proportion, rate, rms
 from sboc_e2e.score.ideal import ideal_snr50
 from sboc_e2e.score.matching import SNR_IGNORED, distance_to_path
-
-PAIR_SNR: Final = 5.0
-"""Pairs are judged on truth above this S/N: below it nobody finds anything, and agreement is empty."""
 
 MAX_GALLERY: Final = 24
 

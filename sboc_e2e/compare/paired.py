@@ -8,6 +8,8 @@ from numpy.typing import NDArray
 
 from sboc_e2e.score.figures import CONFIDENCE, Figure, absent, figure
 
+PAIR_SNR: Final = 5.0
+"""Pairs are judged on truth above this S/N: below it nobody finds anything, and agreement is empty."""
 DRAWS: Final = 1000
 _SEED: Final = 11
 

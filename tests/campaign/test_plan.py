@@ -2,9 +2,12 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from astropy.table import Table
 
 from sboc_e2e.campaign import read_campaign
+from sboc_e2e.campaign.aggregate import against_first
 from sboc_e2e.campaign.resolve import overrides
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.scenario.toml_files import FOLDER
@@ -119,3 +122,19 @@ def test_a_campaign_can_be_tried_in_a_reduced_form(tmp_path: Path) -> None:
         campaign.reduced(None, ("instrument.aperture=1 m",))
     with pytest.raises(UserError, match="--replicas"):
         campaign.reduced(0, ())
+
+
+def test_points_on_the_same_frames_are_compared_streak_by_streak() -> None:
+    """Ten objects of five streaks each; the second point finds two objects more, the third has other frames."""
+
+    def shard(point: str, frames: str, objects: int) -> Table:
+        table = Table({"snr": np.full(50, 9.0), "length_px": np.full(50, 30.0), "object_id": np.repeat(np.arange(10), 5)})
+        table["detected_ground"] = np.asarray(table["object_id"]) < objects
+        table.meta = {"point": point, "frames": frames}
+        return table
+
+    gains = against_first({"a": [shard("a", "f", 4)], "b": [shard("b", "f", 6)], "c": [shard("c", "g", 9)]})
+    assert list(gains) == ["b"]
+    assert gains["b"]["completeness"]["value"] == pytest.approx(0.2)
+    assert gains["b"]["mcnemar"]["objects_disagreeing"] == 2
+    assert gains["b"]["mcnemar"]["p_value"] == pytest.approx(0.5)

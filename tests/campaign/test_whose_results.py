@@ -123,6 +123,21 @@ def test_results_of_an_edited_plugin_are_refused(tmp_path: Path, stand_in: list[
     assert campaign_run(tmp_path, text.replace(', "lsd"', "")).skipped == 1
 
 
+def test_a_plugin_of_a_campaign_is_loaded_when_it_is_trusted(
+    tmp_path: Path, stand_in: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """As in a scenario: ``--plugin``, and not what somebody else's file says, lets code run; its edit makes another campaign."""
+    step = "from dataclasses import dataclass\n\n@dataclass(frozen=True, kw_only=True)\nclass Blind:\n    history_frames: int = 0\n"
+    (tmp_path / "swept_lab.py").write_text(step + "\n    def detect(self, view):\n        return ()\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    text = GRID.replace('"onboard.detector.n_sigma" = [6.0, 7.0]', '"onboard.detector.use" = ["line_integral", "swept_lab:Blind"]')
+    result = campaign_run(tmp_path, text)
+    assert "--plugin swept_lab" in result.failed[0][1]
+    assert result.done == 1
+    result = campaign_run(tmp_path, text, registry=Registry(trusted_modules=("swept_lab",)))
+    assert (result.done, result.skipped, result.failed) == (1, 1, ())
+
+
 def test_a_misspelt_key_is_refused_before_the_first_task(tmp_path: Path, stand_in: list[str]) -> None:
     for text in (GRID.replace("detector.n_sigma", "detector.n_sgima"), GRID.replace("frames = 2", "framse = 2")):
         with pytest.raises(UserError, match="did you mean") as caught:

@@ -26,6 +26,16 @@ frames = 2
 [vary]
 "onboard.detector.n_sigma" = [6.0, 7.0]
 """
+BLIND = """
+from dataclasses import dataclass
+
+@dataclass(frozen=True, kw_only=True)
+class Blind:
+    history_frames: int = 0
+
+    def detect(self, view):
+        return ()
+"""
 
 
 class Here(Executor):
@@ -127,10 +137,9 @@ def test_a_plugin_of_a_campaign_is_loaded_when_it_is_trusted(
     tmp_path: Path, stand_in: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """As in a scenario: ``--plugin``, and not what somebody else's file says, lets code run; its edit makes another campaign."""
-    step = "from dataclasses import dataclass\n\n@dataclass(frozen=True, kw_only=True)\nclass Blind:\n    history_frames: int = 0\n"
-    (tmp_path / "swept_lab.py").write_text(step + "\n    def detect(self, view):\n        return ()\n")
+    (tmp_path / "swept_lab.py").write_text(BLIND)
     monkeypatch.syspath_prepend(str(tmp_path))
-    text = GRID.replace('"onboard.detector.n_sigma" = [6.0, 7.0]', '"onboard.detector.use" = ["line_integral", "swept_lab:Blind"]')
+    text = GRID.replace("detector.n_sigma", "detector.use").replace("[6.0, 7.0]", '["line_integral", "swept_lab:Blind"]')
     result = campaign_run(tmp_path, text)
     assert "--plugin swept_lab" in result.failed[0][1]
     assert result.done == 1

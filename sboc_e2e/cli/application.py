@@ -179,11 +179,15 @@ def process(
 def check(
     path: Annotated[str, typer.Argument(metavar="MODULE:CLASS", help="the class of a step, in an installed or local module")],
     seam: Annotated[str | None, typer.Option("--seam", help="the seam it is for, where its methods do not tell")] = None,
+    shape: Annotated[str, typer.Option("--shape", help="rows x columns of the frame for the question of speed")] = "1024x1024",
 ) -> int:
-    """Examine a plug-in: bad frames, untouched input, determinism, places, speed."""
+    """Examine a plug-in: bad frames, untouched input, determinism, speed, and how well it does on trails of stated S/N."""
     from sboc_e2e.checks import examine
 
-    place, verdicts = examine(path, Registry(), seam)
+    rows, _, cols = shape.partition("x")
+    if not (rows.isdigit() and cols.isdigit() and min(int(rows), int(cols)) >= 256 and max(int(rows), int(cols)) <= 16384):
+        raise UserError(f'--shape: expected ROWSxCOLS from 256x256 to 16384x16384, such as 4096x4096, got "{shape[:40]}"')
+    place, verdicts = examine(path, Registry(), seam, (int(rows), int(cols)))
     typer.echo(f"{path} as {place.name}")
     for verdict in verdicts:
         typer.echo(

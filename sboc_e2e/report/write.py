@@ -54,7 +54,8 @@ def write_report(run_dir: Path, evaluation: Evaluation | None = None) -> None:
 def markdown(score: dict[str, Any], e: Evaluation) -> str:
     """A page short enough for a CI job summary."""
     name = e.manifest.get("scenario", {}).get("name", "run") if isinstance(e.manifest.get("scenario"), dict) else "run"
-    lines = [f"# {name}: {e.n_frames} frames of {e.shape[0]} x {e.shape[1]}", "", "| figure | value | n |", "|---|---|---|"]
+    lines = [f"# {name}: {e.n_frames} frames of {e.shape[0]} x {e.shape[1]}", "", *(f"**Note:** {note}.\n" for note in e.notes)]
+    lines += ["| figure | value | n |", "|---|---|---|"]
     for path, label in HEADLINES:
         value, note = figure_words(_at(score, path))
         lines.append(f"| {label} | {value} | {note} |")
@@ -94,6 +95,7 @@ def html(score: dict[str, Any], e: Evaluation, run_dir: Path) -> str:
     sections = {name: section_rows(score[name]) for name in SECTIONS}
     return page.render(
         title=str(run_dir.name),
+        notes=e.notes,
         manifest=json.dumps(e.manifest, indent=1, sort_keys=True),
         headlines=[(label, *figure_words(_at(score, path))) for path, label in HEADLINES],
         sections=sections,

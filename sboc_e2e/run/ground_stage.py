@@ -33,9 +33,8 @@ from sboc_e2e.files.atomic import replacing, write_json, write_text
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Calibration, NominalCamera
-from sboc_e2e.icd.steps import Decoder
-from sboc_e2e.registry import Registry, own_names
 from sboc_e2e.run import known_objects
+from sboc_e2e.run.decoders import decoders_of
 from sboc_e2e.run.directory import RunDirectory
 from sboc_e2e.run.measure import Meter, peak_rss_mb, reset_peak, stage_figures
 from sboc_e2e.run.progress import Progress
@@ -70,7 +69,7 @@ def ground_chain(
 ) -> GroundChain:
     """The ground chain of a scenario for the packets of a run; every shipped decoder stands beside the chosen one."""
     steps = GroundSteps(
-        decoders=_decoders(scenario.step("ground.decoder")),
+        decoders=decoders_of(scenario),
         streak_fitter=scenario.step("ground.streak_fitter"),
         vetter=scenario.step("ground.vetter"),
         astrometry=scenario.step("ground.astrometry"),
@@ -94,12 +93,6 @@ def require_files(options: GroundOptions) -> None:
     star_catalogue(options)
     known_objects.known_objects(options)
     known_objects.precise_orbits(options)
-
-
-def _decoders(chosen: Decoder) -> tuple[Decoder, ...]:
-    registry = Registry()
-    shipped = (registry.resolve("ground.decoder", name)() for name in own_names("ground.decoder"))
-    return (chosen, *(decoder for decoder in shipped if decoder.number != chosen.number))
 
 
 @dataclass(kw_only=True)
@@ -231,6 +224,8 @@ def _judge(path: Path, ingest: IngestReport, progress: Progress) -> None:
         raise UserError(f"{path}: {ingest.n_bytes} bytes without an intact packet{unread}; the onboard stage writes it")
     if ingest.run_id is None:
         raise UserError(f"{path}: empty; the onboard stage writes it")
+    if ingest.n_decode_failures:
+        progress.note(f"{path}: {ingest.n_decode_failures} packets could not be decoded, such as {ingest.decode_failures[0]}")
     if others:
         progress.note(f"{path}: packets of other runs were left out: {listed}; --run-id NUMBER takes one of them")
     if ingest.frames_unusable:

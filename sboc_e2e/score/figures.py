@@ -51,7 +51,9 @@ def proportion(successes: int, n: int, reason: str = "nothing to count") -> Figu
     share = successes / n
     centre = (share + z * z / (2 * n)) / (1 + z * z / n)
     half = z / (1 + z * z / n) * np.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
-    return figure(share, n, max(0.0, centre - half), min(1.0, centre + half))
+    # Wilson's interval of none (or all) ends at 0 (or 1): the formula leaves the last digit of a float there.
+    low = 0.0 if successes == 0 else max(0.0, centre - half)
+    return figure(share, n, low, 1.0 if successes == n else min(1.0, centre + half))
 
 
 def rate(events: int, exposure: float, n: int, reason: str = "no exposure") -> Figure:

@@ -59,6 +59,7 @@ def score_evaluation(e: Evaluation, run_dir: Path | None = None) -> dict[str, An
     area_mean = float(np.mean(area)) if area else 0.0
     return {
         "score_version": SCORE_VERSION,
+        "notes": list(e.notes),
         "passed": exact(float(area_mean <= MAX_AREA_FRACTION), e.n_frames),
         "detection": {"onboard": onboard, "ground": ground},
         "astrometry": streak_figures | frame_figures,

@@ -233,3 +233,11 @@ def test_noise_is_white_in_space():
         power.append(np.abs(np.fft.rfft2(noise - noise.mean())) ** 2 / noise.size / noise.var())
     # The mean of four exponential powers is gamma-distributed.
     assert stats.kstest(np.mean(power, axis=0)[1:256, 1:256].ravel(), stats.gamma(4, scale=0.25).cdf).pvalue > 1e-3
+
+
+def test_binning_that_does_not_divide_is_refused_with_what_is_allowed():
+    """Rows that fill no block were dropped without a word: the frame was smaller than the scenario says."""
+    options = replace(SensorOptions(), binning=BinningOptions(rows=3, cols=2))
+    with pytest.raises(UserError, match=r"sensor\.binning: 3 x 2 pixels do not divide the 256 x 256 that are read out"):
+        Sensor(options, rows=256, cols=256, seed=1)
+    assert Sensor(options, rows=258, cols=256, seed=1).delivered.rows == 86

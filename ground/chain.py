@@ -10,11 +10,12 @@ from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ground.astrometry.header_wcs import identify_by_header
 from ground.guard import fault, guarded, links_of, probabilities_of
 from ground.ingest import IngestReport, decode_downlink
-from ground.link import apply_links
+from ground.link import Member, apply_links, measured_tracklet
 from ground.on_demand import OnDemand
 from ground.options import GroundOptions
 from ground.photometry.known_stars import FrameLight, frame_light
@@ -25,8 +26,8 @@ from ground.photometry.star_memory import with_hidden_stars
 from ground.photometry.streak_pixels import streak_pixels
 from ground.photometry.zero_point import flat_at
 from ground.records import FrameProducts, GroundProducts, GroundState
-from ground.refit import refit_streaks
-from ground.sky.measure import initial_epochs_ns, middle_of, with_sky
+from ground.refit import SharedErrors, refit_streaks
+from ground.sky.measure import initial_epochs_ns, jacobian_arcsec, middle_of, pointing_sigma_arcsec, with_sky
 from ground.sky.pixel_sky import HeaderSky, PixelSky, SolvedSky
 from ground.streak_rows import STREAKS_PER_FRAME, LinkedStreaks, RunStreaks, StreakRows
 from ground.streaks.psf_field import PsfField
@@ -196,15 +197,27 @@ class GroundChain:
         products: Sequence[FrameProducts],
         pixels_of: Callable[[StreakMeasurement], StreakPixels],
     ) -> tuple[Tracklet, Sequence[StreakMeasurement]]:
-        """A tracklet with its magnitude, and its members in frame order: directions, epochs, joint refit, brightness."""
+        """A tracklet as its members measure it, and these in frame order: directions, epochs, joint refit, brightness."""
         places = linked.places_of(tracklet)
         own = [headers[k] for k in dict.fromkeys(place for place, _ in places)]
         given = [products[k].streaks[number] for k, number in places]
-        members = apply_links(given, (tracklet,), own)
+        members = single = apply_links(given, (tracklet,), own)
+        shared: SharedErrors = {}
         if self._options.joint_refit:
-            members = refit_streaks(members, tracklet, own, lambda frame: products[linked.place[frame]].solution, pixels_of)
-        final = [_finally_measured(member, products[linked.place[member.frame]], tracklet.rate_deg_s) for member in members]
-        return _with_magnitude(tracklet, final), final
+            members, shared = refit_streaks(
+                single, tracklet, own, lambda frame: products[linked.place[frame]].solution, pixels_of
+            )
+        frames = [products[linked.place[member.frame]] for member in members]
+        placed = [_placed(member, frame) for member, frame in zip(members, frames, strict=True)]
+        measured = measured_tracklet(
+            tracklet,
+            [
+                _member(one, streak, frame, shared.get(streak.streak_id))
+                for one, streak, frame in zip(single, placed, frames, strict=True)
+            ],
+        )
+        final = [_finally_bright(streak, frame, measured.rate_deg_s) for streak, frame in zip(placed, frames, strict=True)]
+        return _with_magnitude(measured, final), final
 
     def _final(
         self, streaks: Sequence[StreakMeasurement], members: Mapping[int, StreakMeasurement]
@@ -401,11 +414,31 @@ def _with_brightness(
     return replace(streak, mag=mag, mag_err=mag_err, mag_at_1deg_s=at_rate, mag_at_1deg_s_err=at_rate_err, flags=flags)
 
 
-def _finally_measured(streak: StreakMeasurement, product: FrameProducts, rate_deg_s: float) -> StreakMeasurement:
-    """A member of a tracklet with directions at its final epochs and a magnitude for its final exposed time."""
+def _placed(streak: StreakMeasurement, product: FrameProducts) -> StreakMeasurement:
+    """A member of a tracklet with directions at its final epochs."""
     sky = _sky_of(product.header, product.solution, product.wcs)
+    return with_sky(streak, product.header, sky, product.solution.covariance_rad2)
+
+
+def _member(
+    single: StreakMeasurement, final: StreakMeasurement, product: FrameProducts, shared: tuple[int, NDArray[np.float64]] | None
+) -> Member:
+    """What a tracklet is measured on of one member."""
+    sky = _sky_of(product.header, product.solution, product.wcs)
+    group, errors = (-1, np.zeros((2, 3))) if shared is None else shared
+    return Member(
+        single=single,
+        final=final,
+        jacobian_arcsec=jacobian_arcsec(final, product.header, sky),
+        pointing_arcsec=pointing_sigma_arcsec(product.solution.covariance_rad2),
+        group=group,
+        shared_arcsec=errors,
+    )
+
+
+def _finally_bright(streak: StreakMeasurement, product: FrameProducts, rate_deg_s: float) -> StreakMeasurement:
+    """A member of a tracklet with a magnitude for its final exposed time."""
     number = streak.streak_id - streak.frame * STREAKS_PER_FRAME
-    streak = with_sky(streak, product.header, sky, product.solution.covariance_rad2)
     crossing_s = crossing_time_s(streak, rate_deg_s)
     return _with_brightness(streak, product.header, product.photometry, product.mean_flat[number], crossing_s)
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from ground.link.hypotheses import ENTERING, FULL, LEAVING, POINT, Nodes, end_errors_px
 from ground.link.motion import N_PARAMETERS, fit_motion, kappa_sigma
 from ground.link.resolve import pieces_among
+from ground.link.row_errors import common_errors
 from ground.sky.sphere import ARCSEC_RAD, east_north, spherical_deg, unit_vectors
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakMeasurement, Tracklet
@@ -191,9 +192,7 @@ def _headings(t_s: Array, unit: Array, centre: Array, plane: Array) -> Array:
 def _joint_covariance(rows: _Rows, each: Array) -> Array:
     """Covariance (2 m, 2 m) of all rows along, then all across, arcsec^2. each : (m, 2, 2) of single rows."""
     m = len(rows.t_tai_ns)
-    same_frame = (rows.frame[:, None] == rows.frame) * np.outer(rows.pointing, rows.pointing)
-    fitted_together = (rows.group[:, None] == rows.group) & (rows.group >= 0)
-    common = np.where(fitted_together, rows.shared @ rows.shared.T, 0.0) + same_frame
+    common, same_frame = common_errors(rows.shared, rows.group, rows.pointing, rows.frame)
     k = np.arange(m)
     own = each.copy()
     own[:, 0, 0] -= common[k, k]

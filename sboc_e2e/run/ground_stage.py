@@ -22,6 +22,7 @@ from ground.products import tables
 from ground.products.images import frame_images, has_images
 from ground.products.oem import oem_text
 from ground.products.tdm import tdm_text
+from ground.products.tdm_angles import TDM_ANGLES_NAME, tdm_angles_table
 from ground.products.trail_light import trail_light_tables
 from ground.records import FrameProducts, GroundProducts
 from sboc_e2e.catalogue import StarCatalogue
@@ -188,6 +189,8 @@ class GroundStage:
             oem_name = OEM_NAME if oem else None
             tdm = tdm_text(result.tracklets, result.members, result.headers, options.products, oem_name=oem_name)
             write_text(folder / TDM_NAME, tdm)
+            errors = tdm_angles_table(result.tracklets, result.members, result.headers, options.products, oem_name=oem_name)
+            ecsv.write_table(folder / TDM_ANGLES_NAME, errors)
         write_json(folder / "ingest.json", result.ingest.as_dict() if result.ingest else {})
         self._write_images(folder / "images", frames, result)
         if options.products.tracklet_plots:

@@ -76,7 +76,8 @@ def fields() -> list[Field]:
     rng = np.random.default_rng(11)
     made = []
     for k in range(N_FRAMES):
-        field = make_field(catalogue, k, FieldOptions(roll_deg=25.0))
+        # a camera at rest: its trail runs over pixels of one pointing
+        field = make_field(catalogue, k, FieldOptions(roll_deg=25.0, rate_rad_s=(0.0, 0.0, 0.0)))
         background = BackgroundModel(tile_px=128, level_adu=np.full((32, 32), 100.0), sigma_adu=np.full((32, 32), SKY_SIGMA_E))
         frame = replace(field.frame, rois=(_roi(k, rng),), background=background)
         made.append(replace(field, frame=frame))

@@ -20,12 +20,21 @@ from sboc_e2e.icd.layout import CodecNumber
 from sboc_e2e.icd.results import check_background, check_detections, check_stars
 from sboc_e2e.icd.signals import BackgroundModel, DetectorView, StarList
 from sboc_e2e.icd.steps import Decoder, Encoder
+from sboc_e2e.linker_exam import Failed, linker_questions
+from sboc_e2e.linker_exam import expect as _expect
 from sboc_e2e.registry import SEAMS, Registry, Seam
 from sboc_e2e.scenario import option_models
 
 SHAPE: Final = (256, 320)
 SLOW_S: Final = 5.0
-EXAMINED: Final = ("onboard.background", "onboard.star_extractor", "onboard.detector", "onboard.codec", "ground.decoder")
+EXAMINED: Final = (
+    "onboard.background",
+    "onboard.star_extractor",
+    "onboard.detector",
+    "onboard.codec",
+    "ground.decoder",
+    "ground.linker",
+)
 """Seams whose steps are tried on synthetic input; steps of the others are examined without being run."""
 
 
@@ -85,26 +94,19 @@ def _questions(seam: Seam, step: Any) -> Iterator[Verdict]:
         yield from _background_questions(step)
     elif seam.name in ("onboard.codec", "ground.decoder"):
         yield from _codec_questions(step)
+    elif seam.name == "ground.linker":
+        yield from linker_questions(step, _asked)
 
 
 def _asked(question: str, trial: Callable[[], object]) -> Verdict:
-    """A verdict: passed unless the trial raises."""
+    """A verdict: passed unless the trial raises; what it returns as text is a figure that the verdict reports."""
     try:
-        trial()
+        said = trial()
     except Exception as error:  # noqa: BLE001 - a plug-in may raise anything; that is what is being examined
         text = str(error).splitlines()[0] if str(error) else "no reason given"
         kind = "" if isinstance(error, Failed | ContractError) else f"{type(error).__name__}: "
         return Verdict(question=question, passed=False, detail=f"{kind}{text}"[:200])
-    return Verdict(question=question, passed=True, detail="")
-
-
-class Failed(Exception):
-    """A trial's finding."""
-
-
-def _expect(condition: bool, otherwise: str) -> None:
-    if not condition:
-        raise Failed(otherwise)
+    return Verdict(question=question, passed=True, detail=said if isinstance(said, str) else "")
 
 
 def _options_round_trip(step: Any) -> None:

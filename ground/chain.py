@@ -29,6 +29,8 @@ from ground.records import FrameProducts, GroundProducts, GroundState
 from ground.refit import SharedErrors, refit_streaks
 from ground.sky.measure import initial_epochs_ns, jacobian_arcsec, middle_of, pointing_sigma_arcsec, with_sky
 from ground.sky.pixel_sky import HeaderSky, PixelSky, SolvedSky
+from ground.sky.sphere import ARCSEC_RAD
+from ground.sky.turning import Attitude, Rate, attitude_of, rates_of
 from ground.streak_rows import STREAKS_PER_FRAME, LinkedStreaks, RunStreaks, StreakRows
 from ground.streaks.psf_field import PsfField
 from ground.vetting.repeated import repeated
@@ -50,6 +52,9 @@ from sboc_e2e.icd.steps import Astrometer, Decoder, Linker, OrbitDeterminer, Pho
 
 FRAMES_REMEMBERED: Final = 64
 """Frames that are kept with their stars while tracklets are refitted."""
+
+FRAMES_TURNED: Final = 16
+"""Frames that are kept with the rates of the whole run."""
 
 LEAST_SNR_ALONE: Final = 6.0
 """Noise alone has 46 maxima above it in a frame of 4096 x 4096, 0.1 above 7 (Euler characteristic of the S/N over all segments,
@@ -160,8 +165,12 @@ class GroundChain:
         Both are gone through more than once and asked for single items, none of which is kept for long: they may make their
         items on demand (`ground.on_demand`), and then the result does so too.
         """
-        small = [(product.header, product.photometry, len(product.streaks)) for product in products]
-        headers, counts = tuple(header for header, _, _ in small), [count for _, _, count in small]
+        small = [
+            (product.header, product.photometry, len(product.streaks), attitude_of(product.header, product.solution))
+            for product in products
+        ]
+        headers, counts = tuple(header for header, *_ in small), [count for _, _, count, _ in small]
+        products, rates = _turning(products, [attitude for *_, attitude in small])
         linker = self._steps.linker
         measured = RunStreaks(counts, lambda k: products[k].streaks)
         given = {header.frame: count for header, count in zip(headers, counts, strict=True)}
@@ -171,7 +180,7 @@ class GroundChain:
         tracklets, linked = list(found), LinkedStreaks(place, len(found))
         # by time, so that tracklets of the same frames follow each other
         for number in sorted(range(len(found)), key=lambda k: int(found[k].frames.min())):
-            tracklets[number], members = self._resolved(found[number], linked, headers, products, pixels_of)
+            tracklets[number], members = self._resolved(found[number], linked, headers, products, rates, pixels_of)
             linked.put(number, members)
         orbits: tuple[OrbitEstimate, ...] = ()
         if self._options.orbits:
@@ -181,7 +190,7 @@ class GroundChain:
         return GroundProducts(
             headers=headers,
             solutions=OnDemand(len(products), lambda k: products[k].solution),
-            photometry=tuple(photometry for _, photometry, _ in small),
+            photometry=tuple(photometry for _, photometry, _, _ in small),
             streaks=RunStreaks(counts, final.__getitem__),
             tracklets=tuple(tracklets),
             members=linked.members,
@@ -195,6 +204,7 @@ class GroundChain:
         linked: LinkedStreaks,
         headers: Sequence[FrameHeader],
         products: Sequence[FrameProducts],
+        rates: Sequence[Rate],
         pixels_of: Callable[[StreakMeasurement], StreakPixels],
     ) -> tuple[Tracklet, Sequence[StreakMeasurement]]:
         """A tracklet as its members measure it, and these in frame order: directions, epochs, joint refit, brightness."""
@@ -207,13 +217,14 @@ class GroundChain:
             members, shared = refit_streaks(
                 single, tracklet, own, lambda frame: products[linked.place[frame]].solution, pixels_of
             )
-        frames = [products[linked.place[member.frame]] for member in members]
+        at = [linked.place[member.frame] for member in members]
+        frames = [products[k] for k in at]
         placed = [_placed(member, frame) for member, frame in zip(members, frames, strict=True)]
         measured = measured_tracklet(
             tracklet,
             [
-                _member(one, streak, frame, shared.get(streak.streak_id))
-                for one, streak, frame in zip(single, placed, frames, strict=True)
+                _member(one, streak, frame, rates[k].sigma_rad_s, shared.get(streak.streak_id))
+                for one, streak, frame, k in zip(single, placed, frames, at, strict=True)
             ],
         )
         final = [_finally_bright(streak, frame, measured.rate_deg_s) for streak, frame in zip(placed, frames, strict=True)]
@@ -420,8 +431,29 @@ def _placed(streak: StreakMeasurement, product: FrameProducts) -> StreakMeasurem
     return with_sky(streak, product.header, sky, product.solution.covariance_rad2)
 
 
+def _turning(products: Sequence[FrameProducts], attitudes: Sequence[Attitude]) -> tuple[Sequence[FrameProducts], Sequence[Rate]]:
+    """The frames with the rates that the attitudes of the whole run give, in their solutions and streaks; and these rates."""
+    order = sorted(range(len(attitudes)), key=lambda k: attitudes[k].tai_ns)
+    in_order = dict(zip(order, rates_of([attitudes[k] for k in order]), strict=True))
+    rates = [in_order[k] for k in range(len(attitudes))]
+
+    def turned(k: int) -> FrameProducts:
+        product, rate = products[k], rates[k].rate_rad_s
+        if product.wcs is not None or not attitudes[k].solved:
+            return product
+        solution = replace(product.solution, rate_rad_s=rate)
+        turn_rad_s = SolvedSky(header=product.header, solution=solution).turn_rad_s
+        return replace(product, solution=solution, streaks=[replace(s, turn_rad_s=turn_rad_s) for s in product.streaks])
+
+    return OnDemand(len(products), turned, keep=FRAMES_TURNED), rates
+
+
 def _member(
-    single: StreakMeasurement, final: StreakMeasurement, product: FrameProducts, shared: tuple[int, NDArray[np.float64]] | None
+    single: StreakMeasurement,
+    final: StreakMeasurement,
+    product: FrameProducts,
+    sigma_rate_rad_s: float,
+    shared: tuple[int, NDArray[np.float64]] | None,
 ) -> Member:
     """What a tracklet is measured on of one member."""
     sky = _sky_of(product.header, product.solution, product.wcs)
@@ -431,6 +463,7 @@ def _member(
         final=final,
         jacobian_arcsec=jacobian_arcsec(final, product.header, sky),
         pointing_arcsec=pointing_sigma_arcsec(product.solution.covariance_rad2),
+        sigma_rate_arcsec_s=0.0 if product.wcs is not None else sigma_rate_rad_s / ARCSEC_RAD,
         group=group,
         shared_arcsec=errors,
     )

@@ -37,14 +37,15 @@ class Member:
 
     single, final : as its frame shows it alone and as it is published, both with directions at their epochs.
     jacobian_arcsec : (3, 2, 2) of (east, north) by (row, col) at the three points of `final`. pointing_arcsec : one sigma of an
-    axis of its frame. group, shared_arcsec : window of a joint fit (-1: none) and (2, 3) errors that both ends share with the
-    ends of that window.
+    axis of its frame, sigma_rate_arcsec_s : and of the rate at which the camera turned.
+    group, shared_arcsec : window of a joint fit (-1: none) and (2, 3) errors that both ends share with the ends of that window.
     """
 
     single: StreakMeasurement
     final: StreakMeasurement
     jacobian_arcsec: Array
     pointing_arcsec: float
+    sigma_rate_arcsec_s: float = 0.0
     group: int = -1
     shared_arcsec: Array
 
@@ -122,9 +123,12 @@ def _covariance_arcsec2(member: Member, point: int) -> Array:
     """Covariance (2, 2) of a point east and north; an end that is a change point counts by its interval."""
     fit, jacobian = member.final.fit, member.jacobian_arcsec[point]
     blocks = np.asarray(fit.covariance_px2).reshape(2, 2, 2, 2).transpose(0, 2, 1, 3)
-    pointing = member.pointing_arcsec**2 * np.eye(2)
     if point == 1:
-        return np.asarray(jacobian @ blocks.sum(axis=(0, 1)) @ jacobian.T / 4.0 + pointing)
+        return np.asarray(jacobian @ blocks.sum(axis=(0, 1)) @ jacobian.T / 4.0 + member.pointing_arcsec**2 * np.eye(2))
+    # the attitude of an end is that of mid-exposure, turned by half an exposure
+    turned_s = 0.5e-9 * abs(float(member.final.t_tai_ns[2] - member.final.t_tai_ns[0]))
+    attitude = float(np.hypot(member.pointing_arcsec, member.sigma_rate_arcsec_s * turned_s)) ** 2
+    pointing = attitude * np.eye(2)
     block = blocks[point // 2, point // 2]
     along = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0]) / max(fit.length_px, 1e-6)
     if not np.isfinite(block).all() or fit.flags & StreakFlag.ENDS_NOT_GAUSSIAN:
@@ -134,7 +138,7 @@ def _covariance_arcsec2(member: Member, point: int) -> Array:
     if member.final.flags & StreakFlag.REFIT:
         # the joint fit has put the pointing along the motion into the ends already
         heading = jacobian @ along / max(float(np.linalg.norm(jacobian @ along)), 1e-12)
-        pointing = pointing - member.pointing_arcsec**2 * np.outer(heading, heading)
+        pointing = pointing - attitude * np.outer(heading, heading)
     return np.asarray(jacobian @ block @ jacobian.T + pointing)
 
 

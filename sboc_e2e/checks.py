@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sboc_e2e.exams import astrometry, codec, detector, fitter
+from sboc_e2e.exams import astrometry, codec, detector, fitter, linker
 from sboc_e2e.exams.trails import PSF_SIGMA_PX
 from sboc_e2e.exams.verdict import Verdict, asked, expect
 from sboc_e2e.files import checkpoint
@@ -40,6 +40,7 @@ EXAMINED: Final = (
     "ground.decoder",
     "ground.streak_fitter",
     "ground.astrometry",
+    "ground.linker",
 )
 """Seams whose steps are tried on synthetic input; steps of the others are examined without being run."""
 
@@ -98,6 +99,8 @@ def _questions(seam: Seam, step: Any, path: str, registry: Registry, shape: tupl
         yield from fitter.questions(step.fit)
     elif seam.name == "ground.astrometry":
         yield from astrometry.questions(step)
+    elif seam.name == "ground.linker":
+        yield from linker.questions(step)
 
 
 def _options_round_trip(step: Any) -> None:

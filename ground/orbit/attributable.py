@@ -4,11 +4,13 @@ Free are four numbers (direction and rate at the reference epoch), which every o
 them, their curvature, is what speaks of range and range rate (Milani et al. 2004, Icarus 170, 152: the attributable).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.link.row_errors import common_errors_arcsec2
 from ground.sky.sphere import ARCSEC_RAD, unit_vectors
 from sboc_e2e.icd.products import Tracklet
 
@@ -69,7 +71,7 @@ def attributable_of(tracklet: Tracklet, sigma_floor_arcsec: float) -> Attributab
     node_s = _chebyshev_nodes(t_s, 5 if np.ptp(t_s) < _LONG_ARC_S else 7)
     interpolation = _lagrange(t_s, node_s)
     along, cross = _widened(plane, t_s, nominal, along, cross)
-    weight = _weights(nominal, along, cross)
+    weight = _weights(nominal, along, cross, [c[np.ix_(good, good)] * ARCSEC_RAD**2 for c in common_errors_arcsec2(tracklet)])
     m, k = len(t_s), len(node_s)
     design = np.zeros((2 * m, 4))
     design[:m, 0] = design[m:, 1] = 1.0
@@ -174,11 +176,17 @@ def _lagrange(t_s: NDArray[np.float64], node_s: NDArray[np.float64]) -> NDArray[
     return out
 
 
-def _weights(rate: NDArray[np.float64], along: NDArray[np.float64], cross: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Inverse covariance (2m, 2m) of all x, then all y; along and cross refer to the direction of motion."""
+def _weights(
+    rate: NDArray[np.float64], along: NDArray[np.float64], cross: NDArray[np.float64], common: Sequence[NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """Inverse covariance (2m, 2m) of all x, then all y; along and cross refer to the direction of motion.
+
+    common : (m, m) parts of the errors along and across that rows share, in rad^2; what is left of a row's own is at least a
+    thousandth of its variance.
+    """
     speed = float(np.hypot(*rate))
     cos, sin = rate / speed if speed > 0.0 else (1.0, 0.0)
-    xx = cos**2 / along**2 + sin**2 / cross**2
-    yy = sin**2 / along**2 + cos**2 / cross**2
-    xy = cos * sin * (1.0 / along**2 - 1.0 / cross**2)
-    return np.block([[np.diag(xx), np.diag(xy)], [np.diag(xy), np.diag(yy)]])
+    own = [np.maximum(s**2 - np.diag(c), 1e-3 * s**2) for s, c in zip((along, cross), common, strict=True)]
+    a, b = (np.linalg.inv(np.diag(variance) + c) for variance, c in zip(own, common, strict=True))
+    mixed = cos * sin * (a - b)
+    return np.block([[cos**2 * a + sin**2 * b, mixed], [mixed, sin**2 * a + cos**2 * b]])

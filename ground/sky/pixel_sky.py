@@ -17,7 +17,12 @@ Array = NDArray[np.float64]
 
 
 class PixelSky(Protocol):
-    """Directions of the pixels of a frame."""
+    """Directions of the pixels of a frame. turn_rad_s : (3,) angular velocity of the camera, GCRS axes."""
+
+    @property
+    def turn_rad_s(self) -> Array:
+        """A pixel's direction u moves by ``turn x u``."""
+        ...
 
     def apparent(self, row: Array, col: Array, tai_ns: NDArray[np.int64]) -> Array:
         """Apparent unit vectors (n, 3), GCRS axes, of pixels at the given epochs."""
@@ -35,6 +40,11 @@ class SolvedSky:
     def _matrix(self) -> Array:
         return matrix_of(np.asarray(self.solution.quaternion))
 
+    @property
+    def turn_rad_s(self) -> Array:
+        """The solution's rate, GCRS axes."""
+        return np.asarray(self.solution.rate_rad_s) @ self._matrix
+
     def apparent(self, row: Array, col: Array, tai_ns: NDArray[np.int64]) -> Array:
         """Apparent unit vectors (n, 3): a frame that turns by +angle sees directions turned by -angle."""
         seconds = (np.asarray(tai_ns) - mid_frame_tai_ns(self.header)) * 1e-9
@@ -45,10 +55,19 @@ class SolvedSky:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeaderSky:
-    """Directions through an astropy WCS (ICRS, catalogue-relative) that came with the frame; no motion inside the frame."""
+    """Directions through an astropy WCS (ICRS, catalogue-relative) that came with the frame.
+
+    A WCS holds for the frame as a whole and says nothing of motion inside it: all rows and both ends of a streak have its one
+    attitude, so ends of a camera that turns during the exposure are off by half of what it turned by.
+    """
 
     header: FrameHeader
     wcs: Any
+
+    @property
+    def turn_rad_s(self) -> Array:
+        """Nothing is known of it."""
+        return np.zeros(3)
 
     def apparent(self, row: Array, col: Array, tai_ns: NDArray[np.int64]) -> Array:
         """Apparent unit vectors (n, 3): the catalogue-relative direction with aberration put back, as for a star."""

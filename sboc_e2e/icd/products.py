@@ -141,6 +141,8 @@ class StreakMeasurement:
     ra_deg, dec_deg : (3,) of end 0, middle, end 1, GCRS axes, aberration of the observer's geocentric velocity removed,
     annual aberration and light time not. t_tai_ns : (3,) int64 epochs of the same points: of the rows' mid-exposure
     until the direction is known, then true epochs of shutter open, middle, close. NaN and 0 where unknown.
+    turn_rad_s : (3,) angular velocity of the camera, GCRS axes: the direction u of a pixel moves by turn x u, which gives its
+    direction at another epoch of the exposure. 0 where the camera stands still or its rate is unknown.
     mag_at_1deg_s : of a trail that the frame's edge cuts, for a rate of 1 deg/s; at another it is
     ``mag_at_1deg_s - 2.5 log10(rate in deg/s)``. NaN for others.
     """
@@ -164,16 +166,27 @@ class StreakMeasurement:
     flags: StreakFlag
     mag_at_1deg_s: float = float("nan")
     mag_at_1deg_s_err: float = float("nan")
+    turn_rad_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tracklet:
     """One object over one or more frames, in time order.
 
-    streak_ids, frames : (n,) of the streaks used. t_tai_ns : (m,) epochs of the directions (ends and/or middles),
-    ra_deg, dec_deg : (m,) published directions, sigma_along_arcsec, sigma_cross_arcsec : (m,) one sigma.
+    streak_ids, frames : (n,) of the streaks used. pieces : those of them that are parts of a broken trail, whose ends are not
+    where the shutter opened and closed. probability : that all of it is one real object.
+
+    What follows is measured by the chain on the members' final ends, whatever linker found them:
+    t_tai_ns : (m,) epochs of the directions, rising; ra_deg, dec_deg : (m,) published directions, equal to those of the streaks;
+    row_streak_ids, row_points : (m,) streak of each and which of its points (0: end 0, 1: middle, 2: end 1). Ends on the
+    frame's edge and of pieces are left out: no shutter dates them.
+    sigma_along_arcsec, sigma_cross_arcsec : (m,) one sigma along the motion and across it, correlation : (m,) of both;
+    motion_angle_deg : (m,) position angle of the motion at each, from north by east; across is 90 deg further.
+    shared_arcsec : (m, 3), shared_group : (m,). A joint fit gives its rows common errors along the motion: rows i and j of one
+    group (-1: none) have the covariance ``shared[i] @ shared[j]``, which is part of sigma_along squared where i = j.
+    pointing_arcsec : (m,) part of both sigmas that the rows of one frame have in common.
     ra_ref_deg, dec_ref_deg, t_ref_tai_ns, rate_deg_s, position_angle_deg : motion at the reference epoch.
-    chi2_nu : of the motion model. probability : that all of it is one real object.
+    chi2_nu : of the motion model, against ends as single frames show them.
     """
 
     tracklet_id: int
@@ -196,6 +209,14 @@ class Tracklet:
     probability: float
     direction_resolved: bool
     flags: StreakFlag
+    pieces: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    row_streak_ids: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    row_points: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    correlation: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    motion_angle_deg: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    shared_arcsec: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    shared_group: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    pointing_arcsec: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -25,6 +25,7 @@ from ground.products.oem import oem_text
 from ground.products.opm import SAMPLES_NAME, opm_text
 from ground.products.orbit_samples import orbit_samples_tables
 from ground.products.tdm import tdm_text
+from ground.products.tdm_angles import TDM_ANGLES_NAME, tdm_angles_table
 from ground.products.trail_light import trail_light_tables
 from ground.records import FrameProducts, GroundProducts
 from sboc_e2e.catalogue import StarCatalogue
@@ -189,6 +190,8 @@ class GroundStage:
             oem_name = OEM_NAME if oem else None
             tdm = tdm_text(result.tracklets, result.members, result.headers, options.products, oem_name=oem_name)
             write_text(folder / TDM_NAME, tdm)
+            errors = tdm_angles_table(result.tracklets, result.members, result.headers, options.products, oem_name=oem_name)
+            ecsv.write_table(folder / TDM_ANGLES_NAME, errors)
         said = {"products_lack": lacking(result, orbits_wanted=options.orbits)}
         write_json(folder / "ingest.json", (result.ingest.as_dict() if result.ingest else {}) | said)
         self._write_images(folder / "images", frames, result)

@@ -19,13 +19,17 @@ SAME_ARCSEC: Final = 1e-3
 SAME_NS: Final = 1_000
 """Directions and epochs that differ by no more are the same measurement: messages round to 0.4 uas and 0.5 us."""
 
-GROSS_ARCSEC: Final = 60.0
-"""No measurement of a linked streak is that far off: swapped angles, wrong axes, foreign epochs are."""
+GROSS_ARCSEC: Final = 3600.0
+"""Ends of faint long trails err by minutes of arc, not by a degree: swapped angles, wrong axes, foreign epochs do."""
 
 PAIRED_S: Final = 0.02
 """An angle is a point of a row of the table when their epochs differ by less: ends are an exposure apart."""
 
-_POINTS: Final = (("t0_tai_ns", "ra0_deg", "dec0_deg"), ("t_mid_tai_ns", "ra_mid_deg", "dec_mid_deg"), ("t1_tai_ns", "ra1_deg", "dec1_deg"))
+_POINTS: Final = (
+    ("t0_tai_ns", "ra0_deg", "dec0_deg"),
+    ("t_mid_tai_ns", "ra_mid_deg", "dec_mid_deg"),
+    ("t1_tai_ns", "ra1_deg", "dec1_deg"),
+)
 
 
 @dataclass(kw_only=True)
@@ -76,13 +80,14 @@ def angle_figures(
         if not len(t_ns):
             continue
         off = motion.offset_arcsec(direction, t_ns)
-        stated = sigmas[segment.tracklet_id].at(t_ns) if segment.tracklet_id in sigmas else np.full((len(t_ns), 2), np.nan)
+        stated = sigmas[segment.tracklet_id].at(t_ns) if segment.tracklet_id in sigmas else np.full((len(t_ns), 3), np.nan)
         row = {
             "along": off[:, 0],
             "cross": off[:, 1],
             "gross": (off[:, 2] > GROSS_ARCSEC).astype(np.float64),
             "along_pull": off[:, 0] / stated[:, 0],
             "cross_pull": off[:, 1] / stated[:, 1],
+            "nees": _nees(off, stated),
             "epoch_ms": motion.epoch_error_ns(t_ns, nearest) * 1e-6,
         }
         rows.add(owner[segment.tracklet_id], **row, **_against_table(t_ns, direction, points.get(segment.tracklet_id), motion))
@@ -110,11 +115,13 @@ def angle_figures(
         "n_without_object": exact(n_objectless, n_angles),
         "n_outside_truth": exact(n_outside, n_angles) if motions else absent(none),
     }
+    no_errors = "no errors are published for each angle" if n else none
     for name in ("along", "cross"):
         out[f"{name}_rms_arcsec"] = over(name, rms)
         out[f"{name}_median_arcsec"] = over(name, middle)
         out[f"{name}_bias_arcsec"] = over(name, median)
-        out[f"{name}_pull_std"] = over(f"{name}_pull", pull_width, "no errors are published for each angle" if n else none)
+        out[f"{name}_pull_std"] = over(f"{name}_pull", pull_width, no_errors)
+    out["nees"] = over("nees", mean, no_errors)
     out["gross_share"] = over("gross", mean)
     cut = "every published angle lies on the frame's edge" if n else none
     out["epoch_bias_ms"] = over("epoch_ms", median, cut)
@@ -129,17 +136,27 @@ def angle_figures(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StatedSigmas:
-    """Errors that a companion table states for the angles of one tracklet: epochs (n,), along and across (n, 2) arcsec."""
+    """Errors that a companion table states for the angles of one tracklet.
+
+    t_tai_ns : (n,) epochs. stated : (n, 3) sigma along, sigma across (arcsec), their correlation.
+    """
 
     t_tai_ns: NDArray[np.int64]
-    sigma_arcsec: Array
+    stated: Array
 
     def at(self, t_tai_ns: NDArray[np.int64]) -> Array:
-        """Of the row of the same epoch (m, 2), NaN without one."""
+        """Of the row of the same epoch (m, 3), NaN without one."""
         late = np.abs(np.asarray(t_tai_ns, np.int64)[:, None] - self.t_tai_ns)
         which = np.argmin(late, axis=1)
         same = late[np.arange(len(which)), which] <= SAME_NS
-        return np.where(same[:, None], self.sigma_arcsec[which], np.nan)
+        return np.where(same[:, None], self.stated[which], np.nan)
+
+
+def _nees(off: Array, stated: Array) -> Array:
+    """e' C^-1 e / 2 (n,) of errors along and across; 1 in the mean where what is stated is right."""
+    along, cross, correlation = off[:, 0] / stated[:, 0], off[:, 1] / stated[:, 1], np.clip(stated[:, 2], -0.999999, 0.999999)
+    chi2 = (along**2 - 2.0 * correlation * along * cross + cross**2) / (1.0 - correlation**2)
+    return np.asarray(0.5 * chi2)
 
 
 _Points = tuple[NDArray[np.int64], Array]

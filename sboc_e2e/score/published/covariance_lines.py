@@ -5,7 +5,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sboc_e2e.icd.errors import UserError
 from sboc_e2e.score.published.axes import gcrs_from, orbital_axes
 
 Array = NDArray[np.float64]

@@ -42,9 +42,10 @@ def tai_ns(epochs: Sequence[str], time_system: str) -> NDArray[np.int64]:
             raise UserError(f"{text[:40]!r} is no epoch")
         year, month, day, of_year, hour, minute, second, fraction = found.groups()
         try:
-            start = date(int(year), 1, 1).toordinal() + int(of_year) - 1 if of_year else date(int(year), int(month), int(day)).toordinal()
+            first = date(int(year), int(month or 1), int(day or 1)).toordinal()
         except ValueError as error:
             raise UserError(f"{text[:40]!r} is no epoch") from error
+        start = first + int(of_year or 1) - 1
         whole_s = (start - _ZERO) * 86_400 + int(hour) * 3_600 + int(minute) * 60 + int(second)
         part_ns = int(((fraction or "") + "0" * 9)[:9])
         out[k] = whole_s * 1_000_000_000 + part_ns + round(_BEHIND_TAI_S[time_system](start) * 1e9)

@@ -97,7 +97,7 @@ def _errors_of_lines(streaks: Table) -> dict[int, tuple[NDArray[np.int64], Array
     error = np.asarray(streaks["mag_err"], float)
     order = np.argsort(tracklet, kind="stable")
     names, first = np.unique(tracklet[order], return_index=True)
-    return {int(name): (t_ns[rows], error[rows]) for name, rows in zip(names, np.split(order, first[1:]), strict=True) if name >= 0}
+    return {int(name): (t_ns[rows], error[rows]) for name, rows in zip(names, np.split(order, first[1:]), strict=True)}
 
 
 def _nearest(errors: tuple[NDArray[np.int64], Array] | None, t_ns: NDArray[np.int64]) -> Array:

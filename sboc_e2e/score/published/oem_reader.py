@@ -42,7 +42,8 @@ def _segment(message: Kvn, lines: tuple[Line, ...]) -> Ephemeris:
     rows: list[tuple[str, list[float]]] = []
     blocks: list[tuple[str, str, list[float]]] = []
     in_meta, in_covariance = True, False
-    epoch, frame, triangle = "", "", []
+    epoch, frame = "", ""
+    triangle: list[float] = []
     for line in lines:
         if line.keyword:
             if in_meta:

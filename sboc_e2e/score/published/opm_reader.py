@@ -58,6 +58,4 @@ def read_opm(path: Path) -> PublishedState:
         raise UnreadableProduct(f"{message.name}: {error}") from error
     names = (fields[name].value for name in ("OBJECT_ID", "OBJECT_NAME") if name in fields)
     numbers = [found.group(1) for found in map(_NUMBER.search, names) if found]
-    return PublishedState(
-        tracklet_id=int(numbers[0]) if numbers else -1, t_tai_ns=epoch, state=state, covariance=covariance
-    )
+    return PublishedState(tracklet_id=int(numbers[0]) if numbers else -1, t_tai_ns=epoch, state=state, covariance=covariance)

@@ -45,7 +45,8 @@ class TrueMotion:
         return nearest, away_s[np.arange(len(nearest)), nearest] <= reach_s
 
     def offset_arcsec(self, direction: Array, t_tai_ns: NDArray[np.int64]) -> Array:
-        """Of a direction (n, 3) minus the true one at its epoch: along the motion, across it, and the whole chord (n, 3)."""
+        """Of a direction (n, 3) minus the true one at its epoch: along the motion, across it (at a position
+        angle larger by 90 degrees), and the whole chord (n, 3)."""
         t_s = (np.asarray(t_tai_ns, np.int64) - self.origin_ns) * 1e-9
         true = self.spline(t_s)
         depth = np.linalg.norm(true, axis=1, keepdims=True)
@@ -57,7 +58,7 @@ class TrueMotion:
         along = np.where(speed > 1e-12, motion / np.maximum(speed, 1e-12), east)
         along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
         off = direction - true
-        across = np.sum(off * np.cross(true, along), axis=1)
+        across = np.sum(off * np.cross(along, true), axis=1)
         return np.stack([np.sum(off * along, axis=1), across, np.linalg.norm(off, axis=1)], axis=1) * ARCSEC_PER_RAD
 
     def epoch_error_ns(self, t_tai_ns: NDArray[np.int64], nearest: NDArray[np.intp]) -> Array:

@@ -8,6 +8,7 @@ import numpy as np
 from astropy.table import Table
 from numpy.typing import NDArray
 
+from sboc_e2e.score.published.axes import AXES
 from sboc_e2e.score.published.kvn import UnreadableProduct
 
 Array = NDArray[np.float64]
@@ -19,7 +20,7 @@ _EPOCHS: Final = ("t_tai_ns", "t_ref_tai_ns")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StateSamples:
-    """Posterior of one tracklet: weight (n,) of sum 1, state (n, 6) km, km/s, GCRS axes, all at one epoch."""
+    """Posterior of one tracklet: weight (n,) of sum 1, state (n, 6) km, km/s, turned to GCRS axes, all at one epoch."""
 
     tracklet_id: int
     t_tai_ns: int
@@ -36,9 +37,14 @@ def read_samples(path: Path) -> tuple[StateSamples, ...]:
     missing = [name for name in wanted if name not in table.colnames]
     if missing:
         raise UnreadableProduct(f"{path.name}: lacks the columns {', '.join(missing)}")
+    said = str(table[_POSITION[0]].description or "")
+    axes = next((matrix for name, matrix in AXES.items() if name in said), None)
+    if axes is None:
+        raise UnreadableProduct(f"{path.name}: the description of {_POSITION[0]} names none of the axes {', '.join(AXES)}")
     tracklet, t_ns = np.asarray(table["tracklet_id"], int), np.asarray(table[epoch], np.int64)
     weight = np.asarray(table["weight"], float)
     state = np.stack([np.asarray(table[name], float) for name in (*_POSITION, *velocity)], axis=1)
+    state = (state.reshape(-1, 2, 3) @ axes.T).reshape(-1, 6)
     if not (np.isfinite(state).all() and np.isfinite(weight).all() and (weight >= 0.0).all()):
         raise UnreadableProduct(f"{path.name}: expected finite states and weights that are not negative")
     out = []

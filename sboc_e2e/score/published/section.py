@@ -24,8 +24,10 @@ Item = TypeVar("Item")
 
 SAMPLES: Final = "orbit_samples.ecsv"
 
-COMPANION_COLUMNS: Final = ("tracklet_id", "t_tai_ns", "sigma_along_arcsec", "sigma_cross_arcsec")
-"""A table in products/ with these columns says how well each angle of the message is known; `correlation` is optional."""
+COMPANION_COLUMNS: Final = ("tracklet_id", "epoch_tai_ns", "sigma_along_arcsec", "sigma_cross_arcsec")
+"""A table in products/ with these columns says how well each angle of the message is known; that of their correlation is optional."""
+
+_TOGETHER: Final = "correlation_along_cross"
 
 
 def published_products(
@@ -107,10 +109,10 @@ def _companion(folder: Path | None) -> dict[int, StatedSigmas]:
 
 def _sigmas(table: Table) -> dict[int, StatedSigmas]:
     tracklet = np.asarray(table["tracklet_id"], int)
-    t = np.asarray(table["t_tai_ns"], np.int64)
+    t = np.asarray(table["epoch_tai_ns"], np.int64)
     sigma = np.stack([np.asarray(table[f"sigma_{name}_arcsec"], float) for name in ("along", "cross")], axis=1)
     sigma = np.where(sigma > 0.0, sigma, np.nan)
-    together = np.asarray(table["correlation"], float) if "correlation" in table.colnames else np.zeros(len(table))
+    together = np.asarray(table[_TOGETHER], float) if _TOGETHER in table.colnames else np.zeros(len(table))
     stated = np.concatenate([sigma, together[:, None]], axis=1)
     return {
         int(number): StatedSigmas(t_tai_ns=t[tracklet == number], stated=stated[tracklet == number])

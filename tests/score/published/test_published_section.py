@@ -128,15 +128,15 @@ def test_stated_errors_of_angles_give_pulls(hand_made: HandMade) -> None:
     hand_made.write_tdm(along=1.0, cross=2.0)
     t = np.concatenate([hand_made.streaks["t0_tai_ns"], hand_made.streaks["t1_tai_ns"]])
     number = np.tile(hand_made.streaks["tracklet_id"], 2)
-    companion = Table({"tracklet_id": number, "t_tai_ns": t, "sigma_along_arcsec": np.full(len(t), 0.5)})
+    companion = Table({"tracklet_id": number, "epoch_tai_ns": t, "sigma_along_arcsec": np.full(len(t), 0.5)})
     companion["sigma_cross_arcsec"] = 4.0
-    companion.write(hand_made.folder / "products" / "tracklet_angles.ecsv", format="ascii.ecsv")
+    companion.write(hand_made.folder / "products" / "tdm_angles.ecsv", format="ascii.ecsv")
     angles = hand_made.score()["angles"]
     assert angles["along_pull_std"]["value"] == pytest.approx(2.0 / np.sqrt(0.4549), rel=0.01)
     assert angles["cross_pull_std"]["value"] == pytest.approx(0.5 / np.sqrt(0.4549), rel=0.01)
     assert angles["nees"]["value"] == pytest.approx(0.5 * (4.0 + 0.25), rel=0.01)
-    companion["correlation"] = 0.6
-    companion.write(hand_made.folder / "products" / "tracklet_angles.ecsv", format="ascii.ecsv", overwrite=True)
+    companion["correlation_along_cross"] = 0.6
+    companion.write(hand_made.folder / "products" / "tdm_angles.ecsv", format="ascii.ecsv", overwrite=True)
     expected = 0.5 * np.array([2.0, 0.5]) @ np.linalg.inv([[1.0, 0.6], [0.6, 1.0]]) @ np.array([2.0, 0.5])
     assert hand_made.score()["angles"]["nees"]["value"] == pytest.approx(expected, rel=0.01)
 
@@ -221,13 +221,18 @@ def test_samples_cover_the_true_distance_or_not(hand_made: HandMade, offset_km: 
             cloud[f"v{axis}_km_s"] = velocity[k] * np.ones(400)
         parts.append(cloud)
     table = Table({name: np.concatenate([p[name] for p in parts]) for name in parts[0].colnames})
-    table.write(hand_made.folder / "products" / "orbit_samples.ecsv", format="ascii.ecsv")
+    table["x_km"].description = "geocentric position, GCRF"
+    path = hand_made.folder / "products" / "orbit_samples.ecsv"
+    table.write(path, format="ascii.ecsv")
     found = hand_made.score()["states"]
     assert found["samples_range_coverage_90"]["value"] == covered
     assert found["samples_share"]["value"] == 1.0
     assert found["samples_position_error_median_km"]["value"] == pytest.approx(offset_km, abs=1.5)
+    table["x_km"].description = "geocentric position"
+    table.write(path, format="ascii.ecsv", overwrite=True)
+    assert "names none of the axes" in hand_made.score()["states"]["n_sampled"]["reason"]
     table.remove_column("x_km")
-    table.write(hand_made.folder / "products" / "orbit_samples.ecsv", format="ascii.ecsv", overwrite=True)
+    table.write(path, format="ascii.ecsv", overwrite=True)
     assert hand_made.score()["states"]["samples_share"]["reason"] == "orbit_samples.ecsv: lacks the columns x_km"
 
 

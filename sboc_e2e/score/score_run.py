@@ -21,7 +21,7 @@ from sboc_e2e.score.published import published_products
 from sboc_e2e.score.recovery import counted, field_deg, recovery
 from sboc_e2e.score.timing import timing
 
-SCORE_VERSION = "1.0"
+SCORE_VERSION = "1.1"
 
 
 def score_run(run_dir: Path, truth: Path | None = None) -> dict[str, Any]:

@@ -25,7 +25,7 @@ Item = TypeVar("Item")
 SAMPLES: Final = "orbit_samples.ecsv"
 
 COMPANION_COLUMNS: Final = ("tracklet_id", "epoch_tai_ns", "sigma_along_arcsec", "sigma_cross_arcsec")
-"""A table in products/ with these columns says how well each angle of the message is known; that of their correlation is optional."""
+"""A table in products/ with these columns says how well each angle of the message is known; their correlation is optional."""
 
 _TOGETHER: Final = "correlation_along_cross"
 

@@ -1,5 +1,6 @@
 """The section sees the error that was put into a message made by hand, and only that one."""
 
+import json
 from pathlib import Path
 
 import numpy as np
@@ -295,3 +296,12 @@ def test_fewer_than_three_objects_have_no_interval_and_no_figure(tmp_path: Path)
     found = run.score()["angles"]["along_rms_arcsec"]
     assert (found["value"], found["n"]) == (None, 32)
     assert "fewer than three objects" in found["reason"]
+
+
+def test_the_same_files_give_the_same_section(hand_made: HandMade) -> None:
+    """To the last digit, with intervals; the order in which a folder lists its files does not matter."""
+    for tracklet in sorted(hand_made.owner, reverse=True):
+        hand_made.write_opm(tracklet, np.full(6, 1e-3), np.eye(6) * 1e-6)
+    hand_made.write_tdm(along=0.3)
+    hand_made.write_oem(position_m=3.0, covariance=True)
+    assert json.dumps(hand_made.score()) == json.dumps(hand_made.score())

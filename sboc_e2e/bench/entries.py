@@ -60,7 +60,8 @@ REAL_TIME: Final = "x real time"
 UNITS: Final = (
     ("*realtime_factor*", REAL_TIME), ("*speedup*", TIMES), ("*_over_numpy_floor", TIMES),
     ("*_arcsec", "arcsec"), ("*_mag", "mag"), ("*cpu_s*", "s"), ("*_s_per_frame", "s"), ("*_mb", "MB"), ("*mb_s*", "MB/s"),
-    ("*_km_s", "km/s"), ("*_m_s", "m/s"), ("*_km", "km"), ("*_rms_m", "m"), ("*_deg", "deg"), ("*_px", "px"), ("*bits*", "bit"), ("*_bytes", "B"), ("*_ms*", "ms"), ("*_s", "s"),
+    ("*_km_s", "km/s"), ("*_m_s", "m/s"), ("*_rms_m", "m"),
+    ("*_km", "km"), ("*_deg", "deg"), ("*_px", "px"), ("*bits*", "bit"), ("*_bytes", "B"), ("*_ms*", "ms"), ("*_s", "s"),
 )  # fmt: skip
 
 

@@ -22,8 +22,6 @@ class Aim:
     bound: str = ""
 
 
-_CALIBRATED: Final = {"low": 0.9, "high": 1.1}
-
 AIMS: Final = (
     Aim(
         figure="angles.differs_from_streaks",
@@ -41,17 +39,17 @@ AIMS: Final = (
         bound="angles.streaks_cross_rms_arcsec",
     ),
     Aim(figure="angles.gross_share", label="TDM angles off by more than a degree (share)", high=0.0),
-    Aim(figure="angles.along_pull_std", label="errors stated for TDM angles, along (pulls)", **_CALIBRATED),
-    Aim(figure="angles.cross_pull_std", label="errors stated for TDM angles, across (pulls)", **_CALIBRATED),
+    Aim(figure="angles.along_pull_std", label="errors stated for TDM angles, along (pulls)", low=0.9, high=1.1),
+    Aim(figure="angles.cross_pull_std", label="errors stated for TDM angles, across (pulls)", low=0.9, high=1.1),
     Aim(figure="angles.epoch_rms_ms", label="TDM epochs (ms rms)", high=1.0),
     Aim(figure="magnitudes.line_rms_mag", label="TDM magnitudes (mag rms)"),
-    Aim(figure="magnitudes.tracklet_pull_std", label="errors stated for magnitudes of tracklets (pulls)", **_CALIBRATED),
+    Aim(figure="magnitudes.tracklet_pull_std", label="errors stated for magnitudes of tracklets (pulls)", low=0.9, high=1.1),
     Aim(figure="observer.position_rms_m", label="OEM positions of the camera (m rms)"),
     Aim(figure="observer.velocity_rms_m_s", label="OEM velocities of the camera (m/s rms)"),
     Aim(figure="observer.implied_minus_quoted_rms_m_s", label="OEM velocities implied minus quoted (m/s rms)", high=0.05),
     Aim(figure="states.covariance_share", label="tracklets with an orbit state and its covariance (share)"),
     Aim(figure="states.samples_share", label="tracklets with samples of orbit states (share)"),
-    Aim(figure="states.nees", label="covariances of orbit states (NEES)", **_CALIBRATED),
+    Aim(figure="states.nees", label="covariances of orbit states (NEES)", low=0.9, high=1.1),
 )
 
 

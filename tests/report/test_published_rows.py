@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from sboc_e2e.report.closing import closing_text
-from sboc_e2e.report.published_files import AIMS, published_rows
+from sboc_e2e.report.published_files import AIMS, PublishedRow, published_rows
 from sboc_e2e.score.figures import absent, figure
 
 
@@ -11,7 +11,7 @@ def products(**angles: dict) -> dict:
     return {"products": {"angles": angles}}
 
 
-def row(score: dict, figure_name: str) -> object:
+def row(score: dict, figure_name: str) -> PublishedRow:
     return published_rows(score)[[aim.figure for aim in AIMS].index(figure_name)]
 
 

@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Any
 
 import erfa
 import numpy as np
@@ -202,7 +203,7 @@ class HandMade:
         path.write_text("\n".join(lines) + "\n")
         return path
 
-    def score(self) -> dict[str, dict[str, dict[str, float]]]:
+    def score(self) -> dict[str, Any]:
         """The section, from what was written."""
         return published_products(self.folder / "products", self.streaks, self.tracklets, self.truth, self.owner, self.truth_mag)
 

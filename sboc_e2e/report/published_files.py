@@ -83,9 +83,9 @@ def _row(score: Mapping[str, Any], aim: Aim) -> PublishedRow:
         high = float("inf") if bound is None else float(bound)
         wanted = "" if bound is None else f"at most {number(high)}, that of streaks.ecsv"
     elif aim.low > 0.0:
-        wanted = f"{number(aim.low)} to {number(aim.high)}"
+        wanted = f"{aim.low:g} to {aim.high:g}"
     elif high < float("inf"):
-        wanted = f"at most {number(high)}" if high else "0"
+        wanted = f"at most {high:g}" if high else "0"
     return PublishedRow(label=aim.label, value=value, note=note, aim=wanted, verdict=_verdict(figure, aim.low, high, wanted))
 
 

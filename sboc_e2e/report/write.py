@@ -42,7 +42,9 @@ def markdown(score: dict[str, Any], e: Evaluation) -> str:
     lines += ["", f"{len(e.truth)} truth streaks, {len(e.detected_ground)} measured, {len(e.false_rows)} false, "
               f"{len(e.tracklets)} tracklets."]  # fmt: skip
     lines += ["", "What is published, read from the files:", "", "| figure | value | should be | |", "|---|---|---|---|"]
-    lines += [f"| {row.label} | {row.value} | {row.aim} | {row.verdict} |" for row in published_rows(score)]
+    for row in published_rows(score):
+        value = f"- ({row.note})" if row.value == "-" else row.value
+        lines.append(f"| {row.label} | {value} | {row.aim} | {row.verdict} |")
     return "\n".join(lines) + "\n"
 
 

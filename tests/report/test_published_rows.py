@@ -51,7 +51,7 @@ def test_pages_show_published_files(reported_run: Path) -> None:
     page, summary = (reported_run / "report.html").read_text(), (reported_run / "report.md").read_text()
     for text in (page, summary):
         assert "OEM velocities implied minus quoted" in text
-    assert "no tracking data message was published" in page
+        assert "no tracking data message was published" in text
     assert "on board, x real time on one core, this run" in summary
 
 

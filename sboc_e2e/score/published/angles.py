@@ -171,6 +171,8 @@ def _points_of(streaks: Table) -> dict[int, _Points]:
     unit = np.stack([unit_vectors(np.asarray(streaks[ra], float), np.asarray(streaks[dec], float)) for _, ra, dec in _POINTS])
     order = np.argsort(tracklet, kind="stable")
     order = order[tracklet[order] >= 0]
+    if not len(order):
+        return {}
     names, first = np.unique(tracklet[order], return_index=True)
     return {
         int(name): (t[:, rows].ravel(), unit[:, rows].reshape(-1, 3))

@@ -305,3 +305,9 @@ def test_the_same_files_give_the_same_section(hand_made: HandMade) -> None:
     hand_made.write_tdm(along=0.3)
     hand_made.write_oem(position_m=3.0, covariance=True)
     assert json.dumps(hand_made.score()) == json.dumps(hand_made.score())
+
+
+def test_a_run_without_tracklets_is_scored(hand_made: HandMade) -> None:
+    hand_made.write_tdm()
+    hand_made.streaks["tracklet_id"] = -1
+    assert value(hand_made.score(), "angles.differs_from_streaks") == 1.0

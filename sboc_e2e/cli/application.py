@@ -1,5 +1,6 @@
 """The commands. Each parses its options, calls one function of the harness and says where the result is."""
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -85,6 +86,7 @@ def run(
 ) -> None:
     """Simulate, process on board and on ground, score, report."""
     from sboc_e2e import scenario as scenarios
+    from sboc_e2e.report.closing import closing_text
     from sboc_e2e.run import RunRequest
     from sboc_e2e.run import run as execute
 
@@ -92,6 +94,7 @@ def run(
     target = out or Path("runs") / resolved.name
     with shown_progress() as progress:
         execute(RunRequest(scenario=resolved, out=target, resume=resume, force=force, workers=workers), progress)
+    typer.echo(closing_text(json.loads((target / "score.json").read_text())))
     typer.echo(f"{target}/report.html")
 
 

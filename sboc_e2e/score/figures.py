@@ -83,6 +83,28 @@ def bootstrap(values: ArrayLike, statistic: Callable[[NDArray[np.float64]], floa
     return figure(statistic(items), n, low, high)
 
 
+def bootstrap_by_owner(
+    values: ArrayLike, owners: ArrayLike, statistic: Callable[[NDArray[np.float64]], float], reason: str = "too few to measure"
+) -> Figure:
+    """A statistic of items that belong to objects: objects are resampled, each with all its items, which share errors.
+
+    values : items over axis 0. owners : (n,) whose each is. Needs three objects; `n` of the figure counts items.
+    """
+    items, whose = np.asarray(values, dtype=np.float64), np.asarray(owners)
+    n = len(items)
+    if n == 0:
+        return absent(reason, n)
+    names, place = np.unique(whose, return_inverse=True)
+    if len(names) < 3:
+        return absent(f"of fewer than three objects: {reason}", n)
+    groups = np.split(np.argsort(place, kind="stable"), np.cumsum(np.bincount(place))[:-1])
+    rng = np.random.default_rng(_SEED)
+    picks = rng.integers(0, len(names), (BOOTSTRAP_DRAWS, len(names)))
+    draws = np.array([statistic(items[np.concatenate([groups[k] for k in pick])]) for pick in picks])
+    low, high = np.quantile(draws, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return figure(statistic(items), n, low, high)
+
+
 def rms(values: NDArray[np.float64]) -> float:
     """Root mean square."""
     return float(np.sqrt(np.mean(values * values)))

@@ -17,10 +17,11 @@ from sboc_e2e.score.lossless import lossless_check
 from sboc_e2e.score.orbit import orbit
 from sboc_e2e.score.photometry import mean_magnitudes, photometry
 from sboc_e2e.score.population import detections_per_day
+from sboc_e2e.score.published import published_products
 from sboc_e2e.score.recovery import counted, field_deg, recovery
 from sboc_e2e.score.timing import timing
 
-SCORE_VERSION = "1.0"
+SCORE_VERSION = "1.1"
 
 
 def score_run(run_dir: Path, truth: Path | None = None) -> dict[str, Any]:
@@ -66,6 +67,9 @@ def score_evaluation(e: Evaluation, run_dir: Path | None = None) -> dict[str, An
         "photometry": magnitudes,
         "linking": links,
         "orbit": orbit(e.orbits, owner, e.truth_tables["streaks"], e.truth_tables["objects"]),
+        "products": published_products(
+            run_dir / "products" if run_dir else None, e.streaks, e.tracklets, e.truth_tables, owner, truth_mag
+        ),
         "population": _population(e, owner, span_s, frame_rate_hz),
         "compression": compression(
             e.downlink, e.n_frames, e.shape, n_stars, groups, captured, lossless_bits, bit_exact,

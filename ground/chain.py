@@ -94,6 +94,11 @@ class GroundChain:
         self._catalogue = catalogue
         self._run_id = run_id
 
+    @property
+    def camera(self) -> NominalCamera:
+        """The camera as ground believes it to be."""
+        return self._camera
+
     def ingest(self, downlink: bytes) -> tuple[tuple[DownlinkFrame, ...], IngestReport]:
         """Frames rebuilt from all intact packets of the run, by frame number, and what was missing."""
         return decode_downlink(downlink, self._steps.decoders, run_id=self._run_id)

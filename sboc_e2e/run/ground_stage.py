@@ -21,6 +21,7 @@ from ground.options import GroundOptions
 from ground.products import tables
 from ground.products.images import frame_images, has_images
 from ground.products.oem import oem_text
+from ground.products.population import population, population_table
 from ground.products.tdm import tdm_text
 from ground.products.trail_light import trail_light_tables
 from ground.records import FrameProducts, GroundProducts
@@ -128,9 +129,11 @@ class GroundStage:
         products = OnDemand(len(frames), self._stored, keep=PRODUCTS_KEPT)
         with self.meter:
             result = self.chain.finish(frames, products, ingest)
+            debris = population(result, frames, self.chain.camera)
         made = self.run.work(STAGE) / "products"
         shutil.rmtree(made, ignore_errors=True)
         self._write(made, frames, result)
+        ecsv.write_table(made / "population.ecsv", population_table(debris))
         if known is not None:
             ecsv.write_table(made / "known.ecsv", known_objects.matches(result, known))
         if precise:

@@ -35,6 +35,12 @@ SLOWEST_DEG_S: Final = 0.1
 FRAMES_EACH: Final = 12
 """Of its stay, each object is looked at in as many frames at most, evenly spread."""
 
+CELL_KM: Final = 25.0
+CELL_SINE: Final = 0.02
+"""Half widths of the cell over which the density of an orbit is averaged."""
+
+FLUX_ROUNDS: Final = 4
+
 SMALL_BELOW_M: Final = 0.1
 BREAKUP_SHARE: Final = (0.8, 0.1)
 """Share of objects below and above `SMALL_BELOW_M` that carry the velocities of a break-up, as `range_scan` has them."""
@@ -92,7 +98,10 @@ class Crossings:
 def crossings(
     watch: Watch, edges_m: tuple[float, float], n: int, rng: np.random.Generator, *, albedo: float, albedo_sigma_ln: float
 ) -> Crossings:
-    """Draw candidates of a class; albedo : median of the log-normal distribution that theirs come from."""
+    """Draw n candidates of a class; albedo : median of the log-normal distribution that theirs come from.
+
+    Returned are those whose orbits come to where they were put.
+    """
     size = _sizes(edges_m, n, rng)
     own = albedo * np.exp(albedo_sigma_ln * rng.standard_normal(n))
     frame = rng.integers(len(watch.t_s), size=n)
@@ -101,38 +110,39 @@ def crossings(
     observer, ours, attitude = watch.position_km[frame], watch.velocity_km_s[frame], watch.attitude[frame]
     signs = rng.random((2, n)) < 0.5
 
-    # how many of them pass at the camera itself
-    here = _velocity(observer, a, e, inclination, signs)
-    speed = np.linalg.norm(here - ours, axis=1)
-    flux = float(np.mean(np.nan_to_num(_density(observer, a, e, inclination) * speed)))
-
     reach = _reach_km(size, own, watch)
     far = np.clip(reach, NEAREST_KM * 1.001, FARTHEST_KM)
     near = np.maximum(NEAREST_KM, far / NEAR_SHARE)
     span = np.log(far / near)
-    rho = near * np.exp(rng.random(n) * span)
+    # half of them even in ln(range), for what only its nearness makes bright, half even in volume
+    cubes = near**3, far**3
+    volume_like = np.cbrt(cubes[0] + rng.random(n) * (cubes[1] - cubes[0]))
+    rho = np.where(rng.random(n) < 0.5, near * np.exp(rng.random(n) * span), volume_like)
+    per_km = 0.5 / (rho * span) + 1.5 * rho**2 / (cubes[1] - cubes[0])
     u, v = rng.uniform(-watch.half_col, watch.half_col, n), rng.uniform(-watch.half_row, watch.half_row, n)
     slant = np.sqrt(1.0 + u * u + v * v)
     camera = np.stack([u, v, np.ones(n)], axis=1) / slant[:, None] * rho[:, None]
     position = observer + np.einsum("ni,nij->nj", camera, attitude)
-    velocity = _velocity(position, a, e, inclination, signs)
+    volume = 4.0 * watch.half_row * watch.half_col / slant**3 * rho**2 / per_km
+    density = _density(position, a, e, inclination)
+    # most orbits do not come here: the rest of the work is for those that do
+    kept = np.flatnonzero((density > 0.0) & (reach > NEAREST_KM))
+    size, own, rho, camera, position, observer = (x[kept] for x in (size, own, rho, camera, position, observer))
+    ours, attitude, t0 = ours[kept], attitude[kept], watch.t_s[frame[kept]]
+    velocity = _velocity(position, a[kept], e[kept], inclination[kept], signs[:, kept])
     relative = np.einsum("nij,nj->ni", attitude, velocity - ours)
     across = relative - camera * (np.sum(relative * camera, axis=1) / rho**2)[:, None]
     rate = np.linalg.norm(across, axis=1) / rho
-    volume = 4.0 * watch.half_row * watch.half_col / slant**3 * rho**3 * span
     start, stop = _stay_s(camera, relative, watch)
-    t0 = watch.t_s[frame]
     first, last = watch.t_s[0] - 0.5 * watch.frame_s, watch.t_s[-1] + 0.5 * watch.frame_s
     start, stop = np.maximum(start, first - t0), np.minimum(stop, last - t0)
     stay = stop - start
-    met = np.isfinite(velocity).all(axis=1) & (stay > 0.0) & (np.degrees(rate) >= SLOWEST_DEG_S) & (reach > NEAREST_KM)
-    density = np.nan_to_num(_density(position, a, e, inclination))
-    weight = np.where(met, density * volume * watch.span_s / np.maximum(stay, 1e-9), 0.0) / n
+    met = np.isfinite(velocity).all(axis=1) & (stay > 0.0) & (np.degrees(rate) >= SLOWEST_DEG_S)
+    weight = np.where(met, density[kept] * volume[kept] * watch.span_s / np.maximum(stay, 1e-9), 0.0) / n
 
-    phase = np.arccos(np.clip(-(position - observer) @ watch.sun / rho, -1.0, 1.0))
-    light = (
-        10.0 ** (-0.4 * (SUN_V_MAG - watch.zero_point_mag)) * own * (0.5 * size) ** 2 / (rho * 1e3) ** 2 * lambert_phase(phase)
-    )
+    phase = np.arccos(np.clip(-np.sum((position - observer) * watch.sun, axis=1) / rho, -1.0, 1.0))
+    sunlight_e_s = 10.0 ** (-0.4 * (SUN_V_MAG - watch.zero_point_mag))
+    light = sunlight_e_s * own * (0.5 * size) ** 2 / (rho * 1e3) ** 2 * lambert_phase(phase)
     snr, length, lit = _seen(watch, t0, start, stop, rate, rho, light)
     return Crossings(
         size_m=size,
@@ -140,11 +150,28 @@ def crossings(
         range_km=rho,
         rate_deg_s=np.degrees(rate),
         snr=np.where(met[:, None], snr, 0.0),
-        length_px=length,
+        length_px=np.where(met[:, None], length, 0.0),
         frames_lit=lit,
         weight=weight,
-        flux_km2_s=flux,
+        flux_km2_s=_flux_at_camera(watch, orbits),
     )
+
+
+def _flux_at_camera(watch: Watch, orbits: Array) -> float:
+    """Density times relative speed at the camera for one object on orbits like these."""
+    rng = np.random.default_rng(20270129)
+    total, n = 0.0, len(orbits)
+    for _ in range(FLUX_ROUNDS):
+        frame = rng.integers(len(watch.t_s), size=n)
+        place = watch.position_km[frame]
+        a, e, inclination = orbits.T
+        density = _density(place, a, e, inclination)
+        kept = np.flatnonzero(density > 0.0)
+        signs = rng.random((2, len(kept))) < 0.5
+        velocity = _velocity(place[kept], a[kept], e[kept], inclination[kept], signs)
+        speed = np.linalg.norm(velocity - watch.velocity_km_s[frame[kept]], axis=1)
+        total += float(np.sum(np.nan_to_num(density[kept] * speed))) / n
+    return total / FLUX_ROUNDS
 
 
 def trail_snr(flux_e: Array, length_px: Array, range_km: Array, watch: Watch) -> Array:
@@ -196,7 +223,7 @@ def _stay_s(camera: Array, relative: Array, watch: Watch) -> tuple[Array, Array]
 
 
 def _velocity(position: Array, a: Array, e: Array, inclination: Array, signs: NDArray[np.bool_]) -> Array:
-    """Velocities (n, 3) on orbits through positions (n, 3) km, NaN if they do not pass; signs (2, n) : rising, northwards."""
+    """Velocities (n, 3) at positions (n, 3) km, of the apsis for orbits that just miss; signs (2, n) : rising, northwards."""
     r = np.linalg.norm(position, axis=1)
     up = position / r[:, None]
     cos_lat = np.hypot(up[:, 0], up[:, 1])
@@ -204,20 +231,26 @@ def _velocity(position: Array, a: Array, e: Array, inclination: Array, signs: ND
     north = np.cross(up, east)
     with np.errstate(invalid="ignore"):
         level = np.sqrt(MU_KM3_S2 * a * (1.0 - e**2)) / r
-        radial = np.sqrt(MU_KM3_S2 * (2.0 / r - 1.0 / a) - level**2)
-        sine = np.cos(inclination) / cos_lat
+        radial = np.sqrt(np.maximum(MU_KM3_S2 * (2.0 / r - 1.0 / a) - level**2, 0.0))
+        sine = np.clip(np.cos(inclination) / cos_lat, -1.0, 1.0)
         cosine = np.sqrt(1.0 - sine**2)
     radial, cosine = np.where(signs[0], radial, -radial), np.where(signs[1], cosine, -cosine)
     return np.asarray(radial[:, None] * up + level[:, None] * (sine[:, None] * east + cosine[:, None] * north))
 
 
 def _density(position: Array, a: Array, e: Array, inclination: Array) -> Array:
-    """Objects per km^3 at positions (n, 3) of one object on each orbit, NaN or 0 where the orbit does not come."""
+    """Objects per km^3 at positions (n, 3) of one object on each orbit, 0 where the orbit does not come.
+
+    Mean over `CELL_KM` in radius and `CELL_SINE` in the sine of latitude, both in closed form: at the apsides and at the highest
+    latitudes of an orbit its density has no bound, and a sum over drawn orbits would hang on the few that just graze the place.
+    """
     r = np.linalg.norm(position, axis=1)
-    lateral = np.sin(inclination) ** 2 - (position[:, 2] / r) ** 2
-    radial = (r - a * (1.0 - e)) * (a * (1.0 + e) - r)
-    good = (lateral > 0.0) & (radial > 0.0)
-    return np.where(good, 1.0 / (2.0 * np.pi**3 * r * a * np.sqrt(np.where(good, lateral * radial, 1.0))), 0.0)
+    sine, highest = position[:, 2] / r, np.maximum(np.sin(inclination), 1e-6)
+    radial = [np.arcsin(np.clip((r + step - a) / (a * e), -1.0, 1.0)) for step in (-CELL_KM, CELL_KM)]
+    lateral = [np.arcsin(np.clip((sine + step) / highest, -1.0, 1.0)) for step in (-CELL_SINE, CELL_SINE)]
+    return np.asarray(
+        (radial[1] - radial[0]) * (lateral[1] - lateral[0]) / (4.0 * CELL_KM * CELL_SINE) / (2.0 * np.pi**3 * r * a)
+    )
 
 
 def _sizes(edges_m: tuple[float, float], n: int, rng: np.random.Generator) -> Array:

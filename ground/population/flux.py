@@ -42,9 +42,9 @@ LINKED: Final = 0.95
 """Share of the objects detected in two frames or more that become a tracklet with its size."""
 
 COULD_BE_SEEN_SNR: Final = 5.0
-"""Crossings are those that reach this S/N in their best frame; exposure and efficiency both refer to them."""
+"""Crossings are those that reach this S/N in their best frame and last two frames; exposure and efficiency both refer to them."""
 
-CANDIDATES: Final = 6000
+CANDIDATES: Final = 30_000
 DRAWS: Final = 1500
 YEAR_S: Final = 365.25 * 86_400.0
 LEAST_EFFICIENCY: Final = 1e-3
@@ -113,12 +113,17 @@ def flux_of(counted: Counted, watch: Watch, efficiency: Efficiency, rng: np.rand
     share, seen_km2_s, exposed, reach = np.zeros(k), np.zeros(k), np.zeros(k), np.full(k, np.nan)
     for j in range(k):
         drawn = crossings(watch, (edges[j], edges[j + 1]), CANDIDATES, rng, albedo=ALBEDO, albedo_sigma_ln=ALBEDO_SIGMA_LN)
-        weight = np.where(drawn.snr.max(axis=1) >= COULD_BE_SEEN_SNR, drawn.weight, 0.0)
+        if not len(drawn.weight):
+            continue
+        could = (drawn.snr.max(axis=1) >= COULD_BE_SEEN_SNR) & (drawn.frames_lit >= 2)
+        weight = np.where(could, drawn.weight, 0.0)
         if not (weight.sum() > 0.0 and drawn.flux_km2_s > 0.0):
             continue
         found = LINKED * found_shares(drawn, efficiency)
         estimate = (
-            drawn.size_m * np.sqrt(drawn.albedo / ALBEDO) * np.exp(counted.range_sigma_ln * rng.standard_normal(CANDIDATES))
+            drawn.size_m
+            * np.sqrt(drawn.albedo / ALBEDO)
+            * np.exp(counted.range_sigma_ln * rng.standard_normal(len(drawn.weight)))
         )
         n = effective_number(weight)
         into = np.bincount(_category(estimate, edges), weights=weight * found, minlength=k + 1) / weight.sum()

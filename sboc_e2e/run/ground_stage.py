@@ -133,7 +133,13 @@ class GroundStage:
         made = self.run.work(STAGE) / "products"
         shutil.rmtree(made, ignore_errors=True)
         self._write(made, frames, result)
-        ecsv.write_table(made / "population.ecsv", population_table(debris))
+        flux = population_table(debris)
+        ecsv.write_table(made / "population.ecsv", flux)
+        if self.options.products.tracklet_plots:
+            # here, since matplotlib takes longer to load than a frame to process
+            from sboc_e2e.run.population_plot import population_svg
+
+            write_text(made / "plots" / "population.svg", population_svg(flux))
         if known is not None:
             ecsv.write_table(made / "known.ecsv", known_objects.matches(result, known))
         if precise:

@@ -17,6 +17,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import erf
 
 from ground.orbit.breakup import draw_breakup, draw_catalogue
 from ground.orbit.dynamics import MU_KM3_S2
@@ -124,7 +125,7 @@ def crossings(
     camera = np.stack([u, v, np.ones(n)], axis=1) / slant[:, None] * rho[:, None]
     position = observer + np.einsum("ni,nij->nj", camera, attitude)
     volume = 4.0 * watch.half_row * watch.half_col / slant**3 * rho**2 / per_km
-    density = _density(position, a, e, inclination)
+    density = density_of(position, a, e, inclination)
     # most orbits do not come here: the rest of the work is for those that do
     kept = np.flatnonzero((density > 0.0) & (reach > NEAREST_KM))
     size, own, rho, camera, position, observer = (x[kept] for x in (size, own, rho, camera, position, observer))
@@ -165,7 +166,7 @@ def _flux_at_camera(watch: Watch, orbits: Array) -> float:
         frame = rng.integers(len(watch.t_s), size=n)
         place = watch.position_km[frame]
         a, e, inclination = orbits.T
-        density = _density(place, a, e, inclination)
+        density = density_of(place, a, e, inclination)
         kept = np.flatnonzero(density > 0.0)
         signs = rng.random((2, len(kept))) < 0.5
         velocity = _velocity(place[kept], a[kept], e[kept], inclination[kept], signs)
@@ -177,8 +178,12 @@ def _flux_at_camera(watch: Watch, orbits: Array) -> float:
 def trail_snr(flux_e: Array, length_px: Array, range_km: Array, watch: Watch) -> Array:
     """Matched-filter S/N of straight uniform trails; the defocus disc of near objects widens the PSF by its second moment."""
     blur = watch.aperture_m * 1e-3 / range_km * watch.focal_px
-    width = 2.0 * math.sqrt(math.pi) * np.sqrt(watch.psf_sigma_px**2 + blur**2 / 16.0)
-    return np.asarray(flux_e / np.sqrt(width * (length_px + width)) / watch.noise_e)
+    sigma = np.sqrt(watch.psf_sigma_px**2 + blur**2 / 16.0)
+    # integrals of the squared profile across the trail, a Gaussian, and along it, a box that this Gaussian blurs
+    across = 0.5 / (math.sqrt(math.pi) * sigma)
+    x = np.maximum(length_px / (2.0 * sigma), 1e-3)
+    along = (x * erf(x) - (1.0 - np.exp(-(x**2))) / math.sqrt(math.pi)) / (2.0 * sigma * x**2)
+    return np.asarray(flux_e * np.sqrt(across * along) / watch.noise_e)
 
 
 def _seen(
@@ -238,7 +243,7 @@ def _velocity(position: Array, a: Array, e: Array, inclination: Array, signs: ND
     return np.asarray(radial[:, None] * up + level[:, None] * (sine[:, None] * east + cosine[:, None] * north))
 
 
-def _density(position: Array, a: Array, e: Array, inclination: Array) -> Array:
+def density_of(position: Array, a: Array, e: Array, inclination: Array) -> Array:
     """Objects per km^3 at positions (n, 3) of one object on each orbit, 0 where the orbit does not come.
 
     Mean over `CELL_KM` in radius and `CELL_SINE` in the sine of latitude, both in closed form: at the apsides and at the highest

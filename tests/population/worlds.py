@@ -1,11 +1,25 @@
 """Runs as lists: encounters of the simulator (its own orbits, densities and light), found by a plain threshold, no pixels."""
 
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
+from scipy.special import ndtr
 
 from ground.population.encounters import Watch
-from ground.population.flux import ALBEDO, ALBEDO_SIGMA_LN, LINKED, MEAN_ALBEDO_SIGMA_LN, SIZE_EDGES_M, Counted, Flux, flux_of
+from ground.population.flux import (
+    ALBEDO,
+    ALBEDO_SIGMA_LN,
+    LINKED,
+    MEAN_ALBEDO_SIGMA_LN,
+    ORBITS_SIGMA_LN,
+    PHASE_SIGMA_LN,
+    RESPONSE_SIGMA_LN,
+    SIZE_EDGES_M,
+    Counted,
+    Flux,
+    flux_of,
+)
 from ground.population.injection import SNR_GRID, Efficiency
 from simulator.platform.earth import sun_position_km
 from simulator.scene.debris import SizeClass
@@ -49,18 +63,19 @@ def watch_of(seen: Window) -> Watch:
     n = len(t)
     return Watch(
         t_s=t, position_km=seen.observer_km + offset[:, None] * seen.velocity_km_s,
-        velocity_km_s=np.broadcast_to(seen.velocity_km_s, (n, 3)).copy(), attitude=np.broadcast_to(seen.attitude, (n, 3, 3)).copy(),
+        velocity_km_s=np.broadcast_to(seen.velocity_km_s, (n, 3)).copy(),
+        attitude=np.broadcast_to(seen.attitude, (n, 3, 3)).copy(),
         sun=seen.sun_km / np.linalg.norm(seen.sun_km), half_row=HALF, half_col=HALF, focal_px=FOCAL_PX, exposure_s=EXPOSURE_S,
         frame_s=FRAME_S, zero_point_mag=2.5 * np.log10(ZERO_POINT_E_S), noise_e=NOISE_E, psf_sigma_px=PSF_PX, aperture_m=0.2,
     )  # fmt: skip
 
 
-def classes(albedo: float = ALBEDO, *, snr_min: float = 1.0) -> list[Class]:
+def classes(albedo: float = ALBEDO, *, snr_min: float = 1.0, candidates: int = CANDIDATES) -> list[Class]:
     """Candidates of every class of the product."""
-    options = PopulationOptions(candidates=CANDIDATES, albedo=albedo, snr_min=snr_min)
+    options = PopulationOptions(candidates=candidates, albedo=albedo, snr_min=snr_min)
     seen, rng = window(), np.random.default_rng(7)
     out = []
-    for low, high in zip(SIZE_EDGES_M[:-1], SIZE_EDGES_M[1:], strict=True):
+    for low, high in pairwise(SIZE_EDGES_M):
         one = SizeClass(from_mm=1e3 * low, to_mm=1e3 * high, count=1)
         found = draw_candidates(options, one, seen, rng)
         keep = (found.natural > 0.0) & (found.rate_deg_s >= options.slowest_deg_s)
@@ -71,8 +86,6 @@ def classes(albedo: float = ALBEDO, *, snr_min: float = 1.0) -> list[Class]:
 
 def chance(snr: np.ndarray) -> np.ndarray:
     """Of being found in one frame: noise of one sigma about the threshold."""
-    from scipy.special import ndtr
-
     return np.asarray(ndtr(snr - THRESHOLD))
 
 
@@ -85,18 +98,34 @@ def efficiency(rng: np.random.Generator, trials: int = 24) -> Efficiency:
     )  # fmt: skip
 
 
+def exposure_km2_s(one: Class, rng: np.random.Generator) -> float:
+    """Effective exposure of a class: expected tracklets (but for linking) over its flux, albedos scattered."""
+    found = one.found
+    total = 0.0
+    for _ in range(20):
+        p = chance(found.snr * np.exp(ALBEDO_SIGMA_LN * rng.standard_normal(len(found.snr))))
+        n = np.floor(found.stay_s / FRAME_S + rng.random(len(p)))
+        twice = 1.0 - (1.0 - p) ** n - n * p * (1.0 - p) ** np.maximum(n - 1.0, 0.0)
+        total += float(np.where(n >= 2, twice, 0.0) @ found.natural) / 20.0
+    return total / one.flux_km2_s
+
+
 def run(
-    made: list[Class], watch: Watch, rng: np.random.Generator, *, expected: float, albedo_known: bool
+    made: list[Class], watch: Watch, rng: np.random.Generator, *, expected: float, as_assumed: bool
 ) -> tuple[Flux, np.ndarray]:
-    """A run in which `expected` objects of each class would reach S/N 6, and its true flux per class, km^-2 year^-1."""
-    mean = 1.0 if albedo_known else np.exp(MEAN_ALBEDO_SIGMA_LN * rng.standard_normal())
+    """A run in which `expected` objects of each class would reach S/N 6, and its true flux per class, km^-2 year^-1.
+
+    as_assumed : light and orbits are what the product assumes; otherwise they are off by draws from its systematic terms.
+    """
+    light, density = np.hypot(MEAN_ALBEDO_SIGMA_LN, PHASE_SIGMA_LN), np.hypot(ORBITS_SIGMA_LN, RESPONSE_SIGMA_LN)
+    mean, more = (1.0, 1.0) if as_assumed else np.exp(np.array([light, density]) * rng.standard_normal(2))
     sizes, truth = [], []
     for one in made:
         found = one.found
         nominal = found.natural[found.snr >= 6.0].sum()
         boost = expected / nominal
         truth.append(boost * one.flux_km2_s * 365.25 * 86400.0)
-        number = rng.poisson(boost * found.natural.sum())
+        number = rng.poisson(boost * more * found.natural.sum())
         who = rng.choice(len(found.natural), size=number, p=found.natural / found.natural.sum())
         own = mean * np.exp(ALBEDO_SIGMA_LN * rng.standard_normal(number))
         frames = found.stay_s[who] / FRAME_S

@@ -47,7 +47,7 @@ def detections_per_day(
 def published_flux(product: Table | None, truth: Mapping[str, Any]) -> dict[str, Any]:
     """Flux larger than each edge of the simulated classes as products/population.ecsv has it, and the true one.
 
-    product : None where a run has no such table. truth : truth/population.json; the true flux is nature's times each class's boost.
+    product : None where a run has no such table. truth : truth/population.json; true: nature's flux x each class's boost.
     `holds_truth` : share of those edges whose 90 % interval, systematic term included, holds the true flux.
     """
     classes = [c for c in truth.get("classes", ()) if c.get("boost") and "flux_km2_year" in c]

@@ -12,15 +12,16 @@ import numpy as np
 from astropy.table import Column, Table
 from numpy.typing import NDArray
 
-from ground.astrometry.apparent import mid_frame_tai_ns
-from ground.astrometry.camera import Camera
-from ground.astrometry.rotation import matrix_of
 from ground.orbit.catalogue_match import CatalogueMatch
 from ground.products.epochs import utc_text
 from ground.products.light_curve import light_curve
 from ground.records import GroundProducts
+from ground.sky.apparent import mid_frame_tai_ns
+from ground.sky.pixel_sky import SolvedSky, mid_frame_directions, row_mid_exposure_tai_ns
 from ground.sky.sphere import ARCSEC_RAD, spherical_deg
+from sboc_e2e.icd.camera import CameraParameter
 from sboc_e2e.icd.downlink import DownlinkFrame, Housekeeping
+from sboc_e2e.icd.errors import PluginError
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution, PhotometricSolution, StreakMeasurement
@@ -37,6 +38,13 @@ COUNTERS: Final = (
 )
 """Fields of `Housekeeping` that `frames.ecsv` has: name, unit, meaning."""
 
+GRID_LINES: Final = 9
+GRID_TEXT: Final = (
+    "9 x 9 pixels, evenly spaced from corner to corner, row by row, at mid-exposure of their rows; NaN where unsolved"
+)
+GRID_DECIMALS: Final = 9
+"""Of degrees: 4 micro-arcseconds."""
+
 FRAMES_AT_ONCE: Final = 64
 STREAKS_AT_ONCE: Final = 4096
 
@@ -45,16 +53,19 @@ CROSSINGS: Final = (
     "mag = mag_at_1deg_s - 2.5 log10(rate in deg/s)"
 )
 
+Array = NDArray[np.float64]
+
 Spec = tuple[str, Any, str | None, str]
 """Name, values, unit, description."""
 
 
 def frames_tables(products: GroundProducts, frames: Sequence[DownlinkFrame]) -> Iterator[Table]:
     """One row for each frame: epoch, pointing, camera, star statistics, zero point; flags from on board and from ground."""
+    columns = products.solutions[0].camera.parameters() if len(frames) else ()
     for part in _parts(len(frames)):
         said = [(frame.flags, frame.psf_sigma_px, frame.housekeeping) for frame in (frames[k] for k in part)]
         at = slice(part.start, part.stop)
-        yield _frames_table(products.headers[at], products.solutions[at], products.photometry[at], said)
+        yield _frames_table(products.headers[at], products.solutions[at], products.photometry[at], said, columns)
 
 
 def _frames_table(
@@ -62,11 +73,13 @@ def _frames_table(
     solutions: Sequence[FrameSolution],
     photometry: Sequence[PhotometricSolution],
     said: Sequence[tuple[FrameFlag, float | None, Housekeeping | None]],
+    columns: Sequence[CameraParameter],
 ) -> Table:
-    """said : flags, PSF width and counters from on board."""
+    """said : flags, PSF width and counters from on board. columns : of the cameras, as the run's first one has them."""
     counters = [housekeeping for _, _, housekeeping in said]
     solved = np.array([not s.flags & FrameFlag.NO_SOLUTION for s in solutions], dtype=bool)
     ra, dec = _centre_directions(headers, solutions)
+    grid = np.array([_grid_directions(h, s) for h, s in zip(headers, solutions, strict=True)]).reshape(-1, GRID_LINES**2, 2)
     sigma = np.array([np.sqrt(np.diag(s.covariance_rad2)) for s in solutions]).reshape(-1, 3) / ARCSEC_RAD
     quaternion = np.array([s.quaternion for s in solutions]).reshape(-1, 4)
     rate = np.array([s.rate_rad_s for s in solutions]).reshape(-1, 3)
@@ -91,11 +104,9 @@ def _frames_table(
             ("sigma_x_arcsec", sigma[:, 0], "arcsec", "error of the rotation about the col axis"),
             ("sigma_y_arcsec", sigma[:, 1], "arcsec", "error of the rotation about the row axis"),
             ("sigma_roll_arcsec", sigma[:, 2], "arcsec", "error of the rotation about the boresight"),
-            ("focal_px", _floats(solutions, "focal_px"), "pix", "focal length"),
-            ("center_row", _floats(solutions, "center_row"), "pix", "optical axis"),
-            ("center_col", _floats(solutions, "center_col"), "pix", "optical axis"),
-            *((name, _floats(solutions, name), None, "Brown-Conrady distortion") for name in ("k1", "k2", "p1", "p2")),
-            ("mirrored", np.array([s.mirrored for s in solutions], dtype=bool), None, "columns grow against the camera's +X"),
+            *_camera_columns(solutions, columns),
+            ("grid_ra_app_deg", grid[..., 0], "deg", f"apparent right ascension (GCRS axes, all aberration in) of {GRID_TEXT}"),
+            ("grid_dec_app_deg", grid[..., 1], "deg", f"apparent declination of {GRID_TEXT}"),
             ("n_stars", [s.n_stars for s in solutions], None, "stars in the camera fit"),
             ("rms_px", _floats(solutions, "rms_px"), "pix", "rms of a coordinate's star residuals"),
             ("zero_point_mag", _floats(photometry, "zero_point_mag"), "mag", "V of 1 e-/s on axis for a solar colour"),
@@ -354,8 +365,33 @@ def _centre_directions(headers: Sequence[FrameHeader], solutions: Sequence[Frame
     for k, (header, solution) in enumerate(zip(headers, solutions, strict=True)):
         if not solution.flags & FrameFlag.NO_SOLUTION:
             middle = np.array([0.5 * (header.rows - 1)]), np.array([0.5 * (header.cols - 1)])
-            vectors[k] = (Camera.solved(solution).unproject(*middle) @ matrix_of(np.asarray(solution.quaternion)))[0]
+            vectors[k] = mid_frame_directions(solution, *middle)[0]
     return spherical_deg(vectors)
+
+
+def _grid_directions(header: FrameHeader, solution: FrameSolution) -> Array:
+    """Apparent right ascension and declination (deg), (81, 2), of the grid at mid-exposure of its rows; NaN where unsolved."""
+    if solution.flags & FrameFlag.NO_SOLUTION:
+        return np.full((GRID_LINES**2, 2), np.nan)
+    lines = np.linspace(0.0, header.rows - 1.0, GRID_LINES), np.linspace(0.0, header.cols - 1.0, GRID_LINES)
+    row, col = (a.ravel() for a in np.meshgrid(*lines, indexing="ij"))
+    sky = SolvedSky(header=header, solution=solution)
+    directions = spherical_deg(sky.apparent(row, col, row_mid_exposure_tai_ns(header, row)))
+    return np.asarray(np.round(np.stack(directions, axis=-1), GRID_DECIMALS), dtype=np.float64)
+
+
+def _camera_columns(solutions: Sequence[FrameSolution], columns: Sequence[CameraParameter]) -> list[Spec]:
+    """The columns that the camera's model asks for. Raises `PluginError` when a frame's camera has others than the first one."""
+    values = []
+    for solution in solutions:
+        own = solution.camera.parameters()
+        if [p.name for p in own] != [p.name for p in columns]:
+            names = ", ".join(p.name for p in own)
+            kind = f"{type(solution.camera).__module__}:{type(solution.camera).__qualname__}"
+            raise PluginError(f"{kind}, frame {solution.frame}: parameters {names}; the first frame's camera has others")
+        values.append([p.value for p in own])
+    kinds = [bool if isinstance(p.value, bool) else np.float64 for p in columns]
+    return [(p.name, np.array([row[k] for row in values], dtype=kinds[k]), p.unit, p.description) for k, p in enumerate(columns)]
 
 
 WHOLE_NUMBERS: Final = ("_id", "_ns", "frame", "frames", "flags", "rows", "cols", "dropped")

@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.icd import validate
+from sboc_e2e.icd.camera import CameraModel
+from sboc_e2e.icd.errors import ContractError
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 
 
@@ -89,12 +91,13 @@ class StreakFit:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrameSolution:
-    """Camera of one frame, solved in apparent directions (conventions of `NominalCamera`).
+    """Camera and attitude of one frame, solved in apparent directions.
 
-    quaternion : attitude at mid-exposure of the middle row; rate_rad_s : (3,) used to move it to other epochs.
+    quaternion : (4,) scalar last, apparent GCRS directions to the camera frame at mid-exposure of the middle row.
+    rate_rad_s : (3,) angular velocity in camera axes, which moves the attitude to other epochs.
     covariance_rad2 : (3, 3) small rotation in the camera frame.
+    camera : pixels to directions of the camera frame and back, of any model.
     matched stars: star_index into the frame's star list, with catalogue V and B-V (NaN: unknown) and residuals in px.
-    mirrored : the image is mirrored, ``u = -x/z`` instead of x/z; all else, distortion included, stays.
     """
 
     frame: int
@@ -102,14 +105,7 @@ class FrameSolution:
     quaternion: NDArray[np.float64]
     rate_rad_s: NDArray[np.float64]
     covariance_rad2: NDArray[np.float64]
-    focal_px: float
-    center_row: float
-    center_col: float
-    k1: float
-    k2: float
-    p1: float
-    p2: float
-    mirrored: bool = False
+    camera: CameraModel
     n_stars: int
     rms_px: float
     star_index: NDArray[np.int32]
@@ -117,6 +113,10 @@ class FrameSolution:
     star_b_v: NDArray[np.float32]
     star_residual_px: NDArray[np.float32]
     """(n, 2) row and col residual."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.camera, CameraModel):
+            raise ContractError(f"solution.camera: expected the methods of CameraModel, got {type(self.camera).__name__}")
 
 
 @dataclass(frozen=True, kw_only=True)

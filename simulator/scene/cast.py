@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sgp4.api import SGP4_ERRORS
 
 from sboc_e2e.icd.errors import UserError
-from simulator.optics.camera import Camera
+from simulator.camera import Camera
 from simulator.platform import earth
 from simulator.platform.carrier import Carrier
 from simulator.platform.observer import Observer

@@ -8,7 +8,6 @@ from typing import Any, Final
 import numpy as np
 from astropy.table import Column, Table
 
-from ground.astrometry.rotation import matrix_of
 from ground.orbit.size import sun_direction
 from ground.population.encounters import SLOWEST_DEG_S, Watch
 from ground.population.flux import (
@@ -24,6 +23,7 @@ from ground.population.flux import (
 )
 from ground.population.injection import LENGTHS_PX, SNR_GRID, Efficiency, images_of, measured_efficiency, threshold_of
 from ground.records import GroundProducts
+from ground.sky.rotation import matrix_of
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.icd.frame import FrameHeader, NominalCamera

@@ -4,6 +4,7 @@ packets -> frames -> camera solution -> zero point -> streak fits -> vetting -> 
         -> tracklets -> directions, epochs, joint refit -> orbits
 """
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
@@ -19,11 +20,12 @@ from ground.link import Member, apply_links, measured_tracklet
 from ground.on_demand import OnDemand
 from ground.options import GroundOptions
 from ground.photometry.known_stars import FrameLight, frame_light
-from ground.photometry.magnitude import crossing_time_s, magnitude_at_1deg_s, mean_magnitude, streak_magnitude
+from ground.photometry.magnitude import crossing_time_s, magnitude_at_1deg_s, streak_magnitude
 from ground.photometry.psf_width import in_frame, with_star_list
 from ground.photometry.sky_memory import filtered_sky
 from ground.photometry.star_memory import with_hidden_stars
 from ground.photometry.streak_pixels import streak_pixels
+from ground.photometry.tracklet_light import with_mean_light
 from ground.photometry.zero_point import flat_at
 from ground.records import FrameProducts, GroundProducts, GroundState
 from ground.refit import SharedErrors, refit_streaks
@@ -98,6 +100,11 @@ class GroundChain:
         self._catalogue = catalogue
         self._run_id = run_id
 
+    @property
+    def camera(self) -> NominalCamera:
+        """The camera as ground believes it to be."""
+        return self._camera
+
     def ingest(self, downlink: bytes) -> tuple[tuple[DownlinkFrame, ...], IngestReport]:
         """Frames rebuilt from all intact packets of the run, by frame number, and what was missing."""
         return decode_downlink(downlink, self._steps.decoders, run_id=self._run_id)
@@ -151,6 +158,7 @@ class GroundChain:
             psf=psf,
             background=frame.background,
             wcs=wcs,
+            fit_failures=tuple(fit.failure or "no reason given" for fit in fits if fit.flags & StreakFlag.FIT_FAILED),
         )
         state = GroundState(
             astrometry=astrometry, psf=psf.updated(likely), growth_known=growth_known, sky=sky_memory, stars=star_memory
@@ -166,11 +174,11 @@ class GroundChain:
         items on demand (`ground.on_demand`), and then the result does so too.
         """
         small = [
-            (product.header, product.photometry, len(product.streaks), attitude_of(product.header, product.solution))
-            for product in products
+            (p.header, p.photometry, len(p.streaks), attitude_of(p.header, p.solution), p.fit_failures) for p in products
         ]
-        headers, counts = tuple(header for header, *_ in small), [count for _, _, count, _ in small]
-        products, rates = _turning(products, [attitude for *_, attitude in small])
+        headers, counts = tuple(header for header, *_ in small), [count for _, _, count, *_ in small]
+        products, rates = _turning(products, [attitude for *_, attitude, _ in small])
+        failures = Counter(reason for *_, reasons in small for reason in reasons)
         linker = self._steps.linker
         measured = RunStreaks(counts, lambda k: products[k].streaks)
         given = {header.frame: count for header, count in zip(headers, counts, strict=True)}
@@ -190,12 +198,12 @@ class GroundChain:
         return GroundProducts(
             headers=headers,
             solutions=OnDemand(len(products), lambda k: products[k].solution),
-            photometry=tuple(photometry for _, photometry, _, _ in small),
+            photometry=tuple(photometry for _, photometry, *_ in small),
             streaks=RunStreaks(counts, final.__getitem__),
             tracklets=tuple(tracklets),
             members=linked.members,
             orbits=orbits,
-            ingest=ingest,
+            ingest=None if ingest is None else replace(ingest, fit_failures=dict(sorted(failures.items()))),
         )
 
     def _resolved(
@@ -228,7 +236,7 @@ class GroundChain:
             ],
         )
         final = [_finally_bright(streak, frame, measured.rate_deg_s) for streak, frame in zip(placed, frames, strict=True)]
-        return _with_magnitude(measured, final), final
+        return with_mean_light(measured, final), final
 
     def _final(
         self, streaks: Sequence[StreakMeasurement], members: Mapping[int, StreakMeasurement]
@@ -300,8 +308,9 @@ class GroundChain:
         gain_assumed = StreakFlag.GAIN_ASSUMED if frame.header.gain_e_adu is None else StreakFlag(0)
         light = self._light(frame, solution, photometry, psf)
         fits, flats = [], []
-        fitter, where = self._steps.streak_fitter, f"frame {frame.header.frame}"
+        fitter = self._steps.streak_fitter
         for group in frame.rois:
+            where = f"frame {frame.header.frame}, region {group.roi_id}"
             pixels, crossed = self._pixels(group, frame, light)
             fit = guarded("streak_fitter", fitter, where, StreakFit, fitter.fit, pixels, group.detection)
             flags = fit.flags | group.detection.flags & _KEPT_FROM_BOARD | gain_assumed
@@ -474,9 +483,3 @@ def _finally_bright(streak: StreakMeasurement, product: FrameProducts, rate_deg_
     number = streak.streak_id - streak.frame * STREAKS_PER_FRAME
     crossing_s = crossing_time_s(streak, rate_deg_s)
     return _with_brightness(streak, product.header, product.photometry, product.mean_flat[number], crossing_s)
-
-
-def _with_magnitude(tracklet: Tracklet, members: Sequence[StreakMeasurement]) -> Tracklet:
-    """The tracklet with the weighted mean of its members' final magnitudes."""
-    mag, mag_err = mean_magnitude(np.array([s.mag for s in members]), np.array([s.mag_err for s in members]))
-    return replace(tracklet, mag=mag, mag_err=mag_err)

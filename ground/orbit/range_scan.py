@@ -12,7 +12,7 @@ from ground.orbit.observer import observer_orbit
 from ground.orbit.posterior import Posterior, modes, normal_pairs, quantiles, scan
 from ground.orbit.prior import PriorShares, PriorTable, prior_table
 from ground.orbit.scan import Problem
-from ground.orbit.size import diameter_m, log_size_density, sun_direction
+from ground.orbit.size import diameter_m, log_size_density, magnitude_draws, sun_direction
 from ground.orbit.states import angle_quantiles_deg, elements_of, latitude_argument_of, state_of
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import FrameHeader
@@ -123,9 +123,8 @@ class RangeScan:
         altitude = np.linalg.norm(position, axis=1) - _EARTH_RADIUS_KM
         if math.isfinite(tracklet.mag):
             normal = normal_pairs(0, len(weight))
-            mag_err = tracklet.mag_err if math.isfinite(tracklet.mag_err) else 0.0
-            scatter = np.exp(-0.5 * self.albedo_sigma_ln * normal[:, 0] - 0.2 * math.log(10.0) * mag_err * normal[:, 1])
-            size = quantiles(diameter_m(tracklet.mag, posterior.range_km, self.albedo, phase_rad) * scatter, weight)
+            albedo = self.albedo * np.exp(self.albedo_sigma_ln * normal[:, 0])
+            size = quantiles(diameter_m(magnitude_draws(tracklet, normal[:, 1]), posterior.range_km, albedo, phase_rad), weight)
         else:
             size = np.full(3, np.nan)
         rho = np.exp(posterior.log_range)

@@ -44,6 +44,7 @@ class StreakFit:
     (relative, end to end); 0 when the simpler model won. width_px : fitted PSF sigma.
     light_curve_e_px : (k,) flux density in equal bins along the trail from end 0 to end 1, may be empty; light_curve_err_e_px :
     (k,) one sigma, NaN when not given. period_fraction : of a periodic light curve, in fractions of the trail; None without one.
+    failure : why a fit is flagged FIT_FAILED, in a few words that are the same for all of a kind; ingest.json counts them.
     """
 
     row0: float
@@ -67,6 +68,7 @@ class StreakFit:
     light_curve_e_px: NDArray[np.float32]
     light_curve_err_e_px: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
     period_fraction: float | None = None
+    failure: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "covariance_px2", validate.array("fit.covariance_px2", self.covariance_px2, "f8", (4, 4)))
@@ -187,6 +189,9 @@ class Tracklet:
     pointing_arcsec : (m,) part of both sigmas that the rows of one frame have in common.
     ra_ref_deg, dec_ref_deg, t_ref_tai_ns, rate_deg_s, position_angle_deg : motion at the reference epoch.
     chi2_nu : of the motion model, against ends as single frames show them.
+    mag : V of the object's mean light over its light curve at the mean epoch of the members, as far as these tell; mag_err : one
+    sigma, with what the light curve hides; mag_low, mag_high : 5 % and 95 % points of it, NaN when not given. mag_scatter : rms
+    of the object's light about its mean (1.0857 x relative light), mag_scatter_err its error; mag_chi2_nu : of constant light.
     """
 
     tracklet_id: int
@@ -217,6 +222,11 @@ class Tracklet:
     shared_arcsec: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     shared_group: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     pointing_arcsec: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    mag_low: float = float("nan")
+    mag_high: float = float("nan")
+    mag_scatter: float = float("nan")
+    mag_scatter_err: float = float("nan")
+    mag_chi2_nu: float = float("nan")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -118,6 +118,10 @@ def _plots(score: dict[str, Any], e: Evaluation) -> list[tuple[str, str]]:
         out.append(("Tracklets on the sky", plots.tracklets_on_sky(e.streaks)))
     if score["population"]["larger_than"]:
         out.append(("Small debris: injected and recovered", plots.larger_than(score["population"]["larger_than"])))
+    if score["population"]["published"]["larger_than"]:
+        out.append(
+            ("Small debris: published flux and truth", plots.published_flux(score["population"]["published"]["larger_than"]))
+        )
     units = ("frame", "star", "streak")
     bits = ", ".join(f"{figure_words(figure_at(score, f'compression.bits_per_{unit}'))[0]} a {unit}" for unit in units)
     out.append(

@@ -24,6 +24,7 @@ from ground.products.lacking import lacking
 from ground.products.oem import oem_text
 from ground.products.opm import SAMPLES_NAME, opm_text
 from ground.products.orbit_samples import orbit_samples_tables
+from ground.products.population import population, population_table
 from ground.products.tdm import tdm_text
 from ground.products.tdm_angles import TDM_ANGLES_NAME, tdm_angles_table
 from ground.products.trail_light import trail_light_tables
@@ -125,9 +126,17 @@ class GroundStage:
         products = OnDemand(len(frames), self._stored, keep=PRODUCTS_KEPT)
         with self.meter:
             result = self.chain.finish(frames, products, ingest)
+            debris = population(result, frames, self.chain.camera)
         made = self.run.work(STAGE) / "products"
         shutil.rmtree(made, ignore_errors=True)
         self._write(made, frames, result)
+        flux = population_table(debris)
+        ecsv.write_table(made / "population.ecsv", flux)
+        if self.options.products.tracklet_plots:
+            # here, since matplotlib takes longer to load than a frame to process
+            from sboc_e2e.run.population_plot import population_svg
+
+            write_text(made / "plots" / "population.svg", population_svg(flux))
         if known is not None:
             ecsv.write_table(made / "known.ecsv", known_objects.matches(result, known))
         if precise:

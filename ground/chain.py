@@ -173,9 +173,7 @@ class GroundChain:
         Both are gone through more than once and asked for single items, none of which is kept for long: they may make their
         items on demand (`ground.on_demand`), and then the result does so too.
         """
-        small = [
-            (p.header, p.photometry, len(p.streaks), attitude_of(p.header, p.solution), p.fit_failures) for p in products
-        ]
+        small = [(p.header, p.photometry, len(p.streaks), attitude_of(p.header, p.solution), p.fit_failures) for p in products]
         headers, counts = tuple(header for header, *_ in small), [count for _, _, count, *_ in small]
         products, rates = _turning(products, [attitude for *_, attitude, _ in small])
         failures = Counter(reason for *_, reasons in small for reason in reasons)

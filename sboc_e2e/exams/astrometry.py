@@ -118,9 +118,7 @@ def questions(step: Any) -> Iterator[Verdict]:
         expect(len(set(lists)) == 1, "the names of the parameters differ between frames")
 
     def same_twice() -> None:
-        expect(
-            checkpoint.to_bytes(solved(frame)[1]) == checkpoint.to_bytes(solved(frame)[1]), "two calls gave different results"
-        )
+        expect(checkpoint.to_bytes(solved(frame)[1]) == checkpoint.to_bytes(solved(frame)[1]), "two calls gave different results")
 
     yield asked("survives a frame without stars", without_stars)
     yield asked("pixel to direction to pixel comes back", round_trip)

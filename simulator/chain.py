@@ -222,7 +222,7 @@ class Simulator:
         places = place_stars(field, sight, velocity, camera.projection, shutter, STAR_MARGIN_PX, air)
         row, col = places.row.mean(axis=0), places.col.mean(axis=0)
         sigma_px = np.sqrt(camera.sigma_at(row, col) ** 2 + places.spread_px2)
-        flux_e = field.flux_e_s[places.index] * shutter.exposure_s * camera.illumination_at(row, col)
+        flux_e = field.flux_e_s[places.index] * shutter.exposure_s * places.exposed * camera.illumination_at(row, col)
         if air is not None:
             flux_e *= air.transmission(field.direction[places.index], self.seed, index)
             aperture_m = camera.instrument.aperture_m

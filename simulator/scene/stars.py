@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
-from simulator.optics.instrument import InstrumentOptions, band_factor
+from simulator.optics.instrument import InstrumentOptions
 from simulator.randomness import Effect, generator, seed_word
 
 Array = NDArray[np.float64]
@@ -115,7 +115,7 @@ class StarSky:
         v_mag = np.concatenate([stars.v_mag, faint_v]).astype(np.float32)
         b_v = np.concatenate([stars.b_v, faint_b_v]).astype(np.float32)
         camera = self.instrument
-        colour = band_factor(b_v.astype(np.float64), camera.band_short_nm, camera.band_long_nm) if self.options.colours else 1.0
+        colour = camera.colour_factor(b_v.astype(np.float64)) if self.options.colours else 1.0
         return StarField(
             direction=np.concatenate([bright, faint_direction]),
             flux_e_s=camera.true_zero_point_e_s * 10.0 ** (-0.4 * v_mag.astype(np.float64)) * colour,

@@ -10,7 +10,6 @@ from scipy.interpolate import RectBivariateSpline
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
 from simulator.chain import Simulator
-from simulator.optics.instrument import band_factor, temperature_of_colour
 from simulator.optics.psf import PsfOptions
 from simulator.optics.vignetting import VignettingOptions
 from simulator.options import SimulatorOptions, smoke_options
@@ -337,15 +336,6 @@ def test_every_option_says_what_it_is_and_what_is_allowed(name, table):
             assert f.metadata["min"] <= f.default <= f.metadata["max"], f"{name}.{f.name}"
         elif f.type is str and f.name not in free_text:
             assert f.default in f.metadata["choices"], f"{name}.{f.name}"
-
-
-def test_photometry_of_the_default_instrument():
-    camera = SimulatorOptions().instrument
-    assert camera.zero_point_e_s == pytest.approx(4.7e8, rel=0.01)
-    colours = band_factor(np.array([0.0, 0.653, 1.5]), camera.band_short_nm, camera.band_long_nm)
-    assert colours[1] == pytest.approx(1.0, abs=1e-3)
-    assert colours[0] < 1.0 < colours[2]  # red stars give more photons in a red band for the same V
-    assert temperature_of_colour(np.array([0.653]))[0] == pytest.approx(5772.0, rel=0.02)
 
 
 def test_stray_light_is_a_ramp_across_the_columns_and_knows_no_vignetting(catalogue):

@@ -132,7 +132,7 @@ def compare(request: Request, out: Path, registry: Registry | None = None, progr
     # All of them before the first runs: a misspelt choice costs no simulation.
     scenarios = {(k, name): workspace.scenario(name, base_seed + k) for k in range(request.seeds) for name in request.choices}
     for scenario in scenarios.values():
-        require_files(scenario.ground)
+        require_files(scenario)
     runs: dict[str, list[tuple[Run, Evaluation]]] = {name: [] for name in request.choices}
     for k in range(request.seeds):
         for name in request.choices:

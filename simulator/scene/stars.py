@@ -28,6 +28,13 @@ class StarOptions:
     """Which stars shine and how far they stand from where the catalogue has them."""
 
     enabled: bool = field(default=True, metadata={"doc": "stars shine"})
+    catalogue_file: str = field(
+        default="",
+        metadata={
+            "doc": "catalogue of the sky, made by `sboc catalogue build`; empty for the one that comes along. "
+            "Ground uses it too unless `ground.catalogue_file` names another"
+        },
+    )
     catalogue_errors: float = field(
         default=1.0,
         metadata={"doc": "factor on the catalogue's quoted errors by which the true sky is displaced", "min": 0.0, "max": 100.0},

@@ -72,10 +72,7 @@ def test_a_sun_of_v_0_sends_the_photons_of_the_astm_spectrum():
 def test_the_whole_spectrum_holds_the_energy_of_its_source():
     """ASTM G173-03, extraterrestrial, has 1347.9 W/m2 between 280 and 4000 nm."""
     edges = np.concatenate([np.arange(280.0, 1100.0, 5.0), np.arange(1100.0, 4000.1, 20.0)])
-    energy = [
-        sun_electrons_m2_s(flat(a, b)) * PLANCK_C_J_NM * np.log(b / a) / (b - a)
-        for a, b in pairwise(edges)
-    ]
+    energy = [sun_electrons_m2_s(flat(a, b)) * PLANCK_C_J_NM * np.log(b / a) / (b - a) for a, b in pairwise(edges)]
     assert sum(energy) * 10.0 ** (0.4 * 26.76) == pytest.approx(1347.9, rel=1e-3)
 
 

@@ -80,7 +80,7 @@ def ground_chain(
 
 
 def star_catalogue(scenario: Scenario) -> StarCatalogue:
-    """The star catalogue that ground uses: its own, else that of the simulated sky. Raises `UserError` for a file that is none."""
+    """The star catalogue of ground: its own, else that of the simulated sky. Raises `UserError` for a file that is none."""
     path = scenario.ground.catalogue_file
     try:
         return StarCatalogue.open(path) if path else sky_catalogue(scenario.simulator)

@@ -64,14 +64,13 @@ def sky_path_of(
     sun_km: Array,
     light: LightOptions,
     air: Atmosphere | None,
-    dimming: float = 1.0,
     turbulence: Unsteadiness | None = None,
 ) -> Path | None:
     """The path of an object with directions: splines of its apparent vector through the nodes of the frame.
 
     The vector (direction times range) of unaccelerated motion is linear in time, so that splines lose nothing even where the
     direction turns fast. Aberration is that of the observer's geocentric velocity: the Earth's own cancels for what moves
-    with the Earth. dimming : what the atmosphere leaves of the flux on average. None for an object far outside the field.
+    with the Earth. Extinction and clouds are those of the object's own direction. None for an object far outside the field.
     """
     seen = thing.seen(sight.node_s, sight.observer_km, sun_km, light)
     distance = np.linalg.norm(seen.vector_km, axis=-1, keepdims=True)
@@ -83,6 +82,7 @@ def sky_path_of(
     published = CubicSpline(sight.node_s, seen.vector_km)
     apparent = CubicSpline(sight.node_s, distance * outside)
     lifted = apparent if air is None else CubicSpline(sight.node_s, distance * air.refracted(outside, distance[:, 0]))
+    dimming = 1.0 if air is None else air.transmission(outside)
     at_1_km = CubicSpline(sight.node_s, dimming * seen.flux * distance[:, 0] ** 2)
 
     def unit(vectors: Array) -> Array:

@@ -261,6 +261,16 @@ def test_calibration_is_of_the_nominal_camera(smoke):
         ({"epoch_utc": "2099-01-01T00:00:00"}, "Earth-orientation"),
         ({"epoch_utc": "yesterday"}, "epoch_utc"),
         ({"shutter": ShutterOptions(exposure_s=0.5)}, "exposure"),
+        # 2.56 s of read-out at 4 frames/s
+        ({"shutter": ShutterOptions(line_time_us=5000.0)}, r"shutter.line_time: 5000 us .* 2.56 s.*; allowed is up to 488.3 us"),
+        (
+            {"shutter": ShutterOptions(line_time_us=5000.0), "sensor": SensorOptions(type="ccd")},
+            r"shutter.line_time: 5000 us .* 2.56 s.*; allowed is up to 488.3 us",
+        ),
+        (
+            {"shutter": ShutterOptions(line_time_us=100.0, direction="alternating")},
+            r"shutter.exposure: 0.2 s .* beside a read-out of 0.0512 s that alternates; allowed is up to 0.1988 s",
+        ),
         ({"pointing": PointingOptions(law="nadir", tilt_deg=0.0)}, "Earth stands in the field"),
         ({"pointing": PointingOptions(law="object", target="nobody")}, "nobody"),
         ({"objects": ObjectOptions(passing=(PassingOptions(name="x", range_km=9e5),))}, "'x'"),

@@ -1,5 +1,5 @@
 """On board: frame -> calibration -> background -> stars -> detections -> ROI strips -> packets.
 
-`chain` knows the order; every other module does one step. Imports the contract (`sboc_e2e.icd`) and nothing else of
-the project.
+`chain` knows the order. The rooms are its steps: `image`, `stars`, `detect`, `downlink`. They import the contract
+(`sboc_e2e.icd`) and nothing else of the project.
 """

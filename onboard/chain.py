@@ -12,18 +12,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard import packets
-from onboard.budget import Allowance, Outbox, packet_bytes, within_limits
-from onboard.calibrate import ROW_LIMIT_SIGMA, Counts, IntegerCalibration, background_in_adu, residual_pass, to_counts
-from onboard.dead_area import mark_dead_area
+from onboard.downlink import packets
+from onboard.downlink.budget import Allowance, Outbox, packet_bytes, within_limits
+from onboard.downlink.roi_coding import CodedRoi, code_roi
+from onboard.downlink.thumbnail import thumbnail
+from onboard.downlink.whole_frame import frame_payloads
+from onboard.image.calibrate import ROW_LIMIT_SIGMA, Counts, IntegerCalibration, background_in_adu, residual_pass, to_counts
+from onboard.image.dead_area import mark_dead_area
+from onboard.image.star_free_sky import without_stars
+from onboard.image.static import HotPixels, flag_static
 from onboard.options import OnboardOptions
-from onboard.roi_coding import CodedRoi, code_roi
-from onboard.star_free_sky import without_stars
-from onboard.star_memory import EarlierStars, brought_forward, part_of, remembered_stars, usable_stars, with_frame
-from onboard.stars import best_spread
-from onboard.static import HotPixels, flag_static
-from onboard.thumbnail import thumbnail
-from onboard.whole_frame import frame_payloads
+from onboard.stars.matched import best_spread
+from onboard.stars.memory import EarlierStars, brought_forward, part_of, remembered_stars, usable_stars, with_frame
 from sboc_e2e.icd.downlink import Housekeeping
 from sboc_e2e.icd.errors import ContractError, PluginError, UserError
 from sboc_e2e.icd.flags import FrameFlag, MaskBit, StreakFlag

@@ -1,6 +1,6 @@
 """Decoders of ROI and frame blocks: bytes to integers. Every size is checked before anything is allocated.
 
-The encoders live in `onboard.codec`; the block layouts are in ICD.md. Hostile bytes give a `ContractError`.
+The encoders live in `onboard.downlink.codec`; the block layouts are in ICD.md. Hostile bytes give a `ContractError`.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""Payloads to records: the inverse of `onboard.packets`, field by field as ICD.md has it.
+"""Payloads to records: the inverse of `onboard.downlink.packets`, field by field as ICD.md has it.
 
 Everything that a length field announces is checked against the payload before it is used; a payload that does not make
 sense raises `ContractError`.

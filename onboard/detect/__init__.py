@@ -7,17 +7,17 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from onboard.detect.boundary_tensor import BoundaryTensorDetector
-    from onboard.detect.difference import DifferenceDetector
-    from onboard.detect.line_integral import LineIntegralDetector
-    from onboard.detect.lsd import LsdDetector
+    from onboard.detect.line_integral.detector import LineIntegralDetector
+    from onboard.detect.peers.boundary_tensor import BoundaryTensorDetector
+    from onboard.detect.peers.difference import DifferenceDetector
+    from onboard.detect.peers.lsd import LsdDetector
     from onboard.detect.threshold import ThresholdDetector
 
 _MODULES = {
-    "BoundaryTensorDetector": "boundary_tensor",
-    "DifferenceDetector": "difference",
-    "LineIntegralDetector": "line_integral",
-    "LsdDetector": "lsd",
+    "BoundaryTensorDetector": "peers.boundary_tensor",
+    "DifferenceDetector": "peers.difference",
+    "LineIntegralDetector": "line_integral.detector",
+    "LsdDetector": "peers.lsd",
     "ThresholdDetector": "threshold",
 }
 

@@ -11,7 +11,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.detect import refine, star_mask, whiten
+from onboard.detect import star_mask, whiten
+from onboard.detect.cross_profile import cross_profile
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView
 
@@ -104,7 +105,7 @@ def segment_snr(masked: MaskedImage, ends: NDArray[np.float64], psf_sigma_px: fl
         row0, col0, row1, col1 = row1, col1, row0, col0
     room = math.ceil(row1 - row0) + 3
     signal, weight = np.zeros(room), np.zeros(room)
-    _, n = refine.cross_profile(
+    _, n = cross_profile(
         image,
         blocked,
         np.zeros((1, 1), np.float32),

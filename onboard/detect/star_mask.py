@@ -11,7 +11,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.prefetch import STARS_AHEAD, prefetch
+from onboard.image.prefetch import STARS_AHEAD, prefetch
 
 DIRECTIONS: Final = 36
 

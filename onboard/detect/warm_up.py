@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from onboard.detect.line_integral import LineIntegralDetector
+from onboard.detect.line_integral.detector import LineIntegralDetector
 from onboard.detect.threshold import ThresholdDetector
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import BackgroundModel, DetectorView, StarList

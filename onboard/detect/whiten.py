@@ -14,7 +14,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.prefetch import STARS_AHEAD, prefetch
+from onboard.image.prefetch import STARS_AHEAD, prefetch
 from sboc_e2e.icd.flags import MaskBit
 
 UNIT: Final = 16

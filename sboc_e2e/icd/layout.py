@@ -1,6 +1,6 @@
 """Bytes of the downlink: CCSDS Space Packets (133.0-B), big endian; struct formats, APIDs, codec numbers, limits.
 
-Encoders live in `onboard.packets`, decoders in `ground.ingest`; `ICD.md` gives the same tables with byte offsets.
+Encoders live in `onboard.downlink.packets`, decoders in `ground.ingest`; `ICD.md` gives the same tables with byte offsets.
 
 A packet is: primary header (6) | secondary header: CUC time code of the frame's t_start (10) | item header (28) |
 payload | CRC-16-CCITT of everything before it (2). At most `MAX_PACKET_BYTES` in all; each decodes alone.

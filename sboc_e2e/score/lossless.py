@@ -8,7 +8,7 @@ from astropy.io import fits
 from numpy.typing import NDArray
 
 from ground.ingest.codecs import PlanesDecoder
-from onboard.codec import PlanesCodec
+from onboard.downlink.codec import PlanesCodec
 from sboc_e2e.icd.layout import MAX_STRIP_PIXELS
 from sboc_e2e.score.figures import Figure, absent, bootstrap, proportion
 

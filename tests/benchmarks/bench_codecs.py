@@ -18,10 +18,10 @@ from scipy.stats import norm
 
 from ground.ingest.codecs import PlanesDecoder, SqrtPlanesDecoder
 from ground.ingest.rans import RansDecoder
-from onboard.background import MeshBackground
-from onboard.calibrate import IntegerCalibration, to_counts
-from onboard.codec import Ccsds121Codec, PlanesCodec, RansCodec, SqrtPlanesCodec
-from onboard.whole_frame import frame_payloads
+from onboard.downlink.codec import Ccsds121Codec, PlanesCodec, RansCodec, SqrtPlanesCodec
+from onboard.downlink.whole_frame import frame_payloads
+from onboard.image.background import MeshBackground
+from onboard.image.calibrate import IntegerCalibration, to_counts
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.frame import Calibration, Frame
 from sboc_e2e.icd.layout import CRC, HEADER_BYTES, STRIP

@@ -16,13 +16,7 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta, chi2
 
-from onboard.detect import (
-    BoundaryTensorDetector,
-    DifferenceDetector,
-    LineIntegralDetector,
-    LsdDetector,
-    ThresholdDetector,
-)
+from onboard.detect import BoundaryTensorDetector, DifferenceDetector, LineIntegralDetector, LsdDetector, ThresholdDetector
 from onboard.detect.warm_up import warm_up
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView

@@ -25,12 +25,12 @@ from scipy.spatial import cKDTree
 
 from ground.ingest import decode_downlink
 from ground.ingest.codecs import PlanesDecoder
-from onboard.background import MeshBackground
 from onboard.chain import OnboardChain, OnboardResult, OnboardSteps
-from onboard.codec import PlanesCodec
 from onboard.detect import LineIntegralDetector, ThresholdDetector
+from onboard.downlink.codec import PlanesCodec
+from onboard.image.background import MeshBackground
 from onboard.options import OnboardOptions
-from onboard.stars import MatchedStars
+from onboard.stars.matched import MatchedStars
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.flags import StarFlag
 from sboc_e2e.icd.frame import Calibration, Frame

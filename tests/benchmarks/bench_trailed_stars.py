@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from onboard.stars import MatchedStars
+from onboard.stars.matched import MatchedStars
 from sboc_e2e.icd.flags import StarFlag
 from tests.benchmarks.bench_codecs import figure
 from tests.onboard.star_fields import GAIN_E_ADU, READ_NOISE_E, SKY_E, StarField, axis_weights

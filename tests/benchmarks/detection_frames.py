@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
 
-from onboard.stars import MatchedStars
+from onboard.stars.matched import MatchedStars
 from sboc_e2e.icd.flags import MaskBit
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import BackgroundModel, DetectorView, StarList

@@ -16,7 +16,7 @@ STATUS = Path("/proc/self/status")
 ENVIRONMENT = {"MALLOC_MMAP_THRESHOLD_": str(1 << 20)}
 """Images are given back to the system when they are freed: by itself glibc keeps up to 20 MB of them between frames."""
 
-CLASSES = {"threshold": "ThresholdDetector", "line_integral": "LineIntegralDetector"}
+DETECTORS = {"threshold": "ThresholdDetector", "line_integral": "LineIntegralDetector"}
 
 
 class NoDetector:
@@ -75,13 +75,13 @@ def main(folder: Path, detector: str) -> dict[str, float]:
     import_module("numba")
     out["numpy_and_numba"] = memory_mb("VmRSS")
     from onboard.alone import start_compiler
-    from onboard.background import MeshBackground
     from onboard.chain import OnboardChain, OnboardSteps
-    from onboard.codec import PlanesCodec
+    from onboard.downlink.codec import PlanesCodec
+    from onboard.image.background import MeshBackground
     from onboard.options import OnboardOptions
-    from onboard.stars import MatchedStars
+    from onboard.stars.matched import MatchedStars
 
-    found = NoDetector if detector == "none" else getattr(import_module(f"onboard.detect.{detector}"), CLASSES[detector])
+    found = NoDetector if detector == "none" else getattr(import_module("onboard.detect"), DETECTORS[detector])
     out["libraries"] = memory_mb("VmRSS")
     start_compiler()
     steps = OnboardSteps(background=MeshBackground(), star_extractor=MatchedStars(), detector=found(), codec=PlanesCodec())

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onboard.detect.context import with_context
+from onboard.detect.line_integral.context import with_context
 from sboc_e2e.icd.flags import MaskBit, StarFlag, StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView, StarList
 from tests.benchmarks.detection_frames import Scene, view_of

@@ -2,7 +2,7 @@
 
 import pytest
 
-from onboard.detect.fragments import join
+from onboard.detect.line_integral.fragments import join
 from sboc_e2e.icd.signals import Detection
 
 SHORT = Detection(row0=295.0, col0=100.0, row1=355.0, col1=100.0, snr=9.0)

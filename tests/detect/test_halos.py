@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from onboard.detect import halos, static_sky
+from onboard.detect.line_integral import halos, static_sky
 from sboc_e2e.icd.signals import StarList
 
 SIZE, MIDDLE, CORE_PX = 241, 120.0, 5.0

@@ -6,8 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from onboard.detect import LineIntegralDetector, static_sky
-from onboard.detect.kept_frame import KeptFrame, in_sigmas, kept, quantised
+from onboard.detect import LineIntegralDetector
+from onboard.detect.line_integral import static_sky
+from onboard.detect.line_integral.kept_frame import KeptFrame, in_sigmas, kept, quantised
 from onboard.detect.whiten import quantise
 from sboc_e2e.icd.flags import MaskBit
 from sboc_e2e.icd.signals import DetectorView

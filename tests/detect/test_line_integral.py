@@ -8,9 +8,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from onboard.detect import LineIntegralDetector, refine, sharpness, strip, whiten
-from onboard.detect.dyadic import line_sums, work_size
-from onboard.detect.star_removal import star_light
+from onboard.detect import LineIntegralDetector, whiten
+from onboard.detect.cross_profile import cross_profile
+from onboard.detect.line_integral import refine, sharpness, strip
+from onboard.detect.line_integral.dyadic import line_sums, work_size
+from onboard.detect.line_integral.star_removal import star_light
 from sboc_e2e.icd.flags import MaskBit, StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView
 from sboc_e2e.icd.steps import Detector
@@ -79,7 +81,7 @@ def test_statistic_of_noise_is_standard_normal() -> None:
     for _ in range(1500):
         row, col, length = rng.uniform(60, 600), rng.uniform(250, 750), rng.uniform(20, 380)
         slope = rng.uniform(-0.6, 0.6)
-        _, n = refine.cross_profile(
+        _, n = cross_profile(
             image, blocked, level, 64, row, col, row + length, col + slope * length, 0.0, 0, PSF_SIGMA_PX, signal, weight
         )
         values.append(refine.profile_snr(signal, weight, n))

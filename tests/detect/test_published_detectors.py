@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from onboard.detect import BoundaryTensorDetector, DifferenceDetector, LsdDetector, ThresholdDetector, boundary_tensor, components
-from onboard.detect.registration import apply, register
+from onboard.detect import BoundaryTensorDetector, DifferenceDetector, LsdDetector, ThresholdDetector, components
+from onboard.detect.peers import boundary_tensor
+from onboard.image.registration import apply, register
 from sboc_e2e.icd.signals import DetectorView, StarList
 from sboc_e2e.icd.steps import Detector
 from tests.benchmarks.bench_detection import matches

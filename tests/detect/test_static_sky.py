@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from onboard.detect import registration, static_sky
+from onboard.detect.line_integral import static_sky
+from onboard.image import registration
 
 SIZE = 64
 CLIP = 120

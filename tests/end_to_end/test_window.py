@@ -7,11 +7,11 @@ import numpy as np
 import pytest
 from astropy.table import Table
 
-from onboard.background import MeshBackground
 from onboard.chain import OnboardChain, OnboardSteps
-from onboard.codec import PlanesCodec
+from onboard.downlink.codec import PlanesCodec
+from onboard.image.background import MeshBackground
 from onboard.options import OnboardOptions
-from onboard.stars import MatchedStars
+from onboard.stars.matched import MatchedStars
 from sboc_e2e import scenario
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.frame import Calibration

@@ -6,7 +6,7 @@ from pathlib import Path
 import numpy as np
 from astropy.io import fits
 
-from onboard.codec import Ccsds121Codec, PlanesCodec, RansCodec, RawCodec, SqrtPlanesCodec
+from onboard.downlink.codec import Ccsds121Codec, PlanesCodec, RansCodec, RawCodec, SqrtPlanesCodec
 from sboc_e2e.icd.layout import CRC, HEADER_BYTES, ITEM, Apid
 from sboc_e2e.scenario import schema
 from sboc_e2e.scenario.toml_files import FOLDER

@@ -10,8 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from onboard import packets
-from onboard.codec import PlanesCodec, RansCodec, RawCodec
+from onboard.downlink import packets
+from onboard.downlink.codec import PlanesCodec, RansCodec, RawCodec
 from sboc_e2e.icd.downlink import Housekeeping
 from sboc_e2e.icd.flags import FrameFlag, StarFlag, StreakFlag
 from sboc_e2e.icd.frame import AttitudeEstimate, FrameHeader, ObserverState

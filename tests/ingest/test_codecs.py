@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from ground.ingest.codecs import Ccsds121Decoder, PlanesDecoder, RawDecoder, SqrtPlanesDecoder, inflate
 from ground.ingest.rans import SPANS, RansDecoder, sky_model
-from onboard.codec import Ccsds121Codec, PlanesCodec, RansCodec, RawCodec, SqrtPlanesCodec
-from onboard.codec import rans as rans_on_board
+from onboard.downlink.codec import Ccsds121Codec, PlanesCodec, RansCodec, RawCodec, SqrtPlanesCodec
+from onboard.downlink.codec import rans as rans_on_board
 from sboc_e2e.icd.errors import ContractError
 from sboc_e2e.icd.layout import MAX_STRIP_PIXELS, CodecNumber
 from sboc_e2e.icd.steps import Decoder, Encoder

@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from ground.ingest import decode_downlink
 from ground.ingest.codecs import PlanesDecoder, RawDecoder
 from ground.ingest.decoding import missing_counts
-from onboard.codec import PlanesCodec
+from onboard.downlink.codec import PlanesCodec
 from onboard.options import DownlinkOptions
 from sboc_e2e.icd import layout
 from sboc_e2e.icd.downlink import DownlinkFrame

@@ -5,11 +5,11 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.background import MeshBackground
 from onboard.chain import OnboardChain, OnboardResult, OnboardState, OnboardSteps
-from onboard.codec import PlanesCodec
+from onboard.downlink.codec import PlanesCodec
+from onboard.image.background import MeshBackground
 from onboard.options import DownlinkOptions, OnboardOptions, RoiOptions
-from onboard.stars import MatchedStars
+from onboard.stars.matched import MatchedStars
 from sboc_e2e.icd.frame import AttitudeEstimate, Calibration, Frame, FrameHeader, NominalCamera, ObserverState
 from sboc_e2e.icd.signals import Detection, DetectorView
 from sboc_e2e.icd.steps import Encoder

@@ -7,7 +7,7 @@ PROGRAM = """
 import sys
 import numpy as np
 from onboard.alone import start_compiler
-from onboard.nearest import nearest
+from onboard.image.nearest import nearest
 start_compiler()
 distance, _ = nearest(np.array([[1.0, 2.0]]), np.array([[1.0, 3.0]]), 2.0)
 assert distance[0] == 1.0

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from onboard.background import MeshBackground, fill_gaps
-from onboard.calibrate import residual_pass, runs_of, write_runs
-from onboard.dark_map import DarkMap
-from onboard.star_free_sky import row_offsets, without_stars
-from onboard.stars import MatchedStars
+from onboard.image.background import MeshBackground, fill_gaps
+from onboard.image.calibrate import residual_pass, runs_of, write_runs
+from onboard.image.dark_map import DarkMap
+from onboard.image.star_free_sky import row_offsets, without_stars
+from onboard.stars.matched import MatchedStars
 from sboc_e2e.icd.signals import BackgroundModel
 from tests.onboard.star_fields import GAIN_E_ADU, PEDESTAL_ADU, READ_NOISE_E, SKY_E, star_grid
 from tests.onboard.test_stars import view_of

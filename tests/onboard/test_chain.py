@@ -10,13 +10,13 @@ import pytest
 from ground.ingest import decode_downlink
 from ground.ingest.codecs import PlanesDecoder, RawDecoder, SqrtPlanesDecoder
 from ground.ingest.rans import RansDecoder
-from onboard.background import MeshBackground
-from onboard.budget import Allowance
 from onboard.chain import OnboardSteps
-from onboard.codec import PlanesCodec, RansCodec, RawCodec, SqrtPlanesCodec
 from onboard.detect import LineIntegralDetector, ThresholdDetector
+from onboard.downlink.budget import Allowance
+from onboard.downlink.codec import PlanesCodec, RansCodec, RawCodec, SqrtPlanesCodec
+from onboard.image.background import MeshBackground
 from onboard.options import DownlinkOptions, RoiOptions
-from onboard.stars import MatchedStars
+from onboard.stars.matched import MatchedStars
 from sboc_e2e.icd import layout
 from sboc_e2e.icd.errors import ContractError, PluginError
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag

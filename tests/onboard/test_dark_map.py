@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from onboard.dark_map import DarkMap, whole_at
+from onboard.image.dark_map import DarkMap, whole_at
 
 
 def rounded(dark_adu: NDArray[np.float32]) -> tuple[NDArray[np.int16], NDArray[np.int8]]:

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from onboard.dead_area import TILE_PX, dead_tiles, mark_dead_area
+from onboard.image.dead_area import TILE_PX, dead_tiles, mark_dead_area
 from sboc_e2e.icd.flags import MaskBit
 
 SHAPE = (200, 333)

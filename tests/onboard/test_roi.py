@@ -8,8 +8,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
-from onboard import roi
-from onboard.dark_map import DarkMap
+from onboard.downlink import roi
+from onboard.image.dark_map import DarkMap
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection, strip_pixels
 

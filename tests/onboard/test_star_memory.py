@@ -7,7 +7,7 @@ import pytest
 
 from ground.ingest import decode_downlink
 from ground.ingest.codecs import PlanesDecoder
-from onboard.star_memory import EarlierStars, brought_forward, remembered_stars, usable_stars, with_frame
+from onboard.stars.memory import EarlierStars, brought_forward, remembered_stars, usable_stars, with_frame
 from sboc_e2e.icd.flags import StarFlag, StreakFlag
 from sboc_e2e.icd.signals import Detection, RoiGroup, StarList, Strip
 from tests.onboard.small_run import STREAK, frame, sky, start_run

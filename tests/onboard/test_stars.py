@@ -5,11 +5,11 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from onboard.background import MeshBackground
-from onboard.calibrate import residual_pass
-from onboard.dark_map import DarkMap
-from onboard.star_fits import fit_stars
-from onboard.stars import MatchedStars, best_spread, falling
+from onboard.image.background import MeshBackground
+from onboard.image.calibrate import residual_pass
+from onboard.image.dark_map import DarkMap
+from onboard.stars.fits import fit_stars
+from onboard.stars.matched import MatchedStars, best_spread, falling
 from sboc_e2e.icd.flags import MaskBit, StarFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import DetectorView, StarList

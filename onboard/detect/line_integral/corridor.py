@@ -1,0 +1,213 @@
+"""First refinement of a coarse candidate: sums along parallel paths of a corridor around it, on the smoothed image.
+
+Coordinates here and in `refine` are (major, minor): major is the axis along which a line advances by one pixel per step (row
+for steep lines, col for flat ones, with the images handed in transposed), minor the other one.
+"""
+
+import math
+from typing import Final
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.detect.cross_profile import bend
+
+OFFSETS: Final = 13
+"""Parallel paths of a corridor, one pixel apart; odd."""
+
+BOW_GAIN: Final = 0.6
+"""What half-pixel steps and a bent path can add to the S/N of a path on whole pixels."""
+
+BENT_PX: Final = 40.0
+"""Shorter segments are straight: their curvature cannot be measured."""
+
+LANES: Final = 16
+"""Pixels read at once: the paths of a corridor, filled up to whole vector registers."""
+
+PIECES: Final = 48
+"""Most pieces that a corridor is cut into along its length."""
+
+
+@nb.njit(cache=True)
+def _add_lanes(paths: NDArray[np.int32], values: NDArray[np.int8]) -> None:
+    for k in range(LANES):
+        paths[k] += values[k]
+
+
+@nb.njit(cache=True)
+def corridor_sums(
+    smooth: NDArray[np.int8],
+    major0: int,
+    major1: int,
+    minor0: float,
+    slope: float,
+    piece: int,
+    sums: NDArray[np.int32],
+    counts: NDArray[np.int32],
+) -> int:
+    """Sums of the smoothed image along OFFSETS parallel paths, in pieces of `piece` px; returns the number of pieces.
+
+    The middle path starts at (major0, minor0) and climbs by `slope` per px; sums, counts: (PIECES, OFFSETS).
+    """
+    n_minor = smooth.shape[1]
+    half = OFFSETS // 2
+    n_piece = min(PIECES, (major1 - major0 + piece) // piece)
+    counts[:n_piece] = 0
+    paths = np.empty(LANES, np.int32)
+    for p in range(n_piece):
+        paths[:] = 0
+        inside = 0
+        for major in range(major0 + p * piece, min(major0 + (p + 1) * piece, major1 + 1)):
+            base = math.floor(minor0 + slope * (major - major0) + 0.5) - half
+            if base >= 0 and base + LANES <= n_minor:
+                inside += 1
+                _add_lanes(paths, smooth[major, base : base + LANES])
+            else:
+                for k in range(OFFSETS):
+                    if 0 <= base + k < n_minor:
+                        paths[k] += smooth[major, base + k]
+                        counts[p, k] += 1
+        for k in range(OFFSETS):
+            sums[p, k] = paths[k]
+            counts[p, k] += inside
+    return n_piece
+
+
+@nb.njit(cache=True)
+def _path_piece(sums: NDArray[np.int32], counts: NDArray[np.int32], p: int, position: float) -> tuple[float, float]:
+    """Sum and count of a piece at a fractional path number, linear between paths."""
+    position = min(max(position, 0.0), OFFSETS - 1.001)
+    k = int(position)
+    f = position - k
+    return sums[p, k] * (1.0 - f) + sums[p, k + 1] * f, counts[p, k] * (1.0 - f) + counts[p, k + 1] * f
+
+
+@nb.njit(cache=True)
+def best_pieces(
+    sums: NDArray[np.int32],
+    counts: NDArray[np.int32],
+    n_piece: int,
+    o0: float,
+    o1: float,
+    sag: float,
+    first: int,
+    last: int,
+    variance: float,
+) -> tuple[float, int, int]:
+    """The run of pieces with the highest S/N on a fixed path (offsets o0, o1 at the corridor's ends, bent in first..last)."""
+    half, span = OFFSETS // 2, max(1, n_piece - 1)
+    cumulative_s, cumulative_c = np.zeros(n_piece + 1), np.zeros(n_piece + 1)
+    for p in range(n_piece):
+        bow = sag * bend((p - first + 0.5) / (last - first + 1))
+        s, c = _path_piece(sums, counts, p, half + o0 + (o1 - o0) * p / span + bow)
+        cumulative_s[p + 1] = cumulative_s[p] + s
+        cumulative_c[p + 1] = cumulative_c[p] + c
+    # runs are compared by the square of their S/N without division: a / b > c / d for b, d > 0 is a d > c b
+    power, pixels, best_first, best_last = -1e18, 1.0, first, last
+    for i in range(n_piece):
+        for j in range(i, n_piece):
+            s, c = cumulative_s[j + 1] - cumulative_s[i], cumulative_c[j + 1] - cumulative_c[i]
+            if c > 0.0 and s * abs(s) * pixels > power * c:
+                power, pixels, best_first, best_last = s * abs(s), c, i, j
+    return math.copysign(math.sqrt(abs(power) / (pixels * variance)), power), best_first, best_last
+
+
+@nb.njit(cache=True)
+def search_corridor(
+    sums: NDArray[np.int32],
+    counts: NDArray[np.int32],
+    n_piece: int,
+    first: int,
+    last: int,
+    reach: float,
+    variance: float,
+    least: float,
+) -> tuple[float, float, float, float, int, int]:
+    """Best (S/N, start offset, end offset, sagitta, first piece, last piece) of one corridor.
+
+    Starts from the pieces first..last; `variance` is that of a path sum per px. Offsets in px at the corridor's ends (piece 0
+    and n_piece - 1), relative to the middle path. Straight paths on whole pixels come first; only when they reach `least` less
+    BOW_GAIN are bent ones tried, at half-pixel steps.
+    """
+    half, span = OFFSETS // 2, max(1, n_piece - 1)
+    o0 = o1 = sag = 0.0
+    snr = -1e9
+    for turn in range(2):
+        step, width = (1.0, reach) if turn == 0 else (0.5, 1.0)
+        n_step = round(width / step)
+        bows = 0 if turn == 0 or last - first < 3 else 2
+        u_first, u_last = (first - 0.5) / span, (last + 0.5) / span
+        centre0, centre1 = o0 + (o1 - o0) * u_first, o0 + (o1 - o0) * u_last
+        snr = -1e9
+        for bow in range(-bows, bows + 1):
+            for i in range(-n_step, n_step + 1):
+                for j in range(-n_step, n_step + 1):
+                    p0, p1 = centre0 + i * step, centre1 + j * step
+                    total, count = 0.0, 0.0
+                    for p in range(first, last + 1):
+                        u = (p - first + 0.5) / (last - first + 1)
+                        s, c = _path_piece(sums, counts, p, half + p0 + (p1 - p0) * u + bow * bend(u))
+                        total += s
+                        count += c
+                    if count > 0.0 and total > snr * math.sqrt(count * variance):
+                        snr = total / math.sqrt(count * variance)
+                        gradient = (p1 - p0) / (u_last - u_first)
+                        o0 = p0 - gradient * u_first
+                        o1 = o0 + gradient
+                        sag = float(bow)
+        longest, i, j = best_pieces(sums, counts, n_piece, o0, o1, sag, first, last, variance)
+        if longest > snr:
+            # the same parabola by its new chord
+            pieces = last - first + 1.0
+            u_first, u_last = (i - 0.5) / span, (j + 0.5) / span
+            p0 = o0 + (o1 - o0) * u_first + sag * bend((i - first) / pieces)
+            p1 = o0 + (o1 - o0) * u_last + sag * bend((j + 1 - first) / pieces)
+            gradient = (p1 - p0) / (u_last - u_first)
+            o0 = p0 - gradient * u_first
+            o1 = o0 + gradient
+            sag *= ((j - i + 1.0) / pieces) ** 2
+            snr, first, last = longest, i, j
+        if turn == 0 and snr < least - BOW_GAIN:
+            break
+    return snr, o0, o1, sag, first, last
+
+
+@nb.njit(cache=True)
+def locate(
+    smooth: NDArray[np.int8],
+    candidate: NDArray[np.float64],
+    psf_sigma_px: float,
+    usable: float,
+    least: float,
+    segment: NDArray[np.float64],
+    sums: NDArray[np.int32],
+    counts: NDArray[np.int32],
+) -> float:
+    """First refinement of a candidate (major0, minor0, major1, minor1) on the smoothed image; fills segment, returns its S/N.
+
+    usable : share of pixels that are not masked, by which the variance of sums is smaller. least : S/N below which the caller
+    drops the candidate.
+    """
+    length = candidate[2] - candidate[0]
+    slope = (candidate[3] - candidate[1]) / length
+    extend = max(8.0, 0.3 * length)
+    low = int(max(0.0, math.floor(candidate[0] - extend)))
+    high = int(min(smooth.shape[0] - 1.0, math.ceil(candidate[2] + extend)))
+    piece = max(2, (high - low + PIECES) // PIECES)
+    n_piece = corridor_sums(smooth, low, high, candidate[1] + slope * (low - candidate[0]), slope, piece, sums, counts)
+    first = min(n_piece - 1, max(0, int((candidate[0] - low) / piece)))
+    last = min(n_piece - 1, max(first, int((candidate[2] - low) / piece)))
+    cosine = 1.0 / math.sqrt(1.0 + slope * slope)
+    variance = 2.0 * math.sqrt(math.pi) * psf_sigma_px * cosine * 256.0 * usable
+    snr, o0, o1, sag, i, j = search_corridor(sums, counts, n_piece, first, last, 3.0, variance, least)
+    start, stop = low + i * piece - 0.5, min(float(high), low + (j + 1) * piece - 0.5)
+    span = max(1, n_piece - 1) * float(piece)
+    middle = low + 0.5 * (piece - 1)
+    for side in range(2):
+        major = start if side == 0 else stop
+        offset = o0 + (o1 - o0) * (major - middle) / span
+        segment[2 * side] = major
+        segment[2 * side + 1] = candidate[1] + slope * (major - candidate[0]) + offset
+    segment[4] = sag if segment[2] - segment[0] >= BENT_PX else 0.0
+    return snr

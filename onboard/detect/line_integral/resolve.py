@@ -1,0 +1,215 @@
+"""Candidates, best first -> trails: refined, cleaned of stars on the way, tested, and taken out before the next one."""
+
+import math
+from typing import Final
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.detect.cross_profile import cross_profile
+from onboard.detect.line_integral import corridor, refine
+from onboard.detect.line_integral.strip import Strip
+
+FOUND_BIT: Final = 4
+"""Bit of the working mask under detections already made."""
+
+POLISH_GAIN: Final = 1.3
+"""The search over all parameters hardly ever raises the S/N of a located segment by more than this."""
+
+
+BEND_GAIN: Final = 9.0
+"""A bend must raise the squared S/N by so much, and that of a bent trail must exceed n_sigma squared by as much.
+
+Noise bends lines too: the sagitta's metric is 0.0616 S^2 per px^2 (4/45 / (2 s^2)), so that 16 px of it make
+7 x 4 / sqrt(2 pi) = 11 times as many false maxima; exp(-9 / 2) leaves an eighth of one.
+"""
+
+SHARP_ENDS_PX: Final = 60.0
+SHARP_LOSS: Final = 0.15
+"""What a template with sharp ends may cost a line shorter than that, which is fitted again with blurred ones."""
+
+
+@nb.njit(cache=True)
+def _wanted_sigma(n_sigma: float, length_px: float) -> float:
+    return n_sigma - (SHARP_LOSS if length_px < SHARP_ENDS_PX else 0.0)
+
+
+@nb.njit(cache=True)
+def blanking_half_width(snr: float, length_px: float, psf_sigma_px: float) -> float:
+    """How far across a found trail its light can still matter (px): grows with its brightness per pixel."""
+    peak = (
+        snr * math.sqrt(2.0 * math.sqrt(math.pi) * psf_sigma_px / max(length_px, 1.0)) / (math.sqrt(2.0 * math.pi) * psf_sigma_px)
+    )
+    return 3.0 * psf_sigma_px + 1.0 + 1.5 * math.log2(max(1.0, peak))
+
+
+@nb.njit(cache=True)
+def length_inside(segment: NDArray[np.float64], n_minor: int) -> float:
+    """Length (px) of a segment within the frame: a star on the edge lights up lines that run along it outside."""
+    length = math.hypot(segment[2] - segment[0], segment[3] - segment[1])
+    low, high = min(segment[1], segment[3]), max(segment[1], segment[3])
+    inside = min(high, n_minor - 0.5) - max(low, -0.5)
+    if inside < 0.0:
+        return 0.0
+    return length * inside / (high - low) if high - low > inside else length
+
+
+@nb.njit(cache=True)
+def accept(
+    image: NDArray[np.int8],
+    smooth: NDArray[np.int8],
+    blocked: NDArray[np.uint8],
+    level: NDArray[np.float32],
+    tile_px: int,
+    candidate: NDArray[np.float64],
+    psf_sigma_px: float,
+    usable: float,
+    n_sigma: float,
+    first_sigma: float,
+    min_length_px: float,
+    segment: NDArray[np.float64],
+    straight: NDArray[np.float64],
+    sums: NDArray[np.int32],
+    counts: NDArray[np.int32],
+    signal: NDArray[np.float64],
+    weight: NDArray[np.float64],
+    points: NDArray[np.float64],
+    strip: Strip,
+) -> float:
+    """S/N of the trail at a candidate, 0 when there is none; lines under SHARP_ENDS_PX are let through SHARP_LOSS below n_sigma.
+
+    The trail, and stars that were not in the star list but lie on the way, are taken out of the images.
+    """
+    if corridor.locate(smooth, candidate, psf_sigma_px, usable, first_sigma, segment, sums, counts) < first_sigma:
+        return 0.0
+    # one exact sum before the search over all parameters, which is costly
+    _, n = cross_profile(
+        image,
+        blocked,
+        level,
+        tile_px,
+        segment[0],
+        segment[1],
+        segment[2],
+        segment[3],
+        segment[4],
+        0,
+        psf_sigma_px,
+        signal,
+        weight,
+    )
+    if refine.profile_snr(signal, weight, n) < n_sigma - POLISH_GAIN:
+        return 0.0
+    snr, length = 0.0, 0.0
+    for _ in range(4):
+        snr = refine.polish(image, blocked, level, tile_px, segment, True, psf_sigma_px, signal, weight, strip)
+        length = length_inside(segment, image.shape[1])
+        wanted = _wanted_sigma(n_sigma, length)
+        if snr < wanted or length < min_length_px:
+            return 0.0
+        if segment[4] != 0.0:
+            straight[:] = segment
+            straight[1] += 2.0 / 3.0 * segment[4]
+            straight[3] += 2.0 / 3.0 * segment[4]
+            straight[4] = 0.0
+            snr_straight = refine.polish(image, blocked, level, tile_px, straight, False, psf_sigma_px, signal, weight, strip)
+            if snr * snr - BEND_GAIN < max(snr_straight, wanted) ** 2:
+                segment[:], snr = straight, snr_straight
+                length = length_inside(segment, image.shape[1])
+                if snr < _wanted_sigma(n_sigma, length) or length < min_length_px:
+                    return 0.0
+        expected = snr * math.sqrt(2.0 * math.sqrt(math.pi) * psf_sigma_px / length)
+        # the longer the path, the higher the peaks that noise alone makes on it: one trail in a hundred has a higher one
+        excess = math.sqrt(2.0 * math.log(6.0 * length))
+        if refine.blank_stars_on_path(image, smooth, blocked, segment, expected + excess) == 0:
+            break
+    if not refine.looks_like_trail(image, smooth, blocked, level, tile_px, segment, snr, psf_sigma_px, signal, weight, points):
+        return 0.0
+    refine.blank_path(smooth, blocked, segment, blanking_half_width(snr, length, psf_sigma_px))
+    return snr
+
+
+@nb.njit(cache=True)
+def resolve(
+    image: NDArray[np.int8],
+    smooth: NDArray[np.int8],
+    blocked: NDArray[np.uint8],
+    level: NDArray[np.float32],
+    tile_px: int,
+    candidates: NDArray[np.float64],
+    psf_sigma_px: float,
+    usable: float,
+    n_sigma: float,
+    first_sigma: float,
+    min_length_px: float,
+    max_found: int,
+    strip: Strip,
+) -> NDArray[np.float64]:
+    """Trails among candidates (n, 6: axis, major0, minor0, major1, minor1, S/N; best first); the images are changed in place.
+
+    usable : share of pixels that are not masked. strip : work space for the longer side of the frame.
+
+    Returns (m, 7): axis, major0, minor0, major1, minor1, sagitta along minor (px), S/N.
+    """
+    image_t, smooth_t, blocked_t, level_t = image.T, smooth.T, blocked.T, level.T
+    found = np.empty((max_found, 7))
+    n_found = 0
+    sums = np.empty((corridor.PIECES, corridor.OFFSETS), np.int32)
+    counts = np.empty((corridor.PIECES, corridor.OFFSETS), np.int32)
+    signal = np.empty(max(image.shape) + 1)
+    weight = np.empty(max(image.shape) + 1)
+    segment, straight, points = np.empty(5), np.empty(5), np.zeros((2, 3))
+    for c in range(candidates.shape[0]):
+        if n_found == max_found:
+            break
+        if candidates[c, 0] == 0.0:
+            snr = accept(
+                image,
+                smooth,
+                blocked,
+                level,
+                tile_px,
+                candidates[c, 1:5],
+                psf_sigma_px,
+                usable,
+                n_sigma,
+                first_sigma,
+                min_length_px,
+                segment,
+                straight,
+                sums,
+                counts,
+                signal,
+                weight,
+                points,
+                strip,
+            )
+        else:
+            snr = accept(
+                image_t,
+                smooth_t,
+                blocked_t,
+                level_t,
+                tile_px,
+                candidates[c, 1:5],
+                psf_sigma_px,
+                usable,
+                n_sigma,
+                first_sigma,
+                min_length_px,
+                segment,
+                straight,
+                sums,
+                counts,
+                signal,
+                weight,
+                points,
+                strip,
+            )
+        if snr > 0.0:
+            found[n_found, 0] = candidates[c, 0]
+            found[n_found, 1:6] = segment
+            found[n_found, 6] = snr
+            n_found += 1
+    return found[:n_found]

@@ -1,0 +1,1 @@
+"""Published methods for comparison; nothing here is meant to fly."""

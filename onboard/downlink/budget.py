@@ -1,0 +1,99 @@
+"""What fits into the downlink: an allowance in bytes that grows with time, spent in order of priority."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.downlink.packets import PacketWriter
+from sboc_e2e.icd import layout
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.frame import FrameHeader
+from sboc_e2e.icd.signals import Detection
+
+
+@dataclass(frozen=True, kw_only=True)
+class Allowance:
+    """Bytes that may still be sent; never more than the rate gives in `burst_s`. A rate of 0 is no limit."""
+
+    rate_bytes_s: float
+    burst_s: float
+    credit_bytes: float = 0.0
+
+    def after(self, elapsed_s: float) -> "Allowance":
+        """The allowance some time later; the time since the last frame is granted even beyond `burst_s`."""
+        if self.rate_bytes_s == 0.0:
+            return replace(self, credit_bytes=math.inf)
+        elapsed_s = max(elapsed_s, 0.0)
+        granted = self.credit_bytes + self.rate_bytes_s * elapsed_s
+        return replace(self, credit_bytes=min(granted, self.rate_bytes_s * max(self.burst_s, elapsed_s)))
+
+    def spend(self, n_bytes: int) -> "Allowance":
+        """The allowance after sending; it may become negative when what must be sent did not fit."""
+        return replace(self, credit_bytes=self.credit_bytes - n_bytes)
+
+
+def priority(detections: Sequence[Detection]) -> NDArray[np.intp]:
+    """Order in which detections are sent: real-looking before suspicious, then by S/N."""
+    suspicion = [
+        2 * bool(d.flags & StreakFlag.STATIC) + bool(d.flags & StreakFlag.COSMIC_LIKE) + bool(d.flags & StreakFlag.SPIKE_LIKE)
+        for d in detections
+    ]
+    snr = [-d.snr for d in detections]
+    return np.lexsort((snr, suspicion)) if detections else np.zeros(0, dtype=np.intp)
+
+
+def within_limits(detections: Sequence[Detection], *, most: int, most_cosmic_like: int) -> list[Detection]:
+    """The detections that may be sent in a frame, by `priority`: at most so many, and so many of them particle hits."""
+    ordered = [detections[k] for k in priority(detections)]
+    hits = [d for d in ordered if d.flags & StreakFlag.COSMIC_LIKE]
+    over = {id(d) for d in hits[most_cosmic_like:]}
+    return [d for d in ordered if id(d) not in over][:most]
+
+
+def packet_bytes(payloads: Sequence[bytes]) -> int:
+    """Bytes on the link of some payloads with their headers and checksums."""
+    return sum(layout.HEADER_BYTES + layout.CRC.size + len(payload) for payload in payloads)
+
+
+@dataclass(kw_only=True)
+class Outbox:
+    """Packets of one frame on their way out, within an allowance."""
+
+    writer: PacketWriter
+    allowance: Allowance
+    header: FrameHeader
+    bytes_dropped: int = 0
+    sent: dict[int, list[bytes]] = field(default_factory=dict)
+
+    def reserve(self, n_bytes: int) -> None:
+        """Take bytes of a packet that will be sent whatever happens out of the allowance."""
+        self.allowance = self.allowance.spend(n_bytes)
+
+    def fits(self, payloads: Sequence[bytes]) -> bool:
+        """Whether these payloads fit into what is left."""
+        return packet_bytes(payloads) <= self.allowance.credit_bytes
+
+    def offer(self, apid: layout.Apid, payloads: Sequence[bytes], *, item: int = 0) -> bool:
+        """Send the payloads if all fit; otherwise count them as dropped."""
+        if not self.fits(payloads):
+            self.bytes_dropped += packet_bytes(payloads)
+            return False
+        self.reserve(packet_bytes(payloads))
+        self.send(apid, payloads, item=item)
+        return True
+
+    def send(self, apid: layout.Apid, payloads: Sequence[bytes], *, item: int = 0) -> None:
+        """Send payloads whose bytes are reserved or on top of the budget."""
+        packets, self.writer = self.writer.write(apid, self.header, payloads, item=item)
+        self.sent.setdefault(int(apid), []).extend(packets)
+
+    def joined(self) -> bytes:
+        """All packets by APID, the header first."""
+        return b"".join(packet for apid in sorted(self.sent) for packet in self.sent[apid])
+
+    def bytes_by_apid(self) -> dict[int, int]:
+        """Bytes sent of each APID."""
+        return {apid: sum(map(len, self.sent[apid])) for apid in sorted(self.sent)}

@@ -1,0 +1,133 @@
+"""A detection to the payloads of its ROI packets: plan strips, cut, encode, split what does not fit into a packet."""
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.downlink import packets, roi
+from onboard.image.calibrate import Counts
+from onboard.options import RoiOptions
+from sboc_e2e.icd import layout
+from sboc_e2e.icd.errors import PluginError
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.signals import Detection, DetectorView, Strip
+from sboc_e2e.icd.steps import Encoder
+
+BLOCK_ROOM_BYTES = layout.MAX_PAYLOAD_BYTES - layout.ROI_GROUP.size - layout.STRIP.size
+FIRST_GUESS_FILL = 0.9
+"""Strips are planned to fill this share of a packet, so that few need splitting."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class CodedRoi:
+    """A ROI ready to be sent."""
+
+    detection: Detection
+    strips: tuple[Strip, ...]
+    payloads: tuple[bytes, ...]
+
+
+def bits_per_pixel(sigma_counts: float) -> float:
+    """Expected cost of a lossless pixel: the entropy log2(4.13 sigma) of rounded Gaussian noise, and coder's overhead."""
+    return max(math.log2(4.13 * max(sigma_counts, 0.3)), 0.5) + 0.35
+
+
+def trail_half_width_px(view: DetectorView, detection: Detection, *, least_px: float, largest_px: float) -> float:
+    """Half width across that holds the trail's light, measured on the image: near objects are out of focus.
+
+    The profile across the trail, above what lies at the largest distance, is followed outwards from `least_px` as long as
+    the next 2 px on either side hold a significant part of the light (4 sigma, and 1 % of what lies within).
+    """
+    reach = math.ceil(largest_px)
+    if reach < least_px + 4.0:
+        return least_px
+    profile, number = cross_profile(view, detection, reach)
+    profile = profile - 0.5 * (np.median(profile[:4]) + np.median(profile[-4:]))
+    noise = float(np.median(view.background.sigma_adu)) * math.sqrt(number)
+    half = least_px
+    while half + 2.0 <= largest_px:
+        inner = round(half)
+        inside = profile[reach - inner : reach + inner + 1].sum()
+        ring = profile[reach - inner - 2 : reach - inner].sum() + profile[reach + inner + 1 : reach + inner + 3].sum()
+        if ring < 4.0 * noise * 2.0 or ring < 0.01 * inside:
+            break
+        half += 2.0
+    return half
+
+
+def cross_profile(view: DetectorView, detection: Detection, reach: int) -> tuple[NDArray[np.float64], int]:
+    """Sum along the trail of the image at offsets -reach ... reach px across it (nearest pixels), and how many each adds."""
+    drow, dcol = detection.row1 - detection.row0, detection.col1 - detection.col0
+    length = detection.length_px
+    samples = max(1, min(int(length), 2000))
+    points = roi.arc_points(detection, (np.arange(samples) + 0.5) / samples)
+    normal = (dcol / length, -drow / length) if length > 0.0 else (0.0, 1.0)
+    offsets = np.arange(-reach, reach + 1)
+    row = np.rint(points[:, :1] + offsets * normal[0]).astype(np.intp)
+    col = np.rint(points[:, 1:] + offsets * normal[1]).astype(np.intp)
+    rows, cols = view.residual_adu.shape
+    inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
+    values = np.where(inside, view.residual_adu[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)], 0.0)
+    # stars under the trail must not widen it: each offset's brightest and faintest tenths are left out
+    values = np.sort(values, axis=0)
+    cut = samples // 10
+    return values[cut : samples - cut].sum(axis=0).astype(np.float64), samples - 2 * cut
+
+
+def code_roi(
+    detection: Detection, view: DetectorView, counts: Counts, codec: Encoder, options: RoiOptions, *, tight: bool = False
+) -> CodedRoi:
+    """Strips and payloads of a detection; `tight` gives the least that is of use and flags it ROI_CUT."""
+    sigma_px = math.hypot(view.psf_sigma_px, 0.29)
+    half_width = trail_half_width_px(
+        view,
+        detection,
+        least_px=min(options.half_width_sigma * sigma_px, options.max_half_width_px),
+        largest_px=options.max_half_width_px,
+    )
+    margin = roi.end_margin_px(detection.length_px, detection.snr, sigma_px, options.end_margin)
+    if tight:
+        half_width = min(half_width, 3.0 * sigma_px)
+        margin = roi.end_margin_px(detection.length_px, detection.snr, sigma_px, min(options.end_margin, 1.0))
+        detection = replace(detection, flags=detection.flags | StreakFlag.ROI_CUT)
+    sigma_counts = float(np.median(view.background.sigma_adu)) / counts.adu_scale
+    pixels_per_strip = max(64, int(FIRST_GUESS_FILL * 8.0 * BLOCK_ROOM_BYTES / bits_per_pixel(sigma_counts)))
+    plan = roi.plan_strips(
+        detection,
+        view.mask.shape,
+        half_width_px=half_width,
+        margin_px=margin,
+        pixels_per_strip=min(pixels_per_strip, layout.MAX_STRIP_PIXELS),
+    )
+    if not codec.lossless:
+        detection = replace(detection, flags=detection.flags | StreakFlag.LOSSY)
+    strips, payloads = [], []
+    waiting = list(reversed(plan))
+    while waiting:
+        geometry = waiting.pop()
+        level_adu, noise_adu = roi.sky_at(view.background, geometry)
+        level = round((level_adu - counts.adu_offset) / counts.adu_scale)
+        sigma = float(np.float32(noise_adu / counts.adu_scale))
+        strip = roi.cut_strip(geometry, counts.pixels, counts.dark, level)
+        block = encoded(codec, strip.values_adu.astype(np.int32, copy=False), level, sigma)
+        if len(block) > BLOCK_ROOM_BYTES:
+            if geometry.n * geometry.width == 1:
+                raise PluginError(f"codec {type(codec).__name__}: {len(block)} bytes for one pixel")
+            waiting.extend(reversed(roi.split(geometry)))
+            continue
+        strips.append(strip)
+        payloads.append(packets.roi_payload(detection, strip, codec.number, sigma, block))
+    return CodedRoi(detection=detection, strips=tuple(strips), payloads=tuple(payloads))
+
+
+def encoded(codec: Encoder, values: NDArray[np.int32], level: int, sigma: float) -> bytes:
+    """The codec's block; whatever it raises names it."""
+    try:
+        block = codec.encode(values, level_adu=level, sigma_adu=sigma)
+    except Exception as error:  # a plug-in may raise anything; it is reported by name
+        raise PluginError(f"codec {type(codec).__name__}: {type(error).__name__}: {error}") from error
+    if not isinstance(block, bytes):
+        raise PluginError(f"codec {type(codec).__name__}: expected bytes, got {type(block).__name__}")
+    return block

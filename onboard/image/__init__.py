@@ -1,0 +1,1 @@
+"""The calibrated image of a frame: counts, dark map, masks, background, sky without stars, registration with earlier frames."""

@@ -1,0 +1,66 @@
+"""Where the stars of an earlier frame lie in this one: a similarity found from the two star lists alone."""
+
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.image.nearest import nearest, number_within
+from sboc_e2e.icd.signals import StarList
+
+BRIGHTEST: Final = 60
+"""Stars of each list that vote for the shift."""
+
+MATCHED: Final = 1500
+"""Brightest stars of the earlier list that are matched for the fit; twice as many of the other list stand ready."""
+
+
+def _similarity(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Least-squares 2 x 3 map [[a, -b, tr], [b, a, tc]] of points (n, 2) onto points (n, 2)."""
+    mean_s, mean_t = source.mean(axis=0), target.mean(axis=0)
+    s, t = source - mean_s, target - mean_t
+    power = float(np.sum(s * s))
+    a = float(np.sum(s * t)) / power if power > 0.0 else 1.0
+    b = float(np.sum(s[:, 0] * t[:, 1] - s[:, 1] * t[:, 0])) / power if power > 0.0 else 0.0
+    rotation = np.array([[a, -b], [b, a]])
+    return np.column_stack([rotation, mean_t - rotation @ mean_s])
+
+
+def apply(transform: NDArray[np.float64], points: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Map points (n, 2) of (row, col) by a (2, 3) transform."""
+    return np.asarray(points @ transform[:, :2].T + transform[:, 2])
+
+
+def inverse(transform: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The (2, 3) transform that undoes another."""
+    back = np.linalg.inv(transform[:, :2])
+    return np.column_stack([back, -back @ transform[:, 2]])
+
+
+def register(earlier: StarList, now: StarList, *, reach_px: float) -> NDArray[np.float64] | None:
+    """The (2, 3) transform that takes (row, col) of `earlier` to `now`, or None when fewer than 5 stars agree.
+
+    Shifts between the brightest stars vote in cells of 2 px (up to reach_px); the winner is refined by matching bright
+    stars within 3, then 1.5 px and fitting a similarity. Rotation
+    between frames must move no star by more than ~3 px for the vote.
+    """
+    if len(earlier) < 5 or len(now) < 5:
+        return None
+    bright_old = np.column_stack([earlier.row, earlier.col])[:BRIGHTEST]
+    bright_new = np.column_stack([now.row, now.col])[:BRIGHTEST]
+    shifts = (bright_new[None, :, :] - bright_old[:, None, :]).reshape(-1, 2)
+    shifts = shifts[np.abs(shifts).max(axis=1) <= reach_px]
+    if len(shifts) == 0:
+        return None
+    winner = shifts[int(np.argmax(number_within(shifts, 2.0)))]
+    shift = shifts[np.hypot(*(shifts - winner).T) <= 2.0].mean(axis=0)
+    transform = np.column_stack([np.eye(2), shift])
+    points = np.column_stack([earlier.row, earlier.col])[:MATCHED]
+    target = np.column_stack([now.row, now.col])[: 2 * MATCHED]
+    for radius in (3.0, 1.5, 1.0):
+        distance, index = nearest(apply(transform, points), target, radius)
+        matched = np.isfinite(distance)
+        if np.count_nonzero(matched) < 5:
+            return None
+        transform = _similarity(points[matched], target[index[matched]])
+    return transform

@@ -1,0 +1,199 @@
+"""The sky once more, without the stars: level, noise, and offsets of single rows.
+
+Wings of listed stars below the clipping threshold lift a clipped mean by about 0.02 sigma. That is nothing for one pixel,
+but a trail of 1,000 px collects it to one sigma of its matched-filter S/N. With the star list at hand their pixels can be
+left out.
+"""
+
+import math
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from onboard.image.background import LEAST_SAMPLES, fill_gaps, neighbourhoods
+from onboard.image.calibrate import expand_nodes, sums_within
+from sboc_e2e.icd.signals import BackgroundModel, StarList
+
+ROW_STEP = 8
+"""One row of so many is looked at."""
+
+FAINT_SIGMA = 0.03
+"""Stars are cut out as far as their light exceeds this share of the noise."""
+
+CLIP_SIGMA = 4.0
+MOST_STAR_RADIUS_PX = 64.0
+ROW_NEIGHBOURS = 65
+ROW_CLIP = 4.0
+LEAST_ROWS = 32
+
+
+@njit(cache=True)
+def mark_stars(
+    row: NDArray[np.float64], col: NDArray[np.float64], reach: NDArray[np.float64], row_step: int, out: NDArray[np.uint8]
+) -> None:
+    """Set 1 in out (n, cols), whose line k is row ``k * row_step``, within `reach` px of each star."""
+    lines, cols = out.shape
+    for n in range(row.size):
+        first = max(0, math.ceil((row[n] - reach[n]) / row_step))
+        last = min(lines - 1, math.floor((row[n] + reach[n]) / row_step))
+        for line in range(first, last + 1):
+            away = line * row_step - row[n]
+            half = math.sqrt(max(reach[n] * reach[n] - away * away, 0.0))
+            for k in range(max(0, math.ceil(col[n] - half)), min(cols - 1, math.floor(col[n] + half)) + 1):
+                out[line, k] = 1
+
+
+@njit(cache=True)
+def star_free_moments(
+    residual: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    marked: NDArray[np.uint8],
+    row_step: int,
+    tile_px: int,
+    sigma_nodes: NDArray[np.float32],
+    mean: NDArray[np.float32],
+    deviation: NDArray[np.float32],
+) -> None:
+    """Mean and standard deviation of unmarked, unmasked values of each tile within 4 sigma; NaN where too few."""
+    rows, cols = residual.shape
+    for i in range(mean.shape[0]):
+        first = -(-i * tile_px // row_step)
+        for j in range(mean.shape[1]):
+            col0, col1 = j * tile_px, min((j + 1) * tile_px, cols)
+            limit = np.float32(CLIP_SIGMA) * sigma_nodes[i, j]
+            number, total, squares = 0.0, 0.0, 0.0
+            for line in range(first, marked.shape[0]):
+                row = line * row_step
+                if row >= min((i + 1) * tile_px, rows):
+                    break
+                n, s, q = sums_within(residual[row, col0:col1], mask[row, col0:col1], marked[line, col0:col1], limit)
+                number, total, squares = number + float(n), total + float(s), squares + float(q)
+            mean[i, j], deviation[i, j] = np.nan, np.nan
+            if number >= LEAST_SAMPLES:
+                mean[i, j] = total / number
+                deviation[i, j] = math.sqrt(max(squares / number - (total / number) ** 2, 0.0))
+
+
+@njit(cache=True)
+def running_median(values: NDArray[np.float64], width: int) -> NDArray[np.float64]:
+    """Median of the `width` (odd) values about each; the end values are mirrored beyond the ends."""
+    n, half = values.size, width // 2
+    out = np.empty(n)
+    window = np.empty(width)
+    for k in range(-half, half + 1):
+        window[k + half] = values[_mirrored(k, n)]
+    window.sort()
+    for k in range(n):
+        out[k] = window[half]
+        leaving, entering = values[_mirrored(k - half, n)], values[_mirrored(k + half + 1, n)]
+        place = np.searchsorted(window, leaving)
+        while place + 1 < width and window[place + 1] < entering:
+            window[place] = window[place + 1]
+            place += 1
+        while place > 0 and window[place - 1] > entering:
+            window[place] = window[place - 1]
+            place -= 1
+        window[place] = entering
+    return out
+
+
+@njit(cache=True)
+def _mirrored(k: int, n: int) -> int:
+    """Index of a value beyond the ends of an array of n: d c b a | a b c d | d c b a."""
+    k = k % (2 * n)
+    return k if k < n else 2 * n - 1 - k
+
+
+def row_offsets(row_sums: NDArray[np.float64], cols: int, sigma_adu: float) -> NDArray[np.float32]:
+    """Offsets that the readout gave to whole rows, ADU, by which a row differs from its neighbours.
+
+    row_sums : (rows, 2) number and sum of each row's usable values within +-`onboard.calibrate.ROW_LIMIT_SIGMA`; of `cols`.
+    An offset of a tenth of the noise makes an edge-to-edge trail of S/N 6 out of one row of 4,096 px. Offsets are shrunk by
+    the share of their scatter that pixel noise explains, and limited to `ROW_CLIP` of it, so that a readout without row
+    noise changes nothing and a bright trail along a row is hardly touched.
+    """
+    rows, number = len(row_sums), row_sums[:, 0]
+    mean = row_sums[:, 1] / np.maximum(number, 1.0)
+    full = number > 0.25 * cols
+    if np.count_nonzero(full) < LEAST_ROWS:
+        return np.zeros(rows, dtype=np.float32)
+    offset = np.where(full, mean - running_median(np.where(full, mean, np.median(mean[full])), ROW_NEIGHBOURS), 0.0)
+    scatter2 = (1.4826 * float(np.median(np.abs(offset[full])))) ** 2
+    noise2 = sigma_adu**2 / float(np.median(number[full]))
+    share = max(scatter2 - 1.3 * noise2, 0.0) / max(scatter2, 1e-30)
+    reach = ROW_CLIP * math.sqrt(scatter2)
+    return (share * np.clip(offset, -reach, reach)).astype(np.float32)
+
+
+@njit(cache=True)
+def _shift_row(residual: NDArray[np.float32], mask: NDArray[np.uint8], shift: NDArray[np.float32]) -> None:
+    """Take `shift` away from usable pixels."""
+    for col in range(residual.size):
+        residual[col] -= shift[col] if mask[col] == 0 else np.float32(0.0)
+
+
+@njit(cache=True)
+def shift_level(
+    residual: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    nodes: NDArray[np.float32],
+    tile_px: int,
+    offsets: NDArray[np.float32],
+) -> None:
+    """Take an interpolated mesh and an offset of each row away from the image in place; masked pixels keep their 0."""
+    rows, cols = residual.shape
+    last = nodes.shape[0] - 1
+    upper, lower = np.empty(cols, dtype=np.float32), np.empty(cols, dtype=np.float32)
+    shift = np.empty(cols, dtype=np.float32)
+    held = -1
+    for row in range(rows):
+        position = min(max((row - 0.5 * (tile_px - 1)) / tile_px, 0.0), float(last))
+        above = min(int(position), max(last - 1, 0))
+        if above != held:
+            expand_nodes(nodes[above], tile_px, upper)
+            expand_nodes(nodes[min(above + 1, last)], tile_px, lower)
+            held = above
+        share = np.float32(position - above)
+        for col in range(cols):
+            shift[col] = upper[col] + share * (lower[col] - upper[col]) + offsets[row]
+        _shift_row(residual[row], mask[row], shift)
+
+
+def star_reach_px(stars: StarList, sigma_e: float, psf_sigma_px: float) -> NDArray[np.float64]:
+    """Distance at which a Gaussian star's light falls to `FAINT_SIGMA` of the noise; listed positions are exact enough."""
+    variance = psf_sigma_px**2 + 1.0 / 12.0
+    peak = stars.flux_e.astype(np.float64) / (2.0 * math.pi * variance)
+    ratio = np.maximum(peak / max(FAINT_SIGMA * sigma_e, 1e-9), 1.0)
+    return np.minimum(np.sqrt(2.0 * variance * np.log(ratio)) + 0.5, MOST_STAR_RADIUS_PX)
+
+
+def without_stars(
+    residual: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    row_sums: NDArray[np.float64],
+    stars: StarList,
+    background: BackgroundModel,
+    *,
+    gain_e_adu: float,
+    psf_sigma_px: float,
+) -> BackgroundModel:
+    """The background measured beside the stars; `residual` is brought to its level in place.
+
+    row_sums : as in `row_offsets`, of `residual` before the change.
+    """
+    tile_px, shape = background.tile_px, background.level_adu.shape
+    row_step = ROW_STEP if tile_px >= 4 * ROW_STEP else 1
+    marked = np.zeros((-(-residual.shape[0] // row_step), residual.shape[1]), dtype=np.uint8)
+    sigma_e = float(np.median(background.sigma_adu)) * gain_e_adu
+    mark_stars(stars.row, stars.col, star_reach_px(stars, sigma_e, psf_sigma_px), row_step, marked)
+    mean, deviation = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
+    star_free_moments(residual, mask, marked, row_step, tile_px, background.sigma_adu, mean, deviation)
+    shift = neighbourhoods(fill_gaps(mean, 0.0)).mean(axis=0)
+    sigma = np.where(np.isfinite(deviation) & (deviation > 0.0), deviation, background.sigma_adu).astype(np.float32)
+    shift_level(residual, mask, shift, tile_px, row_offsets(row_sums, residual.shape[1], float(np.median(sigma))))
+    return BackgroundModel(
+        tile_px=tile_px,
+        level_adu=background.level_adu + shift,
+        sigma_adu=neighbourhoods(sigma).mean(axis=0),
+    )

@@ -1,0 +1,234 @@
+"""Star list: matched-filter peaks, maximum-likelihood fits, saturated stars; and the choice of those that are sent."""
+
+import math
+from dataclasses import dataclass, field
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from onboard.stars.fits import SATURATED, SATURATED_STAR, fit_stars
+from onboard.stars.peaks import find_peaks, gaussian_kernel
+from onboard.stars.shape import LEAST_STARS, MOST_STARS, FieldShape, measure_shape
+from sboc_e2e.icd.flags import StarFlag
+from sboc_e2e.icd.signals import DetectorView, StarList
+
+COSMIC_SHARPNESS = 1.7
+"""A peak is sharper than a star when its contrast exceeds the PSF's by this factor at 5 sigma significance."""
+
+NOT_A_STAR = 0.2
+"""Relative misfit of the PSF above which something else lies in the window: a neighbour, or a particle's track."""
+
+CANDIDATES_PER_STAR = 40
+"""The brightest so many times the wanted number take part in the choice of well-spread stars."""
+
+SHAPE_SNR = 40.0
+"""Stars above this S/N show the shape of the PSF."""
+
+LONG_TRAIL_PX = 4.0
+"""Longer trails are not near enough to Gaussians; they get a template of their own."""
+
+LONGEST_TRAIL_PX = 100.0
+ENOUGH_SETTLED = 0.4
+"""When fewer of the bright stars than this have the moments of a star, they are looked at as trails."""
+
+LEAST_TRAIL_SIGMA = 6.0
+MOST_BRIGHT_TRAILS = 24
+
+TRAILED_OVER_PSF = 2.0
+"""Stars are called trailed when the smear is longer than this many PSF sigmas."""
+
+
+@njit(cache=True)
+def saturated_pixels(mask: NDArray[np.uint8], capacity: int) -> NDArray[np.int32]:
+    """Rows and cols, (n, 2), of saturated pixels in row order; at most `capacity` of them."""
+    rows, cols = mask.shape
+    out = np.empty((capacity, 2), dtype=np.int32)
+    count = 0
+    for row in range(rows):
+        line = mask[row]
+        hits = np.int32(0)
+        for col in range(cols):
+            hits += np.int32((line[col] & SATURATED) != 0)
+        if hits == 0:
+            continue
+        for col in range(cols):
+            if line[col] & SATURATED:
+                if count == capacity:
+                    return out
+                out[count, 0], out[count, 1] = row, col
+                count += 1
+    return out[:count]
+
+
+@njit(cache=True)
+def group_pixels(pixels: NDArray[np.int32]) -> NDArray[np.int32]:
+    """Group number of each pixel; pixels within two rows and two cols of each other are one group. Row order."""
+    n = pixels.shape[0]
+    parent = np.arange(n).astype(np.int32)
+    first = 0
+    for k in range(n):
+        while pixels[first, 0] < pixels[k, 0] - 2:
+            first += 1
+        for m in range(first, k):
+            if abs(pixels[m, 1] - pixels[k, 1]) <= 2:
+                a, b = np.int32(m), np.int32(k)
+                while parent[a] != a:
+                    parent[a] = parent[parent[a]]
+                    a = parent[a]
+                while parent[b] != b:
+                    parent[b] = parent[parent[b]]
+                    b = parent[b]
+                if a < b:
+                    parent[b] = a
+                else:
+                    parent[a] = b
+    for k in range(n):
+        a = np.int32(k)
+        while parent[a] != a:
+            a = parent[a]
+        parent[k] = a
+    return parent
+
+
+def saturated_stars(view: DetectorView, saturation_adu: float, capacity: int = 40000) -> NDArray[np.float64]:
+    """Centres and least fluxes, (n, 3) row, col, flux ADU, of groups of saturated pixels."""
+    pixels = saturated_pixels(view.mask, capacity)
+    if len(pixels) == 0:
+        return np.zeros((0, 3))
+    groups, index = np.unique(group_pixels(pixels), return_inverse=True)
+    number = np.bincount(index, minlength=len(groups))
+    row = np.bincount(index, weights=pixels[:, 0]) / number
+    col = np.bincount(index, weights=pixels[:, 1]) / number
+    return np.column_stack((row, col, 2.0 * number * saturation_adu))
+
+
+@dataclass(frozen=True, kw_only=True)
+class MatchedStars:
+    """`matched`: every star above a threshold, with maximum-likelihood centroids."""
+
+    n_sigma: float = field(default=5.0, metadata={"doc": "least matched-filter S/N", "min": 3.0, "max": 100.0})
+    max_stars: int = field(default=200_000, metadata={"doc": "most stars that are listed", "min": 1, "max": 1_000_000})
+
+    def extract(self, view: DetectorView) -> StarList:
+        """All stars found, by falling flux."""
+        kernel = gaussian_kernel(view.psf_sigma_px)
+        noise = float(kernel[0] ** 2 + 2.0 * np.sum(kernel[1:] ** 2))
+        peaks = np.empty((self.max_stars, 5), dtype=np.float32)
+        sigma_nodes, tile_px = view.background.sigma_adu, view.background.tile_px
+        count = find_peaks(view.residual_adu, sigma_nodes, tile_px, kernel, self.n_sigma * noise, peaks)
+        peaks = peaks[:count]
+        gain = view.header.gain_e_adu if view.header.gain_e_adu is not None else 1.0
+        sigma = float(np.median(sigma_nodes))
+        candidates = _shape_stars(peaks, noise * sigma)
+        nominal = FieldShape.nominal(view.psf_sigma_px, view.mask.shape)
+        shape, share = measure_shape(view.residual_adu, view.mask, candidates, nominal)
+        if len(candidates) >= LEAST_STARS and (shape.smear_px > LONG_TRAIL_PX or share < ENOUGH_SETTLED):
+            stars = self._trailed(view, sigma, gain)
+            if stars is not None:
+                return stars
+        covariances = shape.covariance(peaks)
+        fits, flags = np.empty((len(peaks), 6)), np.zeros(len(peaks), dtype=np.uint8)
+        width = math.sqrt(float(shape.coefficients[[0, 2], 0].max()))
+        radii = (max(2, math.ceil(2.0 * width)), max(3, math.ceil(3.0 * width)))
+        fit_stars(view.residual_adu, view.mask, sigma_nodes, tile_px, peaks, covariances, radii, gain, fits, flags)
+        # what peaks beside saturated pixels belongs to the rim of the saturated star, which is listed below
+        clean = (flags & SATURATED_STAR) == 0
+        fits, flags, covariances = fits[clean], flags[clean], covariances[clean]
+        psf_contrast = 1.0 - 0.5 * (np.exp(-0.5 / covariances[:, 0]) + np.exp(-0.5 / covariances[:, 2]))
+        sharp = fits[:, 4] - COSMIC_SHARPNESS * psf_contrast > 5.0 / np.maximum(fits[:, 3], 1.0)
+        flags[sharp] |= np.uint8(StarFlag.COSMIC_LIKE)
+        flags[fits[:, 5] > NOT_A_STAR] |= np.uint8(StarFlag.BLENDED)
+        trailed = shape.smear_px > TRAILED_OVER_PSF * shape.sigma_px
+        if trailed:
+            flags |= np.uint8(StarFlag.TRAILED)
+        saturation = view.header.saturation_adu if view.header.saturation_adu is not None else 65535.0
+        bright = saturated_stars(view, saturation)
+        bright_snr = bright[:, 2] / max(sigma * math.sqrt(4.0 * math.pi) * width, 1e-9)
+        bright_flags = np.full(len(bright), int(StarFlag.SATURATED), dtype=np.uint8)
+        every = np.vstack((fits[:, :4], np.column_stack((bright, bright_snr))))
+        measured = shape.sigma_px if shape.n_stars > 0 and not trailed else None
+        return by_flux(every, np.concatenate((flags, bright_flags)), gain, measured)
+
+    def _trailed(self, view: DetectorView, sigma_adu: float, gain_e_adu: float) -> StarList | None:
+        """Stars of a frame whose pointing moved by more than a few pixels; None when its stars share no such trail."""
+        # OpenCV and scipy.optimize take 40 MB of memory that frames with stars as points do not need
+        from onboard.stars.trails import first_guess, fit_trails, matched_peaks, refined
+
+        width = math.sqrt(view.psf_sigma_px**2 + 1.0 / 12.0)
+        threshold = max(self.n_sigma, LEAST_TRAIL_SIGMA)
+        trail = first_guess(view.residual_adu, sigma_adu)
+        for _ in range(2):
+            if not LONG_TRAIL_PX < trail.length_px < LONGEST_TRAIL_PX:
+                return None
+            peaks = matched_peaks(view.residual_adu, trail, width, threshold, sigma_adu)[: self.max_stars]
+            common = refined(view.residual_adu, view.mask, peaks[:MOST_BRIGHT_TRAILS], trail, width)
+            if common is None:
+                return None
+            trail, width = common
+        fits, flags = np.empty((len(peaks), 4)), np.zeros(len(peaks), dtype=np.uint8)
+        half = (0.5 * trail.drow, 0.5 * trail.dcol)
+        fit_trails(view.residual_adu, view.mask, peaks, *half, width, sigma_adu, gain_e_adu, fits, flags)
+        flags |= np.uint8(StarFlag.TRAILED)
+        return by_flux(fits, flags, gain_e_adu)
+
+
+def by_flux(
+    fits: NDArray[np.float64], flags: NDArray[np.uint8], gain_e_adu: float, psf_sigma_px: float | None = None
+) -> StarList:
+    """Star list by falling flux of fits (n, 4): row, col, flux ADU, S/N."""
+    order = falling(fits[:, 2])
+    fits = fits[order]
+    return StarList(
+        row=fits[:, 0],
+        col=fits[:, 1],
+        flux_e=(fits[:, 2] * gain_e_adu).astype(np.float32),
+        snr=fits[:, 3].astype(np.float32),
+        flags=flags[order],
+        psf_sigma_px=psf_sigma_px,
+    )
+
+
+def falling(values: NDArray[np.float64]) -> NDArray[np.intp]:
+    """Order of falling values, equal ones as they come: a stable sort, in a third of its time where few are equal."""
+    order = np.argsort(-values)
+    ordered = values[order]
+    same = np.concatenate(([False], ordered[1:] == ordered[:-1], [False]))
+    tied = np.flatnonzero(same[1:] | same[:-1])
+    order[tied] = order[tied][np.lexsort((order[tied], -ordered[tied]))]
+    return order
+
+
+def _shape_stars(peaks: NDArray[np.float32], noise_adu: float) -> NDArray[np.float32]:
+    """Peaks bright enough for moments (40 sigma after smoothing), the brightest `MOST_STARS` of them."""
+    bright = peaks[peaks[:, 2] > SHAPE_SNR * noise_adu]
+    return bright[np.argsort(-bright[:, 2], kind="stable")[:MOST_STARS]]
+
+
+def best_spread(stars: StarList, shape: tuple[int, int], number: int, cells: int = 8) -> NDArray[np.intp]:
+    """Indices of up to `number` stars for a camera solution: the brightest of each of cells x cells fields in turn.
+
+    Clean stars go before blended ones and those with defects or edges in their window; saturated and cosmic-like
+    entries come last.
+    """
+    if len(stars) == 0 or number == 0:
+        return np.zeros(0, dtype=np.intp)
+    bright = np.sort(np.argsort(-stars.flux_e, kind="stable")[: CANDIDATES_PER_STAR * number])
+    return bright[_spread(stars, bright, shape, number, cells)]
+
+
+def _spread(stars: StarList, among: NDArray[np.intp], shape: tuple[int, int], number: int, cells: int) -> NDArray[np.intp]:
+    """The choice of `best_spread` among some stars, as sorted indices into `among`."""
+    flags, flux = stars.flags[among], stars.flux_e[among]
+    worst = StarFlag.SATURATED | StarFlag.COSMIC_LIKE
+    poor = StarFlag.EDGE | StarFlag.DEFECT | StarFlag.BLENDED
+    grade = np.where(flags & worst, 2, np.where(flags & poor, 1, 0))
+    cell_row = np.clip(stars.row[among] * cells / shape[0], 0, cells - 1).astype(np.intp)
+    cell_col = np.clip(stars.col[among] * cells / shape[1], 0, cells - 1).astype(np.intp)
+    cell = cell_row * cells + cell_col
+    order = np.lexsort((-flux, grade, cell))
+    first = np.concatenate(([True], cell[order][1:] != cell[order][:-1]))
+    start = np.maximum.accumulate(np.where(first, np.arange(len(order)), 0))
+    turn = np.arange(len(order)) - start
+    chosen = order[np.lexsort((-flux[order], turn, grade[order]))][:number]
+    return np.sort(chosen)

@@ -67,7 +67,8 @@ class Simulator:
 
     def __init__(self, options: SimulatorOptions, *, seed: int, catalogue: StarCatalogue) -> None:
         shutter = options.shutter
-        shutter.refuse_overlap(options.sensor.window.rows or options.instrument.rows, options.frame_rate_hz)
+        window = options.sensor.window
+        shutter.refuse_overlap(window.rows or options.instrument.rows - window.row0, options.frame_rate_hz)
         if options.sensor.type == "ccd":  # all rows are exposed at once; the line time is that of the store's read-out
             shutter = replace(shutter, line_time_us=0.0)
         self.options = options

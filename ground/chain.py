@@ -4,30 +4,35 @@ packets -> frames -> camera solution -> zero point -> streak fits -> vetting -> 
         -> tracklets -> directions, epochs, joint refit -> orbits
 """
 
+from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ground.astrometry.header_wcs import identify_by_header
 from ground.guard import fault, guarded, links_of, probabilities_of
 from ground.ingest import IngestReport, decode_downlink
-from ground.link import apply_links
+from ground.link import Member, apply_links, measured_tracklet
 from ground.on_demand import OnDemand
 from ground.options import GroundOptions
 from ground.photometry.known_stars import FrameLight, frame_light
-from ground.photometry.magnitude import crossing_time_s, magnitude_at_1deg_s, mean_magnitude, streak_magnitude
+from ground.photometry.magnitude import crossing_time_s, magnitude_at_1deg_s, streak_magnitude
 from ground.photometry.psf_width import in_frame, with_star_list
 from ground.photometry.sky_memory import filtered_sky
 from ground.photometry.star_memory import with_hidden_stars
 from ground.photometry.streak_pixels import streak_pixels
+from ground.photometry.tracklet_light import with_mean_light
 from ground.photometry.zero_point import flat_at
 from ground.records import FrameProducts, GroundProducts, GroundState
-from ground.refit import refit_streaks
-from ground.sky.measure import initial_epochs_ns, middle_of, with_sky
+from ground.refit import SharedErrors, refit_streaks
+from ground.sky.measure import initial_epochs_ns, jacobian_arcsec, middle_of, pointing_sigma_arcsec, with_sky
 from ground.sky.pixel_sky import HeaderSky, PixelSky, SolvedSky
+from ground.sky.sphere import ARCSEC_RAD
+from ground.sky.turning import Attitude, Rate, attitude_of, rates_of
 from ground.streak_rows import STREAKS_PER_FRAME, LinkedStreaks, RunStreaks, StreakRows
 from ground.streaks.psf_field import PsfField
 from ground.vetting.repeated import repeated
@@ -49,6 +54,9 @@ from sboc_e2e.icd.steps import Astrometer, Decoder, Linker, OrbitDeterminer, Pho
 
 FRAMES_REMEMBERED: Final = 64
 """Frames that are kept with their stars while tracklets are refitted."""
+
+FRAMES_TURNED: Final = 16
+"""Frames that are kept with the rates of the whole run."""
 
 LEAST_SNR_ALONE: Final = 6.0
 """Noise alone has 46 maxima above it in a frame of 4096 x 4096, 0.1 above 7 (Euler characteristic of the S/N over all segments,
@@ -91,6 +99,11 @@ class GroundChain:
         self._camera = camera
         self._catalogue = catalogue
         self._run_id = run_id
+
+    @property
+    def camera(self) -> NominalCamera:
+        """The camera as ground believes it to be."""
+        return self._camera
 
     def ingest(self, downlink: bytes) -> tuple[tuple[DownlinkFrame, ...], IngestReport]:
         """Frames rebuilt from all intact packets of the run, by frame number, and what was missing."""
@@ -145,6 +158,7 @@ class GroundChain:
             psf=psf,
             background=frame.background,
             wcs=wcs,
+            fit_failures=tuple(fit.failure or "no reason given" for fit in fits if fit.flags & StreakFlag.FIT_FAILED),
         )
         state = GroundState(
             astrometry=astrometry, psf=psf.updated(likely), growth_known=growth_known, sky=sky_memory, stars=star_memory
@@ -159,8 +173,12 @@ class GroundChain:
         Both are gone through more than once and asked for single items, none of which is kept for long: they may make their
         items on demand (`ground.on_demand`), and then the result does so too.
         """
-        small = [(product.header, product.photometry, len(product.streaks)) for product in products]
-        headers, counts = tuple(header for header, _, _ in small), [count for _, _, count in small]
+        small = [
+            (p.header, p.photometry, len(p.streaks), attitude_of(p.header, p.solution), p.fit_failures) for p in products
+        ]
+        headers, counts = tuple(header for header, *_ in small), [count for _, _, count, *_ in small]
+        products, rates = _turning(products, [attitude for *_, attitude, _ in small])
+        failures = Counter(reason for *_, reasons in small for reason in reasons)
         linker = self._steps.linker
         measured = RunStreaks(counts, lambda k: products[k].streaks)
         given = {header.frame: count for header, count in zip(headers, counts, strict=True)}
@@ -170,7 +188,7 @@ class GroundChain:
         tracklets, linked = list(found), LinkedStreaks(place, len(found))
         # by time, so that tracklets of the same frames follow each other
         for number in sorted(range(len(found)), key=lambda k: int(found[k].frames.min())):
-            tracklets[number], members = self._resolved(found[number], linked, headers, products, pixels_of)
+            tracklets[number], members = self._resolved(found[number], linked, headers, products, rates, pixels_of)
             linked.put(number, members)
         orbits: tuple[OrbitEstimate, ...] = ()
         if self._options.orbits:
@@ -180,12 +198,12 @@ class GroundChain:
         return GroundProducts(
             headers=headers,
             solutions=OnDemand(len(products), lambda k: products[k].solution),
-            photometry=tuple(photometry for _, photometry, _ in small),
+            photometry=tuple(photometry for _, photometry, *_ in small),
             streaks=RunStreaks(counts, final.__getitem__),
             tracklets=tuple(tracklets),
             members=linked.members,
             orbits=orbits,
-            ingest=ingest,
+            ingest=None if ingest is None else replace(ingest, fit_failures=dict(sorted(failures.items()))),
         )
 
     def _resolved(
@@ -194,17 +212,31 @@ class GroundChain:
         linked: LinkedStreaks,
         headers: Sequence[FrameHeader],
         products: Sequence[FrameProducts],
+        rates: Sequence[Rate],
         pixels_of: Callable[[StreakMeasurement], StreakPixels],
     ) -> tuple[Tracklet, Sequence[StreakMeasurement]]:
-        """A tracklet with its magnitude, and its members in frame order: directions, epochs, joint refit, brightness."""
+        """A tracklet as its members measure it, and these in frame order: directions, epochs, joint refit, brightness."""
         places = linked.places_of(tracklet)
         own = [headers[k] for k in dict.fromkeys(place for place, _ in places)]
         given = [products[k].streaks[number] for k, number in places]
-        members = apply_links(given, (tracklet,), own)
+        members = single = apply_links(given, (tracklet,), own)
+        shared: SharedErrors = {}
         if self._options.joint_refit:
-            members = refit_streaks(members, tracklet, own, lambda frame: products[linked.place[frame]].solution, pixels_of)
-        final = [_finally_measured(member, products[linked.place[member.frame]], tracklet.rate_deg_s) for member in members]
-        return _with_magnitude(tracklet, final), final
+            members, shared = refit_streaks(
+                single, tracklet, own, lambda frame: products[linked.place[frame]].solution, pixels_of
+            )
+        at = [linked.place[member.frame] for member in members]
+        frames = [products[k] for k in at]
+        placed = [_placed(member, frame) for member, frame in zip(members, frames, strict=True)]
+        measured = measured_tracklet(
+            tracklet,
+            [
+                _member(one, streak, frame, rates[k].sigma_rad_s, shared.get(streak.streak_id))
+                for one, streak, frame, k in zip(single, placed, frames, at, strict=True)
+            ],
+        )
+        final = [_finally_bright(streak, frame, measured.rate_deg_s) for streak, frame in zip(placed, frames, strict=True)]
+        return with_mean_light(measured, final), final
 
     def _final(
         self, streaks: Sequence[StreakMeasurement], members: Mapping[int, StreakMeasurement]
@@ -276,8 +308,9 @@ class GroundChain:
         gain_assumed = StreakFlag.GAIN_ASSUMED if frame.header.gain_e_adu is None else StreakFlag(0)
         light = self._light(frame, solution, photometry, psf)
         fits, flats = [], []
-        fitter, where = self._steps.streak_fitter, f"frame {frame.header.frame}"
+        fitter = self._steps.streak_fitter
         for group in frame.rois:
+            where = f"frame {frame.header.frame}, region {group.roi_id}"
             pixels, crossed = self._pixels(group, frame, light)
             fit = guarded("streak_fitter", fitter, where, StreakFit, fitter.fit, pixels, group.detection)
             flags = fit.flags | group.detection.flags & _KEPT_FROM_BOARD | gain_assumed
@@ -401,16 +434,52 @@ def _with_brightness(
     return replace(streak, mag=mag, mag_err=mag_err, mag_at_1deg_s=at_rate, mag_at_1deg_s_err=at_rate_err, flags=flags)
 
 
-def _finally_measured(streak: StreakMeasurement, product: FrameProducts, rate_deg_s: float) -> StreakMeasurement:
-    """A member of a tracklet with directions at its final epochs and a magnitude for its final exposed time."""
+def _placed(streak: StreakMeasurement, product: FrameProducts) -> StreakMeasurement:
+    """A member of a tracklet with directions at its final epochs."""
     sky = _sky_of(product.header, product.solution, product.wcs)
+    return with_sky(streak, product.header, sky, product.solution.covariance_rad2)
+
+
+def _turning(products: Sequence[FrameProducts], attitudes: Sequence[Attitude]) -> tuple[Sequence[FrameProducts], Sequence[Rate]]:
+    """The frames with the rates that the attitudes of the whole run give, in their solutions and streaks; and these rates."""
+    order = sorted(range(len(attitudes)), key=lambda k: attitudes[k].tai_ns)
+    in_order = dict(zip(order, rates_of([attitudes[k] for k in order]), strict=True))
+    rates = [in_order[k] for k in range(len(attitudes))]
+
+    def turned(k: int) -> FrameProducts:
+        product, rate = products[k], rates[k].rate_rad_s
+        if product.wcs is not None or not attitudes[k].solved:
+            return product
+        solution = replace(product.solution, rate_rad_s=rate)
+        turn_rad_s = SolvedSky(header=product.header, solution=solution).turn_rad_s
+        return replace(product, solution=solution, streaks=[replace(s, turn_rad_s=turn_rad_s) for s in product.streaks])
+
+    return OnDemand(len(products), turned, keep=FRAMES_TURNED), rates
+
+
+def _member(
+    single: StreakMeasurement,
+    final: StreakMeasurement,
+    product: FrameProducts,
+    sigma_rate_rad_s: float,
+    shared: tuple[int, NDArray[np.float64]] | None,
+) -> Member:
+    """What a tracklet is measured on of one member."""
+    sky = _sky_of(product.header, product.solution, product.wcs)
+    group, errors = (-1, np.zeros((2, 3))) if shared is None else shared
+    return Member(
+        single=single,
+        final=final,
+        jacobian_arcsec=jacobian_arcsec(final, product.header, sky),
+        pointing_arcsec=pointing_sigma_arcsec(product.solution.covariance_rad2),
+        sigma_rate_arcsec_s=0.0 if product.wcs is not None else sigma_rate_rad_s / ARCSEC_RAD,
+        group=group,
+        shared_arcsec=errors,
+    )
+
+
+def _finally_bright(streak: StreakMeasurement, product: FrameProducts, rate_deg_s: float) -> StreakMeasurement:
+    """A member of a tracklet with a magnitude for its final exposed time."""
     number = streak.streak_id - streak.frame * STREAKS_PER_FRAME
-    streak = with_sky(streak, product.header, sky, product.solution.covariance_rad2)
     crossing_s = crossing_time_s(streak, rate_deg_s)
     return _with_brightness(streak, product.header, product.photometry, product.mean_flat[number], crossing_s)
-
-
-def _with_magnitude(tracklet: Tracklet, members: Sequence[StreakMeasurement]) -> Tracklet:
-    """The tracklet with the weighted mean of its members' final magnitudes."""
-    mag, mag_err = mean_magnitude(np.array([s.mag for s in members]), np.array([s.mag_err for s in members]))
-    return replace(tracklet, mag=mag, mag_err=mag_err)

@@ -54,7 +54,7 @@ def all_of(seam: str, step: object, where: str, values: Any, kind: type) -> tupl
 
 
 def links_of(step: object, values: Any, counts: Mapping[int, int]) -> tuple[Tracklet, ...]:
-    """Tracklets from a linker, checked: each has an id of its own and members, which are streaks of the run that no other has.
+    """Tracklets from a linker, held against its Protocol, which says what is refused.
 
     counts : streaks of each frame, by frame number.
     """
@@ -80,4 +80,22 @@ def links_of(step: object, values: Any, counts: Mapping[int, int]) -> tuple[Trac
             if streak in owner:
                 raise fault("linker", step, where, f"streak {streak} is in tracklet {owner[streak]} already")
             owner[streak] = tracklet.tracklet_id
+        _said_of_members(tracklet, set(streaks.tolist()), step, where)
     return tracklets
+
+
+def _said_of_members(tracklet: Tracklet, members: set[int], step: object, where: str) -> None:
+    """What a linker says of a tracklet's members as a whole. Errors: a `PluginError` for what contradicts them."""
+    strangers = sorted(set(np.asarray(tracklet.pieces).tolist()) - members)
+    if strangers:
+        raise fault("linker", step, where, f"pieces: streak {strangers[0]} is none of its members")
+    if not 0.0 <= tracklet.probability <= 1.0:
+        raise fault("linker", step, where, f"probability: expected 0 to 1, got {tracklet.probability}")
+    if tracklet.direction_resolved and len(set(np.asarray(tracklet.frames).tolist())) == 1:
+        t, ra, dec = (np.asarray(values) for values in (tracklet.t_tai_ns, tracklet.ra_deg, tracklet.dec_deg))
+        stated = t.shape == ra.shape == dec.shape and t.ndim == 1
+        if not stated or len(np.unique(t[np.isfinite(ra) & np.isfinite(dec)])) < 2:
+            raise fault(
+                "linker", step, where, "direction_resolved: members of one frame do not tell the direction; expected two or more "
+                "finite t_tai_ns, ra_deg, dec_deg at different epochs, or False",
+            )  # fmt: skip

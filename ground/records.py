@@ -37,6 +37,7 @@ class FrameProducts:
     psf : width of the PSF over the field, as the run knew it when this frame came.
     background : mesh of the sky with the level that the frames so far give.
     wcs : the astropy WCS that came with the frame and was used, None when the frame was solved.
+    fit_failures : reason of each fit that is flagged FIT_FAILED.
     """
 
     header: FrameHeader
@@ -47,6 +48,7 @@ class FrameProducts:
     psf: PsfField
     background: BackgroundModel | None
     wcs: Any = None
+    fit_failures: tuple[str, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -8,9 +8,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.sky.measure import middle_of
+from ground.sky.measure import middle_of, redated
+from ground.sky.rotation import turn
 from ground.sky.sphere import ARCSEC_RAD, unit_vectors
-from ground.streaks.joint import TrackletFrame, flux_between, refit_tracklet
+from ground.streaks.joint import JointRefit, TrackletFrame, flux_between, refit_tracklet
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution, StreakFit, StreakMeasurement, StreakPixels, Tracklet
@@ -39,17 +40,22 @@ GRAVITY_ARCSEC_S2: Final = 1.0
 """Change of rate that differential gravity makes, beyond the one of straight passages."""
 
 
+SharedErrors = dict[int, tuple[int, Array]]
+"""By streak: number of the window that was fitted together, and (2, 3) what both ends' errors along the path share with those of
+the other streaks of the window, arcsec (`streaks.joint.JointRefit`)."""
+
+
 def refit_streaks(
     streaks: Sequence[StreakMeasurement],
     tracklet: Tracklet,
     headers: Sequence[FrameHeader],
     solution_of: Callable[[int], FrameSolution],
     pixels_of: Callable[[StreakMeasurement], StreakPixels],
-) -> tuple[StreakMeasurement, ...]:
-    """The streaks of a tracklet refitted together, where their direction is resolved; the others as they came.
+) -> tuple[tuple[StreakMeasurement, ...], SharedErrors]:
+    """The streaks of a tracklet refitted together, where their direction is resolved, the others as they came; and their errors.
 
-    solution_of : of a frame, by its number; pixels_of : calibrated pixels of a streak. Sky positions are those of the old fit
-    until they are measured anew.
+    streaks : with directions at their epochs. solution_of : of a frame, by its number; pixels_of : calibrated pixels of a streak.
+    Sky positions are those of the old fit until they are measured anew.
     """
     header_of = {header.frame: header for header in headers}
     at = {streak.streak_id: k for k, streak in enumerate(streaks)}
@@ -58,13 +64,16 @@ def refit_streaks(
     often = Counter(m.frame for m in members)
     members = [m for m in members if m.flags & StreakFlag.DIRECTION_RESOLVED and not m.flags & UNUSABLE and often[m.frame] == 1]
     if len(members) < 2:
-        return tuple(streaks)
+        return tuple(streaks), {}
     members = [_timed_by_shutter(m, header_of[m.frame]) for m in members]
     path, zero_ns = _path_of(members), int(members[0].t_tai_ns[0])
     frames = [_tracklet_frame(m, header_of[m.frame], solution_of(m.frame), pixels_of(m), path, zero_ns) for m in members]
     joint: dict[int, StreakFit] = {}
-    for window, sigma_acceleration in _windows(frames):
-        joint |= _refit_window(frames, window, sigma_acceleration)
+    shared: SharedErrors = {}
+    for number, (window, sigma_acceleration) in enumerate(_windows(frames)):
+        fits, common = _refit_window(frames, window, sigma_acceleration)
+        joint |= fits
+        shared |= {members[k].streak_id: (number, errors) for k, errors in common.items()}
     out = list(streaks)
     for k, fit in joint.items():
         member = members[k]
@@ -82,7 +91,7 @@ def refit_streaks(
                 t_tai_ns=_with_edge_epoch(epochs, frames[k], frames, joint, zero_ns),
                 flags=member.flags & ~changed | fit.flags & changed,
             )
-    return tuple(out)
+    return tuple(out), shared
 
 
 def _timed_by_shutter(member: StreakMeasurement, header: FrameHeader) -> StreakMeasurement:
@@ -96,7 +105,7 @@ def _timed_by_shutter(member: StreakMeasurement, header: FrameHeader) -> StreakM
     if not member.flags & StreakFlag.EDGE1:
         epochs[2] = header.t_start_tai_ns + header.exposure_ns + round(header.line_time_ns * member.fit.row1)
     epochs[1] = (epochs[0] + epochs[2]) // 2
-    return replace(member, t_tai_ns=epochs)
+    return redated(member, epochs)
 
 
 def _with_edge_epoch(
@@ -156,18 +165,22 @@ def _end_errors_arcsec(frame: TrackletFrame) -> list[float]:
     return [float(np.sqrt(max(v, 1e-4))) * frame.along_per_px for v in variance]
 
 
-def _refit_window(frames: Sequence[TrackletFrame], window: Sequence[int], sigma_acceleration: float) -> dict[int, StreakFit]:
-    """Changed fits of the frames of one window, by their numbers."""
+def _refit_window(
+    frames: Sequence[TrackletFrame], window: Sequence[int], sigma_acceleration: float
+) -> tuple[dict[int, StreakFit], dict[int, Array]]:
+    """Changed fits of the frames of one window, by their numbers; (2, 3) shared errors of those that the motion was fitted to."""
     members = [frames[k] for k in window]
-    used, fits = _refit_of_agreeing(members, sigma_acceleration)
+    used, (fits, common) = _refit_of_agreeing(members, sigma_acceleration)
+    shared = {window[k]: errors for k, errors in zip(used, common, strict=True)}
     joint = {k: fit for k, fit in zip(used, fits, strict=True) if fit.flags & StreakFlag.REFIT and _agrees(members[k].fit, fit)}
+    agreeing = {window[k] for k in joint}
     if len(joint) >= 2:
         clean, clean_fits = [members[k] for k in joint], list(joint.values())
         joint |= {k: carried(members[k], clean, clean_fits) for k in range(len(members)) if k not in joint}
-    return {window[k]: fit for k, fit in joint.items()}
+    return {window[k]: fit for k, fit in joint.items()}, {k: errors for k, errors in shared.items() if k in agreeing}
 
 
-def _refit_of_agreeing(frames: Sequence[TrackletFrame], sigma_acceleration: float) -> tuple[list[int], tuple[StreakFit, ...]]:
+def _refit_of_agreeing(frames: Sequence[TrackletFrame], sigma_acceleration: float) -> tuple[list[int], JointRefit]:
     """Joint fits of the frames that show one motion of one source, and their numbers.
 
     A star that no catalogue knows under or beside one trail would bend the common motion of all: such a frame stands out
@@ -177,11 +190,11 @@ def _refit_of_agreeing(frames: Sequence[TrackletFrame], sigma_acceleration: floa
     used = [int(k) for k in np.flatnonzero(usual)]
     while True:
         if len(used) < 2:
-            return [], ()
-        fits = refit_tracklet([frames[k] for k in used], sigma_acceleration=sigma_acceleration)
-        moved = np.array([_moved_chi2(frames[k].fit, fit) for k, fit in zip(used, fits, strict=True)])
+            return [], JointRefit((), np.zeros((0, 2, 3)))
+        joint = refit_tracklet([frames[k] for k in used], sigma_acceleration=sigma_acceleration)
+        moved = np.array([_moved_chi2(frames[k].fit, fit) for k, fit in zip(used, joint.fits, strict=True)])
         if moved.max() <= MOVED_CHI2 or len(used) < 4:
-            return used, fits
+            return used, joint
         used.pop(int(np.argmax(moved)))
 
 
@@ -332,17 +345,26 @@ def _tracklet_frame(
     streak: StreakMeasurement, header: FrameHeader, solution: FrameSolution, pixels: StreakPixels, path: Array, zero_tai_ns: int
 ) -> TrackletFrame:
     """One frame of the refit: coordinates along the path in arcsec, times in seconds from `zero_tai_ns`."""
-    seen = unit_vectors(np.radians(streak.ra_deg), np.radians(streak.dec_deg)) @ path.T
-    along = np.arctan2(seen[:, 1], seen[:, 0]) / ARCSEC_RAD
+    seen = unit_vectors(np.radians(streak.ra_deg), np.radians(streak.dec_deg))
+    along = _along_path(seen, path)
+    # how far a pixel reaches is what the trail spans at one epoch: between its two the camera turned
+    seconds = (streak.t_tai_ns[1] - streak.t_tai_ns) * 1e-9
+    at_once = _along_path(turn(seen, np.outer(seconds, streak.turn_rad_s)), path)
     pointing = np.asarray(solution.covariance_rad2)
     return TrackletFrame(
         pixels=pixels,
         fit=streak.fit,
         along0=float(along[0]),
         along1=float(along[2]),
-        along_per_px=float(along[2] - along[0]) / max(streak.fit.length_px, 1e-6),
+        along_per_px=float(at_once[2] - at_once[0]) / max(streak.fit.length_px, 1e-6),
         t_open_s=float(streak.t_tai_ns[0] - zero_tai_ns) * 1e-9,
         t_close_s=float(streak.t_tai_ns[2] - zero_tai_ns) * 1e-9,
         line_time_s=header.line_time_ns * 1e-9,
         sigma_frame=float(np.sqrt(0.5 * max(pointing[0, 0] + pointing[1, 1], 0.0))) / ARCSEC_RAD,
     )
+
+
+def _along_path(unit: Array, path: Array) -> Array:
+    """Coordinates (n,) along the path of directions (n, 3), arcsec."""
+    seen = unit @ path.T
+    return np.asarray(np.arctan2(seen[:, 1], seen[:, 0]) / ARCSEC_RAD)

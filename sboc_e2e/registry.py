@@ -76,6 +76,21 @@ class Registry:
         _fits(place, name, found)
         return found
 
+    def decoder_for(self, name: str, codec: Any) -> Any | None:
+        """The decoder that comes with a codec: installed under the codec's name, or of its module, with its codec number.
+
+        name : what the codec was asked for by. None when there is none.
+        """
+        candidates: list[type] = []
+        if ":" in name:
+            module = sys.modules[type(codec).__module__]
+            classes = (kind for kind in vars(module).values() if isinstance(kind, type))
+            candidates = [kind for kind in classes if _is_step(SEAMS["ground.decoder"], kind)]
+        elif name in self.names("ground.decoder"):
+            candidates = [self.resolve("ground.decoder", name)]
+        made = (_made(kind) for kind in candidates)
+        return next((step for step in made if step is not None and step.number == codec.number), None)
+
     def load_class(self, path: str) -> type:
         """A class that the user typed as ``module:Class``, for `sboc check`."""
         return self._load_class(None, path, typed=True)
@@ -154,6 +169,23 @@ def _import_class(where: str, path: str, module: str, attribute: str) -> type:
     if not isinstance(found, type):
         raise UserError(f"{where}: {path} is a {type(found).__name__}; expected a class")
     return found
+
+
+def _is_step(seam: Seam, found: type) -> bool:
+    """Whether a class could be a step of a seam."""
+    try:
+        _fits(seam, found.__name__, found)
+    except UserError:
+        return False
+    return True
+
+
+def _made(kind: type) -> Any | None:
+    """A step with default options; None for one that needs some."""
+    try:
+        return kind()
+    except Exception:  # noqa: BLE001 - somebody else's class, which nobody has asked for by name
+        return None
 
 
 def _fits(seam: Seam, name: str, found: type) -> None:

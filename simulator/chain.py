@@ -25,8 +25,8 @@ from sboc_e2e import truth
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader, NominalCamera
+from simulator.camera import Camera
 from simulator.exposure import render_stars
-from simulator.optics.camera import Camera
 from simulator.options import SimulatorOptions
 from simulator.platform import earth
 from simulator.platform.carrier import Carrier
@@ -146,7 +146,7 @@ class Simulator:
         entropy_bits = self._camera.sensor.entropy_bits(image_e[::16], self._camera.exposure_s)
         streaks = [truth.empty("streaks")]
         for object_id, path in self._paths(sight, index, range(len(self._cast.objects))):
-            trail = add_trail(image_e, path, sight, shutter, self._camera, epoch_tai_ns=self._epoch)
+            trail = add_trail(image_e, path, sight, shutter, self._camera.at(sight.reference_s), epoch_tai_ns=self._epoch)
             trail["frame"], trail["object_id"] = index, object_id
             streaks.append(trail)
         sensor = self.options.sensor
@@ -206,7 +206,7 @@ class Simulator:
 
     def _diffuse(self, sight: LineOfSight, index: int) -> NDArray[np.float32]:
         """An image of sky and stray light."""
-        camera, shape = self._camera, self._camera.shape
+        camera, shape = self._camera.at(sight.reference_s), self._camera.shape
         row, col = np.meshgrid(*(np.linspace(0.0, n - 1.0, SKY_GRID) for n in shape), indexing="ij")
         directions = camera.projection.to_vectors(row.ravel(), col.ravel()) @ sight.reference
         rate_e_s = self._sky_rate_e_s(directions, self._air_of(sight)).reshape(SKY_GRID, SKY_GRID)
@@ -220,7 +220,7 @@ class Simulator:
         """Add the stars to the image; the truth of those above `STAR_TRUTH_SNR`."""
         if not self.options.stars.enabled:
             return truth.empty("stars")
-        camera, air = self._camera, self._air_of(sight)
+        camera, air = self._camera.at(sight.reference_s), self._air_of(sight)
         velocity = np.zeros(3)
         if self.options.light.annual_aberration:
             velocity = velocity + earth.earth_velocity_km_s(self._carrier.tai_ns(sight.reference_s))
@@ -264,16 +264,16 @@ class Simulator:
         """Paths of those wanted objects that come near the field in a frame."""
         sun_km = earth.sun_position_km(self._carrier.tai_ns(sight.reference_s))
         first_open_s = index / self.options.frame_rate_hz
-        air, light = self._air_of(sight), self.options.light
+        air, light, camera = self._air_of(sight), self.options.light, self._camera.at(sight.reference_s)
         paths = []
         for object_id in wanted:
             thing = self._cast.objects[object_id]
             path: Path | None
             unsteady = self._turbulence(air, sight, index, object_id)
             if isinstance(thing, PixelPathObject):
-                path = pixel_path_of(thing, sight, self._camera, first_open_s if thing.restart else 0.0, light, unsteady)
+                path = pixel_path_of(thing, sight, camera, first_open_s if thing.restart else 0.0, light, unsteady)
             else:
-                path = sky_path_of(thing, sight, self._camera, sun_km, light, air, unsteady)
+                path = sky_path_of(thing, sight, camera, sun_km, light, air, unsteady)
             if path is not None:
                 paths.append((object_id, path))
         return paths
@@ -313,7 +313,7 @@ class Simulator:
 
     def _frame_truth(self, sight: LineOfSight, index: int, sky_e: float) -> NDArray[np.void]:
         """One row of the truth of frames."""
-        camera, timing = self._camera, self._carrier.timing(index, delivered=True)
+        camera, timing = self._camera.at(sight.reference_s), self._carrier.timing(index, delivered=True)
         position, velocity = (v[0] for v in sight.observer_at(np.array([sight.reference_s])))
         delivered, pixels = camera.sensor.delivered, camera.binning.rows * camera.binning.cols
         row, col = np.meshgrid(*(np.linspace(0, n - 1.0, 9) for n in (delivered.rows, delivered.cols)), indexing="ij")

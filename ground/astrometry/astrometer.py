@@ -1,17 +1,18 @@
 """`ground.astrometry: camera_fit`: match the star list, fit the camera, learn its distortion over the run."""
 
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ground.astrometry import lost_in_space
-from ground.astrometry.apparent import apparent_directions, jyear_of, mid_frame_tai_ns, observer_at
 from ground.astrometry.camera import SHARED, Camera
-from ground.astrometry.camera_fit import CameraPrior, CameraSolution, fit_camera
+from ground.astrometry.camera_drift import FrameEvidence, SharedKnowledge
+from ground.astrometry.camera_fit import CameraSolution, fit_camera
 from ground.astrometry.matching import mutual_pairs, vote_offset
-from ground.astrometry.rotation import matrix_of, quaternion_of, rotation_by
+from ground.sky.apparent import apparent_directions, jyear_of, mid_frame_tai_ns, observer_at
+from ground.sky.rotation import matrix_of, quaternion_of, rotation_by
 from ground.sky.sphere import ARCSEC_RAD
 from sboc_e2e.catalogue import CatalogueFlag, StarCatalogue, Stars
 from sboc_e2e.icd.downlink import DownlinkFrame
@@ -32,16 +33,20 @@ UNUSABLE_CATALOGUE: Final = int(CatalogueFlag.NO_PROPER_MOTION | CatalogueFlag.D
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AstrometryState:
-    """What is known before a frame: camera, information on its shared parameters, the last attitude."""
+    """What is known before a frame: camera, knowledge of its shared parameters, the last attitude."""
 
     catalogue: StarCatalogue
     camera: Camera
-    prior: CameraPrior
+    shared: SharedKnowledge
     psf_sigma_px: float
     last: tuple[int, Array, Array] | None = None
     """Epoch (TAI ns), matrix and rate (rad/s) of the last solved frame."""
     lost: int = 0
     """Frames in a row whose star patterns were looked for in vain; frames without enough stars do not count."""
+
+    def at(self, tai_ns: int) -> "AstrometryState":
+        """The state with what is known of the camera at a later epoch."""
+        return self if self.last is None else replace(self, shared=self.shared.after(1e-9 * (tai_ns - self.last[0])))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -73,6 +78,15 @@ class CameraFit:
     pattern_folder: str = field(
         default="", metadata={"doc": "folder that keeps the pattern database from run to run; empty: made anew in memory"}
     )
+    focal_drift_ppm_s: float = field(
+        default=0.1,
+        metadata={
+            "doc": "rate at which the focal length may drift: an aluminium tube (23 ppm/K) that warms by 0.26 K/min. Whether it "
+            "drifts at all, and how fast, frames tell; 0: the camera is known to stay as it is",
+            "min": 0.0,
+            "max": 100.0,
+        },
+    )
     prior_focal_ppm: float = field(default=1000.0, metadata={"doc": "error of the nominal focal length", "min": 0.0, "max": 1e6})
     prior_distortion_px: float = field(
         default=5.0, metadata={"doc": "error of each nominal distortion term at the corner", "min": 0.0, "max": 1e4}
@@ -84,7 +98,7 @@ class CameraFit:
         return AstrometryState(
             catalogue=catalogue,
             camera=camera,
-            prior=CameraPrior(mean=camera.shared(), information=self._prior_information(calibration.camera)),
+            shared=SharedKnowledge.prior(camera.shared(), self._prior_sigma(calibration.camera), 1e-6 * self.focal_drift_ppm_s),
             psf_sigma_px=calibration.camera.psf_sigma_px,
         )
 
@@ -95,6 +109,7 @@ class CameraFit:
         start = _start_attitude(state, header, middle)
         matrix, rate = start if start is not None else (None, np.zeros(3))
         flags, lost = FrameFlag(0), state.lost
+        known, state = state, state.at(middle)
         found = None if matrix is None else self._match_and_fit(state, frame, matrix, rate, middle)
         if found is None:
             flags = FrameFlag.ATTITUDE_FROM_SOLVER
@@ -102,15 +117,18 @@ class CameraFit:
                 lost += 1
                 found = self._match_star_pattern(state, frame, rate, middle)
         if found is None:
-            return replace(state, lost=lost), unsolved(frame, state.camera, FrameFlag.NO_SOLUTION, matrix=matrix, rate=rate)
+            return replace(known, lost=lost), unsolved(frame, state.camera, FrameFlag.NO_SOLUTION, matrix=matrix, rate=rate)
         fit, stars, listed, chosen = found
-        new_state = replace(
-            state,
-            camera=fit.camera,
-            prior=CameraPrior(mean=fit.camera.shared(), information=state.prior.information + fit.information_gain),
-            last=(middle, fit.matrix, rate),
-            lost=0,
+        evidence = FrameEvidence(
+            values=fit.camera.shared(),
+            gradient=fit.gradient,
+            information=fit.information,
+            catalogue=fit.catalogue,
+            new_field=1.0 if state.last is None else _new_field(fit, state.last[1], header),
         )
+        shared = state.shared.seen(evidence)
+        fit = fit.with_shared(shared.values, shared.errors)
+        new_state = replace(state, camera=fit.camera, shared=shared, last=(middle, fit.matrix, rate), lost=0)
         return new_state, _solution_of(header.frame, flags, fit, rate, stars, listed, chosen)
 
     def _star_patterns_may_tell(self, state: AstrometryState, frame: DownlinkFrame) -> bool:
@@ -213,6 +231,7 @@ class CameraFit:
         usable_listed = (frame.stars.flags[order] & UNUSABLE_LISTED) == 0
         usable_stars = (stars.flags & UNUSABLE_CATALOGUE) == 0
         floor = max(1.5, 3.0 * state.psf_sigma_px)
+        prior = state.shared.as_prior()
         fit: CameraSolution | None = None
         for _ in range(7):
             row, col = camera.project(apparent @ matrix.T)
@@ -226,11 +245,19 @@ class CameraFit:
             if good.sum() < self.min_stars:
                 return None
             listed, chosen = listed[good], chosen[good]
-            sigma = self._sigma_px(frame, order[listed], stars.sigma_mas[chosen], camera, state.psf_sigma_px)
+            catalogue = stars.sigma_mas[chosen].astype(np.float64) * 1e-3 * ARCSEC_RAD * camera.focal_px
+            sigma = np.hypot(self._centroid_px(frame, order[listed], state.psf_sigma_px), catalogue)
             # far from the solution all stars count alike; near it, as their errors say
             sigma = np.maximum(sigma, 0.1 * radius if radius > floor else 0.0)
             fit = fit_camera(
-                measured[listed], apparent[chosen], turns[listed], sigma, matrix=matrix, camera=camera, prior=state.prior
+                measured[listed],
+                apparent[chosen],
+                turns[listed],
+                sigma,
+                catalogue_px=catalogue,
+                matrix=matrix,
+                camera=camera,
+                prior=prior,
             )
             matrix, camera = fit.matrix, fit.camera
             if radius <= floor:
@@ -241,20 +268,15 @@ class CameraFit:
             return None
         return fit, order[listed], chosen
 
-    def _sigma_px(
-        self, frame: DownlinkFrame, listed: NDArray[np.intp], sigma_mas: NDArray[np.float32], camera: Camera, psf_sigma_px: float
-    ) -> Array:
-        """Error of each coordinate: centroid (PSF width over S/N), floor, catalogue."""
-        centroid = psf_sigma_px / np.maximum(frame.stars.snr[listed].astype(np.float64), 1.0)
-        catalogue = sigma_mas.astype(np.float64) * 1e-3 * ARCSEC_RAD * camera.focal_px
-        return np.asarray(np.sqrt(centroid**2 + self.centroid_floor_px**2 + catalogue**2))
+    def _centroid_px(self, frame: DownlinkFrame, listed: NDArray[np.intp], psf_sigma_px: float) -> Array:
+        """Error of each coordinate of list stars: PSF width over S/N, and a floor."""
+        return np.hypot(psf_sigma_px / np.maximum(frame.stars.snr[listed].astype(np.float64), 1.0), self.centroid_floor_px)
 
-    def _prior_information(self, camera: NominalCamera) -> Array:
-        """Diagonal information matrix (5, 5) of the options' prior errors; distortion terms by their effect at the corner."""
+    def _prior_sigma(self, camera: NominalCamera) -> Array:
+        """Errors (5,) of the shared parameters before any frame; distortion terms by their effect at the corner."""
         r = 0.5 * float(np.hypot(camera.rows, camera.cols)) / camera.focal_px
         tangent = max(self.prior_distortion_px, 1e-6) / camera.focal_px
-        sigma = np.array([max(self.prior_focal_ppm, 1e-3) * 1e-6, tangent / r**3, tangent / r**5, tangent / r**2, tangent / r**2])
-        return np.diag(1.0 / sigma**2)
+        return np.array([max(self.prior_focal_ppm, 1e-3) * 1e-6, tangent / r**3, tangent / r**5, tangent / r**2, tangent / r**2])
 
 
 def row_turns(header: FrameHeader, row: Array, rate_rad_s: Array, middle_tai_ns: int) -> Array:
@@ -273,7 +295,7 @@ def unsolved(
         quaternion=np.array([0.0, 0.0, 0.0, 1.0]) if matrix is None else quaternion_of(matrix),
         rate_rad_s=np.zeros(3) if rate is None else rate,
         covariance_rad2=np.full((3, 3), np.nan),
-        **asdict(camera),
+        camera=camera,
         n_stars=0,
         rms_px=float("nan"),
         star_index=np.zeros(0, dtype=np.int32),
@@ -298,6 +320,16 @@ def _matching_order(frame: DownlinkFrame) -> NDArray[np.intp]:
     """Star list by falling flux, cosmic-like and defective entries last."""
     doubtful = (frame.stars.flags & int(StarFlag.COSMIC_LIKE | StarFlag.DEFECT)) > 0
     return np.lexsort((-frame.stars.flux_e.astype(np.float64), doubtful))
+
+
+def _new_field(fit: CameraSolution, before: Array, header: FrameHeader) -> float:
+    """Share of the field that a frame with the attitude `before` (3, 3) did not show; roll is left out."""
+    middle = np.array([0.5 * (header.rows - 1)]), np.array([0.5 * (header.cols - 1)])
+    row, col = fit.camera.project(fit.camera.unproject(*middle) @ before @ fit.matrix.T)
+    moved_rows, moved_cols = abs(float(row[0] - middle[0][0])) / header.rows, abs(float(col[0] - middle[1][0])) / header.cols
+    if not (moved_rows < 1.0 and moved_cols < 1.0):
+        return 1.0
+    return 1.0 - (1.0 - moved_rows) * (1.0 - moved_cols)
 
 
 def _credible(fit: CameraSolution, radius_px: float, n_catalogue: int, header: FrameHeader) -> bool:
@@ -327,8 +359,8 @@ def _solution_of(
         flags=flags,
         quaternion=quaternion_of(fit.matrix),
         rate_rad_s=rate,
-        covariance_rad2=fit.covariance[:3, :3],
-        **asdict(camera),
+        covariance_rad2=fit.covariance_rad2,
+        camera=camera,
         n_stars=int(used.sum()),
         rms_px=float(np.sqrt(np.mean(fit.residual_px[used] ** 2))),
         star_index=listed[used].astype(np.int32),

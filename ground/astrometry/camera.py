@@ -1,17 +1,17 @@
-"""Camera model of the ground segment: directions of the camera frame to pixels and back, with derivatives.
+"""Camera model of `camera_fit`: directions of the camera frame to pixels and back (`CameraModel`), with derivatives.
 
 Gnomonic projection u = x/z (-x/z in a mirrored image), v = y/z, then Brown-Conrady distortion (Brown 1966, Photogrammetric
 Engineering 32, 444) as `sboc_e2e.icd.frame.NominalCamera` defines it in words. Parameters that are fitted are held in one vector.
 """
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from sboc_e2e.icd.camera import CameraParameter
 from sboc_e2e.icd.frame import NominalCamera
-from sboc_e2e.icd.products import FrameSolution
 
 Array = NDArray[np.float64]
 
@@ -27,6 +27,7 @@ class Camera:
     """Focal length and optical axis in pixels, distortion for tangents in radians.
 
     mirrored : columns grow against +X of the camera frame, as after an odd number of reflections.
+    focal_err_px : one sigma of the focal length; NaN for a camera that was not fitted.
     """
 
     focal_px: float
@@ -37,6 +38,7 @@ class Camera:
     p1: float
     p2: float
     mirrored: bool = False
+    focal_err_px: float = float("nan")
 
     @classmethod
     def nominal(cls, camera: NominalCamera) -> "Camera":
@@ -51,10 +53,20 @@ class Camera:
             p2=camera.p2,
         )
 
-    @classmethod
-    def solved(cls, solution: FrameSolution) -> "Camera":
-        """The camera of a frame solution, which has all fields of a camera."""
-        return cls(**{field.name: getattr(solution, field.name) for field in fields(cls)})
+    def parameters(self) -> tuple[CameraParameter, ...]:
+        """Columns of the published table of frames."""
+        distortion = "Brown-Conrady distortion"
+        return (
+            CameraParameter(name="focal_px", value=self.focal_px, unit="pix", description="focal length"),
+            CameraParameter(name="focal_err_px", value=self.focal_err_px, unit="pix", description="its error"),
+            CameraParameter(name="center_row", value=self.center_row, unit="pix", description="optical axis"),
+            CameraParameter(name="center_col", value=self.center_col, unit="pix", description="optical axis"),
+            CameraParameter(name="k1", value=self.k1, description=distortion),
+            CameraParameter(name="k2", value=self.k2, description=distortion),
+            CameraParameter(name="p1", value=self.p1, description=distortion),
+            CameraParameter(name="p2", value=self.p2, description=distortion),
+            CameraParameter(name="mirrored", value=self.mirrored, description="columns grow against the camera's +X"),
+        )
 
     def shared(self) -> Array:
         """(5,) parameters in the order of `SHARED`."""

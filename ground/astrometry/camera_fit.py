@@ -4,14 +4,14 @@ Robust first (soft-l1 weights, iterated), then stars beyond `CLIP_SIGMA` are dro
 weights, so that the covariance means what it says.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ground.astrometry.camera import ATTITUDE, SHARED, Camera
-from ground.astrometry.rotation import rotation_by
+from ground.sky.rotation import rotation_by
 
 Array = NDArray[np.float64]
 
@@ -32,34 +32,63 @@ class CameraPrior:
 class CameraSolution:
     """Result of `fit_camera`.
 
-    matrix : (3, 3) GCRS to camera frame. covariance : (8, 8) of rotation (rad, camera frame) and shared parameters, scaled by
-    the residuals where those are larger than expected. information_gain : (5, 5) what this frame adds on the shared
-    parameters with its attitude unknown. used : (n,) bool, stars kept. residual_px : (n, 2), all stars.
+    matrix : (3, 3) GCRS to camera frame. covariance_rad2 : (3, 3) of the rotation (camera frame) for known shared parameters,
+    response : (3, 5) by how much it turns when those change. gradient : (5,), information : (5, 5) log-likelihood of the shared
+    parameters about those of `camera`, attitude unknown; catalogue : (5, 5) share of the information's noise that is the
+    catalogue's. All scaled by the residuals where those are larger than expected. used : (n,) bool, stars kept.
+    residual_px : (n, 2), residual_response : (n, 2, 5) its change with the shared parameters, attitude following; all stars.
     """
 
     matrix: Array
     camera: Camera
-    covariance: Array
-    information_gain: Array
+    covariance_rad2: Array
+    response: Array
+    gradient: Array
+    information: Array
+    catalogue: Array
     used: NDArray[np.bool_]
     residual_px: Array
+    residual_response: Array
     chi2_nu: float
+
+    def with_shared(self, values: Array, errors: Array) -> "CameraSolution":
+        """The solution for other shared parameters (5,) with this covariance (5, 5): the attitude follows them."""
+        change = values - self.camera.shared()
+        focal_px = float(np.exp(values[0]))
+        camera = replace(self.camera.with_shared(values), focal_err_px=focal_px * float(np.sqrt(errors[0, 0])))
+        return replace(
+            self,
+            matrix=rotation_by(self.response @ change) @ self.matrix,
+            camera=camera,
+            covariance_rad2=self.covariance_rad2 + self.response @ errors @ self.response.T,
+            gradient=self.gradient - self.information @ change,
+            residual_px=self.residual_px + self.residual_response @ change,
+        )
 
 
 def fit_camera(
-    measured_px: Array, apparent: Array, turn_rad: Array, sigma_px: Array, *, matrix: Array, camera: Camera, prior: CameraPrior
+    measured_px: Array,
+    apparent: Array,
+    turn_rad: Array,
+    sigma_px: Array,
+    *,
+    catalogue_px: Array,
+    matrix: Array,
+    camera: Camera,
+    prior: CameraPrior,
 ) -> CameraSolution:
     """Attitude and camera from matched stars.
 
     measured_px : (n, 2) row and col. apparent : (n, 3) unit vectors, GCRS. turn_rad : (n, 3) rotation of the camera frame
-    between the frame's epoch and each star's row epoch. sigma_px : (n,) error of each coordinate. matrix, camera : start.
+    between the frame's epoch and each star's row epoch. sigma_px : (n,) error of each coordinate, catalogue_px : (n,) the
+    part of it that comes from the catalogue. matrix, camera : start.
     """
     n_parameters = ATTITUDE + len(SHARED)
     values = camera.shared()
     used = np.ones(len(measured_px), dtype=bool)
     weight = np.ones(len(measured_px))
-    normal, residual = np.eye(n_parameters), np.zeros((len(measured_px), 2))
-    data_normal = np.zeros((n_parameters, n_parameters))
+    residual, row_weight = np.zeros((len(measured_px), 2)), np.zeros(2 * len(measured_px))
+    jacobian, data_normal = np.zeros((2 * len(measured_px), n_parameters)), np.zeros((n_parameters, n_parameters))
     for iteration in range(N_ROBUST + N_GAUSSIAN):
         vectors = apparent @ matrix.T
         vectors = vectors - np.cross(turn_rad, vectors)
@@ -85,15 +114,42 @@ def fit_camera(
         values = values + step[ATTITUDE:]
     n_free = max(2 * int(used.sum()) - ATTITUDE, 1)
     chi2_nu = float(np.sum((residual[used] / sigma_px[used, None]) ** 2) / n_free)
-    cross = data_normal[:ATTITUDE, ATTITUDE:]
-    gain = data_normal[ATTITUDE:, ATTITUDE:] - cross.T @ _solve(data_normal[:ATTITUDE, :ATTITUDE], cross)
+    return _solution(
+        jacobian, row_weight, residual, catalogue_px, used=used, chi2_nu=chi2_nu, matrix=matrix, camera=camera.with_shared(values)
+    )
+
+
+def _solution(
+    jacobian: Array,
+    row_weight: Array,
+    residual: Array,
+    catalogue_px: Array,
+    *,
+    used: NDArray[np.bool_],
+    chi2_nu: float,
+    matrix: Array,
+    camera: Camera,
+) -> CameraSolution:
+    """What the last step's linear model says: attitude for known shared parameters, and these with the attitude unknown."""
+    scale = max(chi2_nu, 1.0)
+    by_rotation, by_shared = jacobian[:, :ATTITUDE], jacobian[:, ATTITUDE:]
+    normal = (by_rotation * row_weight[:, None]).T @ by_rotation
+    response = -_solve(normal, (by_rotation * row_weight[:, None]).T @ by_shared)
+    # shared parameters with the attitude following them
+    free = by_shared + by_rotation @ response
+    weighted = free * row_weight[:, None]
+    information, noise = weighted.T @ free / scale, np.repeat(catalogue_px, 2)[:, None] * weighted / scale
     return CameraSolution(
         matrix=matrix,
-        camera=camera.with_shared(values),
-        covariance=_solve(normal, np.eye(n_parameters)) * max(chi2_nu, 1.0),
-        information_gain=0.5 * (gain + gain.T) / max(chi2_nu, 1.0),
+        camera=camera,
+        covariance_rad2=_solve(normal, np.eye(ATTITUDE)) * scale,
+        response=response,
+        gradient=weighted.T @ residual.reshape(-1) / scale,
+        information=0.5 * (information + information.T),
+        catalogue=noise.T @ noise,
         used=used,
         residual_px=residual,
+        residual_response=-free.reshape(-1, 2, by_shared.shape[1]),
         chi2_nu=chi2_nu,
     )
 

@@ -6,10 +6,10 @@ from typing import Any, Final
 import numpy as np
 from scipy.stats import poisson
 
-from ground.astrometry.apparent import jyear_of, mid_frame_tai_ns
 from ground.astrometry.astrometer import UNUSABLE_CATALOGUE, unsolved
 from ground.astrometry.camera import Camera
 from ground.astrometry.matching import mutual_pairs, vote_offset
+from ground.sky.apparent import jyear_of, mid_frame_tai_ns
 from ground.sky.sphere import unit_vectors
 from sboc_e2e.catalogue import CatalogueFlag, StarCatalogue
 from sboc_e2e.icd.downlink import DownlinkFrame

@@ -14,9 +14,8 @@ import numpy as np
 from astropy.io import fits
 from numpy.typing import NDArray
 
-from ground.astrometry.apparent import apparent_context, mid_frame_tai_ns, observer_at
-from ground.astrometry.camera import Camera
-from ground.astrometry.rotation import matrix_of
+from ground.sky.apparent import apparent_context, mid_frame_tai_ns, observer_at
+from ground.sky.pixel_sky import mid_frame_directions
 from sboc_e2e.icd.flags import FrameFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution
@@ -114,7 +113,7 @@ def of_binned(header: fits.Header, cell_px: int) -> fits.Header:
 
 def _icrs(solution: FrameSolution, header: FrameHeader, row: Array, col: Array) -> tuple[Array, Array]:
     """Catalogue-relative right ascension and declination (deg) of pixels at mid-frame."""
-    apparent = Camera.solved(solution).unproject(row, col) @ matrix_of(np.asarray(solution.quaternion))
+    apparent = mid_frame_directions(solution, row, col)
     middle = mid_frame_tai_ns(header)
     context = apparent_context(middle, *observer_at(header.observer, middle))
     ra, dec = erfa.aticq(np.arctan2(apparent[:, 1], apparent[:, 0]), np.arcsin(np.clip(apparent[:, 2], -1.0, 1.0)), context)

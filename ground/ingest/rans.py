@@ -16,10 +16,16 @@ from scipy.special import erf
 from sboc_e2e.icd.errors import ContractError
 from sboc_e2e.icd.layout import (
     MAX_STRIP_PIXELS,
+    RANS_CENTRE_CODES_PER_SIGMA,
     RANS_CLASSES,
+    RANS_CODES_PER_OCTAVE,
+    RANS_ESCAPE,
     RANS_HEAD,
+    RANS_LEAST_SIGMA,
     RANS_LIMITS_SIGMA,
     RANS_LOWEST_STATE,
+    RANS_NEIGHBOUR_LIMIT,
+    RANS_PLAIN_TOKENS,
     RANS_SCALE,
     RANS_STATE_BYTES,
     RANS_STATES,
@@ -29,14 +35,15 @@ from sboc_e2e.icd.layout import (
 
 LOWEST = RANS_LOWEST_STATE
 STATES = RANS_STATES
-ESCAPE = RANS_TOKENS - 1
-NEIGHBOUR_LIMIT = 4095
+ESCAPE = RANS_ESCAPE
+PLAIN = RANS_PLAIN_TOKENS
+NEIGHBOUR_LIMIT = RANS_NEIGHBOUR_LIMIT
 HEAD_BYTES = RANS_HEAD.size + RANS_STATES * RANS_STATE_BYTES
 
 
 def differences_of_tokens() -> NDArray[np.int64]:
     """(80, 2) lowest and highest difference from the level of each token, the escape left out."""
-    spans = [(code // 2, code // 2) if code % 2 == 0 else (-(code // 2) - 1, -(code // 2) - 1) for code in range(32)]
+    spans = [(code // 2, code // 2) if code % 2 == 0 else (-(code // 2) - 1, -(code // 2) - 1) for code in range(PLAIN)]
     for top in range(5, 17):
         for half in (0, 1):
             first = (1 << (top - 1)) + half * (1 << (top - 2))
@@ -51,8 +58,8 @@ SPANS = differences_of_tokens()
 @lru_cache(maxsize=64)
 def sky_model(noise_code: int, centre_code: int) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.uint8]]:
     """Limits (10,); first slot of each token and the end (classes, 82); token of every 256th slot (classes, 256)."""
-    sigma = 2.0 ** (noise_code / 16 - 4)
-    centre = sigma * centre_code / 16
+    sigma = 2.0 ** (noise_code / RANS_CODES_PER_OCTAVE + math.log2(RANS_LEAST_SIGMA))
+    centre = sigma * centre_code / RANS_CENTRE_CODES_PER_SIGMA
     limits = np.array([max(-32768, min(32767, math.ceil(5 * (limit * sigma + centre)))) for limit in RANS_LIMITS_SIGMA])
     edges = (SPANS + np.array([-0.5, 0.5]) - centre) / sigma
     slots = np.zeros((len(RANS_CLASSES), RANS_TOKENS + 1), dtype=np.int64)
@@ -120,12 +127,12 @@ def decode_values(
                 state, taken = _refilled(state >> 16, words, taken)
                 code = (high << 16) | (state & 0xFFFF)
                 state, taken = _refilled(state >> 16, words, taken)
-            elif token >= 32:
-                top = 5 + (token - 32) // 4
+            elif token >= PLAIN:
+                top = 5 + (token - PLAIN) // 4
                 n_bits = top - 2
                 rest = state & ((1 << n_bits) - 1)
                 state, taken = _refilled(state >> n_bits, words, taken)
-                code = ((2 + (((token - 32) >> 1) & 1)) << (top - 1)) | (rest << 1) | (token & 1)
+                code = ((2 + (((token - PLAIN) >> 1) & 1)) << (top - 1)) | (rest << 1) | (token & 1)
             states[coder] = state
             difference = (code >> 1) ^ -(code & 1)
             out[row, col] = np.int32(difference)

@@ -1,7 +1,7 @@
 """What arrived, what did not, and what was wrong with it."""
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, field
 from typing import Any
 
 
@@ -32,6 +32,7 @@ class IngestReport:
     missing_segments : per incomplete frame, how many packets of each kind are known to be missing; a whole frame of which no
     packet arrived shows in the sequence counts of `apids` only.
     decode_failures : one line for each intact packet whose content could not be decoded.
+    fit_failures : regions whose pixels allowed no fit, by the reason.
     """
 
     run_id: int | None
@@ -51,6 +52,7 @@ class IngestReport:
     missing_segments: Mapping[int, Mapping[str, int]]
     decode_failures: tuple[str, ...]
     n_decode_failures: int
+    fit_failures: Mapping[str, int] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """Plain dictionaries, lists, numbers and strings."""

@@ -1,6 +1,7 @@
-"""Streaks of all frames into tracklets: two hypotheses of motion per streak, search, evidence, resolved directions."""
+"""Streaks of all frames into tracklets: two hypotheses of motion each, search, evidence, resolved ends, what they measure."""
 
 from ground.link.linker import MotionLinker
+from ground.link.measured import Member, measured_tracklet
 from ground.link.resolve import apply_links
 
-__all__ = ["MotionLinker", "apply_links"]
+__all__ = ["Member", "MotionLinker", "apply_links", "measured_tracklet"]

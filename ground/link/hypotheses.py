@@ -2,7 +2,8 @@
 
 An exposed row r is open from ``t_start + r tau`` to ``t_start + r tau + T``. If the shutter of its row opened on the object at
 end A and closed on it at end B, then the object was at A at ``t_start + r_A tau`` and at B at ``t_start + T + r_B tau``. A streak
-does not say which of its ends is A, so each one is two hypotheses, under a rolling shutter with two speeds
+does not say which of its ends is A, so each one is two hypotheses. The camera may turn meanwhile: each end has the direction that
+its pixel had at the epoch of the hypothesis. Under a rolling shutter there are two speeds
 ``v = L_row / (T + L_row tau)`` and ``v = -L_row / (T - L_row tau)``. An object that overtakes the read-out (v tau > 1) is at B
 before it is at A: the same two formulae hold and the later epoch is the open one.
 """
@@ -13,6 +14,7 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.sky.rotation import turn
 from ground.sky.sphere import ARCSEC_RAD, unit_vectors
 from sboc_e2e.icd.errors import ContractError
 from sboc_e2e.icd.flags import StreakFlag
@@ -40,7 +42,8 @@ class StreakTable(NamedTuple):
     """What linking needs of n streaks, in columns, by frame and then by input order.
 
     frame : ordinal of the frame in time order. streak_id : inside it. flags : StreakFlag bits. mag, mag_err : NaN where unknown.
-    row, col : (n, 3) px of end 0, middle, end 1. unit : (n, 3, 3) unit vectors of the same points.
+    row, col : (n, 3) px of end 0, middle, end 1. unit : (n, 3, 3) unit vectors of the same points at mid-exposure of their rows.
+    turn_rad_s : (n, 3) angular velocity of the camera in the same axes.
     sigma_along_rad, (n, 2) of both ends; sigma_cross_rad (n,). scale_rad_px : (n,) plate scale.
     log_odds : (n,) of being real, from the vetter, relative to the mean of all.
     """
@@ -51,6 +54,7 @@ class StreakTable(NamedTuple):
     row: NDArray[np.float64]
     col: NDArray[np.float64]
     unit: NDArray[np.float64]
+    turn_rad_s: NDArray[np.float64]
     sigma_along_rad: NDArray[np.float64]
     sigma_cross_rad: NDArray[np.float64]
     scale_rad_px: NDArray[np.float64]
@@ -152,11 +156,13 @@ def _columns(
     if sky:
         ra, dec = (np.radians([getattr(s, name) for s in streaks]).reshape(-1, 3) for name in ("ra_deg", "dec_deg"))
         unit = unit_vectors(ra, dec)
+        turn_rad_s = np.array([s.turn_rad_s for s in streaks], dtype=np.float64).reshape(-1, 3)
     else:
+        turn_rad_s = np.zeros((len(streaks), 3))
         centre = 0.5 * frames.shape[frame].astype(np.float64)
         plane = np.stack([(col - centre[:, 1:]) * scale_rad_px, (row - centre[:, :1]) * scale_rad_px, np.ones_like(row)], axis=-1)
         unit = plane / np.linalg.norm(plane, axis=-1, keepdims=True)
-    along_px, cross_px = _end_errors_px(streaks)
+    along_px, cross_px = end_errors_px(streaks)
     return {
         "frame": frame,
         "streak_id": np.array([s.streak_id for s in streaks], dtype=np.int64),
@@ -164,6 +170,7 @@ def _columns(
         "row": row,
         "col": col,
         "unit": unit,
+        "turn_rad_s": turn_rad_s,
         "sigma_along_rad": along_px,
         "sigma_cross_rad": cross_px,
         "log_odds": np.array([s.probability for s in streaks], dtype=np.float64),
@@ -212,7 +219,7 @@ def _plate_scale_rad_px(
     return float(np.median(chord[usable] / pixels[usable])) if usable.any() else default_rad_px
 
 
-def _end_errors_px(streaks: Sequence[StreakMeasurement]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def end_errors_px(streaks: Sequence[StreakMeasurement]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Errors of both ends along (n, 2) and across (n,) the chord; 68 % intervals where they are wider than the covariance."""
     covariance = np.array([s.fit.covariance_px2 for s in streaks]).reshape(-1, 4, 4)
     interval = np.array([s.fit.end_interval_px for s in streaks]).reshape(-1, 2, 2)
@@ -277,8 +284,9 @@ def _hypotheses(
     start, exposure, line = frames.start_s[frame], frames.exposure_s[frame], frames.line_time_s[frame]
     t_open, t_close = end_epochs_s(row_open, row_close, start, exposure, line)
     swap = t_close < t_open
-    unit_open = table.unit[:, [0, 2]].reshape(-1, 3)
-    unit_close = table.unit[:, [2, 0]].reshape(-1, 3)
+    turned = np.repeat(table.turn_rad_s, 2, axis=0) * (0.5 * exposure)[:, None]
+    unit_open = turn(table.unit[:, [0, 2]].reshape(-1, 3), -turned)
+    unit_close = turn(table.unit[:, [2, 0]].reshape(-1, 3), turned)
     sigma_open, sigma_close = table.sigma_along_rad.ravel(), table.sigma_along_rad[:, ::-1].ravel()
     flags = np.repeat(table.flags, 2)
     edge0, edge1 = (flags & StreakFlag.EDGE0) != 0, (flags & StreakFlag.EDGE1) != 0
@@ -312,9 +320,9 @@ def _hypotheses(
     crowd = count[vetoed.astype(np.int64), frame]
     octaves = np.log(2.0 * np.hypot(*frames.shape.T))[frame]
     # chance streaks: uniform over the frame, in direction and in log length; in the coordinates of the fit's residuals
-    turned = np.log(2.0 * np.pi * np.maximum(length, scale))
-    vector = turned + np.log(np.maximum(length, scale) * octaves)
-    log_clutter = np.log(crowd / area) - np.select([kind == FULL, kind == POINT], [vector, 0.0], turned)
+    direction = np.log(2.0 * np.pi * np.maximum(length, scale))
+    vector = direction + np.log(np.maximum(length, scale) * octaves)
+    log_clutter = np.log(crowd / area) - np.select([kind == FULL, kind == POINT], [vector, 0.0], direction)
 
     return {
         "frame": frame,

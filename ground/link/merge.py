@@ -103,6 +103,12 @@ def track_motion(track: Track) -> Motion:
 
 
 @njit(cache=True)
+def cross(a: NDArray[np.float64], b: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Vector product (3,)."""
+    return np.array([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]])
+
+
+@njit(cache=True)
 def _pieces(
     motion: Motion,
     table: StreakTable,
@@ -129,7 +135,8 @@ def _pieces(
             length += (table.unit[k, 2, c] - table.unit[k, 0, c]) ** 2
         length = math.sqrt(length)
         for end in (0, 2):
-            x, y = to_plane(table.unit[k, end], motion.centre, motion.basis)
+            here, drift = table.unit[k, end], cross(table.turn_rad_s[k], table.unit[k, end])
+            x, y = to_plane(here, motion.centre, motion.basis)
             opened = frames.start_s[f] + frames.line_time_s[f] * table.row[k, end] - motion.t_ref_s
             t = opened + 0.5 * exposure
             vx, vy = velocity_on_plane(motion.theta, t)
@@ -140,7 +147,9 @@ def _pieces(
             if length < shortest or math.hypot(x - px, y - py) > speed * exposure + 5.0 * scale:
                 inside = False
                 break
+            middle = t
             for _ in range(3):
+                x, y = to_plane(here + drift * (t - middle), motion.centre, motion.basis)
                 t += ((x - px) * vx + (y - py) * vy) / speed**2
                 px, py = position_on_plane(motion.theta, t)
             slack = 3.0 * scale / speed

@@ -1,18 +1,24 @@
 """What linking says of each streak: order of its ends by time, true epochs, tracklet."""
 
 import math
+from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.sky.measure import redated
 from ground.sky.sphere import unit_vectors
 from ground.streaks.fit_record import reversed_ends, swap_edge_flags
 from sboc_e2e.icd.errors import ContractError
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import StreakMeasurement, Tracklet
+
+DATING_ROUNDS: Final = 3
+"""The camera turns by about a hundredth of what a trail that an edge cuts is long: three rounds date its end to 1e-6 of it."""
 
 
 def reversed_streak(streak: StreakMeasurement) -> StreakMeasurement:
@@ -32,8 +38,8 @@ def apply_links(
 ) -> tuple[StreakMeasurement, ...]:
     """Streaks with tracklet id, ends by time, true epochs and DIRECTION_RESOLVED; the unlinked ones with SINGLE_FRAME.
 
-    A member that the vetter had rejected is rehabilitated: VETOED goes. Any linker's tracklets will do: the direction of a
-    member is that of the tracklet's regression on time, on the sky, or in pixels when the tracklet has no sky positions.
+    A member that the vetter had rejected is rehabilitated: VETOED goes. Any linker's tracklets will do: of the numbers in them
+    none is used but members and pieces (and the motion, where all members are of one frame and say nothing of it).
     Errors: a `ContractError` for a tracklet whose streak or frame is not given.
     """
     by_frame = {header.frame: header for header in headers}
@@ -50,77 +56,113 @@ def apply_links(
     return tuple(out)
 
 
+def pieces_among(members: Sequence[StreakMeasurement], tracklet: Tracklet) -> list[bool]:
+    """Which members are pieces of a broken trail: those the linker names, and those that share a frame."""
+    named, often = set(tracklet.pieces.tolist()), Counter(s.frame for s in members)
+    return [s.streak_id in named or often[s.frame] > 1 for s in members]
+
+
 def _members_resolved(
     members: Sequence[StreakMeasurement], tracklet: Tracklet, headers: Sequence[FrameHeader]
 ) -> list[StreakMeasurement]:
     """The members of one tracklet: ends in the order of the motion, and the epochs of both ends and the middle."""
     undone = StreakFlag.SINGLE_FRAME | StreakFlag.VETOED
     members = [replace(s, tracklet_id=tracklet.tracklet_id, flags=s.flags & ~undone) for s in members]
-    if not tracklet.direction_resolved:
+    sky = not any(s.flags & StreakFlag.NO_SKY for s in members)
+    motion = _motion_of(members, tracklet, headers, sky) if tracklet.direction_resolved else None
+    if motion is None or not float(np.linalg.norm(motion)) > 0.0:
         return members
-    sky = not tracklet.flags & StreakFlag.NO_SKY
-    motion = _sky_rate(tracklet) if sky else _pixel_rate(members, headers)
-    speed = max(float(np.linalg.norm(motion)), 1e-15)
-    heading = motion / speed
-    ordered = [s if float(np.diff(_ends(s, sky) @ heading)[0]) >= 0.0 else reversed_streak(s) for s in members]
-    along = np.array([_ends(s, sky) @ heading for s in ordered])
-    epochs_ns, fast, timed = [], [], []
-    for s, header, (first, last) in zip(ordered, headers, along, strict=True):
-        epochs, overtakes = _shutter_epochs_ns(s, header, max((last - first) / speed * 1e9, 1.0))
+    ordered, epochs_ns, fast = [], [], []
+    for s, header in zip(members, headers, strict=True):
+        # before the camera, which turns, the object moves otherwise than over the sky
+        passing = motion - np.cross(s.turn_rad_s, _places(s, sky)[1]) if sky else motion
+        length = float((_places(s, sky)[2] - _places(s, sky)[0]) @ passing)
+        s = s if length >= 0.0 else reversed_streak(s)
+        crossing_s = abs(length) / max(float(passing @ passing), 1e-30)
+        epochs, overtakes = _shutter_epochs_ns(s, header, max(crossing_s * 1e9, 1.0))
+        ordered.append(s)
         epochs_ns.append(epochs)
         fast.append(overtakes)
-        timed.append(_timed_ends(s, epochs, tracklet.t_tai_ns, header.exposure_ns // 50))
-    clock = _clock(along, np.array(epochs_ns), np.array(timed), tracklet.t_ref_tai_ns)
+    # an end is where the shutter opened or closed, but on the frame's edge or of a piece of a broken trail
+    timed = np.array(
+        [
+            (not piece and not s.flags & StreakFlag.EDGE0, not piece and not s.flags & StreakFlag.EDGE1)
+            for s, piece in zip(ordered, pieces_among(ordered, tracklet), strict=True)
+        ]
+    )
+    heading = motion / float(np.linalg.norm(motion))
+
+    def along_of(s: StreakMeasurement, epochs: Sequence[int]) -> NDArray[np.float64]:
+        """Places of both ends along the motion, as they were seen at these epochs."""
+        dated = redated(s, np.array([epochs[0], s.t_tai_ns[1], epochs[1]])) if sky else s
+        return np.asarray(_places(dated, sky)[[0, 2]] @ heading)
+
+    along = np.array([along_of(s, epochs) for s, epochs in zip(ordered, epochs_ns, strict=True)])
+    clock = _clock(along, np.array(epochs_ns), timed)
     return [
-        s if s.flags & StreakFlag.POINT_LIKE else _dated(s, places, epochs, known, overtakes, clock)
-        for s, places, epochs, known, overtakes in zip(ordered, along, epochs_ns, timed, fast, strict=True)
+        s if s.flags & StreakFlag.POINT_LIKE else _dated(s, along_of, epochs, known, overtakes, clock, sky)
+        for s, epochs, known, overtakes in zip(ordered, epochs_ns, timed.tolist(), fast, strict=True)
     ]
+
+
+def _motion_of(
+    members: Sequence[StreakMeasurement], tracklet: Tracklet, headers: Sequence[FrameHeader], sky: bool
+) -> NDArray[np.float64] | None:
+    """Mean rate per second, of unit vectors or of rows and cols; of one frame's members, as the tracklet says."""
+    if len({s.frame for s in members}) > 1:
+        t_ns = np.array(
+            [
+                h.t_start_tai_ns + h.exposure_ns // 2 + round(h.line_time_ns * s.row_mid)
+                for s, h in zip(members, headers, strict=True)
+            ]
+        )
+        return _slope(t_ns, np.array([_places(s, sky)[1] for s in members]))
+    known = np.isfinite(tracklet.ra_deg) & np.isfinite(tracklet.dec_deg)
+    if not sky or len(np.unique(tracklet.t_tai_ns[known])) < 2:
+        return None
+    unit = unit_vectors(np.radians(tracklet.ra_deg[known]), np.radians(tracklet.dec_deg[known]))
+    return _slope(tracklet.t_tai_ns[known], unit)
 
 
 def _dated(
     streak: StreakMeasurement,
-    along: NDArray[np.float64],
+    along_of: Callable[[StreakMeasurement, Sequence[int]], NDArray[np.float64]],
     epochs_ns: tuple[int, int],
-    timed: tuple[bool, bool],
+    timed: Sequence[bool],
     overtakes: bool,
-    clock: Callable[[float], float],
+    clock: Callable[[float], float] | None,
+    sky: bool,
 ) -> StreakMeasurement:
-    """A member with its epochs: the shutter's where it acted, else those at which the motion passed the end."""
-    ends = [epoch if known else 0 for epoch, known in zip(epochs_ns, timed, strict=True)]
-    for k in (0, 1):
-        if not timed[k]:
-            # the clock is a smooth fit: what it says between two places is better than what it says at one
-            anchor_ns = ends[1 - k] - clock(along[1 - k]) if timed[1 - k] else 0.0
-            ends[k] = round(clock(along[k]) + anchor_ns)
+    """A member with its epochs, the shutter's where it acted, else those at which the motion passed the end; and its directions
+    at these epochs. Without a clock an end that no shutter dated has no epoch, and its streak stays as it came."""
+    ends = list(epochs_ns)
+    if clock is None and not all(timed):
+        return streak
+    for _ in range(0 if all(timed) else DATING_ROUNDS):
+        along = along_of(streak, ends)
+        for k in (0, 1):
+            if clock is not None and not timed[k]:
+                # the clock is a smooth fit: what it says between two places is better than what it says at one
+                anchor_ns = ends[1 - k] - clock(along[1 - k]) if timed[1 - k] else 0.0
+                ends[k] = round(clock(along[k]) + anchor_ns)
     flags = streak.flags | StreakFlag.DIRECTION_RESOLVED
     if overtakes:
         flags |= StreakFlag.FAST_ROWS
-    return replace(streak, t_tai_ns=np.array([ends[0], (ends[0] + ends[1]) // 2, ends[1]], dtype=np.int64), flags=flags)
+    epochs = np.array([ends[0], (ends[0] + ends[1]) // 2, ends[1]], dtype=np.int64)
+    return replace(redated(streak, epochs) if sky else replace(streak, t_tai_ns=epochs), flags=flags)
 
 
-def _clock(
-    along: NDArray[np.float64], epochs_ns: NDArray[np.int64], timed: NDArray[np.bool_], t_ref_ns: int
-) -> Callable[[float], float]:
-    """Epoch (ns) as a quadratic of the place along the motion, through the ends (n, 2) at which the shutter acted."""
+def _clock(along: NDArray[np.float64], epochs_ns: NDArray[np.int64], timed: NDArray[np.bool_]) -> Callable[[float], float] | None:
+    """Epoch (ns) as a quadratic of the place along the motion, through the ends (n, 2) at which the shutter acted; None where
+    fewer than two places are dated."""
+    zero_ns = int(epochs_ns.mean())
     place = along[timed]
-    t_ns = (epochs_ns[timed] - t_ref_ns).astype(np.float64)
+    t_ns = (epochs_ns[timed] - zero_ns).astype(np.float64)
     if len(np.unique(place)) < 2:
-        return lambda s: float(t_ref_ns)
+        return None
     centre, spread = float(place.mean()), float(np.ptp(place))
     coefficients = np.polynomial.polynomial.polyfit((place - centre) / spread, t_ns, 2 if len(np.unique(place)) > 3 else 1)
-    return lambda s: t_ref_ns + float(np.polynomial.polynomial.polyval((s - centre) / spread, coefficients))
-
-
-def _timed_ends(
-    streak: StreakMeasurement, epochs_ns: tuple[int, int], listed_ns: NDArray[np.int64], slack_ns: int
-) -> tuple[bool, bool]:
-    """Which ends are where the shutter opened or closed: not those on an edge, and none of a piece of a broken trail.
-
-    A tracklet lists epochs of its whole members' ends or middles; a streak with none of these (to `slack_ns`) is a piece.
-    """
-    middle = (epochs_ns[0] + epochs_ns[1]) // 2
-    whole = any(int(np.abs(listed_ns - epoch).min()) <= slack_ns for epoch in (*epochs_ns, middle))
-    return whole and not streak.flags & StreakFlag.EDGE0, whole and not streak.flags & StreakFlag.EDGE1
+    return lambda s: zero_ns + float(np.polynomial.polynomial.polyval((s - centre) / spread, coefficients))
 
 
 def _slope(t_ns: NDArray[np.int64], position: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -130,24 +172,12 @@ def _slope(t_ns: NDArray[np.int64], position: NDArray[np.float64]) -> NDArray[np
     return np.asarray(t_s @ (position - position.mean(axis=0)) / max(float(t_s @ t_s), 1e-30))
 
 
-def _sky_rate(tracklet: Tracklet) -> NDArray[np.float64]:
-    """Mean rate of the unit vector (rad/s)."""
-    return _slope(tracklet.t_tai_ns, unit_vectors(np.radians(tracklet.ra_deg), np.radians(tracklet.dec_deg)))
-
-
-def _pixel_rate(members: Sequence[StreakMeasurement], headers: Sequence[FrameHeader]) -> NDArray[np.float64]:
-    """Mean rate (rows, cols per second)."""
-    t_ns = np.array(
-        [h.t_start_tai_ns + h.exposure_ns // 2 + round(h.line_time_ns * s.row_mid) for s, h in zip(members, headers, strict=True)]
-    )
-    return _slope(t_ns, np.array([(s.row_mid, s.col_mid) for s in members]))
-
-
-def _ends(streak: StreakMeasurement, sky: bool) -> NDArray[np.float64]:
-    """Both ends: unit vectors (2, 3) or rows and cols (2, 2)."""
+def _places(streak: StreakMeasurement, sky: bool) -> NDArray[np.float64]:
+    """End 0, middle, end 1: unit vectors (3, 3) or rows and cols (3, 2)."""
+    fit = streak.fit
     if not sky:
-        return np.array([[streak.fit.row0, streak.fit.col0], [streak.fit.row1, streak.fit.col1]])
-    return unit_vectors(np.radians(streak.ra_deg[[0, 2]]), np.radians(streak.dec_deg[[0, 2]]))
+        return np.array([[fit.row0, fit.col0], [streak.row_mid, streak.col_mid], [fit.row1, fit.col1]])
+    return unit_vectors(np.radians(streak.ra_deg), np.radians(streak.dec_deg))
 
 
 def _shutter_epochs_ns(streak: StreakMeasurement, header: FrameHeader, crossing_ns: float) -> tuple[tuple[int, int], bool]:

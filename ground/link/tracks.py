@@ -98,6 +98,7 @@ def tracklet_of(
         probability=1.0 / (1.0 + math.exp(-min(track.log_odds, 700.0))),
         direction_resolved=directed,
         flags=flags,
+        pieces=table.streak_id[np.sort(track.pieces)],
     )
 
 

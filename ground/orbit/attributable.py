@@ -4,11 +4,13 @@ Free are four numbers (direction and rate at the reference epoch), which every o
 them, their curvature, is what speaks of range and range rate (Milani et al. 2004, Icarus 170, 152: the attributable).
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.link.row_errors import common_errors_arcsec2
 from ground.sky.sphere import ARCSEC_RAD, unit_vectors
 from sboc_e2e.icd.products import Tracklet
 
@@ -22,7 +24,8 @@ class Attributable:
     axes : (3, 3) rows e1, e2 (tangent plane) and the direction itself. rate_rad_s : (2,) along e1, e2 of the nominal motion.
     node_s : (k,) epochs after the reference at which a model gives plane coordinates s = (x_1..x_k, y_1..y_k).
     chi2 = constant - 2 linear.s + s.quadratic.s once the four free numbers are fitted; correction of the rate for a model is
-    rate_offset - rate_matrix s (2, 2k), with covariance rate_covariance (2, 2) in rad^2/s^2.
+    rate_offset - rate_matrix s (2, 2k), with covariance rate_covariance (2, 2) in rad^2/s^2. In the same way the direction at the
+    reference epoch is place_offset - place_matrix s in the tangent plane; covariance (4, 4) of direction and rate together.
     """
 
     t_ref_tai_ns: int
@@ -35,6 +38,9 @@ class Attributable:
     rate_offset: NDArray[np.float64]
     rate_matrix: NDArray[np.float64]
     rate_covariance: NDArray[np.float64]
+    place_offset: NDArray[np.float64]
+    place_matrix: NDArray[np.float64]
+    covariance: NDArray[np.float64]
 
 
 def attributable_of(tracklet: Tracklet, sigma_floor_arcsec: float) -> Attributable | None:
@@ -51,7 +57,9 @@ def attributable_of(tracklet: Tracklet, sigma_floor_arcsec: float) -> Attributab
 
     axes = _axes(unit.mean(axis=0))
     nominal = np.zeros(2)
-    n_terms = min(3, len(np.unique(t_ns)))
+    # the cubic of a near object's passage would go into the rate, and with the speed of its approach into the curvature
+    n_epochs = len(np.unique(t_ns))
+    n_terms = min(4 if n_epochs >= 6 else 3, n_epochs)
     for _ in range(2):
         plane = unit @ axes[:2].T / (unit @ axes[2])[:, None]
         terms = np.vander(t_s, n_terms, increasing=True)
@@ -63,7 +71,7 @@ def attributable_of(tracklet: Tracklet, sigma_floor_arcsec: float) -> Attributab
     node_s = _chebyshev_nodes(t_s, 5 if np.ptp(t_s) < _LONG_ARC_S else 7)
     interpolation = _lagrange(t_s, node_s)
     along, cross = _widened(plane, t_s, nominal, along, cross)
-    weight = _weights(nominal, along, cross)
+    weight = _weights(nominal, along, cross, [c[np.ix_(good, good)] * ARCSEC_RAD**2 for c in common_errors_arcsec2(tracklet)])
     m, k = len(t_s), len(node_s)
     design = np.zeros((2 * m, 4))
     design[:m, 0] = design[m:, 1] = 1.0
@@ -86,6 +94,9 @@ def attributable_of(tracklet: Tracklet, sigma_floor_arcsec: float) -> Attributab
         rate_offset=(solve @ data)[2:],
         rate_matrix=(solve @ model)[2:],
         rate_covariance=covariance[2:, 2:],
+        place_offset=(solve @ data)[:2],
+        place_matrix=(solve @ model)[:2],
+        covariance=covariance,
     )
 
 
@@ -165,11 +176,17 @@ def _lagrange(t_s: NDArray[np.float64], node_s: NDArray[np.float64]) -> NDArray[
     return out
 
 
-def _weights(rate: NDArray[np.float64], along: NDArray[np.float64], cross: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Inverse covariance (2m, 2m) of all x, then all y; along and cross refer to the direction of motion."""
+def _weights(
+    rate: NDArray[np.float64], along: NDArray[np.float64], cross: NDArray[np.float64], common: Sequence[NDArray[np.float64]]
+) -> NDArray[np.float64]:
+    """Inverse covariance (2m, 2m) of all x, then all y; along and cross refer to the direction of motion.
+
+    common : (m, m) parts of the errors along and across that rows share, in rad^2; what is left of a row's own is at least a
+    thousandth of its variance.
+    """
     speed = float(np.hypot(*rate))
     cos, sin = rate / speed if speed > 0.0 else (1.0, 0.0)
-    xx = cos**2 / along**2 + sin**2 / cross**2
-    yy = sin**2 / along**2 + cos**2 / cross**2
-    xy = cos * sin * (1.0 / along**2 - 1.0 / cross**2)
-    return np.block([[np.diag(xx), np.diag(xy)], [np.diag(xy), np.diag(yy)]])
+    own = [np.maximum(s**2 - np.diag(c), 1e-3 * s**2) for s, c in zip((along, cross), common, strict=True)]
+    a, b = (np.linalg.inv(np.diag(variance) + c) for variance, c in zip(own, common, strict=True))
+    mixed = cos * sin * (a - b)
+    return np.block([[cos**2 * a + sin**2 * b, mixed], [mixed, sin**2 * a + cos**2 * b]])

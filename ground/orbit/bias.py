@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.orbit.dynamics import propagate
 from ground.orbit.observer import observer_orbit
 from ground.orbit.reference import PreciseOrbit, seen_from
 from ground.sky.sphere import ARCSEC_RAD, unit_vectors
@@ -45,14 +44,14 @@ def estimate_bias(
     or at different rates: the covariance says how well. None without any direction inside the tables.
     """
     rows, values = [], []
+    observer = observer_orbit(headers)
+    if observer is None:
+        return None
     for tracklet, orbit in pairs:
         t_ns = tracklet.t_tai_ns
-        t_ref = int(t_ns[len(t_ns) // 2])
-        observer = observer_orbit(headers, int(t_ns.min()), int(t_ns.max()), t_ref)
-        if observer is None:
+        places = observer.states(t_ns)
+        if not np.isfinite(places).all():
             continue
-        t_s = np.asarray((t_ns - t_ref) * 1e-9, dtype=np.float64)
-        places = propagate(observer, t_s)
         computed, _ = seen_from(orbit.states, t_ns, places[:, :3])
         half_ns = round(_HALF_STEP_S * 1e9)
         rate = (

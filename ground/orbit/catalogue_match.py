@@ -17,6 +17,13 @@ from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import Tracklet
 
 _FARTHEST_SIGMA = 4.0
+_LARGEST_CHANCE = 0.01
+"""Of a match by chance, above which a single candidate is a hypothesis too."""
+_FIELD_COSINE = 0.95
+"""Objects within 18 deg of a tracklet tell the density around it,"""
+_RATE_SHARE = 0.5
+"""and of these the ones whose rates differ by less than this share of the tracklet's own."""
+_NEIGHBOURS = 10
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -29,11 +36,26 @@ class KnownObjects:
 
 
 @dataclass(frozen=True, kw_only=True)
-class CatalogueMatch:
-    """The best catalogue object for a tracklet, observed minus computed.
+class Candidate:
+    """A catalogue object that a tracklet may be: distance in expected errors, and how often chance does as well.
 
-    sigmas : distance in units of the element sets' expected errors. n_candidates : objects within four of them;
-    known : at least one.
+    chance_probability : that at least one object which it is not lies as near in place and rate, from the density of predicted
+    objects around the tracklet.
+    """
+
+    number: int
+    name: str
+    sigmas: float
+    chance_probability: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class CatalogueMatch:
+    """The nearest catalogue object for a tracklet, observed minus computed, and every object that would do.
+
+    sigmas : distance in units of the element sets' expected errors. candidates : objects within four of them, nearest first, one
+    for each number. known : one candidate and no other, which chance gives in less than one of a hundred cases; more of them,
+    or one in a crowd, stay hypotheses.
     """
 
     tracklet_id: int
@@ -45,7 +67,13 @@ class CatalogueMatch:
     rate_residual_arcsec_s: float
     range_km: float
     sigmas: float
-    n_candidates: int
+    chance_probability: float
+    candidates: tuple[Candidate, ...]
+
+    @property
+    def n_candidates(self) -> int:
+        """How many objects would do."""
+        return len(self.candidates)
 
 
 def read_elements(text: str) -> KnownObjects:
@@ -91,13 +119,14 @@ def match_catalogue(
     """
     out = []
     array = SatrecArray(list(known.satellites)) if known.satellites else None
+    path = observer_orbit(headers)
     for tracklet in tracklets:
         data = attributable_of(tracklet, 0.1)
-        if data is None or array is None:
+        if data is None or array is None or path is None:
             continue
         t_ns = data.t_ref_tai_ns
-        observer = observer_orbit(headers, int(tracklet.t_tai_ns.min()), int(tracklet.t_tai_ns.max()), t_ns)
-        if observer is None:
+        observer = path.states(np.array([t_ns]))[0]
+        if not np.isfinite(observer).all():
             continue
         day, fraction = utc_jd([t_ns])
         failed, position, velocity = array.sgp4(day, fraction)
@@ -108,7 +137,7 @@ def match_catalogue(
         # the light left rho / c earlier
         relative -= velocity * (rho / LIGHT_KM_S)[:, None]
         plane, depth = relative @ data.axes[:2].T, relative @ data.axes[2]
-        ahead = (failed[:, 0] == 0) & (depth > 0.95 * rho)
+        ahead = (failed[:, 0] == 0) & (depth > _FIELD_COSINE * rho)
         offset = -plane / np.where(ahead, depth, np.nan)[:, None]
         moving = (velocity - observer[3:]) @ data.axes[:2].T / rho[:, None]
         speed = np.linalg.norm(moving, axis=1, keepdims=True)
@@ -117,17 +146,37 @@ def match_catalogue(
         cross = heading[:, 0] * offset[:, 1] - heading[:, 1] * offset[:, 0]
         rate_error = np.linalg.norm(data.rate_rad_s - moving, axis=1)
         age_day = np.abs(np.array([s.jdsatepoch + s.jdsatepochF for s in known.satellites]) - day[0] - fraction[0])
-        spread = (along_km + age_km_day * age_day) / rho
+        along_sigma = (along_km + age_km_day * age_day) / rho
+        cross_sigma = cross_km / rho
         rate_sigma = np.sqrt(np.trace(data.rate_covariance)) + 2e-3 * (along_km + age_km_day * age_day) / rho
-        sigmas = np.sqrt((along / spread) ** 2 + (cross * rho / cross_km) ** 2 + (rate_error / rate_sigma) ** 2)
+        sigmas = np.sqrt((along / along_sigma) ** 2 + (cross / cross_sigma) ** 2 + (rate_error / rate_sigma) ** 2)
         sigmas = np.where(np.isfinite(sigmas), sigmas, np.inf)
         best = int(np.argmin(sigmas))
         if not np.isfinite(sigmas[best]):
+            out.append(_nothing_near(tracklet.tracklet_id))
             continue
+        angle = np.where(ahead, np.arccos(np.clip(depth / rho, -1.0, 1.0)), np.inf)
+        size = along_sigma * cross_sigma * rate_sigma**2
+        within = np.flatnonzero(sigmas < _FARTHEST_SIGMA)
+        # several element sets of one object are one candidate
+        nearest = dict.fromkeys(known.numbers[k] for k in within[np.argsort(sigmas[within], kind="stable")])
+        best_of = {n: min((k for k in within if known.numbers[k] == n), key=lambda k: sigmas[k]) for n in nearest}
+
+        reach_rad_s = _RATE_SHARE * float(np.hypot(*data.rate_rad_s))
+        chances: dict[int, float] = {}
+        for k in (best, *(int(one) for one in best_of.values())):
+            others = known.numbers != known.numbers[k]
+            density = local_density(angle[others], rate_error[others], reach_rad_s)
+            chances[k] = chance_probability(density, float(sigmas[k]), float(size[k]))
+        candidates = tuple(
+            Candidate(number=int(n), name=known.names[int(k)], sigmas=float(sigmas[k]), chance_probability=chances[int(k)])
+            for n, k in best_of.items()
+        )
+        chance = chances[best]
         out.append(
             CatalogueMatch(
                 tracklet_id=tracklet.tracklet_id,
-                known=bool(sigmas[best] < _FARTHEST_SIGMA),
+                known=len(candidates) == 1 and chance < _LARGEST_CHANCE,
                 number=int(known.numbers[best]),
                 name=known.names[best],
                 along_arcsec=float(along[best] / ARCSEC_RAD),
@@ -135,7 +184,53 @@ def match_catalogue(
                 rate_residual_arcsec_s=float(rate_error[best] / ARCSEC_RAD),
                 range_km=float(rho[best]),
                 sigmas=float(sigmas[best]),
-                n_candidates=int((sigmas < _FARTHEST_SIGMA).sum()),
+                chance_probability=chance,
+                candidates=candidates,
             )
         )
     return tuple(out)
+
+
+def _nothing_near(tracklet_id: int) -> CatalogueMatch:
+    """Of a tracklet in whose part of the sky the catalogue has no object at all."""
+    nan = float("nan")
+    return CatalogueMatch(
+        tracklet_id=tracklet_id,
+        known=False,
+        number=-1,
+        name="-",
+        along_arcsec=nan,
+        cross_arcsec=nan,
+        rate_residual_arcsec_s=nan,
+        range_km=nan,
+        sigmas=nan,
+        chance_probability=nan,
+        candidates=(),
+    )
+
+
+def local_density(angle_rad: NDArray[np.float64], rate_error_rad_s: NDArray[np.float64], rate_reach_rad_s: float) -> float:
+    """Predicted objects per sr and (rad/s)^2 around a tracklet.
+
+    angle_rad, rate_error_rad_s : (n,) distances of the objects from it in place and in rate. A cell that is 18 deg wide in place
+    and `rate_reach_rad_s` in rate shrinks in both until it holds `_NEIGHBOURS` objects: the density is (k - 1) / volume, without
+    bias (Loftsgaarden & Quesenberry 1965, Ann. Math. Statist. 36, 1049). With fewer, half an object is added.
+    """
+    widest = np.arccos(_FIELD_COSINE)
+    reach = max(rate_reach_rad_s, ARCSEC_RAD)
+    share = np.sort(np.maximum(angle_rad / widest, rate_error_rad_s / reach))
+    inside = int((share < 1.0).sum())
+    if inside < _NEIGHBOURS:
+        return (inside + 0.5) / (2.0 * np.pi * (1.0 - _FIELD_COSINE) * np.pi * reach**2)
+    edge = float(share[_NEIGHBOURS - 1])
+    solid_angle = 2.0 * np.pi * (1.0 - np.cos(edge * widest))
+    return (_NEIGHBOURS - 1) / float(solid_angle * np.pi * (edge * reach) ** 2)
+
+
+def chance_probability(density: float, sigmas: float, size: float) -> float:
+    """That at least one unrelated object lies within `sigmas` of a tracklet, for objects strewn at random with this density.
+
+    size : product of the four expected errors, along x cross (rad^2) x rate twice (rad^2/s^2). The ball of four dimensions
+    holds pi^2 / 2 times the fourth power of its radius.
+    """
+    return float(-np.expm1(-density * 0.5 * np.pi**2 * sigmas**4 * size))

@@ -8,10 +8,9 @@ import erfa
 import numpy as np
 
 from ground.orbit.bias import Bias, estimate_bias
-from ground.orbit.dynamics import propagate
 from ground.orbit.observer import observer_orbit
 from ground.orbit.reference import PreciseOrbit, seen_from
-from ground.products.eme2000 import frame_bias
+from ground.sky.eme2000 import frame_bias
 from ground.sky.sphere import ARCSEC_RAD, unit_vectors
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
@@ -111,12 +110,10 @@ def bias_of_run(
 def _distance_arcsec(tracklet: Tracklet, headers: Sequence[FrameHeader], orbit: PreciseOrbit) -> float:
     """Largest distance of a tracklet's directions from those of the orbit; infinite outside its table."""
     t_ns = tracklet.t_tai_ns
-    t_ref = int(t_ns[len(t_ns) // 2])
-    observer = observer_orbit(headers, int(t_ns.min()), int(t_ns.max()), t_ref)
+    observer = observer_orbit(headers)
     if observer is None:
         return float("inf")
-    places = propagate(observer, np.asarray((t_ns - t_ref) * 1e-9, dtype=np.float64))[:, :3]
-    computed, _ = seen_from(orbit.states, t_ns, places)
+    computed, _ = seen_from(orbit.states, t_ns, observer.states(t_ns)[:, :3])
     seen = unit_vectors(np.radians(tracklet.ra_deg), np.radians(tracklet.dec_deg))
     distance = float(np.max(np.linalg.norm(seen - computed, axis=1))) / ARCSEC_RAD
     return distance if np.isfinite(distance) else float("inf")

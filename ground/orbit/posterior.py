@@ -19,13 +19,20 @@ _LOG_CUT = 14.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Posterior:
-    """Weighted orbits: weight (n,) sums to one; range_km, a_km, e, i_rad (n,). log_range (k,) and density (k,) per ln range."""
+    """Weighted orbits: weight (n,) sums to one; range_km, a_km, e, i_rad (n,). log_range (k,) and density (k,) per ln range.
+
+    range_rate_km_s, rate_width_km_s : (n,) and how much of the range rate each stands for. rate_shift_rad_s : (n, 2) correction
+    of the nominal transverse rate.
+    """
 
     weight: NDArray[np.float64]
     range_km: NDArray[np.float64]
     a_km: NDArray[np.float64]
     e: NDArray[np.float64]
     i_rad: NDArray[np.float64]
+    range_rate_km_s: NDArray[np.float64]
+    rate_width_km_s: NDArray[np.float64]
+    rate_shift_rad_s: NDArray[np.float64]
     log_range: NDArray[np.float64]
     density: NDArray[np.float64]
 
@@ -94,7 +101,7 @@ def _collected(log_range: list[float], rows: dict[float, NDArray[np.float64]], l
     density = np.array([log_density[k] for k in log_range])
     top = density.max()
     table = np.vstack([np.column_stack([rows[k], np.full(len(rows[k]), w)]) for k, w in zip(log_range, width, strict=True)])
-    weight = np.exp(table[:, 0] - top) * table[:, 5]
+    weight = np.exp(table[:, 0] - top) * table[:, N_COLUMNS]
     keep = weight > 1e-9 * weight.max()
     table, weight = table[keep], weight[keep] / weight[keep].sum()
     value = np.exp(density - top)
@@ -104,6 +111,9 @@ def _collected(log_range: list[float], rows: dict[float, NDArray[np.float64]], l
         a_km=table[:, 2],
         e=table[:, 3],
         i_rad=table[:, 4],
+        range_rate_km_s=table[:, 5],
+        rate_width_km_s=table[:, 6],
+        rate_shift_rad_s=table[:, 7:9],
         log_range=x,
         density=value / float(value @ width),
     )

@@ -8,15 +8,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.orbit.attributable import Attributable, attributable_of
-from ground.orbit.dynamics import propagate
 from ground.orbit.observer import observer_orbit
 from ground.orbit.posterior import Posterior, modes, normal_pairs, quantiles, scan
 from ground.orbit.prior import PriorShares, PriorTable, prior_table
 from ground.orbit.scan import Problem
-from ground.orbit.size import diameter_m, log_size_density, sun_direction
+from ground.orbit.size import diameter_m, log_size_density, magnitude_draws, sun_direction
+from ground.orbit.states import angle_quantiles_deg, elements_of, latitude_argument_of, state_of
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import FrameHeader
-from sboc_e2e.icd.products import OrbitEstimate, Tracklet
+from sboc_e2e.icd.products import OrbitEstimate, OrbitState, Tracklet
 
 _EARTH_RADIUS_KM = 6378.137
 _TYPICAL_RANGE_KM = 1000.0
@@ -74,11 +74,15 @@ class RangeScan:
         """Posterior of one tracklet; not converged, with NaN, without sky positions or observer states near it."""
         data = attributable_of(tracklet, self.sigma_floor_arcsec)
         if data is None:
-            return _nothing(tracklet, self._words())
-        first_ns, last_ns = int(tracklet.t_tai_ns.min()), int(tracklet.t_tai_ns.max())
-        observer = observer_orbit(headers, first_ns, last_ns, data.t_ref_tai_ns)
-        if observer is None:
-            return _nothing(tracklet, self._words())
+            return self._nothing(tracklet, "fewer than two directions at different epochs")
+        path = observer_orbit(headers)
+        if path is None:
+            return self._nothing(tracklet, "no state of the observer in the run")
+        node_ns = data.t_ref_tai_ns + np.round(np.append(data.node_s, 0.0) * 1e9).astype(np.int64)
+        observed_from = path.states(node_ns)
+        if not np.isfinite(observed_from).all():
+            return self._nothing(tracklet, "no state of the observer near its epochs")
+        observer = observed_from[-1]
         mag = tracklet.mag if math.isfinite(tracklet.mag) else _MAG_UNKNOWN
         phase_rad = math.acos(max(-1.0, min(1.0, -float(data.axes[2] @ sun_direction(data.t_ref_tai_ns)))))
         small, large = (self._prior(share) for share in (self.breakup_share_small, self.breakup_share_large))
@@ -97,10 +101,12 @@ class RangeScan:
         sigma_km_s = _TYPICAL_RANGE_KM * math.sqrt(float(np.trace(data.rate_covariance)))
         draws = self.draws * min(1 + int(sigma_km_s / _DRAW_STEP_KM_S), _MOST_DRAWS)
         limits_km = (self.nearest_km, self.farthest_km)
-        posterior = scan(problem_of(data, observer), prior_of_range, log_weight, limits_km, draws)
+        problem = problem_of(data, observer, observed_from[:-1, :3])
+        posterior = scan(problem, prior_of_range, log_weight, limits_km, draws)
         if posterior is None:
-            return _nothing(tracklet, self._words())
-        return self._summary(tracklet, data, observer, posterior, phase_rad)
+            return self._nothing(tracklet, "no bound orbit fits within the ranges that were tried")
+        state = state_of(posterior, data, problem, path.covariances(node_ns[-1:])[0])
+        return self._summary(tracklet, data, observer, posterior, state, phase_rad)
 
     def _summary(
         self,
@@ -108,6 +114,7 @@ class RangeScan:
         data: Attributable,
         observer: NDArray[np.float64],
         posterior: Posterior,
+        state: OrbitState,
         phase_rad: float,
     ) -> OrbitEstimate:
         """The contract's record of a posterior; the size takes the magnitude's and the albedo's scatter with it."""
@@ -116,12 +123,13 @@ class RangeScan:
         altitude = np.linalg.norm(position, axis=1) - _EARTH_RADIUS_KM
         if math.isfinite(tracklet.mag):
             normal = normal_pairs(0, len(weight))
-            mag_err = tracklet.mag_err if math.isfinite(tracklet.mag_err) else 0.0
-            scatter = np.exp(-0.5 * self.albedo_sigma_ln * normal[:, 0] - 0.2 * math.log(10.0) * mag_err * normal[:, 1])
-            size = quantiles(diameter_m(tracklet.mag, posterior.range_km, self.albedo, phase_rad) * scatter, weight)
+            albedo = self.albedo * np.exp(self.albedo_sigma_ln * normal[:, 0])
+            size = quantiles(diameter_m(magnitude_draws(tracklet, normal[:, 1]), posterior.range_km, albedo, phase_rad), weight)
         else:
             size = np.full(3, np.nan)
         rho = np.exp(posterior.log_range)
+        angles = elements_of(state.sample_state)[:, 3:]
+        latitude_argument = latitude_argument_of(state.sample_state)
         return OrbitEstimate(
             tracklet_id=tracklet.tracklet_id,
             t_ref_tai_ns=data.t_ref_tai_ns,
@@ -136,6 +144,11 @@ class RangeScan:
             range_posterior=posterior.density / rho,
             prior=self._words(),
             converged=True,
+            node_deg=angle_quantiles_deg(angles[:, 0]),
+            perigee_deg=angle_quantiles_deg(angles[:, 1]),
+            mean_anomaly_deg=angle_quantiles_deg(angles[:, 2]),
+            latitude_argument_deg=angle_quantiles_deg(latitude_argument),
+            state=state,
         )
 
     def _prior(self, breakup_share: float) -> PriorTable:
@@ -150,6 +163,26 @@ class RangeScan:
             )
         )
 
+    def _nothing(self, tracklet: Tracklet, lacks: str) -> OrbitEstimate:
+        """The record of a tracklet that allows no estimate, and what it lacks."""
+        unknown = np.full(3, np.nan)
+        return OrbitEstimate(
+            tracklet_id=tracklet.tracklet_id,
+            t_ref_tai_ns=tracklet.t_ref_tai_ns,
+            range_km=unknown,
+            altitude_km=unknown,
+            a_km=unknown,
+            e=unknown,
+            i_deg=unknown,
+            size_m=unknown,
+            modes=np.zeros((0, 5)),
+            range_grid_km=np.zeros(0),
+            range_posterior=np.zeros(0),
+            prior=self._words(),
+            converged=False,
+            lacks=lacks,
+        )
+
     def _words(self) -> str:
         """What was assumed."""
         return (
@@ -161,12 +194,12 @@ class RangeScan:
         )
 
 
-def problem_of(data: Attributable, observer: NDArray[np.float64]) -> Problem:
-    """The arrays of the scan; observer : state (6,) km, km/s at the attributable's reference epoch."""
+def problem_of(data: Attributable, observer: NDArray[np.float64], at_node_km: NDArray[np.float64]) -> Problem:
+    """The arrays of the scan; observer : state (6,) km, km/s at the reference epoch; at_node_km : (k, 3) places."""
     lower = np.linalg.cholesky(data.rate_covariance + 1e-24 * np.eye(2))
     return Problem(
         observer=observer,
-        observer_at_node=np.ascontiguousarray(propagate(observer, data.node_s)[:, :3]),
+        observer_at_node=np.ascontiguousarray(at_node_km),
         axes=np.ascontiguousarray(data.axes),
         rate=data.rate_rad_s,
         node_s=data.node_s,
@@ -176,24 +209,4 @@ def problem_of(data: Attributable, observer: NDArray[np.float64]) -> Problem:
         rate_offset=data.rate_offset,
         rate_matrix=np.ascontiguousarray(data.rate_matrix),
         rate_factor=np.ascontiguousarray(lower),
-    )
-
-
-def _nothing(tracklet: Tracklet, words: str) -> OrbitEstimate:
-    """The record of a tracklet that allows no estimate."""
-    unknown = np.full(3, np.nan)
-    return OrbitEstimate(
-        tracklet_id=tracklet.tracklet_id,
-        t_ref_tai_ns=tracklet.t_ref_tai_ns,
-        range_km=unknown,
-        altitude_km=unknown,
-        a_km=unknown,
-        e=unknown,
-        i_deg=unknown,
-        size_m=unknown,
-        modes=np.zeros((0, 5)),
-        range_grid_km=np.zeros(0),
-        range_posterior=np.zeros(0),
-        prior=words,
-        converged=False,
     )

@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from ground.orbit.dynamics import LIGHT_KM_S, MU_KM3_S2, advance, elements
 from ground.orbit.prior import PriorTable, phase_space_density
 
-N_COLUMNS = 5
-"""Of a weighted orbit: natural log weight per ln(range), range (km), a (km), e, i (rad)."""
+N_COLUMNS = 9
+"""Of a weighted orbit: natural log weight per ln(range), range (km), a (km), e, i (rad); range rate (km/s), the width that stands
+for (km/s), and the correction of the transverse rate along e1 and e2 (rad/s)."""
 
 _RIDGE_STEPS = 22
 _WINDOW_STEPS = 24
@@ -250,6 +251,8 @@ def scan_range(
                 log_weight = math.log(density * width / n_draws) - 0.5 * chi2 + log_range_weight
                 out[count, 0], out[count, 1] = log_weight, range_km
                 out[count, 2], out[count, 3], out[count, 4] = a, e, inclination
+                out[count, 5], out[count, 6] = grid[j], width
+                out[count, 7], out[count, 8] = _parabola(du[0], u), _parabola(du[1], u)
                 count += 1
                 if log_weight > peak:
                     total = total * math.exp(peak - log_weight) + 1.0 if peak > -math.inf else 1.0

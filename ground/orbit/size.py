@@ -1,7 +1,12 @@
 """Size of a sunlit sphere from its magnitude and range."""
 
+import math
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
+
+from sboc_e2e.icd.products import Tracklet
 
 SUN_V_MAG = -26.76
 """Apparent V of the Sun at one astronomical unit (Willmer 2018, ApJS 236, 47)."""
@@ -25,8 +30,28 @@ def lambert_phase(phase_rad: NDArray[np.float64] | float) -> NDArray[np.float64]
     return np.asarray(2.0 / (3.0 * np.pi) * ((np.pi - phi) * np.cos(phi) + np.sin(phi)))
 
 
+_Z95: Final = 1.6449
+"""95 % point of the normal distribution."""
+
+
+def magnitude_draws(tracklet: Tracklet, normal: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Magnitudes (n,) of a tracklet's mean light for standard normal numbers (n,).
+
+    Each side of the median has its own width, so that 5 % and 95 % of the draws lie beyond `mag_low` and `mag_high`: the mean of
+    an object that may tumble more slowly than the arc lasts is not normal. Without these limits, `mag_err` on both sides.
+    """
+    error = tracklet.mag_err if math.isfinite(tracklet.mag_err) else 0.0
+    bright, faint = ((tracklet.mag - tracklet.mag_low) / _Z95, (tracklet.mag_high - tracklet.mag) / _Z95)
+    if not (math.isfinite(bright) and math.isfinite(faint)):
+        bright = faint = error
+    return np.asarray(tracklet.mag + normal * np.where(normal < 0.0, bright, faint))
+
+
 def diameter_m(
-    mag: float, range_km: NDArray[np.float64] | float, albedo: float, phase_rad: NDArray[np.float64] | float
+    mag: NDArray[np.float64] | float,
+    range_km: NDArray[np.float64] | float,
+    albedo: NDArray[np.float64] | float,
+    phase_rad: NDArray[np.float64] | float,
 ) -> NDArray[np.float64]:
     """Diameter (m) of a Lambert sphere: F / F_sun = albedo (d/2)^2 / rho^2 phase(phi)."""
     ratio = 10.0 ** (-0.4 * (mag - SUN_V_MAG))

@@ -6,10 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ground.astrometry.apparent import apparent_directions, jyear_of, mid_frame_tai_ns, observer_at
-from ground.astrometry.camera import Camera
-from ground.astrometry.rotation import matrix_of
 from ground.photometry.zero_point import SUN_B_V, flat_at
+from ground.sky.apparent import apparent_directions, jyear_of, mid_frame_tai_ns, observer_at
+from ground.sky.pixel_sky import mid_frame_directions, mid_frame_pixels
 from ground.streaks.psf_field import PsfField
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.downlink import DownlinkFrame
@@ -123,12 +122,10 @@ def _predicted(
     catalogue: StarCatalogue,
 ) -> KnownStars:
     """The catalogue stars inside a solved frame with a zero point."""
-    header, camera = frame.header, Camera.solved(solution)
-    matrix = matrix_of(np.asarray(solution.quaternion))
+    header = frame.header
     middle = mid_frame_tai_ns(header)
-    corners = camera.unproject(
-        np.array([0.0, 0.0, header.rows - 1.0, header.rows - 1.0]), np.array([0.0, header.cols - 1.0, 0.0, header.cols - 1.0])
-    ) @ matrix  # fmt: skip
+    last_row, last_col = header.rows - 1.0, header.cols - 1.0
+    corners = mid_frame_directions(solution, np.array([0.0, 0.0, last_row, last_row]), np.array([0.0, last_col, 0.0, last_col]))
     axis = corners.mean(axis=0)
     axis /= np.linalg.norm(axis)
     stars = catalogue.cone(
@@ -138,7 +135,7 @@ def _predicted(
         epoch_jyear=jyear_of(middle),
     )
     apparent = apparent_directions(stars.ra_deg, stars.dec_deg, middle, *observer_at(header.observer, middle))
-    row, col = camera.project(apparent @ matrix.T)
+    row, col = mid_frame_pixels(solution, apparent)
     inside = np.flatnonzero((row > -0.5) & (row < header.rows - 0.5) & (col > -0.5) & (col < header.cols - 0.5))
     if not np.isfinite(photometry.zero_point_mag):
         inside = inside[:0]  # without a zero point nothing is known of their light

@@ -1,4 +1,4 @@
-"""Magnitude of a streak from its flux, its exposed time and the frame's zero point; magnitude of a tracklet."""
+"""Magnitude of a streak from its flux, its exposed time and the frame's zero point."""
 
 import math
 
@@ -78,7 +78,10 @@ def magnitude_at_1deg_s(
 
 
 def mean_magnitude(mag: NDArray[np.float64], mag_err: NDArray[np.float64]) -> tuple[float, float]:
-    """Weighted mean of the magnitudes (n,) that are known and its error, NaN without any."""
+    """Weighted mean of the magnitudes (n,) that are known and the error that their noise gives it, NaN without any.
+
+    For linking; what a tracklet publishes is `ground.photometry.tracklet_light`.
+    """
     known = np.isfinite(mag) & np.isfinite(mag_err) & (mag_err > 0.0)
     if not known.any():
         return math.nan, math.nan

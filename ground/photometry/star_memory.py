@@ -12,8 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from ground.astrometry.camera import Camera
-from ground.astrometry.rotation import matrix_of
+from ground.sky.pixel_sky import mid_frame_directions, mid_frame_pixels
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag, StarFlag, StreakFlag
 from sboc_e2e.icd.products import FrameSolution
@@ -44,22 +43,19 @@ def with_hidden_stars(
     """The memory after a frame, and the frame with the stars that its slow movers hide among the remembered ones."""
     if solution.flags & FrameFlag.NO_SOLUTION:
         return memory, frame
-    camera, matrix = Camera.solved(solution), matrix_of(np.asarray(solution.quaternion))
     sent = frame.remembered
     now = EarlierStars(
-        direction=camera.unproject(sent.row, sent.col) @ matrix,
+        direction=mid_frame_directions(solution, sent.row, sent.col),
         flux_e=sent.flux_e.astype(np.float64),
         snr=sent.snr.astype(np.float64),
     )
-    hidden = _hidden(memory, frame, camera, matrix)
+    hidden = _hidden(memory, frame, solution)
     if len(hidden):
         frame = replace(frame, remembered=_joined(sent, hidden))
     return (*memory, now)[-FRAMES_KEPT:], frame
 
 
-def _hidden(
-    memory: tuple[EarlierStars, ...], frame: DownlinkFrame, camera: Camera, matrix: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _hidden(memory: tuple[EarlierStars, ...], frame: DownlinkFrame, solution: FrameSolution) -> NDArray[np.float64]:
     """(n, 4) row, col, flux and S/N of the stars near slow movers that enough earlier frames agree on."""
     movers = [
         (0.5 * (d.row0 + d.row1), 0.5 * (d.col0 + d.col1), 0.5 * d.length_px + HIDDEN_PX)
@@ -70,7 +66,7 @@ def _hidden(
         return np.zeros((0, 4))
     direction = np.concatenate([stars.direction for stars in memory])
     number = np.concatenate([np.full(len(stars.flux_e), k) for k, stars in enumerate(memory)])
-    row, col = camera.project(direction @ matrix.T)
+    row, col = mid_frame_pixels(solution, direction)
     values = np.column_stack((row, col, *(np.concatenate([getattr(s, name) for s in memory]) for name in ("flux_e", "snr"))))
     near = np.zeros(len(row), dtype=np.bool_)
     for mover_row, mover_col, reach in movers:

@@ -11,9 +11,9 @@ import numpy as np
 from astropy.io import fits
 from numpy.typing import NDArray
 
-from ground.astrometry.apparent import mid_frame_tai_ns
 from ground.astrometry.wcs_export import PixelIcrs, of_binned, of_cut_out, sip_header, without_inverse
 from ground.products.epochs import utc_mjd, utc_text
+from ground.sky.apparent import mid_frame_tai_ns
 from ground.streak_rows import STREAKS_PER_FRAME
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.frame import FrameHeader

@@ -1,29 +1,59 @@
-"""CCSDS Orbit Ephemeris Message 2.0 (502.0-B-2), KVN: where the observer was, as telemetered."""
+"""CCSDS Orbit Ephemeris Message 2.0 (502.0-B-2), KVN: the smoothed orbit of the observer that orbits are computed with."""
 
 from collections.abc import Sequence
+from typing import Final
 
 import numpy as np
 
 from ground.options import ProductOptions
-from ground.products.eme2000 import frame_bias
+from ground.orbit.observer import ObserverArc, observer_orbit
+from ground.products.ccsds_covariance import triangle_lines, turned
 from ground.products.epochs import utc_text
+from ground.sky.eme2000 import frame_bias
 from sboc_e2e.icd.frame import FrameHeader
+
+_STEP_NS: Final = 1_000_000_000
+_COVARIANCE_STEP: Final = 10
+"""A covariance for every tenth state, the first and the last."""
 
 
 def oem_text(headers: Sequence[FrameHeader], names: ProductOptions) -> str | None:
-    """The message with one state for each distinct telemetry epoch; None when no frame has a state."""
-    states = {h.observer.tai_ns: h.observer for h in headers if h.observer is not None}
-    if not states:
+    """The message: a state for each second of each arc, from first frame or fix to last; None when no frame has a state."""
+    orbit = observer_orbit(headers)
+    if orbit is None:
         return None
-    t_ns = sorted(states)
-    epochs = utc_text(t_ns)
-    bias = frame_bias()
+    frames_ns = [(h.t_start_tai_ns, h.t_start_tai_ns + h.exposure_ns + abs(h.line_time_ns) * h.rows) for h in headers]
     lines = [
         "CCSDS_OEM_VERS = 2.0",
         f"CREATION_DATE = {utc_text([max(h.t_start_tai_ns for h in headers)], 3)[0]}",
         f"ORIGINATOR = {names.originator}",
         "",
+    ]
+    for arc in orbit.arcs:
+        lines += _segment(arc, _span(arc, frames_ns), names)
+    return "\n".join(lines) + "\n"
+
+
+def _span(arc: ObserverArc, frames_ns: Sequence[tuple[int, int]]) -> tuple[int, int]:
+    """Whole seconds of TAI (ns) that hold the fixes of an arc and the exposures within its reach."""
+    low, high = int(arc.t_tai_ns[0]), int(arc.t_tai_ns[-1])
+    first = min([arc.first_tai_ns, *(start for start, _ in frames_ns if low <= start <= high)])
+    last = max([arc.last_tai_ns, *(stop for _, stop in frames_ns if low <= stop <= high)])
+    return first // _STEP_NS * _STEP_NS, -(-last // _STEP_NS) * _STEP_NS
+
+
+def _segment(arc: ObserverArc, span_ns: tuple[int, int], names: ProductOptions) -> list[str]:
+    """Metadata, states and covariances of an arc; two states at least, so that a reader may interpolate."""
+    first, last = span_ns
+    t_ns = np.arange(first, max(last, first + _STEP_NS) + 1, _STEP_NS, dtype=np.int64)
+    bias = frame_bias()
+    states = arc.states(t_ns)
+    states = np.hstack([states[:, :3] @ bias.T, states[:, 3:] @ bias.T])
+    covariance = [turned(matrix, bias) for matrix in arc.covariances(t_ns)]
+    epochs = utc_text(t_ns)
+    lines = [
         "META_START",
+        *(f"COMMENT {text}" for text in _how_made(arc)),
         f"OBJECT_NAME = {names.observer_name}",
         f"OBJECT_ID = {names.observer_id}",
         "CENTER_NAME = EARTH",
@@ -31,13 +61,30 @@ def oem_text(headers: Sequence[FrameHeader], names: ProductOptions) -> str | Non
         "TIME_SYSTEM = UTC",
         f"START_TIME = {epochs[0]}",
         f"STOP_TIME = {epochs[-1]}",
+        "INTERPOLATION = HERMITE",
+        "INTERPOLATION_DEGREE = 3",
+        "META_STOP",
+        "",
     ]
-    if len(t_ns) >= 2:
-        lines += ["INTERPOLATION = HERMITE", "INTERPOLATION_DEGREE = 3"]
-    lines += ["META_STOP", ""]
-    for epoch, t in zip(epochs, t_ns, strict=True):
-        position_km = bias @ np.asarray(states[t].position_m) / 1e3
-        velocity_km_s = bias @ np.asarray(states[t].velocity_m_s) / 1e3
-        numbers = [f"{x:.6f}" for x in position_km] + [f"{v:.9f}" for v in velocity_km_s]
-        lines.append(f"{epoch} " + " ".join(numbers))
-    return "\n".join(lines) + "\n"
+    for epoch, state in zip(epochs, states, strict=True):
+        lines.append(f"{epoch} " + " ".join([f"{x:.6f}" for x in state[:3]] + [f"{v:.9f}" for v in state[3:]]))
+    lines += ["", "COVARIANCE_START"]
+    for k in sorted({*range(0, len(t_ns), _COVARIANCE_STEP), len(t_ns) - 1}):
+        lines += [f"EPOCH = {epochs[k]}", "COV_REF_FRAME = EME2000", *triangle_lines(covariance[k])]
+    return [*lines, "COVARIANCE_STOP", ""]
+
+
+def _how_made(arc: ObserverArc) -> list[str]:
+    """What the states are, for whoever has nothing but the message."""
+    if arc.kind == "site":
+        motion = "a point that turns with the Earth about the pole of date"
+    else:
+        motion = f"two-body motion, J2, an unmodelled acceleration of {1e6 * arc.push_km_s2:.2g} mm/s2 (one sigma, over 600 s)"
+    position, velocity = arc.scatter
+    return [
+        f"Smoothed orbit of the observer, the one that all orbits were computed with: {motion}",
+        f"Least squares (filter and smoother) through {arc.n_fixes} telemetered fixes; {arc.n_rejected} outliers left out",
+        f"Fresh errors of the fixes: {position:.2f} (positions), {velocity:.2f} (velocities) of the stated sigma; the rest of it "
+        "is taken as common to all and is in the covariance",
+        "Epochs are those of the on-board clock",
+    ]

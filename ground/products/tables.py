@@ -12,18 +12,19 @@ import numpy as np
 from astropy.table import Column, Table
 from numpy.typing import NDArray
 
-from ground.astrometry.apparent import mid_frame_tai_ns
-from ground.astrometry.camera import Camera
-from ground.astrometry.rotation import matrix_of
 from ground.orbit.catalogue_match import CatalogueMatch
 from ground.products.epochs import utc_text
 from ground.products.light_curve import light_curve
 from ground.records import GroundProducts
+from ground.sky.apparent import mid_frame_tai_ns
+from ground.sky.pixel_sky import SolvedSky, mid_frame_directions, row_mid_exposure_tai_ns
 from ground.sky.sphere import ARCSEC_RAD, spherical_deg
+from sboc_e2e.icd.camera import CameraParameter
 from sboc_e2e.icd.downlink import DownlinkFrame, Housekeeping
+from sboc_e2e.icd.errors import PluginError
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
-from sboc_e2e.icd.products import FrameSolution, PhotometricSolution, StreakMeasurement
+from sboc_e2e.icd.products import FrameSolution, OrbitEstimate, PhotometricSolution, StreakMeasurement
 from sboc_e2e.icd.signals import StarList
 from sboc_e2e.icd.version import CONTRACT_VERSION
 
@@ -37,6 +38,13 @@ COUNTERS: Final = (
 )
 """Fields of `Housekeeping` that `frames.ecsv` has: name, unit, meaning."""
 
+GRID_LINES: Final = 9
+GRID_TEXT: Final = (
+    "9 x 9 pixels, evenly spaced from corner to corner, row by row, at mid-exposure of their rows; NaN where unsolved"
+)
+GRID_DECIMALS: Final = 9
+"""Of degrees: 4 micro-arcseconds."""
+
 FRAMES_AT_ONCE: Final = 64
 STREAKS_AT_ONCE: Final = 4096
 
@@ -45,16 +53,19 @@ CROSSINGS: Final = (
     "mag = mag_at_1deg_s - 2.5 log10(rate in deg/s)"
 )
 
+Array = NDArray[np.float64]
+
 Spec = tuple[str, Any, str | None, str]
 """Name, values, unit, description."""
 
 
 def frames_tables(products: GroundProducts, frames: Sequence[DownlinkFrame]) -> Iterator[Table]:
     """One row for each frame: epoch, pointing, camera, star statistics, zero point; flags from on board and from ground."""
+    columns = products.solutions[0].camera.parameters() if len(frames) else ()
     for part in _parts(len(frames)):
         said = [(frame.flags, frame.psf_sigma_px, frame.housekeeping) for frame in (frames[k] for k in part)]
         at = slice(part.start, part.stop)
-        yield _frames_table(products.headers[at], products.solutions[at], products.photometry[at], said)
+        yield _frames_table(products.headers[at], products.solutions[at], products.photometry[at], said, columns)
 
 
 def _frames_table(
@@ -62,11 +73,13 @@ def _frames_table(
     solutions: Sequence[FrameSolution],
     photometry: Sequence[PhotometricSolution],
     said: Sequence[tuple[FrameFlag, float | None, Housekeeping | None]],
+    columns: Sequence[CameraParameter],
 ) -> Table:
-    """said : flags, PSF width and counters from on board."""
+    """said : flags, PSF width and counters from on board. columns : of the cameras, as the run's first one has them."""
     counters = [housekeeping for _, _, housekeeping in said]
     solved = np.array([not s.flags & FrameFlag.NO_SOLUTION for s in solutions], dtype=bool)
     ra, dec = _centre_directions(headers, solutions)
+    grid = np.array([_grid_directions(h, s) for h, s in zip(headers, solutions, strict=True)]).reshape(-1, GRID_LINES**2, 2)
     sigma = np.array([np.sqrt(np.diag(s.covariance_rad2)) for s in solutions]).reshape(-1, 3) / ARCSEC_RAD
     quaternion = np.array([s.quaternion for s in solutions]).reshape(-1, 4)
     rate = np.array([s.rate_rad_s for s in solutions]).reshape(-1, 3)
@@ -91,11 +104,9 @@ def _frames_table(
             ("sigma_x_arcsec", sigma[:, 0], "arcsec", "error of the rotation about the col axis"),
             ("sigma_y_arcsec", sigma[:, 1], "arcsec", "error of the rotation about the row axis"),
             ("sigma_roll_arcsec", sigma[:, 2], "arcsec", "error of the rotation about the boresight"),
-            ("focal_px", _floats(solutions, "focal_px"), "pix", "focal length"),
-            ("center_row", _floats(solutions, "center_row"), "pix", "optical axis"),
-            ("center_col", _floats(solutions, "center_col"), "pix", "optical axis"),
-            *((name, _floats(solutions, name), None, "Brown-Conrady distortion") for name in ("k1", "k2", "p1", "p2")),
-            ("mirrored", np.array([s.mirrored for s in solutions], dtype=bool), None, "columns grow against the camera's +X"),
+            *_camera_columns(solutions, columns),
+            ("grid_ra_app_deg", grid[..., 0], "deg", f"apparent right ascension (GCRS axes, all aberration in) of {GRID_TEXT}"),
+            ("grid_dec_app_deg", grid[..., 1], "deg", f"apparent declination of {GRID_TEXT}"),
             ("n_stars", [s.n_stars for s in solutions], None, "stars in the camera fit"),
             ("rms_px", _floats(solutions, "rms_px"), "pix", "rms of a coordinate's star residuals"),
             ("zero_point_mag", _floats(photometry, "zero_point_mag"), "mag", "V of 1 e-/s on axis for a solar colour"),
@@ -273,8 +284,18 @@ def tracklets_table(products: GroundProducts) -> Table:
             ("rate_deg_s", [t.rate_deg_s for t in tracklets], "deg / s", "rate of the published direction"),
             ("rate_err_deg_s", [t.rate_err_deg_s for t in tracklets], "deg / s", "its error"),
             ("position_angle_deg", [t.position_angle_deg for t in tracklets], "deg", "of the motion, from north by east"),
-            ("mag", [t.mag for t in tracklets], "mag", "Johnson V for a solar colour"),
-            ("mag_err", [t.mag_err for t in tracklets], "mag", "its error"),
+            ("mag", [t.mag for t in tracklets], "mag", "Johnson V of the object's mean light over its light curve, solar colour"),
+            ("mag_err", [t.mag_err for t in tracklets], "mag", "half of its 68 % interval: noise and what the light curve hides"),
+            ("mag_low", [t.mag_low for t in tracklets], "mag", "5 % point, the bright one"),
+            ("mag_high", [t.mag_high for t in tracklets], "mag", "95 % point"),
+            (
+                "mag_scatter",
+                [t.mag_scatter for t in tracklets],
+                "mag",
+                "rms of the object's light about its mean, 1.0857 x relative light; of a sinusoid, amplitude / 1.414",
+            ),
+            ("mag_scatter_err", [t.mag_scatter_err for t in tracklets], "mag", "its error"),
+            ("mag_chi2_nu", [t.mag_chi2_nu for t in tracklets], None, "of constant light, NaN with one magnitude"),
             ("period_s", [c.period_s for c in curves], "s", "period of the brightness from frame to frame, NaN without one"),
             (
                 "period_false_alarm",
@@ -319,6 +340,17 @@ def orbits_table(products: GroundProducts) -> Table:
             (f"{name}{point}{suffix}", values[:, k], unit, f"{text}, {share} of the posterior")
             for k, (point, share) in enumerate((("_low", "5 %"), ("", "median"), ("_high", "95 %")))
         ]
+    for name, text in (
+        ("node", "right ascension of the ascending node"),
+        ("perigee", "argument of perigee"),
+        ("mean_anomaly", "mean anomaly"),
+        ("latitude_argument", "angle from the ascending node"),
+    ):
+        values = np.array([getattr(o, f"{name}_deg") for o in orbits]).reshape(-1, 3)
+        columns += [
+            (f"{name}{point}_deg", values[:, k], "deg", f"{text}, {share} of the posterior, no jump at 360 beside the median")
+            for k, (point, share) in enumerate((("_low", "5 %"), ("", "median"), ("_high", "95 %")))
+        ]
     columns += [
         (
             "modes",
@@ -328,8 +360,22 @@ def orbits_table(products: GroundProducts) -> Table:
         ),
         ("prior", _text([o.prior for o in orbits]), None, "what was assumed"),
         ("converged", np.array([o.converged for o in orbits], dtype=bool), None, "whether the arc says anything"),
+        (
+            "gaussian",
+            np.array([o.state is not None and o.state.gaussian for o in orbits], dtype=bool),
+            None,
+            "whether a mean and a covariance describe the posterior of the state (then the OPM has them)",
+        ),
+        ("state", _text([_state_words(o) for o in orbits]), None, "how Gaussian the state is, or why there is none"),
     ]
     return _table(columns, "orbits")
+
+
+def _state_words(orbit: OrbitEstimate) -> str:
+    """Figures of the test of a state, or what is lacking for one."""
+    if orbit.state is not None:
+        return orbit.state.shape
+    return f"none: {orbit.lacks}" if orbit.lacks else "none: the orbit step gives no state"
 
 
 def _parts(n_frames: int) -> Iterator[range]:
@@ -344,8 +390,33 @@ def _centre_directions(headers: Sequence[FrameHeader], solutions: Sequence[Frame
     for k, (header, solution) in enumerate(zip(headers, solutions, strict=True)):
         if not solution.flags & FrameFlag.NO_SOLUTION:
             middle = np.array([0.5 * (header.rows - 1)]), np.array([0.5 * (header.cols - 1)])
-            vectors[k] = (Camera.solved(solution).unproject(*middle) @ matrix_of(np.asarray(solution.quaternion)))[0]
+            vectors[k] = mid_frame_directions(solution, *middle)[0]
     return spherical_deg(vectors)
+
+
+def _grid_directions(header: FrameHeader, solution: FrameSolution) -> Array:
+    """Apparent right ascension and declination (deg), (81, 2), of the grid at mid-exposure of its rows; NaN where unsolved."""
+    if solution.flags & FrameFlag.NO_SOLUTION:
+        return np.full((GRID_LINES**2, 2), np.nan)
+    lines = np.linspace(0.0, header.rows - 1.0, GRID_LINES), np.linspace(0.0, header.cols - 1.0, GRID_LINES)
+    row, col = (a.ravel() for a in np.meshgrid(*lines, indexing="ij"))
+    sky = SolvedSky(header=header, solution=solution)
+    directions = spherical_deg(sky.apparent(row, col, row_mid_exposure_tai_ns(header, row)))
+    return np.asarray(np.round(np.stack(directions, axis=-1), GRID_DECIMALS), dtype=np.float64)
+
+
+def _camera_columns(solutions: Sequence[FrameSolution], columns: Sequence[CameraParameter]) -> list[Spec]:
+    """The columns that the camera's model asks for. Raises `PluginError` when a frame's camera has others than the first one."""
+    values = []
+    for solution in solutions:
+        own = solution.camera.parameters()
+        if [p.name for p in own] != [p.name for p in columns]:
+            names = ", ".join(p.name for p in own)
+            kind = f"{type(solution.camera).__module__}:{type(solution.camera).__qualname__}"
+            raise PluginError(f"{kind}, frame {solution.frame}: parameters {names}; the first frame's camera has others")
+        values.append([p.value for p in own])
+    kinds = [bool if isinstance(p.value, bool) else np.float64 for p in columns]
+    return [(p.name, np.array([row[k] for row in values], dtype=kinds[k]), p.unit, p.description) for k, p in enumerate(columns)]
 
 
 WHOLE_NUMBERS: Final = ("_id", "_ns", "frame", "frames", "flags", "rows", "cols", "dropped")
@@ -390,13 +461,24 @@ def _or_nan(value: float | None) -> float:
 
 
 def known_table(products: GroundProducts, matches: Sequence[CatalogueMatch]) -> Table:
-    """One row for each tracklet: the best catalogue object, or '-' and NaN where none could be compared."""
+    """One row for each tracklet: the nearest catalogue object and all that would do; '-' and NaN where none could be compared."""
     by_tracklet = {match.tracklet_id: match for match in matches}
     found = [by_tracklet.get(t.tracklet_id) for t in products.tracklets]
     columns: list[Spec] = [
         ("tracklet_id", [t.tracklet_id for t in products.tracklets], None, "tracklet"),
-        ("known", np.array([m is not None and m.known for m in found], dtype=bool), None, "whether a catalogue object fits"),
-        ("name", _text([m.name if m is not None and m.known else "-" for m in found]), None, "object that fits best"),
+        (
+            "known",
+            np.array([m is not None and m.known for m in found], dtype=bool),
+            None,
+            "whether one catalogue object fits, no other, and chance gives no such match",
+        ),
+        (
+            "status",
+            _text([_status(m) for m in found]),
+            None,
+            "known; ambiguous: candidates are hypotheses; unknown: none fits; not compared: no directions or no observer orbit",
+        ),
+        ("name", _text([m.name if m is not None and m.known else "-" for m in found]), None, "object, when known"),
         ("number", np.array([m.number if m is not None and m.known else -1 for m in found], dtype=np.int64), None, "its number"),
     ]
     for name, unit, text in (
@@ -405,8 +487,29 @@ def known_table(products: GroundProducts, matches: Sequence[CatalogueMatch]) -> 
         ("rate_residual_arcsec_s", "arcsec / s", "length of the difference between observed and computed rate"),
         ("range_km", "km", "distance of the nearest object"),
         ("sigmas", None, "distance in expected errors of element sets"),
+        (
+            "chance_probability",
+            None,
+            "that an unrelated object fits as well as the nearest, from the density of predicted objects in place and rate",
+        ),
     ):
         columns.append((name, [float("nan") if m is None else getattr(m, name) for m in found], unit, text))
     n_candidates = np.array([0 if m is None else m.n_candidates for m in found], dtype=np.int64)
     columns.append(("n_candidates", n_candidates, None, "objects that would do; more than one: ambiguous"))
+    hypotheses = [
+        [[c.number, c.name, round(c.sigmas, 3), float(f"{c.chance_probability:.3g}")] for c in (m.candidates if m else ())]
+        for m in found
+    ]
+    columns.append(
+        ("candidates", _text([json.dumps(h) for h in hypotheses]), None, "[number, name, sigmas, chance_probability] of each")
+    )
     return _table(columns, "known")
+
+
+def _status(match: CatalogueMatch | None) -> str:
+    """Word for what a comparison with the catalogue gave."""
+    if match is None:
+        return "not compared"
+    if match.known:
+        return "known"
+    return "ambiguous" if match.candidates else "unknown"

@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.sky.pixel_sky import PixelSky, published_directions, row_mid_exposure_tai_ns
-from ground.sky.sphere import ARCSEC_RAD, spherical_deg
+from ground.sky.rotation import turn
+from ground.sky.sphere import ARCSEC_RAD, east_north, spherical_deg, unit_vectors
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import StreakFit, StreakMeasurement
@@ -46,6 +47,7 @@ def with_sky(
             dec_deg=unknown,
             sigma_along_arcsec=float("nan"),
             sigma_cross_arcsec=float("nan"),
+            turn_rad_s=np.zeros(3),
             flags=streak.flags | StreakFlag.NO_SKY,
         )
     row = np.array([fit.row0, streak.row_mid, fit.row1])
@@ -60,16 +62,45 @@ def with_sky(
     elif bool(streak.flags & StreakFlag.EDGE0) != bool(streak.flags & StreakFlag.EDGE1):
         # the edge was passed when the other end's epoch says, so that end's error is that of the whole trail
         along_px *= 2.0
-    pointing = 0.5 * float(pointing_covariance_rad2[0, 0] + pointing_covariance_rad2[1, 1])
-    pointing_arcsec = float(np.sqrt(pointing)) / ARCSEC_RAD if np.isfinite(pointing) else 0.0
+    pointing_arcsec = pointing_sigma_arcsec(pointing_covariance_rad2)
     return replace(
         streak,
         ra_deg=ra_deg,
         dec_deg=dec_deg,
         sigma_along_arcsec=float(np.hypot(along_px * scale_arcsec, pointing_arcsec)),
         sigma_cross_arcsec=float(np.hypot(cross_px * scale_arcsec, pointing_arcsec)),
+        turn_rad_s=sky.turn_rad_s,
         flags=streak.flags & ~StreakFlag.NO_SKY,
     )
+
+
+def pointing_sigma_arcsec(covariance_rad2: Array) -> float:
+    """One sigma of an axis of a frame's pointing, mean of both; 0 where it is unknown."""
+    pointing = 0.5 * float(covariance_rad2[0, 0] + covariance_rad2[1, 1])
+    return float(np.sqrt(pointing)) / ARCSEC_RAD if np.isfinite(pointing) else 0.0
+
+
+def jacobian_arcsec(streak: StreakMeasurement, header: FrameHeader, sky: PixelSky | None) -> Array:
+    """Change of direction (3, 2, 2), east and north in arcsec, by row and col in px, at the three points; NaN without a sky."""
+    if sky is None:
+        return np.full((3, 2, 2), np.nan)
+    fit = streak.fit
+    row = np.array([fit.row0, streak.row_mid, fit.row1])
+    col = np.array([fit.col0, streak.col_mid, fit.col1])
+    here = sky.apparent(row, col, streak.t_tai_ns)
+    steps = np.stack(
+        [sky.apparent(row + 1.0, col, streak.t_tai_ns) - here, sky.apparent(row, col + 1.0, streak.t_tai_ns) - here], axis=2
+    )
+    axes = np.array([east_north(vector) for vector in here])
+    return np.asarray(axes @ steps / ARCSEC_RAD)
+
+
+def redated(streak: StreakMeasurement, t_tai_ns: NDArray[np.int64]) -> StreakMeasurement:
+    """The same pixels at other epochs (3,): their directions move as the camera turned in between."""
+    vectors = unit_vectors(np.radians(streak.ra_deg), np.radians(streak.dec_deg))
+    seconds = (np.asarray(t_tai_ns) - streak.t_tai_ns) * 1e-9
+    ra_deg, dec_deg = spherical_deg(turn(vectors, np.outer(seconds, streak.turn_rad_s)))
+    return replace(streak, t_tai_ns=np.array(t_tai_ns, dtype=np.int64), ra_deg=ra_deg, dec_deg=dec_deg)
 
 
 def middle_sigma_px(fit: StreakFit) -> tuple[float, float]:

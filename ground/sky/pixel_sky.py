@@ -7,10 +7,9 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.astrometry.apparent import apparent_directions, mid_frame_tai_ns, observer_at
-from ground.astrometry.camera import Camera
-from ground.astrometry.rotation import matrix_of, turn
+from ground.sky.apparent import apparent_directions, mid_frame_tai_ns, observer_at
 from ground.sky.published import without_observer_aberration
+from ground.sky.rotation import matrix_of, turn
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution
 
@@ -18,7 +17,12 @@ Array = NDArray[np.float64]
 
 
 class PixelSky(Protocol):
-    """Directions of the pixels of a frame."""
+    """Directions of the pixels of a frame. turn_rad_s : (3,) angular velocity of the camera, GCRS axes."""
+
+    @property
+    def turn_rad_s(self) -> Array:
+        """A pixel's direction u moves by ``turn x u``."""
+        ...
 
     def apparent(self, row: Array, col: Array, tai_ns: NDArray[np.int64]) -> Array:
         """Apparent unit vectors (n, 3), GCRS axes, of pixels at the given epochs."""
@@ -36,26 +40,50 @@ class SolvedSky:
     def _matrix(self) -> Array:
         return matrix_of(np.asarray(self.solution.quaternion))
 
+    @property
+    def turn_rad_s(self) -> Array:
+        """The solution's rate, GCRS axes."""
+        return np.asarray(self.solution.rate_rad_s) @ self._matrix
+
     def apparent(self, row: Array, col: Array, tai_ns: NDArray[np.int64]) -> Array:
         """Apparent unit vectors (n, 3): a frame that turns by +angle sees directions turned by -angle."""
         seconds = (np.asarray(tai_ns) - mid_frame_tai_ns(self.header)) * 1e-9
-        camera_frame = Camera.solved(self.solution).unproject(row, col)
+        camera_frame = self.solution.camera.unproject(row, col)
         turned = np.outer(seconds, self.solution.rate_rad_s)
         return turn(camera_frame, turned) @ self._matrix
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HeaderSky:
-    """Directions through an astropy WCS (ICRS, catalogue-relative) that came with the frame; no motion inside the frame."""
+    """Directions through an astropy WCS (ICRS, catalogue-relative) that came with the frame.
+
+    A WCS holds for the frame as a whole and says nothing of motion inside it: all rows and both ends of a streak have its one
+    attitude, so ends of a camera that turns during the exposure are off by half of what it turned by.
+    """
 
     header: FrameHeader
     wcs: Any
+
+    @property
+    def turn_rad_s(self) -> Array:
+        """Nothing is known of it."""
+        return np.zeros(3)
 
     def apparent(self, row: Array, col: Array, tai_ns: NDArray[np.int64]) -> Array:
         """Apparent unit vectors (n, 3): the catalogue-relative direction with aberration put back, as for a star."""
         ra, dec = self.wcs.all_pix2world(col, row, 0)
         middle = mid_frame_tai_ns(self.header)
         return apparent_directions(np.asarray(ra), np.asarray(dec), middle, *observer_at(self.header.observer, middle))
+
+
+def mid_frame_directions(solution: FrameSolution, row: Array, col: Array) -> Array:
+    """Apparent unit vectors (n, 3), GCRS axes, of pixels at the epoch of the frame's attitude, whatever their row."""
+    return np.asarray(solution.camera.unproject(row, col) @ matrix_of(np.asarray(solution.quaternion)))
+
+
+def mid_frame_pixels(solution: FrameSolution, apparent: Array) -> tuple[Array, Array]:
+    """Rows and cols (n,) of apparent directions (n, 3), GCRS axes, at the epoch of the frame's attitude; NaN where unseen."""
+    return solution.camera.project(apparent @ matrix_of(np.asarray(solution.quaternion)).T)
 
 
 def published_directions(sky: PixelSky, header: FrameHeader, row: Array, col: Array, tai_ns: NDArray[np.int64]) -> Array:

@@ -20,3 +20,10 @@ def spherical_deg(vectors: Array) -> tuple[Array, Array]:
     """Right ascension in [0, 360) and declination, deg, of vectors (..., 3)."""
     ra = np.degrees(np.arctan2(vectors[..., 1], vectors[..., 0])) % 360.0
     return ra, np.degrees(np.arctan2(vectors[..., 2], np.hypot(vectors[..., 0], vectors[..., 1])))
+
+
+def east_north(unit: Array) -> tuple[Array, Array]:
+    """Unit vectors (3,) east and north of a direction; at the poles towards +y and away from +x."""
+    horizontal = float(np.hypot(unit[0], unit[1]))
+    east = np.array([-unit[1], unit[0], 0.0]) / horizontal if horizontal > 1e-12 else np.array([0.0, 1.0, 0.0])
+    return east, np.cross(unit, east)

@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.streaks.no_trail import NoTrailError, Reason
 from ground.streaks.trail_model import (
     DENSITY,
     END0,
@@ -151,7 +152,10 @@ def turned_along(line: LineFit) -> LineFit:
 
 
 def curvature_statistic(line: LineFit) -> float:
-    """Rao's score statistic of a free sagitta, at the best straight line (1 by chance)."""
+    """Rao's score statistic of a free sagitta, at the best straight line (1 by chance).
+
+    Raises `NoTrailError` where the pixels do not determine the straight line.
+    """
     index = np.array([*line.free, SAGITTA], dtype=np.int64)
     gradient, fisher = np.empty(index.size), np.empty((index.size, index.size))
     p = line.pixels
@@ -159,8 +163,14 @@ def curvature_statistic(line: LineFit) -> float:
         line.parameters, p.u, p.v, p.value_e, p.variance_e2, 0.0, line.half_px, line.blur_px[0], line.blur_px[1],
         0.0, index, gradient, fisher,
     )  # fmt: skip
-    row = np.linalg.solve(fisher[:-1, :-1], fisher[:-1, -1])
-    return float((gradient[-1] - row @ gradient[:-1]) ** 2 / (fisher[-1, -1] - row @ fisher[:-1, -1]))
+    try:
+        row = np.linalg.solve(fisher[:-1, :-1], fisher[:-1, -1])
+    except np.linalg.LinAlgError as error:
+        raise NoTrailError(Reason.SINGULAR) from error
+    information = float(fisher[-1, -1] - row @ fisher[:-1, -1])
+    if not information > 0.0:
+        raise NoTrailError(Reason.SINGULAR)
+    return float((gradient[-1] - row @ gradient[:-1]) ** 2) / information
 
 
 def minus_two_ln_likelihood(line: LineFit) -> float:

@@ -12,6 +12,8 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ground.streaks.no_trail import NoTrailError, Reason
+
 DROP: Final = 16.0
 """Natural-log drop from the best segment beyond which an end is not looked for."""
 
@@ -105,9 +107,14 @@ def best_segment(running: NDArray[np.float64]) -> tuple[int, int]:
 def lit_density(
     template: NDArray[np.float64], value_e: NDArray[np.float64], variance_e2: NDArray[np.float64], guess: float
 ) -> tuple[float, float]:
-    """Density and its sigma from fully lit pixels; the object's own noise at the density `guess`."""
+    """Density and its sigma from fully lit pixels; the object's own noise at the density `guess`.
+
+    Raises `NoTrailError` where no pixel says anything about it.
+    """
     weight = 1.0 / (variance_e2 + max(guess, 0.0) * template)
     information = float(np.sum(weight * template * template))
+    if not information > 0.0:
+        raise NoTrailError(Reason.TOO_FEW_PIXELS)
     return float(np.sum(weight * template * value_e)) / information, 1.0 / math.sqrt(information)
 
 

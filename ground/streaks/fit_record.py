@@ -94,11 +94,12 @@ def reversed_ends(fit: StreakFit) -> StreakFit:
         light_curve_e_px=fit.light_curve_e_px[::-1],
         light_curve_err_e_px=fit.light_curve_err_e_px[::-1],
         period_fraction=fit.period_fraction,
+        failure=fit.failure,
     )
 
 
-def failed_fit(detection: Detection, pixels: StreakPixels) -> StreakFit:
-    """The detection's own values, flagged FIT_FAILED, with uncertainties as wide as the detection can be off."""
+def failed_fit(detection: Detection, pixels: StreakPixels, reason: str) -> StreakFit:
+    """The detection's own values, flagged FIT_FAILED, with the reason and uncertainties as wide as the detection can be off."""
     length = max(detection.length_px, 1.0)
     snr = max(detection.snr, 1.0)
     width = pixels.psf_sigma_px
@@ -128,6 +129,7 @@ def failed_fit(detection: Detection, pixels: StreakPixels) -> StreakFit:
             n_pixels=int(usable.sum()),
             flags=detection.flags | StreakFlag.FIT_FAILED | StreakFlag.ENDS_NOT_GAUSSIAN,
             light_curve_e_px=np.zeros(0, dtype=np.float32),
+            failure=str(reason),
         )
     )
 

@@ -2,9 +2,8 @@
 
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from ground.streaks.fit_record import failed_fit
+from ground.streaks.no_trail import NoTrailError
 from ground.streaks.trail_fit import FitOptions, fit_trail
 from sboc_e2e.icd.products import StreakFit, StreakPixels
 from sboc_e2e.icd.signals import Detection
@@ -23,11 +22,9 @@ class TrailedPsfFitter:
     max_iterations: int = field(default=25, metadata={"doc": "Fisher-scoring iterations of one model", "min": 3, "max": 500})
 
     def fit(self, pixels: StreakPixels, detection: Detection) -> StreakFit:
-        """Best model with its uncertainties; a failed fit is flagged FIT_FAILED and carries the detection's values."""
+        """Best model with its uncertainties; where the pixels allow none, the detection's values, FIT_FAILED and the reason."""
         options = FitOptions(max_shift_px=self.max_shift_px, max_iterations=self.max_iterations)
         try:
-            result = fit_trail(pixels, detection, options)
-        except (ArithmeticError, ValueError, np.linalg.LinAlgError):
-            # singular matrices and the like of pixels that hold no trail; one bad ROI must not stop a run
-            result = None
-        return failed_fit(detection, pixels) if result is None else result
+            return fit_trail(pixels, detection, options)
+        except NoTrailError as error:
+            return failed_fit(detection, pixels, error.reason)

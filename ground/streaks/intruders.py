@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
 from ground.streaks.centre_line import LineFit
+from ground.streaks.no_trail import NoTrailError, Reason
 from ground.streaks.trail_model import DENSITY, END0, END1, mean_all
 
 POINT_SIGMAS: Final = 4.2
@@ -35,8 +36,13 @@ MEDIAN_SNR: Final = 2.0
 
 
 def slice_densities(line: LineFit) -> tuple[NDArray[np.float64], float, NDArray[np.bool_]]:
-    """Density of each slice of one PSF width between the ends, u of the first, and which slices hold enough pixels."""
+    """Density of each slice of one PSF width between the ends, u of the first, and which slices hold enough pixels.
+
+    Raises `NoTrailError` where no pixel is left at the line.
+    """
     pixels, p = line.pixels, line.parameters
+    if pixels.u.size == 0:
+        raise NoTrailError(Reason.TOO_FEW_PIXELS)
     low, high = max(p[END0], float(pixels.u.min())), min(p[END1], float(pixels.u.max()))
     lit = (pixels.u > low) & (pixels.u < high) & (np.abs(pixels.v) < 2.0 * line.width_px)
     u, weight = pixels.u[lit], np.exp(-0.5 * (pixels.v[lit] / line.width_px) ** 2)

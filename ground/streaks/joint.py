@@ -7,7 +7,8 @@ its two ends, are multiplied along this motion and integrated by importance samp
 then the posterior means under the common motion.
 
 For the caller (after linking): build one `TrackletFrame` for each streak, ends in time order (`reversed_ends`), and
-call `refit_tracklet`; the refitted `StreakFit` of each frame comes back in the same order, flagged REFIT. Only the
+call `refit_tracklet`; the refitted `StreakFit` of each frame comes back in the same order, flagged REFIT, with the errors
+that all of them share. Only the
 along-track coordinate changes; frames that say nothing (edge to edge, failed) are returned as they came. Pointing errors
 common to a frame are not known here: where they matter, give their along-track sigma as `sigma_frame`.
 """
@@ -15,7 +16,7 @@ common to a frame are not known here: where they matter, give their along-track 
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -85,24 +86,42 @@ class _Evidence:
     rows_per_px: float
 
 
-def refit_tracklet(frames: Sequence[TrackletFrame], *, sigma_acceleration: float = 0.0) -> tuple[StreakFit, ...]:
-    """Refitted streaks, one for each frame and in their order.
+class JointRefit(NamedTuple):
+    """Refitted streaks, one for each frame and in their order, and what their ends' errors along the path have in common.
+
+    shared : (n, 2, 3) in the unit of `along`: ends i and j have the covariance ``shared[i] @ shared[j]``, pointing apart. It is
+    that of the motion, of which every end is a linear function. Zero for frames that came back as they were.
+    """
+
+    fits: tuple[StreakFit, ...]
+    shared: NDArray[np.float64]
+
+
+def refit_tracklet(frames: Sequence[TrackletFrame], *, sigma_acceleration: float = 0.0) -> JointRefit:
+    """All frames of one motion fitted together.
 
     sigma_acceleration : prior sigma of the change of rate, unit of `along` per s^2; 0 for a constant rate.
     """
+    shared = np.zeros((len(frames), 2, 3))
     evidence = [_evidence(frame, turn) for frame, turn in zip(frames, common_turns([f.fit for f in frames]), strict=True)]
     ends = sum(2 - _edge_count(e.frame.fit) for e in evidence if e is not None)
     if ends < 3:
-        return tuple(frame.fit for frame in frames)
+        return JointRefit(tuple(frame.fit for frame in frames), shared)
     used = [e for e in evidence if e is not None]
     zero = float(np.mean([0.5 * (e.frame.t_open_s + e.frame.t_close_s) for e in used]))
     start = _linear_start(used, zero, sigma_acceleration)
     if start is None:
-        return tuple(frame.fit for frame in frames)
+        return JointRefit(tuple(frame.fit for frame in frames), shared)
     motion, weight = _sample(used, zero, sigma_acceleration, *start)
-    return tuple(
-        frame.fit if e is None else _refitted(e, motion, weight, zero) for frame, e in zip(frames, evidence, strict=True)
-    )
+    scatter = motion - weight @ motion
+    variance, axes = np.linalg.eigh((scatter * weight[:, None]).T @ scatter)
+    root, n = axes * np.sqrt(np.maximum(variance, 0.0)), len(variance)
+    for k, e in enumerate(evidence):
+        if e is not None:
+            epochs_s = np.array([e.frame.t_open_s, e.frame.t_close_s]) - zero
+            shared[k, :, :n] = _basis(epochs_s, n) @ root
+    fits = (frame.fit if e is None else _refitted(e, motion, weight, zero) for frame, e in zip(frames, evidence, strict=True))
+    return JointRefit(tuple(fits), shared)
 
 
 def _edge_count(fit: StreakFit) -> int:

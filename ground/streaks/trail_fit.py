@@ -17,6 +17,7 @@ from ground.streaks.fit_record import TrailResult, point_record, trail_record
 from ground.streaks.intruders import at_median_brightness, intruder_mask
 from ground.streaks.light_curve import light_curve
 from ground.streaks.model_choice import choose_model, straight_unless_evident, width_estimate
+from ground.streaks.no_trail import NoTrailError, Reason
 from ground.streaks.point_source import fit_point
 from ground.streaks.trail_frame import TrailFrame
 from ground.streaks.trail_model import DENSITY, END0, END1, Q1, Q2, SAGITTA, SLOPE, V_MID, profiles
@@ -53,8 +54,8 @@ class FitOptions:
     max_iterations: int
 
 
-def fit_trail(pixels: StreakPixels, detection: Detection, options: FitOptions) -> StreakFit | None:
-    """The fitted trail, or None where the pixels do not allow one."""
+def fit_trail(pixels: StreakPixels, detection: Detection, options: FitOptions) -> StreakFit:
+    """The fitted trail. Raises `NoTrailError` where the pixels do not allow one."""
     width = effective_width_px(pixels.psf_sigma_px)
     if StreakFlag.POINT_LIKE in detection.flags or detection.length_px < POINT_WIDTHS * pixels.psf_sigma_px:
         return fit_untrailed(pixels, detection)
@@ -65,7 +66,7 @@ def fit_trail(pixels: StreakPixels, detection: Detection, options: FitOptions) -
     flagged = _edges(detection, pixels.frame_shape)
     first = find_line(usable, half, flagged, width_px=width, sagitta_px=detection.sagitta_px, max_shift_px=options.max_shift_px)
     if first is None:
-        return None
+        raise NoTrailError(Reason.NO_LINE)
     # a bright star would pull both the line and the ends to itself, so it must go before they are looked for
     detector_error = 0.1 * half + 2.0 * width
     mask, crosses = intruder_mask(at_median_brightness(first), width, (detector_error, detector_error), 1.0)
@@ -73,18 +74,16 @@ def fit_trail(pixels: StreakPixels, detection: Detection, options: FitOptions) -
         usable.without(first.pixels.index[mask]), half, flagged,
         width_px=width, sagitta_px=detection.sagitta_px, max_shift_px=options.max_shift_px,
     ) if mask.any() else first  # fmt: skip
-    found = None if line is None else _with_ends(line, flagged, pixels.frame_shape, options)
+    if line is None:
+        raise NoTrailError(Reason.NO_LINE)
+    found = _with_ends(line, flagged, pixels.frame_shape, options)
     for _ in range(INTRUDER_ROUNDS):
-        if found is None:
-            return None
         mask, on_trail = intruder_mask(found[0], width, found[0].blur_px)
         if not mask.any():
             break
         crosses |= on_trail
         kept = replace(found[0], pixels=found[0].pixels.take(~mask))
         found = _with_ends(kept, found[1].edges, pixels.frame_shape, options)
-    if found is None:
-        return None
     line, coarse = found
     if coarse.length_px < OVERLAP_WIDTHS * width and not any(coarse.edges):
         return _short_trail(pixels, detection, line, crosses, options)
@@ -106,11 +105,9 @@ def _edges(detection: Detection, shape: tuple[int, int]) -> tuple[bool, bool]:
 
 def _with_ends(
     line: LineFit, edges: tuple[bool, bool], shape: tuple[int, int], options: FitOptions
-) -> tuple[LineFit, CoarseEnds] | None:
+) -> tuple[LineFit, CoarseEnds]:
     """Coarse ends along the line, then the line again with them."""
     coarse = _coarse(line, edges, shape)
-    if coarse is None:
-        return None
     line = moved_to_middle(line, (coarse.end0, coarse.end1), coarse.edges)
     free = tuple(p for p in line.free if p not in (END0, END1))
     # hard edges: the PSF's own share of the spread is already in the model
@@ -119,7 +116,7 @@ def _with_ends(
         half_px=line.half_px, blur_px=(coarse.sigma0_px, coarse.sigma1_px), iterations=min(8, options.max_iterations),
     )  # fmt: skip
     if not line.regular:
-        return None
+        raise NoTrailError(Reason.IRREGULAR)
     return turned_along(straight_unless_evident(line, iterations=min(8, options.max_iterations))), coarse
 
 
@@ -129,16 +126,19 @@ def _template(line: LineFit) -> NDArray[np.float64]:
     return profiles(p, line.pixels.u, line.pixels.v, line.half_px, line.pixels.frame.angle_rad)
 
 
-def _coarse(line: LineFit, edges: tuple[bool, bool], shape: tuple[int, int]) -> CoarseEnds | None:
-    """`coarse_ends` on the pixels near the line."""
+def _coarse(line: LineFit, edges: tuple[bool, bool], shape: tuple[int, int]) -> CoarseEnds:
+    """`coarse_ends` on the pixels near the line. Raises `NoTrailError` where nothing is lit."""
     near = line.pixels.near(2.2 * line.width_px + abs(line.parameters[SAGITTA]))
     at = replace(line, pixels=near)
     half = line.half_px
-    return coarse_ends(
+    found = coarse_ends(
         near.u, _template(at), near.value_e, near.variance_e2,
         guess=(-half, half, float(line.parameters[DENSITY])), edges=edges,
         image_limits=line.pixels.frame.image_limits(shape),
     )  # fmt: skip
+    if found is None:
+        raise NoTrailError(Reason.NO_ENDS)
+    return found
 
 
 def _refined(line: LineFit, coarse: CoarseEnds, options: FitOptions) -> LineFit:
@@ -175,11 +175,9 @@ def _long_trail(
     edges: tuple[bool, bool],
     crosses: bool,
     options: FitOptions,
-) -> StreakFit | None:
+) -> StreakFit:
     """Posterior of the ends along the final line, and the record."""
     coarse = _coarse(line, edges, pixels.frame_shape)
-    if coarse is None:
-        return None
     near = line.pixels.near(2.7 * line.width_px + abs(line.parameters[SAGITTA]))
     # the line's density has soft edges, the coarse one counts half-lit pixels as lit
     tables = end_tables(
@@ -196,9 +194,7 @@ def _long_trail(
     return _record(pixels, detection, line, ends, coarse.edges, crosses, options)
 
 
-def _short_trail(
-    pixels: StreakPixels, detection: Detection, line: LineFit, crosses: bool, options: FitOptions
-) -> StreakFit | None:
+def _short_trail(pixels: StreakPixels, detection: Detection, line: LineFit, crosses: bool, options: FitOptions) -> StreakFit:
     """A trail whose ends overlap: Fisher scoring for where the joint posterior lies, then that posterior."""
     free = (DENSITY, END0, END1, V_MID, SLOPE)
     line = score(line.pixels, line.parameters, free, half_px=line.half_px, blur_px=(0.0, 0.0), iterations=options.max_iterations)
@@ -228,7 +224,7 @@ def _record(
     edges: tuple[bool, bool],
     crosses: bool,
     options: FitOptions,
-) -> StreakFit | None:
+) -> StreakFit:
     """Final line with the ends' posterior, width, light curve and flags."""
     line = moved_to_middle(line, (ends.end0, ends.end1), edges)
     shift = 0.5 * (ends.end0 + ends.end1)
@@ -239,7 +235,7 @@ def _record(
         half_px=line.half_px, blur_px=(float(blur[0]), float(blur[1])), iterations=options.max_iterations,
     )  # fmt: skip
     if not line.regular:
-        return None
+        raise NoTrailError(Reason.IRREGULAR)
     ln_width, ln_width_err = width_estimate(line, options.max_iterations)
     near = line.pixels.take(np.abs(line.pixels.v) < 3.0 * line.width_px + abs(line.parameters[SAGITTA]))
     at = replace(line, pixels=near)
@@ -266,8 +262,8 @@ def _record(
     return trail_record(pixels, detection, result, gaussian_ends=gaussian)
 
 
-def fit_untrailed(pixels: StreakPixels, detection: Detection) -> StreakFit | None:
-    """The fit of a point-like detection, or None where there is no source."""
+def fit_untrailed(pixels: StreakPixels, detection: Detection) -> StreakFit:
+    """The fit of a point-like detection. Raises `NoTrailError` where there is no source."""
     usable = np.isfinite(pixels.variance_e2) & np.isfinite(pixels.value_e) & (pixels.variance_e2 > 0.0)
     start = (0.5 * (detection.row0 + detection.row1), 0.5 * (detection.col0 + detection.col1))
     near = usable & (np.hypot(pixels.row - start[0], pixels.col - start[1]) < 30.0)
@@ -277,6 +273,6 @@ def fit_untrailed(pixels: StreakPixels, detection: Detection) -> StreakFit | Non
     width = effective_width_px(pixels.psf_sigma_px)
     point = fit_point(row, col, value, variance, start=start, width_px=width, free_width=False)
     if point is None:
-        return None
+        raise NoTrailError(Reason.NO_SOURCE)
     wide = fit_point(row, col, value, variance, start=(point.row, point.col), width_px=width, free_width=True)
     return point_record(pixels, detection, point, wide)

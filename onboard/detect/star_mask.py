@@ -11,12 +11,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.image.prefetch import STARS_AHEAD, prefetch
-
 DIRECTIONS: Final = 36
-
-ASKED_PX: Final = 3
-"""Most stars are told from trails within so many pixels."""
 
 REACH_PX: Final = 7
 
@@ -65,15 +60,6 @@ def _goes_on(
 
 
 @nb.njit(cache=True)
-def _ask_for_surroundings(image: NDArray[np.float32] | NDArray[np.int8], row: float, col: float) -> None:
-    """Begin to load the pixels beside a star."""
-    i0, j0 = math.floor(row + 0.5), math.floor(col + 0.5)
-    if 0 <= j0 < image.shape[1]:
-        for i in range(max(0, i0 - ASKED_PX), min(image.shape[0], i0 + ASKED_PX + 1)):
-            prefetch(image, i, j0)
-
-
-@nb.njit(cache=True)
 def trail_pieces(
     residual_adu: NDArray[np.float32],
     smooth: NDArray[np.int8],
@@ -92,12 +78,6 @@ def trail_pieces(
         angle = 2.0 * math.pi * k / DIRECTIONS
         unit[k, 0], unit[k, 1] = math.sin(angle), math.cos(angle)
     for k in range(row.shape[0]):
-        ahead = k + STARS_AHEAD
-        if ahead < row.shape[0]:
-            if snr[ahead] < FAINT_SNR:
-                _ask_for_surroundings(smooth, row[ahead], col[ahead])
-            else:
-                _ask_for_surroundings(residual_adu, row[ahead], col[ahead])
         mesh_row = min(max(int(row[k]) // tile_px, 0), sigma_adu.shape[0] - 1)
         mesh_col = min(max(int(col[k]) // tile_px, 0), sigma_adu.shape[1] - 1)
         sigma = sigma_adu[mesh_row, mesh_col]

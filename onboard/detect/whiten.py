@@ -14,13 +14,15 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.image.prefetch import STARS_AHEAD, prefetch
 from sboc_e2e.icd.flags import MaskBit
 
 UNIT: Final = 16
 """One sigma of a pixel in the 8-bit image."""
 
 SATURATED: Final = int(MaskBit.SATURATED)
+
+STAR_BIT, FOUND_BIT, POINT_BIT = 2, 4, 8
+"""Bits of the working mask beside 1, `unusable`: listed stars, detections already made, unlisted stars on a trail."""
 
 LEVEL_TILES: Final = 5
 """The level is a mean over a square of so many tiles, w px wide. It holds 1 / (0.332 w) of the light of a trail that crosses it,
@@ -110,16 +112,6 @@ def unusable(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 @nb.njit(cache=True)
-def _ask_for_disc(image: NDArray[np.int8], blocked: NDArray[np.uint8], row: float, col: float, radius: float) -> None:
-    """Begin to load the middle of each line of a disc."""
-    middle = math.floor(col + 0.5)
-    if 0 <= middle < image.shape[1]:
-        for i in range(max(0, math.ceil(row - radius)), min(image.shape[0], math.floor(row + radius) + 1)):
-            prefetch(image, i, middle)
-            prefetch(blocked, i, middle)
-
-
-@nb.njit(cache=True)
 def blank_discs(
     image: NDArray[np.int8],
     blocked: NDArray[np.uint8],
@@ -127,11 +119,9 @@ def blank_discs(
     col: NDArray[np.float64],
     radius_px: NDArray[np.float64],
 ) -> None:
-    """Set discs of the image to 0 and mark them in `blocked` (2). In place; positions and radii in px, shape (n,)."""
+    """Set discs of the image to 0 and mark them in `blocked` (STAR_BIT). In place; positions and radii in px, shape (n,)."""
     rows, cols = image.shape
     for k in range(row.shape[0]):
-        if k + STARS_AHEAD < row.shape[0]:
-            _ask_for_disc(image, blocked, row[k + STARS_AHEAD], col[k + STARS_AHEAD], radius_px[k + STARS_AHEAD])
         radius = radius_px[k]
         if radius <= 0.0:
             continue
@@ -139,7 +129,7 @@ def blank_discs(
             half = math.sqrt(max(0.0, radius * radius - (i - row[k]) ** 2))
             for j in range(max(0, math.ceil(col[k] - half)), min(cols, math.floor(col[k] + half) + 1)):
                 image[i, j] = 0
-                blocked[i, j] |= 2
+                blocked[i, j] |= STAR_BIT
 
 
 @nb.njit(cache=True)

@@ -12,6 +12,7 @@ from sboc_e2e.icd import layout
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import Detection
+from sboc_e2e.icd.tai import NS_PER_S
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -33,6 +34,13 @@ class Allowance:
     def spend(self, n_bytes: int) -> "Allowance":
         """The allowance after sending; it may become negative when what must be sent did not fit."""
         return replace(self, credit_bytes=self.credit_bytes - n_bytes)
+
+
+def elapsed_s(header: FrameHeader, previous: FrameHeader | None) -> float:
+    """Time for which the downlink budget has grown: since the frame before, or one exposure."""
+    if previous is None:
+        return max(header.exposure_ns, 1) / NS_PER_S
+    return (header.t_start_tai_ns - previous.t_start_tai_ns) / NS_PER_S
 
 
 def priority(detections: Sequence[Detection]) -> NDArray[np.intp]:

@@ -289,3 +289,24 @@ def residual_pass(
         number, total, _ = sums_within(residual[row], mask[row], unmarked, np.float32(limit))
         row_sums[row, 0], row_sums[row, 1] = number, total
     return unusable
+
+
+def fill_residual(counts: Counts, background: BackgroundModel, residual: NDArray[np.float32]) -> tuple[NDArray[np.float64], int]:
+    """`residual_pass` over a frame, in place; returns its row sums (rows, 2) and how many pixels are masked.
+
+    background : in ADU. residual : (rows, cols) ADU, filled.
+    """
+    row_sums = np.empty((len(residual), 2))
+    n_masked = residual_pass(
+        counts.pixels,
+        counts.dark.codes,
+        counts.defects,
+        background.level_adu - np.float32(counts.adu_offset),
+        background.tile_px,
+        counts.saturation,
+        counts.adu_scale,
+        ROW_LIMIT_SIGMA * float(np.median(background.sigma_adu)),
+        residual,
+        row_sums,
+    )
+    return row_sums, int(n_masked)

@@ -11,8 +11,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from onboard.image.row_table import place_of
-
 FRACTIONS_PER_ADU: Final = 128
 STEPS_PER_ADU: Final = FRACTIONS_PER_ADU + 1
 """A value of the map is STEPS_PER_ADU * (whole ADU) + fraction: fractions are -64 ... 64, for half an ADU may go either way."""
@@ -162,6 +160,19 @@ def write_whole(dark: Codes, out: NDArray[np.int16]) -> None:
     fraction = np.empty(out.shape[1], np.int8)
     for row in range(out.shape[0]):
         dark_row(dark, row, out[row], fraction)
+
+
+@njit(cache=True)
+def place_of(first: NDArray[np.int64], column: NDArray[np.int32], row: int, col: int) -> int:
+    """Place of a pixel in the table, or -1. first : (rows + 1); column : of all entries, rising in each row."""
+    low, high = first[row], first[row + 1]
+    while low < high:
+        middle = (low + high) // 2
+        if column[middle] < col:
+            low = middle + 1
+        else:
+            high = middle
+    return low if low < first[row + 1] and column[low] == col else -1
 
 
 @njit(cache=True)

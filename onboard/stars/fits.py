@@ -10,7 +10,6 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from onboard.image.prefetch import STARS_AHEAD, prefetch
 from sboc_e2e.icd.flags import MaskBit, StarFlag
 
 SATURATED = int(MaskBit.SATURATED)
@@ -117,17 +116,6 @@ def _take_window(
 
 
 @njit(cache=True)
-def _ask_for_window(residual: NDArray[np.float32], mask: NDArray[np.uint8], row0: int, col0: int, radius: int) -> None:
-    """Begin to load the pixels around a peak."""
-    rows, cols = residual.shape
-    left, right = max(col0 - radius, 0), min(col0 + radius, cols - 1)
-    for row in range(max(row0 - radius, 0), min(row0 + radius + 1, rows)):
-        prefetch(residual, row, left)
-        prefetch(residual, row, right)
-        prefetch(mask, row, col0)
-
-
-@njit(cache=True)
 def fit_stars(
     residual: NDArray[np.float32],
     mask: NDArray[np.uint8],
@@ -151,8 +139,6 @@ def fit_stars(
     data, usable, psf = np.zeros(largest, np.float32), np.zeros(largest, np.float32), np.zeros(largest, np.float32)
     per_electron = np.float32(1.0 / gain_e_adu)
     for n in range(peaks.shape[0]):
-        if n + STARS_AHEAD < peaks.shape[0]:
-            _ask_for_window(residual, mask, int(peaks[n + STARS_AHEAD, 0]), int(peaks[n + STARS_AHEAD, 1]), radii[0])
         row0, col0 = int(peaks[n, 0]), int(peaks[n, 1])
         sigma = float(sigma_nodes[min(row0 // tile_px, sigma_nodes.shape[0] - 1), min(col0 // tile_px, sigma_nodes.shape[1] - 1)])
         crr, crc, ccc = covariances[n, 0], covariances[n, 1], covariances[n, 2]

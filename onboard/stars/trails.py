@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 from scipy.ndimage import label
 from scipy.optimize import least_squares
 
+from onboard.stars.fits import BLENDED, DEFECT, EDGE, SATURATED, SATURATED_STAR
+
 SAMPLE_PX = 1024
 """Side of the part of the frame whose autocorrelation is taken."""
 
@@ -98,7 +100,7 @@ def fit_trails(
 ) -> None:
     """Maximum-likelihood centre and flux of trails of known vector, Gauss-Newton.
 
-    peaks : (n, 2) row, col. out : (n, 4) row, col, flux ADU, S/N. flags : bits SATURATED 1, EDGE 2, BLENDED 4, DEFECT 8.
+    peaks : (n, 2) row, col. out : (n, 4) row, col, flux ADU, S/N. flags : `StarFlag` bits SATURATED, EDGE, BLENDED and DEFECT.
     """
     rows, cols = residual.shape
     reach_row = int(math.ceil(abs(half_row) + 3.5 * psf_sigma_px))  # noqa: RUF046 - numba's ceil is a float
@@ -112,10 +114,10 @@ def fit_trails(
             for i in range(row0 - reach_row, row0 + reach_row + 1):
                 for j in range(col0 - reach_col, col0 + reach_col + 1):
                     if i < 0 or j < 0 or i >= rows or j >= cols:
-                        flag |= 2
+                        flag |= EDGE
                         continue
                     if mask[i, j] != 0:
-                        flag |= 1 if mask[i, j] & 4 else 8
+                        flag |= SATURATED_STAR if mask[i, j] & SATURATED else DEFECT
                         continue
                     t, tr, tc = trail_model(i - row, j - col, half_row, half_col, psf_sigma_px)
                     weight = 1.0 / (noise_adu * noise_adu + max(flux, 0.0) * t / gain_e_adu)
@@ -132,7 +134,7 @@ def fit_trails(
                 continue
             determinant = ff * (rr * cc - rc * rc) - fr * (fr * cc - rc * fc) + fc * (fr * rc - rr * fc)
             if determinant <= 1e-9 * ff * rr * cc:
-                flag |= 4
+                flag |= BLENDED
                 break
             step_flux = ((rr * cc - rc * rc) * gf + (fc * rc - fr * cc) * gr + (fr * rc - fc * rr) * gc) / determinant
             step_row = ((fc * rc - fr * cc) * gf + (ff * cc - fc * fc) * gr + (fr * fc - ff * rc) * gc) / determinant

@@ -34,6 +34,9 @@ DIRECTIONS: Final = (
     ("*coverage_90*", AIMED),
     ("*error*", LOWER),
     ("*trivial*", LOWER),
+    ("*nees*", AIMED),
+    ("*differs_from_streaks*", LOWER),
+    ("*gross_share*", LOWER),
     ("*veto_loss*", LOWER),
     ("*fragments*", LOWER),
     ("*cpu*", LOWER),
@@ -45,7 +48,7 @@ DIRECTIONS: Final = (
 )
 """First pattern that fits a figure's name decides; anything else is reported and not judged."""
 
-AIMS: Final = (("*bias*", 0.0), ("*pull_std*", 1.0), ("*coverage_68*", 0.6827), ("*coverage_90*", 0.9))
+AIMS: Final = (("*bias*", 0.0), ("*pull_std*", 1.0), ("*nees*", 1.0), ("*coverage_68*", 0.6827), ("*coverage_90*", 0.9))
 """What figures that may miss to either side should be: of them the distance from there is judged."""
 
 TIMES: Final = "x"
@@ -57,6 +60,7 @@ REAL_TIME: Final = "x real time"
 UNITS: Final = (
     ("*realtime_factor*", REAL_TIME), ("*speedup*", TIMES), ("*_over_numpy_floor", TIMES),
     ("*_arcsec", "arcsec"), ("*_mag", "mag"), ("*cpu_s*", "s"), ("*_s_per_frame", "s"), ("*_mb", "MB"), ("*mb_s*", "MB/s"),
+    ("*_km_s", "km/s"), ("*_m_s", "m/s"), ("*_rms_m", "m"),
     ("*_km", "km"), ("*_deg", "deg"), ("*_px", "px"), ("*bits*", "bit"), ("*_bytes", "B"), ("*_ms*", "ms"), ("*_s", "s"),
 )  # fmt: skip
 

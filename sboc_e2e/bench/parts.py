@@ -8,7 +8,9 @@ from typing import Final
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 SCRIPTS: Final = ROOT / "tests" / "benchmarks"
-COSTS: Final = ROOT / "bench" / "costs.json"
+STORED: Final = ROOT / "bench" if SCRIPTS.is_dir() else Path(__file__).resolve().parent / "stored"
+"""Baselines: of the checkout, or those that were current when the installed package was built."""
+COSTS: Final = STORED / "costs.json"
 """Wall seconds of each part where the baseline was written."""
 
 RUNS: Final = {"smoke": ("smoke",), "sso_antisun": ("sso_antisun",)}
@@ -36,7 +38,10 @@ class Part:
 
 
 def parts(*, quick: bool, peers: bool, long: bool = False, only: tuple[str, ...] = ()) -> list[Part]:
-    """All parts in order. only : names of those wanted, empty for all. long : full form of the parts that last hours."""
+    """All parts in order. only : names of those wanted, empty for all. long : full form of the parts that last hours.
+
+    An installed package has the whole runs; the benches of single steps stand in a checkout.
+    """
     out = [Part(name=name, scenario=arguments, quick=quick) for name, arguments in (QUICK_RUNS if quick else RUNS).items()]
     for script in sorted(SCRIPTS.glob("bench_*.py")):
         name = script.stem.removeprefix("bench_")

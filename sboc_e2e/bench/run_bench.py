@@ -15,13 +15,14 @@ from typing import Any, Final
 from sboc_e2e.bench.baseline import Regression, read_baseline, regressions, write_baseline
 from sboc_e2e.bench.entries import Entry, flatten
 from sboc_e2e.bench.pages import write_pages
-from sboc_e2e.bench.parts import COSTS, ROOT, SCRIPTS, Part, cost_words, expected_costs, parts
+from sboc_e2e.bench.parts import COSTS, ROOT, SCRIPTS, STORED, Part, cost_words, expected_costs, parts
 from sboc_e2e.bench.yardstick import NAME as YARDSTICK
 from sboc_e2e.bench.yardstick import yardstick_s
 from sboc_e2e.files.atomic import require_writable, write_json
 from sboc_e2e.icd.errors import UserError
 
 ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS"), "1")
+CHECKOUT_ONLY: Final = " (benches of single steps run from a source checkout)"
 Measured = tuple[list[Entry], float]
 """Figures of a part, and its wall seconds."""
 
@@ -42,21 +43,27 @@ def run_bench(
     quick : the subset for CI. peers : also the peers that live in an environment of their own (tests/benchmarks/peers).
     long : the parts that last hours in full. only : names of parts, empty for all.
     rewrite_baseline : the figures replace those of the baseline; with `only`, those of these parts.
-    check : compare with the baseline; the regressions are returned. Raises UserError outside a source checkout, for an
-    unknown part, and when the baseline that `check` or a part of a new one needs is not there, before anything runs; and
-    after the report is written when a part failed.
+    check : compare with the baseline; the regressions are returned. Raises UserError, before anything runs, for an unknown part,
+    for a new baseline outside a source checkout, and when the baseline that `check` or a part of a new one needs is not there;
+    and after the report is written when a part failed.
     """
-    if not SCRIPTS.is_dir():
-        raise UserError(f"sboc bench runs from a source checkout: {SCRIPTS} is not there")
+    installed = not SCRIPTS.is_dir()
+    if installed and rewrite_baseline:
+        raise UserError("--write-baseline: an installed package keeps the baseline that it was built with; use a source checkout")
+    # Parts run where the project is, which need not be where the user stands.
+    out = out.resolve()
     baseline_path = baseline_file(quick=quick)
     baseline = read_baseline(baseline_path) if check else {}
     kept = read_baseline(baseline_path) if rewrite_baseline and only else {}
     known = [part.name for part in parts(quick=quick, peers=True)]
     if unknown := set(only) - set(known):
-        raise UserError(f"--only: there is no part {', '.join(sorted(unknown))}; known: {', '.join(known)}")
+        where = CHECKOUT_ONLY if installed else ""
+        raise UserError(f"--only: there is no part {', '.join(sorted(unknown))}; known: {', '.join(known)}{where}")
     wanted = parts(quick=quick, peers=peers or any(name.startswith("peers_") for name in only), long=long, only=only)
     require_writable(out)
     processors = max(1, os.cpu_count() or 1)
+    if installed:
+        report(f"{', '.join(part.name for part in wanted)}{CHECKOUT_ONLY}")
     report(cost_words(expected_costs(wanted, quick=quick), wanted, processors))
     start = time.monotonic()
     report("compile kernels that are not compiled yet")
@@ -81,7 +88,7 @@ def run_bench(
 
 def baseline_file(*, quick: bool) -> Path:
     """The committed baseline of the quick or the full benchmark."""
-    return ROOT / "bench" / ("baseline_quick.json" if quick else "baseline.json")
+    return STORED / ("baseline_quick.json" if quick else "baseline.json")
 
 
 def check_report(path: Path, baseline: Path | None = None) -> list[Regression]:
@@ -131,7 +138,7 @@ def _child(arguments: list[str], what: str) -> None:
 def _scores_of_run(part: Part, folder: Path) -> list[Entry]:
     _child([sys.executable, "-m", "sboc_e2e", "run", *part.scenario, "--out", str(folder), "--force"], part.name)
     score: dict[str, Any] = json.loads((folder / "score.json").read_text())
-    for section in ("score_version", "passed"):
+    for section in ("score_version", "passed", "notes"):
         score.pop(section, None)
     return flatten(part.name, score)
 

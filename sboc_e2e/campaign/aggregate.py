@@ -1,6 +1,7 @@
 """Shards to answers: completeness by S/N, size, range and rate; debris a day by size class, injected, detected, recovered."""
 
 from collections import defaultdict
+from collections.abc import Iterable
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -8,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 from astropy.table import Table
 
+from sboc_e2e.compare.paired import PAIR_SNR, Outcomes, difference, mcnemar
 from sboc_e2e.score.figures import half_point, proportion, rate
 from sboc_e2e.score.population import detections_per_day
 from sboc_e2e.score.recovery import Counted, recovery, together
@@ -15,13 +17,15 @@ from sboc_e2e.score.recovery import Counted, recovery, together
 SIZE_EDGES_M: Final = (1e-3, 2e-3, 5e-3, 1e-2, 2e-2, 5e-2, 1e-1, 2e-1, 5e-1, 1.0)
 RANGE_EDGES_KM: Final = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 1000.0, 3000.0, 50000.0)
 RATE_EDGES_DEG_S: Final = (0.01, 0.1, 0.3, 1.0, 3.0, 10.0, 30.0, 100.0, 1000.0)
+SEED_STEP: Final = 1_000_000
+"""Objects of different seeds are different ones."""
 AXES: Final = (("size_m", SIZE_EDGES_M), ("range_km", RANGE_EDGES_KM), ("rate_deg_s", RATE_EDGES_DEG_S))
 
 
-def read_shards(out: Path) -> dict[str, list[Table]]:
-    """Shards by the text of their point."""
+def read_shards(paths: Iterable[Path]) -> dict[str, list[Table]]:
+    """Shards by the text of their point, in the order of the paths."""
     points: dict[str, list[Table]] = defaultdict(list)
-    for path in sorted((out / "shards").glob("*.ecsv")):
+    for path in paths:
         table = Table.read(path, format="ascii.ecsv")
         points[table.meta["point"]].append(table)
     return dict(points)
@@ -46,6 +50,7 @@ def summarise(shards: list[Table]) -> dict[str, Any]:
         by_axis[axis] = cells
     return {
         "replicas": len(shards),
+        "notes": sorted({note for s in shards for note in s.meta["notes"]}),
         "frames": frames,
         "completeness_snr8": proportion(int(found[bright].sum()), int(bright.sum()), "no truth streak with S/N >= 8"),
         "snr50": half_point(snr[snr >= 3.0], found[snr >= 3.0]),
@@ -54,6 +59,32 @@ def summarise(shards: list[Table]) -> dict[str, Any]:
         "completeness": by_axis,
         "per_day": _per_day(shards, frames, rate_hz),
     }
+
+
+def against_first(points: dict[str, list[Table]]) -> dict[str, dict[str, Any]]:
+    """What points that share frames with the first one gain over it on the same streaks with S/N >= 5 (see `compare.paired`)."""
+    if not points:
+        return {}
+    first = next(iter(points))
+    out = {}
+    for point, shards in points.items():
+        earlier = {table.meta["frames"]: table for table in points[first]}
+        pairs = [(earlier[table.meta["frames"]], table) for table in shards if table.meta["frames"] in earlier]
+        if point == first or not pairs:
+            continue
+        outcomes = Outcomes(
+            snr=np.concatenate([np.asarray(a["snr"], float) for a, _ in pairs]),
+            length_px=np.concatenate([np.asarray(a["length_px"], float) for a, _ in pairs]),
+            cluster=np.concatenate([SEED_STEP * k + np.asarray(a["object_id"], np.int64) for k, (a, _) in enumerate(pairs)]),
+            found={
+                name: np.concatenate([np.asarray(pair[k]["detected_ground"], bool) for pair in pairs])
+                for k, name in enumerate(("first", "this"))
+            },
+        )
+        judged = outcomes.select(outcomes.snr >= PAIR_SNR)
+        test = mcnemar(judged.found["first"], judged.found["this"], judged.cluster)
+        out[point] = {"completeness": difference(judged, "first", "this"), "mcnemar": test}
+    return out
 
 
 def _per_day(shards: list[Table], frames: int, rate_hz: float) -> dict[str, Any]:

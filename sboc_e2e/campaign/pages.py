@@ -4,29 +4,38 @@ import json
 from pathlib import Path
 from typing import Any, Final
 
-from sboc_e2e.campaign.aggregate import read_shards, summarise
+from sboc_e2e.campaign.aggregate import against_first, read_shards, summarise
 from sboc_e2e.campaign.engine import CampaignResult
 from sboc_e2e.campaign.pictures import heat_map, larger_than, over_keys
 from sboc_e2e.campaign.plan import Campaign
 from sboc_e2e.files.atomic import write_text
 from sboc_e2e.report.page import simple_page, table
-from sboc_e2e.report.words import figure_words
+from sboc_e2e.report.words import figure_words, number
 from sboc_e2e.score.figures import Figure
 
 _HEAD: Final = ("point", "completeness S/N >= 8", "S/N half", "false per frame", "kB per frame", "detections a day")
+GAIN_TITLE: Final = "Completeness minus that of the first point, on the same streaks"
+_GAIN_HEAD: Final = ("point", "difference (S/N >= 5)", "streaks", "objects on which they differ", "p, exact by object")
 _DAY: Final = ("injected_per_day", "detected_per_day", "recovered_per_day")
 
 
 def write_results(campaign: Campaign, result: CampaignResult, out: Path) -> None:
     """All three files; failed tasks are listed with their reason."""
-    points = read_shards(out)
+    points = read_shards(result.shards)
     summary = {point: summarise(shards) for point, shards in points.items()}
     failed = [{"point": task.label, "replica": task.replica, "reason": reason} for task, reason in result.failed]
-    document = {"campaign": campaign.name, "scenario": campaign.scenario, "points": summary, "failed": failed}
+    gains = against_first(points)
+    document = {
+        "campaign": campaign.name,
+        "scenario": campaign.scenario,
+        "points": summary,
+        "against_first": gains,
+        "failed": failed,
+    }
     write_text(out / "campaign.json", json.dumps(document, indent=1))
-    write_text(out / "campaign.md", _markdown(campaign, summary, failed))
+    write_text(out / "campaign.md", _markdown(campaign, summary, gains, failed))
     maps = {point: heat_map(shards) for point, shards in points.items()}
-    write_text(out / "campaign.html", _html(campaign, summary, failed, maps))
+    write_text(out / "campaign.html", _html(campaign, summary, gains, failed, maps))
 
 
 def _label(point: str) -> str:
@@ -47,17 +56,43 @@ def _cells(s: dict[str, Any]) -> list[str]:
     ]  # fmt: skip
 
 
-def _markdown(campaign: Campaign, summary: dict[str, Any], failed: list[dict[str, Any]]) -> str:
+def _gain_rows(gains: dict[str, Any]) -> list[list[str]]:
+    """One row of words for each point that shares frames with the first."""
+    return [
+        [
+            _label(point),
+            *figure_words(g["completeness"]),
+            str(g["mcnemar"]["objects_disagreeing"]),
+            number(g["mcnemar"]["p_value"]),
+        ]
+        for point, g in gains.items()
+    ]
+
+
+def _notes(summary: dict[str, Any]) -> list[str]:
+    return [f"Note on {_label(point)}: {note}." for point, s in summary.items() for note in s["notes"]]
+
+
+def _markdown(campaign: Campaign, summary: dict[str, Any], gains: dict[str, Any], failed: list[dict[str, Any]]) -> str:
     head = "| " + " | ".join(_HEAD) + " |"
     lines = [f"# Campaign {campaign.name}", "", campaign.description, "", head, "|" + "---|" * len(_HEAD)]
     lines += [f"| {_label(point)} | " + " | ".join(_cells(s)) + " |" for point, s in summary.items()]
+    if gains:
+        lines += ["", GAIN_TITLE, "", "| " + " | ".join(_GAIN_HEAD) + " |", "|" + "---|" * len(_GAIN_HEAD)]
+        lines += ["| " + " | ".join(row) + " |" for row in _gain_rows(gains)]
+    lines += ["", *_notes(summary)]
     for f in failed:
         lines.append(f"- failed: {f['point']}, replica {f['replica']}: {f['reason']}")
     return "\n".join(lines) + "\n"
 
 
-def _html(campaign: Campaign, summary: dict[str, Any], failed: list[dict[str, Any]], maps: dict[str, str]) -> str:
+def _html(
+    campaign: Campaign, summary: dict[str, Any], gains: dict[str, Any], failed: list[dict[str, Any]], maps: dict[str, str]
+) -> str:
     body = [f"<p>{campaign.description}</p>", table(_HEAD, [[_label(p), *_cells(s)] for p, s in summary.items()])]
+    if gains:
+        body += [f"<h2>{GAIN_TITLE}</h2>", table(_GAIN_HEAD, _gain_rows(gains))]
+    body += [f"<p>{line}</p>" for line in _notes(summary)]
     overview = over_keys([(json.loads(point), s) for point, s in summary.items()])
     if overview:
         body.append(f"<figure><figcaption>Over the varied keys</figcaption>{overview}</figure>")

@@ -1,6 +1,7 @@
 """What a campaign file asks for: points of the parameter space, replicas, and the seed of each task.
 
-A seed depends on the campaign's seed, the point's own values and the replica, never on order or worker count.
+A seed depends on the campaign's seed and the replica: points see the same sky and noise, so that they differ in what is varied.
+With ``paired = false`` it depends on the point's values too. Order and worker count never matter.
 """
 
 import dataclasses
@@ -17,8 +18,9 @@ import astropy.units as u
 import numpy as np
 
 from sboc_e2e.icd.errors import UserError
+from sboc_e2e.scenario.toml_files import FOLDER
 
-KEYS: Final = ("scenario", "description", "seed", "replicas", "draws", "set", "vary")
+KEYS: Final = ("scenario", "description", "seed", "replicas", "draws", "paired", "set", "vary")
 RANGE_KEYS: Final = {"low", "high", "scale"}
 MAX_TASKS: Final = 1_000_000
 
@@ -42,7 +44,8 @@ class Task:
 class Campaign:
     """A parsed campaign file.
 
-    vary : key -> list of values (grid) or a range to draw from (``{low, high, scale}``, then `draws` points are drawn).
+    vary : key -> list of values (grid) or a range to draw from (``{low, high, scale}``, then `draws` points are drawn, the same
+    ones for each point of the grid). paired : common random numbers, every point with the same seeds.
     """
 
     name: str
@@ -51,6 +54,7 @@ class Campaign:
     seed: int = 1
     replicas: int = 1
     draws: int = 0
+    paired: bool = True
     constant: dict[str, Any] = field(default_factory=dict)
     vary: dict[str, Any] = field(default_factory=dict)
 
@@ -80,7 +84,8 @@ class Campaign:
         return dataclasses.replace(self, constant=constant, replicas=replicas or self.replicas)
 
     def _seed(self, point: tuple[tuple[str, Any], ...], replica: int) -> int:
-        text = repr((self.seed, sorted((k, repr(v)) for k, v in point), replica))
+        own = () if self.paired else sorted((k, repr(v)) for k, v in point)
+        text = repr((self.seed, own, replica))
         return int.from_bytes(hashlib.sha256(text.encode()).digest()[:7], "big")
 
     def _points(self) -> list[tuple[tuple[str, Any], ...]]:
@@ -89,8 +94,12 @@ class Campaign:
         grid = [tuple(zip(lists, values, strict=True)) for values in itertools.product(*lists.values())]
         if not ranges:
             return grid
-        rng = np.random.default_rng(np.random.SeedSequence(self.seed))
-        return [(*fixed, *((k, _draw(r, rng)) for k, r in ranges.items())) for fixed in grid for _ in range(self.draws)]
+        drawn = []
+        for number in range(self.draws):
+            # A stream of its own for each draw: more of them leave the first ones as they are.
+            rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number,)))
+            drawn.append(tuple((k, _draw(r, rng)) for k, r in ranges.items()))
+        return [(*fixed, *draw) for fixed in grid for draw in drawn]
 
 
 def _draw(interval: dict[str, Any], rng: np.random.Generator) -> Any:
@@ -102,10 +111,24 @@ def _draw(interval: dict[str, Any], rng: np.random.Generator) -> Any:
     return f"{value:.9g} {low.unit}" if isinstance(interval["low"], str) else value
 
 
-def read_campaign(path: Path) -> Campaign:
-    """A campaign file; raises UserError with one line for anything it does not allow."""
-    if not path.is_file():
-        raise UserError(f"{path}: no such campaign file")
+def shipped() -> dict[str, Path]:
+    """Campaigns that come with the project, by name."""
+    return {path.stem: path for path in sorted((FOLDER / "campaigns").glob("*.toml"))}
+
+
+def find_campaign(name: str | Path) -> Path:
+    """File of a campaign given by name or path."""
+    path = Path(name)
+    if path.is_file():
+        return path
+    if str(name) in shipped():
+        return shipped()[str(name)]
+    raise UserError(f"{path}: no such campaign file; give a path to a .toml file or one of: {', '.join(shipped())}")
+
+
+def read_campaign(name: str | Path) -> Campaign:
+    """A campaign by name or file; raises UserError with one line for anything it does not allow."""
+    path = find_campaign(name)
     try:
         tables = tomllib.loads(path.read_text(encoding="utf-8"))
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
@@ -117,6 +140,12 @@ def read_campaign(path: Path) -> Campaign:
             raise UserError(f'{path}: unknown key "{key}"{hint}')
     if not isinstance(tables.get("scenario"), str):
         raise UserError(f'{path}: scenario: expected a name such as "smoke"')
+    paired = tables.get("paired", True)
+    if not isinstance(paired, bool):
+        raise UserError(f"{path}: paired: expected true or false, got {paired!r}")
+    for name in ("set", "vary"):
+        if not isinstance(tables.get(name, {}), dict):
+            raise UserError(f"{path}: {name}: expected a table of scenario keys")
     vary = tables.get("vary", {})
     draws = _whole(path, tables, "draws", 0)
     for key, value in vary.items():
@@ -134,6 +163,7 @@ def read_campaign(path: Path) -> Campaign:
         seed=_whole(path, tables, "seed", 1),
         replicas=max(1, _whole(path, tables, "replicas", 1)),
         draws=draws,
+        paired=paired,
         constant=dict(tables.get("set", {})),
         vary=dict(vary),
     )

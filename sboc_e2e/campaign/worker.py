@@ -1,51 +1,135 @@
-"""One task of a campaign: run, evaluate, leave a shard. Everything a worker process does."""
+"""What a worker process does: run the tasks that share frames, evaluate each, hand its shard back.
+
+Nothing is asked of the worker's place: what it needs travels in the job, and what it makes travels back as text.
+"""
 
 import io
 import json
 import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from astropy.table import Table
 
-from sboc_e2e.campaign.plan import Campaign, Task
-from sboc_e2e.files.atomic import write_text
-from sboc_e2e.registry import Registry
+from sboc_e2e.campaign.plan import Task
+from sboc_e2e.campaign.resolve import Plan, Resolved
+from sboc_e2e.files.atomic import UNWRITABLE, write_text
+from sboc_e2e.icd.errors import UserError
 from sboc_e2e.run.begin import begin_or_continue
-from sboc_e2e.scenario import load
-from sboc_e2e.score.evaluation import Evaluation, evaluate
+from sboc_e2e.run.manifest import first_difference
+from sboc_e2e.run.pipeline import Run
+from sboc_e2e.run.shared import SharedRuns
+from sboc_e2e.scenario import OutputOptions, Scenario
+from sboc_e2e.score.evaluation import Evaluation
 from sboc_e2e.score.linking import linking
 from sboc_e2e.score.recovery import counted, field_deg
 
 
-def overrides(campaign: Campaign, task: Task) -> list[str]:
-    """The ``key=value`` texts that turn the campaign's scenario into the task's."""
-    values = campaign.constant | dict(task.point)
-    return [f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in values.items()]
+@dataclass(frozen=True, kw_only=True)
+class Job:
+    """Tasks with the same simulated frames.
+
+    surroundings : versions and sources of the one who asks. out : folder of the campaign where the worker shares it, else None.
+    """
+
+    plan: Plan
+    tasks: tuple[Resolved, ...]
+    surroundings: dict[str, Any]
+    out: str | None
 
 
-def run_task(campaign: Campaign, task: Task, out: str) -> None:
-    """Run a task in a folder of its own and write its shard; the folder is removed, the shard appears at once or never."""
-    folder = Path(out) / "work" / f"{task.number:06d}"
+@dataclass(frozen=True, kw_only=True)
+class Outcome:
+    """What became of a task: its shard as text, or the reason why there is none."""
+
+    fingerprint: str
+    shard: str | None = None
+    reason: str = ""
+
+
+def shard_file(out: Path, fingerprint: str) -> Path:
+    """Result table of a task."""
+    return out / "shards" / f"{fingerprint}.ecsv"
+
+
+def run_job(job: Job) -> tuple[Outcome, ...]:
+    """Run the tasks of a job; one that fails says why, the others go on.
+
+    Where the worker shares the campaign's folder each shard is there as soon as it is made. Raises `OSError` when nothing can be
+    written.
+    """
+    done = []
+    with _folder(job) as folder:
+        for task in job.tasks:
+            try:
+                text = _shard_of(job, task, folder)
+            except Exception as error:
+                if isinstance(error, OSError) and error.errno in UNWRITABLE:
+                    raise
+                done.append(
+                    Outcome(fingerprint=task.fingerprint, reason=f"{type(error).__name__}: {error}".splitlines()[0][:500])
+                )
+                continue
+            if job.out is not None:
+                write_text(shard_file(Path(job.out), task.fingerprint), text)
+            done.append(Outcome(fingerprint=task.fingerprint, shard=text))
+    return tuple(done)
+
+
+@contextmanager
+def _folder(job: Job) -> Iterator[Path]:
+    """A folder for runs that is gone afterwards: below the campaign's, or a temporary one of the worker's machine."""
+    if job.out is None:
+        with tempfile.TemporaryDirectory(prefix="sboc-sweep-", ignore_cleanup_errors=True) as made:
+            yield Path(made)
+        return
+    folder = Path(job.out) / "work" / job.tasks[0].fingerprint
     shutil.rmtree(folder, ignore_errors=True)
-    scenario = load(campaign.scenario, registry=Registry(), overrides=overrides(campaign, task), seed=task.seed)
     try:
-        run = begin_or_continue(folder, scenario, workers=1)
-        run.simulate_and_onboard()
-        run.ground()
-        table = shard(evaluate(folder), task)
-        text = io.StringIO()
-        table.write(text, format="ascii.ecsv")
-        write_text(Path(out) / "shards" / f"{task.number:06d}.ecsv", text.getvalue())
+        yield folder
     finally:
         shutil.rmtree(folder, ignore_errors=True)
 
 
-def shard(e: Evaluation, task: Task) -> Table:
+def _shard_of(job: Job, resolved: Resolved, folder: Path) -> str:
+    """Run and evaluate one task."""
+    task = resolved.task
+    found = job.plan.scenario_of(task.point, task.seed)
+    if job.plan.resolved(task, found).fingerprint != resolved.fingerprint:
+        difference = first_difference(job.surroundings, job.plan.surroundings(task)) or "the same sources resolve it otherwise"
+        raise UserError(f"this worker is not what the campaign was started with: {difference}")
+    run = _run_shared(found, folder) if len(job.tasks) > 1 else _run_alone(found, folder)
+    table = shard(run.evaluation(), resolved)
+    text = io.StringIO()
+    table.write(text, format="ascii.ecsv")
+    return text.getvalue()
+
+
+def _run_alone(found: Scenario, folder: Path) -> Run:
+    """Frames are handed on without being kept."""
+    run = begin_or_continue(folder, found, workers=1)
+    run.simulate_and_onboard()
+    run.ground()
+    return run
+
+
+def _run_shared(found: Scenario, folder: Path) -> Run:
+    """Frames and packets stay in the folder for the next task."""
+    kept = replace(found, output=OutputOptions(keep_frames_every=1))
+    return SharedRuns(out=folder, workers=1).ground(kept)
+
+
+def shard(e: Evaluation, resolved: Resolved) -> Table:
     """Truth streaks of a task with what became of them; the metadata carries the point and the counts of the run.
 
     No timing is kept, so that the same task gives the same bytes.
     """
+    task: Task = resolved.task
     streaks, objects = e.truth_tables["streaks"], e.truth_tables["objects"]
     place = {int(o): i for i, o in enumerate(objects["object_id"])}
     mine = np.array([place[int(o)] for o in streaks["object_id"]], dtype=int)
@@ -62,6 +146,8 @@ def shard(e: Evaluation, task: Task) -> Table:
     table["detected_onboard"] = np.array([t.index in onboard for t in e.truth], dtype=bool)
     table["detected_ground"] = np.array([t.index in ground for t in e.truth], dtype=bool)
     table.meta = {
+        "fingerprint": resolved.fingerprint,
+        "frames": resolved.frames,
         "point": json.dumps(dict(task.point)),
         "replica": task.replica,
         "seed": task.seed,
@@ -72,6 +158,7 @@ def shard(e: Evaluation, task: Task) -> Table:
         "downlink_bytes": len(e.downlink),
         "n_objects": len(objects),
         "field_deg": field_deg(e.truth_tables["frames"]),
+        "notes": list(e.notes),
         "found": [int(o["object_id"]) in found for o in objects if str(o["kind"]) == "population"],
         "counted": counted(objects, e.streaks, e.orbits, e.pairs, owner, e.n_frames).as_lists(),
     }

@@ -1,5 +1,6 @@
 """The commands. Each parses its options, calls one function of the harness and says where the result is."""
 
+import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -85,6 +86,7 @@ def run(
 ) -> None:
     """Simulate, process on board and on ground, score, report."""
     from sboc_e2e import scenario as scenarios
+    from sboc_e2e.report.closing import closing_text
     from sboc_e2e.run import RunRequest
     from sboc_e2e.run import run as execute
 
@@ -92,6 +94,7 @@ def run(
     target = out or Path("runs") / resolved.name
     with shown_progress() as progress:
         execute(RunRequest(scenario=resolved, out=target, resume=resume, force=force, workers=workers), progress)
+    typer.echo(closing_text(json.loads((target / "score.json").read_text())))
     typer.echo(f"{target}/report.html")
 
 
@@ -179,11 +182,15 @@ def process(
 def check(
     path: Annotated[str, typer.Argument(metavar="MODULE:CLASS", help="the class of a step, in an installed or local module")],
     seam: Annotated[str | None, typer.Option("--seam", help="the seam it is for, where its methods do not tell")] = None,
+    shape: Annotated[str, typer.Option("--shape", help="rows x columns of the frame for the question of speed")] = "1024x1024",
 ) -> int:
-    """Examine a plug-in: bad frames, untouched input, determinism, places, speed."""
+    """Examine a plug-in: bad frames, untouched input, determinism, speed, and how well it does on trails of stated S/N."""
     from sboc_e2e.checks import examine
 
-    place, verdicts = examine(path, Registry(), seam)
+    rows, _, cols = shape.partition("x")
+    if not (rows.isdigit() and cols.isdigit() and min(int(rows), int(cols)) >= 256 and max(int(rows), int(cols)) <= 16384):
+        raise UserError(f'--shape: expected ROWSxCOLS from 256x256 to 16384x16384, such as 4096x4096, got "{shape[:40]}"')
+    place, verdicts = examine(path, Registry(), seam, (int(rows), int(cols)))
     typer.echo(f"{path} as {place.name}")
     for verdict in verdicts:
         typer.echo(

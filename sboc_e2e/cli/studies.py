@@ -18,6 +18,7 @@ def compare(
     overrides: Overrides = None,
     plugin: Plugins = None,
     workers: Workers = 0,
+    force: Annotated[bool, typer.Option("--force", help="run everything again, whatever earlier comparisons left")] = False,
 ) -> None:
     """Judge choices of one step on the same frames: paired differences, curves, a gallery, what each costs."""
     from sboc_e2e.compare import Request
@@ -28,19 +29,21 @@ def compare(
         scenario=scenario, seam=seam, choices=tuple(use), seeds=seeds, overrides=tuple(overrides or ()), workers=workers
     )
     with shown_progress() as progress:
-        execute(request, target, registry_of(plugin), progress)
+        execute(request, target, registry_of(plugin), progress, force=force)
     typer.echo((target / "compare.md").read_text())
     typer.echo(target / "compare.html")
 
 
 @app.command()
 def sweep(
-    campaign: Annotated[Path, typer.Argument(help="campaign file, such as scenarios/campaigns/aperture_frame_rate.toml")],
+    campaign: Annotated[str, typer.Argument(help="a campaign file, or the name of a shipped one such as threshold_froc")],
     out: Annotated[Path | None, typer.Option("--out", help="folder, default runs/sweep-<campaign>")] = None,
     overrides: Overrides = None,
+    plugin: Plugins = None,
     replicas: Annotated[int | None, typer.Option("--replicas", help="replaces the campaign's number of replicas")] = None,
     workers: Workers = 0,
     scheduler: Annotated[str | None, typer.Option("--scheduler", help='dask scheduler "tcp://host:port", or "local"')] = None,
+    force: Annotated[bool, typer.Option("--force", help="forget what another campaign left in the folder")] = False,
 ) -> None:
     """Run a campaign over scenario keys; finished tasks are kept, so the same command goes on after an interruption."""
     from sboc_e2e.campaign import read_campaign, run_campaign
@@ -48,7 +51,9 @@ def sweep(
 
     plan = read_campaign(campaign).reduced(replicas, overrides or ())
     target = out or Path("runs") / f"sweep-{plan.name}"
-    result = run_campaign(plan, target, workers=workers or None, scheduler=scheduler, report=typer.echo)
+    result = run_campaign(
+        plan, target, workers=workers or None, scheduler=scheduler, registry=registry_of(plugin), force=force, report=typer.echo
+    )
     write_results(plan, result, target)
     typer.echo(f"{result.done} done, {result.skipped} were done before, {len(result.failed)} failed, {result.wall_s:.1f} s")
     typer.echo(target / "campaign.html")

@@ -4,8 +4,6 @@ Simulated frames and downlinks are kept under the output folder by the content t
 ground runs neither the simulator nor the on-board half again, and a second comparison starts where the first one ended.
 """
 
-import hashlib
-import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,30 +12,25 @@ from typing import Any, Final
 import numpy as np
 
 from sboc_e2e.compare.pages import completeness_plot, froc_plot, write_pages
-from sboc_e2e.compare.paired import Outcomes, difference, froc, mcnemar
-from sboc_e2e.files.atomic import require_writable, write_text
+from sboc_e2e.compare.paired import PAIR_SNR, Outcomes, difference, froc, mcnemar
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.results import LARGEST_SNR
 from sboc_e2e.icd.signals import Detection
 from sboc_e2e.registry import SEAMS, Registry
 from sboc_e2e.report import pictures
-from sboc_e2e.run.begin import begin_or_continue
+from sboc_e2e.run.decoders import require_decoder
 from sboc_e2e.run.ground_stage import require_files
-from sboc_e2e.run.manifest import run_id, versions
 from sboc_e2e.run.pipeline import KEEP_KEY, Run
 from sboc_e2e.run.progress import Progress, Silent
+from sboc_e2e.run.shared import SharedRuns
 from sboc_e2e.scenario import Scenario, load
 from sboc_e2e.score.detection import IMPOSTOR
-from sboc_e2e.score.evaluation import Evaluation, evaluate
+from sboc_e2e.score.evaluation import Evaluation
 from sboc_e2e.score.figures import absent, bootstrap, exact, half_point, proportion, rate, rms
 from sboc_e2e.score.ideal import ideal_snr50
 from sboc_e2e.score.matching import SNR_IGNORED, distance_to_path
 
-PAIR_SNR: Final = 5.0
-"""Pairs are judged on truth above this S/N: below it nobody finds anything, and agreement is empty."""
-
 MAX_GALLERY: Final = 24
-SMALL_PX: Final = 20_000_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,73 +45,18 @@ class Request:
     workers: int = 0
 
 
-def _key(document: Any) -> str:
-    return hashlib.sha256(json.dumps(document, sort_keys=True).encode()).hexdigest()[:16]
+def _scenario(request: Request, registry: Registry, choice: str | None, seed: int | None) -> Scenario:
+    """The scenario with a choice for the seam, keeping all frames."""
+    use = {request.seam: choice} if choice else None
+    return load(request.scenario, registry=registry, overrides=(*request.overrides, f"{KEEP_KEY}=1"), use=use, seed=seed)
 
 
-def _link(source: Path, target: Path) -> None:
-    if not target.exists():
-        target.symlink_to(source.resolve(), target_is_directory=source.is_dir())
-
-
-class Workspace:
-    """Runs under one output folder, shared as far as their content allows."""
-
-    def __init__(self, out: Path, request: Request, registry: Registry, progress: Progress) -> None:
-        self.out, self.request, self.registry, self.progress = out, request, registry, progress
-        # The simulator's part of a scenario is all that decides the frames.
-        self._not_simulator = {"onboard", "ground", "output", "description", "name"}
-
-    def scenario(self, choice: str | None, seed: int | None) -> Scenario:
-        """The scenario with a choice for the seam, keeping all frames."""
-        use = {self.request.seam: choice} if choice else None
-        overrides = (*self.request.overrides, f"{KEEP_KEY}=1")
-        return load(self.request.scenario, registry=self.registry, overrides=overrides, use=use, seed=seed)
-
-    def _run(self, kind: str, document: dict[str, Any], scenario: Scenario) -> Run:
-        path = self.out / kind / _key([document, versions()])
-        # Starting processes takes longer than a few small frames.
-        small = scenario.simulator.frames * scenario.simulator.instrument.rows * scenario.simulator.instrument.cols < SMALL_PX
-        workers = self.request.workers or (1 if small else 0)
-        return begin_or_continue(path, scenario, keyed=True, workers=workers, progress=self.progress)
-
-    def frames(self, scenario: Scenario) -> Run:
-        """The simulated frames of a scenario."""
-        document = {k: v for k, v in scenario.document().items() if k not in self._not_simulator}
-        made = self._run("frames", document, scenario)
-        if not made.manifest.done("simulate"):
-            made.simulate()
-        return made
-
-    def choice(self, scenario: Scenario) -> Run:
-        """Results of a scenario on the shared frames and, where nothing on board differs, the shared downlink."""
-        frames = self.frames(scenario)
-        made = self._run("runs", scenario.document(), scenario)
-        if made.manifest.done("ground"):
-            return made
-        for folder in ("frames", "truth", "calibration"):
-            _link(frames.directory.path / folder, made.directory.path / folder)
-        made.manifest.stages["simulate"] = frames.manifest.stages["simulate"]
-        document = {k: v for k, v in scenario.document().items() if k not in ("ground", "output", "description")}
-        # Whose packets they are depends on nothing that choices on ground differ in: any of them may read them.
-        made.manifest.run_id = run_id(document)
-        shared = self.out / "downlinks" / _key([document, versions(), made.manifest.run_id])
-        if (shared / "stage.json").is_file():
-            made.manifest.stages["onboard"] = json.loads((shared / "stage.json").read_text())
-        else:
-            made.onboard()
-            require_writable(shared)
-            made.directory.downlink.replace(shared / "downlink.bin")
-            write_text(shared / "stage.json", json.dumps(made.manifest.stages["onboard"]))
-        _link(shared / "downlink.bin", made.directory.downlink)
-        made.manifest.save()
-        made.ground()
-        return made
-
-
-def compare(request: Request, out: Path, registry: Registry | None = None, progress: Progress | None = None) -> dict[str, Any]:
+def compare(
+    request: Request, out: Path, registry: Registry | None = None, progress: Progress | None = None, *, force: bool = False
+) -> dict[str, Any]:
     """Compare and write compare.json, compare.md and compare.html into `out`; returns what compare.json holds.
 
+    force : run everything again, whatever earlier comparisons left in `out`.
     Raises UserError for an unknown seam or step, or fewer than two choices, before anything is simulated or written.
     """
     if request.seam not in SEAMS:
@@ -127,17 +65,23 @@ def compare(request: Request, out: Path, registry: Registry | None = None, progr
         raise UserError("--use: give two or more choices to compare, each of them once")
     if request.seeds < 1:
         raise UserError(f"--seeds: expected 1 or more, got {request.seeds}")
-    workspace = Workspace(out, request, registry or Registry(), progress or Silent())
-    base_seed = workspace.scenario(None, None).seed
+    registry = registry or Registry()
+    base_seed = _scenario(request, registry, None, None).seed
     # All of them before the first runs: a misspelt choice costs no simulation.
-    scenarios = {(k, name): workspace.scenario(name, base_seed + k) for k in range(request.seeds) for name in request.choices}
+    scenarios = {
+        (k, name): _scenario(request, registry, name, base_seed + k) for k in range(request.seeds) for name in request.choices
+    }
     for scenario in scenarios.values():
         require_files(scenario)
+        require_decoder(scenario)
+    shared = SharedRuns(out=out, workers=request.workers, progress=progress or Silent())
+    if force:
+        shared.clear()
     runs: dict[str, list[tuple[Run, Evaluation]]] = {name: [] for name in request.choices}
     for k in range(request.seeds):
         for name in request.choices:
-            made = workspace.choice(scenarios[k, name])
-            runs[name].append((made, evaluate(made.directory.path)))
+            made = shared.ground(scenarios[k, name])
+            runs[name].append((made, made.evaluation()))
     onboard = request.seam.startswith("onboard.")
     outcomes = _outcomes({name: [e for _, e in pairs] for name, pairs in runs.items()}, onboard)
     first = next(iter(runs.values()))
@@ -158,7 +102,7 @@ def compare(request: Request, out: Path, registry: Registry | None = None, progr
                 "first": a,
                 "second": b,
                 "difference": difference(judged, a, b),
-                "mcnemar": mcnemar(judged.found[a], judged.found[b]),
+                "mcnemar": mcnemar(judged.found[a], judged.found[b], judged.cluster),
             }
             for i, a in enumerate(names)
             for b in names[i + 1 :]
@@ -246,6 +190,7 @@ def _choice(pairs: Sequence[tuple[Run, Evaluation]], outcomes: Outcomes, name: s
         "cross_crlb_ratio": bootstrap(cross, rms),
         "median_cpu_ms_per_frame": _median_cpu_ms(costs),
         "cpu_ms_per_frame": 1000.0 * sum(cost["cpu_s"] for cost in costs) / max(frames, 1),
+        "notes": sorted({note for e in evaluations for note in e.notes}),
         "downlink_bits_per_frame": 8.0 * sum(len(e.downlink) for e in evaluations) / max(frames, 1),
     }
 

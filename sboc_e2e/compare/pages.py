@@ -2,7 +2,7 @@
 
 import json
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,9 @@ from sboc_e2e.files.atomic import write_text
 from sboc_e2e.report import plots
 from sboc_e2e.report.page import simple_page, table
 from sboc_e2e.report.words import figure_words, number
+
+LEVEL: Final = 0.05
+"""A difference that chance alone would show less often than this is called one."""
 
 
 def completeness_plot(snr: NDArray[np.float64], found: dict[str, NDArray[np.bool_]], ideal: float | None) -> str:
@@ -64,20 +67,46 @@ HEAD = (
 
 
 def pair_rows(result: dict[str, Any]) -> list[list[str]]:
-    """One row of words for each pair: gain of the second over the first."""
+    """One row of words for each pair: who finds more, and who found what the other lost."""
     return [
         [
-            f"{p['second']} - {p['first']}",
+            f"{p['second']} against {p['first']}",
             figure_words(p["difference"])[0],
-            str(p["mcnemar"]["only_first"]),
-            str(p["mcnemar"]["only_second"]),
+            f"{p['mcnemar']['only_second']} found by {p['second']} only, {p['mcnemar']['only_first']} by {p['first']} only",
+            str(p["mcnemar"]["objects_disagreeing"]),
             number(p["mcnemar"]["p_value"]),
         ]
         for p in result["pairs"]
     ]
 
 
-PAIR_HEAD = ("pair", "gain in completeness (S/N >= 5)", "only first", "only second", "McNemar p")
+PAIR_HEAD = (
+    "pair",
+    "completeness of the first minus that of the second (S/N >= 5)",
+    "streaks",
+    "objects on which they differ",
+    "p, exact by object",
+)
+
+
+def verdict(result: dict[str, Any]) -> list[str]:
+    """A sentence for each pair: who finds more, by how much, how sure that is, and at what cost."""
+    lines = []
+    for p in result["pairs"]:
+        gain, p_value = p["difference"]["value"], p["mcnemar"]["p_value"]
+        if gain is None:
+            lines.append(f"{p['second']} and {p['first']}: {p['difference']['reason']}.")
+            continue
+        better, worse = (p["second"], p["first"]) if gain >= 0 else (p["first"], p["second"])
+        cost = [figure_words(result["choices"][name]["median_cpu_ms_per_frame"])[0] for name in (better, worse)]
+        false = [figure_words(result["choices"][name]["false_per_frame"])[0] for name in (better, worse)]
+        sure = "more than chance explains" if p_value < LEVEL else "no more than chance explains"
+        streaks = f"{number(100 * abs(gain))} of 100 streaks with S/N >= 5 more than" if gain else "as many streaks as"
+        lines.append(
+            f"{better} finds {streaks} {worse}: {sure} (p = {number(p_value)}); false per frame {false[0]} against {false[1]}, "
+            f"CPU {cost[0]} against {cost[1]} ms in the median frame."
+        )
+    return lines
 
 
 def write_pages(result: dict[str, Any], pictures: dict[str, str], gallery: list[dict[str, Any]], out: Path) -> None:
@@ -90,11 +119,20 @@ def write_pages(result: dict[str, Any], pictures: dict[str, str], gallery: list[
         "frames where none are stored, linking and orbits on ground."
     )
     rows, pairs = choice_rows(result), pair_rows(result)
-    lines = [f"# {title}", "", note, ""]
+    notes = [f"{name}: {note}" for name, c in result["choices"].items() for note in c["notes"]]
+    sentences = [*verdict(result), *(f"Note: {line}." for line in notes)]
+    lines = [f"# {title}", "", *(f"{line}\n" for line in sentences), note, ""]
     for head, cells in ((HEAD, rows), (PAIR_HEAD, pairs)):
         lines += ["| " + " | ".join(head) + " |", "|" + "---|" * len(head), *("| " + " | ".join(r) + " |" for r in cells), ""]
     write_text(out / "compare.md", "\n".join(lines))
-    body = [f"<p>{note}</p>", table(HEAD, rows), "<h2>Pairs</h2>", table(PAIR_HEAD, pairs), '<div class="plots">']
+    body = [
+        *(f"<p><strong>{line}</strong></p>" for line in sentences),
+        f"<p>{note}</p>",
+        table(HEAD, rows),
+        "<h2>Pairs</h2>",
+        table(PAIR_HEAD, pairs),
+        '<div class="plots">',
+    ]
     body += [f"<figure><figcaption>{name}</figcaption>{svg}</figure>" for name, svg in pictures.items()]
     body += ["</div>", "<h2>Found by one, lost by another</h2>"]
     body += ['<div class="cases">'] if gallery else ["<p>None.</p>"]

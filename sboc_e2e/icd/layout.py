@@ -120,6 +120,20 @@ RANS_SCALE: Final = 1 << 16
 RANS_TOKENS: Final = 81
 """Coders of a `RANS` block, bytes of each one's state, least state, sum of the frequencies of a class, tokens."""
 
+RANS_PLAIN_TOKENS: Final = 32
+"""Zigzag codes below this are tokens themselves; of larger ones some bits are sent as they are."""
+
+RANS_ESCAPE: Final = RANS_TOKENS - 1
+"""Token of a value sent as 32 bits."""
+
+RANS_NEIGHBOUR_LIMIT: Final = 4095
+"""Neighbours count at most so far from the level: five of them fit into 16 bits."""
+
+RANS_LEAST_SIGMA: Final = 0.0625
+RANS_CODES_PER_OCTAVE: Final = 16
+RANS_CENTRE_CODES_PER_SIGMA: Final = 16
+"""Noise of noise code 0, noise codes per factor of two, centre codes per noise."""
+
 RANS_LIMITS_SIGMA: Final = (-0.5, 0.4, 0.8, 1.2, 1.7, 2.5, 4.0, 8.0, 20.0, 80.0)
 """Limits of a pixel's class in `RANS` blocks: the weighted mean of its neighbours over the noise."""
 

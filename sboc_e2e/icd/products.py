@@ -6,6 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.icd import validate
+from sboc_e2e.icd.camera import CameraModel
+from sboc_e2e.icd.errors import ContractError
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 
 
@@ -42,6 +44,7 @@ class StreakFit:
     (relative, end to end); 0 when the simpler model won. width_px : fitted PSF sigma.
     light_curve_e_px : (k,) flux density in equal bins along the trail from end 0 to end 1, may be empty; light_curve_err_e_px :
     (k,) one sigma, NaN when not given. period_fraction : of a periodic light curve, in fractions of the trail; None without one.
+    failure : why a fit is flagged FIT_FAILED, in a few words that are the same for all of a kind; ingest.json counts them.
     """
 
     row0: float
@@ -65,6 +68,7 @@ class StreakFit:
     light_curve_e_px: NDArray[np.float32]
     light_curve_err_e_px: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
     period_fraction: float | None = None
+    failure: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "covariance_px2", validate.array("fit.covariance_px2", self.covariance_px2, "f8", (4, 4)))
@@ -87,12 +91,13 @@ class StreakFit:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrameSolution:
-    """Camera of one frame, solved in apparent directions (conventions of `NominalCamera`).
+    """Camera and attitude of one frame, solved in apparent directions.
 
-    quaternion : attitude at mid-exposure of the middle row; rate_rad_s : (3,) used to move it to other epochs.
+    quaternion : (4,) scalar last, apparent GCRS directions to the camera frame at mid-exposure of the middle row.
+    rate_rad_s : (3,) angular velocity in camera axes, which moves the attitude to other epochs.
     covariance_rad2 : (3, 3) small rotation in the camera frame.
+    camera : pixels to directions of the camera frame and back, of any model.
     matched stars: star_index into the frame's star list, with catalogue V and B-V (NaN: unknown) and residuals in px.
-    mirrored : the image is mirrored, ``u = -x/z`` instead of x/z; all else, distortion included, stays.
     """
 
     frame: int
@@ -100,14 +105,7 @@ class FrameSolution:
     quaternion: NDArray[np.float64]
     rate_rad_s: NDArray[np.float64]
     covariance_rad2: NDArray[np.float64]
-    focal_px: float
-    center_row: float
-    center_col: float
-    k1: float
-    k2: float
-    p1: float
-    p2: float
-    mirrored: bool = False
+    camera: CameraModel
     n_stars: int
     rms_px: float
     star_index: NDArray[np.int32]
@@ -115,6 +113,10 @@ class FrameSolution:
     star_b_v: NDArray[np.float32]
     star_residual_px: NDArray[np.float32]
     """(n, 2) row and col residual."""
+
+    def __post_init__(self) -> None:
+        if not isinstance(self.camera, CameraModel):
+            raise ContractError(f"solution.camera: expected the methods of CameraModel, got {type(self.camera).__name__}")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -141,6 +143,8 @@ class StreakMeasurement:
     ra_deg, dec_deg : (3,) of end 0, middle, end 1, GCRS axes, aberration of the observer's geocentric velocity removed,
     annual aberration and light time not. t_tai_ns : (3,) int64 epochs of the same points: of the rows' mid-exposure
     until the direction is known, then true epochs of shutter open, middle, close. NaN and 0 where unknown.
+    turn_rad_s : (3,) angular velocity of the camera, GCRS axes: the direction u of a pixel moves by turn x u, which gives its
+    direction at another epoch of the exposure. 0 where the camera stands still or its rate is unknown.
     mag_at_1deg_s : of a trail that the frame's edge cuts, for a rate of 1 deg/s; at another it is
     ``mag_at_1deg_s - 2.5 log10(rate in deg/s)``. NaN for others.
     """
@@ -164,16 +168,30 @@ class StreakMeasurement:
     flags: StreakFlag
     mag_at_1deg_s: float = float("nan")
     mag_at_1deg_s_err: float = float("nan")
+    turn_rad_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tracklet:
     """One object over one or more frames, in time order.
 
-    streak_ids, frames : (n,) of the streaks used. t_tai_ns : (m,) epochs of the directions (ends and/or middles),
-    ra_deg, dec_deg : (m,) published directions, sigma_along_arcsec, sigma_cross_arcsec : (m,) one sigma.
+    streak_ids, frames : (n,) of the streaks used. pieces : those of them that are parts of a broken trail, whose ends are not
+    where the shutter opened and closed. probability : that all of it is one real object.
+
+    What follows is measured by the chain on the members' final ends, whatever linker found them:
+    t_tai_ns : (m,) epochs of the directions, rising; ra_deg, dec_deg : (m,) published directions, equal to those of the streaks;
+    row_streak_ids, row_points : (m,) streak of each and which of its points (0: end 0, 1: middle, 2: end 1). Ends on the
+    frame's edge and of pieces are left out: no shutter dates them.
+    sigma_along_arcsec, sigma_cross_arcsec : (m,) one sigma along the motion and across it, correlation : (m,) of both;
+    motion_angle_deg : (m,) position angle of the motion at each, from north by east; across is 90 deg further.
+    shared_arcsec : (m, 3), shared_group : (m,). A joint fit gives its rows common errors along the motion: rows i and j of one
+    group (-1: none) have the covariance ``shared[i] @ shared[j]``, which is part of sigma_along squared where i = j.
+    pointing_arcsec : (m,) part of both sigmas that the rows of one frame have in common.
     ra_ref_deg, dec_ref_deg, t_ref_tai_ns, rate_deg_s, position_angle_deg : motion at the reference epoch.
-    chi2_nu : of the motion model. probability : that all of it is one real object.
+    chi2_nu : of the motion model, against ends as single frames show them.
+    mag : V of the object's mean light over its light curve at the mean epoch of the members, as far as these tell; mag_err : one
+    sigma, with what the light curve hides; mag_low, mag_high : 5 % and 95 % points of it, NaN when not given. mag_scatter : rms
+    of the object's light about its mean (1.0857 x relative light), mag_scatter_err its error; mag_chi2_nu : of constant light.
     """
 
     tracklet_id: int
@@ -196,6 +214,46 @@ class Tracklet:
     probability: float
     direction_resolved: bool
     flags: StreakFlag
+    pieces: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    row_streak_ids: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    row_points: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    correlation: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    motion_angle_deg: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    shared_arcsec: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+    shared_group: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
+    pointing_arcsec: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    mag_low: float = float("nan")
+    mag_high: float = float("nan")
+    mag_scatter: float = float("nan")
+    mag_scatter_err: float = float("nan")
+    mag_chi2_nu: float = float("nan")
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OrbitState:
+    """Posterior of an object's place and velocity at one epoch, GCRS axes, geocentric, km and km/s.
+
+    t_tai_ns : the epoch at which the states hold (not that at which light left). mean (6,), covariance (6, 6) : of the posterior.
+    gaussian : whether these describe it; if not, only the samples do. shape : the figures of that test, in words.
+    sample_weight : (n,) sums to one; sample_state : (n, 6).
+    """
+
+    t_tai_ns: int
+    mean: NDArray[np.float64]
+    covariance: NDArray[np.float64]
+    gaussian: bool
+    shape: str
+    sample_weight: NDArray[np.float64]
+    sample_state: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        n = len(self.sample_weight)
+        for name, shape in (("mean", (6,)), ("covariance", (6, 6)), ("sample_weight", (n,)), ("sample_state", (n, 6))):
+            object.__setattr__(self, name, validate.finite_array(f"orbit_state.{name}", getattr(self, name), shape))
+
+
+def _unknown() -> NDArray[np.float64]:
+    return np.full(3, np.nan)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -204,6 +262,9 @@ class OrbitEstimate:
 
     range_posterior : density per km on range_grid_km.
     modes : (k, 5) range_km, weight, a_km, e, i_deg. prior : what was assumed, in words.
+    node_deg, perigee_deg, mean_anomaly_deg, latitude_argument_deg : (3,) medians in [0, 360), the other two points beside them
+    without a jump at 360; NaN when not estimated. state : the posterior as states; None without one. lacks : why nothing was
+    estimated, in words; empty when something was.
     """
 
     tracklet_id: int
@@ -219,3 +280,9 @@ class OrbitEstimate:
     range_posterior: NDArray[np.float64]
     prior: str
     converged: bool
+    node_deg: NDArray[np.float64] = field(default_factory=_unknown)
+    perigee_deg: NDArray[np.float64] = field(default_factory=_unknown)
+    mean_anomaly_deg: NDArray[np.float64] = field(default_factory=_unknown)
+    latitude_argument_deg: NDArray[np.float64] = field(default_factory=_unknown)
+    state: OrbitState | None = None
+    lacks: str = ""

@@ -157,10 +157,30 @@ class Photometer(Protocol):
 
 @runtime_checkable
 class Linker(Protocol):
-    """`ground.linker`: streaks of all frames into tracklets."""
+    """`ground.linker`: streaks of all frames into tracklets.
+
+    Given are streaks whose three directions hold at the mid-exposure epochs of their rows (`t_tai_ns`), ends in no order of time.
+    If end A was seen when its row's shutter opened and B when its own closed, the object was in the direction of A, turned by
+    ``-turn_rad_s exposure / 2``, at half an exposure before that epoch, and in that of B, turned by as much the other way, at
+    half an exposure after it. A camera that turns shows other ends than one that stands still.
+
+    What a linker says, and the chain takes: `tracklet_id`, `streak_ids` with `frames`, `pieces`, `probability`,
+    `direction_resolved` (False: no member's ends can be told apart). Which end came first, all epochs, directions, errors,
+    motion, magnitude and `chi2_nu` are measured anew by the chain from the members, so none of the numbers that a linker puts
+    there is used. Only in a tracklet of one frame, whose members do not tell which way the object went, do `t_tai_ns`,
+    `ra_deg` and `dec_deg` say it: two or more finite directions at different epochs, by any clock.
+
+    Refused by name, and the run stops (`PluginError`): no member; arrays of members that are no integers or of different
+    lengths; an id or a streak that another tracklet has; a streak that was not given; a piece that is no member;
+    `direction_resolved` with one frame and no motion to say which; a probability outside 0 to 1.
+    """
 
     def link(self, headers: Sequence[FrameHeader], streaks: Sequence[StreakMeasurement]) -> tuple[Tracklet, ...]:
-        """Tracklets of two or more frames, each with an id of its own, no streak in two of them; directions resolved."""
+        """Tracklets of two or more frames, each with an id of its own, no streak in two of them; directions resolved.
+
+        headers : of all frames, in any order. streaks : of all frames, rejected ones flagged VETOED; may be made on demand: go
+        through it once or by index. The same input gives the same result.
+        """
         ...
 
 

@@ -3,7 +3,7 @@
 from typing import Final
 
 CONTRACT_MAJOR: Final = 2
-CONTRACT_MINOR: Final = 1
+CONTRACT_MINOR: Final = 2
 CONTRACT_VERSION: Final = f"{CONTRACT_MAJOR}.{CONTRACT_MINOR}"
 
 HISTORY: Final = (
@@ -14,6 +14,11 @@ HISTORY: Final = (
         "mean of a code's integers, float32; the header's PSF width is the measured one, NaN when it was not measured",
     ),
     ("2.1", "codec 4, rans; mirrored frame solutions; detectors that choose what their history holds; cameras of unknown PSF"),
+    (
+        "2.2",
+        "frame solutions carry a camera of any model (pixel to direction and back) instead of Brown-Conrady numbers; the table "
+        "of frames has the directions of a 9 x 9 grid of pixels, and the columns that the camera's model names",
+    ),
 )
 """The major number grows when a decoder of the version before would take something for what it is not, the minor one when it
 would only miss or refuse what is new. Decoders skip and count packets of another major version."""

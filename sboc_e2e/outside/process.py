@@ -12,6 +12,7 @@ from sboc_e2e.icd.frame import Frame, NominalCamera
 from sboc_e2e.outside.camera import camera_of_frame, camera_of_preset, focal_px_by_stars, refuse_narrow_field
 from sboc_e2e.outside.frame_source import FrameSource
 from sboc_e2e.registry import Registry
+from sboc_e2e.run.decoders import require_decoder
 from sboc_e2e.run.directory import RunDirectory
 from sboc_e2e.run.ground_stage import GroundStage, Outside, ground_chain, require_files, star_catalogue
 from sboc_e2e.run.manifest import Manifest
@@ -71,6 +72,7 @@ def process(
     directory = RunDirectory(path=out)
     n_frames = source.n_frames
     require_files(scenario)
+    require_decoder(scenario)
     if solve:
         lost_in_space.required_solver()
     catalogue = star_catalogue(scenario)

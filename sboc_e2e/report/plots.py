@@ -167,6 +167,19 @@ def larger_than(rows: list[dict[str, Any]]) -> str:
         return svg(figure)
 
 
+def published_flux(rows: list[dict[str, Any]]) -> str:
+    """Objects larger than d per km^2 and year: the true flux and the published one with its total interval."""
+    with canvas() as (figure, (ax,)):
+        size_mm = np.array([1000.0 * r["larger_than_m"] for r in rows])
+        ax.plot(size_mm, [r["true_per_km2_year"] for r in rows], "s-", color=INK, ms=4, lw=1, label="true")
+        value, low, high = (np.array([r["published_per_km2_year"][k] for r in rows]) for k in ("value", "low", "high"))
+        error = (np.maximum(value - low, 0.0), np.maximum(high - value, 0.0))
+        ax.errorbar(size_mm * 1.04, value, error, fmt="o", color=BLUE, ms=4, capsize=2, label="published")
+        ax.set(xscale="log", yscale="log", xlabel="diameter d (mm)", ylabel="objects larger than d, per km$^2$ and year")
+        ax.legend(fontsize=7)
+        return svg(figure)
+
+
 def downlink_bars(bytes_by_kind: dict[str, int], n_frames: int) -> str:
     """Kilobytes per frame of each kind of packet."""
     kinds = {k: v for k, v in bytes_by_kind.items() if v}

@@ -1,7 +1,10 @@
 """Figures as words: the one way in which reports print a value with its interval."""
 
 import math
-from typing import Any
+from typing import Any, Final
+
+ZERO: Final = 1e-9
+"""Share of the larger end of an interval below which a number in it is none."""
 
 Row = tuple[str, str, str]
 """Name, value with interval, n or reason."""
@@ -28,7 +31,9 @@ def figure_words(figure: dict[str, Any]) -> tuple[str, str]:
     """Value with interval, and n or the reason of its absence."""
     if figure["value"] is None:
         return "-", figure.get("reason", "no reason was recorded")
-    low, high, value = figure["low"], figure["high"], figure["value"]
+    # Beside its ends a digit that far behind the comma is what arithmetic left of a zero.
+    least = ZERO * max(abs(figure["low"]), abs(figure["high"]))
+    low, high, value = (0.0 if abs(figure[name]) < least else figure[name] for name in ("low", "high", "value"))
     text = number(value)
     if low != high:
         text += f"  [{number(low)}, {number(high)}]"

@@ -9,7 +9,9 @@ import jinja2
 
 from sboc_e2e.files.atomic import write_text
 from sboc_e2e.report import pictures, plots
+from sboc_e2e.report.headlines import figure_at, headline_rows
 from sboc_e2e.report.layers import cases, completeness_series, frame_layers
+from sboc_e2e.report.published_files import published_rows
 from sboc_e2e.report.words import figure_words, section_rows
 from sboc_e2e.score.astrometry import frame_astrometry, sky_paths, streak_astrometry
 from sboc_e2e.score.evaluation import Evaluation, evaluate
@@ -17,26 +19,7 @@ from sboc_e2e.score.photometry import mean_magnitudes, photometry
 
 MAX_PREVIEWS: Final = 24
 RESIDUALS_TITLE: Final = "Streak positions against their bounds"
-SECTIONS: Final = ("detection", "astrometry", "photometry", "linking", "orbit", "population", "compression", "timing")
-HEADLINES: Final = (
-    ("detection.ground.completeness_snr8", "completeness, S/N >= 8"),
-    ("detection.ground.false_per_frame", "false streaks per frame"),
-    ("detection.ground.snr50", "half-completeness S/N"),
-    ("astrometry.frame_rms_arcsec", "frame astrometry (arcsec)"),
-    ("astrometry.cross_crlb_ratio", "cross-track / CRLB"),
-    ("photometry.rms_mag", "streak magnitudes (mag rms)"),
-    ("linking.completeness", "objects linked"),
-    ("linking.purity", "tracklet purity"),
-    ("compression.reduction", "raw / downlink"),
-    ("timing.onboard_cpu_s_per_frame", "on-board CPU-s per frame"),
-)
-
-
-def _at(score: dict[str, Any], path: str) -> dict[str, Any]:
-    node: Any = score
-    for key in path.split("."):
-        node = node[key]
-    return dict(node)
+SECTIONS: Final = ("detection", "astrometry", "photometry", "linking", "orbit", "products", "population", "compression", "timing")
 
 
 def write_report(run_dir: Path, evaluation: Evaluation | None = None) -> None:
@@ -54,12 +37,15 @@ def write_report(run_dir: Path, evaluation: Evaluation | None = None) -> None:
 def markdown(score: dict[str, Any], e: Evaluation) -> str:
     """A page short enough for a CI job summary."""
     name = e.manifest.get("scenario", {}).get("name", "run") if isinstance(e.manifest.get("scenario"), dict) else "run"
-    lines = [f"# {name}: {e.n_frames} frames of {e.shape[0]} x {e.shape[1]}", "", "| figure | value | n |", "|---|---|---|"]
-    for path, label in HEADLINES:
-        value, note = figure_words(_at(score, path))
-        lines.append(f"| {label} | {value} | {note} |")
+    lines = [f"# {name}: {e.n_frames} frames of {e.shape[0]} x {e.shape[1]}", "", *(f"**Note:** {note}.\n" for note in e.notes)]
+    lines += ["| figure | value | n |", "|---|---|---|"]
+    lines += [f"| {label} | {value} | {note} |" for label, value, note in headline_rows(score)]
     lines += ["", f"{len(e.truth)} truth streaks, {len(e.detected_ground)} measured, {len(e.false_rows)} false, "
               f"{len(e.tracklets)} tracklets."]  # fmt: skip
+    lines += ["", "What is published, read from the files:", "", "| figure | value | should be | |", "|---|---|---|---|"]
+    for row in published_rows(score):
+        value = f"- ({row.note})" if row.value == "-" else row.value
+        lines.append(f"| {row.label} | {value} | {row.aim} | {row.verdict} |")
     return "\n".join(lines) + "\n"
 
 
@@ -91,11 +77,13 @@ def html(score: dict[str, Any], e: Evaluation, run_dir: Path) -> str:
     folder = resources.files("sboc_e2e.report")
     environment = jinja2.Environment(autoescape=True, undefined=jinja2.StrictUndefined)
     page = environment.from_string((folder / "page.html.j2").read_text(encoding="utf-8"))
-    sections = {name: section_rows(score[name]) for name in SECTIONS}
+    sections = {name: section_rows(score.get(name, {})) for name in SECTIONS}
     return page.render(
         title=str(run_dir.name),
+        notes=e.notes,
         manifest=json.dumps(e.manifest, indent=1, sort_keys=True),
-        headlines=[(label, *figure_words(_at(score, path))) for path, label in HEADLINES],
+        headlines=headline_rows(score),
+        published=published_rows(score),
         sections=sections,
         plots=_plots(score, e),
         wide_plots=(RESIDUALS_TITLE,),
@@ -112,7 +100,8 @@ def html(score: dict[str, Any], e: Evaluation, run_dir: Path) -> str:
 
 def _plots(score: dict[str, Any], e: Evaluation) -> list[tuple[str, str]]:
     """Title and SVG of each plot that has something to show."""
-    out = [("Completeness", plots.completeness(completeness_series(e), _at(score, "detection.ground.ideal_snr50")["value"]))]
+    ideal = figure_at(score, "detection.ground.ideal_snr50")["value"]
+    out = [("Completeness", plots.completeness(completeness_series(e), ideal))]
     measured = {row: t for row, t in e.pairs.items() if t.index in e.bounds}
     sky = sky_paths(e.truth_tables["streaks"], sorted({t.index for t in measured.values()}))
     _, residuals = streak_astrometry(e.streaks, measured, e.bounds, sky)
@@ -129,8 +118,12 @@ def _plots(score: dict[str, Any], e: Evaluation) -> list[tuple[str, str]]:
         out.append(("Tracklets on the sky", plots.tracklets_on_sky(e.streaks)))
     if score["population"]["larger_than"]:
         out.append(("Small debris: injected and recovered", plots.larger_than(score["population"]["larger_than"])))
+    if score["population"]["published"]["larger_than"]:
+        out.append(
+            ("Small debris: published flux and truth", plots.published_flux(score["population"]["published"]["larger_than"]))
+        )
     units = ("frame", "star", "streak")
-    bits = ", ".join(f"{figure_words(_at(score, f'compression.bits_per_{unit}'))[0]} a {unit}" for unit in units)
+    bits = ", ".join(f"{figure_words(figure_at(score, f'compression.bits_per_{unit}'))[0]} a {unit}" for unit in units)
     out.append(
         (f"Downlink by kind of packet; bits: {bits}", plots.downlink_bars(score["compression"]["bytes_by_kind"], e.n_frames))
     )

@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+from sboc_e2e.run.decoders import require_decoder
 from sboc_e2e.run.directory import RunDirectory
 from sboc_e2e.run.ground_stage import require_files
 from sboc_e2e.run.manifest import Manifest
@@ -18,12 +19,13 @@ def begin_or_continue(
     keyed : the folder's name is a digest of all that decides its content, so an earlier run counts whatever else differs.
     """
     require_files(scenario)
+    require_decoder(scenario)
     directory = RunDirectory(path=path)
     wanted = Manifest.of(directory.manifest, scenario)
     manifest = wanted
     if directory.manifest.is_file():
         found = Manifest.read(directory.manifest)
-        if keyed or (found.scenario == wanted.scenario and found.versions == wanted.versions):
+        if keyed or found.difference(wanted) is None:
             manifest = found
     path.mkdir(parents=True, exist_ok=True)
     manifest.save()

@@ -20,8 +20,13 @@ from ground.on_demand import OnDemand
 from ground.options import GroundOptions
 from ground.products import tables
 from ground.products.images import frame_images, has_images
+from ground.products.lacking import lacking
 from ground.products.oem import oem_text
+from ground.products.opm import SAMPLES_NAME, opm_text
+from ground.products.orbit_samples import orbit_samples_tables
+from ground.products.population import population, population_table
 from ground.products.tdm import tdm_text
+from ground.products.tdm_angles import TDM_ANGLES_NAME, tdm_angles_table
 from ground.products.trail_light import trail_light_tables
 from ground.records import FrameProducts, GroundProducts
 from sboc_e2e.catalogue import StarCatalogue
@@ -30,9 +35,8 @@ from sboc_e2e.files.atomic import replacing, write_json, write_text
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Calibration, NominalCamera
-from sboc_e2e.icd.steps import Decoder
-from sboc_e2e.registry import Registry, own_names
 from sboc_e2e.run import known_objects
+from sboc_e2e.run.decoders import decoders_of
 from sboc_e2e.run.directory import RunDirectory
 from sboc_e2e.run.measure import Meter, peak_rss_mb, reset_peak, stage_figures
 from sboc_e2e.run.progress import Progress
@@ -68,7 +72,7 @@ def ground_chain(
 ) -> GroundChain:
     """The ground chain of a scenario for the packets of a run; every shipped decoder stands beside the chosen one."""
     steps = GroundSteps(
-        decoders=_decoders(scenario.step("ground.decoder")),
+        decoders=decoders_of(scenario),
         streak_fitter=scenario.step("ground.streak_fitter"),
         vetter=scenario.step("ground.vetter"),
         astrometry=scenario.step("ground.astrometry"),
@@ -93,12 +97,6 @@ def require_files(scenario: Scenario) -> None:
     star_catalogue(scenario)
     known_objects.known_objects(scenario.ground)
     known_objects.precise_orbits(scenario.ground)
-
-
-def _decoders(chosen: Decoder) -> tuple[Decoder, ...]:
-    registry = Registry()
-    shipped = (registry.resolve("ground.decoder", name)() for name in own_names("ground.decoder"))
-    return (chosen, *(decoder for decoder in shipped if decoder.number != chosen.number))
 
 
 @dataclass(kw_only=True)
@@ -130,9 +128,17 @@ class GroundStage:
         products = OnDemand(len(frames), self._stored, keep=PRODUCTS_KEPT)
         with self.meter:
             result = self.chain.finish(frames, products, ingest)
+            debris = population(result, frames, self.chain.camera)
         made = self.run.work(STAGE) / "products"
         shutil.rmtree(made, ignore_errors=True)
         self._write(made, frames, result)
+        flux = population_table(debris)
+        ecsv.write_table(made / "population.ecsv", flux)
+        if self.options.products.tracklet_plots:
+            # here, since matplotlib takes longer to load than a frame to process
+            from sboc_e2e.run.population_plot import population_svg
+
+            write_text(made / "plots" / "population.svg", population_svg(flux))
         if known is not None:
             ecsv.write_table(made / "known.ecsv", known_objects.matches(result, known))
         if precise:
@@ -183,6 +189,11 @@ class GroundStage:
         ecsv.write_pieces(folder / "light_curves.ecsv", trail_light_tables(result))
         ecsv.write_table(folder / "tracklets.ecsv", tables.tracklets_table(result))
         ecsv.write_table(folder / "orbits.ecsv", tables.orbits_table(result))
+        ecsv.write_pieces(folder / SAMPLES_NAME, orbit_samples_tables(result.orbits, result.headers))
+        for orbit in result.orbits:
+            opm = opm_text(orbit, options.products, max(header.t_start_tai_ns for header in result.headers))
+            if opm is not None:
+                write_text(folder / "states" / f"tracklet_{orbit.tracklet_id:06d}.opm", opm)
         oem = oem_text(result.headers, options.products)
         if oem is not None:
             write_text(folder / OEM_NAME, oem)
@@ -190,7 +201,10 @@ class GroundStage:
             oem_name = OEM_NAME if oem else None
             tdm = tdm_text(result.tracklets, result.members, result.headers, options.products, oem_name=oem_name)
             write_text(folder / TDM_NAME, tdm)
-        write_json(folder / "ingest.json", result.ingest.as_dict() if result.ingest else {})
+            errors = tdm_angles_table(result.tracklets, result.members, result.headers, options.products, oem_name=oem_name)
+            ecsv.write_table(folder / TDM_ANGLES_NAME, errors)
+        said = {"products_lack": lacking(result, orbits_wanted=options.orbits)}
+        write_json(folder / "ingest.json", (result.ingest.as_dict() if result.ingest else {}) | said)
         self._write_images(folder / "images", frames, result)
         if options.products.tracklet_plots:
             # here, since matplotlib takes longer to load than a frame to process
@@ -224,6 +238,8 @@ def _judge(path: Path, ingest: IngestReport, progress: Progress) -> None:
         raise UserError(f"{path}: {ingest.n_bytes} bytes without an intact packet{unread}; the onboard stage writes it")
     if ingest.run_id is None:
         raise UserError(f"{path}: empty; the onboard stage writes it")
+    if ingest.n_decode_failures:
+        progress.note(f"{path}: {ingest.n_decode_failures} packets could not be decoded, such as {ingest.decode_failures[0]}")
     if others:
         progress.note(f"{path}: packets of other runs were left out: {listed}; --run-id NUMBER takes one of them")
     if ingest.frames_unusable:

@@ -5,11 +5,13 @@ import json
 import platform
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import cache
 from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
 
 import sboc_e2e
+from sboc_e2e import provenance
 from sboc_e2e.files.atomic import write_json
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.version import CONTRACT_VERSION
@@ -30,6 +32,11 @@ VERSIONED: Final = (
 
 def versions() -> dict[str, str]:
     """Versions that decide the bytes of a run."""
+    return dict(_installed())
+
+
+@cache
+def _installed() -> dict[str, str]:
     found = {"sboc-e2e": sboc_e2e.__version__, "contract": CONTRACT_VERSION, "python": platform.python_version()}
     for name in VERSIONED:
         try:
@@ -51,6 +58,10 @@ class Manifest:
     n_frames: int
     frame_rate_hz: float
     versions: dict[str, str] = field(default_factory=versions)
+    commit: str = ""
+    """Of the project's checkout; "none" for an installed package."""
+    sources: dict[str, Any] = field(default_factory=dict)
+    """Digests of the project's sources and of files that the scenario names; plug-ins stand with their components."""
     stages: dict[str, dict[str, Any]] = field(default_factory=dict)
 
     @classmethod
@@ -59,6 +70,7 @@ class Manifest:
         document = scenario.document()
         components = {
             seam: {"use": component.name, "class": f"{type(component.step).__module__}:{type(component.step).__qualname__}"}
+            | (provenance.plugin(type(component.step)) or {})
             for seam, component in scenario.components.items()
         }
         return cls(
@@ -69,6 +81,8 @@ class Manifest:
             run_id=run_id(document),
             n_frames=scenario.simulator.frames,
             frame_rate_hz=scenario.simulator.frame_rate_hz,
+            commit=provenance.commit(),
+            sources=sources(document),
         )
 
     @classmethod
@@ -94,6 +108,14 @@ class Manifest:
         """Whether a stage has finished."""
         return self.stages.get(stage, {}).get("state") == "done"
 
+    def difference(self, other: "Manifest") -> str | None:
+        """The first thing that decides the bytes of a run in which another manifest is not the same, in words."""
+        for name in ("scenario", "versions", "components", "sources"):
+            found = first_difference(getattr(self, name), getattr(other, name))
+            if found:
+                return found
+        return None
+
     def begin(self, stage: str, **figures: int) -> None:
         """Note that a stage runs, and on what; time of an interrupted attempt is kept and added to."""
         self.stages.setdefault(stage, {}).update(figures, state="running")
@@ -108,6 +130,11 @@ class Manifest:
         """Stages that have to run again."""
         for stage in stages:
             self.stages.pop(stage, None)
+
+
+def sources(document: Mapping[str, Any]) -> dict[str, Any]:
+    """Digests of what decides a run's bytes beside the text of its scenario and its plug-ins."""
+    return {"code": provenance.code_digest("ground"), "files": provenance.named_files(document)}
 
 
 def run_id(document: Mapping[str, Any]) -> int:

@@ -14,9 +14,10 @@ from sboc_e2e.icd.frame import Frame
 from sboc_e2e.registry import Registry
 from sboc_e2e.report import write_report
 from sboc_e2e.run import disk, truth_files
+from sboc_e2e.run.decoders import decoders_of, require_decoder
 from sboc_e2e.run.directory import STAGES, RunDirectory
 from sboc_e2e.run.ground_stage import GroundStage, ground_chain, require_files, star_catalogue
-from sboc_e2e.run.manifest import Manifest, first_difference
+from sboc_e2e.run.manifest import Manifest
 from sboc_e2e.run.onboard_stage import OnboardStage, onboard_chain
 from sboc_e2e.run.progress import Progress, Silent
 from sboc_e2e.run.simulation import FrameMaker, FrameStream, SimulationCost
@@ -144,11 +145,18 @@ class Run:
         self.manifest.finish("ground", **stage.figures())
         self.directory.clear_work("ground")
 
+    def evaluation(self, truth: Path | None = None) -> Evaluation:
+        """Truth and products brought together, the packets read with the decoders of the run."""
+        found = evaluate(self.directory.path, truth, decoders_of(self.scenario))
+        for note in found.notes:
+            self.progress.note(f"{self.directory.path}: {note}")
+        return found
+
     def score(self, truth: Path | None = None) -> None:
         """score.json against the run's truth, or against truth from elsewhere, which the report reads again."""
         self._require("ground")
         self.progress.stage("score", 1)
-        self._evaluation = evaluate(self.directory.path, truth)
+        self._evaluation = self.evaluation(truth)
         figures = score_evaluation(self._evaluation, self.directory.path)
         self.manifest.forget(("score", "report"))
         self.manifest.begin("score")
@@ -162,7 +170,7 @@ class Run:
         self.progress.stage("report", 1)
         self.manifest.begin("report")
         truth = self.manifest.stages["score"].get("truth")
-        evaluation = self._evaluation or evaluate(self.directory.path, Path(truth) if truth else None)
+        evaluation = self._evaluation or self.evaluation(Path(truth) if truth else None)
         write_report(self.directory.path, evaluation)
         self.manifest.finish("report")
         self.progress.advance()
@@ -225,6 +233,7 @@ def run(request: RunRequest, progress: Progress | None = None) -> Run:
     wanted = Manifest.of(directory.manifest, request.scenario)
     directory.check(resume=request.resume, force=request.force)
     require_files(request.scenario)
+    require_decoder(request.scenario)
     disk.check(request.out, request.scenario, shown)
     made = Run(directory=directory, manifest=wanted, scenario=request.scenario, workers=workers, progress=shown)
     # What the simulator refuses leaves no folder behind, and with --force the earlier run stays.
@@ -258,6 +267,6 @@ def worker_count(wanted: int) -> int:
 
 def _same_run(found: Manifest, wanted: Manifest) -> None:
     """Refuse to resume a run of another scenario or of other versions."""
-    difference = first_difference(found.scenario, wanted.scenario) or first_difference(found.versions, wanted.versions)
+    difference = found.difference(wanted)
     if difference:
         raise UserError(f"{found.path.parent}: belongs to another run ({difference}); --force replaces it, --out goes elsewhere")

@@ -139,12 +139,16 @@ def load(
     scenario's choice together with its options. Raises `UserError` of one line for anything wrong.
     """
     path = find(scenario)
+    return _resolved(tables(path), path.stem, str(path), registry, overrides, use or {}, seed)
+
+
+def tables(path: Path) -> dict[str, Any]:
+    """The tables of a scenario file with its presets."""
     given = toml_files.read(path)
     if not given:
         # All defaults would be a run of hours that nobody asked for.
         raise UserError(f"{path}: holds no key; a scenario says at least one thing, such as frames = 6")
-    document = toml_files.with_presets(given, path.resolve().parent, str(path))
-    return _resolved(document, path.stem, str(path), registry, overrides, use or {}, seed)
+    return toml_files.with_presets(given, path.resolve().parent, str(path))
 
 
 def bare(

@@ -24,8 +24,8 @@ UNIT_SUFFIXES: Final[dict[str, str]] = {
     "adu": "adu", "adu_s": "adu / s", "adu_px": "adu / pix", "mag": "mag", "mag_arcsec2": "mag / arcsec2",
     "m2_s": "1 / (m2 s)", "per_cm2": "1 / cm2", "ff": "fF", "per_cm2_s": "1 / (cm2 s)", "cm2_s": "1 / (cm2 s)",
     "per_s": "1 / s", "g_cm2": "g / cm2", "ev": "eV", "kev": "keV", "mev": "MeV", "k": "K", "kg": "kg", "kg_m3": "kg / m3",
-    "w_m2": "W / m2", "percent": "percent", "ppm": "1e-6", "bytes": "byte", "bits": "bit", "bit_s": "bit / s",
-    "mbit_s": "Mbit / s", "kbit_s": "kbit / s",
+    "w_m2": "W / m2", "percent": "percent", "ppm": "1e-6", "ppm_s": "1e-6 / s", "bytes": "byte", "bits": "bit",
+    "bit_s": "bit / s", "mbit_s": "Mbit / s", "kbit_s": "kbit / s",
 }  # fmt: skip
 """Unit suffix of a field's name (without the leading underscore) and its unit as astropy spells it."""
 
@@ -35,7 +35,8 @@ _NUMBER: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)
 _UNIT_TEXT: Final = re.compile(r"[A-Za-z0-9 */().^%_-]{1,40}$")
 _LARGE_EXPONENT: Final = re.compile(r"\d{3,}")
 _SPELLINGS: Final = ((re.compile(r"\be-"), "electron"), (re.compile(r"\bpx(?![a-zA-Z])"), "pix"), (re.compile(r"\bADU\b"), "adu"),
-                     (re.compile(r"\barcsec(ond)?s\b"), "arcsec"), (re.compile(r"^%$"), "percent"))  # fmt: skip
+                     (re.compile(r"\barcsec(ond)?s\b"), "arcsec"), (re.compile(r"^%$"), "percent"),
+                     (re.compile(r"^ppm"), "1e-6 "))  # fmt: skip
 
 
 class QuantityError(ValueError):
@@ -62,8 +63,6 @@ def display(unit: str) -> str:
 def _unit(text: str) -> units.UnitBase:
     """Parse a unit; `QuantityError` for anything that is none."""
     spelled = "1" + text if text.startswith("/") else text.strip()
-    if spelled == "ppm":
-        return units.Unit(1e-6)
     for pattern, word in _SPELLINGS:
         spelled = pattern.sub(word, spelled)
     if not _UNIT_TEXT.match(spelled) or _LARGE_EXPONENT.search(spelled):

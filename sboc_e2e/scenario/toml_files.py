@@ -60,7 +60,12 @@ def with_presets(document: Mapping[str, Any], origin: Path, where: str) -> dict[
     for table_name, table in own.items():
         if isinstance(table, dict) and "preset" in table:
             path = preset_path(table.pop("preset"), origin, f"{where}: {table_name}.preset")
-            result = merged(result, read(path))
+            preset = read(path)
+            # A preset says in its first table what it is one of; what else it holds belongs to that.
+            meant = next((key for key, value in preset.items() if isinstance(value, dict)), None)
+            if meant != table_name:
+                raise UserError(f'{where}: {table_name}.preset: "{path.stem}" is a preset of [{meant}], not of [{table_name}]')
+            result = merged(result, preset)
     return merged(result, own)
 
 

@@ -150,43 +150,6 @@ def _east(unit: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(east / max(float(np.linalg.norm(east)), 1e-12))
 
 
-def _solved_directions(
-    row: NDArray[np.float64], col: NDArray[np.float64], s: Any, epoch_s: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Apparent GCRS unit vectors of pixels by a frame solution, as the contract words it (`NominalCamera`).
-
-    epoch_s : time of each pixel's row from the solution's epoch (mid-exposure of the middle row).
-    """
-    u_d = (col - s["center_col"]) / s["focal_px"]
-    v_d = (row - s["center_row"]) / s["focal_px"]
-    u, v = u_d.copy(), v_d.copy()
-    for _ in range(20):
-        r2 = u * u + v * v
-        radial = 1.0 + s["k1"] * r2 + s["k2"] * r2 * r2
-        du = 2 * s["p1"] * u * v + s["p2"] * (r2 + 2 * u * u)
-        dv = s["p1"] * (r2 + 2 * v * v) + 2 * s["p2"] * u * v
-        u, v = (u_d - du) / radial, (v_d - dv) / radial
-    camera = np.stack([u, v, np.ones_like(u)], axis=-1)
-    camera /= np.linalg.norm(camera, axis=-1, keepdims=True)
-    # A camera that turns by w dt sees a fixed direction d at R(-w dt) d; to first order (arcseconds in a frame) d - dt w x d.
-    rate = np.array([s["rate_x_rad_s"], s["rate_y_rad_s"], s["rate_z_rad_s"]], dtype=float)
-    camera = camera + epoch_s[:, None] * np.cross(rate, camera)
-    camera /= np.linalg.norm(camera, axis=-1, keepdims=True)
-    return camera @ _rotation(np.array([s["qx"], s["qy"], s["qz"], s["qw"]], dtype=float))
-
-
-def _rotation(q: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Matrix that takes GCRS components to camera components, of a scalar-last quaternion."""
-    x, y, z, w = q / np.linalg.norm(q)
-    return np.array(
-        [
-            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-        ]
-    )
-
-
 def frame_astrometry(frames: Table, truth_frames: Table) -> tuple[dict[str, Any], list[dict[str, Any]]]:
     """`frame_rms_arcsec` and `frame_bias_arcsec` on the 9 x 9 grid of each solved frame, and the grids for plots."""
     by_number = {int(t["frame"]): t for t in truth_frames}
@@ -196,9 +159,8 @@ def frame_astrometry(frames: Table, truth_frames: Table) -> tuple[dict[str, Any]
         if truth is None or int(s["flags"]) & FrameFlag.NO_SOLUTION or not np.isfinite(truth["grid_ra_app_deg"]).all():
             continue
         row, col = np.asarray(truth["grid_row"], float), np.asarray(truth["grid_col"], float)
-        middle_row = (float(s["rows"]) - 1.0) / 2.0
-        epoch_s = (row - middle_row) * float(truth["line_time_ns"]) * 1e-9
-        solved = _solved_directions(row, col, s, epoch_s)
+        # both tables have the directions of the same pixels, so no model of a camera is needed here
+        solved = _unit(np.asarray(s["grid_ra_app_deg"], float), np.asarray(s["grid_dec_app_deg"], float))
         true = _unit(np.asarray(truth["grid_ra_app_deg"], float), np.asarray(truth["grid_dec_app_deg"], float))
         east = np.stack([-true[:, 1], true[:, 0], np.zeros(len(true))], axis=-1)
         east /= np.linalg.norm(east, axis=-1, keepdims=True)

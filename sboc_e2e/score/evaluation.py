@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,6 +12,7 @@ from astropy.table import Table
 from ground.ingest import decode_downlink
 from ground.ingest.codecs import Ccsds121Decoder, PlanesDecoder, RawDecoder, SqrtPlanesDecoder
 from ground.ingest.rans import RansDecoder
+from ground.ingest.report import IngestReport
 from sboc_e2e.files import calibration_files
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.errors import UserError
@@ -33,6 +34,8 @@ SHIPPED_DECODERS: Final[tuple[Decoder, ...]] = (
     SqrtPlanesDecoder(),
     RansDecoder(),
 )
+NO_DECODER: Final = ": no decoder;"
+"""How ingest says that nothing reads a codec's blocks."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -57,6 +60,8 @@ class Evaluation:
     downlink: bytes
     downlink_frames: tuple[DownlinkFrame, ...]
     manifest: dict[str, Any] = field(default_factory=dict)
+    notes: tuple[str, ...] = ()
+    """What a reader of the figures must know: packets that nothing could decode count as never sent."""
 
     @property
     def detected_onboard(self) -> set[int]:
@@ -139,17 +144,20 @@ def read_truth(folder: Path) -> Truth:
     return tables
 
 
-def evaluate(run_dir: Path, truth: Path | None = None, extra_decoders: Sequence[Decoder] = ()) -> Evaluation:
+def evaluate(run_dir: Path, truth: Path | None = None, decoders: Sequence[Decoder] = ()) -> Evaluation:
     """Read a finished run and match it with its truth, or with truth from elsewhere.
 
     truth : a folder of our truth tables, one table of the columns `sboc_e2e.truth.EXTERNAL`, or SatNet annotations.
-    extra_decoders : of codecs that do not come with the project. Raises `UserError`.
+    decoders : of codecs that do not come with the project, or in the place of one that does. Packets that none can read are
+    counted in the notes. Raises `UserError`.
     """
     manifest = json.loads((run_dir / "manifest.json").read_text())
     products = {name: read_table(run_dir / "products" / f"{name}.ecsv") for name in ("streaks", "frames", "orbits", "tracklets")}
     downlink = (run_dir / "downlink.bin").read_bytes()
     run_id = manifest.get("stages", {}).get("ground", {}).get("run_id")
-    downlink_frames, _ = decode_downlink(downlink, (*SHIPPED_DECODERS, *extra_decoders), run_id=run_id)
+    given = {decoder.number for decoder in decoders}
+    known = (*decoders, *(decoder for decoder in SHIPPED_DECODERS if decoder.number not in given))
+    downlink_frames, ingest = decode_downlink(downlink, known, run_id=run_id)
     if truth is not None and not truth.exists():
         raise UserError(f"{truth}: not found; --truth takes a table, a folder of truth tables or of SatNet annotations")
     if truth is None or (truth.is_dir() and not is_satnet(truth)):
@@ -158,7 +166,18 @@ def evaluate(run_dir: Path, truth: Path | None = None, extra_decoders: Sequence[
         truth_tables = _from_elsewhere(truth, run_dir, products["frames"], downlink_frames, int(manifest["n_frames"]))
     shape = _shape(run_dir, products["frames"])
     streaks = truth_streaks(truth_tables["streaks"])
-    return assemble(streaks, truth_tables, products, downlink, downlink_frames, shape, manifest)
+    made = assemble(streaks, truth_tables, products, downlink, downlink_frames, shape, manifest)
+    return replace(made, notes=_notes(ingest))
+
+
+def _notes(ingest: IngestReport) -> tuple[str, ...]:
+    """What could not be decoded, in a sentence, the packets of codecs without a decoder apart."""
+    if not ingest.n_decode_failures:
+        return ()
+    lines = (line for line in ingest.decode_failures if NO_DECODER in line)
+    unread = sorted({line.rpartition("codec number ")[2].partition(":")[0] for line in lines})
+    reason = f"no decoder for codec number {', '.join(unread)}" if unread else ingest.decode_failures[0]
+    return (f"{ingest.n_decode_failures} packets could not be decoded ({reason}): what they hold counts as lost in every figure",)
 
 
 def _shape(run_dir: Path, frames: Table) -> tuple[int, int]:

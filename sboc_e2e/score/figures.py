@@ -51,7 +51,9 @@ def proportion(successes: int, n: int, reason: str = "nothing to count") -> Figu
     share = successes / n
     centre = (share + z * z / (2 * n)) / (1 + z * z / n)
     half = z / (1 + z * z / n) * np.sqrt(share * (1 - share) / n + z * z / (4 * n * n))
-    return figure(share, n, max(0.0, centre - half), min(1.0, centre + half))
+    # Wilson's interval of none (or all) ends at 0 (or 1): the formula leaves the last digit of a float there.
+    low = 0.0 if successes == 0 else max(0.0, centre - half)
+    return figure(share, n, low, 1.0 if successes == n else min(1.0, centre + half))
 
 
 def rate(events: int, exposure: float, n: int, reason: str = "no exposure") -> Figure:
@@ -77,6 +79,28 @@ def bootstrap(values: ArrayLike, statistic: Callable[[NDArray[np.float64]], floa
         return absent(reason, n)
     rng = np.random.default_rng(_SEED)
     draws = np.array([statistic(items[rng.integers(0, n, n)]) for _ in range(BOOTSTRAP_DRAWS)])
+    low, high = np.quantile(draws, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
+    return figure(statistic(items), n, low, high)
+
+
+def bootstrap_by_owner(
+    values: ArrayLike, owners: ArrayLike, statistic: Callable[[NDArray[np.float64]], float], reason: str = "too few to measure"
+) -> Figure:
+    """A statistic of items that belong to objects: objects are resampled, each with all its items, which share errors.
+
+    values : items over axis 0. owners : (n,) whose each is. Needs three objects; `n` of the figure counts items.
+    """
+    items, whose = np.asarray(values, dtype=np.float64), np.asarray(owners)
+    n = len(items)
+    if n == 0:
+        return absent(reason, n)
+    names, place = np.unique(whose, return_inverse=True)
+    if len(names) < 3:
+        return absent(f"of fewer than three objects: {reason}", n)
+    groups = np.split(np.argsort(place, kind="stable"), np.cumsum(np.bincount(place))[:-1])
+    rng = np.random.default_rng(_SEED)
+    picks = rng.integers(0, len(names), (BOOTSTRAP_DRAWS, len(names)))
+    draws = np.array([statistic(items[np.concatenate([groups[k] for k in pick])]) for pick in picks])
     low, high = np.quantile(draws, [(1 - CONFIDENCE) / 2, (1 + CONFIDENCE) / 2])
     return figure(statistic(items), n, low, high)
 

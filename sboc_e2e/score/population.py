@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from astropy.table import Table
 
-from sboc_e2e.score.figures import absent, figure, rate, scaled
+from sboc_e2e.score.figures import absent, figure, proportion, rate, scaled
 from sboc_e2e.score.recovery import SIZE_EDGES_M
 
 SECONDS_PER_DAY: Final = 86_400.0
@@ -42,6 +42,43 @@ def detections_per_day(
         )
     false = scaled(rate(n_false, false_frames, false_frames), SECONDS_PER_DAY * frame_rate_hz)
     return {"size_classes": classes, "false_per_day": false}
+
+
+def published_flux(product: Table | None, truth: Mapping[str, Any]) -> dict[str, Any]:
+    """Flux larger than each edge of the simulated classes as products/population.ecsv has it, and the true one.
+
+    product : None where a run has no such table. truth : truth/population.json; true: nature's flux x each class's boost.
+    `holds_truth` : share of those edges whose 90 % interval, systematic term included, holds the true flux.
+    """
+    classes = [c for c in truth.get("classes", ()) if c.get("boost") and "flux_km2_year" in c]
+    if product is None or not classes:
+        none = absent("no products/population.ecsv" if product is None else "no boosted class in truth/population.json")
+        return {"larger_than": [], "holds_truth": none, "lacks": "" if product is None else str(product.meta.get("lacks", ""))}
+    true = np.cumsum([c["boost"] * c["flux_km2_year"] for c in classes[::-1]])[::-1]
+    edges, rows = np.asarray(product["from_m"], float), []
+    for c, value in zip(classes, true, strict=True):
+        at = np.flatnonzero(np.isclose(edges, 1e-3 * c["from_mm"]))
+        if not len(at) or not np.isfinite(product["larger"][at[0]]):
+            continue
+        row = product[int(at[0])]
+        n = int(np.sum(np.asarray(product["n_tracklets"])[at[0] :]))
+        low, high = float(row["larger_total_low"]), float(row["larger_total_high"])
+        rows.append(
+            {
+                "larger_than_m": 1e-3 * c["from_mm"],
+                "true_per_km2_year": float(value),
+                "published_per_km2_year": figure(float(row["larger"]), n, low, high),
+                "counting_low": float(row["larger_low"]),
+                "counting_high": float(row["larger_high"]),
+                "inside": bool(low <= value <= high),
+            }
+        )
+    inside = sum(row["inside"] for row in rows)
+    return {
+        "larger_than": rows,
+        "holds_truth": proportion(inside, len(rows), "no size with an exposure"),
+        "lacks": str(product.meta.get("lacks", "")),
+    }
 
 
 def _weighted(weight: Any, span_s: float) -> dict[str, Any]:

@@ -1,11 +1,13 @@
 """score.json: every section of docs/scoring.md from one evaluation."""
 
+import json
 from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from astropy.table import Table
 
 from sboc_e2e.score.astrometry import frame_astrometry, sky_paths, streak_astrometry
 from sboc_e2e.score.compression import compression
@@ -16,11 +18,12 @@ from sboc_e2e.score.linking import linking
 from sboc_e2e.score.lossless import lossless_check
 from sboc_e2e.score.orbit import orbit
 from sboc_e2e.score.photometry import mean_magnitudes, photometry
-from sboc_e2e.score.population import detections_per_day
+from sboc_e2e.score.population import detections_per_day, published_flux
+from sboc_e2e.score.published import published_products
 from sboc_e2e.score.recovery import counted, field_deg, recovery
 from sboc_e2e.score.timing import timing
 
-SCORE_VERSION = "1.0"
+SCORE_VERSION = "1.1"
 
 
 def score_run(run_dir: Path, truth: Path | None = None) -> dict[str, Any]:
@@ -59,19 +62,33 @@ def score_evaluation(e: Evaluation, run_dir: Path | None = None) -> dict[str, An
     area_mean = float(np.mean(area)) if area else 0.0
     return {
         "score_version": SCORE_VERSION,
+        "notes": list(e.notes),
         "passed": exact(float(area_mean <= MAX_AREA_FRACTION), e.n_frames),
         "detection": {"onboard": onboard, "ground": ground},
         "astrometry": streak_figures | frame_figures,
         "photometry": magnitudes,
         "linking": links,
         "orbit": orbit(e.orbits, owner, e.truth_tables["streaks"], e.truth_tables["objects"]),
-        "population": _population(e, owner, span_s, frame_rate_hz),
+        "products": published_products(
+            run_dir / "products" if run_dir else None, e.streaks, e.tracklets, e.truth_tables, owner, truth_mag
+        ),
+        "population": _population(e, owner, span_s, frame_rate_hz) | {"published": _published(run_dir)},
         "compression": compression(
             e.downlink, e.n_frames, e.shape, n_stars, groups, captured, lossless_bits, bit_exact,
             np.asarray(e.truth_tables["frames"]["entropy_bits"], float),
         ),
         "timing": timing(e.manifest, e.n_frames, frame_rate_hz),
     }  # fmt: skip
+
+
+def _published(run_dir: Path | None) -> dict[str, Any]:
+    """The published flux of a run directory against its truth."""
+    product = run_dir / "products" / "population.ecsv" if run_dir else None
+    truth = run_dir / "truth" / "population.json" if run_dir else None
+    return published_flux(
+        Table.read(product, format="ascii.ecsv") if product and product.is_file() else None,
+        json.loads(truth.read_text()) if truth and truth.is_file() else {},
+    )
 
 
 def _population(e: Evaluation, owner: Mapping[int, int], span_s: float, frame_rate_hz: float) -> dict[str, Any]:

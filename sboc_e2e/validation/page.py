@@ -12,7 +12,7 @@ from sboc_e2e.report.page import simple_page, table
 from sboc_e2e.report.pictures import cutout, preview, stretch
 from sboc_e2e.report.plots import BLUE, ORANGE, canvas, svg
 from sboc_e2e.validation import distances
-from sboc_e2e.validation.validate import Side, Validation, counted, matched_values
+from sboc_e2e.validation.figures import Side, Validation, counted, matched_values
 
 PICTURE_PX = 360
 """Side of each half of the small picture."""

@@ -50,6 +50,14 @@ class AsBuiltOptions:
     focal_length_ppm: float = field(
         default=150.0, metadata={"doc": "relative error of the focal length", "min": -2e4, "max": 2e4}
     )
+    focal_drift_ppm_s: float = field(
+        default=0.0,
+        metadata={
+            "doc": "relative growth of the focal length from the epoch on, as a tube that warms has it (aluminium: 23 ppm/K)",
+            "min": -1e3,
+            "max": 1e3,
+        },
+    )
     center_row_px: float = field(
         default=1.8, metadata={"doc": "shift of the optical axis along rows", "min": -200.0, "max": 200.0}
     )

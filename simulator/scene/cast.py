@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from sgp4.api import SGP4_ERRORS
 
 from sboc_e2e.icd.errors import UserError
-from simulator.optics.camera import Camera
+from simulator.camera import Camera
 from simulator.platform import earth
 from simulator.platform.carrier import Carrier
 from simulator.platform.observer import Observer
@@ -23,6 +23,8 @@ from simulator.scene.prediction import predict_crossings
 from simulator.scene.satellites import SatelliteOptions, read_satellites, satellite_object
 
 Array = NDArray[np.float64]
+
+YEAR_S = 365.25 * earth.DAY_S
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,6 +122,7 @@ def summary(options: PopulationOptions, cast: Cast) -> dict[str, Any]:
     """Encounters of nature against those drawn, for each size class; JSON-able.
 
     natural_in_run : detectable objects of nature in the field at some time of the run. entering_per_day : that enter it.
+    flux_km2_year : nature's cross-sectional area flux of all objects of the class at the camera.
     """
     drawn = cast.drawn
     classes = [
@@ -130,6 +133,7 @@ def summary(options: PopulationOptions, cast: Cast) -> dict[str, Any]:
             "natural_in_run": float(drawn.natural_by_class[k]),
             "boost": _ratio(drawn.drawn_by_class[k], drawn.natural_by_class[k]),
             "entering_per_day": float(drawn.per_day_by_class[k]),
+            "flux_km2_year": float(drawn.flux_by_class[k] * YEAR_S),
         }
         for k, size_class in enumerate(options.classes)
     ]

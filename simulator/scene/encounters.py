@@ -26,6 +26,11 @@ from simulator.scene.reflection import lambert_flux, sunlit_fraction
 
 Array = NDArray[np.float64]
 
+FLUX_BLOCK = 1000
+"""Random streams of the flux's integral, beside those of the draws."""
+
+FLUX_DRAWS = 200_000
+
 NEAR_SHARE = 100.0
 """Ranges below a hundredth of the reach are not proposed: they hold a millionth of the volume."""
 
@@ -176,6 +181,25 @@ def draw_candidates(options: PopulationOptions, size_class: SizeClass, window: W
     )
 
 
+def natural_flux(options: PopulationOptions, size_class: SizeClass, window: Window, rng: np.random.Generator) -> float:
+    """Objects of a class per km^2 and second at the camera: density times relative speed, from all directions together.
+
+    Mean over a shell of 50 km above and below the camera: at a point, a few orbits that just graze it hold most of the sum.
+    """
+    n = FLUX_DRAWS
+    low_m, high_m = size_class.from_mm * 1e-3, size_class.to_mm * 1e-3
+    size_m = np.exp(rng.uniform(np.log(low_m), np.log(high_m), n))
+    population = number_density(size_m) * np.log(high_m / low_m)
+    population *= low_orbit_share(size_m, options.low_orbit_share_small, options.low_orbit_share_large)
+    height_km = rng.uniform(-50.0, 50.0, n)
+    here = window.observer_km * (1.0 + height_km / np.linalg.norm(window.observer_km))[:, None]
+    a_km, e, i_rad = draw_orbits(rng, size_m, spread=options.spread_by_breakup)
+    velocity = velocity_through(here, a_km, e, i_rad, rng.random(n) < 0.5, rng.random(n) < 0.5)
+    speed = np.linalg.norm(velocity - window.velocity_km_s, axis=1)
+    with np.errstate(invalid="ignore"):
+        return float(np.mean(np.nan_to_num(population * spatial_density(here, a_km, e, i_rad) * speed)))
+
+
 def number_density(size_m: Array) -> Array:
     """``-dN / d ln d`` of the size law."""
     step = 1.0005
@@ -249,6 +273,8 @@ class Drawn:
     per_day_by_class: Array
     """Detectable objects that enter the field per day, if the field stayed as it is in the middle of the run."""
     drawn_by_class: NDArray[np.intp]
+    flux_by_class: Array
+    """Nature's flux at the camera, objects per km^2 and second."""
 
 
 def draw_encounters(options: PopulationOptions, window: Window, seed: int) -> Drawn:
@@ -299,4 +325,10 @@ def draw_encounters(options: PopulationOptions, window: Window, seed: int) -> Dr
         natural_by_class=natural,
         per_day_by_class=per_day,
         drawn_by_class=np.array([c.count for c in options.classes], dtype=np.intp),
+        flux_by_class=np.array(
+            [
+                natural_flux(options, c, window, generator(seed, Effect.POPULATION, block=FLUX_BLOCK + k))
+                for k, c in enumerate(options.classes)
+            ]
+        ),
     )

@@ -8,8 +8,8 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 from sboc_e2e import truth
+from simulator.camera import Camera
 from simulator.exposure import render_trail
-from simulator.optics.camera import Camera
 from simulator.platform.line_of_sight import LineOfSight
 from simulator.scene.aberration import aberrate
 from simulator.scene.atmosphere import Atmosphere

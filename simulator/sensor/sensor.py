@@ -51,6 +51,11 @@ class Sensor:
             )
         if self.window_rows < binning.rows or self.window_cols < binning.cols:
             raise UserError(f"sensor.binning: {binning.rows} x {binning.cols} exceeds the window {self.window_shape}")
+        if self.window_rows % binning.rows or self.window_cols % binning.cols:
+            raise UserError(
+                f"sensor.binning: {binning.rows} x {binning.cols} pixels do not divide the {self.window_rows} x "
+                f"{self.window_cols} that are read out; sensor.window.rows and .cols read a part of the detector"
+            )
         pattern = draw_fixed_pattern(options, rows, cols, seed)
         in_rows = slice(window.row0, window.row0 + self.window_rows)
         in_cols = slice(window.col0, window.col0 + self.window_cols)

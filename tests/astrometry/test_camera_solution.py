@@ -10,9 +10,9 @@ from scipy.spatial.transform import Rotation
 from ground.astrometry import lost_in_space
 from ground.astrometry.astrometer import CameraFit
 from ground.astrometry.camera import Camera
-from ground.astrometry.rotation import matrix_of, quaternion_of, rotation_by
 from ground.photometry.zero_point import ZeroPoint
 from ground.sky.pixel_sky import SolvedSky, row_mid_exposure_tai_ns
+from ground.sky.rotation import matrix_of, quaternion_of, rotation_by
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.flags import FrameFlag
@@ -111,7 +111,7 @@ def test_stars_of_another_field_give_no_solution(catalogue):
     state = fit.initial_state(field.calibration, catalogue)
     after, solution = fit.solve(state, replace(field.frame, stars=scattered))
     assert solution.flags & FrameFlag.NO_SOLUTION
-    np.testing.assert_array_equal(after.prior.information, state.prior.information)
+    np.testing.assert_array_equal(after.shared.covariance, state.shared.covariance)
     assert after.last is None
 
 
@@ -159,14 +159,14 @@ def test_a_mirrored_image_gives_the_directions_of_the_image_itself(catalogue):
     epochs = row_mid_exposure_tai_ns(header, row)
     _, plain = fit.solve(fit.initial_state(field.calibration, catalogue), field.frame)
     state, solution = fit.solve(fit.initial_state(replace(field.calibration, camera=mirror_camera), catalogue), mirror)
-    assert solution.mirrored
-    assert not plain.mirrored
+    assert solution.camera.mirrored
+    assert not plain.camera.mirrored
     want, got = (
         SolvedSky(header=header, solution=s).apparent(row, c, epochs) for s, c in ((plain, col), (solution, 4095.0 - col))
     )
     assert np.linalg.norm(got - want, axis=1).max() < 1e-4 * ARCSEC
     _, again = fit.solve(state, mirror)
-    assert again.mirrored
+    assert again.camera.mirrored
     assert not again.flags & FrameFlag.ATTITUDE_FROM_SOLVER
 
 

@@ -79,7 +79,7 @@ CASES: Sequence[tuple[str, Any, str]] = (
     ("astrometry", StartsThenFails(answer=(1, 2)), r"StartsThenFails, frame 0: expected a state and a FrameSolution"),
     ("photometry", Broken(), r"ground\.photometry .*:Broken, frame 0: ZeroDivisionError: oops"),
     ("photometry", Broken(answer=3.0), r"Broken, frame 0: expected PhotometricSolution, got float"),
-    ("streak_fitter", Broken(), r"ground\.streak_fitter .*:Broken, frame 0: ZeroDivisionError: oops"),
+    ("streak_fitter", Broken(), r"ground\.streak_fitter .*:Broken, frame 0, region \d+: ZeroDivisionError: oops"),
     ("vetter", Broken(), r"ground\.vetter .*:Broken, frame 0: ZeroDivisionError: oops"),
     ("vetter", Broken(answer=np.array([0.5, 0.5, 0.5])), r"Broken, frame 0: expected 1 probabilities from 0 to 1"),
     ("vetter", Broken(answer=np.array([1.5])), r"Broken, frame 0: expected 1 probabilities from 0 to 1"),

@@ -76,7 +76,8 @@ def fields() -> list[Field]:
     rng = np.random.default_rng(11)
     made = []
     for k in range(N_FRAMES):
-        field = make_field(catalogue, k, FieldOptions(roll_deg=25.0))
+        # a camera at rest: its trail runs over pixels of one pointing
+        field = make_field(catalogue, k, FieldOptions(roll_deg=25.0, rate_rad_s=(0.0, 0.0, 0.0)))
         background = BackgroundModel(tile_px=128, level_adu=np.full((32, 32), 100.0), sigma_adu=np.full((32, 32), SKY_SIGMA_E))
         frame = replace(field.frame, rois=(_roi(k, rng),), background=background)
         made.append(replace(field, frame=frame))
@@ -152,6 +153,14 @@ def test_a_mover_becomes_one_tracklet_with_its_direction_and_exposed_time(fields
         np.testing.assert_allclose((streak.t_tai_ns - t0_ns) * 1e-9, [opened, 0.5 * (opened + closed), closed], atol=5e-5)
         assert abs(streak.mag - true_mag) < 4.0 * streak.mag_err
     assert abs(tracklet.mag - true_mag) < 0.02
+    # what is published of the tracklet are its members' final ends
+    by_id = {streak.streak_id: streak for streak in result.streaks}
+    assert len(tracklet.ra_deg) == 2 * N_FRAMES
+    for row, (streak_id, point) in enumerate(zip(tracklet.row_streak_ids, tracklet.row_points, strict=True)):
+        streak = by_id[int(streak_id)]
+        assert (tracklet.ra_deg[row], tracklet.dec_deg[row]) == (streak.ra_deg[point], streak.dec_deg[point])
+        assert tracklet.t_tai_ns[row] == streak.t_tai_ns[point]
+    assert (tracklet.shared_group == 0).all()
     message = tdm_text(result.tracklets, result.members, result.headers, ProductOptions(), oem_name=None)
     assert message.count("META_START") == 1
     assert message.count("MAG =") == N_FRAMES

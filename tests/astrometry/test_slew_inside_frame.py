@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from ground.astrometry.astrometer import CameraFit
+from ground.astrometry.camera import Camera as PinHole
 from ground.sky.measure import initial_epochs_ns, with_sky
 from ground.sky.pixel_sky import SolvedSky, published_directions, row_mid_exposure_tai_ns
 from sboc_e2e.catalogue import StarCatalogue
@@ -80,13 +81,9 @@ def solution_of(body: Body, rate_rad_s: NDArray[np.float64]) -> FrameSolution:
         quaternion=body(0.0).inv().as_quat(),
         rate_rad_s=rate_rad_s,
         covariance_rad2=np.zeros((3, 3)),
-        focal_px=FOCAL_PX,
-        center_row=0.5 * (SIZE - 1),
-        center_col=0.5 * (SIZE - 1),
-        k1=0.0,
-        k2=0.0,
-        p1=0.0,
-        p2=0.0,
+        camera=PinHole(
+            focal_px=FOCAL_PX, center_row=0.5 * (SIZE - 1), center_col=0.5 * (SIZE - 1), k1=0.0, k2=0.0, p1=0.0, p2=0.0
+        ),
         n_stars=0,
         rms_px=0.0,
         star_index=np.zeros(0, dtype=np.int32),

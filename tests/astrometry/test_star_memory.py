@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ground.astrometry.camera import Camera
-from ground.astrometry.rotation import matrix_of
 from ground.photometry.star_memory import EarlierStars, with_hidden_stars
+from ground.sky.pixel_sky import mid_frame_pixels
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
@@ -29,13 +29,7 @@ def solution(number: int, turn_rad: float) -> FrameSolution:
         quaternion=np.array([np.sin(0.5 * turn_rad), 0.0, 0.0, np.cos(0.5 * turn_rad)]),
         rate_rad_s=np.zeros(3),
         covariance_rad2=np.zeros((3, 3)),
-        focal_px=FOCAL_PX,
-        center_row=500.0,
-        center_col=500.0,
-        k1=0.0,
-        k2=0.0,
-        p1=0.0,
-        p2=0.0,
+        camera=Camera(focal_px=FOCAL_PX, center_row=500.0, center_col=500.0, k1=0.0, k2=0.0, p1=0.0, p2=0.0),
         n_stars=0,
         rms_px=0.0,
         star_index=none.astype(np.int32),
@@ -63,7 +57,7 @@ def frame_of(number: int, mover: tuple[float, float], stars: np.ndarray) -> Down
 def star_at(number: int) -> tuple[float, float]:
     """Where the star is in a frame; the camera turns by 7 px from frame to frame."""
     solved = solution(number, number * 7.0 / FOCAL_PX)
-    row, col = Camera.solved(solved).project((STAR / np.linalg.norm(STAR))[None] @ matrix_of(solved.quaternion).T)
+    row, col = mid_frame_pixels(solved, (STAR / np.linalg.norm(STAR))[None])
     return float(row[0]), float(col[0])
 
 

@@ -9,10 +9,10 @@ from astropy.coordinates import GCRS, ICRS, CartesianRepresentation, SkyCoord
 from astropy.time import Time
 from astropy.wcs import WCS
 
-from ground.astrometry.apparent import mid_frame_tai_ns, observer_at
 from ground.astrometry.astrometer import CameraFit
 from ground.astrometry.header_wcs import identify_by_header
 from ground.astrometry.wcs_export import of_binned, of_cut_out, pixel_icrs, sip_header, without_inverse
+from ground.sky.apparent import mid_frame_tai_ns, observer_at
 from ground.sky.pixel_sky import HeaderSky, SolvedSky
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.flags import FrameFlag

@@ -7,7 +7,7 @@ import pytest
 from astropy.coordinates import GCRS, CartesianRepresentation, SkyCoord
 from astropy.time import Time
 
-from ground.astrometry.apparent import apparent_directions, jyear_of
+from ground.sky.apparent import apparent_directions, jyear_of
 from ground.sky.published import LIGHT_M_S, without_observer_aberration
 from sboc_e2e.icd.tai import from_jd_parts
 

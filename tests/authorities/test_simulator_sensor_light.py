@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy import integrate, signal
 
+from simulator.camera import Camera
 from simulator.exposure import render_stars, render_trail
-from simulator.optics.camera import Camera
 from simulator.optics.defocus import disc_profile
 from simulator.optics.psf import PsfOptions, sigma_at
 from simulator.optics.vignetting import (

@@ -31,7 +31,7 @@ def overhead_ms(workers: int, tasks: int) -> Figure:
     A single one doubles when the system is busy elsewhere.
     """
     found = []
-    with executor(workers, None) as pool:
+    with executor(workers, None) as (pool, _):
         list(pool.map(nothing, range(workers * 4)))
         for _ in range(OVERHEADS):
             start = time.perf_counter()

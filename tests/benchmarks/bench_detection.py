@@ -17,7 +17,6 @@ import numpy as np
 from scipy.stats import beta, chi2
 
 from onboard.detect import BoundaryTensorDetector, DifferenceDetector, LineIntegralDetector, LsdDetector, ThresholdDetector
-from onboard.detect.warm_up import warm_up
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView
 from sboc_e2e.icd.steps import Detector
@@ -34,6 +33,7 @@ from tests.benchmarks.detection_frames import (
     random_streak,
     view_of,
 )
+from tests.benchmarks.detector_warm_up import warm_up
 
 LENGTHS_PX = (4.0, 8.0, 15.0, 20.0, 40.0, 100.0, 300.0, 1000.0, 2500.0, 4000.0, 5700.0)
 STARS = 25_000

@@ -16,10 +16,10 @@ from typing import Any
 import numpy as np
 
 from onboard.detect import LineIntegralDetector
-from onboard.detect.warm_up import warm_up
 from sboc_e2e.score.figures import proportion, rate
 from tests.benchmarks.bench_detection import history_of, score
 from tests.benchmarks.detection_frames import Scene, Streak, add_streak, exposure, random_stars, random_streak, view_of
+from tests.benchmarks.detector_warm_up import warm_up
 from tests.benchmarks.peers.environment import PeerError, absent, ask, spread
 
 SIZE_PX = 1024

@@ -189,7 +189,7 @@ def tracklet_cell(length_px: float, snr: float, n_frames: int, n: int, line_time
         if len(frames) < n_frames:
             continue
         start = time.process_time()
-        refitted = refit_tracklet(frames)
+        refitted = refit_tracklet(frames).fits
         cost.append(1e3 * (time.process_time() - start))
         epochs = np.array([[k * period_s, k * period_s + exposure_s] for k in range(n_frames)])
         jacobians = np.stack([np.ones_like(epochs), epochs], axis=2)

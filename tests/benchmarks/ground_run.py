@@ -21,6 +21,7 @@ from typing import Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from ground.astrometry.camera import Camera as PinHole
 from ground.ingest import IngestReport
 from ground.on_demand import OnDemand
 from ground.records import FrameProducts
@@ -73,8 +74,9 @@ def products_of(frame: int, streaks: list[StreakMeasurement]) -> FrameProducts:
     some = np.zeros(N_STARS, dtype=np.float32)
     solution = FrameSolution(
         frame=frame, flags=FrameFlag(0), quaternion=Rotation.from_matrix(CAMERA.axes()).as_quat(), rate_rad_s=np.zeros(3),
-        covariance_rad2=np.eye(3) * 1e-12, focal_px=CAMERA.focal_px, center_row=2047.5, center_col=2047.5, k1=0.0, k2=0.0, p1=0.0,
-        p2=0.0, n_stars=N_STARS, rms_px=0.1, star_index=np.arange(N_STARS, dtype=np.int32), star_v_mag=some + 10.0, star_b_v=some,
+        covariance_rad2=np.eye(3) * 1e-12,
+        camera=PinHole(focal_px=CAMERA.focal_px, center_row=2047.5, center_col=2047.5, k1=0.0, k2=0.0, p1=0.0, p2=0.0),
+        n_stars=N_STARS, rms_px=0.1, star_index=np.arange(N_STARS, dtype=np.int32), star_v_mag=some + 10.0, star_b_v=some,
         star_residual_px=np.zeros((N_STARS, 2), dtype=np.float32),
     )  # fmt: skip
     photometry = PhotometricSolution(

@@ -74,7 +74,6 @@ def main(folder: Path, detector: str) -> dict[str, float]:
     out = {"interpreter": memory_mb("VmRSS")}
     import_module("numba")
     out["numpy_and_numba"] = memory_mb("VmRSS")
-    from onboard.alone import start_compiler
     from onboard.chain import OnboardChain, OnboardSteps
     from onboard.downlink.codec import PlanesCodec
     from onboard.image.background import MeshBackground
@@ -83,7 +82,6 @@ def main(folder: Path, detector: str) -> dict[str, float]:
 
     found = NoDetector if detector == "none" else getattr(import_module("onboard.detect"), DETECTORS[detector])
     out["libraries"] = memory_mb("VmRSS")
-    start_compiler()
     steps = OnboardSteps(background=MeshBackground(), star_extractor=MatchedStars(), detector=found(), codec=PlanesCodec())
     _small_frames(OnboardChain, OnboardOptions(), steps, pickle.loads((folder / "camera.pickle").read_bytes()))  # noqa: S301 - as above
     out["libraries_and_kernels"] = memory_mb("VmRSS")

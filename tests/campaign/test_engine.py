@@ -13,9 +13,12 @@ import pytest
 
 from sboc_e2e.campaign import Campaign, read_campaign, run_campaign
 from sboc_e2e.campaign.aggregate import read_shards, summarise
-from sboc_e2e.campaign.engine import failure_path, shard_path
+from sboc_e2e.campaign.engine import failure_path
 from sboc_e2e.campaign.pages import write_results
+from sboc_e2e.campaign.resolve import Plan
+from sboc_e2e.campaign.worker import shard_file
 from sboc_e2e.cli.main import run
+from sboc_e2e.registry import Registry
 from sboc_e2e.scenario.toml_files import FOLDER
 from tests.processes import wait_for
 
@@ -55,7 +58,9 @@ def finished(campaign: Campaign, tmp_path_factory: pytest.TempPathFactory) -> Pa
 
 
 def shards(campaign: Campaign, out: Path) -> dict[int, bytes]:
-    return {t.number: shard_path(out, t).read_bytes() for t in campaign.tasks() if shard_path(out, t).is_file()}
+    standing = Plan.of(campaign, Registry()).resolve().standing
+    files = {t.task.number: shard_file(out, t.fingerprint) for t in standing}
+    return {number: path.read_bytes() for number, path in files.items() if path.is_file()}
 
 
 @pytest.mark.slow
@@ -124,7 +129,7 @@ def test_a_sweep_killed_at_twenty_points_ends_with_the_same_bytes(tmp_path: Path
 
 @pytest.mark.slow
 def test_aggregates_count_every_streak(campaign: Campaign, finished: Path) -> None:
-    points = read_shards(finished)
+    points = read_shards(sorted((finished / "shards").iterdir()))
     assert len(points) == 2
     for tables in points.values():
         summary = summarise(tables)

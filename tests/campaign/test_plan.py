@@ -2,10 +2,13 @@
 
 from pathlib import Path
 
+import numpy as np
 import pytest
+from astropy.table import Table
 
 from sboc_e2e.campaign import read_campaign
-from sboc_e2e.campaign.worker import overrides
+from sboc_e2e.campaign.aggregate import against_first
+from sboc_e2e.campaign.resolve import overrides
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.scenario.toml_files import FOLDER
 
@@ -18,6 +21,7 @@ frames = 3
 "instrument.aperture" = ["15 cm", "20 cm"]
 "onboard.detector.n_sigma" = [6.0, 7.0, 8.0]
 """
+UNPAIRED = GRID.replace("replicas = 2", "replicas = 2\npaired = false")
 
 
 def written(folder: Path, text: str) -> Path:
@@ -36,19 +40,40 @@ def test_grid_has_every_point_and_replica(tmp_path: Path) -> None:
 def test_seeds_belong_to_the_task_not_to_its_place(tmp_path: Path) -> None:
     one = {
         (dict(t.point)["instrument.aperture"], t.replica): t.seed
-        for t in read_campaign(written(tmp_path, GRID)).tasks()
+        for t in read_campaign(written(tmp_path, UNPAIRED)).tasks()
         if dict(t.point)["onboard.detector.n_sigma"] == 7.0
     }
-    swapped = GRID.replace('["15 cm", "20 cm"]', '["20 cm", "30 cm", "15 cm"]').replace("[6.0, 7.0, 8.0]", "[7.0]")
+    swapped = UNPAIRED.replace('["15 cm", "20 cm"]', '["20 cm", "30 cm", "15 cm"]').replace("[6.0, 7.0, 8.0]", "[7.0]")
     other = {(dict(t.point)["instrument.aperture"], t.replica): t.seed
              for t in read_campaign(written(tmp_path, swapped)).tasks()}  # fmt: skip
     assert all(other[key] == seed for key, seed in one.items())
     assert len(set(other.values())) == len(other)
 
 
+def test_points_share_the_seeds_of_their_replicas(tmp_path: Path) -> None:
+    """A difference between points is then that of their settings, not of their skies."""
+    tasks = read_campaign(written(tmp_path, GRID)).tasks()
+    by_replica = {replica: {t.seed for t in tasks if t.replica == replica} for replica in (0, 1)}
+    assert all(len(seeds) == 1 for seeds in by_replica.values())
+    assert by_replica[0] != by_replica[1]
+
+
+def test_more_draws_leave_the_first_as_they_are(tmp_path: Path) -> None:
+    text = 'scenario = "smoke"\ndraws = {}\n[vary]\nframes = [2, 3]\nframe_rate = {{low = "1 Hz", high = "8 Hz"}}\n'
+    few, many = ({t.point for t in read_campaign(written(tmp_path, text.format(n))).tasks()} for n in (3, 5))
+    assert few < many
+    assert len(many) == 10
+
+
+def test_shipped_campaigns_are_found_by_name(tmp_path: Path) -> None:
+    assert read_campaign("threshold_froc") == read_campaign(FOLDER / "campaigns" / "threshold_froc.toml")
+    with pytest.raises(UserError, match=r"one of: .*threshold_froc"):
+        read_campaign("treshold_froc")
+
+
 def test_overrides_are_those_of_the_command_line(tmp_path: Path) -> None:
     campaign = read_campaign(written(tmp_path, GRID))
-    texts = overrides(campaign, campaign.tasks()[0])
+    texts = overrides(campaign, campaign.tasks()[0].point)
     assert texts == ["frames=3", "instrument.aperture=15 cm", "onboard.detector.n_sigma=6.0"]
 
 
@@ -91,9 +116,25 @@ def test_a_campaign_can_be_tried_in_a_reduced_form(tmp_path: Path) -> None:
     campaign = read_campaign(written(tmp_path, GRID))
     small = campaign.reduced(1, ("frames=1", "seed=4"))
     assert len(small.tasks()) == 6
-    assert overrides(small, small.tasks()[0])[:2] == ["frames=1", "seed=4"]
+    assert overrides(small, small.tasks()[0].point)[:2] == ["frames=1", "seed=4"]
     assert small.tasks()[0].seed == campaign.tasks()[0].seed
     with pytest.raises(UserError, match=r"varies instrument\.aperture"):
         campaign.reduced(None, ("instrument.aperture=1 m",))
     with pytest.raises(UserError, match="--replicas"):
         campaign.reduced(0, ())
+
+
+def test_points_on_the_same_frames_are_compared_streak_by_streak() -> None:
+    """Ten objects of five streaks each; the second point finds two objects more, the third has other frames."""
+
+    def shard(point: str, frames: str, objects: int) -> Table:
+        table = Table({"snr": np.full(50, 9.0), "length_px": np.full(50, 30.0), "object_id": np.repeat(np.arange(10), 5)})
+        table["detected_ground"] = np.asarray(table["object_id"]) < objects
+        table.meta = {"point": point, "frames": frames}
+        return table
+
+    gains = against_first({"a": [shard("a", "f", 4)], "b": [shard("b", "f", 6)], "c": [shard("c", "g", 9)]})
+    assert list(gains) == ["b"]
+    assert gains["b"]["completeness"]["value"] == pytest.approx(0.2)
+    assert gains["b"]["mcnemar"]["objects_disagreeing"] == 2
+    assert gains["b"]["mcnemar"]["p_value"] == pytest.approx(0.5)

@@ -71,9 +71,8 @@ def written(folder: Path, image: np.ndarray, **keys: float) -> str:
 def solved_wcs(frame: Table.Row) -> WCS:
     """The world coordinates of a row of products/frames.ecsv, by the program's own export."""
     quaternion = np.array([frame[name] for name in ("qx", "qy", "qz", "qw")])
-    solution = SimpleNamespace(
-        flags=FrameFlag(0), quaternion=quaternion, **{field.name: frame[field.name] for field in fields(Camera)}
-    )
+    camera = Camera(**{field.name: frame[field.name] for field in fields(Camera)})
+    solution = SimpleNamespace(flags=FrameFlag(0), quaternion=quaternion, camera=camera)
     header = FrameHeader(
         frame=0,
         t_start_tai_ns=int(frame["t_start_tai_ns"]),

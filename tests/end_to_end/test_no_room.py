@@ -17,6 +17,7 @@ import pytest
 from sboc_e2e import cli
 from sboc_e2e.bench import run_bench
 from sboc_e2e.campaign import engine, read_campaign
+from sboc_e2e.campaign.worker import Outcome
 from sboc_e2e.files import atomic
 from sboc_e2e.run.pipeline import Run
 from tests.end_to_end.conftest import command, digest, tiny
@@ -146,18 +147,18 @@ def test_a_sweep_stops_when_its_disk_is_full_and_keeps_what_is_done(
     (tmp_path / "campaign.toml").write_text(f'scenario = "{tmp_path / "tiny.toml"}"\nreplicas = 4\n')
     done = []
 
-    def task(campaign: Any, task: Any, out: str) -> None:
+    def job(asked: Any) -> tuple[Outcome, ...]:
         if len(done) == 2:
-            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), f"{out}/shards/000002.ecsv")
-        done.append(task.number)
-        atomic.write_text(engine.shard_path(Path(out), task), "a table")
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), f"{asked.out}/shards/a.ecsv")
+        done.append(asked.tasks[0].task.number)
+        return tuple(Outcome(fingerprint=task.fingerprint, shard="a table") for task in asked.tasks)
 
     @contextmanager
-    def executor(workers: int, scheduler: str | None) -> Iterator[ThreadPoolExecutor]:
+    def executor(workers: int, scheduler: str | None) -> Iterator[tuple[ThreadPoolExecutor, int]]:
         with ThreadPoolExecutor(1) as pool:
-            yield pool
+            yield pool, 1
 
-    monkeypatch.setattr(engine, "run_task", task)
+    monkeypatch.setattr(engine, "run_job", job)
     monkeypatch.setattr(engine, "executor", executor)
     out = tmp_path / "sweep"
     refused(["sweep", str(tmp_path / "campaign.toml"), "--out", str(out)], capsys)

@@ -1,5 +1,6 @@
 """A small package that is no part of the project, as it lies in somebody's environment, swaps the detector."""
 
+import hashlib
 import json
 from pathlib import Path
 
@@ -18,14 +19,21 @@ def test_an_installed_package_swaps_the_detector_by_name(tmp_path: Path) -> None
     done = command("run", str(scenario_file), "--out", str(tmp_path / "run"), "--workers", "1", PYTHONPATH=str(LAB))
     assert done.returncode == 0, done.stderr
     components = json.loads((tmp_path / "run" / "manifest.json").read_text())["components"]
-    assert components["onboard.detector"] == {"use": "brightest_pixel", "class": "sboc_example_lab:BrightestPixel"}
+    step = components["onboard.detector"]
+    assert (step["use"], step["class"]) == ("brightest_pixel", "sboc_example_lab:BrightestPixel")
+    assert step["distribution"] == "sboc-example-lab 1.0"
+    assert step["file_sha256"] == hashlib.sha256((LAB / "sboc_example_lab" / "__init__.py").read_bytes()).hexdigest()
 
 
 def test_the_exam_passes_it_and_says_what_is_wrong_with_a_bad_one(tmp_path: Path) -> None:
-    good = command("check", "sboc_example_lab:BrightestPixel", PYTHONPATH=str(LAB))
+    good = command("check", "sboc_example_lab:LongPatches", PYTHONPATH=str(LAB))
     assert good.returncode == 0, good.stdout + good.stderr
     assert "as onboard.detector" in good.stdout
     assert "FAIL" not in good.stdout
+    assert "completeness 0." in good.stdout
+    useless = command("check", "sboc_example_lab:BrightestPixel", PYTHONPATH=str(LAB))
+    assert useless.returncode == 1
+    assert "found none of 48 trails" in useless.stdout
     (tmp_path / "bad_lab.py").write_text(
         "from dataclasses import dataclass\n"
         "from sboc_e2e.icd.signals import Detection\n"

@@ -14,8 +14,9 @@ from astropy.io import fits
 from astropy.time import Time
 from astropy.wcs import WCS
 
-from ground.astrometry.apparent import mid_frame_tai_ns
+from ground.astrometry.camera import Camera
 from ground.astrometry.wcs_export import pixel_icrs, sip_header
+from ground.sky.apparent import mid_frame_tai_ns
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.files import frame_fits
 from sboc_e2e.icd.flags import FrameFlag
@@ -69,8 +70,7 @@ def test_light_truth_and_header_agree(tmp_path: Path) -> None:
     solution = FrameSolution(
         frame=0, flags=FrameFlag(0), quaternion=told["q_true"].reshape(4), rate_rad_s=np.zeros(3),
         covariance_rad2=np.zeros((3, 3)),
-        focal_px=camera.focal_px, center_row=camera.center_row, center_col=camera.center_col,
-        k1=camera.k1, k2=camera.k2, p1=camera.p1, p2=camera.p2, n_stars=0, rms_px=0.0,
+        camera=Camera.nominal(camera), n_stars=0, rms_px=0.0,
         star_index=nothing.astype(np.int32), star_v_mag=nothing.astype(np.float32), star_b_v=nothing.astype(np.float32),
         star_residual_px=np.zeros((0, 2), np.float32),
     )  # fmt: skip

@@ -66,6 +66,9 @@ def test_a_table_of_end_points_alone_is_truth(copy: Path, tmp_path: Path) -> Non
     assert ground["completeness_snr8"]["reason"] == "the truth gives neither S/N nor flux"
     assert score["astrometry"]["cross_rms_px"]["value"] < 0.15
     assert "no bounds" in score["astrometry"]["cross_crlb_ratio"]["reason"]  # type: ignore[operator]
+    products = score["products"]
+    assert "ra0_deg" in products["angles"]["cross_rms_arcsec"]["reason"]  # type: ignore[index]
+    assert "products/*.oem" in products["observer"]["position_rms_m"]["reason"]  # type: ignore[index]
     for section in ("photometry", "orbit"):
         for name, figure in score[section].items():
             assert figure["value"] is None, name

@@ -72,6 +72,8 @@ def test_own_keys_win_over_a_preset_and_overrides_over_both(tmp_path: Path) -> N
         ("seed = -1", ("seed", "0 to")),
         ("shutter = 3", ("shutter: expected a table",)),
         ("[sensor]\nprnu = inf", ("sensor.prnu", "finite")),
+        ('[population]\npreset = "smoke_wide"', ('population.preset: "smoke_wide" is a preset of [instrument]',)),
+        ('[instrument]\npreset = "extremadura"', ('"extremadura" is a preset of [platform]',)),
         ('[instrument]\npreset = "nonsuch"', ('there is no preset "nonsuch"', "known:", "smoke_wide")),
         ('[instrument]\npreset = "../../etc/passwd"', ("there is no preset",)),
         ('[onboard.detector]\nuse = "nonsuch"', ('no step is called "nonsuch"', "line_integral", "lsd")),

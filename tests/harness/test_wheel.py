@@ -21,6 +21,8 @@ def test_the_wheel_builds_installs_and_lists_its_scenarios(tmp_path: Path) -> No
         "sboc_e2e/catalogue/data/tycho2_v11.npz",
         "scenarios/smoke.toml",
         "scenarios/presets/sboc_like.toml",
+        "scenarios/campaigns/threshold_froc.toml",
+        "sboc_e2e/bench/stored/baseline_quick.json",
         "simulator/chain.py",
     ):
         assert wanted in names
@@ -37,6 +39,17 @@ def test_the_wheel_builds_installs_and_lists_its_scenarios(tmp_path: Path) -> No
         [python, "-c", code, site, "scenarios"], cwd=tmp_path, env=environment, capture_output=True, text=True, check=True
     )
     assert "sso_antisun" in listed.stdout
+
+    def sboc(*arguments: str) -> subprocess.CompletedProcess[str]:
+        command = [python, "-c", code, site, *arguments]
+        return subprocess.run(command, cwd=tmp_path, env=environment, capture_output=True, text=True, check=False)
+
+    swept = sboc("sweep", "threshold_froc", "--set", "framse=1")
+    assert swept.returncode == 2
+    assert 'campaign threshold_froc: framse=1: unknown key "framse"; did you mean "frames"?' in swept.stderr
+    unknown = sboc("bench", "--only", "orbit")
+    assert unknown.returncode == 2
+    assert "known: smoke, sso_antisun" in unknown.stderr
     where = subprocess.run(
         [python, "-c", "import sboc_e2e; print(sboc_e2e.__file__)"],
         cwd=tmp_path,

@@ -25,7 +25,7 @@ ALBEDO = 0.13
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Encounter:
-    """Truth when the light of t = 0 left: state (km, km/s), elements (km, 1, deg), range, rate, size, V, S/N."""
+    """Truth: state at T0 (km, km/s), elements (km, 1, deg), range, rate, size, V, S/N."""
 
     state: NDArray[np.float64]
     elements: NDArray[np.float64]
@@ -200,9 +200,12 @@ def trajectory(state: NDArray[np.float64], t_s: NDArray[np.float64]) -> NDArray[
 
 def observed(
     encounter: Encounter, rng: np.random.Generator, *, cadence_s: float = 0.25, exposure_s: float = 0.2, longest_s: float = 10.0,
-    error_px: float | None = None,
+    error_px: float | None = None, steady: float = 0.0,
 ) -> tuple[Tracklet, tuple[FrameHeader, ...]]:  # fmt: skip
-    """A tracklet of both ends in every frame of the pass, with errors that go with its S/N, and headers with noisy GPS states."""
+    """A tracklet of both ends in every frame of the pass, with errors that go with its S/N, and headers with noisy GPS states.
+
+    steady : share of the variance of GPS errors (10 m, 0.1 m/s) that all states have in common.
+    """
     _, observer = sun_and_observer()
     arc = min(4.0 / encounter.rate_deg_s, longest_s)
     n_frames = max(3, int(arc / cadence_s))
@@ -234,8 +237,11 @@ def observed(
     )  # fmt: skip
     frame_t = start - 0.5 * exposure_s
     states = trajectory(observer, frame_t) * 1e3
-    states[:, :3] += 10.0 * rng.standard_normal((n_frames, 3))
-    states[:, 3:] += 0.1 * rng.standard_normal((n_frames, 3))
+    fresh = np.sqrt(1.0 - steady)
+    states[:, :3] += 10.0 * fresh * rng.standard_normal((n_frames, 3))
+    states[:, 3:] += 0.1 * fresh * rng.standard_normal((n_frames, 3))
+    if steady > 0.0:
+        states += np.sqrt(steady) * np.array([10.0] * 3 + [0.1] * 3) * rng.standard_normal(6)
     headers = tuple(
         FrameHeader(
             frame=k, t_start_tai_ns=T0_NS + round(t * 1e9), exposure_ns=round(exposure_s * 1e9), line_time_ns=10_000, rows=4096,

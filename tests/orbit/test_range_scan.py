@@ -107,7 +107,8 @@ def test_light_time_is_the_orbit_s_business() -> None:
     line = relative / rho
     rate = float((one.state[3:] - at_reference[3:]) @ line)
     out = np.empty(2 * len(data.node_s))
-    curve(problem_of(data, at_reference), float(rho), rate, np.empty(6), out)
+    at_node_km = trajectory(at_reference, data.node_s)[:, :3]
+    curve(problem_of(data, at_reference, at_node_km), float(rho), rate, np.empty(6), out)
     chi2 = data.constant - 2.0 * data.linear @ out + out @ data.quadratic @ out
     # errors of 0.01 arcsec: an arc curve wrong by that much would show
     assert chi2 < 2.0 * len(tracklet.t_tai_ns)

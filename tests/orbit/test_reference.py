@@ -13,7 +13,7 @@ from sgp4.exporter import export_tle
 
 from ground.options import GroundOptions
 from ground.orbit.bias import estimate_bias
-from ground.orbit.catalogue_match import match_catalogue, read_elements
+from ground.orbit.catalogue_match import chance_probability, local_density, match_catalogue, read_elements
 from ground.orbit.ephemerides import bias_of_run, read_oem
 from ground.orbit.reference import PreciseOrbit, teme_to_gcrs, utc_jd
 from ground.products.epochs import utc_text
@@ -99,6 +99,44 @@ def test_known_and_unknown_objects() -> None:
     tracklet, headers = seen(strange, rng)
     assert not match_catalogue([tracklet], headers, known)[0].known
     assert match_catalogue([tracklet], headers, read_elements("")) == ()
+
+
+def test_a_companion_makes_a_match_ambiguous() -> None:
+    """Two objects 1 km apart are two hypotheses, neither known; element sets of one object under one number are one candidate."""
+    rng = np.random.default_rng(8)
+    text, satellites = element_sets(40, rng)
+    tracklet, headers = seen(state_of(satellites[3], T0_NS), rng)
+    lines = text.splitlines()
+    name, one, two = lines[9:12]
+    twin = Satrec()
+    twin.sgp4init(
+        WGS72, "i", 20_000, satellites[3].jdsatepoch + satellites[3].jdsatepochF - 2433281.5, 1e-4, 0.0, 0.0, satellites[3].ecco,
+        satellites[3].argpo, satellites[3].inclo, satellites[3].mo + 1e-4, satellites[3].no_kozai, satellites[3].nodeo,
+    )  # fmt: skip
+    twin.intldesg = "20001B"
+    (match,) = match_catalogue([tracklet], headers, read_elements("\n".join([text, "0 TWIN", *export_tle(twin)])))
+    assert not match.known
+    assert {c.number for c in match.candidates} == {10_003, 20_000}
+    assert match.number == match.candidates[0].number
+    assert all(0.0 <= c.chance_probability <= 1.0 for c in match.candidates)
+    (match,) = match_catalogue([tracklet], headers, read_elements("\n".join([text, name, one, two])))
+    assert match.known
+    assert match.n_candidates == 1
+
+
+def test_chance_of_a_match_is_the_share_of_chance_matches() -> None:
+    """Objects strewn at random around 4,000 places: matches within 4 sigma are as many as stated, to 4 sigma of their number."""
+    rng = np.random.default_rng(4)
+    reach, place, drift = 0.01, 4.5e-3, 1.2e-3
+    stated, found = 0.0, 0
+    for _ in range(4000):
+        n = rng.poisson(400)
+        angle = np.arccos(1.0 - rng.random(n) * 0.05)
+        rate = 2.0 * reach * np.sqrt(rng.random(n))
+        stated += chance_probability(local_density(angle, rate, reach), 4.0, (place * drift) ** 2)
+        found += bool((np.hypot(angle / place, rate / drift) < 4.0).any())
+    assert found == pytest.approx(stated, abs=4.0 * np.sqrt(stated) + 1.0)
+    assert found > 30
 
 
 def test_broken_element_sets_are_named() -> None:

@@ -148,19 +148,5 @@ def test_creation_date_is_the_last_frame_so_that_bytes_repeat():
     assert "CREATION_DATE = 2027-01-2" in texts.pop()
 
 
-def test_oem_reads_back_states_in_eme2000(tmp_path):
-    message = _read(oem_text(_headers(), ProductOptions()), tmp_path)
-    (segment,) = message.body.segment
-    assert "EME2000" in str(segment.metadata.ref_frame)
-    rb = _bias_by_angles(*erfa.bi00())
-    for k, state in enumerate(segment.data.state_vector):
-        want = _observer(k)
-        got_position = np.array([float(getattr(state, name).value) for name in ("x", "y", "z")])
-        got_velocity = np.array([float(getattr(state, name).value) for name in ("x_dot", "y_dot", "z_dot")])
-        assert np.abs(got_position - rb @ want.position_m / 1e3).max() < 2e-6  # 2 mm
-        assert np.abs(got_velocity - rb @ want.velocity_m_s / 1e3).max() < 2e-9
-        assert abs(_tai_ns(str(state.epoch)) - want.tai_ns) < 1000.0
-
-
 def test_no_state_no_oem():
     assert oem_text(_headers(observed=False), ProductOptions()) is None

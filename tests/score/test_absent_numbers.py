@@ -5,7 +5,7 @@ import pytest
 from astropy.table import Table
 
 from sboc_e2e.report.words import figure_words
-from sboc_e2e.score.figures import exact
+from sboc_e2e.score.figures import exact, proportion
 from sboc_e2e.score.orbit import orbit
 from sboc_e2e.score.timing import timing
 from sboc_e2e.truth import empty
@@ -25,6 +25,16 @@ def test_stage_that_had_nothing_left_to_do_has_no_time_per_frame() -> None:
 
 def test_number_that_is_not_finite_is_absent_with_a_reason() -> None:
     assert figure_words(exact(float("nan"), 3)) == ("-", "not a finite number")
+
+
+def test_none_of_many_is_printed_as_a_person_would() -> None:
+    """Not as 0 [1.73e-18, 0.025]: the interval of none begins, and that of all ends, where a share does."""
+    for n in range(1, 400):
+        assert proportion(0, n)["low"] == 0.0
+        assert proportion(n, n)["high"] == 1.0
+    words, _ = figure_words(proportion(0, 105))
+    assert words.startswith("0  [0, 0.02")
+    assert figure_words({"value": 1e-20, "n": 3, "low": -2e-21, "high": 0.5})[0] == "0  [0, 0.5000]"
 
 
 def test_null_figure_of_an_older_score_can_be_printed() -> None:

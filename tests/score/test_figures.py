@@ -91,3 +91,24 @@ def test_half_point_in_a_gap_without_streaks_has_no_value() -> None:
     low, high = (float(word) for word in f["reason"].rpartition("S/N ")[2].split(" and "))
     assert 5.0 < low < 6.5
     assert 22.0 < high < 26.0
+
+
+def test_errors_that_objects_share_widen_the_interval() -> None:
+    """12 objects with 30 items each, of one error and none of their own: intervals hold the true 0 as those of 12 numbers do."""
+    rng = np.random.default_rng(5)
+    owner = np.repeat(np.arange(12), 30)
+    inside, alone = [], []
+    for _ in range(150):
+        items = rng.normal(size=12)[owner]
+        f, g = figures.bootstrap_by_owner(items, owner, np.mean), figures.bootstrap(items, np.mean)
+        assert f["n"] == 360
+        inside.append(f["low"] <= 0.0 <= f["high"])
+        alone.append(g["low"] <= 0.0 <= g["high"])
+    assert np.mean(inside) == pytest.approx(0.87, abs=0.08)  # percentile intervals of 12 numbers are a little short
+    assert np.mean(alone) < 0.4
+
+
+def test_two_objects_have_no_interval() -> None:
+    f = figures.bootstrap_by_owner(np.arange(20.0), np.arange(20) % 2, np.mean)
+    assert (f["value"], f["n"]) == (None, 20)
+    assert "fewer than three objects" in f["reason"]

@@ -253,3 +253,11 @@ def test_weighted_binning_reaches_the_least_variance_of_its_exposure():
     frames = np.array([sensor.digitise(dark_e, n, exposure_s).astype(np.float64) * 0.05 for n in range(400)])
     # 400 frames know each of 1024 variances to 7 %, their mean ratio to 0.2 %.
     assert (frames.var(axis=0, ddof=1) / best).mean() == pytest.approx(1.0, abs=0.02)
+
+
+def test_binning_that_does_not_divide_is_refused_with_what_is_allowed():
+    """Rows that fill no block were dropped without a word: the frame was smaller than the scenario says."""
+    options = replace(SensorOptions(), binning=BinningOptions(rows=3, cols=2))
+    with pytest.raises(UserError, match=r"sensor\.binning: 3 x 2 pixels do not divide the 256 x 256 that are read out"):
+        Sensor(options, rows=256, cols=256, seed=1)
+    assert Sensor(options, rows=258, cols=256, seed=1).delivered.rows == 86

@@ -69,7 +69,7 @@ def test_faint_ends_become_several_times_better(line_time_s: float) -> None:
     single, joint, z, covered = [], [], [], []
     for seed in range(12):
         frames, truths = tracklet(np.random.default_rng([21, seed]), 60.0, 10.0, 6, line_time_s)
-        for frame, trail, fit in zip(frames, truths, refit_tracklet(frames), strict=True):
+        for frame, trail, fit in zip(frames, truths, refit_tracklet(frames).fits, strict=True):
             assert StreakFlag.REFIT in fit.flags
             cos, sin = trail.axes
             direction = np.array([sin, cos])
@@ -115,8 +115,8 @@ def test_a_wrong_shutter_sign_would_be_seen() -> None:
         )
         for f in frames
     ]
-    good = np.abs([along_errors(t, f) for t, f in zip(truths, refit_tracklet(frames), strict=True)]).max()
-    bad = np.abs([along_errors(t, f) for t, f in zip(truths, refit_tracklet(wrong), strict=True)]).max()
+    good = np.abs([along_errors(t, f) for t, f in zip(truths, refit_tracklet(frames).fits, strict=True)]).max()
+    bad = np.abs([along_errors(t, f) for t, f in zip(truths, refit_tracklet(wrong).fits, strict=True)]).max()
     assert good < 2.0
     assert bad > 5.0
 
@@ -133,7 +133,7 @@ def test_an_end_beyond_the_pixels_comes_from_the_other_frames() -> None:
     half = (cut.fit.row0 + cut.fit.row1) / 2.0, (cut.fit.col0 + cut.fit.col1) / 2.0
     short = replace(cut.fit, row1=half[0], col1=half[1], flux_e=0.5 * cut.fit.flux_e, snr=cut.fit.snr / math.sqrt(2.0))
     frames[2] = replace(cut, pixels=replace(cut.pixels, **columns), fit=short, along1=0.5 * (cut.along0 + cut.along1))
-    fit = refit_tracklet(frames)[2]
+    fit = refit_tracklet(frames).fits[2]
     assert np.abs(along_errors(trail, fit)).max() < 6.0
 
 
@@ -172,17 +172,17 @@ def test_frames_without_ends_come_back_as_they_went() -> None:
     frames, _ = tracklet(np.random.default_rng(23), 80.0, 20.0, 3, 0.0)
     crossing = replace(frames[0], fit=replace(frames[0].fit, flags=StreakFlag.EDGE0 | StreakFlag.EDGE1))
     failed = replace(frames[1], fit=replace(frames[1].fit, flags=StreakFlag.FIT_FAILED))
-    out = refit_tracklet([crossing, failed, frames[2]])
+    out = refit_tracklet([crossing, failed, frames[2]]).fits
     assert [fit is f.fit for fit, f in zip(out, [crossing, failed, frames[2]], strict=True)] == [True, True, True]
-    out = refit_tracklet([crossing, *frames])
+    out = refit_tracklet([crossing, *frames]).fits
     assert out[0] is crossing.fit
     assert all(StreakFlag.REFIT in fit.flags for fit in out[1:])
-    assert refit_tracklet([]) == ()
+    assert refit_tracklet([]).fits == ()
 
 
 def test_a_prior_on_the_acceleration_widens_the_errors_and_nothing_breaks() -> None:
     frames, truths = tracklet(np.random.default_rng(24), 60.0, 12.0, 5, 0.0)
-    free, rigid = refit_tracklet(frames, sigma_acceleration=50.0), refit_tracklet(frames)
+    free, rigid = refit_tracklet(frames, sigma_acceleration=50.0).fits, refit_tracklet(frames).fits
     for loose, stiff, trail in zip(free, rigid, truths, strict=True):
         assert np.trace(loose.covariance_px2) >= 0.99 * np.trace(stiff.covariance_px2)
         assert np.abs(along_errors(trail, loose)).max() < 6.0
@@ -190,6 +190,6 @@ def test_a_prior_on_the_acceleration_widens_the_errors_and_nothing_breaks() -> N
 
 def test_the_same_frames_give_the_same_bytes() -> None:
     frames, _ = tracklet(np.random.default_rng(25), 60.0, 12.0, 4, 0.0)
-    a, b = refit_tracklet(frames), refit_tracklet(frames)
+    a, b = refit_tracklet(frames).fits, refit_tracklet(frames).fits
     for one, two in zip(a, b, strict=True):
         assert (one.row0, one.col1, one.flux_e) == (two.row0, two.col1, two.flux_e)

@@ -4,11 +4,11 @@ import numpy as np
 import pytest
 
 from sboc_e2e.validation.background import match, measure_background
+from sboc_e2e.validation.figures import compare, slope
 from sboc_e2e.validation.noise import noise_spectrum
 from sboc_e2e.validation.sources import SIGMA_TO_FWHM, find_sources, gaussian_fit, star_widths
 from sboc_e2e.validation.star_places import match_known
 from sboc_e2e.validation.subjects import KnownStars, Picture
-from sboc_e2e.validation.validate import compare, slope
 
 SIZE = 384
 

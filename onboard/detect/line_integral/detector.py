@@ -138,7 +138,7 @@ def with_blurred_ends(detection: Detection, images: WorkingImages, psf_sigma_px:
     angle = math.atan2(detection.row1 - detection.row0, detection.col1 - detection.col0)
     rough = (detection.snr, row, col, angle, detection.length_px)
     snr, row, col, angle, length = point_movers.fit_short_trail(
-        images.image, images.blocked, resolve.FOUND_BIT, rough, psf_sigma_px
+        images.image, images.blocked, whiten.FOUND_BIT, rough, psf_sigma_px
     )
     if snr <= detection.snr:
         return detection
@@ -158,7 +158,7 @@ def segment_snr(detection: Detection, view: DetectorView, images: WorkingImages,
         view.background.sigma_adu,
         view.background.tile_px,
         images.blocked,
-        resolve.FOUND_BIT,
+        whiten.FOUND_BIT,
         images.level,
         TILE_PX,
         ends,
@@ -195,11 +195,11 @@ def moved(
         (static_sky.IDENTITY, back, earlier.transform),
     ):
         before = static_sky.segment_snr_before(
-            earlier.frame.pixels, transform, sky, images.blocked, resolve.FOUND_BIT, images.level, TILE_PX, ends, psf_sigma_px
+            earlier.frame.pixels, transform, sky, images.blocked, whiten.FOUND_BIT, images.level, TILE_PX, ends, psf_sigma_px
         )
         if math.isnan(before):
             continue
-        before -= halos.subtracted_snr(images.halos, places, images.blocked, resolve.FOUND_BIT, ends, psf_sigma_px)
+        before -= halos.subtracted_snr(images.halos, places, images.blocked, whiten.FOUND_BIT, ends, psf_sigma_px)
         if before > 0.8 * detection.snr:
             return False
         if detection.length_px < GATHERING_PX and _snr_beyond(detection.snr, before) < wanted:
@@ -227,7 +227,7 @@ def short_detections(
         stars.col[entries],
         s_px,
         n_sigma,
-        resolve.FOUND_BIT,
+        whiten.FOUND_BIT,
         MAX_TRAILS,
     )
     before = snr_before(earlier, table[:, 2], table[:, 3], s_px)

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.detect.whiten import SATURATED, UNIT, code_of, pixel_scale
-from onboard.image.row_table import place_of
+from onboard.image.dark_map import place_of
 from sboc_e2e.icd.signals import DetectorView, StarList
 
 MASKED: Final = -128

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from onboard.detect.cross_profile import cross_profile
 from onboard.detect.line_integral.corridor import BENT_PX
 from onboard.detect.line_integral.strip import Strip, cross_sections, gather, minor_at, path_sums
+from onboard.detect.whiten import FOUND_BIT, POINT_BIT
 
 
 @nb.njit(cache=True)
@@ -155,7 +156,7 @@ def quarters(signal: NDArray[np.float64], weight: NDArray[np.float64], n: int) -
 
 @nb.njit(cache=True)
 def blank_path(smooth: NDArray[np.int8], blocked: NDArray[np.uint8], segment: NDArray[np.float64], half_width: float) -> None:
-    """Take a found segment out: pixels within half_width across it become 0 in `smooth` and blocked (4). In place."""
+    """Take a found segment out: pixels within half_width across it become 0 in `smooth` and blocked (FOUND_BIT). In place."""
     n_major, n_minor = smooth.shape
     slope = (segment[3] - segment[1]) / max(segment[2] - segment[0], 1e-6)
     reach = half_width * math.sqrt(1.0 + slope * slope)
@@ -163,7 +164,7 @@ def blank_path(smooth: NDArray[np.int8], blocked: NDArray[np.uint8], segment: ND
         minor = minor_at(segment, float(major))
         for j in range(max(0, math.ceil(minor - reach)), min(n_minor - 1, math.floor(minor + reach)) + 1):
             smooth[major, j] = 0
-            blocked[major, j] |= 4
+            blocked[major, j] |= FOUND_BIT
 
 
 @nb.njit(cache=True)
@@ -188,14 +189,14 @@ def brightest_points(
 def blank_point(
     image: NDArray[np.int8], smooth: NDArray[np.int8], blocked: NDArray[np.uint8], major: int, minor: int, radius: int
 ) -> None:
-    """Take a point source out of both images: a disc becomes 0 and blocked (8). In place."""
+    """Take a point source out of both images: a disc becomes 0 and blocked (POINT_BIT). In place."""
     n_major, n_minor = image.shape
     for i in range(max(0, major - radius), min(n_major - 1, major + radius) + 1):
         for j in range(max(0, minor - radius), min(n_minor - 1, minor + radius) + 1):
             if (i - major) ** 2 + (j - minor) ** 2 <= radius * radius:
                 image[i, j] = 0
                 smooth[i, j] = 0
-                blocked[i, j] |= 8
+                blocked[i, j] |= POINT_BIT
 
 
 @nb.njit(cache=True)

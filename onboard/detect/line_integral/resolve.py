@@ -11,9 +11,6 @@ from onboard.detect.cross_profile import cross_profile
 from onboard.detect.line_integral import corridor, refine
 from onboard.detect.line_integral.strip import Strip
 
-FOUND_BIT: Final = 4
-"""Bit of the working mask under detections already made."""
-
 POLISH_GAIN: Final = 1.3
 """The search over all parameters hardly ever raises the S/N of a located segment by more than this."""
 

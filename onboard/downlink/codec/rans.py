@@ -18,10 +18,16 @@ from numba import njit
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.layout import (
+    RANS_CENTRE_CODES_PER_SIGMA,
     RANS_CLASSES,
+    RANS_CODES_PER_OCTAVE,
+    RANS_ESCAPE,
     RANS_HEAD,
+    RANS_LEAST_SIGMA,
     RANS_LIMITS_SIGMA,
     RANS_LOWEST_STATE,
+    RANS_NEIGHBOUR_LIMIT,
+    RANS_PLAIN_TOKENS,
     RANS_SCALE,
     RANS_STATE_BYTES,
     RANS_STATES,
@@ -32,24 +38,18 @@ from sboc_e2e.icd.layout import (
 LOWEST = RANS_LOWEST_STATE
 SCALE = RANS_SCALE
 TOKENS = RANS_TOKENS
-PLAIN = 32
-"""Codes below are tokens themselves; larger ones have some of their bits sent as they are."""
-
-ESCAPE = TOKENS - 1
+PLAIN = RANS_PLAIN_TOKENS
+ESCAPE = RANS_ESCAPE
 LARGE = 0x8000
 """Bit of a symbol whose token the slow path works out."""
 
-CLIP = 4095
-"""Neighbours count at most so many ADU: their sum fits into 16 bits."""
+CLIP = RANS_NEIGHBOUR_LIMIT
 
 MOST_WORDS = 3
 """16-bit words that a value takes at most."""
 
 SAMPLES = 4096
 """Values of a block that its sky is measured on."""
-
-LEAST_SIGMA = 0.0625
-"""Noise of code 0."""
 
 CLIPPED_STD = 0.9866
 """Standard deviation of a unit Gaussian cut at +-3."""
@@ -89,7 +89,7 @@ def sky_of(values: NDArray[np.int32], level: int, start_sigma: float) -> tuple[f
         centre, sigma = mean, new_sigma
         if settled:
             break
-    return centre, max(sigma, LEAST_SIGMA)
+    return centre, max(sigma, RANS_LEAST_SIGMA)
 
 
 @njit(cache=True)
@@ -267,8 +267,8 @@ def model(noise_code: int, centre_code: int) -> tuple[NDArray[np.int16], NDArray
     """Limits of the classes and table of symbols for a sky; ICD.md, section 4, says how they follow."""
     from scipy.special import ndtr  # takes 20 MB of memory that other codecs do not need
 
-    sigma = 2.0 ** (noise_code / 16.0 - 4.0)
-    centre = centre_code * sigma / 16.0
+    sigma = 2.0 ** (noise_code / RANS_CODES_PER_OCTAVE + math.log2(RANS_LEAST_SIGMA))
+    centre = centre_code * sigma / RANS_CENTRE_CODES_PER_SIGMA
     limits = np.ceil(5.0 * (np.array(RANS_LIMITS_SIGMA) * sigma + centre))
     low, high = (FIRST - 0.5 - centre) / sigma, (LAST + 0.5 - centre) / sigma
     mean, width, share, scale, anything = np.array(RANS_CLASSES).T[:, :, None]
@@ -301,8 +301,9 @@ class RansCodec:
         values = np.ascontiguousarray(values_adu, dtype=np.int32)
         level = int(level_adu)
         centre, sigma = sky_of(values.ravel(), level, sigma_adu if math.isfinite(sigma_adu) else 1.0)
-        noise_code = min(max(round(16.0 * (math.log2(sigma) + 4.0)), 0), 255)
-        centre_code = min(max(round(16.0 * centre / 2.0 ** (noise_code / 16.0 - 4.0)), -32768), 32767)
+        noise_code = min(max(round(RANS_CODES_PER_OCTAVE * (math.log2(sigma) - math.log2(RANS_LEAST_SIGMA))), 0), 255)
+        noise = 2.0 ** (noise_code / RANS_CODES_PER_OCTAVE + math.log2(RANS_LEAST_SIGMA))
+        centre_code = min(max(round(RANS_CENTRE_CODES_PER_SIGMA * centre / noise), -32768), 32767)
         limits, table = model(noise_code, centre_code)
         states = np.full(RANS_STATES, LOWEST, dtype=np.int64)
         words = np.empty(MOST_WORDS * values.size + 1, dtype=np.uint16)

@@ -3,6 +3,8 @@
 Pixels are those of the detector's read-out window, unbinned, unless a name says "delivered".
 """
 
+import copy
+from dataclasses import replace
 from functools import cached_property
 
 import numpy as np
@@ -45,6 +47,15 @@ class Camera:
         step_px = grid_step_px(vignetting, self.corner_px)
         nodes = self.illumination_at(*node_places(self.shape, step_px)).astype(np.float32)
         self.illumination = IlluminationGrid(nodes, step_px)
+
+    def at(self, seconds: float) -> "Camera":
+        """The camera so long after the epoch: its focal length drifts."""
+        drift_ppm_s = self.instrument.as_built.focal_drift_ppm_s
+        if drift_ppm_s == 0.0:
+            return self
+        later = copy.copy(self)
+        later.projection = replace(self.projection, focal_px=self.projection.focal_px * (1.0 + 1e-6 * drift_ppm_s * seconds))
+        return later
 
     def illumination_at(self, row: Array, col: Array) -> Array:
         """Relative illumination at positions."""

@@ -4,8 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from onboard.detect.line_integral.detector import LineIntegralDetector
-from onboard.detect.threshold import ThresholdDetector
+from onboard.detect import LineIntegralDetector, ThresholdDetector
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import BackgroundModel, DetectorView, StarList
 

@@ -1,13 +1,12 @@
-"""What stays where it was: hot pixels learned over frames, and detections seen before at the same place."""
+"""Hot pixels that no map knows, learned over frames: sharp peaks that stay where they were."""
 
-from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from sboc_e2e.icd.flags import MaskBit, StarFlag, StreakFlag
-from sboc_e2e.icd.signals import Detection, StarList
+from sboc_e2e.icd.flags import MaskBit, StarFlag
+from sboc_e2e.icd.signals import StarList
 
 SIGHTINGS = 3
 """A sharp peak is taken for a hot pixel when seen at one pixel in so many frames."""
@@ -17,7 +16,6 @@ PATIENCE_FRAMES = 8
 """A candidate is forgotten when it was not seen for 8 frames per sighting, 64 at most: particle hits must not pile up."""
 
 CAPACITY = 50_000
-SAME_PLACE_PX = 1.5
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -61,23 +59,3 @@ class HotPixels:
         """Set `MaskBit.LEARNED_HOT` on the learned pixels of the map of defects."""
         learned = self.learned()
         defects[np.divmod(learned[learned < defects.size], defects.shape[1])] |= np.uint8(MaskBit.LEARNED_HOT)
-
-
-def flag_static(detections: Sequence[Detection], recent: Sequence[Sequence[Detection]]) -> tuple[Detection, ...]:
-    """Detections with STATIC set when each end of the segment was seen at the same place in a recent frame."""
-    earlier = [_ends(d) for frame in recent for d in frame]
-    if not earlier or not detections:
-        return tuple(detections)
-    before = np.array(earlier)
-    out = []
-    for detection in detections:
-        apart = np.abs(before - np.array(_ends(detection))).max(axis=1)
-        same = bool((apart < SAME_PLACE_PX).any())
-        out.append(replace(detection, flags=detection.flags | StreakFlag.STATIC) if same else detection)
-    return tuple(out)
-
-
-def _ends(detection: Detection) -> tuple[float, float, float, float]:
-    """The ends in an order that does not depend on which is called 0."""
-    a, b = (detection.row0, detection.col0), (detection.row1, detection.col1)
-    return (*min(a, b), *max(a, b))

@@ -1,0 +1,25 @@
+"""Errors that directions of a tracklet have in common: of the motion they were fitted to together, and of a frame's pointing."""
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.products import Tracklet
+
+Array = NDArray[np.float64]
+
+
+def common_errors(shared: Array, group: NDArray[np.int64], pointing: Array, frame: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Covariances (m, m) along and across the motion, of rows as `Tracklet` has them, in the square of their unit."""
+    pointed_together = np.where(frame[:, None] == frame, np.outer(pointing, pointing), 0.0)
+    fitted_together = (group[:, None] == group) & (group >= 0)
+    return np.where(fitted_together, shared @ shared.T, 0.0) + pointed_together, pointed_together
+
+
+def common_errors_arcsec2(tracklet: Tracklet) -> tuple[Array, Array]:
+    """The same of a tracklet's directions; nothing in common where it does not say."""
+    m = len(tracklet.t_tai_ns)
+    if len(tracklet.row_streak_ids) != m:
+        return np.zeros((m, m)), np.zeros((m, m))
+    frame_of = dict(zip(tracklet.streak_ids.tolist(), tracklet.frames.tolist(), strict=True))
+    frame = np.array([frame_of[k] for k in tracklet.row_streak_ids.tolist()], dtype=np.int64)
+    return common_errors(tracklet.shared_arcsec, tracklet.shared_group, tracklet.pointing_arcsec, frame)

@@ -1,0 +1,212 @@
+"""Flux of small debris from a run's tracklets: exposure, efficiency, unfolding, and what is not known.
+
+Counted are tracklets by their estimated size. What one object in orbit contributes to a run comes from `encounters`, how surely
+its streaks are found from `injection`; the counts are unfolded into crossings by true size (`recover`) and divided by the
+exposure.
+Detections in a single frame are listed, not counted: without a second frame the false ones cannot be told.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.population.encounters import SLOWEST_DEG_S, Crossings, Watch, crossings, effective_number
+from ground.population.injection import Efficiency
+from ground.population.recover import recover
+from ground.population.response import Response
+
+Array = NDArray[np.float64]
+
+SIZE_EDGES_M: Final = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
+ALBEDO: Final = 0.13
+ALBEDO_SIGMA_LN: Final = 0.5
+"""Median and scatter of the albedo, those that sizes of tracklets are made with (`ground.orbit: range_scan`)."""
+
+MEAN_ALBEDO_SIGMA_LN: Final = 0.3
+"""How well the median albedo of debris is known: 0.1 to 0.175 in the literature (Mulrooney et al. 2008, AMOS)."""
+
+PHASE_SIGMA_LN: Final = 0.2
+"""Light of a Lambert sphere against a mirror-like one of the same albedo at small phase angles: 1.5, taken as two sigma."""
+
+ORBITS_SIGMA_LN: Final = 0.1
+"""Density and speed along the line of sight as the prior has them, against those of pieces too small to be catalogued."""
+
+RESPONSE_SIGMA_LN: Final = 0.05
+"""Regions lost, streaks vetoed and linking, which injection into single frames does not see."""
+
+LINKED: Final = 0.95
+"""Share of the objects detected in two frames or more that become a tracklet with its size."""
+
+COULD_BE_SEEN_SNR: Final = 5.0
+"""Crossings are those that reach this S/N in their best frame and last two frames; exposure and efficiency both refer to them."""
+
+CANDIDATES: Final = 30_000
+DRAWS: Final = 1500
+YEAR_S: Final = 365.25 * 86_400.0
+LEAST_EFFICIENCY: Final = 1e-3
+SIZE_LAW_STEEP_BELOW_M: Final = 0.01
+RANGE_SIGMA_LN: Final = 0.1
+"""Of sizes, where no orbit of the run tells it."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Counted:
+    """Tracklets of a run but those slower than the limit: size_m (n,) estimates, NaN for none; probability (n,) of being real.
+
+    range_sigma_ln : typical error of ln(range). n_single : accepted detections of one frame, and how many of them are expected to
+    be false by their own probabilities. n_vetoed : streaks that were rejected. n_slow : tracklets left out.
+    """
+
+    size_m: Array
+    probability: Array
+    range_sigma_ln: float
+    n_single: int
+    n_single_false: float
+    n_vetoed: int
+    n_slow: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Flux:
+    """Per class (k,) and larger than each lower edge; (k, 3) are 5 %, 50 % and 95 %; NaN where there is no exposure.
+
+    flux, flux_larger : per km^2 and year, counting errors only. total, total_larger : with the systematic term. systematic_ln :
+    (k,) one sigma of ln(flux larger than the edge), its terms by name. exposure_km2_year : effective, efficiency included.
+    """
+
+    n_tracklets: NDArray[np.int64]
+    false_expected: Array
+    efficiency: Array
+    exposure_km2_year: Array
+    range_km: Array
+    flux: Array
+    total: Array
+    flux_larger: Array
+    total_larger: Array
+    systematic_ln: Array
+    terms_ln: dict[str, Array]
+
+
+def found_shares(candidates: Crossings, efficiency: Efficiency) -> Array:
+    """Probability (n,) of each candidate to be found in two frames or more."""
+    p = np.where(candidates.snr > 0.0, efficiency.share(candidates.snr, candidates.length_px), 0.0)
+    p = np.clip(p, 0.0, 1.0 - 1e-9)
+    looked = (candidates.snr > 0.0).sum(axis=1)
+    scale = candidates.frames_lit / np.maximum(looked, 1)
+    none = np.exp(scale * np.log1p(-p).sum(axis=1))
+    one = none * scale * (p / (1.0 - p)).sum(axis=1)
+    return np.clip(1.0 - none - one, 0.0, 1.0)
+
+
+def flux_of(counted: Counted, watch: Watch, efficiency: Efficiency, rng: np.random.Generator) -> Flux:
+    """Unfold the counts of a run."""
+    edges = np.array(SIZE_EDGES_M)
+    k = len(edges) - 1
+    category = _category(counted.size_m, edges)
+    observed = np.bincount(category, minlength=k + 1)
+    unknown = (observed[k] + 0.5) / (observed.sum() + 1.0)
+    detected, missed = np.zeros((k + 1, k)), np.zeros(k)
+    share, seen_km2_s, exposed, reach = np.zeros(k), np.zeros(k), np.zeros(k), np.full(k, np.nan)
+    for j in range(k):
+        drawn = crossings(watch, (edges[j], edges[j + 1]), CANDIDATES, rng, albedo=ALBEDO, albedo_sigma_ln=ALBEDO_SIGMA_LN)
+        if not len(drawn.weight):
+            continue
+        could = (drawn.snr.max(axis=1) >= COULD_BE_SEEN_SNR) & (drawn.frames_lit >= 2)
+        weight = np.where(could, drawn.weight, 0.0)
+        if not (weight.sum() > 0.0 and drawn.flux_km2_s > 0.0):
+            continue
+        found = LINKED * found_shares(drawn, efficiency)
+        estimate = (
+            drawn.size_m
+            * np.sqrt(drawn.albedo / ALBEDO)
+            * np.exp(counted.range_sigma_ln * rng.standard_normal(len(drawn.weight)))
+        )
+        n = effective_number(weight)
+        into = np.bincount(_category(estimate, edges), weights=weight * found, minlength=k + 1) / weight.sum()
+        detected[:, j] = n * into * (1.0 - unknown)
+        detected[k, j] += n * into.sum() * unknown
+        missed[j] = n * (1.0 - into.sum())
+        share[j] = into.sum()
+        seen_km2_s[j] = weight.sum() / drawn.flux_km2_s
+        exposed[j] = share[j] * seen_km2_s[j]
+        reach[j] = _weighted_quantile(drawn.range_km, weight * found, 0.9)
+    use = np.flatnonzero((share > LEAST_EFFICIENCY) & (exposed > 0.0))
+    false = np.bincount(category, weights=1.0 - counted.probability, minlength=k + 1).astype(np.float64)
+    nothing = np.full((k, 3), np.nan)
+    systematic, terms = _systematics(edges[:-1])
+    flux, total, larger, total_larger = nothing.copy(), nothing.copy(), nothing.copy(), nothing.copy()
+    if len(use):
+        got = recover(
+            observed.astype(np.int64),
+            Response(detected=detected[:, use], missed=missed[use]),
+            np.append(edges[use], edges[use[-1] + 1]),
+            rng,
+            false_counted=false,
+            n_draws=DRAWS,
+        )
+        draws = got.draws / seen_km2_s[use] * YEAR_S
+        sums = np.cumsum(draws[:, ::-1], axis=1)[:, ::-1]
+        # one error for all classes: the same albedo, phase function and orbits make all of them wrong alike
+        wrong = np.exp(rng.standard_normal(len(draws))[:, None] * systematic[use])
+        for out, values in ((flux, draws), (total, draws * wrong), (larger, sums), (total_larger, sums * wrong)):
+            out[use] = np.percentile(values, [5.0, 50.0, 95.0], axis=0).T
+    return Flux(
+        n_tracklets=observed[:k].astype(np.int64),
+        false_expected=false[:k],
+        efficiency=np.where(seen_km2_s > 0.0, share, np.nan),
+        exposure_km2_year=exposed / YEAR_S,
+        range_km=reach,
+        flux=flux,
+        total=total,
+        flux_larger=larger,
+        total_larger=total_larger,
+        systematic_ln=systematic,
+        terms_ln=terms,
+    )
+
+
+def _systematics(lower_edge_m: Array) -> tuple[Array, dict[str, Array]]:
+    """One sigma of ln N(> d) (k,), and its terms: light wrong by x makes sizes wrong by x / 2, and N(> d) falls as d^-b."""
+    slope = np.where(lower_edge_m < SIZE_LAW_STEEP_BELOW_M, 2.10, 1.45)
+    terms = {
+        "albedo": 0.5 * slope * MEAN_ALBEDO_SIGMA_LN,
+        "phase": 0.5 * slope * PHASE_SIGMA_LN,
+        "orbits": np.full(len(slope), ORBITS_SIGMA_LN),
+        "response": np.full(len(slope), RESPONSE_SIGMA_LN),
+    }
+    return np.sqrt(sum((term**2 for term in terms.values()), np.zeros(len(slope)))), terms
+
+
+def _category(size_m: Array, edges: Array) -> NDArray[np.int64]:
+    """Class of each size (n,), sizes beyond the edges in the outermost, NaN in the last category of its own."""
+    k = len(edges) - 1
+    return np.where(np.isfinite(size_m), np.clip(np.searchsorted(edges, size_m, side="right") - 1, 0, k - 1), k).astype(np.int64)
+
+
+def _weighted_quantile(values: Array, weight: Array, share: float) -> float:
+    if not weight.sum() > 0.0:
+        return math.nan
+    order = np.argsort(values, kind="stable")
+    return float(np.interp(share * weight.sum(), np.cumsum(weight[order]), values[order]))
+
+
+def counted_of(
+    sizes: Sequence[tuple[float, float, float]], ranges: Sequence[tuple[float, float]], singles: Sequence[float], n_vetoed: int
+) -> Counted:
+    """sizes : (size_m, probability, rate_deg_s) of tracklets. ranges : 5 % and 95 % points. singles : probabilities."""
+    table = np.array(sizes, dtype=np.float64).reshape(-1, 3)
+    kept = ~(table[:, 2] < SLOWEST_DEG_S)
+    spread = [math.log(high / low) / 3.29 for low, high in ranges if 0.0 < low < high < math.inf]
+    return Counted(
+        size_m=table[kept, 0],
+        probability=np.clip(table[kept, 1], 0.0, 1.0),
+        range_sigma_ln=float(np.median(spread)) if spread else RANGE_SIGMA_LN,
+        n_single=len(singles),
+        n_single_false=float(sum(1.0 - p for p in singles)),
+        n_vetoed=n_vetoed,
+        n_slow=int((~kept).sum()),
+    )

@@ -1,0 +1,1 @@
+"""Exams of single steps, one module for each kind: what is asked, and how well it was answered."""

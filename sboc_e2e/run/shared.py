@@ -1,0 +1,116 @@
+"""Runs that share what they have in common: frames where the simulator's part is the same, packets where all but ground is.
+
+Every folder is named by a digest of all that decides its content: options, versions, sources, plug-ins and files that are named.
+"""
+
+import hashlib
+import json
+import shutil
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Final
+
+from sboc_e2e import provenance
+from sboc_e2e.files.atomic import require_writable, write_text
+from sboc_e2e.run.begin import begin_or_continue
+from sboc_e2e.run.manifest import run_id, versions
+from sboc_e2e.run.pipeline import Run
+from sboc_e2e.run.progress import Progress, Silent
+from sboc_e2e.scenario import Scenario
+
+_LABELS: Final = ("description", "output")
+_AFTER: Final = {
+    "simulate": ("onboard", "ground", "faults", *_LABELS),
+    "onboard": ("ground", *_LABELS),
+    "ground": _LABELS,
+}
+"""Tables of a scenario that decide nothing of a stage and of those before it."""
+SMALL_PX: Final = 20_000_000
+"""Starting processes takes longer than simulating fewer pixels than this."""
+KEPT: Final = ("frames", "downlinks", "runs")
+
+
+def stage_document(scenario: Scenario, stage: str) -> dict[str, Any]:
+    """The part of a scenario that decides the results of a stage: "simulate", "onboard" or "ground"."""
+    return {key: value for key, value in scenario.document().items() if key not in _AFTER[stage]}
+
+
+def stage_content(scenario: Scenario, stage: str) -> dict[str, Any]:
+    """All that decides the results of a stage."""
+    document = stage_document(scenario, stage)
+    reached = [segment for segment in ("onboard", "ground") if segment in document]
+    outside = {
+        seam: source
+        for seam, component in scenario.components.items()
+        if seam.partition(".")[0] in reached and (source := provenance.plugin(type(component.step)))
+    }
+    return {
+        "scenario": document,
+        "versions": versions(),
+        "code": provenance.code_digest(stage),
+        "plugins": outside,
+        "files": provenance.named_files(document),
+    }
+
+
+def key(content: Mapping[str, Any]) -> str:
+    """A digest of a document as the name of a folder."""
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+
+
+@dataclass(frozen=True, kw_only=True)
+class SharedRuns:
+    """Runs below one folder. workers : simulation processes, 0 for one for each processor unless the frames are small."""
+
+    out: Path
+    workers: int = 0
+    progress: Progress = field(default_factory=Silent)
+
+    def clear(self) -> None:
+        """Forget everything that was kept."""
+        for name in KEPT:
+            shutil.rmtree(self.out / name, ignore_errors=True)
+
+    def ground(self, scenario: Scenario) -> Run:
+        """A scenario's run up to its products, on frames and packets of earlier ones where they serve: it must keep all."""
+        made = self._run("runs", "ground", scenario)
+        if made.manifest.done("ground"):
+            return made
+        frames = self._frames(scenario)
+        for folder in ("frames", "truth", "calibration"):
+            _link(frames.directory.path / folder, made.directory.path / folder)
+        made.manifest.stages["simulate"] = frames.manifest.stages["simulate"]
+        content = stage_content(scenario, "onboard")
+        # Whose packets they are depends on nothing that choices on ground differ in: any of them may read them.
+        made.manifest.run_id = run_id(content["scenario"])
+        shared = self.out / "downlinks" / key(content)
+        if (shared / "stage.json").is_file():
+            made.manifest.stages["onboard"] = json.loads((shared / "stage.json").read_text())
+        else:
+            made.onboard()
+            require_writable(shared)
+            made.directory.downlink.replace(shared / "downlink.bin")
+            write_text(shared / "stage.json", json.dumps(made.manifest.stages["onboard"]))
+        _link(shared / "downlink.bin", made.directory.downlink)
+        made.manifest.save()
+        made.ground()
+        return made
+
+    def _frames(self, scenario: Scenario) -> Run:
+        """The simulated frames of a scenario."""
+        made = self._run("frames", "simulate", scenario)
+        if not made.manifest.done("simulate"):
+            made.simulate()
+        return made
+
+    def _run(self, kind: str, stage: str, scenario: Scenario) -> Run:
+        path = self.out / kind / key(stage_content(scenario, stage))
+        small = scenario.simulator.frames * scenario.simulator.instrument.rows * scenario.simulator.instrument.cols < SMALL_PX
+        workers = self.workers or (1 if small else 0)
+        return begin_or_continue(path, scenario, keyed=True, workers=workers, progress=self.progress)
+
+
+def _link(source: Path, target: Path) -> None:
+    if not target.exists():
+        target.symlink_to(source.resolve(), target_is_directory=source.is_dir())

@@ -1,0 +1,183 @@
+"""The population product: exposure against the simulator's own encounters, intervals against truth, what is lacking said."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ground.population.encounters import CELL_KM, crossings, density_of, trail_snr
+from ground.population.flux import ALBEDO, ALBEDO_SIGMA_LN, SIZE_EDGES_M, counted_of, found_shares
+from ground.population.injection import (
+    DEFAULT_THRESHOLD,
+    LENGTHS_PX,
+    SNR_GRID,
+    Image,
+    images_of,
+    measured_efficiency,
+    threshold_of,
+)
+from ground.products.population import population, population_table
+from ground.records import GroundProducts
+from sboc_e2e.score.population import published_flux
+from tests.astrometry.test_faulty_steps import fields as fields
+from tests.astrometry.test_ground_chain import chain_of
+from tests.population import worlds
+
+
+@pytest.mark.slow
+def test_exposure_is_that_of_the_simulator() -> None:
+    """Effective exposure of each class by ground and from the simulator's encounters, each with its integration noise."""
+    watch, found = worlds.watch_of(worlds.window()), worlds.efficiency(np.random.default_rng(0), trials=2000)
+    rng = np.random.default_rng(1)
+    for k, one in enumerate(worlds.classes()):
+        drawn = crossings(watch, SIZE_EDGES_M[k : k + 2], 30_000, rng, albedo=ALBEDO, albedo_sigma_ln=ALBEDO_SIGMA_LN)
+        ground = float((drawn.weight * found_shares(drawn, found)).sum()) / drawn.flux_km2_s
+        assert ground == pytest.approx(worlds.exposure_km2_s(one, rng), rel=0.4 if k == 0 else 0.25)
+
+
+@pytest.mark.parametrize(("a", "e", "i_deg"), [(7078.0, 0.01, 98.0), (9000.0, 0.2, 30.0), (7500.0, 0.001, 63.0)])
+def test_the_density_of_an_orbit_sums_to_one_object(a: float, e: float, i_deg: float) -> None:
+    """Over the shell that holds the orbit, 300,000 places even in volume: 1 within the scatter of the sum."""
+    rng, n = np.random.default_rng(2), 300_000
+    low, high = a * (1.0 - e) - 2.0 * CELL_KM, a * (1.0 + e) + 2.0 * CELL_KM
+    radius = np.cbrt(low**3 + rng.random(n) * (high**3 - low**3))
+    sine, longitude = rng.uniform(-1.0, 1.0, n), rng.uniform(0.0, 2.0 * np.pi, n)
+    flat = np.sqrt(1.0 - sine**2)
+    place = radius[:, None] * np.stack([flat * np.cos(longitude), flat * np.sin(longitude), sine], axis=1)
+    density = density_of(place, np.full(n, a), np.full(n, e), np.full(n, np.radians(i_deg)))
+    total = float(density.mean()) * 4.0 / 3.0 * np.pi * (high**3 - low**3)
+    assert total == pytest.approx(1.0, abs=5.0 * float(density.std() / density.mean()) / np.sqrt(n) + 0.01)
+
+
+@pytest.mark.slow
+def test_intervals_hold_the_truth_in_forty_runs() -> None:
+    """Runs as lists whose light and orbits are off as the systematic terms say: 90 % intervals of N(> d)."""
+    watch, made = worlds.watch_of(worlds.window()), worlds.classes()
+    rng = np.random.default_rng(5)
+    inside = []
+    for _ in range(40):
+        flux, truth = worlds.run(made, watch, rng, expected=5.0, as_assumed=False)
+        larger = np.cumsum(truth[::-1])[::-1]
+        inside.append((flux.total_larger[:, 0] <= larger) & (larger <= flux.total_larger[:, 2]))
+    assert 0.84 <= np.mean(inside) <= 0.97
+
+
+def test_injection_into_plain_noise_is_a_threshold() -> None:
+    """Half of what has the threshold's S/N is found, the search across adding 0.2 at most; controls are normal."""
+    rng = np.random.default_rng(4)
+    noise = Image(
+        value_e=3.0 * rng.standard_normal((600, 600)), sigma_e=np.full((600, 600), 3.0), usable=np.ones((600, 600), dtype=bool)
+    )
+    found = measured_efficiency([noise], "test", (7.0, 10), 0.9, rng)
+    share = found.found.sum(axis=1) / found.tried.sum(axis=1)
+    assert share[SNR_GRID.index(4.0)] < 0.02
+    assert 0.4 < share[SNR_GRID.index(7.0)] < 0.75
+    assert share[SNR_GRID.index(9.0)] > 0.93
+    assert np.std(found.control) == pytest.approx(1.0, abs=0.1)
+    assert found.lengths_px == LENGTHS_PX
+    p = found.share(np.array([2.0, 6.5, 100.0]), np.array([50.0, 50.0, 50.0]))
+    assert p[0] == 0.0
+    assert p[1] < p[2]
+    assert p[2] > 0.95
+
+
+def test_masked_pixels_cost_light() -> None:
+    rng = np.random.default_rng(4)
+    shape = (400, 400)
+    whole = Image(value_e=rng.standard_normal(shape), sigma_e=np.ones(shape), usable=np.ones(shape, dtype=bool))
+    half = replace(whole, usable=rng.random(shape) < 0.5)
+    a, b = (measured_efficiency([image], "test", (7.2, 1), 0.9, np.random.default_rng(1)) for image in (whole, half))
+    at = SNR_GRID.index(9.0)
+    assert b.found[at].sum() < 0.5 * a.found[at].sum()
+
+
+def test_threshold_is_read_from_what_came_down(fields: list) -> None:
+    frames = [f.frame for f in fields]
+    snr = [g.detection.snr for f in frames for g in f.rois]
+    value, n = threshold_of(frames)
+    assert n == len(snr)
+    assert min(snr) * 0.6 < value <= min(snr)
+    assert threshold_of([replace(f, rois=()) for f in frames]) == (DEFAULT_THRESHOLD, 0)
+
+
+def test_signal_to_noise_is_the_closed_form() -> None:
+    """S = F / sqrt(2 sqrt(pi) s (L + 2 sqrt(pi) s) V) against the sum over pixels of a drawn trail."""
+    watch = worlds.watch_of(worlds.window())
+    s, length, flux = watch.psf_sigma_px, 60.0, 4000.0
+    row, col = np.mgrid[-12:13, -60:61]
+    along = np.linspace(-30.0, 30.0, 2001)
+    light = np.exp(-0.5 * (row[..., None] ** 2 + (col[..., None] - along) ** 2) / s**2).mean(axis=-1) * flux / (2 * np.pi * s**2)
+    direct = np.sqrt(np.sum(light**2)) / watch.noise_e
+    assert float(trail_snr(np.array([flux]), np.array([length]), np.array([1e9]), watch)[0]) == pytest.approx(direct, rel=0.01)
+
+
+def _finished(fields: list, **changes: object) -> tuple[GroundProducts, list]:
+    """Products of the frames, each changed as told."""
+    frames = [replace(f.frame, **changes) for f in fields]
+    chain = chain_of(fields[0])
+    state, products = chain.initial_state(), []
+    for frame in frames:
+        state, product = chain.process_frame(state, frame)
+        products.append(product)
+    return chain.finish(frames, products), frames
+
+
+def test_each_gap_of_a_downlink_is_said(fields: list) -> None:
+    """One frame, no observer, no meshes, no whole frames: a table all the same, with the reason and without a number."""
+    camera = chain_of(fields[0]).camera
+    products, frames = _finished(fields)
+    one = replace(products, headers=products.headers[:1], photometry=products.photometry[:1], solutions=[products.solutions[0]])
+    table = population_table(population(one, frames[:1], camera))
+    assert "1 frame: tracklets and the time watched need two" in table.meta["lacks"]
+    assert np.isnan(np.asarray(table["larger"])).all()
+
+    blind = replace(products, headers=tuple(replace(h, observer=None) for h in products.headers))
+    table = population_table(population(blind, frames, camera))
+    assert "fewer than two frames with direction and observer" in table.meta["lacks"]
+    assert np.isnan(np.asarray(table["exposure_km2_year"])).all()
+
+    bare = [replace(f, background=None, whole_frame=None) for f in frames]
+    assert images_of(bare, 1.0) == ([], "none")
+    found = population(_with_observer(products), bare, camera)
+    assert found.flux is None
+    assert "no background mesh" in "; ".join(found.lacks)
+    assert published_flux(population_table(found), {})["larger_than"] == []
+
+
+def _with_observer(products: GroundProducts) -> GroundProducts:
+    """The products as if GPS had come down."""
+    from sboc_e2e.icd.frame import ObserverState
+
+    def at(tai_ns: int) -> ObserverState:
+        return ObserverState(
+            tai_ns=tai_ns, position_m=np.array([7.078e6, 0.0, 0.0]), velocity_m_s=np.array([0.0, 1000.0, 7400.0]),
+            sigma_position_m=1.0, sigma_velocity_m_s=0.01,
+        )  # fmt: skip
+
+    return replace(products, headers=tuple(replace(h, observer=at(h.t_start_tai_ns)) for h in products.headers))
+
+
+def test_slow_and_unsized_tracklets_are_told_apart() -> None:
+    counted = counted_of([(0.01, 0.9, 1.0), (np.nan, 0.8, 2.0), (0.5, 0.9, 0.01)], [(90.0, 110.0)], [0.99, 0.5], 4)
+    assert counted.n_slow == 1
+    assert np.isnan(counted.size_m).tolist() == [False, True]
+    assert counted.n_single_false == pytest.approx(0.51)
+    assert counted.range_sigma_ln == pytest.approx(np.log(110.0 / 90.0) / 3.29)
+
+
+def test_score_compares_the_published_flux_with_truth() -> None:
+    """A table that holds the truth at one of two sizes."""
+    from astropy.table import Table
+
+    table = Table({"from_m": [0.001, 0.1], "n_tracklets": [1, 3]}, meta={"lacks": ""})
+    for name, values in (("larger", [5.0, 2.0]), ("larger_low", [3.0, 1.5]), ("larger_high", [8.0, 2.5])):
+        table[name] = values
+    table["larger_total_low"], table["larger_total_high"] = [2.0, 1.0], [9.0, 2.6]
+    truth = {
+        "classes": [{"from_mm": 1.0, "boost": 2.0, "flux_km2_year": 2.0}, {"from_mm": 100.0, "boost": 3.0, "flux_km2_year": 1.0}]
+    }
+    got = published_flux(table, truth)
+    assert [row["true_per_km2_year"] for row in got["larger_than"]] == [7.0, 3.0]
+    assert [row["inside"] for row in got["larger_than"]] == [True, False]
+    assert got["holds_truth"]["value"] == 0.5
+    assert published_flux(None, truth)["holds_truth"]["value"] is None

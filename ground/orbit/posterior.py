@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
 
 import numpy as np
@@ -37,6 +38,12 @@ class Posterior:
     density: NDArray[np.float64]
 
 
+@lru_cache(maxsize=4)
+def _draws(n: int) -> NDArray[np.float64]:
+    """Pairs (2 _MOST_RANGES, n, 2) for every range that a scan may try: a round of refinement at most doubles their number."""
+    return normal_pairs(0, 2 * _MOST_RANGES * n).reshape(-1, n, 2)
+
+
 def normal_pairs(start: int, n: int) -> NDArray[np.float64]:
     """Members start ... start + n - 1 of a quasi-random sequence of standard normal pairs (Roberts' R2 sequence)."""
     golden = 1.324717957244746
@@ -46,26 +53,25 @@ def normal_pairs(start: int, n: int) -> NDArray[np.float64]:
 
 def scan(
     problem: Problem,
-    prior_of_range: Callable[[float], PriorTable],
-    log_weight_of_range: Callable[[float], float],
+    law_of_range: Callable[[float], tuple[PriorTable, float]],
     limits_km: tuple[float, float],
     n_draws: int,
 ) -> Posterior | None:
-    """Scan, then refine until no cell of the range grid holds more than a hundredth of the mass; None without any bound orbit."""
+    """Scan, then refine until no cell of the range grid holds more than a hundredth of the mass; None without any bound orbit.
+
+    law_of_range : range (km) -> density of orbits there, and natural log of volume and size law per ln(range).
+    """
     log_range = list(np.linspace(np.log(limits_km[0]), np.log(limits_km[1]), _COARSE_STEPS))
     buffer = np.empty((rows_per_range(n_draws), N_COLUMNS))
     rows: dict[float, NDArray[np.float64]] = {}
     log_density: dict[float, float] = {}
     range_rate_ratio: dict[float, float] = {}
-    draws = 0
+    draws = _draws(n_draws)
 
     def evaluate(x: float, ratio: float) -> None:
-        nonlocal draws
         rho = float(np.exp(x))
-        count, total, rate = scan_range(
-            problem, prior_of_range(rho), rho, ratio * rho, normal_pairs(draws, n_draws), log_weight_of_range(rho), buffer
-        )
-        draws += n_draws
+        prior, log_weight = law_of_range(rho)
+        count, total, rate = scan_range(problem, prior, rho, ratio * rho, draws[len(rows)], log_weight, buffer)
         rows[x], log_density[x], range_rate_ratio[x] = buffer[:count].copy(), total, rate / rho
 
     ratio = 0.0

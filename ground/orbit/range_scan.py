@@ -54,7 +54,7 @@ class RangeScan:
     nearest_km: float = field(default=0.05, metadata={"doc": "where the scan begins", "min": 1e-3, "max": 1e4})
     farthest_km: float = field(default=60000.0, metadata={"doc": "where the scan ends", "min": 1.0, "max": 1e6})
     sigma_floor_arcsec: float = field(
-        default=0.1, metadata={"doc": "error of directions common to no two frames, added", "min": 0.0, "max": 1e3}
+        default=0.0, metadata={"doc": "error of each direction beyond the stated one, added", "min": 0.0, "max": 1e3}
     )
     draws: int = field(
         default=3,
@@ -87,22 +87,19 @@ class RangeScan:
         phase_rad = math.acos(max(-1.0, min(1.0, -float(data.axes[2] @ sun_direction(data.t_ref_tai_ns)))))
         small, large = (self._prior(share) for share in (self.breakup_share_small, self.breakup_share_large))
 
-        def size_m(range_km: float) -> float:
-            return float(diameter_m(mag, range_km, self.albedo, phase_rad))
+        def law_of_range(range_km: float) -> tuple[PriorTable, float]:
+            """Orbits of objects as large as the magnitude makes them there; volume of phase space per ln(rho) and the size law.
 
-        def prior_of_range(range_km: float) -> PriorTable:
-            """At each range the magnitude says how large the object would be."""
-            return small if size_m(range_km) < self.small_below_m else large
-
-        def log_weight(range_km: float) -> float:
-            """Volume of phase space, d3r d3v = rho^4 d(direction) d(rate) d(rho) d(rho rate), per ln(rho), and the size law."""
-            return 5.0 * math.log(range_km) + log_size_density(size_m(range_km))
+            d3r d3v = rho^4 d(direction) d(rate) d(rho) d(rho rate).
+            """
+            size_m = float(diameter_m(mag, range_km, self.albedo, phase_rad))
+            return small if size_m < self.small_below_m else large, 5.0 * math.log(range_km) + log_size_density(size_m)
 
         sigma_km_s = _TYPICAL_RANGE_KM * math.sqrt(float(np.trace(data.rate_covariance)))
         draws = self.draws * min(1 + int(sigma_km_s / _DRAW_STEP_KM_S), _MOST_DRAWS)
         limits_km = (self.nearest_km, self.farthest_km)
         problem = problem_of(data, observer, observed_from[:-1, :3])
-        posterior = scan(problem, prior_of_range, log_weight, limits_km, draws)
+        posterior = scan(problem, law_of_range, limits_km, draws)
         if posterior is None:
             return self._nothing(tracklet, "no bound orbit fits within the ranges that were tried")
         state = state_of(posterior, data, problem, path.covariances(node_ns[-1:])[0])

@@ -7,6 +7,7 @@ from ground.orbit.dynamics import MU_KM3_S2
 from ground.orbit.states import elements_of
 from ground.products.ccsds_covariance import keyword_lines, turned
 from ground.products.epochs import utc_text
+from ground.products.kvn_comments import comment_lines
 from ground.sky.eme2000 import frame_bias
 from sboc_e2e.icd.products import OrbitEstimate
 
@@ -38,9 +39,10 @@ def opm_text(estimate: OrbitEstimate, names: ProductOptions, created_tai_ns: int
         f"CREATION_DATE = {utc_text([created_tai_ns], 3)[0]}",
         f"ORIGINATOR = {names.originator}",
         f"COMMENT Orbit of tracklet {estimate.tracklet_id} from an arc of seconds: the prior carries the range",
-        f"COMMENT Prior: {estimate.prior}",
-        *(f"COMMENT {text}" for text in kind),
-        f"COMMENT Test: {state.shape}",
+        *comment_lines(f"Prior: {estimate.prior}"),
+        *(line for text in kind for line in comment_lines(text)),
+        *comment_lines(f"Test: {state.shape}"),
+        "COMMENT The object was in this state at EPOCH: light time is removed; epochs are those of the on-board clock",
         "COMMENT Range {1:.4g} km, 90 % of the posterior in {0:.4g} to {2:.4g}".format(*estimate.range_km),
         f"OBJECT_NAME = UCT-{estimate.tracklet_id:06d}",
         "OBJECT_ID = UNKNOWN",

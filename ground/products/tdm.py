@@ -3,7 +3,6 @@
 Errors of single directions have no field there; they are in the table beside the message (`tdm_angles`).
 """
 
-import textwrap
 from collections.abc import Sequence, Set
 from typing import Final
 
@@ -11,6 +10,7 @@ import numpy as np
 
 from ground.options import ProductOptions
 from ground.products.epochs import utc_text
+from ground.products.kvn_comments import comment_lines
 from ground.sky.eme2000 import eme2000_angles_deg
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
@@ -80,7 +80,7 @@ def _lacking(tracklets: Sequence[Tracklet], headers: Sequence[FrameHeader], name
             if len(headers) == 1
             else f"{len(headers)} frames"
         )
-        lines += _comment(f"No segment: no tracklet in {frames}")
+        lines += comment_lines(f"No segment: no tracklet in {frames}")
     for why, left_out in (
         ("attitude unknown, so that they have no sky positions", [t for t in tracklets if t.flags & StreakFlag.NO_SKY]),
         (
@@ -89,7 +89,7 @@ def _lacking(tracklets: Sequence[Tracklet], headers: Sequence[FrameHeader], name
         ),
     ):
         if left_out:
-            lines += _comment(f"Left out, {why}: {' '.join(track_id(names, t.tracklet_id) for t in left_out)}")
+            lines += comment_lines(f"Left out, {why}: {' '.join(track_id(names, t.tracklet_id) for t in left_out)}")
     return lines
 
 
@@ -97,15 +97,6 @@ def _dated(streak: StreakMeasurement) -> bool:
     """Whether the middle of the trail has an epoch: what an edge cuts has one only once its other end is dated."""
     cut = bool(streak.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1))
     return not cut or bool(streak.flags & (StreakFlag.DIRECTION_RESOLVED | StreakFlag.POINT_LIKE))
-
-
-LONGEST_LINE: Final = 254
-"""Characters of a line of KVN, at most."""
-
-
-def _comment(text: str) -> list[str]:
-    """Comment lines."""
-    return [f"COMMENT {line}" for line in textwrap.wrap(text, LONGEST_LINE - len("COMMENT "), break_on_hyphens=False)]
 
 
 def _segment(
@@ -137,10 +128,10 @@ def _segment(
     along, cross = tracklet.sigma_along_arcsec[order], tracklet.sigma_cross_arcsec[order]
     lines = [
         "META_START",
-        *_comment(
+        *comment_lines(
             f"Directions: EME2000 axes (GCRS turned by the IAU 2006 frame bias), observer-centred; {removed}, {CORRECTIONS_KEPT}"
         ),
-        *_comment(f"Epochs are {EPOCHS}; of MAG, half way between both ends' epochs"),
+        *comment_lines(f"Epochs are {EPOCHS}; of MAG, half way between both ends' epochs"),
         f"COMMENT One sigma along / across the motion, median: {np.median(along):.3f} / {np.median(cross):.3f} arcsec; "
         "of each direction, with correlations: tdm_angles.ecsv"
         if np.isfinite(along).any()

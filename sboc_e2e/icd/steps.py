@@ -176,7 +176,7 @@ class Linker(Protocol):
     """
 
     def link(self, headers: Sequence[FrameHeader], streaks: Sequence[StreakMeasurement]) -> tuple[Tracklet, ...]:
-        """Tracklets of two or more frames, each with an id of its own, no streak in two of them; directions resolved.
+        """Tracklets of two or more frames, each with an id of its own, no streak in two; directions resolved.
 
         headers : of all frames, in any order. streaks : of all frames, rejected ones flagged VETOED; may be made on demand: go
         through it once or by index. The same input gives the same result.

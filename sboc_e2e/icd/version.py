@@ -17,7 +17,10 @@ HISTORY: Final = (
     (
         "2.2",
         "frame solutions carry a camera of any model (pixel to direction and back) instead of Brown-Conrady numbers; the table "
-        "of frames has the directions of a 9 x 9 grid of pixels, and the columns that the camera's model names",
+        "of frames has the directions of a 9 x 9 grid of pixels, and the columns that the camera's model names; orbit estimates "
+        "have node, perigee, anomaly, argument of latitude, what they lack, and a state with covariance and samples; tracklets "
+        "have their pieces, the source of each row, its correlation, motion angle, shared and pointing errors, interval and "
+        "scatter of the magnitude; streak fits say why they failed",
     ),
 )
 """The major number grows when a decoder of the version before would take something for what it is not, the minor one when it

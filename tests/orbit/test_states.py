@@ -1,13 +1,16 @@
 """States of tracklets: samples, mean and covariance against encounters of an independent generator."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from ground.orbit import RangeScan
+from ground.orbit.attributable import attributable_of
 from ground.orbit.breakup import state_of_elements
 from ground.orbit.states import angle_quantiles_deg, elements_of, latitude_argument_of, shape_of
 from sboc_e2e.icd.products import OrbitEstimate
-from tests.orbit.encounters import T0_NS, Encounter, draw_encounters, observed, trajectory
+from tests.orbit.encounters import PIXEL_ARCSEC, T0_NS, Encounter, draw_encounters, observed, trajectory
 
 
 def true_state(one: Encounter, estimate: OrbitEstimate) -> np.ndarray:
@@ -83,18 +86,37 @@ def test_a_near_object_s_approach_is_measured_without_bias() -> None:
     assert nees(one, got) < 3.0
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("population", ["catalogue", "natural"])
-def test_states_are_consistent(population: str) -> None:
-    """540 passing objects, of which 150 or more are published with a covariance: their mean NEES is 0.9 to 1.1.
+def test_stated_errors_of_directions_are_taken_as_they_are() -> None:
+    """Two bright ends of 0.14": the direction's covariance is that of their mean, nothing added (1.5 times as much before)."""
+    rng = np.random.default_rng(3)
+    one = next(e for e in draw_encounters(40, rng, population="catalogue", pool=100_000, passes=True) if e.rate_deg_s < 1.0)
+    tracklet, _ = observed(one, rng, error_px=0.03)
+    ends = np.array([0, -1])
+    pair = replace(
+        tracklet,
+        t_tai_ns=tracklet.t_tai_ns[ends], ra_deg=tracklet.ra_deg[ends], dec_deg=tracklet.dec_deg[ends],
+        sigma_along_arcsec=tracklet.sigma_along_arcsec[ends], sigma_cross_arcsec=tracklet.sigma_cross_arcsec[ends],
+    )  # fmt: skip
+    data = attributable_of(pair, RangeScan().sigma_floor_arcsec)
+    assert data is not None
+    sigma_arcsec = np.degrees(np.sqrt(np.diag(data.covariance)[:2])) * 3600.0
+    assert sigma_arcsec == pytest.approx(0.03 * PIXEL_ARCSEC / np.sqrt(2.0), rel=0.02)
 
-    What is not Gaussian is calibrated too: 90 % intervals of node, perigee and anomaly hold 84 to 95 % (4 sigma).
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("population", "n", "own"),
+    [("natural", 500, {}), ("breakup", 400, {"breakup_share_small": 1.0, "breakup_share_large": 1.0})],
+)
+def test_states_are_consistent(population: str, n: int, own: dict[str, float]) -> None:
+    """Of n passing objects 150 or more are published with a covariance: their mean NEES is 1, with options as shipped.
+
+    The bound is 3.3 standard errors of the mean, which come from the values: calibrated states fail with a chance of 0.1 %
+    for each population. 90 % intervals of node, perigee and anomaly of all hold 84 to 95 % (3.5 standard errors and more).
     """
     rng = np.random.default_rng(6)
-    own = {"breakup_share_small": 0.0, "breakup_share_large": 0.0} if population == "catalogue" else {}
-    # directions of the generator have no error but their own, for which the step would add a floor
-    step = RangeScan(albedo_sigma_ln=0.0, sigma_floor_arcsec=0.0, **own)
-    values, inside, n = [], np.zeros(3), 540
+    step = RangeScan(**own)
+    values, inside = [], np.zeros(3)
     for one in draw_encounters(n, rng, population=population, pool=400_000, passes=True):
         tracklet, headers = observed(one, rng, steady=0.7)
         got = step.estimate(tracklet, headers)
@@ -106,5 +128,6 @@ def test_states_are_consistent(population: str) -> None:
             away = (truth[k] - angle[1] + 180.0) % 360.0 - 180.0
             inside[k] += angle[0] - angle[1] <= away <= angle[2] - angle[1]
     assert len(values) >= 150
-    assert 0.9 <= np.mean(values) <= 1.1
+    error = np.std(values) / np.sqrt(len(values))
+    assert abs(np.mean(values) - 1.0) < 3.3 * error, f"{np.mean(values):.3f} +- {error:.3f} ({len(values)})"
     assert ((inside / n > 0.84) & (inside / n < 0.95)).all()

@@ -120,6 +120,8 @@ def test_state_messages_carry_a_covariance_where_it_is_honest(tmp_path: Path) ->
         kinds.add(state.gaussian)
         text = opm_text(estimate, ProductOptions(), T0_NS)
         assert text is not None
+        # the longest line that CCSDS 502.0-B allows in KVN
+        assert max(map(len, text.splitlines())) <= 254
         plain = dict(re.findall(r"^(\w+) = (.*)$", text, flags=re.MULTILINE))
         data = read(text, tmp_path).body.segment.data
         vector = numbers(data.state_vector, PLACE)

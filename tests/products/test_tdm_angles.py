@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 
 from ground.options import ProductOptions
-from ground.products.tdm import LONGEST_LINE, tdm_text
+from ground.products.kvn_comments import LONGEST_LINE
+from ground.products.tdm import tdm_text
 from ground.products.tdm_angles import east_north_errors, tdm_angles_table
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakMeasurement, Tracklet

@@ -7,8 +7,8 @@ Bar-Shalom 1988, IEEE Trans. Automatic Control 33, 780). Each motion has a Kalma
 all; its covariance includes the scatter of their means.
 
 Errors of the catalogue, and of stars that blend, are the same in each frame that shows the same stars, so they do not average
-out. They are followed
-as a bias of the parameters of their own, which changes as the field moves on (Schmidt 1966, a state that is considered).
+out. They are followed as a bias of the parameters of their own, which changes as the field moves on (Schmidt 1966, a state that
+is considered).
 """
 
 from dataclasses import dataclass

@@ -35,7 +35,8 @@ class CameraSolution:
     matrix : (3, 3) GCRS to camera frame. covariance_rad2 : (3, 3) of the rotation (camera frame) for known shared parameters,
     response : (3, 5) by how much it turns when those change. gradient : (5,), information : (5, 5) log-likelihood of the shared
     parameters about those of `camera`, attitude unknown; catalogue : (5, 5) share of the information's noise that frames
-    of the same stars have in common. All scaled by the residuals where those are larger than expected. used : (n,) bool, stars kept.
+    of the same stars have in common. All scaled by the residuals where those are larger than expected. used : (n,) bool, stars
+    kept.
     residual_px : (n, 2), residual_response : (n, 2, 5) its change with the shared parameters, attitude following; all stars.
     """
 

@@ -27,6 +27,10 @@ Match = tuple[CameraSolution, Stars, NDArray[np.intp], NDArray[np.intp]]
 LOST_FRAMES_TRIED: Final = 5
 """After so many frames in a row that no star pattern could place, the camera is taken for unknown."""
 
+SAME_FIELD: Final = 0.02
+"""Frames that are this share of the field apart or less show the same stars. Jitter of a pixel in each of 600 frames would else
+count as a move by a seventh of the field, and the errors of the catalogue would seem to average out."""
+
 UNUSABLE_LISTED: Final = int(StarFlag.SATURATED | StarFlag.EDGE | StarFlag.DEFECT | StarFlag.COSMIC_LIKE)
 UNUSABLE_CATALOGUE: Final = int(CatalogueFlag.NO_PROPER_MOTION | CatalogueFlag.DOUBLE | CatalogueFlag.SYNTHETIC)
 
@@ -41,6 +45,8 @@ class AstrometryState:
     psf_sigma_px: float
     last: tuple[int, Array, Array] | None = None
     """Epoch (TAI ns), matrix and rate (rad/s) of the last solved frame."""
+    seen_from: Array | None = None
+    """Matrix of the frame since which the stars count as the same: pointing that jitters shows no new ones."""
     lost: int = 0
     """Frames in a row whose star patterns were looked for in vain; frames without enough stars do not count."""
 
@@ -119,16 +125,18 @@ class CameraFit:
         if found is None:
             return replace(known, lost=lost), unsolved(frame, state.camera, FrameFlag.NO_SOLUTION, matrix=matrix, rate=rate)
         fit, stars, listed, chosen = found
+        moved = 1.0 if state.seen_from is None else _new_field(fit, state.seen_from, header)
         evidence = FrameEvidence(
             values=fit.camera.shared(),
             gradient=fit.gradient,
             information=fit.information,
             catalogue=fit.catalogue,
-            new_field=1.0 if state.last is None else _new_field(fit, state.last[1], header),
+            new_field=moved if moved > SAME_FIELD else 0.0,
         )
         shared = state.shared.seen(evidence)
         fit = fit.with_shared(shared.values, shared.errors)
-        new_state = replace(state, camera=fit.camera, shared=shared, last=(middle, fit.matrix, rate), lost=0)
+        seen_from = fit.matrix if moved > SAME_FIELD else state.seen_from
+        new_state = replace(state, camera=fit.camera, shared=shared, last=(middle, fit.matrix, rate), seen_from=seen_from, lost=0)
         return new_state, _solution_of(header.frame, flags, fit, rate, stars, listed, chosen)
 
     def _star_patterns_may_tell(self, state: AstrometryState, frame: DownlinkFrame) -> bool:

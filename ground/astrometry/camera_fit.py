@@ -34,8 +34,9 @@ class CameraSolution:
 
     matrix : (3, 3) GCRS to camera frame. covariance_rad2 : (3, 3) of the rotation (camera frame) for known shared parameters,
     response : (3, 5) by how much it turns when those change. gradient : (5,), information : (5, 5) log-likelihood of the shared
-    parameters about those of `camera`, attitude unknown; catalogue : (5, 5) share of the information's noise that is the
-    catalogue's. All scaled by the residuals where those are larger than expected. used : (n,) bool, stars kept.
+    parameters about those of `camera`, attitude unknown; catalogue : (5, 5) share of the information's noise that frames
+    of the same stars have in common. All scaled by the residuals where those are larger than expected. used : (n,) bool, stars
+    kept.
     residual_px : (n, 2), residual_response : (n, 2, 5) its change with the shared parameters, attitude following; all stars.
     """
 
@@ -115,15 +116,31 @@ def fit_camera(
     n_free = max(2 * int(used.sum()) - ATTITUDE, 1)
     chi2_nu = float(np.sum((residual[used] / sigma_px[used, None]) ** 2) / n_free)
     return _solution(
-        jacobian, row_weight, residual, catalogue_px, used=used, chi2_nu=chi2_nu, matrix=matrix, camera=camera.with_shared(values)
+        jacobian,
+        row_weight,
+        residual,
+        _lasting_px(sigma_px, catalogue_px, chi2_nu, n_free),
+        used=used,
+        chi2_nu=chi2_nu,
+        matrix=matrix,
+        camera=camera.with_shared(values),
     )
+
+
+def _lasting_px(sigma_px: Array, catalogue_px: Array, chi2_nu: float, n_free: int) -> Array:
+    """(n,) part of the errors that frames of the same stars share: the catalogue's, and what residuals have beyond what is known.
+
+    Blends and a PSF of few pixels shift a star by the same in each such frame. Chance alone (two sigma of chi2) is no excess.
+    """
+    excess = max(chi2_nu - 1.0 - 2.0 * float(np.sqrt(2.0 / n_free)), 0.0)
+    return np.asarray(np.sqrt(catalogue_px**2 + excess * sigma_px**2))
 
 
 def _solution(
     jacobian: Array,
     row_weight: Array,
     residual: Array,
-    catalogue_px: Array,
+    lasting_px: Array,
     *,
     used: NDArray[np.bool_],
     chi2_nu: float,
@@ -138,7 +155,7 @@ def _solution(
     # shared parameters with the attitude following them
     free = by_shared + by_rotation @ response
     weighted = free * row_weight[:, None]
-    information, noise = weighted.T @ free / scale, np.repeat(catalogue_px, 2)[:, None] * weighted / scale
+    information, noise = weighted.T @ free / scale, np.repeat(lasting_px, 2)[:, None] * weighted / scale
     return CameraSolution(
         matrix=matrix,
         camera=camera,

@@ -54,7 +54,7 @@ class RangeScan:
     nearest_km: float = field(default=0.05, metadata={"doc": "where the scan begins", "min": 1e-3, "max": 1e4})
     farthest_km: float = field(default=60000.0, metadata={"doc": "where the scan ends", "min": 1.0, "max": 1e6})
     sigma_floor_arcsec: float = field(
-        default=0.0, metadata={"doc": "error of each direction beyond the stated one, added", "min": 0.0, "max": 1e3}
+        default=0.1, metadata={"doc": "error of each direction beyond the stated one, added", "min": 0.0, "max": 1e3}
     )
     draws: int = field(
         default=3,

@@ -29,6 +29,7 @@ from ground.photometry.tracklet_light import with_mean_light
 from ground.photometry.zero_point import flat_at
 from ground.records import FrameProducts, GroundProducts, GroundState
 from ground.refit import SharedErrors, refit_streaks
+from ground.sky.bend import bent
 from ground.sky.measure import initial_epochs_ns, jacobian_arcsec, middle_of, pointing_sigma_arcsec, with_sky
 from ground.sky.pixel_sky import HeaderSky, PixelSky, SolvedSky
 from ground.sky.sphere import ARCSEC_RAD
@@ -217,13 +218,14 @@ class GroundChain:
         places = linked.places_of(tracklet)
         own = [headers[k] for k in dict.fromkeys(place for place, _ in places)]
         given = [products[k].streaks[number] for k, number in places]
-        members = single = apply_links(given, (tracklet,), own)
+        linked_members = apply_links(given, (tracklet,), own)
+        at = [linked.place[member.frame] for member in linked_members]
+        members = single = tuple(_bent(member, products[k]) for member, k in zip(linked_members, at, strict=True))
         shared: SharedErrors = {}
         if self._options.joint_refit:
             members, shared = refit_streaks(
                 single, tracklet, own, lambda frame: products[linked.place[frame]].solution, pixels_of
             )
-        at = [linked.place[member.frame] for member in members]
         frames = [products[k] for k in at]
         placed = [_placed(member, frame) for member, frame in zip(members, frames, strict=True)]
         measured = measured_tracklet(
@@ -430,6 +432,13 @@ def _with_brightness(
         flags |= StreakFlag.NO_MAGNITUDE
     at_rate, at_rate_err = magnitude_at_1deg_s(streak, header, photometry, mean_flat)
     return replace(streak, mag=mag, mag_err=mag_err, mag_at_1deg_s=at_rate, mag_at_1deg_s_err=at_rate_err, flags=flags)
+
+
+def _bent(streak: StreakMeasurement, product: FrameProducts) -> StreakMeasurement:
+    """A member of a tracklet with its ends on the arc that the camera's turning makes of a straight motion."""
+    if product.wcs is not None or product.solution.flags & FrameFlag.NO_SOLUTION:
+        return streak
+    return _placed(bent(streak, product.header, product.solution), product)
 
 
 def _placed(streak: StreakMeasurement, product: FrameProducts) -> StreakMeasurement:

@@ -64,7 +64,9 @@ def sagitta_px(fit: StreakFit, header: FrameHeader, solution: FrameSolution, t_t
     half_way = ends.sum(axis=0) / np.linalg.norm(ends.sum(axis=0))
     middle_ns = int(t_tai_ns[0]) + (int(t_tai_ns[2]) - int(t_tai_ns[0])) // 2
     seconds = (middle_ns - mid_frame_tai_ns(header)) * 1e-9
-    seen = turn((matrix_of(np.asarray(solution.quaternion)) @ half_way)[None, :], -seconds * np.asarray(solution.rate_rad_s)[None, :])
+    seen = turn(
+        (matrix_of(np.asarray(solution.quaternion)) @ half_way)[None, :], -seconds * np.asarray(solution.rate_rad_s)[None, :]
+    )
     row, col = solution.camera.project(seen)
     length = max(fit.length_px, 1e-9)
     d_row, d_col = (fit.row1 - fit.row0) / length, (fit.col1 - fit.col0) / length

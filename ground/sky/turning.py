@@ -112,26 +112,25 @@ def walk_rad2_s(frames: Sequence[Attitude]) -> float:
 
     Attitudes are means over exposures T, P apart: a third difference has (6 P - 10 T / 3) of it, and 20 of their own.
     """
-    found = []
+    found, own = [], []
     for k in range(1, len(frames) - 2):
         four = frames[k - 1 : k + 3]
         step_s = np.diff([f.tai_ns for f in four]) * 1e-9
-        exposure_s = frames[k].exposure_s
-        if (
-            not all(f.solved for f in four)
-            or exposure_s <= 0.0
-            or np.ptp(step_s) > 0.01 * step_s.mean()
-            or step_s.mean() <= exposure_s
-        ):
+        exposure_s, even = frames[k].exposure_s, np.ptp(step_s) <= 0.01 * step_s.mean()
+        if not all(f.solved for f in four) or not even or not 0.0 < exposure_s < step_s.mean():
             continue
         path = np.array([_rotation_vector(frames[k].matrix @ f.matrix.T) for f in four])
         if np.abs(path).max() > LARGEST_ANGLE_RAD:
             continue
         third = (path[3] - 3.0 * path[2] + 3.0 * path[1] - path[0])[:2]
-        own = 20.0 * np.mean([f.sigma_rad[:2] ** 2 for f in four], axis=0)
-        found.append((third**2 - own * MEDIAN_CHI2) / (6.0 * step_s.mean() - 10.0 / 3.0 * exposure_s))
-    # of squares the median, which a manoeuvre does not move
-    return max(float(np.median(found)) / MEDIAN_CHI2, 0.0) if found else 0.0
+        per_walk = 6.0 * step_s.mean() - 10.0 / 3.0 * exposure_s
+        found.append(third**2 / per_walk)
+        own.append(20.0 * np.mean([f.sigma_rad[:2] ** 2 for f in four], axis=0) / per_walk)
+    if not found:
+        return 0.0
+    # a manoeuvre may add to the mean no more than three sigma do
+    usual = float(np.median(found)) / MEDIAN_CHI2
+    return max(float(np.mean(np.minimum(found, 9.0 * usual)) - np.mean(own)), 0.0)
 
 
 def _shake(frames: Sequence[Attitude], k: int, walk: float) -> tuple[float, float]:

@@ -17,7 +17,8 @@ HISTORY: Final = (
     (
         "2.2",
         "frame solutions carry a camera of any model (pixel to direction and back) instead of Brown-Conrady numbers; the table "
-        "of frames has the directions of a 9 x 9 grid of pixels, and the columns that the camera's model names",
+        "of frames has the directions of a 9 x 9 grid of pixels, and the columns that the camera's model names; tracklets and "
+        "the table of angles say what the camera's turning puts into both ends of a frame",
     ),
 )
 """The major number grows when a decoder of the version before would take something for what it is not, the minor one when it

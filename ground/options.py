@@ -46,7 +46,10 @@ class GroundOptions:
     orbits: bool = field(default=True, metadata={"doc": "whether coarse orbits are determined"})
     joint_refit: bool = field(default=True, metadata={"doc": "whether all frames of a tracklet are fitted together"})
     catalogue_file: str = field(
-        default="", metadata={"doc": "star catalogue made by `sboc catalogue build`; empty for the one that comes along"}
+        default="",
+        metadata={
+            "doc": "star catalogue made by `sboc catalogue build`; empty for that of the simulated sky (`stars.catalogue_file`)"
+        },
     )
     known_objects_file: str = field(
         default="", metadata={"doc": "element sets (TLE, 3LE) that tracklets are matched against; empty for none"}

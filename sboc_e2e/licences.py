@@ -13,7 +13,8 @@ _PINNED: Final = re.compile(r"^([A-Za-z0-9._-]+)==([^\s\\;]+)", re.MULTILINE)
 HEAD: Final = (
     "# Licences\n\n"
     "The project is under Apache-2.0 (LICENSE). Data that come with it: Tycho-2 (Hog et al. 2000) through the Debian source\n"
-    "package tycho2, BSD-2-Clause; derived statistics carry their provenance beside them.\n\n"
+    "package tycho2, BSD-2-Clause; spectra of the Sun and of dwarfs in 5 nm bins, derived from tables in pvlib, EXOSIMS and\n"
+    "MeanStars (BSD-3-Clause; simulator/optics/star_spectra.md); other derived statistics carry their provenance beside them.\n\n"
     "Locked packages, from their own metadata; none is shipped with the project. `ccsds-ndm` (GPL) is used by tests only.\n\n"
     "| package | version | licence |\n|---|---|---|\n"
 )

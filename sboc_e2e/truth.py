@@ -53,7 +53,12 @@ STREAKS: Final = (
     Column(name="n_saturated", dtype="i4", unit="", text="pixels of the trail at saturation"),
     Column(name="path_row", dtype=("f8", _PATH), unit="pix", text="row at equal time steps"),
     Column(name="path_col", dtype=("f8", _PATH), unit="pix", text="col at equal time steps"),
-    Column(name="path_flux_e_s", dtype=("f8", _PATH), unit="electron / s", text="detected electrons per second of true time"),
+    Column(
+        name="path_flux_e_s",
+        dtype=("f8", _PATH),
+        unit="electron / s",
+        text="detected electrons per second of true time, mean over half a step on each side",
+    ),
     Column(name="path_t_tai_ns", dtype=("i8", _PATH), unit="ns", text="true epochs of the nodes"),
     Column(name="path_ra_deg", dtype=("f8", _PATH), unit="deg", text="published right ascension of the nodes"),
     Column(name="path_dec_deg", dtype=("f8", _PATH), unit="deg", text="published declination of the nodes"),

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.frame import Calibration, NominalCamera
-from simulator.optics.instrument import SUN_B_V, InstrumentOptions, band_factor
+from simulator.optics.instrument import InstrumentOptions
+from simulator.optics.passband import SUN_B_V
 from simulator.optics.psf import PsfOptions, sigma_at
 from simulator.optics.vignetting import IlluminationGrid, VignettingOptions, grid_step_px, node_places, relative_illumination
 from simulator.sensor import Sensor, SensorOptions
@@ -147,7 +148,7 @@ class Camera:
             bin_rows=bins.rows, bin_cols=bins.cols, window_row0=self._window.row0, window_col0=self._window.col0
         )
         colours = np.linspace(0.2, 1.2, 11)
-        factor = band_factor(colours, nominal.band_short_nm, nominal.band_long_nm)
+        factor = nominal.colour_factor(colours)
         return NominalCamera(
             name=nominal.name,
             rows=delivered.rows,

@@ -15,6 +15,7 @@ Any frame can be made alone, by any process, with the same bytes.
 """
 
 from collections.abc import Iterable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -37,7 +38,7 @@ from simulator.platform.rotation import quaternion_of
 from simulator.radiation.field import ParticleField
 from simulator.radiation.hits import HitList
 from simulator.randomness import Effect, generator
-from simulator.scene.atmosphere import Atmosphere
+from simulator.scene.atmosphere import Atmosphere, clouds_of
 from simulator.scene.cast import make_cast, summary, target_direction
 from simulator.scene.crossing import RowShutter, exposed_intervals
 from simulator.scene.objects import PixelPathObject
@@ -46,6 +47,7 @@ from simulator.scene.star_image import StarPlaces, place_stars
 from simulator.scene.stars import StarField, StarSky, angles_deg
 from simulator.scene.trail_image import Path, add_trail, pixel_path_of, sky_path_of
 from simulator.scene.turbulence import Unsteadiness
+from simulator.sensor.smear import add_smear
 
 Array = NDArray[np.float64]
 
@@ -65,11 +67,10 @@ class Simulator:
 
     def __init__(self, options: SimulatorOptions, *, seed: int, catalogue: StarCatalogue) -> None:
         shutter = options.shutter
-        if shutter.exposure_s * options.frame_rate_hz > 1.0 + 1e-9:
-            raise UserError(
-                f"shutter.exposure: {shutter.exposure_s:g} s does not fit {options.frame_rate_hz:g} frames/s; "
-                f"allowed is up to {1.0 / options.frame_rate_hz:g} s"
-            )
+        window = options.sensor.window
+        shutter.refuse_overlap(window.rows or options.instrument.rows - window.row0, options.frame_rate_hz)
+        if options.sensor.type == "ccd":  # all rows are exposed at once; the line time is that of the store's read-out
+            shutter = replace(shutter, line_time_us=0.0)
         self.options = options
         self.seed = seed
         self.n_frames = options.frames
@@ -79,6 +80,7 @@ class Simulator:
         self._camera = Camera(
             options.instrument, options.psf, options.vignetting, options.sensor, exposure_s=shutter.exposure_s, seed=seed
         )
+        self._clouds = clouds_of(options.atmosphere, seed)
         observer = make_observer(options.platform, epoch)
         target = None
         if options.pointing.law == "object":
@@ -107,7 +109,7 @@ class Simulator:
         )
         self._stars = StarSky(options.stars, options.instrument, catalogue, seed=seed, epoch_jyear=earth.jyear(epoch))
         middle = self._carrier.attitude(epoch + round(0.5e9 * duration_s))[2]
-        sky_e_s = float(self._sky_rate_e_s(middle[None], self._air(observer, epoch), 0)[0])
+        sky_e_s = float(self._sky_rate_e_s(middle[None], self._air(observer, epoch))[0])
         self._cast = make_cast(
             options.objects, options.population, self._carrier, self._camera, options.light, sky_e_s, duration_s
         )
@@ -147,6 +149,9 @@ class Simulator:
             trail = add_trail(image_e, path, sight, shutter, self._camera.at(sight.reference_s), epoch_tai_ns=self._epoch)
             trail["frame"], trail["object_id"] = index, object_id
             streaks.append(trail)
+        sensor = self.options.sensor
+        if sensor.type == "ccd" and sensor.ccd.row_transfer_us > 0.0:
+            add_smear(image_e, sensor.ccd.row_transfer_us * 1e-6, self._camera.exposure_s)
         return image_e, sky_e, entropy_bits, stars, np.concatenate(streaks)
 
     def _shutter(self, index: int) -> RowShutter:
@@ -164,7 +169,13 @@ class Simulator:
         """The atmosphere above a site; None in orbit."""
         if not isinstance(observer, SiteObserver):
             return None
-        return Atmosphere(options=self.options.atmosphere, up=observer.up(tai_ns), height_m=observer.site.height_m)
+        return Atmosphere(
+            options=self.options.atmosphere,
+            up=observer.up(tai_ns),
+            height_m=observer.site.height_m,
+            clouds=self._clouds,
+            time_s=(tai_ns - self._epoch) * 1e-9,
+        )
 
     def _air_of(self, sight: LineOfSight) -> Atmosphere | None:
         """The atmosphere in the middle of a frame."""
@@ -186,11 +197,11 @@ class Simulator:
 
     # ------------------------------------------------------------- the scene
 
-    def _sky_rate_e_s(self, directions: Array, air: Atmosphere | None, index: int) -> Array:
+    def _sky_rate_e_s(self, directions: Array, air: Atmosphere | None) -> Array:
         """Diffuse light on axis in directions (n, 3): electrons per detector pixel and second."""
         flux = diffuse_flux(self.options.sky, directions, earth.sun_position_km(self._epoch))
         if air is not None:
-            flux = flux * air.transmission(directions, self.seed, index) + air.glow_flux(directions)
+            flux = flux * air.transmission(directions) + air.glow_flux(directions)
         return np.asarray(flux * self._camera.surface_rate_e_s)
 
     def _diffuse(self, sight: LineOfSight, index: int) -> NDArray[np.float32]:
@@ -198,7 +209,7 @@ class Simulator:
         camera, shape = self._camera.at(sight.reference_s), self._camera.shape
         row, col = np.meshgrid(*(np.linspace(0.0, n - 1.0, SKY_GRID) for n in shape), indexing="ij")
         directions = camera.projection.to_vectors(row.ravel(), col.ravel()) @ sight.reference
-        rate_e_s = self._sky_rate_e_s(directions, self._air_of(sight), index).reshape(SKY_GRID, SKY_GRID)
+        rate_e_s = self._sky_rate_e_s(directions, self._air_of(sight)).reshape(SKY_GRID, SKY_GRID)
         image_e = np.empty(shape, dtype=np.float32)
         stray_e = camera.instrument.stray_light_e_px_s * camera.exposure_s
         grid_e = (rate_e_s * camera.exposure_s).astype(np.float32)
@@ -222,9 +233,9 @@ class Simulator:
         places = place_stars(field, sight, velocity, camera.projection, shutter, STAR_MARGIN_PX, air)
         row, col = places.row.mean(axis=0), places.col.mean(axis=0)
         sigma_px = np.sqrt(camera.sigma_at(row, col) ** 2 + places.spread_px2)
-        flux_e = field.flux_e_s[places.index] * shutter.exposure_s * camera.illumination_at(row, col)
+        flux_e = field.flux_e_s[places.index] * shutter.exposure_s * places.exposed * camera.illumination_at(row, col)
         if air is not None:
-            flux_e *= air.transmission(field.direction[places.index], self.seed, index)
+            flux_e *= air.transmission(field.direction[places.index])
             aperture_m = camera.instrument.aperture_m
             flux_e *= air.flicker(len(flux_e), sight.reference[2], aperture_m, shutter.exposure_s, self.seed, index)
         for row_k, col_k in zip(places.row, places.col, strict=True):
@@ -262,15 +273,10 @@ class Simulator:
             if isinstance(thing, PixelPathObject):
                 path = pixel_path_of(thing, sight, camera, first_open_s if thing.restart else 0.0, light, unsteady)
             else:
-                dimming = self._dimming(air, sight, index)
-                path = sky_path_of(thing, sight, camera, sun_km, light, air, dimming, unsteady)
+                path = sky_path_of(thing, sight, camera, sun_km, light, air, unsteady)
             if path is not None:
                 paths.append((object_id, path))
         return paths
-
-    def _dimming(self, air: Atmosphere | None, sight: LineOfSight, index: int) -> float:
-        """What extinction and clouds leave of an object's flux in one frame."""
-        return 1.0 if air is None else float(air.transmission(sight.reference[2][None], self.seed, index)[0])
 
     def _turbulence(self, air: Atmosphere | None, sight: LineOfSight, index: int, object_id: int) -> Unsteadiness | None:
         """Scintillation and image motion of one object while the rows of one frame are open."""

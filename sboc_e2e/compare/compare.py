@@ -72,7 +72,7 @@ def compare(
         (k, name): _scenario(request, registry, name, base_seed + k) for k in range(request.seeds) for name in request.choices
     }
     for scenario in scenarios.values():
-        require_files(scenario.ground)
+        require_files(scenario)
         require_decoder(scenario)
     shared = SharedRuns(out=out, workers=request.workers, progress=progress or Silent())
     if force:

@@ -71,11 +71,11 @@ def process(
     """
     directory = RunDirectory(path=out)
     n_frames = source.n_frames
-    require_files(scenario.ground)
+    require_files(scenario)
     require_decoder(scenario)
     if solve:
         lost_in_space.required_solver()
-    catalogue = star_catalogue(scenario.ground)
+    catalogue = star_catalogue(scenario)
     known = camera_of_preset(camera, registry) if camera else None
     first = next(iter(source.frames()))
     nominal = _fitting(known, first.frame) if known else camera_of_frame(first)

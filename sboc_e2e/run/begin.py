@@ -18,7 +18,7 @@ def begin_or_continue(
 
     keyed : the folder's name is a digest of all that decides its content, so an earlier run counts whatever else differs.
     """
-    require_files(scenario.ground)
+    require_files(scenario)
     require_decoder(scenario)
     directory = RunDirectory(path=path)
     wanted = Manifest.of(directory.manifest, scenario)

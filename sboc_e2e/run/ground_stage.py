@@ -40,6 +40,7 @@ from sboc_e2e.run.decoders import decoders_of
 from sboc_e2e.run.directory import RunDirectory
 from sboc_e2e.run.measure import Meter, peak_rss_mb, reset_peak, stage_figures
 from sboc_e2e.run.progress import Progress
+from sboc_e2e.run.simulation import sky_catalogue
 from sboc_e2e.run.states import StateKeeper
 from sboc_e2e.scenario import Scenario
 
@@ -82,19 +83,20 @@ def ground_chain(
     return GroundChain(scenario.ground, steps, calibration=calibration, camera=camera, catalogue=catalogue, run_id=run_id)
 
 
-def star_catalogue(options: GroundOptions) -> StarCatalogue:
-    """The star catalogue that ground uses. Raises `UserError` for a file that is none."""
+def star_catalogue(scenario: Scenario) -> StarCatalogue:
+    """The star catalogue of ground: its own, else that of the simulated sky. Raises `UserError` for a file that is none."""
+    path = scenario.ground.catalogue_file
     try:
-        return StarCatalogue.open(options.catalogue_file) if options.catalogue_file else StarCatalogue.embedded()
+        return StarCatalogue.open(path) if path else sky_catalogue(scenario.simulator)
     except UserError as error:
-        raise UserError(f"ground.catalogue_file: {error}") from error
+        raise UserError(f"ground.catalogue_file: {error}" if path else str(error)) from error
 
 
-def require_files(options: GroundOptions) -> None:
+def require_files(scenario: Scenario) -> None:
     """Open what ground is to read beside a run, so that a bad file is refused before hours of simulation, not after."""
-    star_catalogue(options)
-    known_objects.known_objects(options)
-    known_objects.precise_orbits(options)
+    star_catalogue(scenario)
+    known_objects.known_objects(scenario.ground)
+    known_objects.precise_orbits(scenario.ground)
 
 
 @dataclass(kw_only=True)

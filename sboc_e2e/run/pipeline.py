@@ -134,7 +134,7 @@ class Run:
         wanted = self.manifest.run_id if run_id is None else run_id
         calibration = calibration_files.read(self.directory.calibration)
         camera = calibration_files.read_camera(self.directory.calibration)
-        catalogue = star_catalogue(self.scenario.ground)
+        catalogue = star_catalogue(self.scenario)
         chain = ground_chain(self.scenario, calibration=calibration, camera=camera, catalogue=catalogue, run_id=wanted)
         stage = GroundStage(run=self.directory, chain=chain, options=self.scenario.ground, catalogue=catalogue)
         if self.manifest.stages.get("ground", {}).get("run_id", self.manifest.run_id) != wanted:
@@ -232,7 +232,7 @@ def run(request: RunRequest, progress: Progress | None = None) -> Run:
     directory = RunDirectory(path=request.out)
     wanted = Manifest.of(directory.manifest, request.scenario)
     directory.check(resume=request.resume, force=request.force)
-    require_files(request.scenario.ground)
+    require_files(request.scenario)
     require_decoder(request.scenario)
     disk.check(request.out, request.scenario, shown)
     made = Run(directory=directory, manifest=wanted, scenario=request.scenario, workers=workers, progress=shown)

@@ -9,20 +9,12 @@ from typing import Final
 
 import numba
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 from scipy.special import chndtr
 
 SMALLEST_DISC_SIGMA: Final = 0.05
 """A disc of less than this diameter (in PSF sigmas) changes no pixel by 1e-4 of the peak: its second moment d^2/16 adds
 1.6e-4 sigma^2."""
-
-
-def blur_angle_rad(aperture_m: float, range_m: ArrayLike, focus_range_m: float = math.inf) -> NDArray[np.float64]:
-    """Angular diameter of the blur disc of a point at `range_m` seen through an aperture focused at `focus_range_m`.
-
-    Similar triangles of geometric optics: ``D |1/R - 1/R_focus|``.
-    """
-    return aperture_m * np.abs(1.0 / np.asarray(range_m, dtype=np.float64) - 1.0 / focus_range_m)
 
 
 def disc_profile(radius_px: NDArray[np.float64], diameter_px: float, obstruction: float, sigma_px: float) -> NDArray[np.float64]:

@@ -6,14 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import UserError
+from simulator.optics.passband import (
+    LONGEST_NM,
+    SHORTEST_NM,
+    CurvePointOptions,
+    Passband,
+    colour_factor,
+    refuse_disorder,
+    sun_electrons_m2_s,
+)
 from simulator.optics.projection import Projection, without_sip
 from simulator.optics.sip import Sip
 
 SIP_RADIUS = 1.25
 """A SIP polynomial holds this far from the axis, in half diagonals of the detector; beyond it nothing is imaged."""
-
-SUN_B_V = 0.653
-"""The Sun's B-V (Ramirez et al. 2012, ApJ 752, 5); fluxes are normalised at this colour."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -74,14 +80,18 @@ class InstrumentOptions:
     pixel_um: float = field(default=9.0, metadata={"doc": "pitch of detector pixels", "min": 0.5, "max": 500.0})
     rows: int = field(default=4096, metadata={"doc": "detector rows", "min": 16, "max": 16384})
     cols: int = field(default=4096, metadata={"doc": "detector columns", "min": 16, "max": 16384})
-    efficiency: float = field(
-        default=0.5, metadata={"doc": "optics times mean QE, electrons for each photon of the band", "min": 1e-4, "max": 1.0}
+    throughput: float = field(default=0.8, metadata={"doc": "share of the light that the optics pass", "min": 1e-4, "max": 1.0})
+    throughput_curve: tuple[CurvePointOptions, ...] = field(
+        default=(), metadata={"doc": "factor on it by wavelength, linear between points"}
     )
-    photons_v0_m2_s: float = field(
-        default=3.0e10, metadata={"doc": "photons of the band from V = 0, solar colour, per m2 and s", "min": 1e6, "max": 1e12}
+    quantum_efficiency: float = field(
+        default=0.625, metadata={"doc": "electrons for each photon on the detector", "min": 1e-4, "max": 1.0}
     )
-    band_short_nm: float = field(default=420.0, metadata={"doc": "short edge of the band", "min": 200.0, "max": 3000.0})
-    band_long_nm: float = field(default=850.0, metadata={"doc": "long edge of the band", "min": 250.0, "max": 5000.0})
+    quantum_efficiency_curve: tuple[CurvePointOptions, ...] = field(
+        default=(), metadata={"doc": "factor on it by wavelength, linear between points"}
+    )
+    band_short_nm: float = field(default=420.0, metadata={"doc": "short edge of the band", "min": SHORTEST_NM, "max": 3900.0})
+    band_long_nm: float = field(default=850.0, metadata={"doc": "long edge of the band", "min": 285.0, "max": LONGEST_NM})
     stray_light_e_px_s: float = field(default=0.0, metadata={"doc": "stray light at the centre", "min": 0.0, "max": 1e5})
     stray_gradient: float = field(
         default=0.0, metadata={"doc": "relative change of stray light across the columns", "min": -2.0, "max": 2.0}
@@ -94,6 +104,8 @@ class InstrumentOptions:
             raise UserError(
                 f"instrument.band_long: {self.band_long_nm} nm must be longer than band_short, {self.band_short_nm} nm"
             )
+        refuse_disorder("instrument.throughput_curve", self.throughput_curve)
+        refuse_disorder("instrument.quantum_efficiency_curve", self.quantum_efficiency_curve)
         self.sip()
 
     @property
@@ -107,14 +119,23 @@ class InstrumentOptions:
         return 0.25 * np.pi * self.aperture_m**2 * (1.0 - self.obstruction**2)
 
     @property
-    def zero_point_e_s(self) -> float:
-        """Nominal electrons per second of V = 0 and solar colour, on axis."""
-        return self.photons_v0_m2_s * self.area_m2 * self.efficiency
+    def passband(self) -> Passband:
+        """Electrons for each photon of the entrance pupil, by wavelength."""
+        return Passband(
+            short_nm=self.band_short_nm,
+            long_nm=self.band_long_nm,
+            peak=self.throughput * self.quantum_efficiency,
+            curves=(self.throughput_curve, self.quantum_efficiency_curve),
+        )
 
     @property
-    def half_field_rad(self) -> tuple[float, float]:
-        """Tangents of half the field along rows and cols, without distortion."""
-        return 0.5 * self.rows / self.focal_px, 0.5 * self.cols / self.focal_px
+    def zero_point_e_s(self) -> float:
+        """Nominal electrons per second of V = 0 and solar colour, on axis."""
+        return sun_electrons_m2_s(self.passband) * self.area_m2
+
+    def colour_factor(self, b_v: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Electrons of stars of a colour B-V over those of the Sun's colour and the same V."""
+        return colour_factor(b_v, self.passband)
 
     def sip(self, factor: float = 1.0) -> Sip | None:
         """The SIP polynomial with all terms times a factor; None without terms.
@@ -167,25 +188,3 @@ class InstrumentOptions:
     def true_zero_point_e_s(self) -> float:
         """Electrons per second of V = 0 and solar colour that the built camera gives on axis."""
         return self.zero_point_e_s * 10.0 ** (0.4 * self.as_built.zero_point_mag)
-
-
-def temperature_of_colour(b_v: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Effective temperature (K) of a star of colour B-V (Ballesteros 2012, EPL 97, 34008, eq. 14)."""
-    x = 0.92 * np.clip(b_v, -0.4, 2.5)
-    return 4600.0 * (1.0 / (x + 1.7) + 1.0 / (x + 0.62))
-
-
-def band_factor(b_v: NDArray[np.float64], short_nm: float, long_nm: float) -> NDArray[np.float64]:
-    """Photons in the band over those of a solar-colour star of the same V.
-
-    Planck spectra of the colour's temperature, normalised at 551 nm (Johnson V), flat response between the edges.
-    """
-    wavelength_nm = np.linspace(short_nm, long_nm, 61)
-    table_b_v = np.linspace(-0.4, 2.5, 117)
-    temperature = temperature_of_colour(np.append(table_b_v, SUN_B_V))[:, None]
-
-    def photons(at_nm: NDArray[np.float64]) -> NDArray[np.float64]:
-        return at_nm**-4.0 / np.expm1(1.438777e7 / (at_nm * temperature))
-
-    ratio = np.trapezoid(photons(wavelength_nm[None, :]), wavelength_nm, axis=1) / photons(np.array([[551.0]]))[:, 0]
-    return np.interp(b_v, table_b_v, ratio[:-1] / ratio[-1])

@@ -71,12 +71,11 @@ class LineOfSight:
         span = self.fine_s[-1] - self.fine_s[0]
         return np.asarray((self.turn_rad[-1] - self.turn_rad[0]) / span)
 
-    def mean_turn(self, open_s: Array, exposure_s: float) -> tuple[Array, Array]:
-        """Mean rotation (n, 3) over exposures that open at given times, and its variance (n, 3)."""
+    def mean_turn(self, open_s: Array, close_s: Array) -> tuple[Array, Array]:
+        """Mean rotation (n, 3) between pairs of times, and its variance (n, 3)."""
         moments = np.concatenate([self.turn_rad, self.turn_rad**2], axis=1)
         integral = _integral(np.diff(self.fine_s)[:, None], moments)
-        close_s = open_s + exposure_s
-        mean = (self._interpolated(integral, close_s) - self._interpolated(integral, open_s)) / exposure_s
+        mean = (self._interpolated(integral, close_s) - self._interpolated(integral, open_s)) / (close_s - open_s)[:, None]
         return mean[:, :3], np.maximum(mean[:, 3:] - mean[:, :3] ** 2, 0.0)
 
 

@@ -1,4 +1,4 @@
-"""Where the camera is: Sun-synchronous orbit, Kepler orbit or ground site; position and velocity, GCRS, km and km/s."""
+"""Where the camera is: Sun-synchronous orbit, orbit of given elements or ground site; GCRS axes, km and km/s."""
 
 from dataclasses import dataclass, field
 from typing import Protocol
@@ -8,7 +8,8 @@ from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import UserError
 from simulator.platform import earth
-from simulator.platform.kepler import Elements, elements_deg, state_of
+from simulator.platform.kepler import Elements, elements_deg, elements_of, state_of
+from simulator.platform.orbit_motion import OrbitMotion
 
 Array = NDArray[np.float64]
 
@@ -32,7 +33,7 @@ class PlatformOptions:
         default="sun_synchronous", metadata={"doc": "the carrier", "choices": ("sun_synchronous", "kepler", "site")}
     )
     altitude_km: float = field(
-        default=700.0, metadata={"doc": "height of the Sun-synchronous orbit", "min": 150.0, "max": 5900.0}
+        default=700.0, metadata={"doc": "height of the Sun-synchronous orbit at the epoch", "min": 150.0, "max": 5900.0}
     )
     ltan_h: float = field(
         default=18.0, metadata={"doc": "local time of the ascending node at the epoch", "min": 0.0, "max": 24.0}
@@ -40,7 +41,9 @@ class PlatformOptions:
     latitude_argument_deg: float = field(
         default=40.0, metadata={"doc": "argument of latitude at the epoch (Sun-synchronous)", "min": -360.0, "max": 720.0}
     )
-    semi_major_axis_km: float = field(default=7078.137, metadata={"doc": "of the Kepler orbit", "min": 6500.0, "max": 1e6})
+    semi_major_axis_km: float = field(
+        default=7078.137, metadata={"doc": "osculating, at the epoch, of the Kepler orbit", "min": 6500.0, "max": 1e6}
+    )
     eccentricity: float = field(default=0.001, metadata={"doc": "of the Kepler orbit", "min": 0.0, "max": 0.98})
     inclination_deg: float = field(default=98.0, metadata={"doc": "of the Kepler orbit", "min": 0.0, "max": 180.0})
     node_deg: float = field(default=0.0, metadata={"doc": "right ascension of its ascending node", "min": -360.0, "max": 360.0})
@@ -70,32 +73,14 @@ class Observer(Protocol):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OrbitingObserver:
-    """Kepler motion with the secular precession of node, perigee and anomaly by J2 (Vallado eq. 9-37 to 9-41).
+    """A camera in orbit; its motion obeys the same forces as that of objects."""
 
-    Short-period J2 terms (up to 10 km, with periods of half a revolution) are left out: the orbit is a realisation, not a
-    forecast. The velocity is that of the precessing ellipse, consistent with the position to 1e-6.
-    """
-
-    elements: Elements
+    motion: OrbitMotion
     epoch_tai_ns: int
 
     def state(self, tai_ns: int) -> tuple[Array, Array]:
         """(3,) km and (3,) km/s at an epoch."""
-        dt_s = (tai_ns - self.epoch_tai_ns) * 1e-9
-        el = self.elements
-        node_rate, perigee_rate, anomaly_rate = j2_rates(float(el.a_km), float(el.e), float(el.i_rad))
-        moved = Elements(
-            a_km=el.a_km,
-            e=el.e,
-            i_rad=el.i_rad,
-            node_rad=el.node_rad + node_rate * dt_s,
-            argp_rad=el.argp_rad + perigee_rate * dt_s,
-            mean_anomaly_rad=el.mean_anomaly_rad + anomaly_rate * dt_s,
-        )
-        position, velocity = state_of(moved, dt_s)
-        scale = 1.0 + (perigee_rate + anomaly_rate) / np.sqrt(earth.MU_KM3_S2 / float(el.a_km) ** 3)
-        precession = np.cross([0.0, 0.0, node_rate], position)
-        return position, velocity * scale + precession
+        return self.motion.states((tai_ns - self.epoch_tai_ns) * 1e-9)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -129,15 +114,26 @@ def j2_rates(a_km: float, e: float, i_rad: float) -> tuple[float, float, float]:
     return float(node), float(perigee), float(anomaly)
 
 
-def sun_synchronous_inclination_rad(a_km: float) -> float:
-    """Inclination at which the node of a circular orbit follows the mean Sun (360 deg in a tropical year)."""
+def sun_synchronous(a_km: float, node_deg: float, latitude_argument_deg: float) -> Elements:
+    """Osculating elements, circular at the epoch, of an orbit whose node follows the mean Sun (360 deg in a tropical year).
+
+    The inclination of the secular J2 rate is corrected until the integrated node does so over ten nodal revolutions.
+    """
     motion = np.sqrt(earth.MU_KM3_S2 / a_km**3)
-    cosine = -(2 * np.pi / TROPICAL_YEAR_S) / (1.5 * earth.J2 * (earth.EARTH_RADIUS_KM / a_km) ** 2 * motion)
+    wanted = 2 * np.pi / TROPICAL_YEAR_S
+    cosine = -wanted / (1.5 * earth.J2 * (earth.EARTH_RADIUS_KM / a_km) ** 2 * motion)
     if abs(cosine) > 1.0:
         raise UserError(
             f"platform.altitude: no Sun-synchronous orbit at {a_km - earth.EARTH_RADIUS_KM:.0f} km; allowed is up to 5900 km"
         )
-    return float(np.arccos(cosine))
+    for _ in range(3):
+        elements = elements_deg(a_km, 0.0, float(np.degrees(np.arccos(cosine))), node_deg, 0.0, latitude_argument_deg)
+        _, perigee_rate, anomaly_rate = j2_rates(a_km, 0.0, float(elements.i_rad))
+        later_s = 10.0 * 2 * np.pi / (motion + perigee_rate + anomaly_rate)
+        moved = elements_of(*OrbitMotion(*state_of(elements)).states(later_s))
+        turned = (float(moved.node_rad) - float(elements.node_rad) + np.pi) % (2 * np.pi) - np.pi
+        cosine = np.clip(cosine * wanted * later_s / turned, -1.0, 1.0)
+    return elements
 
 
 def make_observer(options: PlatformOptions, epoch_tai_ns: int) -> OrbitingObserver | SiteObserver:
@@ -158,10 +154,9 @@ def make_observer(options: PlatformOptions, epoch_tai_ns: int) -> OrbitingObserv
         )
     else:
         a_km = earth.EARTH_RADIUS_KM + options.altitude_km
-        inclination_deg = float(np.degrees(sun_synchronous_inclination_rad(a_km)))
         node_deg = float(np.degrees(mean_sun_ra_rad(epoch_tai_ns))) + 15.0 * (options.ltan_h - 12.0)
-        elements = elements_deg(a_km, 0.0, inclination_deg, node_deg, 0.0, options.latitude_argument_deg)
-    return OrbitingObserver(elements=elements, epoch_tai_ns=epoch_tai_ns)
+        elements = sun_synchronous(a_km, node_deg, options.latitude_argument_deg)
+    return OrbitingObserver(motion=OrbitMotion(*state_of(elements)), epoch_tai_ns=epoch_tai_ns)
 
 
 def mean_sun_ra_rad(tai_ns: int) -> float:

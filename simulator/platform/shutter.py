@@ -2,8 +2,7 @@
 
 from dataclasses import dataclass, field
 
-import numpy as np
-
+from sboc_e2e.icd.errors import UserError
 from simulator.randomness import Effect, generator
 
 
@@ -13,11 +12,35 @@ class ShutterOptions:
 
     exposure_s: float = field(default=0.2, metadata={"doc": "exposure of each row", "min": 1e-5, "max": 3600.0})
     line_time_us: float = field(
-        default=10.0, metadata={"doc": "delay from one detector row to the next; 0 is global", "min": 0.0, "max": 1e5}
+        default=10.0,
+        metadata={
+            "doc": "time to read a detector row, and of a CMOS the delay from the exposure of one row to the next; 0 is global",
+            "min": 0.0,
+            "max": 1e5,
+        },
     )
     direction: str = field(
         default="down", metadata={"doc": "order in which rows start", "choices": ("down", "up", "alternating")}
     )
+
+    def refuse_overlap(self, rows: int, frame_rate_hz: float) -> None:
+        """UserError when exposure or read-out of a number of detector rows lasts longer than a frame.
+
+        A rolling shutter exposes a row while others are read; where directions alternate, the row that is read last is the
+        next frame's first, so that exposure and read-out must fit together.
+        """
+        period_s = 1.0 / frame_rate_hz
+        readout_s = self.line_time_us * 1e-6 * rows
+        allowed_s = period_s - (readout_s if self.direction == "alternating" else 0.0)
+        fits = f"does not fit {frame_rate_hz:g} frames/s"
+        if readout_s > period_s * (1.0 + 1e-9):
+            raise UserError(
+                f"shutter.line_time: {self.line_time_us:g} us for each of {rows} rows is a read-out of {readout_s:g} s, which "
+                f"{fits}; allowed is up to {1e6 * period_s / rows:.4g} us"
+            )
+        if self.exposure_s > allowed_s + 1e-9 * period_s:
+            beside = f" beside a read-out of {readout_s:g} s that alternates" if self.direction == "alternating" else ""
+            raise UserError(f"shutter.exposure: {self.exposure_s:g} s {fits}{beside}; allowed is up to {allowed_s:.6g} s")
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -84,8 +107,3 @@ def frame_timing(
     return FrameTiming(
         t_start_tai_ns=start, clock_tai_ns=tag, exposure_ns=round(shutter.exposure_s * 1e9), line_time_ns=line_ns, rows=rows
     )
-
-
-def row_epoch_s(timing: FrameTiming, row: np.ndarray, origin_tai_ns: int) -> np.ndarray:
-    """Start of exposure of (fractional) rows, seconds after an origin."""
-    return (timing.t_start_tai_ns - origin_tai_ns) * 1e-9 + timing.line_time_ns * 1e-9 * row

@@ -9,6 +9,7 @@ from sboc_e2e.icd.errors import UserError
 from simulator.platform.earth import EARTH_RADIUS_KM
 from simulator.platform.jitter import ARCSEC_RAD
 from simulator.randomness import Effect, generator
+from simulator.scene.clouds import CloudLayer, draw_clouds
 from simulator.scene.turbulence import Unsteadiness, crossing_s, draw_unsteadiness, tilt_variance_rad2
 
 Array = NDArray[np.float64]
@@ -42,7 +43,26 @@ class AtmosphereOptions:
         default=21.8, metadata={"doc": "airglow and scattered light at the zenith, V", "min": 5.0, "max": 30.0}
     )
     cloud_transmission: float = field(default=1.0, metadata={"doc": "mean transmission of clouds", "min": 0.0, "max": 1.0})
-    cloud_variation: float = field(default=0.0, metadata={"doc": "rms change of it from frame to frame", "min": 0.0, "max": 0.5})
+    cloud_variation: float = field(default=0.0, metadata={"doc": "rms change of it over the layer", "min": 0.0, "max": 0.5})
+    cloud_height_km: float = field(default=5.0, metadata={"doc": "height of the layer above the site", "min": 0.1, "max": 20.0})
+    cloud_scale_km: float = field(default=4.0, metadata={"doc": "largest structures of the layer", "min": 0.01, "max": 1e3})
+    cloud_wind_m_s: float = field(default=15.0, metadata={"doc": "wind that carries the layer", "min": 0.0, "max": 150.0})
+    cloud_heading_deg: float = field(
+        default=90.0, metadata={"doc": "where it goes, from north to east", "min": -360.0, "max": 360.0}
+    )
+
+
+def clouds_of(options: AtmosphereOptions, seed: int) -> CloudLayer:
+    """The cloud layer of a run."""
+    return draw_clouds(
+        options.cloud_transmission,
+        options.cloud_variation,
+        options.cloud_height_km,
+        options.cloud_scale_km,
+        options.cloud_wind_m_s,
+        options.cloud_heading_deg,
+        seed,
+    )
 
 
 def refractivity(wavelength_um: float, pressure_hpa: float, temperature_k: float, humidity: float) -> float:
@@ -82,11 +102,13 @@ def scintillation_rms(aperture_m: float, mass: Array | float, height_m: float, e
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Atmosphere:
-    """The air in one frame. up : (3,) zenith of the site, GCRS axes, in the middle of the frame."""
+    """The air at one instant. up : (3,) zenith of the site, GCRS axes; time_s : seconds after the epoch of the run."""
 
     options: AtmosphereOptions
     up: Array
     height_m: float
+    clouds: CloudLayer
+    time_s: float
 
     @property
     def _n_minus_1(self) -> float:
@@ -122,11 +144,10 @@ class Atmosphere:
         """Air mass in directions (n, 3)."""
         return air_mass(np.clip(directions @ self.up, 0.02, 1.0))
 
-    def transmission(self, directions: Array, seed: int, frame: int) -> Array:
+    def transmission(self, directions: Array) -> Array:
         """Extinction times clouds in directions (n, 3)."""
-        o = self.options
-        cloud = o.cloud_transmission + o.cloud_variation * generator(seed, Effect.CLOUDS, frame).standard_normal()
-        return np.asarray(10.0 ** (-0.4 * o.extinction_mag * self.mass(directions)) * np.clip(cloud, 0.0, 1.0))
+        clear = 10.0 ** (-0.4 * self.options.extinction_mag * self.mass(directions))
+        return np.asarray(clear * self.clouds.transmission(directions, self.up, self.time_s))
 
     def seeing_sigma_rad(self, direction: Array) -> float:
         """Gaussian sigma of the seeing disc; it grows with the 0.6th power of air mass (Kolmogorov)."""

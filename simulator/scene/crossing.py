@@ -104,14 +104,10 @@ def arc_length_px(chord_px: float, sagitta_px: float) -> float:
     return float(chord_px + 8.0 * sagitta_px**2 / (3.0 * chord_px))
 
 
-def time_bins(place: Place, interval: Interval, step_px: float, longest_s: float = np.inf) -> tuple[Array, float]:
-    """Mid-times (n,) of equal bins, and a bin's length in s.
-
-    They are so short that the object moves at most `step_px` in each, and at most `longest_s` long.
-    """
+def time_bins(place: Place, interval: Interval, step_px: float, longest_s: float = np.inf) -> Array:
+    """Edges (n + 1,) of equal bins, so short that the object moves at most `step_px` in each, and at most `longest_s` long."""
     nodes = np.linspace(interval.start_s, interval.end_s, 65)
     row, col = place(nodes)
     fastest = float(np.hypot(np.diff(row), np.diff(col)).max()) * 64.0
     n = max(int(np.ceil(fastest / step_px)), int(np.ceil((interval.end_s - interval.start_s) / longest_s)), 2)
-    width_s = (interval.end_s - interval.start_s) / n
-    return np.asarray(interval.start_s + (np.arange(n) + 0.5) * width_s, dtype=np.float64), width_s
+    return np.linspace(interval.start_s, interval.end_s, n + 1)

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from simulator.platform.earth import LIGHT_KM_S
 from simulator.platform.kepler import Elements, state_of
+from simulator.platform.orbit_motion import OrbitMotion
 from simulator.scene.light import LightOptions
 from simulator.scene.reflection import STEADY, LightCurve, in_sight, lambert_flux, sunlit_fraction
 
@@ -133,10 +134,7 @@ class PixelPathObject:
         return row, col, 10.0 ** (-0.4 * self.v_mag) * np.exp(self.brightening_per_s * time_s)
 
 
-def kepler_positions(elements: Elements) -> Callable[[Array], Array]:
-    """Positions of a two-body orbit whose elements hold at the epoch of the run."""
-
-    def positions_km(time_s: Array) -> Array:
-        return state_of(elements, np.asarray(time_s))[0]
-
-    return positions_km
+def orbit_positions(elements: Elements) -> Callable[[Array], Array]:
+    """Positions of the orbit whose osculating elements hold at time 0."""
+    motion = OrbitMotion(*state_of(elements))
+    return lambda time_s: motion.states(time_s)[0]

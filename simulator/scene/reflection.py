@@ -5,6 +5,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from simulator.platform.earth import AU_KM, EARTH_RADIUS_KM, SUN_RADIUS_KM
 
@@ -63,6 +64,10 @@ def in_sight(object_km: Array, observer_km: Array) -> NDArray[np.bool_]:
     return np.asarray(grounded | (np.sum(nearest * nearest, axis=-1) > EARTH_RADIUS_KM**2))
 
 
+FLASH_REACH: Final = 4.0
+"""Sigmas of a flash within which its light falls, but for 6e-5 of it."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class LightCurve:
     """A tumbling body: a sinusoid on its mean brightness, and periodic glints.
@@ -85,6 +90,35 @@ class LightCurve:
             return np.asarray(steady)
         since = (np.mod(angle + np.pi, 2.0 * np.pi) - np.pi) * self.period_s / (2.0 * np.pi)
         return np.asarray(steady + self.glint_factor * np.exp(-0.5 * (since / self.glint_width_s) ** 2))
+
+    def mean_factor(self, start_s: Array, end_s: Array) -> Array:
+        """Mean brightness between pairs of times, in closed form: a flash shorter than the interval keeps its light."""
+        half_turn = np.pi * (end_s - start_s) / self.period_s
+        middle = np.pi * (start_s + end_s) / self.period_s + self.phase_rad
+        steady = 1.0 + self.amplitude * np.sin(middle) * np.sinc(half_turn / np.pi)
+        if self.glint_factor == 0.0:
+            return np.asarray(steady)
+        flashes = self._flash_integral(end_s) - self._flash_integral(start_s)
+        return np.asarray(steady + self.glint_factor * flashes / (end_s - start_s))
+
+    def _flash_integral(self, time_s: Array) -> Array:
+        """Integral (s) of the flashes, each of peak 1 and cut half a period from its peak, up to times."""
+        turns = time_s / self.period_s + self.phase_rad / (2.0 * np.pi) + 0.5
+        whole = np.floor(turns)
+        since = (turns - whole - 0.5) * self.period_s
+        width = self.glint_width_s
+        cut = ndtr(-0.5 * self.period_s / width)
+        return np.asarray(np.sqrt(2.0 * np.pi) * width * (whole * (1.0 - 2.0 * cut) + ndtr(since / width) - cut))
+
+    def flashes_s(self, from_s: float, to_s: float) -> Array:
+        """Times of the peaks of the flashes whose light falls between two times; none without glints."""
+        if self.glint_factor == 0.0:
+            return np.zeros(0)
+        reach = min(FLASH_REACH * self.glint_width_s, 0.5 * self.period_s)
+        shift = self.phase_rad / (2.0 * np.pi)
+        first = np.ceil((from_s - reach) / self.period_s + shift)
+        last = np.floor((to_s + reach) / self.period_s + shift)
+        return np.asarray((np.arange(first, last + 1.0) - shift) * self.period_s)
 
 
 STEADY: Final = LightCurve()

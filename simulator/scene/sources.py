@@ -11,7 +11,7 @@ from simulator.platform.jitter import ARCSEC_RAD
 from simulator.platform.kepler import Elements, elements_deg, elements_of, velocity_through
 from simulator.randomness import Effect, generator
 from simulator.scene.encounters import Drawn
-from simulator.scene.objects import Identity, OrbitingObject, PixelPathObject, SkyPathObject, kepler_positions
+from simulator.scene.objects import Identity, OrbitingObject, PixelPathObject, SkyPathObject, orbit_positions
 from simulator.scene.reflection import STEADY, LightCurve
 from simulator.scene.satellites import SatelliteOptions
 from simulator.scene.stars import unit_vectors
@@ -44,7 +44,7 @@ class LightCurveOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class OrbitOptions:
-    """A sphere on a two-body orbit, elements osculating at the epoch of the run, GCRS axes."""
+    """A sphere on an orbit, elements osculating at the epoch of the run, GCRS axes."""
 
     name: str = field(default="orbit", metadata={"doc": "name"})
     size_m: float = field(default=1.0, metadata={"doc": "diameter", "min": 1e-5, "max": 1000.0})
@@ -83,7 +83,7 @@ class PassingOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class EncounterOptions:
-    """A sphere given by its motion relative to the camera at one instant; it then follows its own two-body orbit."""
+    """A sphere given by its motion relative to the camera at one instant; it then follows its own orbit."""
 
     name: str = field(default="encounter", metadata={"doc": "name"})
     size_m: float = field(default=0.01, metadata={"doc": "diameter", "min": 1e-5, "max": 1000.0})
@@ -150,7 +150,7 @@ class PixelPathOptions:
 class ObjectOptions:
     """Objects beside the sampled population. The defaults are two far, slow ones, nearly star-like in one exposure."""
 
-    orbit: tuple[OrbitOptions, ...] = field(default=(), metadata={"doc": "two-body orbits"})
+    orbit: tuple[OrbitOptions, ...] = field(default=(), metadata={"doc": "orbits by their osculating elements at the epoch"})
     passing: tuple[PassingOptions, ...] = field(
         default=(
             PassingOptions(name="far-1", size_m=2.5, range_km=24000.0, field_row=-0.45, field_col=0.35),
@@ -262,7 +262,7 @@ def kepler_object(
     curve: LightCurve = STEADY,
 ) -> OrbitingObject:
     """An object whose elements hold `epoch_s` seconds after the epoch of the run."""
-    at_epoch = kepler_positions(elements)
+    at_epoch = orbit_positions(elements)
     return OrbitingObject(
         identity=Identity(
             name=name,

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
-from simulator.optics.instrument import InstrumentOptions, band_factor
+from simulator.optics.instrument import InstrumentOptions
 from simulator.randomness import Effect, generator, seed_word
 
 Array = NDArray[np.float64]
@@ -28,6 +28,13 @@ class StarOptions:
     """Which stars shine and how far they stand from where the catalogue has them."""
 
     enabled: bool = field(default=True, metadata={"doc": "stars shine"})
+    catalogue_file: str = field(
+        default="",
+        metadata={
+            "doc": "catalogue of the sky, made by `sboc catalogue build`; empty for the one that comes along. "
+            "Ground uses it too unless `ground.catalogue_file` names another"
+        },
+    )
     catalogue_errors: float = field(
         default=1.0,
         metadata={"doc": "factor on the catalogue's quoted errors by which the true sky is displaced", "min": 0.0, "max": 100.0},
@@ -115,7 +122,7 @@ class StarSky:
         v_mag = np.concatenate([stars.v_mag, faint_v]).astype(np.float32)
         b_v = np.concatenate([stars.b_v, faint_b_v]).astype(np.float32)
         camera = self.instrument
-        colour = band_factor(b_v.astype(np.float64), camera.band_short_nm, camera.band_long_nm) if self.options.colours else 1.0
+        colour = camera.colour_factor(b_v.astype(np.float64)) if self.options.colours else 1.0
         return StarField(
             direction=np.concatenate([bright, faint_direction]),
             flux_e_s=camera.true_zero_point_e_s * 10.0 ** (-0.4 * v_mag.astype(np.float64)) * colour,

@@ -16,6 +16,7 @@ from simulator.scene.atmosphere import Atmosphere
 from simulator.scene.crossing import Interval, Place, RowShutter, arc_length_px, exposed_intervals, time_bins
 from simulator.scene.light import LightOptions
 from simulator.scene.objects import PixelPathObject, SkyObject
+from simulator.scene.reflection import FLASH_REACH, LightCurve
 from simulator.scene.stars import angles_deg
 from simulator.scene.turbulence import Unsteadiness
 
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 STEP_PX = 0.45
 BLOCK_PX = 96
 """Trails are added to the image in blocks along their path, so that memory and time grow with length, not with area."""
+FEW_FLASHES = 64
 FAINTEST_E = 1e-3
 OUTSIDE_MARGIN_RAD = 5e-3
 """Beyond the corner of the field: refraction, defocus and jitter reach no farther."""
@@ -33,17 +35,26 @@ OUTSIDE_MARGIN_RAD = 5e-3
 class Path:
     """A mover during one frame. Functions of time (n,), seconds after the epoch of the run.
 
-    place : rows and cols of the read-out window. flux_v0 : brightness in units of a V = 0 star.
+    place : rows and cols of the read-out window. steady_v0 : brightness in units of a V = 0 star, without the light curve.
     apparent, published : (n, 3) unit directions, GCRS axes. range_km : distance.
     turbulence : what the air of a site does to the light on the way; place and flux_v0, and so the truth, are without it.
     """
 
     place: Place
-    flux_v0: Callable[[Array], Array]
+    steady_v0: Callable[[Array], Array]
+    light_curve: LightCurve
     apparent: Callable[[Array], Array]
     published: Callable[[Array], Array]
     range_km: Callable[[Array], Array]
     turbulence: Unsteadiness | None = None
+
+    def flux_v0(self, time_s: Array) -> Array:
+        """Brightness at times, in units of a V = 0 star."""
+        return np.asarray(self.steady_v0(time_s) * self.light_curve.factor(time_s))
+
+    def mean_flux_v0(self, start_s: Array, end_s: Array) -> Array:
+        """Mean brightness between pairs of times; the light curve is integrated exactly, the rest changes slowly."""
+        return np.asarray(self.steady_v0(0.5 * (start_s + end_s)) * self.light_curve.mean_factor(start_s, end_s))
 
 
 def sky_path_of(
@@ -53,14 +64,13 @@ def sky_path_of(
     sun_km: Array,
     light: LightOptions,
     air: Atmosphere | None,
-    dimming: float = 1.0,
     turbulence: Unsteadiness | None = None,
 ) -> Path | None:
     """The path of an object with directions: splines of its apparent vector through the nodes of the frame.
 
     The vector (direction times range) of unaccelerated motion is linear in time, so that splines lose nothing even where the
     direction turns fast. Aberration is that of the observer's geocentric velocity: the Earth's own cancels for what moves
-    with the Earth. dimming : what the atmosphere leaves of the flux on average. None for an object far outside the field.
+    with the Earth. Extinction and clouds are those of the object's own direction. None for an object far outside the field.
     """
     seen = thing.seen(sight.node_s, sight.observer_km, sun_km, light)
     distance = np.linalg.norm(seen.vector_km, axis=-1, keepdims=True)
@@ -72,6 +82,7 @@ def sky_path_of(
     published = CubicSpline(sight.node_s, seen.vector_km)
     apparent = CubicSpline(sight.node_s, distance * outside)
     lifted = apparent if air is None else CubicSpline(sight.node_s, distance * air.refracted(outside, distance[:, 0]))
+    dimming = 1.0 if air is None else air.transmission(outside)
     at_1_km = CubicSpline(sight.node_s, dimming * seen.flux * distance[:, 0] ** 2)
 
     def unit(vectors: Array) -> Array:
@@ -83,12 +94,13 @@ def sky_path_of(
     def range_km(time_s: Array) -> Array:
         return np.asarray(np.linalg.norm(published(time_s), axis=-1))
 
-    def flux_v0(time_s: Array) -> Array:
-        return np.asarray(np.maximum(at_1_km(time_s), 0.0) / range_km(time_s) ** 2 * thing.light_curve.factor(time_s))
+    def steady_v0(time_s: Array) -> Array:
+        return np.asarray(np.maximum(at_1_km(time_s), 0.0) / range_km(time_s) ** 2)
 
     return Path(
         place=place,
-        flux_v0=flux_v0,
+        steady_v0=steady_v0,
+        light_curve=thing.light_curve,
         apparent=lambda time_s: unit(apparent(time_s)),
         published=lambda time_s: unit(published(time_s)),
         range_km=range_km,
@@ -129,7 +141,8 @@ def pixel_path_of(
 
     return Path(
         place=place,
-        flux_v0=lambda time_s: thing.place(time_s - zero_s)[2] * thing.light_curve.factor(time_s),
+        steady_v0=lambda time_s: thing.place(time_s - zero_s)[2],
+        light_curve=thing.light_curve,
         apparent=apparent,
         published=published,
         range_km=lambda time_s: np.full(np.shape(time_s), np.inf),
@@ -180,9 +193,10 @@ class _Light:
 def _render(image_e: NDArray[np.float32], path: Path, stretch: Interval, camera: Camera) -> _Light:
     """Integrate over bins of time, block by block along the path."""
     longest_bin_s = np.inf if path.turbulence is None else path.turbulence.step_s
-    time_s, width_s = time_bins(path.place, stretch, STEP_PX, longest_bin_s)
+    edges_s = _with_flashes(time_bins(path.place, stretch, STEP_PX, longest_bin_s), path.light_curve)
+    time_s, width_s = 0.5 * (edges_s[1:] + edges_s[:-1]), np.diff(edges_s)
     row, col = path.place(time_s)
-    flux_e = path.flux_v0(time_s) * camera.illumination_at(row, col) * (camera.zero_point_e_s * width_s)
+    flux_e = path.mean_flux_v0(edges_s[:-1], edges_s[1:]) * camera.illumination_at(row, col) * (camera.zero_point_e_s * width_s)
     blur_px = camera.defocus_px(path.range_km(time_s))
     sigma_px = camera.sigma_at(row, col)
     seen_sigma_px = sigma_px
@@ -229,6 +243,21 @@ def _render(image_e: NDArray[np.float32], path: Path, stretch: Interval, camera:
     )
 
 
+def _with_flashes(edges_s: Array, curve: LightCurve) -> Array:
+    """Edges of bins with finer ones where a flash is shorter than a bin, so that its light falls where it should.
+
+    Only where flashes are fewer than bins, or few: the cost grows as the number of bins does.
+    """
+    bins = len(edges_s) - 1
+    span_s = float(edges_s[-1] - edges_s[0])
+    many = span_s > curve.period_s * max(bins, FEW_FLASHES)
+    if curve.glint_factor == 0.0 or many or curve.glint_width_s * bins > 2.0 * span_s:
+        return edges_s
+    steps = np.linspace(-FLASH_REACH, FLASH_REACH, 17) * curve.glint_width_s
+    fine_s = (curve.flashes_s(edges_s[0], edges_s[-1])[:, None] + steps).ravel()
+    return np.unique(np.concatenate([edges_s, fine_s[(fine_s > edges_s[0]) & (fine_s < edges_s[-1])]]))
+
+
 def _aligned(centre: Array, margin: int, step: int, size: int) -> tuple[int, int]:
     """First and last-plus-one pixel around positions, on borders of delivered pixels, inside the frame."""
     first = max(0, int(np.floor(centre.min())) - margin) // step * step
@@ -246,7 +275,10 @@ def _truth_row(
 
     row, col = camera.delivered(window_row, window_col)
     tai = epoch_tai_ns + np.round(time_s * 1e9).astype(np.int64)
-    flux_rate = path.flux_v0(time_s) * camera.illumination_at(window_row, window_col) * camera.zero_point_e_s
+    # Means over the nodes' shares of time, so that the trapezoidal rule gives the whole light whatever flashed between them.
+    half_s = 0.5 * (time_s[1] - time_s[0])
+    shares = np.maximum(time_s - half_s, seen.start_s), np.minimum(time_s + half_s, seen.end_s)
+    flux_rate = path.mean_flux_v0(*shares) * camera.illumination_at(window_row, window_col) * camera.zero_point_e_s
     middle = np.array([0.5 * (seen.start_s + seen.end_s)])
     step = np.array([0.25 * (seen.end_s - seen.start_s)])
     around = np.concatenate([middle - step, middle + step])

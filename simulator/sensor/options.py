@@ -123,16 +123,35 @@ class CalibrationOptions:
 
 
 @dataclass(frozen=True, kw_only=True)
+class CcdOptions:
+    """What only a CCD has."""
+
+    row_transfer_us: float = field(
+        default=1.0,
+        metadata={
+            "doc": "time in which the image moves by a row into the store while light falls; 0: a mechanical shutter closes",
+            "min": 0.0,
+            "max": 1e4,
+        },
+    )
+
+
+@dataclass(frozen=True, kw_only=True)
 class SensorOptions:
     """The detector: its type and imperfections; the number and pitch of its pixels belong to the instrument."""
 
     type: str = field(
-        default="cmos", metadata={"doc": "cmos clips at full well; ccd bleeds along columns", "choices": ("cmos", "ccd")}
+        default="cmos",
+        metadata={
+            "doc": "cmos has a rolling shutter and clips at full well; ccd exposes all rows at once, smears and bleeds",
+            "choices": ("cmos", "ccd"),
+        },
     )
     temperature_k: float = field(default=263.15, metadata={"doc": "temperature of the detector", "min": 100.0, "max": 400.0})
     shot_noise: bool = field(default=True, metadata={"doc": "photons and dark electrons come at random"})
     prnu: float = field(default=0.008, metadata={"doc": "rms of the pixel response (PRNU)", "min": 0.0, "max": 0.2})
     dark: DarkOptions = field(default_factory=DarkOptions, metadata={"doc": "dark current and defective pixels"})
+    ccd: CcdOptions = field(default_factory=CcdOptions, metadata={"doc": "what only a CCD has"})
     telegraph: TelegraphOptions = field(default_factory=TelegraphOptions, metadata={"doc": "telegraph pixels"})
     readout: ReadoutOptions = field(default_factory=ReadoutOptions, metadata={"doc": "noise of the read-out chain"})
     converter: ConverterOptions = field(default_factory=ConverterOptions, metadata={"doc": "full well and conversion"})

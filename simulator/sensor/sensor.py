@@ -132,7 +132,7 @@ class Sensor:
         mean_e = np.ascontiguousarray(mean_e, dtype=np.float32)
         if self.options.type == "ccd":
             adu = self._read_ccd(mean_e, frame, exposure_s, hits or no_hits())
-            return adu if self.on_chip_sum else bin_pixels(adu, self.options.binning, self._weight())
+            return adu if self.on_chip_sum else bin_pixels(adu, self.options.binning, self._weight(exposure_s))
         part = np.s_[first_row : first_row + n]
         out = np.empty(mean_e.shape, dtype=np.uint16)
         passes.digitise_rows(
@@ -154,7 +154,7 @@ class Sensor:
             self._chain(),
             out,
         )
-        return bin_pixels(out, self.options.binning, self._weight())
+        return bin_pixels(out, self.options.binning, self._weight(exposure_s))
 
     def variance_e2(self, mean_e: ArrayLike, exposure_s: float, *, row0: int = 0, col0: int = 0) -> NDArray[np.float32]:
         """Noise variance of detector pixels in electrons squared: photons, dark current, read noise, quantisation.
@@ -302,12 +302,12 @@ class Sensor:
         )
         return out
 
-    def _weight(self) -> NDArray[np.float32] | None:
+    def _weight(self, exposure_s: float) -> NDArray[np.float32] | None:
         """Inverse noise variance in the dark; dead pixels weigh nothing. Only where binning asks for it."""
         if self.options.binning.method != "weighted":
             return None
         variance = np.take((self._pixels.noise_of_e**2).astype(np.float32), self._pixels.noise)
-        variance += np.take(self._pixels.dark_rate_of_e_s.astype(np.float32), self._pixels.dark)
+        variance += np.take((self._pixels.dark_rate_of_e_s * exposure_s).astype(np.float32), self._pixels.dark)
         return np.asarray((self._pixels.response > 0) / np.maximum(variance, 1e-6), dtype=np.float32)
 
 

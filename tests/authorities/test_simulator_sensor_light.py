@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 from scipy import integrate, signal
 
+from simulator.camera import Camera
 from simulator.exposure import render_stars, render_trail
-from simulator.optics.defocus import blur_angle_rad, disc_profile
+from simulator.optics.defocus import disc_profile
 from simulator.optics.psf import PsfOptions, sigma_at
 from simulator.optics.vignetting import (
     IlluminationGrid,
@@ -17,6 +18,7 @@ from simulator.optics.vignetting import (
     node_places,
     relative_illumination,
 )
+from simulator.options import SimulatorOptions
 
 
 def centroid(image):
@@ -120,10 +122,12 @@ def test_the_disc_profile_has_unit_flux_and_is_flat_inside():
     assert np.interp(6.0, radius, profile) * area == pytest.approx(0.5, abs=0.06)
 
 
-def test_the_blur_angle_is_41_arcsec_at_1_km_for_20_cm():
-    arcsec = np.degrees(blur_angle_rad(0.20, [1e3, 3e3, 1e4])) * 3600.0
+def test_the_camera_blurs_a_point_at_1_km_into_41_arcsec():
+    """The blur disc that the default camera draws has the angle aperture / range."""
+    options = SimulatorOptions()
+    camera = Camera(options.instrument, options.psf, options.vignetting, options.sensor, exposure_s=0.2, seed=1)
+    arcsec = np.degrees(camera.defocus_px(np.array([1.0, 3.0, 10.0])) / camera.projection.focal_px) * 3600.0
     assert arcsec == pytest.approx([41.25, 13.75, 4.125], abs=0.01)
-    assert blur_angle_rad(0.20, 5e3, 5e3) == 0.0
 
 
 def test_width_and_illumination_over_the_field():

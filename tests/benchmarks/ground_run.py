@@ -148,7 +148,7 @@ def finish(folder: Path, n_frames: int) -> dict[str, Any]:
     shape = (camera.rows, camera.cols)
     maps = {"dark_adu": np.full(shape, 0.1, dtype=np.float32), "flat": np.full(shape, 1.001, dtype=np.float32)}
     calibration = Calibration(camera=camera, defects=np.full(shape, 0, dtype=np.uint8), provenance="benchmark", **maps)
-    catalogue = star_catalogue(scenario.ground)
+    catalogue = star_catalogue(scenario)
     chain = ground_chain(scenario, calibration=calibration, camera=camera, catalogue=catalogue)
     _, nothing = chain.ingest(b"")
 

@@ -3,6 +3,8 @@
 from pathlib import Path
 
 import numpy as np
+import pyarrow
+import pyarrow.parquet
 import pytest
 from astropy.table import Table
 
@@ -26,7 +28,11 @@ def gaia_table(path: Path, ra_deg: float, dec_deg: float) -> int:
             "ref_epoch": np.full(whole.sum(), 2016.0),
         }
     )  # fmt: skip
-    table.write(path)
+    if path.suffix == ".parquet":
+        columns = {name: np.asarray(table[name]) for name in table.colnames}
+        pyarrow.parquet.write_table(pyarrow.table(columns), path)
+    else:
+        table.write(path)
     return int(whole.sum())
 
 
@@ -54,6 +60,34 @@ def test_a_catalogue_built_from_a_gaia_table_solves_the_frames(
     ) * 3600.0  # fmt: skip
     assert apart_arcsec.max() < 7.0
     assert np.all(np.abs(after["zero_point_mag"] - before["zero_point_mag"]) < 0.1)
+
+
+@pytest.mark.parametrize("suffix", ["ecsv", "parquet"])
+def test_one_option_gives_both_halves_the_same_gaia_stars(
+    finished: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str
+) -> None:
+    """`stars.catalogue_file`: the sky shines with the stars of a Gaia table, and ground solves frames with them."""
+    before = frames_of(finished.directory.path)
+    table = tmp_path / f"gaia.{suffix}"
+    gaia_table(table, float(before["ra_app_deg"][0]), float(before["dec_app_deg"][0]))
+    assert cli.run(["catalogue", "build", str(table), "--out", str(tmp_path / "gaia.npz")]) == 0
+    made = tmp_path / "run"
+    both = ["--set", f"stars.catalogue_file={tmp_path / 'gaia.npz'}", "--set", "output.keep_frames_every=0"]
+    assert cli.run(["run", str(tiny(tmp_path)), "--out", str(made), "--workers", "1", *both]) == 0
+    truth = Table.read(made / "truth" / "stars.ecsv", format="ascii.ecsv")
+    assert len(truth) > 20
+    assert np.all(truth["star_id"] >= 10**15)  # neither Tycho-2 nor drawn stars
+    after = frames_of(made)
+    assert np.all(after["solved"])
+    assert np.all(after["n_stars"] > 10)
+
+
+def test_a_sky_that_cannot_be_read_is_named_by_its_key(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    key = f"stars.catalogue_file={tmp_path / 'none.npz'}"
+    assert cli.run(["run", str(tiny(tmp_path)), "--out", str(tmp_path / "run"), "--set", key]) == 2
+    (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("sboc: ")]
+    assert "stars.catalogue_file: star catalogue" in line
+    assert "no such file; make one with" in line
 
 
 def empty(catalogue: Path, out: Path) -> None:

@@ -10,6 +10,7 @@ from onboard.image.calibrate import residual_pass
 from onboard.image.dark_map import DarkMap
 from onboard.stars.fits import fit_stars
 from onboard.stars.matched import MatchedStars, best_spread, falling
+from onboard.stars.trails import Trail, refined
 from sboc_e2e.icd.flags import MaskBit, StarFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import DetectorView, StarList
@@ -241,3 +242,12 @@ def test_falling_is_a_stable_sort(n: int) -> None:
     rng = np.random.default_rng(n)
     for values in (rng.random(n), rng.integers(0, n // 3 + 1, n).astype(float), np.zeros(n)):
         assert (falling(values) == np.argsort(-values, kind="stable")).all()
+
+
+def test_a_peak_in_a_hole_of_the_background_is_no_star_to_learn_from() -> None:
+    """Its light sums up to less than nothing; the fit ended the run with a ValueError."""
+    residual = np.full((64, 64), -1.0, dtype=np.float32)
+    residual[30:33, 30:33] = 5.0
+    peaks = np.array([[31.0, 31.0, 9.0]], dtype=np.float32)
+    guess = Trail(drow=4.0, dcol=1.0)
+    assert refined(residual, np.zeros((64, 64), np.uint8), peaks, guess, 1.0) is None

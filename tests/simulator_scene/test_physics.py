@@ -20,7 +20,7 @@ from simulator.scene.crossing import RowShutter, exposed_intervals
 from simulator.scene.debris import SizeClass, draw_orbits, number_larger, orbit_histogram
 from simulator.scene.encounters import PopulationOptions, Window, draw_candidates, number_density, spatial_density
 from simulator.scene.light import LightOptions
-from simulator.scene.objects import kepler_positions
+from simulator.scene.objects import orbit_positions
 from simulator.scene.reflection import LightCurve, in_sight, lambert_flux, sunlit_fraction
 from simulator.scene.sources import SkyPathOptions, kepler_object, sky_path
 from simulator.scene.stars import _hash64, cumulative_counts_deg2, displaced, unit_vectors
@@ -200,8 +200,8 @@ def test_light_time_of_a_far_object():
     observer = np.zeros((1, 3))
     seen = thing.seen(np.zeros(1), observer, np.array([earth.AU_KM, 0.0, 0.0]), LightOptions()).vector_km[0]
     delay_s = 42164.0 / earth.LIGHT_KM_S
-    assert np.abs(seen - kepler_positions(elements)(np.array([-delay_s]))[0]).max() < 1e-6
-    assert np.linalg.norm(seen - kepler_positions(elements)(np.zeros(1))[0]) == pytest.approx(3.0747 * delay_s, rel=1e-3)
+    assert np.abs(seen - orbit_positions(elements)(np.array([-delay_s]))[0]).max() < 1e-6
+    assert np.linalg.norm(seen - orbit_positions(elements)(np.zeros(1))[0]) == pytest.approx(3.0747 * delay_s, rel=1e-3)
 
 
 def test_tumbling_and_glints():

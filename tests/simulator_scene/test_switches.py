@@ -36,7 +36,8 @@ WORLD = {
         "sensor.dark.warm_fraction=0.01", "sensor.dark.hot_fraction=0.01", "sensor.dark.dead_fraction=0.01",
         'sensor.readout.row_noise="3 e-"', 'sensor.readout.column_offset="4 e-"',
         "sensor.readout.correlated_double_sampling=false", "population.tumbling_share=1.0",
-        'sensor.readout.sense_node="5 fF"', 'sensor.type="ccd"', "sensor.binning.rows=2", "sensor.binning.cols=2",
+        'sensor.readout.sense_node="5 fF"', 'sensor.type="ccd"', 'sensor.ccd.row_transfer="20 us"',
+        "sensor.binning.rows=2", "sensor.binning.cols=2",
         "sensor.window.rows=120", 'instrument.stray_light="30 e-/(px s)"', 'clock.offset="5 us"', 'shutter.line_time="400 us"',
         'radiation.environment="saa"', "sensor.converter.nonlinearity=0.05", 'telemetry.velocity="1 m/s"',
         "instrument.distortion.sip_a=[{col_power=2,row_power=0,coefficient=1e-4}]", "population.candidates=1000",
@@ -53,7 +54,11 @@ WORLD = {
 }  # fmt: skip
 
 
-NEEDS = {"image motion along a trail": "seeing", "tumbling of sampled debris": "sampled debris"}
+NEEDS = {
+    "image motion along a trail": "seeing",
+    "tumbling of sampled debris": "sampled debris",
+    "frame-transfer smear": "bleeding",
+}
 """Effects that show only where another one is on."""
 
 

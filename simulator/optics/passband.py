@@ -1,0 +1,124 @@
+"""What a camera makes of light: spectrum times optics times quantum efficiency, integrated over the band.
+
+Photons come from published spectra: the Sun's from ASTM G173-03 (extraterrestrial) at V = -26.76, stars' from the library of
+Pickles (1998) bent to the mean colours of dwarfs (Pecaut & Mamajek 2013); `star_spectra.md` says how the file was made.
+"""
+
+from dataclasses import dataclass, field
+from functools import cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.errors import UserError
+
+Array = NDArray[np.float64]
+
+SPECTRA_PATH: Final = Path(__file__).parent / "star_spectra.npz"
+SUN_B_V: Final = 0.653
+"""The Sun's B-V (Ramirez et al. 2012, ApJ 752, 5); zero points hold for this colour."""
+SHORTEST_NM: Final = 280.0
+LONGEST_NM: Final = 4000.0
+_STEP_NM: Final = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class CurvePointOptions:
+    """One point of a curve over wavelength."""
+
+    wavelength_nm: float = field(default=600.0, metadata={"doc": "wavelength", "min": SHORTEST_NM, "max": LONGEST_NM})
+    value: float = field(default=1.0, metadata={"doc": "factor at this wavelength", "min": 0.0, "max": 1.0})
+
+
+Curve = tuple[CurvePointOptions, ...]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Passband:
+    """Electrons for each photon at the entrance pupil: constant times two curves between the edges, none outside.
+
+    A curve is linear between its points and keeps the values of its ends beyond them; without points it is 1.
+    """
+
+    short_nm: float
+    long_nm: float
+    peak: float
+    curves: tuple[Curve, ...] = ()
+
+    def response(self, wavelength_nm: Array) -> Array:
+        """Electrons for each photon."""
+        out = np.where((wavelength_nm >= self.short_nm) & (wavelength_nm <= self.long_nm), self.peak, 0.0)
+        for curve in self.curves:
+            if curve:
+                out = out * np.interp(wavelength_nm, [p.wavelength_nm for p in curve], [p.value for p in curve])
+        return out
+
+
+def refuse_disorder(key: str, curve: Curve) -> None:
+    """UserError for points that are not in the order of their wavelengths."""
+    for before, after in pairwise(curve):
+        if after.wavelength_nm <= before.wavelength_nm:
+            raise UserError(
+                f"{key}: {after.wavelength_nm:g} nm follows {before.wavelength_nm:g} nm; allowed are growing wavelengths"
+            )
+
+
+class _Spectra(NamedTuple):
+    """Photons per m2, s and nm of V = 0: of the Sun in bins, and of stars by B-V (the Sun among them)."""
+
+    sun_edges_nm: Array
+    sun: Array
+    edges_nm: Array
+    b_v: Array
+    stars: Array
+
+
+@cache
+def _spectra() -> _Spectra:
+    with np.load(SPECTRA_PATH) as content:
+        names = ("sun_edges_nm", "sun_photons_m2_s_nm", "edges_nm", "b_v", "photons_m2_s_nm")
+        sun_edges, sun, edges, b_v, stars = (content[name].astype(np.float64) for name in names)
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    sun_among_stars = sun[np.searchsorted(sun_edges, middle, side="right") - 1]
+    order = np.argsort(np.append(b_v, SUN_B_V))
+    return _Spectra(sun_edges, sun, edges, np.append(b_v, SUN_B_V)[order], np.vstack([stars, sun_among_stars])[order])
+
+
+@cache
+def _electrons(band: Passband) -> tuple[float, Array]:
+    """Electrons per m2 and s of V = 0: of the Sun, and of each star of the library.
+
+    Spectra are constant in their bins, so that the midpoint rule on pieces of at most a nanometre is exact where the
+    response is linear. Where the library ends, a star keeps its last ratio to the Sun.
+    """
+    spectra = _spectra()
+    nodes = [p.wavelength_nm for curve in band.curves for p in curve]
+    steps = np.arange(band.short_nm, band.long_nm, _STEP_NM)
+    edges = np.unique(np.concatenate([steps, [band.long_nm], spectra.sun_edges_nm, spectra.edges_nm, nodes]))
+    edges = edges[(edges >= band.short_nm) & (edges <= band.long_nm)]
+    middle = 0.5 * (edges[1:] + edges[:-1])
+    weight = band.response(middle) * np.diff(edges)
+    sun = spectra.sun[np.searchsorted(spectra.sun_edges_nm, middle, side="right") - 1]
+    places = 0.5 * (spectra.edges_nm[1:] + spectra.edges_nm[:-1])
+    own = np.clip(np.searchsorted(spectra.edges_nm, middle, side="right") - 1, 0, len(places) - 1)
+    sun_there = spectra.sun[np.searchsorted(spectra.sun_edges_nm, places, side="right") - 1]
+    ratio = (spectra.stars / sun_there)[:, own]
+    return float(sun @ weight), np.asarray(ratio @ (sun * weight))
+
+
+def sun_electrons_m2_s(band: Passband) -> float:
+    """Electrons per m2 and s of a star of V = 0 and the Sun's spectrum."""
+    return _electrons(band)[0]
+
+
+def colour_factor(b_v: Array, band: Passband) -> Array:
+    """Electrons of stars of a colour over those of a star of the Sun's colour and the same V.
+
+    Dwarfs of the library, linear in magnitude between their B-V, the ends' values beyond. Red giants have other spectra at
+    the same B-V.
+    """
+    sun, stars = _electrons(band)
+    return np.asarray(np.exp(np.interp(b_v, _spectra().b_v, np.log(np.maximum(stars, 1e-12 * sun) / sun))))

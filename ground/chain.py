@@ -17,6 +17,7 @@ from ground.astrometry.header_wcs import identify_by_header
 from ground.guard import fault, guarded, links_of, probabilities_of
 from ground.ingest import IngestReport, decode_downlink
 from ground.link import Member, apply_links, measured_tracklet
+from ground.link.shake import SeenTrail, Sway, shake_factor, sway_of
 from ground.on_demand import OnDemand
 from ground.options import GroundOptions
 from ground.photometry.known_stars import FrameLight, frame_light
@@ -29,6 +30,7 @@ from ground.photometry.tracklet_light import with_mean_light
 from ground.photometry.zero_point import flat_at
 from ground.records import FrameProducts, GroundProducts, GroundState
 from ground.refit import SharedErrors, refit_streaks
+from ground.sky.bend import bent
 from ground.sky.measure import initial_epochs_ns, jacobian_arcsec, middle_of, pointing_sigma_arcsec, with_sky
 from ground.sky.pixel_sky import HeaderSky, PixelSky, SolvedSky
 from ground.sky.sphere import ARCSEC_RAD
@@ -185,7 +187,10 @@ class GroundChain:
         pixels_of = self._pixel_source(frames, products, place)
         tracklets, linked = list(found), LinkedStreaks(place, len(found))
         # by time, so that tracklets of the same frames follow each other
-        for number in sorted(range(len(found)), key=lambda k: int(found[k].frames.min())):
+        in_order = sorted(range(len(found)), key=lambda k: int(found[k].frames.min()))
+        factor = shake_factor(self._sway(found[number], linked, headers, products, rates) for number in in_order)
+        rates = [rate._replace(sigma_rad_s=factor * rate.sigma_rad_s) for rate in rates]
+        for number in in_order:
             tracklets[number], members = self._resolved(found[number], linked, headers, products, rates, pixels_of)
             linked.put(number, members)
         orbits: tuple[OrbitEstimate, ...] = ()
@@ -214,16 +219,18 @@ class GroundChain:
         pixels_of: Callable[[StreakMeasurement], StreakPixels],
     ) -> tuple[Tracklet, Sequence[StreakMeasurement]]:
         """A tracklet as its members measure it, and these in frame order: directions, epochs, joint refit, brightness."""
-        places = linked.places_of(tracklet)
-        own = [headers[k] for k in dict.fromkeys(place for place, _ in places)]
-        given = [products[k].streaks[number] for k, number in places]
-        members = single = apply_links(given, (tracklet,), own)
+        single, own, at = _single(tracklet, linked, headers, products)
+        members = single
         shared: SharedErrors = {}
         if self._options.joint_refit:
             members, shared = refit_streaks(
-                single, tracklet, own, lambda frame: products[linked.place[frame]].solution, pixels_of
+                single,
+                tracklet,
+                own,
+                lambda frame: products[linked.place[frame]].solution,
+                pixels_of,
+                lambda frame: rates[linked.place[frame]].sigma_rad_s,
             )
-        at = [linked.place[member.frame] for member in members]
         frames = [products[k] for k in at]
         placed = [_placed(member, frame) for member, frame in zip(members, frames, strict=True)]
         measured = measured_tracklet(
@@ -235,6 +242,28 @@ class GroundChain:
         )
         final = [_finally_bright(streak, frame, measured.rate_deg_s) for streak, frame in zip(placed, frames, strict=True)]
         return with_mean_light(measured, final), final
+
+    def _sway(
+        self,
+        tracklet: Tracklet,
+        linked: LinkedStreaks,
+        headers: Sequence[FrameHeader],
+        products: Sequence[FrameProducts],
+        rates: Sequence[Rate],
+    ) -> Sway:
+        """What the members of a tracklet, as single frames show them, tell of the camera's shake."""
+        members, _, at = _single(tracklet, linked, headers, products)
+        return sway_of(
+            tracklet,
+            [
+                SeenTrail(
+                    streak=member,
+                    scale_arcsec=1.0 / (self._camera.focal_px * ARCSEC_RAD),
+                    sigma_rate_arcsec_s=0.0 if products[k].wcs is not None else rates[k].sigma_rad_s / ARCSEC_RAD,
+                )
+                for member, k in zip(members, at, strict=True)
+            ],
+        )
 
     def _final(
         self, streaks: Sequence[StreakMeasurement], members: Mapping[int, StreakMeasurement]
@@ -430,6 +459,24 @@ def _with_brightness(
         flags |= StreakFlag.NO_MAGNITUDE
     at_rate, at_rate_err = magnitude_at_1deg_s(streak, header, photometry, mean_flat)
     return replace(streak, mag=mag, mag_err=mag_err, mag_at_1deg_s=at_rate, mag_at_1deg_s_err=at_rate_err, flags=flags)
+
+
+def _single(
+    tracklet: Tracklet, linked: LinkedStreaks, headers: Sequence[FrameHeader], products: Sequence[FrameProducts]
+) -> tuple[tuple[StreakMeasurement, ...], list[FrameHeader], list[int]]:
+    """Members of a tracklet as their frames show them alone, in time order and dated; headers, and places of their frames."""
+    places = linked.places_of(tracklet)
+    own = [headers[k] for k in dict.fromkeys(place for place, _ in places)]
+    members = apply_links([products[k].streaks[number] for k, number in places], (tracklet,), own)
+    at = [linked.place[member.frame] for member in members]
+    return tuple(_bent(member, products[k]) for member, k in zip(members, at, strict=True)), own, at
+
+
+def _bent(streak: StreakMeasurement, product: FrameProducts) -> StreakMeasurement:
+    """A member of a tracklet with its ends on the arc that the camera's turning makes of a straight motion."""
+    if product.wcs is not None or product.solution.flags & FrameFlag.NO_SOLUTION:
+        return streak
+    return _placed(bent(streak, product.header, product.solution), product)
 
 
 def _placed(streak: StreakMeasurement, product: FrameProducts) -> StreakMeasurement:

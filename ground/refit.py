@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from ground.sky.measure import middle_of, redated
 from ground.sky.rotation import turn
 from ground.sky.sphere import ARCSEC_RAD, unit_vectors
+from ground.sky.turning import END_OVER_SLOPE
 from ground.streaks.joint import JointRefit, TrackletFrame, flux_between, refit_tracklet
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
@@ -51,10 +52,12 @@ def refit_streaks(
     headers: Sequence[FrameHeader],
     solution_of: Callable[[int], FrameSolution],
     pixels_of: Callable[[StreakMeasurement], StreakPixels],
+    sigma_rate_of: Callable[[int], float],
 ) -> tuple[tuple[StreakMeasurement, ...], SharedErrors]:
     """The streaks of a tracklet refitted together, where their direction is resolved, the others as they came; and their errors.
 
-    streaks : with directions at their epochs. solution_of : of a frame, by its number; pixels_of : calibrated pixels of a streak.
+    streaks : with directions at their epochs. solution_of : of a frame, by its number; pixels_of : calibrated pixels of a streak;
+    sigma_rate_of : error of the rate at which the camera turned in a frame, rad/s.
     Sky positions are those of the old fit until they are measured anew.
     """
     header_of = {header.frame: header for header in headers}
@@ -67,7 +70,10 @@ def refit_streaks(
         return tuple(streaks), {}
     members = [_timed_by_shutter(m, header_of[m.frame]) for m in members]
     path, zero_ns = _path_of(members), int(members[0].t_tai_ns[0])
-    frames = [_tracklet_frame(m, header_of[m.frame], solution_of(m.frame), pixels_of(m), path, zero_ns) for m in members]
+    frames = [
+        _tracklet_frame(m, header_of[m.frame], solution_of(m.frame), pixels_of(m), path, zero_ns, sigma_rate_of(m.frame))
+        for m in members
+    ]
     joint: dict[int, StreakFit] = {}
     shared: SharedErrors = {}
     for number, (window, sigma_acceleration) in enumerate(_windows(frames)):
@@ -342,7 +348,13 @@ def _path_of(members: Sequence[StreakMeasurement]) -> Array:
 
 
 def _tracklet_frame(
-    streak: StreakMeasurement, header: FrameHeader, solution: FrameSolution, pixels: StreakPixels, path: Array, zero_tai_ns: int
+    streak: StreakMeasurement,
+    header: FrameHeader,
+    solution: FrameSolution,
+    pixels: StreakPixels,
+    path: Array,
+    zero_tai_ns: int,
+    sigma_rate_rad_s: float,
 ) -> TrackletFrame:
     """One frame of the refit: coordinates along the path in arcsec, times in seconds from `zero_tai_ns`."""
     seen = unit_vectors(np.radians(streak.ra_deg), np.radians(streak.dec_deg))
@@ -361,6 +373,7 @@ def _tracklet_frame(
         t_close_s=float(streak.t_tai_ns[2] - zero_tai_ns) * 1e-9,
         line_time_s=header.line_time_ns * 1e-9,
         sigma_frame=float(np.sqrt(0.5 * max(pointing[0, 0] + pointing[1, 1], 0.0))) / ARCSEC_RAD,
+        sigma_end=END_OVER_SLOPE * sigma_rate_rad_s / ARCSEC_RAD * 0.5 * abs(float(seconds[2] - seconds[0])),
     )
 
 

@@ -17,6 +17,7 @@ from ground.link.motion import N_PARAMETERS, fit_motion, kappa_sigma
 from ground.link.resolve import pieces_among
 from ground.link.row_errors import common_errors
 from ground.sky.sphere import ARCSEC_RAD, east_north, spherical_deg, unit_vectors
+from ground.sky.turning import END_OVER_SLOPE
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakMeasurement, Tracklet
 
@@ -37,7 +38,7 @@ class Member:
 
     single, final : as its frame shows it alone and as it is published, both with directions at their epochs.
     jacobian_arcsec : (3, 2, 2) of (east, north) by (row, col) at the three points of `final`. pointing_arcsec : one sigma of an
-    axis of its frame, sigma_rate_arcsec_s : and of the rate at which the camera turned.
+    axis of its frame, sigma_rate_arcsec_s : and of the rate at which the camera turned during the exposure.
     group, shared_arcsec : window of a joint fit (-1: none) and (2, 3) errors that both ends share with the ends of that window.
     """
 
@@ -63,6 +64,7 @@ class _Rows:
     group: NDArray[np.int64]
     shared: Array
     pointing: Array
+    turning: Array
     frame: NDArray[np.int64]
 
 
@@ -89,6 +91,7 @@ def measured_tracklet(tracklet: Tracklet, members: Sequence[Member]) -> Tracklet
         shared_arcsec=rows.shared,
         shared_group=rows.group,
         pointing_arcsec=rows.pointing,
+        turning_arcsec=rows.turning,
         t_ref_tai_ns=t_ref_ns,
         flags=flags,
     )
@@ -115,8 +118,14 @@ def _rows_of(members: Sequence[Member]) -> _Rows:
         group=np.array([m.group if p != 1 else -1 for m, p, _ in found], dtype=np.int64),
         shared=np.array([shared for _, _, shared in found]).reshape(-1, 3),
         pointing=np.array([m.pointing_arcsec for m, _, _ in found], dtype=np.float64),
+        turning=np.array([turning_arcsec(m.final, m.sigma_rate_arcsec_s, p) for m, p, _ in found], dtype=np.float64),
         frame=np.array([m.final.frame for m, _, _ in found], dtype=np.int64),
     )
+
+
+def turning_arcsec(streak: StreakMeasurement, sigma_rate_arcsec_s: float, point: int) -> float:
+    """What an error of the camera's rate puts into a point: nothing into the middle, opposite amounts into both ends."""
+    return (point - 1) * sigma_rate_arcsec_s * 0.5e-9 * abs(float(streak.t_tai_ns[2] - streak.t_tai_ns[0]))
 
 
 def _covariance_arcsec2(member: Member, point: int) -> Array:
@@ -125,20 +134,19 @@ def _covariance_arcsec2(member: Member, point: int) -> Array:
     blocks = np.asarray(fit.covariance_px2).reshape(2, 2, 2, 2).transpose(0, 2, 1, 3)
     if point == 1:
         return np.asarray(jacobian @ blocks.sum(axis=(0, 1)) @ jacobian.T / 4.0 + member.pointing_arcsec**2 * np.eye(2))
-    # the attitude of an end is that of mid-exposure, turned by half an exposure
-    turned_s = 0.5e-9 * abs(float(member.final.t_tai_ns[2] - member.final.t_tai_ns[0]))
-    attitude = float(np.hypot(member.pointing_arcsec, member.sigma_rate_arcsec_s * turned_s)) ** 2
-    pointing = attitude * np.eye(2)
+    # the attitude of an end is that of mid-exposure, turned by half an exposure; across, the line averages over the shake
+    turning = turning_arcsec(member.final, member.sigma_rate_arcsec_s, point)
     block = blocks[point // 2, point // 2]
     along = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0]) / max(fit.length_px, 1e-6)
     if not np.isfinite(block).all() or fit.flags & StreakFlag.ENDS_NOT_GAUSSIAN:
         across = np.array([-along[1], along[0]])
         sigma_along, sigma_cross = end_errors_px([member.final])
         block = sigma_along[0, point // 2] ** 2 * np.outer(along, along) + sigma_cross[0] ** 2 * np.outer(across, across)
-    if member.final.flags & StreakFlag.REFIT:
-        # the joint fit has put the pointing along the motion into the ends already
-        heading = jacobian @ along / max(float(np.linalg.norm(jacobian @ along)), 1e-12)
-        pointing = pointing - attitude * np.outer(heading, heading)
+    heading = jacobian @ along / max(float(np.linalg.norm(jacobian @ along)), 1e-12)
+    # the joint fit has put the attitude's errors along the motion into the ends already
+    attitude = 0.0 if member.final.flags & StreakFlag.REFIT else member.pointing_arcsec**2 + (END_OVER_SLOPE * turning) ** 2
+    side = np.array([-heading[1], heading[0]])
+    pointing = attitude * np.outer(heading, heading) + (member.pointing_arcsec**2 + turning**2) * np.outer(side, side)
     return np.asarray(jacobian @ block @ jacobian.T + pointing)
 
 
@@ -196,7 +204,7 @@ def _headings(t_s: Array, unit: Array, centre: Array, plane: Array) -> Array:
 def _joint_covariance(rows: _Rows, each: Array) -> Array:
     """Covariance (2 m, 2 m) of all rows along, then all across, arcsec^2. each : (m, 2, 2) of single rows."""
     m = len(rows.t_tai_ns)
-    common, same_frame = common_errors(rows.shared, rows.group, rows.pointing, rows.frame)
+    common, same_frame = common_errors(rows.shared, rows.group, rows.pointing, rows.turning, rows.frame)
     k = np.arange(m)
     own = each.copy()
     own[:, 0, 0] -= common[k, k]

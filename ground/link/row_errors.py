@@ -1,4 +1,5 @@
-"""Errors that directions of a tracklet have in common: of the motion they were fitted to together, and of a frame's pointing."""
+"""Errors that directions of a tracklet have in common: of the motion they were fitted to together, of a frame's pointing, and of
+how it turned."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -8,11 +9,14 @@ from sboc_e2e.icd.products import Tracklet
 Array = NDArray[np.float64]
 
 
-def common_errors(shared: Array, group: NDArray[np.int64], pointing: Array, frame: NDArray[np.int64]) -> tuple[Array, Array]:
+def common_errors(
+    shared: Array, group: NDArray[np.int64], pointing: Array, turning: Array, frame: NDArray[np.int64]
+) -> tuple[Array, Array]:
     """Covariances (m, m) along and across the motion, of rows as `Tracklet` has them, in the square of their unit."""
+    turned_together = np.where(frame[:, None] == frame, np.outer(turning, turning), 0.0)
     pointed_together = np.where(frame[:, None] == frame, np.outer(pointing, pointing), 0.0)
     fitted_together = (group[:, None] == group) & (group >= 0)
-    return np.where(fitted_together, shared @ shared.T, 0.0) + pointed_together, pointed_together
+    return np.where(fitted_together, shared @ shared.T, 0.0) + pointed_together, pointed_together + turned_together
 
 
 def common_errors_arcsec2(tracklet: Tracklet) -> tuple[Array, Array]:
@@ -22,4 +26,5 @@ def common_errors_arcsec2(tracklet: Tracklet) -> tuple[Array, Array]:
         return np.zeros((m, m)), np.zeros((m, m))
     frame_of = dict(zip(tracklet.streak_ids.tolist(), tracklet.frames.tolist(), strict=True))
     frame = np.array([frame_of[k] for k in tracklet.row_streak_ids.tolist()], dtype=np.int64)
-    return common_errors(tracklet.shared_arcsec, tracklet.shared_group, tracklet.pointing_arcsec, frame)
+    turning = tracklet.turning_arcsec if len(tracklet.turning_arcsec) == m else np.zeros(m)
+    return common_errors(tracklet.shared_arcsec, tracklet.shared_group, tracklet.pointing_arcsec, turning, frame)

@@ -2,7 +2,7 @@
 
 Rows are those of the message, in its order, with its epochs and angles. Errors of two rows i and j of one tracklet:
 along the motion ``shared[i] @ shared[j]`` where both are of one `shared_group`, and along as well as across ``pointing[i]
-pointing[j]`` where both are of one frame; all else is each row's own.
+pointing[j]`` where both are of one frame, across also ``turning[i] turning[j]``; all else is each row's own.
 """
 
 from collections.abc import Sequence
@@ -52,6 +52,7 @@ def tdm_angles_table(
     point = np.concatenate([np.zeros(0, dtype=np.int64), *(_of_rows(t, "row_points") for t, _ in told)]).astype(np.int64)
     group = np.concatenate([np.zeros(0, dtype=np.int64), *(_of_rows(t, "shared_group") for t, _ in told)]).astype(np.int64)
     pointing = np.concatenate([np.zeros(0), *(_of_rows(t, "pointing_arcsec") for t, _ in told)])
+    turning = np.concatenate([np.zeros(0), *(_turning(t) for t, _ in told)])
     frame = np.array([s.frame for s in rows], dtype=np.int64)
     flags = np.array([int(s.flags | s.fit.flags) for s in rows], dtype=np.int64)
     columns = [
@@ -71,6 +72,7 @@ def tdm_angles_table(
         ("shared_group", group, None, "rows of a tracklet fitted together; -1: none"),
         *((f"shared_{k + 1}_arcsec", shared[:, k], "arcsec", "part of the error along that the group shares") for k in range(3)),
         ("pointing_arcsec", pointing, "arcsec", "part of both errors that the rows of one frame share"),
+        ("turning_arcsec", turning, "arcsec", "part of the error across that the frame's turning gives, with its sign"),
         ("frame", frame, None, "frame number"),
         ("streak_id", np.array([s.streak_id for s in rows], dtype=np.int64), None, "row of streaks.ecsv"),
         ("end", _text([POINTS[k] for k in point]), None, "point of the streak"),
@@ -115,6 +117,12 @@ def _by_row(tracklet: Tracklet, members: Sequence[StreakMeasurement]) -> list[St
 
 def _of_rows(tracklet: Tracklet, name: str) -> NDArray[np.float64]:
     return np.asarray(getattr(tracklet, name))
+
+
+def _turning(tracklet: Tracklet) -> NDArray[np.float64]:
+    """Part of each row's error across that the camera's rate makes; none where the tracklet does not say."""
+    m = len(tracklet.t_tai_ns)
+    return tracklet.turning_arcsec if len(tracklet.turning_arcsec) == m else np.zeros(m)
 
 
 def _text(values: Sequence[str]) -> NDArray[np.str_]:

@@ -5,6 +5,10 @@ of some tenths of an arcsec per second, which over half an exposure of 1 s puts 
 rotation vectors about a frame's attitude has the rate as its slope at that frame: of a parabola through the frames beside it.
 How far the parabola through the next but one frames differs says how smooth the path is, and telemetry is weighed by how far
 it is off in the run as a whole.
+
+Between frames the camera shakes. Third differences of the attitudes, which no steady turning has, tell how far it wanders in a
+second; taken as a random walk, this tells how far the slope within an exposure is off the one through frames beside it. A shake
+that is over sooner than the next frame is larger than that: trails tell (`ground.link.shake`).
 """
 
 from collections.abc import Sequence
@@ -23,8 +27,15 @@ Array = NDArray[np.float64]
 
 LEAST_FRAMES: Final = 5
 """Frames with a rate from their neighbours from which the error of telemetered rates is estimated."""
+END_OVER_SLOPE: Final = 1.16
+"""Error of the attitude at shutter open or close, over that which the error of the rate makes there: shakes that are no turning.
+sqrt(1 + (2/15) / (1/4 + 3/10)) = 1.11 of a random walk whose rate is that of the ends beside it, up to 1.2 for shorter frames."""
 UNUSUAL_JUMP: Final = 5.0
 """Jump of the rate at a frame, over the median of the run, beyond which a manoeuvre began or ended there."""
+LEAST_TOLD: Final = 0.1
+"""Telemetered rates are believed to err by no less than this share of their distance from the neighbours'."""
+MEDIAN_CHI2: Final = 0.4549
+"""Median of a squared standard normal."""
 LARGEST_ANGLE_RAD: Final = 0.3
 """Frames that the camera turned by more between are too far apart to tell a rate."""
 
@@ -32,7 +43,7 @@ LARGEST_ANGLE_RAD: Final = 0.3
 class Attitude(NamedTuple):
     """What a rate needs of a frame: epoch, matrix (3, 3) of its attitude and errors (3,) in rad, and the rate told (3,), rad/s.
 
-    solved : whether stars gave the attitude. measured : whether telemetry gave the rate.
+    solved : whether stars gave the attitude. measured : whether telemetry gave the rate. exposure_s : 0 knows no shake.
     """
 
     tai_ns: int
@@ -41,6 +52,7 @@ class Attitude(NamedTuple):
     told_rad_s: Array
     solved: bool
     measured: bool
+    exposure_s: float = 0.0
 
 
 class Rate(NamedTuple):
@@ -60,6 +72,7 @@ def attitude_of(header: FrameHeader, solution: FrameSolution) -> Attitude:
         told_rad_s=np.asarray(solution.rate_rad_s),
         solved=not solution.flags & FrameFlag.NO_SOLUTION,
         measured=header.attitude is not None,
+        exposure_s=header.exposure_ns * 1e-9,
     )
 
 
@@ -80,24 +93,71 @@ def rates_of(frames: Sequence[Attitude]) -> list[Rate]:
         None if s is None or np.linalg.norm(s.jump_rad_s) > UNUSUAL_JUMP * usual + s.sigma_rad_s.max() else s[:2] for s in slopes
     ]
     off = [frames[k].told_rad_s - f[0] for k, f in enumerate(found) if f is not None and frames[k].measured]
+    walk = walk_rad2_s(frames)
+    shaken = [_shake(frames, k, walk) for k in range(len(frames))]
     # median of |normal| is 0.6745 sigma; of all three axes, which differ little
     sigma_told = float(np.median(np.abs(off)) / 0.6745) if len(off) >= LEAST_FRAMES else np.nan
-    return [_weighed(frame, told_by, sigma_told) for frame, told_by in zip(frames, found, strict=True)]
+    if np.isfinite(sigma_told):
+        by_shake = float(np.median([s[1] for s, f in zip(shaken, found, strict=True) if f is not None]))
+        # told rates are of the whole exposure, and some of the difference is what they see and neighbours do not
+        sigma_told = float(np.sqrt(max(sigma_told**2 - by_shake, LEAST_TOLD**2 * sigma_told**2)))
+    return [
+        _weighed(frame, None if by is None else (by[0], np.sqrt(by[1] ** 2 + shake[1])), sigma_told, shake[0])
+        for frame, by, shake in zip(frames, found, shaken, strict=True)
+    ]
 
 
-def _weighed(frame: Attitude, by_neighbours: tuple[Array, Array] | None, sigma_told: float) -> Rate:
-    """The mean of both by their errors."""
-    told_error = sigma_told if np.isfinite(sigma_told) else 0.0
+def walk_rad2_s(frames: Sequence[Attitude]) -> float:
+    """Variance that an axis across the boresight gains in a second, of a random walk as rough as the attitudes; 0 if unknown.
+
+    Attitudes are means over exposures T, P apart: a third difference has (6 P - 10 T / 3) of it, and 20 of their own.
+    """
+    found, own = [], []
+    for k in range(1, len(frames) - 2):
+        four = frames[k - 1 : k + 3]
+        step_s = np.diff([f.tai_ns for f in four]) * 1e-9
+        exposure_s, even = frames[k].exposure_s, np.ptp(step_s) <= 0.01 * step_s.mean()
+        if not all(f.solved for f in four) or not even or not 0.0 < exposure_s < step_s.mean():
+            continue
+        path = np.array([_rotation_vector(frames[k].matrix @ f.matrix.T) for f in four])
+        if np.abs(path).max() > LARGEST_ANGLE_RAD:
+            continue
+        third = (path[3] - 3.0 * path[2] + 3.0 * path[1] - path[0])[:2]
+        per_walk = 6.0 * step_s.mean() - 10.0 / 3.0 * exposure_s
+        found.append(third**2 / per_walk)
+        own.append(20.0 * np.mean([f.sigma_rad[:2] ** 2 for f in four], axis=0) / per_walk)
+    if not found:
+        return 0.0
+    # a manoeuvre may add to the mean no more than three sigma do
+    usual = float(np.median(found)) / MEDIAN_CHI2
+    return max(float(np.mean(np.minimum(found, 9.0 * usual)) - np.mean(own)), 0.0)
+
+
+def _shake(frames: Sequence[Attitude], k: int, walk: float) -> tuple[float, float]:
+    """Variances (rad^2/s^2) by a random walk: of the slope of frame k's exposure about its mean rate, and of this about the rate
+    that frames beside it give."""
+    exposure_s = frames[k].exposure_s
+    beside = [j for j in (k - 1, k + 1) if 0 <= j < len(frames)]
+    if exposure_s <= 0.0 or walk <= 0.0 or not beside:
+        return 0.0, 0.0
+    step_s = max(float(np.mean([abs(frames[j].tai_ns - frames[k].tai_ns) for j in beside])) * 1e-9, exposure_s)
+    slope = (2.0 * step_s - exposure_s / 3.0) / (4.0 * step_s**2)
+    return 0.2 * walk / exposure_s, walk * (slope + 1.0 / exposure_s - 1.0 / step_s)
+
+
+def _weighed(frame: Attitude, by_neighbours: tuple[Array, Array] | None, sigma_told: float, variance: float) -> Rate:
+    """The mean of both by their errors. variance : of the exposure's slope about its mean rate, which neither knows."""
+    told_error = float(np.hypot(sigma_told, np.sqrt(variance))) if np.isfinite(sigma_told) else 0.0
     if by_neighbours is None:
         return Rate(frame.told_rad_s, told_error if frame.measured else 0.0)
     rate, sigma = by_neighbours
     if not frame.measured:
-        return Rate(rate, float(np.sqrt(np.mean(sigma[:2] ** 2))))
+        return Rate(rate, float(np.sqrt(np.mean(sigma[:2] ** 2) + variance)))
     if not np.isfinite(sigma_told):
         return Rate(frame.told_rad_s, 0.0)
     weight = np.stack([np.full(3, max(sigma_told, 1e-12) ** -2), np.maximum(sigma, 1e-12) ** -2])
     mean = (weight[0] * frame.told_rad_s + weight[1] * rate) / weight.sum(axis=0)
-    return Rate(mean, float(np.sqrt(np.mean(1.0 / weight.sum(axis=0)[:2]))))
+    return Rate(mean, float(np.sqrt(np.mean(1.0 / weight.sum(axis=0)[:2]) + variance)))
 
 
 def _by_neighbours(frames: Sequence[Attitude], k: int) -> _Slope | None:

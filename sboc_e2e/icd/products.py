@@ -186,7 +186,8 @@ class Tracklet:
     motion_angle_deg : (m,) position angle of the motion at each, from north by east; across is 90 deg further.
     shared_arcsec : (m, 3), shared_group : (m,). A joint fit gives its rows common errors along the motion: rows i and j of one
     group (-1: none) have the covariance ``shared[i] @ shared[j]``, which is part of sigma_along squared where i = j.
-    pointing_arcsec : (m,) part of both sigmas that the rows of one frame have in common.
+    pointing_arcsec : (m,) part of both sigmas that the rows of one frame have in common. turning_arcsec : (m,) part of the sigma
+    across, below 0 at shutter open, above at close: what the error of the camera's rate puts into rows of one frame.
     ra_ref_deg, dec_ref_deg, t_ref_tai_ns, rate_deg_s, position_angle_deg : motion at the reference epoch.
     chi2_nu : of the motion model, against ends as single frames show them.
     mag : V of the object's mean light over its light curve at the mean epoch of the members, as far as these tell; mag_err : one
@@ -222,6 +223,7 @@ class Tracklet:
     shared_arcsec: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     shared_group: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     pointing_arcsec: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    turning_arcsec: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     mag_low: float = float("nan")
     mag_high: float = float("nan")
     mag_scatter: float = float("nan")

@@ -64,3 +64,38 @@ def test_a_manoeuvre_between_frames_is_left_to_telemetry() -> None:
     found = rates_of(frames)
     worst = max(np.abs(f.rate_rad_s - frame.told_rad_s).max() for f, frame in zip(found, frames, strict=True))
     assert worst < 2.0 * ARCSEC
+
+
+@pytest.mark.parametrize(("cadence_s", "exposure_s"), [(2.0, 1.0), (0.25, 0.2)])
+def test_a_shaking_camera_has_rates_with_their_errors(cadence_s: float, exposure_s: float) -> None:
+    """An attitude that walks at random between frames and within them: slopes of exposures are off by what is said, to 15 %.
+
+    The slope is that of a line laid through the attitudes of an exposure, as a trail's line is.
+    """
+    rng = np.random.default_rng(4)
+    step_s, walk = 0.005, 0.3 * ARCSEC**2
+    in_exposure, between = round(exposure_s / step_s), round(cadence_s / step_s)
+    offs, sigmas = [], []
+    for _ in range(20):
+        path = np.cumsum(rng.normal(0.0, np.sqrt(walk * step_s), (24 * between, 3)), axis=0)
+        seen = path.reshape(24, between, 3)[:, :in_exposure]
+        t_s = (np.arange(in_exposure) - 0.5 * (in_exposure - 1)) * step_s
+        slope = np.einsum("t,ktj->kj", t_s, seen) / np.sum(t_s**2)
+        mean_rate = (seen[:, -1] - seen[:, 0]) / exposure_s
+        frames = [
+            Attitude(
+                tai_ns=2_179_000_000 * 10**9 + round(k * cadence_s * 1e9),
+                matrix=(POINTING * Rotation.from_rotvec(seen[k].mean(axis=0))).inv().as_matrix(),
+                sigma_rad=np.full(3, 1e-4 * ARCSEC),
+                told_rad_s=mean_rate[k] + rng.normal(0.0, 0.5 * ARCSEC, 3),
+                solved=True,
+                measured=True,
+                exposure_s=exposure_s,
+            )
+            for k in range(24)
+        ]
+        found = rates_of(frames)[1:-1]
+        offs.append(np.array([f.rate_rad_s for f in found])[:, :2] - slope[1:-1, :2])
+        sigmas.append(np.array([f.sigma_rad_s for f in found]))
+    pulls = np.array(offs) / np.array(sigmas)[..., None]
+    assert np.sqrt(np.mean(pulls**2)) == pytest.approx(1.0, abs=0.15)

@@ -143,6 +143,7 @@ def chance_streaks(
         row=np.ascontiguousarray(points[:, :, 0]),
         col=np.ascontiguousarray(points[:, :, 1]),
         unit=plane / np.linalg.norm(plane, axis=-1, keepdims=True),
+        turn_rad_s=np.zeros((n, 3)),
         sigma_along_rad=np.full((n, 2), 0.5 * PIXEL_RAD),
         sigma_cross_rad=np.full(n, 0.15 * PIXEL_RAD),
         scale_rad_px=np.full(n, PIXEL_RAD),

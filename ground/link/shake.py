@@ -1,0 +1,111 @@
+"""How much the camera shook within exposures, as the ends of trails show it across their motion.
+
+An error of the rate at which the camera turned in an exposure moves the two ends of a trail opposite ways across its motion, and
+this differs from frame to frame, while the motion is one line. What attitudes of whole frames say of the shake is scaled by one
+factor for the run: the one at which trails that were measured well lie on the lines of their tracklets as well as they should.
+"""
+
+import math
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from typing import Final, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.link.measured import turning_arcsec
+from ground.link.resolve import pieces_among
+from ground.sky.sphere import ARCSEC_RAD, unit_vectors
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.products import StreakMeasurement, Tracklet
+
+Array = NDArray[np.float64]
+
+LEAST_FRAMES: Final = 4
+"""Of two and three frames the line takes up most of what their ends differ."""
+CLEAREST: Final = 2.0
+"""An end whose own error is larger, in units of the expected shake, tells nothing of it."""
+ASTRAY: Final = 0.02
+"""Share of ends that err for other causes, a star on the trail or a wrong member."""
+ASTRAY_WIDTH: Final = 10.0
+"""How widely these err, in units of what attitudes and pixels let expect."""
+PRIOR_LOG: Final = 0.7
+"""One sigma of the factor's logarithm before trails were seen: what a random walk may miss of a spectrum."""
+FACTORS: Final = np.geomspace(0.1, 10.0, 93)
+UNUSABLE: Final = (
+    StreakFlag.NO_SKY | StreakFlag.POINT_LIKE | StreakFlag.FIT_FAILED | StreakFlag.EDGE0 | StreakFlag.EDGE1 | StreakFlag.FAST_ROWS
+)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SeenTrail:
+    """A member of a tracklet: streak, arcsec per pixel, error of its frame's rate before trails tell."""
+
+    streak: StreakMeasurement
+    scale_arcsec: float
+    sigma_rate_arcsec_s: float
+
+
+class Sway(NamedTuple):
+    """By trails: half the difference of both ends across the motion (n,), its error, and the shake expected in it, arcsec."""
+
+    off: Array
+    sigma: Array
+    shake: Array
+
+
+def sway_of(tracklet: Tracklet, trails: Sequence[SeenTrail]) -> Sway:
+    """What the members of one tracklet tell; empty where they are too few or too faint."""
+    nothing = Sway(np.zeros(0), np.zeros(0), np.zeros(0))
+    whole = [not piece for piece in pieces_among([t.streak for t in trails], tracklet)]
+    used = [
+        t
+        for t, one in zip(trails, whole, strict=True)
+        if one and t.streak.flags & StreakFlag.DIRECTION_RESOLVED and not t.streak.flags & UNUSABLE
+    ]
+    if len(used) < LEAST_FRAMES:
+        return nothing
+    sigma = np.array([_sigma_arcsec(t) for t in used])
+    shake = np.array([turning_arcsec(t.streak, t.sigma_rate_arcsec_s, 2) for t in used])
+    clear = sigma < CLEAREST * shake
+    if np.count_nonzero(clear) < LEAST_FRAMES:
+        return nothing
+    used, sigma, shake = [t for t, c in zip(used, clear, strict=True) if c], sigma[clear], shake[clear]
+    unit = np.array([unit_vectors(np.radians(t.streak.ra_deg[[0, 2]]), np.radians(t.streak.dec_deg[[0, 2]])) for t in used])
+    pole = np.linalg.svd(unit.reshape(-1, 3))[2][2]
+    across = unit @ pole / ARCSEC_RAD
+    t_s = np.array([(t.streak.t_tai_ns[[0, 2]] - used[0].streak.t_tai_ns[0]) * 1e-9 for t in used])
+    t_s -= t_s.mean()
+    # gravity bends the line; what is left of its slope at each frame is the camera's
+    design = np.stack([np.ones_like(t_s), t_s, t_s**2], axis=-1)
+    weight = 1.0 / np.hypot(sigma, shake)
+    middle = design.mean(axis=1) * weight[:, None]
+    tilt = 0.5 * (design[:, 1] - design[:, 0]) * weight[:, None]
+    off = 0.5 * (across[:, 1] - across[:, 0])
+    seen = np.concatenate([across.mean(axis=1) * weight, off * weight])
+    motion = np.linalg.lstsq(np.concatenate([middle, tilt]), seen, rcond=None)[0]
+    return Sway(off - 0.5 * (design[:, 1] - design[:, 0]) @ motion, sigma, shake)
+
+
+def shake_factor(sways: Iterable[Sway]) -> float:
+    """Factor on the expected shake of a run: mean of the posterior's logarithm; 1 without a trail that tells."""
+    each = list(sways)
+    off, sigma, shake = (np.concatenate([np.zeros(0), *(s[k] for s in each)]) for k in range(3))
+    variance = sigma**2 + np.outer(FACTORS**2, shake**2)
+    # normal errors, and a few far wider ones, whatever the factor
+    wide = ASTRAY_WIDTH**2 * (sigma**2 + shake**2)
+    near = (1.0 - ASTRAY) * np.exp(-0.5 * off**2 / variance) / np.sqrt(variance)
+    log = np.sum(np.log(near + ASTRAY * np.exp(-0.5 * off**2 / wide) / np.sqrt(wide) + 1e-300), axis=1)
+    log -= 0.5 * (np.log(FACTORS) / PRIOR_LOG) ** 2
+    share = np.exp(log - log.max())
+    return math.exp(float(np.average(np.log(FACTORS), weights=share)))
+
+
+def _sigma_arcsec(trail: SeenTrail) -> float:
+    """Error of half the difference of both ends across the trail."""
+    fit = trail.streak.fit
+    length = max(fit.length_px, 1e-6)
+    side = np.array([-(fit.col1 - fit.col0), fit.row1 - fit.row0]) / length
+    half = 0.5 * np.concatenate([-side, side])
+    variance = float(half @ np.asarray(fit.covariance_px2) @ half)
+    return math.sqrt(variance) * trail.scale_arcsec if variance >= 0.0 else math.inf

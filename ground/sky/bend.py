@@ -1,0 +1,73 @@
+"""The arc that a straight motion draws before a camera that turns: known from the attitude, too flat for most trails to show.
+
+A camera that rolls by w sees a trail of length L and exposure T bent by ``w L T / 4`` in the middle (its Coriolis acceleration
+2 w L / T over T^2 / 8). A line laid through an arc of sagitta s runs two thirds of s beside its chord, and so do the line's ends.
+"""
+
+from dataclasses import replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.sky.apparent import mid_frame_tai_ns
+from ground.sky.pixel_sky import SolvedSky
+from ground.sky.rotation import matrix_of, turn
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.frame import FrameHeader
+from sboc_e2e.icd.products import FrameSolution, StreakFit, StreakMeasurement
+
+Array = NDArray[np.float64]
+
+SHORTEST_PX: Final = 3.0
+LINE_BESIDE_CHORD: Final = 2.0 / 3.0
+"""Mean height of a flat arc, in units of its sagitta."""
+LARGEST_PX: Final = 2.0
+"""What bends more than a trail is wide was not fitted by a line."""
+
+
+def bent(streak: StreakMeasurement, header: FrameHeader, solution: FrameSolution) -> StreakMeasurement:
+    """The streak with its ends on the arc that a motion straight on the sky draws, where a line was fitted to it.
+
+    streak : ends in the order of time, with their epochs. Directions are those of the old ends until they are measured anew.
+    """
+    fit = streak.fit
+    unfit = StreakFlag.POINT_LIKE | StreakFlag.FIT_FAILED
+    if fit.sagitta_px != 0.0 or streak.flags & unfit or not streak.flags & StreakFlag.DIRECTION_RESOLVED:
+        return streak
+    if fit.length_px < SHORTEST_PX:
+        return streak
+    sagitta = sagitta_px(fit, header, solution, streak.t_tai_ns)
+    if not abs(sagitta) < LARGEST_PX:
+        return streak
+    d_row, d_col = (fit.row1 - fit.row0) / fit.length_px, (fit.col1 - fit.col0) / fit.length_px
+    back = -LINE_BESIDE_CHORD * sagitta
+    moved = replace(
+        fit,
+        row0=fit.row0 + back * d_col,
+        col0=fit.col0 - back * d_row,
+        row1=fit.row1 + back * d_col,
+        col1=fit.col1 - back * d_row,
+        sagitta_px=sagitta,
+    )
+    beside = sagitta + back
+    return replace(streak, fit=moved, row_mid=streak.row_mid + beside * d_col, col_mid=streak.col_mid - beside * d_row)
+
+
+def sagitta_px(fit: StreakFit, header: FrameHeader, solution: FrameSolution, t_tai_ns: NDArray[np.int64]) -> float:
+    """Offset from the chord's middle (sign as the contract has it) of what moved evenly on the sky between both ends.
+
+    t_tai_ns : (3,) epochs of end 0, middle, end 1. Includes what the camera's distortion bends.
+    """
+    sky = SolvedSky(header=header, solution=solution)
+    ends = sky.apparent(np.array([fit.row0, fit.row1]), np.array([fit.col0, fit.col1]), t_tai_ns[[0, 2]])
+    half_way = ends.sum(axis=0) / np.linalg.norm(ends.sum(axis=0))
+    middle_ns = int(t_tai_ns[0]) + (int(t_tai_ns[2]) - int(t_tai_ns[0])) // 2
+    seconds = (middle_ns - mid_frame_tai_ns(header)) * 1e-9
+    seen = turn(
+        (matrix_of(np.asarray(solution.quaternion)) @ half_way)[None, :], -seconds * np.asarray(solution.rate_rad_s)[None, :]
+    )
+    row, col = solution.camera.project(seen)
+    length = max(fit.length_px, 1e-9)
+    d_row, d_col = (fit.row1 - fit.row0) / length, (fit.col1 - fit.col0) / length
+    return float((row[0] - 0.5 * (fit.row0 + fit.row1)) * d_col - (col[0] - 0.5 * (fit.col0 + fit.col1)) * d_row)

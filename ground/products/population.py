@@ -20,7 +20,15 @@ from ground.population.flux import (
     counted_of,
     flux_of,
 )
-from ground.population.injection import LENGTHS_PX, SNR_GRID, Efficiency, images_of, measured_efficiency, threshold_of
+from ground.population.injection import (
+    LENGTHS_PX,
+    SNR_GRID,
+    Efficiency,
+    images_of,
+    measured_efficiency,
+    robust_sigma,
+    threshold_of,
+)
 from ground.records import GroundProducts
 from ground.sky.rotation import matrix_of
 from sboc_e2e.icd.downlink import DownlinkFrame
@@ -152,7 +160,7 @@ def _injection_meta(efficiency: Efficiency) -> dict[str, Any]:
         "injection_found": json.dumps(efficiency.found.tolist()),
         "control_trials": len(control),
         "control_above_threshold": int((control > efficiency.threshold).sum()),
-        "control_sigma": round(float(np.sqrt(np.median(control**2) / 0.4549)), 4),
+        "control_sigma": round(robust_sigma(control), 4),
     }
 
 

@@ -67,7 +67,8 @@ def published_flux(product: Table | None, truth: Mapping[str, Any], placed: Sequ
     """Flux larger than each edge of the simulated classes as products/population.ecsv has it, and the true one.
 
     product : None where a run has no such table. truth : truth/population.json; true: nature's flux x each class's boost of
-    density. placed : sizes of counted tracklets of objects that the scenario placed. `holds_truth` : share of those edges whose 90 % interval, systematic term included, holds the true flux; edges with placed objects above them are not judged.
+    density. placed : sizes of counted tracklets of objects that the scenario placed. `holds_truth` : share of those edges whose
+    90 % interval, systematic term included, holds the true flux; edges with placed objects above them are not judged.
     """
     classes = [c for c in truth.get("classes", ()) if c.get("boost") and "flux_km2_year" in c]
     if product is None or not classes:

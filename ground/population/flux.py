@@ -13,6 +13,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import log_ndtr
 
 from ground.population.encounters import SLOWEST_DEG_S, Crossings, Watch, crossings, effective_number
 from ground.population.injection import Efficiency
@@ -36,10 +37,13 @@ ORBITS_SIGMA_LN: Final = 0.1
 """Density and speed along the line of sight as the prior has them, against those of pieces too small to be catalogued."""
 
 RESPONSE_SIGMA_LN: Final = 0.05
-"""Regions lost, streaks vetoed and linking, which injection into single frames does not see."""
+"""What neither injection nor the tracklets' own gaps show: regions of all frames lost alike, objects that never made a pair."""
 
-LINKED: Final = 0.95
-"""Share of the objects detected in two frames or more that become a tracklet with its size."""
+KEPT_PRIOR: Final = (9.5, 0.5)
+"""Frames kept and lost, assumed before a run is looked at: 0.95 of what the filter finds is fitted, accepted and linked."""
+
+KEPT_POWER: Final = 1.5
+"""d ln(tracklets) / d ln(share kept): 2 for what crosses in two frames, 0 for what is in many."""
 
 COULD_BE_SEEN_SNR: Final = 5.0
 """Crossings are those that reach this S/N in their best frame and last two frames; exposure and efficiency both refer to them."""
@@ -48,6 +52,9 @@ CANDIDATES: Final = 30_000
 DRAWS: Final = 1500
 YEAR_S: Final = 365.25 * 86_400.0
 LEAST_EFFICIENCY: Final = 1e-3
+FAINTEST_SEEN: Final = 0.05
+"""Least measured light over the true one."""
+
 SIZE_LAW_STEEP_BELOW_M: Final = 0.01
 RANGE_SIGMA_LN: Final = 0.1
 """Of sizes, where no orbit of the run tells it."""
@@ -59,6 +66,8 @@ class Counted:
 
     range_sigma_ln : typical error of ln(range). n_single : accepted detections of one frame, and how many of them are expected to
     be false by their own probabilities. n_vetoed : streaks that were rejected. n_slow : tracklets left out.
+    frames_seen, frames_expected : between the first and the last member of each tracklet, those with a member, and those in
+    which the filter would have found it: their ratio is the share that region, fit, vetting and linking keep of a frame's finds.
     """
 
     size_m: Array
@@ -68,6 +77,16 @@ class Counted:
     n_single_false: float
     n_vetoed: int
     n_slow: int
+    frames_seen: float = 0.0
+    frames_expected: float = 0.0
+
+    @property
+    def kept(self) -> tuple[float, float]:
+        """Share of a frame's finds that end in a tracklet, and one sigma of its logarithm: beta posterior."""
+        kept = KEPT_PRIOR[0] + min(self.frames_seen, self.frames_expected)
+        lost = KEPT_PRIOR[1] + max(self.frames_expected - self.frames_seen, 0.0)
+        share = kept / (kept + lost)
+        return share, math.sqrt(share * (1.0 - share) / (kept + lost + 1.0)) / share
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,9 +110,9 @@ class Flux:
     terms_ln: dict[str, Array]
 
 
-def found_shares(candidates: Crossings, efficiency: Efficiency) -> Array:
-    """Probability (n,) of each candidate to be found in two frames or more."""
-    p = np.where(candidates.snr > 0.0, efficiency.share(candidates.snr, candidates.length_px), 0.0)
+def found_shares(candidates: Crossings, efficiency: Efficiency, kept: float = 1.0) -> Array:
+    """Probability (n,) of each candidate to be found, and kept, in two frames or more."""
+    p = kept * np.where(candidates.snr > 0.0, efficiency.share(candidates.snr, candidates.length_px), 0.0)
     p = np.clip(p, 0.0, 1.0 - 1e-9)
     looked = (candidates.snr > 0.0).sum(axis=1)
     scale = candidates.frames_lit / np.maximum(looked, 1)
@@ -102,12 +121,31 @@ def found_shares(candidates: Crossings, efficiency: Efficiency) -> Array:
     return np.clip(1.0 - none - one, 0.0, 1.0)
 
 
+def light_seen(candidates: Crossings, efficiency: Efficiency, rng: np.random.Generator) -> Array:
+    """Measured over true light (n,) of candidates that are found: noise, and that near the threshold only bright noise is.
+
+    The mean of normal noise above the threshold T at a signal s is phi(T - s) / Phi(s - T).
+    """
+    s = candidates.snr
+    there = s > 0.0
+    p = np.where(there, efficiency.share(s, candidates.length_px), 0.0)
+    above = np.exp(-0.5 * (efficiency.threshold - s) ** 2 - log_ndtr(s - efficiency.threshold)) / math.sqrt(2.0 * math.pi)
+    weight = np.sum(p * s * s, axis=1)
+    shift = np.sum(p * s * np.where(there, above, 0.0), axis=1) / np.maximum(weight, 1e-30)
+    frames = np.sum(p, axis=1)
+    # found are two at least, whatever their chance was
+    sigma = np.sqrt(frames / (np.maximum(weight, 1e-30) * np.maximum(frames, 2.0)))
+    light = np.where(weight > 0.0, 1.0 + shift + sigma * rng.standard_normal(len(shift)), 1.0)
+    return np.asarray(np.maximum(light, FAINTEST_SEEN))
+
+
 def flux_of(counted: Counted, watch: Watch, efficiency: Efficiency, rng: np.random.Generator) -> Flux:
     """Unfold the counts of a run."""
     edges = np.array(SIZE_EDGES_M)
     k = len(edges) - 1
     category = _category(counted.size_m, edges)
     observed = np.bincount(category, minlength=k + 1)
+    kept, kept_sigma_ln = counted.kept
     unknown = (observed[k] + 0.5) / (observed.sum() + 1.0)
     detected, missed = np.zeros((k + 1, k)), np.zeros(k)
     share, seen_km2_s, exposed, reach = np.zeros(k), np.zeros(k), np.zeros(k), np.full(k, np.nan)
@@ -119,10 +157,10 @@ def flux_of(counted: Counted, watch: Watch, efficiency: Efficiency, rng: np.rand
         weight = np.where(could, drawn.weight, 0.0)
         if not (weight.sum() > 0.0 and drawn.flux_km2_s > 0.0):
             continue
-        found = LINKED * found_shares(drawn, efficiency)
+        found = found_shares(drawn, efficiency, kept)
         estimate = (
             drawn.size_m
-            * np.sqrt(drawn.albedo / ALBEDO)
+            * np.sqrt(drawn.albedo / ALBEDO * light_seen(drawn, efficiency, rng))
             * np.exp(counted.range_sigma_ln * rng.standard_normal(len(drawn.weight)))
         )
         n = effective_number(weight)
@@ -137,7 +175,7 @@ def flux_of(counted: Counted, watch: Watch, efficiency: Efficiency, rng: np.rand
     use = np.flatnonzero((share > LEAST_EFFICIENCY) & (exposed > 0.0))
     false = np.bincount(category, weights=1.0 - counted.probability, minlength=k + 1).astype(np.float64)
     nothing = np.full((k, 3), np.nan)
-    systematic, terms = _systematics(edges[:-1])
+    systematic, terms = _systematics(edges[:-1], kept_sigma_ln)
     flux, total, larger, total_larger = nothing.copy(), nothing.copy(), nothing.copy(), nothing.copy()
     if len(use):
         got = recover(
@@ -169,14 +207,14 @@ def flux_of(counted: Counted, watch: Watch, efficiency: Efficiency, rng: np.rand
     )
 
 
-def _systematics(lower_edge_m: Array) -> tuple[Array, dict[str, Array]]:
+def _systematics(lower_edge_m: Array, kept_sigma_ln: float) -> tuple[Array, dict[str, Array]]:
     """One sigma of ln N(> d) (k,), and its terms: light wrong by x makes sizes wrong by x / 2, and N(> d) falls as d^-b."""
     slope = np.where(lower_edge_m < SIZE_LAW_STEEP_BELOW_M, 2.10, 1.45)
     terms = {
         "albedo": 0.5 * slope * MEAN_ALBEDO_SIGMA_LN,
         "phase": 0.5 * slope * PHASE_SIGMA_LN,
         "orbits": np.full(len(slope), ORBITS_SIGMA_LN),
-        "response": np.full(len(slope), RESPONSE_SIGMA_LN),
+        "response": np.full(len(slope), math.hypot(RESPONSE_SIGMA_LN, KEPT_POWER * kept_sigma_ln)),
     }
     return np.sqrt(sum((term**2 for term in terms.values()), np.zeros(len(slope)))), terms
 
@@ -195,9 +233,16 @@ def _weighted_quantile(values: Array, weight: Array, share: float) -> float:
 
 
 def counted_of(
-    sizes: Sequence[tuple[float, float, float]], ranges: Sequence[tuple[float, float]], singles: Sequence[float], n_vetoed: int
+    sizes: Sequence[tuple[float, float, float]],
+    ranges: Sequence[tuple[float, float]],
+    singles: Sequence[float],
+    n_vetoed: int,
+    gaps: Sequence[tuple[float, float]] = (),
 ) -> Counted:
-    """sizes : (size_m, probability, rate_deg_s) of tracklets. ranges : 5 % and 95 % points. singles : probabilities."""
+    """sizes : (size_m, probability, rate_deg_s) of tracklets. ranges : 5 % and 95 % points. singles : probabilities.
+
+    gaps : frames seen and expected between the ends of each tracklet.
+    """
     table = np.array(sizes, dtype=np.float64).reshape(-1, 3)
     kept = ~(table[:, 2] < SLOWEST_DEG_S)
     spread = [math.log(high / low) / 3.29 for low, high in ranges if 0.0 < low < high < math.inf]
@@ -209,4 +254,6 @@ def counted_of(
         n_single_false=float(sum(1.0 - p for p in singles)),
         n_vetoed=n_vetoed,
         n_slow=int((~kept).sum()),
+        frames_seen=float(sum(min(seen, expected) for seen, expected in gaps)),
+        frames_expected=float(sum(expected for _, expected in gaps)),
     )

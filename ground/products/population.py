@@ -14,14 +14,21 @@ from ground.population.flux import (
     ALBEDO,
     ALBEDO_SIGMA_LN,
     COULD_BE_SEEN_SNR,
-    LINKED,
     SIZE_EDGES_M,
     Counted,
     Flux,
     counted_of,
     flux_of,
 )
-from ground.population.injection import LENGTHS_PX, SNR_GRID, Efficiency, images_of, measured_efficiency, threshold_of
+from ground.population.injection import (
+    LENGTHS_PX,
+    SNR_GRID,
+    Efficiency,
+    images_of,
+    measured_efficiency,
+    robust_sigma,
+    threshold_of,
+)
 from ground.records import GroundProducts
 from ground.sky.rotation import matrix_of
 from sboc_e2e.icd.downlink import DownlinkFrame
@@ -57,7 +64,8 @@ WORDS: Final = (
     "flux: density times relative speed at the camera, of objects in low orbits that move at "
     f"{SLOWEST_DEG_S:g} deg/s or more; counted: tracklets of two frames or more; exposure: prior orbits of catalogued fragments "
     f"with break-up velocities, Lambert spheres of albedo {ALBEDO:g} with a scatter of {ALBEDO_SIGMA_LN:g} in ln, crossings that "
-    f"reach S/N {COULD_BE_SEEN_SNR:g}; {LINKED:g} of the objects found twice are linked; 90 % intervals of the posterior"
+    f"reach S/N {COULD_BE_SEEN_SNR:g}; share of finds kept by fit, vetting and linking: "
+    "from gaps of tracklets; 90 % intervals of the posterior"
 )
 
 
@@ -89,7 +97,7 @@ def population(products: GroundProducts, frames: Sequence[DownlinkFrame], camera
     if threshold[1] == 0:
         lacks.append(f"no region tells the detector's threshold: {threshold[0]:g} is assumed")
     efficiency = measured_efficiency(images, kind, threshold, watch.psf_sigma_px, rng)
-    counted = _counted(products)
+    counted = _counted(products, efficiency)
     if not counted.size_m.size:
         lacks.append("no tracklet: fluxes are upper limits")
     return Population(
@@ -130,6 +138,9 @@ def population_table(found: Population) -> Table:
         meta["single_frame_detections"] = counted.n_single
         meta["single_frame_false_expected"] = round(counted.n_single_false, 4)
         meta["streaks_vetoed"] = counted.n_vetoed
+        meta["frames_kept"] = round(counted.kept[0], 4)
+        meta["frames_kept_sigma_ln"] = round(counted.kept[1], 4)
+        meta["frames_between_ends"] = json.dumps([round(counted.frames_seen, 2), round(counted.frames_expected, 2)])
     if found.efficiency is not None:
         meta |= _injection_meta(found.efficiency)
     return Table(made, meta=meta)
@@ -149,7 +160,7 @@ def _injection_meta(efficiency: Efficiency) -> dict[str, Any]:
         "injection_found": json.dumps(efficiency.found.tolist()),
         "control_trials": len(control),
         "control_above_threshold": int((control > efficiency.threshold).sum()),
-        "control_sigma": round(float(np.sqrt(np.median(control**2) / 0.4549)), 4),
+        "control_sigma": round(robust_sigma(control), 4),
     }
 
 
@@ -214,8 +225,26 @@ def _noise_e(frame: DownlinkFrame, camera: NominalCamera) -> float:
     return float(np.nanmedian(frame.background.sigma_adu)) * gain if frame.background is not None else float("nan")
 
 
-def _counted(products: GroundProducts) -> Counted:
-    """Tracklets with their sizes, and detections of single frames."""
+def _gaps(products: GroundProducts, efficiency: Efficiency) -> list[tuple[float, float]]:
+    """Frames between the ends of each tracklet: those with a member, and those in which the filter would have found it."""
+    numbers = np.array([h.frame for h in products.headers])
+    streaks = {s.streak_id: s for s in products.streaks}
+    out = []
+    for tracklet in products.tracklets:
+        members = [streaks[i] for i in tracklet.streak_ids.tolist() if i in streaks]
+        frames = np.unique(tracklet.frames)
+        if len(frames) < 2 or not members or tracklet.rate_deg_s < SLOWEST_DEG_S:
+            continue
+        between = int(((numbers > frames[0]) & (numbers < frames[-1])).sum())
+        snr, length = (
+            np.array([float(np.median(v))]) for v in ([m.fit.snr for m in members], [m.fit.length_px for m in members])
+        )
+        out.append((float(len(frames) - 2), between * float(efficiency.share(snr, length)[0])))
+    return out
+
+
+def _counted(products: GroundProducts, efficiency: Efficiency) -> Counted:
+    """Tracklets with their sizes, detections of single frames, and what was missed between."""
     orbits = {o.tracklet_id: o for o in products.orbits if o.converged}
     sizes = [
         (float(orbits[t.tracklet_id].size_m[1]) if t.tracklet_id in orbits else float("nan"), t.probability, t.rate_deg_s)
@@ -229,4 +258,4 @@ def _counted(products: GroundProducts) -> Counted:
         elif streak.tracklet_id < 0:
             singles.append(streak.probability)
     ranges = [(float(o.range_km[0]), float(o.range_km[2])) for o in orbits.values()]
-    return counted_of(sizes, ranges, singles, vetoed)
+    return counted_of(sizes, ranges, singles, vetoed, _gaps(products, efficiency))

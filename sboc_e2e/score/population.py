@@ -4,17 +4,21 @@ Each simulated object carries the number of natural objects it stands for in the
 divided by the scenario's density boost), so that a short run predicts nature's rate.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from itertools import pairwise
 from typing import Any, Final
 
 import numpy as np
 from astropy.table import Table
 
+from sboc_e2e.score.evaluation import Evaluation
 from sboc_e2e.score.figures import absent, figure, proportion, rate, scaled
 from sboc_e2e.score.recovery import SIZE_EDGES_M
 
 SECONDS_PER_DAY: Final = 86_400.0
+
+SLOWEST_DEG_S: Final = 0.1
+"""Tracklets slower than this are in no flux (definition in products/population.ecsv)."""
 
 
 def detections_per_day(
@@ -44,17 +48,33 @@ def detections_per_day(
     return {"size_classes": classes, "false_per_day": false}
 
 
-def published_flux(product: Table | None, truth: Mapping[str, Any]) -> dict[str, Any]:
+def not_of_nature(e: Evaluation, owner: Mapping[int, int]) -> list[float]:
+    """Estimated sizes (NaN without one) of tracklets that the product counts and whose object the scenario placed.
+
+    A mission has no such objects, so the product cannot leave them out, and nature's flux does not hold them.
+    """
+    kind = {int(o["object_id"]): str(o["kind"]) for o in e.truth_tables["objects"]}
+    size = {int(o["tracklet_id"]): float(o["size_m"]) for o in e.orbits if np.isfinite(o["size_m"])}
+    return [
+        size.get(int(t["tracklet_id"]), float("nan"))
+        for t in e.tracklets
+        if kind.get(owner.get(int(t["tracklet_id"]), -1), "population") != "population"
+        and not float(t["rate_deg_s"]) < SLOWEST_DEG_S
+    ]
+
+
+def published_flux(product: Table | None, truth: Mapping[str, Any], placed: Sequence[float] = ()) -> dict[str, Any]:
     """Flux larger than each edge of the simulated classes as products/population.ecsv has it, and the true one.
 
-    product : None where a run has no such table. truth : truth/population.json; true: nature's flux x each class's boost.
-    `holds_truth` : share of those edges whose 90 % interval, systematic term included, holds the true flux.
+    product : None where a run has no such table. truth : truth/population.json; true: nature's flux x each class's boost of
+    density. placed : sizes of counted tracklets of objects that the scenario placed. `holds_truth` : share of those edges whose
+    90 % interval, systematic term included, holds the true flux; edges with placed objects above them are not judged.
     """
     classes = [c for c in truth.get("classes", ()) if c.get("boost") and "flux_km2_year" in c]
     if product is None or not classes:
         none = absent("no products/population.ecsv" if product is None else "no boosted class in truth/population.json")
         return {"larger_than": [], "holds_truth": none, "lacks": "" if product is None else str(product.meta.get("lacks", ""))}
-    true = np.cumsum([c["boost"] * c["flux_km2_year"] for c in classes[::-1]])[::-1]
+    true = np.cumsum([(c.get("density_boost") or c["boost"]) * c["flux_km2_year"] for c in classes[::-1]])[::-1]
     edges, rows = np.asarray(product["from_m"], float), []
     for c, value in zip(classes, true, strict=True):
         at = np.flatnonzero(np.isclose(edges, 1e-3 * c["from_mm"]))
@@ -62,6 +82,7 @@ def published_flux(product: Table | None, truth: Mapping[str, Any]) -> dict[str,
             continue
         row = product[int(at[0])]
         n = int(np.sum(np.asarray(product["n_tracklets"])[at[0] :]))
+        n_placed = sum(not size < edges[at[0]] for size in placed)
         low, high = float(row["larger_total_low"]), float(row["larger_total_high"])
         rows.append(
             {
@@ -70,13 +91,14 @@ def published_flux(product: Table | None, truth: Mapping[str, Any]) -> dict[str,
                 "published_per_km2_year": figure(float(row["larger"]), n, low, high),
                 "counting_low": float(row["larger_low"]),
                 "counting_high": float(row["larger_high"]),
-                "inside": bool(low <= value <= high),
+                "n_placed": n_placed,
+                "inside": None if n_placed else bool(low <= value <= high),
             }
         )
-    inside = sum(row["inside"] for row in rows)
+    judged = [row["inside"] for row in rows if row["inside"] is not None]
     return {
         "larger_than": rows,
-        "holds_truth": proportion(inside, len(rows), "no size with an exposure"),
+        "holds_truth": proportion(sum(judged), len(judged), "no size with an exposure and without placed objects"),
         "lacks": str(product.meta.get("lacks", "")),
     }
 

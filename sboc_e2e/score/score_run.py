@@ -18,7 +18,7 @@ from sboc_e2e.score.linking import linking
 from sboc_e2e.score.lossless import lossless_check
 from sboc_e2e.score.orbit import orbit
 from sboc_e2e.score.photometry import mean_magnitudes, photometry
-from sboc_e2e.score.population import detections_per_day, published_flux
+from sboc_e2e.score.population import detections_per_day, not_of_nature, published_flux
 from sboc_e2e.score.published import published_products
 from sboc_e2e.score.recovery import counted, field_deg, recovery
 from sboc_e2e.score.timing import timing
@@ -72,7 +72,7 @@ def score_evaluation(e: Evaluation, run_dir: Path | None = None) -> dict[str, An
         "products": published_products(
             run_dir / "products" if run_dir else None, e.streaks, e.tracklets, e.truth_tables, owner, truth_mag
         ),
-        "population": _population(e, owner, span_s, frame_rate_hz) | {"published": _published(run_dir)},
+        "population": _population(e, owner, span_s, frame_rate_hz) | {"published": _published(run_dir, not_of_nature(e, owner))},
         "compression": compression(
             e.downlink, e.n_frames, e.shape, n_stars, groups, captured, lossless_bits, bit_exact,
             np.asarray(e.truth_tables["frames"]["entropy_bits"], float),
@@ -81,13 +81,14 @@ def score_evaluation(e: Evaluation, run_dir: Path | None = None) -> dict[str, An
     }  # fmt: skip
 
 
-def _published(run_dir: Path | None) -> dict[str, Any]:
+def _published(run_dir: Path | None, placed: list[float]) -> dict[str, Any]:
     """The published flux of a run directory against its truth."""
     product = run_dir / "products" / "population.ecsv" if run_dir else None
     truth = run_dir / "truth" / "population.json" if run_dir else None
     return published_flux(
         Table.read(product, format="ascii.ecsv") if product and product.is_file() else None,
         json.loads(truth.read_text()) if truth and truth.is_file() else {},
+        placed,
     )
 
 

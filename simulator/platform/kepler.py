@@ -102,12 +102,19 @@ def elements_of(position_km: Array, velocity_km_s: Array) -> Elements:
 
 
 def velocity_through(
-    position_km: Array, a_km: Array, e: Array, i_rad: Array, ascending: NDArray[np.bool_], outbound: NDArray[np.bool_]
+    position_km: Array,
+    a_km: Array,
+    e: Array,
+    i_rad: Array,
+    ascending: NDArray[np.bool_],
+    outbound: NDArray[np.bool_],
+    *,
+    just_missing: bool = False,
 ) -> Array:
     """Velocities (n, 3) of the orbits of given size, shape and inclination that pass through points (n, 3).
 
     `ascending` and `outbound` (bool) choose among the four of them. NaN where none passes: outside [perigee, apogee],
-    or beyond the inclination in latitude.
+    or beyond the inclination in latitude; `just_missing`: the velocity at the apsis or the highest latitude there.
     """
     radius = np.linalg.norm(position_km, axis=-1)
     up = position_km / radius[..., None]
@@ -118,7 +125,10 @@ def velocity_through(
     speed2 = MU_KM3_S2 * (2.0 / radius - 1.0 / a_km)
     horizontal = np.sqrt(MU_KM3_S2 * a_km * (1.0 - e * e)) / radius
     sin_azimuth = np.cos(i_rad) / cos_lat
+    vertical2 = speed2 - horizontal * horizontal
+    if just_missing:
+        vertical2, sin_azimuth = np.maximum(vertical2, 0.0), np.clip(sin_azimuth, -1.0, 1.0)
     with np.errstate(invalid="ignore"):
-        vertical = np.sqrt(speed2 - horizontal * horizontal) * np.where(outbound, 1.0, -1.0)
+        vertical = np.sqrt(vertical2) * np.where(outbound, 1.0, -1.0)
         cos_azimuth = np.sqrt(1.0 - sin_azimuth * sin_azimuth) * np.where(ascending, 1.0, -1.0)
     return vertical[..., None] * up + (horizontal * sin_azimuth)[..., None] * east + (horizontal * cos_azimuth)[..., None] * north

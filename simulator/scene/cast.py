@@ -16,7 +16,7 @@ from simulator.platform.observer import Observer
 from simulator.scene import sources
 from simulator.scene.aberration import aberrate
 from simulator.scene.atmosphere import Atmosphere
-from simulator.scene.encounters import Drawn, PopulationOptions, Window, draw_encounters
+from simulator.scene.encounters import Drawn, PopulationOptions, Window, draw_encounters, natural_number
 from simulator.scene.light import LightOptions
 from simulator.scene.objects import PixelPathObject, SkyObject
 from simulator.scene.prediction import predict_crossings
@@ -35,6 +35,8 @@ class Cast:
     drawn: Drawn
     refused: dict[str, int]
     duration_s: float
+    window: Window
+    """What the encounters were drawn for."""
 
 
 def make_cast(
@@ -62,9 +64,10 @@ def make_cast(
     found, refused = _satellites(given.satellites, carrier, camera, duration_s)
     objects.extend(found)
     middle_s = 0.5 * duration_s
-    drawn = draw_encounters(population, encounter_window(carrier, camera, light, sky_e_s, middle_s, duration_s), carrier.seed)
+    window = encounter_window(carrier, camera, light, sky_e_s, middle_s, duration_s)
+    drawn = draw_encounters(population, window, carrier.seed)
     objects.extend(sources.population_objects(drawn, population.albedo, middle_s, population.tumbling_share, carrier.seed))
-    return Cast(objects=tuple(objects), drawn=drawn, refused=refused, duration_s=duration_s)
+    return Cast(objects=tuple(objects), drawn=drawn, refused=refused, duration_s=duration_s, window=window)
 
 
 def _satellites(
@@ -121,10 +124,13 @@ def encounter_window(
 def summary(options: PopulationOptions, cast: Cast) -> dict[str, Any]:
     """Encounters of nature against those drawn, for each size class; JSON-able.
 
-    natural_in_run : detectable objects of nature in the field at some time of the run. entering_per_day : that enter it.
+    natural_in_run : detectable objects of nature in the field at some time of the run, as the drawn ones' candidates have it (the
+    sum of their weights). natural_expected : the same from an integral of its own, good to 3 %. entering_per_day : that enter it.
+    density_boost : drawn over natural_expected, which is how much denser than nature the run's sky is.
     flux_km2_year : nature's cross-sectional area flux of all objects of the class at the camera.
     """
     drawn = cast.drawn
+    expected = [natural_number(options, c, cast.window) if c.count else 0.0 for c in options.classes]
     classes = [
         {
             "from_mm": size_class.from_mm,
@@ -132,6 +138,8 @@ def summary(options: PopulationOptions, cast: Cast) -> dict[str, Any]:
             "drawn": int(drawn.drawn_by_class[k]),
             "natural_in_run": float(drawn.natural_by_class[k]),
             "boost": _ratio(drawn.drawn_by_class[k], drawn.natural_by_class[k]),
+            "natural_expected": expected[k],
+            "density_boost": _ratio(drawn.drawn_by_class[k], expected[k]),
             "entering_per_day": float(drawn.per_day_by_class[k]),
             "flux_km2_year": float(drawn.flux_by_class[k] * YEAR_S),
         }

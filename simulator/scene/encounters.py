@@ -31,6 +31,15 @@ FLUX_BLOCK = 1000
 
 FLUX_DRAWS = 200_000
 
+TRUTH_BLOCK = 2000
+TRUTH_ROUNDS = 2
+TRUTH_EVEN_SHARE = 0.6
+"""Streams and rounds of the integral of nature's number, and how many of its candidates have ranges even in volume."""
+
+CELL_KM = 20.0
+CELL_SINE = 0.02
+"""Half widths of the cells over which its densities are averaged."""
+
 NEAR_SHARE = 100.0
 """Ranges below a hundredth of the reach are not proposed: they hold a millionth of the volume."""
 
@@ -127,8 +136,20 @@ class Encounters:
     per_day: Array
 
 
-def draw_candidates(options: PopulationOptions, size_class: SizeClass, window: Window, rng: np.random.Generator) -> Encounters:
-    """Candidates of one size class, undetectable ones included."""
+def draw_candidates(
+    options: PopulationOptions,
+    size_class: SizeClass,
+    window: Window,
+    rng: np.random.Generator,
+    *,
+    even_share: float = 0.0,
+    over_cells: bool = False,
+) -> Encounters:
+    """Candidates of one size class, undetectable ones included.
+
+    even_share : of them have ranges even in volume, not in the logarithm: most of nature's objects are far. over_cells :
+    densities are means over cells, which have no singularities.
+    """
     n = options.candidates
     low_m, high_m = size_class.from_mm * 1e-3, size_class.to_mm * 1e-3
     size_m = np.exp(rng.uniform(np.log(low_m), np.log(high_m), n))
@@ -140,6 +161,11 @@ def draw_candidates(options: PopulationOptions, size_class: SizeClass, window: W
     near = np.maximum(options.nearest_km, far / NEAR_SHARE)
     span = np.log(far / near)
     range_km = near * np.exp(rng.random(n) * span)
+    shell_km3 = (far**3 - near**3) / 3.0
+    if even_share > 0.0:
+        even = np.cbrt(near**3 + 3.0 * rng.random(n) * shell_km3)
+        range_km = np.where(rng.random(n) < even_share, even, range_km)
+    per_km = (1.0 - even_share) / (range_km * span) + even_share * range_km**2 / shell_km3
     u, v = rng.uniform(-window.half_col, window.half_col, n), rng.uniform(-window.half_row, window.half_row, n)
     time_s = rng.uniform(-0.5, 0.5, n) * window.duration_s
     slant = np.sqrt(1.0 + u * u + v * v)
@@ -147,11 +173,13 @@ def draw_candidates(options: PopulationOptions, size_class: SizeClass, window: W
     observer = window.observer_km + window.velocity_km_s * time_s[:, None]
     position = observer + camera @ window.attitude
     a_km, e, i_rad = draw_orbits(rng, size_m, spread=options.spread_by_breakup)
-    velocity = velocity_through(position, a_km, e, i_rad, rng.random(n) < 0.5, rng.random(n) < 0.5)
+    signs = rng.random(n) < 0.5, rng.random(n) < 0.5
+    velocity = velocity_through(position, a_km, e, i_rad, *signs, just_missing=over_cells)
     solid_angle = 4.0 * window.half_row * window.half_col / slant**3
-    volume_km3 = solid_angle * range_km**3 * span
+    volume_km3 = solid_angle * range_km**2 / per_km
     with np.errstate(invalid="ignore"):
-        natural = population * spatial_density(position, a_km, e, i_rad) * volume_km3
+        density = cell_density if over_cells else spatial_density
+        natural = population * density(position, a_km, e, i_rad) * volume_km3
     relative = velocity - window.velocity_km_s
     stay_s = time_in_field(camera, relative @ window.attitude.T, time_s, window)
     whole_s = time_in_field(camera, relative @ window.attitude.T, np.zeros(n), replace(window, duration_s=2.0 * DAY_S))
@@ -179,6 +207,20 @@ def draw_candidates(options: PopulationOptions, size_class: SizeClass, window: W
         natural=instant * window.duration_s / np.maximum(stay_s, 1e-9),
         per_day=instant * DAY_S / np.maximum(whole_s, 1e-9),
     )
+
+
+def natural_number(options: PopulationOptions, size_class: SizeClass, window: Window) -> float:
+    """Objects of a class with S/N of `snr_min` that nature sends through the field during a run: what the truth is made with.
+
+    A run's own candidates, of which few hold most of a class of large objects, tell it to 20 % only.
+    """
+    total = 0.0
+    for block in range(TRUTH_ROUNDS):
+        rng = generator(0, Effect.POPULATION, block=TRUTH_BLOCK + block)
+        found = draw_candidates(options, size_class, window, rng, even_share=TRUTH_EVEN_SHARE, over_cells=True)
+        kept = (found.snr >= options.snr_min) & (found.rate_deg_s >= options.slowest_deg_s)
+        total += float(found.natural[kept].sum())
+    return total / TRUTH_ROUNDS
 
 
 def natural_flux(options: PopulationOptions, size_class: SizeClass, window: Window, rng: np.random.Generator) -> float:
@@ -218,6 +260,27 @@ def spatial_density(position_km: Array, a_km: Array, e: Array, i_rad: Array) -> 
     inside = (radial > 0.0) & (lateral > 0.0)
     root = np.sqrt(np.where(inside, radial * lateral, 1.0))
     return np.where(inside, 1.0 / (2.0 * np.pi**3 * radius * a_km * root), 0.0)
+
+
+def cell_density(position_km: Array, a_km: Array, e: Array, i_rad: Array) -> Array:
+    """Mean of `spatial_density` over `CELL_KM` to both sides in radius and `CELL_SINE` in the sine of latitude, in closed form.
+
+    With r = a (1 - e cos E) the radial factor integrates to the change of E over a e, the lateral one to
+    that of asin(sin b / sin i).
+    """
+    radius = np.linalg.norm(position_km, axis=-1)
+    sine = position_km[..., 2] / radius
+    highest = np.maximum(np.sin(i_rad), 1e-6)
+
+    def anomaly(r: Array) -> Array:
+        return np.asarray(np.arccos(np.clip((1.0 - r / a_km) / np.maximum(e, 1e-9), -1.0, 1.0)))
+
+    def argument(s: Array) -> Array:
+        return np.asarray(np.arcsin(np.clip(s / highest, -1.0, 1.0)))
+
+    radial = anomaly(radius + CELL_KM) - anomaly(radius - CELL_KM)
+    lateral = argument(sine + CELL_SINE) - argument(sine - CELL_SINE)
+    return np.asarray(radial * lateral / (4.0 * CELL_KM * CELL_SINE) / (2.0 * np.pi**3 * radius * a_km))
 
 
 def time_in_field(camera_km: Array, rate_km_s: Array, time_s: Array, window: Window) -> Array:

@@ -1,17 +1,19 @@
 """The population product: exposure against the simulator's own encounters, intervals against truth, what is lacking said."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from ground.population.encounters import CELL_KM, crossings, density_of, trail_snr
-from ground.population.flux import ALBEDO, ALBEDO_SIGMA_LN, SIZE_EDGES_M, counted_of, found_shares
+from ground.population.flux import ALBEDO, ALBEDO_SIGMA_LN, SIZE_EDGES_M, counted_of, found_shares, light_seen
 from ground.population.injection import (
     DEFAULT_THRESHOLD,
     LENGTHS_PX,
     SNR_GRID,
     Image,
+    _under_stars,
     images_of,
     measured_efficiency,
     threshold_of,
@@ -19,6 +21,8 @@ from ground.population.injection import (
 from ground.products.population import population, population_table
 from ground.records import GroundProducts
 from sboc_e2e.score.population import published_flux
+from simulator.scene.debris import SizeClass
+from simulator.scene.encounters import PopulationOptions, draw_candidates, natural_number
 from tests.astrometry.test_faulty_steps import fields as fields
 from tests.astrometry.test_ground_chain import chain_of
 from tests.population import worlds
@@ -181,3 +185,49 @@ def test_score_compares_the_published_flux_with_truth() -> None:
     assert [row["inside"] for row in got["larger_than"]] == [True, False]
     assert got["holds_truth"]["value"] == 0.5
     assert published_flux(None, truth)["holds_truth"]["value"] is None
+
+    truth["classes"][1]["density_boost"] = 2.5
+    precise = published_flux(table, truth)
+    assert [row["true_per_km2_year"] for row in precise["larger_than"]] == [6.5, 2.5]
+    placed = published_flux(table, truth, [0.05])
+    assert [row["inside"] for row in placed["larger_than"]] == [None, True]
+    assert placed["holds_truth"]["n"] == 1
+
+
+def test_natural_number_does_not_hang_on_a_run() -> None:
+    """Nature's number of large objects scatters by 20 % among the candidates of runs; the integral is their mean."""
+    seen, one, options = worlds.window(), SizeClass(from_mm=100.0, to_mm=3000.0), PopulationOptions()
+    runs = []
+    for seed in range(12):
+        found = draw_candidates(options, one, seen, np.random.default_rng(seed), even_share=0.6)
+        runs.append(found.natural[(found.snr >= options.snr_min) & (found.rate_deg_s >= options.slowest_deg_s)].sum())
+    assert natural_number(options, one, seen) == pytest.approx(np.mean(runs), abs=3.5 * np.std(runs) / np.sqrt(len(runs)))
+
+
+def test_share_of_frames_kept_is_read_from_gaps() -> None:
+    """Without gaps 0.95 and 7 %; with 30 of 40 frames the posterior is near 0.78 and known to 8 %."""
+    bare = counted_of([], [], [], 0)
+    assert bare.kept == pytest.approx((0.95, 0.066), abs=0.005)
+    share, sigma_ln = counted_of([], [], [], 0, [(3.0, 4.0)] * 10).kept
+    assert share == pytest.approx(39.5 / 50.0)
+    assert 0.05 < sigma_ln < 0.09
+
+
+def test_light_near_the_threshold_is_seen_too_bright() -> None:
+    """Two frames at the threshold: those found are sqrt(2 / pi) sigma too bright; far above it nothing is."""
+    efficiency = worlds.efficiency(np.random.default_rng(0), trials=5000)
+    drawn = crossings(
+        worlds.watch_of(worlds.window()), (0.1, 0.3), 3000, np.random.default_rng(1), albedo=ALBEDO, albedo_sigma_ln=0.5
+    )
+    for snr, expected in ((worlds.THRESHOLD, math.sqrt(2.0 / math.pi) / worlds.THRESHOLD), (40.0, 0.0)):
+        two = np.where(np.arange(drawn.snr.shape[1]) < 2, snr, 0.0) * np.ones((len(drawn.snr), 1))
+        light = light_seen(replace(drawn, snr=two), efficiency, np.random.default_rng(2))
+        assert light.mean() - 1.0 == pytest.approx(expected, abs=4.0 / snr / math.sqrt(2.0 * len(light)))
+
+
+def test_stars_of_the_list_are_left_out(fields: list) -> None:
+    """A pixel under a listed star takes no part; the sky between the stars does."""
+    frame = next(f.frame for f in fields if len(f.frame.stars.row))
+    hidden = _under_stars(frame)
+    assert hidden[np.rint(frame.stars.row).astype(int), np.rint(frame.stars.col).astype(int)].all()
+    assert hidden.mean() < 0.5

@@ -27,8 +27,8 @@ def magnitude_figures(
 ) -> dict[str, Any]:
     """Section `products.magnitudes`: single lines with the errors of streaks.ecsv, means with those of tracklets.ecsv.
 
-    truth_mag : V of the mean light of each row of truth/streaks.ecsv. A tracklet's true magnitude is the mean over the trails of
-    its own lines.
+    truth_mag : V of the mean light of each row of truth/streaks.ecsv. A tracklet's true magnitude is that of the mean light over
+    the trails of its own lines.
     """
     line: dict[str, list[float]] = {"off": [], "pull": [], "owner": []}
     mean: dict[str, list[float]] = {"off": [], "pull": [], "owner": []}
@@ -52,7 +52,7 @@ def magnitude_figures(
         line["owner"] += [owner[number]] * len(off)
         if known.any() and number in quoted:
             mag, mag_err = quoted[number]
-            mean["off"].append(mag - float(true[known].mean()))
+            mean["off"].append(mag - _of_mean_light(true[known]))
             mean["pull"].append(mean["off"][-1] / mag_err if mag_err > 0.0 else np.nan)
             mean["owner"].append(owner[number])
     none = "no magnitude of a true object was published" if segments else "no tracklet was published"
@@ -79,6 +79,11 @@ def magnitude_figures(
         "tracklet_rms_mag": over(mean, "off", rms),
         "tracklet_pull_std": over(mean, "pull", pull_width, no_means),
     }
+
+
+def _of_mean_light(mag: Array) -> float:
+    """Magnitude of the mean of the light of magnitudes (n,)."""
+    return float(-2.5 * np.log10(np.mean(10.0 ** (-0.4 * mag))))
 
 
 def _quoted(tracklets: Table) -> dict[int, tuple[float, float]]:

@@ -20,8 +20,8 @@ HISTORY: Final = (
         "of frames has the directions of a 9 x 9 grid of pixels, and the columns that the camera's model names; orbit estimates "
         "have node, perigee, anomaly, argument of latitude, what they lack, and a state with covariance and samples; tracklets "
         "have their pieces, the source of each row, its correlation, motion angle, shared and pointing errors, interval and "
-        "scatter of the magnitude; they and the table of angles say what the camera's turning puts into both ends of a frame; streak "
-        "fits say why they failed",
+        "scatter of the magnitude; they and the table of angles say what the camera's turning puts into both ends of a frame; "
+        "streak fits say why they failed",
     ),
 )
 """The major number grows when a decoder of the version before would take something for what it is not, the minor one when it

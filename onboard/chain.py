@@ -125,7 +125,8 @@ class OnboardChain:
             detections, earlier = (), ()
         if len(view.stars) == 0:
             flags |= FrameFlag.NO_STARS
-        outbox = Outbox(writer=state.writer, allowance=state.allowance.after(elapsed_s(header, state.previous)), header=header)
+        allowance = state.allowance.after(elapsed_s(header, state.previous), elapsed_s(header, None))
+        outbox = Outbox(writer=state.writer, allowance=allowance, header=header)
         content = Content(
             view=view,
             counts=counts,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from onboard.image.background import fill_gaps
 
 STRUCTURED: Final = 4.0
-"""Mean square of the tiles' departures over their noise from which a neighbourhood has structure; sky without any shows 1 to 2."""
+"""Mean square of the tiles' departures over their noise from which a neighbourhood has structure; plain sky shows 1 to 2."""
 
 REACH_TILES: Final = 2
 """A neighbourhood reaches so many tiles to all sides."""

@@ -1,11 +1,12 @@
 """Exam of the on-board chain under other skies: snr50, false detections per frame and CPU against the clean sky, row by row.
 
-    python -m tests.benchmarks.bench_sky [--frames N] [--side PX] [--hostile] [ROW ...]
+python -m tests.benchmarks.bench_sky [--frames N] [--side PX] [--hostile] [ROW ...]
 """
 
 import argparse
 import json
 import math
+import sys
 import time
 from typing import Any, Final
 
@@ -123,7 +124,12 @@ def hostile(name: str, side: int, seed: int = 0) -> dict[str, Any]:
     """CPU and detections of an input that nobody should send, twice in a row."""
     draw = sky_frames.HOSTILE[name]
     result, seconds = second_of(draw(side, np.random.default_rng((seed, 0))), draw(side, np.random.default_rng((seed, 1))))
-    return {"row": name, "cpu_s": round(seconds, 2), "detections": len(result.detections), "flags": str(result.housekeeping.flags)}
+    return {
+        "row": name,
+        "cpu_s": round(seconds, 2),
+        "detections": len(result.detections),
+        "flags": str(result.housekeeping.flags),
+    }
 
 
 def main() -> None:
@@ -138,10 +144,10 @@ def main() -> None:
     exam(sky_frames.ROWS[0], 512, 1)
     for row in sky_frames.ROWS:
         if not options.rows or row.name in options.rows:
-            print(json.dumps(exam(row, options.side, options.frames)), flush=True)
+            sys.stdout.write(json.dumps(exam(row, options.side, options.frames)) + "\n")
     for name in sky_frames.HOSTILE:
         if options.hostile and (not options.rows or name in options.rows):
-            print(json.dumps(hostile(name, options.side)), flush=True)
+            sys.stdout.write(json.dumps(hostile(name, options.side)) + "\n")
 
 
 if __name__ == "__main__":

@@ -169,7 +169,7 @@ def digitised(counts: Light) -> NDArray[np.uint16]:
 
 
 def scene(row: Row, side: int, streaks: list[tuple[float, float]], seed: int) -> Scene:
-    """A pair of frames of one sky. streaks : length (px) and matched-filter S/N, in the noise of the sky without stars, of each."""
+    """A pair of frames of one sky. streaks : length (px) of each, and S/N in the noise of the sky without stars."""
     rng = np.random.default_rng(seed)
     share = (side / 2048.0) ** 2
     n = rng.poisson(STARS * share * (8.0 / 2.5) ** 0.9)

@@ -183,10 +183,11 @@ def _take_out_structure(
     shape = tuple(-(-n // half) for n in residual.shape)
     marked = np.zeros(residual.shape, dtype=np.uint8)
     mark_stars(stars.row, stars.col, reach, 1, marked)
-    doubled = [np.repeat(np.repeat(part, 2, axis=0), 2, axis=1)[: shape[0], : shape[1]] for part in (sigma_adu, structured)]
+    half_sigma = np.repeat(np.repeat(sigma_adu, 2, axis=0), 2, axis=1)[: shape[0], : shape[1]]
+    half_structured = np.repeat(np.repeat(structured, 2, axis=0), 2, axis=1)[: shape[0], : shape[1]]
     mean, deviation = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
-    star_free_moments(residual, mask, marked, 1, half, doubled[0], mean, deviation)
-    nodes = fine_nodes(mean, doubled[1])
+    star_free_moments(residual, mask, marked, 1, half, half_sigma, mean, deviation)
+    nodes = fine_nodes(mean, half_structured)
     shift_level(residual, mask, nodes, half, np.zeros(len(residual), dtype=np.float32))
     even = np.pad(nodes, [(0, n % 2) for n in shape], mode="edge")
     return np.asarray(even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2).mean(axis=(1, 3)), dtype=np.float32)

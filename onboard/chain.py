@@ -18,6 +18,7 @@ from onboard.guard import guarded
 from onboard.image.calibrate import Counts, IntegerCalibration, background_in_adu, fill_residual, to_counts
 from onboard.image.dead_area import mark_dead_area
 from onboard.image.frame_flags import checksum, content_flags, header_flags, sequence_flags
+from onboard.image.glare import mark_glare
 from onboard.image.hot_pixels import HotPixels
 from onboard.image.star_free_sky import without_stars
 from onboard.options import OnboardOptions
@@ -125,7 +126,8 @@ class OnboardChain:
             detections, earlier = (), ()
         if len(view.stars) == 0:
             flags |= FrameFlag.NO_STARS
-        outbox = Outbox(writer=state.writer, allowance=state.allowance.after(elapsed_s(header, state.previous)), header=header)
+        allowance = state.allowance.after(elapsed_s(header, state.previous), elapsed_s(header, None))
+        outbox = Outbox(writer=state.writer, allowance=allowance, header=header)
         content = Content(
             view=view,
             counts=counts,
@@ -184,6 +186,7 @@ class OnboardChain:
         guarded("background", self._steps.background, check_background, estimated, counts.pixels.shape)
         background = background_in_adu(estimated, counts)
         row_sums, n_masked = fill_residual(counts, background, residual)
+        n_masked += mark_glare(residual, counts.defects, background)
         view = DetectorView(
             header=header,
             residual_adu=residual,

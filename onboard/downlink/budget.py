@@ -17,19 +17,21 @@ from sboc_e2e.icd.tai import NS_PER_S
 
 @dataclass(frozen=True, kw_only=True)
 class Allowance:
-    """Bytes that may still be sent; never more than the rate gives in `burst_s`. A rate of 0 is no limit."""
+    """Bytes that may still be sent; never more than the rate gives in `burst_s`, or in one exposure where that is longer.
+
+    A rate of 0 is no limit.
+    """
 
     rate_bytes_s: float
     burst_s: float
     credit_bytes: float = 0.0
 
-    def after(self, elapsed_s: float) -> "Allowance":
-        """The allowance some time later; the time since the last frame is granted even beyond `burst_s`."""
+    def after(self, elapsed_s: float, exposure_s: float = 0.0) -> "Allowance":
+        """The allowance some time later, before a frame of that exposure; a clock that jumps grants no more than a burst."""
         if self.rate_bytes_s == 0.0:
             return replace(self, credit_bytes=math.inf)
-        elapsed_s = max(elapsed_s, 0.0)
-        granted = self.credit_bytes + self.rate_bytes_s * elapsed_s
-        return replace(self, credit_bytes=min(granted, self.rate_bytes_s * max(self.burst_s, elapsed_s)))
+        granted = self.credit_bytes + self.rate_bytes_s * max(elapsed_s, 0.0)
+        return replace(self, credit_bytes=min(granted, self.rate_bytes_s * max(self.burst_s, exposure_s)))
 
     def spend(self, n_bytes: int) -> "Allowance":
         """The allowance after sending; it may become negative when what must be sent did not fit."""

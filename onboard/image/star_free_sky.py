@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from onboard.image.background import LEAST_SAMPLES, fill_gaps, neighbourhoods
 from onboard.image.calibrate import expand_nodes, sums_within
+from onboard.image.fine_sky import fine_nodes, structured_tiles
 from sboc_e2e.icd.signals import BackgroundModel, StarList
 
 ROW_STEP = 8
@@ -168,6 +169,30 @@ def star_reach_px(stars: StarList, sigma_e: float, psf_sigma_px: float) -> NDArr
     return np.minimum(np.sqrt(2.0 * variance * np.log(ratio)) + 0.5, MOST_STAR_RADIUS_PX)
 
 
+def _take_out_structure(
+    residual: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    stars: StarList,
+    reach: NDArray[np.float64],
+    sigma_adu: NDArray[np.float32],
+    tile_px: int,
+    structured: NDArray[np.bool_],
+) -> NDArray[np.float32]:
+    """Bring structured tiles of the image to a level on tiles of half the size, in place; returns the change of the mesh."""
+    half = tile_px // 2
+    shape = tuple(-(-n // half) for n in residual.shape)
+    marked = np.zeros(residual.shape, dtype=np.uint8)
+    mark_stars(stars.row, stars.col, reach, 1, marked)
+    half_sigma = np.repeat(np.repeat(sigma_adu, 2, axis=0), 2, axis=1)[: shape[0], : shape[1]]
+    half_structured = np.repeat(np.repeat(structured, 2, axis=0), 2, axis=1)[: shape[0], : shape[1]]
+    mean, deviation = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
+    star_free_moments(residual, mask, marked, 1, half, half_sigma, mean, deviation)
+    nodes = fine_nodes(mean, half_structured)
+    shift_level(residual, mask, nodes, half, np.zeros(len(residual), dtype=np.float32))
+    even = np.pad(nodes, [(0, n % 2) for n in shape], mode="edge")
+    return np.asarray(even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2).mean(axis=(1, 3)), dtype=np.float32)
+
+
 def without_stars(
     residual: NDArray[np.float32],
     mask: NDArray[np.uint8],
@@ -192,6 +217,12 @@ def without_stars(
     shift = neighbourhoods(fill_gaps(mean, 0.0)).mean(axis=0)
     sigma = np.where(np.isfinite(deviation) & (deviation > 0.0), deviation, background.sigma_adu).astype(np.float32)
     shift_level(residual, mask, shift, tile_px, row_offsets(row_sums, residual.shape[1], float(np.median(sigma))))
+    # a second look at what the mesh left over: the first one's means are relative to the level before
+    star_free_moments(residual, mask, marked, row_step, tile_px, background.sigma_adu, mean, deviation)
+    structured = structured_tiles(mean, sigma, tile_px * tile_px // row_step)
+    if structured.any() and tile_px % 2 == 0:
+        reach = star_reach_px(stars, sigma_e, psf_sigma_px)
+        shift = shift + _take_out_structure(residual, mask, stars, reach, background.sigma_adu, tile_px, structured)
     return BackgroundModel(
         tile_px=tile_px,
         level_adu=background.level_adu + shift,

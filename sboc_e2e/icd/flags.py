@@ -73,6 +73,7 @@ class MaskBit(IntFlag):
     DEAD = 1 << 0
     HOT = 1 << 1
     SATURATED = 1 << 2
+    GLARE = 1 << 3
     MISSING = 1 << 4
     LEARNED_HOT = 1 << 5
 
@@ -136,6 +137,7 @@ FLAG_TEXT: Final[dict[str, dict[str, str]]] = {
         "DEAD": "no response",
         "HOT": "dark current too high or unstable",
         "SATURATED": "at or above the saturation level",
+        "GLARE": "beside a large saturated area, in light that is not sky",
         "MISSING": "NaN in the delivered frame, or outside the window",
         "LEARNED_HOT": "found hot by the on-board software",
     },

@@ -439,6 +439,15 @@ def test_unspent_budget_is_kept_for_a_burst() -> None:
     assert 0.25 * rate < run.state.allowance.credit_bytes <= 0.5 * rate
 
 
+def test_a_clock_that_jumps_grants_no_more_than_a_burst() -> None:
+    """A day between two frames gave 43 GB at 4 Mbit/s; after one that went backwards the debt grew no further."""
+    allowance = Allowance(rate_bytes_s=5e5, burst_s=2.0)
+    assert allowance.after(86_400.0, 0.2).credit_bytes == 5e5 * 2.0
+    assert allowance.after(-86_400.0, 0.2).credit_bytes == 0.0
+    # an exposure longer than the burst is the time that a frame takes
+    assert Allowance(rate_bytes_s=5e5, burst_s=0.0).after(86_400.0, 0.2).credit_bytes == 5e5 * 0.2
+
+
 def test_without_a_limit_frames_that_took_no_time_are_sent_all_the_same() -> None:
     """Exposures of unknown length and frames of one and the same time earn nothing at any rate but 0."""
     assert Allowance(rate_bytes_s=5e5, burst_s=2.0).after(0.0).credit_bytes == 0.0

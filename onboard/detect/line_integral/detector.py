@@ -37,6 +37,14 @@ MAX_CANDIDATES: Final = 50_000
 MAX_TRAILS: Final = 2_000
 """Room for trails before particle tracks are told apart: those of a storm come first, being brighter."""
 
+WORK_PER_PX: Final = 60.0
+LEAST_WORK: Final = 250_000_000
+"""Pixels read in the refinement of candidates, per pixel of the frame, but never fewer: one bright trail has thousands."""
+
+TRAILS_PER_MPX: Final = 32
+LEAST_ROOM: Final = 64
+"""Room for trails that are looked at one by one; clean frames have a few, and particles come with 60 per frame."""
+
 FIRST_MARGIN: Final = 1.4
 """The corridor search on whole pixels may fall so far short of the final S/N."""
 
@@ -84,6 +92,17 @@ STORM_ENTRIES: Final = 1000
 
 EDGE_PX: Final = 3.0
 """An end closer than this to the frame's edge may continue beyond it."""
+
+
+def within_room(table: NDArray[np.float64], size_px: int) -> NDArray[np.float64]:
+    """The rows of `resolve.resolve` that are looked at further, in their order: trails of each octave of length take turns."""
+    room = max(LEAST_ROOM, round(TRAILS_PER_MPX * size_px / 1e6))
+    if len(table) <= room:
+        return table
+    best_first = np.argsort(-table[:, 6], kind="stable")
+    length = np.hypot(table[:, 3] - table[:, 1], table[:, 4] - table[:, 2])[best_first]
+    turn = dyadic.turns(np.log2(np.maximum(length, 1.0)).astype(np.int64))
+    return np.asarray(table[np.sort(best_first[np.argsort(turn, kind="stable")[:room]])])
 
 
 def edge_flags(ends: tuple[float, float, float, float], shape: tuple[int, int], snr: float) -> StreakFlag:
@@ -373,7 +392,9 @@ class LineIntegralDetector:
             self.min_length_px,
             MAX_TRAILS,
             strip.work_space(max(images.image.shape), s_px),
+            max(LEAST_WORK, round(WORK_PER_PX * images.image.size)),
         )
+        table = within_room(table, images.image.size)
         found = [line_detection(row, view.residual_adu.shape) for row in table]
         found = [with_blurred_ends(d, images, s_px) if d.length_px < resolve.SHARP_ENDS_PX else d for d in found]
         found = [d for d in found if d.snr >= n_sigma]

@@ -17,6 +17,9 @@ from numpy.typing import NDArray
 
 from onboard.detect.whiten import UNIT
 
+FAIR_ABOVE: Final = 8_000
+"""From so many candidates on, those of each length take turns, best first: work may end before their list does."""
+
 CELL: Final = 8
 """Candidates of one block that cross its middle in the same cell of this many columns are one: the best of all shifts."""
 
@@ -68,6 +71,19 @@ def _collect(
 
 
 @nb.njit(cache=True)
+def _keep_best(found: NDArray[np.float32], first: int, stop: int) -> tuple[int, float]:
+    """Keep the better half of rows first..stop-1 by S/N, in place and in their order; returns the new stop and the least S/N."""
+    values = np.sort(found[first:stop, 4])
+    least = values[values.size // 2]
+    n = first
+    for k in range(first, stop):
+        if found[k, 4] > least:
+            found[n] = found[k]
+            n += 1
+    return n, float(least)
+
+
+@nb.njit(cache=True)
 def line_sums(
     image: NDArray[np.int16],
     upside_down: bool,
@@ -82,7 +98,8 @@ def line_sums(
 
     image : (rows, cols) int16, zero mean. noise : (2,) standard deviation of a sum of n rows is sqrt(n (noise[0] +
     (noise[1] - noise[0]) slope)). upside_down : rows are taken in reverse. current, following : work space of `work_size`.
-    Returns (n, 5): first row, number of rows, first column, shift, S/N.
+    Returns (n, 5): first row, number of rows, first column, shift, S/N. Blocks of each height have the same share of the room,
+    so that a storm of short ones does not crowd the long ones out; of more than that the most significant are kept.
     """
     rows, cols = image.shape
     found = np.empty((max_found, 5), np.float32)
@@ -104,6 +121,7 @@ def line_sums(
         pitch, next_pitch = cols + half, cols + height
         next_blocks = (blocks + 1) // 2
         searched = height >= min_rows
+        level_start, room = n_found, max(2, max_found // levels)
         rescale = level == 5 or level == 8
         # long blocks fit a trail's length and slope less well, and there are few independent ones
         wanted = threshold_sigma - LONG_BLOCK_STEP * max(0.0, math.log2(height / 32.0))
@@ -142,7 +160,10 @@ def line_sums(
                     _halve(out)
             if hit:
                 for cell in range(best.shape[0]):
-                    if best[cell] > 0.0 and n_found < max_found:
+                    if n_found - level_start == room:
+                        n_found, least = _keep_best(found, level_start, n_found)
+                        wanted = max(wanted, least)
+                    if best[cell] > wanted:
                         found[n_found, 0] = first * half
                         found[n_found, 1] = height
                         found[n_found, 2] = place[cell, 1]
@@ -222,4 +243,17 @@ def coarse_segments(
             ends = 2.0 * np.stack([first, enter, last, leave], axis=1) + 0.5
             tables.append(np.column_stack([np.full(len(found), float(axis)), ends, found[:, 4]]))
     joined = np.concatenate(tables)
-    return joined[np.argsort(-joined[:, 5], kind="stable")]
+    joined = joined[np.argsort(-joined[:, 5], kind="stable")]
+    if len(joined) <= FAIR_ABOVE:
+        return joined
+    return joined[np.argsort(turns(np.log2(joined[:, 3] - joined[:, 1] + 2.0).astype(np.int64)), kind="stable")]
+
+
+def turns(group: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Number of members of the same group before each one, shape (n,)."""
+    order = np.argsort(group, kind="stable")
+    ordered = group[order]
+    start = np.searchsorted(ordered, ordered, side="left")
+    out = np.empty(len(group), np.int64)
+    out[order] = np.arange(len(group)) - start
+    return out

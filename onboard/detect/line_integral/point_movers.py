@@ -8,8 +8,25 @@ import numpy as np
 from numpy.typing import NDArray
 
 ANGLES: Final = 12
+
+LONGEST_FIT_PX: Final = 90.0
+"""Trails fitted with blurred ends grow no longer: half as long again as the longest that are handed in."""
+
+MOST_MOVES: Final = 60
+"""Rounds of the pattern search: 4 px away from its start it has found something else."""
+
 PEAK_FRACTION: Final = 0.57
+PEAK_WIDTH_PX: Final = 0.849
 """Brightest pixel of a centred star over its matched-filter S/N, in sigma of a pixel, for a PSF of 2 px FWHM on square pixels."""
+
+
+def peak_fraction(psf_sigma_px: float) -> float:
+    """The same for another width: it goes as the share of the light in the middle pixel times the width with the pixel."""
+
+    def relative(width_px: float) -> float:
+        return math.erf(0.5 / (math.sqrt(2.0) * width_px)) ** 2 * math.sqrt(width_px**2 + 1.0 / 12.0)
+
+    return PEAK_FRACTION * relative(psf_sigma_px) / relative(PEAK_WIDTH_PX)
 
 
 def object_noise(psf_sigma_px: float, sigma_e: float) -> float:
@@ -35,8 +52,12 @@ def sharper_than_psf(
     row: NDArray[np.float64],
     col: NDArray[np.float64],
     snr: NDArray[np.float32],
+    star_fraction: float,
 ) -> NDArray[np.bool_]:
-    """Entries (n,) whose light sits in one pixel: particle hits and hot pixels, 3 sigma beyond what the PSF allows."""
+    """Entries (n,) whose light sits in one pixel: particle hits and hot pixels, 3 sigma beyond what the PSF allows.
+
+    star_fraction : `peak_fraction` of the PSF.
+    """
     rows, cols = residual_adu.shape
     out = np.zeros(row.shape[0], np.bool_)
     for k in range(row.shape[0]):
@@ -50,7 +71,7 @@ def sharper_than_psf(
                 peak = max(peak, residual_adu[i, j])
         if sigma > 0.0:
             peak /= sigma
-            out[k] = peak - PEAK_FRACTION * snr[k] > 2.5 and peak > 0.8 * snr[k]
+            out[k] = peak - star_fraction * snr[k] > 2.5 and peak > max(0.8, star_fraction) * snr[k]
     return out
 
 
@@ -141,7 +162,9 @@ def fit_short_trail(
     if point + 0.3 > snr:
         snr, length = point, 0.0
     step = 1.0
-    while step > 0.2:
+    for _ in range(MOST_MOVES):
+        if step <= 0.2:
+            break
         moved = False
         for parameter in range(4):
             if length == 0.0 and parameter == 2:
@@ -150,7 +173,7 @@ def fit_short_trail(
                 r = row + (sign * step if parameter == 0 else 0.0)
                 c = col + (sign * step if parameter == 1 else 0.0)
                 a = angle + (sign * step * 0.2 if parameter == 2 else 0.0)
-                n = max(0.0, length + (sign * 2.0 * step if parameter == 3 else 0.0))
+                n = min(max(0.0, length + (sign * 2.0 * step if parameter == 3 else 0.0)), LONGEST_FIT_PX)
                 trial = _short_snr(image, blocked, ignored, r, c, math.sin(a), math.cos(a), n, psf_sigma_px)
                 if trial > snr + (0.05 if parameter == 3 and sign > 0.0 else 1e-3):
                     snr, row, col, angle, length, moved = trial, r, c, a, n, True

@@ -22,6 +22,13 @@ Noise bends lines too: the sagitta's metric is 0.0616 S^2 per px^2 (4/45 / (2 s^
 7 x 4 / sqrt(2 pi) = 11 times as many false maxima; exp(-9 / 2) leaves an eighth of one.
 """
 
+LOCATE_WORK: Final = 20_000
+LOCATE_WORK_PER_PX: Final = 26.0
+"""Pixels read and sums compared by the search in a corridor: 13 paths, 5 bows, and its length with the extensions."""
+
+POLISH_WORK_PER_PX: Final = 1_600.0
+"""Pixels read by the search over all parameters: about 100 paths of 16."""
+
 SHARP_ENDS_PX: Final = 60.0
 SHARP_LOSS: Final = 0.15
 """What a template with sharp ends may cost a line shorter than that, which is fitted again with blurred ones."""
@@ -73,11 +80,15 @@ def accept(
     weight: NDArray[np.float64],
     points: NDArray[np.float64],
     strip: Strip,
+    work: NDArray[np.int64],
 ) -> float:
     """S/N of the trail at a candidate, 0 when there is none; lines under SHARP_ENDS_PX are let through SHARP_LOSS below n_sigma.
 
-    The trail, and stars that were not in the star list but lie on the way, are taken out of the images.
+    The trail, and stars that were not in the star list but lie on the way, are taken out of the images. work (1,) : grows by
+    what was done, in pixels read, as the length of the candidate tells.
     """
+    length_px = candidate[2] - candidate[0]
+    work[0] += LOCATE_WORK + int(LOCATE_WORK_PER_PX * length_px)
     if corridor.locate(smooth, candidate, psf_sigma_px, usable, first_sigma, segment, sums, counts) < first_sigma:
         return 0.0
     # one exact sum before the search over all parameters, which is costly
@@ -100,6 +111,7 @@ def accept(
         return 0.0
     snr, length = 0.0, 0.0
     for _ in range(4):
+        work[0] += int(POLISH_WORK_PER_PX * (segment[2] - segment[0] + 24.0))
         snr = refine.polish(image, blocked, level, tile_px, segment, True, psf_sigma_px, signal, weight, strip)
         length = length_inside(segment, image.shape[1])
         wanted = _wanted_sigma(n_sigma, length)
@@ -142,10 +154,12 @@ def resolve(
     min_length_px: float,
     max_found: int,
     strip: Strip,
+    most_work: int,
 ) -> NDArray[np.float64]:
     """Trails among candidates (n, 6: axis, major0, minor0, major1, minor1, S/N; best first); the images are changed in place.
 
-    usable : share of pixels that are not masked. strip : work space for the longer side of the frame.
+    usable : share of pixels that are not masked. strip : work space for the longer side of the frame. most_work : pixels read
+    (see `accept`) after which the rest of the candidates is left.
 
     Returns (m, 7): axis, major0, minor0, major1, minor1, sagitta along minor (px), S/N.
     """
@@ -156,9 +170,10 @@ def resolve(
     counts = np.empty((corridor.PIECES, corridor.OFFSETS), np.int32)
     signal = np.empty(max(image.shape) + 1)
     weight = np.empty(max(image.shape) + 1)
+    work = np.zeros(1, np.int64)
     segment, straight, points = np.empty(5), np.empty(5), np.zeros((2, 3))
     for c in range(candidates.shape[0]):
-        if n_found == max_found:
+        if n_found == max_found or work[0] > most_work:
             break
         if candidates[c, 0] == 0.0:
             snr = accept(
@@ -181,6 +196,7 @@ def resolve(
                 weight,
                 points,
                 strip,
+                work,
             )
         else:
             snr = accept(
@@ -203,6 +219,7 @@ def resolve(
                 weight,
                 points,
                 strip,
+                work,
             )
         if snr > 0.0:
             found[n_found, 0] = candidates[c, 0]

@@ -31,6 +31,10 @@ difference scatters by sqrt(2 (1 - rho)) = 0.51; the search for the best place a
 a track rises by 1 / rho: it is flagged from S/N 9 on.
 """
 
+LEAST_WIDTH_PX: Final = NARROW_PX
+MOST_WIDTHS: Final = 3.0
+"""Measured widths are held between that of a track and so many times the nominal one."""
+
 MOST_LINES: Final = 128
 """Lines of a segment that are looked at, around its middle."""
 
@@ -208,12 +212,19 @@ def both_snr(
     return wide, narrow
 
 
+def measured_width_px(view: DetectorView) -> float:
+    """Width of the PSF (sigma, px) as the stars of the frame show it; nominal where they do not."""
+    measured = view.stars.psf_sigma_px
+    return view.psf_sigma_px if measured is None else min(max(measured, LEAST_WIDTH_PX), MOST_WIDTHS * view.psf_sigma_px)
+
+
 def sharpness(detection: Detection, view: DetectorView, level: NDArray[np.float32], level_tile_px: int) -> float:
     """Gain in squared S/N of a track of no width over the PSF on the middle of a detection; negative for trails of light.
 
     level : mesh of what the background left over, sigma/16. A point has no direction: the larger gain along rows and columns.
     """
-    half_px = math.ceil(3.0 * math.sqrt(2.0) * view.psf_sigma_px + 2.0 * ACROSS_PX)
+    psf_sigma_px = measured_width_px(view)
+    half_px = math.ceil(3.0 * math.sqrt(2.0) * psf_sigma_px + 2.0 * ACROSS_PX)
     values, corner = np.empty((MOST_LINES, 2 * half_px + 1)), np.empty(MOST_LINES, np.int64)
     ends = np.array([detection.row0, detection.col0, detection.row1, detection.col1])
     directions = [ends] if detection.length_px > 1.0 else [ends + np.array([-1.0, 0, 1, 0]), ends + np.array([0, -1.0, 0, 1])]
@@ -231,7 +242,7 @@ def sharpness(detection: Detection, view: DetectorView, level: NDArray[np.float3
             values,
             corner,
         )
-        wide, narrow = both_snr(values[:n], corner[:n], minor, slope, view.psf_sigma_px, NARROW_PX)
+        wide, narrow = both_snr(values[:n], corner[:n], minor, slope, psf_sigma_px, NARROW_PX)
         gain = max(gain, narrow**2 - wide**2)
     return gain
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from onboard.detect import star_mask, whiten
 from onboard.detect.line_integral import halos, point_movers, static_sky
 from onboard.detect.line_integral.kept_frame import quantised
+from onboard.detect.line_integral.sharpness import measured_width_px
 from sboc_e2e.icd.signals import DetectorView
 
 TILE_PX: Final = 64
@@ -135,7 +136,10 @@ def remove_static_stars(
     light = mask_stars(view, bright, image, blocked, halo_px)
     static_sky.subtract_stars(image, blocked, stars.row[faint], stars.col[faint], before[faint], psf_sigma_px)
     new = np.flatnonzero(~static)
-    sharp = point_movers.sharper_than_psf(view.residual_adu, sigma, tile_px, stars.row[new], stars.col[new], stars.snr[new])
+    fraction = point_movers.peak_fraction(measured_width_px(view))
+    sharp = point_movers.sharper_than_psf(
+        view.residual_adu, sigma, tile_px, stars.row[new], stars.col[new], stars.snr[new], fraction
+    )
     hits = new[sharp]
     whiten.blank_discs(image, blocked, stars.row[hits], stars.col[hits], np.full(len(hits), HIT_RADIUS_PX))
     bright_per_px = float(np.count_nonzero(stars.snr[static] > SUBTRACT_SNR)) / image.size

@@ -1,0 +1,80 @@
+"""Facts about the chain under skies that are not the simulator's: drawn by `sky_frames`."""
+
+from dataclasses import replace
+
+import numpy as np
+
+from onboard.detect import whiten
+from onboard.detect.line_integral import point_movers
+from onboard.image.fine_sky import fine_nodes, structured_tiles
+from sboc_e2e.icd.flags import StreakFlag
+from tests.benchmarks import sky_frames
+from tests.benchmarks.bench_detection import score
+from tests.benchmarks.bench_sky import second_of
+
+
+def test_short_movers_under_a_sharper_psf_are_no_particle_tracks() -> None:
+    """FWHM 1.2 px with a nominal 2 px: the width that the stars show tells light from tracks."""
+    lengths = [(length, 25.0) for length in (14.0, 16.0, 18.0, 20.0, 24.0, 30.0)]
+    found = light = 0
+    for seed in range(2):
+        drawn = sky_frames.scene(sky_frames.Row(name="sharp", fwhm_px=1.2), 1024, lengths, seed)
+        result, _ = second_of(drawn.earlier, drawn.later)
+        regardless = [replace(d, flags=d.flags & ~StreakFlag.COSMIC_LIKE) for d in result.detections]
+        found += sum(d is not None for d in score(regardless, drawn.streaks)[0])
+        light += sum(d is not None for d in score(result.detections, drawn.streaks)[0])
+    assert found == light == 12
+
+
+def test_a_short_trail_fitted_on_an_even_bright_area_does_not_grow_without_end() -> None:
+    """Pixels at the clip on all sides: every longer trail has a higher S/N, and its price grows as the square of its length."""
+    image = np.full((600, 1200), 7 * whiten.UNIT, np.int8)
+    blocked = np.zeros(image.shape, np.uint8)
+    *_, length = point_movers.fit_short_trail(image, blocked, 0, (50.0, 300.0, 600.0, 0.0, 40.0), 0.85)
+    assert length <= point_movers.LONGEST_FIT_PX
+
+
+def _figures(name: str, seed: int) -> tuple[int, int, int]:
+    """Streaks found and sent of eight of S/N 10 to 13, and false detections, of one scene of 2048 x 2048 px."""
+    row = next(row for row in sky_frames.ROWS if row.name == name)
+    wanted = [(length, snr) for length in (100.0, 300.0) for snr in (10.0, 11.0, 12.0, 13.0)]
+    drawn = sky_frames.scene(row, 2048, wanted, seed)
+    result, _ = second_of(drawn.earlier, drawn.later)
+    paired, _, false = score(result.detections, drawn.streaks)
+    sent, _, _ = score([group.detection for group in result.rois], drawn.streaks)
+    return sum(d is not None for d in paired), sum(d is not None for d in sent), false
+
+
+def test_a_ripple_of_a_third_of_the_noise_makes_no_trails_and_hides_none() -> None:
+    """0.3 sigma over 200 px gave 170 false detections in a frame and 1 of 14 trails on the ground."""
+    found, sent, false = _figures("ripple", 7)
+    assert false <= 1
+    assert found >= 7
+    assert sent == found
+
+
+def test_trails_beside_the_moon_are_found_and_all_of_them_sent() -> None:
+    """The rim of a saturated disc and its glow gave 13 false detections, which took the place of good ones."""
+    found, sent, false = _figures("moon", 7)
+    assert false <= 3
+    assert found >= 7
+    assert sent == found
+
+
+def test_only_skies_with_structure_are_measured_on_the_finer_mesh() -> None:
+    """Means of pure noise are left alone; a wave of 0.3 sigma is not."""
+    rng = np.random.default_rng(1)
+    noise = (rng.standard_normal((32, 32)) / np.sqrt(512.0)).astype(np.float32)
+    wave = 0.3 * np.sin(2.0 * np.pi * 64.0 / 200.0 * np.arange(32.0)).astype(np.float32)
+    sigma = np.ones((32, 32), np.float32)
+    assert not structured_tiles(noise, sigma, 512).any()
+    assert structured_tiles(noise + wave, sigma, 512).all()
+
+
+def test_a_fine_mesh_keeps_the_means_of_its_tiles() -> None:
+    """Linear interpolation between the nodes has the measured mean over each tile, but for terms of fourth order."""
+    k = np.arange(40.0)
+    mean = np.tile(np.sin(2.0 * np.pi * k * 32.0 / 200.0), (40, 1)).astype(np.float32)
+    nodes = fine_nodes(mean, np.ones(mean.shape, bool))[20]
+    over = 0.75 * nodes[1:-1] + 0.125 * (nodes[:-2] + nodes[2:])
+    assert np.abs(over - mean[20, 1:-1])[1:-1].max() < 0.02

@@ -216,7 +216,8 @@ def _plate_scale_rad_px(
     step = np.linalg.norm(unit[1:, 1] - unit[:-1, 1], axis=-1)[same], np.hypot(np.diff(row[:, 1]), np.diff(col[:, 1]))[same]
     chord, pixels = np.concatenate([own[0], step[0]]), np.concatenate([own[1], step[1]])
     usable = pixels > 20.0
-    return float(np.median(chord[usable] / pixels[usable])) if usable.any() else default_rad_px
+    scale = float(np.median(chord[usable] / pixels[usable])) if usable.any() else default_rad_px
+    return scale if scale > 0.0 else default_rad_px  # a WCS may put all pixels on one place
 
 
 def end_errors_px(streaks: Sequence[StreakMeasurement]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

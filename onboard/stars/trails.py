@@ -184,6 +184,8 @@ def refined(
         if row0 < reach[0] or col0 < reach[1] or image.shape != (2 * reach[0] + 1, 2 * reach[1] + 1) or mask[part].any():
             continue
         flux = float(image.sum())
+        if not flux > 0.0:  # a bright column beside a hole is no star
+            continue
         start = np.array([flux, 0.0, 0.0, guess.drow, guess.dcol, psf_sigma_px])
         fit = least_squares(_misfit, start, args=(image,), x_scale=np.array([flux, 1.0, 1.0, 1.0, 1.0, 0.3]), max_nfev=15)
         light = fit.x[0] if fit.success else 0.0

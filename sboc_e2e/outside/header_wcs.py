@@ -88,9 +88,7 @@ def _wrong_axes(wcs: WCS) -> str | None:
 
 def _wrong_directions(wcs: WCS, rows: int, cols: int) -> str | None:
     """Directions that are no numbers, pixels of absurd size, or places that do not come back to their pixels."""
-    grid = np.meshgrid(
-        np.linspace(-MARGIN_PX, cols - 1 + MARGIN_PX, GRID), np.linspace(-MARGIN_PX, rows - 1 + MARGIN_PX, GRID)
-    )
+    grid = np.meshgrid(np.linspace(-MARGIN_PX, cols - 1 + MARGIN_PX, GRID), np.linspace(-MARGIN_PX, rows - 1 + MARGIN_PX, GRID))
     col, row = (axis.ravel() for axis in grid)
     steps = _steps_deg(wcs, col, row)
     if not np.isfinite(steps).all():

@@ -20,7 +20,7 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
     "error": ("ERR", "ERROR", "SIGMA", "STDDEV", "STD", "UNCERT", "UNCERTAINTY", "RMS"),
     "weight": ("WHT", "WEIGHT", "WGT", "IVAR", "INVVAR", "EXPMAP"),
 }
-"""Kinds of planes, and words of EXTNAME that name them (HST and JWST pipelines, Gemini, LSST, NOIRLab, SWarp, astropy's CCDData)."""
+"""Kinds of planes, and words of EXTNAME that name them (HST, JWST, Gemini, LSST, NOIRLab, SWarp, CCDData)."""
 
 SQUARED: Final = re.compile(r"(\*\*|\^)\(?2\b|(adu|electrons?|counts?|dn|e-)2\b", re.IGNORECASE)
 """Units of a variance."""

@@ -49,6 +49,9 @@ the PSF is unknown the S/N is most of what tells bright trails from slopes."""
 LOOK_ALIKE: Final = (0.7, 0.7)
 """Sigma of ln S/N and ln length within which detections of a frame are of one kind."""
 
+LOOK_ALIKE_OVER_FLAT: Final = math.log(800.0 / 5.0) * math.log(400.0 / 1.7) / (2.0 * math.pi * math.prod(LOOK_ALIKE))
+"""Peak of that Gaussian over the flat density, which reaches over the borders of the histograms."""
+
 UNMODELLED_PER_FRAME: Final = 0.2
 LEAST_UNMODELLED_SNR: Final = 50.0
 LEAST_UNMODELLED_WIDTHS: Final = 40.0
@@ -100,7 +103,7 @@ def with_recurring_here(
     here = alike @ share / max(float(share.sum()), 1.0)
     flat = 1.0 / (1.0 + share.sum())
     out = log_density.copy()
-    out[:, column] += np.log(flat + (1.0 - flat) * here)
+    out[:, column] += np.log(flat + (1.0 - flat) * LOOK_ALIKE_OVER_FLAT * here)
     return out
 
 

@@ -123,7 +123,7 @@ def _survey(path: Path, max_pixels: int) -> tuple[list[Place], list[UserError]]:
     """Pictures of a file, and what is refused of it. Only images that may be flags are read beyond their header."""
     places, refused, planes = [], [], []
     try:
-        with _quietly(), fits.open(path, memmap=True, lazy_load_hdus=False) as hdus:
+        with _quietly(), fits.open(path, memmap=False, lazy_load_hdus=False) as hdus:
             for index, hdu in enumerate(hdus):
                 shape = _shape(hdu)
                 if shape is None:

@@ -37,6 +37,7 @@ from ground.sky.sphere import ARCSEC_RAD
 from ground.sky.turning import Attitude, Rate, attitude_of, rates_of
 from ground.streak_rows import STREAKS_PER_FRAME, LinkedStreaks, RunStreaks, StreakRows
 from ground.streaks.psf_field import PsfField
+from ground.vetting.pieces import with_joined_pieces
 from ground.vetting.repeated import repeated
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.downlink import DownlinkFrame
@@ -143,6 +144,7 @@ class GroundChain:
         sky = _sky_of(frame.header, solution, wcs)
         star_memory, frame = with_hidden_stars(state.stars, frame, solution)
         fits, flats = self._fit_streaks(frame, solution, photometry, calibration, psf)
+        fits = with_joined_pieces(fits, frame.psf_sigma_px or self._camera.psf_sigma_px)
         judged = guarded("vetter", steps.vetter, where, object, steps.vetter.probability, fits, self._with_known_width(frame))
         probabilities = probabilities_of(steps.vetter, where, judged, len(fits))
         probabilities = np.where(repeated(fits, probabilities), 0.0, probabilities)

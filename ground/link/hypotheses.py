@@ -27,6 +27,9 @@ FULL, ENTERING, LEAVING, POINT, CROSSING = range(5)
 _SIGMA_UNKNOWN_PX = 1.0
 """End error of a streak whose fit gave no usable covariance: about the on-board detection's."""
 
+SHORTEST_EXPOSURE_S = 1e-6
+"""Frames from outside may not tell theirs (0): a trail of no duration would have no speed."""
+
 _LOG_VETO_LOSS = float(np.log(0.03))
 """Share of real streaks that the vetter rejects; with the crowd of rejected ones it says what finding one on a track is worth."""
 
@@ -109,7 +112,7 @@ def frame_table(headers: Sequence[FrameHeader]) -> FrameTable:
     return FrameTable(
         number=np.array([header.frame for header in ordered], dtype=np.int64),
         start_s=np.array([(header.t_start_tai_ns - origin_tai_ns) * 1e-9 for header in ordered]),
-        exposure_s=np.array([header.exposure_ns * 1e-9 for header in ordered]),
+        exposure_s=np.array([max(header.exposure_ns * 1e-9, SHORTEST_EXPOSURE_S) for header in ordered]),
         line_time_s=np.array([header.line_time_ns * 1e-9 for header in ordered]),
         shape=np.array([(header.rows, header.cols) for header in ordered], dtype=np.int64).reshape(-1, 2),
         origin_tai_ns=origin_tai_ns,
@@ -216,7 +219,8 @@ def _plate_scale_rad_px(
     step = np.linalg.norm(unit[1:, 1] - unit[:-1, 1], axis=-1)[same], np.hypot(np.diff(row[:, 1]), np.diff(col[:, 1]))[same]
     chord, pixels = np.concatenate([own[0], step[0]]), np.concatenate([own[1], step[1]])
     usable = pixels > 20.0
-    return float(np.median(chord[usable] / pixels[usable])) if usable.any() else default_rad_px
+    scale = float(np.median(chord[usable] / pixels[usable])) if usable.any() else default_rad_px
+    return scale if scale > 0.0 else default_rad_px  # a WCS may put all pixels on one place
 
 
 def end_errors_px(streaks: Sequence[StreakMeasurement]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -41,8 +41,28 @@ GROUPED: Final = 0.05
 """Groups of hits that are taken for one trail, for each track that is: about as at 1,000 hits in a frame of 4096 x 4096; storms
 of 5,000 have more and quiet frames none."""
 
-LN_BRIGHTEST_SNR: Final = math.log(300.0)
-"""The class densities know of debris up to this S/N. Other telescopes see satellites: brighter ones count as this bright."""
+LN_BRIGHTEST_SNR: Final = math.log(100.0)
+LN_BRIGHTEST_SNR_UNKNOWN: Final = math.log(300.0)
+"""The class densities know of debris up to some S/N. Other telescopes see satellites: brighter ones count as this bright. Where
+the PSF is unknown the S/N is most of what tells bright trails from slopes."""
+
+LOOK_ALIKE: Final = (0.7, 0.7)
+"""Sigma of ln S/N and ln length within which detections of a frame are of one kind."""
+
+LOOK_ALIKE_OVER_FLAT: Final = math.log(800.0 / 5.0) * math.log(400.0 / 1.7) / (2.0 * math.pi * math.prod(LOOK_ALIKE))
+"""Peak of that Gaussian over the flat density, which reaches over the borders of the histograms."""
+
+UNMODELLED_PER_FRAME: Final = 0.2
+LEAST_UNMODELLED_SNR: Final = 50.0
+LEAST_UNMODELLED_WIDTHS: Final = 40.0
+LEAST_UNMODELLED_SHARPNESS: Final = -0.25
+LN_UNMODELLED: Final = -7.5
+"""Trails of a kind not modelled: as bright and as many widths long, no sharper than the optics. Inside these limits any width,
+texture, length and S/N are as likely as others; the density is of the four histograms together: 4 of 14 bins of S/N, 4 of 11
+of length, all of chi-square and 4 of 9 of lumpiness."""
+
+LUMPIEST: Final = 0.7
+NEVER: Final = -1e3
 
 LEAST_ELONGATION: Final = 4.0 * 2.355
 """Length over width (sigma) below which nothing tells a trail from blended stars or a galaxy when no star shows the PSF."""
@@ -66,11 +86,43 @@ def posterior_of_classes(
     return share
 
 
+def with_recurring_here(
+    log_density: NDArray[np.float64], features: Sequence[Features], classes: Sequence[str], rates: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Class densities of which the one of what recurs follows the frame's own look-alikes.
+
+    What a frame shows again and again (dust rings, warm columns) speaks against what is as long and as bright as that, and
+    not against a line ten times as long. The flat density is worth one frame; each member adds a Gaussian of `LOOK_ALIKE`
+    about itself, and none speaks against itself.
+    """
+    column = list(classes).index(RECURRING)
+    share = posterior_of_classes(log_density, rates, np.ones(len(rates)))[:, column]
+    place = np.array([(f.ln_snr, f.ln_length) for f in features]) / LOOK_ALIKE
+    alike = np.exp(-0.5 * np.sum((place[:, None] - place[None]) ** 2, axis=-1))
+    np.fill_diagonal(alike, 0.0)
+    here = alike @ share / max(float(share.sum()), 1.0)
+    flat = 1.0 / (1.0 + share.sum())
+    out = log_density.copy()
+    out[:, column] += np.log(flat + (1.0 - flat) * LOOK_ALIKE_OVER_FLAT * here)
+    return out
+
+
 def _beyond_knowledge(fit: StreakFit, frame: DownlinkFrame) -> bool:
     """Whether a frame that nobody calibrated and whose stars tell no PSF cannot carry this fit."""
     outside = max(-fit.row0, -fit.row1, -fit.col0, -fit.col1)
     outside = max(outside, max(fit.row0, fit.row1) - frame.header.rows, max(fit.col0, fit.col1) - frame.header.cols)
     return fit.snr < LEAST_SNR_UNKNOWN or fit.width_px < NARROWEST_PX or outside > FARTHEST_OUTSIDE_PX
+
+
+def _of_unmodelled_kind(fit: StreakFit, features: Features) -> bool:
+    """Whether a fit is a bright straight line so long for its width that only trails are, though none was simulated like it."""
+    return (
+        not (features.failed or features.aligned or features.static or features.spike)
+        and fit.snr >= LEAST_UNMODELLED_SNR
+        and fit.length_px >= LEAST_UNMODELLED_WIDTHS * fit.width_px
+        and features.sharpness >= LEAST_UNMODELLED_SHARPNESS
+        and not features.lumpiness > LUMPIEST
+    )
 
 
 def _blob(fit: StreakFit, psf_sigma_px: float, *, unknown: bool) -> bool:
@@ -124,9 +176,11 @@ class LikelihoodVetter:
         psf_sigma_px = UNKNOWN_PSF_SIGMA_PX if frame.psf_sigma_px is None else frame.psf_sigma_px
         ln_psf_error = math.hypot(UNKNOWN_LN_PSF, self.model_error) if unknown else self.model_error
         features = [features_of(fit, psf_sigma_px, ln_psf_error=ln_psf_error, model_error=self.model_error) for fit in fits]
-        if unknown:
-            features = [replace(each, ln_snr=min(each.ln_snr, LN_BRIGHTEST_SNR)) for each in features]
-        probability = 1.0 / (1.0 + np.exp(-(offset + slope * self.log_odds(features))))
+        strange = np.array([self.model_error > 0.0 and _of_unmodelled_kind(*pair) for pair in zip(fits, features, strict=True)])
+        if unknown or self.model_error > 0.0:
+            brightest = LN_BRIGHTEST_SNR_UNKNOWN if unknown else LN_BRIGHTEST_SNR
+            features = [replace(each, ln_snr=min(each.ln_snr, brightest)) for each in features]
+        probability = 1.0 / (1.0 + np.exp(-(offset + slope * self.log_odds(features, strange))))
         refused = [self._refused(fit, frame, psf_sigma_px, unknown=unknown) for fit in fits]
         return np.asarray(np.where(refused, 0.0, probability), dtype=np.float64)
 
@@ -152,12 +206,20 @@ class LikelihoodVetter:
             RECURRING: (self.recurring_per_frame, 1.0),
         }
 
-    def log_odds(self, features: Sequence[Features]) -> NDArray[np.float64]:
-        """ln P(real) / P(not real), shape (n,), of the detections of one frame, features taken as independent."""
+    def log_odds(self, features: Sequence[Features], strange: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
+        """ln P(real) / P(not real), shape (n,), of the detections of one frame, features taken as independent.
+
+        strange : (n,) which may be trails of a kind not modelled.
+        """
         densities, classes = class_densities(), self.class_rates()
         log_density = np.array([[densities[name].log_density(name, f) for name in classes] for f in features])
         rate, worth = (np.array(column) for column in zip(*classes.values(), strict=True))
+        real = np.array([name == REAL for name in classes])
+        if self.model_error > 0.0:  # frames that nobody calibrated
+            log_density = with_recurring_here(log_density, features, list(classes), rate)
+        if strange is not None and strange.any():
+            log_density = np.column_stack((log_density, np.where(strange, LN_UNMODELLED, NEVER)))
+            rate, worth, real = np.append(rate, UNMODELLED_PER_FRAME), np.append(worth, self.steady_frames), np.append(real, True)
         share = posterior_of_classes(log_density, rate, worth)
-        real = share[:, list(classes).index(REAL)]
-        rest = np.delete(share, list(classes).index(REAL), axis=1).sum(axis=1)
-        return np.asarray(np.log(np.maximum(real, 1e-12)) - np.log(np.maximum(rest, 1e-12)), dtype=np.float64)
+        yes, no = share[:, real].sum(axis=1), share[:, ~real].sum(axis=1)
+        return np.asarray(np.log(np.maximum(yes, 1e-12)) - np.log(np.maximum(no, 1e-12)), dtype=np.float64)

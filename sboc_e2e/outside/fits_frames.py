@@ -7,7 +7,7 @@ EXPTIME seconds, GAIN e-/ADU, RDNOISE e-; each may be absent.
 import math
 import warnings
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
@@ -23,6 +23,8 @@ from sboc_e2e.icd.errors import ContractError, UserError
 from sboc_e2e.icd.frame import Frame, FrameHeader
 from sboc_e2e.icd.tai import NS_PER_S, from_jd_parts
 from sboc_e2e.outside.frame_source import Note, SourcedFrame
+from sboc_e2e.outside.header_wcs import COARSEST_DEG, FINEST_DEG, usable_wcs
+from sboc_e2e.outside.image_planes import Plane, planes_of, with_planes
 
 SUFFIXES: Final = (".fits", ".fit", ".fts", ".fits.fz", ".fit.fz", ".fits.gz")
 MAX_SIDE_PX: Final = 16384
@@ -31,21 +33,19 @@ MAX_PIXELS: Final = 10_000 * 10_000
 MJD_KEYS: Final = ("MJD-OBS", "MJD-STR")
 MAX_SHOWN: Final = 40
 """Characters of a header's value that a note repeats."""
-FINEST_DEG: Final = 1e-7
-COARSEST_DEG: Final = 0.5
-"""Larger pixels are not believed: 1 is the default of a header's keys."""
 FIRST_ASSUMED_TAI_NS: Final = 1_325_376_000 * NS_PER_S
 """2000-01-01T00:00:00 TAI: frames without a time are numbered from here, one second apart."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """An image: file, HDU, rows and columns."""
+    """An image: file, HDU, rows and columns, and the planes of its file that tell of its pixels."""
 
     path: Path
     hdu: int
     rows: int
     cols: int
+    planes: tuple[Plane, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -58,10 +58,11 @@ class FitsFolder:
     path: Path
     use_wcs: bool = True
     max_pixels: int = MAX_PIXELS
+    _unread: dict[tuple[Path, int], str] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @cached_property
     def places(self) -> tuple[Place, ...]:
-        """All images. Raises `UserError` for a missing or empty folder and for files that are not FITS."""
+        """All images. Raises `UserError` for a missing or empty folder, and where no file holds an image that can be read."""
         if self.path.is_file():
             files = [self.path]
         elif self.path.is_dir():
@@ -70,9 +71,15 @@ class FitsFolder:
             raise UserError(f"{self.path}: no such folder of FITS files")
         if not files:
             raise UserError(f"{self.path}: holds no FITS file; names must end in {', '.join(SUFFIXES)}")
-        found = [place for path in files for place in images_of(path, self.max_pixels)]
+        found: list[Place] = []
+        refused: list[UserError] = []
+        for path in files:
+            images, odd = _survey(path, self.max_pixels)
+            found += images
+            refused += odd
+        self._unread.update({(self.path, -1 - k): str(error) for k, error in enumerate(refused)})
         if not found:
-            raise UserError(f"{self.path}: no file holds a two-dimensional image")
+            raise refused[0] if refused else UserError(f"{self.path}: no file holds a two-dimensional image")
         return tuple(found)
 
     @property
@@ -80,17 +87,43 @@ class FitsFolder:
         """Number of images."""
         return len(self.places)
 
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """What could not be read, as far as the frames have been gone through."""
+        return tuple(self._unread.values())
+
     def frames(self) -> Iterator[SourcedFrame]:
-        """Frames in order; times that do not rise are left as the headers have them."""
-        for number, place in enumerate(self.places):
-            yield read_frame(place, number, use_wcs=self.use_wcs)
+        """Frames in order; times that do not rise are left as the headers have them.
+
+        Images that cannot be read are left out. Raises `UserError` when none can.
+        """
+        number, first = 0, None
+        for place in self.places:
+            try:
+                sourced = read_frame(place, number, use_wcs=self.use_wcs)
+            except UserError as error:
+                first = first or error
+                self._unread[place.path, place.hdu] = str(error)
+                continue
+            yield sourced
+            number += 1
+        if number == 0 and first is not None:
+            raise first
 
 
 def images_of(path: Path, max_pixels: int = MAX_PIXELS) -> list[Place]:
-    """The 2-D images of a file, from its headers alone."""
-    places = []
+    """The 2-D images of a file that are pictures of the sky. Raises `UserError` when all that it holds is refused."""
+    places, refused = _survey(path, max_pixels)
+    if refused and not places:
+        raise refused[0]
+    return places
+
+
+def _survey(path: Path, max_pixels: int) -> tuple[list[Place], list[UserError]]:
+    """Pictures of a file, and what is refused of it. Only images that may be flags are read beyond their header."""
+    places, refused, planes = [], [], []
     try:
-        with _quietly(), fits.open(path, memmap=True, lazy_load_hdus=False) as hdus:
+        with _quietly(), fits.open(path, memmap=False, lazy_load_hdus=False) as hdus:
             for index, hdu in enumerate(hdus):
                 shape = _shape(hdu)
                 if shape is None:
@@ -98,16 +131,22 @@ def images_of(path: Path, max_pixels: int = MAX_PIXELS) -> list[Place]:
                 rows, cols = shape
                 small, large = min(rows, cols) < MIN_SIDE_PX, max(rows, cols) > MAX_SIDE_PX or rows * cols > max_pixels
                 if small or large:
-                    raise UserError(
+                    text = (
                         f"{path}, HDU {index}: image of {rows} x {cols}; allowed are sides of {MIN_SIDE_PX} to {MAX_SIDE_PX} px "
                         f"and {max_pixels} pixels in all"
                     )
+                    refused.append(UserError(text))
+                    continue
                 places.append(Place(path=path, hdu=index, rows=rows, cols=cols))
-    except (UserError, MemoryError):
+            planes = planes_of(hdus, [place.hdu for place in places])
+    except MemoryError:
         raise
-    except Exception as error:  # damaged files make astropy and its decompressors raise nearly everything
-        raise UserError(f"{path}: not a readable FITS file ({_first_line(error)})") from error
-    return places
+    except Exception as error:  # noqa: BLE001 - damaged files make astropy and its decompressors raise nearly everything
+        return [], [*refused, UserError(f"{path}: not a readable FITS file ({_first_line(error)})")]
+    pictures = [place for place in places if place.hdu not in {plane.hdu for plane in planes}]
+    if places and not pictures:
+        refused.append(UserError(f"{path}: holds no picture, only {', '.join(sorted({plane.words for plane in planes}))}"))
+    return [replace(each, planes=tuple(p for p in planes if p.image == each.hdu)) for each in pictures], refused
 
 
 def read_frame(place: Place, number: int, *, use_wcs: bool = True) -> SourcedFrame:
@@ -117,7 +156,8 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True) -> SourcedFra
             hdu = hdus[place.hdu]
             header = _headers(hdus, hdu)
             data = hdu.data
-            wcs = _wcs(hdu.header)
+            wcs, doubt = usable_wcs(hdu.header, place.rows, place.cols)
+            blind, notes = with_planes(hdus, place.planes, (place.rows, place.cols))
     except MemoryError:
         raise
     except Exception as error:  # as above
@@ -125,7 +165,10 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True) -> SourcedFra
     if data is None or np.shape(data) != (place.rows, place.cols) or data.dtype.kind not in "uif":
         raise UserError(f"{place.path}, HDU {place.hdu}: holds no image of {place.rows} x {place.cols} numbers")
     pixels, saturation = pixels_of(data)
-    notes: list[Note] = []
+    if blind is not None and blind.any():
+        pixels = pixels.astype(np.float32)
+        pixels[blind] = np.nan
+    notes += [doubt] if doubt and use_wcs else []
     frame_header = _frame_header(header, number, pixels.shape, saturation, notes)
     return SourcedFrame(
         frame=Frame(header=frame_header, pixels=pixels),
@@ -197,7 +240,7 @@ def _scale_deg(wcs: WCS) -> float:
     try:
         with _quietly():
             return float(np.sqrt(np.prod(proj_plane_pixel_scales(wcs.celestial))))
-    except Exception:  # noqa: BLE001 - as in `_wcs`: whatever a header holds, the frame is a frame
+    except Exception:  # noqa: BLE001 - whatever a header holds, the frame is a frame
         return 0.0
 
 
@@ -286,18 +329,6 @@ def _shape(hdu: Any) -> tuple[int, int] | None:
         return None
     shape = hdu.shape
     return (int(shape[0]), int(shape[1])) if len(shape) == 2 and all(shape) else None
-
-
-def _wcs(header: fits.Header) -> WCS | None:
-    """The header's celestial WCS, if it has a usable one."""
-    try:
-        wcs = WCS(header)
-        if not wcs.has_celestial or wcs.naxis != 2:
-            return None
-        corner = wcs.pixel_to_world(0.0, 0.0)
-        return wcs if np.isfinite([corner.ra.deg, corner.dec.deg]).all() else None
-    except Exception:  # noqa: BLE001 - as above; a frame without a usable WCS is a frame
-        return None
 
 
 class _quietly(warnings.catch_warnings):

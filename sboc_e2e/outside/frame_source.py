@@ -38,6 +38,11 @@ class FrameSource(Protocol):
         """How many frames there are."""
         ...
 
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """What could not be taken as a frame, one line each, as far as the frames have been gone through."""
+        ...
+
     def frames(self) -> Iterator[SourcedFrame]:
         """The frames; each is made or read when it is asked for."""
         ...

@@ -25,6 +25,9 @@ WCS_CHOICES: Final = ("header", "solve", "none")
 MODEL_ERROR: Final = 0.2
 """Share of a trail's light by which telescopes on the ground differ from the fit's model: turbulence, tracking, tumbling."""
 
+MOST_REGIONS: Final = 300
+"""Detections of a frame that are measured: no link limits them, and dust or cosmic rays must not leave trails out."""
+
 
 @dataclass(kw_only=True)
 class Seen:
@@ -34,6 +37,8 @@ class Seen:
     wcs: dict[int, object] = field(default_factory=dict)
     notes: dict[str, list[str]] = field(default_factory=dict)
     """Texts of the notes by kind."""
+    of_frame: dict[int, tuple[str, ...]] = field(default_factory=dict)
+    """Texts of the notes by frame."""
 
 
 def base_document(wcs: str) -> dict[str, Any]:
@@ -45,7 +50,7 @@ def base_document(wcs: str) -> dict[str, Any]:
     if wcs not in WCS_CHOICES:
         raise UserError(f'--wcs: expected one of {", ".join(WCS_CHOICES)}, got "{wcs[:40]}"')
     return {
-        "onboard": {"downlink": {"budget": "0 Mbit/s"}},
+        "onboard": {"downlink": {"budget": "0 Mbit/s"}, "roi": {"max_per_frame": MOST_REGIONS}},
         "ground": {
             "astrometry": {"lost_in_space": "required" if wcs == "solve" else "never"},
             "vetter": {"model_error": MODEL_ERROR},
@@ -97,17 +102,20 @@ def process(
     board = OnboardStage(run=directory, chain=chain)
     manifest.begin("onboard")
     progress.stage("onboard", n_frames)
-    board.join(board.take(_noted(source, seen), progress), scenario.faults, scenario.seed)
+    manifest.n_frames = n_frames = board.take(_noted(source, seen), progress)
+    board.join(n_frames, scenario.faults, scenario.seed)
     manifest.finish("onboard", **board.figures())
     directory.clear_work("onboard")
     for texts in seen.notes.values():
         progress.note(f"{len(texts)} of {n_frames} frames: {texts[0]}")
+    for text in source.left_out:
+        progress.note(f"left out: {text}")
     ground = GroundStage(
         run=directory,
         chain=ground_chain(scenario, calibration=None, camera=nominal, catalogue=catalogue, run_id=manifest.run_id),
         options=scenario.ground,
         catalogue=catalogue,
-        outside=Outside(origin=seen.origin, wcs=seen.wcs),
+        outside=Outside(origin=seen.origin, wcs=seen.wcs, notes=seen.of_frame, left_out=source.left_out),
     )
     manifest.begin("ground")
     ground.execute(progress)
@@ -122,6 +130,7 @@ def _noted(source: FrameSource, seen: Seen) -> Iterator[Frame]:
         seen.origin[number] = (sourced.file, sourced.hdu)
         if sourced.wcs is not None:
             seen.wcs[number] = sourced.wcs
+        seen.of_frame[number] = tuple(note.text for note in sourced.notes)
         for note in sourced.notes:
             seen.notes.setdefault(note.kind, []).append(note.text)
         yield sourced.frame

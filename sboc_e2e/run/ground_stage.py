@@ -56,10 +56,25 @@ RUNS_NAMED: Final = 5
 
 @dataclass(frozen=True, kw_only=True)
 class Outside:
-    """What is known of frames from outside: file and HDU, and the WCS of its header, by frame number."""
+    """What is known of frames from outside: file and HDU, the WCS of its header, and notes on it, by frame number.
+
+    left_out : what could not be taken as a frame.
+    """
 
     origin: Mapping[int, tuple[str, int]] = field(default_factory=dict)
     wcs: Mapping[int, Any] = field(default_factory=dict)
+    notes: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
+    left_out: tuple[str, ...] = ()
+
+    def as_dict(self) -> dict[str, Any]:
+        """What ingest.json says of them; nothing of frames that were simulated."""
+        if not self.origin:
+            return {}
+        said = [
+            {"frame": number, "file": file, "hdu": hdu, "notes": list(self.notes.get(number, ()))}
+            for number, (file, hdu) in sorted(self.origin.items())
+        ]
+        return {"outside": {"frames": said, "left_out": list(self.left_out)}}
 
 
 def ground_chain(
@@ -182,7 +197,7 @@ class GroundStage:
     def _write(self, folder: Path, frames: Sequence[DownlinkFrame], result: GroundProducts) -> None:
         """The tables and messages of products/."""
         options = self.options
-        pieces = (_with_origin(table, self.outside.origin) for table in tables.frames_tables(result, frames))
+        pieces = (_with_origin(table, self.outside) for table in tables.frames_tables(result, frames))
         ecsv.write_pieces(folder / "frames.ecsv", pieces)
         ecsv.write_pieces(folder / "stars.ecsv", tables.stars_tables(result, frames))
         ecsv.write_pieces(folder / "streaks.ecsv", tables.streaks_tables(result))
@@ -204,7 +219,7 @@ class GroundStage:
             errors = tdm_angles_table(result.tracklets, result.members, result.headers, options.products, oem_name=oem_name)
             ecsv.write_table(folder / TDM_ANGLES_NAME, errors)
         said = {"products_lack": lacking(result, orbits_wanted=options.orbits)}
-        write_json(folder / "ingest.json", (result.ingest.as_dict() if result.ingest else {}) | said)
+        write_json(folder / "ingest.json", (result.ingest.as_dict() if result.ingest else {}) | said | self.outside.as_dict())
         self._write_images(folder / "images", frames, result)
         if options.products.tracklet_plots:
             # here, since matplotlib takes longer to load than a frame to process
@@ -246,11 +261,14 @@ def _judge(path: Path, ingest: IngestReport, progress: Progress) -> None:
         progress.note(f"{path}: no intact header packet, without which none of {len(ingest.frames_unusable)} frames can be built")
 
 
-def _with_origin(table: Table, origin: Mapping[int, tuple[str, int]]) -> Table:
-    """The frames table with the file and HDU that each frame came from, where frames came from files."""
+def _with_origin(table: Table, outside: Outside) -> Table:
+    """The frames table with the file and HDU that each frame came from, and notes on it, where frames came from files."""
+    origin = outside.origin
     if origin:
         places = [origin.get(int(frame), ("-", -1)) for frame in table["frame"]]
         names = np.array([name for name, _ in places], dtype=str) if places else np.zeros(0, dtype="U1")
         table["file"] = Column(names, description="file that the frame came from")
         table["hdu"] = Column(np.array([hdu for _, hdu in places], dtype=np.int64), description="header-data unit in that file")
+        notes = np.array(["; ".join(outside.notes.get(int(frame), ())) or "-" for frame in table["frame"]], dtype=str)
+        table["notes"] = Column(notes, description="what its header lacks, and which planes beside it were used")
     return table

@@ -57,7 +57,9 @@ def test_a_wcs_that_cannot_be_believed_leaves_pixels_and_a_note(tmp_path: Path, 
     said = run(tmp_path / "in", tmp_path / "out")
     for frame in said["outside"]["frames"]:
         assert any("WCS not used" in note for note in frame["notes"])
-    frames, streaks = (Table.read(tmp_path / "out" / "products" / f"{n}.ecsv", format="ascii.ecsv") for n in ("frames", "streaks"))
+    frames, streaks = (
+        Table.read(tmp_path / "out" / "products" / f"{n}.ecsv", format="ascii.ecsv") for n in ("frames", "streaks")
+    )
     assert all("WCS not used" in note for note in frames["notes"])
     assert not np.isfinite(np.asarray(streaks["ra_mid_deg"], dtype=float)).any()
 

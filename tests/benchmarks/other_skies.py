@@ -1,6 +1,6 @@
 """Exam of the on-board chain under other skies: snr50, false detections per frame and CPU against the clean sky, row by row.
 
-python -m tests.benchmarks.bench_sky [--frames N] [--side PX] [--hostile] [ROW ...]
+python -m tests.benchmarks.other_skies [--frames N] [--side PX] [--hostile] [ROW ...]
 """
 
 import argparse

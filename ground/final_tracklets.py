@@ -16,6 +16,7 @@ from ground.refit import SharedErrors, refit_streaks
 from ground.sky.bend import bent
 from ground.sky.measure import jacobian_arcsec, pointing_sigma_arcsec, with_sky
 from ground.sky.pixel_sky import sky_of
+from ground.sky.shake_model import STEADY, EndShake, end_shake
 from ground.sky.sphere import ARCSEC_RAD
 from ground.sky.turning import Rate
 from ground.streak_rows import LinkedStreaks
@@ -26,12 +27,16 @@ from sboc_e2e.icd.products import StreakMeasurement, StreakPixels, Tracklet
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkedRun:
-    """Frames of a run in order of time, with the rates at which the camera turned, and where the streaks of tracklets belong."""
+    """Frames of a run in order of time, with the rates at which the camera turned, and where the streaks of tracklets belong.
+
+    end_shake : what errors of the rates let expect where the shutter opens and closes.
+    """
 
     headers: Sequence[FrameHeader]
     products: Sequence[FrameProducts]
     rates: Sequence[Rate]
     linked: LinkedStreaks
+    end_shake: EndShake = STEADY
 
     def single(self, tracklet: Tracklet) -> list[StreakMeasurement]:
         """Members of a tracklet as their frames show them alone, in time order and dated."""
@@ -56,7 +61,8 @@ def with_shake(run: LinkedRun, tracklets: Sequence[Tracklet], order: Sequence[in
         run.linked.put(number, members)
         sways.append(_sway(run, tracklets[number], members, 1.0 / (focal_px * ARCSEC_RAD)))
     factor = shake_factor(sways)
-    return replace(run, rates=[rate._replace(sigma_rad_s=factor * rate.sigma_rad_s) for rate in run.rates])
+    rates = [rate._replace(sigma_rad_s=factor * rate.sigma_rad_s) for rate in run.rates]
+    return replace(run, rates=rates, end_shake=end_shake(factor, *_exposure_and_step_s(run.headers)))
 
 
 def final_tracklet(
@@ -77,13 +83,14 @@ def final_tracklet(
             lambda frame: run.products[place[frame]].solution,
             pixels_of,
             lambda frame: run.rates[place[frame]].sigma_rad_s,
+            run.end_shake,
         )
     frames = [run.products[k] for k in at]
     placed = [_placed(member, frame) for member, frame in zip(members, frames, strict=True)]
     measured = measured_tracklet(
         tracklet,
         [
-            _member(one, streak, frame, run.sigma_rate_arcsec_s(k), shared.get(streak.streak_id))
+            _member(one, streak, frame, run.sigma_rate_arcsec_s(k), run.end_shake, shared.get(streak.streak_id))
             for one, streak, frame, k in zip(single, placed, frames, at, strict=True)
         ],
     )
@@ -93,6 +100,13 @@ def final_tracklet(
     ]
     run.linked.put(number, final)
     return with_mean_light(measured, final)
+
+
+def _exposure_and_step_s(headers: Sequence[FrameHeader]) -> tuple[float, float]:
+    """Medians of the run; a step of 0 of fewer than two frames."""
+    start_ns = np.sort(np.array([h.t_start_tai_ns for h in headers], dtype=np.int64))
+    step_s = float(np.median(np.diff(start_ns))) * 1e-9 if len(start_ns) > 1 else 0.0
+    return float(np.median([h.exposure_ns for h in headers])) * 1e-9 if headers else 0.0, step_s
 
 
 def _sway(run: LinkedRun, tracklet: Tracklet, members: Sequence[StreakMeasurement], scale_arcsec: float) -> Sway:
@@ -123,6 +137,7 @@ def _member(
     final: StreakMeasurement,
     product: FrameProducts,
     sigma_rate_arcsec_s: float,
+    shake: EndShake,
     shared: tuple[int, NDArray[np.float64]] | None,
 ) -> Member:
     """What a tracklet is measured on of one member."""
@@ -134,6 +149,7 @@ def _member(
         jacobian_arcsec=jacobian_arcsec(final, product.header, sky),
         pointing_arcsec=pointing_sigma_arcsec(product.solution.covariance_rad2),
         sigma_rate_arcsec_s=sigma_rate_arcsec_s,
+        end_shake=shake,
         group=group,
         shared_arcsec=errors,
     )

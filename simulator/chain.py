@@ -35,6 +35,7 @@ from simulator.platform.line_of_sight import LineOfSight
 from simulator.platform.observer import SiteObserver, make_observer
 from simulator.platform.pointing import commanded_attitude
 from simulator.platform.rotation import quaternion_of
+from simulator.radiation.arrival import field_lines
 from simulator.radiation.field import ParticleField
 from simulator.radiation.hits import HitList
 from simulator.randomness import Effect, generator
@@ -123,7 +124,9 @@ class Simulator:
         sight = self._carrier.sight(index)
         image_e, sky_e, entropy_bits, stars, streaks = self._expose(sight, index)
         middle = self._carrier.timing(index, delivered=True).middle_tai_ns
-        hits = self._particles.hits(index, self._camera.exposure_s, self._carrier.geodetic(middle))
+        fixed = self._carrier.earth_fixed(middle)
+        lines = field_lines(*fixed) if fixed else None
+        hits = self._particles.hits(index, self._camera.exposure_s, self._carrier.geodetic(middle), lines)
         pixels = self._camera.sensor.digitise(image_e, index, self._camera.exposure_s, hits)
         cosmics = self._cosmics(hits, index)
         frame = self._frame_truth(sight, index, sky_e)

@@ -91,7 +91,10 @@ SEGMENT_SEAMS: Final = {
 def scenario_model() -> type[BaseModel]:
     """Pydantic model of a whole scenario file without its component tables."""
     segments: dict[str, Any] = {
-        f"option_{name}": (option_models.model_of(options), Field(default=None, alias=name, description=f"{name} segment"))
+        f"option_{name}": (
+            option_models.model_of(options),
+            Field(default=None, alias=name, description=f"{name} segment", json_schema_extra=option_models.without_null),
+        )
         for name, options in SEGMENT_OPTIONS.items()
     }
     return create_model(
@@ -142,13 +145,30 @@ def load(
     return _resolved(tables(path), path.stem, str(path), registry, overrides, use or {}, seed)
 
 
+FILE_KEYS: Final = (
+    ("stars", "catalogue_file"),
+    ("objects", "satellites", "file"),
+    ("ground", "catalogue_file"),
+    ("ground", "known_objects_file"),
+    ("ground", "precise_orbits_file"),
+)
+"""Keys that name a file. A relative path in a scenario is looked for beside the scenario, then in the working folder."""
+
+
 def tables(path: Path) -> dict[str, Any]:
-    """The tables of a scenario file with its presets."""
+    """The tables of a scenario file with its presets; files that lie beside it by their full path."""
     given = toml_files.read(path)
     if not given:
         # All defaults would be a run of hours that nobody asked for.
         raise UserError(f"{path}: holds no key; a scenario says at least one thing, such as frames = 6")
-    return toml_files.with_presets(given, path.resolve().parent, str(path))
+    merged = toml_files.with_presets(given, path.resolve().parent, str(path))
+    for *parents, key in FILE_KEYS:
+        table: Any = merged
+        for parent in parents:
+            table = table.get(parent) if isinstance(table, dict) else None
+        if isinstance(table, dict) and isinstance(name := table.get(key), str) and (path.parent / name).is_file():
+            table[key] = str(path.parent / name)
+    return merged
 
 
 def bare(

@@ -232,10 +232,8 @@ def scenarios_show(
     from sboc_e2e import scenario as scenario_files
     from sboc_e2e.scenario import shown
 
-    chosen = parsed_uses(use)
-    resolved = scenario_files.load(scenario, registry=registry_of(plugin), overrides=overrides or (), use=chosen)
-    layers = shown.layers_of(scenario_files.find(scenario), overrides or (), chosen)
-    typer.echo(shown.text(resolved, layers), nl=False)
+    resolved = scenario_files.load(scenario, registry=registry_of(plugin), overrides=overrides or (), use=parsed_uses(use))
+    typer.echo(shown.text(resolved), nl=False)
 
 
 @catalogue_app.command("build")

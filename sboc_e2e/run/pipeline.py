@@ -102,7 +102,7 @@ class Run:
         try:
             return self._maker().simulator()
         except UserError as error:
-            raise UserError(f"scenario {self.scenario.name}: {error}") from error
+            raise UserError(f"scenario {self.scenario.name}: {self.scenario.told(str(error))}") from error
 
     def simulate_and_onboard(self, simulator: Simulator | None = None) -> None:
         """Both halves of the space segment, streamed: no more than a few frames exist at a time."""

@@ -1,5 +1,6 @@
 """The resolved scenario: options of the three segments, the chosen steps, what to keep, and back to a document."""
 
+import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -13,7 +14,7 @@ from onboard.options import OnboardOptions
 from sboc_e2e.faults.options import FaultOptions
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import SEAMS, Registry
-from sboc_e2e.scenario import option_models, toml_files
+from sboc_e2e.scenario import option_models, origin, toml_files
 from simulator.options import SimulatorOptions
 
 
@@ -58,6 +59,12 @@ class Scenario:
     output: OutputOptions
     faults: FaultOptions
     components: Mapping[str, Component]
+    layers: tuple[origin.Layer, ...] = field(default=(), compare=False, repr=False)
+    """Presets, file and command line that its values are from; none where it was made of tables."""
+
+    def told(self, message: str) -> str:
+        """The message of a refusal, with the source of the key that it names where the user did not write it."""
+        return origin.told(message, self.layers, default_texts()) if self.layers else message
 
     def step(self, seam: str) -> Any:
         """The configured step of a seam."""
@@ -142,7 +149,31 @@ def load(
     scenario's choice together with its options. Raises `UserError` of one line for anything wrong.
     """
     path = find(scenario)
-    return _resolved(tables(path), path.stem, str(path), registry, overrides, use or {}, seed)
+    overrides = tuple(overrides)
+    document = tables(path)
+    layers = origin.layers_of(path, overrides, use or {})
+    try:
+        resolved = _resolved(document, path.stem, str(path), registry, overrides, use or {}, seed)
+    except UserError as error:
+        raise UserError(origin.told(str(error), layers, default_texts())) from error
+    return dataclasses.replace(resolved, layers=tuple(layers))
+
+
+@cache
+def default_texts() -> dict[str, str]:
+    """Dotted names of all keys of the segments and the harness, with their defaults as a scenario would write them."""
+    found: dict[str, str] = {}
+
+    def walk(options: type, prefix: str) -> None:
+        for item in option_models.option_fields(options):
+            if option_models.is_options(item.hint):
+                walk(item.hint, f"{prefix}{item.key}.")
+            else:
+                found[prefix + item.key] = "not set" if item.default is None else str(item.written_default)
+
+    for options, prefix in ((HarnessOptions, ""), (SimulatorOptions, ""), *((o, f"{s}.") for s, o in SEGMENT_OPTIONS.items())):
+        walk(options, prefix)
+    return found
 
 
 FILE_KEYS: Final = (

@@ -6,6 +6,7 @@ are arrays of tables. Segments know nothing of it.
 """
 
 import dataclasses
+import datetime
 import difflib
 import types
 import typing
@@ -254,7 +255,8 @@ def _checker(kind: type, unit: str | None, meta: Mapping[str, Any]) -> Callable[
         else:
             accepted: tuple[type, ...] = (int, float) if kind is float else (kind,)
             if not isinstance(value, accepted) or (isinstance(value, bool) and kind is not bool):
-                raise ValueError(f"expected {_NAMES[kind]}, got {quantities.shown(value)}")
+                quotes = ", in quotes" if kind is str and isinstance(value, datetime.date | datetime.time) else ""
+                raise ValueError(f"expected {_NAMES[kind]}{quotes}, got {quantities.shown(value)}")
             if isinstance(value, str) and len(value) > MAX_STRING:
                 raise ValueError(f"expected at most {MAX_STRING} characters, got {len(value)}")
             result = _finite(value) if kind is float else value
@@ -322,7 +324,9 @@ def _one_line(error: ValidationError, model: type[BaseModel], where: str, also: 
         *parents, key = first["loc"]
         table = ".".join(str(part) for part in parents)
         known = [*also.get(table, ()), *_keys_at(model, parents)]
-        return f'{where}: unknown key "{key}"{f" in [{table}]" if table else ""}; {did_you_mean(str(key), known)}'
+        elsewhere = [f"[{other}]" for other in _tables_with(model, str(key))]
+        hint = f"{' and '.join(elsewhere[:3])} {'has' if len(elsewhere) == 1 else 'have'} such a key; " if elsewhere else ""
+        return f'{where}: unknown key "{key}"{f" in [{table}]" if table else ""}; {hint}{did_you_mean(str(key), known)}'
     if first["type"] == "missing":
         return f"{where}: {path} is missing"
     cause = first.get("ctx", {}).get("error")
@@ -330,7 +334,22 @@ def _one_line(error: ValidationError, model: type[BaseModel], where: str, also: 
         return f"{where}: {path}: {cause}"
     if first["type"] in ("model_type", "model_attributes_type"):
         return f"{where}: {path}: expected a table, got {quantities.shown(first['input'])}"
+    if first["type"] == "tuple_type":
+        return f"{where}: {path}: expected an array, got {quantities.shown(first['input'])}; tables are [[{path}]], values [1, 2]"
     return f"{where}: {path}: {first['msg'][0].lower()}{first['msg'][1:]}, got {quantities.shown(first['input'])}"
+
+
+def _tables_with(model: Any, key: str, prefix: str = "") -> list[str]:
+    """Dotted names of the tables below the top that have a key of this name."""
+    found = []
+    for info in model.model_fields.values():
+        below = info.annotation
+        if isinstance(below, type) and issubclass(below, BaseModel):
+            path = f"{prefix}{info.alias}"
+            if any(str(item.alias) == key for item in below.model_fields.values()):
+                found.append(path)
+            found += _tables_with(below, key, f"{path}.")
+    return found
 
 
 def _keys_at(model: type[BaseModel], path: list[int | str]) -> list[str]:

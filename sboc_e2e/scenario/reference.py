@@ -53,25 +53,6 @@ def page() -> str:
     return "".join(parts)
 
 
-def keys() -> Iterator[str]:
-    """Dotted names of all keys of the segments and the harness, steps of seams left out."""
-    for options, prefix in (
-        (HarnessOptions, ""),
-        (SimulatorOptions, ""),
-        (OnboardOptions, "onboard."),
-        (GroundOptions, "ground."),
-    ):
-        yield from _keys(options, prefix)
-
-
-def _keys(options: type, prefix: str) -> Iterator[str]:
-    for field in option_fields(options):
-        if is_options(field.hint):
-            yield from _keys(field.hint, f"{prefix}{field.key}.")
-        else:
-            yield prefix + field.key
-
-
 def _section(path: str, meaning: str, options: type, default: Any) -> list[str]:
     """A heading and the table of its keys, then the same for the tables and arrays of tables inside."""
     fields = option_fields(options)

@@ -7,23 +7,20 @@ import json
 import math
 import typing
 from collections.abc import Iterator, Mapping, Sequence
-from pathlib import Path
 from typing import Any
 
 from ground.options import GroundOptions
 from onboard.options import OnboardOptions
 from sboc_e2e.registry import SEAMS
-from sboc_e2e.scenario import toml_files
 from sboc_e2e.scenario.document import HarnessOptions, Scenario
 from sboc_e2e.scenario.option_models import OptionField, is_options, option_fields
+from sboc_e2e.scenario.origin import Layer, source
 from simulator.options import SimulatorOptions
 
-Layer = tuple[str, Mapping[str, Any]]
-"""Where values come from, and the tables that it gives."""
 
-
-def text(scenario: Scenario, layers: Sequence[Layer]) -> str:
-    """The commented file. layers : file, presets and overrides, of which the later ones win."""
+def text(scenario: Scenario) -> str:
+    """The commented file."""
+    layers = scenario.layers
     document = scenario.document()
     head = f"# {scenario.name}: every key with its value. A comment says what the key means, then where its value is from."
     lines = [head, "# Keys without a source have their default.", ""]
@@ -41,22 +38,6 @@ def text(scenario: Scenario, layers: Sequence[Layer]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def layers_of(path: Path, overrides: Sequence[str] = (), use: Mapping[str, str] | None = None) -> list[Layer]:
-    """Presets, the file and what was typed, in the order in which later ones win."""
-    own = toml_files.read(path)
-    layers: list[Layer] = []
-    for name, table in own.items():
-        if isinstance(table, dict) and "preset" in table:
-            preset = toml_files.preset_path(table["preset"], path.resolve().parent, f"{path}: {name}.preset")
-            layers.append((f"preset {preset.stem}", toml_files.read(preset)))
-    layers.append((path.name, own))
-    for seam, step in (use or {}).items():
-        segment, _, key = seam.partition(".")
-        layers.append(("--use", {segment: {key: {"use": step}}}))
-    layers += [("--set", toml_files.with_override({}, override)) for override in overrides]
-    return layers
-
-
 def _table(options: type, values: Mapping[str, Any], path: tuple[str, ...], meaning: str, layers: Sequence[Layer]) -> list[str]:
     """A table with its keys, then the tables inside it."""
     fields = option_fields(options)
@@ -71,9 +52,9 @@ def _table(options: type, values: Mapping[str, Any], path: tuple[str, ...], mean
 
 def _step(scenario: Scenario, seam: str, values: Mapping[str, Any], path: tuple[str, ...], layers: Sequence[Layer]) -> list[str]:
     """The table of a seam: the step's name and its options."""
-    source = _source((*path, "use"), layers)
+    given_by = source((*path, "use"), layers)
     kind: Any = type(scenario.step(seam))
-    lines = ["", f"[{seam}]", f"use = {_toml(values['use'])}{f'  # {source}' if source else ''}"]
+    lines = ["", f"[{seam}]", f"use = {_toml(values['use'])}{f'  # from {given_by}' if given_by else ''}"]
     return lines + _keys(option_fields(kind), values, path, layers)
 
 
@@ -81,8 +62,8 @@ def _keys(fields: Sequence[OptionField], values: Mapping[str, Any], path: tuple[
     """One line for each key."""
     lines = []
     for field in fields:
-        source = _source((*path, field.key), layers)
-        comment = f"# {field.doc}{f'; {source}' if source else ''}"
+        given_by = source((*path, field.key), layers)
+        comment = f"# {field.doc}{f'; from {given_by}' if given_by else ''}"
         if field.key not in values:
             lines.append(f"# {field.key} = (not set)  {comment}")
             continue
@@ -108,17 +89,6 @@ def _entries(key: str, entries: Sequence[Any]) -> Iterator[str]:
     yield f"{key} = ["
     yield from (f"  {_toml(entry)}," for entry in entries)
     yield "]"
-
-
-def _source(path: tuple[str, ...], layers: Sequence[Layer]) -> str:
-    """The last layer that gives a key; '' where none does."""
-    for label, tables in reversed(layers):
-        value: Any = tables
-        for key in path:
-            value = value.get(key) if isinstance(value, Mapping) else None
-        if value is not None:
-            return f"from {label}"
-    return ""
 
 
 def _toml(value: Any) -> str:

@@ -96,7 +96,8 @@ def run(
     target = out or Path("runs") / resolved.name
     with shown_progress() as progress:
         execute(RunRequest(scenario=resolved, out=target, resume=resume, force=force, workers=workers), progress)
-    typer.echo(closing_text(json.loads((target / "score.json").read_text())))
+    score, manifest = (json.loads((target / f"{name}.json").read_text()) for name in ("score", "manifest"))
+    typer.echo(closing_text(score, manifest["stages"]))
     typer.echo(f"{target}/report.html")
 
 

@@ -13,6 +13,8 @@ import numpy as np
 
 from sboc_e2e.compare.pages import completeness_plot, froc_plot, write_pages
 from sboc_e2e.compare.paired import PAIR_SNR, Outcomes, difference, froc, mcnemar
+from sboc_e2e.compare.questions import answers
+from sboc_e2e.files.atomic import write_json
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.results import LARGEST_SNR
 from sboc_e2e.icd.signals import Detection
@@ -24,6 +26,7 @@ from sboc_e2e.run.pipeline import KEEP_KEY, Run
 from sboc_e2e.run.progress import Progress, Silent
 from sboc_e2e.run.shared import SharedRuns
 from sboc_e2e.scenario import Scenario, load
+from sboc_e2e.score import score_evaluation
 from sboc_e2e.score.detection import IMPOSTOR
 from sboc_e2e.score.evaluation import Evaluation
 from sboc_e2e.score.figures import absent, bootstrap, exact, half_point, proportion, rate, rms
@@ -107,6 +110,7 @@ def compare(
             for i, a in enumerate(names)
             for b in names[i + 1 :]
         ],
+        "questions": answers(request.seam, {name: [_score(made, e) for made, e in pairs] for name, pairs in runs.items()}),
         "froc": curves,
     }
     shape, sigma = first[0][1].shape, float(np.median(first[0][1].truth_tables["streaks"]["psf_sigma_px"]))
@@ -116,6 +120,13 @@ def compare(
     }
     write_pages(result, svgs, _gallery(runs, onboard), out)
     return result
+
+
+def _score(made: Run, e: Evaluation) -> dict[str, Any]:
+    """The score of a choice's run, kept beside its products for whoever opens the run."""
+    found = score_evaluation(e, made.directory.path)
+    write_json(made.directory.score, found)
+    return found
 
 
 def _detected(e: Evaluation, onboard: bool) -> set[int]:

@@ -12,8 +12,8 @@
     versus = compare("smoke", "onboard.detector", ["line_integral", "threshold"])
     print(versus.verdict)
 
-Works as written, without a guard against a second import: everything runs in this process unless `workers` says otherwise. Compiled
-kernels are kept where the command line keeps them.
+Works as written, without a guard against a second import: everything runs in this process unless `workers` says otherwise.
+Compiled kernels are kept where the command line keeps them.
 """
 
 from sboc_e2e.kernel_cache import use_cache_of_these_sources
@@ -34,7 +34,7 @@ from sboc_e2e.campaign import read_campaign, run_campaign
 from sboc_e2e.campaign.pages import write_results
 from sboc_e2e.compare import Request
 from sboc_e2e.compare import compare as _compare
-from sboc_e2e.compare.pages import HEAD, PAIR_HEAD, choice_rows, pair_rows, verdict
+from sboc_e2e.compare.pages import HEAD, PAIR_HEAD, choice_rows, pair_rows, sentences_of
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import Registry
 from sboc_e2e.report.closing import closing_text
@@ -127,7 +127,7 @@ class Comparison:
     @property
     def verdict(self) -> list[str]:
         """A sentence for each pair: who is better, by how much, how sure, at what cost."""
-        return verdict(dict(self.result))
+        return sentences_of(dict(self.result))
 
     @property
     def choices(self) -> Table:

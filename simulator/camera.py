@@ -11,12 +11,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.frame import Calibration, NominalCamera
-from simulator.optics import psf_field
 from simulator.optics.halo import make_halo
 from simulator.optics.instrument import InstrumentOptions
 from simulator.optics.passband import SUN_B_V
 from simulator.optics.psf import PsfOptions, sigma_at
-from simulator.optics.psf_field import GRID, PsfField
+from simulator.optics.psf_field import GRID, PsfField, field_functions
 from simulator.optics.vignetting import IlluminationGrid, VignettingOptions, grid_step_px, node_places, relative_illumination
 from simulator.optics.wavefront import expected_variance_px2
 from simulator.sensor import Sensor, SensorOptions
@@ -97,9 +96,7 @@ class Camera:
         if options.wavefront.rms_nm > 0.0:
             less_px2 = expected_variance_px2(options.wavefront, f_number, built.pixel_um)
             sigma_px = np.sqrt(np.maximum(sigma_px**2 - less_px2, (LEAST_GAUSSIAN * sigma_px) ** 2))
-            otf = psf_field.transfer_functions(
-                options.wavefront, built.passband, f_number, built.pixel_um, built.obstruction, self._seed
-            )
+            otf = field_functions(options.wavefront, built.passband, f_number, built.pixel_um, built.obstruction, self._seed)
         halo = make_halo(
             options.aureole,
             options.spider,
@@ -119,7 +116,7 @@ class Camera:
         return PsfField(otf, sigma_px, halo, place, built.obstruction)
 
     def sigma_at(self, row: Array, col: Array) -> Array:
-        """PSF sigma of the built camera, seeing included, at positions; of equal noise-equivalent area where it is no Gaussian."""
+        """PSF sigma of the built camera, seeing included; of equal noise-equivalent area where the PSF is no Gaussian."""
         field = self.psf_field
         return self._gaussian_at(row, col) if field is None else field.sigma_at(row, col)
 

@@ -121,12 +121,12 @@ def add_arms(
     """Add diffraction spikes outside the squares of the tables: arms along (row, col) unit vectors, Gaussian across, in place."""
     rows, cols = image_e.shape
     width = math.sqrt(2.0 * math.pi) * sigma_px
-    side = int(math.ceil(4.0 * sigma_px)) + 1
+    side = math.ceil(4.0 * sigma_px) + 1
     for p in range(row.size):
         peak = flux_e[p] * share * 2.0 / math.pi * core_px / width
         if peak <= faintest_e * core_px * core_px:
             continue
-        length = min(math.sqrt(peak / faintest_e), 4.0 * 600.0)
+        length = min(math.sqrt(peak / faintest_e), 4.0 * FARTHEST_PX)
         for a in range(arms.shape[0]):
             d_row, d_col = arms[a, 0], arms[a, 1]
             steep = abs(d_row) >= abs(d_col)

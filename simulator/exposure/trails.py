@@ -60,7 +60,7 @@ def render_trail_table(
 ) -> None:
     """Add a trail whose PSF is a table of `simulator.optics.psf_field`, in place; parameters as those of `render_trail`."""
     if row.size:
-        arrays = (np.ascontiguousarray(x, dtype=np.float64) for x in (row, col, flux_e))
-        nodes = np.zeros(row.size, dtype=np.int64)
+        rows, cols, light_e = (np.ascontiguousarray(x, dtype=np.float64) for x in (row, col, flux_e))
+        nodes, faintest_e = np.zeros(row.size, dtype=np.int64), FAINTEST_E / OVERLAPPING_BINS
         # A pixel sees bins from either side, each of which may leave out a share of what is too faint.
-        add_table_points(image_e, *arrays, nodes, table[None], reach_of(table), PHASES, FAINTEST_E / OVERLAPPING_BINS)
+        add_table_points(image_e, rows, cols, light_e, nodes, table[None], reach_of(table), PHASES, faintest_e)

@@ -1,8 +1,9 @@
-"""Light far from a star: diffraction at the pupil's rim and at vanes, the aureole, a ghost; surface brightness per pixel of unit flux.
+"""Light far from a star: diffraction at the pupil's rim and at vanes, aureole, ghost; shares of a pixel of unit flux.
 
-An aureole falls as r^-2 to r^-3 (King 1971, PASP 83, 199; Racine 1996, PASP 108, 699: scatter by micro-roughness and dust). Outside
-an Airy pattern's core the mean brightness of rings is ``lambda F / (pi^3 r^3)`` (from 1 - E = 2 lambda F / (pi^2 r), Born & Wolf,
-section 8.5.2). Vanes take their share of the pupil from the image and spread it (Babinet) into arms, along which it falls as
+An aureole falls as r^-2 to r^-3 (King 1971, PASP 83, 199; Racine 1996, PASP 108, 699: scatter by micro-roughness and dust).
+Outside an Airy pattern's core the mean brightness of rings is ``lambda F / (pi^3 r^3)`` (from 1 - E = 2 lambda F / (pi^2 r),
+Born & Wolf, section 8.5.2). Vanes take their share of the pupil from the image and spread it (Babinet) into arms,
+along which it falls as
 ``1 / (core^2 + x^2)`` in a wide band, core = lambda f / (pi width).
 """
 
@@ -30,7 +31,10 @@ class AureoleOptions:
 class SpiderOptions:
     """Vanes that hold a secondary mirror, evenly around the pupil."""
 
-    vanes: int = field(default=0, metadata={"doc": "number of vanes; an even number has as many arms, an odd one twice as many", "min": 0, "max": 8})
+    vanes: int = field(
+        default=0,
+        metadata={"doc": "number of vanes; an even number has as many arms, an odd one twice as many", "min": 0, "max": 8},
+    )
     width_mm: float = field(default=2.0, metadata={"doc": "width of a vane", "min": 0.01, "max": 100.0})
     angle_deg: float = field(default=20.0, metadata={"doc": "turn of the first vane against the rows", "min": 0.0, "max": 360.0})
 
@@ -43,7 +47,11 @@ class GhostOptions:
     diameter_px: float = field(default=90.0, metadata={"doc": "diameter of the disc", "min": 2.0, "max": 4000.0})
     magnification: float = field(
         default=1.02,
-        metadata={"doc": "distance of the ghost from the axis over that of its star; negative: across the axis", "min": -5.0, "max": 5.0},
+        metadata={
+            "doc": "distance of the ghost from the axis over that of its star; negative: across the axis",
+            "min": -5.0,
+            "max": 5.0,
+        },
     )
 
 
@@ -51,8 +59,8 @@ class GhostOptions:
 class Halo:
     """Everything of a star outside its core, in pixels of the detector.
 
-    aureole_share, aureole_core_px, slope : of the aureole. rim : ``lambda F / pi^3`` (px) of diffraction. arms : (n, 2) unit vectors
-    (row, col). arm_share : of each arm. arm_core_px : along it; arm_sigma_px : across.
+    aureole_share, aureole_core_px, slope : of the aureole. rim_px : ``lambda F / pi^3`` of diffraction. arms : (n, 2) unit
+    vectors (row, col). arm_share : of each arm. arm_core_px : along it; arm_sigma_px : across.
     """
 
     aureole_share: float

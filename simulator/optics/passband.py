@@ -81,7 +81,15 @@ class _Spectra(NamedTuple):
 @cache
 def _spectra() -> _Spectra:
     with np.load(SPECTRA_PATH) as content:
-        names = ("sun_edges_nm", "sun_photons_m2_s_nm", "edges_nm", "b_v", "photons_m2_s_nm", "giant_b_v", "giant_photons_m2_s_nm")
+        names = (
+            "sun_edges_nm",
+            "sun_photons_m2_s_nm",
+            "edges_nm",
+            "b_v",
+            "photons_m2_s_nm",
+            "giant_b_v",
+            "giant_photons_m2_s_nm",
+        )
         sun_edges, sun, edges, b_v, dwarfs, giant_b_v, giants = (content[name].astype(np.float64) for name in names)
     middle = 0.5 * (edges[1:] + edges[:-1])
     sun_among_stars = sun[np.searchsorted(sun_edges, middle, side="right") - 1]

@@ -1,7 +1,7 @@
 """The PSF of a wavefront with its halo over the field, as tables that are quick to draw from.
 
-A table holds the light of a point in pixels at all sub-pixel places of a grid of 1/8 px, out to 7 px; farther out light is drawn from
-closed forms (`simulator.optics.halo`). Tables stand on a grid of places so fine that neighbours differ by about a per cent.
+A table holds the light of a point in pixels at all sub-pixel places of a grid of 1/8 px, out to 7 px; farther out light is
+drawn from closed forms (`simulator.optics.halo`). Tables stand on a grid so fine that neighbours differ by about a per cent.
 """
 
 import math
@@ -16,8 +16,7 @@ from scipy.special import j1
 
 from simulator.optics.halo import Halo
 from simulator.optics.passband import Passband
-from simulator.optics.wavefront import NODES, PERIOD_PX, WavefrontOptions, frequencies_px
-from simulator.optics.wavefront import transfer_functions as functions_of_wavefront
+from simulator.optics.wavefront import NODES, PERIOD_PX, WavefrontOptions, frequencies_px, transfer_functions
 
 Array = NDArray[np.float64]
 
@@ -36,29 +35,36 @@ _GRID_VARIANCE: Final = 1.0 / (6.0 * PHASES**2)
 
 
 @lru_cache(maxsize=4)
-def transfer_functions(
+def field_functions(
     options: WavefrontOptions, band: Passband, f_number: float, pixel_um: float, obstruction: float, seed: int
 ) -> NDArray[np.complex64]:
-    """OTFs of a camera at the frequencies of the tables; the last ones are kept, because they take a second."""
-    return functions_of_wavefront(options, band, f_number, pixel_um, obstruction, seed, frequencies_px(_HIGHEST))
+    """OTFs at the frequencies of the tables; the last ones are kept, because they take a second."""
+    return transfer_functions(options, band, f_number, pixel_um, obstruction, seed, frequencies_px(_HIGHEST))
 
 
 class PsfField:
     """Tables of a camera's PSF over its window.
 
-    otf : (NODES, NODES, n, n) of the wavefront; None: a point. sigma_px : Gaussian sigmas at the places of the grid, (GRID, GRID),
+    otf : (NODES, NODES, n, n) of the wavefront; None: a point. sigma_px : (GRID, GRID) Gaussian sigmas at the places of the grid
     that blur it. place : rows and cols (k,) of positions in units of the grid.
     """
 
     def __init__(
-        self, otf: NDArray[np.complex64] | None, sigma_px: Array, halo: Halo, place: Callable[[Array, Array], Array], obstruction: float
+        self,
+        otf: NDArray[np.complex64] | None,
+        sigma_px: Array,
+        halo: Halo,
+        place: Callable[[Array, Array], Array],
+        obstruction: float,
     ) -> None:
-        self._otf, self._sigma_px, self.halo, self._place = otf, sigma_px, halo, place
-        self._obstruction = obstruction
+        self._sigma_px, self.halo, self._place, self._obstruction = sigma_px, halo, place, obstruction
         self._frequency = frequencies_px(_HIGHEST)
         wave = np.exp(2j * np.pi * _SUPPORT[:, None] * self._frequency) / PERIOD_PX
         self._wave = wave.astype(np.complex64)
+        self._otf = None if otf is None else self._centred(otf)
         distance = np.hypot(_SUPPORT[:, None], _SUPPORT)
+        # Rings outside the period come back into it, about evenly.
+        self._folded = 2.0 * np.pi**1.5 * halo.rim_px / PERIOD_PX**3
         self._fixed = (halo.aureole(distance) + halo.spikes(_SUPPORT[:, None], _SUPPORT)).astype(np.float32)
         self.tables = self._all(0.0)
         self.reach = reach_of(self.tables.max(axis=0))
@@ -73,8 +79,8 @@ class PsfField:
     def spread(self, node: NDArray[np.int64], variance_px2: Array) -> NDArray[np.float32]:
         """Tables, (GRID * GRID, n, n), blurred further by the mean variance of the stars at each node.
 
-        A Gaussian blur acts on all frequencies as exp(-2 pi^2 v nu^2); between 0 and the next power of two above the largest variance
-        tables are mixed linearly, which gives the variance exactly and the shape to (v / sigma^2)^2 / 4.
+        A Gaussian blur acts on all frequencies as exp(-2 pi^2 v nu^2); between 0 and the next power of two above the largest
+        variance tables are mixed linearly, which gives the variance exactly and the shape to (v / sigma^2)^2 / 4.
         """
         largest = float(variance_px2.max(initial=0.0))
         if largest < 1e-5:
@@ -100,6 +106,31 @@ class PsfField:
         squares = (self.tables.astype(np.float64) ** 2).sum(axis=(1, 2)) / PHASES**2
         return np.sqrt(np.maximum(1.0 / (4.0 * np.pi * squares) - 1.0 / 12.0, 1e-4)).reshape(GRID, GRID)
 
+    def _centred(self, otf: NDArray[np.complex64]) -> NDArray[np.complex64]:
+        """OTFs whose images a Gaussian as wide as they are finds at the star's place; the rest is part of a camera's distortion.
+
+        The maximum of the Gaussian's overlap, by fixed-point steps: twice the mean offset under the Gaussian's weight.
+        """
+        out = otf.copy()
+        nu2 = self._frequency[:, None] ** 2 + self._frequency**2
+        every = (GRID - 1) // (NODES - 1)
+        for i in range(NODES):
+            for j in range(NODES):
+                variance = float(self._sigma_px[i * every, j * every]) ** 2
+                transfer = otf[i, j] * np.exp(-2.0 * np.pi**2 * variance * nu2)
+                image = (self._wave @ transfer.astype(np.complex64) @ self._wave.T).real
+                width2 = PHASES**2 / (4.0 * np.pi * float((image**2).sum()))
+                shift = np.zeros(2)
+                for _ in range(12):
+                    weight = [np.exp(-0.5 * (_SUPPORT - d) ** 2 / width2) for d in shift]
+                    total = weight[0] @ image @ weight[1]
+                    row = (weight[0] * (_SUPPORT - shift[0])) @ image @ weight[1] / total
+                    col = weight[0] @ image @ (weight[1] * (_SUPPORT - shift[1])) / total
+                    shift += 2.0 * np.array([row, col])
+                ramp = [np.exp(2j * np.pi * self._frequency * d) for d in shift]
+                out[i, j] *= (ramp[0][:, None] * ramp[1]).astype(np.complex64)
+        return out
+
     def _all(self, extra_px2: float) -> NDArray[np.float32]:
         return np.stack([self._one(k, extra_px2, 0.0) for k in range(GRID * GRID)])
 
@@ -119,12 +150,12 @@ class PsfField:
             high = self._otf[i + 1, j] * (j + 1 - x) + self._otf[i + 1, j + 1] * (x - j)
             transfer = transfer * (low * (i + 1 - y) + high * (y - i)).astype(np.complex64)
         table = (self._wave @ transfer @ self._wave.T).real
-        return np.asarray(np.maximum(self.halo.core_share * table, 0.0) + self._fixed, dtype=np.float32)
+        return np.asarray(np.maximum(self.halo.core_share * (table - self._folded), 0.0) + self._fixed, dtype=np.float32)
 
 
 def reach_of(table: NDArray[np.float32]) -> Array:
-    """Largest share of a pixel so many pixels (0 to HALF_PX, along an axis) or farther from the point: how far it has to be drawn."""
-    return np.array([table[_SQUARE >= r - 1e-9].max() for r in range(HALF_PX + 1)], dtype=np.float64)
+    """Largest share of a pixel 0 to HALF_PX pixels (along an axis) or farther from the point: how far it has to be drawn."""
+    return np.array([table[r - 1e-9 <= _SQUARE].max() for r in range(HALF_PX + 1)], dtype=np.float64)
 
 
 def _disc_otf(frequency: Array, diameter_px: float, obstruction: float) -> Array:

@@ -1,11 +1,12 @@
 """The wavefront that leaves the optics: Zernike errors drawn by seed, other ones at each place of the field, and its OTF.
 
-A PSF is the transform of an optical transfer function; what blurs it further (charge diffusion, residual motion, the pixel) multiplies
-that function, so that nothing finer than a pixel needs to be sampled. Zernike polynomials are those of Noll (1976, JOSA 66, 207), of
-unit variance over the pupil.
+A PSF is the transform of an optical transfer function; what blurs it further (charge diffusion, residual motion, the pixel)
+multiplies that function, so that nothing finer than a pixel needs to be sampled. Zernike polynomials are those of Noll (1976,
+JOSA 66, 207), of unit variance over the pupil.
 """
 
 from dataclasses import dataclass, field
+from itertools import pairwise
 from typing import Final
 
 import numpy as np
@@ -35,8 +36,8 @@ class WavefrontOptions:
     rms_nm: float = field(
         default=0.0,
         metadata={
-            "doc": "rms over pupil, field and seeds of the wavefront's errors (defocus to spherical); the Gaussian share of the PSF "
-            "shrinks for it. 0: the PSF is a Gaussian",
+            "doc": "rms over pupil, field and seeds of the wavefront's errors (defocus to spherical), for which the Gaussian "
+            "share of the PSF shrinks; 0: the PSF is a Gaussian",
             "min": 0.0,
             "max": 5000.0,
         },
@@ -69,7 +70,9 @@ def draw_coefficients_nm(options: WavefrontOptions, seed: int) -> Array:
     share = np.array([_SHARES[name] / _TERMS.count(name) for name in _TERMS])
     constant, along_rows, along_cols = rng.standard_normal((3, len(_TERMS))) * options.rms_nm * np.sqrt(share)
     place = np.linspace(-1.0, 1.0, NODES)
-    tilt = np.sqrt(1.5) * (place[:, None, None] * along_rows + place[None, :, None] * along_cols)  # unit mean variance over the field
+    tilt = np.sqrt(1.5) * (
+        place[:, None, None] * along_rows + place[None, :, None] * along_cols
+    )  # unit mean variance over the field
     return np.asarray(np.sqrt(1.0 - options.field_share) * constant + np.sqrt(options.field_share) * tilt)
 
 
@@ -78,8 +81,8 @@ def expected_variance_px2(options: WavefrontOptions, f_number: float, pixel_um: 
     n = 200
     y, x = np.meshgrid(*2 * ((np.arange(n) + 0.5) / n * 2.0 - 1.0,), indexing="ij")
     terms = zernike_terms(x, y)
-    inside = np.hypot(x, y) < 0.97
-    slope2 = sum(np.gradient(terms, 2.0 / n, axis=axis)[:, inside] ** 2 for axis in (1, 2))
+    inside = np.hypot(x, y) < 1.0
+    slope2 = np.sum([np.gradient(terms, 2.0 / n, axis=axis)[:, inside] ** 2 for axis in (1, 2)], axis=0)
     share = np.array([_SHARES[name] / _TERMS.count(name) for name in _TERMS])
     rms_um = 1e-3 * options.rms_nm
     return float(0.5 * (share * slope2.mean(axis=1)).sum() * (2.0 * f_number * rms_um / pixel_um) ** 2)
@@ -96,8 +99,8 @@ def transfer_functions(
 ) -> NDArray[np.complex64]:
     """OTF of the band at the nodes of the field, (NODES, NODES, n, n) for rows by columns of `frequency`; 1 at frequency 0.
 
-    A mean over wavelengths of equal shares of the Sun's electrons. Where the pixels are so wide that the pupil would need more than
-    `_MOST_SAMPLES`, diffraction is taken for coarser than it is; the geometric spot stays.
+    A mean over wavelengths of equal shares of the Sun's electrons. Where the pixels are so wide that the pupil would need more
+    than `_MOST_SAMPLES`, diffraction is taken for coarser than it is; the geometric spot stays.
     """
     coefficients = draw_coefficients_nm(options, seed)
     wavelengths_nm = _wavelengths_nm(band)
@@ -111,9 +114,9 @@ def transfer_functions(
         place = (np.arange(int(np.ceil(2.0 * radius)) + 2) - radius - 0.5) / radius
         y, x = place[:, None], place[None, :]
         r = np.hypot(x, y)
-        pupil = np.clip((1.0 - r) * radius + 0.5, 0.0, 1.0) * np.clip((r - obstruction) * radius + 0.5, 0.0, 1.0)
-        if obstruction == 0.0:
-            pupil = np.clip((1.0 - r) * radius + 0.5, 0.0, 1.0)
+        pupil = np.clip((1.0 - r) * radius + 0.5, 0.0, 1.0)
+        if obstruction > 0.0:
+            pupil *= np.clip((r - obstruction) * radius + 0.5, 0.0, 1.0)
         terms = zernike_terms(np.broadcast_to(x, r.shape), np.broadcast_to(y, r.shape)).astype(np.float32)
         for i in range(NODES):
             for j in range(NODES):
@@ -122,7 +125,10 @@ def transfer_functions(
                 power = np.abs(scipy.fft.fft2(amplitude, (size, size))) ** 2
                 otf = scipy.fft.ifft2(power)
                 otf = np.roll(otf, (half, half), axis=(0, 1))[: frequency.size, : frequency.size]
-                out[i, j] += otf / otf[half, half].real / len(wavelengths_nm)
+                # Rim samples hold parts of the pupil: their squares would miss some of the light.
+                otf /= pupil.sum()
+                otf[half, half] = 1.0
+                out[i, j] += otf / len(wavelengths_nm)
     return out
 
 
@@ -131,7 +137,7 @@ def _wavelengths_nm(band: Passband) -> Array:
     edges = np.linspace(band.short_nm, band.long_nm, 41)
     parts = [
         sun_electrons_m2_s(Passband(short_nm=float(a), long_nm=float(b), peak=band.peak, curves=band.curves))
-        for a, b in zip(edges[:-1], edges[1:], strict=True)
+        for a, b in pairwise(edges.tolist())
     ]
     running = np.concatenate([[0.0], np.cumsum(parts)])
     return np.asarray(np.interp((np.arange(_WAVELENGTHS) + 0.5) / _WAVELENGTHS * running[-1], running, edges))

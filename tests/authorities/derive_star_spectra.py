@@ -67,15 +67,17 @@ def dwarf_colours(path: Path) -> dict[str, dict[str, float]]:
 def as_the_sun_has_them(colours: dict[str, dict[str, float]]) -> dict[str, dict[str, float]]:
     """Colours shifted by as much (V-Rc 0.009, V-Ic 0.015 mag) as the table's dwarf of the Sun's B-V is redder than the Sun.
 
-    The Sun looks like its twins; else stars and sunlit objects of one B-V would have zero points that differ by 0.009 mag. The shift
-    holds from B-V 0.4 to 1.0 and fades to none at 0.0 and 1.4.
+    The Sun looks like its twins; else stars and sunlit objects of one B-V would have zero points that differ by 0.009 mag. The
+    shift holds from B-V 0.4 to 1.0 and fades to none at 0.0 and 1.4.
     """
     sunlike = [c for c in colours.values() if {"B", "R", "I"} <= c.keys() and 0.5 < c["B"] < 0.9]
     sunlike.sort(key=lambda c: c["B"])
     at = [c["B"] for c in sunlike]
     excess = {k: float(np.interp(SUN_COLOURS["B"], at, [c[k] for c in sunlike])) - SUN_COLOURS[k] for k in "RI"}
     sys.stdout.write(f"the table's colours less those of the Sun: {excess}\n")
-    share = {name: float(np.interp(c["B"], (0.0, 0.4, 1.0, 1.4), (0.0, 1.0, 1.0, 0.0))) for name, c in colours.items() if "B" in c}
+    share = {
+        name: float(np.interp(c["B"], (0.0, 0.4, 1.0, 1.4), (0.0, 1.0, 1.0, 0.0))) for name, c in colours.items() if "B" in c
+    }
     return {name: {k: v - share.get(name, 0.0) * excess.get(k, 0.0) for k, v in c.items()} for name, c in colours.items()}
 
 

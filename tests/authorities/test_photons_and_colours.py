@@ -47,7 +47,7 @@ DWARFS = [
 """Type, B-V, V-Rc, V-Ic of dwarfs (Pecaut & Mamajek 2013, ApJS 208, 9, table of 2022.04.16)."""
 
 METAL_RICH_GIANTS = [(0.935, 1.135), (1.055, 1.275), (1.190, 1.435), (1.345, 1.625), (1.515, 1.865)]
-"""B-V and V-I (Johnson) of giants of 5000 to 4000 K (Alonso, Arribas & Martinez-Roger 1999, A&AS 140, 261, table 5, [Fe/H] = 0.2)."""
+"""B-V and V-I (Johnson) of giants of 5000 to 4000 K (Alonso et al. 1999, A&AS 140, 261, table 5, [Fe/H] = 0.2)."""
 
 GIANT_TEMPERATURE = {
     "B": (0.4967, 0.7260, -0.1563, 0.0255, -0.0585, -0.0061),
@@ -155,13 +155,13 @@ def test_v_r_of_giants(b_v):
 
 @pytest.mark.parametrize(("b_v", "v_i_johnson"), METAL_RICH_GIANTS)
 def test_v_i_of_giants(b_v, v_i_johnson):
-    """As red as giants rich in metals, brought to Cousins' system after Bessell (1979, PASP 91, 589), or up to 0.15 mag redder: at one
-    B-V a star of less metal is cooler. A dwarf of B-V 1.5 is 0.8 mag redder."""
+    """As red as giants rich in metals, brought to Cousins' system after Bessell (1979, PASP 91, 589), or up to 0.15 mag
+    redder: at one B-V a star of less metal is cooler. A dwarf of B-V 1.5 is 0.8 mag redder."""
     assert 0.0 < colour_of_giant(b_v, "I") - 0.778 * v_i_johnson < 0.15
 
 
 def test_reduced_proper_motions_part_giants_from_dwarfs():
-    """Aldebaran, gamma Draconis and beta Andromedae are giants, epsilon Eridani and the red dwarfs of HIP 114622 and 73184 are not."""
+    """Aldebaran, gamma Draconis and beta Andromedae are giants, epsilon Eridani and the dwarfs HIP 114622 and 73184 are not."""
     catalogue = StarCatalogue.embedded()
     stars = catalogue.cone(0.0, 0.0, 180.0, v_max=6.0)
     found = dict(zip(stars.hip.tolist(), giants(stars, catalogue.name).tolist(), strict=True))

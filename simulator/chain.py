@@ -35,6 +35,7 @@ from simulator.platform.jitter import make_jitter
 from simulator.platform.line_of_sight import LineOfSight
 from simulator.platform.observer import SiteObserver, make_observer
 from simulator.platform.pointing import commanded_attitude
+from simulator.radiation.arrival import field_lines
 from simulator.radiation.field import ParticleField
 from simulator.randomness import Effect, generator
 from simulator.scene.atmosphere import Atmosphere, clouds_of
@@ -119,7 +120,9 @@ class Simulator:
         sight = self._carrier.sight(index)
         image_e, sky_e, entropy_bits, stars, streaks = self._expose(sight, index)
         middle = self._carrier.timing(index, delivered=True).middle_tai_ns
-        hits = self._particles.hits(index, self._camera.exposure_s, self._carrier.geodetic(middle))
+        fixed = self._carrier.earth_fixed(middle)
+        lines = field_lines(*fixed) if fixed else None
+        hits = self._particles.hits(index, self._camera.exposure_s, self._carrier.geodetic(middle), lines)
         pixels = self._camera.sensor.digitise(image_e, index, self._camera.exposure_s, hits)
         cosmics = cosmic_rows(self._camera, hits, index)
         frame = frame_row(self._camera.at(sight.reference_s), self._carrier, sight, self._air_of(sight), sky_e, index)

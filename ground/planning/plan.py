@@ -1,5 +1,7 @@
 """A plan, read aloud: instants, sky, targets, constraints, light, worth, schedule."""
 
+from dataclasses import replace
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,6 +12,7 @@ from ground.planning.options import PlanOptions
 from ground.planning.schedule import Schedule, Visit
 from ground.planning.sky import Orbit, Site, sky_of
 from ground.planning.targets import Targets, states_of
+from ground.planning.windows import windows_of
 from ground.planning.worth import Views, views_of
 from sboc_e2e.icd.errors import UserError
 
@@ -53,7 +56,8 @@ def plan_visits(
     slots = _slots(views, seen, slot_start_s)
     chosen = best_visits(slots, targets.weight, camera.half_field_rad, observing_s, options)
     notes = _notes(targets, usable, sigma)
-    return _schedule(chosen, slots, start_tai_ns, observing_s, len(targets), forbidden, notes, options)
+    made = _schedule(chosen, slots, start_tai_ns, observing_s, len(targets), forbidden, notes, options)
+    return replace(made, windows=windows_of(targets.known, station, options.constraints, epochs[1:], seen.allowed))
 
 
 def _views(

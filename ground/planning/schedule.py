@@ -5,6 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.planning.windows import Windows
+
 
 @dataclass(frozen=True, kw_only=True)
 class Visit:
@@ -22,13 +24,17 @@ class Visit:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Schedule:
-    """Visits by time; gain_nats : (m,) of each target; forbidden : share of cases that each constraint forbids."""
+    """Visits by time; gain_nats : (m,) of each target; forbidden : share of cases that each constraint forbids.
+
+    windows : when each target can be seen, brightness aside; None for a fence.
+    """
 
     visits: tuple[Visit, ...]
     gain_nats: NDArray[np.float64]
     forbidden: dict[str, float]
     n_slots: int
     notes: tuple[str, ...]
+    windows: Windows | None = None
 
     @property
     def worth(self) -> float:

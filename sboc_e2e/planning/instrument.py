@@ -7,8 +7,6 @@ from ground.planning.sky import Orbit, Site
 from simulator.options import SimulatorOptions
 from simulator.platform.observer import OrbitingObserver, make_observer
 
-SIGMA_PER_FWHM = 1.0 / np.sqrt(8.0 * np.log(2.0))
-
 
 def planned_camera(options: SimulatorOptions, sky_mag_arcsec2: float) -> PlannedCamera:
     """Nominal values of the scenario's camera under a sky of a V surface brightness; pixels as delivered."""
@@ -24,7 +22,7 @@ def planned_camera(options: SimulatorOptions, sky_mag_arcsec2: float) -> Planned
         exposure_s=exposure_s,
         period_s=1.0 / options.frame_rate_hz,
         noise_e=noise_e,
-        sigma_px=options.psf.fwhm_px * SIGMA_PER_FWHM / bins,
+        sigma_px=options.psf.sigma_px / bins,
         scale_arcsec=scale_arcsec,
         half_field_rad=0.5 * side_px * instrument.pixel_um * 1e-3 / instrument.focal_length_mm,
     )

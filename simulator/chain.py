@@ -26,7 +26,6 @@ from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Calibration, Frame, NominalCamera
 from simulator.camera import Camera
-from simulator.exposure import render_stars
 from simulator.header import frame_header
 from simulator.options import SimulatorOptions
 from simulator.platform import earth
@@ -43,7 +42,7 @@ from simulator.scene.cast import make_cast, summary, target_direction
 from simulator.scene.crossing import RowShutter, exposed_intervals
 from simulator.scene.objects import PixelPathObject
 from simulator.scene.sky import SKY_GRID, diffuse_flux, fill_diffuse
-from simulator.scene.star_image import place_stars
+from simulator.scene.star_image import expose_stars, place_stars
 from simulator.scene.stars import StarSky
 from simulator.scene.trail_image import Path, add_trail, pixel_path_of, sky_path_of
 from simulator.scene.turbulence import Unsteadiness
@@ -237,8 +236,7 @@ class Simulator:
             flux_e *= air.transmission(field.direction[places.index])
             aperture_m = camera.instrument.aperture_m
             flux_e *= air.flicker(len(flux_e), sight.reference[2], aperture_m, shutter.exposure_s, self.seed, index)
-        for row_k, col_k in zip(places.row, places.col, strict=True):
-            render_stars(image_e, row_k, col_k, flux_e / len(places.row), sigma_px)
+        expose_stars(image_e, places, flux_e, sigma_px, camera)
         return star_rows(self._camera, field, places, flux_e, sigma_px, float(image_e[::64, ::64].mean()), index)
 
     def _paths(self, sight: LineOfSight, index: int, wanted: Iterable[int]) -> list[tuple[int, Path]]:

@@ -82,7 +82,7 @@ def _satellites(
         return [], {}
     listed = read_satellites(options.file, options.names)
     predicted = predict_crossings(
-        with_sizes(listed, options.sizes) if options.sizes else listed,
+        with_sizes(listed, options.sizes_file) if options.sizes_file else listed,
         carrier.observer,
         carrier.attitude,
         camera.projection,

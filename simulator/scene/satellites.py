@@ -32,7 +32,7 @@ class SatelliteOptions:
     file: str = field(default="", metadata={"doc": "TLE, 3LE or OMM (csv, xml) file, may be gzipped; empty for none"})
     names: tuple[str, ...] = field(default=(), metadata={"doc": "only satellites of these names or numbers; empty for all"})
     size_m: float = field(default=1.0, metadata={"doc": "diameter of those without a size", "min": 1e-3, "max": 1000.0})
-    sizes: str = field(
+    sizes_file: str = field(
         default="",
         metadata={"doc": "CSV file, may be gzipped, of catalogue numbers (ObjectID) and radii in m (HBR); empty for one size"},
     )
@@ -79,15 +79,17 @@ def with_sizes(satellites: list[Satellite], path: str | Path) -> list[Satellite]
     """
     path = Path(path)
     if not path.is_file():
-        raise UserError(f"objects.satellites.sizes: {path}: no such file")
+        raise UserError(f"objects.satellites.sizes_file: {path}: no such file")
     raw = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
     reader = csv.DictReader(StringIO(raw.decode("utf-8", errors="replace")))
     if not {"ObjectID", "HBR"} <= set(reader.fieldnames or ()):
-        raise UserError(f"objects.satellites.sizes: {path}: columns ObjectID and HBR are needed")
+        raise UserError(f"objects.satellites.sizes_file: {path}: columns ObjectID and HBR are needed")
     try:
         diameters = {int(row["ObjectID"]): 2.0 * float(row["HBR"]) for row in reader if row["HBR"]}
     except ValueError as error:
-        raise UserError(f"objects.satellites.sizes: {path}, line {reader.line_num}: not a number and a radius in m") from error
+        raise UserError(
+            f"objects.satellites.sizes_file: {path}, line {reader.line_num}: not a number and a radius in m"
+        ) from error
     return [replace(s, size_m=diameters.get(int(s.record.satnum)) or None) for s in satellites]
 
 

@@ -247,6 +247,7 @@ class Simulator:
         """Paths of those wanted objects that come near the field in a frame."""
         sun_km = earth.sun_position_km(self._carrier.tai_ns(sight.reference_s))
         first_open_s = index / self.options.frame_rate_hz
+        to_middle_s = 0.5e-9 * self._carrier.timing(index, delivered=False).line_time_ns * (self._camera.shape[0] - 1)
         air, light, camera = self._air_of(sight), self.options.light, self._camera.at(sight.reference_s)
         paths = []
         for object_id in wanted:
@@ -254,7 +255,8 @@ class Simulator:
             path: Path | None
             unsteady = self._turbulence(air, sight, index, object_id)
             if isinstance(thing, PixelPathObject):
-                path = pixel_path_of(thing, sight, camera, first_open_s if thing.restart else 0.0, light, unsteady)
+                start_s = (first_open_s if thing.restart else 0.0) + (to_middle_s if thing.from_middle_row else 0.0)
+                path = pixel_path_of(thing, sight, camera, start_s, light, unsteady)
             else:
                 path = sky_path_of(thing, sight, camera, sun_km, light, air, unsteady)
             if path is not None:

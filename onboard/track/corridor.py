@@ -1,10 +1,10 @@
 """Sums along a line and its neighbours, frame by frame: what all tracks near one seed are evaluated from.
 
-A straight track has four parameters. `a` and `length` (px) are where its trail in the seed's frame begins on the seed's line, from
-the seed's first end, and how long it is; `offset` and `tilt` (px) are how far off that line it lies in the middle of the seed, and
-by how much more one seed length farther on. With epoch `tau`, the time of a frame from the seed's in exposures, its trail covers
-``a + sense tau length ... + length``, sense = 1 where the seed's first end came first in time, -1 where the last one did. A rolling
-shutter stretches the trail and the way between two frames alike, so that it needs no term here.
+A straight track has four parameters. `a` and `length` (px) are where its trail in the seed's frame begins on the seed's line,
+from the seed's first end, and how long it is; `offset` and `tilt` (px) are how far off that line it lies in the middle of the
+seed, and by how much more one seed length farther on. With epoch `tau`, the time of a frame from the seed's in exposures, its
+trail covers ``a + sense tau length ... + length``, sense = 1 where the seed's first end came first in time, -1 where the last
+one did. A rolling shutter stretches the trail and the way between two frames alike, so that it needs no term here.
 """
 
 import math
@@ -51,10 +51,10 @@ def gather(
 ) -> int:
     """Running sums over a frame's corridor; returns the pixels read.
 
-    image : as `Searched.smooth`. steep : the major axis is row. place (4,) : major and minor coordinate in this frame of the seed's
-    first end, and of the seed's direction (change per px along it; that of major > 0). Piece p covers first_px + p piece_px ... on
-    the seed's line, from its first end. sums, counts (MOST_PIECES + 1, LANES) : of the clipped values and of the known pixels before
-    each piece, lane by lane; row n_pieces holds the whole.
+    image : as `Searched.smooth`. steep : the major axis is row. place (4,) : major and minor coordinate in this frame of the
+    seed's first end, and of the seed's direction (change per px along it; that of major > 0). Piece p covers
+    first_px + p piece_px ... on the seed's line, from its first end. sums, counts (MOST_PIECES + 1, LANES) : of the clipped
+    values and of the known pixels before each piece, lane by lane; row n_pieces holds the whole.
     """
     n_major, n_minor = (image.shape[0], image.shape[1]) if steep else (image.shape[1], image.shape[0])
     slope = place[3] / place[2]

@@ -1,7 +1,7 @@
 """`onboard.tracker: joint`: trails too faint for any single frame, found in several together.
 
-Segments that a frame shows at S/N 4.5, below the detector's threshold, are pointers. Each foretells in both senses of motion where
-the object's trail lies in the frames around; the sum over all of them is held against what noise alone makes of so many frames.
+Segments that a frame shows at S/N 4.5, below the detector's threshold, are pointers. Each foretells in both senses of motion
+where the object's trail lies in the frames around; the sum over all of them is held against what noise makes of so many frames.
 """
 
 import math
@@ -242,9 +242,7 @@ def track_of(
     return Track(number=0, snr=float(snr), members=tuple(members)) if len(members) >= 2 else None
 
 
-def clipped(
-    ends: NDArray[np.float64], shape: tuple[int, ...]
-) -> tuple[tuple[float, float, float, float], StreakFlag] | None:
+def clipped(ends: NDArray[np.float64], shape: tuple[int, ...]) -> tuple[tuple[float, float, float, float], StreakFlag] | None:
     """The part of a segment (2, 2) inside a frame, flagged where the edge cuts it; None when nothing is."""
     way, limits = ends[1] - ends[0], np.array(shape) - 1.0
     low, high = 0.0, 1.0
@@ -279,5 +277,3 @@ def same_object(known: Track, track: Track) -> bool:
         if abs(middle @ u) < 0.5 * length + SAME_PX and abs(middle @ np.array([-u[1], u[0]])) < SAME_PX + 0.02 * length:
             return True
     return False
-
-

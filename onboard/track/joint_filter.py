@@ -69,7 +69,7 @@ def _collect(
 ) -> int:
     """Gather one frame's corridor from first_px to last_px on the seed's line; returns the pixels read."""
     sums, counts, grid, pieces = corridors
-    n = min(MOST_PIECES, int(math.ceil((last_px - first_px) / piece_px)))
+    n = min(MOST_PIECES, math.ceil((last_px - first_px) / piece_px))
     grid[frame, 0], grid[frame, 1], pieces[frame] = first_px, piece_px, n
     steep = _placed(seed, transforms[frame], place)
     return gather(images[frame], steep, place, first_px, piece_px, n, sums[frame], counts[frame])
@@ -239,9 +239,7 @@ def best_range(
     """The run of frames with the centre whose joint S/N exceeds its threshold most: this margin, first and last frame."""
     full = track[1] * per_lane
     for frame in range(low, high + 1):
-        sums[frame], weights[frame] = trail_sums(
-            corridors, frame, taus[frame], sense, track, seed_px, per_lane, correlation
-        )
+        sums[frame], weights[frame] = trail_sums(corridors, frame, taus[frame], sense, track, seed_px, per_lane, correlation)
     score, first, last = -1e9, centre, centre
     for i in range(low, centre + 1):
         for j in range(centre, high + 1):
@@ -276,18 +274,18 @@ def follow(
     """Tracks through seeds, best seeds first.
 
     images : of the window's frames, as `Searched.smooth`; those from n_frames on are not looked at. transforms (n, 2, 3) : of
-    (row, col) of the centre frame into each; taus (n,) : start of each exposure after that of the centre frame, in exposures, on the
-    rows where the object is. seeds (m, 5) : row0, col0, row1, col1, S/N in the centre frame. threshold : joint S/N asked of n frames,
-    at index n. first_margin : how far the first look, on a lattice, may fall short. most_work : pixels read after which no further
-    seed is taken up.
+    (row, col) of the centre frame into each; taus (n,) : start of each exposure after that of the centre frame, in exposures, on
+    the rows where the object is. seeds (m, 5) : row0, col0, row1, col1, S/N in the centre frame. threshold : joint S/N asked of
+    n frames, at index n. first_margin : how far the first look, on a lattice, may fall short. most_work : pixels read after
+    which no further seed is taken up.
 
-    Returns (k, 12): number of the seed, sense, a, length, offset, tilt (px), first and last frame, joint S/N, least joint S/N that
-    is left without one of the frames, chi-square of the frames against even brightness, its degrees of freedom; the pixels read;
-    the seeds taken up.
+    Returns (k, 12): number of the seed, sense, a, length, offset, tilt (px), first and last frame, joint S/N, least joint S/N
+    that is left without one of the frames, chi-square of the frames against even brightness, its degrees of freedom; the pixels
+    read; the seeds taken up.
     """
     found = np.empty((len(seeds), 12))
     n_found = read = taken = 0
-    place, trial, best, other = np.empty(4), np.empty(4), np.empty(5), np.empty(4)
+    place, trial, best = np.empty(4), np.empty(4), np.empty(5)
     steps, sums, weights = np.empty(4), np.empty(len(images)), np.empty(len(images))
     for m in range(len(seeds)):
         if read > most_work:
@@ -305,12 +303,8 @@ def follow(
         for frame in range(low, high + 1):
             away = abs(taus[frame]) * LONGEST * seed_px
             piece = max(1.0, seed_px / STEPS)
-            read += _collect(
-                images, frame, seed, transforms, -away - reach, seed_px + away + reach, piece, corridors, place
-            )
-        if _first_look(
-            corridors, taus, centre, low, high, seed_px, per_lane, rho, unit, threshold, best, trial
-        ) < -first_margin:
+            read += _collect(images, frame, seed, transforms, -away - reach, seed_px + away + reach, piece, corridors, place)
+        if _first_look(corridors, taus, centre, low, high, seed_px, per_lane, rho, unit, threshold, best, trial) < -first_margin:
             continue
         track, sense = best[:4], best[4]
         score, first, last = -1e9, centre, centre
@@ -321,19 +315,15 @@ def follow(
                 middle = track[0] + (0.5 + sense * taus[frame]) * track[1]
                 half = (0.9 + 0.12 * abs(taus[frame])) * seed_px
                 piece = max(1.0, seed_px / FINE)
-                read += _collect(
-                    images, frame, seed, transforms, middle - half, middle + half, piece, corridors, place
-                )
+                read += _collect(images, frame, seed, transforms, middle - half, middle + half, piece, corridors, place)
             span = max(1.0, abs(taus[low]), abs(taus[high]))
             steps[0], steps[1] = seed_px / STEPS, seed_px / STEPS / span
             steps[2], steps[3] = 0.6, 1.2 / span
-            _climb(
-                corridors, taus, low, high, sense, track, steps, 4, seed_px, per_lane, rho, unit, trial
-            )
+            _climb(corridors, taus, low, high, sense, track, steps, 4, seed_px, per_lane, rho, unit, trial)
             score, first, last = best_range(
                 corridors, taus, centre, low, high, sense, track, seed_px, per_lane, rho, unit, threshold, sums, weights
             )
-            if reach_frames > 1 and (last < high and first > low or score < -first_margin):
+            if reach_frames > 1 and ((last < high and first > low) or score < -first_margin):
                 break
             if low == 0 and high == n_frames - 1:
                 break
@@ -343,9 +333,7 @@ def follow(
         span = max(1.0, abs(taus[first]), abs(taus[last]))
         steps[0], steps[1] = seed_px / FINE, seed_px / FINE / span
         steps[2], steps[3] = 0.3, 0.6 / span
-        snr = _climb(
-            corridors, taus, first, last, sense, track, steps, 3, seed_px, per_lane, rho, unit, trial
-        )
+        snr = _climb(corridors, taus, first, last, sense, track, steps, 3, seed_px, per_lane, rho, unit, trial)
         if snr < threshold[last - first + 1]:
             continue
         total = weight = 0.0

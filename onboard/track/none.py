@@ -1,7 +1,6 @@
 """`onboard.tracker: none`: every frame is seen alone."""
 
 from dataclasses import dataclass
-from typing import Any
 
 from sboc_e2e.icd.signals import Track, TrackerView
 

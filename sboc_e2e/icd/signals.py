@@ -242,3 +242,7 @@ class RoiGroup:
     strips: tuple[Strip, ...]
     n_strips: int
     """How many strips were sent; fewer in `strips` means that packets are missing."""
+    track: int = -1
+    """Number of the track over several frames that it is a member of; -1: of none."""
+    track_snr: float = 0.0
+    """Joint S/N of that track."""

@@ -1,7 +1,7 @@
 """Tracks over several frames: S50 per frame by number of frames and length, false tracks per frame, CPU-seconds.
 
-Cubes of noise (with stars on request) and straight tracks, rendered by `detection_frames` independently of the simulator. The detector
-searches each frame as in the chain, the tracker what it leaves. Run from the repository's root:
+Cubes of noise (with stars on request) and straight tracks, rendered by `detection_frames` independently of the simulator. The
+detector searches each frame as in the chain, the tracker what it leaves. Run from the repository's root:
 
     python -m tests.benchmarks.bench_tracks            # 1024 x 1024, minutes
     python -m tests.benchmarks.bench_tracks --stars    # the same among stars
@@ -10,6 +10,7 @@ searches each frame as in the chain, the tracker what it leaves. Run from the re
 import argparse
 import json
 import math
+import sys
 import time
 from dataclasses import dataclass, replace
 from typing import Any
@@ -130,7 +131,9 @@ def noise(tracker: JointTracker, size: int, cubes: int, n_frames: int, seed: int
     }  # fmt: skip
 
 
-def completeness(tracker: JointTracker, size: int, cubes: int, seed: int, spread: float = 2.0, n_stars: int = 0) -> dict[str, Any]:
+def completeness(
+    tracker: JointTracker, size: int, cubes: int, seed: int, spread: float = 2.0, n_stars: int = 0
+) -> dict[str, Any]:
     """S50 per frame by number of frames and length; `cubes` cubes for each number of frames, all lengths in each."""
     out: dict[str, Any] = {}
     for n in FRAMES:
@@ -174,10 +177,12 @@ def main() -> None:
     parser.add_argument("--stars", action="store_true")
     chosen = parser.parse_args()
     tracker, stars = JointTracker(), STARS if chosen.stars else 0
-    print(json.dumps({"thresholds": tracker.thresholds((chosen.size, chosen.size), PERIOD, 0.849).round(2).tolist()}))
-    print(json.dumps(noise(tracker, chosen.size, max(1, chosen.cubes // 2), 16, 1, stars)))
-    for key, value in completeness(tracker, chosen.size, chosen.cubes, 2, n_stars=stars).items():
-        print(key, json.dumps(value, default=str))
+    figures = {
+        "thresholds": tracker.thresholds((chosen.size, chosen.size), PERIOD, 0.849).round(2).tolist(),
+        "noise": noise(tracker, chosen.size, max(1, chosen.cubes // 2), 16, 1, stars),
+        **completeness(tracker, chosen.size, chosen.cubes, 2, n_stars=stars),
+    }
+    sys.stdout.write("\n".join(f"{key}: {json.dumps(value)}" for key, value in figures.items()) + "\n")
 
 
 if __name__ == "__main__":

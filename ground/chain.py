@@ -366,7 +366,9 @@ class GroundChain:
         header = frame.header
         row_mid, col_mid = middle_of(fit)
         unknown = np.full(3, np.nan)
-        veto = StreakFlag.VETOED if probability < self._options.veto_below else StreakFlag(0)
+        track = frame.rois[number].track
+        # a member of a track was judged with the frames around it; if these do not bear it out, it is judged alone
+        veto = StreakFlag.VETOED if probability < self._options.veto_below and track < 0 else StreakFlag(0)
         streak = StreakMeasurement(
             frame=header.frame,
             streak_id=header.frame * STREAKS_PER_FRAME + number,
@@ -384,6 +386,7 @@ class GroundChain:
             probability=probability,
             tracklet_id=-1,
             flags=fit.flags | veto,
+            track=track,
         )
         return _with_brightness(with_sky(streak, header, sky, solution.covariance_rad2), header, photometry, mean_flat, None)
 

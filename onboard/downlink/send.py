@@ -51,13 +51,13 @@ class TrackPixels:
     """What strips of tracks are cut from, frame by frame, oldest first. sent : (track, frame) of the members sent so far."""
 
     kept: tuple[KeptCounts, ...] = ()
-    sent: frozenset[tuple[int, int]] = frozenset()
+    sent: tuple[tuple[int, int], ...] = ()
 
     def after(self, frame: KeptCounts, window_frames: int) -> "TrackPixels":
         """With one frame more, at most as many as the window has."""
         kept = (*self.kept, frame)[-window_frames:]
         oldest = kept[0].header.frame
-        return replace(self, kept=kept, sent=frozenset(place for place in self.sent if place[1] >= oldest))
+        return replace(self, kept=kept, sent=tuple(place for place in self.sent if place[1] >= oldest))
 
 
 def send_tracks(
@@ -65,7 +65,7 @@ def send_tracks(
 ) -> TrackPixels:
     """Members of tracks that were not sent yet, best tracks first, as far as they fit; what was sent is noted."""
     frames = {kept.header.frame: kept for kept in pixels.kept}
-    sent, item = set(pixels.sent), 0
+    sent, item = list(pixels.sent), 0
     for track in sorted(tracks, key=lambda t: -t.snr):
         for member in track.members:
             place = (track.number, member.frame)
@@ -73,9 +73,9 @@ def send_tracks(
                 continue
             coded = code_member(track, member, frames[member.frame], codec, options, psf_sigma_px)
             if coded.payloads and outbox.offer(Apid.TRACK, coded.payloads, item=item):
-                sent.add(place)
+                sent.append(place)
                 item += 1
-    return replace(pixels, sent=frozenset(sent))
+    return replace(pixels, sent=tuple(sent))
 
 
 def send(content: Content, outbox: Outbox, options: OnboardOptions) -> tuple[Housekeeping, tuple[RoiGroup, ...]]:

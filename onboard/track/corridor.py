@@ -28,6 +28,31 @@ CLIP: Final = 64
 
 
 @nb.njit(cache=True)
+def _halve_row(a: NDArray[np.int8], b: NDArray[np.int8], out: NDArray[np.int8]) -> None:
+    unknown, clip = np.int16(UNKNOWN), np.int16(CLIP)
+    for i in range(out.size):
+        total, seen = np.int16(0), np.int16(0)
+        for value in (np.int16(a[2 * i]), np.int16(a[2 * i + 1]), np.int16(b[2 * i]), np.int16(b[2 * i + 1])):
+            known = value != unknown
+            seen += np.int16(known)
+            total += min(max(value, -clip), clip) if known else np.int16(0)
+        out[i] = np.int8((total + np.int16(2)) >> 2) if seen > np.int16(1) else np.int8(UNKNOWN)
+
+
+@nb.njit(cache=True)
+def _halve_rows(image: NDArray[np.int8], out: NDArray[np.int8]) -> None:
+    for row in range(out.shape[0]):
+        _halve_row(image[2 * row], image[2 * row + 1], out[row])
+
+
+def halved(image: NDArray[np.int8]) -> NDArray[np.int8]:
+    """Means of 2 x 2 pixels of an image as `Searched.smooth`, clipped; `UNKNOWN` where most are."""
+    out = np.empty((image.shape[0] // 2, image.shape[1] // 2), np.int8)
+    _halve_rows(image, out)
+    return out
+
+
+@nb.njit(cache=True)
 def _add_lanes(values: NDArray[np.int8], sums: NDArray[np.int32], counts: NDArray[np.int32]) -> None:
     for k in range(LANES):
         value = np.int32(values[k])
@@ -114,3 +139,58 @@ def between(
         high = counts[j, n] + v * (counts[j + 1, n] - counts[j, n])
         weight += part * (high - low)
     return total, weight * (1.0 - 2.0 * f * (1.0 - f) * (1.0 - correlation))
+
+
+@nb.njit(cache=True)
+def lanes_between(
+    sums: NDArray[np.int32],
+    counts: NDArray[np.int32],
+    n_pieces: int,
+    first: float,
+    last: float,
+    total: NDArray[np.float32],
+    weight: NDArray[np.float32],
+) -> None:
+    """Sum and known pixels of pieces first ... last (fractions interpolated) on each lane, into total and weight (LANES,)."""
+    first, last = max(first, 0.0), min(last, float(n_pieces))
+    if last <= first:
+        total[:], weight[:] = 0.0, 0.0
+        return
+    i, j = min(int(first), n_pieces - 1), min(int(last), n_pieces - 1)
+    u, v = np.float32(first - i), np.float32(last - j)
+    _interpolated(sums[i], sums[i + 1], u, sums[j], sums[j + 1], v, total)
+    _interpolated(counts[i], counts[i + 1], u, counts[j], counts[j + 1], v, weight)
+
+
+@nb.njit(cache=True)
+def _interpolated(
+    a: NDArray[np.int32],
+    b: NDArray[np.int32],
+    u: np.float32,
+    c: NDArray[np.int32],
+    d: NDArray[np.int32],
+    v: np.float32,
+    out: NDArray[np.float32],
+) -> None:
+    for k in range(LANES):
+        out[k] = np.float32(c[k] - a[k]) + v * np.float32(d[k] - c[k]) - u * np.float32(b[k] - a[k])
+
+
+@nb.njit(cache=True)
+def path_sum(
+    image: NDArray[np.int8], steep: bool, place: NDArray[np.float64], first_px: float, last_px: float
+) -> tuple[int, int]:
+    """Sum of clipped values and number of known pixels on the seed's line itself; see `gather`."""
+    n_major, n_minor = (image.shape[0], image.shape[1]) if steep else (image.shape[1], image.shape[0])
+    slope = place[3] / place[2]
+    total = count = 0
+    for major in range(
+        max(0, math.ceil(place[0] + place[2] * first_px)), min(n_major, math.floor(place[0] + place[2] * last_px) + 1)
+    ):
+        minor = math.floor(place[1] + slope * (major - place[0]) + 0.5)
+        if 0 <= minor < n_minor:
+            value = int(image[major, minor]) if steep else int(image[minor, major])
+            if value != UNKNOWN:
+                total += min(max(value, -CLIP), CLIP)
+                count += 1
+    return total, count

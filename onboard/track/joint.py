@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from onboard.image import registration
 from onboard.track import joint_filter
+from onboard.track.corridor import halved
 from onboard.track.false_alarms import independent_tracks, threshold_sigma
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
@@ -27,11 +28,11 @@ WORK_PER_PX: Final = 30.0
 LEAST_WORK: Final = 50_000_000
 """Pixels read about seeds, per pixel of the frame, but never fewer."""
 
-ALONE_MARGIN: Final = 3.0
-"""What is left of a track without any one of its frames must reach this S/N for each two frames: particles light up one frame."""
+LEAST_REST: Final = 3.3
+"""What is left of a track without any one of its frames must reach this S/N: particles light up one frame."""
 
-UNEVEN: Final = 12.0
-UNEVEN_SHARE: Final = 0.25
+UNEVEN: Final = 6.0
+UNEVEN_SHARE: Final = 0.2
 """Chi-square of a track's frames against even brightness may exceed its degrees of freedom by this, and by this share of the
 joint S/N squared: objects tumble."""
 
@@ -43,10 +44,15 @@ SAME_SHARE: Final = 0.35
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class KeptSearch:
-    """What stays of a frame. transform : (2, 3) of the frame before into it; unused for the first."""
+    """What stays of a frame. transform : (2, 3) of the frame before into it; unused for the first.
+
+    half, flat_half : smooth at half resolution, and transposed.
+    """
 
     header: FrameHeader
     smooth: NDArray[np.int8]
+    half: NDArray[np.int8]
+    flat_half: NDArray[np.int8]
     seeds: NDArray[np.float64]
     transform: NDArray[np.float64]
 
@@ -92,9 +98,12 @@ class JointTracker:
             state, rest = self._followed(state, len(state.window), view.view.psf_sigma_px)
             found += rest
             state = JointState(next_number=state.next_number)
+        half = halved(view.searched.smooth)
         new = KeptSearch(
             header=view.view.header,
             smooth=view.searched.smooth,
+            half=half,
+            flat_half=np.ascontiguousarray(half.T),
             seeds=view.searched.seeds,
             transform=IDENTITY if view.transform is None else view.transform,
         )
@@ -136,10 +145,11 @@ class JointTracker:
         period = float(np.median(np.abs(np.diff(taus))))
         thresholds = self.thresholds((rows, cols), period, psf_sigma_px)
         # one kernel for any number of frames: the tuple is filled up to the window's length
-        images = tuple(frame.smooth for frame in window)
-        images += (images[0],) * (self.window - len(images))
+        filled = window + (window[0],) * (self.window - len(window))
         table, _, _ = joint_filter.follow(
-            images,
+            tuple(frame.smooth for frame in filled),
+            tuple(frame.half for frame in filled),
+            tuple(frame.flat_half for frame in filled),
             np.ascontiguousarray(np.concatenate([transforms, np.repeat(transforms[:1], self.window - len(window), axis=0)])),
             np.concatenate([taus, np.zeros(self.window - len(window))]),
             len(window),
@@ -206,8 +216,7 @@ def exposures_from(window: tuple[KeptSearch, ...], centre: int, transforms: NDAr
 def plausible(row: NDArray[np.float64]) -> bool:
     """Whether a row of `joint_filter.follow` is lit in all its frames, about evenly."""
     snr, least, chi2, free = row[8:12]
-    n = free + 1.0
-    return bool(least > ALONE_MARGIN * math.sqrt(0.5 * (n - 1.0)) and chi2 < free + UNEVEN + (UNEVEN_SHARE * snr) ** 2)
+    return bool(least > LEAST_REST and chi2 < free + UNEVEN + (UNEVEN_SHARE * snr) ** 2)
 
 
 def track_of(
@@ -224,7 +233,6 @@ def track_of(
     # lanes lie side by side along the minor axis, max(|u|) px across the line for each px of it
     across = np.eye(2)[int(abs(u[0]) >= abs(u[1]))] / np.abs(u).max()
     members = []
-    n = int(last - first) + 1
     for k in range(int(first), int(last) + 1):
         begin = start + sense * taus[k] * length
         along = np.array([begin, begin + length] if sense > 0.0 else [begin + length, begin])
@@ -236,7 +244,9 @@ def track_of(
             members.append(
                 TrackMember(
                     frame=window[k].header.frame,
-                    detection=Detection(row0=row0, col0=col0, row1=row1, col1=col1, snr=float(snr / math.sqrt(n)), flags=flags),
+                    detection=Detection(
+                        row0=row0, col0=col0, row1=row1, col1=col1, snr=max(float(row[12 + k]), 0.0), flags=flags
+                    ),
                 )
             )
     return Track(number=0, snr=float(snr), members=tuple(members)) if len(members) >= 2 else None

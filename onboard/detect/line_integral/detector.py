@@ -401,7 +401,9 @@ class LineIntegralDetector:
         images = replace(images, blocked=np.unpackbits(bits, count=view.mask.size).reshape(view.mask.shape))
         smooth = whiten.smooth(images.image, images.level, TILE_PX, whiten.odd_taps(s_px), POINT_CLIP_SIGMA)
         # trails are taken out of it as they are found
-        whole = None if seed_sigma is None else whiten.known(smooth, images.blocked)
+        # without a frame before, faint stars are still in it: such a frame foretells nothing and bears nothing out
+        told = seed_sigma is not None and (earlier is not None or len(view.stars) == 0)
+        whole = whiten.known(smooth, images.blocked) if told else None
         seeds = np.empty((0 if seed_sigma is None else MAX_SEEDS, 6))
         table, n_seeds = resolve.resolve(
             images.image,

@@ -41,6 +41,8 @@ UNPUBLISHED_PICTURES: Final = ("opd_control", "hst_", "wallace_")
 
 PANEL_IN: Final = 3.0
 SHOWN_PANELS: Final = 12
+PUBLISHED_STYLE: Final[dict[str, Any]] = {"color": "#ff9a3c", "ls": "-", "lw": 1.2}
+REJECTED_STYLE: Final[dict[str, Any]] = {"color": "#4aa3ff", "ls": ":", "lw": 1.0}
 BEGIN, END = "<!-- table: tests.benchmarks.real_frames -->", "<!-- end of table -->"
 
 BESIDE_PX: Final = 6.0
@@ -56,7 +58,7 @@ class Trail:
     """What became of one trail that the eye saw.
 
     found, published : share of its length that the longest measured and the longest published streak cover.
-    end_px : (2,) distance of the published streak's ends from the eye's. inside : which of them lie within 2 px or their interval.
+    end_px : (2,) distance of the published streak's ends from the eye's. inside : which are within 2 px or their interval.
     extra : further published streaks on the same trail.
     """
 
@@ -221,7 +223,7 @@ def table_text(rows: Sequence[Row]) -> str:
     ]
     for row in rows:
         for number, trail in enumerate(row.trails):
-            ends = "–" if trail.published == 0.0 else " ".join(
+            ends = "-" if trail.published == 0.0 else " ".join(
                 f"{px:.1f}{'' if ok else ' (outside)'}" for px, ok in zip(trail.end_px, trail.inside, strict=True)
             )  # fmt: skip
             lines.append(
@@ -233,7 +235,7 @@ def table_text(rows: Sequence[Row]) -> str:
         mine = [row for row in blank if row.camera == camera]
         codes = ", ".join(str(code) for code in sorted({row.exit_code for row in mine}))
         lines.append(
-            f"| {camera}: {len(mine)} | none | {sum(row.measured for row in mine)} | – | – | – | "
+            f"| {camera}: {len(mine)} | none | {sum(row.measured for row in mine)} | - | - | - | "
             f"{sum(row.false for row in mine)} | {sum(row.cpu_s for row in mine):.1f} | {codes} |"
         )
     trails = [trail for row in rows for trail in row.trails]
@@ -265,7 +267,7 @@ def draw(path: Path, frames: Table, streaks: Table, picture: Path) -> None:
         low, high = ZScaleInterval().get_limits(image[np.isfinite(image)])
         axes.imshow(image, cmap="gray", vmin=low, vmax=high, origin="lower", interpolation="nearest")
         for s in streaks[np.asarray(streaks["frame"]) == frames["frame"][k]]:
-            style = {"color": "#4aa3ff", "ls": ":", "lw": 1.0} if not is_published(s) else {"color": "#ff9a3c", "ls": "-", "lw": 1.2}
+            style = PUBLISHED_STYLE if is_published(s) else REJECTED_STYLE
             across = np.array([s["col0"] - s["col1"], s["row1"] - s["row0"]])
             offset = 8.0 * across / max(float(np.hypot(*across)), 1e-6)  # beside the trail, which stays visible
             for sign in (-1, 1):
@@ -323,7 +325,8 @@ def main() -> None:
                     sure=0, cpu_s=cpu_s, exit_code=code,
                 ))  # fmt: skip
                 continue
-            frames, streaks = (Table.read(out / "products" / f"{name}.ecsv", format="ascii.ecsv") for name in ("frames", "streaks"))
+            tables = out / "products"
+            frames, streaks = (Table.read(tables / f"{name}.ecsv", format="ascii.ecsv") for name in ("frames", "streaks"))
             made = rows_of(path, frames, streaks, entries, cpu_s, code)
             report(f"{path.name}: {len(made)} frames, {sum(r.false for r in made)} false, {cpu_s:.1f} s")
             rows += made

@@ -48,7 +48,7 @@ def test_detections_of_another_program_are_measured_where_they_are() -> None:
 
 @pytest.mark.parametrize("image", [np.zeros(5), np.zeros((8, 40)), np.array([["a"]]), np.zeros((20, 20), dtype=complex)])
 def test_what_is_no_image_is_refused_in_one_line(image: np.ndarray) -> None:
-    with pytest.raises(UserError, match="^image: expected"):
+    with pytest.raises(UserError, match=r"^image: expected"):
         detect(image)
 
 

@@ -36,6 +36,9 @@ WORST_GAIN: Final = 0.1
 """One sigma of ln gain above which the levels lie too close together to tell it."""
 
 FEWEST_TILES: Final = 8
+FEWEST_OVERSCAN: Final = 8
+"""Covered columns; a few at the border are only dimmer than the others."""
+
 FULL_PIXELS: Final = 10
 """Pixels of one and the same highest value that make it the saturation level."""
 
@@ -222,12 +225,10 @@ def _overscan_of(place: Any) -> float | None:
     if sky is None:
         return None
     cols = np.r_[0 : sky[1].start, sky[1].stop : data.shape[1]]
-    if len(cols) < 4:
-        return None
-    level = np.median(data[:, cols], axis=0)
+    level = np.median(data[:, cols], axis=0) if len(cols) else np.zeros(0)
     inside = float(np.median(data[sky]))
     quiet = level[level < inside]
-    return float(np.median(quiet)) if len(quiet) >= 4 else None
+    return float(np.median(quiet)) if len(quiet) >= FEWEST_OVERSCAN else None
 
 
 def _tiles(one: NDArray[np.float32], other: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -1,5 +1,6 @@
 """`sboc camera make`: what it measures of cameras whose numbers are known, and that `--camera` takes its file."""
 
+import lzma
 import math
 from pathlib import Path
 
@@ -121,3 +122,23 @@ def test_a_trail_across_the_border_columns_is_no_border() -> None:
     image[np.arange(200), np.arange(200)] += 1e4
     image[:, 3] = 100.0 + np.arange(200)
     assert without_sky(image) is None
+
+
+def test_a_real_pair_tells_one_gain_in_both_halves(shared_data: Path, tmp_path: Path) -> None:
+    """Two raw frames of an SBIG STL-1001 (header INSTRUME): gain of a few e-/ADU to 5 %, stable over the halves of the frame."""
+    paths = []
+    for name in ("wallace_219.fits", "wallace_222.fits"):
+        source = shared_data / "real2" / f"{name}.xz"
+        if not source.exists():
+            pytest.skip(f"real frame not present: {source}")
+        paths.append(tmp_path / name)
+        paths[-1].write_bytes(lzma.decompress(source.read_bytes()))
+    images = [fits.getdata(path).astype(np.float32) for path in paths]
+    parts = (np.s_[:], np.s_[512:], np.s_[:512])
+    whole, upper, lower = (photon_transfer([image[part] for image in images], None) for part in parts)
+    assert whole is not None
+    assert upper is not None
+    assert lower is not None
+    assert whole.gain_err < 0.05 * whole.gain_e_adu
+    assert abs(upper.gain_e_adu - lower.gain_e_adu) < 4.0 * np.hypot(upper.gain_err, lower.gain_err)
+    assert math.isnan(whole.read_noise_e)

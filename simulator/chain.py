@@ -26,7 +26,6 @@ from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Calibration, Frame, NominalCamera
 from simulator.camera import Camera
-from simulator.exposure import render_stars
 from simulator.header import frame_header
 from simulator.options import SimulatorOptions
 from simulator.platform import earth
@@ -35,6 +34,7 @@ from simulator.platform.jitter import make_jitter
 from simulator.platform.line_of_sight import LineOfSight
 from simulator.platform.observer import SiteObserver, make_observer
 from simulator.platform.pointing import commanded_attitude
+from simulator.radiation.arrival import field_lines
 from simulator.radiation.field import ParticleField
 from simulator.randomness import Effect, generator
 from simulator.scene.atmosphere import Atmosphere, clouds_of
@@ -42,7 +42,7 @@ from simulator.scene.cast import make_cast, summary, target_direction
 from simulator.scene.crossing import RowShutter, exposed_intervals
 from simulator.scene.objects import PixelPathObject
 from simulator.scene.sky import SKY_GRID, diffuse_flux, fill_diffuse
-from simulator.scene.star_image import place_stars
+from simulator.scene.star_image import expose_stars, place_stars
 from simulator.scene.stars import StarSky
 from simulator.scene.trail_image import Path, add_trail, pixel_path_of, sky_path_of
 from simulator.scene.turbulence import Unsteadiness
@@ -119,7 +119,9 @@ class Simulator:
         sight = self._carrier.sight(index)
         image_e, sky_e, entropy_bits, stars, streaks = self._expose(sight, index)
         middle = self._carrier.timing(index, delivered=True).middle_tai_ns
-        hits = self._particles.hits(index, self._camera.exposure_s, self._carrier.geodetic(middle))
+        fixed = self._carrier.earth_fixed(middle)
+        lines = field_lines(*fixed) if fixed else None
+        hits = self._particles.hits(index, self._camera.exposure_s, self._carrier.geodetic(middle), lines)
         pixels = self._camera.sensor.digitise(image_e, index, self._camera.exposure_s, hits)
         cosmics = cosmic_rows(self._camera, hits, index)
         frame = frame_row(self._camera.at(sight.reference_s), self._carrier, sight, self._air_of(sight), sky_e, index)
@@ -234,14 +236,14 @@ class Simulator:
             flux_e *= air.transmission(field.direction[places.index])
             aperture_m = camera.instrument.aperture_m
             flux_e *= air.flicker(len(flux_e), sight.reference[2], aperture_m, shutter.exposure_s, self.seed, index)
-        for row_k, col_k in zip(places.row, places.col, strict=True):
-            render_stars(image_e, row_k, col_k, flux_e / len(places.row), sigma_px)
+        expose_stars(image_e, places, flux_e, sigma_px, camera)
         return star_rows(self._camera, field, places, flux_e, sigma_px, float(image_e[::64, ::64].mean()), index)
 
     def _paths(self, sight: LineOfSight, index: int, wanted: Iterable[int]) -> list[tuple[int, Path]]:
         """Paths of those wanted objects that come near the field in a frame."""
         sun_km = earth.sun_position_km(self._carrier.tai_ns(sight.reference_s))
         first_open_s = index / self.options.frame_rate_hz
+        to_middle_s = 0.5e-9 * self._carrier.timing(index, delivered=False).line_time_ns * (self._camera.shape[0] - 1)
         air, light, camera = self._air_of(sight), self.options.light, self._camera.at(sight.reference_s)
         paths = []
         for object_id in wanted:
@@ -249,7 +251,8 @@ class Simulator:
             path: Path | None
             unsteady = self._turbulence(air, sight, index, object_id)
             if isinstance(thing, PixelPathObject):
-                path = pixel_path_of(thing, sight, camera, first_open_s if thing.restart else 0.0, light, unsteady)
+                start_s = (first_open_s if thing.restart else 0.0) + (to_middle_s if thing.from_middle_row else 0.0)
+                path = pixel_path_of(thing, sight, camera, start_s, light, unsteady)
             else:
                 path = sky_path_of(thing, sight, camera, sun_km, light, air, unsteady)
             if path is not None:

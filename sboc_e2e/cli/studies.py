@@ -35,6 +35,17 @@ def compare(
 
 
 @app.command()
+def figure(
+    number: Annotated[int, typer.Argument(min=5, max=8, help="5 curved streak, 6 row times, 7 both shutters, 8 particles")],
+    out: Annotated[Path, typer.Option("--out", help="folder of the picture")] = Path("runs/figures"),
+) -> None:
+    """Draw one of the figures 5 to 8 of the paper on the ART/SPOOK simulator, its panels side by side, as a PNG."""
+    from sboc_e2e.report.paper_figures import write_figure
+
+    typer.echo(write_figure(number, out))
+
+
+@app.command()
 def sweep(
     campaign: Annotated[str, typer.Argument(help="a campaign file, or the name of a shipped one such as threshold_froc")],
     out: Annotated[Path | None, typer.Option("--out", help="folder, default runs/sweep-<campaign>")] = None,

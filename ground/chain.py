@@ -153,12 +153,11 @@ class GroundChain:
         run = LinkedRun(headers=headers, products=products, rates=rates, linked=linked)
         # by time, so that tracklets of the same frames follow each other
         in_order = sorted(range(len(tracklets)), key=lambda k: int(tracklets[k].frames.min()))
-        run = replace(run, rates=with_shake(run, [tracklets[k] for k in in_order], self._camera.focal_px))
+        run = with_shake(run, tracklets, in_order, self._camera.focal_px)
         lit = lru_cache(maxsize=FRAMES_REMEMBERED)(lambda number: self._lit_again(frames, run, linked.place[number]))
         pixels_of = (lambda streak: lit(streak.frame).pixels_of(streak)) if self._options.joint_refit else None
         for number in in_order:
-            tracklets[number], members = final_tracklet(run, tracklets[number], pixels_of)
-            linked.put(number, members)
+            tracklets[number] = final_tracklet(run, number, tracklets[number], pixels_of)
         final = OnDemand(len(products), lambda k: self._published(products[k].streaks, linked.of_frame(k)))
         failures = Counter(reason for *_, reasons in small for reason in reasons)
         return GroundProducts(

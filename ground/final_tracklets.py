@@ -1,7 +1,7 @@
 """A linked tracklet as it is published: directions and epochs of its members, joint refit, brightness."""
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +16,7 @@ from ground.refit import SharedErrors, refit_streaks
 from ground.sky.bend import bent
 from ground.sky.measure import jacobian_arcsec, pointing_sigma_arcsec, with_sky
 from ground.sky.pixel_sky import sky_of
+from ground.sky.shake_model import STEADY, EndShake, end_shake
 from ground.sky.sphere import ARCSEC_RAD
 from ground.sky.turning import Rate
 from ground.streak_rows import LinkedStreaks
@@ -26,37 +27,51 @@ from sboc_e2e.icd.products import StreakMeasurement, StreakPixels, Tracklet
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkedRun:
-    """Frames of a run in order of time, with the rates at which the camera turned, and where the streaks of tracklets belong."""
+    """Frames of a run in order of time, with the rates at which the camera turned, and where the streaks of tracklets belong.
+
+    end_shake : what errors of the rates let expect where the shutter opens and closes.
+    """
 
     headers: Sequence[FrameHeader]
     products: Sequence[FrameProducts]
     rates: Sequence[Rate]
     linked: LinkedStreaks
+    end_shake: EndShake = STEADY
 
-    def members(self, tracklet: Tracklet) -> tuple[tuple[StreakMeasurement, ...], list[FrameHeader], list[int]]:
-        """Members as their frames show them alone, in time order and dated; headers, and places of their frames."""
+    def single(self, tracklet: Tracklet) -> list[StreakMeasurement]:
+        """Members of a tracklet as their frames show them alone, in time order and dated."""
         places = self.linked.places_of(tracklet)
         own = [self.headers[k] for k in dict.fromkeys(place for place, _ in places)]
         members = apply_links([self.products[k].streaks[number] for k, number in places], (tracklet,), own)
-        at = [self.linked.place[member.frame] for member in members]
-        return tuple(_bent(member, self.products[k]) for member, k in zip(members, at, strict=True)), own, at
+        return [_bent(member, self.products[self.linked.place[member.frame]]) for member in members]
 
     def sigma_rate_arcsec_s(self, k: int) -> float:
         """Error of the camera's rate in a frame; a WCS that came with it knows of none."""
         return 0.0 if self.products[k].wcs is not None else self.rates[k].sigma_rad_s / ARCSEC_RAD
 
 
-def with_shake(run: LinkedRun, tracklets: Sequence[Tracklet], focal_px: float) -> list[Rate]:
-    """The run's rates with the errors that its trails show them to have. tracklets : of the run, by time."""
-    factor = shake_factor(_sway(run, tracklet, 1.0 / (focal_px * ARCSEC_RAD)) for tracklet in tracklets)
-    return [rate._replace(sigma_rad_s=factor * rate.sigma_rad_s) for rate in run.rates]
+def with_shake(run: LinkedRun, tracklets: Sequence[Tracklet], order: Sequence[int], focal_px: float) -> LinkedRun:
+    """The run with the members of its tracklets as single frames show them, and the errors of rates that these show.
+
+    order : numbers of the tracklets by time, so that those of the same frames follow each other.
+    """
+    sways = []
+    for number in order:
+        members = run.single(tracklets[number])
+        run.linked.put(number, members)
+        sways.append(_sway(run, tracklets[number], members, 1.0 / (focal_px * ARCSEC_RAD)))
+    factor = shake_factor(sways)
+    rates = [rate._replace(sigma_rad_s=factor * rate.sigma_rad_s) for rate in run.rates]
+    return replace(run, rates=rates, end_shake=end_shake(factor, *_exposure_and_step_s(run.headers)))
 
 
 def final_tracklet(
-    run: LinkedRun, tracklet: Tracklet, pixels_of: Callable[[StreakMeasurement], StreakPixels] | None
-) -> tuple[Tracklet, Sequence[StreakMeasurement]]:
-    """A tracklet as its members measure it, and these in frame order. pixels_of : None for no joint refit."""
-    single, own, at = run.members(tracklet)
+    run: LinkedRun, number: int, tracklet: Tracklet, pixels_of: Callable[[StreakMeasurement], StreakPixels] | None
+) -> Tracklet:
+    """A tracklet as its members measure it; these take the place of what was kept. pixels_of : None for no joint refit."""
+    single = tuple(run.linked.of_tracklet(number))
+    at = [run.linked.place[member.frame] for member in single]
+    own = [run.headers[k] for k in dict.fromkeys(at)]
     members = single
     shared: SharedErrors = {}
     if pixels_of is not None:
@@ -68,13 +83,14 @@ def final_tracklet(
             lambda frame: run.products[place[frame]].solution,
             pixels_of,
             lambda frame: run.rates[place[frame]].sigma_rad_s,
+            run.end_shake,
         )
     frames = [run.products[k] for k in at]
     placed = [_placed(member, frame) for member, frame in zip(members, frames, strict=True)]
     measured = measured_tracklet(
         tracklet,
         [
-            _member(one, streak, frame, run.sigma_rate_arcsec_s(k), shared.get(streak.streak_id))
+            _member(one, streak, frame, run.sigma_rate_arcsec_s(k), run.end_shake, shared.get(streak.streak_id))
             for one, streak, frame, k in zip(single, placed, frames, at, strict=True)
         ],
     )
@@ -82,19 +98,25 @@ def final_tracklet(
         with_final_brightness(streak, frame, crossing_time_s(streak, measured.rate_deg_s))
         for streak, frame in zip(placed, frames, strict=True)
     ]
-    return with_mean_light(measured, final), final
+    run.linked.put(number, final)
+    return with_mean_light(measured, final)
 
 
-def _sway(run: LinkedRun, tracklet: Tracklet, scale_arcsec: float) -> Sway:
+def _exposure_and_step_s(headers: Sequence[FrameHeader]) -> tuple[float, float]:
+    """Medians of the run; a step of 0 of fewer than two frames."""
+    start_ns = np.sort(np.array([h.t_start_tai_ns for h in headers], dtype=np.int64))
+    step_s = float(np.median(np.diff(start_ns))) * 1e-9 if len(start_ns) > 1 else 0.0
+    return float(np.median([h.exposure_ns for h in headers])) * 1e-9 if headers else 0.0, step_s
+
+
+def _sway(run: LinkedRun, tracklet: Tracklet, members: Sequence[StreakMeasurement], scale_arcsec: float) -> Sway:
     """What the members of a tracklet, as single frames show them, tell of the camera's shake."""
-    members, _, at = run.members(tracklet)
-    return sway_of(
-        tracklet,
-        [
-            SeenTrail(streak=member, scale_arcsec=scale_arcsec, sigma_rate_arcsec_s=run.sigma_rate_arcsec_s(k))
-            for member, k in zip(members, at, strict=True)
-        ],
-    )
+    sigma = [run.sigma_rate_arcsec_s(run.linked.place[member.frame]) for member in members]
+    trails = [
+        SeenTrail(streak=member, scale_arcsec=scale_arcsec, sigma_rate_arcsec_s=s)
+        for member, s in zip(members, sigma, strict=True)
+    ]
+    return sway_of(tracklet, trails)
 
 
 def _bent(streak: StreakMeasurement, product: FrameProducts) -> StreakMeasurement:
@@ -115,6 +137,7 @@ def _member(
     final: StreakMeasurement,
     product: FrameProducts,
     sigma_rate_arcsec_s: float,
+    shake: EndShake,
     shared: tuple[int, NDArray[np.float64]] | None,
 ) -> Member:
     """What a tracklet is measured on of one member."""
@@ -126,6 +149,7 @@ def _member(
         jacobian_arcsec=jacobian_arcsec(final, product.header, sky),
         pointing_arcsec=pointing_sigma_arcsec(product.solution.covariance_rad2),
         sigma_rate_arcsec_s=sigma_rate_arcsec_s,
+        end_shake=shake,
         group=group,
         shared_arcsec=errors,
     )

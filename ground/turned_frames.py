@@ -8,8 +8,9 @@ from ground.on_demand import OnDemand
 from ground.records import FrameProducts
 from ground.sky.pixel_sky import SolvedSky
 from ground.sky.turning import Attitude, Rate, rates_of
+from ground.streak_rows import StreakRows
 
-FRAMES_TURNED: Final = 16
+FRAMES_TURNED: Final = 64
 """Frames that are kept with the rates of the whole run."""
 
 
@@ -27,6 +28,7 @@ def turned_frames(
             return product
         solution = replace(product.solution, rate_rad_s=rate)
         turn_rad_s = SolvedSky(header=product.header, solution=solution).turn_rad_s
-        return replace(product, solution=solution, streaks=[replace(s, turn_rad_s=turn_rad_s) for s in product.streaks])
+        streaks = product.streaks if isinstance(product.streaks, StreakRows) else StreakRows.of(product.streaks)
+        return replace(product, solution=solution, streaks=streaks.turned(turn_rad_s))
 
     return OnDemand(len(products), turned, keep=FRAMES_TURNED), rates

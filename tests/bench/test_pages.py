@@ -3,7 +3,7 @@
 import json
 from pathlib import Path
 
-from sboc_e2e.bench.entries import flatten
+from sboc_e2e.bench.entries import Entry, flatten
 from sboc_e2e.bench.pages import SIZED, write_pages
 
 ENVIRONMENT = {"quick": True, "wall_s": 1.0, "python": "3.11", "processors": 2}

@@ -19,7 +19,18 @@ from sboc_e2e.score.photometry import mean_magnitudes, photometry
 
 MAX_PREVIEWS: Final = 24
 RESIDUALS_TITLE: Final = "Streak positions against their bounds"
-SECTIONS: Final = ("detection", "astrometry", "photometry", "linking", "orbit", "products", "population", "compression", "timing")
+SECTIONS: Final = (
+    "detection",
+    "astrometry",
+    "photometry",
+    "linking",
+    "tracking",
+    "orbit",
+    "products",
+    "population",
+    "compression",
+    "timing",
+)
 
 
 def write_report(run_dir: Path, evaluation: Evaluation | None = None) -> None:

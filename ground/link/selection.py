@@ -52,8 +52,10 @@ def best_tracks(nodes: Nodes, table: StreakTable, frames: FrameTable, search: Se
     used = np.zeros(len(nodes.frame) // 2, dtype=np.bool_)
     accepted: list[NDArray[np.int64]] = []
     accepted_gains: list[float] = []
-    for members, gain in tracked_groups(nodes, table, model, search.log_new):
+    groups = list(tracked_groups(nodes, table, model, search.log_new))
+    for members, _ in groups:  # before any of them grows: none may take what another one came with
         used[members // 2] = True
+    for members, gain in groups:
         longer, longer_gain = grow(nodes, members, used, *growth)
         used[longer // 2] = True
         accepted.append(longer)

@@ -22,6 +22,7 @@ from sboc_e2e.score.population import detections_per_day, not_of_nature, publish
 from sboc_e2e.score.published import published_products
 from sboc_e2e.score.recovery import counted, field_deg, recovery
 from sboc_e2e.score.timing import timing
+from sboc_e2e.score.tracking import tracking
 
 SCORE_VERSION = "1.1"
 
@@ -68,6 +69,7 @@ def score_evaluation(e: Evaluation, run_dir: Path | None = None) -> dict[str, An
         "astrometry": streak_figures | frame_figures,
         "photometry": magnitudes,
         "linking": links,
+        "tracking": tracking(e.truth, e.downlink_frames, e.detected_ground, e.n_frames),
         "orbit": orbit(e.orbits, owner, e.truth_tables["streaks"], e.truth_tables["objects"]),
         "products": published_products(
             run_dir / "products" if run_dir else None, e.streaks, e.tracklets, e.truth_tables, owner, truth_mag

@@ -120,7 +120,8 @@ class OnboardChain:
         usable = not flags & (FrameFlag.ALL_MASKED | FrameFlag.EMPTY_SIGNAL | FrameFlag.REPEATED_FRAME)
         if usable:
             view = self._with_stars(view, residual, row_sums)
-            detections = flag_static(self._detections(view), state.recent)
+            # while stars trail, what stands still is the object
+            detections = flag_static(self._detections(view), state.recent if view.stars.motion is None else ())
             earlier = brought_forward(state.earlier_stars, view.stars)
         else:
             detections, earlier = (), ()

@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from ground.sky.measure import middle_of, redated
 from ground.sky.rotation import turn
+from ground.sky.shake_model import STEADY, EndShake
 from ground.sky.sphere import ARCSEC_RAD, unit_vectors
-from ground.sky.turning import END_OVER_SLOPE
 from ground.streaks.joint import JointRefit, TrackletFrame, flux_between, refit_tracklet
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
@@ -53,11 +53,12 @@ def refit_streaks(
     solution_of: Callable[[int], FrameSolution],
     pixels_of: Callable[[StreakMeasurement], StreakPixels],
     sigma_rate_of: Callable[[int], float],
+    end_shake: EndShake = STEADY,
 ) -> tuple[tuple[StreakMeasurement, ...], SharedErrors]:
     """The streaks of a tracklet refitted together, where their direction is resolved, the others as they came; and their errors.
 
     streaks : with directions at their epochs. solution_of : of a frame, by its number; pixels_of : calibrated pixels of a streak;
-    sigma_rate_of : error of the rate at which the camera turned in a frame, rad/s.
+    sigma_rate_of : error of the rate at which the camera turned in a frame, rad/s; end_shake : what this lets expect at the ends.
     Sky positions are those of the old fit until they are measured anew.
     """
     header_of = {header.frame: header for header in headers}
@@ -71,7 +72,9 @@ def refit_streaks(
     members = [_timed_by_shutter(m, header_of[m.frame]) for m in members]
     path, zero_ns = _path_of(members), int(members[0].t_tai_ns[0])
     frames = [
-        _tracklet_frame(m, header_of[m.frame], solution_of(m.frame), pixels_of(m), path, zero_ns, sigma_rate_of(m.frame))
+        _tracklet_frame(
+            m, header_of[m.frame], solution_of(m.frame), pixels_of(m), path, zero_ns, sigma_rate_of(m.frame), end_shake
+        )
         for m in members
     ]
     joint: dict[int, StreakFit] = {}
@@ -355,6 +358,7 @@ def _tracklet_frame(
     path: Array,
     zero_tai_ns: int,
     sigma_rate_rad_s: float,
+    end_shake: EndShake,
 ) -> TrackletFrame:
     """One frame of the refit: coordinates along the path in arcsec, times in seconds from `zero_tai_ns`."""
     seen = unit_vectors(np.radians(streak.ra_deg), np.radians(streak.dec_deg))
@@ -363,6 +367,7 @@ def _tracklet_frame(
     seconds = (streak.t_tai_ns[1] - streak.t_tai_ns) * 1e-9
     at_once = _along_path(turn(seen, np.outer(seconds, streak.turn_rad_s)), path)
     pointing = np.asarray(solution.covariance_rad2)
+    turning = sigma_rate_rad_s / ARCSEC_RAD * 0.5 * abs(float(seconds[2] - seconds[0]))
     return TrackletFrame(
         pixels=pixels,
         fit=streak.fit,
@@ -373,7 +378,8 @@ def _tracklet_frame(
         t_close_s=float(streak.t_tai_ns[2] - zero_tai_ns) * 1e-9,
         line_time_s=header.line_time_ns * 1e-9,
         sigma_frame=float(np.sqrt(0.5 * max(pointing[0, 0] + pointing[1, 1], 0.0))) / ARCSEC_RAD,
-        sigma_end=END_OVER_SLOPE * sigma_rate_rad_s / ARCSEC_RAD * 0.5 * abs(float(seconds[2] - seconds[0])),
+        sigma_turn=end_shake.turn * turning,
+        sigma_sway=end_shake.sway(streak.fit.length_px, pixels.psf_sigma_px) * turning,
     )
 
 

@@ -87,6 +87,13 @@ class StreakRows(ByPlace[StreakMeasurement]):
             array.flags.writeable = False
         return cls(rows=rows, curves_e_px=joined)
 
+    def turned(self, turn_rad_s: NDArray[np.float64]) -> "StreakRows":
+        """The same streaks before a camera that turned like this, (3,)."""
+        rows = self.rows.copy()
+        rows["turn_rad_s"] = turn_rad_s
+        rows.flags.writeable = False
+        return StreakRows(rows=rows, curves_e_px=self.curves_e_px)
+
     def __len__(self) -> int:
         return len(self.rows)
 
@@ -156,6 +163,10 @@ class LinkedStreaks:
         """Position of the frame and number in it of each member, rising; streaks of unknown frames are left out."""
         keys = zip(tracklet.frames.tolist(), tracklet.streak_ids.tolist(), strict=True)
         return sorted((self.place[frame], i - frame * STREAKS_PER_FRAME) for frame, i in keys if frame in self.place)
+
+    def of_tracklet(self, number: int) -> StreakRows:
+        """What was kept of a tracklet last."""
+        return self._members[number]
 
     def put(self, number: int, members: Iterable[StreakMeasurement]) -> None:
         """Keep the members of a tracklet."""

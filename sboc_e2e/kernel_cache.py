@@ -2,12 +2,13 @@
 
 numba looks only at the file that holds a kernel, not at the functions it inlines from other files: after an edit of an
 inlined function the old machine code would go on running with new tables. A digest of every source that takes part
-makes that impossible. Must run before numba is imported.
+makes that impossible. Must run before modules with kernels are imported.
 """
 
 import hashlib
 import os
 import shutil
+import sys
 from pathlib import Path
 from typing import Final
 
@@ -22,6 +23,8 @@ def use_cache_of_these_sources() -> None:
     root = Path(os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache") / "sboc-e2e" / "kernels"
     folder = root / source_digest(Path(__file__).resolve().parents[1])
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
+    if (numba := sys.modules.get("numba")) is not None:
+        numba.config.CACHE_DIR = str(folder)  # a notebook may have imported it; what is compiled from now on is kept there
     try:
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)

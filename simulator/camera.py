@@ -11,13 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.frame import Calibration, NominalCamera
+from simulator.optics.halo import make_halo
 from simulator.optics.instrument import InstrumentOptions
 from simulator.optics.passband import SUN_B_V
 from simulator.optics.psf import PsfOptions, sigma_at
+from simulator.optics.psf_field import GRID, PsfField, field_functions
 from simulator.optics.vignetting import IlluminationGrid, VignettingOptions, grid_step_px, node_places, relative_illumination
+from simulator.optics.wavefront import expected_variance_px2
 from simulator.sensor import Sensor, SensorOptions
 
 Array = NDArray[np.float64]
+
+
+LEAST_GAUSSIAN = 0.4
+"""Of the nominal width, that charge diffusion and residual motion keep whatever the wavefront is."""
 
 
 class Camera:
@@ -42,7 +49,8 @@ class Camera:
             bin_rows=1, bin_cols=1, window_row0=sensor.window.row0, window_col0=sensor.window.col0
         )
         self.corner_px = 0.5 * float(np.hypot(instrument.rows, instrument.cols))
-        self.seeing_px = 0.0
+        self.seeing_px, self._seed = 0.0, seed
+        self._psf_field: tuple[float, PsfField] | None = None
         self.zero_point_e_s = instrument.true_zero_point_e_s
         step_px = grid_step_px(vignetting, self.corner_px)
         nodes = self.illumination_at(*node_places(self.shape, step_px)).astype(np.float32)
@@ -69,8 +77,50 @@ class Camera:
             focal_px=self.projection.focal_px,
         )
 
+    @property
+    def psf_field(self) -> PsfField | None:
+        """The PSF of a wavefront with its halo; None where the PSF is a Gaussian."""
+        if self._psf.is_gaussian:
+            return None
+        if self._psf_field is None or self._psf_field[0] != self.seeing_px:
+            self._psf_field = (self.seeing_px, self._make_psf_field())
+        return self._psf_field[1]
+
+    def _make_psf_field(self) -> PsfField:
+        """Tables over the whole detector; the Gaussian share shrinks by what errors of the wavefront add on average."""
+        built, options = self.instrument, self._psf
+        rows, cols, window = built.rows, built.cols, self._window
+        grid = np.meshgrid(*(np.linspace(0.0, n - 1.0, GRID) for n in (rows, cols)), indexing="ij")
+        sigma_px = self._gaussian_at(grid[0] - window.row0, grid[1] - window.col0)
+        otf, f_number = None, 1e-3 * built.focal_length_mm / built.aperture_m
+        if options.wavefront.rms_nm > 0.0:
+            less_px2 = expected_variance_px2(options.wavefront, f_number, built.pixel_um)
+            sigma_px = np.sqrt(np.maximum(sigma_px**2 - less_px2, (LEAST_GAUSSIAN * sigma_px) ** 2))
+            otf = field_functions(options.wavefront, built.passband, f_number, built.pixel_um, built.obstruction, self._seed)
+        halo = make_halo(
+            options.aureole,
+            options.spider,
+            options.ghost,
+            wavelength_nm=0.5 * (built.band_short_nm + built.band_long_nm),
+            aperture_m=built.aperture_m,
+            obstruction=built.obstruction,
+            focal_px=built.focal_px,
+            sigma_px=float(sigma_px[GRID // 2, GRID // 2]),
+            diffracts=otf is not None,
+        )
+
+        def place(row: Array, col: Array) -> Array:
+            at = [(row + window.row0) / max(rows - 1, 1), (col + window.col0) / max(cols - 1, 1)]
+            return np.stack(np.broadcast_arrays(*at)) * (GRID - 1)
+
+        return PsfField(otf, sigma_px, halo, place, built.obstruction)
+
     def sigma_at(self, row: Array, col: Array) -> Array:
-        """PSF sigma of the built camera, seeing included, at positions."""
+        """PSF sigma of the built camera, seeing included; of equal noise-equivalent area where the PSF is no Gaussian."""
+        field = self.psf_field
+        return self._gaussian_at(row, col) if field is None else field.sigma_at(row, col)
+
+    def _gaussian_at(self, row: Array, col: Array) -> Array:
         nominal = sigma_at(
             self._psf,
             row,

@@ -24,9 +24,9 @@ from numpy.typing import NDArray
 from sboc_e2e import truth
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
-from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader, NominalCamera
+from sboc_e2e.icd.frame import Calibration, Frame, NominalCamera
 from simulator.camera import Camera
-from simulator.exposure import render_stars
+from simulator.header import frame_header
 from simulator.options import SimulatorOptions
 from simulator.platform import earth
 from simulator.platform.carrier import Carrier
@@ -34,27 +34,23 @@ from simulator.platform.jitter import make_jitter
 from simulator.platform.line_of_sight import LineOfSight
 from simulator.platform.observer import SiteObserver, make_observer
 from simulator.platform.pointing import commanded_attitude
-from simulator.platform.rotation import quaternion_of
+from simulator.radiation.arrival import field_lines
 from simulator.radiation.field import ParticleField
-from simulator.radiation.hits import HitList
 from simulator.randomness import Effect, generator
 from simulator.scene.atmosphere import Atmosphere, clouds_of
 from simulator.scene.cast import make_cast, summary, target_direction
 from simulator.scene.crossing import RowShutter, exposed_intervals
 from simulator.scene.objects import PixelPathObject
 from simulator.scene.sky import SKY_GRID, diffuse_flux, fill_diffuse
-from simulator.scene.star_image import StarPlaces, place_stars
-from simulator.scene.stars import StarField, StarSky, angles_deg
+from simulator.scene.star_image import expose_stars, place_stars
+from simulator.scene.stars import StarSky
 from simulator.scene.trail_image import Path, add_trail, pixel_path_of, sky_path_of
 from simulator.scene.turbulence import Unsteadiness
 from simulator.sensor.smear import add_smear
+from simulator.truth_rows import cosmic_rows, frame_row, star_rows
 
 Array = NDArray[np.float64]
 
-STAR_TRUTH_SNR = 5.0
-"""Stars above this matched-filter S/N are in the truth table; the fainter ones are in the image only."""
-GRID_SAMPLES = 50
-"""Instants of the exposure over which the truth grid's directions are averaged."""
 STAR_MARGIN_PX = 40.0
 """Stars this far outside the frame are drawn for the light of their wings."""
 
@@ -123,13 +119,15 @@ class Simulator:
         sight = self._carrier.sight(index)
         image_e, sky_e, entropy_bits, stars, streaks = self._expose(sight, index)
         middle = self._carrier.timing(index, delivered=True).middle_tai_ns
-        hits = self._particles.hits(index, self._camera.exposure_s, self._carrier.geodetic(middle))
+        fixed = self._carrier.earth_fixed(middle)
+        lines = field_lines(*fixed) if fixed else None
+        hits = self._particles.hits(index, self._camera.exposure_s, self._carrier.geodetic(middle), lines)
         pixels = self._camera.sensor.digitise(image_e, index, self._camera.exposure_s, hits)
-        cosmics = self._cosmics(hits, index)
-        frame = self._frame_truth(sight, index, sky_e)
+        cosmics = cosmic_rows(self._camera, hits, index)
+        frame = frame_row(self._camera.at(sight.reference_s), self._carrier, sight, self._air_of(sight), sky_e, index)
         frame["entropy_bits"], frame["n_cosmics"] = entropy_bits, len(cosmics)
         made = truth.FrameTruth(frame=frame, stars=stars, streaks=streaks, cosmics=cosmics)
-        return Frame(header=self._header(sight, index), pixels=pixels), made
+        return Frame(header=frame_header(self._camera, self._carrier, sight, index), pixels=pixels), made
 
     def mean_electrons(self, index: int) -> NDArray[np.float32]:
         """Noise-free photo-electrons of a frame, on the detector's read-out window."""
@@ -217,7 +215,7 @@ class Simulator:
         return image_e
 
     def _add_stars(self, image_e: NDArray[np.float32], sight: LineOfSight, shutter: RowShutter, index: int) -> NDArray[np.void]:
-        """Add the stars to the image; the truth of those above `STAR_TRUTH_SNR`."""
+        """Add the stars to the image; their truth."""
         if not self.options.stars.enabled:
             return truth.empty("stars")
         camera, air = self._camera.at(sight.reference_s), self._air_of(sight)
@@ -238,32 +236,14 @@ class Simulator:
             flux_e *= air.transmission(field.direction[places.index])
             aperture_m = camera.instrument.aperture_m
             flux_e *= air.flicker(len(flux_e), sight.reference[2], aperture_m, shutter.exposure_s, self.seed, index)
-        for row_k, col_k in zip(places.row, places.col, strict=True):
-            render_stars(image_e, row_k, col_k, flux_e / len(places.row), sigma_px)
-        return self._star_truth(field, places, flux_e, sigma_px, float(image_e[::64, ::64].mean()), index)
-
-    def _star_truth(
-        self, field: StarField, places: StarPlaces, flux_e: Array, sigma_px: Array, level_e: float, index: int
-    ) -> NDArray[np.void]:
-        """Stars inside the frame and above `STAR_TRUTH_SNR` on a background of `level_e`."""
-        camera = self._camera
-        row, col = places.row.mean(axis=0), places.col.mean(axis=0)
-        noise_e = np.sqrt(float(camera.sensor.variance_e2(level_e, camera.exposure_s)))
-        length = np.hypot(np.ptp(places.row, axis=0), np.ptp(places.col, axis=0))
-        width = 2.0 * np.sqrt(np.pi) * sigma_px
-        known = flux_e > STAR_TRUTH_SNR * noise_e * np.sqrt(width * (width + length))
-        known &= (row > -0.5) & (row < camera.shape[0] - 0.5) & (col > -0.5) & (col < camera.shape[1] - 0.5)
-        out = truth.empty("stars", int(known.sum()))
-        chosen = places.index[known]
-        out["frame"], out["star_id"], out["flux_e"] = index, field.star_id[chosen], flux_e[known]
-        out["row"], out["col"] = camera.delivered(row[known], col[known])
-        out["v_mag"], out["b_v"] = field.v_mag[chosen], field.b_v[chosen]
-        return out
+        expose_stars(image_e, places, flux_e, sigma_px, camera)
+        return star_rows(self._camera, field, places, flux_e, sigma_px, float(image_e[::64, ::64].mean()), index)
 
     def _paths(self, sight: LineOfSight, index: int, wanted: Iterable[int]) -> list[tuple[int, Path]]:
         """Paths of those wanted objects that come near the field in a frame."""
         sun_km = earth.sun_position_km(self._carrier.tai_ns(sight.reference_s))
         first_open_s = index / self.options.frame_rate_hz
+        to_middle_s = 0.5e-9 * self._carrier.timing(index, delivered=False).line_time_ns * (self._camera.shape[0] - 1)
         air, light, camera = self._air_of(sight), self.options.light, self._camera.at(sight.reference_s)
         paths = []
         for object_id in wanted:
@@ -271,7 +251,8 @@ class Simulator:
             path: Path | None
             unsteady = self._turbulence(air, sight, index, object_id)
             if isinstance(thing, PixelPathObject):
-                path = pixel_path_of(thing, sight, camera, first_open_s if thing.restart else 0.0, light, unsteady)
+                start_s = (first_open_s if thing.restart else 0.0) + (to_middle_s if thing.from_middle_row else 0.0)
+                path = pixel_path_of(thing, sight, camera, start_s, light, unsteady)
             else:
                 path = sky_path_of(thing, sight, camera, sun_km, light, air, unsteady)
             if path is not None:
@@ -285,84 +266,6 @@ class Simulator:
         rng = generator(self.seed, Effect.TURBULENCE, index, object_id)
         span = float(sight.node_s[0]), float(sight.node_s[-1])
         return air.unsteadiness(sight.reference[2], self._camera.instrument.aperture_m, *span, rng)
-
-    # ------------------------------------------------- what is said about it
-
-    def _header(self, sight: LineOfSight, index: int) -> FrameHeader:
-        """Telemetry that travels with the pixels."""
-        timing, sensor = self._carrier.timing(index, delivered=True), self._camera.sensor
-        delivered, window = sensor.delivered, sensor.options.window
-        return FrameHeader(
-            frame=index,
-            t_start_tai_ns=timing.clock_tai_ns,
-            exposure_ns=timing.exposure_ns,
-            line_time_ns=timing.line_time_ns,
-            rows=delivered.rows,
-            cols=delivered.cols,
-            bin_rows=self._camera.binning.rows,
-            bin_cols=self._camera.binning.cols,
-            window_row0=window.row0,
-            window_col0=window.col0,
-            gain_e_adu=delivered.gain_e_adu,
-            read_noise_e=delivered.read_noise_e,
-            saturation_adu=delivered.saturation_adu,
-            attitude=self._carrier.attitude_estimate(sight, index),
-            observer=self._carrier.observer_state(sight, index),
-            temperature_k=sensor.options.temperature_k,
-        )
-
-    def _frame_truth(self, sight: LineOfSight, index: int, sky_e: float) -> NDArray[np.void]:
-        """One row of the truth of frames."""
-        camera, timing = self._camera.at(sight.reference_s), self._carrier.timing(index, delivered=True)
-        position, velocity = (v[0] for v in sight.observer_at(np.array([sight.reference_s])))
-        delivered, pixels = camera.sensor.delivered, camera.binning.rows * camera.binning.cols
-        row, col = np.meshgrid(*(np.linspace(0, n - 1.0, 9) for n in (delivered.rows, delivered.cols)), indexing="ij")
-        row, col = row.ravel(), col.ravel()
-        opened_s = (timing.t_start_tai_ns - self._epoch + timing.line_time_ns * row) * 1e-9
-        # A star's image is the mean over the exposure, and so is what a frame solution can know of the jitter.
-        shares = (np.arange(GRID_SAMPLES) + 0.5) / GRID_SAMPLES
-        times_s = (opened_s[:, None] + shares * camera.exposure_s).ravel()
-        vectors = np.repeat(camera.projection.to_vectors(*camera.undelivered(row, col)), GRID_SAMPLES, axis=0)
-        seen = sight.to_gcrs(times_s, vectors).reshape(len(row), GRID_SAMPLES, 3).mean(axis=1)
-        seen /= np.linalg.norm(seen, axis=1, keepdims=True)
-        air = self._air_of(sight)
-        ra, dec = angles_deg(seen if air is None else air.unrefracted(seen))
-        values = {
-            "frame": index,
-            "t_start_true_tai_ns": timing.t_start_tai_ns,
-            "t_start_clock_tai_ns": timing.clock_tai_ns,
-            "exposure_ns": timing.exposure_ns,
-            "line_time_ns": timing.line_time_ns,
-            "q_true": quaternion_of(sight.reference),
-            "position_m": position * 1e3,
-            "velocity_m_s": velocity * 1e3,
-            "grid_row": row,
-            "grid_col": col,
-            "grid_ra_app_deg": ra,
-            "grid_dec_app_deg": dec,
-            "sky_e_px": sky_e * pixels,
-            "noise_e": np.sqrt(float(camera.sensor.variance_e2(sky_e, camera.exposure_s)) * pixels),
-            "zero_point_mag": 2.5 * np.log10(camera.zero_point_e_s),
-        }
-        out = truth.empty("frames", 1)
-        for name, value in values.items():
-            out[name] = value
-        return out
-
-    def _cosmics(self, hits: HitList, index: int) -> NDArray[np.void]:
-        """Particle tracks in delivered pixels."""
-        window, shape = self._camera.sensor.options.window, self._camera.shape
-        tracks = hits.tracks
-        middle_row = 0.5 * (tracks["row0"] + tracks["row1"]) - window.row0
-        middle_col = 0.5 * (tracks["col0"] + tracks["col1"]) - window.col0
-        inside = (middle_row > -1.0) & (middle_row < shape[0]) & (middle_col > -1.0) & (middle_col < shape[1])
-        tracks = tracks[inside]
-        out = truth.empty("cosmics", len(tracks))
-        out["frame"], out["charge_e"] = index, tracks["charge_e"]
-        for end in ("0", "1"):
-            row, col = self._camera.delivered(tracks[f"row{end}"] - window.row0, tracks[f"col{end}"] - window.col0)
-            out[f"row{end}"], out[f"col{end}"] = row, col
-        return out
 
     # -------------------------------------------------------------- the run
 

@@ -30,6 +30,7 @@ class Effect(IntEnum):
     RADIATION = 17  # particle hits of each frame
     CALIBRATION = 18  # noise of dark and flat calibration frames
     TURBULENCE = 19  # brightness and place of an object during a frame; block is the object
+    WAVEFRONT = 20  # errors of the wavefront (frame 0)
 
 
 def generator(seed: int, effect: Effect | int, frame: int = 0, block: int = 0) -> np.random.Generator:

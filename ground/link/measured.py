@@ -16,8 +16,8 @@ from ground.link.hypotheses import ENTERING, FULL, LEAVING, POINT, Nodes, end_er
 from ground.link.motion import N_PARAMETERS, fit_motion, kappa_sigma
 from ground.link.resolve import pieces_among
 from ground.link.row_errors import common_errors
+from ground.sky.shake_model import STEADY, EndShake
 from ground.sky.sphere import ARCSEC_RAD, east_north, spherical_deg, unit_vectors
-from ground.sky.turning import END_OVER_SLOPE
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakMeasurement, Tracklet
 
@@ -29,6 +29,8 @@ SIGMA_ACCELERATION_ARCSEC_S2: Final = 0.6
 """Differential gravity on the sky, prior of the motion's acceleration."""
 LEAST_SIGMA_ARCSEC: Final = 1e-3
 """Added to every row in quadrature: rows that share all their errors still have a covariance that can be inverted."""
+LEAST_COSINE: Final = 0.25
+"""Of the angle between trail and motion; a joint fit tells little of one that lies more aslant."""
 INHERITED: Final = StreakFlag.EDGE0 | StreakFlag.EDGE1 | StreakFlag.SATURATED | StreakFlag.VARIABLE
 
 
@@ -38,7 +40,8 @@ class Member:
 
     single, final : as its frame shows it alone and as it is published, both with directions at their epochs.
     jacobian_arcsec : (3, 2, 2) of (east, north) by (row, col) at the three points of `final`. pointing_arcsec : one sigma of an
-    axis of its frame, sigma_rate_arcsec_s : and of the rate at which the camera turned during the exposure.
+    axis of its frame, sigma_rate_arcsec_s : and of the rate at which the camera turned during the exposure; end_shake : what this
+    lets expect at shutter open and close.
     group, shared_arcsec : window of a joint fit (-1: none) and (2, 3) errors that both ends share with the ends of that window.
     """
 
@@ -47,13 +50,14 @@ class Member:
     jacobian_arcsec: Array
     pointing_arcsec: float
     sigma_rate_arcsec_s: float = 0.0
+    end_shake: EndShake = STEADY
     group: int = -1
     shared_arcsec: Array
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Rows:
-    """Dated directions by time. unit : (m, 3). covariance : (m, 2, 2) east and north, arcsec^2. shared : (m, 3) arcsec."""
+    """Dated directions by time. covariance : (m, 2, 2) arcsec^2, headings : (m, 2) of motion, east, north; shared : (m, 3)."""
 
     streak_id: NDArray[np.int64]
     point: NDArray[np.int64]
@@ -61,6 +65,7 @@ class _Rows:
     ra_deg: Array
     dec_deg: Array
     covariance: Array
+    headings: Array
     group: NDArray[np.int64]
     shared: Array
     pointing: Array
@@ -108,19 +113,46 @@ def _rows_of(members: Sequence[Member]) -> _Rows:
         elif streak.flags & StreakFlag.POINT_LIKE or not streak.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1):
             found.append((member, 1, np.zeros(3)))
     found.sort(key=lambda row: (int(row[0].final.t_tai_ns[row[1]]), row[0].final.streak_id))
+    t_tai_ns = np.array([m.final.t_tai_ns[p] for m, p, _ in found], dtype=np.int64)
+    ra_deg, dec_deg = (np.array([getattr(m.final, name)[p] for m, p, _ in found]) for name in ("ra_deg", "dec_deg"))
+    headings = _headings(t_tai_ns, unit_vectors(np.radians(ra_deg), np.radians(dec_deg)))
+    slants = [_slant(m, p, heading) for (m, p, _), heading in zip(found, headings, strict=True)]
+    turning = [slant * turning_arcsec(m.final, m.sigma_rate_arcsec_s, p) for (m, p, _), slant in zip(found, slants, strict=True)]
     return _Rows(
         streak_id=np.array([m.final.streak_id for m, _, _ in found], dtype=np.int64),
         point=np.array([p for _, p, _ in found], dtype=np.int64),
-        t_tai_ns=np.array([m.final.t_tai_ns[p] for m, p, _ in found], dtype=np.int64),
-        ra_deg=np.array([m.final.ra_deg[p] for m, p, _ in found]),
-        dec_deg=np.array([m.final.dec_deg[p] for m, p, _ in found]),
-        covariance=np.array([_covariance_arcsec2(m, p) for m, p, _ in found]).reshape(-1, 2, 2),
+        t_tai_ns=t_tai_ns,
+        ra_deg=ra_deg,
+        dec_deg=dec_deg,
+        covariance=np.array(
+            [_covariance_arcsec2(m, p, h, s) for (m, p, _), h, s in zip(found, headings, slants, strict=True)]
+        ).reshape(-1, 2, 2),
+        headings=headings,
         group=np.array([m.group if p != 1 else -1 for m, p, _ in found], dtype=np.int64),
         shared=np.array([shared for _, _, shared in found]).reshape(-1, 3),
         pointing=np.array([m.pointing_arcsec for m, _, _ in found], dtype=np.float64),
-        turning=np.array([turning_arcsec(m.final, m.sigma_rate_arcsec_s, p) for m, p, _ in found], dtype=np.float64),
+        turning=np.array(turning, dtype=np.float64),
         frame=np.array([m.final.frame for m, _, _ in found], dtype=np.int64),
     )
+
+
+def _slant(member: Member, point: int, heading: Array) -> float:
+    """How much larger an error across the motion is than the one across the trail that makes it: 1 but for refitted ends.
+
+    A camera that turns draws a slow object's trail aslant to its motion. The joint fit puts an end where the motion was, by
+    moving it along the trail; what the end is off across the trail then comes out across the motion, by 1 / cos of the angle.
+    """
+    if point == 1 or not member.final.flags & StreakFlag.REFIT or not np.isfinite(heading).all():
+        return 1.0
+    trail = _trail_heading(member, point)
+    return 1.0 / max(abs(float(trail @ heading)), LEAST_COSINE)
+
+
+def _trail_heading(member: Member, point: int) -> Array:
+    """Direction (2,) of a trail, end 0 to end 1, east and north, as it lies before the camera at one epoch."""
+    fit = member.final.fit
+    along = member.jacobian_arcsec[point] @ np.array([fit.row1 - fit.row0, fit.col1 - fit.col0])
+    return np.asarray(along / max(float(np.linalg.norm(along)), 1e-12))
 
 
 def turning_arcsec(streak: StreakMeasurement, sigma_rate_arcsec_s: float, point: int) -> float:
@@ -128,8 +160,11 @@ def turning_arcsec(streak: StreakMeasurement, sigma_rate_arcsec_s: float, point:
     return (point - 1) * sigma_rate_arcsec_s * 0.5e-9 * abs(float(streak.t_tai_ns[2] - streak.t_tai_ns[0]))
 
 
-def _covariance_arcsec2(member: Member, point: int) -> Array:
-    """Covariance (2, 2) of a point east and north; an end that is a change point counts by its interval."""
+def _covariance_arcsec2(member: Member, point: int, heading: Array, slant: float) -> Array:
+    """Covariance (2, 2) of a point east and north; an end that is a change point counts by its interval.
+
+    heading : of the motion. slant : of the trail to it (`_slant`).
+    """
     fit, jacobian = member.final.fit, member.jacobian_arcsec[point]
     blocks = np.asarray(fit.covariance_px2).reshape(2, 2, 2, 2).transpose(0, 2, 1, 3)
     if point == 1:
@@ -138,15 +173,22 @@ def _covariance_arcsec2(member: Member, point: int) -> Array:
     turning = turning_arcsec(member.final, member.sigma_rate_arcsec_s, point)
     block = blocks[point // 2, point // 2]
     along = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0]) / max(fit.length_px, 1e-6)
+    across = np.array([-along[1], along[0]])
     if not np.isfinite(block).all() or fit.flags & StreakFlag.ENDS_NOT_GAUSSIAN:
-        across = np.array([-along[1], along[0]])
         sigma_along, sigma_cross = end_errors_px([member.final])
         block = sigma_along[0, point // 2] ** 2 * np.outer(along, along) + sigma_cross[0] ** 2 * np.outer(across, across)
-    heading = jacobian @ along / max(float(np.linalg.norm(jacobian @ along)), 1e-12)
-    # the joint fit has put the attitude's errors along the motion into the ends already
-    attitude = 0.0 if member.final.flags & StreakFlag.REFIT else member.pointing_arcsec**2 + (END_OVER_SLOPE * turning) ** 2
-    side = np.array([-heading[1], heading[0]])
-    pointing = attitude * np.outer(heading, heading) + (member.pointing_arcsec**2 + turning**2) * np.outer(side, side)
+    trail = _trail_heading(member, point)
+    side = np.array([-trail[1], trail[0]])
+    if member.final.flags & StreakFlag.REFIT and np.isfinite(heading).all():
+        # the joint fit has put the attitude's errors along the motion into the ends already
+        beside = np.array([-heading[1], heading[0]])
+        off = float(across @ block @ across) * float(np.linalg.norm(jacobian @ across)) ** 2
+        off += member.pointing_arcsec**2 + turning**2
+        moved = jacobian @ along
+        return np.asarray(float(along @ block @ along) * np.outer(moved, moved) + slant**2 * off * np.outer(beside, beside))
+    sway = member.end_shake.sway(fit.length_px, fit.width_px)
+    attitude = member.pointing_arcsec**2 + (member.end_shake.turn**2 + sway**2) * turning**2
+    pointing = attitude * np.outer(trail, trail) + (member.pointing_arcsec**2 + turning**2) * np.outer(side, side)
     return np.asarray(jacobian @ block @ jacobian.T + pointing)
 
 
@@ -159,9 +201,8 @@ def _motion(rows: _Rows, t_ref_ns: int) -> dict[str, Any]:
     t_s = np.asarray((rows.t_tai_ns - t_ref_ns) * 1e-9, dtype=np.float64)
     unit = unit_vectors(np.radians(rows.ra_deg), np.radians(rows.dec_deg))
     if m >= 2 and np.isfinite(unit).all() and len(np.unique(rows.t_tai_ns)) >= 2:
-        centre = unit.mean(axis=0) / np.linalg.norm(unit.mean(axis=0))
-        plane = np.stack(east_north(centre))
-        headings = _headings(t_s, unit, centre, plane)
+        centre, plane = _plane_of(unit)
+        headings = rows.headings
         axes = np.stack([np.stack([np.array([s, c]), np.array([c, -s])]) for s, c in headings])
         turned = axes @ rows.covariance @ axes.transpose(0, 2, 1)
         along, cross = np.sqrt(turned[:, 0, 0]), np.sqrt(turned[:, 1, 1])
@@ -185,8 +226,14 @@ def _motion(rows: _Rows, t_ref_ns: int) -> dict[str, Any]:
     }
 
 
-def _headings(t_s: Array, unit: Array, centre: Array, plane: Array) -> Array:
-    """Direction of motion (m, 2) at each row, east and north there: of a parabola through all rows."""
+def _headings(t_tai_ns: NDArray[np.int64], unit: Array) -> Array:
+    """Direction of motion (m, 2) at each row, east and north there: of a parabola through all rows; NaN without two epochs."""
+    m = len(t_tai_ns)
+    if m < 2 or not np.isfinite(unit).all() or len(np.unique(t_tai_ns)) < 2:
+        return np.full((m, 2), np.nan)
+    centre, plane = _plane_of(unit)
+    t_s = (t_tai_ns - t_tai_ns[0]) * 1e-9
+    t_s = t_s - t_s.mean()
     placed = unit @ plane.T / (unit @ centre)[:, None]
     terms = np.vander(t_s, min(3, len(np.unique(t_s))), increasing=True)
     coefficients = np.linalg.lstsq(terms, placed, rcond=None)[0]
@@ -199,6 +246,12 @@ def _headings(t_s: Array, unit: Array, centre: Array, plane: Array) -> Array:
         length = float(np.linalg.norm(heading))
         out.append(heading / length if length > 0.0 else np.array([0.0, 1.0]))
     return np.array(out)
+
+
+def _plane_of(unit: Array) -> tuple[Array, Array]:
+    """Middle (3,) of directions and axes (2, 3) east and north there."""
+    centre = unit.mean(axis=0) / np.linalg.norm(unit.mean(axis=0))
+    return centre, np.stack(east_north(centre))
 
 
 def _joint_covariance(rows: _Rows, each: Array) -> Array:

@@ -23,6 +23,10 @@ Array = NDArray[np.float64]
 
 LEAST_FRAMES: Final = 4
 """Of two and three frames the line takes up most of what their ends differ."""
+MIDDLE_ASTRAY: Final = 0.2
+"""Error of a trail's middle across the motion that its pixels do not tell, in units of the expected shake: stars, the field."""
+LEAST_FREE: Final = 0.1
+"""Share of a trail's variance that the line leaves it, below which it tells nothing more."""
 CLEAREST: Final = 2.0
 """An end whose own error is larger, in units of the expected shake, tells nothing of it."""
 ASTRAY: Final = 0.02
@@ -78,13 +82,14 @@ def sway_of(tracklet: Tracklet, trails: Sequence[SeenTrail]) -> Sway:
     t_s -= t_s.mean()
     # gravity bends the line; what is left of its slope at each frame is the camera's
     design = np.stack([np.ones_like(t_s), t_s, t_s**2], axis=-1)
-    weight = 1.0 / np.hypot(sigma, shake)
-    middle = design.mean(axis=1) * weight[:, None]
-    tilt = 0.5 * (design[:, 1] - design[:, 0]) * weight[:, None]
+    by_middle, by_tilt = 1.0 / np.hypot(sigma, MIDDLE_ASTRAY * shake), 1.0 / np.hypot(sigma, shake)
+    middle, tilt = design.mean(axis=1), 0.5 * (design[:, 1] - design[:, 0])
     off = 0.5 * (across[:, 1] - across[:, 0])
-    seen = np.concatenate([across.mean(axis=1) * weight, off * weight])
-    motion = np.linalg.lstsq(np.concatenate([middle, tilt]), seen, rcond=None)[0]
-    return Sway(off - 0.5 * (design[:, 1] - design[:, 0]) @ motion, sigma, shake)
+    q, r = np.linalg.qr(np.concatenate([middle * by_middle[:, None], tilt * by_tilt[:, None]]))
+    motion = np.linalg.solve(r, q.T @ np.concatenate([across.mean(axis=1) * by_middle, off * by_tilt]))
+    # the line follows the trails that it is laid through: what is left is smaller than what they are off
+    followed = np.sum(q[len(used) :] ** 2, axis=1)
+    return Sway((off - tilt @ motion) / np.sqrt(np.maximum(1.0 - followed, LEAST_FREE)), sigma, shake)
 
 
 def shake_factor(sways: Iterable[Sway]) -> float:

@@ -1,6 +1,6 @@
 """Weighted orbits over an adaptive grid of ranges, and what is reported of them."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -132,12 +132,12 @@ def quantiles(values: NDArray[np.float64], weight: NDArray[np.float64]) -> NDArr
     return np.interp([0.05, 0.5, 0.95], (cumulative - 0.5 * weight[order]) / cumulative[-1], values[order])
 
 
-def modes(posterior: Posterior) -> NDArray[np.float64]:
+def modes(posterior: Posterior, medians_of_all: Sequence[float]) -> NDArray[np.float64]:
     """Range modes (k, 5) by falling weight: range (km) at the peak, weight, and medians of a (km), e, i (deg) around it.
 
     A mode is a peak of the density per ln(range), running mean over five ranges, together with everything up to the valleys
     beside it. A valley higher than half of the lower peak does not divide, nor does one that leaves less than 2 % on a side.
-    The weights sum to one.
+    The weights sum to one. medians_of_all : of a, e, i, which are those of a single mode.
     """
     density = np.convolve(np.pad(posterior.density, 2, mode="edge"), np.full(5, 0.2), mode="valid")
     peaks = np.flatnonzero(np.diff(np.sign(np.diff(np.concatenate([[-1.0], density, [-1.0]])))) < 0)
@@ -161,13 +161,11 @@ def modes(posterior: Posterior) -> NDArray[np.float64]:
         beside = [k for k in (least - 1, least) if 0 <= k < len(dividing)]
         del dividing[max(beside, key=lambda k: density[dividing[k]])]
     bounds = [0, *dividing, len(density) - 1]
+    columns = (posterior.a_km, posterior.e, np.degrees(posterior.i_rad))
     out = []
     for k, (low, high) in enumerate(pairwise(bounds)):
         inside = cell == k
-        medians = [
-            quantiles(column[inside], posterior.weight[inside])[1]
-            for column in (posterior.a_km, posterior.e, np.degrees(posterior.i_rad))
-        ]
+        medians = [quantiles(column[inside], posterior.weight[inside])[1] for column in columns] if dividing else medians_of_all
         peak = low + int(np.argmax(density[low : high + 1]))
         out.append((float(np.exp(posterior.log_range[peak])), float(mass[k]), *medians))
     return np.array(sorted(out, key=lambda mode: -mode[1])).reshape(-1, 5)

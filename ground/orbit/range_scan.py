@@ -127,16 +127,17 @@ class RangeScan:
         rho = np.exp(posterior.log_range)
         angles = elements_of(state.sample_state)[:, 3:]
         latitude_argument = latitude_argument_of(state.sample_state)
+        a_km, e, i_deg = (quantiles(column, weight) for column in (posterior.a_km, posterior.e, np.degrees(posterior.i_rad)))
         return OrbitEstimate(
             tracklet_id=tracklet.tracklet_id,
             t_ref_tai_ns=data.t_ref_tai_ns,
             range_km=quantiles(posterior.range_km, weight),
             altitude_km=quantiles(altitude, weight),
-            a_km=quantiles(posterior.a_km, weight),
-            e=quantiles(posterior.e, weight),
-            i_deg=quantiles(np.degrees(posterior.i_rad), weight),
+            a_km=a_km,
+            e=e,
+            i_deg=i_deg,
             size_m=size,
-            modes=modes(posterior),
+            modes=modes(posterior, (a_km[1], e[1], i_deg[1])),
             range_grid_km=rho,
             range_posterior=posterior.density / rho,
             prior=self._words(),

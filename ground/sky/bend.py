@@ -2,6 +2,10 @@
 
 A camera that rolls by w sees a trail of length L and exposure T bent by ``w L T / 4`` in the middle (its Coriolis acceleration
 2 w L / T over T^2 / 8). A line laid through an arc of sagitta s runs two thirds of s beside its chord, and so do the line's ends.
+
+What a fit finds bent beyond that is the camera's shake: bright trails show hundredths of a pixel of it. An attitude from stars
+is the mean over the exposure, and so is a line laid through the trail; the ends of the bent one have what the camera shook at
+shutter open and close in them. So a fitted arc is taken back to its line, which then gets the arc of the attitude as all do.
 """
 
 from dataclasses import replace
@@ -22,36 +26,54 @@ Array = NDArray[np.float64]
 SHORTEST_PX: Final = 3.0
 LINE_BESIDE_CHORD: Final = 2.0 / 3.0
 """Mean height of a flat arc, in units of its sagitta."""
+MOST_BY_SAGITTA: Final = 5.0 / 6.0
+"""Share of the variance of an arc's ends across, both moving alike, that is the sagitta's where light is even: the arc's is six
+times the line's."""
 LARGEST_PX: Final = 2.0
 """What bends more than a trail is wide was not fitted by a line."""
 
 
 def bent(streak: StreakMeasurement, header: FrameHeader, solution: FrameSolution) -> StreakMeasurement:
-    """The streak with its ends on the arc that a motion straight on the sky draws, where a line was fitted to it.
+    """The streak with its ends on the arc that a motion straight on the sky draws, whether a line or an arc was fitted to it.
 
     streak : ends in the order of time, with their epochs. Directions are those of the old ends until they are measured anew.
     """
     fit = streak.fit
     unfit = StreakFlag.POINT_LIKE | StreakFlag.FIT_FAILED
-    if fit.sagitta_px != 0.0 or streak.flags & unfit or not streak.flags & StreakFlag.DIRECTION_RESOLVED:
+    if streak.flags & unfit or not streak.flags & StreakFlag.DIRECTION_RESOLVED:
         return streak
     if fit.length_px < SHORTEST_PX:
         return streak
     sagitta = sagitta_px(fit, header, solution, streak.t_tai_ns)
-    if not abs(sagitta) < LARGEST_PX:
+    if not max(abs(sagitta), abs(sagitta - fit.sagitta_px)) < LARGEST_PX:
         return streak
     d_row, d_col = (fit.row1 - fit.row0) / fit.length_px, (fit.col1 - fit.col0) / fit.length_px
-    back = -LINE_BESIDE_CHORD * sagitta
+    back = LINE_BESIDE_CHORD * (fit.sagitta_px - sagitta)
     moved = replace(
         fit,
         row0=fit.row0 + back * d_col,
         col0=fit.col0 - back * d_row,
         row1=fit.row1 + back * d_col,
         col1=fit.col1 - back * d_row,
+        covariance_px2=_of_line(fit, np.array([d_col, -d_row])),
         sagitta_px=sagitta,
     )
-    beside = sagitta + back
+    beside = sagitta + back - fit.sagitta_px
     return replace(streak, fit=moved, row_mid=streak.row_mid + beside * d_col, col_mid=streak.col_mid - beside * d_row)
+
+
+def _of_line(fit: StreakFit, side: Array) -> Array:
+    """Covariance (4, 4) of the ends of the line through a fitted arc, which lacks the error of the sagitta (even light).
+
+    side : unit vector across, (row, col).
+    """
+    covariance = np.asarray(fit.covariance_px2)
+    if fit.sagitta_px == 0.0:
+        return covariance
+    both = 0.5 * np.tile(side, 2)
+    common = float(both @ covariance @ both)
+    by_sagitta = min((LINE_BESIDE_CHORD * fit.sagitta_err_px) ** 2, MOST_BY_SAGITTA * common)
+    return np.asarray(covariance - by_sagitta * np.outer(2.0 * both, 2.0 * both))
 
 
 def sagitta_px(fit: StreakFit, header: FrameHeader, solution: FrameSolution, t_tai_ns: NDArray[np.int64]) -> float:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from ground.sky.apparent import apparent_directions, mid_frame_tai_ns, observer_at
 from ground.sky.published import without_observer_aberration
 from ground.sky.rotation import matrix_of, turn
+from sboc_e2e.icd.flags import FrameFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution
 
@@ -74,6 +75,15 @@ class HeaderSky:
         ra, dec = self.wcs.all_pix2world(col, row, 0)
         middle = mid_frame_tai_ns(self.header)
         return apparent_directions(np.asarray(ra), np.asarray(dec), middle, *observer_at(self.header.observer, middle))
+
+
+def sky_of(header: FrameHeader, solution: FrameSolution, wcs: Any) -> PixelSky | None:
+    """Directions of a frame's pixels, if any are known. wcs : one that came with the frame, or None."""
+    if wcs is not None:
+        return HeaderSky(header=header, wcs=wcs)
+    if solution.flags & FrameFlag.NO_SOLUTION:
+        return None
+    return SolvedSky(header=header, solution=solution)
 
 
 def mid_frame_directions(solution: FrameSolution, row: Array, col: Array) -> Array:

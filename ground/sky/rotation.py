@@ -3,6 +3,8 @@
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.sky.sphere import cross
+
 Array = NDArray[np.float64]
 
 
@@ -46,5 +48,5 @@ def rotation_by(vector_rad: Array) -> Array:
 
 def turn(vectors: Array, angles_rad: Array) -> Array:
     """Vectors (n, 3), each turned by its own small rotation vector (n, 3); exact to second order, 1e-12 rad for 1e-4 rad."""
-    first = np.cross(angles_rad, vectors)
-    return vectors + first + 0.5 * np.cross(angles_rad, first)
+    first = cross(angles_rad, vectors)
+    return vectors + first + 0.5 * cross(angles_rad, first)

@@ -10,6 +10,18 @@ Array = NDArray[np.float64]
 ARCSEC_RAD: Final = np.pi / 648000.0
 
 
+def cross(a: Array, b: Array) -> Array:
+    """Cross products (..., 3): `numpy.cross`, which takes ten times as long to see what shapes it has."""
+    return np.stack(
+        (
+            a[..., 1] * b[..., 2] - a[..., 2] * b[..., 1],
+            a[..., 2] * b[..., 0] - a[..., 0] * b[..., 2],
+            a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0],
+        ),
+        axis=-1,
+    )
+
+
 def unit_vectors(ra_rad: Array, dec_rad: Array) -> Array:
     """Unit vectors (..., 3) of spherical positions."""
     cos_dec = np.cos(dec_rad)
@@ -26,4 +38,4 @@ def east_north(unit: Array) -> tuple[Array, Array]:
     """Unit vectors (3,) east and north of a direction; at the poles towards +y and away from +x."""
     horizontal = float(np.hypot(unit[0], unit[1]))
     east = np.array([-unit[1], unit[0], 0.0]) / horizontal if horizontal > 1e-12 else np.array([0.0, 1.0, 0.0])
-    return east, np.cross(unit, east)
+    return east, cross(unit, east)

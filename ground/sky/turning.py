@@ -27,9 +27,6 @@ Array = NDArray[np.float64]
 
 LEAST_FRAMES: Final = 5
 """Frames with a rate from their neighbours from which the error of telemetered rates is estimated."""
-END_OVER_SLOPE: Final = 1.16
-"""Error of the attitude at shutter open or close, over that which the error of the rate makes there: shakes that are no turning.
-sqrt(1 + (2/15) / (1/4 + 3/10)) = 1.11 of a random walk whose rate is that of the ends beside it, up to 1.2 for shorter frames."""
 UNUSUAL_JUMP: Final = 5.0
 """Jump of the rate at a frame, over the median of the run, beyond which a manoeuvre began or ended there."""
 LEAST_TOLD: Final = 0.1

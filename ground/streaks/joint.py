@@ -62,7 +62,7 @@ class TrackletFrame:
     the fitted ends, in one unit for all frames (say arcsec along the great circle); along_per_px : its derivative along
     the trail, from end 0 to end 1 (positive). t_open_s, t_close_s : shutter open on the row of end 0 and shutter close
     on the row of end 1, from a common zero. line_time_s : signed. sigma_frame : pointing error along the path, in the
-    same unit; sigma_end : that of the attitude at shutter open and close, in which both ends differ.
+    same unit; sigma_turn, sigma_sway : of the attitude at shutter open and close about it, opposite at both ends and alike.
     """
 
     pixels: StreakPixels
@@ -74,7 +74,8 @@ class TrackletFrame:
     t_close_s: float
     line_time_s: float
     sigma_frame: float = 0.0
-    sigma_end: float = 0.0
+    sigma_turn: float = 0.0
+    sigma_sway: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -143,7 +144,8 @@ def _evidence(frame: TrackletFrame, turn_rad: float) -> _Evidence | None:
     covariance = np.array(
         [[along @ fit.covariance_px2[2 * i : 2 * i + 2, 2 * j : 2 * j + 2] @ along for j in range(2)] for i in range(2)]
     )
-    covariance += (frame.sigma_end / frame.along_per_px) ** 2 * np.eye(2)
+    turn, sway = frame.sigma_turn / frame.along_per_px, frame.sigma_sway / frame.along_per_px
+    covariance += sway**2 + turn**2 * np.array([[1.0, -1.0], [-1.0, 1.0]])
     free = [StreakFlag.EDGE0 not in fit.flags, StreakFlag.EDGE1 not in fit.flags]
     precision = np.zeros((2, 2))
     index = np.flatnonzero(free)

@@ -10,7 +10,7 @@ import shutil
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, as_completed
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
 from multiprocessing import get_context
@@ -46,15 +46,19 @@ def failure_path(out: Path, task: Task) -> Path:
 
 
 @contextmanager
-def executor(workers: int, scheduler: str | None) -> Iterator[tuple[Executor, int]]:
+def executor(workers: int, scheduler: str | None, *, here: bool = False) -> Iterator[tuple[Executor, int]]:
     """Local processes, a dask LocalCluster ("local") or a dask scheduler, all behind the standard library's interface.
 
-    Beside it: how many tasks it runs at a time.
+    Beside it: how many tasks it runs at a time. here : in this process, one task after the other.
     """
+    if here:
+        with ThreadPoolExecutor(max_workers=1) as pool:
+            yield pool, 1
+        return
     if scheduler is None:
         # Fresh interpreters: a forked child would inherit the parent's numba and BLAS threads.
-        with ProcessPoolExecutor(max_workers=workers, mp_context=get_context("spawn")) as pool:
-            yield pool, workers
+        with ProcessPoolExecutor(max_workers=workers, mp_context=get_context("spawn")) as processes:
+            yield processes, workers
         return
     try:
         from distributed import Client, LocalCluster
@@ -80,13 +84,15 @@ def run_campaign(
     scheduler: str | None = None,
     registry: Registry | None = None,
     force: bool = False,
+    here: bool = False,
     report: Callable[[str], None] = lambda line: None,
 ) -> CampaignResult:
     """Run what is not done yet; finished shards are kept, failed tasks are tried again.
 
     out : folder of the campaign; it must be empty or belong to the same campaign, of which points and replicas may be added or
     left out. force : forget what another one left there. registry : with the plug-in modules that the user trusts.
-    scheduler : "tcp://host:port" of a dask scheduler, "local" for a dask LocalCluster, None for local processes.
+    scheduler : "tcp://host:port" of a dask scheduler, "local" for a dask LocalCluster, None for local processes. here : without
+    other processes.
     Raises `UserError` before the first task for a scenario that no point can have, and for another campaign's folder.
     """
     start = time.monotonic()
@@ -101,7 +107,7 @@ def run_campaign(
     # A scheduler's workers may have another disk, or another working folder: they get none, and their shards travel back.
     place = None if scheduler else str(out.resolve())
     count = 0
-    with executor(workers or os.cpu_count() or 1, scheduler) as (pool, slots):
+    with executor(workers or os.cpu_count() or 1, scheduler, here=here) as (pool, slots):
         jobs = [
             Job(plan=plan, tasks=tuple(tasks), surroundings=plan.surroundings(tasks[0].task), out=place)
             for tasks in shared_frames(todo, slots)

@@ -21,6 +21,8 @@ app = typer.Typer(
 )
 catalogue_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Star catalogues.")
 app.add_typer(catalogue_app, name="catalogue")
+scenarios_app = typer.Typer(rich_markup_mode=None, help="Scenarios that come with the project.")
+app.add_typer(scenarios_app, name="scenarios")
 
 Plugins = Annotated[list[str] | None, typer.Option("--plugin", help="trust a module that a scenario names as module:Class")]
 Overrides = Annotated[list[str] | None, typer.Option("--set", help="override a scenario key, such as sensor.prnu=0.01")]
@@ -94,7 +96,8 @@ def run(
     target = out or Path("runs") / resolved.name
     with shown_progress() as progress:
         execute(RunRequest(scenario=resolved, out=target, resume=resume, force=force, workers=workers), progress)
-    typer.echo(closing_text(json.loads((target / "score.json").read_text())))
+    score, manifest = (json.loads((target / f"{name}.json").read_text()) for name in ("score", "manifest"))
+    typer.echo(closing_text(score, manifest["stages"]))
     typer.echo(f"{target}/report.html")
 
 
@@ -209,13 +212,29 @@ def schema() -> None:
     typer.echo(scenario_schema.text(), nl=False)
 
 
-@app.command()
-def scenarios() -> None:
+@scenarios_app.callback(invoke_without_command=True)
+def scenarios(context: typer.Context) -> None:
     """List the scenarios that come with the project."""
     from sboc_e2e import scenario
 
-    for name, description in scenario.available().items():
-        typer.echo(f"{name:23} {description}")
+    if context.invoked_subcommand is None:
+        for name, description in scenario.available().items():
+            typer.echo(f"{name:23} {description}")
+
+
+@scenarios_app.command("show")
+def scenarios_show(
+    scenario: Annotated[str, typer.Argument(help="a name of `sboc scenarios` or the path of a TOML file")],
+    overrides: Overrides = None,
+    use: Uses = None,
+    plugin: Plugins = None,
+) -> None:
+    """Print a scenario with every key: value, meaning, range, and whether file, preset or command line gave it."""
+    from sboc_e2e import scenario as scenario_files
+    from sboc_e2e.scenario import shown
+
+    resolved = scenario_files.load(scenario, registry=registry_of(plugin), overrides=overrides or (), use=parsed_uses(use))
+    typer.echo(shown.text(resolved), nl=False)
 
 
 @catalogue_app.command("build")

@@ -4,6 +4,7 @@ Simulated frames and downlinks are kept under the output folder by the content t
 ground runs neither the simulator nor the on-board half again, and a second comparison starts where the first one ended.
 """
 
+import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -13,6 +14,8 @@ import numpy as np
 
 from sboc_e2e.compare.pages import completeness_plot, froc_plot, write_pages
 from sboc_e2e.compare.paired import PAIR_SNR, Outcomes, difference, froc, mcnemar
+from sboc_e2e.compare.questions import answers
+from sboc_e2e.compare.splits import splits
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.results import LARGEST_SNR
 from sboc_e2e.icd.signals import Detection
@@ -26,11 +29,13 @@ from sboc_e2e.run.shared import SharedRuns
 from sboc_e2e.scenario import Scenario, load
 from sboc_e2e.score.detection import IMPOSTOR
 from sboc_e2e.score.evaluation import Evaluation
-from sboc_e2e.score.figures import absent, bootstrap, exact, half_point, proportion, rate, rms
+from sboc_e2e.score.figures import absent, bootstrap, exact, half_point, proportion, pull_width, rate, rms
 from sboc_e2e.score.ideal import ideal_snr50
 from sboc_e2e.score.matching import SNR_IGNORED, distance_to_path
 
 MAX_GALLERY: Final = 24
+MAX_FALSE: Final = 8
+"""False alarms shown of each choice."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,7 +86,10 @@ def compare(
     for k in range(request.seeds):
         for name in request.choices:
             made = shared.ground(scenarios[k, name])
-            runs[name].append((made, made.evaluation()))
+            found = made.evaluation()
+            made.score(found=found)
+            made.report()
+            runs[name].append((made, found))
     onboard = request.seam.startswith("onboard.")
     outcomes = _outcomes({name: [e for _, e in pairs] for name, pairs in runs.items()}, onboard)
     first = next(iter(runs.values()))
@@ -107,6 +115,9 @@ def compare(
             for i, a in enumerate(names)
             for b in names[i + 1 :]
         ],
+        "questions": answers(request.seam, {name: [_score(made) for made, _ in pairs] for name, pairs in runs.items()}),
+        "splits": splits(outcomes, names),
+        "runs": {name: [made.directory.path.relative_to(out).as_posix() for made, _ in pairs] for name, pairs in runs.items()},
         "froc": curves,
     }
     shape, sigma = first[0][1].shape, float(np.median(first[0][1].truth_tables["streaks"]["psf_sigma_px"]))
@@ -114,8 +125,13 @@ def compare(
         "Completeness": completeness_plot(outcomes.snr, outcomes.found, ideal_snr50(0.1, *shape, sigma)),
         "Free-response curve": froc_plot(curves),
     }
-    write_pages(result, svgs, _gallery(runs, onboard), out)
+    write_pages(result, svgs, _gallery(runs, onboard), {} if onboard else _false_alarms(runs), out)
     return result
+
+
+def _score(made: Run) -> dict[str, Any]:
+    """The score of a choice's run."""
+    return dict(json.loads(made.directory.score.read_text(encoding="utf-8")))
 
 
 def _detected(e: Evaluation, onboard: bool) -> set[int]:
@@ -188,6 +204,7 @@ def _choice(pairs: Sequence[tuple[Run, Evaluation]], outcomes: Outcomes, name: s
         "false_per_frame": rate(false, frames, frames),
         "false_unflagged_per_frame": rate(unflagged, frames, frames) if onboard else absent("ground has left flagged ones out"),
         "cross_crlb_ratio": bootstrap(cross, rms),
+        "cross_crlb_robust": bootstrap(cross, pull_width),
         "median_cpu_ms_per_frame": _median_cpu_ms(costs),
         "cpu_ms_per_frame": 1000.0 * sum(cost["cpu_s"] for cost in costs) / max(frames, 1),
         "notes": sorted({note for e in evaluations for note in e.notes}),
@@ -230,4 +247,19 @@ def _gallery(runs: dict[str, list[tuple[Run, Evaluation]]], onboard: bool) -> li
             {"picture": picture, "snr": t.snr, "length_px": t.length_px, "frame": t.frame,
              "found": ", ".join(found), "lost": ", ".join(lost)}
         )  # fmt: skip
+    return out
+
+
+def _false_alarms(runs: dict[str, list[tuple[Run, Evaluation]]]) -> dict[str, list[dict[str, Any]]]:
+    """Cut-outs of what each choice published without a truth streak, most significant first."""
+    out: dict[str, list[dict[str, Any]]] = {}
+    for name, pairs in runs.items():
+        found = [(float(e.streaks["snr"][row]), row, made, e) for made, e in pairs for row in e.false_rows]
+        found.sort(key=lambda item: -item[0])
+        out[name] = []
+        for snr, row, made, e in found[:MAX_FALSE]:
+            s = e.streaks[row]
+            image = pictures.read_pixels(made.directory.frame_file(int(s["frame"])))
+            picture, _, _ = pictures.cutout(image, float(s["row_mid"]), float(s["col_mid"]))
+            out[name].append({"picture": picture, "snr": snr, "length_px": float(s["length_px"]), "frame": int(s["frame"])})
     return out

@@ -1,6 +1,8 @@
 """compare.json, compare.md and compare.html from the outcomes of each choice."""
 
 import json
+from collections.abc import Sequence
+from html import escape
 from pathlib import Path
 from typing import Any, Final
 
@@ -11,6 +13,9 @@ from sboc_e2e.files.atomic import write_text
 from sboc_e2e.report import plots
 from sboc_e2e.report.page import simple_page, table
 from sboc_e2e.report.words import figure_words, number
+
+FINDING: Final = ("onboard.background", "onboard.star_extractor", "onboard.detector", "ground.vetter")
+"""Seams whose steps decide which streaks are found; the others are judged by their own figures first."""
 
 LEVEL: Final = 0.05
 """A difference that chance alone would show less often than this is called one."""
@@ -45,6 +50,7 @@ def choice_rows(result: dict[str, Any]) -> list[list[str]]:
                 figure_words(c["false_per_frame"])[0],
                 figure_words(c["false_unflagged_per_frame"])[0],
                 figure_words(c["cross_crlb_ratio"])[0],
+                figure_words(c["cross_crlb_robust"])[0],
                 figure_words(c["median_cpu_ms_per_frame"])[0],
                 number(c["cpu_ms_per_frame"]),
                 number(c["downlink_bits_per_frame"] / 1000),
@@ -59,7 +65,8 @@ HEAD = (
     "S/N half",
     "false per frame",
     "of these unflagged",
-    "cross / CRLB",
+    "cross / CRLB, rms",
+    "cross / CRLB, from the median",
     "CPU ms per frame, median",
     "CPU ms per frame, all",
     "kbit per frame",
@@ -109,28 +116,98 @@ def verdict(result: dict[str, Any]) -> list[str]:
     return lines
 
 
-def write_pages(result: dict[str, Any], pictures: dict[str, str], gallery: list[dict[str, Any]], out: Path) -> None:
-    """All three files; `pictures` are titled SVGs, `gallery` cut-outs of streaks that one found and another lost."""
+def seam_verdict(result: dict[str, Any]) -> list[str]:
+    """A sentence for each pair of a seam that does not decide which streaks are found: its first figure that tells them apart."""
+    lines = []
+    asked = [q for q in result["questions"] if all(f["value"] is not None for f in q["choices"].values())]
+    for p in result["pairs"]:
+        a, b = p["first"], p["second"]
+        cost = " against ".join(figure_words(result["choices"][name]["median_cpu_ms_per_frame"])[0] for name in (a, b))
+        apart = [q for q in asked if _apart(q["choices"][a], q["choices"][b])]
+        if not asked:
+            lines.append(f"{a} and {b}: no figure of this step could be measured here.")
+        elif not apart:
+            shown = asked[0]
+            values = " and ".join(figure_words(shown["choices"][name])[0] for name in (a, b))
+            lines.append(
+                f"No figure of this step tells {a} from {b} ({shown['label']} {values}); CPU {cost} ms in the median frame."
+            )
+        else:
+            words = "; ".join(
+                f"{q['label']} {figure_words(q['choices'][a])[0]} with {a}, {figure_words(q['choices'][b])[0]} with {b}"
+                for q in apart[:3]
+            )
+            lines.append(f"{a} and {b} differ: {words}; CPU {cost} ms in the median frame.")
+    return lines
+
+
+def _apart(one: dict[str, Any], other: dict[str, Any]) -> bool:
+    """Whether two intervals do not overlap."""
+    return bool(one["high"] < other["low"] or other["high"] < one["low"])
+
+
+def question_rows(result: dict[str, Any]) -> list[list[str]]:
+    """A row for each figure of the seam, a cell for each choice; a figure that is absent says why."""
+    rows = []
+    for q in result["questions"]:
+        cells = [figure_words(q["choices"][name]) for name in result["choices"]]
+        rows.append([q["label"], *(value if value != "-" else f"- ({note})" for value, note in cells)])
+    return rows
+
+
+def split_rows(result: dict[str, Any]) -> list[list[str]]:
+    """A row for each bin of S/N and length, a cell for each choice."""
+    return [
+        [s["quantity"], s["bin"], str(s["n"]), *(figure_words(s["choices"][name])[0] for name in result["choices"])]
+        for s in result["splits"]
+    ]
+
+
+def sentences_of(result: dict[str, Any]) -> list[str]:
+    """What the page begins with."""
+    return verdict(result) if result["seam"] in FINDING else seam_verdict(result)
+
+
+def write_pages(
+    result: dict[str, Any],
+    pictures: dict[str, str],
+    gallery: list[dict[str, Any]],
+    false_alarms: dict[str, list[dict[str, Any]]],
+    out: Path,
+) -> None:
+    """All three files.
+
+    pictures : titled SVGs. gallery : cut-outs of streaks that one found and another lost. false_alarms : cut-outs by choice.
+    """
     write_text(out / "compare.json", json.dumps(result, indent=1))
     title = f"{result['seam']} on {result['scenario']}"
     note = (
         f"{result['n_frames']} frames, {result['n_truth']} truth streaks with S/N >= 3, {result['seeds']} seed(s). "
-        "CPU: the median of frames, and all that the half took over the number of frames: compilation of kernels in the first "
-        "frames where none are stored, linking and orbits on ground."
+        "CPU: the median of frames, and all that the half took over the number of frames, with start-up, linking and orbits. "
+        "Compilation of kernels is left out."
     )
     rows, pairs = choice_rows(result), pair_rows(result)
     notes = [f"{name}: {note}" for name, c in result["choices"].items() for note in c["notes"]]
-    sentences = [*verdict(result), *(f"Note: {line}." for line in notes)]
+    sentences = [*sentences_of(result), *(f"Note: {line}." for line in notes)]
     lines = [f"# {title}", "", *(f"{line}\n" for line in sentences), note, ""]
-    for head, cells in ((HEAD, rows), (PAIR_HEAD, pairs)):
+    names = list(result["choices"])
+    questions, by_bin = ("asked of this step", *names), ("completeness by", "bin", "n", *names)
+    tables = ((questions, question_rows(result)), (HEAD, rows), (PAIR_HEAD, pairs), (by_bin, split_rows(result)))
+    for head, cells in tables:
         lines += ["| " + " | ".join(head) + " |", "|" + "---|" * len(head), *("| " + " | ".join(r) + " |" for r in cells), ""]
     write_text(out / "compare.md", "\n".join(lines))
     body = [
-        *(f"<p><strong>{line}</strong></p>" for line in sentences),
+        *(f"<p><strong>{escape(line)}</strong></p>" for line in sentences),
         f"<p>{note}</p>",
+        f"<h2>What {escape(result['seam'])} decides</h2>",
+        table(*tables[0]),
+        "<h2>Choices</h2>",
         table(HEAD, rows),
+        "<p>Runs: " + "; ".join(_links(name, result["runs"][name]) for name in names) + "</p>",
         "<h2>Pairs</h2>",
         table(PAIR_HEAD, pairs),
+        "<h2>Where they differ</h2>",
+        table(*tables[3]),
         '<div class="plots">',
     ]
     body += [f"<figure><figcaption>{name}</figcaption>{svg}</figure>" for name, svg in pictures.items()]
@@ -143,4 +220,19 @@ def write_pages(result: dict[str, Any], pictures: dict[str, str], gallery: list[
             f"lost by {item['lost']}</figcaption></figure>"
         )
     body += ["</div>"] if gallery else []
+    for name, items in false_alarms.items():
+        body += [f"<h2>False alarms of {escape(name)}, most significant first</h2>"]
+        body += ['<div class="cases">'] if items else ["<p>None.</p>"]
+        body += [
+            f'<figure class="case"><img src="{item["picture"]}" alt="cut-out"><figcaption>S/N {item["snr"]:.1f}, '
+            f"{item['length_px']:.0f} px, frame {item['frame']}</figcaption></figure>"
+            for item in items
+        ]
+        body += ["</div>"] if items else []
     write_text(out / "compare.html", simple_page(title, body))
+
+
+def _links(name: str, folders: Sequence[str]) -> str:
+    """Links to the reports of a choice's runs."""
+    links = (f'<a href="{escape(folder)}/report.html">{k}</a>' for k, folder in enumerate(folders, 1))
+    return f"{escape(name)} {', '.join(links)}"

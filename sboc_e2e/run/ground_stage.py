@@ -164,7 +164,13 @@ class GroundStage:
     def figures(self) -> dict[str, float]:
         """What the stage cost, for the manifest."""
         meter, frames = self.meter, self.frame_meter
-        return stage_figures(wall_s=meter.wall_s, cpu_s=meter.cpu_s, frames_cpu_s=frames.blocks_cpu_s, peak_mb=self.peak_rss_mb)
+        return stage_figures(
+            wall_s=meter.wall_s,
+            cpu_s=meter.cpu_s,
+            frames_cpu_s=frames.blocks_cpu_s,
+            peak_mb=self.peak_rss_mb,
+            compile_cpu_s=meter.compile_cpu_s,
+        )
 
     def _publish(self, made: Path) -> None:
         """Finished products take the place of earlier ones, which stay until then; nothing stale is left among them."""

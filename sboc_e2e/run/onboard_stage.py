@@ -59,7 +59,13 @@ class OnboardStage:
     def figures(self) -> dict[str, float]:
         """What the stage cost, for the manifest."""
         meter = self.meter
-        return stage_figures(wall_s=meter.wall_s, cpu_s=meter.cpu_s, frames_cpu_s=meter.blocks_cpu_s, peak_mb=self.peak_rss_mb)
+        return stage_figures(
+            wall_s=meter.wall_s,
+            cpu_s=meter.cpu_s,
+            frames_cpu_s=meter.blocks_cpu_s,
+            peak_mb=self.peak_rss_mb,
+            compile_cpu_s=meter.compile_cpu_s,
+        )
 
     def join(self, n_frames: int, faults: FaultOptions, seed: int) -> None:
         """Write downlink.bin from the packets of all frames, as they arrive on ground."""

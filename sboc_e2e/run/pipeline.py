@@ -102,7 +102,7 @@ class Run:
         try:
             return self._maker().simulator()
         except UserError as error:
-            raise UserError(f"scenario {self.scenario.name}: {error}") from error
+            raise UserError(f"scenario {self.scenario.name}: {self.scenario.told(str(error))}") from error
 
     def simulate_and_onboard(self, simulator: Simulator | None = None) -> None:
         """Both halves of the space segment, streamed: no more than a few frames exist at a time."""
@@ -152,11 +152,14 @@ class Run:
             self.progress.note(f"{self.directory.path}: {note}")
         return found
 
-    def score(self, truth: Path | None = None) -> None:
-        """score.json against the run's truth, or against truth from elsewhere, which the report reads again."""
+    def score(self, truth: Path | None = None, found: Evaluation | None = None) -> None:
+        """score.json against the run's truth, or against truth from elsewhere, which the report reads again.
+
+        found : that evaluation, where the caller has it already.
+        """
         self._require("ground")
         self.progress.stage("score", 1)
-        self._evaluation = self.evaluation(truth)
+        self._evaluation = found or self.evaluation(truth)
         figures = score_evaluation(self._evaluation, self.directory.path)
         self.manifest.forget(("score", "report"))
         self.manifest.begin("score")

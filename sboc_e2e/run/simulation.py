@@ -34,19 +34,27 @@ class SimulationCost:
     """What the frames cost, summed over processes; peak memory of the largest."""
 
     wall_s: float = 0.0
+    compile_cpu_s: float = 0.0
     frames_cpu_s: list[float] = field(default_factory=list)
     peak_rss_mb: float = 0.0
 
-    def add(self, wall_s: float, cpu_s: float, peak_mb: float) -> None:
+    def add(self, meter: Meter, peak_mb: float) -> None:
         """A frame was made."""
-        self.wall_s += wall_s
-        self.frames_cpu_s.append(cpu_s)
+        self.wall_s += meter.wall_s
+        self.compile_cpu_s += meter.compile_cpu_s
+        self.frames_cpu_s.append(meter.cpu_s)
         self.peak_rss_mb = max(self.peak_rss_mb, peak_mb)
 
     def figures(self) -> dict[str, float]:
         """What the stage cost, for the manifest."""
         cpu_s = sum(self.frames_cpu_s)
-        return stage_figures(wall_s=self.wall_s, cpu_s=cpu_s, frames_cpu_s=self.frames_cpu_s, peak_mb=self.peak_rss_mb)
+        return stage_figures(
+            wall_s=self.wall_s,
+            cpu_s=cpu_s,
+            frames_cpu_s=self.frames_cpu_s,
+            peak_mb=self.peak_rss_mb,
+            compile_cpu_s=self.compile_cpu_s,
+        )
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -114,7 +122,7 @@ class FrameStream:
             meter = Meter()
             with meter:
                 frame = self.maker.make(self.simulator, index)
-            self.cost.add(meter.wall_s, meter.cpu_s, peak_rss_mb())
+            self.cost.add(meter, peak_rss_mb())
             yield frame if self.hand_over else None
 
     def _elsewhere(self) -> Iterator[Frame | None]:
@@ -153,7 +161,7 @@ def _start_worker(maker: FrameMaker) -> None:
     _worker["maker"], _worker["simulator"] = maker, maker.simulator()
 
 
-def _make_in_worker(index: int, hand_over: bool) -> tuple[float, float, float]:
+def _make_in_worker(index: int, hand_over: bool) -> tuple[Meter, float]:
     """Make a frame; its pixels wait in a file until the on-board stage takes them."""
     maker: FrameMaker = _worker["maker"]
     meter = Meter()
@@ -162,4 +170,4 @@ def _make_in_worker(index: int, hand_over: bool) -> tuple[float, float, float]:
         frame = maker.make(_worker["simulator"], index)
     if hand_over:
         checkpoint.save(maker.run.work_file(STAGE, index, "frame"), frame)
-    return meter.wall_s, meter.cpu_s, peak_rss_mb()
+    return meter, peak_rss_mb()

@@ -1,5 +1,6 @@
 """The resolved scenario: options of the three segments, the chosen steps, what to keep, and back to a document."""
 
+import dataclasses
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -13,7 +14,7 @@ from onboard.options import OnboardOptions
 from sboc_e2e.faults.options import FaultOptions
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import SEAMS, Registry
-from sboc_e2e.scenario import option_models, toml_files
+from sboc_e2e.scenario import option_models, origin, toml_files
 from simulator.options import SimulatorOptions
 
 
@@ -58,6 +59,12 @@ class Scenario:
     output: OutputOptions
     faults: FaultOptions
     components: Mapping[str, Component]
+    layers: tuple[origin.Layer, ...] = field(default=(), compare=False, repr=False)
+    """Presets, file and command line that its values are from; none where it was made of tables."""
+
+    def told(self, message: str) -> str:
+        """The message of a refusal, with the source of the key that it names where the user did not write it."""
+        return origin.told(message, self.layers, default_texts()) if self.layers else message
 
     def step(self, seam: str) -> Any:
         """The configured step of a seam."""
@@ -91,7 +98,10 @@ SEGMENT_SEAMS: Final = {
 def scenario_model() -> type[BaseModel]:
     """Pydantic model of a whole scenario file without its component tables."""
     segments: dict[str, Any] = {
-        f"option_{name}": (option_models.model_of(options), Field(default=None, alias=name, description=f"{name} segment"))
+        f"option_{name}": (
+            option_models.model_of(options),
+            Field(default=None, alias=name, description=f"{name} segment", json_schema_extra=option_models.without_null),
+        )
         for name, options in SEGMENT_OPTIONS.items()
     }
     return create_model(
@@ -139,16 +149,57 @@ def load(
     scenario's choice together with its options. Raises `UserError` of one line for anything wrong.
     """
     path = find(scenario)
-    return _resolved(tables(path), path.stem, str(path), registry, overrides, use or {}, seed)
+    overrides = tuple(overrides)
+    document = tables(path)
+    layers = origin.layers_of(path, overrides, use or {})
+    try:
+        resolved = _resolved(document, path.stem, str(path), registry, overrides, use or {}, seed)
+    except UserError as error:
+        raise UserError(origin.told(str(error), layers, default_texts())) from error
+    return dataclasses.replace(resolved, layers=tuple(layers))
+
+
+@cache
+def default_texts() -> dict[str, str]:
+    """Dotted names of all keys of the segments and the harness, with their defaults as a scenario would write them."""
+    found: dict[str, str] = {}
+
+    def walk(options: type, prefix: str) -> None:
+        for item in option_models.option_fields(options):
+            if option_models.is_options(item.hint):
+                walk(item.hint, f"{prefix}{item.key}.")
+            else:
+                found[prefix + item.key] = "not set" if item.default is None else str(item.written_default)
+
+    for options, prefix in ((HarnessOptions, ""), (SimulatorOptions, ""), *((o, f"{s}.") for s, o in SEGMENT_OPTIONS.items())):
+        walk(options, prefix)
+    return found
+
+
+FILE_KEYS: Final = (
+    ("stars", "catalogue_file"),
+    ("objects", "satellites", "file"),
+    ("ground", "catalogue_file"),
+    ("ground", "known_objects_file"),
+    ("ground", "precise_orbits_file"),
+)
+"""Keys that name a file. A relative path in a scenario is looked for beside the scenario, then in the working folder."""
 
 
 def tables(path: Path) -> dict[str, Any]:
-    """The tables of a scenario file with its presets."""
+    """The tables of a scenario file with its presets; files that lie beside it by their full path."""
     given = toml_files.read(path)
     if not given:
         # All defaults would be a run of hours that nobody asked for.
         raise UserError(f"{path}: holds no key; a scenario says at least one thing, such as frames = 6")
-    return toml_files.with_presets(given, path.resolve().parent, str(path))
+    merged = toml_files.with_presets(given, path.resolve().parent, str(path))
+    for *parents, key in FILE_KEYS:
+        table: Any = merged
+        for parent in parents:
+            table = table.get(parent) if isinstance(table, dict) else None
+        if isinstance(table, dict) and isinstance(name := table.get(key), str) and (path.parent / name).is_file():
+            table[key] = str(path.parent / name)
+    return merged
 
 
 def bare(

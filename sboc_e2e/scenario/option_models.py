@@ -6,6 +6,7 @@ are arrays of tables. Segments know nothing of it.
 """
 
 import dataclasses
+import datetime
 import difflib
 import types
 import typing
@@ -35,11 +36,29 @@ class OptionField:
     meta: Mapping[str, Any]
 
     @property
+    def meaning(self) -> str:
+        """What the option means."""
+        return str(self.meta.get("doc", self.name.replace("_", " ")))
+
+    @property
+    def limits(self) -> str:
+        """The values that are allowed, in words; '' where any value of the type is."""
+        return _limits(self.meta, self.unit)
+
+    @property
     def doc(self) -> str:
         """What the option means, with its range."""
-        text = str(self.meta.get("doc", self.name.replace("_", " ")))
-        limits = _limits(self.meta, self.unit)
-        return f"{text} ({limits})" if limits else text
+        return f"{self.meaning} ({self.limits})" if self.limits else self.meaning
+
+    @property
+    def required(self) -> bool:
+        """Whether the option must be given."""
+        return self.default is dataclasses.MISSING
+
+    @property
+    def written_default(self) -> Any:
+        """The default as a scenario would write it; None where there is none, or where the key is required."""
+        return None if self.required or self.default is None else _document_value(self.default, self.unit)
 
 
 def is_options(hint: Any) -> bool:
@@ -86,11 +105,25 @@ def model_fields(options: type) -> dict[str, Any]:
         f"option_{item.name}": (
             _annotation(item.hint, item.unit, item.meta),
             Field(default=..., alias=item.key, description=item.doc)
-            if item.default is dataclasses.MISSING
-            else Field(default=None, alias=item.key, description=item.doc),
+            if item.required
+            else Field(default=_schema_default(item), alias=item.key, description=item.doc, json_schema_extra=without_null),
         )
         for item in option_fields(options)
     }
+
+
+def _schema_default(item: OptionField) -> Any:
+    """Default for the JSON schema alone: `to_options` takes the dataclass's own. Of a table only what its keys do not say."""
+    if not is_options(item.hint) or item.default is None:
+        return item.written_default
+    own = {below.key: below.written_default for below in option_fields(item.hint)}
+    return {key: value for key, value in item.written_default.items() if value != own[key]} or None
+
+
+def without_null(schema: dict[str, Any]) -> None:
+    """Leave out a default that says nothing."""
+    if schema.get("default") is None:
+        schema.pop("default", None)
 
 
 def to_options(options: type, model: BaseModel, default: Any = None) -> Any:
@@ -174,10 +207,15 @@ def _limits(meta: Mapping[str, Any], unit: str | None) -> str:
     low, high = meta.get("min"), meta.get("max")
     of_unit = f" {quantities.display(unit)}" if unit else ""
     if low is not None and high is not None:
-        return f"{low:g} to {high:g}{of_unit}"
+        return f"{_bound(low)} to {_bound(high)}{of_unit}"
     if low is not None:
-        return f"at least {low:g}{of_unit}"
-    return f"at most {high:g}{of_unit}" if high is not None else ""
+        return f"at least {_bound(low)}{of_unit}"
+    return f"at most {_bound(high)}{of_unit}" if high is not None else ""
+
+
+def _bound(value: float) -> str:
+    """A limit in words; whole numbers with all digits."""
+    return str(value) if isinstance(value, int) else f"{value:g}"
 
 
 def _annotation(hint: Any, unit: str | None, meta: Mapping[str, Any]) -> Any:
@@ -217,7 +255,8 @@ def _checker(kind: type, unit: str | None, meta: Mapping[str, Any]) -> Callable[
         else:
             accepted: tuple[type, ...] = (int, float) if kind is float else (kind,)
             if not isinstance(value, accepted) or (isinstance(value, bool) and kind is not bool):
-                raise ValueError(f"expected {_NAMES[kind]}, got {quantities.shown(value)}")
+                quotes = ", in quotes" if kind is str and isinstance(value, datetime.date | datetime.time) else ""
+                raise ValueError(f"expected {_NAMES[kind]}{quotes}, got {quantities.shown(value)}")
             if isinstance(value, str) and len(value) > MAX_STRING:
                 raise ValueError(f"expected at most {MAX_STRING} characters, got {len(value)}")
             result = _finite(value) if kind is float else value
@@ -285,7 +324,9 @@ def _one_line(error: ValidationError, model: type[BaseModel], where: str, also: 
         *parents, key = first["loc"]
         table = ".".join(str(part) for part in parents)
         known = [*also.get(table, ()), *_keys_at(model, parents)]
-        return f'{where}: unknown key "{key}"{f" in [{table}]" if table else ""}; {did_you_mean(str(key), known)}'
+        elsewhere = [f"[{other}]" for other in _tables_with(model, str(key))]
+        hint = f"{' and '.join(elsewhere[:3])} {'has' if len(elsewhere) == 1 else 'have'} such a key; " if elsewhere else ""
+        return f'{where}: unknown key "{key}"{f" in [{table}]" if table else ""}; {hint}{did_you_mean(str(key), known)}'
     if first["type"] == "missing":
         return f"{where}: {path} is missing"
     cause = first.get("ctx", {}).get("error")
@@ -293,7 +334,22 @@ def _one_line(error: ValidationError, model: type[BaseModel], where: str, also: 
         return f"{where}: {path}: {cause}"
     if first["type"] in ("model_type", "model_attributes_type"):
         return f"{where}: {path}: expected a table, got {quantities.shown(first['input'])}"
+    if first["type"] == "tuple_type":
+        return f"{where}: {path}: expected an array, got {quantities.shown(first['input'])}; tables are [[{path}]], values [1, 2]"
     return f"{where}: {path}: {first['msg'][0].lower()}{first['msg'][1:]}, got {quantities.shown(first['input'])}"
+
+
+def _tables_with(model: Any, key: str, prefix: str = "") -> list[str]:
+    """Dotted names of the tables below the top that have a key of this name."""
+    found = []
+    for info in model.model_fields.values():
+        below = info.annotation
+        if isinstance(below, type) and issubclass(below, BaseModel):
+            path = f"{prefix}{info.alias}"
+            if any(str(item.alias) == key for item in below.model_fields.values()):
+                found.append(path)
+            found += _tables_with(below, key, f"{path}.")
+    return found
 
 
 def _keys_at(model: type[BaseModel], path: list[int | str]) -> list[str]:

@@ -9,9 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.exposure.stars import STAMP_LOSS_E, add_gaussian_points
+from simulator.exposure.tables import FAINTEST_E, add_table_points
 from simulator.optics.defocus import SMALLEST_DISC_SIGMA, add_defocused_points, defocused_kernel
+from simulator.optics.psf_field import PHASES, reach_of
 
 _FINEST_PHASES = 16
+OVERLAPPING_BINS = 30.0
 
 
 def render_trail(
@@ -46,3 +49,18 @@ def render_trail(
     phases = max(2, min(_FINEST_PHASES, int(_FINEST_PHASES * 24.0 / (24.0 + defocus_px))))
     table, half, phases = defocused_kernel(defocus_px, obstruction, sigma_px, phases=phases)
     add_defocused_points(image_e, row, col, flux_e, table, half, phases)
+
+
+def render_trail_table(
+    image_e: NDArray[np.float32],
+    row: NDArray[np.float64],
+    col: NDArray[np.float64],
+    flux_e: NDArray[np.float64],
+    table: NDArray[np.float32],
+) -> None:
+    """Add a trail whose PSF is a table of `simulator.optics.psf_field`, in place; parameters as those of `render_trail`."""
+    if row.size:
+        rows, cols, light_e = (np.ascontiguousarray(x, dtype=np.float64) for x in (row, col, flux_e))
+        nodes, faintest_e = np.zeros(row.size, dtype=np.int64), FAINTEST_E / OVERLAPPING_BINS
+        # A pixel sees bins from either side, each of which may leave out a share of what is too faint.
+        add_table_points(image_e, rows, cols, light_e, nodes, table[None], reach_of(table), PHASES, faintest_e)

@@ -133,9 +133,9 @@ class InstrumentOptions:
         """Nominal electrons per second of V = 0 and solar colour, on axis."""
         return sun_electrons_m2_s(self.passband) * self.area_m2
 
-    def colour_factor(self, b_v: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Electrons of stars of a colour B-V over those of the Sun's colour and the same V."""
-        return colour_factor(b_v, self.passband)
+    def colour_factor(self, b_v: NDArray[np.float64], giant: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
+        """Electrons of stars of a colour B-V, giants or dwarfs, over those of the Sun's colour and the same V."""
+        return colour_factor(b_v, self.passband, giant)
 
     def sip(self, factor: float = 1.0) -> Sip | None:
         """The SIP polynomial with all terms times a factor; None without terms.

@@ -1,7 +1,8 @@
 """What a camera makes of light: spectrum times optics times quantum efficiency, integrated over the band.
 
 Photons come from published spectra: the Sun's from ASTM G173-03 (extraterrestrial) at V = -26.76, stars' from the library of
-Pickles (1998) bent to the mean colours of dwarfs (Pecaut & Mamajek 2013); `star_spectra.md` says how the file was made.
+Pickles (1998): dwarfs bent to their mean colours (Pecaut & Mamajek 2013), red giants as observed; `star_spectra.md` says how
+the file was made.
 """
 
 from dataclasses import dataclass, field
@@ -67,24 +68,34 @@ def refuse_disorder(key: str, curve: Curve) -> None:
 
 
 class _Spectra(NamedTuple):
-    """Photons per m2, s and nm of V = 0: of the Sun in bins, and of stars by B-V (the Sun among them)."""
+    """Photons per m2, s and nm of V = 0: of the Sun in bins, of dwarfs by B-V (the Sun among them), then of giants by B-V."""
 
     sun_edges_nm: Array
     sun: Array
     edges_nm: Array
-    b_v: Array
+    dwarf_b_v: Array
+    giant_b_v: Array
     stars: Array
 
 
 @cache
 def _spectra() -> _Spectra:
     with np.load(SPECTRA_PATH) as content:
-        names = ("sun_edges_nm", "sun_photons_m2_s_nm", "edges_nm", "b_v", "photons_m2_s_nm")
-        sun_edges, sun, edges, b_v, stars = (content[name].astype(np.float64) for name in names)
+        names = (
+            "sun_edges_nm",
+            "sun_photons_m2_s_nm",
+            "edges_nm",
+            "b_v",
+            "photons_m2_s_nm",
+            "giant_b_v",
+            "giant_photons_m2_s_nm",
+        )
+        sun_edges, sun, edges, b_v, dwarfs, giant_b_v, giants = (content[name].astype(np.float64) for name in names)
     middle = 0.5 * (edges[1:] + edges[:-1])
     sun_among_stars = sun[np.searchsorted(sun_edges, middle, side="right") - 1]
     order = np.argsort(np.append(b_v, SUN_B_V))
-    return _Spectra(sun_edges, sun, edges, np.append(b_v, SUN_B_V)[order], np.vstack([stars, sun_among_stars])[order])
+    stars = np.vstack([np.vstack([dwarfs, sun_among_stars])[order], giants])
+    return _Spectra(sun_edges, sun, edges, np.append(b_v, SUN_B_V)[order], giant_b_v, stars)
 
 
 @cache
@@ -114,11 +125,20 @@ def sun_electrons_m2_s(band: Passband) -> float:
     return _electrons(band)[0]
 
 
-def colour_factor(b_v: Array, band: Passband) -> Array:
+def colour_factor(b_v: Array, band: Passband, giant: NDArray[np.bool_] | None = None) -> Array:
     """Electrons of stars of a colour over those of a star of the Sun's colour and the same V.
 
-    Dwarfs of the library, linear in magnitude between their B-V, the ends' values beyond. Red giants have other spectra at
-    the same B-V.
+    Dwarfs of the library, linear in magnitude between their B-V, the ends' values beyond. Those that are a giant and redder
+    than the bluest one of the library, B-V 0.88, take the giants' values: at B-V 1.65 a dwarf has V-Ic = 2.8, a giant 1.8.
+
+    giant : (n,) which stars are giants; None for none.
     """
+    spectra = _spectra()
     sun, stars = _electrons(band)
-    return np.asarray(np.exp(np.interp(b_v, _spectra().b_v, np.log(np.maximum(stars, 1e-12 * sun) / sun))))
+    magnitude = np.log(np.maximum(stars, 1e-12 * sun) / sun)
+    n = len(spectra.dwarf_b_v)
+    out = np.interp(b_v, spectra.dwarf_b_v, magnitude[:n])
+    if giant is not None:
+        red = giant & (b_v > spectra.giant_b_v[0])
+        out = np.where(red, np.interp(b_v, spectra.giant_b_v, magnitude[n:]), out)
+    return np.asarray(np.exp(out))

@@ -1,7 +1,7 @@
 """Point-spread function: a Gaussian whose width grows towards the corner of the field, integrated over pixels.
 
 The width holds diffraction, aberrations and focus of the real lens in one number; near objects add the disc of
-`simulator.optics.defocus`.
+`simulator.optics.defocus`. With errors of a wavefront, an aureole, vanes or a ghost it is that of `simulator.optics.psf_field`.
 """
 
 import math
@@ -11,6 +11,9 @@ from typing import Final
 import numba
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
+from simulator.optics.halo import AureoleOptions, GhostOptions, SpiderOptions
+from simulator.optics.wavefront import WavefrontOptions
 
 FWHM_PER_SIGMA: Final = 2.0 * math.sqrt(2.0 * math.log(2.0))
 
@@ -27,11 +30,20 @@ class PsfOptions:
     near_field_defocus: bool = field(
         default=True, metadata={"doc": "objects at a finite range are blurred by a disc of angle aperture / range"}
     )
+    wavefront: WavefrontOptions = field(default_factory=WavefrontOptions, metadata={"doc": "errors of the wavefront"})
+    aureole: AureoleOptions = field(default_factory=AureoleOptions, metadata={"doc": "scattered light around stars"})
+    spider: SpiderOptions = field(default_factory=SpiderOptions, metadata={"doc": "vanes in the pupil"})
+    ghost: GhostOptions = field(default_factory=GhostOptions, metadata={"doc": "ghosts of bright stars"})
 
     @property
     def sigma_px(self) -> float:
         """Gaussian sigma on axis."""
         return self.fwhm_px / FWHM_PER_SIGMA
+
+    @property
+    def is_gaussian(self) -> bool:
+        """Whether nothing but the Gaussian is there."""
+        return not (self.wavefront.rms_nm or self.aureole.share or self.spider.vanes or self.ghost.share)
 
 
 def sigma_at(

@@ -72,6 +72,13 @@ class Carrier:
         longitude, latitude, height_m = erfa.gc2gd(1, fixed * 1e3)
         return float(np.degrees(latitude)), float(np.degrees(longitude)), float(height_m) * 1e-3
 
+    def earth_fixed(self, tai_ns: int) -> tuple[Array, Array] | None:
+        """Earth-fixed position (3,) km in orbit, and the matrix from these axes to the camera's; None on the ground."""
+        if isinstance(self.observer, SiteObserver):
+            return None
+        fixed_from_gcrs = earth.itrs_from_gcrs(tai_ns)
+        return fixed_from_gcrs @ self.observer.state(tai_ns)[0], self.attitude(tai_ns) @ fixed_from_gcrs.T
+
     def attitude_estimate(self, sight: LineOfSight, frame: int) -> AttitudeEstimate | None:
         """Attitude as telemetered."""
         return attitude_estimate(self.telemetry, sight.reference, sight.rate_rad_s(), seed=self.seed, frame=frame)

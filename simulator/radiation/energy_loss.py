@@ -189,9 +189,9 @@ class StoppingRange:
         log_rest = np.log(np.where(inside, rest, 1.0))
         return np.asarray(np.where(inside, np.exp(np.interp(log_rest, self._log_range, self._log_energy)), 0.0))
 
-    def stopped_below_mev_u(self, shield_mm: float) -> float:
-        """Energy of protons that a shield just stops."""
-        depth = self.material.density_g_cm3 * shield_mm * 0.1
+    def stopped_below_mev_u(self, shield_mm: float, charge: float = 1.0, mass_number: float = 1.0) -> float:
+        """Energy per nucleon of particles that a shield just stops."""
+        depth = self.material.density_g_cm3 * shield_mm * 0.1 * charge**2 / mass_number
         if depth <= math.exp(self._log_range[0]):
             return self._LOWEST_MEV
         return float(np.exp(np.interp(math.log(depth), self._log_range, self._log_energy)))

@@ -1,25 +1,16 @@
-"""Which particles meet the sensor: cosmic rays by geomagnetic latitude, trapped protons by the map of the anomaly."""
+"""Cosmic rays that meet the sensor: how many, which nuclei and how hard, by geomagnetic latitude and solar modulation."""
 
 import math
 from functools import cache
-from importlib import resources
-from typing import Final, NamedTuple
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
 
+from simulator.radiation.belts import GeodeticPosition
 from simulator.radiation.energy_loss import PROTON_MEV
 from simulator.radiation.options import RadiationOptions
 
-MAP_EPOCH_JYEAR: Final = 2015.0
-MAP_ALTITUDE_KM: Final = 780.0
-_MAP_ENERGY_MEV: Final = 50.0
-_ALTITUDE_SCALE_KM: Final = 690.0
-"""AP8 MAX peaks of 3,750 at 700 km and 4,210 at 780 km (> 50 MeV) give this e-folding height."""
-_FOLDING_MEV: Final = 97.0
-"""AP8 MAX peaks of 3,750 above 50 and 2,240 above 100 MeV at 700 km: an exponential integral spectrum."""
-_HARDEST_TRAPPED_MEV: Final = 1000.0
 _POLE_LAT_DEG: Final = 80.7
 _POLE_LON_DEG: Final = -72.7
 """Geomagnetic dipole axis of IGRF-13 for 2020 (Alken et al. 2021)."""
@@ -37,46 +28,11 @@ GROUND_RATE_CM2_S: Final = 1.0 / 60.0
 GROUND_RIGIDITY_GV: Final = 36.0
 """Muons of 4 GeV, their mean, have the beta gamma of a proton of this rigidity, and so lose as much."""
 
+RATE_MODULATION_MV: Final = 650.0
+"""Solar modulation at which the quiet and polar rates of the options hold."""
+
 EQUATOR_RIGIDITY_GV: Final = 12.0
 """Cutoff where the environment is said to be quiet: the geomagnetic equator at 700 km."""
-
-
-class GeodeticPosition(NamedTuple):
-    """Where the sensor is, WGS84."""
-
-    lat_deg: float
-    lon_deg: float
-    altitude_km: float
-
-
-@cache
-def _trapped_map() -> RegularGridInterpolator:
-    """AP8 MAX omnidirectional proton flux above 50 MeV at 780 km, closed in longitude (see ap8max_p50_780km.md)."""
-    with resources.files("simulator.radiation").joinpath("ap8max_p50_780km.npz").open("rb") as file, np.load(file) as table:
-        lat, lon, flux = table["lat"], table["lon"], table["flux"]
-    lon = np.concatenate([lon, [lon[0] + 360.0]])
-    flux = np.concatenate([flux, flux[:, :1]], axis=1)
-    return RegularGridInterpolator((lat, lon), flux, bounds_error=False, fill_value=0.0)
-
-
-def trapped_omni_cm2_s(position: GeodeticPosition, epoch_jyear: float, drift_deg_yr: float) -> float:
-    """Omnidirectional flux of trapped protons above 50 MeV, before any shield."""
-    lon = position.lon_deg + drift_deg_yr * (epoch_jyear - MAP_EPOCH_JYEAR)
-    lon = (lon + 180.0) % 360.0 - 180.0
-    flux = float(_trapped_map()((np.clip(position.lat_deg, -84.0, 84.0), lon)))
-    return flux * math.exp((position.altitude_km - MAP_ALTITUDE_KM) / _ALTITUDE_SCALE_KM)
-
-
-def trapped_above(energy_mev: float) -> float:
-    """Integral spectrum of trapped protons relative to 50 MeV."""
-    floor = math.exp(-(_HARDEST_TRAPPED_MEV - _MAP_ENERGY_MEV) / _FOLDING_MEV)
-    return max(math.exp(-(energy_mev - _MAP_ENERGY_MEV) / _FOLDING_MEV) - floor, 0.0) / (1.0 - floor)
-
-
-def draw_trapped_mev(rng: np.random.Generator, n: int, above_mev: float) -> NDArray[np.float64]:
-    """Energies of trapped protons above a threshold."""
-    top = 1.0 - math.exp(-(_HARDEST_TRAPPED_MEV - above_mev) / _FOLDING_MEV)
-    return above_mev - _FOLDING_MEV * np.log1p(-rng.random(n) * top)
 
 
 def geomagnetic_latitude_deg(lat_deg: float, lon_deg: float) -> float:
@@ -107,18 +63,17 @@ def _cosmic_spectrum(energy_mev: NDArray[np.float64], modulation_mv: float) -> N
 
 
 class CosmicRaySpectrum:
-    """Integral spectrum of cosmic rays and draws from it."""
+    """Integral spectrum of cosmic rays at a solar modulation, and draws from it."""
 
     def __init__(self, modulation_mv: float) -> None:
         log_energy = np.linspace(math.log(10.0), math.log(2e5), 2000)
         energy = np.exp(log_energy)
         weight = _cosmic_spectrum(energy, modulation_mv) * energy * (log_energy[1] - log_energy[0])
-        above = np.cumsum(weight[::-1])[::-1]
         self._log_energy = log_energy
-        self._above = above / above[0]
+        self._above = np.cumsum(weight[::-1])[::-1] * 1e-7
 
     def above(self, energy_mev: float) -> float:
-        """Share of particles above an energy per nucleon."""
+        """Protons per cm2, second and steradian above an energy (of a nucleon, as a shape, for nuclei)."""
         return float(np.interp(math.log(max(energy_mev, 10.0)), self._log_energy, self._above))
 
     def draw_mev(self, rng: np.random.Generator, n: int, above_mev: float) -> NDArray[np.float64]:
@@ -132,8 +87,30 @@ def energy_of_rigidity_mev(rigidity_gv: float) -> float:
     return math.hypot(rigidity_gv * 1e3, PROTON_MEV) - PROTON_MEV
 
 
+def energy_of_nucleus_mev_u(rigidity_gv: float, charge: float, mass_number: float) -> float:
+    """Kinetic energy per nucleon of a nucleus of given rigidity."""
+    return energy_of_rigidity_mev(rigidity_gv * charge / mass_number)
+
+
+def nuclei_through(spectrum: CosmicRaySpectrum, cutoff_gv: float, *, nuclei: bool) -> NDArray[np.float64]:
+    """Intensities of the kinds of `NUCLEI` above their own cutoffs of rigidity: shares hold at equal energy per nucleon."""
+    kinds = NUCLEI if nuclei else NUCLEI[:1]
+    return np.array([share * spectrum.above(energy_of_nucleus_mev_u(cutoff_gv, z, a)) for z, a, share in kinds])
+
+
+@cache
+def _reference(nuclei: bool) -> tuple[float, float]:
+    """Intensities at `EQUATOR_RIGIDITY_GV` and without a cutoff, at the modulation for which rates are quoted."""
+    spectrum = CosmicRaySpectrum(RATE_MODULATION_MV)
+    equator, pole = (float(nuclei_through(spectrum, r, nuclei=nuclei).sum()) for r in (EQUATOR_RIGIDITY_GV, 0.0))
+    return equator, pole
+
+
 def cosmic_rate_cm2_s(options: RadiationOptions, spectrum: CosmicRaySpectrum, cutoff_gv: float) -> float:
-    """Cosmic rays through one cm2 of a plane: measured equatorial and polar rates, joined by the spectrum above the cutoff."""
-    equator = spectrum.above(energy_of_rigidity_mev(EQUATOR_RIGIDITY_GV))
-    open_share = np.clip((spectrum.above(energy_of_rigidity_mev(cutoff_gv)) - equator) / (1.0 - equator), 0.0, 1.0)
-    return options.quiet_rate_cm2_s * (1.0 + (options.polar_factor - 1.0) * float(open_share))
+    """Cosmic rays through one cm2 of a plane: equatorial and polar rates measured at `RATE_MODULATION_MV`, joined by the
+    spectrum above the cutoff and carried to the modulation of the options by it."""
+    equator, pole = _reference(options.nuclei)
+    here = float(nuclei_through(spectrum, cutoff_gv, nuclei=options.nuclei).sum())
+    hard = float(nuclei_through(spectrum, max(cutoff_gv, EQUATOR_RIGIDITY_GV), nuclei=options.nuclei).sum())
+    opened = (here - hard) / (pole - equator)
+    return options.quiet_rate_cm2_s * (hard / equator + (options.polar_factor - 1.0) * opened)

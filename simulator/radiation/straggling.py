@@ -9,6 +9,8 @@ from scipy.special import ndtr, ndtri
 from scipy.stats import landau
 
 from simulator.radiation.energy_loss import (
+    ELECTRON_MEV,
+    PROTON_MEV,
     Material,
     beta_gamma,
     binding_width_kev,
@@ -63,8 +65,12 @@ def draw_loss_kev(
     charge: NDArray[np.float64],
     material: Material,
     table: LandauTable,
+    *,
+    cut_kev: float = np.inf,
 ) -> NDArray[np.float64]:
-    """Energy losses of particles along their paths; their mean is Bethe's.
+    """Energy losses of heavy particles along their paths; their mean is Bethe's.
+
+    cut_kev : collisions that give more than this are left out (they are electrons with tracks of their own).
 
     By kappa = xi / T_max (Seltzer & Berger 1964, NAS-NRC 1133, 187):
 
@@ -76,15 +82,54 @@ def draw_loss_kev(
     """
     bg = beta_gamma(energy_mev_u)
     beta2 = bg**2 / (1.0 + bg**2)
-    top = 1e3 * maximum_transfer_mev(bg)
+    hardest = 1e3 * maximum_transfer_mev(bg)
+    top = np.minimum(hardest, cut_kev)
     xi = landau_xi_kev(energy_mev_u, path_um, material, charge)
-    kappa = xi / top
     mean = 0.1 * stopping_power_mev_cm2_g(energy_mev_u, material, charge) * material.density_g_cm3 * path_um
-    few = kappa < _GAMMA_ABOVE
-    loss = np.empty_like(mean)
+    # What harder collisions would give on the mean: xi / T^2 (1 - beta^2 T / T_max) above the cut (PDG, equation 34.8).
+    mean = mean - xi * (np.log(hardest / top) - beta2 * (1.0 - top / hardest))
     width = binding_width_kev(energy_mev_u, path_um, material, charge)
     mode = most_probable_loss_kev(energy_mev_u, path_um, material, charge)
-    mean_lambda = -(_EULER_REST + beta2 + np.log(kappa))
+    mean_lambda = -(_EULER_REST + beta2 * top / hardest + np.log(xi / top))
+    return _scattered_loss_kev(rng, mean, mode, mean_lambda, xi, top, beta2 * top / hardest, width, table)
+
+
+def draw_electron_loss_kev(
+    rng: np.random.Generator,
+    energy_mev: NDArray[np.float64],
+    path_um: NDArray[np.float64],
+    mean_kev: NDArray[np.float64],
+    material: Material,
+    table: LandauTable,
+) -> NDArray[np.float64]:
+    """The same for electrons of a mean loss: they give half of their energy at most (the faster one counts as the same).
+
+    Landau's law knows a particle by its velocity only: that of a proton with the same beta gamma is asked.
+    """
+    equal_mev = np.asarray(energy_mev) / ELECTRON_MEV * PROTON_MEV
+    one = np.ones(path_um.shape)
+    xi = landau_xi_kev(equal_mev, path_um, material)
+    mode = most_probable_loss_kev(equal_mev, path_um, material)
+    width = binding_width_kev(equal_mev, path_um, material)
+    mean_lambda = (mean_kev - mode) / xi + _LANDAU_MODE
+    return _scattered_loss_kev(rng, mean_kev, mode, mean_lambda, xi, 500.0 * energy_mev, 0.5 * one, width, table)
+
+
+def _scattered_loss_kev(
+    rng: np.random.Generator,
+    mean: NDArray[np.float64],
+    mode: NDArray[np.float64],
+    mean_lambda: NDArray[np.float64],
+    xi: NDArray[np.float64],
+    top: NDArray[np.float64],
+    beta2: NDArray[np.float64],
+    width: NDArray[np.float64],
+    table: LandauTable,
+) -> NDArray[np.float64]:
+    """Landau's law for few collisions, a gamma distribution for many; beta2 : weight of the term of spin in the cross-section."""
+    kappa = xi / top
+    few = (kappa < _GAMMA_ABOVE) & (mode > 0.0)
+    loss = np.empty_like(mean)
     loss[few] = _landau_loss_kev(rng, mode[few], xi[few], mean_lambda[few], width[few], table)
     many = ~few
     variance = xi[many] * top[many] * (1.0 - 0.5 * beta2[many])

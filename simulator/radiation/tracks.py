@@ -19,19 +19,21 @@ def deposit(
     col0: NDArray[np.float64],
     row1: NDArray[np.float64],
     col1: NDArray[np.float64],
+    depth0: NDArray[np.float64],
+    depth1: NDArray[np.float64],
     charge_e: NDArray[np.float64],
     spread_px: float,
     rows: int,
     cols: int,
     capacity: int,
 ) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float32], NDArray[np.float64]]:
-    """Charge in pixels from straight tracks that enter at end 0 and leave at end 1.
+    """Charge in pixels from straight pieces of tracks.
 
-    Charge per unit of path is constant along a track. Each track is cut where it crosses pixel borders, so that without
-    diffusion the split by path length is exact. Diffusion is a Gaussian of ``spread_px sqrt(depth)``, depth running from 0 at
-    end 0 (the face of the electrodes) to 1 at end 1 (transport by drift: the spread grows with the root of drift time).
+    Charge per unit of path is constant along a piece. Each is cut where it crosses pixel borders, so that without
+    diffusion the split by path length is exact. Diffusion is a Gaussian of ``spread_px sqrt(depth)``, depth being 0 at the
+    face of the electrodes and 1 at the far one (transport by drift: the spread grows with the root of drift time).
 
-    Returns rows, cols and electrons of pixels, and the electrons that each track leaves inside the detector.
+    Returns rows, cols and electrons of pixels, and the electrons that each piece leaves inside the detector.
     """
     out_row = np.empty(capacity, np.int32)
     out_col = np.empty(capacity, np.int32)
@@ -51,7 +53,7 @@ def deposit(
             row = row0[t] + middle * d_row
             col = col0[t] + middle * d_col
             part = charge_e[t] * (until - at)
-            sigma = spread_px * math.sqrt(middle)
+            sigma = spread_px * math.sqrt(depth0[t] + middle * (depth1[t] - depth0[t]))
             at = until
             r_pixel = math.floor(row + 0.5)
             c_pixel = math.floor(col + 0.5)

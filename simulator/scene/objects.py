@@ -112,7 +112,8 @@ class PixelPathObject:
 
     A bend is what a constant acceleration adds in the first second.
 
-    restart : time counts from the opening of each frame's first row instead of from the epoch.
+    restart : time counts from the opening of each frame's first row instead of from the epoch. from_middle_row : it counts from
+    the opening of the middle row, so that a global and a rolling shutter see that row alike.
     """
 
     identity: Identity
@@ -125,6 +126,7 @@ class PixelPathObject:
     v_mag: float
     brightening_per_s: float
     restart: bool
+    from_middle_row: bool = False
     light_curve: LightCurve = STEADY
 
     def place(self, time_s: Array) -> tuple[Array, Array, Array]:

@@ -143,6 +143,9 @@ class PixelPathOptions:
         default=0.0, metadata={"doc": "displacement along columns by acceleration in the first second", "min": -1e8, "max": 1e8}
     )
     restart: bool = field(default=True, metadata={"doc": "start anew when each frame's first row opens"})
+    from_middle_row: bool = field(
+        default=False, metadata={"doc": "times count from the opening of the frame's middle row instead of its first one"}
+    )
     light_curve: LightCurveOptions = field(default_factory=LightCurveOptions, metadata={"doc": "variation"})
 
 
@@ -309,6 +312,7 @@ def pixel_path(options: PixelPathOptions) -> PixelPathObject:
         v_mag=options.v_mag,
         brightening_per_s=options.brightening_per_s,
         restart=options.restart,
+        from_middle_row=options.from_middle_row,
         light_curve=options.light_curve.curve(),
     )
 

@@ -5,7 +5,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.camera import Camera
+from simulator.exposure import render_stars
+from simulator.exposure.halos import render_halos
+from simulator.exposure.tables import FAINTEST_E, add_table_points
 from simulator.optics.projection import Projection
+from simulator.optics.psf_field import PHASES
 from simulator.platform.line_of_sight import LineOfSight
 from simulator.platform.rotation import turned
 from simulator.scene.aberration import aberrate
@@ -19,6 +24,8 @@ LONGEST_STEP_PX = 0.45
 """A star that moves farther than this during its exposure is drawn as a trail of such steps, else as one widened PSF."""
 PLACE_ERROR_PX = 1e-3
 """The instants at which a star's row opens and closes are so accurate that the star moves by less in the error."""
+HALO_STEPS = 8
+"""Steps of a trailed star that share a halo: what is farther than 7 px does not see 4 px of motion."""
 _MOST_ROUNDS = 12
 _SLOWEST_OVERTAKING = 0.02
 
@@ -81,6 +88,24 @@ def place_stars(
         at_s = open_s + (k + 0.5) / substeps * lit_s
         rows[k], cols[k] = projection.to_pixels(turned(seen, sight.turn_at(at_s)))
     return StarPlaces(index=index, row=rows, col=cols, spread_px2=np.zeros(len(index)), exposed=exposed)
+
+
+def expose_stars(image_e: NDArray[np.float32], places: StarPlaces, flux_e: Array, sigma_px: Array, camera: Camera) -> None:
+    """Add stars (n,) of so many electrons in all, in place. sigma_px : of Gaussian ones, motion in a step included."""
+    steps = len(places.row)
+    field = camera.psf_field
+    if field is None:
+        for row, col in zip(places.row, places.col, strict=True):
+            render_stars(image_e, row, col, flux_e / steps, sigma_px)
+        return
+    node = field.node(places.row.mean(axis=0), places.col.mean(axis=0))
+    tables = field.spread(node, places.spread_px2)
+    for row, col in zip(places.row, places.col, strict=True):
+        add_table_points(image_e, row, col, flux_e / steps, node, tables, field.reach, PHASES, FAINTEST_E / steps)
+    axis = camera.projection.center_row, camera.projection.center_col
+    for some in np.array_split(np.arange(steps), max(1, steps // HALO_STEPS)):
+        share = len(some) / steps
+        render_halos(image_e, places.row[some].mean(axis=0), places.col[some].mean(axis=0), share * flux_e, field.halo, axis)
 
 
 def _instant(

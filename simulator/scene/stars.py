@@ -8,7 +8,7 @@ from astropy import units as u
 from astropy_healpix import HEALPix
 from numpy.typing import NDArray
 
-from sboc_e2e.catalogue import StarCatalogue
+from sboc_e2e.catalogue import StarCatalogue, Stars
 from sboc_e2e.icd.errors import UserError
 from simulator.optics.instrument import InstrumentOptions
 from simulator.randomness import Effect, generator, seed_word
@@ -20,6 +20,8 @@ MAS_RAD: Final = np.pi / 648000.0 / 1000.0
 # Stars per square degree brighter than a magnitude, all-sky mean of Gaia DR3 counts.
 _COUNT_MAG: Final = np.array([7.5, 9.0, 10.5, 12.0, 13.75, 15.5, 16.75, 18.0])
 _COUNT_DEG2: Final = np.array([0.65, 4.05, 14.2, 55.4, 249.0, 972.0, 2366.0, 5345.0])
+DWARFS_FROM_H: Final = 8.5
+"""Reduced proper motion that parts red dwarfs from red giants."""
 _CACHE_MARGIN_DEG: Final = 0.5
 
 
@@ -122,7 +124,8 @@ class StarSky:
         v_mag = np.concatenate([stars.v_mag, faint_v]).astype(np.float32)
         b_v = np.concatenate([stars.b_v, faint_b_v]).astype(np.float32)
         camera = self.instrument
-        colour = camera.colour_factor(b_v.astype(np.float64)) if self.options.colours else 1.0
+        giant = np.concatenate([giants(stars, self.catalogue.name), np.zeros(len(faint_v), dtype=np.bool_)])
+        colour = camera.colour_factor(b_v.astype(np.float64), giant) if self.options.colours else 1.0
         return StarField(
             direction=np.concatenate([bright, faint_direction]),
             flux_e_s=camera.true_zero_point_e_s * 10.0 ** (-0.4 * v_mag.astype(np.float64)) * colour,
@@ -170,6 +173,19 @@ class StarSky:
         b_v = np.clip(rng.normal(0.75, 0.25, n), -0.2, 1.8)
         self._faint[pixel] = (vectors, v_mag, b_v)
         return self._faint[pixel]
+
+
+def giants(stars: Stars, catalogue: str) -> NDArray[np.bool_]:
+    """Which stars of a catalogue shine as giants where they are red: (n,).
+
+    A red star of Tycho-2 is a dwarf where its reduced proper motion H = V + 5 log10(mu / arcsec/yr) + 5 is large: at 40 km/s
+    across the line of sight H is M_V + 4.6, 11 for a K3 dwarf (M_V 6.7) and 6 for a clump giant (M_V 1). The B-V of a Gaia
+    catalogue comes from BP-RP as Tycho's stars have it, so that the colours of those are right for all of its stars.
+    """
+    if catalogue.startswith("Gaia"):
+        return np.ones(len(stars), dtype=np.bool_)
+    motion_arcsec_yr = 1e-3 * np.hypot(stars.pm_ra_mas_yr, stars.pm_dec_mas_yr)
+    return np.asarray(stars.v_mag + 5.0 * np.log10(np.maximum(motion_arcsec_yr, 1e-6)) + 5.0 < DWARFS_FROM_H)
 
 
 def displaced(direction: Array, identity: NDArray[np.int64], sigma_rad: Array, word: int) -> Array:

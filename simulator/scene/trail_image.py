@@ -9,7 +9,9 @@ from scipy.interpolate import CubicSpline
 
 from sboc_e2e import truth
 from simulator.camera import Camera
-from simulator.exposure import render_trail
+from simulator.exposure import render_trail, render_trail_table
+from simulator.exposure.halos import reach_px, render_halos
+from simulator.optics.psf_field import HALF_PX, LARGEST_DISC_PX
 from simulator.platform.line_of_sight import LineOfSight
 from simulator.scene.aberration import aberrate
 from simulator.scene.atmosphere import Atmosphere
@@ -25,6 +27,9 @@ Array = NDArray[np.float64]
 STEP_PX = 0.45
 BLOCK_PX = 96
 """Trails are added to the image in blocks along their path, so that memory and time grow with length, not with area."""
+HALO_BINS = 4
+HALO_FARTHEST_PX = 120.0
+"""A trail's halo is drawn no farther from it; there it is 3e-4 of what it is at 7 px."""
 FEW_FLASHES = 64
 FAINTEST_E = 1e-3
 OUTSIDE_MARGIN_RAD = 5e-3
@@ -205,11 +210,15 @@ def _render(image_e: NDArray[np.float32], path: Path, stretch: Interval, camera:
         focal_px = camera.projection.focal_px
         row, col, flux_e = row + focal_px * row_rad, col + focal_px * col_rad, flux_e * factor
         sigma_px = np.sqrt(np.maximum(sigma_px**2 - (focal_px * path.turbulence.tilt_sigma_rad) ** 2, (0.2 * sigma_px) ** 2))
+    field, halo_px, extra_px2 = camera.psf_field, 0.0, sigma_px**2 - seen_sigma_px**2
+    if field is not None:
+        brightest_e_px = float((flux_e / np.maximum(_steps_px(row, col), 0.1)).max())
+        halo_px = min(max(reach_px(field.halo, brightest_e_px), HALF_PX + 1.0), HALO_FARTHEST_PX)
     per_block = max(int(BLOCK_PX / STEP_PX), 1)
     boxes = []
     for block in [np.s_[k : k + per_block] for k in range(0, len(time_s), per_block)]:
         sigma, blur = float(sigma_px[block].mean()), float(blur_px[block].mean())
-        margin = int(np.ceil(6.5 * sigma + 0.5 * blur + 2.0))
+        margin = int(np.ceil(max(6.5 * sigma + 0.5 * blur + 2.0, halo_px)))
         first_row, last_row = _aligned(row[block], margin, camera.binning.rows, camera.shape[0])
         first_col, last_col = _aligned(col[block], margin, camera.binning.cols, camera.shape[1])
         if first_row < last_row and first_col < last_col:
@@ -221,7 +230,15 @@ def _render(image_e: NDArray[np.float32], path: Path, stretch: Interval, camera:
     for block, sigma, blur, (first_row, last_row, first_col, last_col) in boxes:
         place = row[block] - first_row, col[block] - first_col
         light = trail_e[first_row - top : last_row - top, first_col - left : last_col - left]
-        render_trail(light, *place, flux_e[block], sigma, blur, camera.instrument.obstruction)
+        if field is None or blur > LARGEST_DISC_PX:
+            render_trail(light, *place, flux_e[block], sigma, blur, camera.instrument.obstruction)
+        else:
+            middle = len(time_s[block]) // 2
+            node = int(field.node(row[block][middle : middle + 1], col[block][middle : middle + 1])[0])
+            render_trail_table(light, *place, flux_e[block], field.at(node, float(extra_px2[block].mean()), blur))
+        if field is not None and halo_px > HALF_PX + 1.0:
+            axis = camera.projection.center_row - first_row, camera.projection.center_col - first_col
+            render_halos(light, *_joined(*place, flux_e[block]), field.halo, axis)
     total, snr2, saturated = 0.0, 0.0, 0
     for _, _, _, (first_row, last_row, first_col, last_col) in boxes:
         box = np.s_[first_row:last_row, first_col:last_col]
@@ -241,6 +258,22 @@ def _render(image_e: NDArray[np.float32], path: Path, stretch: Interval, camera:
         sigma_px=float(seen_sigma_px[middle]),
         defocus_px=float(blur_px[middle]),
     )
+
+
+def _steps_px(row: Array, col: Array) -> Array:
+    """Length of path (n,) that each bin stands for."""
+    if len(row) < 2:
+        return np.ones(len(row))
+    step = np.hypot(np.diff(row), np.diff(col))
+    return np.asarray(0.5 * (np.concatenate([step[:1], step]) + np.concatenate([step, step[-1:]])))
+
+
+def _joined(row: Array, col: Array, flux_e: Array) -> tuple[Array, Array, Array]:
+    """Every few bins as one: what is far from a trail does not see them apart."""
+    first = np.arange(0, len(row), HALO_BINS)
+    total = np.add.reduceat(flux_e, first)
+    weight = np.where(total > 0.0, total, 1.0)
+    return np.add.reduceat(row * flux_e, first) / weight, np.add.reduceat(col * flux_e, first) / weight, total
 
 
 def _with_flashes(edges_s: Array, curve: LightCurve) -> Array:

@@ -8,6 +8,8 @@ from scipy.spatial.transform import Rotation
 
 from ground.sky.bend import bent
 from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.frame import FrameHeader
+from sboc_e2e.icd.products import StreakMeasurement
 from tests.astrometry.test_slew_inside_frame import FOCAL_PX, POINTING, SIZE, header_of, solution_of
 from tests.link.sky_scene import Camera, streak
 
@@ -48,14 +50,44 @@ def test_line_through_an_arc_is_put_back_onto_its_ends(length_px: float, sense: 
     assert abs(made.fit.sagitta_px) == pytest.approx(ROLL_RAD_S * length_px / 4.0, rel=0.03)
 
 
-def test_an_arc_that_was_fitted_and_a_camera_at_rest_stay() -> None:
-    """Where the fit found a sagitta of its own, and where nothing turns, no end moves by 1e-6 px."""
+def test_a_camera_at_rest_bends_nothing() -> None:
+    """No end moves by 1e-6 px."""
+    given, header = _still()
+    at_rest = bent(given, header, solution_of(lambda t_s: POINTING, np.zeros(3)))
+    assert abs(at_rest.fit.row0 - given.fit.row0) < 1e-6
+
+
+def test_an_arc_that_the_camera_shook_is_taken_back_to_its_line() -> None:
+    """A fit that bends with the shake has its ends off the mean attitude by two thirds of the sagitta: 0.13 px of 0.2.
+
+    The error of the sagitta leaves the ends with it; that of their distance and of the slope stays.
+    """
+    given, header = _still()
+    side = np.array([400.0, -200.0]) / np.hypot(200.0, 400.0)
+    sagitta, error, slope, line = 0.2, 0.03, 0.02, 0.01
+    both, apart = np.tile(side, 2), np.concatenate([-side, side])
+    covariance = (line**2 + (2.0 / 3.0 * error) ** 2) * np.outer(both, both) + slope**2 * np.outer(apart, apart)
+    fit = replace(given.fit, sagitta_px=sagitta, sagitta_err_px=error, covariance_px2=covariance)
+    arc = replace(given, fit=fit, row_mid=given.row_mid + sagitta * side[0], col_mid=given.col_mid + sagitta * side[1])
+    made = bent(arc, header, solution_of(lambda t_s: POINTING, np.zeros(3)))
+    np.testing.assert_allclose([made.fit.row0 - fit.row0, made.fit.col0 - fit.col0], 2.0 / 3.0 * sagitta * side, atol=1e-6)
+    np.testing.assert_allclose(
+        [made.row_mid - given.row_mid, made.col_mid - given.col_mid], 2.0 / 3.0 * sagitta * side, atol=1e-6
+    )
+    assert made.fit.sagitta_px == pytest.approx(0.0, abs=1e-6)
+    want = line**2 * np.outer(both, both) + slope**2 * np.outer(apart, apart)
+    np.testing.assert_allclose(made.fit.covariance_px2, want, atol=1e-9)
+    assert (
+        bent(
+            replace(arc, fit=replace(fit, sagitta_px=9.0)), header, solution_of(lambda t_s: POINTING, np.zeros(3))
+        ).fit.sagitta_px
+        == 9.0
+    )
+
+
+def _still() -> tuple[StreakMeasurement, FrameHeader]:
+    """A straight trail of one second."""
     header = replace(header_of(), exposure_ns=10**9, line_time_ns=0)
     ends = np.array([[1500.0, 1500.0], [1700.0, 1900.0]])
     given = streak(Camera(), 0, 1, ends, 0.3, 0.1, StreakFlag.DIRECTION_RESOLVED)
-    epochs = header.t_start_tai_ns + np.array([0, 500_000_000, 10**9])
-    given = replace(given, t_tai_ns=epochs)
-    at_rest = bent(given, header, solution_of(lambda t_s: POINTING, np.zeros(3)))
-    assert abs(at_rest.fit.row0 - given.fit.row0) < 1e-6
-    arc = replace(given, fit=replace(given.fit, sagitta_px=0.2))
-    assert bent(arc, header, solution_of(lambda t_s: POINTING, np.array([0.0, 0.0, 1e-3]))) is arc
+    return replace(given, t_tai_ns=header.t_start_tai_ns + np.array([0, 500_000_000, 10**9])), header

@@ -7,10 +7,12 @@ import numpy as np
 import pytest
 from scipy.integrate import quad
 
+from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
 from simulator.optics.instrument import InstrumentOptions
 from simulator.optics.passband import CurvePointOptions, Passband, colour_factor, sun_electrons_m2_s
 from simulator.options import SimulatorOptions
+from simulator.scene.stars import giants
 from tests.authorities.passbands import BESSELL_1990, SUN_COLOURS
 
 DWARFS = [
@@ -43,6 +45,16 @@ DWARFS = [
     ("M4V", 1.65, 1.241, 2.831),
 ]
 """Type, B-V, V-Rc, V-Ic of dwarfs (Pecaut & Mamajek 2013, ApJS 208, 9, table of 2022.04.16)."""
+
+METAL_RICH_GIANTS = [(0.935, 1.135), (1.055, 1.275), (1.190, 1.435), (1.345, 1.625), (1.515, 1.865)]
+"""B-V and V-I (Johnson) of giants of 5000 to 4000 K (Alonso et al. 1999, A&AS 140, 261, table 5, [Fe/H] = 0.2)."""
+
+GIANT_TEMPERATURE = {
+    "B": (0.4967, 0.7260, -0.1563, 0.0255, -0.0585, -0.0061),
+    "R": (0.4530, 1.4347, -0.5883, -0.0156, -0.0096, -0.0039),
+}
+"""5040 K / T of giants as b0 + b1 X + b2 X^2 + b3 X [Fe/H] + b4 [Fe/H] + b5 [Fe/H]^2 with X = B-V or V-Rc (Gonzalez Hernandez &
+Bonifacio 2009, A&A 497, 497, table 5)."""
 
 PLANCK_C_J_NM = 6.62607015e-34 * 299792458.0 * 1e9
 
@@ -123,3 +135,35 @@ def test_colours_of_dwarfs(spectral_type, b_v, v_r, v_i):
 
 def test_the_sun_has_its_own_colour():
     assert colour_factor(np.array([0.653]), flat(420.0, 850.0))[0] == pytest.approx(1.0, abs=1e-6)
+
+
+def colour_of_giant(b_v: float, band: str) -> float:
+    return float(2.5 * np.log10(colour_factor(np.array([b_v]), through(band), np.array([True]))[0]) + SUN_COLOURS[band])
+
+
+@pytest.mark.parametrize("b_v", [0.9, 1.0, 1.1, 1.2, 1.3, 1.4])
+def test_v_r_of_giants(b_v):
+    """V-Rc of giants of B-V and the disc's mean metallicity, [Fe/H] = -0.1, through their temperature, 0.05 mag."""
+    metal, colour = -0.1, np.linspace(0.3, 0.9, 601)
+    value = {"B": np.array([b_v]), "R": colour}
+    theta = {
+        k: b[0] + b[1] * x + b[2] * x**2 + b[3] * x * metal + b[4] * metal + b[5] * metal**2
+        for (k, b), x in zip(GIANT_TEMPERATURE.items(), value.values(), strict=True)
+    }
+    assert colour_of_giant(b_v, "R") == pytest.approx(float(np.interp(theta["B"], theta["R"], colour)[0]), abs=0.05)
+
+
+@pytest.mark.parametrize(("b_v", "v_i_johnson"), METAL_RICH_GIANTS)
+def test_v_i_of_giants(b_v, v_i_johnson):
+    """As red as giants rich in metals, brought to Cousins' system after Bessell (1979, PASP 91, 589), or up to 0.15 mag
+    redder: at one B-V a star of less metal is cooler. A dwarf of B-V 1.5 is 0.8 mag redder."""
+    assert 0.0 < colour_of_giant(b_v, "I") - 0.778 * v_i_johnson < 0.15
+
+
+def test_reduced_proper_motions_part_giants_from_dwarfs():
+    """Aldebaran, gamma Draconis and beta Andromedae are giants, epsilon Eridani and the dwarfs HIP 114622 and 73184 are not."""
+    catalogue = StarCatalogue.embedded()
+    stars = catalogue.cone(0.0, 0.0, 180.0, v_max=6.0)
+    found = dict(zip(stars.hip.tolist(), giants(stars, catalogue.name).tolist(), strict=True))
+    assert [found[hip] for hip in (21421, 87833, 5447, 37826)] == [True] * 4
+    assert [found[hip] for hip in (16537, 114622, 73184)] == [False] * 3

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import beta, chi2
 
-from ground.chain import LEAST_SNR_ALONE
+from ground.frame_streaks import LEAST_SNR_ALONE
 from ground.streaks import TrailedPsfFitter
 from ground.vetting import LikelihoodVetter
 from sboc_e2e.icd.products import StreakFit

@@ -16,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.chain import LEAST_SNR_ALONE
+from ground.frame_streaks import LEAST_SNR_ALONE
 from ground.streaks import TrailedPsfFitter
 from ground.vetting import LikelihoodVetter
 from ground.vetting.features import features_of

@@ -126,6 +126,35 @@ def test_rows_that_share_their_errors_say_less_of_the_rate(trial: LinkerTrial, t
     assert alone.rate_err_deg_s < 0.7 * made.rate_err_deg_s
 
 
+def test_an_end_moved_along_a_slanting_trail_errs_across_the_motion(trial: LinkerTrial, tracklets: tuple[Tracklet, ...]) -> None:
+    """The camera turning puts equal errors on both axes.
+
+    A joint fit that moves ends along a trail at 40 degrees to the motion, to where the motion was, leaves 1 / cos(40 deg) of
+    them, all across: against draws.
+    """
+    tracklet = max(tracklets, key=lambda t: len(t.frames))
+    linked = {s.streak_id: s for s in apply_links(trial.streaks, tracklets, trial.headers)}
+    slant, sigma_rate, members = np.radians(40.0), 0.7, []
+    for s in (linked[i] for i in tracklet.streak_ids.tolist()):
+        unit = units(s.ra_deg, s.dec_deg)
+        east = np.array([-unit[1, 1], unit[1, 0], 0.0]) / np.hypot(unit[1, 0], unit[1, 1])
+        moved = unit[2] - unit[0]
+        angle = np.arctan2(moved @ np.cross(unit[1], east), moved @ east) + slant
+        along = np.array([s.fit.row1 - s.fit.row0, s.fit.col1 - s.fit.col0]) / s.fit.length_px
+        turned = angle - np.arctan2(along[1], along[0])
+        jacobian = ARCSEC_PX * np.array([[np.cos(turned), -np.sin(turned)], [np.sin(turned), np.cos(turned)]])
+        fit = replace(s.fit, covariance_px2=1e-8 * np.eye(4))
+        refit = replace(s, fit=fit, flags=s.flags | StreakFlag.REFIT)
+        members.append(replace(_member(refit, np.tile(jacobian, (3, 1, 1))), sigma_rate_arcsec_s=sigma_rate))
+    made = measured_tracklet(tracklet, members)
+    errors = np.random.default_rng(1).normal(size=(200_000, 2))
+    left = errors - np.outer(errors[:, 0] / np.cos(slant), [np.cos(slant), np.sin(slant)])
+    half_s = 0.5e-9 * np.array([np.ptp(linked[int(k)].t_tai_ns[[0, 2]]) for k in made.row_streak_ids])
+    np.testing.assert_allclose(made.sigma_cross_arcsec, sigma_rate * half_s * np.std(left[:, 1]), rtol=0.02)
+    np.testing.assert_allclose(np.abs(made.turning_arcsec), made.sigma_cross_arcsec, rtol=0.02)
+    assert made.sigma_along_arcsec.max() < 0.01 * made.sigma_cross_arcsec.min()
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [

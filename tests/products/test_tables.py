@@ -9,7 +9,7 @@ import pytest
 from astropy.table import Table
 
 from ground.astrometry.astrometer import CameraFit
-from ground.chain import ideal_calibration
+from ground.calibration import ideal_calibration
 from ground.photometry.zero_point import ZeroPoint
 from ground.products import tables
 from ground.records import GroundProducts

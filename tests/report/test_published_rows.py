@@ -58,9 +58,9 @@ def test_pages_show_published_files(reported_run: Path) -> None:
 def test_a_run_ends_with_its_figures_and_with_what_is_bad() -> None:
     score = products(differs_from_streaks=figure(0.74, 342, 0.6, 0.9))
     score["astrometry"] = {"along_rms_arcsec": figure(27.7, 173, 2.7, 45.1)}
-    text = closing_text(score)
+    text = closing_text(score, {})
     assert "along-track (arcsec rms)" in text
     assert "27.70  [2.700, 45.10]  (n = 173)" in text
     last = text.splitlines()[-1]
     assert last.endswith("0.7400  [0.6000, 0.9000], should be 0")
-    assert "Published files miss" not in closing_text({})
+    assert "Published files miss" not in closing_text({}, {})

@@ -14,19 +14,80 @@ def simulator_of(name, *overrides):
     return Simulator(scenario.simulator, seed=scenario.seed, catalogue=StarCatalogue.embedded())
 
 
-def test_seven_streaks_look_alike_under_the_rolling_shutter_only():
-    rolling = simulator_of("shutter_seven_streaks").frame(0)[1].streaks
-    still = simulator_of("shutter_seven_streaks", 'shutter.line_time="0 us"').frame(0)[1].streaks
-    assert len(rolling) == len(still) == 7
-    assert np.round(rolling["length_px"][5:], 3).tolist() == [500.0, 500.0]
-    assert np.round(still["length_px"][5:], 2).tolist() == [400.0, 666.67]
+@pytest.fixture(scope="module")
+def shutters():
+    """Seven streaks under a global and a rolling shutter: truth, and mean electrons without sky."""
+    return {
+        name: (made.frame(0)[1].streaks, made.mean_electrons(0))
+        for name, made in (
+            (name, simulator_of("shutter_seven_streaks", "stars.enabled=false", *more))
+            for name, more in (("still", ('shutter.line_time="0 us"',)), ("rolling", ()))
+        )
+    }
 
 
-def test_curved_streak_bends_and_brightens():
-    streaks = simulator_of("curved_streak").frame(2)[1].streaks
+def test_three_horizontal_streaks_stand_aligned_and_are_skewed_by_the_rolling_shutter(shutters):
+    still, rolling = (shutters[name][0][:3] for name in ("still", "rolling"))
+    for streaks in (still, rolling):
+        assert np.abs(streaks["row1"] - streaks["row0"]).max() < 1e-3
+        assert streaks["length_px"] == pytest.approx([300.0] * 3, abs=1e-3)
+    assert still["col0"] == pytest.approx([90.0] * 3, abs=1e-3)
+    # 1500 px/s x 100 us: 0.15 columns for each row from the middle one, 511.5.
+    assert rolling["col0"] == pytest.approx(90.0 + 0.15 * (rolling["row0"] - 511.5), abs=1e-3)
+    assert np.ptp(rolling["col0"]) == pytest.approx(76.8, abs=1e-3)
+
+
+def test_of_two_inclined_streaks_one_is_longer_in_rows(shutters):
+    still, rolling = (np.abs(shutters[name][0]["row1"] - shutters[name][0]["row0"])[3:5] for name in ("still", "rolling"))
+    assert still == pytest.approx([300.0, 200.0], abs=1e-3)
+    # T v / (1 - v tau): with the rows the one is longer still, against them the other is shorter.
+    assert rolling == pytest.approx([300.0 / 0.85, 200.0 / 1.1], abs=1e-3)
+    inclined = shutters["rolling"][0][3:5]
+    assert (np.abs(inclined["col1"] - inclined["col0"]) > 100.0).all()
+
+
+def test_two_opposite_vertical_streaks_differ_and_become_identical_and_aligned(shutters):
+    still, rolling = (shutters[name][0][5:] for name in ("still", "rolling"))
+    for streaks in (still, rolling):
+        assert np.abs(streaks["col1"] - streaks["col0"]).max() < 1e-3
+        assert np.sign(streaks["row1"] - streaks["row0"]).tolist() == [1.0, -1.0]
+    assert still["length_px"] == pytest.approx([400.0, 2000.0 / 3.0], abs=1e-3)
+    assert rolling["length_px"] == pytest.approx([500.0, 500.0], abs=1e-3)
+    assert [sorted((s["row0"], s["row1"])) for s in rolling] == [pytest.approx([261.5, 761.5], abs=1e-3)] * 2
+    # No pixel tells them apart: the light of each row of the one is that of the other.
+    image = shutters["rolling"][1]
+    down, up = (image[:, col - 20 : col + 21] - np.median(image) for col in (870, 950))
+    assert np.abs(down - up).max() < 0.03 * down.max()  # a fifth of the photon noise; the ends are sampled at 0.45 px
+    assert down.sum(axis=1)[300:720] == pytest.approx(up.sum(axis=1)[300:720], rel=0.01)
+    down, up = (shutters["still"][1][:, col - 20 : col + 21] - np.median(image) for col in (870, 950))
+    assert np.abs(down - up).max() > 0.9 * down.max()
+
+
+def test_both_shutters_see_the_middle_row_at_the_same_time(shutters):
+    still, rolling = shutters["still"][1], shutters["rolling"][1]
+    row = slice(511, 513)
+    for cols in (slice(60, 420), slice(450, 1024)):
+        ours, theirs = (image[row, cols].sum(axis=0) for image in (rolling, still))
+        # Streak 2 starts and ends in the same columns; 4 to 7 cross the row at the same place.
+        assert np.argmax(ours) == pytest.approx(np.argmax(theirs), abs=1)
+    first, second = rolling[row, 60:420].sum(axis=0), still[row, 60:420].sum(axis=0)
+    assert np.abs(first - second).max() < 0.02 * second.max()
+
+
+def test_curved_streak_bends_and_varies_by_40_percent_without_a_roll_of_the_camera():
+    made = simulator_of("curved_streak")
+    assert made.options.pointing.roll_rate_deg_s == 0.0
+    streaks = made.frame(2)[1].streaks
     assert len(streaks) == 1
-    assert abs(streaks["sagitta_px"][0]) > 2.0
-    assert 0.35 < abs(streaks["gradient"][0]) < 0.55
+    assert abs(streaks["sagitta_px"][0]) > 2.5
+    # What the pixels show: light per column falls by 40 % of its mean from one end to the other.
+    bare = simulator_of("curved_streak", "stars.enabled=false").mean_electrons(2)
+    low, high = sorted((float(streaks["col0"][0]), float(streaks["col1"][0])))
+    row = int(0.5 * (streaks["row0"][0] + streaks["row1"][0]))
+    light = (bare[row - 60 : row + 60] - np.median(bare[row - 60 : row + 60])).sum(axis=0)[int(low) + 12 : int(high) - 12]
+    assert np.ptp(light) / light.mean() == pytest.approx(0.40, abs=0.03)
+    straight = simulator_of("curved_streak", "instrument.distortion.k1=0.0").frame(2)[1].streaks
+    assert abs(straight["sagitta_px"][0]) < 0.2 * abs(streaks["sagitta_px"][0])
 
 
 @pytest.mark.slow

@@ -42,7 +42,8 @@ WORLD = {
         'radiation.environment="saa"', "sensor.converter.nonlinearity=0.05", 'telemetry.velocity="1 m/s"',
         "instrument.distortion.sip_a=[{col_power=2,row_power=0,coefficient=1e-4}]", "population.candidates=1000",
         'population.classes=[{from="100 mm",to="3000 mm",count=2}]', "population.snr_min=0.5",
-        'instrument.as_built.focal_drift="1000 ppm/s"', *ENCOUNTERS,
+        'instrument.as_built.focal_drift="1000 ppm/s"', 'psf.wavefront.rms="300 nm"', "psf.aureole.share=0.02",
+        "psf.spider.vanes=4", "psf.ghost.share=1e-3", *ENCOUNTERS,
     ],
     "site": [
         "frames=1", f'epoch_utc="{EPOCH}"', "instrument.rows=160", "instrument.cols=160", 'instrument.pixel="20 um"',

@@ -8,13 +8,15 @@ import pytest
 from scipy import stats
 
 from simulator.radiation import ParticleField, RadiationOptions
+from simulator.radiation.belts import GeodeticPosition, trapped
 from simulator.radiation.energy_loss import SILICON, most_probable_loss_kev, stopping_power_mev_cm2_g
-from simulator.radiation.environment import GeodeticPosition, trapped_omni_cm2_s
 from simulator.radiation.straggling import draw_loss_kev, landau_table
 from simulator.radiation.tracks import deposit
 from simulator.sensor import Sensor, SensorOptions
 from simulator.sensor.options import ConverterOptions
 
+THROUGH = (np.zeros(1), np.ones(1))
+"""Depths of a track from the face of the electrodes to the far one."""
 LARGE = {"rows": 4096, "cols": 4096, "pitch_um": 9.0, "seed": 3}
 
 
@@ -52,7 +54,7 @@ def test_switched_off_there_are_no_hits():
 
 
 def test_directions_through_a_plane_are_cosine_weighted():
-    field = ParticleField(RadiationOptions(environment="saa", straggling=False), **LARGE)
+    field = ParticleField(RadiationOptions(environment="saa", straggling=False, electron_factor=0.0), **LARGE)
     tracks = field.hits(0, 0.4, None).tracks
     sideways_um = np.hypot(tracks["row1"] - tracks["row0"], tracks["col1"] - tracks["col0"]).astype(float) * 9.0
     cosine = 10.0 / np.hypot(10.0, sideways_um)
@@ -119,7 +121,7 @@ def test_without_straggling_the_charge_is_bethe_times_path():
 def test_charge_is_split_by_path_length_without_diffusion():
     # From (10.25, 10.0) to (10.25, 14.0): half a pixel, three whole ones, half a pixel.
     ends = (np.array([10.25]), np.array([10.0]), np.array([10.25]), np.array([14.0]))
-    row, col, charge, inside = deposit(*ends, np.array([800.0]), 0.0, 32, 32, 100)
+    row, col, charge, inside = deposit(*ends, *THROUGH, np.array([800.0]), 0.0, 32, 32, 100)
     assert np.all(row == 10)
     assert dict(zip(col.tolist(), charge.tolist(), strict=True)) == pytest.approx(
         {10: 100.0, 11: 200.0, 12: 200.0, 13: 200.0, 14: 100.0}
@@ -130,7 +132,7 @@ def test_charge_is_split_by_path_length_without_diffusion():
 @pytest.mark.parametrize("spread_px", [0.0, 0.3])
 def test_tracks_are_clipped_at_every_edge(spread_px):
     ends = np.array([[-4.0, 5.0, 3.0, 5.0], [5.0, -4.0, 5.0, 3.0], [28.0, 5.0, 35.0, 5.0], [5.0, 28.0, 5.0, 35.0]])
-    row, col, charge, inside = deposit(*ends.T.copy(), np.full(4, 700.0), spread_px, 32, 32, 20000)
+    row, col, charge, inside = deposit(*ends.T.copy(), np.zeros(4), np.ones(4), np.full(4, 700.0), spread_px, 32, 32, 20000)
     assert row.min() >= 0
     assert col.min() >= 0
     assert row.max() <= 31
@@ -145,7 +147,7 @@ def test_diffusion_spreads_charge_and_keeps_it():
     moments = []
     for start in np.linspace(16.0, 17.0, 50, endpoint=False):
         ends = (np.array([start]), np.array([16.2]), np.array([start]), np.array([18.2]))
-        row, _, charge, inside = deposit(*ends, np.array([1000.0]), 0.5, 32, 32, 5000)
+        row, _, charge, inside = deposit(*ends, *THROUGH, np.array([1000.0]), 0.5, 32, 32, 5000)
         assert inside[0] == pytest.approx(1000.0, rel=2e-3)
         moments.append(float((charge * (row - start) ** 2).sum() / charge.sum()))
     # Charge made evenly in depth: the mean over depth of the spread's variance is half of 0.5^2; the pixel adds 1/12.
@@ -154,33 +156,29 @@ def test_diffusion_spreads_charge_and_keeps_it():
 
 def test_the_position_along_the_orbit_decides():
     field = ParticleField(RadiationOptions(environment="orbit"), **LARGE)
-    cosmic, trapped, _ = field.rates_cm2_s((-28.0, -52.0, 700.0))
-    assert trapped > 1400.0
-    quiet, none, _ = field.rates_cm2_s((0.0, 100.0, 700.0))
-    assert none == 0.0
-    assert quiet == pytest.approx(1.2, rel=0.05)
-    polar, _, _ = field.rates_cm2_s((80.0, -70.0, 700.0))
-    assert polar == pytest.approx(3.6, rel=0.02)
-    assert quiet <= cosmic < polar
+    assert field.fluxes((-28.0, -52.0, 700.0)).proton_cm2_s > 1400.0
+    quiet = field.fluxes((0.0, 100.0, 700.0))
+    assert (quiet.proton_cm2_s, quiet.electron_cm2_s) == (0.0, 0.0)
+    assert quiet.cosmic_cm2_s == pytest.approx(1.2, rel=0.05)
+    polar = field.fluxes((80.0, -70.0, 700.0))
+    assert polar.cosmic_cm2_s == pytest.approx(3.6, rel=0.02)
+    assert quiet.cosmic_cm2_s < field.fluxes((-28.0, -52.0, 700.0)).cosmic_cm2_s < polar.cosmic_cm2_s
 
 
-def test_the_map_is_ap8_closed_in_longitude_and_drifts_west():
-    peak = trapped_omni_cm2_s(GeodeticPosition(-30.0, -48.0, 780.0), 2015.0, 0.3)
-    assert peak == pytest.approx(4214.0, rel=1e-3)
-    west = trapped_omni_cm2_s(GeodeticPosition(-30.0, -51.0, 780.0), 2025.0, 0.3)
+def test_the_belts_are_closed_in_longitude_and_drift_west():
+    peak = trapped("proton", GeodeticPosition(-30.0, -48.0, 780.0)).above(50.0)
+    west = trapped("proton", GeodeticPosition(-30.0, -51.0, 780.0), 2025.0, 0.3).above(50.0)
     assert west == pytest.approx(peak, rel=1e-9)
-    at_700 = trapped_omni_cm2_s(GeodeticPosition(-30.0, -48.0, 700.0), 2015.0, 0.3)
-    assert at_700 == pytest.approx(3750.0, rel=0.01)
-    seam = [trapped_omni_cm2_s(GeodeticPosition(-30.0, lon, 780.0), 2015.0, 0.0) for lon in (179.99, -179.99)]
-    assert seam[0] == pytest.approx(seam[1], abs=0.1)
+    seam = [trapped("proton", GeodeticPosition(-20.0, lon, 1400.0)).above(10.0) for lon in (179.99, -179.99)]
+    assert seam[0] == pytest.approx(seam[1], rel=1e-2, abs=0.1)
 
 
 def test_on_the_ground_there_is_one_muon_per_minute_and_cm2():
     field = ParticleField(RadiationOptions(environment="orbit"), **LARGE)
-    rate, trapped, rigidity_gv = field.rates_cm2_s(None)
-    assert (rate * 60.0, trapped) == (1.0, 0.0)
+    there = field.fluxes(None)
+    assert (there.cosmic_cm2_s * 60.0, there.proton_cm2_s, there.electron_cm2_s) == (1.0, 0.0, 0.0)
     # beta gamma = rigidity / proton mass = 38, that of muons of 4 GeV.
-    assert rigidity_gv / 0.93827 == pytest.approx(math.sqrt((1.0 + 4.0 / 0.10566) ** 2 - 1.0), rel=0.02)
+    assert there.cutoff_gv / 0.93827 == pytest.approx(math.sqrt((1.0 + 4.0 / 0.10566) ** 2 - 1.0), rel=0.02)
 
 
 def test_charge_of_hits_arrives_in_the_frame_where_the_truth_says():

@@ -64,7 +64,7 @@ def test_charge_spreads_as_in_the_simulator(diffusion_um: float) -> None:
     row, col = (a.ravel().astype(np.int32) for a in np.mgrid[0:56, 0:64])
     made = ours.image(spread, row, col)
     ends = [np.array([x]) for x in (*start, *stop, 10_000.0)]
-    r, c, e, _ = deposit(*ends, spread, 56, 64, 100_000)
+    r, c, e, _ = deposit(*ends[:4], np.zeros(1), np.ones(1), ends[4], spread, 56, 64, 100_000)
     theirs = np.zeros(row.size)
     np.add.at(theirs, r.astype(np.int64) * 64 + c, e)
     assert np.abs(made - theirs).max() < 0.03 * theirs.max()

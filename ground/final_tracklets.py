@@ -1,0 +1,155 @@
+"""A linked tracklet as it is published: directions and epochs of its members, joint refit, brightness."""
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.frame_streaks import with_final_brightness
+from ground.link import Member, apply_links, measured_tracklet
+from ground.link.shake import SeenTrail, Sway, shake_factor, sway_of
+from ground.photometry.magnitude import crossing_time_s
+from ground.photometry.tracklet_light import with_mean_light
+from ground.records import FrameProducts
+from ground.refit import SharedErrors, refit_streaks
+from ground.sky.bend import bent
+from ground.sky.measure import jacobian_arcsec, pointing_sigma_arcsec, with_sky
+from ground.sky.pixel_sky import sky_of
+from ground.sky.shake_model import STEADY, EndShake, end_shake
+from ground.sky.sphere import ARCSEC_RAD
+from ground.sky.turning import Rate
+from ground.streak_rows import LinkedStreaks
+from sboc_e2e.icd.flags import FrameFlag
+from sboc_e2e.icd.frame import FrameHeader
+from sboc_e2e.icd.products import StreakMeasurement, StreakPixels, Tracklet
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LinkedRun:
+    """Frames of a run in order of time, with the rates at which the camera turned, and where the streaks of tracklets belong.
+
+    end_shake : what errors of the rates let expect where the shutter opens and closes.
+    """
+
+    headers: Sequence[FrameHeader]
+    products: Sequence[FrameProducts]
+    rates: Sequence[Rate]
+    linked: LinkedStreaks
+    end_shake: EndShake = STEADY
+
+    def single(self, tracklet: Tracklet) -> list[StreakMeasurement]:
+        """Members of a tracklet as their frames show them alone, in time order and dated."""
+        places = self.linked.places_of(tracklet)
+        own = [self.headers[k] for k in dict.fromkeys(place for place, _ in places)]
+        members = apply_links([self.products[k].streaks[number] for k, number in places], (tracklet,), own)
+        return [_bent(member, self.products[self.linked.place[member.frame]]) for member in members]
+
+    def sigma_rate_arcsec_s(self, k: int) -> float:
+        """Error of the camera's rate in a frame; a WCS that came with it knows of none."""
+        return 0.0 if self.products[k].wcs is not None else self.rates[k].sigma_rad_s / ARCSEC_RAD
+
+
+def with_shake(run: LinkedRun, tracklets: Sequence[Tracklet], order: Sequence[int], focal_px: float) -> LinkedRun:
+    """The run with the members of its tracklets as single frames show them, and the errors of rates that these show.
+
+    order : numbers of the tracklets by time, so that those of the same frames follow each other.
+    """
+    sways = []
+    for number in order:
+        members = run.single(tracklets[number])
+        run.linked.put(number, members)
+        sways.append(_sway(run, tracklets[number], members, 1.0 / (focal_px * ARCSEC_RAD)))
+    factor = shake_factor(sways)
+    rates = [rate._replace(sigma_rad_s=factor * rate.sigma_rad_s) for rate in run.rates]
+    return replace(run, rates=rates, end_shake=end_shake(factor, *_exposure_and_step_s(run.headers)))
+
+
+def final_tracklet(
+    run: LinkedRun, number: int, tracklet: Tracklet, pixels_of: Callable[[StreakMeasurement], StreakPixels] | None
+) -> Tracklet:
+    """A tracklet as its members measure it; these take the place of what was kept. pixels_of : None for no joint refit."""
+    single = tuple(run.linked.of_tracklet(number))
+    at = [run.linked.place[member.frame] for member in single]
+    own = [run.headers[k] for k in dict.fromkeys(at)]
+    members = single
+    shared: SharedErrors = {}
+    if pixels_of is not None:
+        place: Mapping[int, int] = run.linked.place
+        members, shared = refit_streaks(
+            single,
+            tracklet,
+            own,
+            lambda frame: run.products[place[frame]].solution,
+            pixels_of,
+            lambda frame: run.rates[place[frame]].sigma_rad_s,
+            run.end_shake,
+        )
+    frames = [run.products[k] for k in at]
+    placed = [_placed(member, frame) for member, frame in zip(members, frames, strict=True)]
+    measured = measured_tracklet(
+        tracklet,
+        [
+            _member(one, streak, frame, run.sigma_rate_arcsec_s(k), run.end_shake, shared.get(streak.streak_id))
+            for one, streak, frame, k in zip(single, placed, frames, at, strict=True)
+        ],
+    )
+    final = [
+        with_final_brightness(streak, frame, crossing_time_s(streak, measured.rate_deg_s))
+        for streak, frame in zip(placed, frames, strict=True)
+    ]
+    run.linked.put(number, final)
+    return with_mean_light(measured, final)
+
+
+def _exposure_and_step_s(headers: Sequence[FrameHeader]) -> tuple[float, float]:
+    """Medians of the run; a step of 0 of fewer than two frames."""
+    start_ns = np.sort(np.array([h.t_start_tai_ns for h in headers], dtype=np.int64))
+    step_s = float(np.median(np.diff(start_ns))) * 1e-9 if len(start_ns) > 1 else 0.0
+    return float(np.median([h.exposure_ns for h in headers])) * 1e-9 if headers else 0.0, step_s
+
+
+def _sway(run: LinkedRun, tracklet: Tracklet, members: Sequence[StreakMeasurement], scale_arcsec: float) -> Sway:
+    """What the members of a tracklet, as single frames show them, tell of the camera's shake."""
+    sigma = [run.sigma_rate_arcsec_s(run.linked.place[member.frame]) for member in members]
+    trails = [
+        SeenTrail(streak=member, scale_arcsec=scale_arcsec, sigma_rate_arcsec_s=s)
+        for member, s in zip(members, sigma, strict=True)
+    ]
+    return sway_of(tracklet, trails)
+
+
+def _bent(streak: StreakMeasurement, product: FrameProducts) -> StreakMeasurement:
+    """A member of a tracklet with its ends on the arc that the camera's turning makes of a straight motion."""
+    if product.wcs is not None or product.solution.flags & FrameFlag.NO_SOLUTION:
+        return streak
+    return _placed(bent(streak, product.header, product.solution), product)
+
+
+def _placed(streak: StreakMeasurement, product: FrameProducts) -> StreakMeasurement:
+    """A member of a tracklet with directions at its final epochs."""
+    sky = sky_of(product.header, product.solution, product.wcs)
+    return with_sky(streak, product.header, sky, product.solution.covariance_rad2)
+
+
+def _member(
+    single: StreakMeasurement,
+    final: StreakMeasurement,
+    product: FrameProducts,
+    sigma_rate_arcsec_s: float,
+    shake: EndShake,
+    shared: tuple[int, NDArray[np.float64]] | None,
+) -> Member:
+    """What a tracklet is measured on of one member."""
+    sky = sky_of(product.header, product.solution, product.wcs)
+    group, errors = (-1, np.zeros((2, 3))) if shared is None else shared
+    return Member(
+        single=single,
+        final=final,
+        jacobian_arcsec=jacobian_arcsec(final, product.header, sky),
+        pointing_arcsec=pointing_sigma_arcsec(product.solution.covariance_rad2),
+        sigma_rate_arcsec_s=sigma_rate_arcsec_s,
+        end_shake=shake,
+        group=group,
+        shared_arcsec=errors,
+    )

@@ -1,0 +1,48 @@
+"""Commands about objects and their orbits: conjunctions, the object catalogue, calibration by known orbits."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sboc_e2e.cli.application import app
+
+conjunctions_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Close approaches and collision probability.")
+app.add_typer(conjunctions_app, name="conjunctions")
+
+
+@conjunctions_app.command()
+def assess(
+    messages: Annotated[list[Path], typer.Argument(help="conjunction data messages (CCSDS 508.0, KVN)")],
+    hard_body: Annotated[float | None, typer.Option("--hard-body", help="combined radius, m; default: of the message")] = None,
+    pairs: Annotated[int, typer.Option("--pairs", help="pairs of orbits drawn where only Monte Carlo holds")] = 1_000_000,
+    out: Annotated[Path | None, typer.Option("--out", help="folder for the messages with the judged probability")] = None,
+) -> None:
+    """Judge the encounters of messages: 2-D probability, whether it holds, and what stands where it does not."""
+    from sboc_e2e.objects.conjunctions import assess_message, assessment_lines, judged_message
+
+    for path in messages:
+        message, judged = assess_message(path, hard_body, pairs)
+        typer.echo("\n".join(assessment_lines(message, judged)))
+        if out is not None:
+            out.mkdir(parents=True, exist_ok=True)
+            (out / path.name).write_text(judged_message(message, judged), encoding="utf-8")
+
+
+@conjunctions_app.command()
+def screen(
+    elements: Annotated[Path, typer.Argument(help="two- or three-line element sets")],
+    start: Annotated[str, typer.Option("--start", help="UTC, such as 2022-01-22T00:00:00")],
+    days: Annotated[float, typer.Option("--days", help="how long")] = 1.0,
+    distance: Annotated[float, typer.Option("--distance", help="report approaches nearer than this, km")] = 5.0,
+    out: Annotated[Path, typer.Option("--out", help="table of approaches")] = Path("conjunctions.csv"),
+) -> None:
+    """Screen all objects of a catalogue against all, by SGP4: no pair is left out."""
+    from sboc_e2e.objects.conjunctions import screen_elements, write_approaches
+
+    labels, found, start_ns = screen_elements(elements, start, days, distance)
+    write_approaches(labels, found, start_ns, out)
+    typer.echo(f"{len(labels)} objects, {len(found.first)} approaches nearer than {distance:g} km in {days:g} d")
+    if len(found.lost):
+        typer.echo(f"{len(found.lost)} objects have no state at some epoch (decayed, or elements that SGP4 refuses)")
+    typer.echo(out)

@@ -25,6 +25,7 @@ from onboard.detect.line_integral import (
     static_sky,
     strip,
     trailed_sky,
+    trains,
 )
 from onboard.detect.line_integral.kept_frame import KeptFrame, kept
 from onboard.detect.line_integral.star_removal import (
@@ -440,6 +441,7 @@ class LineIntegralDetector:
             within_room(table, images.image.size), n_sigma, images.image, images.blocked, images.level, TILE_PX, s_px
         )
         found = [line_detection(row, view.residual_adu.shape) for row in table]
+        found = [piece for d in found for piece in trains.taken_apart(d, view, images.blocked, s_px)]
         found = [with_blurred_ends(d, images, s_px) if d.length_px < resolve.SHARP_ENDS_PX else d for d in found]
         found = [d for d in found if d.snr >= n_sigma]
         if earlier is None:

@@ -120,10 +120,8 @@ def common_motion(places: NDArray[np.float64], vectors: NDArray[np.float64], mid
         return None
     places = places - np.array(middle)
     first, second = np.triu_indices(min(len(places), VOTING), 1)
-    pairs = []
-    for sign in (1.0, -1.0):
-        pairs.append(_solved(places[np.stack((first, second), 1)], np.stack((vectors[first], sign * vectors[second]), 1)))
-    motions = np.concatenate(pairs)
+    at = places[np.stack((first, second), 1)]
+    motions = np.concatenate([_solved(at, np.stack((vectors[first], k * vectors[second]), 1)) for k in (1.0, -1.0)])
     agree, _ = _agreement(places, vectors, motions)
     best = motions[int(np.argmax(agree.sum(axis=1)))]
     for _ in range(4):

@@ -442,7 +442,7 @@ def fitted_vectors(
     """Places (m, 2), vectors (m, 2) and PSF widths (m,) of bright usable stars, fitted with all of these free."""
     fitted = []
     for row0, col0 in peaks[:, :2].astype(int):
-        drow, dcol = (float(part) for part in motion.at(np.float64(row0), np.float64(col0)))
+        drow, dcol = (float(part[0]) for part in motion.at(np.array([float(row0)]), np.array([float(col0)])))
         reach = [math.ceil(abs(half) + 5.0 * psf_sigma_px) + 3 for half in (0.5 * drow, 0.5 * dcol)]
         part = np.s_[row0 - reach[0] : row0 + reach[0] + 1, col0 - reach[1] : col0 + reach[1] + 1]
         image = residual[part]

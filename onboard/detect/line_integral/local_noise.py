@@ -83,16 +83,16 @@ def baseline(values: NDArray[np.float64], offset: NDArray[np.float64]) -> tuple[
 
     A cubic follows sky that changes over a few tens of pixels; the width is that of what it leaves, but 1 at least.
     """
-    x = offset / np.abs(offset).max()
+    x = offset / float(np.abs(offset).max())
     terms = np.column_stack((np.ones_like(x), x, x * x, x**3))
-    middle = np.median(values)
+    middle = float(np.median(values))
     use = np.abs(values - middle) <= CLIP * max(1.0, 1.4826 * float(np.median(np.abs(values - middle))))
     expected, error, width = 0.0, 1.0, 1.0
     for _ in range(4):
         inverse = np.linalg.pinv(terms[use].T @ terms[use])
         fit = inverse @ (terms[use].T @ values[use])
         left = values - terms @ fit
-        width = max(1.0, math.sqrt(float(np.sum(left[use] ** 2)) / max(1, np.count_nonzero(use) - 4)) / CLIPPED_STD)
+        width = max(1.0, math.sqrt(float(np.sum(left[use] ** 2)) / max(1, int(np.count_nonzero(use)) - 4)) / CLIPPED_STD)
         expected, error = float(fit[0]), width * math.sqrt(float(inverse[0, 0]))
         use = np.abs(left) <= CLIP * width
         if np.count_nonzero(use) < LEAST_LINES:

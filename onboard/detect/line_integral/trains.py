@@ -52,9 +52,10 @@ def light_along(
         return np.zeros(0), np.zeros(0), np.zeros(0)
     first = int(major.min())
     n = int(major.max()) - first + 1
-    signal, weight = (np.bincount(major - first, part, n) for part in (profile * value, profile**2))
+    signal = np.bincount(major - first, profile * value, n).astype(np.float64)
+    weight = np.bincount(major - first, profile**2, n).astype(np.float64)
     start = detection.row0 if slope == u_row and abs(u_row) >= abs(u_col) else detection.col0
-    return signal, weight, (np.arange(n) + first - start) / slope
+    return signal, weight, np.asarray((np.arange(n) + first - start) / slope, dtype=np.float64)
 
 
 def pieces(signal: NDArray[np.float64], weight: NDArray[np.float64]) -> list[tuple[int, int]]:

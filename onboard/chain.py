@@ -153,7 +153,8 @@ class OnboardChain:
         if usable:
             view = self._with_stars(view, residual, row_sums)
             found, searched = self._detections(view)
-            detections = flag_static(found, state.recent)
+            # while stars trail, what stands still is the object
+            detections = flag_static(found, state.recent if view.stars.motion is None else ())
             earlier = brought_forward(state.earlier_stars, view.stars)
         else:
             detections, searched, earlier = (), None, ()

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.image.nearest import nearest, number_within
+from sboc_e2e.icd.flags import StarFlag
 from sboc_e2e.icd.signals import StarList
 
 BRIGHTEST: Final = 60
@@ -13,6 +14,10 @@ BRIGHTEST: Final = 60
 
 MATCHED: Final = 1500
 """Brightest stars of the earlier list that are matched for the fit; twice as many of the other list stand ready."""
+
+
+LEAST: Final = 5
+"""Stars that must agree."""
 
 
 def _similarity(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -37,6 +42,12 @@ def inverse(transform: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.column_stack([back, -back @ transform[:, 2]])
 
 
+def _places(stars: StarList) -> NDArray[np.float64]:
+    """Places (n, 2) of a list's stars, brightest first, without what is sharper than one: hot pixels stay where stars move."""
+    blurred = (stars.flags & int(StarFlag.COSMIC_LIKE)) == 0
+    return np.column_stack([stars.row[blurred], stars.col[blurred]])
+
+
 def register(earlier: StarList, now: StarList, *, reach_px: float) -> NDArray[np.float64] | None:
     """The (2, 3) transform that takes (row, col) of `earlier` to `now`, or None when fewer than 5 stars agree.
 
@@ -44,10 +55,10 @@ def register(earlier: StarList, now: StarList, *, reach_px: float) -> NDArray[np
     stars within 3, then 1.5 px and fitting a similarity. Rotation
     between frames must move no star by more than ~3 px for the vote.
     """
-    if len(earlier) < 5 or len(now) < 5:
+    old, new = _places(earlier), _places(now)
+    if len(old) < LEAST or len(new) < LEAST:
         return None
-    bright_old = np.column_stack([earlier.row, earlier.col])[:BRIGHTEST]
-    bright_new = np.column_stack([now.row, now.col])[:BRIGHTEST]
+    bright_old, bright_new = old[:BRIGHTEST], new[:BRIGHTEST]
     shifts = (bright_new[None, :, :] - bright_old[:, None, :]).reshape(-1, 2)
     shifts = shifts[np.abs(shifts).max(axis=1) <= reach_px]
     if len(shifts) == 0:
@@ -55,12 +66,11 @@ def register(earlier: StarList, now: StarList, *, reach_px: float) -> NDArray[np
     winner = shifts[int(np.argmax(number_within(shifts, 2.0)))]
     shift = shifts[np.hypot(*(shifts - winner).T) <= 2.0].mean(axis=0)
     transform = np.column_stack([np.eye(2), shift])
-    points = np.column_stack([earlier.row, earlier.col])[:MATCHED]
-    target = np.column_stack([now.row, now.col])[: 2 * MATCHED]
+    points, target = old[:MATCHED], new[: 2 * MATCHED]
     for radius in (3.0, 1.5, 1.0):
         distance, index = nearest(apply(transform, points), target, radius)
         matched = np.isfinite(distance)
-        if np.count_nonzero(matched) < 5:
+        if np.count_nonzero(matched) < LEAST:
             return None
         transform = _similarity(points[matched], target[index[matched]])
     return transform

@@ -7,11 +7,11 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from onboard.stars.fits import SATURATED, SATURATED_STAR, fit_stars
+from onboard.stars.fits import BLENDED, SATURATED, SATURATED_STAR, fit_stars
 from onboard.stars.peaks import find_peaks, gaussian_kernel
 from onboard.stars.shape import LEAST_STARS, MOST_STARS, FieldShape, measure_shape
 from sboc_e2e.icd.flags import StarFlag
-from sboc_e2e.icd.signals import DetectorView, StarList
+from sboc_e2e.icd.signals import DetectorView, StarList, StarMotion
 
 COSMIC_SHARPNESS = 1.7
 """A peak is sharper than a star when its contrast exceeds the PSF's by this factor at 5 sigma significance."""
@@ -28,12 +28,23 @@ SHAPE_SNR = 40.0
 LONG_TRAIL_PX = 4.0
 """Longer trails are not near enough to Gaussians; they get a template of their own."""
 
-LONGEST_TRAIL_PX = 100.0
 ENOUGH_SETTLED = 0.4
-"""When fewer of the bright stars than this have the moments of a star, they are looked at as trails."""
+"""When fewer of the bright stars than this have the moments of a star, they are looked at as trails ..."""
+
+ENOUGH_POINTS = 0.15
+"""... unless so many have the shape of a point: then stars stand still, and what trails are objects or particles."""
 
 LEAST_TRAIL_SIGMA = 6.0
-MOST_BRIGHT_TRAILS = 24
+MOST_BRIGHT_TRAILS = 60
+MOST_TRAILS = 60_000
+
+FITTED_TRAILS = 600
+"""Trails that are fitted, the brightest of each of `CELLS` x CELLS parts of the frame in turn; the others keep their pixel."""
+
+CELLS = 8
+
+TOLD_APART_PX = 16.0
+"""Where stars move by less, a point may be one of them, or what a brighter trail leaves to be seen of one."""
 
 TRAILED_OVER_PSF = 2.0
 """Stars are called trailed when the smear is longer than this many PSF sigmas."""
@@ -122,23 +133,13 @@ class MatchedStars:
         sigma = float(np.median(sigma_nodes))
         candidates = _shape_stars(peaks, noise * sigma)
         nominal = FieldShape.nominal(view.psf_sigma_px, view.mask.shape)
-        shape, share = measure_shape(view.residual_adu, view.mask, candidates, nominal)
-        if len(candidates) >= LEAST_STARS and (shape.smear_px > LONG_TRAIL_PX or share < ENOUGH_SETTLED):
-            stars = self._trailed(view, sigma, gain)
+        shape, share, like_point = measure_shape(view.residual_adu, view.mask, candidates, nominal)
+        apart = shape.smear_px > LONG_TRAIL_PX or share < ENOUGH_SETTLED
+        if len(candidates) >= LEAST_STARS and apart and like_point.mean() < ENOUGH_POINTS:
+            stars = self._trailed(view, peaks, candidates, like_point, sigma, gain)
             if stars is not None:
                 return stars
-        covariances = shape.covariance(peaks)
-        fits, flags = np.empty((len(peaks), 6)), np.zeros(len(peaks), dtype=np.uint8)
-        width = math.sqrt(float(shape.coefficients[[0, 2], 0].max()))
-        radii = (max(2, math.ceil(2.0 * width)), max(3, math.ceil(3.0 * width)))
-        fit_stars(view.residual_adu, view.mask, sigma_nodes, tile_px, peaks, covariances, radii, gain, fits, flags)
-        # what peaks beside saturated pixels belongs to the rim of the saturated star, which is listed below
-        clean = (flags & SATURATED_STAR) == 0
-        fits, flags, covariances = fits[clean], flags[clean], covariances[clean]
-        psf_contrast = 1.0 - 0.5 * (np.exp(-0.5 / covariances[:, 0]) + np.exp(-0.5 / covariances[:, 2]))
-        sharp = fits[:, 4] - COSMIC_SHARPNESS * psf_contrast > 5.0 / np.maximum(fits[:, 3], 1.0)
-        flags[sharp] |= np.uint8(StarFlag.COSMIC_LIKE)
-        flags[fits[:, 5] > NOT_A_STAR] |= np.uint8(StarFlag.BLENDED)
+        fits, flags, width = self._points(view, peaks, shape, gain)
         trailed = shape.smear_px > TRAILED_OVER_PSF * shape.sigma_px
         if trailed:
             flags |= np.uint8(StarFlag.TRAILED)
@@ -150,31 +151,102 @@ class MatchedStars:
         measured = shape.sigma_px if shape.n_stars > 0 and not trailed else None
         return by_flux(every, np.concatenate((flags, bright_flags)), gain, measured)
 
-    def _trailed(self, view: DetectorView, sigma_adu: float, gain_e_adu: float) -> StarList | None:
-        """Stars of a frame whose pointing moved by more than a few pixels; None when its stars share no such trail."""
-        # OpenCV and scipy.optimize take 40 MB of memory that frames with stars as points do not need
-        from onboard.stars.trails import first_guess, fit_trails, matched_peaks, refined
+    def _points(
+        self, view: DetectorView, peaks: NDArray[np.float32], shape: FieldShape, gain_e_adu: float
+    ) -> tuple[NDArray[np.float64], NDArray[np.uint8], float]:
+        """Fits (n, 6) and flags of peaks as stars of a shape, but for the rim of saturated ones; and the shape's width."""
+        covariances = shape.covariance(peaks)
+        fits, flags = np.empty((len(peaks), 6)), np.zeros(len(peaks), dtype=np.uint8)
+        width = math.sqrt(float(shape.coefficients[[0, 2], 0].max()))
+        radii = (max(2, math.ceil(2.0 * width)), max(3, math.ceil(3.0 * width)))
+        nodes = view.background.sigma_adu
+        fit_stars(
+            view.residual_adu, view.mask, nodes, view.background.tile_px, peaks, covariances, radii, gain_e_adu, fits, flags
+        )
+        # what peaks beside saturated pixels belongs to the rim of the saturated star, which is listed for itself
+        clean = (flags & SATURATED_STAR) == 0
+        fits, flags, covariances = fits[clean], flags[clean], covariances[clean]
+        psf_contrast = 1.0 - 0.5 * (np.exp(-0.5 / covariances[:, 0]) + np.exp(-0.5 / covariances[:, 2]))
+        sharp = fits[:, 4] - COSMIC_SHARPNESS * psf_contrast > 5.0 / np.maximum(fits[:, 3], 1.0)
+        flags[sharp] |= np.uint8(StarFlag.COSMIC_LIKE)
+        flags[fits[:, 5] > NOT_A_STAR] |= np.uint8(StarFlag.BLENDED)
+        return fits, flags, width
 
-        width = math.sqrt(view.psf_sigma_px**2 + 1.0 / 12.0)
+    def _points_among_trails(
+        self,
+        view: DetectorView,
+        peaks: NDArray[np.float32],
+        bright: NDArray[np.float32],
+        painted: NDArray[np.uint8],
+        motion: StarMotion,
+        gain_e_adu: float,
+    ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+        """Fits (n, 4) and flags of what stands still while the stars trail: beside their trails, and bright points on them.
+
+        painted : 1 on trails. Where the stars themselves hardly move points are stars, flagged TRAILED as the others are.
+        """
+        row, col = peaks[:, 0].astype(np.intp), peaks[:, 1].astype(np.intp)
+        on_trail = painted[row, col] != 0
+        keys = row * view.mask.shape[1] + col
+        on_trail &= ~np.isin(keys, bright[:, 0].astype(np.intp) * view.mask.shape[1] + bright[:, 1].astype(np.intp))
+        nominal = FieldShape.nominal(view.psf_sigma_px, view.mask.shape)
+        fits, flags, _ = self._points(view, peaks[~on_trail], nominal, gain_e_adu)
+        fits, flags = fits[(flags & BLENDED) == 0], flags[(flags & BLENDED) == 0]  # pieces of blends of trails
+        still = np.hypot(*motion.at(fits[:, 0], fits[:, 1])) < TOLD_APART_PX
+        flags[still] |= np.uint8(StarFlag.TRAILED)
+        return fits[:, :4], flags
+
+    def _trailed(
+        self,
+        view: DetectorView,
+        peaks: NDArray[np.float32],
+        bright: NDArray[np.float32],
+        like_point: NDArray[np.bool_],
+        sigma_adu: float,
+        gain_e_adu: float,
+    ) -> StarList | None:
+        """Stars of a frame whose pointing moved by more than a few pixels; None when its stars share no such motion.
+
+        peaks : of the frame as if stars were points. bright, like_point : the brightest, and which of them are points.
+        """
+        # scipy.optimize takes memory that frames with stars as points do not need
+        from onboard.stars import star_motion, trails
+
+        psf_sigma_px = math.sqrt(view.psf_sigma_px**2 + 1.0 / 12.0)
         threshold = max(self.n_sigma, LEAST_TRAIL_SIGMA)
-        trail = first_guess(view.residual_adu, sigma_adu)
-        for _ in range(2):
-            if not LONG_TRAIL_PX < trail.length_px < LONGEST_TRAIL_PX:
-                return None
-            peaks = matched_peaks(view.residual_adu, trail, width, threshold, sigma_adu)[: self.max_stars]
-            common = refined(view.residual_adu, view.mask, peaks[:MOST_BRIGHT_TRAILS], trail, width)
-            if common is None:
-                return None
-            trail, width = common
-        fits, flags = np.empty((len(peaks), 4)), np.zeros(len(peaks), dtype=np.uint8)
-        half = (0.5 * trail.drow, 0.5 * trail.dcol)
-        fit_trails(view.residual_adu, view.mask, peaks, *half, width, sigma_adu, gain_e_adu, fits, flags)
-        flags |= np.uint8(StarFlag.TRAILED)
-        return by_flux(fits, flags, gain_e_adu)
+        motion = star_motion.first_motion(view.residual_adu, _brightest_first(peaks), psf_sigma_px)
+        if motion is None or not LONG_TRAIL_PX < star_motion.longest_px(motion) < trails.LONGEST_PX:
+            return None
+        found, _, _ = trails.matched_trails(view, motion, psf_sigma_px, 1.5 * threshold, MOST_TRAILS, sigma_adu)
+        fitted = trails.fitted_vectors(view.residual_adu, view.mask, found[:MOST_BRIGHT_TRAILS], motion, psf_sigma_px)
+        motion = star_motion.refined_motion(*fitted[:2], motion)
+        if motion is None:
+            return None
+        width = float(min(max(np.median(fitted[2]), 0.4), 3.0 * psf_sigma_px))
+        found, half, painted = trails.matched_trails(view, motion, width, threshold, MOST_TRAILS, sigma_adu)
+        chosen = _turns(found, view.mask.shape) < FITTED_TRAILS
+        fits, flags = trails.listed(view, found, half, width, sigma_adu, gain_e_adu, chosen)
+        points, point_flags = self._points_among_trails(view, peaks, bright[like_point], painted, motion, gain_e_adu)
+        return by_flux(np.vstack((fits, points)), np.concatenate((flags, point_flags)), gain_e_adu, motion=motion)
+
+
+def _turns(peaks: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.intp]:
+    """Rank (n,) of peaks (n, >= 2), brightest first as they come, when `CELLS` x `CELLS` parts of the frame take turns."""
+    cell = (peaks[:, 0] * CELLS // shape[0]).astype(np.intp) * CELLS + (peaks[:, 1] * CELLS // shape[1]).astype(np.intp)
+    order = np.argsort(cell, kind="stable")
+    turn = np.empty(len(peaks), np.intp)
+    turn[order] = np.arange(len(peaks)) - np.searchsorted(cell[order], cell[order], side="left")
+    rank = np.empty(len(peaks), np.intp)
+    rank[np.argsort(turn, kind="stable")] = np.arange(len(peaks))
+    return rank
 
 
 def by_flux(
-    fits: NDArray[np.float64], flags: NDArray[np.uint8], gain_e_adu: float, psf_sigma_px: float | None = None
+    fits: NDArray[np.float64],
+    flags: NDArray[np.uint8],
+    gain_e_adu: float,
+    psf_sigma_px: float | None = None,
+    motion: StarMotion | None = None,
 ) -> StarList:
     """Star list by falling flux of fits (n, 4): row, col, flux ADU, S/N."""
     order = falling(fits[:, 2])
@@ -186,6 +258,7 @@ def by_flux(
         snr=fits[:, 3].astype(np.float32),
         flags=flags[order],
         psf_sigma_px=psf_sigma_px,
+        motion=motion,
     )
 
 
@@ -197,6 +270,11 @@ def falling(values: NDArray[np.float64]) -> NDArray[np.intp]:
     tied = np.flatnonzero(same[1:] | same[:-1])
     order[tied] = order[tied][np.lexsort((order[tied], -ordered[tied]))]
     return order
+
+
+def _brightest_first(peaks: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Peaks by falling value: many lie on one trail."""
+    return peaks[np.argsort(-peaks[:, 2], kind="stable")]
 
 
 def _shape_stars(peaks: NDArray[np.float32], noise_adu: float) -> NDArray[np.float32]:

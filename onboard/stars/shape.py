@@ -17,6 +17,10 @@ ENOUGH_STARS = 40
 LEAST_STARS = 6
 MOST_STARS = 400
 LEAST_VARIANCE_PX2 = 0.15
+
+LIKE_NOMINAL = 1.35
+"""Peaks whose width is the nominal one within this factor, and so round, have the shape of a point."""
+
 CLIP_SIGMA = 3.5
 
 
@@ -146,21 +150,22 @@ def adaptive_moments(
 
 def measure_shape(
     residual: NDArray[np.float32], mask: NDArray[np.uint8], peaks: NDArray[np.float32], nominal: FieldShape
-) -> tuple[FieldShape, float]:
+) -> tuple[FieldShape, float, NDArray[np.bool_]]:
     """Shape over the field from the given bright peaks (n, >= 2: row, col), robustly; else the nominal one.
 
-    Also the share of the peaks whose moments settled: stars' do, pieces of trails do not.
+    Also the share of the peaks whose moments settled (stars' do, pieces of trails do not), and which are shaped like a point.
     """
     moments = np.empty((len(peaks), 3))
     start = float(nominal.coefficients[0, 0])
     radius = max(6, math.ceil(5.0 * math.sqrt(start)))
     adaptive_moments(residual, mask, peaks, radius, start, moments)
     settled = np.isfinite(moments[:, 0])
+    like_point = _like_points(moments, start)
     moments = moments[settled]
     row, col = peaks[settled, 0].astype(np.float64), peaks[settled, 1].astype(np.float64)
     share = float(settled.mean()) if len(settled) else 1.0
     if len(moments) < LEAST_STARS:
-        return nominal, share
+        return nominal, share, like_point
     terms = _terms(row, col, nominal.shape)
     keep = np.ones(len(moments), dtype=bool)
     for _ in range(6):
@@ -176,4 +181,12 @@ def measure_shape(
     coefficients = np.zeros((3, 6))
     coefficients[:, :n_terms] = fitted.T
     shape = FieldShape(coefficients=coefficients, shape=nominal.shape, n_stars=int(np.count_nonzero(keep)))
-    return shape, share
+    return shape, share, like_point
+
+
+def _like_points(moments: NDArray[np.float64], variance_px2: float) -> NDArray[np.bool_]:
+    """Which covariances (n, 3), NaN where unknown, are those of a point of the nominal variance."""
+    rr, rc, cc = moments.T
+    mean, apart = 0.5 * (rr + cc), np.hypot(0.5 * (rr - cc), rc)
+    limit = LIKE_NOMINAL**2
+    return np.asarray((mean + apart < limit * variance_px2) & (mean - apart > variance_px2 / limit))

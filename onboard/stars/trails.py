@@ -1,69 +1,49 @@
-"""Stars as trails, when the pointing follows something else: found and centred with the trail as template.
+"""Stars as trails, when the pointing follows something else or rolls: found and centred with the trail as template.
 
-All stars of a frame share one trail (rotation of the field within an exposure is left to the fit's tolerance). Its vector
-comes from the autocorrelation of the bright pixels, which falls linearly to zero along the trail, and is then refined on
-bright stars. The centre of a trail is the position at mid-exposure, as for a point.
+The motion of the stars (`star_motion`) says what each trail looks like. Sums of the PSF-smoothed image along it show where there
+are any; the brightest are fitted. The centre of a trail is the position at mid-exposure, as for a point.
 """
 
 import math
-from dataclasses import dataclass
+from typing import Final
 
-import cv2
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.ndimage import label
 from scipy.optimize import least_squares
 
 from onboard.stars.fits import BLENDED, DEFECT, EDGE, SATURATED, SATURATED_STAR
+from sboc_e2e.icd.flags import StarFlag
+from sboc_e2e.icd.signals import DetectorView, StarMotion
 
-SAMPLE_PX = 1024
-"""Side of the part of the frame whose autocorrelation is taken."""
+REFINED_STARS: Final = 12
+FIT_STEPS: Final = 8
 
-FALL = 0.25
-"""The autocorrelation is followed out to this share of its peak."""
+BLOCK_PX: Final = 128
+"""Side of the parts of a frame that have one trail each when the frame turns."""
 
-REFINED_STARS = 9
-LEAST_COMMON = 4
-"""So many stars at least must show the same trail; one streak across a frame without stars is none."""
-FIT_STEPS = 8
+UNIT: Final = 16.0
+CLIP_SIGMA: Final = 7.5
+GROWTH: Final = 0.2
+"""Beyond so many sigma the smoothed image grows as a logarithm, by this share of them: a bright point lights up no more of a path
+than its own width, and still every trail is brightest in its middle."""
 
+LONGEST_PX: Final = 100.0
+"""Longest trail whose sum is held by 16 bits."""
 
-@dataclass(frozen=True, kw_only=True)
-class Trail:
-    """Movement of every star during the exposure, px; its sign is unknown and of no consequence."""
+SHORT_PX: Final = 4.0
+"""Shorter trails are stars as points; there are none of the others where the motion is so small."""
 
-    drow: float
-    dcol: float
+DARK_QUARTER: Final = 0.15
+"""A path is a trail when each of its quarters holds more than this share of what it should ..."""
 
-    @property
-    def length_px(self) -> float:
-        """Length."""
-        return math.hypot(self.drow, self.dcol)
+BRIGHT_SIGMA: Final = 3.0
+DARK_END: Final = 0.25
+LEAST_SHAPE_PX: Final = 12
+"""... and, where its pixels exceed so many sigma and are so many, its ends this share of what is usual on it: others cross it."""
 
-
-def first_guess(residual: NDArray[np.float32], sigma_adu: float) -> Trail:
-    """Trail from the autocorrelation of pixels above 3 sigma in the middle of the frame; zero when there is none."""
-    rows, cols = residual.shape
-    row0, col0 = max(0, (rows - SAMPLE_PX) // 2), max(0, (cols - SAMPLE_PX) // 2)
-    bright = (residual[row0 : row0 + SAMPLE_PX, col0 : col0 + SAMPLE_PX] > 3.0 * sigma_adu).astype(np.float32)
-    bright -= bright.mean()
-    spectrum = np.fft.rfft2(bright)
-    correlation = np.fft.fftshift(np.fft.irfft2(np.abs(spectrum) ** 2, s=bright.shape))
-    centre = np.array(correlation.shape) // 2
-    peak = float(correlation[centre[0] - 1 : centre[0] + 2, centre[1] - 1 : centre[1] + 2].mean())
-    if peak <= 0.0:
-        return Trail(drow=0.0, dcol=0.0)
-    parts, _ = label(correlation > FALL * peak)
-    row, col = (axis - middle for axis, middle in zip(np.nonzero(parts == parts[tuple(centre)]), centre, strict=True))
-    if len(row) < 3:
-        return Trail(drow=0.0, dcol=0.0)
-    moments = np.cov(np.vstack((row, col)))
-    _, axes = np.linalg.eigh(moments)
-    along = row * axes[0, 1] + col * axes[1, 1]
-    across = row * axes[0, 0] + col * axes[1, 0]
-    length = max(float(np.abs(along).max()) - float(np.abs(across).max()), 0.0) / (1.0 - FALL)
-    return Trail(drow=length * float(axes[0, 1]), dcol=length * float(axes[1, 1]))
+FULL_SIGMA: Final = 1e4
+"""Saturated pixels, over the noise."""
 
 
 @njit(cache=True)
@@ -90,8 +70,7 @@ def fit_trails(
     residual: NDArray[np.float32],
     mask: NDArray[np.uint8],
     peaks: NDArray[np.float32],
-    half_row: float,
-    half_col: float,
+    half: NDArray[np.float64],
     psf_sigma_px: float,
     noise_adu: float,
     gain_e_adu: float,
@@ -100,12 +79,15 @@ def fit_trails(
 ) -> None:
     """Maximum-likelihood centre and flux of trails of known vector, Gauss-Newton.
 
-    peaks : (n, 2) row, col. out : (n, 4) row, col, flux ADU, S/N. flags : `StarFlag` bits SATURATED, EDGE, BLENDED and DEFECT.
+    peaks : (n, >= 2) row, col. half : (n, 2) from centre to end.
+    out : (n, 4) row, col, flux ADU, S/N. flags : `StarFlag` bits SATURATED, EDGE, BLENDED and DEFECT.
     """
     rows, cols = residual.shape
-    reach_row = int(math.ceil(abs(half_row) + 3.5 * psf_sigma_px))  # noqa: RUF046 - numba's ceil is a float
-    reach_col = int(math.ceil(abs(half_col) + 3.5 * psf_sigma_px))  # noqa: RUF046 - numba's ceil is a float
     for n in range(peaks.shape[0]):
+        half_row, half_col = half[n, 0], half[n, 1]
+        length = max(2.0 * math.hypot(half_row, half_col), 1e-6)
+        reach_row = int(math.ceil(abs(half_row) + 3.5 * psf_sigma_px))  # noqa: RUF046 - numba's ceil is a float
+        reach_col = int(math.ceil(abs(half_col) + 3.5 * psf_sigma_px))  # noqa: RUF046 - numba's ceil is a float
         row0, col0 = int(peaks[n, 0]), int(peaks[n, 1])
         row, col, flux, squares = float(row0), float(col0), -1.0, 0.0
         flag = 0
@@ -113,6 +95,8 @@ def fit_trails(
             gf, gr, gc, ff, fr, fc, rr, rc, cc, squares = 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0
             for i in range(row0 - reach_row, row0 + reach_row + 1):
                 for j in range(col0 - reach_col, col0 + reach_col + 1):
+                    if abs((i - row0) * half_col - (j - col0) * half_row) > 0.5 * length * (3.5 * psf_sigma_px + 1.0):
+                        continue
                     if i < 0 or j < 0 or i >= rows or j >= cols:
                         flag |= EDGE
                         continue
@@ -150,35 +134,316 @@ def fit_trails(
         flags[n] = flag
 
 
+@njit(cache=True)
+def _smoothed_rows(
+    residual: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    sigma: NDArray[np.float32],
+    tile_px: int,
+    kernel: NDArray[np.float32],
+    first: int,
+    out: NDArray[np.int16],
+    margin: int,
+) -> None:
+    """Rows first ... of the image over its noise, smoothed and compressed, in sigma/UNIT; zeros beyond the frame.
+
+    kernel : centre and one side, of unit noise. out : (rows, cols + 2 margin).
+    """
+    rows, cols = residual.shape
+    radius = kernel.size - 1
+    ring = np.zeros((2 * radius + 1, cols), np.float32)
+    line = np.zeros(cols + 2 * radius, np.float32)
+    scale = np.zeros(cols, np.float32)
+    out[:] = 0
+    limit = np.float32(CLIP_SIGMA * UNIT)
+    for k in range(-radius, out.shape[0] + radius):
+        row = first + k
+        slot = ring[row % (2 * radius + 1)]
+        slot[:] = 0.0
+        if 0 <= row < rows:
+            nodes = sigma[min(row // tile_px, sigma.shape[0] - 1)]
+            for col in range(cols):
+                scale[col] = np.float32(UNIT) / max(nodes[min(col // tile_px, nodes.size - 1)], np.float32(1e-9))
+            for col in range(cols):
+                lit = residual[row, col] * scale[col]
+                line[radius + col] = lit if mask[row, col] == 0 else np.float32(0.0)
+            for col in range(cols):
+                slot[col] = kernel[0] * line[radius + col]
+            for m in range(1, radius + 1):
+                for col in range(cols):
+                    slot[col] += kernel[m] * (line[radius + col - m] + line[radius + col + m])
+        at = k - radius
+        if 0 <= at < out.shape[0] and 0 <= first + at < rows:
+            line[:cols] = kernel[0] * ring[(first + at) % (2 * radius + 1)]
+            for m in range(1, radius + 1):
+                above, below = ring[(first + at - m) % (2 * radius + 1)], ring[(first + at + m) % (2 * radius + 1)]
+                for col in range(cols):
+                    line[col] += kernel[m] * (above[col] + below[col])
+            for col in range(cols):
+                out[at, margin + col] = np.int16(min(max(line[col], -limit), limit))
+            for col in range(cols):
+                if line[col] > limit:
+                    out[at, margin + col] = np.int16(limit * (1.0 + GROWTH * math.log(min(line[col] / limit, 1e3))))
+            line[:] = 0.0
+
+
+@njit(cache=True)
+def _add(total: NDArray[np.int16], values: NDArray[np.int16]) -> None:
+    for k in range(total.size):
+        total[k] += values[k]
+
+
+@njit(cache=True)
+def _collect(
+    total: NDArray[np.int16],
+    band: NDArray[np.int16],
+    at: tuple[int, int],
+    corner: tuple[int, int],
+    path: NDArray[np.int32],
+    least: float,
+    unit: float,
+    found: NDArray[np.float32],
+    count: int,
+) -> int:
+    """Local maxima of the sums over a path, all of whose quarters are lit.
+
+    total : with a rim of one pixel. at : row and column of total[0, 0] in the band, corner : in the frame.
+    """
+    n = path.shape[0]
+    quarter = np.zeros(4)
+    for i in range(1, total.shape[0] - 1):
+        for j in range(1, total.shape[1] - 1):
+            value = total[i, j]
+            if value <= least or value < total[i - 1, j] or value < total[i, j - 1]:
+                continue
+            if value <= total[i + 1, j] or value <= total[i, j + 1]:
+                continue
+            if value < max(total[i - 1, j - 1], total[i - 1, j + 1]) or value <= max(total[i + 1, j - 1], total[i + 1, j + 1]):
+                continue
+            quarter[:] = 0.0
+            for k in range(n):
+                quarter[4 * k // n] += band[at[0] + i + path[k, 0], at[1] + j + path[k, 1]]
+            quarter.sort()
+            if quarter[0] < DARK_QUARTER * 0.25 * value:
+                continue
+            if count < found.shape[0]:
+                found[count, 0], found[count, 1], found[count, 2] = corner[0] + i, corner[1] + j, value * unit
+                count += 1
+    return count
+
+
+@njit(cache=True)
+def trail_peaks(
+    residual: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    sigma: NDArray[np.float32],
+    tile_px: int,
+    kernel: NDArray[np.float32],
+    paths: NDArray[np.int32],
+    steps: NDArray[np.int64],
+    noise: NDArray[np.float64],
+    block_cols: int,
+    threshold: float,
+    found: NDArray[np.float32],
+) -> int:
+    """Maxima of the PSF-smoothed image summed along the stars' trails, (row, col, S/N), block by block of the frame.
+
+    paths : (blocks, steps, 2) pixels of the trail from its centre, block by block in rows. steps : (blocks,) how many of them.
+    noise : (blocks,) standard deviation of the sum in sigma of a smoothed pixel. Returns how many fitted into `found`.
+    """
+    rows, cols = residual.shape
+    margin = int(np.max(np.abs(paths))) + 2
+    band = np.zeros((BLOCK_PX + 2 * margin, cols + 2 * margin), np.int16)
+    total = np.zeros((BLOCK_PX + 2, block_cols + 2), np.int16)
+    count, block = 0, 0
+    for top in range(0, rows, BLOCK_PX):
+        height = min(BLOCK_PX, rows - top)
+        _smoothed_rows(residual, mask, sigma, tile_px, kernel, top - margin, band, margin)
+        for left in range(0, cols, block_cols):
+            width = min(block_cols, cols - left)
+            if steps[block] > 0:
+                path = paths[block, : steps[block]]
+                part = total[: height + 2, : width + 2]
+                for i in range(height + 2):
+                    part[i] = 0
+                    for k in range(path.shape[0]):
+                        j = margin + left - 1 + path[k, 1]
+                        _add(part[i], band[margin - 1 + i + path[k, 0], j : j + width + 2])
+                unit = 1.0 / (UNIT * noise[block])
+                at, corner = (margin - 1, margin + left - 1), (top - 1, left - 1)
+                count = _collect(part, band, at, corner, path, threshold / unit, unit, found, count)
+            block += 1
+    return count
+
+
+def path_of(drow: float, dcol: float) -> NDArray[np.int32]:
+    """Pixels (n, 2) of a trail from its centre, one for each step along its longer axis."""
+    n = 1 + round(max(abs(drow), abs(dcol)))
+    along = (np.arange(n) - 0.5 * (n - 1)) / max(n - 1, 1)
+    # halves go one way: the middle of an even number of steps lies half a pixel before the centre
+    return np.floor(np.outer(along, (drow, dcol)) + 0.5).astype(np.int32)
+
+
 def matched_peaks(
-    residual: NDArray[np.float32], trail: Trail, psf_sigma_px: float, threshold: float, sigma_adu: float
+    view: DetectorView, motion: StarMotion, psf_sigma_px: float, threshold: float, most: int
 ) -> NDArray[np.float32]:
-    """Local maxima (n, 3: row, col, S/N), brightest first, of the image filtered with the trail."""
-    half_row, half_col = 0.5 * trail.drow, 0.5 * trail.dcol
-    reach = [math.ceil(abs(half) + 3.0 * psf_sigma_px) for half in (half_row, half_col)]
-    kernel = np.array(
-        [
-            [trail_model(float(i), float(j), half_row, half_col, psf_sigma_px)[0] for j in range(-reach[1], reach[1] + 1)]
-            for i in range(-reach[0], reach[0] + 1)
-        ],
-        dtype=np.float32,
+    """Trails of the stars' motion (n, 3: row, col, S/N), brightest first; where they are short there are none."""
+    rows, cols = view.residual_adu.shape
+    block_cols = cols if motion.turn_rad == 0.0 else BLOCK_PX
+    tops, lefts = np.arange(0, rows, BLOCK_PX), np.arange(0, cols, block_cols)
+    at = np.stack(np.meshgrid(tops + 0.5 * BLOCK_PX, lefts + 0.5 * block_cols, indexing="ij"), axis=-1).reshape(-1, 2)
+    vectors = np.column_stack(motion.at(at[:, 0], at[:, 1]))
+    each = [path_of(*v) if math.hypot(*v) > SHORT_PX else np.zeros((0, 2), np.int32) for v in vectors]
+    steps = np.array([len(path) for path in each])
+    paths = np.zeros((len(each), max(1, int(steps.max())), 2), np.int32)
+    noise = np.ones(len(each))
+    for k, path in enumerate(each):
+        paths[k, : len(path)] = path
+        apart = ((path[:, None, :] - path[None, :, :]) ** 2).sum(axis=-1)
+        noise[k] = math.sqrt(max(1.0, float(np.exp(-0.25 * apart / psf_sigma_px**2).sum())))
+    side = np.exp(-0.5 * (np.arange(max(2, math.ceil(2.2 * psf_sigma_px)) + 1) / psf_sigma_px) ** 2)
+    kernel = (side / math.sqrt(side[0] ** 2 + 2.0 * float(np.sum(side[1:] ** 2)))).astype(np.float32)
+    found = np.empty((most, 3), np.float32)
+    background = view.background
+    count = trail_peaks(
+        view.residual_adu,
+        view.mask,
+        background.sigma_adu,
+        background.tile_px,
+        kernel,
+        paths,
+        steps,
+        noise,
+        block_cols,
+        threshold,
+        found,
     )
-    filtered = cv2.filter2D(np.ascontiguousarray(residual), cv2.CV_32F, kernel, borderType=cv2.BORDER_CONSTANT)
-    filtered = filtered * np.float32(1.0 / (sigma_adu * math.sqrt(float(np.sum(kernel**2)))))
-    apart = [max(1, round(abs(half))) + 2 for half in (half_row, half_col)]
-    highest = cv2.dilate(filtered, np.ones((2 * apart[0] + 1, 2 * apart[1] + 1), dtype=np.uint8))
-    row, col = np.nonzero((filtered == highest) & (filtered > threshold))
-    order = np.argsort(-filtered[row, col], kind="stable")
-    return np.column_stack((row, col, filtered[row, col])).astype(np.float32)[order]
+    return found[:count][np.argsort(-found[:count, 2], kind="stable")]
 
 
-def refined(
-    residual: NDArray[np.float32], mask: NDArray[np.uint8], peaks: NDArray[np.float32], guess: Trail, psf_sigma_px: float
-) -> tuple[Trail, float] | None:
-    """Trail and PSF width as medians over fits of bright usable stars with both free; None when these do not agree."""
-    vectors = []
-    reach = [math.ceil(abs(half) + 5.0 * psf_sigma_px) + 3 for half in (0.5 * guess.drow, 0.5 * guess.dcol)]
+@njit(cache=True)
+def paint_trail(out: NDArray[np.uint8], row: float, col: float, half_row: float, half_col: float, reach: float, bit: int) -> None:
+    """Set a bit of `out` within `reach` px of a segment from centre and half vector, in place."""
+    rows, cols = out.shape
+    half = math.hypot(half_row, half_col)
+    unit_row, unit_col = (half_row / half, half_col / half) if half > 1e-9 else (1.0, 0.0)
+    reach_row, reach_col = abs(half_row) + reach, abs(half_col) + reach
+    for i in range(max(0, math.ceil(row - reach_row)), min(rows - 1, math.floor(row + reach_row)) + 1):
+        for j in range(max(0, math.ceil(col - reach_col)), min(cols - 1, math.floor(col + reach_col)) + 1):
+            along = (i - row) * unit_row + (j - col) * unit_col
+            across = (i - row) * unit_col - (j - col) * unit_row
+            beyond = max(0.0, abs(along) - half)
+            if beyond * beyond + across * across <= reach * reach:
+                out[i, j] |= np.uint8(bit)
+
+
+@njit(cache=True)
+def keep_brightest(
+    residual: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    peaks: NDArray[np.float32],
+    half: NDArray[np.float64],
+    psf_sigma_px: float,
+    noise_adu: float,
+    painted: NDArray[np.uint8],
+    keep: NDArray[np.bool_],
+) -> None:
+    """Which of the peaks (n, 3), brightest first, lie on no brighter one's trail; their S/N becomes that of the unclipped image.
+
+    half : (n, 2) half vectors. painted : zeros, becomes 1 on the trails.
+    """
+    rows, cols = residual.shape
+    for n in range(peaks.shape[0]):
+        row, col = int(peaks[n, 0]), int(peaks[n, 1])
+        keep[n] = painted[row, col] == 0
+        if not keep[n]:
+            continue
+        length = 2.0 * math.hypot(half[n, 0], half[n, 1])
+        values = np.zeros(2 * int(0.5 * length) + 1)
+        for k in range(values.size):
+            u = 2.0 * k / max(values.size - 1, 1) - 1.0
+            i, j = round(row + u * half[n, 0]), round(col + u * half[n, 1])
+            if 0 <= i < rows and 0 <= j < cols:
+                values[k] = residual[i, j] / noise_adu if mask[i, j] & SATURATED == 0 else FULL_SIGMA
+        peak = float(np.median(values))
+        quarter = max(1, values.size // 4)
+        darkest = min(values[:quarter].mean(), values[-quarter:].mean())
+        if values.size >= LEAST_SHAPE_PX and peak > BRIGHT_SIGMA and darkest < DARK_END * peak:
+            keep[n] = False
+            continue
+        peaks[n, 2] = max(peaks[n, 2], 1.331 * peak * math.sqrt(length * psf_sigma_px))
+        reach = trail_reach_px(peak, psf_sigma_px)
+        paint_trail(painted, float(row), float(col), half[n, 0], half[n, 1], reach, 1)
+
+
+@njit(cache=True)
+def paint_trails(
+    out: NDArray[np.uint8],
+    row: NDArray[np.float64],
+    col: NDArray[np.float64],
+    half: NDArray[np.float64],
+    snr: NDArray[np.float32],
+    psf_sigma_px: float,
+    bit: int,
+) -> None:
+    """Set a bit of `out` where trails (n,) of half vectors (n, 2) shine, in place."""
+    for n in range(row.size):
+        length = max(2.0 * math.hypot(half[n, 0], half[n, 1]), 3.5 * psf_sigma_px)
+        peak = snr[n] / (1.331 * math.sqrt(length * psf_sigma_px))
+        paint_trail(out, row[n], col[n], half[n, 0], half[n, 1], trail_reach_px(peak, psf_sigma_px), bit)
+
+
+def matched_trails(
+    view: DetectorView, motion: StarMotion, psf_sigma_px: float, threshold: float, most: int, noise_adu: float
+) -> tuple[NDArray[np.float32], NDArray[np.float64], NDArray[np.uint8]]:
+    """Trails of the stars' motion (n, 3: row, col, S/N), brightest first, each once; their half vectors (n, 2); a map of them."""
+    found = matched_peaks(view, motion, psf_sigma_px, threshold, most)
+    half = 0.5 * np.column_stack(motion.at(found[:, 0].astype(np.float64), found[:, 1].astype(np.float64)))
+    painted, keep = np.zeros(view.mask.shape, np.uint8), np.zeros(len(found), np.bool_)
+    keep_brightest(view.residual_adu, view.mask, found, half, psf_sigma_px, noise_adu, painted, keep)
+    order = np.flatnonzero(keep)
+    order = order[np.argsort(-found[order, 2], kind="stable")]
+    return found[order], half[order], painted
+
+
+@njit(cache=True)
+def trail_reach_px(peak_sigma: float, psf_sigma_px: float) -> float:
+    """How far from a trail's line its light matters; peak_sigma : brightest pixel across, over the noise."""
+    return 3.0 * psf_sigma_px + 1.0 + 1.5 * math.log2(max(1.0, peak_sigma))
+
+
+def listed(
+    view: DetectorView,
+    peaks: NDArray[np.float32],
+    half: NDArray[np.float64],
+    psf_sigma_px: float,
+    noise_adu: float,
+    gain_e_adu: float,
+    chosen: NDArray[np.bool_],
+) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
+    """Fits (n, 4: row, col, flux ADU, S/N) and flags of trails at peaks (n, 3); those not chosen keep their pixel, BLENDED.
+
+    The flux of a trail of S/N S is S sigma sqrt(sum(t^2))^-1, with sum(t^2) = 1 / hypot(2 sqrt(pi) s L, 4 pi s^2) for a length L.
+    """
+    fits, flags = np.empty((len(peaks), 4)), np.full(len(peaks), BLENDED, dtype=np.uint8)
+    length = 2.0 * np.hypot(half[:, 0], half[:, 1])
+    light = np.sqrt(np.hypot(2.0 * math.sqrt(math.pi) * psf_sigma_px * length, 4.0 * math.pi * psf_sigma_px**2))
+    fits[:, :2], fits[:, 3] = peaks[:, :2], peaks[:, 2]
+    fits[:, 2] = peaks[:, 2] * noise_adu * light
+    some, some_flags = np.empty((np.count_nonzero(chosen), 4)), np.zeros(np.count_nonzero(chosen), dtype=np.uint8)
+    fit_trails(view.residual_adu, view.mask, peaks[chosen], half[chosen], psf_sigma_px, noise_adu, gain_e_adu, some, some_flags)
+    fits[chosen], flags[chosen] = some, some_flags
+    return fits, flags | np.uint8(StarFlag.TRAILED)
+
+
+def fitted_vectors(
+    residual: NDArray[np.float32], mask: NDArray[np.uint8], peaks: NDArray[np.float32], motion: StarMotion, psf_sigma_px: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Places (m, 2), vectors (m, 2) and PSF widths (m,) of bright usable stars, fitted with all of these free."""
+    fitted = []
     for row0, col0 in peaks[:, :2].astype(int):
+        drow, dcol = (float(part[0]) for part in motion.at(np.array([float(row0)]), np.array([float(col0)])))
+        reach = [math.ceil(abs(half) + 5.0 * psf_sigma_px) + 3 for half in (0.5 * drow, 0.5 * dcol)]
         part = np.s_[row0 - reach[0] : row0 + reach[0] + 1, col0 - reach[1] : col0 + reach[1] + 1]
         image = residual[part]
         if row0 < reach[0] or col0 < reach[1] or image.shape != (2 * reach[0] + 1, 2 * reach[1] + 1) or mask[part].any():
@@ -186,21 +451,15 @@ def refined(
         flux = float(image.sum())
         if not flux > 0.0:  # a peak in a hole of the background is no star to learn from
             continue
-        start = np.array([flux, 0.0, 0.0, guess.drow, guess.dcol, psf_sigma_px])
+        start = np.array([flux, 0.0, 0.0, drow, dcol, psf_sigma_px])
         fit = least_squares(_misfit, start, args=(image,), x_scale=np.array([flux, 1.0, 1.0, 1.0, 1.0, 0.3]), max_nfev=15)
         light = fit.x[0] if fit.success else 0.0
         if light > 0.0 and float(np.sum(fit.fun**2)) < 0.05 * float(np.sum(image.astype(np.float64) ** 2)):
-            sign = 1.0 if fit.x[3] * guess.drow + fit.x[4] * guess.dcol >= 0.0 else -1.0
-            vectors.append((sign * fit.x[3], sign * fit.x[4], abs(fit.x[5])))
-        if len(vectors) == REFINED_STARS:
+            fitted.append((row0 + fit.x[1], col0 + fit.x[2], fit.x[3], fit.x[4], abs(fit.x[5])))
+        if len(fitted) == REFINED_STARS:
             break
-    if len(vectors) < LEAST_COMMON:
-        return None
-    drow, dcol, width = np.median(np.array(vectors), axis=0)
-    apart = np.median(np.hypot(*(np.array(vectors)[:, :2] - (drow, dcol)).T))
-    if apart > 0.2 * math.hypot(drow, dcol):
-        return None
-    return Trail(drow=float(drow), dcol=float(dcol)), float(min(max(width, 0.4), 3.0 * psf_sigma_px))
+    table = np.array(fitted).reshape(-1, 5)
+    return table[:, :2], table[:, 2:4], table[:, 4]
 
 
 @njit(cache=True)

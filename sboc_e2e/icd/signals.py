@@ -31,6 +31,25 @@ class BackgroundModel:
         object.__setattr__(self, "sigma_adu", validate.array("background.sigma_adu", self.sigma_adu, np.float32, shape))
 
 
+@dataclass(frozen=True, kw_only=True)
+class StarMotion:
+    """Rigid motion of the stars during the exposure, px: a shift at the middle of the frame and a turn about it.
+
+    A star at (row, col) moves by (drow - turn_rad (col - middle_col), dcol + turn_rad (row - middle_row)); the sign of the
+    whole is not known and of no consequence.
+    """
+
+    drow: float
+    dcol: float
+    turn_rad: float
+    middle_row: float
+    middle_col: float
+
+    def at(self, row: NDArray[np.float64], col: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """Vectors (n,), (n,) of stars at places (n,)."""
+        return self.drow - self.turn_rad * (col - self.middle_col), self.dcol + self.turn_rad * (row - self.middle_row)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StarList:
     """Stars by falling flux. Columns of equal length n; an empty list has n = 0.
@@ -38,6 +57,8 @@ class StarList:
     row, col : float64 px, centroid. flux_e : float32, PSF-weighted flux in one exposure (ADU when no gain is known,
     then the frame is flagged). snr : float32, matched-filter. flags : uint8 of `StarFlag`.
     psf_sigma_px : width of the PSF in the middle of the frame as these stars show it, without the pixel; None when not measured.
+    motion : of the stars when they are trails, with their places at mid-exposure; entries without `StarFlag.TRAILED` are then
+    points that follow the camera. None when stars are points. It stays on board.
     """
 
     row: NDArray[np.float64]
@@ -46,6 +67,7 @@ class StarList:
     snr: NDArray[np.float32]
     flags: NDArray[np.uint8]
     psf_sigma_px: float | None = None
+    motion: StarMotion | None = None
 
     def __post_init__(self) -> None:
         for name, dtype in (("row", "f8"), ("col", "f8"), ("flux_e", "f4"), ("snr", "f4"), ("flags", "u1")):

@@ -236,11 +236,7 @@ def check_sky(done: Run) -> None:
     [
         (("faults.pixels.stuck_column=100",), lambda s: s["col0"] < 103 and s["col1"] > 97),
         (("faults.pixels.dead_quadrant=true",), lambda s: s["row_mid"] > 120 and s["col1"] > 120),
-        pytest.param(
-            ("faults.pixels.stray_light=300 ADU",),
-            lambda s: True,
-            marks=pytest.mark.xfail(reason="2 false streaks since fine structure is taken out (docs/limits.md)"),
-        ),
+        (("faults.pixels.stray_light=300 ADU",), lambda s: True),
     ],
     ids=["stuck column", "dead quadrant", "stray light"],
 )
@@ -267,17 +263,7 @@ AS_IN_SBOC = 'radiation.saa_peak_omni="230 cm-2 s-1"'
 """The same tracks for each pixel as there."""
 
 
-FULL_LIGHT = pytest.param(
-    0.8,
-    marks=pytest.mark.xfail(
-        raises=AssertionError,
-        reason="4 of 92 published streaks of seeds 3 to 5 are no object's (docs/limits.md)",
-    ),
-)
-"""Throughput of the preset. With 1/1.37 of the light, for which vetting was made, none of 101 is false."""
-
-
-@pytest.mark.parametrize("throughput", [0.583, FULL_LIGHT])
+@pytest.mark.parametrize("throughput", [0.583, 0.8])
 def test_in_a_particle_storm_nothing_false_is_published_and_trails_are_still_measured(
     healthy: Run, tmp_path: Path, throughput: float
 ) -> None:

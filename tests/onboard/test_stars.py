@@ -10,10 +10,10 @@ from onboard.image.calibrate import residual_pass
 from onboard.image.dark_map import DarkMap
 from onboard.stars.fits import fit_stars
 from onboard.stars.matched import MatchedStars, best_spread, falling
-from onboard.stars.trails import Trail, refined
+from onboard.stars.trails import fitted_vectors
 from sboc_e2e.icd.flags import MaskBit, StarFlag
 from sboc_e2e.icd.frame import FrameHeader
-from sboc_e2e.icd.signals import DetectorView, StarList
+from sboc_e2e.icd.signals import DetectorView, StarList, StarMotion
 from tests.onboard.star_fields import (
     GAIN_E_ADU,
     PEDESTAL_ADU,
@@ -249,5 +249,6 @@ def test_a_peak_in_a_hole_of_the_background_is_no_star_to_learn_from() -> None:
     residual = np.full((64, 64), -1.0, dtype=np.float32)
     residual[30:33, 30:33] = 5.0
     peaks = np.array([[31.0, 31.0, 9.0]], dtype=np.float32)
-    guess = Trail(drow=4.0, dcol=1.0)
-    assert refined(residual, np.zeros((64, 64), np.uint8), peaks, guess, 1.0) is None
+    guess = StarMotion(drow=4.0, dcol=1.0, turn_rad=0.0, middle_row=31.5, middle_col=31.5)
+    places, _, _ = fitted_vectors(residual, np.zeros((64, 64), np.uint8), peaks, guess, 1.0)
+    assert len(places) == 0

@@ -13,7 +13,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.detect import whiten
-from onboard.detect.line_integral import context, dyadic, fragments, halos, point_movers, resolve, sharpness, static_sky, strip
+from onboard.detect.line_integral import (
+    context,
+    dyadic,
+    fragments,
+    halos,
+    local_noise,
+    point_movers,
+    resolve,
+    sharpness,
+    static_sky,
+    strip,
+    trailed_sky,
+    trains,
+)
 from onboard.detect.line_integral.kept_frame import KeptFrame, kept
 from onboard.detect.line_integral.star_removal import (
     POINT_CLIP_SIGMA,
@@ -95,6 +108,9 @@ there before is thus found from S on, S^2 = 2 z^2 (1 + nu S / 2) (`point_movers.
 
 STORM_ENTRIES: Final = 1000
 """New star-list entries above which a particle storm raises the threshold."""
+
+PIECE_PX: Final = 4.0
+"""Sharp points so near to a found trail are pieces of it."""
 
 EDGE_PX: Final = 3.0
 """An end closer than this to the frame's edge may continue beyond it."""
@@ -285,8 +301,19 @@ def slow_movers(view: DetectorView, earlier: static_sky.EarlierFrame) -> list[De
     are blends.
     """
     stars, then = view.stars, earlier.frame.stars
-    # in both frames: a particle that hits a star moves its centroid
+    # in both frames: a particle that hits a star moves its centroid, and so does a hot pixel that a star comes to lie beside
     clean, known = (stars.snr >= SLOW_SNR) & (stars.flags == 0), (then.snr >= 0.5 * SLOW_SNR) & (then.flags == 0)
+    bright = np.flatnonzero(clean)
+    hit = point_movers.holds_sharp_pixel(
+        view.residual_adu,
+        view.mask,
+        view.background.sigma_adu,
+        view.background.tile_px,
+        stars.row[bright],
+        stars.col[bright],
+        sharpness.measured_width_px(view),
+    )
+    clean[bright[hit]] = False
     if not clean.any() or not known.any():
         return []
     place = np.column_stack([stars.row[clean], stars.col[clean]])
@@ -319,6 +346,18 @@ def particle_hits(view: DetectorView, images: WorkingImages, n_sigma: float, mos
         )
         for k in sorted(hits, key=lambda k: -float(stars.snr[k]))[:most]
     ]
+
+
+def lies_on(hit: Detection, trail: Detection) -> bool:
+    """Whether a point is a piece of a found trail."""
+    length = trail.length_px
+    d_row, d_col = hit.row0 - trail.row0, hit.col0 - trail.col0
+    if length < 1.0 or max(abs(d_row), abs(d_col)) > length + PIECE_PX:
+        return False
+    u_row, u_col = (trail.row1 - trail.row0) / length, (trail.col1 - trail.col0) / length
+    along, across = d_row * u_row + d_col * u_col, d_row * u_col - d_col * u_row
+    u = min(max(along / length, 0.0), 1.0)
+    return -PIECE_PX < along < length + PIECE_PX and abs(across - 4.0 * trail.sagitta_px * u * (1.0 - u)) < PIECE_PX
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -385,8 +424,12 @@ class LineIntegralDetector:
         if min(view.residual_adu.shape) < 2 * MIN_ROWS:
             return (), None
         s_px = view.psf_sigma_px
-        earlier = static_sky.earlier_frame(view, self.reach_px)
-        images = working_images(view, earlier, halo_px=self.halo_px)
+        motion = view.stars.motion
+        earlier = static_sky.earlier_frame(view, self.reach_px) if motion is None else None
+        if motion is None:
+            images = working_images(view, earlier, halo_px=self.halo_px)
+        else:
+            images = trailed_sky.working_images(view, motion)
         n_sigma = self.n_sigma + math.log10(max(1.0, len(images.new) / STORM_ENTRIES))
         usable = max(0.01, 1.0 - float(np.mean(images.blocked[::4, ::4] != 0)))
         taps = whiten.even_taps(s_px)
@@ -423,13 +466,19 @@ class LineIntegralDetector:
             math.inf if seed_sigma is None else seed_sigma,
             seeds,
         )
-        table = within_room(table, images.image.size)
+        table = local_noise.above(
+            within_room(table, images.image.size), n_sigma, images.image, images.blocked, images.level, TILE_PX, s_px
+        )
         found = [line_detection(row, view.residual_adu.shape) for row in table]
+        found = [piece for d in found for piece in trains.taken_apart(d, view, images.blocked, s_px)]
         found = [with_blurred_ends(d, images, s_px) if d.length_px < resolve.SHARP_ENDS_PX else d for d in found]
         found = [d for d in found if d.snr >= n_sigma]
         if earlier is None:
             found = [d for d in found if d.length_px >= BLEND_PX]
             found = [d for d in found if d.length_px >= resolve.SHARP_ENDS_PX or d.snr >= n_sigma + self.single_frame_margin]
+            if motion is not None:
+                found = [d for d in found if not trailed_sky.is_star(d, motion)]
+                found += trailed_sky.still_points(view, images, n_sigma + self.short_margin)
         else:
             found = [d for d in found if moved(d, earlier, images, s_px, n_sigma, self.short_margin)]
             found += short_detections(view, earlier, images, smooth, n_sigma + self.short_margin)
@@ -444,7 +493,8 @@ class LineIntegralDetector:
         tracks = [d for d in found if d.flags & StreakFlag.COSMIC_LIKE]
         real = sorted((d for d in found if not d.flags & StreakFlag.COSMIC_LIKE), key=lambda d: -d.snr)
         room = max(0, self.max_detections - len(real))
-        tracks += particle_hits(view, images, n_sigma + self.short_margin, room)
+        hits = particle_hits(view, images, n_sigma + self.short_margin, room)
+        tracks += [hit for hit in hits if not any(lies_on(hit, d) for d in found)]
         tracks.sort(key=lambda d: -d.snr)
         detections = tuple((real + tracks)[: self.max_detections])
         return detections, None if whole is None else Searched(smooth=whole, seeds=seed_ends(seeds[:n_seeds]))

@@ -25,7 +25,9 @@ def continuation(main: Detection, piece: Detection) -> tuple[float, float] | Non
     for row, col in ((piece.row0, piece.col0), (piece.row1, piece.col1)):
         d_row, d_col = row - main.row0, col - main.col0
         along.append(d_row * u_row + d_col * u_col)
-        across.append(d_row * u_col - d_col * u_row)
+        # beside the line, or the parabola of a bent one
+        u = along[-1] / length
+        across.append(d_row * u_col - d_col * u_row - 4.0 * main.sagitta_px * u * (1.0 - u))
     gap = max(min(along) - length, -max(along), 0.0)
     if max(map(abs, across)) > ACROSS_PX + 0.01 * gap or gap > max(8.0, GAP_SHARE * (length + piece.length_px)):
         return None
@@ -47,7 +49,8 @@ def _union(main: Detection, piece: Detection, along: tuple[float, float]) -> Det
     flags |= StreakFlag.EDGE0 if first[3] else StreakFlag(0)
     flags |= StreakFlag.EDGE1 if last[3] else StreakFlag(0)
     snr = math.sqrt(main.snr**2 + max(0.0, 1.0 - shared) * piece.snr**2)
-    return replace(main, row0=first[1], col0=first[2], row1=last[1], col1=last[2], snr=snr, flags=flags)
+    sagitta = main.sagitta_px * ((last[0] - first[0]) / max(length, 1.0)) ** 2
+    return replace(main, row0=first[1], col0=first[2], row1=last[1], col1=last[2], snr=snr, sagitta_px=sagitta, flags=flags)
 
 
 def join(detections: Sequence[Detection]) -> list[Detection]:

@@ -12,6 +12,10 @@ ANGLES: Final = 12
 LONGEST_FIT_PX: Final = 90.0
 """Trails fitted with blurred ends grow no longer: half as long again as the longest that are handed in."""
 
+SHARP_SIGMA: Final = 5.0
+SHARP_SHARE: Final = 0.05
+"""A pixel is sharper than light by so many sigma, and this share of the brightest pixel near it for the PSF's own errors."""
+
 MOST_MOVES: Final = 60
 """Rounds of the pattern search: 4 px away from its start it has found something else."""
 
@@ -72,6 +76,42 @@ def sharper_than_psf(
         if sigma > 0.0:
             peak /= sigma
             out[k] = peak - star_fraction * snr[k] > 2.5 and peak > max(0.8, star_fraction) * snr[k]
+    return out
+
+
+@nb.njit(cache=True)
+def holds_sharp_pixel(
+    residual_adu: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    sigma_adu: NDArray[np.float32],
+    tile_px: int,
+    row: NDArray[np.float64],
+    col: NDArray[np.float64],
+    psf_sigma_px: float,
+) -> NDArray[np.bool_]:
+    """Which windows of 5 x 5 px about places (n,) hold a pixel that stands out more than any light through the PSF does.
+
+    No light exceeds the mean of its four neighbours by more than a point at a pixel's middle: exp(0.5 / s^2).
+    """
+    rows, cols = residual_adu.shape
+    most = math.exp(0.5 / (psf_sigma_px**2 + 1.0 / 12.0))
+    out = np.zeros(row.shape[0], np.bool_)
+    for n in range(row.shape[0]):
+        i0, j0 = math.floor(row[n] + 0.5), math.floor(col[n] + 0.5)
+        if i0 < 3 or j0 < 3 or i0 >= rows - 3 or j0 >= cols - 3:
+            continue
+        sigma = sigma_adu[min(i0 // tile_px, sigma_adu.shape[0] - 1), min(j0 // tile_px, sigma_adu.shape[1] - 1)]
+        peak = 0.0
+        for i in range(i0 - 2, i0 + 3):
+            for j in range(j0 - 2, j0 + 3):
+                peak = max(peak, residual_adu[i, j])
+        allowed = SHARP_SIGMA * sigma * math.sqrt(1.0 + 0.25 * most * most) + SHARP_SHARE * peak
+        for i in range(i0 - 2, i0 + 3):
+            for j in range(j0 - 2, j0 + 3):
+                along = residual_adu[i, j - 1] + residual_adu[i, j + 1]
+                beside = max(0.25 * (residual_adu[i - 1, j] + residual_adu[i + 1, j] + along), 0.0)
+                if mask[i, j] == 0 and residual_adu[i, j] - most * beside > allowed:
+                    out[n] = True
     return out
 
 

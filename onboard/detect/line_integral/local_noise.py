@@ -1,0 +1,139 @@
+"""How lines of the same length and angle come out beside a detection: its threshold follows what they show.
+
+Noise that is correlated, ripples, glow and what is left of stars make the sums of lines wider than those of white noise, and so
+long lines more than short ones. Parallel lines on both sides of a detection have the same length and angle, and the same sky.
+They are clipped, so that another trail among them does not answer for the sky.
+"""
+
+import math
+from typing import Final
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.detect.cross_profile import cross_profile
+
+NEAREST_PX: Final = 12.0
+APART_PX: Final = 3.0
+LINES: Final = 44
+"""Parallel lines: half of them to each side, from NEAREST_PX on, APART_PX from each other, so that they hardly share pixels."""
+
+LEAST_LINES: Final = 24
+"""Fewer usable ones say nothing."""
+
+CLIP: Final = 3.0
+CLIPPED_STD: Final = 0.9866
+"""Standard deviation of a unit Gaussian cut at +-3."""
+
+ERRORS: Final = 1.5
+"""Mean and width count as far as they differ from 0 and 1 by more than so many of their own standard errors."""
+
+
+@nb.njit(cache=True)
+def parallel_snr(
+    image: NDArray[np.int8],
+    blocked: NDArray[np.uint8],
+    level: NDArray[np.float32],
+    tile_px: int,
+    segment: NDArray[np.float64],
+    psf_sigma_px: float,
+    out: NDArray[np.float64],
+    offset: NDArray[np.float64],
+) -> int:
+    """S/N of lines parallel to a segment (major0, minor0, major1, minor1, sagitta), and their offsets; how many are usable."""
+    room = int(segment[2] - segment[0]) + 3
+    signal, weight = np.empty(room), np.empty(room)
+    length = max(segment[2] - segment[0], 1e-6)
+    lean = math.sqrt(1.0 + ((segment[3] - segment[1]) / length) ** 2)
+    n = 0
+    full = 0.0
+    for k in range(-1, out.size):
+        side = 1.0 if k % 2 == 0 else -1.0
+        shift = 0.0 if k < 0 else side * (NEAREST_PX + APART_PX * (k // 2)) * lean
+        _, lines = cross_profile(
+            image,
+            blocked,
+            level,
+            tile_px,
+            segment[0],
+            segment[1] + shift,
+            segment[2],
+            segment[3] + shift,
+            segment[4],
+            0,
+            psf_sigma_px,
+            signal,
+            weight,
+        )
+        s = w = 0.0
+        for m in range(lines):
+            s += signal[m]
+            w += weight[m]
+        if k < 0:
+            full = w
+        elif w > 0.6 * full and w > 0.0:
+            out[n], offset[n] = s / math.sqrt(w), shift / lean
+            n += 1
+    return n
+
+
+def baseline(values: NDArray[np.float64], offset: NDArray[np.float64]) -> tuple[float, float, float, int]:
+    """What lines (n,) at offsets (n,) say of one at offset 0: its expected S/N with standard error, their width, and how many.
+
+    A cubic follows sky that changes over a few tens of pixels; the width is that of what it leaves, but 1 at least.
+    """
+    x = offset / float(np.abs(offset).max())
+    terms = np.column_stack((np.ones_like(x), x, x * x, x**3))
+    middle = float(np.median(values))
+    use = np.abs(values - middle) <= CLIP * max(1.0, 1.4826 * float(np.median(np.abs(values - middle))))
+    expected, error, width = 0.0, 1.0, 1.0
+    for _ in range(4):
+        inverse = np.linalg.pinv(terms[use].T @ terms[use])
+        fit = inverse @ (terms[use].T @ values[use])
+        left = values - terms @ fit
+        width = max(1.0, math.sqrt(float(np.sum(left[use] ** 2)) / max(1, int(np.count_nonzero(use)) - 4)) / CLIPPED_STD)
+        expected, error = float(fit[0]), width * math.sqrt(float(inverse[0, 0]))
+        use = np.abs(left) <= CLIP * width
+        if np.count_nonzero(use) < LEAST_LINES:
+            break
+    return expected, error, width, int(np.count_nonzero(use))
+
+
+def locally(snr: float, values: NDArray[np.float64], offset: NDArray[np.float64]) -> float:
+    """S/N of a detection in the noise of the lines (n,) at offsets (n,) beside it; never higher."""
+    if len(values) < LEAST_LINES:
+        return snr
+    expected, error, width, number = baseline(values, offset)
+    above = max(0.0, expected - ERRORS * error)
+    wider = max(1.0, width * (1.0 - ERRORS / math.sqrt(2.0 * number)))
+    return (snr - above) / wider
+
+
+def local_snr(
+    row: NDArray[np.float64],
+    image: NDArray[np.int8],
+    blocked: NDArray[np.uint8],
+    level: NDArray[np.float32],
+    tile_px: int,
+    psf_sigma_px: float,
+) -> float:
+    """The S/N of a row of `resolve.resolve` (axis, ends, sagitta, S/N) in the noise of lines beside it."""
+    out, offset = np.empty(LINES), np.empty(LINES)
+    images = (image, blocked, level) if row[0] == 0.0 else (image.T, blocked.T, level.T)
+    n = parallel_snr(*images, tile_px, row[1:6].copy(), psf_sigma_px, out, offset)
+    return locally(float(row[6]), out[:n], offset[:n])
+
+
+def above(
+    table: NDArray[np.float64],
+    n_sigma: float,
+    image: NDArray[np.int8],
+    blocked: NDArray[np.uint8],
+    level: NDArray[np.float32],
+    tile_px: int,
+    psf_sigma_px: float,
+) -> NDArray[np.float64]:
+    """Rows of `resolve.resolve` that pass n_sigma, or their own S/N if that is lower, in the noise beside them too."""
+    local = np.array([local_snr(row, image, blocked, level, tile_px, psf_sigma_px) for row in table])
+    return table[local >= np.minimum(n_sigma, table[:, 6])] if len(table) else table

@@ -86,3 +86,25 @@ def export(
     from sboc_e2e.objects.catalogue import export as execute
 
     typer.echo(f"{execute(store, kind, out, originator, days)} files in {out}")
+
+
+@app.command()
+def calibrate(
+    messages: Annotated[list[Path], typer.Argument(help="tracking data messages (TDM, right ascension and declination)")],
+    orbits: Annotated[list[Path], typer.Option("--orbits", help="precise orbits, SP3 (also .Z) or CPF; may be repeated")],
+    observer: Annotated[Path | None, typer.Option("--observer", help="ephemeris of a moving sensor (OEM)")] = None,
+    site: Annotated[str | None, typer.Option("--site", help="LATITUDE,LONGITUDE,HEIGHT of a fixed one: deg, deg, m")] = None,
+    gap: Annotated[float, typer.Option("--gap", help="hours without a track between two sessions")] = 6.0,
+    out: Annotated[Path, typer.Option("--out", help="calibration file")] = Path("calibration.json"),
+) -> None:
+    """Time bias, pointing and noise of a sensor from objects with precise orbits, session by session (90 % intervals)."""
+    from sboc_e2e.icd.errors import UserError
+    from sboc_e2e.objects.calibration import calibrate as execute
+    from sboc_e2e.objects.calibration import place_of_ephemeris, place_of_site, session_line
+
+    if (observer is None) == (site is None):
+        raise UserError("calibrate: give either --observer (a moving sensor) or --site (a fixed one)")
+    place = place_of_site(site) if site is not None else place_of_ephemeris(observer or Path())
+    found = execute(messages, place, orbits, shares_clock=site is None, gap_h=gap, out=out)
+    typer.echo("\n".join(session_line(bias) for bias in found))
+    typer.echo(out)

@@ -1,0 +1,103 @@
+"""Observations of objects with precise orbits, from published messages, to a calibration file of the sensor."""
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Final
+
+import erfa
+import numpy as np
+from numpy.typing import NDArray
+from scipy.interpolate import CubicHermiteSpline
+
+from ground.determination.precise import Ephemeris, orbit_of
+from ground.determination.propagation import itrs_to_gcrs
+from ground.orbit.reference import PreciseOrbit
+from ground.sensor_bias.correct import calibration_text
+from ground.sensor_bias.estimate import Place, SensorBias, Track, estimate, sessions_of
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.objects.catalogue import ephemerides_of
+from sboc_e2e.score.published.oem_reader import read_oem
+from sboc_e2e.score.published.tdm_reader import read_tdm
+
+Array = NDArray[np.float64]
+
+_NEAR_COSINE: Final = 0.99
+"""Eight degrees: a navigation satellite moves three between epochs of a table."""
+
+
+def place_of_site(text: str) -> Place:
+    """A site from "latitude,longitude,height" (deg, deg, m; WGS84)."""
+    try:
+        latitude, longitude, height_m = (float(part) for part in text.split(","))
+        if not (abs(latitude) <= 90.0 and abs(longitude) <= 360.0 and abs(height_m) < 10_000.0):
+            raise ValueError(text)
+    except ValueError as error:
+        raise UserError(f'--site: expected LATITUDE,LONGITUDE,HEIGHT in deg, deg, m, got "{text[:40]}"') from error
+    fixed = 1e-3 * np.asarray(erfa.gd2gc(1, np.radians(longitude), np.radians(latitude), height_m))
+    return lambda t: np.asarray(itrs_to_gcrs(t) @ fixed)
+
+
+def place_of_ephemeris(path: Path) -> Place:
+    """A moving sensor from its published ephemeris (OEM)."""
+    if not path.is_file():
+        raise UserError(f"{path}: no such file")
+    segments = read_oem(path)
+    origin = int(segments[0].t_tai_ns[0])
+    splines = [
+        CubicHermiteSpline((s.t_tai_ns - origin) * 1e-9, s.state[:, :3], s.state[:, 3:], extrapolate=False) for s in segments
+    ]
+
+    def place(t: NDArray[np.int64]) -> Array:
+        out = np.full((len(t), 3), np.nan)
+        for spline in splines:
+            found = spline((t - origin) * 1e-9)
+            out = np.where(np.isfinite(found), found, out)
+        return out
+
+    return place
+
+
+def calibrate(
+    messages: Sequence[Path], place: Place, orbit_files: Sequence[Path], *, shares_clock: bool, gap_h: float, out: Path
+) -> list[SensorBias]:
+    """Estimate each session's bias and write them. UserError where none has enough known objects."""
+    tracks = []
+    for path in messages:
+        if not path.is_file():
+            raise UserError(f"{path}: no such file")
+        tracks += [Track(t_tai_ns=s.angle_tai_ns, direction=s.direction) for s in read_tdm(path) if len(s.angle_tai_ns) > 1]
+    every = [e for path in orbit_files for e in ephemerides_of(path).values()]
+    orbits: list[PreciseOrbit] = [orbit_of(e) for e in every if _may_be_seen(e, tracks, place)]
+    found, reasons = [], []
+    for session in sessions_of(tracks, 3600.0 * gap_h):
+        try:
+            found.append(estimate(session, place, orbits, shares_clock=shares_clock))
+        except UserError as error:
+            reasons.append(str(error))
+    if not found:
+        raise UserError(reasons[0] if reasons else "calibration: the messages hold no tracks of two or more directions")
+    out.parent.mkdir(parents=True, exist_ok=True)
+    out.write_text(calibration_text(out.stem, found), encoding="utf-8")
+    return found
+
+
+def _may_be_seen(ephemeris: Ephemeris, tracks: Sequence[Track], place: Place) -> bool:
+    """Whether any track is within some degrees of where the object was at the nearest epoch of its table."""
+    for track in tracks:
+        middle = len(track.t_tai_ns) // 2
+        t = track.t_tai_ns[middle : middle + 1]
+        k = int(np.argmin(np.abs(ephemeris.t_tai_ns - t[0])))
+        line = (itrs_to_gcrs(ephemeris.t_tai_ns[k : k + 1]) @ ephemeris.itrs_km[k])[0] - place(t)[0]
+        if float(line @ track.direction[middle]) > _NEAR_COSINE * float(np.linalg.norm(line)):
+            return True
+    return False
+
+
+def session_line(bias: SensorBias) -> str:
+    """One session for a terminal, with 90 % intervals."""
+    time, east, north = bias.half_widths(0.9)
+    return (
+        f"{bias.n_tracks} tracks of {len(bias.objects)} objects, {bias.n_used} directions: time {1e3 * bias.time_s:+.2f} "
+        f"+- {1e3 * time:.2f} ms, east {bias.east_arcsec:+.3f} +- {east:.3f}, north {bias.north_arcsec:+.3f} +- {north:.3f} "
+        f"arcsec, noise {bias.noise_along_arcsec:.2f} along, {bias.noise_cross_arcsec:.2f} across"
+    )

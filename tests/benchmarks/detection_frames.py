@@ -295,4 +295,5 @@ def add_artefacts(
             bleed(scene.image[part])
             moved = scene.image[part].astype(np.float64)
             defer_charge(moved, TRAP_LOSS, TRAP_PX)
-            scene.image[part] = moved
+            # a full pixel stays one for the converter; the tail behind the last of them is what shows
+            scene.image[part] = np.where(scene.image[part] >= FULL_WELL, np.float32(FULL_WELL), moved)

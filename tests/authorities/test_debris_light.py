@@ -119,7 +119,7 @@ def test_satellites_take_their_sizes_from_a_file(tmp_path):
     with pytest.raises(UserError, match="columns ObjectID and HBR"):
         with_sizes(lines, path)
     path.write_text("ObjectID,HBR\n1,wide\n")
-    with pytest.raises(UserError, match="line 2: no number"):
+    with pytest.raises(UserError, match="line 2: not a number"):
         with_sizes(lines, path)
     with pytest.raises(UserError, match="no such file"):
         with_sizes(lines, tmp_path / "none.csv")

@@ -2,11 +2,13 @@
 
 A streak is drawn as closely spaced pixel-integrated Gaussians (error functions), a star as one; noise is Gaussian with the
 sky's variance plus the object's own Poisson variance. Everything is in ADU of 1 e-, sigma 2.84 of the preset. What peers take
-for trails is drawn on request: diffraction spikes, bleeding columns, halos with ghosts, pairs and chains of stars.
+for trails is drawn on request: diffraction spikes, bleeding columns, halos with ghosts, by the laws of the simulator; pairs and
+chains of stars.
 """
 
 import math
 from dataclasses import dataclass, field, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +18,9 @@ from onboard.stars.matched import MatchedStars
 from sboc_e2e.icd.flags import MaskBit
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import BackgroundModel, DetectorView, StarList
+from simulator.optics.halo import AureoleOptions, GhostOptions, Halo, SpiderOptions, make_halo
+from simulator.sensor.digitise import bleed_columns
+from simulator.sensor.structure import defer_charge
 
 SIGMA = 2.84
 PSF_SIGMA_PX = 2.0 / 2.354820045
@@ -23,18 +28,14 @@ PSF_SIGMA_PX = 2.0 / 2.354820045
 FULL_WELL = 39_000.0
 """Pixels at this charge are saturated (e-, the preset's); what is beyond it bleeds along the column."""
 
-SPIKE_SHARE, SPIKE_CORE_PX = 0.02, 10.0
-"""Light that four vanes of 2 mm take from a pupil of 200 mm (Babinet: their share of its area), and the length over which
-the diffraction at their width spreads it; along an arm it falls as 1 / (core^2 + r^2)."""
+VANE_MM = 2.0
+"""Width of the four vanes that make spikes, of the preset's pupil of 200 mm."""
 
-HALO_SHARE, HALO_CORE_PX = 0.02, 3.0
-"""Light scattered into the aureole, falling as 1 / (core^2 + r^2)^1.5 (dust and micro-roughness; King 1971, PASP 83, 199)."""
+AUREOLE = AureoleOptions(share=0.02, core_px=3.0, slope=3.0)
+GHOST = GhostOptions(share=1e-3, diameter_px=90.0, magnification=1.0)
 
-GHOST_SHARE, GHOST_RADIUS_PX = 1e-3, 45.0
-"""Light reflected twice between detector and window: a defocused disc with a sharp rim."""
-
-TRAP_SHARE, TRAP_PX = 5e-4, 60.0
-"""What traps hold back of a bleeding column's charge and release behind its end, over so many pixels."""
+TRAP_LOSS, TRAP_PX = 8e-6, 60.0
+"""Share of a bleeding column's charge that traps hold back in each transfer, and the rows over which they release it."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -251,42 +252,27 @@ def _star_light(d_row: NDArray[np.float32], d_col: NDArray[np.float32]) -> NDArr
     return np.asarray(across[0] * across[1], dtype=np.float32)
 
 
-def _spikes(d_row: NDArray[np.float32], d_col: NDArray[np.float32], turn: float) -> NDArray[np.float32]:
-    """Four arms of unit light in all, as wide as the PSF."""
-    light = np.zeros((d_row.size, d_col.size), np.float32)
-    for angle in (turn, turn + 0.5 * math.pi):
-        along = d_row * np.float32(math.sin(angle)) + d_col * np.float32(math.cos(angle))
-        across = d_row * np.float32(math.cos(angle)) - d_col * np.float32(math.sin(angle))
-        near = np.abs(across) < 4.0 * PSF_SIGMA_PX
-        profile = SPIKE_CORE_PX / math.pi / (SPIKE_CORE_PX**2 + along[near] ** 2)
-        width = math.sqrt(2.0 * math.pi) * PSF_SIGMA_PX
-        light[near] += 0.5 * profile * np.exp(-0.5 * (across[near] / PSF_SIGMA_PX) ** 2) / width
-    return light
+@lru_cache(maxsize=8)
+def _halo(kind: str, turn: float) -> Halo:
+    """What the simulator has around a star of this kind in the preset's camera."""
+    return make_halo(
+        AUREOLE if kind == "halo" else AureoleOptions(),
+        SpiderOptions(vanes=4 if kind == "spikes" else 0, width_mm=VANE_MM, angle_deg=math.degrees(turn) % 360.0),
+        GHOST if kind == "halo" else GhostOptions(),
+        wavelength_nm=635.0,
+        aperture_m=0.2,
+        obstruction=0.0,
+        focal_px=0.4 / 9e-6,
+        sigma_px=PSF_SIGMA_PX,
+        diffracts=False,
+    )
 
 
 def bleed(charge: NDArray[np.float32]) -> None:
-    """Charge beyond the full well flows to the nearest free pixels of its column, half of it to either side; in place.
-
-    Behind the last full pixel traps release a faint tail upwards, where the column is read last.
-    """
-    for col in np.flatnonzero((charge > FULL_WELL).any(axis=0)):
-        line = charge[:, col]
-        while (full := np.flatnonzero(line > FULL_WELL)).size:
-            first = last = int(full[0])
-            while last + 1 < len(line) and line[last + 1] > FULL_WELL:
-                last += 1
-            excess = float(np.sum(line[first : last + 1] - FULL_WELL))
-            line[first : last + 1] = FULL_WELL
-            for step, start in ((-1, first - 1), (1, last + 1)):
-                left, row = 0.5 * excess, start
-                while left > 0.0 and 0 <= row < len(line):
-                    taken = min(left, max(0.0, FULL_WELL - float(line[row])))
-                    line[row] = min(FULL_WELL, line[row] + taken)
-                    left -= taken
-                    row += step
-                if step > 0 and excess > 2.0 * FULL_WELL and row < len(line):
-                    tail = np.arange(min(len(line) - row, round(4 * TRAP_PX)))
-                    line[row : row + len(tail)] += TRAP_SHARE * excess / TRAP_PX * np.exp(-tail / TRAP_PX)
+    """Charge beyond the full well flows along its column as in the simulator's CCD; in place."""
+    full = charge.astype(np.float64)
+    bleed_columns(full, FULL_WELL)
+    charge[:] = full
 
 
 def add_artefacts(
@@ -297,16 +283,17 @@ def add_artefacts(
         part, d_row, d_col = _window(artefact, 400 if artefact.kind == "spikes" else 120, scene.image.shape)
         if not d_row.size:
             continue
-        light = _star_light(d_row, d_col)
-        if artefact.kind == "spikes":
-            light += SPIKE_SHARE * _spikes(d_row, d_col, artefact.turn)
-        elif artefact.kind == "halo":
-            r2 = d_row**2 + d_col**2
-            light += HALO_SHARE * HALO_CORE_PX / (2.0 * math.pi) / (HALO_CORE_PX**2 + r2) ** 1.5
-            light += GHOST_SHARE / (math.pi * GHOST_RADIUS_PX**2) * (r2 < GHOST_RADIUS_PX**2)
+        halo = _halo(artefact.kind, artefact.turn)
+        r = np.hypot(d_row, d_col).astype(np.float64)
+        light = halo.core_share * _star_light(d_row, d_col) + halo.aureole(r) + halo.spikes(d_row, d_col)
+        light += halo.ghost.share / (0.25 * math.pi * halo.ghost.diameter_px**2) * (r < 0.5 * halo.ghost.diameter_px)
         electrons = artefact.flux_e * light
         scene.image[part] += (electrons + np.sqrt(electrons) * rng.standard_normal(light.shape, dtype=np.float32)).astype(
             np.float32
         )
         if artefact.kind == "column":
             bleed(scene.image[part])
+            moved = scene.image[part].astype(np.float64)
+            defer_charge(moved, TRAP_LOSS, TRAP_PX)
+            # a full pixel stays one for the converter; the tail behind the last of them is what shows
+            scene.image[part] = np.where(scene.image[part] >= FULL_WELL, np.float32(FULL_WELL), moved)

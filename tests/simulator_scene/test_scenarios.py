@@ -145,3 +145,19 @@ def test_tracked_satellite_is_a_point_and_stars_trail():
     assert streaks["length_px"][0] < 1.0
     first, last = (simulator.frame(k)[1].frame["grid_ra_app_deg"][0][40] for k in (0, 7))
     assert abs(first - last) > 0.05  # the sky moves behind it
+
+
+def test_a_measured_camera_is_one_preset_away(tmp_path):
+    """`as_measured` lies under a scenario's own keys; its departures are drawn, its PSF is no Gaussian."""
+    path = tmp_path / "measured.toml"
+    lines = ['[instrument]\npreset = "smoke_wide"', '[psf]\npreset = "as_measured"', '[stars]\nfaint_limit = "12 mag"']
+    path.write_text("\n\n".join(['epoch_utc = "2027-01-29T00:00:00"\nframes = 1', *lines]))
+    made = simulator_of(str(path), "population.classes=[]")
+    image = made.mean_electrons(0)
+    assert made.options.psf.wavefront.rms_nm == 250.0
+    assert made.options.instrument.as_built.focal_length_ppm != 150.0
+    assert made.options.stars.faint_limit_mag == 12.0
+    field = made._camera.psf_field
+    assert field is not None
+    assert 0.97 < field.halo.core_share < 0.99
+    assert np.isfinite(image).all()

@@ -66,7 +66,7 @@ def make_cast(
     middle_s = 0.5 * duration_s
     window = encounter_window(carrier, camera, light, sky_e_s, middle_s, duration_s)
     drawn = draw_encounters(population, window, carrier.seed)
-    objects.extend(sources.population_objects(drawn, population.albedo, middle_s, population.tumbling_share, carrier.seed))
+    objects.extend(sources.population_objects(drawn, middle_s, population.tumbling_share, carrier.seed))
     return Cast(objects=tuple(objects), drawn=drawn, refused=refused, duration_s=duration_s, window=window)
 
 

@@ -61,6 +61,10 @@ class PopulationOptions:
         default=6.0, metadata={"doc": "objects below this expected S/N are not drawn", "min": 0.0, "max": 1000.0}
     )
     albedo: float = field(default=0.1, metadata={"doc": "Bond albedo of the Lambert spheres", "min": 0.001, "max": 1.0})
+    albedo_scatter: float = field(
+        default=0.0,
+        metadata={"doc": "one sigma of ln(albedo) from object to object, about `albedo`, the median", "min": 0.0, "max": 2.0},
+    )
     slowest_deg_s: float = field(
         default=0.1,
         metadata={
@@ -125,6 +129,7 @@ class Encounters:
     """
 
     size_m: Array
+    albedo: Array
     time_s: Array
     position_km: Array
     velocity_km_s: Array
@@ -155,8 +160,10 @@ def draw_candidates(
     size_m = np.exp(rng.uniform(np.log(low_m), np.log(high_m), n))
     density = number_density(size_m) * np.log(high_m / low_m)  # per draw, log-uniform proposal
     population = density * low_orbit_share(size_m, options.low_orbit_share_small, options.low_orbit_share_large)
+    # drawn only where wanted: the other draws stay what they were
+    brighter = np.exp(options.albedo_scatter * rng.standard_normal(n)) if options.albedo_scatter > 0.0 else np.ones(n)
     # Nothing fainter than snr_min at zero phase and at rest can be drawn: cut the proposal's ranges there.
-    reach = reach_km(size_m, options, window)
+    reach = reach_km(size_m * np.sqrt(brighter), options, window)
     far = np.clip(reach, options.nearest_km * 1.001, options.farthest_km)
     near = np.maximum(options.nearest_km, far / NEAR_SHARE)
     span = np.log(far / near)
@@ -189,7 +196,8 @@ def draw_candidates(
     )
     rate_rad_s = np.linalg.norm(across, axis=1) / range_km
     light = window.light
-    flux = lambert_flux(1.0, options.albedo, position, observer, window.sun_km, phase_function=light.phase_function) * size_m**2
+    flux = lambert_flux(1.0, options.albedo, position, observer, window.sun_km, phase_function=light.phase_function)
+    flux = flux * size_m**2 * brighter
     if light.earth_shadow:
         flux = flux * sunlit_fraction(position, window.sun_km)
     snr = expected_snr(flux * window.flux_e_s, rate_rad_s, stay_s, range_km, window)
@@ -197,6 +205,7 @@ def draw_candidates(
     instant = np.nan_to_num(np.where(reached, natural, 0.0)) / n
     return Encounters(
         size_m=size_m,
+        albedo=options.albedo * brighter,
         time_s=time_s,
         position_km=position,
         velocity_km_s=velocity,
@@ -330,6 +339,7 @@ class Drawn:
     """(m,) osculating at `time_s` (seconds after the middle of the run)."""
     time_s: Array
     size_m: Array
+    albedo: Array
     weight: Array
     natural_by_class: Array
     """Detectable objects of nature in the field during one run, for each size class."""
@@ -384,6 +394,7 @@ def draw_encounters(options: PopulationOptions, window: Window, seed: int) -> Dr
         elements=elements,
         time_s=column("time_s"),
         size_m=column("size_m"),
+        albedo=column("albedo"),
         weight=np.concatenate(weights) if weights else np.zeros(0),
         natural_by_class=natural,
         per_day_by_class=per_day,

@@ -317,7 +317,7 @@ def pixel_path(options: PixelPathOptions) -> PixelPathObject:
     )
 
 
-def population_objects(drawn: Drawn, albedo: float, middle_s: float, tumbling_share: float, seed: int) -> list[OrbitingObject]:
+def population_objects(drawn: Drawn, middle_s: float, tumbling_share: float, seed: int) -> list[OrbitingObject]:
     """The sampled debris; some of it tumbles (log-normal periods around 2 s, random phases and amplitudes)."""
     rng = generator(seed, Effect.LIGHT_CURVE)
     objects = []
@@ -335,7 +335,7 @@ def population_objects(drawn: Drawn, albedo: float, middle_s: float, tumbling_sh
                 f"debris-{k:03d}",
                 "population",
                 float(drawn.size_m[k]),
-                albedo,
+                float(drawn.albedo[k]),
                 one,
                 middle_s + float(drawn.time_s[k]),
                 weight=float(drawn.weight[k]),

@@ -436,7 +436,7 @@ def test_half_of_sub_centimetre_debris_crosses_within_one_exposure():
 
 
 def test_albedos_scatter_about_their_median_as_stated() -> None:
-    """ln(albedo) of candidates is normal with the stated sigma; light and reach follow. Without a scatter nothing else is drawn."""
+    """ln(albedo) of candidates is normal with the stated sigma; light and reach follow. Without a scatter all have the median."""
     size_class = SizeClass(from_mm=1.0, to_mm=3.0)
     steady, scattered = (
         draw_candidates(PopulationOptions(albedo_scatter=s), size_class, default_window(), np.random.default_rng(4))

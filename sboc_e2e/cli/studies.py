@@ -99,3 +99,20 @@ def bench(
         typer.echo(f"regression: {regression}", err=True)
     if found:
         raise typer.Exit(1)
+
+
+@app.command()
+def plan(
+    request: Annotated[str, typer.Argument(metavar="PLAN", help="a plan's file, or the name of a shipped one such as geo_fence")],
+    out: Annotated[Path | None, typer.Option("--out", help="folder, default runs/plan-<plan>")] = None,
+    overrides: Annotated[list[str] | None, typer.Option("--set", help="override a key of the plan, such as plan.days=2")] = None,
+    plugin: Plugins = None,
+) -> None:
+    """Plan observations: where to point and when, so that orbits become known best or nothing crosses a fence unseen."""
+    from sboc_e2e.planning import make_plan, read_request
+
+    asked, path = read_request(request, overrides or ())
+    target = out or Path("runs") / f"plan-{path.stem}"
+    make_plan(asked, path, target, registry_of(plugin))
+    typer.echo((target / "plan.md").read_text())
+    typer.echo(target / "schedule.ecsv")

@@ -167,6 +167,23 @@ def larger_than(rows: list[dict[str, Any]]) -> str:
         return svg(figure)
 
 
+def detected_per_day(rows: list[dict[str, Any]]) -> str:
+    """Debris detected a day in each class of size: the interval of counting, and with models of albedo and population."""
+    with canvas() as (figure, (ax,)):
+        size_mm = np.array([1000.0 * np.sqrt(r["from_m"] * r["to_m"]) for r in rows])
+        for key, colour, width, label in (
+            ("models_per_day", INK, 1.0, "with albedo and population models"),
+            ("detected_per_day", BLUE, 2.2, "counting"),
+        ):
+            value, low, high = (np.array([r[key][k] for r in rows]) for k in ("value", "low", "high"))
+            error = (np.maximum(value - low, 0.0), np.maximum(high - value, 0.0))
+            ax.errorbar(size_mm, value, error, fmt="o", color=colour, ms=4, capsize=2, lw=width, label=label)
+        ax.set(xscale="log", yscale="log", xlabel="diameter (mm)", ylabel="detections per day in the class")
+        plain_logarithmic(ax.xaxis)
+        ax.legend(fontsize=7)
+        return svg(figure)
+
+
 def published_flux(rows: list[dict[str, Any]]) -> str:
     """Objects larger than d per km^2 and year: the true flux and the published one with its total interval."""
     with canvas() as (figure, (ax,)):

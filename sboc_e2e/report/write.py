@@ -42,11 +42,27 @@ def markdown(score: dict[str, Any], e: Evaluation) -> str:
     lines += [f"| {label} | {value} | {note} |" for label, value, note in headline_rows(score)]
     lines += ["", f"{len(e.truth)} truth streaks, {len(e.detected_ground)} measured, {len(e.false_rows)} false, "
               f"{len(e.tracklets)} tracklets."]  # fmt: skip
+    lines += per_day_lines(score)
     lines += ["", "What is published, read from the files:", "", "| figure | value | should be | |", "|---|---|---|---|"]
     for row in published_rows(score):
         value = f"- ({row.note})" if row.value == "-" else row.value
         lines.append(f"| {row.label} | {value} | {row.aim} | {row.verdict} |")
     return "\n".join(lines) + "\n"
+
+
+def per_day_lines(score: dict[str, Any]) -> list[str]:
+    """Detections a day by size, with the interval of counting and with that of models added; nothing without any."""
+    seen = [c for c in score["population"]["size_classes"] if c.get("models_per_day", {}).get("value")]
+    if not seen:
+        return []
+    lines = ["", "Debris detected a day, 90 % of counting, and with what albedo and population models leave:", ""]
+    lines += ["| size | a day | counting | with models | n |", "|---|---|---|---|---|"]
+    for c in seen:
+        counted, models = c["detected_per_day"], c["models_per_day"]
+        size = f"{1e3 * c['from_m']:g} to {1e3 * c['to_m']:g} mm"
+        spans = (f"{of['low']:.3g} to {of['high']:.3g}" for of in (counted, models))
+        lines.append(f"| {size} | {counted['value']:.3g} | {' | '.join(spans)} | {counted['n']} |")
+    return lines
 
 
 def html(score: dict[str, Any], e: Evaluation, run_dir: Path) -> str:
@@ -118,6 +134,9 @@ def _plots(score: dict[str, Any], e: Evaluation) -> list[tuple[str, str]]:
         out.append(("Tracklets on the sky", plots.tracklets_on_sky(e.streaks)))
     if score["population"]["larger_than"]:
         out.append(("Small debris: injected and recovered", plots.larger_than(score["population"]["larger_than"])))
+    seen = [c for c in score["population"]["size_classes"] if c.get("models_per_day", {}).get("value")]
+    if seen:
+        out.append(("Debris detected a day by size", plots.detected_per_day(seen)))
     if score["population"]["published"]["larger_than"]:
         out.append(
             ("Small debris: published flux and truth", plots.published_flux(score["population"]["published"]["larger_than"]))

@@ -179,6 +179,7 @@ def default_texts() -> dict[str, str]:
 FILE_KEYS: Final = (
     ("stars", "catalogue_file"),
     ("objects", "satellites", "file"),
+    ("objects", "satellites", "sizes_file"),
     ("ground", "catalogue_file"),
     ("ground", "known_objects_file"),
     ("ground", "precise_orbits_file"),

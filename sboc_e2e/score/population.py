@@ -6,6 +6,7 @@ divided by the scenario's density boost), so that a short run predicts nature's 
 
 from collections.abc import Mapping, Sequence
 from itertools import pairwise
+from math import exp, hypot, log
 from typing import Any, Final
 
 import numpy as np
@@ -46,6 +47,29 @@ def detections_per_day(
         )
     false = scaled(rate(n_false, false_frames, false_frames), SECONDS_PER_DAY * frame_rate_hz)
     return {"size_classes": classes, "false_per_day": false}
+
+
+def with_models(classes: Sequence[Mapping[str, Any]], truth: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Size classes with `models_per_day`: detections a day with the interval that albedo and population models leave as well.
+
+    truth : truth/population.json, whose classes hold the models' factors; logarithms of counting's and models' factors add in
+    quadrature.
+    """
+    simulated = [c for c in truth.get("classes", ()) if "models_low" in c]
+    out = []
+    for row in classes:
+        middle_mm = 1e3 * (row["from_m"] * row["to_m"]) ** 0.5
+        of = next((c for c in simulated if c["from_mm"] <= middle_mm < c["to_mm"]), None)
+        counted = row["detected_per_day"]
+        value = counted["value"]
+        if of is None or value is None or value <= 0.0:
+            none = absent("no such class in truth/population.json" if value else "no detection of this size", counted["n"])
+            out.append({**row, "models_per_day": none})
+            continue
+        down = hypot(log(max(counted["low"], 1e-9) / value), log(of["models_low"]))
+        up = hypot(log(counted["high"] / value), log(of["models_high"]))
+        out.append({**row, "models_per_day": figure(value, counted["n"], value * exp(-down), value * exp(up))})
+    return out
 
 
 def not_of_nature(e: Evaluation, owner: Mapping[int, int]) -> list[float]:

@@ -18,7 +18,7 @@ from sboc_e2e.score.linking import linking
 from sboc_e2e.score.lossless import lossless_check
 from sboc_e2e.score.orbit import orbit
 from sboc_e2e.score.photometry import mean_magnitudes, photometry
-from sboc_e2e.score.population import detections_per_day, not_of_nature, published_flux
+from sboc_e2e.score.population import detections_per_day, not_of_nature, published_flux, with_models
 from sboc_e2e.score.published import published_products
 from sboc_e2e.score.recovery import counted, field_deg, recovery
 from sboc_e2e.score.timing import timing
@@ -72,7 +72,8 @@ def score_evaluation(e: Evaluation, run_dir: Path | None = None) -> dict[str, An
         "products": published_products(
             run_dir / "products" if run_dir else None, e.streaks, e.tracklets, e.truth_tables, owner, truth_mag
         ),
-        "population": _population(e, owner, span_s, frame_rate_hz) | {"published": _published(run_dir, not_of_nature(e, owner))},
+        "population": _population(e, owner, span_s, frame_rate_hz, _true_population(run_dir))
+        | {"published": _published(run_dir, not_of_nature(e, owner))},
         "compression": compression(
             e.downlink, e.n_frames, e.shape, n_stars, groups, captured, lossless_bits, bit_exact,
             np.asarray(e.truth_tables["frames"]["entropy_bits"], float),
@@ -84,20 +85,24 @@ def score_evaluation(e: Evaluation, run_dir: Path | None = None) -> dict[str, An
 def _published(run_dir: Path | None, placed: list[float]) -> dict[str, Any]:
     """The published flux of a run directory against its truth."""
     product = run_dir / "products" / "population.ecsv" if run_dir else None
+    found = Table.read(product, format="ascii.ecsv") if product and product.is_file() else None
+    return published_flux(found, _true_population(run_dir), placed)
+
+
+def _true_population(run_dir: Path | None) -> dict[str, Any]:
+    """truth/population.json; empty where a run has none."""
     truth = run_dir / "truth" / "population.json" if run_dir else None
-    return published_flux(
-        Table.read(product, format="ascii.ecsv") if product and product.is_file() else None,
-        json.loads(truth.read_text()) if truth and truth.is_file() else {},
-        placed,
-    )
+    return dict(json.loads(truth.read_text())) if truth and truth.is_file() else {}
 
 
-def _population(e: Evaluation, owner: Mapping[int, int], span_s: float, frame_rate_hz: float) -> dict[str, Any]:
+def _population(
+    e: Evaluation, owner: Mapping[int, int], span_s: float, frame_rate_hz: float, truth: Mapping[str, Any]
+) -> dict[str, Any]:
     """Injected, detected and recovered debris, class by class."""
     objects, accepted = e.truth_tables["objects"], set(e.accepted)
     found = Counter(truth.object_id for row, truth in e.pairs.items() if row in accepted)
     direct = detections_per_day(objects, found, span_s, len(e.false_rows), e.n_frames, frame_rate_hz)
     sample = counted(objects, e.streaks, e.orbits, e.pairs, owner, e.n_frames)
     inferred = recovery(sample, span_s, field_deg(e.truth_tables["frames"]))
-    classes = [a | b for a, b in zip(direct["size_classes"], inferred["size_classes"], strict=True)]
+    classes = with_models([a | b for a, b in zip(direct["size_classes"], inferred["size_classes"], strict=True)], truth)
     return inferred | {"size_classes": classes, "false_per_day": direct["false_per_day"]}

@@ -6,19 +6,36 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from sboc_e2e.icd.errors import UserError
 from simulator.platform import earth
 from simulator.platform.observer import Observer
 from simulator.platform.rotation import matrix_of_axes, matrix_of_boresight, small_rotation
 
 Array = NDArray[np.float64]
 
-LAWS = ("anti_sun", "inertial", "nadir", "sidereal", "object")
+LAWS = ("anti_sun", "inertial", "nadir", "sidereal", "object", "schedule")
+
+
+@dataclass(frozen=True, kw_only=True)
+class VisitOptions:
+    """A field of a schedule: the camera rests on it from one time after the epoch to another."""
+
+    start_s: float = field(metadata={"doc": "the camera has come to rest", "min": 0.0, "max": 1e9})
+    end_s: float = field(metadata={"doc": "the camera leaves for the next field", "min": 0.0, "max": 1e9})
+    ra_deg: float = field(metadata={"doc": "right ascension of the field", "min": -360.0, "max": 360.0})
+    dec_deg: float = field(metadata={"doc": "declination of the field", "min": -90.0, "max": 90.0})
+
+    @property
+    def direction(self) -> Array:
+        """Unit vector (3,), GCRS axes."""
+        ra, dec = np.radians(self.ra_deg), np.radians(self.dec_deg)
+        return np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)])
 
 
 @dataclass(frozen=True, kw_only=True)
 class PointingOptions:
     """Pointing law. `anti_sun`, `inertial` and `sidereal` hold a direction of the sky (its apparent one); `nadir` turns
-    with the orbit; `object` follows the target named in `target`."""
+    with the orbit; `object` follows the target named in `target`; `schedule` goes through `visits`."""
 
     law: str = field(default="anti_sun", metadata={"doc": "pointing law", "choices": LAWS})
     ra_deg: float = field(default=0.0, metadata={"doc": "right ascension (inertial, sidereal)", "min": -360.0, "max": 360.0})
@@ -49,6 +66,14 @@ class PointingOptions:
     )
     roll_rate_deg_s: float = field(default=0.0, metadata={"doc": "steady roll about the boresight", "min": -360.0, "max": 360.0})
     target: str = field(default="", metadata={"doc": "name of the object that the law `object` follows"})
+    visits: tuple[VisitOptions, ...] = field(default=(), metadata={"doc": "fields of the law `schedule`, by time"})
+
+    def __post_init__(self) -> None:
+        if self.law == "schedule" and not self.visits:
+            raise UserError("pointing.visits: the law `schedule` needs one visit or more")
+        for k, visit in enumerate(self.visits):
+            if visit.end_s < visit.start_s or (k > 0 and visit.start_s < self.visits[k - 1].end_s):
+                raise UserError(f"pointing.visits: visit {k} starts at {visit.start_s:g} s before what precedes it has ended")
 
 
 Attitude = Callable[[int], Array]
@@ -71,6 +96,8 @@ def commanded_attitude(
     def base(tai_ns: int) -> Array:
         if options.law == "anti_sun":
             return matrix_of_boresight(-earth.sun_position_km(tai_ns), roll)
+        if options.law == "schedule":
+            return matrix_of_boresight(scheduled_direction(options.visits, (tai_ns - epoch_tai_ns) * 1e-9), roll)
         if options.law in ("inertial", "sidereal"):
             ra, dec = np.radians(options.ra_deg), np.radians(options.dec_deg)
             return matrix_of_boresight(np.array([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)]), roll)
@@ -100,3 +127,19 @@ def commanded_attitude(
         return np.asarray(small_rotation(turn) @ base(tai_ns))
 
     return rolling
+
+
+def scheduled_direction(visits: tuple[VisitOptions, ...], time_s: float) -> Array:
+    """Boresight (3,) of a schedule: at rest in a visit, in between along a great circle with the rate of a raised cosine."""
+    following = next((k for k, visit in enumerate(visits) if time_s <= visit.end_s), len(visits) - 1)
+    there = visits[following]
+    if following == 0 or time_s >= there.start_s:
+        return there.direction
+    left = visits[following - 1]
+    share = (time_s - left.end_s) / (there.start_s - left.end_s)
+    share = 0.5 - 0.5 * np.cos(np.pi * share)
+    angle = float(np.arccos(np.clip(left.direction @ there.direction, -1.0, 1.0)))
+    if angle < 1e-9:
+        return there.direction
+    weights = np.sin(np.array([1.0 - share, share]) * angle) / np.sin(angle)
+    return np.asarray(weights[0] * left.direction + weights[1] * there.direction)

@@ -15,12 +15,13 @@ from simulator.platform.carrier import Carrier
 from simulator.platform.observer import Observer
 from simulator.scene import sources
 from simulator.scene.aberration import aberrate
+from simulator.scene.alternatives import seen_per_day
 from simulator.scene.atmosphere import Atmosphere
 from simulator.scene.encounters import Drawn, PopulationOptions, Window, draw_encounters, natural_number
 from simulator.scene.light import LightOptions
 from simulator.scene.objects import PixelPathObject, SkyObject
 from simulator.scene.prediction import predict_crossings
-from simulator.scene.satellites import SatelliteOptions, read_satellites, satellite_object
+from simulator.scene.satellites import SatelliteOptions, read_satellites, satellite_object, with_sizes
 
 Array = NDArray[np.float64]
 
@@ -66,7 +67,7 @@ def make_cast(
     middle_s = 0.5 * duration_s
     window = encounter_window(carrier, camera, light, sky_e_s, middle_s, duration_s)
     drawn = draw_encounters(population, window, carrier.seed)
-    objects.extend(sources.population_objects(drawn, middle_s, population.tumbling_share, carrier.seed))
+    objects.extend(sources.population_objects(drawn, population, middle_s, carrier.seed))
     return Cast(objects=tuple(objects), drawn=drawn, refused=refused, duration_s=duration_s, window=window)
 
 
@@ -79,8 +80,9 @@ def _satellites(
     """
     if not options.file:
         return [], {}
+    listed = read_satellites(options.file, options.names)
     predicted = predict_crossings(
-        read_satellites(options.file, options.names),
+        with_sizes(listed, options.sizes_file) if options.sizes_file else listed,
         carrier.observer,
         carrier.attitude,
         camera.projection,
@@ -118,6 +120,7 @@ def encounter_window(
         noise_variance_e2=float(camera.sensor.variance_e2(sky_e_s * camera.exposure_s, camera.exposure_s)),
         aperture_m=camera.blurring_aperture_m,
         light=light,
+        colour_factor=camera.instrument.colour_factor,
     )
 
 
@@ -128,9 +131,11 @@ def summary(options: PopulationOptions, cast: Cast) -> dict[str, Any]:
     sum of their weights). natural_expected : the same from an integral of its own, good to 3 %. entering_per_day : that enter it.
     density_boost : drawn over natural_expected, which is how much denser than nature the run's sky is.
     flux_km2_year : nature's cross-sectional area flux of all objects of the class at the camera.
+    seen_per_day : entering ones of S/N 8 and more; models_low, models_high : what models leave, as factors on it.
     """
     drawn = cast.drawn
     expected = [natural_number(options, c, cast.window) if c.count else 0.0 for c in options.classes]
+    seen = [seen_per_day(options, c, cast.window, k) for k, c in enumerate(options.classes)]
     classes = [
         {
             "from_mm": size_class.from_mm,
@@ -142,6 +147,9 @@ def summary(options: PopulationOptions, cast: Cast) -> dict[str, Any]:
             "density_boost": _ratio(drawn.drawn_by_class[k], expected[k]),
             "entering_per_day": float(drawn.per_day_by_class[k]),
             "flux_km2_year": float(drawn.flux_by_class[k] * YEAR_S),
+            "seen_per_day": seen[k].per_day,
+            "models_low": seen[k].low,
+            "models_high": seen[k].high,
         }
         for k, size_class in enumerate(options.classes)
     ]

@@ -11,6 +11,7 @@ each stands for ``N s dV W / D / n`` encounters in nature. What a run shows is d
 of a size class, without repetition, in proportion to that number; its weight is the class's natural number over the number drawn.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -22,7 +23,8 @@ from simulator.platform.kepler import Elements, elements_of, velocity_through
 from simulator.randomness import Effect, generator
 from simulator.scene.debris import SizeClass, draw_orbits, low_orbit_share, number_larger
 from simulator.scene.light import LightOptions
-from simulator.scene.reflection import lambert_flux, sunlit_fraction
+from simulator.scene.reflection import MIRROR_PHASE, lambert_flux, sunlit_fraction
+from simulator.scene.surface import SurfaceOptions, Surfaces, draw_surfaces
 
 Array = NDArray[np.float64]
 
@@ -60,11 +62,8 @@ class PopulationOptions:
     snr_min: float = field(
         default=6.0, metadata={"doc": "objects below this expected S/N are not drawn", "min": 0.0, "max": 1000.0}
     )
-    albedo: float = field(default=0.1, metadata={"doc": "Bond albedo of the Lambert spheres", "min": 0.001, "max": 1.0})
-    albedo_scatter: float = field(
-        default=0.0,
-        metadata={"doc": "one sigma of ln(albedo) from object to object, about `albedo`, the median", "min": 0.0, "max": 2.0},
-    )
+    albedo: float = field(default=0.1, metadata={"doc": "Bond albedo, median of the pieces", "min": 0.001, "max": 1.0})
+    surface: SurfaceOptions = field(default_factory=SurfaceOptions, metadata={"doc": "what differs from piece to piece"})
     slowest_deg_s: float = field(
         default=0.1,
         metadata={
@@ -118,6 +117,8 @@ class Window:
     noise_variance_e2: float
     aperture_m: float
     light: LightOptions
+    colour_factor: Callable[[Array], Array] | None = None
+    """Electrons of a B-V over those of the Sun's at equal V; None for a grey camera."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -129,7 +130,6 @@ class Encounters:
     """
 
     size_m: Array
-    albedo: Array
     time_s: Array
     position_km: Array
     velocity_km_s: Array
@@ -139,6 +139,7 @@ class Encounters:
     snr: Array
     natural: Array
     per_day: Array
+    surfaces: Surfaces
 
 
 def draw_candidates(
@@ -160,10 +161,9 @@ def draw_candidates(
     size_m = np.exp(rng.uniform(np.log(low_m), np.log(high_m), n))
     density = number_density(size_m) * np.log(high_m / low_m)  # per draw, log-uniform proposal
     population = density * low_orbit_share(size_m, options.low_orbit_share_small, options.low_orbit_share_large)
-    # drawn only where wanted: the other draws stay what they were
-    brighter = np.exp(options.albedo_scatter * rng.standard_normal(n)) if options.albedo_scatter > 0.0 else np.ones(n)
     # Nothing fainter than snr_min at zero phase and at rest can be drawn: cut the proposal's ranges there.
-    reach = reach_km(size_m * np.sqrt(brighter), options, window)
+    surfaces = draw_surfaces(rng.spawn(1)[0], n, options.albedo, options.surface, window.colour_factor)
+    reach = reach_km(size_m, surfaces, options.snr_min, window)
     far = np.clip(reach, options.nearest_km * 1.001, options.farthest_km)
     near = np.maximum(options.nearest_km, far / NEAR_SHARE)
     span = np.log(far / near)
@@ -196,8 +196,10 @@ def draw_candidates(
     )
     rate_rad_s = np.linalg.norm(across, axis=1) / range_km
     light = window.light
-    flux = lambert_flux(1.0, options.albedo, position, observer, window.sun_km, phase_function=light.phase_function)
-    flux = flux * size_m**2 * brighter
+    flux = surfaces.albedo * surfaces.colour * size_m**2
+    flux *= lambert_flux(
+        1.0, 1.0, position, observer, window.sun_km, phase_function=light.phase_function, specular=surfaces.specular
+    )
     if light.earth_shadow:
         flux = flux * sunlit_fraction(position, window.sun_km)
     snr = expected_snr(flux * window.flux_e_s, rate_rad_s, stay_s, range_km, window)
@@ -205,7 +207,6 @@ def draw_candidates(
     instant = np.nan_to_num(np.where(reached, natural, 0.0)) / n
     return Encounters(
         size_m=size_m,
-        albedo=options.albedo * brighter,
         time_s=time_s,
         position_km=position,
         velocity_km_s=velocity,
@@ -215,6 +216,7 @@ def draw_candidates(
         snr=np.where(reached, snr, 0.0),
         natural=instant * window.duration_s / np.maximum(stay_s, 1e-9),
         per_day=instant * DAY_S / np.maximum(whole_s, 1e-9),
+        surfaces=surfaces,
     )
 
 
@@ -320,15 +322,19 @@ def expected_snr(flux_e_s: Array, rate_rad_s: Array, stay_s: Array, range_km: Ar
     return np.asarray(flux_e_s * lit_s / np.sqrt(width * (length + width) * window.noise_variance_e2))
 
 
-def reach_km(size_m: Array, options: PopulationOptions, window: Window) -> Array:
+def reach_km(size_m: Array, surfaces: Surfaces, snr_min: float, window: Window) -> Array:
     """Range at which an object at rest, at zero phase and in focus, has the smallest S/N that counts."""
     sun2 = float(window.sun_km @ window.sun_km)
     direction = window.attitude[2]
     at_1_km = (
-        lambert_flux(1.0, options.albedo, direction[None], np.zeros((1, 3)), -direction[None] * np.sqrt(sun2))[0] * size_m**2
+        lambert_flux(1.0, 1.0, direction[None], np.zeros((1, 3)), -direction[None] * np.sqrt(sun2))[0]
+        * (1.0 - surfaces.specular + surfaces.specular * MIRROR_PHASE)
+        * surfaces.albedo
+        * surfaces.colour
+        * size_m**2
     )
     still = expected_snr(at_1_km * window.flux_e_s, np.zeros(1), np.array([window.exposure_s]), np.array([1e9]), window)
-    return np.asarray(np.sqrt(still / max(options.snr_min, 1e-3)))
+    return np.asarray(np.sqrt(still / max(snr_min, 1e-3)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -339,8 +345,8 @@ class Drawn:
     """(m,) osculating at `time_s` (seconds after the middle of the run)."""
     time_s: Array
     size_m: Array
-    albedo: Array
     weight: Array
+    surfaces: Surfaces
     natural_by_class: Array
     """Detectable objects of nature in the field during one run, for each size class."""
     per_day_by_class: Array
@@ -394,8 +400,8 @@ def draw_encounters(options: PopulationOptions, window: Window, seed: int) -> Dr
         elements=elements,
         time_s=column("time_s"),
         size_m=column("size_m"),
-        albedo=column("albedo"),
         weight=np.concatenate(weights) if weights else np.zeros(0),
+        surfaces=_joined([f.surfaces.taken(p) for f, p in zip(chosen, picks, strict=True)]),
         natural_by_class=natural,
         per_day_by_class=per_day,
         drawn_by_class=np.array([c.count for c in options.classes], dtype=np.intp),
@@ -406,3 +412,12 @@ def draw_encounters(options: PopulationOptions, window: Window, seed: int) -> Dr
             ]
         ),
     )
+
+
+def _joined(parts: list[Surfaces]) -> Surfaces:
+    """Surfaces of all classes, one after the other."""
+    none = np.zeros(0)
+    albedo, specular, colour = (
+        np.concatenate([getattr(s, name) for s in parts]) if parts else none for name in ("albedo", "specular", "colour")
+    )
+    return Surfaces(albedo=albedo, specular=specular, colour=colour)

@@ -61,11 +61,17 @@ class SkyObject(Protocol):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OrbitingObject:
-    """A Lambert sphere whose geocentric positions (n, 3) km a function of time gives."""
+    """A sphere whose geocentric positions (n, 3) km a function of time gives.
+
+    specular : share of its light that a mirror-like sphere would return, the rest is Lambert's. colour : electrons over those of
+    sunlight of the same V.
+    """
 
     identity: Identity
     positions_km: Callable[[Array], Array]
     light_curve: LightCurve = STEADY
+    specular: float = 0.0
+    colour: float = 1.0
 
     def seen(self, time_s: Array, observer_km: Array, sun_km: Array, light: LightOptions) -> Seen:
         """Light left the object ``range / c`` earlier; two rounds leave (v/c)^2 of the light time, below 1 mm."""
@@ -74,7 +80,9 @@ class OrbitingObject:
             delay_s = np.linalg.norm(position - observer_km, axis=-1) / LIGHT_KM_S
             position = self.positions_km(time_s - delay_s)
         size_m, albedo = self.identity.size_m, self.identity.albedo
-        flux = lambert_flux(size_m, albedo, position, observer_km, sun_km, phase_function=light.phase_function)
+        flux = self.colour * lambert_flux(
+            size_m, albedo, position, observer_km, sun_km, phase_function=light.phase_function, specular=self.specular
+        )
         if light.earth_shadow:
             flux = flux * sunlit_fraction(position, sun_km)
         return Seen(vector_km=position - observer_km, flux=flux * in_sight(position, observer_km))

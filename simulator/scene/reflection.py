@@ -11,15 +11,26 @@ from simulator.platform.earth import AU_KM, EARTH_RADIUS_KM, SUN_RADIUS_KM
 
 Array = NDArray[np.float64]
 
+MIRROR_PHASE: Final = 0.375
+"""Light of a mirror-like sphere, a d^2 / 16 R^2 in every direction, over a Lambert sphere's at full phase, a d^2 / 6 R^2."""
+
 SUN_V_MAG: Final = -26.76
 """Apparent V (Vega system) of the Sun at 1 au: absolute V 4.81 (Willmer 2018, ApJS 236, 47, table 3)."""
 
 
 def lambert_flux(
-    size_m: float, albedo: float, object_km: Array, observer_km: Array, sun_km: Array, *, phase_function: bool = True
+    size_m: float,
+    albedo: float,
+    object_km: Array,
+    observer_km: Array,
+    sun_km: Array,
+    *,
+    phase_function: bool = True,
+    specular: Array | float = 0.0,
 ) -> Array:
     """Flux of a sunlit Lambert sphere, in units of a V = 0 star; the Earth's shadow is not in it.
 
+    specular : share of its light that goes as from a mirror-like sphere, equally in all directions (phi = 3/8 then).
     ``F = F_sun (a d^2 / 6 R^2) phi(alpha)``, ``phi = (sin alpha + (pi - alpha) cos alpha) / pi``: Bond albedo a of a Lambert
     sphere of diameter d has the geometric albedo 2a/3 (Russell 1916, ApJ 43, 173). Positions (..., 3), GCRS, km.
     Without phase function, ``phi = 1``.
@@ -31,6 +42,7 @@ def lambert_flux(
     cosine = np.clip(np.sum(to_observer * to_sun, axis=-1) / np.sqrt(range2 * sun2), -1.0, 1.0)
     alpha = np.arccos(cosine)
     phase = (np.sin(alpha) + (np.pi - alpha) * cosine) / np.pi if phase_function else 1.0
+    phase = (1.0 - specular) * phase + specular * MIRROR_PHASE
     return np.asarray(10.0 ** (-0.4 * SUN_V_MAG) * albedo * size_m**2 * 1e-6 / 6.0 * phase / range2 * AU_KM**2 / sun2)
 
 
@@ -72,20 +84,25 @@ FLASH_REACH: Final = 4.0
 class LightCurve:
     """A tumbling body: a sinusoid on its mean brightness, and periodic glints.
 
-    amplitude : half of the peak-to-peak change over the mean, 0 to 1. A glint is a Gaussian flash of `glint_factor` times
+    amplitude : half of the peak-to-peak change over the mean, 0 to 1; of it the share `facets` comes twice in a turn, with
+    a phase of its own: faces that are not alike. A glint is a Gaussian flash of `glint_factor` times
     the mean flux and `glint_width_s` (sigma), once each period.
     """
 
     period_s: float = 10.0
     amplitude: float = 0.0
     phase_rad: float = 0.0
+    facets: float = 0.0
+    facet_phase_rad: float = 0.0
     glint_factor: float = 0.0
     glint_width_s: float = 0.01
 
     def factor(self, time_s: Array) -> Array:
         """Brightness relative to the mean of the steady body."""
         angle = 2.0 * np.pi * time_s / self.period_s + self.phase_rad
-        steady = 1.0 + self.amplitude * np.sin(angle)
+        steady = 1.0 + self.amplitude * (
+            (1.0 - self.facets) * np.sin(angle) + self.facets * np.sin(2.0 * angle + self.facet_phase_rad)
+        )
         if self.glint_factor == 0.0:
             return np.asarray(steady)
         since = (np.mod(angle + np.pi, 2.0 * np.pi) - np.pi) * self.period_s / (2.0 * np.pi)
@@ -95,7 +112,9 @@ class LightCurve:
         """Mean brightness between pairs of times, in closed form: a flash shorter than the interval keeps its light."""
         half_turn = np.pi * (end_s - start_s) / self.period_s
         middle = np.pi * (start_s + end_s) / self.period_s + self.phase_rad
-        steady = 1.0 + self.amplitude * np.sin(middle) * np.sinc(half_turn / np.pi)
+        once = np.sin(middle) * np.sinc(half_turn / np.pi)
+        twice = np.sin(2.0 * middle + self.facet_phase_rad) * np.sinc(2.0 * half_turn / np.pi)
+        steady = 1.0 + self.amplitude * ((1.0 - self.facets) * once + self.facets * twice)
         if self.glint_factor == 0.0:
             return np.asarray(steady)
         flashes = self._flash_integral(end_s) - self._flash_integral(start_s)

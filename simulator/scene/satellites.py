@@ -1,8 +1,9 @@
 """Catalogued satellites: element sets of a file (TLE, 3LE, OMM) propagated by SGP4 into GCRS axes."""
 
+import csv
 import gzip
 from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from io import StringIO
 from pathlib import Path
 
@@ -30,17 +31,22 @@ class SatelliteOptions:
 
     file: str = field(default="", metadata={"doc": "TLE, 3LE or OMM (csv, xml) file, may be gzipped; empty for none"})
     names: tuple[str, ...] = field(default=(), metadata={"doc": "only satellites of these names or numbers; empty for all"})
-    size_m: float = field(default=1.0, metadata={"doc": "diameter, the same for all", "min": 1e-3, "max": 1000.0})
+    size_m: float = field(default=1.0, metadata={"doc": "diameter of those without a size", "min": 1e-3, "max": 1000.0})
+    sizes_file: str = field(
+        default="",
+        metadata={"doc": "CSV file, may be gzipped, of catalogue numbers (ObjectID) and radii in m (HBR); empty for one size"},
+    )
     albedo: float = field(default=0.175, metadata={"doc": "Bond albedo, the same for all", "min": 0.001, "max": 1.0})
     farthest_km: float = field(default=50000.0, metadata={"doc": "satellites beyond are left out", "min": 1.0, "max": 1e6})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Satellite:
-    """An element set and its name."""
+    """An element set, its name, and its diameter where one is known."""
 
     name: str
     record: Satrec
+    size_m: float | None = None
 
 
 def read_satellites(path: str | Path, names: Iterable[str] = ()) -> list[Satellite]:
@@ -64,6 +70,27 @@ def read_satellites(path: str | Path, names: Iterable[str] = ()) -> list[Satelli
     if not found:
         raise UserError(f"satellite file {path}: holds no element set")
     return found
+
+
+def with_sizes(satellites: list[Satellite], path: str | Path) -> list[Satellite]:
+    """Satellites with the diameters of a file, twice its radii; those that it does not know, or only as 0, keep none.
+
+    UserError for a missing file, one without the columns ObjectID and HBR, and a row that holds no numbers.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise UserError(f"objects.satellites.sizes_file: {path}: no such file")
+    raw = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
+    reader = csv.DictReader(StringIO(raw.decode("utf-8", errors="replace")))
+    if not {"ObjectID", "HBR"} <= set(reader.fieldnames or ()):
+        raise UserError(f"objects.satellites.sizes_file: {path}: columns ObjectID and HBR are needed")
+    try:
+        diameters = {int(row["ObjectID"]): 2.0 * float(row["HBR"]) for row in reader if row["HBR"]}
+    except ValueError as error:
+        raise UserError(
+            f"objects.satellites.sizes_file: {path}, line {reader.line_num}: not a number and a radius in m"
+        ) from error
+    return [replace(s, size_m=diameters.get(int(s.record.satnum)) or None) for s in satellites]
 
 
 def _read_lines(path: Path, text: str) -> list[Satellite]:
@@ -152,7 +179,7 @@ def satellite_object(satellite: Satellite, options: SatelliteOptions, epoch_tai_
         identity=Identity(
             name=satellite.name,
             kind="tle",
-            size_m=options.size_m,
+            size_m=satellite.size_m or options.size_m,
             albedo=options.albedo,
             a_km=float((earth.MU_KM3_S2 / (record.no_kozai / 60.0) ** 2) ** (1.0 / 3.0)),
             e=float(record.ecco),

@@ -10,7 +10,7 @@ from simulator.platform.earth import EARTH_RADIUS_KM
 from simulator.platform.jitter import ARCSEC_RAD
 from simulator.platform.kepler import Elements, elements_deg, elements_of, velocity_through
 from simulator.randomness import Effect, generator
-from simulator.scene.encounters import Drawn
+from simulator.scene.encounters import Drawn, PopulationOptions
 from simulator.scene.objects import Identity, OrbitingObject, PixelPathObject, SkyPathObject, orbit_positions
 from simulator.scene.reflection import STEADY, LightCurve
 from simulator.scene.satellites import SatelliteOptions
@@ -263,6 +263,8 @@ def kepler_object(
     *,
     weight: float = 1.0,
     curve: LightCurve = STEADY,
+    specular: float = 0.0,
+    colour: float = 1.0,
 ) -> OrbitingObject:
     """An object whose elements hold `epoch_s` seconds after the epoch of the run."""
     at_epoch = orbit_positions(elements)
@@ -279,6 +281,8 @@ def kepler_object(
         ),
         positions_km=lambda time_s: at_epoch(time_s - epoch_s),
         light_curve=curve,
+        specular=specular,
+        colour=colour,
     )
 
 
@@ -317,29 +321,53 @@ def pixel_path(options: PixelPathOptions) -> PixelPathObject:
     )
 
 
-def population_objects(drawn: Drawn, middle_s: float, tumbling_share: float, seed: int) -> list[OrbitingObject]:
-    """The sampled debris; some of it tumbles (log-normal periods around 2 s, random phases and amplitudes)."""
-    rng = generator(seed, Effect.LIGHT_CURVE)
+def population_objects(drawn: Drawn, options: PopulationOptions, middle_s: float, seed: int) -> list[OrbitingObject]:
+    """The sampled debris; some of it tumbles."""
     objects = []
-    for k in range(len(drawn.size_m)):
-        tumbles, period, amplitude, phase = (
-            rng.random(),
-            rng.lognormal(np.log(2.0), 1.0),
-            rng.uniform(0.1, 0.7),
-            rng.uniform(0.0, 2 * np.pi),
-        )
-        curve = LightCurve(period_s=period, amplitude=amplitude, phase_rad=phase) if tumbles < tumbling_share else STEADY
+    surfaces = drawn.surfaces
+    curves = light_curves(generator(seed, Effect.LIGHT_CURVE), len(drawn.size_m), options)
+    for k, curve in enumerate(curves):
         one = Elements(**{name: getattr(drawn.elements, name)[k] for name in drawn.elements.__dataclass_fields__})
         objects.append(
             kepler_object(
                 f"debris-{k:03d}",
                 "population",
                 float(drawn.size_m[k]),
-                float(drawn.albedo[k]),
+                float(surfaces.albedo[k]),
                 one,
                 middle_s + float(drawn.time_s[k]),
                 weight=float(drawn.weight[k]),
                 curve=curve,
+                specular=float(surfaces.specular[k]),
+                colour=float(surfaces.colour[k]),
             )  # fmt: skip - one line for what it is, one for the rest
         )
     return objects
+
+
+def light_curves(rng: np.random.Generator, n: int, options: PopulationOptions) -> list[LightCurve]:
+    """Of n pieces, of which a share tumbles: log-normal periods around 2 s, random phases and amplitudes, facets, flashes."""
+    surface = options.surface
+    draws = [
+        (rng.random(), rng.lognormal(np.log(2.0), 1.0), rng.uniform(0.1, 0.7), rng.uniform(0.0, 2 * np.pi)) for _ in range(n)
+    ]
+    faces, flashes = rng.random((n, 3)), rng.random((n, 2))
+    peaks = surface.glint_factor * np.exp(0.7 * rng.standard_normal(n))
+    curves = []
+    for k, (tumbles, period, amplitude, phase) in enumerate(draws):
+        if tumbles >= options.tumbling_share:
+            curves.append(STEADY)
+            continue
+        faceted, flashing = faces[k, 0] < surface.facet_share, flashes[k, 0] < surface.glint_share
+        curves.append(
+            LightCurve(
+                period_s=period,
+                amplitude=amplitude,
+                phase_rad=phase,
+                facets=0.5 + 0.5 * faces[k, 1] if faceted else 0.0,
+                facet_phase_rad=2.0 * np.pi * faces[k, 2] if faceted else 0.0,
+                glint_factor=float(peaks[k]) if flashing else 0.0,
+                glint_width_s=period * surface.glint_turn_deg / 360.0,
+            )
+        )
+    return curves

@@ -127,8 +127,11 @@ def test_rows_that_share_their_errors_say_less_of_the_rate(trial: LinkerTrial, t
 
 
 def test_an_end_moved_along_a_slanting_trail_errs_across_the_motion(trial: LinkerTrial, tracklets: tuple[Tracklet, ...]) -> None:
-    """The camera turning puts equal errors on both axes. A joint fit that moves ends along a trail at 40 degrees to the motion,
-    to where the motion was, leaves 1 / cos(40 deg) of them, all across: against draws."""
+    """The camera turning puts equal errors on both axes.
+
+    A joint fit that moves ends along a trail at 40 degrees to the motion, to where the motion was, leaves 1 / cos(40 deg) of
+    them, all across: against draws.
+    """
     tracklet = max(tracklets, key=lambda t: len(t.frames))
     linked = {s.streak_id: s for s in apply_links(trial.streaks, tracklets, trial.headers)}
     slant, sigma_rate, members = np.radians(40.0), 0.7, []

@@ -24,6 +24,7 @@ from simulator.platform.earth import sun_position_km
 from simulator.scene.debris import SizeClass
 from simulator.scene.encounters import Encounters, PopulationOptions, Window, draw_candidates, natural_flux
 from simulator.scene.light import LightOptions
+from simulator.scene.surface import SurfaceOptions
 
 TAI_NS = 2_180_000_000_000_000_000  # early 2027, in ns since 1958
 THRESHOLD, FRAME_S, EXPOSURE_S, FRAMES = 7.2, 0.25, 0.2, 24
@@ -70,16 +71,23 @@ def watch_of(seen: Window) -> Watch:
     )  # fmt: skip
 
 
+GREY = SurfaceOptions(
+    albedo_scatter=0.0, specular_share=0.0, reddening_mag=0.0, colour_scatter_mag=0.0, facet_share=0.0, glint_share=0.0
+)
+
+
 def classes(albedo: float = ALBEDO, *, snr_min: float = 1.0, candidates: int = CANDIDATES) -> list[Class]:
     """Candidates of every class of the product."""
-    options = PopulationOptions(candidates=candidates, albedo=albedo, snr_min=snr_min)
+    # Grey Lambert spheres: the scatter of albedos comes in `run`.
+    options = PopulationOptions(candidates=candidates, albedo=albedo, snr_min=snr_min, surface=GREY)
     seen, rng = window(), np.random.default_rng(7)
     out = []
     for low, high in pairwise(SIZE_EDGES_M):
         one = SizeClass(from_mm=1e3 * low, to_mm=1e3 * high, count=1)
         found = draw_candidates(options, one, seen, rng)
         keep = (found.natural > 0.0) & (found.rate_deg_s >= options.slowest_deg_s)
-        found = replace(found, **{name: getattr(found, name)[keep] for name in vars(found)})
+        kept = {name: getattr(found, name)[keep] for name in vars(found) if name != "surfaces"}
+        found = replace(found, **kept, surfaces=found.surfaces.taken(np.flatnonzero(keep)))
         out.append(Class(found=found, flux_km2_s=natural_flux(options, one, seen, rng)))
     return out
 

@@ -1,0 +1,135 @@
+"""Numerical propagation: states at many epochs, and what each does when the start or a force parameter changes."""
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.determination.forces import ForceModel, propagator, step_of
+from sboc_e2e.icd import tai
+from sboc_e2e.icd.errors import UserError
+
+Array = NDArray[np.float64]
+
+_MJD_OF_JD: Final = 2400000.5
+_LONGEST_DAYS: Final = 400.0
+_ABSOLUTE: Final = 1e-7
+_RELATIVE: Final = 1e-11
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Arc:
+    """States (n, 6) km, km/s at epochs (n,) TAI ns. partials : (n, 6, 6 + k), of the start's six numbers and k parameters.
+
+    Where partials were not asked for they are empty, (n, 6, 0).
+    """
+
+    t_tai_ns: NDArray[np.int64]
+    states: Array
+    partials: Array
+
+
+def instant(t_tai_ns: int) -> Any:
+    """An epoch as the propagator has it, to a microsecond."""
+    satkit = propagator()
+    days, rest_ns = divmod(int(t_tai_ns), tai.NS_PER_DAY)
+    midnight = satkit.time.from_mjd(float(days + tai.EPOCH_JD - _MJD_OF_JD), satkit.timescale.TAI)
+    return midnight + satkit.duration(seconds=rest_ns * 1e-9)
+
+
+def itrs_to_gcrs(t_tai_ns: NDArray[np.int64]) -> Array:
+    """Matrices (n, 3, 3) that turn Earth-fixed axes (ITRS) to GCRS, IAU 2006/2000A with Earth orientation of IERS Bulletin A."""
+    satkit = propagator()
+    turns = [satkit.frametransform.qitrf2gcrf(instant(int(t))) for t in t_tai_ns]
+    return np.array([np.column_stack([q * axis for axis in np.eye(3)]) for q in turns]).reshape(-1, 3, 3)
+
+
+def propagate(
+    state: Array,
+    t0_tai_ns: int,
+    t_tai_ns: NDArray[np.int64],
+    forces: ForceModel,
+    *,
+    parameters: tuple[str, ...] = (),
+    partials: bool = False,
+) -> Arc:
+    """States of an orbit at epochs before or after that of `state` (6,) km, km/s.
+
+    parameters : of `PARAMETERS`, whose partial derivatives are wanted too (central differences of whole propagations).
+    UserError for an orbit that meets the Earth or an interval without end.
+    """
+    t = np.asarray(t_tai_ns, dtype=np.int64)
+    if len(t) and float(np.abs(t - t0_tai_ns).max()) > _LONGEST_DAYS * tai.NS_PER_DAY:
+        raise UserError(f"propagation: over more than {_LONGEST_DAYS:.0f} days from the epoch of the state")
+    states, transition = _both_ways(state, t0_tai_ns, t, forces, partials)
+    if not partials:
+        return Arc(t_tai_ns=t, states=states, partials=np.empty((len(t), 6, 0)))
+    columns = [transition]
+    for name in parameters:
+        step, value = step_of(name), forces.value_of(name)
+        high, _ = _both_ways(state, t0_tai_ns, t, forces.with_values((name,), (value + step,)), False)
+        low, _ = _both_ways(state, t0_tai_ns, t, forces.with_values((name,), (value - step,)), False)
+        columns.append(((high - low) / (2.0 * step))[:, :, None])
+    return Arc(t_tai_ns=t, states=states, partials=np.concatenate(columns, axis=2))
+
+
+def _both_ways(
+    state: Array, t0_tai_ns: int, t_tai_ns: NDArray[np.int64], forces: ForceModel, partials: bool
+) -> tuple[Array, Array]:
+    """States (n, 6) and transition matrices (n, 6, 6): one run forward, one backward, as far as epochs ask."""
+    states, transition = np.tile(state, (len(t_tai_ns), 1)), np.tile(np.eye(6), (len(t_tai_ns), 1, 1))
+    for chosen in (t_tai_ns > t0_tai_ns, t_tai_ns < t0_tai_ns):
+        if chosen.any():
+            t = t_tai_ns[chosen]
+            end = int(t[np.argmax(np.abs(t - t0_tai_ns))])
+            states[chosen], transition[chosen] = _run(state, t0_tai_ns, end, t, forces, partials)
+    return states, transition
+
+
+def _run(
+    state: Array, t0_tai_ns: int, end_tai_ns: int, t_tai_ns: NDArray[np.int64], forces: ForceModel, partials: bool
+) -> tuple[Array, Array]:
+    satkit = propagator()
+    settings = satkit.propsettings(
+        abs_error=_ABSOLUTE,
+        rel_error=_RELATIVE,
+        gravity_degree=forces.gravity_degree,
+        tide_model=satkit.tidemodel.solid_full if forces.tides else satkit.tidemodel.none,
+        use_relativistic_correction=forces.relativity,
+    )
+    empirical = satkit.ecomparams.reduced(
+        d0=forces.sun, y0=forces.panel, b0=forces.third, bc=forces.third_cos, bs=forces.third_sin
+    )
+    properties = satkit.satproperties(craoverm=forces.radiation, cdaoverm=forces.drag, ecom=empirical)
+    try:
+        run = satkit.propagate(
+            1e3 * np.asarray(state), instant(t0_tai_ns), instant(end_tai_ns),
+            output_phi=partials, propsettings=settings, satproperties=properties,
+        )  # fmt: skip
+    except RuntimeError as error:
+        reason = str(error).splitlines()[0]
+        raise UserError(f"propagation failed: {reason}; an orbit about the Earth, above its surface, is expected") from error
+    found = [run.interp(instant(int(t)), output_phi=partials) for t in t_tai_ns]
+    states = 1e-3 * np.array([row[0] if partials else row for row in found])
+    # positions and velocities change their unit alike: the matrix keeps its numbers
+    transition = np.array([row[1] for row in found]) if partials else np.tile(np.eye(6), (len(t_tai_ns), 1, 1))
+    if not np.isfinite(states).all():
+        raise UserError("propagation failed: the orbit meets the Earth")
+    return states, transition
+
+
+def grown(covariance: Array, transition: Array, dt_s: float, push_km2_s3: float) -> Array:
+    """Covariance (6, 6) carried by a transition matrix, plus white accelerations of a power density along each axis.
+
+    push_km2_s3 : what the forces leave out, km^2/s^3. The noise is integrated as for free motion over the step.
+    """
+    noise = np.zeros((6, 6))
+    one = np.eye(3)
+    noise[:3, :3], noise[:3, 3:], noise[3:, :3], noise[3:, 3:] = (
+        dt_s**3 / 3 * one,
+        dt_s**2 / 2 * one,
+        dt_s**2 / 2 * one,
+        dt_s * one,
+    )
+    return np.asarray(transition @ covariance @ transition.T + push_km2_s3 * noise)

@@ -1,0 +1,83 @@
+"""`sboc plan` as a user meets it."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+from sboc_e2e.cli.main import run
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.planning import make_plan, read_request
+from sboc_e2e.registry import Registry
+from sboc_e2e.scenario import load
+from simulator.platform.pointing import scheduled_direction
+
+ELEMENTS = (
+    "0 RING 1\n"
+    "1 41866U 16071A   27028.50000000  .00000000  00000-0  00000-0 0  9990\n"
+    "2 41866   0.0500  95.0000 0001000 180.0000 {0:8.4f}  1.00271000 40000\n"
+)
+
+
+def plan_file(folder: Path, *lines: str) -> str:
+    (folder / "ring.3le").write_text("".join(ELEMENTS.format(k * 12.0) for k in range(30)))
+    path = folder / "ring.toml"
+    text = ['scenario = "geo_survey"', 'objects = "ring.3le"', *lines, "[plan]", "days = 0.2", 'size = "4 m"']
+    path.write_text("\n".join(text) + "\n")
+    return str(path)
+
+
+def test_a_plan_is_a_folder_that_the_chain_can_fly(tmp_path: Path) -> None:
+    request, path = read_request(plan_file(tmp_path))
+    schedule = make_plan(request, path, tmp_path / "out", Registry())
+    table = Table.read(tmp_path / "out" / "schedule.ecsv", format="ascii.ecsv")
+    assert len(table) == len(schedule.visits) > 10
+    assert Table.read(tmp_path / "out" / "windows.ecsv", format="ascii.ecsv").colnames == [
+        "target",
+        "name",
+        "start_utc",
+        "end_utc",
+    ]
+    flown = load(str(tmp_path / "out" / "scenario.toml"), registry=Registry())
+    visits = flown.simulator.pointing.visits
+    assert len(visits) == 3
+    for k, visit in enumerate(visits):
+        at = scheduled_direction(visits, 0.5 * (visit.start_s + visit.end_s))
+        assert at == pytest.approx(np.array(schedule.visits[k].boresight), abs=1e-7)
+    between = scheduled_direction(visits, 0.5 * (visits[0].end_s + visits[1].start_s))
+    middle = visits[0].direction + visits[1].direction
+    assert between == pytest.approx(middle / np.linalg.norm(middle), abs=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("lines", "expected"),
+    [
+        (['goal = "tea"'], "goal"),
+        (["least_mean_motion = 5.0"], "none of 30 element sets"),
+        (['start_utc = "1950-01-01T00:00:00"'], "epoch_utc"),
+    ],
+)
+def test_what_cannot_be_planned_is_said_in_one_line(tmp_path: Path, lines: list[str], expected: str) -> None:
+    file = plan_file(tmp_path, *lines)
+    with pytest.raises(UserError, match=expected) as found:
+        make_plan(*read_request(file), tmp_path / "out", Registry())
+    assert "\n" not in str(found.value)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("key", "expected"),
+    [
+        ("plan.visit=10 s", "visit"),
+        ("plan.constraints.sun=180 deg", "what forbids most cases: Sun"),
+        ("plan.exposures=10000", "too short"),
+    ],
+)
+def test_constraints_that_contradict_each_other_are_named(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str, expected: str
+) -> None:
+    assert run(["plan", plan_file(tmp_path), "--out", str(tmp_path / "out"), "--set", key]) == 2
+    said = capsys.readouterr().err
+    assert expected in said
+    assert said.count("\n") == 1, said

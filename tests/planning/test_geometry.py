@@ -1,0 +1,90 @@
+"""Directions, darkness and windows against astropy, which takes its own way through frames and ephemerides."""
+
+import numpy as np
+import pytest
+from astropy import units as u
+from astropy.coordinates import TEME, AltAz, CartesianRepresentation, EarthLocation, SkyCoord, get_body, get_sun
+from astropy.time import Time
+from scipy.optimize import brentq
+from sgp4.api import Satrec
+
+from ground.orbit.catalogue_match import read_elements
+from ground.planning.constraints import sun_elevation_rad, visibility_of
+from ground.planning.options import ConstraintOptions
+from ground.planning.sky import Site, sky_of
+from ground.planning.targets import states_of
+from ground.planning.windows import windows_of
+from sboc_e2e.icd import tai
+
+LINES = (
+    "0 NAVIGATION\n"
+    "1 37846U 11060A   22021.50000000  .00000000  00000-0  00000-0 0  9990\n"
+    "2 37846  56.0000  60.0000 0002000  30.0000 330.0000  1.70475000 60000\n"
+)
+SITE = Site(longitude_deg=-6.631, latitude_deg=38.216, height_m=565.0)
+PLACE = EarthLocation.from_geodetic(-6.631 * u.deg, 38.216 * u.deg, 565.0 * u.m)
+
+
+def start_ns() -> int:
+    atomic = Time("2022-01-22T12:00:00", scale="utc").tai
+    return tai.from_jd_parts(atomic.jd1, atomic.jd2)
+
+
+def time_of(t_tai_ns: int) -> Time:
+    return Time(*tai.to_jd_parts(t_tai_ns), format="jd", scale="tai")
+
+
+def altitude_deg(satellite: Satrec, t_tai_ns: int) -> float:
+    """Geometric elevation by astropy: TEME to ITRS, seen from the site's own place."""
+    now = time_of(t_tai_ns)
+    _, position, _ = satellite.sgp4(now.utc.jd1, now.utc.jd2)
+    itrs = SkyCoord(TEME(CartesianRepresentation(position * u.km), obstime=now)).itrs
+    line = itrs.cartesian.xyz.to_value(u.km) - np.array([PLACE.x.to_value(u.km), PLACE.y.to_value(u.km), PLACE.z.to_value(u.km)])
+    lon, lat = PLACE.lon.rad, PLACE.lat.rad
+    up = np.array([np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)])
+    return float(np.degrees(np.arcsin(line @ up / np.linalg.norm(line))))
+
+
+def sun_altitude_deg(t_tai_ns: int) -> float:
+    now = time_of(t_tai_ns)
+    return float(get_sun(now).transform_to(AltAz(obstime=now, location=PLACE)).alt.deg)
+
+
+def test_sun_and_moon_stand_where_astropy_has_them() -> None:
+    instants = start_ns() + np.arange(0, 20 * 86400, 50_000, dtype=np.int64) * 10**9
+    sky = sky_of(SITE, instants)
+    for k, t in enumerate(instants):
+        for name, body in (("sun", sky.sun_km[k]), ("moon", sky.moon_km[k])):
+            want = get_body(name, time_of(int(t))).gcrs.cartesian.xyz.to_value(u.km)
+            cosine = body @ want / np.linalg.norm(body) / np.linalg.norm(want)
+            assert np.degrees(np.arccos(min(cosine, 1.0))) * 3600 < 60.0, name  # constraints are whole degrees
+
+
+def test_darkness_begins_when_astropy_says_so() -> None:
+    instants = start_ns() + np.arange(0, 86400, 10, dtype=np.int64) * 10**9
+    sky = sky_of(SITE, instants)
+    assert sky.up is not None
+    dark = np.degrees(sun_elevation_rad(sky, sky.up)) <= -12.0
+    found = instants[np.flatnonzero(dark)[0]]
+    want = brentq(lambda s: sun_altitude_deg(start_ns() + round(s * 1e9)) + 12.0, 0, 12 * 3600, xtol=0.01)
+    # aberration (20 arcsec) is astropy's and not ours: 1.7 s of the Sun's motion
+    assert (found - start_ns()) * 1e-9 == pytest.approx(want, abs=12.0)
+
+
+def test_windows_of_a_satellite_are_right_to_a_second() -> None:
+    known = read_elements(LINES)
+    options = ConstraintOptions(elevation_deg=20.0, moon_deg=0.0, darkness_deg=0.0)
+    instants = start_ns() + np.arange(0, 86400, 300, dtype=np.int64) * 10**9
+    position, velocity = states_of(known, instants)
+    seen = visibility_of(position, velocity, sky_of(SITE, instants), options)
+    found = windows_of(known, SITE, options, instants, seen.allowed)
+    assert len(found.target) >= 1
+    checked = 0
+    for edges in (found.start_tai_ns, found.end_tai_ns):
+        for t in edges:
+            if instants[0] < t < instants[-1] and sun_altitude_deg(int(t)) < -1.0:
+                near = [(int(t) - start_ns()) * 1e-9 + step for step in (-5.0, 5.0)]
+                want = brentq(lambda s: altitude_deg(known.satellites[0], start_ns() + round(s * 1e9)) - 20.0, *near, xtol=0.01)
+                assert (int(t) - start_ns()) * 1e-9 == pytest.approx(want, abs=1.0)
+                checked += 1
+    assert checked >= 1

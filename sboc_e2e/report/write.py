@@ -25,7 +25,18 @@ MAX_TILE_BYTES: Final = 12_000_000
 """Full-resolution tiles in a page, so that it stays below 25 MB with previews and cut-outs."""
 RESIDUALS_TITLE: Final = "Streak positions against their bounds"
 ORBITS_TITLE: Final = "Orbits: samples of the posterior, and ranges with 90 % intervals (cross: truth)"
-SECTIONS: Final = ("detection", "astrometry", "photometry", "linking", "tracking", "orbit", "products", "population", "compression", "timing")
+SECTIONS: Final = (
+    "detection",
+    "astrometry",
+    "photometry",
+    "linking",
+    "tracking",
+    "orbit",
+    "products",
+    "population",
+    "compression",
+    "timing",
+)
 
 
 def write_report(run_dir: Path, evaluation: Evaluation | None = None) -> None:

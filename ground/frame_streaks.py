@@ -95,7 +95,9 @@ def measured(
     header = lit.frame.header
     row_mid, col_mid = middle_of(fit)
     unknown = np.full(3, np.nan)
-    veto = StreakFlag.VETOED if probability < veto_below else StreakFlag(0)
+    track = lit.frame.rois[number].track
+    # a member of a track was judged with the frames around it; if these do not bear it out, it is judged alone
+    veto = StreakFlag.VETOED if probability < veto_below and track < 0 else StreakFlag(0)
     streak = StreakMeasurement(
         frame=header.frame,
         streak_id=header.frame * STREAKS_PER_FRAME + number,
@@ -113,6 +115,7 @@ def measured(
         probability=probability,
         tracklet_id=-1,
         flags=fit.flags | veto,
+        track=track,
     )
     on_sky = with_sky(streak, header, sky, lit.solution.covariance_rad2)
     return _with_brightness(on_sky, header, lit.photometry, mean_flat, None)

@@ -24,7 +24,7 @@ NUMBERS: Final = (
     "row_mid", "col_mid", "sigma_along_arcsec", "sigma_cross_arcsec", "mag", "mag_err", "mag_at_1deg_s", "mag_at_1deg_s_err",
     "probability",
 )  # fmt: skip
-COUNTS: Final = ("frame", "streak_id", "roi_id", "tracklet_id")
+COUNTS: Final = ("frame", "streak_id", "roi_id", "tracklet_id", "track")
 
 ROW: Final = np.dtype(
     [

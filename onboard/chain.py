@@ -4,7 +4,7 @@
 that raises or breaks its Protocol stops the run and is named.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from onboard.detect.static import flag_static
 from onboard.downlink.budget import Allowance, Outbox, elapsed_s
+from onboard.downlink.kept_counts import kept_counts
 from onboard.downlink.packets import PacketWriter
-from onboard.downlink.send import Content, send
+from onboard.downlink.send import Content, TrackPixels, send, send_tracks
 from onboard.guard import guarded
 from onboard.image.calibrate import Counts, IntegerCalibration, background_in_adu, fill_residual, to_counts
 from onboard.image.dead_area import mark_dead_area
@@ -23,13 +24,23 @@ from onboard.image.hot_pixels import HotPixels
 from onboard.image.star_free_sky import without_stars
 from onboard.options import OnboardOptions
 from onboard.stars.memory import EarlierStars, brought_forward, usable_stars, with_frame
+from onboard.track.none import NoTracker
 from sboc_e2e.icd.downlink import Housekeeping
-from sboc_e2e.icd.errors import ContractError
+from sboc_e2e.icd.errors import ContractError, UserError
 from sboc_e2e.icd.flags import FrameFlag
 from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader, NominalCamera
-from sboc_e2e.icd.results import check_background, check_detections, check_stars
-from sboc_e2e.icd.signals import Detection, DetectorView, RoiGroup, StarList
-from sboc_e2e.icd.steps import BackgroundEstimator, Detector, Encoder, GainAwareEncoder, SelectiveMemory, StarExtractor
+from sboc_e2e.icd.results import check_background, check_detections, check_stars, check_tracks
+from sboc_e2e.icd.signals import Detection, DetectorView, RoiGroup, Searched, StarList, Track, TrackerView
+from sboc_e2e.icd.steps import (
+    BackgroundEstimator,
+    Detector,
+    Encoder,
+    GainAwareEncoder,
+    SeedingDetector,
+    SelectiveMemory,
+    StarExtractor,
+    Tracker,
+)
 
 RECENT_FRAMES = 2
 
@@ -42,6 +53,16 @@ class OnboardSteps:
     star_extractor: StarExtractor
     detector: Detector
     codec: Encoder
+    tracker: Tracker = field(default_factory=NoTracker)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Tracking:
+    """What is remembered for the tracker. step : its own state; last : the newest frame it saw."""
+
+    step: Any
+    pixels: TrackPixels = field(default_factory=TrackPixels)
+    last: FrameHeader | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,6 +72,7 @@ class OnboardState:
     earlier_stars : star lists of the last frames, newest last.
     history : views of the last frames, or what the detector keeps of them, as many as it declares, newest last.
     recent : detections of the last frames, for the STATIC flag. pixel_check : checksum of some rows of the last frame.
+    tracking : None without a tracker.
     """
 
     writer: PacketWriter
@@ -62,6 +84,7 @@ class OnboardState:
     earlier_stars: tuple[EarlierStars, ...] = ()
     pixel_check: int | None = None
     frames_done: int = 0
+    tracking: Tracking | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -74,6 +97,7 @@ class OnboardResult:
     detections: tuple[Detection, ...]
     rois: tuple[RoiGroup, ...]
     bytes_by_apid: dict[int, int]
+    tracks: tuple[Track, ...] = ()
 
 
 class OnboardChain:
@@ -95,6 +119,13 @@ class OnboardChain:
         self._calibration = None if calibration is None else IntegerCalibration.of(calibration)
         self._camera = camera
         self._run_id = run_id
+        self._tracks = steps.tracker.window_frames > 0
+        if self._tracks and not isinstance(steps.detector, SeedingDetector):
+            name, detector = type(steps.tracker).__name__, type(steps.detector).__name__
+            raise UserError(
+                f"onboard.tracker: {name} goes on from what a detector's search leaves, and {detector} leaves nothing: "
+                "use onboard.detector line_integral, or onboard.tracker none"
+            )
         self._scratch: tuple[NDArray[np.float32], NDArray[np.uint8]] | None = None
 
     def initial_state(self) -> OnboardState:
@@ -104,6 +135,7 @@ class OnboardChain:
             writer=PacketWriter(run_id=self._run_id),
             allowance=Allowance(rate_bytes_s=downlink.budget_mbit_s * 125_000.0, burst_s=downlink.burst_s),
             hot_pixels=HotPixels.empty(),
+            tracking=self._first_tracking() if self._tracks else None,
         )
 
     def process(self, state: OnboardState, frame: Frame) -> tuple[OnboardState, OnboardResult]:
@@ -120,10 +152,18 @@ class OnboardChain:
         usable = not flags & (FrameFlag.ALL_MASKED | FrameFlag.EMPTY_SIGNAL | FrameFlag.REPEATED_FRAME)
         if usable:
             view = self._with_stars(view, residual, row_sums)
-            detections = flag_static(self._detections(view), state.recent)
+            found, searched = self._detections(view)
+            detections = flag_static(found, state.recent)
             earlier = brought_forward(state.earlier_stars, view.stars)
         else:
-            detections, earlier = (), ()
+            detections, searched, earlier = (), None, ()
+        tracking = state.tracking
+        tracks: tuple[Track, ...] = ()
+        if tracking is not None and usable:
+            transform = earlier[-1].transform if earlier and continues(tracking.last, header) else None
+            flags |= FrameFlag.TRACKS_ENDED if transform is None and tracking.last is not None else FrameFlag(0)
+            seen = TrackerView(view=view, detections=detections, searched=searched, transform=transform)
+            tracking, tracks = self._tracked(tracking, seen)
         if len(view.stars) == 0:
             flags |= FrameFlag.NO_STARS
         allowance = state.allowance.after(elapsed_s(header, state.previous), elapsed_s(header, None))
@@ -140,6 +180,13 @@ class OnboardChain:
             codec=self._codec_of(counts),
         )
         housekeeping, rois = send(content, outbox, self._options)
+        if tracking is not None and usable:
+            kept = kept_counts(header, view.background, counts, rois)
+            pixels = tracking.pixels.after(kept, self._steps.tracker.window_frames)
+            pixels = send_tracks(tracks, pixels, outbox, content.codec, self._options.roi, view.psf_sigma_px)
+            if flags & FrameFlag.TRACKS_ENDED:  # frames before may have numbers that come again
+                pixels = TrackPixels(kept=pixels.kept[-1:])
+            tracking = replace(tracking, pixels=pixels)
         keep = self._steps.detector.history_frames if usable else 0
         history = (*state.history, self._remembered(view))[-keep:] if keep > 0 else state.history
         after = OnboardState(
@@ -154,6 +201,7 @@ class OnboardChain:
             else state.earlier_stars,
             pixel_check=check,
             frames_done=state.frames_done + 1,
+            tracking=tracking,
         )
         result = OnboardResult(
             packets=outbox.joined(),
@@ -162,8 +210,21 @@ class OnboardChain:
             detections=detections,
             rois=rois,
             bytes_by_apid=outbox.bytes_by_apid(),
+            tracks=tracks,
         )
         return after, result
+
+    def _first_tracking(self) -> Tracking:
+        """What the tracker starts with."""
+        return Tracking(step=guarded("tracker", self._steps.tracker, self._steps.tracker.initial_state))
+
+    def _tracked(self, tracking: Tracking, seen: TrackerView) -> tuple[Tracking, tuple[Track, ...]]:
+        """The tracker's next state, and its tracks, checked."""
+        step, header = self._steps.tracker, seen.view.header
+        state, tracks = guarded("tracker", step, step.track, tracking.step, seen)
+        window = {kept.header.frame: kept.shape for kept in tracking.pixels.kept} | {header.frame: (header.rows, header.cols)}
+        guarded("tracker", step, check_tracks, tracks, window)
+        return replace(tracking, step=state, last=header), tuple(tracks)
 
     def _with_saturation(self, header: FrameHeader) -> FrameHeader:
         """The header with the camera's saturation level where the frame brings none but a calibration is there."""
@@ -230,11 +291,15 @@ class OnboardChain:
         detector = self._steps.detector
         return guarded("detector", detector, detector.remembered, view) if isinstance(detector, SelectiveMemory) else view
 
-    def _detections(self, view: DetectorView) -> tuple[Detection, ...]:
-        """Detections of the detector, checked."""
-        found = guarded("detector", self._steps.detector, self._steps.detector.detect, view)
-        guarded("detector", self._steps.detector, check_detections, found, view.mask.shape)
-        return tuple(found)
+    def _detections(self, view: DetectorView) -> tuple[tuple[Detection, ...], Searched | None]:
+        """Detections of the detector, checked; and what its search leaves for a tracker, if there is one."""
+        detector, searched = self._steps.detector, None
+        if self._tracks and isinstance(detector, SeedingDetector):
+            found, searched = guarded("detector", detector, detector.search, view, self._steps.tracker.seed_sigma)
+        else:
+            found = guarded("detector", detector, detector.detect, view)
+        guarded("detector", detector, check_detections, found, view.mask.shape)
+        return tuple(found), searched
 
     def _codec_of(self, counts: Counts) -> Encoder:
         """The codec as a frame's counts need it."""
@@ -243,6 +308,18 @@ class OnboardChain:
             return codec
         scaled: Encoder = guarded("codec", self._steps.codec, codec.for_counts, counts.adu_scale)
         return scaled
+
+
+def continues(last: FrameHeader | None, header: FrameHeader) -> bool:
+    """Whether a frame follows the last one as frames of one sequence do: next number, later, same exposure and readout."""
+    return (
+        last is not None
+        and header.frame == last.frame + 1
+        and header.t_start_tai_ns > last.t_start_tai_ns
+        and (header.exposure_ns, header.line_time_ns) == (last.exposure_ns, last.line_time_ns)
+        and (header.rows, header.cols, header.bin_rows, header.bin_cols) == (last.rows, last.cols, last.bin_rows, last.bin_cols)
+        and (header.window_row0, header.window_col0) == (last.window_row0, last.window_col0)
+    )
 
 
 def _read_only(array: NDArray[Any]) -> NDArray[Any]:

@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sboc_e2e.exams import astrometry, codec, detector, fitter, linker
+from sboc_e2e.exams import astrometry, codec, detector, fitter, linker, tracker
 from sboc_e2e.exams.trails import PSF_SIGMA_PX
 from sboc_e2e.exams.verdict import Verdict, asked, expect
 from sboc_e2e.files import checkpoint
@@ -36,6 +36,7 @@ EXAMINED: Final = (
     "onboard.background",
     "onboard.star_extractor",
     "onboard.detector",
+    "onboard.tracker",
     "onboard.codec",
     "ground.decoder",
     "ground.streak_fitter",
@@ -89,6 +90,8 @@ def _questions(seam: Seam, step: Any, path: str, registry: Registry, shape: tupl
     yield asked("options can be written in a scenario", lambda: _options_round_trip(step))
     if seam.name == "onboard.detector":
         yield from _detector_questions(step, shape)
+    elif seam.name == "onboard.tracker":
+        yield from tracker.questions(step)
     elif seam.name == "onboard.star_extractor":
         yield from _extractor_questions(step, shape)
     elif seam.name == "onboard.background":

@@ -40,6 +40,7 @@ SEAMS: Final[dict[str, Seam]] = {
         Seam(name="onboard.background", protocol=steps.BackgroundEstimator, methods=("estimate",), default="mesh"),
         Seam(name="onboard.star_extractor", protocol=steps.StarExtractor, methods=("extract",), default="matched"),
         Seam(name="onboard.detector", protocol=steps.Detector, methods=("detect",), default="line_integral"),
+        Seam(name="onboard.tracker", protocol=steps.Tracker, methods=("initial_state", "track"), default="none"),
         Seam(name="onboard.codec", protocol=steps.Encoder, methods=("encode",), default="planes"),
         Seam(name="ground.decoder", protocol=steps.Decoder, methods=("decode",), default="planes"),
         Seam(name="ground.streak_fitter", protocol=steps.StreakFitter, methods=("fit",), default="trailed_psf"),

@@ -28,7 +28,10 @@ LEAST_GAUSSIAN = 0.4
 
 
 class Camera:
-    """An instrument and its sensor. `seeing_px` (Gaussian sigma) widens the PSF of a camera on the ground."""
+    """An instrument and its sensor. `seeing_px` (Gaussian sigma) widens the PSF of a camera on the ground.
+
+    seeing_error : the seeing over that of the camera file, less 1.
+    """
 
     def __init__(
         self,
@@ -49,7 +52,7 @@ class Camera:
             bin_rows=1, bin_cols=1, window_row0=sensor.window.row0, window_col0=sensor.window.col0
         )
         self.corner_px = 0.5 * float(np.hypot(instrument.rows, instrument.cols))
-        self.seeing_px, self._seed = 0.0, seed
+        self.seeing_px, self.seeing_error, self._seed = 0.0, 0.0, seed
         self._psf_field: tuple[float, PsfField] | None = None
         self.zero_point_e_s = instrument.true_zero_point_e_s
         step_px = grid_step_px(vignetting, self.corner_px)
@@ -210,13 +213,13 @@ class Camera:
             k2=geometry.k2,
             p1=geometry.p1,
             p2=geometry.p2,
-            psf_sigma_px=float(np.hypot(self._psf.sigma_px, self.seeing_px)) / bins.cols,
+            psf_sigma_px=float(np.hypot(self._psf.sigma_px, self.seeing_px / (1.0 + self.seeing_error))) / bins.cols,
             gain_e_adu=delivered.gain_e_adu,
             read_noise_e=delivered.read_noise_e,
             saturation_adu=delivered.saturation_adu,
             full_well_e=delivered.full_well_e,
             zero_point_e_s=nominal.zero_point_e_s,
-            colour_term=float(np.polyfit(colours - SUN_B_V, -2.5 * np.log10(factor), 1)[0]),
+            colour_term=float(np.polyfit(colours - SUN_B_V, -2.5 * np.log10(factor), 1)[0]) + nominal.as_built.colour_term,
             aperture_m=nominal.aperture_m,
             obstruction=nominal.obstruction,
         )

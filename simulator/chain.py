@@ -25,6 +25,7 @@ from sboc_e2e import truth
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Calibration, Frame, NominalCamera
+from simulator.as_built import with_drawn_errors
 from simulator.camera import Camera
 from simulator.header import frame_header
 from simulator.options import SimulatorOptions
@@ -62,6 +63,7 @@ class Simulator:
     """
 
     def __init__(self, options: SimulatorOptions, *, seed: int, catalogue: StarCatalogue) -> None:
+        options = with_drawn_errors(options, seed)
         shutter = options.shutter
         window = options.sensor.window
         shutter.refuse_overlap(window.rows or options.instrument.rows - window.row0, options.frame_rate_hz)
@@ -122,6 +124,7 @@ class Simulator:
         fixed = self._carrier.earth_fixed(middle)
         lines = field_lines(*fixed) if fixed else None
         hits = self._particles.hits(index, self._camera.exposure_s, self._carrier.geodetic(middle), lines)
+        self._camera.sensor.overflow(image_e)
         pixels = self._camera.sensor.digitise(image_e, index, self._camera.exposure_s, hits)
         cosmics = cosmic_rows(self._camera, hits, index)
         frame = frame_row(self._camera.at(sight.reference_s), self._carrier, sight, self._air_of(sight), sky_e, index)
@@ -192,6 +195,7 @@ class Simulator:
                 seeing_px.append(self._camera.projection.focal_px * air.seeing_sigma_rad(boresight))
         if seeing_px:
             self._camera.seeing_px = float(np.mean(seeing_px))
+            self._camera.seeing_error = self.options.atmosphere.seeing_error
 
     # ------------------------------------------------------------- the scene
 

@@ -31,6 +31,10 @@ class Effect(IntEnum):
     CALIBRATION = 18  # noise of dark and flat calibration frames
     TURBULENCE = 19  # brightness and place of an object during a frame; block is the object
     WAVEFRONT = 20  # errors of the wavefront (frame 0)
+    AS_BUILT = 21  # departures of the built camera (frame 0)
+    ROW_STRUCTURE = 22  # row and column structure of each frame
+    BLACK_LEVEL = 23  # drift of the black level
+    COMPANIONS = 24  # binaries and variables of the sky
 
 
 def generator(seed: int, effect: Effect | int, frame: int = 0, block: int = 0) -> np.random.Generator:

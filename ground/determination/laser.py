@@ -58,9 +58,8 @@ def laser_ranges(
 ) -> Ranges:
     """Ranges to the centre of mass, the air's delay removed.
 
-    stations : pad number to place in Earth-fixed axes (ITRF) at the date, km. positions_gcrs_km : (n, 3) of the object, to a
-    degree as seen. centre_km : from the reflectors' effective surface to the centre of mass. UserError for a station that is
-    not listed.
+    stations : pad number to place in Earth-fixed axes (ITRF) of the date, km. positions_gcrs_km : (n, 3) of the object, roughly.
+    centre_km : from the reflectors' effective surface to the centre of mass. UserError for a station that is not listed.
     """
     missing = sorted({int(s) for s in points.station} - set(stations))
     if missing:

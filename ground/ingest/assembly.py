@@ -18,6 +18,7 @@ from ground.ingest.records import (
     StripRecord,
     Telemetry,
     ThumbnailBand,
+    TrackRecord,
     star_list,
 )
 from sboc_e2e.icd.downlink import DownlinkFrame
@@ -25,6 +26,9 @@ from sboc_e2e.icd.errors import ContractError
 from sboc_e2e.icd.flags import FrameFlag, StarFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import BackgroundModel, RoiGroup, StarList
+
+FIRST_TRACK_ROI = 1 << 16
+"""Regions that came with their track are numbered from here on, by track: those of ROI packets have 16 bits."""
 
 
 @dataclass(kw_only=True)
@@ -43,6 +47,10 @@ class FrameParts:
     thumbnail: list[ThumbnailBand] = field(default_factory=list)
     chunks: list[Chunk] = field(default_factory=list)
     missing: dict[str, int] = field(default_factory=dict)
+    members: list[tuple[int, int, int, TrackRecord]] = field(default_factory=list)
+    """Track packets that this frame carried, with item, segment and number of segments; they may belong to earlier frames."""
+    tracks: dict[int, tuple[int, float]] = field(default_factory=dict)
+    """Number and joint S/N of the track of each region that is in one."""
 
     def add(self, packet: Packet, record: Record) -> None:
         """Put a record where it belongs."""
@@ -50,6 +58,8 @@ class FrameParts:
             self.header = replace(record, header=replace(record.header, frame=self.frame))
         elif isinstance(record, StripRecord):
             self.strips.setdefault(packet.item, []).append((packet.segment, record))
+        elif isinstance(record, TrackRecord):
+            self.members.append((packet.item, packet.segment, packet.n_segments, record))
         elif isinstance(record, MeshBand):
             self.mesh.append(record)
         elif isinstance(record, ThumbnailBand):
@@ -58,6 +68,25 @@ class FrameParts:
             self.chunks.append(record)
         else:
             self.stars.append(record)
+
+
+def with_tracks(parts: Sequence[FrameParts], failures: list[str]) -> None:
+    """Put the members that track packets carried into the frames they lie in; those of frames that are not there are listed."""
+    frames = {(part.frame, part.t_start_tai_ns): part for part in parts}
+    for carrier in parts:
+        for item, segment, n_segments, record in carrier.members:
+            part = frames.get((record.frame, record.t_start_tai_ns))
+            if part is None:
+                failures.append(f"frame {carrier.frame} TRACK item {item}: frame {record.frame} of its member is not there")
+                continue
+            roi_id = record.roi_id
+            if record.strip is not None:
+                roi_id = FIRST_TRACK_ROI + record.number
+                part.strips.setdefault(roi_id, []).append((segment, record.strip))
+                part.n_strips[roi_id] = n_segments
+            if roi_id in part.strips:
+                known = part.tracks.get(roi_id, (record.number, 0.0))
+                part.tracks[roi_id] = (record.number, max(record.snr, known[1]))
 
 
 def assemble(
@@ -126,6 +155,8 @@ def _frame(part: FrameParts, record: HeaderRecord, memory: MemoryLimit, failures
                 detection=strips[0].detection,
                 strips=tuple(strip.strip for strip in strips),
                 n_strips=part.n_strips[roi_id],
+                track=part.tracks.get(roi_id, (-1, 0.0))[0],
+                track_snr=part.tracks.get(roi_id, (-1, 0.0))[1],
             )
         )
     stars, remembered = _stars(part.stars)

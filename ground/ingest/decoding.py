@@ -6,7 +6,7 @@ from dataclasses import dataclass, field
 from itertools import chain, pairwise
 from typing import Final
 
-from ground.ingest.assembly import FrameParts, assemble
+from ground.ingest.assembly import FrameParts, assemble, with_tracks
 from ground.ingest.packets import Packet, StreamFaults, read_packets
 from ground.ingest.records import MemoryLimit, decode_record
 from ground.ingest.report import ApidReport, IngestReport
@@ -54,6 +54,7 @@ def decode_downlink(
     renumbered = _renumbered(frames)
     keys = {key[0]: key for key in sorted(frames, reverse=True)} | renumbered
     parts = [_decoded(number, key[1], frames[key], table, memory, failures) for number, key in sorted(keys.items())]
+    with_tracks(parts, failures)
     built, unusable = assemble(parts, memory, failures, ambiguous={number for number, _ in renumbered.values()})
     complete, incomplete, missing_segments = _completeness(parts)
     return built, IngestReport(

@@ -27,6 +27,7 @@ LARGEST_TABLE = 1 << 16
 """Nodes of a background mesh or cells of a thumbnail."""
 
 LARGEST_UNIT_ADU = 1e9
+LARGEST_TRACK = 2**31 - 1
 MEMORY_FLOOR_BYTES = 1 << 27
 MEMORY_PER_STREAM_BYTE = 40
 """Noise expands about tenfold when it is decoded; a stream that claims much more is not a downlink."""
@@ -80,6 +81,18 @@ class StripRecord:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class TrackRecord:
+    """A track packet: a member of a track in a frame, by its region's number or with one of its strips."""
+
+    number: int
+    frame: int
+    t_start_tai_ns: int
+    snr: float
+    roi_id: int | None
+    strip: StripRecord | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class MeshBand:
     """Rows of the background mesh."""
 
@@ -109,7 +122,7 @@ class Chunk:
     values: NDArray[np.int32] | NDArray[np.float32]
 
 
-Record = HeaderRecord | NDArray[np.void] | StripRecord | MeshBand | ThumbnailBand | Chunk
+Record = HeaderRecord | NDArray[np.void] | StripRecord | TrackRecord | MeshBand | ThumbnailBand | Chunk
 
 
 def decode_record(packet: Packet, decoders: Decoders, memory: MemoryLimit) -> Record:
@@ -122,6 +135,11 @@ def decode_record(packet: Packet, decoders: Decoders, memory: MemoryLimit) -> Re
         strip = decode_strip(packet, decoders)
         memory.take(strip.strip.values_adu.nbytes)
         return strip
+    if packet.apid == layout.Apid.TRACK:
+        track = decode_track(packet, decoders)
+        if track.strip is not None:
+            memory.take(track.strip.strip.values_adu.nbytes)
+        return track
     if packet.apid == layout.Apid.BACKGROUND:
         mesh = decode_mesh(packet)
         memory.take(8 * mesh.shape[0] * mesh.shape[1])
@@ -257,13 +275,33 @@ def star_list(entries: NDArray[np.void]) -> StarList:
     )
 
 
+def decode_track(packet: Packet, decoders: Decoders) -> TrackRecord:
+    """A track packet."""
+    number, frame, t_start, snr, roi_id, _, _ = _unpack(layout.TRACK_MEMBER, packet.payload, "track packet")
+    rest = packet.payload[layout.TRACK_MEMBER.size :]
+    follows = roi_id == layout.TRACK_STRIP_FOLLOWS
+    if not math.isfinite(snr) or number > LARGEST_TRACK or not (follows or (0 <= roi_id <= 0xFFFF and not rest)):
+        raise ContractError(
+            f"track packet: expected a region's number or a strip, got track {number}, region {roi_id}, S/N {snr}"
+        )
+    strip = _strip(rest, decoders) if follows else None
+    return TrackRecord(
+        number=number, frame=frame, t_start_tai_ns=t_start, snr=snr, roi_id=None if follows else roi_id, strip=strip
+    )
+
+
 def decode_strip(packet: Packet, decoders: Decoders) -> StripRecord:
     """A ROI packet."""
-    row0, col0, row1, col1, snr, flags, sagitta = _unpack(layout.ROI_GROUP, packet.payload, "roi packet")
+    return _strip(packet.payload, decoders)
+
+
+def _strip(payload: bytes, decoders: Decoders) -> StripRecord:
+    """Detection and strip of a ROI packet's payload."""
+    row0, col0, row1, col1, snr, flags, sagitta = _unpack(layout.ROI_GROUP, payload, "roi packet")
     codec, axis, major0, n, width, minor0_fp, slope_fp, level, sigma, length = _unpack(
-        layout.STRIP, packet.payload, "roi packet", layout.ROI_GROUP.size
+        layout.STRIP, payload, "roi packet", layout.ROI_GROUP.size
     )
-    block = packet.payload[layout.ROI_GROUP.size + layout.STRIP.size :]
+    block = payload[layout.ROI_GROUP.size + layout.STRIP.size :]
     if len(block) != length:
         raise ContractError(f"roi packet: expected a block of {length} bytes, got {len(block)}")
     values = decode_block(block, codec, (n, width), level, sigma, decoders)

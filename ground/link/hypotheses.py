@@ -48,7 +48,7 @@ class StreakTable(NamedTuple):
     row, col : (n, 3) px of end 0, middle, end 1. unit : (n, 3, 3) unit vectors of the same points at mid-exposure of their rows.
     turn_rad_s : (n, 3) angular velocity of the camera in the same axes.
     sigma_along_rad, (n, 2) of both ends; sigma_cross_rad (n,). scale_rad_px : (n,) plate scale.
-    log_odds : (n,) of being real, from the vetter, relative to the mean of all.
+    log_odds : (n,) of being real, from the vetter, relative to the mean of all. track : (n,) of the on-board track, -1: none.
     """
 
     frame: NDArray[np.int64]
@@ -64,6 +64,7 @@ class StreakTable(NamedTuple):
     log_odds: NDArray[np.float64]
     mag: NDArray[np.float64]
     mag_err: NDArray[np.float64]
+    track: NDArray[np.int64]
 
 
 class FrameTable(NamedTuple):
@@ -179,6 +180,7 @@ def _columns(
         "log_odds": np.array([s.probability for s in streaks], dtype=np.float64),
         "mag": np.array([s.mag for s in streaks], dtype=np.float64),
         "mag_err": np.array([s.mag_err for s in streaks], dtype=np.float64),
+        "track": np.array([s.track for s in streaks], dtype=np.int64),
     }
 
 

@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.link.groups import tracked_groups
 from ground.link.hypotheses import POINT, FrameTable, Nodes, StreakTable
 from ground.link.merge import merged, pieces_of
 from ground.link.motion import N_PARAMETERS
@@ -51,6 +52,12 @@ def best_tracks(nodes: Nodes, table: StreakTable, frames: FrameTable, search: Se
     used = np.zeros(len(nodes.frame) // 2, dtype=np.bool_)
     accepted: list[NDArray[np.int64]] = []
     accepted_gains: list[float] = []
+    for members, gain in tracked_groups(nodes, table, model, search.log_new):
+        used[members // 2] = True
+        longer, longer_gain = grow(nodes, members, used, *growth)
+        used[longer // 2] = True
+        accepted.append(longer)
+        accepted_gains.append(max(gain, longer_gain))
     for k in np.argsort(-gains, kind="stable"):
         if gains[k] + search.log_new < min_log_odds:
             break

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.flags import MaskBit
+from sboc_e2e.icd.signals import UNKNOWN
 
 UNIT: Final = 16
 """One sigma of a pixel in the 8-bit image."""
@@ -108,6 +109,25 @@ def unusable(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Working mask, uint8: 1 where a pixel must not be used. A saturated one may: it is a bright trail's, or a listed star's."""
     out = np.empty(mask.shape, np.uint8)
     _unusable_rows(mask, out)
+    return out
+
+
+@nb.njit(cache=True)
+def _known_row(values: NDArray[np.int8], blocked: NDArray[np.uint8], out: NDArray[np.int8]) -> None:
+    for i in range(out.size):
+        out[i] = values[i] if blocked[i] == 0 else np.int8(UNKNOWN)
+
+
+@nb.njit(cache=True)
+def _known_rows(values: NDArray[np.int8], blocked: NDArray[np.uint8], out: NDArray[np.int8]) -> None:
+    for row in range(values.shape[0]):
+        _known_row(values[row], blocked[row], out[row])
+
+
+def known(values: NDArray[np.int8], blocked: NDArray[np.uint8]) -> NDArray[np.int8]:
+    """A copy of an image with `UNKNOWN` where pixels are blocked."""
+    out = np.empty(values.shape, np.int8)
+    _known_rows(values, blocked, out)
     return out
 
 

@@ -17,7 +17,7 @@ from sboc_e2e.icd import layout
 from sboc_e2e.icd.downlink import Housekeeping
 from sboc_e2e.icd.errors import ContractError
 from sboc_e2e.icd.frame import FrameHeader
-from sboc_e2e.icd.signals import BackgroundModel, Detection, StarList, Strip
+from sboc_e2e.icd.signals import BackgroundModel, Detection, StarList, Strip, Track, TrackMember
 from sboc_e2e.icd.tai import NS_PER_S
 from sboc_e2e.icd.version import CONTRACT_MAJOR, CONTRACT_MINOR
 
@@ -180,6 +180,12 @@ def roi_payload(detection: Detection, strip: Strip, codec_number: int, sigma_adu
         len(block),
     )
     return group + head + block
+
+
+def track_payload(track: Track, member: TrackMember, t_start_tai_ns: int, roi_id: int, region: bytes = b"") -> bytes:
+    """A member of a track. roi_id : of the region that was sent of it; region : else the payload of one strip's ROI packet."""
+    head = layout.TRACK_MEMBER.pack(track.number, member.frame, t_start_tai_ns, track.snr, roi_id, len(track.members), 0)
+    return head + region
 
 
 def background_payloads(background: BackgroundModel, *, level_unit_adu: float, sigma_unit_adu: float) -> tuple[bytes, ...]:

@@ -1,6 +1,7 @@
 """A detection to the payloads of its ROI packets: plan strips, cut, encode, split what does not fit into a packet."""
 
 import math
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +13,7 @@ from onboard.options import RoiOptions
 from sboc_e2e.icd import layout
 from sboc_e2e.icd.errors import PluginError
 from sboc_e2e.icd.flags import StreakFlag
-from sboc_e2e.icd.signals import Detection, DetectorView, Strip
+from sboc_e2e.icd.signals import BackgroundModel, Detection, DetectorView, Strip
 from sboc_e2e.icd.steps import Encoder
 
 BLOCK_ROOM_BYTES = layout.MAX_PAYLOAD_BYTES - layout.ROI_GROUP.size - layout.STRIP.size
@@ -76,6 +77,11 @@ def cross_profile(view: DetectorView, detection: Detection, reach: int) -> tuple
     return values[cut : samples - cut].sum(axis=0).astype(np.float64), samples - 2 * cut
 
 
+def pixels_per_strip(sigma_counts: float, room_bytes: int) -> int:
+    """Pixels of noise that a block of so many bytes holds, with some room to spare."""
+    return min(max(64, int(FIRST_GUESS_FILL * 8.0 * room_bytes / bits_per_pixel(sigma_counts))), layout.MAX_STRIP_PIXELS)
+
+
 def code_roi(
     detection: Detection, view: DetectorView, counts: Counts, codec: Encoder, options: RoiOptions, *, tight: bool = False
 ) -> CodedRoi:
@@ -93,26 +99,46 @@ def code_roi(
         margin = roi.end_margin_px(detection.length_px, detection.snr, sigma_px, min(options.end_margin, 1.0))
         detection = replace(detection, flags=detection.flags | StreakFlag.ROI_CUT)
     sigma_counts = float(np.median(view.background.sigma_adu)) / counts.adu_scale
-    pixels_per_strip = max(64, int(FIRST_GUESS_FILL * 8.0 * BLOCK_ROOM_BYTES / bits_per_pixel(sigma_counts)))
     plan = roi.plan_strips(
         detection,
         view.mask.shape,
         half_width_px=half_width,
         margin_px=margin,
-        pixels_per_strip=min(pixels_per_strip, layout.MAX_STRIP_PIXELS),
+        pixels_per_strip=pixels_per_strip(sigma_counts, BLOCK_ROOM_BYTES),
     )
     if not codec.lossless:
         detection = replace(detection, flags=detection.flags | StreakFlag.LOSSY)
+
+    def cut(geometry: roi.StripGeometry, level: int) -> Strip:
+        return roi.cut_strip(geometry, counts.pixels, counts.dark, level)
+
+    return code_strips(
+        detection, plan, cut, view.background, counts.adu_scale, counts.adu_offset, codec, room_bytes=BLOCK_ROOM_BYTES
+    )
+
+
+def code_strips(
+    detection: Detection,
+    plan: Sequence[roi.StripGeometry],
+    cut: Callable[[roi.StripGeometry, int], Strip],
+    background: BackgroundModel,
+    adu_scale: float,
+    adu_offset: float,
+    codec: Encoder,
+    *,
+    room_bytes: int,
+) -> CodedRoi:
+    """Strips as planned, split until each one's block fits into `room_bytes`. cut : the pixels of a strip, around a level."""
     strips, payloads = [], []
     waiting = list(reversed(plan))
     while waiting:
         geometry = waiting.pop()
-        level_adu, noise_adu = roi.sky_at(view.background, geometry)
-        level = round((level_adu - counts.adu_offset) / counts.adu_scale)
-        sigma = float(np.float32(noise_adu / counts.adu_scale))
-        strip = roi.cut_strip(geometry, counts.pixels, counts.dark, level)
+        level_adu, noise_adu = roi.sky_at(background, geometry)
+        level = round((level_adu - adu_offset) / adu_scale)
+        sigma = float(np.float32(noise_adu / adu_scale))
+        strip = cut(geometry, level)
         block = encoded(codec, strip.values_adu.astype(np.int32, copy=False), level, sigma)
-        if len(block) > BLOCK_ROOM_BYTES:
+        if len(block) > room_bytes:
             if geometry.n * geometry.width == 1:
                 raise PluginError(f"codec {type(codec).__name__}: {len(block)} bytes for one pixel")
             waiting.extend(reversed(roi.split(geometry)))

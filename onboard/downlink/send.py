@@ -1,14 +1,16 @@
 """Everything that a frame gave into its outbox, in order of priority: stars, ROIs, stars under them, sky, picture, header."""
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from onboard.downlink import packets
 from onboard.downlink.budget import Outbox, packet_bytes, within_limits
+from onboard.downlink.kept_counts import KeptCounts
 from onboard.downlink.roi_coding import CodedRoi, code_roi
 from onboard.downlink.thumbnail import thumbnail
+from onboard.downlink.track_coding import code_member
 from onboard.downlink.whole_frame import frame_payloads
 from onboard.image.calibrate import Counts
 from onboard.options import DownlinkOptions, OnboardOptions, RoiOptions
@@ -18,7 +20,7 @@ from sboc_e2e.icd.downlink import Housekeeping
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.layout import HEADER_FIXED, TELEMETRY, Apid
-from sboc_e2e.icd.signals import Detection, DetectorView, RoiGroup
+from sboc_e2e.icd.signals import Detection, DetectorView, RoiGroup, Track
 from sboc_e2e.icd.steps import Encoder
 
 REMEMBERED_ITEM = 1
@@ -42,6 +44,38 @@ class Content:
     previous: FrameHeader | None
     frames_done: int
     codec: Encoder
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrackPixels:
+    """What strips of tracks are cut from, frame by frame, oldest first. sent : (track, frame) of the members sent so far."""
+
+    kept: tuple[KeptCounts, ...] = ()
+    sent: tuple[tuple[int, int], ...] = ()
+
+    def after(self, frame: KeptCounts, window_frames: int) -> "TrackPixels":
+        """With one frame more, at most as many as the window has."""
+        kept = (*self.kept, frame)[-window_frames:]
+        oldest = kept[0].header.frame
+        return replace(self, kept=kept, sent=tuple(place for place in self.sent if place[1] >= oldest))
+
+
+def send_tracks(
+    tracks: Sequence[Track], pixels: TrackPixels, outbox: Outbox, codec: Encoder, options: RoiOptions, psf_sigma_px: float
+) -> TrackPixels:
+    """Members of tracks that were not sent yet, best tracks first, as far as they fit; what was sent is noted."""
+    frames = {kept.header.frame: kept for kept in pixels.kept}
+    sent, item = list(pixels.sent), 0
+    for track in sorted(tracks, key=lambda t: -t.snr):
+        for member in track.members:
+            place = (track.number, member.frame)
+            if place in sent or member.frame not in frames:
+                continue
+            coded = code_member(track, member, frames[member.frame], codec, options, psf_sigma_px)
+            if coded.payloads and outbox.offer(Apid.TRACK, coded.payloads, item=item):
+                sent.append(place)
+                item += 1
+    return replace(pixels, sent=tuple(sent))
 
 
 def send(content: Content, outbox: Outbox, options: OnboardOptions) -> tuple[Housekeeping, tuple[RoiGroup, ...]]:

@@ -46,3 +46,43 @@ def screen(
     if len(found.lost):
         typer.echo(f"{len(found.lost)} objects have no state at some epoch (decayed, or elements that SGP4 refuses)")
     typer.echo(out)
+
+
+objects_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="The object catalogue: orbits with their history.")
+app.add_typer(objects_app, name="objects")
+
+Store = Annotated[str, typer.Option("--store", help="SQLite file or URL such as postgresql+pg8000://user@host/name")]
+
+
+@objects_app.command()
+def add(
+    ephemeris: Annotated[Path, typer.Argument(help="precise orbits: SP3 (also .Z) or CPF")],
+    name: Annotated[list[str] | None, typer.Option("--object", help="only this one, such as G01; may be repeated")] = None,
+    store: Store = "objects.db",
+) -> None:
+    """Fit orbits to a precise ephemeris and put them into the catalogue."""
+    from sboc_e2e.objects.catalogue import add_precise
+
+    typer.echo("\n".join(add_precise(store, ephemeris, name or [])))
+
+
+@objects_app.command(name="list")
+def list_objects(store: Store = "objects.db") -> None:
+    """What the catalogue holds, and how good its orbits are."""
+    from sboc_e2e.objects.catalogue import state_lines
+
+    typer.echo("\n".join(state_lines(store)))
+
+
+@objects_app.command()
+def export(
+    kind: Annotated[str, typer.Option("--as", help="opm, oem, omm or parquet")],
+    out: Annotated[Path, typer.Option("--out", help="folder")],
+    store: Store = "objects.db",
+    originator: Annotated[str, typer.Option("--originator", help="of the messages")] = "SBOC-E2E",
+    days: Annotated[float, typer.Option("--days", help="length of an OEM from the epoch on")] = 1.0,
+) -> None:
+    """Write the current orbits as messages or tables."""
+    from sboc_e2e.objects.catalogue import export as execute
+
+    typer.echo(f"{execute(store, kind, out, originator, days)} files in {out}")

@@ -46,16 +46,16 @@ def finding(step: Any) -> Iterator[Verdict]:
 
 def _score(step: Any) -> str:
     """Completeness and false detections in words. Raises `Failed` when no trail is found."""
-    chain = _chain(step)
+    chain = chain_with(detector=step)
     state = chain.initial_state()
-    stars = _stars()
+    stars = star_light()
     footprints = RoiFootprints()
     truth: list[TruthStreak] = []
     for number in range(LEAD + FRAMES):
         rng = np.random.default_rng([31, number])
         mine = _trails(number - LEAD, rng, len(truth)) if number >= LEAD else []
         truth += mine
-        state, result = chain.process(state, _frame(number, stars, mine, rng))
+        state, result = chain.process(state, frame_of(number, stars, mine, rng))
         if number >= LEAD:
             footprints.add_frame(number, SHAPE, result.rois, mine)
     found = [t for t in truth if footprints.captured[t.index] >= FLUX_HELD]
@@ -68,8 +68,8 @@ def _score(step: Any) -> str:
     return f"{', '.join(by_snr)}; completeness {share}; {alarms}"
 
 
-def _chain(step: Any) -> OnboardChain:
-    """The on-board chain with default steps around the detector."""
+def chain_with(**tried: Any) -> OnboardChain:
+    """The on-board chain with default steps around those that are tried."""
     rows, cols = SHAPE
     camera = NominalCamera(
         name="exam", rows=rows, cols=cols, focal_px=44444.0, center_row=(rows - 1) / 2, center_col=(cols - 1) / 2,
@@ -81,13 +81,14 @@ def _chain(step: Any) -> OnboardChain:
     registry = Registry()
     others = {
         name: registry.resolve(f"onboard.{name}", SEAMS[f"onboard.{name}"].default)()
-        for name in ("background", "star_extractor", "codec")
+        for name in ("background", "star_extractor", "detector", "codec")
+        if name not in tried
     }
-    steps = OnboardSteps(detector=step, **others)
+    steps = OnboardSteps(**tried, **others)
     return OnboardChain(OnboardOptions(), steps, calibration=calibration, camera=camera, run_id=1)
 
 
-def _stars() -> NDArray[np.float64]:
+def star_light() -> NDArray[np.float64]:
     """Mean electrons of sky and stars, of fluxes from 200 to 20,000 e-, as many for each factor."""
     rng = np.random.default_rng(37)
     rows, cols = np.mgrid[: SHAPE[0], : SHAPE[1]]
@@ -116,7 +117,7 @@ def _trails(frame: int, rng: np.random.Generator, first: int) -> list[TruthStrea
     return made
 
 
-def _frame(number: int, mean_e: NDArray[np.float64], trails: list[TruthStreak], rng: np.random.Generator) -> Frame:
+def frame_of(number: int, mean_e: NDArray[np.float64], trails: list[TruthStreak], rng: np.random.Generator) -> Frame:
     """A frame of stars and trails with photon and read noise."""
     light = mean_e.copy()
     for each in trails:

@@ -19,6 +19,7 @@ class FrameFlag(IntFlag):
     STORM = 1 << 9
     REPEATED_FRAME = 1 << 10
     EMPTY_SIGNAL = 1 << 11
+    TRACKS_ENDED = 1 << 13
     PACKETS_MISSING = 1 << 16
     NO_SOLUTION = 1 << 17
     ATTITUDE_FROM_SOLVER = 1 << 18
@@ -92,6 +93,7 @@ FLAG_TEXT: Final[dict[str, dict[str, str]]] = {
         "STORM": "particle storm: the detection threshold or rate limit was adapted",
         "REPEATED_FRAME": "same pixels or frame number as the frame before",
         "EMPTY_SIGNAL": "all pixels are equal",
+        "TRACKS_ENDED": "nothing is tracked across from the frame before: gap, repeated frame, slew, other exposure or no stars",
         "PACKETS_MISSING": "packets of this frame did not arrive intact",
         "NO_SOLUTION": "the attitude could not be solved; no sky positions",
         "ATTITUDE_FROM_SOLVER": "attitude found without telemetry",

@@ -43,6 +43,7 @@ class Apid(IntEnum):
     BACKGROUND = 0x103
     THUMBNAIL = 0x104
     FRAME = 0x105
+    TRACK = 0x106
 
 
 class CodecNumber(IntEnum):
@@ -84,6 +85,13 @@ HAS_OBSERVER: Final = 2
 ROI_GROUP = struct.Struct(">fffffHf")
 """In each ROI packet: row0, col0, row1, col1, snr, flags (low 16 bits), sagitta_px of the detection.
 The item number of the packet is the roi_id, its segment the strip's number."""
+
+TRACK_MEMBER = struct.Struct(">IIqfiHH")
+"""In each TRACK packet: number of the track in the run | frame, t_start_tai_ns of the member's frame, which is the packet's own
+or an earlier one | joint S/N | roi_id of the member among that frame's ROI packets, `TRACK_STRIP_FOLLOWS` when its pixels were
+not sent before and follow here as in a ROI packet, each segment of the item a strip | members of the track so far | reserved."""
+
+TRACK_STRIP_FOLLOWS: Final = -1
 
 STRIP = struct.Struct(">BBHHHiiifI")
 """Codec number | axis | major0 | n | width | minor0_fp | slope_fp | level ADU | sigma ADU | block length in bytes."""

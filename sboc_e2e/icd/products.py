@@ -169,6 +169,8 @@ class StreakMeasurement:
     mag_at_1deg_s: float = float("nan")
     mag_at_1deg_s_err: float = float("nan")
     turn_rad_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
+    track: int = -1
+    """Number of the on-board track over several frames that it is a member of; -1: of none."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -3,6 +3,7 @@
 Each function raises a `ContractError` that says what was expected and what came.
 """
 
+from collections.abc import Mapping
 from typing import Any, Final
 
 import numpy as np
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import ContractError
 from sboc_e2e.icd.layout import STAR_POSITION_OFFSET_PX
-from sboc_e2e.icd.signals import BackgroundModel, Detection, StarList
+from sboc_e2e.icd.signals import BackgroundModel, Detection, StarList, Track
 
 OUTSIDE_TOLERANCE_PX: Final = 2.0
 """A detection's end may lie this far outside the frame: PSF centres of trails that touch the edge do."""
@@ -62,6 +63,19 @@ def check_detections(found: Any, shape: tuple[int, ...]) -> None:
             raise ContractError(f"detection.snr: expected a value in [0, {LARGEST_SNR:g}], got {detection.snr:g}")
         if not abs(detection.sagitta_px) <= max(shape):
             raise ContractError(f"detection.sagitta_px: expected a value within +-{max(shape)}, got {detection.sagitta_px:g}")
+
+
+def check_tracks(found: Any, window: Mapping[int, tuple[int, int]]) -> None:
+    """Tracks with members in the window's frames (rows and columns by number), numbers of their own, ends within the frame."""
+    _check_type(found, tuple, list)
+    for track in found:
+        _check_type(track, Track)
+        if not 0.0 <= track.snr <= LARGEST_SNR:
+            raise ContractError(f"track.snr: expected a value in [0, {LARGEST_SNR:g}], got {track.snr:g}")
+        for member in track.members:
+            if member.frame not in window:
+                raise ContractError(f"track.members: expected frames of the window, {sorted(window)}, got {member.frame}")
+            check_detections([member.detection], window[member.frame])
 
 
 def _check_type(found: Any, *wanted: type) -> None:

@@ -1,7 +1,7 @@
 """What the on-board software finds in a frame: background, stars, detections, strips of pixels."""
 
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,6 +116,75 @@ class DetectorView:
         object.__setattr__(self, "mask", validate.array("view.mask", self.mask, np.uint8, shape))
 
 
+UNKNOWN: Final = -128
+"""Code of a pixel of `Searched.smooth` of which nothing is known."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Searched:
+    """What a detector's search of a frame leaves for a tracker.
+
+    smooth : (rows, cols) int8, the image without its stars after the PSF's matched filter, 16 for one sigma; `UNKNOWN` where
+    pixels are masked or stars bright. seeds : (n, 5) float64 row0, col0, row1, col1 (px) and S/N of segments too faint to be
+    detections, and of those that are.
+    """
+
+    smooth: NDArray[np.int8]
+    seeds: NDArray[np.float64]
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "smooth", validate.array("searched.smooth", self.smooth, np.int8, (None, None)))
+        object.__setattr__(self, "seeds", validate.array("searched.seeds", self.seeds, np.float64, (None, 5)))
+
+    @classmethod
+    def empty(cls, shape: tuple[int, ...]) -> "Searched":
+        """Nothing known, nothing found."""
+        return cls(smooth=np.full(shape, UNKNOWN, np.int8), seeds=np.zeros((0, 5)))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class TrackerView:
+    """Everything a tracker may look at of a frame.
+
+    view : as the detector saw it. detections : what it found. searched : what its search left, None where it leaves nothing.
+    transform : (2, 3) map of (row, col) of the frame before into this one, from their stars; None where nothing may be linked
+    across: at the first frame, after a gap, a repeated frame, a slew or a change of exposure.
+    """
+
+    view: DetectorView
+    detections: tuple[Detection, ...]
+    searched: Searched | None
+    transform: NDArray[np.float64] | None
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrackMember:
+    """A track in one of its frames. detection : its ends by growing time, its own S/N in that frame."""
+
+    frame: int
+    detection: Detection
+
+
+@dataclass(frozen=True, kw_only=True)
+class Track:
+    """One object over several frames.
+
+    number : of the object in the run; a track that is found again keeps it. snr : joint matched-filter S/N of the members.
+    members : in the order of frames, one each, two or more, none before the window.
+    """
+
+    number: int
+    snr: float
+    members: tuple[TrackMember, ...]
+
+    def __post_init__(self) -> None:
+        validate.within("track.number", self.number, 0, 2**31 - 1)
+        validate.finite("track.snr", self.snr)
+        frames = [member.frame for member in self.members]
+        if len(frames) < 2 or frames != sorted(set(frames)):
+            raise ContractError(f"track.members: expected two or more frames in rising order, got {frames[:20]}")
+
+
 FIXED_POINT = 1 << 16
 """Strips give minor-axis positions in units of 1/65536 px."""
 
@@ -173,3 +242,7 @@ class RoiGroup:
     strips: tuple[Strip, ...]
     n_strips: int
     """How many strips were sent; fewer in `strips` means that packets are missing."""
+    track: int = -1
+    """Number of the track over several frames that it is a member of; -1: of none."""
+    track_snr: float = 0.0
+    """Joint S/N of that track."""

@@ -22,7 +22,7 @@ from sboc_e2e.icd.products import (
     StreakPixels,
     Tracklet,
 )
-from sboc_e2e.icd.signals import BackgroundModel, Detection, DetectorView, StarList
+from sboc_e2e.icd.signals import BackgroundModel, Detection, DetectorView, Searched, StarList, Track, TrackerView
 
 
 @runtime_checkable
@@ -65,6 +65,44 @@ class SelectiveMemory(Protocol):
 
     def remembered(self, view: DetectorView) -> Any:
         """What `DetectorView.history` shall hold of this view: picklable, with no reference to the view's arrays."""
+        ...
+
+
+@runtime_checkable
+class SeedingDetector(Protocol):
+    """Optional part of a detector that trackers can go on from: its search leaves segments fainter than its threshold."""
+
+    def search(self, view: DetectorView, seed_sigma: float) -> tuple[tuple[Detection, ...], Searched]:
+        """The detections that `detect` returns for the view, and segments of S/N `seed_sigma` or more."""
+        ...
+
+
+@runtime_checkable
+class Tracker(Protocol):
+    """`onboard.tracker`: objects over several frames, those among them that no single frame shows.
+
+    The chain keeps the pixels of the last `window_frames` frames and sends strips of a track's members from them.
+    """
+
+    @property
+    def window_frames(self) -> int:
+        """How many frames, the newest included, a track may span; 0: nothing is tracked and nothing kept."""
+        ...
+
+    @property
+    def seed_sigma(self) -> float:
+        """Least S/N of the segments that the detector shall leave."""
+        ...
+
+    def initial_state(self) -> Any:
+        """State before the first frame; picklable."""
+        ...
+
+    def track(self, state: Any, view: TrackerView) -> tuple[Any, tuple[Track, ...]]:
+        """New state, and the tracks found or found again with this frame; members lie in the last `window_frames` frames.
+
+        Frames come in order. Without a transform nothing of earlier frames may be used.
+        """
         ...
 
 

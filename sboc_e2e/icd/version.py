@@ -3,7 +3,7 @@
 from typing import Final
 
 CONTRACT_MAJOR: Final = 2
-CONTRACT_MINOR: Final = 2
+CONTRACT_MINOR: Final = 3
 CONTRACT_VERSION: Final = f"{CONTRACT_MAJOR}.{CONTRACT_MINOR}"
 
 HISTORY: Final = (
@@ -22,6 +22,11 @@ HISTORY: Final = (
         "have their pieces, the source of each row, its correlation, motion angle, shared and pointing errors, interval and "
         "scatter of the magnitude; they and the table of angles say what the camera's turning puts into both ends of a frame; "
         "streak fits say why they failed",
+    ),
+    (
+        "2.3",
+        "track packets: members of objects seen over several frames, with their pixels where no region was sent of them; regions "
+        "and streaks have the number of their track; frames say where tracking could not go on",
     ),
 )
 """The major number grows when a decoder of the version before would take something for what it is not, the minor one when it

@@ -22,6 +22,7 @@ def onboard_chain(scenario: Scenario, *, calibration: Calibration | None, camera
         background=scenario.step("onboard.background"),
         star_extractor=scenario.step("onboard.star_extractor"),
         detector=scenario.step("onboard.detector"),
+        tracker=scenario.step("onboard.tracker"),
         codec=scenario.step("onboard.codec"),
     )
     return OnboardChain(scenario.onboard, steps, calibration=calibration, camera=camera, run_id=run_id)

@@ -66,6 +66,14 @@ class AsBuiltOptions:
     )
     distortion: float = field(default=0.02, metadata={"doc": "relative error of k1, k2 and SIP", "min": -1.0, "max": 1.0})
     zero_point_mag: float = field(default=0.04, metadata={"doc": "the built camera is brighter by this", "min": -2.0, "max": 2.0})
+    colour_term: float = field(
+        default=0.0,
+        metadata={"doc": "mag of V for 1 mag of B-V by which the camera file's colour term is off", "min": -1.0, "max": 1.0},
+    )
+    drawn: bool = field(
+        default=False,
+        metadata={"doc": "drawn by the seed, normal with these values (and those of gains and seeing) as sigmas"},
+    )
     psf_width: float = field(default=0.02, metadata={"doc": "relative error of the PSF width", "min": -0.5, "max": 0.5})
 
 

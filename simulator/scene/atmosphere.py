@@ -33,6 +33,9 @@ class AtmosphereOptions:
     )
     extinction_mag: float = field(default=0.15, metadata={"doc": "extinction for each air mass", "min": 0.0, "max": 5.0})
     seeing_arcsec: float = field(default=1.5, metadata={"doc": "FWHM at the zenith", "min": 0.0, "max": 60.0})
+    seeing_error: float = field(
+        default=0.0, metadata={"doc": "the night's seeing over that of the camera file, less 1", "min": -0.5, "max": 5.0}
+    )
     scintillation: bool = field(default=True, metadata={"doc": "stars and objects scintillate"})
     image_motion: bool = field(default=True, metadata={"doc": "objects wander in the seeing disc during an exposure"})
     wind_m_s: float = field(

@@ -7,6 +7,7 @@ import numpy as np
 from astropy import units as u
 from astropy_healpix import HEALPix
 from numpy.typing import NDArray
+from scipy.special import ndtri
 
 from sboc_e2e.catalogue import StarCatalogue, Stars
 from sboc_e2e.icd.errors import UserError
@@ -22,6 +23,8 @@ _COUNT_MAG: Final = np.array([7.5, 9.0, 10.5, 12.0, 13.75, 15.5, 16.75, 18.0])
 _COUNT_DEG2: Final = np.array([0.65, 4.05, 14.2, 55.4, 249.0, 972.0, 2366.0, 5345.0])
 DWARFS_FROM_H: Final = 8.5
 """Reduced proper motion that parts red dwarfs from red giants."""
+_COMPANION: Final = 1 << 61
+"""Added to the number of a star for that of its companion."""
 _CACHE_MARGIN_DEG: Final = 0.5
 
 
@@ -42,6 +45,15 @@ class StarOptions:
         metadata={"doc": "factor on the catalogue's quoted errors by which the true sky is displaced", "min": 0.0, "max": 100.0},
     )
     colours: bool = field(default=True, metadata={"doc": "flux follows a star's colour; off: all have the Sun's"})
+    companion_share: float = field(
+        default=0.0,
+        metadata={"doc": "share of stars with an unlisted companion 2 to 60 arcsec away (Opik's law)", "min": 0.0, "max": 1.0},
+    )
+    variable_share: float = field(
+        default=0.0,
+        metadata={"doc": "share of stars that are not as bright as their catalogue says (variables)", "min": 0.0, "max": 1.0},
+    )
+    variable_amplitude_mag: float = field(default=0.1, metadata={"doc": "median amplitude of variables", "min": 0.0, "max": 5.0})
     faint_limit_mag: float = field(default=16.0, metadata={"doc": "V of the faintest synthetic stars", "min": 0.0, "max": 18.0})
 
 
@@ -124,14 +136,52 @@ class StarSky:
         v_mag = np.concatenate([stars.v_mag, faint_v]).astype(np.float32)
         b_v = np.concatenate([stars.b_v, faint_b_v]).astype(np.float32)
         camera = self.instrument
+        direction_of = np.concatenate([bright, faint_direction])
+        identity = np.concatenate([stars.source_id, faint_id])
+        seen_mag = v_mag.astype(np.float64) + self._variation_mag(identity)
         giant = np.concatenate([giants(stars, self.catalogue.name), np.zeros(len(faint_v), dtype=np.bool_)])
         colour = camera.colour_factor(b_v.astype(np.float64), giant) if self.options.colours else 1.0
-        return StarField(
-            direction=np.concatenate([bright, faint_direction]),
-            flux_e_s=camera.true_zero_point_e_s * 10.0 ** (-0.4 * v_mag.astype(np.float64)) * colour,
-            star_id=np.concatenate([stars.source_id, faint_id]),
+        found = StarField(
+            direction=direction_of,
+            flux_e_s=camera.true_zero_point_e_s * 10.0 ** (-0.4 * seen_mag) * colour,
+            star_id=identity,
             v_mag=v_mag,
             b_v=b_v,
+        )
+        return self._with_companions(found)
+
+    def _variation_mag(self, identity: NDArray[np.int64]) -> Array:
+        """Magnitude of stars less that of the catalogue: sines of variables at a random phase, fixed for each star."""
+        if self.options.variable_share == 0.0:
+            return np.zeros(len(identity))
+        chosen, amplitude, phase = uniforms(identity, seed_word(self.seed, Effect.COMPANIONS, 0), 3)
+        peak = self.options.variable_amplitude_mag * np.exp(0.8 * ndtri(amplitude))
+        return np.where(chosen < self.options.variable_share, peak * np.sin(2.0 * np.pi * phase), 0.0)
+
+    def _with_companions(self, stars: StarField) -> StarField:
+        """Stars, then their unlisted companions: even in the logarithm of the distance (Opik 1924), 0.5 to 6 mag fainter.
+
+        A companion brighter than the catalogue's depth would be listed: it is left out.
+        """
+        if self.options.companion_share == 0.0:
+            return stars
+        chosen, apart, angle, fainter = uniforms(stars.star_id, seed_word(self.seed, Effect.COMPANIONS, 1), 4)
+        drop_mag = 0.5 + 5.5 * fainter
+        index = np.flatnonzero((chosen < self.options.companion_share) & (stars.v_mag + drop_mag > self.catalogue.v_max))
+        radius = np.exp(np.log(2.0) + apart[index] * np.log(30.0)) * 1e3 * MAS_RAD
+        first = stars.direction[index]
+        east = np.stack([-first[:, 1], first[:, 0], np.zeros(len(first))], axis=-1)
+        east /= np.maximum(np.linalg.norm(east, axis=-1, keepdims=True), 1e-12)
+        turn = 2.0 * np.pi * angle[index][:, None]
+        moved = first + radius[:, None] * (np.cos(turn) * east + np.sin(turn) * np.cross(first, east))
+        moved /= np.linalg.norm(moved, axis=-1, keepdims=True)
+        identity = -(np.abs(stars.star_id[index]) + _COMPANION)
+        return StarField(
+            direction=np.concatenate([stars.direction, moved]),
+            flux_e_s=np.concatenate([stars.flux_e_s, stars.flux_e_s[index] * 10.0 ** (-0.4 * drop_mag[index])]),
+            star_id=np.concatenate([stars.star_id, identity]),
+            v_mag=np.concatenate([stars.v_mag, stars.v_mag[index] + drop_mag[index].astype(np.float32)]),
+            b_v=np.concatenate([stars.b_v, stars.b_v[index]]),
         )
 
     def _faint_around(
@@ -186,6 +236,15 @@ def giants(stars: Stars, catalogue: str) -> NDArray[np.bool_]:
         return np.ones(len(stars), dtype=np.bool_)
     motion_arcsec_yr = 1e-3 * np.hypot(stars.pm_ra_mas_yr, stars.pm_dec_mas_yr)
     return np.asarray(stars.v_mag + 5.0 * np.log10(np.maximum(motion_arcsec_yr, 1e-6)) + 5.0 < DWARFS_FROM_H)
+
+
+def uniforms(identity: NDArray[np.int64], word: int, n: int) -> list[Array]:
+    """n uniform numbers for each star, decided by its own number and a seed word."""
+    bits, out = _hash64(identity.astype(np.uint64) ^ np.uint64(word)), []
+    for _ in range(n):
+        bits = _hash64(bits)
+        out.append(((bits >> np.uint64(11)).astype(np.float64) + 0.5) * 2.0**-53)
+    return out
 
 
 def displaced(direction: Array, identity: NDArray[np.int64], sigma_rad: Array, word: int) -> Array:

@@ -55,7 +55,7 @@ def reduce_calibration(
         pixels.column_e,
         *illumination,
         flat_e,
-        (converter.gain_e_adu, float(converter.pedestal_adu), converter.full_well_e, converter.nonlinearity),
+        (converter.true_gain_e_adu, float(converter.pedestal_adu), converter.full_well_e, converter.nonlinearity),
         (float(calibration.dark_frames), float(calibration.flat_frames)),
         np.uint64(word),
         NORMAL_TABLE,
@@ -63,7 +63,7 @@ def reduce_calibration(
         flat,
     )
     row, col, jump_e = jumps
-    dark_adu[row, col] += jump_e / np.float32(converter.gain_e_adu)
+    dark_adu[row, col] += jump_e / np.float32(converter.true_gain_e_adu)
     median_noise_adu = pixels.median_noise_e / converter.gain_e_adu
     typical_adu = float(np.median(dark_adu[::13, ::7]))
     defects = np.zeros(flat.shape, dtype=np.uint8)

@@ -50,15 +50,16 @@ def convert_row(
     row_e: float,
     key: np.uint64,
     normals: NDArray[np.float32],
-    chain: tuple[float, float, float, float, float, float, bool, float, float],
+    chain: tuple[float, float, float, float, float, float, bool, float, float, float, float],
     out: NDArray[np.uint16],
 ) -> None:
     """ADU of one row: full well, non-linearity, read noise, two amplifiers with a converter each, merged.
 
     chain : full well (e-), loss per electron (1/e-), high gain (e-/ADU), highest code, code from which the low-gain channel is
-        used, pedestal (ADU), whether there is one, low gain (e-/ADU), its read noise (e-).
+        used, pedestal (ADU), whether there is one, low gain (e-/ADU), its read noise (e-); high and low gain as the merging takes
+        them (e-/ADU).
     """
-    full_well, bend, gain, top, handover, pedestal, dual, low_gain, low_noise = chain
+    full_well, bend, gain, top, handover, pedestal, dual, low_gain, low_noise, known_gain, known_low_gain = chain
     inverse_gain = 1.0 / gain
     position = key
     for c in range(charge_e.size):
@@ -72,7 +73,7 @@ def convert_row(
         elif dual and code >= handover:
             low = signal + low_noise * normal(mix(position ^ key), normals)
             code = min(max(math.floor(low / low_gain + pedestal + 0.5), 0.0), top)
-            code = min(math.floor((code - pedestal) * low_gain * inverse_gain + pedestal + 0.5), 65535.0)
+            code = min(math.floor((code - pedestal) * known_low_gain / known_gain + pedestal + 0.5), 65535.0)
         elif code > top:
             code = top
         out[c] = np.uint16(code)
@@ -90,6 +91,7 @@ def digitise_rows(
     noise_of: NDArray[np.float64],
     column_e: NDArray[np.float64],
     row_noise_e: float,
+    row_offset_e: NDArray[np.float64],
     hit_start: NDArray[np.int64],
     hit_col: NDArray[np.int32],
     hit_e: NDArray[np.float32],
@@ -98,7 +100,7 @@ def digitise_rows(
     tables: NDArray[np.uint64],
     first: NDArray[np.float64],
     normals: NDArray[np.float32],
-    chain: tuple[float, float, float, float, float, float, bool, float, float],
+    chain: tuple[float, float, float, float, float, float, bool, float, float, float, float],
     out: NDArray[np.uint16],
 ) -> None:
     """Rows of a CMOS detector, each from light to ADU while it stays in the processor's cache.
@@ -106,7 +108,7 @@ def digitise_rows(
     mean_e : (n, cols) mean photo-electrons; `first_row` is the detector row of the first.
     response, dark, noise : (n, cols) classes of the pixels; *_of : what a class means (relative response, mean dark
         electrons of this exposure, read noise in electrons).
-    column_e : (cols,) fixed offsets; row_noise_e : sigma of the offset of each row.
+    column_e : (cols,) fixed offsets; row_noise_e : sigma of the offset of each row, beside row_offset_e, (n,).
     hit_start : (n + 1,) first extra charge of each row in hit_col, hit_e (radiation, telegraph jumps).
     words : of shot noise, read noise, row noise. chain : see `convert_row`.
     """
@@ -121,7 +123,7 @@ def digitise_rows(
         )  # fmt: skip
         for h in range(hit_start[r], hit_start[r + 1]):
             charge_e[hit_col[h]] += hit_e[h]
-        row_e = row_noise_e * normal(draw(row_key(row_word, row), 0), normals)
+        row_e = row_noise_e * normal(draw(row_key(row_word, row), 0), normals) + row_offset_e[r]
         convert_row(charge_e, noise[r], noise_of, column_e, row_e, row_key(read_word, row), normals, chain, out[r])
 
 
@@ -162,16 +164,17 @@ def convert_rows(
     noise_of: NDArray[np.float64],
     column_e: NDArray[np.float64],
     row_noise_e: float,
+    row_offset_e: NDArray[np.float64],
     words: tuple[np.uint64, np.uint64, np.uint64],
     normals: NDArray[np.float32],
-    chain: tuple[float, float, float, float, float, float, bool, float, float],
+    chain: tuple[float, float, float, float, float, float, bool, float, float, float, float],
     out: NDArray[np.uint16],
 ) -> None:
     """The second half of `digitise_rows` alone."""
     _, read_word, row_word = words
     for r in range(charge_e.shape[0]):
         row = first_row + r
-        row_e = row_noise_e * normal(draw(row_key(row_word, row), 0), normals)
+        row_e = row_noise_e * normal(draw(row_key(row_word, row), 0), normals) + row_offset_e[r]
         convert_row(charge_e[r], noise[r], noise_of, column_e, row_e, row_key(read_word, row), normals, chain, out[r])
 
 

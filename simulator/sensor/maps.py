@@ -33,11 +33,15 @@ class FixedPattern:
 
     telegraph_row, telegraph_col, telegraph_e : pixels that jump, sorted by row, and the height of their jump in electrons.
     column_e : (cols,) fixed offset of each column in electrons.
+    aged_row, aged_col, aged_class : pixels that became hot since the calibration frames, and their dark class before.
     """
 
     response: NDArray[np.uint8]
     dark: NDArray[np.uint8]
     noise: NDArray[np.uint8]
+    aged_row: NDArray[np.int64]
+    aged_col: NDArray[np.int64]
+    aged_class: NDArray[np.uint8]
     telegraph_row: NDArray[np.int32]
     telegraph_col: NDArray[np.int32]
     telegraph_e: NDArray[np.float32]
@@ -96,11 +100,18 @@ def draw_fixed_pattern(options: SensorOptions, rows: int, cols: int, seed: int) 
     response.ravel()[_draw_pixels(rng, rows * cols, options.dark.dead_fraction)] = 0
     telegraph = np.sort(_draw_pixels(rng, rows * cols, options.telegraph.fraction))
     jump = options.telegraph.amplitude_e * np.exp(0.7 * rng.standard_normal(telegraph.size))
+    aged = _draw_pixels(rng, rows * cols, min(options.dark.hot_growth_per_year * options.calibration.age_years, 0.5))
+    before = dark.ravel()[aged].copy()
+    deviate = np.clip(rng.standard_normal(aged.size), -2.49, 2.49)
+    dark.ravel()[aged] = (_HOT[0] + (deviate + 2.5) / 5.0 * (_HOT[1] - _HOT[0])).astype(np.uint8)
     column = options.readout.column_offset_e * generator(seed, Effect.SENSOR_MAP, block=3).standard_normal(cols)
     return FixedPattern(
         response=response,
         dark=dark,
         noise=noise,
+        aged_row=aged // cols,
+        aged_col=aged % cols,
+        aged_class=before,
         telegraph_row=(telegraph // cols).astype(np.int32),
         telegraph_col=(telegraph % cols).astype(np.int32),
         telegraph_e=jump.astype(np.float32),

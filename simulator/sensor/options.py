@@ -3,6 +3,7 @@
 from dataclasses import dataclass, field
 
 from sboc_e2e.icd.errors import UserError
+from simulator.sensor.structure import StructureOptions
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,6 +22,10 @@ class DarkOptions:
     warm_e_s: float = field(default=40.0, metadata={"doc": "median dark current of warm pixels", "min": 0.0, "max": 1e6})
     hot_fraction: float = field(default=5e-5, metadata={"doc": "share of hot pixels", "min": 0.0, "max": 0.5})
     hot_e_s: float = field(default=2000.0, metadata={"doc": "median dark current of hot pixels", "min": 0.0, "max": 1e7})
+    hot_growth_per_year: float = field(
+        default=0.0,
+        metadata={"doc": "share of pixels that displacement damage makes hot in a year of flight", "min": 0.0, "max": 0.1},
+    )
     dead_fraction: float = field(
         default=2e-5, metadata={"doc": "share of pixels that do not respond to light", "min": 0.0, "max": 0.5}
     )
@@ -75,7 +80,20 @@ class ConverterOptions:
         default=0.95,
         metadata={"doc": "share of the high channel's range above which the low one is used", "min": 0.1, "max": 1.0},
     )
+    gain_error: float = field(
+        default=0.0,
+        metadata={"doc": "true gain of the high channel over that of the camera file, less 1", "min": -0.5, "max": 0.5},
+    )
+    low_gain_error: float = field(
+        default=0.0,
+        metadata={"doc": "the same of the low channel: a seam where the channels meet", "min": -0.5, "max": 0.5},
+    )
     pedestal_adu: int = field(default=100, metadata={"doc": "offset that keeps noise above zero", "min": 0, "max": 10000})
+
+    @property
+    def true_gain_e_adu(self) -> float:
+        """Electrons per unit of the built high channel."""
+        return self.gain_e_adu * (1.0 + self.gain_error)
 
     def __post_init__(self) -> None:
         top = 2**self.bits - 1
@@ -116,6 +134,13 @@ class CalibrationOptions:
     dark_frames: int = field(default=64, metadata={"doc": "dark frames averaged", "min": 1, "max": 100000})
     flat_frames: int = field(default=64, metadata={"doc": "flat frames averaged", "min": 1, "max": 100000})
     flat_level: float = field(default=0.4, metadata={"doc": "flat level as a share of full well", "min": 0.01, "max": 0.9})
+    warmer_k: float = field(
+        default=0.0,
+        metadata={"doc": "temperature of the dark frames less that of the detector in flight", "min": -100.0, "max": 100.0},
+    )
+    age_years: float = field(
+        default=0.0, metadata={"doc": "years of flight since the calibration frames were taken", "min": 0.0, "max": 50.0}
+    )
     hot_sigma: float = field(
         default=6.0,
         metadata={"doc": "a dark signal this many read noises above the median is a defect", "min": 1.0, "max": 1000.0},
@@ -134,6 +159,10 @@ class CcdOptions:
             "max": 1e4,
         },
     )
+    transfer_loss: float = field(
+        default=0.0, metadata={"doc": "share of the charge left behind in each transfer (CTI)", "min": 0.0, "max": 1e-2}
+    )
+    transfer_tail_rows: float = field(default=3.0, metadata={"doc": "rows over which traps release it", "min": 0.1, "max": 1e3})
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -154,6 +183,9 @@ class SensorOptions:
     ccd: CcdOptions = field(default_factory=CcdOptions, metadata={"doc": "what only a CCD has"})
     telegraph: TelegraphOptions = field(default_factory=TelegraphOptions, metadata={"doc": "telegraph pixels"})
     readout: ReadoutOptions = field(default_factory=ReadoutOptions, metadata={"doc": "noise of the read-out chain"})
+    structure: StructureOptions = field(
+        default_factory=StructureOptions, metadata={"doc": "structure that is new in each frame, coupling, blooming"}
+    )
     converter: ConverterOptions = field(default_factory=ConverterOptions, metadata={"doc": "full well and conversion"})
     binning: BinningOptions = field(default_factory=BinningOptions, metadata={"doc": "binning"})
     window: WindowOptions = field(default_factory=WindowOptions, metadata={"doc": "read-out window"})

@@ -1,6 +1,6 @@
 """The sensor: mean photo-electrons in, ADU out, and what is known about it without looking at a frame."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
@@ -14,10 +14,14 @@ from simulator.sensor import digitise as passes
 from simulator.sensor.binning import bin_pixels, noise_factor
 from simulator.sensor.calibration import CalibrationMaps, reduce_calibration
 from simulator.sensor.counter import NORMAL_TABLE
-from simulator.sensor.maps import draw_fixed_pattern, pixel_model, telegraph_charge_e
+from simulator.sensor.maps import dark_rate_of_class_e_s, draw_fixed_pattern, pixel_model, telegraph_charge_e
 from simulator.sensor.options import SensorOptions
 from simulator.sensor.poisson import poisson_tables
 from simulator.sensor.statistics import entropy_table, mean_entropy_bits, pixel_variance
+from simulator.sensor.structure import bloom, column_offsets_e, couple, defer_charge, row_offsets_e
+
+BAND_ROWS = 256
+"""Rows of pixels that share their signal are made in bands, so that no whole frame of charge is held."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -127,14 +131,22 @@ class Sensor:
         if mean_e.shape[1] != self.window_cols or first_row + n > self.window_rows:
             raise UserError(f"sensor: image {mean_e.shape} does not fit the window {self.window_shape} at row {first_row}")
         binned = self.options.binning.rows * self.options.binning.cols > 1
-        if n != self.window_rows and (binned or self.options.type == "ccd"):
+        structure = self.options.structure
+        whole = binned or self.options.type == "ccd" or structure.coupling > 0.0
+        if n != self.window_rows and whole:
             raise UserError("sensor: a CCD or a binned sensor is digitised as a whole, not by blocks of rows")
         mean_e = np.ascontiguousarray(mean_e, dtype=np.float32)
         if self.options.type == "ccd":
             adu = self._read_ccd(mean_e, frame, exposure_s, hits or no_hits())
             return adu if self.on_chip_sum else bin_pixels(adu, self.options.binning, self._weight(exposure_s))
+        structure = self.options.structure
         part = np.s_[first_row : first_row + n]
         out = np.empty(mean_e.shape, dtype=np.uint16)
+        column_e = self._pixels.column_e + column_offsets_e(structure, self.seed, frame, self.window_cols)
+        row_e = row_offsets_e(structure, self.seed, frame, self.window_rows)[part]
+        if structure.coupling > 0.0:
+            self._digitise_coupled(mean_e, frame, exposure_s, hits or no_hits(), column_e, row_e, out)
+            return bin_pixels(out, self.options.binning, self._weight(exposure_s))
         passes.digitise_rows(
             mean_e,
             self.options.window.row0 + first_row,
@@ -144,8 +156,9 @@ class Sensor:
             self._pixels.response_of,
             self._pixels.dark_rate_of_e_s * exposure_s,
             self._pixels.noise_of_e,
-            self._pixels.column_e,
+            column_e,
             self.options.readout.row_noise_e,
+            row_e,
             *self._extra_charge(frame, hits or no_hits(), first_row, n),
             self._words(frame),
             self.options.shot_noise,
@@ -155,6 +168,11 @@ class Sensor:
             out,
         )
         return bin_pixels(out, self.options.binning, self._weight(exposure_s))
+
+    def overflow(self, mean_e: NDArray[np.float32]) -> None:
+        """Let light beyond the full well of a CMOS detector that blooms flow to neighbours, in place; before `digitise`."""
+        if self.options.type == "cmos" and self.options.structure.blooming > 0.0:
+            bloom(mean_e, self.options.converter.full_well_e, self.options.structure.blooming)
 
     def variance_e2(self, mean_e: ArrayLike, exposure_s: float, *, row0: int = 0, col0: int = 0) -> NDArray[np.float32]:
         """Noise variance of detector pixels in electrons squared: photons, dark current, read noise, quantisation.
@@ -221,9 +239,22 @@ class Sensor:
         inside = (row >= 0) & (row < self.window_rows) & (col >= 0) & (col < self.window_cols)
         jumps = (row[inside], col[inside], jump_e[inside].astype(np.float32))
         word = seed_word(self.seed, Effect.CALIBRATION)
+        then = replace(self.options, temperature_k=self.options.temperature_k + self.options.calibration.warmer_k)
+        pixels = replace(self._pixels, dark=self._dark_before(), dark_rate_of_e_s=dark_rate_of_class_e_s(then))
         return reduce_calibration(
-            self.options, self._pixels, exposure_s, illumination or even_illumination(self.window_shape), jumps, word
+            self.options, pixels, exposure_s, illumination or even_illumination(self.window_shape), jumps, word
         )
+
+    def _dark_before(self) -> NDArray[np.uint8]:
+        """Classes of dark current when the calibration frames were taken: without the pixels that have become hot since."""
+        pattern, window = self._pattern, self.options.window
+        row, col = pattern.aged_row - window.row0, pattern.aged_col - window.col0
+        inside = (row >= 0) & (row < self.window_rows) & (col >= 0) & (col < self.window_cols)
+        if not inside.any():
+            return self._pixels.dark
+        before = self._pixels.dark.copy()
+        before[row[inside], col[inside]] = pattern.aged_class[inside]
+        return before
 
     def _words(self, frame: int) -> tuple[np.uint64, np.uint64, np.uint64]:
         return (
@@ -232,19 +263,21 @@ class Sensor:
             np.uint64(seed_word(self.seed, Effect.ROW_COLUMN_NOISE, frame)),
         )
 
-    def _chain(self) -> tuple[float, float, float, float, float, float, bool, float, float]:
+    def _chain(self) -> tuple[float, float, float, float, float, float, bool, float, float, float, float]:
         converter = self.options.converter
         top = 2.0**converter.bits - 1.0
         return (
             converter.full_well_e,
             converter.nonlinearity / converter.full_well_e,
-            converter.gain_e_adu,
+            converter.true_gain_e_adu,
             top,
             converter.handover * top,
             float(converter.pedestal_adu),
             converter.dual_gain,
-            converter.low_gain_e_adu,
+            converter.low_gain_e_adu * (1.0 + converter.low_gain_error),
             self.options.readout.low_gain_read_noise_e,
+            converter.gain_e_adu,
+            converter.low_gain_e_adu,
         )
 
     def _extra_charge(
@@ -281,12 +314,17 @@ class Sensor:
             charge,
         )
         passes.bleed_columns(charge, self.options.converter.full_well_e)
-        noise, column = self._pixels.noise, self._pixels.column_e
+        if self.options.ccd.transfer_loss > 0.0:
+            defer_charge(charge, self.options.ccd.transfer_loss, self.options.ccd.transfer_tail_rows)
+        structure = self.options.structure
+        noise = self._pixels.noise
+        column = self._pixels.column_e + column_offsets_e(structure, self.seed, frame, self.window_cols)
+        row = row_offsets_e(structure, self.seed, frame, self.window_rows)
         if self.on_chip_sum:
             binning = self.options.binning
             rows, cols = self.window_rows // binning.rows, self.window_cols // binning.cols
             charge = np.ascontiguousarray(_blocks_of(charge, rows, cols, binning.rows, binning.cols).sum(axis=(1, 3)))
-            noise, column = noise[:rows, :cols], column[:cols]
+            noise, column, row = noise[:rows, :cols], column[:cols], row[:rows]
         out = np.empty(charge.shape, dtype=np.uint16)
         passes.convert_rows(
             charge,
@@ -295,12 +333,60 @@ class Sensor:
             self._pixels.noise_of_e,
             column,
             self.options.readout.row_noise_e,
+            row,
             words,
             NORMAL_TABLE,
             self._chain(),
             out,
         )
         return out
+
+    def _digitise_coupled(
+        self,
+        mean_e: NDArray[np.float32],
+        frame: int,
+        exposure_s: float,
+        hits: HitList,
+        column_e: NDArray[np.float64],
+        row_e: NDArray[np.float64],
+        out: NDArray[np.uint16],
+    ) -> None:
+        """A CMOS frame whose pixels share their signal: bands of rows, with a neighbour on either side, one after the other."""
+        words, rows = self._words(frame), self.window_rows
+        for first in range(0, rows, BAND_ROWS):
+            stop = min(first + BAND_ROWS, rows)
+            low, high = max(first - 1, 0), min(stop + 1, rows)
+            band, inner = np.s_[low:high], np.s_[first:stop]
+            charge = np.empty((high - low, self.window_cols))
+            signal = np.empty_like(charge)
+            passes.collect_rows(
+                mean_e[band],
+                self.options.window.row0 + low,
+                self._pixels.response[band],
+                self._pixels.dark[band],
+                self._pixels.response_of,
+                self._pixels.dark_rate_of_e_s * exposure_s,
+                *self._extra_charge(frame, hits, low, high - low),
+                words[0],
+                self.options.shot_noise,
+                *self._poisson,
+                NORMAL_TABLE,
+                charge,
+            )
+            couple(np.minimum(charge, self.options.converter.full_well_e), self.options.structure.coupling, signal)
+            passes.convert_rows(
+                signal[first - low : stop - low],
+                self.options.window.row0 + first,
+                self._pixels.noise[inner],
+                self._pixels.noise_of_e,
+                column_e,
+                self.options.readout.row_noise_e,
+                row_e[inner],
+                words,
+                NORMAL_TABLE,
+                self._chain(),
+                out[inner],
+            )
 
     def _weight(self, exposure_s: float) -> NDArray[np.float32] | None:
         """Inverse noise variance in the dark; dead pixels weigh nothing. Only where binning asks for it."""

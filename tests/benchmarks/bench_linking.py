@@ -150,6 +150,7 @@ def chance_streaks(
         log_odds=relative_log_odds(np.full(n, 0.5), rejected),
         mag=np.full(n, 10.0),
         mag_err=np.full(n, 0.1),
+        track=np.full(n, -1),
     )
     frames = FrameTable(
         number=np.arange(n_frames),

@@ -16,7 +16,7 @@ from sboc_e2e.icd.downlink import Housekeeping
 from sboc_e2e.icd.flags import FrameFlag, StarFlag, StreakFlag
 from sboc_e2e.icd.frame import AttitudeEstimate, FrameHeader, ObserverState
 from sboc_e2e.icd.layout import Apid
-from sboc_e2e.icd.signals import BackgroundModel, Detection, StarList, Strip
+from sboc_e2e.icd.signals import BackgroundModel, Detection, StarList, Strip, Track, TrackMember
 
 FOLDER = Path(__file__).parent
 RUN_ID = 0x5B0C_0001
@@ -72,6 +72,10 @@ PAYLOAD_FIELDS: dict[str, tuple[tuple[str, str], ...]] = {
     "frame": (
         ("codec", ">B"), ("reserved", ">B"), ("first_row", ">H"), ("rows", ">H"), ("first_col", ">H"), ("cols", ">H"),
         ("level", ">i"), ("sigma", ">f"), ("block_bytes", ">I"), ("layout", ">B"), ("n_escapes", ">H"),
+    ),
+    "track": (
+        ("track", ">I"), ("frame", ">I"), ("t_start_tai_ns", ">q"), ("snr", ">f"), ("roi_id", ">i"), ("n_members", ">H"),
+        ("reserved", ">H"),
     ),
 }  # fmt: skip
 
@@ -150,6 +154,12 @@ BACKGROUND = BackgroundModel(
     sigma_adu=np.array([[2.5, 2.25, 2.0], [2.75, 3.0, 9.0]]),
 )
 
+TRACK = Track(
+    number=3,
+    snr=8.25,
+    members=(TrackMember(frame=40, detection=DETECTION), TrackMember(frame=41, detection=DETECTION)),
+)
+
 CELLS = np.array([[0, 16, 17], [255, 15, 16]], dtype=np.uint8)
 
 CHUNK = np.array([[5, 6, 4, 5], [5, 300, 5, -2]])
@@ -183,6 +193,7 @@ def make_packets() -> dict[str, bytes]:
             (64, 2, 128, 4), planes.number, level_adu=5, sigma_adu=2.375, block=planes.encode(CHUNK, level_adu=5, sigma_adu=2.375)
         ),
     }
+    payloads[Apid.TRACK] = packets.track_payload(TRACK, TRACK.members[0], PREVIOUS.t_start_tai_ns, 5)
     return {apid.name.lower(): writer.write(apid, HEADER, [payload], item=7)[0][0] for apid, payload in payloads.items()}
 
 

@@ -142,6 +142,14 @@ def check_frame(packet: Packet) -> None:
     assert (chunk.values == cases.CHUNK).all()
 
 
+def check_track(packet: Packet) -> None:
+    """A member whose pixels came with a region of an earlier frame."""
+    record = records.decode_track(packet, DECODERS)
+    assert (record.number, record.frame, record.snr, record.roi_id) == (3, 40, 8.25, 5)
+    assert record.t_start_tai_ns == cases.PREVIOUS.t_start_tai_ns
+    assert record.strip is None
+
+
 CHECKS: dict[str, Callable[[Packet], None]] = {
     "header": check_header,
     "stars": check_stars,
@@ -149,6 +157,7 @@ CHECKS: dict[str, Callable[[Packet], None]] = {
     "background": check_background,
     "thumbnail": check_thumbnail,
     "frame": check_frame,
+    "track": check_track,
 }
 
 

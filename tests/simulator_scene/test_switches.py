@@ -43,13 +43,19 @@ WORLD = {
         "instrument.distortion.sip_a=[{col_power=2,row_power=0,coefficient=1e-4}]", "population.candidates=1000",
         'population.classes=[{from="100 mm",to="3000 mm",count=2}]', "population.snr_min=0.5",
         'instrument.as_built.focal_drift="1000 ppm/s"', 'psf.wavefront.rms="300 nm"', "psf.aureole.share=0.02",
-        "psf.spider.vanes=4", "psf.ghost.share=1e-3", *ENCOUNTERS,
+        "psf.spider.vanes=4", "psf.ghost.share=1e-3",
+        "stars.companion_share=0.5", "stars.variable_share=0.5", 'sensor.structure.row_flicker="3 e-"',
+        'sensor.structure.column_noise="3 e-"', 'sensor.structure.black_drift="20 e-"', "sensor.converter.gain_error=0.02",
+        "sensor.converter.low_gain_error=0.02", "sensor.ccd.transfer_loss=1e-3", "sensor.dark.hot_growth_per_year=0.01",
+        "sensor.calibration.age_years=3", *ENCOUNTERS,
     ],
     "site": [
         "frames=1", f'epoch_utc="{EPOCH}"', "instrument.rows=160", "instrument.cols=160", 'instrument.pixel="20 um"',
         'instrument.aperture="20 cm"', 'platform.kind="site"', 'pointing.law="sidereal"', 'pointing.ra="131 deg"',
         'pointing.dec="18 deg"', "population.classes=[]", "objects.passing=[]", "atmosphere.cloud_transmission=0.6",
-        "atmosphere.cloud_variation=0.2", 'atmosphere.seeing="20 arcsec"', 'radiation.environment="ground"',
+        "atmosphere.cloud_variation=0.2",
+        "sensor.structure.coupling=0.02", "sensor.structure.blooming=0.8",
+        'atmosphere.seeing="20 arcsec"', 'radiation.environment="ground"',
         'objects.pixel_path=[{v="5 mag",row="20 px",col="20 px",row_rate="400 px/s",col_rate="500 px/s"}]',
     ],
 }  # fmt: skip
@@ -59,6 +65,8 @@ NEEDS = {
     "image motion along a trail": "seeing",
     "tumbling of sampled debris": "sampled debris",
     "frame-transfer smear": "bleeding",
+    "charge left behind in transfers (CTI)": "bleeding",
+    "pixels that became hot in flight": "dark current",
 }
 """Effects that show only where another one is on."""
 

@@ -26,7 +26,7 @@ from onboard.detect.line_integral.star_removal import (
 from onboard.image import registration
 from onboard.image.nearest import nearest
 from sboc_e2e.icd.flags import StreakFlag
-from sboc_e2e.icd.signals import Detection, DetectorView
+from sboc_e2e.icd.signals import Detection, DetectorView, Searched
 
 MIN_ROWS: Final = 4
 """Shortest blocks searched, in rows of the half-resolution image (8 px)."""
@@ -47,6 +47,12 @@ LEAST_ROOM: Final = 64
 
 FIRST_MARGIN: Final = 1.4
 """The corridor search on whole pixels may fall so far short of the final S/N."""
+
+MAX_SEEDS: Final = 60_000
+"""Room for segments that a tracker may go on from."""
+
+SEED_LOSS: Final = 0.5
+"""A seed's S/N on the coarse lattice falls so far short of what the search in its corridor makes of it."""
 
 POINT_LIKE_PX: Final = 4.0
 """Trails shorter than about two PSF widths are called point-like."""
@@ -149,6 +155,12 @@ def line_detection(row: NDArray[np.float64], shape: tuple[int, int]) -> Detectio
     # positive side of the contract: (+drow, -dcol) turned from the chord, i.e. growing row for a chord along growing col
     signed = sagitta if axis == 1 else -sagitta
     return Detection(row0=ends[0], col0=ends[1], row1=ends[2], col1=ends[3], snr=float(row[6]), sagitta_px=signed, flags=flags)
+
+
+def seed_ends(seeds: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Seeds of `resolve.resolve` (n, 6) as row0, col0, row1, col1, S/N (n, 5), ends by growing major coordinate."""
+    steep = seeds[:, :1] == 0.0
+    return np.column_stack([np.where(steep, seeds[:, 1:5], seeds[:, [2, 1, 4, 3]]), seeds[:, 5]])
 
 
 def with_blurred_ends(detection: Detection, images: WorkingImages, psf_sigma_px: float) -> Detection:
@@ -361,8 +373,17 @@ class LineIntegralDetector:
 
     def detect(self, view: DetectorView) -> tuple[Detection, ...]:
         """Detections by falling S/N; particle hits (flagged) after everything else."""
+        return self._search(view, None)[0]
+
+    def search(self, view: DetectorView, seed_sigma: float) -> tuple[tuple[Detection, ...], Searched]:
+        """The same detections, and what a tracker goes on from: segments from `seed_sigma` on, and the image they are in."""
+        found, searched = self._search(view, seed_sigma)
+        return found, Searched.empty(view.mask.shape) if searched is None else searched
+
+    def _search(self, view: DetectorView, seed_sigma: float | None) -> tuple[tuple[Detection, ...], Searched | None]:
+        """Detections and, where seeds are asked for, what a tracker goes on from."""
         if min(view.residual_adu.shape) < 2 * MIN_ROWS:
-            return ()
+            return (), None
         s_px = view.psf_sigma_px
         earlier = static_sky.earlier_frame(view, self.reach_px)
         images = working_images(view, earlier, halo_px=self.halo_px)
@@ -374,11 +395,17 @@ class LineIntegralDetector:
         binned = whiten.smooth_binned(images.image, images.level, TILE_PX, taps, self.clip_sigma)
         bits = np.packbits(images.blocked)  # not looked at meanwhile: an eighth of its memory will do
         images = replace(images, blocked=np.zeros((0, 0), np.uint8))
-        candidates = dyadic.coarse_segments(binned, noise, self.coarse_sigma, MIN_ROWS, MAX_CANDIDATES)
+        coarse_sigma = self.coarse_sigma if seed_sigma is None else min(self.coarse_sigma, max(seed_sigma - SEED_LOSS, 3.5))
+        candidates = dyadic.coarse_segments(binned, noise, coarse_sigma, MIN_ROWS, MAX_CANDIDATES)
         del binned
         images = replace(images, blocked=np.unpackbits(bits, count=view.mask.size).reshape(view.mask.shape))
         smooth = whiten.smooth(images.image, images.level, TILE_PX, whiten.odd_taps(s_px), POINT_CLIP_SIGMA)
-        table = resolve.resolve(
+        # trails are taken out of it as they are found
+        # without a frame before, faint stars are still in it: such a frame foretells nothing and bears nothing out
+        told = seed_sigma is not None and (earlier is not None or len(view.stars) == 0)
+        whole = whiten.known(smooth, images.blocked) if told else None
+        seeds = np.empty((0 if seed_sigma is None else MAX_SEEDS, 6))
+        table, n_seeds = resolve.resolve(
             images.image,
             smooth,
             images.blocked,
@@ -393,6 +420,8 @@ class LineIntegralDetector:
             MAX_TRAILS,
             strip.work_space(max(images.image.shape), s_px),
             max(LEAST_WORK, round(WORK_PER_PX * images.image.size)),
+            math.inf if seed_sigma is None else seed_sigma,
+            seeds,
         )
         table = within_room(table, images.image.size)
         found = [line_detection(row, view.residual_adu.shape) for row in table]
@@ -417,4 +446,5 @@ class LineIntegralDetector:
         room = max(0, self.max_detections - len(real))
         tracks += particle_hits(view, images, n_sigma + self.short_margin, room)
         tracks.sort(key=lambda d: -d.snr)
-        return tuple((real + tracks)[: self.max_detections])
+        detections = tuple((real + tracks)[: self.max_detections])
+        return detections, None if whole is None else Searched(smooth=whole, seeds=seed_ends(seeds[:n_seeds]))

@@ -81,15 +81,20 @@ def accept(
     points: NDArray[np.float64],
     strip: Strip,
     work: NDArray[np.int64],
+    located: NDArray[np.float64],
 ) -> float:
     """S/N of the trail at a candidate, 0 when there is none; lines under SHARP_ENDS_PX are let through SHARP_LOSS below n_sigma.
+
+    located (5,) : becomes major0, minor0, major1, minor1 and S/N after the search in the corridor.
 
     The trail, and stars that were not in the star list but lie on the way, are taken out of the images. work (1,) : grows by
     what was done, in pixels read, as the length of the candidate tells.
     """
     length_px = candidate[2] - candidate[0]
     work[0] += LOCATE_WORK + int(LOCATE_WORK_PER_PX * length_px)
-    if corridor.locate(smooth, candidate, psf_sigma_px, usable, first_sigma, segment, sums, counts) < first_sigma:
+    located[4] = corridor.locate(smooth, candidate, psf_sigma_px, usable, first_sigma, segment, sums, counts)
+    located[:4] = segment[:4]
+    if located[4] < first_sigma:
         return 0.0
     # one exact sum before the search over all parameters, which is costly
     _, n = cross_profile(
@@ -155,13 +160,16 @@ def resolve(
     max_found: int,
     strip: Strip,
     most_work: int,
-) -> NDArray[np.float64]:
+    seed_sigma: float,
+    seeds: NDArray[np.float64],
+) -> tuple[NDArray[np.float64], int]:
     """Trails among candidates (n, 6: axis, major0, minor0, major1, minor1, S/N; best first); the images are changed in place.
 
     usable : share of pixels that are not masked. strip : work space for the longer side of the frame. most_work : pixels read
-    (see `accept`) after which the rest of the candidates is left.
+    (see `accept`) after which the rest of the candidates is left. seeds (k, 6) : room for what the search in the corridor puts
+    at `seed_sigma` or more, found or not: axis, major0, minor0, major1, minor1, S/N; the first k of them.
 
-    Returns (m, 7): axis, major0, minor0, major1, minor1, sagitta along minor (px), S/N.
+    Returns (m, 7): axis, major0, minor0, major1, minor1, sagitta along minor (px), S/N; and the number of seeds.
     """
     image_t, smooth_t, blocked_t, level_t = image.T, smooth.T, blocked.T, level.T
     found = np.empty((max_found, 7))
@@ -172,6 +180,7 @@ def resolve(
     weight = np.empty(max(image.shape) + 1)
     work = np.zeros(1, np.int64)
     segment, straight, points = np.empty(5), np.empty(5), np.zeros((2, 3))
+    located, n_seeds = np.zeros(5), 0
     for c in range(candidates.shape[0]):
         if n_found == max_found or work[0] > most_work:
             break
@@ -197,6 +206,7 @@ def resolve(
                 points,
                 strip,
                 work,
+                located,
             )
         else:
             snr = accept(
@@ -220,10 +230,15 @@ def resolve(
                 points,
                 strip,
                 work,
+                located,
             )
+        if n_seeds < seeds.shape[0] and located[4] >= seed_sigma:
+            seeds[n_seeds, 0] = candidates[c, 0]
+            seeds[n_seeds, 1:] = located
+            n_seeds += 1
         if snr > 0.0:
             found[n_found, 0] = candidates[c, 0]
             found[n_found, 1:6] = segment
             found[n_found, 6] = snr
             n_found += 1
-    return found[:n_found]
+    return found[:n_found], n_seeds

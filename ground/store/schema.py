@@ -1,0 +1,128 @@
+"""Tables of the store and the steps by which an older one becomes today's."""
+
+from collections.abc import Callable
+from typing import Final
+
+from sqlalchemy import (
+    BigInteger,
+    Boolean,
+    Column,
+    Connection,
+    Float,
+    ForeignKey,
+    Index,
+    Integer,
+    LargeBinary,
+    MetaData,
+    String,
+    Table,
+    Text,
+    inspect,
+    select,
+    text,
+    update,
+)
+
+from sboc_e2e.icd.errors import UserError
+
+METADATA: Final = MetaData()
+
+VERSION: Final = Table("store_version", METADATA, Column("version", Integer, primary_key=True))
+
+OBJECTS: Final = Table(
+    "objects",
+    METADATA,
+    Column("object_id", Integer, primary_key=True, autoincrement=True),
+    Column("name", String(64), nullable=False, unique=True),
+    Column("status", String(16), nullable=False),
+    Column("created_tai_ns", BigInteger, nullable=False),
+    Column("merged_into", Integer, ForeignKey("objects.object_id"), nullable=True),
+)
+
+TRACKLETS: Final = Table(
+    "tracklets",
+    METADATA,
+    Column("tracklet_id", Integer, primary_key=True, autoincrement=True),
+    Column("uid", String(64), nullable=False, unique=True),
+    Column("sensor", String(64), nullable=False),
+    Column("t_first_tai_ns", BigInteger, nullable=False),
+    Column("t_last_tai_ns", BigInteger, nullable=False),
+    Column("mag", Float, nullable=True),
+    Column("epochs", LargeBinary, nullable=False),
+    Column("rows", LargeBinary, nullable=False),
+    Index("tracklets_by_time", "t_first_tai_ns"),
+)
+
+ORBITS: Final = Table(
+    "orbits",
+    METADATA,
+    Column("orbit_id", Integer, primary_key=True, autoincrement=True),
+    Column("object_id", Integer, ForeignKey("objects.object_id"), nullable=False),
+    Column("made_tai_ns", BigInteger, nullable=False),
+    Column("epoch_tai_ns", BigInteger, nullable=False),
+    Column("state", LargeBinary, nullable=False),
+    Column("covariance", LargeBinary, nullable=False),
+    Column("parameters", Text, nullable=False),
+    Column("chi2_nu", Float, nullable=False),
+    Column("n_used", Integer, nullable=False),
+    Column("made_by", String(64), nullable=False),
+    Column("current", Boolean, nullable=False),
+    Index("orbits_by_object", "object_id", "current"),
+)
+
+ASSOCIATIONS: Final = Table(
+    "associations",
+    METADATA,
+    Column("association_id", Integer, primary_key=True, autoincrement=True),
+    Column("tracklet_id", Integer, ForeignKey("tracklets.tracklet_id"), nullable=False),
+    Column("object_id", Integer, ForeignKey("objects.object_id"), nullable=False),
+    Column("probability", Float, nullable=False),
+    Column("state", String(16), nullable=False),
+    Column("decided_by", String(64), nullable=False),
+    Column("decided_tai_ns", BigInteger, nullable=False),
+    Index("associations_by_tracklet", "tracklet_id"),
+    Index("associations_by_object", "object_id"),
+)
+
+DECISIONS: Final = Table(
+    "decisions",
+    METADATA,
+    Column("decision_id", Integer, primary_key=True, autoincrement=True),
+    Column("decided_tai_ns", BigInteger, nullable=False),
+    Column("decided_by", String(64), nullable=False),
+    Column("kind", String(32), nullable=False),
+    Column("detail", Text, nullable=False),
+)
+
+
+def _first(connection: Connection) -> None:
+    """Version 1 had everything but magnitudes and what an object was merged into."""
+    METADATA.create_all(connection)
+
+
+def _magnitudes_and_merges(connection: Connection) -> None:
+    columns = {c["name"] for c in inspect(connection).get_columns("tracklets")}
+    if "mag" not in columns:
+        connection.execute(text("ALTER TABLE tracklets ADD COLUMN mag FLOAT"))
+    columns = {c["name"] for c in inspect(connection).get_columns("objects")}
+    if "merged_into" not in columns:
+        connection.execute(text("ALTER TABLE objects ADD COLUMN merged_into INTEGER"))
+
+
+STEPS: Final[tuple[Callable[[Connection], None], ...]] = (_first, _magnitudes_and_merges)
+"""Step k makes version k + 1 of version k; each runs in the transaction that records it."""
+
+
+def upgrade(connection: Connection) -> int:
+    """Bring a store to today's version; the version that it had. UserError for a store of a later program."""
+    known = inspect(connection).has_table("store_version")
+    had = int(connection.execute(select(VERSION.c.version)).scalar() or 0) if known else 0
+    if had > len(STEPS):
+        raise UserError(f"store: version {had} is of a later program; this one knows {len(STEPS)}")
+    if not known:
+        VERSION.create(connection)
+        connection.execute(VERSION.insert().values(version=0))
+    for step in STEPS[had:]:
+        step(connection)
+    connection.execute(update(VERSION).values(version=len(STEPS)))
+    return had

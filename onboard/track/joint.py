@@ -1,0 +1,289 @@
+"""`onboard.tracker: joint`: trails too faint for any single frame, found in several together.
+
+Segments that a frame shows at S/N 4.5, below the detector's threshold, are pointers. Each foretells in both senses of motion
+where the object's trail lies in the frames around; the sum over all of them is held against what noise makes of so many frames.
+"""
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.image import registration
+from onboard.track import joint_filter
+from onboard.track.corridor import halved
+from onboard.track.false_alarms import independent_tracks, threshold_sigma
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.frame import FrameHeader
+from sboc_e2e.icd.signals import Detection, Track, TrackerView, TrackMember
+
+IDENTITY: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+
+LONGEST_PX: Final = 2000.0
+"""Trails of one exposure that the false-alarm rate is reckoned for."""
+
+WORK_PER_PX: Final = 30.0
+LEAST_WORK: Final = 50_000_000
+"""Pixels read about seeds, per pixel of the frame, but never fewer."""
+
+LEAST_REST: Final = 3.3
+"""What is left of a track without any one of its frames must reach this S/N: particles light up one frame."""
+
+UNEVEN: Final = 6.0
+UNEVEN_SHARE: Final = 0.2
+"""Chi-square of a track's frames against even brightness may exceed its degrees of freedom by this, and by this share of the
+joint S/N squared: objects tumble."""
+
+EDGE_PX: Final = 3.0
+SAME_PX: Final = 4.0
+SAME_SHARE: Final = 0.35
+"""Two tracks are one object where a frame's ends lie as close as this, or as this share of the trail's length."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class KeptSearch:
+    """What stays of a frame. transform : (2, 3) of the frame before into it; unused for the first.
+
+    half, flat_half : smooth at half resolution, and transposed.
+    """
+
+    header: FrameHeader
+    smooth: NDArray[np.int8]
+    half: NDArray[np.int8]
+    flat_half: NDArray[np.int8]
+    seeds: NDArray[np.float64]
+    transform: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointState:
+    """The window, oldest first; how many of its frames, from the oldest, have had their seeds followed; the tracks seen in it."""
+
+    window: tuple[KeptSearch, ...] = ()
+    followed: int = 0
+    tracks: tuple[Track, ...] = ()
+    next_number: int = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointTracker:
+    """Straight tracks through `window` frames, found from segments of S/N `seed_sigma` in one of them."""
+
+    window: int = field(default=7, metadata={"doc": "frames that are searched together", "min": 3, "max": 15})
+    seed_sigma: float = field(default=4.5, metadata={"doc": "least S/N of a segment that is followed", "min": 4.0, "max": 20.0})
+    false_tracks: float = field(
+        default=0.02, metadata={"doc": "false tracks per frame that noise may make", "min": 1e-9, "max": 10.0}
+    )
+    first_margin: float = field(
+        default=1.6, metadata={"doc": "S/N by which the first look may fall short", "min": 0.0, "max": 10.0}
+    )
+
+    @property
+    def window_frames(self) -> int:
+        """The chain keeps as many frames as are searched."""
+        return self.window
+
+    def initial_state(self) -> JointState:
+        """Nothing seen."""
+        return JointState()
+
+    def track(self, state: JointState, view: TrackerView) -> tuple[JointState, tuple[Track, ...]]:
+        """Tracks about the frame half a window ago; about all that wait when the window ends."""
+        if view.searched is None:
+            return replace(JointState(), next_number=state.next_number), ()
+        found: list[Track] = []
+        if view.transform is None:
+            state, rest = self._followed(state, len(state.window), view.view.psf_sigma_px)
+            found += rest
+            state = JointState(next_number=state.next_number)
+        half = halved(view.searched.smooth)
+        new = KeptSearch(
+            header=view.view.header,
+            smooth=view.searched.smooth,
+            half=half,
+            flat_half=np.ascontiguousarray(half.T),
+            seeds=view.searched.seeds,
+            transform=IDENTITY if view.transform is None else view.transform,
+        )
+        window = (*state.window, new)
+        dropped = max(0, len(window) - self.window)
+        oldest = window[dropped].header.frame
+        tracks = tuple(t for t in state.tracks if t.members[-1].frame >= oldest)
+        state = replace(state, window=window[dropped:], followed=max(0, state.followed - dropped), tracks=tracks)
+        state, now = self._followed(state, len(state.window) - (self.window - 1) // 2, view.view.psf_sigma_px)
+        return state, tuple(found + now)
+
+    def _followed(self, state: JointState, stop: int, psf_sigma_px: float) -> tuple[JointState, list[Track]]:
+        """Follow the seeds of the window's frames up to the one at `stop`; the state after it and the tracks found."""
+        found: list[Track] = []
+        for centre in range(state.followed, stop):
+            known, number = {t.number: t for t in state.tracks}, state.next_number
+            for track in self._about(state.window, centre, psf_sigma_px):
+                same = next((t for t in known.values() if same_object(t, track)), None)
+                if same is None:
+                    track, number = replace(track, number=number), number + 1
+                elif same.number in {t.number for t in found if t is same}:
+                    continue
+                else:
+                    track = replace(track, number=same.number)
+                known[track.number] = track
+                found.append(track)
+            state = replace(state, tracks=tuple(known.values()), next_number=number, followed=centre + 1)
+        return state, found
+
+    def _about(self, window: tuple[KeptSearch, ...], centre: int, psf_sigma_px: float) -> list[Track]:
+        """Tracks through seeds of one frame of the window, best first, each object once."""
+        kept = window[centre]
+        seeds = kept.seeds[np.argsort(-kept.seeds[:, 4], kind="stable")]
+        if len(window) < 2 or not len(seeds):
+            return []
+        transforms = from_centre(window, centre)
+        taus = exposures_from(window, centre, transforms)
+        rows, cols = kept.smooth.shape
+        period = float(np.median(np.abs(np.diff(taus))))
+        thresholds = self.thresholds((rows, cols), period, psf_sigma_px)
+        # one kernel for any number of frames: the tuple is filled up to the window's length
+        filled = window + (window[0],) * (self.window - len(window))
+        table, _, _ = joint_filter.follow(
+            tuple(frame.smooth for frame in filled),
+            tuple(frame.half for frame in filled),
+            tuple(frame.flat_half for frame in filled),
+            np.ascontiguousarray(np.concatenate([transforms, np.repeat(transforms[:1], self.window - len(window), axis=0)])),
+            np.concatenate([taus, np.zeros(self.window - len(window))]),
+            len(window),
+            centre,
+            seeds,
+            psf_sigma_px,
+            thresholds,
+            self.first_margin,
+            max(LEAST_WORK, round(WORK_PER_PX * rows * cols)),
+            joint_filter.work_space(self.window),
+        )
+        tracks: list[Track] = []
+        for row in table[np.argsort(-table[:, 8], kind="stable")]:
+            if not plausible(row):
+                continue
+            track = track_of(row, seeds[int(row[0])], window, transforms, taus)
+            if track is not None and not any(same_object(t, track) for t in tracks):
+                tracks.append(track)
+        return tracks
+
+    def thresholds(self, shape: tuple[int, int], period_over_exposure: float, psf_sigma_px: float) -> NDArray[np.float64]:
+        """Joint S/N asked of a track of n frames, at index n; (window + 1,)."""
+        longest = min(LONGEST_PX, math.hypot(*shape))
+        out = np.full(self.window + 1, np.inf)
+        for n in range(2, self.window + 1):
+            volume = independent_tracks(
+                n,
+                area_px=float(shape[0] * shape[1]),
+                longest_px=longest,
+                period_over_exposure=period_over_exposure,
+                psf_sigma_px=psf_sigma_px,
+            )
+            out[n] = threshold_sigma(volume, self.false_tracks)
+        return out
+
+
+def from_centre(window: tuple[KeptSearch, ...], centre: int) -> NDArray[np.float64]:
+    """Transforms (n, 2, 3) of (row, col) of the centre frame into each frame of the window."""
+    out = np.empty((len(window), 2, 3))
+    out[centre] = IDENTITY
+    for k in range(centre + 1, len(window)):
+        out[k] = joined(out[k - 1], window[k].transform)
+    for k in range(centre - 1, -1, -1):
+        out[k] = joined(out[k + 1], registration.inverse(window[k + 1].transform))
+    return out
+
+
+def joined(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The (2, 3) transform that does one after the other."""
+    return np.column_stack([second[:, :2] @ first[:, :2], second[:, :2] @ first[:, 2] + second[:, 2]])
+
+
+def exposures_from(window: tuple[KeptSearch, ...], centre: int, transforms: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Start of each frame's exposure after that of the centre frame, in exposures, on the row that a star has moved to."""
+    own = window[centre].header
+    middle = np.array([[0.5 * own.rows, 0.5 * own.cols]])
+    out = np.empty(len(window))
+    for k, frame in enumerate(window):
+        shift = float(registration.apply(transforms[k], middle)[0, 0] - middle[0, 0])
+        out[k] = (frame.header.t_start_tai_ns - own.t_start_tai_ns + own.line_time_ns * shift) / max(own.exposure_ns, 1)
+    return out
+
+
+def plausible(row: NDArray[np.float64]) -> bool:
+    """Whether a row of `joint_filter.follow` is lit in all its frames, about evenly."""
+    snr, least, chi2, free = row[8:12]
+    return bool(least > LEAST_REST and chi2 < free + UNEVEN + (UNEVEN_SHARE * snr) ** 2)
+
+
+def track_of(
+    row: NDArray[np.float64],
+    seed: NDArray[np.float64],
+    window: tuple[KeptSearch, ...],
+    transforms: NDArray[np.float64],
+    taus: NDArray[np.float64],
+) -> Track | None:
+    """A row of `joint_filter.follow` as a contract record without a number; None when it lies in fewer than two frames."""
+    _, sense, start, length, offset, tilt, first, last, snr = row[:9]
+    seed_px = math.hypot(seed[2] - seed[0], seed[3] - seed[1])
+    u = (seed[2:4] - seed[0:2]) / seed_px
+    # lanes lie side by side along the minor axis, max(|u|) px across the line for each px of it
+    across = np.eye(2)[int(abs(u[0]) >= abs(u[1]))] / np.abs(u).max()
+    members = []
+    for k in range(int(first), int(last) + 1):
+        begin = start + sense * taus[k] * length
+        along = np.array([begin, begin + length] if sense > 0.0 else [begin + length, begin])
+        away = offset + tilt * (along / seed_px - 0.5)
+        ends = registration.apply(transforms[k], seed[0:2] + along[:, None] * u + away[:, None] * across)
+        inside = clipped(ends, window[k].smooth.shape)
+        if inside is not None:
+            (row0, col0, row1, col1), flags = inside
+            members.append(
+                TrackMember(
+                    frame=window[k].header.frame,
+                    detection=Detection(
+                        row0=row0, col0=col0, row1=row1, col1=col1, snr=max(float(row[12 + k]), 0.0), flags=flags
+                    ),
+                )
+            )
+    return Track(number=0, snr=float(snr), members=tuple(members)) if len(members) >= 2 else None
+
+
+def clipped(ends: NDArray[np.float64], shape: tuple[int, ...]) -> tuple[tuple[float, float, float, float], StreakFlag] | None:
+    """The part of a segment (2, 2) inside a frame, flagged where the edge cuts it; None when nothing is."""
+    way, limits = ends[1] - ends[0], np.array(shape) - 1.0
+    low, high = 0.0, 1.0
+    for k in range(2):
+        if abs(way[k]) < 1e-9:
+            if not 0.0 <= ends[0, k] <= limits[k]:
+                return None
+            continue
+        cuts = sorted((-ends[0, k] / way[k], (limits[k] - ends[0, k]) / way[k]))
+        low, high = max(low, cuts[0]), min(high, cuts[1])
+    if high - low < 0.1:
+        return None
+    points = ends[0] + np.array([[low], [high]]) * way
+    flags = StreakFlag(0)
+    for flag, cut, point in ((StreakFlag.EDGE0, low > 0.0, points[0]), (StreakFlag.EDGE1, high < 1.0, points[1])):
+        if cut or (point < EDGE_PX).any() or (point > limits - EDGE_PX).any():
+            flags |= flag
+    points = np.clip(points, 0.0, limits)
+    return (float(points[0, 0]), float(points[0, 1]), float(points[1, 0]), float(points[1, 1])), flags
+
+
+def same_object(known: Track, track: Track) -> bool:
+    """Whether two tracks show one object: in a frame that both have, their trails lie on each other."""
+    ends = {m.frame: m.detection for m in known.members}
+    for member in track.members:
+        a, b = ends.get(member.frame), member.detection
+        if a is None:
+            continue
+        length = max(a.length_px, b.length_px, 1.0)
+        u = np.array([b.row1 - b.row0, b.col1 - b.col0]) / max(b.length_px, 1e-6)
+        middle = 0.5 * np.array([a.row0 + a.row1 - b.row0 - b.row1, a.col0 + a.col1 - b.col0 - b.col1])
+        if abs(middle @ u) < 0.5 * length + SAME_PX and abs(middle @ np.array([-u[1], u[0]])) < SAME_PX + 0.02 * length:
+            return True
+    return False

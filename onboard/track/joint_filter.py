@@ -1,0 +1,456 @@
+"""From a seed in one frame to the straight track through its neighbours with the highest joint S/N."""
+
+import math
+from typing import Final
+
+import numba as nb
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.track.corridor import LANES, MIDDLE, MOST_PIECES, between, gather, lanes_between, path_sum
+
+STEPS: Final = 8
+"""Pieces of a seed in the first look: ends are tried at steps of an eighth of its length."""
+
+END_STEPS: Final = 3
+"""An end may lie so many steps off: a seed of S/N 5 has ends good to sqrt(26) / 25 = 0.2 of its length (change-point law)."""
+
+TILT_STEPS: Final = 2
+"""In the first look, at half resolution, the seed's direction may be off by so many lanes, 4 px, per seed length: its error is
+sqrt(24) s / S = 0.8 px."""
+
+LIKED: Final = 0.75
+"""Ends whose S/N in the seed's own frame is below this share of the best ends' are not followed."""
+
+STATIC_SIGMAS: Final = 3.0
+LEAST_STATIC: Final = 1.2
+"""A seed is refused where the other frames show so much at its own place, in S/N for one frame, and so many errors of their
+mean: faint stars, in a row or left over, stand still."""
+
+FINE: Final = 24
+"""Pieces of a seed in the second look."""
+
+SHORTEST: Final = 0.5
+LONGEST: Final = 1.6
+"""Trails are so much shorter or longer than their seed at most."""
+
+LEAST_SEEN: Final = 0.4
+"""A frame counts where so much of the trail in it falls on known pixels."""
+
+Corridors = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float64], NDArray[np.int64]]
+"""Sums and counts (frames, MOST_PIECES + 1, LANES); first px and px per piece (frames, 2); number of pieces (frames,)."""
+
+
+def work_space(n_frames: int) -> Corridors:
+    """Room for the corridors of a window."""
+    shape = (n_frames, MOST_PIECES + 1, LANES)
+    return np.zeros(shape, np.int32), np.zeros(shape, np.int32), np.zeros((n_frames, 2)), np.zeros(n_frames, np.int64)
+
+
+@nb.njit(cache=True)
+def _placed(seed: NDArray[np.float64], transform: NDArray[np.float64], place: NDArray[np.float64]) -> bool:
+    """Fill place (see `corridor.gather`) with a seed (row0, col0, row1, col1) in a frame; returns whether rows are major."""
+    d_row, d_col = seed[2] - seed[0], seed[3] - seed[1]
+    steep = abs(d_row) >= abs(d_col)
+    length = math.hypot(d_row, d_col)
+    row = transform[0, 0] * seed[0] + transform[0, 1] * seed[1] + transform[0, 2]
+    col = transform[1, 0] * seed[0] + transform[1, 1] * seed[1] + transform[1, 2]
+    u_row = (transform[0, 0] * d_row + transform[0, 1] * d_col) / length
+    u_col = (transform[1, 0] * d_row + transform[1, 1] * d_col) / length
+    if steep:
+        place[0], place[1], place[2], place[3] = row, col, u_row, u_col
+    else:
+        place[0], place[1], place[2], place[3] = col, row, u_col, u_row
+    return steep
+
+
+@nb.njit(cache=True)
+def static_snr(
+    images: tuple[NDArray[np.int8], ...],
+    transforms: NDArray[np.float64],
+    n_frames: int,
+    own: int,
+    line: NDArray[np.float64],
+    unit: float,
+    place: NDArray[np.float64],
+) -> float:
+    """S/N that what stands still gives to a segment of frame `own`: the mean of the other frames at its place among the stars.
+
+    line (4,) : row0, col0, row1, col1 in the frame that the transforms start from. place (4,) : work space. 0 where nothing is
+    known.
+    """
+    length = math.hypot(line[2] - line[0], line[3] - line[1])
+    total = known = weight = 0
+    for frame in range(n_frames):
+        steep = _placed(line, transforms[frame], place)
+        s, w = path_sum(images[frame], steep, place, 0.0, length)
+        if frame == own:
+            weight = w
+        else:
+            total += s
+            known += w
+    return total / known * math.sqrt(float(weight)) / unit if known > 0 else 0.0
+
+
+@nb.njit(cache=True)
+def _collect(
+    images: tuple[NDArray[np.int8], ...],
+    frame: int,
+    seed: NDArray[np.float64],
+    transforms: NDArray[np.float64],
+    first_px: float,
+    last_px: float,
+    piece_px: float,
+    corridors: Corridors,
+    place: NDArray[np.float64],
+) -> int:
+    """Gather one frame's corridor from first_px to last_px on the seed's line; returns the pixels read."""
+    sums, counts, grid, pieces = corridors
+    n = min(MOST_PIECES, math.ceil((last_px - first_px) / piece_px))
+    grid[frame, 0], grid[frame, 1], pieces[frame] = first_px, piece_px, n
+    steep = _placed(seed, transforms[frame], place)
+    return gather(images[frame], steep, place, first_px, piece_px, n, sums[frame], counts[frame])
+
+
+@nb.njit(cache=True)
+def trail_sums(
+    corridors: Corridors,
+    frame: int,
+    tau: float,
+    sense: float,
+    track: NDArray[np.float64],
+    seed_px: float,
+    per_lane: float,
+    correlation: float,
+) -> tuple[float, float]:
+    """Sum and weight of a track (a, length, offset, tilt) in one frame. per_lane : px across the line from lane to lane."""
+    sums, counts, grid, pieces = corridors
+    start = track[0] + sense * tau * track[1]
+    middle = start + 0.5 * track[1]
+    lane = (track[2] + track[3] * (middle / seed_px - 0.5)) / per_lane
+    first = (start - grid[frame, 0]) / grid[frame, 1]
+    last = (start + track[1] - grid[frame, 0]) / grid[frame, 1]
+    return between(sums[frame], counts[frame], pieces[frame], first, last, lane, correlation)
+
+
+@nb.njit(cache=True)
+def evaluate(
+    corridors: Corridors,
+    taus: NDArray[np.float64],
+    low: int,
+    high: int,
+    sense: float,
+    track: NDArray[np.float64],
+    seed_px: float,
+    per_lane: float,
+    correlation: float,
+    unit: float,
+) -> float:
+    """Joint S/N of a track in frames low ... high; unit : standard deviation of a path's sum per root of its weight."""
+    total = weight = 0.0
+    for frame in range(low, high + 1):
+        s, w = trail_sums(corridors, frame, taus[frame], sense, track, seed_px, per_lane, correlation)
+        total += s
+        weight += w
+    return total / (unit * math.sqrt(weight)) if weight > 0.0 else 0.0
+
+
+@nb.njit(cache=True)
+def _first_look(
+    corridors: Corridors,
+    taus: NDArray[np.float64],
+    centre: int,
+    low: int,
+    high: int,
+    seed_px: float,
+    unit: float,
+    margin: NDArray[np.float64],
+    best: NDArray[np.float64],
+    lanes: NDArray[np.float32],
+) -> float:
+    """Best track on a lattice of ends and tilts in frames low ... high about `centre`; fills best (a, length, tilt, sense).
+
+    All in pixels of the images that the corridors are of; tilts are whole lanes per length. Pairs of frames count beside all
+    three: by how much the S/N exceeds margin[number of frames]. lanes (6, LANES) : work space, sums and weights of the three.
+    """
+    sums, counts, grid, pieces = corridors
+    score, step = -1e9, seed_px / STEPS
+    top = 0.0
+    for turn in range(2):
+        # what the seed's own frame says best of the ends: tracks that it likes much less are not looked at
+        for i in range(-END_STEPS, END_STEPS + 1):
+            for j in range(-END_STEPS, END_STEPS + 1):
+                start, length = i * step, seed_px + (j - i) * step
+                if length < SHORTEST * seed_px or length > LONGEST * seed_px:
+                    continue
+                first = (start - grid[centre, 0]) / grid[centre, 1]
+                lanes_between(
+                    sums[centre], counts[centre], pieces[centre], first, first + length / grid[centre, 1], lanes[1], lanes[4]
+                )
+                s1, w1 = lanes[1, MIDDLE], lanes[4, MIDDLE]
+                own = s1 / math.sqrt(max(w1, 1.0))
+                if turn == 0:
+                    top = max(top, own)
+                    continue
+                if own < LIKED * top or w1 == 0.0:
+                    continue
+                for sense in (-1.0, 1.0):
+                    for side in (0, 2):
+                        frame = centre - 1 + side
+                        if frame < low or frame > high:
+                            lanes[side], lanes[side + 3] = 0.0, 0.0
+                            continue
+                        first = (start + sense * taus[frame] * length - grid[frame, 0]) / grid[frame, 1]
+                        last = first + length / grid[frame, 1]
+                        lanes_between(sums[frame], counts[frame], pieces[frame], first, last, lanes[side], lanes[side + 3])
+                    # lanes from the seed's frame to the next for a tilt of one
+                    apart = (start + sense * taus[min(centre + 1, high)] * length + 0.5 * length) / seed_px - 0.5
+                    back = (start + sense * taus[max(centre - 1, low)] * length + 0.5 * length) / seed_px - 0.5
+                    for half in range(-2 * TILT_STEPS, 2 * TILT_STEPS + 1):
+                        tilt = 0.5 * half
+                        m, n = MIDDLE + round(tilt * back), MIDDLE + round(tilt * apart)
+                        if m < 0 or n < 0 or m >= LANES or n >= LANES:
+                            continue
+                        s0, w0, s2, w2 = lanes[0, m], lanes[3, m], lanes[2, n], lanes[5, n]
+                        value = -1e9
+                        if w0 > 0.0:
+                            value = max(value, (s0 + s1) / (unit * math.sqrt(w0 + w1)) - margin[2])
+                        if w2 > 0.0:
+                            value = max(value, (s2 + s1) / (unit * math.sqrt(w2 + w1)) - margin[2])
+                        if w0 > 0.0 and w2 > 0.0:
+                            value = max(value, (s0 + s1 + s2) / (unit * math.sqrt(w0 + w1 + w2)) - margin[3])
+                        if value > score:
+                            score = value
+                            best[0], best[1], best[2], best[3] = start, length, tilt, sense
+    return score
+
+
+@nb.njit(cache=True)
+def _climb(
+    corridors: Corridors,
+    taus: NDArray[np.float64],
+    low: int,
+    high: int,
+    sense: float,
+    track: NDArray[np.float64],
+    steps: NDArray[np.float64],
+    halvings: int,
+    seed_px: float,
+    per_lane: float,
+    correlation: float,
+    unit: float,
+    trial: NDArray[np.float64],
+) -> float:
+    """Raise a track's joint S/N by steps in its four parameters, alone and with its length about its middle; in place."""
+    snr = evaluate(corridors, taus, low, high, sense, track, seed_px, per_lane, correlation, unit)
+    scale = 1.0
+    for _ in range(halvings):
+        for _ in range(8):
+            moved = False
+            for parameter in range(5):
+                for sign in (-1.0, 1.0):
+                    trial[:] = track
+                    if parameter < 4:
+                        trial[parameter] += sign * scale * steps[parameter]
+                    else:
+                        # longer about its middle: alone, length and start would wait for each other
+                        trial[1] += sign * scale * steps[1]
+                        trial[0] -= 0.5 * sign * scale * steps[1]
+                    if trial[1] < 0.4 * seed_px or trial[1] > 1.8 * seed_px:
+                        continue
+                    value = evaluate(corridors, taus, low, high, sense, trial, seed_px, per_lane, correlation, unit)
+                    if value > snr + 1e-4:
+                        snr, moved = value, True
+                        track[:] = trial
+            if not moved:
+                break
+        scale *= 0.5
+    return snr
+
+
+@nb.njit(cache=True)
+def best_range(
+    corridors: Corridors,
+    taus: NDArray[np.float64],
+    centre: int,
+    low: int,
+    high: int,
+    sense: float,
+    track: NDArray[np.float64],
+    seed_px: float,
+    per_lane: float,
+    correlation: float,
+    unit: float,
+    threshold: NDArray[np.float64],
+    sums: NDArray[np.float64],
+    weights: NDArray[np.float64],
+) -> tuple[float, int, int]:
+    """The run of frames with the centre whose joint S/N exceeds its threshold most: this margin, first and last frame."""
+    full = track[1] * per_lane
+    for frame in range(low, high + 1):
+        sums[frame], weights[frame] = trail_sums(corridors, frame, taus[frame], sense, track, seed_px, per_lane, correlation)
+    score, first, last = -1e9, centre, centre
+    for i in range(low, centre + 1):
+        for j in range(centre, high + 1):
+            total = weight = 0.0
+            seen = 0
+            for k in range(i, j + 1):
+                if weights[k] > LEAST_SEEN * full:
+                    seen += 1
+                total += sums[k]
+                weight += weights[k]
+            if seen == j - i + 1 and seen >= 2:
+                value = total / (unit * math.sqrt(weight)) - threshold[seen]
+                if value > score:
+                    score, first, last = value, i, j
+    return score, first, last
+
+
+@nb.njit(cache=True)
+def _segment(
+    seed: NDArray[np.float64], track: NDArray[np.float64], shift: float, seed_px: float, line: NDArray[np.float64]
+) -> None:
+    """Ends (row0, col0, row1, col1) of a track's trail, by growing place on the seed's line, in the seed's frame; into line.
+
+    shift : of the trail from where it is in the seed's frame, in lengths.
+    """
+    u_row, u_col = (seed[2] - seed[0]) / seed_px, (seed[3] - seed[1]) / seed_px
+    steep = abs(u_row) >= abs(u_col)
+    scale = max(abs(u_row), abs(u_col))
+    for end in range(2):
+        along = track[0] + (shift + end) * track[1]
+        away = (track[2] + track[3] * (along / seed_px - 0.5)) / scale
+        line[2 * end] = seed[0] + along * u_row + (0.0 if steep else away)
+        line[2 * end + 1] = seed[1] + along * u_col + (away if steep else 0.0)
+
+
+@nb.njit(cache=True)
+def follow(
+    images: tuple[NDArray[np.int8], ...],
+    halves: tuple[NDArray[np.int8], ...],
+    flat_halves: tuple[NDArray[np.int8], ...],
+    transforms: NDArray[np.float64],
+    taus: NDArray[np.float64],
+    n_frames: int,
+    centre: int,
+    seeds: NDArray[np.float64],
+    psf_sigma_px: float,
+    threshold: NDArray[np.float64],
+    first_margin: float,
+    most_work: int,
+    corridors: Corridors,
+) -> tuple[NDArray[np.float64], int, int]:
+    """Tracks through seeds, best seeds first.
+
+    images : of the window's frames, as `Searched.smooth`; halves, flat_halves : the same as `corridor.halved` makes them, and
+    transposed; those from n_frames on are not looked at. transforms (n, 2, 3) : of
+    (row, col) of the centre frame into each; taus (n,) : start of each exposure after that of the centre frame, in exposures, on
+    the rows where the object is. seeds (m, 5) : row0, col0, row1, col1, S/N in the centre frame. threshold : joint S/N asked of
+    n frames, at index n. first_margin : how far the first look, on a lattice, may fall short. most_work : pixels read after
+    which no further seed is taken up.
+
+    Returns (k, 12 + window): number of the seed, sense, a, length, offset, tilt (px), first and last frame, joint S/N, least
+    joint S/N that is left without one of the frames, chi-square of the frames against even brightness, its degrees of freedom,
+    S/N in each frame of the window; the pixels read; the seeds taken up.
+    """
+    found = np.zeros((len(seeds), 12 + len(images)))
+    n_found = read = taken = 0
+    place, trial, best, line = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
+    lanes, half_seed, parameters = np.zeros((6, LANES), np.float32), np.empty(4), np.empty(4)
+    # pixel centres of the halved image lie at 2 k + 0.5
+    half_transforms = transforms.copy()
+    for frame in range(n_frames):
+        for k in range(2):
+            half_transforms[frame, k, 2] = 0.5 * (
+                transforms[frame, k, 2] + 0.5 * (transforms[frame, k, 0] + transforms[frame, k, 1]) - 0.5
+            )
+    wider = math.hypot(psf_sigma_px, 0.5)
+    half_noise = math.sqrt(0.5 * psf_sigma_px / wider)
+    static_limit = max(LEAST_STATIC, STATIC_SIGMAS / math.sqrt(max(n_frames - 1.0, 1.0)))
+    steps, sums, weights = np.empty(4), np.empty(len(images)), np.empty(len(images))
+    for m in range(len(seeds)):
+        if read > most_work:
+            break
+        taken += 1
+        seed = seeds[m]
+        d_row, d_col = abs(seed[2] - seed[0]), abs(seed[3] - seed[1])
+        seed_px = math.hypot(d_row, d_col)
+        # px across the line for a step of one pixel along the minor axis, and the noise of a sum over major steps
+        per_lane = max(d_row, d_col) / seed_px
+        unit = 16.0 * math.sqrt(2.0 * math.sqrt(math.pi) * psf_sigma_px * per_lane)
+        rho = math.exp(-0.25 * (per_lane / psf_sigma_px) ** 2)
+        # the first look is at half resolution: a quarter of the pixels, which the cache holds better
+        half_px = 0.5 * seed_px
+        half_seed[:] = 0.5 * (seed[:4] - 0.5)
+        steep = abs(seed[2] - seed[0]) >= abs(seed[3] - seed[1])
+        reach = END_STEPS / STEPS * half_px
+        low, high = max(0, centre - 1), min(n_frames - 1, centre + 1)
+        for frame in range(low, high + 1):
+            away = abs(taus[frame]) * LONGEST * half_px
+            begin, piece = -away - reach, max(1.0, half_px / STEPS)
+            n = min(MOST_PIECES, math.ceil((half_px + 2.0 * (away + reach)) / piece))
+            corridors[2][frame, 0], corridors[2][frame, 1], corridors[3][frame] = begin, piece, n
+            _placed(half_seed, half_transforms[frame], place)
+            image = halves[frame] if steep else flat_halves[frame]
+            read += gather(image, True, place, begin, piece, n, corridors[0][frame], corridors[1][frame])
+        half_unit = unit * half_noise
+        if _first_look(corridors, taus, centre, low, high, half_px, half_unit, threshold, best, lanes) < -first_margin:
+            continue
+        read += n_frames * round(seed_px)
+        if static_snr(images, transforms, n_frames, centre, seed[:4], unit, place) > static_limit:
+            continue
+        track, sense = parameters, best[3]
+        track[0], track[1], track[2], track[3] = 2.0 * best[0], 2.0 * best[1], 0.0, 2.0 * best[2] * per_lane
+        score, first, last = -1e9, centre, centre
+        for reach_frames in range(1, len(images)):
+            low, high = max(0, centre - reach_frames), min(n_frames - 1, centre + reach_frames)
+            for frame in range(low, high + 1):
+                # what was gathered for nearer frames is gathered again, finer, about the place as it is known now
+                middle = track[0] + (0.5 + sense * taus[frame]) * track[1]
+                half = (0.9 + 0.12 * abs(taus[frame])) * seed_px
+                piece = max(1.0, seed_px / FINE)
+                read += _collect(images, frame, seed, transforms, middle - half, middle + half, piece, corridors, place)
+            span = max(1.0, abs(taus[low]), abs(taus[high]))
+            steps[0], steps[1] = seed_px / STEPS, seed_px / STEPS / span
+            steps[2], steps[3] = 0.6, 1.2 / span
+            _climb(corridors, taus, low, high, sense, track, steps, 4, seed_px, per_lane, rho, unit, trial)
+            score, first, last = best_range(
+                corridors, taus, centre, low, high, sense, track, seed_px, per_lane, rho, unit, threshold, sums, weights
+            )
+            if reach_frames > 1 and ((last < high and first > low) or score < -first_margin):
+                break
+            if low == 0 and high == n_frames - 1:
+                break
+        if score < -0.5:
+            continue
+        # the last word on the frames that count alone
+        span = max(1.0, abs(taus[first]), abs(taus[last]))
+        steps[0], steps[1] = seed_px / FINE, seed_px / FINE / span
+        steps[2], steps[3] = 0.3, 0.6 / span
+        snr = _climb(corridors, taus, first, last, sense, track, steps, 3, seed_px, per_lane, rho, unit, trial)
+        if snr < threshold[last - first + 1]:
+            continue
+        total = weight = 0.0
+        for frame in range(first, last + 1):
+            sums[frame], weights[frame] = trail_sums(corridors, frame, taus[frame], sense, track, seed_px, per_lane, rho)
+            total += sums[frame]
+            weight += weights[frame]
+        chi2, least, static = 0.0, 1e9, 0.0
+        for frame in range(first, last + 1):
+            _segment(seed, track, sense * taus[frame], seed_px, line)
+            share = static_snr(images, transforms, n_frames, frame, line, unit, place)
+            static += share * math.sqrt(weights[frame] / max(weight, 1.0))
+        if snr - max(static, 0.0) < threshold[last - first + 1]:
+            continue
+        for frame in range(first, last + 1):
+            expected = total * weights[frame] / weight
+            chi2 += (sums[frame] - expected) ** 2 / (unit * unit * max(weights[frame], 1.0))
+            rest_w = weight - weights[frame]
+            least = min(least, (total - sums[frame]) / (unit * math.sqrt(max(rest_w, 1.0))))
+            found[n_found, 12 + frame] = sums[frame] / (unit * math.sqrt(max(weights[frame], 1.0)))
+        found[n_found, 0], found[n_found, 1] = m, sense
+        found[n_found, 2:6] = track
+        found[n_found, 6], found[n_found, 7], found[n_found, 8] = first, last, snr
+        found[n_found, 9], found[n_found, 10], found[n_found, 11] = least, chi2, last - first
+        n_found += 1
+    return found[:n_found], read, taken

@@ -1,0 +1,91 @@
+"""The object catalogue from the command line: what is in it, and what leaves it."""
+
+from pathlib import Path
+from typing import Final
+
+from ground.determination.forces import ForceModel
+from ground.determination.precise import Ephemeris, fitted, read_cpf, read_sp3
+from ground.store.exports import messages, parquet_tables
+from ground.store.store import ObjectStore, StoredOrbit
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.objects.texts import text_of
+
+KINDS: Final = ("opm", "oem", "omm", "parquet")
+
+
+def ephemerides_of(path: Path) -> dict[str, Ephemeris]:
+    """Objects of an SP3 or CPF file."""
+    if not path.is_file():
+        raise UserError(f"{path}: no such file")
+    raw = path.read_bytes()
+    if raw.startswith((b"#", b"\x1f\x9d")):
+        return read_sp3(raw, path.name)
+    if raw[:6].upper() == b"H1 CPF":
+        one = read_cpf(text_of(path), path.name)
+        return {one.name: one}
+    raise UserError(f"{path.name}: neither SP3 (also .Z) nor CPF")
+
+
+def add_precise(url: str, path: Path, names: list[str]) -> list[str]:
+    """Fit orbits to objects of a precise ephemeris and put them into the store; a line for each."""
+    found = ephemerides_of(path)
+    unknown = [n for n in names if n not in found]
+    if unknown:
+        raise UserError(f"{path.name}: no object {', '.join(unknown)}; there are {', '.join(sorted(found))[:200]}")
+    store = ObjectStore(url)
+    lines = []
+    for name in names or sorted(found):
+        solution = fitted(found[name], ForceModel(gravity_degree=20))
+        made = int(found[name].t_tai_ns[-1])
+        known = {row["name"]: row["object_id"] for row in store.objects()}
+        with store.transaction() as writer:
+            number = known[name] if name in known else writer.add_objects([name], made)[0]
+            parameters = {p: solution.forces.value_of(p) for p in solution.parameters}
+            writer.add_orbits([
+                StoredOrbit(
+                    object_id=number, epoch_tai_ns=solution.t0_tai_ns, state=solution.state,
+                    covariance=solution.covariance[:6, :6], made_tai_ns=made, made_by=f"fit to {path.name}"[:64],
+                    parameters=parameters, chi2_nu=solution.chi2_nu, n_used=int((solution.weights > 0.0).sum()),
+                )
+            ])  # fmt: skip
+        lines.append(f"{name}: {len(found[name].t_tai_ns)} places, {173.2 * solution.rms:.2f} mm rms of 100 mm (3-D)")
+    store.close()
+    return lines
+
+
+def state_lines(url: str) -> list[str]:
+    """What a store holds."""
+    if "://" not in url and not Path(url).is_file():
+        raise UserError(f"{url}: no such store")
+    store = ObjectStore(url)
+    counts = store.counts()
+    lines = [", ".join(f"{n} {name}" for name, n in counts.items())]
+    names = {row["object_id"]: row for row in store.objects()}
+    for orbit in store.orbits()[:50]:
+        row = names[orbit.object_id]
+        sigma_m = 1e3 * float((orbit.covariance[0, 0] + orbit.covariance[1, 1] + orbit.covariance[2, 2]) ** 0.5)
+        lines.append(
+            f"{orbit.object_id:6d} {row['name']:<20} {row['status']:<8} n {orbit.n_used:5d}  chi2/nu {orbit.chi2_nu:6.3f}  "
+            f"position {sigma_m:.3g} m  {orbit.made_by}"
+        )
+    store.close()
+    return lines
+
+
+def export(url: str, kind: str, out: Path, originator: str, days: float) -> int:
+    """Write the store's orbits; how many files."""
+    if kind not in KINDS:
+        raise UserError(f'--as: expected {", ".join(KINDS)}, got "{kind[:20]}"')
+    if "://" not in url and not Path(url).is_file():
+        raise UserError(f"{url}: no such store")
+    store = ObjectStore(url)
+    if kind == "parquet":
+        written = len(parquet_tables(store, out))
+    else:
+        texts = messages(store, kind, originator, days)
+        out.mkdir(parents=True, exist_ok=True)
+        for name, text in texts.items():
+            (out / name).write_text(text, encoding="utf-8")
+        written = len(texts)
+    store.close()
+    return written

@@ -1,0 +1,189 @@
+"""Tracks over several frames: S50 per frame by number of frames and length, false tracks per frame, CPU-seconds.
+
+Cubes of noise (with stars on request) and straight tracks, rendered by `detection_frames` independently of the simulator. The
+detector searches each frame as in the chain, the tracker what it leaves. Run from the repository's root:
+
+    python -m tests.benchmarks.bench_tracks            # 1024 x 1024, minutes
+    python -m tests.benchmarks.bench_tracks --stars    # the same among stars
+"""
+
+import argparse
+import json
+import math
+import sys
+import time
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.detect import LineIntegralDetector
+from onboard.image import registration
+from onboard.track.joint import JointTracker
+from sboc_e2e.icd.signals import DetectorView, Track, TrackerView
+from sboc_e2e.score.figures import half_point
+from tests.benchmarks.detection_frames import SIGMA, Scene, Streak, add_streak, bare_view, exposure, random_stars, view_of
+
+PERIOD = 1.25
+"""Frames follow each other after so many exposures."""
+
+LENGTHS_PX = (20.0, 50.0, 150.0, 400.0, 1000.0)
+FRAMES = (2, 3, 4, 8)
+STARS = 25_000
+
+
+@dataclass(frozen=True, kw_only=True)
+class TrueTrack:
+    """first : frame of its first trail; ends (n, 4) row0, col0, row1, col1 by growing time; snr : in each frame."""
+
+    first: int
+    ends: NDArray[np.float64]
+    snr: float
+
+    @property
+    def length_px(self) -> float:
+        return float(np.hypot(*(self.ends[0, 2:] - self.ends[0, :2])))
+
+
+def random_track(size: int, length_px: float, n: int, n_frames: int, snr: float, rng: np.random.Generator) -> TrueTrack | None:
+    """A track whose n trails all lie wholly inside the frame; None where no such one fits."""
+    whole = length_px * (1.0 + PERIOD * (n - 1))
+    if whole > 1.3 * (size - 8):
+        return None
+    while True:
+        angle = rng.uniform(0.0, 2.0 * math.pi)
+        u = np.array([math.sin(angle), math.cos(angle)])
+        room = size - 8 - np.abs(whole * u)
+        if (room > 0.0).all():
+            corner = 4 + rng.random(2) * room + np.maximum(0.0, -whole * u)
+            starts = corner + (PERIOD * length_px * np.arange(n))[:, None] * u
+            return TrueTrack(
+                first=int(rng.integers(0, n_frames - n + 1)), ends=np.hstack([starts, starts + length_px * u]), snr=snr
+            )
+
+
+def hit(track: Track, truth: TrueTrack) -> float:
+    """In how many frames of a true track a found one lies on it: middle within 3 px across and half a length, share of them."""
+    found = {member.frame: member.detection for member in track.members}
+    good = 0
+    for k, (row0, col0, row1, col1) in enumerate(truth.ends):
+        d = found.get(truth.first + k)
+        if d is None:
+            continue
+        u = np.array([row1 - row0, col1 - col0]) / truth.length_px
+        off = 0.5 * np.array([d.row0 + d.row1 - row0 - row1, d.col0 + d.col1 - col0 - col1])
+        forward = float(np.array([d.row1 - d.row0, d.col1 - d.col0]) @ u) > 0.0
+        good += forward and abs(off @ u) < max(3.0, 0.5 * truth.length_px) and abs(off[0] * u[1] - off[1] * u[0]) < 3.0
+    return good / len(truth.ends)
+
+
+def run_cube(
+    tracker: JointTracker, truth: list[TrueTrack], size: int, n_frames: int, rng: np.random.Generator, n_stars: int = 0
+) -> tuple[list[Track], float, float]:
+    """Tracks found in a cube; CPU-seconds per frame of the search and of the tracker."""
+    detector = LineIntegralDetector()
+    stars = random_stars(size, n_stars, rng) if n_stars else None
+    state, found, history, before = tracker.initial_state(), [], (), None
+    search_s = track_s = 0.0
+    for k in range(n_frames):
+        if stars is None:
+            scene = Scene(image=rng.standard_normal((size, size), dtype=np.float32) * np.float32(SIGMA))
+        else:
+            shift = rng.normal(0.0, 0.4, 2)
+            scene = exposure(size, stars, rng, shift_px=(float(shift[0]), float(shift[1])))
+        offset = np.zeros(2) if stars is None else shift
+        for t in truth:
+            if t.first <= k < t.first + len(t.ends):
+                row0, col0, row1, col1 = t.ends[k - t.first] + np.tile(offset, 2)
+                add_streak(scene, Streak(row0=row0, col0=col0, row1=row1, col1=col1, snr=t.snr), rng)
+        view: DetectorView = bare_view(scene, frame=k) if stars is None else view_of(scene, frame=k, history=history)
+        view = replace(view, header=replace(view.header, line_time_ns=0))
+        start = time.process_time()
+        detections, searched = detector.search(view, tracker.seed_sigma)
+        middle = time.process_time()
+        transform = None
+        if k:
+            transform = np.eye(2, 3) if stars is None else registration.register(before, view.stars, reach_px=300.0)
+        state, tracks = tracker.track(
+            state, TrackerView(view=view, detections=detections, searched=searched, transform=transform)
+        )
+        track_s += time.process_time() - middle
+        search_s += middle - start
+        found += tracks
+        if stars is not None:
+            history, before = (detector.remembered(view),), view.stars
+    return found, search_s / n_frames, track_s / n_frames
+
+
+def noise(tracker: JointTracker, size: int, cubes: int, n_frames: int, seed: int, n_stars: int = 0) -> dict[str, Any]:
+    """False tracks (by number of the object) per frame, and CPU-seconds."""
+    numbers, search, track, snrs = 0, [], [], []
+    for c in range(cubes):
+        found, a, b = run_cube(tracker, [], size, n_frames, np.random.default_rng((seed, c)), n_stars)
+        numbers += len({t.number for t in found})
+        snrs += [(round(t.snr, 2), len(t.members)) for t in found]
+        search.append(a)
+        track.append(b)
+    return {
+        "false_tracks": numbers, "frames": cubes * n_frames, "search_cpu_s": round(float(np.median(search)), 4),
+        "track_cpu_s": round(float(np.median(track)), 4), "snr_and_frames": snrs[:20],
+    }  # fmt: skip
+
+
+def completeness(
+    tracker: JointTracker, size: int, cubes: int, seed: int, spread: float = 2.0, n_stars: int = 0
+) -> dict[str, Any]:
+    """S50 per frame by number of frames and length; `cubes` cubes for each number of frames, all lengths in each."""
+    out: dict[str, Any] = {}
+    for n in FRAMES:
+        snr: dict[float, list[float]] = {length: [] for length in LENGTHS_PX}
+        seen: dict[float, list[bool]] = {length: [] for length in LENGTHS_PX}
+        false, frames = 0, 0
+        for c in range(cubes):
+            rng = np.random.default_rng((seed, n, c))
+            n_frames = n + 2 * (2 if n < 8 else 1)
+            guess = {2: 5.4, 3: 4.6, 4: 4.1, 8: 3.2}[n]
+            truth = []
+            for length in LENGTHS_PX:
+                for _ in range(3 if length < 300 else 1):
+                    t = random_track(size, length, n, n_frames, float(rng.uniform(guess - spread / 2, guess + spread / 2)), rng)
+                    truth += [] if t is None else [t]
+            n_run = n_frames + (tracker.window - 1) // 2
+            found, _, _ = run_cube(tracker, truth, size, n_run, rng, n_stars)
+            matched = set()
+            for t in truth:
+                key = min(LENGTHS_PX, key=lambda length, t=t: abs(length - t.length_px))
+                good = [f.number for f in found if hit(f, t) >= 0.5]
+                matched |= set(good)
+                snr[key].append(t.snr)
+                seen[key].append(bool(good))
+            false += len({f.number for f in found} - matched)
+            frames += n_run
+        every = [s for values in snr.values() for s in values], [h for values in seen.values() for h in values]
+        out[f"n={n}"] = {
+            "all": half_point(*every),
+            **{f"{length:g}": half_point(snr[length], seen[length]) for length in LENGTHS_PX if len(snr[length]) > 10},
+            "false": false, "frames": frames,
+        }  # fmt: skip
+    return out
+
+
+def main() -> None:
+    """Print the figures as JSON."""
+    parser = argparse.ArgumentParser()
+    parser.add_argument("--size", type=int, default=1024)
+    parser.add_argument("--cubes", type=int, default=20)
+    parser.add_argument("--stars", action="store_true")
+    chosen = parser.parse_args()
+    tracker, stars = JointTracker(), STARS if chosen.stars else 0
+    figures = {
+        "thresholds": tracker.thresholds((chosen.size, chosen.size), PERIOD, 0.849).round(2).tolist(),
+        "noise": noise(tracker, chosen.size, max(1, chosen.cubes // 2), 16, 1, stars),
+        **completeness(tracker, chosen.size, chosen.cubes, 2, n_stars=stars),
+    }
+    sys.stdout.write("\n".join(f"{key}: {json.dumps(value)}" for key, value in figures.items()) + "\n")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,196 @@
+"""Objects over several frames: what noise reaches, what is found, what is kept and sent of them, where tracking ends."""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+from ground.ingest import decode_downlink
+from ground.ingest.codecs import PlanesDecoder
+from onboard.chain import OnboardChain, OnboardSteps, continues
+from onboard.detect import LineIntegralDetector, ThresholdDetector
+from onboard.downlink import roi
+from onboard.downlink.codec import PlanesCodec
+from onboard.downlink.kept_counts import kept_counts
+from onboard.image.background import MeshBackground
+from onboard.image.calibrate import Counts
+from onboard.image.dark_map import DarkMap
+from onboard.options import OnboardOptions
+from onboard.stars.matched import MatchedStars
+from onboard.track.false_alarms import half_point_sigma, independent_tracks, threshold_sigma
+from onboard.track.joint import JointTracker
+from onboard.track.none import NoTracker
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.icd.flags import FrameFlag
+from sboc_e2e.icd.layout import Apid
+from sboc_e2e.icd.signals import BackgroundModel, Detection, DetectorView, Searched, StarList, Track, TrackerView, TrackMember
+from tests.benchmarks.bench_tracks import hit, random_track, run_cube
+from tests.onboard.small_run import Run, calibration, camera, frame, header
+
+
+@pytest.mark.parametrize(("n", "per_frame"), [(1, 6.97), (2, 5.14), (3, 4.26), (4, 3.73), (5, 3.37), (8, 2.71)])
+def test_thresholds_are_those_of_the_theory(n: int, per_frame: float) -> None:
+    """True S/N per frame of which half are found, 4096 x 4096 px, 0.1 false (Adler & Taylor 2007)."""
+    volume = independent_tracks(n, area_px=4096.0**2, longest_px=2000.0, period_over_exposure=1.25, psf_sigma_px=0.849)
+    assert half_point_sigma(threshold_sigma(volume, 0.1)) / math.sqrt(n) == pytest.approx(per_frame, abs=0.02)
+
+
+def test_tracks_that_no_frame_shows_are_found_in_both_senses_and_noise_gives_none() -> None:
+    """S/N 5.8 in each of four frames: 2 sigma below what one frame needs."""
+    tracker, found_of, senses = JointTracker(window=5), [], set()
+    for cube in range(2):
+        rng = np.random.default_rng((3, cube))
+        truth = [random_track(512, length, 4, 6, 5.8, rng) for length in (20.0, 40.0, 60.0)]
+        tracks, _, _ = run_cube(tracker, [t for t in truth if t is not None], 512, 8, rng)
+        for t in truth:
+            assert t is not None
+            found_of.append(any(hit(track, t) >= 0.5 for track in tracks))
+            senses.add(bool(t.ends[0, 3] > t.ends[0, 1]))
+        assert all(any(hit(track, t) >= 0.5 for t in truth if t is not None) for track in tracks)
+    assert sum(found_of) >= 5
+    assert senses == {True, False}
+
+
+def test_without_a_transform_nothing_of_earlier_frames_is_used() -> None:
+    rng = np.random.default_rng(4)
+    tracker, state = JointTracker(window=3), JointTracker(window=3).initial_state()
+    for number in range(4):
+        smooth = rng.integers(-40, 40, (96, 96)).astype(np.int8)
+        view = DetectorView(
+            header=header(number, 96), residual_adu=np.zeros((96, 96), np.float32), mask=np.zeros((96, 96), np.uint8),
+            background=BackgroundModel(tile_px=64, level_adu=np.zeros((2, 2), np.float32), sigma_adu=np.ones((2, 2), np.float32)),
+            stars=StarList.empty(), psf_sigma_px=0.849,
+        )  # fmt: skip
+        seen = TrackerView(view=view, detections=(), searched=Searched(smooth=smooth, seeds=np.zeros((0, 5))), transform=None)
+        state, tracks = tracker.track(state, seen)
+        assert tracks == ()
+        assert [kept.header.frame for kept in state.window] == [number]
+
+
+@pytest.mark.parametrize("axis", [0, 1])
+def test_strips_of_a_kept_frame_are_those_of_the_frame(axis: int) -> None:
+    """Stars, saturation, negative values and the frame's outside, to the last count."""
+    rng = np.random.default_rng(7)
+    pixels = rng.normal(110.0, 3.0, (150, 130))
+    pixels[rng.integers(0, 150, 300), rng.integers(0, 130, 300)] += rng.exponential(4000.0, 300)
+    pixels[5, 7], pixels[6, 7] = 65535, 0
+    dark = DarkMap.of(
+        (100.0 + rng.normal(0.0, 0.4, pixels.shape) + 900.0 * (rng.random(pixels.shape) < 0.003)).astype(np.float32)
+    )
+    counts = Counts(
+        pixels=np.clip(pixels, 0, 65535).astype(np.uint16), dark=dark, defects=np.zeros(pixels.shape, np.uint8), adu_scale=1.0,
+        adu_offset=0.0, saturation=65535,
+    )  # fmt: skip
+    background = BackgroundModel(
+        tile_px=64, level_adu=rng.normal(10.0, 2.0, (3, 3)).astype(np.float32), sigma_adu=np.full((3, 3), 3.0, np.float32)
+    )
+    kept = kept_counts(header(0), background, counts, ())
+    geometry = roi.StripGeometry(axis=axis, major0=0, n=130, width=40, minor0_fp=-5 * 65536, slope_fp=60000)
+    expected = roi.cut_strip(geometry, counts.pixels, counts.dark, 11)
+    assert (kept.cut(geometry, 11).values_adu == expected.values_adu).all()
+
+
+@dataclass(frozen=True, kw_only=True)
+class Planted:
+    """Reports a track through the last three frames whenever it may."""
+
+    window_frames: int = 3
+    seed_sigma: float = 5.0
+
+    def initial_state(self) -> tuple[int, ...]:
+        """Frame numbers seen since the window began."""
+        return ()
+
+    def track(self, state: tuple[int, ...], view: TrackerView) -> tuple[tuple[int, ...], tuple[Track, ...]]:
+        """A faint one in the middle of the frame."""
+        state = (*(state if view.transform is not None else ()), view.view.header.frame)[-3:]
+        if len(state) < 3:
+            return state, ()
+        members = tuple(
+            TrackMember(frame=k, detection=Detection(row0=100.0, col0=90.0 + 10 * k, row1=120.0, col1=98.0 + 10 * k, snr=4.0))
+            for k in state
+        )
+        return state, (Track(number=5, snr=7.5, members=members),)
+
+
+def tracked_run(numbers: Sequence[int], *, tracker: object | None = None, exposure_of: dict[int, int] | None = None) -> Run:
+    """A run of frames with these numbers; exposures (ns) where they are not the usual ones."""
+    steps = OnboardSteps(
+        background=MeshBackground(), star_extractor=MatchedStars(), detector=LineIntegralDetector(), codec=PlanesCodec(),
+        tracker=tracker or Planted(),  # type: ignore[arg-type]
+    )  # fmt: skip
+    chain = OnboardChain(OnboardOptions(), steps, calibration=calibration(), camera=camera(), run_id=1)
+    run = Run(chain=chain, state=chain.initial_state())
+    for number in numbers:
+        one = frame(number, pixels=frame(0).pixels + np.uint16(number % 5))
+        if exposure_of and number in exposure_of:
+            one = replace(one, header=replace(one.header, exposure_ns=exposure_of[number]))
+        run.feed(one)
+    return run
+
+
+def test_members_come_down_once_with_the_pixels_of_their_own_frames() -> None:
+    run = tracked_run(range(5))
+    frames, report = decode_downlink(run.downlink, (PlanesDecoder(),))
+    assert not report.decode_failures
+    assert not report.frames_incomplete
+    for number, decoded in enumerate(frames):
+        (group,) = [g for g in decoded.rois if g.track >= 0]
+        assert (group.track, group.track_snr) == (5, 7.5)
+        assert group.detection.col0 == 90.0 + 10 * number
+        pixels = frame(0).pixels.astype(np.int64) + number % 5
+        for strip in group.strips:
+            row, col, inside = strip.pixel_coordinates(256, 256)
+            dark = np.rint(calibration().dark_adu[row[inside], col[inside]])
+            assert (strip.values_adu[inside] == pixels[row[inside], col[inside]] - dark).all()
+
+
+def test_a_lost_track_packet_is_missed_and_named() -> None:
+    run = tracked_run(range(4))
+    whole = run.downlink
+    start = next(k for k in range(len(whole)) if whole[k : k + 2] == (0x0800 | int(Apid.TRACK)).to_bytes(2, "big"))
+    length = int.from_bytes(whole[start + 4 : start + 6], "big") + 7
+    frames, _ = decode_downlink(whole[:start] + whole[start + length :], (PlanesDecoder(),))
+    assert len(frames) == 4
+    assert sum(any(g.track >= 0 for g in decoded.rois) for decoded in frames) == 3
+
+
+@pytest.mark.parametrize(
+    ("numbers", "exposures", "ended_at"),
+    [((0, 1, 2, 4, 5, 6), {}, 4), ((0, 1, 2, 3, 4, 5), {3: 100_000_000, 4: 100_000_000, 5: 100_000_000}, 3)],
+)
+def test_tracking_ends_at_a_gap_and_at_another_exposure_and_says_so(
+    numbers: tuple[int, ...], exposures: dict[int, int], ended_at: int
+) -> None:
+    run = tracked_run(numbers, exposure_of=exposures)
+    for number, result in zip(numbers, run.results, strict=True):
+        assert bool(result.housekeeping.flags & FrameFlag.TRACKS_ENDED) == (number == ended_at)
+        for track in result.tracks:
+            frames = {member.frame for member in track.members}
+            assert min(frames) >= ended_at or max(frames) < ended_at
+
+
+def test_a_repeated_frame_ends_the_window() -> None:
+    last = header(3)
+    assert continues(last, header(4))
+    assert not continues(last, header(3))
+    assert not continues(last, header(5))
+    assert not continues(None, header(0))
+    assert not continues(last, replace(header(4), t_start_tai_ns=last.t_start_tai_ns - 1))
+
+
+def test_no_tracker_keeps_and_sends_nothing() -> None:
+    run = tracked_run(range(3), tracker=NoTracker())
+    assert run.state.tracking is None
+    assert all(int(Apid.TRACK) not in result.bytes_by_apid for result in run.results)
+
+
+def test_a_detector_that_leaves_nothing_is_refused_in_one_line() -> None:
+    steps = OnboardSteps(
+        background=MeshBackground(), star_extractor=MatchedStars(), detector=ThresholdDetector(), codec=PlanesCodec(),
+        tracker=JointTracker(),
+    )  # fmt: skip
+    with pytest.raises(UserError, match=r"onboard\.tracker: JointTracker goes on from what a detector's search leaves"):
+        OnboardChain(OnboardOptions(), steps, calibration=None, camera=camera(), run_id=1)

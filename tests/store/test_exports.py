@@ -1,0 +1,92 @@
+"""What leaves the store is read by others: oem, sgp4, ccsds-ndm, pyarrow; and the commands."""
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+pytest.importorskip("satkit", reason="satkit propagates orbits (extra `objects`)")
+pytest.importorskip("sqlalchemy", reason="the store is on SQLAlchemy (extra `objects`)")
+
+from ground.determination.forces import ForceModel
+from ground.determination.propagation import propagate
+from ground.orbit.ephemerides import read_oem
+from ground.orbit.reference import teme_to_gcrs
+from ground.store.exports import mean_elements, oem, omm, opm
+from ground.store.store import ObjectStore, StoredOrbit
+from sboc_e2e.cli.main import run
+from tests.conjunctions.reference import folder
+
+T0 = 2_150_000_000_000_000_000
+
+
+def orbit() -> StoredOrbit:
+    return StoredOrbit(
+        object_id=1, epoch_tai_ns=T0, state=np.array([42000.0, 900.0, 100.0, -0.1, 3.05, 0.3]),
+        covariance=np.diag([1e-2] * 3 + [1e-10] * 3), made_tai_ns=T0, made_by="batch", n_used=40, chi2_nu=1.0,
+    )  # fmt: skip
+
+
+def test_an_oem_is_the_orbit() -> None:
+    (read,) = read_oem(oem(orbit(), "G", "TEST", 0.5))
+    expected = propagate(orbit().state, T0, read.t_tai_ns, ForceModel()).states
+    # six digits of a km, microseconds of an epoch
+    np.testing.assert_allclose(read.position_km, expected[:, :3], atol=1e-5)
+
+
+def test_messages_are_taken_by_an_independent_reader() -> None:
+    ndm = pytest.importorskip("ccsds_ndm.ndm_io", reason="ccsds-ndm is the oracle")
+    for text in (opm(orbit(), "G", "TEST"), oem(orbit(), "G", "TEST", 0.1), omm(orbit(), "G", "TEST")):
+        assert ndm.NdmIo().from_string(text) is not None
+
+
+def test_mean_elements_follow_the_orbit() -> None:
+    mean, away = mean_elements(orbit())
+    assert away < 5.0
+    failed, place, _ = mean.sgp4(*_utc(T0))
+    assert failed == 0
+    assert np.linalg.norm(teme_to_gcrs(T0) @ np.array(place) - orbit().state[:3]) < 5.0
+
+
+def _utc(t: int) -> tuple[float, float]:
+    from ground.orbit.reference import utc_jd
+
+    day, fraction = utc_jd([t])
+    return float(day[0]), float(fraction[0])
+
+
+def test_the_commands_fill_show_and_export(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store = str(tmp_path / "o.db")
+    source = folder("sp3") / "gbm18432.sp3.Z"
+    assert run(["objects", "add", str(source), "--object", "G01", "--object", "E11", "--store", store]) == 0
+    assert run(["objects", "list", "--store", store]) == 0
+    printed = capsys.readouterr().out
+    assert "2 objects" in printed
+    assert "E11" in printed
+    for kind, files in (("opm", 2), ("oem", 2), ("omm", 2), ("parquet", 2)):
+        out = tmp_path / kind
+        assert run(["objects", "export", "--as", kind, "--out", str(out), "--store", store]) == 0
+        assert len(list(out.iterdir())) == files
+    again = ObjectStore(store)
+    assert len(again.orbits()) == 2
+    again.close()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["list", "--store", "none.db"], "no such store"),
+        (["add", "none.sp3"], "no such file"),
+        (["add", "x.txt"], "neither SP3"),
+        (["export", "--as", "csv", "--out", "o", "--store", "x.txt"], "--as: expected opm"),
+    ],
+)
+def test_the_commands_say_what_is_wrong(
+    arguments: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "x.txt").write_text("text")
+    assert run(["objects", *arguments]) == 2
+    error = capsys.readouterr().err
+    assert words in error
+    assert error.count("\n") == 1

@@ -1,16 +1,16 @@
 """The commands as Python functions, for notebooks and scripts: run a scenario, compare choices of a step, sweep a campaign.
 
-::
+```python
+from sboc_e2e.api import compare, run
 
-    from sboc_e2e.api import compare, run
+result = run("smoke", set={"frames": 3})
+print(result)
+result.streaks  # an astropy table
+result.value("detection.ground.completeness_snr8")
 
-    result = run("smoke", set={"frames": 3})
-    print(result)
-    result.streaks                                    # an astropy table
-    result.value("detection.ground.completeness_snr8")
-
-    versus = compare("smoke", "onboard.detector", ["line_integral", "threshold"])
-    print(versus.verdict)
+versus = compare("smoke", "onboard.detector", ["line_integral", "threshold"])
+print(versus.verdict)
+```
 
 And one step at a time on a numpy array: `detect`, `measure`, `solve` (`sboc_e2e.outside.one_step`).
 

@@ -150,10 +150,21 @@ def score(
 
 
 @app.command()
-def report(run_dir: RunDir, plugin: Plugins = None) -> None:
+def report(
+    run_dir: RunDir,
+    movie: Annotated[Path | None, typer.Option("--movie", help="also write the kept frames as an animated GIF")] = None,
+    plugin: Plugins = None,
+) -> None:
     """Write report.html and report.md of a scored run."""
+    if movie is not None and movie.suffix.lower() != ".gif":
+        raise UserError(f'--movie: expected a file name that ends in .gif, got "{movie}"')
     _stage("report", run_dir, plugin)
     typer.echo(run_dir / "report.html")
+    if movie is not None:
+        from sboc_e2e.report.movie import write_movie
+
+        write_movie(run_dir, movie)
+        typer.echo(movie)
 
 
 @app.command()

@@ -152,3 +152,45 @@ def test_a_trail_found_twice_is_published_once(fits: dict[str, list[StreakFit]])
     beside = replace(again, row0=bright.row0 + 30.0, row1=bright.row1 + 30.0, col0=bright.col0 - 30.0, col1=bright.col1 - 30.0)
     assert repeated([piece, bright, again, beside], np.ones(4)).tolist() == [True, False, True, False]
     assert not repeated([piece, bright, again, beside], np.array([0.9, 0.0, 0.0, 0.9])).any(), "by a fit that is not believed"
+
+
+def outside_fit(
+    fit: StreakFit, ends: tuple[float, float, float, float], *, width_px: float, snr: float, chi2_nu: float
+) -> StreakFit:
+    """A fit of a frame that nobody calibrated, from border to border."""
+    return replace(
+        fit,
+        row0=ends[0],
+        col0=ends[1],
+        row1=ends[2],
+        col1=ends[3],
+        width_px=width_px,
+        snr=snr,
+        chi2_nu=chi2_nu,
+        flags=StreakFlag.EDGE0 | StreakFlag.EDGE1 | StreakFlag.DEFOCUSED,
+    )
+
+
+def test_a_wide_trail_from_border_to_border_of_a_small_frame_is_published(
+    fits: dict[str, list[StreakFit]], frame: DownlinkFrame
+) -> None:
+    """As DECam's: 97 px long, sigma 5 px, S/N 1,100, texture of its own; told by 12 widths where both ends lie on a border."""
+    rows, cols = frame.header.rows, frame.header.cols
+    ends = (-0.5, 0.05 * cols, rows - 0.5, 0.6 * cols)
+    length = float(np.hypot(ends[2] - ends[0], ends[3] - ends[1]))
+    unknown = replace(frame, psf_sigma_px=None)
+    trail = outside_fit(fits["real"][0], ends, width_px=length / 20.0, snr=1100.0, chi2_nu=12.0)
+    assert LikelihoodVetter(model_error=0.2).probability([trail], unknown)[0] > 0.5
+    slope = replace(trail, snr=147.0, chi2_nu=30.0)  # a row of stars or a slope of the background: leaves more than it explains
+    assert LikelihoodVetter(model_error=0.2).probability([slope], unknown)[0] < 0.5
+
+
+def test_what_stays_on_a_column_over_the_frame_is_of_the_readout(fits: dict[str, list[StreakFit]], frame: DownlinkFrame) -> None:
+    """Only without calibration, and not what leaves its column by three widths or spans half the frame."""
+    rows = frame.header.rows
+    vetter, calibrated = LikelihoodVetter(model_error=0.2), LikelihoodVetter()
+    column = outside_fit(fits["real"][0], (-0.5, 40.0, rows - 0.5, 43.0), width_px=1.5, snr=190.0, chi2_nu=1.0)
+    assert vetter.probability([column], frame)[0] == 0.0
+    assert calibrated.probability([column], frame)[0] > 0.0
+    assert vetter.probability([replace(column, col1=46.0)], frame)[0] > 0.0
+    assert vetter.probability([replace(column, row1=0.5 * rows)], frame)[0] > 0.0

@@ -1,9 +1,11 @@
 # Verbs, each of which does all its own set-up in .venv from the lock file:
 #   make e2e SCENARIO=sso_antisun   the whole chain, ends with runs/<scenario>/report.html
 #   make test        fast tests         make test-full   all tests, under 40 minutes
+#   make test-slow   the slow ones alone: whole scenarios, commands of the documents, notebooks
 #   make lint        style, types, import rules, schema, licences
 #   make bench       the benchmark report         make fuzz   a million inputs against every parser
 #   make bench-check the quick benchmark against the committed baseline; fails where a figure became worse
+#   make docs        the documentation site, build/site/index.html; opens from the folder, without a server or network
 #   make clean       remove the environment and everything that can be made again
 
 PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do $$p -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null && echo $$p && break; done)
@@ -19,7 +21,7 @@ export OPENBLAS_NUM_THREADS := 1
 export NUMBA_NUM_THREADS := 1
 export PYTHONHASHSEED ?= 0
 
-.PHONY: e2e test test-full lint bench bench-check fuzz clean
+.PHONY: e2e test test-full test-slow lint bench bench-check fuzz docs clean
 
 e2e: $(READY)
 	$(BIN)/sboc run $(SCENARIO) --force
@@ -29,6 +31,9 @@ test: $(READY)
 
 test-full: $(READY)
 	$(BIN)/python -m pytest -q -ra -m "slow or not slow"
+
+test-slow: $(READY)
+	$(BIN)/python -m pytest -q -ra -m slow
 
 lint: $(READY)
 	$(BIN)/ruff check .
@@ -46,8 +51,12 @@ bench-check: $(READY)
 fuzz: $(READY)
 	for target in packets codecs fits scenario; do $(BIN)/python -m tests.fuzz $$target -runs=$(FUZZ_RUNS) -rss_limit_mb=2048 || exit 1; done
 
+docs: $(VENV)-docs/.ready
+	$(VENV)-docs/bin/python docs/site/build.py
+	@echo build/site/index.html
+
 clean:
-	rm -rf $(VENV) runs bench/out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .benchmarks
+	rm -rf $(VENV) $(VENV)-docs build runs bench/out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
 # The environment follows the lock file and the project's metadata; the warm-up compiles numerical kernels once.
@@ -57,4 +66,11 @@ $(READY): requirements.lock pyproject.toml
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
 	$(BIN)/python -m sboc_e2e.warm_up
+	touch $@
+
+# The site's tools read the sources and do not import them: they need nothing of the environment above.
+$(VENV)-docs/.ready: docs/site/requirements.lock
+	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3"; exit 2; }
+	test -x $(VENV)-docs/bin/python || $(PYTHON) -m venv $(VENV)-docs
+	$(VENV)-docs/bin/python -m pip install --quiet --disable-pip-version-check --require-hashes -r docs/site/requirements.lock
 	touch $@

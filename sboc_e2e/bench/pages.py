@@ -3,14 +3,16 @@
 import fnmatch
 import json
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 import numpy as np
 
 from sboc_e2e.bench.entries import HIGHER, LOWER, Entry
 from sboc_e2e.bench.quoted import QUOTED_PEERS
+from sboc_e2e.bench.scenario_page import TABLE_HEAD, table_rows
 from sboc_e2e.files.atomic import write_text
 from sboc_e2e.report import plots
 from sboc_e2e.report.page import simple_page, table
@@ -42,17 +44,35 @@ SIZES: Final = (
 )
 
 
-def _words(e: Entry) -> tuple[str, str, str, str]:
+def _words(e: Entry, baseline: Mapping[str, Any]) -> tuple[str, ...]:
+    """Name, value with interval, baseline, change against it, unit, n or the reason of absence."""
+    stored = baseline.get(e.name, {}).get("value")
+    before = "-" if stored is None else number(stored)
     if e.value is None:
-        return e.name, "-", e.unit, e.reason
+        return e.name, "-", before, "", e.unit, e.reason
     value = number(e.value) if e.low == e.high else f"{number(e.value)} [{number(e.low)}, {number(e.high)}]"
-    return e.name, value, e.unit, f"n = {e.n:,}" if e.n > 1 else ""
+    return e.name, value, before, _change(e, stored), e.unit, f"n = {e.n:,}" if e.n > 1 else ""
+
+
+def _change(e: Entry, stored: float | None) -> str:
+    """By how much a figure departs from its baseline, in percent, and whether that is better or worse."""
+    if stored is None or e.value is None or stored == e.value:
+        return ""
+    relative = f"{100.0 * (e.value - stored) / abs(stored):+.1f} %" if stored else f"{e.value - stored:+.3g}"
+    if e.better not in (HIGHER, LOWER) or e.unit in ("s", "ms", "MB/s"):
+        return relative  # seconds of another machine say nothing by themselves; --check weighs them with the yardstick
+    return f"{relative}, {'better' if (e.value > stored) == (e.better == HIGHER) else 'worse'}"
 
 
 def write_pages(
-    entries: Sequence[Entry], costs: dict[str, float], environment: dict[str, Any], regressions: Sequence[str], out: Path
+    entries: Sequence[Entry],
+    costs: dict[str, float],
+    environment: dict[str, Any],
+    regressions: Sequence[str],
+    out: Path,
+    baseline: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
-    """All files of the report."""
+    """All files of the report. baseline : stored figures by name, to stand beside those of now."""
     figures = [vars(e) | {"better": e.better, "unit": e.unit} for e in entries]
     summary = {"environment": environment, "wall_s": costs, "regressions": list(regressions), "figures": figures}
     write_text(out / "report.json", json.dumps(summary, indent=1))
@@ -66,15 +86,15 @@ def write_pages(
     earlier = (out / HISTORY).read_text(encoding="utf-8") if (out / HISTORY).exists() else ""
     line = json.dumps({"environment": environment, "values": {e.name: e.value for e in entries}})
     write_text(out / HISTORY, f"{earlier}{line}\n")
-    head = ("figure", "value [90 %]", "unit", "n or reason")
-    rows = [_words(e) for e in entries]
+    head = ("figure", "value [90 %]", "baseline", "change", "unit", "n or reason")
+    rows = [_words(e, baseline) for e in entries]
     quick = "quick" if environment["quick"] else "full"
     took = (
         f"{quick} benchmark, {environment['wall_s']} s, Python {environment['python']}, {environment['processors']} processors."
     )
     lines = ["# Benchmark report", "", took, ""]
     lines += [f"- regression: {r}" for r in regressions] + ([""] if regressions else [])
-    lines += ["| " + " | ".join(head) + " |", "|---|---|---|---|", *("| " + " | ".join(r) + " |" for r in rows)]
+    lines += ["| " + " | ".join(head) + " |", "|" + "---|" * len(head), *("| " + " | ".join(r) + " |" for r in rows)]
     lines += ["", "Peers that are not on the package index, as their sources quote them:", ""]
     lines += ["| peer | figure | source |", "|---|---|---|", *("| " + " | ".join(q) + " |" for q in QUOTED_PEERS)]
     write_text(out / "report.md", "\n".join(lines) + "\n")
@@ -82,11 +102,20 @@ def write_pages(
     if regressions:
         body += ["<h2>Regressions</h2>", "<ul>", *(f"<li>{r}</li>" for r in regressions), "</ul>"]
     body += ["<h2>Figures</h2>", table(head, rows)]
+    body += _scenarios(out / "bench_scenarios.json")
     body += _onboard_sizing(entries, out / "bench_onboard.json")
     body += ["<h2>Peers, quoted</h2>", table(("peer", "figure", "source"), QUOTED_PEERS)]
     body += ["<h2>Wall seconds of each bench</h2>", table(("bench", "s"), [(k, f"{v:.1f}") for k, v in costs.items()])]
     body += ["<h2>History</h2>", f"<figure>{history_plot(out / HISTORY)}</figure>"]
     write_text(out / "report.html", simple_page("Benchmark report", body))
+
+
+def _scenarios(result: Path) -> list[str]:
+    """One table of all scenarios; nothing if they were not measured."""
+    if not result.is_file():
+        return []
+    runs = json.loads(result.read_text(encoding="utf-8"))
+    return ["<h2>All scenarios</h2>", table(TABLE_HEAD, table_rows(runs))]
 
 
 def _onboard_sizing(entries: Sequence[Entry], result: Path) -> list[str]:

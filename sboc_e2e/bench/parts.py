@@ -19,6 +19,9 @@ QUICK_RUNS: Final = {"smoke": ("smoke",), "sso_antisun_8_frames": ("sso_antisun"
 SIDE_BY_SIDE: Final = ("astrometry", "detection", "linking", "orbit", "streak_fit", "trailed_stars", "vetting")
 """Monte-Carlo benches whose figures are accuracies and CPU seconds: they may share the machine, one for each processor."""
 
+FULL_ONLY: Final = ("scenarios",)
+"""Parts without a quick form: whole scenarios take minutes each."""
+
 LONG: Final = ("soak",)
 """Parts whose full form lasts hours; they run in their quick form unless they are asked for by name."""
 
@@ -45,6 +48,8 @@ def parts(*, quick: bool, peers: bool, long: bool = False, only: tuple[str, ...]
     out = [Part(name=name, scenario=arguments, quick=quick) for name, arguments in (QUICK_RUNS if quick else RUNS).items()]
     for script in sorted(SCRIPTS.glob("bench_*.py")):
         name = script.stem.removeprefix("bench_")
+        if quick and name in FULL_ONLY:
+            continue
         if peers or not name.startswith("peers_"):
             out.append(Part(name=name, quick=quick or (name in LONG and not long)))
     return [part for part in out if not only or part.name in only]

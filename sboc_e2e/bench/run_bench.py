@@ -80,7 +80,8 @@ def run_bench(
         size = "quick" if quick else "full"
         write_json(COSTS, stored | {size: (stored.get(size, {}) if only else {}) | costs})
     found = regressions(entries, baseline)
-    write_pages(entries, costs, environment, [str(r) for r in found], out)
+    beside = baseline or (read_baseline(baseline_path) if baseline_path.is_file() else {})
+    write_pages(entries, costs, environment, [str(r) for r in found], out, beside)
     if failed:
         raise UserError(f"{out / 'report.json'}: parts that failed: {', '.join(failed)}; no baseline was written")
     return found

@@ -150,10 +150,21 @@ def score(
 
 
 @app.command()
-def report(run_dir: RunDir, plugin: Plugins = None) -> None:
+def report(
+    run_dir: RunDir,
+    movie: Annotated[Path | None, typer.Option("--movie", help="also write the kept frames as an animated GIF")] = None,
+    plugin: Plugins = None,
+) -> None:
     """Write report.html and report.md of a scored run."""
+    if movie is not None and movie.suffix.lower() != ".gif":
+        raise UserError(f'--movie: expected a file name that ends in .gif, got "{movie}"')
     _stage("report", run_dir, plugin)
     typer.echo(run_dir / "report.html")
+    if movie is not None:
+        from sboc_e2e.report.movie import write_movie
+
+        write_movie(run_dir, movie)
+        typer.echo(movie)
 
 
 @app.command()
@@ -177,7 +188,18 @@ def process(
     resolved = scenarios.bare("process", base_document(wcs), registry=registry, overrides=overrides or (), use=parsed_uses(use))
     with shown_progress() as progress:
         source = FitsFolder(path=folder, use_wcs=wcs == "header")
-        execute(source, resolved, out, camera=camera, solve=wcs == "solve", force=force, registry=registry, progress=progress)
+        at = folder.parent if folder.is_file() else folder
+        execute(
+            source,
+            resolved,
+            out,
+            camera=camera,
+            solve=wcs == "solve",
+            folder=at,
+            force=force,
+            registry=registry,
+            progress=progress,
+        )
     typer.echo(out / "products")
 
 

@@ -14,7 +14,7 @@ from sboc_e2e.report import plots
 from sboc_e2e.report.page import simple_page, table
 from sboc_e2e.report.words import figure_words, number
 
-FINDING: Final = ("onboard.background", "onboard.star_extractor", "onboard.detector", "ground.vetter")
+FINDING: Final = ("onboard.background", "onboard.star_extractor", "onboard.detector", "onboard.tracker", "ground.vetter")
 """Seams whose steps decide which streaks are found; the others are judged by their own figures first."""
 
 LEVEL: Final = 0.05

@@ -43,6 +43,12 @@ QUESTIONS: Final[dict[str, tuple[tuple[str, str], ...]]] = {
         ("detection.onboard.roi_area_fraction", "area of the regions (share of the frame)"),
         ("compression.captured_flux_fraction", "light inside the regions (share)"),
     ),
+    "onboard.tracker": (
+        *_DETECTION,
+        ("detection.onboard.false_unflagged_per_frame", "false per frame that carry no flag"),
+        ("linking.completeness", "objects linked (share)"),
+        ("compression.bits_per_frame", "bits per frame"),
+    ),
     "onboard.codec": (*_BITS, ("photometry.bias_mag", "magnitude bias, which loss would move (mag)")),
     "ground.decoder": _BITS,
     "ground.streak_fitter": (

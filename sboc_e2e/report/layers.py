@@ -5,10 +5,15 @@ from typing import Any, Final
 
 import numpy as np
 
-from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.downlink import DownlinkFrame
+from sboc_e2e.icd.flags import FLAG_TEXT, FrameFlag, StreakFlag
 from sboc_e2e.icd.signals import Strip
+from sboc_e2e.report.reasons import Reasons
 from sboc_e2e.score.evaluation import Evaluation
 from sboc_e2e.score.matching import TruthStreak
+
+USUAL: Final = FrameFlag.GAIN_ASSUMED | FrameFlag.READ_NOISE_ASSUMED
+"""Flags of every frame of a source, which say nothing of one."""
 
 MAX_CASES: Final = 40
 """Misses and false alarms shown, worst first; the counts of all stand beside them."""
@@ -46,6 +51,8 @@ def frame_layers(e: Evaluation, frames: list[int]) -> list[dict[str, Any]]:
         out.append(
             {
                 "frame": number,
+                "state": _state(record),
+                "sky": _sky(e, number),
                 "truth": [
                     {"line": _true_line(t), "snr": _snr(t.snr), "object": t.object_id, "found": t.index in found}
                     for t in e.truth
@@ -75,21 +82,31 @@ def frame_layers(e: Evaluation, frames: list[int]) -> list[dict[str, Any]]:
     return out
 
 
-def _why_missed(e: Evaluation, streak: TruthStreak) -> str:
-    share = e.footprints.captured.get(streak.index)
-    if share is None:
-        return "the frame did not arrive"
-    matched_rows = [row for row, t in e.pairs.items() if t.index == streak.index]
-    if matched_rows:
-        return "measured, but rejected by the vetter"
-    if share >= 0.9:
-        return f"ROI holds {share:.0%} of its light, but no measured streak matches it"
-    if share >= 0.1:
-        return f"ROI holds only {share:.0%} of its light"
-    return "not detected on board"
+def _state(record: DownlinkFrame | None) -> str:
+    """What was unusual about a frame, in words: storms, shed work, what is missing."""
+    if record is None:
+        return "no packet of it arrived"
+    words = [FLAG_TEXT["FrameFlag"][flag.name or ""] for flag in FrameFlag if flag in record.flags and flag not in USUAL]
+    if record.housekeeping is not None and record.housekeeping.n_rois_dropped:
+        words.append(f"{record.housekeeping.n_rois_dropped} detections held back")
+    return "; ".join(words)
 
 
-def cases(e: Evaluation) -> dict[str, list[dict[str, Any]]]:
+def _sky(e: Evaluation, number: int) -> list[list[float]] | None:
+    """Right ascension and declination (deg) on the solution's grid over the frame, rows first; None without a solution."""
+    if "grid_ra_app_deg" not in e.frames.colnames:
+        return None
+    row = next((i for i, frame in enumerate(e.frames["frame"]) if int(frame) == number), None)
+    if row is None:
+        return None
+    ra, dec = (np.asarray(e.frames[name][row], float).ravel() for name in ("grid_ra_app_deg", "grid_dec_app_deg"))
+    side = math.isqrt(ra.size)
+    if side < 2 or side * side != ra.size or not np.isfinite([ra, dec]).all():
+        return None
+    return [[round(float(v), 5) for v in values] for values in (ra, dec)]
+
+
+def cases(e: Evaluation, reasons: Reasons) -> dict[str, list[dict[str, Any]]]:
     """Misses (brightest first) and false alarms (most significant first), each with place, S/N and reason."""
     found = e.detected_ground
     missed = [t for t in e.truth if t.index not in found and t.counted]
@@ -98,7 +115,8 @@ def cases(e: Evaluation) -> dict[str, list[dict[str, Any]]]:
         {
             "frame": t.frame,
             "row": float(t.ends[:, 0].mean()), "col": float(t.ends[:, 1].mean()), "snr": _snr(t.snr),
-            "length": round(t.length_px, 1), "what": f"object {t.object_id}", "reason": _why_missed(e, t), "line": _true_line(t),
+            "length": round(t.length_px, 1), "what": f"object {t.object_id}", "reason": reasons.why_missed(t),
+            "line": _true_line(t),
         }
         for t in missed[:MAX_CASES]
     ]  # fmt: skip

@@ -1,6 +1,7 @@
 """Plots of a report as SVG text, drawn without a display; neutral ink that reads on light and dark pages."""
 
 import io
+import math
 from collections.abc import Iterator
 from contextlib import contextmanager
 from itertools import pairwise
@@ -11,10 +12,13 @@ import numpy as np
 from astropy.table import Table
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure as Canvas
-from matplotlib.ticker import LogLocator, NullFormatter
+from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 from numpy.typing import NDArray
 
 from sboc_e2e.score.figures import proportion
+
+MAX_ORBITS: Final = 12
+"""Tracklets in the picture of orbits; more would hide each other."""
 
 INK: Final = "#7a7f87"
 BLUE, ORANGE, GREEN, RED = "#3b82c4", "#d9822b", "#3a9d5d", "#c8453b"
@@ -138,9 +142,21 @@ def frame_vectors(grids: list[dict[str, Any]]) -> str:
         return svg(figure)
 
 
-def tracklets_on_sky(streaks: Table) -> str:
-    """Measured streaks of each tracklet on the sky; unlinked ones in grey."""
+def tracklets_on_sky(streaks: Table, frames: Table) -> str:
+    """Measured streaks of each tracklet on the sky, unlinked ones in grey, and the outlines and middles of the solved frames."""
     with canvas() as (figure, (ax,)):
+        reference = None
+        for s in frames:
+            if "grid_ra_app_deg" not in frames.colnames or not np.isfinite(s["grid_ra_app_deg"]).all():
+                continue
+            grid_ra, grid_dec = (np.asarray(s[name], float).reshape(-1) for name in ("grid_ra_app_deg", "grid_dec_app_deg"))
+            side, middle = math.isqrt(grid_ra.size), grid_ra.size // 2
+            reference = float(grid_ra[middle]) if reference is None else reference
+            grid_ra = reference + (grid_ra - reference + 180.0) % 360.0 - 180.0
+            index = np.arange(grid_ra.size).reshape(side, side)
+            border = np.concatenate([index[0], index[1:, -1], index[-1, -2::-1], index[-2::-1, 0]])
+            ax.plot(grid_ra[border], grid_dec[border], color=INK, lw=0.6, alpha=0.5)
+            ax.plot(grid_ra[middle], grid_dec[middle], "+", color=INK, ms=5)
         for s in streaks:
             ra, dec = [s["ra0_deg"], s["ra1_deg"]], [s["dec0_deg"], s["dec1_deg"]]
             if not np.all(np.isfinite([*ra, *dec])):
@@ -148,8 +164,34 @@ def tracklets_on_sky(streaks: Table) -> str:
             tracklet = int(s["tracklet_id"])
             colour = INK if tracklet < 0 else SERIES[tracklet % len(SERIES)]
             ax.plot(ra, dec, color=colour, lw=0.8 if tracklet < 0 else 1.8)
+        if reference is not None:
+            ax.set_aspect(1.0 / max(math.cos(math.radians(float(np.mean(ax.get_ylim())))), 0.05), adjustable="datalim")
         ax.set(xlabel="right ascension (deg)", ylabel="declination (deg)")
         ax.invert_xaxis()
+        return svg(figure)
+
+
+def orbit_spread(samples: Table, orbits: Table, true_range_km: dict[int, float]) -> str:
+    """Posterior samples of each tracklet's orbit: range against semi-major axis and inclination, medians with 90 % intervals.
+
+    true_range_km : by tracklet, where the truth is known; drawn as a cross.
+    """
+    with canvas(10.0, 3.4, columns=3) as (figure, axes):
+        for k, tracklet in enumerate(sorted({int(t) for t in samples["tracklet_id"]})[:MAX_ORBITS]):
+            mine = samples[samples["tracklet_id"] == tracklet]
+            colour = SERIES[k % len(SERIES)]
+            for ax, name in ((axes[0], "a_km"), (axes[1], "i_deg")):
+                ax.scatter(mine["range_km"], mine[name], s=2, alpha=0.35, color=colour, lw=0)
+            row = orbits[orbits["tracklet_id"] == tracklet]
+            if len(row):
+                low, middle, high = (float(row[f"range{part}_km"][0]) for part in ("_low", "", "_high"))
+                axes[2].errorbar(middle, k, xerr=[[max(middle - low, 0)], [max(high - middle, 0)]], fmt="o", ms=4, color=colour)
+            if np.isfinite(true_range_km.get(tracklet, np.nan)):
+                axes[2].plot(true_range_km[tracklet], k, "x", color=INK, ms=7)
+        for ax, label in zip(axes, ("semi-major axis (km)", "inclination (deg)", "tracklet"), strict=True):
+            ax.set(xscale="log", xlabel="range (km)", ylabel=label)
+        axes[0].set_yscale("log")
+        axes[2].yaxis.set_major_locator(MaxNLocator(integer=True))
         return svg(figure)
 
 

@@ -6,19 +6,25 @@ from pathlib import Path
 from typing import Any, Final
 
 import jinja2
+import numpy as np
+from astropy.table import Table
 
 from sboc_e2e.files.atomic import write_text
 from sboc_e2e.report import pictures, plots
 from sboc_e2e.report.headlines import figure_at, headline_rows
 from sboc_e2e.report.layers import cases, completeness_series, frame_layers
 from sboc_e2e.report.published_files import published_rows
+from sboc_e2e.report.reasons import Reasons
 from sboc_e2e.report.words import figure_words, section_rows
 from sboc_e2e.score.astrometry import frame_astrometry, sky_paths, streak_astrometry
 from sboc_e2e.score.evaluation import Evaluation, evaluate
 from sboc_e2e.score.photometry import mean_magnitudes, photometry
 
 MAX_PREVIEWS: Final = 24
+MAX_TILE_BYTES: Final = 12_000_000
+"""Full-resolution tiles in a page, so that it stays below 25 MB with previews and cut-outs."""
 RESIDUALS_TITLE: Final = "Streak positions against their bounds"
+ORBITS_TITLE: Final = "Orbits: samples of the posterior, and ranges with 90 % intervals (cross: truth)"
 SECTIONS: Final = ("detection", "astrometry", "photometry", "linking", "orbit", "products", "population", "compression", "timing")
 
 
@@ -69,8 +75,15 @@ def html(score: dict[str, Any], e: Evaluation, run_dir: Path) -> str:
     """The self-contained page."""
     kept = pictures.kept_frames(run_dir)
     shown = sorted(kept)[:MAX_PREVIEWS]
-    case_lists = cases(e)
+    case_lists = cases(e, Reasons.of(e, run_dir))
     previews: dict[int, str] = {}
+    stretches: dict[int, dict[str, list[float]]] = {}
+    close_up: dict[int, list[tuple[int, int, str]]] = {}
+    layers = frame_layers(e, shown)
+    paths = {
+        layer["frame"]: [point for each in (*layer["truth"], *layer["streaks"]) for point in each["line"]] for layer in layers
+    }
+    room = MAX_TILE_BYTES
     wanted: dict[int, list[dict[str, Any]]] = {}
     for case in (*case_lists["misses"], *case_lists["false_alarms"]):
         wanted.setdefault(case["frame"], []).append(case)
@@ -79,7 +92,12 @@ def html(score: dict[str, Any], e: Evaluation, run_dir: Path) -> str:
             continue
         image = pictures.read_pixels(kept[number])
         if number in shown:
-            previews[number] = pictures.preview(image)
+            previews[number], small = pictures.preview(image)
+            stretches[number] = {"preview": small.as_list()}
+            if pictures.shrink_factor(e.shape) > 1 and room > 0:
+                close_up[number], full = pictures.tiles(image, ((r, c) for c, r in paths[number]))
+                stretches[number]["tiles"] = full.as_list()
+                room -= sum(len(uri) for _, _, uri in close_up[number])
         for case in wanted.get(number, ()):
             case["picture"], case["row0"], case["col0"] = pictures.cutout(image, case["row"], case["col"])
     data = {
@@ -87,7 +105,10 @@ def html(score: dict[str, Any], e: Evaluation, run_dir: Path) -> str:
         "cols": e.shape[1],
         "cutout": pictures.CUTOUT_PX,
         "previews": previews,
-        "layers": frame_layers(e, shown),
+        "stretches": stretches,
+        "tiles": close_up,
+        "tile": pictures.TILE_PX,
+        "layers": layers,
         "cases": case_lists,
     }
     folder = resources.files("sboc_e2e.report")
@@ -101,9 +122,10 @@ def html(score: dict[str, Any], e: Evaluation, run_dir: Path) -> str:
         headlines=headline_rows(score),
         published=published_rows(score),
         sections=sections,
-        plots=_plots(score, e),
-        wide_plots=(RESIDUALS_TITLE,),
+        plots=_plots(score, e, run_dir),
+        wide_plots=(RESIDUALS_TITLE, ORBITS_TITLE),
         n_frames=e.n_frames,
+        n_tiles=sum(len(each) for each in close_up.values()),
         n_kept=len(kept),
         shape=e.shape,
         counts={k: len(v) for k, v in case_lists.items()},
@@ -114,7 +136,17 @@ def html(score: dict[str, Any], e: Evaluation, run_dir: Path) -> str:
     )
 
 
-def _plots(score: dict[str, Any], e: Evaluation) -> list[tuple[str, str]]:
+def _true_ranges(e: Evaluation) -> dict[int, float]:
+    """Median true range (km) of the object behind each tracklet."""
+    range_km: dict[int, list[float]] = {}
+    for row, truth in e.pairs.items():
+        tracklet = int(e.streaks["tracklet_id"][row])
+        if tracklet >= 0 and "range_km" in e.truth_tables["streaks"].colnames:
+            range_km.setdefault(tracklet, []).append(float(e.truth_tables["streaks"]["range_km"][truth.index]))
+    return {tracklet: float(np.median(values)) for tracklet, values in range_km.items()}
+
+
+def _plots(score: dict[str, Any], e: Evaluation, run_dir: Path) -> list[tuple[str, str]]:
     """Title and SVG of each plot that has something to show."""
     ideal = figure_at(score, "detection.ground.ideal_snr50")["value"]
     out = [("Completeness", plots.completeness(completeness_series(e), ideal))]
@@ -131,7 +163,10 @@ def _plots(score: dict[str, Any], e: Evaluation) -> list[tuple[str, str]]:
     if magnitudes:
         out.append(("Streak magnitudes", plots.magnitudes(magnitudes)))
     if len(e.streaks):
-        out.append(("Tracklets on the sky", plots.tracklets_on_sky(e.streaks)))
+        out.append(("Tracklets on the sky", plots.tracklets_on_sky(e.streaks, e.frames)))
+    samples = run_dir / "products" / "orbit_samples.ecsv"
+    if samples.is_file() and len(found := Table.read(samples, format="ascii.ecsv")):
+        out.append((ORBITS_TITLE, plots.orbit_spread(found, e.orbits, _true_ranges(e))))
     if score["population"]["larger_than"]:
         out.append(("Small debris: injected and recovered", plots.larger_than(score["population"]["larger_than"])))
     seen = [c for c in score["population"]["size_classes"] if c.get("models_per_day", {}).get("value")]

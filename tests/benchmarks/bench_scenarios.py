@@ -14,8 +14,6 @@ from typing import Any
 from sboc_e2e.bench.scenario_page import STORED_RUNS, row_of
 from sboc_e2e.scenario import available
 
-QUICK = ("smoke", "curved_streak")
-
 
 def measured(name: str) -> dict[str, Any]:
     """The figures of one run, in a process of its own."""
@@ -28,9 +26,9 @@ def measured(name: str) -> dict[str, Any]:
         return row_of(target)
 
 
-def main(quick: bool = False) -> dict[str, Any]:
-    """All scenarios that come with the project, or two small ones."""
-    return {name: measured(name) for name in (QUICK if quick else shipped())}
+def main() -> dict[str, Any]:
+    """All scenarios that come with the project."""
+    return {name: measured(name) for name in shipped()}
 
 
 def shipped() -> list[str]:

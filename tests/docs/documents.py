@@ -10,6 +10,7 @@ DOCUMENTS: Final = (
     "README.md",
     "CHANGELOG.md",
     "LICENSES.md",
+    "CONTRIBUTING.md",
     "sboc_e2e/icd/ICD.md",
     *(str(path.relative_to(ROOT)) for path in sorted((ROOT / "docs").rglob("*.md"))),
 )

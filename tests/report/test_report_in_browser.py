@@ -42,6 +42,33 @@ def test_frames_step_and_layers_toggle(page: Any) -> None:
     assert page.locator("#overlay polyline").count() == shown
 
 
+def test_the_pointer_reads_place_and_brightness(page: Any) -> None:
+    """The frame's noise of 3 ADU lies about 100 ADU: the grey under the pointer turns back into that."""
+    box = page.locator("#viewer").bounding_box()
+    page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
+    words = page.inner_text("#pointer")
+    assert words.startswith("row 127.5, col 127.5")
+    assert 80 < float(words.split(" · ")[-1].split()[0]) < 120
+
+
+def test_frames_play_and_blink(page: Any) -> None:
+    before = page.inner_text("#which")
+    page.locator("#play").click()
+    page.wait_for_function("(shown) => document.getElementById('which').innerText !== shown", arg=before)
+    page.locator("#blink").click()
+    assert page.get_attribute("#play", "aria-pressed") == "false"
+    assert page.get_attribute("#blink", "aria-pressed") == "true"
+    page.keyboard.press("b")
+    assert page.get_attribute("#blink", "aria-pressed") == "false"
+    while not page.inner_text("#which").startswith("frame 0 "):
+        page.keyboard.press("ArrowLeft")
+
+
+def test_the_legend_has_every_class_that_is_drawn(page: Any) -> None:
+    shown = page.evaluate("[...document.querySelectorAll('.legend i')].map((i) => getComputedStyle(i).color)")
+    assert len(shown) == len(set(shown)) == 8
+
+
 def test_picture_is_there_and_zooms(page: Any) -> None:
     assert page.evaluate("document.getElementById('picture').naturalWidth") > 0
     page.focus("#viewer")
@@ -76,7 +103,7 @@ def test_tables_sort(page: Any) -> None:
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [390, 1280])
+@pytest.mark.parametrize("width", [400, 1000, 1600])
 def test_fits_phone_and_laptop_in_both_schemes(page: Any, scheme: str, width: int) -> None:
     page.emulate_media(color_scheme=scheme)
     page.set_viewport_size({"width": width, "height": 844})

@@ -12,6 +12,8 @@ versus = compare("smoke", "onboard.detector", ["line_integral", "threshold"])
 print(versus.verdict)
 ```
 
+And one step at a time on a numpy array: `detect`, `measure`, `solve` (`sboc_e2e.outside.one_step`).
+
 Works as written, without a guard against a second import: everything runs in this process unless `workers` says otherwise.
 Compiled kernels are kept where the command line keeps them.
 """
@@ -36,6 +38,7 @@ from sboc_e2e.compare import Request
 from sboc_e2e.compare import compare as _compare
 from sboc_e2e.compare.pages import HEAD, PAIR_HEAD, choice_rows, pair_rows, sentences_of
 from sboc_e2e.icd.errors import UserError
+from sboc_e2e.outside.one_step import Found, detect, measure, solve
 from sboc_e2e.registry import Registry
 from sboc_e2e.report.closing import closing_text
 from sboc_e2e.report.headlines import figure_at, headline_rows
@@ -43,7 +46,7 @@ from sboc_e2e.report.words import figure_words
 from sboc_e2e.run.pipeline import RunRequest
 from sboc_e2e.run.pipeline import run as _run
 
-__all__ = ["Comparison", "RunResult", "Sweep", "compare", "open_run", "run", "sweep"]
+__all__ = ["Comparison", "Found", "RunResult", "Sweep", "compare", "detect", "measure", "open_run", "run", "solve", "sweep"]
 
 
 @dataclass(frozen=True, kw_only=True)

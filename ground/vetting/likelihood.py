@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from ground.vetting.class_densities import REAL, RECURRING, class_densities, log_odds_calibration
 from ground.vetting.features import Features, features_of
 from sboc_e2e.icd.downlink import DownlinkFrame
+from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
 
 ITERATIONS: Final = 40
@@ -55,6 +56,11 @@ LOOK_ALIKE_OVER_FLAT: Final = math.log(800.0 / 5.0) * math.log(400.0 / 1.7) / (2
 UNMODELLED_PER_FRAME: Final = 0.2
 LEAST_UNMODELLED_SNR: Final = 50.0
 LEAST_UNMODELLED_WIDTHS: Final = 40.0
+LEAST_EDGE_TO_EDGE_WIDTHS: Final = 12.0
+"""From one border of the frame to another nothing tells how long a trail is."""
+LEAST_UNMODELLED_PIECE_SNR: Final = 15.0
+"""S/N of each piece as long as the trail is wide, against the residuals that the fit itself leaves: rows of stars and slopes of
+the background are lines of high S/N as a whole, and leave more than that."""
 LEAST_UNMODELLED_SHARPNESS: Final = -0.25
 LN_UNMODELLED: Final = -7.5
 """Trails of a kind not modelled: as bright and as many widths long, no sharper than the optics. Inside these limits any width,
@@ -62,6 +68,11 @@ texture, length and S/N are as likely as others; the density is of the four hist
 of length, all of chi-square and 4 of 9 of lumpiness."""
 
 LUMPIEST: Final = 0.7
+EDGE_TO_EDGE: Final = StreakFlag.EDGE0 | StreakFlag.EDGE1
+READOUT_WIDTHS: Final = 2.5
+READOUT_SPAN: Final = 0.7
+"""A line that leaves its row or column by fewer of its widths over so much of the frame is one of the readout's."""
+
 NEVER: Final = -1e3
 
 LEAST_ELONGATION: Final = 4.0 * 2.355
@@ -114,15 +125,33 @@ def _beyond_knowledge(fit: StreakFit, frame: DownlinkFrame) -> bool:
     return fit.snr < LEAST_SNR_UNKNOWN or fit.width_px < NARROWEST_PX or outside > FARTHEST_OUTSIDE_PX
 
 
+def _snr_over_residuals(fit: StreakFit) -> float:
+    """S/N against the scatter that the fit leaves, where that is more than the noise."""
+    return fit.snr / math.sqrt(max(fit.chi2_nu, 1.0)) if math.isfinite(fit.chi2_nu) else 0.0
+
+
 def _of_unmodelled_kind(fit: StreakFit, features: Features) -> bool:
     """Whether a fit is a bright straight line so long for its width that only trails are, though none was simulated like it."""
+    crosses = fit.flags & EDGE_TO_EDGE == EDGE_TO_EDGE
+    pieces = fit.length_px / max(fit.width_px, 1.0)
     return (
         not (features.failed or features.aligned or features.static or features.spike)
         and fit.snr >= LEAST_UNMODELLED_SNR
-        and fit.length_px >= LEAST_UNMODELLED_WIDTHS * fit.width_px
+        and _snr_over_residuals(fit) >= LEAST_UNMODELLED_PIECE_SNR * math.sqrt(pieces)
+        and fit.length_px >= (LEAST_EDGE_TO_EDGE_WIDTHS if crosses else LEAST_UNMODELLED_WIDTHS) * fit.width_px
         and features.sharpness >= LEAST_UNMODELLED_SHARPNESS
         and not features.lumpiness > LUMPIEST
     )
+
+
+def _along_the_readout(fit: StreakFit, frame: DownlinkFrame) -> bool:
+    """Whether a fit stays within its own width on one row or column and spans most of the frame along it.
+
+    Columns, borders of amplifiers and steps of the overscan do; of trails in a frame of 4096 pixels one in 500 does.
+    """
+    drow, dcol = abs(fit.row1 - fit.row0), abs(fit.col1 - fit.col0)
+    along, side = max((drow, frame.header.rows), (dcol, frame.header.cols), key=lambda pair: pair[0])
+    return min(drow, dcol) < READOUT_WIDTHS * max(fit.width_px, 1.0) and along > READOUT_SPAN * side
 
 
 def _blob(fit: StreakFit, psf_sigma_px: float, *, unknown: bool) -> bool:
@@ -188,11 +217,15 @@ class LikelihoodVetter:
         """Whether a fit is no trail whatever the densities say; unknown : the PSF's width is assumed."""
         # The class densities end far below such widths: stray light, dead borders. No defocus makes them at these ranges.
         widest = min(self.widest, WIDEST_UNKNOWN) if unknown else self.widest
-        if fit.width_px > widest * psf_sigma_px and fit.snr < self.widest_snr:
+        uncalibrated = self.model_error > 0.0
+        snr = _snr_over_residuals(fit) if uncalibrated else fit.snr
+        if fit.width_px > widest * psf_sigma_px and snr < self.widest_snr:
+            return True
+        if uncalibrated and _along_the_readout(fit, frame):
             return True
         if unknown and _beyond_knowledge(fit, frame):
             return True
-        return self.model_error > 0.0 and _blob(fit, psf_sigma_px, unknown=unknown)
+        return uncalibrated and _blob(fit, psf_sigma_px, unknown=unknown)
 
     def class_rates(self) -> dict[str, tuple[float, float]]:
         """Of each class: expected detections per frame, and how many frames that expectation is worth."""

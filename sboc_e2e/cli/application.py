@@ -188,7 +188,18 @@ def process(
     resolved = scenarios.bare("process", base_document(wcs), registry=registry, overrides=overrides or (), use=parsed_uses(use))
     with shown_progress() as progress:
         source = FitsFolder(path=folder, use_wcs=wcs == "header")
-        execute(source, resolved, out, camera=camera, solve=wcs == "solve", force=force, registry=registry, progress=progress)
+        at = folder.parent if folder.is_file() else folder
+        execute(
+            source,
+            resolved,
+            out,
+            camera=camera,
+            solve=wcs == "solve",
+            folder=at,
+            force=force,
+            registry=registry,
+            progress=progress,
+        )
     typer.echo(out / "products")
 
 

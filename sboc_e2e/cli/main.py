@@ -21,7 +21,8 @@ use_cache_of_these_sources()
 
 import typer
 
-from sboc_e2e.cli import objects, studies, validation  # noqa: F401 - their commands join the application when they are imported
+# their commands join the application when they are imported
+from sboc_e2e.cli import objects, outside, studies, validation  # noqa: F401
 from sboc_e2e.cli.application import app
 from sboc_e2e.icd.errors import PluginError, SbocError, UserError
 

@@ -1,5 +1,6 @@
 """A nominal camera for frames of an unknown one: what headers say, what stars show, and neutral values for the rest."""
 
+from dataclasses import fields
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final
@@ -10,7 +11,7 @@ from numpy.typing import NDArray
 
 from ground.astrometry import lost_in_space
 from sboc_e2e.catalogue import StarCatalogue
-from sboc_e2e.icd.errors import UserError
+from sboc_e2e.icd.errors import ContractError, UserError
 from sboc_e2e.icd.frame import Frame, NominalCamera
 from sboc_e2e.outside.frame_source import FrameSource, SourcedFrame
 from sboc_e2e.registry import Registry
@@ -30,11 +31,28 @@ NO_SOURCES: Final = np.zeros(0, dtype=[(name, "f8") for name in ("x", "y", "a", 
 
 
 def camera_of_preset(name: str, registry: Registry) -> NominalCamera:
-    """The nominal camera of an instrument preset: a name in scenarios/presets or the path of a TOML file."""
+    """The nominal camera of an instrument preset: a name in scenarios/presets or the path of a TOML file; or of a file that
+    `sboc camera make` wrote.
+    """
     path = Path(name) if name.endswith(".toml") else preset_path(name, FOLDER, "--camera")
-    document = read(path) | {"frames": 1, "population": {"classes": []}, "objects": {"passing": []}}
+    tables = read(path)
+    if set(tables) == {"camera"}:
+        return camera_of_table(tables["camera"], str(path))
+    document = tables | {"frames": 1, "population": {"classes": []}, "objects": {"passing": []}}
     scenario = from_document(document, name=path.stem, registry=registry, where=str(path))
     return Simulator(scenario.simulator, seed=scenario.seed, catalogue=StarCatalogue.embedded()).camera()
+
+
+def camera_of_table(table: dict[str, Any], where: str) -> NominalCamera:
+    """The camera of a file's table. Raises `UserError` for keys that it does not have and values that it refuses."""
+    known = {each.name for each in fields(NominalCamera)}
+    odd = sorted(set(table) - known)
+    if odd:
+        raise UserError(f"{where}: camera.{odd[0]} is no key of a camera; known: {', '.join(sorted(known))}")
+    try:
+        return NominalCamera(**({"zero_point_e_s": None} | table))
+    except (TypeError, ContractError) as error:
+        raise UserError(f"{where}: camera: {error}") from error
 
 
 def camera_of_frame(sourced: SourcedFrame) -> NominalCamera:

@@ -25,6 +25,7 @@ from sboc_e2e.icd.tai import NS_PER_S, from_jd_parts
 from sboc_e2e.outside.frame_source import Note, SourcedFrame
 from sboc_e2e.outside.header_wcs import COARSEST_DEG, FINEST_DEG, usable_wcs
 from sboc_e2e.outside.image_planes import Plane, planes_of, with_planes
+from sboc_e2e.outside.overscan import without_sky
 
 SUFFIXES: Final = (".fits", ".fit", ".fts", ".fits.fz", ".fit.fz", ".fits.gz")
 MAX_SIDE_PX: Final = 16384
@@ -165,6 +166,13 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True) -> SourcedFra
     if data is None or np.shape(data) != (place.rows, place.cols) or data.dtype.kind not in "uif":
         raise UserError(f"{place.path}, HDU {place.hdu}: holds no image of {place.rows} x {place.cols} numbers")
     pixels, saturation = pixels_of(data)
+    sky = without_sky(pixels)
+    if sky is not None:
+        blind = np.zeros(pixels.shape, dtype=np.bool_) if blind is None else blind
+        covered = np.ones(pixels.shape, dtype=np.bool_)
+        covered[sky] = False
+        blind |= covered
+        notes.append(Note(kind="no sky", text=f"masked borders without sky, such as overscan: {_borders(sky, pixels.shape)}"))
     if blind is not None and blind.any():
         pixels = pixels.astype(np.float32)
         pixels[blind] = np.nan
@@ -178,6 +186,17 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True) -> SourcedFra
         notes=tuple(notes),
         focal_hints_px=focal_hints_px(header, wcs),
     )
+
+
+def _borders(sky: tuple[slice, slice], shape: tuple[int, ...]) -> str:
+    """Covered rows and columns in words."""
+    ranges = [
+        f"{axis} {first} to {last - 1}"
+        for axis, side, n in zip(("rows", "columns"), sky, shape, strict=True)
+        for first, last in ((0, side.start), (side.stop, n))
+        if last > first
+    ]
+    return ", ".join(ranges)
 
 
 def pixels_of(data: NDArray[Any]) -> tuple[NDArray[np.uint16] | NDArray[np.float32], float | None]:

@@ -65,6 +65,7 @@ def process(
     *,
     camera: str | None,
     solve: bool = False,
+    folder: Path | None = None,
     force: bool,
     registry: Registry,
     progress: Progress,
@@ -72,7 +73,7 @@ def process(
     """Products of all frames of a source in a run directory.
 
     camera : an instrument preset, None to guess one from the first frame. solve : `--wcs solve`; an unknown camera's focal
-    length then comes from its stars.
+    length then comes from its stars. folder : where the files lie, for `sboc view`.
     """
     directory = RunDirectory(path=out)
     n_frames = source.n_frames
@@ -93,6 +94,8 @@ def process(
     directory.prepare(resume=False, force=force)
     manifest = Manifest.of(directory.manifest, scenario)
     manifest.n_frames = n_frames
+    if folder is not None:
+        manifest.sources["frames"] = str(folder.resolve())
     manifest.save()
     calibration_files.write_camera(
         directory.calibration, nominal, f"preset {camera}" if camera else "guessed from the first frame"

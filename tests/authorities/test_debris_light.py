@@ -13,7 +13,7 @@ from simulator.scene import alternatives
 from simulator.scene.debris import SizeClass
 from simulator.scene.encounters import PopulationOptions, draw_candidates
 from simulator.scene.reflection import SUN_V_MAG, LightCurve, lambert_flux
-from simulator.scene.satellites import read_satellites, with_sizes
+from simulator.scene.satellites import read_satellites, size_by_name, with_sizes
 from simulator.scene.sources import light_curves
 from simulator.scene.surface import SurfaceOptions, draw_surfaces
 from tests.simulator_scene.test_physics import default_window
@@ -123,6 +123,14 @@ def test_satellites_take_their_sizes_from_a_file(tmp_path):
         with_sizes(lines, path)
     with pytest.raises(UserError, match="no such file"):
         with_sizes(lines, tmp_path / "none.csv")
+
+
+@pytest.mark.parametrize(
+    ("name", "size_m"),
+    [("COSMOS 2251 DEB", 0.14), ("IRIDIUM 33 DEB", 0.14), ("SL-16 R/B", 4.0), ("STARLINK-1007", 2.2), ("DEBUT (OSCAR 30)", None)],
+)
+def test_names_tell_sizes(name, size_m):
+    assert size_by_name(name) == size_m
 
 
 def test_real_radii_can_be_read(shared_data):

@@ -1,4 +1,4 @@
-"""Notebooks are stored without outputs, and every cell runs (slow)."""
+"""Notebooks are stored without outputs, and every cell runs, in a process of its own (slow but for the quick ones)."""
 
 import json
 import subprocess
@@ -9,6 +9,8 @@ import pytest
 
 FOLDER = Path(__file__).resolve().parents[2] / "docs" / "notebooks"
 NOTEBOOKS = sorted(path.name for path in FOLDER.glob("*.ipynb"))
+QUICK = ("one_step.ipynb",)
+"""Notebooks that take seconds: they run with the fast tests."""
 
 
 def code_of(name: str) -> str:
@@ -27,8 +29,7 @@ def test_stored_without_outputs_and_listed(name: str) -> None:
     compile(code_of(name), name, "exec")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("name", NOTEBOOKS)
+@pytest.mark.parametrize("name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in NOTEBOOKS])
 def test_every_cell_runs(name: str, tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code_of(name)], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]

@@ -1,0 +1,84 @@
+"""Commands for frames from outside: looking at them, making a camera of them."""
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from sboc_e2e.cli.application import app, shown_progress
+from sboc_e2e.icd.errors import UserError
+
+camera_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Cameras of frames from outside.")
+app.add_typer(camera_app, name="camera")
+
+
+@app.command()
+def view(
+    path: Annotated[Path, typer.Argument(metavar="RUN_DIR|FITS", help="a run, or a FITS file, which is processed first")],
+    out: Annotated[Path | None, typer.Option("--out", help="folder for what is written, default RUN_DIR/view")] = None,
+    samp: Annotated[bool, typer.Option("--samp/--no-samp", help="send frames to DS9, Aladin, TOPCAT where a hub runs")] = True,
+    browser: Annotated[bool, typer.Option("--browser", help="make a page of all frames and open it")] = False,
+    show: Annotated[bool, typer.Option("--open/--no-open", help="whether --browser opens its page")] = True,
+) -> None:
+    """Show frames with what was measured: DS9 regions and VOTables beside each frame, SAMP, a page in the browser."""
+    from sboc_e2e.view import Hub, RunFrames, send, write_files, write_page
+
+    run = RunFrames(path=_processed(path) if path.is_file() else path)
+    folder = out or run.path / "view"
+    written = write_files(run, folder)
+    typer.echo(f"{folder}: regions and tables of {len(written)} frames")
+    if samp:
+        try:
+            with Hub() as hub:
+                typer.echo(f"SAMP: {send(hub, written)} messages taken")
+        except UserError as error:
+            typer.echo(str(error))
+    if browser:
+        page = write_page(run, folder)
+        typer.echo(page)
+        if show:
+            typer.launch(page.resolve().as_uri())
+
+
+def _processed(path: Path) -> Path:
+    """The run of a FITS file, made beside the working directory's other runs."""
+    from sboc_e2e import scenario as scenarios
+    from sboc_e2e.outside.fits_frames import FitsFolder
+    from sboc_e2e.outside.process import base_document, process
+    from sboc_e2e.registry import Registry
+
+    registry, out = Registry(), Path("runs") / f"view-{path.name.partition('.')[0]}"
+    resolved = scenarios.bare("process", base_document("header"), registry=registry)
+    with shown_progress() as progress:
+        process(
+            FitsFolder(path=path),
+            resolved,
+            out,
+            camera=None,
+            folder=path.parent,
+            force=True,
+            registry=registry,
+            progress=progress,
+        )
+    return out
+
+
+@camera_app.command("make")
+def camera_make(
+    frames: Annotated[list[Path], typer.Argument(metavar="FITS...", help="frames of one camera, two or more for gain and noise")],
+    out: Annotated[Path, typer.Option("--out", help="camera file to write (.toml), for `sboc process --camera`")],
+    width: Annotated[float | None, typer.Option("--width", help="width of the field over its columns (deg), if known")] = None,
+    bias: Annotated[float | None, typer.Option("--bias", help="level without light in ADU, if no overscan tells it")] = None,
+    search: Annotated[bool, typer.Option("--search", help="try all widths of 1.6 to 60 deg by star patterns: minutes")] = False,
+) -> None:
+    """Make a camera of its frames: PSF, gain and noise, saturation, plate scale."""
+    from sboc_e2e.outside.make_camera import made_camera, toml_text
+
+    made = made_camera(frames, width_deg=width, bias_adu=bias, search=search)
+    text = toml_text(made, [path.name for path in frames])
+    from sboc_e2e.files.atomic import write_text
+
+    write_text(out, text)
+    for line in made.words():
+        typer.echo(line)
+    typer.echo(out)

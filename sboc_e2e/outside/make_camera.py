@@ -1,0 +1,276 @@
+"""A camera made of its frames: PSF from stars, gain and noise by photon transfer, saturation, plate scale by solving.
+
+Photon transfer (Janesick 2007, Photon Transfer, ch. 5): of two frames of one field the variance of the difference, halved,
+grows with the level above the bias by 1/gain, from (read noise / gain)^2 on; what stays on its pixels cancels.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass, fields
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from astropy.io import fits
+from numpy.typing import NDArray
+
+from ground.astrometry import lost_in_space
+from sboc_e2e.catalogue import StarCatalogue
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.icd.frame import NominalCamera
+from sboc_e2e.outside.camera import ASSUMED_FOCAL_PX, ASSUMED_PSF_SIGMA_PX, ASSUMED_SATURATION_ADU
+from sboc_e2e.outside.fits_frames import images_of, read_frame
+from sboc_e2e.outside.frame_source import SourcedFrame
+from sboc_e2e.outside.one_step import Found, detect
+from sboc_e2e.outside.overscan import without_sky
+
+TILE_PX: Final = 32
+CLIP_SIGMAS: Final = 4.0
+CLIPPINGS: Final = 5
+STAR_SIGMAS: Final = 1.5
+"""Of the difference; pixels so far above their tile's sky are of stars (2.1 sigma of one frame, 3 of the mean of two)."""
+
+MEDIAN_OF_CHI2: Final = 0.4549
+WORST_GAIN: Final = 0.1
+"""One sigma of ln gain above which the levels lie too close together to tell it."""
+
+FEWEST_TILES: Final = 8
+FEWEST_OVERSCAN: Final = 8
+"""Covered columns; a few at the border are only dimmer than the others."""
+
+FULL_PIXELS: Final = 10
+"""Pixels of one and the same highest value that make it the saturation level."""
+
+FRAMES_USED: Final = 8
+
+
+@dataclass(frozen=True, kw_only=True)
+class PhotonTransfer:
+    """gain_e_adu with its error; read_noise_e with its error, NaN where no bias is known; bias_adu (NaN: unknown)."""
+
+    gain_e_adu: float
+    gain_err: float
+    read_noise_e: float
+    read_noise_err: float
+    bias_adu: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class MadeCamera:
+    """What frames tell of their camera; None: they do not."""
+
+    rows: int
+    cols: int
+    psf_sigma_px: float | None
+    transfer: PhotonTransfer | None
+    saturation_adu: float | None
+    focal_px: float | None
+    scale_from: str
+
+    def words(self) -> list[str]:
+        """One line for each finding."""
+        t = self.transfer
+        psf = "unknown: too few stars" if self.psf_sigma_px is None else f"sigma {self.psf_sigma_px:.2f} px"
+        gain = (
+            "unknown: two frames of different levels tell it" if t is None else f"{t.gain_e_adu:.3f} +- {t.gain_err:.3f} e-/ADU"
+        )
+        noise = "unknown: needs the bias (an overscan in the frames, or --bias)"
+        if t is not None and math.isfinite(t.read_noise_e):
+            noise = f"{t.read_noise_e:.2f} +- {t.read_noise_err:.2f} e- (bias {t.bias_adu:.1f} ADU)"
+        full = "not reached" if self.saturation_adu is None else f"{self.saturation_adu:g} ADU"
+        scale = "unknown"
+        if self.focal_px is not None:
+            width = lost_in_space.width_of(self.focal_px, self.cols)
+            scale = f"{math.degrees(1.0 / self.focal_px) * 3600.0:.4f} arcsec/px, field {width:.4f} deg ({self.scale_from})"
+        pairs = (("PSF", psf), ("gain", gain), ("read noise", noise), ("saturation", full), ("plate scale", scale))
+        return [f"{name}: {text}" for name, text in pairs]
+
+
+def made_camera(
+    paths: Sequence[Path], *, width_deg: float | None = None, bias_adu: float | None = None, search: bool = False
+) -> MadeCamera:
+    """A camera of the images in FITS files. search : try all widths of the field where nothing tells it (minutes).
+
+    Raises `UserError` for files that cannot be read and for images of different sizes.
+    """
+    places = [place for path in paths for place in _images(path)][:FRAMES_USED]
+    frames = [read_frame(place, number, use_wcs=False) for number, place in enumerate(places)]
+    sizes = {(place.rows, place.cols) for place in places}
+    if len(sizes) != 1:
+        raise UserError(f"camera make: frames of one size are needed, got {', '.join(f'{r} x {c}' for r, c in sorted(sizes))}")
+    ((rows, cols),) = sizes
+    images = [np.asarray(sourced.frame.pixels, dtype=np.float32) for sourced in frames]
+    overscan = [_overscan_of(place) for place in places[:1]]
+    known_bias = bias_adu if bias_adu is not None else overscan[0]
+    found = [detect(image) for image in images[:3]]
+    widths = [f.stars.meta["psf_sigma_px"] for f in found if math.isfinite(f.stars.meta["psf_sigma_px"])]
+    focal_px, scale_from = _scale(frames, found, rows, cols, width_deg, search=search)
+    return MadeCamera(
+        rows=rows,
+        cols=cols,
+        psf_sigma_px=float(np.median(widths)) if widths else None,
+        transfer=photon_transfer(images, known_bias),
+        saturation_adu=saturation_of(images),
+        focal_px=focal_px,
+        scale_from=scale_from,
+    )
+
+
+def photon_transfer(images: Sequence[NDArray[np.float32]], bias_adu: float | None) -> PhotonTransfer | None:
+    """Gain and read noise of frames of one field, each paired with the next; None where they do not tell the gain.
+
+    images : (rows, cols) ADU, NaN for pixels without number. bias_adu : level without light; None: unknown.
+    """
+    level, variance = [], []
+    for one, other in pairwise(images):
+        mean, spread = _tiles(one, other)
+        level.append(mean)
+        variance.append(spread)
+    if not level:
+        return None
+    m, v = np.concatenate(level), np.concatenate(variance)
+    keep = np.isfinite(m) & np.isfinite(v) & (v > 0.0)
+    m, v = m[keep], v[keep]
+    n = TILE_PX**2
+    expected = np.full(len(m), float(np.median(v)) if len(v) else 1.0)
+    scatter, line = 1.0, np.zeros(2)
+    for _ in range(CLIPPINGS):
+        if len(m) < FEWEST_TILES or not np.ptp(m) > 0.0:
+            return None
+        # the error of a variance goes with the variance, which the line itself tells best
+        line = np.polyfit(m, v, 1, w=1.0 / expected)
+        expected = np.maximum(np.polyval(line, m), 0.2 * np.median(v))
+        pull = (v / expected - 1.0) / math.sqrt(2.0 / n)
+        scatter = max(1.4826 * float(np.median(np.abs(pull - np.median(pull)))), 1.0)
+        keep = np.abs(pull - np.median(pull)) < CLIP_SIGMAS * scatter
+        m, v, expected = m[keep], v[keep], expected[keep]
+    weight = 1.0 / (expected * math.sqrt(2.0 / n) * scatter) ** 2
+    middle = float(np.sum(weight * m) / np.sum(weight))
+    slope_err = 1.0 / math.sqrt(float(np.sum(weight * (m - middle) ** 2)) + 1e-300)
+    slope = float(line[0])
+    if not slope > 0.0 or slope_err / slope > WORST_GAIN:
+        return None
+    gain = 1.0 / slope
+    bias = math.nan if bias_adu is None else float(bias_adu)
+    noise2 = float(np.polyval(line, bias)) if math.isfinite(bias) else math.nan
+    noise2_err = math.hypot(1.0 / math.sqrt(float(np.sum(weight))), slope_err * (bias - middle))
+    noise = gain * math.sqrt(noise2) if noise2 > 0.0 else math.nan
+    return PhotonTransfer(
+        gain_e_adu=gain,
+        gain_err=gain * slope_err / slope,
+        read_noise_e=noise,
+        read_noise_err=noise * math.hypot(0.5 * noise2_err / noise2, slope_err / slope) if noise2 > 0.0 else math.nan,
+        bias_adu=bias,
+    )
+
+
+def saturation_of(images: Sequence[NDArray[np.float32]]) -> float | None:
+    """Level at which pixels are full: a highest value that many pixels share; None where none do."""
+    top = max(float(np.nanmax(image)) for image in images)
+    return top if sum(int(np.count_nonzero(image >= top)) for image in images) >= FULL_PIXELS else None
+
+
+def toml_text(made: MadeCamera, sources: Sequence[str]) -> str:
+    """The camera file: a table `camera`, keys as fields of the nominal camera; comments say what was measured."""
+    camera = nominal(made)
+    lines = [f"# Made by `sboc camera make` of {', '.join(sources[:FRAMES_USED])}.", *(f"# {words}" for words in made.words())]
+    lines += ["", "[camera]"]
+    for each in fields(NominalCamera):
+        value = getattr(camera, each.name)
+        if value is None:
+            continue
+        if isinstance(value, bool):
+            lines.append(f"{each.name} = {str(value).lower()}")
+        elif isinstance(value, int | float):
+            lines.append(f"{each.name} = {value!r}")
+        elif isinstance(value, str):
+            lines.append(f'{each.name} = "{value}"')
+    return "\n".join(lines) + "\n"
+
+
+def nominal(made: MadeCamera) -> NominalCamera:
+    """The camera for the chain; what frames do not tell is as neutral as for a guessed one."""
+    t = made.transfer
+    gain = 1.0 if t is None else t.gain_e_adu
+    full = made.saturation_adu or ASSUMED_SATURATION_ADU
+    return NominalCamera(
+        name="made",
+        rows=made.rows,
+        cols=made.cols,
+        focal_px=made.focal_px or ASSUMED_FOCAL_PX,
+        center_row=0.5 * (made.rows - 1),
+        center_col=0.5 * (made.cols - 1),
+        psf_sigma_px=made.psf_sigma_px or ASSUMED_PSF_SIGMA_PX,
+        psf_known=made.psf_sigma_px is not None,
+        gain_e_adu=gain,
+        read_noise_e=0.0 if t is None or not math.isfinite(t.read_noise_e) else t.read_noise_e,
+        saturation_adu=full,
+        full_well_e=full * gain,
+        zero_point_e_s=None,
+        aperture_m=1.0,
+    )
+
+
+def _images(path: Path) -> list[Any]:
+    if not path.is_file():
+        raise UserError(f"{path}: no such file")
+    return images_of(path)
+
+
+def _overscan_of(place: Any) -> float | None:
+    """Level of the columns without sky, the middle one's of those that are as quiet as noise; None without an overscan."""
+    data = np.asarray(fits.getdata(place.path, place.hdu), dtype=np.float32)
+    sky = without_sky(data)
+    if sky is None:
+        return None
+    cols = np.r_[0 : sky[1].start, sky[1].stop : data.shape[1]]
+    level = np.median(data[:, cols], axis=0) if len(cols) else np.zeros(0)
+    inside = float(np.median(data[sky]))
+    quiet = level[level < inside]
+    return float(np.median(quiet)) if len(quiet) >= FEWEST_OVERSCAN else None
+
+
+def _tiles(one: NDArray[np.float32], other: NDArray[np.float32]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Mean level and half the clipped variance of the difference, (k,), of square tiles of two frames."""
+    rows, cols = (side // TILE_PX * TILE_PX for side in one.shape)
+
+    def tiles(image: NDArray[np.float32]) -> NDArray[np.float64]:
+        cut = np.asarray(image[:rows, :cols], dtype=np.float64).reshape(rows // TILE_PX, TILE_PX, cols // TILE_PX, TILE_PX)
+        return np.moveaxis(cut, 1, 2).reshape(-1, TILE_PX**2)
+
+    a, b = tiles(one), tiles(other)
+    whole = np.isfinite(a + b).all(axis=1)
+    a, b = a[whole], b[whole]
+    level, difference = 0.5 * (a + b), a - b
+    difference -= np.median(difference, axis=1, keepdims=True)
+    sky = np.median(level, axis=1, keepdims=True)
+    kept = np.ones(difference.shape, dtype=np.bool_)
+    variance = np.median(difference**2, axis=1) / MEDIAN_OF_CHI2
+    for _ in range(CLIPPINGS):
+        sigma = np.sqrt(variance)[:, None]
+        # stars are told by the sum of both frames, on which the scatter of the difference does not depend
+        kept = (np.abs(difference) <= CLIP_SIGMAS * sigma) & (level - sky <= STAR_SIGMAS * sigma)
+        variance = np.sum(np.where(kept, difference**2, 0.0), axis=1) / np.maximum(kept.sum(axis=1), 1)
+    return np.sum(np.where(kept, level, 0.0), axis=1) / np.maximum(kept.sum(axis=1), 1), 0.5 * variance
+
+
+def _scale(
+    frames: Sequence[SourcedFrame], found: Sequence[Found], rows: int, cols: int, width_deg: float | None, *, search: bool
+) -> tuple[float | None, str]:
+    """Focal length in pixels and where it is from: solved from stars, else as headers have it."""
+    hints = next((sourced.focal_hints_px for sourced in frames if sourced.focal_hints_px), ())
+    if width_deg is not None:
+        hints = (0.5 * cols / math.tan(math.radians(0.5 * width_deg)),)
+    if (hints or search) and lost_in_space.installed():
+        seen = [
+            lost_in_space.StarField(
+                row=np.asarray(f.stars["row"]), col=np.asarray(f.stars["col"]), flux=np.asarray(f.stars["flux_e"]),
+                rows=rows, cols=cols,
+            )
+            for f in found
+        ]  # fmt: skip
+        match = lost_in_space.find_scale(seen, hints, StarCatalogue.embedded())
+        if match is not None:
+            return match.focal_px, "solved from stars"
+    return (hints[0], "as the header has it" if width_deg is None else "as given") if hints else (None, "")

@@ -1,0 +1,252 @@
+"""The halves of the chain as functions of one array: detect, measure, solve.
+
+::
+
+    from sboc_e2e.api import detect, measure, solve
+
+    found = detect(image)                      # what the on-board detector sees
+    trails = measure(image, found.detections)  # ends, errors, light and probability of each
+    sky = solve(found.stars)                   # an astropy WCS (extra `solve`)
+"""
+
+from collections.abc import Iterable
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import numpy as np
+from astropy.table import Table
+from astropy.wcs import WCS
+from numpy.typing import ArrayLike, NDArray
+
+from ground.astrometry import lost_in_space
+from ground.products import tables
+from onboard.chain import OnboardChain, OnboardResult, OnboardSteps
+from sboc_e2e import scenario as scenarios
+from sboc_e2e.catalogue import StarCatalogue
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
+from sboc_e2e.icd.signals import Detection, DetectorView, StarList
+from sboc_e2e.icd.tai import NS_PER_S
+from sboc_e2e.outside.camera import camera_of_frame
+from sboc_e2e.outside.fits_frames import FIRST_ASSUMED_TAI_NS, MAX_SIDE_PX, MIN_SIDE_PX, pixels_of
+from sboc_e2e.outside.frame_source import SourcedFrame
+from sboc_e2e.outside.process import base_document
+from sboc_e2e.registry import Registry
+from sboc_e2e.run.ground_stage import ground_chain
+from sboc_e2e.scenario import Scenario
+
+RUN_ID: Final = 0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Found:
+    """What one frame shows.
+
+    detections : table of row0, col0, row1, col1 (px, 0-based, pixel centres at whole numbers), snr (matched filter) and flags.
+    stars : table of row, col (px), flux_e (electrons; ADU when no gain was given), snr and flags, by falling flux; its meta
+    holds ``rows`` and ``cols`` of the image and ``psf_sigma_px`` (NaN: no star tells it).
+    """
+
+    detections: Table
+    stars: Table
+
+
+@dataclass(frozen=True, kw_only=True)
+class GivenDetections:
+    """A detector that finds what it was given."""
+
+    found: tuple[Detection, ...] = field(default=())
+    history_frames: int = 0
+
+    def detect(self, view: DetectorView) -> tuple[Detection, ...]:
+        """The detections whose middle lies inside the frame."""
+        rows, cols = view.mask.shape
+        return tuple(
+            d for d in self.found if 0.0 <= 0.5 * (d.row0 + d.row1) <= rows - 1 and 0.0 <= 0.5 * (d.col0 + d.col1) <= cols - 1
+        )
+
+
+def detect(
+    image: ArrayLike,
+    *,
+    gain_e_adu: float | None = None,
+    read_noise_e: float | None = None,
+    saturation_adu: float | None = None,
+    exposure_s: float = 0.0,
+    detector: str | None = None,
+) -> Found:
+    """Trails and stars of one image.
+
+    Parameters
+    ----------
+    image : (rows, cols) of any number type, ADU; NaN is a masked pixel. Sides of 16 to 16384 px.
+    gain_e_adu : e-/ADU; None takes 1. read_noise_e : e-. saturation_adu : level from which pixels are full; None: by number type.
+    exposure_s : seconds, 0 when unknown.
+    detector : a name of seam ``onboard.detector``, by default the one of `sboc process`.
+
+    Raises
+    ------
+    UserError
+        One line: what is wrong with the image or an option.
+    """
+    frame = _frame(image, gain_e_adu, read_noise_e, saturation_adu, exposure_s)
+    scenario = _scenario(detector)
+    result, _ = _on_board(frame, scenario, scenario.step("onboard.detector"))
+    return Found(detections=_detection_table(result.detections), stars=_star_table(result.stars, frame.header))
+
+
+def measure(
+    image: ArrayLike,
+    detections: Table | Iterable[tuple[float, float, float, float]],
+    *,
+    gain_e_adu: float | None = None,
+    read_noise_e: float | None = None,
+    saturation_adu: float | None = None,
+    exposure_s: float = 0.0,
+) -> Table:
+    """Fitted trails of given detections, in the columns of ``products/streaks.ecsv``: ends with covariance and 68 % intervals
+    (px), width, light (e-), S/N, probability of a real object, flags.
+
+    Parameters
+    ----------
+    image, gain_e_adu, read_noise_e, saturation_adu, exposure_s : as for `detect`.
+    detections : a table with columns row0, col0, row1, col1 (px) and, if it has one, snr; or such rows as tuples. From `detect`
+        or from any program.
+    """
+    frame = _frame(image, gain_e_adu, read_noise_e, saturation_adu, exposure_s)
+    scenario = _scenario(None)
+    _, (camera, packets) = _on_board(frame, scenario, GivenDetections(found=_detections(detections)))
+    chain = ground_chain(scenario, calibration=None, camera=camera, catalogue=StarCatalogue.embedded(), run_id=RUN_ID)
+    frames, report = chain.ingest(packets)
+    _, products = chain.process_frame(chain.initial_state(), frames[0])
+    result = chain.finish(frames, [products], report)
+    (table,) = tables.streaks_tables(result)
+    return table
+
+
+def solve(stars: Table, *, width_deg: float | None = None) -> WCS:
+    """The sky behind a list of stars: an astropy TAN WCS (ICRS) without distortion, good to about a tenth of a pixel of
+    the star patterns' scatter in mid-field; `sboc process --wcs solve` fits the camera as well.
+
+    Parameters
+    ----------
+    stars : as `detect` gives them: row, col (px), flux_e (any unit) and ``meta["rows"]``, ``meta["cols"]`` of the image.
+    width_deg : of the image's columns, to 15 %; None searches 1.6 to 60 deg.
+
+    Raises
+    ------
+    UserError
+        When no pattern fits, or the extra `solve` is not installed.
+    """
+    rows, cols = (stars.meta.get(name) for name in ("rows", "cols"))
+    if not (rows and cols):
+        raise UserError('solve: the table of stars needs meta["rows"] and meta["cols"] of its image')
+    lost_in_space.required_solver()
+    row, col, flux = (np.asarray(stars[name], dtype=np.float64) for name in ("row", "col", "flux_e"))
+    order = np.argsort(-flux, kind="stable")
+    seen = lost_in_space.StarField(row=row[order], col=col[order], flux=flux[order], rows=int(rows), cols=int(cols))
+    hints = () if width_deg is None else (0.5 * int(cols) / np.tan(np.radians(0.5 * width_deg)),)
+    match = lost_in_space.find_scale([seen], hints, StarCatalogue.embedded())
+    if match is None:
+        raise UserError(f"solve: {len(stars)} stars fit no field of the catalogue; give width_deg, or more stars")
+    return _wcs(match, int(rows), int(cols))
+
+
+def _frame(
+    image: ArrayLike, gain_e_adu: float | None, read_noise_e: float | None, saturation_adu: float | None, exposure_s: float
+) -> Frame:
+    """An array as a frame of the contract."""
+    data = np.asarray(image)
+    if data.ndim != 2 or data.dtype.kind not in "uif":
+        raise UserError(f"image: expected a two-dimensional array of numbers, got {data.ndim} dimensions of {data.dtype}")
+    if not MIN_SIDE_PX <= min(data.shape) <= max(data.shape) <= MAX_SIDE_PX:
+        raise UserError(f"image: expected sides of {MIN_SIDE_PX} to {MAX_SIDE_PX} px, got {data.shape[0]} x {data.shape[1]}")
+    if not 0.0 <= exposure_s <= 1e6:
+        raise UserError(f"exposure_s: expected 0 to 1e6, got {exposure_s}")
+    pixels, full_adu = pixels_of(data)
+    header = FrameHeader(
+        frame=0,
+        t_start_tai_ns=FIRST_ASSUMED_TAI_NS,
+        exposure_ns=round(exposure_s * NS_PER_S),
+        line_time_ns=0,
+        rows=data.shape[0],
+        cols=data.shape[1],
+        gain_e_adu=gain_e_adu,
+        read_noise_e=read_noise_e,
+        saturation_adu=saturation_adu or full_adu,
+    )
+    return Frame(header=header, pixels=pixels)
+
+
+def _scenario(detector: str | None) -> Scenario:
+    use = {} if detector is None else {"onboard.detector": detector}
+    return scenarios.bare("one_step", base_document("none"), registry=Registry(), use=use)
+
+
+def _on_board(frame: Frame, scenario: Scenario, detector: Any) -> tuple[OnboardResult, tuple[NominalCamera, bytes]]:
+    """What the on-board chain makes of a frame; the camera guessed from it, and its packets."""
+    camera = camera_of_frame(SourcedFrame(frame=frame, file="image", hdu=0, wcs=None, notes=()))
+    steps = OnboardSteps(
+        background=scenario.step("onboard.background"),
+        star_extractor=scenario.step("onboard.star_extractor"),
+        detector=detector,
+        codec=scenario.step("onboard.codec"),
+    )
+    chain = OnboardChain(scenario.onboard, steps, calibration=None, camera=camera, run_id=RUN_ID)
+    _, result = chain.process(chain.initial_state(), frame)
+    return result, (camera, result.packets)
+
+
+def _detection_table(found: Iterable[Detection]) -> Table:
+    rows = [(d.row0, d.col0, d.row1, d.col1, d.snr, int(d.flags)) for d in found]
+    names = ("row0", "col0", "row1", "col1", "snr", "flags")
+    columns: list[NDArray[Any]] = [np.array([row[k] for row in rows], dtype="i8" if k == 5 else "f8") for k in range(6)]
+    table = Table(dict(zip(names, columns, strict=True)))
+    for name in names[:4]:
+        table[name].unit = "pix"
+    return table
+
+
+def _star_table(stars: StarList, header: FrameHeader) -> Table:
+    table = Table({name: np.array(getattr(stars, name)) for name in ("row", "col", "flux_e", "snr", "flags")})
+    table["row"].unit = table["col"].unit = "pix"
+    table["flux_e"].unit = "electron"
+    width = float("nan") if stars.psf_sigma_px is None else stars.psf_sigma_px
+    table.meta = {"rows": header.rows, "cols": header.cols, "psf_sigma_px": width}
+    return table
+
+
+def _detections(given: Table | Iterable[tuple[float, float, float, float]]) -> tuple[Detection, ...]:
+    """Detections of the contract from a table or tuples."""
+    if isinstance(given, Table):
+        missing = [name for name in ("row0", "col0", "row1", "col1") if name not in given.colnames]
+        if missing:
+            raise UserError(f"detections: the table has no {', '.join(missing)}")
+        snr = given["snr"] if "snr" in given.colnames else np.full(len(given), 10.0)
+        ends = np.array([given[name] for name in ("row0", "col0", "row1", "col1")], dtype=np.float64).reshape(4, -1).T
+    else:
+        ends = np.array([tuple(row)[:4] for row in given], dtype=np.float64).reshape(-1, 4)
+        snr = np.full(len(ends), 10.0)
+    if not np.isfinite(ends).all():
+        raise UserError("detections: expected finite ends")
+    return tuple(
+        Detection(row0=float(e[0]), col0=float(e[1]), row1=float(e[2]), col1=float(e[3]), snr=float(s))
+        for e, s in zip(ends, snr, strict=True)
+    )
+
+
+def _wcs(match: lost_in_space.PatternMatch, rows: int, cols: int) -> WCS:
+    """A TAN projection about the image's middle."""
+    sky = match.matrix.T  # columns: camera axes (+col, +row, boresight) in celestial axes
+    boresight = sky[:, 2]
+    ra, dec = np.arctan2(boresight[1], boresight[0]), np.arcsin(np.clip(boresight[2], -1.0, 1.0))
+    east = np.array([-np.sin(ra), np.cos(ra), 0.0])
+    north = np.cross(boresight, east)
+    axes = np.stack((-sky[:, 0] if match.mirrored else sky[:, 0], sky[:, 1]), axis=1)
+    wcs = WCS(naxis=2)
+    wcs.wcs.ctype = ["RA---TAN", "DEC--TAN"]
+    wcs.wcs.crval = [float(np.degrees(ra) % 360.0), float(np.degrees(dec))]
+    wcs.wcs.crpix = [0.5 * (cols + 1), 0.5 * (rows + 1)]
+    wcs.wcs.cd = np.degrees(np.stack((east @ axes, north @ axes)) / match.focal_px)
+    wcs.wcs.set()
+    return wcs

@@ -1,0 +1,72 @@
+"""detect, measure and solve on arrays: what they give, in which units, and what they refuse."""
+
+from pathlib import Path
+
+import matplotlib.image
+import numpy as np
+import pytest
+from astropy.coordinates import SkyCoord
+from astropy.io import fits
+from astropy.wcs import WCS
+
+from sboc_e2e.api import detect, measure, solve
+from sboc_e2e.icd.errors import UserError
+from tests.validation.star_field import solve_field
+
+
+def trail_image(ends: tuple[float, float, float, float], flux_adu_px: float, *, gain: float = 1.0) -> np.ndarray:
+    """A noisy sky of 400 e- with one trail of sigma 1.2 px, in ADU."""
+    rng = np.random.default_rng(3)
+    row, col = np.mgrid[:160, :200].astype(float)
+    start, stop = np.array(ends[:2]), np.array(ends[2:])
+    length = float(np.linalg.norm(stop - start))
+    light = np.zeros(row.shape)
+    for share in (np.arange(2000) + 0.5) / 2000:
+        at = start + share * (stop - start)
+        light += np.exp(-0.5 * ((row - at[0]) ** 2 + (col - at[1]) ** 2) / 1.44) / (2.0 * np.pi * 1.44)
+    electrons = 400.0 + flux_adu_px * length * light / 2000
+    return (electrons + rng.normal(0.0, np.sqrt(electrons))) / gain
+
+
+def test_a_trail_of_known_light_comes_back_in_electrons_whatever_the_gain() -> None:
+    ends, per_px = (30.0, 25.0, 120.0, 170.0), 300.0
+    true_e = per_px * float(np.hypot(90.0, 145.0))
+    for gain in (1.0, 4.0):
+        image = trail_image(ends, per_px, gain=gain)
+        trails = measure(image, detect(image, gain_e_adu=gain).detections, gain_e_adu=gain)
+        best = trails[np.argmax(trails["snr"])]
+        assert np.abs(np.array([best[name] for name in ("row0", "col0", "row1", "col1")]) - ends).max() < 1.0
+        assert abs(best["flux_e"] - true_e) < 4.0 * best["flux_err_e"] + 0.02 * true_e
+        assert best["probability"] > 0.5
+
+
+def test_detections_of_another_program_are_measured_where_they_are() -> None:
+    image = trail_image((30.0, 25.0, 120.0, 170.0), 300.0)
+    (trail,) = measure(image, [(31.0, 24.0, 118.0, 168.0)])
+    assert np.abs(np.array([trail[name] for name in ("row0", "col0", "row1", "col1")]) - [30, 25, 120, 170]).max() < 1.0
+
+
+@pytest.mark.parametrize("image", [np.zeros(5), np.zeros((8, 40)), np.array([["a"]]), np.zeros((20, 20), dtype=complex)])
+def test_what_is_no_image_is_refused_in_one_line(image: np.ndarray) -> None:
+    with pytest.raises(UserError, match=r"^image: expected"):
+        detect(image)
+
+
+def test_an_image_without_anything_gives_empty_tables() -> None:
+    found = detect(np.full((64, 64), 100.0))
+    assert len(found.detections) == 0
+    assert len(measure(np.full((64, 64), 100.0), found.detections)) == 0
+
+
+@pytest.mark.parametrize("mirrored", [False, True])
+def test_the_sky_of_a_real_field(shared_data: Path, tmp_path: Path, mirrored: bool) -> None:
+    """Against the WCS that astropy fits to the same image: a TAN without distortion, within 3 px in the middle half."""
+    pytest.importorskip("tetra3rs", reason="the extra `solve` is not installed")
+    (frame,) = (shared_data / "real").glob("*_Alt60_Azi-45_Try1.tiff")
+    solve_field(frame, tmp_path / "reference.fits")
+    image = matplotlib.image.imread(frame)
+    wcs = solve(detect(image[:, ::-1] if mirrored else image).stars, width_deg=11.4)
+    col, row = np.meshgrid(np.linspace(256, 768, 5), np.linspace(192, 576, 5))
+    there = SkyCoord(*WCS(fits.getheader(tmp_path / "reference.fits")).pixel_to_world_values(col, row), unit="deg")
+    here = SkyCoord(*wcs.pixel_to_world_values(image.shape[1] - 1 - col if mirrored else col, row), unit="deg")
+    assert here.separation(there).deg.max() < 3.0 * 11.4 / 1024

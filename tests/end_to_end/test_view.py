@@ -1,0 +1,194 @@
+"""`sboc view`: region files, VOTables, messages to a hub, and the page in a real headless Chromium."""
+
+import json
+import shutil
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.table import Table
+
+from sboc_e2e import cli
+from sboc_e2e.view import Hub, RunFrames, send, write_files
+from sboc_e2e.view.page import picture_of
+
+SAMP = pytest.importorskip("astropy.samp", reason="this astropy has no SAMP")
+
+BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+ENDS = (30.0, 20.0, 90.0, 140.0)
+"""row0, col0, row1, col1 of the trail in frame 0; in frame 1 it is mirrored, since what stays is no trail."""
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("view")
+    frames = folder / "frames of a telescope"
+    frames.mkdir()
+    row, col = np.mgrid[:120, :160].astype(float)
+    for number in range(2):
+        rng = np.random.default_rng(number)
+        image = rng.normal(200.0, 5.0, row.shape)
+        for share in np.linspace(0.0, 1.0, 400):
+            r, c = ENDS[0] + 60 * share, ENDS[1] + 120 * share
+            image += 12.0 * np.exp(-0.5 * ((row - r) ** 2 + (col - c) ** 2) / 1.44)
+        image = image[:, :: 1 - 2 * number]
+        image[5, 7] = 1234.0 + number
+        fits.PrimaryHDU(np.round(image).astype(np.uint16)).writeto(frames / f"f{number}.fits")
+    assert cli.run(["process", str(frames), "--out", str(folder / "run")]) == 0
+    assert cli.run(["view", str(folder / "run"), "--no-samp", "--browser", "--no-open"]) == 0
+    return folder / "run"
+
+
+def test_regions_and_tables_lie_beside_each_frame_and_count_from_one(run: Path) -> None:
+    streaks = Table.read(run / "products" / "streaks.ecsv", format="ascii.ecsv")
+    for number in range(2):
+        text = (run / "view" / f"{number:06d}.reg").read_text()
+        lines = [line for line in text.splitlines() if line.startswith("line(")]
+        mine = streaks[streaks["frame"] == number]
+        assert len(lines) == len(mine) > 0
+        ends = np.array([float(v) for v in lines[0].partition(")")[0].removeprefix("line(").split(",")])
+        s = mine[0]
+        assert np.allclose(ends, np.array([s["col0"], s["row0"], s["col1"], s["row1"]]) + 1.0, atol=1e-3)
+        table = Table.read(run / "view" / f"{number:06d}.streaks.vot", format="votable")
+        assert np.allclose(table["fits_x0"], mine["col0"] + 1.0)
+        assert len(Table.read(run / "view" / f"{number:06d}.stars.vot", format="votable")) >= 0
+
+
+def test_a_listening_tool_gets_images_tables_and_regions(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A hub of astropy's own on this machine, and a client that plays DS9."""
+    monkeypatch.setenv("SAMP_HUB", f"std-lockurl:{(tmp_path / 'samp').as_uri()}")
+    hub = SAMP.SAMPHubServer(web_profile=False, mode="multiple", lockfile=str(tmp_path / "samp"), addr="127.0.0.1")
+    hub.start()
+    try:
+        ds9 = SAMP.SAMPIntegratedClient(name="ds9")
+        ds9.connect()
+        heard: list[tuple[str, dict[str, str]]] = []
+        for mtype in ("image.load.fits", "table.load.votable", "ds9.set"):
+            ds9.bind_receive_notification(mtype, lambda _key, _sender, mtype, params, _extra: heard.append((mtype, params)))
+        with Hub() as connected:
+            assert send(connected, write_files(RunFrames(path=run), run / "view")) == 6
+        ds9.disconnect()
+    finally:
+        hub.stop()
+    kinds = sorted(mtype for mtype, _ in heard)
+    assert kinds == ["ds9.set"] * 2 + ["image.load.fits"] * 2 + ["table.load.votable"] * 2
+    image = next(params for mtype, params in heard if mtype == "image.load.fits")
+    assert image["url"].startswith("file:///")
+    assert "%20" in image["url"]
+
+
+def test_without_a_hub_one_line_says_so(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    monkeypatch.setenv("SAMP_HUB", f"std-lockurl:{(tmp_path / 'none').as_uri()}")
+    assert cli.run(["view", str(run)]) == 0
+    assert "no SAMP hub runs" in capsys.readouterr().out
+
+
+def test_what_is_no_run_is_refused(tmp_path: Path, capsys: Any) -> None:
+    assert cli.run(["view", str(tmp_path)]) == 2
+    assert "manifest.json" in capsys.readouterr().err
+
+
+def test_levels_of_a_picture_give_the_numbers_back() -> None:
+    """16-bit frames exactly; NaN as level 0; one absurd pixel costs the sky no more than 1/100 of its noise."""
+    import base64
+
+    import cv2
+
+    def read(picture: dict[str, Any]) -> np.ndarray:
+        image = cv2.imdecode(np.frombuffer(base64.b64decode(picture["png"]), dtype=np.uint8), cv2.IMREAD_COLOR).astype(int)
+        levels = image[..., 2] * 256 + image[..., 1]
+        return np.where(levels > 0, picture["bottom"] + (levels - 1) * picture["step"], np.nan)
+
+    rng = np.random.default_rng(0)
+    sky = rng.normal(500.0, 10.0, (64, 64)).round()
+    assert np.allclose(read(picture_of(sky.astype(np.uint16))), sky, atol=0.01)
+    sky[3, 4] = np.nan
+    assert np.isnan(read(picture_of(sky))[3, 4])
+    sky[3, 4] = -1e9
+    assert np.abs(read(picture_of(sky)) - sky)[5:].max() < 0.5
+
+
+@pytest.fixture(scope="module")
+def page(run: Path) -> Iterator[Any]:
+    if BROWSER is None:
+        pytest.skip("no Chromium installed (package chromium)")
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    flags = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run"]
+    with api.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=BROWSER, args=flags)
+        tab = browser.new_context(viewport={"width": 1000, "height": 700}, offline=True).new_page()
+        errors: list[str] = []
+        tab.on("pageerror", lambda error: errors.append(str(error)))
+        tab.goto((run / "view" / "index.html").as_uri())
+        tab.wait_for_function("document.getElementById('which').textContent.startsWith('frame 0 ')")
+        tab.errors = errors
+        yield tab
+        browser.close()
+
+
+def grey(page: Any, row: int, col: int) -> int:
+    """What is shown at a pixel of a frame of 120 rows."""
+    return int(
+        page.evaluate(f"document.getElementById('picture').getContext('2d').getImageData({col}, {119 - row}, 1, 1).data[0]")
+    )
+
+
+def test_frames_are_there_at_full_resolution_and_step(page: Any) -> None:
+    assert page.evaluate("[document.getElementById('picture').width, document.getElementById('picture').height]") == [160, 120]
+    assert grey(page, 5, 7) == 255
+    assert grey(page, 60, 80) > grey(page, 100, 20)
+    page.focus("#stage")
+    page.keyboard.press("ArrowRight")
+    page.wait_for_function("document.getElementById('which').textContent.startsWith('frame 1 ')")
+    page.keyboard.press("ArrowLeft")
+    page.wait_for_function("document.getElementById('which').textContent.startsWith('frame 0 ')")
+    assert page.errors == []
+
+
+def test_zoom_stretch_and_layers(page: Any) -> None:
+    page.focus("#stage")
+    page.keyboard.press("0")
+    before = page.evaluate("view.zoom")
+    page.keyboard.press("+")
+    assert page.evaluate("view.zoom") == pytest.approx(1.25 * before)
+    dark = grey(page, 100, 20)
+    page.select_option("#stretch", "log")
+    assert grey(page, 100, 20) > dark
+    page.select_option("#stretch", "linear")
+    lines = page.locator("#overlay line").count()
+    assert lines >= 2
+    page.uncheck("input[value=published]")
+    assert page.locator("#overlay line").count() < lines
+    page.check("input[value=published]")
+    page.click("#tosky")
+    assert page.locator("#sky").is_visible()
+    page.click("#tosky")
+    assert page.errors == []
+
+
+def test_the_trail_lies_between_its_lines_and_the_pixel_says_its_value(page: Any) -> None:
+    """Ends of the lines drawn 6 px beside the trail, in picture coordinates whose rows grow downwards."""
+    ends = json.loads(
+        page.evaluate(
+            "JSON.stringify([...document.querySelectorAll('#overlay line.published')].slice(0, 2)"
+            ".map((l) => ['x1', 'y1', 'x2', 'y2'].map((n) => Number(l.getAttribute(n)))))"
+        )
+    )
+    x0, y0, x1, y1 = np.mean(ends, axis=0)
+    assert np.abs(np.array([119.5 - y0, x0 - 0.5, 119.5 - y1, x1 - 0.5]) - ENDS).max() < 2.0
+    page.focus("#stage")
+    page.keyboard.press("0")
+    place = page.evaluate("document.getElementById('stage').getBoundingClientRect().toJSON()")
+    zoom, x, y = page.evaluate("[view.zoom, view.x, view.y]")
+    page.mouse.move(place["left"] + x + 7.5 * zoom, place["top"] + y + (119 - 5 + 0.5) * zoom)
+    assert page.inner_text("#status") == "row 5, col 7: 1234"
+
+
+def test_blink_goes_through_the_frames(page: Any) -> None:
+    page.click("#blink")
+    page.wait_for_function("document.getElementById('which').textContent.startsWith('frame 1 ')", timeout=5000)
+    page.click("#blink")
+    assert page.errors == []

@@ -1,0 +1,144 @@
+"""`sboc camera make`: what it measures of cameras whose numbers are known, and that `--camera` takes its file."""
+
+import lzma
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.io import fits
+from astropy.table import Table
+
+from sboc_e2e import cli
+from sboc_e2e.outside.make_camera import made_camera, photon_transfer, saturation_of
+from sboc_e2e.outside.overscan import without_sky
+
+GAIN_E_ADU, NOISE_E, BIAS_ADU, SIGMA_PX, FULL_ADU = 1.6, 9.0, 300.0, 1.4, 20000.0
+
+
+def frame(seed: int, *, overscan: bool = True, level_e: float = 900.0) -> np.ndarray:
+    """A vignetted sky with stars on a gradient of the response, an overscan of 24 columns, in whole ADU."""
+    rng, stars = np.random.default_rng(seed), np.random.default_rng(99)
+    rows, cols = 320, 384
+    row, col = np.mgrid[:rows, :cols].astype(float)
+    light = level_e * (1.0 - 0.7 * ((row - 160) ** 2 + (col - 192) ** 2) / (160**2 + 192**2))
+    for _ in range(60):
+        r, c, flux = stars.uniform(10, rows - 10), stars.uniform(10, cols - 34), 10 ** stars.uniform(3.3, 5.9)
+        spot = np.s_[int(r) - 9 : int(r) + 10, max(int(c) - 9, 0) : int(c) + 10]
+        light[spot] += (
+            flux * np.exp(-0.5 * ((row[spot] - r) ** 2 + (col[spot] - c) ** 2) / SIGMA_PX**2) / (2 * np.pi * SIGMA_PX**2)
+        )
+    if overscan:
+        light[:, -24:] = 0.0
+    electrons = rng.poisson(light) + rng.normal(0.0, NOISE_E, light.shape)
+    return np.clip(np.round(electrons / GAIN_E_ADU + BIAS_ADU), 0, FULL_ADU).astype(np.uint16)
+
+
+def written(folder: Path, images: list[np.ndarray]) -> list[Path]:
+    paths = []
+    for number, image in enumerate(images):
+        paths.append(folder / f"frame{number}.fits")
+        fits.PrimaryHDU(image).writeto(paths[-1])
+    return paths
+
+
+def test_a_known_camera_is_measured(tmp_path: Path) -> None:
+    """Gain to 4 %, read noise to 15 %, all within four of their errors; PSF to 5 %."""
+    made = made_camera(written(tmp_path, [frame(k) for k in range(4)]))
+    assert made.transfer is not None
+    assert abs(made.transfer.gain_e_adu / GAIN_E_ADU - 1.0) < 0.04
+    assert abs(made.transfer.gain_e_adu - GAIN_E_ADU) < 4.0 * made.transfer.gain_err
+    assert abs(made.transfer.bias_adu - BIAS_ADU) < 1.0
+    assert abs(made.transfer.read_noise_e / NOISE_E - 1.0) < 0.15
+    assert abs(made.transfer.read_noise_e - NOISE_E) < 4.0 * made.transfer.read_noise_err
+    assert made.psf_sigma_px is not None
+    assert abs(made.psf_sigma_px / SIGMA_PX - 1.0) < 0.05
+    assert made.saturation_adu == FULL_ADU
+
+
+def test_errors_of_gain_and_noise_are_those_that_repeat() -> None:
+    """Pulls over 24 pairs of starless frames."""
+    pulls = []
+    for seed in range(24):
+        rng = np.random.default_rng(1000 + seed)
+        light = np.linspace(200.0, 2000.0, 256)[:, None] * np.ones((256, 256))
+        pair = [np.round((rng.poisson(light) + rng.normal(0.0, NOISE_E, light.shape)) / GAIN_E_ADU + BIAS_ADU) for _ in range(2)]
+        found = photon_transfer([p.astype(np.float32) for p in pair], BIAS_ADU)
+        assert found is not None
+        pulls.append(((found.gain_e_adu - GAIN_E_ADU) / found.gain_err, (found.read_noise_e - NOISE_E) / found.read_noise_err))
+    spread = np.sqrt(np.nanmean(np.square(pulls), axis=0))
+    assert 0.6 < spread[0] < 1.5
+    assert 0.5 < spread[1] < 1.6
+
+
+def test_one_frame_tells_no_gain_and_a_flat_pair_neither() -> None:
+    flat = [np.random.default_rng(k).normal(100.0, 5.0, (128, 128)).astype(np.float32) for k in range(2)]
+    assert photon_transfer(flat[:1], 0.0) is None
+    assert photon_transfer(flat, 0.0) is None
+    assert saturation_of(flat) is None
+
+
+def test_the_file_is_a_camera_for_process(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    paths = written(tmp_path, [frame(k) for k in range(2)])
+    file = tmp_path / "my_camera.toml"
+    assert cli.run(["camera", "make", *map(str, paths), "--out", str(file)]) == 0
+    said = capsys.readouterr().out
+    assert "gain: 1." in said
+    assert cli.run(["process", str(paths[0]), "--out", str(tmp_path / "out"), "--camera", str(file)]) == 0
+    table = Table.read(tmp_path / "out" / "products" / "frames.ecsv", format="ascii.ecsv")
+    assert len(table) == 1
+
+
+def test_a_file_with_a_strange_key_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    (path,) = written(tmp_path, [frame(0)])
+    file = tmp_path / "odd.toml"
+    file.write_text("[camera]\nrowz = 3\n")
+    assert cli.run(["process", str(path), "--out", str(tmp_path / "out"), "--camera", str(file)]) == 2
+    assert "camera.rowz is no key of a camera" in capsys.readouterr().err
+    file.write_text('[camera]\nrows = "many"\n')
+    assert cli.run(["process", str(path), "--out", str(tmp_path / "out"), "--camera", str(file)]) == 2
+    assert cli.run(["camera", "make", str(tmp_path / "none.fits"), "--out", str(file)]) == 2
+
+
+def test_borders_without_sky_are_found_and_nothing_else() -> None:
+    """Overscan darker or brighter than the sky; no sky of few photons, no gradient, no bad column beside the border."""
+    image = frame(1)
+    assert without_sky(image) == (slice(0, 320), slice(0, 359))
+    assert without_sky(image.T) == (slice(0, 359), slice(0, 320))
+    assert without_sky(frame(1, overscan=False)) is None
+    bad_column = frame(2, overscan=False)
+    bad_column[:, 20] += 3000
+    assert without_sky(bad_column) is None
+    rng = np.random.default_rng(4)
+    for mean in (0.1, 1.0, 30.0):
+        assert without_sky(rng.poisson(mean, (64, 96))) is None
+    assert without_sky(np.zeros((40, 40))) is None
+    assert without_sky(np.full((40, 40), math.nan)) is None
+
+
+def test_a_trail_across_the_border_columns_is_no_border() -> None:
+    rng = np.random.default_rng(5)
+    image = rng.normal(100.0, 5.0, (200, 200))
+    image[np.arange(200), np.arange(200)] += 1e4
+    image[:, 3] = 100.0 + np.arange(200)
+    assert without_sky(image) is None
+
+
+def test_a_real_pair_tells_one_gain_in_both_halves(shared_data: Path, tmp_path: Path) -> None:
+    """Two raw frames of an SBIG STL-1001 (header INSTRUME): gain of a few e-/ADU to 5 %, stable over the halves of the frame."""
+    paths = []
+    for name in ("wallace_219.fits", "wallace_222.fits"):
+        source = shared_data / "real2" / f"{name}.xz"
+        if not source.exists():
+            pytest.skip(f"real frame not present: {source}")
+        paths.append(tmp_path / name)
+        paths[-1].write_bytes(lzma.decompress(source.read_bytes()))
+    images = [fits.getdata(path).astype(np.float32) for path in paths]
+    parts = (np.s_[:], np.s_[512:], np.s_[:512])
+    whole, upper, lower = (photon_transfer([image[part] for image in images], None) for part in parts)
+    assert whole is not None
+    assert upper is not None
+    assert lower is not None
+    assert whole.gain_err < 0.05 * whole.gain_e_adu
+    assert abs(upper.gain_e_adu - lower.gain_e_adu) < 4.0 * np.hypot(upper.gain_err, lower.gain_err)
+    assert math.isnan(whole.read_noise_e)

@@ -9,6 +9,7 @@ stands in FOLDER/runs.jsonl; runs that have one are left out, so that the comman
 import argparse
 import json
 import math
+import re
 import shutil
 import sys
 import time
@@ -29,7 +30,11 @@ EDGES_MM: Final = (1.0, 3.0, 10.0, 30.0, 100.0, 300.0, 3000.0)
 EXPECTED: Final = 5.0
 """Objects of each class that reach the least S/N."""
 LEAST_SNR: Final = 5.0
-GREY: Final = 'specular_share = 0.0\nreddening = "0 mag"\ncolour_scatter = "0 mag"\nfacet_share = 0.0\nglint_share = 0.0\n'
+GREY: Final = (
+    f"population.surface.albedo_scatter={ALBEDO_SIGMA_LN}", "population.surface.specular_share=0.0",
+    "population.surface.reddening=0 mag", "population.surface.colour_scatter=0 mag", "population.surface.facet_share=0.0",
+    "population.surface.glint_share=0.0",
+)  # fmt: skip
 """Spheres of diffuse light: what their shine is off the assumed law by is in the median albedo."""
 
 
@@ -48,10 +53,11 @@ def scenario_text(counts: Sequence[int], albedo: float) -> str:
         f'{{from = "{low} mm", to = "{high} mm", count = {count}}}'
         for (low, high), count in zip(pairwise(EDGES_MM), counts, strict=True)
     )
-    return smoke.replace("keep_frames_every = 1", "keep_frames_every = 0") + (
+    smoke = smoke.replace("keep_frames_every = 1", "keep_frames_every = 0")
+    smoke = re.sub(r"\n\[population[^\[]*", "\n", smoke)
+    return smoke + (
         "\n[onboard.downlink]\nwhole_frame_every = 3\n[objects]\npassing = []\n[population]\n"
-        f"snr_min = {LEAST_SNR}\nalbedo = {albedo}\nclasses = [{classes}]\n[population.surface]\n"
-        f"albedo_scatter = {ALBEDO_SIGMA_LN}\n{GREY}"
+        f"snr_min = {LEAST_SNR}\nalbedo = {albedo}\nclasses = [{classes}]\n"
     )
 
 
@@ -62,7 +68,7 @@ def one_run(folder: Path, seed: int) -> dict[str, Any]:
     out.mkdir(parents=True, exist_ok=True)
     file = folder / f"{seed}.toml"
     file.write_text(scenario_text(counts, albedo), encoding="utf-8")
-    run = begin_or_continue(out, load(str(file), registry=Registry(), seed=seed), workers=1)
+    run = begin_or_continue(out, load(str(file), registry=Registry(), overrides=GREY, seed=seed), workers=1)
     run.simulate_and_onboard()
     run.ground()
     classes = json.loads((out / "truth/population.json").read_text(encoding="utf-8"))["classes"]

@@ -20,10 +20,10 @@ LAWS = ("anti_sun", "inertial", "nadir", "sidereal", "object", "schedule")
 class VisitOptions:
     """A field of a schedule: the camera rests on it from one time after the epoch to another."""
 
-    start_s: float = field(metadata={"doc": "the camera has come to rest", "min": 0.0, "max": 1e9})
-    end_s: float = field(metadata={"doc": "the camera leaves for the next field", "min": 0.0, "max": 1e9})
-    ra_deg: float = field(metadata={"doc": "right ascension of the field", "min": -360.0, "max": 360.0})
-    dec_deg: float = field(metadata={"doc": "declination of the field", "min": -90.0, "max": 90.0})
+    start_s: float = field(default=0.0, metadata={"doc": "the camera has come to rest", "min": 0.0, "max": 1e9})
+    end_s: float = field(default=0.0, metadata={"doc": "the camera leaves for the next field", "min": 0.0, "max": 1e9})
+    ra_deg: float = field(default=0.0, metadata={"doc": "right ascension of the field", "min": -360.0, "max": 360.0})
+    dec_deg: float = field(default=0.0, metadata={"doc": "declination of the field", "min": -90.0, "max": 90.0})
 
     @property
     def direction(self) -> Array:

@@ -3,10 +3,13 @@
 from typing import Final
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.flags import MaskBit
 from sboc_e2e.icd.signals import BackgroundModel
+
+SATURATED: Final = np.uint8(MaskBit.SATURATED)
 
 FULL_SHARE: Final = 0.5
 """Share of saturated pixels from which a tile is taken for part of a large area: those of stars fill no tile of 64 px."""
@@ -34,13 +37,24 @@ def _bend(level: NDArray[np.float32]) -> NDArray[np.float64]:
     return np.asarray(np.maximum(np.abs(bends[0]), np.abs(bends[1])))
 
 
+@njit(cache=True)
+def count_saturated(mask: NDArray[np.uint8], tile_px: int, out: NDArray[np.int32]) -> None:
+    """Saturated pixels of each tile, added to out; pixels beyond the last tile do not count."""
+    rows, cols = min(mask.shape[0], out.shape[0] * tile_px), mask.shape[1]
+    for row in range(rows):
+        for tile in range(out.shape[1]):
+            number = np.int32(0)
+            for col in range(tile * tile_px, min((tile + 1) * tile_px, cols)):
+                number += np.int32((mask[row, col] & SATURATED) != 0)
+            out[row // tile_px, tile] += number
+
+
 def glare_tiles(mask: NDArray[np.uint8], background: BackgroundModel) -> NDArray[np.bool_]:
     """(tile rows, tile cols) of the mesh that large saturated areas and their glow cover."""
     tile_px, shape = background.tile_px, background.level_adu.shape
-    edges = [np.arange(0, n, tile_px) for n in mask.shape]
-    full = (mask & MaskBit.SATURATED) != 0
-    counts = np.add.reduceat(np.add.reduceat(full, edges[0], axis=0, dtype=np.int32), edges[1], axis=1)
-    area = counts[: shape[0], : shape[1]] > FULL_SHARE * tile_px**2
+    counts = np.zeros(shape, dtype=np.int32)
+    count_saturated(mask, tile_px, counts)
+    area = counts > FULL_SHARE * tile_px**2
     if not area.any():
         return np.asarray(area)
     glow = _bend(background.level_adu) > BENT_SIGMA * np.median(background.sigma_adu)
@@ -54,8 +68,6 @@ def glare_tiles(mask: NDArray[np.uint8], background: BackgroundModel) -> NDArray
 
 def mark_glare(residual: NDArray[np.float32], mask: NDArray[np.uint8], background: BackgroundModel) -> int:
     """Mask tiles of glare in place (`MaskBit.GLARE`, 0 in the image); returns how many pixels were usable before."""
-    if not (mask & MaskBit.SATURATED).any():
-        return 0
     added, tile_px = 0, background.tile_px
     for i, j in zip(*np.nonzero(glare_tiles(mask, background)), strict=True):
         part = np.s_[i * tile_px : (i + 1) * tile_px, j * tile_px : (j + 1) * tile_px]

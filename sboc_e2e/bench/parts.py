@@ -19,8 +19,8 @@ QUICK_RUNS: Final = {"smoke": ("smoke",), "sso_antisun_8_frames": ("sso_antisun"
 SIDE_BY_SIDE: Final = ("astrometry", "detection", "linking", "orbit", "streak_fit", "trailed_stars", "vetting")
 """Monte-Carlo benches whose figures are accuracies and CPU seconds: they may share the machine, one for each processor."""
 
-FULL_ONLY: Final = ("scenarios",)
-"""Parts without a quick form: whole scenarios take minutes each."""
+FULL_ONLY: Final = ("scenarios", "tracks")
+"""Parts without a quick form: whole scenarios and cubes of frames take minutes each."""
 
 LONG: Final = ("soak",)
 """Parts whose full form lasts hours; they run in their quick form unless they are asked for by name."""

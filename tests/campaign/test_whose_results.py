@@ -60,7 +60,7 @@ def stand_in(monkeypatch: pytest.MonkeyPatch) -> list[str]:
         return tuple(Outcome(fingerprint=t.fingerprint, shard=f"# - fingerprint: {t.fingerprint}\n") for t in asked.tasks)
 
     @contextmanager
-    def executor(workers: int, scheduler: str | None) -> Iterator[tuple[Executor, int]]:
+    def executor(workers: int, scheduler: str | None, *, here: bool = False) -> Iterator[tuple[Executor, int]]:
         yield Here(), 1
 
     monkeypatch.setattr(engine, "run_job", job)

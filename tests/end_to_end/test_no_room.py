@@ -154,7 +154,7 @@ def test_a_sweep_stops_when_its_disk_is_full_and_keeps_what_is_done(
         return tuple(Outcome(fingerprint=task.fingerprint, shard="a table") for task in asked.tasks)
 
     @contextmanager
-    def executor(workers: int, scheduler: str | None) -> Iterator[tuple[ThreadPoolExecutor, int]]:
+    def executor(workers: int, scheduler: str | None, *, here: bool = False) -> Iterator[tuple[ThreadPoolExecutor, int]]:
         with ThreadPoolExecutor(1) as pool:
             yield pool, 1
 

@@ -112,7 +112,7 @@ def test_levels_of_a_picture_give_the_numbers_back() -> None:
 
 
 @pytest.fixture(scope="module")
-def page(run: Path) -> Iterator[Any]:
+def tab(run: Path) -> Iterator[Any]:
     if BROWSER is None:
         pytest.skip("no Chromium installed (package chromium)")
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -123,10 +123,17 @@ def page(run: Path) -> Iterator[Any]:
         errors: list[str] = []
         tab.on("pageerror", lambda error: errors.append(str(error)))
         tab.goto((run / "view" / "index.html").as_uri())
-        tab.wait_for_function("document.getElementById('which').textContent.startsWith('frame 0 ')")
         tab.errors = errors
         yield tab
         browser.close()
+
+
+@pytest.fixture
+def page(tab: Any) -> Any:
+    """The page anew: no test sees what another one clicked."""
+    tab.reload()
+    tab.wait_for_function("document.getElementById('which').textContent.startsWith('frame 0 ')")
+    return tab
 
 
 def grey(page: Any, row: int, col: int) -> int:

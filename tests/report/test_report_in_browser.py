@@ -11,7 +11,7 @@ BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil
 
 
 @pytest.fixture(scope="module")
-def page(reported_run: Path) -> Iterator[Any]:
+def tab(reported_run: Path) -> Iterator[Any]:
     if BROWSER is None:
         pytest.skip("no Chromium installed (package chromium)")
     api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
@@ -26,6 +26,14 @@ def page(reported_run: Path) -> Iterator[Any]:
         tab.errors = errors
         yield tab
         browser.close()
+
+
+@pytest.fixture
+def page(tab: Any) -> Any:
+    """The page anew: no test sees what another one clicked."""
+    tab.mouse.move(0, 0)
+    tab.reload()
+    return tab
 
 
 def test_frames_step_and_layers_toggle(page: Any) -> None:
@@ -44,6 +52,7 @@ def test_frames_step_and_layers_toggle(page: Any) -> None:
 
 def test_the_pointer_reads_place_and_brightness(page: Any) -> None:
     """The frame's noise of 3 ADU lies about 100 ADU: the grey under the pointer turns back into that."""
+    page.locator("#viewer").scroll_into_view_if_needed()
     box = page.locator("#viewer").bounding_box()
     page.mouse.move(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2)
     words = page.inner_text("#pointer")

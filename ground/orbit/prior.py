@@ -1,4 +1,4 @@
-"""What is known of an orbit before it is seen: catalogued debris, breakup velocities, fat tails.
+"""Prior of orbits: catalogued debris, breakup velocities, and wide tails.
 
 Densities are of (a, e, i) with uniform node, perigee and anomaly. In Delaunay variables phase space has unit Jacobian, so
 ``p(r, v) = p(a, e, i) / ((2 pi)^3 * mu^1.5 a^0.5 e sin(i) / 2)`` (Goldstein, Poole & Safko 2002, section 10.8): space

@@ -29,7 +29,7 @@ class PriorTable(NamedTuple):
     """Element density as cells: probability per (km, 1, rad) in `density` (na, ne, ni), and weights of the analytic parts.
 
     tail_share : log-uniform in a, uniform in e below the decay limit, isotropic in inclination. ring_share : the
-    geostationary ring and what has left it.
+    geostationary ring and objects that have left it.
     """
 
     a_edges_km: NDArray[np.float64]

@@ -20,7 +20,7 @@ STAGES: Final = ("simulate", "onboard", "ground", "score")
 _PACKAGES: Final = ("sboc_e2e", *SEGMENTS)
 _JUDGES: Final = frozenset({"score"})
 _PAGES: Final = frozenset({"cli", "licences.py", "report", "step_pages.py", "validation", "warm_up.py"})
-_ONLOOKERS: Final = _PAGES | {"bench", "campaign", "checks.py", "compare", "exams"}
+_ONLOOKERS: Final = _PAGES | {"bench", "campaign", "checks.py", "compare", "exams", "survey"}
 """Parts of the harness that do not affect the bytes of a run."""
 _NOT_SOURCE: Final = frozenset({".pyc", ".md", ".nbi", ".nbc"})
 _LIBRARY_FOLDERS: Final = frozenset({"site-packages", "dist-packages"})

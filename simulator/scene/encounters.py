@@ -296,9 +296,16 @@ def cell_density(position_km: Array, a_km: Array, e: Array, i_rad: Array) -> Arr
 
 def time_in_field(camera_km: Array, rate_km_s: Array, time_s: Array, window: Window) -> Array:
     """Seconds of the run that points (n, 3) of the camera frame, inside the field at `time_s`, spend in it, moving straight."""
-    earliest = -0.5 * window.duration_s - time_s
-    latest = 0.5 * window.duration_s - time_s
-    for axis, half in ((0, window.half_col), (1, window.half_row)):
+    enter, leave = in_field(camera_km, rate_km_s, window.half_row, window.half_col)
+    enter = np.maximum(enter, -0.5 * window.duration_s - time_s)
+    leave = np.minimum(leave, 0.5 * window.duration_s - time_s)
+    return np.asarray(np.maximum(leave - enter, 0.0))
+
+
+def in_field(camera_km: Array, rate_km_s: Array, half_row: float, half_col: float) -> tuple[Array, Array]:
+    """When points (n, 3) of the camera frame that move straight enter and leave the field: seconds from now, - and +."""
+    earliest, latest = np.full(len(camera_km), -np.inf), np.full(len(camera_km), np.inf)
+    for axis, half in ((0, half_col), (1, half_row)):
         for sign in (1.0, -1.0):
             inside = half * camera_km[:, 2] + sign * camera_km[:, axis]
             slope = half * rate_km_s[:, 2] + sign * rate_km_s[:, axis]
@@ -306,7 +313,7 @@ def time_in_field(camera_km: Array, rate_km_s: Array, time_s: Array, window: Win
                 root = -inside / slope
             latest = np.where(slope < 0.0, np.minimum(latest, root), latest)
             earliest = np.where(slope > 0.0, np.maximum(earliest, root), earliest)
-    return np.asarray(np.maximum(latest - earliest, 0.0))
+    return earliest, latest
 
 
 def expected_snr(flux_e_s: Array, rate_rad_s: Array, stay_s: Array, range_km: Array, window: Window) -> Array:

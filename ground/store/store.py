@@ -274,10 +274,10 @@ class Writer:
         if kept == other:
             raise UserError(f"store: object {kept} cannot be merged with itself")
         a, o = schema.ASSOCIATIONS, schema.OBJECTS
-        moved = and_(a.c.object_id == other, a.c.state == "accepted")
-        rows = [dict(row) for row in self._connection.execute(select(a).where(moved)).mappings()]
-        self._connection.execute(update(a).where(moved).values(state="rejected"))
-        self.associate([_moved(row, kept, by, at_tai_ns) for row in rows])
+        accepted = and_(a.c.object_id == other, a.c.state == "accepted")
+        rows = [dict(row) for row in self._connection.execute(select(a).where(accepted)).mappings()]
+        self._connection.execute(update(a).where(accepted).values(state="rejected"))
+        self.associate([_reassigned(row, kept, by, at_tai_ns) for row in rows])
         self._connection.execute(update(o).where(o.c.object_id == other).values(status="merged", merged_into=kept))
         self._decide("merge", by, at_tai_ns, {"kept": kept, "merged": other, "tracklets": len(rows), "why": why})
 
@@ -295,7 +295,7 @@ class Writer:
         if missing or not wanted:
             raise UserError(f"store: split: tracklets {sorted(missing)[:5]} are not accepted as object {object_id}'s")
         (new,) = self.add_objects([name], at_tai_ns)
-        self.associate([_moved(row, new, by, at_tai_ns) for row in rows])
+        self.associate([_reassigned(row, new, by, at_tai_ns) for row in rows])
         self._decide("split", by, at_tai_ns, {"from": object_id, "new": new, "tracklets": wanted, "why": why})
         return new
 
@@ -309,7 +309,7 @@ class Writer:
         self._connection.execute(insert(schema.DECISIONS), [row])
 
 
-def _moved(row: Mapping[str, Any], object_id: int, by: str, at_tai_ns: int) -> Association:
+def _reassigned(row: Mapping[str, Any], object_id: int, by: str, at_tai_ns: int) -> Association:
     return Association(
         tracklet_id=row["tracklet_id"], object_id=object_id, probability=row["probability"],
         state="accepted", decided_by=by, decided_tai_ns=at_tai_ns,

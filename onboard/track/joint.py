@@ -15,6 +15,7 @@ from onboard.image import registration
 from onboard.track import joint_filter
 from onboard.track.corridor import halved
 from onboard.track.false_alarms import independent_tracks, threshold_sigma
+from onboard.track.particles import without_hits
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import Detection, Track, TrackerView, TrackMember
@@ -77,7 +78,7 @@ class JointTracker:
         default=0.02, metadata={"doc": "false tracks per frame that noise may make", "min": 1e-9, "max": 10.0}
     )
     first_margin: float = field(
-        default=1.6, metadata={"doc": "S/N by which the first look may fall short", "min": 0.0, "max": 10.0}
+        default=2.2, metadata={"doc": "S/N by which the first look may fall short", "min": 0.0, "max": 10.0}
     )
 
     @property
@@ -98,10 +99,11 @@ class JointTracker:
             state, rest = self._followed(state, len(state.window), view.view.psf_sigma_px)
             found += rest
             state = JointState(next_number=state.next_number)
-        half = halved(view.searched.smooth)
+        smooth = without_hits(view.searched.smooth, view.view.psf_sigma_px)
+        half = halved(smooth)
         new = KeptSearch(
             header=view.view.header,
-            smooth=view.searched.smooth,
+            smooth=smooth,
             half=half,
             flat_half=np.ascontiguousarray(half.T),
             seeds=view.searched.seeds,

@@ -53,11 +53,14 @@ class TrackPixels:
     kept: tuple[KeptCounts, ...] = ()
     sent: tuple[tuple[int, int], ...] = ()
 
-    def after(self, frame: KeptCounts, window_frames: int) -> "TrackPixels":
-        """With one frame more, at most as many as the window has."""
-        kept = (*self.kept, frame)[-window_frames:]
-        oldest = kept[0].header.frame
-        return replace(self, kept=kept, sent=tuple(place for place in self.sent if place[1] >= oldest))
+    def after(self, frame: KeptCounts) -> "TrackPixels":
+        """With one frame more."""
+        return replace(self, kept=(*self.kept, frame))
+
+    def newest(self, number: int) -> "TrackPixels":
+        """The newest frames alone: there is room for the next one before it comes."""
+        kept = self.kept[-number:] if number > 0 else ()
+        return replace(self, kept=kept, sent=tuple(place for place in self.sent if kept and place[1] >= kept[0].header.frame))
 
 
 def send_tracks(

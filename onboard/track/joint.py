@@ -47,15 +47,21 @@ SAME_SHARE: Final = 0.35
 class KeptSearch:
     """What stays of a frame. transform : (2, 3) of the frame before into it; unused for the first.
 
-    half, flat_half : smooth at half resolution, and transposed.
+    halves : smooth at half resolution, and transposed, while the frame is next to the one whose seeds are followed.
     """
 
     header: FrameHeader
     smooth: NDArray[np.int8]
-    half: NDArray[np.int8]
-    flat_half: NDArray[np.int8]
     seeds: NDArray[np.float64]
     transform: NDArray[np.float64]
+    halves: tuple[NDArray[np.int8], NDArray[np.int8]] | None = None
+
+    def with_halves(self) -> "KeptSearch":
+        """The same with its halves."""
+        if self.halves is not None:
+            return self
+        half = halved(self.smooth)
+        return replace(self, halves=(half, np.ascontiguousarray(half.T)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -99,30 +105,33 @@ class JointTracker:
             state, rest = self._followed(state, len(state.window), view.view.psf_sigma_px)
             found += rest
             state = JointState(next_number=state.next_number)
-        smooth = without_hits(view.searched.smooth, view.view.psf_sigma_px)
-        half = halved(smooth)
         new = KeptSearch(
             header=view.view.header,
-            smooth=smooth,
-            half=half,
-            flat_half=np.ascontiguousarray(half.T),
+            smooth=without_hits(view.searched.smooth, view.view.psf_sigma_px),
             seeds=view.searched.seeds,
             transform=IDENTITY if view.transform is None else view.transform,
         )
-        window = (*state.window, new)
-        dropped = max(0, len(window) - self.window)
-        oldest = window[dropped].header.frame
-        tracks = tuple(t for t in state.tracks if t.members[-1].frame >= oldest)
-        state = replace(state, window=window[dropped:], followed=max(0, state.followed - dropped), tracks=tracks)
+        state = replace(state, window=(*state.window, new))
         state, now = self._followed(state, len(state.window) - (self.window - 1) // 2, view.view.psf_sigma_px)
-        return state, tuple(found + now)
+        # a full window makes room for the next frame before that one is searched
+        return self._without_oldest(state) if len(state.window) == self.window else state, tuple(found + now)
+
+    def _without_oldest(self, state: JointState) -> JointState:
+        """The state with one frame less, and without the tracks that lie in none of the others."""
+        window = state.window[1:]
+        tracks = tuple(t for t in state.tracks if t.members[-1].frame >= window[0].header.frame)
+        return replace(state, window=window, followed=max(0, state.followed - 1), tracks=tracks)
 
     def _followed(self, state: JointState, stop: int, psf_sigma_px: float) -> tuple[JointState, list[Track]]:
         """Follow the seeds of the window's frames up to the one at `stop`; the state after it and the tracks found."""
         found: list[Track] = []
         for centre in range(state.followed, stop):
             known, number = {t.number: t for t in state.tracks}, state.next_number
-            for track in self._about(state.window, centre, psf_sigma_px):
+            window = tuple(
+                frame.with_halves() if abs(k - centre) <= 1 else replace(frame, halves=None)
+                for k, frame in enumerate(state.window)
+            )
+            for track in self._about(window, centre, psf_sigma_px):
                 same = next((t for t in known.values() if same_object(t, track)), None)
                 if same is None:
                     track, number = replace(track, number=number), number + 1
@@ -132,7 +141,7 @@ class JointTracker:
                     track = replace(track, number=same.number)
                 known[track.number] = track
                 found.append(track)
-            state = replace(state, tracks=tuple(known.values()), next_number=number, followed=centre + 1)
+            state = replace(state, window=window, tracks=tuple(known.values()), next_number=number, followed=centre + 1)
         return state, found
 
     def _about(self, window: tuple[KeptSearch, ...], centre: int, psf_sigma_px: float) -> list[Track]:
@@ -148,10 +157,11 @@ class JointTracker:
         thresholds = self.thresholds((rows, cols), period, psf_sigma_px)
         # one kernel for any number of frames: the tuple is filled up to the window's length
         filled = window + (window[0],) * (self.window - len(window))
+        near = [(window[centre] if frame.halves is None else frame).halves or () for frame in filled]
         table, _, _ = joint_filter.follow(
             tuple(frame.smooth for frame in filled),
-            tuple(frame.half for frame in filled),
-            tuple(frame.flat_half for frame in filled),
+            tuple(half for half, _ in near),
+            tuple(flat for _, flat in near),
             np.ascontiguousarray(np.concatenate([transforms, np.repeat(transforms[:1], self.window - len(window), axis=0)])),
             np.concatenate([taus, np.zeros(self.window - len(window))]),
             len(window),

@@ -256,8 +256,10 @@ def completeness(
                 for _ in range(3 if length < 300 else 1):
                     t = random_track(size, length, n, n_frames, float(rng.uniform(guess - spread / 2, guess + spread / 2)), rng)
                     truth += [] if t is None else [t]
+            if n_stars:  # the first frame has none before it to tell its stars by: nothing is searched in it
+                truth = [replace(t, first=t.first + 1) for t in truth]
             drawn += truth
-            n_run = n_frames + (tracker.window - 1) // 2
+            n_run = n_frames + (tracker.window - 1) // 2 + bool(n_stars)
             left: list[Searched] = []
             found, _, _ = run_cube(tracker, truth, size, n_run, rng, n_stars, left=left)
             matched = set()

@@ -183,9 +183,7 @@ class OnboardChain:
         housekeeping, rois = send(content, outbox, self._options)
         if tracking is not None and usable:
             kept = kept_counts(header, view.background, counts, rois)
-            pixels = send_tracks(
-                tracks, tracking.pixels.after(kept), outbox, content.codec, self._options.roi, view.psf_sigma_px
-            )
+            pixels = send_tracks(tracks, tracking.pixels.after(kept), outbox, content.codec, self._options.roi, view.psf_sigma_px)
             # after a break, frames before may have numbers that come again
             pixels = pixels.newest(1 if flags & FrameFlag.TRACKS_ENDED else self._steps.tracker.window_frames - 1)
             tracking = replace(tracking, pixels=pixels)

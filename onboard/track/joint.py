@@ -127,7 +127,7 @@ class JointTracker:
         found: list[Track] = []
         for centre in range(state.followed, stop):
             known, number = {t.number: t for t in state.tracks}, state.next_number
-            window = tuple(
+            window = tuple(  # the look at the frames around needs halves
                 frame.with_halves() if abs(k - centre) <= 1 else replace(frame, halves=None)
                 for k, frame in enumerate(state.window)
             )
@@ -157,7 +157,8 @@ class JointTracker:
         thresholds = self.thresholds((rows, cols), period, psf_sigma_px)
         # one kernel for any number of frames: the tuple is filled up to the window's length
         filled = window + (window[0],) * (self.window - len(window))
-        near = [(window[centre] if frame.halves is None else frame).halves or () for frame in filled]
+        own = window[centre].with_halves().halves or (kept.smooth, kept.smooth)
+        near = [frame.halves or own for frame in filled]
         table, _, _ = joint_filter.follow(
             tuple(frame.smooth for frame in filled),
             tuple(half for half, _ in near),

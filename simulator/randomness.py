@@ -35,6 +35,8 @@ class Effect(IntEnum):
     ROW_STRUCTURE = 22  # row and column structure of each frame
     BLACK_LEVEL = 23  # drift of the black level
     COMPANIONS = 24  # binaries and variables of the sky
+    FLAT_ERRORS = 25  # what flats of another date and lamp get wrong
+    ASTEROIDS = 26  # unlisted asteroids; block is the HEALPix pixel
 
 
 def generator(seed: int, effect: Effect | int, frame: int = 0, block: int = 0) -> np.random.Generator:

@@ -65,12 +65,14 @@ class Backdrop:
             if moon is not None:
                 arriving = moon.flux_v0 * float(self.shining(moon.direction[None])[0])
                 flux = flux + arriving * veil_per_arcsec2(scatter, np.arccos(np.clip(directions @ moon.direction, -1.0, 1.0)))
-            if self.air is None:
+            if self.air is None and self.options.earth:
                 flux = flux + earth_veil(scatter, directions, self.observer_km, self.lit_sun_km)
         return np.asarray(flux)
 
     def earth_is_near(self, directions: Array) -> bool:
         """Whether the Earth or its air stands in one of the directions (n, 3)."""
+        if not self.options.earth:
+            return False
         nadir = -self.observer_km / np.linalg.norm(self.observer_km)
         return bool((directions @ nadir).max() > np.cos(earth_reach_rad(self.observer_km)))
 

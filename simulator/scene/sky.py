@@ -64,6 +64,9 @@ class SkyOptions:
     )
     moon: bool = field(default=False, metadata={"doc": "the Moon shines, and its light scatters in air and optics"})
     planets: bool = field(default=False, metadata={"doc": "planets shine"})
+    earth: bool = field(
+        default=True, metadata={"doc": "the Earth hides stars, shines in the field and scatters in optics (orbits)"}
+    )
 
 
 def ecliptic_of(directions: Array) -> tuple[Array, Array]:

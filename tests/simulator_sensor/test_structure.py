@@ -196,6 +196,7 @@ def test_departures_of_the_built_camera_are_draws_of_the_seed():
     fixed = SimulatorOptions()
     assert with_drawn_errors(fixed, 7) is fixed
 
+
 def calibration(**calibration):
     """Flats of many frames of a sensor that has only what is given."""
     converter = calibration.pop("converter", QUIET.converter)

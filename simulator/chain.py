@@ -28,13 +28,11 @@ from sboc_e2e.icd.frame import Calibration, Frame, NominalCamera
 from simulator.as_built import with_drawn_errors
 from simulator.camera import Camera
 from simulator.header import frame_header
+from simulator.mount import carrier_of
 from simulator.options import SimulatorOptions
 from simulator.platform import earth
-from simulator.platform.carrier import Carrier
-from simulator.platform.jitter import make_jitter
 from simulator.platform.line_of_sight import LineOfSight
 from simulator.platform.observer import SiteObserver, make_observer
-from simulator.platform.pointing import commanded_attitude
 from simulator.radiation.arrival import field_lines
 from simulator.radiation.field import ParticleField
 from simulator.scene.aberration import observer_velocity_km_s
@@ -79,19 +77,7 @@ class Simulator:
         target = None
         if options.pointing.law == "object":
             target = target_direction(options.pointing.target, options.objects, observer, epoch, options.light, self._air)
-        self._carrier = Carrier(
-            epoch_tai_ns=epoch,
-            seed=seed,
-            frame_rate_hz=options.frame_rate_hz,
-            observer=observer,
-            attitude=commanded_attitude(options.pointing, observer, epoch, target),
-            jitter=make_jitter(options.jitter, seed),
-            shutter=shutter,
-            clock=options.clock,
-            telemetry=options.telemetry,
-            rows=self._camera.shape[0],
-            row_step=self._camera.binning.rows,
-        )
+        self._carrier = carrier_of(options, shutter, observer, self._camera, seed, target)
         self._check_field(duration_s)
         self._particles = ParticleField(
             options.radiation,

@@ -79,6 +79,12 @@ def verdict(one: Survey, found: Sequence[Cluster], *, at_days: float = 6.0, area
         errors.append(np.linalg.norm(away))
         bounds.append(np.sqrt(np.trace(limit)))
     return Verdict(
-        linkable=sum(n for n in counts.values() if n > 1), right=sum(n for n in best.values() if n > 1),
-        wrong=wrong, linked=linked, nees=np.array(nees), squared_ratio=np.array(squared), error_km=np.array(errors), bound_km=np.array(bounds),
-    )  # fmt: skip
+        linkable=sum(n for n in counts.values() if n > 1),
+        right=sum(n for n in best.values() if n > 1),
+        wrong=wrong,
+        linked=linked,
+        nees=np.array(nees),
+        squared_ratio=np.array(squared),
+        error_km=np.array(errors),
+        bound_km=np.array(bounds),
+    )

@@ -1,7 +1,7 @@
 """The orbit of one arc: what some minutes of directions say of place and velocity, range and its rate included, as a Gaussian.
 
 Coordinates: two angles in the tangent plane, the two tangential velocities over the range, range, and the velocity along the
-line (all of the object's inertial motion, seen from where the observer was). In them the likelihood of an arc is near a
+line, all relative to the observer. In them the likelihood of an arc is near a
 Gaussian, as attributables are (Milani et al. 2004, Icarus 170, 152); the range that the observer's own curved way gives is in it.
 Two-body motion with J2 over the arc.
 """
@@ -23,8 +23,8 @@ from sboc_e2e.icd.errors import UserError
 Array = NDArray[np.float64]
 
 _START_KM: Final = (9_000.0, 16_000.0, 25_000.0, 36_000.0, 50_000.0)
-_PRIOR: Final = np.array([np.inf, np.inf, np.inf, np.inf, 30_000.0, 2.0])
-"""One sigma about a range of 30,000 km at rest along the line: the admissible region, softly; arcs of minutes overrule it."""
+_PRIOR: Final = np.array([np.inf, np.inf, np.inf, np.inf, 30_000.0, 8.0])
+"""One sigma about a range of 30,000 km at rest: the admissible region, softly; arcs of minutes overrule it."""
 _PRIOR_MEAN: Final = np.array([0.0, 0.0, 0.0, 0.0, 30_000.0, 0.0])
 _STEP: Final = np.array([1e-7, 1e-7, 1e-9, 1e-9, 1.0, 1e-4])
 _MOST_STEPS: Final = 25
@@ -36,13 +36,14 @@ _FARTHEST_KM: Final = 150_000.0
 class ArcOrbit:
     """A tracklet's own orbit at its middle epoch.
 
-    axes : (3, 3) rows e1, e2 and the direction. mean : (6,) angles (zero by choice of axes), tangential velocities over range
-    rad/s, range km, velocity along the line km/s. covariance : (6, 6) with the soft admissible region; information : (6, 6)
-    of the data alone. chi2_nu : of the fit.
+    observer_km_s : (3,) that velocities are relative to. axes : (3, 3) rows e1, e2 and the direction. mean : (6,) angles (zero
+    by choice of axes), tangential velocities over range rad/s, range km, velocity along the line km/s. covariance : (6, 6) with
+    the soft admissible region; information : (6, 6) of the data alone. chi2_nu : of the fit.
     """
 
     t_tai_ns: int
     observer_km: Array
+    observer_km_s: Array
     axes: Array
     mean: Array
     covariance: Array
@@ -53,26 +54,27 @@ class ArcOrbit:
     def state(self) -> Array:
         """State (6,) km, km/s at the middle epoch."""
         out = np.empty(6)
-        state_of(self.mean, self.observer_km, self.axes, out)
+        state_of(self.mean, self.observer_km, self.observer_km_s, self.axes, out)
         return out
 
 
 @njit(cache=True)
-def state_of(q: Array, observer: Array, axes: Array, out: Array) -> None:
+def state_of(q: Array, observer: Array, speed: Array, axes: Array, out: Array) -> None:
     """State (6,) from the six coordinates."""
     size = (1.0 + q[0] * q[0] + q[1] * q[1]) ** 0.5
     for c in range(3):
         unit = (axes[2, c] + q[0] * axes[0, c] + q[1] * axes[1, c]) / size
         out[c] = observer[c] + q[4] * unit
-        out[3 + c] = q[4] * (q[2] * axes[0, c] + q[3] * axes[1, c]) + q[5] * axes[2, c]
+        out[3 + c] = speed[c] + q[4] * (q[2] * axes[0, c] + q[3] * axes[1, c]) + q[5] * axes[2, c]
 
 
-def coordinates_of(state: Array, observer: Array, axes: Array) -> tuple[Array, Array]:
+def coordinates_of(state: Array, observer: Array, speed: Array, axes: Array) -> tuple[Array, Array]:
     """The six coordinates of a state (6,) and their partials (6, 6) with respect to it."""
+    moving = state[3:] - speed
     line = state[:3] - observer
     depth = float(line @ axes[2])
     rho = float(np.linalg.norm(line))
-    q = np.concatenate([axes[:2] @ line / depth, axes[:2] @ state[3:] / rho, [rho, float(axes[2] @ state[3:])]])
+    q = np.concatenate([axes[:2] @ line / depth, axes[:2] @ moving / rho, [rho, float(axes[2] @ moving)]])
     partials = np.zeros((6, 6))
     partials[:2, :3] = (axes[:2] - q[:2, None] * axes[2]) / depth
     partials[2:4, :3] = -q[2:4, None] * line / rho**2
@@ -83,10 +85,12 @@ def coordinates_of(state: Array, observer: Array, axes: Array) -> tuple[Array, A
 
 
 @njit(cache=True)
-def _modelled(q: Array, order: NDArray[np.int64], t_s: Array, observers: Array, axes: Array, whiten: Array, out: Array) -> None:
+def _modelled(
+    q: Array, order: NDArray[np.int64], t_s: Array, observers: Array, speed: Array, axes: Array, whiten: Array, out: Array
+) -> None:
     """Whitened directions (n, 2) that the orbit gives at times t_s (n,) after the middle, whose index is the first of `order`."""
     start = np.empty(6)
-    state_of(q, observers[order[0]], axes, start)
+    state_of(q, observers[order[0]], speed, axes, start)
     state = start.copy()
     now = 0.0
     line = np.empty(3)
@@ -124,25 +128,25 @@ def arc_orbit(data: Directions) -> ArcOrbit:
     seen = np.einsum("nij,nj->ni", whiten, data.direction)
     unit = data.direction[middle]
     axes = np.vstack([*east_north(unit), unit])
+    speed = np.polynomial.polynomial.polyfit(t_s, data.observer_km, min(n - 1, 4))[1]
     slope = np.polynomial.polynomial.polyfit(t_s, data.direction @ axes[:2].T, 2)[1]
 
     def linear(q: Array) -> tuple[Array, Array]:
         """Residuals (2 n,) and partials (2 n, 6)."""
         low, high, here = np.empty((n, 2)), np.empty((n, 2)), np.empty((n, 2))
-        _modelled(q, order, t_s, data.observer_km, axes, whiten, here)
+        _modelled(q, order, t_s, data.observer_km, speed, axes, whiten, here)
         columns = np.empty((2 * n, 6))
         for k in range(6):
             step = np.zeros(6)
             step[k] = _STEP[k]
-            _modelled(q + step, order, t_s, data.observer_km, axes, whiten, high)
-            _modelled(q - step, order, t_s, data.observer_km, axes, whiten, low)
+            _modelled(q + step, order, t_s, data.observer_km, speed, axes, whiten, high)
+            _modelled(q - step, order, t_s, data.observer_km, speed, axes, whiten, low)
             columns[:, k] = ((high - low) / (2.0 * _STEP[k])).reshape(-1)
         return (seen - here).reshape(-1), columns
 
-    observer_speed = np.polynomial.polynomial.polyfit(t_s, data.observer_km, min(n - 1, 4))[1]
     best: tuple[float, Array, Array] | None = None
     for rho in _START_KM:
-        q = np.concatenate([[0.0, 0.0], slope + axes[:2] @ observer_speed / rho, [rho, 0.0]])
+        q = np.concatenate([[0.0, 0.0], slope, [rho, 0.0]])
         found = _fitted(linear, q)
         if found is not None and (best is None or found[0] < best[0]):
             best = found
@@ -151,17 +155,18 @@ def arc_orbit(data: Directions) -> ArcOrbit:
     cost, q, information = best
     # axes through the fitted direction, so that its angles are zero
     state = np.empty(6)
-    state_of(q, data.observer_km[middle], axes, state)
+    state_of(q, data.observer_km[middle], speed, axes, state)
     line = state[:3] - data.observer_km[middle]
     unit = line / np.linalg.norm(line)
     turned = np.vstack([*east_north(unit), unit])
-    _, old = coordinates_of(state, data.observer_km[middle], axes)
-    mean, new = coordinates_of(state, data.observer_km[middle], turned)
+    _, old = coordinates_of(state, data.observer_km[middle], speed, axes)
+    mean, new = coordinates_of(state, data.observer_km[middle], speed, turned)
     change = old @ np.linalg.inv(new)
     information = change.T @ information @ change
     return ArcOrbit(
         t_tai_ns=int(data.t_tai_ns[middle]),
         observer_km=data.observer_km[middle],
+        observer_km_s=speed,
         axes=turned,
         mean=mean,
         covariance=scaled_inverse(information + np.diag(_PRIOR**-2)),

@@ -14,6 +14,7 @@ from ground.determination.forces import ForceModel
 from ground.determination.measurements import Directions
 from ground.determination.propagation import propagate
 from ground.orbit.dynamics import MU_KM3_S2
+from ground.sky.sphere import cross
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
 
@@ -22,6 +23,7 @@ Array = NDArray[np.float64]
 _STEPS: Final = 4
 _SETTLED: Final = 0.05
 _PLANE_COSINE: Final = 0.97
+_ENERGY: Final = 0.2
 _DOUBT_KM_PER_DAY2: Final = 0.4
 """One sigma of place after a day that radiation pressure of unknown area leaves; it grows with the square of days."""
 
@@ -32,7 +34,6 @@ class AssociationOptions:
 
     longest_days : between the two arcs that start an orbit. pair_limit, gate : largest chi2 of six degrees of freedom of a
     pair and of an arc against a prediction. doubt_km_s : one sigma of velocity by which two bodies are wrong after a day.
-    ambiguous : an arc that another orbit explains with a chi2 larger by less than this is kept as ambiguous.
     radiation_m2_kg, radiation_sigma_m2_kg : radiation coefficient times area over mass before the data speak.
     worst_chi2_nu : of a batch fit that is still one object.
     """
@@ -41,7 +42,6 @@ class AssociationOptions:
     pair_limit: float = 40.0
     gate: float = 35.0
     doubt_km_s: float = 6e-4
-    ambiguous: float = 10.0
     radiation_m2_kg: float = 0.02
     radiation_sigma_m2_kg: float = 0.01
     gravity_degree: int = 8
@@ -75,7 +75,7 @@ def innovations(orbit: Orbit, arcs: Sequence[ArcOrbit], forces: ForceModel) -> A
     out = np.empty(len(arcs))
     for k, one in enumerate(arcs):
         days = abs(one.t_tai_ns - orbit.t0_tai_ns) / tai.NS_PER_DAY
-        q, slope = coordinates_of(arc.states[k], one.observer_km, one.axes)
+        q, slope = coordinates_of(arc.states[k], one.observer_km, one.observer_km_s, one.axes)
         turn = slope @ arc.partials[k]
         total = turn @ orbit.covariance @ turn.T + doubt_of(one, days) + one.covariance
         out[k] = _chi2(q - one.mean, total)
@@ -105,7 +105,7 @@ def joined(start: Array, t0_tai_ns: int, arcs: Sequence[ArcOrbit], forces: Force
         arc = propagate(x, t0_tai_ns, epochs, forces, partials=True)
         normal, right, cost = np.zeros((6, 6)), np.zeros(6), 0.0
         for k, one in enumerate(arcs):
-            q, slope = coordinates_of(arc.states[k], one.observer_km, one.axes)
+            q, slope = coordinates_of(arc.states[k], one.observer_km, one.observer_km_s, one.axes)
             turn = slope @ arc.partials[k]
             weight = scaled_inverse(one.covariance + doubt_of(one, abs(one.t_tai_ns - middle) / tai.NS_PER_DAY))
             normal += turn.T @ weight @ turn
@@ -167,7 +167,7 @@ def _grown(
     orbit, cost = joined(start, t0, [_arc(arcs, m) for m in members], forces)
     if cost > options.pair_limit:
         raise UserError("association: two arcs are of no one orbit once it is perturbed")
-    others = [k for k in free if k not in seed and _alike(orbit, _arc(arcs, k))]
+    others = [k for k in _alike(orbit, arcs, free) if k not in seed]
     while others:
         chi2 = innovations(orbit, [_arc(arcs, k) for k in others], forces)
         inside = [(k, c) for k, c in zip(others, chi2, strict=True) if c < options.gate]
@@ -184,13 +184,22 @@ def _grown(
     return tuple(sorted(members, key=lambda m: _arc(arcs, m).t_tai_ns))
 
 
-def _alike(orbit: Orbit, arc: ArcOrbit) -> bool:
-    """Whether an arc's own plane and energy are near an orbit's: a sieve before its prediction is made."""
-    state = arc.state
-    normal, other = np.cross(state[:3], state[3:]), np.cross(orbit.state[:3], orbit.state[3:])
-    cosine = float(normal @ other / (np.linalg.norm(normal) * np.linalg.norm(other)))
-    energy = [0.5 * float(s[3:] @ s[3:]) - MU_KM3_S2 / float(np.linalg.norm(s[:3])) for s in (state, orbit.state)]
-    return cosine > _PLANE_COSINE and abs(energy[0] / energy[1] - 1.0) < 0.2
+def _alike(orbit: Orbit, arcs: Sequence[ArcOrbit | None], chosen: Sequence[int]) -> list[int]:
+    """Those of some arcs whose own plane and energy are near an orbit's: a sieve before predictions are made."""
+    if not chosen:
+        return []
+    normal, energy = _plane_and_energy(np.array([_arc(arcs, k).state for k in chosen]))
+    other, wanted = _plane_and_energy(orbit.state[None])
+    good = (normal @ other[0] > _PLANE_COSINE) & (np.abs(energy / wanted[0] - 1.0) < _ENERGY)
+    return [k for k, ok in zip(chosen, good, strict=True) if ok]
+
+
+def _plane_and_energy(states: Array) -> tuple[Array, Array]:
+    """Unit normals (n, 3) and energies (n,) km^2/s^2 of states (n, 6)."""
+    normal = cross(states[:, :3], states[:, 3:])
+    normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    energy = 0.5 * (states[:, 3:] ** 2).sum(axis=1) - MU_KM3_S2 / np.linalg.norm(states[:, :3], axis=1)
+    return normal, energy
 
 
 def judged(
@@ -215,7 +224,7 @@ def _with_ambiguity(
     for k, cluster in enumerate(found):
         s = cluster.solution
         orbit = Orbit(s.t0_tai_ns, s.state, s.covariance[:6, :6])
-        near = [m for m in every if own[m] != k and _alike(orbit, _arc(arcs, m))]
+        near = [m for m in _alike(orbit, arcs, every) if own[m] != k]
         model = forces.with_values(("radiation",), (s.forces.radiation,))
         for m, chi2 in zip(near, innovations(orbit, [_arc(arcs, m) for m in near], model), strict=True):
             if chi2 < options.gate:

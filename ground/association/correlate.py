@@ -86,7 +86,7 @@ def candidates_of(arc: ArcOrbit, states: Array, covariances: Array, age_days: Ar
     with np.errstate(invalid="ignore"):
         facing = np.flatnonzero(line @ arc.axes[2] > 0.9 * np.linalg.norm(line, axis=1))
     for k in facing:
-        q, slope = coordinates_of(states[k], arc.observer_km, arc.axes)
+        q, slope = coordinates_of(states[k], arc.observer_km, arc.observer_km_s, arc.axes)
         total = slope @ covariances[k] @ slope.T + doubt_of(arc, float(age_days[k])) + arc.covariance
         scale = np.sqrt(np.diag(total))
         left = (q - arc.mean) / scale

@@ -5,6 +5,7 @@ own periods allow; they, and the ranges, are compared with both arcs' Gaussians.
 and Moon) is allowed for as a doubt of velocity that grows with time.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Final
@@ -22,6 +23,7 @@ Array = NDArray[np.float64]
 
 _PLACES: Final = np.array([2, 3, 4, 5])
 _STEPS: Final = 4
+_LEAST_SINE: Final = 0.03
 _PERIOD_SIGMAS: Final = 4.0
 
 
@@ -47,7 +49,7 @@ def pairs_of(
     t_s: Array = np.asarray((epoch[order] - epoch[order[0]]) / tai.NS_PER_S)
     chosen = [arcs[k] for k in order]
     mean = np.array([a.mean for a in chosen])
-    place = np.array([a.observer_km for a in chosen])
+    place = np.array([[a.observer_km, a.observer_km_s] for a in chosen])
     axes = np.array([a.axes for a in chosen])
     covariance = np.array([a.covariance[np.ix_(_PLACES, _PLACES)] for a in chosen])
     states = np.array([a.state for a in chosen])
@@ -99,12 +101,20 @@ def _left(
         return False
     for end in range(2):
         rho = rho_1 if end == 0 else rho_2
-        v = speed[3 * end : 3 * end + 3]
+        v = speed[3 * end : 3 * end + 3] - ends[end, 4]
         out[4 * end] = (v * ends[end, 1]).sum() / rho - mean[end, 2]
         out[4 * end + 1] = (v * ends[end, 2]).sum() / rho - mean[end, 3]
         out[4 * end + 2] = rho - mean[end, 4]
         out[4 * end + 3] = (v * ends[end, 3]).sum() - mean[end, 5]
     return True
+
+
+@njit(cache=True)
+def _sine(ends: Array, mean: Array) -> float:
+    """Sine of the angle between both places, at the arcs' own ranges."""
+    one, two = ends[0, 0] + mean[0, 4] * ends[0, 3], ends[1, 0] + mean[1, 4] * ends[1, 3]
+    cosine = (one * two).sum() / math.sqrt((one * one).sum() * (two * two).sum())
+    return math.sqrt(max(1.0 - cosine * cosine, 0.0))
 
 
 @njit(cache=True)
@@ -176,7 +186,7 @@ def _search(
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]:  # fmt: skip
     """Pairs of arcs in order of time, by index, with chi2 and state."""
     first, second, cost, found = [np.int64(0)], [np.int64(0)], [0.0], [np.zeros(6)]
-    ends, both = np.empty((2, 4, 3)), np.empty((2, 6))
+    ends, both = np.empty((2, 5, 3)), np.empty((2, 6))
     white = np.empty((2, 4, 4))
     state, kept = np.empty(6), np.empty(6)
     for i in range(len(t_s)):
@@ -190,10 +200,12 @@ def _search(
             # arcs at once are no pair of an orbit's ends: the batch judges them
             if high <= low or high * dt < 0.02 or (normal[i] * normal[j]).sum() < 0.9:
                 continue
-            ends[0, 0], ends[1, 0] = place[i], place[j]
-            ends[0, 1:], ends[1, 1:] = axes[i], axes[j]
+            ends[0, 0], ends[1, 0] = place[i, 0], place[j, 0]
+            ends[0, 1:4], ends[1, 1:4] = axes[i], axes[j]
+            ends[0, 4], ends[1, 4] = place[i, 1], place[j, 1]
             both[0], both[1] = mean[i], mean[j]
-            wrong = doubt * max(dt / 86400.0, 0.1)
+            # near half and whole turns the plane hangs on what two bodies leave out
+            wrong = doubt * max(dt / 86400.0, 0.1) / max(_sine(ends, both), _LEAST_SINE)
             for end in range(2):
                 n = i if end == 0 else j
                 # two-body motion is wronger nearer to the Earth: the oblateness goes with the fourth power, the speed with n

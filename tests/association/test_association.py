@@ -62,7 +62,7 @@ def test_an_arc_of_seven_minutes_knows_its_orbit(few: Survey) -> None:
     nees = []
     for seen, arc in zip(few.seen, arc_orbits(measured(few)), strict=True):
         if seen.owner >= 0 and arc is not None:
-            q, _ = coordinates_of(between(few.truth[seen.owner], seen.t_s[7:8])[0], arc.observer_km, arc.axes)
+            q, _ = coordinates_of(between(few.truth[seen.owner], seen.t_s[7:8])[0], arc.observer_km, arc.observer_km_s, arc.axes)
             nees.append((q - arc.mean) @ np.linalg.solve(arc.covariance, q - arc.mean) / 6.0)
     n = len(nees)
     assert n > 15

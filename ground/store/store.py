@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import Connection, Engine, and_, create_engine, event, func, insert, select, update
+from sqlalchemy import Connection, Engine, and_, create_engine, event, exists, func, insert, select, update
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, NoSuchModuleError
 
@@ -143,6 +143,14 @@ class ObjectStore:
         inside = and_(table.c.t_first_tai_ns >= after_tai_ns, table.c.t_first_tai_ns < before_tai_ns)
         return {row["tracklet_id"]: _tracklet(row) for row in self._rows(select(table).where(inside))}
 
+    def uncorrelated(self, after_tai_ns: int, before_tai_ns: int) -> dict[int, StoredTracklet]:
+        """Tracklets that begin in an interval and were accepted as no object's, by their number."""
+        t, a = schema.TRACKLETS, schema.ASSOCIATIONS
+        taken = exists().where(and_(a.c.tracklet_id == t.c.tracklet_id, a.c.state == "accepted"))
+        inside = and_(t.c.t_first_tai_ns >= after_tai_ns, t.c.t_first_tai_ns < before_tai_ns)
+        query = select(t).where(inside, ~taken).order_by(t.c.tracklet_id)
+        return {row["tracklet_id"]: _tracklet(row) for row in self._rows(query)}
+
     def tracklets_of(self, object_id: int) -> dict[int, StoredTracklet]:
         """Accepted tracklets of an object, by their number."""
         t, a = schema.TRACKLETS, schema.ASSOCIATIONS
@@ -150,11 +158,15 @@ class ObjectStore:
         query = select(t).join(a, a.c.tracklet_id == t.c.tracklet_id).where(chosen).order_by(t.c.t_first_tai_ns)
         return {row["tracklet_id"]: _tracklet(row) for row in self._rows(query)}
 
-    def associations(self, object_id: int | None = None) -> list[Association]:
-        """All that was ever decided about tracklets, of one object or all."""
+    def associations(self, object_id: int | None = None, state: str | None = None) -> list[Association]:
+        """All that was ever decided about tracklets, of one object or all, in any state or one."""
         a = schema.ASSOCIATIONS
         query = select(a).order_by(a.c.association_id)
-        rows = self._rows(query if object_id is None else query.where(a.c.object_id == object_id))
+        if object_id is not None:
+            query = query.where(a.c.object_id == object_id)
+        if state is not None:
+            query = query.where(a.c.state == state)
+        rows = self._rows(query)
         return [Association(**{k: v for k, v in row.items() if k != "association_id"}) for row in rows]
 
     def decisions(self) -> list[dict[str, Any]]:

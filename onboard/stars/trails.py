@@ -50,6 +50,12 @@ POINT_PX: Final = 3
 LEAST_BESIDE: Final = 2.0
 """A path with a pixel of so many sigma is a point's when the others, but for so many beside it, add up to less than so many."""
 
+CORE: Final = 1
+AROUND: Final = 2
+ABOVE_SIDES: Final = 1.5
+"""Bits of a map of trails: nearer than the trail's own width, and as far as its light matters. There a trail must be so many
+times as bright as what lies beside it."""
+
 FULL_SIGMA: Final = 1e4
 """Saturated pixels, over the noise."""
 
@@ -359,6 +365,27 @@ def paint_trail(out: NDArray[np.uint8], row: float, col: float, half_row: float,
 
 
 @njit(cache=True)
+def _along(
+    residual: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    row: int,
+    col: int,
+    half_row: float,
+    half_col: float,
+    noise_adu: float,
+) -> NDArray[np.float64]:
+    """Pixels along a trail about a centre, over the noise; zeros beyond the frame."""
+    rows, cols = residual.shape
+    values = np.zeros(2 * int(math.hypot(half_row, half_col)) + 1)
+    for k in range(values.size):
+        u = 2.0 * k / max(values.size - 1, 1) - 1.0
+        i, j = round(row + u * half_row), round(col + u * half_col)
+        if 0 <= i < rows and 0 <= j < cols:
+            values[k] = residual[i, j] / noise_adu if mask[i, j] & SATURATED == 0 else FULL_SIGMA
+    return values
+
+
+@njit(cache=True)
 def keep_brightest(
     residual: NDArray[np.float32],
     mask: NDArray[np.uint8],
@@ -371,24 +398,28 @@ def keep_brightest(
 ) -> None:
     """Which of the peaks (n, 3), brightest first, lie on no brighter one's trail; their S/N becomes that of the unclipped image.
 
-    half : (n, 2) half vectors. painted : zeros, becomes 1 on the trails.
+    In the light around a brighter one a trail of its own is brighter than what lies on both sides of it, and has both its ends.
+    half : (n, 2) half vectors. painted : zeros, becomes CORE and AROUND on the trails.
     """
-    rows, cols = residual.shape
     for n in range(peaks.shape[0]):
         row, col = int(peaks[n, 0]), int(peaks[n, 1])
-        keep[n] = painted[row, col] == 0
+        keep[n] = painted[row, col] & CORE == 0
         if not keep[n]:
             continue
         length = 2.0 * math.hypot(half[n, 0], half[n, 1])
-        values = np.zeros(2 * int(0.5 * length) + 1)
-        for k in range(values.size):
-            u = 2.0 * k / max(values.size - 1, 1) - 1.0
-            i, j = round(row + u * half[n, 0]), round(col + u * half[n, 1])
-            if 0 <= i < rows and 0 <= j < cols:
-                values[k] = residual[i, j] / noise_adu if mask[i, j] & SATURATED == 0 else FULL_SIGMA
+        values = _along(residual, mask, row, col, half[n, 0], half[n, 1], noise_adu)
         peak = float(np.median(values))
         quarter = max(1, values.size // 4)
         darkest = min(values[:quarter].mean(), values[-quarter:].mean())
+        if painted[row, col] != 0:
+            beside = 0.0
+            for side in (-1.0, 1.0):
+                across = side * (3.0 * psf_sigma_px + 1.0) / max(0.5 * length, 1e-6)
+                i, j = round(row + across * half[n, 1]), round(col - across * half[n, 0])
+                beside = max(beside, float(np.median(_along(residual, mask, i, j, half[n, 0], half[n, 1], noise_adu))))
+            if peak < BRIGHT_SIGMA or peak < ABOVE_SIDES * beside or darkest < DARK_END * peak:
+                keep[n] = False
+                continue
         if values.size >= LEAST_SHAPE_PX and peak > BRIGHT_SIGMA and darkest < DARK_END * peak:
             keep[n] = False
             continue
@@ -400,7 +431,8 @@ def keep_brightest(
                 continue
         peaks[n, 2] = max(peaks[n, 2], 1.331 * peak * math.sqrt(length * psf_sigma_px))
         reach = trail_reach_px(peak, psf_sigma_px)
-        paint_trail(painted, float(row), float(col), half[n, 0], half[n, 1], reach, 1)
+        paint_trail(painted, float(row), float(col), half[n, 0], half[n, 1], reach, AROUND)
+        paint_trail(painted, float(row), float(col), half[n, 0], half[n, 1], 2.0 * psf_sigma_px + 1.0, CORE)
 
 
 @njit(cache=True)

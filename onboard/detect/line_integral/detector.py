@@ -383,6 +383,7 @@ class LineIntegralDetector:
 
     Without a preceding frame whose stars can be matched, aligned faint stars cannot be told from short trails, so
     `single_frame_margin` is added to the threshold of trails under 60 px and nothing as short as a blend of stars is reported.
+    Where stars trail it is added to that of every line.
     """
 
     n_sigma: float = field(default=7.2, metadata={"doc": "matched-filter S/N of a detection", "min": 4.0, "max": 100.0})
@@ -493,9 +494,16 @@ class LineIntegralDetector:
         found = [d for d in found if d.snr >= n_sigma]
         if earlier is None:
             found = [d for d in found if d.length_px >= BLEND_PX]
-            found = [d for d in found if d.length_px >= resolve.SHARP_ENDS_PX or d.snr >= n_sigma + self.single_frame_margin]
+            # what is left of faint stars that trail lies along every line, long or short
+            all_alike = motion is not None
+            found = [
+                d
+                for d in found
+                if (d.length_px >= resolve.SHARP_ENDS_PX and not all_alike) or d.snr >= n_sigma + self.single_frame_margin
+            ]
             if motion is not None:
                 found = [d for d in found if not trailed_sky.is_star(d, motion)]
+                found = [d for d in found if not trailed_sky.is_left_over(d, images.blocked, motion)]
                 found += trailed_sky.still_points(view, images, n_sigma + self.short_margin)
         else:
             found = [d for d in found if moved(d, earlier, images, s_px, n_sigma, self.short_margin)]

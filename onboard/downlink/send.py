@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from onboard.downlink import packets
-from onboard.downlink.budget import Outbox, packet_bytes, within_limits
+from onboard.downlink.budget import Outbox, packet_bytes, priority, within_limits
 from onboard.downlink.kept_counts import KeptCounts
 from onboard.downlink.roi_coding import CodedRoi, code_roi
 from onboard.downlink.thumbnail import thumbnail
@@ -91,7 +91,9 @@ def send(content: Content, outbox: Outbox, options: OnboardOptions) -> tuple[Hou
     level, sigma = float(np.median(view.background.level_adu)), float(np.median(view.background.sigma_adu))
     outbox.reserve(packet_bytes([bytes(HEADER_FIXED.size + 2 * TELEMETRY.size + HEADER_WORK.size)]))
     n_stars = _send_stars(content, outbox, options.downlink)
-    sendable = within_limits(content.detections, most=limits.max_per_frame, most_cosmic_like=limits.max_cosmic_like)
+    sendable = within_limits(
+        content.detections, view.mask.shape, most=limits.max_per_frame, most_cosmic_like=limits.max_cosmic_like
+    )
     groups = _send_rois(content, outbox, limits, sendable)
     n_stars += _send_remembered(content, outbox, options.downlink, groups)
     _send_sky(content, outbox, options.downlink, level, sigma)
@@ -142,8 +144,8 @@ def _send_stars(content: Content, outbox: Outbox, options: DownlinkOptions) -> i
 
 
 def _send_rois(content: Content, outbox: Outbox, options: RoiOptions, detections: Sequence[Detection]) -> tuple[RoiGroup, ...]:
-    """ROIs in the given order: as planned, or tighter when that does not fit, or not at all."""
-    groups: list[RoiGroup] = []
+    """ROIs, chosen in the given order: as planned, or tighter when that does not fit, or not at all; numbered by priority."""
+    chosen: list[CodedRoi] = []
     work = content.view.work
     for k, detection in enumerate(detections):
         operations = REGION_WORK + REGION_WORK_PER_PX * detection.length_px
@@ -154,8 +156,12 @@ def _send_rois(content: Content, outbox: Outbox, options: RoiOptions, detections
         coded = _fitting(content, outbox, options, detection)
         if coded is None or not coded.strips:
             continue
-        roi_id = len(groups)
-        outbox.offer(Apid.ROI, coded.payloads, item=roi_id)
+        outbox.reserve(packet_bytes(coded.payloads))
+        chosen.append(coded)
+    groups: list[RoiGroup] = []
+    for roi_id, k in enumerate(priority([coded.detection for coded in chosen])):
+        coded = chosen[k]
+        outbox.send(Apid.ROI, coded.payloads, item=roi_id)
         groups.append(RoiGroup(roi_id=roi_id, detection=coded.detection, strips=coded.strips, n_strips=len(coded.strips)))
     return tuple(groups)
 

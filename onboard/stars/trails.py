@@ -425,8 +425,8 @@ def keep_brightest(
             continue
         top = int(np.argmax(values))
         if values.size >= LEAST_SHAPE_PX and POINT_SIGMA < values[top] < FULL_SIGMA:
-            beside = np.concatenate((values[: max(0, top - POINT_PX)], values[top + POINT_PX + 1 :]))
-            if beside.sum() < LEAST_BESIDE * math.sqrt(max(1, beside.size)):
+            others = np.concatenate((values[: max(0, top - POINT_PX)], values[top + POINT_PX + 1 :]))
+            if others.sum() < LEAST_BESIDE * math.sqrt(max(1, others.size)):
                 keep[n] = False
                 continue
         peaks[n, 2] = max(peaks[n, 2], 1.331 * peak * math.sqrt(length * psf_sigma_px))

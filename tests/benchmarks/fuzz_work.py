@@ -86,9 +86,7 @@ def _trails(rng: np.random.Generator, counts: Light) -> None:
         here = angle + turn * (row + col) / side
         flux = SIGMA_E * 10.0 ** rng.uniform(0.0, 3.0)
         along = np.arange(0.0, length, 0.5)
-        sky_frames.add_points(
-            counts, row + along * math.sin(here), col + along * math.cos(here), np.full(len(along), flux), 2.0
-        )
+        sky_frames.add_points(counts, row + along * math.sin(here), col + along * math.cos(here), np.full(len(along), flux), 2.0)
 
 
 def _arcs(rng: np.random.Generator, counts: Light) -> None:

@@ -35,7 +35,7 @@ def test_the_gradient_is_that_of_the_sum_of_squares() -> None:
 
 @pytest.mark.parametrize(("drow", "dcol"), [(30.0, 12.0), (-3.0, 9.0), (0.0, 50.0)])
 def test_places_and_vectors_of_drawn_trails(drow: float, dcol: float) -> None:
-    """Trails of S/N 400 with their own photon noise: the bound of a middle along 50 px is 0.05 px, four times that is allowed."""
+    """Trails of S/N 400 with their photon noise: bounds of middle and length of 50 px are 0.05 and 0.1 px; four times that."""
     rng, side = np.random.default_rng(1), 256
     light = np.full((side, side), sky_frames.SKY_E)
     width = sky_frames.width_px(sky_frames.FWHM_PX)
@@ -49,6 +49,6 @@ def test_places_and_vectors_of_drawn_trails(drow: float, dcol: float) -> None:
     at, vectors, widths, work = fitted_vectors(residual, np.zeros((side, side), np.uint8), places + 1.4, guess, 0.85)
     assert len(at) == 4
     assert np.abs(at - places).max() < 0.2
-    assert np.abs(np.abs(vectors @ (drow, dcol)) / math.hypot(drow, dcol) - math.hypot(drow, dcol)).max() < 0.2
+    assert np.abs(np.abs(vectors @ (drow, dcol)) / math.hypot(drow, dcol) - math.hypot(drow, dcol)).max() < 0.4
     assert np.median(widths) == pytest.approx(width, abs=0.06)
     assert work > 0

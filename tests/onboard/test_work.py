@@ -45,8 +45,10 @@ def test_a_storm_is_cut_short_and_says_so() -> None:
     assert told.shed_candidates > 0
     assert told.operations <= 2 * work.nominal(512**2)
     (decoded,), _ = decode_downlink(results[0].packets, [PlanesDecoder()])
-    assert decoded.housekeeping == replace(told, flags=decoded.housekeeping.flags)
+    assert decoded.housekeeping is not None
     assert decoded.housekeeping.flags & FrameFlag.WORK_SHED
+    for name in ("parameter_set", "operations", "shed_stars", "shed_halos", "shed_candidates", "shed_points", "shed_trails"):
+        assert getattr(decoded.housekeeping, name) == getattr(told, name), name
 
 
 def test_quiet_frames_leave_nothing() -> None:

@@ -64,7 +64,8 @@ def priority(detections: Sequence[Detection]) -> NDArray[np.intp]:
 def kind_of_place(detection: Detection, shape: tuple[int, int]) -> tuple[int, int]:
     """What a detection shares its quota with: its kind by length, trails that cross the frame apart, and its part of the field."""
     flags, length = detection.flags, detection.length_px
-    crosses = bool(flags & StreakFlag.EDGE0 and flags & StreakFlag.EDGE1)
+    both = StreakFlag.EDGE0 | StreakFlag.EDGE1
+    crosses = flags & both == both
     kind = len(LENGTHS_PX) + 1 if crosses else sum(length > limit for limit in LENGTHS_PX)
     row, col = 0.5 * (detection.row0 + detection.row1), 0.5 * (detection.col0 + detection.col1)
     part = [min(FIELD_PARTS - 1, max(0, int(FIELD_PARTS * x / n))) for x, n in zip((row, col), shape, strict=True)]

@@ -9,9 +9,10 @@ from sboc_e2e.icd.signals import Detection
 
 SHAPE = (2048, 2048)
 RATE = 5e5
+NONE = StreakFlag(0)
 
 
-def trail(row: float, col: float, length: float, snr: float, flags: StreakFlag = StreakFlag(0)) -> Detection:
+def trail(row: float, col: float, length: float, snr: float, flags: StreakFlag = NONE) -> Detection:
     return Detection(row0=row, col0=col, row1=row, col1=col + length, snr=snr, flags=flags)
 
 

@@ -1,4 +1,4 @@
-"""The order of things on board: counts, background, calibrated image, stars, detections, ROIs, packets.
+"""The order of the on-board steps: counts, background, calibrated image, stars, detections, tracks, ROIs, packets.
 
 `OnboardChain.process` is a step from state and frame to state and packets. Bad frames give flagged packets; a plug-in
 that raises or breaks its Protocol stops the run and is named.
@@ -102,7 +102,7 @@ class OnboardChain:
         if usable:
             view = with_stars(view, residual, row_sums, self._steps.star_extractor)
             found, searched = self._detections(view)
-            # while stars trail, what stands still is the object
+            # While stars trail, a source that does not move in the frame is the object.
             detections = flag_static(found, state.recent if view.stars.motion is None else ())
             earlier = brought_forward(state.earlier_stars, view.stars)
         else:
@@ -135,7 +135,7 @@ class OnboardChain:
             kept = kept_counts(header, view.background, counts, rois)
             pixels = tracking.pixels.after(kept, self._steps.tracker.window_frames)
             pixels = send_tracks(tracks, pixels, outbox, content.codec, self._options.roi, view.psf_sigma_px)
-            if flags & FrameFlag.TRACKS_ENDED:  # frames before may have numbers that come again
+            if flags & FrameFlag.TRACKS_ENDED:  # Numbers of earlier frames may repeat.
                 pixels = TrackPixels(kept=pixels.kept[-1:])
             tracking = replace(tracking, pixels=pixels)
         keep = self._steps.detector.history_frames if usable else 0
@@ -179,7 +179,7 @@ class OnboardChain:
         return replace(tracking, step=state, last=header), tuple(tracks)
 
     def _with_saturation(self, header: FrameHeader) -> FrameHeader:
-        """The header with the camera's saturation level where the frame brings none but a calibration is there."""
+        """The header with the camera's saturation level, if the frame has none and a calibration exists."""
         if header.saturation_adu is not None or self._calibration is None:
             return header
         return replace(header, saturation_adu=self._camera.saturation_adu)
@@ -197,13 +197,13 @@ class OnboardChain:
         return self._scratch
 
     def _remembered(self, view: DetectorView) -> Any:
-        """What the history holds of a view."""
+        """The part of a view that the history keeps."""
         view = replace(view, history=(), work=WorkMeter())
         detector = self._steps.detector
         return guarded("detector", detector, detector.remembered, view) if isinstance(detector, SelectiveMemory) else view
 
     def _detections(self, view: DetectorView) -> tuple[tuple[Detection, ...], Searched | None]:
-        """Detections of the detector, checked; and what its search leaves for a tracker, if there is one."""
+        """Detections, checked; and the results of the search for the tracker, if there is one."""
         detector, searched = self._steps.detector, None
         if self._tracks and isinstance(detector, SeedingDetector):
             found, searched = guarded("detector", detector, detector.search, view, self._steps.tracker.seed_sigma)

@@ -1,4 +1,4 @@
-"""What the chain is made of, what it remembers from frame to frame, and what one frame gives."""
+"""Records of the chain: its steps, its state between frames, the result of one frame."""
 
 from dataclasses import dataclass, field
 from typing import Any
@@ -29,7 +29,7 @@ class OnboardSteps:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tracking:
-    """What is remembered for the tracker. step : its own state; last : the newest frame it saw."""
+    """State for the tracker. step : its own state; last : the newest frame it saw."""
 
     step: Any
     pixels: TrackPixels = field(default_factory=TrackPixels)
@@ -38,7 +38,7 @@ class Tracking:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OnboardState:
-    """What the chain remembers from frame to frame; picklable.
+    """State of the chain between frames; picklable.
 
     earlier_stars : star lists of the last frames, newest last.
     history : views of the last frames, or what the detector keeps of them, as many as it declares, newest last.
@@ -60,7 +60,7 @@ class OnboardState:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OnboardResult:
-    """What one frame gave.
+    """Result of one frame.
 
     rois : groups as sent. bytes_by_apid : bytes of packets of each APID, headers included. work : operations by kind.
     """

@@ -1,4 +1,4 @@
-"""What fits into the downlink: an allowance in bytes that grows with time, spent in order of priority."""
+"""Bit budget of the downlink: an allowance in bytes that grows with time and is spent in order of priority."""
 
 import math
 from collections.abc import Sequence
@@ -40,7 +40,7 @@ class Allowance:
         return replace(self, credit_bytes=min(granted, self.rate_bytes_s * max(self.burst_s, min(exposure_s, elapsed_s))))
 
     def spend(self, n_bytes: int) -> "Allowance":
-        """The allowance after sending; it may become negative when what must be sent did not fit."""
+        """The allowance after sending. It may become negative when mandatory packets did not fit."""
         return replace(self, credit_bytes=self.credit_bytes - n_bytes)
 
 
@@ -62,7 +62,7 @@ def priority(detections: Sequence[Detection]) -> NDArray[np.intp]:
 
 
 def kind_of_place(detection: Detection, shape: tuple[int, int]) -> tuple[int, int]:
-    """What a detection shares its quota with: its kind by length, trails that cross the frame apart, and its part of the field."""
+    """The quota of a detection: its kind by length, trails that cross the frame apart, and its part of the field."""
     flags, length = detection.flags, detection.length_px
     both = StreakFlag.EDGE0 | StreakFlag.EDGE1
     crosses = flags & both == both
@@ -95,7 +95,7 @@ def taking_turns(ordered: Sequence[Detection], shape: tuple[int, int]) -> list[D
 def within_limits(
     detections: Sequence[Detection], shape: tuple[int, int], *, most: int, most_cosmic_like: int
 ) -> list[Detection]:
-    """The detections that may be sent in a frame, those that come first first: so many at most, so many of them particle hits.
+    """The detections that may be sent in a frame, in their order, within the limits of all and of particle hits.
 
     Real-looking ones take turns by kind and part of the field; suspicious ones follow by `priority`.
     """
@@ -122,11 +122,11 @@ class Outbox:
     sent: dict[int, list[bytes]] = field(default_factory=dict)
 
     def reserve(self, n_bytes: int) -> None:
-        """Take bytes of a packet that will be sent whatever happens out of the allowance."""
+        """Subtract the bytes of a mandatory packet from the allowance."""
         self.allowance = self.allowance.spend(n_bytes)
 
     def fits(self, payloads: Sequence[bytes]) -> bool:
-        """Whether these payloads fit into what is left."""
+        """Whether these payloads fit into the rest of the allowance."""
         return packet_bytes(payloads) <= self.allowance.credit_bytes
 
     def offer(self, apid: layout.Apid, payloads: Sequence[bytes], *, item: int = 0) -> bool:

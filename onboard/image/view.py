@@ -28,7 +28,7 @@ def calibrated_view(
     work: WorkMeter,
 ) -> tuple[DetectorView, NDArray[np.float64], int]:
     """The view without stars, the sums of its rows, and how many pixels are masked; `residual` is filled."""
-    # the calibrated image is not there yet: its memory holds the whole ADU of the dark until then
+    # The calibrated image is not made yet. Until then its memory holds the whole ADU of the dark.
     dark = counts.dark.whole_adu(residual.reshape(-1).view(np.int16)[: residual.size].reshape(residual.shape))
     given = (counts.pixels, _read_only(dark), _read_only(counts.defects))
     estimated = guarded("background", step, step.estimate, *given)

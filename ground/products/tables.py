@@ -136,7 +136,7 @@ def _frames_table(
                 "threshold_sigma",
                 [float("nan") if c is None else float(c.threshold_sigma) for c in counters],
                 None,
-                "least S/N that a particle storm's limit of regions let through, 0 outside storms; NaN: header packet lost",
+                "S/N above which all were sent when a particle storm met the limit of regions, else 0; NaN: header packet lost",
             ),
             ("flags", [int(s.flags | flags) for s, (flags, _, _) in zip(solutions, said, strict=True)], None, "FrameFlag bits"),
         ],

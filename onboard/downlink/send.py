@@ -99,7 +99,8 @@ def send(content: Content, outbox: Outbox, options: OnboardOptions) -> tuple[Hou
     _send_sky(content, outbox, options.downlink, level, sigma)
     _send_whole_frame(content, outbox, options.downlink)
     in_storm = len(content.detections) > limits.max_per_frame
-    kept_snr = [group.detection.snr for group in groups if not group.detection.flags & StreakFlag.COSMIC_LIKE]
+    sent_at = {(group.detection.row0, group.detection.col0, group.detection.snr) for group in groups}
+    unsent = [d.snr for d in but_hits(content.detections) if (d.row0, d.col0, d.snr) not in sent_at]
     flags = content.flags | (FrameFlag.STORM if in_storm else FrameFlag(0))
     flags |= FrameFlag.WORK_SHED if view.work.has_shed else FrameFlag(0)
     shed = view.work.shed
@@ -111,7 +112,7 @@ def send(content: Content, outbox: Outbox, options: OnboardOptions) -> tuple[Hou
         n_rois_sent=len(groups),
         n_rois_dropped=len(content.detections) - len(groups),
         bytes_dropped=outbox.bytes_dropped,
-        threshold_sigma=min(kept_snr) if in_storm and kept_snr else 0.0,
+        threshold_sigma=max(unsent) if in_storm and unsent else 0.0,
         background_adu=level,
         sigma_adu=sigma,
         n_masked=content.n_masked,
@@ -134,6 +135,11 @@ def send(content: Content, outbox: Outbox, options: OnboardOptions) -> tuple[Hou
     )
     outbox.send(Apid.HEADER, [payload])
     return housekeeping, groups
+
+
+def but_hits(detections: Sequence[Detection]) -> list[Detection]:
+    """Detections that are no particle hits: those whose loss the threshold of a storm tells."""
+    return [d for d in detections if not d.flags & StreakFlag.COSMIC_LIKE]
 
 
 def _send_stars(content: Content, outbox: Outbox, options: DownlinkOptions) -> int:

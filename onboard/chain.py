@@ -190,7 +190,7 @@ class OnboardChain:
         if tracking is not None and usable:
             kept = kept_counts(header, view.background, counts, rois)
             pixels = send_tracks(tracks, tracking.pixels.after(kept), outbox, content.codec, self._options.roi, view.psf_sigma_px)
-            # After a break numbers of earlier frames may repeat.
+            # After a break, numbers of earlier frames may repeat.
             pixels = pixels.newest(1 if broken else self._steps.tracker.window_frames - 1)
             tracking = replace(tracking, pixels=pixels)
         keep = self._steps.detector.history_frames if usable else 0

@@ -58,7 +58,7 @@ class TrackPixels:
         return replace(self, kept=(*self.kept, frame))
 
     def newest(self, number: int) -> "TrackPixels":
-        """The record of the newest frames alone: the next one finds room before it comes."""
+        """The newest frames alone, so that there is room before the next one comes."""
         kept = self.kept[-number:] if number > 0 else ()
         return replace(self, kept=kept, sent=tuple(place for place in self.sent if kept and place[1] >= kept[0].header.frame))
 

@@ -109,11 +109,17 @@ class OnboardChain:
             detections, searched, earlier = (), None, ()
         tracking = state.tracking
         tracks: tuple[Track, ...] = ()
+        broken = True
         if tracking is not None and usable:
             transform = earlier[-1].transform if earlier and continues(tracking.last, header) else None
-            flags |= FrameFlag.TRACKS_ENDED if transform is None and tracking.last is not None else FrameFlag(0)
+            broken = transform is None
+            flags |= FrameFlag.TRACKS_ENDED if broken and tracking.last is not None else FrameFlag(0)
             seen = TrackerView(view=view, detections=detections, searched=searched, transform=transform)
             tracking, tracks = self._tracked(tracking, seen)
+        elif tracking is not None and tracking.last is not None:
+            # Nothing is linked across a frame that came twice or shows nothing.
+            flags |= FrameFlag.TRACKS_ENDED
+            tracking = replace(tracking, last=None)
         if len(view.stars) == 0:
             flags |= FrameFlag.NO_STARS
         allowance = state.allowance.after(elapsed_s(header, state.previous), elapsed_s(header, None))
@@ -135,7 +141,7 @@ class OnboardChain:
             kept = kept_counts(header, view.background, counts, rois)
             pixels = send_tracks(tracks, tracking.pixels.after(kept), outbox, content.codec, self._options.roi, view.psf_sigma_px)
             # After a break, numbers of earlier frames may repeat.
-            pixels = pixels.newest(1 if flags & FrameFlag.TRACKS_ENDED else self._steps.tracker.window_frames - 1)
+            pixels = pixels.newest(1 if broken else self._steps.tracker.window_frames - 1)
             tracking = replace(tracking, pixels=pixels)
         keep = self._steps.detector.history_frames if usable else 0
         history = (*state.history, self._remembered(view))[-keep:] if keep > 0 else state.history

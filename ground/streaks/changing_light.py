@@ -46,7 +46,9 @@ def light_series(curve: LightCurve, smooth_e_px: Array) -> LightSeries | None:
     x = (2.0 * np.arange(n) + 1.0) / n - 1.0
     smooth = np.maximum(smooth_e_px, 1e-9)
     ratio, weight = curve.density_e_px / smooth, smooth / curve.sigma_e_px
-    cost, best, covariance = math.inf, np.ones(1), np.ones((1, 1))
+    cost = math.inf
+    best: Array = np.ones(1)
+    covariance: Array = np.ones((1, 1))
     for order in range(min(MOST_ORDERS, n // BINS_EACH)):
         terms = legendre.legvander(x, order)
         weighted = terms * weight[:, None]
@@ -55,7 +57,7 @@ def light_series(curve: LightCurve, smooth_e_px: Array) -> LightSeries | None:
         chi2 = float(np.sum((weight * (ratio - terms @ found)) ** 2))
         if chi2 + (order + 1) * math.log(n) < cost:
             cost, best = chi2 + (order + 1) * math.log(n), found
-            covariance = inverse * max(chi2 / (n - order - 1), 1.0)
+            covariance = np.asarray(inverse * max(chi2 / (n - order - 1), 1.0), dtype=np.float64)
     ends = legendre.legvander(np.array([-1.0, 1.0]), len(best) - 1)
     errors = np.sqrt(np.sum((ends @ covariance) * ends, axis=1)) / np.maximum(ends @ best, LEAST_LIGHT)
     return LightSeries(best, (float(errors[0]), float(errors[1])))

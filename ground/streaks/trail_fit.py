@@ -208,8 +208,8 @@ def _series(line: LineFit, ends: tuple[float, float]) -> LightSeries | None:
     n = len(curve.density_e_px)
     if not curve.variable:
         return None
-    place = ends[0] + (np.arange(n) + 0.5) * ((ends[1] - ends[0]) / n)
-    return light_series(curve, smooth(place))
+    place = ends[0] + (np.arange(n, dtype=np.float64) + 0.5) * ((ends[1] - ends[0]) / n)
+    return light_series(curve, smooth(np.asarray(place, dtype=np.float64)))
 
 
 def _light_curve(

@@ -14,7 +14,7 @@
 Any frame can be made alone, by any process, with the same bytes.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -33,8 +33,9 @@ from simulator.platform import earth
 from simulator.platform.carrier import Carrier
 from simulator.platform.jitter import make_jitter
 from simulator.platform.line_of_sight import LineOfSight
-from simulator.platform.observer import SiteObserver, make_observer
+from simulator.platform.observer import OrbitingObserver, SiteObserver, make_observer
 from simulator.platform.pointing import commanded_attitude
+from simulator.platform.shutter import ShutterOptions
 from simulator.radiation.arrival import field_lines
 from simulator.radiation.field import ParticleField
 from simulator.randomness import Effect, generator
@@ -54,6 +55,31 @@ Array = NDArray[np.float64]
 
 STAR_MARGIN_PX = 40.0
 """Stars this far outside the frame are drawn for the light of their wings."""
+
+
+def carrier_of(
+    options: SimulatorOptions,
+    shutter: ShutterOptions,
+    observer: OrbitingObserver | SiteObserver,
+    camera: Camera,
+    seed: int,
+    target: Callable[[int], Array] | None = None,
+) -> Carrier:
+    """The platform that carries a camera. target : direction that the law `object` follows."""
+    epoch = earth.tai_ns_of_utc(options.epoch_utc)
+    return Carrier(
+        epoch_tai_ns=epoch,
+        seed=seed,
+        frame_rate_hz=options.frame_rate_hz,
+        observer=observer,
+        attitude=commanded_attitude(options.pointing, observer, epoch, target),
+        jitter=make_jitter(options.jitter, seed),
+        shutter=shutter,
+        clock=options.clock,
+        telemetry=options.telemetry,
+        rows=camera.shape[0],
+        row_step=camera.binning.rows,
+    )
 
 
 class Simulator:
@@ -83,19 +109,7 @@ class Simulator:
         target = None
         if options.pointing.law == "object":
             target = target_direction(options.pointing.target, options.objects, observer, epoch, options.light, self._air)
-        self._carrier = Carrier(
-            epoch_tai_ns=epoch,
-            seed=seed,
-            frame_rate_hz=options.frame_rate_hz,
-            observer=observer,
-            attitude=commanded_attitude(options.pointing, observer, epoch, target),
-            jitter=make_jitter(options.jitter, seed),
-            shutter=shutter,
-            clock=options.clock,
-            telemetry=options.telemetry,
-            rows=self._camera.shape[0],
-            row_step=self._camera.binning.rows,
-        )
+        self._carrier = carrier_of(options, shutter, observer, self._camera, seed, target)
         self._check_field(duration_s)
         self._particles = ParticleField(
             options.radiation,

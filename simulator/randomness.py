@@ -1,6 +1,6 @@
 """Random streams of the simulator: one generator for each physical effect, frame and block.
 
-A stream depends on nothing but ``(seed, effect, frame, block)``, so that adding an effect shifts nobody's noise and
+A stream depends only on ``(seed, effect, frame, block)``. Adding an effect therefore does not change other noise, and
 any worker may make any frame with the same bytes. The table is append-only: numbers are never reused.
 """
 
@@ -10,7 +10,7 @@ import numpy as np
 
 
 class Effect(IntEnum):
-    """Numbers of the physical effects; part of what a seed means: append only, no number is used twice."""
+    """Numbers of the physical effects. They are part of the meaning of a seed: append only, and use no number twice."""
 
     POPULATION = 1  # which debris is met (frame 0)
     FAINT_STARS = 2  # synthetic stars; block is the HEALPix pixel
@@ -35,6 +35,7 @@ class Effect(IntEnum):
     ROW_STRUCTURE = 22  # row and column structure of each frame
     BLACK_LEVEL = 23  # drift of the black level
     COMPANIONS = 24  # binaries and variables of the sky
+    SURVEY = 25  # passages of a block of a survey; block is the size class, 0 the instants
 
 
 def generator(seed: int, effect: Effect | int, frame: int = 0, block: int = 0) -> np.random.Generator:

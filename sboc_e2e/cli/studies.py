@@ -116,3 +116,59 @@ def plan(
     make_plan(asked, path, target, registry_of(plugin))
     typer.echo((target / "plan.md").read_text())
     typer.echo(target / "schedule.ecsv")
+
+
+@app.command()
+def response(
+    scenario: Annotated[str, typer.Argument(help="a name of `sboc scenarios` or the path of a TOML file")],
+    runs: Annotated[int, typer.Option("--runs", min=1, max=10000, help="runs of the pixel chain, each with its own seed")] = 20,
+    out: Annotated[Path | None, typer.Option("--out", help="folder, default runs/response-<scenario>")] = None,
+    overrides: Overrides = None,
+    plugin: Plugins = None,
+    workers: Workers = 0,
+    scheduler: Annotated[str | None, typer.Option("--scheduler", help='dask scheduler "tcp://host:port", or "local"')] = None,
+) -> None:
+    """Measure what a survey needs to know of camera and software, by runs of the pixel chain: response.json."""
+    from sboc_e2e import scenario as scenarios
+    from sboc_e2e.survey.measure import measure_response
+
+    resolved = scenarios.load(scenario, registry=registry_of(plugin), overrides=overrides or ())
+    target = out or Path("runs") / f"response-{resolved.name}"
+    path, failed = measure_response(resolved, runs, target, workers=workers, scheduler=scheduler, report=typer.echo)
+    typer.echo(path)
+    if failed:
+        raise typer.Exit(1)
+
+
+@app.command()
+def survey(
+    scenario: Annotated[str, typer.Argument(help="a name of `sboc scenarios` or the path of a TOML file")],
+    days: Annotated[float, typer.Option("--days", help="from the scenario's epoch on; whole quarters of days are made")] = 365.0,
+    response_file: Annotated[
+        Path | None, typer.Option("--response", help="file of `sboc response`, default the shipped one of the scenario")
+    ] = None,
+    out: Annotated[Path | None, typer.Option("--out", help="folder, default runs/survey-<scenario>")] = None,
+    seed: Annotated[int | None, typer.Option("--seed", help="replaces the scenario's seed")] = None,
+    overrides: Overrides = None,
+    plugin: Plugins = None,
+    workers: Workers = 0,
+    scheduler: Annotated[str | None, typer.Option("--scheduler", help='dask scheduler "tcp://host:port", or "local"')] = None,
+    force: Annotated[bool, typer.Option("--force", help="forget what another survey left in the folder")] = False,
+) -> None:
+    """Months of tracklets without pixels; finished blocks are kept, so the same command goes on after an interruption."""
+    from sboc_e2e import scenario as scenarios
+    from sboc_e2e.survey import response as responses
+    from sboc_e2e.survey.engine import default_workers, run_survey
+
+    resolved = scenarios.load(scenario, registry=registry_of(plugin), overrides=overrides or (), seed=seed)
+    measured = responses.read(response_file or responses.shipped(resolved), resolved)
+    target = out or Path("runs") / f"survey-{resolved.name}"
+    result = run_survey(
+        resolved, measured, days, target, workers=default_workers(workers), scheduler=scheduler, force=force, report=typer.echo
+    )
+    typer.echo(
+        f"{result.done} blocks done, {result.skipped} were done before, {len(result.failed)} failed, {result.wall_s:.1f} s"
+    )
+    if result.failed:
+        raise typer.Exit(1)
+    typer.echo(target)

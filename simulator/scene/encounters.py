@@ -29,7 +29,7 @@ from simulator.scene.surface import SurfaceOptions, Surfaces, draw_surfaces
 Array = NDArray[np.float64]
 
 FLUX_BLOCK = 1000
-"""Random streams of the flux's integral, beside those of the draws."""
+"""First number of the random streams of the flux's integral, apart from those of the draws."""
 
 FLUX_DRAWS = 200_000
 
@@ -96,7 +96,7 @@ class PopulationOptions:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Window:
-    """What the camera sees during the run, for choosing encounters.
+    """Field and sensitivity of the camera during the run, for choosing encounters.
 
     attitude : (3, 3) GCRS to camera at the middle. half_row, half_col : tangents of half the field.
     flux_e_s : electrons per second of V = 0. noise_variance_e2 : per pixel and exposure. aperture_m : that defocuses near
@@ -223,7 +223,7 @@ def draw_candidates(
 def natural_number(options: PopulationOptions, size_class: SizeClass, window: Window) -> float:
     """Objects of a class with S/N of `snr_min` that nature sends through the field during a run: what the truth is made with.
 
-    A run's own candidates, of which few hold most of a class of large objects, tell it to 20 % only.
+    The candidates of a run give it to 20 % only, because few of them hold most of a class of large objects.
     """
     total = 0.0
     for block in range(TRUTH_ROUNDS):
@@ -296,9 +296,16 @@ def cell_density(position_km: Array, a_km: Array, e: Array, i_rad: Array) -> Arr
 
 def time_in_field(camera_km: Array, rate_km_s: Array, time_s: Array, window: Window) -> Array:
     """Seconds of the run that points (n, 3) of the camera frame, inside the field at `time_s`, spend in it, moving straight."""
-    earliest = -0.5 * window.duration_s - time_s
-    latest = 0.5 * window.duration_s - time_s
-    for axis, half in ((0, window.half_col), (1, window.half_row)):
+    enter, leave = in_field(camera_km, rate_km_s, window.half_row, window.half_col)
+    enter = np.maximum(enter, -0.5 * window.duration_s - time_s)
+    leave = np.minimum(leave, 0.5 * window.duration_s - time_s)
+    return np.asarray(np.maximum(leave - enter, 0.0))
+
+
+def in_field(camera_km: Array, rate_km_s: Array, half_row: float, half_col: float) -> tuple[Array, Array]:
+    """When points (n, 3) of the camera frame that move straight enter and leave the field: seconds from now, - and +."""
+    earliest, latest = np.full(len(camera_km), -np.inf), np.full(len(camera_km), np.inf)
+    for axis, half in ((0, half_col), (1, half_row)):
         for sign in (1.0, -1.0):
             inside = half * camera_km[:, 2] + sign * camera_km[:, axis]
             slope = half * rate_km_s[:, 2] + sign * rate_km_s[:, axis]
@@ -306,7 +313,7 @@ def time_in_field(camera_km: Array, rate_km_s: Array, time_s: Array, window: Win
                 root = -inside / slope
             latest = np.where(slope < 0.0, np.minimum(latest, root), latest)
             earliest = np.where(slope > 0.0, np.maximum(earliest, root), earliest)
-    return np.asarray(np.maximum(latest - earliest, 0.0))
+    return earliest, latest
 
 
 def expected_snr(flux_e_s: Array, rate_rad_s: Array, stay_s: Array, range_km: Array, window: Window) -> Array:
@@ -359,7 +366,7 @@ class Drawn:
 def draw_encounters(options: PopulationOptions, window: Window, seed: int) -> Drawn:
     """Draw the run's objects.
 
-    UserError when a class that shall be drawn has no detectable candidate.
+    Raises UserError if a class to be drawn has no detectable candidate.
     """
     chosen: list[Encounters] = []
     picks: list[NDArray[np.intp]] = []

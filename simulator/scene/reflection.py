@@ -115,7 +115,7 @@ class LightCurve:
         once = np.sin(middle) * np.sinc(half_turn / np.pi)
         twice = np.sin(2.0 * middle + self.facet_phase_rad) * np.sinc(2.0 * half_turn / np.pi)
         steady = 1.0 + self.amplitude * ((1.0 - self.facets) * once + self.facets * twice)
-        if self.glint_factor == 0.0:
+        if np.all(self.glint_factor == 0.0):
             return np.asarray(steady)
         flashes = self._flash_integral(end_s) - self._flash_integral(start_s)
         return np.asarray(steady + self.glint_factor * flashes / (end_s - start_s))

@@ -1,0 +1,207 @@
+"""Run the blocks of a survey: local processes or a dask cluster, two parquet shards for each block, resumable."""
+
+import json
+import os
+import shutil
+import time
+from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
+from dataclasses import dataclass
+from itertools import islice
+from pathlib import Path
+from typing import Any, Final
+
+from sboc_e2e import provenance
+from sboc_e2e.campaign.engine import executor
+from sboc_e2e.files.atomic import UNWRITABLE, remove_leftovers, require_writable, write_bytes, write_json, write_text
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.run.manifest import versions
+from sboc_e2e.scenario import Scenario
+from sboc_e2e.survey import instrument
+from sboc_e2e.survey.block import BlockJob, BlockTables, run_block
+from sboc_e2e.survey.response import Response
+from simulator.platform import earth
+from simulator.survey import BLOCK_S, Flight, candidate_numbers
+
+IDENTITY: Final = "survey.json"
+FOLDERS: Final = ("tracklets", "truth", "sums", "failed")
+AHEAD: Final = 3
+"""Jobs handed out for each worker, so that none waits and results do not pile up."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class SurveyResult:
+    """What became of the blocks."""
+
+    done: int
+    skipped: int
+    failed: tuple[tuple[int, str], ...]
+    wall_s: float
+
+
+def block_count(days: float) -> int:
+    """Blocks that hold so many days, whole ones."""
+    return int(-(-days * earth.DAY_S // BLOCK_S))
+
+
+def run_survey(
+    scenario: Scenario,
+    response: Response,
+    days: float,
+    out: Path,
+    *,
+    workers: int = 1,
+    scheduler: str | None = None,
+    here: bool = False,
+    force: bool = False,
+    report: Callable[[str], None] = lambda line: None,
+) -> SurveyResult:
+    """Make the blocks that are not there yet; failed ones are tried again.
+
+    Raises `UserError` for what cannot be surveyed and for another survey's folder.
+    """
+    start = time.monotonic()
+    if not days > 0.0:
+        raise UserError(f"--days: expected more than 0, got {days:g}")
+    options = scenario.simulator
+    if not any(c.count for c in options.population.classes):
+        raise UserError(f"scenario {scenario.name}: population.classes: none has a count above 0, so there is nothing to survey")
+    epoch = earth.tai_ns_of_utc(options.epoch_utc)
+    earth.refuse_outside_data(epoch + round(days * earth.DAY_S * 1e9))
+    flight = Flight.of(options, scenario.seed)
+    numbers = _claim(out, scenario, response, flight, days, force=force)
+    blocks = range(block_count(days))
+    todo = [b for b in blocks if not _done(out, b)]
+    jobs = (
+        BlockJob(
+            flight_options=options,
+            seed=scenario.seed,
+            numbers=numbers,
+            response=response.content,
+            frames_lost=scenario.faults.frames.dropped,
+            packets_lost=scenario.faults.packets.lost,
+            block=b,
+        )
+        for b in todo
+    )
+    failed: list[tuple[int, str]] = []
+    with executor(workers, scheduler, here=here) as (pool, slots):
+        for count, (block, made, error) in enumerate(_streamed(pool, jobs, slots * AHEAD), 1):
+            if error is not None:
+                if isinstance(error, OSError) and error.errno in UNWRITABLE:
+                    raise error
+                if isinstance(error, UserError):
+                    raise error
+                failed.append((block, (f"{type(error).__name__}: {error}".splitlines() or [""])[0][:300]))
+                write_text(out / "failed" / f"{block:06d}.txt", failed[-1][1] + "\n")
+                report(f"{count}/{len(todo)} FAILED block {block}: {failed[-1][1]}")
+                continue
+            if made is not None:
+                _store(out, block, made)
+                (out / "failed" / f"{block:06d}.txt").unlink(missing_ok=True)
+                spent = time.monotonic() - start
+                left = spent / count * (len(todo) - count)
+                report(f"{count}/{len(todo)} block {block}: {made.sums['tracklets']} tracklets, {left:.0f} s left")
+    return SurveyResult(
+        done=len(todo) - len(failed),
+        skipped=len(blocks) - len(todo),
+        failed=tuple(failed),
+        wall_s=time.monotonic() - start,
+    )
+
+
+def _streamed(
+    pool: Executor, jobs: Iterator[BlockJob], ahead: int
+) -> Iterator[tuple[int, BlockTables | None, BaseException | None]]:
+    """Results as they come, with so many jobs under way at most."""
+    running: dict[Future[BlockTables], int] = {}
+    for job in islice(jobs, ahead):
+        running[pool.submit(run_block, job)] = job.block
+    try:
+        while running:
+            finished, _ = wait(running, return_when=FIRST_COMPLETED)
+            for future in finished:
+                block = running.pop(future)
+                for job in islice(jobs, 1):
+                    running[pool.submit(run_block, job)] = job.block
+                error = future.exception()
+                yield block, None if error else future.result(), error
+    finally:
+        for future in running:
+            future.cancel()
+
+
+def _file(out: Path, kind: str, block: int) -> Path:
+    return out / kind / f"{block:06d}.{'json' if kind == 'sums' else 'parquet'}"
+
+
+def _done(out: Path, block: int) -> bool:
+    """The sums are written last."""
+    return _file(out, "sums", block).is_file()
+
+
+def _store(out: Path, block: int, made: BlockTables) -> None:
+    write_bytes(_file(out, "tracklets", block), made.tracklets)
+    write_bytes(_file(out, "truth", block), made.truth)
+    write_json(_file(out, "sums", block), made.sums)
+
+
+def identity_of(scenario: Scenario, response: Response) -> dict[str, Any]:
+    """What decides the rows of a survey; its length is not in it."""
+    document = {**scenario.document(), "description": "", "seed": 0, "frames": 0, "output": {}}
+    return {
+        "scenario": scenario.name,
+        "options": instrument.fingerprint(document),
+        "seed": scenario.seed,
+        "response": instrument.fingerprint(response.content),
+        "code": provenance.code_digest("simulate"),
+        "versions": versions(),
+    }
+
+
+def _claim(out: Path, scenario: Scenario, response: Response, flight: Flight, days: float, *, force: bool) -> tuple[int, ...]:
+    """Make the folder this survey's; candidates of each class. A longer survey goes on in the folder of a shorter one."""
+    path = out / IDENTITY
+    if force:
+        for name in FOLDERS:
+            shutil.rmtree(out / name, ignore_errors=True)
+        path.unlink(missing_ok=True)
+    wanted = identity_of(scenario, response)
+    way_out = "--out goes elsewhere, --force begins anew here"
+    if path.is_file():
+        try:
+            found = json.loads(path.read_text(encoding="utf-8"))
+            numbers = tuple(int(n) for n in found["candidates"])
+        except (ValueError, KeyError, TypeError) as error:
+            raise UserError(f"{path}: not readable; {way_out}") from error
+        differs = next((name for name in wanted if found["identity"].get(name) != wanted[name]), None)
+        if differs:
+            raise UserError(f"{out}: holds a survey with another {differs}; {way_out}")
+        if days > found["days"]:
+            write_json(path, found | {"days": days})
+        return numbers
+    if (out / "sums").exists() and any((out / "sums").iterdir()):
+        raise UserError(f"{out}: holds shards of an unknown survey; {way_out}")
+    require_writable(out)
+    for name in FOLDERS:
+        (out / name).mkdir(parents=True, exist_ok=True)
+        remove_leftovers(out / name)
+    numbers = tuple(candidate_numbers(flight))
+    content: Mapping[str, Any] = {
+        "identity": wanted,
+        "days": days,
+        "block_s": BLOCK_S,
+        "epoch_utc": scenario.simulator.epoch_utc,
+        "candidates": list(numbers),
+        "response_runs": response.content["runs"],
+        "response_code": response.content["code"],
+        "commit": provenance.commit(),
+        "document": scenario.document(),
+    }
+    write_json(path, content)
+    return numbers
+
+
+def default_workers(asked: int) -> int:
+    """Processes: those asked for, or one for each processor."""
+    return asked or len(os.sched_getaffinity(0))

@@ -1,0 +1,38 @@
+"""From a scenario to its response file: runs of the pixel chain, and what they show."""
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from sboc_e2e import provenance
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.run.pipeline import worker_count
+from sboc_e2e.scenario import Scenario
+from sboc_e2e.survey import response
+from sboc_e2e.survey.gather import IDENTITY, RESPONSE, gather, seeds_for
+
+
+def measure_response(
+    scenario: Scenario,
+    runs: int,
+    out: Path,
+    *,
+    workers: int = 0,
+    scheduler: str | None = None,
+    report: Callable[[str], None] = lambda line: None,
+) -> tuple[Path, tuple[tuple[int, str], ...]]:
+    """Write `response.json` in a folder from `runs` runs, those that are there already included; its path, and what failed."""
+    seeds = seeds_for(scenario, RESPONSE, runs)
+    folder = out / "samples"
+    found = gather(scenario, seeds, folder, workers=worker_count(workers), scheduler=scheduler, report=report)
+    if not found.samples:
+        raise UserError(f"response of {scenario.name}: every run failed, the first with: {found.failed[0][1]}")
+    failed = {seed for seed, _ in found.failed}
+    identity: dict[str, Any] = json.loads((folder / IDENTITY).read_text(encoding="utf-8"))
+    content = response.made_of(
+        scenario, found.samples, identity["code"], provenance.commit(), [seed for seed in seeds if seed not in failed]
+    )
+    path = out / "response.json"
+    response.write(path, content)
+    return path, found.failed

@@ -1,0 +1,99 @@
+"""Passages of a survey against the encounters of the pixel chain, and against Poisson."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sboc_e2e import scenario
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.registry import Registry
+from simulator.randomness import Effect, generator
+from simulator.scene.encounters import draw_candidates, in_field
+from simulator.survey import (
+    BLOCK_S,
+    Flight,
+    Pools,
+    block_instants,
+    candidate_numbers,
+    candidates,
+    draw_block,
+    instants_of,
+    looks_of,
+    pool_of,
+)
+
+SMALL = ['population.classes=[{from="1 mm", to="3 mm", count=1}]']
+
+
+def flight(*overrides: str) -> Flight:
+    found = scenario.load("sso_antisun", registry=Registry(), overrides=overrides)
+    return Flight.of(found.simulator, found.seed)
+
+
+@pytest.mark.parametrize("number", [0, 2])
+def test_rate_is_that_of_the_pixel_chains_encounters(number: int) -> None:
+    f = flight()
+    options = f.options.population
+    size_class = options.classes[number]
+    at = instants_of(f, np.zeros(1), BLOCK_S)
+    window = replace(f.window, noise_variance_e2=float(at.noise_e2[0]), duration_s=1.0)
+    theirs = []
+    for seed in range(3):
+        drawn = draw_candidates(
+            replace(options, candidates=200_000), size_class, window, np.random.default_rng(seed), even_share=0.6, over_cells=True
+        )
+        kept = (drawn.snr >= options.snr_min) & (drawn.rate_deg_s >= options.slowest_deg_s)
+        theirs.append(drawn.per_day[kept].sum())
+    rng = generator(5, Effect.SURVEY)
+    mine = []
+    for _ in range(3):
+        found = candidates(f, at, pool_of(options, size_class, rng), 200_000, rng)
+        mine.append(found.natural[found.snr >= options.snr_min].sum() * 86_400.0 / BLOCK_S)
+    error = np.hypot(np.std(theirs, ddof=1), np.std(mine, ddof=1)) / np.sqrt(3.0)
+    assert np.mean(mine) == pytest.approx(np.mean(theirs), abs=4.0 * error + 0.02 * np.mean(theirs))
+
+
+def test_blocks_scatter_as_poisson_and_repeat() -> None:
+    f = flight(*SMALL)
+    numbers, pools = candidate_numbers(f), Pools()
+    counts = np.array([len(draw_block(f, b, numbers, pools)[1].size_m) for b in range(24)])
+    # the variance over the mean of 24 counts has a scatter of sqrt(2 / 23)
+    assert counts.var(ddof=1) / counts.mean() == pytest.approx(1.0, abs=3.0 * np.sqrt(2.0 / 23.0))
+    again = draw_block(f, 7, numbers, Pools())[1]
+    first = draw_block(f, 7, numbers, pools)[1]
+    assert np.array_equal(first.position_km, again.position_km)
+
+
+def test_passages_lie_in_the_field_and_their_looks_within_the_stay() -> None:
+    f = flight(*SMALL)
+    at, p = draw_block(f, 3, candidate_numbers(f), Pools())
+    camera = np.einsum("nij,nj->ni", at.attitude[p.instant], p.position_km - at.position_km[p.instant])
+    assert (np.abs(camera[:, 0] / camera[:, 2]) <= f.window.half_col).all()
+    assert (np.abs(camera[:, 1] / camera[:, 2]) <= f.window.half_row).all()
+    assert (p.enter_s <= 0.0).all()
+    assert (p.leave_s >= 0.0).all()
+    looks = looks_of(f, at, p, np.random.default_rng(1))
+    exposure, base = f.camera.exposure_s, at.time_s[p.instant][looks.passage]
+    assert (looks.open_s + exposure + 0.03 >= base + p.enter_s[looks.passage]).all()
+    assert (looks.open_s <= base + p.leave_s[looks.passage]).all()
+    # each stay is stood for in full
+    assert np.bincount(looks.passage, weights=looks.stands_for, minlength=len(p.size_m)) == pytest.approx(looks.frames)
+
+
+def test_straight_motion_through_the_field() -> None:
+    enter, leave = in_field(np.array([[0.0, 0.0, 100.0]]), np.array([[1.0, 0.0, 0.0]]), 0.05, 0.05)
+    assert (enter[0], leave[0]) == pytest.approx((-5.0, 5.0))
+
+
+def test_the_earth_ends_the_watch_in_summer() -> None:
+    f = flight(*SMALL)
+    winter, summer = (block_instants(f, b) for b in (0, 4 * 150))
+    assert winter.watched.all()
+    assert 0.3 < summer.watched.mean() < 1.0
+
+
+def test_a_site_is_refused() -> None:
+    found = scenario.load("ground_site_tracking", registry=Registry())
+    with pytest.raises(UserError, match="a survey needs a camera in orbit"):
+        Flight.of(found.simulator, 1)

@@ -1,0 +1,194 @@
+"""Responses and survey runs: fits, refusals, the same bytes whatever runs them."""
+
+import json
+from dataclasses import replace
+from functools import cache
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from sboc_e2e import scenario
+from sboc_e2e.cli.main import run as cli
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.registry import Registry
+from sboc_e2e.survey import response as responses
+from sboc_e2e.survey.engine import run_survey
+from sboc_e2e.survey.sample import OBJECT_COLUMNS, STREAK_COLUMNS
+
+SMALL = ['population.classes=[{from="1 mm", to="3 mm", count=1}]']
+TRUE_CURVE = np.array([7.3, -0.6, 0.4, -0.4, 4.0, 0.0])
+
+
+def load(*overrides: str) -> scenario.Scenario:
+    return scenario.load("sso_antisun", registry=Registry(), overrides=overrides)
+
+
+def synthetic_samples(runs: int, rng: np.random.Generator) -> list[dict[str, object]]:
+    """Trails found with a known curve, and tracklets whose residuals of range and size are one."""
+    made = []
+    for _ in range(runs):
+        snr, length = rng.uniform(3.0, 15.0, 120), 10.0 ** rng.uniform(0.7, 2.7, 120)
+        found = rng.random(120) < responses.found_share(TRUE_CURVE, snr, length)
+        streaks = []
+        for k in range(120):
+            row = dict.fromkeys(STREAK_COLUMNS, 0.0) | {"object": k % 20, "frame": 1 + k // 20, "snr": snr[k]}
+            row |= {"length_px": length[k], "noise_e": 3.0, "onboard": float(found[k]), "ground": float(found[k])}
+            streaks.append([float(row[name]) for name in STREAK_COLUMNS])
+        objects = []
+        for k in range(20):
+            n, error = 2 + k % 9, float(rng.standard_normal())
+            row = dict.fromkeys(OBJECT_COLUMNS, 0.01) | {"object": k, "detected": n, "linked": n, "snr_all": 10.0 * n}
+            row |= {"arc_deg": 0.1 * n, "ln_range_error": error, "ln_size_error": error, "i_error_deg": -error}
+            objects.append([float(row[name]) for name in OBJECT_COLUMNS])
+        made.append(
+            {
+                "streaks": streaks, "objects": objects, "frames": 24, "frame_rate_hz": 4.0, "false_streaks": 0,
+                "false_tracklets": 0, "duplicate_tracklets": 0, "packets_lost": 0, "downlink_bytes": 24_000,
+            }
+        )  # fmt: skip
+    return made
+
+
+@cache
+def content() -> dict[str, object]:
+    return responses.made_of(load(), synthetic_samples(20, np.random.default_rng(3)), "code", "commit", range(20))
+
+
+def write_response(path: Path, found: scenario.Scenario) -> responses.Response:
+    responses.write(path, content())
+    return responses.read(path, found)
+
+
+def test_the_curve_of_trails_is_found_again_within_its_interval(tmp_path: Path) -> None:
+    made = write_response(tmp_path / "r.json", load())
+    snr = np.array([6.0, 7.0, 8.0, 10.0])
+    for length in (10.0, 30.0, 200.0):
+        true = responses.found_share(TRUE_CURVE, snr, np.full(4, length))
+        fitted = responses.found_share(made.curve, snr, np.full(4, length))
+        spread = np.std([responses.found_share(c, snr, np.full(4, length)) for c in made.curves], axis=0)
+        assert (np.abs(fitted - true) <= 3.5 * spread + 0.01).all()
+    figure = made.content["detection"]["snr50_30px"]
+    assert figure["low"] <= 7.3 <= figure["high"]
+
+
+def test_residuals_of_a_tracklet_stay_together(tmp_path: Path) -> None:
+    made = write_response(tmp_path / "r.json", load())
+    n = 2000
+    drawn = made.residuals(np.full(n, 4.0), np.full(n, 40.0), np.full(n, 0.4), np.random.default_rng(1))
+    assert np.array_equal(drawn["ln_range_error"], drawn["ln_size_error"])
+    assert np.allclose(drawn["i_error_deg"], -drawn["ln_range_error"])
+    assert drawn["ln_range_error"].std() == pytest.approx(1.0, abs=0.5)
+
+
+def test_a_response_of_another_instrument_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "r.json"
+    write_response(path, load())
+    responses.read(path, load("sensor.window.rows=1024", "population.albedo=0.2", "platform.altitude=600 km"))
+    for change, key in (("instrument.aperture=0.1 m", "instrument.aperture"), ("frame_rate=2 Hz", "frame_rate")):
+        with pytest.raises(UserError, match=f"another instrument than that of sso_antisun: {key}"):
+            responses.read(path, load(change))
+    code = cli(["survey", "sso_antisun", "--days", "1", "--response", str(path), "--set", "shutter.exposure=0.1 s",
+                "--out", str(tmp_path / "o")])  # fmt: skip
+    error = capsys.readouterr().err
+    assert code == 2
+    assert error.count("\n") == 1
+    assert "shutter.exposure" in error
+    assert not (tmp_path / "o").exists()
+
+
+@pytest.mark.parametrize(
+    ("text", "words"), [("{}", "not a response file"), ("nonsense", "not a response file"), (None, "no such response")]
+)
+def test_what_is_no_response_is_refused(tmp_path: Path, text: str | None, words: str) -> None:
+    path = tmp_path / "r.json"
+    if text is not None:
+        path.write_text(text)
+    with pytest.raises(UserError, match=words):
+        responses.read(path, load())
+
+
+def test_another_version_is_refused(tmp_path: Path) -> None:
+    path = tmp_path / "r.json"
+    write_response(path, load())
+    path.write_text(json.dumps(json.loads(path.read_text()) | {"version": 99}))
+    with pytest.raises(UserError, match="a response of version 99"):
+        responses.read(path, load())
+
+
+def shards(folder: Path) -> dict[str, bytes]:
+    names = [p for kind in ("tracklets", "truth", "sums") for p in sorted((folder / kind).iterdir())]
+    return {f"{p.parent.name}/{p.name}": p.read_bytes() for p in names}
+
+
+def test_an_interrupted_survey_ends_with_the_same_bytes(tmp_path: Path) -> None:
+    found = load(*SMALL)
+    made = write_response(tmp_path / "r.json", found)
+    result = run_survey(found, made, 0.5, tmp_path / "one", here=True)
+    assert (result.done, result.skipped, result.failed) == (2, 0, ())
+    assert len(shards(tmp_path / "one")) == 6
+    run_survey(found, made, 0.25, tmp_path / "two", here=True)
+    # killed between the two tables of a block: the sums are written last
+    (tmp_path / "two" / "truth" / "000001.parquet").write_bytes(b"half")
+    assert run_survey(found, made, 0.5, tmp_path / "two", here=True).skipped == 1
+    assert shards(tmp_path / "one") == shards(tmp_path / "two")
+
+
+@pytest.mark.slow
+def test_two_processes_give_the_bytes_of_one(tmp_path: Path) -> None:
+    found = load(*SMALL)
+    made = write_response(tmp_path / "r.json", found)
+    run_survey(found, made, 1.0, tmp_path / "one", here=True)
+    run_survey(found, made, 1.0, tmp_path / "two", workers=2)
+    assert shards(tmp_path / "one") == shards(tmp_path / "two")
+
+
+def test_a_folder_of_another_survey_is_refused(tmp_path: Path) -> None:
+    found = load(*SMALL)
+    made = write_response(tmp_path / "r.json", found)
+    run_survey(found, made, 0.25, tmp_path / "one", here=True)
+    with pytest.raises(UserError, match="holds a survey with another seed"):
+        run_survey(replace(found, seed=5), made, 0.25, tmp_path / "one", here=True)
+    with pytest.raises(UserError, match="holds a survey with another options"):
+        run_survey(load(*SMALL, "population.albedo=0.2"), made, 0.25, tmp_path / "one", here=True)
+
+
+@pytest.mark.parametrize(
+    ("days", "overrides", "words"),
+    [
+        (0.0, SMALL, "--days: expected more than 0"),
+        (1.0, ["population.classes=[]"], "there is nothing to survey"),
+        (100_000.0, SMALL, "lies outside the Earth-orientation data"),
+    ],
+)
+def test_what_cannot_be_surveyed_is_refused(tmp_path: Path, days: float, overrides: list[str], words: str) -> None:
+    found = load(*overrides)
+    made = write_response(tmp_path / "r.json", found)
+    with pytest.raises(UserError, match=words):
+        run_survey(found, made, days, tmp_path / "o", here=True)
+
+
+def test_a_scenario_without_a_response_says_how_to_measure_one(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli(["survey", "near_field_mm", "--days", "1"]) == 2
+    error = capsys.readouterr().err
+    assert error.count("\n") == 1
+    assert "`sboc response near_field_mm` measures one" in error
+
+
+def test_shards_are_read_by_whoever_is_there(tmp_path: Path) -> None:
+    found = load(*SMALL)
+    run_survey(found, write_response(tmp_path / "r.json", found), 0.25, tmp_path / "one", here=True)
+    shard = tmp_path / "one" / "tracklets" / "000000.parquet"
+    sums = json.loads((tmp_path / "one" / "sums" / "000000.json").read_text())
+    for name, read in (("pandas", "read_parquet"), ("polars", "read_parquet")):
+        try:
+            module = __import__(name)
+        except ImportError:
+            print(f"{name} is not installed")  # noqa: T201  the reason why it is not asked
+            continue
+        assert len(getattr(module, read)(shard)) == sums["tracklets"]
+    from pyarrow import parquet
+
+    table = parquet.read_table(shard, use_threads=False)
+    assert table.num_rows == sums["tracklets"]
+    assert len(set(table["tracklet_id"].to_pylist())) == table.num_rows

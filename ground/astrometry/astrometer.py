@@ -11,6 +11,7 @@ from ground.astrometry.camera import SHARED, Camera
 from ground.astrometry.camera_drift import FrameEvidence, SharedKnowledge
 from ground.astrometry.camera_fit import CameraSolution, fit_camera
 from ground.astrometry.matching import mutual_pairs, vote_offset
+from ground.astrometry.star_turnover import focal_correlation
 from ground.sky.apparent import apparent_directions, jyear_of, mid_frame_tai_ns, observer_at
 from ground.sky.rotation import matrix_of, quaternion_of, rotation_by
 from ground.sky.sphere import ARCSEC_RAD
@@ -125,17 +126,18 @@ class CameraFit:
         if found is None:
             return replace(known, lost=lost), unsolved(frame, state.camera, FrameFlag.NO_SOLUTION, matrix=matrix, rate=rate)
         fit, stars, listed, chosen = found
-        moved = 1.0 if state.seen_from is None else _new_field(fit, state.seen_from, header)
+        moved = (1.0, 1.0) if state.seen_from is None else _moved(fit, state.seen_from, header)
+        elsewhere = _new_share(*moved) > SAME_FIELD
         evidence = FrameEvidence(
             values=fit.camera.shared(),
             gradient=fit.gradient,
             information=fit.information,
             catalogue=fit.catalogue,
-            new_field=moved if moved > SAME_FIELD else 0.0,
+            lasting=focal_correlation(*moved) if elsewhere else 1.0,
         )
         shared = state.shared.seen(evidence)
         fit = fit.with_shared(shared.values, shared.errors)
-        seen_from = fit.matrix if moved > SAME_FIELD else state.seen_from
+        seen_from = fit.matrix if elsewhere else state.seen_from
         new_state = replace(state, camera=fit.camera, shared=shared, last=(middle, fit.matrix, rate), seen_from=seen_from, lost=0)
         return new_state, _solution_of(header.frame, flags, fit, rate, stars, listed, chosen)
 
@@ -330,13 +332,16 @@ def _matching_order(frame: DownlinkFrame) -> NDArray[np.intp]:
     return np.lexsort((-frame.stars.flux_e.astype(np.float64), doubtful))
 
 
-def _new_field(fit: CameraSolution, before: Array, header: FrameHeader) -> float:
-    """Share of the field that a frame with the attitude `before` (3, 3) did not show; roll is left out."""
+def _moved(fit: CameraSolution, before: Array, header: FrameHeader) -> tuple[float, float]:
+    """By which share of its sides, rows and cols, the field lies off the one of the attitude `before` (3, 3), at most 1."""
     middle = np.array([0.5 * (header.rows - 1)]), np.array([0.5 * (header.cols - 1)])
     row, col = fit.camera.project(fit.camera.unproject(*middle) @ before @ fit.matrix.T)
-    moved_rows, moved_cols = abs(float(row[0] - middle[0][0])) / header.rows, abs(float(col[0] - middle[1][0])) / header.cols
-    if not (moved_rows < 1.0 and moved_cols < 1.0):
-        return 1.0
+    moved = abs(float(row[0] - middle[0][0])) / header.rows, abs(float(col[0] - middle[1][0])) / header.cols
+    return moved if max(moved) < 1.0 else (1.0, 1.0)
+
+
+def _new_share(moved_rows: float, moved_cols: float) -> float:
+    """Share of the field that was not seen before; roll is left out."""
     return 1.0 - (1.0 - moved_rows) * (1.0 - moved_cols)
 
 

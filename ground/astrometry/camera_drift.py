@@ -37,12 +37,6 @@ AT_REST: Final = 0.6
 CHANGES_S: Final = 1000.0
 """Mean time between changes of motion, seconds: the typical distance of eclipses and slews. Longer gaps count as this."""
 
-FORGETS: Final = 7
-"""After a move by the share d of the field, the correlation of the bias is (1 - d) to this power. A star that crosses the field
-pulls the focal length one way first and the other way later, so scans forget the bias much faster than stars leave the field.
-Chosen among 3, 5, 6, 7 and 10 by pulls of the focal length: with 7 they are 0.95 to 1.08 at steps of 0.01 and 0.04 fields
-(n = 110 and 150), but 0.78 after 30 steps of 0.2 (n = 60); with 3 they fall to 0.7."""
-
 LEAST_WEIGHT: Final = 1e-12
 UNKNOWN: Final = 1e-9
 """Combinations of parameters on which a frame has this share of the information of the best known one or less are unmeasured."""
@@ -54,15 +48,14 @@ class FrameEvidence:
 
     values : (5,) where the model was linearised. gradient : (5,) of the log-likelihood there. information : (5, 5).
     catalogue : (5, 5) share of the information's noise from errors that persist as long as the field does, such as those of the
-    catalogue; the rest is independent from frame to frame. new_field : share of the field that the frame before did not show, 0
-    to 1.
+    catalogue; the rest is independent from frame to frame. lasting : correlation of these errors with those of the frame before.
     """
 
     values: Array
     gradient: Array
     information: Array
     catalogue: Array
-    new_field: float
+    lasting: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -159,7 +152,7 @@ class SharedKnowledge:
         design[:, :N] = design[:, BIAS] = (axes * root).T
 
         mean, covariance = self.mean.copy(), self.covariance.copy()
-        keep = (1.0 - frame.new_field) ** FORGETS
+        keep = frame.lasting
         mean[:, BIAS] *= keep
         covariance[:, BIAS, :] *= keep
         covariance[:, :, BIAS] *= keep

@@ -4,6 +4,7 @@ The centre line and the shape are found by Fisher scoring with the ends as known
 uncertainty (the expected template); ends and flux come from their posterior along that line (`end_posterior`).
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -11,11 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.streaks.centre_line import LineFit, effective_width_px, find_line, moved_to_middle, score, turned_along
+from ground.streaks.changing_light import LightSeries, end_variance_px2, light_series
 from ground.streaks.end_posterior import EndPosterior, end_posterior, end_tables, short_trail_posterior
 from ground.streaks.end_search import CoarseEnds, coarse_ends
 from ground.streaks.fit_record import TrailResult, point_record, trail_record
 from ground.streaks.intruders import at_median_brightness, intruder_mask
-from ground.streaks.light_curve import light_curve
+from ground.streaks.light_curve import LightCurve, light_curve
 from ground.streaks.model_choice import choose_model, straight_unless_evident, width_estimate
 from ground.streaks.no_trail import NoTrailError, Reason
 from ground.streaks.point_source import fit_point
@@ -179,9 +181,13 @@ def _long_trail(
     """Posterior of the ends along the final line, and the record."""
     coarse = _coarse(line, edges, pixels.frame_shape)
     near = line.pixels.near(2.7 * line.width_px + abs(line.parameters[SAGITTA]))
+    template = _template(replace(line, pixels=near))
+    series = _series(line, (coarse.end0, coarse.end1))
+    if series is not None:
+        template = template * series.at((2.0 * near.u - coarse.end0 - coarse.end1) / coarse.length_px)
     # the line's density has soft edges, the coarse one counts half-lit pixels as lit
     tables = end_tables(
-        near.u, _template(replace(line, pixels=near)), near.value_e, near.variance_e2,
+        near.u, template, near.value_e, near.variance_e2,
         width_px=line.width_px, coarse=replace(coarse, density_e_px=float(line.parameters[DENSITY])),
     )  # fmt: skip
     ends = end_posterior(
@@ -189,9 +195,42 @@ def _long_trail(
         brightness=(line.half_px, float(line.parameters[Q1]), float(line.parameters[Q2])),
         line_parameters=2 + (SAGITTA in line.free),
     )
+    if series is not None:
+        ends = replace(ends, covariance_px2=ends.covariance_px2 + end_variance_px2(series, line.width_px))
     if ends.end1 - ends.end0 < POINT_WIDTHS * pixels.psf_sigma_px:
         return fit_untrailed(pixels, detection)
     return _record(pixels, detection, line, ends, coarse.edges, crosses, options)
+
+
+def _series(line: LineFit, ends: tuple[float, float]) -> LightSeries | None:
+    """Brightness beyond the line's, where it changes more than the line's model can."""
+    curve, smooth = _light_curve(line, ends)
+    n = len(curve.density_e_px)
+    if not curve.variable:
+        return None
+    place = ends[0] + (np.arange(n, dtype=np.float64) + 0.5) * ((ends[1] - ends[0]) / n)
+    return light_series(curve, smooth(np.asarray(place, dtype=np.float64)))
+
+
+def _light_curve(
+    line: LineFit, ends: tuple[float, float]
+) -> tuple[LightCurve, Callable[[NDArray[np.float64]], NDArray[np.float64]]]:
+    """Brightness in bins between two ends, and the density that the line has at places (n,) along it."""
+
+    def smooth(u: NDArray[np.float64]) -> NDArray[np.float64]:
+        return np.asarray(line.parameters[DENSITY] * np.maximum(brightness(u), 0.05))
+
+    def brightness(u: NDArray[np.float64]) -> NDArray[np.float64]:
+        x = u / line.half_px
+        return np.asarray(1.0 + line.parameters[Q1] * x + line.parameters[Q2] * (x * x - 1.0 / 3.0))
+
+    near = line.pixels.take(np.abs(line.pixels.v) < 3.0 * line.width_px + abs(line.parameters[SAGITTA]))
+    template = _template(replace(line, pixels=near))
+    curve = light_curve(
+        near.u, template / np.maximum(brightness(near.u), 0.05), near.value_e, near.variance_e2,
+        ends=ends, smooth_density_e_px=smooth(near.u), width_px=line.width_px, snr=line.snr,
+    )  # fmt: skip
+    return curve, smooth
 
 
 def _short_trail(pixels: StreakPixels, detection: Detection, line: LineFit, crosses: bool, options: FitOptions) -> StreakFit:
@@ -237,17 +276,7 @@ def _record(
     if not line.regular:
         raise NoTrailError(Reason.IRREGULAR)
     ln_width, ln_width_err = width_estimate(line, options.max_iterations)
-    near = line.pixels.take(np.abs(line.pixels.v) < 3.0 * line.width_px + abs(line.parameters[SAGITTA]))
-    at = replace(line, pixels=near)
-    x = near.u / line.half_px
-    brightness = 1.0 + line.parameters[Q1] * x + line.parameters[Q2] * (x * x - 1.0 / 3.0)
-    template = _template(at)
-    curve = light_curve(
-        near.u, template / np.maximum(brightness, 0.05), near.value_e, near.variance_e2,
-        ends=(ends.end0 - shift, ends.end1 - shift),
-        smooth_density_e_px=line.parameters[DENSITY] * np.maximum(brightness, 0.05),
-        width_px=line.width_px, snr=line.snr,
-    )  # fmt: skip
+    curve, _ = _light_curve(line, (ends.end0 - shift, ends.end1 - shift))
     result = TrailResult(
         line=line,
         ends=ends,

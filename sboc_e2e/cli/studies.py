@@ -153,6 +153,7 @@ def survey(
     plugin: Plugins = None,
     workers: Workers = 0,
     scheduler: Annotated[str | None, typer.Option("--scheduler", help='dask scheduler "tcp://host:port", or "local"')] = None,
+    learn: Annotated[bool, typer.Option("--report", help="also say what it teaches: survey.md, flux.ecsv, pictures")] = False,
     force: Annotated[bool, typer.Option("--force", help="forget what another survey left in the folder")] = False,
 ) -> None:
     """Months of tracklets without pixels; finished blocks are kept, so the same command goes on after an interruption."""
@@ -171,4 +172,9 @@ def survey(
     )
     if result.failed:
         raise typer.Exit(1)
+    if learn:
+        from sboc_e2e.survey.report import write_report
+
+        write_report(target, resolved, measured, overrides or (), registry_of(plugin))
+        typer.echo((target / "survey.md").read_text())
     typer.echo(target)

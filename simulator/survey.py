@@ -42,7 +42,7 @@ EVEN_SHARE: Final = 0.6
 """Of the candidates, how many have ranges even in volume, not in the logarithm."""
 
 NEAR_SHARE: Final = 100.0
-BEYOND_ONE: Final = 0.03
+BEYOND_ONE: Final = 0.05
 """Share of nature's passages that may lie beyond weights of 1, where passages come in pairs."""
 
 POOL: Final = 200_000

@@ -8,7 +8,10 @@ from sboc_e2e.icd.frame import Calibration, FrameHeader, NominalCamera
 
 
 def calibration_of(given: Calibration | None, camera: NominalCamera, header: FrameHeader | None) -> Calibration:
-    """Calibration of the window that a frame covers, of the whole camera without a header; an ideal one where none was given."""
+    """Calibration of the window that a frame covers.
+
+    Without a header it covers the whole camera. If no calibration was given, it is an ideal one.
+    """
     if given is None:
         rows, cols = (camera.rows, camera.cols) if header is None else (header.rows, header.cols)
         return ideal_calibration(replace(camera, rows=rows, cols=cols))

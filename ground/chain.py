@@ -1,7 +1,8 @@
 """The order of the ground segment:
 
-packets -> frames -> camera solution -> zero point -> streak fits -> vetting -> sky and magnitude
-        -> tracklets -> directions, epochs, joint refit -> orbits
+frame by frame   packets -> frame -> sky level -> PSF -> camera solution -> zero point -> hidden stars
+                 -> streak fits -> vetting -> directions and magnitudes
+over the run     rates of turning -> tracklets -> camera shake -> joint refit -> final directions, epochs, magnitudes -> orbits
 """
 
 from collections import Counter
@@ -57,10 +58,10 @@ class GroundSteps:
 
 
 class GroundChain:
-    """Runs the steps in order; holds no state of its own besides what it was made with.
+    """Runs the steps in order. The state between frames is an argument and a result (`GroundState`).
 
     calibration : None for frames from outside; then dark is 0, the flat 1 and no pixel is defective.
-    run_id : the run whose packets are used; None for the one with most packets.
+    run_id : the run whose packets are used; None for the run with most packets.
     """
 
     def __init__(
@@ -142,8 +143,8 @@ class GroundChain:
     ) -> GroundProducts:
         """Tracklets, resolved streaks and orbits of a run; `frames` and `products` in the same order.
 
-        Both are gone through more than once and asked for single items, none of which is kept for long: they may make their
-        items on demand (`ground.on_demand`), and then the result does so too.
+        Both sequences are read more than once and item by item, and no item is kept for long. They may therefore make their
+        items on demand (`ground.on_demand`); the result then does so too.
         """
         small = [(p.header, p.photometry, len(p.streaks), attitude_of(p.header, p.solution), p.fit_failures) for p in products]
         headers, counts = tuple(header for header, *_ in small), [count for _, _, count, *_ in small]
@@ -172,7 +173,7 @@ class GroundChain:
         )
 
     def _solved(self, state: Any, frame: DownlinkFrame, wcs: Any) -> tuple[Any, FrameSolution]:
-        """Next state of the astrometry and the frame's solution; a WCS that came with the frame takes the place of both."""
+        """Next state of the astrometry and the frame's solution. A WCS that came with the frame replaces both."""
         if wcs is not None:
             return state, identify_by_header(frame, wcs, self._catalogue, self._camera)
         step, where = self._steps.astrometry, f"frame {frame.header.frame}"
@@ -191,7 +192,7 @@ class GroundChain:
         return found
 
     def _probabilities(self, fits: Sequence[StreakFit], frame: DownlinkFrame) -> NDArray[np.float64]:
-        """That each fit of a frame is of something real."""
+        """Probability (n,) that each fit of a frame is a real object."""
         step, where = self._steps.vetter, f"frame {frame.header.frame}"
         if frame.psf_sigma_px is None and self._camera.psf_known:
             # its own stars did not tell, and the camera's width is more than a guess
@@ -201,7 +202,7 @@ class GroundChain:
         return np.where(repeated(fits, probabilities), 0.0, probabilities)
 
     def _linked(self, headers: Sequence[FrameHeader], streaks: RunStreaks, counts: Sequence[int]) -> tuple[Tracklet, ...]:
-        """Tracklets of a run as the linker left them."""
+        """Tracklets of a run as the linker returns them."""
         step = self._steps.linker
         given = {header.frame: count for header, count in zip(headers, counts, strict=True)}
         return links_of(step, guarded("linker", step, "", object, step.link, headers, streaks), given)
@@ -218,12 +219,12 @@ class GroundChain:
     def _published(
         self, streaks: Sequence[StreakMeasurement], members: Mapping[int, StreakMeasurement]
     ) -> Sequence[StreakMeasurement]:
-        """All streaks of a frame as published; members : those of tracklets, by number."""
+        """All streaks of a frame as published. members : the streaks that belong to tracklets, by their number in the frame."""
         alone = self._options.veto_unlinked_below
         return [members[k] if k in members else judged_alone(streak, alone) for k, streak in enumerate(streaks)]
 
     def _lit(self, frame: DownlinkFrame, solution: FrameSolution, photometry: PhotometricSolution, psf: PsfField) -> LitFrame:
-        """A frame with what its pixels are calibrated with."""
+        """A frame with everything that its pixels are calibrated with."""
         return LitFrame(
             frame=frame,
             solution=solution,

@@ -1,4 +1,4 @@
-"""A linked tracklet as it is published: directions and epochs of its members, joint refit, brightness."""
+"""From a linked tracklet to the published one: joint refit, directions and epochs of its members, brightness."""
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ from sboc_e2e.icd.products import StreakMeasurement, StreakPixels, Tracklet
 class LinkedRun:
     """Frames of a run in order of time, with the rates at which the camera turned, and where the streaks of tracklets belong.
 
-    end_shake : what errors of the rates let expect where the shutter opens and closes.
+    end_shake : expected errors of the attitude at shutter open and close, from errors of the rates.
     """
 
     headers: Sequence[FrameHeader]
@@ -39,19 +39,19 @@ class LinkedRun:
     end_shake: EndShake = STEADY
 
     def single(self, tracklet: Tracklet) -> list[StreakMeasurement]:
-        """Members of a tracklet as their frames show them alone, in time order and dated."""
+        """Members of a tracklet from their single-frame fits, in time order and dated."""
         places = self.linked.places_of(tracklet)
         own = [self.headers[k] for k in dict.fromkeys(place for place, _ in places)]
         members = apply_links([self.products[k].streaks[number] for k, number in places], (tracklet,), own)
         return [_bent(member, self.products[self.linked.place[member.frame]]) for member in members]
 
     def sigma_rate_arcsec_s(self, k: int) -> float:
-        """Error of the camera's rate in a frame; a WCS that came with it knows of none."""
+        """Error of the camera's rate in a frame; 0 for a frame with a WCS of its own."""
         return 0.0 if self.products[k].wcs is not None else self.rates[k].sigma_rad_s / ARCSEC_RAD
 
 
 def with_shake(run: LinkedRun, tracklets: Sequence[Tracklet], order: Sequence[int], focal_px: float) -> LinkedRun:
-    """The run with the members of its tracklets as single frames show them, and the errors of rates that these show.
+    """The run with the single-frame members of its tracklets, and with errors of the rates estimated from them.
 
     order : numbers of the tracklets by time, so that those of the same frames follow each other.
     """
@@ -68,7 +68,8 @@ def with_shake(run: LinkedRun, tracklets: Sequence[Tracklet], order: Sequence[in
 def final_tracklet(
     run: LinkedRun, number: int, tracklet: Tracklet, pixels_of: Callable[[StreakMeasurement], StreakPixels] | None
 ) -> Tracklet:
-    """A tracklet as its members measure it; these take the place of what was kept. pixels_of : None for no joint refit."""
+    """The published tracklet, measured on its final members, which replace the stored ones. pixels_of : None for no joint
+    refit."""
     single = tuple(run.linked.of_tracklet(number))
     at = [run.linked.place[member.frame] for member in single]
     own = [run.headers[k] for k in dict.fromkeys(at)]
@@ -103,14 +104,14 @@ def final_tracklet(
 
 
 def _exposure_and_step_s(headers: Sequence[FrameHeader]) -> tuple[float, float]:
-    """Medians of the run; a step of 0 of fewer than two frames."""
+    """Median exposure and frame step of the run, seconds. The step is 0 for fewer than two frames."""
     start_ns = np.sort(np.array([h.t_start_tai_ns for h in headers], dtype=np.int64))
     step_s = float(np.median(np.diff(start_ns))) * 1e-9 if len(start_ns) > 1 else 0.0
     return float(np.median([h.exposure_ns for h in headers])) * 1e-9 if headers else 0.0, step_s
 
 
 def _sway(run: LinkedRun, tracklet: Tracklet, members: Sequence[StreakMeasurement], scale_arcsec: float) -> Sway:
-    """What the members of a tracklet, as single frames show them, tell of the camera's shake."""
+    """Evidence of the camera's shake in the single-frame members of a tracklet."""
     sigma = [run.sigma_rate_arcsec_s(run.linked.place[member.frame]) for member in members]
     trails = [
         SeenTrail(streak=member, scale_arcsec=scale_arcsec, sigma_rate_arcsec_s=s)
@@ -140,7 +141,7 @@ def _member(
     shake: EndShake,
     shared: tuple[int, NDArray[np.float64]] | None,
 ) -> Member:
-    """What a tracklet is measured on of one member."""
+    """The part of a member that its tracklet is measured on."""
     sky = sky_of(product.header, product.solution, product.wcs)
     group, errors = (-1, np.zeros((2, 3))) if shared is None else shared
     return Member(

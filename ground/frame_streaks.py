@@ -36,12 +36,13 @@ KEPT_FROM_BOARD: Final = (
     | StreakFlag.COSMIC_LIKE
     | StreakFlag.SATURATED
 )
-"""Flags of the on-board detection that ground cannot find out again."""
+"""Flags of the on-board detection that ground cannot derive."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LitFrame:
-    """A frame and what its pixels are calibrated with. star_model_error : relative, of the PSF that stars are taken out with."""
+    """A frame and everything that its pixels are calibrated with. star_model_error : relative error of the PSF of subtracted
+    stars."""
 
     frame: DownlinkFrame
     solution: FrameSolution
@@ -56,11 +57,11 @@ class LitFrame:
         return frame_light(self.frame, self.solution, self.photometry, self.calibration, self.catalogue, self.psf)
 
     def pixels(self, group: RoiGroup) -> tuple[StreakPixels, bool]:
-        """Pixels of a region in electrons, stars taken out, and whether a known star lies under the trail."""
+        """Pixels of a region in electrons, stars subtracted, and whether a known star lies under the trail."""
         return streak_pixels(group, self.frame, self.calibration, self._light, star_model_error=self.star_model_error)
 
     def pixels_of(self, streak: StreakMeasurement) -> StreakPixels:
-        """Those of a measured streak of this frame."""
+        """Pixels of a measured streak of this frame."""
         return self.pixels(self.frame.rois[number_of(streak)])[0]
 
 
@@ -70,7 +71,7 @@ def number_of(streak: StreakMeasurement) -> int:
 
 
 def fitted(lit: LitFrame, fitter: StreakFitter) -> tuple[list[StreakFit], list[float]]:
-    """Fit of each region, with the flags that the pixels and the packets say; and the mean flat under each."""
+    """Fit of each region, with the flags from pixels and packets; and the mean flat under each."""
     header = lit.frame.header
     gain_assumed = StreakFlag.GAIN_ASSUMED if header.gain_e_adu is None else StreakFlag(0)
     fits, flats = [], []
@@ -91,12 +92,12 @@ def fitted(lit: LitFrame, fitter: StreakFitter) -> tuple[list[StreakFit], list[f
 def measured(
     number: int, fit: StreakFit, probability: float, lit: LitFrame, sky: PixelSky | None, mean_flat: float, veto_below: float
 ) -> StreakMeasurement:
-    """A streak as it stands before linking."""
+    """A streak as measured before linking."""
     header = lit.frame.header
     row_mid, col_mid = middle_of(fit)
     unknown = np.full(3, np.nan)
     track = lit.frame.rois[number].track
-    # a member of a track was judged with the frames around it; if these do not bear it out, it is judged alone
+    # The on-board tracker judged a member of a track together with other frames. Unless linking confirms it, it is judged alone.
     veto = StreakFlag.VETOED if probability < veto_below and track < 0 else StreakFlag(0)
     streak = StreakMeasurement(
         frame=header.frame,
@@ -122,7 +123,7 @@ def measured(
 
 
 def judged_alone(streak: StreakMeasurement, veto_below: float) -> StreakMeasurement:
-    """A streak that no other frame supports is published on its own probability, which must be higher."""
+    """A streak that no other frame supports. It is published only with a higher probability of its own."""
     alone_enough = streak.probability >= veto_below and streak.fit.snr >= LEAST_SNR_ALONE
     veto = StreakFlag(0) if alone_enough else StreakFlag.VETOED
     return replace(streak, tracklet_id=-1, flags=streak.flags | StreakFlag.SINGLE_FRAME | veto)

@@ -1,4 +1,4 @@
-"""Calls of swappable steps: what a step raises, or returns against its Protocol, stops the run and names the step."""
+"""Calls of swappable steps. An exception, or a result that breaks the Protocol, stops the run and names the step."""
 
 from collections.abc import Callable, Mapping
 from typing import Any
@@ -12,7 +12,7 @@ from sboc_e2e.icd.products import Tracklet
 
 
 def guarded(seam: str, step: object, where: str, returns: type, call: Callable[..., Any], *arguments: Any) -> Any:
-    """What a step's method returns.
+    """Call a method of a step and return its result.
 
     seam : such as "linker". where : such as "frame 12", or empty. returns : type the result must have. Errors: a `PluginError`
     with the seam, the class and the place for what the step raises, records that break the contract included, and for other
@@ -54,7 +54,7 @@ def all_of(seam: str, step: object, where: str, values: Any, kind: type) -> tupl
 
 
 def links_of(step: object, values: Any, counts: Mapping[int, int]) -> tuple[Tracklet, ...]:
-    """Tracklets from a linker, held against its Protocol, which says what is refused.
+    """Tracklets from a linker, checked against the rules of its Protocol.
 
     counts : streaks of each frame, by frame number.
     """
@@ -85,7 +85,7 @@ def links_of(step: object, values: Any, counts: Mapping[int, int]) -> tuple[Trac
 
 
 def _said_of_members(tracklet: Tracklet, members: set[int], step: object, where: str) -> None:
-    """What a linker says of a tracklet's members as a whole. Errors: a `PluginError` for what contradicts them."""
+    """Check the fields of a tracklet that describe its members as a whole. Raises `PluginError` for a contradiction."""
     strangers = sorted(set(np.asarray(tracklet.pieces).tolist()) - members)
     if strangers:
         raise fault("linker", step, where, f"pieces: streak {strangers[0]} is none of its members")

@@ -27,7 +27,7 @@ class ByPlace(Sequence[Item]):
 
 
 class OnDemand(ByPlace[Item]):
-    """`length` items, item k being ``make(k)``; those last asked for are kept."""
+    """`length` items; item k is ``make(k)``. The items used last are kept."""
 
     def __init__(self, length: int, make: Callable[[int], Item], *, keep: int = 1) -> None:
         self._length = length

@@ -15,7 +15,7 @@ class PhotometryOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ProductOptions:
-    """Names that stand in messages, and what is written beside the tables."""
+    """Names in messages, and optional output besides the tables."""
 
     originator: str = field(default="SBOC", metadata={"doc": "ORIGINATOR of CCSDS messages"})
     observer_name: str = field(default="SBOC-1", metadata={"doc": "name of the observing spacecraft"})

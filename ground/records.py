@@ -1,4 +1,4 @@
-"""What the ground chain hands from step to step: results of one frame, results of a run."""
+"""Records that the ground chain hands from step to step: results of one frame, results of a run."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -15,10 +15,10 @@ from sboc_e2e.icd.signals import BackgroundModel
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class GroundState:
-    """What the chain carries from frame to frame.
+    """State of the chain between frames.
 
-    astrometry : state of the astrometry step. psf : learned width of the PSF. growth_known : whether a star list has told
-    how it grows over the field. sky : level of the sky on the mesh, None before the first frame. stars : those under
+    astrometry : state of the astrometry step. psf : learned width of the PSF. growth_known : whether a star list has
+    shown how it grows over the field. sky : level of the sky on the mesh, None before the first frame. stars : stars under
     the regions of the last frames.
     """
 
@@ -33,7 +33,7 @@ class GroundState:
 class FrameProducts:
     """Results of one frame before linking.
 
-    streaks : all measured ones, vetoed ones flagged VETOED. mean_flat : response at each streak relative to the axis.
+    streaks : all measured streaks; rejected ones are flagged VETOED. mean_flat : response at each streak relative to the axis.
     psf : width of the PSF over the field, as the run knew it when this frame came.
     background : mesh of the sky with the level that the frames so far give.
     wcs : the astropy WCS that came with the frame and was used, None when the frame was solved.
@@ -55,7 +55,7 @@ class FrameProducts:
 class GroundProducts:
     """Results of a run, in frame order; streaks carry tracklet ids, resolved directions and final magnitudes.
 
-    members : the streaks of each tracklet. What is as long as the run may be made on demand: go through it in order.
+    members : the streaks of each tracklet. Sequences as long as the run may be made on demand; read them in order.
     """
 
     headers: Sequence[FrameHeader]

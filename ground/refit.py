@@ -1,4 +1,4 @@
-"""Tracklets back to pixels: what the joint refit of a tracklet's frames needs, and its result as measurements."""
+"""Joint refit of a tracklet: its input from the pixels of all frames, and its result as measurements."""
 
 from collections import Counter
 from collections.abc import Callable, Sequence
@@ -28,22 +28,22 @@ OFF_MOTION_SIGMAS: Final = 3.5
 ROBUST_ITERATIONS: Final = 12
 UNUSUAL_CHI2: Final = 12.0
 CARRIED_SPREAD: Final = 1.5
-"""Error of ends that other frames' motion gives, in units of the largest error of those frames' ends."""
+"""Error of ends that are placed by the motion of other frames, in units of the largest error of those frames' ends."""
 
 TUMBLING: Final = 0.1
-"""Relative change of brightness from frame to frame that is nothing unusual."""
+"""Largest relative change of brightness from frame to frame that counts as usual."""
 
 PARABOLA_ERROR: Final = 0.3
 """Largest departure of the motion from its parabola, in units of the median error of an end (most 1 arcsec)."""
 
 SHORTEST_WINDOW: Final = 3
 GRAVITY_ARCSEC_S2: Final = 1.0
-"""Change of rate that differential gravity makes, beyond the one of straight passages."""
+"""Change of rate by differential gravity, beyond that of a straight passage."""
 
 
 SharedErrors = dict[int, tuple[int, Array]]
-"""By streak: number of the window that was fitted together, and (2, 3) what both ends' errors along the path share with those of
-the other streaks of the window, arcsec (`streaks.joint.JointRefit`)."""
+"""By streak: number of the window that was fitted together, and (2, 3) the part of both ends' errors along the path that is
+common to the streaks of the window, arcsec (`streaks.joint.JointRefit`)."""
 
 
 def refit_streaks(
@@ -55,16 +55,18 @@ def refit_streaks(
     sigma_rate_of: Callable[[int], float],
     end_shake: EndShake = STEADY,
 ) -> tuple[tuple[StreakMeasurement, ...], SharedErrors]:
-    """The streaks of a tracklet refitted together, where their direction is resolved, the others as they came; and their errors.
+    """Refit the streaks of a tracklet together, and return them with their common errors.
+
+    Streaks whose direction is not resolved are returned unchanged.
 
     streaks : with directions at their epochs. solution_of : of a frame, by its number; pixels_of : calibrated pixels of a streak;
-    sigma_rate_of : error of the rate at which the camera turned in a frame, rad/s; end_shake : what this lets expect at the ends.
-    Sky positions are those of the old fit until they are measured anew.
+    sigma_rate_of : error of the rate at which the camera turned in a frame, rad/s; end_shake : expected errors at the ends.
+    Sky positions in the result are still those of the old fit. The caller measures them again.
     """
     header_of = {header.frame: header for header in headers}
     at = {streak.streak_id: k for k, streak in enumerate(streaks)}
     members = [streaks[at[int(i)]] for i in tracklet.streak_ids]
-    # two members of one frame are fragments of one trail: their inner ends are no ends
+    # Two members in one frame are fragments of one trail. The shutter did not make their inner ends.
     often = Counter(m.frame for m in members)
     members = [m for m in members if m.flags & StreakFlag.DIRECTION_RESOLVED and not m.flags & UNUSABLE and often[m.frame] == 1]
     if len(members) < 2:
@@ -104,9 +106,10 @@ def refit_streaks(
 
 
 def _timed_by_shutter(member: StreakMeasurement, header: FrameHeader) -> StreakMeasurement:
-    """The streak with the shutter's epochs at both ends but those on the frame's edge.
+    """The streak with the shutter's epochs at both ends, except ends on the frame's edge.
 
-    A linker gives an end that lies off the motion the epoch at which the motion passed it; here the end is what is doubted.
+    A linker dates an end that lies off the motion by the epoch at which the motion passed it. Here the place of the end is in
+    doubt instead, so the shutter dates it.
     """
     epochs = member.t_tai_ns.copy()
     if not member.flags & StreakFlag.EDGE0:
@@ -129,7 +132,7 @@ def _with_edge_epoch(
     if len(t_s) < 3:
         return epochs_ns
     passed_s = np.polynomial.Polynomial.fit(along, t_s, 2 if len(t_s) > 4 else 1)
-    # between two places the smooth fit is better than at one
+    # The smooth fit predicts a difference of two places better than a single place.
     own_s, own_along, _ = _timed_ends([frame], [joint[own[0]]])
     cut_along = frame.along0 if edges[0] else frame.along1
     cut_s = own_s[0] + float(passed_s(cut_along) - passed_s(own_along[0]))
@@ -142,8 +145,8 @@ def _with_edge_epoch(
 def _windows(frames: Sequence[TrackletFrame]) -> list[tuple[list[int], float]]:
     """Frames of a tracklet in stretches that a parabola describes, and the prior sigma of the change of rate in each.
 
-    Of a straight passage at rate w and relative range rate q the rate changes by 2 w q and that again by about 6 w q^2, so
-    that a parabola over +-h seconds is off by w q^2 h^3; q comes from the ends themselves and is taken as w or more.
+    In a straight passage at rate w and relative range rate q, the rate changes by 2 w q, and this change changes by about 6 w
+    q^2. A parabola over +-h seconds is therefore off by w q^2 h^3. q comes from the ends themselves and is taken as at least w.
     """
     t_s = np.array([[f.t_open_s, f.t_close_s] for f in frames])
     along = np.array([[f.along0, f.along1] for f in frames])
@@ -164,7 +167,7 @@ def _windows(frames: Sequence[TrackletFrame]) -> list[tuple[list[int], float]]:
 
 
 def _end_errors_arcsec(frame: TrackletFrame) -> list[float]:
-    """One sigma of each end along the trail, the edge's ends excepted."""
+    """One sigma of each end along the trail, without ends on the frame's edge."""
     unit, _ = _along_of(frame.fit)
     covariance = np.asarray(frame.fit.covariance_px2)
     flags = (StreakFlag.EDGE0, StreakFlag.EDGE1)
@@ -190,10 +193,10 @@ def _refit_window(
 
 
 def _refit_of_agreeing(frames: Sequence[TrackletFrame], sigma_acceleration: float) -> tuple[list[int], JointRefit]:
-    """Joint fits of the frames that show one motion of one source, and their numbers.
+    """Joint fits of the frames that agree on one motion of one source, and their numbers.
 
-    A star that no catalogue knows under or beside one trail would bend the common motion of all: such a frame stands out
-    by brightness and width, or by ends that the joint fit moves further than they can err.
+    An unlisted star under or beside one trail would bend the common motion of all frames. Such a frame is recognised by its
+    brightness and width, or by ends that the joint fit moves further than their errors allow.
     """
     usual = _usual([frame.fit for frame in frames]) & _on_one_motion(frames, sigma_acceleration)
     used = [int(k) for k in np.flatnonzero(usual)]
@@ -208,10 +211,10 @@ def _refit_of_agreeing(frames: Sequence[TrackletFrame], sigma_acceleration: floa
 
 
 def carried(frame: TrackletFrame, clean: Sequence[TrackletFrame], joint: Sequence[StreakFit]) -> StreakFit:
-    """Fit of a frame that stands out, its ends put where the motion of the clean frames has them.
+    """Fit of an outlying frame, with its ends placed by the motion of the other frames.
 
-    The joint fits lie on one motion; a parabola (a line for two frames) through their ends gives it back, between them but
-    not beyond. Ends on the frame's edge stay; the density of the light stays.
+    The joint fits lie on one motion. A parabola (a line for two frames) through their ends reproduces it between them, but not
+    beyond. Ends on the frame's edge and the density of the light do not change.
     """
     t_s, along, sigma = _timed_ends(clean, joint)
     if len(t_s) < 3 or not min(t_s) < frame.t_open_s < frame.t_close_s < max(t_s):
@@ -253,7 +256,7 @@ def carried(frame: TrackletFrame, clean: Sequence[TrackletFrame], joint: Sequenc
 
 
 def _timed_ends(frames: Sequence[TrackletFrame], joint: Sequence[StreakFit]) -> tuple[list[float], list[float], list[float]]:
-    """Of all ends where the shutter acted: epoch (s), place along the path, error along the trail (px)."""
+    """Epoch (s), place along the path and error along the trail (px) of all ends that the shutter made."""
     t_s, along, sigma = [], [], []
     for place, fit in zip(frames, joint, strict=True):
         unit, _ = _along_of(place.fit)
@@ -332,7 +335,8 @@ def _moved_chi2(single: StreakFit, joint: StreakFit) -> float:
 
 
 def _agrees(single: StreakFit, joint: StreakFit) -> bool:
-    """Whether the joint fit still sees the flux of the single one; another flux is another source, a star on the track."""
+    """Whether the joint fit has the flux of the single fit. A different flux means another source, such as a star on the
+    track."""
     error = float(np.hypot(single.flux_err_e, joint.flux_err_e))
     return abs(joint.flux_e - single.flux_e) <= FLUX_AGREEMENT_SIGMAS * error and _moved_chi2(single, joint) <= MOVED_CHI2
 
@@ -363,7 +367,7 @@ def _tracklet_frame(
     """One frame of the refit: coordinates along the path in arcsec, times in seconds from `zero_tai_ns`."""
     seen = unit_vectors(np.radians(streak.ra_deg), np.radians(streak.dec_deg))
     along = _along_path(seen, path)
-    # how far a pixel reaches is what the trail spans at one epoch: between its two the camera turned
+    # The scale of a pixel is taken at one epoch, because the camera turned between the two ends.
     seconds = (streak.t_tai_ns[1] - streak.t_tai_ns) * 1e-9
     at_once = _along_path(turn(seen, np.outer(seconds, streak.turn_rad_s)), path)
     pointing = np.asarray(solution.covariance_rad2)

@@ -1,4 +1,4 @@
-"""Streaks as rows of numbers: half a kilobyte each, where a record with its arrays takes five times as much."""
+"""Streaks as rows of numbers. A row takes half a kilobyte, a record with its arrays five times as much."""
 
 from bisect import bisect_right
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
@@ -48,7 +48,7 @@ ROW: Final = np.dtype(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StreakRows(ByPlace[StreakMeasurement]):
-    """Streaks; a record is made when one is asked for.
+    """Streaks as rows. Indexing makes a record.
 
     rows : (n,) of `ROW`. curves_e_px : (2, m) light curves one after the other, and their errors.
     """
@@ -88,7 +88,7 @@ class StreakRows(ByPlace[StreakMeasurement]):
         return cls(rows=rows, curves_e_px=joined)
 
     def turned(self, turn_rad_s: NDArray[np.float64]) -> "StreakRows":
-        """The same streaks before a camera that turned like this, (3,)."""
+        """The same streaks with the angular velocity (3,) of the camera."""
         rows = self.rows.copy()
         rows["turn_rad_s"] = turn_rad_s
         rows.flags.writeable = False
@@ -125,7 +125,8 @@ class StreakRows(ByPlace[StreakMeasurement]):
 
 
 class RunStreaks(ByPlace[StreakMeasurement]):
-    """Streaks of a run, one frame after the other. counts : of each frame; of_frame : those of the k-th frame."""
+    """Streaks of a run, frame by frame. counts : number of streaks of each frame; of_frame : function that gives those of the
+    k-th frame."""
 
     def __init__(self, counts: Iterable[int], of_frame: Callable[[int], Sequence[StreakMeasurement]]) -> None:
         self._first = list(accumulate(counts, initial=0))
@@ -165,7 +166,7 @@ class LinkedStreaks:
         return sorted((self.place[frame], i - frame * STREAKS_PER_FRAME) for frame, i in keys if frame in self.place)
 
     def of_tracklet(self, number: int) -> StreakRows:
-        """What was kept of a tracklet last."""
+        """Members of a tracklet that were stored last."""
         return self._members[number]
 
     def put(self, number: int, members: Iterable[StreakMeasurement]) -> None:

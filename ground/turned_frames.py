@@ -1,4 +1,4 @@
-"""Frames of a run with the rates at which the camera turned, as the attitudes of all of them tell."""
+"""Frames of a run with the rates at which the camera turned, from the attitudes of all frames."""
 
 from collections.abc import Sequence
 from dataclasses import replace
@@ -11,7 +11,7 @@ from ground.sky.turning import Attitude, Rate, rates_of
 from ground.streak_rows import StreakRows
 
 FRAMES_TURNED: Final = 64
-"""Frames that are kept with the rates of the whole run."""
+"""Number of frames with final rates that are kept in memory."""
 
 
 def turned_frames(

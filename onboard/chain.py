@@ -1,4 +1,4 @@
-"""The order of things on board: counts, background, calibrated image, stars, detections, ROIs, packets.
+"""The order of the on-board steps: counts, background, calibrated image, stars, detections, tracks, ROIs, packets.
 
 `OnboardChain.process` is a step from state and frame to state and packets. Bad frames give flagged packets; a plug-in
 that raises or breaks its Protocol stops the run and is named.
@@ -58,7 +58,7 @@ class OnboardSteps:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tracking:
-    """What is remembered for the tracker. step : its own state; last : the newest frame it saw."""
+    """State for the tracker. step : its own state; last : the newest frame it saw."""
 
     step: Any
     pixels: TrackPixels = field(default_factory=TrackPixels)
@@ -67,7 +67,7 @@ class Tracking:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OnboardState:
-    """What the chain remembers from frame to frame; picklable.
+    """State of the chain between frames; picklable.
 
     earlier_stars : star lists of the last frames, newest last.
     history : views of the last frames, or what the detector keeps of them, as many as it declares, newest last.
@@ -89,7 +89,7 @@ class OnboardState:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OnboardResult:
-    """What one frame gave. rois : groups as sent. bytes_by_apid : bytes of packets of each APID, headers included."""
+    """Result of one frame. rois : groups as sent. bytes_by_apid : bytes of packets of each APID, headers included."""
 
     packets: bytes
     housekeeping: Housekeeping
@@ -153,7 +153,7 @@ class OnboardChain:
         if usable:
             view = self._with_stars(view, residual, row_sums)
             found, searched = self._detections(view)
-            # while stars trail, what stands still is the object
+            # While stars trail, a source that does not move in the frame is the object.
             detections = flag_static(found, state.recent if view.stars.motion is None else ())
             earlier = brought_forward(state.earlier_stars, view.stars)
         else:
@@ -185,7 +185,7 @@ class OnboardChain:
             kept = kept_counts(header, view.background, counts, rois)
             pixels = tracking.pixels.after(kept, self._steps.tracker.window_frames)
             pixels = send_tracks(tracks, pixels, outbox, content.codec, self._options.roi, view.psf_sigma_px)
-            if flags & FrameFlag.TRACKS_ENDED:  # frames before may have numbers that come again
+            if flags & FrameFlag.TRACKS_ENDED:  # Numbers of earlier frames may repeat.
                 pixels = TrackPixels(kept=pixels.kept[-1:])
             tracking = replace(tracking, pixels=pixels)
         keep = self._steps.detector.history_frames if usable else 0
@@ -228,7 +228,7 @@ class OnboardChain:
         return replace(tracking, step=state, last=header), tuple(tracks)
 
     def _with_saturation(self, header: FrameHeader) -> FrameHeader:
-        """The header with the camera's saturation level where the frame brings none but a calibration is there."""
+        """The header with the camera's saturation level, if the frame has none and a calibration exists."""
         if header.saturation_adu is not None or self._calibration is None:
             return header
         return replace(header, saturation_adu=self._camera.saturation_adu)
@@ -241,7 +241,7 @@ class OnboardChain:
         self, header: FrameHeader, counts: Counts, residual: NDArray[np.float32], state: OnboardState
     ) -> tuple[DetectorView, NDArray[np.float64], int]:
         """The view without stars, the sums of its rows, and how many pixels are masked; `residual` is filled."""
-        # the calibrated image is not there yet: its memory holds the whole ADU of the dark until then
+        # The calibrated image is not made yet. Until then its memory holds the whole ADU of the dark.
         dark = counts.dark.whole_adu(residual.reshape(-1).view(np.int16)[: residual.size].reshape(residual.shape))
         given = (counts.pixels, _read_only(dark), _read_only(counts.defects))
         estimated = guarded("background", self._steps.background, self._steps.background.estimate, *given)
@@ -287,13 +287,13 @@ class OnboardChain:
         return replace(view, stars=stars, background=background)
 
     def _remembered(self, view: DetectorView) -> Any:
-        """What the history holds of a view."""
+        """The part of a view that the history keeps."""
         view = replace(view, history=())
         detector = self._steps.detector
         return guarded("detector", detector, detector.remembered, view) if isinstance(detector, SelectiveMemory) else view
 
     def _detections(self, view: DetectorView) -> tuple[tuple[Detection, ...], Searched | None]:
-        """Detections of the detector, checked; and what its search leaves for a tracker, if there is one."""
+        """Detections, checked; and the results of the search for the tracker, if there is one."""
         detector, searched = self._steps.detector, None
         if self._tracks and isinstance(detector, SeedingDetector):
             found, searched = guarded("detector", detector, detector.search, view, self._steps.tracker.seed_sigma)
@@ -312,7 +312,7 @@ class OnboardChain:
 
 
 def continues(last: FrameHeader | None, header: FrameHeader) -> bool:
-    """Whether a frame follows the last one as frames of one sequence do: next number, later, same exposure and readout."""
+    """Whether a frame continues the sequence of the last one: next number, later start, same exposure and readout."""
     return (
         last is not None
         and header.frame == last.frame + 1

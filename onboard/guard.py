@@ -1,4 +1,4 @@
-"""Calls of swappable steps: what a step raises, or returns against its Protocol, stops the run and names the step."""
+"""Calls of swappable steps. An exception, or a result that breaks the Protocol, stops the run and names the step."""
 
 from collections.abc import Callable
 from typing import Any
@@ -7,7 +7,7 @@ from sboc_e2e.icd.errors import ContractError, PluginError, UserError
 
 
 def guarded(seam: str, step: object, call: Callable[..., Any], *arguments: Any) -> Any:
-    """What a step, or a check of its result, returns; whatever it raises becomes a `PluginError` that names the step.
+    """Call a step, or a check of its result, and return the result. An exception becomes a `PluginError` that names the step.
 
     seam : such as "detector". A `UserError` about something that the user can mend passes; a record that breaks the contract
     is the step's fault.

@@ -26,7 +26,7 @@ class RoiOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class DownlinkOptions:
-    """What may be sent."""
+    """Limits and contents of the downlink."""
 
     budget_mbit_s: float = field(
         default=4.0, metadata={"doc": "downlink rate for everything but whole frames; 0: no limit", "min": 0.0, "max": 1e5}

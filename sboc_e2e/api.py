@@ -51,7 +51,7 @@ __all__ = ["Comparison", "Found", "RunResult", "Sweep", "compare", "detect", "me
 
 @dataclass(frozen=True, kw_only=True)
 class RunResult:
-    """A finished run: its folder, and what lies in it as tables and figures.
+    """A finished run: its folder, and the content of the folder as tables and figures.
 
     folder : the run directory. score : what score.json holds. manifest : what manifest.json holds.
     """
@@ -129,7 +129,7 @@ class Comparison:
 
     @property
     def verdict(self) -> list[str]:
-        """A sentence for each pair: who is better, by how much, how sure, at what cost."""
+        """A sentence for each pair: which choice is better, by how much, with which confidence, at which cost."""
         return sentences_of(dict(self.result))
 
     @property
@@ -144,7 +144,7 @@ class Comparison:
 
     @property
     def questions(self) -> Table:
-        """What is asked of this seam in particular: one row for each figure, one column for each choice."""
+        """Figures of this seam in particular: one row for each figure, one column for each choice."""
         names = list(self.result["choices"])
         rows = [
             (asked["label"], *(figure_words(asked["choices"][name])[0] for name in names)) for asked in self.result["questions"]
@@ -166,7 +166,7 @@ class Sweep:
 
     @property
     def points(self) -> Table:
-        """One row for each point: its values, and texts of the headline figures."""
+        """One row for each point: its values and the headline figures as texts."""
         names = ("completeness_snr8", "snr50", "false_per_frame")
         rows = [(point, *(figure_words(found[name])[0] for name in names)) for point, found in self.result["points"].items()]
         return _table(("point", *names), rows)

@@ -1,4 +1,4 @@
-"""The exam of a plug-in (`sboc check MODULE:CLASS`): what every step must survive, and a verdict for each question."""
+"""The exam of a plug-in (`sboc check MODULE:CLASS`): the tests that every step must pass, with a verdict for each."""
 
 import copy
 import dataclasses
@@ -219,7 +219,7 @@ def _same_twice(method: Callable[[DetectorView], Any], view: DetectorView) -> No
 
 
 def _fast(method: Callable[[DetectorView], Any], view: DetectorView, limit_s: float) -> str:
-    method(synthetic_view("streak", len(view.history)))  # compiles what is to be compiled
+    method(synthetic_view("streak", len(view.history)))  # the first call compiles the kernels
     start = time.process_time()
     method(view)
     taken_s = time.process_time() - start

@@ -1,8 +1,8 @@
 """Where numba keeps compiled kernels: a folder named after a digest of all kernel sources.
 
-numba looks only at the file that holds a kernel, not at the functions it inlines from other files: after an edit of an
-inlined function the old machine code would go on running with new tables. A digest of every source that takes part
-makes that impossible. Must run before modules with kernels are imported.
+numba looks only at the file that holds a kernel, and not at functions that it inlines from other files. After an edit of an
+inlined function, the old machine code would run with new tables. A digest of every source that takes part makes that
+impossible. This module must run before modules with kernels are imported.
 """
 
 import hashlib
@@ -24,13 +24,14 @@ def use_cache_of_these_sources() -> None:
     folder = root / source_digest(Path(__file__).resolve().parents[1])
     os.environ["NUMBA_CACHE_DIR"] = str(folder)
     if (numba := sys.modules.get("numba")) is not None:
-        numba.config.CACHE_DIR = str(folder)  # a notebook may have imported it; what is compiled from now on is kept there
+        # A notebook may have imported numba before. Kernels compiled from now on are kept in this folder.
+        numba.config.CACHE_DIR = str(folder)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         os.utime(folder)
         others = sorted(root.iterdir(), key=lambda path: path.stat().st_mtime, reverse=True)[KEPT_DIGESTS:]
     except OSError:
-        return  # a home that cannot be written costs compilation, nothing else
+        return  # An unwritable home folder costs compilation time only.
     for old in others:
         shutil.rmtree(old, ignore_errors=True)
 

@@ -1,4 +1,4 @@
-"""What decides the bytes of a run beside its scenario: the project's own sources, those of plug-ins, files that it names.
+"""Everything besides the scenario that determines the bytes of a run: sources of the project and of plug-ins, and named files.
 
 Digests are taken once in a process, as sources are loaded once: what runs is what was hashed.
 """
@@ -21,7 +21,7 @@ _PACKAGES: Final = ("sboc_e2e", *SEGMENTS)
 _JUDGES: Final = frozenset({"score"})
 _PAGES: Final = frozenset({"cli", "licences.py", "report", "step_pages.py", "validation", "warm_up.py"})
 _ONLOOKERS: Final = _PAGES | {"bench", "campaign", "checks.py", "compare", "exams", "survey"}
-"""Parts of the harness that decide no byte of a run."""
+"""Parts of the harness that do not affect the bytes of a run."""
 _NOT_SOURCE: Final = frozenset({".pyc", ".md", ".nbi", ".nbc"})
 _LIBRARY_FOLDERS: Final = frozenset({"site-packages", "dist-packages"})
 _DIGITS: Final = 16
@@ -29,7 +29,7 @@ _DIGITS: Final = 16
 
 @cache
 def code_digest(stage: str) -> str:
-    """Digest of the sources and data files that decide a stage's results, those of the stages before it included.
+    """Digest of the sources and data files that determine a stage's results, including those of earlier stages.
 
     stage : "simulate", "onboard", "ground" or "score".
     """
@@ -91,7 +91,7 @@ def _plugin(module: str) -> dict[str, str] | None:
 
 
 def named_files(document: Any) -> dict[str, str]:
-    """Digests of the files whose paths stand in a document, by path: their content decides as much as their names."""
+    """Digests of the files whose paths occur in a document, by path. Their content matters as much as their names."""
     found: dict[str, str] = {}
     for text in sorted(set(_texts(document))):
         path = Path(text)
@@ -153,7 +153,7 @@ def _imports(path: Path) -> set[str]:
 
 
 def _is_source(path: Path) -> bool:
-    """Whether a path within a package can decide anything."""
+    """Whether a path within a package can affect results."""
     return path.suffix not in _NOT_SOURCE and not any(part.startswith(".") or part == "__pycache__" for part in path.parts)
 
 

@@ -1,4 +1,4 @@
-"""The camera that was built: departures from the nominal one, drawn by seed where the options say so."""
+"""The camera as built: departures from the nominal camera, drawn by seed where the options ask for it."""
 
 from dataclasses import replace
 

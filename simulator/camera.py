@@ -1,6 +1,6 @@
-"""The camera as built and as believed: geometry, illumination and PSF over the read-out window, and its calibration.
+"""The built and the nominal camera: geometry, illumination and PSF over the read-out window, and calibration.
 
-Pixels are those of the detector's read-out window, unbinned, unless a name says "delivered".
+Pixels are unbinned pixels of the detector's read-out window, unless a name says "delivered".
 """
 
 import copy
@@ -24,7 +24,7 @@ Array = NDArray[np.float64]
 
 
 LEAST_GAUSSIAN = 0.4
-"""Of the nominal width, that charge diffusion and residual motion keep whatever the wavefront is."""
+"""Least Gaussian share of the nominal width, by charge diffusion and residual motion, for any wavefront."""
 
 
 class Camera:

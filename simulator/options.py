@@ -22,7 +22,7 @@ from simulator.sensor.options import SensorOptions
 
 @dataclass(frozen=True, kw_only=True)
 class SimulatorOptions:
-    """Everything that can be said about the simulated world; one nested table for each step."""
+    """All options of the simulated world; one nested table for each step."""
 
     epoch_utc: str = field(default="2027-01-29T00:00:00", metadata={"doc": "opening of the first row of frame 0, UTC"})
     frames: int = field(default=24, metadata={"doc": "number of frames", "min": 1, "max": 1000000})
@@ -53,7 +53,7 @@ class SimulatorOptions:
 def smoke_options(base: SimulatorOptions | None = None) -> SimulatorOptions:
     """The small set-up `smoke_wide`: the field of the base on 512 x 512 larger pixels, six frames.
 
-    The aperture shrinks to 4 cm, so that stars stand as far apart in pixels as in the large frame.
+    The aperture is 4 cm, so that stars are as far apart in pixels as in the large frame.
     """
     base = base or SimulatorOptions()
     scale = base.instrument.rows / 512

@@ -1,6 +1,6 @@
 """Random streams of the simulator: one generator for each physical effect, frame and block.
 
-A stream depends on nothing but ``(seed, effect, frame, block)``, so that adding an effect shifts nobody's noise and
+A stream depends only on ``(seed, effect, frame, block)``. Adding an effect therefore does not change other noise, and
 any worker may make any frame with the same bytes. The table is append-only: numbers are never reused.
 """
 
@@ -10,7 +10,7 @@ import numpy as np
 
 
 class Effect(IntEnum):
-    """Numbers of the physical effects; part of what a seed means: append only, no number is used twice."""
+    """Numbers of the physical effects. They are part of the meaning of a seed: append only, and use no number twice."""
 
     POPULATION = 1  # which debris is met (frame 0)
     FAINT_STARS = 2  # synthetic stars; block is the HEALPix pixel

@@ -9,7 +9,10 @@ from sboc_e2e.kernel_cache import use_cache_of_these_sources
 
 use_cache_of_these_sources()
 
+import shutil
+from collections.abc import Iterator
 from pathlib import Path
+from typing import Any
 
 import pytest
 from astropy.utils import iers
@@ -32,3 +35,17 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"reference data not present: {folder}")
     return folder
+
+
+@pytest.fixture(scope="module")
+def chromium() -> Iterator[Any]:
+    """A headless Chromium for one module; tests skip without it. Its event loop ends with it, as tests of dask need."""
+    found = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if found is None:
+        pytest.skip("no Chromium installed (package chromium)")
+    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
+    flags = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run"]
+    with api.sync_playwright() as driver:
+        browser = driver.chromium.launch(executable_path=found, args=flags)
+        yield browser
+        browser.close()

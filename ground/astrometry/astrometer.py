@@ -25,11 +25,11 @@ Match = tuple[CameraSolution, Stars, NDArray[np.intp], NDArray[np.intp]]
 """Fit, catalogue stars, and the matched indices into the star list and the catalogue."""
 
 LOST_FRAMES_TRIED: Final = 5
-"""After so many frames in a row that no star pattern could place, the camera is taken for unknown."""
+"""Number of consecutive frames without a fitting star pattern after which the search stops."""
 
 SAME_FIELD: Final = 0.02
-"""Frames that are this share of the field apart or less show the same stars. Jitter of a pixel in each of 600 frames would else
-count as a move by a seventh of the field, and the errors of the catalogue would seem to average out."""
+"""Frames that are this share of the field apart or less show the same stars. Otherwise jitter of a pixel
+in each of 600 frames would count as a move by a seventh of the field, and catalogue errors would seem to average out."""
 
 UNUSABLE_LISTED: Final = int(StarFlag.SATURATED | StarFlag.EDGE | StarFlag.DEFECT | StarFlag.COSMIC_LIKE)
 UNUSABLE_CATALOGUE: Final = int(CatalogueFlag.NO_PROPER_MOTION | CatalogueFlag.DOUBLE | CatalogueFlag.SYNTHETIC)
@@ -37,7 +37,7 @@ UNUSABLE_CATALOGUE: Final = int(CatalogueFlag.NO_PROPER_MOTION | CatalogueFlag.D
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class AstrometryState:
-    """What is known before a frame: camera, knowledge of its shared parameters, the last attitude."""
+    """State before a frame: camera, knowledge of its shared parameters, last attitude."""
 
     catalogue: StarCatalogue
     camera: Camera
@@ -46,12 +46,12 @@ class AstrometryState:
     last: tuple[int, Array, Array] | None = None
     """Epoch (TAI ns), matrix and rate (rad/s) of the last solved frame."""
     seen_from: Array | None = None
-    """Matrix of the frame since which the stars count as the same: pointing that jitters shows no new ones."""
+    """Matrix of the frame since which the stars count as the same. Jitter of the pointing shows no new stars."""
     lost: int = 0
-    """Frames in a row whose star patterns were looked for in vain; frames without enough stars do not count."""
+    """Number of consecutive frames whose star patterns did not fit. Frames without enough stars do not count."""
 
     def at(self, tai_ns: int) -> "AstrometryState":
-        """The state with what is known of the camera at a later epoch."""
+        """The state with its knowledge of the camera propagated to a later epoch."""
         return self if self.last is None else replace(self, shared=self.shared.after(1e-9 * (tai_ns - self.last[0])))
 
 
@@ -140,7 +140,7 @@ class CameraFit:
         return new_state, _solution_of(header.frame, flags, fit, rate, stars, listed, chosen)
 
     def _star_patterns_may_tell(self, state: AstrometryState, frame: DownlinkFrame) -> bool:
-        """Whether it is worth to look for star patterns: not when switched off, hopeless by now, or without enough stars."""
+        """Whether to search for star patterns: no if switched off, after too many failures, or without enough stars."""
         hopeless = state.lost >= LOST_FRAMES_TRIED
         if self.lost_in_space == "never" or hopeless or len(frame.stars) < self.min_stars:
             return False
@@ -199,7 +199,7 @@ class CameraFit:
         return stars, apparent_directions(stars.ra_deg, stars.dec_deg, middle, position, velocity)
 
     def _vote(self, camera: Camera, header: FrameHeader, measured: Array, vectors: Array, radius_arcsec: float) -> Array | None:
-        """Rotation (3, 3) of the camera frame that the vote asks for; None when the vote says nothing."""
+        """Rotation (3, 3) of the camera frame from the vote; None if the vote is not significant."""
         row, col = camera.project(vectors)
         margin = radius_arcsec * ARCSEC_RAD * camera.focal_px
         near = (row > -margin) & (row < header.rows + margin) & (col > -margin) & (col < header.cols + margin)
@@ -255,7 +255,7 @@ class CameraFit:
             listed, chosen = listed[good], chosen[good]
             catalogue = stars.sigma_mas[chosen].astype(np.float64) * 1e-3 * ARCSEC_RAD * camera.focal_px
             sigma = np.hypot(self._centroid_px(frame, order[listed], state.psf_sigma_px), catalogue)
-            # far from the solution all stars count alike; near it, as their errors say
+            # Far from the solution all stars have the same weight. Near it they are weighted by their errors.
             sigma = np.maximum(sigma, 0.1 * radius if radius > floor else 0.0)
             fit = fit_camera(
                 measured[listed],
@@ -277,7 +277,7 @@ class CameraFit:
         return fit, order[listed], chosen
 
     def _centroid_px(self, frame: DownlinkFrame, listed: NDArray[np.intp], psf_sigma_px: float) -> Array:
-        """Error of each coordinate of list stars: PSF width over S/N, and a floor."""
+        """Error of each coordinate of list stars: PSF width over S/N, plus a floor."""
         return np.hypot(psf_sigma_px / np.maximum(frame.stars.snr[listed].astype(np.float64), 1.0), self.centroid_floor_px)
 
     def _prior_sigma(self, camera: NominalCamera) -> Array:
@@ -296,7 +296,7 @@ def row_turns(header: FrameHeader, row: Array, rate_rad_s: Array, middle_tai_ns:
 def unsolved(
     frame: DownlinkFrame, camera: Camera, flags: FrameFlag, *, matrix: Array | None = None, rate: Array | None = None
 ) -> FrameSolution:
-    """A solution that says there is none; the attitude is the best guess, else the unit quaternion."""
+    """The record of an unsolved frame. Its attitude is the best guess, else the unit quaternion."""
     return FrameSolution(
         frame=frame.header.frame,
         flags=flags,

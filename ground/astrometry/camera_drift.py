@@ -1,14 +1,13 @@
-"""What the frames so far say about the parameters that they share, when the focal length may drift.
+"""Estimate of the camera parameters that all frames share, with a focal length that may drift.
 
-Nobody tells ground how fast a tube warms, and a rate that is right for one hour is wrong for the next. Process noise that is too
-small leaves the focal length behind the truth; too much of it throws away what earlier frames knew. So several motions are
-followed side by side, and the residuals of the frames say which of them is at work (interacting multiple models, Blom &
+Ground does not know how fast a tube warms, and the rate changes from hour to hour. With too little process noise the focal length
+lags behind the truth. With too much, the information of earlier frames is lost. Therefore several motions are followed in
+parallel, and the residuals of the frames select among them (interacting multiple models, Blom &
 Bar-Shalom 1988, IEEE Trans. Automatic Control 33, 780). Each motion has a Kalman filter. The estimate is the weighted mean of
 all; its covariance includes the scatter of their means.
 
 Errors of the catalogue, and of stars that blend, are the same in each frame that shows the same stars, so they do not average
-out. They are followed as a bias of the parameters of their own, which changes as the field moves on (Schmidt 1966, a state that
-is considered).
+out. They are modelled as a separate bias of the parameters, which changes as the field moves (a considered state, Schmidt 1966).
 """
 
 from dataclasses import dataclass
@@ -28,15 +27,15 @@ STATE: Final = 2 * N + 1
 """A state: shared parameters, their bias by the catalogue, rate of the logarithm of the focal length (1/s)."""
 
 MOTIONS: Final = ((False, 0.0), (True, 0.1), (True, 1.0), (False, 3.0), (False, 20.0))
-"""Whether the rate lasts, and the random walk of the rate (in drift rates for each root of a second) or, where it does not
-last, of the logarithm of the focal length (in drift rates times the root of a second): at rest, two smooth drifts as heating
+"""Whether the rate persists, and the random walk of the rate (in drift rates for each root of a second) or, if it does not
+persist, of the logarithm of the focal length (in drift rates times the root of a second): at rest, two smooth drifts as heating
 and cooling make them, two random walks."""
 
 AT_REST: Final = 0.6
-"""Probability that the camera is at rest, of all motions, before any frame."""
+"""Prior probability that the camera does not drift."""
 
 CHANGES_S: Final = 1000.0
-"""Mean time after which a motion gives way to another one: eclipses and slews are this far apart. Longer gaps count as this."""
+"""Mean time between changes of motion, seconds: the typical distance of eclipses and slews. Longer gaps count as this."""
 
 FORGETS: Final = 7
 """After a move by the share d of the field, the correlation of the bias is (1 - d) to this power. A star that crosses the field
@@ -51,11 +50,12 @@ UNKNOWN: Final = 1e-9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrameEvidence:
-    """What one frame's stars say about the shared parameters, attitude unknown: ``gradient + information (x - values)``.
+    """Information of one frame's stars on the shared parameters, attitude unknown: ``gradient + information (x - values)``.
 
     values : (5,) where the model was linearised. gradient : (5,) of the log-likelihood there. information : (5, 5).
-    catalogue : (5, 5) share of the information's noise that errors of the catalogue make and others that last as long as a field
-    does, the rest is independent from frame to frame. new_field : share of the field that the frame before did not show, 0 to 1.
+    catalogue : (5, 5) share of the information's noise from errors that persist as long as the field does, such as those of the
+    catalogue; the rest is independent from frame to frame. new_field : share of the field that the frame before did not show, 0
+    to 1.
     """
 
     values: Array

@@ -1,7 +1,7 @@
 """Least squares of a frame's attitude and of the run's shared camera parameters against matched stars.
 
 Robust first (soft-l1 weights, iterated), then stars beyond `CLIP_SIGMA` are dropped and the rest is fitted with Gaussian
-weights, so that the covariance means what it says.
+weights, so that the covariance is calibrated.
 """
 
 from dataclasses import dataclass, replace
@@ -128,7 +128,7 @@ def fit_camera(
 
 
 def _lasting_px(sigma_px: Array, catalogue_px: Array, chi2_nu: float, n_free: int) -> Array:
-    """(n,) part of the errors that frames of the same stars share: the catalogue's, and what residuals have beyond what is known.
+    """(n,) part of the errors that frames of the same stars share: errors of the catalogue, and excess scatter of the residuals.
 
     Blends and a PSF of few pixels shift a star by the same in each such frame. Chance alone (two sigma of chi2) is no excess.
     """
@@ -147,7 +147,8 @@ def _solution(
     matrix: Array,
     camera: Camera,
 ) -> CameraSolution:
-    """What the last step's linear model says: attitude for known shared parameters, and these with the attitude unknown."""
+    """Solution of the linear model of the last step: attitude for known shared parameters, and these with the attitude
+    unknown."""
     scale = max(chi2_nu, 1.0)
     by_rotation, by_shared = jacobian[:, :ATTITUDE], jacobian[:, ATTITUDE:]
     normal = (by_rotation * row_weight[:, None]).T @ by_rotation

@@ -21,8 +21,8 @@ SEARCH_PX: Final = 20.0
 """How far a header's WCS may be off."""
 
 LARGEST_CHANCE: Final = 1e-3
-"""Of as many stars falling together at any offset although the WCS is that of another field. `Vote.significant`, which serves
-searches a hundred times as wide, asks for eight stars where this asks for five."""
+"""Largest probability that this many stars match by chance at any offset although the WCS is of another field. `Vote.significant`
+serves searches that are a hundred times as wide, and requires eight stars where this requires five."""
 
 MATCH_SIGMAS: Final = 4.0
 LARGEST_FIELD_DEG: Final = 30.0
@@ -31,7 +31,7 @@ LARGEST_FIELD_DEG: Final = 30.0
 def identify_by_header(frame: DownlinkFrame, wcs: Any, catalogue: StarCatalogue, camera: NominalCamera) -> FrameSolution:
     """A record without attitude (NO_SOLUTION) that names the list stars which the header's WCS puts on catalogue stars.
 
-    It names none when as many may fall together by chance: the WCS of another field would give a zero point of wrong stars.
+    It names no star if the same number could match by chance, because the WCS of another field would give a wrong zero point.
     """
     nothing = unsolved(frame, Camera.nominal(camera), FrameFlag.NO_SOLUTION)
     header = frame.header

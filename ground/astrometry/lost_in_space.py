@@ -1,8 +1,8 @@
 """Attitude without telemetry: star patterns in a database made from the catalogue (extra `solve`, package tetra3rs).
 
 The pattern solver (tetra3: Pedrotti et al., European Space Agency) gives the attitude to some ten arcsec; matching and
-camera fit then go on as if it had been telemetered. Its patterns are ratios of distances, which a mirror leaves as they are:
-the parity of the image comes out with the attitude, and so does the scale of an unknown camera.
+camera fit then continue as with a telemetered attitude. Patterns are ratios of distances, which a mirror does not change.
+The solver therefore also gives the parity of the image, and the scale of an unknown camera.
 """
 
 import struct
@@ -25,7 +25,7 @@ from sboc_e2e.icd.signals import StarList
 Array = NDArray[np.float64]
 
 STARS_PER_FIELD: Final = 100
-"""The database holds the brightest stars, about so many in an average field."""
+"""Number of stars in an average field for which the database is made; it holds the brightest."""
 
 BRIGHTEST_USED: Final = 80
 FIELD_TOLERANCE: Final = 0.02
@@ -40,7 +40,7 @@ DATABASES: Final = (
     (29.0, 40.0, 60.0), (20.0, 28.0, 40.0), (14.0, 19.0, 28.0), (9.6, 13.0, 19.0),
     (6.6, 9.0, 13.0), (4.4, 6.0, 9.0), (3.0, 4.0, 6.0), (2.0, 1.6, 4.0),
 )  # fmt: skip
-"""Width (deg) for which a pattern database is made, and those of the fields that it serves: patterns smaller than the field are
+"""Width (deg) for which a pattern database is made, and the field widths that it serves. Patterns smaller than the field are
 found more often (62 of 62 at 1.25 to 1.7 times the width, 58 of 62 at 0.9). Narrow ones take long to make (2 deg: 50 s)."""
 
 NARROWEST_DEG: Final = DATABASES[-1][1]
@@ -121,7 +121,7 @@ def _matched(
     catalogue: StarCatalogue,
     folder: str,
 ) -> PatternMatch | None:
-    """What the patterns of stars at (n, 2) x, y (px from the axis, free of distortion) say."""
+    """Match of the patterns of stars at (n, 2) x, y (px from the axis, free of distortion)."""
     solver = required_solver()
     if width_deg < NARROWEST_DEG or len(plane) < FEWEST_STARS:
         return None
@@ -204,7 +204,7 @@ def _database(width_deg: float, folder: str, name: str, catalogue: StarCatalogue
 def _write_stars(path: Path, catalogue: StarCatalogue, width_deg: float) -> float | None:
     """Bright reference stars in the binary form that the solver reads; returns their faintest magnitude, None without stars.
 
-    Positions are those of 2027 with no motion: a decade moves few stars by more than the solver's tolerance.
+    Positions are of 2027, without proper motion. In a decade few stars move by more than the solver's tolerance.
     """
     stars = catalogue.cone(0.0, 0.0, 180.0, epoch_jyear=2027.0)
     stars = stars.take((stars.flags & int(CatalogueFlag.NO_PROPER_MOTION)) == 0)

@@ -1,8 +1,8 @@
 """Pairing the star list with projected catalogue stars when the attitude is known to a few hundred arcsec.
 
-First a vote: every list star votes for the offsets of all catalogue stars near it, once for each trial roll; true pairs
-agree on one offset, false ones spread. Then pairs are made by mutual nearest neighbours within a radius that shrinks while
-the attitude is refined.
+First a vote: every list star votes for the offsets of all catalogue stars near it, once for each trial roll. True pairs agree on
+one offset, and false pairs scatter. Then mutual nearest neighbours are paired, within a radius that shrinks while the attitude
+is refined.
 """
 
 from dataclasses import dataclass
@@ -19,7 +19,7 @@ Index = NDArray[np.intp]
 class Vote:
     """Offset (list minus catalogue, px) and roll (rad, row axis from col axis, about the centre) with most votes.
 
-    votes : pairs within one bin of it. chance : how many pairs a bin of that size holds by chance.
+    votes : pairs within one bin of it. chance : expected number of chance pairs in a bin of that size.
     """
 
     d_row_px: float
@@ -30,7 +30,7 @@ class Vote:
 
     @property
     def significant(self) -> bool:
-        """More than chance gives: six Poisson sigmas, and at least five pairs."""
+        """Whether the votes exceed chance by six Poisson sigmas and are at least five pairs."""
         return self.votes >= max(5.0, self.chance + 6.0 * np.sqrt(self.chance + 1.0))
 
 

@@ -39,8 +39,9 @@ class CurvedProbability:
     """Probability of one encounter and its scatter (one sigma) over independent batches of draws.
 
     distance_sigma : of the most probable hit from the mean, in the space of both orbits. lost : share of draws without a hit.
-    slow : miss and position errors are not small beside what the objects drift apart in a radian of their orbits, so that there
-    may be several encounters, or one that lasts. reliable : one encounter, most draws have a hit, their sum is settled to 5 %.
+    slow : miss and position errors are not small compared with the drift of the objects in a radian of their orbits, so that
+    there may be several encounters, or one that lasts. reliable : one encounter, most draws have a hit, their sum is settled to 5
+    %.
     """
 
     probability: float

@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 _SMALLEST_AXIS: Final = 1e-4
 """Of the hard-body radius: a position known better than this is as good as exact, and a covariance of rank one stays usable."""
 _ROUNDED: Final = 1e-6
-"""An eigenvalue may be negative by so much of the largest: messages round their figures."""
+"""Tolerance for negative eigenvalues, relative to the largest one: messages round their figures."""
 
 
 _POLE: Final = -0.7

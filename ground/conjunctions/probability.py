@@ -27,7 +27,7 @@ class Dilution:
     """The largest probability that any scaling of the covariance gives, and whether better tracking would raise the probability.
 
     scale : factor of all standard deviations that gives `probability`. diluted : scale below 1, the covariance is larger than
-    the worst one: a small probability then tells of poor knowledge, not of safety (Alfano 2005, J. Astronaut. Sci. 53, 103).
+    the worst one. A small probability then means poor knowledge, not safety (Alfano 2005, J. Astronaut. Sci. 53, 103).
     """
 
     probability: float

@@ -1,4 +1,4 @@
-"""Records of a frame put together; what a lost header held is taken from other packets of the run."""
+"""Assembly of a frame from its records. The content of a lost header is taken from other packets of the run."""
 
 from bisect import bisect_left
 from collections.abc import Sequence
@@ -28,7 +28,7 @@ from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import BackgroundModel, RoiGroup, StarList
 
 FIRST_TRACK_ROI = 1 << 16
-"""Regions that came with their track are numbered from here on, by track: those of ROI packets have 16 bits."""
+"""Numbers from here on are for regions that came in track packets, by track. Numbers of ROI packets have 16 bits."""
 
 
 @dataclass(kw_only=True)
@@ -53,7 +53,7 @@ class FrameParts:
     """Number and joint S/N of the track of each region that is in one."""
 
     def add(self, packet: Packet, record: Record) -> None:
-        """Put a record where it belongs."""
+        """Store a record by its kind."""
         if isinstance(record, HeaderRecord):
             self.header = replace(record, header=replace(record.header, frame=self.frame))
         elif isinstance(record, StripRecord):
@@ -71,7 +71,7 @@ class FrameParts:
 
 
 def with_tracks(parts: Sequence[FrameParts], failures: list[str]) -> None:
-    """Put the members that track packets carried into the frames they lie in; those of frames that are not there are listed."""
+    """Put the members from track packets into their frames. Members of missing frames are listed."""
     frames = {(part.frame, part.t_start_tai_ns): part for part in parts}
     for carrier in parts:
         for item, segment, n_segments, record in carrier.members:
@@ -92,7 +92,7 @@ def with_tracks(parts: Sequence[FrameParts], failures: list[str]) -> None:
 def assemble(
     parts: Sequence[FrameParts], memory: MemoryLimit, failures: list[str], ambiguous: AbstractSet[int] = frozenset()
 ) -> tuple[tuple[DownlinkFrame, ...], tuple[int, ...]]:
-    """Frames in the order given (by number), and the numbers of those that no header of the run lets one build.
+    """Frames in the order given (by number), and the numbers of frames that cannot be built because no header of the run fits.
 
     ambiguous : numbers that several frames had, whose telemetry a later header may repeat for any of them.
     """
@@ -134,7 +134,7 @@ def _rebuilt_header(part: FrameParts, nearest: HeaderRecord, repeated: Telemetry
 
 
 def _frame(part: FrameParts, record: HeaderRecord, memory: MemoryLimit, failures: list[str]) -> DownlinkFrame:
-    """A frame of its parts; a whole frame that cannot be put together is listed."""
+    """A frame from its parts. A whole frame that cannot be assembled is listed."""
     header = record.header
     whole = None
     if part.chunks:
@@ -195,7 +195,7 @@ def _absent(header: FrameHeader) -> FrameFlag:
 
 
 def _mesh(bands: Sequence[MeshBand], header: FrameHeader) -> BackgroundModel | None:
-    """The background mesh; rows that did not arrive are those of the nearest one that did."""
+    """The background mesh. Rows that did not arrive repeat the nearest row that did."""
     if not bands:
         return None
     tile, shape = bands[0].tile_px, bands[0].shape

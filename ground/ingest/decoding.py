@@ -90,7 +90,8 @@ def decoder_table(decoders: Sequence[Decoder]) -> dict[int, Decoder]:
 def _sorted_into_frames(
     packets: Sequence[Packet],
 ) -> tuple[dict[tuple[int, int], _FramePackets], dict[str, ApidReport], int]:
-    """Packets by (frame number, start time); reports by kind; how many contradict another packet of the same place."""
+    """Packets by (frame number, start time); reports by kind; number of packets that contradict another one with the same
+    place."""
     frames: dict[tuple[int, int], _FramePackets] = defaultdict(_FramePackets)
     received: Counter[int] = Counter()
     duplicates: Counter[int] = Counter()
@@ -108,7 +109,8 @@ def _sorted_into_frames(
             duplicates[packet.apid] += 1
         else:
             conflicts += 1
-            # whichever came first in time on board; by content when that cannot be told: never by order of arrival
+            # The packet that was made first on board wins; if that is unknown, the content decides. The order of arrival never
+            # matters.
             if (packet.count, packet.payload) < (known.count, known.payload):
                 places[place] = packet
     kept: dict[int, list[tuple[int, int, int]]] = defaultdict(list)
@@ -129,7 +131,7 @@ def _sorted_into_frames(
 
 
 def _renumbered(frames: Iterable[tuple[int, int]]) -> dict[int, tuple[int, int]]:
-    """Of frames (number, start time): own numbers, after the last one and by time, for those whose number an earlier one has."""
+    """New numbers for frames (number, start time) whose number an earlier frame has. They follow the last number, by time."""
     later: list[tuple[int, int]] = []
     numbers: set[int] = set()
     for number, t_start in sorted(frames):
@@ -214,7 +216,8 @@ def _decoded(
 
 
 def _note_lost_items(parts: FrameParts, sent: Housekeeping, arrived: set[int]) -> None:
-    """Note what the header says was sent and no packet of which arrived; of a lost list or image at least one packet."""
+    """Note items that were sent according to the header, but of which no packet arrived; at least one packet for a list or
+    image."""
     if sent.n_rois_sent > len(parts.n_strips):
         parts.missing["roi"] = parts.missing.get("roi", 0) + sent.n_rois_sent - len(parts.n_strips)
     lost = {Apid.STARS} if sent.n_stars_sent > sum(map(len, parts.stars)) else set()
@@ -227,7 +230,7 @@ def _note_lost_items(parts: FrameParts, sent: Housekeeping, arrived: set[int]) -
 def _completeness(
     parts: Sequence[FrameParts],
 ) -> tuple[tuple[int, ...], tuple[int, ...], dict[int, dict[str, int]]]:
-    """Frames with everything, frames without, and what these lack."""
+    """Complete frames, incomplete frames, and the packets that these lack."""
     lacking = {part.frame: dict(sorted(part.missing.items())) for part in parts if part.missing}
     complete = tuple(part.frame for part in parts if not part.missing)
     return complete, tuple(sorted(lacking)), lacking

@@ -1,7 +1,7 @@
 """Space packets in a stream of bytes that may be damaged anywhere.
 
-A packet is accepted when its headers are as ICD.md says and its checksum holds. After anything else the search goes on
-one byte further with the next place that looks like a packet, so that garbage costs what it overwrote and no more.
+A packet is accepted when its headers are as ICD.md says and its checksum holds. Otherwise the search continues
+one byte further, at the next place that looks like a packet. Garbage then costs only the bytes that it overwrote.
 """
 
 import binascii
@@ -103,7 +103,7 @@ def _checksum_holds(stream: bytes, start: int, length: int) -> bool:
 
 
 def _parse(stream: bytes, start: int, length: int) -> Packet | None:
-    """An intact packet's fields; None when it is of another major version of the contract or its fields make no sense."""
+    """Fields of an intact packet; None if it has another major version of the contract or fields out of range."""
     first, second, _ = layout.PRIMARY.unpack_from(stream, start)
     seconds, fraction = layout.CUC_TIME.unpack_from(stream, start + TIME_OFFSET)
     major, _, run_id, frame, exposure_ns, line_time_ns, item, segment, n_segments = layout.ITEM.unpack_from(

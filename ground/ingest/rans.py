@@ -1,7 +1,7 @@
 """Decoder of `rans` blocks (ICD.md, section 4): four interleaved coders, classes of values by their neighbours.
 
-Whatever the bytes, the work is bounded by the number of values, and a block counts only when every coder ends where
-encoders begin and no word is left over.
+For any bytes, the work is bounded by the number of values. A block is valid only if every coder ends in the state where
+encoders begin and no word remains.
 """
 
 import math
@@ -142,7 +142,7 @@ def decode_values(
 
 @dataclass(frozen=True, kw_only=True)
 class RansDecoder:
-    """`rans`: tokens by their chances among stars and sky."""
+    """`rans`: tokens by their probabilities among stars and sky."""
 
     @property
     def number(self) -> int:

@@ -1,7 +1,6 @@
 """Payloads to records: the inverse of `onboard.downlink.packets`, field by field as ICD.md has it.
 
-Everything that a length field announces is checked against the payload before it is used; a payload that does not make
-sense raises `ContractError`.
+Every announced length is checked against the payload before it is used. An invalid payload raises `ContractError`.
 """
 
 import math

@@ -1,4 +1,4 @@
-"""What arrived, what did not, and what was wrong with it."""
+"""Loss report: packets that arrived, packets that are missing, and defects."""
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, field
@@ -25,12 +25,12 @@ class IngestReport:
     packets that the end of the stream cut; garbage_bytes : bytes outside intact packets; other_contract : intact packets
     of another contract version, or with fields out of range. conflicts : packets with the same place in a frame but
     other content.
-    frames_complete, frames_incomplete : frame numbers; frames_missing : numbers between the first and the last of which
-    nothing arrived; frames_unusable : something arrived, but not enough to build the frame.
+    frames_complete, frames_incomplete : frame numbers; frames_missing : numbers between the first and the last frame without any
+    packet; frames_unusable : frames with packets, but not enough to be built.
     renumbered : by the number they have in products, number on the link and start (TAI ns) of frames whose number an earlier
     frame of the run has.
-    missing_segments : per incomplete frame, how many packets of each kind are known to be missing; a whole frame of which no
-    packet arrived shows in the sequence counts of `apids` only.
+    missing_segments : known number of missing packets of each kind, per incomplete frame. A whole frame without any packet shows
+    in the sequence counts of `apids` only.
     decode_failures : one line for each intact packet whose content could not be decoded.
     fit_failures : regions whose pixels allowed no fit, by the reason.
     """

@@ -1,4 +1,4 @@
-"""Streaks of all frames into tracklets: two hypotheses of motion each, search, evidence, resolved ends, what they measure."""
+"""Streaks of all frames into tracklets: two hypotheses of motion each, search, evidence, resolved ends, measured tracklets."""
 
 from ground.link.linker import MotionLinker
 from ground.link.measured import Member, measured_tracklet

@@ -1,6 +1,6 @@
 """Streaks that the on-board software found as one object over several frames, before any other linking.
 
-What made it sure is the sum of all frames: the streaks alone may be too faint to support each other.
+The evidence is the sum over all frames. The streaks alone may be too faint to support each other.
 """
 
 from collections.abc import Iterator
@@ -14,7 +14,7 @@ from ground.link.motion import N_PARAMETERS
 from ground.link.search import chi2_gate, gain_of
 
 LOG_ODDS: Final = 5.0
-"""What the joint test on board is worth at least: its threshold lets noise through in one frame of fifty."""
+"""Lower limit of the log odds from the joint test on board, whose threshold passes noise in one frame of fifty."""
 
 
 def tracked_groups(
@@ -22,7 +22,7 @@ def tracked_groups(
 ) -> Iterator[tuple[NDArray[np.int64], float]]:
     """Members (node numbers by time) of each on-board track whose streaks lie on one motion, and their evidence.
 
-    Of a group that no motion fits, the streak that spoils it most is left out until one does or fewer than two are left.
+    If no motion fits a group, its worst streak is left out, until a motion fits or fewer than two streaks remain.
     """
     for number in np.unique(table.track[table.track >= 0]):
         streaks = np.flatnonzero(table.track == number)
@@ -45,7 +45,7 @@ def tracked_groups(
 
 
 def _both_senses(nodes: Nodes, streaks: NDArray[np.int64]) -> list[NDArray[np.int64]]:
-    """The two ways in which all streaks (rising in time) can have been run through in one direction; points have one."""
+    """The two hypotheses of all streaks (rising in time) for the two senses of one direction; a point has one hypothesis."""
     first = nodes.unit[2 * streaks[0], 1] - nodes.unit[2 * streaks[0], 0]
     way = nodes.unit[2 * streaks, 1] - nodes.unit[2 * streaks, 0]
     turned = (way @ first < 0.0).astype(np.int64)

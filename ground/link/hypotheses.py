@@ -25,30 +25,32 @@ FULL, ENTERING, LEAVING, POINT, CROSSING = range(5)
 """Which epochs a hypothesis fixes: both ends, only the later one, only the earlier one, the middle, none."""
 
 _SIGMA_UNKNOWN_PX = 1.0
-"""End error of a streak whose fit gave no usable covariance: about the on-board detection's."""
+"""End error of a streak whose fit gave no usable covariance: about that of the on-board detection."""
 
 SHORTEST_EXPOSURE_S = 1e-6
-"""Frames from outside may not tell theirs (0): a trail of no duration would have no speed."""
+"""Least exposure. Frames from outside may have no exposure (0), and a trail of no duration would have no speed."""
 
 _LOG_VETO_LOSS = float(np.log(0.03))
-"""Share of real streaks that the vetter rejects; with the crowd of rejected ones it says what finding one on a track is worth."""
+"""Log probability that the vetter rejects a real streak. With the density of rejected streaks it sets the weight of one on a
+track."""
 
 _CHANGE_POINT_TAILS = 1.5
 """Widening of the 68 % interval of an end that is a change point, so that a Gaussian covers its exponential tails."""
 
 
 _BLOCK: Final = 8192
-"""Streaks at a time: what is computed on the way to the tables is several times as large as they are."""
+"""Streaks per block. Intermediate arrays are several times as large as the tables."""
 
 
 class StreakTable(NamedTuple):
-    """What linking needs of n streaks, in columns, by frame and then by input order.
+    """Columns that linking needs of n streaks, sorted by frame and then by input order.
 
     frame : ordinal of the frame in time order. streak_id : inside it. flags : StreakFlag bits. mag, mag_err : NaN where unknown.
     row, col : (n, 3) px of end 0, middle, end 1. unit : (n, 3, 3) unit vectors of the same points at mid-exposure of their rows.
     turn_rad_s : (n, 3) angular velocity of the camera in the same axes.
     sigma_along_rad, (n, 2) of both ends; sigma_cross_rad (n,). scale_rad_px : (n,) plate scale.
-    log_odds : (n,) of being real, from the vetter, relative to the mean of all. track : (n,) of the on-board track, -1: none.
+    log_odds : (n,) of being real, from the vetter, relative to the mean of all. track : (n,) number of the on-board track, -1:
+    none.
     """
 
     frame: NDArray[np.int64]
@@ -83,7 +85,7 @@ class Nodes(NamedTuple):
 
     frame, kind : (m,). t_s : (m, 2) epochs of a and b. unit : (m, 2, 3). sigma_rad : (m, 3) along at a, along at b, cross;
     measured_rad : the same without the floor.
-    vetoed : (m,) rejected by the vetter: such a streak may join a track, and starts one only beside one that passed.
+    vetoed : (m,) rejected by the vetter. Such a streak may join a track. It starts one only together with a streak that passed.
     length_rad, duration_s, fastest_rad_s, log_clutter, log_odds : (m,). order : (m,) nodes by frame, inside a frame by rising
     component of their middle along axis `axis`; sorted_key : (m,) those components; first : (frames + 1,) offsets into both.
     """
@@ -128,9 +130,9 @@ def has_sky(streak: StreakMeasurement) -> bool:
 def streak_tables(
     streaks: Iterable[StreakMeasurement], frames: FrameTable, pixel_scale_arcsec: float
 ) -> tuple[StreakTable, StreakTable]:
-    """Columns of the streaks that have sky positions, and of those that have none, which are put on a plane of the given scale.
+    """Columns of the streaks with sky positions, and of the streaks without. The latter are put on a plane of the given scale.
 
-    Records are gone through once and not kept, so that a long run may make them one after another.
+    Records are read once and not kept, so a long run may make them one after another.
     Errors: a `ContractError` for a streak whose frame has no header.
     """
     ordinal = {int(number): k for k, number in enumerate(frames.number)}
@@ -185,7 +187,7 @@ def _columns(
 
 
 def _table(blocks: list[dict[str, NDArray[Any]]], scale_rad_px: float, *, sky: bool) -> StreakTable:
-    """The table of all blocks, which are used up; scale_rad_px holds where the streaks do not show it."""
+    """The table of all blocks; the blocks are consumed. scale_rad_px : used where the streaks do not determine the scale."""
     order = np.argsort(np.concatenate([block["frame"] for block in blocks]), kind="stable")
     joined = {name: np.concatenate([block.pop(name) for block in blocks])[order] for name in list(blocks[0])}
     scale = scale_rad_px
@@ -222,7 +224,7 @@ def _plate_scale_rad_px(
     chord, pixels = np.concatenate([own[0], step[0]]), np.concatenate([own[1], step[1]])
     usable = pixels > 20.0
     scale = float(np.median(chord[usable] / pixels[usable])) if usable.any() else default_rad_px
-    return scale if scale > 0.0 else default_rad_px  # a WCS may put all pixels on one place
+    return scale if scale > 0.0 else default_rad_px  # a broken WCS may map all pixels to one direction
 
 
 def end_errors_px(streaks: Sequence[StreakMeasurement]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -301,7 +303,7 @@ def _hypotheses(
     cut_a, cut_b = np.where(swap, cut_close, cut_open), np.where(swap, cut_open, cut_close)
     kind = np.select([cut_a & cut_b, cut_a, cut_b], [CROSSING, ENTERING, LEAVING], FULL)
     point = (flags & StreakFlag.POINT_LIKE) != 0
-    # a point has no direction: one hypothesis is enough, the other is barred as CROSSING is
+    # A point has no direction, so one hypothesis is enough. The other is excluded by the kind CROSSING.
     kind = np.where(point, np.where(second, CROSSING, POINT), kind)
 
     t_s = np.stack([np.where(swap, t_close, t_open), np.where(swap, t_open, t_close)], axis=1)
@@ -316,13 +318,13 @@ def _hypotheses(
     cross = np.repeat(table.sigma_cross_rad, 2)
     sigma[point] = np.maximum(sigma, cross[:, None])[point]
     measured = np.column_stack([sigma, cross])
-    # an instant between the ends: nothing can be said of the speed
+    # No time passes between the ends, so the speed is unknown.
     kind = np.where(~point & (duration < 1e-3 * exposure), CROSSING, kind)
     fastest = np.where(point, (length + 3.0 * scale) / np.maximum(exposure, 1e-9), np.inf)
 
     area = scale**2 * np.prod(frames.shape, axis=1)[frame]
     vetoed = (flags & StreakFlag.VETOED) != 0
-    # chance streaks are counted apart: the vetter's rejects may be thousands among tens that passed
+    # Chance streaks are counted separately: thousands may be rejected by the vetter, and tens accepted.
     crowd = count[vetoed.astype(np.int64), frame]
     octaves = np.log(2.0 * np.hypot(*frames.shape.T))[frame]
     # chance streaks: uniform over the frame, in direction and in log length; in the coordinates of the fit's residuals

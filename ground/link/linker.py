@@ -42,7 +42,7 @@ class MotionLinker:
     )
 
     def link(self, headers: Sequence[FrameHeader], streaks: Sequence[StreakMeasurement]) -> tuple[Tracklet, ...]:
-        """Tracklets of two or more frames, by falling evidence; their ids count from 0. Streaks are gone through once."""
+        """Tracklets of two or more frames, by falling evidence; their ids count from 0. Streaks are read once."""
         frames = frame_table(headers)
         tracks: list[tuple[Track, StreakTable, bool]] = []
         for table, sky in zip(streak_tables(streaks, frames, self.pixel_scale_arcsec), (True, False), strict=True):

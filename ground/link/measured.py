@@ -1,7 +1,7 @@
-"""A tracklet as its members measure it: directions and epochs of their ends, errors, and the motion through them.
+"""Measurement of a tracklet on its members: directions and epochs of their ends, errors, and the motion through them.
 
-What a linker puts into its tracklets is where its search ended: ends of single frames. What is published is measured here, the
-same way for every linker, on the members as they are published themselves.
+A linker's tracklets hold the ends of single-frame fits. The published values are measured here on the published members, in the
+same way for every linker.
 """
 
 import math
@@ -24,13 +24,13 @@ from sboc_e2e.icd.products import StreakMeasurement, Tracklet
 Array = NDArray[np.float64]
 
 EDGES: Final = ((0, StreakFlag.EDGE0), (2, StreakFlag.EDGE1))
-"""Points of a streak that the shutter dates, and the flag of those that it does not."""
+"""Points of a streak that the shutter dates, and the flags of points that it does not date."""
 SIGMA_ACCELERATION_ARCSEC_S2: Final = 0.6
 """Differential gravity on the sky, prior of the motion's acceleration."""
 LEAST_SIGMA_ARCSEC: Final = 1e-3
 """Added to every row in quadrature: rows that share all their errors still have a covariance that can be inverted."""
 LEAST_COSINE: Final = 0.25
-"""Of the angle between trail and motion; a joint fit tells little of one that lies more aslant."""
+"""Least cosine of the angle between trail and motion. A joint fit constrains a more oblique trail hardly at all."""
 INHERITED: Final = StreakFlag.EDGE0 | StreakFlag.EDGE1 | StreakFlag.SATURATED | StreakFlag.VARIABLE
 
 
@@ -38,10 +38,10 @@ INHERITED: Final = StreakFlag.EDGE0 | StreakFlag.EDGE1 | StreakFlag.SATURATED | 
 class Member:
     """A member of a tracklet.
 
-    single, final : as its frame shows it alone and as it is published, both with directions at their epochs.
+    single, final : the single-frame fit and the published streak, both with directions at their epochs.
     jacobian_arcsec : (3, 2, 2) of (east, north) by (row, col) at the three points of `final`. pointing_arcsec : one sigma of an
-    axis of its frame, sigma_rate_arcsec_s : and of the rate at which the camera turned during the exposure; end_shake : what this
-    lets expect at shutter open and close.
+    axis of its frame; sigma_rate_arcsec_s : error of the camera's rate during the exposure; end_shake : errors that this causes
+    at shutter open and close.
     group, shared_arcsec : window of a joint fit (-1: none) and (2, 3) errors that both ends share with the ends of that window.
     """
 
@@ -74,7 +74,7 @@ class _Rows:
 
 
 def measured_tracklet(tracklet: Tracklet, members: Sequence[Member]) -> Tracklet:
-    """The linker's tracklet with everything that its members measure; magnitudes are left as they are.
+    """The linker's tracklet with everything that is measured on its members; magnitudes do not change.
 
     Without two dated directions there is no motion: NaN.
     """
@@ -104,7 +104,8 @@ def measured_tracklet(tracklet: Tracklet, members: Sequence[Member]) -> Tracklet
 
 
 def _rows_of(members: Sequence[Member]) -> _Rows:
-    """The dated directions of members: both ends but those on the frame's edge; the middle of a point or an unresolved one."""
+    """The dated directions of members: both ends, except those on the frame's edge; the middle of a point or of an unresolved
+    streak."""
     found: list[tuple[Member, int, Array]] = []
     for member in members:
         streak = member.final
@@ -137,10 +138,11 @@ def _rows_of(members: Sequence[Member]) -> _Rows:
 
 
 def _slant(member: Member, point: int, heading: Array) -> float:
-    """How much larger an error across the motion is than the one across the trail that makes it: 1 but for refitted ends.
+    """Ratio of the error across the motion to the error across the trail that causes it. It is 1 except for refitted ends.
 
-    A camera that turns draws a slow object's trail aslant to its motion. The joint fit puts an end where the motion was, by
-    moving it along the trail; what the end is off across the trail then comes out across the motion, by 1 / cos of the angle.
+    If the camera turns, the trail of a slow object lies at an angle to its motion. The joint fit moves an end along the trail to
+    the place of the motion. The error of the end across the trail then appears across the motion, divided by the cosine of the
+    angle.
     """
     if point == 1 or not member.final.flags & StreakFlag.REFIT or not np.isfinite(heading).all():
         return 1.0
@@ -149,14 +151,14 @@ def _slant(member: Member, point: int, heading: Array) -> float:
 
 
 def _trail_heading(member: Member, point: int) -> Array:
-    """Direction (2,) of a trail, end 0 to end 1, east and north, as it lies before the camera at one epoch."""
+    """Direction (2,) of a trail, end 0 to end 1, east and north, with both ends at one attitude of the camera."""
     fit = member.final.fit
     along = member.jacobian_arcsec[point] @ np.array([fit.row1 - fit.row0, fit.col1 - fit.col0])
     return np.asarray(along / max(float(np.linalg.norm(along)), 1e-12))
 
 
 def turning_arcsec(streak: StreakMeasurement, sigma_rate_arcsec_s: float, point: int) -> float:
-    """What an error of the camera's rate puts into a point: nothing into the middle, opposite amounts into both ends."""
+    """Error of a point from an error of the camera's rate: zero in the middle, opposite at both ends."""
     return (point - 1) * sigma_rate_arcsec_s * 0.5e-9 * abs(float(streak.t_tai_ns[2] - streak.t_tai_ns[0]))
 
 
@@ -180,7 +182,7 @@ def _covariance_arcsec2(member: Member, point: int, heading: Array, slant: float
     trail = _trail_heading(member, point)
     side = np.array([-trail[1], trail[0]])
     if member.final.flags & StreakFlag.REFIT and np.isfinite(heading).all():
-        # the joint fit has put the attitude's errors along the motion into the ends already
+        # the joint fit has already included the attitude's errors along the motion in the ends
         beside = np.array([-heading[1], heading[0]])
         off = float(across @ block @ across) * float(np.linalg.norm(jacobian @ across)) ** 2
         off += member.pointing_arcsec**2 + turning**2
@@ -193,7 +195,7 @@ def _covariance_arcsec2(member: Member, point: int, heading: Array, slant: float
 
 
 def _motion(rows: _Rows, t_ref_ns: int) -> dict[str, Any]:
-    """Fields of a tracklet that the motion through its rows says, NaN where there are no two of them."""
+    """Fields of a tracklet from the motion through its rows; NaN with fewer than two rows."""
     nan = math.nan
     m = len(rows.t_tai_ns)
     along, cross, correlation, angle = (np.full(m, nan) for _ in range(4))
@@ -262,7 +264,7 @@ def _joint_covariance(rows: _Rows, each: Array) -> Array:
     own = each.copy()
     own[:, 0, 0] -= common[k, k]
     own[:, 1, 1] -= same_frame[k, k]
-    # what is left to a row alone is a difference of like numbers
+    # the row's own part is a difference of similar numbers
     variance, axes = np.linalg.eigh(own)
     own = (axes * np.maximum(variance, LEAST_SIGMA_ARCSEC**2)[:, None, :]) @ axes.transpose(0, 2, 1)
     out = np.zeros((2 * m, 2 * m))
@@ -311,9 +313,9 @@ def _fitted(
 
 
 def _chi2_nu(members: Sequence[Member]) -> float:
-    """Chi-square by degrees of freedom of one motion against the members as single frames show them; NaN of fewer than two.
+    """Reduced chi-square of one motion against the single-frame fits of the members; NaN for fewer than two.
 
-    Of four and more members ends that stand out count as change points do (`motion.fit_motion`).
+    With four members or more, outlying ends are weighted as change points (`motion.fit_motion`).
     """
     edges = StreakFlag.EDGE0 | StreakFlag.EDGE1
     used = [m for m in members if m.single.flags & StreakFlag.POINT_LIKE or (m.single.flags & edges) != edges]
@@ -333,7 +335,7 @@ def _chi2_nu(members: Sequence[Member]) -> float:
     along_px, cross_px = end_errors_px(streaks)
     scale = np.array([math.sqrt(abs(float(np.linalg.det(m.jacobian_arcsec[1])))) for m in used])
     sigma = np.hypot(np.column_stack([along_px, cross_px]) * scale[:, None], [[m.pointing_arcsec] for m in used]) * ARCSEC_RAD
-    # of a hypothesis the fit looks at kind, epochs, directions and errors; the rest is the search's
+    # The fit uses kind, epochs, directions and errors of a hypothesis. The other fields are for the search.
     count, none = len(used), np.zeros(len(used))
     nodes = Nodes(
         frame=np.arange(count),

@@ -1,4 +1,4 @@
-"""After the search: fragments of one object put together, and pieces of broken trails given to the track they lie on."""
+"""After the search: fragments of one object are joined, and pieces of broken trails are added to the track they lie on."""
 
 import math
 from typing import NamedTuple
@@ -14,7 +14,8 @@ from ground.link.tracks import Track
 from sboc_e2e.icd.flags import StreakFlag
 
 _GAP_FACTOR = 4
-"""Fragments may lie this many times farther apart than the search reaches: two motions predict better than one streak."""
+"""Fragments may be this many times farther apart than the reach of the search, because two motions predict better than one
+streak."""
 _PIECE_SIGMA = 6.0
 _VETOED = int(StreakFlag.VETOED)
 _SHORTEST_PIECE_PX = 8.0
@@ -68,7 +69,7 @@ def _mean_motion(nodes: Nodes, members: NDArray[np.int64]) -> NDArray[np.float64
 
 
 def _suits(one: NDArray[np.float64], others: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which of the other tracks (n, 7) lie where the mean of both motions leads, within half of the way."""
+    """Mask (n,) of the other tracks (n, 7) that lie where the mean of both motions leads, within half of the distance."""
     dt = others[:, 0] - one[0]
     way = 0.5 * (one[4:] + others[:, 4:]) * dt[:, None]
     off = np.linalg.norm(others[:, 1:4] - one[1:4] - way, axis=1)

@@ -24,7 +24,7 @@ _SLOWEST_RAD_S = 1e-6
 _STUDENT_NU = 3.0
 _ROBUST_PASSES = 4
 _ROBUST_MEMBERS = 4
-"""Tracks shorter than this have too few ends to tell which one is wrong."""
+"""Tracks with fewer members have too few ends to identify a wrong one."""
 
 
 @njit(cache=True)
@@ -250,8 +250,8 @@ def _residual_chi2(
 ) -> float:
     """Chi-square of the same rows as in `fit_motion`, from residuals; fills weights (n, 2) of a Student distribution.
 
-    robust : ends count along the trail as ``(nu + 1) ln(1 + r^2 / nu)``: they are change points, and a star or an edge may
-    have taken a piece of the trail.
+    robust : ends contribute ``(nu + 1) ln(1 + r^2 / nu)`` along the trail, because they are change points, and a star or an edge
+    may hide a piece of the trail.
     """
     chi2 = 0.0
     ends = np.empty((2, 4))

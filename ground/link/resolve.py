@@ -1,4 +1,4 @@
-"""What linking says of each streak: order of its ends by time, true epochs, tracklet."""
+"""Result of linking for each streak: order of its ends by time, true epochs, tracklet."""
 
 import math
 from collections import Counter
@@ -18,7 +18,8 @@ from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import StreakMeasurement, Tracklet
 
 DATING_ROUNDS: Final = 3
-"""The camera turns by about a hundredth of what a trail that an edge cuts is long: three rounds date its end to 1e-6 of it."""
+"""Rounds that date an end cut by the frame's edge. The camera turns by about a hundredth of the length of such a trail, so three
+rounds date its end to 1e-6 of that length."""
 
 
 def reversed_streak(streak: StreakMeasurement) -> StreakMeasurement:
@@ -36,10 +37,10 @@ def reversed_streak(streak: StreakMeasurement) -> StreakMeasurement:
 def apply_links(
     streaks: Sequence[StreakMeasurement], tracklets: Sequence[Tracklet], headers: Sequence[FrameHeader]
 ) -> tuple[StreakMeasurement, ...]:
-    """Streaks with tracklet id, ends by time, true epochs and DIRECTION_RESOLVED; the unlinked ones with SINGLE_FRAME.
+    """Streaks with tracklet id, ends by time, true epochs and DIRECTION_RESOLVED. Unlinked streaks get SINGLE_FRAME.
 
-    A member that the vetter had rejected is rehabilitated: VETOED goes. Any linker's tracklets will do: of the numbers in them
-    none is used but members and pieces (and the motion, where all members are of one frame and say nothing of it).
+    VETOED is removed from members that the vetter had rejected. The tracklets may come from any linker. Of their fields only
+    members and pieces are used, and the motion where all members are of one frame.
     Errors: a `ContractError` for a tracklet whose streak or frame is not given.
     """
     by_frame = {header.frame: header for header in headers}
@@ -74,7 +75,7 @@ def _members_resolved(
         return members
     ordered, epochs_ns, fast = [], [], []
     for s, header in zip(members, headers, strict=True):
-        # before the camera, which turns, the object moves otherwise than over the sky
+        # The motion relative to a turning camera differs from the motion over the sky.
         passing = motion - np.cross(s.turn_rad_s, _places(s, sky)[1]) if sky else motion
         length = float((_places(s, sky)[2] - _places(s, sky)[0]) @ passing)
         s = s if length >= 0.0 else reversed_streak(s)
@@ -83,7 +84,7 @@ def _members_resolved(
         ordered.append(s)
         epochs_ns.append(epochs)
         fast.append(overtakes)
-    # an end is where the shutter opened or closed, but on the frame's edge or of a piece of a broken trail
+    # The shutter made an end, unless the end is on the frame's edge or belongs to a piece of a broken trail.
     timed = np.array(
         [
             (not piece and not s.flags & StreakFlag.EDGE0, not piece and not s.flags & StreakFlag.EDGE1)
@@ -108,7 +109,7 @@ def _members_resolved(
 def _motion_of(
     members: Sequence[StreakMeasurement], tracklet: Tracklet, headers: Sequence[FrameHeader], sky: bool
 ) -> NDArray[np.float64] | None:
-    """Mean rate per second, of unit vectors or of rows and cols; of one frame's members, as the tracklet says."""
+    """Mean rate per second, of unit vectors or of rows and cols; the rate of the tracklet if all members are of one frame."""
     if len({s.frame for s in members}) > 1:
         t_ns = np.array(
             [
@@ -133,8 +134,11 @@ def _dated(
     clock: Callable[[float], float] | None,
     sky: bool,
 ) -> StreakMeasurement:
-    """A member with its epochs, the shutter's where it acted, else those at which the motion passed the end; and its directions
-    at these epochs. Without a clock an end that no shutter dated has no epoch, and its streak stays as it came."""
+    """A member with its epochs, and its directions at these epochs.
+
+    An end that the shutter made has the shutter's epoch. Another end has the epoch at which the motion passed it. Without a clock
+    (`_clock`) such an end has no epoch, and its streak does not change.
+    """
     ends = list(epochs_ns)
     if clock is None and not all(timed):
         return streak
@@ -142,7 +146,7 @@ def _dated(
         along = along_of(streak, ends)
         for k in (0, 1):
             if clock is not None and not timed[k]:
-                # the clock is a smooth fit: what it says between two places is better than what it says at one
+                # The clock is a smooth fit. It predicts a difference of two places better than the epoch of one.
                 anchor_ns = ends[1 - k] - clock(along[1 - k]) if timed[1 - k] else 0.0
                 ends[k] = round(clock(along[k]) + anchor_ns)
     flags = streak.flags | StreakFlag.DIRECTION_RESOLVED

@@ -1,5 +1,4 @@
-"""Errors that directions of a tracklet have in common: of the motion they were fitted to together, of a frame's pointing, and of
-how it turned."""
+"""Common errors of a tracklet's directions: of the jointly fitted motion, of a frame's pointing, and of the camera's turning."""
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ def common_errors(
 
 
 def common_errors_arcsec2(tracklet: Tracklet) -> tuple[Array, Array]:
-    """The same of a tracklet's directions; nothing in common where it does not say."""
+    """The same for a tracklet's directions; zero where the tracklet has no such fields."""
     m = len(tracklet.t_tai_ns)
     if len(tracklet.row_streak_ids) != m:
         return np.zeros((m, m)), np.zeros((m, m))

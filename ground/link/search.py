@@ -1,4 +1,4 @@
-"""Search for motions: pairs of streaks that one object can have made, grown frame by frame into candidates."""
+"""Search for motions: pairs of streaks that one object could have made, grown frame by frame into candidates."""
 
 import math
 
@@ -25,7 +25,7 @@ _GATE = 6.0
 
 @njit(cache=True)
 def _agrees(nodes: Nodes, node: int, chord: NDArray[np.float64], dt_s: float, floor_rad: float) -> bool:
-    """Whether a hypothesis' own shape and speed suit a mean motion of `chord` (3,) (rad) in `dt_s`."""
+    """Whether shape and speed of a hypothesis agree with a mean motion of `chord` (3,) (rad) in `dt_s`."""
     distance = math.sqrt(chord[0] ** 2 + chord[1] ** 2 + chord[2] ** 2)
     speed = distance / dt_s
     kind = nodes.kind[node]

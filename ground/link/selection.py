@@ -1,4 +1,4 @@
-"""Choice among candidate tracks: every streak to the one that needs it most; then fragments and pieces."""
+"""Choice among candidate tracks: each streak goes to the track with the most evidence; then fragments and pieces."""
 
 import math
 from dataclasses import dataclass, replace
@@ -31,7 +31,7 @@ class Search:
 _SEED_REACH = 3
 """Frames between the two streaks that start a search; an object that is seen every third frame only is found by growth."""
 _LOWEST_SEED = -12.0
-"""Log evidence of a pair below which no third streak has been seen to rescue it (two points alone say little)."""
+"""Least log evidence of a pair. Below it, no third streak was ever seen to confirm a pair."""
 
 
 def best_tracks(nodes: Nodes, table: StreakTable, frames: FrameTable, search: Search, min_log_odds: float) -> list[Track]:
@@ -53,7 +53,7 @@ def best_tracks(nodes: Nodes, table: StreakTable, frames: FrameTable, search: Se
     accepted: list[NDArray[np.int64]] = []
     accepted_gains: list[float] = []
     groups = list(tracked_groups(nodes, table, model, search.log_new))
-    for members, _ in groups:  # before any of them grows: none may take what another one came with
+    for members, _ in groups:  # Before any of them grows: no track may take a streak that another one started with.
         used[members // 2] = True
     for members, gain in groups:
         longer, longer_gain = grow(nodes, members, used, *growth)
@@ -90,7 +90,7 @@ _LEAST_PATH_PX = 2.0
 
 
 def is_static(nodes: Nodes, table: StreakTable, members: NDArray[np.int64]) -> bool:
-    """Whether a track of points goes nowhere, on the sky (a star's residual) or in the frame (a hot pixel)."""
+    """Whether a track of points does not move, on the sky (a star's residual) or in the frame (a hot pixel)."""
     if (nodes.kind[members] != POINT).any():
         return False
     streak = members // 2

@@ -1,8 +1,8 @@
-"""How much the camera shook within exposures, as the ends of trails show it across their motion.
+"""Shake of the camera within exposures, estimated from the ends of trails across their motion.
 
-An error of the rate at which the camera turned in an exposure moves the two ends of a trail opposite ways across its motion, and
-this differs from frame to frame, while the motion is one line. What attitudes of whole frames say of the shake is scaled by one
-factor for the run: the one at which trails that were measured well lie on the lines of their tracklets as well as they should.
+An error of the rate at which the camera turned in an exposure moves the two ends of a trail in opposite directions across its
+motion. This differs from frame to frame, while the motion is one line. The attitudes of whole frames give an expected shake. One
+factor for the run scales it, so that well-measured trails lie on the lines of their tracklets within their errors.
 """
 
 import math
@@ -22,19 +22,19 @@ from sboc_e2e.icd.products import StreakMeasurement, Tracklet
 Array = NDArray[np.float64]
 
 LEAST_FRAMES: Final = 4
-"""Of two and three frames the line takes up most of what their ends differ."""
+"""Least number of frames. With two or three, the line absorbs most of the difference of their ends."""
 MIDDLE_ASTRAY: Final = 0.2
-"""Error of a trail's middle across the motion that its pixels do not tell, in units of the expected shake: stars, the field."""
+"""Error of a trail's middle across the motion that its pixels do not show (stars, the field), in units of the expected shake."""
 LEAST_FREE: Final = 0.1
-"""Share of a trail's variance that the line leaves it, below which it tells nothing more."""
+"""Least share of a trail's variance that remains after the fit of the line; with less, the trail is not used."""
 CLEAREST: Final = 2.0
-"""An end whose own error is larger, in units of the expected shake, tells nothing of it."""
+"""Largest error of an end, in units of the expected shake; ends with larger errors are not used."""
 ASTRAY: Final = 0.02
 """Share of ends that err for other causes, a star on the trail or a wrong member."""
 ASTRAY_WIDTH: Final = 10.0
-"""How widely these err, in units of what attitudes and pixels let expect."""
+"""Width of their errors, in units of the errors expected from attitudes and pixels."""
 PRIOR_LOG: Final = 0.7
-"""One sigma of the factor's logarithm before trails were seen: what a random walk may miss of a spectrum."""
+"""Prior sigma of the factor's logarithm: the error of a random walk as a model of the spectrum."""
 FACTORS: Final = np.geomspace(0.1, 10.0, 93)
 UNUSABLE: Final = (
     StreakFlag.NO_SKY | StreakFlag.POINT_LIKE | StreakFlag.FIT_FAILED | StreakFlag.EDGE0 | StreakFlag.EDGE1 | StreakFlag.FAST_ROWS
@@ -43,7 +43,7 @@ UNUSABLE: Final = (
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SeenTrail:
-    """A member of a tracklet: streak, arcsec per pixel, error of its frame's rate before trails tell."""
+    """A member of a tracklet: streak, arcsec per pixel, prior error of its frame's rate."""
 
     streak: StreakMeasurement
     scale_arcsec: float
@@ -51,7 +51,7 @@ class SeenTrail:
 
 
 class Sway(NamedTuple):
-    """By trails: half the difference of both ends across the motion (n,), its error, and the shake expected in it, arcsec."""
+    """For n trails: half the difference of both ends across the motion, its error, and the expected shake in it, arcsec."""
 
     off: Array
     sigma: Array
@@ -59,7 +59,7 @@ class Sway(NamedTuple):
 
 
 def sway_of(tracklet: Tracklet, trails: Sequence[SeenTrail]) -> Sway:
-    """What the members of one tracklet tell; empty where they are too few or too faint."""
+    """Evidence of the members of one tracklet; empty if they are too few or too faint."""
     nothing = Sway(np.zeros(0), np.zeros(0), np.zeros(0))
     whole = [not piece for piece in pieces_among([t.streak for t in trails], tracklet)]
     used = [
@@ -87,17 +87,17 @@ def sway_of(tracklet: Tracklet, trails: Sequence[SeenTrail]) -> Sway:
     off = 0.5 * (across[:, 1] - across[:, 0])
     q, r = np.linalg.qr(np.concatenate([middle * by_middle[:, None], tilt * by_tilt[:, None]]))
     motion = np.linalg.solve(r, q.T @ np.concatenate([across.mean(axis=1) * by_middle, off * by_tilt]))
-    # the line follows the trails that it is laid through: what is left is smaller than what they are off
+    # The line follows the trails that it is fitted to, so residuals are smaller than errors.
     followed = np.sum(q[len(used) :] ** 2, axis=1)
     return Sway((off - tilt @ motion) / np.sqrt(np.maximum(1.0 - followed, LEAST_FREE)), sigma, shake)
 
 
 def shake_factor(sways: Iterable[Sway]) -> float:
-    """Factor on the expected shake of a run: mean of the posterior's logarithm; 1 without a trail that tells."""
+    """Factor on the expected shake of a run: posterior mean of its logarithm; 1 without a usable trail."""
     each = list(sways)
     off, sigma, shake = (np.concatenate([np.zeros(0), *(s[k] for s in each)]) for k in range(3))
     variance = sigma**2 + np.outer(FACTORS**2, shake**2)
-    # normal errors, and a few far wider ones, whatever the factor
+    # normal errors, and a few far wider ones that do not depend on the factor
     wide = ASTRAY_WIDTH**2 * (sigma**2 + shake**2)
     near = (1.0 - ASTRAY) * np.exp(-0.5 * off**2 / variance) / np.sqrt(variance)
     log = np.sum(np.log(near + ASTRAY * np.exp(-0.5 * off**2 / wide) / np.sqrt(wide) + 1e-300), axis=1)

@@ -1,4 +1,4 @@
-"""Tracklets into posteriors of range and orbit; known objects, and what they tell of clock and pointing."""
+"""Tracklets into posteriors of range and orbit; known objects, and the biases of clock and pointing from them."""
 
 from ground.orbit.bias import Bias, estimate_bias
 from ground.orbit.catalogue_match import CatalogueMatch, KnownObjects, match_catalogue, read_elements

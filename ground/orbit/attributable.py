@@ -1,7 +1,7 @@
-"""The directions of a tracklet condensed into a quadratic form that any orbit's curve can be held against.
+"""The directions of a tracklet condensed into a quadratic form, which gives the chi-square of any orbit's curve.
 
-Free are four numbers (direction and rate at the reference epoch), which every orbit can meet; what is left of the data after
-them, their curvature, is what speaks of range and range rate (Milani et al. 2004, Icarus 170, 152: the attributable).
+Four numbers are free: direction and rate at the reference epoch. Every orbit can meet them. The rest of the data, the curvature,
+constrains range and range rate (Milani et al. 2004, Icarus 170, 152: the attributable).
 """
 
 from collections.abc import Sequence
@@ -101,7 +101,7 @@ def attributable_of(tracklet: Tracklet, sigma_floor_arcsec: float) -> Attributab
 
 
 def _sigma_rad(sigma_arcsec: NDArray[np.float64], floor_arcsec: float) -> NDArray[np.float64]:
-    """One sigma with the floor added in quadrature; unknown ones count as three arcsec."""
+    """One sigma with the floor added in quadrature; an unknown sigma counts as three arcsec."""
     known = np.where(np.isfinite(sigma_arcsec) & (sigma_arcsec > 0.0), sigma_arcsec, 3.0)
     return np.asarray(np.hypot(known, floor_arcsec) * ARCSEC_RAD)
 

@@ -22,7 +22,7 @@ class Bias:
     """Late time tags (s, positive: the tags are later than the truth) and pointing (arcsec, towards east and north).
 
     covariance : (3, 3) of (time_s, east_arcsec, north_arcsec), widened by chi2_nu where that exceeds one.
-    n_used, n_clipped : directions of which both coordinates were used, and the others. chi2_nu : of what was used.
+    n_used, n_clipped : directions with both coordinates used, and the others. chi2_nu : of the used coordinates.
     """
 
     time_s: float
@@ -41,10 +41,10 @@ def estimate_bias(
 
     Directions of a tracklet share errors (joint fit, pointing of a frame), so they are weighed by their joint covariance.
 
-    A tag that is late by dt belongs to a place the object had passed dt earlier, so the object seems behind by rate x dt. The
-    camera's own states carry the same clock's tags (contract), so that they are right for the tagged epochs: the rate is that
-    of the object's motion alone, seen from a camera at rest. Time and pointing part only if objects move in different directions
-    or at different rates: the covariance says how well. None without any direction inside the tables.
+    If a tag is late by dt, the object had the measured place dt earlier, so it seems behind by rate x dt. The camera's own states
+    carry tags of the same clock (contract), so they are right for the tagged epochs. The rate is therefore that of the object's
+    motion alone, seen from a camera at rest. Time and pointing can be separated only if objects move in different directions or
+    at different rates; the covariance shows how well. Returns None without any direction inside the tables.
     """
     observer = observer_orbit(headers)
     if observer is None:
@@ -119,7 +119,7 @@ def _coordinates(
         (np.cross(seen, heading), tracklet.sigma_cross_arcsec[moves], common[1][np.ix_(moves, moves)]),
     ):
         design = np.stack([-(rate * axis).sum(1) / ARCSEC_RAD, (east * axis).sum(1), (north * axis).sum(1)], axis=1)
-        # what is left of a row's own is at least a thousandth of its variance, so that the covariance stays regular
+        # A row's own part is at least a thousandth of its variance, so that the covariance stays regular.
         own = np.maximum(sigma**2 - np.diag(shared), 1e-3 * sigma**2) + sigma_floor_arcsec**2
         values = ((seen - computed) * axis).sum(1) / ARCSEC_RAD
         made.append(_Coordinate(values=values, design=design, covariance=np.diag(own) + shared))

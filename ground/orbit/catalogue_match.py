@@ -18,9 +18,9 @@ from sboc_e2e.icd.products import Tracklet
 
 _FARTHEST_SIGMA = 4.0
 _LARGEST_CHANCE = 0.01
-"""Of a match by chance, above which a single candidate is a hypothesis too."""
+"""Largest chance-match probability of a known object. Above it, a single candidate is a hypothesis too."""
 _FIELD_COSINE = 0.95
-"""Objects within 18 deg of a tracklet tell the density around it,"""
+"""Objects within 18 deg of a tracklet give the density around it,"""
 _RATE_SHARE = 0.5
 """and of these the ones whose rates differ by less than this share of the tracklet's own."""
 _NEIGHBOURS = 10
@@ -37,10 +37,10 @@ class KnownObjects:
 
 @dataclass(frozen=True, kw_only=True)
 class Candidate:
-    """A catalogue object that a tracklet may be: distance in expected errors, and how often chance does as well.
+    """A catalogue object that fits a tracklet: distance in expected errors, and chance-match probability.
 
-    chance_probability : that at least one object which it is not lies as near in place and rate, from the density of predicted
-    objects around the tracklet.
+    chance_probability : probability that at least one unrelated object lies as near in place and rate, from the density of
+    predicted objects around the tracklet.
     """
 
     number: int
@@ -51,11 +51,11 @@ class Candidate:
 
 @dataclass(frozen=True, kw_only=True)
 class CatalogueMatch:
-    """The nearest catalogue object for a tracklet, observed minus computed, and every object that would do.
+    """The nearest catalogue object for a tracklet, observed minus computed, and every object that fits.
 
     sigmas : distance in units of the element sets' expected errors. candidates : objects within four of them, nearest first, one
-    for each number. known : one candidate and no other, which chance gives in less than one of a hundred cases; more of them,
-    or one in a crowd, stay hypotheses.
+    for each number. known : exactly one candidate, with a chance-match probability below 1 %. Several candidates,
+    or one in a crowded field, are hypotheses.
     """
 
     tracklet_id: int
@@ -72,7 +72,7 @@ class CatalogueMatch:
 
     @property
     def n_candidates(self) -> int:
-        """How many objects would do."""
+        """Number of objects that fit."""
         return len(self.candidates)
 
 
@@ -192,7 +192,7 @@ def match_catalogue(
 
 
 def _nothing_near(tracklet_id: int) -> CatalogueMatch:
-    """Of a tracklet in whose part of the sky the catalogue has no object at all."""
+    """Result for a tracklet in a part of the sky without any catalogue object."""
     nan = float("nan")
     return CatalogueMatch(
         tracklet_id=tracklet_id,

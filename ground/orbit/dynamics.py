@@ -1,4 +1,4 @@
-"""Two-body motion with the oblateness of the Earth, and the elements that a state stands for. GCRS axes, km and s.
+"""Two-body motion with the oblateness of the Earth, and osculating elements of a state. GCRS axes, km and s.
 
 The pole of the date is taken for the GCRS z axis: over the arcs of this package (minutes) the 0.15 deg between them change
 the J2 acceleration, itself a thousandth of gravity, by less than a hundredth.
@@ -11,7 +11,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 MU_KM3_S2 = 398600.4418
-"""IERS Conventions (2010), table 1.1, TCG-compatible value rounded to what seconds of arc can feel."""
+"""IERS Conventions (2010), table 1.1, TCG-compatible value, rounded to the precision that arcseconds need."""
 EARTH_RADIUS_KM = 6378.1366
 J2 = 1.0826359e-3
 LIGHT_KM_S = 299792.458

@@ -95,7 +95,7 @@ def bias_of_run(
 ) -> Bias | None:
     """Bias of time tags and pointing from those tracklets that lie within this distance of a precise orbit all along.
 
-    A tracklet near more than one orbit says nothing certain and is left out, as is one without sky or direction.
+    A tracklet near more than one orbit is ambiguous and is left out. So is one without sky positions or direction.
     """
     pairs = []
     for tracklet in tracklets:

@@ -1,8 +1,8 @@
-"""Where the camera was: one orbit through all fixes of a run, which everything on ground computes with and the OEM publishes.
+"""Orbit of the camera: one orbit through all fixes of a run. All ground software uses it, and the OEM publishes it.
 
-Fixes of GPS err from one to the next and by an error that stays; the stated sigma is of both together. What the fixes scatter
-about a smooth orbit tells the first part, the second is what is left of the stated variance and is estimated beside the orbit, so
-that the covariance neither averages away what all fixes share nor leaves out what averages.
+The error of GPS fixes has one part that changes from fix to fix and one part that is constant. The stated sigma is of both
+together. The scatter of the fixes about a smooth orbit gives the first part. The second part is the rest of the stated variance.
+It is estimated together with the orbit, so that averaging does not reduce it in the covariance.
 """
 
 from collections.abc import Sequence
@@ -33,7 +33,7 @@ _NODE_STEP_S: Final = 10.0
 """Between nodes a cubic Hermite polynomial is 0.2 mm and 0.1 mm/s off in a low orbit."""
 _PUSHES_KM_S2: Final = (1e-5, 1e-7)
 """Unmodelled acceleration tried, one sigma: the size of the J2 term itself, for orbits that are no solutions of the equations of
-motion; and that of the next terms of the Earth's field. The first stands unless the fixes prefer the second."""
+motion; and that of the next terms of the Earth's field. The first is used unless the fixes prefer the second."""
 _PUSH_TIME_S: Final = 600.0
 _CLEARLY_BETTER: Final = 2.0
 _REJECTED_SIGMA: Final = 6.0
@@ -104,7 +104,7 @@ class ObserverOrbit:
         return out
 
     def _shares(self, t_ns: NDArray[np.int64]) -> list[tuple[ObserverArc, NDArray[np.bool_]]]:
-        """Which epochs (m,) each arc answers for: up to the middle between its fixes and those of its neighbours."""
+        """For each arc the mask (m,) of its epochs: up to the middle between its fixes and those of its neighbours."""
         turns = [(one.last_tai_ns + two.first_tai_ns) // 2 for one, two in pairwise(self.arcs)]
         owner = np.searchsorted(np.array(turns, dtype=np.int64), t_ns, side="right")
         return [(arc, owner == k) for k, arc in enumerate(self.arcs)]
@@ -221,7 +221,7 @@ def _moved(state: Array, dt_s: Array, spin: Array) -> Array:
 
 
 def _agreeing(t_s: Array, state: Array, sigma: Array, spin: Array) -> NDArray[np.bool_]:
-    """Which fixes lie near the median of what up to eight neighbours predict for their epochs; all where that leaves none."""
+    """Mask of the fixes near the median of the predictions of up to eight neighbours; all fixes if none would remain."""
     n = len(t_s)
     if n < 3:
         return np.ones(n, dtype=bool)

@@ -1,4 +1,4 @@
-"""Weighted orbits over an adaptive grid of ranges, and what is reported of them."""
+"""Weighted orbits over an adaptive grid of ranges, and their reported summary."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
@@ -22,8 +22,8 @@ _LOG_CUT = 14.0
 class Posterior:
     """Weighted orbits: weight (n,) sums to one; range_km, a_km, e, i_rad (n,). log_range (k,) and density (k,) per ln range.
 
-    range_rate_km_s, rate_width_km_s : (n,) and how much of the range rate each stands for. rate_shift_rad_s : (n, 2) correction
-    of the nominal transverse rate.
+    range_rate_km_s, rate_width_km_s : (n,) range rate, and the interval of range rate that each orbit represents.
+    rate_shift_rad_s : (n, 2) correction of the nominal transverse rate.
     """
 
     weight: NDArray[np.float64]
@@ -136,8 +136,8 @@ def modes(posterior: Posterior, medians_of_all: Sequence[float]) -> NDArray[np.f
     """Range modes (k, 5) by falling weight: range (km) at the peak, weight, and medians of a (km), e, i (deg) around it.
 
     A mode is a peak of the density per ln(range), running mean over five ranges, together with everything up to the valleys
-    beside it. A valley higher than half of the lower peak does not divide, nor does one that leaves less than 2 % on a side.
-    The weights sum to one. medians_of_all : of a, e, i, which are those of a single mode.
+    next to it. A valley does not divide if it is higher than half of the lower peak, or if it leaves less than 2 % on a side.
+    The weights sum to one. medians_of_all : medians of a, e, i over the whole posterior, used for a single mode.
     """
     density = np.convolve(np.pad(posterior.density, 2, mode="edge"), np.full(5, 0.2), mode="valid")
     peaks = np.flatnonzero(np.diff(np.sign(np.diff(np.concatenate([[-1.0], density, [-1.0]])))) < 0)

@@ -1,4 +1,4 @@
-"""What is known of an orbit before it is seen: catalogued debris, breakup velocities, fat tails.
+"""Prior of orbits: catalogued debris, breakup velocities, and wide tails.
 
 Densities are of (a, e, i) with uniform node, perigee and anomaly. In Delaunay variables phase space has unit Jacobian, so
 ``p(r, v) = p(a, e, i) / ((2 pi)^3 * mu^1.5 a^0.5 e sin(i) / 2)`` (Goldstein, Poole & Safko 2002, section 10.8): space
@@ -29,7 +29,7 @@ class PriorTable(NamedTuple):
     """Element density as cells: probability per (km, 1, rad) in `density` (na, ne, ni), and weights of the analytic parts.
 
     tail_share : log-uniform in a, uniform in e below the decay limit, isotropic in inclination. ring_share : the
-    geostationary ring and what has left it.
+    geostationary ring and objects that have left it.
     """
 
     a_edges_km: NDArray[np.float64]

@@ -31,9 +31,9 @@ _MAG_UNKNOWN = 12.0
 class RangeScan:
     """Scan range; at each one weigh range rates and transverse rates by the data, by the population's orbits and sizes.
 
-    The prior carries the range of short arcs: catalogued LEO fragments, the same with the NASA model's breakup velocities,
-    and a tail that allows any bound orbit. Phase space is measured as it is (d3r d3v), so its volume vanishes at the camera
-    and the camera's own orbit, always a solution of the equations, is never one of the posterior's.
+    The prior determines the range of short arcs: catalogued LEO fragments, the same with the NASA model's breakup velocities,
+    and a tail that allows any bound orbit. The measure of phase space is d3r d3v. Its volume vanishes at the camera. The camera's
+    own orbit, which always solves the equations, therefore has no weight in the posterior.
     """
 
     breakup_share_small: float = field(
@@ -114,7 +114,7 @@ class RangeScan:
         state: OrbitState,
         phase_rad: float,
     ) -> OrbitEstimate:
-        """The contract's record of a posterior; the size takes the magnitude's and the albedo's scatter with it."""
+        """The contract's record of a posterior. The size includes the scatter of the magnitude and of the albedo."""
         weight = posterior.weight
         position = observer[:3] + posterior.range_km[:, None] * data.axes[2]
         altitude = np.linalg.norm(position, axis=1) - _EARTH_RADIUS_KM
@@ -182,7 +182,7 @@ class RangeScan:
         )
 
     def _words(self) -> str:
-        """What was assumed."""
+        """The assumptions, in words."""
         return (
             f"phase-space volume; orbits of catalogued LEO fragments (2023), with NASA breakup velocities for "
             f"{100 * self.breakup_share_small:.0f} % of objects below {100 * self.small_below_m:g} cm and "

@@ -109,7 +109,7 @@ def smooth_arc(
     """States (n, 15), covariances (n, 15, 15) at the nodes, and the logarithm of the likelihood of the fixes.
 
     t_s : (n,) rising. fix, sigma : (n, 6) km, km/s; used : (n,) False for nodes without a fix. start, start_sigma : (6,) a state
-    at the first node and how little it is believed.
+    at the first node and its prior sigma.
     """
     n = len(t_s)
     filtered, predicted = np.empty((n, N_STATE)), np.empty((n, N_STATE))

@@ -1,4 +1,4 @@
-"""The posterior of a tracklet as states: equally probable samples, their mean and covariance, and whether these say it all."""
+"""The posterior of a tracklet as states: equally probable samples, their mean and covariance, and a test of normality."""
 
 from dataclasses import dataclass
 from typing import Final
@@ -21,7 +21,8 @@ N_DRAWN: Final = 2048
 N_PUBLISHED: Final = 256
 _SEED: Final = 20270129
 _LARGEST_DEVIATION: Final = 0.12
-"""Of a distribution function from that of the normal one: an interval then holds at most so much more or less than it says."""
+"""Largest difference of a distribution function from the normal one. The content of an interval then errs by at most this
+much."""
 _LARGEST_TAIL: Final = 0.015
 """Share beyond the surface that leaves out 0.1 % of a normal distribution (chi-square of six, 22.46)."""
 _TAIL_CHI2: Final = 22.458
@@ -41,11 +42,11 @@ class Shape:
 
     @property
     def gaussian(self) -> bool:
-        """Whether a mean and a covariance may stand for the samples."""
+        """Whether mean and covariance describe the samples."""
         return self.deviation < _LARGEST_DEVIATION and self.tail < _LARGEST_TAIL
 
     def words(self) -> str:
-        """The figures beside what is allowed."""
+        """The figures of the test and their limits, in words."""
         return (
             f"largest deviation of a distribution function from the normal one {self.deviation:.3f} (Gaussian below "
             f"{_LARGEST_DEVIATION:g}), share beyond the 99.9 % surface {100 * self.tail:.2f} % (below {100 * _LARGEST_TAIL:g} %)"
@@ -70,7 +71,8 @@ def state_of(posterior: Posterior, data: Attributable, problem: Problem, observe
     """States at the attributable's reference epoch: direction, rate, range and range rate, and where the camera was.
 
     observer_covariance : (6, 6) km, km/s at that epoch. The samples come from the weighted orbits by systematic resampling in
-    order of their range (Kitagawa 1996, J. Comput. Graph. Stat. 5, 1), so that none is left out that weighs as much as a sample.
+    order of their range (Kitagawa 1996, J. Comput. Graph. Stat. 5, 1), so that every orbit with the weight of a sample is
+    included.
     """
     rng = np.random.default_rng(_SEED)
     order = np.lexsort((posterior.range_rate_km_s, posterior.range_km))

@@ -1,4 +1,4 @@
-"""Stars to take out of streak pixels: as remembered from earlier frames, as the catalogue predicts, else as measured."""
+"""Stars to subtract from streak pixels: from the memory of earlier frames, from the catalogue, else as measured."""
 
 from dataclasses import dataclass, fields
 
@@ -40,7 +40,7 @@ class KnownStars:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FrameLight:
-    """What the pixels of a frame's streaks are freed from and fitted with: the known stars, the PSF's width."""
+    """Known stars, which are subtracted from the pixels of a frame's streaks, and the PSF width of the fits."""
 
     stars: KnownStars
     psf: PsfField

@@ -69,7 +69,7 @@ def magnitude_at_1deg_s(
 ) -> tuple[float, float]:
     """Magnitude of a trail that the frame's edge cuts if it moved by 1 deg/s, and its error; NaN for any other trail.
 
-    The density of a trail is brightness over speed whatever the shutter, so at another rate the magnitude is this one less
+    The density of a trail is brightness over speed for any shutter. At another rate the magnitude is therefore this one minus
     2.5 log10(rate in deg/s).
     """
     if not streak.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1):

@@ -2,9 +2,9 @@
 
 A matched-filter S/N is ``flux sqrt(sum p^2) / sigma``, p the PSF that the extractor measured where the star stands. Flux,
 S/N and the background's sigma thus give the PSF's noise-equivalent area ``1 / sum p^2 = 4 pi sigma_psf^2`` (King 1983,
-PASP 95, 163) all over the field. Its scale hangs on the sigma that the extractor used; its run over the field does not, and
-only that is taken: the width grows as the square of the distance from the axis. On the axis it is the one that the frame
-brings along from the extractor's own fits, or the nominal one.
+PASP 95, 163) all over the field. Its scale depends on the sigma that the extractor used, but its relative change over the
+field does not. Only this change is used: the width grows as the square of the distance from the axis. On the axis the width is
+the one that the frame has from the extractor's fits, or the nominal one.
 """
 
 from dataclasses import replace

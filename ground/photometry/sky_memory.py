@@ -1,9 +1,9 @@
 """Level of the sky under the trails: the meshes of a run's frames averaged for as long as the sky stays the same.
 
 The mesh of one frame errs by 0.02 of a pixel's noise (sampling of its tiles, step of its transmission) and holds a per cent of
-the light of the trails that cross its tiles. No pixel feels that, but a trail of 150 px collects it to a third of a sigma of its
-flux. Both change from frame to frame while the sky does not: a Kalman filter of the nodes, with one variance for all of
-them, follows them as fast as they change by more than they scatter.
+the light of the trails that cross its tiles. This does not matter for one pixel, but a trail of 150 px sums it to a third of a
+sigma of its flux. Both errors change from frame to frame while the sky does not. A Kalman filter of the nodes, with one variance
+for all of them, follows changes that exceed the scatter.
 """
 
 from dataclasses import dataclass, replace
@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sboc_e2e.icd.downlink import DownlinkFrame
 
 LARGEST_SCATTER: Final = 0.04
-"""Of a node from frame to frame, in pixel sigmas: what scatters more is a sky that changes."""
+"""Largest scatter of a node from frame to frame, in pixel sigmas. A larger scatter means that the sky changes."""
 
 CLIP_SIGMAS: Final = 3.5
 ROUNDS: Final = 3
@@ -23,7 +23,7 @@ ROUNDS: Final = 3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SkyMemory:
-    """What the frames so far showed; picklable.
+    """Filtered sky of the frames so far; picklable.
 
     level_adu : (rows, cols) filtered level less its mean. latest_adu : of the last frame alone. variance_adu2 : of a node of the
     first; NaN after one frame. settings : what must not change: tile, gain, exposure, window.
@@ -51,7 +51,7 @@ def filtered_sky(memory: SkyMemory | None, frame: DownlinkFrame) -> tuple[SkyMem
     scatter2 = 0.5 * _spread2(latest - memory.latest_adu)
     noise2 = max(min(scatter2, (LARGEST_SCATTER * float(np.median(mesh.sigma_adu))) ** 2), 1e-12)
     innovation = latest - memory.level_adu
-    # what the innovations scatter beyond the frame's own noise is the error of the memory, however it came about
+    # The scatter of the innovations beyond the frame's own noise is the error of the memory.
     before2 = max(np.nan_to_num(memory.variance_adu2), _spread2(innovation) - noise2)
     gain = before2 / (before2 + noise2)
     offset = float(innovation.mean())

@@ -1,4 +1,4 @@
-"""Stars that slow movers hide: as the regions of earlier frames showed them.
+"""Stars that slow movers hide, taken from the regions of earlier frames.
 
 The on-board memory sends the stars under a region, but none within 3 px of a point-like detection, which may be the object
 itself. An object that moves by 2 px from frame to frame has hidden nothing a few frames earlier, when the star still lay
@@ -20,7 +20,7 @@ from sboc_e2e.icd.signals import StarList
 
 FRAMES_KEPT: Final = 12
 FEWEST_FRAMES: Final = 2
-"""A star must have been sent with so many of them: what moves is at no place of the sky twice."""
+"""Least number of frames that sent a star. A moving object is never at the same place of the sky twice."""
 
 SAME_STAR_PX: Final = 1.0
 SHORT_PX: Final = 6.0
@@ -76,7 +76,7 @@ def _hidden(memory: tuple[EarlierStars, ...], frame: DownlinkFrame, solution: Fr
     while len(values):
         same = np.hypot(values[:, 0] - values[0, 0], values[:, 1] - values[0, 1]) < SAME_STAR_PX
         if len(np.unique(number[same])) >= FEWEST_FRAMES:
-            # the entries are means over the same few frames, so that many of them know no more than one
+            # The entries are means over the same few frames, so several of them have no more information than one.
             out.append([*values[same].mean(axis=0)])
         values, number = values[~same], number[~same]
     found = np.array(out).reshape(-1, 4)

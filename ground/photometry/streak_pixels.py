@@ -39,7 +39,8 @@ def streak_pixels(
     relative = np.where(good_flat, flat / max(float(flat[good_flat].mean()) if good_flat.any() else 1.0, 0.05), 1.0)
     dark = calibration.dark_adu[row, col].astype(np.float64)
     level, sigma = background_at(frame, row, col)
-    # integer frames were sent less the rounded dark; the mesh was measured on the same differences. Float frames lost all of it
+    # Integer frames were sent minus the rounded dark, and the mesh was measured on the same differences. Float frames were sent
+    # minus # the whole dark.
     dark_rest = dark - np.rint(dark) if frame.adu_scale == 1.0 else 0.0
     measured = value_adu - dark_rest - level
     value_e = measured * gain / relative

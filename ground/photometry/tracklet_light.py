@@ -1,13 +1,13 @@
-"""Mean light of a tracklet whose object may tumble: its error holds what the light curve hides, not only the noise.
+"""Mean light of a tracklet whose object may tumble. Its error includes the unobserved part of the light curve.
 
-Stated is V of the object's mean light over its light curve, at the mean epoch of the exposures. Relative fluxes are
+The result is V of the object's mean light over its light curve, at the mean epoch of the exposures. Relative fluxes are
 
     f_i = F [1 + g (t_i - t_mean) + a cos(2 pi t_i / P) + b sin(2 pi t_i / P) + second harmonic] + w_i + noise_i
 
 with a slow trend g (the range changes), a curve of unknown period P with two harmonics, and scatter w without memory for
 everything that is faster or of another shape. Given P and the scales of a, b and w, F is the mean of a normal distribution in
-closed form; the posterior is the mixture over a grid of periods and scales. With one exposure that is the prior of unseen
-variation, with a whole turn the fitted mean of the curve; a period that the arc is too short for stays in the error.
+closed form. The posterior is the mixture over a grid of periods and scales. With one exposure it is the prior of unobserved
+variation, with a whole turn the fitted mean of the curve. A period that is too long for the arc stays in the error.
 """
 
 from collections.abc import Sequence
@@ -27,11 +27,11 @@ Array = NDArray[np.float64]
 
 VARIABLE_SHARE: Final = 1.0 / 3.0
 """Objects whose light varies, before the data: fragments of break-ups mostly tumble, others have come to rest. ASSUMED; the
-posterior of a tracklet of a turn or more hardly feels it."""
+posterior of a tracklet of a turn or more hardly depends on it."""
 
 PERIODS_S: Final = (0.05, 30.0)
 """Periods are log-uniform between these: tumbling debris turns in a fraction of a second to minutes (Silha et al. 2018, ASR 61,
-844), and what turns more slowly is as good as steady for a passage of seconds."""
+844), and slower rotation is practically steady during a passage of seconds."""
 
 SCALES: Final = (0.07, 0.2, 0.45)
 """Standard deviations of a and b, relative to the mean light, each as probable as the others."""
@@ -52,8 +52,9 @@ TREND_PER_RADIAN: Final = 2.0
 rate is of the order of the transverse velocity."""
 
 SHARED_ERROR_MAG: Final = 0.008
-"""What the members of a tracklet share and no scatter shows: the flat's slope along the path, the width of the PSF, the
-catalogue's colours. Steady objects with errors of the mean of 0.002 to 0.008 mag alone lie 0.01 mag rms off (`sso_antisun`)."""
+"""Common error of the members of a tracklet, which their scatter does not show: the flat's slope along the path, the PSF width,
+the catalogue's colours. Steady objects with errors of the mean of 0.002 to 0.008 mag alone lie 0.01 mag rms off
+(`sso_antisun`)."""
 
 FEWEST_BINS: Final = 4
 MOST_BINS: Final = 12

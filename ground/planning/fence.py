@@ -1,8 +1,8 @@
 """A fence across the geostationary ring: fields along a meridian, one after another, again and again.
 
 An object of the ring drifts through the meridian once a day. It cannot slip through if it stays in the field for longer than the
-camera needs to come back to it. The fence stands in space, on the ring itself, so that the parallax of a camera in low orbit
-(10 deg to both sides) moves it no more than the objects that pass.
+camera needs to return to it. The fence is fixed in space on the ring itself. The parallax of a camera in low orbit (10 deg to
+both sides) therefore moves it in the same way as the passing objects.
 """
 
 from dataclasses import dataclass, field

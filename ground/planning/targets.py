@@ -17,7 +17,7 @@ _ROTATION_STEP_NS = 6 * 3600 * 10**9
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Targets:
-    """m objects. weight : (m,) what knowledge of each is worth. size_m : (m,) diameters."""
+    """m objects. weight : (m,) weight of the knowledge of each in the goal. size_m : (m,) diameters."""
 
     known: KnownObjects
     weight: Array

@@ -31,7 +31,7 @@ def windows_of(
     t_tai_ns: NDArray[np.int64],
     allowed: NDArray[np.bool_],
 ) -> Windows:
-    """Windows within the instants t_tai_ns (n,), at which `allowed` (m, n) says what is; brightness does not count.
+    """Windows within the instants t_tai_ns (n,), where `allowed` (m, n) is True; brightness is not considered.
 
     A window that lies between two instants is not found, nor is a gap.
     """

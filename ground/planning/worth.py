@@ -1,9 +1,9 @@
-"""What a visit adds to what is known of an orbit.
+"""Information that a visit adds on an orbit.
 
 The unknowns are the six equinoctial elements at the start of the plan, each in units of its error there, so that what is known
 at first is the unit matrix. A visit measures two angles. Its worth is half the logarithm of the determinant of the knowledge
 after it over that before (nats; Lindley 1956, Ann. Math. Stat. 27, 986), which falls with each further visit. The partial
-derivatives are those of two-body motion: over the days of a plan the oblateness turns the orbit, but hardly what a visit tells.
+derivatives are of two-body motion. Over the days of a plan the oblateness turns the orbit, but hardly changes the derivatives.
 """
 
 from dataclasses import dataclass
@@ -23,8 +23,8 @@ _STEP: Final = 1e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Views:
-    """k possible observations. target, slot : (k,). told : (k, 2, 6) derivatives of two angles by the elements, in units of the
-    errors of both."""
+    """k possible observations. target, slot : (k,). told : (k, 2, 6) derivatives of the two angles by the elements, in units of
+    the errors of both."""
 
     target: NDArray[np.int64]
     slot: NDArray[np.int64]
@@ -40,7 +40,7 @@ def views_of(
     sigma_rad: Array,
     knowledge: KnowledgeOptions,
 ) -> Views:
-    """Observations of targets, of which `state` (m, 6) is the state at the start, dt_s (n,) after it.
+    """Observations of targets. state : (m, 6) at the start of the plan. dt_s : (n,) epochs of the slots after it.
 
     target, slot : (k,) which and when. line_km : (k, 3) from the station. sigma_rad : (k,) error of each angle.
     """

@@ -75,7 +75,7 @@ def _segment(arc: ObserverArc, span_ns: tuple[int, int], names: ProductOptions) 
 
 
 def _how_made(arc: ObserverArc) -> list[str]:
-    """What the states are, for whoever has nothing but the message."""
+    """COMMENT lines that describe the states to a reader who has only the message."""
     if arc.kind == "site":
         motion = "a point that turns with the Earth about the pole of date"
     else:

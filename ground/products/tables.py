@@ -75,7 +75,7 @@ def _frames_table(
     said: Sequence[tuple[FrameFlag, float | None, Housekeeping | None]],
     columns: Sequence[CameraParameter],
 ) -> Table:
-    """said : flags, PSF width and counters from on board. columns : of the cameras, as the run's first one has them."""
+    """said : flags, PSF width and counters from on board. columns : parameter columns of the run's first camera."""
     counters = [housekeeping for _, _, housekeeping in said]
     solved = np.array([not s.flags & FrameFlag.NO_SOLUTION for s in solutions], dtype=bool)
     ra, dec = _centre_directions(headers, solutions)
@@ -452,7 +452,7 @@ def _text(values: Sequence[str]) -> Any:
 
 
 def _floats(records: Sequence[object], name: str) -> NDArray[np.float64]:
-    """A field of records as floats in every piece of a table, whatever numbers a step gave."""
+    """A field of records as floats in every piece of a table, for any number type that a step returned."""
     return np.array([getattr(record, name) for record in records], dtype=np.float64)
 
 

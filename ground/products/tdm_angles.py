@@ -1,6 +1,6 @@
-"""What a tracking message has no fields for: errors of each of its directions, and where each comes from; a table beside it.
+"""Companion table of a tracking message: errors and origin of each direction, for which the message has no fields.
 
-Rows are those of the message, in its order, with its epochs and angles. Errors of two rows i and j of one tracklet:
+The rows are the angles of the message, in its order, with its epochs. Errors of two rows i and j of one tracklet:
 along the motion ``shared[i] @ shared[j]`` where both are of one `shared_group`, and along as well as across ``pointing[i]
 pointing[j]`` where both are of one frame, across also ``turning[i] turning[j]``; all else is each row's own.
 """

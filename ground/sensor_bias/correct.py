@@ -48,7 +48,7 @@ def nearest(sessions: Sequence[SensorBias], t_tai_ns: int) -> SensorBias:
 
 
 def corrected(track: Track, bias: SensorBias) -> Track:
-    """A track with true epochs and directions, as far as the bias tells."""
+    """A track with epochs and directions corrected for the bias."""
     east = np.cross([0.0, 0.0, 1.0], track.direction)
     east /= np.linalg.norm(east, axis=1, keepdims=True)
     north = np.cross(track.direction, east)

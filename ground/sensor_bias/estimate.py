@@ -189,7 +189,7 @@ def _part(track: Track, orbit: PreciseOrbit, place: Place, shares_clock: bool) -
 
 
 def _variances(left: Sequence[Array], use: Sequence[NDArray[np.bool_]]) -> tuple[Array, Array]:
-    """Variance within tracks and of what each track shares, (2,) along and across (analysis of variance)."""
+    """Variance within tracks, and of the common error of each track, (2,) along and across (analysis of variance)."""
     groups = [r[chosen] for r, chosen in zip(left, use, strict=True) if chosen.sum() > 1]
     inside = sum(((g - g.mean(axis=0)) ** 2).sum(axis=0) for g in groups)
     own = np.asarray(inside) / max(sum(len(g) - 1 for g in groups), 1)

@@ -268,7 +268,7 @@ class Writer:
         self._decide("status", by, at_tai_ns, {"object_id": object_id, "status": status, "why": why})
 
     def merge(self, kept: int, other: int, *, by: str, at_tai_ns: int, why: str) -> None:
-        """Two objects were one: the other's accepted tracklets become those of the one that is kept."""
+        """Merge two objects: the kept object takes the other's accepted tracklets."""
         for object_id in (kept, other):
             self._require(object_id)
         if kept == other:
@@ -282,7 +282,7 @@ class Writer:
         self._decide("merge", by, at_tai_ns, {"kept": kept, "merged": other, "tracklets": len(rows), "why": why})
 
     def split(self, object_id: int, tracklet_ids: Iterable[int], name: str, *, by: str, at_tai_ns: int, why: str) -> int:
-        """Some tracklets of an object were of another: they become those of a new one; its number."""
+        """Split an object: move some of its tracklets to a new object. Returns the number of the new object."""
         self._require(object_id)
         wanted = sorted(set(tracklet_ids))
         a = schema.ASSOCIATIONS

@@ -29,7 +29,7 @@ from ground.streaks.trail_model import (
 from ground.streaks.trail_pixels import TrailPixels
 
 BEYOND_PX: Final = 1e7
-"""Where an end is put that lies beyond the frame's edge."""
+"""Coordinate of an end beyond the frame's edge."""
 
 SEARCH_STAGES: Final = ((2.5, 3), (1.6, 3), (1.0, 5))
 """Widening of the PSF and iterations of each stage of the search for the line."""
@@ -200,7 +200,7 @@ def find_line(
     sagitta_px: float,
     max_shift_px: float,
 ) -> LineFit | None:
-    """The line near the detection's, its ends taken as given; None where it runs away or holds no light."""
+    """The line near that of the detection, with given ends; None if it diverges or has no light."""
     near = pixels.near(max_shift_px + 3.0 * width_px + abs(sagitta_px))
     if near.u.size < 8:
         return None

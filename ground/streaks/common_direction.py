@@ -11,17 +11,17 @@ from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
 
 DIRECTION_SCATTER_RAD: Final = 1e-3
-"""How much the directions of one motion differ from frame to frame through the camera's distortion."""
+"""Scatter of the directions of one motion from frame to frame by the camera's distortion."""
 
 LARGEST_SCATTER: Final = 4.0
-"""Median of (difference / error)^2 of the directions, 0.45 by chance, above which they are not one direction."""
+"""Largest median of (difference / error)^2 of one common direction; chance gives 0.45."""
 
 
 def common_turns(fits: Sequence[StreakFit]) -> NDArray[np.float64]:
     """(n,) angles (rad) by which each trail's line should be turned: towards the direction that all of them share.
 
-    A path is straight in a camera that does not roll, but for its distortion. Ends of a faint trail are found along its line, and
-    one that noise turned leads them astray. Zero where the lines differ by more than chance, and of fits that failed.
+    A path is straight in a camera that does not roll, apart from distortion. Ends of a faint trail are found along its line, so a
+    line turned by noise gives wrong ends. The angle is zero where the lines differ by more than chance, and for failed fits.
     """
     turns = np.zeros(len(fits))
     used = [i for i, f in enumerate(fits) if not f.flags & (StreakFlag.FIT_FAILED | StreakFlag.POINT_LIKE) and f.length_px > 1.0]

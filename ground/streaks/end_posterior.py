@@ -4,7 +4,7 @@ Below S^2 ~ 7.3 L / sigma the ends of a trail are change points: the likelihood 
 of them, maximum likelihood scatters by sqrt(26) L / S^2 and biases the flux upwards; the posterior mean scatters by
 sqrt(16 zeta(3)) L / S^2 (Ibragimov & Khasminskii 1981; Rubin & Song 1995). So both ends and the density are integrated,
 not maximised. Given the density, the two ends are independent as long as their PSFs do not overlap, because each
-pixel between them counts as lit whatever the other end does: the joint posterior is a short sum over densities of
+pixel between them counts as lit for any place of the other end. The joint posterior is a short sum over densities of
 products of two one-dimensional posteriors, each made from cumulative sums of the pixels' log-likelihood ratios.
 
 The noise of a lit pixel is ``variance + mean`` (Gaussian with the object's own Poisson noise), so the variance itself

@@ -1,4 +1,4 @@
-"""Where the ends of a trail are, roughly: change points of the running log-likelihood ratio along its line.
+"""Approximate ends of a trail: change points of the running log-likelihood ratio along its line.
 
 The PSF's soft edge is neglected here; `end_posterior` does the rest. Whether an end is an end at all, or the trail runs
 out of the image, is decided here too.
@@ -22,7 +22,7 @@ SET_EDGE_PROBABILITY: Final = 0.5
 """A trail that the detector says leaves the image is believed unless the pixels say otherwise, and the reverse."""
 
 COVERED_PX: Final = 3.0
-"""How near the pixels must come to the image's edge before they can tell whether the trail leaves it."""
+"""Largest distance of the pixels from the image's edge at which they can show whether the trail leaves the image."""
 
 
 @dataclass(frozen=True, kw_only=True)

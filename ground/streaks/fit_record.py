@@ -28,7 +28,7 @@ EXTENDED_SIGMAS: Final = 3.0
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrailResult:
-    """What the fit found. `ends` refers to axes whose origin is `shift_px` before that of `line`'s, along the trail."""
+    """Result of the fit. `ends` refers to axes whose origin lies `shift_px` before that of `line`, along the trail."""
 
     line: LineFit
     ends: EndPosterior
@@ -204,7 +204,7 @@ def _flux(result: TrailResult) -> tuple[float, float]:
 
 
 def _trail_flags(pixels: StreakPixels, detection: Detection, result: TrailResult, gaussian_ends: bool) -> StreakFlag:
-    """Detection's flags with what the fit says instead of what the detector guessed."""
+    """The detection's flags, with those of the fit in place of the detector's guesses."""
     guessed = StreakFlag.POINT_LIKE | StreakFlag.EDGE0 | StreakFlag.EDGE1 | StreakFlag.CURVED | StreakFlag.COSMIC_LIKE
     flags = detection.flags & ~guessed
     parameters = result.line.parameters
@@ -229,7 +229,7 @@ def _trail_flags(pixels: StreakPixels, detection: Detection, result: TrailResult
 def point_record(pixels: StreakPixels, detection: Detection, point: PointFit, wide: PointFit | None) -> StreakFit:
     """The product record of a source that does not trail: both ends at its centre; `wide`: the fit with free width.
 
-    A bright source that moves by a pixel or two shows that it is wider than the PSF, and has its light from the wide fit.
+    A bright source that moves by a pixel or two is visibly wider than the PSF. Its light comes from the wide fit.
     """
     matched_snr = point.snr
     width, width_err = (pixels.psf_sigma_px, math.inf)

@@ -1,4 +1,4 @@
-"""Light that is not the trail's: stars under it, crossing streaks, particle hits. Found in the residuals, then left out.
+"""Light from other sources on a trail: stars under it, crossing streaks, particle hits. It is found in the residuals and masked.
 
 A frame holds a star above S/N 5 in every 500 pixels, so most trails cross one that no list names. Point sources are looked for
 with the PSF on the residuals of the trail; where the trail itself is bright enough to vary, on the residuals of its

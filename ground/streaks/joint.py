@@ -1,4 +1,4 @@
-"""Joint refit of all frames of a tracklet: its common rate and the known epochs pin the ends along the track.
+"""Joint refit of all frames of a tracklet: its common rate and the known epochs determine the ends along the track.
 
 In one faint frame the ends are change points, good to 4.39 L / S^2. But all frames of a tracklet show one motion: two
 numbers (where, how fast) or three (with a change of rate) fix the 2 n ends of n frames, because the epochs of shutter
@@ -8,9 +8,8 @@ then the posterior means under the common motion.
 
 For the caller (after linking): build one `TrackletFrame` for each streak, ends in time order (`reversed_ends`), and
 call `refit_tracklet`; the refitted `StreakFit` of each frame comes back in the same order, flagged REFIT, with the errors
-that all of them share. Only the
-along-track coordinate changes; frames that say nothing (edge to edge, failed) are returned as they came. Pointing errors
-common to a frame are not known here: where they matter, give their along-track sigma as `sigma_frame`.
+that all of them share. Only the along-track coordinate changes. Frames without information (edge to edge, failed) are returned
+unchanged. Pointing errors common to a frame are not known here. Where they matter, give their along-track sigma as `sigma_frame`.
 """
 
 import math
@@ -42,13 +41,13 @@ SAMPLES: Final = 4096
 
 ROUNDS: Final = 5
 EFFECTIVE_SAMPLES: Final = 400.0
-"""Rounds of re-centring the proposal end when the weights are worth this many independent draws."""
+"""The proposal is re-centred until the weights are equivalent to this many independent draws."""
 
 LEAST_PIXELS: Final = 20
 """Fewer lit pixels give no brightness."""
 
 LEAST_LIT: Final = 1e-3
-"""Light of a pixel, over that of the brightest, below which it tells nothing of the trail's."""
+"""Least light of a pixel, relative to the brightest pixel, that is used for the brightness of the trail."""
 
 STUDENT_FREEDOM: Final = 4.0
 """Tails of the proposal: heavier than those of the product of change-point likelihoods."""
@@ -80,7 +79,7 @@ class TrackletFrame:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Evidence:
-    """What a frame says of its ends, as displacements (px, along the trail) from the fitted ones."""
+    """Likelihood of a frame's ends, as displacements (px, along the trail) from the fitted ones."""
 
     frame: TrackletFrame
     tables: EndTables | None
@@ -89,7 +88,7 @@ class _Evidence:
 
 
 class JointRefit(NamedTuple):
-    """Refitted streaks, one for each frame and in their order, and what their ends' errors along the path have in common.
+    """Refitted streaks, one for each frame in the same order, and the common part of their ends' errors along the path.
 
     shared : (n, 2, 3) in the unit of `along`: ends i and j have the covariance ``shared[i] @ shared[j]``, pointing apart. It is
     that of the motion, of which every end is a linear function. Zero for frames that came back as they were.
@@ -198,7 +197,7 @@ def _lit_pixels(frame: TrackletFrame, trail: TrailFrame, gradient: float) -> tup
 def flux_between(frame: TrackletFrame, shift0: float, shift1: float) -> tuple[float, float]:
     """Flux and error of a frame's trail whose ends lie by these px along the trail from the fitted ones.
 
-    A fit that ended elsewhere held other pixels for lit: its density is not that of the trail.
+    A fit with other ends counted other pixels as lit, so its density is not that of the trail.
     """
     fit = frame.fit
     near, template, width = _lit_pixels(frame, TrailFrame.of_chord(fit.row0, fit.col0, fit.row1, fit.col1), gradient=0.0)
@@ -272,7 +271,7 @@ def _linear_start(
 def displacements(
     frame: TrackletFrame, rows_per_px: float, motion: NDArray[np.float64], zero_s: float
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where a motion (m, p) puts both ends, px along the trail from the fitted ones, each (m,).
+    """Displacements (m,) of both ends by a motion (m, p), px along the trail from the fitted ones.
 
     An end that moves by x px lies ``x * rows_per_px`` rows further on and is exposed that many line times later:
     along + along_per_px x = a(t + c x), c = rows_per_px * line_time; linear in x but for the acceleration over c x.
@@ -430,7 +429,7 @@ def _flux(e: _Evidence, x0: NDArray[np.float64], x1: NDArray[np.float64], weight
 
 
 def _width_error(frame: TrackletFrame) -> float:
-    """Relative error of the flux for what the single fit left open of the PSF's width."""
+    """Relative error of the flux from the remaining error of the PSF width in the single fit."""
     fit, variance = frame.fit, frame.pixels.variance_e2
     width = effective_width_px(fit.width_px)
     _, error = known_width.posterior(0.0, fit.width_err_px * fit.width_px / width**2)

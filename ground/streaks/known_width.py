@@ -1,8 +1,8 @@
-"""What the PSF's width, which is known from the frame's stars but not exactly, does to the flux of a trail.
+"""Effect of the error of the PSF width on the flux of a trail.
 
-A template that is too wide makes a trail too bright: by half the error of the width where the sky makes the noise, by nothing
-where the object's own photons do. Bright trails show their width; faint ones do not. So the width is a parameter with a prior,
-and what its posterior leaves open counts among the errors of the flux.
+The stars of a frame give the PSF width with an error. A template that is too wide makes a trail too bright: by half the relative
+error of the width if the sky dominates the noise, by nothing if the object's own photons do. Bright trails show their width,
+faint ones do not. The width is therefore a parameter with a prior, and its posterior error is included in the error of the flux.
 """
 
 import math

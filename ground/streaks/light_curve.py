@@ -19,7 +19,7 @@ SLACK: Final = 1.3
 """The power of a period may be this much higher than that of the plain spectrum."""
 
 FALSE_ALARM: Final = 1e-3
-"""Of the variability test and of the period."""
+"""False-alarm probability of the variability test and of the period."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

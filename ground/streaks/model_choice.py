@@ -56,8 +56,8 @@ def evidence_needed(line: LineFit, candidate: int) -> float:
 def straight_unless_evident(line: LineFit, *, iterations: int) -> LineFit:
     """The line without a curvature that does not pay for itself.
 
-    A detector bends faint trails to noise and to stars beside them; nature hardly ever does. The likelihood ratio decides:
-    about a bend that noise made, the curvature's own error is far too small.
+    A detector bends faint trails towards noise and neighbouring stars. Real trails are hardly ever bent. The likelihood ratio
+    decides, because the formal error of a curvature made by noise is far too small.
     """
     if SAGITTA not in line.free:
         return line

@@ -1,4 +1,4 @@
-"""Why the pixels of a region allow no fit: the failures that are expected, by name."""
+"""Expected reasons why the pixels of a region allow no fit."""
 
 from enum import StrEnum
 
@@ -6,7 +6,7 @@ from sboc_e2e.icd.errors import SbocError
 
 
 class Reason(StrEnum):
-    """What a failed fit says of itself."""
+    """Reason of a failed fit."""
 
     NO_LINE = "no line near the detection"
     TOO_FEW_PIXELS = "too few usable pixels along the line"

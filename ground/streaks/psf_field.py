@@ -1,9 +1,9 @@
 """Width of the PSF over the field, learned from the trails themselves.
 
 The nominal camera knows one width; real lenses widen towards the corner. A trail fitted 10 % too narrow loses 5 % of its
-flux, and only bright trails show it each for themselves. Together they give ``ln sigma = ln nominal + a + b r^2`` (r in units
-of the corner's radius; the lowest order of field curvature and coma). For the caller: keep one field in the state of the run,
-take `sigma_px` at the middle of each detection for `StreakPixels.psf_sigma_px`, and pass each frame's fits to `updated`.
+flux. A single trail shows its width only if it is bright. Together the trails give ``ln sigma = ln nominal + a + b r^2`` (r in
+units of the corner's radius; the lowest order of field curvature and coma). For the caller: keep one field in the state of the
+run, take `sigma_px` at the middle of each detection for `StreakPixels.psf_sigma_px`, and pass each frame's fits to `updated`.
 """
 
 import math
@@ -31,7 +31,7 @@ UNFIT: Final = (
     StreakFlag.FIT_FAILED | StreakFlag.COSMIC_LIKE | StreakFlag.DEFOCUSED | StreakFlag.SATURATED | StreakFlag.STATIC
     | StreakFlag.SPIKE_LIKE | StreakFlag.CROSSES_STAR | StreakFlag.POINT_LIKE
 )  # fmt: skip
-"""What teaches nothing. A bright point that moves by a pixel is wider than the PSF by many of its errors, and does not say so."""
+"""Flags of fits that are not used. A bright point that moves by a pixel is much wider than the PSF, without a flag for it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -35,7 +35,7 @@ class TrailPixels:
         )
 
     def without(self, removed: NDArray[np.intp]) -> "TrailPixels":
-        """All pixels but those of the given ROI indices."""
+        """All pixels except those with the given ROI indices."""
         return self.take(~np.isin(self.index, removed))
 
     def in_frame(self, frame: TrailFrame) -> "TrailPixels":

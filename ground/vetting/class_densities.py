@@ -41,7 +41,7 @@ STATED_SHARES: Final[dict[str, dict[str, float]]] = {
 """Shares of flags that depend on other frames and stars, which single simulated detections do not have: stated, not measured."""
 
 RECURRING: Final = "recurring"
-"""Whatever stays on its pixels or its star and looks like anything: spikes, ghosts, glow. Stated, not simulated."""
+"""Class of artefacts that stay on their pixels or their star and have any shape: spikes, ghosts, glow. Stated, not simulated."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -53,7 +53,7 @@ class ClassDensity:
     shares: dict[str, float]
 
     def log_density(self, name: str, features: Features) -> float:
-        """ln p(features | class), features taken as independent; unknown ones (NaN) say nothing."""
+        """ln p(features | class), features taken as independent; unknown features (NaN) are left out."""
         total = 0.0
         if math.isfinite(features.sharpness):
             density = 0.0
@@ -80,7 +80,7 @@ def _document() -> dict[str, Any]:
 
 @cache
 def log_odds_calibration() -> tuple[float, float]:
-    """(offset, slope) that make the log odds of the independent features those of reality (Platt 1999)."""
+    """(offset, slope) that calibrate the log odds of the independent features (Platt 1999)."""
     entry = _document()["calibration"]
     return float(entry["offset"]), float(entry["slope"])
 

@@ -1,4 +1,4 @@
-"""What a fit tells of its nature, as few numbers: sharpness, S/N, length, chi-square, lumpiness, alignment, flags."""
+"""Features of a fit for its classification: sharpness, S/N, length, chi-square, lumpiness, alignment, flags."""
 
 import math
 from dataclasses import dataclass
@@ -13,7 +13,7 @@ PIXEL_VARIANCE_PX2: Final = 1.0 / 12.0
 """Second moment of a pixel: the width of light that has none of its own."""
 
 LEAST_BINS: Final = 4
-"""Shorter light curves say nothing of lumpiness."""
+"""Least number of bins of a light curve for lumpiness."""
 
 ALIGNED_DEG: Final = 0.7
 ALIGNED_LENGTH_PX: Final = 15.0
@@ -43,8 +43,8 @@ class Features:
 def features_of(fit: StreakFit, psf_sigma_px: float, *, ln_psf_error: float = 0.0, model_error: float = 0.0) -> Features:
     """Features of one fit, given the PSF that a real trail would have.
 
-    ln_psf_error : one sigma of ln psf_sigma_px. model_error : share of a real trail's light that the model may miss or put
-    beside its place; it adds (model_error * snr)^2 to chi2, which therefore says less of brighter trails.
+    ln_psf_error : one sigma of ln psf_sigma_px. model_error : share of a real trail's light that the model may miss or
+    misplace. It adds (model_error * snr)^2 to the expected chi2, so chi2 has less weight for brighter trails.
     """
     failed = StreakFlag.FIT_FAILED in fit.flags or fit.n_pixels == 0
     seen = fit.width_px**2 + PIXEL_VARIANCE_PX2

@@ -1,9 +1,8 @@
 """The step `ground.vetter`: posterior probability of a real object among the classes that detectors deliver.
 
 Each class (real trail, noise maximum, particle track, group of hits, hot line, chain of stars, recurring artefact) has a density
-of the features of its fits (`class_densities`) and a rate per frame. The rates start from what the options expect and follow the
-frame itself by expectation-maximisation: where a particle storm fills a frame with sharp short tracks, the odds of the next
-one turn.
+of the features of its fits (`class_densities`) and a rate per frame. The rates start from the options and follow the frame by
+expectation-maximisation. If a particle storm fills a frame with sharp short tracks, the odds of each further track change.
 """
 
 import math
@@ -27,13 +26,13 @@ UNKNOWN_LN_PSF: Final = 0.7
 """PSF sigma where neither stars nor a camera tell it, and one sigma of its logarithm: half to twice, cameras being sampled."""
 
 WIDEST_UNKNOWN: Final = 3.0
-"""What is wider than so many assumed widths is, if faint, more often a slope of the background than a trail."""
+"""A faint fit that is wider than this many assumed widths is more often a slope of the background than a trail."""
 
 NARROWEST_PX: Final = 0.3
 """No optics in front of pixels are narrower (FWHM 0.7 px): columns, particles."""
 
 LEAST_SNR_UNKNOWN: Final = 20.0
-"""What residuals of the flat field and rows of stars reach in frames without calibration."""
+"""S/N that residuals of the flat field and rows of stars reach in frames without calibration."""
 
 FARTHEST_OUTSIDE_PX: Final = 20.0
 """A fit that ends farther outside the frame has left its pixels."""
@@ -44,8 +43,8 @@ of 5,000 have more and quiet frames none."""
 
 LN_BRIGHTEST_SNR: Final = math.log(100.0)
 LN_BRIGHTEST_SNR_UNKNOWN: Final = math.log(300.0)
-"""The class densities know of debris up to some S/N. Other telescopes see satellites: brighter ones count as this bright. Where
-the PSF is unknown the S/N is most of what tells bright trails from slopes."""
+"""The class densities cover debris up to some S/N. Other telescopes see satellites; brighter trails count as this bright. If the
+PSF is unknown, the S/N is the main feature that separates bright trails from slopes."""
 
 LOOK_ALIKE: Final = (0.7, 0.7)
 """Sigma of ln S/N and ln length within which detections of a frame are of one kind."""
@@ -57,10 +56,10 @@ UNMODELLED_PER_FRAME: Final = 0.2
 LEAST_UNMODELLED_SNR: Final = 50.0
 LEAST_UNMODELLED_WIDTHS: Final = 40.0
 LEAST_EDGE_TO_EDGE_WIDTHS: Final = 12.0
-"""From one border of the frame to another nothing tells how long a trail is."""
+"""Least length in widths of a trail from border to border, whose whole length is not in the frame."""
 LEAST_UNMODELLED_PIECE_SNR: Final = 15.0
 """S/N of each piece as long as the trail is wide, against the residuals that the fit itself leaves: rows of stars and slopes of
-the background are lines of high S/N as a whole, and leave more than that."""
+the background are lines of high S/N as a whole, and leave larger residuals."""
 LEAST_UNMODELLED_SHARPNESS: Final = -0.25
 LN_UNMODELLED: Final = -7.5
 """Trails of a kind not modelled: as bright and as many widths long, no sharper than the optics. Inside these limits any width,
@@ -71,12 +70,13 @@ LUMPIEST: Final = 0.7
 EDGE_TO_EDGE: Final = StreakFlag.EDGE0 | StreakFlag.EDGE1
 READOUT_WIDTHS: Final = 2.5
 READOUT_SPAN: Final = 0.7
-"""A line that leaves its row or column by fewer of its widths over so much of the frame is one of the readout's."""
+"""A line that stays within `READOUT_WIDTHS` of its widths on one row or column, over this share of the frame, comes from the
+readout."""
 
 NEVER: Final = -1e3
 
 LEAST_ELONGATION: Final = 4.0 * 2.355
-"""Length over width (sigma) below which nothing tells a trail from blended stars or a galaxy when no star shows the PSF."""
+"""Least ratio of length to width (sigma) at which a trail differs from blended stars or a galaxy if no star shows the PSF."""
 
 
 def posterior_of_classes(
@@ -84,8 +84,8 @@ def posterior_of_classes(
 ) -> NDArray[np.float64]:
     """Class probabilities (n, classes) of n detections of one frame.
 
-    log_density : (n, classes). rate_per_frame : (classes,) expected detections. frames_worth : (classes,) how many frames
-    the expectation is worth (a gamma prior of the Poisson rate): the larger, the less one frame can move it.
+    log_density : (n, classes). rate_per_frame : (classes,) expected detections. frames_worth : (classes,) weight of the
+    expectation in frames (a gamma prior of the Poisson rate). With a larger weight, one frame changes the rate less.
     """
     likelihood = np.exp(log_density - log_density.max(axis=1, keepdims=True))
     rate = rate_per_frame.copy()
@@ -100,11 +100,11 @@ def posterior_of_classes(
 def with_recurring_here(
     log_density: NDArray[np.float64], features: Sequence[Features], classes: Sequence[str], rates: NDArray[np.float64]
 ) -> NDArray[np.float64]:
-    """Class densities of which the one of what recurs follows the frame's own look-alikes.
+    """Class densities in which the density of recurring artefacts follows the similar detections of the frame.
 
-    What a frame shows again and again (dust rings, warm columns) speaks against what is as long and as bright as that, and
-    not against a line ten times as long. The flat density is worth one frame; each member adds a Gaussian of `LOOK_ALIKE`
-    about itself, and none speaks against itself.
+    Artefacts that a frame shows repeatedly (dust rings, warm columns) are evidence against detections of the same length and
+    brightness, and not against a line ten times as long. The flat density has the weight of one frame. Each member adds a
+    Gaussian of `LOOK_ALIKE` about itself, and does not count for itself.
     """
     column = list(classes).index(RECURRING)
     share = posterior_of_classes(log_density, rates, np.ones(len(rates)))[:, column]
@@ -119,19 +119,20 @@ def with_recurring_here(
 
 
 def _beyond_knowledge(fit: StreakFit, frame: DownlinkFrame) -> bool:
-    """Whether a frame that nobody calibrated and whose stars tell no PSF cannot carry this fit."""
+    """Whether this fit cannot be trusted in a frame without calibration and without a PSF from its stars."""
     outside = max(-fit.row0, -fit.row1, -fit.col0, -fit.col1)
     outside = max(outside, max(fit.row0, fit.row1) - frame.header.rows, max(fit.col0, fit.col1) - frame.header.cols)
     return fit.snr < LEAST_SNR_UNKNOWN or fit.width_px < NARROWEST_PX or outside > FARTHEST_OUTSIDE_PX
 
 
 def _snr_over_residuals(fit: StreakFit) -> float:
-    """S/N against the scatter that the fit leaves, where that is more than the noise."""
+    """S/N relative to the residual scatter of the fit, if this exceeds the noise."""
     return fit.snr / math.sqrt(max(fit.chi2_nu, 1.0)) if math.isfinite(fit.chi2_nu) else 0.0
 
 
 def _of_unmodelled_kind(fit: StreakFit, features: Features) -> bool:
-    """Whether a fit is a bright straight line so long for its width that only trails are, though none was simulated like it."""
+    """Whether a fit is a bright straight line that is too long for its width to be anything but a trail, though none was
+    simulated."""
     crosses = fit.flags & EDGE_TO_EDGE == EDGE_TO_EDGE
     pieces = fit.length_px / max(fit.width_px, 1.0)
     return (
@@ -147,7 +148,7 @@ def _of_unmodelled_kind(fit: StreakFit, features: Features) -> bool:
 def _along_the_readout(fit: StreakFit, frame: DownlinkFrame) -> bool:
     """Whether a fit stays within its own width on one row or column and spans most of the frame along it.
 
-    Columns, borders of amplifiers and steps of the overscan do; of trails in a frame of 4096 pixels one in 500 does.
+    Columns, borders of amplifiers and steps of the overscan do so. One in 500 trails in a frame of 4096 pixels does so.
     """
     drow, dcol = abs(fit.row1 - fit.row0), abs(fit.col1 - fit.col0)
     along, side = max((drow, frame.header.rows), (dcol, frame.header.cols), key=lambda pair: pair[0])
@@ -155,7 +156,8 @@ def _along_the_readout(fit: StreakFit, frame: DownlinkFrame) -> bool:
 
 
 def _blob(fit: StreakFit, psf_sigma_px: float, *, unknown: bool) -> bool:
-    """Whether a source is too round to be told from blends, galaxies and halos, its width being unknown or not the PSF's."""
+    """Whether a source is too round to be distinguished from blends, galaxies and halos, its width being unknown or not the
+    PSF's."""
     return fit.length_px < LEAST_ELONGATION * fit.width_px and (unknown or fit.width_px > WIDEST_UNKNOWN * psf_sigma_px)
 
 
@@ -214,7 +216,7 @@ class LikelihoodVetter:
         return np.asarray(np.where(refused, 0.0, probability), dtype=np.float64)
 
     def _refused(self, fit: StreakFit, frame: DownlinkFrame, psf_sigma_px: float, *, unknown: bool) -> bool:
-        """Whether a fit is no trail whatever the densities say; unknown : the PSF's width is assumed."""
+        """Whether a fit is rejected independently of the densities; unknown : the PSF's width is assumed."""
         # The class densities end far below such widths: stray light, dead borders. No defocus makes them at these ranges.
         widest = min(self.widest, WIDEST_UNKNOWN) if unknown else self.widest
         uncalibrated = self.model_error > 0.0
@@ -228,7 +230,7 @@ class LikelihoodVetter:
         return uncalibrated and _blob(fit, psf_sigma_px, unknown=unknown)
 
     def class_rates(self) -> dict[str, tuple[float, float]]:
-        """Of each class: expected detections per frame, and how many frames that expectation is worth."""
+        """For each class: expected detections per frame, and the weight of this expectation in frames."""
         return {
             REAL: (self.real_per_frame, self.steady_frames),
             "noise": (self.noise_per_frame, self.steady_frames),
@@ -242,7 +244,7 @@ class LikelihoodVetter:
     def log_odds(self, features: Sequence[Features], strange: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
         """ln P(real) / P(not real), shape (n,), of the detections of one frame, features taken as independent.
 
-        strange : (n,) which may be trails of a kind not modelled.
+        strange : (n,) fits that may be trails of a kind that is not modelled.
         """
         densities, classes = class_densities(), self.class_rates()
         log_density = np.array([[densities[name].log_density(name, f) for name in classes] for f in features])

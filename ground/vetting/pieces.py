@@ -15,7 +15,7 @@ from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
 
 BROAD: Final = 2.0
-"""Width over the PSF of what may be a piece."""
+"""Least width of a piece over that of the PSF."""
 
 LEAST_SNR: Final = 50.0
 LEAST_WIDTHS: Final = 8.0
@@ -30,9 +30,9 @@ LEAST_COVERED: Final = 0.6
 
 
 def with_joined_pieces(fits: Sequence[StreakFit], psf_sigma_px: float) -> list[StreakFit]:
-    """The same fits, of which the longest piece of each broken broad trail reaches from its first end to its last.
+    """The same fits, except that the longest piece of each broken broad trail is extended from its first end to its last.
 
-    The other pieces stay; they lie in the light of the joined one and are told as repeated by that.
+    The other pieces stay. They lie in the light of the joined one, and `repeated` recognises them by that.
     """
     out = list(fits)
     pieces = [

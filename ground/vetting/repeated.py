@@ -10,7 +10,7 @@ from sboc_e2e.icd.products import StreakFit
 
 SAME_TRAIL_WIDTHS: Final = 3.0
 SUPPORTS_ABOVE: Final = 0.1
-"""A fit wholly within so many widths of a brighter one of at least this probability is of the same trail."""
+"""Least probability of the brighter fit for which a fit in its light counts as the same trail."""
 
 
 def repeated(fits: Sequence[StreakFit], probability: NDArray[np.float64]) -> NDArray[np.bool_]:

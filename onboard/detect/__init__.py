@@ -1,6 +1,6 @@
-"""Detectors of moving objects: `line_integral` (the default) and published methods beside it, behind one Protocol.
+"""Detectors of moving objects: `line_integral` (the default) and published methods, behind one Protocol.
 
-Each loads when it is asked for: OpenCV takes 20 MB of memory that most do not need.
+Each is imported on first use, because OpenCV takes 20 MB of memory that most detectors do not need.
 """
 
 from importlib import import_module

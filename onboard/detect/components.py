@@ -1,6 +1,6 @@
-"""Connected pixels above a threshold -> segments: the last step of the detectors that threshold pixels.
+"""Connected pixels above a threshold to segments: the last step of detectors with a pixel threshold.
 
-Ends are those of the principal axis of the pixels of a component; collinear pieces are joined; every segment gets its
+Ends are on the principal axis of the pixels of a component. Collinear pieces are joined. Every segment gets its
 matched-filter S/N from the same noise-normalised image as the default detector.
 """
 

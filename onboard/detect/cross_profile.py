@@ -1,4 +1,4 @@
-"""Matched sums across a segment, line by line: what the detectors judge a trail by.
+"""Matched sums across a segment, line by line. Detectors use them to judge a trail.
 
 Segments are (major, minor): major is the axis along which a line advances by one pixel per step.
 """

@@ -1,4 +1,4 @@
-"""Which entries of the star list are stars, and how much of the image they cost.
+"""Selection of the entries of the star list that are stars, and the mask that they need.
 
 A trail that is brighter than a few sigma per pixel enters the star list as a chain of "stars"; masking them would eat the
 trail. An entry is a piece of a trail when the light goes on along a straight path for 7 px on at least one side.

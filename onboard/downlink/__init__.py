@@ -1,1 +1,1 @@
-"""What is sent of a frame: strips around detections, codecs, packets, thumbnail, whole frames, and what fits into the budget."""
+"""Downlink of a frame: strips around detections, codecs, packets, thumbnail, whole frames, and the bit budget."""

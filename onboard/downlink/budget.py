@@ -1,4 +1,4 @@
-"""What fits into the downlink: an allowance in bytes that grows with time, spent in order of priority."""
+"""Bit budget of the downlink: an allowance in bytes that grows with time and is spent in order of priority."""
 
 import math
 from collections.abc import Sequence
@@ -34,7 +34,7 @@ class Allowance:
         return replace(self, credit_bytes=min(granted, self.rate_bytes_s * max(self.burst_s, exposure_s)))
 
     def spend(self, n_bytes: int) -> "Allowance":
-        """The allowance after sending; it may become negative when what must be sent did not fit."""
+        """The allowance after sending. It may become negative when mandatory packets did not fit."""
         return replace(self, credit_bytes=self.credit_bytes - n_bytes)
 
 
@@ -56,7 +56,7 @@ def priority(detections: Sequence[Detection]) -> NDArray[np.intp]:
 
 
 def within_limits(detections: Sequence[Detection], *, most: int, most_cosmic_like: int) -> list[Detection]:
-    """The detections that may be sent in a frame, by `priority`: at most so many, and so many of them particle hits."""
+    """The detections that may be sent in a frame, by `priority`, within the limits of all detections and of particle hits."""
     ordered = [detections[k] for k in priority(detections)]
     hits = [d for d in ordered if d.flags & StreakFlag.COSMIC_LIKE]
     over = {id(d) for d in hits[most_cosmic_like:]}
@@ -79,11 +79,11 @@ class Outbox:
     sent: dict[int, list[bytes]] = field(default_factory=dict)
 
     def reserve(self, n_bytes: int) -> None:
-        """Take bytes of a packet that will be sent whatever happens out of the allowance."""
+        """Subtract the bytes of a mandatory packet from the allowance."""
         self.allowance = self.allowance.spend(n_bytes)
 
     def fits(self, payloads: Sequence[bytes]) -> bool:
-        """Whether these payloads fit into what is left."""
+        """Whether these payloads fit into the rest of the allowance."""
         return packet_bytes(payloads) <= self.allowance.credit_bytes
 
     def offer(self, apid: layout.Apid, payloads: Sequence[bytes], *, item: int = 0) -> bool:

@@ -1,6 +1,7 @@
-"""The counts of a frame in one byte a pixel, without loss: strips of it can be sent as long as it is kept.
+"""The counts of a frame in one byte a pixel, without loss. Strips of a kept frame can still be sent.
 
-Above the whole ADU of the dark and the sky's level there is little in a pixel; what a byte does not hold is in a table.
+A pixel is stored relative to the whole ADU of the dark and the level of the sky. Values that do not fit into a byte are in a
+table.
 """
 
 from dataclasses import dataclass
@@ -26,7 +27,7 @@ Kept = tuple[NDArray[np.int8], NDArray[np.int32], int, NDArray[np.int64], NDArra
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class KeptCounts:
-    """A frame that strips can be cut from. sent : the regions that were sent of it when it was the newest."""
+    """A frame that strips can be cut from. sent : its regions that were sent when it was the newest frame."""
 
     header: FrameHeader
     background: BackgroundModel
@@ -56,7 +57,7 @@ class KeptCounts:
 
 
 def kept_counts(header: FrameHeader, background: BackgroundModel, counts: Counts, sent: tuple[RoiGroup, ...]) -> KeptCounts:
-    """What is kept of a frame."""
+    """The kept form of a frame."""
     level = np.rint((background.level_adu - counts.adu_offset) / counts.adu_scale).astype(np.int32)
     codes = np.empty(counts.pixels.shape, np.int8)
     table = _encode(counts.pixels, counts.dark.codes, level, background.tile_px, codes)

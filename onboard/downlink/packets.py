@@ -183,7 +183,8 @@ def roi_payload(detection: Detection, strip: Strip, codec_number: int, sigma_adu
 
 
 def track_payload(track: Track, member: TrackMember, t_start_tai_ns: int, roi_id: int, region: bytes = b"") -> bytes:
-    """A member of a track. roi_id : of the region that was sent of it; region : else the payload of one strip's ROI packet."""
+    """A member of a track. roi_id : number of its region, if that was sent; region : else the payload of one strip's ROI
+    packet."""
     head = layout.TRACK_MEMBER.pack(track.number, member.frame, t_start_tai_ns, track.snr, roi_id, len(track.members), 0)
     return head + region
 

@@ -113,7 +113,7 @@ def plan_strips(
 
 
 def _without_repeats(strips: list[StripGeometry]) -> tuple[StripGeometry, ...]:
-    """Drop lines that the strip before already holds."""
+    """Drop lines that the previous strip already contains."""
     out: list[StripGeometry] = []
     for strip in strips:
         if out:

@@ -78,14 +78,14 @@ def cross_profile(view: DetectorView, detection: Detection, reach: int) -> tuple
 
 
 def pixels_per_strip(sigma_counts: float, room_bytes: int) -> int:
-    """Pixels of noise that a block of so many bytes holds, with some room to spare."""
+    """Number of noise pixels that fit into a block of `room_bytes`, with some margin."""
     return min(max(64, int(FIRST_GUESS_FILL * 8.0 * room_bytes / bits_per_pixel(sigma_counts))), layout.MAX_STRIP_PIXELS)
 
 
 def code_roi(
     detection: Detection, view: DetectorView, counts: Counts, codec: Encoder, options: RoiOptions, *, tight: bool = False
 ) -> CodedRoi:
-    """Strips and payloads of a detection; `tight` gives the least that is of use and flags it ROI_CUT."""
+    """Strips and payloads of a detection. `tight` gives the smallest useful region and flags it ROI_CUT."""
     sigma_px = math.hypot(view.psf_sigma_px, 0.29)
     half_width = trail_half_width_px(
         view,
@@ -149,7 +149,7 @@ def code_strips(
 
 
 def encoded(codec: Encoder, values: NDArray[np.int32], level: int, sigma: float) -> bytes:
-    """The codec's block; whatever it raises names it."""
+    """The codec's block. An exception becomes an error that names the codec."""
     try:
         block = codec.encode(values, level_adu=level, sigma_adu=sigma)
     except Exception as error:  # a plug-in may raise anything; it is reported by name

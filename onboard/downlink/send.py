@@ -1,4 +1,4 @@
-"""Everything that a frame gave into its outbox, in order of priority: stars, ROIs, stars under them, sky, picture, header."""
+"""Fill the outbox of a frame in order of priority: stars, ROIs, stars under ROIs, sky, thumbnail, header."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -29,7 +29,7 @@ REMEMBERED_ITEM = 1
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Content:
-    """What a frame gave.
+    """Contents of a frame that may be sent.
 
     earlier : stars of earlier frames, in this frame's coordinates. n_masked : masked pixels. previous : header of the frame
     before, None at the first. frames_done : frames of the run before this one. codec : for the counts of this frame.
@@ -48,13 +48,13 @@ class Content:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrackPixels:
-    """What strips of tracks are cut from, frame by frame, oldest first. sent : (track, frame) of the members sent so far."""
+    """Kept frames that strips of tracks are cut from, oldest first. sent : (track, frame) of the members sent so far."""
 
     kept: tuple[KeptCounts, ...] = ()
     sent: tuple[tuple[int, int], ...] = ()
 
     def after(self, frame: KeptCounts, window_frames: int) -> "TrackPixels":
-        """With one frame more, at most as many as the window has."""
+        """The record with one more frame, and at most as many frames as the window."""
         kept = (*self.kept, frame)[-window_frames:]
         oldest = kept[0].header.frame
         return replace(self, kept=kept, sent=tuple(place for place in self.sent if place[1] >= oldest))
@@ -63,7 +63,7 @@ class TrackPixels:
 def send_tracks(
     tracks: Sequence[Track], pixels: TrackPixels, outbox: Outbox, codec: Encoder, options: RoiOptions, psf_sigma_px: float
 ) -> TrackPixels:
-    """Members of tracks that were not sent yet, best tracks first, as far as they fit; what was sent is noted."""
+    """Send members of tracks that were not sent yet, best tracks first, while they fit; sent members are recorded."""
     frames = {kept.header.frame: kept for kept in pixels.kept}
     sent, item = list(pixels.sent), 0
     for track in sorted(tracks, key=lambda t: -t.snr):
@@ -79,7 +79,7 @@ def send_tracks(
 
 
 def send(content: Content, outbox: Outbox, options: OnboardOptions) -> tuple[Housekeeping, tuple[RoiGroup, ...]]:
-    """Fill the outbox; what does not fit is counted. Returns the housekeeping and the ROI groups as sent."""
+    """Fill the outbox and count dropped items. Returns the housekeeping and the ROI groups as sent."""
     view, limits = content.view, options.roi
     level, sigma = float(np.median(view.background.level_adu)), float(np.median(view.background.sigma_adu))
     outbox.reserve(packet_bytes([bytes(HEADER_FIXED.size + 2 * TELEMETRY.size)]))
@@ -138,7 +138,7 @@ def _send_rois(content: Content, outbox: Outbox, options: RoiOptions, detections
 
 
 def _fitting(content: Content, outbox: Outbox, options: RoiOptions, detection: Detection) -> CodedRoi | None:
-    """The fullest form of a ROI that fits; None, counted as dropped, when even the tight one does not."""
+    """The largest form of a ROI that fits. None, counted as dropped, if even the tight form does not fit."""
     full = code_roi(detection, content.view, content.counts, content.codec, options)
     if outbox.fits(full.payloads):
         return full

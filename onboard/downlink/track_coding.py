@@ -19,7 +19,8 @@ from sboc_e2e.icd.steps import Encoder
 ROOM_BYTES: Final = BLOCK_ROOM_BYTES - layout.TRACK_MEMBER.size
 
 SAME_PX: Final = 3.0
-"""A region's detection is a track's member where it lies as close across the trail as this, and on half of it."""
+"""Largest distance across the trail at which a region's detection is a member of the track; it must also cover half of the
+trail."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -43,7 +44,7 @@ def code_member(
         return CodedMember(track=track, member=member, payloads=(payload,), strips=0)
     sigma_px = math.hypot(psf_sigma_px, 0.29)
     detection = member.detection
-    # the ends are as good as the whole track makes them
+    # The ends have the accuracy of the whole track.
     margin = roi.end_margin_px(detection.length_px, track.snr, sigma_px, options.end_margin)
     sigma_counts = float(np.median(kept.background.sigma_adu)) / kept.adu_scale
     plan = roi.plan_strips(
@@ -63,7 +64,7 @@ def code_member(
 
 
 def sent_before(found: Detection, groups: Sequence[RoiGroup]) -> RoiGroup | None:
-    """The region that was sent of a trail, if there is one."""
+    """The region of a trail that was already sent, if there is one."""
     length = max(found.length_px, 1e-6)
     u_row, u_col = (found.row1 - found.row0) / length, (found.col1 - found.col0) / length
     for group in groups:

@@ -91,7 +91,7 @@ def _bins_of_row(
 
 @njit(cache=True)
 def _clipped_moments(histogram: NDArray[np.int32], start: int, spread: float) -> tuple[float, float, int]:
-    """Mean and standard deviation, in bins, of what lies within +-3 sigma of the mean, iterated from a start."""
+    """Mean and standard deviation, in bins, of the values within +-3 sigma of the mean, iterated from a start."""
     centre, sigma, number = float(start), spread, 0
     for _ in range(8):
         low = max(0, math.ceil(centre - CLIP_SIGMA * sigma))

@@ -18,7 +18,7 @@ from sboc_e2e.icd.signals import BackgroundModel
 
 ROWS_AT_ONCE = 64
 ROW_LIMIT_SIGMA = 2.5
-"""Values beyond so many sigmas take no part in the means of rows."""
+"""Values beyond this many sigmas are left out of the means of rows."""
 
 FLOAT_QUANTUM_SIGMA = 0.05
 """Float frames are rounded to this share of their noise."""
@@ -58,7 +58,7 @@ def robust_noise(pixels: NDArray[np.float32], missing: NDArray[np.bool_]) -> tup
 
 
 def float_counts(pixels: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.bool_], float, float]:
-    """A float frame as (counts, missing, scale, offset), rounded at 0.05 sigma; what is no measurement is missing."""
+    """A float frame as (counts, missing, scale, offset), rounded at 0.05 sigma. Values that are no measurement are missing."""
     missing = ~(np.abs(pixels) <= LARGEST_ADU)  # NaN too
     offset, noise = robust_noise(pixels, missing)
     values = np.where(missing, np.float32(offset), pixels).astype(np.float64)
@@ -194,7 +194,7 @@ def _residual_row(
     scale: np.float32,
     residual: NDArray[np.float32],
 ) -> np.int32:
-    """One row of `residual_pass` but for the table of the dark; a function of its own so that its loop becomes vectors."""
+    """One row of `residual_pass`, without the table of the dark. A separate function, so that its loop is vectorised."""
     unusable = np.int32(0)
     unit = np.float32(1.0 / FRACTIONS_PER_ADU)
     for col in range(pixels.size):

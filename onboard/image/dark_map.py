@@ -1,7 +1,7 @@
-"""The dark map in one byte a pixel: how far it is from the middle of its column over some rows; and what is far off, in a table.
+"""The dark map in one byte a pixel: the distance from the middle of its column over some rows. Outliers are in a table.
 
-Rounded to whole ADU and to 1/128 ADU beyond that, the map takes three bytes a pixel, more than the frame itself. But pixels are
-alike, except for hot ones.
+With whole ADU and a fraction in 1/128 ADU, the map would take three bytes a pixel, more than the frame itself. But pixels are
+similar, except for hot ones.
 """
 
 from dataclasses import dataclass, replace

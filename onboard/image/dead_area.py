@@ -1,6 +1,6 @@
 """Parts of the detector that have gone dead: tiles whose pixels do not differ, in a frame whose other tiles are noisy.
 
-Dark sky is never without noise. Left in, a dead part would pull level and noise of the sky beside it towards its own.
+Dark sky always has noise. An unmasked dead part would bias level and noise of the sky next to it.
 """
 
 from typing import Final
@@ -53,7 +53,7 @@ def dead_tiles(pixels: NDArray[np.uint16] | NDArray[np.int32]) -> NDArray[np.boo
 def mark_dead_area(defects: NDArray[np.uint8], pixels: NDArray[np.uint16] | NDArray[np.int32], saturation: int) -> None:
     """Set `MaskBit.DEAD` on dead tiles of the map of defects.
 
-    Saturated parts do not differ either; they are not dead, and are masked as what they are.
+    Pixels of saturated parts do not differ either. They are not dead, and are masked as saturated.
     """
     for i, j in zip(*np.nonzero(dead_tiles(pixels)), strict=True):
         part = np.s_[i * TILE_PX : (i + 1) * TILE_PX, j * TILE_PX : (j + 1) * TILE_PX]

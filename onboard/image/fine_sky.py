@@ -1,8 +1,8 @@
-"""Structure of the sky finer than its mesh, where there is any: ripples, glow, edges of stray light.
+"""Structure of the sky that is finer than the mesh: ripples, glow, edges of stray light.
 
 A wave of 0.3 sigma and 200 px adds 5 to the S/N of every line of 100 px along its crests. Tiles of the mesh show it: their means
-differ from the interpolated level by more than their own noise. There, and nowhere else, the level is measured again on tiles of
-half the size, for a finer mesh takes light from trails: 1/32 of it per px of width, 5 % of their S/N.
+differ from the interpolated level by more than their own noise. Only there, the level is measured again on tiles of half the
+size, because a finer mesh takes light from trails: 1/32 of it per px of width, 5 % of their S/N.
 """
 
 import math
@@ -17,7 +17,7 @@ STRUCTURED: Final = 4.0
 """Mean square of the tiles' departures over their noise from which a neighbourhood has structure; plain sky shows 1 to 2."""
 
 REACH_TILES: Final = 2
-"""A neighbourhood reaches so many tiles to all sides."""
+"""Half width of a neighbourhood in tiles."""
 
 
 def box_mean(values: NDArray[np.float64], reach: int) -> NDArray[np.float64]:
@@ -37,10 +37,10 @@ def _running(values: NDArray[np.float64], axis: int, reach: int) -> NDArray[np.f
 
 
 def structured_tiles(mean: NDArray[np.float32], sigma: NDArray[np.float32], samples: int) -> NDArray[np.bool_]:
-    """Tiles whose neighbourhood departs from its mesh. mean : (tile rows, tile cols) of so many samples of noise sigma."""
+    """Tiles whose neighbourhood departs from its mesh. mean : (tile rows, tile cols), of `samples` values of noise sigma each."""
     known = np.isfinite(mean)
     departure = np.where(known, mean, 0.0).astype(np.float64) / np.maximum(sigma, 1e-9) * math.sqrt(samples)
-    # a tile on which something else shines does not answer for its neighbours
+    # A tile with other light does not count for its neighbours.
     square = np.minimum(departure**2, 6.0 * STRUCTURED)
     found = box_mean(square, REACH_TILES) / np.maximum(box_mean(known.astype(np.float64), REACH_TILES), 1e-9) > STRUCTURED
     return np.asarray(found)

@@ -1,4 +1,4 @@
-"""What is wrong with a frame: what its header lacks, its place in the run, its pixels."""
+"""Flags of a frame: gaps in its header, its place in the run, its pixels."""
 
 import zlib
 
@@ -19,7 +19,7 @@ def checksum(pixels: NDArray[np.uint16] | NDArray[np.float32]) -> int:
 
 
 def header_flags(header: FrameHeader) -> FrameFlag:
-    """What the header does not know."""
+    """Flags of unknown values in the header."""
     missing = (
         (header.gain_e_adu, FrameFlag.GAIN_ASSUMED),
         (header.read_noise_e, FrameFlag.READ_NOISE_ASSUMED),
@@ -33,7 +33,7 @@ def header_flags(header: FrameHeader) -> FrameFlag:
 
 
 def sequence_flags(header: FrameHeader, check: int, previous: FrameHeader | None, previous_check: int | None) -> FrameFlag:
-    """What is wrong with a frame's place in the run. check, previous_check : `checksum` of this frame and of the last one."""
+    """Flags of a frame's place in the run. check, previous_check : `checksum` of this frame and of the last one."""
     flags = FrameFlag(0)
     if previous is None:
         return flags
@@ -45,7 +45,7 @@ def sequence_flags(header: FrameHeader, check: int, previous: FrameHeader | None
 
 
 def content_flags(mask: NDArray[np.uint8], counts: Counts, n_masked: int) -> FrameFlag:
-    """What is wrong with a frame's pixels."""
+    """Flags of a frame's pixels."""
     flags, size = FrameFlag(0), mask.size
     if n_masked > 0.9 * size:
         flags |= FrameFlag.ALL_MASKED

@@ -1,4 +1,4 @@
-"""Parts of a frame that are not sky: large saturated areas, and the glow around them as far as no mesh can follow it."""
+"""Parts of a frame that are not sky: large saturated areas, and the glow around them where no mesh can follow it."""
 
 from typing import Final
 
@@ -12,7 +12,7 @@ from sboc_e2e.icd.signals import BackgroundModel
 SATURATED: Final = np.uint8(MaskBit.SATURATED)
 
 FULL_SHARE: Final = 0.5
-"""Share of saturated pixels from which a tile is taken for part of a large area: those of stars fill no tile of 64 px."""
+"""Least share of saturated pixels of a tile in a large area. Saturated pixels of stars do not fill a tile of 64 px."""
 
 BENT_SIGMA: Final = 3.0
 """Second difference of the level, in sigma of the sky, that leaves up to 0.1 sigma beside the finest mesh."""

@@ -1,4 +1,4 @@
-"""Hot pixels that no map knows, learned over frames: sharp peaks that stay where they were."""
+"""Hot pixels that are in no map, learned over frames: sharp peaks that do not move."""
 
 from dataclasses import dataclass
 
@@ -9,7 +9,7 @@ from sboc_e2e.icd.flags import MaskBit, StarFlag
 from sboc_e2e.icd.signals import StarList
 
 SIGHTINGS = 3
-"""A sharp peak is taken for a hot pixel when seen at one pixel in so many frames."""
+"""Number of frames with a sharp peak at one pixel that make it a hot pixel."""
 
 FORGET_FRAMES = 64
 PATIENCE_FRAMES = 8

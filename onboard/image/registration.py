@@ -1,4 +1,4 @@
-"""Where the stars of an earlier frame lie in this one: a similarity found from the two star lists alone."""
+"""Transform from an earlier frame to this one: a similarity found from the two star lists alone."""
 
 from typing import Final
 
@@ -13,7 +13,7 @@ BRIGHTEST: Final = 60
 """Stars of each list that vote for the shift."""
 
 MATCHED: Final = 1500
-"""Brightest stars of the earlier list that are matched for the fit; twice as many of the other list stand ready."""
+"""Brightest stars of the earlier list that are matched for the fit, with twice as many of the other list."""
 
 
 LEAST: Final = 5

@@ -1,8 +1,7 @@
-"""The sky once more, without the stars: level, noise, and offsets of single rows.
+"""Second measurement of the sky, without the stars: level, noise, and offsets of single rows.
 
-Wings of listed stars below the clipping threshold lift a clipped mean by about 0.02 sigma. That is nothing for one pixel,
-but a trail of 1,000 px collects it to one sigma of its matched-filter S/N. With the star list at hand their pixels can be
-left out.
+Wings of listed stars below the clipping threshold raise a clipped mean by about 0.02 sigma. This does not matter for one pixel,
+but a trail of 1,000 px sums it to one sigma of its matched-filter S/N. The star list allows their pixels to be left out.
 """
 
 import math
@@ -17,10 +16,10 @@ from onboard.image.fine_sky import fine_nodes, structured_tiles
 from sboc_e2e.icd.signals import BackgroundModel, StarList
 
 ROW_STEP = 8
-"""One row of so many is looked at."""
+"""Every n-th row is used."""
 
 FAINT_SIGMA = 0.03
-"""Stars are cut out as far as their light exceeds this share of the noise."""
+"""Stars are cut out to the radius where their light falls to this share of the noise."""
 
 CLIP_SIGMA = 4.0
 MOST_STAR_RADIUS_PX = 64.0

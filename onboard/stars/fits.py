@@ -19,7 +19,7 @@ BRIGHT_PEAK_SIGMA = 12.0
 """Stars with a brighter central pixel are fitted in the larger window."""
 
 WHOLE_VECTORS = 32
-"""Windows are filled up to a multiple of so many pixels: four vectors of eight, as compilers unroll them."""
+"""Windows are padded to a multiple of this many pixels: four vectors of eight, as compilers unroll them."""
 
 SETTLED_PX2 = 1e-4
 SETTLED_VARIANCE = 0.03

@@ -1,4 +1,4 @@
-"""Star list: matched-filter peaks, maximum-likelihood fits, saturated stars; and the choice of those that are sent."""
+"""Star list: matched-filter peaks, maximum-likelihood fits, saturated stars; and the choice of the stars to send."""
 
 import math
 from dataclasses import dataclass, field
@@ -20,7 +20,7 @@ NOT_A_STAR = 0.2
 """Relative misfit of the PSF above which something else lies in the window: a neighbour, or a particle's track."""
 
 CANDIDATES_PER_STAR = 40
-"""The brightest so many times the wanted number take part in the choice of well-spread stars."""
+"""Candidates for the choice of well-spread stars, as a multiple of the wanted number; the brightest are taken."""
 
 SHAPE_SNR = 40.0
 """Stars above this S/N show the shape of the PSF."""
@@ -29,10 +29,10 @@ LONG_TRAIL_PX = 4.0
 """Longer trails are not near enough to Gaussians; they get a template of their own."""
 
 ENOUGH_SETTLED = 0.4
-"""When fewer of the bright stars than this have the moments of a star, they are looked at as trails ..."""
+"""If fewer of the bright stars than this share have the moments of a star, they are examined as trails ..."""
 
 ENOUGH_POINTS = 0.15
-"""... unless so many have the shape of a point: then stars stand still, and what trails are objects or particles."""
+"""... unless at least this share has the shape of a point. Then stars do not move, and trails are objects or particles."""
 
 LEAST_TRAIL_SIGMA = 6.0
 MOST_BRIGHT_TRAILS = 60
@@ -44,7 +44,7 @@ FITTED_TRAILS = 600
 CELLS = 8
 
 TOLD_APART_PX = 16.0
-"""Where stars move by less, a point may be one of them, or what a brighter trail leaves to be seen of one."""
+"""If stars move by less, a point may be a star, or the visible part of a star next to a brighter trail."""
 
 TRAILED_OVER_PSF = 2.0
 """Stars are called trailed when the smear is longer than this many PSF sigmas."""
@@ -163,7 +163,7 @@ class MatchedStars:
         fit_stars(
             view.residual_adu, view.mask, nodes, view.background.tile_px, peaks, covariances, radii, gain_e_adu, fits, flags
         )
-        # what peaks beside saturated pixels belongs to the rim of the saturated star, which is listed for itself
+        # Peaks next to saturated pixels belong to the rim of the saturated star, which has its own entry.
         clean = (flags & SATURATED_STAR) == 0
         fits, flags, covariances = fits[clean], flags[clean], covariances[clean]
         psf_contrast = 1.0 - 0.5 * (np.exp(-0.5 / covariances[:, 0]) + np.exp(-0.5 / covariances[:, 2]))
@@ -181,7 +181,7 @@ class MatchedStars:
         motion: StarMotion,
         gain_e_adu: float,
     ) -> tuple[NDArray[np.float64], NDArray[np.uint8]]:
-        """Fits (n, 4) and flags of what stands still while the stars trail: beside their trails, and bright points on them.
+        """Fits (n, 4) and flags of points that do not move while the stars trail: between the trails, and bright points on them.
 
         painted : 1 on trails. Where the stars themselves hardly move points are stars, flagged TRAILED as the others are.
         """

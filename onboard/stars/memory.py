@@ -1,4 +1,4 @@
-"""Stars under regions of interest, from the frames before: there no trail lay over them.
+"""Stars under regions of interest, from earlier frames in which no trail lay over them.
 
 A star under a trail cannot be measured in the frame of the trail, and most are too faint for ground's catalogue. The star
 lists of the last frames are kept with the transforms of (row, col) into the newest one; a star that at least two of them
@@ -23,7 +23,7 @@ FRAMES_KEPT = 5
 """More frames give a better mean; each costs 30 bytes of memory per star."""
 
 FEWEST_FRAMES = 2
-"""A star must be in so many of the lists: particles, noise and pieces of trails are in one."""
+"""Least number of lists with a star. Particles, noise and pieces of trails are in one list only."""
 
 REACH_PX = 64.0
 """Shift of the pointing from frame to frame that is searched."""
@@ -33,14 +33,14 @@ SAME_STAR_PX = 1.0
 """Entries of different frames closer than this are one star: four sigma of a centroid at S/N 5 and a PSF of 1 px."""
 
 SPOILT_SIGMAS = 6.0
-"""Closer to a trail, in PSF sigmas, the fit of a star held light of the trail."""
+"""Least distance of a star from a trail, in PSF sigmas. The fit of a nearer star contains light of the trail."""
 
 MARGIN_SIGMAS = 3.0
-"""Stars so far outside a strip still shine into it."""
+"""Stars up to this distance outside a strip still shine into it."""
 
 SHORT_PX = 6.0
 MOVER_PX = 3.0
-"""An entry so near to a point-like detection, or one shorter than `SHORT_PX`, may be the detected object itself."""
+"""An entry within this distance of a detection that is a point or shorter than `SHORT_PX` may be the detected object itself."""
 
 NOT_KEPT = int(StarFlag.SATURATED | StarFlag.EDGE | StarFlag.TRAILED | StarFlag.COSMIC_LIKE)
 
@@ -171,7 +171,7 @@ def _means(entries: Array) -> Array:
     """Means (m, 5) row, col, flux, S/N, flags of entries (n, 6) with the frame's number last, of stars in enough frames."""
     stars = []
     free = np.ones(len(entries), dtype=bool)
-    # newest first: their places have passed through the fewest transforms
+    # The newest entries come first, because their places went through the fewest transforms.
     for k in range(len(entries) - 1, -1, -1):
         if not free[k]:
             continue

@@ -185,7 +185,7 @@ def measure_shape(
 
 
 def _like_points(moments: NDArray[np.float64], variance_px2: float) -> NDArray[np.bool_]:
-    """Which covariances (n, 3), NaN where unknown, are those of a point of the nominal variance."""
+    """Mask of the covariances (n, 3), NaN where unknown, that agree with a point of the nominal variance."""
     rr, rc, cc = moments.T
     mean, apart = 0.5 * (rr + cc), np.hypot(0.5 * (rr - cc), rc)
     limit = LIKE_NOMINAL**2

@@ -1,4 +1,4 @@
-"""How the stars of a frame moved during its exposure: one shift, or a turn about some point, from their trails alone.
+"""Motion of the stars of a frame during its exposure: one shift, or a turn about some point, from their trails alone.
 
 The camera follows something else, or rolls. A rigid motion gives each star the vector (a - w x, b + w y) at (y, x) = (row, col)
 from the middle of the frame. Two trails fix a, b and w; those that most trails agree with are refined on fitted trails.
@@ -14,12 +14,12 @@ from numpy.typing import NDArray
 from sboc_e2e.icd.signals import StarMotion
 
 COMPONENT_SHARE: Final = 0.35
-"""A trail is what is connected to a bright pixel and brighter than this share of it."""
+"""A trail consists of connected pixels that are brighter than this share of its bright pixel."""
 
 MOST_COMPONENTS: Final = 150
 MOST_PIXELS: Final = 4_000
 LEAST_PX: Final = 3.0
-"""Shorter pieces say nothing about a motion."""
+"""Least length of pieces that are used for the motion."""
 
 VOTING: Final = 40
 """Brightest trails that are combined in pairs."""
@@ -29,10 +29,10 @@ AGREE_SHARE: Final = 0.1
 """A trail agrees with a motion when its vector is as near as this, plus this share of its length."""
 
 LEAST_COMMON: Final = 4
-"""So many stars at least must show the same motion; one streak across a frame without stars is none."""
+"""Least number of stars with the same motion. One streak across a frame without stars is not a motion of stars."""
 
 LEAST_SHARE: Final = 0.4
-"""And so large a share of the trails: particle tracks and pieces of blends go all ways."""
+"""Least share of the trails with the same motion. Particle tracks and pieces of blends have all directions."""
 
 
 @njit(cache=True)

@@ -1,7 +1,7 @@
 """Stars as trails, when the pointing follows something else or rolls: found and centred with the trail as template.
 
-The motion of the stars (`star_motion`) says what each trail looks like. Sums of the PSF-smoothed image along it show where there
-are any; the brightest are fitted. The centre of a trail is the position at mid-exposure, as for a point.
+The motion of the stars (`star_motion`) gives the shape of each trail. Sums of the PSF-smoothed image along this shape have maxima
+at the trails. The brightest trails are fitted. The centre of a trail is the position at mid-exposure, as for a point.
 """
 
 import math
@@ -35,7 +35,7 @@ SHORT_PX: Final = 4.0
 """Shorter trails are stars as points; there are none of the others where the motion is so small."""
 
 DARK_QUARTER: Final = 0.15
-"""A path is a trail when each of its quarters holds more than this share of what it should ..."""
+"""A path is a trail if each of its quarters has more than this share of the expected light ..."""
 
 BRIGHT_SIGMA: Final = 3.0
 DARK_END: Final = 0.25

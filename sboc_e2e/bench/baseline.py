@@ -61,7 +61,7 @@ def _part(name: str) -> str:
 def write_baseline(path: Path, entries: Iterable[Entry], kept: Mapping[str, dict[str, float]] = MappingProxyType({})) -> None:
     """Values and their noise of all figures that can regress, and the yardsticks.
 
-    kept : an earlier baseline, of which parts that are not among the entries stay.
+    kept : an earlier baseline; its parts that are not among the entries are kept.
     """
     entries = list(entries)
     measured = {_part(e.name) for e in entries}

@@ -34,7 +34,7 @@ SIZED: Final = (
     ("threshold", "chain_threshold", "threshold"),
     ("line_integral", "chain_line_integral", "line_integral"),
 )
-"""Rows of the on-board sizing: what is said, and the names under `onboard.` of its times and of its process's memory."""
+"""Rows of the on-board sizing: label, and the names under `onboard.` of its times and of its process's memory."""
 
 SIZES: Final = (
     ("CPU ms / Mpx", "onboard.{0}.cpu_ms_per_mpx"),
@@ -72,7 +72,7 @@ def write_pages(
     out: Path,
     baseline: Mapping[str, Any] = MappingProxyType({}),
 ) -> None:
-    """All files of the report. baseline : stored figures by name, to stand beside those of now."""
+    """All files of the report. baseline : stored figures by name, shown beside the new ones."""
     figures = [vars(e) | {"better": e.better, "unit": e.unit} for e in entries]
     summary = {"environment": environment, "wall_s": costs, "regressions": list(regressions), "figures": figures}
     write_text(out / "report.json", json.dumps(summary, indent=1))

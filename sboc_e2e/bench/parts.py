@@ -1,4 +1,4 @@
-"""What the benchmark report is made of: whole runs and benches of single steps, and what each costs."""
+"""Parts of the benchmark report: whole runs and benchmarks of single steps, with the cost of each."""
 
 import json
 from collections.abc import Mapping
@@ -43,7 +43,7 @@ class Part:
 def parts(*, quick: bool, peers: bool, long: bool = False, only: tuple[str, ...] = ()) -> list[Part]:
     """All parts in order. only : names of those wanted, empty for all. long : full form of the parts that last hours.
 
-    An installed package has the whole runs; the benches of single steps stand in a checkout.
+    An installed package has the whole runs only. The benchmarks of single steps exist in a checkout.
     """
     out = [Part(name=name, scenario=arguments, quick=quick) for name, arguments in (QUICK_RUNS if quick else RUNS).items()]
     for script in sorted(SCRIPTS.glob("bench_*.py")):
@@ -63,7 +63,7 @@ def expected_costs(wanted: list[Part], *, quick: bool) -> dict[str, float | None
 
 
 def cost_words(costs: Mapping[str, float | None], wanted: list[Part], processors: int) -> str:
-    """What a benchmark will take, said before it starts."""
+    """Expected cost of a benchmark, stated before it starts."""
     alone = sum(costs[part.name] or 0.0 for part in wanted if part.alone)
     shared = sum(costs[part.name] or 0.0 for part in wanted if not part.alone) / max(processors, 1)
     unknown = [name for name, cost in costs.items() if cost is None]

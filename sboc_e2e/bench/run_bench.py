@@ -42,7 +42,7 @@ def run_bench(
 
     quick : the subset for CI. peers : also the peers that live in an environment of their own (tests/benchmarks/peers).
     long : the parts that last hours in full. only : names of parts, empty for all.
-    rewrite_baseline : the figures replace those of the baseline; with `only`, those of these parts.
+    rewrite_baseline : the figures replace the baseline; with `only`, they replace these parts of it.
     check : compare with the baseline; the regressions are returned. Raises UserError, before anything runs, for an unknown part,
     for a new baseline outside a source checkout, and when the baseline that `check` or a part of a new one needs is not there;
     and after the report is written when a part failed.

@@ -21,7 +21,8 @@ SURROUNDINGS: Final = ("versions", "code", "plugins", "files")
 
 @dataclass(frozen=True, kw_only=True)
 class Resolved:
-    """A task whose scenario stands. fingerprint : of all that decides its shard. frames, downlink : of what decides those."""
+    """A task with its resolved scenario. fingerprint : digest of everything that determines its shard. frames, downlink :
+    digests of everything that determines the frames and the downlink."""
 
     task: Task
     fingerprint: str
@@ -95,7 +96,7 @@ class Plan:
         return Resolved(task=task, fingerprint=key(whole), frames=frames, downlink=downlink)
 
     def surroundings(self, task: Task) -> dict[str, Any]:
-        """What decides the task's result here beside its scenario."""
+        """Everything besides the scenario that determines the result of a task on this machine."""
         content = stage_content(self.scenario_of(task.point, task.seed), "ground")
         return {name: content[name] for name in SURROUNDINGS} | {"code": provenance.code_digest("score")}
 
@@ -111,7 +112,7 @@ class Plan:
         outside: dict[str, dict[str, Any]] = {"plugins": {}, "files": {}}
         for task in self.campaign.tasks():
             if task.replica == 0:
-                # The replicas of a point stand beside each other: one of its scenarios is kept at a time.
+                # The replicas of a point follow each other, so one scenario at a time is kept.
                 scenarios.clear()
                 try:
                     found = scenarios[task.point] = self.scenario_of(task.point, task.seed)

@@ -58,9 +58,9 @@ def shard_file(out: Path, fingerprint: str) -> Path:
 
 
 def run_job(job: Job) -> tuple[Outcome, ...]:
-    """Run the tasks of a job; one that fails says why, the others go on.
+    """Run the tasks of a job. A task that fails reports its reason, and the others continue.
 
-    Where the worker shares the campaign's folder each shard is there as soon as it is made. Raises `OSError` when nothing can be
+    If the worker shares the campaign's folder, each shard is in it as soon as it is made. Raises `OSError` when nothing can be
     written.
     """
     done = []

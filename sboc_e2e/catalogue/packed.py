@@ -3,7 +3,7 @@
 Stars are in HEALPix order (NSIDE 64, NESTED), by magnitude within a pixel. Column -> unit of the stored integer:
 
     ra, dec+90        uint32   360 deg / 2**32 (0.30 mas)        v_mag    int16   1 mmag
-    pm_ra, pm_dec     int16    0.1 mas/yr; what does not fit stands in a side table (row, int32, int32)
+    pm_ra, pm_dec     int16    0.1 mas/yr; larger values are in a side table (row, int32, int32)
     b_v               int16    5 mmag                            flags    uint8   CatalogueFlag
     sigma             uint8    1 mas at the mean epoch           sigma_pm uint8   0.1 mas/yr (255: 25.5 or more)
     mean_epoch        uint8    year - 1850                       source_id int64   (its empty high bytes cost nothing)

@@ -176,7 +176,7 @@ def _froc(evaluations: Sequence[Evaluation], onboard: bool) -> list[list[float]]
             for (frame, roi), r in rank.items():
                 if (frame, roi) not in bad:
                     by_frame.setdefault(frame, []).append(r)
-            # The ROI that holds a truth streak is not stored with it; the most significant true ROI of the frame stands for it.
+            # The ROI that holds a truth streak is not stored with it. The most significant true ROI of the frame is used instead.
             for t in e.truth:
                 if t.index in e.detected_onboard and t.snr >= SNR_IGNORED and by_frame.get(t.frame):
                     near = np.array(by_frame[t.frame])

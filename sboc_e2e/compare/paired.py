@@ -16,7 +16,7 @@ _SEED: Final = 11
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Outcomes:
-    """Truth streaks of all seeds in one order, and what each choice made of them.
+    """Truth streaks of all seeds in one order, and the result of each choice for them.
 
     snr, length_px : (n,). cluster : (n,) object of each streak (with its seed): streaks of one object are not
     independent, so objects are resampled, not streaks. found : choice -> (n,) bool.

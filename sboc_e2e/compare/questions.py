@@ -85,7 +85,7 @@ QUESTIONS: Final[dict[str, tuple[tuple[str, str], ...]]] = {
 }
 
 FOUND_OBJECTS: Final = ("ground.linker", "ground.orbit")
-"""Seams of which pairs are judged object by object: those that are linked, not the streaks that are found."""
+"""Seams whose pairs are judged object by object, by linked objects instead of detected streaks."""
 
 
 def answers(seam: str, scores: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[dict[str, Any]]:

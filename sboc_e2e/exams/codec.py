@@ -14,7 +14,7 @@ from sboc_e2e.icd.steps import Decoder, Encoder
 LEVEL_ADU: Final = 100
 NOISE_ADU: Final = 2.4
 MOST_LOST: Final = 1.0
-"""rms of what a lossy codec may lose of noise, in sigmas of it: more would cost more S/N than the noise itself."""
+"""Largest rms error of a lossy codec on noise, in sigmas of the noise. A larger error would cost more S/N than the noise."""
 SPEED_SHAPE: Final = (256, 256)
 SPEED_BLOCKS: Final = 16
 """Together a million pixels."""

@@ -23,7 +23,7 @@ class Damage:
 
     @property
     def gone(self) -> frozenset[int]:
-        """Packets of which no intact copy arrives."""
+        """Packets that do not arrive intact in any copy."""
         return self.lost | self.truncated | self.bit_flipped
 
 

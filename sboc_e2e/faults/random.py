@@ -1,4 +1,4 @@
-"""Random streams of the faults, apart from those of the simulator: the same frames are hit whatever else changes."""
+"""Random streams of the faults. They are independent of the simulator's streams, so that the same frames are hit in all runs."""
 
 from enum import IntEnum
 

@@ -12,14 +12,14 @@ TEMPORARY_SUFFIX: Final = ".part"
 UNWRITABLE: Final = frozenset(
     {errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EROFS, errno.EACCES, errno.EPERM, errno.ENAMETOOLONG, errno.ENOTDIR}
 )
-"""What the system says when a place cannot be written, for whatever reason of the user's side."""
+"""Errors of the system when a place cannot be written for a reason that the user can mend."""
 
 
 @contextmanager
 def replacing(path: Path) -> Iterator[IO[bytes]]:
     """A binary file that takes the place of `path` when the block ends well, and vanishes when it does not.
 
-    Errors of the system name the file, also those of writing, which do not by themselves.
+    Errors of the system name the file. Errors of writing do not do so by themselves, so the name is added here.
     """
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f"{path.name}.{os.getpid()}{TEMPORARY_SUFFIX}")

@@ -88,7 +88,8 @@ def write_table(path: Path, table: Table) -> None:
 
 
 def write_pieces(path: Path, pieces: Iterable[Table]) -> None:
-    """The same from consecutive pieces of one table, at least one, holding one in memory; the first says what columns are."""
+    """The same from consecutive pieces of one table, at least one. One piece is in memory at a time; the first defines the
+    columns."""
     left = iter(pieces)
     first = next(left)
     columns = [

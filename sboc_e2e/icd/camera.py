@@ -1,4 +1,4 @@
-"""The camera of a frame solution: pixels to directions and back, whatever the model behind it.
+"""The camera of a frame solution: pixels to directions and back, for any camera model.
 
 The camera holds the geometry only. Attitude, its rate and its covariance stay in `FrameSolution`, so that one rule moves
 every model's directions to the epochs of rows, and the covariance has one meaning.
@@ -41,7 +41,7 @@ class CameraModel(Protocol):
         ...
 
     def project(self, vectors: Array) -> tuple[Array, Array]:
-        """Rows and cols (n,) of vectors (n, 3) of any length; NaN for those that the camera cannot see or the model not place.
+        """Rows and cols (n,) of vectors (n, 3) of any length; NaN where the camera cannot see or the model cannot place a vector.
 
         The inverse of `unproject` to 1e-3 px inside the frame.
         """

@@ -1,4 +1,4 @@
-"""What ground knows of a frame once its packets are decoded."""
+"""A frame as ground knows it once its packets are decoded."""
 
 from dataclasses import dataclass, field
 

@@ -1,4 +1,4 @@
-"""What can go wrong, in three words: the user can mend it, the data break the contract, a plug-in is at fault."""
+"""Three kinds of errors: the user can mend it, the data break the contract, or a plug-in is at fault."""
 
 
 class SbocError(Exception):
@@ -12,7 +12,7 @@ class SbocError(Exception):
 
 
 class UserError(SbocError):
-    """Something the user can mend: one line that says what, where and what is allowed (exit code 2)."""
+    """Something the user can mend: one line that says what is wrong, where, and what is allowed (exit code 2)."""
 
 
 class ContractError(UserError, ValueError):

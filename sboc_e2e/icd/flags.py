@@ -1,4 +1,4 @@
-"""One table of flags: bit, name, one line. Documentation is generated from the comments' twin `FLAG_TEXT`."""
+"""One table of flags: bit, name, one line. `FLAG_TEXT` has the meaning of each flag; documentation is generated from it."""
 
 from enum import IntFlag
 from typing import Final

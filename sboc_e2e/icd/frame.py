@@ -10,7 +10,7 @@ from sboc_e2e.icd import validate
 from sboc_e2e.icd.errors import ContractError
 
 LARGEST_ADU: Final = 1e15
-"""Float frames hold no more: squares of their values are numbers of 32 bits too."""
+"""Largest value of a float frame. Squares of values up to here fit into a 32-bit float."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -144,8 +144,8 @@ class NominalCamera:
     ``v' = v (1 + k1 r2 + k2 r2^2) + p1 (r2 + 2 v^2) + 2 p2 u v``;
     ``col = center_col + focal_px u'``, ``row = center_row + focal_px v'``.
     Photometry, in words: a star gives ``zero_point_e_s * 10**(-0.4 (V + colour_term (B-V - 0.653)))`` e-/s on axis,
-    times the flat; 0.653 is the Sun's B-V. `zero_point_e_s` is None for a camera of which nobody knows it; `psf_known` is
-    False where `psf_sigma_px` is no more than a guess. Values are of delivered (binned) pixels.
+    times the flat; 0.653 is the Sun's B-V. `zero_point_e_s` is None where it is unknown; `psf_known` is
+    False where `psf_sigma_px` is a guess. Values are of delivered (binned) pixels.
     """
 
     name: str

@@ -109,8 +109,8 @@ CHUNK = struct.Struct(">BBHHHHifI")
 
 BYTES_ESCAPED: Final = 0x10
 NIBBLES_ESCAPED: Final = 0x20
-"""First byte of a `PLANES` block: 1-4 = so many byte planes; one of these | 1-4 = bytes or nibbles, then escapes of so
-many byte planes."""
+"""First byte of a `PLANES` block. 1-4: the number of byte planes. One of these constants | 1-4: bytes or nibbles, then escapes
+of that number of byte planes."""
 
 PLANES_ESCAPES = struct.Struct(">H")
 """Second field of a `PLANES` block with escapes: their number."""
@@ -129,13 +129,13 @@ RANS_TOKENS: Final = 81
 """Coders of a `RANS` block, bytes of each one's state, least state, sum of the frequencies of a class, tokens."""
 
 RANS_PLAIN_TOKENS: Final = 32
-"""Zigzag codes below this are tokens themselves; of larger ones some bits are sent as they are."""
+"""Zigzag codes below this are tokens themselves. Of larger codes, some bits are sent without coding."""
 
 RANS_ESCAPE: Final = RANS_TOKENS - 1
 """Token of a value sent as 32 bits."""
 
 RANS_NEIGHBOUR_LIMIT: Final = 4095
-"""Neighbours count at most so far from the level: five of them fit into 16 bits."""
+"""Neighbours are clipped at this distance from the level, so that five of them fit into 16 bits."""
 
 RANS_LEAST_SIGMA: Final = 0.0625
 RANS_CODES_PER_OCTAVE: Final = 16
@@ -166,8 +166,8 @@ RANS_CLASSES: Final = (
     (39.4, 16.1, 0.662, 81.8, 0.0200),
     (129.0, 57.0, 0.597, 674.0, 0.0200),
 )
-"""How values of each class lie about the centre, in units of the noise: mean and width of a Gaussian; share and scale of an
-exponential above the centre (light that begins here); share of anything at all. Fitted to simulated frames of stars."""
+"""Distribution of the values of each class about the centre, in units of the noise: mean and width of a Gaussian; share and scale
+of an exponential above the centre (light that begins here); share of a flat distribution. Fitted to simulated frames of stars."""
 
 MAX_STRIP_PIXELS: Final = 1 << 16
 """Largest number of pixels in one strip or chunk: decoders refuse more before they allocate."""

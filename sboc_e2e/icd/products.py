@@ -39,7 +39,7 @@ class StreakFit:
 
     covariance_px2 : (4, 4) of (row0, col0, row1, col1).
     end_interval_px : (2, 2) 68 % intervals of end 0 and end 1 along the trail, relative to the quoted position,
-    positive outwards; honest where `ENDS_NOT_GAUSSIAN`.
+    positive outwards. Use them instead of the covariance where `ENDS_NOT_GAUSSIAN` is set.
     flux_e : inside the frame, all of the trail. sagitta_px, gradient : curvature and linear brightness change
     (relative, end to end); 0 when the simpler model won. width_px : fitted PSF sigma.
     light_curve_e_px : (k,) flux density in equal bins along the trail from end 0 to end 1, may be empty; light_curve_err_e_px :
@@ -123,8 +123,8 @@ class FrameSolution:
 class PhotometricSolution:
     """``V = zero_point_mag - 2.5 log10(e-/s on axis) + colour_term (B-V - 0.653)``, so a solar colour needs no term.
 
-    field_mag : what the flat leaves over the field, added to V: coefficients of x, y, x2, x y, y2 with x (col) and y (row)
-    measured from the frame's middle in half diagonals. Zero-point error and rms are those of the fit; NaN without stars.
+    field_mag : residual of the flat over the field, added to V: coefficients of x, y, x2, x y, y2 with x (col) and y (row)
+    measured from the frame's middle in half diagonals. Zero-point error and rms come from the fit; NaN without stars.
     """
 
     frame: int
@@ -177,10 +177,10 @@ class StreakMeasurement:
 class Tracklet:
     """One object over one or more frames, in time order.
 
-    streak_ids, frames : (n,) of the streaks used. pieces : those of them that are parts of a broken trail, whose ends are not
-    where the shutter opened and closed. probability : that all of it is one real object.
+    streak_ids, frames : (n,) of the streaks used. pieces : the streaks that are parts of a broken trail; their ends are not where
+    the shutter opened and closed. probability : that all streaks are one real object.
 
-    What follows is measured by the chain on the members' final ends, whatever linker found them:
+    The chain measures the following fields on the final ends of the members, for any linker:
     t_tai_ns : (m,) epochs of the directions, rising; ra_deg, dec_deg : (m,) published directions, equal to those of the streaks;
     row_streak_ids, row_points : (m,) streak of each and which of its points (0: end 0, 1: middle, 2: end 1). Ends on the
     frame's edge and of pieces are left out: no shutter dates them.
@@ -191,9 +191,9 @@ class Tracklet:
     pointing_arcsec : (m,) part of both sigmas that the rows of one frame have in common. turning_arcsec : (m,) part of the sigma
     across, below 0 at shutter open, above at close: what the error of the camera's rate puts into rows of one frame.
     ra_ref_deg, dec_ref_deg, t_ref_tai_ns, rate_deg_s, position_angle_deg : motion at the reference epoch.
-    chi2_nu : of the motion model, against ends as single frames show them.
-    mag : V of the object's mean light over its light curve at the mean epoch of the members, as far as these tell; mag_err : one
-    sigma, with what the light curve hides; mag_low, mag_high : 5 % and 95 % points of it, NaN when not given. mag_scatter : rms
+    chi2_nu : of the motion model, against the ends of single-frame fits.
+    mag : V of the object's mean light over its light curve at the mean epoch of the members; mag_err : one sigma, the unobserved
+    part of the light curve included; mag_low, mag_high : 5 % and 95 % points of it, NaN when not given. mag_scatter : rms
     of the object's light about its mean (1.0857 x relative light), mag_scatter_err its error; mag_chi2_nu : of constant light.
     """
 

@@ -1,6 +1,6 @@
-"""What the on-board steps must return beyond the types: rules that the chain keeps for every frame and `sboc check` asks for.
+"""Rules for the results of on-board steps, beyond their types. The chain checks every frame, and `sboc check` asks for them.
 
-Each function raises a `ContractError` that says what was expected and what came.
+Each function raises a `ContractError` that says what was expected and what was returned.
 """
 
 from collections.abc import Mapping

@@ -1,4 +1,4 @@
-"""What the on-board software finds in a frame: background, stars, detections, strips of pixels."""
+"""Records of what the on-board software finds in a frame: background, stars, detections, strips of pixels."""
 
 from dataclasses import dataclass
 from typing import Any, Final
@@ -139,12 +139,12 @@ class DetectorView:
 
 
 UNKNOWN: Final = -128
-"""Code of a pixel of `Searched.smooth` of which nothing is known."""
+"""Code of an unknown pixel in `Searched.smooth`."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Searched:
-    """What a detector's search of a frame leaves for a tracker.
+    """Results of a detector's search of a frame for a tracker.
 
     smooth : (rows, cols) int8, the image without its stars after the PSF's matched filter, 16 for one sigma; `UNKNOWN` where
     pixels are masked or stars bright. seeds : (n, 5) float64 row0, col0, row1, col1 (px) and S/N of segments too faint to be

@@ -51,7 +51,7 @@ class Detector(Protocol):
 
     @property
     def history_frames(self) -> int:
-        """How many earlier views `DetectorView.history` shall hold (0 for none)."""
+        """Number of earlier views that `DetectorView.history` holds (0 for none)."""
         ...
 
     def detect(self, view: DetectorView) -> tuple[Detection, ...]:
@@ -61,16 +61,16 @@ class Detector(Protocol):
 
 @runtime_checkable
 class SelectiveMemory(Protocol):
-    """Optional part of a detector that looks at earlier frames: what of a view it needs later, instead of the whole view."""
+    """Optional part of a detector that looks at earlier frames: it keeps a part of each view instead of the whole view."""
 
     def remembered(self, view: DetectorView) -> Any:
-        """What `DetectorView.history` shall hold of this view: picklable, with no reference to the view's arrays."""
+        """The part of this view that `DetectorView.history` holds later: picklable, with no reference to the view's arrays."""
         ...
 
 
 @runtime_checkable
 class SeedingDetector(Protocol):
-    """Optional part of a detector that trackers can go on from: its search leaves segments fainter than its threshold."""
+    """Optional part of a detector that trackers can use: its search also returns segments fainter than its threshold."""
 
     def search(self, view: DetectorView, seed_sigma: float) -> tuple[tuple[Detection, ...], Searched]:
         """The detections that `detect` returns for the view, and segments of S/N `seed_sigma` or more."""
@@ -79,7 +79,7 @@ class SeedingDetector(Protocol):
 
 @runtime_checkable
 class Tracker(Protocol):
-    """`onboard.tracker`: objects over several frames, those among them that no single frame shows.
+    """`onboard.tracker`: objects over several frames, also objects that are too faint for a single frame.
 
     The chain keeps the pixels of the last `window_frames` frames and sends strips of a track's members from them.
     """
@@ -91,7 +91,7 @@ class Tracker(Protocol):
 
     @property
     def seed_sigma(self) -> float:
-        """Least S/N of the segments that the detector shall leave."""
+        """Least S/N of the segments that the detector returns to the tracker."""
         ...
 
     def initial_state(self) -> Any:
@@ -130,7 +130,7 @@ class GainAwareEncoder(Protocol):
     """Optional part of an encoder whose blocks depend on the gain: float frames are sent in counts of their own."""
 
     def for_counts(self, adu_scale: float) -> Encoder:
-        """The encoder of a frame one count of which is `adu_scale` ADU."""
+        """The encoder of a frame in which one count is `adu_scale` ADU."""
         ...
 
 

@@ -83,7 +83,7 @@ def camera_of_frame(sourced: SourcedFrame) -> NominalCamera:
 def focal_px_by_stars(source: FrameSource, catalogue: StarCatalogue) -> float:
     """Focal length in pixels of an unknown camera, from star patterns of its first frames.
 
-    Raises `UserError`, which says what to give instead, where none of them fits.
+    Raises `UserError` where none of them fits; the error says what to give instead.
     """
     fields: list[lost_in_space.StarField] = []
     hints: tuple[float, ...] = ()

@@ -40,7 +40,7 @@ FIRST_ASSUMED_TAI_NS: Final = 1_325_376_000 * NS_PER_S
 
 @dataclass(frozen=True, kw_only=True)
 class Place:
-    """An image: file, HDU, rows and columns, and the planes of its file that tell of its pixels."""
+    """An image: file, HDU, rows and columns, and the mask or weight planes of its file."""
 
     path: Path
     hdu: int

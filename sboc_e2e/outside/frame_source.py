@@ -9,7 +9,7 @@ from sboc_e2e.icd.frame import Frame
 
 @dataclass(frozen=True, kw_only=True)
 class Note:
-    """What a user should know of a frame. kind : the same for notes of which one stands for all."""
+    """A note to the user about a frame. kind : notes of one kind are shown once."""
 
     kind: str
     text: str

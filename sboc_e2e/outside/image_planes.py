@@ -1,4 +1,4 @@
-"""Images that are no pictures of the sky: masks, variances, weights that stand beside the picture in the same file.
+"""Images in a file that are not pictures of the sky: masks, variances and weights of the picture.
 
 They are not searched. Where their meaning is certain they tell which pixels of their picture hold no light.
 """

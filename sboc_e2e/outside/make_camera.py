@@ -1,4 +1,4 @@
-"""A camera made of its frames: PSF from stars, gain and noise by photon transfer, saturation, plate scale by solving.
+"""A camera derived from its frames: PSF from stars, gain and noise by photon transfer, saturation, plate scale by solving.
 
 Photon transfer (Janesick 2007, Photon Transfer, ch. 5): of two frames of one field the variance of the difference, halved,
 grows with the level above the bias by 1/gain, from (read noise / gain)^2 on; what stays on its pixels cancels.
@@ -58,7 +58,7 @@ class PhotonTransfer:
 
 @dataclass(frozen=True, kw_only=True)
 class MadeCamera:
-    """What frames tell of their camera; None: they do not."""
+    """Properties of a camera derived from its frames; None where the frames do not determine them."""
 
     rows: int
     cols: int

@@ -1,4 +1,4 @@
-"""Borders of a raw frame that saw no sky: overscan, prescan, covered columns, the bright edge beside them.
+"""Borders of a raw frame that saw no sky: overscan, prescan, covered columns, and the bright edge next to them.
 
 Between them and the sky the level steps in every row alike, within a pixel or two. Trails do not; bad columns step back at once.
 Left in, such a step is the straightest and brightest line of the frame.

@@ -7,7 +7,7 @@ from sboc_e2e.report.headlines import headline_rows
 from sboc_e2e.report.published_files import missed
 
 LEAST_COMPILATION_S: Final = 1.0
-"""Compilation that is worth a line."""
+"""Least compilation time that is reported."""
 
 
 def closing_text(score: Mapping[str, Any], stages: Mapping[str, Mapping[str, Any]]) -> str:

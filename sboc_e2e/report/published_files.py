@@ -1,4 +1,4 @@
-"""What is published, in plain words: each figure of section `products` beside what it should be, and whether it is."""
+"""The published files in plain words: each figure of section `products`, its aim, and whether it is reached."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass

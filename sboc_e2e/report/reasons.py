@@ -23,7 +23,7 @@ from sboc_e2e.score.trail import draw
 LEAST_HELD: Final = 0.1
 """Share of a trail's light below which a region does not hold it."""
 MASKED: Final = 0.15
-"""Share of a trail's light on defective pixels that is worth a word."""
+"""Least share of a trail's light on defective pixels that is mentioned."""
 POINT_WIDTHS: Final = 3.0
 """Trails of fewer PSF widths (sigma) look like stars."""
 STAR_NEAR_PX: Final = 3.0

@@ -4,7 +4,7 @@ import math
 from typing import Any, Final
 
 ZERO: Final = 1e-9
-"""Share of the larger end of an interval below which a number in it is none."""
+"""Numbers below this share of the larger end of their interval are shown as zero."""
 
 Row = tuple[str, str, str]
 """Name, value with interval, n or reason."""

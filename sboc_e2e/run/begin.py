@@ -16,7 +16,7 @@ def begin_or_continue(
 ) -> Run:
     """The run at `path`; stages that an earlier attempt of the same scenario and versions finished count as done.
 
-    keyed : the folder's name is a digest of all that decides its content, so an earlier run counts whatever else differs.
+    keyed : the folder's name is a digest of everything that determines its content. An earlier run in it is then always used.
     """
     require_files(scenario)
     require_decoder(scenario)

@@ -1,4 +1,4 @@
-"""What a run will take on disk, said before it starts and refused when it cannot fit."""
+"""Disk space of a run: stated before the run starts. A run that does not fit is refused."""
 
 import os
 import shutil

@@ -85,7 +85,7 @@ def ground_chain(
     catalogue: StarCatalogue,
     run_id: int | None = None,
 ) -> GroundChain:
-    """The ground chain of a scenario for the packets of a run; every shipped decoder stands beside the chosen one."""
+    """The ground chain of a scenario for the packets of a run. It has the chosen decoder and every shipped one."""
     steps = GroundSteps(
         decoders=decoders_of(scenario),
         streak_fitter=scenario.step("ground.streak_fitter"),
@@ -99,7 +99,8 @@ def ground_chain(
 
 
 def star_catalogue(scenario: Scenario) -> StarCatalogue:
-    """The star catalogue of ground: its own, else that of the simulated sky. Raises `UserError` for a file that is none."""
+    """The star catalogue of ground: its own, else the one of the simulated sky. Raises `UserError` for a file that is no
+    catalogue."""
     path = scenario.ground.catalogue_file
     try:
         return StarCatalogue.open(path) if path else sky_catalogue(scenario.simulator)
@@ -125,7 +126,7 @@ class GroundStage:
     outside: Outside = field(default_factory=Outside)
     meter: Meter = field(default_factory=Meter)
     frame_meter: Meter = field(default_factory=Meter)
-    """Of what `meter` adds up, the work that is done frame by frame."""
+    """Per-frame share of `meter`."""
     peak_rss_mb: float = 0.0
 
     def execute(self, progress: Progress) -> None:

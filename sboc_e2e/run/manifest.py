@@ -133,7 +133,7 @@ class Manifest:
 
 
 def sources(document: Mapping[str, Any]) -> dict[str, Any]:
-    """Digests of what decides a run's bytes beside the text of its scenario and its plug-ins."""
+    """Digests of everything that determines a run's bytes besides the text of its scenario and its plug-ins."""
     return {"code": provenance.code_digest("ground"), "files": provenance.named_files(document)}
 
 

@@ -96,7 +96,8 @@ class Meter:
 def stage_figures(
     *, wall_s: float, cpu_s: float, frames_cpu_s: list[float], peak_mb: float, compile_cpu_s: float
 ) -> dict[str, float]:
-    """Figures of a stage for the manifest; after a resume they cover the frames of the last attempt, whose number stands beside.
+    """Figures of a stage for the manifest. After a resume they cover the frames of the last attempt; `timed_frames` is their
+    number.
 
     wall_s, cpu_s, frames_cpu_s : without compilation; the last for each frame. compile_cpu_s : what compilation took.
     """

@@ -105,7 +105,7 @@ class Run:
             raise UserError(f"scenario {self.scenario.name}: {self.scenario.told(str(error))}") from error
 
     def simulate_and_onboard(self, simulator: Simulator | None = None) -> None:
-        """Both halves of the space segment, streamed: no more than a few frames exist at a time."""
+        """Simulator and on-board software, streamed: only a few frames exist at a time."""
         maker = self._maker()
         simulator = simulator or self.open_simulator()
         self._write_calibration(simulator.calibration)

@@ -1,4 +1,4 @@
-"""What a long stage tells whoever watches: a stage's name, how much is done, how much there is."""
+"""Progress of a long stage: its name, the number of steps done, and the total."""
 
 from typing import Protocol
 

@@ -1,6 +1,6 @@
-"""Runs that share what they have in common: frames where the simulator's part is the same, packets where all but ground is.
+"""Runs that share results: frames where the simulator's options agree, packets where everything but ground agrees.
 
-Every folder is named by a digest of all that decides its content: options, versions, sources, plug-ins and files that are named.
+Every folder is named by a digest of everything that determines its content: options, versions, sources, plug-ins and named files.
 """
 
 import hashlib
@@ -25,19 +25,19 @@ _AFTER: Final = {
     "onboard": ("ground", *_LABELS),
     "ground": _LABELS,
 }
-"""Tables of a scenario that decide nothing of a stage and of those before it."""
+"""Tables of a scenario that do not affect a stage or the stages before it."""
 SMALL_PX: Final = 20_000_000
 """Starting processes takes longer than simulating fewer pixels than this."""
 KEPT: Final = ("frames", "downlinks", "runs")
 
 
 def stage_document(scenario: Scenario, stage: str) -> dict[str, Any]:
-    """The part of a scenario that decides the results of a stage: "simulate", "onboard" or "ground"."""
+    """The part of a scenario that determines the results of a stage: "simulate", "onboard" or "ground"."""
     return {key: value for key, value in scenario.document().items() if key not in _AFTER[stage]}
 
 
 def stage_content(scenario: Scenario, stage: str) -> dict[str, Any]:
-    """All that decides the results of a stage."""
+    """Everything that determines the results of a stage."""
     document = stage_document(scenario, stage)
     reached = [segment for segment in ("onboard", "ground") if segment in document]
     outside = {
@@ -82,7 +82,7 @@ class SharedRuns:
             _link(frames.directory.path / folder, made.directory.path / folder)
         made.manifest.stages["simulate"] = frames.manifest.stages["simulate"]
         content = stage_content(scenario, "onboard")
-        # Whose packets they are depends on nothing that choices on ground differ in: any of them may read them.
+        # The run id does not depend on the choice of a ground step, so each choice can read these packets.
         made.manifest.run_id = run_id(content["scenario"])
         shared = self.out / "downlinks" / key(content)
         if (shared / "stage.json").is_file():

@@ -21,7 +21,7 @@ STAGE = "simulate"
 
 
 def sky_catalogue(options: SimulatorOptions) -> StarCatalogue:
-    """The star catalogue of the simulated sky. Raises `UserError` for a file that is none."""
+    """The star catalogue of the simulated sky. Raises `UserError` for a file that is no catalogue."""
     path = options.stars.catalogue_file
     try:
         return StarCatalogue.open(path) if path else StarCatalogue.embedded()
@@ -100,7 +100,7 @@ class FrameMaker:
 class FrameStream:
     """Frames in order, from this process or from workers.
 
-    hand_over : whether pixels are wanted at all; without it `None` stands for each frame.
+    hand_over : whether pixels are wanted; if False, each frame is `None`.
     """
 
     maker: FrameMaker
@@ -126,7 +126,7 @@ class FrameStream:
             yield frame if self.hand_over else None
 
     def _elsewhere(self) -> Iterator[Frame | None]:
-        """Frames of a pool of processes; at most one more than there are workers wait to be used."""
+        """Frames of a pool of processes. The number of waiting frames is at most the number of workers plus one."""
         pool = ProcessPoolExecutor(
             max_workers=self.workers,
             mp_context=multiprocessing.get_context("spawn"),

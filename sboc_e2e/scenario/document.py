@@ -48,7 +48,7 @@ class Component:
 
 @dataclass(frozen=True, kw_only=True)
 class Scenario:
-    """Everything that decides the bytes of a run."""
+    """Everything that determines the bytes of a run."""
 
     name: str
     description: str
@@ -60,7 +60,7 @@ class Scenario:
     faults: FaultOptions
     components: Mapping[str, Component]
     layers: tuple[origin.Layer, ...] = field(default=(), compare=False, repr=False)
-    """Presets, file and command line that its values are from; none where it was made of tables."""
+    """Origin of the values: presets, file and command line. Empty for a scenario made from tables."""
 
     def told(self, message: str) -> str:
         """The message of a refusal, with the source of the key that it names where the user did not write it."""
@@ -85,7 +85,7 @@ class Scenario:
 
 
 MAX_LABEL: Final = 120
-"""Characters of what was typed that an error repeats."""
+"""Largest number of typed characters that an error repeats."""
 
 SEGMENT_OPTIONS: Final[dict[str, type]] = {"onboard": OnboardOptions, "ground": GroundOptions}
 SEGMENT_SEAMS: Final = {
@@ -238,7 +238,7 @@ def _resolved(
     try:
         return resolve(stages[-1][1], where=where)
     except UserError:
-        # The first that cannot stand is to blame; a file that is wrong for itself is, whatever was typed.
+        # The error names the first override that is invalid; if the file alone is invalid, it names the file.
         for label, tables in stages:
             resolve(tables, where=label)
         raise

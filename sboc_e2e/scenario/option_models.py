@@ -121,7 +121,7 @@ def _schema_default(item: OptionField) -> Any:
 
 
 def without_null(schema: dict[str, Any]) -> None:
-    """Leave out a default that says nothing."""
+    """Leave out a default of null."""
     if schema.get("default") is None:
         schema.pop("default", None)
 
@@ -154,7 +154,7 @@ def to_document(instance: Any) -> dict[str, Any]:
 def validate(
     model: type[BaseModel], table: Mapping[str, Any], where: str, also: Mapping[str, tuple[str, ...]] = types.MappingProxyType({})
 ) -> BaseModel:
-    """Validated model, or a `UserError` of one line that names the key, what was expected and what came.
+    """Validated model. Raises a `UserError` of one line that names the key, what was expected and what was given.
 
     also : keys of nested tables that are allowed though the model does not have them, for the list of what is known.
     """

@@ -1,4 +1,4 @@
-"""Where the value of a key is from: the scenario's file, a preset, the command line, or nothing but its default."""
+"""Origin of the value of a key: the scenario's file, a preset, the command line, or the default."""
 
 import re
 from collections.abc import Mapping, Sequence
@@ -8,7 +8,7 @@ from typing import Any, Final
 from sboc_e2e.scenario import toml_files
 
 Layer = tuple[str, Mapping[str, Any]]
-"""What gives values, in words, and the tables that it gives."""
+"""Name of an origin in words, and the tables that it sets."""
 
 _KEY: Final = re.compile(r"(?<![\w./\[])[a-z][a-z0-9_]*(?:\.[a-z][a-z0-9_]*)+(?![\w/.])")
 

@@ -40,7 +40,7 @@ _SPELLINGS: Final = ((re.compile(r"\be-"), "electron"), (re.compile(r"\bpx(?![a-
 
 
 class QuantityError(ValueError):
-    """A text that is not a quantity of the wanted dimension; the message says what was expected and what came."""
+    """A text that is not a quantity of the wanted dimension; the message says what was expected and what was given."""
 
 
 def split_name(name: str) -> tuple[str, str | None]:
@@ -61,7 +61,7 @@ def display(unit: str) -> str:
 
 @lru_cache(maxsize=1024)
 def _unit(text: str) -> units.UnitBase:
-    """Parse a unit; `QuantityError` for anything that is none."""
+    """Parse a unit. Raises `QuantityError` for a text that is no unit."""
     spelled = "1" + text if text.startswith("/") else text.strip()
     for pattern, word in _SPELLINGS:
         spelled = pattern.sub(word, spelled)

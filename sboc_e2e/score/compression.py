@@ -1,4 +1,4 @@
-"""Bits: what was sent, for what, and against which bound."""
+"""Bits sent, by kind of packet, and compared with the entropy bound."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

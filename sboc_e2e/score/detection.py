@@ -73,11 +73,11 @@ class RoiFootprints:
 
 
 def lost_to_budget(truth: Sequence[TruthStreak], detected_index: set[int], records: Mapping[int, Housekeeping]) -> Figure:
-    """Share of the truth with S/N >= 8 that the limits of the downlink may have cost, at most.
+    """Upper limit of the share of the truth with S/N >= 8 that the limits of the downlink cost.
 
-    records : housekeeping by frame. The packets say how many detections were held back in a frame, not which: as many of the
-    frame's missed streaks are counted. What is held back for looking like a particle hit is left out, as long as the frame is
-    within its budget and no storm.
+    records : housekeeping by frame. The packets give the number of detections held back in a frame, but not their identity. Each
+    counts as one missed streak of the frame, up to the number of missed streaks. Detections held back as particle hits are left
+    out if the frame is within its budget and not in a storm.
     """
     wanted = [t for t in truth if t.counted and t.snr >= LEAST_DETECTABLE_SNR and t.frame in records]
     missed = Counter(t.frame for t in wanted if t.index not in detected_index)

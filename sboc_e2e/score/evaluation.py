@@ -1,4 +1,4 @@
-"""A run's truth and products brought together: what every score, plot and comparison starts from."""
+"""A run's truth and products, matched: the common input of scores, plots and comparisons."""
 
 import json
 from collections.abc import Sequence
@@ -148,7 +148,7 @@ def evaluate(run_dir: Path, truth: Path | None = None, decoders: Sequence[Decode
     """Read a finished run and match it with its truth, or with truth from elsewhere.
 
     truth : a folder of our truth tables, one table of the columns `sboc_e2e.truth.EXTERNAL`, or SatNet annotations.
-    decoders : of codecs that do not come with the project, or in the place of one that does. Packets that none can read are
+    decoders : of codecs from outside, or in place of a shipped one. Packets that no decoder can read are
     counted in the notes. Raises `UserError`.
     """
     manifest = json.loads((run_dir / "manifest.json").read_text())

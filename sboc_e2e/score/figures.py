@@ -1,4 +1,4 @@
-"""A figure of a score: value, how many it rests on, its interval; or no value and the reason why not.
+"""A figure of a score: value, number of items behind it, and interval; or no value and the reason.
 
 Intervals hold 90 %. Proportions use Wilson's interval (Wilson 1927, JASA 22, 209), rates of rare events the exact
 Poisson interval (Garwood 1936, Biometrika 28, 437), points of half completeness the profile likelihood, everything else the
@@ -18,7 +18,7 @@ Figure = dict[str, Any]
 CONFIDENCE: Final = 0.90
 BOOTSTRAP_DRAWS: Final = 400
 VAGUE: Final = 2.0
-"""Ratio of the ends of an interval of S/N beyond which a point in it says nothing."""
+"""Largest ratio of the ends of an S/N interval for which `half_point` gives a value."""
 LAPSES: Final = (0.0, 0.02, 0.05, 0.1, 0.2, 0.3)
 HALVES: Final = 101
 HALF_REACH: Final = 1.5
@@ -88,7 +88,7 @@ def bootstrap_by_owner(
 ) -> Figure:
     """A statistic of items that belong to objects: objects are resampled, each with all its items, which share errors.
 
-    values : items over axis 0. owners : (n,) whose each is. Needs three objects; `n` of the figure counts items.
+    values : items over axis 0. owners : (n,) object of each item. Needs three objects; `n` of the figure counts items.
     """
     items, whose = np.asarray(values, dtype=np.float64), np.asarray(owners)
     n = len(items)
@@ -118,7 +118,7 @@ def pull_width(z: NDArray[np.float64]) -> float:
 def half_point(snr: ArrayLike, detected: ArrayLike) -> Figure:
     """S/N at which a logistic curve in log S/N fitted to detections crosses one half, with a profile-likelihood interval.
 
-    A share of the streaks, whatever their S/N, may be lost to other reasons (stars, edges). Where no streak lies between the
+    A share of the streaks of any S/N may be lost for other reasons (stars, edges). Where no streak lies between the
     missed and the detected ones the interval is that gap; where it spans a factor of more than `VAGUE`, there is no value.
     """
     x = np.log(np.maximum(np.asarray(snr, dtype=np.float64), 1e-3))

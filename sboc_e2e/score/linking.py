@@ -1,4 +1,4 @@
-"""Tracklets against objects: completeness, purity, fragments, direction, false tracklets, veto loss."""
+"""Tracklets compared with objects: completeness, purity, fragments, direction, false tracklets, veto loss."""
 
 from collections import Counter
 from collections.abc import Mapping

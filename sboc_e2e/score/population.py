@@ -1,4 +1,4 @@
-"""Small debris: what was injected, and what of it was detected, a day by size class.
+"""Small debris: injected and detected objects a day by size class.
 
 Each simulated object carries the number of natural objects it stands for in the run's time span (its encounter weight
 divided by the scenario's density boost), so that a short run predicts nature's rate.

@@ -1,8 +1,9 @@
 """Debris by size as a mission would infer it: counts of detections unfolded with the efficiency of other objects.
 
-A run counts tracklets by estimated size, detections of one frame by magnitude, and those that have neither. How objects of a
-true size show up is measured on injected objects, never on those that are being counted: the injected ones are divided into
-halves, each half is counted and unfolded (`ground.population`) with the response of the other, and the two results add up.
+A run counts tracklets by estimated size, single-frame detections by magnitude, and detections that have neither. The response to
+objects of a true size is measured on injected objects, and never on the objects that are counted. The injected objects are
+divided into halves. Each half is counted and unfolded (`ground.population`) with the response of the other. The two results are
+added.
 """
 
 from collections.abc import Mapping, Sequence
@@ -52,7 +53,7 @@ _ARRAYS: Final = {
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Counted:
-    """Injected objects with what became of each, and detections beyond the first of each.
+    """Injected objects with the detection of each, and detections beyond the first of each.
 
     size_m, weight, range_km : (n,) true diameter, objects in nature that each stands for, true range (NaN if never in a frame).
     category : (n,) of its detection, NOT_DETECTED without one. surplus : (m,) categories of detections of no object, or of one
@@ -152,9 +153,9 @@ def recovery(sample: Counted, span_s: float, field_deg: float, injected: Counted
     """Objects by size class a day and per km^2 and year, and N(> d) with its slope: injected and recovered.
 
     span_s : time in which `sample.weight` objects of nature cross the field. field_deg : full angle of the viewing cone.
-    injected : other runs (of as many seeds as one likes) whose objects tell the efficiency and the false alarms; without them
-    each half of the sample does so for the other half. A class is unfolded when its efficiency is measured, that is when one of
-    it was detected in every sample that tells it; N(> d) sums over such classes alone, for the injected objects too.
+    injected : other runs (of any number of seeds) whose objects give the efficiency and the false alarms. Without them, each half
+    of the sample gives these for the other half. A class is unfolded if its efficiency is measured: every sample that gives it
+    detected at least one object of the class. N(> d) sums over such classes only, also for the injected objects.
     """
     first, second = sample.halves()
     ways = [(sample, injected)] if injected else [(first, second), (second, first)]

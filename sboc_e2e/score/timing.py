@@ -9,7 +9,7 @@ STAGES = ("simulate", "onboard", "ground")
 
 
 def timing(manifest: Mapping[str, Any], n_frames: int, frame_rate_hz: float) -> dict[str, Any]:
-    """Wall and CPU seconds per frame, peak memory of each stage, and how much faster than real time the on-board half is.
+    """Wall and CPU seconds per frame, peak memory of each stage, and the real-time factor of the on-board half.
 
     A resumed stage timed only the frames of its last attempt: seconds are divided by those (`timed_frames`).
     """

@@ -1,4 +1,4 @@
-"""Tracks over several frames against objects: what each frame shows of them, how many frames they have, what is false."""
+"""On-board tracks over several frames, compared with objects: completeness by S/N and number of frames, and false tracks."""
 
 from collections import Counter, defaultdict
 from collections.abc import Sequence
@@ -11,19 +11,19 @@ from sboc_e2e.score.figures import Figure, absent, exact, half_point, proportion
 from sboc_e2e.score.matching import MeasuredStreak, TruthStreak, match_all
 
 FRAME_CLASSES: Final = ((2, 2), (3, 3), (4, 7), (8, 10**6))
-"""Numbers of frames in which an object stands."""
+"""Classes of the number of frames that show an object."""
 
 LEAST_TOTAL_SNR: Final = 8.0
-"""Completeness is of objects whose frames together have this S/N."""
+"""Completeness counts objects with at least this total S/N."""
 
 
 def tracking(truth: Sequence[TruthStreak], frames: Sequence[DownlinkFrame], seen: set[int], n_frames: int) -> dict[str, Any]:
     """Figures of the on-board tracks that came down.
 
-    seen : truth indices that ground measured, frame by frame or as members of tracks. A track is an object's where at least half
-    of its members match that object's streaks; else it is false. An object counts as found by a track of its own, or as measured
-    in two frames. Its S/N per frame is the root mean square over the frames in which it stands, its total S/N the root of the sum
-    of squares.
+    seen : truth indices that ground measured, frame by frame or as members of tracks. A track belongs to an object if at least
+    half of its members match that object's streaks; else it is false. An object counts as found if it has a track or was measured
+    in two frames. Its S/N per frame is the root mean square over the frames that show it, its total S/N the root of the sum of
+    squares.
     """
     members = [(g.track, f.header.frame, g.detection) for f in frames for g in f.rois if g.track >= 0]
     ends = [np.array([[d.row0, d.col0], [d.row1, d.col1]]) for _, _, d in members]

@@ -36,7 +36,8 @@ def render_halos(
 
 
 def reach_px(halo: Halo, flux_e_px: float, faintest_e: float = FAINTEST_E) -> float:
-    """How far from a long line of so many electrons per pixel of its length light is worth drawing: twice the point's law."""
+    """Distance from a long line, with these electrons per pixel of its length, to which its light is drawn: twice that of a
+    point."""
     profile = _profile(halo) * np.arange(_profile(halo).size) / _PER_PX * 2.0
     far = np.flatnonzero(flux_e_px * profile[HALF_PX * _PER_PX :] > faintest_e)
     return 0.0 if far.size == 0 else float(HALF_PX + far[-1] / _PER_PX)

@@ -26,7 +26,7 @@ def add_table_points(
     """Add points, each with the table of its node, bilinear between the table's phases, in place.
 
     tables : (nodes, n, n), n = 2 half phases + 1, share of a pixel ``(i / phases - half, j / phases - half)`` from the point.
-    reach : (half + 1,) largest share at so many pixels or farther; points are drawn as far as that leaves `faintest_e` or more.
+    reach : (half + 1,) largest share at this many pixels or farther. Points are drawn to where it still gives `faintest_e`.
     """
     rows, cols = image_e.shape
     farthest = reach.size - 1
@@ -82,7 +82,7 @@ def add_rings(
     for p in range(row.size):
         flux = flux_e[p]
         low, high = 0, profile.size - 1
-        while low < high:  # the last distance at which the light is worth drawing
+        while low < high:  # the last distance at which the light is drawn
             middle = (low + high + 1) // 2
             if flux * profile[middle] > faintest_e:
                 low = middle

@@ -1,1 +1,1 @@
-"""Platform: where the camera is, where it looks, and what its clock, GPS and star tracker say of it."""
+"""Platform: place and attitude of the camera, and the readings of its clock, GPS and star tracker."""

@@ -1,4 +1,4 @@
-"""The platform of a run: where it is, where the camera looks, when rows are open, and what telemetry says of all that."""
+"""The platform of a run: its place, the attitude of the camera, the times of open rows, and their telemetry."""
 
 from collections.abc import Callable
 from dataclasses import dataclass

@@ -1,7 +1,7 @@
-"""UT1 and polar motion from the installed IERS tables: series C04 as far as it goes, then Bulletin A with its predictions.
+"""UT1 and polar motion from the installed IERS tables: series C04 up to its end, then Bulletin A with its predictions.
 
-Read here and not by `astropy.utils.iers`: that takes 2 s and 80 MB in every process for tables of which a run needs two days,
-and it refuses predictions by the date of today, so that a run made now could not be repeated next month.
+`astropy.utils.iers` is not used for two reasons. It takes 2 s and 80 MB in every process, and a run needs two days of the tables
+only. It refuses predictions by today's date, so a run made now could not be repeated next month.
 """
 
 from dataclasses import dataclass

@@ -139,7 +139,7 @@ def sun_synchronous(a_km: float, node_deg: float, latitude_argument_deg: float) 
 def make_observer(options: PlatformOptions, epoch_tai_ns: int) -> OrbitingObserver | SiteObserver:
     """The observer that the options describe, its elements given at the epoch.
 
-    LTAN counts from the mean Sun, as it is defined: node = right ascension of the mean Sun + 15 deg (LTAN - 12 h).
+    LTAN counts from the mean Sun by definition: node = right ascension of the mean Sun + 15 deg (LTAN - 12 h).
     """
     if options.kind == "site":
         return SiteObserver(site=options.site)

@@ -1,6 +1,6 @@
 """Motion of everything that orbits the Earth, camera and objects alike: point mass and J2, integrated in GCRS axes.
 
-The pole of the date is taken for the GCRS z axis. What is left out, higher harmonics, Moon, Sun, drag and light pressure, is
+The pole of the date is taken for the GCRS z axis. Higher harmonics, Moon, Sun, drag and light pressure are left out. They are
 below 1e-5 of gravity and nearly the same for two bodies that meet. Satellites of a catalogue alone follow SGP4, the theory
 that their element sets belong to.
 """
@@ -19,7 +19,7 @@ Array = NDArray[np.float64]
 STEP_S: Final = 5.0
 """Longest Runge-Kutta step: 1 mm in an hour of a low orbit (tested)."""
 SPACING_S: Final = 60.0
-"""States are kept at multiples of this time, so that any instant costs a few steps whatever was asked before."""
+"""States are kept at multiples of this time, so that any instant costs only a few steps."""
 _MU: Final = float(MU_KM3_S2)
 _OBLATE_KM2: Final = 1.5 * float(J2) * float(EARTH_RADIUS_KM) ** 2
 

@@ -1,4 +1,4 @@
-"""Shutter and clock: when each row is exposed, and what the on-board clock says about it."""
+"""Shutter and clock: exposure times of each row, true and by the on-board clock."""
 
 from dataclasses import dataclass, field
 
@@ -45,7 +45,7 @@ class ShutterOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class ClockOptions:
-    """What the time tags say, beyond the true time (tag = true + offset + drift x time since epoch + jitter)."""
+    """Errors of the time tags (tag = true + offset + drift x time since epoch + jitter)."""
 
     offset_us: float = field(default=0.0, metadata={"doc": "constant offset of the tags", "min": -1e7, "max": 1e7})
     drift_ppm: float = field(default=0.0, metadata={"doc": "rate error of the clock", "min": -1e4, "max": 1e4})

@@ -1,4 +1,4 @@
-"""What the platform says of itself: attitude from the star tracker, position and velocity from GPS, with their errors."""
+"""Telemetry of the platform: attitude from the star tracker, position and velocity from GPS, with their errors."""
 
 from dataclasses import dataclass, field
 
@@ -58,7 +58,7 @@ def attitude_estimate(
 def observer_state(
     options: TelemetryOptions, tai_ns: int, position_km: Array, velocity_km_s: Array, *, seed: int, frame: int
 ) -> ObserverState | None:
-    """Telemetered state of the observer; part of the error is the same in all frames, as GPS orbits err."""
+    """Telemetered state of the observer; part of the error is the same in all frames, as for real GPS orbits."""
     if not options.orbit:
         return None
     steady = generator(seed, Effect.OBSERVER_ERROR, 0, 1).standard_normal(6)

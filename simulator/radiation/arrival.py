@@ -1,4 +1,4 @@
-"""From where trapped protons arrive: across the field's lines, and more of them from the west than from the east.
+"""Directions of trapped protons: across the field lines, and more of them from the west than from the east.
 
 A proton of a shell near its mirror point moves across the field. One that comes from the west has the centre of its
 gyration above the sensor, where there are more protons (Lenchek & Singer 1962, J. Geophys. Res. 67, 4073).
@@ -76,7 +76,7 @@ class Arrival:
         return np.asarray(np.exp(exponent) / self.norm)
 
     def through_plane(self) -> float:
-        """Crossings of the sensor's plane over those of an isotropic flux."""
+        """Crossings of the sensor's plane relative to an isotropic flux."""
         sphere = _sphere()
         return float(2.0 * np.mean(self.weight(sphere) * np.abs(sphere[:, 2])))
 

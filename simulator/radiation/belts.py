@@ -118,7 +118,7 @@ def trapped(
 
 
 def _continued(energy: Array, flux: Array, hardest_mev: float) -> TrappedSpectrum:
-    """The last two energies' exponential goes on to the hardest particles, where the flux is zero."""
+    """Spectrum continued by the exponential of the last two energies, to zero flux at the hardest particles."""
     further = np.linspace(energy[-1], hardest_mev, 9)[1:]
     if flux[-1] > 0.0:
         fold = (energy[-1] - energy[-2]) / max(math.log(flux[-2] / flux[-1]), 1e-6)

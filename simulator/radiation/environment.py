@@ -1,4 +1,4 @@
-"""Cosmic rays that meet the sensor: how many, which nuclei and how hard, by geomagnetic latitude and solar modulation."""
+"""Cosmic rays at the sensor: rate, nuclei and spectrum by geomagnetic latitude and solar modulation."""
 
 import math
 from functools import cache
@@ -32,7 +32,7 @@ RATE_MODULATION_MV: Final = 650.0
 """Solar modulation at which the quiet and polar rates of the options hold."""
 
 EQUATOR_RIGIDITY_GV: Final = 12.0
-"""Cutoff where the environment is said to be quiet: the geomagnetic equator at 700 km."""
+"""Cutoff of the quiet environment: the geomagnetic equator at 700 km."""
 
 
 def geomagnetic_latitude_deg(lat_deg: float, lon_deg: float) -> float:

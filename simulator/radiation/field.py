@@ -44,7 +44,7 @@ MOST_PARTICLES: Final = 1_000_000
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fluxes:
-    """What crosses one cm2 of the sensor behind its shield, per second; cutoff_gv : rigidity of the softest cosmic rays."""
+    """Particles through one cm2 of the sensor behind its shield, per second; cutoff_gv : rigidity of the softest cosmic rays."""
 
     cosmic_cm2_s: float
     proton_cm2_s: float = 0.0
@@ -94,7 +94,7 @@ class ParticleField:
         self._landau = landau_table()
 
     def fluxes(self, position: tuple[float, float, float] | None) -> Fluxes:
-        """What crosses the sensor at a place.
+        """Fluxes through the sensor at a place.
 
         position : geodetic latitude and longitude in degrees, altitude in km; None for a site on the ground.
         """

@@ -1,4 +1,4 @@
-"""What radiation leaves in one exposure: charge in pixels, and a table of tracks for the truth."""
+"""Result of radiation in one exposure: charge in pixels, and a table of tracks for the truth."""
 
 from dataclasses import dataclass
 

@@ -1,11 +1,11 @@
-"""Options of the particle environment and of how silicon answers it."""
+"""Options of the particle environment and of the response of silicon."""
 
 from dataclasses import dataclass, field
 
 
 @dataclass(frozen=True, kw_only=True)
 class RadiationOptions:
-    """Particles that cross the sensor: how many, behind what shield, and what they leave in the sensitive layer."""
+    """Particles through the sensor: rates, shield, and charge in the sensitive layer."""
 
     enabled: bool = field(default=True, metadata={"doc": "particle hits happen"})
     environment: str = field(

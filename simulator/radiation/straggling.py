@@ -33,7 +33,7 @@ _EULER_REST: Final = 0.4227843351
 """1 minus Euler's constant."""
 
 _GAMMA_ABOVE: Final = 0.1
-"""Ratio xi / T_max from which a loss has so many collisions that three moments describe it."""
+"""Least ratio xi / T_max at which a loss has enough collisions to be described by three moments."""
 
 _NODES: Final = 8192
 

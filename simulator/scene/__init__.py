@@ -1,1 +1,1 @@
-"""Scene: what shines (stars, sky, objects) and what lies between it and the aperture (Earth shadow, atmosphere)."""
+"""Scene: sources of light (stars, sky, objects) and effects on its way to the aperture (Earth shadow, atmosphere)."""

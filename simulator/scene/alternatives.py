@@ -1,7 +1,7 @@
-"""How many pieces a day the camera would see if albedo or population were others: the interval that models leave.
+"""Interval that models leave for the number of pieces seen a day: the number for other albedos and populations.
 
-Each alternative replaces one assumption, on the same random numbers; those that give more add up in quadrature (of logarithms),
-and so do those that give fewer.
+Each alternative replaces one assumption, on the same random numbers. Alternatives that give more pieces add in quadrature (of
+logarithms). So do those that give fewer.
 
     albedo      median 0.175 (Mulrooney, Matney & Barker 2008, AMOS), or 0.08, a fifth below the usual 0.1 (assumed)
     surfaces    all Lambert, or all with half of their light mirror-like (Hejduk 2011, AMOS)
@@ -27,7 +27,7 @@ SNR: Final = 8.0
 ALBEDOS: Final = (0.08, 0.175)
 CANDIDATES: Final = 20_000
 BLOCK: Final = 3000
-"""Random streams, beside those of the draws."""
+"""First number of these random streams, apart from those of the draws."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -138,7 +138,7 @@ class Atmosphere:
         return _lifted(directions, self.up, true_zenith - observed)
 
     def unrefracted(self, directions: Array) -> Array:
-        """Where distant things seen in directions (n, 3) really stand."""
+        """True directions of distant sources that are seen in directions (n, 3)."""
         a, b = refraction_constants(self._n_minus_1, self.options.temperature_k)
         tangent = np.tan(np.arccos(np.clip(directions @ self.up, np.sin(np.radians(1.0)), 1.0)))
         return _lifted(directions, self.up, -(a * tangent + b * tangent**3))
@@ -170,7 +170,7 @@ class Atmosphere:
     def unsteadiness(
         self, direction: Array, aperture_m: float, from_s: float, to_s: float, rng: np.random.Generator
     ) -> Unsteadiness | None:
-        """What turbulence does to an object in a direction (3,) between two times; None with both effects switched off."""
+        """Effect of turbulence on an object in a direction (3,) between two times; None with both effects switched off."""
         o = self.options
         if not (o.scintillation or o.image_motion):
             return None

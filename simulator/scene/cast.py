@@ -102,7 +102,7 @@ def _satellites(
 def encounter_window(
     carrier: Carrier, camera: Camera, light: LightOptions, sky_e_s: float, middle_s: float, duration_s: float
 ) -> Window:
-    """What the camera sees during the run, for drawing encounters."""
+    """Field and sensitivity of the camera during the run, for drawing encounters."""
     middle = carrier.tai_ns(middle_s)
     position, velocity = carrier.observer.state(middle)
     return Window(

@@ -1,4 +1,4 @@
-"""When a moving object is seen: a row-dependent shutter decides which part of a path leaves light on the detector.
+"""Exposure of a moving object: a row-dependent shutter decides which part of a path leaves light on the detector.
 
 An object at row r(t) is exposed while its own row is open, ``0 <= t - (t_start + line_time r(t)) <= exposure``. For
 ``r = r0 + v t`` that lasts ``exposure / |1 - v line_time|``; nothing here assumes a constant speed. The row of the PSF's
@@ -36,7 +36,7 @@ class RowShutter:
 
 @dataclass(frozen=True, kw_only=True)
 class Interval:
-    """An exposed stretch of a path; `edge` tells that the frame's edge, not the shutter, ends it."""
+    """An exposed stretch of a path. `edge` : whether the frame's edge ends it instead of the shutter."""
 
     start_s: float
     end_s: float

@@ -1,4 +1,4 @@
-"""The debris population: how many pieces of which size there are, on which orbits."""
+"""The debris population: number of pieces by size, and their orbits."""
 
 from dataclasses import dataclass, field
 from functools import cache

@@ -29,7 +29,7 @@ from simulator.scene.surface import SurfaceOptions, Surfaces, draw_surfaces
 Array = NDArray[np.float64]
 
 FLUX_BLOCK = 1000
-"""Random streams of the flux's integral, beside those of the draws."""
+"""First number of the random streams of the flux's integral, apart from those of the draws."""
 
 FLUX_DRAWS = 200_000
 
@@ -96,7 +96,7 @@ class PopulationOptions:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Window:
-    """What the camera sees during the run, for choosing encounters.
+    """Field and sensitivity of the camera during the run, for choosing encounters.
 
     attitude : (3, 3) GCRS to camera at the middle. half_row, half_col : tangents of half the field.
     flux_e_s : electrons per second of V = 0. noise_variance_e2 : per pixel and exposure. aperture_m : that defocuses near
@@ -223,7 +223,7 @@ def draw_candidates(
 def natural_number(options: PopulationOptions, size_class: SizeClass, window: Window) -> float:
     """Objects of a class with S/N of `snr_min` that nature sends through the field during a run: what the truth is made with.
 
-    A run's own candidates, of which few hold most of a class of large objects, tell it to 20 % only.
+    The candidates of a run give it to 20 % only, because few of them hold most of a class of large objects.
     """
     total = 0.0
     for block in range(TRUTH_ROUNDS):
@@ -366,7 +366,7 @@ class Drawn:
 def draw_encounters(options: PopulationOptions, window: Window, seed: int) -> Drawn:
     """Draw the run's objects.
 
-    UserError when a class that shall be drawn has no detectable candidate.
+    Raises UserError if a class to be drawn has no detectable candidate.
     """
     chosen: list[Encounters] = []
     picks: list[NDArray[np.intp]] = []

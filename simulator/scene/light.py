@@ -1,7 +1,7 @@
 """What happens to light between its source and the camera, each effect with a switch of its own.
 
 All are on in nature. Off, an effect is missing from image and truth alike; ground software, which does not know, still
-corrects for it, and its products show what the effect is worth.
+corrects for it, and its products show the size of the effect.
 """
 
 from dataclasses import dataclass, field

@@ -117,7 +117,7 @@ def with_sizes(satellites: list[Satellite], path: str | Path) -> list[Satellite]
 
 
 def size_by_name(name: str) -> float | None:
-    """Diameter of what a name says it is; None where it says nothing."""
+    """Diameter by the type of object that its name tells; None for other names."""
     return next((size for part, size in SIZES_BY_NAME if part in f" {name.upper()} "), None)
 
 

@@ -199,7 +199,7 @@ def orbiting(options: OrbitOptions) -> OrbitingObject:
 
 
 def passing(options: PassingOptions, observer_km: Array, direction: Array, time_s: float) -> OrbitingObject:
-    """An object that stands in a (published) direction at a time after the epoch.
+    """An object that is in a given (published) direction at a time after the epoch.
 
     UserError, by name, when the point lies inside the Earth or no such orbit passes through it.
     """
@@ -233,7 +233,7 @@ def passing(options: PassingOptions, observer_km: Array, direction: Array, time_
 def encounter(
     options: EncounterOptions, observer_km: Array, observer_km_s: Array, attitude: Array, camera: Array, time_s: float
 ) -> OrbitingObject:
-    """An object that stands in a direction of the camera frame at a time after the epoch, with a given relative motion.
+    """An object that is in a given direction of the camera frame at a time after the epoch, with a given relative motion.
 
     UserError, by name, when it would be inside the Earth or on no closed orbit.
     """

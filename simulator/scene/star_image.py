@@ -91,7 +91,7 @@ def place_stars(
 
 
 def expose_stars(image_e: NDArray[np.float32], places: StarPlaces, flux_e: Array, sigma_px: Array, camera: Camera) -> None:
-    """Add stars (n,) of so many electrons in all, in place. sigma_px : of Gaussian ones, motion in a step included."""
+    """Add stars (n,) with given total electrons, in place. sigma_px : width of Gaussian stars, motion in a step included."""
     steps = len(places.row)
     field = camera.psf_field
     if field is None:

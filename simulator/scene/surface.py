@@ -18,7 +18,7 @@ SUN_B_V = 0.65
 
 @dataclass(frozen=True, kw_only=True)
 class SurfaceOptions:
-    """What differs from piece to piece. All at zero: grey Lambert spheres of one albedo."""
+    """Scatter of surface properties between pieces. With all at zero, pieces are grey Lambert spheres of one albedo."""
 
     albedo_scatter: float = field(
         default=0.5, metadata={"doc": "log-normal scatter of the albedo about population.albedo", "min": 0.0, "max": 2.0}

@@ -19,7 +19,8 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 LARGEST_TILT_SHARE: Final = 0.9
-"""Of the variance of the seeing disc: apertures near the Fried length see nothing but tilt, and the formula would exceed it."""
+"""Largest share of the variance of the seeing disc. Apertures near the Fried length see only tilt, and the formula would exceed
+it."""
 _SAMPLES_PER_CROSSING: Final = 8
 _MOST_SAMPLES: Final = 1 << 18
 

@@ -1,8 +1,6 @@
 """`sboc view`: region files, VOTables, messages to a hub, and the page in a real headless Chromium."""
 
 import json
-import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +15,6 @@ from sboc_e2e.view.page import picture_of
 
 SAMP = pytest.importorskip("astropy.samp", reason="this astropy has no SAMP")
 
-BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 ENDS = (30.0, 20.0, 90.0, 140.0)
 """row0, col0, row1, col1 of the trail in frame 0; in frame 1 it is mirrored, since what stays is no trail."""
 
@@ -112,20 +109,13 @@ def test_levels_of_a_picture_give_the_numbers_back() -> None:
 
 
 @pytest.fixture(scope="module")
-def tab(run: Path) -> Iterator[Any]:
-    if BROWSER is None:
-        pytest.skip("no Chromium installed (package chromium)")
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    flags = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run"]
-    with api.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=BROWSER, args=flags)
-        tab = browser.new_context(viewport={"width": 1000, "height": 700}, offline=True).new_page()
-        errors: list[str] = []
-        tab.on("pageerror", lambda error: errors.append(str(error)))
-        tab.goto((run / "view" / "index.html").as_uri())
-        tab.errors = errors
-        yield tab
-        browser.close()
+def tab(chromium: Any, run: Path) -> Any:
+    tab = chromium.new_context(viewport={"width": 1000, "height": 700}, offline=True).new_page()
+    errors: list[str] = []
+    tab.on("pageerror", lambda error: errors.append(str(error)))
+    tab.goto((run / "view" / "index.html").as_uri())
+    tab.errors = errors
+    return tab
 
 
 @pytest.fixture

@@ -1,30 +1,23 @@
 """Comparison, campaign and benchmark pages in a real Chromium: they fit a phone and a wide screen, light and dark."""
 
-import shutil
-from collections.abc import Iterator
+import json
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
+from astropy.table import Table
 
 from sboc_e2e.bench.entries import Entry
 from sboc_e2e.bench.pages import write_pages as write_bench
+from sboc_e2e.campaign.engine import CampaignResult
+from sboc_e2e.campaign.pages import write_results
+from sboc_e2e.campaign.plan import Campaign
 from sboc_e2e.compare.pages import write_pages as write_compare
 from sboc_e2e.score.figures import figure
+from sboc_e2e.score.recovery import Counted
 
-BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
 PIXEL = "data:image/gif;base64,R0lGODlhAQABAAAAACwAAAAAAQABAAA="
-
-
-@pytest.fixture(scope="module")
-def browser() -> Iterator[Any]:
-    if BROWSER is None:
-        pytest.skip("no Chromium installed (package chromium)")
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    with api.sync_playwright() as driver:
-        made = driver.chromium.launch(executable_path=BROWSER, args=["--no-sandbox", "--disable-gpu"])
-        yield made
-        made.close()
 
 
 @pytest.fixture(scope="module")
@@ -60,14 +53,43 @@ def pages(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
     ]
     environment = {"python": "3", "machine": "x", "processors": 2, "quick": True, "wall_s": 1.0}
     write_bench(entries, {"smoke": 1.0}, environment, [], out)
-    return {"compare": out / "compare.html", "bench": out / "report.html"}
+    campaign = Campaign(
+        name="thresholds", scenario="smoke", vary={"onboard.detector.n_sigma": [6.0, 7.0, 8.0]}, description="Three thresholds."
+    )
+    tasks = campaign.tasks()
+    shards = tuple(shard(out / f"{k}.ecsv", dict(task.point), n_found=30 - 8 * k) for k, task in enumerate(tasks[:2]))
+    failed = ((tasks[2], "RuntimeError: " + "a reason without a space to break at ".replace(" ", "_") * 4),)
+    write_results(campaign, CampaignResult(done=2, skipped=0, failed=failed, shards=shards, wall_s=1.0), out)
+    return {"compare": out / "compare.html", "campaign": out / "campaign.html", "bench": out / "report.html"}
+
+
+def shard(path: Path, point: dict[str, Any], n_found: int) -> Path:
+    """Table of a task: 40 objects with a trail each, the brightest found."""
+    n = 40
+    size_m = np.geomspace(2e-3, 0.4, n)
+    found = np.arange(n) >= n - n_found
+    table = Table({"frame": np.arange(n) % 4, "object_id": np.arange(n), "snr": np.geomspace(4.0, 80.0, n)})
+    table["length_px"], table["rate_deg_s"], table["range_km"], table["mag"] = 100.0, 1.0, np.geomspace(2.0, 900.0, n), 12.0
+    table["size_m"], table["weight"], table["kind"], table["detected_onboard"] = size_m, 0.01, "population", found
+    table["detected_ground"] = found
+    none = np.zeros(0)
+    counted = Counted(
+        size_m=size_m, weight=np.full(n, 0.01), range_km=np.asarray(table["range_km"]), category=np.where(found, 3, -1),
+        surplus=none.astype(int), surplus_frame=none.astype(int), n_frames=4,
+    )  # fmt: skip
+    table.meta = {
+        "frames": "one", "point": json.dumps(point), "n_frames": 4, "frame_rate_hz": 4.0, "n_false_ground": 1,
+        "downlink_bytes": 40_000, "field_deg": 10.0, "notes": ["a note"], "found": found.tolist(), "counted": counted.as_lists(),
+    }  # fmt: skip
+    table.write(path, format="ascii.ecsv")
+    return path
 
 
 @pytest.mark.parametrize("scheme", ["light", "dark"])
 @pytest.mark.parametrize("width", [400, 1000, 1600])
-@pytest.mark.parametrize("name", ["compare", "bench"])
-def test_pages_fit(browser: Any, pages: dict[str, Path], name: str, width: int, scheme: str) -> None:
-    tab = browser.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
+@pytest.mark.parametrize("name", ["compare", "campaign", "bench"])
+def test_pages_fit(chromium: Any, pages: dict[str, Path], name: str, width: int, scheme: str) -> None:
+    tab = chromium.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
     errors: list[str] = []
     tab.on("pageerror", lambda error: errors.append(str(error)))
     tab.goto(pages[name].as_uri())
@@ -76,11 +98,20 @@ def test_pages_fit(browser: Any, pages: dict[str, Path], name: str, width: int, 
     tab.close()
 
 
-def test_a_comparison_begins_with_its_verdict(browser: Any, pages: dict[str, Path]) -> None:
-    tab = browser.new_page()
+def test_a_comparison_begins_with_its_verdict(chromium: Any, pages: dict[str, Path]) -> None:
+    tab = chromium.new_page()
     tab.goto(pages["compare"].as_uri())
     first = tab.locator("main > *").first.inner_text()
     assert first.startswith("line_integral finds 20 of 100 streaks with S/N >= 5 more than my_lab.nets:StreakNetWithALongName")
     assert tab.locator("a[href='runs/0123456789abcdef/report.html']").count() == 2
     assert "False alarms of line_integral" in tab.inner_text("main")
+    tab.close()
+
+
+def test_a_campaign_shows_its_points_and_failures(chromium: Any, pages: dict[str, Path]) -> None:
+    tab = chromium.new_page()
+    tab.goto(pages["campaign"].as_uri())
+    assert tab.locator("main svg").count() >= 5  # over the key once; completeness and N(> d) of both points
+    assert "onboard.detector.n_sigma = 7.0" in tab.inner_text("main")
+    assert "a_reason_without" in tab.locator("h2:has-text('Failed tasks') + *").inner_text()
     tab.close()

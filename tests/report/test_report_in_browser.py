@@ -1,31 +1,19 @@
 """A person's way through the report, in a real headless Chromium."""
 
-import shutil
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-BROWSER = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
-
 
 @pytest.fixture(scope="module")
-def tab(reported_run: Path) -> Iterator[Any]:
-    if BROWSER is None:
-        pytest.skip("no Chromium installed (package chromium)")
-    api = pytest.importorskip("playwright.sync_api", reason="playwright is not installed")
-    flags = ["--no-sandbox", "--disable-gpu", "--disable-background-networking", "--no-first-run"]
-    with api.sync_playwright() as driver:
-        browser = driver.chromium.launch(executable_path=BROWSER, args=flags)
-        context = browser.new_context(viewport={"width": 1280, "height": 900}, offline=True)
-        tab = context.new_page()
-        errors: list[str] = []
-        tab.on("pageerror", lambda error: errors.append(str(error)))
-        tab.goto((reported_run / "report.html").as_uri())
-        tab.errors = errors
-        yield tab
-        browser.close()
+def tab(chromium: Any, reported_run: Path) -> Any:
+    tab = chromium.new_context(viewport={"width": 1280, "height": 900}, offline=True).new_page()
+    errors: list[str] = []
+    tab.on("pageerror", lambda error: errors.append(str(error)))
+    tab.goto((reported_run / "report.html").as_uri())
+    tab.errors = errors
+    return tab
 
 
 @pytest.fixture

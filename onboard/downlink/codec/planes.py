@@ -1,9 +1,8 @@
 """Lossless default: level, zigzag, bytes or nibbles with escapes, zstd.
 
-Sky is uncorrelated noise, so prediction from neighbours costs bits; the local level is the best predictor there is,
-and a Huffman code of what is left is within about one per cent of the entropy. Because the level is taken away before
-bytes are made, the cost does not depend on where the sky falls (a plain byte shuffle loses 1.5 bits per pixel when the
-sky sits at a multiple of 256).
+Sky is uncorrelated noise, so prediction from neighbours costs bits. The local level is the best predictor, and a Huffman code
+of the remainder is within about one per cent of the entropy. The level is subtracted before bytes are made, so the cost does
+not depend on the level of the sky (a plain byte shuffle loses 1.5 bits per pixel if the sky is at a multiple of 256).
 
 The codes are laid out in one of three ways, whichever is shortest: byte planes (strong signal everywhere); one byte
 each, with the few larger ones escaped to the end (stars); two in one byte (noise of about 2 ADU and less: a pair
@@ -20,7 +19,7 @@ from numpy.typing import NDArray
 from sboc_e2e.icd.layout import BYTES_ESCAPED, NIBBLES_ESCAPED, PLANES_ESCAPES, CodecNumber
 
 NIBBLES_BELOW = 20
-"""Nibbles are tried when at most one code in so many needs an escape; the shorter block is sent."""
+"""Nibbles are tried if at most one code in this many needs an escape. The shorter block is sent."""
 
 
 _COMPRESSION = zstandard.ZstdCompressionParameters(

@@ -1,9 +1,9 @@
 """Lossless near the entropy: asymmetric numeral systems with a fixed model of sky and stars.
 
-Each value becomes one of 81 tokens; how likely each is follows from two numbers of the block (level and noise of its sky)
-and from the five neighbours that the decoder has already: beside a star's light, light is likely. A Huffman code spends
+Each value becomes one of 81 tokens. The probability of a token follows from two numbers of the block (level and noise of its sky)
+and from the five neighbours that the decoder already has: next to a star's light, light is likely. A Huffman code spends
 whole bits on each token, this one spends ``-log2 p`` (range variant, rANS: Duda 2013, arXiv 1311.2540). Four interleaved
-coders keep the processor busy, and a product with the reciprocal stands for the division (Giesen 2014, arXiv 1402.3392).
+coders keep the processor busy, and a product with the reciprocal replaces the division (Giesen 2014, arXiv 1402.3392).
 Classes by neighbours as in Rissanen & Langdon 1981 (IEEE Trans. Inf. Theory 27, 12). No table is sent: a packet's block
 is too short to pay for one. The coder works backwards, so that the decoder goes forwards.
 """
@@ -76,7 +76,7 @@ def sky_of(values: NDArray[np.int32], level: int, start_sigma: float) -> tuple[f
             number += np.int64(inside)
             total += value
             squares += value * value
-        if turn == 0 and 2 * number < sample.size:  # level and noise were those of another sky
+        if turn == 0 and 2 * number < sample.size:  # The given level and noise were of another sky.
             ordered = np.sort(sample)
             centre = float(ordered[sample.size // 2])
             sigma = (float(ordered[3 * sample.size // 4]) - float(ordered[sample.size // 4])) / 1.35
@@ -248,7 +248,7 @@ def put_block(
 
 
 def _first_and_last() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Lowest and highest difference from the level that each token but `ESCAPE` stands for."""
+    """Lowest and highest difference from the level of each token except `ESCAPE`."""
     codes = np.arange(PLAIN)
     plain = (codes >> 1) ^ -(codes & 1)
     large = np.arange(ESCAPE - PLAIN)

@@ -54,7 +54,7 @@ class SqrtPlanesCodec:
         return replace(self, electrons_per_adu=self.electrons_per_adu * adu_scale)
 
     def encode(self, values_adu: NDArray[np.int32], *, level_adu: int, sigma_adu: float) -> bytes:
-        """Step and gain as the decoder shall use them, then the codes as a `planes` block around zero."""
+        """Step and gain for the decoder, then the codes as a `planes` block around zero."""
         step_adu = max(1.0, round(self.step_sigma * sigma_adu))
         head = SQRT_PLANES.pack(step_adu, self.electrons_per_adu)
         step_adu, gain = SQRT_PLANES.unpack(head)

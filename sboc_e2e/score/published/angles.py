@@ -34,7 +34,7 @@ _POINTS: Final = (
 
 @dataclass(kw_only=True)
 class _Rows:
-    """What is measured, a number for each angle; `owner` are objects."""
+    """Measured values, one for each angle, with the object of each (`owner`)."""
 
     owner: list[NDArray[np.int64]] = field(default_factory=list)
     columns: dict[str, list[Array]] = field(default_factory=dict)
@@ -145,7 +145,7 @@ class StatedSigmas:
     stated: Array
 
     def at(self, t_tai_ns: NDArray[np.int64]) -> Array:
-        """Of the row of the same epoch (m, 3), NaN without one."""
+        """Stated errors (m, 3) of the rows with the same epochs, NaN without such a row."""
         late = np.abs(np.asarray(t_tai_ns, np.int64)[:, None] - self.t_tai_ns)
         which = np.argmin(late, axis=1)
         same = late[np.arange(len(which)), which] <= SAME_NS

@@ -12,7 +12,7 @@ _UNIT: Final = re.compile(r"\s*\[[^\]]*\]\s*$")
 
 
 class UnreadableProduct(UserError):
-    """A published file that does not say what its standard demands: file, line, what was expected."""
+    """A published file that breaks its standard: file, line, and what was expected."""
 
 
 @dataclass(frozen=True, kw_only=True)

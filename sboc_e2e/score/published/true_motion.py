@@ -14,7 +14,7 @@ Array = NDArray[np.float64]
 
 ARCSEC_PER_RAD: Final = 648_000.0 / np.pi
 LEAST_REACH_S: Final = 0.05
-"""A trail tells of the motion this long before its first and after its last node, or as long as it lasted if that is longer."""
+"""The motion of a trail is used this long before its first and after its last node, or as long as the trail lasted if longer."""
 
 ALONE_REACH_S: Final = 1.0
 """How far in time a single state of the camera is carried on; a run of one frame has no other."""

@@ -17,7 +17,7 @@ FARTHEST_S: Final = 600.0
 """How far from an object's trails a state is compared; gravity is known well enough for more, drag is not."""
 
 _MOST_POINTS: Final = 8
-"""Trails nearest in time from which a state is made: more add nothing but what gravity leaves unsaid."""
+"""Number of trails nearest in time from which a state is made. More trails add no accuracy."""
 
 _ROUNDS: Final = 4
 

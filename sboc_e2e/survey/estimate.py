@@ -1,8 +1,9 @@
 """From the tracklets of a survey to flux by size, altitude and inclination: counts, unfolded with what others show.
 
-What is counted in one half of the blocks is unfolded (`ground.population.recover`) with the response of the other half, and the
-two results add up: no object tells its own efficiency. The response of a class is known only as well as the pixel runs that
-showed it; that, albedo, phase and orbits are the systematic term, the same error in all cells.
+Every other block is counted and unfolded (`ground.population.recover`) with what the blocks between show: no object tells its
+own efficiency. Adding the other way round would hide the scatter of both: what one half finds too many, the other lacks. The
+response of a class is known only as well as the pixel runs that showed it; that, albedo, phase and orbits make the systematic
+term, the same error in all cells.
 """
 
 import math
@@ -113,26 +114,17 @@ def flux_by_band(
         "none": (np.zeros_like(size), np.zeros_like(size), (1, 2)),
     }[axis]
     bands = model.shape[1]
-    half = survey.block % 2
     n_cells = SIZES * bands
-    totals = np.zeros((draws, n_cells))
-    known = np.ones(n_cells, dtype=bool)
-    efficiency = np.full(n_cells, np.nan)
-    both = len(np.unique([b % 2 for b in survey.crossings_by_block])) == 2
-    for mine in (0, 1):
-        other = 1 - mine if both else mine
-        if not both and mine not in {b % 2 for b in survey.crossings_by_block}:
-            continue
-        counted = (half == mine) & (size >= 0)
-        observed = np.bincount(size[counted] * bands + band[counted], minlength=n_cells)
-        told = (half == other) & (size >= 0) & real
-        detected = np.zeros((n_cells, n_cells))
-        np.add.at(detected, (size[told] * bands + band[told], t_size[told] * bands + t_band[told]), 1.0)
-        crossed = _crossed(survey, other, summed)
-        got = unfolded(observed, detected, crossed, rng, prior=0.25 if both else 0.5, draws=draws)
-        totals += np.where(got.known, got.draws, 0.0)
-        known &= got.known
-        efficiency = got.efficiency
+    mine, other = _halves(survey)
+    counted = np.isin(survey.block, mine) & (size >= 0)
+    observed = np.bincount(size[counted] * bands + band[counted], minlength=n_cells)
+    told = np.isin(survey.block, other) & (size >= 0) & real
+    detected = np.zeros((n_cells, n_cells))
+    np.add.at(detected, (size[told] * bands + band[told], t_size[told] * bands + t_band[told]), 1.0)
+    got = unfolded(observed, detected, _crossed(survey, other, summed), rng, draws=draws)
+    known, efficiency = got.known, got.efficiency
+    totals = np.where(known, got.draws, 0.0)
+    expected = expected * (len(mine) / len(survey.crossings_by_block))
     with np.errstate(divide="ignore", invalid="ignore"):
         mean = expected.mean(axis=0)
         exposure = np.where(mean > 0.0, mean / np.maximum(model, 1e-300), np.inf).ravel()
@@ -146,7 +138,7 @@ def flux_by_band(
     true = np.cumsum(np.where(known.reshape(SIZES, bands), model, 0.0)[::-1], axis=0)[::-1]
     use = known.reshape(SIZES, bands)
     quantiles = [np.moveaxis(np.percentile(v, POINTS, axis=0), 0, -1) for v in (larger, larger * wrong)]
-    counts = np.bincount(size[size >= 0] * bands + band[size >= 0], minlength=n_cells).reshape(SIZES, bands)
+    counts = observed.reshape(SIZES, bands)
     return Flux(
         larger=np.where(use[:, :, None], quantiles[0], np.nan),
         total=np.where(use[:, :, None], quantiles[1], np.nan),
@@ -157,9 +149,16 @@ def flux_by_band(
     )
 
 
-def _crossed(survey: Survey, half: int, summed: tuple[int, ...]) -> Array:
-    """Passages by true size and band of one half of the blocks."""
-    tables = [table for block, table in survey.crossings_by_block.items() if block % 2 == half]
+def _halves(survey: Survey) -> tuple[list[int], list[int]]:
+    """Blocks that are counted, and those that show the response: every other one, the same where there is one only."""
+    blocks = sorted(survey.crossings_by_block)
+    mine, other = blocks[1::2], blocks[::2]
+    return (mine, other) if mine else (other, other)
+
+
+def _crossed(survey: Survey, blocks: list[int], summed: tuple[int, ...]) -> Array:
+    """Passages by true size and band of some blocks."""
+    tables = [survey.crossings_by_block[block] for block in blocks]
     return np.asarray(np.sum(tables, axis=0).sum(axis=summed)).ravel()
 
 

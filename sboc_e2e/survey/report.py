@@ -82,7 +82,9 @@ def write_report(out: Path, scenario: Scenario, response: Response, overrides: S
     curves = [
         (f"> {100 * CLASS_EDGES_M[k]:g} cm, {_shell(b)}", _width(altitude, k, b), 1.645 * float(wrong[k])) for k, b in SHELLS
     ]
-    atomic.write_bytes(out / "convergence.png", convergence_png([c for c in curves if np.isfinite(c[1])], survey.watched_days))
+    atomic.write_bytes(
+        out / "convergence.png", convergence_png([c for c in curves if np.isfinite(c[1])], 0.5 * survey.watched_days)
+    )
     atomic.write_bytes(out / "sensitivity.png", sensitivity_png(settings))
     atomic.write_text(out / "survey.md", _page(scenario, survey, response, whole, altitude, terms, settings, apart, shell))
 
@@ -146,7 +148,7 @@ def _page(
         "",
         f"## Flux at {shell}",
         "",
-        "Objects larger than d per km2 and year; 90 % intervals.",
+        "Objects larger than d per km2 and year; 90 % intervals. Every other block is counted, the others show the efficiency.",
         "",
         "| larger than | tracklets | flux | counting | with the systematic term | injected | efficiency |",
         "|---|---|---|---|---|---|---|",
@@ -164,7 +166,7 @@ def _page(
         lines.append(f"| {1e3 * CLASS_EDGES_M[k]:g} mm | " + " | ".join(f"{term[k]:.3f}" for term in terms.values()) + " |")
     lines += ["", "![flux](flux.png)", "", "## How soon", ""]
     for k, b in SHELLS:
-        days = days_to(0.1, altitude, k, b, survey.watched_days)
+        days = days_to(0.1, altitude, k, b, 0.5 * survey.watched_days)
         words = f"{100 * CLASS_EDGES_M[k]:g} cm flux at {_shell(b)}"
         lines.append(f"- {words}: to 10 % after {days:.3g} days of counting" if np.isfinite(days) else f"- {words}: not seen")
     lines += ["", "![convergence](convergence.png)", "", "## Which models a survey tells apart", ""]

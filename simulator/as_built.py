@@ -11,7 +11,7 @@ _DRAWN = ("focal_length_ppm", "center_row_px", "center_col_px", "distortion", "z
 def with_drawn_errors(options: SimulatorOptions, seed: int) -> SimulatorOptions:
     """Options whose departures are draws of the seed: normal, with the values given as their sigmas; the same without `drawn`.
 
-    The errors of the two gains and of the camera file's seeing are drawn with them.
+    The errors of the two gains, of the linearity and of the camera file's seeing are drawn with them.
     """
     built = options.instrument.as_built
     if not built.drawn:
@@ -20,7 +20,7 @@ def with_drawn_errors(options: SimulatorOptions, seed: int) -> SimulatorOptions:
     drawn = {name: getattr(built, name) * float(rng.standard_normal()) for name in _DRAWN}
     drawn["psf_width"] = max(drawn["psf_width"], -0.5)
     converter, atmosphere = options.sensor.converter, options.atmosphere
-    gain, low_gain, seeing = (float(x) for x in rng.standard_normal(3))
+    gain, low_gain, seeing, linearity = (float(x) for x in rng.standard_normal(4))
     return replace(
         options,
         instrument=replace(options.instrument, as_built=replace(built, **drawn, drawn=False)),
@@ -30,6 +30,7 @@ def with_drawn_errors(options: SimulatorOptions, seed: int) -> SimulatorOptions:
                 converter,
                 gain_error=max(converter.gain_error * gain, -0.5),
                 low_gain_error=max(converter.low_gain_error * low_gain, -0.5),
+                nonlinearity_error=max(converter.nonlinearity_error * linearity, -1.0),
             ),
         ),
         atmosphere=replace(atmosphere, seeing_error=max(atmosphere.seeing_error * seeing, -0.5)),

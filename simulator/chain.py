@@ -14,7 +14,7 @@
 Any frame can be made alone, by any process, with the same bytes.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -28,58 +28,26 @@ from sboc_e2e.icd.frame import Calibration, Frame, NominalCamera
 from simulator.as_built import with_drawn_errors
 from simulator.camera import Camera
 from simulator.header import frame_header
+from simulator.mount import carrier_of
 from simulator.options import SimulatorOptions
 from simulator.platform import earth
-from simulator.platform.carrier import Carrier
-from simulator.platform.jitter import make_jitter
 from simulator.platform.line_of_sight import LineOfSight
-from simulator.platform.observer import OrbitingObserver, SiteObserver, make_observer
-from simulator.platform.pointing import commanded_attitude
-from simulator.platform.shutter import ShutterOptions
+from simulator.platform.observer import SiteObserver, make_observer
 from simulator.radiation.arrival import field_lines
 from simulator.radiation.field import ParticleField
-from simulator.randomness import Effect, generator
-from simulator.scene.atmosphere import Atmosphere, clouds_of
+from simulator.scene.aberration import observer_velocity_km_s
+from simulator.scene.atmosphere import Atmosphere, clouds_of, seeing_sigma_rad
+from simulator.scene.backdrop import Backdrop, add_moon, backdrop_of, diffuse_image
 from simulator.scene.cast import make_cast, summary, target_direction
-from simulator.scene.crossing import RowShutter, exposed_intervals
-from simulator.scene.objects import PixelPathObject
-from simulator.scene.sky import SKY_GRID, diffuse_flux, fill_diffuse
-from simulator.scene.star_image import expose_stars, place_stars
+from simulator.scene.crossing import RowShutter, row_shutter
+from simulator.scene.movers import first_seen_km, paths_of
+from simulator.scene.starlight import STAR_MARGIN_PX, add_stars
 from simulator.scene.stars import StarSky
-from simulator.scene.trail_image import Path, add_trail, pixel_path_of, sky_path_of
-from simulator.scene.turbulence import Unsteadiness
+from simulator.scene.trail_image import Path, add_trail
 from simulator.sensor.smear import add_smear
-from simulator.truth_rows import cosmic_rows, frame_row, star_rows
+from simulator.truth_rows import cosmic_rows, frame_row
 
 Array = NDArray[np.float64]
-
-STAR_MARGIN_PX = 40.0
-"""Stars this far outside the frame are drawn for the light of their wings."""
-
-
-def carrier_of(
-    options: SimulatorOptions,
-    shutter: ShutterOptions,
-    observer: OrbitingObserver | SiteObserver,
-    camera: Camera,
-    seed: int,
-    target: Callable[[int], Array] | None = None,
-) -> Carrier:
-    """The platform that carries a camera. target : direction that the law `object` follows."""
-    epoch = earth.tai_ns_of_utc(options.epoch_utc)
-    return Carrier(
-        epoch_tai_ns=epoch,
-        seed=seed,
-        frame_rate_hz=options.frame_rate_hz,
-        observer=observer,
-        attitude=commanded_attitude(options.pointing, observer, epoch, target),
-        jitter=make_jitter(options.jitter, seed),
-        shutter=shutter,
-        clock=options.clock,
-        telemetry=options.telemetry,
-        rows=camera.shape[0],
-        row_step=camera.binning.rows,
-    )
 
 
 class Simulator:
@@ -121,7 +89,7 @@ class Simulator:
         )
         self._stars = StarSky(options.stars, options.instrument, catalogue, seed=seed, epoch_jyear=earth.jyear(epoch))
         middle = self._carrier.attitude(epoch + round(0.5e9 * duration_s))[2]
-        sky_e_s = float(self._sky_rate_e_s(middle[None], self._air(observer, epoch))[0])
+        sky_e_s = float(self._backdrop(epoch).surface_flux(middle[None], self._camera)[0] * self._camera.surface_rate_e_s)
         self._cast = make_cast(
             options.objects, options.population, self._carrier, self._camera, options.light, sky_e_s, duration_s
         )
@@ -154,14 +122,17 @@ class Simulator:
         self, sight: LineOfSight, index: int
     ) -> tuple[NDArray[np.float32], float, float, NDArray[np.void], NDArray[np.void]]:
         """Sky, stars and objects as mean electrons; mean sky, entropy without objects, truth of stars and streaks."""
-        shutter = self._shutter(index)
-        image_e = self._diffuse(sight, index)
+        shutter, camera = self._shutter(index), self._camera.at(sight.reference_s)
+        backdrop = self._backdrop(self._carrier.tai_ns(sight.reference_s))
+        image_e = diffuse_image(backdrop, sight, camera)
         sky_e = float(image_e[::16].mean(dtype=np.float64))
-        stars = self._add_stars(image_e, sight, shutter, index)
+        velocity = observer_velocity_km_s(self.options.light, self._carrier.tai_ns(sight.reference_s), sight.middle_velocity_km_s)
+        add_moon(image_e, backdrop, sight, camera, velocity)
+        stars = self._add_stars(image_e, sight, shutter, backdrop, velocity, index)
         entropy_bits = self._camera.sensor.entropy_bits(image_e[::16], self._camera.exposure_s)
         streaks = [truth.empty("streaks")]
         for object_id, path in self._paths(sight, index, range(len(self._cast.objects))):
-            trail = add_trail(image_e, path, sight, shutter, self._camera.at(sight.reference_s), epoch_tai_ns=self._epoch)
+            trail = add_trail(image_e, path, sight, shutter, camera, epoch_tai_ns=self._epoch)
             trail["frame"], trail["object_id"] = index, object_id
             streaks.append(trail)
         sensor = self.options.sensor
@@ -172,13 +143,7 @@ class Simulator:
     def _shutter(self, index: int) -> RowShutter:
         """When the rows of the window are open."""
         timing = self._carrier.timing(index, delivered=False)
-        return RowShutter(
-            open_s=(timing.t_start_tai_ns - self._epoch) * 1e-9,
-            line_s=timing.line_time_ns * 1e-9,
-            exposure_s=self._camera.exposure_s,
-            rows=self._camera.shape[0],
-            cols=self._camera.shape[1],
-        )
+        return row_shutter(timing, self._epoch, self._camera.exposure_s, self._camera.shape)
 
     def _air(self, observer: object, tai_ns: int) -> Atmosphere | None:
         """The atmosphere above a site; None in orbit."""
@@ -197,93 +162,50 @@ class Simulator:
         return self._air(self._carrier.observer, self._carrier.tai_ns(sight.reference_s))
 
     def _check_field(self, duration_s: float) -> None:
-        """Refuse the Earth and the horizon in the field at 17 times of the run; set the seeing of a site to its mean."""
-        seeing_px = []
-        for time_s in np.linspace(0.0, duration_s, 17):
-            tai_ns = self._carrier.tai_ns(float(time_s))
-            air, boresight = self._air(self._carrier.observer, tai_ns), self._carrier.attitude(tai_ns)[2]
-            if air is None:
-                self._carrier.refuse_earth(tai_ns, self._camera.radius_rad)
-            else:
-                air.refuse_low(boresight)
-                seeing_px.append(self._camera.projection.focal_px * air.seeing_sigma_rad(boresight))
-        if seeing_px:
-            self._camera.seeing_px = float(np.mean(seeing_px))
+        """Refuse the horizon of a site in the field at 17 times of the run; set the seeing of a site to its mean."""
+        times = [self._carrier.tai_ns(float(t)) for t in np.linspace(0.0, duration_s, 17)]
+        airs = [(self._air(self._carrier.observer, t), self._carrier.attitude(t)[2]) for t in times]
+        sigma_rad = [seeing_sigma_rad(air, boresight) for air, boresight in airs if air is not None]
+        if sigma_rad:
+            self._camera.seeing_px = float(np.mean(self._camera.projection.focal_px * np.array(sigma_rad)))
             self._camera.seeing_error = self.options.atmosphere.seeing_error
 
     # ------------------------------------------------------------- the scene
 
-    def _sky_rate_e_s(self, directions: Array, air: Atmosphere | None) -> Array:
-        """Diffuse light on axis in directions (n, 3): electrons per detector pixel and second."""
-        flux = diffuse_flux(self.options.sky, directions, earth.sun_position_km(self._epoch))
-        if air is not None:
-            flux = flux * air.transmission(directions) + air.glow_flux(directions)
-        return np.asarray(flux * self._camera.surface_rate_e_s)
+    def _backdrop(self, tai_ns: int) -> Backdrop:
+        """Sky, Moon, planets and Earth at an instant; the zodiacal light is that of the epoch."""
+        observer = self._carrier.observer
+        place = observer.state(tai_ns)[0]
+        return backdrop_of(self.options.sky, tai_ns, earth.sun_position_km(self._epoch), place, self._air(observer, tai_ns))
 
-    def _diffuse(self, sight: LineOfSight, index: int) -> NDArray[np.float32]:
-        """An image of sky and stray light."""
-        camera, shape = self._camera.at(sight.reference_s), self._camera.shape
-        row, col = np.meshgrid(*(np.linspace(0.0, n - 1.0, SKY_GRID) for n in shape), indexing="ij")
-        directions = camera.projection.to_vectors(row.ravel(), col.ravel()) @ sight.reference
-        rate_e_s = self._sky_rate_e_s(directions, self._air_of(sight)).reshape(SKY_GRID, SKY_GRID)
-        image_e = np.empty(shape, dtype=np.float32)
-        stray_e = camera.instrument.stray_light_e_px_s * camera.exposure_s
-        grid_e = (rate_e_s * camera.exposure_s).astype(np.float32)
-        fill_diffuse(image_e, *camera.illumination, grid_e, stray_e, camera.instrument.stray_gradient)
-        return image_e
-
-    def _add_stars(self, image_e: NDArray[np.float32], sight: LineOfSight, shutter: RowShutter, index: int) -> NDArray[np.void]:
-        """Add the stars to the image; their truth."""
+    def _add_stars(
+        self,
+        image_e: NDArray[np.float32],
+        sight: LineOfSight,
+        shutter: RowShutter,
+        backdrop: Backdrop,
+        velocity_km_s: Array,
+        index: int,
+    ) -> NDArray[np.void]:
+        """Add stars and planets to the image; their truth."""
         if not self.options.stars.enabled:
             return truth.empty("stars")
-        camera, air = self._camera.at(sight.reference_s), self._air_of(sight)
-        velocity = np.zeros(3)
-        if self.options.light.annual_aberration:
-            velocity = velocity + earth.earth_velocity_km_s(self._carrier.tai_ns(sight.reference_s))
-        if self.options.light.orbital_aberration:
-            velocity = velocity + sight.middle_velocity_km_s
+        camera = self._camera.at(sight.reference_s)
         swing_rad = float(np.ptp(sight.turn_rad, axis=0).max())
-        margin_rad = 1.5 * STAR_MARGIN_PX / camera.projection.focal_px
-        radius_deg = float(np.degrees(camera.radius_rad + swing_rad + margin_rad))
-        field = self._stars.around(camera.direction(0.0, 0.0) @ sight.reference, radius_deg)
-        places = place_stars(field, sight, velocity, camera.projection, shutter, STAR_MARGIN_PX, air)
-        row, col = places.row.mean(axis=0), places.col.mean(axis=0)
-        sigma_px = np.sqrt(camera.sigma_at(row, col) ** 2 + places.spread_px2)
-        flux_e = field.flux_e_s[places.index] * shutter.exposure_s * places.exposed * camera.illumination_at(row, col)
-        if air is not None:
-            flux_e *= air.transmission(field.direction[places.index])
-            aperture_m = camera.instrument.aperture_m
-            flux_e *= air.flicker(len(flux_e), sight.reference[2], aperture_m, shutter.exposure_s, self.seed, index)
-        expose_stars(image_e, places, flux_e, sigma_px, camera)
-        return star_rows(self._camera, field, places, flux_e, sigma_px, float(image_e[::64, ::64].mean()), index)
+        radius_rad = camera.radius_rad + swing_rad + 1.5 * STAR_MARGIN_PX / camera.projection.focal_px
+        centre = camera.direction(0.0, 0.0) @ sight.reference
+        field = self._stars.around(centre, float(np.degrees(radius_rad)))
+        planets = backdrop.planets_near(centre, radius_rad)
+        return add_stars(image_e, field, planets, backdrop, sight, velocity_km_s, shutter, camera, (self.seed, index))
 
     def _paths(self, sight: LineOfSight, index: int, wanted: Iterable[int]) -> list[tuple[int, Path]]:
         """Paths of those wanted objects that come near the field in a frame."""
-        sun_km = earth.sun_position_km(self._carrier.tai_ns(sight.reference_s))
         first_open_s = index / self.options.frame_rate_hz
-        to_middle_s = 0.5e-9 * self._carrier.timing(index, delivered=False).line_time_ns * (self._camera.shape[0] - 1)
-        air, light, camera = self._air_of(sight), self.options.light, self._camera.at(sight.reference_s)
-        paths = []
-        for object_id in wanted:
-            thing = self._cast.objects[object_id]
-            path: Path | None
-            unsteady = self._turbulence(air, sight, index, object_id)
-            if isinstance(thing, PixelPathObject):
-                start_s = (first_open_s if thing.restart else 0.0) + (to_middle_s if thing.from_middle_row else 0.0)
-                path = pixel_path_of(thing, sight, camera, start_s, light, unsteady)
-            else:
-                path = sky_path_of(thing, sight, camera, sun_km, light, air, unsteady)
-            if path is not None:
-                paths.append((object_id, path))
-        return paths
-
-    def _turbulence(self, air: Atmosphere | None, sight: LineOfSight, index: int, object_id: int) -> Unsteadiness | None:
-        """Scintillation and image motion of one object while the rows of one frame are open."""
-        if air is None:
-            return None
-        rng = generator(self.seed, Effect.TURBULENCE, index, object_id)
-        span = float(sight.node_s[0]), float(sight.node_s[-1])
-        return air.unsteadiness(sight.reference[2], self._camera.instrument.aperture_m, *span, rng)
+        middle_s = 0.5e-9 * self._carrier.timing(index, delivered=False).line_time_ns * (self._camera.shape[0] - 1)
+        sun_km = earth.sun_position_km(self._carrier.tai_ns(sight.reference_s))
+        camera, air = self._camera.at(sight.reference_s), self._air_of(sight)
+        things = [(k, self._cast.objects[k]) for k in wanted]
+        return paths_of(things, sight, camera, sun_km, self.options.light, air, (first_open_s, middle_s), (self.seed, index))
 
     # -------------------------------------------------------------- the run
 
@@ -306,14 +228,11 @@ class Simulator:
         for index in range(self.n_frames):
             if not waiting:
                 break
-            sight, shutter = self._carrier.sight(index), self._shutter(index)
-            first_s, last_s = float(sight.node_s[0]), float(sight.node_s[-1])
-            for k, path in self._paths(sight, index, sorted(waiting)):
-                lit = exposed_intervals(path.place, shutter, 0.5, first_s, last_s)
-                if lit:
-                    distance_km = path.range_km(np.array([0.5 * (lit[0].start_s + lit[0].end_s)]))[0]
-                    out[k]["range_km"] = distance_km if np.isfinite(distance_km) else np.nan
-                    waiting.discard(k)
+            sight = self._carrier.sight(index)
+            seen = first_seen_km(self._paths(sight, index, sorted(waiting)), self._shutter(index), sight)
+            for k, distance_km in seen.items():
+                out[k]["range_km"] = distance_km
+                waiting.discard(k)
         return out
 
     def population_summary(self) -> dict[str, Any]:

@@ -36,6 +36,7 @@ class Effect(IntEnum):
     BLACK_LEVEL = 23  # drift of the black level
     COMPANIONS = 24  # binaries and variables of the sky
     SURVEY = 25  # passages of a block of a survey; block is the size class, 0 the instants
+    FLAT_ERRORS = 26  # what flats of another date and lamp get wrong
 
 
 def generator(seed: int, effect: Effect | int, frame: int = 0, block: int = 0) -> np.random.Generator:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from sboc_e2e.icd.errors import UserError
 from simulator.as_built import with_drawn_errors
 from simulator.camera import Camera
-from simulator.chain import carrier_of
+from simulator.mount import carrier_of
 from simulator.options import SimulatorOptions
 from simulator.platform import earth
 from simulator.platform.carrier import Carrier

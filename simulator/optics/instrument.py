@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import UserError
+from simulator.optics.far_scatter import FarScatterOptions
 from simulator.optics.passband import (
     LONGEST_NM,
     SHORTEST_NM,
@@ -103,6 +104,9 @@ class InstrumentOptions:
     stray_light_e_px_s: float = field(default=0.0, metadata={"doc": "stray light at the centre", "min": 0.0, "max": 1e5})
     stray_gradient: float = field(
         default=0.0, metadata={"doc": "relative change of stray light across the columns", "min": -2.0, "max": 2.0}
+    )
+    scatter: FarScatterOptions = field(
+        default_factory=FarScatterOptions, metadata={"doc": "veil of bright bodies outside the field"}
     )
     distortion: DistortionOptions = field(default_factory=DistortionOptions, metadata={"doc": "distortion"})
     as_built: AsBuiltOptions = field(default_factory=AsBuiltOptions, metadata={"doc": "departure of the built camera"})

@@ -7,7 +7,6 @@ import erfa
 import numpy as np
 from numpy.typing import NDArray
 
-from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import AttitudeEstimate, ObserverState
 from simulator.platform import earth
 from simulator.platform.jitter import Jitter
@@ -89,14 +88,3 @@ class Carrier:
         position, velocity = (v[0] for v in sight.observer_at(np.array([sight.reference_s])))
         tagged = timing.middle_tai_ns + timing.clock_tai_ns - timing.t_start_tai_ns
         return observer_state(self.telemetry, tagged, position, velocity, seed=self.seed, frame=frame)
-
-    def refuse_earth(self, tai_ns: int, radius_rad: float) -> None:
-        """UserError when the Earth reaches into a field of an angular radius, seen from orbit."""
-        position, boresight = self.observer.state(tai_ns)[0], self.attitude(tai_ns)[2]
-        distance = float(np.linalg.norm(position))
-        needed_deg = float(np.degrees(np.arcsin(earth.EARTH_RADIUS_KM / distance) + radius_rad))
-        from_nadir_deg = float(np.degrees(np.arccos(np.clip(-boresight @ position / distance, -1.0, 1.0))))
-        if from_nadir_deg < needed_deg:
-            raise UserError(
-                f"pointing: the Earth stands in the field, {from_nadir_deg:.1f} deg from nadir; allowed is above {needed_deg:.1f}"
-            )

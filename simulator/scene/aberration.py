@@ -7,7 +7,8 @@ farther than 90 deg from the Sun) are left out on purpose; so is the orbit of th
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.platform.earth import LIGHT_KM_S
+from simulator.platform.earth import LIGHT_KM_S, earth_velocity_km_s
+from simulator.scene.light import LightOptions
 
 Array = NDArray[np.float64]
 
@@ -23,3 +24,13 @@ def aberrate(directions: Array, velocity_km_s: Array) -> Array:
     along = np.sum(directions * beta, axis=-1, keepdims=True)
     seen = gamma_inverse * directions + beta * (1.0 + along / (1.0 + gamma_inverse))
     return np.asarray(seen / (1.0 + along))
+
+
+def observer_velocity_km_s(light: LightOptions, tai_ns: int, geocentric_km_s: Array) -> Array:
+    """Barycentric velocity (3,) of an observer with a geocentric one, as far as aberration is on."""
+    velocity = np.zeros(3)
+    if light.annual_aberration:
+        velocity = velocity + earth_velocity_km_s(tai_ns)
+    if light.orbital_aberration:
+        velocity = velocity + geocentric_km_s
+    return velocity

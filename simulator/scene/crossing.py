@@ -11,6 +11,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from simulator.platform.shutter import FrameTiming
+
 Array = NDArray[np.float64]
 Place = Callable[[Array], tuple[Array, Array]]
 """Times (s after the epoch of the run) to rows and cols of the read-out window; NaN where nothing is seen."""
@@ -32,6 +34,17 @@ class RowShutter:
     def since_open(self, time_s: Array, row: Array) -> Array:
         """Seconds since the row opened."""
         return np.asarray(time_s - self.open_s - self.line_s * row)
+
+
+def row_shutter(timing: FrameTiming, epoch_tai_ns: int, exposure_s: float, shape: tuple[int, int]) -> RowShutter:
+    """When the rows of a window of so many (rows, cols) are open in a frame; seconds after the epoch."""
+    return RowShutter(
+        open_s=(timing.t_start_tai_ns - epoch_tai_ns) * 1e-9,
+        line_s=timing.line_time_ns * 1e-9,
+        exposure_s=exposure_s,
+        rows=shape[0],
+        cols=shape[1],
+    )
 
 
 @dataclass(frozen=True, kw_only=True)

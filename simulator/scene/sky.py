@@ -62,6 +62,11 @@ class SkyOptions:
     unresolved: float = field(
         default=1.0, metadata={"doc": "factor on unresolved stars and diffuse galactic light", "min": 0.0, "max": 100.0}
     )
+    moon: bool = field(default=False, metadata={"doc": "the Moon shines, and its light scatters in air and optics"})
+    planets: bool = field(default=False, metadata={"doc": "planets shine"})
+    earth: bool = field(
+        default=True, metadata={"doc": "the Earth hides stars, shines in the field and scatters in optics (orbits)"}
+    )
 
 
 def ecliptic_of(directions: Array) -> tuple[Array, Array]:

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from sboc_e2e.icd.flags import MaskBit
 from simulator.optics.vignetting import IlluminationGrid, illumination_of_row
+from simulator.randomness import Effect, generator, seed_word
 from simulator.sensor.binning import bin_flags, bin_means
 from simulator.sensor.counter import GAMMA, NORMAL_TABLE, mix, normal, row_key
 from simulator.sensor.maps import PixelModel
@@ -34,12 +35,12 @@ def reduce_calibration(
     exposure_s: float,
     illumination: IlluminationGrid,
     jumps: tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float32]],
-    word: int,
+    seed: int,
 ) -> CalibrationMaps:
     """Maps of the pixels of a window.
 
     illumination : of the flat field, 1 on axis.
-    jumps : row, col and mean electrons of telegraph pixels over the dark frames. word : of the random stream.
+    jumps : row, col and mean electrons of telegraph pixels over the dark frames.
     """
     calibration, converter = options.calibration, options.converter
     flat_e = calibration.flat_level * converter.full_well_e
@@ -55,13 +56,14 @@ def reduce_calibration(
         pixels.column_e,
         *illumination,
         flat_e,
-        (converter.true_gain_e_adu, float(converter.pedestal_adu), converter.full_well_e, converter.nonlinearity),
+        (converter.true_gain_e_adu, float(converter.pedestal_adu), converter.full_well_e, converter.true_nonlinearity),
         (float(calibration.dark_frames), float(calibration.flat_frames)),
-        np.uint64(word),
+        np.uint64(seed_word(seed, Effect.CALIBRATION)),
         NORMAL_TABLE,
         dark_adu,
         flat,
     )
+    depart_flat(flat, options, seed)
     row, col, jump_e = jumps
     dark_adu[row, col] += jump_e / np.float32(converter.true_gain_e_adu)
     median_noise_adu = pixels.median_noise_e / converter.gain_e_adu
@@ -79,6 +81,44 @@ def reduce_calibration(
             # On-chip sums carry one pedestal, sums of converted pixels carry one for each.
             dark_adu = (dark_adu - offset) * n + (offset if options.type == "ccd" else n * offset)
     return CalibrationMaps(dark_adu=dark_adu, flat=flat, defects=defects)
+
+
+def depart_flat(flat: NDArray[np.float32], options: SensorOptions, seed: int) -> None:
+    """What a flat of another date and lamp gets wrong, in place: the lamp's unevenness, changed responses, the linearity curve.
+
+    The lamp's error is a plane and a quadratic over the window with coefficients drawn by seed, of the given rms on average.
+    Responses have changed by a normal share, rms in proportion to the years. Flats are made linear by the nominal curve.
+    """
+    calibration, converter = options.calibration, options.converter
+    change = calibration.flat_change_per_year * calibration.age_years
+    bend = (converter.true_nonlinearity - converter.nonlinearity) * calibration.flat_level
+    if calibration.flat_error == 0.0 and change == 0.0 and bend == 0.0:
+        return
+    unit_rms = np.array([1.0 / np.sqrt(3.0), 1.0 / np.sqrt(3.0), np.sqrt(4.0 / 45.0), 1.0 / 3.0, np.sqrt(4.0 / 45.0)])
+    lamp = generator(seed, Effect.FLAT_ERRORS).standard_normal(5) * calibration.flat_error / (np.sqrt(5.0) * unit_rms)
+    _depart(flat, lamp, change, bend, np.uint64(seed_word(seed, Effect.FLAT_ERRORS, 0, 1)), NORMAL_TABLE)
+
+
+@numba.njit(cache=True)
+def _depart(
+    flat: NDArray[np.float32],
+    lamp: NDArray[np.float64],
+    change: float,
+    bend: float,
+    word: np.uint64,
+    normals: NDArray[np.float32],
+) -> None:
+    """lamp : factors of y, x, y^2 - 1/3, x y, x^2 - 1/3 on [-1, 1]^2. bend : loss of a flat of 1, relative."""
+    rows, cols = flat.shape
+    for r in range(rows):
+        y = 2.0 * r / max(rows - 1, 1) - 1.0
+        position = row_key(word, r)
+        for c in range(cols):
+            x = 2.0 * c / max(cols - 1, 1) - 1.0
+            position += GAMMA
+            light = 1.0 + y * (lamp[0] + lamp[2] * y + lamp[3] * x) + x * (lamp[1] + lamp[4] * x) - (lamp[2] + lamp[4]) / 3.0
+            value = flat[r, c] * light * (1.0 + change * normal(mix(position), normals))
+            flat[r, c] = value * (1.0 - bend * (value - 1.0))
 
 
 @numba.njit(cache=True)

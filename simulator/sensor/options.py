@@ -72,6 +72,10 @@ class ConverterOptions:
     nonlinearity: float = field(
         default=0.01, metadata={"doc": "relative loss of signal at full well, linear in signal", "min": 0.0, "max": 0.4}
     )
+    nonlinearity_error: float = field(
+        default=0.0,
+        metadata={"doc": "true loss over `nonlinearity`, less 1: what the laboratory's curve misses", "min": -1.0, "max": 5.0},
+    )
     bits: int = field(default=12, metadata={"doc": "bits of each converter", "min": 4, "max": 16})
     gain_e_adu: float = field(default=1.2, metadata={"doc": "electrons per unit, high-gain channel", "min": 1e-3, "max": 1e4})
     dual_gain: bool = field(default=True, metadata={"doc": "a second, low-gain channel takes over where the first ends"})
@@ -94,6 +98,11 @@ class ConverterOptions:
     def true_gain_e_adu(self) -> float:
         """Electrons per unit of the built high channel."""
         return self.gain_e_adu * (1.0 + self.gain_error)
+
+    @property
+    def true_nonlinearity(self) -> float:
+        """Relative loss of signal at full well of the built sensor."""
+        return self.nonlinearity * (1.0 + self.nonlinearity_error)
 
     def __post_init__(self) -> None:
         top = 2**self.bits - 1
@@ -134,6 +143,13 @@ class CalibrationOptions:
     dark_frames: int = field(default=64, metadata={"doc": "dark frames averaged", "min": 1, "max": 100000})
     flat_frames: int = field(default=64, metadata={"doc": "flat frames averaged", "min": 1, "max": 100000})
     flat_level: float = field(default=0.4, metadata={"doc": "flat level as a share of full well", "min": 0.01, "max": 0.9})
+    flat_error: float = field(
+        default=0.0,
+        metadata={"doc": "rms over the field of the error that an uneven lamp leaves in the flat", "min": 0.0, "max": 0.2},
+    )
+    flat_change_per_year: float = field(
+        default=0.0, metadata={"doc": "rms change of the pixels' response in a year of flight", "min": 0.0, "max": 0.1}
+    )
     warmer_k: float = field(
         default=0.0,
         metadata={"doc": "temperature of the dark frames less that of the detector in flight", "min": -100.0, "max": 100.0},

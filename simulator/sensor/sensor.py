@@ -238,11 +238,10 @@ class Sensor:
         row, col = pattern.telegraph_row.astype(np.int64) - window.row0, pattern.telegraph_col.astype(np.int64) - window.col0
         inside = (row >= 0) & (row < self.window_rows) & (col >= 0) & (col < self.window_cols)
         jumps = (row[inside], col[inside], jump_e[inside].astype(np.float32))
-        word = seed_word(self.seed, Effect.CALIBRATION)
         then = replace(self.options, temperature_k=self.options.temperature_k + self.options.calibration.warmer_k)
         pixels = replace(self._pixels, dark=self._dark_before(), dark_rate_of_e_s=dark_rate_of_class_e_s(then))
         return reduce_calibration(
-            self.options, pixels, exposure_s, illumination or even_illumination(self.window_shape), jumps, word
+            self.options, pixels, exposure_s, illumination or even_illumination(self.window_shape), jumps, self.seed
         )
 
     def _dark_before(self) -> NDArray[np.uint8]:
@@ -268,7 +267,7 @@ class Sensor:
         top = 2.0**converter.bits - 1.0
         return (
             converter.full_well_e,
-            converter.nonlinearity / converter.full_well_e,
+            converter.true_nonlinearity / converter.full_well_e,
             converter.true_gain_e_adu,
             top,
             converter.handover * top,

@@ -47,7 +47,9 @@ WORLD = {
         "stars.companion_share=0.5", "stars.variable_share=0.5", 'sensor.structure.row_flicker="3 e-"',
         'sensor.structure.column_noise="3 e-"', 'sensor.structure.black_drift="20 e-"', "sensor.converter.gain_error=0.02",
         "sensor.converter.low_gain_error=0.02", "sensor.ccd.transfer_loss=1e-3", "sensor.dark.hot_growth_per_year=0.01",
-        "sensor.calibration.age_years=3", *ENCOUNTERS,
+        "sensor.calibration.age_years=3", "sky.moon=true", "sky.planets=true", "instrument.scatter.strength=0.1",
+        "sensor.calibration.flat_error=0.02", "sensor.calibration.flat_change_per_year=0.01",
+        "sensor.converter.nonlinearity_error=1.0", *ENCOUNTERS,
     ],
     "site": [
         "frames=1", f'epoch_utc="{EPOCH}"', "instrument.rows=160", "instrument.cols=160", 'instrument.pixel="20 um"',
@@ -71,23 +73,34 @@ NEEDS = {
     "frame-transfer smear": ("bleeding",),
     "charge left behind in transfers (CTI)": ("bleeding",),
     "pixels that became hot in flight": ("dark current",),
+    "what the linearity curve misses": ("non-linearity",),
+    "veil of bodies outside the field": ("the Moon",),
 }
 """Effects that show only where others are on."""
+WHEN = {
+    "the Moon": ('epoch_utc="2027-01-22T12:00:00"',),  # 1.4 deg from the anti-Sun point
+    "planets": ('epoch_utc="2027-02-10T23:00:00"',),  # Jupiter stands against the Sun
+    "the Earth in the field": ('pointing.law="nadir"', 'pointing.tilt="62 deg"'),
+    "veil of bodies outside the field": ('epoch_utc="2027-01-22T12:00:00"',),
+}
+"""When and where an effect is to be seen."""
+IN_FLATS = ("unevenness of the flat's lamp", "responses that changed since the flats")
+"""Effects of the calibration alone."""
 
 
 @cache
-def made(where, *on):
+def made(where, *on, when=()):
     """The world of a place with all effects of the table off but some."""
     off = [re.sub(" = ", "=", s, count=1) for name, settings, _ in ROWS if name not in on for s in settings]
     if where == "site":
         off = [s for s in off if not s.startswith("population.")]
-    scenario = document.bare("switches", {"seed": 7}, registry=Registry(), overrides=WORLD[where] + off)
+    scenario = document.bare("switches", {"seed": 7}, registry=Registry(), overrides=[*WORLD[where], *off, *when])
     return Simulator(scenario.simulator, seed=7, catalogue=StarCatalogue.embedded())
 
 
 @cache
-def frame(where, *on):
-    return made(where, *on).frame(0)
+def frame(where, *on, when=()):
+    return made(where, *on, when=when).frame(0)
 
 
 def test_the_table_is_read():
@@ -98,8 +111,13 @@ def test_the_table_is_read():
 @pytest.mark.parametrize(("name", "where"), [(name, where) for name, _, where in ROWS])
 def test_an_effect_turned_on_alone_changes_the_frame(name, where):
     beside = NEEDS.get(name, ())
-    plain, _ = frame(where, *beside)
-    changed, _ = frame(where, name, *beside)
+    when = WHEN.get(name, ())
+    if name in IN_FLATS:
+        flats = [made(where, *on).calibration().flat for on in (beside, (name, *beside))]
+        assert not np.array_equal(*flats)
+        return
+    plain, _ = frame(where, *beside, when=when)
+    changed, _ = frame(where, name, *beside, when=when)
     same = plain.pixels.shape == changed.pixels.shape and np.array_equal(plain.pixels, changed.pixels)
     assert not same or repr(plain.header) != repr(changed.header)
     if "telemetered" in name or "time tags" in name:

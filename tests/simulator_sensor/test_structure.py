@@ -9,6 +9,7 @@ from sboc_e2e.icd.flags import MaskBit
 from simulator.as_built import with_drawn_errors
 from simulator.options import SimulatorOptions
 from simulator.sensor import Sensor, SensorOptions
+from simulator.sensor.calibration import depart_flat
 from simulator.sensor.options import (
     CalibrationOptions,
     CcdOptions,
@@ -194,3 +195,50 @@ def test_departures_of_the_built_camera_are_draws_of_the_seed():
     assert with_drawn_errors(base, 7) == made[7]
     fixed = SimulatorOptions()
     assert with_drawn_errors(fixed, 7) is fixed
+
+
+def calibration(**calibration):
+    """Flats of many frames of a sensor that has only what is given."""
+    converter = calibration.pop("converter", QUIET.converter)
+    options = CalibrationOptions(flat_frames=100_000, **calibration)
+    return sensor(calibration=options, converter=converter).calibration_maps(0.2).flat.astype(np.float64)
+
+
+def test_flats_of_another_date_have_other_responses_of_the_stated_rms():
+    """Three years at 0.3 % leave 0.9 % from pixel to pixel; flats of the flight's date none beyond their photon noise."""
+    noise = 1.0 / np.sqrt(0.4 * QUIET.converter.full_well_e * 100_000)
+    fresh = calibration(flat_change_per_year=3e-3)
+    assert fresh.std() == pytest.approx(noise, rel=0.05)
+    old = calibration(flat_change_per_year=3e-3, age_years=3.0)
+    assert old.std() == pytest.approx(9e-3, rel=0.01)
+    assert old.mean() == pytest.approx(1.0, abs=1e-4)
+    assert np.corrcoef(old[:, :-1].ravel(), old[:, 1:].ravel())[0, 1] == pytest.approx(0.0, abs=0.01)
+
+
+def test_an_uneven_lamp_leaves_a_smooth_error_of_the_stated_rms():
+    rms = []
+    for seed in range(60):
+        options = CalibrationOptions(flat_frames=100_000, flat_error=0.01)
+        flat = sensor(seed=seed, size=48, calibration=options).calibration_maps(0.2).flat.astype(np.float64)
+        rms.append(np.mean((flat - 1.0) ** 2))
+        assert np.abs(np.diff(flat, 2, axis=0)).max() < 2e-3
+    assert np.sqrt(np.mean(rms)) == pytest.approx(0.01, rel=0.12)
+
+
+def test_the_linearity_error_is_drawn_and_bends_signal_and_flat():
+    """A loss of 2 % at full well where the laboratory found 1 %: half of full well loses 1 % instead of 0.5 %."""
+    bent = ConverterOptions(nonlinearity=0.01, nonlinearity_error=1.0, dual_gain=False, bits=16, gain_e_adu=1.0)
+    half = 0.5 * bent.full_well_e
+    adu = sensor(size=64, converter=bent, shot_noise=False).digitise(flat(half, 64), 0, 0.2).astype(float)
+    assert adu.mean() - bent.pedestal_adu == pytest.approx(half * (1.0 - 0.02 * 0.5), abs=1.0)
+    # What is 30 % fainter than the axis loses less: by the 1 % that the curve misses, times 0.4 of full well, times 0.3.
+    light = np.array([[1.0, 0.7]], dtype=np.float32)
+    depart_flat(light, replace(QUIET, converter=bent, calibration=CalibrationOptions(flat_level=0.4)), 1)
+    assert light[0] == pytest.approx([1.0, 0.7 * (1.0 + 0.01 * 0.4 * 0.3)], rel=1e-6)
+    options = SimulatorOptions()
+    built = replace(options.instrument, as_built=replace(options.instrument.as_built, drawn=True))
+    converter = replace(options.sensor.converter, nonlinearity_error=0.3)
+    options = replace(options, instrument=built, sensor=replace(options.sensor, converter=converter))
+    errors = [with_drawn_errors(options, seed).sensor.converter.nonlinearity_error for seed in range(300)]
+    assert np.std(errors) == pytest.approx(0.3, rel=0.12)
+    assert np.mean(errors) == pytest.approx(0.0, abs=0.06)

@@ -122,6 +122,7 @@ def plan(
 def response(
     scenario: Annotated[str, typer.Argument(help="a name of `sboc scenarios` or the path of a TOML file")],
     runs: Annotated[int, typer.Option("--runs", min=1, max=10000, help="runs of the pixel chain, each with its own seed")] = 20,
+    judge: Annotated[int, typer.Option("--judge", min=0, max=10000, help="other runs that say whether it holds")] = 0,
     out: Annotated[Path | None, typer.Option("--out", help="folder, default runs/response-<scenario>")] = None,
     overrides: Overrides = None,
     plugin: Plugins = None,
@@ -130,12 +131,14 @@ def response(
 ) -> None:
     """Measure what a survey needs to know of camera and software, by runs of the pixel chain: response.json."""
     from sboc_e2e import scenario as scenarios
-    from sboc_e2e.survey.measure import measure_response
+    from sboc_e2e.survey.measure import judge_response, measure_response
 
     resolved = scenarios.load(scenario, registry=registry_of(plugin), overrides=overrides or ())
     target = out or Path("runs") / f"response-{resolved.name}"
     path, failed = measure_response(resolved, runs, target, workers=workers, scheduler=scheduler, report=typer.echo)
     typer.echo(path)
+    if judge:
+        typer.echo(judge_response(resolved, judge, target, workers=workers, scheduler=scheduler, report=typer.echo).read_text())
     if failed:
         raise typer.Exit(1)
 
@@ -153,6 +156,7 @@ def survey(
     plugin: Plugins = None,
     workers: Workers = 0,
     scheduler: Annotated[str | None, typer.Option("--scheduler", help='dask scheduler "tcp://host:port", or "local"')] = None,
+    learn: Annotated[bool, typer.Option("--report", help="also say what it teaches: survey.md, flux.ecsv, pictures")] = False,
     force: Annotated[bool, typer.Option("--force", help="forget what another survey left in the folder")] = False,
 ) -> None:
     """Months of tracklets without pixels; finished blocks are kept, so the same command goes on after an interruption."""
@@ -171,4 +175,9 @@ def survey(
     )
     if result.failed:
         raise typer.Exit(1)
+    if learn:
+        from sboc_e2e.survey.report import write_report
+
+        write_report(target, resolved, measured, overrides or (), registry_of(plugin))
+        typer.echo((target / "survey.md").read_text())
     typer.echo(target)

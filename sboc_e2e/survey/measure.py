@@ -6,11 +6,13 @@ from pathlib import Path
 from typing import Any
 
 from sboc_e2e import provenance
+from sboc_e2e.files.atomic import write_text
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.run.pipeline import worker_count
 from sboc_e2e.scenario import Scenario
 from sboc_e2e.survey import response
-from sboc_e2e.survey.gather import IDENTITY, RESPONSE, gather, seeds_for
+from sboc_e2e.survey.gather import IDENTITY, RESPONSE, VALIDATION, gather, seeds_for
+from sboc_e2e.survey.validate import page, validate
 
 
 def measure_response(
@@ -36,3 +38,22 @@ def measure_response(
     path = out / "response.json"
     response.write(path, content)
     return path, found.failed
+
+
+def judge_response(
+    scenario: Scenario,
+    runs: int,
+    out: Path,
+    *,
+    workers: int = 0,
+    scheduler: str | None = None,
+    report: Callable[[str], None] = lambda line: None,
+) -> Path:
+    """Compare `response.json` of a folder with `runs` other runs of the pixel chain: `validation.md`."""
+    seeds = seeds_for(scenario, VALIDATION, runs)
+    found = gather(scenario, seeds, out / VALIDATION, workers=worker_count(workers), scheduler=scheduler, report=report)
+    if not found.samples:
+        raise UserError(f"response of {scenario.name}: every run failed, the first with: {found.failed[0][1]}")
+    path = out / "validation.md"
+    write_text(path, page(validate(found.samples, scenario, response.read(out / "response.json", scenario))))
+    return path

@@ -15,6 +15,9 @@ from ground.records import FrameProducts
 from ground.sky.measure import initial_epochs_ns, middle_of, with_sky
 from ground.sky.pixel_sky import PixelSky
 from ground.streak_rows import STREAKS_PER_FRAME
+from ground.streaks.fit_record import failed_fit
+from ground.streaks.forced import FORCED_SNR, forced_fit
+from ground.streaks.no_trail import NoTrailError
 from ground.streaks.psf_field import PsfField
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.downlink import DownlinkFrame
@@ -78,7 +81,7 @@ def fitted(lit: LitFrame, fitter: StreakFitter) -> tuple[list[StreakFit], list[f
     for group in lit.frame.rois:
         where = f"frame {header.frame}, region {group.roi_id}"
         pixels, crossed = lit.pixels(group)
-        fit = guarded("streak_fitter", fitter, where, StreakFit, fitter.fit, pixels, group.detection)
+        fit = _forced(pixels, group) or guarded("streak_fitter", fitter, where, StreakFit, fitter.fit, pixels, group.detection)
         flags = fit.flags | group.detection.flags & KEPT_FROM_BOARD | gain_assumed
         if crossed:
             flags |= StreakFlag.CROSSES_STAR
@@ -87,6 +90,16 @@ def fitted(lit: LitFrame, fitter: StreakFitter) -> tuple[list[StreakFit], list[f
         fits.append(replace(fit, flags=flags))
         flats.append(_mean_flat(lit.calibration, fit))
     return fits, flats
+
+
+def _forced(pixels: StreakPixels, group: RoiGroup) -> StreakFit | None:
+    """The fit of a track's member that its own frame hardly shows; None of other regions."""
+    if group.track < 0 or group.detection.snr >= FORCED_SNR:
+        return None
+    try:
+        return forced_fit(pixels, group.detection, group.track_snr)
+    except NoTrailError as error:
+        return failed_fit(group.detection, pixels, error.reason)
 
 
 def measured(

@@ -55,7 +55,7 @@ class GroundOptions:
         default="", metadata={"doc": "element sets (TLE, 3LE) that tracklets are matched against; empty for none"}
     )
     precise_orbits_file: str = field(
-        default="", metadata={"doc": "ephemeris message (OEM) of objects that tell clock and pointing biases; empty for none"}
+        default="", metadata={"doc": "ephemeris message (OEM) of objects for clock and pointing biases; empty for none"}
     )
     streak_photometry: PhotometryOptions = field(default_factory=PhotometryOptions, metadata={"doc": "light of streaks"})
     products: ProductOptions = field(default_factory=ProductOptions, metadata={"doc": "names in messages, pictures"})

@@ -21,7 +21,7 @@ Array = NDArray[np.float64]
 
 UNUSABLE: Final = StreakFlag.NO_SKY | StreakFlag.POINT_LIKE | StreakFlag.FIT_FAILED | StreakFlag.FAST_ROWS
 FLUX_AGREEMENT_SIGMAS: Final = 3.5
-MOVED_CHI2: Final = 25.0
+SHIFT_CHI2: Final = 25.0
 """Shift of the ends (heavy-tailed, so not 3 sigma) beyond which a frame does not belong to the joint motion."""
 
 OFF_MOTION_SIGMAS: Final = 3.5
@@ -91,9 +91,9 @@ def refit_streaks(
         if fit is not member.fit:
             line_ns = header_of[member.frame].line_time_ns
             row_mid, col_mid = middle_of(fit)
-            moved = np.array([fit.row0, row_mid, fit.row1]) - np.array([member.fit.row0, member.row_mid, member.fit.row1])
+            shift_px = np.array([fit.row0, row_mid, fit.row1]) - np.array([member.fit.row0, member.row_mid, member.fit.row1])
             changed = StreakFlag.REFIT | StreakFlag.ENDS_NOT_GAUSSIAN
-            epochs = member.t_tai_ns + np.rint(line_ns * moved).astype(np.int64)
+            epochs = member.t_tai_ns + np.rint(line_ns * shift_px).astype(np.int64)
             out[at[member.streak_id]] = replace(
                 member,
                 fit=fit,
@@ -204,10 +204,10 @@ def _refit_of_agreeing(frames: Sequence[TrackletFrame], sigma_acceleration: floa
         if len(used) < 2:
             return [], JointRefit((), np.zeros((0, 2, 3)))
         joint = refit_tracklet([frames[k] for k in used], sigma_acceleration=sigma_acceleration)
-        moved = np.array([_moved_chi2(frames[k].fit, fit) for k, fit in zip(used, joint.fits, strict=True)])
-        if moved.max() <= MOVED_CHI2 or len(used) < 4:
+        shift_chi2 = np.array([_shift_chi2(frames[k].fit, fit) for k, fit in zip(used, joint.fits, strict=True)])
+        if shift_chi2.max() <= SHIFT_CHI2 or len(used) < 4:
             return used, joint
-        used.pop(int(np.argmax(moved)))
+        used.pop(int(np.argmax(shift_chi2)))
 
 
 def carried(frame: TrackletFrame, clean: Sequence[TrackletFrame], joint: Sequence[StreakFit]) -> StreakFit:
@@ -265,9 +265,9 @@ def _timed_ends(frames: Sequence[TrackletFrame], joint: Sequence[StreakFit]) -> 
         ):
             if fit.flags & flag:
                 continue
-            moved = np.array(_end(fit, end)) - np.array(_end(place.fit, end))
-            t_s.append(epoch + place.line_time_s * moved[0])
-            along.append(start + place.along_per_px * float(moved @ unit))
+            shift_px = np.array(_end(fit, end)) - np.array(_end(place.fit, end))
+            t_s.append(epoch + place.line_time_s * shift_px[0])
+            along.append(start + place.along_per_px * float(shift_px @ unit))
             block = np.asarray(fit.covariance_px2)[2 * end : 2 * end + 2, 2 * end : 2 * end + 2]
             sigma.append(float(np.sqrt(max(float(unit @ block @ unit), 0.0))))
     return t_s, along, sigma
@@ -324,7 +324,7 @@ def _on_one_motion(frames: Sequence[TrackletFrame], sigma_acceleration: float) -
     return good
 
 
-def _moved_chi2(single: StreakFit, joint: StreakFit) -> float:
+def _shift_chi2(single: StreakFit, joint: StreakFit) -> float:
     """Squared shift of both ends in units of the single fit's errors along the trail."""
     along, _ = _along_of(single)
     shift0 = np.array([joint.row0 - single.row0, joint.col0 - single.col0]) @ along
@@ -338,7 +338,7 @@ def _agrees(single: StreakFit, joint: StreakFit) -> bool:
     """Whether the joint fit has the flux of the single fit. A different flux means another source, such as a star on the
     track."""
     error = float(np.hypot(single.flux_err_e, joint.flux_err_e))
-    return abs(joint.flux_e - single.flux_e) <= FLUX_AGREEMENT_SIGMAS * error and _moved_chi2(single, joint) <= MOVED_CHI2
+    return abs(joint.flux_e - single.flux_e) <= FLUX_AGREEMENT_SIGMAS * error and _shift_chi2(single, joint) <= SHIFT_CHI2
 
 
 def _path_of(members: Sequence[StreakMeasurement]) -> Array:

@@ -183,10 +183,9 @@ class OnboardChain:
         housekeeping, rois = send(content, outbox, self._options)
         if tracking is not None and usable:
             kept = kept_counts(header, view.background, counts, rois)
-            pixels = tracking.pixels.after(kept, self._steps.tracker.window_frames)
-            pixels = send_tracks(tracks, pixels, outbox, content.codec, self._options.roi, view.psf_sigma_px)
-            if flags & FrameFlag.TRACKS_ENDED:  # Numbers of earlier frames may repeat.
-                pixels = TrackPixels(kept=pixels.kept[-1:])
+            pixels = send_tracks(tracks, tracking.pixels.after(kept), outbox, content.codec, self._options.roi, view.psf_sigma_px)
+            # After a break, numbers of earlier frames may repeat.
+            pixels = pixels.newest(1 if flags & FrameFlag.TRACKS_ENDED else self._steps.tracker.window_frames - 1)
             tracking = replace(tracking, pixels=pixels)
         keep = self._steps.detector.history_frames if usable else 0
         history = (*state.history, self._remembered(view))[-keep:] if keep > 0 else state.history

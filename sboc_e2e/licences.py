@@ -18,6 +18,12 @@ HEAD: Final = (
     "Locked packages, from their own metadata; none is shipped with the project. `ccsds-ndm` (GPL) is used by tests only.\n\n"
     "| package | version | licence |\n|---|---|---|\n"
 )
+_STATED_ELSEWHERE: Final = {
+    "satkit-data": "none stated for the package; its files: DE440, EGM96 and JGM are works of the US Government, IERS tables are "
+    "freely redistributable, ITU_GRACE16 is CC BY 4.0, CelesTrak asks that EOP-All.csv and SW-All.csv be not mirrored "
+    "(THIRDPARTY-DATA.md and data/manifest.json of satkit)",
+}
+"""Packages whose metadata say nothing: what is stated of their content, and where."""
 
 
 def licence_of(name: str) -> str:
@@ -26,6 +32,8 @@ def licence_of(name: str) -> str:
         data: Any = metadata.metadata(name)
     except metadata.PackageNotFoundError:
         return "not installed here"
+    if name in _STATED_ELSEWHERE:
+        return _STATED_ELSEWHERE[name]
     expression = data.get("License-Expression")
     if expression:
         return str(expression)

@@ -110,6 +110,18 @@ def _frame(elements: Array, out: Array) -> None:
 
 
 @njit(cache=True)
+def _approach(first: Array, second: Array) -> tuple[float, float, float]:
+    """Of two states (6,): distance squared km^2, distance times its rate km^2/s (negative while they close), speed squared."""
+    distance2 = opening = speed2 = 0.0
+    for c in range(3):
+        away, drift = second[c] - first[c], second[3 + c] - first[3 + c]
+        distance2 += away * away
+        opening += away * drift
+        speed2 += drift * drift
+    return distance2, opening, speed2
+
+
+@njit(cache=True)
 def _hits(first: Array, second: Array, hard_body_km: float, low_s: float, high_s: float) -> int:
     """How many pairs of elements (n, 6) come within a distance during a window: scanned for approaches, which are refined."""
     count = 0
@@ -128,12 +140,7 @@ def _hits(first: Array, second: Array, hard_body_km: float, low_s: float, high_s
             t = low_s + k * dt
             _place(first[s], frame_1, t, state_1)
             _place(second[s], frame_2, t, state_2)
-            distance2 = opening = speed2 = 0.0
-            for c in range(3):
-                away, drift = state_2[c] - state_1[c], state_2[3 + c] - state_1[3 + c]
-                distance2 += away * away
-                opening += away * drift
-                speed2 += drift * drift
+            distance2, opening, speed2 = _approach(state_1, state_2)
             if distance2 < limit:
                 hit = True
                 break
@@ -145,12 +152,7 @@ def _hits(first: Array, second: Array, hard_body_km: float, low_s: float, high_s
                     t += min(max(step, -dt), dt)
                     _place(first[s], frame_1, t, state_1)
                     _place(second[s], frame_2, t, state_2)
-                    distance2 = opening = speed2 = 0.0
-                    for c in range(3):
-                        away, drift = state_2[c] - state_1[c], state_2[3 + c] - state_1[3 + c]
-                        distance2 += away * away
-                        opening += away * drift
-                        speed2 += drift * drift
+                    distance2, opening, speed2 = _approach(state_1, state_2)
                     if abs(opening) < 1e-9 * speed2 * dt or distance2 < limit:
                         break
                 if distance2 < limit:
@@ -158,9 +160,7 @@ def _hits(first: Array, second: Array, hard_body_km: float, low_s: float, high_s
                     break
                 _place(first[s], frame_1, low_s + k * dt, state_1)
                 _place(second[s], frame_2, low_s + k * dt, state_2)
-                opening = 0.0
-                for c in range(3):
-                    opening += (state_2[c] - state_1[c]) * (state_2[3 + c] - state_1[3 + c])
+                _, opening, _ = _approach(state_1, state_2)
             before = opening
         if hit:
             count += 1

@@ -150,7 +150,7 @@ def _arc(fixes: Sequence[ObserverState]) -> ObserverArc:
     all_fixes, all_sigma = np.zeros((len(node_ns), 6)), np.ones((len(node_ns), 6))
     all_fixes[place] = state
     first = int(np.flatnonzero(good)[0])
-    start = _moved(state[first : first + 1], np.array([-(fix_ns[first] - node_ns[0]) * 1e-9]), spin)[0]
+    start = _propagated(state[first : first + 1], np.array([-(fix_ns[first] - node_ns[0]) * 1e-9]), spin)[0]
     doubt = stated[first] * 100.0
     doubt[:3] += doubt[3:] * abs(t_s[place[first]])
     tried: list[tuple[float, float, Array, Array, Array, NDArray[np.bool_]]] = []
@@ -205,8 +205,8 @@ def _spin_of(t_tai_ns: int, state: Array, sigma: Array) -> Array:
     return spin if fixed else np.zeros(3)
 
 
-def _moved(state: Array, dt_s: Array, spin: Array) -> Array:
-    """States (n, 6) moved by dt_s (n,), each for itself."""
+def _propagated(state: Array, dt_s: Array, spin: Array) -> Array:
+    """States (n, 6) propagated by dt_s (n,), each on its own."""
     if not spin.any():
         return np.array([propagate(one, np.array([dt]))[0] for one, dt in zip(state, dt_s, strict=True)])
     rate = float(np.linalg.norm(spin))
@@ -231,7 +231,7 @@ def _agreeing(t_s: Array, state: Array, sigma: Array, spin: Array) -> NDArray[np
     for column, offset in enumerate(offsets):
         at = np.arange(max(0, -offset), n - max(0, offset))
         dt = t_s[at] - t_s[at + offset]
-        predicted[at, column] = _moved(state[at + offset], dt, spin)
+        predicted[at, column] = _propagated(state[at + offset], dt, spin)
         spread[at, column] = sigma[at + offset]
         spread[at, column, :3] += np.abs(dt)[:, None] * sigma[at + offset, 3:] + 0.5e-5 * dt[:, None] ** 2
         spread[at, column, 3:] += 1e-5 * np.abs(dt)[:, None]

@@ -55,9 +55,9 @@ def views_of(
         change = sigma[target] * step
         ahead = positions(elements[target] + change, dt_s[slot])
         behind = positions(elements[target] - change, dt_s[slot])
-        moved = (ahead - behind) / (2.0 * _STEP * range_km[:, None])
-        told[:, 0, column] = np.sum(moved * first, axis=1) / sigma_rad
-        told[:, 1, column] = np.sum(moved * second, axis=1) / sigma_rad
+        shift = (ahead - behind) / (2.0 * _STEP * range_km[:, None])
+        told[:, 0, column] = np.sum(shift * first, axis=1) / sigma_rad
+        told[:, 1, column] = np.sum(shift * second, axis=1) / sigma_rad
     return Views(target=target, slot=slot, told=told)
 
 

@@ -1,4 +1,4 @@
-"""What one object in Earth orbit contributes to a run: how often it crosses the field, how bright, how fast, and where.
+"""Contribution of one object in Earth orbit to a run: rate of crossings, brightness, speed and place.
 
 Candidates are points of the field's pyramid at random frames, each on an orbit of the prior (`ground.orbit`) that passes through
 it. An orbit (a, e, i) of uniform node, perigee and anomaly has at radius r and latitude b the density (Kessler 1981, Icarus
@@ -31,10 +31,10 @@ NEAR_SHARE: Final = 100.0
 """Ranges below a hundredth of the reach hold a millionth of the volume."""
 
 SLOWEST_DEG_S: Final = 0.1
-"""Slower objects share the camera's orbit or are far beyond low orbits; they are neither counted nor exposed for."""
+"""Slower objects share the camera's orbit or are far beyond low orbits. They are left out of the counts and of the exposure."""
 
 FRAMES_EACH: Final = 12
-"""Of its stay, each object is looked at in as many frames at most, evenly spread."""
+"""Largest number of frames, evenly spread over its stay, in which each object is evaluated."""
 
 CELL_KM: Final = 25.0
 CELL_SINE: Final = 0.02
@@ -49,11 +49,11 @@ BREAKUP_SHARE: Final = (0.8, 0.1)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Watch:
-    """What was watched, from headers and solutions that came down.
+    """The watched field and time, from headers and solutions that came down.
 
     t_s (n,) : mid-exposures; position_km, velocity_km_s (n, 3) : of the camera, GCRS; attitude (n, 3, 3) : GCRS to camera.
     sun (3,) : unit vector. half_row, half_col : tangents of half the field. zero_point_mag : of 1 e-/s. noise_e : of a pixel,
-    one exposure. psf_sigma_px : pixel included. frame_s : from one frame to the next, over which a frame stands for the sky.
+    one exposure. psf_sigma_px : pixel included. frame_s : from one frame to the next; a frame represents the sky for this time.
     """
 
     t_s: Array
@@ -101,7 +101,7 @@ def crossings(
 ) -> Crossings:
     """Draw n candidates of a class; albedo : median of the log-normal distribution that theirs come from.
 
-    Returned are those whose orbits come to where they were put.
+    Only candidates whose orbits reach their drawn place are returned.
     """
     size = _sizes(edges_m, n, rng)
     own = albedo * np.exp(albedo_sigma_ln * rng.standard_normal(n))
@@ -115,7 +115,7 @@ def crossings(
     far = np.clip(reach, NEAREST_KM * 1.001, FARTHEST_KM)
     near = np.maximum(NEAREST_KM, far / NEAR_SHARE)
     span = np.log(far / near)
-    # half of them even in ln(range), for what only its nearness makes bright, half even in volume
+    # Half of them are even in ln(range), for objects that are bright only because they are near, and half even in volume.
     cubes = near**3, far**3
     volume_like = np.cbrt(cubes[0] + rng.random(n) * (cubes[1] - cubes[0]))
     rho = np.where(rng.random(n) < 0.5, near * np.exp(rng.random(n) * span), volume_like)
@@ -126,7 +126,7 @@ def crossings(
     position = observer + np.einsum("ni,nij->nj", camera, attitude)
     volume = 4.0 * watch.half_row * watch.half_col / slant**3 * rho**2 / per_km
     density = density_of(position, a, e, inclination)
-    # most orbits do not come here: the rest of the work is for those that do
+    # Most orbits do not come here. Only those that do are processed further.
     kept = np.flatnonzero((density > 0.0) & (reach > NEAREST_KM))
     size, own, rho, camera, position, observer = (x[kept] for x in (size, own, rho, camera, position, observer))
     ours, attitude, t0 = ours[kept], attitude[kept], watch.t_s[frame[kept]]

@@ -1,4 +1,4 @@
-"""What a count stands for: time, and the area through which objects passed."""
+"""Exposure behind a count: time, and the area through which objects passed."""
 
 import math
 from dataclasses import dataclass

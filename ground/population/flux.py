@@ -1,9 +1,9 @@
-"""Flux of small debris from a run's tracklets: exposure, efficiency, unfolding, and what is not known.
+"""Flux of small debris from a run's tracklets: exposure, efficiency, unfolding, and systematic errors.
 
-Counted are tracklets by their estimated size. What one object in orbit contributes to a run comes from `encounters`, how surely
-its streaks are found from `injection`; the counts are unfolded into crossings by true size (`recover`) and divided by the
-exposure.
-Detections in a single frame are listed, not counted: without a second frame the false ones cannot be told.
+Tracklets are counted by their estimated size. `encounters` gives the contribution of one object in orbit to a run, and
+`injection` the probability that its streaks are found. The counts are unfolded into crossings by true size (`recover`) and
+divided by the exposure. Detections in a single frame are listed, not counted, because false ones cannot be recognised without a
+second frame.
 """
 
 import math
@@ -34,13 +34,13 @@ PHASE_SIGMA_LN: Final = 0.2
 """Light of a Lambert sphere against a mirror-like one of the same albedo at small phase angles: 1.5, taken as two sigma."""
 
 ORBITS_SIGMA_LN: Final = 0.1
-"""Density and speed along the line of sight as the prior has them, against those of pieces too small to be catalogued."""
+"""Error of density and speed along the line of sight by the prior, for pieces too small to be catalogued."""
 
 RESPONSE_SIGMA_LN: Final = 0.05
-"""What neither injection nor the tracklets' own gaps show: regions of all frames lost alike, objects that never made a pair."""
+"""Losses that neither injection nor gaps of tracklets show: regions lost in all frames alike, objects that never made a pair."""
 
 KEPT_PRIOR: Final = (9.5, 0.5)
-"""Frames kept and lost, assumed before a run is looked at: 0.95 of what the filter finds is fitted, accepted and linked."""
+"""Prior numbers of frames kept and lost: 0.95 of the filter's finds are fitted, accepted and linked."""
 
 KEPT_POWER: Final = 1.5
 """d ln(tracklets) / d ln(share kept): 2 for what crosses in two frames, 0 for what is in many."""
@@ -57,7 +57,7 @@ FAINTEST_SEEN: Final = 0.05
 
 SIZE_LAW_STEEP_BELOW_M: Final = 0.01
 RANGE_SIGMA_LN: Final = 0.1
-"""Of sizes, where no orbit of the run tells it."""
+"""Error of ln(range) in sizes if no orbit of the run gives it."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -133,7 +133,7 @@ def light_seen(candidates: Crossings, efficiency: Efficiency, rng: np.random.Gen
     weight = np.sum(p * s * s, axis=1)
     shift = np.sum(p * s * np.where(there, above, 0.0), axis=1) / np.maximum(weight, 1e-30)
     frames = np.sum(p, axis=1)
-    # found are two at least, whatever their chance was
+    # At least two are found, for any probability.
     sigma = np.sqrt(frames / (np.maximum(weight, 1e-30) * np.maximum(frames, 2.0)))
     light = np.where(weight > 0.0, 1.0 + shift + sigma * rng.standard_normal(len(shift)), 1.0)
     return np.asarray(np.maximum(light, FAINTEST_SEEN))
@@ -188,7 +188,7 @@ def flux_of(counted: Counted, watch: Watch, efficiency: Efficiency, rng: np.rand
         )
         draws = got.draws / seen_km2_s[use] * YEAR_S
         sums = np.cumsum(draws[:, ::-1], axis=1)[:, ::-1]
-        # one error for all classes: the same albedo, phase function and orbits make all of them wrong alike
+        # One error for all classes, because they share albedo, phase function and orbits.
         wrong = np.exp(rng.standard_normal(len(draws))[:, None] * systematic[use])
         for out, values in ((flux, draws), (total, draws * wrong), (larger, sums), (total_larger, sums * wrong)):
             out[use] = np.percentile(values, [5.0, 50.0, 95.0], axis=0).T

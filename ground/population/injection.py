@@ -1,8 +1,8 @@
-"""How sure a streak is found: synthetic ones injected into the pixels that came down, seen by a plain matched filter.
+"""Efficiency of detection: synthetic streaks injected into the pixels that came down, and searched by a plain matched filter.
 
-The on-board detector is not known on ground, but what it sends is: every region carries the S/N of its detection, and none lies
-below the threshold. The filter here uses that threshold on whole frames with their real stars, noise, columns and hits;
-without whole frames, on noise as the background mesh says it is, with the share of pixels that was masked on board.
+Ground does not know the on-board detector, but it knows the sent regions. Every region carries the S/N of its detection, and none
+is below the threshold. The filter here uses that threshold on whole frames with their real stars, noise, columns and hits.
+Without whole frames it uses noise as the background mesh describes it, with the share of pixels that was masked on board.
 """
 
 import math
@@ -41,7 +41,7 @@ SHIFTS: Final = (-1.0, -0.5, 0.0, 0.5, 1.0)
 REACH_WIDTHS: Final = 4.0
 MOST_FRAMES: Final = 2
 DEFAULT_THRESHOLD: Final = 7.2
-"""Threshold of the detector as it is shipped, for a downlink without a region that would tell."""
+"""Threshold of the default detector, for a downlink without a region from which it could be read."""
 
 NOT_TELLING: Final = StreakFlag.COSMIC_LIKE | StreakFlag.SPIKE_LIKE | StreakFlag.STATIC | StreakFlag.POINT_LIKE
 
@@ -90,10 +90,10 @@ class Efficiency:
 
 
 def threshold_of(frames: Sequence[DownlinkFrame]) -> tuple[float, int]:
-    """The detector's threshold as its detections show it, and how many told.
+    """The detector's threshold estimated from its detections, and the number of detections used.
 
-    Of n detections with S/N above T whose density falls like S^-3 the least lies T / (2 n) above it. Detections that a storm's
-    limit or another channel (hits, spikes, points) let through do not tell.
+    If n detections have S/N above T with a density that falls like S^-3, the least lies T / (2 n) above T. Detections that passed
+    a storm's limit or another channel (hits, spikes, points) are not used.
     """
     snr = [
         group.detection.snr
@@ -130,7 +130,7 @@ def _from_pixels(frame: DownlinkFrame, gain_e_adu: float) -> Image | None:
     level, sigma = _maps(frame.background, frame.header.rows, frame.header.cols)
     value = (np.asarray(frame.whole_frame, np.float64) * frame.adu_scale + frame.adu_offset - level) * gain
     sigma = np.maximum(sigma * gain, 1e-3)
-    # the mesh may be off by a fraction of the noise: the median of what is left is the level
+    # The mesh may be off by a fraction of the noise. The median of the remainder is the level.
     value -= float(np.nanmedian(value))
     bright = binary_dilation(~(np.abs(value) < MASK_SIGMAS * sigma), iterations=1) | _under_stars(frame)
     return Image(value_e=np.where(bright, 0.0, value), sigma_e=sigma, usable=~bright)
@@ -190,7 +190,8 @@ def measured_efficiency(
                 k = int(rng.integers(len(images)))
                 best[i, j, trial], without = _look(images[k], snr, length, width_px, noise[k], rng)
                 control.append(without)
-    # a detector's S/N is over what it sees between the trails, and where faint stars crowd that is more than the mesh says
+    # The S/N of a detector is relative to the scatter between trails. Where faint stars crowd, this exceeds the noise of the
+    # mesh.
     found = (best > threshold[0] * max(robust_sigma(np.array(control)), 1.0)).sum(axis=2)
     return Efficiency(
         found=found,

@@ -1,4 +1,4 @@
-"""The number of objects by size from counted detections: Poisson unfolding with everything's uncertainty in.
+"""The number of objects by size from counted detections: Poisson unfolding that includes all uncertainties.
 
 Counts are ``n_c ~ Poisson(sum_i R_ci mu_i + b_c)``: R the response, mu the objects of each true class that crossed the field,
 b the false detections. A Gibbs sampler splits each count among its possible causes (multinomial), draws mu (gamma), then how

@@ -1,7 +1,7 @@
-"""How objects of a size class show up: efficiency and mixing of classes, counted on injected objects.
+"""Response to objects of a size class: efficiency and mixing of classes, counted on injected objects.
 
-A detection falls into one of the observed categories: tracklets by estimated size, and single-frame detections, whose size
-nobody knows, by magnitude if they have one. Injected objects that are not detected at all are what the efficiency is missing.
+A detection falls into one of the observed categories: tracklets by estimated size, and single-frame detections, whose size is
+unknown, by magnitude if they have one. Injected objects without any detection lower the efficiency.
 """
 
 from dataclasses import dataclass

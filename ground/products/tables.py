@@ -63,20 +63,20 @@ def frames_tables(products: GroundProducts, frames: Sequence[DownlinkFrame]) -> 
     """One row for each frame: epoch, pointing, camera, star statistics, zero point; flags from on board and from ground."""
     columns = products.solutions[0].camera.parameters() if len(frames) else ()
     for part in _parts(len(frames)):
-        said = [(frame.flags, frame.psf_sigma_px, frame.housekeeping) for frame in (frames[k] for k in part)]
+        status = [(frame.flags, frame.psf_sigma_px, frame.housekeeping) for frame in (frames[k] for k in part)]
         at = slice(part.start, part.stop)
-        yield _frames_table(products.headers[at], products.solutions[at], products.photometry[at], said, columns)
+        yield _frames_table(products.headers[at], products.solutions[at], products.photometry[at], status, columns)
 
 
 def _frames_table(
     headers: Sequence[FrameHeader],
     solutions: Sequence[FrameSolution],
     photometry: Sequence[PhotometricSolution],
-    said: Sequence[tuple[FrameFlag, float | None, Housekeeping | None]],
+    status: Sequence[tuple[FrameFlag, float | None, Housekeeping | None]],
     columns: Sequence[CameraParameter],
 ) -> Table:
-    """said : flags, PSF width and counters from on board. columns : parameter columns of the run's first camera."""
-    counters = [housekeeping for _, _, housekeeping in said]
+    """status : flags, PSF width and counters from on board. columns : parameter columns of the run's first camera."""
+    counters = [housekeeping for _, _, housekeeping in status]
     solved = np.array([not s.flags & FrameFlag.NO_SOLUTION for s in solutions], dtype=bool)
     ra, dec = _centre_directions(headers, solutions)
     grid = np.array([_grid_directions(h, s) for h, s in zip(headers, solutions, strict=True)]).reshape(-1, GRID_LINES**2, 2)
@@ -116,7 +116,7 @@ def _frames_table(
             ("rms_mag", _floats(photometry, "rms_mag"), "mag", "rms of the stars' residuals"),
             (
                 "psf_sigma_px",
-                [_or_nan(psf_sigma_px) for _, psf_sigma_px, _ in said],
+                [_or_nan(psf_sigma_px) for _, psf_sigma_px, _ in status],
                 "pix",
                 "PSF sigma in mid-field, measured on board",
             ),
@@ -130,7 +130,7 @@ def _frames_table(
                 None,
                 "least S/N that a particle storm's limit of regions let through, 0 outside storms; NaN: header packet lost",
             ),
-            ("flags", [int(s.flags | flags) for s, (flags, _, _) in zip(solutions, said, strict=True)], None, "FrameFlag bits"),
+            ("flags", [int(s.flags | flags) for s, (flags, _, _) in zip(solutions, status, strict=True)], None, "FrameFlag bits"),
         ],
         "frames",
     )

@@ -1,11 +1,11 @@
-"""The arc that a straight motion draws before a camera that turns: known from the attitude, too flat for most trails to show.
+"""The arc of a straight motion in a turning camera. It is known from the attitude, and too flat to be visible in most trails.
 
 A camera that rolls by w sees a trail of length L and exposure T bent by ``w L T / 4`` in the middle (its Coriolis acceleration
-2 w L / T over T^2 / 8). A line laid through an arc of sagitta s runs two thirds of s beside its chord, and so do the line's ends.
+2 w L / T over T^2 / 8). A line fitted to an arc of sagitta s lies two thirds of s beside its chord, and so do the line's ends.
 
-What a fit finds bent beyond that is the camera's shake: bright trails show hundredths of a pixel of it. An attitude from stars
-is the mean over the exposure, and so is a line laid through the trail; the ends of the bent one have what the camera shook at
-shutter open and close in them. So a fitted arc is taken back to its line, which then gets the arc of the attitude as all do.
+Any further bend in a fit is the camera's shake; bright trails show hundredths of a pixel of it. An attitude from stars is the
+mean over the exposure, and so is a line fitted to the trail. The ends of a fitted arc contain the shake at shutter open and
+close. Therefore a fitted arc is converted back to its line, which then gets the arc of the attitude like all lines.
 """
 
 from dataclasses import replace
@@ -30,13 +30,13 @@ MOST_BY_SAGITTA: Final = 5.0 / 6.0
 """Share of the variance of an arc's ends across, both moving alike, that is the sagitta's where light is even: the arc's is six
 times the line's."""
 LARGEST_PX: Final = 2.0
-"""What bends more than a trail is wide was not fitted by a line."""
+"""Largest bend that is applied, px. A trail that bends by more than its width was not fitted by a line."""
 
 
 def bent(streak: StreakMeasurement, header: FrameHeader, solution: FrameSolution) -> StreakMeasurement:
     """The streak with its ends on the arc that a motion straight on the sky draws, whether a line or an arc was fitted to it.
 
-    streak : ends in the order of time, with their epochs. Directions are those of the old ends until they are measured anew.
+    streak : ends in the order of time, with their epochs. Directions in the result are still those of the old ends.
     """
     fit = streak.fit
     unfit = StreakFlag.POINT_LIKE | StreakFlag.FIT_FAILED
@@ -77,7 +77,7 @@ def _of_line(fit: StreakFit, side: Array) -> Array:
 
 
 def sagitta_px(fit: StreakFit, header: FrameHeader, solution: FrameSolution, t_tai_ns: NDArray[np.int64]) -> float:
-    """Offset from the chord's middle (sign as the contract has it) of what moved evenly on the sky between both ends.
+    """Offset from the chord's middle (sign of the contract) of a point that moves evenly on the sky between both ends.
 
     t_tai_ns : (3,) epochs of end 0, middle, end 1. Includes what the camera's distortion bends.
     """

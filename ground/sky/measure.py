@@ -21,7 +21,7 @@ def middle_of(fit: StreakFit) -> tuple[float, float]:
     length = fit.length_px
     if length < 1e-9 or fit.sagitta_px == 0.0:
         return row, col
-    # the contract: positive towards (+drow, -dcol) rotated from the chord by +90 deg
+    # the contract: positive towards the normal (row, col) = (dcol, -drow) of the chord (drow, dcol)
     d_row, d_col = (fit.row1 - fit.row0) / length, (fit.col1 - fit.col0) / length
     return row + fit.sagitta_px * d_col, col - fit.sagitta_px * d_row
 
@@ -57,10 +57,10 @@ def with_sky(
     along_px, cross_px = middle_sigma_px(fit)
     scale_arcsec = pixel_scale_arcsec(sky, header, streak.row_mid, streak.col_mid)
     if streak.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1) and not streak.flags & StreakFlag.DIRECTION_RESOLVED:
-        # which part of the exposure was seen is unknown: as far off as the unseen part is long, about the seen one
+        # The part of the exposure that was seen is unknown. The error is about as large as the unseen part.
         along_px = float(np.hypot(along_px, 0.5 * fit.length_px))
     elif bool(streak.flags & StreakFlag.EDGE0) != bool(streak.flags & StreakFlag.EDGE1):
-        # the edge was passed when the other end's epoch says, so that end's error is that of the whole trail
+        # The epoch at the edge follows from the other end's epoch, so this end has the error of the whole trail.
         along_px *= 2.0
     pointing_arcsec = pointing_sigma_arcsec(pointing_covariance_rad2)
     return replace(

@@ -58,8 +58,8 @@ class SolvedSky:
 class HeaderSky:
     """Directions through an astropy WCS (ICRS, catalogue-relative) that came with the frame.
 
-    A WCS holds for the frame as a whole and says nothing of motion inside it: all rows and both ends of a streak have its one
-    attitude, so ends of a camera that turns during the exposure are off by half of what it turned by.
+    A WCS holds for the frame as a whole and does not describe motion inside it. All rows and both ends of a streak have one
+    attitude. If the camera turns during the exposure, ends are off by half of the angle.
     """
 
     header: FrameHeader
@@ -67,7 +67,7 @@ class HeaderSky:
 
     @property
     def turn_rad_s(self) -> Array:
-        """Nothing is known of it."""
+        """Zero, because a WCS does not give the rate."""
         return np.zeros(3)
 
     def apparent(self, row: Array, col: Array, tai_ns: NDArray[np.int64]) -> Array:
@@ -87,7 +87,7 @@ def sky_of(header: FrameHeader, solution: FrameSolution, wcs: Any) -> PixelSky |
 
 
 def mid_frame_directions(solution: FrameSolution, row: Array, col: Array) -> Array:
-    """Apparent unit vectors (n, 3), GCRS axes, of pixels at the epoch of the frame's attitude, whatever their row."""
+    """Apparent unit vectors (n, 3), GCRS axes, of pixels, all at the epoch of the frame's attitude."""
     return np.asarray(solution.camera.unproject(row, col) @ matrix_of(np.asarray(solution.quaternion)))
 
 

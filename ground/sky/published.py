@@ -1,4 +1,4 @@
-"""Apparent direction to published direction: the aberration of the observer's geocentric velocity is removed, no more.
+"""Apparent direction to published direction: only the aberration of the observer's geocentric velocity is removed.
 
 An Earth-orbiting target moves with the Earth around the Sun, so annual aberration must stay out of the correction: a fully
 de-aberrated direction is 20.7 arcsec off at the anti-Sun point. Light time is left to the orbit.

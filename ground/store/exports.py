@@ -76,8 +76,8 @@ def oem(orbit: StoredOrbit, name: str, originator: str, days: float) -> str:
     ]
     covariance = []
     for k in (0, len(t) - 1):
-        moved = arc.partials[k] @ orbit.covariance @ arc.partials[k].T
-        covariance += [f"EPOCH = {epochs[k]}", "COV_REF_FRAME = EME2000", *triangle_lines(turned(moved, bias))]
+        propagated = arc.partials[k] @ orbit.covariance @ arc.partials[k].T
+        covariance += [f"EPOCH = {epochs[k]}", "COV_REF_FRAME = EME2000", *triangle_lines(turned(propagated, bias))]
     meta = [
         "META_START",
         f"OBJECT_NAME = {name}",

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from sqlalchemy import Connection, Engine, and_, create_engine, event, func, insert, select, update
+from sqlalchemy import Connection, Engine, and_, create_engine, event, exists, func, insert, select, update
 from sqlalchemy.engine import make_url
 from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, NoSuchModuleError
 
@@ -143,6 +143,14 @@ class ObjectStore:
         inside = and_(table.c.t_first_tai_ns >= after_tai_ns, table.c.t_first_tai_ns < before_tai_ns)
         return {row["tracklet_id"]: _tracklet(row) for row in self._rows(select(table).where(inside))}
 
+    def uncorrelated(self, after_tai_ns: int, before_tai_ns: int) -> dict[int, StoredTracklet]:
+        """Tracklets that begin in an interval and were accepted as no object's, by their number."""
+        t, a = schema.TRACKLETS, schema.ASSOCIATIONS
+        taken = exists().where(and_(a.c.tracklet_id == t.c.tracklet_id, a.c.state == "accepted"))
+        inside = and_(t.c.t_first_tai_ns >= after_tai_ns, t.c.t_first_tai_ns < before_tai_ns)
+        query = select(t).where(inside, ~taken).order_by(t.c.tracklet_id)
+        return {row["tracklet_id"]: _tracklet(row) for row in self._rows(query)}
+
     def tracklets_of(self, object_id: int) -> dict[int, StoredTracklet]:
         """Accepted tracklets of an object, by their number."""
         t, a = schema.TRACKLETS, schema.ASSOCIATIONS
@@ -150,11 +158,15 @@ class ObjectStore:
         query = select(t).join(a, a.c.tracklet_id == t.c.tracklet_id).where(chosen).order_by(t.c.t_first_tai_ns)
         return {row["tracklet_id"]: _tracklet(row) for row in self._rows(query)}
 
-    def associations(self, object_id: int | None = None) -> list[Association]:
-        """All that was ever decided about tracklets, of one object or all."""
+    def associations(self, object_id: int | None = None, state: str | None = None) -> list[Association]:
+        """All that was ever decided about tracklets, of one object or all, in any state or one."""
         a = schema.ASSOCIATIONS
         query = select(a).order_by(a.c.association_id)
-        rows = self._rows(query if object_id is None else query.where(a.c.object_id == object_id))
+        if object_id is not None:
+            query = query.where(a.c.object_id == object_id)
+        if state is not None:
+            query = query.where(a.c.state == state)
+        rows = self._rows(query)
         return [Association(**{k: v for k, v in row.items() if k != "association_id"}) for row in rows]
 
     def decisions(self) -> list[dict[str, Any]]:
@@ -274,10 +286,10 @@ class Writer:
         if kept == other:
             raise UserError(f"store: object {kept} cannot be merged with itself")
         a, o = schema.ASSOCIATIONS, schema.OBJECTS
-        moved = and_(a.c.object_id == other, a.c.state == "accepted")
-        rows = [dict(row) for row in self._connection.execute(select(a).where(moved)).mappings()]
-        self._connection.execute(update(a).where(moved).values(state="rejected"))
-        self.associate([_moved(row, kept, by, at_tai_ns) for row in rows])
+        accepted = and_(a.c.object_id == other, a.c.state == "accepted")
+        rows = [dict(row) for row in self._connection.execute(select(a).where(accepted)).mappings()]
+        self._connection.execute(update(a).where(accepted).values(state="rejected"))
+        self.associate([_reassigned(row, kept, by, at_tai_ns) for row in rows])
         self._connection.execute(update(o).where(o.c.object_id == other).values(status="merged", merged_into=kept))
         self._decide("merge", by, at_tai_ns, {"kept": kept, "merged": other, "tracklets": len(rows), "why": why})
 
@@ -295,7 +307,7 @@ class Writer:
         if missing or not wanted:
             raise UserError(f"store: split: tracklets {sorted(missing)[:5]} are not accepted as object {object_id}'s")
         (new,) = self.add_objects([name], at_tai_ns)
-        self.associate([_moved(row, new, by, at_tai_ns) for row in rows])
+        self.associate([_reassigned(row, new, by, at_tai_ns) for row in rows])
         self._decide("split", by, at_tai_ns, {"from": object_id, "new": new, "tracklets": wanted, "why": why})
         return new
 
@@ -309,7 +321,7 @@ class Writer:
         self._connection.execute(insert(schema.DECISIONS), [row])
 
 
-def _moved(row: Mapping[str, Any], object_id: int, by: str, at_tai_ns: int) -> Association:
+def _reassigned(row: Mapping[str, Any], object_id: int, by: str, at_tai_ns: int) -> Association:
     return Association(
         tracklet_id=row["tracklet_id"], object_id=object_id, probability=row["probability"],
         state="accepted", decided_by=by, decided_tai_ns=at_tai_ns,

@@ -53,11 +53,14 @@ class TrackPixels:
     kept: tuple[KeptCounts, ...] = ()
     sent: tuple[tuple[int, int], ...] = ()
 
-    def after(self, frame: KeptCounts, window_frames: int) -> "TrackPixels":
-        """The record with one more frame, and at most as many frames as the window."""
-        kept = (*self.kept, frame)[-window_frames:]
-        oldest = kept[0].header.frame
-        return replace(self, kept=kept, sent=tuple(place for place in self.sent if place[1] >= oldest))
+    def after(self, frame: KeptCounts) -> "TrackPixels":
+        """The record with one more frame."""
+        return replace(self, kept=(*self.kept, frame))
+
+    def newest(self, number: int) -> "TrackPixels":
+        """The newest frames alone, so that there is room before the next one comes."""
+        kept = self.kept[-number:] if number > 0 else ()
+        return replace(self, kept=kept, sent=tuple(place for place in self.sent if kept and place[1] >= kept[0].header.frame))
 
 
 def send_tracks(

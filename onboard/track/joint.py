@@ -15,6 +15,7 @@ from onboard.image import registration
 from onboard.track import joint_filter
 from onboard.track.corridor import halved
 from onboard.track.false_alarms import independent_tracks, threshold_sigma
+from onboard.track.particles import without_hits
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import Detection, Track, TrackerView, TrackMember
@@ -46,15 +47,21 @@ SAME_SHARE: Final = 0.35
 class KeptSearch:
     """What stays of a frame. transform : (2, 3) of the frame before into it; unused for the first.
 
-    half, flat_half : smooth at half resolution, and transposed.
+    halves : smooth at half resolution, and transposed, while the frame is next to the one whose seeds are followed.
     """
 
     header: FrameHeader
     smooth: NDArray[np.int8]
-    half: NDArray[np.int8]
-    flat_half: NDArray[np.int8]
     seeds: NDArray[np.float64]
     transform: NDArray[np.float64]
+    halves: tuple[NDArray[np.int8], NDArray[np.int8]] | None = None
+
+    def with_halves(self) -> "KeptSearch":
+        """The same with its halves."""
+        if self.halves is not None:
+            return self
+        half = halved(self.smooth)
+        return replace(self, halves=(half, np.ascontiguousarray(half.T)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -77,7 +84,7 @@ class JointTracker:
         default=0.02, metadata={"doc": "false tracks per frame that noise may make", "min": 1e-9, "max": 10.0}
     )
     first_margin: float = field(
-        default=1.6, metadata={"doc": "S/N by which the first look may fall short", "min": 0.0, "max": 10.0}
+        default=2.2, metadata={"doc": "S/N by which the first look may fall short", "min": 0.0, "max": 10.0}
     )
 
     @property
@@ -98,29 +105,33 @@ class JointTracker:
             state, rest = self._followed(state, len(state.window), view.view.psf_sigma_px)
             found += rest
             state = JointState(next_number=state.next_number)
-        half = halved(view.searched.smooth)
         new = KeptSearch(
             header=view.view.header,
-            smooth=view.searched.smooth,
-            half=half,
-            flat_half=np.ascontiguousarray(half.T),
+            smooth=without_hits(view.searched.smooth, view.view.psf_sigma_px),
             seeds=view.searched.seeds,
             transform=IDENTITY if view.transform is None else view.transform,
         )
-        window = (*state.window, new)
-        dropped = max(0, len(window) - self.window)
-        oldest = window[dropped].header.frame
-        tracks = tuple(t for t in state.tracks if t.members[-1].frame >= oldest)
-        state = replace(state, window=window[dropped:], followed=max(0, state.followed - dropped), tracks=tracks)
+        state = replace(state, window=(*state.window, new))
         state, now = self._followed(state, len(state.window) - (self.window - 1) // 2, view.view.psf_sigma_px)
-        return state, tuple(found + now)
+        # a full window makes room for the next frame before that one is searched
+        return self._without_oldest(state) if len(state.window) == self.window else state, tuple(found + now)
+
+    def _without_oldest(self, state: JointState) -> JointState:
+        """The state with one frame less, and without the tracks that lie in none of the others."""
+        window = state.window[1:]
+        tracks = tuple(t for t in state.tracks if t.members[-1].frame >= window[0].header.frame)
+        return replace(state, window=window, followed=max(0, state.followed - 1), tracks=tracks)
 
     def _followed(self, state: JointState, stop: int, psf_sigma_px: float) -> tuple[JointState, list[Track]]:
         """Follow the seeds of the window's frames up to the one at `stop`; the state after it and the tracks found."""
         found: list[Track] = []
         for centre in range(state.followed, stop):
             known, number = {t.number: t for t in state.tracks}, state.next_number
-            for track in self._about(state.window, centre, psf_sigma_px):
+            window = tuple(  # the look at the frames around needs halves
+                frame.with_halves() if abs(k - centre) <= 1 else replace(frame, halves=None)
+                for k, frame in enumerate(state.window)
+            )
+            for track in self._about(window, centre, psf_sigma_px):
                 same = next((t for t in known.values() if same_object(t, track)), None)
                 if same is None:
                     track, number = replace(track, number=number), number + 1
@@ -130,7 +141,7 @@ class JointTracker:
                     track = replace(track, number=same.number)
                 known[track.number] = track
                 found.append(track)
-            state = replace(state, tracks=tuple(known.values()), next_number=number, followed=centre + 1)
+            state = replace(state, window=window, tracks=tuple(known.values()), next_number=number, followed=centre + 1)
         return state, found
 
     def _about(self, window: tuple[KeptSearch, ...], centre: int, psf_sigma_px: float) -> list[Track]:
@@ -146,10 +157,12 @@ class JointTracker:
         thresholds = self.thresholds((rows, cols), period, psf_sigma_px)
         # one kernel for any number of frames: the tuple is filled up to the window's length
         filled = window + (window[0],) * (self.window - len(window))
+        own = window[centre].with_halves().halves or (kept.smooth, kept.smooth)
+        near = [frame.halves or own for frame in filled]
         table, _, _ = joint_filter.follow(
             tuple(frame.smooth for frame in filled),
-            tuple(frame.half for frame in filled),
-            tuple(frame.flat_half for frame in filled),
+            tuple(half for half, _ in near),
+            tuple(flat for _, flat in near),
             np.ascontiguousarray(np.concatenate([transforms, np.repeat(transforms[:1], self.window - len(window), axis=0)])),
             np.concatenate([taus, np.zeros(self.window - len(window))]),
             len(window),

@@ -1,7 +1,7 @@
 """From a seed in one frame to the straight track through its neighbours with the highest joint S/N."""
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numba as nb
 import numpy as np
@@ -27,6 +27,10 @@ LEAST_STATIC: Final = 1.2
 """A seed is refused where the other frames show so much at its own place, in S/N for one frame, and so many errors of their
 mean: faint stars, in a row or left over, stand still."""
 
+STATIC_ERRORS: Final = 1.0
+"""What a track's places show in the other frames counts as far as it exceeds so many errors of their mean: without this, noise
+alone takes 0.16 of the joint S/N from every track."""
+
 FINE: Final = 24
 """Pieces of a seed in the second look."""
 
@@ -37,14 +41,45 @@ LONGEST: Final = 1.6
 LEAST_SEEN: Final = 0.4
 """A frame counts where so much of the trail in it falls on known pixels."""
 
-Corridors = tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.float64], NDArray[np.int64]]
-"""Sums and counts (frames, MOST_PIECES + 1, LANES); first px and px per piece (frames, 2); number of pieces (frames,)."""
+
+class Corridors(NamedTuple):
+    """Running sums about a seed's line in each frame of a window.
+
+    sums, counts : (frames, MOST_PIECES + 1, LANES). grid : first px and px per piece, (frames, 2). pieces : how many, (frames,).
+    """
+
+    sums: NDArray[np.int32]
+    counts: NDArray[np.int32]
+    grid: NDArray[np.float64]
+    pieces: NDArray[np.int64]
+
+
+class Look(NamedTuple):
+    """What turns a track (a, length, offset, tilt) about a seed into sums, and sums into S/N.
+
+    taus : (frames,). sense : of the motion. seed_px : the seed's length. per_lane : px across the line from lane to lane.
+    correlation : of neighbouring lanes. unit : standard deviation of a path's sum per root of its weight.
+    """
+
+    taus: NDArray[np.float64]
+    sense: float
+    seed_px: float
+    per_lane: float
+    correlation: float
+    unit: float
 
 
 def work_space(n_frames: int) -> Corridors:
     """Room for the corridors of a window."""
     shape = (n_frames, MOST_PIECES + 1, LANES)
-    return np.zeros(shape, np.int32), np.zeros(shape, np.int32), np.zeros((n_frames, 2)), np.zeros(n_frames, np.int64)
+    return Corridors(np.zeros(shape, np.int32), np.zeros(shape, np.int32), np.zeros((n_frames, 2)), np.zeros(n_frames, np.int64))
+
+
+@nb.njit(cache=True)
+def look_of(taus: NDArray[np.float64], sense: float, seed_px: float, per_lane: float, psf_sigma_px: float) -> Look:
+    """The look at a seed on images of pixels smoothed by the PSF, 16 for one sigma; paths advance by one px of the major axis."""
+    unit = 16.0 * math.sqrt(2.0 * math.sqrt(math.pi) * psf_sigma_px * per_lane)
+    return Look(taus, sense, seed_px, per_lane, math.exp(-0.25 * (per_lane / psf_sigma_px) ** 2), unit)
 
 
 @nb.njit(cache=True)
@@ -93,7 +128,7 @@ def static_snr(
 
 
 @nb.njit(cache=True)
-def _collect(
+def collect(
     images: tuple[NDArray[np.int8], ...],
     frame: int,
     seed: NDArray[np.float64],
@@ -105,65 +140,41 @@ def _collect(
     place: NDArray[np.float64],
 ) -> int:
     """Gather one frame's corridor from first_px to last_px on the seed's line; returns the pixels read."""
-    sums, counts, grid, pieces = corridors
     n = min(MOST_PIECES, math.ceil((last_px - first_px) / piece_px))
-    grid[frame, 0], grid[frame, 1], pieces[frame] = first_px, piece_px, n
+    corridors.grid[frame, 0], corridors.grid[frame, 1], corridors.pieces[frame] = first_px, piece_px, n
     steep = _placed(seed, transforms[frame], place)
-    return gather(images[frame], steep, place, first_px, piece_px, n, sums[frame], counts[frame])
+    return gather(images[frame], steep, place, first_px, piece_px, n, corridors.sums[frame], corridors.counts[frame])
 
 
 @nb.njit(cache=True)
-def trail_sums(
-    corridors: Corridors,
-    frame: int,
-    tau: float,
-    sense: float,
-    track: NDArray[np.float64],
-    seed_px: float,
-    per_lane: float,
-    correlation: float,
-) -> tuple[float, float]:
-    """Sum and weight of a track (a, length, offset, tilt) in one frame. per_lane : px across the line from lane to lane."""
-    sums, counts, grid, pieces = corridors
-    start = track[0] + sense * tau * track[1]
+def trail_sums(corridors: Corridors, look: Look, frame: int, track: NDArray[np.float64]) -> tuple[float, float]:
+    """Sum and weight of a track (a, length, offset, tilt) in one frame."""
+    start = track[0] + look.sense * look.taus[frame] * track[1]
     middle = start + 0.5 * track[1]
-    lane = (track[2] + track[3] * (middle / seed_px - 0.5)) / per_lane
-    first = (start - grid[frame, 0]) / grid[frame, 1]
-    last = (start + track[1] - grid[frame, 0]) / grid[frame, 1]
-    return between(sums[frame], counts[frame], pieces[frame], first, last, lane, correlation)
+    lane = (track[2] + track[3] * (middle / look.seed_px - 0.5)) / look.per_lane
+    first = (start - corridors.grid[frame, 0]) / corridors.grid[frame, 1]
+    last = (start + track[1] - corridors.grid[frame, 0]) / corridors.grid[frame, 1]
+    return between(corridors.sums[frame], corridors.counts[frame], corridors.pieces[frame], first, last, lane, look.correlation)
 
 
 @nb.njit(cache=True)
-def evaluate(
-    corridors: Corridors,
-    taus: NDArray[np.float64],
-    low: int,
-    high: int,
-    sense: float,
-    track: NDArray[np.float64],
-    seed_px: float,
-    per_lane: float,
-    correlation: float,
-    unit: float,
-) -> float:
-    """Joint S/N of a track in frames low ... high; unit : standard deviation of a path's sum per root of its weight."""
+def evaluate(corridors: Corridors, look: Look, low: int, high: int, track: NDArray[np.float64]) -> float:
+    """Joint S/N of a track in frames low ... high."""
     total = weight = 0.0
     for frame in range(low, high + 1):
-        s, w = trail_sums(corridors, frame, taus[frame], sense, track, seed_px, per_lane, correlation)
+        s, w = trail_sums(corridors, look, frame, track)
         total += s
         weight += w
-    return total / (unit * math.sqrt(weight)) if weight > 0.0 else 0.0
+    return total / (look.unit * math.sqrt(weight)) if weight > 0.0 else 0.0
 
 
 @nb.njit(cache=True)
 def _first_look(
     corridors: Corridors,
-    taus: NDArray[np.float64],
+    look: Look,
     centre: int,
     low: int,
     high: int,
-    seed_px: float,
-    unit: float,
     margin: NDArray[np.float64],
     best: NDArray[np.float64],
     lanes: NDArray[np.float32],
@@ -174,6 +185,7 @@ def _first_look(
     three: by how much the S/N exceeds margin[number of frames]. lanes (6, LANES) : work space, sums and weights of the three.
     """
     sums, counts, grid, pieces = corridors
+    taus, seed_px, unit = look.taus, look.seed_px, look.unit
     score, step = -1e9, seed_px / STEPS
     top = 0.0
     for turn in range(2):
@@ -226,23 +238,18 @@ def _first_look(
 
 
 @nb.njit(cache=True)
-def _climb(
+def climb(
     corridors: Corridors,
-    taus: NDArray[np.float64],
+    look: Look,
     low: int,
     high: int,
-    sense: float,
     track: NDArray[np.float64],
     steps: NDArray[np.float64],
     halvings: int,
-    seed_px: float,
-    per_lane: float,
-    correlation: float,
-    unit: float,
     trial: NDArray[np.float64],
 ) -> float:
     """Raise a track's joint S/N by steps in its four parameters, alone and with its length about its middle; in place."""
-    snr = evaluate(corridors, taus, low, high, sense, track, seed_px, per_lane, correlation, unit)
+    snr = evaluate(corridors, look, low, high, track)
     scale = 1.0
     for _ in range(halvings):
         for _ in range(8):
@@ -256,9 +263,9 @@ def _climb(
                         # longer about its middle: alone, length and start would wait for each other
                         trial[1] += sign * scale * steps[1]
                         trial[0] -= 0.5 * sign * scale * steps[1]
-                    if trial[1] < 0.4 * seed_px or trial[1] > 1.8 * seed_px:
+                    if trial[1] < 0.4 * look.seed_px or trial[1] > 1.8 * look.seed_px:
                         continue
-                    value = evaluate(corridors, taus, low, high, sense, trial, seed_px, per_lane, correlation, unit)
+                    value = evaluate(corridors, look, low, high, trial)
                     if value > snr + 1e-4:
                         snr, moved = value, True
                         track[:] = trial
@@ -271,24 +278,19 @@ def _climb(
 @nb.njit(cache=True)
 def best_range(
     corridors: Corridors,
-    taus: NDArray[np.float64],
+    look: Look,
     centre: int,
     low: int,
     high: int,
-    sense: float,
     track: NDArray[np.float64],
-    seed_px: float,
-    per_lane: float,
-    correlation: float,
-    unit: float,
     threshold: NDArray[np.float64],
     sums: NDArray[np.float64],
     weights: NDArray[np.float64],
 ) -> tuple[float, int, int]:
     """The run of frames with the centre whose joint S/N exceeds its threshold most: this margin, first and last frame."""
-    full = track[1] * per_lane
+    full = track[1] * look.per_lane
     for frame in range(low, high + 1):
-        sums[frame], weights[frame] = trail_sums(corridors, frame, taus[frame], sense, track, seed_px, per_lane, correlation)
+        sums[frame], weights[frame] = trail_sums(corridors, look, frame, track)
     score, first, last = -1e9, centre, centre
     for i in range(low, centre + 1):
         for j in range(centre, high + 1):
@@ -300,7 +302,7 @@ def best_range(
                 total += sums[k]
                 weight += weights[k]
             if seen == j - i + 1 and seen >= 2:
-                value = total / (unit * math.sqrt(weight)) - threshold[seen]
+                value = total / (look.unit * math.sqrt(weight)) - threshold[seen]
                 if value > score:
                     score, first, last = value, i, j
     return score, first, last
@@ -367,6 +369,7 @@ def follow(
     wider = math.hypot(psf_sigma_px, 0.5)
     half_noise = math.sqrt(0.5 * psf_sigma_px / wider)
     static_limit = max(LEAST_STATIC, STATIC_SIGMAS / math.sqrt(max(n_frames - 1.0, 1.0)))
+    static_error = STATIC_ERRORS / math.sqrt(max(n_frames - 1.0, 1.0))
     steps, sums, weights = np.empty(4), np.empty(len(images)), np.empty(len(images))
     for m in range(len(seeds)):
         if read > most_work:
@@ -377,8 +380,8 @@ def follow(
         seed_px = math.hypot(d_row, d_col)
         # px across the line for a step of one pixel along the minor axis, and the noise of a sum over major steps
         per_lane = max(d_row, d_col) / seed_px
-        unit = 16.0 * math.sqrt(2.0 * math.sqrt(math.pi) * psf_sigma_px * per_lane)
-        rho = math.exp(-0.25 * (per_lane / psf_sigma_px) ** 2)
+        forward = look_of(taus, 1.0, seed_px, per_lane, psf_sigma_px)
+        unit = forward.unit
         # the first look is at half resolution: a quarter of the pixels, which the cache holds better
         half_px = 0.5 * seed_px
         half_seed[:] = 0.5 * (seed[:4] - 0.5)
@@ -389,17 +392,18 @@ def follow(
             away = abs(taus[frame]) * LONGEST * half_px
             begin, piece = -away - reach, max(1.0, half_px / STEPS)
             n = min(MOST_PIECES, math.ceil((half_px + 2.0 * (away + reach)) / piece))
-            corridors[2][frame, 0], corridors[2][frame, 1], corridors[3][frame] = begin, piece, n
+            corridors.grid[frame, 0], corridors.grid[frame, 1], corridors.pieces[frame] = begin, piece, n
             _placed(half_seed, half_transforms[frame], place)
             image = halves[frame] if steep else flat_halves[frame]
-            read += gather(image, True, place, begin, piece, n, corridors[0][frame], corridors[1][frame])
-        half_unit = unit * half_noise
-        if _first_look(corridors, taus, centre, low, high, half_px, half_unit, threshold, best, lanes) < -first_margin:
+            read += gather(image, True, place, begin, piece, n, corridors.sums[frame], corridors.counts[frame])
+        half_look = Look(taus, 1.0, half_px, per_lane, 1.0, unit * half_noise)
+        if _first_look(corridors, half_look, centre, low, high, threshold, best, lanes) < -first_margin:
             continue
         read += n_frames * round(seed_px)
         if static_snr(images, transforms, n_frames, centre, seed[:4], unit, place) > static_limit:
             continue
         track, sense = parameters, best[3]
+        look = look_of(taus, sense, seed_px, per_lane, psf_sigma_px)
         track[0], track[1], track[2], track[3] = 2.0 * best[0], 2.0 * best[1], 0.0, 2.0 * best[2] * per_lane
         score, first, last = -1e9, centre, centre
         for reach_frames in range(1, len(images)):
@@ -409,14 +413,12 @@ def follow(
                 middle = track[0] + (0.5 + sense * taus[frame]) * track[1]
                 half = (0.9 + 0.12 * abs(taus[frame])) * seed_px
                 piece = max(1.0, seed_px / FINE)
-                read += _collect(images, frame, seed, transforms, middle - half, middle + half, piece, corridors, place)
+                read += collect(images, frame, seed, transforms, middle - half, middle + half, piece, corridors, place)
             span = max(1.0, abs(taus[low]), abs(taus[high]))
             steps[0], steps[1] = seed_px / STEPS, seed_px / STEPS / span
             steps[2], steps[3] = 0.6, 1.2 / span
-            _climb(corridors, taus, low, high, sense, track, steps, 4, seed_px, per_lane, rho, unit, trial)
-            score, first, last = best_range(
-                corridors, taus, centre, low, high, sense, track, seed_px, per_lane, rho, unit, threshold, sums, weights
-            )
+            climb(corridors, look, low, high, track, steps, 4, trial)
+            score, first, last = best_range(corridors, look, centre, low, high, track, threshold, sums, weights)
             if reach_frames > 1 and ((last < high and first > low) or score < -first_margin):
                 break
             if low == 0 and high == n_frames - 1:
@@ -427,12 +429,12 @@ def follow(
         span = max(1.0, abs(taus[first]), abs(taus[last]))
         steps[0], steps[1] = seed_px / FINE, seed_px / FINE / span
         steps[2], steps[3] = 0.3, 0.6 / span
-        snr = _climb(corridors, taus, first, last, sense, track, steps, 3, seed_px, per_lane, rho, unit, trial)
+        snr = climb(corridors, look, first, last, track, steps, 3, trial)
         if snr < threshold[last - first + 1]:
             continue
         total = weight = 0.0
         for frame in range(first, last + 1):
-            sums[frame], weights[frame] = trail_sums(corridors, frame, taus[frame], sense, track, seed_px, per_lane, rho)
+            sums[frame], weights[frame] = trail_sums(corridors, look, frame, track)
             total += sums[frame]
             weight += weights[frame]
         chi2, least, static = 0.0, 1e9, 0.0
@@ -440,7 +442,7 @@ def follow(
             _segment(seed, track, sense * taus[frame], seed_px, line)
             share = static_snr(images, transforms, n_frames, frame, line, unit, place)
             static += share * math.sqrt(weights[frame] / max(weight, 1.0))
-        if snr - max(static, 0.0) < threshold[last - first + 1]:
+        if snr - max(static - static_error, 0.0) < threshold[last - first + 1]:
             continue
         for frame in range(first, last + 1):
             expected = total * weights[frame] / weight

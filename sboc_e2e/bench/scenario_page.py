@@ -26,12 +26,12 @@ HEAD_TEXT: Final = """# All scenarios in one table
 
 Generated from `bench/scenarios.json` by `python -m sboc_e2e.bench.scenario_page docs/scenarios.md`.
 
-The runs are those of the scenarios as shipped, one seed each, so that the intervals (90 %, in brackets) count.
-`python -m tests.benchmarks.bench_scenarios` measures them again. A slow test runs every scenario and holds its score to the
-bounds in `tests/end_to_end/scenario_bounds.json`.
+Each row is one run of a shipped scenario, with one seed. Judge it by its 90 % interval (in brackets).
+`python -m tests.benchmarks.bench_scenarios` measures the runs again. A slow test runs every scenario and compares its score with
+the bounds in `tests/end_to_end/scenario_bounds.json`.
 
-CPU seconds are those of the median frame of each stage. They leave out compilation, start-up, linking and orbits. They were
-measured on a machine that other work shared, so compare them with each other only.
+CPU seconds are of the median frame of each stage, without compilation, start-up, linking and orbits. The machine was shared with
+other work, so compare them with each other only.
 """
 
 

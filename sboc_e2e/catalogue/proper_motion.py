@@ -25,9 +25,9 @@ def propagate(
     sin_ra, cos_ra, sin_dec, cos_dec = np.sin(ra), np.cos(ra), np.sin(dec), np.cos(dec)
     pm_e, pm_n = pm_ra_mas_yr / MAS_PER_RAD, pm_dec_mas_yr / MAS_PER_RAD
     motion = np.stack((-sin_ra * pm_e - cos_ra * sin_dec * pm_n, cos_ra * pm_e - sin_ra * sin_dec * pm_n, cos_dec * pm_n))
-    moved = np.stack((cos_ra * cos_dec, sin_ra * cos_dec, sin_dec)) + years * motion
-    stretch = np.sqrt(np.sum(moved**2, axis=0))
-    x, y, z = moved / stretch
+    vector = np.stack((cos_ra * cos_dec, sin_ra * cos_dec, sin_dec)) + years * motion
+    stretch = np.sqrt(np.sum(vector**2, axis=0))
+    x, y, z = vector / stretch
     ra_new, in_plane = np.arctan2(y, x), np.hypot(x, y)
     # d/dt of the normalised vector, along the new local east and north
     east = (-np.sin(ra_new) * motion[0] + np.cos(ra_new) * motion[1]) / stretch

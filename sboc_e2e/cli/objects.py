@@ -66,6 +66,38 @@ def add(
     typer.echo("\n".join(add_precise(store, ephemeris, name or [])))
 
 
+@objects_app.command()
+def observe(
+    messages: Annotated[list[Path], typer.Argument(help="tracking data messages (TDM, right ascension and declination)")],
+    observer: Annotated[Path | None, typer.Option("--observer", help="ephemeris of a moving sensor (OEM)")] = None,
+    site: Annotated[str | None, typer.Option("--site", help="LATITUDE,LONGITUDE,HEIGHT of a fixed one: deg, deg, m")] = None,
+    sensor: Annotated[str, typer.Option("--sensor", help="name of the sensor in the store")] = "sensor",
+    sigma: Annotated[float, typer.Option("--sigma", help="one sigma of a direction along each axis, arcsec")] = 1.0,
+    store: Store = "objects.db",
+) -> None:
+    """Put published tracklets into the catalogue, uncorrelated."""
+    from sboc_e2e.icd.errors import UserError
+    from sboc_e2e.objects.calibration import place_of_ephemeris, place_of_site
+    from sboc_e2e.objects.upkeep import observe as execute
+
+    if (observer is None) == (site is None):
+        raise UserError("objects observe: give either --observer (a moving sensor) or --site (a fixed one)")
+    place = place_of_site(site) if site is not None else place_of_ephemeris(observer or Path())
+    typer.echo(execute(store, messages, place, sensor, sigma))
+
+
+@objects_app.command()
+def update(
+    at: Annotated[str, typer.Option("--at", help="UTC up to which tracklets count, such as 2026-11-22T12:00:00")],
+    window: Annotated[float, typer.Option("--window", help="days that tracklets and fits reach back")] = 10.0,
+    store: Store = "objects.db",
+) -> None:
+    """Correlate new tracklets, renew orbits, find new objects (MEO, GEO), call objects lost, found again or retired."""
+    from sboc_e2e.objects.upkeep import bring_up
+
+    typer.echo(bring_up(store, at, window))
+
+
 @objects_app.command(name="list")
 def list_objects(store: Store = "objects.db") -> None:
     """What the catalogue holds, and how good its orbits are."""

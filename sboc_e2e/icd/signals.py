@@ -91,7 +91,7 @@ class Detection:
     """A straight or slightly curved segment, from end 0 to end 1 (PSF-centre positions), in pixels.
 
     snr : matched-filter S/N (sigma; noise without the object). sagitta_px : signed height of the arc over the chord
-    at its middle, positive towards (+drow, -dcol) rotated from the chord by +90 deg; 0 when straight.
+    at its middle, positive towards the normal (row, col) = (dcol, -drow) of the chord (drow, dcol); 0 when straight.
     Point-like detections have both ends equal or nearly so, and `StreakFlag.POINT_LIKE`.
     """
 

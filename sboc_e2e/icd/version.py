@@ -29,5 +29,5 @@ HISTORY: Final = (
         "and streaks have the number of their track; frames say where tracking could not go on",
     ),
 )
-"""The major number grows when a decoder of the version before would take something for what it is not, the minor one when it
-would only miss or refuse what is new. Decoders skip and count packets of another major version."""
+"""The major number grows if a decoder of the previous version would misinterpret something. The minor number grows if it would
+only miss or refuse new content. Decoders skip and count packets of another major version."""

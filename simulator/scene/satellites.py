@@ -47,7 +47,7 @@ class SatelliteOptions:
     file: str = field(default="", metadata={"doc": "TLE, 3LE or OMM (csv, xml) file, may be gzipped; empty for none"})
     names: tuple[str, ...] = field(default=(), metadata={"doc": "only satellites of these names or numbers; empty for all"})
     size_m: float = field(
-        default=1.0, metadata={"doc": "diameter where neither name nor file tells it", "min": 1e-3, "max": 1000.0}
+        default=1.0, metadata={"doc": "diameter if neither the name nor a file gives it", "min": 1e-3, "max": 1000.0}
     )
     sizes_file: str = field(
         default="",

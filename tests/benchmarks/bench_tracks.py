@@ -1,10 +1,12 @@
-"""Tracks over several frames: S50 per frame by number of frames and length, false tracks per frame, CPU-seconds.
+"""Tracks over several frames: S50 per frame by number of frames and length, what is lost where, false tracks, CPU-seconds.
 
 Cubes of noise (with stars on request) and straight tracks, rendered by `detection_frames` independently of the simulator. The
-detector searches each frame as in the chain, the tracker what it leaves. Run from the repository's root:
+detector searches each frame as in the chain, the tracker what it leaves. Frames are pieces of a sensor of 4096 x 4096 px: joint
+S/N and false tracks are asked as of whole ones. Particles of a storm are the simulator's. Run from the repository's root:
 
     python -m tests.benchmarks.bench_tracks            # 1024 x 1024, minutes
     python -m tests.benchmarks.bench_tracks --stars    # the same among stars
+    python -m tests.benchmarks.bench_tracks --storm 3000 --cubes 150    # false tracks with so many hits per whole frame
 """
 
 import argparse
@@ -20,10 +22,22 @@ from numpy.typing import NDArray
 
 from onboard.detect import LineIntegralDetector
 from onboard.image import registration
-from onboard.track.joint import JointTracker
-from sboc_e2e.icd.signals import DetectorView, Track, TrackerView
-from sboc_e2e.score.figures import half_point
-from tests.benchmarks.detection_frames import SIGMA, Scene, Streak, add_streak, bare_view, exposure, random_stars, view_of
+from onboard.track import joint_filter
+from onboard.track.joint import IDENTITY, JointTracker
+from sboc_e2e.icd.signals import DetectorView, Searched, Track, TrackerView
+from sboc_e2e.score.figures import half_point, rate
+from simulator.radiation import ParticleField, RadiationOptions
+from tests.benchmarks.detection_frames import (
+    PSF_SIGMA_PX,
+    SIGMA,
+    Scene,
+    Streak,
+    add_streak,
+    bare_view,
+    exposure,
+    random_stars,
+    view_of,
+)
 
 PERIOD = 1.25
 """Frames follow each other after so many exposures."""
@@ -31,6 +45,38 @@ PERIOD = 1.25
 LENGTHS_PX = (20.0, 50.0, 150.0, 400.0, 1000.0)
 FRAMES = (2, 3, 4, 8)
 STARS = 25_000
+
+WHOLE_PX = 4096
+"""Side of the sensor that frames are pieces of."""
+
+SAA_HITS = 5100.0
+"""Particles on it in 0.2 s in the simulator's environment `saa`."""
+
+SEED_SHARE, SEED_PX = 0.25, 4.0
+"""A seed is an object's where its ends are off by this share of the trail at most, and so little across."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class PieceTracker(JointTracker):
+    """Asks of the tracks in a piece of the sensor what it would ask in all of it."""
+
+    def thresholds(self, shape: tuple[int, int], period_over_exposure: float, psf_sigma_px: float) -> NDArray[np.float64]:
+        """Those of the whole sensor."""
+        return super().thresholds((WHOLE_PX, WHOLE_PX), period_over_exposure, psf_sigma_px)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Storm:
+    """Particles on a piece of the sensor; hits : per whole frame of 0.2 s."""
+
+    hits: float
+    seed: int
+
+    def field(self, size: int) -> ParticleField:
+        """The simulator's, with as many hits as asked."""
+        options = RadiationOptions(environment="saa")
+        peak = options.saa_peak_omni_cm2_s * self.hits / SAA_HITS
+        return ParticleField(replace(options, saa_peak_omni_cm2_s=peak), rows=size, cols=size, pitch_um=9.0, seed=self.seed)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,12 +124,56 @@ def hit(track: Track, truth: TrueTrack) -> float:
     return good / len(truth.ends)
 
 
+def joint_snr(truth: TrueTrack, searched: list[Searched]) -> float:
+    """Joint S/N that the filter puts at a true track when it starts from the truth. searched : frames of the cube."""
+    n = len(truth.ends)
+    images = tuple(each.smooth for each in searched[truth.first : truth.first + n])
+    row0, col0, row1, col1 = truth.ends[n // 2]
+    steep, sense = abs(row1 - row0) >= abs(col1 - col0), 1.0
+    if (row1 < row0) if steep else (col1 < col0):
+        row0, col0, row1, col1, sense = row1, col1, row0, col0, -1.0
+    length = truth.length_px
+    per_lane = max(abs(row1 - row0), abs(col1 - col0)) / length
+    seed, transforms = np.array([row0, col0, row1, col1, 0.0]), np.repeat(IDENTITY[None], n, axis=0)
+    taus, corridors, place = PERIOD * (np.arange(n) - n // 2), joint_filter.work_space(n), np.empty(4)
+    for k in range(n):
+        middle, half = (0.5 + sense * taus[k]) * length, (0.9 + 0.12 * abs(taus[k])) * length
+        piece = max(1.0, length / joint_filter.FINE)
+        joint_filter.collect(images, k, seed, transforms, middle - half, middle + half, piece, corridors, place)
+    span = float(np.abs(taus).max())
+    best, steps = np.array([0.0, length, 0.0, 0.0]), np.array([length / 8.0, length / 8.0 / span, 0.6, 1.2 / span])
+    look = joint_filter.look_of(taus, sense, length, per_lane, PSF_SIGMA_PX)
+    return float(joint_filter.climb(corridors, look, 0, n - 1, best, steps, 5, np.empty(4)))
+
+
+def n_seeded(truth: TrueTrack, searched: list[Searched]) -> int:
+    """In how many of its frames a true track has a seed."""
+    n = 0
+    for k, (row0, col0, row1, col1) in enumerate(truth.ends):
+        seeds, length = searched[truth.first + k].seeds, truth.length_px
+        u = np.array([row1 - row0, col1 - col0]) / length
+        away = seeds[:, :4].reshape(-1, 2, 2) - np.array([row0, col0])
+        along, across = np.sort(away @ u, axis=1), np.abs(away[..., 0] * u[1] - away[..., 1] * u[0]).max(axis=1)
+        near = SEED_SHARE * length + SEED_PX
+        n += bool(((np.abs(along - np.array([0.0, length])) < near).all(axis=1) & (across < SEED_PX)).any())
+    return n
+
+
 def run_cube(
-    tracker: JointTracker, truth: list[TrueTrack], size: int, n_frames: int, rng: np.random.Generator, n_stars: int = 0
+    tracker: JointTracker,
+    truth: list[TrueTrack],
+    size: int,
+    n_frames: int,
+    rng: np.random.Generator,
+    n_stars: int = 0,
+    *,
+    storm: Storm | None = None,
+    left: list[Searched] | None = None,
 ) -> tuple[list[Track], float, float]:
-    """Tracks found in a cube; CPU-seconds per frame of the search and of the tracker."""
+    """Tracks found in a cube; CPU-seconds per frame of the search and of the tracker. left : what the searches left is added."""
     detector = LineIntegralDetector()
     stars = random_stars(size, n_stars, rng) if n_stars else None
+    particles = None if storm is None else storm.field(size)
     state, found, history, before = tracker.initial_state(), [], (), None
     search_s = track_s = 0.0
     for k in range(n_frames):
@@ -97,6 +187,9 @@ def run_cube(
             if t.first <= k < t.first + len(t.ends):
                 row0, col0, row1, col1 = t.ends[k - t.first] + np.tile(offset, 2)
                 add_streak(scene, Streak(row0=row0, col0=col0, row1=row1, col1=col1, snr=t.snr), rng)
+        if particles is not None:
+            hits = particles.hits(k, 0.2, None)
+            np.add.at(scene.image, (hits.row, hits.col), hits.charge_e)
         view: DetectorView = bare_view(scene, frame=k) if stars is None else view_of(scene, frame=k, history=history)
         view = replace(view, header=replace(view.header, line_time_ns=0))
         start = time.process_time()
@@ -111,34 +204,48 @@ def run_cube(
         track_s += time.process_time() - middle
         search_s += middle - start
         found += tracks
+        if left is not None:
+            left.append(searched)
         if stars is not None:
             history, before = (detector.remembered(view),), view.stars
     return found, search_s / n_frames, track_s / n_frames
 
 
-def noise(tracker: JointTracker, size: int, cubes: int, n_frames: int, seed: int, n_stars: int = 0) -> dict[str, Any]:
-    """False tracks (by number of the object) per frame, and CPU-seconds."""
+def noise(
+    tracker: JointTracker, size: int, cubes: int, n_frames: int, seed: int, n_stars: int = 0, hits: float = 0.0
+) -> dict[str, Any]:
+    """False tracks (by number of the object) per whole frame, and CPU-seconds of a piece."""
     numbers, search, track, snrs = 0, [], [], []
     for c in range(cubes):
-        found, a, b = run_cube(tracker, [], size, n_frames, np.random.default_rng((seed, c)), n_stars)
+        storm = Storm(hits=hits, seed=1000 * seed + c) if hits else None
+        found, a, b = run_cube(tracker, [], size, n_frames, np.random.default_rng((seed, c)), n_stars, storm=storm)
         numbers += len({t.number for t in found})
         snrs += [(round(t.snr, 2), len(t.members)) for t in found]
         search.append(a)
         track.append(b)
+    whole = cubes * n_frames * (size / WHOLE_PX) ** 2
     return {
-        "false_tracks": numbers, "frames": cubes * n_frames, "search_cpu_s": round(float(np.median(search)), 4),
-        "track_cpu_s": round(float(np.median(track)), 4), "snr_and_frames": snrs[:20],
+        "false_tracks": numbers, "frames": cubes * n_frames, "false_per_whole_frame": rate(numbers, whole, cubes * n_frames),
+        "search_cpu_s": round(float(np.median(search)), 4), "track_cpu_s": round(float(np.median(track)), 4),
+        "snr_and_frames": snrs[:20],
     }  # fmt: skip
 
 
 def completeness(
     tracker: JointTracker, size: int, cubes: int, seed: int, spread: float = 2.0, n_stars: int = 0
 ) -> dict[str, Any]:
-    """S50 per frame by number of frames and length; `cubes` cubes for each number of frames, all lengths in each."""
+    """S50 per frame by number of frames and length; `cubes` cubes for each number of frames, all lengths in each.
+
+    Without stars, also what perfect seeds would give (`statistic`: the filter started from the truth), and what seeds as they are
+    would give with a perfect search from them (`statistic_and_seeds`).
+    """
     out: dict[str, Any] = {}
+    thresholds = replace(tracker, window=max(FRAMES)).thresholds((size, size), PERIOD, PSF_SIGMA_PX)
     for n in FRAMES:
         snr: dict[float, list[float]] = {length: [] for length in LENGTHS_PX}
         seen: dict[float, list[bool]] = {length: [] for length in LENGTHS_PX}
+        bound: list[tuple[bool, bool]] = []
+        drawn: list[TrueTrack] = []
         false, frames = 0, 0
         for c in range(cubes):
             rng = np.random.default_rng((seed, n, c))
@@ -149,9 +256,16 @@ def completeness(
                 for _ in range(3 if length < 300 else 1):
                     t = random_track(size, length, n, n_frames, float(rng.uniform(guess - spread / 2, guess + spread / 2)), rng)
                     truth += [] if t is None else [t]
-            n_run = n_frames + (tracker.window - 1) // 2
-            found, _, _ = run_cube(tracker, truth, size, n_run, rng, n_stars)
+            if n_stars:  # the first frame has none before it to tell its stars by: nothing is searched in it
+                truth = [replace(t, first=t.first + 1) for t in truth]
+            drawn += truth
+            n_run = n_frames + (tracker.window - 1) // 2 + bool(n_stars)
+            left: list[Searched] = []
+            found, _, _ = run_cube(tracker, truth, size, n_run, rng, n_stars, left=left)
             matched = set()
+            if not n_stars:
+                reached = [joint_snr(t, left) >= thresholds[n] for t in truth]
+                bound += [(r, r and n_seeded(t, left) > 0) for r, t in zip(reached, truth, strict=True)]
             for t in truth:
                 key = min(LENGTHS_PX, key=lambda length, t=t: abs(length - t.length_px))
                 good = [f.number for f in found if hit(f, t) >= 0.5]
@@ -161,8 +275,11 @@ def completeness(
             false += len({f.number for f in found} - matched)
             frames += n_run
         every = [s for values in snr.values() for s in values], [h for values in seen.values() for h in values]
+        own = [t.snr for t in drawn]
         out[f"n={n}"] = {
             "all": half_point(*every),
+            **({"statistic": half_point(own, [b[0] for b in bound])} if bound else {}),
+            **({"statistic_and_seeds": half_point(own, [b[1] for b in bound])} if bound else {}),
             **{f"{length:g}": half_point(snr[length], seen[length]) for length in LENGTHS_PX if len(snr[length]) > 10},
             "false": false, "frames": frames,
         }  # fmt: skip
@@ -175,12 +292,13 @@ def main() -> None:
     parser.add_argument("--size", type=int, default=1024)
     parser.add_argument("--cubes", type=int, default=20)
     parser.add_argument("--stars", action="store_true")
+    parser.add_argument("--storm", type=float, default=0.0)
     chosen = parser.parse_args()
-    tracker, stars = JointTracker(), STARS if chosen.stars else 0
+    tracker, stars = PieceTracker(), STARS if chosen.stars or chosen.storm else 0
     figures = {
-        "thresholds": tracker.thresholds((chosen.size, chosen.size), PERIOD, 0.849).round(2).tolist(),
-        "noise": noise(tracker, chosen.size, max(1, chosen.cubes // 2), 16, 1, stars),
-        **completeness(tracker, chosen.size, chosen.cubes, 2, n_stars=stars),
+        "thresholds": tracker.thresholds((chosen.size, chosen.size), PERIOD, PSF_SIGMA_PX).round(2).tolist(),
+        "noise": noise(tracker, chosen.size, max(1, chosen.cubes // 2), 16, 1, stars, chosen.storm),
+        **({} if chosen.storm else completeness(tracker, chosen.size, chosen.cubes, 2, n_stars=stars)),
     }
     sys.stdout.write("\n".join(f"{key}: {json.dumps(value)}" for key, value in figures.items()) + "\n")
 

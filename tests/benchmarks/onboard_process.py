@@ -1,13 +1,15 @@
-"""The on-board software alone in a process, as it would fly: ``python -m tests.benchmarks.onboard_process FOLDER DETECTOR``.
+"""The on-board software alone in a process, as it would fly.
 
-FOLDER holds `calibration.pickle`, `camera.pickle` and frames 0.pickle, 1.pickle, ... Prints resident memory (MB of 10^6 bytes)
-stage by stage as JSON. Nothing but the interpreter is loaded before the first figure. Started with `ENVIRONMENT`.
+``python -m tests.benchmarks.onboard_process FOLDER DETECTOR [TRACKER]``: FOLDER holds `calibration.pickle`, `camera.pickle` and
+frames 0.pickle, 1.pickle, ... Prints resident memory (MB of 10^6 bytes) stage by stage as JSON. Nothing but the interpreter is
+loaded before the first figure. Started with `ENVIRONMENT`.
 """
 
 import json
 import pickle
 import resource
 import sys
+import time
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -17,6 +19,7 @@ ENVIRONMENT = {"MALLOC_MMAP_THRESHOLD_": str(1 << 20)}
 """Images are given back to the system when they are freed: by itself glibc keeps up to 20 MB of them between frames."""
 
 DETECTORS = {"threshold": "ThresholdDetector", "line_integral": "LineIntegralDetector"}
+TRACKERS = {"none": ("onboard.track.none", "NoTracker"), "joint": ("onboard.track.joint", "JointTracker")}
 
 
 class NoDetector:
@@ -69,8 +72,8 @@ def _small_frames(chain_type: Any, options: Any, steps: Any, camera: Any) -> Non
         state, _ = chain.process(state, Frame(header=header, pixels=np.rint(pixels).astype(np.uint16)))
 
 
-def main(folder: Path, detector: str) -> dict[str, float]:
-    """Memory after each stage, and the peak while frames are processed."""
+def main(folder: Path, detector: str, tracker: str = "none") -> dict[str, float]:
+    """Memory after each stage, the peak while frames are processed, and the median CPU-seconds of a frame from the third on."""
     out = {"interpreter": memory_mb("VmRSS")}
     import_module("numba")
     out["numpy_and_numba"] = memory_mb("VmRSS")
@@ -82,23 +85,30 @@ def main(folder: Path, detector: str) -> dict[str, float]:
 
     found = NoDetector if detector == "none" else getattr(import_module("onboard.detect"), DETECTORS[detector])
     out["libraries"] = memory_mb("VmRSS")
-    steps = OnboardSteps(background=MeshBackground(), star_extractor=MatchedStars(), detector=found(), codec=PlanesCodec())
+    module, name = TRACKERS[tracker]
+    steps = OnboardSteps(
+        background=MeshBackground(), star_extractor=MatchedStars(), detector=found(), codec=PlanesCodec(),
+        tracker=getattr(import_module(module), name)(),
+    )  # fmt: skip
     _small_frames(OnboardChain, OnboardOptions(), steps, pickle.loads((folder / "camera.pickle").read_bytes()))  # noqa: S301 - as above
     out["libraries_and_kernels"] = memory_mb("VmRSS")
     calibration = pickle.loads((folder / "calibration.pickle").read_bytes())  # noqa: S301 - written by the benchmark
     chain = OnboardChain(OnboardOptions(), steps, calibration=calibration, camera=calibration.camera, run_id=1)
     del calibration
     out["calibrated"] = memory_mb("VmRSS")
-    state, peaks = chain.initial_state(), []
+    state, peaks, cpu_s = chain.initial_state(), [], []
     for number in range(len(list(folder.glob("[0-9]*.pickle")))):
         frame = pickle.loads((folder / f"{number}.pickle").read_bytes())  # noqa: S301 - written by the benchmark
         reset_peak()
+        start = time.process_time()
         state, _ = chain.process(state, frame)
+        cpu_s.append(time.process_time() - start)
         peaks.append(memory_mb("VmHWM"))
     out["after_frames"] = memory_mb("VmRSS")
     out["peak"] = max(peaks[1:])
+    out["cpu_s_per_frame"] = sorted(cpu_s[2:])[len(cpu_s[2:]) // 2]
     return out
 
 
 if __name__ == "__main__":
-    print(json.dumps(main(Path(sys.argv[1]), sys.argv[2])))  # noqa: T201 - the script's result
+    print(json.dumps(main(Path(sys.argv[1]), *sys.argv[2:])))  # noqa: T201 - the script's result

@@ -22,11 +22,22 @@ from onboard.stars.matched import MatchedStars
 from onboard.track.false_alarms import half_point_sigma, independent_tracks, threshold_sigma
 from onboard.track.joint import JointTracker
 from onboard.track.none import NoTracker
+from onboard.track.particles import HIT_CODE, without_hits
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.flags import FrameFlag
 from sboc_e2e.icd.layout import Apid
-from sboc_e2e.icd.signals import BackgroundModel, Detection, DetectorView, Searched, StarList, Track, TrackerView, TrackMember
-from tests.benchmarks.bench_tracks import hit, random_track, run_cube
+from sboc_e2e.icd.signals import (
+    UNKNOWN,
+    BackgroundModel,
+    Detection,
+    DetectorView,
+    Searched,
+    StarList,
+    Track,
+    TrackerView,
+    TrackMember,
+)
+from tests.benchmarks.bench_tracks import STARS, PieceTracker, Storm, hit, random_track, run_cube
 from tests.onboard.small_run import Run, calibration, camera, frame, header
 
 
@@ -51,6 +62,26 @@ def test_tracks_that_no_frame_shows_are_found_in_both_senses_and_noise_gives_non
         assert all(any(hit(track, t) >= 0.5 for t in truth if t is not None) for track in tracks)
     assert sum(found_of) >= 5
     assert senses == {True, False}
+
+
+def test_particles_of_a_storm_make_no_tracks() -> None:
+    """Grazing particles at four times the density of 3,000 hits per whole frame: bright in one frame, noise beside it."""
+    for seed in (2, 3):
+        storm, rng = Storm(hits=12_000.0, seed=seed), np.random.default_rng(seed)
+        tracks, _, _ = run_cube(PieceTracker(), [], 512, 10, rng, STARS, storm=storm)
+        assert tracks == []
+
+
+def test_what_is_too_bright_for_a_faint_trail_is_unknown_and_the_rest_stays() -> None:
+    smooth = np.zeros((64, 64), np.int8)
+    smooth[20, 10:40] = HIT_CODE - 1
+    assert without_hits(smooth, 0.849) is smooth
+    smooth[40, 30] = HIT_CODE
+    kept = without_hits(smooth, 0.849)
+    row, col = np.nonzero(kept == UNKNOWN)
+    assert (row.min(), row.max(), col.min(), col.max()) == (36, 44, 26, 34)
+    assert (kept[20] == smooth[20]).all()
+    assert smooth[40, 30] == HIT_CODE
 
 
 def test_without_a_transform_nothing_of_earlier_frames_is_used() -> None:

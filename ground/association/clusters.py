@@ -1,0 +1,235 @@
+"""Arcs of one object gathered about an orbit: two start it, its predictions find the rest, a batch fit of all judges."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.association.arc import ArcOrbit, coordinates_of, scaled_inverse
+from ground.association.pairs import Pairs
+from ground.determination.batch import FitOptions, Solution, fit
+from ground.determination.forces import ForceModel
+from ground.determination.measurements import Directions
+from ground.determination.propagation import propagate
+from ground.orbit.dynamics import MU_KM3_S2
+from ground.sky.sphere import cross
+from sboc_e2e.icd import tai
+from sboc_e2e.icd.errors import UserError
+
+Array = NDArray[np.float64]
+
+_STEPS: Final = 4
+_SETTLED: Final = 0.05
+_PLANE_COSINE: Final = 0.97
+_ENERGY: Final = 0.2
+_DOUBT_KM_PER_DAY2: Final = 0.4
+"""One sigma of place after a day that radiation pressure of unknown area leaves; it grows with the square of days."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class AssociationOptions:
+    """How tracklets are brought together.
+
+    longest_days : between the two arcs that start an orbit. pair_limit, gate : largest chi2 of six degrees of freedom of a
+    pair and of an arc against a prediction. doubt_km_s : one sigma of velocity by which two bodies are wrong after a day.
+    radiation_m2_kg, radiation_sigma_m2_kg : radiation coefficient times area over mass before the data speak.
+    worst_chi2_nu : of a batch fit that is still one object.
+    """
+
+    longest_days: float = 5.0
+    pair_limit: float = 40.0
+    gate: float = 35.0
+    doubt_km_s: float = 6e-4
+    radiation_m2_kg: float = 0.02
+    radiation_sigma_m2_kg: float = 0.01
+    gravity_degree: int = 8
+    worst_chi2_nu: float = 1.6
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cluster:
+    """Tracklets (indices, in order of time) of one object, its orbit by batch fit, and which of them fit elsewhere too."""
+
+    members: tuple[int, ...]
+    solution: Solution
+    ambiguous: tuple[int, ...] = field(default=())
+
+
+@dataclass(frozen=True, eq=False)
+class Orbit:
+    """A Gaussian orbit: state (6,) and covariance (6, 6) at an epoch."""
+
+    t0_tai_ns: int
+    state: Array
+    covariance: Array
+
+
+def innovations(orbit: Orbit, arcs: Sequence[ArcOrbit], forces: ForceModel) -> Array:
+    """Chi2 (n,), six degrees of freedom, of arcs against an orbit's predictions, both with their covariances."""
+    if not arcs:
+        return np.empty(0)
+    epochs = np.array([a.t_tai_ns for a in arcs], dtype=np.int64)
+    arc = propagate(orbit.state, orbit.t0_tai_ns, epochs, forces, partials=True)
+    out = np.empty(len(arcs))
+    for k, one in enumerate(arcs):
+        days = abs(one.t_tai_ns - orbit.t0_tai_ns) / tai.NS_PER_DAY
+        q, slope = coordinates_of(arc.states[k], one.observer_km, one.observer_km_s, one.axes)
+        turn = slope @ arc.partials[k]
+        total = turn @ orbit.covariance @ turn.T + doubt_of(one, days) + one.covariance
+        out[k] = _chi2(q - one.mean, total)
+    return out
+
+
+def doubt_of(arc: ArcOrbit, days: float) -> Array:
+    """Covariance (6, 6) in an arc's coordinates of what the forces leave out after some days."""
+    place = _DOUBT_KM_PER_DAY2 * min(days, 1.0) * max(days, 0.02)
+    speed = 1e-4 * place
+    rho = arc.mean[4]
+    return np.asarray(np.diag(np.array([place / rho, place / rho, speed / rho, speed / rho, place, speed]) ** 2))
+
+
+def _chi2(left: Array, covariance: Array) -> float:
+    scale = np.sqrt(np.diag(covariance))
+    z = np.linalg.solve(covariance / np.outer(scale, scale), left / scale)
+    return float(z @ (left / scale))
+
+
+def joined(start: Array, t0_tai_ns: int, arcs: Sequence[ArcOrbit], forces: ForceModel) -> tuple[Orbit, float]:
+    """The orbit that meets several arcs' Gaussians best, perturbed, from a start (6,); and its chi2."""
+    epochs = np.array([a.t_tai_ns for a in arcs], dtype=np.int64)
+    middle = (int(epochs.min()) + int(epochs.max())) // 2
+    x, cost, normal = np.asarray(start, dtype=float), np.inf, np.eye(6)
+    for _ in range(_STEPS):
+        arc = propagate(x, t0_tai_ns, epochs, forces, partials=True)
+        normal, right, cost = np.zeros((6, 6)), np.zeros(6), 0.0
+        for k, one in enumerate(arcs):
+            q, slope = coordinates_of(arc.states[k], one.observer_km, one.observer_km_s, one.axes)
+            turn = slope @ arc.partials[k]
+            weight = scaled_inverse(one.covariance + doubt_of(one, abs(one.t_tai_ns - middle) / tai.NS_PER_DAY))
+            normal += turn.T @ weight @ turn
+            right += turn.T @ weight @ (one.mean - q)
+            cost += float((one.mean - q) @ weight @ (one.mean - q))
+        covariance = scaled_inverse(normal)
+        step = covariance @ right
+        x = x + step
+        if (np.abs(step) < _SETTLED * np.sqrt(np.diag(covariance))).all():
+            cost -= float(right @ step)
+            break
+    return Orbit(t0_tai_ns, x, scaled_inverse(normal)), cost
+
+
+def clusters_of(
+    tracklets: Sequence[Directions], arcs: Sequence[ArcOrbit | None], pairs: Pairs, options: AssociationOptions
+) -> list[Cluster]:
+    """Objects found, those with the most arcs first in the making of each; every tracklet belongs to one at most."""
+    forces = ForceModel(gravity_degree=options.gravity_degree, radiation=options.radiation_m2_kg)
+    free = {k for k, a in enumerate(arcs) if a is not None}
+    found: list[Cluster] = []
+    refused: set[tuple[int, ...]] = set()
+    support = np.bincount(np.concatenate([pairs.first, pairs.second]), minlength=len(arcs)) if len(pairs.chi2) else np.zeros(0)
+    rank = np.argsort(-np.minimum(support[pairs.first], support[pairs.second]) + 0.01 * pairs.chi2, kind="stable")
+    for k in rank:
+        seed = (int(pairs.first[k]), int(pairs.second[k]))
+        if not free.issuperset(seed):
+            continue
+        try:
+            members = _grown(seed, pairs.state[k], arcs, sorted(free), forces, options)
+            if members in refused:
+                continue
+            cluster = judged(members, tracklets, pairs.state[k], int(_arc(arcs, seed[0]).t_tai_ns), options)
+        except UserError:
+            # an orbit that meets the Earth, or data that do not hold together: no object
+            continue
+        if cluster is None:
+            refused.add(members)
+            continue
+        found.append(cluster)
+        free -= set(cluster.members)
+    return _with_ambiguity(found, arcs, forces, options)
+
+
+def _arc(arcs: Sequence[ArcOrbit | None], k: int) -> ArcOrbit:
+    one = arcs[k]
+    if one is None:
+        raise UserError("association: a tracklet without an orbit of its own")
+    return one
+
+
+def _grown(
+    seed: tuple[int, int], start: Array, arcs: Sequence[ArcOrbit | None], free: Sequence[int], forces: ForceModel,
+    options: AssociationOptions,
+) -> tuple[int, ...]:  # fmt: skip
+    """Members by index in order of time: the nearest arc in time that the orbit predicts is added until there is none."""
+    members = list(seed)
+    t0 = _arc(arcs, seed[0]).t_tai_ns
+    orbit, cost = joined(start, t0, [_arc(arcs, m) for m in members], forces)
+    if cost > options.pair_limit:
+        raise UserError("association: two arcs are of no one orbit once it is perturbed")
+    others = [k for k in _alike(orbit, arcs, free) if k not in seed]
+    while others:
+        chi2 = innovations(orbit, [_arc(arcs, k) for k in others], forces)
+        inside = [(k, c) for k, c in zip(others, chi2, strict=True) if c < options.gate]
+        if not inside:
+            break
+        when = [_arc(arcs, m).t_tai_ns for m in members]
+        # the nearest in time is predicted best; of two as near the likelier
+        new, _ = min(inside, key=lambda item: (min(abs(_arc(arcs, item[0]).t_tai_ns - t) for t in when), item[1]))
+        trial, cost = joined(orbit.state, t0, [_arc(arcs, m) for m in (*members, new)], forces)
+        others.remove(new)
+        if cost < options.pair_limit + 12.0 * (len(members) - 1):
+            members.append(new)
+            orbit = trial
+    return tuple(sorted(members, key=lambda m: _arc(arcs, m).t_tai_ns))
+
+
+def _alike(orbit: Orbit, arcs: Sequence[ArcOrbit | None], chosen: Sequence[int]) -> list[int]:
+    """Those of some arcs whose own plane and energy are near an orbit's: a sieve before predictions are made."""
+    if not chosen:
+        return []
+    normal, energy = _plane_and_energy(np.array([_arc(arcs, k).state for k in chosen]))
+    other, wanted = _plane_and_energy(orbit.state[None])
+    good = (normal @ other[0] > _PLANE_COSINE) & (np.abs(energy / wanted[0] - 1.0) < _ENERGY)
+    return [k for k, ok in zip(chosen, good, strict=True) if ok]
+
+
+def _plane_and_energy(states: Array) -> tuple[Array, Array]:
+    """Unit normals (n, 3) and energies (n,) km^2/s^2 of states (n, 6)."""
+    normal = cross(states[:, :3], states[:, 3:])
+    normal = normal / np.linalg.norm(normal, axis=1, keepdims=True)
+    energy = 0.5 * (states[:, 3:] ** 2).sum(axis=1) - MU_KM3_S2 / np.linalg.norm(states[:, :3], axis=1)
+    return normal, energy
+
+
+def judged(
+    members: tuple[int, ...], tracklets: Sequence[Directions], start: Array, t0_tai_ns: int, options: AssociationOptions
+) -> Cluster | None:
+    """The batch fit of all directions of some tracklets; None where they are not one free orbit."""
+    forces = ForceModel(gravity_degree=options.gravity_degree, radiation=options.radiation_m2_kg)
+    choice = FitOptions(prior=(("radiation", options.radiation_sigma_m2_kg),))
+    solution = fit(start, t0_tai_ns, [tracklets[m] for m in members], forces, ("radiation",), choice)
+    if not solution.converged or solution.manoeuvre or solution.chi2_nu > options.worst_chi2_nu:
+        return None
+    return Cluster(members=members, solution=solution)
+
+
+def _with_ambiguity(
+    found: Sequence[Cluster], arcs: Sequence[ArcOrbit | None], forces: ForceModel, options: AssociationOptions
+) -> list[Cluster]:
+    """Clusters with the tracklets that another cluster's orbit explains nearly as well."""
+    every = sorted({m for c in found for m in c.members})
+    own = {m: k for k, c in enumerate(found) for m in c.members}
+    doubtful: dict[int, set[int]] = {k: set() for k in range(len(found))}
+    for k, cluster in enumerate(found):
+        s = cluster.solution
+        orbit = Orbit(s.t0_tai_ns, s.state, s.covariance[:6, :6])
+        near = [m for m in _alike(orbit, arcs, every) if own[m] != k]
+        model = forces.with_values(("radiation",), (s.forces.radiation,))
+        for m, chi2 in zip(near, innovations(orbit, [_arc(arcs, m) for m in near], model), strict=True):
+            if chi2 < options.gate:
+                doubtful[own[m]].add(m)
+    return [
+        Cluster(members=c.members, solution=c.solution, ambiguous=tuple(m for m in c.members if m in doubtful[k]))
+        for k, c in enumerate(found)
+    ]

@@ -1,0 +1,234 @@
+"""Which arcs may be of one object: boundary values between every two, held against what each arc says of its own motion.
+
+Unknown are the two ranges. Lambert's problem gives the velocities at both ends for every number of revolutions that the arcs'
+own periods allow; they, and the ranges, are compared with both arcs' Gaussians. What two bodies leave out (the oblateness, Sun
+and Moon) is allowed for as a doubt of velocity that grows with time.
+"""
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from ground.association.arc import ArcOrbit
+from ground.association.lambert import lambert
+from ground.orbit.dynamics import MU_KM3_S2
+from sboc_e2e.icd import tai
+
+Array = NDArray[np.float64]
+
+_PLACES: Final = np.array([2, 3, 4, 5])
+_STEPS: Final = 4
+_LEAST_SINE: Final = 0.03
+_PERIOD_SIGMAS: Final = 4.0
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Pairs:
+    """Pairs (n,) of arcs, the first earlier, with the least chi2 (six degrees of freedom) and the state (n, 6) at the first."""
+
+    first: NDArray[np.int64]
+    second: NDArray[np.int64]
+    chi2: Array
+    state: Array
+
+
+def pairs_of(
+    arcs: Sequence[ArcOrbit], *, longest_days: float, chi2_limit: float, doubt_km_s: float, eccentricity_limit: float = 0.9
+) -> Pairs:
+    """All pairs that one two-body orbit may explain.
+
+    doubt_km_s : one sigma of velocity that two-body motion is wrong by after a day, at the range of geostationary orbits.
+    """
+    epoch = np.array([a.t_tai_ns for a in arcs], dtype=np.int64)
+    order = np.argsort(epoch, kind="stable")
+    t_s: Array = np.asarray((epoch[order] - epoch[order[0]]) / tai.NS_PER_S)
+    chosen = [arcs[k] for k in order]
+    mean = np.array([a.mean for a in chosen])
+    place = np.array([[a.observer_km, a.observer_km_s] for a in chosen])
+    axes = np.array([a.axes for a in chosen])
+    covariance = np.array([a.covariance[np.ix_(_PLACES, _PLACES)] for a in chosen])
+    states = np.array([a.state for a in chosen])
+    rate, rate_sigma = _mean_motions(chosen, states)
+    normal = np.cross(states[:, :3], states[:, 3:])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    first, second, chi2, state = _search(
+        t_s, mean, place, axes, covariance, rate, rate_sigma, normal, 86400.0 * longest_days, chi2_limit, doubt_km_s,
+        eccentricity_limit,
+    )  # fmt: skip
+    return Pairs(first=order[first], second=order[second], chi2=chi2, state=state)
+
+
+def _mean_motions(arcs: Sequence[ArcOrbit], states: Array) -> tuple[Array, Array]:
+    """Mean motions (n,) rad/s of arcs and one sigma."""
+    r = np.linalg.norm(states[:, :3], axis=1)
+    inverse_a = 2.0 / r - np.einsum("ij,ij->i", states[:, 3:], states[:, 3:]) / MU_KM3_S2
+    inverse_a = np.maximum(inverse_a, 1e-6)
+    rate = np.sqrt(MU_KM3_S2 * inverse_a**3)
+    slope = np.concatenate([-2.0 * states[:, :3] / r[:, None] ** 3, -2.0 / MU_KM3_S2 * states[:, 3:]], axis=1)
+    slope *= (1.5 * rate / inverse_a)[:, None]
+    # partials of the state with respect to the six coordinates, by columns
+    turn = np.array([_state_partials(a) for a in arcs])
+    along = np.einsum("ni,nij->nj", slope, turn)
+    variance = np.einsum("ni,nij,nj->n", along, np.array([a.covariance for a in arcs]), along)
+    return rate, np.sqrt(variance)
+
+
+def _state_partials(arc: ArcOrbit) -> Array:
+    """(6, 6) of the state with respect to an arc's coordinates at its mean."""
+    q, axes = arc.mean, arc.axes
+    out = np.zeros((6, 6))
+    out[:3, 0], out[:3, 1], out[:3, 4] = q[4] * axes[0], q[4] * axes[1], axes[2]
+    out[3:, 2], out[3:, 3] = q[4] * axes[0], q[4] * axes[1]
+    out[3:, 4] = q[2] * axes[0] + q[3] * axes[1]
+    out[3:, 5] = axes[2]
+    return out
+
+
+@njit(cache=True)
+def _left(
+    rho_1: float, rho_2: float, ends: Array, mean: Array, normal: Array, dt_s: float, revolutions: int, late: bool,
+    speed: Array, out: Array,
+) -> bool:  # fmt: skip
+    """What two ranges leave of both arcs' numbers: (8,) tangential velocities over range, range, velocity along the line."""
+    r_1 = ends[0, 0] + rho_1 * ends[0, 3]
+    r_2 = ends[1, 0] + rho_2 * ends[1, 3]
+    if not lambert(r_1, r_2, dt_s, revolutions, normal, late, speed):
+        return False
+    for end in range(2):
+        rho = rho_1 if end == 0 else rho_2
+        v = speed[3 * end : 3 * end + 3] - ends[end, 4]
+        out[4 * end] = (v * ends[end, 1]).sum() / rho - mean[end, 2]
+        out[4 * end + 1] = (v * ends[end, 2]).sum() / rho - mean[end, 3]
+        out[4 * end + 2] = rho - mean[end, 4]
+        out[4 * end + 3] = (v * ends[end, 3]).sum() - mean[end, 5]
+    return True
+
+
+@njit(cache=True)
+def _sine(ends: Array, mean: Array) -> float:
+    """Sine of the angle between both places, at the arcs' own ranges."""
+    one, two = ends[0, 0] + mean[0, 4] * ends[0, 3], ends[1, 0] + mean[1, 4] * ends[1, 3]
+    cosine = (one * two).sum() / math.sqrt((one * one).sum() * (two * two).sum())
+    return math.sqrt(max(1.0 - cosine * cosine, 0.0))
+
+
+@njit(cache=True)
+def _whitener(covariance: Array, rho: float, doubt: float) -> Array:
+    """(4, 4) that makes an arc's numbers white, with a doubt (km/s) of velocity added."""
+    total = covariance.copy()
+    total[0, 0] += (doubt / rho) ** 2
+    total[1, 1] += (doubt / rho) ** 2
+    total[3, 3] += doubt**2
+    scale = np.sqrt(np.diag(total))
+    for a in range(4):
+        for b in range(4):
+            total[a, b] /= scale[a] * scale[b]
+    out = np.linalg.inv(np.linalg.cholesky(total))
+    for a in range(4):
+        for b in range(4):
+            out[a, b] /= scale[b]
+    return out
+
+
+@njit(cache=True)
+def _joined(
+    ends: Array, mean: Array, white: Array, normal: Array, dt_s: float, revolutions: int, late: bool, limit: float, state: Array
+) -> float:
+    """Least chi2 over both ranges, and the state at the first; infinite where no orbit is found."""
+    rho = np.array([mean[0, 4], mean[1, 4]])
+    here, moved, speed = np.empty(8), np.empty(8), np.empty(6)
+    z, slope = np.empty(8), np.empty((8, 2))
+    best = np.inf
+    for step in range(_STEPS):
+        if not _left(rho[0], rho[1], ends, mean, normal, dt_s, revolutions, late, speed, here):
+            return best
+        chi2 = 0.0
+        for end in range(2):
+            z[4 * end : 4 * end + 4] = white[end] @ here[4 * end : 4 * end + 4]
+        chi2 = (z * z).sum()
+        if chi2 < best:
+            best = chi2
+            state[:3] = ends[0, 0] + rho[0] * ends[0, 3]
+            state[3:] = speed[:3]
+        # a pair that is wrong by so much after a step does not become right
+        if step == _STEPS - 1 or (step >= 2 and best > 1e3 * limit):
+            break
+        for k in range(2):
+            nudge = 1.0
+            changed = rho.copy()
+            changed[k] += nudge
+            if not _left(changed[0], changed[1], ends, mean, normal, dt_s, revolutions, late, speed, moved):
+                return best
+            for end in range(2):
+                part = slice(4 * end, 4 * end + 4)
+                slope[part, k] = white[end] @ ((moved[part] - here[part]) / nudge)
+        normal_matrix = slope.T @ slope
+        determinant = normal_matrix[0, 0] * normal_matrix[1, 1] - normal_matrix[0, 1] ** 2
+        if not determinant > 0.0:
+            return best
+        right = slope.T @ z
+        rho[0] -= (normal_matrix[1, 1] * right[0] - normal_matrix[0, 1] * right[1]) / determinant
+        rho[1] -= (normal_matrix[0, 0] * right[1] - normal_matrix[0, 1] * right[0]) / determinant
+        if rho[0] < 100.0 or rho[1] < 100.0:
+            return best
+    return best
+
+
+@njit(cache=True)
+def _search(
+    t_s: Array, mean: Array, place: Array, axes: Array, covariance: Array, rate: Array, rate_sigma: Array, normal: Array,
+    longest_s: float, limit: float, doubt: float, eccentricity_limit: float,
+) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]:  # fmt: skip
+    """Pairs of arcs in order of time, by index, with chi2 and state."""
+    first, second, cost, found = [np.int64(0)], [np.int64(0)], [0.0], [np.zeros(6)]
+    ends, both = np.empty((2, 5, 3)), np.empty((2, 6))
+    white = np.empty((2, 4, 4))
+    state, kept = np.empty(6), np.empty(6)
+    for i in range(len(t_s)):
+        for j in range(i + 1, len(t_s)):
+            dt = t_s[j] - t_s[i]
+            if dt > longest_s:
+                break
+            # periods that both arcs allow
+            low = max(rate[i] - _PERIOD_SIGMAS * rate_sigma[i], rate[j] - _PERIOD_SIGMAS * rate_sigma[j])
+            high = min(rate[i] + _PERIOD_SIGMAS * rate_sigma[i], rate[j] + _PERIOD_SIGMAS * rate_sigma[j])
+            # arcs at once are no pair of an orbit's ends: the batch judges them
+            if high <= low or high * dt < 0.02 or (normal[i] * normal[j]).sum() < 0.9:
+                continue
+            ends[0, 0], ends[1, 0] = place[i, 0], place[j, 0]
+            ends[0, 1:4], ends[1, 1:4] = axes[i], axes[j]
+            ends[0, 4], ends[1, 4] = place[i, 1], place[j, 1]
+            both[0], both[1] = mean[i], mean[j]
+            # near half and whole turns the plane hangs on what two bodies leave out
+            wrong = doubt * max(dt / 86400.0, 0.1) / max(_sine(ends, both), _LEAST_SINE)
+            for end in range(2):
+                n = i if end == 0 else j
+                # two-body motion is wronger nearer to the Earth: the oblateness goes with the fourth power, the speed with n
+                near = (rate[n] / 7.292e-5) ** (5.0 / 3.0)
+                white[end] = _whitener(covariance[n], mean[n, 4], wrong * max(near, 1.0))
+            axis = normal[i] + normal[j]
+            best = np.inf
+            least = max(int(low * dt / (2.0 * np.pi)) - 1, 0)
+            most = int(high * dt / (2.0 * np.pi)) + 1
+            for revolutions in range(least, most + 1):
+                for late in range(2):
+                    if revolutions == 0 and late == 1:
+                        continue
+                    chi2 = _joined(ends, both, white, axis, dt, revolutions, late == 1, limit, state)
+                    if chi2 < best:
+                        best = chi2
+                        kept[:] = state
+            if best < limit:
+                first.append(np.int64(i))
+                second.append(np.int64(j))
+                cost.append(best)
+                found.append(kept.copy())
+    out = np.empty((len(found) - 1, 6))
+    for k in range(1, len(found)):
+        out[k - 1] = found[k]
+    return np.array(first[1:]), np.array(second[1:]), np.array(cost[1:]), out

@@ -1,0 +1,95 @@
+"""A trail measured where a track over several frames has it, because its own frame does not show where it ends.
+
+Below S/N 7 a frame alone puts the ends anywhere: on a peak of the noise, a third of the way along. The track knows them from all
+of its frames. So ends and direction are taken as given here; brightness and the place across the trail are the frame's own.
+"""
+
+import math
+from typing import Final
+
+import numpy as np
+
+from ground.streaks import known_width
+from ground.streaks.centre_line import LineFit, effective_width_px, score, uniform_trail
+from ground.streaks.fit_record import in_pixel_order, pixel_covariance
+from ground.streaks.intruders import intruder_mask
+from ground.streaks.no_trail import NoTrailError, Reason
+from ground.streaks.trail_frame import TrailFrame
+from ground.streaks.trail_model import DENSITY, LN_WIDTH, V_MID
+from ground.streaks.trail_pixels import usable_pixels
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.products import StreakFit, StreakPixels
+from sboc_e2e.icd.signals import Detection
+
+FORCED_SNR: Final = 7.0
+"""Members of tracks that are fainter than this in their own frame are measured so."""
+
+END_LAW: Final = 5.1
+"""Ends of the most likely change points err by sqrt(26) L / S^2, S of the whole track."""
+
+LEAST_END_PX: Final = 0.5
+ACROSS_PX: Final = 2.5
+"""A frame may put its trail so far across from where the track has it; what goes farther is noise or a star."""
+
+ITERATIONS: Final = 8
+
+
+def forced_fit(pixels: StreakPixels, detection: Detection, track_snr: float) -> StreakFit:
+    """The trail on the segment of a track's member. Raises `NoTrailError` where the frame has no light there."""
+    width, length = effective_width_px(pixels.psf_sigma_px), max(detection.length_px, 1.0)
+    frame, half = TrailFrame.of_chord(detection.row0, detection.col0, detection.row1, detection.col1), 0.5 * length
+    edges = (StreakFlag.EDGE0 in detection.flags, StreakFlag.EDGE1 in detection.flags)
+    along = max(END_LAW * length / max(track_snr, 1.0) ** 2, LEAST_END_PX)
+    blur = (0.0 if edges[0] else along, 0.0 if edges[1] else along)
+    near = usable_pixels(pixels, frame, 5.0 * width + ACROSS_PX).near(math.inf)
+    if near.u.size < 8:
+        raise NoTrailError(Reason.NO_LINE)
+    start = uniform_trail(0.0, half, edges, width)
+    line = score(near, start, (DENSITY,), half_px=half, blur_px=blur, iterations=ITERATIONS)
+    mask, crosses = intruder_mask(line, width, blur) if line.regular else (np.zeros(near.u.size, dtype=bool), False)
+    near = near.take(~mask)
+    line = score(near, start, (DENSITY,), half_px=half, blur_px=blur, iterations=ITERATIONS)
+    if not line.regular:
+        raise NoTrailError(Reason.NO_SOURCE)
+    placed = score(near, line.parameters, (DENSITY, V_MID), half_px=half, blur_px=blur, iterations=ITERATIONS)
+    if placed.regular and abs(placed.parameters[V_MID]) < ACROSS_PX:
+        line = placed
+    return _record(pixels, detection, line, edges, along, crosses)
+
+
+def _record(
+    pixels: StreakPixels, detection: Detection, line: LineFit, edges: tuple[bool, bool], along_px: float, crosses: bool
+) -> StreakFit:
+    """The product record: ends of the track, moved across to where the frame has the trail."""
+    frame, p, c = line.pixels.frame, line.parameters, line.covariance
+    length, density = 2.0 * line.half_px, float(p[DENSITY])
+    across = math.sqrt(c[V_MID, V_MID]) if V_MID in line.free else ACROSS_PX / math.sqrt(3.0)
+    slope = known_width.flux_slope(density, float(np.median(line.pixels.variance_e2)), math.exp(p[LN_WIDTH]))
+    row0, col0 = frame.to_pixel(-line.half_px, float(p[V_MID]))
+    row1, col1 = frame.to_pixel(line.half_px, float(p[V_MID]))
+    free = np.diag([0.0 if edge else along_px**2 for edge in edges])
+    interval = np.array([[-1.0, 1.0], [-1.0, 1.0]]) * np.sqrt(np.diag(free))[:, None]
+    flags = detection.flags & ~StreakFlag.COSMIC_LIKE | StreakFlag.ENDS_NOT_GAUSSIAN
+    return in_pixel_order(
+        StreakFit(
+            row0=row0,
+            col0=col0,
+            row1=row1,
+            col1=col1,
+            covariance_px2=pixel_covariance(frame, free, np.full((2, 2), across**2)),
+            end_interval_px=interval,
+            sigma_cross_px=across,
+            flux_e=density * length,
+            flux_err_e=math.hypot(math.sqrt(c[DENSITY, DENSITY]), density * slope * known_width.PRIOR) * length,
+            snr=line.snr,
+            sagitta_px=0.0,
+            sagitta_err_px=0.0,
+            gradient=0.0,
+            width_px=pixels.psf_sigma_px,
+            width_err_px=pixels.psf_sigma_px,
+            chi2_nu=line.chi2 / max(line.n_pixels - len(line.free), 1),
+            n_pixels=line.n_pixels,
+            flags=flags | (StreakFlag.CROSSES_STAR if crosses else StreakFlag(0)),
+            light_curve_e_px=np.zeros(0, dtype=np.float32),
+        )
+    )

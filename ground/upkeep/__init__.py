@@ -1,0 +1,1 @@
+"""Keeping the catalogue: a night's tracklets are correlated, orbits renewed, new objects found, old ones lost, found, merged."""

@@ -1,0 +1,185 @@
+"""Nights of simulated tracklets into the store: objects appear, are kept, lost, found again; a kill changes nothing."""
+
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ground.products.epochs import utc_text
+from ground.sky.sphere import spherical_deg
+from ground.store.store import ObjectStore, StoredTracklet
+from ground.upkeep.night import UpkeepOptions, directions_of, position_error_km, update
+from sboc_e2e.cli.main import run
+from tests.association.list_simulator import DAY_S, Survey, between, survey
+from tests.association.lists import directions
+
+DAY_NS = 86400 * 10**9
+ROOT = Path(__file__).resolve().parents[2]
+
+
+def stored(one: Survey, place: int) -> StoredTracklet:
+    """A tracklet as the store has it: equal errors, so that any motion angle will do."""
+    seen = one.seen[place]
+    n = len(seen.t_s)
+    sigma = np.full((n, 1), one.sigma_rad)
+    rows = np.hstack([seen.direction, sigma, sigma, np.full((n, 1), 0.7), seen.observer])
+    return StoredTracklet(sensor="list", t_tai_ns=directions(one, seen).t_tai_ns, rows=rows)
+
+
+@pytest.fixture(scope="module")
+def one() -> Survey:
+    return survey(11, objects=4, clutter=2, days=4.0, a_day=1.0)
+
+
+def put(store: ObjectStore, one: Survey, first_day: float, last_day: float) -> dict[int, int]:
+    """Put the tracklets of some days into a store; their owners by number."""
+    chosen = [k for k, s in enumerate(one.seen) if first_day <= s.t_s[0] / DAY_S < last_day]
+    with store.transaction() as writer:
+        numbers = writer.add_tracklets([stored(one, k) for k in chosen])
+    return {number: one.seen[k].owner for number, k in zip(numbers, chosen, strict=True)}
+
+
+def owners(store: ObjectStore, owner_of: dict[int, int]) -> dict[int, list[int]]:
+    """Owners of the accepted tracklets of every object."""
+    return {row["object_id"]: [owner_of[t] for t in store.tracklets_of(row["object_id"])] for row in store.objects()}
+
+
+def test_objects_appear_and_are_kept(one: Survey, tmp_path: Path) -> None:
+    store = ObjectStore(str(tmp_path / "store.db"))
+    start = one.sky.t0_tai_ns
+    owner_of = put(store, one, 0.0, 2.0)
+    first = update(store, start + 2 * DAY_NS)
+    assert (first.made, first.correlated) == (4, 0)
+    owner_of |= put(store, one, 2.0, 3.0)
+    second = update(store, start + 3 * DAY_NS)
+    assert (second.made, second.correlated, second.renewed, second.ambiguous) == (0, 4, 4, 0)
+    found = owners(store, owner_of)
+    assert sorted(found.values()) == [[k] * 3 for k in range(4)]
+    # the same night again changes nothing
+    before = store.counts()
+    update(store, start + 3 * DAY_NS)
+    assert store.counts() == before
+    # nobody sees them for a day: the error they say they have is the error they have
+    for orbit in store.orbits():
+        truth = between(one.truth[found[orbit.object_id][0]], np.array([(orbit.epoch_tai_ns - start) * 1e-9]))[0]
+        left = (orbit.state - truth) / np.sqrt(np.diag(orbit.covariance))
+        scaled = orbit.covariance / np.sqrt(np.outer(np.diag(orbit.covariance), np.diag(orbit.covariance)))
+        # chi2 of six: one in a million is beyond 38
+        assert left @ np.linalg.solve(scaled, left) < 38.0
+
+
+def test_what_is_not_seen_is_lost_retired_and_found_again(one: Survey, tmp_path: Path) -> None:
+    store = ObjectStore(str(tmp_path / "store.db"))
+    start = one.sky.t0_tai_ns
+    put(store, one, 0.0, 2.0)
+    update(store, start + 2 * DAY_NS)
+    rules = UpkeepOptions(lost_km=min(position_error_km(o, start + 5 * DAY_NS) for o in store.orbits()) * 0.9)
+    put(store, one, 4.0, 5.0)
+    assert update(store, start + 5 * DAY_NS, rules).lost == 4
+    put(store, one, 3.0, 4.0)
+    assert update(store, start + 5 * DAY_NS, rules).reacquired == 4
+    assert {row["status"] for row in store.objects()} == {"active"}
+    strict = UpkeepOptions(lost_km=0.5)
+    assert update(store, start + 40 * DAY_NS, strict).lost == 4
+    assert update(store, start + 100 * DAY_NS, strict).retired == 4
+    assert [d["kind"] for d in store.decisions()] == ["status"] * 16
+
+
+def test_tracklets_of_the_store_are_the_same_measurements(one: Survey) -> None:
+    given, back = directions(one, one.seen[0]), directions_of(stored(one, 0))
+    for axis in (0, 1):
+        assert np.allclose(np.einsum("ni,ni->n", back.axes[:, axis], given.direction), 0.0, atol=1e-12)
+    assert np.allclose(back.covariance_rad2, given.covariance_rad2)
+
+
+def tdm(one: Survey, place: int) -> str:
+    """A tracklet as a message; the frame bias of EME2000 (0.02 arcsec) is below what is tested."""
+    tracklet = stored(one, place)
+    meta = (
+        "CCSDS_TDM_VERS = 2.0", "CREATION_DATE = 2026-01-01T00:00:00", "ORIGINATOR = TEST", "META_START", f"TRACK_ID = {place}",
+        "TIME_SYSTEM = UTC", "PARTICIPANT_1 = S", f"PARTICIPANT_2 = O{place}", "MODE = SEQUENTIAL", "PATH = 2,1",
+        "ANGLE_TYPE = RADEC", "REFERENCE_FRAME = EME2000", "TIMETAG_REF = RECEIVE", "META_STOP", "DATA_START",
+    )  # fmt: skip
+    ra, dec = spherical_deg(tracklet.rows[:, :3])
+    rows = [
+        f"ANGLE_{k} = {t} {x:.8f}"
+        for t, a, d in zip(utc_text(tracklet.t_tai_ns, 6), ra, dec, strict=True)
+        for k, x in ((1, a), (2, d))
+    ]
+    return "\n".join([*meta, *rows, "DATA_STOP"]) + "\n"
+
+
+def test_the_commands_take_messages_and_bring_the_store_up(
+    one: Survey, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    message, store = tmp_path / "night.tdm", str(tmp_path / "store.db")
+    message.write_text(tdm(one, 0))
+    arguments = ["objects", "observe", str(message), "--store", store]
+    for expected in ("1 tracklets read, 1 of them new, 1 in the store", "1 tracklets read, 0 of them new, 1 in the store"):
+        assert run([*arguments, "--site", "28.3,-16.5,2390"]) == 0
+        assert expected in capsys.readouterr().out
+    assert run(["objects", "update", "--store", store, "--at", "2026-06-14T00:00:00"]) == 0
+    assert "made 0" in capsys.readouterr().out
+    for wrong, words in (
+        (arguments, "give either --observer"),
+        ([*arguments, "--site", "28.3,-16.5,2390", "--sigma", "-1"], "--sigma: expected arcsec above 0"),
+        (["objects", "update", "--store", str(tmp_path / "none.db"), "--at", "2026-06-14T00:00:00"], "no such store"),
+        (
+            ["objects", "update", "--store", store, "--at", "2026-06-14T00:00:00", "--window", "99"],
+            "--window: expected more than 0",
+        ),
+        (["objects", "update", "--store", store, "--at", "yesterday"], "yesterday"),
+    ):
+        assert run(wrong) == 2
+        assert words in capsys.readouterr().err
+
+
+NIGHT = """
+import sys
+sys.path.insert(0, sys.argv[3])
+from ground.store.store import ObjectStore
+from ground.upkeep.night import update
+store = ObjectStore(sys.argv[1])
+print("ready", flush=True)
+update(store, int(sys.argv[2]))
+"""
+
+
+@pytest.mark.slow
+def test_an_update_killed_at_twenty_points_loses_nothing(one: Survey, tmp_path: Path) -> None:
+    path, now = tmp_path / "store.db", one.sky.t0_tai_ns + 2 * DAY_NS
+    store = ObjectStore(str(path))
+    owner_of = put(store, one, 0.0, 2.0)
+    empty = store.counts()
+    command = [sys.executable, "-c", NIGHT, str(path), str(now), str(ROOT)]
+    rng, seconds = random.Random(8), 12.0  # noqa: S311 - moments of a test
+    for _ in range(20):
+        process = subprocess.Popen(command, stdout=subprocess.PIPE)
+        assert process.stdout is not None
+        process.stdout.readline()
+        began = time.monotonic()
+        try:
+            process.wait(rng.uniform(0.0, seconds))
+            seconds = time.monotonic() - began
+        except subprocess.TimeoutExpired:
+            process.send_signal(signal.SIGKILL)
+            process.wait()
+        process.stdout.close()
+        # all of the night or nothing of it
+        counts = store.counts()
+        if counts["objects"]:
+            assert sorted(owners(store, owner_of).values()) == [[k] * 2 for k in range(4)]
+            assert counts["orbits"] == 4
+            store.engine.dispose()
+            path.unlink()
+            store = ObjectStore(str(path))
+            owner_of = put(store, one, 0.0, 2.0)
+        else:
+            assert counts == empty
+    update(store, now)
+    assert sorted(owners(store, owner_of).values()) == [[k] * 2 for k in range(4)]

@@ -118,7 +118,7 @@ def spread_charge(mean_e: NDArray[np.float32], full_well_e: float, share: float)
     """Borders between pixels move towards the fuller one and take light with them, in place (brighter-fatter).
 
     The border moves with the difference of charges, and the light on it is their mean (Guyonnet et al. 2015,
-    A&A 575, A41); nearest neighbours alone: a flow of ``share / full well (p^2 - q^2)``. The second moment of any image of charges Q grows by
+    A&A 575, A41); nearest neighbours alone: a flow of ``share / full well (p^2 - q^2)``. The second moment of any image grows by
     ``2 share / full well x sum Q^2 / sum Q`` along each axis. Pairs below 0.5 % of full well exchange too little to matter.
     """
     rows, cols = mean_e.shape

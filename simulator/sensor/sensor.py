@@ -18,7 +18,7 @@ from simulator.sensor.maps import dark_rate_of_class_e_s, draw_fixed_pattern, pi
 from simulator.sensor.options import SensorOptions
 from simulator.sensor.poisson import poisson_tables
 from simulator.sensor.statistics import entropy_table, mean_entropy_bits, pixel_variance
-from simulator.sensor.structure import bloom, column_offsets_e, couple, defer_charge, row_offsets_e
+from simulator.sensor.structure import bloom, column_offsets_e, couple, defer_charge, row_offsets_e, spread_charge
 
 BAND_ROWS = 256
 """Rows of pixels that share their signal are made in bands, so that no whole frame of charge is held."""
@@ -170,7 +170,10 @@ class Sensor:
         return bin_pixels(out, self.options.binning, self._weight(exposure_s))
 
     def overflow(self, mean_e: NDArray[np.float32]) -> None:
-        """Let light beyond the full well of a CMOS detector that blooms flow to neighbours, in place; before `digitise`."""
+        """Let charge repel charge, and what a blooming CMOS detector cannot hold flow, in place; before `digitise`."""
+        structure, full_well_e = self.options.structure, self.options.converter.full_well_e
+        if structure.brighter_fatter > 0.0:
+            spread_charge(mean_e, full_well_e, structure.brighter_fatter)
         if self.options.type == "cmos" and self.options.structure.blooming > 0.0:
             bloom(mean_e, self.options.converter.full_well_e, self.options.structure.blooming)
 

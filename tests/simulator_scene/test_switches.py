@@ -56,7 +56,7 @@ WORLD = {
         'instrument.aperture="20 cm"', 'platform.kind="site"', 'pointing.law="sidereal"', 'pointing.ra="131 deg"',
         'pointing.dec="18 deg"', "population.classes=[]", "objects.passing=[]", "atmosphere.cloud_transmission=0.6",
         "atmosphere.cloud_variation=0.2",
-        "sensor.structure.coupling=0.02", "sensor.structure.blooming=0.8",
+        "sensor.structure.coupling=0.02", "sensor.structure.blooming=0.8", "sensor.structure.brighter_fatter=0.1",
         'atmosphere.seeing="20 arcsec"', 'radiation.environment="ground"',
         'objects.pixel_path=[{v="5 mag",row="20 px",col="20 px",row_rate="400 px/s",col_rate="500 px/s"}]',
     ],

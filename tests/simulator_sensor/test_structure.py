@@ -25,6 +25,7 @@ from simulator.sensor.structure import (
     couple,
     defer_charge,
     row_offsets_e,
+    spread_charge,
 )
 
 SIZE = 512
@@ -242,3 +243,21 @@ def test_the_linearity_error_is_drawn_and_bends_signal_and_flat():
     errors = [with_drawn_errors(options, seed).sensor.converter.nonlinearity_error for seed in range(300)]
     assert np.std(errors) == pytest.approx(0.3, rel=0.12)
     assert np.mean(errors) == pytest.approx(0.0, abs=0.06)
+
+
+@pytest.mark.parametrize("peak", [0.25, 0.5, 1.0])
+def test_bright_images_are_wider_by_the_closed_form(peak):
+    """A Gaussian's variance along each axis grows by 2 share / full well x sum Q^2 / sum Q; no electron is lost (1 %)."""
+    full, share = 39000.0, 0.01
+    offset = np.arange(41) - 20.2
+    image = (peak * full * np.exp(-0.5 * (offset[:, None] ** 2 + offset**2) / 1.3**2)).astype(np.float32)
+    before = image.astype(np.float64)
+    spread_charge(image, full, share)
+    after = image.astype(np.float64)
+    assert after.sum() == pytest.approx(before.sum(), rel=1e-6)
+    expected = 2.0 * share / full * (before**2).sum() / before.sum()
+    for axis in (0, 1):
+        moments = [(q.sum(axis=1 - axis) * offset**2).sum() / q.sum() for q in (before, after)]
+        centres = [(q.sum(axis=1 - axis) * offset).sum() / q.sum() for q in (before, after)]
+        assert moments[1] - moments[0] == pytest.approx(expected, rel=0.01)
+        assert centres[1] == pytest.approx(centres[0], abs=1e-5)

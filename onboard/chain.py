@@ -14,7 +14,7 @@ from onboard.detect.static import flag_static
 from onboard.downlink.budget import Allowance, Outbox, elapsed_s
 from onboard.downlink.kept_counts import kept_counts
 from onboard.downlink.packets import PacketWriter
-from onboard.downlink.send import Content, TrackPixels, send, send_tracks
+from onboard.downlink.send import Content, send, send_tracks
 from onboard.guard import guarded
 from onboard.image.calibrate import Counts, IntegerCalibration, to_counts
 from onboard.image.dead_area import mark_dead_area

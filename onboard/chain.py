@@ -4,7 +4,7 @@
 that raises or breaks its Protocol stops the run and is named.
 """
 
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,90 +14,29 @@ from onboard.detect.static import flag_static
 from onboard.downlink.budget import Allowance, Outbox, elapsed_s
 from onboard.downlink.kept_counts import kept_counts
 from onboard.downlink.packets import PacketWriter
-from onboard.downlink.send import Content, TrackPixels, send, send_tracks
+from onboard.downlink.send import Content, send, send_tracks
 from onboard.guard import guarded
-from onboard.image.calibrate import Counts, IntegerCalibration, background_in_adu, fill_residual, to_counts
+from onboard.image.calibrate import Counts, IntegerCalibration, to_counts
 from onboard.image.dead_area import mark_dead_area
-from onboard.image.frame_flags import checksum, content_flags, header_flags, sequence_flags
-from onboard.image.glare import mark_glare
+from onboard.image.frame_flags import checksum, content_flags, continues, header_flags, sequence_flags
 from onboard.image.hot_pixels import HotPixels
-from onboard.image.star_free_sky import without_stars
+from onboard.image.view import calibrated_view, with_stars
 from onboard.options import OnboardOptions
-from onboard.stars.memory import EarlierStars, brought_forward, usable_stars, with_frame
-from onboard.track.none import NoTracker
-from sboc_e2e.icd.downlink import Housekeeping
+from onboard.parameter_set import parameter_set_id
+from onboard.stars.memory import brought_forward, usable_stars, with_frame
+from onboard.state import OnboardResult, OnboardState, OnboardSteps, Tracking
+from onboard.work import meter
 from sboc_e2e.icd.errors import ContractError, UserError
 from sboc_e2e.icd.flags import FrameFlag
 from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader, NominalCamera
-from sboc_e2e.icd.results import check_background, check_detections, check_stars, check_tracks
-from sboc_e2e.icd.signals import Detection, DetectorView, RoiGroup, Searched, StarList, Track, TrackerView
-from sboc_e2e.icd.steps import (
-    BackgroundEstimator,
-    Detector,
-    Encoder,
-    GainAwareEncoder,
-    SeedingDetector,
-    SelectiveMemory,
-    StarExtractor,
-    Tracker,
-)
+from sboc_e2e.icd.results import check_detections, check_tracks
+from sboc_e2e.icd.signals import Detection, DetectorView, Searched, Track, TrackerView
+from sboc_e2e.icd.steps import Encoder, GainAwareEncoder, SeedingDetector, SelectiveMemory
+from sboc_e2e.icd.work import WorkMeter
+
+__all__ = ["OnboardChain", "OnboardResult", "OnboardState", "OnboardSteps", "Tracking"]
 
 RECENT_FRAMES = 2
-
-
-@dataclass(frozen=True, kw_only=True)
-class OnboardSteps:
-    """The swappable steps."""
-
-    background: BackgroundEstimator
-    star_extractor: StarExtractor
-    detector: Detector
-    codec: Encoder
-    tracker: Tracker = field(default_factory=NoTracker)
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Tracking:
-    """State for the tracker. step : its own state; last : the newest frame it saw."""
-
-    step: Any
-    pixels: TrackPixels = field(default_factory=TrackPixels)
-    last: FrameHeader | None = None
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class OnboardState:
-    """State of the chain between frames; picklable.
-
-    earlier_stars : star lists of the last frames, newest last.
-    history : views of the last frames, or what the detector keeps of them, as many as it declares, newest last.
-    recent : detections of the last frames, for the STATIC flag. pixel_check : checksum of some rows of the last frame.
-    tracking : None without a tracker.
-    """
-
-    writer: PacketWriter
-    allowance: Allowance
-    hot_pixels: HotPixels
-    previous: FrameHeader | None = None
-    history: tuple[Any, ...] = ()
-    recent: tuple[tuple[Detection, ...], ...] = ()
-    earlier_stars: tuple[EarlierStars, ...] = ()
-    pixel_check: int | None = None
-    frames_done: int = 0
-    tracking: Tracking | None = None
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class OnboardResult:
-    """Result of one frame. rois : groups as sent. bytes_by_apid : bytes of packets of each APID, headers included."""
-
-    packets: bytes
-    housekeeping: Housekeeping
-    stars: StarList
-    detections: tuple[Detection, ...]
-    rois: tuple[RoiGroup, ...]
-    bytes_by_apid: dict[int, int]
-    tracks: tuple[Track, ...] = ()
 
 
 class OnboardChain:
@@ -119,6 +58,7 @@ class OnboardChain:
         self._calibration = None if calibration is None else IntegerCalibration.of(calibration)
         self._camera = camera
         self._run_id = run_id
+        self._parameter_set = parameter_set_id(options, steps)
         self._tracks = steps.tracker.window_frames > 0
         if self._tracks and not isinstance(steps.detector, SeedingDetector):
             name, detector = type(steps.tracker).__name__, type(steps.detector).__name__
@@ -146,12 +86,21 @@ class OnboardChain:
         counts = to_counts(replace(frame, header=header), self._calibration_of(header), mask)
         mark_dead_area(mask, counts.pixels, counts.saturation)
         state.hot_pixels.mark(mask)
-        view, row_sums, n_masked = self._calibrated(header, counts, residual, state)
+        work = meter(frame.pixels.size)
+        view, row_sums, n_masked = calibrated_view(
+            header,
+            counts,
+            residual,
+            self._steps.background,
+            psf_sigma_px=self._camera.psf_sigma_px,
+            history=state.history,
+            work=work,
+        )
         flags = header_flags(header) | sequence_flags(header, check, state.previous, state.pixel_check)
         flags |= content_flags(view.mask, counts, n_masked)
         usable = not flags & (FrameFlag.ALL_MASKED | FrameFlag.EMPTY_SIGNAL | FrameFlag.REPEATED_FRAME)
         if usable:
-            view = self._with_stars(view, residual, row_sums)
+            view = with_stars(view, residual, row_sums, self._steps.star_extractor)
             found, searched = self._detections(view)
             # While stars trail, a source that does not move in the frame is the object.
             detections = flag_static(found, state.recent if view.stars.motion is None else ())
@@ -160,11 +109,17 @@ class OnboardChain:
             detections, searched, earlier = (), None, ()
         tracking = state.tracking
         tracks: tuple[Track, ...] = ()
+        broken = True
         if tracking is not None and usable:
             transform = earlier[-1].transform if earlier and continues(tracking.last, header) else None
-            flags |= FrameFlag.TRACKS_ENDED if transform is None and tracking.last is not None else FrameFlag(0)
+            broken = transform is None
+            flags |= FrameFlag.TRACKS_ENDED if broken and tracking.last is not None else FrameFlag(0)
             seen = TrackerView(view=view, detections=detections, searched=searched, transform=transform)
             tracking, tracks = self._tracked(tracking, seen)
+        elif tracking is not None and tracking.last is not None:
+            # Nothing is linked across a frame that came twice or shows nothing.
+            flags |= FrameFlag.TRACKS_ENDED
+            tracking = replace(tracking, last=None)
         if len(view.stars) == 0:
             flags |= FrameFlag.NO_STARS
         allowance = state.allowance.after(elapsed_s(header, state.previous), elapsed_s(header, None))
@@ -179,13 +134,14 @@ class OnboardChain:
             previous=state.previous,
             frames_done=state.frames_done,
             codec=self._codec_of(counts),
+            parameter_set=self._parameter_set,
         )
         housekeeping, rois = send(content, outbox, self._options)
         if tracking is not None and usable:
             kept = kept_counts(header, view.background, counts, rois)
             pixels = send_tracks(tracks, tracking.pixels.after(kept), outbox, content.codec, self._options.roi, view.psf_sigma_px)
             # After a break, numbers of earlier frames may repeat.
-            pixels = pixels.newest(1 if flags & FrameFlag.TRACKS_ENDED else self._steps.tracker.window_frames - 1)
+            pixels = pixels.newest(1 if broken else self._steps.tracker.window_frames - 1)
             tracking = replace(tracking, pixels=pixels)
         keep = self._steps.detector.history_frames if usable else 0
         history = (*state.history, self._remembered(view))[-keep:] if keep > 0 else state.history
@@ -211,6 +167,7 @@ class OnboardChain:
             rois=rois,
             bytes_by_apid=outbox.bytes_by_apid(),
             tracks=tracks,
+            work=work,
         )
         return after, result
 
@@ -236,29 +193,6 @@ class OnboardChain:
         """Dark and defects under a frame."""
         return IntegerCalibration.none(header) if self._calibration is None else self._calibration.window(header)
 
-    def _calibrated(
-        self, header: FrameHeader, counts: Counts, residual: NDArray[np.float32], state: OnboardState
-    ) -> tuple[DetectorView, NDArray[np.float64], int]:
-        """The view without stars, the sums of its rows, and how many pixels are masked; `residual` is filled."""
-        # The calibrated image is not made yet. Until then its memory holds the whole ADU of the dark.
-        dark = counts.dark.whole_adu(residual.reshape(-1).view(np.int16)[: residual.size].reshape(residual.shape))
-        given = (counts.pixels, _read_only(dark), _read_only(counts.defects))
-        estimated = guarded("background", self._steps.background, self._steps.background.estimate, *given)
-        guarded("background", self._steps.background, check_background, estimated, counts.pixels.shape)
-        background = background_in_adu(estimated, counts)
-        row_sums, n_masked = fill_residual(counts, background, residual)
-        n_masked += mark_glare(residual, counts.defects, background)
-        view = DetectorView(
-            header=header,
-            residual_adu=residual,
-            background=background,
-            mask=counts.defects,
-            stars=StarList.empty(),
-            psf_sigma_px=self._camera.psf_sigma_px,
-            history=state.history,
-        )
-        return view, row_sums, n_masked
-
     def _buffers(self, shape: tuple[int, ...]) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
         """Memory for the calibrated image and the mask; used again for every frame unless views are kept."""
         if self._steps.detector.history_frames > 0 and not isinstance(self._steps.detector, SelectiveMemory):
@@ -267,27 +201,9 @@ class OnboardChain:
             self._scratch = (np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.uint8))
         return self._scratch
 
-    def _with_stars(self, view: DetectorView, residual: NDArray[np.float32], row_sums: NDArray[np.float64]) -> DetectorView:
-        """The view with its star list, and with level and noise of the sky measured beside these stars.
-
-        residual : the memory under the view's read-only image, which is brought to the new level.
-        """
-        stars = guarded("star_extractor", self._steps.star_extractor, self._steps.star_extractor.extract, view)
-        guarded("star_extractor", self._steps.star_extractor, check_stars, stars, view.mask.shape)
-        background = without_stars(
-            residual,
-            view.mask,
-            row_sums,
-            stars,
-            view.background,
-            gain_e_adu=view.header.gain_e_adu or 1.0,
-            psf_sigma_px=view.psf_sigma_px,
-        )
-        return replace(view, stars=stars, background=background)
-
     def _remembered(self, view: DetectorView) -> Any:
         """The part of a view that the history keeps."""
-        view = replace(view, history=())
+        view = replace(view, history=(), work=WorkMeter())
         detector = self._steps.detector
         return guarded("detector", detector, detector.remembered, view) if isinstance(detector, SelectiveMemory) else view
 
@@ -308,22 +224,3 @@ class OnboardChain:
             return codec
         scaled: Encoder = guarded("codec", self._steps.codec, codec.for_counts, counts.adu_scale)
         return scaled
-
-
-def continues(last: FrameHeader | None, header: FrameHeader) -> bool:
-    """Whether a frame continues the sequence of the last one: next number, later start, same exposure and readout."""
-    return (
-        last is not None
-        and header.frame == last.frame + 1
-        and header.t_start_tai_ns > last.t_start_tai_ns
-        and (header.exposure_ns, header.line_time_ns) == (last.exposure_ns, last.line_time_ns)
-        and (header.rows, header.cols, header.bin_rows, header.bin_cols) == (last.rows, last.cols, last.bin_rows, last.bin_cols)
-        and (header.window_row0, header.window_col0) == (last.window_row0, last.window_col0)
-    )
-
-
-def _read_only(array: NDArray[Any]) -> NDArray[Any]:
-    """A view that a plug-in cannot write to."""
-    view = array.view()
-    view.flags.writeable = False
-    return view

@@ -168,8 +168,10 @@ def _known(value: float) -> float | None:
 def decode_header(packet: Packet) -> HeaderRecord:
     """Header packet to frame header, housekeeping and the previous frame's telemetry."""
     expected = layout.HEADER_FIXED.size + 2 * layout.TELEMETRY.size
-    if len(packet.payload) != expected:
-        raise ContractError(f"header packet: expected {expected} bytes, got {len(packet.payload)}")
+    whole = expected + layout.HEADER_WORK.size
+    if len(packet.payload) not in (expected, whole):  # contracts before 2.4 end with the telemetry
+        raise ContractError(f"header packet: expected {whole} bytes, got {len(packet.payload)}")
+    work = layout.HEADER_WORK.unpack_from(packet.payload, expected) if len(packet.payload) == whole else (0,) * 8
     (
         rows, cols, bin_rows, bin_cols, window_row0, window_col0, gain, read_noise, saturation, temperature,
         adu_scale, adu_offset, flags, stars_found, stars_sent, detections, rois_sent, rois_dropped, bytes_dropped,
@@ -209,6 +211,14 @@ def decode_header(packet: Packet) -> HeaderRecord:
         background_adu=background,
         sigma_adu=sigma,
         n_masked=n_masked,
+        parameter_set=work[0],
+        operations=1000 * work[1],
+        shed_stars=work[2],
+        shed_halos=work[3],
+        shed_candidates=work[4],
+        shed_points=work[5],
+        shed_trails=work[6],
+        shed_regions=work[7],
     )
     has_previous = before.attitude is not None or before.observer is not None
     return HeaderRecord(

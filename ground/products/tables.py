@@ -35,6 +35,14 @@ COUNTERS: Final = (
     ("n_rois_dropped", None, "detections of which no region was sent"),
     ("bytes_dropped", "byte", "bytes that did not fit into the downlink budget"),
     ("n_masked", "pix", "pixels masked on board"),
+    ("parameter_set", None, "number of the set of parameters that flew"),
+    ("operations", None, "work on board, in operations"),
+    ("shed_stars", None, "entries of the star list that were left out or not fitted for want of work"),
+    ("shed_halos", None, "bright stars whose halo was not measured"),
+    ("shed_candidates", None, "candidates of trails that were not searched"),
+    ("shed_points", None, "new star-like entries that were not fitted"),
+    ("shed_trails", None, "trails that were not looked at further"),
+    ("shed_regions", None, "regions of interest that were not cut"),
 )
 """Fields of `Housekeeping` that `frames.ecsv` has: name, unit, meaning."""
 
@@ -128,7 +136,7 @@ def _frames_table(
                 "threshold_sigma",
                 [float("nan") if c is None else float(c.threshold_sigma) for c in counters],
                 None,
-                "least S/N that a particle storm's limit of regions let through, 0 outside storms; NaN: header packet lost",
+                "S/N above which all were sent when a particle storm met the limit of regions, else 0; NaN: header packet lost",
             ),
             ("flags", [int(s.flags | flags) for s, (flags, _, _) in zip(solutions, status, strict=True)], None, "FrameFlag bits"),
         ],

@@ -14,10 +14,16 @@ from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import Detection
 from sboc_e2e.icd.tai import NS_PER_S
 
+SUSPICIOUS = StreakFlag.STATIC | StreakFlag.COSMIC_LIKE | StreakFlag.SPIKE_LIKE
+
+LENGTHS_PX = (4.0, 20.0, 100.0, 500.0)
+FIELD_PARTS = 3
+"""Limits of the kinds of detections by length, and parts of the field along each axis, that have quotas of regions."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Allowance:
-    """Bytes that may still be sent; never more than the rate gives in `burst_s`, or in one exposure where that is longer.
+    """Bytes that may still be sent; never more than the rate gives in `burst_s`, or in an exposure that has really passed.
 
     A rate of 0 is no limit.
     """
@@ -31,7 +37,7 @@ class Allowance:
         if self.rate_bytes_s == 0.0:
             return replace(self, credit_bytes=math.inf)
         granted = self.credit_bytes + self.rate_bytes_s * max(elapsed_s, 0.0)
-        return replace(self, credit_bytes=min(granted, self.rate_bytes_s * max(self.burst_s, exposure_s)))
+        return replace(self, credit_bytes=min(granted, self.rate_bytes_s * max(self.burst_s, min(exposure_s, elapsed_s))))
 
     def spend(self, n_bytes: int) -> "Allowance":
         """The allowance after sending. It may become negative when mandatory packets did not fit."""
@@ -55,12 +61,49 @@ def priority(detections: Sequence[Detection]) -> NDArray[np.intp]:
     return np.lexsort((snr, suspicion)) if detections else np.zeros(0, dtype=np.intp)
 
 
-def within_limits(detections: Sequence[Detection], *, most: int, most_cosmic_like: int) -> list[Detection]:
-    """The detections that may be sent in a frame, by `priority`, within the limits of all detections and of particle hits."""
+def kind_of_place(detection: Detection, shape: tuple[int, int]) -> tuple[int, int]:
+    """The quota of a detection: its kind by length, trails that cross the frame apart, and its part of the field."""
+    flags, length = detection.flags, detection.length_px
+    both = StreakFlag.EDGE0 | StreakFlag.EDGE1
+    crosses = flags & both == both
+    kind = len(LENGTHS_PX) + 1 if crosses else sum(length > limit for limit in LENGTHS_PX)
+    row, col = 0.5 * (detection.row0 + detection.row1), 0.5 * (detection.col0 + detection.col1)
+    part = [min(FIELD_PARTS - 1, max(0, int(FIELD_PARTS * x / n))) for x, n in zip((row, col), shape, strict=True)]
+    return kind, part[0] * FIELD_PARTS + part[1]
+
+
+def taking_turns(ordered: Sequence[Detection], shape: tuple[int, int]) -> list[Detection]:
+    """Detections, best first, so that every second place goes to the best of each kind and part of the field in turn.
+
+    One bright corner, or many long trails, then leave room for a faint, short or passing object elsewhere.
+    """
+    groups = [kind_of_place(d, shape) for d in ordered]
+    number: dict[tuple[int, int], int] = {}
+    turn = []
+    for group in groups:
+        number[group] = number.get(group, -1) + 1
+        turn.append(number[group])
+    in_turn = iter(sorted(range(len(ordered)), key=lambda k: (turn[k], k)))
+    best = iter(range(len(ordered)))
+    taken: dict[int, None] = {}
+    while len(taken) < len(ordered):
+        source = best if len(taken) % 2 == 0 else in_turn
+        taken[next(k for k in source if k not in taken)] = None
+    return [ordered[k] for k in taken]
+
+
+def within_limits(
+    detections: Sequence[Detection], shape: tuple[int, int], *, most: int, most_cosmic_like: int
+) -> list[Detection]:
+    """The detections that may be sent in a frame, in their order, within the limits of all and of particle hits.
+
+    Real-looking ones take turns by kind and part of the field; suspicious ones follow by `priority`.
+    """
     ordered = [detections[k] for k in priority(detections)]
     hits = [d for d in ordered if d.flags & StreakFlag.COSMIC_LIKE]
     over = {id(d) for d in hits[most_cosmic_like:]}
-    return [d for d in ordered if id(d) not in over][:most]
+    real = taking_turns([d for d in ordered if not d.flags & SUSPICIOUS], shape)
+    return (real + [d for d in ordered if d.flags & SUSPICIOUS and id(d) not in over])[:most]
 
 
 def packet_bytes(payloads: Sequence[bytes]) -> int:

@@ -118,7 +118,17 @@ def header_payload(
         _or_nan(psf_sigma_px),
         housekeeping.n_masked,
     )
-    return fixed + telemetry_block(header) + telemetry_block(previous)
+    work = layout.HEADER_WORK.pack(
+        housekeeping.parameter_set,
+        min(round(housekeeping.operations / 1000), 0xFFFFFFFF),
+        housekeeping.shed_stars,
+        housekeeping.shed_halos,
+        housekeeping.shed_candidates,
+        housekeeping.shed_points,
+        housekeeping.shed_trails,
+        housekeeping.shed_regions,
+    )
+    return fixed + telemetry_block(header) + telemetry_block(previous) + work
 
 
 def telemetry_block(header: FrameHeader | None) -> bytes:

@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from onboard.downlink import packets
-from onboard.downlink.budget import Outbox, packet_bytes, within_limits
+from onboard.downlink.budget import Outbox, packet_bytes, priority, within_limits
 from onboard.downlink.kept_counts import KeptCounts
 from onboard.downlink.roi_coding import CodedRoi, code_roi
 from onboard.downlink.thumbnail import thumbnail
@@ -19,9 +19,14 @@ from onboard.stars.memory import EarlierStars, part_of, remembered_stars
 from sboc_e2e.icd.downlink import Housekeeping
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
-from sboc_e2e.icd.layout import HEADER_FIXED, TELEMETRY, Apid
+from sboc_e2e.icd.layout import HEADER_FIXED, HEADER_WORK, TELEMETRY, Apid
 from sboc_e2e.icd.signals import Detection, DetectorView, RoiGroup, Track
 from sboc_e2e.icd.steps import Encoder
+from sboc_e2e.icd.work import Work
+
+REGION_WORK = 150_000
+REGION_WORK_PER_PX = 1_500
+"""Operations of a region: its profile over 41 px across, sorted for each, and strips of some 20 px across, cut and coded."""
 
 REMEMBERED_ITEM = 1
 """Item number of the star packets with remembered stars; those measured in the frame are item 0."""
@@ -33,6 +38,7 @@ class Content:
 
     earlier : stars of earlier frames, in this frame's coordinates. n_masked : masked pixels. previous : header of the frame
     before, None at the first. frames_done : frames of the run before this one. codec : for the counts of this frame.
+    parameter_set : number of the options that flew.
     """
 
     view: DetectorView
@@ -44,6 +50,7 @@ class Content:
     previous: FrameHeader | None
     frames_done: int
     codec: Encoder
+    parameter_set: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -85,16 +92,21 @@ def send(content: Content, outbox: Outbox, options: OnboardOptions) -> tuple[Hou
     """Fill the outbox and count dropped items. Returns the housekeeping and the ROI groups as sent."""
     view, limits = content.view, options.roi
     level, sigma = float(np.median(view.background.level_adu)), float(np.median(view.background.sigma_adu))
-    outbox.reserve(packet_bytes([bytes(HEADER_FIXED.size + 2 * TELEMETRY.size)]))
+    outbox.reserve(packet_bytes([bytes(HEADER_FIXED.size + 2 * TELEMETRY.size + HEADER_WORK.size)]))
     n_stars = _send_stars(content, outbox, options.downlink)
-    sendable = within_limits(content.detections, most=limits.max_per_frame, most_cosmic_like=limits.max_cosmic_like)
+    sendable = within_limits(
+        content.detections, view.mask.shape, most=limits.max_per_frame, most_cosmic_like=limits.max_cosmic_like
+    )
     groups = _send_rois(content, outbox, limits, sendable)
     n_stars += _send_remembered(content, outbox, options.downlink, groups)
     _send_sky(content, outbox, options.downlink, level, sigma)
     _send_whole_frame(content, outbox, options.downlink)
     in_storm = len(content.detections) > limits.max_per_frame
-    kept_snr = [group.detection.snr for group in groups if not group.detection.flags & StreakFlag.COSMIC_LIKE]
+    sent_at = {(group.detection.row0, group.detection.col0, group.detection.snr) for group in groups}
+    unsent = [d.snr for d in but_hits(content.detections) if (d.row0, d.col0, d.snr) not in sent_at]
     flags = content.flags | (FrameFlag.STORM if in_storm else FrameFlag(0))
+    flags |= FrameFlag.WORK_SHED if view.work.has_shed else FrameFlag(0)
+    shed = view.work.shed
     housekeeping = Housekeeping(
         flags=flags | (FrameFlag.BUDGET_CUT if outbox.bytes_dropped else FrameFlag(0)),
         n_stars_found=len(view.stars),
@@ -103,10 +115,18 @@ def send(content: Content, outbox: Outbox, options: OnboardOptions) -> tuple[Hou
         n_rois_sent=len(groups),
         n_rois_dropped=len(content.detections) - len(groups),
         bytes_dropped=outbox.bytes_dropped,
-        threshold_sigma=min(kept_snr) if in_storm and kept_snr else 0.0,
+        threshold_sigma=max(unsent) if in_storm and unsent else 0.0,
         background_adu=level,
         sigma_adu=sigma,
         n_masked=content.n_masked,
+        parameter_set=content.parameter_set,
+        operations=round(view.work.operations, -3),
+        shed_stars=shed[Work.STARS],
+        shed_halos=shed[Work.HALOS],
+        shed_candidates=shed[Work.CANDIDATES],
+        shed_points=shed[Work.POINTS],
+        shed_trails=shed[Work.TRAILS],
+        shed_regions=shed[Work.REGIONS],
     )
     payload = packets.header_payload(
         view.header,
@@ -120,6 +140,11 @@ def send(content: Content, outbox: Outbox, options: OnboardOptions) -> tuple[Hou
     return housekeeping, groups
 
 
+def but_hits(detections: Sequence[Detection]) -> list[Detection]:
+    """Detections that are no particle hits: those whose loss the threshold of a storm tells."""
+    return [d for d in detections if not d.flags & StreakFlag.COSMIC_LIKE]
+
+
 def _send_stars(content: Content, outbox: Outbox, options: DownlinkOptions) -> int:
     """Well-spread stars of the frame; returns how many were sent."""
     stars = content.view.stars
@@ -128,14 +153,24 @@ def _send_stars(content: Content, outbox: Outbox, options: DownlinkOptions) -> i
 
 
 def _send_rois(content: Content, outbox: Outbox, options: RoiOptions, detections: Sequence[Detection]) -> tuple[RoiGroup, ...]:
-    """ROIs in the given order: as planned, or tighter when that does not fit, or not at all."""
-    groups: list[RoiGroup] = []
-    for detection in detections:
+    """ROIs, chosen in the given order: as planned, or tighter when that does not fit, or not at all; numbered by priority."""
+    chosen: list[CodedRoi] = []
+    work = content.view.work
+    for k, detection in enumerate(detections):
+        operations = REGION_WORK + REGION_WORK_PER_PX * detection.length_px
+        if operations > work.left(Work.REGIONS):
+            work.leave(Work.REGIONS, len(detections) - k)
+            break
+        work.spend(Work.REGIONS, operations)
         coded = _fitting(content, outbox, options, detection)
         if coded is None or not coded.strips:
             continue
-        roi_id = len(groups)
-        outbox.offer(Apid.ROI, coded.payloads, item=roi_id)
+        outbox.reserve(packet_bytes(coded.payloads))
+        chosen.append(coded)
+    groups: list[RoiGroup] = []
+    for roi_id, k in enumerate(priority([coded.detection for coded in chosen])):
+        coded = chosen[k]
+        outbox.send(Apid.ROI, coded.payloads, item=roi_id)
         groups.append(RoiGroup(roi_id=roi_id, detection=coded.detection, strips=coded.strips, n_strips=len(coded.strips)))
     return tuple(groups)
 

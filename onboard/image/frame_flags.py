@@ -55,3 +55,15 @@ def content_flags(mask: NDArray[np.uint8], counts: Counts, n_masked: int) -> Fra
     if (counts.pixels[0] == first).all() and (counts.pixels == first).all():
         flags |= FrameFlag.EMPTY_SIGNAL
     return flags
+
+
+def continues(last: FrameHeader | None, header: FrameHeader) -> bool:
+    """Whether a frame continues the sequence of the last one: next number, later start, same exposure and readout."""
+    return (
+        last is not None
+        and header.frame == last.frame + 1
+        and header.t_start_tai_ns > last.t_start_tai_ns
+        and (header.exposure_ns, header.line_time_ns) == (last.exposure_ns, last.line_time_ns)
+        and (header.rows, header.cols, header.bin_rows, header.bin_cols) == (last.rows, last.cols, last.bin_rows, last.bin_cols)
+        and (header.window_row0, header.window_col0) == (last.window_row0, last.window_col0)
+    )

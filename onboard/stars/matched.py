@@ -12,6 +12,7 @@ from onboard.stars.peaks import find_peaks, gaussian_kernel
 from onboard.stars.shape import LEAST_STARS, MOST_STARS, FieldShape, measure_shape
 from sboc_e2e.icd.flags import StarFlag
 from sboc_e2e.icd.signals import DetectorView, StarList, StarMotion
+from sboc_e2e.icd.work import Work, WorkMeter
 
 COSMIC_SHARPNESS = 1.7
 """A peak is sharper than a star when its contrast exceeds the PSF's by this factor at 5 sigma significance."""
@@ -43,6 +44,15 @@ FITTED_TRAILS = 600
 
 CELLS = 8
 
+MOTION_SHARE = 0.2
+"""Share of the work for stars after which the search for a motion of all of them ends."""
+
+LIST_WORK = 1_000.0
+FIT_WORK = 3_500.0
+LISTED_SHARE = 0.4
+"""Operations of an entry of the list (looked up in the frame before, masked or subtracted) and of its fit; and the share of the
+work for stars that is kept for entries."""
+
 TOLD_APART_PX = 16.0
 """If stars move by less, a point may be a star, or the visible part of a star next to a brighter trail."""
 
@@ -73,36 +83,50 @@ def saturated_pixels(mask: NDArray[np.uint8], capacity: int) -> NDArray[np.int32
 
 
 @njit(cache=True)
+def _root(parent: NDArray[np.int32], k: int) -> np.int32:
+    a = np.int32(k)
+    while parent[a] != a:
+        parent[a] = parent[parent[a]]
+        a = parent[a]
+    return a
+
+
+@njit(cache=True)
 def group_pixels(pixels: NDArray[np.int32]) -> NDArray[np.int32]:
-    """Group number of each pixel; pixels within two rows and two cols of each other are one group. Row order."""
+    """Number of the first pixel of each pixel's group; pixels within two rows and two cols of each other are one. Row order.
+
+    By runs of a row, each held against those of the two rows before: work grows as the number of pixels.
+    """
     n = pixels.shape[0]
-    parent = np.arange(n).astype(np.int32)
-    first = 0
+    start, parent, out = np.empty(n + 1, np.int32), np.empty(n, np.int32), np.empty(n, np.int32)
+    runs = 0
     for k in range(n):
-        while pixels[first, 0] < pixels[k, 0] - 2:
-            first += 1
-        for m in range(first, k):
-            if abs(pixels[m, 1] - pixels[k, 1]) <= 2:
-                a, b = np.int32(m), np.int32(k)
-                while parent[a] != a:
-                    parent[a] = parent[parent[a]]
-                    a = parent[a]
-                while parent[b] != b:
-                    parent[b] = parent[parent[b]]
-                    b = parent[b]
-                if a < b:
-                    parent[b] = a
-                else:
-                    parent[a] = b
-    for k in range(n):
-        a = np.int32(k)
-        while parent[a] != a:
-            a = parent[a]
-        parent[k] = a
-    return parent
+        if k == 0 or pixels[k, 0] != pixels[k - 1, 0] or pixels[k, 1] > pixels[k - 1, 1] + 2:
+            start[runs], parent[runs] = k, runs
+            runs += 1
+    start[runs] = n
+    for back in range(1, 3):
+        other = 0
+        for run in range(runs):
+            row, left, right = pixels[start[run], 0], pixels[start[run], 1] - 2, pixels[start[run + 1] - 1, 1] + 2
+            # what ends before this run begins, or lies in an earlier row, meets no later run either
+            while pixels[start[other], 0] < row - back or (
+                pixels[start[other], 0] == row - back and pixels[start[other + 1] - 1, 1] < left
+            ):
+                other += 1
+            k = other
+            while pixels[start[k], 0] == row - back and pixels[start[k], 1] <= right:
+                a, b = _root(parent, run), _root(parent, k)
+                parent[max(a, b)] = min(a, b)
+                k += 1
+    for run in range(runs):
+        first = start[_root(parent, run)]
+        for k in range(start[run], start[run + 1]):
+            out[k] = first
+    return out
 
 
-def saturated_stars(view: DetectorView, saturation_adu: float, capacity: int = 40000) -> NDArray[np.float64]:
+def saturated_stars(view: DetectorView, saturation_adu: float, capacity: int = 200_000) -> NDArray[np.float64]:
     """Centres and least fluxes, (n, 3) row, col, flux ADU, of groups of saturated pixels."""
     pixels = saturated_pixels(view.mask, capacity)
     if len(pixels) == 0:
@@ -139,7 +163,12 @@ class MatchedStars:
             stars = self._trailed(view, peaks, candidates, like_point, sigma, gain)
             if stars is not None:
                 return stars
-        fits, flags, width = self._points(view, peaks, shape, gain)
+        peaks, n_fitted = within_work(peaks, view.mask.shape, view.work)
+        fits, flags, width = self._points(view, peaks[:n_fitted], shape, gain)
+        if n_fitted < len(peaks):
+            unfitted = as_they_are(peaks[n_fitted:], noise * sigma, width)
+            fits = np.vstack((fits, unfitted))
+            flags = np.concatenate((flags, np.full(len(unfitted), BLENDED, np.uint8)))
         trailed = shape.smear_px > TRAILED_OVER_PSF * shape.sigma_px
         if trailed:
             flags |= np.uint8(StarFlag.TRAILED)
@@ -190,7 +219,8 @@ class MatchedStars:
         keys = row * view.mask.shape[1] + col
         on_trail &= ~np.isin(keys, bright[:, 0].astype(np.intp) * view.mask.shape[1] + bright[:, 1].astype(np.intp))
         nominal = FieldShape.nominal(view.psf_sigma_px, view.mask.shape)
-        fits, flags, _ = self._points(view, peaks[~on_trail], nominal, gain_e_adu)
+        beside, n_fitted = within_work(peaks[~on_trail], view.mask.shape, view.work)
+        fits, flags, _ = self._points(view, beside[:n_fitted], nominal, gain_e_adu)
         fits, flags = fits[(flags & BLENDED) == 0], flags[(flags & BLENDED) == 0]  # pieces of blends of trails
         still = np.hypot(*motion.at(fits[:, 0], fits[:, 1])) < TOLD_APART_PX
         flags[still] |= np.uint8(StarFlag.TRAILED)
@@ -209,25 +239,58 @@ class MatchedStars:
 
         peaks : of the frame as if stars were points. bright, like_point : the brightest, and which of them are points.
         """
-        # scipy.optimize takes memory that frames with stars as points do not need
-        from onboard.stars import star_motion, trails
+        # kernels that frames with stars as points need not load
+        from onboard.stars import star_motion, trail_vectors, trails
 
         psf_sigma_px = math.sqrt(view.psf_sigma_px**2 + 1.0 / 12.0)
         threshold = max(self.n_sigma, LEAST_TRAIL_SIGMA)
-        motion = star_motion.first_motion(view.residual_adu, _brightest_first(peaks), psf_sigma_px)
+        view.work.spend(Work.STARS, star_motion.VOTE_WORK)
+        motion, places = star_motion.first_motion(view.residual_adu, _brightest_first(peaks), psf_sigma_px)
         if motion is None or not LONG_TRAIL_PX < star_motion.longest_px(motion) < trails.LONGEST_PX:
             return None
-        found, _, _ = trails.matched_trails(view, motion, psf_sigma_px, 1.5 * threshold, MOST_TRAILS, sigma_adu)
-        fitted = trails.fitted_vectors(view.residual_adu, view.mask, found[:MOST_BRIGHT_TRAILS], motion, psf_sigma_px)
-        motion = star_motion.refined_motion(*fitted[:2], motion)
+        some, most_work = places[:MOST_BRIGHT_TRAILS], MOTION_SHARE * view.work.left(Work.STARS)
+        *fitted, work = trail_vectors.fitted_vectors(view.residual_adu, view.mask, some, motion, psf_sigma_px, most_work)
+        view.work.spend(Work.STARS, work)
+        motion = star_motion.refined_motion(fitted[0], fitted[1], motion)
         if motion is None:
             return None
         width = float(min(max(np.median(fitted[2]), 0.4), 3.0 * psf_sigma_px))
         found, half, painted = trails.matched_trails(view, motion, width, threshold, MOST_TRAILS, sigma_adu)
-        chosen = _turns(found, view.mask.shape) < FITTED_TRAILS
+        view.work.spend(Work.STARS, trails.sum_work(motion, view.mask.shape))
+        room = view.work.room(Work.STARS, trails.fit_work(motion, width), 0.5)
+        chosen = _turns(found, view.mask.shape) < min(FITTED_TRAILS, room)
+        view.work.spend(Work.STARS, trails.fit_work(motion, width) * np.count_nonzero(chosen))
+        view.work.leave(Work.STARS, max(0, min(FITTED_TRAILS, len(found)) - int(np.count_nonzero(chosen))))
         fits, flags = trails.listed(view, found, half, width, sigma_adu, gain_e_adu, chosen)
         points, point_flags = self._points_among_trails(view, peaks, bright[like_point], painted, motion, gain_e_adu)
         return by_flux(np.vstack((fits, points)), np.concatenate((flags, point_flags)), gain_e_adu, motion=motion)
+
+
+def within_work(peaks: NDArray[np.float32], shape: tuple[int, int], work: WorkMeter) -> tuple[NDArray[np.float32], int]:
+    """The peaks (n, 5) that are listed, and how many of them, the first ones, are fitted; all, as they come, where work allows.
+
+    Beyond that the brightest of each part of the frame in turn, so that a cluster or a storm in one leaves stars to the others.
+    """
+    listed = min(len(peaks), work.room(Work.STARS, LIST_WORK, LISTED_SHARE))
+    fitted = min(listed, work.room(Work.STARS, FIT_WORK, 1.0 - LISTED_SHARE))
+    if fitted < len(peaks):
+        work.leave(Work.STARS, len(peaks) - fitted)
+        peaks = _brightest_first(peaks)
+        peaks = peaks[np.argsort(_turns(peaks, shape), kind="stable")[:listed]]
+    work.spend(Work.STARS, LIST_WORK * listed + FIT_WORK * fitted)
+    return peaks, fitted
+
+
+def as_they_are(peaks: NDArray[np.float32], noise_adu: float, width_px: float) -> NDArray[np.float64]:
+    """Rows (n, 6) as of fits for peaks (n, 5) that are not fitted: place of the parabola, flux from the smoothed value.
+
+    noise_adu : of the smoothed image. The flux of a star of S/N S is S sigma sqrt(4 pi) s.
+    """
+    out = np.zeros((len(peaks), 6))
+    out[:, :2] = peaks[:, :2] + np.clip(peaks[:, 3:5], -1.0, 1.0)
+    out[:, 3] = peaks[:, 2] / max(noise_adu, 1e-9)
+    out[:, 2] = 1.7 * peaks[:, 2] * 2.0 * math.pi * width_px**2
+    return out
 
 
 def _turns(peaks: NDArray[np.float32], shape: tuple[int, int]) -> NDArray[np.intp]:

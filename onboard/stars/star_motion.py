@@ -21,6 +21,9 @@ MOST_PIXELS: Final = 4_000
 LEAST_PX: Final = 3.0
 """Least length of pieces that are used for the motion."""
 
+VOTE_WORK: Final = 6_000_000
+"""Operations of `first_motion`: the pixel sets, and all pairs held against all trails."""
+
 VOTING: Final = 40
 """Brightest trails that are combined in pairs."""
 
@@ -145,13 +148,19 @@ def longest_px(motion: StarMotion) -> float:
     return float(np.hypot(*motion.at(row, col)).max())
 
 
-def first_motion(residual: NDArray[np.float32], peaks: NDArray[np.float32], psf_sigma_px: float) -> StarMotion | None:
-    """The stars' motion from pixel sets around bright peaks (n, >= 2), brightest first."""
+def first_motion(
+    residual: NDArray[np.float32], peaks: NDArray[np.float32], psf_sigma_px: float
+) -> tuple[StarMotion | None, NDArray[np.float64]]:
+    """The stars' motion from pixel sets around bright peaks (n, >= 2), brightest first; and places (m, 2) of trails with it."""
     out = np.empty((MOST_COMPONENTS, 5))
     n = trail_components(residual, peaks, np.zeros(residual.shape, np.uint8), out)
     places, vectors = vectors_of(out[:n], psf_sigma_px)
     middle = (0.5 * (residual.shape[0] - 1), 0.5 * (residual.shape[1] - 1))
-    return common_motion(places, vectors, middle)
+    motion = common_motion(places, vectors, middle)
+    if motion is None:
+        return None, np.zeros((0, 2))
+    agree, _ = _agreement(places - np.array(middle), vectors, np.array([[motion.drow, motion.dcol, motion.turn_rad]]))
+    return motion, places[agree[0]]
 
 
 def refined_motion(places: NDArray[np.float64], vectors: NDArray[np.float64], motion: StarMotion) -> StarMotion | None:

@@ -10,14 +10,17 @@ from typing import Final
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
-from scipy.optimize import least_squares
 
 from onboard.stars.fits import BLENDED, DEFECT, EDGE, SATURATED, SATURATED_STAR
+from onboard.stars.star_motion import longest_px
 from sboc_e2e.icd.flags import StarFlag
 from sboc_e2e.icd.signals import DetectorView, StarMotion
 
-REFINED_STARS: Final = 12
 FIT_STEPS: Final = 8
+FIT_WORK: Final = 250.0
+BOX_WORK: Final = 4.0
+SUM_WORK: Final = 0.25
+"""Operations of a trail's fit per pixel of it (four steps) and per pixel around it, and of a step of a sum along the trails."""
 
 BLOCK_PX: Final = 128
 """Side of the parts of a frame that have one trail each when the frame turns."""
@@ -41,6 +44,17 @@ BRIGHT_SIGMA: Final = 3.0
 DARK_END: Final = 0.25
 LEAST_SHAPE_PX: Final = 12
 """... and, where its pixels exceed so many sigma and are so many, its ends this share of what is usual on it: others cross it."""
+
+POINT_SIGMA: Final = 5.0
+POINT_PX: Final = 3
+LEAST_BESIDE: Final = 2.0
+"""A path with a pixel of so many sigma is a point's when the others, but for so many beside it, add up to less than so many."""
+
+CORE: Final = 1
+AROUND: Final = 2
+ABOVE_SIDES: Final = 1.5
+"""Bits of a map of trails: nearer than the trail's own width, and as far as its light matters. There a trail must be so many
+times as bright as what lies beside it."""
 
 FULL_SIGMA: Final = 1e4
 """Saturated pixels, over the noise."""
@@ -276,6 +290,19 @@ def trail_peaks(
     return count
 
 
+def sum_work(motion: StarMotion, shape: tuple[int, ...]) -> float:
+    """Operations of the sums along the stars' trails at every pixel; 16-bit sums go many at once."""
+    row, col = (np.linspace(0.0, n - 1.0, 9) for n in shape)
+    steps = np.maximum(*(np.abs(part) for part in motion.at(*(axis.ravel() for axis in np.meshgrid(row, col, indexing="ij")))))
+    return float(SUM_WORK * steps.mean() * shape[0] * shape[1])
+
+
+def fit_work(motion: StarMotion, psf_sigma_px: float) -> float:
+    """Operations of the fit of one of the longer trails: usual steps, and pixels within 3.5 sigma."""
+    length = 0.7 * longest_px(motion)
+    return FIT_WORK * (length + 7.0 * psf_sigma_px) * (7.0 * psf_sigma_px + 2.0) + BOX_WORK * length * length
+
+
 def path_of(drow: float, dcol: float) -> NDArray[np.int32]:
     """Pixels (n, 2) of a trail from its centre, one for each step along its longer axis."""
     n = 1 + round(max(abs(drow), abs(dcol)))
@@ -338,6 +365,27 @@ def paint_trail(out: NDArray[np.uint8], row: float, col: float, half_row: float,
 
 
 @njit(cache=True)
+def _along(
+    residual: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    row: int,
+    col: int,
+    half_row: float,
+    half_col: float,
+    noise_adu: float,
+) -> NDArray[np.float64]:
+    """Pixels along a trail about a centre, over the noise; zeros beyond the frame."""
+    rows, cols = residual.shape
+    values = np.zeros(2 * int(math.hypot(half_row, half_col)) + 1)
+    for k in range(values.size):
+        u = 2.0 * k / max(values.size - 1, 1) - 1.0
+        i, j = round(row + u * half_row), round(col + u * half_col)
+        if 0 <= i < rows and 0 <= j < cols:
+            values[k] = residual[i, j] / noise_adu if mask[i, j] & SATURATED == 0 else FULL_SIGMA
+    return values
+
+
+@njit(cache=True)
 def keep_brightest(
     residual: NDArray[np.float32],
     mask: NDArray[np.uint8],
@@ -350,30 +398,41 @@ def keep_brightest(
 ) -> None:
     """Which of the peaks (n, 3), brightest first, lie on no brighter one's trail; their S/N becomes that of the unclipped image.
 
-    half : (n, 2) half vectors. painted : zeros, becomes 1 on the trails.
+    In the light around a brighter one a trail of its own is brighter than what lies on both sides of it, and has both its ends.
+    half : (n, 2) half vectors. painted : zeros, becomes CORE and AROUND on the trails.
     """
-    rows, cols = residual.shape
     for n in range(peaks.shape[0]):
         row, col = int(peaks[n, 0]), int(peaks[n, 1])
-        keep[n] = painted[row, col] == 0
+        keep[n] = painted[row, col] & CORE == 0
         if not keep[n]:
             continue
         length = 2.0 * math.hypot(half[n, 0], half[n, 1])
-        values = np.zeros(2 * int(0.5 * length) + 1)
-        for k in range(values.size):
-            u = 2.0 * k / max(values.size - 1, 1) - 1.0
-            i, j = round(row + u * half[n, 0]), round(col + u * half[n, 1])
-            if 0 <= i < rows and 0 <= j < cols:
-                values[k] = residual[i, j] / noise_adu if mask[i, j] & SATURATED == 0 else FULL_SIGMA
+        values = _along(residual, mask, row, col, half[n, 0], half[n, 1], noise_adu)
         peak = float(np.median(values))
         quarter = max(1, values.size // 4)
         darkest = min(values[:quarter].mean(), values[-quarter:].mean())
+        if painted[row, col] != 0:
+            beside = 0.0
+            for side in (-1.0, 1.0):
+                across = side * (3.0 * psf_sigma_px + 1.0) / max(0.5 * length, 1e-6)
+                i, j = round(row + across * half[n, 1]), round(col - across * half[n, 0])
+                beside = max(beside, float(np.median(_along(residual, mask, i, j, half[n, 0], half[n, 1], noise_adu))))
+            if peak < BRIGHT_SIGMA or peak < ABOVE_SIDES * beside or darkest < DARK_END * peak:
+                keep[n] = False
+                continue
         if values.size >= LEAST_SHAPE_PX and peak > BRIGHT_SIGMA and darkest < DARK_END * peak:
             keep[n] = False
             continue
+        top = int(np.argmax(values))
+        if values.size >= LEAST_SHAPE_PX and POINT_SIGMA < values[top] < FULL_SIGMA:
+            others = np.concatenate((values[: max(0, top - POINT_PX)], values[top + POINT_PX + 1 :]))
+            if others.sum() < LEAST_BESIDE * math.sqrt(max(1, others.size)):
+                keep[n] = False
+                continue
         peaks[n, 2] = max(peaks[n, 2], 1.331 * peak * math.sqrt(length * psf_sigma_px))
         reach = trail_reach_px(peak, psf_sigma_px)
-        paint_trail(painted, float(row), float(col), half[n, 0], half[n, 1], reach, 1)
+        paint_trail(painted, float(row), float(col), half[n, 0], half[n, 1], reach, AROUND)
+        paint_trail(painted, float(row), float(col), half[n, 0], half[n, 1], 2.0 * psf_sigma_px + 1.0, CORE)
 
 
 @njit(cache=True)
@@ -434,46 +493,3 @@ def listed(
     fit_trails(view.residual_adu, view.mask, peaks[chosen], half[chosen], psf_sigma_px, noise_adu, gain_e_adu, some, some_flags)
     fits[chosen], flags[chosen] = some, some_flags
     return fits, flags | np.uint8(StarFlag.TRAILED)
-
-
-def fitted_vectors(
-    residual: NDArray[np.float32], mask: NDArray[np.uint8], peaks: NDArray[np.float32], motion: StarMotion, psf_sigma_px: float
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Places (m, 2), vectors (m, 2) and PSF widths (m,) of bright usable stars, fitted with all of these free."""
-    fitted = []
-    for row0, col0 in peaks[:, :2].astype(int):
-        drow, dcol = (float(part[0]) for part in motion.at(np.array([float(row0)]), np.array([float(col0)])))
-        reach = [math.ceil(abs(half) + 5.0 * psf_sigma_px) + 3 for half in (0.5 * drow, 0.5 * dcol)]
-        part = np.s_[row0 - reach[0] : row0 + reach[0] + 1, col0 - reach[1] : col0 + reach[1] + 1]
-        image = residual[part]
-        if row0 < reach[0] or col0 < reach[1] or image.shape != (2 * reach[0] + 1, 2 * reach[1] + 1) or mask[part].any():
-            continue
-        flux = float(image.sum())
-        if not flux > 0.0:  # a peak in a hole of the background is no star to learn from
-            continue
-        start = np.array([flux, 0.0, 0.0, drow, dcol, psf_sigma_px])
-        fit = least_squares(_misfit, start, args=(image,), x_scale=np.array([flux, 1.0, 1.0, 1.0, 1.0, 0.3]), max_nfev=15)
-        light = fit.x[0] if fit.success else 0.0
-        if light > 0.0 and float(np.sum(fit.fun**2)) < 0.05 * float(np.sum(image.astype(np.float64) ** 2)):
-            fitted.append((row0 + fit.x[1], col0 + fit.x[2], fit.x[3], fit.x[4], abs(fit.x[5])))
-        if len(fitted) == REFINED_STARS:
-            break
-    table = np.array(fitted).reshape(-1, 5)
-    return table[:, :2], table[:, 2:4], table[:, 4]
-
-
-@njit(cache=True)
-def _render(parameters: NDArray[np.float64], out: NDArray[np.float64]) -> None:
-    """A trail (flux, row, col, drow, dcol, sigma) with positions from the middle of the image."""
-    flux, row, col, drow, dcol, sigma = parameters
-    for i in range(out.shape[0]):
-        for j in range(out.shape[1]):
-            u, v = i - out.shape[0] // 2 - row, j - out.shape[1] // 2 - col
-            out[i, j] = flux * trail_model(u, v, 0.5 * drow, 0.5 * dcol, max(abs(sigma), 0.2))[0]
-
-
-def _misfit(parameters: NDArray[np.float64], image: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Model minus image, flattened."""
-    model = np.empty(image.shape)
-    _render(parameters, model)
-    return (model - image).ravel()

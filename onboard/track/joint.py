@@ -61,7 +61,10 @@ class KeptSearch:
         if self.halves is not None:
             return self
         half = halved(self.smooth)
-        return replace(self, halves=(half, np.ascontiguousarray(half.T)))
+        flat = np.ascontiguousarray(half.T)
+        for image in (half, flat):
+            image.flags.writeable = False  # as of a state that was read back: compiled code has one kind of image
+        return replace(self, halves=(half, flat))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -12,7 +12,11 @@ from sboc_e2e.icd.signals import BackgroundModel, RoiGroup, StarList
 
 @dataclass(frozen=True, kw_only=True)
 class Housekeeping:
-    """Counters of the on-board software for one frame."""
+    """Counters of the on-board software for one frame.
+
+    parameter_set : number of the set of parameters that flew; 0: unknown. operations : work of the frame. shed_stars ...
+    shed_regions : items left undone for want of work (`sboc_e2e.icd.work.Work`).
+    """
 
     flags: FrameFlag
     n_stars_found: int
@@ -25,6 +29,14 @@ class Housekeeping:
     background_adu: float
     sigma_adu: float
     n_masked: int
+    parameter_set: int = 0
+    operations: int = 0
+    shed_stars: int = 0
+    shed_halos: int = 0
+    shed_candidates: int = 0
+    shed_points: int = 0
+    shed_trails: int = 0
+    shed_regions: int = 0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -19,6 +19,7 @@ class FrameFlag(IntFlag):
     STORM = 1 << 9
     REPEATED_FRAME = 1 << 10
     EMPTY_SIGNAL = 1 << 11
+    WORK_SHED = 1 << 12
     TRACKS_ENDED = 1 << 13
     PACKETS_MISSING = 1 << 16
     NO_SOLUTION = 1 << 17
@@ -93,6 +94,7 @@ FLAG_TEXT: Final[dict[str, dict[str, str]]] = {
         "STORM": "particle storm: the detection threshold or rate limit was adapted",
         "REPEATED_FRAME": "same pixels or frame number as the frame before",
         "EMPTY_SIGNAL": "all pixels are equal",
+        "WORK_SHED": "work beyond the frame's limit was left undone; the header packet says how much of which kind",
         "TRACKS_ENDED": "nothing is tracked across from the frame before: gap, repeated frame, slew, other exposure or no stars",
         "PACKETS_MISSING": "packets of this frame did not arrive intact",
         "NO_SOLUTION": "the attitude could not be solved; no sky positions",

@@ -72,7 +72,11 @@ HEADER_FIXED = struct.Struct(">HHBBHHffffddIIIIIIIffffI")
 (NaN: unknown), adu_scale, adu_offset, then housekeeping: flags (low 16 bits), stars found, stars sent, detections,
 ROIs sent, ROIs dropped, bytes dropped, threshold sigma, background ADU, sigma ADU, PSF sigma px as measured from stars
 (NaN: not measured), masked pixels.
-Then two telemetry blocks: this frame's and the previous frame's."""
+Then two telemetry blocks, this frame's and the previous frame's, and `HEADER_WORK`."""
+
+HEADER_WORK = struct.Struct(">II6I")
+"""End of the header packet, after the telemetry blocks, since 2.4: parameter set | operations of the frame in thousands | items
+left undone: stars, halos, candidates, points, trails, regions."""
 
 TELEMETRY = struct.Struct(">BI4d3d6dq3d3dff")
 """Presence bits (1 attitude, 2 observer) | frame number it belongs to | quaternion | rate rad/s |

@@ -1,6 +1,6 @@
 """Records of what the on-board software finds in a frame: background, stars, detections, strips of pixels."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -10,6 +10,7 @@ from sboc_e2e.icd import validate
 from sboc_e2e.icd.errors import ContractError
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
+from sboc_e2e.icd.work import WorkMeter
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -121,7 +122,7 @@ class DetectorView:
     background : mesh of level and of the noise sigma per pixel.
     mask : (rows, cols) uint8 of `MaskBit`; 0 = usable. stars : star list of this frame (empty for the extractor).
     psf_sigma_px : nominal. history : earlier views, newest last, at most as many as the step declares; or what its `remembered`
-    made of them (`sboc_e2e.icd.steps.SelectiveMemory`).
+    made of them (`sboc_e2e.icd.steps.SelectiveMemory`). work : what the steps may still do for this frame; they spend from it.
     """
 
     header: FrameHeader
@@ -131,6 +132,7 @@ class DetectorView:
     stars: StarList
     psf_sigma_px: float
     history: tuple[Any, ...] = ()
+    work: WorkMeter = field(default_factory=WorkMeter)
 
     def __post_init__(self) -> None:
         shape = (self.header.rows, self.header.cols)

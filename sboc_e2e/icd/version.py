@@ -3,7 +3,7 @@
 from typing import Final
 
 CONTRACT_MAJOR: Final = 2
-CONTRACT_MINOR: Final = 3
+CONTRACT_MINOR: Final = 4
 CONTRACT_VERSION: Final = f"{CONTRACT_MAJOR}.{CONTRACT_MINOR}"
 
 HISTORY: Final = (
@@ -27,6 +27,11 @@ HISTORY: Final = (
         "2.3",
         "track packets: members of objects seen over several frames, with their pixels where no region was sent of them; regions "
         "and streaks have the number of their track; frames say where tracking could not go on",
+    ),
+    (
+        "2.4",
+        "header packets say which set of parameters flew, how many operations the frame took, and how many items of each kind of "
+        "work were left undone; `FrameFlag.WORK_SHED`; views have a meter of the frame's work",
     ),
 )
 """The major number grows if a decoder of the previous version would misinterpret something. The minor number grows if it would

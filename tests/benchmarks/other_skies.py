@@ -1,6 +1,6 @@
 """Exam of the on-board chain under other skies: snr50, false detections per frame and CPU against the clean sky, row by row.
 
-python -m tests.benchmarks.other_skies [--frames N] [--side PX] [--hostile] [ROW ...]
+python -m tests.benchmarks.other_skies [--frames N] [--side PX] [--seed S] [--hostile] [ROW ...]
 """
 
 import argparse
@@ -19,6 +19,7 @@ from onboard.downlink.codec import PlanesCodec
 from onboard.image.background import MeshBackground
 from onboard.options import OnboardOptions
 from onboard.stars.matched import MatchedStars
+from onboard.work import nominal
 from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
 from tests.benchmarks import sky_frames
 from tests.benchmarks.bench_detection import score
@@ -84,11 +85,12 @@ def second_of(earlier: NDArray[np.uint16], later: NDArray[np.uint16]) -> tuple[O
 def exam(row: sky_frames.Row, side: int, n: int, seed: int = 0) -> dict[str, Any]:
     """Figures of one row of the exam from n pairs of frames with streaks."""
     wanted = [s for s in STREAKS if s[0] < 0.5 * side]
-    snr, hit, cpu, false, sent = [], [], [], 0, 0
+    snr, hit, cpu, operations, false, sent = [], [], [], [], 0, 0
     for k in range(n):
         drawn = sky_frames.scene(row, side, wanted, seed + k)
         result, seconds = second_of(drawn.earlier, drawn.later)
         cpu.append(seconds)
+        operations.append(result.work.operations / nominal(side * side))
         paired, _, wrong = score(result.detections, drawn.streaks)
         false += wrong
         snr += [s.snr for s in drawn.streaks]
@@ -101,6 +103,7 @@ def exam(row: sky_frames.Row, side: int, n: int, seed: int = 0) -> dict[str, Any
         "snr50": snr50(np.array(snr), np.array(hit, dtype=float)),
         "false_per_frame": round(false / n, 2),
         "cpu_s": round(float(np.median(cpu)), 2),
+        "operations_over_nominal": round(float(np.median(operations)), 2),
         "found": at,
         "sent": f"{sent}/{sum(hit)}",
     }
@@ -138,13 +141,14 @@ def main() -> None:
     parser.add_argument("rows", nargs="*")
     parser.add_argument("--frames", type=int, default=4)
     parser.add_argument("--side", type=int, default=2048)
+    parser.add_argument("--seed", type=int, default=0, help="of the first frame")
     parser.add_argument("--hostile", action="store_true")
     options = parser.parse_args()
     # kernels are compiled, or loaded, before anything is timed
     exam(sky_frames.ROWS[0], 512, 1)
     for row in sky_frames.ROWS:
         if not options.rows or row.name in options.rows:
-            sys.stdout.write(json.dumps(exam(row, options.side, options.frames)) + "\n")
+            sys.stdout.write(json.dumps(exam(row, options.side, options.frames, options.seed)) + "\n")
     for name in sky_frames.HOSTILE:
         if options.hostile and (not options.rows or name in options.rows):
             sys.stdout.write(json.dumps(hostile(name, options.side)) + "\n")

@@ -4,8 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from onboard.detect.line_integral.context import with_context
+from onboard.detect.star_mask import mask_radii_px
 from sboc_e2e.icd.flags import MaskBit, StarFlag, StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView, StarList
 from tests.benchmarks.detection_frames import Scene, view_of
@@ -23,6 +25,11 @@ def view_with(row: float, col: float, flags: int = 0) -> DetectorView:
             row=row * one, col=col * one, flux_e=one, snr=np.array([50.0], np.float32), flags=np.array([flags], np.uint8)
         ),
     )
+
+
+def radii(view: DetectorView) -> NDArray[np.float64]:
+    """Masks of the stars of a view."""
+    return mask_radii_px(view.stars.snr, view.psf_sigma_px, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -47,7 +54,7 @@ def view_with(row: float, col: float, flags: int = 0) -> DetectorView:
     ],
 )
 def test_stars_under_and_beyond_a_trail(row: float, col: float, star: StarFlag, static: bool, expected: StreakFlag) -> None:
-    found = with_context(TRAIL, view_with(row, col, star), np.array([static]), 1.0)
+    found = with_context(TRAIL, view_with(row, col, star), np.array([static]), radii(view_with(row, col, star)))
     assert found == replace(TRAIL, flags=StreakFlag.EDGE0 | expected)
 
 
@@ -56,11 +63,11 @@ def test_saturated_pixel_on_the_path(row: int, flagged: bool) -> None:
     view = view_with(150.0, 150.0)
     mask = np.zeros(view.mask.shape, np.uint8)
     mask[row, 100] = MaskBit.SATURATED
-    found = with_context(TRAIL, replace(view, mask=mask), np.array([True]), 1.0)
+    found = with_context(TRAIL, replace(view, mask=mask), np.array([True]), radii(view_with(150.0, 150.0)))
     assert bool(found.flags & StreakFlag.SATURATED) == flagged
 
 
 def test_star_like_detection_does_not_point_anywhere() -> None:
     point = replace(TRAIL, col1=60.0)
-    found = with_context(point, view_with(50.0, 80.0, StarFlag.SATURATED), np.array([True]), 1.0)
+    found = with_context(point, view_with(50.0, 80.0, StarFlag.SATURATED), np.array([True]), radii(view_with(50.0, 80.0)))
     assert found.flags == StreakFlag.EDGE0

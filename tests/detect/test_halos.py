@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from onboard.detect.line_integral import halos, static_sky
 from sboc_e2e.icd.signals import StarList
+from sboc_e2e.icd.work import WorkMeter
 
 SIZE, MIDDLE, CORE_PX = 241, 120.0, 5.0
 SIGMA_E = 2.84
@@ -30,7 +31,7 @@ def taken_out(light_sigma: NDArray[np.float64], seed: int = 1) -> tuple[NDArray[
     noise = rng.standard_normal(light_sigma.shape) * np.sqrt(1.0 + light_sigma / SIGMA_E)
     image = np.clip(np.rint(16.0 * (light_sigma + noise)), -127, 127).astype(np.int8)
     blocked = (radius() <= CORE_PX).astype(np.uint8)
-    left = halos.take_out(image, blocked, one_star(), np.array([0]), np.array([CORE_PX]), SIGMA_E)
+    left = halos.take_out(image, blocked, one_star(), np.array([0]), np.array([CORE_PX]), SIGMA_E, WorkMeter())
     return image, blocked, left
 
 

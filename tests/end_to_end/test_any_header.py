@@ -11,7 +11,7 @@ from astropy.table import Table
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
-from onboard.stars.trails import fitted_vectors
+from onboard.stars.trail_vectors import fitted_vectors
 from sboc_e2e.icd.signals import StarMotion
 from sboc_e2e.outside.fits_frames import FitsFolder
 from sboc_e2e.outside.header_wcs import usable_wcs
@@ -85,7 +85,7 @@ def test_bright_places_without_light_are_no_trailed_stars() -> None:
     image = np.full((64, 64), -1.0, dtype=np.float32)
     peaks = np.array([[32.0, 32.0, 10.0]], dtype=np.float32)
     guess = StarMotion(drow=0.0, dcol=12.0, turn_rad=0.0, middle_row=31.5, middle_col=31.5)
-    places, _, _ = fitted_vectors(image, np.zeros((64, 64), np.uint8), peaks, guess, 1.2)
+    places, _, _, _ = fitted_vectors(image, np.zeros((64, 64), np.uint8), peaks[:, :2].astype(float), guess, 1.2)
     assert len(places) == 0
 
 

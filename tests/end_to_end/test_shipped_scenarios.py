@@ -1,7 +1,7 @@
 """Every scenario that comes with the project runs as shipped, and its score stays within stored bounds (slow).
 
-Bounds are the ends of the 90 % intervals of the stored runs (docs/scenarios.md), except for scenarios that fail: theirs are
-what is asked of them. They run in the order of their names, one process each.
+Bounds are the ends of the 90 % intervals of the stored runs (docs/scenarios.md), except for those whose stars trail: theirs
+are what is asked of them. They run in the order of their names, one process each.
 """
 
 import json
@@ -14,10 +14,6 @@ from sboc_e2e.bench.scenario_page import STORED_RUNS, page
 from tests.benchmarks.bench_scenarios import measured, shipped
 
 BOUNDS: dict[str, dict[str, float]] = json.loads((Path(__file__).parent / "scenario_bounds.json").read_text())
-FAILING = {
-    "ground_site_tracking": "trailed stars are taken for streaks, the tracked point is found nowhere (issue 15, B2)",
-    "curved_streak": "dozens of false streaks a frame from trailed stars (issue 15, B2)",
-}
 
 
 def test_every_scenario_has_bounds_and_a_stored_run() -> None:
@@ -52,12 +48,6 @@ def test_a_figure_outside_its_bound_is_named() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param(name, marks=pytest.mark.xfail(reason=FAILING[name], strict=True) if name in FAILING else ())
-        for name in sorted(BOUNDS)
-    ],
-)
+@pytest.mark.parametrize("name", sorted(BOUNDS))
 def test_a_scenario_keeps_its_score(name: str) -> None:
     assert within(measured(name), BOUNDS[name]) == []

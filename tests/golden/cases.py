@@ -47,6 +47,8 @@ PAYLOAD_FIELDS: dict[str, tuple[tuple[str, str], ...]] = {
         ("threshold_sigma", ">f"), ("background_adu", ">f"), ("sigma_adu", ">f"), ("psf_sigma_px", ">f"), ("n_masked", ">I"),
         *((f"this.{name}", form) for name, form in TELEMETRY_FIELDS),
         *((f"previous.{name}", form) for name, form in TELEMETRY_FIELDS),
+        ("parameter_set", ">I"), ("operations_thousands", ">I"), ("shed_stars", ">I"), ("shed_halos", ">I"),
+        ("shed_candidates", ">I"), ("shed_points", ">I"), ("shed_trails", ">I"), ("shed_regions", ">I"),
     ),
     "stars": tuple(
         (f"star{k}.{name}", form)
@@ -125,6 +127,14 @@ HOUSEKEEPING = Housekeeping(
     background_adu=2.75,
     sigma_adu=2.375,
     n_masked=1846,
+    parameter_set=0x5E7_0001,
+    operations=412_345_000,
+    shed_stars=3,
+    shed_halos=5,
+    shed_candidates=20,
+    shed_points=1,
+    shed_trails=2,
+    shed_regions=4,
 )
 
 STARS = StarList(

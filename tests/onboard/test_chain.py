@@ -468,14 +468,17 @@ def test_particle_hits_never_displace_a_trail_and_are_counted() -> None:
 
 
 def test_storm_is_limited_and_flagged() -> None:
-    """More detections than allowed: the best are sent, the flag and the effective threshold come down."""
+    """More detections than allowed: half of the places go to the best; flag and S/N above which all are sent come down."""
     many = tuple(replace(POINT, row0=10.0 + 3 * k, row1=10.0 + 3 * k, snr=7.0 + k) for k in range(60))
     run = start_run(detections=many, roi=RoiOptions(max_per_frame=10))
     result = run.feed(frame(0))
     assert result.housekeeping.flags & FrameFlag.STORM
     assert result.housekeeping.n_rois_sent == 10
     assert result.housekeeping.n_rois_dropped == 50
-    assert result.housekeeping.threshold_sigma == 57.0
+    sent = {group.detection.snr for group in result.rois}
+    assert {66.0, 65.0, 64.0, 63.0, 62.0} <= sent
+    assert result.housekeeping.threshold_sigma == max(d.snr for d in many if d.snr not in sent)
+    assert min(sent) < 50.0  # the best of another part of the field
 
 
 def test_what_stays_is_flagged_static_not_cut() -> None:

@@ -10,7 +10,7 @@ from onboard.image.calibrate import residual_pass
 from onboard.image.dark_map import DarkMap
 from onboard.stars.fits import fit_stars
 from onboard.stars.matched import MatchedStars, best_spread, falling
-from onboard.stars.trails import fitted_vectors
+from onboard.stars.trail_vectors import fitted_vectors
 from sboc_e2e.icd.flags import MaskBit, StarFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import DetectorView, StarList, StarMotion
@@ -250,5 +250,5 @@ def test_a_peak_in_a_hole_of_the_background_is_no_star_to_learn_from() -> None:
     residual[30:33, 30:33] = 5.0
     peaks = np.array([[31.0, 31.0, 9.0]], dtype=np.float32)
     guess = StarMotion(drow=4.0, dcol=1.0, turn_rad=0.0, middle_row=31.5, middle_col=31.5)
-    places, _, _ = fitted_vectors(residual, np.zeros((64, 64), np.uint8), peaks, guess, 1.0)
+    places, _, _, _ = fitted_vectors(residual, np.zeros((64, 64), np.uint8), peaks[:, :2].astype(float), guess, 1.0)
     assert len(places) == 0

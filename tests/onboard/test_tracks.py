@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 from ground.ingest import decode_downlink
 from ground.ingest.codecs import PlanesDecoder
@@ -23,6 +24,7 @@ from onboard.track.false_alarms import half_point_sigma, independent_tracks, thr
 from onboard.track.joint import JointTracker
 from onboard.track.none import NoTracker
 from onboard.track.particles import HIT_CODE, without_hits
+from sboc_e2e.files import checkpoint
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.flags import FrameFlag
 from sboc_e2e.icd.layout import Apid
@@ -146,8 +148,14 @@ class Planted:
         return state, (Track(number=5, snr=7.5, members=members),)
 
 
-def tracked_run(numbers: Sequence[int], *, tracker: object | None = None, exposure_of: dict[int, int] | None = None) -> Run:
-    """A run of frames with these numbers; exposures (ns) where they are not the usual ones."""
+def tracked_run(
+    numbers: Sequence[int],
+    *,
+    tracker: object | None = None,
+    exposure_of: dict[int, int] | None = None,
+    turned_from: int | None = None,
+) -> Run:
+    """A run of frames with these numbers; exposures (ns) where they are not the usual ones; other stars from a frame on."""
     steps = OnboardSteps(
         background=MeshBackground(), star_extractor=MatchedStars(), detector=LineIntegralDetector(), codec=PlanesCodec(),
         tracker=tracker or Planted(),  # type: ignore[arg-type]
@@ -156,6 +164,8 @@ def tracked_run(numbers: Sequence[int], *, tracker: object | None = None, exposu
     run = Run(chain=chain, state=chain.initial_state())
     for number in numbers:
         one = frame(number, pixels=frame(0).pixels + np.uint16(number % 5))
+        if turned_from is not None and number >= turned_from:
+            one = replace(one, pixels=other_stars() + np.uint16(number % 5))
         if exposure_of and number in exposure_of:
             one = replace(one, header=replace(one.header, exposure_ns=exposure_of[number]))
         run.feed(one)
@@ -225,3 +235,79 @@ def test_a_detector_that_leaves_nothing_is_refused_in_one_line() -> None:
     )  # fmt: skip
     with pytest.raises(UserError, match=r"onboard\.tracker: JointTracker goes on from what a detector's search leaves"):
         OnboardChain(OnboardOptions(), steps, calibration=None, camera=camera(), run_id=1)
+
+
+def other_stars() -> NDArray[np.uint16]:
+    """Forty stars at random places: those of `frame` stand on a grid, which fits on itself anywhere."""
+    rng = np.random.default_rng(8)
+    row, col = np.indices((256, 256), dtype=float)
+    pixels = rng.normal(260.0, 2.4, (256, 256))
+    for at in rng.uniform(10.0, 245.0, (40, 2)):
+        pixels += rng.uniform(100.0, 900.0) * np.exp(-0.5 * ((row - at[0]) ** 2 + (col - at[1]) ** 2) / 0.8)
+    return np.rint(pixels).astype(np.uint16)
+
+
+def flagged(run: Run) -> list[int]:
+    """Places in a run of the frames that end tracking."""
+    return [k for k, result in enumerate(run.results) if result.housekeeping.flags & FrameFlag.TRACKS_ENDED]
+
+
+def test_a_frame_that_comes_twice_ends_the_window_and_says_so() -> None:
+    """Nothing is linked across it: the frame after it begins anew."""
+    run = tracked_run((0, 1, 2, 2, 3, 4, 5))
+    assert flagged(run) == [3]
+    spans = [(track.members[0].frame, track.members[-1].frame) for result in run.results for track in result.tracks]
+    assert spans == [(0, 2), (3, 5)]
+
+
+def test_frames_that_do_not_come_end_the_window_and_the_next_one_says_so() -> None:
+    run = tracked_run((0, 1, 2, 5, 6, 7))
+    assert flagged(run) == [3]
+    assert [track.members[0].frame for result in run.results for track in result.tracks] == [0, 5]
+
+
+def test_a_slew_ends_the_window_and_says_so() -> None:
+    """Other stars from the third frame on."""
+    run = tracked_run(range(6), turned_from=3)
+    assert flagged(run) == [3]
+    assert [track.members[0].frame for result in run.results for track in result.tracks] == [0, 3]
+
+
+def test_a_change_of_exposure_and_back_ends_the_window_twice() -> None:
+    run = tracked_run(range(7), exposure_of={3: 100_000_000})
+    assert flagged(run) == [3, 4]
+    assert [track.members[0].frame for result in run.results for track in result.tracks] == [0, 4]
+
+
+def test_a_chain_taken_up_from_its_saved_state_sends_the_same_bytes() -> None:
+    """Saved and read back after every frame, with the joint tracker's window in it."""
+    plain, saved = (tracked_run((), tracker=JointTracker(window=3, seed_sigma=4.0)) for _ in range(2))
+    rng, n_seeds = np.random.default_rng(6), 0
+    for number in range(5):
+        noise = rng.integers(0, 8, (256, 256)).astype(np.uint16)
+        one = frame(number, pixels=frame(0).pixels + noise)
+        plain.feed(one)
+        saved.feed(one)
+        saved.state = checkpoint.from_bytes(checkpoint.to_bytes(saved.state))
+        n_seeds += len(saved.state.tracking.step.window[-1].seeds)
+    assert n_seeds > 0
+    assert len(saved.state.tracking.step.window) == 2
+    assert saved.downlink == plain.downlink
+
+
+def test_a_tracker_adds_packets_and_changes_no_other() -> None:
+    """Without the packets of tracks, and with sequence counts told, the downlink is that of `none`."""
+    without, planted = tracked_run(range(4), tracker=NoTracker()), tracked_run(range(4))
+    assert packets_but(planted.downlink, Apid.TRACK) == packets_but(without.downlink, Apid.TRACK)
+    assert len(planted.downlink) > len(without.downlink)
+
+
+def packets_but(downlink: bytes, left_out: Apid) -> list[bytes]:
+    """The packets of every other kind, in order."""
+    out, at = [], 0
+    while at < len(downlink):
+        length = int.from_bytes(downlink[at + 4 : at + 6], "big") + 7
+        if int.from_bytes(downlink[at : at + 2], "big") & 0x7FF != int(left_out):
+            out.append(downlink[at : at + length])
+        at += length
+    return out

@@ -7,7 +7,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.detect.star_mask import mask_radii_px
 from sboc_e2e.icd.flags import MaskBit, StarFlag, StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView
 
@@ -37,18 +36,17 @@ COLUMN_SLOPE: Final = 0.1
 """... or as this along the columns of a saturated star: several bleed side by side, and which ones do hangs on its place."""
 
 
-def with_context(detection: Detection, view: DetectorView, is_star: NDArray[np.bool_], halo_px: float) -> Detection:
+def with_context(detection: Detection, view: DetectorView, is_star: NDArray[np.bool_], radii: NDArray[np.float64]) -> Detection:
     """The detection with SATURATED, CROSSES_STAR and SPIKE_LIKE where they are known to be true.
 
-    is_star : (n,) entries of the view's star list that are stars, for a bright trail is in the list itself. halo_px : growth
-    of the star mask. A trail that happens to aim at a bright star is SPIKE_LIKE too: about one in 200.
+    is_star : (n,) entries of the view's star list that are stars, for a bright trail is in the list itself. radii : (n,) of
+    their masks, px. A trail that happens to aim at a bright star is SPIKE_LIKE too: about one in 200.
     """
     flags = detection.flags | (StreakFlag.SATURATED if _saturated(detection, view.mask) else StreakFlag(0))
     length, stars = detection.length_px, view.stars
     u_row, u_col = (
         ((detection.row1 - detection.row0) / length, (detection.col1 - detection.col0) / length) if length else (0.0, 0.0)
     )
-    radii = mask_radii_px(stars.snr, view.psf_sigma_px, halo_px)
     reach = SPIKE_REACH_PX + radii
     near = (
         is_star

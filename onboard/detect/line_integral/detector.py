@@ -12,7 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.detect import whiten
+from onboard.detect import star_mask, whiten
 from onboard.detect.line_integral import (
     context,
     dyadic,
@@ -40,6 +40,7 @@ from onboard.image import registration
 from onboard.image.nearest import nearest
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView, Searched
+from sboc_e2e.icd.work import Work, WorkMeter
 
 MIN_ROWS: Final = 4
 """Shortest blocks searched, in rows of the half-resolution image (8 px)."""
@@ -50,13 +51,13 @@ MAX_CANDIDATES: Final = 50_000
 MAX_TRAILS: Final = 2_000
 """Room for trails before particle tracks are told apart: those of a storm come first, being brighter."""
 
-WORK_PER_PX: Final = 60.0
-LEAST_WORK: Final = 250_000_000
-"""Pixels read in the refinement of candidates, per pixel of the frame, but never fewer: one bright trail has thousands."""
+COLLECTED_SHARE: Final = 0.5
+"""Sums above the threshold take no more than this of the work for candidates: hardly ever a tenth."""
 
-TRAILS_PER_MPX: Final = 32
-LEAST_ROOM: Final = 64
-"""Room for trails that are looked at one by one; clean frames have a few, and particles come with 60 per frame."""
+TRAIL_WORK: Final = 200_000.0
+TRAIL_WORK_PER_PX: Final = 1_400.0
+"""Operations of a trail that is looked at: 45 lines beside it of some 14 px across, its place in the frame before, its light
+along it, its surroundings in the star list."""
 
 FIRST_MARGIN: Final = 1.4
 """The corridor search on whole pixels may fall so far short of the final S/N."""
@@ -120,15 +121,20 @@ EDGE_PX: Final = 3.0
 """An end closer than this to the frame's edge may continue beyond it."""
 
 
-def within_room(table: NDArray[np.float64], size_px: int) -> NDArray[np.float64]:
-    """The rows of `resolve.resolve` that are looked at further, in their order: trails of each octave of length take turns."""
-    room = max(LEAST_ROOM, round(TRAILS_PER_MPX * size_px / 1e6))
-    if len(table) <= room:
-        return table
+def within_work(table: NDArray[np.float64], work: WorkMeter) -> NDArray[np.float64]:
+    """The rows of `resolve.resolve` that are looked at further, in their order, as far as work allows; the others are counted.
+
+    Trails of each octave of length take turns, the most significant of each first.
+    """
+    length = np.hypot(table[:, 3] - table[:, 1], table[:, 4] - table[:, 2])
     best_first = np.argsort(-table[:, 6], kind="stable")
-    length = np.hypot(table[:, 3] - table[:, 1], table[:, 4] - table[:, 2])[best_first]
-    turn = dyadic.turns(np.log2(np.maximum(length, 1.0)).astype(np.int64))
-    return np.asarray(table[np.sort(best_first[np.argsort(turn, kind="stable")[:room]])])
+    turn = dyadic.turns(np.log2(np.maximum(length[best_first], 1.0)).astype(np.int64))
+    in_turn = best_first[np.argsort(turn, kind="stable")]
+    operations = np.cumsum(TRAIL_WORK + TRAIL_WORK_PER_PX * length[in_turn])
+    room = int(np.searchsorted(operations, work.left(Work.TRAILS), side="right"))
+    work.spend(Work.TRAILS, operations[room - 1] if room else 0)
+    work.leave(Work.TRAILS, len(table) - room)
+    return np.asarray(table[np.sort(in_turn[:room])])
 
 
 def edge_flags(ends: tuple[float, float, float, float], shape: tuple[int, int], snr: float) -> StreakFlag:
@@ -270,7 +276,7 @@ def short_detections(
     """Star-like and short movers: new entries of the star list, refined; a static source of changed brightness is refused."""
     stars, s_px = view.stars, view.psf_sigma_px
     entries = images.new[~images.sharp]
-    table = point_movers.short_trails(
+    table, done, left = point_movers.short_trails(
         images.image,
         smooth,
         images.blocked,
@@ -280,7 +286,10 @@ def short_detections(
         n_sigma,
         whiten.FOUND_BIT,
         MAX_TRAILS,
+        view.work.left(Work.POINTS),
     )
+    view.work.spend(Work.POINTS, done)
+    view.work.leave(Work.POINTS, left)
     before = snr_before(earlier, table[:, 2], table[:, 3], s_px)
     sigma_e = noise_e(view)
     found = []
@@ -352,16 +361,21 @@ def particle_hits(view: DetectorView, images: WorkingImages, n_sigma: float, mos
     ]
 
 
-def lies_on(hit: Detection, trail: Detection) -> bool:
-    """Whether a point is a piece of a found trail."""
-    length = trail.length_px
-    d_row, d_col = hit.row0 - trail.row0, hit.col0 - trail.col0
-    if length < 1.0 or max(abs(d_row), abs(d_col)) > length + PIECE_PX:
-        return False
-    u_row, u_col = (trail.row1 - trail.row0) / length, (trail.col1 - trail.col0) / length
-    along, across = d_row * u_row + d_col * u_col, d_row * u_col - d_col * u_row
-    u = min(max(along / length, 0.0), 1.0)
-    return -PIECE_PX < along < length + PIECE_PX and abs(across - 4.0 * trail.sagitta_px * u * (1.0 - u)) < PIECE_PX
+def beside_trails(hits: list[Detection], trails: list[Detection]) -> list[Detection]:
+    """The points among some hits that are no pieces of found trails."""
+    row, col = np.array([(hit.row0, hit.col0) for hit in hits]).reshape(-1, 2).T
+    piece = np.zeros(len(hits), np.bool_)
+    for trail in trails:
+        length = trail.length_px
+        if length < 1.0:
+            continue
+        d_row, d_col = row - trail.row0, col - trail.col0
+        u_row, u_col = (trail.row1 - trail.row0) / length, (trail.col1 - trail.col0) / length
+        along, across = d_row * u_row + d_col * u_col, d_row * u_col - d_col * u_row
+        u = np.clip(along / length, 0.0, 1.0)
+        bow = 4.0 * trail.sagitta_px * u * (1.0 - u)
+        piece |= (along > -PIECE_PX) & (along < length + PIECE_PX) & (np.abs(across - bow) < PIECE_PX)
+    return [hit for hit, on_trail in zip(hits, piece, strict=True) if not on_trail]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -373,6 +387,7 @@ class LineIntegralDetector:
 
     Without a preceding frame whose stars can be matched, aligned faint stars cannot be told from short trails, so
     `single_frame_margin` is added to the threshold of trails under 60 px and nothing as short as a blend of stars is reported.
+    Where stars trail it is added to that of every line.
     """
 
     n_sigma: float = field(default=7.2, metadata={"doc": "matched-filter S/N of a detection", "min": 4.0, "max": 100.0})
@@ -443,7 +458,9 @@ class LineIntegralDetector:
         bits = np.packbits(images.blocked)  # not looked at meanwhile: an eighth of its memory will do
         images = replace(images, blocked=np.zeros((0, 0), np.uint8))
         coarse_sigma = self.coarse_sigma if seed_sigma is None else min(self.coarse_sigma, max(seed_sigma - SEED_LOSS, 3.5))
-        candidates = dyadic.coarse_segments(binned, noise, coarse_sigma, MIN_ROWS, MAX_CANDIDATES)
+        candidates, work = dyadic.coarse_segments(binned, noise, coarse_sigma, MIN_ROWS, MAX_CANDIDATES)
+        # sums are looked at before anything is known of them, so that the search of what they gave keeps its own part
+        view.work.spend(Work.CANDIDATES, min(work, COLLECTED_SHARE * view.work.limits[Work.CANDIDATES]))
         del binned
         images = replace(images, blocked=np.unpackbits(bits, count=view.mask.size).reshape(view.mask.shape))
         smooth = whiten.smooth(images.image, images.level, TILE_PX, whiten.odd_taps(s_px), POINT_CLIP_SIGMA)
@@ -452,7 +469,7 @@ class LineIntegralDetector:
         told = seed_sigma is not None and (earlier is not None or len(view.stars) == 0)
         whole = whiten.known(smooth, images.blocked) if told else None
         seeds = np.empty((0 if seed_sigma is None else MAX_SEEDS, 6))
-        table, n_seeds = resolve.resolve(
+        table, n_seeds, work, n_left = resolve.resolve(
             images.image,
             smooth,
             images.blocked,
@@ -466,12 +483,14 @@ class LineIntegralDetector:
             self.min_length_px,
             MAX_TRAILS,
             strip.work_space(max(images.image.shape), s_px),
-            max(LEAST_WORK, round(WORK_PER_PX * images.image.size)),
+            max(0, view.work.left(Work.CANDIDATES) - resolve.most_of_one(max(images.image.shape))),
             math.inf if seed_sigma is None else seed_sigma,
             seeds,
         )
+        view.work.spend(Work.CANDIDATES, work)
+        view.work.leave(Work.CANDIDATES, n_left)
         table = local_noise.above(
-            within_room(table, images.image.size), n_sigma, images.image, images.blocked, images.level, TILE_PX, s_px
+            within_work(table, view.work), n_sigma, images.image, images.blocked, images.level, TILE_PX, s_px
         )
         found = [line_detection(row, view.residual_adu.shape) for row in table]
         found = [piece for d in found for piece in trains.taken_apart(d, view, images.blocked, s_px)]
@@ -479,9 +498,16 @@ class LineIntegralDetector:
         found = [d for d in found if d.snr >= n_sigma]
         if earlier is None:
             found = [d for d in found if d.length_px >= BLEND_PX]
-            found = [d for d in found if d.length_px >= resolve.SHARP_ENDS_PX or d.snr >= n_sigma + self.single_frame_margin]
+            # what is left of faint stars that trail lies along every line, long or short
+            all_alike = motion is not None
+            found = [
+                d
+                for d in found
+                if (d.length_px >= resolve.SHARP_ENDS_PX and not all_alike) or d.snr >= n_sigma + self.single_frame_margin
+            ]
             if motion is not None:
                 found = [d for d in found if not trailed_sky.is_star(d, motion)]
+                found = [d for d in found if not trailed_sky.is_left_over(d, images.blocked, motion)]
                 found += trailed_sky.still_points(view, images, n_sigma + self.short_margin)
         else:
             found = [d for d in found if moved(d, earlier, images, s_px, n_sigma, self.short_margin)]
@@ -493,12 +519,13 @@ class LineIntegralDetector:
             segment_snr(d, view, images, s_px) if d.snr > 30.0 and d.length_px >= POINT_LIKE_PX else d.snr for d in found
         ]
         found = fragments.join([replace(d, snr=max(d.snr, s)) for d, s in zip(found, unclipped, strict=True)])
-        found = [context.with_context(d, view, images.stars, self.halo_px) for d in found]
+        radii = star_mask.mask_radii_px(view.stars.snr, s_px, self.halo_px) if found else np.zeros(0)
+        found = [context.with_context(d, view, images.stars, radii) for d in found]
         tracks = [d for d in found if d.flags & StreakFlag.COSMIC_LIKE]
         real = sorted((d for d in found if not d.flags & StreakFlag.COSMIC_LIKE), key=lambda d: -d.snr)
         room = max(0, self.max_detections - len(real))
         hits = particle_hits(view, images, n_sigma + self.short_margin, room)
-        tracks += [hit for hit in hits if not any(lies_on(hit, d) for d in found)]
+        tracks += beside_trails(hits, found)
         tracks.sort(key=lambda d: -d.snr)
         detections = tuple((real + tracks)[: self.max_detections])
         return detections, None if whole is None else Searched(smooth=whole, seeds=seed_ends(seeds[:n_seeds]))

@@ -20,6 +20,9 @@ from onboard.detect.whiten import UNIT
 FAIR_ABOVE: Final = 8_000
 """From so many candidates on, those of each length take turns, best first: work may end before their list does."""
 
+COLLECT_WORK: Final = 2
+"""Operations of a sum that is looked at for itself."""
+
 CELL: Final = 8
 """Candidates of one block that cross its middle in the same cell of this many columns are one: the best of all shifts."""
 
@@ -93,11 +96,13 @@ def line_sums(
     max_found: int,
     current: NDArray[np.int16],
     following: NDArray[np.int16],
+    work: NDArray[np.int64],
 ) -> NDArray[np.float32]:
     """Segments along growing rows with 0 <= dcol/drow <= 1 whose sum exceeds the threshold.
 
     image : (rows, cols) int16, zero mean. noise : (2,) standard deviation of a sum of n rows is sqrt(n (noise[0] +
     (noise[1] - noise[0]) slope)). upside_down : rows are taken in reverse. current, following : work space of `work_size`.
+    work (1,) : grows by the sums that were looked at one by one, in blocks with one above the threshold.
     Returns (n, 5): first row, number of rows, first column, shift, S/N. Blocks of each height have the same share of the room,
     so that a storm of short ones does not crowd the long ones out; of more than that the most significant are kept.
     """
@@ -156,9 +161,11 @@ def line_sums(
                     if peak * unit > wanted:
                         _collect(out, shift, int(wanted / unit), unit, best, place)
                         hit = True
+                        work[0] += COLLECT_WORK * out.shape[0]
                 if kept and rescale:
                     _halve(out)
             if hit:
+                work[0] += COLLECT_WORK * best.shape[0]
                 for cell in range(best.shape[0]):
                     if n_found - level_start == room:
                         n_found, least = _keep_best(found, level_start, n_found)
@@ -221,20 +228,19 @@ def _transpose(image: NDArray[np.int16], out: NDArray[np.int16]) -> None:
 
 def coarse_segments(
     binned: NDArray[np.int16], noise: NDArray[np.float64], threshold_sigma: float, min_rows: int, max_found: int
-) -> NDArray[np.float64]:
+) -> tuple[NDArray[np.float64], int]:
     """Candidates of all four quadrants of angles, (n, 6): axis, major0, minor0, major1, minor1 (px), S/N; best first.
 
-    The memory of `binned` is used up.
+    Also the operations beside those of the sums themselves. The memory of `binned` is used up.
     """
-    tables = []
+    tables, work = [], np.zeros(1, np.int64)
     size = max(work_size(*binned.shape), work_size(*binned.shape[::-1]))
     current, following = np.empty(size, np.int16), np.empty(size, np.int16)
     for axis in (0, 1):
         image = turned(binned, current) if axis else binned
         for upside_down in (False, True):
-            found = line_sums(image, upside_down, noise, threshold_sigma, min_rows, max_found, current, following).astype(
-                np.float64
-            )
+            found = line_sums(image, upside_down, noise, threshold_sigma, min_rows, max_found, current, following, work)
+            found = found.astype(np.float64)
             first, last = found[:, 0], found[:, 0] + found[:, 1] - 1.0
             enter, leave = found[:, 2], found[:, 2] + found[:, 3]
             if upside_down:
@@ -245,8 +251,8 @@ def coarse_segments(
     joined = np.concatenate(tables)
     joined = joined[np.argsort(-joined[:, 5], kind="stable")]
     if len(joined) <= FAIR_ABOVE:
-        return joined
-    return joined[np.argsort(turns(np.log2(joined[:, 3] - joined[:, 1] + 2.0).astype(np.int64)), kind="stable")]
+        return joined, int(work[0])
+    return joined[np.argsort(turns(np.log2(joined[:, 3] - joined[:, 1] + 2.0).astype(np.int64)), kind="stable")], int(work[0])
 
 
 def turns(group: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -5,6 +5,9 @@ from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection
 
@@ -15,23 +18,32 @@ GAP_SHARE: Final = 0.25
 """Largest gap as a share of the summed length of the pieces."""
 
 
-def continuation(main: Detection, piece: Detection) -> tuple[float, float] | None:
-    """Positions of the ends of `piece` along `main` (px from end 0) if it lies on the same line near it, else None."""
+def _ends(detections: Sequence[Detection]) -> NDArray[np.float64]:
+    """Ends and length (n, 5) of detections: row0, col0, row1, col1, px."""
+    return np.array([(d.row0, d.col0, d.row1, d.col1, d.length_px) for d in detections]).reshape(-1, 5)
+
+
+def _first_continuation(main: Detection, ends: NDArray[np.float64]) -> tuple[int, tuple[float, float]] | None:
+    """The first of some pieces (n, 5: `_ends`) on the same line as `main` and near it; and where its ends lie along that.
+
+    Positions are px from end 0.
+    """
     length = main.length_px
-    if length < 1.0:
+    if length < 1.0 or not len(ends):
         return None
     u_row, u_col = (main.row1 - main.row0) / length, (main.col1 - main.col0) / length
-    along, across = [], []
-    for row, col in ((piece.row0, piece.col0), (piece.row1, piece.col1)):
-        d_row, d_col = row - main.row0, col - main.col0
-        along.append(d_row * u_row + d_col * u_col)
-        # beside the line, or the parabola of a bent one
-        u = along[-1] / length
-        across.append(d_row * u_col - d_col * u_row - 4.0 * main.sagitta_px * u * (1.0 - u))
-    gap = max(min(along) - length, -max(along), 0.0)
-    if max(map(abs, across)) > ACROSS_PX + 0.01 * gap or gap > max(8.0, GAP_SHARE * (length + piece.length_px)):
+    d_row, d_col = ends[:, [0, 2]] - main.row0, ends[:, [1, 3]] - main.col0
+    along = d_row * u_row + d_col * u_col
+    # beside the line, or the parabola of a bent one
+    u = along / length
+    across = d_row * u_col - d_col * u_row - 4.0 * main.sagitta_px * u * (1.0 - u)
+    gap = np.maximum(np.maximum(along.min(axis=1) - length, -along.max(axis=1)), 0.0)
+    near = gap <= np.maximum(8.0, GAP_SHARE * (length + ends[:, 4]))
+    on_line = np.flatnonzero(near & (np.abs(across).max(axis=1) <= ACROSS_PX + 0.01 * gap))
+    if not len(on_line):
         return None
-    return along[0], along[1]
+    first = int(on_line[0])
+    return first, (float(along[first, 0]), float(along[first, 1]))
 
 
 def _union(main: Detection, piece: Detection, along: tuple[float, float]) -> Detection:
@@ -57,16 +69,11 @@ def join(detections: Sequence[Detection]) -> list[Detection]:
     """Detections with pieces of the same trail joined; the order of the result is by falling S/N."""
     # the longest first: its line is the one that others are compared with, whichever piece is the brightest
     todo = sorted(detections, key=lambda d: (-d.length_px, -d.snr))
-    done: list[Detection] = []
+    ends, done = _ends(todo), []
     while todo:
-        main = todo.pop(0)
-        k = 0
-        while k < len(todo):
-            along = continuation(main, todo[k])
-            if along is None:
-                k += 1
-            else:
-                main = _union(main, todo.pop(k), along)
-                k = 0
+        main, ends = todo.pop(0), ends[1:]
+        while (piece := _first_continuation(main, ends)) is not None:
+            k, along = piece
+            main, ends = _union(main, todo.pop(k), along), np.delete(ends, k, axis=0)
         done.append(main)
     return sorted(done, key=lambda d: -d.snr)

@@ -16,6 +16,7 @@ from onboard.detect.line_integral.kept_frame import BEYOND
 from onboard.detect.line_integral.static_sky import lit_pixels
 from onboard.detect.whiten import UNIT, blank_discs
 from sboc_e2e.icd.signals import StarList
+from sboc_e2e.icd.work import Work, WorkMeter
 
 HALO_SNR: Final = 1000.0
 """Fainter stars have the halo of the law: theirs is not brighter than the noise of a ring."""
@@ -25,6 +26,13 @@ RING_PX: Final = 3.0
 
 RINGS: Final = 64
 """Most rings of a star."""
+
+RING_WORK: Final = 500
+PIXEL_WORK: Final = 2.0 * math.pi * RING_PX * 3.0
+"""Operations of a ring: its histogram, and three for each of its pixels."""
+
+MOST_HALOS: Final = 24
+"""So many of the brightest ones near a segment are added up."""
 
 MASKED_SIGMA: Final = 1.0
 """Rings brighter than this are masked; the noise of fainter light, at most a third of the sky's variance, is divided out."""
@@ -55,11 +63,15 @@ def _ring_median(
     for i in range(max(0, math.ceil(row - outer)), min(image.shape[0] - 1, math.floor(row + outer)) + 1):
         d2 = (i - row) ** 2
         far, near = math.sqrt(max(outer * outer - d2, 0.0)), math.sqrt(max(inner * inner - d2, 0.0))
-        for j in range(max(0, math.ceil(col - far)), min(image.shape[1] - 1, math.floor(col + far)) + 1):
-            # saturated pixels are at the clip, and columns that bled are no halo
-            if abs(j - col) >= near and blocked[i, j] == 0 and image[i, j] < BEYOND:
-                counts[np.int32(image[i, j]) + 128] += 1
-                n += 1
+        for side in range(1 if near == 0.0 else 2):
+            first, last = (
+                (col - far, col + far) if near == 0.0 else (col - far, col - near) if side == 0 else (col + near, col + far)
+            )
+            for j in range(max(0, math.ceil(first)), min(image.shape[1] - 1, math.floor(last)) + 1):
+                # saturated pixels are at the clip, and columns that bled are no halo
+                if blocked[i, j] == 0 and image[i, j] < BEYOND:
+                    counts[np.int32(image[i, j]) + 128] += 1
+                    n += 1
     if n < 20:
         return math.inf
     below, k = 0, 0
@@ -110,16 +122,23 @@ def measure_and_take_out(
     inner: NDArray[np.float64],
     light: NDArray[np.float32],
     sigma_e: float,
-) -> None:
+    most_work: int,
+) -> tuple[int, int]:
     """Rings around stars (n,) from core_px on, brightest star first: mask them or subtract their light, in place.
 
-    Fills inner (n,) and light (n, RINGS + 2) as in `Halos`.
+    Fills inner (n,) and light (n, RINGS + 2) as in `Halos`. Returns the operations done, and how many stars were left with the
+    mask of their core when `most_work` of them were.
     """
     medians = np.empty(RINGS)
+    work = 0
     for s in range(row.shape[0]):
+        if work > most_work:
+            blank_discs(image, blocked, row[s:], col[s:], core_px[s:])
+            return work, row.shape[0] - s
         n, masked = 0, 0
         while n < RINGS:
             r = core_px[s] + n * RING_PX
+            work += RING_WORK + int(PIXEL_WORK * r)
             medians[n] = _ring_median(image, blocked, row[s], col[s], r, r + RING_PX)
             if not medians[n] > FADED_SIGMA * UNIT:
                 break
@@ -138,6 +157,8 @@ def measure_and_take_out(
         _subtract(
             image, blocked, row[s], col[s], inner[s], inner[s] + (n - masked + 1) * RING_PX, light[s], 1.0 / (UNIT * sigma_e)
         )
+        work += int(PIXEL_WORK * (inner[s] + n * RING_PX) * (n - masked))
+    return work, 0
 
 
 def take_out(
@@ -147,6 +168,7 @@ def take_out(
     chosen: NDArray[np.intp],
     core_px: NDArray[np.float64],
     sigma_e: float,
+    work: WorkMeter,
 ) -> Halos:
     """Mask the halos of some stars as far as they are bright and subtract the rest, in place.
 
@@ -156,7 +178,9 @@ def take_out(
     chosen, core_px = chosen[brightest_first], core_px[brightest_first]
     row, col = stars.row[chosen], stars.col[chosen]
     inner, light = np.zeros(len(chosen)), np.zeros((len(chosen), RINGS + 2), np.float32)
-    measure_and_take_out(image, blocked, row, col, core_px, inner, light, sigma_e)
+    done, not_measured = measure_and_take_out(image, blocked, row, col, core_px, inner, light, sigma_e, work.left(Work.HALOS))
+    work.spend(Work.HALOS, done)
+    work.leave(Work.HALOS, not_measured)
     left = light.any(axis=1)
     return Halos(centre=np.column_stack([row, col])[left], inner_px=inner[left], light=light[left])
 
@@ -200,6 +224,7 @@ def subtracted_snr(
         return 0.0
     at_row, at_col, profile = lit_pixels(blocked, ignored, ends, psf_sigma_px)
     light = sum(
-        _light_on(at_row, at_col, profile, row[k], col[k], halos.inner_px[k], halos.light[k]) for k in np.flatnonzero(near)
+        _light_on(at_row, at_col, profile, row[k], col[k], halos.inner_px[k], halos.light[k])
+        for k in np.flatnonzero(near)[:MOST_HALOS]
     )
     return float(light / (UNIT * max(math.sqrt(float(np.sum(profile**2))), 1e-9)))

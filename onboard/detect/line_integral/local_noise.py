@@ -78,26 +78,69 @@ def parallel_snr(
     return n
 
 
+@nb.njit(cache=True)
+def _inverse(matrix: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Inverse of a positive definite matrix (n, n) by Gauss and Jordan; what has no pivot stays 0."""
+    n = matrix.shape[0]
+    left, right = matrix.copy(), np.eye(n)
+    for k in range(n):
+        pivot = left[k, k]
+        if pivot < 1e-9 * matrix[k, k] or pivot <= 0.0:
+            left[k, :], right[k, :] = 0.0, 0.0
+            continue
+        left[k] /= pivot
+        right[k] /= pivot
+        for i in range(n):
+            if i != k:
+                factor = left[i, k]
+                left[i] -= factor * left[k]
+                right[i] -= factor * right[k]
+    return right
+
+
+@nb.njit(cache=True)
 def baseline(values: NDArray[np.float64], offset: NDArray[np.float64]) -> tuple[float, float, float, int]:
     """What lines (n,) at offsets (n,) say of one at offset 0: its expected S/N with standard error, their width, and how many.
 
     A cubic follows sky that changes over a few tens of pixels; the width is that of what it leaves, but 1 at least.
     """
-    x = offset / float(np.abs(offset).max())
-    terms = np.column_stack((np.ones_like(x), x, x * x, x**3))
-    middle = float(np.median(values))
-    use = np.abs(values - middle) <= CLIP * max(1.0, 1.4826 * float(np.median(np.abs(values - middle))))
-    expected, error, width = 0.0, 1.0, 1.0
+    n, terms = values.size, np.empty((values.size, 4))
+    farthest = np.max(np.abs(offset))
+    for k in range(n):
+        x = offset[k] / farthest
+        terms[k, 0], terms[k, 1], terms[k, 2], terms[k, 3] = 1.0, x, x * x, x * x * x
+    middle = np.median(values)
+    use = np.abs(values - middle) <= CLIP * max(1.0, 1.4826 * np.median(np.abs(values - middle)))
+    expected, error, width, number = 0.0, 1.0, 1.0, 0
+    moments, projection = np.empty((4, 4)), np.empty(4)
     for _ in range(4):
-        inverse = np.linalg.pinv(terms[use].T @ terms[use])
-        fit = inverse @ (terms[use].T @ values[use])
-        left = values - terms @ fit
-        width = max(1.0, math.sqrt(float(np.sum(left[use] ** 2)) / max(1, int(np.count_nonzero(use)) - 4)) / CLIPPED_STD)
-        expected, error = float(fit[0]), width * math.sqrt(float(inverse[0, 0]))
-        use = np.abs(left) <= CLIP * width
-        if np.count_nonzero(use) < LEAST_LINES:
+        moments[:], projection[:], number = 0.0, 0.0, 0
+        for k in range(n):
+            if use[k]:
+                number += 1
+                for i in range(4):
+                    projection[i] += terms[k, i] * values[k]
+                    for j in range(4):
+                        moments[i, j] += terms[k, i] * terms[k, j]
+        inverse = _inverse(moments)
+        fit, squares = np.zeros(4), 0.0
+        for i in range(4):
+            for j in range(4):
+                fit[i] += inverse[i, j] * projection[j]
+        left = values.copy()
+        for k in range(n):
+            for i in range(4):
+                left[k] -= terms[k, i] * fit[i]
+            squares += left[k] ** 2 if use[k] else 0.0
+        width = max(1.0, math.sqrt(squares / max(1, number - 4)) / CLIPPED_STD)
+        expected, error = fit[0], width * math.sqrt(inverse[0, 0])
+        number = 0
+        for k in range(n):
+            use[k] = abs(left[k]) <= CLIP * width
+            number += 1 if use[k] else 0
+        if number < LEAST_LINES:
             break
-    return expected, error, width, int(np.count_nonzero(use))
+    return expected, error, width, number
 
 
 def locally(snr: float, values: NDArray[np.float64], offset: NDArray[np.float64]) -> float:

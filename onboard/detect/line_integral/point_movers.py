@@ -16,6 +16,14 @@ SHARP_SIGMA: Final = 5.0
 SHARP_SHARE: Final = 0.05
 """A pixel is sharper than light by so many sigma, and this share of the brightest pixel near it for the PSF's own errors."""
 
+LOOK_WORK: Final = 50
+ROUGH_WORK: Final = 4_000
+"""Operations of a look at a position, and of the best of `ANGLES` directions of sums through it."""
+
+TRIALS: Final = 90
+TEMPLATE_WORK: Final = 35
+"""Trial templates of a usual fit, and operations of each pixel of one: two error functions and an exponential."""
+
 MOST_MOVES: Final = 60
 """Rounds of the pattern search: 4 px away from its start it has found something else."""
 
@@ -133,11 +141,20 @@ def _short_snr(
     i0, j0 = math.floor(row + 0.5), math.floor(col + 0.5)
     root = 1.0 / (math.sqrt(2.0) * psf_sigma_px)
     signal = power = full = 0.0
+    most_u, most_v = 0.5 * length + 2.6 * psf_sigma_px, 2.6 * psf_sigma_px
     for i in range(i0 - reach, i0 + reach + 1):
-        for j in range(j0 - reach, j0 + reach + 1):
+        # of each row only what lies near the trail's line: a pixel more on both sides, for sums are rounded
+        first, last = j0 - reach, j0 + reach
+        if abs(d_row) > 1e-3:
+            middle, half = col + (i - row) * d_col / d_row, most_v / abs(d_row)
+            first, last = max(first, math.floor(middle - half)), min(last, math.ceil(middle + half))
+        if abs(d_col) > 1e-3:
+            middle, half = col - (i - row) * d_row / d_col, most_u / abs(d_col)
+            first, last = max(first, math.floor(middle - half)), min(last, math.ceil(middle + half))
+        for j in range(first, last + 1):
             u = (i - row) * d_row + (j - col) * d_col
             v = (i - row) * d_col - (j - col) * d_row
-            if abs(v) > 2.6 * psf_sigma_px or abs(u) > 0.5 * length + 2.6 * psf_sigma_px:
+            if abs(v) > most_v or abs(u) > most_u:
                 continue
             across = math.exp(-((v * root) ** 2))
             if length > 0.0:
@@ -149,6 +166,12 @@ def _short_snr(
                 signal += t * image[i, j]
                 power += t * t
     return signal / (16.0 * math.sqrt(power)) if power > 0.6 * full else 0.0
+
+
+@nb.njit(cache=True)
+def fit_work(length_px: float, psf_sigma_px: float) -> int:
+    """Operations of `fit_short_trail` on a trail of that length."""
+    return int(TRIALS * TEMPLATE_WORK * (length_px + 5.2 * psf_sigma_px) * 5.2 * psf_sigma_px)
 
 
 @nb.njit(cache=True)
@@ -233,23 +256,29 @@ def short_trails(
     n_sigma: float,
     found_bit: int,
     max_found: int,
-) -> NDArray[np.float64]:
+    most_work: int,
+) -> tuple[NDArray[np.float64], int, int]:
     """Short trails at positions (n,) in the given order: (m, 6) entry, S/N, row, col, angle rad, length px.
 
-    Each one found is taken out of the image (in place), so that other entries on the same trail find nothing.
+    Also the operations done, and how many positions were left when `most_work` of them were. Each one found is taken out of the
+    image (in place), so that other entries on the same trail find nothing.
     """
     rows, cols = image.shape
     found = np.empty((max_found, 6))
-    n_found = 0
+    n_found = work = left = 0
     for k in range(row.shape[0]):
-        if n_found == max_found:
+        if n_found == max_found or work > most_work:
+            left = row.shape[0] - k
             break
+        work += LOOK_WORK
         i0, j0 = math.floor(row[k] + 0.5), math.floor(col[k] + 0.5)
         if i0 < 0 or j0 < 0 or i0 >= rows or j0 >= cols or blocked[i0, j0] != 0:
             continue
         rough = rough_short_trail(smooth, row[k], col[k], psf_sigma_px)
+        work += ROUGH_WORK
         if rough[0] < n_sigma - 1.2:
             continue
+        work += fit_work(rough[4], psf_sigma_px)
         snr, r, c, angle, length = fit_short_trail(image, blocked, 0, rough, psf_sigma_px)
         if snr < n_sigma:
             continue
@@ -263,4 +292,4 @@ def short_trails(
                 v = (i - r) * math.cos(angle) - (j - c) * math.sin(angle)
                 if abs(v) <= 4.0 * psf_sigma_px and abs(u) <= radius:
                     blocked[i, j] |= found_bit
-    return found[:n_found]
+    return found[:n_found], work, left

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from onboard.detect.cross_profile import cross_profile
 from onboard.detect.line_integral import corridor, refine
 from onboard.detect.line_integral.strip import Strip
+from onboard.detect.whiten import FOUND_BIT
 
 POLISH_GAIN: Final = 1.3
 """The search over all parameters hardly ever raises the S/N of a located segment by more than this."""
@@ -28,6 +29,11 @@ LOCATE_WORK_PER_PX: Final = 26.0
 
 POLISH_WORK_PER_PX: Final = 1_600.0
 """Pixels read by the search over all parameters: about 100 paths of 16."""
+
+TAKEN_SAMPLES: Final = 24
+TAKEN_SHARE: Final = 0.75
+TAKEN_WORK: Final = 100
+"""A candidate that lies so far on found trails is one of theirs: a bright trail has thousands."""
 
 SHARP_ENDS_PX: Final = 60.0
 SHARP_LOSS: Final = 0.15
@@ -144,6 +150,25 @@ def accept(
     return snr
 
 
+def most_of_one(side_px: int) -> int:
+    """Operations of the dearest candidate in a frame of that longer side."""
+    return LOCATE_WORK + int(LOCATE_WORK_PER_PX * side_px) + 4 * int(POLISH_WORK_PER_PX * (side_px + 24.0))
+
+
+@nb.njit(cache=True)
+def taken(blocked: NDArray[np.uint8], candidate: NDArray[np.float64]) -> bool:
+    """Whether nearly all of a candidate (major0, minor0, major1, minor1) lies on trails that were found before it."""
+    n_major, n_minor = blocked.shape
+    on = 0
+    for k in range(TAKEN_SAMPLES):
+        u = (k + 0.5) / TAKEN_SAMPLES
+        i = math.floor(candidate[0] + u * (candidate[2] - candidate[0]) + 0.5)
+        j = math.floor(candidate[1] + u * (candidate[3] - candidate[1]) + 0.5)
+        if 0 <= i < n_major and 0 <= j < n_minor and blocked[i, j] & FOUND_BIT:
+            on += 1
+    return on >= TAKEN_SHARE * TAKEN_SAMPLES
+
+
 @nb.njit(cache=True)
 def resolve(
     image: NDArray[np.int8],
@@ -162,14 +187,15 @@ def resolve(
     most_work: int,
     seed_sigma: float,
     seeds: NDArray[np.float64],
-) -> tuple[NDArray[np.float64], int]:
+) -> tuple[NDArray[np.float64], int, int, int]:
     """Trails among candidates (n, 6: axis, major0, minor0, major1, minor1, S/N; best first); the images are changed in place.
 
     usable : share of pixels that are not masked. strip : work space for the longer side of the frame. most_work : pixels read
     (see `accept`) after which the rest of the candidates is left. seeds (k, 6) : room for what the search in the corridor puts
     at `seed_sigma` or more, found or not: axis, major0, minor0, major1, minor1, S/N; the first k of them.
 
-    Returns (m, 7): axis, major0, minor0, major1, minor1, sagitta along minor (px), S/N; and the number of seeds.
+    Returns (m, 7): axis, major0, minor0, major1, minor1, sagitta along minor (px), S/N; the number of seeds; the work done; and
+    how many candidates were left.
     """
     image_t, smooth_t, blocked_t, level_t = image.T, smooth.T, blocked.T, level.T
     found = np.empty((max_found, 7))
@@ -180,10 +206,16 @@ def resolve(
     weight = np.empty(max(image.shape) + 1)
     work = np.zeros(1, np.int64)
     segment, straight, points = np.empty(5), np.empty(5), np.zeros((2, 3))
-    located, n_seeds = np.zeros(5), 0
+    located, n_seeds, n_left = np.zeros(5), 0, 0
     for c in range(candidates.shape[0]):
         if n_found == max_found or work[0] > most_work:
+            n_left = candidates.shape[0] - c
             break
+        work[0] += TAKEN_WORK
+        located[4] = -1.0
+        snr = 0.0
+        if taken(blocked if candidates[c, 0] == 0.0 else blocked_t, candidates[c, 1:5]):
+            continue
         if candidates[c, 0] == 0.0:
             snr = accept(
                 image,
@@ -241,4 +273,4 @@ def resolve(
             found[n_found, 1:6] = segment
             found[n_found, 6] = snr
             n_found += 1
-    return found[:n_found], n_seeds
+    return found[:n_found], n_seeds, work[0], n_left

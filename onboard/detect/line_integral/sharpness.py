@@ -47,6 +47,14 @@ CLIP_PEAKS: Final = 3.0
 OUTLIER_SIGMA: Final = 5.0
 """Lines whose light is so far from the median, and by more than all of it, show something else and are left out."""
 
+CLEAR_EVIDENCE: Final = 12.0
+CLEAR_SHARE: Final = 0.1
+"""Where the PSF explains the light better by so much, and this share of its squared S/N, on the path as it was found, no search
+for a better one turns that round; nor where the narrow cross-section does by three times as much beyond what is asked for."""
+
+REACH_SIGMAS: Final = 3.5
+"""Cross-sections are summed out to so many of their widths."""
+
 ACROSS_PX: Final = 1.5
 """How far the ends may be moved across in search of the largest S/N with the PSF ..."""
 
@@ -113,12 +121,15 @@ def line_sums(
     norm = 1.0 / (math.sqrt(2.0 * math.pi) * width_px)
     factor = -0.5 * (cosine / width_px) ** 2
     growth = math.exp(2.0 * factor)
+    reach = REACH_SIGMAS * width_px / cosine
     for k in range(n):
         s = w = 0.0
         # g at equal steps by two multiplications per step: exp(a (d+1)^2) = exp(a d^2) exp(a (2 d + 1))
-        d = corner[k] - minor - slope * k
+        at = minor + slope * k - corner[k]
+        first, last = max(0, math.ceil(at - reach)), min(values.shape[1] - 1, math.floor(at + reach))
+        d = first - at
         g, ratio = norm * math.exp(factor * d * d), math.exp(factor * (2.0 * d + 1.0))
-        for m in range(values.shape[1]):
+        for m in range(first, last + 1):
             x = values[k, m]
             if not math.isnan(x):
                 s += g * x
@@ -202,6 +213,15 @@ def both_snr(
         for m in range(width):
             if abs(values[k, m]) > limit:
                 values[k, m] = math.copysign(limit, values[k, m])
+    line_sums(values, corner, n, minor, slope, wide_px, signal, weight)
+    keep_even_lines(signal, weight, use)
+    wide = _total(signal, weight, use)
+    line_sums(values, corner, n, minor, slope, narrow_px, signal, weight)
+    narrow = _total(signal, weight, use)
+    gain, clear = narrow * narrow - wide * wide, CLEAR_EVIDENCE + CLEAR_SHARE * wide * wide
+    if gain < -clear or gain > SHARP_EVIDENCE + 3.0 * clear:
+        return wide, narrow
+    use[:] = True
     _, minor, slope = best_path(values, corner, use, minor, slope, wide_px, ACROSS_PX, signal, weight)
     keep_even_lines(signal, weight, use)
     _, minor, slope = best_path(values, corner, use, minor, slope, wide_px, ACROSS_AGAIN_PX, signal, weight)

@@ -113,7 +113,7 @@ def mask_stars(
     bright = snr >= halos.HALO_SNR
     radii = star_mask.mask_radii_px(snr, view.psf_sigma_px, np.where(bright, 0.0, halo_px))
     whiten.blank_discs(image, blocked, view.stars.row[chosen], view.stars.col[chosen], radii)
-    return halos.take_out(image, blocked, view.stars, chosen[bright], radii[bright], noise_e(view))
+    return halos.take_out(image, blocked, view.stars, chosen[bright], radii[bright], noise_e(view), view.work)
 
 
 def remove_static_stars(

@@ -24,6 +24,9 @@ ALONG_PX: Final = 4.0
 MOST_LENGTHS: Final = 4.0
 """... and is no object when it is shorter than so many trails: longer rows of stars are not found by chance."""
 
+MOST_HIDDEN: Final = 0.35
+"""A line as short as that with this share of it on masks of trails is what they left over."""
+
 BESIDE_PX: Final = 3.0
 SURE_SNR: Final = 40.0
 """Points so near to masked pixels are what a mask left over, unless they are brighter."""
@@ -129,6 +132,20 @@ def is_star(detection: Detection, motion: StarMotion) -> bool:
         return False
     across = abs((detection.row1 - detection.row0) * d_col - (detection.col1 - detection.col0) * d_row) / length
     return 0.5 * across < ALONG_PX
+
+
+def is_left_over(detection: Detection, blocked: NDArray[np.uint8], motion: StarMotion) -> bool:
+    """Whether much of a line lies on the masks of trails: what they leave of two stars makes one, no longer than they are.
+
+    An object crosses trails; as long as they are sparse enough to be listed, they hide little of its path.
+    """
+    n = 2 * math.ceil(detection.length_px) + 1
+    row = np.clip(np.rint(np.linspace(detection.row0, detection.row1, n)), 0, blocked.shape[0] - 1).astype(np.intp)
+    col = np.clip(np.rint(np.linspace(detection.col0, detection.col1, n)), 0, blocked.shape[1] - 1).astype(np.intp)
+    hidden = float(np.mean((blocked[row, col] & 1) != 0))  # masked before the search
+    middle = np.array([0.5 * (detection.row0 + detection.row1)]), np.array([0.5 * (detection.col0 + detection.col1)])
+    length = math.hypot(*(float(part[0]) for part in motion.at(*middle)))
+    return hidden > MOST_HIDDEN and detection.length_px < MOST_LENGTHS * length
 
 
 def still_points(view: DetectorView, images: WorkingImages, n_sigma: float) -> list[Detection]:

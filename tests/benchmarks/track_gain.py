@@ -1,0 +1,137 @@
+"""What `onboard.tracker = joint` gains through the whole chain: pairs of run directories of the same frames, without and with it.
+
+    sboc compare sso_faint --seam onboard.tracker --use none --use joint --seeds 3 --out DIR
+    python -m tests.benchmarks.track_gain DIR/runs
+
+prints tracklets a day of objects below 3 cm, weighted as nature has them, with and without, their ratio with its interval
+(objects are resampled), false and impure tracklets, and pulls of the faint members.
+"""
+
+import json
+import sys
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.score.astrometry import sky_paths, streak_astrometry
+from sboc_e2e.score.evaluation import Evaluation, evaluate
+from sboc_e2e.score.figures import bootstrap, proportion, pull_width, rate, rms
+from sboc_e2e.score.linking import linking
+from sboc_e2e.score.photometry import mean_magnitudes
+
+LARGEST_M: Final = 0.03
+FAINT_SNR: Final = 7.0
+DRAWS: Final = 4000
+DAY_S: Final = 86_400.0
+
+
+def tracker_of(run: Path) -> str:
+    """Name of the class."""
+    components = json.loads((run / "manifest.json").read_text())["components"]
+    return str(components["onboard.tracker"]["class"]).rsplit(":", 1)[1]
+
+
+def seed_of(run: Path) -> int:
+    """Of the run."""
+    return int(json.loads((run / "manifest.json").read_text())["seed"])
+
+
+def linked_objects(e: Evaluation) -> tuple[set[int], dict[int, int]]:
+    """Objects with a tracklet, and the object of each tracklet (-1: false)."""
+    _, owner = linking(e.streaks, e.pairs, e.n_frames)
+    return {o for o in owner.values() if o >= 0}, owner
+
+
+def small_objects(e: Evaluation) -> dict[int, float]:
+    """Natural objects below LARGEST_M and how many of them each stands for."""
+    table = e.truth_tables["objects"]
+    return {
+        int(row["object_id"]): float(row["weight"])
+        for row in table
+        if str(row["kind"]) == "population" and float(row["size_m"]) < LARGEST_M
+    }
+
+
+def ratio_interval(weight: NDArray[np.float64], before: NDArray[np.bool_], after: NDArray[np.bool_]) -> dict[str, float]:
+    """Weighted count with over that without, and its 90 % interval when objects are drawn again."""
+    rng = np.random.default_rng(1)
+    draws = rng.integers(0, len(weight), (DRAWS, len(weight)))
+    below = (weight * before)[draws].sum(axis=1)
+    above = (weight * after)[draws].sum(axis=1)
+    low, high = np.quantile(above / np.maximum(below, 1e-12), (0.05, 0.95))
+    value = float((weight * after).sum() / max(float((weight * before).sum()), 1e-12))
+    return {"value": value, "low": float(low), "high": float(high), "n": len(weight)}
+
+
+def faint_pulls(e: Evaluation) -> dict[str, list[float]]:
+    """Residuals over errors of the members of tracklets below FAINT_SNR; across also over the frame's own bound."""
+    rows = {i: t for i, t in e.pairs.items() if int(e.streaks["tracklet_id"][i]) >= 0 and 3.0 <= t.snr < FAINT_SNR}
+    wanted = [t.index for t in rows.values()]
+    _, table = streak_astrometry(e.streaks, rows, e.bounds, sky_paths(e.truth_tables["streaks"], wanted))
+    magnitudes = mean_magnitudes(e.truth_tables["streaks"], e.truth)
+    mag = [
+        (float(e.streaks["mag"][i]) - magnitudes[t.index]) / float(e.streaks["mag_err"][i])
+        for i, t in rows.items()
+        if t.index in magnitudes and float(e.streaks["mag_err"][i]) > 0.0
+    ]
+    return {
+        "cross": [r["cross_pull"] for r in table],
+        "along": [r["along_pull"] for r in table if "along_pull" in r],
+        "cross_over_bound": [r["cross_ratio"] for r in table],
+        "mag": [m for m in mag if np.isfinite(m)],
+    }
+
+
+def gain(pairs: list[tuple[Path, Path]]) -> dict[str, Any]:
+    """Figures of pairs of runs, without and with."""
+    weight: list[float] = []
+    before: list[bool] = []
+    after: list[bool] = []
+    pulls: dict[str, list[float]] = {}
+    false, n_tracklets, impure, span_s, n_frames = [0, 0], [0, 0], 0, 0.0, 0
+    for without, with_tracker in pairs:
+        runs = [evaluate(without), evaluate(with_tracker)]
+        found = [linked_objects(e) for e in runs]
+        for number, (_, owner) in enumerate(found):
+            false[number] += sum(o < 0 for o in owner.values())
+            n_tracklets[number] += len(owner)
+        for o, w in small_objects(runs[1]).items():
+            weight.append(w)
+            before.append(o in found[0][0])
+            after.append(o in found[1][0])
+        for name, values in faint_pulls(runs[1]).items():
+            pulls[name] = pulls.get(name, []) + values
+        for tracklet in found[1][1]:
+            members = np.flatnonzero(np.asarray(runs[1].streaks["tracklet_id"]) == tracklet)
+            owners = {runs[1].pairs[int(k)].object_id if int(k) in runs[1].pairs else -1 for k in members}
+            impure += len(owners) > 1
+        span_s += runs[0].n_frames / float(runs[0].manifest["frame_rate_hz"])
+        n_frames += runs[0].n_frames
+    w, b, a = np.asarray(weight, np.float64), np.asarray(before, np.bool_), np.asarray(after, np.bool_)
+    return {
+        "runs": len(pairs), "objects": len(w), "linked": [int(b.sum()), int(a.sum())],
+        "a_day": [round(float((w * x).sum()) * DAY_S / span_s, 1) for x in (b, a)],
+        "ratio_weighted": ratio_interval(w, b, a), "ratio_drawn": ratio_interval(np.ones(len(w)), b, a),
+        "false_tracklets_per_frame": [rate(k, float(n_frames), n_frames) for k in false],
+        "impure": proportion(impure, n_tracklets[1]), "tracklets": n_tracklets,
+        "pulls": {
+            name: bootstrap(np.array(values), rms if name == "cross_over_bound" else pull_width)
+            for name, values in pulls.items()
+        },
+    }  # fmt: skip
+
+
+def main() -> None:
+    """Print the figures as JSON."""
+    runs = [run for folder in sys.argv[1:] for run in sorted(Path(folder).iterdir()) if (run / "products/streaks.ecsv").exists()]
+    of: dict[int, dict[str, Path]] = {}
+    for run in runs:
+        of.setdefault(seed_of(run), {})[tracker_of(run)] = run
+    pairs = [(each["NoTracker"], each["JointTracker"]) for each in of.values() if len(each) == 2]
+    sys.stdout.write(json.dumps(gain(pairs), indent=1) + "\n")
+
+
+if __name__ == "__main__":
+    main()

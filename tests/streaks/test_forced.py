@@ -1,0 +1,61 @@
+"""Members of tracks too faint for their own frames: flux and place across against the truth and its Cramér-Rao bound."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ground.streaks.fitter import TrailedPsfFitter
+from ground.streaks.forced import forced_fit
+from ground.streaks.no_trail import NoTrailError
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.signals import Detection
+from tests.streaks.trail_rendering import expose, trail_at
+
+TRACK_SNR = 9.0
+
+
+def test_a_trail_of_four_sigma_keeps_its_length_and_its_errors_are_as_quoted() -> None:
+    """Ends off by the law of the track's S/N; flux and offset within their errors, unbiased; a frame alone loses the ends."""
+    rng, flux, across, ratio, lengths, alone = np.random.default_rng(1), [], [], [], [], []
+    for _ in range(150):
+        length = float(rng.choice([40.0, 150.0]))
+        exposure = expose(rng, trail_at(rng, length), 4.0)
+        truth = exposure.trail
+        off = rng.normal(0.0, 5.1 * length / TRACK_SNR**2 / 2.0, 2)
+        guess = truth.moved(off[0], off[1], *rng.normal(0.0, 0.2, 2), 0.0)
+        detection = Detection(row0=guess.row0, col0=guess.col0, row1=guess.row1, col1=guess.col1, snr=4.0)
+        try:
+            fit = forced_fit(exposure.pixels, detection, TRACK_SNR)
+        except NoTrailError:
+            continue
+        lengths.append(fit.length_px / length)
+        cos, sin = truth.axes
+        middle = np.array([fit.row0 + fit.row1 - truth.row0 - truth.row1, fit.col0 + fit.col1 - truth.col0 - truth.col1]) / 2.0
+        across.append((middle[0] * cos - middle[1] * sin) / fit.sigma_cross_px)
+        flux.append((fit.flux_e - truth.flux_e) / fit.flux_err_e)
+        ratio.append(fit.sigma_cross_px / exposure.bounds()["cross_px"])
+        single = TrailedPsfFitter().fit(exposure.pixels, replace(exposure.detection, snr=4.0))
+        alone.append(single.length_px / length)
+    assert len(flux) >= 145
+    assert np.abs(np.array(lengths) - 1.0).max() < 0.35
+    assert np.mean(np.abs(np.array(alone) - 1.0) > 0.35) > 0.2
+    assert np.std(flux) == pytest.approx(1.0, abs=0.2)
+    assert np.sqrt(np.median(np.square(across)) / 0.4549) == pytest.approx(1.0, abs=0.2)
+    assert 0.9 < float(np.median(ratio)) < 1.25
+
+
+def test_where_there_is_no_light_the_fit_says_so() -> None:
+    rng = np.random.default_rng(2)
+    exposure = expose(rng, trail_at(rng, 60.0), 4.0)
+    dark = replace(exposure.pixels, value_e=np.full(len(exposure.pixels.row), -5.0))
+    with pytest.raises(NoTrailError):
+        forced_fit(dark, exposure.detection, TRACK_SNR)
+
+
+def test_ends_at_the_edge_stay_there() -> None:
+    rng = np.random.default_rng(3)
+    exposure = expose(rng, trail_at(rng, 80.0), 5.0)
+    fit = forced_fit(exposure.pixels, replace(exposure.detection, flags=StreakFlag.EDGE0 | StreakFlag.EDGE1), TRACK_SNR)
+    assert fit.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1) == StreakFlag.EDGE0 | StreakFlag.EDGE1
+    assert fit.end_interval_px == pytest.approx(0.0)

@@ -27,7 +27,7 @@ _UNKNOWN: Final = 1e4
 """Unknown objects per unit of the six coordinates: a thousand over the whole sky, 40,000 km, 4 km/s and 40 arcsec/s."""
 _ELEMENTS_KM: Final = np.array([1.0, 3.0, 1.0])
 _ELEMENTS_KM_PER_DAY: Final = np.array([0.3, 3.0, 0.3])
-"""One sigma of published mean elements, radial, along, across: rough, of high orbits (Flohrer et al. 2008, AMOS)."""
+"""One sigma of published mean elements, radial, along, across: an assumption for high orbits, not measured."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -21,8 +21,8 @@ SIDES: Final = (1024, 2048, 4096)
 
 @dataclass(frozen=True, kw_only=True)
 class Pass:
-    """A pass over every pixel. operations : adds, products, comparisons and conversions per pixel, counted in the inner loops
-    for a PSF of 2 px FWHM; moved : bytes read and written per pixel; lines : rows held at once; arithmetic : of the data."""
+    """A pass over every pixel. operations : adds, products, comparisons and conversions per pixel, counted by hand in the inner
+    loops for a PSF of 2 px FWHM; moved : bytes read and written per pixel; lines : rows held at once; arithmetic : of the data."""
 
     name: str
     module: str
@@ -87,7 +87,7 @@ Whatever is left is counted in the header packet and in `frames.ecsv` (`shed_*`,
 
 ## Passes over every pixel
 
-Scalar operations and bytes per pixel, counted in the source; vector units do several at once.
+Scalar operations and bytes per pixel, counted by hand in the source, some of them estimated; vector units do several at once.
 
 {passes}
 

@@ -22,7 +22,7 @@ SIDES: Final = (1024, 2048, 4096)
 @dataclass(frozen=True, kw_only=True)
 class Pass:
     """A pass over every pixel. operations : adds, products, comparisons and conversions per pixel, counted by hand in the inner
-    loops for a PSF of 2 px FWHM; moved : bytes read and written per pixel; lines : rows held at once; arithmetic : of the data."""
+    loops for a PSF of 2 px FWHM; moved : bytes read and written per pixel; lines : rows held at once; arithmetic : of data."""
 
     name: str
     module: str

@@ -75,6 +75,7 @@ def decode_downlink(
         missing_segments=missing_segments,
         decode_failures=tuple(failures[:FAILURES_LISTED]),
         n_decode_failures=len(failures),
+        work_shed=dict(sum((Counter(f.housekeeping.shed) for f in built if f.housekeeping is not None), Counter())),
     )
 
 

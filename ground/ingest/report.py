@@ -32,6 +32,7 @@ class IngestReport:
     missing_segments : known number of missing packets of each kind, per incomplete frame. A whole frame without any packet shows
     in the sequence counts of `apids` only.
     decode_failures : one line for each intact packet whose content could not be decoded.
+    work_shed : items that the on-board work limit left undone, by kind, over all frames that say so.
     fit_failures : regions whose pixels allowed no fit, by the reason.
     """
 
@@ -52,6 +53,7 @@ class IngestReport:
     missing_segments: Mapping[int, Mapping[str, int]]
     decode_failures: tuple[str, ...]
     n_decode_failures: int
+    work_shed: Mapping[str, int] = field(default_factory=dict)
     fit_failures: Mapping[str, int] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:

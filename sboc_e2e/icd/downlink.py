@@ -1,6 +1,6 @@
 """A frame as ground knows it once its packets are decoded."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +37,16 @@ class Housekeeping:
     shed_points: int = 0
     shed_trails: int = 0
     shed_regions: int = 0
+
+    @property
+    def shed(self) -> dict[str, int]:
+        """Items that the work limit left undone, by kind (`stars` to `regions`); kinds without any are left out."""
+        counts = {
+            field.name.removeprefix("shed_"): getattr(self, field.name)
+            for field in fields(self)
+            if field.name.startswith("shed_")
+        }
+        return {kind: n for kind, n in counts.items() if n > 0}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -8,7 +8,7 @@ import numpy as np
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FLAG_TEXT, FrameFlag, StreakFlag
 from sboc_e2e.icd.signals import Strip
-from sboc_e2e.report.reasons import Reasons
+from sboc_e2e.report.reasons import Reasons, shed_words
 from sboc_e2e.score.evaluation import Evaluation
 from sboc_e2e.score.matching import TruthStreak
 
@@ -89,6 +89,8 @@ def _state(record: DownlinkFrame | None) -> str:
     words = [FLAG_TEXT["FrameFlag"][flag.name or ""] for flag in FrameFlag if flag in record.flags and flag not in USUAL]
     if record.housekeeping is not None and record.housekeeping.n_rois_dropped:
         words.append(f"{record.housekeeping.n_rois_dropped} detections held back")
+    if record.housekeeping is not None and record.housekeeping.shed:
+        words.append(f"left undone: {shed_words(record.housekeeping)}")
     return "; ".join(words)
 
 

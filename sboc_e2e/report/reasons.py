@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from ground.options import GroundOptions
 from sboc_e2e.files import calibration_files
-from sboc_e2e.icd.downlink import DownlinkFrame
+from sboc_e2e.icd.downlink import DownlinkFrame, Housekeeping
 from sboc_e2e.icd.errors import SbocError
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.score.detection import FLUX_HELD
@@ -99,7 +99,7 @@ class Reasons:
         return float(given) if isinstance(given, int | float) else None
 
     def _limits(self, number: int) -> str:
-        """What storm and budget did to a frame."""
+        """What storm, budget and work limit did to a frame."""
         frame = self.frames.get(number)
         if frame is None:
             return ""
@@ -109,6 +109,8 @@ class Reasons:
         if frame.housekeeping is not None and frame.housekeeping.n_rois_dropped:
             budget = " by the budget" if FrameFlag.BUDGET_CUT in frame.flags else ""
             words.append(f"{frame.housekeeping.n_rois_dropped} detections of this frame were held back{budget}")
+        if frame.housekeeping is not None and frame.housekeeping.shed:
+            words.append(f"the work limit left undone: {shed_words(frame.housekeeping)}")
         return "".join(f"; {word}" for word in words)
 
     def _masked(self, streak: TruthStreak) -> float:
@@ -140,6 +142,11 @@ class Reasons:
         terms = _terms(measured, frame.psf_sigma_px if frame else None)
         odds = f" (probability {probability:.2g}, limit {self.options.veto_below:g})" if math.isfinite(probability) else ""
         return f"measured, but rejected by the vetter{odds}: " + ("; ".join(terms) or "no single term stands out")
+
+
+def shed_words(housekeeping: Housekeeping) -> str:
+    """What the work limit left undone, such as "2,100 candidates, 3 points"."""
+    return ", ".join(f"{n:,} {kind if n > 1 else kind.removesuffix('s')}" for kind, n in housekeeping.shed.items())
 
 
 def _terms(measured: Row, psf_sigma_px: float | None) -> list[str]:

@@ -23,10 +23,11 @@ TRUTH = truth_streaks(SYNTHETIC.tables["streaks"])
 NOTHING = FrameFlag(0)
 
 
-def frame(flags: FrameFlag = NOTHING, threshold: float = 7.0, dropped: int = 0, psf: float = SIGMA_PX) -> Any:
+def frame(flags: FrameFlag = NOTHING, threshold: float = 7.0, dropped: int = 0, psf: float = SIGMA_PX, shed: int = 0) -> Any:
     housekeeping = Housekeeping(
         flags=flags, n_stars_found=0, n_stars_sent=0, n_detections=0, n_rois_sent=0, n_rois_dropped=dropped, bytes_dropped=0,
         threshold_sigma=threshold, background_adu=100.0, sigma_adu=2.0, n_masked=0,
+        shed_candidates=shed, shed_points=min(shed, 1),
     )  # fmt: skip
     return SimpleNamespace(
         flags=flags, housekeeping=housekeeping, stars=StarList.empty(), remembered=StarList.empty(), psf_sigma_px=psf
@@ -59,6 +60,7 @@ def reasons(captured: float | None, row: dict[str, Any] | None = None, defects: 
         (reasons(0.0, threshold=0.0), "threshold of 7.2"),
         (reasons(0.0, flags=FrameFlag.STORM), "a particle storm raised the threshold"),
         (reasons(0.0, flags=FrameFlag.BUDGET_CUT, dropped=9), "9 detections of this frame were held back by the budget"),
+        (reasons(0.0, shed=2100), "the work limit left undone: 2,100 candidates, 1 point"),
         (reasons(0.0, defects=np.ones(SHAPE, bool)), "100% of its light fell on defective pixels"),
         (reasons(0.9, {"flags": int(StreakFlag.SPIKE_LIKE), "probability": 0.01}), "it points at a bright star"),
         (

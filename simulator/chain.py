@@ -41,10 +41,10 @@ from simulator.scene.backdrop import Backdrop, add_moon, backdrop_of, diffuse_im
 from simulator.scene.cast import make_cast, summary, target_direction
 from simulator.scene.crossing import RowShutter, row_shutter
 from simulator.scene.movers import first_seen_km, paths_of
-from simulator.scene.starlight import STAR_MARGIN_PX, add_stars
 from simulator.scene.stars import StarSky
 from simulator.scene.trail_image import Path, add_trail
 from simulator.sensor.smear import add_smear
+from simulator.starlight import STAR_MARGIN_PX, add_stars
 from simulator.truth_rows import cosmic_rows, frame_row
 
 Array = NDArray[np.float64]

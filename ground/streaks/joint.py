@@ -58,6 +58,10 @@ SPOILT: Final = 0.05
 a share the errors along the motion of trails below S/N 30 held 88 % of the truth within 1.96 sigma, with it 91 %."""
 
 
+REACH_OF_SPOILT: Final = 30.0
+"""How far the motion may lie from that of all frames as they are, in its sigmas, when some frames are spoilt."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrackletFrame:
     """One frame of a tracklet.
@@ -345,26 +349,68 @@ def _sample(
     center: NDArray[np.float64],
     covariance: NDArray[np.float64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Draws (m, p) of the motion and their weights (m,), by adaptive importance sampling with a Student-t proposal."""
-    n = center.size
-    # the first Sobol point is the corner of the cube; half a cell inwards it is a point like the others
-    uniform = qmc.Sobol(n + 1, scramble=False).random(SAMPLES) + 0.5 / SAMPLES
-    normal = ndtri(uniform[:, :n])
-    # Student t: a normal over the root of a gamma variable of mean one, here from its Wilson-Hilferty quantiles
-    nu = STUDENT_FREEDOM
-    gamma = np.maximum(1.0 - 2.0 / (9.0 * nu) + ndtri(uniform[:, n]) * math.sqrt(2.0 / (9.0 * nu)), 0.05) ** 3
+    """Draws (m, p) of the motion and their weights (m,), by adaptive importance sampling with a Student-t proposal.
+
+    First with the ends of all frames as they are: their likelihoods slope towards the motion from anywhere. A share of spoilt
+    frames is flat where the motion is not, so draws that miss a narrow peak would not find it. It comes second, about the motion
+    that was found. This keeps the posterior proper: if all frames were spoilt, any motion would do.
+    """
+    proposals = _Proposals.of(center.size)
+    first = _adapted(proposals, used, zero_s, sigma_acceleration, (center, covariance), None)
+    if all(e.spoilt == -math.inf for e in used):
+        return first[:2]
+    found, spread = first[2:]
+    return _adapted(proposals, used, zero_s, sigma_acceleration, (found, spread + covariance), (found, spread))[:2]
+
+
+class _Proposals(NamedTuple):
+    """Quasi-random draws of a Student t: a normal (m, p) over the root of a gamma variable (m,) of mean one."""
+
+    normal: NDArray[np.float64]
+    gamma: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, n: int) -> "_Proposals":
+        # the first Sobol point is the corner of the cube; half a cell inwards it is a point like the others
+        uniform = qmc.Sobol(n + 1, scramble=False).random(SAMPLES) + 0.5 / SAMPLES
+        # the gamma variable from its Wilson-Hilferty quantiles
+        nu = STUDENT_FREEDOM
+        gamma = np.maximum(1.0 - 2.0 / (9.0 * nu) + ndtri(uniform[:, n]) * math.sqrt(2.0 / (9.0 * nu)), 0.05) ** 3
+        return cls(ndtri(uniform[:, :n]), gamma)
+
+
+_Gaussian = tuple[NDArray[np.float64], NDArray[np.float64]]
+
+
+def _adapted(
+    proposals: _Proposals,
+    used: list[_Evidence],
+    zero_s: float,
+    sigma_acceleration: float,
+    start: _Gaussian,
+    about: _Gaussian | None,
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """Draws, weights, and their mean and covariance, from a proposal that adapts to them.
+
+    about : motion from all frames and its covariance, when frames may be spoilt; None: no frame is.
+    """
+    normal, gamma = proposals
+    (center, covariance), n = start, normal.shape[1]
     shape = normal / np.sqrt(gamma)[:, None]
+    likelihood = _of_ends if about is None else _log_likelihood
     widening = 1.5
     motion, weight = np.tile(center, (SAMPLES, 1)), np.full(SAMPLES, 1.0 / SAMPLES)
     for _ in range(ROUNDS):
         factor = np.linalg.cholesky(covariance) * widening
         motion = center + shape @ factor.T
-        log_proposal = -0.5 * np.sum(normal**2, axis=1) + 0.5 * n * np.log(gamma)
-        log_weight = -log_proposal
+        log_weight = 0.5 * np.sum(normal**2, axis=1) - 0.5 * n * np.log(gamma)
         if n == 3:
             log_weight -= 0.5 * (motion[:, 2] / sigma_acceleration) ** 2
+        if about is not None:
+            off = np.linalg.solve(np.linalg.cholesky(about[1]) * REACH_OF_SPOILT, (motion - about[0]).T)
+            log_weight -= 0.5 * np.sum(off**2, axis=0)
         for e in used:
-            log_weight += _log_likelihood(e, *displacements(e.frame, e.rows_per_px, motion, zero_s))
+            log_weight += likelihood(e, *displacements(e.frame, e.rows_per_px, motion, zero_s))
         weight = np.exp(log_weight - log_weight.max())
         weight /= weight.sum()
         center = weight @ motion
@@ -378,7 +424,7 @@ def _sample(
         )
         if effective > EFFECTIVE_SAMPLES:
             break
-    return motion, weight
+    return motion, weight, center, covariance
 
 
 def _quantile(values: NDArray[np.float64], weight: NDArray[np.float64], levels: tuple[float, float]) -> tuple[float, float]:

@@ -129,7 +129,12 @@ def _frames_table(
                 "PSF sigma in mid-field, measured on board",
             ),
             *(
-                (name, [-1 if c is None else getattr(c, name) for c in counters], unit, text + "; -1: header packet lost")
+                (
+                    name,
+                    np.array([-1 if c is None else getattr(c, name) for c in counters], dtype=np.int64),
+                    unit,
+                    text + "; -1: header packet lost",
+                )
                 for name, unit, text in COUNTERS
             ),
             (

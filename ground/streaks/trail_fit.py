@@ -32,6 +32,9 @@ from sboc_e2e.icd.signals import Detection
 CHANGE_POINT_SNR2: Final = 7.3
 """Ends are change points below S^2 = 7.3 L / width: there the Cramer-Rao bound meets 4.39 L / S^2."""
 
+LEAST_POINT_SNR: Final = 1.0
+"""A point with less light than its error is not what the detector saw."""
+
 SHAPE_SNR: Final = 10.0
 """Fainter trails are taken as straight and uniform."""
 
@@ -301,7 +304,7 @@ def fit_untrailed(pixels: StreakPixels, detection: Detection) -> StreakFit:
     )
     width = effective_width_px(pixels.psf_sigma_px)
     point = fit_point(row, col, value, variance, start=start, width_px=width, free_width=False)
-    if point is None:
+    if point is None or point.snr < LEAST_POINT_SNR:
         raise NoTrailError(Reason.NO_SOURCE)
     wide = fit_point(row, col, value, variance, start=(point.row, point.col), width_px=width, free_width=True)
     return point_record(pixels, detection, point, wide)

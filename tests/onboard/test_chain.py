@@ -464,7 +464,7 @@ def test_particle_hits_never_displace_a_trail_and_are_counted() -> None:
     assert [group.detection.snr for group in result.rois] == [STREAK.snr, 1299.0]
     assert (counts.n_detections, counts.n_rois_sent, counts.n_rois_dropped) == (301, 2, 299)
     assert counts.flags & FrameFlag.STORM
-    assert counts.threshold_sigma == STREAK.snr
+    assert counts.threshold_sigma == 0.0  # nothing but hits was held back
 
 
 def test_storm_is_limited_and_flagged() -> None:

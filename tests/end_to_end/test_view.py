@@ -1,6 +1,7 @@
 """`sboc view`: region files, VOTables, messages to a hub, and the page in a real headless Chromium."""
 
 import json
+import time
 from pathlib import Path
 from typing import Any
 
@@ -67,6 +68,10 @@ def test_a_listening_tool_gets_images_tables_and_regions(run: Path, tmp_path: Pa
             ds9.bind_receive_notification(mtype, lambda _key, _sender, mtype, params, _extra: heard.append((mtype, params)))
         with Hub() as connected:
             assert send(connected, write_files(RunFrames(path=run), run / "view")) == 6
+        # The hub passes notifications on in threads of its own.
+        deadline = time.monotonic() + 20.0
+        while len(heard) < 6 and time.monotonic() < deadline:
+            time.sleep(0.02)
         ds9.disconnect()
     finally:
         hub.stop()

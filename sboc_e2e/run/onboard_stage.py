@@ -1,8 +1,9 @@
-"""Frames -> packets: the on-board chain frame by frame, its packets kept per frame and joined at the end."""
+"""Frames -> packets: the on-board chain frame by frame, its packets kept as they leave and joined at the end."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from onboard import latency
 from onboard.chain import OnboardChain, OnboardState, OnboardSteps
 from sboc_e2e.faults import FaultOptions, damaged_packets, split_packets
 from sboc_e2e.files.atomic import replacing, write_bytes
@@ -49,13 +50,22 @@ class OnboardStage:
         for frame in frames:
             reset_peak()
             with self.meter:
-                self._state, result = self.chain.process(self._state, frame)
+                self._state, results = latency.take(self.chain, self._state, frame)
             self.peak_rss_mb = max(self.peak_rss_mb, peak_rss_mb())
-            write_bytes(self.run.work_file(STAGE, position, "bin"), result.packets)
+            self._write(position, results)
             self._keeper.offer(position, self._state)
             position += 1
             progress.advance()
+        waiting: latency.Results = ()
+        if self._state.held is not None:
+            with self.meter:
+                waiting = latency.flush(self.chain, self._state)[1]
+        self._write(position, waiting)
         return position
+
+    def _write(self, position: int, results: latency.Results) -> None:
+        """Keep the packets that left at a position; after the last frame those of a frame that waited."""
+        write_bytes(self.run.work_file(STAGE, position, "bin"), b"".join(result.packets for result in results))
 
     def figures(self) -> dict[str, float]:
         """What the stage cost, for the manifest."""
@@ -70,7 +80,7 @@ class OnboardStage:
 
     def join(self, n_frames: int, faults: FaultOptions, seed: int) -> None:
         """Write downlink.bin from the packets of all frames, as they arrive on ground."""
-        files = (self.run.work_file(STAGE, position, "bin") for position in range(n_frames))
+        files = (self.run.work_file(STAGE, position, "bin") for position in range(n_frames + 1))
         with replacing(self.run.downlink) as stream:
             if faults.packets.any:
                 packets = [packet for path in files for packet in split_packets(path.read_bytes())]

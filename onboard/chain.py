@@ -86,7 +86,7 @@ class OnboardChain:
     def process(self, state: OnboardState, frame: Frame) -> tuple[OnboardState, OnboardResult]:
         """Packets of one frame, judged at once, and the state after it. Arrays of the state belong to the chain.
 
-        `onboard.latency.take` has a frame without a predecessor wait for the next one. Here it is judged alone, and the figures
+        `onboard.latency` has a frame without a predecessor wait for the next one. Here it is judged alone, and the figures
         of single frames hold for it (docs/limits.md, "First frames").
         """
         return self.judge(state, self.prepare(state, frame))

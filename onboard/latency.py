@@ -1,11 +1,11 @@
 """A frame without a predecessor waits for the next one and is held against it: no frame is a first frame.
 
 Stars are told from movers by another frame of the same sky. It is the one before and, at the start of a run and after a slew,
-the one after. Only such frames wait. A break in the sky costs the memory of one frame as it came and two preparations more;
-between breaks nothing is held. Packets leave in the order of frames.
+the one after. Only such frames wait. A break in the sky costs the memory of one frame as it came and one or two preparations
+more; between breaks nothing is held. Packets leave in the order of frames.
 """
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Final
 
 from onboard.chain import OnboardChain
@@ -22,41 +22,55 @@ REACH_PX: Final = 300.0
 Results = tuple[OnboardResult, ...]
 
 
-def take(chain: OnboardChain, state: OnboardState, frame: Frame) -> tuple[OnboardState, Results]:
-    """The state after a frame, and the results it gives: none if it waits, else its own after that of a frame that waited."""
-    held = state.held
-    if held is None:
-        prepared = chain.prepare(state, frame)
-        if prepared.usable and chain.looks_back and _lacks_neighbour(state, prepared.view.stars):
-            return replace(state, held=frame), ()
-        state, result = chain.judge(state, prepared)
-        return state, (result,)
-    # The same frame come twice tells nothing about the one that waits, so this one is looked at as its follower.
-    prepared = chain.prepare(replace(state, previous=held.header, pixel_check=checksum(held.pixels)), frame)
-    usable, stars = prepared.usable, prepared.view.stars
-    neighbour = chain.remembered(prepared.view) if usable else None
-    del prepared  # its memory is that of the frame that waited
-    state, first = _judged(chain, state, held, neighbour)
-    if usable and _lacks_neighbour(state, stars):
-        return replace(state, held=frame), (first,)
-    state, second = chain.process(state, frame)
-    return state, (first, second)
+@dataclass(kw_only=True)
+class FrameSequence:
+    """The chain over frames as they come. state : after the newest one; a frame that waits is part of it."""
 
+    chain: OnboardChain
+    state: OnboardState
 
-def flush(chain: OnboardChain, state: OnboardState) -> tuple[OnboardState, Results]:
-    """The state after the end of the frames, and the result of one that still waits: it is judged alone."""
-    if state.held is None:
-        return state, ()
-    state, result = _judged(chain, state, state.held, None)
-    return state, (result,)
+    def take(self, frame: Frame) -> Results:
+        """What a frame makes known: nothing if it waits, else its result after that of a frame that waited for it."""
+        held = self.state.held
+        if held is None:
+            return self._taken(frame)
+        # Of the same frame come twice nothing is learned, so this one is looked at as the follower of the one that waits.
+        before = replace(self.state, previous=held.header, pixel_check=checksum(held.pixels))
+        prepared = self.chain.prepare(before, frame)
+        usable, stars = prepared.usable, prepared.view.stars
+        neighbour = self.chain.remembered(prepared.view) if usable else None
+        first = self._judged(held, neighbour)
+        del before, prepared, held, neighbour  # their memory is wanted for this frame
+        if usable and _lacks_neighbour(self.state, stars):
+            self.state = replace(self.state, held=frame)
+            return (first,)
+        self.state, second = self.chain.process(self.state, frame)
+        return first, second
 
+    def flush(self) -> Results:
+        """At the end of the frames: the result of one that still waits, judged alone."""
+        return () if self.state.held is None else (self._judged(self.state.held, None),)
 
-def _judged(chain: OnboardChain, state: OnboardState, held: Frame, neighbour: object) -> tuple[OnboardState, OnboardResult]:
-    """State and result after a frame that waited; the neighbour, what is remembered of the next frame, is its history."""
-    prepared = chain.prepare(replace(state, held=None), held)
-    if neighbour is not None:
-        prepared = replace(prepared, view=replace(prepared.view, history=(neighbour,)))
-    return chain.judge(replace(state, held=None), prepared)
+    def _taken(self, frame: Frame) -> Results:
+        """What a frame makes known when none waits."""
+        waits = self.chain.looks_back and not self.state.history
+        if not waits:
+            prepared = self.chain.prepare(self.state, frame)
+            waits = prepared.usable and self.chain.looks_back and _lacks_neighbour(self.state, prepared.view.stars)
+        if waits:
+            self.state = replace(self.state, held=frame)
+            return ()
+        self.state, result = self.chain.judge(self.state, prepared)
+        return (result,)
+
+    def _judged(self, held: Frame, neighbour: object) -> OnboardResult:
+        """Result of the frame that waits. neighbour : what is remembered of the next frame, None without one."""
+        state = replace(self.state, held=None)
+        prepared = self.chain.prepare(state, held)
+        if neighbour is not None:
+            prepared = replace(prepared, view=replace(prepared.view, history=(neighbour,)))
+        self.state, result = self.chain.judge(state, prepared)
+        return result
 
 
 def _lacks_neighbour(state: OnboardState, stars: StarList) -> bool:
@@ -67,5 +81,5 @@ def _lacks_neighbour(state: OnboardState, stars: StarList) -> bool:
         return True
     if brought_forward(state.earlier_stars, stars):
         return False
-    clean = part_of(stars, (((stars.flags & NOT_KEPT) == 0).nonzero())[0])
+    clean = part_of(stars, ((stars.flags & NOT_KEPT) == 0).nonzero()[0])
     return registration.register(state.earlier_stars[-1].stars, clean, reach_px=REACH_PX) is None

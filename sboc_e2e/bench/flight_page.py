@@ -113,8 +113,9 @@ the comparison with the frame before needs that frame in eight bits.
 **Latency**: a frame's packets follow from that frame and what is remembered of those before, and leave at once. A frame that has
 no predecessor with the same stars, the first of a run or of a new direction, waits for the next one and is held against that
 (`onboard/latency.py`); its packets leave one frame later, before those of the next. While it waits its pixels stay in memory as
-they came, two bytes each. The step that ends the wait does the work of two frames, and prepares one of them twice more; each
-frame keeps its own limit. Frames that share no stars at all wait one after the other, and each is prepared twice.
+they came, two bytes each. The step that ends the wait judges two frames and calibrates three times, as the newer one is looked
+at before and after; each frame keeps its own limit. Frames that share no stars at all wait one after the other, and each is
+calibrated twice.
 
 **The number of a set of parameters**: the CRC-32 of all options below and of the steps' names, in every header packet
 (`parameter_set`) and in `frames.ecsv`.

@@ -42,7 +42,8 @@ class OnboardStage:
         self._keeper = StateKeeper(run=self.run, stage=STAGE)
         last = self._keeper.last()
         self.first: int = 0 if last is None else last[0] + 1
-        self._state: OnboardState = self.chain.initial_state() if last is None else last[1]
+        state: OnboardState = self.chain.initial_state() if last is None else last[1]
+        self._sequence = latency.FrameSequence(chain=self.chain, state=state)
 
     def take(self, frames: Iterable[Frame], progress: Progress) -> int:
         """Process frames in order; returns how many the run has in all."""
@@ -50,16 +51,16 @@ class OnboardStage:
         for frame in frames:
             reset_peak()
             with self.meter:
-                self._state, results = latency.take(self.chain, self._state, frame)
+                results = self._sequence.take(frame)
             self.peak_rss_mb = max(self.peak_rss_mb, peak_rss_mb())
             self._write(position, results)
-            self._keeper.offer(position, self._state)
+            self._keeper.offer(position, self._sequence.state)
             position += 1
             progress.advance()
         waiting: latency.Results = ()
-        if self._state.held is not None:
+        if self._sequence.state.held is not None:
             with self.meter:
-                waiting = latency.flush(self.chain, self._state)[1]
+                waiting = self._sequence.flush()
         self._write(position, waiting)
         return position
 

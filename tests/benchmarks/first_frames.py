@@ -42,11 +42,9 @@ def at_once(chain: OnboardChain, frames: list[Frame]) -> list[OnboardResult]:
 
 def with_latency(chain: OnboardChain, frames: list[Frame]) -> list[OnboardResult]:
     """Frames without a predecessor wait."""
-    state, results = chain.initial_state(), list[OnboardResult]()
-    for frame in frames:
-        state, made = latency.take(chain, state, frame)
-        results += made
-    return [*results, *latency.flush(chain, state)[1]]
+    sequence = latency.FrameSequence(chain=chain, state=chain.initial_state())
+    results = [result for frame in frames for result in sequence.take(frame)]
+    return [*results, *sequence.flush()]
 
 
 def run(seed: int, side: int, n_frames: int) -> list[dict[str, Any]]:

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from onboard import latency
 from onboard.chain import OnboardSteps
 from onboard.detect import LineIntegralDetector
 from onboard.downlink.codec import PlanesCodec
 from onboard.image.background import MeshBackground
+from onboard.latency import FrameSequence
 from onboard.stars.matched import MatchedStars
-from onboard.state import OnboardResult, OnboardState
+from onboard.state import OnboardResult
 from sboc_e2e.exams.trails import trail
 from sboc_e2e.icd.frame import Frame
 from sboc_e2e.icd.signals import Detection
@@ -68,11 +68,8 @@ def _run() -> Run:
 
 def _all(run: Run, frames: list[Frame]) -> list[tuple[OnboardResult, ...]]:
     """What each frame makes known, and what the end does."""
-    state, made = run.state, []
-    for frame in frames:
-        state, results = latency.take(run.chain, state, frame)
-        made.append(results)
-    return [*made, latency.flush(run.chain, state)[1]]
+    sequence = FrameSequence(chain=run.chain, state=run.state)
+    return [*(sequence.take(frame) for frame in frames), sequence.flush()]
 
 
 def _found(detections: tuple[Detection, ...]) -> int:
@@ -135,10 +132,10 @@ def test_packets_leave_in_the_order_of_frames_and_are_the_same_again(n_frames: i
 def test_a_waiting_frame_is_part_of_the_state() -> None:
     frames = [_frame(k, _sky().electrons) for k in range(2)]
     run = _run()
-    state, _ = latency.take(run.chain, run.state, frames[0])
-    revived: OnboardState = pickle.loads(pickle.dumps(state))  # noqa: S301 - just written
-    direct = [r.packets for r in latency.take(run.chain, state, frames[1])[1]]
-    assert [r.packets for r in latency.take(run.chain, revived, frames[1])[1]] == direct
+    sequence = FrameSequence(chain=run.chain, state=run.state)
+    sequence.take(frames[0])
+    revived = FrameSequence(chain=run.chain, state=pickle.loads(pickle.dumps(sequence.state)))  # noqa: S301 - just written
+    assert [r.packets for r in revived.take(frames[1])] == [r.packets for r in sequence.take(frames[1])]
 
 
 def test_a_detector_that_looks_at_single_frames_has_none_wait() -> None:

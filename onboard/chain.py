@@ -113,19 +113,21 @@ class OnboardChain:
         usable = not flags & (FrameFlag.ALL_MASKED | FrameFlag.EMPTY_SIGNAL | FrameFlag.REPEATED_FRAME)
         if usable:
             view = with_stars(view, residual, row_sums, self._steps.star_extractor)
-        return Prepared(view=view, counts=counts, flags=flags, usable=usable, n_masked=n_masked, pixel_check=check)
+        earlier = brought_forward(state.earlier_stars, view.stars) if usable else ()
+        return Prepared(
+            view=view, counts=counts, flags=flags, usable=usable, earlier=earlier, n_masked=n_masked, pixel_check=check
+        )
 
     def judge(self, state: OnboardState, prepared: Prepared) -> tuple[OnboardState, OnboardResult]:
         """Packets of a prepared frame, held against what its view has as history, and the state after it."""
-        view, counts, flags, usable = prepared.view, prepared.counts, prepared.flags, prepared.usable
+        view, counts, flags, usable, earlier = prepared.view, prepared.counts, prepared.flags, prepared.usable, prepared.earlier
         header, work = view.header, view.work
         if usable:
             found, searched = self._detections(view)
             # While stars trail, a source that does not move in the frame is the object.
             detections = flag_static(found, state.recent if view.stars.motion is None else ())
-            earlier = brought_forward(state.earlier_stars, view.stars)
         else:
-            detections, searched, earlier = (), None, ()
+            detections, searched = (), None
         tracking = state.tracking
         tracks: tuple[Track, ...] = ()
         broken = True

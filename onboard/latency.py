@@ -11,7 +11,7 @@ from typing import Final
 from onboard.chain import OnboardChain
 from onboard.image import registration
 from onboard.image.frame_flags import checksum
-from onboard.stars.memory import NOT_KEPT, brought_forward, part_of
+from onboard.stars.memory import NOT_KEPT, EarlierStars, brought_forward, part_of
 from onboard.state import OnboardResult, OnboardState
 from sboc_e2e.icd.frame import Frame
 from sboc_e2e.icd.signals import StarList
@@ -41,7 +41,7 @@ class FrameSequence:
         neighbour = self.chain.remembered(prepared.view) if usable else None
         first = self._judged(held, neighbour)
         del before, prepared, held, neighbour  # their memory is wanted for this frame
-        if usable and _lacks_neighbour(self.state, stars):
+        if usable and _lacks_neighbour(self.state, stars, brought_forward(self.state.earlier_stars, stars)):
             self.state = replace(self.state, held=frame)
             return (first,)
         self.state, second = self.chain.process(self.state, frame)
@@ -56,7 +56,9 @@ class FrameSequence:
         waits = self.chain.looks_back and not self.state.history
         if not waits:
             prepared = self.chain.prepare(self.state, frame)
-            waits = prepared.usable and self.chain.looks_back and _lacks_neighbour(self.state, prepared.view.stars)
+            waits = (
+                prepared.usable and self.chain.looks_back and _lacks_neighbour(self.state, prepared.view.stars, prepared.earlier)
+            )
         if waits:
             self.state = replace(self.state, held=frame)
             return ()
@@ -73,13 +75,11 @@ class FrameSequence:
         return result
 
 
-def _lacks_neighbour(state: OnboardState, stars: StarList) -> bool:
-    """Whether no star pattern of the frame before is found in a frame that has enough stars, none of them trailed."""
-    if stars.motion is not None or len(stars) < registration.LEAST:
+def _lacks_neighbour(state: OnboardState, stars: StarList, earlier: tuple[EarlierStars, ...]) -> bool:
+    """Whether a frame has stars enough, not trailed, and none of the frame before are found; earlier : those brought forward."""
+    if earlier or stars.motion is not None or len(stars) < registration.LEAST:
         return False
     if not state.history or not state.earlier_stars:
         return True
-    if brought_forward(state.earlier_stars, stars):
-        return False
     clean = part_of(stars, ((stars.flags & NOT_KEPT) == 0).nonzero()[0])
     return registration.register(state.earlier_stars[-1].stars, clean, reach_px=REACH_PX) is None

@@ -40,12 +40,17 @@ class Tracking:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prepared:
-    """A frame up to its stars. usable : its pixels show something new. pixel_check : checksum of some rows."""
+    """A frame up to its stars.
+
+    usable : its pixels show something new. earlier : stars of the frames before, in its coordinates.
+    pixel_check : checksum of some rows.
+    """
 
     view: DetectorView
     counts: Counts
     flags: FrameFlag
     usable: bool
+    earlier: tuple[EarlierStars, ...]
     n_masked: int
     pixel_check: int
 

@@ -87,14 +87,9 @@ def refit_streaks(
         )
         for m in members
     ]
-    passage = _passage_of(seen)
+    joint, common, passage = refit_frames(seen)
+    shared = {members[k].streak_id: errors for k, errors in common.items()}
     frames = [_straightened(frame, passage) for frame in seen]
-    joint: dict[int, StreakFit] = {}
-    shared: SharedErrors = {}
-    for number, (window, sigma_acceleration) in enumerate(_windows(seen, passage)):
-        fits, common = _refit_window(frames, window, sigma_acceleration)
-        joint |= fits
-        shared |= {members[k].streak_id: (number, _along_path_again(seen[k], passage, e)) for k, e in common.items()}
     out = list(streaks)
     for k, fit in joint.items():
         member = members[k]
@@ -113,6 +108,19 @@ def refit_streaks(
                 flags=member.flags & ~changed | fit.flags & changed,
             )
     return tuple(out), shared
+
+
+def refit_frames(frames: Sequence[TrackletFrame]) -> tuple[dict[int, StreakFit], SharedErrors, StraightPassage]:
+    """Changed fits and common errors of the frames of a tracklet, by their numbers, and the passage that they are fitted in."""
+    passage = _passage_of(frames)
+    straight = [_straightened(frame, passage) for frame in frames]
+    joint: dict[int, StreakFit] = {}
+    shared: SharedErrors = {}
+    for number, (window, sigma_acceleration) in enumerate(_windows(frames, passage)):
+        fits, common = _refit_window(straight, window, sigma_acceleration)
+        joint |= fits
+        shared |= {k: (number, _along_path_again(frames[k], passage, errors)) for k, errors in common.items()}
+    return joint, shared, passage
 
 
 def _timed_by_shutter(member: StreakMeasurement, header: FrameHeader) -> StreakMeasurement:

@@ -13,7 +13,7 @@ from ground.sky.rotation import turn
 from ground.sky.shake_model import STEADY, EndShake
 from ground.sky.sphere import ARCSEC_RAD, unit_vectors
 from ground.straight_passage import StraightPassage, straight_passage
-from ground.streaks.joint import JointRefit, TrackletFrame, flux_between, refit_tracklet
+from ground.streaks.joint import JointRefit, Motion, TrackletFrame, displacements, flux_between, refit_tracklet
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution, StreakFit, StreakMeasurement, StreakPixels, Tracklet
@@ -28,8 +28,11 @@ SHIFT_CHI2: Final = 25.0
 OFF_MOTION_SIGMAS: Final = 3.5
 ROBUST_ITERATIONS: Final = 12
 UNUSUAL_CHI2: Final = 12.0
-CARRIED_SPREAD: Final = 1.5
-"""Error of ends that are placed by the motion of other frames, in units of the largest error of those frames' ends."""
+SIGNIFICANT_SHIFT: Final = 2.0
+"""Sigmas of the motion by which it must shift an end if it knows the place of that end less well than the single fit."""
+
+LEAST_WIDTH_ERROR: Final = 0.03
+"""Error of a width from what brightness and place in the frame do to the PSF, relative."""
 
 TUMBLING: Final = 0.1
 """Largest relative change of brightness from frame to frame that counts as usual."""
@@ -231,14 +234,18 @@ def _refit_window(
 ) -> tuple[dict[int, StreakFit], dict[int, Array]]:
     """Changed fits of the frames of one window, by their numbers; (2, 3) shared errors of those that the motion was fitted to."""
     members = [frames[k] for k in window]
-    used, (fits, common) = _refit_of_agreeing(members, sigma_acceleration)
-    shared = {window[k]: errors for k, errors in zip(used, common, strict=True)}
-    joint = {k: fit for k, fit in zip(used, fits, strict=True) if fit.flags & StreakFlag.REFIT and _agrees(members[k].fit, fit)}
-    agreeing = {window[k] for k in joint}
-    if len(joint) >= 2:
-        clean, clean_fits = [members[k] for k in joint], list(joint.values())
-        joint |= {k: carried(members[k], clean, clean_fits) for k in range(len(members)) if k not in joint}
-    return {window[k]: fit for k, fit in joint.items()}, {k: errors for k, errors in shared.items() if k in agreeing}
+    used, (fits, common, motion) = _refit_of_agreeing(members, sigma_acceleration)
+    fitted = dict(zip(used, fits, strict=True))
+    shared = dict(zip(used, common, strict=True))
+    joint = {k: fit for k, fit in fitted.items() if fit.flags & StreakFlag.REFIT and _agrees(members[k].fit, fit)}
+    shared = {k: shared[k] for k in joint}
+    if len(joint) >= 2 and motion is not None:
+        for k, member in enumerate(members):
+            if k not in joint:
+                joint[k] = carried(member, motion)
+                if joint[k] is not member.fit:
+                    shared[k] = motion.errors(member)
+    return {window[k]: fit for k, fit in joint.items()}, {window[k]: errors for k, errors in shared.items()}
 
 
 def _refit_of_agreeing(frames: Sequence[TrackletFrame], sigma_acceleration: float) -> tuple[list[int], JointRefit]:
@@ -251,7 +258,7 @@ def _refit_of_agreeing(frames: Sequence[TrackletFrame], sigma_acceleration: floa
     used = [int(k) for k in np.flatnonzero(usual)]
     while True:
         if len(used) < 2:
-            return [], JointRefit((), np.zeros((0, 2, 3)))
+            return [], JointRefit((), np.zeros((0, 2, 3)), None)
         joint = refit_tracklet([frames[k] for k in used], sigma_acceleration=sigma_acceleration)
         shift_chi2 = np.array([_shift_chi2(frames[k].fit, fit) for k, fit in zip(used, joint.fits, strict=True)])
         if shift_chi2.max() <= SHIFT_CHI2 or len(used) < 4:
@@ -259,37 +266,29 @@ def _refit_of_agreeing(frames: Sequence[TrackletFrame], sigma_acceleration: floa
         used.pop(int(np.argmax(shift_chi2)))
 
 
-def carried(frame: TrackletFrame, clean: Sequence[TrackletFrame], joint: Sequence[StreakFit]) -> StreakFit:
-    """Fit of an outlying frame, with its ends placed by the motion of the other frames.
+def carried(frame: TrackletFrame, motion: Motion) -> StreakFit:
+    """Fit of an outlying frame, with its ends placed by the motion of the other frames and with that motion's errors.
 
-    The joint fits lie on one motion. A parabola (a line for two frames) through their ends reproduces it between them, but not
-    beyond. Ends on the frame's edge and the density of the light do not change.
+    Ends on the frame's edge and the density of the light do not change.
     """
-    t_s, along, sigma = _timed_ends(clean, joint)
-    if len(t_s) < 3 or not min(t_s) < frame.t_open_s < frame.t_close_s < max(t_s):
-        return frame.fit
-    motion = np.polynomial.Polynomial.fit(t_s, along, 2 if len(t_s) > 4 else 1)
     unit, length = _along_of(frame.fit)
-    shifts = []
-    for flag, start, epoch in (
-        (StreakFlag.EDGE0, frame.along0, frame.t_open_s),
-        (StreakFlag.EDGE1, frame.along1, frame.t_close_s),
-    ):
-        shift = 0.0
-        for _ in range(2):  # an end that moves to another row is exposed at another time
-            shift = (float(motion(epoch + frame.line_time_s * shift * unit[0])) - start) / frame.along_per_px
-        shifts.append(0.0 if frame.fit.flags & flag else shift)
+    free = np.array([not frame.fit.flags & flag for flag in (StreakFlag.EDGE0, StreakFlag.EDGE1)])
+    moved = displacements(frame, float(unit[0]), motion.mean[None, :], motion.zero_s)
+    shifts = [float(shift[0]) if end else 0.0 for shift, end in zip(moved, free, strict=True)]
+    errors = motion.errors(frame) / frame.along_per_px * free[:, None]
+    spread = errors @ errors.T + (frame.sigma_frame / frame.along_per_px) ** 2 * np.outer(free, free)
+    sigma = np.sqrt(np.diag(spread))
+    if not _worth_carrying(frame.fit, shifts, sigma):
+        return frame.fit
     lit = length + shifts[1] - shifts[0]
     if lit < 0.2 * length or max(map(abs, shifts)) > length + 10.0:
         return frame.fit
     flux, flux_err = flux_between(frame, *shifts)
     if not flux > 0.0:
         return frame.fit
-    spread = CARRIED_SPREAD * max(sigma)
     across = np.array([-unit[1], unit[0]])
     keep = np.kron(np.eye(2), np.outer(across, across))
-    free = np.array([0.0 if frame.fit.flags & flag else spread**2 for flag in (StreakFlag.EDGE0, StreakFlag.EDGE1)])
-    covariance = keep @ np.asarray(frame.fit.covariance_px2) @ keep + np.kron(np.diag(free), np.outer(unit, unit))
+    covariance = keep @ np.asarray(frame.fit.covariance_px2) @ keep + np.kron(spread, np.outer(unit, unit))
     return replace(
         frame.fit,
         row0=frame.fit.row0 + shifts[0] * unit[0],
@@ -297,11 +296,19 @@ def carried(frame: TrackletFrame, clean: Sequence[TrackletFrame], joint: Sequenc
         row1=frame.fit.row1 + shifts[1] * unit[0],
         col1=frame.fit.col1 + shifts[1] * unit[1],
         covariance_px2=covariance,
-        end_interval_px=np.array([[-1.0, 1.0], [-1.0, 1.0]]) * np.sqrt(free)[:, None],
+        end_interval_px=np.array([[-1.0, 1.0], [-1.0, 1.0]]) * sigma[:, None],
         flux_e=flux,
         flux_err_e=flux_err,
         flags=frame.fit.flags & ~StreakFlag.ENDS_NOT_GAUSSIAN | StreakFlag.REFIT,
     )
+
+
+def _worth_carrying(single: StreakFit, shifts: Sequence[float], sigma: Array) -> bool:
+    """Whether a motion knows the ends better than the single fit, or the single fit is clearly off it."""
+    unit, _ = _along_of(single)
+    covariance = np.asarray(single.covariance_px2)
+    own = np.sqrt([max(float(unit @ covariance[i : i + 2, i : i + 2] @ unit), LEAST_END_VARIANCE_PX2) for i in (0, 2)])
+    return bool(np.all(sigma <= own) or np.any(np.abs(shifts) > SIGNIFICANT_SHIFT * sigma))
 
 
 def _timed_ends(frames: Sequence[TrackletFrame], joint: Sequence[StreakFit]) -> tuple[list[float], list[float], list[float]]:
@@ -343,7 +350,7 @@ def _usual(fits: Sequence[StreakFit]) -> NDArray[np.bool_]:
     first = np.clip(np.arange(len(fits)) - NEIGHBOURS // 2, 0, max(len(fits) - NEIGHBOURS, 0))
     near = np.array([np.median(density[k : k + NEIGHBOURS]) for k in first])
     by_density = (density - near) / np.hypot(density_err, TUMBLING * near)
-    by_width = (width - np.median(width)) / np.maximum(width_err, 1e-3)
+    by_width = (width - np.median(width)) / np.hypot(width_err, LEAST_WIDTH_ERROR * np.median(width))
     return np.asarray(by_density**2 + np.nan_to_num(by_width) ** 2 < UNUSUAL_CHI2)
 
 

@@ -100,15 +100,32 @@ class _Evidence:
     spoilt: float
 
 
+class Motion(NamedTuple):
+    """Common motion of a tracklet: posterior mean (p,) of its parameters at an epoch, and a root (p, p) of their covariance."""
+
+    mean: NDArray[np.float64]
+    root: NDArray[np.float64]
+    zero_s: float
+
+    def errors(self, frame: TrackletFrame) -> NDArray[np.float64]:
+        """(2, 3) errors of both ends of a frame, in the unit of `along`: their covariance is this times its transpose."""
+        n = len(self.mean)
+        out = np.zeros((2, 3))
+        out[:, :n] = _basis(np.array([frame.t_open_s, frame.t_close_s]) - self.zero_s, n) @ self.root
+        return out
+
+
 class JointRefit(NamedTuple):
     """Refitted streaks, one for each frame in the same order, and the common part of their ends' errors along the path.
 
     shared : (n, 2, 3) in the unit of `along`: ends i and j have the covariance ``shared[i] @ shared[j]``, pointing apart. It is
     that of the motion, of which every end is a linear function. Zero for frames that came back as they were.
+    motion : None where nothing was fitted.
     """
 
     fits: tuple[StreakFit, ...]
     shared: NDArray[np.float64]
+    motion: Motion | None
 
 
 def refit_tracklet(frames: Sequence[TrackletFrame], *, sigma_acceleration: float = 0.0) -> JointRefit:
@@ -120,22 +137,22 @@ def refit_tracklet(frames: Sequence[TrackletFrame], *, sigma_acceleration: float
     evidence = [_evidence(frame, turn) for frame, turn in zip(frames, common_turns([f.fit for f in frames]), strict=True)]
     ends = sum(2 - _edge_count(e.frame.fit) for e in evidence if e is not None)
     if ends < 3:
-        return JointRefit(tuple(frame.fit for frame in frames), shared)
+        return JointRefit(tuple(frame.fit for frame in frames), shared, None)
     used = [e for e in evidence if e is not None]
     zero = float(np.mean([0.5 * (e.frame.t_open_s + e.frame.t_close_s) for e in used]))
     start = _linear_start(used, zero, sigma_acceleration)
     if start is None:
-        return JointRefit(tuple(frame.fit for frame in frames), shared)
+        return JointRefit(tuple(frame.fit for frame in frames), shared, None)
     motion, weight = _sample(used, zero, sigma_acceleration, *start)
-    scatter = motion - weight @ motion
+    mean = np.asarray(weight @ motion, dtype=np.float64)
+    scatter = motion - mean
     variance, axes = np.linalg.eigh((scatter * weight[:, None]).T @ scatter)
-    root, n = axes * np.sqrt(np.maximum(variance, 0.0)), len(variance)
+    common = Motion(mean, np.asarray(axes * np.sqrt(np.maximum(variance, 0.0))), zero)
     for k, e in enumerate(evidence):
         if e is not None:
-            epochs_s = np.array([e.frame.t_open_s, e.frame.t_close_s]) - zero
-            shared[k, :, :n] = _basis(epochs_s, n) @ root
+            shared[k] = common.errors(e.frame)
     fits = (frame.fit if e is None else _refitted(e, motion, weight, zero) for frame, e in zip(frames, evidence, strict=True))
-    return JointRefit(tuple(fits), shared)
+    return JointRefit(tuple(fits), shared, common)
 
 
 def _edge_count(fit: StreakFit) -> int:

@@ -91,3 +91,15 @@ def test_a_star_at_one_end_near_the_end_of_a_tracklet_does_not_stay() -> None:
         assert np.abs(_off_px(truths[10], joint[10])).max() < 1.5
         assert np.sqrt(np.mean([np.square(_off_px(truths[k], joint[k])) for k in joint])) < 1.0
         assert len({number for number, _ in shared.values()}) == 1
+
+
+def test_a_star_at_the_end_of_the_first_frame_does_not_stay() -> None:
+    """Six frames, S/N 60; the motion of the other five reaches back to it."""
+    frames, truths = passing(np.random.default_rng([34, 0]), 6, 60.0)
+    fit = frames[0].fit
+    unit = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0]) / fit.length_px
+    late = replace(fit, row0=fit.row0 - 8.0 * unit[0], col0=fit.col0 - 8.0 * unit[1])
+    frames[0] = replace(frames[0], fit=late, along0=frames[0].along0 - 8.0 * SCALE_ARCSEC)
+    joint, shared, _ = refit_frames(frames)
+    assert np.abs(_off_px(truths[0], joint[0])).max() < 2.0
+    assert set(shared) == set(range(6))

@@ -334,7 +334,9 @@ def _of_ends(e: _Evidence, x0: NDArray[np.float64], x1: NDArray[np.float64]) -> 
         quadratic: NDArray[np.float64] = -0.5 * np.einsum("mi,ij,mj->m", x, e.precision, x)
         return quadratic
     half = 0.5 * e.frame.fit.length_px
-    return np.asarray(np.logaddexp.reduce(_per_density(e.tables, x0 - half, x1 + half), axis=0))
+    log = _per_density(e.tables, x0 - half, x1 + half)
+    top = log.max(axis=0)
+    return np.asarray(top + np.log(np.exp(log - top).sum(axis=0)))
 
 
 def _per_density(tables: EndTables, end0: NDArray[np.float64], end1: NDArray[np.float64]) -> NDArray[np.float64]:

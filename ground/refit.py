@@ -13,7 +13,7 @@ from ground.sky.rotation import turn
 from ground.sky.shake_model import STEADY, EndShake
 from ground.sky.sphere import ARCSEC_RAD, unit_vectors
 from ground.straight_passage import StraightPassage, straight_passage
-from ground.streaks.joint import JointRefit, Motion, TrackletFrame, displacements, flux_between, refit_tracklet
+from ground.streaks.joint import AccelerationPrior, JointRefit, Motion, TrackletFrame, displacements, flux_between, refit_tracklet
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution, StreakFit, StreakMeasurement, StreakPixels, Tracklet
@@ -119,8 +119,8 @@ def refit_frames(frames: Sequence[TrackletFrame]) -> tuple[dict[int, StreakFit],
     straight = [_straightened(frame, passage) for frame in frames]
     joint: dict[int, StreakFit] = {}
     shared: SharedErrors = {}
-    for number, (window, sigma_acceleration) in enumerate(_windows(frames, passage)):
-        fits, common = _refit_window(straight, window, sigma_acceleration)
+    for number, (window, prior) in enumerate(_windows(frames, passage)):
+        fits, common = _refit_window(straight, window, prior)
         joint |= fits
         shared |= {k: (number, _along_path_again(frames[k], passage, errors)) for k, errors in common.items()}
     return joint, shared, passage
@@ -197,8 +197,8 @@ def _along_path_again(frame: TrackletFrame, passage: StraightPassage, errors: Ar
     return errors / np.array([[passage.stretch(frame.along0)], [passage.stretch(frame.along1)]])
 
 
-def _windows(frames: Sequence[TrackletFrame], passage: StraightPassage) -> list[tuple[list[int], float]]:
-    """Frames of a tracklet in stretches that a straight passage describes, and the prior sigma of the change of rate in each.
+def _windows(frames: Sequence[TrackletFrame], passage: StraightPassage) -> list[tuple[list[int], AccelerationPrior]]:
+    """Frames of a tracklet in stretches that a straight passage describes, and the prior of the change of rate in each.
 
     Differential gravity adds a constant change of the rate, which the fit follows. That change varies as the geometry does, which
     the fit does not follow: over +-h seconds the passage is off by the product of both and h^3.
@@ -207,13 +207,14 @@ def _windows(frames: Sequence[TrackletFrame], passage: StraightPassage) -> list[
     along = np.array([[f.along0, f.along1] for f in frames])
     span_s = float(t_s.max() - t_s.min())
     rate = max(float(np.ptp(along)) / max(span_s, 1e-6), 1e-3)
-    sigma_acceleration = max(6.0 * rate**2 * ARCSEC_RAD, 4.0 * rate * abs(passage.kappa_per_s)) + GRAVITY_ARCSEC_S2
+    # in the time of the passage a range that does not change shows as 2 w kappa
+    prior = AccelerationPrior(2.0 * rate * passage.kappa_per_s, 2.0 * rate**2 * ARCSEC_RAD + GRAVITY_ARCSEC_S2)
     approach = float(np.hypot(rate * ARCSEC_RAD, passage.kappa_per_s)) + LEAST_APPROACH_PER_S
     errors = [sigma for frame in frames for _, _, sigma in _shutter_ends(frame)]
     error = min(PARABOLA_ERROR * float(np.median(errors)), 1.0) if errors else 1.0
     half_s = float(np.cbrt(error / (GRAVITY_ARCSEC_S2 * approach)))
     n_windows = max(1, min(int(np.ceil(span_s / (2.0 * half_s))), len(frames) // SHORTEST_WINDOW))
-    return [(part.tolist(), sigma_acceleration) for part in np.array_split(np.arange(len(frames)), n_windows)]
+    return [(part.tolist(), prior) for part in np.array_split(np.arange(len(frames)), n_windows)]
 
 
 def _shutter_ends(frame: TrackletFrame) -> list[tuple[float, float, float]]:
@@ -230,11 +231,11 @@ def _shutter_ends(frame: TrackletFrame) -> list[tuple[float, float, float]]:
 
 
 def _refit_window(
-    frames: Sequence[TrackletFrame], window: Sequence[int], sigma_acceleration: float
+    frames: Sequence[TrackletFrame], window: Sequence[int], prior: AccelerationPrior
 ) -> tuple[dict[int, StreakFit], dict[int, Array]]:
     """Changed fits of the frames of one window, by their numbers; (2, 3) shared errors of those that the motion was fitted to."""
     members = [frames[k] for k in window]
-    used, (fits, common, motion) = _refit_of_agreeing(members, sigma_acceleration)
+    used, (fits, common, motion) = _refit_of_agreeing(members, prior)
     fitted = dict(zip(used, fits, strict=True))
     shared = dict(zip(used, common, strict=True))
     joint = {k: fit for k, fit in fitted.items() if fit.flags & StreakFlag.REFIT and _agrees(members[k].fit, fit)}
@@ -248,18 +249,18 @@ def _refit_window(
     return {window[k]: fit for k, fit in joint.items()}, {window[k]: errors for k, errors in shared.items()}
 
 
-def _refit_of_agreeing(frames: Sequence[TrackletFrame], sigma_acceleration: float) -> tuple[list[int], JointRefit]:
+def _refit_of_agreeing(frames: Sequence[TrackletFrame], prior: AccelerationPrior) -> tuple[list[int], JointRefit]:
     """Joint fits of the frames that agree on one motion of one source, and their numbers.
 
     An unlisted star under or beside one trail would bend the common motion of all frames. Such a frame is recognised by its
     brightness and width, or by ends that the joint fit moves further than their errors allow.
     """
-    usual = _usual([frame.fit for frame in frames]) & _on_one_motion(frames, sigma_acceleration)
+    usual = _usual([frame.fit for frame in frames]) & _on_one_motion(frames, prior)
     used = [int(k) for k in np.flatnonzero(usual)]
     while True:
         if len(used) < 2:
             return [], JointRefit((), np.zeros((0, 2, 3)), None)
-        joint = refit_tracklet([frames[k] for k in used], sigma_acceleration=sigma_acceleration)
+        joint = refit_tracklet([frames[k] for k in used], prior=prior)
         shift_chi2 = np.array([_shift_chi2(frames[k].fit, fit) for k, fit in zip(used, joint.fits, strict=True)])
         if shift_chi2.max() <= SHIFT_CHI2 or len(used) < 4:
             return used, joint
@@ -354,7 +355,7 @@ def _usual(fits: Sequence[StreakFit]) -> NDArray[np.bool_]:
     return np.asarray(by_density**2 + np.nan_to_num(by_width) ** 2 < UNUSUAL_CHI2)
 
 
-def _on_one_motion(frames: Sequence[TrackletFrame], sigma_acceleration: float) -> NDArray[np.bool_]:
+def _on_one_motion(frames: Sequence[TrackletFrame], prior: AccelerationPrior) -> NDArray[np.bool_]:
     """Whether the ends of each single fit lie on the parabola that most ends lie on (Cauchy weights, iterated)."""
     ends = [(k, *end) for k, frame in enumerate(frames) for end in _shutter_ends(frame)]
     good = np.ones(len(frames), dtype=bool)
@@ -362,12 +363,12 @@ def _on_one_motion(frames: Sequence[TrackletFrame], sigma_acceleration: float) -
         return good
     owner, t, y, error = (np.array(column) for column in zip(*ends, strict=True))
     design = np.stack((np.ones_like(t), t - t.mean(), 0.5 * (t - t.mean()) ** 2), axis=1)
-    prior = np.diag([0.0, 0.0, sigma_acceleration**-2])
+    information = np.diag([0.0, 0.0, prior.wide**-2])
     weight = np.ones_like(t)
     z = np.zeros_like(t)
     for _ in range(ROBUST_ITERATIONS):
         weighted = design * (weight / error**2)[:, None]
-        motion = np.linalg.solve(weighted.T @ design + prior, weighted.T @ y)
+        motion = np.linalg.solve(weighted.T @ design + information, weighted.T @ y + information @ [0.0, 0.0, prior.usual])
         z = (y - design @ motion) / error
         weight = 1.0 / (1.0 + (z / 2.0) ** 2)
     np.logical_and.at(good, owner, np.abs(z) < OFF_MOTION_SIGMAS)

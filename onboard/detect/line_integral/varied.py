@@ -5,6 +5,7 @@ is known: light along it needs no search over places and angles, and far less S/
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -21,8 +22,13 @@ from sboc_e2e.icd.signals import Detection, DetectorView
 LEAST_SNR: Final = 12.0
 """S/N of a trail, or a flash of one, whose line is known well enough to be followed."""
 
-LEAST_LENGTH_PX: Final = 12.0
-"""Shorter ones may be one of many objects in a row, and show no direction of their own."""
+LEAST_LENGTH_PX: Final = 8.0
+"""Shorter ones show no direction of their own."""
+
+ROW: Final = 5
+"""So many trails on one line are objects in a row, with S/N enough each to be found; a tumbler flashes less often."""
+
+ON_LINE_PX: Final = 3.0
 
 FOLLOW_SIGMA: Final = 4.0
 """S/N of light beyond an end that belongs to the trail. Places along a line give some ten trials: 3e-4 an end."""
@@ -41,20 +47,41 @@ MOST_STEPS: Final = 8
 """Each step begins at the ends and on the line that the one before gave."""
 
 
-def followed(detection: Detection, view: DetectorView, images: WorkingImages, psf_sigma_px: float) -> Detection:
-    """A clear trail with its ends where its light ends; as it was when nothing more is found, or a row of equal trails is."""
+def followed(detections: Sequence[Detection], view: DetectorView, images: WorkingImages, psf_sigma_px: float) -> list[Detection]:
+    """The detections, clear trails with their ends where their light ends; pieces of one trail then lie on each other."""
+    middles = np.array([(0.5 * (d.row0 + d.row1), 0.5 * (d.col0 + d.col1)) for d in detections]).reshape(-1, 2)
+    out = []
+    for detection in detections:
+        longer = _followed(detection, images, psf_sigma_px)
+        # a piece of a row has less light than the row
+        row = replace(longer, snr=max(longer.snr, trains.LEAST_SNR))
+        in_row = longer is not detection and (
+            _on(longer, middles) >= ROW or len(trains.taken_apart(row, view, images.blocked, psf_sigma_px)) > 1
+        )
+        out.append(detection if in_row else longer)
+    return out
+
+
+def _on(detection: Detection, middles: NDArray[np.float64]) -> int:
+    """How many of some points (n, 2) lie on a detection."""
+    length = detection.length_px
+    u_row, u_col = (detection.row1 - detection.row0) / length, (detection.col1 - detection.col0) / length
+    d_row, d_col = middles.T - np.array([[detection.row0], [detection.col0]])
+    along, across = d_row * u_row + d_col * u_col, d_row * u_col - d_col * u_row
+    bow = 4.0 * detection.sagitta_px * along / length * (1.0 - along / length)
+    return int(np.count_nonzero((along > 0.0) & (along < length) & (np.abs(across - bow) < ON_LINE_PX)))
+
+
+def _followed(detection: Detection, images: WorkingImages, psf_sigma_px: float) -> Detection:
+    """One trail followed; as it was when nothing more is found."""
     if detection.snr < LEAST_SNR or detection.length_px < LEAST_LENGTH_PX or detection.flags & StreakFlag.COSMIC_LIKE:
         return detection
-    found, least = detection, FOLLOW_SIGMA
+    least = FOLLOW_SIGMA
     for _ in range(MOST_STEPS):
         longer = _step(detection, images, psf_sigma_px, least)
         if longer is None:
             break
         detection, least = longer, VARIED_SIGMA
-    # a piece of a row has less light than the row
-    row = replace(detection, snr=max(detection.snr, trains.LEAST_SNR))
-    if detection is found or len(trains.taken_apart(row, view, images.blocked, psf_sigma_px)) > 1:
-        return found
     return detection
 
 

@@ -171,7 +171,7 @@ def test_a_folder_of_another_survey_is_refused(tmp_path: Path) -> None:
     [
         (0.0, SMALL, "--days: expected more than 0"),
         (1.0, ["population.classes=[]"], "there is nothing to survey"),
-        (100_000.0, SMALL, "lies outside the Earth-orientation data"),
+        (100_000.0, SMALL, "where the ephemeris of the Sun ends"),
     ],
 )
 def test_what_cannot_be_surveyed_is_refused(tmp_path: Path, days: float, overrides: list[str], words: str) -> None:

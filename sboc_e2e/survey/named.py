@@ -1,7 +1,7 @@
 """What a survey says of objects with names: how many of a catalogue and of constellations are seen, and whether a cloud is.
 
 Each passage has its probability of a tracklet (the share of redraws of the response). Passages of objects with names are not
-random: intervals hold what the response leaves open. Where another draw of a cloud's pieces flies is not in them: other seeds say.
+random: intervals hold what the response leaves open. Where another draw of a cloud flies is not in them: other seeds say that.
 """
 
 import json

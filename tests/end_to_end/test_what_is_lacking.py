@@ -1,4 +1,4 @@
-"""A downlink without attitude or GPS, and one of a single frame: each product says what it lacks, and why."""
+"""A downlink without attitude or GPS, one frame, tracklets of one streak: each product says what it lacks, and why."""
 
 import json
 from pathlib import Path
@@ -17,7 +17,8 @@ SMALL = ("output.keep_frames_every=0", "ground.products.images=none")
 
 def products_of(folder: Path, *overrides: str) -> Path:
     """Products of `smoke`, changed."""
-    run = begin_or_continue(folder, load("smoke", registry=Registry(), overrides=(*SMALL, *overrides)), workers=1)
+    registry = Registry(trusted_modules=("tests.end_to_end.lone_linker",))
+    run = begin_or_continue(folder, load("smoke", registry=registry, overrides=(*SMALL, *overrides)), workers=1)
     run.simulate_and_onboard()
     run.ground()
     return folder / "products"
@@ -31,6 +32,13 @@ def blind(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def single(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return products_of(tmp_path_factory.mktemp("single"), "frames=1")
+
+
+@pytest.fixture(scope="module")
+def lone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Four tracklets of one streak; of the second and the fourth the sense of motion is known."""
+    linker = "ground.linker.use=tests.end_to_end.lone_linker:LoneLinker"
+    return products_of(tmp_path_factory.mktemp("lone"), "frames=3", linker)
 
 
 def table(folder: Path, name: str) -> Table:
@@ -76,3 +84,37 @@ def test_one_frame_gives_streaks_and_says_why_there_is_no_more(single: Path) -> 
     streaks = table(single, "streaks.ecsv")
     assert (streaks["tracklet_id"] == -1).all()
     assert "1 frame: tracklets and the time watched need two" in table(single, "population.ecsv").meta["lacks"]
+
+
+def test_tracklets_of_one_streak_say_what_one_streak_cannot_tell(lone: Path) -> None:
+    """No sense of motion: a middle without errors along and across, no rate, no orbit. With the sense: two dated ends with errors
+    and an orbit whose posterior is published as samples."""
+    tracklets, angles = table(lone, "tracklets.ecsv"), table(lone, "tdm_angles.ecsv")
+    n = len(tracklets)
+    assert n >= 2
+    assert (tracklets["n_frames"] == 1).all()
+    turned, known = (", ".join(str(k) for k in range(first, n, 2)) for first in (0, 1))
+    said = json.loads((lone / "ingest.json").read_text())["products_lack"]
+    assert f"seen in one frame only: tracklets {', '.join(map(str, range(n)))}" in said
+    assert f"no orbit, since the sense of motion is unknown: tracklets {turned}" in said
+    assert f"no covariance in the OPM, the posterior is not Gaussian, samples only: tracklets {known}" in said
+    segments = (lone / "tracklets.tdm").read_text().split("META_START")[1:]
+    assert len(segments) == n
+    for number, segment in enumerate(segments):
+        rows, tracklet = angles[angles["tracklet_id"] == number], tracklets[number]
+        rate = np.ma.filled(tracklet["rate_deg_s"], np.nan)
+        if number % 2:
+            assert list(rows["end"]) == ["end 0", "end 1"]
+            assert (np.ma.filled(rows["sigma_along_arcsec"], np.nan) > 0.0).all()
+            assert rate > 0.0
+            assert "Sense of motion unknown" not in segment
+        else:
+            assert list(rows["end"]) == ["middle"]
+            assert np.isnan(rate)
+            assert "Sense of motion unknown: directions are of middles, not of ends" in segment
+            assert "Errors along and across are unknown: too few directions show no motion" in segment
+    assert set(table(lone, "orbits.ecsv")["tracklet_id"]) == set(range(1, n, 2))
+    assert len(table(lone, "orbit_samples.ecsv")) > 0
+    assert not np.ma.filled(table(lone, "orbits.ecsv")["gaussian"], False).any()
+    # a detection without a second one counts as nothing: the flux is of tracklets of two frames or more
+    assert "tracklets of two frames or more" in table(lone, "population.ecsv").meta["definition"]

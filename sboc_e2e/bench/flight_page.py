@@ -110,8 +110,12 @@ the comparison with the frame before needs that frame in eight bits.
   At one pixel a clock of 150 MHz a 4096 x 4096 frame streams in 0.11 s. The line sums need {dyadic:.0f} MB of memory and 66
   bytes of traffic a pixel (1.1 GB a frame). Fits, search and tests of candidates stay on the processor.
 
-**Latency**: a frame's packets follow from that frame and what is remembered of those before; nothing waits for a later
-frame.
+**Latency**: a frame's packets follow from that frame and what is remembered of those before, and leave at once. A frame that has
+no predecessor with the same stars, the first of a run or of a new direction, waits for the next one and is held against that
+(`onboard/latency.py`); its packets leave one frame later, before those of the next. While it waits its pixels stay in memory as
+they came, two bytes each. The step that ends the wait judges two frames and calibrates three times, as the newer one is looked
+at before and after; each frame keeps its own limit. Frames that share no stars at all wait one after the other, and each is
+calibrated twice.
 
 **The number of a set of parameters**: the CRC-32 of all options below and of the steps' names, in every header packet
 (`parameter_set`) and in `frames.ecsv`.

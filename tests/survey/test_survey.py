@@ -12,6 +12,7 @@ from sboc_e2e import scenario
 from sboc_e2e.cli.main import run as cli
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import Registry
+from sboc_e2e.survey import instrument
 from sboc_e2e.survey import response as responses
 from sboc_e2e.survey.engine import run_survey
 from sboc_e2e.survey.sample import OBJECT_COLUMNS, STREAK_COLUMNS
@@ -95,6 +96,18 @@ def test_a_response_of_another_instrument_is_refused_in_one_line(tmp_path: Path,
     assert error.count("\n") == 1
     assert "shutter.exposure" in error
     assert not (tmp_path / "o").exists()
+
+
+def test_the_shipped_response_fits_its_scenario() -> None:
+    found = load()
+    assert responses.read(responses.shipped(found), found).content["runs"] >= 20
+
+
+def test_a_key_younger_than_the_response_counts_as_its_default() -> None:
+    theirs, defaults = {"sensor.a": 1.0}, {"sensor.a": 2.0, "sensor.b": 0.0}
+    assert instrument.first_difference({"sensor.a": 1.0, "sensor.b": 0.0}, theirs, defaults) is None
+    assert "sensor.b is 0.1 here" in str(instrument.first_difference({"sensor.a": 1.0, "sensor.b": 0.1}, theirs, defaults))
+    assert "onboard.c is 0.0 here" in str(instrument.first_difference({"sensor.a": 1.0, "onboard.c": 0.0}, theirs, defaults))
 
 
 @pytest.mark.parametrize(

@@ -7,10 +7,12 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.detect.line_integral.detector import POINT_LIKE_PX
 from onboard.image import registration
 from onboard.track.joint import JointState, JointTracker, clipped, same_object
 from onboard.track.stack import Box, SlowObject, Stack, StackState, middle_ns
 from sboc_e2e.icd.errors import UserError
+from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import Detection, Track, TrackerView, TrackMember
 
@@ -115,6 +117,8 @@ class JointAndStackTracker(JointTracker):
             inside = clipped(registration.apply(frame.transform, ends), (frame.header.rows, frame.header.cols))
             if inside is not None:
                 (row0, col0, row1, col1), flags = inside
+                if math.hypot(row1 - row0, col1 - col0) < POINT_LIKE_PX:
+                    flags |= StreakFlag.POINT_LIKE
                 detection = Detection(
                     row0=row0, col0=col0, row1=row1, col1=col1, snr=found.snr / math.sqrt(self.stack_frames), flags=flags
                 )

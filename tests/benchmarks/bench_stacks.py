@@ -138,7 +138,7 @@ def noise(frames: int, size: int, cubes: int, n_stars: int) -> dict[str, Any]:
         box_px2_s2=GEO.area_px2_s2,
         psf_sigma_px=PSF_SIGMA_PX,
     )
-    levels = (5.2, 5.5, 5.8, 6.1, 6.4)
+    levels = (5.2, 5.5, 5.8, 6.1)
     return {
         "windows": cubes,
         "above": {str(u): [sum(s > u for s in snrs), round(cubes * expected_above(u, volume), 1)] for u in levels},

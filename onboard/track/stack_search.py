@@ -34,13 +34,14 @@ def group_image(total: NDArray[np.int16], psf_sigma_px: float) -> NDArray[np.int
     """Sum of a few frames -> matched filter -> units of its own noise, tile by tile, GROUP_UNIT for one sigma."""
     width = filter_sigma_px(psf_sigma_px)
     smooth = cv2.GaussianBlur(total.astype(np.float32), (0, 0), width, borderType=cv2.BORDER_CONSTANT)
-    first = 1.4826 * float(np.median(np.abs(smooth[::GUESS_EVERY, ::GUESS_EVERY])))
+    some = smooth[::GUESS_EVERY, ::GUESS_EVERY][total[::GUESS_EVERY, ::GUESS_EVERY] != 0]
+    first = 1.4826 * float(np.median(np.abs(some))) if some.size else 0.0
     out = np.zeros(total.shape, np.int8)
     for row in range(0, total.shape[0], TILE_PX):
         for col in range(0, total.shape[1], TILE_PX):
             part = (slice(row, row + TILE_PX), slice(col, col + TILE_PX))
             values = smooth[part]
-            lit = values[total[part] != 0.0]
+            lit = values[total[part] != 0]
             sigma = _noise(lit, first)
             if sigma > 0.0:
                 out[part] = np.clip(np.rint(values * (GROUP_UNIT / sigma)), -127, 127)

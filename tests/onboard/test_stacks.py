@@ -9,6 +9,7 @@ import pytest
 from onboard.track.false_alarms import expected_above, half_point_sigma, independent_stacks, threshold_sigma
 from onboard.track.joint_and_stack import JointAndStackTracker
 from onboard.track.stack import WARM_UP
+from onboard.track.stack_search import GROUP_UNIT, group_image
 from onboard.track.static_model import BRIGHT, MODEL_UNIT, add_moving, update_model
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.results import check_tracks
@@ -29,7 +30,7 @@ def test_thresholds_are_those_of_the_theory(n: int, per_frame: float) -> None:
 
 @pytest.mark.parametrize("stars", [0, STARS])
 def test_points_that_no_frame_shows_are_found_and_nothing_else(stars: int) -> None:
-    """S/N 1.3 to 2.3 in each of 32 frames, the mean well above 1.10 of theory; stars jitter by 0.4 px, bright ones hide a path."""
+    """S/N 1.3 to 2.3 in each of 32 frames, the mean well above 1.10 of theory; stars jitter by 0.4 px and hide some."""
     rng = np.random.default_rng((3, stars))
     seconds = PERIOD_S * (WINDOW.frames + WARM_UP)
     truth = draw(10, SIZE, seconds, 1.3, 2.3, rng)
@@ -67,6 +68,15 @@ def test_a_star_that_stands_still_leaves_nothing_and_a_bright_one_is_left_out() 
     moved = np.roll(codes, 3, axis=1)  # the same light elsewhere is: three pixels on
     add_moving(moved, np.eye(2, 3), model, 0.0, 3.0, total)
     assert total[10, 10] == 40 * (MODEL_UNIT >> 3)
+
+
+def test_a_frame_that_has_mostly_moved_out_keeps_its_noise() -> None:
+    """After 30 s at 9 px/s more than half of a small frame holds nothing; the rest is in units of its own noise."""
+    total = np.zeros((256, 256), np.int16)
+    total[:, :100] = np.random.default_rng(4).normal(0.0, 500.0, (256, 100))
+    image = group_image(total, 0.849).astype(float) / GROUP_UNIT
+    assert image[8:-8, 8:90].std() == pytest.approx(1.0, abs=0.05)
+    assert not image[:, 110:].any()
 
 
 def run_tracker(

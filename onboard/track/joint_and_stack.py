@@ -7,7 +7,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.detect.line_integral.detector import POINT_LIKE_PX
 from onboard.image import registration
 from onboard.track.joint import JointState, JointTracker, clipped, same_object
 from onboard.track.stack import Box, SlowObject, Stack, StackState, middle_ns
@@ -18,6 +17,9 @@ from sboc_e2e.icd.signals import Detection, Track, TrackerView, TrackMember
 
 MOST_VELOCITIES: Final = 4000
 """Velocities that a box may be divided into: the work of a window grows with them."""
+
+POINT_LIKE_PX: Final = 4.0
+"""A trail that is shorter has no ends that a frame could tell: about two widths of the PSF."""
 
 AGAIN_PX: Final = 6.0
 """An object is one of the window before where that one foretells it so near: its rate was known to 0.2 px/s."""

@@ -7,10 +7,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.detect.line_integral import kept_frame
 from onboard.track import stack_search
 from onboard.track.false_alarms import independent_stacks, threshold_sigma
-from onboard.track.static_model import add_moving, update_model
+from onboard.track.static_model import add_moving, codes_of, update_model
 from sboc_e2e.icd.signals import DetectorView
 
 WARM_UP: Final = 8
@@ -122,7 +121,7 @@ class Stack:
             if np.abs(moved).max() > DRIFT_PX:
                 return self.step(state, view, None)
         codes = np.empty(shape, np.int8)
-        kept_frame.encode(view.residual_adu, view.mask, view.background.sigma_adu, view.background.tile_px, codes)
+        codes_of(view.residual_adu, view.mask, view.background.sigma_adu, view.background.tile_px, codes)
         epoch = (middle_ns(view) - state.begin_ns) * 1e-9
         seen = state.seen + 1
         update_model(codes, state.transform, min(seen, MODEL_FRAMES), state.model)

@@ -11,7 +11,11 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.detect.line_integral.kept_frame import MASKED
+UNIT: Final = 16
+"""One sigma of a pixel in a frame's codes."""
+
+MASKED: Final = -128
+"""Code of a pixel of which nothing is known."""
 
 MODEL_BITS: Final = 7
 MODEL_UNIT: Final = 1 << MODEL_BITS
@@ -35,6 +39,30 @@ BLOCK_PX: Final = 64
 def _inside(first: int, base: int, n: int, size: int) -> tuple[int, int]:
     """Indices [low, high) of n that start at `first` and read `base` onwards with one neighbour, inside `size`."""
     return max(0, -base), min(n, size - 1 - base)
+
+
+@nb.njit(cache=True)
+def codes_of(
+    residual_adu: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    sigma_adu: NDArray[np.float32],
+    tile_px: int,
+    codes: NDArray[np.int8],
+) -> None:
+    """A frame in units of its noise, at most 127 to either side."""
+    rows, cols = residual_adu.shape
+    scale = np.zeros(cols, np.float32)
+    for row in range(rows):
+        if row % tile_px == 0:
+            mesh_row = min(row // tile_px, sigma_adu.shape[0] - 1)
+            for col in range(cols):
+                sigma = sigma_adu[mesh_row, min(col // tile_px, sigma_adu.shape[1] - 1)]
+                scale[col] = UNIT / sigma if sigma > 0.0 else 0.0
+        for col in range(cols):
+            value = residual_adu[row, col] * scale[col]
+            value = min(max(value, np.float32(-127.0)), np.float32(127.0))
+            known = (mask[row, col] == np.uint8(0)) & (scale[col] > np.float32(0.0))
+            codes[row, col] = np.int8(math.floor(value + np.float32(0.5))) if known else np.int8(MASKED)
 
 
 Weights = tuple[np.int32, np.int32, np.int32, np.int32]

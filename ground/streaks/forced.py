@@ -24,6 +24,12 @@ from sboc_e2e.icd.signals import Detection
 FORCED_SNR: Final = 7.0
 """Members of tracks that are fainter than this in their own frame are measured so."""
 
+LEAST_PLACED_SNR: Final = 2.5
+"""A frame in which a track of points is fainter says nothing of its place: the largest noise within ACROSS_PX is as high."""
+
+SENT_FRAMES: Final = 7
+"""Frames of such a track that come down: the window of the on-board tracker."""
+
 END_LAW: Final = 5.1
 """Ends of the most likely change points err by sqrt(26) L / S^2, S of the whole track."""
 
@@ -40,6 +46,9 @@ def forced_fit(pixels: StreakPixels, detection: Detection, track_snr: float) -> 
     frame, half = TrailFrame.of_chord(detection.row0, detection.col0, detection.row1, detection.col1), 0.5 * length
     edges = (StreakFlag.EDGE0 in detection.flags, StreakFlag.EDGE1 in detection.flags)
     along = max(END_LAW * length / max(track_snr, 1.0) ** 2, LEAST_END_PX)
+    foretold = StreakFlag.POINT_LIKE in detection.flags and detection.snr < LEAST_PLACED_SNR
+    if foretold:
+        along = track_error_px(width, track_snr)
     blur = (0.0 if edges[0] else along, 0.0 if edges[1] else along)
     near = usable_pixels(pixels, frame, 5.0 * width + ACROSS_PX).near(math.inf)
     if near.u.size < 8:
@@ -52,18 +61,35 @@ def forced_fit(pixels: StreakPixels, detection: Detection, track_snr: float) -> 
     if not line.regular:
         raise NoTrailError(Reason.NO_SOURCE)
     placed = score(near, line.parameters, (DENSITY, V_MID), half_px=half, blur_px=blur, iterations=ITERATIONS)
-    if placed.regular and abs(placed.parameters[V_MID]) < ACROSS_PX:
+    if not foretold and placed.regular and abs(placed.parameters[V_MID]) < ACROSS_PX:
         line = placed
-    return _record(pixels, detection, line, edges, along, crosses)
+    return _record(pixels, detection, line, edges, along, crosses, foretold=foretold)
+
+
+def track_error_px(width_px: float, track_snr: float) -> float:
+    """Error of a place, in either direction, that a track of points foretells for one of its last frames.
+
+    A point's place errs by sqrt(2) width / S along an axis in the middle of its window, and twice that at the ends. The frames
+    that are sent, some seven, share this error, and are stated so wide that their mean errs by it.
+    """
+    return math.sqrt(SENT_FRAMES) * 2.0 * math.sqrt(2.0) * width_px / max(track_snr, 1.0)
 
 
 def _record(
-    pixels: StreakPixels, detection: Detection, line: LineFit, edges: tuple[bool, bool], along_px: float, crosses: bool
+    pixels: StreakPixels,
+    detection: Detection,
+    line: LineFit,
+    edges: tuple[bool, bool],
+    along_px: float,
+    crosses: bool,
+    *,
+    foretold: bool,
 ) -> StreakFit:
     """The product record: ends of the track, moved across to where the frame has the trail."""
     frame, p, c = line.pixels.frame, line.parameters, line.covariance
     length, density = 2.0 * line.half_px, float(p[DENSITY])
     across = math.sqrt(c[V_MID, V_MID]) if V_MID in line.free else ACROSS_PX / math.sqrt(3.0)
+    across = along_px if foretold else across
     slope = known_width.flux_slope(density, float(np.median(line.pixels.variance_e2)), math.exp(p[LN_WIDTH]))
     row0, col0 = frame.to_pixel(-line.half_px, float(p[V_MID]))
     row1, col1 = frame.to_pixel(line.half_px, float(p[V_MID]))

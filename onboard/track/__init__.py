@@ -1,1 +1,1 @@
-"""`onboard.tracker`: detection over several frames; `joint` knows the order of its steps, `none` is the chain without one."""
+"""`onboard.tracker`: detection over several frames; `joint`, `joint_and_stack` know the order of their steps; `none` has none."""

@@ -7,6 +7,9 @@ term of Adler & Taylor 2007 in four dimensions, metric = Fisher matrix / S^2).
 
 import math
 
+import numpy as np
+from numpy.typing import NDArray
+
 SHORTEST_PX = 10.0
 PARAMETERS = 4
 
@@ -44,3 +47,12 @@ def threshold_sigma(volume: float, false_alarms: float) -> float:
 def half_point_sigma(threshold: float) -> float:
     """True joint S/N of which half are found: the maximum over four parameters exceeds it by 4 / (2 S) on average."""
     return 0.5 * (threshold + math.sqrt(threshold * threshold - 2.0 * PARAMETERS))
+
+
+def independent_stacks(epochs_s: NDArray[np.float64], *, area_px: float, box_px2_s2: float, psf_sigma_px: float) -> float:
+    """Volume of the bank of straight tracks of points through frames at `epochs_s`, in units of their metric.
+
+    box_px2_s2 : area of the velocities searched. The metric of a point's place is 1 / (2 sigma^2) along each axis, that of its
+    velocity the same times the variance of the epochs.
+    """
+    return area_px * box_px2_s2 * float(np.var(epochs_s)) / (4.0 * psf_sigma_px**4)

@@ -19,7 +19,11 @@ ENVIRONMENT = {"MALLOC_MMAP_THRESHOLD_": str(1 << 20)}
 """Images are given back to the system when they are freed: by itself glibc keeps up to 20 MB of them between frames."""
 
 DETECTORS = {"threshold": "ThresholdDetector", "line_integral": "LineIntegralDetector"}
-TRACKERS = {"none": ("onboard.track.none", "NoTracker"), "joint": ("onboard.track.joint", "JointTracker")}
+TRACKERS = {
+    "none": ("onboard.track.none", "NoTracker"),
+    "joint": ("onboard.track.joint", "JointTracker"),
+    "joint_and_stack": ("onboard.track.joint_and_stack", "JointAndStackTracker"),
+}
 
 
 class NoDetector:

@@ -1,0 +1,133 @@
+"""`onboard.tracker: joint_and_stack`: trails over a few frames as `joint` finds them, and slow objects in sums of many frames."""
+
+import math
+from dataclasses import dataclass, field, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.image import registration
+from onboard.track.joint import JointState, JointTracker, clipped, same_object
+from onboard.track.stack import Box, SlowObject, Stack, StackState, middle_ns
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.frame import FrameHeader
+from sboc_e2e.icd.signals import Detection, Track, TrackerView, TrackMember
+
+MOST_VELOCITIES: Final = 4000
+"""Velocities that a box may be divided into: the work of a window grows with them."""
+
+POINT_LIKE_PX: Final = 4.0
+"""A trail that is shorter has no ends that a frame could tell: about two widths of the PSF."""
+
+AGAIN_PX: Final = 6.0
+"""An object is one of the window before where that one foretells it so near: its rate was known to 0.2 px/s."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class SeenFrame:
+    """A frame that members may lie in. transform : (2, 3) of the stack's grid into it. epoch_s : in the stack's time."""
+
+    header: FrameHeader
+    transform: NDArray[np.float64]
+    epoch_s: float
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class JointAndStackState:
+    """States of both searches; the newest frames; objects of the last full window with their numbers."""
+
+    joint: JointState
+    stack: StackState
+    seen: tuple[SeenFrame, ...] = ()
+    slow: tuple[tuple[int, SlowObject], ...] = ()
+
+
+@dataclass(frozen=True, kw_only=True)
+class JointAndStackTracker(JointTracker):
+    """`joint`, and points that move straight within a box of velocities among the stars, `stack_frames` frames at a time."""
+
+    stack_frames: int = field(default=32, metadata={"doc": "frames that are summed", "min": 8, "max": 128})
+    rate_row_px_s: float = field(
+        default=0.0, metadata={"doc": "middle of the box of velocities, down the rows", "min": -200.0, "max": 200.0}
+    )
+    rate_col_px_s: float = field(
+        default=9.0, metadata={"doc": "middle of the box of velocities, along the columns", "min": -200.0, "max": 200.0}
+    )
+    half_row_px_s: float = field(default=0.4, metadata={"doc": "half height of the box of velocities", "min": 0.0, "max": 50.0})
+    half_col_px_s: float = field(default=0.88, metadata={"doc": "half width of the box of velocities", "min": 0.0, "max": 50.0})
+    false_stacks: float = field(
+        default=0.1, metadata={"doc": "false slow objects per window that noise may make", "min": 1e-9, "max": 10.0}
+    )
+
+    def __post_init__(self) -> None:
+        if self.half_row_px_s * self.half_col_px_s == 0.0:
+            raise UserError("onboard.tracker: half_row and half_col of the box of velocities must be above 0 px/s")
+        reach = 0.125 * self.stack_frames  # s, at four frames a second
+        n = math.prod(math.ceil(2.0 * half * reach) for half in (self.half_row_px_s, self.half_col_px_s))
+        if n > MOST_VELOCITIES:
+            raise UserError(
+                f"onboard.tracker: the box of velocities needs some {n} sums, {MOST_VELOCITIES} are allowed: "
+                "make half_row, half_col or stack_frames smaller"
+            )
+
+    def initial_state(self) -> JointAndStackState:  # type: ignore[override]
+        """Nothing seen."""
+        return JointAndStackState(joint=super().initial_state(), stack=self._stack().initial_state())
+
+    def track(  # type: ignore[override]
+        self, state: JointAndStackState, view: TrackerView
+    ) -> tuple[JointAndStackState, tuple[Track, ...]]:
+        """Tracks of both kinds; a slow object is reported once a window, with its places in the newest frames."""
+        joint, tracks = super().track(state.joint, view)
+        begun = state.stack.begin_ns
+        stack, objects = self._stack().step(state.stack, view.view, view.transform)
+        broken = stack.begin_ns != begun
+        header = view.view.header
+        new = SeenFrame(header=header, transform=stack.transform, epoch_s=(middle_ns(view.view) - stack.begin_ns) * 1e-9)
+        seen = (*(() if broken else state.seen), new)[-self.window_frames :]
+        slow = () if broken else state.slow
+        number, found = joint.next_number, []
+        for each in objects:
+            known = next((k for k, before in slow if _goes_on(before, each)), None)
+            track = self._track_of(each, number if known is None else known, seen)
+            if track is None or any(same_object(t, track) for t in joint.tracks):
+                continue
+            number += known is None
+            found.append((track, each))
+        if objects or broken:
+            slow = tuple((track.number, each) for track, each in found)
+        joint = replace(joint, next_number=number)
+        return JointAndStackState(joint=joint, stack=stack, seen=seen, slow=slow), (*tracks, *(track for track, _ in found))
+
+    def _stack(self) -> Stack:
+        box = Box(
+            row_px_s=self.rate_row_px_s,
+            col_px_s=self.rate_col_px_s,
+            half_row_px_s=self.half_row_px_s,
+            half_col_px_s=self.half_col_px_s,
+        )
+        return Stack(frames=self.stack_frames, box=box, false_per_window=self.false_stacks)
+
+    def _track_of(self, found: SlowObject, number: int, seen: tuple[SeenFrame, ...]) -> Track | None:
+        """The contract's record of a slow object; None where fewer than two of the newest frames hold it."""
+        members = []
+        for frame in seen:
+            half = 0.5e-9 * frame.header.exposure_ns
+            ends = np.array([found.at(frame.epoch_s - half), found.at(frame.epoch_s + half)])
+            inside = clipped(registration.apply(frame.transform, ends), (frame.header.rows, frame.header.cols))
+            if inside is not None:
+                (row0, col0, row1, col1), flags = inside
+                if math.hypot(row1 - row0, col1 - col0) < POINT_LIKE_PX:
+                    flags |= StreakFlag.POINT_LIKE
+                detection = Detection(
+                    row0=row0, col0=col0, row1=row1, col1=col1, snr=found.snr / math.sqrt(self.stack_frames), flags=flags
+                )
+                members.append(TrackMember(frame=frame.header.frame, detection=detection))
+        return Track(number=number, snr=found.snr, members=tuple(members)) if len(members) >= 2 else None
+
+
+def _goes_on(before: SlowObject, now: SlowObject) -> bool:
+    """Whether an object of the window before foretells one of this."""
+    return float(np.hypot(*(before.at(now.middle_s) - now.at(now.middle_s)))) < AGAIN_PX

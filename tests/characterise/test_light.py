@@ -100,7 +100,7 @@ def test_bad_passes_are_refused_by_name() -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("bins", "shortest_s", "longest_s", "objects"), [(1, 6.0, 140.0, 100), (8, 0.6, 6.0, 30)])
+@pytest.mark.parametrize(("bins", "shortest_s", "longest_s", "objects"), [(1, 6.0, 140.0, 60), (8, 0.6, 6.0, 12)])
 def test_periods_of_tumblers_with_three_passes(bins: int, shortest_s: float, longest_s: float, objects: int) -> None:
     rng = np.random.default_rng([13, bins])
     right = tried = 0

@@ -145,10 +145,15 @@ def instants_of(flight: Flight, time_s: Array, span_s: float) -> Instants:
         / SPIN_S
         * np.stack([turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], axis=1)
     )
-    sun = np.array([earth.sun_position_km(t) for t in tai_ns[:: max(1, len(tai_ns) // 8)]])
-    sun = sun[np.minimum(np.arange(len(tai_ns)) // max(1, len(tai_ns) // 8), len(sun) - 1)]
+    sun = np.array([earth.sun_position_km(t) for t in tai_ns])
     boresight = attitude[:, 2]
-    sky_e = diffuse_flux(light.sky, boresight, sun[len(sun) // 2]) * camera.surface_rate_e_s * camera.exposure_s
+    # the sky turns with the Sun by a degree a day: instants may be spread over a year
+    sky_e = np.zeros(len(tai_ns))
+    day = np.floor(np.asarray(time_s) / earth.DAY_S)
+    for number in np.unique(day):
+        which = np.flatnonzero(day == number)
+        sky_e[which] = diffuse_flux(light.sky, boresight[which], sun[which[len(which) // 2]])
+    sky_e = sky_e * camera.surface_rate_e_s * camera.exposure_s
     sky_e = sky_e + camera.instrument.stray_light_e_px_s * camera.exposure_s
     dark = float(camera.sensor.variance_e2(0.0, camera.exposure_s))
     per_e = float(camera.sensor.variance_e2(1.0, camera.exposure_s)) - dark

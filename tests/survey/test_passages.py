@@ -93,6 +93,14 @@ def test_the_earth_ends_the_watch_in_summer() -> None:
     assert 0.3 < summer.watched.mean() < 1.0
 
 
+def test_instants_of_a_year_have_the_sun_of_their_day() -> None:
+    f = flight(*SMALL)
+    at = instants_of(f, np.arange(0.0, 365.0, 5.0) * 86_400.0, BLOCK_S)
+    away = np.einsum("ni,ni->n", at.attitude[:, 2], at.sun_km) / np.linalg.norm(at.sun_km, axis=1)
+    # the camera looks away from the Sun: 45 days of delay would make this 0.7
+    assert (away < -0.999).all()
+
+
 def test_a_site_is_refused() -> None:
     found = scenario.load("ground_site_tracking", registry=Registry())
     with pytest.raises(UserError, match="a survey needs a camera in orbit"):

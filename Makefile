@@ -14,6 +14,8 @@ VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 FUZZ_RUNS ?= 1000000
+# A process a core, four at most: each needs up to 2 GB. An idle one takes tests from a busy one.
+ON_EVERY_CORE := -n auto --maxprocesses 4 --dist worksteal
 
 # One thread per process: worker processes parallelise, and sums keep their order.
 export OMP_NUM_THREADS := 1
@@ -27,13 +29,13 @@ e2e: $(READY)
 	$(BIN)/sboc run $(SCENARIO) --force
 
 test: $(READY)
-	$(BIN)/python -m pytest -q -ra
+	$(BIN)/python -m pytest -q -ra $(ON_EVERY_CORE)
 
 test-full: $(READY)
-	$(BIN)/python -m pytest -q -ra -m "slow or not slow"
+	$(BIN)/python -m pytest -q -ra $(ON_EVERY_CORE) -m "slow or not slow"
 
 test-slow: $(READY)
-	$(BIN)/python -m pytest -q -ra -m slow
+	$(BIN)/python -m pytest -q -ra $(ON_EVERY_CORE) -m slow
 
 lint: $(READY)
 	$(BIN)/ruff check .

@@ -12,7 +12,8 @@ from ground.sky.measure import middle_of, redated
 from ground.sky.rotation import turn
 from ground.sky.shake_model import STEADY, EndShake
 from ground.sky.sphere import ARCSEC_RAD, unit_vectors
-from ground.streaks.joint import JointRefit, TrackletFrame, flux_between, refit_tracklet
+from ground.straight_passage import StraightPassage, straight_passage
+from ground.streaks.joint import AccelerationPrior, JointRefit, Motion, TrackletFrame, displacements, flux_between, refit_tracklet
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution, StreakFit, StreakMeasurement, StreakPixels, Tracklet
@@ -27,18 +28,28 @@ SHIFT_CHI2: Final = 25.0
 OFF_MOTION_SIGMAS: Final = 3.5
 ROBUST_ITERATIONS: Final = 12
 UNUSUAL_CHI2: Final = 12.0
-CARRIED_SPREAD: Final = 1.5
-"""Error of ends that are placed by the motion of other frames, in units of the largest error of those frames' ends."""
+SIGNIFICANT_SHIFT: Final = 2.0
+"""Sigmas of the motion by which it must shift an end if it knows the place of that end less well than the single fit."""
+
+LEAST_WIDTH_ERROR: Final = 0.03
+"""Error of a width from what brightness and place in the frame do to the PSF, relative."""
 
 TUMBLING: Final = 0.1
 """Largest relative change of brightness from frame to frame that counts as usual."""
 
-PARABOLA_ERROR: Final = 0.3
-"""Largest departure of the motion from its parabola, in units of the median error of an end (most 1 arcsec)."""
+NEIGHBOURS: Final = 7
+"""Frames that the brightness of one is compared with, itself included."""
 
+PARABOLA_ERROR: Final = 0.3
+"""Largest departure of the motion from a straight passage, in units of the median error of an end (most 1 arcsec)."""
+
+LEAST_END_VARIANCE_PX2: Final = 0.01
 SHORTEST_WINDOW: Final = 3
 GRAVITY_ARCSEC_S2: Final = 1.0
 """Change of rate by differential gravity, beyond that of a straight passage."""
+
+LEAST_APPROACH_PER_S: Final = 1e-4
+"""Least rate, relative to the distance, at which the geometry of a passage changes."""
 
 
 SharedErrors = dict[int, tuple[int, Array]]
@@ -73,18 +84,15 @@ def refit_streaks(
         return tuple(streaks), {}
     members = [_timed_by_shutter(m, header_of[m.frame]) for m in members]
     path, zero_ns = _path_of(members), int(members[0].t_tai_ns[0])
-    frames = [
+    seen = [
         _tracklet_frame(
             m, header_of[m.frame], solution_of(m.frame), pixels_of(m), path, zero_ns, sigma_rate_of(m.frame), end_shake
         )
         for m in members
     ]
-    joint: dict[int, StreakFit] = {}
-    shared: SharedErrors = {}
-    for number, (window, sigma_acceleration) in enumerate(_windows(frames)):
-        fits, common = _refit_window(frames, window, sigma_acceleration)
-        joint |= fits
-        shared |= {members[k].streak_id: (number, errors) for k, errors in common.items()}
+    joint, common, passage = refit_frames(seen)
+    shared = {members[k].streak_id: errors for k, errors in common.items()}
+    frames = [_straightened(frame, passage) for frame in seen]
     out = list(streaks)
     for k, fit in joint.items():
         member = members[k]
@@ -99,10 +107,23 @@ def refit_streaks(
                 fit=fit,
                 row_mid=row_mid,
                 col_mid=col_mid,
-                t_tai_ns=_with_edge_epoch(epochs, frames[k], frames, joint, zero_ns),
+                t_tai_ns=_with_edge_epoch(epochs, frames[k], frames, joint, passage, zero_ns),
                 flags=member.flags & ~changed | fit.flags & changed,
             )
     return tuple(out), shared
+
+
+def refit_frames(frames: Sequence[TrackletFrame]) -> tuple[dict[int, StreakFit], SharedErrors, StraightPassage]:
+    """Changed fits and common errors of the frames of a tracklet, by their numbers, and the passage that they are fitted in."""
+    passage = _passage_of(frames)
+    straight = [_straightened(frame, passage) for frame in frames]
+    joint: dict[int, StreakFit] = {}
+    shared: SharedErrors = {}
+    for number, (window, prior) in enumerate(_windows(frames, passage)):
+        fits, common = _refit_window(straight, window, prior)
+        joint |= fits
+        shared |= {k: (number, _along_path_again(frames[k], passage, errors)) for k, errors in common.items()}
+    return joint, shared, passage
 
 
 def _timed_by_shutter(member: StreakMeasurement, header: FrameHeader) -> StreakMeasurement:
@@ -121,7 +142,12 @@ def _timed_by_shutter(member: StreakMeasurement, header: FrameHeader) -> StreakM
 
 
 def _with_edge_epoch(
-    epochs_ns: NDArray[np.int64], frame: TrackletFrame, frames: Sequence[TrackletFrame], joint: dict[int, StreakFit], zero_ns: int
+    epochs_ns: NDArray[np.int64],
+    frame: TrackletFrame,
+    frames: Sequence[TrackletFrame],
+    joint: dict[int, StreakFit],
+    passage: StraightPassage,
+    zero_ns: int,
 ) -> NDArray[np.int64]:
     """Epochs (3,) of a trail cut by the frame: its edge was passed when the joint motion says."""
     edges = [bool(frame.fit.flags & flag) for flag in (StreakFlag.EDGE0, StreakFlag.EDGE1)]
@@ -137,110 +163,133 @@ def _with_edge_epoch(
     cut_along = frame.along0 if edges[0] else frame.along1
     cut_s = own_s[0] + float(passed_s(cut_along) - passed_s(own_along[0]))
     out = epochs_ns.copy()
-    out[0 if edges[0] else 2] = zero_ns + round(cut_s * 1e9)
+    out[0 if edges[0] else 2] = zero_ns + round(passage.epoch(cut_s) * 1e9)
     out[1] = (out[0] + out[2]) // 2
     return out
 
 
-def _windows(frames: Sequence[TrackletFrame]) -> list[tuple[list[int], float]]:
-    """Frames of a tracklet in stretches that a parabola describes, and the prior sigma of the change of rate in each.
+def _passage_of(frames: Sequence[TrackletFrame]) -> StraightPassage:
+    """The straight passage that most ends of single fits lie on."""
+    ends = [end for frame in frames for end in _shutter_ends(frame)]
+    t_s, along, sigma = (np.array([end[k] for end in ends]) for k in range(3))
+    return straight_passage(t_s, along, sigma)
 
-    In a straight passage at rate w and relative range rate q, the rate changes by 2 w q, and this change changes by about 6 w
-    q^2. A parabola over +-h seconds is therefore off by w q^2 h^3. q comes from the ends themselves and is taken as at least w.
+
+def _straightened(frame: TrackletFrame, passage: StraightPassage) -> TrackletFrame:
+    """The frame in the time and the place in which the passage is uniform."""
+    stretch = passage.stretch(0.5 * (frame.along0 + frame.along1))
+    return replace(
+        frame,
+        along0=passage.place(frame.along0),
+        along1=passage.place(frame.along1),
+        along_per_px=frame.along_per_px * stretch,
+        t_open_s=passage.time(frame.t_open_s),
+        t_close_s=passage.time(frame.t_close_s),
+        line_time_s=frame.line_time_s * passage.pace(0.5 * (frame.t_open_s + frame.t_close_s)),
+        sigma_frame=frame.sigma_frame * stretch,
+        sigma_turn=frame.sigma_turn * stretch,
+        sigma_sway=frame.sigma_sway * stretch,
+    )
+
+
+def _along_path_again(frame: TrackletFrame, passage: StraightPassage, errors: Array) -> Array:
+    """Errors (2, 3) of both ends in the tangent plane of the passage as errors along the path."""
+    return errors / np.array([[passage.stretch(frame.along0)], [passage.stretch(frame.along1)]])
+
+
+def _windows(frames: Sequence[TrackletFrame], passage: StraightPassage) -> list[tuple[list[int], AccelerationPrior]]:
+    """Frames of a tracklet in stretches that a straight passage describes, and the prior of the change of rate in each.
+
+    Differential gravity adds a constant change of the rate, which the fit follows. That change varies as the geometry does, which
+    the fit does not follow: over +-h seconds the passage is off by the product of both and h^3.
     """
     t_s = np.array([[f.t_open_s, f.t_close_s] for f in frames])
     along = np.array([[f.along0, f.along1] for f in frames])
-    middle = t_s.mean()
-    degree = 2 if len(frames) > 2 else 1
-    motion = np.polynomial.polynomial.polyfit(t_s.ravel() - middle, along.ravel(), degree)
-    rate = max(abs(float(motion[1])), 1e-3)
-    change = 2.0 * abs(float(motion[2])) if degree == 2 else 0.0
-    sigma_acceleration = max(6.0 * rate**2 * ARCSEC_RAD, 2.0 * change) + GRAVITY_ARCSEC_S2
-    relative = np.hypot(rate * ARCSEC_RAD, 0.5 * change / rate)
-    error = PARABOLA_ERROR * float(
-        np.median([e for frame in frames for e in _end_errors_arcsec(frame)] or [1.0 / PARABOLA_ERROR])
-    )
-    half_s = float(np.cbrt(min(error, 1.0) / (rate * relative**2)))
     span_s = float(t_s.max() - t_s.min())
+    rate = max(float(np.ptp(along)) / max(span_s, 1e-6), 1e-3)
+    # in the time of the passage a range that does not change shows as 2 w kappa
+    prior = AccelerationPrior(2.0 * rate * passage.kappa_per_s, 2.0 * rate**2 * ARCSEC_RAD + GRAVITY_ARCSEC_S2)
+    approach = float(np.hypot(rate * ARCSEC_RAD, passage.kappa_per_s)) + LEAST_APPROACH_PER_S
+    errors = [sigma for frame in frames for _, _, sigma in _shutter_ends(frame)]
+    error = min(PARABOLA_ERROR * float(np.median(errors)), 1.0) if errors else 1.0
+    half_s = float(np.cbrt(error / (GRAVITY_ARCSEC_S2 * approach)))
     n_windows = max(1, min(int(np.ceil(span_s / (2.0 * half_s))), len(frames) // SHORTEST_WINDOW))
-    return [(part.tolist(), sigma_acceleration) for part in np.array_split(np.arange(len(frames)), n_windows)]
+    return [(part.tolist(), prior) for part in np.array_split(np.arange(len(frames)), n_windows)]
 
 
-def _end_errors_arcsec(frame: TrackletFrame) -> list[float]:
-    """One sigma of each end along the trail, without ends on the frame's edge."""
+def _shutter_ends(frame: TrackletFrame) -> list[tuple[float, float, float]]:
+    """Epoch, place and one sigma along the path of each end of a single fit, without ends on the frame's edge."""
     unit, _ = _along_of(frame.fit)
     covariance = np.asarray(frame.fit.covariance_px2)
-    flags = (StreakFlag.EDGE0, StreakFlag.EDGE1)
-    variance = [
-        float(unit @ covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] @ unit) for k in (0, 1) if not frame.fit.flags & flags[k]
-    ]
-    return [float(np.sqrt(max(v, 1e-4))) * frame.along_per_px for v in variance]
+    ends = ((StreakFlag.EDGE0, frame.t_open_s, frame.along0), (StreakFlag.EDGE1, frame.t_close_s, frame.along1))
+    out = []
+    for k, (flag, epoch, position) in enumerate(ends):
+        if not frame.fit.flags & flag:
+            variance = float(unit @ covariance[2 * k : 2 * k + 2, 2 * k : 2 * k + 2] @ unit)
+            out.append((epoch, position, float(np.sqrt(max(variance, LEAST_END_VARIANCE_PX2))) * frame.along_per_px))
+    return out
 
 
 def _refit_window(
-    frames: Sequence[TrackletFrame], window: Sequence[int], sigma_acceleration: float
+    frames: Sequence[TrackletFrame], window: Sequence[int], prior: AccelerationPrior
 ) -> tuple[dict[int, StreakFit], dict[int, Array]]:
     """Changed fits of the frames of one window, by their numbers; (2, 3) shared errors of those that the motion was fitted to."""
     members = [frames[k] for k in window]
-    used, (fits, common) = _refit_of_agreeing(members, sigma_acceleration)
-    shared = {window[k]: errors for k, errors in zip(used, common, strict=True)}
-    joint = {k: fit for k, fit in zip(used, fits, strict=True) if fit.flags & StreakFlag.REFIT and _agrees(members[k].fit, fit)}
-    agreeing = {window[k] for k in joint}
-    if len(joint) >= 2:
-        clean, clean_fits = [members[k] for k in joint], list(joint.values())
-        joint |= {k: carried(members[k], clean, clean_fits) for k in range(len(members)) if k not in joint}
-    return {window[k]: fit for k, fit in joint.items()}, {k: errors for k, errors in shared.items() if k in agreeing}
+    used, (fits, common, motion) = _refit_of_agreeing(members, prior)
+    fitted = dict(zip(used, fits, strict=True))
+    shared = dict(zip(used, common, strict=True))
+    joint = {k: fit for k, fit in fitted.items() if fit.flags & StreakFlag.REFIT and _agrees(members[k].fit, fit)}
+    shared = {k: shared[k] for k in joint}
+    if len(joint) >= 2 and motion is not None:
+        for k, member in enumerate(members):
+            if k not in joint:
+                joint[k] = carried(member, motion)
+                if joint[k] is not member.fit:
+                    shared[k] = motion.errors(member)
+    return {window[k]: fit for k, fit in joint.items()}, {window[k]: errors for k, errors in shared.items()}
 
 
-def _refit_of_agreeing(frames: Sequence[TrackletFrame], sigma_acceleration: float) -> tuple[list[int], JointRefit]:
+def _refit_of_agreeing(frames: Sequence[TrackletFrame], prior: AccelerationPrior) -> tuple[list[int], JointRefit]:
     """Joint fits of the frames that agree on one motion of one source, and their numbers.
 
     An unlisted star under or beside one trail would bend the common motion of all frames. Such a frame is recognised by its
     brightness and width, or by ends that the joint fit moves further than their errors allow.
     """
-    usual = _usual([frame.fit for frame in frames]) & _on_one_motion(frames, sigma_acceleration)
+    usual = _usual([frame.fit for frame in frames]) & _on_one_motion(frames, prior)
     used = [int(k) for k in np.flatnonzero(usual)]
     while True:
         if len(used) < 2:
-            return [], JointRefit((), np.zeros((0, 2, 3)))
-        joint = refit_tracklet([frames[k] for k in used], sigma_acceleration=sigma_acceleration)
+            return [], JointRefit((), np.zeros((0, 2, 3)), None)
+        joint = refit_tracklet([frames[k] for k in used], prior=prior)
         shift_chi2 = np.array([_shift_chi2(frames[k].fit, fit) for k, fit in zip(used, joint.fits, strict=True)])
         if shift_chi2.max() <= SHIFT_CHI2 or len(used) < 4:
             return used, joint
         used.pop(int(np.argmax(shift_chi2)))
 
 
-def carried(frame: TrackletFrame, clean: Sequence[TrackletFrame], joint: Sequence[StreakFit]) -> StreakFit:
-    """Fit of an outlying frame, with its ends placed by the motion of the other frames.
+def carried(frame: TrackletFrame, motion: Motion) -> StreakFit:
+    """Fit of an outlying frame, with its ends placed by the motion of the other frames and with that motion's errors.
 
-    The joint fits lie on one motion. A parabola (a line for two frames) through their ends reproduces it between them, but not
-    beyond. Ends on the frame's edge and the density of the light do not change.
+    Ends on the frame's edge and the density of the light do not change.
     """
-    t_s, along, sigma = _timed_ends(clean, joint)
-    if len(t_s) < 3 or not min(t_s) < frame.t_open_s < frame.t_close_s < max(t_s):
-        return frame.fit
-    motion = np.polynomial.Polynomial.fit(t_s, along, 2 if len(t_s) > 4 else 1)
     unit, length = _along_of(frame.fit)
-    shifts = []
-    for flag, start, epoch in (
-        (StreakFlag.EDGE0, frame.along0, frame.t_open_s),
-        (StreakFlag.EDGE1, frame.along1, frame.t_close_s),
-    ):
-        shift = 0.0
-        for _ in range(2):  # an end that moves to another row is exposed at another time
-            shift = (float(motion(epoch + frame.line_time_s * shift * unit[0])) - start) / frame.along_per_px
-        shifts.append(0.0 if frame.fit.flags & flag else shift)
+    free = np.array([not frame.fit.flags & flag for flag in (StreakFlag.EDGE0, StreakFlag.EDGE1)])
+    moved = displacements(frame, float(unit[0]), motion.mean[None, :], motion.zero_s)
+    shifts = [float(shift[0]) if end else 0.0 for shift, end in zip(moved, free, strict=True)]
+    errors = motion.errors(frame) / frame.along_per_px * free[:, None]
+    spread = errors @ errors.T + (frame.sigma_frame / frame.along_per_px) ** 2 * np.outer(free, free)
+    sigma = np.sqrt(np.diag(spread))
+    if not _worth_carrying(frame.fit, shifts, sigma):
+        return frame.fit
     lit = length + shifts[1] - shifts[0]
     if lit < 0.2 * length or max(map(abs, shifts)) > length + 10.0:
         return frame.fit
     flux, flux_err = flux_between(frame, *shifts)
     if not flux > 0.0:
         return frame.fit
-    spread = CARRIED_SPREAD * max(sigma)
     across = np.array([-unit[1], unit[0]])
     keep = np.kron(np.eye(2), np.outer(across, across))
-    free = np.array([0.0 if frame.fit.flags & flag else spread**2 for flag in (StreakFlag.EDGE0, StreakFlag.EDGE1)])
-    covariance = keep @ np.asarray(frame.fit.covariance_px2) @ keep + np.kron(np.diag(free), np.outer(unit, unit))
+    covariance = keep @ np.asarray(frame.fit.covariance_px2) @ keep + np.kron(spread, np.outer(unit, unit))
     return replace(
         frame.fit,
         row0=frame.fit.row0 + shifts[0] * unit[0],
@@ -248,11 +297,19 @@ def carried(frame: TrackletFrame, clean: Sequence[TrackletFrame], joint: Sequenc
         row1=frame.fit.row1 + shifts[1] * unit[0],
         col1=frame.fit.col1 + shifts[1] * unit[1],
         covariance_px2=covariance,
-        end_interval_px=np.array([[-1.0, 1.0], [-1.0, 1.0]]) * np.sqrt(free)[:, None],
+        end_interval_px=np.array([[-1.0, 1.0], [-1.0, 1.0]]) * sigma[:, None],
         flux_e=flux,
         flux_err_e=flux_err,
         flags=frame.fit.flags & ~StreakFlag.ENDS_NOT_GAUSSIAN | StreakFlag.REFIT,
     )
+
+
+def _worth_carrying(single: StreakFit, shifts: Sequence[float], sigma: Array) -> bool:
+    """Whether a motion knows the ends better than the single fit, or the single fit is clearly off it."""
+    unit, _ = _along_of(single)
+    covariance = np.asarray(single.covariance_px2)
+    own = np.sqrt([max(float(unit @ covariance[i : i + 2, i : i + 2] @ unit), LEAST_END_VARIANCE_PX2) for i in (0, 2)])
+    return bool(np.all(sigma <= own) or np.any(np.abs(shifts) > SIGNIFICANT_SHIFT * sigma))
 
 
 def _timed_ends(frames: Sequence[TrackletFrame], joint: Sequence[StreakFit]) -> tuple[list[float], list[float], list[float]]:
@@ -284,43 +341,37 @@ def _end(fit: StreakFit, end: int) -> tuple[float, float]:
 
 
 def _usual(fits: Sequence[StreakFit]) -> NDArray[np.bool_]:
-    """Whether each fit's brightness per length and width agree with the tracklet's medians."""
+    """Whether each fit's brightness per length agrees with the median of its neighbours, and its width with that of all.
+
+    Range, phase and a slow rotation change the brightness over a tracklet by more than a star does in one frame.
+    """
     density = np.array([fit.flux_e / max(fit.length_px, 1.0) for fit in fits])
     density_err = np.array([fit.flux_err_e / max(fit.length_px, 1.0) for fit in fits])
     width, width_err = np.array([fit.width_px for fit in fits]), np.array([fit.width_err_px for fit in fits])
-    by_density = (density - np.median(density)) / np.hypot(density_err, TUMBLING * np.median(density))
-    by_width = (width - np.median(width)) / np.maximum(width_err, 1e-3)
+    first = np.clip(np.arange(len(fits)) - NEIGHBOURS // 2, 0, max(len(fits) - NEIGHBOURS, 0))
+    near = np.array([np.median(density[k : k + NEIGHBOURS]) for k in first])
+    by_density = (density - near) / np.hypot(density_err, TUMBLING * near)
+    by_width = (width - np.median(width)) / np.hypot(width_err, LEAST_WIDTH_ERROR * np.median(width))
     return np.asarray(by_density**2 + np.nan_to_num(by_width) ** 2 < UNUSUAL_CHI2)
 
 
-def _on_one_motion(frames: Sequence[TrackletFrame], sigma_acceleration: float) -> NDArray[np.bool_]:
+def _on_one_motion(frames: Sequence[TrackletFrame], prior: AccelerationPrior) -> NDArray[np.bool_]:
     """Whether the ends of each single fit lie on the parabola that most ends lie on (Cauchy weights, iterated)."""
-    t_s, along, sigma, owner = [], [], [], []
-    for k, frame in enumerate(frames):
-        unit, _ = _along_of(frame.fit)
-        covariance = np.asarray(frame.fit.covariance_px2)
-        ends = ((StreakFlag.EDGE0, frame.t_open_s, frame.along0, 0), (StreakFlag.EDGE1, frame.t_close_s, frame.along1, 2))
-        for flag, epoch, position, i in ends:
-            if not frame.fit.flags & flag:
-                variance = float(unit @ covariance[i : i + 2, i : i + 2] @ unit)
-                t_s.append(epoch)
-                along.append(position)
-                sigma.append(float(np.sqrt(max(variance, 0.01))) * frame.along_per_px)
-                owner.append(k)
+    ends = [(k, *end) for k, frame in enumerate(frames) for end in _shutter_ends(frame)]
     good = np.ones(len(frames), dtype=bool)
-    if len(t_s) < 6:
+    if len(ends) < 6:
         return good
-    t, y, error = np.array(t_s), np.array(along), np.array(sigma)
+    owner, t, y, error = (np.array(column) for column in zip(*ends, strict=True))
     design = np.stack((np.ones_like(t), t - t.mean(), 0.5 * (t - t.mean()) ** 2), axis=1)
-    prior = np.diag([0.0, 0.0, sigma_acceleration**-2])
+    information = np.diag([0.0, 0.0, prior.wide**-2])
     weight = np.ones_like(t)
     z = np.zeros_like(t)
     for _ in range(ROBUST_ITERATIONS):
         weighted = design * (weight / error**2)[:, None]
-        motion = np.linalg.solve(weighted.T @ design + prior, weighted.T @ y)
+        motion = np.linalg.solve(weighted.T @ design + information, weighted.T @ y + information @ [0.0, 0.0, prior.usual])
         z = (y - design @ motion) / error
         weight = 1.0 / (1.0 + (z / 2.0) ** 2)
-    np.logical_and.at(good, np.array(owner), np.abs(z) < OFF_MOTION_SIGMAS)
+    np.logical_and.at(good, owner, np.abs(z) < OFF_MOTION_SIGMAS)
     return good
 
 

@@ -24,7 +24,7 @@ from onboard.image.view import calibrated_view, with_stars
 from onboard.options import OnboardOptions
 from onboard.parameter_set import parameter_set_id
 from onboard.stars.memory import brought_forward, usable_stars, with_frame
-from onboard.state import OnboardResult, OnboardState, OnboardSteps, Tracking
+from onboard.state import OnboardResult, OnboardState, OnboardSteps, Prepared, Tracking
 from onboard.work import meter
 from sboc_e2e.icd.errors import ContractError, UserError
 from sboc_e2e.icd.flags import FrameFlag
@@ -68,6 +68,11 @@ class OnboardChain:
             )
         self._scratch: tuple[NDArray[np.float32], NDArray[np.uint8]] | None = None
 
+    @property
+    def looks_back(self) -> bool:
+        """Whether the detector holds a frame against another one."""
+        return self._steps.detector.history_frames > 0
+
     def initial_state(self) -> OnboardState:
         """State before the first frame."""
         downlink = self._options.downlink
@@ -79,14 +84,21 @@ class OnboardChain:
         )
 
     def process(self, state: OnboardState, frame: Frame) -> tuple[OnboardState, OnboardResult]:
-        """Packets of one frame and the state after it. Arrays of the state belong to the chain."""
+        """Packets of one frame, judged at once, and the state after it. Arrays of the state belong to the chain.
+
+        `onboard.latency` has a frame without a predecessor wait for the next one. Here it is judged alone, and the figures
+        of single frames hold for it (docs/limits.md, "First frames").
+        """
+        return self.judge(state, self.prepare(state, frame))
+
+    def prepare(self, state: OnboardState, frame: Frame) -> Prepared:
+        """A frame's calibrated image, stars and flags, in memory that the next call uses again."""
         header = self._with_saturation(frame.header)
         check = checksum(frame.pixels)
         residual, mask = self._buffers(frame.pixels.shape)
         counts = to_counts(replace(frame, header=header), self._calibration_of(header), mask)
         mark_dead_area(mask, counts.pixels, counts.saturation)
         state.hot_pixels.mark(mask)
-        work = meter(frame.pixels.size)
         view, row_sums, n_masked = calibrated_view(
             header,
             counts,
@@ -94,19 +106,28 @@ class OnboardChain:
             self._steps.background,
             psf_sigma_px=self._camera.psf_sigma_px,
             history=state.history,
-            work=work,
+            work=meter(frame.pixels.size),
         )
         flags = header_flags(header) | sequence_flags(header, check, state.previous, state.pixel_check)
         flags |= content_flags(view.mask, counts, n_masked)
         usable = not flags & (FrameFlag.ALL_MASKED | FrameFlag.EMPTY_SIGNAL | FrameFlag.REPEATED_FRAME)
         if usable:
             view = with_stars(view, residual, row_sums, self._steps.star_extractor)
+        earlier = brought_forward(state.earlier_stars, view.stars) if usable else ()
+        return Prepared(
+            view=view, counts=counts, flags=flags, usable=usable, earlier=earlier, n_masked=n_masked, pixel_check=check
+        )
+
+    def judge(self, state: OnboardState, prepared: Prepared) -> tuple[OnboardState, OnboardResult]:
+        """Packets of a prepared frame, held against what its view has as history, and the state after it."""
+        view, counts, flags, usable, earlier = prepared.view, prepared.counts, prepared.flags, prepared.usable, prepared.earlier
+        header, work = view.header, view.work
+        if usable:
             found, searched = self._detections(view)
             # While stars trail, a source that does not move in the frame is the object.
             detections = flag_static(found, state.recent if view.stars.motion is None else ())
-            earlier = brought_forward(state.earlier_stars, view.stars)
         else:
-            detections, searched, earlier = (), None, ()
+            detections, searched = (), None
         tracking = state.tracking
         tracks: tuple[Track, ...] = ()
         broken = True
@@ -130,7 +151,7 @@ class OnboardChain:
             detections=detections,
             earlier=earlier,
             flags=flags,
-            n_masked=n_masked,
+            n_masked=prepared.n_masked,
             previous=state.previous,
             frames_done=state.frames_done,
             codec=self._codec_of(counts),
@@ -144,7 +165,7 @@ class OnboardChain:
             pixels = pixels.newest(1 if broken else self._steps.tracker.window_frames - 1)
             tracking = replace(tracking, pixels=pixels)
         keep = self._steps.detector.history_frames if usable else 0
-        history = (*state.history, self._remembered(view))[-keep:] if keep > 0 else state.history
+        history = (*state.history, self.remembered(view))[-keep:] if keep > 0 else state.history
         after = OnboardState(
             writer=outbox.writer,
             allowance=outbox.allowance,
@@ -155,7 +176,7 @@ class OnboardChain:
             earlier_stars=with_frame(earlier, usable_stars(view.stars, detections, view.psf_sigma_px))
             if usable
             else state.earlier_stars,
-            pixel_check=check,
+            pixel_check=prepared.pixel_check,
             frames_done=state.frames_done + 1,
             tracking=tracking,
         )
@@ -201,7 +222,7 @@ class OnboardChain:
             self._scratch = (np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.uint8))
         return self._scratch
 
-    def _remembered(self, view: DetectorView) -> Any:
+    def remembered(self, view: DetectorView) -> Any:
         """The part of a view that the history keeps."""
         view = replace(view, history=(), work=WorkMeter())
         detector = self._steps.detector

@@ -6,12 +6,14 @@ from typing import Any
 from onboard.downlink.budget import Allowance
 from onboard.downlink.packets import PacketWriter
 from onboard.downlink.send import TrackPixels
+from onboard.image.calibrate import Counts
 from onboard.image.hot_pixels import HotPixels
 from onboard.stars.memory import EarlierStars
 from onboard.track.none import NoTracker
 from sboc_e2e.icd.downlink import Housekeeping
-from sboc_e2e.icd.frame import FrameHeader
-from sboc_e2e.icd.signals import Detection, RoiGroup, StarList, Track
+from sboc_e2e.icd.flags import FrameFlag
+from sboc_e2e.icd.frame import Frame, FrameHeader
+from sboc_e2e.icd.signals import Detection, DetectorView, RoiGroup, StarList, Track
 from sboc_e2e.icd.steps import BackgroundEstimator, Detector, Encoder, StarExtractor, Tracker
 from sboc_e2e.icd.work import WorkMeter
 
@@ -37,13 +39,30 @@ class Tracking:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Prepared:
+    """A frame up to its stars.
+
+    usable : its pixels show something new. earlier : stars of the frames before, in its coordinates.
+    pixel_check : checksum of some rows.
+    """
+
+    view: DetectorView
+    counts: Counts
+    flags: FrameFlag
+    usable: bool
+    earlier: tuple[EarlierStars, ...]
+    n_masked: int
+    pixel_check: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class OnboardState:
     """State of the chain between frames; picklable.
 
     earlier_stars : star lists of the last frames, newest last.
     history : views of the last frames, or what the detector keeps of them, as many as it declares, newest last.
     recent : detections of the last frames, for the STATIC flag. pixel_check : checksum of some rows of the last frame.
-    tracking : None without a tracker.
+    tracking : None without a tracker. held : a frame that waits for the next one, as it came, two bytes a pixel.
     """
 
     writer: PacketWriter
@@ -56,6 +75,7 @@ class OnboardState:
     pixel_check: int | None = None
     frames_done: int = 0
     tracking: Tracking | None = None
+    held: Frame | None = None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

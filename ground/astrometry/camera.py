@@ -21,6 +21,9 @@ SHARED: Final = ("ln focal", "k1", "k2", "p1", "p2")
 ATTITUDE: Final = 3
 """Parameters of each frame: the small rotation in the camera frame."""
 
+CONVERGED: Final = 1e-9
+"""Step of Newton's iteration, tangent, after which no other is needed."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Camera:
@@ -85,7 +88,10 @@ class Camera:
         return self.center_row + self.focal_px * dv, self.center_col + self.focal_px * du
 
     def unproject(self, row: Array, col: Array) -> Array:
-        """Unit camera-frame vectors (n, 3) of pixels; Newton's iteration, 1e-13 rad for distortions below 10 %."""
+        """Unit camera-frame vectors (n, 3) of pixels; Newton's iteration, 1e-13 rad for distortions below 10 %.
+
+        The last step of the iteration squares the error of the one before, so steps below its root need no other.
+        """
         u_seen = (np.asarray(col, dtype=np.float64) - self.center_col) / self.focal_px
         v_seen = (np.asarray(row, dtype=np.float64) - self.center_row) / self.focal_px
         u, v = u_seen.copy(), v_seen.copy()
@@ -94,7 +100,10 @@ class Camera:
             a, b, c = self._distortion_slopes(u, v)
             determinant = a * c - b * b
             ru, rv = u_seen - du, v_seen - dv
-            u, v = u + (c * ru - b * rv) / determinant, v + (a * rv - b * ru) / determinant
+            step_u, step_v = (c * ru - b * rv) / determinant, (a * rv - b * ru) / determinant
+            u, v = u + step_u, v + step_v
+            if max(float(np.abs(step_u).max(initial=0.0)), float(np.abs(step_v).max(initial=0.0))) < CONVERGED:
+                break
         vectors = np.stack((self._hand * u, v, np.ones_like(u)), axis=-1)
         return np.asarray(vectors / np.linalg.norm(vectors, axis=-1, keepdims=True))
 

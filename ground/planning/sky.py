@@ -20,6 +20,7 @@ AU_KM: Final = 149597870.7
 EARTH_RADIUS_KM: Final = 6378.137
 SPIN_RAD_S: Final = 7.292115e-5
 _TT_TAI_S: Final = 32.184
+_LIGHT_AU_DAY: Final = 173.1446327
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,8 +44,8 @@ class Orbit:
 class Sky:
     """What the plan's geometry needs at n instants.
 
-    t_tai_ns : (n,) rising. sun_km, moon_km : (n, 3) geocentric. station_km, station_km_s : (n, 3). up : (n, 3) geodetic
-    zenith of a site, None in orbit.
+    t_tai_ns : (n,) rising. sun_km, moon_km : (n, 3) geocentric; the Sun where its light comes from, as the Earth moves.
+    station_km, station_km_s : (n, 3). up : (n, 3) geodetic zenith of a site, None in orbit.
     """
 
     t_tai_ns: NDArray[np.int64]
@@ -63,7 +64,9 @@ def sky_of(station: Site | Orbit, t_tai_ns: NDArray[np.int64]) -> Sky:
     day, fraction = _tt(t_tai_ns)
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", erfa.ErfaWarning)
-        sun = -erfa.epv00(day, fraction)[0]["p"] * AU_KM
+        from_sun, of_barycentre = erfa.epv00(day, fraction)
+        # the Earth's motion turns the light by 20 arcsec, through which the Sun moves in 8 minutes and sets in 1.4 s
+        sun = (of_barycentre["v"] / _LIGHT_AU_DAY * np.linalg.norm(from_sun["p"], axis=-1, keepdims=True) - from_sun["p"]) * AU_KM
         moon = erfa.moon98(day, fraction)["p"] * AU_KM
     up = None
     if isinstance(station, Site):

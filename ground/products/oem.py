@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ground.options import ProductOptions
 from ground.orbit.observer import ObserverArc, observer_orbit
@@ -34,6 +35,33 @@ def oem_text(headers: Sequence[FrameHeader], names: ProductOptions) -> str | Non
     return "\n".join(lines) + "\n"
 
 
+def metadata_lines(name: str, identifier: str, epochs: Sequence[str], *, degree: int, comments: Sequence[str] = ()) -> list[str]:
+    """Metadata of states in EME2000 at UTC epochs, to be interpolated by Hermite polynomials of this degree."""
+    return [
+        "META_START",
+        *(f"COMMENT {text}" for text in comments),
+        f"OBJECT_NAME = {name}",
+        f"OBJECT_ID = {identifier}",
+        "CENTER_NAME = EARTH",
+        "REF_FRAME = EME2000",
+        "TIME_SYSTEM = UTC",
+        f"START_TIME = {epochs[0]}",
+        f"STOP_TIME = {epochs[-1]}",
+        "INTERPOLATION = HERMITE",
+        f"INTERPOLATION_DEGREE = {degree}",
+        "META_STOP",
+        "",
+    ]
+
+
+def state_lines(epochs: Sequence[str], states: NDArray[np.float64]) -> list[str]:
+    """A line an epoch: position (km) to 1 mm and velocity (km/s) to 1 um/s. states : (n, 6)."""
+    return [
+        f"{epoch} " + " ".join([f"{x:.6f}" for x in state[:3]] + [f"{v:.9f}" for v in state[3:]])
+        for epoch, state in zip(epochs, states, strict=True)
+    ]
+
+
 def _span(arc: ObserverArc, frames_ns: Sequence[tuple[int, int]]) -> tuple[int, int]:
     """Whole seconds of TAI (ns) that hold the fixes of an arc and the exposures within its reach."""
     low, high = int(arc.t_tai_ns[0]), int(arc.t_tai_ns[-1])
@@ -52,22 +80,9 @@ def _segment(arc: ObserverArc, span_ns: tuple[int, int], names: ProductOptions) 
     covariance = [turned(matrix, bias) for matrix in arc.covariances(t_ns)]
     epochs = utc_text(t_ns)
     lines = [
-        "META_START",
-        *(f"COMMENT {text}" for text in _how_made(arc)),
-        f"OBJECT_NAME = {names.observer_name}",
-        f"OBJECT_ID = {names.observer_id}",
-        "CENTER_NAME = EARTH",
-        "REF_FRAME = EME2000",
-        "TIME_SYSTEM = UTC",
-        f"START_TIME = {epochs[0]}",
-        f"STOP_TIME = {epochs[-1]}",
-        "INTERPOLATION = HERMITE",
-        "INTERPOLATION_DEGREE = 3",
-        "META_STOP",
-        "",
+        *metadata_lines(names.observer_name, names.observer_id, epochs, degree=3, comments=_how_made(arc)),
+        *state_lines(epochs, states),
     ]
-    for epoch, state in zip(epochs, states, strict=True):
-        lines.append(f"{epoch} " + " ".join([f"{x:.6f}" for x in state[:3]] + [f"{v:.9f}" for v in state[3:]]))
     lines += ["", "COVARIANCE_START"]
     for k in sorted({*range(0, len(t_ns), _COVARIANCE_STEP), len(t_ns) - 1}):
         lines += [f"EPOCH = {epochs[k]}", "COV_REF_FRAME = EME2000", *triangle_lines(covariance[k])]

@@ -14,6 +14,7 @@ from ground.orbit.dynamics import MU_KM3_S2
 from ground.orbit.states import elements_of
 from ground.products.ccsds_covariance import keyword_lines, triangle_lines, turned
 from ground.products.epochs import utc_text
+from ground.products.oem import metadata_lines, state_lines
 from ground.sky.eme2000 import frame_bias
 from ground.store.store import ObjectStore, StoredOrbit
 from sboc_e2e.icd import tai
@@ -70,28 +71,12 @@ def oem(orbit: StoredOrbit, name: str, originator: str, days: float) -> str:
     bias = frame_bias()
     states = np.hstack([arc.states[:, :3] @ bias.T, arc.states[:, 3:] @ bias.T])
     epochs = utc_text(t)
-    rows = [
-        f"{epoch} " + " ".join([f"{x:.6f}" for x in state[:3]] + [f"{v:.9f}" for v in state[3:]])
-        for epoch, state in zip(epochs, states, strict=True)
-    ]
     covariance = []
     for k in (0, len(t) - 1):
         propagated = arc.partials[k] @ orbit.covariance @ arc.partials[k].T
         covariance += [f"EPOCH = {epochs[k]}", "COV_REF_FRAME = EME2000", *triangle_lines(turned(propagated, bias))]
-    meta = [
-        "META_START",
-        f"OBJECT_NAME = {name}",
-        "OBJECT_ID = UNKNOWN",
-        "CENTER_NAME = EARTH",
-        "REF_FRAME = EME2000",
-        "TIME_SYSTEM = UTC",
-        f"START_TIME = {epochs[0]}",
-        f"STOP_TIME = {epochs[-1]}",
-        "INTERPOLATION = HERMITE",
-        "INTERPOLATION_DEGREE = 7",
-        "META_STOP",
-        "",
-    ]
+    meta = metadata_lines(name, "UNKNOWN", epochs, degree=7)
+    rows = state_lines(epochs, states)
     head = [*_head("OEM", orbit, originator), ""]
     return "\n".join([*head, *meta, *rows, "", "COVARIANCE_START", *covariance, "COVARIANCE_STOP"]) + "\n"
 

@@ -11,7 +11,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.downlink.roi import StripGeometry
+from onboard.downlink.roi import StripGeometry, strip_of
 from onboard.image.calibrate import Counts
 from onboard.image.dark_map import Codes, dark_row, place_of
 from sboc_e2e.icd.frame import FrameHeader
@@ -46,14 +46,7 @@ class KeptCounts:
         """The pixels of a strip, as `roi.cut_strip` cuts them from the frame itself."""
         values = np.empty((geometry.n, geometry.width), dtype=np.int32)
         _gather(self.kept, geometry.axis, geometry.major0, geometry.minor0_fp, geometry.slope_fp, level, values)
-        return Strip(
-            axis=geometry.axis,
-            major0=geometry.major0,
-            minor0_fp=geometry.minor0_fp,
-            slope_fp=geometry.slope_fp,
-            level_adu=level,
-            values_adu=values,
-        )
+        return strip_of(geometry, level, values)
 
 
 def kept_counts(header: FrameHeader, background: BackgroundModel, counts: Counts, sent: tuple[RoiGroup, ...]) -> KeptCounts:

@@ -176,6 +176,11 @@ def cut_strip(geometry: StripGeometry, pixels: NDArray[np.uint16] | NDArray[np.i
     """The pixels of a strip."""
     values = np.empty((geometry.n, geometry.width), dtype=np.int32)
     gather(pixels, dark.codes, geometry.axis, geometry.major0, geometry.minor0_fp, geometry.slope_fp, level, values)
+    return strip_of(geometry, level, values)
+
+
+def strip_of(geometry: StripGeometry, level: int, values: NDArray[np.int32]) -> Strip:
+    """The contract's record of a strip with these pixel values (n, width), ADU above its level."""
     return Strip(
         axis=geometry.axis,
         major0=geometry.major0,

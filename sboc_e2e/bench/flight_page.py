@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from onboard import work
 from onboard.options import DownlinkOptions, RoiOptions
+from sboc_e2e.bench import flight_vectors
 from sboc_e2e.icd.work import Work
 from sboc_e2e.registry import SEAMS, Registry
 from sboc_e2e.scenario.option_models import option_fields, to_document
@@ -110,11 +111,27 @@ the comparison with the frame before needs that frame in eight bits.
   At one pixel a clock of 150 MHz a 4096 x 4096 frame streams in 0.11 s. The line sums need {dyadic:.0f} MB of memory and 66
   bytes of traffic a pixel (1.1 GB a frame). Fits, search and tests of candidates stay on the processor.
 
-**Latency**: a frame's packets follow from that frame and what is remembered of those before; nothing waits for a later
-frame.
+**Latency**: a frame's packets follow from that frame and what is remembered of those before, and leave at once. A frame that has
+no predecessor with the same stars, the first of a run or of a new direction, waits for the next one and is held against that
+(`onboard/latency.py`); its packets leave one frame later, before those of the next. While it waits its pixels stay in memory as
+they came, two bytes each. The step that ends the wait judges two frames and calibrates three times, as the newer one is looked
+at before and after; each frame keeps its own limit. Frames that share no stars at all wait one after the other, and each is
+calibrated twice.
 
 **The number of a set of parameters**: the CRC-32 of all options below and of the steps' names, in every header packet
 (`parameter_set`) and in `frames.ecsv`.
+
+## Golden vectors
+
+`tests/golden/flight` holds inputs and outputs of each stage for frames of {vector_side} x {vector_side} px, in npz files: a zip
+of NumPy's npy arrays, each with type and shape in its header, little endian, no pickles; arrays `in_*` and `out_*`. The inputs
+of a stage stand beside its outputs, so each can be ported alone. `python -m sboc_e2e.bench.flight_vectors tests/golden/flight`
+writes them anew, after a change of a stage or of a default (`packets` has the number of the set of parameters);
+`pytest tests/bench/test_flight_vectors.py` holds the stages to them, every bit. Integer stages are exact on any machine.
+Those with floating point are exact with the versions of `requirements.lock` on the x86-64 processor of the benchmark; elsewhere
+sums may be taken in another order, and an integer that is rounded from a float may differ by one.
+
+{vectors}
 
 ## Parameters
 
@@ -189,6 +206,8 @@ def page() -> str:
         arm_frame=frame * (arm + arm_rest) / 4.0,
         dyadic=2 * 2 * 0.25 * frame * 1.5,
         parameters=_parameters(),
+        vectors=flight_vectors.table(),
+        vector_side=flight_vectors.SIDE,
     )
 
 

@@ -121,8 +121,9 @@ class DetectorView:
     residual_adu : (rows, cols) float32, dark and background level removed; masked pixels hold 0.
     background : mesh of level and of the noise sigma per pixel.
     mask : (rows, cols) uint8 of `MaskBit`; 0 = usable. stars : star list of this frame (empty for the extractor).
-    psf_sigma_px : nominal. history : earlier views, newest last, at most as many as the step declares; or what its `remembered`
-    made of them (`sboc_e2e.icd.steps.SelectiveMemory`). work : what the steps may still do for this frame; they spend from it.
+    psf_sigma_px : nominal. history : views of earlier frames, or last of the next one, at most as many as the step declares; or
+    what its `remembered` made of them (`sboc_e2e.icd.steps.SelectiveMemory`). work : what the steps may still do for this frame;
+    they spend from it.
     """
 
     header: FrameHeader

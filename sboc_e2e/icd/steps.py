@@ -51,7 +51,10 @@ class Detector(Protocol):
 
     @property
     def history_frames(self) -> int:
-        """Number of earlier views that `DetectorView.history` holds (0 for none)."""
+        """Number of views of neighbouring frames that `DetectorView.history` holds (0 for none).
+
+        They are the frames before; for a frame whose stars the frame before does not show, the next one is the newest of them.
+        """
         ...
 
     def detect(self, view: DetectorView) -> tuple[Detection, ...]:

@@ -94,9 +94,9 @@ def focal_px_by_stars(source: FrameSource, catalogue: StarCatalogue) -> float:
     if found is not None:
         return found.focal_px
     narrowest, widest = lost_in_space.NARROWEST_DEG, lost_in_space.DATABASES[0][2]
-    said = f"; the header says {lost_in_space.width_of(hints[0], fields[0].cols):.2g} deg" if hints else ""
+    hinted = f"; the header says {lost_in_space.width_of(hints[0], fields[0].cols):.2g} deg" if hints else ""
     raise UserError(
-        f"--wcs solve: the stars of the first {len(fields)} frames fit no field {narrowest:g} to {widest:g} deg wide{said}; "
+        f"--wcs solve: the stars of the first {len(fields)} frames fit no field {narrowest:g} to {widest:g} deg wide{hinted}; "
         "give --camera, or PIXSCALE (arcsec) in the headers, or take --wcs header or --wcs none"
     )
 

@@ -87,8 +87,8 @@ class Reasons:
             words.append(f"{masked:.0%} of its light fell on defective pixels")
         if (stars := self._stars_on(streak, frame)) > 0:
             words.append(f"{stars} {'star of the list lies' if stars == 1 else 'stars of the list lie'} on it")
-        if frame is not None and streak.frame == min(self.frames):
-            words.append("it is the first frame, which has no predecessor that shows what stands still")
+        if frame is not None and len(self.frames) == 1:
+            words.append("it is the only frame, without another one that shows what stands still")
         return "; ".join(words or ["no reason can be read from the files"]) + self._limits(streak.frame)
 
     def _threshold(self, frame: DownlinkFrame | None) -> float | None:

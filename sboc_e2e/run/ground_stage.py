@@ -70,11 +70,11 @@ class Outside:
         """What ingest.json says of them; nothing of frames that were simulated."""
         if not self.origin:
             return {}
-        said = [
+        frames = [
             {"frame": number, "file": file, "hdu": hdu, "notes": list(self.notes.get(number, ()))}
             for number, (file, hdu) in sorted(self.origin.items())
         ]
-        return {"outside": {"frames": said, "left_out": list(self.left_out)}}
+        return {"outside": {"frames": frames, "left_out": list(self.left_out)}}
 
 
 def ground_chain(
@@ -225,8 +225,8 @@ class GroundStage:
             write_text(folder / TDM_NAME, tdm)
             errors = tdm_angles_table(result.tracklets, result.members, result.headers, options.products, oem_name=oem_name)
             ecsv.write_table(folder / TDM_ANGLES_NAME, errors)
-        said = {"products_lack": lacking(result, orbits_wanted=options.orbits)}
-        write_json(folder / "ingest.json", (result.ingest.as_dict() if result.ingest else {}) | said | self.outside.as_dict())
+        lacks = {"products_lack": lacking(result, orbits_wanted=options.orbits)}
+        write_json(folder / "ingest.json", (result.ingest.as_dict() if result.ingest else {}) | lacks | self.outside.as_dict())
         self._write_images(folder / "images", frames, result)
         if options.products.tracklet_plots:
             # here, since matplotlib takes longer to load than a frame to process

@@ -1,8 +1,9 @@
-"""Frames -> packets: the on-board chain frame by frame, its packets kept per frame and joined at the end."""
+"""Frames -> packets: the on-board chain frame by frame, its packets kept as they leave and joined at the end."""
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from onboard import latency
 from onboard.chain import OnboardChain, OnboardState, OnboardSteps
 from sboc_e2e.faults import FaultOptions, damaged_packets, split_packets
 from sboc_e2e.files.atomic import replacing, write_bytes
@@ -41,7 +42,8 @@ class OnboardStage:
         self._keeper = StateKeeper(run=self.run, stage=STAGE)
         last = self._keeper.last()
         self.first: int = 0 if last is None else last[0] + 1
-        self._state: OnboardState = self.chain.initial_state() if last is None else last[1]
+        state: OnboardState = self.chain.initial_state() if last is None else last[1]
+        self._sequence = latency.FrameSequence(chain=self.chain, state=state)
 
     def take(self, frames: Iterable[Frame], progress: Progress) -> int:
         """Process frames in order; returns how many the run has in all."""
@@ -49,13 +51,22 @@ class OnboardStage:
         for frame in frames:
             reset_peak()
             with self.meter:
-                self._state, result = self.chain.process(self._state, frame)
+                results = self._sequence.take(frame)
             self.peak_rss_mb = max(self.peak_rss_mb, peak_rss_mb())
-            write_bytes(self.run.work_file(STAGE, position, "bin"), result.packets)
-            self._keeper.offer(position, self._state)
+            self._write(position, results)
+            self._keeper.offer(position, self._sequence.state)
             position += 1
             progress.advance()
+        waiting: latency.Results = ()
+        if self._sequence.state.held is not None:
+            with self.meter:
+                waiting = self._sequence.flush()
+        self._write(position, waiting)
         return position
+
+    def _write(self, position: int, results: latency.Results) -> None:
+        """Keep the packets that left at a position; after the last frame those of a frame that waited."""
+        write_bytes(self.run.work_file(STAGE, position, "bin"), b"".join(result.packets for result in results))
 
     def figures(self) -> dict[str, float]:
         """What the stage cost, for the manifest."""
@@ -70,7 +81,7 @@ class OnboardStage:
 
     def join(self, n_frames: int, faults: FaultOptions, seed: int) -> None:
         """Write downlink.bin from the packets of all frames, as they arrive on ground."""
-        files = (self.run.work_file(STAGE, position, "bin") for position in range(n_frames))
+        files = (self.run.work_file(STAGE, position, "bin") for position in range(n_frames + 1))
         with replacing(self.run.downlink) as stream:
             if faults.packets.any:
                 packets = [packet for path in files for packet in split_packets(path.read_bytes())]

@@ -5,7 +5,8 @@ import json
 from collections.abc import Mapping
 from typing import Any, Final
 
-from sboc_e2e.scenario import Scenario
+from sboc_e2e.scenario import Scenario, option_models
+from simulator.options import SimulatorOptions
 
 TABLES: Final = ("instrument", "psf", "sensor", "shutter", "frame_rate", "jitter", "onboard", "ground")
 """Tables of a scenario that decide how a trail of given S/N and length is found and measured."""
@@ -39,9 +40,25 @@ def fingerprint(described: Mapping[str, Any]) -> str:
     return hashlib.sha256(json.dumps(described, sort_keys=True).encode()).hexdigest()[:16]
 
 
-def first_difference(mine: Mapping[str, Any], theirs: Mapping[str, Any]) -> str | None:
-    """The first key in which two descriptions differ, in words; None where they agree."""
+def camera_defaults() -> dict[str, Any]:
+    """Keys of the camera and their defaults, flat. Steps of board and ground are not in it."""
+    document = option_models.to_document(SimulatorOptions())
+    found: dict[str, Any] = {}
+    for name in TABLES:
+        if name in document:
+            _flatten(name, document[name], found)
+    return found
+
+
+def first_difference(mine: Mapping[str, Any], theirs: Mapping[str, Any], defaults: Mapping[str, Any] | None = None) -> str | None:
+    """The first key in which two descriptions differ, in words; None where they agree.
+
+    defaults : values of keys that are younger than `theirs`. New effects of the camera are off by default, so that a camera
+    measured before the key existed is the one that has the default now.
+    """
     for key in sorted({*mine, *theirs}):
-        if mine.get(key) != theirs.get(key):
+        younger = defaults is not None and key not in theirs and key in defaults
+        known = defaults[key] if defaults is not None and younger else theirs.get(key)
+        if mine.get(key) != known:
             return f"{key} is {mine.get(key, 'absent')} here and {theirs.get(key, 'absent')} there"
     return None

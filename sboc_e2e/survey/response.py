@@ -317,7 +317,7 @@ def read(path: Path, scenario: Scenario) -> Response:
     if version != VERSION:
         raise UserError(f"{path}: a response of version {version}; this program reads version {VERSION}: measure it again")
     mine = json.loads(json.dumps(instrument.description(scenario)))
-    difference = instrument.first_difference(mine, theirs)
+    difference = instrument.first_difference(mine, theirs, json.loads(json.dumps(instrument.camera_defaults())))
     if difference is not None:
         raise UserError(f"{path}: measured with another instrument than that of {scenario.name}: {difference}")
     return Response(content=content)

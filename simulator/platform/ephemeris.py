@@ -23,8 +23,8 @@ def moon_position_km(tai_ns: int) -> Array:
     day, part = tt_parts(tai_ns)
     now = np.asarray(erfa.moon98(day, part)["p"]) * AU_KM
     delay_s = float(np.linalg.norm(now)) / LIGHT_KM_S
-    then = np.asarray(erfa.moon98(day, part - delay_s / DAY_S)["p"]) * AU_KM
-    return np.asarray(then - delay_s * earth_velocity_km_s(tai_ns))
+    moon_km = np.asarray(erfa.moon98(day, part - delay_s / DAY_S)["p"]) * AU_KM
+    return np.asarray(moon_km - delay_s * earth_velocity_km_s(tai_ns))
 
 
 def planet_position_km(name: str, tai_ns: int) -> tuple[Array, Array]:

@@ -149,6 +149,7 @@ class Failing:
 '''
 
 
+@pytest.mark.slow
 def test_exit_code_and_line(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
     """On the command line: exit code 3, one line with the plug-in's name, traceback in a log file."""
     from tests.end_to_end.conftest import tiny

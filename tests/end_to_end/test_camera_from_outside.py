@@ -18,6 +18,7 @@ TOLERANCE_ARCSEC = 2.0
 """0.05 px of `smoke`; cubic polynomials of one frame's 240 stars."""
 
 
+@pytest.mark.slow
 def test_a_tan_sip_camera_gives_directions_and_tracklets(tmp_path: Path) -> None:
     out = tmp_path / "run"
     chosen = ("--set", 'ground.astrometry.use="tan_sip"', "--set", BENT)

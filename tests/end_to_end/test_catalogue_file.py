@@ -40,6 +40,7 @@ def frames_of(run: Path) -> Table:
     return Table.read(run / "products" / "frames.ecsv", format="ascii.ecsv")
 
 
+@pytest.mark.slow
 def test_a_catalogue_built_from_a_gaia_table_solves_the_frames(
     finished: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -62,6 +63,7 @@ def test_a_catalogue_built_from_a_gaia_table_solves_the_frames(
     assert np.all(np.abs(after["zero_point_mag"] - before["zero_point_mag"]) < 0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["ecsv", "parquet"])
 def test_one_option_gives_both_halves_the_same_gaia_stars(
     finished: Run, tmp_path: Path, capsys: pytest.CaptureFixture[str], suffix: str

@@ -59,6 +59,7 @@ def with_codec(folder: Path, name: str) -> Scenario:
     return scenario.load(str(tiny(folder)), registry=Registry(), use={"onboard.codec": name})
 
 
+@pytest.mark.slow
 def test_a_codec_from_outside_is_scored_with_its_decoder(lab: Path) -> None:
     """The same regions as with the shipped codec of the same length, seen on board and on ground; also stage by stage."""
     scores = {}
@@ -84,6 +85,7 @@ def test_a_codec_without_a_decoder_is_refused_before_any_work(lab: Path) -> None
     assert not (lab / "run").exists()
 
 
+@pytest.mark.slow
 def test_a_downlink_that_nobody_can_read_says_so_in_score_and_report(lab: Path) -> None:
     out = lab / "run"
     run(RunRequest(scenario=with_codec(lab, "little_codec:Little"), out=out, workers=1))

@@ -51,6 +51,7 @@ def test_ground_takes_the_packets_of_its_own_run_and_says_what_it_left_out(copy:
     assert cli.run(["score", str(copy)]) == 0
 
 
+@pytest.mark.slow
 def test_another_run_of_a_downlink_can_be_chosen_and_is_scored_as_chosen(copy: Path) -> None:
     """Packets of two frames under another id, told apart by their number."""
     own = split_packets((copy / "downlink.bin").read_bytes())

@@ -76,6 +76,7 @@ def copy(finished: Run, tmp_path: Path) -> Path:
     return Path(shutil.copytree(finished.directory.path, tmp_path / "copy"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("room", [30_000, 400_000])
 def test_a_run_on_a_full_disk_goes_on_to_the_same_bytes(
     finished: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], room: int

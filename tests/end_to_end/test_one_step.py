@@ -58,6 +58,7 @@ def test_an_image_without_anything_gives_empty_tables() -> None:
     assert len(measure(np.full((64, 64), 100.0), found.detections)) == 0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("mirrored", [False, True])
 def test_the_sky_of_a_real_field(shared_data: Path, tmp_path: Path, mirrored: bool) -> None:
     """Against the WCS that astropy fits to the same image: a TAN without distortion, within 3 px in the middle half."""

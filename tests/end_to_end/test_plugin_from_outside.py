@@ -4,6 +4,8 @@ import hashlib
 import json
 from pathlib import Path
 
+import pytest
+
 from sboc_e2e.checks import examine
 from sboc_e2e.registry import SEAMS, Registry
 from tests.end_to_end.conftest import command, tiny
@@ -11,6 +13,7 @@ from tests.end_to_end.conftest import command, tiny
 LAB = Path(__file__).parents[1] / "plugin_example"
 
 
+@pytest.mark.slow
 def test_an_installed_package_swaps_the_detector_by_name(tmp_path: Path) -> None:
     scenario_file = tiny(tmp_path, '\n[onboard.detector]\nuse = "brightest_pixel"\nn_sigma = 6.0\n')
     without = command("run", str(scenario_file), "--out", str(tmp_path / "run"))
@@ -25,6 +28,7 @@ def test_an_installed_package_swaps_the_detector_by_name(tmp_path: Path) -> None
     assert step["file_sha256"] == hashlib.sha256((LAB / "sboc_example_lab" / "__init__.py").read_bytes()).hexdigest()
 
 
+@pytest.mark.slow
 def test_the_exam_passes_it_and_says_what_is_wrong_with_a_bad_one(tmp_path: Path) -> None:
     good = command("check", "sboc_example_lab:LongPatches", PYTHONPATH=str(LAB))
     assert good.returncode == 0, good.stdout + good.stderr
@@ -55,6 +59,7 @@ def test_the_exam_passes_it_and_says_what_is_wrong_with_a_bad_one(tmp_path: Path
         assert line in bad.stdout
 
 
+@pytest.mark.slow
 def test_every_shipped_step_passes_its_own_exam() -> None:
     for seam in SEAMS:
         for name in Registry().names(seam):

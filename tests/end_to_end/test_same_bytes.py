@@ -53,10 +53,6 @@ def check_kills(finished: Run, folder: Path, delays_s: list[float], workers: int
     assert interrupted > 0
 
 
-def test_a_run_killed_at_three_points_ends_with_the_same_bytes(finished: Run, tmp_path: Path) -> None:
-    check_kills(finished, tmp_path, [0.1, 0.6, 1.2], workers=1)
-
-
 @pytest.mark.slow
 def test_a_run_killed_at_twenty_points_ends_with_the_same_bytes(finished: Run, tmp_path: Path) -> None:
     delays_s = np.random.default_rng(20).uniform(0.0, 3.5, size=20)
@@ -65,6 +61,7 @@ def test_a_run_killed_at_twenty_points_ends_with_the_same_bytes(finished: Run, t
     check_kills(finished, tmp_path / "two", delays_s[10:].tolist(), workers=2)
 
 
+@pytest.mark.slow
 def test_a_run_that_stops_after_any_frame_goes_on_there(finished: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """Stops in this process, at every frame boundary, instead of where a signal happens to fall."""
     from sboc_e2e.run import onboard_stage

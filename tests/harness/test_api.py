@@ -21,6 +21,7 @@ print(result)
 """
 
 
+@pytest.mark.slow
 def test_a_script_without_a_guard(tmp_path: Path) -> None:
     """With spawned processes a script without a guard starts itself again and dies."""
     (tmp_path / "script.py").write_text(SCRIPT)

@@ -66,6 +66,7 @@ def test_tracks_that_no_frame_shows_are_found_in_both_senses_and_noise_gives_non
     assert senses == {True, False}
 
 
+@pytest.mark.slow
 def test_particles_of_a_storm_make_no_tracks() -> None:
     """Grazing particles at four times the density of 3,000 hits per whole frame: bright in one frame, noise beside it."""
     for seed in (2, 3):

@@ -15,6 +15,7 @@ from tests.streaks.trail_rendering import expose, trail_at
 TRACK_SNR = 9.0
 
 
+@pytest.mark.slow
 def test_a_trail_of_four_sigma_keeps_its_length_and_its_errors_are_as_quoted() -> None:
     """Ends off by the law of the track's S/N; flux and offset within their errors, unbiased; a frame alone loses the ends."""
     rng, flux, across, ratio, lengths, alone = np.random.default_rng(1), [], [], [], [], []

@@ -9,7 +9,7 @@ import pytest
 from ground.streaks import TrackletFrame, TrailedPsfFitter, refit_tracklet
 from ground.streaks.common_direction import common_turns
 from ground.streaks.fit_record import reversed_ends
-from ground.streaks.joint import flux_between
+from ground.streaks.joint import AccelerationPrior, flux_between
 from sboc_e2e.icd.flags import StreakFlag
 from tests.streaks.trail_rendering import Trail, expose, trail_at
 
@@ -99,7 +99,7 @@ def test_a_bright_window_keeps_its_motion_though_frames_may_be_spoilt() -> None:
             fit, row1=fit.row1 + 6.0 * unit[0], col1=fit.col1 + 6.0 * unit[1], flux_e=fit.flux_e * (1.0 + 6.0 / fit.length_px)
         )
         frames[1] = replace(frames[1], fit=late, along1=frames[1].along1 + 6.0)
-        for trail, joint in zip(truths, refit_tracklet(frames, sigma_acceleration=500.0).fits, strict=True):
+        for trail, joint in zip(truths, refit_tracklet(frames, prior=AccelerationPrior(0.0, 170.0)).fits, strict=True):
             assert np.abs(along_errors(trail, joint)).max() < 5.0
 
 
@@ -197,7 +197,7 @@ def test_frames_without_ends_come_back_as_they_went() -> None:
 
 def test_a_prior_on_the_acceleration_widens_the_errors_and_nothing_breaks() -> None:
     frames, truths = tracklet(np.random.default_rng(24), 60.0, 12.0, 5, 0.0)
-    free, rigid = refit_tracklet(frames, sigma_acceleration=50.0).fits, refit_tracklet(frames).fits
+    free, rigid = refit_tracklet(frames, prior=AccelerationPrior(0.0, 17.0)).fits, refit_tracklet(frames).fits
     for loose, stiff, trail in zip(free, rigid, truths, strict=True):
         assert np.trace(loose.covariance_px2) >= 0.99 * np.trace(stiff.covariance_px2)
         assert np.abs(along_errors(trail, loose)).max() < 6.0

@@ -56,6 +56,7 @@ def test_matches_the_protocol() -> None:
     assert isinstance(FITTER, StreakFitter)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("length_px", "snr"), [(20.0, 50.0), (60.0, 30.0), (100.0, 8.0), (150.0, 15.0)])
 def test_reaches_the_bounds(length_px: float, snr: float) -> None:
     """Cross-track and flux within 1.10 of the bound, ends within 1.20 of the attainable law, pulls one, coverage 68 %.
@@ -142,6 +143,7 @@ def test_curvature_gradient_and_width_are_found_where_they_are() -> None:
     assert plain.sagitta_px == 0.0
 
 
+@pytest.mark.slow
 def test_noise_makes_no_gradient_on_short_trails() -> None:
     """There brightness trades with the place of an end: with the evidence that long trails need, one end in fifty went astray."""
     rng = np.random.default_rng(24)

@@ -89,6 +89,7 @@ def test_out_that_is_a_file(real, capsys):
     assert "is a file" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("scenario", "frame", "limits"),
     [

@@ -37,8 +37,8 @@ def read_samples(path: Path) -> tuple[StateSamples, ...]:
     missing = [name for name in wanted if name not in table.colnames]
     if missing:
         raise UnreadableProduct(f"{path.name}: lacks the columns {', '.join(missing)}")
-    said = str(table[_POSITION[0]].description or "")
-    axes = next((matrix for name, matrix in AXES.items() if name in said), None)
+    description = str(table[_POSITION[0]].description or "")
+    axes = next((matrix for name, matrix in AXES.items() if name in description), None)
     if axes is None:
         raise UnreadableProduct(f"{path.name}: the description of {_POSITION[0]} names none of the axes {', '.join(AXES)}")
     tracklet, t_ns = np.asarray(table["tracklet_id"], int), np.asarray(table[epoch], np.int64)

@@ -44,8 +44,8 @@ class Orbit:
 class Sky:
     """What the plan's geometry needs at n instants.
 
-    t_tai_ns : (n,) rising. sun_km, moon_km : (n, 3) geocentric; the Sun where its light comes from, as the Earth moves. station_km, station_km_s : (n, 3). up : (n, 3) geodetic
-    zenith of a site, None in orbit.
+    t_tai_ns : (n,) rising. sun_km, moon_km : (n, 3) geocentric; the Sun where its light comes from, as the Earth moves.
+    station_km, station_km_s : (n, 3). up : (n, 3) geodetic zenith of a site, None in orbit.
     """
 
     t_tai_ns: NDArray[np.int64]

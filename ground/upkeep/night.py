@@ -107,7 +107,7 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
             refused += 1
         else:
             renewed.append(one)
-    known = {(a.tracklet_id, a.object_id) for a in store.associations(state="ambiguous")}
+    in_doubt = {(a.tracklet_id, a.object_id) for a in store.associations(state="ambiguous")}
     taken = {t for one in renewed for t in one.accepted} | {t for t, _, _ in doubtful}
     free = sorted(k for k in arcs if k not in taken)
     clusters = associate([data[k] for k in free], options.association)
@@ -116,7 +116,7 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
     merges = _merges(made, current, options)
     lost, retired = _faded(current, {one.object_id for one in renewed}, status, now_tai_ns, options)
     with store.transaction() as writer:
-        _write(writer, renewed, [d for d in doubtful if d[:2] not in known], made, merges, now_tai_ns)
+        _write(writer, renewed, [d for d in doubtful if d[:2] not in in_doubt], made, merges, now_tai_ns)
         found_again = [one.object_id for one in renewed if status[one.object_id] == "lost"]
         for numbers, name, why in (
             (found_again, "active", "re-acquired: a tracklet met its prediction"),

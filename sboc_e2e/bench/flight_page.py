@@ -11,6 +11,7 @@ from typing import Any, Final
 
 from onboard import work
 from onboard.options import DownlinkOptions, RoiOptions
+from sboc_e2e.bench import flight_vectors
 from sboc_e2e.icd.work import Work
 from sboc_e2e.registry import SEAMS, Registry
 from sboc_e2e.scenario.option_models import option_fields, to_document
@@ -120,6 +121,18 @@ calibrated twice.
 **The number of a set of parameters**: the CRC-32 of all options below and of the steps' names, in every header packet
 (`parameter_set`) and in `frames.ecsv`.
 
+## Golden vectors
+
+`tests/golden/flight` holds inputs and outputs of each stage for frames of {vector_side} x {vector_side} px, in npz files: a zip
+of NumPy's npy arrays, each with type and shape in its header, little endian, no pickles; arrays `in_*` and `out_*`. The inputs
+of a stage stand beside its outputs, so each can be ported alone. `python -m sboc_e2e.bench.flight_vectors tests/golden/flight`
+writes them anew, after a change of a stage or of a default (`packets` has the number of the set of parameters);
+`pytest tests/bench/test_flight_vectors.py` holds the stages to them, every bit. Integer stages are exact on any machine.
+Those with floating point are exact with the versions of `requirements.lock` on the x86-64 processor of the benchmark; elsewhere
+sums may be taken in another order, and an integer that is rounded from a float may differ by one.
+
+{vectors}
+
 ## Parameters
 
 {parameters}"""
@@ -193,6 +206,8 @@ def page() -> str:
         arm_frame=frame * (arm + arm_rest) / 4.0,
         dyadic=2 * 2 * 0.25 * frame * 1.5,
         parameters=_parameters(),
+        vectors=flight_vectors.table(),
+        vector_side=flight_vectors.SIDE,
     )
 
 

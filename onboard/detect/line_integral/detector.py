@@ -26,6 +26,7 @@ from onboard.detect.line_integral import (
     strip,
     trailed_sky,
     trains,
+    varied,
 )
 from onboard.detect.line_integral.kept_frame import KeptFrame, kept
 from onboard.detect.line_integral.star_removal import (
@@ -518,7 +519,8 @@ class LineIntegralDetector:
         unclipped = [
             segment_snr(d, view, images, s_px) if d.snr > 30.0 and d.length_px >= POINT_LIKE_PX else d.snr for d in found
         ]
-        found = fragments.join([replace(d, snr=max(d.snr, s)) for d, s in zip(found, unclipped, strict=True)])
+        found = [replace(d, snr=max(d.snr, s)) for d, s in zip(found, unclipped, strict=True)]
+        found = fragments.join(varied.followed(found, view, images, s_px))
         radii = star_mask.mask_radii_px(view.stars.snr, s_px, self.halo_px) if found else np.zeros(0)
         found = [context.with_context(d, view, images.stars, radii) for d in found]
         tracks = [d for d in found if d.flags & StreakFlag.COSMIC_LIKE]

@@ -37,6 +37,7 @@ class Effect(IntEnum):
     COMPANIONS = 24  # binaries and variables of the sky
     SURVEY = 25  # passages of a block of a survey; block is the size class, 0 the instants
     FLAT_ERRORS = 26  # what flats of another date and lamp get wrong
+    BREAKUP = 27  # pieces of a break-up (frame: its number in the scenario)
 
 
 def generator(seed: int, effect: Effect | int, frame: int = 0, block: int = 0) -> np.random.Generator:

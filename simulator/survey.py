@@ -25,6 +25,7 @@ from simulator.randomness import Effect, generator
 from simulator.scene.cast import encounter_window
 from simulator.scene.debris import SizeClass, draw_orbits, low_orbit_share
 from simulator.scene.encounters import PopulationOptions, Window, cell_density, expected_snr, in_field, number_density, reach_km
+from simulator.scene.fleet import Fleet, is_given, make_fleet
 from simulator.scene.reflection import LightCurve, in_sight, lambert_flux, sunlit_fraction
 from simulator.scene.sky import diffuse_flux
 from simulator.scene.surface import Surfaces, draw_surfaces
@@ -74,6 +75,8 @@ class Flight:
     carrier: Carrier
     window: Window
     seed: int
+    fleet: Fleet | None
+    """Objects with names; None where the scenario has none."""
 
     @classmethod
     def of(cls, options: SimulatorOptions, seed: int) -> "Flight":
@@ -93,7 +96,11 @@ class Flight:
         )
         carrier = carrier_of(options, shutter, observer, camera, seed)
         window = encounter_window(carrier, camera, options.light, 0.0, 0.0, BLOCK_S)
-        return cls(options=options, camera=camera, carrier=carrier, window=window, seed=seed)
+        fleet = None
+        if is_given(options.objects):
+            colour_factor = camera.instrument.colour_factor
+            fleet = make_fleet(options.objects, options.population, epoch, seed, colour_factor)
+        return cls(options=options, camera=camera, carrier=carrier, window=window, seed=seed, fleet=fleet)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -244,7 +251,7 @@ def candidates(flight: Flight, at: Instants, pool: Pool, n: int, rng: np.random.
     there = np.flatnonzero(np.isfinite(velocity).all(axis=1))
     solid_angle = 4.0 * window.half_row * window.half_col / slant[kept] ** 3
     natural = pool.population[piece[kept]] * density[kept] * solid_angle * range_km**2 / per_km[kept] * at.span_s / n
-    return _passages(
+    return make_passages(
         flight, at, instant[there], size_m[there], surfaces.taken(there), position[there], velocity[there], natural[there]
     )
 
@@ -260,7 +267,7 @@ def _reach_km(flight: Flight, at: Instants, size_m: Array, surfaces: Surfaces) -
     return np.asarray(reach_km(size_m, surfaces, options.snr_min, darkest) * np.sqrt(slow / still))
 
 
-def _passages(
+def make_passages(
     flight: Flight,
     at: Instants,
     instant: Indices,
@@ -268,7 +275,7 @@ def _passages(
     surfaces: Surfaces,
     position_km: Array,
     velocity_km_s: Array,
-    in_sight_now: Array,
+    in_sight_now: Array | float = 1.0,
 ) -> Passages:
     """Passages of objects in the field at their instants; in_sight_now (n,) : times their stay, of nature's passages."""
     window = flight.window
@@ -370,7 +377,7 @@ def draw_block(flight: Flight, block: int, numbers: list[int], pools: Pools) -> 
             weight = some.natural * min(CHUNK, n - first) / n
             copies = np.floor(np.where(some.snr >= options.snr_min, weight, 0.0) + rng.random(len(weight))).astype(np.int64)
             parts.append(some.taken(np.repeat(np.arange(len(copies)), copies)))
-    return at, joined(parts)
+    return at, joined(parts) if parts else none_of(flight, at)
 
 
 def joined(parts: list[Passages]) -> Passages:
@@ -379,6 +386,13 @@ def joined(parts: list[Passages]) -> Passages:
     columns: dict[str, Any] = {name: np.concatenate([getattr(p, name) for p in parts]) for name in names}
     surfaces = {name: np.concatenate([getattr(p.surfaces, name) for p in parts]) for name in ("albedo", "specular", "colour")}
     return Passages(**columns, surfaces=Surfaces(**surfaces))
+
+
+def none_of(flight: Flight, at: Instants) -> Passages:
+    """No passages."""
+    no, where = np.zeros(0), np.zeros((0, 3))
+    surfaces = Surfaces(albedo=no, specular=no, colour=no)
+    return make_passages(flight, at, np.zeros(0, np.int64), no, surfaces, where, where)
 
 
 EXPECTED_ROUNDS: Final = 6
@@ -480,8 +494,16 @@ class Looks:
     frames: Indices
 
 
-def looks_of(flight: Flight, at: Instants, p: Passages, rng: np.random.Generator, only: tuple[int, int] | None = None) -> Looks:
-    """How passages show in the frames of their stay, or in those from one to another; rng : for how they turn."""
+def looks_of(
+    flight: Flight,
+    at: Instants,
+    p: Passages,
+    rng: np.random.Generator,
+    only: tuple[int | Indices, int | Indices] | None = None,
+    *,
+    turns: bool = True,
+) -> Looks:
+    """How passages show in the frames of their stay, or in those from one to another; rng : for how they turn, if they do."""
     window, camera, period = flight.window, flight.camera, 1.0 / flight.options.frame_rate_hz
     exposure, base = camera.exposure_s, at.time_s[p.instant]
     line = p.position_km - at.position_km[p.instant]
@@ -510,7 +532,8 @@ def looks_of(flight: Flight, at: Instants, p: Passages, rng: np.random.Generator
     rate = np.linalg.norm(across, axis=1) / distance
     row, col = camera.projection.to_pixels(there)
     flux = light_of(flight, at, p.instant, p.size_m, p.surfaces, p.position_km)[whose] * (p.range_km[whose] / distance) ** 2
-    flux *= turning(flight, len(p.size_m), whose, base[whose] + begin, base[whose] + np.maximum(end, begin + 1e-6), rng)
+    if turns:
+        flux *= turning(flight, len(p.size_m), whose, base[whose] + begin, base[whose] + np.maximum(end, begin + 1e-6), rng)
     lit_share = np.nan_to_num(camera.illumination_at(row, col), nan=0.0)
     noise_e2 = at.noise_e2[p.instant][whose] - (1.0 - lit_share) * at.sky_e[p.instant][whose]
     here = replace(window, noise_variance_e2=noise_e2, exposure_s=np.inf)  # type: ignore[arg-type]  # one for each look

@@ -10,22 +10,28 @@ if TYPE_CHECKING:
     from onboard.detect.line_integral.detector import LineIntegralDetector
     from onboard.detect.peers.boundary_tensor import BoundaryTensorDetector
     from onboard.detect.peers.difference import DifferenceDetector
+    from onboard.detect.peers.hough import HoughDetector
     from onboard.detect.peers.lsd import LsdDetector
+    from onboard.detect.peers.segmentation import SegmentationDetector
     from onboard.detect.threshold import ThresholdDetector
 
 _MODULES = {
     "BoundaryTensorDetector": "peers.boundary_tensor",
     "DifferenceDetector": "peers.difference",
+    "HoughDetector": "peers.hough",
     "LineIntegralDetector": "line_integral.detector",
     "LsdDetector": "peers.lsd",
+    "SegmentationDetector": "peers.segmentation",
     "ThresholdDetector": "threshold",
 }
 
 __all__ = [
     "BoundaryTensorDetector",
     "DifferenceDetector",
+    "HoughDetector",
     "LineIntegralDetector",
     "LsdDetector",
+    "SegmentationDetector",
     "ThresholdDetector",
 ]
 

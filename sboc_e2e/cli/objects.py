@@ -98,6 +98,35 @@ def update(
     typer.echo(bring_up(store, at, window))
 
 
+@objects_app.command()
+def light(
+    name: Annotated[str, typer.Argument(help="object of the catalogue")],
+    messages: Annotated[list[Path], typer.Argument(help="tracking data messages (TDM) with MAG")],
+    trails: Annotated[list[Path] | None, typer.Option("--trails", help="light_curves.ecsv of each message")] = None,
+    observer: Annotated[Path | None, typer.Option("--observer", help="ephemeris of a moving sensor (OEM)")] = None,
+    site: Annotated[str | None, typer.Option("--site", help="LATITUDE,LONGITUDE,HEIGHT of a fixed one: deg, deg, m")] = None,
+    mag_err: Annotated[float, typer.Option("--mag-err", help="one sigma of a MAG, mag")] = 0.1,
+    out: Annotated[Path | None, typer.Option("--out", help="folder for a JSON file and a plot")] = None,
+    store: Store = "objects.db",
+) -> None:
+    """Light curve of an object over its passes: period, amplitude, phase function, stable, tumbling or glinting."""
+    from sboc_e2e.icd.errors import UserError
+    from sboc_e2e.objects.calibration import place_of_ephemeris, place_of_site
+    from sboc_e2e.objects.light import character_json, character_lines, draw, light_of
+
+    if (observer is None) == (site is None):
+        raise UserError("objects light: give either --observer (a moving sensor) or --site (a fixed one)")
+    place = place_of_site(site) if site is not None else place_of_ephemeris(observer or Path())
+    found, passes = light_of(store, name, messages, trails or [], place, mag_err)
+    typer.echo("\n".join(character_lines(name, found)))
+    if out is not None:
+        out.mkdir(parents=True, exist_ok=True)
+        plain = "".join(c if c.isalnum() or c in "-_." else "_" for c in name)
+        (out / f"{plain}.json").write_text(character_json(name, found), encoding="utf-8")
+        draw(name, found, passes, out / f"{plain}.png")
+        typer.echo(out)
+
+
 @objects_app.command(name="list")
 def list_objects(store: Store = "objects.db") -> None:
     """What the catalogue holds, and how good its orbits are."""

@@ -176,8 +176,8 @@ def survey(
     if result.failed:
         raise typer.Exit(1)
     if learn:
-        from sboc_e2e.survey.report import write_report
+        from sboc_e2e.survey.report import write_reports
 
-        write_report(target, resolved, measured, overrides or (), registry_of(plugin))
-        typer.echo((target / "survey.md").read_text())
+        for page in write_reports(target, resolved, measured, overrides or (), registry_of(plugin)):
+            typer.echo(page.read_text())
     typer.echo(target)

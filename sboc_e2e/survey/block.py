@@ -13,18 +13,23 @@ from ground.orbit.size import diameter_m
 from ground.population.flux import ALBEDO
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.survey.response import Response, found_share
+from simulator.fleet_passages import fleet_block
 from simulator.platform.earth import EARTH_RADIUS_KM
 from simulator.randomness import Effect, generator
+from simulator.scene.fleet import KINDS as FLEET_KINDS
+from simulator.scene.fleet import Fleet
 from simulator.survey import BLOCK_S, Flight, Instants, Looks, Passages, Pools, draw_block, looks_of, orbits_of
 
 Array = NDArray[np.float64]
 Columns = dict[str, NDArray[Any]]
 
 IDS_PER_BLOCK: Final = 1_000_000
-TURNS, FOUND, FALSE = 101, 102, 103
+TURNS, FOUND, FALSE, NAMED = 101, 102, 103, 104
 """Random streams of a block beside those of its passages."""
 
-KINDS: Final = ("debris", "false", "satellite", "fragment")
+KINDS: Final = ("debris", "false", "satellite", "fragment", "walker", "orbit")
+REDRAWS: Final = 40
+"""Draws by which the probability of a tracklet is known for each passage of an object with a name."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -76,7 +81,7 @@ def run_block(job: BlockJob) -> BlockTables:
     rng = generator(job.seed, Effect.SURVEY, job.block, FOUND)
     finds = finds_of(passages, looks, response, rng, 1.0 - (1.0 - job.frames_lost) * (1.0 - job.packets_lost))
     measured, true = tables_of(at, passages, looks, finds, response, rng)
-    sums = {
+    sums: dict[str, Any] = {
         "block": job.block,
         "watched_s": at.watched_s,
         "span_s": BLOCK_S,
@@ -89,11 +94,48 @@ def run_block(job: BlockJob) -> BlockTables:
     measured, true = with_false(
         measured, true, response, at, at.watched_s / 3600.0, generator(job.seed, Effect.SURVEY, job.block, FALSE)
     )
+    if flight.fleet is not None:
+        measured, true, sums["named"] = _with_named(job, flight, flight.fleet, response, measured, true)
     ids = job.block * IDS_PER_BLOCK + np.arange(len(measured["n_frames"]))
     return BlockTables(
         tracklets=parquet_bytes({"tracklet_id": ids, **measured}, {"table": "tracklets", "units": MEASURED_UNITS}),
         truth=parquet_bytes({"tracklet_id": ids, **true}, {"table": "truth", "units": TRUE_UNITS}),
         sums=sums,
+    )
+
+
+def _with_named(
+    job: BlockJob, flight: Flight, fleet: Fleet, response: Response, measured: Columns, true: Columns
+) -> tuple[Columns, Columns, dict[str, Any]]:
+    """Tables with the tracklets of objects with names behind the others, and what is known of all their passages.
+
+    ``passages``: for each object, time after the epoch, share of draws in which it became a tracklet, and best S/N of a frame.
+    """
+    found = fleet_block(flight, fleet, job.block, flight.options.objects.satellites.farthest_km)
+    rng = generator(job.seed, Effect.SURVEY, job.block, NAMED)
+    lost = 1.0 - (1.0 - job.frames_lost) * (1.0 - job.packets_lost)
+    finds = finds_of(found.passages, found.looks, response, rng, lost)
+    kinds = np.array([KINDS.index(name) for name in FLEET_KINDS])[fleet.kind[found.object]]
+    rows = np.flatnonzero(finds.linked)
+    mine, theirs = tables_of(found.at, found.passages, found.looks, finds, response, rng, kinds[rows])
+    linked = np.zeros(len(found.object))
+    for _ in range(REDRAWS):
+        linked += finds_of(found.passages, found.looks, response, rng, lost).linked / REDRAWS
+    best = np.zeros(len(found.object))
+    np.maximum.at(best, found.looks.passage, found.looks.snr)
+    columns = (found.object, found.at.time_s[found.passages.instant], linked, best)
+    named = {
+        "passages": [
+            [int(o), round(float(t), 1), round(float(p), 4), round(float(s), 2)] for o, t, p, s in zip(*columns, strict=True)
+        ],
+        "too_slow": found.too_slow,
+    }
+    true = true | {"object": np.full(len(true["kind"]), -1, np.int32)}
+    theirs = theirs | {"object": found.object[rows].astype(np.int32)}
+    return (
+        {name: np.concatenate([values, mine[name]]) for name, values in measured.items()},
+        {name: np.concatenate([values, theirs[name]]) for name, values in true.items()},
+        named,
     )
 
 
@@ -149,9 +191,15 @@ def finds_of(p: Passages, looks: Looks, response: Response, rng: np.random.Gener
 
 
 def tables_of(
-    at: Instants, passages: Passages, looks: Looks, finds: Finds, response: Response, rng: np.random.Generator, kind: int = 0
+    at: Instants,
+    passages: Passages,
+    looks: Looks,
+    finds: Finds,
+    response: Response,
+    rng: np.random.Generator,
+    kind: NDArray[np.int64] | int = 0,
 ) -> tuple[Columns, Columns]:
-    """Measured and true columns of the tracklets."""
+    """Measured and true columns of the tracklets. kind : of each of them, or of all."""
     rows = np.flatnonzero(finds.linked)
     p = passages.taken(rows)
     observer = at.position_km[p.instant]

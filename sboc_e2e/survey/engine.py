@@ -21,10 +21,13 @@ from sboc_e2e.survey import instrument
 from sboc_e2e.survey.block import BlockJob, BlockTables, run_block
 from sboc_e2e.survey.response import Response
 from simulator.platform import earth
+from simulator.scene.fleet import is_given
 from simulator.survey import BLOCK_S, Flight, candidate_numbers
 
 IDENTITY: Final = "survey.json"
 FOLDERS: Final = ("tracklets", "truth", "sums", "failed")
+EPHEMERIS_END: Final = 2100.0
+"""Of ERFA's Earth ephemeris. A camera in orbit needs no orientation of the Earth, whose predictions reach a year only."""
 AHEAD: Final = 3
 """Jobs handed out for each worker, so that none waits and results do not pile up."""
 
@@ -64,10 +67,16 @@ def run_survey(
     if not days > 0.0:
         raise UserError(f"--days: expected more than 0, got {days:g}")
     options = scenario.simulator
-    if not any(c.count for c in options.population.classes):
-        raise UserError(f"scenario {scenario.name}: population.classes: none has a count above 0, so there is nothing to survey")
+    if not any(c.count for c in options.population.classes) and not is_given(options.objects):
+        raise UserError(
+            f"scenario {scenario.name}: population.classes: none has a count above 0, and no satellites, constellation, orbit "
+            "or break-up is given, so there is nothing to survey"
+        )
     epoch = earth.tai_ns_of_utc(options.epoch_utc)
-    earth.refuse_outside_data(epoch + round(days * earth.DAY_S * 1e9))
+    if earth.jyear(epoch) + days / 365.25 > EPHEMERIS_END:
+        raise UserError(f"--days: {days:g} days end after {EPHEMERIS_END:.0f}, where the ephemeris of the Sun ends")
+    if options.objects.satellites.file:
+        earth.refuse_outside_data(epoch + round(days * earth.DAY_S * 1e9))
     flight = Flight.of(options, scenario.seed)
     numbers = _claim(out, scenario, response, flight, days, force=force)
     blocks = range(block_count(days))

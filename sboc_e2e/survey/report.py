@@ -15,11 +15,14 @@ from sboc_e2e.registry import Registry
 from sboc_e2e.scenario import Scenario
 from sboc_e2e.survey.block import ALTITUDE_EDGES_KM, CLASS_EDGES_M, INCLINATION_EDGES_DEG
 from sboc_e2e.survey.estimate import SIZES, Flux, days_to, flux_by_band, systematic_ln, systematic_terms, told_apart
+from sboc_e2e.survey.named import named_page
 from sboc_e2e.survey.pictures import convergence_png, flux_png, sensitivity_png
 from sboc_e2e.survey.response import Response
 from sboc_e2e.survey.sensitivity import GROUPS, Setting, expected_per_day, sensitivity
 from sboc_e2e.survey.shards import Survey, read_survey
 from simulator.platform.earth import DAY_S, EARTH_RADIUS_KM
+from simulator.scene.fleet import KINDS as FLEET_KINDS
+from simulator.scene.fleet import Fleet
 from simulator.survey import Flight, expected_passages, model_flux
 
 Array = NDArray[np.float64]
@@ -57,6 +60,32 @@ MODELS: Final = (
     Model(name="flatter by 0.3 below 10 cm (assumed MASTER-like)", ratio_at=slope(-0.3, 0.1)),
     Model(name="the same population", ratio_at=np.ones_like),
 )
+
+
+def write_reports(
+    out: Path, scenario: Scenario, response: Response, overrides: Sequence[str], registry: Registry
+) -> tuple[Path, ...]:
+    """Write what a survey teaches about the sampled population and about objects with names; the pages that there are."""
+    flight = Flight.of(scenario.simulator, scenario.seed)
+    pages = []
+    if any(c.count for c in scenario.simulator.population.classes):
+        write_report(out, scenario, response, overrides, registry)
+        pages.append(out / "survey.md")
+    if flight.fleet is not None:
+        atomic.write_text(out / "objects.md", named_page(out, flight.fleet, scenario.simulator.objects.breakup, scenario.seed))
+        ecsv.write_table(out / "objects.ecsv", _objects(flight.fleet))
+        pages.append(out / "objects.md")
+    return tuple(pages)
+
+
+def _objects(fleet: Fleet) -> Table:
+    """One row for each object with a name: `object` of the truth is its row."""
+    a_km, e, i_deg = fleet.orbits()
+    kinds = [FLEET_KINDS[k] for k in fleet.kind]
+    return Table(
+        {"object": np.arange(len(fleet)), "name": list(fleet.names), "kind": kinds, "size_m": fleet.size_m, "a_km": a_km,
+         "e": e, "i_deg": i_deg}
+    )  # fmt: skip
 
 
 def write_report(out: Path, scenario: Scenario, response: Response, overrides: Sequence[str], registry: Registry) -> None:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import UserError
-from sboc_e2e.survey.block import ALTITUDE_EDGES_KM, CLASS_EDGES_M, IDS_PER_BLOCK, INCLINATION_EDGES_DEG
+from sboc_e2e.survey.block import ALTITUDE_EDGES_KM, CLASS_EDGES_M, IDS_PER_BLOCK, INCLINATION_EDGES_DEG, KINDS
 from sboc_e2e.survey.engine import IDENTITY
 
 Array = NDArray[np.float64]
@@ -49,9 +49,14 @@ def read_survey(folder: Path) -> Survey:
     sums = [json.loads(path.read_text(encoding="utf-8")) for path in files]
     blocks = [int(s["block"]) for s in sums]
     measured = _columns(folder / "tracklets", blocks, ESTIMATED)
+    true = _columns(folder / "truth", blocks, ("kind", "size_m", "altitude_km", "i_deg"))
+    # objects with names are known: they are no sample of the population
+    sampled = true["kind"] <= KINDS.index("false")
+    measured = {name: values[sampled] for name, values in measured.items()}
+    true = {name: values[sampled] for name, values in true.items()}
     return Survey(
         measured=measured,
-        true=_columns(folder / "truth", blocks, ("kind", "size_m", "altitude_km", "i_deg")),
+        true=true,
         block=(measured["tracklet_id"] // IDS_PER_BLOCK).astype(np.int64),
         crossings_by_block={int(s["block"]): np.array(s["crossings"], dtype=np.float64) for s in sums},
         watched_days=sum(s["watched_s"] for s in sums) / 86_400.0,

@@ -18,6 +18,7 @@ from simulator.scene.aberration import aberrate
 from simulator.scene.alternatives import seen_per_day
 from simulator.scene.atmosphere import Atmosphere
 from simulator.scene.encounters import Drawn, PopulationOptions, Window, draw_encounters, natural_number
+from simulator.scene.fleet import KINDS, make_fleet, passing_now, pixel_objects
 from simulator.scene.light import LightOptions
 from simulator.scene.objects import PixelPathObject, SkyObject
 from simulator.scene.prediction import predict_crossings
@@ -51,7 +52,13 @@ def make_cast(
 ) -> Cast:
     """Make the objects. sky_e_s : sky in the middle of the field, electrons per pixel and second, for expected S/N."""
     objects: list[SkyObject | PixelPathObject] = []
-    objects.extend(sources.orbiting(o) for o in given.orbit)
+    colour_factor = camera.instrument.colour_factor
+    fleet = None
+    broken: set[str] = set()
+    if given.walker or given.breakup:
+        fleet = make_fleet(given, population, carrier.epoch_tai_ns, carrier.seed, colour_factor)
+        broken = {fleet.names[k] for k in np.flatnonzero(fleet.to_s <= 0.0)}
+    objects.extend(sources.orbiting(o) for o in given.orbit if o.name not in broken)
     objects.extend(sources.sky_path(o) for o in given.sky_path)
     objects.extend(sources.pixel_path(o) for o in given.pixel_path)
     for o in given.passing:
@@ -63,7 +70,12 @@ def make_cast(
         place = camera.direction(e.field_row, e.field_col)
         objects.append(sources.encounter(e, *carrier.observer.state(when), carrier.attitude(when), place, e.when * duration_s))
     found, refused = _satellites(given.satellites, carrier, camera, duration_s)
-    objects.extend(found)
+    objects.extend(o for o in found if o.identity.name not in broken)
+    if fleet is not None:
+        half = 1.02 * 0.5 * max(camera.shape) / camera.projection.focal_px
+        near = passing_now(fleet, carrier, half, half, duration_s)
+        drawn_kinds = [KINDS.index("walker"), KINDS.index("fragment")]
+        objects.extend(pixel_objects(fleet, near[np.isin(fleet.kind[near], drawn_kinds)]))
     middle_s = 0.5 * duration_s
     window = encounter_window(carrier, camera, light, sky_e_s, middle_s, duration_s)
     drawn = draw_encounters(population, window, carrier.seed)

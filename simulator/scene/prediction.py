@@ -71,7 +71,7 @@ def predict_crossings(
         turn = _turn_rad(frame, attitude(now + round(half_s * 1e9)))
         camera = (position[:, k] - here) @ frame.T
         rate = (velocity[:, k] - motion) @ frame.T
-        possible |= _may_cross(camera, rate, half_s, half_row, half_col, turn)
+        possible |= may_cross(camera, rate, half_s, half_row, half_col, turn)
     possible &= ~bad
     crossings = []
     candidates = [satellites[k] for k in np.flatnonzero(possible)]
@@ -85,7 +85,7 @@ def _turn_rad(before: Array, after: Array) -> float:
     return float(np.arccos(np.clip(0.5 * (np.trace(after @ before.T) - 1.0), -1.0, 1.0)))
 
 
-def _may_cross(
+def may_cross(
     camera_km: Array, rate_km_s: Array, half_s: float, half_row: float, half_col: float, turn_rad: float
 ) -> NDArray[np.bool_]:
     """Whether straight motion within +-half_s brings points (m, 3) into the widened field."""

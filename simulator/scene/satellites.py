@@ -2,11 +2,13 @@
 
 import csv
 import gzip
+import json
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from io import StringIO
 from pathlib import Path
 from typing import Final
+from xml.etree import ElementTree
 
 import erfa
 import numpy as np
@@ -44,7 +46,7 @@ with the face of the body without panels (2.8 x 1.4 m, 3.1 x 1.5 m, 1.0 x 1.3 m,
 class SatelliteOptions:
     """Satellites of a file of element sets; every one that crosses the field during the run is an object of it."""
 
-    file: str = field(default="", metadata={"doc": "TLE, 3LE or OMM (csv, xml) file, may be gzipped; empty for none"})
+    file: str = field(default="", metadata={"doc": "TLE, 3LE or OMM (csv, json, xml) file, may be gzipped; empty for none"})
     names: tuple[str, ...] = field(default=(), metadata={"doc": "only satellites of these names or numbers; empty for all"})
     size_m: float = field(
         default=1.0, metadata={"doc": "diameter if neither the name nor a file gives it", "min": 1e-3, "max": 1000.0}
@@ -83,7 +85,7 @@ def read_satellites(path: str | Path, names: Iterable[str] = ()) -> list[Satelli
     raw = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
     text = raw.decode("utf-8", errors="replace")
     kind = path.with_suffix("").suffix if path.suffix == ".gz" else path.suffix
-    found = _read_omm(path, text, kind) if kind in (".csv", ".xml") else _read_lines(path, text)
+    found = _read_omm(path, text, kind) if kind in (".csv", ".json", ".xml") else _read_lines(path, text)
     wanted = set(names)
     if wanted:
         found = [s for s in found if s.name in wanted or str(s.record.satnum) in wanted]
@@ -121,6 +123,11 @@ def size_by_name(name: str) -> float | None:
     return next((size for part, size in SIZES_BY_NAME if part in f" {name.upper()} "), None)
 
 
+def size_of(satellite: Satellite, options: SatelliteOptions) -> float:
+    """Diameter of a satellite: that of the file, of its name's type, or the one for all others."""
+    return satellite.size_m or (size_by_name(satellite.name) if options.sizes_by_name else None) or options.size_m
+
+
 def _read_lines(path: Path, text: str) -> list[Satellite]:
     lines = text.splitlines()
     found = []
@@ -150,16 +157,26 @@ def _checksum(line: str) -> str:
 
 
 def _read_omm(path: Path, text: str, kind: str) -> list[Satellite]:
-    parse = omm.parse_csv if kind == ".csv" else omm.parse_xml
     found = []
     try:
-        for number, fields in enumerate(parse(text.splitlines() if kind == ".csv" else StringIO(text))):
+        for number, fields in enumerate(_omm_messages(text, kind)):
             record = Satrec()
             omm.initialize(record, fields)
             found.append(Satellite(name=fields.get("OBJECT_NAME", f"set {number}"), record=record))
-    except (KeyError, ValueError) as error:
+    except (KeyError, ValueError, TypeError, ElementTree.ParseError) as error:
         raise UserError(f"satellite file {path}: element set {len(found) + 1} cannot be read ({error})") from error
     return found
+
+
+def _omm_messages(text: str, kind: str) -> Iterable[dict[str, str]]:
+    """Fields of each message of an OMM file; those of JSON may be numbers or texts."""
+    if kind == ".csv":
+        return omm.parse_csv(text.splitlines())
+    if kind == ".xml":
+        return omm.parse_xml(StringIO(text))
+    listed = json.loads(text)
+    messages = listed if isinstance(listed, list) else [listed]
+    return [{str(name): str(value) for name, value in dict(one).items()} for one in messages]
 
 
 def gcrs_from_teme(tai_ns: int) -> Array:
@@ -207,7 +224,7 @@ def satellite_object(satellite: Satellite, options: SatelliteOptions, epoch_tai_
         identity=Identity(
             name=satellite.name,
             kind="tle",
-            size_m=satellite.size_m or (size_by_name(satellite.name) if options.sizes_by_name else None) or options.size_m,
+            size_m=size_of(satellite, options),
             albedo=options.albedo,
             a_km=float((earth.MU_KM3_S2 / (record.no_kozai / 60.0) ** 2) ** (1.0 / 3.0)),
             e=float(record.ecco),

@@ -10,11 +10,13 @@ from simulator.platform.earth import EARTH_RADIUS_KM
 from simulator.platform.jitter import ARCSEC_RAD
 from simulator.platform.kepler import Elements, elements_deg, elements_of, velocity_through
 from simulator.randomness import Effect, generator
+from simulator.scene.breakup import BreakupOptions
 from simulator.scene.encounters import Drawn, PopulationOptions
 from simulator.scene.objects import Identity, OrbitingObject, PixelPathObject, SkyPathObject, orbit_positions
 from simulator.scene.reflection import STEADY, LightCurve
 from simulator.scene.satellites import SatelliteOptions
 from simulator.scene.stars import unit_vectors
+from simulator.scene.walker import WalkerOptions
 
 Array = NDArray[np.float64]
 
@@ -175,6 +177,8 @@ class ObjectOptions:
     sky_path: tuple[SkyPathOptions, ...] = field(default=(), metadata={"doc": "paths on the sky"})
     pixel_path: tuple[PixelPathOptions, ...] = field(default=(), metadata={"doc": "paths on the detector"})
     satellites: SatelliteOptions = field(default_factory=SatelliteOptions, metadata={"doc": "catalogued satellites"})
+    walker: tuple[WalkerOptions, ...] = field(default=(), metadata={"doc": "constellations"})
+    breakup: tuple[BreakupOptions, ...] = field(default=(), metadata={"doc": "break-ups of satellites or orbits"})
 
 
 def orbiting(options: OrbitOptions) -> OrbitingObject:

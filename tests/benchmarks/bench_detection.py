@@ -16,7 +16,15 @@ from typing import Any
 import numpy as np
 from scipy.stats import beta, chi2
 
-from onboard.detect import BoundaryTensorDetector, DifferenceDetector, LineIntegralDetector, LsdDetector, ThresholdDetector
+from onboard.detect import (
+    BoundaryTensorDetector,
+    DifferenceDetector,
+    HoughDetector,
+    LineIntegralDetector,
+    LsdDetector,
+    SegmentationDetector,
+    ThresholdDetector,
+)
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView
 from sboc_e2e.icd.steps import Detector
@@ -335,10 +343,15 @@ def clip(streak: Streak, size: int) -> Streak:
     )
 
 
+PEERS = (
+    DifferenceDetector(), BoundaryTensorDetector(), ThresholdDetector(), LsdDetector(), HoughDetector(), SegmentationDetector()
+)  # fmt: skip
+
+
 def peers(size: int, n_frames: int, seed: int) -> dict[str, Any]:
     """The published detectors on the same frames: snr50 by length (wide S/N range), false per frame, CPU time."""
     out: dict[str, Any] = {}
-    for detector in (DifferenceDetector(), BoundaryTensorDetector(), ThresholdDetector(), LsdDetector()):
+    for detector in PEERS:
         result = roc(detector, size, n_frames, seed, lengths=(20.0, 100.0, 400.0, 1200.0), snr_range=(5.0, 100.0), each=10)
         blank = blank_frames(detector, size, 2, seed)
         out[type(detector).__name__] = {**result, "blank": blank}

@@ -7,7 +7,15 @@ import numpy as np
 import pytest
 from scipy.special import erf
 
-from onboard.detect import BoundaryTensorDetector, DifferenceDetector, LsdDetector, ThresholdDetector, components
+from onboard.detect import (
+    BoundaryTensorDetector,
+    DifferenceDetector,
+    HoughDetector,
+    LsdDetector,
+    SegmentationDetector,
+    ThresholdDetector,
+    components,
+)
 from onboard.detect.peers import boundary_tensor
 from onboard.image.registration import apply, register
 from sboc_e2e.icd.signals import DetectorView, StarList
@@ -15,7 +23,9 @@ from sboc_e2e.icd.steps import Detector
 from tests.benchmarks.bench_detection import matches
 from tests.benchmarks.detection_frames import Scene, Streak, add_streak, exposure, random_stars, view_of
 
-ALL = (DifferenceDetector(), BoundaryTensorDetector(), ThresholdDetector(), LsdDetector())
+ALL = (
+    DifferenceDetector(), BoundaryTensorDetector(), ThresholdDetector(), LsdDetector(), HoughDetector(), SegmentationDetector()
+)  # fmt: skip
 NAMES = tuple(type(detector).__name__ for detector in ALL)
 
 

@@ -12,8 +12,9 @@ from sboc_e2e import scenario
 from sboc_e2e.cli.main import run as cli
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import Registry
-from sboc_e2e.survey import instrument
+from sboc_e2e.survey import engine, instrument
 from sboc_e2e.survey import response as responses
+from sboc_e2e.survey.block import BlockJob, BlockTables, run_block
 from sboc_e2e.survey.engine import run_survey
 from sboc_e2e.survey.sample import OBJECT_COLUMNS, STREAK_COLUMNS
 
@@ -171,7 +172,7 @@ def test_a_folder_of_another_survey_is_refused(tmp_path: Path) -> None:
     [
         (0.0, SMALL, "--days: expected more than 0"),
         (1.0, ["population.classes=[]"], "there is nothing to survey"),
-        (100_000.0, SMALL, "lies outside the Earth-orientation data"),
+        (100_000.0, SMALL, "where the ephemeris of the Sun ends"),
     ],
 )
 def test_what_cannot_be_surveyed_is_refused(tmp_path: Path, days: float, overrides: list[str], words: str) -> None:
@@ -188,20 +189,60 @@ def test_a_scenario_without_a_response_says_how_to_measure_one(capsys: pytest.Ca
     assert "`sboc response near_field_mm` measures one" in error
 
 
-def test_shards_are_read_by_whoever_is_there(tmp_path: Path) -> None:
-    found = load(*SMALL)
-    run_survey(found, write_response(tmp_path / "r.json", found), 0.25, tmp_path / "one", here=True)
-    shard = tmp_path / "one" / "tracklets" / "000000.parquet"
-    sums = json.loads((tmp_path / "one" / "sums" / "000000.json").read_text())
-    for name, read in (("pandas", "read_parquet"), ("polars", "read_parquet")):
-        try:
-            module = __import__(name)
-        except ImportError:
-            print(f"{name} is not installed")  # noqa: T201  the reason why it is not asked
-            continue
-        assert len(getattr(module, read)(shard)) == sums["tracklets"]
+READERS = {
+    "pandas": lambda module, files: module.read_parquet([str(p) for p in files]).to_dict("list"),
+    "polars": lambda module, files: module.read_parquet([str(p) for p in files]).to_dict(as_series=False),
+    "duckdb": lambda module, files: module.read_parquet([str(p) for p in files]).fetchnumpy(),
+}
+
+
+@pytest.mark.parametrize("name", sorted(READERS))
+def test_shards_are_read_as_they_are(tmp_path: Path, name: str) -> None:
+    module = pytest.importorskip(name, reason=f"{name} is not installed")
     from pyarrow import parquet
 
-    table = parquet.read_table(shard, use_threads=False)
-    assert table.num_rows == sums["tracklets"]
-    assert len(set(table["tracklet_id"].to_pylist())) == table.num_rows
+    found = load(*SMALL)
+    run_survey(found, write_response(tmp_path / "r.json", found), 0.5, tmp_path / "one", here=True)
+    for kind in ("tracklets", "truth"):
+        files = sorted((tmp_path / "one" / kind).iterdir())
+        read = READERS[name](module, files)
+        parts = [parquet.read_table(path, use_threads=False).to_pydict() for path in files]
+        assert sorted(read) == sorted(parts[0])
+        assert len(read["tracklet_id"]) == len(set(read["tracklet_id"])) > 0
+        for column in read:
+            expected = np.concatenate([np.asarray(part[column], dtype=np.float64) for part in parts])
+            assert np.array_equal(np.asarray(read[column], dtype=np.float64), expected, equal_nan=True)
+
+
+def test_failed_blocks_are_listed_and_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    found = load(*SMALL)
+    made = write_response(tmp_path / "r.json", found)
+    run_survey(found, made, 0.5, tmp_path / "one", here=True)
+
+    def fails_once(job: BlockJob) -> BlockTables:
+        if job.block == 0:
+            raise ArithmeticError("no luck")
+        return run_block(job)
+
+    lines: list[str] = []
+    monkeypatch.setattr(engine, "run_block", fails_once)
+    result = run_survey(found, made, 0.5, tmp_path / "two", here=True, report=lines.append)
+    assert result.failed == ((0, "ArithmeticError: no luck"),)
+    assert result.done == 1
+    assert any("FAILED block 0: ArithmeticError: no luck" in line for line in lines)
+    assert (tmp_path / "two" / "failed" / "000000.txt").read_text() == "ArithmeticError: no luck\n"
+    monkeypatch.setattr(engine, "run_block", run_block)
+    result = run_survey(found, made, 0.5, tmp_path / "two", here=True)
+    assert (result.done, result.skipped, result.failed) == (1, 1, ())
+    assert not list((tmp_path / "two" / "failed").iterdir())
+    assert shards(tmp_path / "one") == shards(tmp_path / "two")
+
+
+@pytest.mark.slow  # a dask cluster of two processes takes 20 s to start
+def test_a_dask_cluster_gives_the_bytes_of_one_process(tmp_path: Path) -> None:
+    pytest.importorskip("distributed", reason="distributed is not installed")
+    found = load(*SMALL)
+    made = write_response(tmp_path / "r.json", found)
+    run_survey(found, made, 0.5, tmp_path / "one", here=True)
+    run_survey(found, made, 0.5, tmp_path / "two", workers=2, scheduler="local")
+    assert shards(tmp_path / "one") == shards(tmp_path / "two")

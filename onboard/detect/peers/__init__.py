@@ -1,1 +1,1 @@
-"""Published methods for comparison; nothing here is meant to fly."""
+"""Published methods and common baselines, for comparison with the detector that flies. None is meant to fly."""

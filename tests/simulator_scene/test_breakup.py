@@ -1,0 +1,114 @@
+"""NASA's standard break-up model against its published laws, mass against what broke; constellations; mean orbits."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from sboc_e2e.icd.errors import UserError
+from simulator.platform.kepler import elements_deg, state_of
+from simulator.platform.orbit_motion import OrbitMotion
+from simulator.scene.breakup import BreakupOptions, draw_chi, draw_pieces, draw_speed_m_s, mixture_of, number_larger
+from simulator.scene.encounters import PopulationOptions
+from simulator.scene.fleet import make_fleet
+from simulator.scene.sources import ObjectOptions, OrbitOptions
+from simulator.scene.walker import WalkerOptions, walker_elements
+
+COLLISION = BreakupOptions(object="x", cause="collision", mass_kg=950.0, projectile_kg=10.0, impact_km_s=10.0, smallest_mm=10.0)
+EXPLOSION = BreakupOptions(object="x", mass_kg=800.0, structure="rocket_body", smallest_mm=10.0)
+CRATER = BreakupOptions(object="x", cause="collision", projectile_kg=0.1, impact_km_s=5.0, smallest_mm=5.0)
+
+
+def test_numbers_are_those_of_johnson_2001() -> None:
+    # equations 2 and 4: N(> Lc) = 6 S Lc^-1.6 and 0.1 M^0.75 Lc^-1.71
+    assert number_larger(EXPLOSION, 0.1) == pytest.approx(238.9, abs=0.1)
+    assert number_larger(replace(EXPLOSION, factor=0.5), 1.0) == pytest.approx(3.0)
+    both = replace(COLLISION, projectile_kg=1e-6, impact_km_s=20.0, mass_kg=950.0)
+    # 40 J/g divides: 200 J on 950 kg only makes a crater of m v^2 (Krisko 2011), 5e5 kJ breaks all 960 kg
+    assert number_larger(both, 0.1) == pytest.approx(0.1 * (1e-6 * 400.0) ** 0.75 * 0.1**-1.71)
+    assert number_larger(COLLISION, np.array([0.1, 0.01, 0.001])) == pytest.approx([884.5, 45_363.0, 2_326_500.0], rel=1e-3)
+
+
+@pytest.mark.parametrize("options", [COLLISION, EXPLOSION, CRATER])
+def test_mass_is_conserved_and_the_law_of_numbers_kept(options: BreakupOptions) -> None:
+    broken = {"x": 0.0}
+    for seed in range(4):
+        pieces = draw_pieces(options, np.random.default_rng(seed))
+        total = options.mass_kg if options is EXPLOSION else 960.0 if options is COLLISION else 0.1 * 25.0
+        assert pieces.mass_kg.sum() + pieces.dust_kg == pytest.approx(total, rel=1e-9)
+        assert (pieces.mass_kg > 0.0).all()
+        smaller = pieces.length_m < 1.0
+        for length in (0.02, 0.05, 0.2):
+            expected = float(number_larger(options, length) - number_larger(options, 1.0))
+            broken["x"] += (np.sum(smaller & (pieces.length_m > length)) - expected) / np.sqrt(max(expected, 1.0))
+        assert pieces.kick_m_s.mean(axis=0) == pytest.approx(
+            np.zeros(3), abs=5.0 * pieces.kick_m_s.std() / np.sqrt(smaller.sum())
+        )
+    # twelve differences in sigmas, correlated by three
+    assert abs(broken["x"]) / 12.0 < 1.5
+
+
+def test_area_over_mass_and_speed_have_the_published_medians() -> None:
+    rng = np.random.default_rng(5)
+    # equation 7 at 1 cm and 3 mm, the plateau of small objects: chi = -0.65 at Lc = 10^-1.5 m
+    for length, mean, sigma in ((0.003, -0.3, 0.2 + 0.1333 * 0.9771), (10.0**-1.5, -0.65, 0.2 + 0.1333 * 2.0)):
+        chi = draw_chi(rng, np.full(40_000, length), "spacecraft")
+        assert chi.mean() == pytest.approx(mean, abs=4.0 * sigma / 200.0 + 1e-3)
+        assert chi.std() == pytest.approx(sigma, rel=0.02)
+    chi = np.full(40_000, -1.0)
+    assert np.median(draw_speed_m_s(rng, chi, "collision")) == pytest.approx(100.0, rel=0.02)
+    assert np.median(draw_speed_m_s(rng, chi, "explosion")) == pytest.approx(10.0**1.65, rel=0.02)
+
+
+@pytest.mark.parametrize("structure", ["spacecraft", "rocket_body"])
+def test_large_pieces_are_a_mixture_and_no_weighted_sum(structure: str) -> None:
+    lam = np.log10(0.4)
+    alpha, m1, s1, m2, s2 = (float(v) for v in mixture_of(np.array(lam), structure))
+    chi = draw_chi(np.random.default_rng(2), np.full(60_000, 0.4), structure)
+    mean = alpha * m1 + (1.0 - alpha) * m2
+    variance = alpha * (s1**2 + m1**2) + (1.0 - alpha) * (s2**2 + m2**2) - mean**2
+    assert chi.mean() == pytest.approx(mean, abs=4.0 * np.sqrt(variance / 60_000.0))
+    assert chi.var() == pytest.approx(variance, rel=0.03)
+
+
+def test_branches_meet_at_the_edges_of_the_published_tables() -> None:
+    for structure in ("spacecraft", "rocket_body"):
+        lam = np.linspace(-2.5, 1.0, 35_001)
+        for values in mixture_of(lam, structure):
+            assert np.abs(np.diff(values)).max() < 1e-3
+    # Johnson et al. 2001, equations 5 and 6, at two lengths by hand
+    assert [float(v) for v in mixture_of(np.array(-0.4), "spacecraft")] == pytest.approx([0.62, -0.8226, 0.28, -1.5999, 0.4])
+    assert [float(v) for v in mixture_of(np.array(-0.4), "rocket_body")] == pytest.approx([0.6429, -0.54, 0.55, -0.9, 0.18184])
+
+
+def test_too_many_pieces_and_unknown_objects_are_one_line() -> None:
+    with pytest.raises(UserError, match=r"pieces above 1 mm; allowed are .* raise `smallest`"):
+        draw_pieces(replace(COLLISION, smallest_mm=1.0), np.random.default_rng(1))
+    with pytest.raises(UserError, match="no object 'x'; allowed are names"):
+        make_fleet(ObjectOptions(passing=(), breakup=(COLLISION,)), PopulationOptions(), 0, 1, None)
+    with pytest.raises(UserError, match="7 satellites do not fill 2 planes"):
+        WalkerOptions(satellites=7, planes=2, phasing=1)
+
+
+@pytest.mark.parametrize("eccentricity", [0.001, 0.1])
+def test_mean_orbits_stay_with_integrated_ones(eccentricity: float) -> None:
+    given = OrbitOptions(
+        name="x", semi_major_axis_km=7500.0, eccentricity=eccentricity, inclination_deg=70.0, node_deg=10.0, perigee_deg=20.0,
+        mean_anomaly_deg=30.0,
+    )  # fmt: skip
+    fleet = make_fleet(ObjectOptions(passing=(), orbit=(given,)), PopulationOptions(), 0, 1, None)
+    time_s = np.array([0.0, 3_600.0, 86_400.0, 5 * 86_400.0, 20 * 86_400.0])
+    motion = OrbitMotion(*state_of(elements_deg(7500.0, eccentricity, 70.0, 10.0, 20.0, 30.0)))
+    apart = np.linalg.norm(fleet.states(np.array([0]), time_s)[0][0] - motion.states(time_s)[0], axis=1)
+    # with the osculating axis instead of the mean one: 176 km after a day
+    assert (apart < 30.0).all()
+
+
+def test_a_walker_constellation_is_evenly_spaced() -> None:
+    # Galileo's 56 deg: 24/3/1
+    found = walker_elements(WalkerOptions(satellites=24, planes=3, phasing=1, altitude_km=23_222.0, inclination_deg=56.0))
+    node, phase = np.degrees(found.node_rad).reshape(3, 8), np.degrees(found.mean_anomaly_rad).reshape(3, 8)
+    assert np.ptp(node, axis=1) == pytest.approx(np.zeros(3))
+    assert node[:, 0] == pytest.approx([0.0, 120.0, 240.0])
+    assert np.diff(phase, axis=1) == pytest.approx(np.full((3, 7), 45.0))
+    assert phase[:, 0] == pytest.approx([0.0, 15.0, 30.0])

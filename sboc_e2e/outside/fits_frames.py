@@ -74,11 +74,14 @@ class FitsFolder:
             raise UserError(f"{self.path}: holds no FITS file; names must end in {', '.join(SUFFIXES)}")
         found: list[Place] = []
         refused: list[UserError] = []
+        without: list[str] = []
         for path in files:
             images, odd = _survey(path, self.max_pixels)
             found += images
             refused += odd
-        self._unread.update({(self.path, -1 - k): str(error) for k, error in enumerate(refused)})
+            if not images and not odd:
+                without.append(f"{path}: holds no two-dimensional image")
+        self._unread.update({(self.path, -1 - k): text for k, text in enumerate([*map(str, refused), *without])})
         if not found:
             raise refused[0] if refused else UserError(f"{self.path}: no file holds a two-dimensional image")
         return tuple(found)

@@ -30,8 +30,14 @@ ODD: Final = (0.0, -0.0, 1.0, -1.0, 1e-30, 1e30, -1e308, 90.0, -90.0, 360.0, "10
 KEYS: Final = (
     "CRVAL1", "CRVAL2", "CRPIX1", "CRPIX2", "CD1_1", "CD1_2", "CD2_1", "CD2_2", "CDELT1", "PC1_1", "CROTA2", "CUNIT1", "RADESYS",
     "EQUINOX", "LONPOLE", "LATPOLE", "PV1_1", "PV2_1", "PV2_3", "A_ORDER", "A_2_0", "WAT1_001", "WCSAXES", "GAIN", "EXPTIME",
-    "RDNOISE", "SATURATE", "DATE-OBS", "MJD-OBS", "BUNIT", "PIXSCALE", "FOCALLEN", "XPIXSZ",
+    "RDNOISE", "SATURATE", "DATE-OBS", "MJD-OBS", "BUNIT", "PIXSCALE", "FOCALLEN", "XPIXSZ", "CUNIT2", "CTYPE2", "A_1_1", "B_0_2",
+    "AP_ORDER", "PV2_0", "PV2_2", "PV1_4", "CD1_3", "PC2_2", "MJDREF", "CNAME1", "LTV1", "VELOSYS", "TIMESYS", "NAXIS3", "BLANK",
 )  # fmt: skip
+TEXTS: Final = (
+    "deg", "rad", "arcsec", "Hz", "furlong", "FK4", "FK5", "ICRS", "GALACTIC", "B1950", "2024-02-30T25:61:61", "1e400",
+    "2024-01-01", "0x10", "-", "'", "x" * 60,
+)  # fmt: skip
+NUMPY_TYPES: Final = ("u1", "i2", "u2", "i4", "u4", "i8", "f4", "f8")
 
 
 def one_input(data: bytes) -> None:
@@ -68,9 +74,10 @@ def odd_file(rng: np.random.Generator) -> fits.HDUList:
     """A primary HDU of odd content under an odd header, sometimes with a plane beside it."""
     shape = tuple(int(side) for side in rng.integers(16, 80, 2))
     kind = str(rng.choice(["trail", "stars", "noise", "zeros", "constant", "nan", "huge", "holes", "negative", "step"]))
-    image = content(rng, shape, kind)
-    with np.errstate(all="ignore"):
-        image = np.nan_to_num(image).clip(-32768, 32767).astype(np.int16) if rng.random() < 0.3 else image.astype(np.float32)
+    image = typed(rng, content(rng, shape, kind))
+    form = rng.random()
+    if form < 0.05:  # a cube, a line, a picture in a cube of one plane, a side that is too small
+        image = [image[None], image[0], np.stack((image, image)), image[:3]][int(rng.integers(4))]
     hdu = fits.PrimaryHDU(image)
     header(rng, hdu.header, shape)
     hdus = [hdu]
@@ -78,6 +85,17 @@ def odd_file(rng: np.random.Generator) -> fits.HDUList:
         plane = np.where(rng.random(shape) < 0.1, rng.choice([1, 64]), 0).astype(np.int16)
         hdus.append(fits.ImageHDU(plane, name=str(rng.choice(["DQ", "MASK", "VAR", "WHT", "BPM", "ERR", "SCI", ""]))))
     return fits.HDUList(hdus)
+
+
+def typed(rng: np.random.Generator, image: np.ndarray) -> np.ndarray:
+    """Pixels as a number type of FITS; integers wrap around or are clipped where they do not fit."""
+    name = str(rng.choice(NUMPY_TYPES)) if rng.random() < 0.5 else "f4"
+    with np.errstate(all="ignore"):
+        if name.startswith("f"):
+            return image.astype(name)
+        whole = np.nan_to_num(image).clip(-(2.0**62), 2.0**62)
+        limits = np.iinfo(name)
+        return (whole.astype("i8") if rng.random() < 0.5 else whole.clip(limits.min, min(limits.max, 2**62))).astype(name)
 
 
 def content(rng: np.random.Generator, shape: tuple[int, ...], kind: str) -> np.ndarray:
@@ -121,8 +139,14 @@ def header(rng: np.random.Generator, cards: fits.Header, shape: tuple[int, ...])
         if projection in ("TPV", "ZPN", "ZPX"):
             cards["PV2_1"], cards["PV1_1"] = 1.0, 1.0
             cards["PV2_3"] = rng.normal(0, 10.0)
+        if projection in ("TNX", "ZPX"):
+            numbers = " ".join(f"{number:.6g}" for number in rng.normal(0.0, 10.0 ** rng.uniform(-6, 1), 14))
+            for axis, name in enumerate(("lng", "lat"), start=1):
+                cards[f"WAT{axis}_001"] = f'wtype={projection.lower()} axtype={name} {name}cor = "{rng.integers(1, 4)}. 3. 3. 2. '
+                cards[f"WAT{axis}_002"] = f'{numbers[:55]}"'
     for _ in range(int(rng.integers(0, 5))):
-        key, value = str(rng.choice(KEYS)), ODD[int(rng.integers(len(ODD)))]
+        values = ODD if rng.random() < 0.7 else TEXTS
+        key, value = str(rng.choice(KEYS)), values[int(rng.integers(len(values)))]
         if rng.random() < 0.2:
             cards.remove(key, ignore_missing=True)
         else:

@@ -71,13 +71,15 @@ def gather_lines(
     level: NDArray[np.float32],
     level_tile_px: int,
     ends: NDArray[np.float64],
+    sagitta_px: float,
     values: NDArray[np.float64],
-    corner: NDArray[np.int64],
+    corner: NDArray[np.float64],
 ) -> tuple[int, float, float]:
     """Pixels around the middle of a segment (row0, col0, row1, col1), in sigma, laid straight.
 
-    values : (lines, odd width), NaN where masked or outside; corner : minor coordinate of each line's first pixel. level :
-    mesh of the light that the background left over, sigma/16. At least three lines are read, beyond the ends if need be.
+    sagitta_px : of the bend that is taken out (as in `Detection`). values : (lines, odd width), NaN where masked or outside;
+    corner : minor coordinate of each line's first pixel, less the bend. level : mesh of the light that the background left
+    over, sigma/16. At least three lines are read, beyond the ends if need be.
 
     Returns the number of lines, and the segment's minor coordinate on the first and its slope.
     """
@@ -85,18 +87,23 @@ def gather_lines(
     rows, cols = residual_adu.shape
     steep = abs(ends[2] - ends[0]) >= abs(ends[3] - ends[1])
     start, stop, first, last = (ends[0], ends[2], ends[1], ends[3]) if steep else (ends[1], ends[3], ends[0], ends[2])
-    if start > stop:
+    turned = start > stop
+    if turned:
         start, stop, first, last = stop, start, last, first
     slope = (last - first) / (stop - start) if stop > start else 0.0
+    bend = 4.0 * sagitta_px * math.sqrt(1.0 + slope * slope) * (1.0 if steep == turned else -1.0)
     middle = 0.5 * (start + stop)
     reach = min(max(0.5 * (stop - start), 1.0), 0.5 * (values.shape[0] - 1))
     low, high = math.ceil(middle - reach - 1e-6), math.floor(middle + reach + 1e-6)
     n = min(high - low + 1, values.shape[0])
     for k in range(n):
         major = low + k
-        corner[k] = math.floor(first + slope * (major - start) + 0.5) - half_px
+        u = (major - start) / (stop - start) if stop > start else 0.0
+        bow = bend * u * (1.0 - u)
+        left = math.floor(first + slope * (major - start) + bow + 0.5) - half_px
+        corner[k] = left - bow
         for m in range(values.shape[1]):
-            i, j = (major, corner[k] + m) if steep else (corner[k] + m, major)
+            i, j = (major, left + m) if steep else (left + m, major)
             values[k, m] = math.nan
             if 0 <= i < rows and 0 <= j < cols and mask[i, j] == 0:
                 sigma = sigma_adu[min(i // tile_px, sigma_adu.shape[0] - 1), min(j // tile_px, sigma_adu.shape[1] - 1)]
@@ -108,7 +115,7 @@ def gather_lines(
 @nb.njit(cache=True)
 def line_sums(
     values: NDArray[np.float64],
-    corner: NDArray[np.int64],
+    corner: NDArray[np.float64],
     n: int,
     minor: float,
     slope: float,
@@ -152,7 +159,7 @@ def _total(signal: NDArray[np.float64], weight: NDArray[np.float64], use: NDArra
 @nb.njit(cache=True)
 def best_path(
     values: NDArray[np.float64],
-    corner: NDArray[np.int64],
+    corner: NDArray[np.float64],
     use: NDArray[np.bool_],
     minor: float,
     slope: float,
@@ -201,9 +208,18 @@ def keep_even_lines(signal: NDArray[np.float64], weight: NDArray[np.float64], us
 
 @nb.njit(cache=True)
 def both_snr(
-    values: NDArray[np.float64], corner: NDArray[np.int64], minor: float, slope: float, wide_px: float, narrow_px: float
+    values: NDArray[np.float64],
+    corner: NDArray[np.float64],
+    minor: float,
+    slope: float,
+    wide_px: float,
+    narrow_px: float,
+    sure: bool,
 ) -> tuple[float, float]:
-    """S/N of gathered lines with the wide and with the narrow cross-section; values are clipped in place."""
+    """S/N of gathered lines with the wide and with the narrow cross-section; values are clipped in place.
+
+    sure : the path is that of the light, so that a clear answer on it needs no search.
+    """
     n, width = values.shape
     use = np.ones(n, np.bool_)
     signal, weight = np.empty(n), np.empty(n)
@@ -219,7 +235,7 @@ def both_snr(
     line_sums(values, corner, n, minor, slope, narrow_px, signal, weight)
     narrow = _total(signal, weight, use)
     gain, clear = narrow * narrow - wide * wide, CLEAR_EVIDENCE + CLEAR_SHARE * wide * wide
-    if gain < -clear or gain > SHARP_EVIDENCE + 3.0 * clear:
+    if sure and (gain < -clear or gain > SHARP_EVIDENCE + 3.0 * clear):
         return wide, narrow
     use[:] = True
     _, minor, slope = best_path(values, corner, use, minor, slope, wide_px, ACROSS_PX, signal, weight)
@@ -241,16 +257,17 @@ def measured_width_px(view: DetectorView) -> float:
 def sharpness(detection: Detection, view: DetectorView, level: NDArray[np.float32], level_tile_px: int) -> float:
     """Gain in squared S/N of a track of no width over the PSF on the middle of a detection; negative for trails of light.
 
-    level : mesh of what the background left over, sigma/16. A point has no direction: the larger gain along rows and columns.
+    level : mesh of what the background left over, sigma/16. A point has no direction: the larger gain along rows and columns. A
+    track is straight, and its step from one column to the next is easily found as a bend: a bent detection is held for light on
+    its bend or on the straight line, whichever is brighter, and for a track on the straight line.
     """
     psf_sigma_px = measured_width_px(view)
     half_px = math.ceil(3.0 * math.sqrt(2.0) * psf_sigma_px + 2.0 * ACROSS_PX)
-    values, corner = np.empty((MOST_LINES, 2 * half_px + 1)), np.empty(MOST_LINES, np.int64)
+    values, corner = np.empty((MOST_LINES, 2 * half_px + 1)), np.empty(MOST_LINES)
     ends = np.array([detection.row0, detection.col0, detection.row1, detection.col1])
-    directions = [ends] if detection.length_px > 1.0 else [ends + np.array([-1.0, 0, 1, 0]), ends + np.array([0, -1.0, 0, 1])]
-    gain = -math.inf
-    for segment in directions:
-        background = view.background
+    background = view.background
+
+    def snr_of(segment: NDArray[np.float64], sagitta_px: float, sure: bool) -> tuple[float, float]:
         n, minor, slope = gather_lines(
             view.residual_adu,
             view.mask,
@@ -259,10 +276,20 @@ def sharpness(detection: Detection, view: DetectorView, level: NDArray[np.float3
             level,
             level_tile_px,
             segment,
+            sagitta_px,
             values,
             corner,
         )
-        wide, narrow = both_snr(values[:n], corner[:n], minor, slope, psf_sigma_px, NARROW_PX)
+        return both_snr(values[:n], corner[:n], minor, slope, psf_sigma_px, NARROW_PX, sure)
+
+    if detection.sagitta_px != 0.0 and detection.length_px > 1.0:
+        bent, _ = snr_of(ends, detection.sagitta_px, True)
+        wide, narrow = snr_of(ends, 0.0, False)
+        return narrow**2 - max(wide, bent) ** 2
+    directions = [ends] if detection.length_px > 1.0 else [ends + np.array([-1.0, 0, 1, 0]), ends + np.array([0, -1.0, 0, 1])]
+    gain = -math.inf
+    for segment in directions:
+        wide, narrow = snr_of(segment, 0.0, True)
         gain = max(gain, narrow**2 - wide**2)
     return gain
 

@@ -24,6 +24,7 @@ from onboard.detect.line_integral import (
     sharpness,
     static_sky,
     strip,
+    track_pieces,
     trailed_sky,
     trains,
     varied,
@@ -115,8 +116,8 @@ there before is thus found from S on, S^2 = 2 z^2 (1 + nu S / 2) (`point_movers.
 STORM_ENTRIES: Final = 1000
 """New star-list entries above which a particle storm raises the threshold."""
 
-PIECE_PX: Final = 4.0
-"""Sharp points so near to a found trail are pieces of it."""
+MOST_HITS: Final = 2000
+"""Sharp points that are looked at: a hundred tracks leave about a thousand."""
 
 EDGE_PX: Final = 3.0
 """An end closer than this to the frame's edge may continue beyond it."""
@@ -362,23 +363,6 @@ def particle_hits(view: DetectorView, images: WorkingImages, n_sigma: float, mos
     ]
 
 
-def beside_trails(hits: list[Detection], trails: list[Detection]) -> list[Detection]:
-    """The points among some hits that are no pieces of found trails."""
-    row, col = np.array([(hit.row0, hit.col0) for hit in hits]).reshape(-1, 2).T
-    piece = np.zeros(len(hits), np.bool_)
-    for trail in trails:
-        length = trail.length_px
-        if length < 1.0:
-            continue
-        d_row, d_col = row - trail.row0, col - trail.col0
-        u_row, u_col = (trail.row1 - trail.row0) / length, (trail.col1 - trail.col0) / length
-        along, across = d_row * u_row + d_col * u_col, d_row * u_col - d_col * u_row
-        u = np.clip(along / length, 0.0, 1.0)
-        bow = 4.0 * trail.sagitta_px * u * (1.0 - u)
-        piece |= (along > -PIECE_PX) & (along < length + PIECE_PX) & (np.abs(across - bow) < PIECE_PX)
-    return [hit for hit, on_trail in zip(hits, piece, strict=True) if not on_trail]
-
-
 @dataclass(frozen=True, kw_only=True)
 class LineIntegralDetector:
     """Detects trails whose matched-filter S/N exceeds `n_sigma`, whatever their length, angle and position.
@@ -521,13 +505,13 @@ class LineIntegralDetector:
         ]
         found = [replace(d, snr=max(d.snr, s)) for d, s in zip(found, unclipped, strict=True)]
         found = fragments.join(varied.followed(found, view, images, s_px))
+        hits = particle_hits(view, images, n_sigma + self.short_margin, MOST_HITS)
+        found = track_pieces.flagged(found, hits)
         radii = star_mask.mask_radii_px(view.stars.snr, s_px, self.halo_px) if found else np.zeros(0)
         found = [context.with_context(d, view, images.stars, radii) for d in found]
         tracks = [d for d in found if d.flags & StreakFlag.COSMIC_LIKE]
         real = sorted((d for d in found if not d.flags & StreakFlag.COSMIC_LIKE), key=lambda d: -d.snr)
-        room = max(0, self.max_detections - len(real))
-        hits = particle_hits(view, images, n_sigma + self.short_margin, room)
-        tracks += beside_trails(hits, found)
+        tracks += track_pieces.beside_trails(hits[: max(0, self.max_detections - len(real))], found)
         tracks.sort(key=lambda d: -d.snr)
         detections = tuple((real + tracks)[: self.max_detections])
         return detections, None if whole is None else Searched(smooth=whole, seeds=seed_ends(seeds[:n_seeds]))

@@ -75,6 +75,6 @@ def test_a_miss_says_why(made: Reasons, words: str) -> None:
     assert words in made.why_missed(TRUTH[4])
 
 
-def test_the_first_frame_says_that_it_is_the_first() -> None:
+def test_the_only_frame_says_that_it_is_the_only_one() -> None:
     made = reasons(0.0)
-    assert "the first frame" in replace(made, frames={TRUTH[4].frame: frame()}).why_missed(TRUTH[4])
+    assert "the only frame" in replace(made, frames={TRUTH[4].frame: frame()}).why_missed(TRUTH[4])

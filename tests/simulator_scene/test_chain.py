@@ -338,7 +338,7 @@ def option_tables(options_type, name="simulator"):
 
 @pytest.mark.parametrize(("name", "table"), list(option_tables(SimulatorOptions)), ids=lambda v: v if isinstance(v, str) else "")
 def test_every_option_says_what_it_is_and_what_is_allowed(name, table):
-    free_text = {"name", "target", "file", "sizes_file", "catalogue_file", "epoch_utc"}
+    free_text = {"name", "object", "target", "file", "sizes_file", "catalogue_file", "epoch_utc"}
     for f in fields(table):
         assert f.metadata.get("doc"), f"{name}.{f.name}"
         if f.type in (int, float):

@@ -36,12 +36,13 @@ from simulator.platform.observer import SiteObserver, make_observer
 from simulator.radiation.arrival import field_lines
 from simulator.radiation.field import ParticleField
 from simulator.scene.aberration import observer_velocity_km_s
+from simulator.scene.asteroids import AsteroidSky
 from simulator.scene.atmosphere import Atmosphere, clouds_of, seeing_sigma_rad
 from simulator.scene.backdrop import Backdrop, add_moon, backdrop_of, diffuse_image
 from simulator.scene.cast import make_cast, summary, target_direction
 from simulator.scene.crossing import RowShutter, row_shutter
 from simulator.scene.movers import first_seen_km, paths_of
-from simulator.scene.stars import StarSky
+from simulator.scene.stars import StarSky, joined
 from simulator.scene.trail_image import Path, add_trail
 from simulator.sensor.smear import add_smear
 from simulator.starlight import STAR_MARGIN_PX, add_stars
@@ -88,6 +89,7 @@ class Simulator:
             epoch_jyear=earth.jyear(epoch),
         )
         self._stars = StarSky(options.stars, options.instrument, catalogue, seed=seed, epoch_jyear=earth.jyear(epoch))
+        self._asteroids = AsteroidSky(options.sky.asteroids, options.instrument, seed=seed)
         middle = self._carrier.attitude(epoch + round(0.5e9 * duration_s))[2]
         sky_e_s = float(self._backdrop(epoch).surface_flux(middle[None], self._camera)[0] * self._camera.surface_rate_e_s)
         self._cast = make_cast(
@@ -187,7 +189,7 @@ class Simulator:
         velocity_km_s: Array,
         index: int,
     ) -> NDArray[np.void]:
-        """Add stars and planets to the image; their truth."""
+        """Add stars, asteroids and planets to the image; their truth."""
         if not self.options.stars.enabled:
             return truth.empty("stars")
         camera = self._camera.at(sight.reference_s)
@@ -195,6 +197,9 @@ class Simulator:
         radius_rad = camera.radius_rad + swing_rad + 1.5 * STAR_MARGIN_PX / camera.projection.focal_px
         centre = camera.direction(0.0, 0.0) @ sight.reference
         field = self._stars.around(centre, float(np.degrees(radius_rad)))
+        if self.options.sky.asteroids.density > 0.0:
+            now = self._carrier.tai_ns(sight.reference_s)
+            field = joined([field, self._asteroids.around(centre, float(np.degrees(radius_rad)), now, backdrop.observer_km)])
         planets = backdrop.planets_near(centre, radius_rad)
         return add_stars(image_e, field, planets, backdrop, sight, velocity_km_s, shutter, camera, (self.seed, index))
 

@@ -11,7 +11,7 @@ from ground.sensor_bias.estimate import SensorBias, Track
 from ground.sky.sphere import ARCSEC_RAD
 from sboc_e2e.icd.errors import UserError
 
-_FORMAT = "sboc-sensor-calibration-1"
+_FORMAT = "sboc-sensor-calibration-2"
 
 
 def calibration_text(sensor: str, sessions: Sequence[SensorBias]) -> str:
@@ -20,6 +20,7 @@ def calibration_text(sensor: str, sessions: Sequence[SensorBias]) -> str:
     for bias in sessions:
         row = asdict(bias)
         row["covariance"] = bias.covariance.tolist()
+        row["degrees"] = bias.degrees.tolist()
         row["half_width_90"] = [float(x) for x in bias.half_widths(0.9)]
         rows.append(row)
     return json.dumps({"format": _FORMAT, "sensor": sensor, "sessions": rows}, indent=1) + "\n"
@@ -34,7 +35,8 @@ def read_calibration(text: str, where: str) -> tuple[SensorBias, ...]:
         rows = []
         for row in content["sessions"]:
             row = {k: v for k, v in row.items() if k != "half_width_90"}
-            rows.append(SensorBias(**{**row, "covariance": np.array(row["covariance"]), "objects": tuple(row["objects"])}))
+            arrays = {name: np.array(row[name]) for name in ("covariance", "degrees")}
+            rows.append(SensorBias(**{**row, **arrays, "objects": tuple(row["objects"])}))
         return tuple(rows)
     except (ValueError, KeyError, TypeError) as error:
         raise UserError(f"{where}: no sensor calibration: {str(error)[:80]}") from error

@@ -41,7 +41,7 @@ class SensorBias:
     time_s : tags later than the truth, positive. east_arcsec, north_arcsec : pointing, observed minus true. covariance : (3, 3)
     of these. noise_along, noise_cross : one sigma of a direction along and across the motion; common_along, common_cross : of
     what the directions of a track share, arcsec. along, cross : mean residuals before any correction.
-    degrees : of freedom behind the noise, for intervals. first_tai_ns, last_tai_ns : the session.
+    degrees : (3,) of freedom of the variances of (time_s, east, north), for intervals. first_tai_ns, last_tai_ns : the session.
     """
 
     first_tai_ns: int
@@ -60,7 +60,7 @@ class SensorBias:
     n_used: int
     n_clipped: int
     objects: tuple[str, ...]
-    degrees: int
+    degrees: Array
 
     def half_widths(self, share: float) -> Array:
         """Half widths (3,) of intervals of (time_s, east, north) that hold the truth in a share of sessions."""
@@ -121,32 +121,36 @@ def estimate(
         )
     parts = [_part(track, orbit, place, shares_clock) for track, orbit in pairs]
     use: list[NDArray[np.bool_]] = [np.asarray(np.isfinite(p.residual).all(axis=1)) for p in parts]
-    own, common = np.ones(2), np.zeros(2)
+    own, common, freedom = np.ones(2), np.zeros(2), np.ones(2)
     solution: Array = np.zeros(3)
     covariance: Array = np.eye(3)
     for _ in range(_ROUNDS):
-        information, right = np.zeros((3, 3)), np.zeros(3)
+        information, right = np.zeros((2, 3, 3)), np.zeros(3)
         for part, chosen in zip(parts, use, strict=True):
             for axis in range(2):
                 design, value = part.design[chosen, axis], part.residual[chosen, axis]
                 # (s2 + c2 11')^-1 = (1 - c2 11'/(s2 + m c2)) / s2
                 shrink = common[axis] / (own[axis] + len(value) * common[axis])
                 weighted = (design - shrink * design.sum(axis=0)) / own[axis]
-                information += weighted.T @ design
+                information[axis] += weighted.T @ design
                 right += weighted.T @ value
-        if np.linalg.cond(information) > 1e14:
+        together = information.sum(axis=0)
+        if np.linalg.cond(together) > 1e14:
             raise UserError("calibration: all objects move alike: time and pointing cannot be told apart")
-        covariance = np.asarray(np.linalg.inv(information), dtype=np.float64)
+        covariance = np.asarray(np.linalg.inv(together), dtype=np.float64)
         solution = covariance @ right
         left = [part.residual - part.design @ solution for part in parts]
-        own, common = _variances(left, use)
+        own, common, freedom = _variances(left, use)
         sigma = np.sqrt(own + common)
         use = [np.asarray((np.abs(r) < _CLIP_SIGMA * sigma).all(axis=1)) for r in left]
     all_residuals = np.vstack([part.residual[chosen] for part, chosen in zip(parts, use, strict=True)])
     epochs = np.concatenate([track.t_tai_ns for track, _ in pairs])
     n_used = int(sum(chosen.sum() for chosen in use))
-    # where tracks share errors these, not the directions, are the independent data
-    shared = common.sum() * n_used / len(pairs) > own.sum()
+    # The share of each variance that the noise along and that across have (Satterthwaite 1946, Biometrics 2, 110).
+    weight = np.einsum("ij,ajk,ki->ai", covariance, information, covariance) / np.diag(covariance)
+    # The weights come from the same few tracks (Kenward & Roger 1997, Biometrics 53, 983, for one variance an axis).
+    lost = sum((own_part - own_part @ covariance @ own_part) / nu for own_part, nu in zip(information, freedom, strict=True))
+    covariance = covariance + 4.0 * covariance @ np.asarray(lost) @ covariance
     return SensorBias(
         first_tai_ns=int(epochs.min()),
         last_tai_ns=int(epochs.max()),
@@ -164,7 +168,7 @@ def estimate(
         n_used=n_used,
         n_clipped=int(sum((~chosen).sum() for chosen in use)),
         objects=tuple(sorted({orbit.name for _, orbit in pairs})),
-        degrees=max(2 * (len(pairs) if shared else n_used) - 3, 1),
+        degrees=1.0 / (weight**2 / freedom[:, None]).sum(axis=0),
     )
 
 
@@ -188,8 +192,11 @@ def _part(track: Track, orbit: PreciseOrbit, place: Place, shares_clock: bool) -
     return _Part(residual, design)
 
 
-def _variances(left: Sequence[Array], use: Sequence[NDArray[np.bool_]]) -> tuple[Array, Array]:
-    """Variance within tracks, and of the common error of each track, (2,) along and across (analysis of variance)."""
+def _variances(left: Sequence[Array], use: Sequence[NDArray[np.bool_]]) -> tuple[Array, Array, Array]:
+    """Variance within tracks, of the common error of each track, and degrees of freedom of a track's mean, (2,) along and across.
+
+    Analysis of variance. Where tracks share an error, their means are the independent data; elsewhere the directions are.
+    """
     groups = [r[chosen] for r, chosen in zip(left, use, strict=True) if chosen.sum() > 1]
     inside = sum(((g - g.mean(axis=0)) ** 2).sum(axis=0) for g in groups)
     own = np.asarray(inside) / max(sum(len(g) - 1 for g in groups), 1)
@@ -197,6 +204,8 @@ def _variances(left: Sequence[Array], use: Sequence[NDArray[np.bool_]]) -> tuple
     means = np.array([g.mean(axis=0) for g in groups])
     size = np.array([len(g) for g in groups])
     # three numbers were fitted to two coordinates of all tracks
-    freedom = max(len(groups) - 1.5, 0.5)
-    between = (means**2).sum(axis=0) / freedom - own * (1.0 / size).mean()
-    return own, np.maximum(between, 0.0)
+    fitted = 1.5
+    tracks = max(len(groups) - fitted, 0.5)
+    noise = own * (1.0 / size).mean()
+    between = np.maximum((means**2).sum(axis=0) / tracks - noise, 0.0)
+    return own, between, np.where(between > noise, tracks, size.sum() - fitted)

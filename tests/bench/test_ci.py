@@ -1,14 +1,16 @@
 """What runs with every change can fail for a figure that became worse."""
 
+import importlib
+import inspect
 import subprocess
 from pathlib import Path
-from typing import Any
+from typing import Any, get_origin
 
 import pytest
 import yaml  # type: ignore[import-untyped]  # ships no types
 
 from sboc_e2e.bench.baseline import read_baseline
-from sboc_e2e.bench.parts import parts
+from sboc_e2e.bench.parts import SCRIPTS, parts
 from sboc_e2e.bench.run_bench import baseline_file
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -39,3 +41,12 @@ def test_timings_of_the_quick_baseline_have_their_yardstick() -> None:
     baseline = read_baseline(baseline_file(quick=True))
     for part in parts(quick=True, peers=False):
         assert f"{part.name}.yardstick_s" in baseline
+
+
+@pytest.mark.parametrize("script", sorted(path.stem for path in SCRIPTS.glob("bench_*.py")))
+def test_each_part_is_called_as_the_driver_calls_it(script: str) -> None:
+    main = importlib.import_module(f"tests.benchmarks.{script}").main
+    signature = inspect.signature(main)
+    assert all(name == "quick" or p.default is not p.empty for name, p in signature.parameters.items())
+    returned = signature.return_annotation
+    assert (get_origin(returned) or returned) is dict

@@ -286,22 +286,27 @@ def completeness(
     return out
 
 
-def main() -> None:
-    """Print the figures as JSON."""
+def figures(size: int, cubes: int, n_stars: int, storm: float) -> dict[str, Any]:
+    """Thresholds, false tracks in noise, and, without a storm, completeness."""
+    tracker = PieceTracker()
+    return {
+        "thresholds": tracker.thresholds((size, size), PERIOD, PSF_SIGMA_PX).round(2).tolist(),
+        "noise": noise(tracker, size, max(1, cubes // 2), 16, 1, n_stars, storm),
+        **({} if storm else completeness(tracker, size, cubes, 2, n_stars=n_stars)),
+    }
+
+
+def main() -> dict[str, Any]:
+    """Cubes in noise and among stars."""
+    return {"noise": figures(1024, 20, 0, 0.0), "stars": figures(1024, 20, STARS, 0.0)}
+
+
+if __name__ == "__main__":
     parser = argparse.ArgumentParser()
     parser.add_argument("--size", type=int, default=1024)
     parser.add_argument("--cubes", type=int, default=20)
     parser.add_argument("--stars", action="store_true")
     parser.add_argument("--storm", type=float, default=0.0)
     chosen = parser.parse_args()
-    tracker, stars = PieceTracker(), STARS if chosen.stars or chosen.storm else 0
-    figures = {
-        "thresholds": tracker.thresholds((chosen.size, chosen.size), PERIOD, PSF_SIGMA_PX).round(2).tolist(),
-        "noise": noise(tracker, chosen.size, max(1, chosen.cubes // 2), 16, 1, stars, chosen.storm),
-        **({} if chosen.storm else completeness(tracker, chosen.size, chosen.cubes, 2, n_stars=stars)),
-    }
-    sys.stdout.write("\n".join(f"{key}: {json.dumps(value)}" for key, value in figures.items()) + "\n")
-
-
-if __name__ == "__main__":
-    main()
+    made = figures(chosen.size, chosen.cubes, STARS if chosen.stars or chosen.storm else 0, chosen.storm)
+    sys.stdout.write("\n".join(f"{key}: {json.dumps(value)}" for key, value in made.items()) + "\n")

@@ -63,6 +63,23 @@ def test_crossing_parallel_and_overtaking_objects() -> None:
     assert all(len(set(owners(t, streaks, truth))) == 1 for t in tracklets)
 
 
+@pytest.mark.parametrize("n", [12, 26])
+def test_a_train_of_satellites_is_linked_whole(n: int) -> None:
+    """Satellites one behind the other, 40 px apart, with trails of 9.8 px, among false streaks.
+
+    The distance is no multiple of the 12.25 px of a frame: at such a one nothing tells a satellite from its neighbour.
+    """
+    camera = Camera(rows=2048, cols=2048)
+    ahead = np.array([0.5, math.sqrt(0.75)])
+    starts = [1024.0 + 40.0 * (k - 0.5 * n) * ahead for k in range(n)]
+    movers = [pixel_mover(camera, *start, *(49.0 * ahead), t_s=1.0) for start in starts]
+    headers, streaks, truth = observe(camera, movers, 8, np.random.default_rng(1), false_per_frame=5)
+    tracklets = MotionLinker().link(headers, streaks)
+    assert sorted({owners(t, streaks, truth)[0] for t in tracklets}) == list(range(n))
+    assert len(tracklets) == n
+    assert all(len(set(owners(t, streaks, truth))) == 1 and len(t.frames) == 8 for t in tracklets)
+
+
 def test_slow_point_is_linked_and_static_point_is_not() -> None:
     """A geostationary object (15 arcsec/s, 0.8 px per frame) over 40 frames; a hot pixel and a star residual stay unlinked."""
     camera = Camera(rows=512, cols=512)

@@ -1,7 +1,7 @@
 """Image lag: charge that a photodiode does not give away in its own read-out and shows in the next frame.
 
-A scientific CMOS sensor shows less than 0.05 % of a pixel's charge in the frame after, and nothing in later ones (GSENSE1516BSI: Wu
-et al. 2023, arXiv 2303.08425). Charge that stays by chance is a thinned Poisson process: both parts are Poisson with their means.
+A scientific CMOS sensor shows less than 0.05 % of a pixel's charge in the frame after, and nothing in later ones (GSENSE1516BSI:
+Wu et al. 2023, arXiv 2303.08425). Charge that stays by chance is a thinned Poisson process: both parts are Poisson.
 """
 
 from dataclasses import dataclass

@@ -42,6 +42,7 @@ from simulator.scene.atmosphere import Atmosphere, clouds_of, seeing_sigma_rad
 from simulator.scene.backdrop import Backdrop, add_moon, backdrop_of, diffuse_image
 from simulator.scene.cast import make_cast, summary, target_direction
 from simulator.scene.crossing import RowShutter, row_shutter
+from simulator.scene.galaxies import GalaxySky
 from simulator.scene.movers import first_seen_km, paths_of
 from simulator.scene.stars import StarSky, joined
 from simulator.scene.trail_image import Path, add_trail
@@ -93,6 +94,7 @@ class Simulator:
         self._stars = StarSky(options.stars, options.instrument, catalogue, seed=seed, epoch_jyear=earth.jyear(epoch))
         self._lag: tuple[int, Lag] | None = None
         self._asteroids = AsteroidSky(options.sky.asteroids, options.instrument, seed=seed)
+        self._galaxies = GalaxySky(options.sky.galaxies, options.instrument, seed=seed)
         middle = self._carrier.attitude(epoch + round(0.5e9 * duration_s))[2]
         sky_e_s = float(self._backdrop(epoch).surface_flux(middle[None], self._camera)[0] * self._camera.surface_rate_e_s)
         self._cast = make_cast(
@@ -229,7 +231,10 @@ class Simulator:
             now = self._carrier.tai_ns(sight.reference_s)
             field = joined([field, self._asteroids.around(centre, float(np.degrees(radius_rad)), now, backdrop.observer_km)])
         planets = backdrop.planets_near(centre, radius_rad)
-        return add_stars(image_e, field, planets, backdrop, sight, velocity_km_s, shutter, camera, (self.seed, index))
+        nebulae = None
+        if self.options.sky.galaxies.density > 0.0:
+            nebulae = self._galaxies.around(centre, float(np.degrees(radius_rad)))
+        return add_stars(image_e, field, nebulae, planets, backdrop, sight, velocity_km_s, shutter, camera, (self.seed, index))
 
     def _paths(self, sight: LineOfSight, index: int, wanted: Iterable[int]) -> list[tuple[int, Path]]:
         """Paths of those wanted objects that come near the field in a frame."""

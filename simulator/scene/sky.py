@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from simulator.optics.vignetting import illumination_of_row
 from simulator.scene.asteroids import AsteroidOptions
+from simulator.scene.galaxies import GalaxyOptions
 
 Array = NDArray[np.float64]
 
@@ -66,6 +67,7 @@ class SkyOptions:
     moon: bool = field(default=False, metadata={"doc": "the Moon shines, and its light scatters in air and optics"})
     planets: bool = field(default=False, metadata={"doc": "planets shine"})
     asteroids: AsteroidOptions = field(default_factory=AsteroidOptions, metadata={"doc": "asteroids of the main belt"})
+    galaxies: GalaxyOptions = field(default_factory=GalaxyOptions, metadata={"doc": "galaxies"})
     earth: bool = field(
         default=True, metadata={"doc": "the Earth hides stars, shines in the field and scatters in optics (orbits)"}
     )

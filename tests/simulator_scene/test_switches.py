@@ -48,7 +48,7 @@ WORLD = {
         'sensor.structure.column_noise="3 e-"', 'sensor.structure.black_drift="20 e-"', "sensor.converter.gain_error=0.02",
         "sensor.converter.low_gain_error=0.02", "sensor.ccd.transfer_loss=1e-3", "sensor.dark.hot_growth_per_year=0.01",
         "sensor.calibration.age_years=3", "sky.moon=true", "sky.planets=true", "instrument.scatter.strength=0.1",
-        "sensor.structure.lag=0.1", "sky.asteroids.density=30", 'sky.asteroids.faint_limit="13 mag"',
+        "sensor.structure.lag=0.1", "sky.galaxies.density=20", "sky.asteroids.density=30", 'sky.asteroids.faint_limit="13 mag"',
         "sensor.calibration.flat_error=0.02", "sensor.calibration.flat_change_per_year=0.01",
         "sensor.converter.nonlinearity_error=1.0", *ENCOUNTERS,
     ],

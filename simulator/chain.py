@@ -41,6 +41,7 @@ from simulator.scene.asteroids import AsteroidSky
 from simulator.scene.atmosphere import Atmosphere, clouds_of, seeing_sigma_rad
 from simulator.scene.backdrop import Backdrop, add_moon, backdrop_of, diffuse_image
 from simulator.scene.cast import make_cast, summary, target_direction
+from simulator.scene.cirrus import make_cirrus
 from simulator.scene.crossing import RowShutter, row_shutter
 from simulator.scene.galaxies import GalaxySky
 from simulator.scene.movers import first_seen_km, paths_of
@@ -92,6 +93,7 @@ class Simulator:
             epoch_jyear=earth.jyear(epoch),
         )
         self._stars = StarSky(options.stars, options.instrument, catalogue, seed=seed, epoch_jyear=earth.jyear(epoch))
+        self._cirrus = make_cirrus(options.sky.structure, seed)
         self._lag: tuple[int, Lag] | None = None
         self._asteroids = AsteroidSky(options.sky.asteroids, options.instrument, seed=seed)
         self._galaxies = GalaxySky(options.sky.galaxies, options.instrument, seed=seed)
@@ -208,7 +210,9 @@ class Simulator:
         """Sky, Moon, planets and Earth at an instant; the zodiacal light is that of the epoch."""
         observer = self._carrier.observer
         place = observer.state(tai_ns)[0]
-        return backdrop_of(self.options.sky, tai_ns, earth.sun_position_km(self._epoch), place, self._air(observer, tai_ns))
+        return backdrop_of(
+            self.options.sky, tai_ns, earth.sun_position_km(self._epoch), place, self._air(observer, tai_ns), self._cirrus
+        )
 
     def _add_stars(
         self,

@@ -14,6 +14,7 @@ from simulator.scene import bodies
 from simulator.scene.aberration import aberrate
 from simulator.scene.atmosphere import Atmosphere
 from simulator.scene.bodies import Body
+from simulator.scene.cirrus import Cirrus
 from simulator.scene.earth_light import earth_light, earth_reach_rad, earth_veil
 from simulator.scene.reflection import in_sight
 from simulator.scene.sky import SKY_GRID, SkyOptions, diffuse_flux, fill_diffuse
@@ -38,6 +39,7 @@ class Backdrop:
     """What shines and hides at one instant.
 
     sun_km : (3,) of the zodiacal light. lit_sun_km : (3,) now. observer_km : (3,) geocentric. air : of a site; None in orbit.
+    cirrus : structure of the unresolved light; None for none.
     """
 
     options: SkyOptions
@@ -47,10 +49,11 @@ class Backdrop:
     air: Atmosphere | None
     moon: Body | None
     planets: list[Body]
+    cirrus: Cirrus | None = None
 
     def surface_flux(self, directions: Array, camera: Camera) -> Array:
         """Flux of a square arcsecond of field in directions (n, 3), in units of a V = 0 star."""
-        flux = diffuse_flux(self.options, directions, self.sun_km)
+        flux = diffuse_flux(self.options, directions, self.sun_km, self.cirrus)
         scatter = camera.instrument.scatter
         if self.air is not None:
             flux = flux * self.air.transmission(directions) + self.air.glow_flux(directions)
@@ -89,14 +92,16 @@ class Backdrop:
         if self.air is None and self.earth_is_near(directions):
             return EARTH_GRID
         near = self.moon is not None and (directions @ self.moon.direction).max() > np.cos(NEAR_RAD)
-        return NEAR_GRID if near else SKY_GRID
+        return NEAR_GRID if near or self.cirrus is not None else SKY_GRID
 
     def planets_near(self, direction: Array, radius_rad: float) -> list[tuple[int, Body]]:
         """Planets within an angle of a direction (3,), with their numbers."""
         return [(k, p) for k, p in enumerate(self.planets) if p.direction @ direction > np.cos(radius_rad)]
 
 
-def backdrop_of(options: SkyOptions, tai_ns: int, sun_km: Array, observer_km: Array, air: Atmosphere | None) -> Backdrop:
+def backdrop_of(
+    options: SkyOptions, tai_ns: int, sun_km: Array, observer_km: Array, air: Atmosphere | None, cirrus: Cirrus | None
+) -> Backdrop:
     """What stands around an observer (3,), km, at an instant. sun_km : (3,) that the zodiacal light follows."""
     moon = bodies.moon(tai_ns, observer_km) if options.moon else None
     if moon is not None and air is None and not in_sight(1e5 * moon.direction + observer_km, observer_km):
@@ -109,6 +114,7 @@ def backdrop_of(options: SkyOptions, tai_ns: int, sun_km: Array, observer_km: Ar
         air=air,
         moon=moon,
         planets=bodies.planets(tai_ns) if options.planets else [],
+        cirrus=cirrus,
     )
 
 

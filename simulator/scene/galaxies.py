@@ -26,7 +26,8 @@ _AT_MAG: Final = 16.36
 _PER_DEG2: Final = 9.0
 _BRIGHTEST_MAG: Final = 8.0
 """All brighter ones are known by name."""
-_GALACTIC_POLE: Final = np.array([-0.8676661356833737, -0.1980763872750533, 0.4559837919562393])
+GALACTIC_POLE: Final = np.array([-0.8676661356833737, -0.1980763872750533, 0.4559837919562393])
+"""Direction of the north galactic pole, ICRS (192.85948 deg, 27.12825 deg)."""
 _DUST_MAG: Final = 0.15
 _DISCS: Final = 0.7
 _THICKNESS: Final = 0.2
@@ -75,7 +76,7 @@ def cumulative_galaxies_deg2(v_mag: Array | float) -> Array:
 
 def thinned_by_dust(direction: Array) -> Array:
     """Share of galaxies of a magnitude that dust leaves in directions (n, 3)."""
-    sine = np.maximum(np.abs(direction @ _GALACTIC_POLE), 0.02)
+    sine = np.maximum(np.abs(direction @ GALACTIC_POLE), 0.02)
     return np.asarray(10.0 ** (-0.6 * _DUST_MAG * (1.0 / sine - 1.0)))
 
 

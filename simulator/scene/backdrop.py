@@ -17,7 +17,7 @@ from simulator.scene.bodies import Body
 from simulator.scene.cirrus import Cirrus
 from simulator.scene.earth_light import earth_light, earth_reach_rad, earth_veil
 from simulator.scene.reflection import in_sight
-from simulator.scene.sky import SKY_GRID, SkyOptions, diffuse_flux, fill_diffuse
+from simulator.scene.sky import SKY_GRID, SkyOptions, diffuse_flux, fill_diffuse, unresolved_flux
 from simulator.scene.stars import StarField
 
 Array = NDArray[np.float64]
@@ -53,7 +53,7 @@ class Backdrop:
 
     def surface_flux(self, directions: Array, camera: Camera) -> Array:
         """Flux of a square arcsecond of field in directions (n, 3), in units of a V = 0 star."""
-        flux = diffuse_flux(self.options, directions, self.sun_km, self.cirrus)
+        flux = diffuse_flux(self.options, directions, self.sun_km)
         scatter = camera.instrument.scatter
         if self.air is not None:
             flux = flux * self.air.transmission(directions) + self.air.glow_flux(directions)
@@ -71,6 +71,13 @@ class Backdrop:
             if self.air is None and self.options.earth:
                 flux = flux + earth_veil(scatter, directions, self.observer_km, self.lit_sun_km)
         return np.asarray(flux)
+
+    def structure_flux(self, directions: Array) -> Array:
+        """Flux of the unresolved light less that of its mean, in the units of `surface_flux`."""
+        if self.cirrus is None:
+            return np.zeros(len(directions))
+        uneven = unresolved_flux(self.options, directions) * (self.cirrus.factor(directions) - 1.0)
+        return np.asarray(uneven * self.shining(directions))
 
     def earth_is_near(self, directions: Array) -> bool:
         """Whether the Earth or its air stands in one of the directions (n, 3)."""
@@ -92,7 +99,7 @@ class Backdrop:
         if self.air is None and self.earth_is_near(directions):
             return EARTH_GRID
         near = self.moon is not None and (directions @ self.moon.direction).max() > np.cos(NEAR_RAD)
-        return NEAR_GRID if near or self.cirrus is not None else SKY_GRID
+        return NEAR_GRID if near else SKY_GRID
 
     def planets_near(self, direction: Array, radius_rad: float) -> list[tuple[int, Body]]:
         """Planets within an angle of a direction (3,), with their numbers."""
@@ -127,12 +134,26 @@ def diffuse_image(backdrop: Backdrop, sight: LineOfSight, camera: Camera) -> NDA
         return camera.projection.to_vectors(row.ravel(), col.ravel()) @ sight.reference
 
     grid = backdrop.grid(directions(SKY_GRID))
-    rate_e_s = np.asarray(backdrop.surface_flux(directions(grid), camera) * camera.surface_rate_e_s).reshape(grid, grid)
+    flux = backdrop.surface_flux(directions(grid), camera).reshape(grid, grid)
+    if backdrop.cirrus is not None:  # on nodes of its own: what else shines is smooth, or has more nodes already
+        flux = refined(flux, NEAR_GRID)
+        structure = backdrop.structure_flux(directions(NEAR_GRID)).reshape(NEAR_GRID, NEAR_GRID)
+        flux += refined(structure, len(flux))
+    rate_e_s = flux * camera.surface_rate_e_s
     image_e = np.empty(shape, dtype=np.float32)
     stray_e = camera.instrument.stray_light_e_px_s * camera.exposure_s
     grid_e = (rate_e_s * camera.exposure_s).astype(np.float32)
     fill_diffuse(image_e, *camera.illumination, grid_e, stray_e, camera.instrument.stray_gradient)
     return image_e
+
+
+def refined(values: Array, nodes: int) -> Array:
+    """Values at nodes (n, n) from corner to corner, linear in between, at so many nodes; as they are where they have more."""
+    n = len(values)
+    if n >= nodes:
+        return values
+    weight = np.maximum(1.0 - np.abs(np.linspace(0.0, n - 1.0, nodes)[:, None] - np.arange(n)), 0.0)
+    return np.asarray(weight @ values @ weight.T)
 
 
 def add_moon(image_e: NDArray[np.float32], backdrop: Backdrop, sight: LineOfSight, camera: Camera, velocity_km_s: Array) -> None:

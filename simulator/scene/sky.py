@@ -9,7 +9,6 @@ from numpy.typing import NDArray
 
 from simulator.optics.vignetting import illumination_of_row
 from simulator.scene.asteroids import AsteroidOptions
-from simulator.scene.cirrus import Cirrus
 from simulator.scene.galaxies import GALACTIC_POLE, GalaxyOptions
 
 Array = NDArray[np.float64]
@@ -108,13 +107,15 @@ def unresolved_s10(directions: Array) -> Array:
     return np.asarray(np.interp(latitude_deg, _GALACTIC_LATITUDE_DEG, _UNRESOLVED_S10))
 
 
-def diffuse_flux(options: SkyOptions, directions: Array, sun_km: Array, cirrus: Cirrus | None = None) -> Array:
+def unresolved_flux(options: SkyOptions, directions: Array) -> Array:
+    """The part of faint stars and diffuse galactic light in `diffuse_flux`."""
+    return np.asarray(options.unresolved * unresolved_s10(directions) * 10.0 ** (-0.4 * S10_MAG))
+
+
+def diffuse_flux(options: SkyOptions, directions: Array, sun_km: Array) -> Array:
     """Flux of one square arcsecond of sky in GCRS directions (n, 3), in units of a V = 0 star."""
     zodiacal = zodiacal_s10(directions, sun_km / np.linalg.norm(sun_km))
-    unresolved = options.unresolved * unresolved_s10(directions)
-    if cirrus is not None:
-        unresolved = unresolved * cirrus.factor(directions)
-    s10 = options.zodiacal * zodiacal + unresolved
+    s10 = options.zodiacal * zodiacal + options.unresolved * unresolved_s10(directions)
     return np.asarray(s10 * 10.0 ** (-0.4 * S10_MAG))
 
 

@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 
+from simulator.scene.backdrop import refined
 from simulator.scene.cirrus import SLOPE, make_cirrus
 from simulator.scene.stars import unit_vectors
 
@@ -41,3 +42,13 @@ def test_a_field_has_the_power_spectrum_of_dust():
 
 def test_no_structure_is_no_object():
     assert make_cirrus(0.0, 1) is None
+
+
+def test_nodes_between_nodes_are_linear():
+    """A plane and a product of lines stay what they are; nodes that are there already keep their values."""
+    row, col = np.meshgrid(np.arange(9.0), np.arange(9.0), indexing="ij")
+    fine_row, fine_col = np.meshgrid(np.linspace(0.0, 8.0, 65), np.linspace(0.0, 8.0, 65), indexing="ij")
+    assert refined(3.0 + 2.0 * row - col + row * col, 65) == pytest.approx(3.0 + 2.0 * fine_row - fine_col + fine_row * fine_col)
+    assert refined(row, 9) is row
+    uneven = np.random.default_rng(2).random((9, 9))
+    assert refined(uneven, 65)[::8, ::8] == pytest.approx(uneven)

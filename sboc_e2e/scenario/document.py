@@ -145,9 +145,9 @@ def load(
 ) -> Scenario:
     """The resolved scenario of a name or path.
 
-    overrides : ``key=value`` texts of ``--set``; one that names a preset takes the place of that of the file. use : step names typed
-    on the command line by seam; they replace the scenario's choice together with its options. Raises `UserError` of one line for
-    anything wrong.
+    overrides : ``key=value`` texts of ``--set``; one that names a preset takes the place of that of the file. use : step names
+    typed on the command line by seam; they replace the scenario's choice together with its options. Raises `UserError` of one
+    line for anything wrong.
     """
     path = find(scenario)
     overrides = tuple(overrides)

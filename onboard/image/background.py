@@ -163,9 +163,28 @@ def clipped_mesh(
 
 def neighbourhoods(mesh: NDArray[np.float32]) -> NDArray[np.float32]:
     """(9, rows, cols): every node with its eight neighbours; the outer nodes are repeated beyond the edge."""
-    rows, cols = mesh.shape
-    padded = np.pad(mesh, 1, mode="edge")
+    return _blocks(np.pad(mesh, 1, mode="edge"))
+
+
+def straight_neighbourhoods(mesh: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(9, rows, cols): the same, straight on beyond the edge: there, too, their median and mean on a slope are the node."""
+    return _blocks(continued(mesh))
+
+
+def _blocks(padded: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(9, rows, cols) of a mesh (rows + 2, cols + 2)."""
+    rows, cols = padded.shape[0] - 2, padded.shape[1] - 2
     return np.stack([padded[i : i + rows, j : j + cols] for i in range(3) for j in range(3)])
+
+
+def continued(mesh: NDArray[np.float32]) -> NDArray[np.float32]:
+    """The mesh with one node more on each side, on the straight line through the two outer ones."""
+    for axis in (0, 1):
+        nodes = np.moveaxis(mesh, axis, 0)
+        second = min(1, len(nodes) - 1)
+        before, after = 2.0 * nodes[0] - nodes[second], 2.0 * nodes[-1] - nodes[-1 - second]
+        mesh = np.moveaxis(np.concatenate((before[None], nodes, after[None])), 0, axis)
+    return mesh
 
 
 def fill_gaps(mesh: NDArray[np.float32], otherwise: float) -> NDArray[np.float32]:
@@ -204,6 +223,6 @@ class MeshBackground:
         level, sigma = fill_gaps(level, 0.0), fill_gaps(sigma, 1.0)
         return BackgroundModel(
             tile_px=self.tile_px,
-            level_adu=np.median(neighbourhoods(level), axis=0),
+            level_adu=np.median(straight_neighbourhoods(level), axis=0),
             sigma_adu=np.median(neighbourhoods(sigma), axis=0),
         )

@@ -166,19 +166,29 @@ def background_in_adu(background: BackgroundModel, counts: Counts) -> Background
 
 
 @njit(cache=True)
+def between_nodes(pixel: int, nodes: int, tile_px: int, pixels: int) -> tuple[int, float]:
+    """The interval of a mesh axis that a pixel is in, as its first node, and where in it, 0 at this node and 1 at the next.
+
+    Nodes stand at the middle of their tiles; the last tile may be shorter. Beyond the outer nodes the outer intervals go on as
+    straight lines: a level held there would be wrong by half a tile's slope at the edge of the frame.
+    """
+    if nodes < 2:
+        return 0, 0.0
+    position = (pixel - 0.5 * (tile_px - 1)) / tile_px
+    first = min(max(int(position), 0), nodes - 2)
+    share = position - first
+    last_px = pixels - (nodes - 1) * tile_px
+    if first == nodes - 2 and last_px < tile_px:
+        share *= 2.0 * tile_px / (tile_px + last_px)
+    return first, share
+
+
+@njit(cache=True)
 def expand_nodes(nodes: NDArray[np.float32], tile_px: int, out: NDArray[np.float32]) -> None:
-    """Linear interpolation of one mesh row to every column; constant beyond the outer node centres."""
-    last = nodes.size - 1
+    """Linear interpolation of one mesh row to every column, `between_nodes`."""
     for col in range(out.size):
-        position = (col - 0.5 * (tile_px - 1)) / tile_px
-        if position <= 0.0 or last == 0:
-            out[col] = nodes[0]
-        elif position >= last:
-            out[col] = nodes[last]
-        else:
-            left = int(position)
-            share = np.float32(position - left)
-            out[col] = nodes[left] + share * (nodes[left + 1] - nodes[left])
+        left, share = between_nodes(col, nodes.size, tile_px, out.size)
+        out[col] = nodes[left] + np.float32(share) * (nodes[min(left + 1, nodes.size - 1)] - nodes[left])
 
 
 @njit(cache=True, fastmath={"contract", "nsz", "arcp"})  # no NaN reaches this loop; reordering changes the last bit only
@@ -255,13 +265,12 @@ def residual_pass(
     held = -1
     unusable = 0
     for row in range(rows):
-        position = min(max((row - 0.5 * (tile_px - 1)) / tile_px, 0.0), float(last))
-        above = min(int(position), max(last - 1, 0))
+        above, place = between_nodes(row, last + 1, tile_px, rows)
         if above != held:
             expand_nodes(level_nodes[above], tile_px, upper)
             expand_nodes(level_nodes[min(above + 1, last)], tile_px, lower)
             held = above
-        share = np.float32(position - above)
+        share = np.float32(place)
         for col in range(cols):
             level[col] = upper[col] + share * (lower[col] - upper[col])
         line = row + corner[0]

@@ -11,8 +11,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from onboard.image.background import LEAST_SAMPLES, fill_gaps, neighbourhoods
-from onboard.image.calibrate import expand_nodes, sums_within
-from onboard.image.fine_sky import fine_nodes, structured_tiles
+from onboard.image.calibrate import between_nodes, expand_nodes, sums_within
+from onboard.image.fine_sky import bent_tiles, fine_nodes, structured_tiles
 from sboc_e2e.icd.signals import BackgroundModel, StarList
 
 ROW_STEP = 8
@@ -148,13 +148,12 @@ def shift_level(
     shift = np.empty(cols, dtype=np.float32)
     held = -1
     for row in range(rows):
-        position = min(max((row - 0.5 * (tile_px - 1)) / tile_px, 0.0), float(last))
-        above = min(int(position), max(last - 1, 0))
+        above, place = between_nodes(row, last + 1, tile_px, rows)
         if above != held:
             expand_nodes(nodes[above], tile_px, upper)
             expand_nodes(nodes[min(above + 1, last)], tile_px, lower)
             held = above
-        share = np.float32(position - above)
+        share = np.float32(place)
         for col in range(cols):
             shift[col] = upper[col] + share * (lower[col] - upper[col]) + offsets[row]
         _shift_row(residual[row], mask[row], shift)
@@ -218,7 +217,7 @@ def without_stars(
     shift_level(residual, mask, shift, tile_px, row_offsets(row_sums, residual.shape[1], float(np.median(sigma))))
     # a second look at what the mesh left over: the first one's means are relative to the level before
     star_free_moments(residual, mask, marked, row_step, tile_px, background.sigma_adu, mean, deviation)
-    structured = structured_tiles(mean, sigma, tile_px * tile_px // row_step)
+    structured = structured_tiles(mean, sigma, tile_px * tile_px // row_step) | bent_tiles(background.level_adu, sigma)
     if structured.any() and tile_px % 2 == 0:
         reach = star_reach_px(stars, sigma_e, psf_sigma_px)
         shift = shift + _take_out_structure(residual, mask, stars, reach, background.sigma_adu, tile_px, structured)

@@ -6,11 +6,13 @@ import numpy as np
 
 from onboard.detect import whiten
 from onboard.detect.line_integral import point_movers
-from onboard.image.fine_sky import fine_nodes, structured_tiles
+from onboard.image.background import MeshBackground
+from onboard.image.fine_sky import bent_tiles, fine_nodes, structured_tiles
 from sboc_e2e.icd.flags import StreakFlag
 from tests.benchmarks import sky_frames
 from tests.benchmarks.bench_detection import score
 from tests.benchmarks.other_skies import second_of
+from tests.onboard.test_background import noisy
 
 
 def test_short_movers_under_a_sharper_psf_are_no_particle_tracks() -> None:
@@ -78,3 +80,19 @@ def test_a_fine_mesh_keeps_the_means_of_its_tiles() -> None:
     nodes = fine_nodes(mean, np.ones(mean.shape, bool))[20]
     over = 0.75 * nodes[1:-1] + 0.125 * (nodes[:-2] + nodes[2:])
     assert np.abs(over - mean[20, 1:-1])[1:-1].max() < 0.02
+    # straight on beyond the outer nodes, the mean over an outer tile is that of its node
+    assert np.allclose(nodes[[0, -1]], mean[20, [0, -1]])
+
+
+def test_only_a_mesh_that_bends_is_measured_on_the_finer_one() -> None:
+    """A slope with noise does not bend; a glow that falls as r^-3 does, near its source."""
+    pixel_row, pixel_col = np.indices((1024, 1024))
+    pixels = noisy(200.0 + 0.05 * pixel_row - 0.03 * pixel_col, (1024, 1024), 3)
+    mesh = MeshBackground().estimate(pixels, np.zeros(pixels.shape, np.int16), np.zeros(pixels.shape, np.uint8))
+    assert not bent_tiles(mesh.level_adu, mesh.sigma_adu).any()
+    row, col = np.indices((32, 32)).astype(np.float64)
+    sigma = np.ones((32, 32), np.float32)
+    glow = (300.0 / np.maximum(np.hypot(row - 10.0, col - 21.0) / 2.2, 1.0) ** 3).astype(np.float32)
+    bent = bent_tiles(glow, sigma)
+    assert bent[np.hypot(row - 10.0, col - 21.0) < 9.0].all()
+    assert not bent[np.hypot(row - 10.0, col - 21.0) > 20.0].any()

@@ -175,8 +175,10 @@ def _take_out_structure(
     sigma_adu: NDArray[np.float32],
     tile_px: int,
     structured: NDArray[np.bool_],
-) -> NDArray[np.float32]:
-    """Bring structured tiles of the image to a level on tiles of half the size, in place; returns the change of the mesh."""
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Bring structured tiles of the image to a level on tiles of half the size, in place; the change of the mesh, and the noise
+    within such tiles, NaN where too few pixels tell: within whole tiles the structure passes for noise.
+    """
     half = tile_px // 2
     shape = tuple(-(-n // half) for n in residual.shape)
     marked = np.zeros(residual.shape, dtype=np.uint8)
@@ -185,9 +187,14 @@ def _take_out_structure(
     half_structured = np.repeat(np.repeat(structured, 2, axis=0), 2, axis=1)[: shape[0], : shape[1]]
     mean, deviation = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
     star_free_moments(residual, mask, marked, 1, half, half_sigma, mean, deviation)
-    nodes = fine_nodes(mean, half_structured)
+    nodes = fine_nodes(mean, half_sigma / np.float32(half), half_structured)
     shift_level(residual, mask, nodes, half, np.zeros(len(residual), dtype=np.float32))
-    even = np.pad(nodes, [(0, n % 2) for n in shape], mode="edge")
+    return _of_whole_tiles(nodes), np.sqrt(_of_whole_tiles(deviation**2))
+
+
+def _of_whole_tiles(halves: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Means over 2 x 2 tiles of half the size; those beyond the edge are the last ones again."""
+    even = np.pad(halves, [(0, n % 2) for n in halves.shape], mode="edge")
     return np.asarray(even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2).mean(axis=(1, 3)), dtype=np.float32)
 
 
@@ -220,7 +227,8 @@ def without_stars(
     structured = structured_tiles(mean, sigma, tile_px * tile_px // row_step) | bent_tiles(background.level_adu, sigma)
     if structured.any() and tile_px % 2 == 0:
         reach = star_reach_px(stars, sigma_e, psf_sigma_px)
-        shift = shift + _take_out_structure(residual, mask, stars, reach, background.sigma_adu, tile_px, structured)
+        change, within = _take_out_structure(residual, mask, stars, reach, background.sigma_adu, tile_px, structured)
+        shift, sigma = shift + change, np.where(structured & (within > 0.0), within, sigma)
     return BackgroundModel(
         tile_px=tile_px,
         level_adu=background.level_adu + shift,

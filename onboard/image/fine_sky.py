@@ -58,7 +58,7 @@ def structured_tiles(mean: NDArray[np.float32], sigma: NDArray[np.float32], samp
 def bent_tiles(level: NDArray[np.float32], sigma: NDArray[np.float32]) -> NDArray[np.bool_]:
     """Tiles about which the mesh bends so much that straight lines between its nodes leave light. level, sigma : of the nodes."""
     square = np.zeros(level.shape)
-    smooth = straight_neighbourhoods(level).mean(axis=0, dtype=np.float64)
+    smooth = straight_neighbourhoods(level, float(np.median(sigma))).mean(axis=0, dtype=np.float64)
     for axis in (0, 1):
         if level.shape[axis] > 2:
             bend = np.diff(np.moveaxis(smooth, axis, 0), 2, axis=0)
@@ -99,7 +99,7 @@ def fine_nodes(mean: NDArray[np.float32], noise: NDArray[np.float32], structured
     """Nodes of a mesh whose linear interpolation has the given means over its tiles, 0 where nothing is structured.
 
     The mean of an interpolated line over the tile of a node is 6/8 of it and 1/8 of each neighbour. At the edge of the frame the
-    outer interval goes on (`calibrate.between_nodes`), and the mean is the node itself.
+    outer interval goes on (`background.continued`), and the mean is the node itself.
     """
     smooth = followed(fill_gaps(mean, 0.0).astype(np.float64), noise.astype(np.float64))
     nodes = np.where(structured, smooth, 0.0)

@@ -69,11 +69,14 @@ def test_a_bend_is_followed_to_the_edge_of_the_frame() -> None:
     assert np.sqrt(np.mean([float(rim.mean()) ** 2 for rim in rims])) < 0.02
 
 
-def test_a_mesh_goes_on_straight_beyond_its_outer_nodes() -> None:
+def test_a_mesh_goes_on_straight_beyond_its_outer_nodes_but_not_from_a_step() -> None:
     row, col = np.indices((3, 5)).astype(np.float32)
     wide = np.indices((5, 7)).astype(np.float32) - 1.0
-    assert np.array_equal(continued(2.0 * row - col), 2.0 * wide[0] - wide[1])
-    assert (continued(np.full((1, 1), 7.0, np.float32)) == np.full((3, 3), 7.0)).all()
+    assert np.array_equal(continued(2.0 * row - col, 0.1), 2.0 * wide[0] - wide[1])
+    assert (continued(np.full((1, 1), 7.0, np.float32), 1.0) == np.full((3, 3), 7.0)).all()
+    step = np.array([[0.0, 900.0, 901.0, 902.0]], np.float32)
+    assert continued(step, 1.0)[1, [0, -1]].tolist() == [-2.0, 903.0]
+    assert continued(step, 100.0)[1, [0, -1]].tolist() == [-50.0, 903.0]
 
 
 def test_stars_do_not_lift_the_level_seen_by_the_detector() -> None:
@@ -126,7 +129,7 @@ def test_gaps_are_filled_outwards() -> None:
 
 
 def test_residual_is_raw_minus_dark_minus_level() -> None:
-    """Against plain numpy with scipy's interpolation of the mesh, straight on beyond its outer nodes, to float32."""
+    """Against plain numpy with scipy's interpolation of the mesh and of a node beyond each edge, to float32."""
     from scipy.interpolate import RegularGridInterpolator
 
     rng = np.random.default_rng(6)
@@ -139,10 +142,10 @@ def test_residual_is_raw_minus_dark_minus_level() -> None:
     residual, mask = np.empty(shape, np.float32), defects.copy()
     sums = np.empty((150, 2))
     dark_map = DarkMap.of((dark + fraction / 128.0).astype(np.float32))
-    number = residual_pass(pixels, dark_map.codes, mask, nodes, tile, 4000, 1.0, 60.0, residual, sums)
+    number = residual_pass(pixels, dark_map.codes, mask, continued(nodes, 1.0), tile, 4000, 1.0, 60.0, residual, sums)
     middles = [np.append(np.arange(n // tile) * tile + 15.5, 0.5 * (n // tile * tile + n - 1)) for n in shape]
-    level_at = RegularGridInterpolator(middles, nodes.astype(np.float64), bounds_error=False, fill_value=None)
-    level = level_at(tuple(np.indices(shape)))
+    middles = [np.concatenate(([2 * m[0] - m[1]], m, [2 * m[-1] - m[-2]])) for m in middles]
+    level = RegularGridInterpolator(middles, continued(nodes, 1.0).astype(np.float64))(tuple(np.indices(shape)))
     expected = pixels.astype(np.float64) - dark - fraction / 128.0 - level
     expected[(defects != 0) | (pixels >= 4000)] = 0.0
     assert np.abs(residual - expected).max() < 1e-3

@@ -7,6 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.image.nearest import inside
 from sboc_e2e.icd.flags import MaskBit, StarFlag, StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView
 
@@ -48,22 +49,23 @@ def with_context(detection: Detection, view: DetectorView, is_star: NDArray[np.b
         ((detection.row1 - detection.row0) / length, (detection.col1 - detection.col0) / length) if length else (0.0, 0.0)
     )
     reach = SPIKE_REACH_PX + radii
-    near = (
-        is_star
-        & (stars.row > min(detection.row0, detection.row1) - reach)
-        & (stars.row < max(detection.row0, detection.row1) + reach)
-    )
-    near &= (stars.col > min(detection.col0, detection.col1) - reach) & (stars.col < max(detection.col0, detection.col1) + reach)
+    ends = (detection.row0, detection.col0, detection.row1, detection.col1)
+    near = inside(stars.row, stars.col, ends, float(reach.max(initial=0.0)))
+    near = near[is_star[near]]
+    row, col, reach = stars.row[near], stars.col[near], reach[near]
+    close = (row > min(ends[0], ends[2]) - reach) & (row < max(ends[0], ends[2]) + reach)
+    close &= (col > min(ends[1], ends[3]) - reach) & (col < max(ends[1], ends[3]) + reach)
+    near, reach = near[close], reach[close]
     d_row, d_col = stars.row[near] - detection.row0, stars.col[near] - detection.col0
     along = d_row * u_row + d_col * u_col
     distance = np.hypot(d_row - np.clip(along, 0.0, length) * u_row, d_col - np.clip(along, 0.0, length) * u_col)
     if (distance < UNDER_SIGMAS * view.psf_sigma_px).any():
         flags |= StreakFlag.CROSSES_STAR
-    beyond = np.maximum(-along, along - length)
-    across = np.abs(d_row * u_col - d_col * u_row)
     full = (stars.flags[near] & StarFlag.SATURATED) != 0
     bright = full | (stars.snr[near] > SPIKE_SNR)
-    if length > 0.0:
+    if length > 0.0 and bright.any():
+        beyond = np.maximum(-along, along - length)
+        across = np.abs(d_row * u_col - d_col * u_row)
         # three sigma of a fitted line at a distance: its angle is known to sqrt(24) s / (S L)
         turn = 3.0 * math.sqrt(24.0) * view.psf_sigma_px / (detection.snr * length)
         least = np.where(full & (abs(u_col) < COLUMN_SLOPE), COLUMN_ACROSS_PX, SPIKE_ACROSS_PX)
@@ -71,7 +73,7 @@ def with_context(detection: Detection, view: DetectorView, is_star: NDArray[np.b
         ahead = np.maximum(0.0, beyond) / length
         bow = abs(detection.sagitta_px) * np.maximum(1.0, 4.0 * ahead * (1.0 + ahead))
         aims = across < least + bow + turn * np.maximum(0.0, beyond + 0.5 * length)
-        begins = (beyond > 0.0) & (beyond < reach[near])
+        begins = (beyond > 0.0) & (beyond < reach)
         arm = radii[near] + np.where(full, MOST_ARM_PX, np.minimum(MOST_ARM_PX, ARM_PX * np.sqrt(stars.snr[near] / ARM_SNR)))
         both_arms = (beyond <= -ARM_SHARE * length) & (np.maximum(along, length - along) < arm)
         if (bright & aims & (begins | both_arms)).any():

@@ -349,17 +349,14 @@ def particle_hits(view: DetectorView, images: WorkingImages, n_sigma: float, mos
     """New entries sharper than the PSF, brightest first and no more than `most`."""
     stars = view.stars
     rows, cols = view.residual_adu.shape
-    hits = [k for k in images.new[images.sharp] if stars.snr[k] >= n_sigma]
+    sharp = images.new[images.sharp]
+    sharp = sharp[stars.snr[sharp] >= n_sigma]
+    hits = sharp[np.argsort(-stars.snr[sharp], kind="stable")[:most]]
+    places = zip(np.clip(stars.row[hits], 0, rows - 1), np.clip(stars.col[hits], 0, cols - 1), stars.snr[hits], strict=True)
+    flags = StreakFlag.COSMIC_LIKE | StreakFlag.POINT_LIKE
     return [
-        Detection(
-            row0=float(np.clip(stars.row[k], 0, rows - 1)),
-            col0=float(np.clip(stars.col[k], 0, cols - 1)),
-            row1=float(np.clip(stars.row[k], 0, rows - 1)),
-            col1=float(np.clip(stars.col[k], 0, cols - 1)),
-            snr=float(stars.snr[k]),
-            flags=StreakFlag.COSMIC_LIKE | StreakFlag.POINT_LIKE,
-        )
-        for k in sorted(hits, key=lambda k: -float(stars.snr[k]))[:most]
+        Detection(row0=row, col0=col, row1=row, col1=col, snr=snr, flags=flags)
+        for row, col, snr in ((float(row), float(col), float(snr)) for row, col, snr in places)
     ]
 
 

@@ -5,11 +5,14 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from onboard.image.nearest import inside
 from sboc_e2e.icd.flags import MaskBit, StarFlag, StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView
+
+SATURATED: Final = np.uint8(MaskBit.SATURATED)
 
 UNDER_SIGMAS: Final = 3.0
 """A star whose centre lies closer to a trail, in PSF widths, shines into its cross-section."""
@@ -43,13 +46,13 @@ def with_context(detection: Detection, view: DetectorView, is_star: NDArray[np.b
     is_star : (n,) entries of the view's star list that are stars, for a bright trail is in the list itself. radii : (n,) of
     their masks, px. A trail that happens to aim at a bright star is SPIKE_LIKE too: about one in 200.
     """
-    flags = detection.flags | (StreakFlag.SATURATED if _saturated(detection, view.mask) else StreakFlag(0))
     length, stars = detection.length_px, view.stars
+    ends = (detection.row0, detection.col0, detection.row1, detection.col1)
+    flags = detection.flags | (StreakFlag.SATURATED if _saturated(ends, length, view.mask) else StreakFlag(0))
     u_row, u_col = (
         ((detection.row1 - detection.row0) / length, (detection.col1 - detection.col0) / length) if length else (0.0, 0.0)
     )
     reach = SPIKE_REACH_PX + radii
-    ends = (detection.row0, detection.col0, detection.row1, detection.col1)
     near = inside(stars.row, stars.col, ends, float(reach.max(initial=0.0)))
     near = near[is_star[near]]
     row, col, reach = stars.row[near], stars.col[near], reach[near]
@@ -81,9 +84,13 @@ def with_context(detection: Detection, view: DetectorView, is_star: NDArray[np.b
     return replace(detection, flags=flags)
 
 
-def _saturated(detection: Detection, mask: NDArray[np.uint8]) -> bool:
+@njit(cache=True)
+def _saturated(ends: tuple[float, float, float, float], length_px: float, mask: NDArray[np.uint8]) -> bool:
     """Whether a pixel on the path is saturated."""
-    n = 2 * math.ceil(detection.length_px) + 1
-    row = np.rint(np.linspace(detection.row0, detection.row1, n)).astype(np.int64)
-    col = np.rint(np.linspace(detection.col0, detection.col1, n)).astype(np.int64)
-    return bool((mask[np.clip(row, 0, mask.shape[0] - 1), np.clip(col, 0, mask.shape[1] - 1)] & MaskBit.SATURATED).any())
+    steps = 2 * math.ceil(length_px)
+    for k in range(steps + 1):
+        u = k / max(steps, 1)
+        row, col = np.rint(ends[0] + u * (ends[2] - ends[0])), np.rint(ends[1] + u * (ends[3] - ends[1]))
+        if mask[min(max(int(row), 0), mask.shape[0] - 1), min(max(int(col), 0), mask.shape[1] - 1)] & SATURATED:
+            return True
+    return False

@@ -157,15 +157,16 @@ def edge_flags(ends: tuple[float, float, float, float], shape: tuple[int, int], 
 
 def _inside(ends: NDArray[np.float64], shape: tuple[int, int]) -> tuple[float, float, float, float]:
     """The part inside the frame of a segment (major0, minor0, major1, minor1); along it, so that its direction stays."""
-    start, way = ends[:2], ends[2:] - ends[:2]
-    last = np.array(shape) - 1.0
+    start = (float(ends[0]), float(ends[1]))
+    way = (float(ends[2]) - start[0], float(ends[3]) - start[1])
     low, high = 0.0, 1.0
     for k in range(2):
         if abs(way[k]) > 1e-6:
-            cuts = sorted((-start[k] / way[k], (last[k] - start[k]) / way[k]))
+            cuts = sorted((-start[k] / way[k], (shape[k] - 1.0 - start[k]) / way[k]))
             low, high = max(low, cuts[0]), min(high, cuts[1])
-    (a0, b0), (a1, b1) = (np.clip(start + u * way, 0.0, last) for u in (low, max(low, high)))
-    return float(a0), float(b0), float(a1), float(b1)
+    high = max(low, high)
+    (a0, b0), (a1, b1) = (tuple(min(max(start[k] + u * way[k], 0.0), shape[k] - 1.0) for k in range(2)) for u in (low, high))
+    return a0, b0, a1, b1
 
 
 def line_detection(row: NDArray[np.float64], shape: tuple[int, int]) -> Detection:

@@ -131,6 +131,7 @@ def whole_run(name: str) -> Callable[[Path, int], Case]:
         fast = yardstick_s()
         subprocess.run([sys.executable, "-m", "sboc_e2e", "ground", str(out)], capture_output=True, check=True)
         yardstick = 0.5 * (fast + yardstick_s())
+        subprocess.run([sys.executable, "-m", "sboc_e2e", "score", str(out)], capture_output=True, check=True)
         stage = json.loads((out / "manifest.json").read_text(encoding="utf-8"))["stages"]["ground"]
         cost = {"ground_cpu_s": stage["cpu_s"] / stage["timed_frames"], "yardstick_s": yardstick}
         return figures_of(out) | angles_and_light(out) | cost

@@ -35,14 +35,17 @@ from simulator.platform.line_of_sight import LineOfSight
 from simulator.platform.observer import SiteObserver, make_observer
 from simulator.radiation.arrival import field_lines
 from simulator.radiation.field import ParticleField
+from simulator.radiation.hits import HitList
 from simulator.scene.aberration import observer_velocity_km_s
+from simulator.scene.asteroids import AsteroidSky
 from simulator.scene.atmosphere import Atmosphere, clouds_of, seeing_sigma_rad
 from simulator.scene.backdrop import Backdrop, add_moon, backdrop_of, diffuse_image
 from simulator.scene.cast import make_cast, summary, target_direction
 from simulator.scene.crossing import RowShutter, row_shutter
 from simulator.scene.movers import first_seen_km, paths_of
-from simulator.scene.stars import StarSky
+from simulator.scene.stars import StarSky, joined
 from simulator.scene.trail_image import Path, add_trail
+from simulator.sensor.lag import Lag, hand_on, lag_of
 from simulator.sensor.smear import add_smear
 from simulator.starlight import STAR_MARGIN_PX, add_stars
 from simulator.truth_rows import cosmic_rows, frame_row
@@ -88,6 +91,8 @@ class Simulator:
             epoch_jyear=earth.jyear(epoch),
         )
         self._stars = StarSky(options.stars, options.instrument, catalogue, seed=seed, epoch_jyear=earth.jyear(epoch))
+        self._lag: tuple[int, Lag] | None = None
+        self._asteroids = AsteroidSky(options.sky.asteroids, options.instrument, seed=seed)
         middle = self._carrier.attitude(epoch + round(0.5e9 * duration_s))[2]
         sky_e_s = float(self._backdrop(epoch).surface_flux(middle[None], self._camera)[0] * self._camera.surface_rate_e_s)
         self._cast = make_cast(
@@ -102,11 +107,9 @@ class Simulator:
             raise UserError(f"frame {index}: allowed are 0 to {self.n_frames - 1}")
         sight = self._carrier.sight(index)
         image_e, sky_e, entropy_bits, stars, streaks = self._expose(sight, index)
-        middle = self._carrier.timing(index, delivered=True).middle_tai_ns
-        fixed = self._carrier.earth_fixed(middle)
-        lines = field_lines(*fixed) if fixed else None
-        hits = self._particles.hits(index, self._camera.exposure_s, self._carrier.geodetic(middle), lines)
+        hits = self._hits(index)
         self._camera.sensor.overflow(image_e)
+        self._hand_on_lag(image_e, hits, index)
         pixels = self._camera.sensor.digitise(image_e, index, self._camera.exposure_s, hits)
         cosmics = cosmic_rows(self._camera, hits, index)
         frame = frame_row(self._camera.at(sight.reference_s), self._carrier, sight, self._air_of(sight), sky_e, index)
@@ -139,6 +142,33 @@ class Simulator:
         if sensor.type == "ccd" and sensor.ccd.row_transfer_us > 0.0:
             add_smear(image_e, sensor.ccd.row_transfer_us * 1e-6, self._camera.exposure_s)
         return image_e, sky_e, entropy_bits, stars, np.concatenate(streaks)
+
+    def _hits(self, index: int) -> HitList:
+        """Particles through the detector in a frame."""
+        middle = self._carrier.timing(index, delivered=True).middle_tai_ns
+        fixed = self._carrier.earth_fixed(middle)
+        lines = field_lines(*fixed) if fixed else None
+        return self._particles.hits(index, self._camera.exposure_s, self._carrier.geodetic(middle), lines)
+
+    def _hand_on_lag(self, image_e: NDArray[np.float32], hits: HitList, index: int) -> None:
+        """Let charge of the frame before show, in place. That frame is exposed again unless it was the last one made."""
+        share = self.options.sensor.structure.lag
+        if share == 0.0:
+            return
+        window, full_well_e = self.options.sensor.window, self.options.sensor.converter.full_well_e
+
+        def left_by(light_e: NDArray[np.float32], struck: HitList) -> Lag:
+            return lag_of(light_e, struck, (window.row0, window.col0), share, full_well_e)
+
+        own, before = left_by(image_e, hits), None
+        if index > 0 and self._lag is not None and self._lag[0] == index - 1:
+            before = self._lag[1]
+        elif index > 0:
+            earlier_e = self.mean_electrons(index - 1)
+            self._camera.sensor.overflow(earlier_e)
+            before = left_by(earlier_e, self._hits(index - 1))
+        hand_on(image_e, own, before, share)
+        self._lag = (index, own)
 
     def _shutter(self, index: int) -> RowShutter:
         """When the rows of the window are open."""
@@ -187,7 +217,7 @@ class Simulator:
         velocity_km_s: Array,
         index: int,
     ) -> NDArray[np.void]:
-        """Add stars and planets to the image; their truth."""
+        """Add stars, asteroids and planets to the image; their truth."""
         if not self.options.stars.enabled:
             return truth.empty("stars")
         camera = self._camera.at(sight.reference_s)
@@ -195,6 +225,9 @@ class Simulator:
         radius_rad = camera.radius_rad + swing_rad + 1.5 * STAR_MARGIN_PX / camera.projection.focal_px
         centre = camera.direction(0.0, 0.0) @ sight.reference
         field = self._stars.around(centre, float(np.degrees(radius_rad)))
+        if self.options.sky.asteroids.density > 0.0:
+            now = self._carrier.tai_ns(sight.reference_s)
+            field = joined([field, self._asteroids.around(centre, float(np.degrees(radius_rad)), now, backdrop.observer_km)])
         planets = backdrop.planets_near(centre, radius_rad)
         return add_stars(image_e, field, planets, backdrop, sight, velocity_km_s, shutter, camera, (self.seed, index))
 

@@ -38,6 +38,7 @@ class Effect(IntEnum):
     SURVEY = 25  # passages of a block of a survey; block is the size class, 0 the instants
     FLAT_ERRORS = 26  # what flats of another date and lamp get wrong
     BREAKUP = 27  # pieces of a break-up (frame: its number in the scenario)
+    ASTEROIDS = 28  # orbits of the main belt
 
 
 def generator(seed: int, effect: Effect | int, frame: int = 0, block: int = 0) -> np.random.Generator:

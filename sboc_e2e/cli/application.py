@@ -142,8 +142,14 @@ def score(
     plugin: Plugins = None,
 ) -> None:
     """Score the products of a run against truth: score.json."""
+    from sboc_e2e.outside.found import is_unscored
     from sboc_e2e.run.pipeline import Run
 
+    if truth is None and is_unscored(run_dir):
+        raise UserError(
+            f"{run_dir}: frames from outside come without truth; give a list with --truth (docs/scoring.md), "
+            f"or see what was found: sboc report {run_dir}"
+        )
     with shown_progress() as progress:
         Run.open(run_dir, registry_of(plugin), progress=progress).score(truth)
     typer.echo(run_dir / "score.json")
@@ -155,9 +161,18 @@ def report(
     movie: Annotated[Path | None, typer.Option("--movie", help="also write the kept frames as an animated GIF")] = None,
     plugin: Plugins = None,
 ) -> None:
-    """Write report.html and report.md of a scored run."""
+    """Write report.html and report.md of a scored run; of frames from outside without truth, a page of what was found."""
+    from sboc_e2e.outside.found import is_unscored
+
     if movie is not None and movie.suffix.lower() != ".gif":
         raise UserError(f'--movie: expected a file name that ends in .gif, got "{movie}"')
+    if is_unscored(run_dir):
+        from sboc_e2e.outside.page import write_report as write_page
+
+        if movie is not None:
+            raise UserError(f"--movie: {run_dir} holds frames from outside, which no run kept; expected a run of `sboc run`")
+        typer.echo(write_page(run_dir))
+        return
     _stage("report", run_dir, plugin)
     typer.echo(run_dir / "report.html")
     if movie is not None:
@@ -181,6 +196,8 @@ def process(
     """Process frames from outside: on board and on ground, without truth."""
     from sboc_e2e import scenario as scenarios
     from sboc_e2e.outside.fits_frames import FitsFolder
+    from sboc_e2e.outside.found import Found, closing_text
+    from sboc_e2e.outside.page import write_report as write_page
     from sboc_e2e.outside.process import base_document
     from sboc_e2e.outside.process import process as execute
 
@@ -200,7 +217,8 @@ def process(
             registry=registry,
             progress=progress,
         )
-    typer.echo(out / "products")
+    typer.echo(closing_text(Found.of(out)))
+    typer.echo(write_page(out))
 
 
 @app.command()

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.optics.vignetting import illumination_of_row
+from simulator.scene.asteroids import AsteroidOptions
 
 Array = NDArray[np.float64]
 
@@ -64,6 +65,7 @@ class SkyOptions:
     )
     moon: bool = field(default=False, metadata={"doc": "the Moon shines, and its light scatters in air and optics"})
     planets: bool = field(default=False, metadata={"doc": "planets shine"})
+    asteroids: AsteroidOptions = field(default_factory=AsteroidOptions, metadata={"doc": "asteroids of the main belt"})
     earth: bool = field(
         default=True, metadata={"doc": "the Earth hides stars, shines in the field and scatters in optics (orbits)"}
     )

@@ -1,5 +1,6 @@
 """The true sky: catalogue stars displaced by their quoted errors, and fainter synthetic ones, as directions and fluxes."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -69,6 +70,11 @@ class StarField:
     star_id: NDArray[np.int64]
     v_mag: NDArray[np.float32]
     b_v: NDArray[np.float32]
+
+
+def joined(fields: Sequence[StarField]) -> StarField:
+    """Several fields as one, in their order."""
+    return StarField(**{name: np.concatenate([getattr(f, name) for f in fields]) for name in StarField.__dataclass_fields__})
 
 
 def unit_vectors(ra_deg: Array, dec_deg: Array) -> Array:

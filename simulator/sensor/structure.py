@@ -45,6 +45,10 @@ class StructureOptions:
             "max": 0.95,
         },
     )
+    lag: float = field(
+        default=0.0,
+        metadata={"doc": "share of a pixel's charge that shows in the next frame (image lag)", "min": 0.0, "max": 0.5},
+    )
     brighter_fatter: float = field(
         default=0.0,
         metadata={

@@ -8,6 +8,7 @@ from astropy.io import fits
 from astropy.table import Table
 
 from sboc_e2e import cli
+from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.scenario.toml_files import FOLDER as SCENARIOS
 from sboc_e2e.scenario.toml_files import preset_path
 
@@ -91,3 +92,28 @@ def test_a_camera_file_that_is_none_is_one_line(tmp_path: Path, capsys: pytest.C
         (line,) = capsys.readouterr().err.splitlines()
         assert words in line
         assert not (tmp_path / "out").exists()
+
+
+def test_a_page_says_what_was_found_and_what_is_lacking(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    pixels = np.rint(image_of(96, 96)).astype(np.uint16)
+    (tmp_path / "frames").mkdir()
+    fits.PrimaryHDU(pixels).writeto(tmp_path / "frames" / "a.fits")
+    out = tmp_path / "out"
+    _, streaks = processed(tmp_path / "frames", out, "--wcs", "none")
+    shown = capsys.readouterr().out
+    n_published = sum(1 for flags in streaks["flags"] if not flags & StreakFlag.VETOED)
+    assert n_published
+    assert f"streaks published              {n_published}  ({n_published:.2f} a frame)" in shown
+    # the noise was drawn with 4.0 ADU; 9,120 differences tell it to 2 %
+    noise = float(next(line for line in shown.splitlines() if line.startswith("noise of a pixel")).split()[5])
+    assert noise == pytest.approx(4.0, rel=0.06)
+    assert "annual aberration" in shown
+    page = (out / "report.html").read_text()
+    assert "no DATE-OBS: the epoch is a number, not a time" in page
+    assert page.count("<div class='case'>") == n_published
+    # without truth there is no score, and the report is that page again
+    assert cli.run(["score", str(out)]) == 2
+    assert "frames from outside come without truth; give a list with --truth" in capsys.readouterr().err
+    (out / "report.html").unlink()
+    assert cli.run(["report", str(out)]) == 0
+    assert (out / "report.html").read_text() == page

@@ -13,6 +13,7 @@ from astropy.table import Table
 from sboc_e2e import cli
 from sboc_e2e.view import Hub, RunFrames, send, write_files
 from sboc_e2e.view.page import picture_of
+from tests.browser import SCHEMES, WIDTHS, excess_and_errors
 
 SAMP = pytest.importorskip("astropy.samp", reason="this astropy has no SAMP")
 
@@ -194,3 +195,10 @@ def test_blink_goes_through_the_frames(page: Any) -> None:
     page.wait_for_function("document.getElementById('which').textContent.startsWith('frame 1 ')", timeout=5000)
     page.click("#blink")
     assert page.errors == []
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("width", WIDTHS)
+@pytest.mark.parametrize("name", ["view/index.html", "report.html"])
+def test_viewer_and_report_of_outside_frames_fit(chromium: Any, run: Path, name: str, width: int, scheme: str) -> None:
+    assert excess_and_errors(chromium, run / name, width, scheme) == (0, [])

@@ -16,6 +16,7 @@ from sboc_e2e.campaign.plan import Campaign
 from sboc_e2e.compare.pages import write_pages as write_compare
 from sboc_e2e.score.figures import figure
 from sboc_e2e.score.recovery import Counted
+from tests.browser import SCHEMES, WIDTHS, excess_and_errors
 
 PIXEL = "data:image/gif;base64,R0lGODlhAQABAAAAACwAAAAAAQABAAA="
 
@@ -85,17 +86,11 @@ def shard(path: Path, point: dict[str, Any], n_found: int) -> Path:
     return path
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-@pytest.mark.parametrize("width", [400, 1000, 1600])
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("name", ["compare", "campaign", "bench"])
 def test_pages_fit(chromium: Any, pages: dict[str, Path], name: str, width: int, scheme: str) -> None:
-    tab = chromium.new_page(viewport={"width": width, "height": 900}, color_scheme=scheme)
-    errors: list[str] = []
-    tab.on("pageerror", lambda error: errors.append(str(error)))
-    tab.goto(pages[name].as_uri())
-    assert tab.evaluate("document.documentElement.scrollWidth") <= width
-    assert errors == []
-    tab.close()
+    assert excess_and_errors(chromium, pages[name], width, scheme) == (0, [])
 
 
 def test_a_comparison_begins_with_its_verdict(chromium: Any, pages: dict[str, Path]) -> None:

@@ -31,7 +31,7 @@ ENCOUNTERS = [
 WORLD = {
     # Every effect is on, those of which the defaults have none with a value of their own.
     "orbit": [
-        "frames=1", f'epoch_utc="{EPOCH}"', "instrument.rows=160", "instrument.cols=160", 'instrument.pixel="230 um"',
+        "frames=2", f'epoch_utc="{EPOCH}"', "instrument.rows=160", "instrument.cols=160", 'instrument.pixel="230 um"',
         'instrument.aperture="10 cm"', "sensor.prnu=0.05", 'sensor.dark.median="500 e-/s"', "sensor.telegraph.fraction=0.02",
         "sensor.dark.warm_fraction=0.01", "sensor.dark.hot_fraction=0.01", "sensor.dark.dead_fraction=0.01",
         'sensor.readout.row_noise="3 e-"', 'sensor.readout.column_offset="4 e-"',
@@ -48,6 +48,7 @@ WORLD = {
         'sensor.structure.column_noise="3 e-"', 'sensor.structure.black_drift="20 e-"', "sensor.converter.gain_error=0.02",
         "sensor.converter.low_gain_error=0.02", "sensor.ccd.transfer_loss=1e-3", "sensor.dark.hot_growth_per_year=0.01",
         "sensor.calibration.age_years=3", "sky.moon=true", "sky.planets=true", "instrument.scatter.strength=0.1",
+        "sensor.structure.lag=0.1", "sky.asteroids.density=30", 'sky.asteroids.faint_limit="13 mag"',
         "sensor.calibration.flat_error=0.02", "sensor.calibration.flat_change_per_year=0.01",
         "sensor.converter.nonlinearity_error=1.0", *ENCOUNTERS,
     ],
@@ -84,6 +85,8 @@ WHEN = {
     "veil of bodies outside the field": ('epoch_utc="2027-01-22T12:00:00"',),
 }
 """When and where an effect is to be seen."""
+AFTER = ("image lag",)
+"""Effects that show from the second frame on."""
 IN_FLATS = ("unevenness of the flat's lamp", "responses that changed since the flats")
 """Effects of the calibration alone."""
 
@@ -99,8 +102,8 @@ def made(where, *on, when=()):
 
 
 @cache
-def frame(where, *on, when=()):
-    return made(where, *on, when=when).frame(0)
+def frame(where, *on, when=(), index=0):
+    return made(where, *on, when=when).frame(index)
 
 
 def test_the_table_is_read():
@@ -116,8 +119,9 @@ def test_an_effect_turned_on_alone_changes_the_frame(name, where):
         flats = [made(where, *on).calibration().flat for on in (beside, (name, *beside))]
         assert not np.array_equal(*flats)
         return
-    plain, _ = frame(where, *beside, when=when)
-    changed, _ = frame(where, name, *beside, when=when)
+    index = int(name in AFTER)
+    plain, _ = frame(where, *beside, when=when, index=index)
+    changed, _ = frame(where, name, *beside, when=when, index=index)
     same = plain.pixels.shape == changed.pixels.shape and np.array_equal(plain.pixels, changed.pixels)
     assert not same or repr(plain.header) != repr(changed.header)
     if "telemetered" in name or "time tags" in name:

@@ -16,6 +16,7 @@ from sboc_e2e.validation.background import measure_background
 from sboc_e2e.validation.figures import compare
 from sboc_e2e.validation.sources import find_sources
 from sboc_e2e.validation.subjects import from_fits, from_scenario
+from tests.browser import SCHEMES, WIDTHS, excess_and_errors
 from tests.validation import star_field
 from tests.validation.test_measurements import star_frame
 
@@ -30,20 +31,31 @@ def real(tmp_path_factory):
     return path
 
 
-def test_two_files(real, tmp_path, capsys):
-    sim = tmp_path / "sim.fits"
+@pytest.fixture(scope="module")
+def compared(real, tmp_path_factory):
+    folder = tmp_path_factory.mktemp("compared")
+    sim = folder / "sim.fits"
     fits.PrimaryHDU(star_frame(seed=7)[0]).writeto(sim)
-    assert run(["validate", str(sim), "--against", str(real), "--hdu", "2", "--out", str(tmp_path / "out")]) == 0
-    figures = json.loads((tmp_path / "out" / "validation.json").read_text())
+    assert run(["validate", str(sim), "--against", str(real), "--hdu", "2", "--out", str(folder / "out")]) == 0
+    return folder / "out"
+
+
+def test_two_files(compared):
+    figures = json.loads((compared / "validation.json").read_text())
     assert figures["real"]["name"] == "real.fits[2]"
-    page = (tmp_path / "out" / "validation.html").read_text()
+    page = (compared / "validation.html").read_text()
     assert page.count("<svg") == 4
     assert "http-equiv" not in page
     assert 'src="http' not in page
-    picture = (tmp_path / "out" / "validation.png").read_bytes()
+    picture = (compared / "validation.png").read_bytes()
     assert picture[1:4] == b"PNG"
     assert len(picture) < 200_000
-    assert capsys.readouterr().out.strip().endswith("validation.html")
+
+
+@pytest.mark.parametrize("scheme", SCHEMES)
+@pytest.mark.parametrize("width", WIDTHS)
+def test_the_page_fits(chromium, compared, width, scheme):
+    assert excess_and_errors(chromium, compared / "validation.html", width, scheme) == (0, [])
 
 
 @pytest.mark.parametrize(

@@ -214,7 +214,7 @@ def _long_trail(
 def _lit_between(line: LineFit, coarse: CoarseEnds) -> tuple[float, float]:
     """Ends between which the brightness is followed: those of the line's fit where it has them, else the coarse ones.
 
-    Coarse ends count what the PSF spreads beyond the end as lit, 0.8 widths of it at S/N 5,000. The outermost bins would look dim.
+    Coarse ends count what the PSF spreads beyond them as lit, 0.8 widths at S/N 5,000. The outermost bins would look dim.
     """
     fitted0, fitted1 = (float(line.parameters[end]) if end in line.free else None for end in (END0, END1))
     lit = coarse.end0 if fitted0 is None else fitted0, coarse.end1 if fitted1 is None else fitted1

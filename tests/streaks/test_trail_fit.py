@@ -193,7 +193,7 @@ def test_ends_of_a_tumbler_err_as_stated(length_px: float, snr: float) -> None:
 
 
 def test_ends_of_a_bright_steady_trail_err_as_stated() -> None:
-    """S/N 5,000 of constant light: what the PSF spreads beyond the ends is no change of brightness (pulls of 2.4, 0.2 px outside)."""
+    """S/N 5,000 of constant light: what the PSF spreads beyond the ends is no change of brightness (pulls of 2.4 before)."""
     rng = np.random.default_rng(12)
     exposures = [expose(rng, trail_at(rng, 450.0), 5000.0) for _ in range(8)]
     pulls = np.array([end_pulls(exposure, fit_of(exposure)) for exposure in exposures])

@@ -41,7 +41,9 @@ from simulator.scene.asteroids import AsteroidSky
 from simulator.scene.atmosphere import Atmosphere, clouds_of, seeing_sigma_rad
 from simulator.scene.backdrop import Backdrop, add_moon, backdrop_of, diffuse_image
 from simulator.scene.cast import make_cast, summary, target_direction
+from simulator.scene.cirrus import make_cirrus
 from simulator.scene.crossing import RowShutter, row_shutter
+from simulator.scene.galaxies import GalaxySky
 from simulator.scene.movers import first_seen_km, paths_of
 from simulator.scene.stars import StarSky, joined
 from simulator.scene.trail_image import Path, add_trail
@@ -91,8 +93,10 @@ class Simulator:
             epoch_jyear=earth.jyear(epoch),
         )
         self._stars = StarSky(options.stars, options.instrument, catalogue, seed=seed, epoch_jyear=earth.jyear(epoch))
+        self._cirrus = make_cirrus(options.sky.structure, seed)
         self._lag: tuple[int, Lag] | None = None
         self._asteroids = AsteroidSky(options.sky.asteroids, options.instrument, seed=seed)
+        self._galaxies = GalaxySky(options.sky.galaxies, options.instrument, seed=seed)
         middle = self._carrier.attitude(epoch + round(0.5e9 * duration_s))[2]
         sky_e_s = float(self._backdrop(epoch).surface_flux(middle[None], self._camera)[0] * self._camera.surface_rate_e_s)
         self._cast = make_cast(
@@ -206,7 +210,9 @@ class Simulator:
         """Sky, Moon, planets and Earth at an instant; the zodiacal light is that of the epoch."""
         observer = self._carrier.observer
         place = observer.state(tai_ns)[0]
-        return backdrop_of(self.options.sky, tai_ns, earth.sun_position_km(self._epoch), place, self._air(observer, tai_ns))
+        return backdrop_of(
+            self.options.sky, tai_ns, earth.sun_position_km(self._epoch), place, self._air(observer, tai_ns), self._cirrus
+        )
 
     def _add_stars(
         self,
@@ -229,7 +235,10 @@ class Simulator:
             now = self._carrier.tai_ns(sight.reference_s)
             field = joined([field, self._asteroids.around(centre, float(np.degrees(radius_rad)), now, backdrop.observer_km)])
         planets = backdrop.planets_near(centre, radius_rad)
-        return add_stars(image_e, field, planets, backdrop, sight, velocity_km_s, shutter, camera, (self.seed, index))
+        nebulae = None
+        if self.options.sky.galaxies.density > 0.0:
+            nebulae = self._galaxies.around(centre, float(np.degrees(radius_rad)))
+        return add_stars(image_e, field, nebulae, planets, backdrop, sight, velocity_km_s, shutter, camera, (self.seed, index))
 
     def _paths(self, sight: LineOfSight, index: int, wanted: Iterable[int]) -> list[tuple[int, Path]]:
         """Paths of those wanted objects that come near the field in a frame."""

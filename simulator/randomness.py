@@ -39,6 +39,8 @@ class Effect(IntEnum):
     FLAT_ERRORS = 26  # what flats of another date and lamp get wrong
     BREAKUP = 27  # pieces of a break-up (frame: its number in the scenario)
     ASTEROIDS = 28  # orbits of the main belt
+    GALAXIES = 29  # galaxies; block is the HEALPix pixel
+    CIRRUS = 30  # structure of the unresolved light
 
 
 def generator(seed: int, effect: Effect | int, frame: int = 0, block: int = 0) -> np.random.Generator:

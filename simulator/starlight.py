@@ -24,6 +24,7 @@ STAR_MARGIN_PX = 40.0
 def add_stars(
     image_e: NDArray[np.float32],
     field: StarField,
+    nebulae: StarField | None,
     planets: list[tuple[int, Body]],
     backdrop: Backdrop,
     sight: LineOfSight,
@@ -32,12 +33,15 @@ def add_stars(
     camera: Camera,
     stream: tuple[int, int],
 ) -> NDArray[np.void]:
-    """Add stars and planets to the image; their truth, planets first.
+    """Add stars, nebulae and planets to the image; truth of planets and stars, in this order.
 
+    nebulae : points that together make up what is nebulous; None for none. They have no truth.
     stream : seed and number of the frame, which decide scintillation (planets have none).
     """
     light = _Lighting(image_e, backdrop, sight, velocity_km_s, shutter, camera)
     rows = []
+    if nebulae is not None:
+        light.expose(nebulae)
     for number, planet in planets:
         points, whole = planet_field(planet, number, camera)
         light.expose(points)

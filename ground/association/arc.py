@@ -28,6 +28,8 @@ _PRIOR: Final = np.array([np.inf, np.inf, np.inf, np.inf, 30_000.0, 8.0])
 _PRIOR_MEAN: Final = np.array([0.0, 0.0, 0.0, 0.0, 30_000.0, 0.0])
 _STEP: Final = np.array([1e-7, 1e-7, 1e-9, 1e-9, 1.0, 1e-4])
 _MOST_STEPS: Final = 25
+_GOOD_CHI2_NU: Final = 2.0
+"""Of a fit from a start that was given, below which no other start is tried."""
 _NEAREST_KM: Final = 500.0
 _FARTHEST_KM: Final = 150_000.0
 
@@ -116,8 +118,11 @@ def _modelled(
             out[k, c] = (whiten[k, c, 0] * line[0] + whiten[k, c, 1] * line[1] + whiten[k, c, 2] * line[2]) / rho
 
 
-def arc_orbit(data: Directions) -> ArcOrbit:
-    """The orbit of one arc. UserError for fewer than three directions."""
+def arc_orbit(data: Directions, start: Array | None = None) -> ArcOrbit:
+    """The orbit of one arc. UserError for fewer than three directions.
+
+    start : a state (6,) at the middle epoch that may be near; it is tried first, and alone if the directions fit it.
+    """
     n = len(data.t_tai_ns)
     if n < 3:
         raise UserError(f"association: a tracklet of {n} directions; three or more at different epochs are expected")
@@ -145,7 +150,10 @@ def arc_orbit(data: Directions) -> ArcOrbit:
         return (seen - here).reshape(-1), columns
 
     best: tuple[float, Array, Array] | None = None
-    for rho in _START_KM:
+    if start is not None and float((start[:3] - data.observer_km[middle]) @ unit) > 0.0:
+        best = _fitted(linear, coordinates_of(start, data.observer_km[middle], speed, axes)[0])
+    near = best is not None and best[0] < _GOOD_CHI2_NU * (2 * n - 6)
+    for rho in () if near else _START_KM:
         q = np.concatenate([[0.0, 0.0], slope, [rho, 0.0]])
         found = _fitted(linear, q)
         if found is not None and (best is None or found[0] < best[0]):
@@ -211,12 +219,12 @@ def scaled_inverse(matrix: Array) -> Array:
     return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))
 
 
-def arc_orbits(tracklets: Sequence[Directions]) -> list[ArcOrbit | None]:
-    """The orbit of each tracklet; None for one that has none (too few directions)."""
+def arc_orbits(tracklets: Sequence[Directions], starts: Sequence[Array | None] | None = None) -> list[ArcOrbit | None]:
+    """The orbit of each tracklet; None for one that has none (too few directions). starts : of each, or None."""
     out: list[ArcOrbit | None] = []
-    for data in tracklets:
+    for data, start in zip(tracklets, starts or [None] * len(tracklets), strict=True):
         try:
-            out.append(arc_orbit(data))
+            out.append(arc_orbit(data, start))
         except UserError:
             out.append(None)
     return out

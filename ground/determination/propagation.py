@@ -45,6 +45,53 @@ def itrs_to_gcrs(t_tai_ns: NDArray[np.int64]) -> Array:
     return np.array([np.column_stack([q * axis for axis in np.eye(3)]) for q in turns]).reshape(-1, 3, 3)
 
 
+class Flight:
+    """An orbit integrated once from its epoch to others before and after; asked for any epoch between, with partials.
+
+    state : (6,) km, km/s at t0. parameters : of `PARAMETERS`; their partials are one-sided differences of whole integrations.
+    UserError for an orbit that meets the Earth or an interval without end.
+    """
+
+    def __init__(
+        self,
+        state: Array,
+        t0_tai_ns: int,
+        first_tai_ns: int,
+        last_tai_ns: int,
+        forces: ForceModel,
+        parameters: tuple[str, ...] = (),
+    ) -> None:
+        ends = [*([first_tai_ns] if first_tai_ns < t0_tai_ns else []), *([last_tai_ns] if last_tai_ns > t0_tai_ns else [])]
+        if any(abs(end - t0_tai_ns) > _LONGEST_DAYS * tai.NS_PER_DAY for end in ends):
+            raise UserError(f"propagation: over more than {_LONGEST_DAYS:.0f} days from the epoch of the state")
+        self._t0_tai_ns = t0_tai_ns
+        self._state = np.asarray(state, dtype=float)
+        self._parameters = parameters
+        changed = [forces.with_values((name,), (forces.value_of(name) + step_of(name),)) for name in parameters]
+        self._runs = {
+            end > t0_tai_ns: (
+                _integrated(state, t0_tai_ns, end, forces, True),
+                [_integrated(state, t0_tai_ns, end, other, False) for other in changed],
+            )
+            for end in ends
+        }
+
+    def at(self, t_tai_ns: NDArray[np.int64]) -> Arc:
+        """States and partials at epochs (n,) within the span."""
+        n, k = len(t_tai_ns), len(self._parameters)
+        states = np.tile(self._state, (n, 1))
+        partials = np.tile(np.eye(6, 6 + k), (n, 1, 1))
+        for ahead, (run, others) in self._runs.items():
+            chosen = t_tai_ns > self._t0_tai_ns if ahead else t_tai_ns < self._t0_tai_ns
+            if not chosen.any():
+                continue
+            states[chosen], partials[chosen, :, :6] = _read(run, t_tai_ns[chosen], True)
+            for column, (name, other) in enumerate(zip(self._parameters, others, strict=True), 6):
+                moved, _ = _read(other, t_tai_ns[chosen], False)
+                partials[chosen, :, column] = (moved - states[chosen]) / step_of(name)
+        return Arc(t_tai_ns=t_tai_ns, states=states, partials=partials)
+
+
 def propagate(
     state: Array,
     t0_tai_ns: int,
@@ -90,6 +137,11 @@ def _both_ways(
 def _run(
     state: Array, t0_tai_ns: int, end_tai_ns: int, t_tai_ns: NDArray[np.int64], forces: ForceModel, partials: bool
 ) -> tuple[Array, Array]:
+    return _read(_integrated(state, t0_tai_ns, end_tai_ns, forces, partials), t_tai_ns, partials)
+
+
+def _integrated(state: Array, t0_tai_ns: int, end_tai_ns: int, forces: ForceModel, partials: bool) -> Any:
+    """The propagator's own result, which holds its steps."""
     satkit = propagator()
     settings = satkit.propsettings(
         abs_error=_ABSOLUTE,
@@ -103,13 +155,17 @@ def _run(
     )
     properties = satkit.satproperties(craoverm=forces.radiation, cdaoverm=forces.drag, ecom=empirical)
     try:
-        run = satkit.propagate(
+        return satkit.propagate(
             1e3 * np.asarray(state), instant(t0_tai_ns), instant(end_tai_ns),
             output_phi=partials, propsettings=settings, satproperties=properties,
         )  # fmt: skip
     except RuntimeError as error:
         reason = str(error).splitlines()[0]
         raise UserError(f"propagation failed: {reason}; an orbit about the Earth, above its surface, is expected") from error
+
+
+def _read(run: Any, t_tai_ns: NDArray[np.int64], partials: bool) -> tuple[Array, Array]:
+    """States (n, 6) and transition matrices (n, 6, 6) of a result at epochs; without partials unit matrices."""
     found = [run.interp(instant(int(t)), output_phi=partials) for t in t_tai_ns]
     states = 1e-3 * np.array([row[0] if partials else row for row in found])
     # positions and velocities change their unit alike: the matrix keeps its numbers

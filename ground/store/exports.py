@@ -59,7 +59,7 @@ def opm(orbit: StoredOrbit, name: str, originator: str) -> str:
             *(f"{key} = {np.degrees(value):.9f}" for key, value in angles),
             f"GM = {MU_KM3_S2:.4f}",
         ]
-    return "\n".join([*lines, "COV_REF_FRAME = EME2000", *keyword_lines(turned(orbit.covariance, bias))]) + "\n"
+    return "\n".join([*lines, "COV_REF_FRAME = EME2000", *keyword_lines(turned(orbit.state_covariance, bias))]) + "\n"
 
 
 def oem(orbit: StoredOrbit, name: str, originator: str, days: float) -> str:
@@ -73,7 +73,7 @@ def oem(orbit: StoredOrbit, name: str, originator: str, days: float) -> str:
     epochs = utc_text(t)
     covariance = []
     for k in (0, len(t) - 1):
-        propagated = arc.partials[k] @ orbit.covariance @ arc.partials[k].T
+        propagated = arc.partials[k] @ orbit.state_covariance @ arc.partials[k].T
         covariance += [f"EPOCH = {epochs[k]}", "COV_REF_FRAME = EME2000", *triangle_lines(turned(propagated, bias))]
     meta = metadata_lines(name, "UNKNOWN", epochs, degree=7)
     rows = state_lines(epochs, states)
@@ -157,7 +157,7 @@ def parquet_tables(store: ObjectStore, folder: Path) -> list[Path]:
         "status": [names[o.object_id]["status"] for o in orbits],
         "epoch_tai_ns": [o.epoch_tai_ns for o in orbits],
         "state": [o.state.tolist() for o in orbits],
-        "covariance": [o.covariance.reshape(-1).tolist() for o in orbits],
+        "covariance": [o.state_covariance.reshape(-1).tolist() for o in orbits],
         "chi2_nu": [o.chi2_nu for o in orbits],
         "n_used": [o.n_used for o in orbits],
     }

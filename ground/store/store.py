@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -53,7 +54,10 @@ class StoredTracklet:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StoredOrbit:
-    """An orbit of an object: state (6,) km, km/s and covariance (6, 6) at an epoch, and how it was made."""
+    """An orbit of an object: state (6,) km, km/s and covariance at an epoch, and how it was made.
+
+    covariance : (6, 6) of the state, or (6 + k, 6 + k) of the state and the k parameters in their order.
+    """
 
     object_id: int
     epoch_tai_ns: int
@@ -67,13 +71,19 @@ class StoredOrbit:
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "state", validate.finite_array("orbit.state", self.state, (6,)))
-        object.__setattr__(self, "covariance", validate.finite_array("orbit.covariance", self.covariance, (6, 6)))
+        size = 6 + len(self.parameters) if len(self.covariance) != 6 else 6
+        object.__setattr__(self, "covariance", validate.finite_array("orbit.covariance", self.covariance, (size, size)))
         scale = np.sqrt(np.abs(np.diag(self.covariance)))
         if not (scale > 0.0).all():
             raise UserError("store: orbit.covariance: not positive: a variance of 0")
         value = np.linalg.eigvalsh(self.covariance / np.outer(scale, scale))
         if value[0] < -1e-9 * value[-1]:
             raise UserError(f"store: orbit.covariance: not positive: smallest eigenvalue {value[0]:.2g} of the scaled matrix")
+
+    @property
+    def state_covariance(self) -> Array:
+        """(6, 6) of the state alone."""
+        return self.covariance[:6, :6]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -243,7 +253,7 @@ class Writer:
                 "epoch_tai_ns": o.epoch_tai_ns,
                 "state": o.state.astype("<f8").tobytes(),
                 "covariance": o.covariance.astype("<f8").tobytes(),
-                "parameters": json.dumps(dict(o.parameters), sort_keys=True),
+                "parameters": json.dumps(dict(o.parameters)),
                 "chi2_nu": o.chi2_nu,
                 "n_used": o.n_used,
                 "made_by": o.made_by,
@@ -343,12 +353,17 @@ def _tracklet(row: Mapping[str, Any]) -> StoredTracklet:
     )
 
 
+def _square(values: Array) -> Array:
+    side = math.isqrt(len(values))
+    return values.reshape(side, side).astype(np.float64)
+
+
 def _orbit(row: Mapping[str, Any]) -> StoredOrbit:
     return StoredOrbit(
         object_id=row["object_id"],
         epoch_tai_ns=row["epoch_tai_ns"],
         state=np.frombuffer(row["state"], dtype="<f8").astype(np.float64),
-        covariance=np.frombuffer(row["covariance"], dtype="<f8").reshape(6, 6).astype(np.float64),
+        covariance=_square(np.frombuffer(row["covariance"], dtype="<f8")),
         made_tai_ns=row["made_tai_ns"],
         made_by=row["made_by"],
         parameters=json.loads(row["parameters"]),

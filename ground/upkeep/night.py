@@ -1,7 +1,11 @@
 """One night's update of the store: worked out first, then written in one transaction, so that a kill loses nothing."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from concurrent.futures import Executor, ProcessPoolExecutor
+from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import chain
+from multiprocessing import get_context
 from typing import Final
 
 import numpy as np
@@ -9,19 +13,24 @@ from numpy.typing import NDArray
 
 from ground.association.arc import ArcOrbit, arc_orbits
 from ground.association.associate import associate
-from ground.association.clusters import AssociationOptions, Cluster, Orbit, judged
-from ground.association.correlate import correlate
+from ground.association.clusters import AssociationOptions, Cluster, judged
+from ground.association.correlate import candidates_of
 from ground.determination.forces import ForceModel
 from ground.determination.measurements import Directions
 from ground.determination.propagation import propagate
 from ground.sky.sphere import east_north
 from ground.store.store import Association, ObjectStore, StoredOrbit, StoredTracklet, Writer
+from ground.upkeep import sequential
+from ground.upkeep.sightings import KnownOrbit, Sighting, sightings
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
 
 Array = NDArray[np.float64]
 
 MADE_BY: Final = "sboc objects update"
+TRACKLETS_AT_ONCE: Final = 250
+PARALLEL_FROM: Final = 200
+"""Objects from which on further processes gain more than their start costs."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -31,6 +40,7 @@ class UpkeepOptions:
     window_days : tracklets and fits reach so far back. accept : a tracklet is an object's from this probability on; below it
     stays ambiguous. lost_km : position error (3-D, one sigma) beyond which an object is lost; retired_days : after so many
     days without a tracklet a lost object is retired. merge_chi2 : of the difference of two orbits, six degrees of freedom.
+    workers : processes that predict orbits; what comes out does not depend on it.
     """
 
     window_days: float = 10.0
@@ -38,6 +48,7 @@ class UpkeepOptions:
     lost_km: float = 2000.0
     retired_days: float = 60.0
     merge_chi2: float = 25.0
+    workers: int = 1
     association: AssociationOptions = field(default_factory=AssociationOptions)
 
 
@@ -60,12 +71,10 @@ class NightReport:
 def directions_of(stored: StoredTracklet) -> Directions:
     """A tracklet of the store as measurements."""
     unit, n = stored.rows[:, :3], len(stored.t_tai_ns)
-    axes = np.empty((n, 2, 3))
-    for k in range(n):
-        east, north = east_north(unit[k])
-        angle = stored.rows[k, 5]
-        axes[k, 0] = np.cos(angle) * north + np.sin(angle) * east
-        axes[k, 1] = np.cos(angle) * east - np.sin(angle) * north
+    turned = [east_north(one) for one in unit]
+    east, north = (np.array([pair[k] for pair in turned]) for k in (0, 1))
+    cos, sin = np.cos(stored.rows[:, 5:6]), np.sin(stored.rows[:, 5:6])
+    axes = np.stack([cos * north + sin * east, cos * east - sin * north], axis=1)
     covariance = np.zeros((n, 2, 2))
     covariance[:, 0, 0], covariance[:, 1, 1] = stored.rows[:, 3] ** 2, stored.rows[:, 4] ** 2
     return Directions(
@@ -88,21 +97,27 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
     since = now_tai_ns - round(options.window_days * tai.NS_PER_DAY)
     new = store.uncorrelated(since, now_tai_ns)
     data = {k: directions_of(t) for k, t in new.items()}
-    arcs = {k: a for k, a in zip(data, arc_orbits(list(data.values())), strict=True) if a is not None}
     status = {row["object_id"]: row["status"] for row in store.objects()}
-    known = [o for o in store.orbits() if status[o.object_id] in ("active", "lost")]
-    candidates = _candidates(arcs, known)
+    known = [known_orbit(o, options) for o in store.orbits() if status[o.object_id] in ("active", "lost")]
+    with _processes(options.workers if len(known) >= PARALLEL_FROM else 1) as pool:
+        seen = {(s.object_id, s.tracklet_id): s for s in sightings(data, known, pool)}
+        arcs = _arcs(data, list(seen.values()), pool)
     wanted: dict[int, dict[int, float]] = {}
     doubtful: list[tuple[int, int, float]] = []
-    for tracklet, found in candidates.items():
+    for tracklet, found in _candidates(arcs, list(seen.values())).items():
         if found and found[0][1] >= options.accept:
             wanted.setdefault(found[0][0], {})[tracklet] = found[0][1]
         else:
             doubtful += [(tracklet, object_id, p) for object_id, p in found]
     renewed, refused = [], 0
-    orbit_of = {o.object_id: o for o in known}
+    known_of = {one.orbit.object_id: one for one in known}
     for object_id, accepted in sorted(wanted.items()):
-        one = _renewed(store, orbit_of[object_id], accepted, data, since, now_tai_ns, options)
+        before = known_of[object_id]
+        orbit = sequential.renewed(before, [seen[object_id, t] for t in accepted], MADE_BY, now_tai_ns)
+        if orbit is not None:
+            one: _Renewed | None = _Renewed(object_id=object_id, orbit=orbit, accepted=accepted)
+        else:
+            one = _refitted(store, before.orbit, accepted, data, since, now_tai_ns, options)
         if one is None:
             refused += 1
         else:
@@ -112,7 +127,7 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
     free = sorted(k for k in arcs if k not in taken)
     clusters = associate([data[k] for k in free], options.association)
     made = [(tuple(free[m] for m in c.members), c) for c in clusters]
-    current = orbit_of | {one.object_id: one.orbit for one in renewed}
+    current = {k: one.orbit for k, one in known_of.items()} | {one.object_id: one.orbit for one in renewed}
     merges = _merges(made, current, options)
     lost, retired = _faded(current, {one.object_id for one in renewed}, status, now_tai_ns, options)
     with store.transaction() as writer:
@@ -145,15 +160,60 @@ def forces_of(orbit: StoredOrbit, options: AssociationOptions) -> ForceModel:
     return model.with_values(tuple(orbit.parameters), list(orbit.parameters.values()))
 
 
-def _candidates(arcs: Mapping[int, ArcOrbit], known: Sequence[StoredOrbit]) -> dict[int, list[tuple[int, float]]]:
-    """Objects and probabilities for each tracklet."""
-    plain = AssociationOptions()
-    orbits = [(Orbit(o.epoch_tai_ns, o.state, o.covariance), forces_of(o, plain)) for o in known]
-    found = correlate(list(arcs.values()), orbits)
-    return {k: [(known[c.known].object_id, c.probability) for c in one] for k, one in zip(arcs, found, strict=True)}
+@contextmanager
+def _processes(workers: int) -> Iterator[Executor | None]:
+    """Processes that predict and fit; None for one worker."""
+    if workers <= 1:
+        yield None
+        return
+    with ProcessPoolExecutor(workers, mp_context=get_context("spawn")) as pool:
+        yield pool
 
 
-def _renewed(
+def _arcs(data: Mapping[int, Directions], seen: Sequence[Sighting], pool: Executor | None) -> dict[int, ArcOrbit]:
+    """Orbits of the tracklets' own arcs; a fit starts from the prediction that the directions meet best."""
+    best: dict[int, tuple[float, Array]] = {}
+    for s in seen:
+        away = float(s.residual @ s.residual)
+        if s.tracklet_id not in best or away < best[s.tracklet_id][0]:
+            best[s.tracklet_id] = (away, s.state)
+    starts = [best[k][1] if k in best else None for k in data]
+    tracklets = list(data.values())
+    if pool is None:
+        found = arc_orbits(tracklets, starts)
+    else:
+        cuts = [slice(k, k + TRACKLETS_AT_ONCE) for k in range(0, len(tracklets), TRACKLETS_AT_ONCE)]
+        parts = pool.map(arc_orbits, [tracklets[c] for c in cuts], [starts[c] for c in cuts])
+        found = list(chain.from_iterable(parts))
+    return {k: arc for k, arc in zip(data, found, strict=True) if arc is not None}
+
+
+def known_orbit(orbit: StoredOrbit, options: UpkeepOptions) -> KnownOrbit:
+    """An orbit with its forces. Parameters without a covariance of their own have the association's doubt of radiation."""
+    covariance = orbit.covariance
+    if len(covariance) == 6 and orbit.parameters:
+        doubt = np.full(len(orbit.parameters), options.association.radiation_sigma_m2_kg**2)
+        covariance = np.block([[covariance, np.zeros((6, len(doubt)))], [np.zeros((len(doubt), 6)), np.diag(doubt)]])
+    return KnownOrbit(orbit=orbit, forces=forces_of(orbit, options.association), covariance=covariance)
+
+
+def _candidates(arcs: Mapping[int, ArcOrbit], seen: Sequence[Sighting]) -> dict[int, list[tuple[int, float]]]:
+    """Objects and probabilities for each tracklet, the likeliest first."""
+    of_tracklet: dict[int, list[Sighting]] = {k: [] for k in arcs}
+    for one in seen:
+        if one.tracklet_id in arcs:
+            of_tracklet[one.tracklet_id].append(one)
+    out = {}
+    for k, near in of_tracklet.items():
+        states = np.array([s.state for s in near]).reshape(-1, 6)
+        covariances = np.array([s.covariance for s in near]).reshape(-1, 6, 6)
+        # the covariances hold what forces leave out: no further doubt grows with age
+        found = candidates_of(arcs[k], states, covariances, np.zeros(len(near)))
+        out[k] = [(near[c.known].object_id, c.probability) for c in found]
+    return out
+
+
+def _refitted(
     store: ObjectStore, orbit: StoredOrbit, accepted: Mapping[int, float], data: Mapping[int, Directions], since: int, now: int,
     options: UpkeepOptions,
 ) -> _Renewed | None:  # fmt: skip
@@ -177,7 +237,7 @@ def _renewed(
 def _stored(cluster: Cluster, object_id: int, now_tai_ns: int) -> StoredOrbit:
     s = cluster.solution
     return StoredOrbit(
-        object_id=object_id, epoch_tai_ns=s.t0_tai_ns, state=s.state, covariance=s.covariance[:6, :6], made_tai_ns=now_tai_ns,
+        object_id=object_id, epoch_tai_ns=s.t0_tai_ns, state=s.state, covariance=s.covariance, made_tai_ns=now_tai_ns,
         made_by=MADE_BY, parameters={p: s.forces.value_of(p) for p in s.parameters}, chi2_nu=s.chi2_nu,
         n_used=int((s.weights > 0.0).sum()),
     )  # fmt: skip
@@ -197,7 +257,7 @@ def _merges(
                 orbit.state, orbit.epoch_tai_ns, np.array([s.t0_tai_ns], dtype=np.int64),
                 forces_of(orbit, options.association), partials=True,
             )  # fmt: skip
-            total = arc.partials[0] @ orbit.covariance @ arc.partials[0].T + s.covariance[:6, :6]
+            total = arc.partials[0] @ orbit.state_covariance @ arc.partials[0].T + s.covariance[:6, :6]
             scale = np.sqrt(np.diag(total))
             left = (arc.states[0] - s.state) / scale
             if float(left @ np.linalg.solve(total / np.outer(scale, scale), left)) < options.merge_chi2:
@@ -236,7 +296,7 @@ def position_error_km(orbit: StoredOrbit, at_tai_ns: int) -> float:
         forces_of(orbit, AssociationOptions()),
         partials=True,
     )
-    return float(np.sqrt(np.trace((arc.partials[0] @ orbit.covariance @ arc.partials[0].T)[:3, :3])))
+    return float(np.sqrt(np.trace((arc.partials[0] @ orbit.state_covariance @ arc.partials[0].T)[:3, :3])))
 
 
 def _write(

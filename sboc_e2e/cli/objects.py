@@ -91,11 +91,13 @@ def update(
     at: Annotated[str, typer.Option("--at", help="UTC up to which tracklets count, such as 2026-11-22T12:00:00")],
     window: Annotated[float, typer.Option("--window", help="days that tracklets and fits reach back")] = 10.0,
     store: Store = "objects.db",
+    workers: Annotated[int, typer.Option("--workers", help="processes that predict orbits, 0: one for each processor")] = 0,
 ) -> None:
     """Correlate new tracklets, renew orbits, find new objects (MEO, GEO), call objects lost, found again or retired."""
     from sboc_e2e.objects.upkeep import bring_up
+    from sboc_e2e.run.pipeline import worker_count
 
-    typer.echo(bring_up(store, at, window))
+    typer.echo(bring_up(store, at, window, worker_count(workers)))
 
 
 @objects_app.command()

@@ -49,13 +49,13 @@ def _stored(t: NDArray[np.int64], direction: Array, place: Place, sensor: str, s
     return StoredTracklet(sensor=sensor, t_tai_ns=t[order], rows=rows)
 
 
-def bring_up(url: str, at_utc: str, window_days: float) -> str:
+def bring_up(url: str, at_utc: str, window_days: float, workers: int) -> str:
     """A night's update; what it did, in a line."""
     if "://" not in url and not Path(url).is_file():
         raise UserError(f"{url}: no such store")
     if not 0.0 < window_days <= 30.0:
         raise UserError(f"--window: expected more than 0 and at most 30 days, got {window_days:g}")
     store = ObjectStore(url)
-    report = update(store, epoch_of(at_utc), UpkeepOptions(window_days=window_days))
+    report = update(store, epoch_of(at_utc), UpkeepOptions(window_days=window_days, workers=workers))
     store.close()
     return ", ".join(f"{name} {number}" for name, number in asdict(report).items())

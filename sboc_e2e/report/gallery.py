@@ -1,6 +1,7 @@
 """Thumbnails of the shipped scenarios for the README: ``python -m sboc_e2e.report.gallery docs/gallery``.
 
-One frame of each scenario is simulated, stretched as a person sees it, and drawn small with its truth streaks marked.
+One frame of each scenario is simulated, stretched as a person sees it, and drawn small with its truth streaks marked. One picture
+more, `as_measured`, shows parts of `sso_antisun` with an ideal camera and sky beside those with everything that real ones have.
 """
 
 import argparse
@@ -21,6 +22,10 @@ from simulator.chain import Simulator
 THUMBNAIL_PX: Final = 360
 MARKED_SNR: Final = 5.0
 MARK_BGR: Final = (80, 190, 60)
+MEASURED_PARTS: Final = ((2044, 1828), (3368, 2280))
+"""Middles of parts of `sso_antisun`: a star of V = 3.9, a galaxy of V = 12.1."""
+PART_PX: Final = 240
+PART_SCALE: Final = 2
 
 
 def thumbnail(name: str, catalogue: StarCatalogue) -> NDArray[np.uint8]:
@@ -52,6 +57,18 @@ def thumbnail(name: str, catalogue: StarCatalogue) -> NDArray[np.uint8]:
     return np.asarray(picture)
 
 
+def as_measured(catalogue: StarCatalogue) -> NDArray[np.uint8]:
+    """Parts of one frame, the ideal camera and sky left, the preset `as_measured` right, (height, width) grey."""
+    columns = []
+    for overrides in ((), ("psf.preset=as_measured",)):
+        scenario = load("sso_antisun", registry=Registry(), overrides=("population.classes=[]", *overrides))
+        frame, _ = Simulator(scenario.simulator, seed=scenario.seed, catalogue=catalogue).frame(1)
+        half = PART_PX // 2
+        parts = [frame.pixels[r - half : r + half, c - half : c + half] for r, c in MEASURED_PARTS]
+        columns.append(np.vstack([stretch(part.astype(np.float32)) for part in parts]))
+    return np.repeat(np.repeat(np.hstack(columns), PART_SCALE, axis=0), PART_SCALE, axis=1)
+
+
 def main(arguments: Sequence[str] | None = None) -> None:
     """Write one PNG for each shipped scenario; recreated frames are on their own page, beside the real ones."""
     parser = argparse.ArgumentParser(prog="python -m sboc_e2e.report.gallery", description="Thumbnails of the shipped scenarios.")
@@ -59,6 +76,7 @@ def main(arguments: Sequence[str] | None = None) -> None:
     folder: Path = parser.parse_args(arguments).folder
     folder.mkdir(parents=True, exist_ok=True)
     catalogue = StarCatalogue.embedded()
+    cv2.imwrite(str(folder / "as_measured.png"), as_measured(catalogue), [cv2.IMWRITE_PNG_COMPRESSION, 9])
     for name in (name for name in available() if "/" not in name):
         cv2.imwrite(str(folder / f"{name}.png"), thumbnail(name, catalogue), [cv2.IMWRITE_PNG_COMPRESSION, 9])
 

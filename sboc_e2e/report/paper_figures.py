@@ -28,7 +28,7 @@ CURVED_FRAME: Final = 2
 _PROFILE_HALF_PX: Final = 5.0
 _PROFILE_COLS: Final = 31
 """Light along a trail is summed over this many rows to both sides; its running median leaves out stars."""
-PARTICLE_WINDOW_PX: Final = 512
+PARTICLE_WINDOW_PX: Final = 256
 
 
 def simulator_of(scenario: str, *overrides: str) -> Simulator:
@@ -131,7 +131,7 @@ def particles() -> Canvas:
         frame, truth = simulator_of("sso_antisun", *overrides).frame(0)
         part = frame.pixels[:PARTICLE_WINDOW_PX, :PARTICLE_WINDOW_PX]
         _show(ax, part, f"{title}\n{int(truth.frame['n_cosmics'][0]):,} tracks in the frame")
-    figure.axes[0].set_ylabel("row (one of 64 such parts)")
+    figure.axes[0].set_ylabel("row (one of 256 such parts)")
     return figure
 
 

@@ -17,7 +17,7 @@ def number(value: float) -> str:
     if value == int(value) and abs(value) < 1e15:
         return f"{int(value):,}"
     if 1e-3 <= abs(value) < 1e6:
-        digits = max(0, 3 - math.floor(math.log10(abs(value))))
+        digits = max(0, 3 - math.floor(math.log10(abs(float(f"{value:.4g}")))))
         return f"{value:,.{digits}f}"
     return f"{value:.3g}"
 

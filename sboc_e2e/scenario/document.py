@@ -145,13 +145,16 @@ def load(
 ) -> Scenario:
     """The resolved scenario of a name or path.
 
-    overrides : ``key=value`` texts of ``--set``. use : step names typed on the command line by seam; they replace the
-    scenario's choice together with its options. Raises `UserError` of one line for anything wrong.
+    overrides : ``key=value`` texts of ``--set``; one that names a preset takes the place of that of the file. use : step names
+    typed on the command line by seam; they replace the scenario's choice together with its options. Raises `UserError` of one
+    line for anything wrong.
     """
     path = find(scenario)
     overrides = tuple(overrides)
-    document = tables(path)
+    presets = tuple(text for text in overrides if toml_files.names_preset(text))
+    document = tables(path, presets)
     layers = origin.layers_of(path, overrides, use or {})
+    overrides = tuple(text for text in overrides if text not in presets)
     try:
         resolved = _resolved(document, path.stem, str(path), registry, overrides, use or {}, seed)
     except UserError as error:
@@ -187,12 +190,17 @@ FILE_KEYS: Final = (
 """Keys that name a file. A relative path in a scenario is looked for beside the scenario, then in the working folder."""
 
 
-def tables(path: Path) -> dict[str, Any]:
-    """The tables of a scenario file with its presets; files that lie beside it by their full path."""
+def tables(path: Path, presets: Iterable[str] = ()) -> dict[str, Any]:
+    """The tables of a scenario file with its presets; files that lie beside it by their full path.
+
+    presets : texts of ``--set`` that choose presets as if the file did.
+    """
     given = toml_files.read(path)
     if not given:
         # All defaults would be a run of hours that nobody asked for.
         raise UserError(f"{path}: holds no key; a scenario says at least one thing, such as frames = 6")
+    for text in presets:
+        given = toml_files.with_override(given, text)
     merged = toml_files.with_presets(given, path.resolve().parent, str(path))
     for *parents, key in FILE_KEYS:
         table: Any = merged

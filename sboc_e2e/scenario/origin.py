@@ -16,6 +16,9 @@ _KEY: Final = re.compile(r"(?<![\w./\[])[a-z][a-z0-9_]*(?:\.[a-z][a-z0-9_]*)+(?!
 def layers_of(path: Path, overrides: Sequence[str], use: Mapping[str, str]) -> list[Layer]:
     """Presets, the file and what was typed, in the order in which later ones win."""
     own = toml_files.read(path)
+    presets = [text for text in overrides if toml_files.names_preset(text)]
+    for text in presets:
+        own = toml_files.with_override(own, text)
     layers: list[Layer] = []
     for name, table in own.items():
         if isinstance(table, dict) and "preset" in table:
@@ -25,7 +28,7 @@ def layers_of(path: Path, overrides: Sequence[str], use: Mapping[str, str]) -> l
     for seam, step in use.items():
         segment, _, key = seam.partition(".")
         layers.append(("--use", {segment: {key: {"use": step}}}))
-    layers += [("--set", toml_files.with_override({}, override)) for override in overrides]
+    layers += [("--set", toml_files.with_override({}, override)) for override in overrides if override not in presets]
     return layers
 
 

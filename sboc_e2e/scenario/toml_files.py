@@ -91,6 +91,12 @@ def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:
     return result
 
 
+def names_preset(override: str) -> bool:
+    """Whether the text of a ``--set`` chooses the preset of a table, such as ``psf.preset=as_measured``."""
+    keys = [key.strip() for key in override.partition("=")[0].split(".")]
+    return len(keys) == 2 and keys[1] == "preset"
+
+
 def with_override(document: Mapping[str, Any], text: str) -> dict[str, Any]:
     """The document after ``--set table.key=value``; a value that is not TOML is taken as a string."""
     result = copy.deepcopy(dict(document))

@@ -88,8 +88,11 @@ class PsfField:
         end = 2.0 ** math.ceil(math.log2(largest))
         count = np.bincount(node, minlength=GRID * GRID)
         mean = np.bincount(node, weights=variance_px2, minlength=GRID * GRID) / np.maximum(count, 1)
-        share = (mean / end).astype(np.float32)[:, None, None]
-        return np.asarray((1.0 - share) * self.tables + share * self._wider(end), dtype=np.float32)
+        share, wider = (mean / end).astype(np.float32), self._wider(end)
+        out = np.empty_like(self.tables)
+        for k in range(len(out)):  # one by one: whole products would be three times as large as the tables
+            out[k] = (np.float32(1.0) - share[k]) * self.tables[k] + share[k] * wider[k]
+        return out
 
     def at(self, node: int, extra_px2: float, disc_px: float) -> NDArray[np.float32]:
         """One table with a Gaussian variance more (less, if negative) and a blur disc."""
@@ -132,7 +135,12 @@ class PsfField:
         return out
 
     def _all(self, extra_px2: float) -> NDArray[np.float32]:
-        return np.stack([self._one(k, extra_px2, 0.0) for k in range(GRID * GRID)])
+        first = self._one(0, extra_px2, 0.0)
+        out = np.empty((GRID * GRID, *first.shape), dtype=np.float32)
+        out[0] = first
+        for k in range(1, GRID * GRID):
+            out[k] = self._one(k, extra_px2, 0.0)
+        return out
 
     def _one(self, node: int, extra_px2: float, disc_px: float) -> NDArray[np.float32]:
         """The table of a node: its OTF between the nearest ones of the wavefront, times Gaussian, disc and pixel."""

@@ -6,6 +6,7 @@ Brightness: the H, G system (Bowell et al. 1989, Asteroids II, 524). Orbits: zon
 zones, eccentricities and inclinations are rounded from Jedicke & Metcalfe 1998, Icarus 131, 245. Orbits are Kepler's.
 """
 
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field
 from typing import Final
 
@@ -61,7 +62,7 @@ class AsteroidOptions:
     density: float = field(
         default=0.0, metadata={"doc": "factor on their number in nature, 0 for none", "min": 0.0, "max": 100.0}
     )
-    faint_limit_mag: float = field(default=18.0, metadata={"doc": "V of the faintest", "min": 8.0, "max": 20.0})
+    faint_limit_mag: float = field(default=17.0, metadata={"doc": "V of the faintest", "min": 8.0, "max": 20.0})
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,15 +80,15 @@ def cumulative_number(h_mag: Array | float) -> Array:
     return np.asarray(NUMBER_AT_KINK * 10.0 ** np.where(beyond < 0.0, _SLOPES[0] * beyond, _SLOPES[1] * beyond))
 
 
-def draw_belt(options: AsteroidOptions, seed: int) -> Belt:
-    """All asteroids that can become as bright as the limit, at perihelion against the Sun.
+def draw_belt(options: AsteroidOptions, seed: int) -> Iterator[Belt]:
+    """All asteroids that can become as bright as the limit, at perihelion against the Sun, in parts that fit into little memory.
 
     They are drawn by zone and range of eccentricity, each with the faintest absolute magnitude that can matter there.
     """
     rng = generator(seed, Effect.ASTEROIDS)
     edges_e = np.linspace(0.0, _LARGEST_E, _RANGES_OF_E + 1)
     below_e = 1.0 - np.exp(-0.5 * (edges_e / _SPREAD_E) ** 2)
-    columns = []
+    below_i = 1.0 - np.exp(-0.5 * (_LARGEST_I_RAD / _SPREAD_I_RAD) ** 2)
     for from_au, to_au, share in _ZONES:
         for k in range(_RANGES_OF_E):
             perihelion_au = from_au * (1.0 - edges_e[k + 1])
@@ -95,21 +96,28 @@ def draw_belt(options: AsteroidOptions, seed: int) -> Belt:
             factor = options.density * share * (below_e[k + 1] - below_e[k]) / below_e[-1]
             last = float(factor * cumulative_number(faintest_h))
             n = int(rng.poisson(last))
-            relative = np.log10(last * (1.0 - rng.random(n)) / (factor * NUMBER_AT_KINK)) if n else np.zeros(0)
+            relative = np.log10(last * (1.0 - rng.random(n)) / max(factor * NUMBER_AT_KINK, 1e-300))
+            angles = 2.0 * np.pi * rng.random((3, n))
+            elements = Elements(
+                a_km=from_au + (to_au - from_au) * rng.random(n),
+                e=_SPREAD_E * np.sqrt(-2.0 * np.log(1.0 - below_e[k] - (below_e[k + 1] - below_e[k]) * rng.random(n))),
+                i_rad=_SPREAD_I_RAD * np.sqrt(-2.0 * np.log(1.0 - below_i * rng.random(n))),
+                node_rad=angles[0],
+                argp_rad=angles[1],
+                mean_anomaly_rad=angles[2],
+            )
             h_mag = KINK_H + np.where(relative < 0.0, relative / _SLOPES[0], relative / _SLOPES[1])
-            a_au = from_au + (to_au - from_au) * rng.random(n)
-            e = _SPREAD_E * np.sqrt(-2.0 * np.log(1.0 - below_e[k] - (below_e[k + 1] - below_e[k]) * rng.random(n)))
-            columns.append([h_mag, a_au, e, *rng.random((4, n)), rng.standard_normal(n)])
-    h_mag, a_au, e, tilt, node, argp, mean, colour = np.concatenate(columns, axis=1)
-    elements = Elements(
-        a_km=a_au,
-        e=e,
-        i_rad=_SPREAD_I_RAD * np.sqrt(-2.0 * np.log(1.0 - (1.0 - np.exp(-0.5 * (_LARGEST_I_RAD / _SPREAD_I_RAD) ** 2)) * tilt)),
-        node_rad=2.0 * np.pi * node,
-        argp_rad=2.0 * np.pi * argp,
-        mean_anomaly_rad=2.0 * np.pi * mean,
+            yield Belt(elements=elements, h_mag=h_mag, b_v=_MEAN_B_V + _SPREAD_B_V * rng.standard_normal(n))
+
+
+def whole(parts: Iterable[Belt]) -> Belt:
+    """Parts of a belt as one."""
+    belts = list(parts)
+    return Belt(
+        elements=Elements(**{k: np.concatenate([getattr(b.elements, k) for b in belts]) for k in Elements.__dataclass_fields__}),
+        h_mag=np.concatenate([b.h_mag for b in belts]),
+        b_v=np.concatenate([b.b_v for b in belts]),
     )
-    return Belt(elements=elements, h_mag=h_mag, b_v=_MEAN_B_V + _SPREAD_B_V * colour)
 
 
 def heliocentric_au(elements: Elements, days: Array | float) -> Array:
@@ -129,57 +137,55 @@ def asteroid_magnitude(h_mag: Array, sun_au: Array, observer_au: Array, phase_ra
     return np.asarray(h_mag + 5.0 * np.log10(sun_au * observer_au) - 2.5 * np.log10((1.0 - SLOPE_G) * dark + SLOPE_G * bright))
 
 
+def seen_from(belt: Belt, tai_ns: int, observer_km: Array) -> tuple[Array, Array]:
+    """Directions (n, 3) when the light left that arrives now, not aberrated, and V (n,) of asteroids."""
+    to_sun = (sun_position_km(tai_ns) - observer_km) / AU_KM
+    days = (tai_ns - tai_ns_of_utc(ELEMENTS_UTC)) * 1e-9 / DAY_S
+    place = heliocentric_au(belt.elements, days)
+    delay_days = np.linalg.norm(place + to_sun, axis=1) * (AU_KM / LIGHT_KM_S / DAY_S)
+    place = heliocentric_au(belt.elements, days - delay_days)
+    vector = place + to_sun
+    distance, sun = np.linalg.norm(vector, axis=1), np.linalg.norm(place, axis=1)
+    phase = np.arccos(np.clip(np.sum(place * vector, axis=1) / (sun * distance), -1.0, 1.0))
+    return vector / distance[:, None], asteroid_magnitude(belt.h_mag, sun, distance, phase)
+
+
 class AsteroidSky:
     """Asteroids around a direction at an instant, as points of light."""
 
     def __init__(self, options: AsteroidOptions, instrument: InstrumentOptions, *, seed: int) -> None:
         self.options, self.instrument, self._seed = options, instrument, seed
-        self._elements_tai_ns = tai_ns_of_utc(ELEMENTS_UTC)
-        self._belt: Belt | None = None
-        self._held: tuple[Array, float, int, NDArray[np.intp]] | None = None
+        self._held: tuple[Array, float, int, Belt, NDArray[np.int64]] | None = None
 
     def around(self, direction: Array, radius_deg: float, tai_ns: int, observer_km: Array) -> StarField:
         """Those within a radius of a direction (3,) and some beyond it; observer_km : (3,) geocentric."""
-        if self._belt is None:
-            self._belt = draw_belt(self.options, self._seed)
-        near = self._near(self._belt, direction, radius_deg, tai_ns)
-        seen, v_mag = self.seen(near, tai_ns, observer_km)
+        near, number = self._near(direction, radius_deg, tai_ns)
+        seen, v_mag = seen_from(near, tai_ns, observer_km)
         bright = v_mag < self.options.faint_limit_mag
-        near, v_mag, b_v = near[bright], v_mag[bright], self._belt.b_v[near[bright]]
+        v_mag, b_v = v_mag[bright], near.b_v[bright]
         return StarField(
             direction=seen[bright],
             flux_e_s=self.instrument.true_zero_point_e_s * 10.0 ** (-0.4 * v_mag) * self.instrument.colour_factor(b_v),
-            star_id=FIRST_ASTEROID_ID + near.astype(np.int64),
+            star_id=FIRST_ASTEROID_ID + number[bright],
             v_mag=v_mag.astype(np.float32),
             b_v=b_v.astype(np.float32),
         )
 
-    def seen(self, which: NDArray[np.intp], tai_ns: int, observer_km: Array) -> tuple[Array, Array]:
-        """Directions (n, 3) when the light left that arrives now, not aberrated, and V of some asteroids."""
-        belt = self._belt or draw_belt(self.options, self._seed)
-        elements = Elements(**{name: getattr(belt.elements, name)[which] for name in Elements.__dataclass_fields__})
-        to_sun = (sun_position_km(tai_ns) - observer_km) / AU_KM
-        days = (tai_ns - self._elements_tai_ns) * 1e-9 / DAY_S
-        delay_days = np.zeros(len(which))
-        for _ in range(2):
-            place = heliocentric_au(elements, days - delay_days)
-            vector = place + to_sun
-            distance = np.linalg.norm(vector, axis=1)
-            delay_days = distance * (AU_KM / LIGHT_KM_S / DAY_S)
-        sun = np.linalg.norm(place, axis=1)
-        phase = np.arccos(np.clip(np.sum(place * vector, axis=1) / (sun * distance), -1.0, 1.0))
-        return vector / distance[:, None], asteroid_magnitude(belt.h_mag[which], sun, distance, phase)
-
-    def _near(self, belt: Belt, direction: Array, radius_deg: float, tai_ns: int) -> NDArray[np.intp]:
-        """Numbers of asteroids near a direction, in growing order."""
+    def _near(self, direction: Array, radius_deg: float, tai_ns: int) -> tuple[Belt, NDArray[np.int64]]:
+        """Asteroids near a direction and their numbers, in growing order."""
         if self._held is not None:
-            centre, reach_deg, since_ns, held = self._held
+            centre, reach_deg, since_ns, held, number = self._held
             apart_deg = np.degrees(np.arccos(np.clip(centre @ direction, -1.0, 1.0)))
             if apart_deg + radius_deg + 1.0 <= reach_deg and abs(tai_ns - since_ns) < _HELD_S * 1e9:
-                return held
-        everyone = np.arange(len(belt.h_mag))
-        seen, v_mag = self.seen(everyone, tai_ns, np.zeros(3))
-        reach_deg = radius_deg + _HELD_DEG
-        within = (seen @ direction > np.cos(np.radians(reach_deg))) & (v_mag < self.options.faint_limit_mag + 0.5)
-        self._held = (direction, reach_deg, tai_ns, everyone[within])
-        return self._held[3]
+                return held, number
+        reach_deg, first = radius_deg + _HELD_DEG, 0
+        parts, numbers = [], []
+        for part in draw_belt(self.options, self._seed):
+            seen, v_mag = seen_from(part, tai_ns, np.zeros(3))
+            within = (seen @ direction > np.cos(np.radians(reach_deg))) & (v_mag < self.options.faint_limit_mag + 0.5)
+            elements = Elements(**{k: getattr(part.elements, k)[within] for k in Elements.__dataclass_fields__})
+            parts.append(Belt(elements=elements, h_mag=part.h_mag[within], b_v=part.b_v[within]))
+            numbers.append(first + np.flatnonzero(within).astype(np.int64))
+            first += len(within)
+        self._held = (direction, reach_deg, tai_ns, whole(parts), np.concatenate(numbers))
+        return self._held[3:]

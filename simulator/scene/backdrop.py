@@ -14,9 +14,10 @@ from simulator.scene import bodies
 from simulator.scene.aberration import aberrate
 from simulator.scene.atmosphere import Atmosphere
 from simulator.scene.bodies import Body
+from simulator.scene.cirrus import Cirrus
 from simulator.scene.earth_light import earth_light, earth_reach_rad, earth_veil
 from simulator.scene.reflection import in_sight
-from simulator.scene.sky import SKY_GRID, SkyOptions, diffuse_flux, fill_diffuse
+from simulator.scene.sky import SKY_GRID, SkyOptions, diffuse_flux, fill_diffuse, unresolved_flux
 from simulator.scene.stars import StarField
 
 Array = NDArray[np.float64]
@@ -38,6 +39,7 @@ class Backdrop:
     """What shines and hides at one instant.
 
     sun_km : (3,) of the zodiacal light. lit_sun_km : (3,) now. observer_km : (3,) geocentric. air : of a site; None in orbit.
+    cirrus : structure of the unresolved light; None for none.
     """
 
     options: SkyOptions
@@ -47,6 +49,7 @@ class Backdrop:
     air: Atmosphere | None
     moon: Body | None
     planets: list[Body]
+    cirrus: Cirrus | None = None
 
     def surface_flux(self, directions: Array, camera: Camera) -> Array:
         """Flux of a square arcsecond of field in directions (n, 3), in units of a V = 0 star."""
@@ -68,6 +71,13 @@ class Backdrop:
             if self.air is None and self.options.earth:
                 flux = flux + earth_veil(scatter, directions, self.observer_km, self.lit_sun_km)
         return np.asarray(flux)
+
+    def structure_flux(self, directions: Array) -> Array:
+        """Flux of the unresolved light less that of its mean, in the units of `surface_flux`."""
+        if self.cirrus is None:
+            return np.zeros(len(directions))
+        uneven = unresolved_flux(self.options, directions) * (self.cirrus.factor(directions) - 1.0)
+        return np.asarray(uneven * self.shining(directions))
 
     def earth_is_near(self, directions: Array) -> bool:
         """Whether the Earth or its air stands in one of the directions (n, 3)."""
@@ -96,7 +106,9 @@ class Backdrop:
         return [(k, p) for k, p in enumerate(self.planets) if p.direction @ direction > np.cos(radius_rad)]
 
 
-def backdrop_of(options: SkyOptions, tai_ns: int, sun_km: Array, observer_km: Array, air: Atmosphere | None) -> Backdrop:
+def backdrop_of(
+    options: SkyOptions, tai_ns: int, sun_km: Array, observer_km: Array, air: Atmosphere | None, cirrus: Cirrus | None
+) -> Backdrop:
     """What stands around an observer (3,), km, at an instant. sun_km : (3,) that the zodiacal light follows."""
     moon = bodies.moon(tai_ns, observer_km) if options.moon else None
     if moon is not None and air is None and not in_sight(1e5 * moon.direction + observer_km, observer_km):
@@ -109,6 +121,7 @@ def backdrop_of(options: SkyOptions, tai_ns: int, sun_km: Array, observer_km: Ar
         air=air,
         moon=moon,
         planets=bodies.planets(tai_ns) if options.planets else [],
+        cirrus=cirrus,
     )
 
 
@@ -121,12 +134,26 @@ def diffuse_image(backdrop: Backdrop, sight: LineOfSight, camera: Camera) -> NDA
         return camera.projection.to_vectors(row.ravel(), col.ravel()) @ sight.reference
 
     grid = backdrop.grid(directions(SKY_GRID))
-    rate_e_s = np.asarray(backdrop.surface_flux(directions(grid), camera) * camera.surface_rate_e_s).reshape(grid, grid)
+    flux = backdrop.surface_flux(directions(grid), camera).reshape(grid, grid)
+    if backdrop.cirrus is not None:  # on nodes of its own: what else shines is smooth, or has more nodes already
+        flux = refined(flux, NEAR_GRID)
+        structure = backdrop.structure_flux(directions(NEAR_GRID)).reshape(NEAR_GRID, NEAR_GRID)
+        flux += refined(structure, len(flux))
+    rate_e_s = flux * camera.surface_rate_e_s
     image_e = np.empty(shape, dtype=np.float32)
     stray_e = camera.instrument.stray_light_e_px_s * camera.exposure_s
     grid_e = (rate_e_s * camera.exposure_s).astype(np.float32)
     fill_diffuse(image_e, *camera.illumination, grid_e, stray_e, camera.instrument.stray_gradient)
     return image_e
+
+
+def refined(values: Array, nodes: int) -> Array:
+    """Values at nodes (n, n) from corner to corner, linear in between, at so many nodes; as they are where they have more."""
+    n = len(values)
+    if n >= nodes:
+        return values
+    weight = np.maximum(1.0 - np.abs(np.linspace(0.0, n - 1.0, nodes)[:, None] - np.arange(n)), 0.0)
+    return np.asarray(weight @ values @ weight.T)
 
 
 def add_moon(image_e: NDArray[np.float32], backdrop: Backdrop, sight: LineOfSight, camera: Camera, velocity_km_s: Array) -> None:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from simulator.optics.vignetting import illumination_of_row
 from simulator.scene.asteroids import AsteroidOptions
+from simulator.scene.galaxies import GALACTIC_POLE, GalaxyOptions
 
 Array = NDArray[np.float64]
 
@@ -48,8 +49,6 @@ _ZODIACAL: Final = np.array(
 # Leinert et al. 1998, sections 9 to 11; good to about 30 %).
 _GALACTIC_LATITUDE_DEG: Final = np.array([0.0, 5.0, 10.0, 20.0, 30.0, 60.0, 90.0])
 _UNRESOLVED_S10: Final = np.array([200.0, 120.0, 75.0, 50.0, 38.0, 28.0, 25.0])
-_GALACTIC_POLE: Final = np.array([-0.8676661356833737, -0.1980763872750533, 0.4559837919562393])
-"""Direction of the north galactic pole, ICRS (192.85948 deg, 27.12825 deg)."""
 _OBLIQUITY_RAD: Final = np.radians(23.4392911)
 
 SKY_GRID: Final = 9
@@ -63,9 +62,18 @@ class SkyOptions:
     unresolved: float = field(
         default=1.0, metadata={"doc": "factor on unresolved stars and diffuse galactic light", "min": 0.0, "max": 100.0}
     )
+    structure: float = field(
+        default=0.0,
+        metadata={
+            "doc": "rms of the logarithm of the unresolved light over the sky (cirrus), 0 for none",
+            "min": 0.0,
+            "max": 2.0,
+        },
+    )
     moon: bool = field(default=False, metadata={"doc": "the Moon shines, and its light scatters in air and optics"})
     planets: bool = field(default=False, metadata={"doc": "planets shine"})
     asteroids: AsteroidOptions = field(default_factory=AsteroidOptions, metadata={"doc": "asteroids of the main belt"})
+    galaxies: GalaxyOptions = field(default_factory=GalaxyOptions, metadata={"doc": "galaxies"})
     earth: bool = field(
         default=True, metadata={"doc": "the Earth hides stars, shines in the field and scatters in optics (orbits)"}
     )
@@ -95,8 +103,13 @@ def zodiacal_s10(directions: Array, sun_direction: Array) -> Array:
 
 def unresolved_s10(directions: Array) -> Array:
     """Stars fainter than V = 16 and diffuse galactic light (S10) in GCRS directions (..., 3)."""
-    latitude_deg = np.degrees(np.abs(np.arcsin(np.clip(directions @ _GALACTIC_POLE, -1.0, 1.0))))
+    latitude_deg = np.degrees(np.abs(np.arcsin(np.clip(directions @ GALACTIC_POLE, -1.0, 1.0))))
     return np.asarray(np.interp(latitude_deg, _GALACTIC_LATITUDE_DEG, _UNRESOLVED_S10))
+
+
+def unresolved_flux(options: SkyOptions, directions: Array) -> Array:
+    """The part of faint stars and diffuse galactic light in `diffuse_flux`."""
+    return np.asarray(options.unresolved * unresolved_s10(directions) * 10.0 ** (-0.4 * S10_MAG))
 
 
 def diffuse_flux(options: SkyOptions, directions: Array, sun_km: Array) -> Array:

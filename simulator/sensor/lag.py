@@ -35,7 +35,10 @@ def lag_of(image_e: NDArray[np.float32], hits: HitList, origin: tuple[int, int],
     inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
     struck, which = np.unique(row[inside] * cols + col[inside], return_inverse=True)
     by_particles = np.bincount(which, hits.charge_e[inside], minlength=len(struck))
-    place = np.union1d(_brighter(flat, np.float32(LEAST_E / share)), struck)
+    bright = _brighter(flat, np.float32(LEAST_E / share))
+    at = np.searchsorted(bright, struck)
+    new = np.append(bright, -1)[at] != struck
+    place = np.insert(bright, at[new], struck[new])
     charge = flat[place].astype(np.float64)
     charge[np.searchsorted(place, struck)] += by_particles
     electrons = share * np.minimum(charge, full_well_e)

@@ -20,7 +20,7 @@ from simulator.sensor.poisson import poisson_tables
 from simulator.sensor.statistics import entropy_table, mean_entropy_bits, pixel_variance
 from simulator.sensor.structure import bloom, column_offsets_e, couple, defer_charge, row_offsets_e, spread_charge
 
-BAND_ROWS = 256
+BAND_ROWS = 64
 """Rows of pixels that share their signal are made in bands, so that no whole frame of charge is held."""
 
 
@@ -355,6 +355,7 @@ class Sensor:
     ) -> None:
         """A CMOS frame whose pixels share their signal: bands of rows, with a neighbour on either side, one after the other."""
         words, rows = self._words(frame), self.window_rows
+        extra_start, extra_col, extra_e = self._extra_charge(frame, hits, 0, rows)
         for first in range(0, rows, BAND_ROWS):
             stop = min(first + BAND_ROWS, rows)
             low, high = max(first - 1, 0), min(stop + 1, rows)
@@ -368,14 +369,17 @@ class Sensor:
                 self._pixels.dark[band],
                 self._pixels.response_of,
                 self._pixels.dark_rate_of_e_s * exposure_s,
-                *self._extra_charge(frame, hits, low, high - low),
+                extra_start[low : high + 1],
+                extra_col,
+                extra_e,
                 words[0],
                 self.options.shot_noise,
                 *self._poisson,
                 NORMAL_TABLE,
                 charge,
             )
-            couple(np.minimum(charge, self.options.converter.full_well_e), self.options.structure.coupling, signal)
+            np.minimum(charge, self.options.converter.full_well_e, out=charge)
+            couple(charge, self.options.structure.coupling, signal)
             passes.convert_rows(
                 signal[first - low : stop - low],
                 self.options.window.row0 + first,

@@ -15,17 +15,12 @@ from simulator.scene.asteroids import (
     asteroid_magnitude,
     cumulative_number,
     draw_belt,
+    seen_from,
+    whole,
 )
 
 TO_ECLIPTIC = erfa.ecm06(2451545.0, 0.0)
 NOTHING = np.zeros(3)
-
-
-def sky_of(belt, limit_mag=30.0):
-    """The sky of a given belt."""
-    sky = AsteroidSky(AsteroidOptions(density=1.0, faint_limit_mag=limit_mag), InstrumentOptions(), seed=1)
-    sky._belt = belt
-    return sky
 
 
 def one(a_au, mean_anomaly_rad):
@@ -41,11 +36,10 @@ def test_the_sky_at_opposition_is_as_dense_as_surveys_found_it():
     DECam (Heinze et al. 2019, AJ 158, 232) has 10^((0.28 +- 0.02) R). Six dates, a fiftieth of the belt.
     """
     share, limits = 0.02, (21.4, 22.4, 23.4)
-    belt = draw_belt(AsteroidOptions(density=share, faint_limit_mag=limits[-1]), 3)
-    sky, everyone, found = sky_of(belt), np.arange(len(belt.h_mag)), np.zeros(3)
+    belt, found = whole(draw_belt(AsteroidOptions(density=share, faint_limit_mag=limits[-1]), 3)), np.zeros(3)
     for month in range(1, 7):
         tai_ns = tai_ns_of_utc(f"2026-{month:02d}-22T00:00:00")
-        seen, v_mag = sky.seen(everyone, tai_ns, NOTHING)
+        seen, v_mag = seen_from(belt, tai_ns, NOTHING)
         x, y, z = (seen @ TO_ECLIPTIC.T).T
         sun = TO_ECLIPTIC @ sun_position_km(tai_ns)
         apart = (np.arctan2(y, x) - np.arctan2(-sun[1], -sun[0]) + np.pi) % (2 * np.pi) - np.pi
@@ -81,11 +75,9 @@ def test_an_asteroid_at_opposition_moves_backwards_at_the_closed_form(a_au):
     """
     tai_ns = tai_ns_of_utc(ELEMENTS_UTC)
     sun = TO_ECLIPTIC @ sun_position_km(tai_ns) / AU_KM
-    sky = sky_of(one(a_au, float(np.arctan2(-sun[1], -sun[0]))))
+    belt = one(a_au, float(np.arctan2(-sun[1], -sun[0])))
     step_s = 1800.0
-    first, second = (
-        TO_ECLIPTIC @ sky.seen(np.zeros(1, np.intp), tai_ns + round(k * step_s * 1e9), NOTHING)[0][0] for k in (-1, 1)
-    )
+    first, second = (TO_ECLIPTIC @ seen_from(belt, tai_ns + round(k * step_s * 1e9), NOTHING)[0][0] for k in (-1, 1))
     turned = np.arctan2(np.cross(first, second)[2], first @ second) / (2.0 * step_s)
     away = -sun / np.linalg.norm(sun)
     earth_au_s = np.cross(away, TO_ECLIPTIC @ earth_velocity_km_s(tai_ns))[2] / AU_KM

@@ -1,8 +1,9 @@
-"""The simulator alone in a process: ``python -m tests.benchmarks.simulator_process SIZE FAINT_LIMIT_MAG N_STREAKS``.
+"""The simulator alone in a process: ``python -m tests.benchmarks.simulator_process SIZE FAINT_LIMIT_MAG N_STREAKS [PRESET]``.
 
 A square field at the anti-Sun point of `sso_antisun` with every effect of the default camera on, and straight streaks of
-300 px. Prints as JSON the CPU seconds of each frame after the first, stars in the frame, and the peak memory of the process
-while it made them (MB of 10^6 bytes), interpreter, libraries, catalogue and compiled kernels included.
+300 px. PRESET is one of [psf]: as_measured adds everything that real cameras and skies have. Prints as JSON the CPU seconds of
+each frame after the first, stars in the frame, and the peak memory of the process while it made them (MB of 10^6 bytes),
+interpreter, libraries, catalogue and compiled kernels included.
 """
 
 import json
@@ -16,6 +17,8 @@ from typing import Any
 import numpy as np
 
 from sboc_e2e.catalogue import StarCatalogue
+from sboc_e2e.registry import Registry
+from sboc_e2e.scenario import document, toml_files
 from simulator.chain import Simulator
 from simulator.options import SimulatorOptions
 from simulator.scene.encounters import PopulationOptions
@@ -35,7 +38,13 @@ def trails(n: int, size_px: int) -> list[tuple[float, float, float]]:
     return [(*rng.uniform(0.2 * size_px, 0.8 * size_px, 2), float(rng.uniform(0.0, math.pi))) for _ in range(n)]
 
 
-def options(size_px: int, faint_limit_mag: float, n_streaks: int) -> SimulatorOptions:
+def of_preset(preset: str) -> SimulatorOptions:
+    """The default options over those of a preset of [psf]; none where it is empty."""
+    given = toml_files.with_presets({"psf": {"preset": preset}}, toml_files.FOLDER, "benchmark") if preset else {}
+    return document.bare("benchmark", {"frames": N_FRAMES, **given}, registry=Registry()).simulator
+
+
+def options(size_px: int, faint_limit_mag: float, n_streaks: int, preset: str = "") -> SimulatorOptions:
     """The scene."""
     paths = []
     rate = LENGTH_PX / EXPOSURE_S
@@ -51,7 +60,7 @@ def options(size_px: int, faint_limit_mag: float, n_streaks: int) -> SimulatorOp
                 col_rate_px_s=rate * d_col,
             )
         )
-    base = SimulatorOptions()
+    base = of_preset(preset)
     return replace(
         base,
         frames=N_FRAMES,
@@ -62,9 +71,9 @@ def options(size_px: int, faint_limit_mag: float, n_streaks: int) -> SimulatorOp
     )
 
 
-def measure(size_px: int, faint_limit_mag: float, n_streaks: int) -> dict[str, Any]:
+def measure(size_px: int, faint_limit_mag: float, n_streaks: int, preset: str = "") -> dict[str, Any]:
     """The figures, measured in this process."""
-    simulator = Simulator(options(size_px, faint_limit_mag, n_streaks), seed=1, catalogue=StarCatalogue.embedded())
+    simulator = Simulator(options(size_px, faint_limit_mag, n_streaks, preset), seed=1, catalogue=StarCatalogue.embedded())
     costs, peaks, made = [], [], None
     for k in range(N_FRAMES):
         reset_peak()
@@ -76,11 +85,12 @@ def measure(size_px: int, faint_limit_mag: float, n_streaks: int) -> dict[str, A
     return {"cpu_s": costs[1:], "first_cpu_s": costs[0], "peak_mb": max(peaks), **counts}
 
 
-def ask(size_px: int, faint_limit_mag: float, n_streaks: int) -> dict[str, Any]:
+def ask(size_px: int, faint_limit_mag: float, n_streaks: int, preset: str = "") -> dict[str, Any]:
     """The figures, measured in a process of their own."""
     command = [sys.executable, "-m", "tests.benchmarks.simulator_process", str(size_px), str(faint_limit_mag), str(n_streaks)]
+    command += [preset] if preset else []
     return dict(json.loads(subprocess.run(command, capture_output=True, text=True, check=True).stdout))
 
 
 if __name__ == "__main__":
-    sys.stdout.write(json.dumps(measure(int(sys.argv[1]), float(sys.argv[2]), int(sys.argv[3]))))
+    sys.stdout.write(json.dumps(measure(int(sys.argv[1]), float(sys.argv[2]), int(sys.argv[3]), *sys.argv[4:])))

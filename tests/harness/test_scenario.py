@@ -56,6 +56,22 @@ def test_own_keys_win_over_a_preset_and_overrides_over_both(tmp_path: Path) -> N
     assert (over.simulator.instrument.rows, over.seed) == (128, 9)
 
 
+def test_a_preset_can_be_chosen_on_the_command_line(tmp_path: Path) -> None:
+    """It lies under the file's own keys as the file's preset does, and takes its place; other overrides win over it."""
+    path = written(tmp_path, "[sensor.structure]\nlag = 0.25\n")
+    chosen = "psf.preset=as_measured"
+    made = scenario.load(path, registry=REGISTRY, overrides=["psf.aureole.share=0.5", chosen]).simulator
+    named = scenario.load(written(tmp_path, '[psf]\npreset = "as_measured"\n'), registry=REGISTRY).simulator
+    assert made.psf.wavefront == named.psf.wavefront
+    assert (made.sensor.structure.lag, made.psf.aureole.share) == (0.25, 0.5)
+    assert made.sky == named.sky
+    assert made.sky.galaxies.density == 1.0
+    other = scenario.load("smoke", registry=REGISTRY, overrides=["instrument.preset=art_like"]).simulator
+    assert other.instrument.name == "art_like"
+    with pytest.raises(UserError, match="there is no preset"):
+        scenario.load(path, registry=REGISTRY, overrides=["psf.preset=as_measures"])
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

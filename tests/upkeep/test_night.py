@@ -67,8 +67,9 @@ def test_objects_appear_and_are_kept(one: Survey, tmp_path: Path) -> None:
     # nobody sees them for a day: the error they say they have is the error they have
     for orbit in store.orbits():
         truth = between(one.truth[found[orbit.object_id][0]], np.array([(orbit.epoch_tai_ns - start) * 1e-9]))[0]
-        left = (orbit.state - truth) / np.sqrt(np.diag(orbit.covariance))
-        scaled = orbit.covariance / np.sqrt(np.outer(np.diag(orbit.covariance), np.diag(orbit.covariance)))
+        sigma = np.sqrt(np.diag(orbit.state_covariance))
+        left = (orbit.state - truth) / sigma
+        scaled = orbit.state_covariance / np.outer(sigma, sigma)
         # chi2 of six: one in a million is beyond 38
         assert left @ np.linalg.solve(scaled, left) < 38.0
 

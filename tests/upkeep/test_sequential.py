@@ -1,0 +1,89 @@
+"""A Kalman step from an orbit's covariance against the batch fit of all directions; which tracklets an orbit is held against."""
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ground.association.clusters import AssociationOptions, Cluster, judged
+from ground.determination.measurements import Directions
+from ground.store.store import StoredOrbit
+from ground.upkeep import sequential
+from ground.upkeep.night import UpkeepOptions, known_orbit
+from ground.upkeep.sightings import KnownOrbit, sightings
+from tests.association.list_simulator import STEP_S, Survey, survey
+from tests.association.lists import directions
+
+
+@pytest.fixture(scope="module")
+def one() -> Survey:
+    return survey(12, objects=3, clutter=1, days=4.0, a_day=1.0)
+
+
+def of_owner(one: Survey, owner: int) -> list[Directions]:
+    """An object's tracklets in order of time."""
+    mine = sorted((s for s in one.seen if s.owner == owner), key=lambda s: float(s.t_s[0]))
+    return [directions(one, s) for s in mine]
+
+
+def fitted(one: Survey, owner: int, data: list[Directions]) -> Cluster:
+    """Batch fit at the middle of the last tracklet, from the truth."""
+    epoch = int(data[-1].t_tai_ns[7])
+    start = one.truth[owner][round((epoch - one.sky.t0_tai_ns) * 1e-9 / STEP_S)]
+    found = judged(tuple(range(len(data))), data, start, epoch, AssociationOptions())
+    assert found is not None
+    return found
+
+
+def known_of(cluster: Cluster) -> KnownOrbit:
+    s = cluster.solution
+    orbit = StoredOrbit(
+        object_id=1, epoch_tai_ns=s.t0_tai_ns, state=s.state, covariance=s.covariance, made_tai_ns=0, made_by="fit",
+        parameters={p: s.forces.value_of(p) for p in s.parameters}, chi2_nu=s.chi2_nu, n_used=len(s.weights),
+    )  # fmt: skip
+    return known_orbit(orbit, UpkeepOptions())
+
+
+@pytest.mark.parametrize("owner", [0, 1, 2])
+def test_a_renewed_orbit_is_the_fit_of_all_directions(one: Survey, owner: int) -> None:
+    data = of_owner(one, owner)
+    known = known_of(fitted(one, owner, data[:-1]))
+    (seen,) = sightings({5: data[-1]}, [known])
+    assert (seen.object_id, seen.tracklet_id) == (1, 5)
+    new = sequential.renewed(known, [seen], "test", 0)
+    assert new is not None
+    every = fitted(one, owner, data).solution
+    left = (np.append(new.state, new.parameters["radiation"]) - np.append(every.state, every.forces.radiation)) / np.sqrt(
+        np.diag(every.covariance)
+    )
+    # what differs is the step's square, robust weights, and 15 m of noise for what forces leave out
+    assert np.abs(left).max() < 0.3
+    # 15 m beside 42 m make 6 %
+    assert np.sqrt(np.diag(new.covariance)) == pytest.approx(np.sqrt(np.diag(every.covariance)), rel=0.15)
+    assert new.n_used == len(every.weights)
+
+
+def test_a_step_that_is_too_surprising_is_left_to_the_batch_fit(one: Survey) -> None:
+    data = of_owner(one, 0)
+    known = known_of(fitted(one, 0, data[:-1]))
+    (seen,) = sightings({5: data[-1]}, [known])
+    spoilt = seen.residual.copy()
+    spoilt[4] += 12.0
+    assert sequential.renewed(known, [replace(seen, residual=spoilt)], "test", 0) is None
+    wide = replace(known, covariance=known.covariance * 1e12)
+    assert sequential.renewed(wide, [replace(seen, residual=seen.residual + 1e5)], "test", 0) is None
+
+
+def test_only_tracklets_near_its_way_are_an_orbits(one: Survey) -> None:
+    """Alone and by several workers; with tracklets before and after the orbit's epoch."""
+    cut = [fitted(one, owner, of_owner(one, owner)[:2]) for owner in range(3)]
+    known = [replace(k, orbit=replace(k.orbit, object_id=n)) for n, k in enumerate(map(known_of, cut))]
+    data = {k: directions(one, s) for k, s in enumerate(one.seen)}
+    found = sightings(data, known)
+    assert {(s.object_id, s.tracklet_id) for s in found} >= {(s.owner, k) for k, s in enumerate(one.seen) if s.owner >= 0}
+    assert len(found) <= len(one.seen) + 2
+    with ThreadPoolExecutor(2) as pool:
+        again = sightings(data, known, pool)
+    assert [(s.object_id, s.tracklet_id) for s in again] == [(s.object_id, s.tracklet_id) for s in found]
+    assert all(np.array_equal(a.state, b.state) for a, b in zip(again, found, strict=True))

@@ -261,19 +261,21 @@ PARTS: Final[dict[str, Part]] = {
 def measured(folder: Path, wanted: Sequence[str], cases: int | None) -> list[Case]:
     """All cases there are, after making those that are missing."""
     file = folder / "cases.jsonl"
-    rows = [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()] if file.is_file() else []
     for name in wanted:
         part = PARTS[name]
-        done = {row["seed"] for row in rows if row["part"] == name}
+        done = {row["seed"] for row in _stored(file) if row["part"] == name}
         for seed in sorted(set(range(part.first, part.first + (part.cases if cases is None else cases))) - done):
             began = time.monotonic()
             row = {"part": name, "seed": seed, **part.measure(folder, seed)}
-            rows.append(row)
             with file.open("a", encoding="utf-8") as out:
                 out.write(json.dumps(row) + "\n")
             sys.stdout.write(f"{name}, seed {seed}: {time.monotonic() - began:.0f} s\n")
             sys.stdout.flush()
-    return [row for row in rows if row["seed"] >= PARTS[row["part"]].first]
+    return [row for row in _stored(file) if row["seed"] >= PARTS[row["part"]].first]
+
+
+def _stored(file: Path) -> list[Case]:
+    return [json.loads(line) for line in file.read_text(encoding="utf-8").splitlines()] if file.is_file() else []
 
 
 def main() -> None:

@@ -163,7 +163,7 @@ def turning_arcsec(streak: StreakMeasurement, sigma_rate_arcsec_s: float, point:
 
 
 def _covariance_arcsec2(member: Member, point: int, heading: Array, slant: float) -> Array:
-    """Covariance (2, 2) of a point east and north; an end that is a change point counts by its interval.
+    """Covariance (2, 2) of a point east and north; an end of a single fit that is a change point counts by its interval.
 
     heading : of the motion. slant : of the trail to it (`_slant`).
     """
@@ -176,7 +176,9 @@ def _covariance_arcsec2(member: Member, point: int, heading: Array, slant: float
     block = blocks[point // 2, point // 2]
     along = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0]) / max(fit.length_px, 1e-6)
     across = np.array([-along[1], along[0]])
-    if not np.isfinite(block).all() or fit.flags & StreakFlag.ENDS_NOT_GAUSSIAN:
+    # the covariance of a joint fit is that of its draws, their tails included; widened once more it held 85 % within one sigma
+    alone = not member.final.flags & StreakFlag.REFIT
+    if not np.isfinite(block).all() or (alone and fit.flags & StreakFlag.ENDS_NOT_GAUSSIAN):
         sigma_along, sigma_cross = end_errors_px([member.final])
         block = sigma_along[0, point // 2] ** 2 * np.outer(along, along) + sigma_cross[0] ** 2 * np.outer(across, across)
     trail = _trail_heading(member, point)

@@ -245,3 +245,18 @@ def test_the_exam_tells_linkers_apart(kind: type, failed: tuple[str, ...]) -> No
     if not failed:
         assert not found
         assert any("completeness 12/12, purity" in v.detail for v in verdicts)
+
+
+def test_errors_of_a_joint_fit_are_not_widened_again(trial: LinkerTrial, tracklets: tuple[Tracklet, ...]) -> None:
+    """Its covariance holds the tails of its draws: the error stated along the motion is its own (1.5 times it before)."""
+    tracklet = max(tracklets, key=lambda t: len(t.frames))
+    linked = {s.streak_id: s for s in apply_links(trial.streaks, tracklets, trial.headers)}
+    jacobian = np.tile(ARCSEC_PX * np.eye(2), (3, 1, 1))
+    stated = []
+    for change_point in (StreakFlag(0), StreakFlag.ENDS_NOT_GAUSSIAN):
+        fitted = [
+            replace(s, fit=replace(s.fit, flags=s.fit.flags | change_point), flags=s.flags | StreakFlag.REFIT)
+            for s in (linked[i] for i in tracklet.streak_ids.tolist())
+        ]
+        stated.append(measured_tracklet(tracklet, [_member(s, jacobian) for s in fitted]).sigma_along_arcsec)
+    np.testing.assert_allclose(stated[1], stated[0], rtol=1e-12)

@@ -252,9 +252,10 @@ REMARKS: Final = """## What stands behind them
   ends were fitted 123 and 200 px outside, 5 and 10 sigma, so that no motion passes through them. Completeness there (0.925)
   counts single streaks of S/N 8 and more, and the false ones (0.42 a frame) are five streaks of S/N 7 to 9, two of them in one
   tracklet.
-- **Corner.** Listed stars err by 60 mas (catalogue and centroid) for as long as the field is the same. Attitude, focal length
-  and distortion from some 240 of them cannot give a better corner than the bound. The list is that short because of the
-  downlink.
+- **Corner.** Listed stars err by 60 mas (catalogue and centroid) for as long as the field is the same. From some 240 of them
+  attitude, focal length and distortion give a corner no better than the bound, on the mean over fields. One run is one draw of
+  these errors: runs lie below and above it (0.038, 0.038, 0.061 and 0.066" in an earlier session, with drift and without). The
+  list is that short because of the downlink.
 - **Breakup orbits with the default shares** (10 % of large objects; seeds of an earlier session): NEES 1.02 +-0.07 (n = 108),
   but angles of large ones hold 76 to 81 % where 90 % is stated.
 - **Flux.** All sizes of a run share their albedo, so 40 runs tell the share to some 4 %. Two earlier versions of the code held

@@ -42,10 +42,11 @@ from simulator.scene.atmosphere import Atmosphere, clouds_of, seeing_sigma_rad
 from simulator.scene.backdrop import Backdrop, add_moon, backdrop_of, diffuse_image
 from simulator.scene.cast import make_cast, summary, target_direction
 from simulator.scene.cirrus import make_cirrus
+from simulator.scene.clusters import clusters_around
 from simulator.scene.crossing import RowShutter, row_shutter
 from simulator.scene.galaxies import GalaxySky
 from simulator.scene.movers import first_seen_km, paths_of
-from simulator.scene.stars import StarSky, joined
+from simulator.scene.stars import StarField, StarSky, joined
 from simulator.scene.trail_image import Path, add_trail
 from simulator.sensor.lag import Lag, hand_on, lag_of
 from simulator.sensor.smear import add_smear
@@ -235,10 +236,27 @@ class Simulator:
             now = self._carrier.tai_ns(sight.reference_s)
             field = joined([field, self._asteroids.around(centre, float(np.degrees(radius_rad)), now, backdrop.observer_km)])
         planets = backdrop.planets_near(centre, radius_rad)
-        nebulae = None
-        if self.options.sky.galaxies.density > 0.0:
-            nebulae = self._galaxies.around(centre, float(np.degrees(radius_rad)))
-        return add_stars(image_e, field, nebulae, planets, backdrop, sight, velocity_km_s, shutter, camera, (self.seed, index))
+        return add_stars(
+            image_e,
+            field,
+            self._nebulae(centre, radius_rad),
+            planets,
+            backdrop,
+            sight,
+            velocity_km_s,
+            shutter,
+            camera,
+            (self.seed, index),
+        )
+
+    def _nebulae(self, centre: Array, radius_rad: float) -> StarField | None:
+        """Points of galaxies and globular clusters around a direction; None where there is nothing."""
+        sky, radius_deg, fields = self.options.sky, float(np.degrees(radius_rad)), []
+        if sky.galaxies.density > 0.0:
+            fields.append(self._galaxies.around(centre, radius_deg))
+        if sky.clusters:
+            fields += clusters_around(centre, radius_deg, self.options.instrument, self.seed)
+        return joined(fields) if fields else None
 
     def _paths(self, sight: LineOfSight, index: int, wanted: Iterable[int]) -> list[tuple[int, Path]]:
         """Paths of those wanted objects that come near the field in a frame."""

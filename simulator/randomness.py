@@ -41,6 +41,7 @@ class Effect(IntEnum):
     ASTEROIDS = 28  # orbits of the main belt
     GALAXIES = 29  # galaxies; block is the HEALPix pixel
     CIRRUS = 30  # structure of the unresolved light
+    CLUSTERS = 31  # members of globular clusters; block is the NGC number
 
 
 def generator(seed: int, effect: Effect | int, frame: int = 0, block: int = 0) -> np.random.Generator:

@@ -15,7 +15,7 @@ from ground.association.arc import ArcOrbit, arc_orbits
 from ground.association.associate import associate
 from ground.association.clusters import AssociationOptions, Cluster, judged
 from ground.association.correlate import candidates_of
-from ground.determination.forces import ForceModel
+from ground.determination.forces import ForceModel, step_of
 from ground.determination.measurements import Directions
 from ground.determination.propagation import propagate
 from ground.sky.sphere import east_north
@@ -189,10 +189,11 @@ def _arcs(data: Mapping[int, Directions], seen: Sequence[Sighting], pool: Execut
 
 
 def known_orbit(orbit: StoredOrbit, options: UpkeepOptions) -> KnownOrbit:
-    """An orbit with its forces. Parameters without a covariance of their own have the association's doubt of radiation."""
+    """An orbit with its forces. Where only the state has a covariance, radiation has the association's doubt, the rest none."""
     covariance = orbit.covariance
     if len(covariance) == 6 and orbit.parameters:
-        doubt = np.full(len(orbit.parameters), options.association.radiation_sigma_m2_kg**2)
+        of_radiation = options.association.radiation_sigma_m2_kg
+        doubt = np.array([of_radiation if name == "radiation" else 1e-6 * step_of(name) for name in orbit.parameters]) ** 2
         covariance = np.block([[covariance, np.zeros((6, len(doubt)))], [np.zeros((len(doubt), 6)), np.diag(doubt)]])
     return KnownOrbit(orbit=orbit, forces=forces_of(orbit, options.association), covariance=covariance)
 

@@ -22,6 +22,9 @@ CLIPPED_STD = 0.9866
 """Standard deviation of a unit Gaussian cut at +-3."""
 
 LEAST_SAMPLES = 32
+FREE_SLOPE = 0.5
+"""Slopes of a mesh, in sigma from tile to tile, that go on beyond the outer nodes whatever lies inside of them."""
+
 LEAST_SIGMA = 0.29
 """Noise of an ideal quantiser, 1/sqrt(12), in units of the pixels: no frame has less."""
 
@@ -163,9 +166,40 @@ def clipped_mesh(
 
 def neighbourhoods(mesh: NDArray[np.float32]) -> NDArray[np.float32]:
     """(9, rows, cols): every node with its eight neighbours; the outer nodes are repeated beyond the edge."""
-    rows, cols = mesh.shape
-    padded = np.pad(mesh, 1, mode="edge")
+    return _blocks(np.pad(mesh, 1, mode="edge"))
+
+
+def straight_neighbourhoods(mesh: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    """(9, rows, cols): the same, straight on beyond the edge: there, too, their median and mean on a slope are the node."""
+    return _blocks(continued(mesh, sigma))
+
+
+def _blocks(padded: NDArray[np.float32]) -> NDArray[np.float32]:
+    """(9, rows, cols) of a mesh (rows + 2, cols + 2)."""
+    rows, cols = padded.shape[0] - 2, padded.shape[1] - 2
     return np.stack([padded[i : i + rows, j : j + cols] for i in range(3) for j in range(3)])
+
+
+def continued(mesh: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    """The mesh with one node more on each side, where the slope of the outer interval leads; (rows + 2, cols + 2).
+
+    A slope of more than `FREE_SLOPE` sigma goes on if the next interval has half as much of it: a step between the two outer
+    nodes, as an overscan makes it, does not.
+    """
+    for axis in (0, 1):
+        nodes = np.moveaxis(mesh, axis, 0)
+        before, after = (_next(outer, FREE_SLOPE * sigma) for outer in (nodes[:3], nodes[-3:][::-1]))
+        mesh = np.moveaxis(np.concatenate((before[None], nodes, after[None])), 0, axis)
+    return mesh
+
+
+def _next(outer: NDArray[np.float32], free: float) -> NDArray[np.float32]:
+    """The nodes beyond the outer ones (up to 3, n), of which the first is at the edge. free : slope that always goes on."""
+    if len(outer) < 3:
+        return np.asarray(outer[0])
+    slope, inner = outer[0] - outer[1], 2.0 * (outer[1] - outer[2])
+    most = np.maximum(np.where(slope * inner > 0.0, np.abs(inner), 0.0), free)
+    return np.asarray(outer[0] + np.clip(slope, -most, most), dtype=outer.dtype)
 
 
 def fill_gaps(mesh: NDArray[np.float32], otherwise: float) -> NDArray[np.float32]:
@@ -204,6 +238,6 @@ class MeshBackground:
         level, sigma = fill_gaps(level, 0.0), fill_gaps(sigma, 1.0)
         return BackgroundModel(
             tile_px=self.tile_px,
-            level_adu=np.median(neighbourhoods(level), axis=0),
+            level_adu=np.median(straight_neighbourhoods(level, float(np.median(sigma))), axis=0),
             sigma_adu=np.median(neighbourhoods(sigma), axis=0),
         )

@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from onboard.image.background import continued
 from onboard.image.dark_map import BAND_ROWS, FRACTIONS_PER_ADU, STEPS_PER_ADU, Codes, DarkMap, split_value, whole_steps
 from sboc_e2e.icd.flags import MaskBit
 from sboc_e2e.icd.frame import LARGEST_ADU, Calibration, Frame, FrameHeader
@@ -166,19 +167,27 @@ def background_in_adu(background: BackgroundModel, counts: Counts) -> Background
 
 
 @njit(cache=True)
+def between_nodes(pixel: int, nodes: int, tile_px: int, pixels: int) -> tuple[int, float]:
+    """The interval of a mesh axis that a pixel is in, as its first node, and where in it, 0 at this node and 1 at the next.
+
+    nodes : with the one beyond each edge (`background.continued`); a level held from the outer tiles' middles on would be wrong
+    by half a tile's slope at the edge of the frame. Nodes stand at the middle of their tiles; the last tile may be shorter.
+    """
+    tiles = nodes - 2
+    position = (pixel - 0.5 * (tile_px - 1)) / tile_px + 1.0
+    last_px = pixels - (tiles - 1) * tile_px
+    if position > tiles - 1 and tiles > 1 and last_px < tile_px:
+        position = tiles - 1 + (position - (tiles - 1)) * 2.0 * tile_px / (tile_px + last_px)
+    first = min(max(int(position), 0), tiles)
+    return first, position - first
+
+
+@njit(cache=True)
 def expand_nodes(nodes: NDArray[np.float32], tile_px: int, out: NDArray[np.float32]) -> None:
-    """Linear interpolation of one mesh row to every column; constant beyond the outer node centres."""
-    last = nodes.size - 1
+    """Linear interpolation of one mesh row, with a node beyond each edge, to every column."""
     for col in range(out.size):
-        position = (col - 0.5 * (tile_px - 1)) / tile_px
-        if position <= 0.0 or last == 0:
-            out[col] = nodes[0]
-        elif position >= last:
-            out[col] = nodes[last]
-        else:
-            left = int(position)
-            share = np.float32(position - left)
-            out[col] = nodes[left] + share * (nodes[left + 1] - nodes[left])
+        left, share = between_nodes(col, nodes.size, tile_px, out.size)
+        out[col] = nodes[left] + np.float32(share) * (nodes[left + 1] - nodes[left])
 
 
 @njit(cache=True, fastmath={"contract", "nsz", "arcp"})  # no NaN reaches this loop; reordering changes the last bit only
@@ -243,10 +252,10 @@ def residual_pass(
 
     mask : the map of defects, to which saturated pixels are added.
     row_sums : (rows, 2) number and sum of each row's usable values within +-limit, taken while the row is in the cache.
-    `MaskBit.SATURATED` (4) is set from the pixels before the dark is removed; level_nodes are relative to the offset.
+    `MaskBit.SATURATED` (4) is set from the pixels before the dark is removed; level_nodes are relative to the offset,
+    with a node beyond each edge.
     """
     rows, cols = pixels.shape
-    last = level_nodes.shape[0] - 1
     upper, lower = np.empty(cols, dtype=np.float32), np.empty(cols, dtype=np.float32)
     level = np.empty(cols, dtype=np.float32)
     codes, middle, first, column, value, corner = dark
@@ -255,13 +264,12 @@ def residual_pass(
     held = -1
     unusable = 0
     for row in range(rows):
-        position = min(max((row - 0.5 * (tile_px - 1)) / tile_px, 0.0), float(last))
-        above = min(int(position), max(last - 1, 0))
+        above, place = between_nodes(row, level_nodes.shape[0], tile_px, rows)
         if above != held:
             expand_nodes(level_nodes[above], tile_px, upper)
-            expand_nodes(level_nodes[min(above + 1, last)], tile_px, lower)
+            expand_nodes(level_nodes[above + 1], tile_px, lower)
             held = above
-        share = np.float32(position - above)
+        share = np.float32(place)
         for col in range(cols):
             level[col] = upper[col] + share * (lower[col] - upper[col])
         line = row + corner[0]
@@ -297,15 +305,16 @@ def fill_residual(counts: Counts, background: BackgroundModel, residual: NDArray
     background : in ADU. residual : (rows, cols) ADU, filled.
     """
     row_sums = np.empty((len(residual), 2))
+    sigma_adu = float(np.median(background.sigma_adu))
     n_masked = residual_pass(
         counts.pixels,
         counts.dark.codes,
         counts.defects,
-        background.level_adu - np.float32(counts.adu_offset),
+        continued(background.level_adu - np.float32(counts.adu_offset), sigma_adu),
         background.tile_px,
         counts.saturation,
         counts.adu_scale,
-        ROW_LIMIT_SIGMA * float(np.median(background.sigma_adu)),
+        ROW_LIMIT_SIGMA * sigma_adu,
         residual,
         row_sums,
     )

@@ -40,3 +40,18 @@ def number_within(points: NDArray[np.float64], within_px: float) -> NDArray[np.i
             square = (row[k] - points[n, 0]) ** 2 + (points[order[k], 1] - points[n, 1]) ** 2
             number[n] += 1 if square <= within_px * within_px else 0
     return number
+
+
+@njit(cache=True)
+def inside(
+    row: NDArray[np.float64], col: NDArray[np.float64], ends: tuple[float, float, float, float], reach_px: float
+) -> NDArray[np.int64]:
+    """Which of some points (n,) lie in the upright rectangle about a segment (row0, col0, row1, col1), grown by a reach (px)."""
+    top, bottom = min(ends[0], ends[2]) - reach_px, max(ends[0], ends[2]) + reach_px
+    left, right = min(ends[1], ends[3]) - reach_px, max(ends[1], ends[3]) + reach_px
+    found, count = np.empty(row.size, np.int64), 0
+    for k in range(row.size):
+        if top <= row[k] <= bottom and left <= col[k] <= right:
+            found[count] = k
+            count += 1
+    return found[:count]

@@ -42,29 +42,41 @@ def inverse(transform: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.column_stack([back, -back @ transform[:, 2]])
 
 
-def _places(stars: StarList) -> NDArray[np.float64]:
-    """Places (n, 2) of a list's stars, brightest first, without what is sharper than one: hot pixels stay where stars move."""
-    blurred = (stars.flags & int(StarFlag.COSMIC_LIKE)) == 0
+def _places(stars: StarList, *, single: bool = False) -> NDArray[np.float64]:
+    """Places (n, 2) of a list's stars, brightest first, without what is sharper than one: hot pixels stay where stars move.
+
+    single : without blends either. Every long trail is listed as a row of them, and trails of one motion move alike.
+    """
+    blurred = (stars.flags & int(StarFlag.COSMIC_LIKE | (StarFlag.BLENDED if single else StarFlag(0)))) == 0
     return np.column_stack([stars.row[blurred], stars.col[blurred]])
+
+
+def _shift(old: NDArray[np.float64], new: NDArray[np.float64], reach_px: float) -> tuple[NDArray[np.float64], int]:
+    """The shift (2,) that most pairs of places (n, 2), (m, 2) have, and how many have it."""
+    shifts = (new[None, :BRIGHTEST] - old[:BRIGHTEST, None]).reshape(-1, 2)
+    shifts = shifts[np.abs(shifts).max(axis=1) <= reach_px]
+    if len(shifts) == 0:
+        return np.zeros(2), 0
+    winner = shifts[int(np.argmax(number_within(shifts, 2.0)))]
+    same = shifts[np.hypot(*(shifts - winner).T) <= 2.0]
+    return same.mean(axis=0), len(same)
 
 
 def register(earlier: StarList, now: StarList, *, reach_px: float) -> NDArray[np.float64] | None:
     """The (2, 3) transform that takes (row, col) of `earlier` to `now`, or None when fewer than 5 stars agree.
 
-    Shifts between the brightest stars vote in cells of 2 px (up to reach_px); the winner is refined by matching bright
-    stars within 3, then 1.5 px and fitting a similarity. Rotation
+    Shifts between the brightest stars vote within 2 px (up to reach_px), those that are no blends first; the winner is refined by
+    matching bright stars within 3, then 1.5 px and fitting a similarity. Rotation
     between frames must move no star by more than ~3 px for the vote.
     """
     old, new = _places(earlier), _places(now)
     if len(old) < LEAST or len(new) < LEAST:
         return None
-    bright_old, bright_new = old[:BRIGHTEST], new[:BRIGHTEST]
-    shifts = (bright_new[None, :, :] - bright_old[:, None, :]).reshape(-1, 2)
-    shifts = shifts[np.abs(shifts).max(axis=1) <= reach_px]
-    if len(shifts) == 0:
+    shift, votes = _shift(_places(earlier, single=True), _places(now, single=True), reach_px)
+    if votes < LEAST:
+        shift, votes = _shift(old, new, reach_px)
+    if votes == 0:
         return None
-    winner = shifts[int(np.argmax(number_within(shifts, 2.0)))]
-    shift = shifts[np.hypot(*(shifts - winner).T) <= 2.0].mean(axis=0)
     transform = np.column_stack([np.eye(2), shift])
     points, target = old[:MATCHED], new[: 2 * MATCHED]
     for radius in (3.0, 1.5, 1.0):

@@ -10,9 +10,9 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from onboard.image.background import LEAST_SAMPLES, fill_gaps, neighbourhoods
-from onboard.image.calibrate import expand_nodes, sums_within
-from onboard.image.fine_sky import fine_nodes, structured_tiles
+from onboard.image.background import LEAST_SAMPLES, continued, fill_gaps, neighbourhoods
+from onboard.image.calibrate import between_nodes, expand_nodes
+from onboard.image.fine_sky import bent_tiles, fine_nodes, structured_tiles
 from sboc_e2e.icd.signals import BackgroundModel, StarList
 
 ROW_STEP = 8
@@ -44,6 +44,26 @@ def mark_stars(
                 out[line, k] = 1
 
 
+@njit(cache=True, fastmath={"contract", "nsz"})
+def _add_usable(
+    residual: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    marked: NDArray[np.uint8],
+    limit: NDArray[np.float32],
+    number: NDArray[np.float32],
+    total: NDArray[np.float32],
+    squares: NDArray[np.float32],
+) -> None:
+    """Add a row's unmarked, unmasked values within +-limit to sums of columns; a loop of vector instructions."""
+    for col in range(residual.size):
+        value = residual[col]
+        good = (mask[col] | marked[col]) == 0 and abs(value) < limit[col]
+        kept = value if good else np.float32(0.0)
+        number[col] += np.float32(1.0) if good else np.float32(0.0)
+        total[col] += kept
+        squares[col] += kept * kept
+
+
 @njit(cache=True)
 def star_free_moments(
     residual: NDArray[np.float32],
@@ -57,18 +77,20 @@ def star_free_moments(
 ) -> None:
     """Mean and standard deviation of unmarked, unmasked values of each tile within 4 sigma; NaN where too few."""
     rows, cols = residual.shape
+    sums, limit = np.empty((3, cols), np.float32), np.empty(cols, np.float32)
     for i in range(mean.shape[0]):
-        first = -(-i * tile_px // row_step)
+        for col in range(cols):
+            limit[col] = np.float32(CLIP_SIGMA) * sigma_nodes[i, col // tile_px]
+        sums[:] = 0.0
+        for line in range(-(-i * tile_px // row_step), marked.shape[0]):
+            row = line * row_step
+            if row >= min((i + 1) * tile_px, rows):
+                break
+            _add_usable(residual[row], mask[row], marked[line], limit, sums[0], sums[1], sums[2])
         for j in range(mean.shape[1]):
-            col0, col1 = j * tile_px, min((j + 1) * tile_px, cols)
-            limit = np.float32(CLIP_SIGMA) * sigma_nodes[i, j]
             number, total, squares = 0.0, 0.0, 0.0
-            for line in range(first, marked.shape[0]):
-                row = line * row_step
-                if row >= min((i + 1) * tile_px, rows):
-                    break
-                n, s, q = sums_within(residual[row, col0:col1], mask[row, col0:col1], marked[line, col0:col1], limit)
-                number, total, squares = number + float(n), total + float(s), squares + float(q)
+            for col in range(j * tile_px, min((j + 1) * tile_px, cols)):
+                number, total, squares = number + sums[0, col], total + sums[1, col], squares + sums[2, col]
             mean[i, j], deviation[i, j] = np.nan, np.nan
             if number >= LEAST_SAMPLES:
                 mean[i, j] = total / number
@@ -141,20 +163,21 @@ def shift_level(
     tile_px: int,
     offsets: NDArray[np.float32],
 ) -> None:
-    """Take an interpolated mesh and an offset of each row away from the image in place; masked pixels keep their 0."""
+    """Take an interpolated mesh and an offset of each row away from the image in place; masked pixels keep their 0.
+
+    nodes : with one beyond each edge.
+    """
     rows, cols = residual.shape
-    last = nodes.shape[0] - 1
     upper, lower = np.empty(cols, dtype=np.float32), np.empty(cols, dtype=np.float32)
     shift = np.empty(cols, dtype=np.float32)
     held = -1
     for row in range(rows):
-        position = min(max((row - 0.5 * (tile_px - 1)) / tile_px, 0.0), float(last))
-        above = min(int(position), max(last - 1, 0))
+        above, place = between_nodes(row, nodes.shape[0], tile_px, rows)
         if above != held:
             expand_nodes(nodes[above], tile_px, upper)
-            expand_nodes(nodes[min(above + 1, last)], tile_px, lower)
+            expand_nodes(nodes[above + 1], tile_px, lower)
             held = above
-        share = np.float32(position - above)
+        share = np.float32(place)
         for col in range(cols):
             shift[col] = upper[col] + share * (lower[col] - upper[col]) + offsets[row]
         _shift_row(residual[row], mask[row], shift)
@@ -176,8 +199,10 @@ def _take_out_structure(
     sigma_adu: NDArray[np.float32],
     tile_px: int,
     structured: NDArray[np.bool_],
-) -> NDArray[np.float32]:
-    """Bring structured tiles of the image to a level on tiles of half the size, in place; returns the change of the mesh."""
+) -> tuple[NDArray[np.float32], NDArray[np.float32]]:
+    """Bring structured tiles of the image to a level on tiles of half the size, in place; the change of the mesh, and the noise
+    within such tiles, NaN where too few pixels tell: within whole tiles the structure passes for noise.
+    """
     half = tile_px // 2
     shape = tuple(-(-n // half) for n in residual.shape)
     marked = np.zeros(residual.shape, dtype=np.uint8)
@@ -186,9 +211,14 @@ def _take_out_structure(
     half_structured = np.repeat(np.repeat(structured, 2, axis=0), 2, axis=1)[: shape[0], : shape[1]]
     mean, deviation = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
     star_free_moments(residual, mask, marked, 1, half, half_sigma, mean, deviation)
-    nodes = fine_nodes(mean, half_structured)
-    shift_level(residual, mask, nodes, half, np.zeros(len(residual), dtype=np.float32))
-    even = np.pad(nodes, [(0, n % 2) for n in shape], mode="edge")
+    nodes = fine_nodes(mean, half_sigma / np.float32(half), half_structured)
+    shift_level(residual, mask, continued(nodes, float(np.median(sigma_adu))), half, np.zeros(len(residual), dtype=np.float32))
+    return _of_whole_tiles(nodes), np.sqrt(_of_whole_tiles(deviation**2))
+
+
+def _of_whole_tiles(halves: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Means over 2 x 2 tiles of half the size; those beyond the edge are the last ones again."""
+    even = np.pad(halves, [(0, n % 2) for n in halves.shape], mode="edge")
     return np.asarray(even.reshape(even.shape[0] // 2, 2, even.shape[1] // 2, 2).mean(axis=(1, 3)), dtype=np.float32)
 
 
@@ -215,13 +245,15 @@ def without_stars(
     star_free_moments(residual, mask, marked, row_step, tile_px, background.sigma_adu, mean, deviation)
     shift = neighbourhoods(fill_gaps(mean, 0.0)).mean(axis=0)
     sigma = np.where(np.isfinite(deviation) & (deviation > 0.0), deviation, background.sigma_adu).astype(np.float32)
-    shift_level(residual, mask, shift, tile_px, row_offsets(row_sums, residual.shape[1], float(np.median(sigma))))
+    noise = float(np.median(sigma))
+    shift_level(residual, mask, continued(shift, noise), tile_px, row_offsets(row_sums, residual.shape[1], noise))
     # a second look at what the mesh left over: the first one's means are relative to the level before
     star_free_moments(residual, mask, marked, row_step, tile_px, background.sigma_adu, mean, deviation)
-    structured = structured_tiles(mean, sigma, tile_px * tile_px // row_step)
+    structured = structured_tiles(mean, sigma, tile_px * tile_px // row_step) | bent_tiles(background.level_adu, sigma)
     if structured.any() and tile_px % 2 == 0:
         reach = star_reach_px(stars, sigma_e, psf_sigma_px)
-        shift = shift + _take_out_structure(residual, mask, stars, reach, background.sigma_adu, tile_px, structured)
+        change, within = _take_out_structure(residual, mask, stars, reach, background.sigma_adu, tile_px, structured)
+        shift, sigma = shift + change, np.where(structured & (within > 0.0), within, sigma)
     return BackgroundModel(
         tile_px=tile_px,
         level_adu=background.level_adu + shift,

@@ -237,6 +237,8 @@ class MatchedStars:
     ) -> StarList | None:
         """Stars of a frame whose pointing moved by more than a few pixels; None when its stars share no such motion.
 
+        Where more points stand still than trails share the motion, the points are the stars and the trails are objects: a few
+        bright ones side by side outshine the stars of a poor field.
         peaks : of the frame as if stars were points. bright, like_point : the brightest, and which of them are points.
         """
         # kernels that frames with stars as points need not load
@@ -263,6 +265,9 @@ class MatchedStars:
         view.work.leave(Work.STARS, max(0, min(FITTED_TRAILS, len(found)) - int(np.count_nonzero(chosen))))
         fits, flags = trails.listed(view, found, half, width, sigma_adu, gain_e_adu, chosen)
         points, point_flags = self._points_among_trails(view, peaks, bright[like_point], painted, motion, gain_e_adu)
+        still = (point_flags & np.uint8(StarFlag.TRAILED | StarFlag.COSMIC_LIKE)) == 0
+        if np.count_nonzero(still & (points[:, 3] >= threshold)) > len(fits):
+            return None
         return by_flux(np.vstack((fits, points)), np.concatenate((flags, point_flags)), gain_e_adu, motion=motion)
 
 

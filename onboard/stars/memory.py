@@ -14,6 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from onboard.image import registration
+from onboard.image.nearest import inside
 from sboc_e2e.icd.flags import StarFlag, StreakFlag
 from sboc_e2e.icd.signals import FIXED_POINT, Detection, RoiGroup, StarList
 
@@ -58,7 +59,7 @@ def usable_stars(stars: StarList, detections: Sequence[Detection], psf_sigma_px:
     good = ((stars.flags & NOT_KEPT) == 0) & (stars.snr >= LEAST_SNR) & (stars.flux_e > 0.0)
     for detection in detections:
         reach = SPOILT_SIGMAS * psf_sigma_px + abs(detection.sagitta_px)
-        near = np.flatnonzero(_beside(detection, stars, reach))
+        near = inside(stars.row, stars.col, (detection.row0, detection.col0, detection.row1, detection.col1), reach)
         good[near] &= distance_px(detection, stars.row[near], stars.col[near]) > reach
     return part_of(stars, np.flatnonzero(good))
 
@@ -122,14 +123,6 @@ def distance_px(detection: Detection, row: Array, col: Array) -> Array:
     square = max(drow**2 + dcol**2, 1e-12)
     share = np.clip(((row - detection.row0) * drow + (col - detection.col0) * dcol) / square, 0.0, 1.0)
     return np.asarray(np.hypot(row - detection.row0 - share * drow, col - detection.col0 - share * dcol))
-
-
-def _beside(detection: Detection, stars: StarList, reach: float) -> NDArray[np.bool_]:
-    """Which stars lie in the upright rectangle about a detection, grown by `reach` px."""
-    top, bottom = sorted((detection.row0, detection.row1))
-    left, right = sorted((detection.col0, detection.col1))
-    inside = (stars.row >= top - reach) & (stars.row <= bottom + reach)
-    return np.asarray(inside & (stars.col >= left - reach) & (stars.col <= right + reach))
 
 
 def _chained(second: Array, first: Array) -> Array:

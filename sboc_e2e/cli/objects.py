@@ -101,6 +101,18 @@ def update(
 
 
 @objects_app.command()
+def page(
+    at: Annotated[str, typer.Option("--at", help="UTC for which errors of place are given, such as 2026-11-22T12:00:00")],
+    out: Annotated[Path, typer.Option("--out", help="the page")] = Path("objects.html"),
+    store: Store = "objects.db",
+) -> None:
+    """Write a page of the catalogue's state: quality of each orbit, residuals, decisions."""
+    from sboc_e2e.objects.page import write_page
+
+    typer.echo(write_page(store, at, out))
+
+
+@objects_app.command()
 def light(
     name: Annotated[str, typer.Argument(help="object of the catalogue")],
     messages: Annotated[list[Path], typer.Argument(help="tracking data messages (TDM) with MAG")],

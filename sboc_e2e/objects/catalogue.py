@@ -44,7 +44,7 @@ def add_precise(url: str, path: Path, names: list[str]) -> list[str]:
             writer.add_orbits([
                 StoredOrbit(
                     object_id=number, epoch_tai_ns=solution.t0_tai_ns, state=solution.state,
-                    covariance=solution.covariance[:6, :6], made_tai_ns=made, made_by=f"fit to {path.name}"[:64],
+                    covariance=solution.covariance, made_tai_ns=made, made_by=f"fit to {path.name}"[:64],
                     parameters=parameters, chi2_nu=solution.chi2_nu, n_used=int((solution.weights > 0.0).sum()),
                 )
             ])  # fmt: skip

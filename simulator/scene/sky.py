@@ -73,6 +73,7 @@ class SkyOptions:
     moon: bool = field(default=False, metadata={"doc": "the Moon shines, and its light scatters in air and optics"})
     planets: bool = field(default=False, metadata={"doc": "planets shine"})
     asteroids: AsteroidOptions = field(default_factory=AsteroidOptions, metadata={"doc": "asteroids of the main belt"})
+    clusters: bool = field(default=False, metadata={"doc": "globular clusters shine"})
     galaxies: GalaxyOptions = field(default_factory=GalaxyOptions, metadata={"doc": "galaxies"})
     earth: bool = field(
         default=True, metadata={"doc": "the Earth hides stars, shines in the field and scatters in optics (orbits)"}

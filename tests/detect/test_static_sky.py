@@ -5,6 +5,8 @@ import pytest
 
 from onboard.detect.line_integral import static_sky
 from onboard.image import registration
+from sboc_e2e.icd.flags import StarFlag
+from sboc_e2e.icd.signals import StarList
 
 SIZE = 64
 CLIP = 120
@@ -53,3 +55,19 @@ def test_stars_of_the_earlier_frame_where_they_stood_on_the_sensor_refuse_nothin
     for sky, low, high in ((then, -0.01, 0.01), (here, 3.0, 8.0)):
         before = static_sky.segment_snr_before(pixels, here, sky, blocked, 0, level, SIZE, ends, 0.85)
         assert low <= before <= high
+
+
+def test_trails_of_one_motion_do_not_outvote_the_stars() -> None:
+    """Twelve stars stand still; six trails, listed as rows of five blends, moved by 36 px."""
+    rng = np.random.default_rng(4)
+    stars = rng.uniform(10.0, 246.0, (12, 2))
+    lanes = np.column_stack([np.repeat(20.0 + 40.0 * np.arange(6), 5), 30.0 + np.tile(7.0 * np.arange(5), 6)])
+    lists = []
+    for moved in (0.0, 36.0):
+        row, col = np.concatenate([lanes + np.array((0.0, moved)), stars]).T
+        blend = np.where(np.arange(len(row)) < len(lanes), int(StarFlag.BLENDED), 0).astype(np.uint8)
+        light = np.linspace(100.0, 10.0, len(row), dtype=np.float32)
+        lists.append(StarList(row=row, col=col, flux_e=light, snr=light, flags=blend))
+    transform = registration.register(*lists, reach_px=64.0)
+    assert transform is not None
+    assert np.abs(transform - static_sky.IDENTITY).max() < 1e-6

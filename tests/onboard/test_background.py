@@ -4,12 +4,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from onboard.image.background import MeshBackground, fill_gaps
+from onboard.image.background import MeshBackground, continued, fill_gaps
 from onboard.image.calibrate import residual_pass, runs_of, write_runs
 from onboard.image.dark_map import DarkMap
 from onboard.image.star_free_sky import row_offsets, without_stars
 from onboard.stars.matched import MatchedStars
 from sboc_e2e.icd.signals import BackgroundModel
+from tests.benchmarks.other_skies import chain, frame
 from tests.onboard.star_fields import GAIN_E_ADU, PEDESTAL_ADU, READ_NOISE_E, SKY_E, star_grid
 from tests.onboard.test_stars import view_of
 
@@ -42,6 +43,40 @@ def test_level_follows_a_gradient() -> None:
     mesh = mesh_of(noisy(slope, (512, 512), 2))
     nodes = 40.0 * (np.arange(8) * 64 + 31.5) / 511.0
     assert np.abs(mesh.level_adu - nodes)[:, 1:-1].max() < 0.15 * 2.4
+
+
+def _residual_of(level_adu: NDArray[np.float64], seed: int) -> NDArray[np.float32]:
+    """What is left of sky at a level once its background is out, in units of the noise."""
+    pixels = noisy(level_adu, level_adu.shape, seed)
+    run = chain(len(pixels))
+    return run.prepare(run.initial_state(), frame(0, pixels)).view.residual_adu / np.float32(2.4)
+
+
+@pytest.mark.parametrize("side", [512, 540])
+def test_a_slope_is_followed_to_the_edge_of_the_frame(side: int) -> None:
+    """Two sigma from tile to tile both ways: held at the outer nodes the level was wrong by a sigma at the edge."""
+    row, col = np.indices((side, side))
+    left = _residual_of(100.0 + 2.4 * 2.0 / 64.0 * (row + col), 12)
+    for rim in (left[:16], left[-16:], left[:, :16], left[:, -16:]):
+        assert abs(float(rim.mean())) < 0.05
+
+
+def test_a_bend_is_followed_to_the_edge_of_the_frame() -> None:
+    """Half a sigma of second difference from tile to tile, as where the glow of the Moon leaves the frame."""
+    row = np.arange(1024.0)[:, None] * np.ones((1, 1024))
+    left = _residual_of(100.0 + 2.4 * 0.25 * (row / 64.0) ** 2, 13)
+    rims = (left[:16], left[-16:], left[:, :16], left[:, -16:])
+    assert np.sqrt(np.mean([float(rim.mean()) ** 2 for rim in rims])) < 0.02
+
+
+def test_a_mesh_goes_on_straight_beyond_its_outer_nodes_but_not_from_a_step() -> None:
+    row, col = np.indices((3, 5)).astype(np.float32)
+    wide = np.indices((5, 7)).astype(np.float32) - 1.0
+    assert np.array_equal(continued(2.0 * row - col, 0.1), 2.0 * wide[0] - wide[1])
+    assert (continued(np.full((1, 1), 7.0, np.float32), 1.0) == np.full((3, 3), 7.0)).all()
+    step = np.array([[0.0, 900.0, 901.0, 902.0]], np.float32)
+    assert continued(step, 1.0)[1, [0, -1]].tolist() == [-2.0, 903.0]
+    assert continued(step, 100.0)[1, [0, -1]].tolist() == [-50.0, 903.0]
 
 
 def test_stars_do_not_lift_the_level_seen_by_the_detector() -> None:
@@ -94,8 +129,8 @@ def test_gaps_are_filled_outwards() -> None:
 
 
 def test_residual_is_raw_minus_dark_minus_level() -> None:
-    """Against plain numpy with scipy's interpolation of the mesh, to float32."""
-    from scipy.ndimage import map_coordinates
+    """Against plain numpy with scipy's interpolation of the mesh and of a node beyond each edge, to float32."""
+    from scipy.interpolate import RegularGridInterpolator
 
     rng = np.random.default_rng(6)
     shape, tile = (150, 200), 32
@@ -107,10 +142,10 @@ def test_residual_is_raw_minus_dark_minus_level() -> None:
     residual, mask = np.empty(shape, np.float32), defects.copy()
     sums = np.empty((150, 2))
     dark_map = DarkMap.of((dark + fraction / 128.0).astype(np.float32))
-    number = residual_pass(pixels, dark_map.codes, mask, nodes, tile, 4000, 1.0, 60.0, residual, sums)
-    row, col = np.indices(shape)
-    where = [np.clip((row - 15.5) / tile, 0, 4), np.clip((col - 15.5) / tile, 0, 6)]
-    level = map_coordinates(nodes.astype(np.float64), where, order=1, mode="nearest")
+    number = residual_pass(pixels, dark_map.codes, mask, continued(nodes, 1.0), tile, 4000, 1.0, 60.0, residual, sums)
+    middles = [np.append(np.arange(n // tile) * tile + 15.5, 0.5 * (n // tile * tile + n - 1)) for n in shape]
+    middles = [np.concatenate(([2 * m[0] - m[1]], m, [2 * m[-1] - m[-2]])) for m in middles]
+    level = RegularGridInterpolator(middles, continued(nodes, 1.0).astype(np.float64))(tuple(np.indices(shape)))
     expected = pixels.astype(np.float64) - dark - fraction / 128.0 - level
     expected[(defects != 0) | (pixels >= 4000)] = 0.0
     assert np.abs(residual - expected).max() < 1e-3

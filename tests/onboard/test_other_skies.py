@@ -1,16 +1,20 @@
 """Facts about the chain under skies that are not the simulator's: drawn by `sky_frames`."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
+import pytest
 
 from onboard.detect import whiten
 from onboard.detect.line_integral import point_movers
-from onboard.image.fine_sky import fine_nodes, structured_tiles
+from onboard.image.background import MeshBackground
+from onboard.image.fine_sky import bent_tiles, fine_nodes, followed, structured_tiles
 from sboc_e2e.icd.flags import StreakFlag
 from tests.benchmarks import sky_frames
 from tests.benchmarks.bench_detection import score
-from tests.benchmarks.other_skies import second_of
+from tests.benchmarks.other_skies import chain, frame, second_of
+from tests.onboard.test_background import noisy
 
 
 def test_short_movers_under_a_sharper_psf_are_no_particle_tracks() -> None:
@@ -75,6 +79,48 @@ def test_a_fine_mesh_keeps_the_means_of_its_tiles() -> None:
     """Linear interpolation between the nodes has the measured mean over each tile, but for terms of fourth order."""
     k = np.arange(40.0)
     mean = np.tile(np.sin(2.0 * np.pi * k * 32.0 / 200.0), (40, 1)).astype(np.float32)
-    nodes = fine_nodes(mean, np.ones(mean.shape, bool))[20]
+    nodes = fine_nodes(mean, np.full(mean.shape, 1e-6, np.float32), np.ones(mean.shape, bool))[20]
     over = 0.75 * nodes[1:-1] + 0.125 * (nodes[:-2] + nodes[2:])
     assert np.abs(over - mean[20, 1:-1])[1:-1].max() < 0.02
+    # straight on beyond the outer nodes, the mean over an outer tile is that of its node
+    assert np.allclose(nodes[[0, -1]], mean[20, [0, -1]])
+
+
+def test_a_fine_mesh_follows_waves_and_leaves_trails_their_light() -> None:
+    """A wave of 200 px loses 7 % of its height; a faint trail along a row of tiles half as much light as to the tiles alone."""
+    k = np.arange(40.0)
+    noise = np.full((40, 40), 1.0 / 32.0)
+    wave = 0.05 * np.tile(np.sin(2.0 * np.pi * k * 32.0 / 200.0), (40, 1))
+    assert np.abs(followed(wave, noise) - wave)[:, 2:-2].max() < 0.08 * 0.05
+    trail = np.zeros((40, 40))
+    trail[17] = 0.05
+    assert followed(trail, noise)[17].max() < 0.5 * 0.05
+    # light that is no parabola's stays where it is: the aureole of one star, the limb of a bright body
+    limb = np.where(np.hypot(*(np.indices((40, 40)) - 12.0)) < 5.0, 1.0, 0.0)
+    assert np.abs(followed(limb, noise) - limb).max() < 0.2
+    assert np.abs(followed(limb, noise) - limb)[np.hypot(*(np.indices((40, 40)) - 12.0)) > 8.0].max() < 0.02
+
+
+def test_noise_is_that_within_tiles_of_a_wave() -> None:
+    """A wave of 0.6 sigma raised the noise by 8 %, and every S/N fell by as much."""
+    rng = np.random.default_rng(6)
+    light = np.full((512, 512), sky_frames.SKY_E) + sky_frames.ripple_light(512, 0.6 * sky_frames.SIGMA_E, rng)
+    run = chain(512)
+    view = run.prepare(run.initial_state(), frame(0, sky_frames.digitised(sky_frames.exposed(light, rng)))).view
+    assert float(np.median(view.background.sigma_adu)) == pytest.approx(
+        math.hypot(sky_frames.SIGMA_E, 1.0 / math.sqrt(12.0)), rel=0.02
+    )
+
+
+def test_only_a_mesh_that_bends_is_measured_on_the_finer_one() -> None:
+    """A slope with noise does not bend; a glow that falls as r^-3 does, near its source."""
+    pixel_row, pixel_col = np.indices((1024, 1024))
+    pixels = noisy(200.0 + 0.05 * pixel_row - 0.03 * pixel_col, (1024, 1024), 3)
+    mesh = MeshBackground().estimate(pixels, np.zeros(pixels.shape, np.int16), np.zeros(pixels.shape, np.uint8))
+    assert not bent_tiles(mesh.level_adu, mesh.sigma_adu).any()
+    row, col = np.indices((32, 32)).astype(np.float64)
+    sigma = np.ones((32, 32), np.float32)
+    glow = (300.0 / np.maximum(np.hypot(row - 10.0, col - 21.0) / 2.2, 1.0) ** 3).astype(np.float32)
+    bent = bent_tiles(glow, sigma)
+    assert bent[np.hypot(row - 10.0, col - 21.0) < 9.0].all()
+    assert not bent[np.hypot(row - 10.0, col - 21.0) > 20.0].any()

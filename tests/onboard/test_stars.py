@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from onboard.image.background import MeshBackground
+from onboard.image.background import MeshBackground, continued
 from onboard.image.calibrate import residual_pass
 from onboard.image.dark_map import DarkMap
 from onboard.stars.fits import fit_stars
@@ -34,10 +34,10 @@ def view_of(pixels: NDArray[np.uint16], *, psf_sigma_px: float = SIGMA_PX, satur
     dark = DarkMap.of(np.full(shape, PEDESTAL_ADU, np.float32))
     mask, residual = np.zeros(shape, np.uint8), np.empty(shape, np.float32)
     background = MeshBackground().estimate(pixels, dark.whole_adu(), mask)
+    nodes = continued(background.level_adu, 2.4)
     residual_pass(
-        pixels, dark.codes, mask, background.level_adu, background.tile_px, int(saturation_adu), 1.0, 10.0, residual,
-        np.empty((shape[0], 2)),
-    )  # fmt: skip
+        pixels, dark.codes, mask, nodes, background.tile_px, int(saturation_adu), 1.0, 10.0, residual, np.empty((shape[0], 2))
+    )
     header = FrameHeader(
         frame=0, t_start_tai_ns=0, exposure_ns=1, line_time_ns=0, rows=shape[0], cols=shape[1],
         gain_e_adu=GAIN_E_ADU, saturation_adu=saturation_adu,

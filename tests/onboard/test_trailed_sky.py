@@ -78,6 +78,27 @@ def test_all_but_overlapping_stars_are_listed_at_their_middle() -> None:
     assert np.median(apart[inside]) < 0.3
 
 
+def test_a_few_objects_side_by_side_do_not_pass_for_trailing_stars() -> None:
+    """Six bright trails with one motion in a poor field: they were taken for the stars, and forty faint stars for objects."""
+    rng = np.random.default_rng(9)
+    places, snr = rng.uniform(8.0, SIDE - 8.0, (40, 2)), rng.uniform(8.0, 30.0, 40)
+    frames = []
+    for number in range(2):
+        light = np.full((SIDE, SIDE), sky_frames.SKY_E)
+        width = sky_frames.width_px(sky_frames.FWHM_PX)
+        flux = snr * sky_frames.SIGMA_E * 2.0 * math.sqrt(math.pi) * width
+        sky_frames.add_points(light, *places.T, flux, sky_frames.FWHM_PX)
+        for k in range(6):
+            row, col = 80.0 + 110.0 * k, 100.0 + 20.0 * k + 36.0 * number
+            add_streak(light, (row, col, row + 2.0, col + 28.0), 300.0, width)
+        frames.append(sky_frames.digitised(sky_frames.exposed(light, rng)))
+    result, _ = second_of(*frames)
+    assert result.stars.motion is None
+    found = sorted(d.row0 for d in result.detections if not d.flags & StreakFlag.COSMIC_LIKE and d.length_px > 20.0)
+    assert found == pytest.approx([80.0 + 110.0 * k for k in range(6)], abs=3.0)
+    assert len(result.detections) == 6
+
+
 def test_a_motion_is_found_among_trails_that_go_all_ways() -> None:
     """Sixty trails of a turn about a point in the frame, signs at random, and thirty of anything."""
     rng = np.random.default_rng(7)

@@ -48,7 +48,7 @@ WORLD = {
         'sensor.structure.column_noise="3 e-"', 'sensor.structure.black_drift="20 e-"', "sensor.converter.gain_error=0.02",
         "sensor.converter.low_gain_error=0.02", "sensor.ccd.transfer_loss=1e-3", "sensor.dark.hot_growth_per_year=0.01",
         "sensor.calibration.age_years=3", "sky.moon=true", "sky.planets=true", "instrument.scatter.strength=0.1",
-        "sensor.structure.lag=0.1", "sky.structure=1.0", "sky.galaxies.density=20",
+        "sensor.structure.lag=0.1", "sky.clusters=true", "sky.structure=1.0", "sky.galaxies.density=20",
         "sky.asteroids.density=30", 'sky.asteroids.faint_limit="13 mag"',
         "sensor.calibration.flat_error=0.02", "sensor.calibration.flat_change_per_year=0.01",
         "sensor.converter.nonlinearity_error=1.0", *ENCOUNTERS,
@@ -84,6 +84,7 @@ WHEN = {
     "the Moon": ('epoch_utc="2027-01-22T12:00:00"',),  # 1.4 deg from the anti-Sun point
     "planets": ('epoch_utc="2027-02-10T23:00:00"',),  # Jupiter stands against the Sun
     "the Earth in the field": ('pointing.law="nadir"', 'pointing.tilt="62 deg"'),
+    "globular clusters": ('pointing.law="inertial"', 'pointing.ra="250.42 deg"', 'pointing.dec="36.46 deg"'),
     "veil of bodies outside the field": ('epoch_utc="2027-01-22T12:00:00"',),
 }
 """When and where an effect is to be seen."""

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import time
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from ground.upkeep.night import UpkeepOptions, directions_of, position_error_km,
 from sboc_e2e.cli.main import run
 from tests.association.list_simulator import DAY_S, Survey, between, survey
 from tests.association.lists import directions
+from tests.browser import SCHEMES, WIDTHS, excess_and_errors
 
 DAY_NS = 86400 * 10**9
 ROOT = Path(__file__).resolve().parents[2]
@@ -149,6 +151,28 @@ store = ObjectStore(sys.argv[1])
 print("ready", flush=True)
 update(store, int(sys.argv[2]))
 """
+
+
+def test_a_page_shows_each_object_with_its_error(
+    one: Survey, tmp_path: Path, chromium: Any, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "store.db"
+    store = ObjectStore(str(path))
+    start = one.sky.t0_tai_ns
+    put(store, one, 0.0, 3.0)
+    update(store, start + 3 * DAY_NS)
+    errors = [position_error_km(orbit, start + 3 * DAY_NS) for orbit in store.orbits()]
+    store.close()
+    out, at = tmp_path / "objects.html", utc_text(np.array([start + 3 * DAY_NS]))[0]
+    assert run(["objects", "page", "--store", str(path), "--at", at, "--out", str(out)]) == 0
+    page = out.read_text()
+    assert all(f"<td>{error:.3g}</td>" in page for error in errors)
+    assert page.count("<svg") == 3
+    for width in WIDTHS:
+        for scheme in SCHEMES:
+            assert excess_and_errors(chromium, out, width, scheme) == (0, [])
+    assert run(["objects", "page", "--store", str(tmp_path / "none.db"), "--at", at]) == 2
+    assert "no such store" in capsys.readouterr().err
 
 
 @pytest.mark.slow

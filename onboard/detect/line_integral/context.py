@@ -5,10 +5,14 @@ from dataclasses import replace
 from typing import Final
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
+from onboard.image.nearest import inside
 from sboc_e2e.icd.flags import MaskBit, StarFlag, StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView
+
+SATURATED: Final = np.uint8(MaskBit.SATURATED)
 
 UNDER_SIGMAS: Final = 3.0
 """A star whose centre lies closer to a trail, in PSF widths, shines into its cross-section."""
@@ -42,28 +46,29 @@ def with_context(detection: Detection, view: DetectorView, is_star: NDArray[np.b
     is_star : (n,) entries of the view's star list that are stars, for a bright trail is in the list itself. radii : (n,) of
     their masks, px. A trail that happens to aim at a bright star is SPIKE_LIKE too: about one in 200.
     """
-    flags = detection.flags | (StreakFlag.SATURATED if _saturated(detection, view.mask) else StreakFlag(0))
     length, stars = detection.length_px, view.stars
+    ends = (detection.row0, detection.col0, detection.row1, detection.col1)
+    flags = detection.flags | (StreakFlag.SATURATED if _saturated(ends, length, view.mask) else StreakFlag(0))
     u_row, u_col = (
         ((detection.row1 - detection.row0) / length, (detection.col1 - detection.col0) / length) if length else (0.0, 0.0)
     )
     reach = SPIKE_REACH_PX + radii
-    near = (
-        is_star
-        & (stars.row > min(detection.row0, detection.row1) - reach)
-        & (stars.row < max(detection.row0, detection.row1) + reach)
-    )
-    near &= (stars.col > min(detection.col0, detection.col1) - reach) & (stars.col < max(detection.col0, detection.col1) + reach)
+    near = inside(stars.row, stars.col, ends, float(reach.max(initial=0.0)))
+    near = near[is_star[near]]
+    row, col, reach = stars.row[near], stars.col[near], reach[near]
+    close = (row > min(ends[0], ends[2]) - reach) & (row < max(ends[0], ends[2]) + reach)
+    close &= (col > min(ends[1], ends[3]) - reach) & (col < max(ends[1], ends[3]) + reach)
+    near, reach = near[close], reach[close]
     d_row, d_col = stars.row[near] - detection.row0, stars.col[near] - detection.col0
     along = d_row * u_row + d_col * u_col
     distance = np.hypot(d_row - np.clip(along, 0.0, length) * u_row, d_col - np.clip(along, 0.0, length) * u_col)
     if (distance < UNDER_SIGMAS * view.psf_sigma_px).any():
         flags |= StreakFlag.CROSSES_STAR
-    beyond = np.maximum(-along, along - length)
-    across = np.abs(d_row * u_col - d_col * u_row)
     full = (stars.flags[near] & StarFlag.SATURATED) != 0
     bright = full | (stars.snr[near] > SPIKE_SNR)
-    if length > 0.0:
+    if length > 0.0 and bright.any():
+        beyond = np.maximum(-along, along - length)
+        across = np.abs(d_row * u_col - d_col * u_row)
         # three sigma of a fitted line at a distance: its angle is known to sqrt(24) s / (S L)
         turn = 3.0 * math.sqrt(24.0) * view.psf_sigma_px / (detection.snr * length)
         least = np.where(full & (abs(u_col) < COLUMN_SLOPE), COLUMN_ACROSS_PX, SPIKE_ACROSS_PX)
@@ -71,7 +76,7 @@ def with_context(detection: Detection, view: DetectorView, is_star: NDArray[np.b
         ahead = np.maximum(0.0, beyond) / length
         bow = abs(detection.sagitta_px) * np.maximum(1.0, 4.0 * ahead * (1.0 + ahead))
         aims = across < least + bow + turn * np.maximum(0.0, beyond + 0.5 * length)
-        begins = (beyond > 0.0) & (beyond < reach[near])
+        begins = (beyond > 0.0) & (beyond < reach)
         arm = radii[near] + np.where(full, MOST_ARM_PX, np.minimum(MOST_ARM_PX, ARM_PX * np.sqrt(stars.snr[near] / ARM_SNR)))
         both_arms = (beyond <= -ARM_SHARE * length) & (np.maximum(along, length - along) < arm)
         if (bright & aims & (begins | both_arms)).any():
@@ -79,9 +84,13 @@ def with_context(detection: Detection, view: DetectorView, is_star: NDArray[np.b
     return replace(detection, flags=flags)
 
 
-def _saturated(detection: Detection, mask: NDArray[np.uint8]) -> bool:
+@njit(cache=True)
+def _saturated(ends: tuple[float, float, float, float], length_px: float, mask: NDArray[np.uint8]) -> bool:
     """Whether a pixel on the path is saturated."""
-    n = 2 * math.ceil(detection.length_px) + 1
-    row = np.rint(np.linspace(detection.row0, detection.row1, n)).astype(np.int64)
-    col = np.rint(np.linspace(detection.col0, detection.col1, n)).astype(np.int64)
-    return bool((mask[np.clip(row, 0, mask.shape[0] - 1), np.clip(col, 0, mask.shape[1] - 1)] & MaskBit.SATURATED).any())
+    steps = 2 * math.ceil(length_px)
+    for k in range(steps + 1):
+        u = k / max(steps, 1)
+        row, col = np.rint(ends[0] + u * (ends[2] - ends[0])), np.rint(ends[1] + u * (ends[3] - ends[1]))
+        if mask[min(max(int(row), 0), mask.shape[0] - 1), min(max(int(col), 0), mask.shape[1] - 1)] & SATURATED:
+            return True
+    return False

@@ -157,15 +157,16 @@ def edge_flags(ends: tuple[float, float, float, float], shape: tuple[int, int], 
 
 def _inside(ends: NDArray[np.float64], shape: tuple[int, int]) -> tuple[float, float, float, float]:
     """The part inside the frame of a segment (major0, minor0, major1, minor1); along it, so that its direction stays."""
-    start, way = ends[:2], ends[2:] - ends[:2]
-    last = np.array(shape) - 1.0
+    start = (float(ends[0]), float(ends[1]))
+    way = (float(ends[2]) - start[0], float(ends[3]) - start[1])
     low, high = 0.0, 1.0
     for k in range(2):
         if abs(way[k]) > 1e-6:
-            cuts = sorted((-start[k] / way[k], (last[k] - start[k]) / way[k]))
+            cuts = sorted((-start[k] / way[k], (shape[k] - 1.0 - start[k]) / way[k]))
             low, high = max(low, cuts[0]), min(high, cuts[1])
-    (a0, b0), (a1, b1) = (np.clip(start + u * way, 0.0, last) for u in (low, max(low, high)))
-    return float(a0), float(b0), float(a1), float(b1)
+    high = max(low, high)
+    (a0, b0), (a1, b1) = (tuple(min(max(start[k] + u * way[k], 0.0), shape[k] - 1.0) for k in range(2)) for u in (low, high))
+    return a0, b0, a1, b1
 
 
 def line_detection(row: NDArray[np.float64], shape: tuple[int, int]) -> Detection:
@@ -349,17 +350,14 @@ def particle_hits(view: DetectorView, images: WorkingImages, n_sigma: float, mos
     """New entries sharper than the PSF, brightest first and no more than `most`."""
     stars = view.stars
     rows, cols = view.residual_adu.shape
-    hits = [k for k in images.new[images.sharp] if stars.snr[k] >= n_sigma]
+    sharp = images.new[images.sharp]
+    sharp = sharp[stars.snr[sharp] >= n_sigma]
+    hits = sharp[np.argsort(-stars.snr[sharp], kind="stable")[:most]]
+    places = zip(np.clip(stars.row[hits], 0, rows - 1), np.clip(stars.col[hits], 0, cols - 1), stars.snr[hits], strict=True)
+    flags = StreakFlag.COSMIC_LIKE | StreakFlag.POINT_LIKE
     return [
-        Detection(
-            row0=float(np.clip(stars.row[k], 0, rows - 1)),
-            col0=float(np.clip(stars.col[k], 0, cols - 1)),
-            row1=float(np.clip(stars.row[k], 0, rows - 1)),
-            col1=float(np.clip(stars.col[k], 0, cols - 1)),
-            snr=float(stars.snr[k]),
-            flags=StreakFlag.COSMIC_LIKE | StreakFlag.POINT_LIKE,
-        )
-        for k in sorted(hits, key=lambda k: -float(stars.snr[k]))[:most]
+        Detection(row0=row, col0=col, row1=row, col1=col, snr=snr, flags=flags)
+        for row, col, snr in ((float(row), float(col), float(snr)) for row, col, snr in places)
     ]
 
 

@@ -61,7 +61,7 @@ def light_along(
 def pieces(signal: NDArray[np.float64], weight: NDArray[np.float64]) -> list[tuple[int, int]]:
     """Runs [first, stop) of equally long lit lines with nothing between; empty when they are not those of a row of trails."""
     light = np.convolve(signal, np.ones(3), "same") / np.maximum(np.convolve(weight, np.ones(3), "same"), 1e-6)
-    bright = float(np.quantile(light, 0.95))
+    bright = float(np.sort(light)[math.ceil(0.95 * (len(light) - 1))])
     lit = np.concatenate(([False], light > LIT_SHARE * bright, [False]))
     edges = np.flatnonzero(lit[1:] != lit[:-1])
     runs = [(int(a), int(b)) for a, b in zip(edges[::2], edges[1::2], strict=True)]

@@ -15,7 +15,7 @@ BIN := $(VENV)/bin
 READY := $(VENV)/.ready
 FUZZ_RUNS ?= 1000000
 # A process a core, four at most: each needs up to 2 GB. An idle one takes tests from a busy one.
-ON_EVERY_CORE := -n auto --maxprocesses 4 --dist worksteal
+ON_EVERY_CORE := -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
 
 # One thread per process: worker processes parallelise, and sums keep their order.
 export OMP_NUM_THREADS := 1

@@ -25,6 +25,20 @@ iers.conf.iers_degraded_accuracy = "ignore"
 settings.register_profile("house", deadline=None, derandomize=True, max_examples=60, suppress_health_check=[HealthCheck.too_slow])
 settings.load_profile("house")
 
+LONGEST = ("tests/docs/test_commands.py", "tests/end_to_end/test_shipped_scenarios.py")
+"""Files of many minutes: where tests run on several cores they begin first, so that none of them is left for the end alone."""
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Files with slow tests first, the longest before them; within a file as written."""
+    slow = {item.nodeid.partition("::")[0] for item in items if item.get_closest_marker("slow")}
+    items.sort(key=lambda item: _rank(item.nodeid.partition("::")[0], slow))
+
+
+def _rank(file: str, slow: set[str]) -> int:
+    return LONGEST.index(file) if file in LONGEST else len(LONGEST) + (file not in slow)
+
+
 SHARED = Path(__file__).resolve().parents[2] / "shared"
 
 

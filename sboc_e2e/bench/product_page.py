@@ -249,7 +249,8 @@ REMARKS: Final = """## What stands behind them
   one. Two tracklets err by more than 7 sigma; they were not looked at.
 - **Linking in another table.** The table of [all scenarios](scenarios.md) has one run of `nadir_rotation`, its default seed: 11
   of 12 objects are linked, with an interval from 0.70 to 0.98. The twelfth has three trails of 520 px at S/N 8. Two of their
-  ends were fitted 123 and 200 px outside, 5 and 10 sigma, so that no motion passes through them. Completeness there (0.925)
+  ends were fitted 123 and 200 px outside, 5 and 10 sigma, which is probably why no motion passes through
+  them. Completeness there (0.925)
   counts single streaks of S/N 8 and more, and the false ones (0.42 a frame) are five streaks of S/N 7 to 9, two of them in one
   tracklet.
 - **Corner.** Listed stars err by 60 mas (catalogue and centroid) for as long as the field is the same. From some 240 of them

@@ -119,9 +119,8 @@ def test_too_few_directions_have_no_orbit(few: Survey) -> None:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("seed", [2])
-def test_two_hundred_objects_of_five_days(seed: int) -> None:
-    one = survey(seed)
+def test_two_hundred_objects_of_five_days() -> None:
+    one = survey(2)
     result = verdict(one, associate(measured(one)))
     n = len(result.nees)
     assert result.right >= 0.95 * result.linkable

@@ -61,11 +61,13 @@ clean:
 	rm -rf $(VENV) $(VENV)-docs build runs bench/out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# The environment follows the lock file and the project's metadata; the warm-up compiles numerical kernels once.
+# The environment follows the lock file and the project's metadata; the warm-up compiles numerical kernels once. Packages are not
+# compiled to bytecode (a third of pip's time): Python does so for the modules that it imports.
 $(READY): requirements.lock pyproject.toml
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3"; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --require-hashes -r requirements.lock
+	@echo "Installing packages into $(VENV): one to three minutes without a word."
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes -r requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
 	$(BIN)/python -m sboc_e2e.warm_up
 	touch $@

@@ -2,6 +2,7 @@
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,7 +11,7 @@ from ground.frame_streaks import with_final_brightness
 from ground.link import Member, apply_links, measured_tracklet
 from ground.link.shake import SeenTrail, Sway, shake_factor, sway_of
 from ground.photometry.magnitude import crossing_time_s
-from ground.photometry.tracklet_light import with_mean_light
+from ground.photometry.tracklet_light import HALF_POINT_SNR, with_mean_light
 from ground.records import FrameProducts
 from ground.refit import SharedErrors, refit_streaks
 from ground.sky.bend import bent
@@ -24,12 +25,16 @@ from sboc_e2e.icd.flags import FrameFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import StreakMeasurement, StreakPixels, Tracklet
 
+FAINT_SHARE: Final = 0.05
+"""Share of a run's trails that are below the half point of its detector because noise or a rolling threshold let them through."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkedRun:
     """Frames of a run in order of time, with the rates at which the camera turned, and where the streaks of tracklets belong.
 
-    end_shake : expected errors of the attitude at shutter open and close, from errors of the rates.
+    end_shake : expected errors of the attitude at shutter open and close, from errors of the rates. half_point_snr : S/N at which
+    half of the trails are found, no higher than that of the faintest `FAINT_SHARE` of members: joint tracks go deeper.
     """
 
     headers: Sequence[FrameHeader]
@@ -37,6 +42,7 @@ class LinkedRun:
     rates: Sequence[Rate]
     linked: LinkedStreaks
     end_shake: EndShake = STEADY
+    half_point_snr: float = HALF_POINT_SNR
 
     def single(self, tracklet: Tracklet) -> list[StreakMeasurement]:
         """Members of a tracklet from their single-frame fits, in time order and dated."""
@@ -51,18 +57,21 @@ class LinkedRun:
 
 
 def with_shake(run: LinkedRun, tracklets: Sequence[Tracklet], order: Sequence[int], focal_px: float) -> LinkedRun:
-    """The run with the single-frame members of its tracklets, and with errors of the rates estimated from them.
+    """The run with the single-frame members of its tracklets, with errors of the rates and a half point estimated from them.
 
     order : numbers of the tracklets by time, so that those of the same frames follow each other.
     """
-    sways = []
+    sways, snr = [], list[float]()
     for number in order:
         members = run.single(tracklets[number])
         run.linked.put(number, members)
+        snr += [member.fit.snr for member in members]
         sways.append(_sway(run, tracklets[number], members, 1.0 / (focal_px * ARCSEC_RAD)))
     factor = shake_factor(sways)
     rates = [rate._replace(sigma_rad_s=factor * rate.sigma_rad_s) for rate in run.rates]
-    return replace(run, rates=rates, end_shake=end_shake(factor, *_exposure_and_step_s(run.headers)))
+    shake = end_shake(factor, *_exposure_and_step_s(run.headers))
+    half_point = min(run.half_point_snr, float(np.quantile(snr, FAINT_SHARE))) if snr else run.half_point_snr
+    return replace(run, rates=rates, end_shake=shake, half_point_snr=half_point)
 
 
 def final_tracklet(
@@ -100,7 +109,7 @@ def final_tracklet(
         for streak, frame in zip(placed, frames, strict=True)
     ]
     run.linked.put(number, final)
-    return with_mean_light(measured, final)
+    return with_mean_light(measured, final, run.half_point_snr)
 
 
 def _exposure_and_step_s(headers: Sequence[FrameHeader]) -> tuple[float, float]:

@@ -87,7 +87,7 @@ def fitted(lit: LitFrame, fitter: StreakFitter) -> tuple[list[StreakFit], list[f
             flags |= StreakFlag.CROSSES_STAR
         if len(group.strips) < group.n_strips:
             flags |= StreakFlag.PIXELS_MISSING
-        fits.append(replace(fit, flags=flags))
+        fits.append(replace(fit, flags=flags, psf_sigma_px=pixels.psf_sigma_px))
         flats.append(_mean_flat(lit.calibration, fit))
     return fits, flats
 

@@ -20,6 +20,8 @@ def guarded(seam: str, step: object, where: str, returns: type, call: Callable[.
     """
     try:
         result = call(*arguments)
+    except PluginError:  # of a step within this one, by name
+        raise
     except Exception as error:  # a plug-in may raise anything; it is reported by name
         if isinstance(error, UserError) and not isinstance(error, ContractError):
             raise

@@ -82,7 +82,9 @@ def refit_streaks(
     members = [m for m in members if m.flags & StreakFlag.DIRECTION_RESOLVED and not m.flags & UNUSABLE and often[m.frame] == 1]
     if len(members) < 2:
         return tuple(streaks), {}
-    members = [_timed_by_shutter(m, header_of[m.frame]) for m in members]
+    # the ends follow from the steady light; that of flashes comes back at the end
+    flash_e = {m.streak_id: m.fit.flash_e for m in members}
+    members = [_without_flashes(_timed_by_shutter(m, header_of[m.frame])) for m in members]
     path, zero_ns = _path_of(members), int(members[0].t_tai_ns[0])
     seen = [
         _tracklet_frame(
@@ -104,7 +106,7 @@ def refit_streaks(
             epochs = member.t_tai_ns + np.rint(line_ns * shift_px).astype(np.int64)
             out[at[member.streak_id]] = replace(
                 member,
-                fit=fit,
+                fit=replace(fit, flux_e=fit.flux_e + flash_e[member.streak_id], flash_e=flash_e[member.streak_id]),
                 row_mid=row_mid,
                 col_mid=col_mid,
                 t_tai_ns=_with_edge_epoch(epochs, frames[k], frames, joint, passage, zero_ns),
@@ -139,6 +141,12 @@ def _timed_by_shutter(member: StreakMeasurement, header: FrameHeader) -> StreakM
         epochs[2] = header.t_start_tai_ns + header.exposure_ns + round(header.line_time_ns * member.fit.row1)
     epochs[1] = (epochs[0] + epochs[2]) // 2
     return redated(member, epochs)
+
+
+def _without_flashes(member: StreakMeasurement) -> StreakMeasurement:
+    """The streak without the light of its flashes."""
+    fit = member.fit
+    return replace(member, fit=replace(fit, flux_e=fit.flux_e - fit.flash_e, flash_e=0.0)) if fit.flash_e else member
 
 
 def _with_edge_epoch(
@@ -274,8 +282,8 @@ def carried(frame: TrackletFrame, motion: Motion) -> StreakFit:
     """
     unit, length = _along_of(frame.fit)
     free = np.array([not frame.fit.flags & flag for flag in (StreakFlag.EDGE0, StreakFlag.EDGE1)])
-    moved = displacements(frame, float(unit[0]), motion.mean[None, :], motion.zero_s)
-    shifts = [float(shift[0]) if end else 0.0 for shift, end in zip(moved, free, strict=True)]
+    displacement_px = displacements(frame, float(unit[0]), motion.mean[None, :], motion.zero_s)
+    shifts = [float(shift[0]) if end else 0.0 for shift, end in zip(displacement_px, free, strict=True)]
     errors = motion.errors(frame) / frame.along_per_px * free[:, None]
     spread = errors @ errors.T + (frame.sigma_frame / frame.along_per_px) ** 2 * np.outer(free, free)
     sigma = np.sqrt(np.diag(spread))

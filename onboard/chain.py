@@ -99,7 +99,7 @@ class OnboardChain:
         counts = to_counts(replace(frame, header=header), self._calibration_of(header), mask)
         mark_dead_area(mask, counts.pixels, counts.saturation)
         state.hot_pixels.mark(mask)
-        view, row_sums, n_masked = calibrated_view(
+        view, sums, n_masked = calibrated_view(
             header,
             counts,
             residual,
@@ -112,7 +112,7 @@ class OnboardChain:
         flags |= content_flags(view.mask, counts, n_masked)
         usable = not flags & (FrameFlag.ALL_MASKED | FrameFlag.EMPTY_SIGNAL | FrameFlag.REPEATED_FRAME)
         if usable:
-            view = with_stars(view, residual, row_sums, self._steps.star_extractor)
+            view = with_stars(view, residual, sums, self._steps.star_extractor)
         earlier = brought_forward(state.earlier_stars, view.stars) if usable else ()
         return Prepared(
             view=view, counts=counts, flags=flags, usable=usable, earlier=earlier, n_masked=n_masked, pixel_check=check

@@ -1,4 +1,4 @@
-"""How much work a frame is worth: the nominal one of its size, and twice that as the limit, shared out by kind.
+"""How much work a frame may take: the nominal work of its size, and a limit of twice that, shared out by kind.
 
 The passes over every pixel take the same work whatever is in the frame. What grows with the frame's content has a limit of its
 own for each kind, so that no kind can starve another, and their sum and the passes are twice the nominal work exactly. Beyond a
@@ -29,7 +29,7 @@ LIMITS: Final[dict[Work, tuple[int, int]]] = {
 
 
 def nominal(n_pixels: int) -> int:
-    """Operations of a nominal frame of so many pixels."""
+    """Operations of a nominal frame of `n_pixels` pixels."""
     return NOMINAL_FIXED + NOMINAL_PER_PX * n_pixels
 
 

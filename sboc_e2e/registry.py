@@ -97,9 +97,9 @@ class Registry:
         return self._load_class(None, path, typed=True)
 
     def _load_class(self, seam: Seam | None, path: str, *, typed: bool) -> type:
-        where = seam.name if seam else "module:Class"
+        where = seam.name if seam else "plug-in"
         if not _CLASS_PATH.fullmatch(path):
-            raise UserError(f'{where}: "{path[:80]}" is not of the form module:Class')
+            raise UserError(f'{where}: "{path[:80]}" is not of the form module:Class, such as my_lab.nets:StreakNet')
         module, _, attribute = path.partition(":")
         if not typed and not self._trusts(module):
             top = module.partition(".")[0]
@@ -161,15 +161,37 @@ def _import_class(where: str, path: str, module: str, attribute: str) -> type:
     if working_folder not in sys.path:
         sys.path.append(working_folder)
     try:
-        found = getattr(importlib.import_module(module), attribute)
+        imported = importlib.import_module(module)
+        found = getattr(imported, attribute)
     except SbocError:
         raise
+    except AttributeError as error:
+        if module in sys.modules and not hasattr(sys.modules[module], attribute):
+            classes = [name for name, kind in vars(sys.modules[module]).items() if _is_own_class(kind, module)]
+            raise UserError(
+                f'{where}: {path} cannot be imported: AttributeError: {module} has no class "{attribute}"; '
+                f"it has: {', '.join(sorted(classes)[:20]) or 'none'}"
+            ) from error
+        raise UserError(f"{where}: {path} cannot be imported: AttributeError: {_first_line(error)}") from error
+    except ModuleNotFoundError as error:
+        place = ""
+        if error.name is not None and (module + ".").startswith(error.name + "."):
+            place = f"; it is looked for in the working folder ({working_folder}) and among installed packages"
+        raise UserError(f"{where}: {path} cannot be imported: ModuleNotFoundError: {_first_line(error)}{place}") from error
     except Exception as error:
-        reason = str(error).splitlines()[0] if str(error) else "no reason given"
-        raise UserError(f"{where}: {path} cannot be imported: {type(error).__name__}: {reason}") from error
+        raise UserError(f"{where}: {path} cannot be imported: {type(error).__name__}: {_first_line(error)}") from error
     if not isinstance(found, type):
         raise UserError(f"{where}: {path} is a {type(found).__name__}; expected a class")
     return found
+
+
+def _first_line(error: Exception) -> str:
+    return str(error).splitlines()[0] if str(error) else "no reason given"
+
+
+def _is_own_class(kind: object, module: str) -> bool:
+    """Whether something in a module is a class that the module itself defines."""
+    return isinstance(kind, type) and kind.__module__ == module
 
 
 def _is_step(seam: Seam, found: type) -> bool:

@@ -64,9 +64,8 @@ class Simulator:
 
     def __init__(self, options: SimulatorOptions, *, seed: int, catalogue: StarCatalogue) -> None:
         options = with_drawn_errors(options, seed)
+        options.refuse_overlap()
         shutter = options.shutter
-        window = options.sensor.window
-        shutter.refuse_overlap(window.rows or options.instrument.rows - window.row0, options.frame_rate_hz)
         if options.sensor.type == "ccd":  # all rows are exposed at once; the line time is that of the store's read-out
             shutter = replace(shutter, line_time_us=0.0)
         self.options = options

@@ -1,6 +1,6 @@
 """Passages of objects with names through the field: the counterpart of drawn passages in `simulator.survey`.
 
-Time is cut into legs of 10 s, in each of which an object moves straight relative to the camera. The accelerations of two objects
+Time is cut into legs of 10 s. In each leg an object moves straight relative to the camera. The accelerations of two objects
 near each other differ by less than 0.1 m/s^2, a metre in 5 s; for the farthest it is 0.1 km. States come from the middle of every
 minute by a series of third order, good to a metre. Legs that follow one another are one passage.
 """

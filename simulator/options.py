@@ -49,6 +49,11 @@ class SimulatorOptions:
     objects: ObjectOptions = field(default_factory=ObjectOptions, metadata={"doc": "objects given one by one"})
     radiation: RadiationOptions = field(default_factory=RadiationOptions, metadata={"doc": "particles"})
 
+    def refuse_overlap(self) -> None:
+        """UserError when the exposure or the read-out of the rows that are read lasts longer than a frame."""
+        window = self.sensor.window
+        self.shutter.refuse_overlap(window.rows or self.instrument.rows - window.row0, self.frame_rate_hz)
+
 
 def smoke_options(base: SimulatorOptions | None = None) -> SimulatorOptions:
     """The small set-up `smoke_wide`: the field of the base on 512 x 512 larger pixels, six frames.

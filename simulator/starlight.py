@@ -38,15 +38,15 @@ def add_stars(
     nebulae : points that together make up what is nebulous; None for none. They have no truth.
     stream : seed and number of the frame, which decide scintillation (planets have none).
     """
-    light = _Lighting(image_e, backdrop, sight, velocity_km_s, shutter, camera)
+    lighting = _Lighting(image_e, backdrop, sight, velocity_km_s, shutter, camera)
     rows = []
     if nebulae is not None:
-        light.expose(nebulae)
+        lighting.expose(nebulae)
     for number, planet in planets:
         points, whole = planet_field(planet, number, camera)
-        light.expose(points)
-        rows.append(light.truth(whole, stream[1]))
-    rows.append(light.truth(field, stream[1], light.expose(field, stream)))
+        lighting.expose(points)
+        rows.append(lighting.truth(whole, stream[1]))
+    rows.append(lighting.truth(field, stream[1], lighting.expose(field, stream)))
     return rows[0] if len(rows) == 1 else np.concatenate(rows)
 
 

@@ -48,7 +48,7 @@ BEYOND_ONE: Final = 0.05
 
 POOL: Final = 200_000
 POOL_BLOCKS: Final = 32
-"""Sizes and orbits are drawn once for so many blocks, as many for each class; candidates take theirs from there."""
+"""Sizes and orbits are drawn once for `POOL_BLOCKS` blocks, `POOL` of them for each class. Candidates take theirs from there."""
 
 CHUNK: Final = 200_000
 PILOT: Final = 400_000
@@ -57,10 +57,10 @@ PILOT_BLOCK: Final = 4_000_000
 POOL_GROUP: Final = 5_000_000
 """Random streams of the pilot and of pools, beside those of blocks."""
 FRAMES_EACH: Final = 24
-"""Of its stay, each passage is looked at in as many frames at most, evenly spread; each then stands for several."""
+"""Most frames of its stay in which a passage is looked at. They are spread evenly; each then stands for several."""
 
 LONGEST_STAY_S: Final = 1e5
-"""Of what stands still in the field."""
+"""Longest stay that is counted, for objects that stand still in the field."""
 
 CURVE_SPREAD: Final = 1.0
 SPIN_S: Final = 1.0
@@ -131,7 +131,7 @@ class Instants:
 
 def instants_of(flight: Flight, time_s: Array, span_s: float) -> Instants:
     """The camera at times after the epoch (m,)."""
-    carrier, camera, light = flight.carrier, flight.camera, flight.options
+    carrier, camera, options = flight.carrier, flight.camera, flight.options
     tai_ns = [carrier.tai_ns(float(t)) for t in time_s]
     observer = carrier.observer
     if not isinstance(observer, OrbitingObserver):
@@ -152,7 +152,7 @@ def instants_of(flight: Flight, time_s: Array, span_s: float) -> Instants:
     day = np.floor(np.asarray(time_s) / earth.DAY_S)
     for number in np.unique(day):
         which = np.flatnonzero(day == number)
-        sky_e[which] = diffuse_flux(light.sky, boresight[which], sun[which[len(which) // 2]])
+        sky_e[which] = diffuse_flux(options.sky, boresight[which], sun[which[len(which) // 2]])
     sky_e = sky_e * camera.surface_rate_e_s * camera.exposure_s
     sky_e = sky_e + camera.instrument.stray_light_e_px_s * camera.exposure_s
     dark = float(camera.sensor.variance_e2(0.0, camera.exposure_s))
@@ -316,12 +316,12 @@ def make_passages(
 
 def light_of(flight: Flight, at: Instants, instant: Indices, size_m: Array, surfaces: Surfaces, position_km: Array) -> Array:
     """Mean light (n,) of objects at positions, in units of a V = 0 star with the Sun's colour."""
-    light, observer, sun = flight.options.light, at.position_km[instant], at.sun_km[instant]
+    effects, observer, sun = flight.options.light, at.position_km[instant], at.sun_km[instant]
     flux = surfaces.albedo * surfaces.colour * size_m**2
     flux = flux * lambert_flux(
-        1.0, 1.0, position_km, observer, sun, phase_function=light.phase_function, specular=surfaces.specular
+        1.0, 1.0, position_km, observer, sun, phase_function=effects.phase_function, specular=surfaces.specular
     )
-    if light.earth_shadow:
+    if effects.earth_shadow:
         flux = flux * sunlit_fraction(position_km, sun)
     return np.asarray(flux * in_sight(position_km, observer))
 

@@ -77,7 +77,7 @@ def predicted_by_elements(satellite: Satrec, t_tai_ns: NDArray[np.int64]) -> Pre
 
 
 def candidates_of(arc: ArcOrbit, states: Array, covariances: Array, age_days: Array, *, gate: float = GATE) -> list[Candidate]:
-    """Objects of which an arc may be, the likeliest first; empty where none is within the gate.
+    """Objects that an arc may belong to, the likeliest first; empty where none is within the gate.
 
     states (n, 6) and covariances (n, 6, 6) of all objects at the arc's epoch; age_days (n,) since their data.
     """

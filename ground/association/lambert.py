@@ -63,7 +63,7 @@ def _root(low: float, high: float, target: float, lam: float, revolutions: int, 
 
 @njit(cache=True)
 def _quickest(lam: float, revolutions: int) -> float:
-    """x of the shortest flight with so many revolutions (one or more): where the slope is zero."""
+    """x of the shortest flight with a given number of revolutions (one or more): where the slope is zero."""
     low, high = -1.0 + _EDGE, 1.0 - _EDGE
     for _ in range(60):
         x = 0.5 * (low + high)

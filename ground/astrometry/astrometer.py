@@ -56,6 +56,22 @@ class AstrometryState:
         return self if self.last is None else replace(self, shared=self.shared.after(1e-9 * (tai_ns - self.last[0])))
 
 
+SEARCH_ROLL_DEG: Final = 0.7
+"""Error of the telemetered roll that is searched."""
+
+MAX_STARS: Final = 600
+"""List stars used, brightest first."""
+
+MIN_STARS: Final = 8
+"""Fewest matched stars that make a solution."""
+
+PRIOR_FOCAL_PPM: Final = 1000.0
+"""Error of the nominal focal length."""
+
+PRIOR_DISTORTION_PX: Final = 5.0
+"""Error of each nominal distortion term at the corner."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class CameraFit:
     """Attitude for each frame, focal length and distortion shared over the run by an information filter."""
@@ -66,12 +82,7 @@ class CameraFit:
     wide_search_arcsec: float = field(
         default=2500.0, metadata={"doc": "searched when the first radius gives nothing", "min": 1.0, "max": 40000.0}
     )
-    search_roll_deg: float = field(
-        default=0.7, metadata={"doc": "error of the telemetered roll that is searched", "min": 0.0, "max": 10.0}
-    )
     v_max: float = field(default=99.0, metadata={"doc": "faintest reference stars", "min": 0.0, "max": 99.0})
-    max_stars: int = field(default=600, metadata={"doc": "list stars used, brightest first", "min": 8, "max": 100000})
-    min_stars: int = field(default=8, metadata={"doc": "fewest matched stars that make a solution", "min": 4, "max": 1000})
     centroid_floor_px: float = field(
         default=0.01, metadata={"doc": "centroid error of the brightest stars", "min": 0.0, "max": 10.0}
     )
@@ -93,10 +104,6 @@ class CameraFit:
             "min": 0.0,
             "max": 100.0,
         },
-    )
-    prior_focal_ppm: float = field(default=1000.0, metadata={"doc": "error of the nominal focal length", "min": 0.0, "max": 1e6})
-    prior_distortion_px: float = field(
-        default=5.0, metadata={"doc": "error of each nominal distortion term at the corner", "min": 0.0, "max": 1e4}
     )
 
     def initial_state(self, calibration: Calibration, catalogue: Any) -> AstrometryState:
@@ -126,14 +133,14 @@ class CameraFit:
         if found is None:
             return replace(known, lost=lost), unsolved(frame, state.camera, FrameFlag.NO_SOLUTION, matrix=matrix, rate=rate)
         fit, stars, listed, chosen = found
-        moved = (1.0, 1.0) if state.seen_from is None else _moved(fit, state.seen_from, header)
-        elsewhere = _new_share(*moved) > SAME_FIELD
+        shift = (1.0, 1.0) if state.seen_from is None else _shift_in_sides(fit, state.seen_from, header)
+        elsewhere = _new_share(*shift) > SAME_FIELD
         evidence = FrameEvidence(
             values=fit.camera.shared(),
             gradient=fit.gradient,
             information=fit.information,
             catalogue=fit.catalogue,
-            lasting=focal_correlation(*moved) if elsewhere else 1.0,
+            lasting=focal_correlation(*shift) if elsewhere else 1.0,
         )
         shared = state.shared.seen(evidence)
         fit = fit.with_shared(shared.values, shared.errors)
@@ -144,7 +151,7 @@ class CameraFit:
     def _star_patterns_may_tell(self, state: AstrometryState, frame: DownlinkFrame) -> bool:
         """Whether to search for star patterns: no if switched off, after too many failures, or without enough stars."""
         hopeless = state.lost >= LOST_FRAMES_TRIED
-        if self.lost_in_space == "never" or hopeless or len(frame.stars) < self.min_stars:
+        if self.lost_in_space == "never" or hopeless or len(frame.stars) < MIN_STARS:
             return False
         return self.lost_in_space != "if_installed" or lost_in_space.installed()
 
@@ -164,9 +171,9 @@ class CameraFit:
     ) -> Match | None:
         """The match from a start attitude; None without a credible one."""
         header, camera = frame.header, state.camera
-        order = _matching_order(frame)[: self.max_stars]
+        order = _matching_order(frame)[:MAX_STARS]
         measured = np.stack((frame.stars.row[order], frame.stars.col[order]), axis=1)
-        if len(order) < self.min_stars:
+        if len(order) < MIN_STARS:
             return None
         turns = row_turns(header, measured[:, 0], rate, middle)
         for radius_arcsec in (self.search_radius_arcsec, self.wide_search_arcsec):
@@ -213,7 +220,7 @@ class CameraFit:
             center=center,
             reach_px=margin,
             bin_px=max(1.0, 3.0 * margin / 200.0, 2e-4 * half_size),
-            roll_limit_rad=float(np.radians(self.search_roll_deg)),
+            roll_limit_rad=float(np.radians(SEARCH_ROLL_DEG)),
             half_size_px=half_size,
         )
         if not vote.significant:
@@ -250,9 +257,9 @@ class CameraFit:
             listed, chosen = mutual_pairs(measured, np.stack((row[inside], col[inside]), axis=1), radius)
             chosen = visible[chosen]
             good = usable_listed[listed] & usable_stars[chosen]
-            if good.sum() < self.min_stars:
+            if good.sum() < MIN_STARS:
                 good = np.ones(len(listed), dtype=bool)
-            if good.sum() < self.min_stars:
+            if good.sum() < MIN_STARS:
                 return None
             listed, chosen = listed[good], chosen[good]
             catalogue = stars.sigma_mas[chosen].astype(np.float64) * 1e-3 * ARCSEC_RAD * camera.focal_px
@@ -274,7 +281,7 @@ class CameraFit:
                 break
             spread = float(np.median(np.hypot(*fit.residual_px[fit.used].T)))
             radius = max(floor, min(0.5 * radius, 6.0 * spread))
-        if fit is None or fit.used.sum() < self.min_stars or not _credible(fit, radius, len(stars), frame.header):
+        if fit is None or fit.used.sum() < MIN_STARS or not _credible(fit, radius, len(stars), frame.header):
             return None
         return fit, order[listed], chosen
 
@@ -285,8 +292,8 @@ class CameraFit:
     def _prior_sigma(self, camera: NominalCamera) -> Array:
         """Errors (5,) of the shared parameters before any frame; distortion terms by their effect at the corner."""
         r = 0.5 * float(np.hypot(camera.rows, camera.cols)) / camera.focal_px
-        tangent = max(self.prior_distortion_px, 1e-6) / camera.focal_px
-        return np.array([max(self.prior_focal_ppm, 1e-3) * 1e-6, tangent / r**3, tangent / r**5, tangent / r**2, tangent / r**2])
+        tangent = max(PRIOR_DISTORTION_PX, 1e-6) / camera.focal_px
+        return np.array([max(PRIOR_FOCAL_PPM, 1e-3) * 1e-6, tangent / r**3, tangent / r**5, tangent / r**2, tangent / r**2])
 
 
 def row_turns(header: FrameHeader, row: Array, rate_rad_s: Array, middle_tai_ns: int) -> Array:
@@ -321,9 +328,9 @@ def _start_attitude(state: AstrometryState, header: FrameHeader, middle: int) ->
         return matrix_of(np.asarray(header.attitude.quaternion)), np.asarray(header.attitude.rate_rad_s)
     if state.last is None:
         return None
-    then, matrix, rate = state.last
+    last_ns, matrix, rate = state.last
     # directions turn against the camera: R(t) = rotation(-rate dt) R(then)
-    return rotation_by(-rate * (middle - then) * 1e-9) @ matrix, rate
+    return rotation_by(-rate * (middle - last_ns) * 1e-9) @ matrix, rate
 
 
 def _matching_order(frame: DownlinkFrame) -> NDArray[np.intp]:
@@ -332,12 +339,12 @@ def _matching_order(frame: DownlinkFrame) -> NDArray[np.intp]:
     return np.lexsort((-frame.stars.flux_e.astype(np.float64), doubtful))
 
 
-def _moved(fit: CameraSolution, before: Array, header: FrameHeader) -> tuple[float, float]:
+def _shift_in_sides(fit: CameraSolution, before: Array, header: FrameHeader) -> tuple[float, float]:
     """By which share of its sides, rows and cols, the field lies off the one of the attitude `before` (3, 3), at most 1."""
     middle = np.array([0.5 * (header.rows - 1)]), np.array([0.5 * (header.cols - 1)])
     row, col = fit.camera.project(fit.camera.unproject(*middle) @ before @ fit.matrix.T)
-    moved = abs(float(row[0] - middle[0][0])) / header.rows, abs(float(col[0] - middle[1][0])) / header.cols
-    return moved if max(moved) < 1.0 else (1.0, 1.0)
+    shift = abs(float(row[0] - middle[0][0])) / header.rows, abs(float(col[0] - middle[1][0])) / header.cols
+    return shift if max(shift) < 1.0 else (1.0, 1.0)
 
 
 def _new_share(moved_rows: float, moved_cols: float) -> float:

@@ -192,10 +192,10 @@ def _database(width_deg: float, folder: str, name: str, catalogue: StarCatalogue
             lattice_field_oversampling=int(np.clip(2.0 * width_deg**2, 8, 100)),
         )
     if folder:
-        part = path.with_name(path.name + ".part")
+        partial = path.with_name(path.name + ".part")
         try:
-            made.save_to_file(str(part))
-            part.replace(path)
+            made.save_to_file(str(partial))
+            partial.replace(path)
         except OSError as error:
             raise UserError(f"{folder}: the pattern database cannot be written there ({error.strerror})") from error
     return made

@@ -25,12 +25,12 @@ def focal_correlation(moved_rows: float, moved_cols: float) -> float:
 
     moved_rows, moved_cols : shares of the field's sides by which it moved; 0 of both is the same field, and has 1.
     """
-    moved = np.abs(np.array([moved_rows, moved_cols]))
-    largest = float(moved.max())
+    shift = np.abs(np.array([moved_rows, moved_cols]))
+    largest = float(shift.max())
     if largest <= 0.0:
         return 1.0
     steps = np.arange(1, int(np.ceil(1.0 / largest)))
-    place = steps[:, None] * moved * CELLS
+    place = steps[:, None] * shift * CELLS
     low = place.astype(np.int64)
     share = place - low
     table = _autocorrelation()

@@ -217,8 +217,7 @@ def _decoded(
 
 
 def _note_lost_items(parts: FrameParts, sent: Housekeeping, arrived: set[int]) -> None:
-    """Note items that were sent according to the header, but of which no packet arrived; at least one packet for a list or
-    image."""
+    """Note items that the header says were sent and that did not arrive; at least one packet for a list or an image."""
     if sent.n_rois_sent > len(parts.n_strips):
         parts.missing["roi"] = parts.missing.get("roi", 0) + sent.n_rois_sent - len(parts.n_strips)
     lost = {Apid.STARS} if sent.n_stars_sent > sum(map(len, parts.stars)) else set()

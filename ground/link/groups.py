@@ -60,5 +60,5 @@ def _fitted(
 ) -> tuple[NDArray[np.int64], float, float, float]:
     """Members, chi-square, evidence and largest chi-square of a true track."""
     centre, basis, theta = np.empty(3), np.empty((2, 3)), np.empty(N_PARAMETERS)
-    gain, chi2, rows, _ = gain_of(nodes, members, *model, centre, basis, theta, np.empty((N_PARAMETERS, N_PARAMETERS)))
+    gain, chi2, rows, _ = gain_of(nodes, members, model, centre, basis, theta, np.empty((N_PARAMETERS, N_PARAMETERS)))
     return members, chi2, gain, chi2_gate(rows)

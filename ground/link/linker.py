@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 
@@ -13,6 +14,15 @@ from ground.sky.sphere import ARCSEC_RAD
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import StreakMeasurement, Tracklet
 
+NEW_OBJECTS_PER_FRAME: Final = 0.01
+"""Objects that come into view per frame, to first order."""
+
+DETECTION_PROBABILITY: Final = 0.8
+"""Probability that a linked object is seen in a frame."""
+
+SIGMA_FLOOR_PX: Final = 0.2
+"""Error of ends beyond the fit's: pointing, model."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class MotionLinker:
@@ -21,15 +31,6 @@ class MotionLinker:
     max_missed_frames: int = field(default=4, metadata={"doc": "frames that may pass without a streak", "min": 0, "max": 100})
     min_log_odds: float = field(
         default=4.0, metadata={"doc": "natural log odds against chance that a tracklet needs", "min": -20.0, "max": 100.0}
-    )
-    new_objects_per_frame: float = field(
-        default=0.01, metadata={"doc": "objects that come into view per frame, to first order", "min": 1e-9, "max": 1e3}
-    )
-    detection_probability: float = field(
-        default=0.8, metadata={"doc": "that a linked object is seen in a frame", "min": 0.01, "max": 0.999}
-    )
-    sigma_floor_px: float = field(
-        default=0.2, metadata={"doc": "error of ends beyond the fit's: pointing, model", "min": 0.0, "max": 100.0}
     )
     pixel_scale_arcsec: float = field(
         default=5.0, metadata={"doc": "assumed where no streak shows the scale", "min": 1e-3, "max": 1e4}
@@ -54,7 +55,7 @@ class MotionLinker:
         """Tracks of one group of streaks, all on the sky or all in pixels."""
         if len(table.frame) < 2:
             return []
-        nodes = nodes_of(table, frames, self.sigma_floor_px)
+        nodes = nodes_of(table, frames, SIGMA_FLOOR_PX)
         scale = float(table.scale_rad_px[0])
         shape = frames.shape[table.frame[0]]
         log_area = math.log(float(shape[0]) * float(shape[1]) * scale**2)
@@ -67,8 +68,8 @@ class MotionLinker:
             floor_rad=3.0 * scale,
             log_area=log_area,
             sigma_acceleration=bending,
-            log_seen=math.log(self.detection_probability),
-            log_missed=math.log(1.0 - self.detection_probability),
-            log_new=math.log(self.new_objects_per_frame),
+            log_seen=math.log(DETECTION_PROBABILITY),
+            log_missed=math.log(1.0 - DETECTION_PROBABILITY),
+            log_new=math.log(NEW_OBJECTS_PER_FRAME),
         )
         return best_tracks(nodes, table, frames, search, self.min_log_odds)

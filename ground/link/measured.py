@@ -57,7 +57,10 @@ class Member:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Rows:
-    """Dated directions by time. covariance : (m, 2, 2) arcsec^2, headings : (m, 2) of motion, east, north; shared : (m, 3)."""
+    """Dated directions by time. covariance : (m, 2, 2) arcsec^2, headings : (m, 2) of motion, east, north; shared : (m, 3).
+
+    narrower : (m,) variance along the motion minus the square of half the 68 % interval, arcsec^2.
+    """
 
     streak_id: NDArray[np.int64]
     point: NDArray[np.int64]
@@ -71,6 +74,7 @@ class _Rows:
     pointing: Array
     turning: Array
     frame: NDArray[np.int64]
+    narrower: Array
 
 
 def measured_tracklet(tracklet: Tracklet, members: Sequence[Member]) -> Tracklet:
@@ -134,6 +138,7 @@ def _rows_of(members: Sequence[Member]) -> _Rows:
         pointing=np.array([m.pointing_arcsec for m, _, _ in found], dtype=np.float64),
         turning=np.array(turning, dtype=np.float64),
         frame=np.array([m.final.frame for m, _, _ in found], dtype=np.int64),
+        narrower=np.array([_narrower_arcsec2(m, p, h) for (m, p, _), h in zip(found, headings, strict=True)], dtype=np.float64),
     )
 
 
@@ -155,6 +160,23 @@ def _trail_heading(member: Member, point: int) -> Array:
     fit = member.final.fit
     along = member.jacobian_arcsec[point] @ np.array([fit.row1 - fit.row0, fit.col1 - fit.col0])
     return np.asarray(along / max(float(np.linalg.norm(along)), 1e-12))
+
+
+def _narrower_arcsec2(member: Member, point: int, heading: Array) -> float:
+    """Variance of a jointly fitted end along the motion minus the square of half its 68 % interval; 0 of other points.
+
+    The posterior of a change point has heavy tails: its standard deviation holds more than 68 %.
+    """
+    fit = member.final.fit
+    if point == 1 or not member.final.flags & StreakFlag.REFIT or not np.isfinite(heading).all():
+        return 0.0
+    along = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0]) / max(fit.length_px, 1e-6)
+    start = 2 * (point // 2)
+    variance = float(along @ np.asarray(fit.covariance_px2)[start : start + 2, start : start + 2] @ along)
+    half = 0.5 * float(np.ptp(np.asarray(fit.end_interval_px)[point // 2]))
+    scale_arcsec = float(member.jacobian_arcsec[point] @ along @ heading)
+    found = (variance - half**2) * scale_arcsec**2 - member.pointing_arcsec**2
+    return found if math.isfinite(found) else 0.0
 
 
 def turning_arcsec(streak: StreakMeasurement, sigma_rate_arcsec_s: float, point: int) -> float:
@@ -188,8 +210,8 @@ def _covariance_arcsec2(member: Member, point: int, heading: Array, slant: float
         beside = np.array([-heading[1], heading[0]])
         off = float(across @ block @ across) * float(np.linalg.norm(jacobian @ across)) ** 2
         off += member.pointing_arcsec**2 + turning**2
-        moved = jacobian @ along
-        return np.asarray(float(along @ block @ along) * np.outer(moved, moved) + slant**2 * off * np.outer(beside, beside))
+        way = jacobian @ along
+        return np.asarray(float(along @ block @ along) * np.outer(way, way) + slant**2 * off * np.outer(beside, beside))
     sway = member.end_shake.sway(fit.length_px, fit.width_px)
     attitude = member.pointing_arcsec**2 + (member.end_shake.turn**2 + sway**2) * turning**2
     pointing = attitude * np.outer(trail, trail) + (member.pointing_arcsec**2 + turning**2) * np.outer(side, side)
@@ -200,7 +222,7 @@ def _motion(rows: _Rows, t_ref_ns: int) -> dict[str, Any]:
     """Fields of a tracklet from the motion through its rows; NaN with fewer than two rows."""
     nan = math.nan
     m = len(rows.t_tai_ns)
-    along, cross, correlation, angle = (np.full(m, nan) for _ in range(4))
+    along, cross, correlation, angle, half68 = (np.full(m, nan) for _ in range(5))
     out: dict[str, Any] = dict.fromkeys(("ra_ref_deg", "dec_ref_deg", "rate_deg_s", "rate_err_deg_s", "position_angle_deg"), nan)
     t_s = np.asarray((rows.t_tai_ns - t_ref_ns) * 1e-9, dtype=np.float64)
     unit = unit_vectors(np.radians(rows.ra_deg), np.radians(rows.dec_deg))
@@ -212,6 +234,7 @@ def _motion(rows: _Rows, t_ref_ns: int) -> dict[str, Any]:
         along, cross = np.sqrt(turned[:, 0, 0]), np.sqrt(turned[:, 1, 1])
         correlation = turned[:, 0, 1] / np.maximum(along * cross, 1e-12)
         angle = np.degrees(np.arctan2(headings[:, 0], headings[:, 1])) % 360.0
+        half68 = np.sqrt(np.maximum(turned[:, 0, 0] - np.maximum(rows.narrower, 0.0), 0.0))
         here, rate, rate_err = _fitted(t_s, unit, centre, plane, _joint_covariance(rows, turned), headings)
         ra_ref, dec_ref = spherical_deg(here[None, :])
         east, north = east_north(here)
@@ -227,6 +250,7 @@ def _motion(rows: _Rows, t_ref_ns: int) -> dict[str, Any]:
         "sigma_cross_arcsec": cross,
         "correlation": correlation,
         "motion_angle_deg": angle,
+        "half68_along_arcsec": half68,
     }
 
 

@@ -49,7 +49,7 @@ def merged(
                 if nodes.kind[tracks[j][0]] == ENTERING:
                     continue
                 trial = np.concatenate([tracks[k], tracks[j]])
-                gain, chi2, rows, _ = gain_of(nodes, trial, *model, centre, basis, theta, factor)
+                gain, chi2, rows, _ = gain_of(nodes, trial, model, centre, basis, theta, factor)
                 if gain - gains[j] > best_gain and chi2 < chi2_gate(rows):
                     best, best_gain, joined = int(j), gain - gains[j], trial
             if best < 0:

@@ -152,20 +152,22 @@ def chi2_gate(rows: int) -> float:
     return free + 6.0 * math.sqrt(2.0 * free) + 14.0
 
 
+Model = tuple[float, float, float, float]
+"""log_area, sigma_acceleration, log_seen, log_missed."""
+
+
 @njit(cache=True)
 def gain_of(
     nodes: Nodes,
     members: NDArray[np.int64],
-    log_area: float,
-    sigma_acceleration: float,
-    log_seen: float,
-    log_missed: float,
+    model: Model,
     centre: NDArray[np.float64],
     basis: NDArray[np.float64],
     theta: NDArray[np.float64],
     factor: NDArray[np.float64],
 ) -> tuple[float, float, int, float]:
     """Log evidence of one object over chance, chi-square, coordinates and reference epoch of a track."""
+    log_area, sigma_acceleration, log_seen, log_missed = model
     chi2, gain, rows, t_ref = fit_motion(nodes, members, log_area, sigma_acceleration, centre, basis, theta, factor)
     n = len(members)
     missed = nodes.frame[members[n - 1]] - nodes.frame[members[0]] + 1 - n
@@ -182,10 +184,7 @@ def grow(
     used: NDArray[np.bool_],
     reach: int,
     floor_rad: float,
-    log_area: float,
-    sigma_acceleration: float,
-    log_seen: float,
-    log_missed: float,
+    model: Model,
 ) -> tuple[NDArray[np.int64], float]:
     """Extend a track at both ends, frame by frame, with the streak that raises its evidence most; members and gain.
 
@@ -196,7 +195,7 @@ def grow(
     centre, basis, theta = np.empty(3), np.empty((2, 3)), np.empty(N_PARAMETERS)
     factor = np.empty((N_PARAMETERS, N_PARAMETERS))
     trial_theta = np.empty(N_PARAMETERS)
-    gain, _, _, t_ref = gain_of(nodes, members, log_area, sigma_acceleration, log_seen, log_missed, centre, basis, theta, factor)
+    gain, _, _, t_ref = gain_of(nodes, members, model, centre, basis, theta, factor)
     trial_centre, trial_basis = np.empty(3), np.empty((2, 3))
     for forward in (True, False):
         extending = True
@@ -225,7 +224,7 @@ def grow(
                     speed = math.hypot(vx, vy)
                     lever = 1.0 + 2.0 * dt / max(arc, 1e-3)
                     noise = nodes.sigma_rad[j, 0] + nodes.sigma_rad[j, 1] + nodes.sigma_rad[edge, 0] + nodes.sigma_rad[edge, 1]
-                    tolerance = _GATE * noise * lever + floor_rad + sigma_acceleration * dt * (dt + arc) * _GATE
+                    tolerance = _GATE * noise * lever + floor_rad + model[1] * dt * (dt + arc) * _GATE
                     tolerance += speed * dt * _drift(speed, dt + arc)
                     if math.hypot(x - px, y - py) > tolerance:
                         continue
@@ -234,10 +233,7 @@ def grow(
                         trial[:-1], trial[-1] = members, j
                     else:
                         trial[1:], trial[0] = members, j
-                    trial_gain, chi2, rows, _ = gain_of(
-                        nodes, trial, log_area, sigma_acceleration, log_seen, log_missed, trial_centre, trial_basis,
-                        trial_theta, factor,
-                    )  # fmt: skip
+                    trial_gain, chi2, rows, _ = gain_of(nodes, trial, model, trial_centre, trial_basis, trial_theta, factor)
                     if trial_gain > best_gain and chi2 < chi2_gate(rows):
                         best, best_gain = j, trial_gain
                 if best >= 0 and best_gain > gain:
@@ -247,9 +243,7 @@ def grow(
                     else:
                         longer[1:], longer[0] = members, best
                     members = longer
-                    gain, _, _, t_ref = gain_of(
-                        nodes, members, log_area, sigma_acceleration, log_seen, log_missed, centre, basis, theta, factor
-                    )
+                    gain, _, _, t_ref = gain_of(nodes, members, model, centre, basis, theta, factor)
                     extending = True
                     break
     return members, gain
@@ -261,10 +255,7 @@ def candidates(
     pairs: NDArray[np.int64],
     reach: int,
     floor_rad: float,
-    log_area: float,
-    sigma_acceleration: float,
-    log_seen: float,
-    log_missed: float,
+    model: Model,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     """Grow every pair (best first) that no better candidate holds; flat members, offsets (k + 1,), gains (k,)."""
     used = np.zeros(len(nodes.frame) // 2, dtype=np.bool_)
@@ -277,7 +268,7 @@ def candidates(
         i, j = pairs[s, 0], pairs[s, 1]
         if holder[i] >= 0 and holder[i] == holder[j]:
             continue
-        members, gain = grow(nodes, pairs[s], used, reach, floor_rad, log_area, sigma_acceleration, log_seen, log_missed)
+        members, gain = grow(nodes, pairs[s], used, reach, floor_rad, model)
         end = offsets[count] + len(members)
         if end > len(flat):
             bigger = np.empty(2 * end, dtype=np.int64)

@@ -47,7 +47,7 @@ def best_tracks(nodes: Nodes, table: StreakTable, frames: FrameTable, search: Se
         capacity = found
     order = np.argsort(-gains[:found], kind="stable")
     model = (search.log_area, search.sigma_acceleration, search.log_seen, search.log_missed)
-    growth = (search.reach, search.floor_rad, *model)
+    growth = (search.reach, search.floor_rad, model)
     flat, offsets, gains = candidates(nodes, np.ascontiguousarray(pairs[:found][order]), *growth)
     used = np.zeros(len(nodes.frame) // 2, dtype=np.bool_)
     accepted: list[NDArray[np.int64]] = []
@@ -104,10 +104,8 @@ def _described(nodes: Nodes, members: NDArray[np.int64], search: Search) -> Trac
     """The track of these hypotheses, with its motion."""
     centre, basis, theta = np.empty(3), np.empty((2, 3)), np.empty(N_PARAMETERS)
     factor = np.empty((N_PARAMETERS, N_PARAMETERS))
-    gain, chi2, rows, t_ref = gain_of(
-        nodes, members, search.log_area, search.sigma_acceleration, search.log_seen, search.log_missed, centre, basis, theta,
-        factor,
-    )  # fmt: skip
+    model = (search.log_area, search.sigma_acceleration, search.log_seen, search.log_missed)
+    gain, chi2, rows, t_ref = gain_of(nodes, members, model, centre, basis, theta, factor)
     lower = np.linalg.inv(np.tril(factor))
     return Track(
         members=members,

@@ -6,6 +6,7 @@ constrains range and range rate (Milani et al. 2004, Icarus 170, 152: the attrib
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,26 +18,34 @@ from sboc_e2e.icd.products import Tracklet
 _LONG_ARC_S = 60.0
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Attributable:
-    """Direction and rate at `t_ref_tai_ns`, and the data's demands on the curve between the nodes.
+class CurveForm(NamedTuple):
+    """What the data demand of a curve's plane coordinates s = (x_1..x_k, y_1..y_k) at epochs node_s (k,) after the reference.
 
-    axes : (3, 3) rows e1, e2 (tangent plane) and the direction itself. rate_rad_s : (2,) along e1, e2 of the nominal motion.
-    node_s : (k,) epochs after the reference at which a model gives plane coordinates s = (x_1..x_k, y_1..y_k).
     chi2 = constant - 2 linear.s + s.quadratic.s once the four free numbers are fitted; correction of the rate for a model is
-    rate_offset - rate_matrix s (2, 2k), with covariance rate_covariance (2, 2) in rad^2/s^2. In the same way the direction at the
-    reference epoch is place_offset - place_matrix s in the tangent plane; covariance (4, 4) of direction and rate together.
+    rate_offset - rate_matrix s (2, 2k).
     """
 
-    t_ref_tai_ns: int
-    axes: NDArray[np.float64]
-    rate_rad_s: NDArray[np.float64]
     node_s: NDArray[np.float64]
     constant: float
     linear: NDArray[np.float64]
     quadratic: NDArray[np.float64]
     rate_offset: NDArray[np.float64]
     rate_matrix: NDArray[np.float64]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Attributable:
+    """Direction and rate at `t_ref_tai_ns`, and the data's demands on the curve between the nodes.
+
+    axes : (3, 3) rows e1, e2 (tangent plane) and the direction itself. rate_rad_s : (2,) along e1, e2 of the nominal motion.
+    rate_covariance : (2, 2) of the form's correction of the rate, rad^2/s^2. In the same way the direction at the reference epoch
+    is place_offset - place_matrix s in the tangent plane; covariance (4, 4) of direction and rate together.
+    """
+
+    t_ref_tai_ns: int
+    axes: NDArray[np.float64]
+    rate_rad_s: NDArray[np.float64]
+    form: CurveForm
     rate_covariance: NDArray[np.float64]
     place_offset: NDArray[np.float64]
     place_matrix: NDArray[np.float64]
@@ -87,12 +96,14 @@ def attributable_of(tracklet: Tracklet, sigma_floor_arcsec: float) -> Attributab
         t_ref_tai_ns=t_ref_ns,
         axes=axes,
         rate_rad_s=nominal,
-        node_s=node_s,
-        constant=float(data @ projected @ data),
-        linear=model.T @ projected @ data,
-        quadratic=model.T @ projected @ model,
-        rate_offset=(solve @ data)[2:],
-        rate_matrix=(solve @ model)[2:],
+        form=CurveForm(
+            node_s=node_s,
+            constant=float(data @ projected @ data),
+            linear=model.T @ projected @ data,
+            quadratic=np.ascontiguousarray(model.T @ projected @ model),
+            rate_offset=(solve @ data)[2:],
+            rate_matrix=np.ascontiguousarray((solve @ model)[2:]),
+        ),
         rate_covariance=covariance[2:, 2:],
         place_offset=(solve @ data)[:2],
         place_matrix=(solve @ model)[:2],

@@ -3,6 +3,7 @@
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,6 +27,12 @@ _MOST_DRAWS = 12
 _MAG_UNKNOWN = 12.0
 """V assumed for the size law's weight when a tracklet has no magnitude: about the limit of detection."""
 
+SMALL_BELOW_M: Final = 0.1
+"""Diameter that divides small from large objects."""
+
+SIGMA_FLOOR_ARCSEC: Final = 0.1
+"""Error of each direction beyond the stated one, added in quadrature."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class RangeScan:
@@ -42,7 +49,6 @@ class RangeScan:
     breakup_share_large: float = field(
         default=0.1, metadata={"doc": "of larger ones, whose catalogued orbits hold them already", "min": 0.0, "max": 1.0}
     )
-    small_below_m: float = field(default=0.1, metadata={"doc": "diameter that divides them", "min": 1e-4, "max": 100.0})
     tail_share: float = field(default=0.02, metadata={"doc": "of objects on any bound orbit at all", "min": 1e-6, "max": 1.0})
     ring_share: float = field(
         default=0.02, metadata={"doc": "of objects on or near the geostationary ring", "min": 0.0, "max": 1.0}
@@ -53,9 +59,6 @@ class RangeScan:
     )
     nearest_km: float = field(default=0.05, metadata={"doc": "where the scan begins", "min": 1e-3, "max": 1e4})
     farthest_km: float = field(default=60000.0, metadata={"doc": "where the scan ends", "min": 1.0, "max": 1e6})
-    sigma_floor_arcsec: float = field(
-        default=0.1, metadata={"doc": "error of each direction beyond the stated one, added", "min": 0.0, "max": 1e3}
-    )
     draws: int = field(
         default=3,
         metadata={"doc": "transverse rates tried at each range, more where they are poorly known", "min": 1, "max": 100},
@@ -72,13 +75,13 @@ class RangeScan:
 
     def estimate(self, tracklet: Tracklet, headers: Sequence[FrameHeader]) -> OrbitEstimate:
         """Posterior of one tracklet; not converged, with NaN, without sky positions or observer states near it."""
-        data = attributable_of(tracklet, self.sigma_floor_arcsec)
+        data = attributable_of(tracklet, SIGMA_FLOOR_ARCSEC)
         if data is None:
             return self._nothing(tracklet, "fewer than two directions at different epochs")
         path = observer_orbit(headers)
         if path is None:
             return self._nothing(tracklet, "no state of the observer in the run")
-        node_ns = data.t_ref_tai_ns + np.round(np.append(data.node_s, 0.0) * 1e9).astype(np.int64)
+        node_ns = data.t_ref_tai_ns + np.round(np.append(data.form.node_s, 0.0) * 1e9).astype(np.int64)
         observed_from = path.states(node_ns)
         if not np.isfinite(observed_from).all():
             return self._nothing(tracklet, "no state of the observer near its epochs")
@@ -93,7 +96,7 @@ class RangeScan:
             d3r d3v = rho^4 d(direction) d(rate) d(rho) d(rho rate).
             """
             size_m = float(diameter_m(mag, range_km, self.albedo, phase_rad))
-            return small if size_m < self.small_below_m else large, 5.0 * math.log(range_km) + log_size_density(size_m)
+            return small if size_m < SMALL_BELOW_M else large, 5.0 * math.log(range_km) + log_size_density(size_m)
 
         sigma_km_s = _TYPICAL_RANGE_KM * math.sqrt(float(np.trace(data.rate_covariance)))
         draws = self.draws * min(1 + int(sigma_km_s / _DRAW_STEP_KM_S), _MOST_DRAWS)
@@ -185,7 +188,7 @@ class RangeScan:
         """The assumptions, in words."""
         return (
             f"phase-space volume; orbits of catalogued LEO fragments (2023), with NASA breakup velocities for "
-            f"{100 * self.breakup_share_small:.0f} % of objects below {100 * self.small_below_m:g} cm and "
+            f"{100 * self.breakup_share_small:.0f} % of objects below {100 * SMALL_BELOW_M:g} cm and "
             f"{100 * self.breakup_share_large:.0f} % of larger ones; {100 * self.tail_share:.3g} % on any bound orbit, "
             f"{100 * self.ring_share:.3g} % near the "
             f"geostationary ring; size law d^-2.10 below 1 cm and d^-1.45 above; albedo {self.albedo:g}"
@@ -200,11 +203,6 @@ def problem_of(data: Attributable, observer: NDArray[np.float64], at_node_km: ND
         observer_at_node=np.ascontiguousarray(at_node_km),
         axes=np.ascontiguousarray(data.axes),
         rate=data.rate_rad_s,
-        node_s=data.node_s,
-        constant=data.constant,
-        linear=data.linear,
-        quadratic=np.ascontiguousarray(data.quadratic),
-        rate_offset=data.rate_offset,
-        rate_matrix=np.ascontiguousarray(data.rate_matrix),
+        form=data.form,
         rate_factor=np.ascontiguousarray(lower),
     )

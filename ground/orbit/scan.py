@@ -7,6 +7,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from ground.orbit.attributable import CurveForm
 from ground.orbit.dynamics import LIGHT_KM_S, MU_KM3_S2, advance, elements
 from ground.orbit.prior import PriorTable, phase_space_density
 
@@ -27,12 +28,7 @@ class Problem(NamedTuple):
     observer_at_node: NDArray[np.float64]
     axes: NDArray[np.float64]
     rate: NDArray[np.float64]
-    node_s: NDArray[np.float64]
-    constant: float
-    linear: NDArray[np.float64]
-    quadratic: NDArray[np.float64]
-    rate_offset: NDArray[np.float64]
-    rate_matrix: NDArray[np.float64]
+    form: CurveForm
     rate_factor: NDArray[np.float64]
 
 
@@ -55,17 +51,17 @@ def curve(
     problem: Problem, range_km: float, range_rate_km_s: float, state: NDArray[np.float64], out: NDArray[np.float64]
 ) -> None:
     """Plane coordinates (2k,) at the nodes of the orbit with the nominal rate."""
-    k = len(problem.node_s)
+    k = len(problem.form.node_s)
     middle = 0
     for j in range(k):
-        if abs(problem.node_s[j]) < abs(problem.node_s[middle]):
+        if abs(problem.form.node_s[j]) < abs(problem.form.node_s[middle]):
             middle = j
     for way in (1, -1):
         target_state(problem, range_km, range_rate_km_s, 0.0, 0.0, state)
         epoch = 0.0
         j = middle if way == 1 else middle - 1
         while 0 <= j < k:
-            emitted = problem.node_s[j] * (1.0 - range_rate_km_s / LIGHT_KM_S)
+            emitted = problem.form.node_s[j] * (1.0 - range_rate_km_s / LIGHT_KM_S)
             advance(state, emitted - epoch)
             epoch = emitted
             x, y, z = 0.0, 0.0, 0.0
@@ -104,7 +100,7 @@ def best_range_rate(
     problem: Problem, range_km: float, start_km_s: float, low_km_s: float, high_km_s: float, work: NDArray[np.float64]
 ) -> tuple[float, float]:
     """Range rate that the data prefer at a range, and its sigma (km/s), by Gauss-Newton inside [low, high]. work : (3, 2k)."""
-    arc = max(problem.node_s[-1] - problem.node_s[0], 1e-3)
+    arc = max(problem.form.node_s[-1] - problem.form.node_s[0], 1e-3)
     state = np.empty(6)
     rate, sigma = min(max(start_km_s, low_km_s), high_km_s), math.inf
     for _ in range(6):
@@ -114,14 +110,14 @@ def best_range_rate(
         curve(problem, range_km, rate - step, state, work[2])
         for i in range(work.shape[1]):
             work[1, i] = (work[1, i] - work[2, i]) / (2.0 * step)
-        curvature = _form(problem.quadratic, work[1], work[1])
+        curvature = _form(problem.form.quadratic, work[1], work[1])
         if not curvature > 1e-12:
             return rate, math.inf
         sigma = 1.0 / math.sqrt(curvature)
-        slope = _dot(problem.linear, work[1]) - _form(problem.quadratic, work[0], work[1])
-        moved = min(max(rate + slope / curvature, low_km_s), high_km_s)
-        done = abs(moved - rate) < 0.02 * sigma
-        rate = moved
+        slope = _dot(problem.form.linear, work[1]) - _form(problem.form.quadratic, work[0], work[1])
+        better = min(max(rate + slope / curvature, low_km_s), high_km_s)
+        done = abs(better - rate) < 0.02 * sigma
+        rate = better
         if done:
             break
     return rate, sigma
@@ -169,7 +165,7 @@ def scan_range(
     if room <= 0.0:
         return 0, -math.inf, start_km_s
     low, high = -v_along - math.sqrt(room), -v_along + math.sqrt(room)
-    k2 = len(problem.linear)
+    k2 = len(problem.form.linear)
     work = np.empty((3, k2))
     centre, sigma = best_range_rate(problem, range_km, start_km_s, low, high, work)
     first, last = max(low, centre - _WINDOW_SIGMA * sigma), min(high, centre + _WINDOW_SIGMA * sigma)
@@ -184,14 +180,14 @@ def scan_range(
         minus, zero, plus = work[0, i], work[1, i], work[2, i]
         work[0, i], work[1, i], work[2, i] = zero, 0.5 * (plus - minus), 0.5 * (plus + minus) - zero
     quartic = np.zeros(5)
-    quartic[0] = problem.constant
+    quartic[0] = problem.form.constant
     shift = np.zeros((2, 3))
     for p in range(3):
-        quartic[p] -= 2.0 * _dot(problem.linear, work[p])
+        quartic[p] -= 2.0 * _dot(problem.form.linear, work[p])
         for q in range(3):
-            quartic[p + q] += _form(problem.quadratic, work[p], work[q])
+            quartic[p + q] += _form(problem.form.quadratic, work[p], work[q])
         for c in range(2):
-            shift[c, p] = (problem.rate_offset[c] if p == 0 else 0.0) - _dot(problem.rate_matrix[c], work[p])
+            shift[c, p] = (problem.form.rate_offset[c] if p == 0 else 0.0) - _dot(problem.form.rate_matrix[c], work[p])
     # the nominal curve holds the nominal rate already: what the data want beyond it
     n_draws = len(normal)
     rates = np.empty(2 * _RIDGE_STEPS + _WINDOW_STEPS + 2)

@@ -124,7 +124,7 @@ def _states(
     place_noise: Array,
 ) -> Array:
     """States (n, 6) at the reference epoch of weighted orbits (n,); place_noise (n, 2) : of the direction at a given rate."""
-    n, k2 = len(range_km), len(problem.linear)
+    n, k2 = len(range_km), len(problem.form.linear)
     out = np.empty((n, 6))
     work, path = np.empty(6), np.empty(k2)
     line = np.empty(3)
@@ -132,9 +132,9 @@ def _states(
         curve(problem, range_km[s], range_rate_km_s[s], work, path)
         drawn = np.empty(2)
         for c in range(2):
-            expected = problem.rate_offset[c]
+            expected = problem.form.rate_offset[c]
             for j in range(k2):
-                expected -= problem.rate_matrix[c, j] * path[j]
+                expected -= problem.form.rate_matrix[c, j] * path[j]
             drawn[c] = rate_shift[s, c] - expected
         place = np.empty(2)
         for c in range(2):

@@ -13,7 +13,7 @@ from ground.streaks.psf_field import PsfField
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag, StarFlag
-from sboc_e2e.icd.frame import Calibration
+from sboc_e2e.icd.frame import Calibration, FrameHeader
 from sboc_e2e.icd.products import FrameSolution, PhotometricSolution
 from sboc_e2e.icd.signals import StarList
 
@@ -73,7 +73,7 @@ def known_stars(
     listed = _part(listed, ~_among(listed, old, same_px)[0])
     if solution.flags & FrameFlag.NO_SOLUTION:
         return _joined(old, listed)
-    predicted = _predicted(frame, solution, photometry, calibration, catalogue)
+    predicted = _predicted(frame.header, solution, photometry, calibration, catalogue)
     predicted = _part(predicted, ~_among(predicted, old, same_px)[0])
     known, nearest = _among(listed, predicted, same_px)
     # the measured place of an identified star is better than the predicted one (catalogue error)
@@ -115,14 +115,13 @@ def _among(stars: KnownStars, others: KnownStars, same_px: float) -> tuple[NDArr
 
 
 def _predicted(
-    frame: DownlinkFrame,
+    header: FrameHeader,
     solution: FrameSolution,
     photometry: PhotometricSolution,
     calibration: Calibration,
     catalogue: StarCatalogue,
 ) -> KnownStars:
     """The catalogue stars inside a solved frame with a zero point."""
-    header = frame.header
     middle = mid_frame_tai_ns(header)
     last_row, last_col = header.rows - 1.0, header.cols - 1.0
     corners = mid_frame_directions(solution, np.array([0.0, 0.0, last_row, last_row]), np.array([0.0, last_col, 0.0, last_col]))

@@ -1,6 +1,7 @@
 """Magnitude of a streak from its flux, its exposed time and the frame's zero point."""
 
 import math
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,25 +12,42 @@ from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import PhotometricSolution, StreakMeasurement
 
+LEAST_MISSING: Final = 1e-3
+"""Share of the exposure from which the epochs of both ends show that a trail is a piece; those of a whole one are the
+shutter's to a nanosecond."""
+
 
 def exposed_time_s(streak: StreakMeasurement, header: FrameHeader, crossing_s: float | None) -> tuple[float, float] | None:
     """Time that the flux of a streak was collected in, and its relative error; None where it cannot be known.
 
     A mover is exposed for ``T / |1 - v_row tau|``, which is the time from the opening of the shutter on the row of end 0 to
     its closing on that of end 1 once the direction is known. crossing_s : trail length over the tracklet's rate, for trails
-    cut by the frame's edge. Before the direction is known both travel directions count: their mean, with half their
+    cut by the frame's edge. Ends of a piece of a broken trail are dated by the motion, and the time between them is that of its
+    light. Before the direction is known both travel directions count: their mean, with half their
     difference as the error.
     """
     exposure_s = header.exposure_ns * 1e-9
     cut = bool(streak.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1))
     if cut:
         return None if crossing_s is None or crossing_s <= 0.0 else (crossing_s, 0.01)
-    # of the shutter: where an end lies off the motion, its epoch is that of the motion
     read_out_s = header.line_time_ns * (streak.fit.row1 - streak.fit.row0) * 1e-9
     if streak.flags & StreakFlag.DIRECTION_RESOLVED:
-        return max(abs(exposure_s + read_out_s), 1e-9), 0.0
+        shutter_s = max(abs(exposure_s + read_out_s), 1e-9)
+        dated_s = float(streak.t_tai_ns[2] - streak.t_tai_ns[0]) * 1e-9
+        if not streak.flags & StreakFlag.FAST_ROWS and 0.0 < dated_s < (1.0 - LEAST_MISSING) * shutter_s:
+            return dated_s, _length_error(streak)
+        return shutter_s, 0.0
     longest, shortest = exposure_s + abs(read_out_s), abs(exposure_s - abs(read_out_s))
     return max(exposure_s, 1e-9), 0.5 * (longest - shortest) / max(exposure_s, 1e-9)
+
+
+def _length_error(streak: StreakMeasurement) -> float:
+    """Relative error of the length of a trail, of which its time is a share."""
+    fit = streak.fit
+    along = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0]) / max(fit.length_px, 1e-6)
+    difference = np.concatenate([-along, along])
+    variance = float(difference @ np.asarray(fit.covariance_px2) @ difference)
+    return math.sqrt(variance) / max(fit.length_px, 1.0) if variance >= 0.0 else 1.0
 
 
 def streak_magnitude(

@@ -7,7 +7,8 @@ The result is V of the object's mean light over its light curve, at the mean epo
 with a slow trend g (the range changes), a curve of unknown period P with two harmonics, and scatter w without memory for
 everything that is faster or of another shape. Given P and the scales of a, b and w, F is the mean of a normal distribution in
 closed form. The posterior is the mixture over a grid of periods and scales. With one exposure it is the prior of unobserved
-variation, with a whole turn the fitted mean of the curve. A period that is too long for the arc stays in the error.
+variation, with a whole turn the fitted mean of the curve. A period that is too long for the arc stays in the error. Flashes that
+were recognised on trails are not in these fluxes; their mean light is added.
 """
 
 from collections.abc import Sequence
@@ -17,7 +18,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
+from scipy.special import log_ndtr, ndtr
 
 from ground.photometry.zero_point import POGSON
 from sboc_e2e.icd.flags import StreakFlag
@@ -51,14 +52,28 @@ TREND_PER_RADIAN: Final = 2.0
 """Standard deviation of the change of ln(light) with the angle moved through: d(ln f)/dt = -2 (range rate / range), and the range
 rate is of the order of the transverse velocity."""
 
-SHARED_ERROR_MAG: Final = 0.008
+SHARED_ERROR_MAG: Final = 0.007
 """Common error of the members of a tracklet, which their scatter does not show: the flat's slope along the path, the PSF width,
-the catalogue's colours. Steady objects with errors of the mean of 0.002 to 0.008 mag alone lie 0.01 mag rms off
-(`sso_antisun`)."""
+the catalogue's colours. By maximum likelihood, of bright steady objects, 0.0035 [0.003, 0.004] mag in `nadir_rotation` (77
+tracklets), in `sso_antisun` 0.007 [0.005, 0.009] with the ideal camera (28) and 0.008 [0.006, 0.011] with the real one (24)."""
 
 FEWEST_BINS: Final = 4
 MOST_BINS: Final = 12
 BIN_SNR: Final = 4.0
+SIGMAS_90: Final = 1.645
+HALF_POINT_SNR: Final = 7.2
+"""S/N at which the default chain finds half of the trails (docs/survey.md: 7.26 [7.10, 7.38])."""
+
+THRESHOLD_WIDTH: Final = 0.6
+"""Sigma, in S/N, by which the threshold differs from one trail to the next. Of trails of S/N 6.0 on board finds 0.2, of 7.2 0.57,
+of 8.6 0.92, of 10 all, which is a threshold of this width under noise of one. With a sharp threshold, exposures below it would
+speak for an object without any light."""
+
+SURELY_FOUND: Final = 3.0
+"""Exposures this many sigma above the half point were not chosen by their noise."""
+
+LEAST_WEIGHT: Final = 1e-6
+NEWTON_STEPS: Final = 20
 _FLOOR: Final = 0.02
 """Least mean light, relative to the brightness seen, that a posterior may reach: magnitudes need a positive one."""
 
@@ -87,18 +102,34 @@ UNKNOWN: Final = TrackletLight(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Samples:
-    """Light of exposures, or of parts of them: mid-epoch t_s (n,), duration_s (n,), mag and mag_err (n,)."""
+    """Light of exposures, or of parts of them: mid-epoch t_s (n,), duration_s (n,), mag and mag_err (n,).
+
+    snr : (n,) of exposures that were found by their own light; NaN for parts of them.
+    """
 
     t_s: Array
     duration_s: Array
     mag: Array
     mag_err: Array
+    snr: Array
 
 
-def with_mean_light(tracklet: Tracklet, members: Sequence[StreakMeasurement]) -> Tracklet:
-    """The tracklet with the mean light of the object that its members show, as they were measured last."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Cells:
+    """Likely cells of the mixture: log_weight (c,), mean (c, 6) and covariance (c, 6, 6) of the linear parameters."""
+
+    log_weight: Array
+    mean: Array
+    covariance: Array
+
+
+def with_mean_light(tracklet: Tracklet, members: Sequence[StreakMeasurement], half_point_snr: float = HALF_POINT_SNR) -> Tracklet:
+    """The tracklet with the mean light of the object that its members show, as they were measured last.
+
+    half_point_snr : S/N at which half of the trails are found.
+    """
     known = [m for m in members if np.isfinite(m.mag) and m.mag_err > 0.0]
-    light = mean_light(samples_of(known), tracklet.rate_deg_s) if known else UNKNOWN
+    light = _with_flashes(mean_light(samples_of(known), tracklet.rate_deg_s, half_point_snr), known) if known else UNKNOWN
     return replace(
         tracklet,
         mag=light.mag,
@@ -111,26 +142,54 @@ def with_mean_light(tracklet: Tracklet, members: Sequence[StreakMeasurement]) ->
     )
 
 
+def _with_flashes(steady: TrackletLight, members: Sequence[StreakMeasurement]) -> TrackletLight:
+    """The mean light with that of the flashes that were seen.
+
+    n flashes of the energies E in the exposures of the length T add sum(E) / T on average, and an error of sqrt(sum(E^2)) / T,
+    because they come by chance in exposures or between them.
+    """
+    if not any(m.fit.flash_e > 0.0 for m in members):
+        return steady
+    light = 10.0 ** (-0.4 * (np.array([m.mag for m in members]) - steady.mag))
+    share = np.array([m.fit.flash_e / m.fit.flux_e for m in members])
+    exposed_s = np.array([max(float(m.t_tai_ns[2] - m.t_tai_ns[0]) * 1e-9, 1e-9) for m in members])
+    energy, total_s = light * share * exposed_s, float(exposed_s.sum())
+    added, error = float(energy.sum()) / total_s, POGSON * float(np.sqrt(np.sum(energy**2))) / total_s
+    mag = steady.mag - 2.5 * float(np.log10(1.0 + added))
+
+    def widened(steady_mag: float, sigmas: float) -> float:
+        return float(np.hypot(steady_mag, sigmas * error)) / (1.0 + added)
+
+    return replace(
+        steady,
+        mag=mag,
+        mag_err=widened(steady.mag_err, 1.0),
+        mag_low=mag - widened(steady.mag - steady.mag_low, SIGMAS_90),
+        mag_high=mag + widened(steady.mag_high - steady.mag, SIGMAS_90),
+    )
+
+
 def samples_of(members: Sequence[StreakMeasurement]) -> Samples:
-    """Samples of members that have a magnitude: one each, or the bins of the trail where its light varies along it."""
+    """Samples of the steady light of members that have a magnitude: one each, or the bins of a trail along which it varies."""
     origin = min(int(m.t_tai_ns[1]) for m in members)
-    rows: list[tuple[float, float, float, float]] = []
+    rows: list[tuple[float, float, float, float, float]] = []
     for member in members:
         start, middle, stop = ((int(t) - origin) * 1e-9 for t in member.t_tai_ns)
         bins = _bins(member) if stop > start else None
+        mag = member.mag - 2.5 * float(np.log10(1.0 - member.fit.flash_e / member.fit.flux_e))
         if bins is None:
-            rows.append((middle, max(stop - start, 0.0), member.mag, member.mag_err))
+            rows.append((middle, max(stop - start, 0.0), mag, member.mag_err, member.fit.snr))
             continue
         relative, error = bins
         step = (stop - start) / len(relative)
         # the streak's error is that of all bins together; what a bin adds is that of its share of the light
         own = np.maximum(POGSON * error / relative, member.mag_err * np.sqrt(len(relative)))
         rows += [
-            (start + (k + 0.5) * step, step, member.mag - 2.5 * float(np.log10(relative[k])), float(own[k]))
+            (start + (k + 0.5) * step, step, mag - 2.5 * float(np.log10(relative[k])), float(own[k]), np.nan)
             for k in range(len(relative))
         ]
-    t_s, duration_s, mag, mag_err = np.array(rows).T
-    return Samples(t_s=t_s, duration_s=duration_s, mag=mag, mag_err=mag_err)
+    t_s, duration_s, mag, mag_err, snr = np.array(rows).T
+    return Samples(t_s=t_s, duration_s=duration_s, mag=mag, mag_err=mag_err, snr=snr)
 
 
 def _bins(member: StreakMeasurement) -> tuple[Array, Array] | None:
@@ -150,8 +209,8 @@ def _bins(member: StreakMeasurement) -> tuple[Array, Array] | None:
     return None if (light < 2.0 * sigma).any() else (light, sigma)
 
 
-def mean_light(samples: Samples, rate_deg_s: float) -> TrackletLight:
-    """The posterior of the mean light of one or more samples."""
+def mean_light(samples: Samples, rate_deg_s: float, half_point_snr: float = HALF_POINT_SNR) -> TrackletLight:
+    """The posterior of the mean light of one or more samples, which were found at half_point_snr and above."""
     reference = float(np.median(samples.mag))
     y = 10.0 ** (-0.4 * (samples.mag - reference))
     e = y * samples.mag_err / POGSON
@@ -176,22 +235,28 @@ def mean_light(samples: Samples, rate_deg_s: float) -> TrackletLight:
     parts = [_posterior(design, y, np.hypot(e, white * flat), variance) for white, _ in WHITE]
     prior = np.log(share)[:, None] + np.log(prior_scale)[None, :]
     log_weight = np.stack([part[0] + prior + np.log(p) for part, (_, p) in zip(parts, WHITE, strict=True)])
-    cell = np.exp(log_weight - log_weight.max())
+    likely = np.nonzero(log_weight > log_weight.max() + np.log(LEAST_WEIGHT))
+    white = np.array([w for w, _ in WHITE])[likely[0]]
+    cells = Cells(
+        log_weight=log_weight[likely],
+        mean=np.stack([part[1] for part in parts])[likely],
+        covariance=np.stack([part[2] for part in parts])[likely],
+    )
+    if (samples.snr < half_point_snr + SURELY_FOUND).any():
+        cells = given_detection(cells, design[likely[1]], np.hypot(e, white[:, None] * flat), y * half_point_snr / samples.snr)
+    cell = np.exp(cells.log_weight - cells.log_weight.max())
     cell /= cell.sum()
-    mean = np.stack([part[1] for part in parts])
-    covariance = np.stack([part[2] for part in parts])
-    sigma = np.sqrt(covariance[..., 0, 0] + (SHARED_ERROR_MAG / POGSON * mean[..., 0]) ** 2)
-    light = _quantiles(mean[..., 0].ravel(), sigma.ravel(), cell.ravel())
-    light = np.maximum(light, _FLOOR * flat)
+    mean, covariance = cells.mean, cells.covariance
+    sigma = np.sqrt(covariance[:, 0, 0] + (SHARED_ERROR_MAG / POGSON * mean[:, 0]) ** 2)
+    light = np.maximum(_quantiles(mean[:, 0], sigma, cell), _FLOOR * flat)
     low, lower, middle, upper, high = reference - 2.5 * np.log10(light[::-1])
-    white2 = np.array([w * w for w, _ in WHITE])[:, None, None]
-    spread = np.trace(covariance[..., 2:, 2:], axis1=-2, axis2=-1)
-    power = 0.5 * (np.sum(mean[..., 2:] ** 2, axis=-1) + spread) / flat**2 + white2
-    rms = float(cell.ravel() @ np.sqrt(power).ravel())
-    rms_err = float(np.sqrt(max(float(cell.ravel() @ power.ravel()) - rms**2, 0.0)))
+    spread = np.trace(covariance[:, 2:, 2:], axis1=-2, axis2=-1)
+    power = 0.5 * (np.sum(mean[:, 2:] ** 2, axis=-1) + spread) / flat**2 + white**2
+    rms = float(cell @ np.sqrt(power))
+    rms_err = float(np.sqrt(max(float(cell @ power) - rms**2, 0.0)))
     return TrackletLight(
         mag=float(middle),
-        mag_err=float(0.5 * (upper - lower)),
+        mag_err=max(float(0.5 * (upper - lower)), SHARED_ERROR_MAG),
         mag_low=float(low),
         mag_high=float(high),
         scatter_mag=float(POGSON * rms),
@@ -214,7 +279,8 @@ def _frequencies(t_s: Array) -> tuple[Array, Array]:
     turn = min(max(1.0 / span, slowest * 1.01), highest)
     slow = np.geomspace(slowest, turn, SLOW_PERIODS)
     n_fast = min(int((highest - turn) * STEPS_PER_CYCLE * span) + 1, MOST_PERIODS)
-    fast = np.linspace(turn, highest, n_fast + 1)[1:] if highest > turn else np.zeros(0)
+    # three times give half a turn per gap and one per arc: the same frequency, but for the last bit
+    fast = np.linspace(turn, highest, n_fast + 1)[1:] if highest > 1.001 * turn else np.zeros(0)
     frequency = np.concatenate([slow, fast])
     edges = np.concatenate([[slow[0]], np.sqrt(frequency[1:] * frequency[:-1]), [frequency[-1]]])
     share = np.log(edges[1:] / edges[:-1])
@@ -244,10 +310,41 @@ def _posterior(design: Array, y: Array, sigma: Array, variance: Array) -> tuple[
     return 0.5 * (explained - float(np.sum((y / sigma) ** 2)) - determinant), mean, covariance
 
 
+def given_detection(cells: Cells, design: Array, sigma: Array, half_point: Array) -> Cells:
+    """The cells given that each exposure was found: of faint ones those are found that noise and light curve make brighter.
+
+    An exposure of the expected light m is found with probability Phi((m - half_point) / s), by which its likelihood is divided
+    (a truncated normal distribution; Eddington 1913, MNRAS 73, 359, has the bias without it). s^2 is the sum of the variances
+    of the noise, sigma^2, and of the threshold. Each cell becomes the normal distribution of the same mode and curvature,
+    and keeps its weight: exposures that were found do not tell how many were not, and weights by their chance favoured objects
+    four magnitudes fainter that would have been found at their brightest alone.
+    design : (c, n, 6), sigma (c, n), half_point (n,), NaN where no selection took place, all in units of the light.
+    """
+    chosen = np.isfinite(half_point)
+    design, half_point = design[:, chosen], half_point[chosen]
+    sigma = sigma[:, chosen] * np.hypot(1.0, THRESHOLD_WIDTH)
+    precision = np.linalg.inv(cells.covariance)
+    x = cells.mean
+    for _ in range(NEWTON_STEPS):
+        u = (np.einsum("cni,ci->cn", design, x) - half_point) / sigma
+        hazard = _hazard(u)
+        gradient = np.einsum("cij,cj->ci", precision, x - cells.mean) + np.einsum("cni,cn->ci", design, hazard / sigma)
+        lost = hazard * (u + hazard) / sigma**2
+        hessian = precision - np.einsum("cni,cn,cnj->cij", design, lost, design)
+        step = np.linalg.solve(hessian, gradient[..., None])[..., 0]
+        x = x - step
+        if np.max(np.abs(step[:, 0])) < 1e-6 * float(np.max(half_point)):
+            break
+    return Cells(log_weight=cells.log_weight, mean=x, covariance=np.linalg.inv(hessian))
+
+
+def _hazard(u: Array) -> Array:
+    """phi(u) / Phi(u), which goes to -u far below 0."""
+    return np.asarray(np.exp(-0.5 * u * u - 0.5 * np.log(2.0 * np.pi) - log_ndtr(u)))
+
+
 def _quantiles(mean: Array, sigma: Array, weight: Array) -> Array:
     """5, 15.87, 50, 84.13 and 95 % points (5,) of a mixture of normal distributions."""
-    kept = weight > 1e-6 * weight.max()
-    mean, sigma, weight = mean[kept], sigma[kept], weight[kept] / weight[kept].sum()
     points = np.array([0.05, 0.158655, 0.5, 0.841345, 0.95])
     low = np.full(5, float((mean - 6.0 * sigma).min()))
     high = np.full(5, float((mean + 6.0 * sigma).max()))

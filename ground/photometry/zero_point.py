@@ -1,6 +1,6 @@
 """`ground.photometry: zero_point`: zero point, colour term and field term of a frame from its identified stars."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
@@ -23,6 +23,21 @@ UNUSABLE: Final = int(
 CLIP_SIGMA: Final = 3.5
 N_ITERATIONS: Final = 8
 
+PRIOR_COLOUR_TERM: Final = 0.05
+"""Error of the nominal colour term."""
+
+PRIOR_COLOUR_SQUARE: Final = 0.1
+"""Size of the term in colour squared."""
+
+PRIOR_FIELD_MAG: Final = 0.02
+"""Error of the flat over the field."""
+
+CATALOGUE_ERROR_MAG: Final = 0.02
+"""Error of catalogue magnitudes and star fluxes beyond their noise."""
+
+MIN_STARS: Final = 5
+"""Fewest stars that make a zero point."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class ZeroPoint:
@@ -32,17 +47,6 @@ class ZeroPoint:
     solar colours by 0.02 mag.
     """
 
-    prior_colour_term: float = field(default=0.05, metadata={"doc": "error of the nominal colour term", "min": 1e-6, "max": 10.0})
-    prior_colour_square: float = field(
-        default=0.1, metadata={"doc": "size of the term in colour squared", "min": 1e-6, "max": 10.0}
-    )
-    prior_field_mag: float = field(default=0.02, metadata={"doc": "error of the flat over the field", "min": 1e-6, "max": 10.0})
-    catalogue_error_mag: float = field(
-        default=0.02,
-        metadata={"doc": "error of catalogue magnitudes and star fluxes beyond their noise", "min": 1e-4, "max": 1.0},
-    )
-    min_stars: int = field(default=5, metadata={"doc": "fewest stars that make a zero point", "min": 1, "max": 1000})
-
     def calibrate(self, frame: DownlinkFrame, solution: FrameSolution, calibration: Calibration) -> PhotometricSolution:
         """Zero point of a frame; when stars are too few the calibration's own, with NaN as its error, or NaN if it has none."""
         camera, header = calibration.camera, frame.header
@@ -51,9 +55,9 @@ class ZeroPoint:
         clean = (frame.stars.flags[stars] & UNUSABLE) == 0
         measured = np.isfinite(solution.star_v_mag) & np.isfinite(solution.star_b_v) & (frame.stars.flux_e[stars] > 0.0)
         keep = clean & measured
-        if keep.sum() < self.min_stars:
+        if keep.sum() < MIN_STARS:
             keep = measured
-        if keep.sum() < self.min_stars or header.exposure_ns == 0:
+        if keep.sum() < MIN_STARS or header.exposure_ns == 0:
             return PhotometricSolution(
                 frame=header.frame,
                 zero_point_mag=nominal_mag,
@@ -67,10 +71,10 @@ class ZeroPoint:
         rate = frame.stars.flux_e[stars].astype(np.float64) / (header.exposure_ns * 1e-9) / flat_at(calibration, row, col)
         colour = solution.star_b_v[keep].astype(np.float64) - SUN_B_V
         design = np.column_stack((np.ones(len(stars)), colour, colour**2, field_terms(header, row, col)))
-        sigma = np.hypot(POGSON / np.maximum(frame.stars.snr[stars].astype(np.float64), 1.0), self.catalogue_error_mag)
+        sigma = np.hypot(POGSON / np.maximum(frame.stars.snr[stars].astype(np.float64), 1.0), CATALOGUE_ERROR_MAG)
         # the contract's camera has the term in its flux, this solution in its magnitude: opposite signs
         prior_mean = np.array([0.0, -camera.colour_term, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0])
-        prior_sigma = np.array([np.inf, self.prior_colour_term, self.prior_colour_square] + [self.prior_field_mag] * 5)
+        prior_sigma = np.array([np.inf, PRIOR_COLOUR_TERM, PRIOR_COLOUR_SQUARE] + [PRIOR_FIELD_MAG] * 5)
         fit, covariance, rms, n_used = robust_linear_fit(
             design, solution.star_v_mag[keep] + 2.5 * np.log10(rate), sigma, prior_mean, prior_sigma
         )

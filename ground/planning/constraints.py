@@ -54,6 +54,7 @@ def visibility_of(position_km: Array, velocity_km_s: Array, sky: Sky, options: C
         free["elevation"] = np.sum(direction * sky.up, axis=-1) >= np.sin(np.radians(options.elevation_deg))
         dark = sun_elevation_rad(sky, sky.up) <= np.radians(options.darkness_deg)
         free["daylight"] = np.broadcast_to(dark, range_km.shape)
+        free["weather"] = np.broadcast_to(np.True_ if sky.clear is None else sky.clear, range_km.shape)
     allowed = np.logical_and.reduce(list(free.values()))
     return Visibility(
         direction=direction,

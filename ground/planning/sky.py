@@ -25,11 +25,12 @@ _LIGHT_AU_DAY: Final = 173.1446327
 
 @dataclass(frozen=True, kw_only=True)
 class Site:
-    """A place on the WGS84 ellipsoid."""
+    """A place on the WGS84 ellipsoid. closed_tai_ns : when its dome is closed, from and to."""
 
     longitude_deg: float
     latitude_deg: float
     height_m: float
+    closed_tai_ns: tuple[tuple[int, int], ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -45,7 +46,8 @@ class Sky:
     """What the plan's geometry needs at n instants.
 
     t_tai_ns : (n,) rising. sun_km, moon_km : (n, 3) geocentric; the Sun where its light comes from, as the Earth moves.
-    station_km, station_km_s : (n, 3). up : (n, 3) geodetic zenith of a site, None in orbit.
+    station_km, station_km_s : (n, 3). up : (n, 3) geodetic zenith of a site, None in orbit. clear : (n,) where its
+    dome is open, None in orbit.
     """
 
     t_tai_ns: NDArray[np.int64]
@@ -54,6 +56,7 @@ class Sky:
     station_km: Array
     station_km_s: Array
     up: Array | None
+    clear: NDArray[np.bool_] | None
 
 
 def sky_of(station: Site | Orbit, t_tai_ns: NDArray[np.int64]) -> Sky:
@@ -68,12 +71,15 @@ def sky_of(station: Site | Orbit, t_tai_ns: NDArray[np.int64]) -> Sky:
         # the Earth's motion turns the light by 20 arcsec, through which the Sun moves in 8 minutes and sets in 1.4 s
         sun = (of_barycentre["v"] / _LIGHT_AU_DAY * np.linalg.norm(from_sun["p"], axis=-1, keepdims=True) - from_sun["p"]) * AU_KM
         moon = erfa.moon98(day, fraction)["p"] * AU_KM
-    up = None
+    up = clear = None
     if isinstance(station, Site):
         position, velocity, up = _on_ground(station, t_tai_ns)
+        clear = np.ones(len(t_tai_ns), np.bool_)
+        for start, end in station.closed_tai_ns:
+            clear &= (t_tai_ns < start) | (t_tai_ns >= end)
     else:
         position, velocity = _in_orbit(station, t_tai_ns)
-    return Sky(t_tai_ns=t_tai_ns, sun_km=sun, moon_km=moon, station_km=position, station_km_s=velocity, up=up)
+    return Sky(t_tai_ns=t_tai_ns, sun_km=sun, moon_km=moon, station_km=position, station_km_s=velocity, up=up, clear=clear)
 
 
 def _tt(t_tai_ns: NDArray[np.int64]) -> tuple[Array, Array]:
@@ -104,7 +110,7 @@ def _in_orbit(orbit: Orbit, t_tai_ns: NDArray[np.int64]) -> tuple[Array, Array]:
     """States of an orbit, from one instant to the next."""
     states = np.empty((len(t_tai_ns), 6))
     state, now = orbit.state, orbit.epoch_tai_ns
-    for k, then in enumerate(t_tai_ns):
-        state = propagate(state, np.array([(int(then) - now) * 1e-9]))[0]
-        states[k], now = state, int(then)
+    for k, instant_ns in enumerate(t_tai_ns):
+        state = propagate(state, np.array([(int(instant_ns) - now) * 1e-9]))[0]
+        states[k], now = state, int(instant_ns)
     return states[:, :3], states[:, 3:]

@@ -235,12 +235,12 @@ def _velocity(position: Array, a: Array, e: Array, inclination: Array, signs: ND
     east = np.stack([-up[:, 1], up[:, 0], np.zeros(len(r))], axis=1) / cos_lat[:, None]
     north = np.cross(up, east)
     with np.errstate(invalid="ignore"):
-        level = np.sqrt(MU_KM3_S2 * a * (1.0 - e**2)) / r
-        radial = np.sqrt(np.maximum(MU_KM3_S2 * (2.0 / r - 1.0 / a) - level**2, 0.0))
+        horizontal = np.sqrt(MU_KM3_S2 * a * (1.0 - e**2)) / r
+        radial = np.sqrt(np.maximum(MU_KM3_S2 * (2.0 / r - 1.0 / a) - horizontal**2, 0.0))
         sine = np.clip(np.cos(inclination) / cos_lat, -1.0, 1.0)
         cosine = np.sqrt(1.0 - sine**2)
     radial, cosine = np.where(signs[0], radial, -radial), np.where(signs[1], cosine, -cosine)
-    return np.asarray(radial[:, None] * up + level[:, None] * (sine[:, None] * east + cosine[:, None] * north))
+    return np.asarray(radial[:, None] * up + horizontal[:, None] * (sine[:, None] * east + cosine[:, None] * north))
 
 
 def density_of(position: Array, a: Array, e: Array, inclination: Array) -> Array:

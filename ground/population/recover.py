@@ -2,8 +2,8 @@
 
 Counts are ``n_c ~ Poisson(sum_i R_ci mu_i + b_c)``: R the response, mu the objects of each true class that crossed the field,
 b the false detections. A Gibbs sampler splits each count among its possible causes (multinomial), draws mu (gamma), then how
-many were missed (Poisson), with these the efficiency (beta) and the categories of the detected (Dirichlet), both of which start
-from finitely many injected objects, and b (gamma, from the finite measurement of the false-alarm rate).
+many were missed (Poisson). With these it draws the efficiency (beta) and the categories of the detected (Dirichlet); both start
+from finitely many injected objects. Last it draws b (gamma, from the finite measurement of the false-alarm rate).
 """
 
 from dataclasses import dataclass

@@ -45,7 +45,7 @@ COLUMNS: Final = (
     ("to_m", "m", "largest diameter"),
     ("n_tracklets", None, "tracklets by estimated size, false ones not subtracted"),
     ("false_expected", None, "of these, false ones by their own probabilities"),
-    ("efficiency", None, "share of the crossings that could be seen of which a tracklet is made"),
+    ("efficiency", None, "share of the visible crossings that give a tracklet"),
     ("exposure_km2_year", "km2 yr", "area watched x time x efficiency, for objects of the class"),
     ("range_km", "km", "within which 90 % of the objects found would be"),
     ("flux_low", "1 / (km2 yr)", "5 % point of the flux of the class, counting errors"),

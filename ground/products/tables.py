@@ -32,7 +32,7 @@ COUNTERS: Final = (
     ("n_stars_found", None, "stars found on board"),
     ("n_detections", None, "detections of the on-board detector"),
     ("n_rois_sent", None, "regions of interest sent"),
-    ("n_rois_dropped", None, "detections of which no region was sent"),
+    ("n_rois_dropped", None, "detections without a region that was sent"),
     ("bytes_dropped", "byte", "bytes that did not fit into the downlink budget"),
     ("n_masked", "pix", "pixels masked on board"),
     ("parameter_set", None, "number of the set of parameters that flew"),
@@ -221,6 +221,7 @@ def _streaks_table(streaks: Sequence[StreakMeasurement], directions: str) -> Tab
         ("angle_deg", [f.angle_deg for f in fits], "deg", "atan2(drow, dcol) mod 180 of the chord"),
         ("flux_e", [f.flux_e for f in fits], "electron", "flux inside the frame"),
         ("flux_err_e", [f.flux_err_e for f in fits], "electron", "its error"),
+        ("flash_e", [f.flash_e for f in fits], "electron", "part of the flux that came in short flashes, as of a glint"),
         (
             "density_e_px",
             density[:, 0],

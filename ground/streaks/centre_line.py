@@ -21,6 +21,7 @@ from ground.streaks.trail_model import (
     SAGITTA,
     SLOPE,
     V_MID,
+    Scale,
     accumulate,
     fisher_scoring,
     mean_all,
@@ -77,6 +78,11 @@ class LineFit:
         return bool(shape and max(stray0, stray1) < 0.9 * self.half_px + 3.0)
 
     @property
+    def scale(self) -> Scale:
+        """What the kernels of `trail_model` take for this line, without the fourth cumulant."""
+        return self.half_px, *self.blur_px, 0.0
+
+    @property
     def width_px(self) -> float:
         """Width across the trail, pixel included."""
         return math.exp(self.parameters[LN_WIDTH])
@@ -117,8 +123,7 @@ def score(
     quartic_term = quartic_px4(pixels.frame.angle_rad) if quartic else 0.0
     found, covariance, chi2, snr2, used, _ = fisher_scoring(
         parameters, mask, _limits(math.exp(parameters[LN_WIDTH])),
-        pixels.u, pixels.v, pixels.value_e, pixels.variance_e2,
-        0.0, half_px, blur_px[0], blur_px[1], quartic_term, iterations,
+        pixels.u, pixels.v, pixels.value_e, pixels.variance_e2, (half_px, *blur_px, quartic_term), iterations,
     )  # fmt: skip
     return LineFit(
         pixels=pixels,
@@ -159,10 +164,7 @@ def curvature_statistic(line: LineFit) -> float:
     index = np.array([*line.free, SAGITTA], dtype=np.int64)
     gradient, fisher = np.empty(index.size), np.empty((index.size, index.size))
     p = line.pixels
-    accumulate(
-        line.parameters, p.u, p.v, p.value_e, p.variance_e2, 0.0, line.half_px, line.blur_px[0], line.blur_px[1],
-        0.0, index, gradient, fisher,
-    )  # fmt: skip
+    accumulate(line.parameters, p.u, p.v, p.value_e, p.variance_e2, line.scale, index, gradient, fisher)
     try:
         row = np.linalg.solve(fisher[:-1, :-1], fisher[:-1, -1])
     except np.linalg.LinAlgError as error:
@@ -176,7 +178,7 @@ def curvature_statistic(line: LineFit) -> float:
 def minus_two_ln_likelihood(line: LineFit) -> float:
     """Of all the line's pixels, but for a constant; its noise is Gaussian with the object's own Poisson noise."""
     p = line.pixels
-    mean = mean_all(line.parameters, p.u, p.v, line.half_px, line.blur_px[0], line.blur_px[1], 0.0)
+    mean = mean_all(line.parameters, p.u, p.v, line.scale)
     variance = p.variance_e2 + np.maximum(mean, 0.0)
     return float(np.sum((p.value_e - mean) ** 2 / variance + np.log(variance)))
 

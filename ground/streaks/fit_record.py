@@ -1,8 +1,9 @@
 """`StreakFit` records from trail coordinates: order of the ends, covariances, and the record of a failed fit."""
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Final
+from typing import Final, TypedDict
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from ground.streaks import known_width
 from ground.streaks.centre_line import LineFit
 from ground.streaks.end_posterior import EndPosterior, interval_68
+from ground.streaks.flashes import Flash
 from ground.streaks.light_curve import LightCurve
 from ground.streaks.point_source import PointFit
 from ground.streaks.trail_frame import TrailFrame
@@ -38,6 +40,7 @@ class TrailResult:
     ln_width: float
     ln_width_err: float
     curve: LightCurve
+    flashes: Sequence[Flash]
 
 
 def pixel_covariance(frame: TrailFrame, along_px2: NDArray[np.float64], across_px2: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -95,6 +98,7 @@ def reversed_ends(fit: StreakFit) -> StreakFit:
         light_curve_err_e_px=fit.light_curve_err_e_px[::-1],
         period_fraction=fit.period_fraction,
         failure=fit.failure,
+        flash_e=fit.flash_e,
     )
 
 
@@ -134,6 +138,24 @@ def failed_fit(detection: Detection, pixels: StreakPixels, reason: str) -> Strea
     )
 
 
+Pair = tuple[float, float] | NDArray[np.float64]
+
+
+class PixelEnds(TypedDict):
+    """Both ends of a trail (px)."""
+
+    row0: float
+    col0: float
+    row1: float
+    col1: float
+
+
+def ends_in_pixels(frame: TrailFrame, u: Pair, v: Pair) -> PixelEnds:
+    """Rows and columns of the ends at two places (u, v) of a trail frame."""
+    (row0, col0), (row1, col1) = frame.to_pixel(u[0], v[0]), frame.to_pixel(u[1], v[1])
+    return {"row0": row0, "col0": col0, "row1": row1, "col1": col1}
+
+
 def trail_record(pixels: StreakPixels, detection: Detection, result: TrailResult, *, gaussian_ends: bool) -> StreakFit:
     """The product record of a fitted trail."""
     line, ends = result.line, result.ends
@@ -149,23 +171,20 @@ def trail_record(pixels: StreakPixels, detection: Detection, result: TrailResult
     across = jacobian @ block @ jacobian.T
     middle = np.array([1.0, 0.0, 1.0 / 3.0])
     sigma_cross = math.sqrt(float(middle @ block @ middle))
-    row0, col0 = frame.to_pixel(u[0], v[0])
-    row1, col1 = frame.to_pixel(u[1], v[1])
     low0, high0 = interval_68(ends.grid0, ends.mass0, ends.end0)
     low1, high1 = interval_68(ends.grid1, ends.mass1, ends.end1)
     width, width_err = psf_width(result.ln_width, result.ln_width_err)
     flux, flux_err = _flux(result)
+    flash_e, flash_variance = (sum(flash[k] for flash in result.flashes) for k in range(2))
     return in_pixel_order(
         StreakFit(
-            row0=row0,
-            col0=col0,
-            row1=row1,
-            col1=col1,
+            **ends_in_pixels(frame, u, v),
             covariance_px2=pixel_covariance(frame, ends.covariance_px2, across),
             end_interval_px=np.array([[-high0, -low0], [low1, high1]]),
             sigma_cross_px=sigma_cross,
-            flux_e=flux,
-            flux_err_e=flux_err,
+            flux_e=flux + flash_e,
+            flux_err_e=math.hypot(flux_err, math.sqrt(flash_variance)),
+            flash_e=flash_e,
             snr=line.snr,
             sagitta_px=float(p[SAGITTA]),
             sagitta_err_px=math.sqrt(c[SAGITTA, SAGITTA]),

@@ -11,7 +11,7 @@ import numpy as np
 
 from ground.streaks import known_width
 from ground.streaks.centre_line import LineFit, effective_width_px, score, uniform_trail
-from ground.streaks.fit_record import in_pixel_order, pixel_covariance
+from ground.streaks.fit_record import ends_in_pixels, in_pixel_order, pixel_covariance
 from ground.streaks.intruders import intruder_mask
 from ground.streaks.no_trail import NoTrailError, Reason
 from ground.streaks.trail_frame import TrailFrame
@@ -91,17 +91,12 @@ def _record(
     across = math.sqrt(c[V_MID, V_MID]) if V_MID in line.free else ACROSS_PX / math.sqrt(3.0)
     across = along_px if foretold else across
     slope = known_width.flux_slope(density, float(np.median(line.pixels.variance_e2)), math.exp(p[LN_WIDTH]))
-    row0, col0 = frame.to_pixel(-line.half_px, float(p[V_MID]))
-    row1, col1 = frame.to_pixel(line.half_px, float(p[V_MID]))
     free = np.diag([0.0 if edge else along_px**2 for edge in edges])
     interval = np.array([[-1.0, 1.0], [-1.0, 1.0]]) * np.sqrt(np.diag(free))[:, None]
     flags = detection.flags & ~StreakFlag.COSMIC_LIKE | StreakFlag.ENDS_NOT_GAUSSIAN
     return in_pixel_order(
         StreakFit(
-            row0=row0,
-            col0=col0,
-            row1=row1,
-            col1=col1,
+            **ends_in_pixels(frame, (-line.half_px, line.half_px), (float(p[V_MID]), float(p[V_MID]))),
             covariance_px2=pixel_covariance(frame, free, np.full((2, 2), across**2)),
             end_interval_px=interval,
             sigma_cross_px=across,

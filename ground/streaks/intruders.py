@@ -68,7 +68,7 @@ def at_median_brightness(line: LineFit) -> LineFit:
 def expected_light(line: LineFit) -> NDArray[np.float64]:
     """(n,) electrons of the trail: the model, following the running median of a bright trail."""
     pixels = line.pixels
-    mean = mean_all(line.parameters, pixels.u, pixels.v, line.half_px, line.blur_px[0], line.blur_px[1], 0.0)
+    mean = mean_all(line.parameters, pixels.u, pixels.v, line.scale)
     densities, low, full = slice_densities(line)
     dark = not line.parameters[DENSITY] > 0.0
     if dark or np.count_nonzero(full) < MEDIAN_WIDTHS or line.snr**2 / full.size < MEDIAN_SNR**2:
@@ -117,8 +117,8 @@ def needed_snr(
 ) -> NDArray[np.float64]:
     """S/N above which the light at each seed is an intruder's, shape (seeds,).
 
-    On the line it may be the trail's own: a fully lit trail has a point-source S/N of density over pixel noise, of which
-    `model_error` may be left over, and all of it near an end that may be farther out than the model has it.
+    On the line, light may be the trail's own. A fully lit trail has a point-source S/N of density over pixel noise. The model
+    leaves over at most the share `model_error` of it. Near an end that may lie farther out it can leave over all of it.
     """
     pixels, p, width = line.pixels, line.parameters, line.width_px
     u = pixels.u[seeds]

@@ -139,7 +139,7 @@ class JointRefit(NamedTuple):
     """Refitted streaks, one for each frame in the same order, and the common part of their ends' errors along the path.
 
     shared : (n, 2, 3) in the unit of `along`: ends i and j have the covariance ``shared[i] @ shared[j]``, pointing apart. It is
-    that of the motion, of which every end is a linear function. Zero for frames that came back as they were.
+    that of the motion: every end is a linear function of the motion. Zero for frames that came back as they were.
     motion : None where nothing was fitted.
     """
 

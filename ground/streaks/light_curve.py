@@ -69,7 +69,8 @@ def light_curve(
     smooth = np.interp(np.arange(n_bins), np.flatnonzero(seen), smooth[seen])
     measured = np.bincount(place, weight * profile[inner] * value_e[inner], n_bins) / known
     density = np.where(seen, measured, smooth)
-    sigma = 1.0 / np.sqrt(known)
+    # what no pixel shows may be as far off as there is light
+    sigma = np.where(seen, 1.0 / np.sqrt(known), np.maximum(np.abs(smooth), 1.0 / np.sqrt(np.median(information[seen]))))
     chi2 = float(np.sum(((density - smooth) / sigma)[seen] ** 2))
     freedom = int(np.count_nonzero(seen)) - 1
     # Wilson & Hilferty (1931): the cube root of chi2/nu is nearly Gaussian

@@ -31,10 +31,8 @@ def score_tests(line: LineFit, candidates: tuple[int, ...]) -> tuple[NDArray[np.
     p = line.pixels
     index = np.array([*line.free, *candidates], dtype=np.int64)
     gradient, fisher = np.empty(index.size), np.empty((index.size, index.size))
-    accumulate(
-        line.parameters, p.u, p.v, p.value_e, p.variance_e2, 0.0, line.half_px, line.blur_px[0], line.blur_px[1],
-        quartic_px4(p.frame.angle_rad), index, gradient, fisher,
-    )  # fmt: skip
+    scale = (line.half_px, *line.blur_px, quartic_px4(p.frame.angle_rad))
+    accumulate(line.parameters, p.u, p.v, p.value_e, p.variance_e2, scale, index, gradient, fisher)
     n = len(line.free)
     nuisance = np.linalg.pinv(fisher[:n, :n], rcond=1e-12, hermitian=True)
     statistic, step = np.empty(len(candidates)), np.empty(len(candidates))

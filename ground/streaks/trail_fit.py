@@ -5,7 +5,7 @@ uncertainty (the expected template); ends and flux come from their posterior alo
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -16,6 +16,7 @@ from ground.streaks.changing_light import LightSeries, end_variance_px2, light_s
 from ground.streaks.end_posterior import EndPosterior, end_posterior, end_tables, short_trail_posterior
 from ground.streaks.end_search import CoarseEnds, coarse_ends
 from ground.streaks.fit_record import TrailResult, point_record, trail_record
+from ground.streaks.flashes import flashes
 from ground.streaks.intruders import at_median_brightness, intruder_mask
 from ground.streaks.light_curve import LightCurve, light_curve
 from ground.streaks.model_choice import choose_model, straight_unless_evident, width_estimate
@@ -52,26 +53,24 @@ WIGGLE_ROUNDS: Final = 3
 SERIES_ROUNDS: Final = 2
 """Brightness that changes, and ends, one after the other."""
 
+MAX_SHIFT_PX: Final = 4.0
+"""How far across the trail the on-board detection may be off."""
 
-@dataclass(frozen=True, kw_only=True)
-class FitOptions:
-    """Options of `fit_trail` (see `TrailedPsfFitter`)."""
-
-    max_shift_px: float
-    max_iterations: int
+MAX_ITERATIONS: Final = 25
+"""Fisher-scoring iterations of one model."""
 
 
-def fit_trail(pixels: StreakPixels, detection: Detection, options: FitOptions) -> StreakFit:
+def fit_trail(pixels: StreakPixels, detection: Detection) -> StreakFit:
     """The fitted trail. Raises `NoTrailError` where the pixels do not allow one."""
     width = effective_width_px(pixels.psf_sigma_px)
     if StreakFlag.POINT_LIKE in detection.flags or detection.length_px < POINT_WIDTHS * pixels.psf_sigma_px:
         return fit_untrailed(pixels, detection)
     frame = TrailFrame.of_chord(detection.row0, detection.col0, detection.row1, detection.col1)
-    reach = options.max_shift_px + 6.0 * width + 1.0 + abs(detection.sagitta_px)
+    reach = MAX_SHIFT_PX + 6.0 * width + 1.0 + abs(detection.sagitta_px)
     usable = usable_pixels(pixels, frame, reach)
     half = 0.5 * detection.length_px
     flagged = _edges(detection, pixels.frame_shape)
-    first = find_line(usable, half, flagged, width_px=width, sagitta_px=detection.sagitta_px, max_shift_px=options.max_shift_px)
+    first = find_line(usable, half, flagged, width_px=width, sagitta_px=detection.sagitta_px, max_shift_px=MAX_SHIFT_PX)
     if first is None:
         raise NoTrailError(Reason.NO_LINE)
     # a bright star would pull both the line and the ends to itself, so it must go before they are looked for
@@ -79,23 +78,23 @@ def fit_trail(pixels: StreakPixels, detection: Detection, options: FitOptions) -
     mask, crosses = intruder_mask(at_median_brightness(first), width, (detector_error, detector_error), 1.0)
     line = find_line(
         usable.without(first.pixels.index[mask]), half, flagged,
-        width_px=width, sagitta_px=detection.sagitta_px, max_shift_px=options.max_shift_px,
+        width_px=width, sagitta_px=detection.sagitta_px, max_shift_px=MAX_SHIFT_PX,
     ) if mask.any() else first  # fmt: skip
     if line is None:
         raise NoTrailError(Reason.NO_LINE)
-    found = _with_ends(line, flagged, pixels.frame_shape, options)
+    found = _with_ends(line, flagged, pixels.frame_shape)
     for _ in range(INTRUDER_ROUNDS):
         mask, on_trail = intruder_mask(found[0], width, found[0].blur_px)
         if not mask.any():
             break
         crosses |= on_trail
         kept = replace(found[0], pixels=found[0].pixels.take(~mask))
-        found = _with_ends(kept, found[1].edges, pixels.frame_shape, options)
+        found = _with_ends(kept, found[1].edges, pixels.frame_shape)
     line, coarse = found
     if coarse.length_px < OVERLAP_WIDTHS * width and not any(coarse.edges):
-        return _short_trail(pixels, detection, line, crosses, options)
-    line = _refined(line, coarse, options)
-    return _long_trail(pixels, detection, line, coarse.edges, crosses, options)
+        return _short_trail(pixels, detection, line, crosses)
+    line = _refined(line, coarse)
+    return _long_trail(pixels, detection, line, coarse.edges, crosses)
 
 
 def _edges(detection: Detection, shape: tuple[int, int]) -> tuple[bool, bool]:
@@ -110,9 +109,7 @@ def _edges(detection: Detection, shape: tuple[int, int]) -> tuple[bool, bool]:
     return out[0], out[1]
 
 
-def _with_ends(
-    line: LineFit, edges: tuple[bool, bool], shape: tuple[int, int], options: FitOptions
-) -> tuple[LineFit, CoarseEnds]:
+def _with_ends(line: LineFit, edges: tuple[bool, bool], shape: tuple[int, int]) -> tuple[LineFit, CoarseEnds]:
     """Coarse ends along the line, then the line again with them."""
     coarse = _coarse(line, edges, shape)
     line = moved_to_middle(line, (coarse.end0, coarse.end1), coarse.edges)
@@ -120,11 +117,11 @@ def _with_ends(
     # hard edges: the PSF's own share of the spread is already in the model
     line = score(
         line.pixels, line.parameters, free,
-        half_px=line.half_px, blur_px=(coarse.sigma0_px, coarse.sigma1_px), iterations=min(8, options.max_iterations),
+        half_px=line.half_px, blur_px=(coarse.sigma0_px, coarse.sigma1_px), iterations=8,
     )  # fmt: skip
     if not line.regular:
         raise NoTrailError(Reason.IRREGULAR)
-    return turned_along(straight_unless_evident(line, iterations=min(8, options.max_iterations))), coarse
+    return turned_along(straight_unless_evident(line, iterations=8)), coarse
 
 
 def _template(line: LineFit) -> NDArray[np.float64]:
@@ -148,18 +145,18 @@ def _coarse(line: LineFit, edges: tuple[bool, bool], shape: tuple[int, int]) -> 
     return found
 
 
-def _refined(line: LineFit, coarse: CoarseEnds, options: FitOptions) -> LineFit:
+def _refined(line: LineFit, coarse: CoarseEnds) -> LineFit:
     """Curvature, brightness and width where the pixels ask for them, then the local centre line."""
     gaussian = line.snr**2 > CHANGE_POINT_SNR2 * coarse.length_px / line.width_px
     if gaussian:
         ends = tuple(e for e, at_edge in zip((END0, END1), coarse.edges, strict=True) if not at_edge)
         sharp = score(
             line.pixels, line.parameters, (*line.free, *ends),
-            half_px=line.half_px, blur_px=(0.0, 0.0), iterations=options.max_iterations,
+            half_px=line.half_px, blur_px=(0.0, 0.0), iterations=MAX_ITERATIONS,
         )  # fmt: skip
         line = sharp if sharp.regular else line
     shape = line.snr > SHAPE_SNR
-    line = choose_model(line, iterations=options.max_iterations, shape=shape)
+    line = choose_model(line, iterations=MAX_ITERATIONS, shape=shape)
     for _ in range(WIGGLE_ROUNDS if shape else 0):
         offsets = local_offsets(line, (-line.half_px, line.half_px))
         if offsets is None:
@@ -167,7 +164,7 @@ def _refined(line: LineFit, coarse: CoarseEnds, options: FitOptions) -> LineFit:
         straightened = replace(line.pixels, v=line.pixels.v - np.interp(line.pixels.u, *offsets))
         straight = score(
             straightened, line.parameters, line.free,
-            half_px=line.half_px, blur_px=line.blur_px, iterations=options.max_iterations,
+            half_px=line.half_px, blur_px=line.blur_px, iterations=MAX_ITERATIONS,
         )  # fmt: skip
         if not straight.regular:
             break
@@ -181,7 +178,6 @@ def _long_trail(
     line: LineFit,
     edges: tuple[bool, bool],
     crosses: bool,
-    options: FitOptions,
 ) -> StreakFit:
     """Posterior of the ends along the final line, and the record."""
     coarse = _coarse(line, edges, pixels.frame_shape)
@@ -208,7 +204,7 @@ def _long_trail(
         ends = replace(ends, covariance_px2=ends.covariance_px2 + end_variance_px2(series, line.width_px))
     if ends.end1 - ends.end0 < POINT_WIDTHS * pixels.psf_sigma_px:
         return fit_untrailed(pixels, detection)
-    return _record(pixels, detection, line, ends, coarse.edges, crosses, options)
+    return _record(pixels, detection, line, ends, coarse.edges, crosses)
 
 
 def _lit_between(line: LineFit, coarse: CoarseEnds) -> tuple[float, float]:
@@ -252,10 +248,10 @@ def _light_curve(
     return curve, smooth
 
 
-def _short_trail(pixels: StreakPixels, detection: Detection, line: LineFit, crosses: bool, options: FitOptions) -> StreakFit:
+def _short_trail(pixels: StreakPixels, detection: Detection, line: LineFit, crosses: bool) -> StreakFit:
     """A trail whose ends overlap: Fisher scoring for where the joint posterior lies, then that posterior."""
     free = (DENSITY, END0, END1, V_MID, SLOPE)
-    line = score(line.pixels, line.parameters, free, half_px=line.half_px, blur_px=(0.0, 0.0), iterations=options.max_iterations)
+    line = score(line.pixels, line.parameters, free, half_px=line.half_px, blur_px=(0.0, 0.0), iterations=MAX_ITERATIONS)
     line = turned_along(line)
     index = np.array([DENSITY, END0, END1])
     center, covariance = line.parameters[index], line.covariance[np.ix_(index, index)]
@@ -271,7 +267,7 @@ def _short_trail(pixels: StreakPixels, detection: Detection, line: LineFit, cros
     )  # fmt: skip
     if ends.end1 - ends.end0 < POINT_WIDTHS * pixels.psf_sigma_px:
         return fit_untrailed(pixels, detection)
-    return _record(pixels, detection, line, ends, (False, False), crosses, options)
+    return _record(pixels, detection, line, ends, (False, False), crosses)
 
 
 def _record(
@@ -281,7 +277,6 @@ def _record(
     ends: EndPosterior,
     edges: tuple[bool, bool],
     crosses: bool,
-    options: FitOptions,
 ) -> StreakFit:
     """Final line with the ends' posterior, width, light curve and flags."""
     line = moved_to_middle(line, (ends.end0, ends.end1), edges)
@@ -290,12 +285,15 @@ def _record(
     free = tuple(p for p in line.free if p not in (END0, END1))
     line = score(
         line.pixels, line.parameters, free,
-        half_px=line.half_px, blur_px=(float(blur[0]), float(blur[1])), iterations=options.max_iterations,
+        half_px=line.half_px, blur_px=(float(blur[0]), float(blur[1])), iterations=MAX_ITERATIONS,
     )  # fmt: skip
     if not line.regular:
         raise NoTrailError(Reason.IRREGULAR)
-    ln_width, ln_width_err = width_estimate(line, options.max_iterations)
-    curve, _ = _light_curve(line, (ends.end0 - shift, ends.end1 - shift))
+    ln_width, ln_width_err = width_estimate(line, MAX_ITERATIONS)
+    lit = (ends.end0 - shift, ends.end1 - shift)
+    curve, _ = _light_curve(line, lit)
+    everything = usable_pixels(pixels, line.pixels.frame, 5.0 * line.width_px + abs(float(line.parameters[SAGITTA])))
+    seen = flashes(line, everything, lit) if crosses else []
     result = TrailResult(
         line=line,
         ends=ends,
@@ -304,7 +302,8 @@ def _record(
         crosses=crosses,
         ln_width=ln_width,
         ln_width_err=ln_width_err,
-        curve=curve,
+        curve=replace(curve, variable=curve.variable or bool(seen)),
+        flashes=seen,
     )  # fmt: skip
     gaussian = all(edges) or line.snr**2 > CHANGE_POINT_SNR2 * (ends.end1 - ends.end0) / line.width_px
     return trail_record(pixels, detection, result, gaussian_ends=gaussian)

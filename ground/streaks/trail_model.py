@@ -1,6 +1,6 @@
 """Mean of a trailed Gaussian PSF on pixels, its analytic derivatives, and Fisher scoring on them.
 
-Trail frame: u along the reference chord, v across it (both px); x = (u - u_mid) / half runs from -1 to +1 between the
+Trail frame: u along the reference chord from its middle, v across it (both px); x = u / half runs from -1 to +1 between the
 reference ends. The model of a pixel at (u, v) is
 
     mu = density * b(x) * [Phi((u - e0) / w0) - Phi((u - e1) / w1)] * N(v - c(x); w)
@@ -10,7 +10,7 @@ reference ends. The model of a pixel at (u, v) is
 
 (Veres et al. 2012, arXiv 1209.6106, eq. 3, with brightness and curvature added). A pixel integrates the PSF over a unit
 square: that convolution has covariance 1/12 along every direction, so the width is ``w^2 = sigma^2 + 1/12``; what is
-left is the fourth cumulant, (cos^4 + sin^4) / 120 px^4 of the rotated square, which `QUARTIC` corrects across the trail.
+left is the fourth cumulant, (cos^4 + sin^4) / 120 px^4 of the rotated square, which is corrected across the trail.
 """
 
 import math
@@ -38,6 +38,9 @@ CHUNK: Final = 256
 
 TOLERANCE_SIGMA: Final = 0.02
 """Fisher scoring ends when no parameter moves by more than this part of its standard error."""
+
+Scale = tuple[float, float, float, float]
+"""Half of the reference length, extra width of the first and of the last end (px), fourth cumulant of a pixel (px^4)."""
 
 _SQRT_HALF: Final = math.sqrt(0.5)
 _INV_SQRT_2PI: Final = 1.0 / math.sqrt(2.0 * math.pi)
@@ -79,11 +82,7 @@ def accumulate(
     v: NDArray[np.float64],
     value_e: NDArray[np.float64],
     variance_e2: NDArray[np.float64],
-    u_mid: float,
-    half: float,
-    blur0: float,
-    blur1: float,
-    quartic: float,
+    scale: Scale,
     index: NDArray[np.int64],
     gradient: NDArray[np.float64],
     fisher: NDArray[np.float64],
@@ -94,6 +93,7 @@ def accumulate(
     the estimate is not biased. Derivatives are analytic; the fourth-cumulant term is left out of them (0.2 %). Pixels go
     through in chunks, each sum in as many parts: short loops without branches or sums are what compilers vectorise.
     """
+    half, blur0, blur1, quartic = scale
     width = math.exp(parameters[LN_WIDTH])
     width0, width1 = math.hypot(width, blur0), math.hypot(width, blur1)
     density, end0, end1 = parameters[DENSITY], parameters[END0], parameters[END1]
@@ -130,7 +130,7 @@ def accumulate(
                 share[i] -= edge(along, end1, width1)
                 d1[i] = _INV_SQRT_2PI * inv_width1 * math.exp(-0.5 * ((along - end1) * inv_width1) ** 2)
         for i in range(count):
-            x[i] = (u[start + i] - u_mid) * inv_half
+            x[i] = u[start + i] * inv_half
             x2 = x[i] * x[i] - 1.0 / 3.0
             offset[i] = (v[start + i] - (v_mid + slope * x[i] - sagitta * x2)) * inv_width
             brightness[i] = 1.0 + q1 * x[i] + q2 * x2
@@ -198,11 +198,7 @@ def fisher_scoring(
     v: NDArray[np.float64],
     value_e: NDArray[np.float64],
     variance_e2: NDArray[np.float64],
-    u_mid: float,
-    half: float,
-    blur0: float,
-    blur1: float,
-    quartic: float,
+    scale: Scale,
     max_iterations: int,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], float, float, int, bool]:
     """Iterate Fisher scoring on the free parameters: (parameters, covariance (9, 9), chi2, snr2, pixels, converged).
@@ -221,7 +217,7 @@ def fisher_scoring(
     snr2 = 0.0
     used = 0
     for iteration in range(max_iterations + 1):
-        chi2, snr2, used = accumulate(p, u, v, value_e, variance_e2, u_mid, half, blur0, blur1, quartic, index, gradient, fisher)
+        chi2, snr2, used = accumulate(p, u, v, value_e, variance_e2, scale, index, gradient, fisher)
         matrix = np.empty((n, n))
         right = np.empty(n)
         for a in range(n):
@@ -229,22 +225,22 @@ def fisher_scoring(
             for b in range(n):
                 matrix[a, b] = fisher[a, b]
             matrix[a, a] = matrix[a, a] * (1.0 + 1e-9) + 1e-30
-        scale = np.sqrt(np.diag(matrix))
+        unit = np.sqrt(np.diag(matrix))
         for a in range(n):
-            right[a] /= scale[a]
+            right[a] /= unit[a]
             for b in range(n):
-                matrix[a, b] /= scale[a] * scale[b]
+                matrix[a, b] /= unit[a] * unit[b]
         inverse = np.linalg.pinv(matrix, 1e-10)
         for a in range(n):
             for b in range(n):
-                covariance[index[a], index[b]] = inverse[a, b] / (scale[a] * scale[b])
+                covariance[index[a], index[b]] = inverse[a, b] / (unit[a] * unit[b])
         if iteration == max_iterations:
             break
         step = inverse @ right
         worst = 0.0
         shrink = 1.0
         for a in range(n):
-            step[a] /= scale[a]
+            step[a] /= unit[a]
             shrink = min(shrink, limits[index[a]] / max(abs(step[a]), 1e-300))
             sigma = math.sqrt(covariance[index[a], index[a]])
             worst = max(worst, abs(step[a]) / max(sigma, 1e-300))
@@ -264,12 +260,10 @@ def mean_all(
     parameters: NDArray[np.float64],
     u: NDArray[np.float64],
     v: NDArray[np.float64],
-    half: float,
-    blur0: float,
-    blur1: float,
-    quartic: float,
+    scale: Scale,
 ) -> NDArray[np.float64]:
-    """Expected electrons of many pixels, shape (n,), as in `accumulate`: u from the middle; zero beyond `REACH_WIDTHS`."""
+    """Expected electrons of many pixels, shape (n,), as in `accumulate`; zero beyond `REACH_WIDTHS`."""
+    half, blur0, blur1, quartic = scale
     density, end0, end1 = parameters[DENSITY], parameters[END0], parameters[END1]
     v_mid, slope, sagitta = parameters[V_MID], parameters[SLOPE], parameters[SAGITTA]
     q1, q2 = parameters[Q1], parameters[Q2]
@@ -306,7 +300,7 @@ def line_scores(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Score and information, each (n,), of every pixel for a shift of the centre line where it lies."""
     inv_width2 = math.exp(-2.0 * parameters[LN_WIDTH])
-    mean = mean_all(parameters, u, v, half, 0.0, 0.0, 0.0)
+    mean = mean_all(parameters, u, v, (half, 0.0, 0.0, 0.0))
     slope = np.empty(u.size)
     information = np.empty(u.size)
     for i in range(u.size):

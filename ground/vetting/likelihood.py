@@ -25,6 +25,14 @@ UNKNOWN_PSF_SIGMA_PX: Final = 1.2
 UNKNOWN_LN_PSF: Final = 0.7
 """PSF sigma where neither stars nor a camera tell it, and one sigma of its logarithm: half to twice, cameras being sampled."""
 
+PLACE_LN_PSF: Final = 0.05
+"""One sigma of ln of the PSF's width at a place of the field. Stars tell the width at the centre and its growth with the radius;
+along and across an astigmatic image of 250 nm rms widths differ by 5 to 10 %."""
+
+PSF_SHAPE_ERROR: Final = 0.03
+"""Share of the light that a Gaussian misplaces in the image of a real lens. Trails of S/N 260 and 3,500 with 250 nm of wavefront
+error and an aureole of 2 % had a chi-square that asks for 0.04."""
+
 WIDEST_UNKNOWN: Final = 3.0
 """A faint fit that is wider than this many assumed widths is more often a slope of the background than a trail."""
 
@@ -161,6 +169,28 @@ def _blob(fit: StreakFit, psf_sigma_px: float, *, unknown: bool) -> bool:
     return fit.length_px < LEAST_ELONGATION * fit.width_px and (unknown or fit.width_px > WIDEST_UNKNOWN * psf_sigma_px)
 
 
+PARTICLE_PER_FRAME: Final = 0.1
+"""Expected particle tracks per frame."""
+
+HOT_LINE_PER_FRAME: Final = 0.02
+"""Expected bad rows or columns per frame."""
+
+STAR_CHAIN_PER_FRAME: Final = 0.05
+"""Expected star residuals per frame."""
+
+RECURRING_PER_FRAME: Final = 0.01
+"""Expected spikes, ghosts and glow per frame."""
+
+STEADY_FRAMES: Final = 30.0
+"""Frames that the expected rates of real streaks and of noise count as."""
+
+WIDEST: Final = 12.0
+"""Width over the PSF beyond which a trail is a slope of the background."""
+
+WIDEST_SNR: Final = 100.0
+"""S/N from which a trail may be wider than that."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class LikelihoodVetter:
     """Posterior of class membership from the features of a fit; rates are of detections above the detector's threshold."""
@@ -175,28 +205,6 @@ class LikelihoodVetter:
     )
     real_per_frame: float = field(default=0.5, metadata={"doc": "expected real streaks per frame", "min": 1e-9, "max": 1e4})
     noise_per_frame: float = field(default=0.1, metadata={"doc": "expected noise maxima per frame", "min": 1e-9, "max": 1e4})
-    particle_per_frame: float = field(
-        default=0.1, metadata={"doc": "expected particle tracks per frame", "min": 1e-9, "max": 1e4}
-    )
-    hot_line_per_frame: float = field(
-        default=0.02, metadata={"doc": "expected bad rows or columns per frame", "min": 1e-9, "max": 1e4}
-    )
-    star_chain_per_frame: float = field(
-        default=0.05, metadata={"doc": "expected star residuals per frame", "min": 1e-9, "max": 1e4}
-    )
-    recurring_per_frame: float = field(
-        default=0.01, metadata={"doc": "expected spikes, ghosts and glow per frame", "min": 1e-9, "max": 1e4}
-    )
-    steady_frames: float = field(
-        default=30.0, metadata={"doc": "frames that the rates of real streaks and noise are worth", "min": 0.1, "max": 1e6}
-    )
-    widest: float = field(
-        default=12.0,
-        metadata={"doc": "width over the PSF beyond which a trail is a slope of the background", "min": 1.5, "max": 1e4},
-    )
-    widest_snr: float = field(
-        default=100.0, metadata={"doc": "S/N from which a trail may be wider than that", "min": 0.0, "max": 1e6}
-    )
 
     def probability(self, fits: Sequence[StreakFit], frame: DownlinkFrame) -> NDArray[np.float64]:
         """Probabilities, shape (len(fits),), of being a real object."""
@@ -206,7 +214,13 @@ class LikelihoodVetter:
         unknown = frame.psf_sigma_px is None
         psf_sigma_px = UNKNOWN_PSF_SIGMA_PX if frame.psf_sigma_px is None else frame.psf_sigma_px
         ln_psf_error = math.hypot(UNKNOWN_LN_PSF, self.model_error) if unknown else self.model_error
-        features = [features_of(fit, psf_sigma_px, ln_psf_error=ln_psf_error, model_error=self.model_error) for fit in fits]
+        ln_psf_error = math.hypot(ln_psf_error, PLACE_LN_PSF)
+        model_error = max(self.model_error, PSF_SHAPE_ERROR)
+        widths = [fit.psf_sigma_px if math.isfinite(fit.psf_sigma_px) and not unknown else psf_sigma_px for fit in fits]
+        features = [
+            features_of(fit, width, ln_psf_error=ln_psf_error, model_error=model_error)
+            for fit, width in zip(fits, widths, strict=True)
+        ]
         strange = np.array([self.model_error > 0.0 and _of_unmodelled_kind(*pair) for pair in zip(fits, features, strict=True)])
         if unknown or self.model_error > 0.0:
             brightest = LN_BRIGHTEST_SNR_UNKNOWN if unknown else LN_BRIGHTEST_SNR
@@ -218,10 +232,10 @@ class LikelihoodVetter:
     def _refused(self, fit: StreakFit, frame: DownlinkFrame, psf_sigma_px: float, *, unknown: bool) -> bool:
         """Whether a fit is rejected independently of the densities; unknown : the PSF's width is assumed."""
         # The class densities end far below such widths: stray light, dead borders. No defocus makes them at these ranges.
-        widest = min(self.widest, WIDEST_UNKNOWN) if unknown else self.widest
+        widest = min(WIDEST, WIDEST_UNKNOWN) if unknown else WIDEST
         uncalibrated = self.model_error > 0.0
         snr = _snr_over_residuals(fit) if uncalibrated else fit.snr
-        if fit.width_px > widest * psf_sigma_px and snr < self.widest_snr:
+        if fit.width_px > widest * psf_sigma_px and snr < WIDEST_SNR:
             return True
         if uncalibrated and _along_the_readout(fit, frame):
             return True
@@ -232,13 +246,13 @@ class LikelihoodVetter:
     def class_rates(self) -> dict[str, tuple[float, float]]:
         """For each class: expected detections per frame, and the weight of this expectation in frames."""
         return {
-            REAL: (self.real_per_frame, self.steady_frames),
-            "noise": (self.noise_per_frame, self.steady_frames),
-            "particle": (self.particle_per_frame, 1.0),
-            "hit_group": (GROUPED * self.particle_per_frame, 1.0),
-            "hot_line": (self.hot_line_per_frame, 1.0),
-            "star_chain": (self.star_chain_per_frame, 1.0),
-            RECURRING: (self.recurring_per_frame, 1.0),
+            REAL: (self.real_per_frame, STEADY_FRAMES),
+            "noise": (self.noise_per_frame, STEADY_FRAMES),
+            "particle": (PARTICLE_PER_FRAME, 1.0),
+            "hit_group": (GROUPED * PARTICLE_PER_FRAME, 1.0),
+            "hot_line": (HOT_LINE_PER_FRAME, 1.0),
+            "star_chain": (STAR_CHAIN_PER_FRAME, 1.0),
+            RECURRING: (RECURRING_PER_FRAME, 1.0),
         }
 
     def log_odds(self, features: Sequence[Features], strange: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
@@ -254,7 +268,7 @@ class LikelihoodVetter:
             log_density = with_recurring_here(log_density, features, list(classes), rate)
         if strange is not None and strange.any():
             log_density = np.column_stack((log_density, np.where(strange, LN_UNMODELLED, NEVER)))
-            rate, worth, real = np.append(rate, UNMODELLED_PER_FRAME), np.append(worth, self.steady_frames), np.append(real, True)
+            rate, worth, real = np.append(rate, UNMODELLED_PER_FRAME), np.append(worth, STEADY_FRAMES), np.append(real, True)
         share = posterior_of_classes(log_density, rate, worth)
         yes, no = share[:, real].sum(axis=1), share[:, ~real].sum(axis=1)
         return np.asarray(np.log(np.maximum(yes, 1e-12)) - np.log(np.maximum(no, 1e-12)), dtype=np.float64)

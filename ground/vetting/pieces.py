@@ -111,6 +111,7 @@ def _joined(pieces: Sequence[StreakFit]) -> StreakFit | None:
         end_interval_px=np.stack((forward[low].end_interval_px[0], forward[high].end_interval_px[1])),
         flux_e=flux,
         flux_err_e=abs(flux) * first.flux_err_e / max(abs(first.flux_e), 1e-9),
+        flash_e=0.0,
         snr=first.snr * max(growth, 1.0) ** 0.5,
         flags=first.flags & ~(StreakFlag.EDGE0 | StreakFlag.EDGE1) | edges,
         light_curve_e_px=np.zeros(0, dtype=np.float32),

@@ -10,9 +10,16 @@ from sboc_e2e.icd.signals import Detection
 
 SAME_PLACE_PX = 1.5
 
+WELL_PLACED_SNR = 25.0
+SAME_PLACE_WELL_PLACED_PX = 0.8
+"""For points from this S/N on, whose places err by 0.05 px: an object that moves by a pixel from frame to frame is not static."""
+
 
 def flag_static(detections: Sequence[Detection], recent: Sequence[Sequence[Detection]]) -> tuple[Detection, ...]:
-    """Detections with STATIC set when each end of the segment was seen at the same place in a recent frame."""
+    """Detections with STATIC set when each end of the segment was seen at the same place in a recent frame.
+
+    Places are compared in pixels. What belongs to a star moves with the pointing between frames, by less than these tolerances.
+    """
     earlier = [_ends(d) for frame in recent for d in frame]
     if not earlier or not detections:
         return tuple(detections)
@@ -20,7 +27,9 @@ def flag_static(detections: Sequence[Detection], recent: Sequence[Sequence[Detec
     out = []
     for detection in detections:
         apart = np.abs(before - np.array(_ends(detection))).max(axis=1)
-        same = bool((apart < SAME_PLACE_PX).any())
+        is_point = detection.row0 == detection.row1 and detection.col0 == detection.col1
+        reach = SAME_PLACE_WELL_PLACED_PX if is_point and detection.snr >= WELL_PLACED_SNR else SAME_PLACE_PX
+        same = bool((apart < reach).any())
         out.append(replace(detection, flags=detection.flags | StreakFlag.STATIC) if same else detection)
     return tuple(out)
 

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.detect import components, star_mask
+from onboard.detect.single_frame import SingleFrameDetector
 from sboc_e2e.icd.signals import Detection, DetectorView
 
 FAINT_STARS_PX: Final = 8.0
@@ -89,7 +90,7 @@ def _connect(runs: NDArray[np.int32]) -> NDArray[np.int32]:
 def _moments(
     image: NDArray[np.int16], runs: NDArray[np.int32], of: NDArray[np.int32], min_area_px: int
 ) -> tuple[NDArray[np.int32], NDArray[np.float64]]:
-    """First runs (n,) of the components of so many pixels, and sums over them, (n, 6): light, and light times y, x, yy, xx, xy.
+    """First runs (n,) of components that are large enough, and sums over them, (n, 6): light, light times y, x, yy, xx, xy.
 
     y and x are counted from the first run's row and first column.
     """
@@ -144,20 +145,13 @@ def extract_elongated(
 
 
 @dataclass(frozen=True, kw_only=True)
-class ThresholdDetector:
+class ThresholdDetector(SingleFrameDetector):
     """SExtractor on the PSF-filtered half-resolution image without its stars, elongation cut, joined pieces."""
 
     n_sigma: float = field(default=3.5, metadata={"doc": "threshold of the filtered pixels", "min": 0.5, "max": 100.0})
     min_area_px: int = field(default=8, metadata={"doc": "least area at half resolution", "min": 1, "max": 10000})
     min_axis_ratio: float = field(default=3.0, metadata={"doc": "least ratio of the axes", "min": 1.0, "max": 100.0})
     min_snr: float = field(default=10.0, metadata={"doc": "least matched-filter S/N", "min": 0.0, "max": 1000.0})
-    halo_px: float = field(default=1.0, metadata={"doc": "star mask growth per sqrt(S/N / 100)", "min": 0.0, "max": 20.0})
-    max_detections: int = field(default=200, metadata={"doc": "most detections of a frame", "min": 1, "max": 10000})
-
-    @property
-    def history_frames(self) -> int:
-        """Works on single frames."""
-        return 0
 
     def detect(self, view: DetectorView) -> tuple[Detection, ...]:
         """Detections by falling S/N."""

@@ -26,8 +26,9 @@ STAR_BIT, FOUND_BIT, POINT_BIT = 2, 4, 8
 """Bits of the working mask beside 1, `unusable`: listed stars, detections already made, unlisted stars on a trail."""
 
 LEVEL_TILES: Final = 5
-"""The level is a mean over a square of so many tiles, w px wide. It holds 1 / (0.332 w) of the light of a trail that crosses it,
-0.332 being the squared cross-section's sum for a PSF of 2 px FWHM: 0.9 % are lost, and 1.6 % with three tiles of 64 px."""
+"""Side, in tiles, of the square over which the level is averaged; w px in all. The mean holds 1 / (0.332 w) of the light of a
+trail that crosses the square (0.332: sum of the squared cross-section for a PSF of 2 px FWHM). 0.9 % are lost, and 1.6 % with
+three tiles of 64 px."""
 
 
 @nb.njit(cache=True)

@@ -194,7 +194,7 @@ def continued(mesh: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
 
 
 def _next(outer: NDArray[np.float32], free: float) -> NDArray[np.float32]:
-    """The nodes beyond the outer ones (up to 3, n), of which the first is at the edge. free : slope that always goes on."""
+    """The nodes beyond the outer ones (up to 3, n); the first is at the edge. free : slope that always goes on."""
     if len(outer) < 3:
         return np.asarray(outer[0])
     slope, inner = outer[0] - outer[1], 2.0 * (outer[1] - outer[2])
@@ -225,7 +225,7 @@ class MeshBackground:
     """`mesh`: clipped mean and noise on square tiles."""
 
     tile_px: int = field(default=64, metadata={"doc": "side of a tile", "min": 8, "max": 1024})
-    row_step: int = field(default=8, metadata={"doc": "one row of so many is looked at", "min": 1, "max": 64})
+    row_step: int = field(default=8, metadata={"doc": "rows from one that is looked at to the next", "min": 1, "max": 64})
 
     def estimate(
         self, pixels_adu: NDArray[np.int32] | NDArray[np.uint16], dark_adu: NDArray[np.int16], mask: NDArray[np.uint8]

@@ -18,8 +18,8 @@ from sboc_e2e.icd.frame import LARGEST_ADU, Calibration, Frame, FrameHeader
 from sboc_e2e.icd.signals import BackgroundModel
 
 ROWS_AT_ONCE = 64
-ROW_LIMIT_SIGMA = 2.5
-"""Values beyond this many sigmas are left out of the means of rows."""
+LINE_LIMIT_SIGMA = 2.5
+"""Values beyond this many sigmas are left out of the means of rows and columns."""
 
 FLOAT_QUANTUM_SIGMA = 0.05
 """Float frames are rounded to this share of their noise."""
@@ -40,6 +40,17 @@ class Counts:
     adu_scale: float
     adu_offset: float
     saturation: int
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LineSums:
+    """Number and sum of the usable values within +-`LINE_LIMIT_SIGMA` of each line of an image.
+
+    rows : (2, rows). cols : (2, cols). float32, sums in ADU.
+    """
+
+    rows: NDArray[np.float32]
+    cols: NDArray[np.float32]
 
 
 def robust_noise(pixels: NDArray[np.float32], missing: NDArray[np.bool_]) -> tuple[float, float]:
@@ -220,19 +231,25 @@ def _residual_row(
 
 
 @njit(cache=True, fastmath={"reassoc", "contract", "nsz"})  # sums of finite values: order is free
-def sums_within(
-    residual: NDArray[np.float32], mask: NDArray[np.uint8], marked: NDArray[np.uint8], limit: np.float32
-) -> tuple[np.float32, np.float32, np.float32]:
-    """Number, sum and sum of squares of usable values within +-limit."""
-    number, total, squares = np.float32(0.0), np.float32(0.0), np.float32(0.0)
+def _add_line(
+    residual: NDArray[np.float32],
+    mask: NDArray[np.uint8],
+    limit: np.float32,
+    col_number: NDArray[np.float32],
+    col_total: NDArray[np.float32],
+) -> tuple[np.float32, np.float32]:
+    """Number and sum of a row's usable values within +-limit; each is added to the sums of its column as well."""
+    number, total = np.float32(0.0), np.float32(0.0)
     for col in range(residual.size):
         value = residual[col]
-        good = (mask[col] | marked[col]) == 0 and abs(value) < limit
+        good = mask[col] == 0 and abs(value) < limit
         kept = value if good else np.float32(0.0)
-        number += np.float32(1.0) if good else np.float32(0.0)
+        one = np.float32(1.0) if good else np.float32(0.0)
+        number += one
         total += kept
-        squares += kept * kept
-    return number, total, squares
+        col_number[col] += one
+        col_total[col] += kept
+    return number, total
 
 
 @njit(cache=True)
@@ -246,12 +263,14 @@ def residual_pass(
     scale: float,
     limit: float,
     residual: NDArray[np.float32],
-    row_sums: NDArray[np.float64],
+    row_sums: NDArray[np.float32],
+    col_sums: NDArray[np.float32],
 ) -> int:
     """``residual = (pixels - dark) * scale - fraction / 128 - level``; masked pixels get 0. Returns their number.
 
     mask : the map of defects, to which saturated pixels are added.
-    row_sums : (rows, 2) number and sum of each row's usable values within +-limit, taken while the row is in the cache.
+    row_sums, col_sums : (2, rows) and (2, cols), number and sum of the usable values within +-limit, taken while the row is in
+    the cache.
     `MaskBit.SATURATED` (4) is set from the pixels before the dark is removed; level_nodes are relative to the offset,
     with a node beyond each edge.
     """
@@ -260,9 +279,9 @@ def residual_pass(
     level = np.empty(cols, dtype=np.float32)
     codes, middle, first, column, value, corner = dark
     left, right = corner[1], corner[1] + cols
-    unmarked = np.zeros(cols, dtype=np.uint8)
     held = -1
     unusable = 0
+    col_sums[:] = 0.0
     for row in range(rows):
         above, place = between_nodes(row, level_nodes.shape[0], tile_px, rows)
         if above != held:
@@ -294,17 +313,18 @@ def residual_pass(
                 whole, fraction = split_value(value[k])
                 net = np.float32(np.int64(pixels[row, col]) - whole) * np.float32(scale)
                 residual[row, col] = net - np.float32(fraction) * np.float32(1.0 / FRACTIONS_PER_ADU) - level[col]
-        number, total, _ = sums_within(residual[row], mask[row], unmarked, np.float32(limit))
-        row_sums[row, 0], row_sums[row, 1] = number, total
+        number, total = _add_line(residual[row], mask[row], np.float32(limit), col_sums[0], col_sums[1])
+        row_sums[0, row], row_sums[1, row] = number, total
     return unusable
 
 
-def fill_residual(counts: Counts, background: BackgroundModel, residual: NDArray[np.float32]) -> tuple[NDArray[np.float64], int]:
-    """`residual_pass` over a frame, in place; returns its row sums (rows, 2) and how many pixels are masked.
+def fill_residual(counts: Counts, background: BackgroundModel, residual: NDArray[np.float32]) -> tuple[LineSums, int]:
+    """`residual_pass` over a frame, in place; returns the sums of its lines and how many pixels are masked.
 
     background : in ADU. residual : (rows, cols) ADU, filled.
     """
-    row_sums = np.empty((len(residual), 2))
+    rows, cols = residual.shape
+    sums = LineSums(rows=np.empty((2, rows), np.float32), cols=np.empty((2, cols), np.float32))
     sigma_adu = float(np.median(background.sigma_adu))
     n_masked = residual_pass(
         counts.pixels,
@@ -314,8 +334,9 @@ def fill_residual(counts: Counts, background: BackgroundModel, residual: NDArray
         background.tile_px,
         counts.saturation,
         counts.adu_scale,
-        ROW_LIMIT_SIGMA * sigma_adu,
+        LINE_LIMIT_SIGMA * sigma_adu,
         residual,
-        row_sums,
+        sums.rows,
+        sums.cols,
     )
-    return row_sums, int(n_masked)
+    return sums, int(n_masked)

@@ -16,6 +16,10 @@ from onboard.image.background import fill_gaps, straight_neighbourhoods
 STRUCTURED: Final = 4.0
 """Mean square of the tiles' departures over their noise from which a neighbourhood has structure; plain sky shows 1 to 2."""
 
+WEAKER: Final = 2.2
+WIDESPREAD: Final = 0.05
+"""Where so large a share of a frame has structure, weaker structure is believed too."""
+
 BENT_SIGMA: Final = 0.12
 """Second difference of the level from one tile to the next, over the noise, from which a neighbourhood bends. A straight line
 leaves an eighth of it between nodes and three eighths at the edge of the frame. Plain sky shows 0.01, slopes 0.02, and 0.05 at
@@ -23,7 +27,10 @@ most in 8,000 neighbourhoods."""
 
 FIT_NODES: Final = 5
 APART_SIGMA: Final = 4.0
-"""A tile so many sigmas of its mean away from the parabola has light of its own."""
+"""A tile that departs from the parabola by this many sigmas of its mean has light of its own."""
+
+MOST_BEND: Final = 0.5
+"""Second difference of the fine nodes at the edge of the frame, in sigma, that is believed."""
 
 REACH_TILES: Final = 2
 """Half width of a neighbourhood in tiles."""
@@ -51,8 +58,8 @@ def structured_tiles(mean: NDArray[np.float32], sigma: NDArray[np.float32], samp
     departure = np.where(known, mean, 0.0).astype(np.float64) / np.maximum(sigma, 1e-9) * math.sqrt(samples)
     # A tile with other light does not count for its neighbours.
     square = np.minimum(departure**2, 6.0 * STRUCTURED)
-    found = box_mean(square, REACH_TILES) / np.maximum(box_mean(known.astype(np.float64), REACH_TILES), 1e-9) > STRUCTURED
-    return np.asarray(found)
+    found = box_mean(square, REACH_TILES) / np.maximum(box_mean(known.astype(np.float64), REACH_TILES), 1e-9)
+    return np.asarray(found > (WEAKER if (found > STRUCTURED).mean() > WIDESPREAD else STRUCTURED))
 
 
 def bent_tiles(level: NDArray[np.float32], sigma: NDArray[np.float32]) -> NDArray[np.bool_]:
@@ -98,14 +105,30 @@ def followed(mean: NDArray[np.float64], noise: NDArray[np.float64]) -> NDArray[n
 def fine_nodes(mean: NDArray[np.float32], noise: NDArray[np.float32], structured: NDArray[np.bool_]) -> NDArray[np.float32]:
     """Nodes of a mesh whose linear interpolation has the given means over its tiles, 0 where nothing is structured.
 
-    The mean of an interpolated line over the tile of a node is 6/8 of it and 1/8 of each neighbour. At the edge of the frame the
-    outer interval goes on (`background.continued`), and the mean is the node itself.
+    The mean of an interpolated line over the tile of a node is 6/8 of it and 1/8 of each neighbour. Beyond the edge of the frame
+    the neighbour is that of `continued_on_parabolas`.
     """
     smooth = followed(fill_gaps(mean, 0.0).astype(np.float64), noise.astype(np.float64))
     nodes = np.where(structured, smooth, 0.0)
     for axis in (0, 1):
-        bend = np.zeros(nodes.shape)
-        inner = np.moveaxis(bend, axis, 0)[1:-1]
-        inner[:] = np.diff(np.moveaxis(nodes, axis, 0), 2, axis=0)
-        nodes = nodes - 0.125 * bend
+        if nodes.shape[axis] > 2:
+            bend = np.diff(np.moveaxis(nodes, axis, 0), 2, axis=0)
+            nodes = nodes - 0.125 * np.moveaxis(np.pad(bend, [(1, 1), (0, 0)], mode="edge"), 0, axis)
     return nodes.astype(np.float32)
+
+
+def continued_on_parabolas(nodes: NDArray[np.float32], sigma: float) -> NDArray[np.float32]:
+    """The mesh with one node more on each side, on the parabola of the three outer ones; (rows + 2, cols + 2).
+
+    A wave of 0.3 sigma and 200 px bends by 0.3 sigma from one fine node to the next. A straight line would leave half of that
+    along the edge, where a trail of 1,000 px then comes out at S/N 8. A bend of more than `MOST_BEND` sigma is cut to that.
+    """
+    for axis in (0, 1):
+        mesh = np.moveaxis(nodes, axis, 0)
+        if len(mesh) > 2:
+            bend = np.clip(np.diff(mesh, 2, axis=0)[[0, -1]], -MOST_BEND * sigma, MOST_BEND * sigma)
+            before, after = 2.0 * mesh[0] - mesh[1] + bend[0], 2.0 * mesh[-1] - mesh[-2] + bend[1]
+        else:
+            before, after = mesh[0], mesh[-1]
+        nodes = np.moveaxis(np.concatenate((before[None], mesh, after[None])), 0, axis)
+    return np.asarray(nodes, dtype=np.float32)

@@ -1,4 +1,4 @@
-"""Second measurement of the sky, without the stars: level, noise, and offsets of single rows.
+"""Second measurement of the sky, without the stars: level, noise, and offsets of single rows and columns.
 
 Wings of listed stars below the clipping threshold raise a clipped mean by about 0.02 sigma. This does not matter for one pixel,
 but a trail of 1,000 px sums it to one sigma of its matched-filter S/N. The star list allows their pixels to be left out.
@@ -11,8 +11,8 @@ from numba import njit
 from numpy.typing import NDArray
 
 from onboard.image.background import LEAST_SAMPLES, continued, fill_gaps, neighbourhoods
-from onboard.image.calibrate import between_nodes, expand_nodes
-from onboard.image.fine_sky import bent_tiles, fine_nodes, structured_tiles
+from onboard.image.calibrate import LINE_LIMIT_SIGMA, LineSums, between_nodes, expand_nodes
+from onboard.image.fine_sky import bent_tiles, continued_on_parabolas, fine_nodes, structured_tiles
 from sboc_e2e.icd.signals import BackgroundModel, StarList
 
 ROW_STEP = 8
@@ -23,9 +23,15 @@ FAINT_SIGMA = 0.03
 
 CLIP_SIGMA = 4.0
 MOST_STAR_RADIUS_PX = 64.0
-ROW_NEIGHBOURS = 65
-ROW_CLIP = 4.0
-LEAST_ROWS = 32
+LINE_NEIGHBOURS = 65
+LINE_CLIP = 4.0
+LEAST_LINES = 32
+SLOW_OVER_FAST = 4.0
+CLIPPED_RESPONSE = 1.0 - 2.0 * LINE_LIMIT_SIGMA * math.exp(-0.5 * LINE_LIMIT_SIGMA**2) / (
+    math.sqrt(2.0 * math.pi) * math.erf(LINE_LIMIT_SIGMA / math.sqrt(2.0))
+)
+"""Change of the mean of normal values within +-`LINE_LIMIT_SIGMA` with a small offset of all of them, and the variance of these
+values over that of all: 0.911."""
 
 
 @njit(cache=True)
@@ -127,25 +133,29 @@ def _mirrored(k: int, n: int) -> int:
     return k if k < n else 2 * n - 1 - k
 
 
-def row_offsets(row_sums: NDArray[np.float64], cols: int, sigma_adu: float) -> NDArray[np.float32]:
-    """Offsets that the readout gave to whole rows, ADU, by which a row differs from its neighbours.
+def line_offsets(sums: NDArray[np.float32], pixels: int, sigma_adu: float) -> NDArray[np.float32]:
+    """Offsets that the readout gave to whole rows (or whole columns), ADU.
 
-    row_sums : (rows, 2) number and sum of each row's usable values within +-`onboard.calibrate.ROW_LIMIT_SIGMA`; of `cols`.
-    An offset of a tenth of the noise makes an edge-to-edge trail of S/N 6 out of one row of 4,096 px. Offsets are shrunk by
-    the share of their scatter that pixel noise explains, and limited to `ROW_CLIP` of it, so that a readout without row
-    noise changes nothing and a bright trail along a row is hardly touched.
+    sums : (2, lines) number and sum of each line's usable values (`onboard.image.calibrate.LineSums`), of `pixels` each.
+    An offset of a tenth of the noise makes an edge-to-edge trail of S/N 6 out of one line of 4,096 px. Offsets are shrunk by
+    the share of their scatter about neighbouring lines that pixel noise explains, and limited to `LINE_CLIP` of it, so that a
+    readout without such noise changes nothing and a bright trail along a line is hardly touched. Where there is such noise, its
+    slow part (the spectrum of amplifiers is 1/f) is taken out as well: the mesh follows nothing shorter than two tiles.
     """
-    rows, number = len(row_sums), row_sums[:, 0]
-    mean = row_sums[:, 1] / np.maximum(number, 1.0)
-    full = number > 0.25 * cols
-    if np.count_nonzero(full) < LEAST_ROWS:
-        return np.zeros(rows, dtype=np.float32)
-    offset = np.where(full, mean - running_median(np.where(full, mean, np.median(mean[full])), ROW_NEIGHBOURS), 0.0)
-    scatter2 = (1.4826 * float(np.median(np.abs(offset[full])))) ** 2
-    noise2 = sigma_adu**2 / float(np.median(number[full]))
+    lines, number = sums.shape[1], sums[0].astype(np.float64)
+    full = number > 0.25 * pixels
+    if np.count_nonzero(full) < LEAST_LINES:
+        return np.zeros(lines, dtype=np.float32)
+    mean = sums[1] / np.maximum(number, 1.0) / CLIPPED_RESPONSE
+    offset = np.where(full, mean - np.median(mean[full]), 0.0)
+    apart = offset - running_median(offset, LINE_NEIGHBOURS)
+    scatter2 = (1.4826 * float(np.median(np.abs(apart[full])))) ** 2
+    noise2 = sigma_adu**2 / (float(np.median(number[full])) * CLIPPED_RESPONSE)
     share = max(scatter2 - 1.3 * noise2, 0.0) / max(scatter2, 1e-30)
-    reach = ROW_CLIP * math.sqrt(scatter2)
-    return (share * np.clip(offset, -reach, reach)).astype(np.float32)
+    reach = LINE_CLIP * math.sqrt(scatter2)
+    # many lines tell the slow part, so it needs no shrinking once the share says that there is such noise
+    slow_share = min(1.0, SLOW_OVER_FAST * share)
+    return (slow_share * (offset - apart) + share * np.clip(apart, -reach, reach)).astype(np.float32)
 
 
 @njit(cache=True)
@@ -161,9 +171,10 @@ def shift_level(
     mask: NDArray[np.uint8],
     nodes: NDArray[np.float32],
     tile_px: int,
-    offsets: NDArray[np.float32],
+    row_offset: NDArray[np.float32],
+    col_offset: NDArray[np.float32],
 ) -> None:
-    """Take an interpolated mesh and an offset of each row away from the image in place; masked pixels keep their 0.
+    """Take an interpolated mesh and an offset of each row and column away from the image in place; masked pixels keep their 0.
 
     nodes : with one beyond each edge.
     """
@@ -179,8 +190,14 @@ def shift_level(
             held = above
         share = np.float32(place)
         for col in range(cols):
-            shift[col] = upper[col] + share * (lower[col] - upper[col]) + offsets[row]
+            shift[col] = upper[col] + share * (lower[col] - upper[col]) + row_offset[row] + col_offset[col]
         _shift_row(residual[row], mask[row], shift)
+
+
+def tile_means(line: NDArray[np.float32], tile_px: int) -> NDArray[np.float32]:
+    """Means of a line of values over tiles; the last one may be shorter."""
+    first = np.arange(0, line.size, tile_px)
+    return np.asarray(np.add.reduceat(line, first) / np.diff(np.append(first, line.size)), dtype=np.float32)
 
 
 def star_reach_px(stars: StarList, sigma_e: float, psf_sigma_px: float) -> NDArray[np.float64]:
@@ -212,7 +229,8 @@ def _take_out_structure(
     mean, deviation = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
     star_free_moments(residual, mask, marked, 1, half, half_sigma, mean, deviation)
     nodes = fine_nodes(mean, half_sigma / np.float32(half), half_structured)
-    shift_level(residual, mask, continued(nodes, float(np.median(sigma_adu))), half, np.zeros(len(residual), dtype=np.float32))
+    none = [np.zeros(n, dtype=np.float32) for n in residual.shape]
+    shift_level(residual, mask, continued_on_parabolas(nodes, float(np.median(sigma_adu))), half, *none)
     return _of_whole_tiles(nodes), np.sqrt(_of_whole_tiles(deviation**2))
 
 
@@ -225,7 +243,7 @@ def _of_whole_tiles(halves: NDArray[np.float32]) -> NDArray[np.float32]:
 def without_stars(
     residual: NDArray[np.float32],
     mask: NDArray[np.uint8],
-    row_sums: NDArray[np.float64],
+    sums: LineSums,
     stars: StarList,
     background: BackgroundModel,
     *,
@@ -234,7 +252,7 @@ def without_stars(
 ) -> BackgroundModel:
     """The background measured beside the stars; `residual` is brought to its level in place.
 
-    row_sums : as in `row_offsets`, of `residual` before the change.
+    sums : of `residual` before the change.
     """
     tile_px, shape = background.tile_px, background.level_adu.shape
     row_step = ROW_STEP if tile_px >= 4 * ROW_STEP else 1
@@ -243,14 +261,19 @@ def without_stars(
     mark_stars(stars.row, stars.col, star_reach_px(stars, sigma_e, psf_sigma_px), row_step, marked)
     mean, deviation = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
     star_free_moments(residual, mask, marked, row_step, tile_px, background.sigma_adu, mean, deviation)
-    shift = neighbourhoods(fill_gaps(mean, 0.0)).mean(axis=0)
     sigma = np.where(np.isfinite(deviation) & (deviation > 0.0), deviation, background.sigma_adu).astype(np.float32)
     noise = float(np.median(sigma))
-    shift_level(residual, mask, continued(shift, noise), tile_px, row_offsets(row_sums, residual.shape[1], noise))
+    rows, cols = residual.shape
+    row_offset, col_offset = line_offsets(sums.rows, cols, noise), line_offsets(sums.cols, rows, noise)
+    mean -= tile_means(row_offset, tile_px)[:, None] + tile_means(col_offset, tile_px)
+    shift = neighbourhoods(fill_gaps(mean, 0.0)).mean(axis=0)
+    shift_level(residual, mask, continued(shift, noise), tile_px, row_offset, col_offset)
     # a second look at what the mesh left over: the first one's means are relative to the level before
     star_free_moments(residual, mask, marked, row_step, tile_px, background.sigma_adu, mean, deviation)
     structured = structured_tiles(mean, sigma, tile_px * tile_px // row_step) | bent_tiles(background.level_adu, sigma)
     if structured.any() and tile_px % 2 == 0:
+        # beyond the outer nodes a straight line leaves three times as much as between nodes, and their means do not show it
+        structured[[0, -1]] = structured[:, [0, -1]] = True
         reach = star_reach_px(stars, sigma_e, psf_sigma_px)
         change, within = _take_out_structure(residual, mask, stars, reach, background.sigma_adu, tile_px, structured)
         shift, sigma = shift + change, np.where(structured & (within > 0.0), within, sigma)

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.guard import guarded
-from onboard.image.calibrate import Counts, background_in_adu, fill_residual
+from onboard.image.calibrate import Counts, LineSums, background_in_adu, fill_residual
 from onboard.image.glare import mark_glare
 from onboard.image.star_free_sky import without_stars
 from sboc_e2e.icd.frame import FrameHeader
@@ -26,15 +26,15 @@ def calibrated_view(
     psf_sigma_px: float,
     history: tuple[Any, ...],
     work: WorkMeter,
-) -> tuple[DetectorView, NDArray[np.float64], int]:
-    """The view without stars, the sums of its rows, and how many pixels are masked; `residual` is filled."""
+) -> tuple[DetectorView, LineSums, int]:
+    """The view without stars, the sums of its lines, and how many pixels are masked; `residual` is filled."""
     # The calibrated image is not made yet. Until then its memory holds the whole ADU of the dark.
     dark = counts.dark.whole_adu(residual.reshape(-1).view(np.int16)[: residual.size].reshape(residual.shape))
     given = (counts.pixels, _read_only(dark), _read_only(counts.defects))
     estimated = guarded("background", step, step.estimate, *given)
     guarded("background", step, check_background, estimated, counts.pixels.shape)
     background = background_in_adu(estimated, counts)
-    row_sums, n_masked = fill_residual(counts, background, residual)
+    sums, n_masked = fill_residual(counts, background, residual)
     n_masked += mark_glare(residual, counts.defects, background)
     view = DetectorView(
         header=header,
@@ -46,12 +46,10 @@ def calibrated_view(
         history=history,
         work=work,
     )
-    return view, row_sums, n_masked
+    return view, sums, n_masked
 
 
-def with_stars(
-    view: DetectorView, residual: NDArray[np.float32], row_sums: NDArray[np.float64], step: StarExtractor
-) -> DetectorView:
+def with_stars(view: DetectorView, residual: NDArray[np.float32], sums: LineSums, step: StarExtractor) -> DetectorView:
     """The view with its star list, and with level and noise of the sky measured beside these stars.
 
     residual : the memory under the view's read-only image, which is brought to the new level.
@@ -61,7 +59,7 @@ def with_stars(
     background = without_stars(
         residual,
         view.mask,
-        row_sums,
+        sums,
         stars,
         view.background,
         gain_e_adu=view.header.gain_e_adu or 1.0,

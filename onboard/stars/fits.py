@@ -47,13 +47,13 @@ def _normal_equations(
     variance, per_electron = noise
     inv_rr, inv_rc, inv_cc, central = shape
     one, half, third = np.float32(1.0), np.float32(0.5), np.float32(1.0 / 3.0)
-    part, least, zero = np.float32(-0.5 / 64.0), np.float32(-0.6), np.float32(0.0)
+    sixty_fourth, least, zero = np.float32(-0.5 / 64.0), np.float32(-0.6), np.float32(0.0)
     gf, gr, gc, ff, fr, fc, rr, rc, cc, squares = zero, zero, zero, zero, zero, zero, zero, zero, zero, zero
     for q in range(data.size):
         u, v = drow[q] - row, dcol[q] - col
         across, along = inv_rr * u + inv_rc * v, inv_cc * v + inv_rc * u
         # exp(x) = exp(x / 64)^64 with three terms of its series: good to x^4 1.6e-7 of itself, 1e-6 of the centre
-        x = max(part * (u * across + v * along), least)
+        x = max(sixty_fourth * (u * across + v * along), least)
         t = one + x * (one + half * x * (one + third * x))
         t *= t
         t *= t

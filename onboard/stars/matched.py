@@ -318,12 +318,12 @@ def by_flux(
 ) -> StarList:
     """Star list by falling flux of fits (n, 4): row, col, flux ADU, S/N."""
     order = falling(fits[:, 2])
-    fits = fits[order]
+    row, col, flux_adu, snr = (column[order] for column in fits.T)  # copies: a view would keep the table
     return StarList(
-        row=fits[:, 0],
-        col=fits[:, 1],
-        flux_e=(fits[:, 2] * gain_e_adu).astype(np.float32),
-        snr=fits[:, 3].astype(np.float32),
+        row=row,
+        col=col,
+        flux_e=(flux_adu * gain_e_adu).astype(np.float32),
+        snr=snr.astype(np.float32),
         flags=flags[order],
         psf_sigma_px=psf_sigma_px,
         motion=motion,

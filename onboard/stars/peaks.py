@@ -114,12 +114,13 @@ def find_peaks(
     hits = np.zeros(-(-cols // 8) * 8, dtype=np.uint8)
     words = hits.view(np.uint64)
     count, held = 0, -1
-    _smooth_row(residual, 0, kernel, zeros, padded, ring[0])
-    for row in range(rows):
+    for row in range(-1, rows):
         if row + 1 < rows:
             _smooth_row(residual, row + 1, kernel, zeros, padded, ring[(row + 1) % 3])
         else:
             ring[(row + 1) % 3, :] = 0.0
+        if row < 0:
+            continue
         tile = min(row // tile_px, sigma_nodes.shape[0] - 1)
         if tile != held:
             expand_nodes(sigma_nodes[tile], tile_px, limit)

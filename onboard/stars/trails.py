@@ -5,7 +5,7 @@ at the trails. The brightest trails are fitted. The centre of a trail is the pos
 """
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numba import njit
@@ -28,8 +28,8 @@ BLOCK_PX: Final = 128
 UNIT: Final = 16.0
 CLIP_SIGMA: Final = 7.5
 GROWTH: Final = 0.2
-"""Beyond so many sigma the smoothed image grows as a logarithm, by this share of them: a bright point lights up no more of a path
-than its own width, and still every trail is brightest in its middle."""
+"""Above `CLIP_SIGMA` the smoothed image grows as a logarithm, scaled by `GROWTH`. A bright point then lights up no more of a path
+than its own width, and every trail is still brightest in its middle."""
 
 LONGEST_PX: Final = 100.0
 """Longest trail whose sum is held by 16 bits."""
@@ -43,21 +43,31 @@ DARK_QUARTER: Final = 0.15
 BRIGHT_SIGMA: Final = 3.0
 DARK_END: Final = 0.25
 LEAST_SHAPE_PX: Final = 12
-"""... and, where its pixels exceed so many sigma and are so many, its ends this share of what is usual on it: others cross it."""
+"""... and its ends exceed the share `DARK_END` of its median. Ends are judged where the median exceeds `BRIGHT_SIGMA` and the
+path has `LEAST_SHAPE_PX` pixels."""
 
 POINT_SIGMA: Final = 5.0
 POINT_PX: Final = 3
 LEAST_BESIDE: Final = 2.0
-"""A path with a pixel of so many sigma is a point's when the others, but for so many beside it, add up to less than so many."""
+"""A path with a pixel above `POINT_SIGMA` shows a point when the others, but for those within `POINT_PX` of it, add up to less
+than `LEAST_BESIDE` sigma."""
 
 CORE: Final = 1
 AROUND: Final = 2
 ABOVE_SIDES: Final = 1.5
-"""Bits of a map of trails: nearer than the trail's own width, and as far as its light matters. There a trail must be so many
-times as bright as what lies beside it."""
+"""Bits of a map of trails: within the trail's own width, and as far as its light matters. There another trail must be
+`ABOVE_SIDES` times as bright as what lies beside it."""
 
 FULL_SIGMA: Final = 1e4
 """Saturated pixels, over the noise."""
+
+
+class LitFrame(NamedTuple):
+    """residual : (rows, cols) ADU above the background; mask : `PixelFlag` bits; noise_adu : of a pixel without stars."""
+
+    residual: NDArray[np.float32]
+    mask: NDArray[np.uint8]
+    noise_adu: float
 
 
 @njit(cache=True)
@@ -81,12 +91,10 @@ def trail_model(drow: float, dcol: float, half_row: float, half_col: float, sigm
 
 @njit(cache=True)
 def fit_trails(
-    residual: NDArray[np.float32],
-    mask: NDArray[np.uint8],
+    frame: LitFrame,
     peaks: NDArray[np.float32],
     half: NDArray[np.float64],
     psf_sigma_px: float,
-    noise_adu: float,
     gain_e_adu: float,
     out: NDArray[np.float64],
     flags: NDArray[np.uint8],
@@ -96,6 +104,7 @@ def fit_trails(
     peaks : (n, >= 2) row, col. half : (n, 2) from centre to end.
     out : (n, 4) row, col, flux ADU, S/N. flags : `StarFlag` bits SATURATED, EDGE, BLENDED and DEFECT.
     """
+    residual, mask, noise_adu = frame.residual, frame.mask, frame.noise_adu
     rows, cols = residual.shape
     for n in range(peaks.shape[0]):
         half_row, half_col = half[n, 0], half[n, 1]
@@ -365,34 +374,24 @@ def paint_trail(out: NDArray[np.uint8], row: float, col: float, half_row: float,
 
 
 @njit(cache=True)
-def _along(
-    residual: NDArray[np.float32],
-    mask: NDArray[np.uint8],
-    row: int,
-    col: int,
-    half_row: float,
-    half_col: float,
-    noise_adu: float,
-) -> NDArray[np.float64]:
+def _along(frame: LitFrame, row: int, col: int, half_row: float, half_col: float) -> NDArray[np.float64]:
     """Pixels along a trail about a centre, over the noise; zeros beyond the frame."""
-    rows, cols = residual.shape
+    rows, cols = frame.residual.shape
     values = np.zeros(2 * int(math.hypot(half_row, half_col)) + 1)
     for k in range(values.size):
         u = 2.0 * k / max(values.size - 1, 1) - 1.0
         i, j = round(row + u * half_row), round(col + u * half_col)
         if 0 <= i < rows and 0 <= j < cols:
-            values[k] = residual[i, j] / noise_adu if mask[i, j] & SATURATED == 0 else FULL_SIGMA
+            values[k] = frame.residual[i, j] / frame.noise_adu if frame.mask[i, j] & SATURATED == 0 else FULL_SIGMA
     return values
 
 
 @njit(cache=True)
 def keep_brightest(
-    residual: NDArray[np.float32],
-    mask: NDArray[np.uint8],
+    frame: LitFrame,
     peaks: NDArray[np.float32],
     half: NDArray[np.float64],
     psf_sigma_px: float,
-    noise_adu: float,
     painted: NDArray[np.uint8],
     keep: NDArray[np.bool_],
 ) -> None:
@@ -407,7 +406,7 @@ def keep_brightest(
         if not keep[n]:
             continue
         length = 2.0 * math.hypot(half[n, 0], half[n, 1])
-        values = _along(residual, mask, row, col, half[n, 0], half[n, 1], noise_adu)
+        values = _along(frame, row, col, half[n, 0], half[n, 1])
         peak = float(np.median(values))
         quarter = max(1, values.size // 4)
         darkest = min(values[:quarter].mean(), values[-quarter:].mean())
@@ -416,7 +415,7 @@ def keep_brightest(
             for side in (-1.0, 1.0):
                 across = side * (3.0 * psf_sigma_px + 1.0) / max(0.5 * length, 1e-6)
                 i, j = round(row + across * half[n, 1]), round(col - across * half[n, 0])
-                beside = max(beside, float(np.median(_along(residual, mask, i, j, half[n, 0], half[n, 1], noise_adu))))
+                beside = max(beside, float(np.median(_along(frame, i, j, half[n, 0], half[n, 1]))))
             if peak < BRIGHT_SIGMA or peak < ABOVE_SIDES * beside or darkest < DARK_END * peak:
                 keep[n] = False
                 continue
@@ -459,7 +458,7 @@ def matched_trails(
     found = matched_peaks(view, motion, psf_sigma_px, threshold, most)
     half = 0.5 * np.column_stack(motion.at(found[:, 0].astype(np.float64), found[:, 1].astype(np.float64)))
     painted, keep = np.zeros(view.mask.shape, np.uint8), np.zeros(len(found), np.bool_)
-    keep_brightest(view.residual_adu, view.mask, found, half, psf_sigma_px, noise_adu, painted, keep)
+    keep_brightest(LitFrame(view.residual_adu, view.mask, noise_adu), found, half, psf_sigma_px, painted, keep)
     order = np.flatnonzero(keep)
     order = order[np.argsort(-found[order, 2], kind="stable")]
     return found[order], half[order], painted
@@ -490,6 +489,7 @@ def listed(
     fits[:, :2], fits[:, 3] = peaks[:, :2], peaks[:, 2]
     fits[:, 2] = peaks[:, 2] * noise_adu * light
     some, some_flags = np.empty((np.count_nonzero(chosen), 4)), np.zeros(np.count_nonzero(chosen), dtype=np.uint8)
-    fit_trails(view.residual_adu, view.mask, peaks[chosen], half[chosen], psf_sigma_px, noise_adu, gain_e_adu, some, some_flags)
+    frame = LitFrame(view.residual_adu, view.mask, noise_adu)
+    fit_trails(frame, peaks[chosen], half[chosen], psf_sigma_px, gain_e_adu, some, some_flags)
     fits[chosen], flags[chosen] = some, some_flags
     return fits, flags | np.uint8(StarFlag.TRAILED)

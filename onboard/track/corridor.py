@@ -130,14 +130,14 @@ def between(
     u, v = first - i, last - j
     total = weight = 0.0
     for side in range(2):
-        part = 1.0 - f if side == 0 else f
+        share = 1.0 - f if side == 0 else f
         n = k + side
         low = sums[i, n] + u * (sums[i + 1, n] - sums[i, n])
         high = sums[j, n] + v * (sums[j + 1, n] - sums[j, n])
-        total += part * (high - low)
+        total += share * (high - low)
         low = counts[i, n] + u * (counts[i + 1, n] - counts[i, n])
         high = counts[j, n] + v * (counts[j + 1, n] - counts[j, n])
-        weight += part * (high - low)
+        weight += share * (high - low)
     return total, weight * (1.0 - 2.0 * f * (1.0 - f) * (1.0 - correlation))
 
 

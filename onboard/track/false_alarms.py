@@ -45,7 +45,7 @@ def threshold_sigma(volume: float, false_alarms: float) -> float:
 
 
 def half_point_sigma(threshold: float) -> float:
-    """True joint S/N of which half are found: the maximum over four parameters exceeds it by 4 / (2 S) on average."""
+    """True joint S/N at which half are found: the maximum over four parameters exceeds it by 4 / (2 S) on average."""
     return 0.5 * (threshold + math.sqrt(threshold * threshold - 2.0 * PARAMETERS))
 
 

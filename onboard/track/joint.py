@@ -1,7 +1,7 @@
 """`onboard.tracker: joint`: trails too faint for any single frame, found in several together.
 
 Segments that a frame shows at S/N 4.5, below the detector's threshold, are pointers. Each foretells in both senses of motion
-where the object's trail lies in the frames around; the sum over all of them is held against what noise makes of so many frames.
+where the object's trail lies in the frames around. The sum over all frames is compared with the sums that noise alone makes.
 """
 
 import math

@@ -13,23 +13,23 @@ STEPS: Final = 8
 """Pieces of a seed in the first look: ends are tried at steps of an eighth of its length."""
 
 END_STEPS: Final = 3
-"""An end may lie so many steps off: a seed of S/N 5 has ends good to sqrt(26) / 25 = 0.2 of its length (change-point law)."""
+"""Largest error of an end, in steps: a seed of S/N 5 has ends good to sqrt(26) / 25 = 0.2 of its length (change-point law)."""
 
 TILT_STEPS: Final = 2
-"""In the first look, at half resolution, the seed's direction may be off by so many lanes, 4 px, per seed length: its error is
-sqrt(24) s / S = 0.8 px."""
+"""In the first look, at half resolution, the seed's direction may be wrong by this many lanes (4 px) per seed length: its
+error is sqrt(24) s / S = 0.8 px."""
 
 LIKED: Final = 0.75
 """Ends whose S/N in the seed's own frame is below this share of the best ends' are not followed."""
 
 STATIC_SIGMAS: Final = 3.0
 LEAST_STATIC: Final = 1.2
-"""A seed is refused where the other frames show so much at its own place, in S/N for one frame, and so many errors of their
-mean: faint stars, in a row or left over, stand still."""
+"""A seed is refused where the other frames show at its own place an S/N of `LEAST_STATIC` for one frame that is also
+`STATIC_SIGMAS` errors of their mean: faint stars, in a row or left over, stand still."""
 
 STATIC_ERRORS: Final = 1.0
-"""What a track's places show in the other frames counts as far as it exceeds so many errors of their mean: without this, noise
-alone takes 0.16 of the joint S/N from every track."""
+"""Light at a track's places in the other frames counts above this many errors of its mean. Without this, noise alone takes 0.16
+of the joint S/N from every track."""
 
 FINE: Final = 24
 """Pieces of a seed in the second look."""
@@ -253,7 +253,7 @@ def climb(
     scale = 1.0
     for _ in range(halvings):
         for _ in range(8):
-            moved = False
+            improved = False
             for parameter in range(5):
                 for sign in (-1.0, 1.0):
                     trial[:] = track
@@ -267,9 +267,9 @@ def climb(
                         continue
                     value = evaluate(corridors, look, low, high, trial)
                     if value > snr + 1e-4:
-                        snr, moved = value, True
+                        snr, improved = value, True
                         track[:] = trial
-            if not moved:
+            if not improved:
                 break
         scale *= 0.5
     return snr

@@ -13,7 +13,7 @@ HIT_CODE: Final = 104
 """6.5 sigma of a smoothed pixel. A trail of 10 px at the detector's 7.2 has 3.9 there: one in a hundred reaches this."""
 
 REACH_SIGMAS: Final = 4.0
-"""What is blanked reaches so many widths of the PSF beyond a bright pixel: light beside it has fallen to a hundredth there."""
+"""Pixels are blanked out to this many PSF widths from a bright pixel, where its light has fallen to a hundredth."""
 
 
 @nb.njit(cache=True)

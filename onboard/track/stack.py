@@ -16,27 +16,27 @@ WARM_UP: Final = 8
 """Frames that the model of the sky needs before anything is held against it."""
 
 MODEL_FRAMES: Final = 32
-"""The model is a running mean over about so many."""
+"""Frames in the model's running mean."""
 
 SMEAR_PX: Final = 0.35
 """Within a group an object of the box moves by no more than this against the box's middle, to either side of the group's."""
 
 FIRST_MARGIN: Final = 1.3
-"""The lattice's sums may fall short of the threshold by so much."""
+"""S/N by which the lattice's sums may fall short of the threshold."""
 
 MOST_CANDIDATES: Final = 2000
 """Places that are climbed from in a window."""
 
 DRIFT_PX: Final = 40.0
-"""Where the pointing has drifted so far from the model's grid, everything begins again."""
+"""The model begins anew where the pointing has drifted this far from its grid."""
 
 UNEVEN: Final = 4.0
 UNEVEN_SHARE: Final = 0.2
-"""Chi-square of the groups against even brightness may exceed their number by so many of its own standard deviations, and by
-this share of the S/N squared: objects tumble."""
+"""Chi-square of the groups against even brightness may exceed their number by `UNEVEN` of its own standard deviations and by the
+square of `UNEVEN_SHARE` of the S/N: objects tumble."""
 
 SAME_PX: Final = 4.0
-"""Two tracks are one object where they lie so close at the first and the last epoch of the window."""
+"""Two tracks are one object where they lie this close at the first and at the last epoch of the window."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -116,9 +116,9 @@ class Stack:
             zeros = np.zeros(shape, np.int16), np.zeros(shape, np.int16)
             state = replace(self.initial_state(), model=zeros[0], total=zeros[1], begin_ns=middle_ns(view))
         else:
-            moved = transform[:, :2] @ state.transform[:, 2] + transform[:, 2]
-            state = replace(state, transform=np.column_stack([transform[:, :2] @ state.transform[:, :2], moved]))
-            if np.abs(moved).max() > DRIFT_PX:
+            shift_px = transform[:, :2] @ state.transform[:, 2] + transform[:, 2]
+            state = replace(state, transform=np.column_stack([transform[:, :2] @ state.transform[:, :2], shift_px]))
+            if np.abs(shift_px).max() > DRIFT_PX:
                 return self.step(state, view, None)
         codes = np.empty(shape, np.int8)
         codes_of(view.residual_adu, view.mask, view.background.sigma_adu, view.background.tile_px, codes)
@@ -170,12 +170,12 @@ class Stack:
             first += 0.25
             places = stack_search.maxima(best, math.ceil(first * unit), MOST_CANDIDATES)
         # neighbouring pixels of a group image share what its filter and the reading between pixels spread
-        likeness = math.exp(-0.25 / (psf_sigma_px**2 + 1.0 / 3.0))
+        window = stack_search.GroupWindow(groups, epochs, math.exp(-0.25 / (psf_sigma_px**2 + 1.0 / 3.0)))
         box, objects = self.box, []
         for row, col in places:
             rate = rates[which[row, col]]
             place, parts = np.array([row, col, rate[0], rate[1]], dtype=np.float64), np.zeros(n)
-            snr = stack_search.climb(groups, epochs, likeness, place, parts)
+            snr = stack_search.climb(window, place, parts)
             excess = float(((parts - snr / math.sqrt(n)) ** 2).sum()) - n
             if snr < asked or excess > UNEVEN * math.sqrt(2.0 * n) + (UNEVEN_SHARE * snr) ** 2:
                 continue

@@ -1,7 +1,7 @@
 """Sums of group images along straight tracks: a lattice of velocities first, then a climb to the best place and velocity."""
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import cv2
 import numba as nb
@@ -15,11 +15,11 @@ TILE_PX: Final = 128
 """The noise of a group image is measured in squares of this side."""
 
 GUESS_EVERY: Final = 7
-"""The first guess of the noise is the frame's, from every so many rows and columns."""
+"""Step, in rows and columns, of the pixels that the first guess of the noise is taken from."""
 
 CLIP_SIGMA: Final = 3.0
 CLIPPED_RMS: Final = 0.9865817
-"""Rms of a normal variable of which all beyond CLIP_SIGMA was left out."""
+"""Rms of a normal variable without its values beyond CLIP_SIGMA."""
 
 OUTER_PX: Final = 1.2
 """Distance of neighbouring lattice tracks at the ends of the window, along either axis; an object is half of it away at most."""
@@ -115,18 +115,21 @@ def maxima(best: NDArray[np.int16], least: int, most: int) -> NDArray[np.int64]:
     return out[:n]
 
 
+class GroupWindow(NamedTuple):
+    """Group images, their epochs, and the correlation of the noise of neighbouring pixels."""
+
+    groups: tuple[NDArray[np.int8], ...]
+    epochs: NDArray[np.float64]
+    likeness: float
+
+
 @nb.njit(cache=True)
-def along(
-    groups: tuple[NDArray[np.int8], ...],
-    epochs: NDArray[np.float64],
-    likeness: float,
-    place: NDArray[np.float64],
-    out: NDArray[np.float64],
-) -> float:
+def along(window: GroupWindow, place: NDArray[np.float64], out: NDArray[np.float64]) -> float:
     """S/N of a track, and that of each group into `out` (0 where it lies outside).
 
-    place : row, col, and their rates, px and px/s. likeness : correlation of the noise of neighbouring pixels.
+    place : row, col, and their rates, px and px/s.
     """
+    groups, epochs, likeness = window
     rows, cols = groups[0].shape
     total, count = 0.0, 0
     for g in range(len(groups)):
@@ -146,29 +149,23 @@ def along(
 
 
 @nb.njit(cache=True)
-def climb(
-    groups: tuple[NDArray[np.int8], ...],
-    epochs: NDArray[np.float64],
-    likeness: float,
-    place: NDArray[np.float64],
-    out: NDArray[np.float64],
-) -> float:
+def climb(window: GroupWindow, place: NDArray[np.float64], out: NDArray[np.float64]) -> float:
     """Move `place` to the nearest maximum of the S/N; returns it."""
-    reach = max(abs(epochs[0]), abs(epochs[-1]), 1e-9)
+    reach = max(abs(window.epochs[0]), abs(window.epochs[-1]), 1e-9)
     steps = np.array([0.5, 0.5, 0.5 / reach, 0.5 / reach])
-    best = along(groups, epochs, likeness, place, out)
+    best = along(window, place, out)
     for _ in range(4):
         for _ in range(6):
-            moved = False
+            improved = False
             for k in range(4):
                 for sign in (-1.0, 1.0):
                     place[k] += sign * steps[k]
-                    value = along(groups, epochs, likeness, place, out)
+                    value = along(window, place, out)
                     if value > best:
-                        best, moved = value, True
+                        best, improved = value, True
                     else:
                         place[k] -= sign * steps[k]
-            if not moved:
+            if not improved:
                 break
         steps *= 0.5
-    return float(along(groups, epochs, likeness, place, out))
+    return float(along(window, place, out))

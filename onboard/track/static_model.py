@@ -15,7 +15,7 @@ UNIT: Final = 16
 """One sigma of a pixel in a frame's codes."""
 
 MASKED: Final = -128
-"""Code of a pixel of which nothing is known."""
+"""Code of a pixel without data."""
 
 MODEL_BITS: Final = 7
 MODEL_UNIT: Final = 1 << MODEL_BITS
@@ -32,7 +32,7 @@ CLIP: Final = 64
 """Largest residual, in codes: a particle lights up one frame."""
 
 BLOCK_PX: Final = 64
-"""Over so many columns the way between two grids is a shift; a turn by 1e-4 moves it by 0.003 px."""
+"""Columns over which the way between two grids is taken for a shift; a turn by 1e-4 changes it by 0.003 px."""
 
 
 @nb.njit(cache=True)
@@ -78,13 +78,13 @@ def _weights(part_row: float, part_col: float) -> Weights:
 
 
 @nb.njit(cache=True)
-def _mix_row(top: NDArray[np.int8], low: NDArray[np.int8], w: Weights, part: np.float32, model: NDArray[np.int16]) -> None:
+def _mix_row(top: NDArray[np.int8], low: NDArray[np.int8], w: Weights, weight: np.float32, model: NDArray[np.int16]) -> None:
     """Bring a row of a frame into the model; it stays where one of the four pixels is masked."""
     for j in range(model.size):
         a, b, d, e = np.int32(top[j]), np.int32(top[j + 1]), np.int32(low[j]), np.int32(low[j + 1])
         least = min(min(a, b), min(d, e))
         old = np.int32(model[j])
-        step = np.float32(w[0] * a + w[1] * b + w[2] * d + w[3] * e - old) * part
+        step = np.float32(w[0] * a + w[1] * b + w[2] * d + w[3] * e - old) * weight
         new = np.int32(old + np.int32(step + np.float32(40000.5)) - np.int32(40000))
         model[j] = np.int16(new if least > np.int32(MASKED) else old)
 
@@ -129,7 +129,7 @@ def update_model(codes: NDArray[np.int8], transform: NDArray[np.float64], share:
             if r < 0 or r >= rows - 1:
                 continue
             w = _weights(at_row - r, at_col - c)
-            part = np.float32(1.0 / share)
+            weight = np.float32(1.0 / share)
             low, high = _inside(first, c, n, cols)
             if high <= low:
                 continue
@@ -137,7 +137,7 @@ def update_model(codes: NDArray[np.int8], transform: NDArray[np.float64], share:
                 codes[r, c + low : c + high + 1],
                 codes[r + 1, c + low : c + high + 1],
                 w,
-                part,
+                weight,
                 model[row, first + low : first + high],
             )
 

@@ -23,37 +23,37 @@ SIDES: Final = (1024, 2048, 4096)
 @dataclass(frozen=True, kw_only=True)
 class Pass:
     """A pass over every pixel. operations : adds, products, comparisons and conversions per pixel, counted by hand in the inner
-    loops for a PSF of 2 px FWHM; moved : bytes read and written per pixel; lines : rows held at once; arithmetic : of data."""
+    loops for a PSF of 2 px FWHM; traffic : bytes read and written per pixel; lines : rows held at once; arithmetic : of data."""
 
     name: str
     module: str
     operations: float
-    moved: float
+    traffic: float
     lines: str
     arithmetic: str
 
 
 PASSES: Final = (
-    Pass(name="background mesh, one row of eight", module="image/background", operations=0.8, moved=0.6, lines="64",
+    Pass(name="background mesh, one row of eight", module="image/background", operations=0.8, traffic=0.6, lines="64",
          arithmetic="16-bit counts in 32-bit histograms"),
-    Pass(name="dead and saturated areas, glare", module="image/dead_area, image/glare", operations=3, moved=4, lines="1",
+    Pass(name="dead and saturated areas, glare", module="image/dead_area, image/glare", operations=3, traffic=4, lines="1",
          arithmetic="8 bit"),
-    Pass(name="calibrated image and row sums", module="image/calibrate", operations=16, moved=10, lines="1",
+    Pass(name="calibrated image and row sums", module="image/calibrate", operations=16, traffic=10, lines="1",
          arithmetic="16-bit counts - dark in 1/128 ADU, then float32"),
-    Pass(name="star peaks: 5 + 5 taps, maxima", module="stars/peaks", operations=23, moved=4, lines="7", arithmetic="float32"),
-    Pass(name="level and noise beside the stars", module="image/star_free_sky", operations=6, moved=9, lines="32",
+    Pass(name="star peaks: 5 + 5 taps, maxima", module="stars/peaks", operations=23, traffic=4, lines="7", arithmetic="float32"),
+    Pass(name="level and noise beside the stars", module="image/star_free_sky", operations=6, traffic=9, lines="32",
          arithmetic="float32"),
-    Pass(name="image in sigma/16", module="detect/whiten", operations=4, moved=6, lines="1", arithmetic="to int8, clipped"),
-    Pass(name="kept frame", module="detect/line_integral/kept_frame", operations=5, moved=6, lines="1",
+    Pass(name="image in sigma/16", module="detect/whiten", operations=4, traffic=6, lines="1", arithmetic="to int8, clipped"),
+    Pass(name="kept frame", module="detect/line_integral/kept_frame", operations=5, traffic=6, lines="1",
          arithmetic="to int8, and a table of what lies beyond"),
-    Pass(name="faint static stars: both frames smoothed", module="detect/line_integral/static_sky", operations=40, moved=4,
+    Pass(name="faint static stars: both frames smoothed", module="detect/line_integral/static_sky", operations=40, traffic=4,
          lines="64 + margin", arithmetic="int8 x int16 taps in int16 and int32"),
-    Pass(name="level of tiles", module="detect/whiten", operations=2, moved=2, lines="64", arithmetic="int8 in int32"),
-    Pass(name="smoothed and binned 2 x 2", module="detect/whiten", operations=20, moved=1.5, lines="6",
+    Pass(name="level of tiles", module="detect/whiten", operations=2, traffic=2, lines="64", arithmetic="int8 in int32"),
+    Pass(name="smoothed and binned 2 x 2", module="detect/whiten", operations=20, traffic=1.5, lines="6",
          arithmetic="int8 x int16 taps in int16 and int32, to int16"),
-    Pass(name="dyadic line sums, four quadrants", module="detect/line_integral/dyadic", operations=27, moved=66,
+    Pass(name="dyadic line sums, four quadrants", module="detect/line_integral/dyadic", operations=27, traffic=66,
          lines="the frame at half resolution, twice", arithmetic="int16, halved after 64 and 512 rows"),
-    Pass(name="smoothed at full resolution", module="detect/whiten", operations=17, moved=2, lines="5",
+    Pass(name="smoothed at full resolution", module="detect/whiten", operations=17, traffic=2, lines="5",
          arithmetic="int8 x int16 taps in int16 and int32, to int8"),
 )  # fmt: skip
 
@@ -92,7 +92,7 @@ Scalar operations and bytes per pixel, counted by hand in the source, some of th
 
 {passes}
 
-Counted so: {operations:.0f} million operations and {moved:.0f} MB for each megapixel; the line sums move more than half of
+Counted so: {operations:.0f} million operations and {traffic:.0f} MB for each megapixel; the line sums move more than half of
 all bytes. Rows are taken as they come where the last column says so; the dyadic sums need the half-resolution frame, and
 the comparison with the frame before needs that frame in eight bits.
 
@@ -156,7 +156,7 @@ def _limits() -> str:
 
 def _passes() -> str:
     rows = ["| pass | `onboard/` | operations | bytes | lines held | arithmetic |", "|---|---|---|---|---|---|"]
-    rows += [f"| {p.name} | `{p.module}` | {p.operations:g} | {p.moved:g} | {p.lines} | {p.arithmetic} |" for p in PASSES]
+    rows += [f"| {p.name} | `{p.module}` | {p.operations:g} | {p.traffic:g} | {p.lines} | {p.arithmetic} |" for p in PASSES]
     return "\n".join(rows)
 
 
@@ -183,7 +183,7 @@ def _parameters() -> str:
 
 def page() -> str:
     """The whole page."""
-    operations, moved = sum(p.operations for p in PASSES), sum(p.moved for p in PASSES)
+    operations, traffic = sum(p.operations for p in PASSES), sum(p.traffic for p in PASSES)
     rest = work.NOMINAL_PER_PX - work.REGULAR_PER_PX
     frame = 16.0
     leon, leon_rest = 2.0 * operations * MPX / 250e6, 4.0 * rest * MPX / 250e6
@@ -195,12 +195,12 @@ def page() -> str:
         limits=_limits(),
         passes=_passes(),
         operations=operations * MPX / 1e6,
-        moved=moved * MPX / 1e6,
+        traffic=traffic * MPX / 1e6,
         leon=leon,
         leon_rest=leon_rest,
         leon_frame=leon_frame,
         leon_every=4.0 * leon_frame,
-        leon_memory=frame * moved * MPX / 800e6,
+        leon_memory=frame * traffic * MPX / 800e6,
         arm=arm,
         arm_rest=arm_rest,
         arm_frame=frame * (arm + arm_rest) / 4.0,

@@ -91,8 +91,9 @@ def _mesh(given: Arrays) -> BackgroundModel:
 
 def _residual(given: Arrays) -> Arrays:
     counts, residual = counts_of(given), np.empty((SIDE, SIDE), np.float32)
-    row_sums, n_masked = fill_residual(counts, _mesh(given), residual)
-    return {"residual_adu": residual, "mask": counts.defects, "row_sums": row_sums, "n_masked": np.array(n_masked)}
+    sums, n_masked = fill_residual(counts, _mesh(given), residual)
+    lines: Arrays = {"row_sums": sums.rows, "col_sums": sums.cols}
+    return lines | {"residual_adu": residual, "mask": counts.defects, "n_masked": np.array(n_masked)}
 
 
 def _stars(given: Arrays) -> Arrays:

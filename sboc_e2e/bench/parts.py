@@ -13,7 +13,10 @@ STORED: Final = ROOT / "bench" if SCRIPTS.is_dir() else Path(__file__).resolve()
 COSTS: Final = STORED / "costs.json"
 """Wall seconds of each part where the baseline was written."""
 
-RUNS: Final = {"smoke": ("smoke",), "sso_antisun": ("sso_antisun",)}
+IDEAL: Final = ("sso_antisun", "--set", "psf.preset=ideal")
+"""The camera whose figures are the measure against the physical limit."""
+
+RUNS: Final = {"smoke": ("smoke",), "sso_antisun": ("sso_antisun",), "sso_antisun_ideal": IDEAL}
 QUICK_RUNS: Final = {"smoke": ("smoke",), "sso_antisun_8_frames": ("sso_antisun", "--set", "frames=8")}
 
 SIDE_BY_SIDE: Final = ("astrometry", "detection", "linking", "orbit", "streak_fit", "trailed_stars", "vetting")

@@ -89,7 +89,7 @@ def run_campaign(
 ) -> CampaignResult:
     """Run what is not done yet; finished shards are kept, failed tasks are tried again.
 
-    out : folder of the campaign; it must be empty or belong to the same campaign, of which points and replicas may be added or
+    out : folder of the campaign; it must be empty or belong to the same campaign. Points and replicas may be added or
     left out. force : forget what another one left there. registry : with the plug-in modules that the user trusts.
     scheduler : "tcp://host:port" of a dask scheduler, "local" for a dask LocalCluster, None for local processes. here : without
     other processes.
@@ -185,7 +185,7 @@ def _noted_failure(out: Path, task: Task, reason: str) -> str:
 def _claim(out: Path, identity: dict[str, Any], outside: dict[str, dict[str, Any]], *, force: bool) -> None:
     """Make the folder this campaign's. Raises `UserError` with what differs when it is another one's.
 
-    outside : plug-ins and files that points name, of which another point may add some.
+    outside : plug-ins and files that points name; another point may add some.
     """
     path = out / IDENTITY
     if force:

@@ -269,12 +269,20 @@ def scenarios_show(
     use: Uses = None,
     plugin: Plugins = None,
 ) -> None:
-    """Print a scenario with every key: value, meaning, range, and whether file, preset or command line gave it."""
+    """Print a scenario with every key: value, meaning, range, and whether file, preset or command line gave it.
+
+    It ends with a refusal where the exposure or the read-out does not fit the frame rate.
+    """
     from sboc_e2e import scenario as scenario_files
+    from sboc_e2e.icd.errors import UserError
     from sboc_e2e.scenario import shown
 
     resolved = scenario_files.load(scenario, registry=registry_of(plugin), overrides=overrides or (), use=parsed_uses(use))
     typer.echo(shown.text(resolved), nl=False)
+    try:
+        resolved.simulator.refuse_overlap()
+    except UserError as error:
+        raise UserError(f"scenario {resolved.name}: {resolved.told(str(error))}") from error
 
 
 @catalogue_app.command("build")

@@ -122,57 +122,6 @@ PLANES_ESCAPES = struct.Struct(">H")
 SQRT_PLANES = struct.Struct(">ff")
 """Head of a `SQRT_PLANES` block: step in ADU, gain in e-/ADU; then the codes as a `PLANES` block around zero."""
 
-RANS_HEAD = struct.Struct(">Bh")
-"""Head of a `RANS` block: noise code, centre code; then the states of the coders and 16-bit words."""
-
-RANS_STATES: Final = 4
-RANS_STATE_BYTES: Final = 5
-RANS_LOWEST_STATE: Final = 1 << 24
-RANS_SCALE: Final = 1 << 16
-RANS_TOKENS: Final = 81
-"""Coders of a `RANS` block, bytes of each one's state, least state, sum of the frequencies of a class, tokens."""
-
-RANS_PLAIN_TOKENS: Final = 32
-"""Zigzag codes below this are tokens themselves. Of larger codes, some bits are sent without coding."""
-
-RANS_ESCAPE: Final = RANS_TOKENS - 1
-"""Token of a value sent as 32 bits."""
-
-RANS_NEIGHBOUR_LIMIT: Final = 4095
-"""Neighbours are clipped at this distance from the level, so that five of them fit into 16 bits."""
-
-RANS_LEAST_SIGMA: Final = 0.0625
-RANS_CODES_PER_OCTAVE: Final = 16
-RANS_CENTRE_CODES_PER_SIGMA: Final = 16
-"""Noise of noise code 0, noise codes per factor of two, centre codes per noise."""
-
-RANS_LIMITS_SIGMA: Final = (-0.5, 0.4, 0.8, 1.2, 1.7, 2.5, 4.0, 8.0, 20.0, 80.0)
-"""Limits of a pixel's class in `RANS` blocks: the weighted mean of its neighbours over the noise."""
-
-RANS_CLASSES: Final = (
-    (-0.05, 0.97, 0.024, 1.09, 0.0001),
-    (-0.04, 0.98, 0.022, 1.34, 0.0001),
-    (-0.05, 0.98, 0.037, 1.40, 0.0001),
-    (0.03, 1.02, 0.104, 1.68, 0.0001),
-    (-0.05, 0.97, 0.058, 1.60, 0.0001),
-    (0.05, 0.98, 0.301, 1.70, 0.0001),
-    (-0.05, 0.98, 0.147, 2.09, 0.0001),
-    (0.56, 1.19, 0.185, 2.20, 0.0001),
-    (-0.01, 1.02, 0.496, 2.79, 0.0001),
-    (0.58, 1.01, 0.384, 2.23, 0.0001),
-    (-0.27, 1.01, 0.908, 3.99, 0.0001),
-    (1.68, 1.60, 0.243, 2.63, 0.0001),
-    (5.37, 2.90, 0.533, 8.48, 0.0001),
-    (3.77, 2.40, 0.324, 4.34, 0.0028),
-    (11.7, 5.10, 0.509, 19.9, 0.0010),
-    (10.4, 5.00, 0.494, 12.8, 0.0010),
-    (32.6, 13.8, 0.528, 62.2, 0.0010),
-    (39.4, 16.1, 0.662, 81.8, 0.0200),
-    (129.0, 57.0, 0.597, 674.0, 0.0200),
-)
-"""Distribution of the values of each class about the centre, in units of the noise: mean and width of a Gaussian; share and scale
-of an exponential above the centre (light that begins here); share of a flat distribution. Fitted to simulated frames of stars."""
-
 MAX_STRIP_PIXELS: Final = 1 << 16
 """Largest number of pixels in one strip or chunk: decoders refuse more before they allocate."""
 

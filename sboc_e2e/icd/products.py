@@ -1,5 +1,6 @@
 """Ground products: frame solutions, streaks, tracklets, orbits."""
 
+import math
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -44,7 +45,9 @@ class StreakFit:
     (relative, end to end); 0 when the simpler model won. width_px : fitted PSF sigma.
     light_curve_e_px : (k,) flux density in equal bins along the trail from end 0 to end 1, may be empty; light_curve_err_e_px :
     (k,) one sigma, NaN when not given. period_fraction : of a periodic light curve, in fractions of the trail; None without one.
+    flash_e : the part of flux_e that came in flashes shorter than what the PSF resolves along the trail.
     failure : why a fit is flagged FIT_FAILED, in a few words that are the same for all of a kind; ingest.json counts them.
+    psf_sigma_px : PSF sigma of a point at the trail's place, which the chain fills in for the vetter; NaN: not given.
     """
 
     row0: float
@@ -69,6 +72,8 @@ class StreakFit:
     light_curve_err_e_px: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
     period_fraction: float | None = None
     failure: str = ""
+    psf_sigma_px: float = math.nan
+    flash_e: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "covariance_px2", validate.array("fit.covariance_px2", self.covariance_px2, "f8", (4, 4)))
@@ -185,6 +190,7 @@ class Tracklet:
     row_streak_ids, row_points : (m,) streak of each and which of its points (0: end 0, 1: middle, 2: end 1). Ends on the
     frame's edge and of pieces are left out: no shutter dates them.
     sigma_along_arcsec, sigma_cross_arcsec : (m,) one sigma along the motion and across it, correlation : (m,) of both;
+    half68_along_arcsec : (m,) half of the 68 % interval along the motion: smaller than sigma where tails are heavy. May be empty.
     motion_angle_deg : (m,) position angle of the motion at each, from north by east; across is 90 deg further.
     shared_arcsec : (m, 3), shared_group : (m,). A joint fit gives its rows common errors along the motion: rows i and j of one
     group (-1: none) have the covariance ``shared[i] @ shared[j]``, which is part of sigma_along squared where i = j.
@@ -222,6 +228,7 @@ class Tracklet:
     row_points: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     correlation: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     motion_angle_deg: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
+    half68_along_arcsec: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))
     shared_arcsec: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
     shared_group: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, dtype=np.int64))
     pointing_arcsec: NDArray[np.float64] = field(default_factory=lambda: np.zeros(0))

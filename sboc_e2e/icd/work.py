@@ -21,7 +21,7 @@ class Work(Enum):
 
 
 UNLIMITED: Final = 1 << 62
-"""No frame has so many operations."""
+"""More operations than any frame takes."""
 
 
 @dataclass(kw_only=True)
@@ -41,7 +41,7 @@ class WorkMeter:
         return max(0, self.limits[kind] - self.done[kind])
 
     def room(self, kind: Work, each: float, share: float = 1.0) -> int:
-        """How many items of so many operations `share` of what is left allows."""
+        """How many items of `each` operations fit into `share` of what is left."""
         return int(share * self.left(kind) / max(each, 1.0))
 
     def spend(self, kind: Work, operations: float) -> None:

@@ -34,7 +34,7 @@ def camera_of_preset(name: str, registry: Registry) -> NominalCamera:
     """The nominal camera of an instrument preset: a name in scenarios/presets or the path of a TOML file; or of a file that
     `sboc camera make` wrote.
     """
-    path = Path(name) if name.endswith(".toml") else preset_path(name, FOLDER, "--camera")
+    path = Path(name) if name.endswith(".toml") else preset_path(name, "instrument", FOLDER, "--camera")
     tables = read(path)
     if set(tables) == {"camera"}:
         return camera_of_table(tables["camera"], str(path))

@@ -32,6 +32,11 @@ MAX_SIDE_PX: Final = 16384
 MIN_SIDE_PX: Final = 16
 MAX_PIXELS: Final = 10_000 * 10_000
 MJD_KEYS: Final = ("MJD-OBS", "MJD-STR")
+CAMERA_KEYS: Final = (
+    "TELESCOP", "INSTRUME", "DETECTOR", "CAMERA", "CCDNAME", "CCDCHIP", "EXTNAME", "AMPNAME", "FILTER", "CCDSUM", "XBINNING",
+    "READMODE",
+)  # fmt: skip
+"""Keys of headers whose values tell cameras, their detectors, filters and modes apart."""
 MAX_SHOWN: Final = 40
 """Characters of a header's value that a note repeats."""
 FIRST_ASSUMED_TAI_NS: Final = 1_325_376_000 * NS_PER_S
@@ -188,6 +193,7 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True) -> SourcedFra
         wcs=wcs if use_wcs else None,
         notes=tuple(notes),
         focal_hints_px=focal_hints_px(header, wcs),
+        camera=" ".join(f"{header.get(key, '')}".strip() for key in CAMERA_KEYS) + f" HDU {place.hdu}",
     )
 
 

@@ -62,6 +62,7 @@ class Found:
             ("frames", number(n), f"{left_out} files or planes left out" if left_out else ""),
             ("streaks published", number(n_published), _each(n_published, n)),
             ("... expected to be false", f"{wrong:.2f}", "sum of 1 - probability over the published ones"),
+            ("... look-alikes in the negative", *self._look_alikes()),
             ("streaks measured and rejected", number(len(streaks) - n_published), _each(len(streaks) - n_published, n)),
             ("tracklets", number(self.n_tracklets), ""),
             ("stars found in a frame", *_median(frames, "n_stars_found", least=0.0)),
@@ -72,6 +73,17 @@ class Found:
             ("residual of its stars (px)", *_median(frames, "rms_px", least=0.0)),
             ("frames with a zero point", number(int(np.sum(np.asarray(frames["n_phot"]) > 0))), f"of {n}"),
         ]
+
+    def _look_alikes(self) -> tuple[str, str]:
+        """Lines that the search finds in the negatives of the frames, where nothing is real: what it finds falsely."""
+        counts = [frame.get("look_alikes") for frame in self.ingest.get("outside", {}).get("frames", ())]
+        counts = [each for each in counts if each]
+        if not counts:
+            return "-", "no negative was searched"
+        in_all = {key: sum(each[key] for each in counts) for key in counts[0]}
+        levels = sorted(int(key.removeprefix("snr_")) for key in in_all if key != "all")
+        words = ", ".join(f"{in_all[f'snr_{level}']} at S/N >= {level}" for level in levels)
+        return number(in_all["all"]), f"{_each(in_all['all'], len(counts))}; {words}"
 
     def _noise(self) -> tuple[str, str]:
         """Median over some frames of the scatter of neighbouring pixels' differences, over the square root of two."""

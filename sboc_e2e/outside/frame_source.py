@@ -20,6 +20,7 @@ class SourcedFrame:
     """A frame and where it came from: file, header-data unit, and the astropy WCS of its header if it has one.
 
     focal_hints_px : focal lengths in pixels that the header tells in one way or another, the best first.
+    camera : words of the header that tell cameras, detectors and filters apart; frames with equal ones share a fixed pattern.
     """
 
     frame: Frame
@@ -28,6 +29,7 @@ class SourcedFrame:
     wcs: Any
     notes: tuple[Note, ...]
     focal_hints_px: tuple[float, ...] = ()
+    camera: str = ""
 
 
 class FrameSource(Protocol):

@@ -86,7 +86,8 @@ def with_planes(
 
 def _kind_of(hdu: Any) -> str | None:
     """What an image's name and unit say that it is, if no picture."""
-    words = [word for word in re.split(r"[^A-Z]+", str(hdu.name).upper()) if word]
+    named = f"{hdu.name} {hdu.header.get('EXTTYPE', '')}"  # compressed planes of LSST have EXTTYPE and no EXTNAME
+    words = [word for word in re.split(r"[^A-Z]+", named.upper()) if word]
     for kind, names in KINDS.items():
         if any(word in names for word in words):
             return kind

@@ -10,13 +10,15 @@ from sboc_e2e.files import calibration_files
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Frame, NominalCamera
 from sboc_e2e.outside.camera import camera_of_frame, camera_of_preset, focal_px_by_stars, refuse_narrow_field
+from sboc_e2e.outside.fixed_pattern import MutuallyCalibrated
 from sboc_e2e.outside.frame_source import FrameSource
+from sboc_e2e.outside.look_alikes import CountingChain, counts_of
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.decoders import require_decoder
 from sboc_e2e.run.directory import RunDirectory
 from sboc_e2e.run.ground_stage import GroundStage, Outside, ground_chain, require_files, star_catalogue
 from sboc_e2e.run.manifest import Manifest
-from sboc_e2e.run.onboard_stage import OnboardStage, onboard_chain
+from sboc_e2e.run.onboard_stage import OnboardStage, onboard_steps
 from sboc_e2e.run.progress import Progress
 from sboc_e2e.scenario import Scenario
 
@@ -76,6 +78,7 @@ def process(
     length then comes from its stars. folder : where the files lie, for `sboc view`.
     """
     directory = RunDirectory(path=out)
+    source = MutuallyCalibrated(source=source)
     n_frames = source.n_frames
     require_files(scenario)
     require_decoder(scenario)
@@ -101,7 +104,7 @@ def process(
         directory.calibration, nominal, f"preset {camera}" if camera else "guessed from the first frame"
     )
     seen = Seen()
-    chain = onboard_chain(scenario, calibration=None, camera=nominal, run_id=manifest.run_id)
+    chain = CountingChain(scenario.onboard, onboard_steps(scenario), camera=nominal, run_id=manifest.run_id)
     board = OnboardStage(run=directory, chain=chain)
     manifest.begin("onboard")
     progress.stage("onboard", n_frames)
@@ -113,12 +116,21 @@ def process(
         progress.note(f"{len(texts)} of {n_frames} frames: {texts[0]}")
     for text in source.left_out:
         progress.note(f"left out: {text}")
+    vetted = ground_chain(
+        scenario,
+        calibration=None,
+        camera=nominal,
+        catalogue=catalogue,
+        run_id=manifest.run_id,
+        look_alikes=chain.look_alikes,
+    )
+    counts = {number: counts_of(table) for number, table in chain.look_alikes.items()}
     ground = GroundStage(
         run=directory,
-        chain=ground_chain(scenario, calibration=None, camera=nominal, catalogue=catalogue, run_id=manifest.run_id),
+        chain=vetted,
         options=scenario.ground,
         catalogue=catalogue,
-        outside=Outside(origin=seen.origin, wcs=seen.wcs, notes=seen.of_frame, left_out=source.left_out),
+        outside=Outside(origin=seen.origin, wcs=seen.wcs, notes=seen.of_frame, left_out=source.left_out, look_alikes=counts),
     )
     manifest.begin("ground")
     ground.execute(progress)

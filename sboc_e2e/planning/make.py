@@ -23,6 +23,7 @@ from sboc_e2e.planning.flown import scenario_toml
 from sboc_e2e.planning.instrument import planned_camera, station_of
 from sboc_e2e.planning.pictures import sky_png, timeline_png
 from sboc_e2e.planning.request import PlanRequest
+from sboc_e2e.planning.weather import with_weather
 from sboc_e2e.registry import Registry
 from simulator.platform import earth
 
@@ -34,6 +35,8 @@ def make_plan(request: PlanRequest, path: Path, out: Path, registry: Registry) -
     earth.refuse_outside_data(start + round(request.plan.days * 86400e9))
     camera = planned_camera(found.simulator, request.plan.sky_mag_arcsec2)
     station = station_of(found.simulator, start)
+    if request.weather:
+        station = with_weather(station, path.resolve().parent / request.weather, f"{path}: weather")
     names: tuple[str, ...] = ()
     fence, source = None, None
     if request.goal == "fence":

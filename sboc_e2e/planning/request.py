@@ -28,6 +28,10 @@ class PlanRequest:
     objects: str = field(default="", metadata={"doc": "file of two- or three-line element sets, relative to the plan's file"})
     least_mean_motion: float = field(default=0.0, metadata={"doc": "of the objects, revolutions a day", "min": 0.0, "max": 20.0})
     most_mean_motion: float = field(default=20.0, metadata={"doc": "of the objects, revolutions a day", "min": 0.0, "max": 20.0})
+    weather: str = field(
+        default="",
+        metadata={"doc": "file of the times at which a site is closed, `start_utc` and `end_utc`, relative to the plan's file"},
+    )
     start_utc: str = field(default="", metadata={"doc": "start of the plan; default is the scenario's epoch"})
     flown: int = field(
         default=3, metadata={"doc": "visits that the scenario beside the schedule lets the chain fly", "min": 1, "max": 1000}

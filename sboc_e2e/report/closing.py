@@ -17,7 +17,7 @@ def closing_text(score: Mapping[str, Any], stages: Mapping[str, Mapping[str, Any
     lines = [f"{label:<{width}}  {value}{f'  ({note})' if note else ''}" for label, value, note in rows]
     bad = missed(score)
     if bad:
-        lines.append("Published files miss what they should be:")
+        lines.append("Published files miss what they should be (see docs/products.md):")
         lines += [f"  {row.label}: {row.value}, should be {row.aim}" for row in bad]
     compiled_s = sum(stage.get("compile_cpu_s", 0.0) for stage in stages.values())
     if compiled_s > LEAST_COMPILATION_S:

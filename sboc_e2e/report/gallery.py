@@ -60,8 +60,9 @@ def thumbnail(name: str, catalogue: StarCatalogue) -> NDArray[np.uint8]:
 def as_measured(catalogue: StarCatalogue) -> NDArray[np.uint8]:
     """Parts of one frame, the ideal camera and sky left, the preset `as_measured` right, (height, width) grey."""
     columns = []
-    for overrides in ((), ("psf.preset=as_measured",)):
-        scenario = load("sso_antisun", registry=Registry(), overrides=("population.classes=[]", *overrides))
+    for preset in ("ideal", "as_measured"):
+        overrides = ("population.classes=[]", f"psf.preset={preset}")
+        scenario = load("sso_antisun", registry=Registry(), overrides=overrides)
         frame, _ = Simulator(scenario.simulator, seed=scenario.seed, catalogue=catalogue).frame(1)
         half = PART_PX // 2
         parts = [frame.pixels[r - half : r + half, c - half : c + half] for r, c in MEASURED_PARTS]

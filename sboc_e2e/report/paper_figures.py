@@ -128,7 +128,7 @@ def particles() -> Canvas:
         ("electron belt, 3 mm of Al", 'radiation.environment="horn"', 'radiation.shield="3 mm"'),
     )
     for ax, (title, *overrides) in zip(figure.subplots(1, 3), places, strict=True):
-        frame, truth = simulator_of("sso_antisun", *overrides).frame(0)
+        frame, truth = simulator_of("sso_antisun", "psf.preset=ideal", *overrides).frame(0)
         part = frame.pixels[:PARTICLE_WINDOW_PX, :PARTICLE_WINDOW_PX]
         _show(ax, part, f"{title}\n{int(truth.frame['n_cosmics'][0]):,} tracks in the frame")
     figure.axes[0].set_ylabel("row (one of 256 such parts)")

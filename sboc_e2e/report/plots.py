@@ -54,8 +54,13 @@ def canvas(width_in: float = 5.6, height_in: float = 3.6, columns: int = 1) -> I
 
 
 def plain_logarithmic(axis: Axis) -> None:
-    """Ticks at 1, 2 and 5 times powers of ten, as plain numbers: for axes of one to three decades."""
-    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0)))
+    """Ticks at 1, 2 and 5 times powers of ten, as plain numbers, or fewer where more decades would make them overlap.
+
+    It counts the decades of what is drawn already.
+    """
+    low, high = axis.get_view_interval()
+    decades = math.log10(high / low) if high > low > 0.0 else 1.0
+    axis.set_major_locator(LogLocator(subs=(1.0, 2.0, 5.0) if decades < 2.0 else (1.0, 3.0) if decades < 3.5 else (1.0,)))
     axis.set_major_formatter("{x:g}")
     axis.set_minor_formatter(NullFormatter())
 
@@ -133,8 +138,8 @@ def frame_vectors(grids: list[dict[str, Any]]) -> str:
     with canvas() as (figure, (ax,)):
         east = np.mean([g["east_arcsec"] for g in grids], axis=0)
         north = np.mean([g["north_arcsec"] for g in grids], axis=0)
-        ax.margins(0.12)
-        arrows = ax.quiver(grids[0]["col"], grids[0]["row"], east, north, color=BLUE, angles="uv", width=0.004)
+        ax.margins(0.2, 0.35)
+        arrows = ax.quiver(grids[0]["col"], grids[0]["row"], east, north, color=BLUE, angles="uv", width=0.004, clip_on=False)
         size = float(np.hypot(east, north).max())
         ax.quiverkey(arrows, 1.06, 0.96, size, f'{size:.3f}"', labelpos="S", coordinates="axes")
         ax.set(xlabel="col", ylabel="row", aspect="equal")
@@ -190,7 +195,9 @@ def orbit_spread(samples: Table, orbits: Table, true_range_km: dict[int, float])
                 axes[2].plot(true_range_km[tracklet], k, "x", color=INK, ms=7)
         for ax, label in zip(axes, ("semi-major axis (km)", "inclination (deg)", "tracklet"), strict=True):
             ax.set(xscale="log", xlabel="range (km)", ylabel=label)
+            plain_logarithmic(ax.xaxis)
         axes[0].set_yscale("log")
+        plain_logarithmic(axes[0].yaxis)
         axes[2].yaxis.set_major_locator(MaxNLocator(integer=True))
         return svg(figure)
 

@@ -12,6 +12,7 @@ from typing import Any, Final
 
 import numpy as np
 from astropy.table import Column, Table
+from numpy.typing import NDArray
 
 from ground.astrometry.wcs_export import pixel_icrs
 from ground.chain import GroundChain, GroundSteps
@@ -29,6 +30,7 @@ from ground.products.tdm import tdm_text
 from ground.products.tdm_angles import TDM_ANGLES_NAME, tdm_angles_table
 from ground.products.trail_light import trail_light_tables
 from ground.records import FrameProducts, GroundProducts
+from ground.vetting.look_alikes import LookAlikeVetter
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.files import checkpoint, ecsv
 from sboc_e2e.files.atomic import replacing, write_json, write_text
@@ -58,20 +60,27 @@ RUNS_NAMED: Final = 5
 class Outside:
     """What is known of frames from outside: file and HDU, the WCS of its header, and notes on it, by frame number.
 
-    left_out : what could not be taken as a frame.
+    left_out : what could not be taken as a frame. look_alikes : counts of lines in the negative of each frame, by least S/N.
     """
 
     origin: Mapping[int, tuple[str, int]] = field(default_factory=dict)
     wcs: Mapping[int, Any] = field(default_factory=dict)
     notes: Mapping[int, tuple[str, ...]] = field(default_factory=dict)
     left_out: tuple[str, ...] = ()
+    look_alikes: Mapping[int, Mapping[str, int]] = field(default_factory=dict)
 
     def as_dict(self) -> dict[str, Any]:
         """What ingest.json says of them; nothing of frames that were simulated."""
         if not self.origin:
             return {}
         frames = [
-            {"frame": number, "file": file, "hdu": hdu, "notes": list(self.notes.get(number, ()))}
+            {
+                "frame": number,
+                "file": file,
+                "hdu": hdu,
+                "notes": list(self.notes.get(number, ())),
+                "look_alikes": dict(self.look_alikes.get(number, {})),
+            }
             for number, (file, hdu) in sorted(self.origin.items())
         ]
         return {"outside": {"frames": frames, "left_out": list(self.left_out)}}
@@ -84,12 +93,17 @@ def ground_chain(
     camera: NominalCamera,
     catalogue: StarCatalogue,
     run_id: int | None = None,
+    look_alikes: Mapping[int, NDArray[np.float64]] | None = None,
 ) -> GroundChain:
-    """The ground chain of a scenario for the packets of a run. It has the chosen decoder and every shipped one."""
+    """The ground chain of a scenario for the packets of a run. It has the chosen decoder and every shipped one.
+
+    look_alikes : by frame number, (n, 2) S/N and length (px) of lines that are certainly false (`ground.vetting.look_alikes`).
+    """
+    vetter = scenario.step("ground.vetter")
     steps = GroundSteps(
         decoders=decoders_of(scenario),
         streak_fitter=scenario.step("ground.streak_fitter"),
-        vetter=scenario.step("ground.vetter"),
+        vetter=LookAlikeVetter(vetter=vetter, look_alikes=look_alikes) if look_alikes else vetter,
         astrometry=scenario.step("ground.astrometry"),
         photometry=scenario.step("ground.photometry"),
         linker=scenario.step("ground.linker"),

@@ -17,16 +17,20 @@ from sboc_e2e.scenario import Scenario
 STAGE = "onboard"
 
 
-def onboard_chain(scenario: Scenario, *, calibration: Calibration | None, camera: NominalCamera, run_id: int) -> OnboardChain:
-    """The on-board chain of a scenario."""
-    steps = OnboardSteps(
+def onboard_steps(scenario: Scenario) -> OnboardSteps:
+    """The on-board steps of a scenario."""
+    return OnboardSteps(
         background=scenario.step("onboard.background"),
         star_extractor=scenario.step("onboard.star_extractor"),
         detector=scenario.step("onboard.detector"),
         tracker=scenario.step("onboard.tracker"),
         codec=scenario.step("onboard.codec"),
     )
-    return OnboardChain(scenario.onboard, steps, calibration=calibration, camera=camera, run_id=run_id)
+
+
+def onboard_chain(scenario: Scenario, *, calibration: Calibration | None, camera: NominalCamera, run_id: int) -> OnboardChain:
+    """The on-board chain of a scenario."""
+    return OnboardChain(scenario.onboard, onboard_steps(scenario), calibration=calibration, camera=camera, run_id=run_id)
 
 
 @dataclass(kw_only=True)

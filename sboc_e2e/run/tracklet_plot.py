@@ -22,7 +22,7 @@ def tracklet_svg(tracklet: Tracklet, members: Sequence[StreakMeasurement]) -> st
     t_s, dec = t_s[good], np.radians(tracklet.dec_deg[good])
     with mpl.rc_context(_STYLE):  # type: ignore[arg-type]  # matplotlib's names of settings are a literal type
         figure = Figure(figsize=(9.0, 3.0), layout="constrained")
-        sky, rest, light = figure.subplots(1, 3)
+        sky, rest, magnitudes = figure.subplots(1, 3)
         if len(t_s):
             ra = np.unwrap(np.radians(tracklet.ra_deg[good]))
             east = np.degrees((ra - ra[0]) * np.cos(dec.mean())) * 60.0
@@ -32,13 +32,13 @@ def tracklet_svg(tracklet: Tracklet, members: Sequence[StreakMeasurement]) -> st
             rest.errorbar(t_s, along, tracklet.sigma_along_arcsec[good], fmt="o", ms=3, label="along")
             rest.errorbar(t_s, cross, tracklet.sigma_cross_arcsec[good], fmt="s", ms=3, label="across")
             rest.legend(fontsize=7)
-        light.errorbar(curve.t_s, curve.mag, curve.mag_err, fmt="o", ms=3)
-        light.invert_yaxis()
+        magnitudes.errorbar(curve.t_s, curve.mag, curve.mag_err, fmt="o", ms=3)
+        magnitudes.invert_yaxis()
         sky.invert_xaxis()
         sky.set(xlabel="east (arcmin)", ylabel="north (arcmin)", title=f"tracklet {tracklet.tracklet_id}")
         rest.set(xlabel="time (s)", ylabel="from a quadratic motion (arcsec)", title=f"{tracklet.rate_deg_s:.4g} deg/s")
         title = f"period {curve.period_s:.3g} s" if np.isfinite(curve.period_s) else "no period"
-        light.set(xlabel="time (s)", ylabel="V (mag)", title=title)
+        magnitudes.set(xlabel="time (s)", ylabel="V (mag)", title=title)
         out = io.StringIO()
         figure.savefig(out, format="svg", metadata={"Date": None, "Creator": None})
     return out.getvalue()

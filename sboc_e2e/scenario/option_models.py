@@ -247,7 +247,7 @@ def _checker(kind: type, unit: str | None, meta: Mapping[str, Any]) -> Callable[
     def check(value: object) -> Any:
         result: Any
         if unit is not None:
-            result = quantities.parse(value, unit)
+            result = quantities.parse(value, unit, limits)
             if kind is int:
                 if abs(result - round(result)) > 1e-9 * max(1.0, abs(result)):
                     raise ValueError(f"expected a whole number of {quantities.display(unit)}, got {value!r}")

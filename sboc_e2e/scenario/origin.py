@@ -22,7 +22,7 @@ def layers_of(path: Path, overrides: Sequence[str], use: Mapping[str, str]) -> l
     layers: list[Layer] = []
     for name, table in own.items():
         if isinstance(table, dict) and "preset" in table:
-            preset = toml_files.preset_path(table["preset"], path.resolve().parent, f"{path}: {name}.preset")
+            preset = toml_files.preset_path(table["preset"], name, path.resolve().parent, f"{path}: {name}.preset")
             layers.append((f"preset {preset.stem}", toml_files.read(preset)))
     layers.append((path.name, own))
     for seam, step in use.items():

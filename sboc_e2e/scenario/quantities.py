@@ -30,6 +30,7 @@ UNIT_SUFFIXES: Final[dict[str, str]] = {
 """Unit suffix of a field's name (without the leading underscore) and its unit as astropy spells it."""
 
 MAX_TEXT: Final = 80
+MAX_EXAMPLE: Final = 20
 _LONGEST_SUFFIX: Final = max(suffix.count("_") + 1 for suffix in UNIT_SUFFIXES)
 _NUMBER: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)\s*([^\d\s].*)?$")
 _UNIT_TEXT: Final = re.compile(r"[A-Za-z0-9 */().^%_-]{1,40}$")
@@ -79,12 +80,14 @@ def _unit(text: str) -> units.UnitBase:
     return unit
 
 
-def parse(value: object, unit: str) -> float:
+def parse(value: object, unit: str, limits: str = "") -> float:
     """The number of a quantity string in the wanted unit, for example ``parse("200 ms", "s") -> 0.2``.
+
+    limits : what is allowed, in words, for the message.
 
     Raises `QuantityError` naming the expected unit for bare numbers, unknown units and other dimensions.
     """
-    example = f'a quantity in {display(unit)}, such as "1 {display(unit)}"'
+    example = f'a quantity in {display(unit)}{f" ({limits})" if limits else ""}, such as "{_bare_number(value)} {display(unit)}"'
     if not isinstance(value, str):
         raise QuantityError(f"expected {example}, got {shown(value)}")
     match = _NUMBER.match(value) if len(value) <= MAX_TEXT else None
@@ -111,6 +114,13 @@ def write(value: float, unit: str) -> str:
     """The quantity string that parses back to exactly this number."""
     number = int(value) if isinstance(value, int) else float(value)
     return f"{number!r} {display(unit)}"
+
+
+def _bare_number(value: object) -> str:
+    """The number that was given without a unit, as an example of how to write it; otherwise 1."""
+    text = str(value) if isinstance(value, int | float | str) and not isinstance(value, bool) else ""
+    match = _NUMBER.match(text) if len(text) <= MAX_EXAMPLE else None
+    return text.strip() if match is not None and match.group(2) is None else "1"
 
 
 def _dimension(unit: units.UnitBase) -> str:

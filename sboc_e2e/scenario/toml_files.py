@@ -1,5 +1,6 @@
 """Reading scenario files: size limits, presets, overrides; plain tables in and out, no meaning."""
 
+import contextlib
 import copy
 import re
 import tomllib
@@ -14,6 +15,8 @@ FOLDER: Final = Path(__file__).resolve().parents[2] / "scenarios"
 
 MAX_FILE_BYTES: Final = 1 << 20
 MAX_DEPTH: Final = 16
+_UNQUOTED: Final = re.compile(r"([A-Za-z0-9_.-]{1,60})\s*=\s*([A-Za-z0-9+.-][^\"'#\[\]{}=,]{0,60}?)\s*(?:#.*)?")
+"""A key with a bare value of letters and digits, such as ``ra = 150 deg``."""
 _PRESET_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
@@ -35,20 +38,34 @@ def parse(text: str, where: str) -> dict[str, Any]:
     try:
         document = tomllib.loads(text)
     except tomllib.TOMLDecodeError as error:
-        raise UserError(f"{where}: not valid TOML: {error}") from error
+        raise UserError(f"{where}: not valid TOML: {error}{_line_words(str(error), text)}") from error
     except (RecursionError, ValueError) as error:
         raise UserError(f"{where}: not valid TOML: {type(error).__name__}") from error
     _refuse_deep(document, where)
     return document
 
 
+def _line_words(complaint: str, text: str) -> str:
+    """The line that a complaint names, and quotes where they alone are missing; '' where it names no line."""
+    named = re.search(r"at line (\d+)", complaint)
+    lines = text.splitlines()
+    if named is None or not 0 < int(named.group(1)) <= len(lines):
+        return ""
+    line = lines[int(named.group(1)) - 1].strip()
+    unquoted = _UNQUOTED.fullmatch(line)
+    if unquoted is None or not re.search("[A-Za-z]", unquoted.group(2)):
+        return f": {line[:80]}"
+    key, value = unquoted.groups()
+    return f': {line[:80]}; texts and quantities with a unit are written in quotes: {key} = "{value}"'
+
+
 def _refuse_deep(document: dict[str, Any], where: str) -> None:
     """Refuse nesting that no scenario has and that later recursive steps could not walk."""
-    level: list[Any] = [document]
+    tables: list[Any] = [document]
     for _ in range(MAX_DEPTH):
-        below = [item.values() if isinstance(item, dict) else item for item in level if isinstance(item, dict | list)]
-        level = [value for values in below for value in values]
-        if not level:
+        below = [item.values() if isinstance(item, dict) else item for item in tables if isinstance(item, dict | list)]
+        tables = [value for values in below for value in values]
+        if not tables:
             return
     raise UserError(f"{where}: tables are nested more than {MAX_DEPTH} deep")
 
@@ -57,29 +74,54 @@ def with_presets(document: Mapping[str, Any], origin: Path, where: str) -> dict[
     """The document over the fragments that its tables name with ``preset = "..."``; the document's own keys win."""
     own = copy.deepcopy(dict(document))
     result: dict[str, Any] = {}
+    if isinstance(own.get("preset"), str):
+        raise UserError(f"{where}: preset: stands outside of a table; a preset is named inside one, such as [instrument]")
     for table_name, table in own.items():
         if isinstance(table, dict) and "preset" in table:
-            path = preset_path(table.pop("preset"), origin, f"{where}: {table_name}.preset")
+            path = preset_path(table.pop("preset"), table_name, origin, f"{where}: {table_name}.preset")
             preset = read(path)
-            # A preset says in its first table what it is one of; what else it holds belongs to that.
-            meant = next((key for key, value in preset.items() if isinstance(value, dict)), None)
+            meant = _table_of(preset)
             if meant != table_name:
-                raise UserError(f'{where}: {table_name}.preset: "{path.stem}" is a preset of [{meant}], not of [{table_name}]')
+                known = ", ".join(_presets_of(table_name, origin)) or "none"
+                raise UserError(
+                    f'{where}: {table_name}.preset: "{path.stem}" is a preset of [{meant}], not of [{table_name}]; '
+                    f"presets of [{table_name}]: {known}"
+                )
             result = merged(result, preset)
     return merged(result, own)
 
 
-def preset_path(name: object, origin: Path, where: str) -> Path:
+def _table_of(preset: Mapping[str, Any]) -> str | None:
+    """The table that a preset is one of: its first. What else it holds belongs to that."""
+    return next((key for key, value in preset.items() if isinstance(value, dict)), None)
+
+
+def _preset_folders(origin: Path) -> tuple[Path, Path]:
+    return origin / "presets", FOLDER / "presets"
+
+
+def _presets_of(table: str, origin: Path) -> list[str]:
+    """Names of the presets of a table; files that cannot be read are left out."""
+    known = set()
+    for folder in _preset_folders(origin):
+        for path in folder.glob("*.toml"):
+            with contextlib.suppress(UserError):
+                if _table_of(read(path)) == table:
+                    known.add(path.stem)
+    return sorted(known)
+
+
+def preset_path(name: object, table: str, origin: Path, where: str) -> Path:
     """File of a preset: a bare name in scenarios/presets or in presets/ beside the scenario."""
-    folders = (origin / "presets", FOLDER / "presets")
-    known = sorted({path.stem for folder in folders if folder.is_dir() for path in folder.glob("*.toml")})
+    folders = _preset_folders(origin)
     if isinstance(name, str) and _PRESET_NAME.fullmatch(name):
         for folder in folders:
             path = folder / f"{name}.toml"
             if path.is_file():
                 return path
     shown = name[:80] if isinstance(name, str) else repr(name)[:80]
-    raise UserError(f'{where}: there is no preset "{shown}"; known: {", ".join(known) or "none"}')
+    known = ", ".join(_presets_of(table, origin)) or "none"
+    raise UserError(f'{where}: there is no preset "{shown}"; presets of [{table}]: {known}')
 
 
 def merged(base: Mapping[str, Any], over: Mapping[str, Any]) -> dict[str, Any]:

@@ -46,7 +46,7 @@ def ideal_threshold(false_per_frame: float, rows: int, cols: int, sigma_px: floa
 
 
 def ideal_snr50(false_per_frame: float, rows: int, cols: int, sigma_px: float) -> float | None:
-    """True S/N of which the ideal detector finds half. The maximised statistic is d/(2 S) above the true S/N.
+    """True S/N at which the ideal detector finds half. The maximised statistic is d/(2 S) above the true S/N.
 
     None where there is no threshold.
     """

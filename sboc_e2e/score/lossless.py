@@ -34,7 +34,7 @@ def lossless_check(run_dir: Path) -> tuple[Figure, Figure]:
     """Bits per pixel and share of bit-exact frames, over the first kept frames, dark map subtracted as on board."""
     paths = sorted((run_dir / "frames").glob("*.fits"))[:MAX_FRAMES]
     if not paths:
-        none = absent("no frame was kept (scenario key keep)")
+        none = absent("no frame was kept (output.keep_frames_every is 0)")
         return none, none
     dark = np.rint(fits.getdata(run_dir / "calibration" / "dark.fits")).astype(np.int32)
     bits, exact = [], 0

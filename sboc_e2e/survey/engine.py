@@ -43,7 +43,7 @@ class SurveyResult:
 
 
 def block_count(days: float) -> int:
-    """Blocks that hold so many days, whole ones."""
+    """Whole blocks that hold a number of days."""
     return int(-(-days * earth.DAY_S // BLOCK_S))
 
 
@@ -122,7 +122,7 @@ def run_survey(
 def _streamed(
     pool: Executor, jobs: Iterator[BlockJob], ahead: int
 ) -> Iterator[tuple[int, BlockTables | None, BaseException | None]]:
-    """Results as they come, with so many jobs under way at most."""
+    """Results as they come, with a limited number of jobs under way."""
     running: dict[Future[BlockTables], int] = {}
     for job in islice(jobs, ahead):
         running[pool.submit(run_block, job)] = job.block

@@ -213,7 +213,7 @@ def told_apart(
     def statistic(counts: NDArray[np.int64]) -> Array:
         return np.asarray(counts @ np.log(other / one))
 
-    level = np.quantile(statistic(rng.poisson(one, (20 * draws, len(one)))), 0.99)
-    found = np.mean(statistic(rng.poisson(other, (draws, len(one)))) > level)
-    false = np.mean(statistic(rng.poisson(one, (draws, len(one)))) > level)
+    limit = np.quantile(statistic(rng.poisson(one, (20 * draws, len(one)))), 0.99)
+    found = np.mean(statistic(rng.poisson(other, (draws, len(one)))) > limit)
+    false = np.mean(statistic(rng.poisson(one, (draws, len(one)))) > limit)
     return float(found), float(false)

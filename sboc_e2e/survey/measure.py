@@ -1,9 +1,9 @@
 """From a scenario to its response file: runs of the pixel chain, and what they show."""
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, TypedDict, Unpack
 
 from sboc_e2e import provenance
 from sboc_e2e.files.atomic import write_text
@@ -11,25 +11,36 @@ from sboc_e2e.icd.errors import UserError
 from sboc_e2e.run.pipeline import worker_count
 from sboc_e2e.scenario import Scenario
 from sboc_e2e.survey import response
-from sboc_e2e.survey.gather import IDENTITY, RESPONSE, VALIDATION, gather, seeds_for
+from sboc_e2e.survey.gather import IDENTITY, RESPONSE, VALIDATION, Gathered, gather, seeds_for
 from sboc_e2e.survey.validate import page, validate
+
+
+class How(TypedDict, total=False):
+    """How runs are made: worker processes (0: a core each), the address of a dask scheduler, what to say on the way."""
+
+    workers: int
+    scheduler: str | None
+    report: Callable[[str], None]
+
+
+def _gathered(scenario: Scenario, seeds: Sequence[int], folder: Path, **how: Unpack[How]) -> Gathered:
+    how["workers"] = worker_count(how.get("workers", 0))
+    found = gather(scenario, seeds, folder, **how)
+    if not found.samples:
+        raise UserError(f"response of {scenario.name}: every run failed, the first with: {found.failed[0][1]}")
+    return found
 
 
 def measure_response(
     scenario: Scenario,
     runs: int,
     out: Path,
-    *,
-    workers: int = 0,
-    scheduler: str | None = None,
-    report: Callable[[str], None] = lambda line: None,
+    **how: Unpack[How],
 ) -> tuple[Path, tuple[tuple[int, str], ...]]:
     """Write `response.json` in a folder from `runs` runs, those that are there already included; its path, and what failed."""
     seeds = seeds_for(scenario, RESPONSE, runs)
     folder = out / "samples"
-    found = gather(scenario, seeds, folder, workers=worker_count(workers), scheduler=scheduler, report=report)
-    if not found.samples:
-        raise UserError(f"response of {scenario.name}: every run failed, the first with: {found.failed[0][1]}")
+    found = _gathered(scenario, seeds, folder, **how)
     failed = {seed for seed, _ in found.failed}
     identity: dict[str, Any] = json.loads((folder / IDENTITY).read_text(encoding="utf-8"))
     content = response.made_of(
@@ -44,16 +55,11 @@ def judge_response(
     scenario: Scenario,
     runs: int,
     out: Path,
-    *,
-    workers: int = 0,
-    scheduler: str | None = None,
-    report: Callable[[str], None] = lambda line: None,
+    **how: Unpack[How],
 ) -> Path:
     """Compare `response.json` of a folder with `runs` other runs of the pixel chain: `validation.md`."""
     seeds = seeds_for(scenario, VALIDATION, runs)
-    found = gather(scenario, seeds, out / VALIDATION, workers=worker_count(workers), scheduler=scheduler, report=report)
-    if not found.samples:
-        raise UserError(f"response of {scenario.name}: every run failed, the first with: {found.failed[0][1]}")
+    found = _gathered(scenario, seeds, out / VALIDATION, **how)
     path = out / "validation.md"
     write_text(path, page(validate(found.samples, scenario, response.read(out / "response.json", scenario))))
     return path

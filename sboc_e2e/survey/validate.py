@@ -66,7 +66,7 @@ class Validation:
 
 
 def virtual_objects(scenario: Scenario, response: Response, runs: int = VIRTUAL_RUNS) -> dict[str, Array]:
-    """Objects as a survey's code draws them for so many runs of a scenario, one row each, true and measured."""
+    """Objects as a survey's code draws them for `runs` runs of a scenario, one row each, true and measured."""
     options = scenario.simulator
     flight = Flight.of(options, scenario.seed)
     duration = options.frames / options.frame_rate_hz

@@ -62,5 +62,5 @@ def render_trail_table(
     if row.size:
         rows, cols, light_e = (np.ascontiguousarray(x, dtype=np.float64) for x in (row, col, flux_e))
         nodes, faintest_e = np.zeros(row.size, dtype=np.int64), FAINTEST_E / OVERLAPPING_BINS
-        # A pixel sees bins from either side, each of which may leave out a share of what is too faint.
+        # A pixel sees bins from either side. Each may leave out its share of what is too faint.
         add_table_points(image_e, rows, cols, light_e, nodes, table[None], reach_of(table), PHASES, faintest_e)

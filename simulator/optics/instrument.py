@@ -1,6 +1,6 @@
 """The instrument: aperture, focal plane geometry, throughput; and how far the built one departs from the nominal one."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,7 +16,7 @@ from simulator.optics.passband import (
     refuse_disorder,
     sun_electrons_m2_s,
 )
-from simulator.optics.projection import Projection, without_sip
+from simulator.optics.projection import Distortion, Projection, without_sip
 from simulator.optics.sip import Sip
 
 SIP_RADIUS = 1.25
@@ -171,28 +171,24 @@ class InstrumentOptions:
 
     def nominal_projection(self) -> Projection:
         """Geometry of the nominal instrument, in detector pixels."""
+        bent = self.distortion
         return Projection(
             focal_px=self.focal_px,
             center_row=0.5 * (self.rows - 1),
             center_col=0.5 * (self.cols - 1),
-            k1=self.distortion.k1,
-            k2=self.distortion.k2,
-            p1=self.distortion.p1,
-            p2=self.distortion.p2,
+            distortion=Distortion(k1=bent.k1, k2=bent.k2, p1=bent.p1, p2=bent.p2),
             sip=self.sip(),
         )
 
     def true_projection(self) -> Projection:
         """Geometry of the built camera, in detector pixels."""
         nominal, built = self.nominal_projection(), self.as_built
+        bent = nominal.distortion
         return Projection(
             focal_px=nominal.focal_px * (1.0 + 1e-6 * built.focal_length_ppm),
             center_row=nominal.center_row + built.center_row_px,
             center_col=nominal.center_col + built.center_col_px,
-            k1=nominal.k1 * (1.0 + built.distortion),
-            k2=nominal.k2 * (1.0 + built.distortion),
-            p1=nominal.p1,
-            p2=nominal.p2,
+            distortion=replace(bent, k1=bent.k1 * (1.0 + built.distortion), k2=bent.k2 * (1.0 + built.distortion)),
             sip=self.sip(1.0 + built.distortion),
         )
 

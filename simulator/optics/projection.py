@@ -23,16 +23,23 @@ Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
+class Distortion:
+    """Radial and tangential coefficients of Brown and Conrady, for the tangent of the angle."""
+
+    k1: float = 0.0
+    k2: float = 0.0
+    p1: float = 0.0
+    p2: float = 0.0
+
+
+@dataclass(frozen=True, kw_only=True)
 class Projection:
     """A camera's geometry in detector pixels (or delivered ones after `binned`)."""
 
     focal_px: float
     center_row: float
     center_col: float
-    k1: float = 0.0
-    k2: float = 0.0
-    p1: float = 0.0
-    p2: float = 0.0
+    distortion: Distortion = Distortion()
     sip: Sip | None = None
 
     def to_pixels(self, vectors: Array) -> tuple[Array, Array]:
@@ -48,16 +55,17 @@ class Projection:
     @cached_property
     def fold_r2(self) -> float:
         """Squared tangent at which radial distortion stops growing outwards: first root of ``1 + 3 k1 x + 5 k2 x^2``."""
-        roots = np.roots([5.0 * self.k2, 3.0 * self.k1, 1.0])
+        roots = np.roots([5.0 * self.distortion.k2, 3.0 * self.distortion.k1, 1.0])
         ahead = [float(x.real) for x in roots if abs(x.imag) < 1e-12 and x.real > 0.0]
         return min(ahead, default=np.inf)
 
     def tangent_to_pixels(self, u: Array, v: Array) -> tuple[Array, Array]:
         """Rows and cols of undistorted tangent-plane coordinates (radians of tangent)."""
+        d = self.distortion
         r2 = u * u + v * v
-        radial = 1.0 + r2 * (self.k1 + r2 * self.k2)
-        u_distorted = u * radial + 2.0 * self.p1 * u * v + self.p2 * (r2 + 2.0 * u * u)
-        v_distorted = v * radial + self.p1 * (r2 + 2.0 * v * v) + 2.0 * self.p2 * u * v
+        radial = 1.0 + r2 * (d.k1 + r2 * d.k2)
+        u_distorted = u * radial + 2.0 * d.p1 * u * v + d.p2 * (r2 + 2.0 * u * u)
+        v_distorted = v * radial + d.p1 * (r2 + 2.0 * v * v) + 2.0 * d.p2 * u * v
         along_col, along_row = self.focal_px * u_distorted, self.focal_px * v_distorted
         if self.sip is not None:
             along_col, along_row = self.sip.pixel_offsets(along_col, along_row)
@@ -70,16 +78,16 @@ class Projection:
         if self.sip is not None:
             along_col, along_row = self.sip.corrected_offsets(along_col, along_row)
         target_u, target_v = along_col / self.focal_px, along_row / self.focal_px
-        u, v = target_u.copy(), target_v.copy()
+        u, v, d = target_u.copy(), target_v.copy(), self.distortion
         for _ in range(6):
             r2 = u * u + v * v
-            radial = 1.0 + r2 * (self.k1 + r2 * self.k2)
-            slope = 2.0 * (self.k1 + 2.0 * self.k2 * r2)
-            fu = u * radial + 2.0 * self.p1 * u * v + self.p2 * (r2 + 2.0 * u * u) - target_u
-            fv = v * radial + self.p1 * (r2 + 2.0 * v * v) + 2.0 * self.p2 * u * v - target_v
-            uu = radial + slope * u * u + 2.0 * self.p1 * v + 6.0 * self.p2 * u
-            vv = radial + slope * v * v + 6.0 * self.p1 * v + 2.0 * self.p2 * u
-            uv = slope * u * v + 2.0 * self.p1 * u + 2.0 * self.p2 * v
+            radial = 1.0 + r2 * (d.k1 + r2 * d.k2)
+            slope = 2.0 * (d.k1 + 2.0 * d.k2 * r2)
+            fu = u * radial + 2.0 * d.p1 * u * v + d.p2 * (r2 + 2.0 * u * u) - target_u
+            fv = v * radial + d.p1 * (r2 + 2.0 * v * v) + 2.0 * d.p2 * u * v - target_v
+            uu = radial + slope * u * u + 2.0 * d.p1 * v + 6.0 * d.p2 * u
+            vv = radial + slope * v * v + 6.0 * d.p1 * v + 2.0 * d.p2 * u
+            uv = slope * u * v + 2.0 * d.p1 * u + 2.0 * d.p2 * v
             det = uu * vv - uv * uv
             u, v = u - (vv * fu - uv * fv) / det, v - (uu * fv - uv * fu) / det
         return u, v
@@ -99,10 +107,7 @@ class Projection:
             focal_px=self.focal_px / bin_cols,
             center_row=(self.center_row - window_row0 - 0.5 * (bin_rows - 1)) / bin_rows,
             center_col=(self.center_col - window_col0 - 0.5 * (bin_cols - 1)) / bin_cols,
-            k1=self.k1,
-            k2=self.k2,
-            p1=self.p1,
-            p2=self.p2,
+            distortion=self.distortion,
             sip=None if self.sip is None else self.sip.in_pixels_of(bin_cols),
         )
 
@@ -123,5 +128,8 @@ def without_sip(projection: Projection, rows: int, cols: int) -> Projection:
     center_row, center_col, focal, *terms = np.linalg.lstsq(design / scale, np.concatenate([row, col]), rcond=None)[0] / scale
     k1, k2, p1, p2 = (float(t / focal) for t in terms)
     return Projection(
-        focal_px=float(focal), center_row=float(center_row), center_col=float(center_col), k1=k1, k2=k2, p1=p1, p2=p2
+        focal_px=float(focal),
+        center_row=float(center_row),
+        center_col=float(center_col),
+        distortion=Distortion(k1=k1, k2=k2, p1=p1, p2=p2),
     )

@@ -19,9 +19,9 @@ from simulator.randomness import Effect, generator
 Array = NDArray[np.float64]
 
 PERIOD_PX: Final = 20.0
-"""The PSF repeats itself after so many pixels: the step of the OTF is its inverse."""
+"""Period of the PSF; the step of the OTF is its inverse."""
 NODES: Final = 5
-"""OTFs are computed at so many places of the field along either axis."""
+"""Places of the field along either axis at which OTFs are computed."""
 _WAVELENGTHS: Final = 4
 _MOST_SAMPLES: Final = 640
 _SHARES: Final = {"defocus": 0.30, "astigmatism": 0.30, "coma": 0.22, "trefoil": 0.10, "spherical": 0.08}

@@ -20,19 +20,19 @@ _NUMBER: Final = dict(zip(PLANETS, (1, 2, 4, 5, 6, 7, 8), strict=True))
 
 def moon_position_km(tai_ns: int) -> Array:
     """Geocentric position (3,) of the Moon as light shows it: where it stood when the light left, against the Earth of now."""
-    day, part = tt_parts(tai_ns)
-    now = np.asarray(erfa.moon98(day, part)["p"]) * AU_KM
+    day, fraction = tt_parts(tai_ns)
+    now = np.asarray(erfa.moon98(day, fraction)["p"]) * AU_KM
     delay_s = float(np.linalg.norm(now)) / LIGHT_KM_S
-    moon_km = np.asarray(erfa.moon98(day, part - delay_s / DAY_S)["p"]) * AU_KM
+    moon_km = np.asarray(erfa.moon98(day, fraction - delay_s / DAY_S)["p"]) * AU_KM
     return np.asarray(moon_km - delay_s * earth_velocity_km_s(tai_ns))
 
 
 def planet_position_km(name: str, tai_ns: int) -> tuple[Array, Array]:
     """Geocentric and heliocentric position (3,) of a planet when the light left that arrives now."""
-    day, part = tt_parts(tai_ns)
+    day, fraction = tt_parts(tai_ns)
     sun_km, delay_s = sun_position_km(tai_ns), 0.0
     for _ in range(3):
-        heliocentric = np.asarray(erfa.plan94(day, part - delay_s / DAY_S, _NUMBER[name])["p"]) * AU_KM
+        heliocentric = np.asarray(erfa.plan94(day, fraction - delay_s / DAY_S, _NUMBER[name])["p"]) * AU_KM
         geocentric = heliocentric + sun_km
         delay_s = float(np.linalg.norm(geocentric)) / LIGHT_KM_S
     return geocentric, heliocentric

@@ -4,6 +4,7 @@ Elements are in GCRS axes; km, s, rad. Vallado, Fundamentals of Astrodynamics (4
 """
 
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -37,6 +38,29 @@ def elements_deg(
         argp_rad=np.asarray(np.radians(perigee_deg)),
         mean_anomaly_rad=np.asarray(np.radians(mean_anomaly_deg)),
     )
+
+
+class OrbitNumbers(Protocol):
+    """Options that give an orbit by its osculating elements."""
+
+    @property
+    def semi_major_axis_km(self) -> float: ...  # noqa: D102 - named for what it is
+    @property
+    def eccentricity(self) -> float: ...  # noqa: D102
+    @property
+    def inclination_deg(self) -> float: ...  # noqa: D102
+    @property
+    def node_deg(self) -> float: ...  # noqa: D102
+    @property
+    def perigee_deg(self) -> float: ...  # noqa: D102
+    @property
+    def mean_anomaly_deg(self) -> float: ...  # noqa: D102
+
+
+def elements_in(options: OrbitNumbers) -> Elements:
+    """Elements of the orbit that some options give."""
+    o = options
+    return elements_deg(o.semi_major_axis_km, o.eccentricity, o.inclination_deg, o.node_deg, o.perigee_deg, o.mean_anomaly_deg)
 
 
 def eccentric_anomaly(mean_anomaly_rad: Array, e: Array) -> Array:

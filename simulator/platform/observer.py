@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import UserError
 from simulator.platform import earth
-from simulator.platform.kepler import Elements, elements_deg, elements_of, state_of
+from simulator.platform.kepler import Elements, elements_deg, elements_in, elements_of, state_of
 from simulator.platform.orbit_motion import OrbitMotion
 
 Array = NDArray[np.float64]
@@ -144,14 +144,7 @@ def make_observer(options: PlatformOptions, epoch_tai_ns: int) -> OrbitingObserv
     if options.kind == "site":
         return SiteObserver(site=options.site)
     if options.kind == "kepler":
-        elements = elements_deg(
-            options.semi_major_axis_km,
-            options.eccentricity,
-            options.inclination_deg,
-            options.node_deg,
-            options.perigee_deg,
-            options.mean_anomaly_deg,
-        )
+        elements = elements_in(options)
     else:
         a_km = earth.EARTH_RADIUS_KM + options.altitude_km
         node_deg = float(np.degrees(mean_sun_ra_rad(epoch_tai_ns))) + 15.0 * (options.ltan_h - 12.0)

@@ -56,15 +56,12 @@ def rotation_vector_of(matrix: Array) -> Array:
 def quaternion_of(matrix: Array) -> Array:
     """Scalar-last unit quaternion (4,) with the scalar >= 0 that rotates vectors as the matrix does (Shepperd 1978)."""
     m = np.asarray(matrix)
-    trace = m[0, 0] + m[1, 1] + m[2, 2]
-    squares = np.array([1 + 2 * m[0, 0] - trace, 1 + 2 * m[1, 1] - trace, 1 + 2 * m[2, 2] - trace, 1 + trace])
-    largest = int(np.argmax(squares))
-    if largest == 3:
-        q = np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], squares[3]])
-    else:
-        i, j, k = largest, (largest + 1) % 3, (largest + 2) % 3
-        q = np.zeros(4)
-        q[i], q[j], q[k], q[3] = squares[i], m[j, i] + m[i, j], m[k, i] + m[i, k], m[k, j] - m[j, k]
+    diagonal, turn = np.diagonal(m), np.array([m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1]])
+    total = diagonal[0] + diagonal[1] + diagonal[2]
+    squares = np.append(1 + 2 * diagonal - total, 1 + total)
+    i = int(np.argmax(squares))  # the largest component: the others are sums over it
+    q = np.append(turn, 0.0) if i == 3 else np.append(m[i] + m[:, i], turn[i])
+    q[i] = squares[i]
     q = q / np.linalg.norm(q)
     return q if q[3] >= 0.0 else -q
 

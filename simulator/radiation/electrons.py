@@ -79,8 +79,9 @@ def walk(
     constant_mev = _SCATTER_MEV if scattering else 0.0
     first, second = float(_LOG_ENERGY[0]), float(_LOG_ENERGY[1])
     place, heading = np.ascontiguousarray(place_um), np.ascontiguousarray(direction)
+    lengths_um = (layer_um, step_um)
     found: tuple[Array, NDArray[np.int64]] = _walk(
-        rng, place, heading, energy_mev, loss_factor, layer_um, step_um, constant_mev, first, second, _LOSS_MEV_UM
+        rng, place, heading, energy_mev, loss_factor, lengths_um, constant_mev, (first, second), _LOSS_MEV_UM
     )
     return found
 
@@ -92,14 +93,13 @@ def _walk(
     direction: Array,
     energy_mev: Array,
     loss_factor: Array,
-    layer_um: float,
-    step_um: float,
+    lengths_um: tuple[float, float],
     scatter_mev: float,
-    first_log: float,
-    second_log: float,
+    logs: tuple[float, float],
     loss_mev_um: Array,
 ) -> tuple[Array, NDArray[np.int64]]:
-    """The loop of `walk`; the loss is looked up in a table even in the logarithm of energy."""
+    """The loop of `walk`; the loss is looked up in a table even in the logarithm of energy, with its first two in `logs`."""
+    (layer_um, step_um), (first_log, second_log) = lengths_um, logs
     segments = np.empty((8 * energy_mev.size + 64, 7))
     of = np.empty(segments.shape[0], np.int64)
     m = 0

@@ -166,12 +166,12 @@ class ParticleField:
         directions = [crossing_directions(rng, n_cosmic)]
         directions.append(pattern.draw(rng, n_proton) if pattern else crossing_directions(rng, n_proton))
         heavy = self._fall(rng, np.concatenate(directions), margin_px)
-        light = self._fall(rng, crossing_directions(rng, n_electron), margin_px)
+        falling = self._fall(rng, crossing_directions(rng, n_electron), margin_px)
         pieces = [self._heavy(rng, heavy, n_cosmic, fluxes)]
         if n_electron and fluxes.electrons is not None:
             energy = fluxes.electrons.draw_mev(rng, n_electron, self._electrons_stopped_mev)
             energy = electrons.behind_shield_mev(energy, self._shield_g_cm2)
-            pieces.append(self._light(rng, light, energy, n_cosmic + n_proton))
+            pieces.append(self._light(rng, falling, energy, n_cosmic + n_proton))
         return self._deposited(pieces, n_cosmic + n_proton + n_electron)
 
     def _fall(self, rng: np.random.Generator, direction: Array, margin_px: float) -> _Crossing:

@@ -52,7 +52,7 @@ def deposit(
             middle = 0.5 * (at + until)
             row = row0[t] + middle * d_row
             col = col0[t] + middle * d_col
-            part = charge_e[t] * (until - at)
+            here_e = charge_e[t] * (until - at)
             sigma = spread_px * math.sqrt(depth0[t] + middle * (depth1[t] - depth0[t]))
             at = until
             r_pixel = math.floor(row + 0.5)
@@ -62,8 +62,8 @@ def deposit(
                 continue
             if reach == 0:
                 if n < capacity:
-                    out_row[n], out_col[n], out_e[n] = r_pixel, c_pixel, part
-                    inside[t] += part
+                    out_row[n], out_col[n], out_e[n] = r_pixel, c_pixel, here_e
+                    inside[t] += here_e
                     n += 1
                 continue
             scale = 1.0 / (sigma * math.sqrt(2.0))
@@ -76,7 +76,7 @@ def deposit(
                 if r < 0 or r >= rows:
                     continue
                 low = (r - 0.5 - row) * scale
-                share = 0.5 * (math.erf(low + scale) - math.erf(low)) * part
+                share = 0.5 * (math.erf(low + scale) - math.erf(low)) * here_e
                 for k in range(width):
                     c = c_pixel - reach + k
                     charge = share * weights[k]

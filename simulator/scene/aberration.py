@@ -26,11 +26,11 @@ def aberrate(directions: Array, velocity_km_s: Array) -> Array:
     return np.asarray(seen / (1.0 + along))
 
 
-def observer_velocity_km_s(light: LightOptions, tai_ns: int, geocentric_km_s: Array) -> Array:
+def observer_velocity_km_s(effects: LightOptions, tai_ns: int, geocentric_km_s: Array) -> Array:
     """Barycentric velocity (3,) of an observer with a geocentric one, as far as aberration is on."""
     velocity = np.zeros(3)
-    if light.annual_aberration:
+    if effects.annual_aberration:
         velocity = velocity + earth_velocity_km_s(tai_ns)
-    if light.orbital_aberration:
+    if effects.orbital_aberration:
         velocity = velocity + geocentric_km_s
     return velocity

@@ -121,7 +121,7 @@ def whole(parts: Iterable[Belt]) -> Belt:
 
 
 def heliocentric_au(elements: Elements, days: Array | float) -> Array:
-    """Positions (n, 3), ICRS axes, so many days after the instant of the elements; their a in au."""
+    """Positions (n, 3), ICRS axes, a number of days after the instant of the elements; their a in au."""
     a, e = elements.a_km, elements.e
     ecc = eccentric_anomaly(elements.mean_anomaly_rad + _GAUSS_RAD_DAY * a**-1.5 * days, e)
     to_perihelion, ahead = perifocal_axes(elements)

@@ -234,7 +234,7 @@ def seeing_sigma_rad(air: Atmosphere, boresight: Array) -> float:
 
 def _lifted(directions: Array, up: Array, angle_rad: Array) -> Array:
     """Directions (n, 3) turned towards the zenith by angles (n,)."""
-    level = up - (directions @ up)[:, None] * directions
-    length = np.linalg.norm(level, axis=1, keepdims=True)
-    towards = level / np.maximum(length, 1e-15)
+    upwards = up - (directions @ up)[:, None] * directions
+    length = np.linalg.norm(upwards, axis=1, keepdims=True)
+    towards = upwards / np.maximum(length, 1e-15)
     return np.asarray(np.cos(angle_rad)[:, None] * directions + np.sin(angle_rad)[:, None] * towards)

@@ -148,7 +148,7 @@ def diffuse_image(backdrop: Backdrop, sight: LineOfSight, camera: Camera) -> NDA
 
 
 def refined(values: Array, nodes: int) -> Array:
-    """Values at nodes (n, n) from corner to corner, linear in between, at so many nodes; as they are where they have more."""
+    """Values (n, n) from corner to corner, interpolated linearly to `nodes` nodes a side; unchanged where n is larger."""
     n = len(values)
     if n >= nodes:
         return values

@@ -21,7 +21,7 @@ from simulator.scene.encounters import Drawn, PopulationOptions, Window, draw_en
 from simulator.scene.fleet import KINDS, make_fleet, passing_now, pixel_objects
 from simulator.scene.light import LightOptions
 from simulator.scene.objects import PixelPathObject, SkyObject
-from simulator.scene.prediction import predict_crossings
+from simulator.scene.prediction import Watch, predict_crossings
 from simulator.scene.satellites import SatelliteOptions, read_satellites, satellite_object, with_sizes
 
 Array = NDArray[np.float64]
@@ -46,7 +46,7 @@ def make_cast(
     population: PopulationOptions,
     carrier: Carrier,
     camera: Camera,
-    light: LightOptions,
+    effects: LightOptions,
     sky_e_s: float,
     duration_s: float,
 ) -> Cast:
@@ -77,7 +77,7 @@ def make_cast(
         drawn_kinds = [KINDS.index("walker"), KINDS.index("fragment")]
         objects.extend(pixel_objects(fleet, near[np.isin(fleet.kind[near], drawn_kinds)]))
     middle_s = 0.5 * duration_s
-    window = encounter_window(carrier, camera, light, sky_e_s, middle_s, duration_s)
+    window = encounter_window(carrier, camera, effects, sky_e_s, middle_s, duration_s)
     drawn = draw_encounters(population, window, carrier.seed)
     objects.extend(sources.population_objects(drawn, population, middle_s, carrier.seed))
     return Cast(objects=tuple(objects), drawn=drawn, refused=refused, duration_s=duration_s, window=window)
@@ -95,14 +95,16 @@ def _satellites(
     listed = read_satellites(options.file, options.names)
     predicted = predict_crossings(
         with_sizes(listed, options.sizes_file) if options.sizes_file else listed,
-        carrier.observer,
-        carrier.attitude,
-        camera.projection,
-        camera.shape,
-        carrier.epoch_tai_ns,
-        0.0,
-        duration_s,
-        options.farthest_km,
+        Watch(
+            observer=carrier.observer,
+            attitude=carrier.attitude,
+            projection=camera.projection,
+            shape=camera.shape,
+            epoch_tai_ns=carrier.epoch_tai_ns,
+            from_s=0.0,
+            to_s=duration_s,
+            farthest_km=options.farthest_km,
+        ),
     )
     if options.names and predicted.refused:
         name, code = next(iter(predicted.refused.items()))
@@ -112,7 +114,7 @@ def _satellites(
 
 
 def encounter_window(
-    carrier: Carrier, camera: Camera, light: LightOptions, sky_e_s: float, middle_s: float, duration_s: float
+    carrier: Carrier, camera: Camera, effects: LightOptions, sky_e_s: float, middle_s: float, duration_s: float
 ) -> Window:
     """Field and sensitivity of the camera during the run, for drawing encounters."""
     middle = carrier.tai_ns(middle_s)
@@ -131,7 +133,7 @@ def encounter_window(
         sigma_px=camera.axis_sigma_px,
         noise_variance_e2=float(camera.sensor.variance_e2(sky_e_s * camera.exposure_s, camera.exposure_s)),
         aperture_m=camera.blurring_aperture_m,
-        light=light,
+        effects=effects,
         colour_factor=camera.instrument.colour_factor,
     )
 
@@ -182,7 +184,7 @@ def target_direction(
     given: sources.ObjectOptions,
     observer: Observer,
     epoch_tai_ns: int,
-    light: LightOptions,
+    effects: LightOptions,
     air_at: Callable[[Observer, int], Atmosphere | None],
 ) -> Callable[[int], Array]:
     """Apparent direction of the object that the pointing follows, as a function of TAI nanoseconds.
@@ -202,9 +204,9 @@ def target_direction(
     def direction(tai_ns: int) -> Array:
         position, velocity = observer.state(tai_ns)
         time_s = np.array([(tai_ns - epoch_tai_ns) * 1e-9])
-        vector = found[0].seen(time_s, position[None], earth.sun_position_km(tai_ns), light).vector_km
+        vector = found[0].seen(time_s, position[None], earth.sun_position_km(tai_ns), effects).vector_km
         distance_km = np.linalg.norm(vector, axis=1)
-        apparent = aberrate(vector / distance_km, velocity if light.orbital_aberration else np.zeros(3))
+        apparent = aberrate(vector / distance_km, velocity if effects.orbital_aberration else np.zeros(3))
         air = air_at(observer, tai_ns)
         return np.asarray((apparent if air is None else air.refracted(apparent, distance_km))[0])
 

@@ -18,7 +18,7 @@ Array = NDArray[np.float64]
 
 MEMBERS: Final = 3000
 _FARTHEST: Final = 8.0
-"""Members stand within so many half-light radii in projection; 98.5 % of Plummer's light does."""
+"""Half-light radii within which members stand in projection; 98.5 % of Plummer's light does."""
 _B_V: Final = 0.7
 FIRST_CLUSTER_ID: Final = -(1 << 61) - (1 << 59)
 CLUSTERS: Final = (

@@ -37,7 +37,7 @@ class RowShutter:
 
 
 def row_shutter(timing: FrameTiming, epoch_tai_ns: int, exposure_s: float, shape: tuple[int, int]) -> RowShutter:
-    """When the rows of a window of so many (rows, cols) are open in a frame; seconds after the epoch."""
+    """When the rows of a window of a given shape (rows, cols) are open in a frame; seconds after the epoch."""
     return RowShutter(
         open_s=(timing.t_start_tai_ns - epoch_tai_ns) * 1e-9,
         line_s=timing.line_time_ns * 1e-9,

@@ -100,7 +100,7 @@ class Window:
 
     attitude : (3, 3) GCRS to camera at the middle. half_row, half_col : tangents of half the field.
     flux_e_s : electrons per second of V = 0. noise_variance_e2 : per pixel and exposure. aperture_m : that defocuses near
-    objects. light : which effects act on its way.
+    objects. effects : of light on its way.
     """
 
     observer_km: Array
@@ -116,7 +116,7 @@ class Window:
     sigma_px: float
     noise_variance_e2: float
     aperture_m: float
-    light: LightOptions
+    effects: LightOptions
     colour_factor: Callable[[Array], Array] | None = None
     """Electrons of a B-V over those of the Sun's at equal V; None for a grey camera."""
 
@@ -195,12 +195,12 @@ def draw_candidates(
         - np.sum(relative * (position - observer), axis=1, keepdims=True) * (position - observer) / range_km[:, None] ** 2
     )
     rate_rad_s = np.linalg.norm(across, axis=1) / range_km
-    light = window.light
+    effects = window.effects
     flux = surfaces.albedo * surfaces.colour * size_m**2
     flux *= lambert_flux(
-        1.0, 1.0, position, observer, window.sun_km, phase_function=light.phase_function, specular=surfaces.specular
+        1.0, 1.0, position, observer, window.sun_km, phase_function=effects.phase_function, specular=surfaces.specular
     )
-    if light.earth_shadow:
+    if effects.earth_shadow:
         flux = flux * sunlit_fraction(position, window.sun_km)
     snr = expected_snr(flux * window.flux_e_s, rate_rad_s, stay_s, range_km, window)
     reached = np.isfinite(velocity).all(axis=1) & (stay_s > 0.0) & (reach > options.nearest_km)

@@ -23,7 +23,7 @@ def paths_of(
     sight: LineOfSight,
     camera: Camera,
     sun_km: Array,
-    light: LightOptions,
+    effects: LightOptions,
     air: Atmosphere | None,
     starts_s: tuple[float, float],
     stream: tuple[int, int],
@@ -39,9 +39,9 @@ def paths_of(
         unsteady = _turbulence(air, sight, camera.instrument.aperture_m, stream, object_id)
         if isinstance(thing, PixelPathObject):
             start_s = (first_open_s if thing.restart else 0.0) + (to_middle_s if thing.from_middle_row else 0.0)
-            path = pixel_path_of(thing, sight, camera, start_s, light, unsteady)
+            path = pixel_path_of(thing, sight, camera, start_s, effects, unsteady)
         else:
-            path = sky_path_of(thing, sight, camera, sun_km, light, air, unsteady)
+            path = sky_path_of(thing, sight, camera, sun_km, effects, air, unsteady)
         if path is not None:
             paths.append((object_id, path))
     return paths

@@ -54,7 +54,7 @@ class SkyObject(Protocol):
         """Its variation."""
         ...
 
-    def seen(self, time_s: Array, observer_km: Array, sun_km: Array, light: LightOptions) -> Seen:
+    def seen(self, time_s: Array, observer_km: Array, sun_km: Array, effects: LightOptions) -> Seen:
         """At times (n,) after the epoch of the run, from observer positions (n, 3)."""
         ...
 
@@ -73,17 +73,17 @@ class OrbitingObject:
     specular: float = 0.0
     colour: float = 1.0
 
-    def seen(self, time_s: Array, observer_km: Array, sun_km: Array, light: LightOptions) -> Seen:
+    def seen(self, time_s: Array, observer_km: Array, sun_km: Array, effects: LightOptions) -> Seen:
         """Light left the object ``range / c`` earlier; two rounds leave (v/c)^2 of the light time, below 1 mm."""
         position = self.positions_km(time_s)
-        for _ in range(2 if light.light_time else 0):
+        for _ in range(2 if effects.light_time else 0):
             delay_s = np.linalg.norm(position - observer_km, axis=-1) / LIGHT_KM_S
             position = self.positions_km(time_s - delay_s)
         size_m, albedo = self.identity.size_m, self.identity.albedo
         flux = self.colour * lambert_flux(
-            size_m, albedo, position, observer_km, sun_km, phase_function=light.phase_function, specular=self.specular
+            size_m, albedo, position, observer_km, sun_km, phase_function=effects.phase_function, specular=self.specular
         )
-        if light.earth_shadow:
+        if effects.earth_shadow:
             flux = flux * sunlit_fraction(position, sun_km)
         return Seen(vector_km=position - observer_km, flux=flux * in_sight(position, observer_km))
 
@@ -102,7 +102,7 @@ class SkyPathObject:
     brightening_per_s: float = 0.0
     light_curve: LightCurve = STEADY
 
-    def seen(self, time_s: Array, observer_km: Array, sun_km: Array, light: LightOptions) -> Seen:
+    def seen(self, time_s: Array, observer_km: Array, sun_km: Array, effects: LightOptions) -> Seen:
         """Neither observer nor Sun nor the light's way matter: the path is given."""
         speed = float(np.linalg.norm(self.rate_rad_s))
         along = self.rate_rad_s / speed if speed > 0.0 else np.zeros(3)

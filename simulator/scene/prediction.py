@@ -24,6 +24,20 @@ _LARGEST_ACCELERATION_KM_S2 = 0.02
 """Of one object against another: twice the gravity at the ground."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Watch:
+    """A camera with a field of `shape` pixels between two times (s after the epoch); it sees objects out to `farthest_km`."""
+
+    observer: Observer
+    attitude: Attitude
+    projection: Projection
+    shape: tuple[int, int]
+    epoch_tai_ns: int
+    from_s: float
+    to_s: float
+    farthest_km: float = 1e6
+
+
 @dataclass(frozen=True, kw_only=True)
 class Crossing:
     """A satellite in the field from `enter_s` to `leave_s` after the epoch; range and rate in the middle of it."""
@@ -43,32 +57,22 @@ class Prediction:
     refused: dict[str, int]
 
 
-def predict_crossings(
-    satellites: list[Satellite],
-    observer: Observer,
-    attitude: Attitude,
-    projection: Projection,
-    shape: tuple[int, int],
-    epoch_tai_ns: int,
-    from_s: float,
-    to_s: float,
-    farthest_km: float = 1e6,
-) -> Prediction:
-    """Satellites in a field of `shape` pixels between two times (s after the epoch), lit or not."""
-    n = max(int(np.ceil((to_s - from_s) / STEP_S)), 1)
-    half_s = 0.5 * (to_s - from_s) / n
-    time_s = np.asarray(from_s + half_s * (2.0 * np.arange(n) + 1.0), dtype=np.float64)
+def predict_crossings(satellites: list[Satellite], watch: Watch) -> Prediction:
+    """Satellites that cross a watched field, lit or not."""
+    epoch_tai_ns, duration_s = watch.epoch_tai_ns, watch.to_s - watch.from_s
+    n = max(int(np.ceil(duration_s / STEP_S)), 1)
+    half_s = 0.5 * duration_s / n
+    time_s = np.asarray(watch.from_s + half_s * (2.0 * np.arange(n) + 1.0), dtype=np.float64)
     position, velocity, error = propagate(satellites, epoch_tai_ns, time_s)
     bad = error.any(axis=1)
     refused = {satellites[k].name: int(error[k].max()) for k in np.flatnonzero(bad)}
-    half_row = 0.5 * shape[0] / projection.focal_px * 1.02
-    half_col = 0.5 * shape[1] / projection.focal_px * 1.02
+    half_row, half_col = (0.5 * side / watch.projection.focal_px * 1.02 for side in watch.shape)
     possible = np.zeros(len(satellites), dtype=bool)
     for k, t in enumerate(time_s):
         now = epoch_tai_ns + round(t * 1e9)
-        here, motion = observer.state(now)
-        frame = attitude(now)
-        turn = _turn_rad(frame, attitude(now + round(half_s * 1e9)))
+        here, motion = watch.observer.state(now)
+        frame = watch.attitude(now)
+        turn = _turn_rad(frame, watch.attitude(now + round(half_s * 1e9)))
         camera = (position[:, k] - here) @ frame.T
         rate = (velocity[:, k] - motion) @ frame.T
         possible |= may_cross(camera, rate, half_s, half_row, half_col, turn)
@@ -76,7 +80,7 @@ def predict_crossings(
     crossings = []
     candidates = [satellites[k] for k in np.flatnonzero(possible)]
     for satellite in candidates:
-        crossings.extend(_crossings_of(satellite, observer, attitude, projection, shape, epoch_tai_ns, from_s, to_s, farthest_km))
+        crossings.extend(_crossings_of(satellite, watch))
     return Prediction(crossings=crossings, refused=refused)
 
 
@@ -105,29 +109,20 @@ def may_cross(
     return np.asarray(latest >= earliest)
 
 
-def _crossings_of(
-    satellite: Satellite,
-    observer: Observer,
-    attitude: Attitude,
-    projection: Projection,
-    shape: tuple[int, int],
-    epoch_tai_ns: int,
-    from_s: float,
-    to_s: float,
-    farthest_km: float,
-) -> list[Crossing]:
+def _crossings_of(satellite: Satellite, watch: Watch) -> list[Crossing]:
     """Crossings of one satellite, their ends good to a fine step."""
+    epoch_tai_ns, shape, from_s, to_s = watch.epoch_tai_ns, watch.shape, watch.from_s, watch.to_s
     n = max(FINE_STEPS, int((to_s - from_s) / 0.02) + 1)
     time_s = np.linspace(from_s, to_s, n)
     position, _, _ = propagate([satellite], epoch_tai_ns, time_s)
     coarse = np.linspace(from_s, to_s, max(int((to_s - from_s) / 1.0) + 2, 9))
-    states = [observer.state(epoch_tai_ns + round(t * 1e9))[0] for t in coarse]
+    states = [watch.observer.state(epoch_tai_ns + round(t * 1e9))[0] for t in coarse]
     vector = position[0] - CubicSpline(coarse, np.array(states))(time_s)
-    frames = CubicSpline(coarse, np.array([attitude(epoch_tai_ns + round(t * 1e9)) for t in coarse]))(time_s)
+    frames = CubicSpline(coarse, np.array([watch.attitude(epoch_tai_ns + round(t * 1e9)) for t in coarse]))(time_s)
     camera = np.einsum("nij,nj->ni", frames, vector)
-    row, col = projection.to_pixels(camera)
+    row, col = watch.projection.to_pixels(camera)
     distance = np.linalg.norm(vector, axis=1)
-    inside = (row > -0.5) & (row < shape[0] - 0.5) & (col > -0.5) & (col < shape[1] - 0.5) & (distance < farthest_km)
+    inside = (row > -0.5) & (row < shape[0] - 0.5) & (col > -0.5) & (col < shape[1] - 0.5) & (distance < watch.farthest_km)
     change = np.diff(np.concatenate([[False], inside, [False]]).astype(np.int8))
     found = []
     for first, beyond in zip(np.flatnonzero(change == 1), np.flatnonzero(change == -1), strict=True):

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from sboc_e2e.icd.errors import UserError
 from simulator.platform.earth import EARTH_RADIUS_KM
 from simulator.platform.jitter import ARCSEC_RAD
-from simulator.platform.kepler import Elements, elements_deg, elements_of, velocity_through
+from simulator.platform.kepler import Elements, elements_in, elements_of, velocity_through
 from simulator.randomness import Effect, generator
 from simulator.scene.breakup import BreakupOptions
 from simulator.scene.encounters import Drawn, PopulationOptions
@@ -191,14 +191,7 @@ def orbiting(options: OrbitOptions) -> OrbitingObject:
         raise UserError(
             f"objects.orbit {options.name!r}: perigee height {perigee_km:.0f} km lies inside the Earth; allowed is above 0 km"
         )
-    elements = elements_deg(
-        options.semi_major_axis_km,
-        options.eccentricity,
-        options.inclination_deg,
-        options.node_deg,
-        options.perigee_deg,
-        options.mean_anomaly_deg,
-    )
+    elements = elements_in(options)
     return kepler_object(options.name, "orbit", options.size_m, options.albedo, elements, 0.0, curve=options.light_curve.curve())
 
 
@@ -350,7 +343,7 @@ def population_objects(drawn: Drawn, options: PopulationOptions, middle_s: float
 
 
 def light_curves(rng: np.random.Generator, n: int, options: PopulationOptions) -> list[LightCurve]:
-    """Of n pieces, of which a share tumbles: log-normal periods around 2 s, random phases and amplitudes, facets, flashes."""
+    """Light curves of n pieces. A share tumbles: log-normal periods around 2 s, random phases and amplitudes, facets, flashes."""
     surface = options.surface
     draws = [
         (rng.random(), rng.lognormal(np.log(2.0), 1.0), rng.uniform(0.1, 0.7), rng.uniform(0.0, 2 * np.pi)) for _ in range(n)

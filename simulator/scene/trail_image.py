@@ -67,7 +67,7 @@ def sky_path_of(
     sight: LineOfSight,
     camera: Camera,
     sun_km: Array,
-    light: LightOptions,
+    effects: LightOptions,
     air: Atmosphere | None,
     turbulence: Unsteadiness | None = None,
 ) -> Path | None:
@@ -77,10 +77,10 @@ def sky_path_of(
     direction turns fast. Aberration is that of the observer's geocentric velocity: the Earth's own cancels for what moves
     with the Earth. Extinction and clouds are those of the object's own direction. None for an object far outside the field.
     """
-    seen = thing.seen(sight.node_s, sight.observer_km, sun_km, light)
+    seen = thing.seen(sight.node_s, sight.observer_km, sun_km, effects)
     distance = np.linalg.norm(seen.vector_km, axis=-1, keepdims=True)
     outside = seen.vector_km / distance
-    if light.orbital_aberration:
+    if effects.orbital_aberration:
         outside = aberrate(outside, sight.velocity_km_s)
     if _stays_outside(sight.to_camera(sight.node_s, outside), camera):
         return None
@@ -125,7 +125,7 @@ def pixel_path_of(
     sight: LineOfSight,
     camera: Camera,
     zero_s: float,
-    light: LightOptions,
+    effects: LightOptions,
     turbulence: Unsteadiness | None = None,
 ) -> Path:
     """The path of an object that is given in delivered pixels; its directions follow from the camera.
@@ -142,7 +142,7 @@ def pixel_path_of(
 
     def published(time_s: Array) -> Array:
         velocity_km_s = sight.observer_at(time_s)[1]
-        return aberrate(apparent(time_s), -velocity_km_s) if light.orbital_aberration else apparent(time_s)
+        return aberrate(apparent(time_s), -velocity_km_s) if effects.orbital_aberration else apparent(time_s)
 
     return Path(
         place=place,
@@ -172,8 +172,8 @@ def add_trail(
     rows: list[NDArray[np.void]] = []
     for stretch in lit:
         inner = exposed_intervals(path.place, shutter, 0.5, stretch.start_s, stretch.end_s)
-        light = _render(image_e, path, stretch, camera)
-        if inner and light.flux_e > 0.0:
+        drawn = _render(image_e, path, stretch, camera)
+        if inner and drawn.flux_e > 0.0:
             kept = max(inner, key=lambda i: i.end_s - i.start_s)
             edges = Interval(
                 start_s=kept.start_s,
@@ -181,7 +181,7 @@ def add_trail(
                 edge_start=kept.start_s > stretch.start_s + 1e-9 or stretch.edge_start,
                 edge_end=kept.end_s < stretch.end_s - 1e-9 or stretch.edge_end,
             )
-            row = _truth_row(path, sight, edges, camera, light, epoch_tai_ns)
+            row = _truth_row(path, sight, edges, camera, drawn, epoch_tai_ns)
             rows.append(row)
     return np.concatenate(rows) if rows else truth.empty("streaks")
 
@@ -299,7 +299,7 @@ def _aligned(centre: Array, margin: int, step: int, size: int) -> tuple[int, int
 
 
 def _truth_row(
-    path: Path, sight: LineOfSight, seen: Interval, camera: Camera, light: _Light, epoch_tai_ns: int
+    path: Path, sight: LineOfSight, seen: Interval, camera: Camera, drawn: _Light, epoch_tai_ns: int
 ) -> NDArray[np.void]:
     """One row of the truth of streaks; positions in delivered pixels."""
     out = truth.empty("streaks", 1)
@@ -326,7 +326,7 @@ def _truth_row(
     ra, dec = angles_deg(path.published(time_s))
     ra_app, dec_app = angles_deg(path.apparent(middle))
     # A uniform disc of diameter d has the variance d^2/16 along each axis, an annulus of obstruction o (1 + o^2) times that.
-    disc_sigma_px = 0.25 * light.defocus_px * np.sqrt(1.0 + camera.instrument.obstruction**2)
+    disc_sigma_px = 0.25 * drawn.defocus_px * np.sqrt(1.0 + camera.instrument.obstruction**2)
     values = {
         "row0": row[0],
         "col0": col[0],
@@ -337,10 +337,10 @@ def _truth_row(
         "t0_tai_ns": tai[0],
         "t1_tai_ns": tai[-1],
         "length_px": arc_length_px(chord, sagitta_px),
-        "flux_e": light.flux_e,
-        "snr": light.snr,
-        "psf_sigma_px": np.hypot(light.sigma_px, disc_sigma_px) / camera.binning.cols,
-        "defocus_px": light.defocus_px / camera.binning.cols,
+        "flux_e": drawn.flux_e,
+        "snr": drawn.snr,
+        "psf_sigma_px": np.hypot(drawn.sigma_px, disc_sigma_px) / camera.binning.cols,
+        "defocus_px": drawn.defocus_px / camera.binning.cols,
         "sagitta_px": sagitta_px,
         "gradient": 2.0 * (flux_rate[-1] - flux_rate[0]) / max(flux_rate[-1] + flux_rate[0], 1e-300),
         "rate_deg_s": np.degrees(angle) / (2.0 * step[0]),
@@ -348,7 +348,7 @@ def _truth_row(
         "mag": -2.5 * np.log10(max(path.flux_v0(middle)[0], 1e-40)),
         "ra_app_deg": ra_app[0],
         "dec_app_deg": dec_app[0],
-        "n_saturated": light.n_saturated,
+        "n_saturated": drawn.n_saturated,
         "path_row": row,
         "path_col": col,
         "path_flux_e_s": flux_rate,

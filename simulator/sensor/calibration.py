@@ -47,12 +47,8 @@ def reduce_calibration(
     dark_adu = np.empty(pixels.response.shape, dtype=np.float32)
     flat = np.empty(pixels.response.shape, dtype=np.float32)
     _average_frames(
-        pixels.response,
-        pixels.dark,
-        pixels.noise,
-        pixels.response_of,
-        pixels.dark_rate_of_e_s * exposure_s,
-        pixels.noise_of_e,
+        (pixels.response, pixels.dark, pixels.noise),
+        (pixels.response_of, pixels.dark_rate_of_e_s * exposure_s, pixels.noise_of_e),
         pixels.column_e,
         *illumination,
         flat_e,
@@ -123,12 +119,8 @@ def _depart(
 
 @numba.njit(cache=True)
 def _average_frames(
-    response: NDArray[np.uint8],
-    dark: NDArray[np.uint8],
-    noise: NDArray[np.uint8],
-    response_of: NDArray[np.float64],
-    dark_of: NDArray[np.float64],
-    noise_of: NDArray[np.float64],
+    classes: tuple[NDArray[np.uint8], NDArray[np.uint8], NDArray[np.uint8]],
+    meanings: tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]],
     column_e: NDArray[np.float64],
     light_nodes: NDArray[np.float32],
     light_step_px: int,
@@ -140,6 +132,8 @@ def _average_frames(
     dark_adu: NDArray[np.float32],
     flat: NDArray[np.float32],
 ) -> None:
+    """classes : of the pixels' response, dark current and read noise; meanings : what each class means, in electrons or 1."""
+    (response, dark, noise), (response_of, dark_of, noise_of) = classes, meanings
     gain, pedestal, full_well, bend = converter
     dark_frames, flat_frames = frames
     rounding = 1.0 / 12.0

@@ -66,11 +66,11 @@ def normal(bits: np.uint64, table: NDArray[np.float32]) -> float:
     """Standard normal from 32 of the 64 bits (the upper ones), see `NORMAL_TABLE`."""
     high = np.uint32(bits >> np.uint64(32))
     cell = np.int64(high >> np.uint32(32 - NORMAL_BITS))
-    part = float(np.int64(high & np.uint32((1 << (32 - NORMAL_BITS)) - 1))) * (1.0 / (1 << (32 - NORMAL_BITS)))
+    fraction = float(np.int64(high & np.uint32((1 << (32 - NORMAL_BITS)) - 1))) * (1.0 / (1 << (32 - NORMAL_BITS)))
     if cell < _TAIL_CELLS or cell >= _CELLS - _TAIL_CELLS:
         return tail_normal(bits)
     low = table[cell]
-    return low + (table[cell + 1] - low) * part
+    return low + (table[cell + 1] - low) * fraction
 
 
 @numba.njit(cache=True)

@@ -46,12 +46,12 @@ def _alias_tables(means: NDArray[np.float64]) -> tuple[NDArray[np.uint64], NDArr
     p = np.empty(_SUPPORT)
     small = np.empty(_SUPPORT, np.int64)
     large = np.empty(_SUPPORT, np.int64)
-    for level in range(means.size):
-        mean = means[level]
-        first[level] = max(0, int(mean - 9.0 * math.sqrt(mean)) - 8)
+    for node in range(means.size):
+        mean = means[node]
+        first[node] = max(0, int(mean - 9.0 * math.sqrt(mean)) - 8)
         total = 0.0
         for i in range(_SUPPORT):
-            k = first[level] + i
+            k = first[node] + i
             if mean > 0.0:
                 p[i] = math.exp(k * math.log(mean) - mean - math.lgamma(k + 1.0))
             else:
@@ -71,7 +71,7 @@ def _alias_tables(means: NDArray[np.float64]) -> tuple[NDArray[np.uint64], NDArr
             n_small -= 1
             s = small[n_small]
             b = large[n_large - 1]
-            tables[level, s] = (np.uint64(p[s] * 4294967295.0) << np.uint64(32)) | np.uint64(b)
+            tables[node, s] = (np.uint64(p[s] * 4294967295.0) << np.uint64(32)) | np.uint64(b)
             p[b] -= 1.0 - p[s]
             if p[b] < 1.0:
                 n_large -= 1
@@ -79,10 +79,10 @@ def _alias_tables(means: NDArray[np.float64]) -> tuple[NDArray[np.uint64], NDArr
                 n_small += 1
         while n_large > 0:
             n_large -= 1
-            tables[level, large[n_large]] = (np.uint64(4294967295) << np.uint64(32)) | np.uint64(large[n_large])
+            tables[node, large[n_large]] = (np.uint64(4294967295) << np.uint64(32)) | np.uint64(large[n_large])
         while n_small > 0:
             n_small -= 1
-            tables[level, small[n_small]] = (np.uint64(4294967295) << np.uint64(32)) | np.uint64(small[n_small])
+            tables[node, small[n_small]] = (np.uint64(4294967295) << np.uint64(32)) | np.uint64(small[n_small])
     return tables, first
 
 
@@ -118,12 +118,12 @@ def draw_poisson(
         coarse = (_FINE_LEVELS + _MIDDLE_LEVELS) + (m - _MIDDLE_END) * _COARSE
         grid = fine if m < _FINE_END else (middle if m < _MIDDLE_END else coarse)
         step = 1.0 / _FINE if m < _FINE_END else (1.0 / _MIDDLE if m < _MIDDLE_END else 1.0 / _COARSE)
-        level = int(min(int(grid), LEVELS - 1))
-        rest = (grid - float(level)) * step
+        node = int(min(int(grid), LEVELS - 1))
+        rest = (grid - float(node)) * step
         own = bits & np.uint64(_SUPPORT - 1)
-        entry = tables[level, np.int64(own)]
+        entry = tables[node, np.int64(own)]
         chosen = own if (bits >> np.uint64(32)) <= (entry >> np.uint64(32)) else entry & np.uint64(_SUPPORT - 1)
-        count[c] = first[level] + float(np.int64(chosen))
+        count[c] = first[node] + float(np.int64(chosen))
         # 24 bits that the alias step left unused: zero is certain below 1 - rest, for 1 - rest <= exp(-rest).
         spare = float(np.int64((bits >> np.uint64(8)) & np.uint64(0xFFFFFF))) * (1.0 / 16777216.0)
         doubt[c] = (spare >= 1.0 - rest) | (m >= EXACT_BELOW)

@@ -241,8 +241,8 @@ class Sensor:
         row, col = pattern.telegraph_row.astype(np.int64) - window.row0, pattern.telegraph_col.astype(np.int64) - window.col0
         inside = (row >= 0) & (row < self.window_rows) & (col >= 0) & (col < self.window_cols)
         jumps = (row[inside], col[inside], jump_e[inside].astype(np.float32))
-        then = replace(self.options, temperature_k=self.options.temperature_k + self.options.calibration.warmer_k)
-        pixels = replace(self._pixels, dark=self._dark_before(), dark_rate_of_e_s=dark_rate_of_class_e_s(then))
+        warmer = replace(self.options, temperature_k=self.options.temperature_k + self.options.calibration.warmer_k)
+        pixels = replace(self._pixels, dark=self._dark_before(), dark_rate_of_e_s=dark_rate_of_class_e_s(warmer))
         return reduce_calibration(
             self.options, pixels, exposure_s, illumination or even_illumination(self.window_shape), jumps, self.seed
         )

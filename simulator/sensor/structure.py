@@ -164,14 +164,14 @@ def bloom(mean_e: NDArray[np.float32], full_well_e: float, share: float) -> None
         if excess <= 0.0:
             continue
         mean_e[r, c] = full
-        part = np.float32(0.25 * share) * excess
-        if part < 0.05:
+        spread = np.float32(0.25 * share) * excess
+        if spread < 0.05:
             continue
         for step in range(4):
             y = r + (1 if step == 0 else (-1 if step == 1 else 0))
             x = c + (1 if step == 2 else (-1 if step == 3 else 0))
             if 0 <= y < rows and 0 <= x < cols:
-                mean_e[y, x] += part
+                mean_e[y, x] += spread
                 if mean_e[y, x] > full:
                     waiting.append(np.int64(y) * cols + x)
 

@@ -92,12 +92,31 @@ def test_exposed_time_of_a_mover_is_that_of_brute_force(rows_per_s):
     assert abs(mag_err - np.hypot(0.01086, 0.003)) < 1e-4
 
 
-def test_an_end_off_the_motion_does_not_shorten_the_exposure():
-    """The epoch of such an end is that at which the motion passed it; the shutter knows nothing of that."""
-    streak = measured_streak(100.0, 100.0, (0, EXPOSURE_NS // 2, int(0.8 * EXPOSURE_NS)), 1000.0, StreakFlag.DIRECTION_RESOLVED)
-    seconds, error = exposed_time_s(streak, _header(), None)
-    assert seconds == pytest.approx(EXPOSURE_NS * 1e-9, rel=1e-12)
-    assert error == 0.0
+def test_a_piece_of_a_trail_has_the_magnitude_of_the_whole():
+    """Motion dates both ends of a piece: a third of the light of a steady object was collected in a third of the exposure."""
+    zero_point = PhotometricSolution(
+        frame=0, zero_point_mag=21.0, zero_point_err_mag=0.0, colour_term=0.0, n_stars=9, rms_mag=0.0
+    )
+    whole, piece = (
+        measured_streak(
+            row0, row1, (10**18 + round(from_ns), 0, 10**18 + round(to_ns)), 1e4 * share, StreakFlag.DIRECTION_RESOLVED
+        )
+        for row0, row1, from_ns, to_ns, share in (
+            (100.0, 100.0, LINE_NS * 100, LINE_NS * 100 + EXPOSURE_NS, 1.0),
+            (100.0, 100.0, LINE_NS * 100, LINE_NS * 100 + EXPOSURE_NS / 3, 1.0 / 3.0),
+        )
+    )
+    piece = replace(piece, fit=replace(piece.fit, col1=150.0))
+    found, short = (streak_magnitude(streak, _header(), zero_point, 1.0, None) for streak in (whole, piece))
+    assert short[0] == pytest.approx(found[0], abs=1e-6)
+    # 0.1 px at both ends of 50 px
+    assert short[1] == pytest.approx(np.hypot(0.010857, 1.0857 * np.hypot(0.1, 0.1) / 50.0), rel=1e-3)
+
+
+def test_an_end_beyond_the_motion_does_not_lengthen_the_exposure():
+    """No light was collected after the shutter closed."""
+    streak = measured_streak(100.0, 100.0, (0, EXPOSURE_NS // 2, int(1.2 * EXPOSURE_NS)), 1000.0, StreakFlag.DIRECTION_RESOLVED)
+    assert exposed_time_s(streak, _header(), None) == (pytest.approx(EXPOSURE_NS * 1e-9, rel=1e-12), 0.0)
 
 
 def test_before_the_direction_is_known_both_directions_are_in_the_error():

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from sboc_e2e.icd.errors import UserError
 from simulator.optics.instrument import DistortionOptions, InstrumentOptions, SipTermOptions
-from simulator.optics.projection import Projection
+from simulator.optics.projection import Distortion, Projection
 from simulator.optics.sip import Sip
 from simulator.platform.rotation import matrix_of_boresight
 from simulator.scene.stars import unit_vectors
@@ -41,7 +41,7 @@ def test_gnomonic_within_1e_6_px_of_wcslib(ra, dec, roll):
 def test_distortion_within_1e_6_px_of_sip():
     """Brown's third-order terms are polynomials of pixel offsets, which SIP's inverse coefficients hold exactly."""
     k1, p1, p2, f = -1.0, 2e-5, -1e-5, FOCAL_PX
-    projection = Projection(focal_px=f, center_row=2047.5, center_col=2047.5, k1=k1, p1=p1, p2=p2)
+    projection = Projection(focal_px=f, center_row=2047.5, center_col=2047.5, distortion=Distortion(k1=k1, p1=p1, p2=p2))
     ap, bp = np.zeros((4, 4)), np.zeros((4, 4))  # [power of u (col), power of v (row)], offsets in px
     ap[3, 0] = ap[1, 2] = bp[0, 3] = bp[2, 1] = k1 / f**2
     ap[1, 1], ap[2, 0], ap[0, 2] = 2 * p1 / f, 3 * p2 / f, p2 / f
@@ -65,14 +65,16 @@ def test_distortion_within_1e_6_px_of_sip():
     p2=st.floats(-1e-3, 1e-3),
 )
 def test_pixels_to_vectors_and_back(row, col, k1, p1, p2):
-    projection = Projection(focal_px=FOCAL_PX, center_row=2040.0, center_col=2051.0, k1=k1, k2=20.0, p1=p1, p2=p2)
+    projection = Projection(
+        focal_px=FOCAL_PX, center_row=2040.0, center_col=2051.0, distortion=Distortion(k1=k1, k2=20.0, p1=p1, p2=p2)
+    )
     back = projection.to_pixels(projection.to_vectors(np.array([row]), np.array([col])))
     assert back[0][0] == pytest.approx(row, abs=1e-8)
     assert back[1][0] == pytest.approx(col, abs=1e-8)
 
 
 def test_directions_beyond_the_fold_of_the_distortion_are_nowhere():
-    projection = Projection(focal_px=FOCAL_PX, center_row=2047.5, center_col=2047.5, k1=-1.0)
+    projection = Projection(focal_px=FOCAL_PX, center_row=2047.5, center_col=2047.5, distortion=Distortion(k1=-1.0))
     row, _ = projection.to_pixels(np.array([[0.0, 1.0, 1.0], [0.0, 0.0, -1.0], [0.02, 0.0, 1.0]]))
     assert np.isnan(row[0])  # 45 deg: the polynomial would put it onto the centre
     assert np.isnan(row[1])
@@ -80,7 +82,7 @@ def test_directions_beyond_the_fold_of_the_distortion_are_nowhere():
 
 
 def test_binning_and_window_keep_directions():
-    whole = Projection(focal_px=FOCAL_PX, center_row=100.0, center_col=50.0, k1=-1.0)
+    whole = Projection(focal_px=FOCAL_PX, center_row=100.0, center_col=50.0, distortion=Distortion(k1=-1.0))
     part = whole.delivered(bin_rows=4, bin_cols=4, window_row0=20, window_col0=8)
     vector = np.array([[0.01, -0.02, 1.0]])
     row, col = whole.to_pixels(vector)
@@ -134,7 +136,7 @@ def test_sip_in_binned_pixels_keeps_directions():
 def test_what_is_known_of_a_sip_camera_is_its_best_radial_and_tangential_fit():
     """Radial terms that SIP can write are recovered; what is left of others is stated by the fit's residual, not hidden."""
     k1, f = -1.0, FOCAL_PX
-    radial = Projection(focal_px=f, center_row=2047.5, center_col=2047.5, k1=k1)
+    radial = Projection(focal_px=f, center_row=2047.5, center_col=2047.5, distortion=Distortion(k1=k1))
     inverse = -k1 / f**2  # to first order
     cubic = ((3, 0, inverse), (1, 2, inverse)), ((0, 3, inverse), (2, 1, inverse))
     nominal = InstrumentOptions(
@@ -148,7 +150,7 @@ def test_what_is_known_of_a_sip_camera_is_its_best_radial_and_tangential_fit():
     )
     known = nominal.known_projection()
     assert known.sip is None
-    assert known.k1 == pytest.approx(k1, rel=0.01)
+    assert known.distortion.k1 == pytest.approx(k1, rel=0.01)
     assert known.focal_px == pytest.approx(nominal.focal_px, rel=1e-5)
     row, col = np.random.default_rng(4).uniform(0.0, 4095.0, (2, 500))
     there = known.to_pixels(nominal.nominal_projection().to_vectors(row, col))

@@ -15,7 +15,7 @@ from simulator.optics.instrument import InstrumentOptions
 from simulator.platform import earth
 from simulator.platform.observer import PlatformOptions, make_observer
 from simulator.platform.pointing import PointingOptions, commanded_attitude
-from simulator.scene.prediction import predict_crossings
+from simulator.scene.prediction import Watch, predict_crossings
 from simulator.scene.satellites import Satellite, gcrs_from_teme, propagate, read_satellites
 
 FOLDER = Path(sgp4.__file__).parent
@@ -71,7 +71,10 @@ def test_predictor_finds_what_brute_force_finds(shared_data):
     observer = make_observer(PlatformOptions(), tai_ns)
     attitude = commanded_attitude(PointingOptions(), observer, tai_ns)
     projection, shape = InstrumentOptions().true_projection(), (4096, 4096)
-    predicted = predict_crossings(satellites, observer, attitude, projection, shape, tai_ns, 0.0, 90.0)
+    watch = Watch(
+        observer=observer, attitude=attitude, projection=projection, shape=shape, epoch_tai_ns=tai_ns, from_s=0.0, to_s=90.0
+    )
+    predicted = predict_crossings(satellites, watch)
     time_s = np.arange(0.0, 90.0, 1.5)
     position, _, error = propagate(satellites, tai_ns, time_s)
     seen = np.zeros(len(satellites), dtype=bool)

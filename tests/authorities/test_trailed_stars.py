@@ -21,9 +21,7 @@ MIDDLE_S = 0.1
 
 
 def _projection() -> Projection:
-    return Projection(
-        focal_px=FOCAL_PX, center_row=0.5 * (ROWS - 1), center_col=0.5 * (COLS - 1), k1=0.0, k2=0.0, p1=0.0, p2=0.0, sip=None
-    )
+    return Projection(focal_px=FOCAL_PX, center_row=0.5 * (ROWS - 1), center_col=0.5 * (COLS - 1), sip=None)
 
 
 def _sight(row_rate_px_s: float) -> LineOfSight:

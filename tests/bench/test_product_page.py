@@ -20,7 +20,7 @@ def test_coverage_counts_angles_and_resamples_objects() -> None:
     cases = [
         {
             "part": "nadir_rotation", "seed": seed, "linked": {"value": linked, "n": 4},
-            "angles": [[k, z, z, 20.0, 1] for k, z in enumerate(rng.standard_normal(40)) for _ in range(10)],
+            "angles": [[k, z, z, 20.0, 1, z] for k, z in enumerate(rng.standard_normal(40)) for _ in range(10)],
             "differs": part, "along_rms": part, "streaks_along_rms": part, "velocity": part, "light": [0.1],
         }
         for seed, linked in ((20005, 1.0), (20006, 0.5))

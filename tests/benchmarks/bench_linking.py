@@ -22,7 +22,7 @@ from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import StreakFit, StreakMeasurement
 from sboc_e2e.run.measure import peak_rss_mb
-from tests.link.sky_scene import Camera, Mover, observe, pixel_mover
+from tests.link.sky_scene import Camera, Mover, mover_somewhere, observe
 
 PIXEL_RAD = 4.64 * ARCSEC_RAD
 BLOCK_FRAMES = 500
@@ -55,12 +55,7 @@ def movers_of(camera: Camera, rng: np.random.Generator, n: int, span_s: float, p
         speed = 10 ** rng.uniform(math.log10(px_s[0]), math.log10(px_s[1]))
         angle, range_km = rng.random() * 2 * np.pi, 10 ** rng.uniform(1.0, 3.0)
         closing = float(np.clip(4.0 * rng.normal(), -range_km / (span_s + 1.0), range_km / 4.0))
-        movers.append(
-            pixel_mover(
-                camera, rng.random() * camera.rows, rng.random() * camera.cols, speed * np.sin(angle), speed * np.cos(angle),
-                t_s=rng.random() * span_s, range_km=range_km, range_rate_km_s=closing,
-            )
-        )  # fmt: skip
+        movers.append(mover_somewhere(camera, rng, span_s, (speed * np.sin(angle), speed * np.cos(angle)), range_km, closing))
     return movers
 
 

@@ -23,17 +23,8 @@ from onboard.track.false_alarms import expected_above, half_point_sigma, indepen
 from onboard.track.stack import WARM_UP, Box, SlowObject, Stack
 from sboc_e2e.icd.signals import StarList
 from sboc_e2e.score.figures import half_point
-from tests.benchmarks.detection_frames import (
-    PSF_SIGMA_PX,
-    SIGMA,
-    Scene,
-    Streak,
-    add_streak,
-    bare_view,
-    exposure,
-    random_stars,
-    view_of,
-)
+from tests.benchmarks import detection_frames
+from tests.benchmarks.detection_frames import PSF_SIGMA_PX, Scene, Streak, add_streak, exposure, random_stars, view_of
 
 PERIOD_S, EXPOSURE_S = 0.25, 0.2
 STARS = 25_000
@@ -92,7 +83,7 @@ def run_cube(
         shift = rng.normal(0.0, JITTER_PX, 2) if stars is not None else np.zeros(2)
         origin = shift if k == 0 else origin
         if stars is None:
-            scene = Scene(image=rng.standard_normal((size, size), dtype=np.float32) * np.float32(SIGMA))
+            scene = Scene(image=rng.standard_normal((size, size), dtype=np.float32) * np.float32(detection_frames.SIGMA))
         else:
             scene = exposure(size, stars, rng, shift_px=(float(shift[0]), float(shift[1])))
         for t in truth:
@@ -100,7 +91,7 @@ def run_cube(
             if (np.array(ends) > 3).all() and (np.array(ends) < size - 4).all():
                 row0, col0, row1, col1 = np.concatenate(ends)
                 add_streak(scene, Streak(row0=row0, col0=col0, row1=row1, col1=col1, snr=t.snr), rng)
-        view = bare_view(scene, frame=k) if stars is None else view_of(scene, frame=k)
+        view = detection_frames.bare_view(scene, frame=k) if stars is None else view_of(scene, frame=k)
         transform = None
         if k:
             transform = np.eye(2, 3) if stars is None else registration.register(before, view.stars, reach_px=300.0)

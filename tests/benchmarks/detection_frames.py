@@ -17,7 +17,7 @@ from scipy.special import erf
 from onboard.stars.matched import MatchedStars
 from sboc_e2e.icd.flags import MaskBit
 from sboc_e2e.icd.frame import FrameHeader
-from sboc_e2e.icd.signals import BackgroundModel, DetectorView, StarList
+from sboc_e2e.icd.signals import BackgroundModel, Detection, DetectorView, StarList
 from simulator.optics.halo import AureoleOptions, GhostOptions, Halo, SpiderOptions, make_halo
 from simulator.sensor.digitise import bleed_columns
 from simulator.sensor.structure import defer_charge
@@ -39,20 +39,10 @@ TRAP_LOSS, TRAP_PX = 8e-6, 60.0
 
 
 @dataclass(frozen=True, kw_only=True)
-class Streak:
-    """Truth of one drawn streak: PSF-centre ends (px), matched-filter S/N over the part inside the frame."""
+class Streak(Detection):
+    """Truth of one drawn streak as a detection without error; its S/N is over the part inside the frame."""
 
-    row0: float
-    col0: float
-    row1: float
-    col1: float
-    snr: float
-    sagitta_px: float = 0.0
     brightness_change: float = 0.0
-
-    @property
-    def length_px(self) -> float:
-        return math.hypot(self.row1 - self.row0, self.col1 - self.col0)
 
 
 @dataclass(kw_only=True)

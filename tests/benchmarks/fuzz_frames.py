@@ -108,11 +108,11 @@ def through_process(seeds: list[int], folder: Path) -> dict[str, str]:
     for seed in seeds:
         name = f"{'a' if seed % 2 else 'z'}{seed:09d}.fits"
         odd_file(np.random.default_rng(seed)).writeto(frames / name, output_verify="ignore")
-    said = run(frames, folder / "out")["outside"]
+    ingest = run(frames, folder / "out")["outside"]
     table = Table.read(folder / "out" / "products" / "frames.ecsv", format="ascii.ecsv")
     fates = {str(name): "frame" for name in table["file"]}
     for path in frames.iterdir():
-        if path.name not in fates and any(path.name in line for line in said["left_out"]):
+        if path.name not in fates and any(path.name in line for line in ingest["left_out"]):
             fates[path.name] = "refused"
         if path.name not in fates:
             raise AssertionError(f"{path.name} is neither a frame nor left out")

@@ -27,12 +27,12 @@ from sboc_e2e.bench.product_page import STORED, summary
 from sboc_e2e.bench.yardstick import yardstick_s
 from sboc_e2e.score.evaluation import Evaluation, evaluate
 from sboc_e2e.score.linking import linking
-from sboc_e2e.score.photometry import mean_magnitudes
 from sboc_e2e.score.published.axes import unit_vectors
 from sboc_e2e.score.published.tdm_reader import read_tdm
 from sboc_e2e.score.published.true_motion import ARCSEC_PER_RAD, true_motions
 from tests.astrometry.test_camera_drift import N_FRAMES, PRIOR, SIDE_PX, TRUE, at_rest, run, warming
 from tests.astrometry.test_tracklet_light import MAG, Curve, mean_light, samples, tumbler
+from tests.benchmarks.light_curve_means import true_mean_magnitudes
 from tests.benchmarks.population_runs import one_run as flux_run
 from tests.orbit.encounters import draw_encounters, observed
 from tests.orbit.test_states import nees
@@ -52,6 +52,7 @@ FIGURES: Final = {
     "false": "detection.ground.false_per_frame",
     "attainable": "astrometry.ends_attainable_ratio",
 }
+IDEAL: Final = ("--set", "psf.preset=ideal")
 LIGHT_AT_ONCE, STATES_AT_ONCE, FOCAL_AT_ONCE = 250, 40, 25
 """Items of a case that needs no pixels."""
 TUMBLING: Final = 0.3
@@ -61,7 +62,7 @@ WARM_PPM_S: Final = 20.0 / 150.0
 
 def chain(folder: Path, scenario: str, seed: int, *options: str) -> Path:
     """A finished run without its frames."""
-    out = folder / f"{Path(scenario).stem}-{seed}"
+    out = folder / "-".join([Path(scenario).stem, str(seed), *(option.removeprefix("--set ") for option in options[1::2])])
     if not (out / "score.json").is_file():
         command = [sys.executable, "-m", "sboc_e2e", "run", scenario, "--seed", str(seed), "--workers", "1", "--out", str(out)]
         command += ["--force", "--set", "output.keep_frames_every=0", *options]
@@ -84,8 +85,8 @@ def figures_of(run_dir: Path) -> Case:
     return found
 
 
-def angles_and_light(run_dir: Path) -> Case:
-    """Errors of each angle over its sigmas and of each tracklet's magnitude over its own, with the object of each."""
+def angles_and_light(run_dir: Path, scenario: str, seed: int) -> Case:
+    """Errors of each angle over its sigmas and its 68 % interval, of each tracklet's magnitude over its own; object of each."""
     e = evaluate(run_dir)
     _, owner = linking(e.streaks, e.pairs, e.n_frames)
     stated = Table.read(run_dir / "products/tdm_angles.ecsv", format="ascii.ecsv")
@@ -103,38 +104,31 @@ def angles_and_light(run_dir: Path) -> Case:
             row = mine[int(np.argmin(late[k]))]
             sigmas = float(row["sigma_along_arcsec"]), float(row["sigma_cross_arcsec"])
             pulls = [round(float(v), 4) for v in off[k, :2] / sigmas]
-            rows.append([owner[segment.tracklet_id], *pulls, round(snr[int(row["streak_id"])], 2), int(row["refitted"])])
-    return {"angles": rows, "light": _light(e, owner)}
+            half68 = round(float(off[k, 0] / row["half68_along_arcsec"]), 4)
+            found = [*pulls, round(snr[int(row["streak_id"])], 2), int(row["refitted"]), half68]
+            rows.append([owner[segment.tracklet_id], *found])
+    return {"angles": rows, "light": _light(e, owner, true_mean_magnitudes(run_dir, scenario, seed))}
 
 
-def _light(e: Evaluation, owner: Mapping[int, int]) -> list[float]:
-    """Error of each tracklet's magnitude over the stated one; the truth is the mean light over the tracklet's own trails."""
-    true, pulls = mean_magnitudes(e.truth_tables["streaks"], e.truth), []
-    for t in e.tracklets:
-        number = int(t["tracklet_id"])
-        mine = [
-            true[truth.index]
-            for row, truth in e.pairs.items()
-            if int(e.streaks["tracklet_id"][row]) == number and truth.object_id == owner.get(number)
-        ]
-        if mine and np.isfinite([float(t["mag"]), float(t["mag_err"])]).all():
-            mean = -2.5 * np.log10(np.mean(10.0 ** (-0.4 * np.array(mine))))
-            pulls.append(round(float((t["mag"] - mean) / t["mag_err"]), 4))
-    return pulls
+def _light(e: Evaluation, owner: Mapping[int, int], true: Mapping[int, float]) -> list[float]:
+    """Error of each tracklet's magnitude over the stated one; true : V of the mean light over the light curve, by object."""
+    known = [t for t in e.tracklets if np.isfinite([float(t["mag"]), float(t["mag_err"])]).all()]
+    off = [(float(t["mag"]) - true.get(owner.get(int(t["tracklet_id"]), -1), np.nan)) / float(t["mag_err"]) for t in known]
+    return [round(pull, 4) for pull in off if np.isfinite(pull)]
 
 
-def whole_run(name: str) -> Callable[[Path, int], Case]:
+def whole_run(name: str, *options: str) -> Callable[[Path, int], Case]:
     """Case of a shipped scenario; ground is run a second time between two yardsticks, for its CPU seconds."""
 
     def case(folder: Path, seed: int) -> Case:
-        out = chain(folder, name, seed)
+        out = chain(folder, name, seed, *options)
         fast = yardstick_s()
         subprocess.run([sys.executable, "-m", "sboc_e2e", "ground", str(out)], capture_output=True, check=True)
         yardstick = 0.5 * (fast + yardstick_s())
         subprocess.run([sys.executable, "-m", "sboc_e2e", "score", str(out)], capture_output=True, check=True)
         stage = json.loads((out / "manifest.json").read_text(encoding="utf-8"))["stages"]["ground"]
         cost = {"ground_cpu_s": stage["cpu_s"] / stage["timed_frames"], "yardstick_s": yardstick}
-        return figures_of(out) | angles_and_light(out) | cost
+        return figures_of(out) | angles_and_light(out, name, seed) | cost
 
     return case
 
@@ -145,11 +139,12 @@ def camera_run(*, warms: bool) -> Callable[[Path, int], Case]:
     def case(folder: Path, seed: int) -> Case:
         text = (SCENARIOS / "sso_antisun.toml").read_text(encoding="utf-8")
         text = text.replace("frames = 24", "frames = 40").replace('frame_rate = "4 Hz"', 'frame_rate = "0.2666667 Hz"')
-        text = text.replace("[platform]", f'as_built.focal_drift = "{WARM_PPM_S * warms:.6f} ppm/s"\n\n[platform]')
+        preset = 'preset = "sboc_like"'
+        text = text.replace(preset, f'{preset}\nas_built.focal_drift = "{WARM_PPM_S * warms:.6f} ppm/s"')
         text += '\n[population]\nclasses = [{from = "100 mm", to = "3000 mm", count = 1}]\n'
         file = folder / f"{'warm' if warms else 'rest'}.toml"
         file.write_text(text, encoding="utf-8")
-        return corners(chain(folder, str(file), seed))
+        return corners(chain(folder, str(file), seed, *IDEAL))
 
     return case
 
@@ -246,8 +241,9 @@ class Part:
 
 
 PARTS: Final[dict[str, Part]] = {
-    "nadir_rotation": Part(measure=whole_run("nadir_rotation"), cases=5, first=20005),
-    "sso_antisun": Part(measure=whole_run("sso_antisun"), cases=4),
+    "nadir_rotation": Part(measure=whole_run("nadir_rotation"), cases=25, first=20041),
+    "sso_antisun": Part(measure=whole_run("sso_antisun"), cases=4, first=20061),
+    "sso_antisun_ideal": Part(measure=whole_run("sso_antisun", *IDEAL), cases=10, first=20041),
     "camera_at_rest": Part(measure=camera_run(warms=False), cases=2),
     "camera_that_warms": Part(measure=camera_run(warms=True), cases=2),
     "states_natural": Part(measure=states(population="natural", own=False), cases=12),

@@ -74,8 +74,8 @@ def test_light_of_an_object_from_messages_and_trails(tmp_path: Path, capsys: pyt
     where = ["--site", SITE, "--store", url]
     assert run(["objects", "light", "BODY", *names, *where, "--mag-err", "0.05", "--out", str(tmp_path / "out")]) == 0
     assert "BODY: tumbling, 2 passes" in capsys.readouterr().out
-    said = json.loads((tmp_path / "out" / "BODY.json").read_text())
-    assert said["period"]["period_s"] == pytest.approx(PERIOD_S, rel=0.005)
+    report = json.loads((tmp_path / "out" / "BODY.json").read_text())
+    assert report["period"]["period_s"] == pytest.approx(PERIOD_S, rel=0.005)
     assert (tmp_path / "out" / "BODY.png").stat().st_size > 10_000
     # bins of trails instead of the magnitudes of the first message, constant ones
     table = tmp_path / "light_curves.ecsv"

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from onboard.detect import LineIntegralDetector, whiten
 from onboard.detect.cross_profile import cross_profile
-from onboard.detect.line_integral import refine, sharpness, strip
+from onboard.detect.line_integral import corridor, refine, sharpness, strip
 from onboard.detect.line_integral.dyadic import line_sums, work_size
 from onboard.detect.line_integral.star_removal import star_light
 from sboc_e2e.icd.flags import MaskBit, StreakFlag
@@ -232,7 +232,7 @@ def test_search_over_all_parameters_sums_every_line_of_the_strip() -> None:
         row, col, slope = rng.uniform(150.0, 230.0), rng.uniform(150.0, 230.0), rng.uniform(-1.0, 1.0)
         segment = np.array([row, col, row + 10.0, col + 10.0 * slope, 0.0])
         signal, weight = np.full(401, 1e6), np.ones(401)
-        assert refine.polish(image, blocked, level, 64, segment, True, PSF_SIGMA_PX, signal, weight, space) < 8.0
+        assert refine.polish(image, blocked, level, 64, segment, corridor.BENT_PX, PSF_SIGMA_PX, signal, weight, space) < 8.0
 
 
 def test_bend_is_found_from_a_straight_start() -> None:
@@ -246,7 +246,7 @@ def test_bend_is_found_from_a_straight_start() -> None:
         fits = []
         for offset, sagitta in ((0.0, 3.05), (0.0, 0.0), (2.0, 0.0), (3.0, 0.0)):
             segment = np.array([30.0, 100.0 + offset, 230.0, 130.0 + offset, sagitta])
-            fits.append(refine.polish(image, blocked, level, 64, segment, True, PSF_SIGMA_PX, signal, weight, space))
+            fits.append(refine.polish(image, blocked, level, 64, segment, corridor.BENT_PX, PSF_SIGMA_PX, signal, weight, space))
         assert min(fits[1:]) > 0.98 * fits[0]
 
 
@@ -377,6 +377,22 @@ def test_trails_of_light_are_not_sharp_and_tracks_of_the_same_light_are(length_p
     assert np.median(light) < -0.05 * snr**2
     if snr >= 20.0:
         assert np.min(tracks) > sharpness.SHARP_EVIDENCE
+
+
+def test_bright_tracks_beside_their_path_are_tracks() -> None:
+    """Paths 0.8 to 1.2 px off, or turned by as much at the ends: the narrow cross-section holds nothing there."""
+    rng = np.random.default_rng(8)
+    for k in range(40):
+        scene = exposure(160, NO_STARS, rng)
+        angle, length_px = rng.uniform(0.0, math.pi), rng.uniform(12.0, 60.0)
+        along = np.array([math.sin(angle), math.cos(angle)])
+        across = np.array([along[1], -along[0]])
+        row, col = 80.0 - 0.5 * length_px * along
+        track(scene, row, col, angle, length_px, rng.uniform(50.0, 200.0) * SIGMA)
+        off = rng.uniform(0.8, 1.2) * rng.choice([-1.0, 1.0])
+        start, stop = np.array([row, col]) + off * across, np.array([row, col]) + length_px * along + off * (-1) ** k * across
+        path = Streak(row0=start[0], col0=start[1], row1=stop[0], col1=stop[1], snr=30.0)
+        assert sharpness_of(scene, path) > sharpness.SHARP_EVIDENCE
 
 
 def test_tracks_near_an_axis_are_tracks_although_their_step_is_found_as_a_bend() -> None:

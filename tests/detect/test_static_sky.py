@@ -32,10 +32,8 @@ def test_one_pixel_of_the_earlier_frame_is_not_a_trail() -> None:
         pixels,
         static_sky.IDENTITY,
         static_sky.IDENTITY,
-        np.zeros((SIZE, SIZE), np.uint8),
-        0,
-        np.zeros((1, 1), np.float32),
-        SIZE,
+        (np.zeros((SIZE, SIZE), np.uint8), 0),
+        (np.zeros((1, 1), np.float32), SIZE),
         np.array([32.0, 7.0, 32.0, 57.0]),
         0.85,
     )
@@ -49,11 +47,11 @@ def test_stars_of_the_earlier_frame_where_they_stood_on_the_sensor_refuse_nothin
     pixels = (codes, np.zeros(SIZE + 1, np.int64), np.zeros(0, np.int32), np.zeros(0, np.float32))
     blocked = np.zeros((SIZE, SIZE), np.uint8)
     blocked[10:15, 30:35] = 2
-    then = registration.inverse(np.array([[1.0, 0.0, 20.0], [0.0, 1.0, 0.0]]))
+    back = registration.inverse(np.array([[1.0, 0.0, 20.0], [0.0, 1.0, 0.0]]))
     level, ends = np.zeros((1, 1), np.float32), np.array([32.0, 7.0, 32.0, 57.0])
     here = static_sky.IDENTITY
-    for sky, low, high in ((then, -0.01, 0.01), (here, 3.0, 8.0)):
-        before = static_sky.segment_snr_before(pixels, here, sky, blocked, 0, level, SIZE, ends, 0.85)
+    for sky, low, high in ((back, -0.01, 0.01), (here, 3.0, 8.0)):
+        before = static_sky.segment_snr_before(pixels, here, sky, (blocked, 0), (level, SIZE), ends, 0.85)
         assert low <= before <= high
 
 

@@ -74,8 +74,8 @@ def test_a_wcs_that_cannot_be_believed_leaves_pixels_and_a_note(tmp_path: Path, 
     (tmp_path / "in").mkdir()
     for name in ("a", "b"):
         plain(1, **(TAN | cards)).writeto(tmp_path / "in" / f"{name}.fits")
-    said = run(tmp_path / "in", tmp_path / "out")
-    for frame in said["outside"]["frames"]:
+    ingest = run(tmp_path / "in", tmp_path / "out")
+    for frame in ingest["outside"]["frames"]:
         assert any("WCS not used" in note for note in frame["notes"])
     frames, streaks = (
         Table.read(tmp_path / "out" / "products" / f"{n}.ecsv", format="ascii.ecsv") for n in ("frames", "streaks")
@@ -126,9 +126,10 @@ def test_a_bad_file_costs_only_itself(tmp_path: Path) -> None:
     fits.PrimaryHDU(np.zeros((4, 4))).writeto(tmp_path / "in" / "e.fits")
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        said = run(tmp_path / "in", tmp_path / "out")
-    assert [frame["file"] for frame in said["outside"]["frames"]] == ["b.fits", "c.fits"]
-    assert [Path(line.split(":")[0].split(",")[0]).name for line in said["outside"]["left_out"]] == ["a.fits", "e.fits", "d.fits"]
+        ingest = run(tmp_path / "in", tmp_path / "out")
+    assert [frame["file"] for frame in ingest["outside"]["frames"]] == ["b.fits", "c.fits"]
+    left_out = ingest["outside"]["left_out"]
+    assert [Path(line.split(":")[0].split(",")[0]).name for line in left_out] == ["a.fits", "e.fits", "d.fits"]
 
 
 @pytest.mark.parametrize(
@@ -149,6 +150,15 @@ def test_planes_that_are_no_pictures_are_not_searched(tmp_path: Path, name: str,
     assert place.hdu == 0
     assert any("not searched" in note.text for note in frame.notes)
     assert np.array_equal(np.isnan(frame.frame.pixels), (flags > 0) & blind)
+
+
+def test_planes_that_only_exttype_names_are_not_searched(tmp_path: Path) -> None:
+    """As in LSST's calibrated exposures, whose planes are compressed and have no EXTNAME of their own."""
+    planes = [fits.ImageHDU(np.random.default_rng(3).normal(9.0, 1.0, (48, 48)).astype(np.float32)) for _ in range(2)]
+    for plane, kind in zip(planes, ("MASK", "VARIANCE"), strict=True):
+        plane.header["EXTTYPE"] = kind
+    fits.HDUList([plain(), *planes]).writeto(tmp_path / "a.fits")
+    assert [place.hdu for place in FitsFolder(path=tmp_path / "a.fits").places] == [0]
 
 
 def test_the_notes_are_kept_in_the_products(tmp_path: Path) -> None:

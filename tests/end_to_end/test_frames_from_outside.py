@@ -72,7 +72,7 @@ def test_directions_come_from_the_header_and_a_camera_from_a_file(tmp_path: Path
     hdu.header.update({"CD1_1": -2e-3, "CD1_2": 0.0, "CD2_1": 0.0, "CD2_2": 2e-3})
     hdu.writeto(tmp_path / "sky.fits")
     camera = tmp_path / "camera.toml"
-    camera.write_text(preset_path("smoke_wide", SCENARIOS, "test").read_text())
+    camera.write_text(preset_path("smoke_wide", "instrument", SCENARIOS, "test").read_text())
     _, streaks = processed(tmp_path / "sky.fits", tmp_path / "header", "--wcs", "header", "--camera", str(camera))
     assert near_the_trail(streaks, 0, 96, 96)
     # The trail's middle is (47.5, 47.5), the pixel of CRVAL by FITS's count from one.
@@ -103,7 +103,7 @@ def test_a_page_says_what_was_found_and_what_is_lacking(tmp_path: Path, capsys: 
     shown = capsys.readouterr().out
     n_published = sum(1 for flags in streaks["flags"] if not flags & StreakFlag.VETOED)
     assert n_published
-    assert f"streaks published              {n_published}  ({n_published:.2f} a frame)" in shown
+    assert f"streaks published {n_published} ({n_published:.2f} a frame)" in " ".join(shown.split())
     # the noise was drawn with 4.0 ADU; 9,120 differences tell it to 2 %
     noise = float(next(line for line in shown.splitlines() if line.startswith("noise of a pixel")).split()[5])
     assert noise == pytest.approx(4.0, rel=0.06)

@@ -94,9 +94,9 @@ def test_a_downlink_without_packets_is_one_line(
     before = digest(copy)
     (copy / "downlink.bin").write_bytes(content)
     assert cli.run(["ground", str(copy)]) == 2
-    said = capfd.readouterr().err
-    assert f"sboc: {copy}/downlink.bin: {words}" in said
-    assert "Warning" not in said
+    stderr = capfd.readouterr().err
+    assert f"sboc: {copy}/downlink.bin: {words}" in stderr
+    assert "Warning" not in stderr
     assert digest(copy) | {"downlink.bin": ""} == before | {"downlink.bin": ""}
 
 
@@ -114,9 +114,9 @@ def test_packets_without_any_header_give_empty_products_and_a_score_of_absent_nu
     kept = [packet for packet in packets if int.from_bytes(packet[:2], "big") & 0x7FF != Apid.HEADER]
     (copy / "downlink.bin").write_bytes(b"".join(kept))
     assert cli.run(["ground", str(copy)]) == 0
-    said = capfd.readouterr().err
-    assert "no intact header packet, without which none of 4 frames can be built" in said
-    assert "Warning" not in said
+    stderr = capfd.readouterr().err
+    assert "no intact header packet, without which none of 4 frames can be built" in stderr
+    assert "Warning" not in stderr
     assert json.loads((copy / "products" / "ingest.json").read_text())["frames_unusable"] == [0, 1, 2, 3]
     assert {path.name: _kinds(path) for path in sorted((copy / "products").glob("*.ecsv"))} == columns
     tables = {path.name: Table.read(path, format="ascii.ecsv") for path in (copy / "products").glob("*.ecsv")}

@@ -47,9 +47,9 @@ def table(folder: Path, name: str) -> Table:
 
 def test_without_attitude_and_gps_every_product_says_so(blind: Path) -> None:
     """Frames are flagged; there is no ephemeris, no orbit, no state and no flux, each with its reason."""
-    said = "\n".join(json.loads((blind / "ingest.json").read_text())["products_lack"])
-    assert "no frame has a state of the observer (GPS): observer.oem is not written, no orbit is determined" in said
-    assert "3 of 3 frames have no telemetered attitude (NO_ATTITUDE)" in said
+    lacks = "\n".join(json.loads((blind / "ingest.json").read_text())["products_lack"])
+    assert "no frame has a state of the observer (GPS): observer.oem is not written, no orbit is determined" in lacks
+    assert "3 of 3 frames have no telemetered attitude (NO_ATTITUDE)" in lacks
     assert not (blind / "observer.oem").exists()
     assert not list(blind.glob("states/*"))
     missing = int(FrameFlag.NO_OBSERVER | FrameFlag.NO_ATTITUDE)
@@ -75,9 +75,9 @@ def test_directions_without_gps_say_what_was_not_removed(blind: Path) -> None:
 
 def test_one_frame_gives_streaks_and_says_why_there_is_no_more(single: Path) -> None:
     """No sense of motion, no tracklet, no orbit, no flux."""
-    said = "\n".join(json.loads((single / "ingest.json").read_text())["products_lack"])
-    assert "one frame only: streaks cannot be linked over frames" in said
-    assert "no tracklet: tracklets.tdm has no segment" in said
+    lacks = "\n".join(json.loads((single / "ingest.json").read_text())["products_lack"])
+    assert "one frame only: streaks cannot be linked over frames" in lacks
+    assert "no tracklet: tracklets.tdm has no segment" in lacks
     assert {name: len(table(single, name)) for name in ("tracklets.ecsv", "orbits.ecsv", "orbit_samples.ecsv")} == {
         "tracklets.ecsv": 0, "orbits.ecsv": 0, "orbit_samples.ecsv": 0,
     }  # fmt: skip
@@ -94,10 +94,10 @@ def test_tracklets_of_one_streak_say_what_one_streak_cannot_tell(lone: Path) -> 
     assert n >= 2
     assert (tracklets["n_frames"] == 1).all()
     turned, known = (", ".join(str(k) for k in range(first, n, 2)) for first in (0, 1))
-    said = json.loads((lone / "ingest.json").read_text())["products_lack"]
-    assert f"seen in one frame only: tracklets {', '.join(map(str, range(n)))}" in said
-    assert f"no orbit, since the sense of motion is unknown: tracklets {turned}" in said
-    assert f"no covariance in the OPM, the posterior is not Gaussian, samples only: tracklets {known}" in said
+    lacks = json.loads((lone / "ingest.json").read_text())["products_lack"]
+    assert f"seen in one frame only: tracklets {', '.join(map(str, range(n)))}" in lacks
+    assert f"no orbit, since the sense of motion is unknown: tracklets {turned}" in lacks
+    assert f"no covariance in the OPM, the posterior is not Gaussian, samples only: tracklets {known}" in lacks
     segments = (lone / "tracklets.tdm").read_text().split("META_START")[1:]
     assert len(segments) == n
     for number, segment in enumerate(segments):

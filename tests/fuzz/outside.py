@@ -66,8 +66,8 @@ def run(folder: Path, out: Path) -> dict[str, Any]:
     registry = Registry()
     scenario = scenarios.bare("process", base_document("header"), registry=registry)
     process(FitsFolder(path=folder), scenario, out, camera=None, force=True, registry=registry, progress=Silent())
-    said: dict[str, Any] = json.loads((out / "products" / "ingest.json").read_text(encoding="utf-8"))
-    return said
+    ingest: dict[str, Any] = json.loads((out / "products" / "ingest.json").read_text(encoding="utf-8"))
+    return ingest
 
 
 def odd_file(rng: np.random.Generator) -> fits.HDUList:

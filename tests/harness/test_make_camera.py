@@ -82,8 +82,8 @@ def test_the_file_is_a_camera_for_process(tmp_path: Path, capsys: pytest.Capture
     paths = written(tmp_path, [frame(k) for k in range(2)])
     file = tmp_path / "my_camera.toml"
     assert cli.run(["camera", "make", *map(str, paths), "--out", str(file)]) == 0
-    said = capsys.readouterr().out
-    assert "gain: 1." in said
+    printed = capsys.readouterr().out
+    assert "gain: 1." in printed
     assert cli.run(["process", str(paths[0]), "--out", str(tmp_path / "out"), "--camera", str(file)]) == 0
     table = Table.read(tmp_path / "out" / "products" / "frames.ecsv", format="ascii.ecsv")
     assert len(table) == 1

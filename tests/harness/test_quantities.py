@@ -53,9 +53,10 @@ def test_what_is_written_reads_back_to_the_same_number(unit: str, value: float) 
 @pytest.mark.parametrize(
     ("value", "words"),
     [
-        (0.2, 'such as "1 s", got 0.2'),
-        ("5", "without a unit"),
-        ("0.2 m", "(length)"),
+        (0.2, 'such as "0.2 s", got 0.2'),
+        (5, 'such as "5 s", got 5'),
+        ("5", 'such as "5 s", got "5" without a unit'),
+        ("0.2 m", 'such as "1 s", got "0.2 m" (length)'),
         ("0.2 furlongs", "unknown unit"),
         ("1 s^999999999", "unknown unit"),
         ("1e999 s", "got '1e999 s'"),
@@ -71,6 +72,11 @@ def test_a_wrong_value_is_refused_in_one_line(value: object, words: str) -> None
     assert words in str(caught.value)
     assert "\n" not in str(caught.value)
     assert len(str(caught.value)) < 300
+
+
+def test_a_refusal_names_the_range() -> None:
+    with pytest.raises(QuantityError, match=r'a quantity in mm \(1 to 100000 mm\), such as "750 mm", got 750'):
+        parse(750, "mm", "1 to 100000 mm")
 
 
 @given(st.text(max_size=120))

@@ -92,6 +92,19 @@ def test_a_shown_scenario_says_where_values_are_from(tmp_path: Path, capsys: pyt
     assert run(["scenarios", "show", "smok"]) == 2
 
 
+def test_a_shown_scenario_whose_exposure_does_not_fit_is_refused_after_its_keys(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "mine.toml"
+    path.write_text('frame_rate = "2 Hz"\n[shutter]\nexposure = "0.7 s"\n')
+    assert run(["scenarios", "show", str(path)]) == 2
+    shown_text = capsys.readouterr()
+    assert 'exposure = "0.7 s"' in shown_text.out
+    assert shown_text.err.splitlines() == [
+        "sboc: scenario mine: shutter.exposure: 0.7 s does not fit 2 frames/s; allowed is up to 0.5 s"
+    ]
+
+
 @pytest.mark.parametrize(
     ("text", "words"),
     [

@@ -100,6 +100,14 @@ def pixel_mover(
     return Mover(position=p - v * t_s, velocity=v)
 
 
+def mover_somewhere(
+    camera: Camera, rng: np.random.Generator, span_s: float, velocity_px_s: tuple[float, float], range_km: float, closing: float
+) -> Mover:
+    """The mover of a pixel velocity (along rows and cols) that is at a random pixel at a random time of the span."""
+    row, col, t_s = rng.random() * camera.rows, rng.random() * camera.cols, rng.random() * span_s
+    return pixel_mover(camera, row, col, *velocity_px_s, t_s=t_s, range_km=range_km, range_rate_km_s=closing)
+
+
 def _shutter_times(camera: Camera, mover: Mover, t_start: float) -> tuple[float, float]:
     """Epochs between which the row under the object is open, by root finding on g(t) = t - t_start - tau row(t)."""
 

@@ -6,7 +6,7 @@ import pytest
 from ground.link import MotionLinker, apply_links
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.steps import Linker
-from tests.link.sky_scene import T0_NS, Camera, Mover, observe, pixel_mover
+from tests.link.sky_scene import T0_NS, Camera, Mover, mover_somewhere, observe
 
 
 def movers_of(camera: Camera, rng: np.random.Generator, n: int, span_s: float) -> list[Mover]:
@@ -15,12 +15,7 @@ def movers_of(camera: Camera, rng: np.random.Generator, n: int, span_s: float) -
     for _ in range(n):
         speed, angle, range_km = 10 ** rng.uniform(2.0, 3.6), rng.random() * 2 * np.pi, 10 ** rng.uniform(1.3, 3.0)
         closing = float(np.clip(3.0 * rng.normal(), -range_km / 30, range_km / 30))
-        movers.append(
-            pixel_mover(
-                camera, rng.random() * camera.rows, rng.random() * camera.cols, speed * np.sin(angle), speed * np.cos(angle),
-                t_s=rng.random() * span_s, range_km=range_km, range_rate_km_s=closing,
-            )
-        )  # fmt: skip
+        movers.append(mover_somewhere(camera, rng, span_s, (speed * np.sin(angle), speed * np.cos(angle)), range_km, closing))
     return movers
 
 

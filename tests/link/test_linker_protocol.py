@@ -64,8 +64,8 @@ def test_epochs_of_a_linker_do_not_date_anything(trial: LinkerTrial, tracklets: 
     want = apply_links(trial.streaks, tracklets, trial.headers)
     shifted = tuple(replace(t, t_tai_ns=t.t_tai_ns + 330_000_000) for t in tracklets)
     empty = tuple(replace(t, t_tai_ns=np.zeros(0, np.int64), ra_deg=np.zeros(0), dec_deg=np.zeros(0)) for t in tracklets)
-    for said in (shifted, empty):
-        for one, other in zip(want, apply_links(trial.streaks, said, trial.headers), strict=True):
+    for links in (shifted, empty):
+        for one, other in zip(want, apply_links(trial.streaks, links, trial.headers), strict=True):
             assert one.flags == other.flags
             np.testing.assert_array_equal(one.t_tai_ns, other.t_tai_ns)
             np.testing.assert_array_equal(one.ra_deg, other.ra_deg)
@@ -260,3 +260,19 @@ def test_errors_of_a_joint_fit_are_not_widened_again(trial: LinkerTrial, trackle
         ]
         stated.append(measured_tracklet(tracklet, [_member(s, jacobian) for s in fitted]).sigma_along_arcsec)
     np.testing.assert_allclose(stated[1], stated[0], rtol=1e-12)
+
+
+def test_the_68_percent_interval_of_a_joint_fit_is_stated(trial: LinkerTrial, tracklets: tuple[Tracklet, ...]) -> None:
+    """Two thirds of the standard deviation, as of a change point; a single fit states its sigma."""
+    tracklet = max(tracklets, key=lambda t: len(t.frames))
+    linked = {s.streak_id: s for s in apply_links(trial.streaks, tracklets, trial.headers)}
+    jacobian = np.tile(ARCSEC_PX * np.eye(2), (3, 1, 1))
+    for flag, share in ((StreakFlag.REFIT, 2.0 / 3.0), (StreakFlag(0), 1.0)):
+        fitted = []
+        for s in (linked[i] for i in tracklet.streak_ids.tolist()):
+            along = np.array([s.fit.row1 - s.fit.row0, s.fit.col1 - s.fit.col0]) / s.fit.length_px
+            sigma = np.sqrt([along @ s.fit.covariance_px2[k : k + 2, k : k + 2] @ along for k in (0, 2)])
+            interval = 2.0 / 3.0 * sigma[:, None] * np.array([-1.2, 0.8])
+            fitted.append(replace(s, fit=replace(s.fit, end_interval_px=interval), flags=s.flags | flag))
+        made = measured_tracklet(tracklet, [replace(_member(s, jacobian), pointing_arcsec=0.0) for s in fitted])
+        np.testing.assert_allclose(made.half68_along_arcsec, share * made.sigma_along_arcsec, rtol=0.01)

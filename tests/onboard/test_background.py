@@ -5,11 +5,11 @@ import pytest
 from numpy.typing import NDArray
 
 from onboard.image.background import MeshBackground, continued, fill_gaps
-from onboard.image.calibrate import residual_pass, runs_of, write_runs
+from onboard.image.calibrate import LineSums, residual_pass, runs_of, write_runs
 from onboard.image.dark_map import DarkMap
-from onboard.image.star_free_sky import row_offsets, without_stars
+from onboard.image.star_free_sky import line_offsets, without_stars
 from onboard.stars.matched import MatchedStars
-from sboc_e2e.icd.signals import BackgroundModel
+from sboc_e2e.icd.signals import BackgroundModel, StarList
 from tests.benchmarks.other_skies import chain, frame
 from tests.onboard.star_fields import GAIN_E_ADU, PEDESTAL_ADU, READ_NOISE_E, SKY_E, star_grid
 from tests.onboard.test_stars import view_of
@@ -86,9 +86,8 @@ def test_stars_do_not_lift_the_level_seen_by_the_detector() -> None:
     view = view_of(field.exposed(rng))
     stars = MatchedStars().extract(view)
     residual = view.residual_adu.copy()
-    sky = without_stars(
-        residual, view.mask, row_sums(residual / NOISE_ADU), stars, view.background, gain_e_adu=GAIN_E_ADU, psf_sigma_px=0.849
-    )
+    sums = LineSums(rows=sums_of(residual / NOISE_ADU, 1), cols=sums_of(residual / NOISE_ADU, 0))
+    sky = without_stars(residual, view.mask, sums, stars, view.background, gain_e_adu=GAIN_E_ADU, psf_sigma_px=0.849)
     assert sky.level_adu.mean() == pytest.approx(SKY_E / GAIN_E_ADU, abs=0.01 * NOISE_ADU)
     assert sky.sigma_adu.mean() == pytest.approx(NOISE_ADU, rel=0.01)
     far = field.electrons < SKY_E + 0.01
@@ -140,9 +139,11 @@ def test_residual_is_raw_minus_dark_minus_level() -> None:
     pixels[10, 20] = 5000
     nodes = rng.normal(100.0, 5.0, (5, 7)).astype(np.float32)
     residual, mask = np.empty(shape, np.float32), defects.copy()
-    sums = np.empty((150, 2))
+    row_sums, col_sums = np.empty((2, 150), np.float32), np.empty((2, 200), np.float32)
     dark_map = DarkMap.of((dark + fraction / 128.0).astype(np.float32))
-    number = residual_pass(pixels, dark_map.codes, mask, continued(nodes, 1.0), tile, 4000, 1.0, 60.0, residual, sums)
+    number = residual_pass(
+        pixels, dark_map.codes, mask, continued(nodes, 1.0), tile, 4000, 1.0, 60.0, residual, row_sums, col_sums
+    )
     middles = [np.append(np.arange(n // tile) * tile + 15.5, 0.5 * (n // tile * tile + n - 1)) for n in shape]
     middles = [np.concatenate(([2 * m[0] - m[1]], m, [2 * m[-1] - m[-2]])) for m in middles]
     level = RegularGridInterpolator(middles, continued(nodes, 1.0).astype(np.float64))(tuple(np.indices(shape)))
@@ -152,38 +153,67 @@ def test_residual_is_raw_minus_dark_minus_level() -> None:
     assert mask[10, 20] & 4
     assert number == np.count_nonzero(mask)
     within = (mask == 0) & (np.abs(expected) < 60.0)
-    assert (np.abs(sums[:, 0] - within.sum(axis=1)) <= 1).all()  # float32 may decide otherwise on the limit itself
-    assert np.abs(sums[:, 1] - (expected * within).sum(axis=1)).max() < 61.0
+    for sums, axis in ((row_sums, 1), (col_sums, 0)):
+        assert (np.abs(sums[0] - within.sum(axis=axis)) <= 1).all()  # float32 may decide otherwise on the limit itself
+        assert np.abs(sums[1] - (expected * within).sum(axis=axis)).max() < 61.0
 
 
-def with_row_noise(seed: int, sigma_row: float) -> tuple[NDArray[np.float32], NDArray[np.float64]]:
-    """A calibrated image of unit noise with offsets of whole rows."""
-    rng = np.random.default_rng(seed)
-    offsets = rng.normal(0.0, sigma_row, 600)
-    return (rng.normal(0.0, 1.0, (600, 2000)) + offsets[:, None]).astype(np.float32), offsets
+def with_line_noise(seed: int, offsets: NDArray[np.float64]) -> NDArray[np.float32]:
+    """A calibrated image of unit noise, 2,000 px wide, with offsets of whole rows."""
+    return (np.random.default_rng(seed).normal(0.0, 1.0, (len(offsets), 2000)) + offsets[:, None]).astype(np.float32)
 
 
-def row_sums(image: NDArray[np.float32]) -> NDArray[np.float64]:
-    """Number and sum of the values of each row within 2.5 sigma."""
+def sums_of(image: NDArray[np.float32], axis: int) -> NDArray[np.float32]:
+    """Number and sum of the values within 2.5 sigma of each row (axis 1) or column (axis 0)."""
     within = np.abs(image) < 2.5
-    return np.column_stack((within.sum(axis=1), (image * within).sum(axis=1)))
+    return np.stack((within.sum(axis=axis), (image * within).sum(axis=axis))).astype(np.float32)
 
 
-def test_row_offsets_are_found_where_there_are_any() -> None:
-    """Offsets of 0.1 sigma are known to the noise of a row's mean; without row noise nothing is taken away."""
-    image, offsets = with_row_noise(7, 0.1)
-    found = row_offsets(row_sums(image), 2000, 1.0)
-    assert (found - offsets).std() < 1.6 / np.sqrt(image.shape[1])
-    image, _ = with_row_noise(8, 0.0)
-    assert np.abs(row_offsets(row_sums(image), 2000, 1.0)).max() < 0.03
+def white(seed: int, sigma: float) -> NDArray[np.float64]:
+    """Offsets of 600 lines that know nothing of each other."""
+    return np.random.default_rng(seed).normal(0.0, sigma, 600)
 
 
-def test_a_bright_trail_along_a_row_survives() -> None:
+def test_offsets_of_lines_are_found_where_there_are_any() -> None:
+    """Offsets of 0.1 sigma are known to the noise of a line's mean; without such noise nothing is taken away."""
+    offsets = white(7, 0.1)
+    image = with_line_noise(7, offsets)
+    for sums in (sums_of(image, 1), sums_of(np.ascontiguousarray(image.T), 0)):
+        found = line_offsets(sums, 2000, 1.0)
+        assert (found - (offsets - np.median(offsets))).std() < 1.6 / np.sqrt(image.shape[1])
+    assert np.abs(line_offsets(sums_of(with_line_noise(8, np.zeros(600)), 1), 2000, 1.0)).max() < 0.03
+
+
+def test_slow_offsets_of_lines_are_found_too() -> None:
+    """A wave of 150 lines, which a mesh of 64 px does not follow, beside white offsets: 0.004 sigma of either is left."""
+    offsets = white(10, 0.05) + 0.05 * np.sin(2.0 * np.pi * np.arange(600) / 150.0)
+    found = line_offsets(sums_of(with_line_noise(10, offsets), 1), 2000, 1.0)
+    left = found - (offsets - np.median(offsets))
+    waves = np.abs(np.fft.rfft(left))[[3, 4, 5]] / len(left)
+    assert waves.max() < 0.004
+    assert left.std() < 1.6 / np.sqrt(2000)
+
+
+def test_rows_columns_and_level_are_taken_out_together() -> None:
+    """What `without_stars` leaves of offsets of rows and columns over a sloping sky: the noise of single lines, no slope."""
+    rng = np.random.default_rng(12)
+    row, col = rng.normal(0.0, 0.1, 512), rng.normal(0.0, 0.1, 512)
+    slope = np.linspace(-0.2, 0.2, 512)
+    residual = (rng.normal(0.0, 1.0, (512, 512)) + row[:, None] + col + slope[:, None]).astype(np.float32)
+    sums = LineSums(rows=sums_of(residual, 1), cols=sums_of(residual, 0))
+    flat = BackgroundModel(tile_px=64, level_adu=np.zeros((8, 8), np.float32), sigma_adu=np.ones((8, 8), np.float32))
+    mask = np.zeros(residual.shape, np.uint8)
+    without_stars(residual, mask, sums, StarList.empty(), flat, gain_e_adu=1.0, psf_sigma_px=0.85)
+    for axis in (0, 1):
+        assert residual.mean(axis=axis).std() < 1.3 / np.sqrt(512)
+    assert abs(np.polyfit(np.arange(512), residual.mean(axis=1), 1)[0]) * 512 < 0.02
+
+
+def test_a_bright_trail_along_a_line_survives() -> None:
     """A trail of one sigma per pixel along a whole row keeps 70 % or more of its light."""
-    image, _ = with_row_noise(9, 0.05)
+    image = with_line_noise(9, white(9, 0.05))
     image[300] += 1.0
-    found = row_offsets(row_sums(image), 2000, 1.0)
-    assert found[300] < 0.3
+    assert line_offsets(sums_of(image, 1), 2000, 1.0)[300] < 0.3
 
 
 @pytest.mark.parametrize("density", [0.0, 0.003, 0.5, 1.0])

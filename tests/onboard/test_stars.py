@@ -35,9 +35,8 @@ def view_of(pixels: NDArray[np.uint16], *, psf_sigma_px: float = SIGMA_PX, satur
     mask, residual = np.zeros(shape, np.uint8), np.empty(shape, np.float32)
     background = MeshBackground().estimate(pixels, dark.whole_adu(), mask)
     nodes = continued(background.level_adu, 2.4)
-    residual_pass(
-        pixels, dark.codes, mask, nodes, background.tile_px, int(saturation_adu), 1.0, 10.0, residual, np.empty((shape[0], 2))
-    )
+    sums = [np.empty((2, n), np.float32) for n in shape]
+    residual_pass(pixels, dark.codes, mask, nodes, background.tile_px, int(saturation_adu), 1.0, 10.0, residual, *sums)
     header = FrameHeader(
         frame=0, t_start_tai_ns=0, exposure_ns=1, line_time_ns=0, rows=shape[0], cols=shape[1],
         gain_e_adu=GAIN_E_ADU, saturation_adu=saturation_adu,

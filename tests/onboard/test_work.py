@@ -9,7 +9,7 @@ from ground.ingest import decode_downlink
 from ground.ingest.codecs import PlanesDecoder
 from onboard import work
 from onboard.detect import LineIntegralDetector
-from onboard.detect.line_integral.detector import within_work as trails_within_work
+from onboard.detect.line_integral.segments import within_work as trails_within_work
 from onboard.options import OnboardOptions
 from onboard.parameter_set import parameter_set_id
 from onboard.stars.matched import group_pixels

@@ -106,10 +106,10 @@ def test_light_time_is_the_orbit_s_business() -> None:
     rho = np.linalg.norm(relative)
     line = relative / rho
     rate = float((one.state[3:] - at_reference[3:]) @ line)
-    out = np.empty(2 * len(data.node_s))
-    at_node_km = trajectory(at_reference, data.node_s)[:, :3]
+    out = np.empty(2 * len(data.form.node_s))
+    at_node_km = trajectory(at_reference, data.form.node_s)[:, :3]
     curve(problem_of(data, at_reference, at_node_km), float(rho), rate, np.empty(6), out)
-    chi2 = data.constant - 2.0 * data.linear @ out + out @ data.quadratic @ out
+    chi2 = data.form.constant - 2.0 * data.form.linear @ out + out @ data.form.quadratic @ out
     # errors of 0.01 arcsec: an arc curve wrong by that much would show
     assert chi2 < 2.0 * len(tracklet.t_tai_ns)
 

@@ -11,6 +11,7 @@ from sboc_e2e.icd.errors import UserError
 from sboc_e2e.planning import make_plan, read_request
 from sboc_e2e.registry import Registry
 from sboc_e2e.scenario import load
+from simulator.platform.earth import tai_ns_of_utc
 from simulator.platform.pointing import scheduled_direction
 
 ELEMENTS = (
@@ -78,6 +79,54 @@ def test_constraints_that_contradict_each_other_are_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], key: str, expected: str
 ) -> None:
     assert run(["plan", plan_file(tmp_path), "--out", str(tmp_path / "out"), "--set", key]) == 2
-    said = capsys.readouterr().err
-    assert expected in said
-    assert said.count("\n") == 1, said
+    stderr = capsys.readouterr().err
+    assert expected in stderr
+    assert stderr.count("\n") == 1, stderr
+
+
+def site_plan(folder: Path, calendar: str, scenario: str = "ground_site_tracking") -> str:
+    (folder / "ring.3le").write_text("".join(ELEMENTS.format(k * 12.0) for k in range(30)))
+    (folder / "closed.csv").write_text(calendar)
+    path = folder / "site.toml"
+    text = [
+        f'scenario = "{scenario}"', 'objects = "ring.3le"', 'weather = "closed.csv"', 'start_utc = "2027-01-28T12:00:00"',
+        "[plan]", "days = 1.0", 'size = "4 m"', 'visit = "300 s"',
+    ]  # fmt: skip
+    path.write_text("\n".join(text) + "\n")
+    return str(path)
+
+
+def test_a_closed_dome_ends_windows_to_a_second_and_takes_no_visits(tmp_path: Path) -> None:
+    shut, opens = "2027-01-28T22:00:30", "2027-01-29T01:10:10"
+    request, path = read_request(site_plan(tmp_path, f"start_utc,end_utc\n{shut},{opens}\n"))
+    schedule = make_plan(request, path, tmp_path / "out", Registry())
+    closed = [tai_ns_of_utc(text) for text in (shut, opens)]
+    assert schedule.windows is not None
+    starts, ends = schedule.windows.start_tai_ns, schedule.windows.end_tai_ns
+    assert not ((starts < closed[1] - 10**9) & (ends > closed[0] + 10**9)).any()
+    assert (np.abs(ends - closed[0]) < 1e9).any()
+    assert (np.abs(starts - closed[1]) < 1e9).any()
+    middles = np.array([(visit.start_tai_ns + visit.end_tai_ns) // 2 for visit in schedule.visits])
+    assert (middles < closed[0]).any()
+    assert (middles > closed[1]).any()
+    assert not ((middles >= closed[0]) & (middles < closed[1])).any()
+    assert schedule.forbidden["weather"] == pytest.approx((closed[1] - closed[0]) * 1e-9 / 86400.0, abs=300.0 / 86400.0)
+
+
+@pytest.mark.parametrize(
+    ("calendar", "scenario", "expected"),
+    [
+        ("start_utc,end_utc\n2027-01-28T22:00:00,2027-01-29T01:00:00\n", "geo_survey", "in orbit"),
+        ("from,to\n1,2\n", "ground_site_tracking", "no column start_utc and end_utc"),
+        ("start_utc,end_utc\n2027-01-29T22:00:00,2027-01-28T22:00:00\n", "ground_site_tracking", "row 1: .* is not after"),
+        ("start_utc,end_utc\nsoon,2027-01-28T22:00:00\n", "ground_site_tracking", "row 1, start_utc: 'soon' is not"),
+        ("", "ground_site_tracking", "has no column"),
+        ("start_utc,end_utc\n2027-01-28T00:00:00,2027-01-30T00:00:00\n", "ground_site_tracking", "weather 100 %"),
+    ],
+)
+def test_a_calendar_that_is_none_is_refused_in_one_line(tmp_path: Path, calendar: str, scenario: str, expected: str) -> None:
+    file = site_plan(tmp_path, calendar, scenario)
+    with pytest.raises(UserError, match=expected) as found:
+        make_plan(*read_request(file), tmp_path / "out", Registry())
+    assert "\n" not in str(found.value)
+    assert not (tmp_path / "out").exists()

@@ -3,17 +3,8 @@
 import numpy as np
 import pytest
 
-from ground.population import (
-    NOT_DETECTED,
-    Exposure,
-    Response,
-    categories,
-    cone_cross_section_km2,
-    n_categories,
-    observed_counts,
-    recover,
-    response_of,
-)
+from ground import population
+from ground.population import NOT_DETECTED, Response, categories, n_categories, recover, response_of
 from sboc_e2e.icd.errors import ContractError
 
 EDGES_M = np.array([0.001, 0.003, 0.01, 0.03, 0.1, 0.3])
@@ -43,7 +34,7 @@ def test_intervals_hold_the_truth() -> None:
     inside, total, slopes = 0, 0, []
     for _ in range(60):
         _, category = sample(int(rng.poisson(400.0)), rng)
-        observed = observed_counts(category, n_observed) + rng.poisson(false_mean)
+        observed = population.observed_counts(category, n_observed) + rng.poisson(false_mean)
         got = recover(
             observed,
             response,
@@ -73,12 +64,12 @@ def test_rates_per_day_and_area() -> None:
     """100 objects in an hour at a hundredfold density are 24 a day; through a km^2-year they follow from the cone's area."""
     response = Response(detected=np.array([[1e6]]), missed=np.array([0.0]))
     got = recover(np.array([100]), response, np.array([0.001, 0.01]), np.random.default_rng(1), n_draws=4000)
-    area = cone_cross_section_km2(5.28, np.array([10.0]))
-    exposure = Exposure(duration_s=3600.0, boost=np.array([100.0]), area_km2=area)
+    area = population.cone_cross_section_km2(5.28, np.array([10.0]))
+    exposure = population.Exposure(duration_s=3600.0, boost=np.array([100.0]), area_km2=area)
     assert got.per(exposure.days()).objects[0, 1] == pytest.approx(24.0, rel=0.02)
     assert got.per(exposure.km2_years()).objects[0, 1] == pytest.approx(100.0 / (100.0 * 3600.0 / 31557600.0 * area[0]), rel=0.02)
     # flat disc limit of Cauchy's formula: a cone opened to a half-space shows half of its base from each side
-    assert cone_cross_section_km2(180.0, np.array([1.0]))[0] == pytest.approx(np.pi / 2)
+    assert population.cone_cross_section_km2(180.0, np.array([1.0]))[0] == pytest.approx(np.pi / 2)
 
 
 def test_lengths_are_checked() -> None:

@@ -53,7 +53,7 @@ def window() -> Window:
     return Window(
         observer_km=position, velocity_km_s=velocity, attitude=attitude, sun_km=sun, half_row=HALF, half_col=HALF,
         duration_s=FRAMES * FRAME_S, exposure_s=EXPOSURE_S, flux_e_s=ZERO_POINT_E_S, focal_px=FOCAL_PX, sigma_px=PSF_PX,
-        noise_variance_e2=NOISE_E**2, aperture_m=0.2, light=LightOptions(earth_shadow=False),
+        noise_variance_e2=NOISE_E**2, aperture_m=0.2, effects=LightOptions(earth_shadow=False),
     )  # fmt: skip
 
 

@@ -163,6 +163,6 @@ def test_only_what_is_wanted_is_written(seen):
     frame, _ = seen
     bare = replace(frame, whole_frame=None)
     empty = replace(bare, thumbnail_adu=None, rois=())
-    said = [[has_images(one, wanted) for one in (frame, bare, empty)] for wanted in ("none", "frames", "all")]
-    assert said == [[False, False, False], [True, False, False], [True, True, False]]
+    found = [[has_images(one, wanted) for one in (frame, bare, empty)] for wanted in ("none", "frames", "all")]
+    assert found == [[False, False, False], [True, False, False], [True, True, False]]
     assert [hdu.name for hdu in frame_images(frame, None, "frames")] == ["PRIMARY", "FRAME"]

@@ -5,7 +5,6 @@ loss; angles and comments in them are invented, their keywords, order, spacing a
 """
 
 import re
-import warnings
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,8 +18,7 @@ from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader, ObserverState
 from sboc_e2e.icd.products import Tracklet
 from tests.link.sky_scene import Camera, streak
-
-ndm_io = pytest.importorskip("ccsds_ndm.ndm_io", reason="the conformance reader ccsds-ndm is not installed")
+from tests.products.ndm_reader import read
 
 HERE = Path(__file__).parent
 T0_TAI_NS = 2_179_872_037_000_000_000
@@ -79,15 +77,6 @@ def keywords(lines: list[str]) -> list[str]:
     """Keywords in order, comments left out; a data line counts once for its keyword."""
     found = [line.split("=")[0].strip() for line in lines if line and not line.startswith("COMMENT")]
     return list(dict.fromkeys(found))
-
-
-def read(text: str, tmp_path: Path):
-    """The message as ccsds-ndm understands it."""
-    path = tmp_path / "message.kvn"
-    path.write_text(text)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the reader's own dependencies warn
-        return ndm_io.NdmIo().from_path(path)
 
 
 def plain(value: object) -> str:

@@ -1,7 +1,6 @@
 """OEM, OPM and samples as readers that share nothing with the writers get them: ccsds-ndm, and lines split at the equals sign."""
 
 import re
-import warnings
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,17 +21,7 @@ from ground.records import GroundProducts
 from sboc_e2e.icd.products import OrbitEstimate, Tracklet
 from tests.orbit.encounters import T0_NS, draw_encounters, observed
 from tests.orbit.test_observer import errors, headers_of, on_the_ground, orbiting
-
-ndm_io = pytest.importorskip("ccsds_ndm.ndm_io", reason="the conformance reader ccsds-ndm is not installed")
-
-
-def read(text: str, tmp_path: Path) -> Any:
-    """The message as ccsds-ndm understands it."""
-    path = tmp_path / "message.kvn"
-    path.write_text(text)
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # the reader's own dependencies warn
-        return ndm_io.NdmIo().from_path(path)
+from tests.products.ndm_reader import read
 
 
 def numbers(record: Any, names: tuple[str, ...]) -> np.ndarray:
@@ -180,16 +169,16 @@ def test_what_is_lacking_is_said() -> None:
     assert nothing.state is None
     assert nothing.lacks == "no state of the observer in the run"
     assert opm_text(nothing, ProductOptions(), T0_NS) is None
-    said = "\n".join(lacking(products_of(tracklets, blind, [nothing]), orbits_wanted=True))
-    assert "observer.oem is not written" in said
-    assert "no orbit state, no state of the observer in the run: tracklets 0" in said
+    lacks = "\n".join(lacking(products_of(tracklets, blind, [nothing]), orbits_wanted=True))
+    assert "observer.oem is not written" in lacks
+    assert "no orbit state, no state of the observer in the run: tracklets 0" in lacks
     far = [replace(h, observer=replace(h.observer, tai_ns=h.observer.tai_ns + 10**13)) for h in headers]
     assert RangeScan().estimate(tracklets[0], far).lacks == "no state of the observer near its epochs"
     assert lacking(products_of([], (), []), orbits_wanted=True) == [
         "no frame could be built: tables have no rows, no message is written"
     ]
     single = replace(tracklets[0], frames=np.array([0]), direction_resolved=False)
-    said = "\n".join(lacking(products_of([single], headers[:1], []), orbits_wanted=True))
-    assert "one frame only" in said
-    assert "the sense of motion is unknown: tracklets 0" in said
-    assert "seen in one frame only: tracklets 0" in said
+    lacks = "\n".join(lacking(products_of([single], headers[:1], []), orbits_wanted=True))
+    assert "one frame only" in lacks
+    assert "the sense of motion is unknown: tracklets 0" in lacks
+    assert "seen in one frame only: tracklets 0" in lacks

@@ -93,13 +93,13 @@ def test_crossings_are_told_and_points_have_no_density(run):
     assert "mag_at_1deg_s - 2.5 log10(rate in deg/s)" in table.meta["crossings"]
 
 
-@pytest.mark.parametrize(("without", "said"), [(0, "velocity removed,"), (1, "NO_OBSERVER"), (2, "velocity not removed")])
-def test_tables_say_what_was_removed_from_directions(run, without, said):
+@pytest.mark.parametrize(("without", "phrase"), [(0, "velocity removed,"), (1, "NO_OBSERVER"), (2, "velocity not removed")])
+def test_tables_say_what_was_removed_from_directions(run, without, phrase):
     _, products = run
     headers = [replace(header, observer=None) if k < without else header for k, header in enumerate(products.headers)]
     told = replace(products, headers=headers)
     for table in (*tables.streaks_tables(told), tables.tracklets_table(told)):
-        assert said in table.meta["directions"]
+        assert phrase in table.meta["directions"]
 
 
 def test_frames_table_points_where_the_camera_looks(run):

@@ -53,9 +53,9 @@ def test_rows_are_those_of_the_message() -> None:
     made, members = measured(17)
     text = tdm_text([made], [members], headers(), ProductOptions(), oem_name="observer.oem")
     table = tdm_angles_table([made], [members], headers(), ProductOptions(), oem_name="observer.oem")
-    said = [line.split(" = ")[1].split() for line in text.splitlines() if line.startswith("ANGLE_1")]
-    assert [epoch for epoch, _ in said] == list(table["epoch_utc"])
-    np.testing.assert_allclose([float(angle) for _, angle in said], table["ra_deg"], rtol=0.0, atol=1e-10)
+    angles = [line.split(" = ")[1].split() for line in text.splitlines() if line.startswith("ANGLE_1")]
+    assert [epoch for epoch, _ in angles] == list(table["epoch_utc"])
+    np.testing.assert_allclose([float(angle) for _, angle in angles], table["ra_deg"], rtol=0.0, atol=1e-10)
     assert list(table["epoch_tai_ns"]) == made.t_tai_ns.tolist()
     assert list(table["end"]) == ["end 0", "end 1", "end 0"]
     assert list(table["epoch_of"]) == ["shutter open", "shutter close", "shutter open"]
@@ -64,6 +64,16 @@ def test_rows_are_those_of_the_message() -> None:
     assert table.meta["observer"] == "observer.oem"
     assert "shared[i] @ shared[j]" in table.meta["covariance"]
     assert "TRACK_ID = " + table["track_id"][0] in text
+
+
+def test_the_interval_of_a_change_point_is_narrower_than_its_sigma() -> None:
+    """Exponential tails hold 76 % within a standard deviation; where no interval is stated, it is that of a normal error."""
+    made, members = measured(17)
+    table = tdm_angles_table([made], [members], headers(), ProductOptions(), oem_name="observer.oem")
+    assert list(table["half68_along_arcsec"]) == [1.0, 1.5, 2.0]
+    stated = replace(made, half68_along_arcsec=np.array([0.8, 1.5, 1.4]))
+    table = tdm_angles_table([stated], [members], headers(), ProductOptions(), oem_name="observer.oem")
+    assert list(table["half68_along_arcsec"]) == [0.8, 1.5, 1.4]
 
 
 def test_errors_east_and_north_are_those_along_and_across_turned() -> None:

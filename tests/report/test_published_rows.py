@@ -60,6 +60,7 @@ def test_a_run_ends_with_its_figures_and_with_what_is_bad() -> None:
     score["astrometry"] = {"along_rms_arcsec": figure(27.7, 173, 2.7, 45.1)}
     text = closing_text(score, {})
     assert "along-track (arcsec rms)" in text
+    assert "Published files miss what they should be (see docs/products.md):" in text.splitlines()
     assert "27.70  [2.700, 45.10]  (n = 173)" in text
     last = text.splitlines()[-1]
     assert last.endswith("0.7400  [0.6000, 0.9000], should be 0")

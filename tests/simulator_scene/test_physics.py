@@ -364,7 +364,7 @@ def default_window():
     return Window(
         observer_km=position, velocity_km_s=velocity, attitude=attitude, sun_km=earth.sun_position_km(tai_ns),
         half_row=2048 * 9e-6 / 0.4, half_col=2048 * 9e-6 / 0.4, duration_s=6.0, exposure_s=0.2, flux_e_s=4.7e8,
-        focal_px=44444.0, sigma_px=0.85, noise_variance_e2=8.1, aperture_m=0.2, light=LightOptions(),
+        focal_px=44444.0, sigma_px=0.85, noise_variance_e2=8.1, aperture_m=0.2, effects=LightOptions(),
     )  # fmt: skip
 
 

@@ -21,18 +21,18 @@ def checksum(line):
 def words_of(capsys, tmp_path, *overrides):
     arguments = [word for override in (*SMALL, *overrides) for word in ("--set", override)]
     assert run(["run", "smoke", "--out", str(tmp_path / "run"), *arguments]) == 2
-    said = [line for line in capsys.readouterr().err.splitlines() if line.startswith("sboc: ")]
-    assert len(said) == 1
-    return said[0]
+    refusals = [line for line in capsys.readouterr().err.splitlines() if line.startswith("sboc: ")]
+    assert len(refusals) == 1
+    return refusals[0]
 
 
 def test_an_element_set_that_sgp4_refuses(tmp_path, capsys):
     lines = [checksum(line.ljust(68, "0")) for line in DECAYED]
     file = tmp_path / "decayed.tle"
     file.write_text("0 DECAYED\n" + "\n".join(lines) + "\n")
-    said = words_of(capsys, tmp_path, f'objects.satellites.file="{file}"', 'objects.satellites.names=["DECAYED"]')
-    assert "satellite 'DECAYED'" in said
-    assert "refused by SGP4" in said
+    refusals = words_of(capsys, tmp_path, f'objects.satellites.file="{file}"', 'objects.satellites.names=["DECAYED"]')
+    assert "satellite 'DECAYED'" in refusals
+    assert "refused by SGP4" in refusals
 
 
 @pytest.mark.parametrize(
@@ -59,6 +59,6 @@ def test_a_catalogue_without_stars_in_the_field(tmp_path, capsys, monkeypatch):
         return stars.take(np.zeros(len(stars), dtype=bool))
 
     monkeypatch.setattr(StarCatalogue, "cone", without_any)
-    said = words_of(capsys, tmp_path)
-    assert "star catalogue Tycho-2" in said
-    assert "covers the field" in said
+    refusals = words_of(capsys, tmp_path)
+    assert "star catalogue Tycho-2" in refusals
+    assert "covers the field" in refusals

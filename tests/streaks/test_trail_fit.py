@@ -18,19 +18,8 @@ from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit, StreakPixels
 from sboc_e2e.icd.signals import Detection
 from sboc_e2e.icd.steps import StreakFitter
-from tests.streaks.trail_rendering import (
-    PSF_SIGMA_PX,
-    READ_NOISE_E,
-    SKY_E,
-    VARIANCE_E2,
-    Exposure,
-    Trail,
-    attainable_px,
-    expose,
-    render,
-    residuals,
-    trail_at,
-)
+from tests.streaks import trail_rendering
+from tests.streaks.trail_rendering import READ_NOISE_E, SKY_E, Exposure, Trail, attainable_px, expose, residuals, trail_at
 
 FITTER = TrailedPsfFitter()
 CASES = 600
@@ -215,7 +204,7 @@ def test_jitter_does_not_cost_flux() -> None:
     exposure = expose(rng, trail_at(rng, 400.0, wiggle_px=0.7, cycles=3.0), 80.0)
     fit = fit_of(exposure)
     assert fit.flux_e == pytest.approx(exposure.trail.flux_e, rel=4.0 * fit.flux_err_e / fit.flux_e)
-    assert fit.width_px == pytest.approx(PSF_SIGMA_PX, abs=0.12)
+    assert fit.width_px == pytest.approx(trail_rendering.PSF_SIGMA_PX, abs=0.12)
 
 
 @pytest.mark.parametrize("star_e", [300.0, 3000.0, 30000.0])
@@ -225,7 +214,7 @@ def test_stars_under_the_trail_are_left_out(star_e: float) -> None:
     exposure = expose(rng, trail_at(rng, 150.0, angle_rad=0.5), 30.0)
     trail = exposure.trail
     star = Trail(row0=trail.row0 + 35.3, col0=trail.col0 + 64.4, row1=trail.row0 + 35.3, col1=trail.col0 + 64.41, flux_e=star_e)
-    extra = rng.poisson(render(star, exposure.pixels.row, exposure.pixels.col))
+    extra = rng.poisson(trail_rendering.render(star, exposure.pixels.row, exposure.pixels.col))
     fit = FITTER.fit(replace(exposure.pixels, value_e=exposure.pixels.value_e + extra), exposure.detection)
     assert StreakFlag.CROSSES_STAR in fit.flags
     assert abs(fit.flux_e - trail.flux_e) < 4.0 * fit.flux_err_e
@@ -247,7 +236,7 @@ def test_a_crossing_streak_is_left_out() -> None:
         col1=middle[1] + 10.0,
         flux_e=3.0 * exposure.trail.flux_e,
     )
-    extra = rng.poisson(render(other, exposure.pixels.row, exposure.pixels.col))
+    extra = rng.poisson(trail_rendering.render(other, exposure.pixels.row, exposure.pixels.col))
     fit = FITTER.fit(replace(exposure.pixels, value_e=exposure.pixels.value_e + extra), exposure.detection)
     assert abs(fit.flux_e - exposure.trail.flux_e) < 5.0 * fit.flux_err_e
     assert abs(errors_of(exposure, fit)[2]) < 5.0 * fit.sigma_cross_px
@@ -304,7 +293,7 @@ def test_saturated_pixels_of_infinite_variance_cost_information_not_flux() -> No
     rng = np.random.default_rng(14)
     exposure = expose(rng, trail_at(rng, 80.0), 60.0)
     # the core of a third of the trail, chosen by its expected light and not by its noise
-    mean = render(exposure.trail, exposure.pixels.row, exposure.pixels.col)
+    mean = trail_rendering.render(exposure.trail, exposure.pixels.row, exposure.pixels.col)
     bright = (mean > 0.5 * mean.max()) & (exposure.pixels.col < np.quantile(exposure.pixels.col, 0.45))
     variance = np.where(bright, np.inf, exposure.pixels.variance_e2)
     value = np.where(bright, 1e9, exposure.pixels.value_e)
@@ -346,8 +335,8 @@ def test_hopeless_pixels_give_a_flagged_fit_not_an_exception(trouble: str) -> No
         row=p.row[keep],
         col=p.col[keep],
         value_e=np.broadcast_to(value, p.value_e.shape)[keep],
-        variance_e2=np.full(p.row.shape, np.inf if trouble == "infinite variance" else VARIANCE_E2)[keep],
-        psf_sigma_px=PSF_SIGMA_PX,
+        variance_e2=np.full(p.row.shape, np.inf if trouble == "infinite variance" else trail_rendering.VARIANCE_E2)[keep],
+        psf_sigma_px=trail_rendering.PSF_SIGMA_PX,
         frame_shape=(4096, 4096),
     )
     fit = FITTER.fit(pixels, exposure.detection)

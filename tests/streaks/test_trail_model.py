@@ -6,23 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ground.streaks import trail_model
 from ground.streaks.centre_line import effective_width_px
 from ground.streaks.trail_frame import TrailFrame
-from ground.streaks.trail_model import (
-    DENSITY,
-    END0,
-    END1,
-    LN_WIDTH,
-    N_PARAMETERS,
-    PIXEL_VARIANCE_PX2,
-    Q1,
-    SAGITTA,
-    SLOPE,
-    V_MID,
-    accumulate,
-    mean_all,
-    quartic_px4,
-)
+from ground.streaks.trail_model import DENSITY, END0, END1, LN_WIDTH, N_PARAMETERS, Q1, SAGITTA, SLOPE, V_MID
 from tests.streaks.trail_rendering import Trail, render, strip, trail_at
 
 
@@ -35,8 +22,8 @@ def model_image(trail: Trail, row: np.ndarray, col: np.ndarray) -> np.ndarray:
     p[DENSITY], p[END0], p[END1] = trail.flux_e / trail.length_px, -half, half
     p[LN_WIDTH] = math.log(effective_width_px(trail.sigma_px))
     p[SAGITTA], p[V_MID], p[Q1] = trail.sagitta_px, 2.0 / 3.0 * trail.sagitta_px, 0.5 * trail.gradient
-    quartic = quartic_px4(frame.angle_rad)
-    return mean_all(p, u, v, half, 0.0, 0.0, quartic)
+    quartic = trail_model.quartic_px4(frame.angle_rad)
+    return trail_model.mean_all(p, u, v, (half, 0.0, 0.0, quartic))
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 13.0, 45.0, 88.0])
@@ -69,11 +56,11 @@ def test_score_and_fisher_matrix_match_finite_differences() -> None:
     p = np.array([30.0, -10.3, 11.2, 0.2, 0.3, 0.4, 0.15, -0.1, math.log(0.95)])
     index = np.arange(N_PARAMETERS)
     gradient, fisher = np.empty(N_PARAMETERS), np.empty((N_PARAMETERS, N_PARAMETERS))
-    half = 11.0
-    accumulate(p, u, v, value, variance, 0.0, half, 0.3, 0.5, 0.0, index, gradient, fisher)
+    lengths = (11.0, 0.3, 0.5, 0.0)
+    trail_model.accumulate(p, u, v, value, variance, lengths, index, gradient, fisher)
 
     def image(q: np.ndarray) -> np.ndarray:
-        return mean_all(q, u, v, half, 0.3, 0.5, 0.0)
+        return trail_model.mean_all(q, u, v, lengths)
 
     mean = image(p)
     used = mean > 1e-4 * mean.max()  # both sides leave out pixels beyond 4.5 widths
@@ -97,7 +84,8 @@ def test_an_end_beyond_the_image_has_no_score() -> None:
     p[DENSITY], p[END0], p[END1], p[LN_WIDTH] = 10.0, -1e7, 5.0, 0.0
     gradient, fisher = np.empty(2), np.empty((2, 2))
     u, v = np.linspace(-20.0, 10.0, 90), np.zeros(90)
-    accumulate(p, u, v, np.ones(90), np.ones(90), 0.0, 10.0, 0.0, 0.0, 0.0, np.array([END0, SLOPE]), gradient, fisher)
+    index, ones = np.array([END0, SLOPE]), np.ones(90)
+    trail_model.accumulate(p, u, v, ones, ones, (10.0, 0.0, 0.0, 0.0), index, gradient, fisher)
     assert gradient[0] == 0.0
     assert fisher[0, 0] == 0.0
 
@@ -122,6 +110,6 @@ def test_pixel_variance_is_that_of_a_unit_square() -> None:
     x = (np.arange(1000) + 0.5) / 1000 - 0.5
     a, b = np.meshgrid(x, x)
     for angle in (0.0, 0.3, 0.7):
-        assert np.var(a * math.cos(angle) + b * math.sin(angle)) == pytest.approx(PIXEL_VARIANCE_PX2, rel=1e-5)
-        fourth = np.mean((a * math.cos(angle) + b * math.sin(angle)) ** 4) - 3.0 * PIXEL_VARIANCE_PX2**2
-        assert fourth == pytest.approx(quartic_px4(angle), rel=1e-4)
+        assert np.var(a * math.cos(angle) + b * math.sin(angle)) == pytest.approx(trail_model.PIXEL_VARIANCE_PX2, rel=1e-5)
+        fourth = np.mean((a * math.cos(angle) + b * math.sin(angle)) ** 4) - 3.0 * trail_model.PIXEL_VARIANCE_PX2**2
+        assert fourth == pytest.approx(trail_model.quartic_px4(angle), rel=1e-4)

@@ -144,6 +144,32 @@ def test_what_turbulence_does_to_a_bright_trail_is_no_evidence_against_it(
     assert LikelihoodVetter().probability([ragged], frame)[0] < LikelihoodVetter(model_error=0.2).probability([ragged], frame)[0]
 
 
+def test_a_trail_is_no_less_real_for_being_brighter_than_any_that_was_simulated(
+    fits: dict[str, list[StreakFit]], frame: DownlinkFrame
+) -> None:
+    """Where stars tell the PSF too: debris ends at S/N 400, and satellites of S/N 700 were vetoed."""
+    vetter, bright = LikelihoodVetter(model_error=0.2), max(fits["real"], key=lambda fit: fit.snr)
+    probability = [vetter.probability([replace(bright, snr=snr)], frame)[0] for snr in (100.0, 700.0, 7000.0)]
+    assert min(probability) > 0.9
+    assert probability[2] > probability[0] - 0.01
+
+
+def test_what_recurs_speaks_against_its_own_kind_and_not_against_a_long_bright_trail(
+    fits: dict[str, list[StreakFit]], frame: DownlinkFrame
+) -> None:
+    """59 arcs of dust rings, 25 px long at S/N 20, raised one flat rate and vetoed a trail of 1,274 px (p 0.23 here)."""
+    real = max(fits["real"], key=lambda fit: fit.snr)
+    flags = real.flags | StreakFlag.STATIC
+    arc = replace(real, row0=10.0, col0=10.0, row1=25.0, col1=30.0, snr=20.0, width_px=3.0 * real.width_px, flags=flags)
+    trail = replace(real, row0=0.0, col0=0.0, row1=900.0, col1=900.0, snr=25.0, width_px=2.0 * real.width_px)
+    vetter = LikelihoodVetter(model_error=0.2)
+    among = vetter.probability([*[arc] * 59, trail], frame)
+    assert among[:59].max() < 0.1
+    assert among[59] > 0.5, "published"
+    alike = replace(arc, flags=real.flags)
+    assert vetter.probability([*[arc] * 59, alike], frame)[59] < vetter.probability([alike], frame)[0]
+
+
 def test_a_trail_found_twice_is_published_once(fits: dict[str, list[StreakFit]]) -> None:
     """The fainter of two fits on the same line, and a piece of it; another one beside it stays."""
     bright = max((fit for fit in fits["real"] if fit.length_px > 40.0), key=lambda fit: fit.snr)

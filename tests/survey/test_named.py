@@ -15,7 +15,7 @@ from simulator.camera import Camera
 from simulator.fleet_passages import fleet_block, series
 from simulator.platform.kepler import elements_deg, state_of
 from simulator.scene.cast import make_cast
-from simulator.scene.prediction import predict_crossings
+from simulator.scene.prediction import Watch, predict_crossings
 from simulator.scene.satellites import propagate, read_satellites
 from simulator.survey import Flight
 
@@ -50,10 +50,11 @@ def test_crossings_of_a_catalogue_are_those_of_the_prediction() -> None:
     )
     assert f.fleet is not None
     found = fleet_block(f, f.fleet, 0, 50_000.0)
-    theirs = predict_crossings(
-        list(f.fleet.satellites), f.carrier.observer, f.carrier.attitude, f.camera.projection, f.camera.shape,
-        f.carrier.epoch_tai_ns, 600.0, 1_200.0, 50_000.0,
-    ).crossings  # fmt: skip
+    watch = Watch(
+        observer=f.carrier.observer, attitude=f.carrier.attitude, projection=f.camera.projection, shape=f.camera.shape,
+        epoch_tai_ns=f.carrier.epoch_tai_ns, from_s=600.0, to_s=1_200.0, farthest_km=50_000.0,
+    )  # fmt: skip
+    theirs = predict_crossings(list(f.fleet.satellites), watch).crossings
     number = {id(s): k for k, s in enumerate(f.fleet.satellites)}
     inside = [c for c in theirs if c.rate_deg_s > 0.11 and c.enter_s > 610.0 and c.leave_s < 1_190.0]
     assert len(inside) > 30

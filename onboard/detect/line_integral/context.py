@@ -81,7 +81,7 @@ def with_context(detection: Detection, view: DetectorView, is_star: NDArray[np.b
         both_arms = (beyond <= -ARM_SHARE * length) & (np.maximum(along, length - along) < arm)
         if (bright & aims & (begins | both_arms)).any():
             flags |= StreakFlag.SPIKE_LIKE
-    return replace(detection, flags=flags)
+    return detection if flags == detection.flags else replace(detection, flags=flags)
 
 
 @njit(cache=True)

@@ -120,14 +120,14 @@ def line_sums(
     best = np.zeros(cols // CELL + full // CELL + 2, np.float32)
     place = np.zeros((cols // CELL + full // CELL + 2, 2), np.int32)
     unit_scale = 1.0
-    for level in range(levels):
-        half = 1 << level
+    for doubling in range(levels):
+        half = 1 << doubling
         height = 2 * half
         pitch, next_pitch = cols + half, cols + height
         next_blocks = (blocks + 1) // 2
         searched = height >= min_rows
         level_start, room = n_found, max(2, max_found // levels)
-        rescale = level == 5 or level == 8
+        rescale = doubling == 5 or doubling == 8
         # long blocks fit a trail's length and slope less well, and there are few independent ones
         wanted = threshold_sigma - LONG_BLOCK_STEP * max(0.0, math.log2(height / 32.0))
         for first in range(blocks):
@@ -139,18 +139,18 @@ def line_sums(
             best[:] = 0.0
             hit = False
             for shift in range(height):
-                part = shift // 2
-                lag = shift - part
-                a0 = (first * half + part) * pitch
-                a = current[a0 : a0 + cols + part]
+                half_shift = shift // 2
+                lag = shift - half_shift
+                a0 = (first * half + half_shift) * pitch
+                a = current[a0 : a0 + cols + half_shift]
                 if kept:
                     o0 = (first // 2 * height + shift) * next_pitch
                     out = following[o0 : o0 + cols + shift]
                 else:
                     out = scratch[: cols + shift]
                 if last < blocks:
-                    b0 = (last * half + part) * pitch
-                    peak = _merge_row(a, current[b0 : b0 + cols + part], out, lag)
+                    b0 = (last * half + half_shift) * pitch
+                    peak = _merge_row(a, current[b0 : b0 + cols + half_shift], out, lag)
                 else:
                     out[:lag] = 0
                     out[lag:] = a

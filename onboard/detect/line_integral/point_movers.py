@@ -228,7 +228,7 @@ def fit_short_trail(
     for _ in range(MOST_MOVES):
         if step <= 0.2:
             break
-        moved = False
+        improved = False
         for parameter in range(4):
             if length == 0.0 and parameter == 2:
                 continue
@@ -239,8 +239,8 @@ def fit_short_trail(
                 n = min(max(0.0, length + (sign * 2.0 * step if parameter == 3 else 0.0)), LONGEST_FIT_PX)
                 trial = _short_snr(image, blocked, ignored, r, c, math.sin(a), math.cos(a), n, psf_sigma_px)
                 if trial > snr + (0.05 if parameter == 3 and sign > 0.0 else 1e-3):
-                    snr, row, col, angle, length, moved = trial, r, c, a, n, True
-        if not moved:
+                    snr, row, col, angle, length, improved = trial, r, c, a, n, True
+        if not improved:
             step *= 0.5
     return snr, row, col, angle, length
 

@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.detect.cross_profile import cross_profile
-from onboard.detect.line_integral.corridor import BENT_PX
 from onboard.detect.line_integral.strip import Strip, cross_sections, gather, minor_at, path_sums
 from onboard.detect.whiten import FOUND_BIT, POINT_BIT
 
@@ -70,7 +69,7 @@ def polish(
     level: NDArray[np.float32],
     tile_px: int,
     segment: NDArray[np.float64],
-    bends: bool,
+    bent_from_px: float,
     psf_sigma_px: float,
     signal: NDArray[np.float64],
     weight: NDArray[np.float64],
@@ -78,7 +77,8 @@ def polish(
 ) -> float:
     """Maximise the matched filter over a segment (major0, minor0, major1, minor1, sagitta), in place; returns the S/N.
 
-    bends : whether the sagitta is free.
+    bent_from_px : the sagitta of segments at least this long is free. It is a number and no truth value, which as a literal would
+    have numba compile each case.
     """
     values, usable, clean, corner, shift, table, norms = strip
     trial = np.empty(5)
@@ -94,12 +94,12 @@ def polish(
             low, n = gather(image, blocked, level, tile_px, segment, extend, values, usable, clean, corner, shift)
         first, last = max(0, math.ceil(segment[0]) - low), min(n, math.floor(segment[2]) + 1 - low)
         for _ in range(6):
-            moved = False
+            improved = False
             slope = (segment[3] - segment[1]) / max(segment[2] - segment[0], 1e-6)
             cross_sections(slope, psf_sigma_px, table, norms)
             snr = path_sums(values, usable, clean, corner, shift, first, last, low, segment, table, norms, signal, weight)
             for parameter in range(4):
-                if parameter == 3 and not (bends and segment[2] - segment[0] >= BENT_PX):
+                if parameter == 3 and segment[2] - segment[0] < bent_from_px:
                     continue
                 for sign in (-1.0, 1.0):
                     trial[:] = segment
@@ -111,10 +111,10 @@ def polish(
                         trial[4] += sign * step
                     value = path_sums(values, usable, clean, corner, shift, first, last, low, trial, table, norms, signal, weight)
                     if value > snr + 1e-3:
-                        snr, moved = value, True
+                        snr, improved = value, True
                         segment[:] = trial
                         break
-            if not moved:
+            if not improved:
                 break
         whole = path_sums(values, usable, clean, corner, shift, 0, n, low, segment, table, norms, signal, weight)
         if whole < -1e8:  # the segment has turned so far that its extension leaves the strip
@@ -224,6 +224,25 @@ def blank_stars_on_path(
 
 
 @nb.njit(cache=True)
+def profile_of(
+    image: NDArray[np.int8],
+    blocked: NDArray[np.uint8],
+    level: NDArray[np.float32],
+    tile_px: int,
+    psf_sigma_px: float,
+    segment: NDArray[np.float64],
+    signal: NDArray[np.float64],
+    weight: NDArray[np.float64],
+) -> int:
+    """Cross profile of a segment (`cross_profile`) into `signal` and `weight`; the number of its lines."""
+    major0, minor0, major1, minor1, sagitta = segment[0], segment[1], segment[2], segment[3], segment[4]
+    _, n = cross_profile(
+        image, blocked, level, tile_px, major0, minor0, major1, minor1, sagitta, 0, psf_sigma_px, signal, weight
+    )  # fmt: skip
+    return n
+
+
+@nb.njit(cache=True)
 def looks_like_trail(
     image: NDArray[np.int8],
     smooth: NDArray[np.int8],
@@ -238,21 +257,7 @@ def looks_like_trail(
     points: NDArray[np.float64],
 ) -> bool:
     """Whether a segment is better explained by one trail than by two point sources, and evenly bright along its quarters."""
-    _, n = cross_profile(
-        image,
-        blocked,
-        level,
-        tile_px,
-        segment[0],
-        segment[1],
-        segment[2],
-        segment[3],
-        segment[4],
-        0,
-        psf_sigma_px,
-        signal,
-        weight,
-    )
+    n = profile_of(image, blocked, level, tile_px, psf_sigma_px, segment, signal, weight)
     uneven = quarters(signal, weight, n)
     brightest_points(smooth, segment, 4.7 * psf_sigma_px, points)
     two_points = points[0, 2] ** 2 + points[1, 2] ** 2

@@ -1,13 +1,12 @@
 """Candidates, best first -> trails: refined, cleaned of stars on the way, tested, and taken out before the next one."""
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.detect.cross_profile import cross_profile
 from onboard.detect.line_integral import corridor, refine
 from onboard.detect.line_integral.strip import Strip
 from onboard.detect.whiten import FOUND_BIT
@@ -40,6 +39,38 @@ SHARP_LOSS: Final = 0.15
 """What a template with sharp ends may cost a line shorter than that, which is fitted again with blurred ones."""
 
 
+class Planes(NamedTuple):
+    """Images with the segments' major axis along rows: image and smooth in sigma/16, blocked (bits), mesh of the level."""
+
+    image: NDArray[np.int8]
+    smooth: NDArray[np.int8]
+    blocked: NDArray[np.uint8]
+    level: NDArray[np.float32]
+
+
+class Asked(NamedTuple):
+    """What is asked of a trail: its PSF, the share of pixels that are not masked, S/N at the end and at first, length."""
+
+    psf_sigma_px: float
+    usable: float
+    n_sigma: float
+    first_sigma: float
+    min_length_px: float
+
+
+class Space(NamedTuple):
+    """Arrays that `accept` works in; `segment` (5,) is the trail it found."""
+
+    segment: NDArray[np.float64]
+    straight: NDArray[np.float64]
+    sums: NDArray[np.int32]
+    counts: NDArray[np.int32]
+    signal: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    points: NDArray[np.float64]
+    strip: Strip
+
+
 @nb.njit(cache=True)
 def _wanted_sigma(n_sigma: float, length_px: float) -> float:
     return n_sigma - (SHARP_LOSS if length_px < SHARP_ENDS_PX else 0.0)
@@ -67,25 +98,11 @@ def length_inside(segment: NDArray[np.float64], n_minor: int) -> float:
 
 @nb.njit(cache=True)
 def accept(
-    image: NDArray[np.int8],
-    smooth: NDArray[np.int8],
-    blocked: NDArray[np.uint8],
-    level: NDArray[np.float32],
+    planes: Planes,
     tile_px: int,
     candidate: NDArray[np.float64],
-    psf_sigma_px: float,
-    usable: float,
-    n_sigma: float,
-    first_sigma: float,
-    min_length_px: float,
-    segment: NDArray[np.float64],
-    straight: NDArray[np.float64],
-    sums: NDArray[np.int32],
-    counts: NDArray[np.int32],
-    signal: NDArray[np.float64],
-    weight: NDArray[np.float64],
-    points: NDArray[np.float64],
-    strip: Strip,
+    asked: Asked,
+    space: Space,
     work: NDArray[np.int64],
     located: NDArray[np.float64],
 ) -> float:
@@ -96,6 +113,9 @@ def accept(
     The trail, and stars that were not in the star list but lie on the way, are taken out of the images. work (1,) : grows by
     what was done, in pixels read, as the length of the candidate tells.
     """
+    image, smooth, blocked, level = planes
+    psf_sigma_px, usable, n_sigma, first_sigma, min_length_px = asked
+    segment, straight, sums, counts, signal, weight, points, strip = space
     length_px = candidate[2] - candidate[0]
     work[0] += LOCATE_WORK + int(LOCATE_WORK_PER_PX * length_px)
     located[4] = corridor.locate(smooth, candidate, psf_sigma_px, usable, first_sigma, segment, sums, counts)
@@ -103,27 +123,13 @@ def accept(
     if located[4] < first_sigma:
         return 0.0
     # one exact sum before the search over all parameters, which is costly
-    _, n = cross_profile(
-        image,
-        blocked,
-        level,
-        tile_px,
-        segment[0],
-        segment[1],
-        segment[2],
-        segment[3],
-        segment[4],
-        0,
-        psf_sigma_px,
-        signal,
-        weight,
-    )
+    n = refine.profile_of(image, blocked, level, tile_px, psf_sigma_px, segment, signal, weight)
     if refine.profile_snr(signal, weight, n) < n_sigma - POLISH_GAIN:
         return 0.0
     snr, length = 0.0, 0.0
     for _ in range(4):
         work[0] += int(POLISH_WORK_PER_PX * (segment[2] - segment[0] + 24.0))
-        snr = refine.polish(image, blocked, level, tile_px, segment, True, psf_sigma_px, signal, weight, strip)
+        snr = refine.polish(image, blocked, level, tile_px, segment, corridor.BENT_PX, psf_sigma_px, signal, weight, strip)
         length = length_inside(segment, image.shape[1])
         wanted = _wanted_sigma(n_sigma, length)
         if snr < wanted or length < min_length_px:
@@ -133,7 +139,7 @@ def accept(
             straight[1] += 2.0 / 3.0 * segment[4]
             straight[3] += 2.0 / 3.0 * segment[4]
             straight[4] = 0.0
-            snr_straight = refine.polish(image, blocked, level, tile_px, straight, False, psf_sigma_px, signal, weight, strip)
+            snr_straight = refine.polish(image, blocked, level, tile_px, straight, math.inf, psf_sigma_px, signal, weight, strip)
             if snr * snr - BEND_GAIN < max(snr_straight, wanted) ** 2:
                 segment[:], snr = straight, snr_straight
                 length = length_inside(segment, image.shape[1])
@@ -197,7 +203,9 @@ def resolve(
     Returns (m, 7): axis, major0, minor0, major1, minor1, sagitta along minor (px), S/N; the number of seeds; the work done; and
     how many candidates were left.
     """
-    image_t, smooth_t, blocked_t, level_t = image.T, smooth.T, blocked.T, level.T
+    planes = Planes(image, smooth, blocked, level)
+    planes_t = Planes(image.T, smooth.T, blocked.T, level.T)
+    asked = Asked(psf_sigma_px, usable, n_sigma, first_sigma, min_length_px)
     found = np.empty((max_found, 7))
     n_found = 0
     sums = np.empty((corridor.PIECES, corridor.OFFSETS), np.int32)
@@ -206,6 +214,7 @@ def resolve(
     weight = np.empty(max(image.shape) + 1)
     work = np.zeros(1, np.int64)
     segment, straight, points = np.empty(5), np.empty(5), np.zeros((2, 3))
+    space = Space(segment, straight, sums, counts, signal, weight, points, strip)
     located, n_seeds, n_left = np.zeros(5), 0, 0
     for c in range(candidates.shape[0]):
         if n_found == max_found or work[0] > most_work:
@@ -214,56 +223,12 @@ def resolve(
         work[0] += TAKEN_WORK
         located[4] = -1.0
         snr = 0.0
-        if taken(blocked if candidates[c, 0] == 0.0 else blocked_t, candidates[c, 1:5]):
+        if taken(blocked if candidates[c, 0] == 0.0 else planes_t.blocked, candidates[c, 1:5]):
             continue
         if candidates[c, 0] == 0.0:
-            snr = accept(
-                image,
-                smooth,
-                blocked,
-                level,
-                tile_px,
-                candidates[c, 1:5],
-                psf_sigma_px,
-                usable,
-                n_sigma,
-                first_sigma,
-                min_length_px,
-                segment,
-                straight,
-                sums,
-                counts,
-                signal,
-                weight,
-                points,
-                strip,
-                work,
-                located,
-            )
+            snr = accept(planes, tile_px, candidates[c, 1:5], asked, space, work, located)
         else:
-            snr = accept(
-                image_t,
-                smooth_t,
-                blocked_t,
-                level_t,
-                tile_px,
-                candidates[c, 1:5],
-                psf_sigma_px,
-                usable,
-                n_sigma,
-                first_sigma,
-                min_length_px,
-                segment,
-                straight,
-                sums,
-                counts,
-                signal,
-                weight,
-                points,
-                strip,
-                work,
-                located,
-            )
+            snr = accept(planes_t, tile_px, candidates[c, 1:5], asked, space, work, located)
         if n_seeds < seeds.shape[0] and located[4] >= seed_sigma:
             seeds[n_seeds, 0] = candidates[c, 0]
             seeds[n_seeds, 1:] = located

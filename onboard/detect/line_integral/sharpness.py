@@ -52,6 +52,9 @@ CLEAR_SHARE: Final = 0.1
 """Where the PSF explains the light better by so much, and this share of its squared S/N, on the path as it was found, no search
 for a better one turns that round; nor where the narrow cross-section does by three times as much beyond what is asked for."""
 
+RIDGE_PX: Final = 0.75
+"""A path lies on the light when no end can be moved so far across and gain."""
+
 REACH_SIGMAS: Final = 3.5
 """Cross-sections are summed out to so many of their widths."""
 
@@ -197,6 +200,29 @@ def best_path(
 
 
 @nb.njit(cache=True)
+def on_ridge(
+    values: NDArray[np.float64],
+    corner: NDArray[np.float64],
+    minor: float,
+    slope: float,
+    width_px: float,
+    signal: NDArray[np.float64],
+    weight: NDArray[np.float64],
+) -> bool:
+    """Whether the light of all lines is brightest on a path, and not beside it or across it. signal, weight : work space."""
+    n = values.shape[0]
+    span = max(n - 1.0, 2.0)
+    use = np.ones(n, np.bool_)
+    line_sums(values, corner, n, minor, slope, width_px, signal, weight)
+    here = _total(signal, weight, use)
+    for d0, d1 in ((RIDGE_PX, RIDGE_PX), (-RIDGE_PX, -RIDGE_PX), (RIDGE_PX, -RIDGE_PX), (-RIDGE_PX, RIDGE_PX)):
+        line_sums(values, corner, n, minor + d0, slope + (d1 - d0) / span, width_px, signal, weight)
+        if _total(signal, weight, use) > here:
+            return False
+    return True
+
+
+@nb.njit(cache=True)
 def keep_even_lines(signal: NDArray[np.float64], weight: NDArray[np.float64], use: NDArray[np.bool_]) -> None:
     """Leave out of `use` the lines whose light is far from that of the others; in place."""
     amplitude = signal / np.maximum(weight, 1e-6)
@@ -218,7 +244,7 @@ def both_snr(
 ) -> tuple[float, float]:
     """S/N of gathered lines with the wide and with the narrow cross-section; values are clipped in place.
 
-    sure : the path is that of the light, so that a clear answer on it needs no search.
+    sure : the path is meant to be that of the light; where it is, a clear answer needs no search.
     """
     n, width = values.shape
     use = np.ones(n, np.bool_)
@@ -235,11 +261,19 @@ def both_snr(
     line_sums(values, corner, n, minor, slope, narrow_px, signal, weight)
     narrow = _total(signal, weight, use)
     gain, clear = narrow * narrow - wide * wide, CLEAR_EVIDENCE + CLEAR_SHARE * wide * wide
-    if sure and (gain < -clear or gain > SHARP_EVIDENCE + 3.0 * clear):
+    if sure and gain > SHARP_EVIDENCE + 3.0 * clear:
+        return wide, narrow
+    # a bright track beside its path has nothing in the narrow cross-section, and more than it should in the wide one
+    if sure and gain < -clear and on_ridge(values, corner, minor, slope, wide_px, signal, weight):
         return wide, narrow
     use[:] = True
     _, minor, slope = best_path(values, corner, use, minor, slope, wide_px, ACROSS_PX, signal, weight)
     keep_even_lines(signal, weight, use)
+    wide = _total(signal, weight, use)
+    line_sums(values, corner, n, minor, slope, narrow_px, signal, weight)
+    narrow = _total(signal, weight, use)
+    if narrow * narrow - wide * wide > SHARP_EVIDENCE + 3.0 * (CLEAR_EVIDENCE + CLEAR_SHARE * wide * wide):
+        return wide, narrow
     _, minor, slope = best_path(values, corner, use, minor, slope, wide_px, ACROSS_AGAIN_PX, signal, weight)
     best_path(values, corner, use, minor, slope, narrow_px, ACROSS_AGAIN_PX, signal, weight)
     keep_even_lines(signal, weight, use)

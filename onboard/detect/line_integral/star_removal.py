@@ -150,7 +150,7 @@ def remove_static_stars(
 
 
 def star_light(
-    now: NDArray[np.float64], then: NDArray[np.float64], bright_per_px: float, psf_sigma_px: float
+    now: NDArray[np.float64], before: NDArray[np.float64], bright_per_px: float, psf_sigma_px: float
 ) -> NDArray[np.float64]:
     """What to take for a star's light, (n,) in S/N, where smoothed frames have a common maximum of S/N now and then.
 
@@ -162,15 +162,15 @@ def star_light(
     bright_per_px : stars above SUBTRACT_SNR per px, from which star(S) follows. noise(S) : maxima of smoothed noise per px and
     S/N (Adler & Taylor 2007, leading term).
     """
-    noise = then * (then**2 - 1.0) * np.exp(-0.5 * then**2) / (2.0 * psf_sigma_px**2 * (2.0 * math.pi) ** 1.5)
-    star = COUNTS_SLOPE / SUBTRACT_SNR * bright_per_px * (then / SUBTRACT_SNR) ** (-1.0 - COUNTS_SLOPE)
+    noise = before * (before**2 - 1.0) * np.exp(-0.5 * before**2) / (2.0 * psf_sigma_px**2 * (2.0 * math.pi) ** 1.5)
+    star = COUNTS_SLOPE / SUBTRACT_SNR * bright_per_px * (before / SUBTRACT_SNR) ** (-1.0 - COUNTS_SLOPE)
 
     def likelihood(trail: float) -> NDArray[np.float64]:
         beside = now - trail
-        return noise * np.exp(-0.5 * beside**2) + math.sqrt(0.5) * star * np.exp(-0.25 * (beside - then) ** 2)
+        return noise * np.exp(-0.5 * beside**2) + math.sqrt(0.5) * star * np.exp(-0.25 * (beside - before) ** 2)
 
     gain = np.log(likelihood(TRAIL_LEVEL) / likelihood(0.0))
-    return np.clip(now - gain / TRAIL_LEVEL - 0.5 * TRAIL_LEVEL, 0.0, then)
+    return np.clip(now - gain / TRAIL_LEVEL - 0.5 * TRAIL_LEVEL, 0.0, before)
 
 
 def unlisted_stars(
@@ -209,11 +209,11 @@ def unlisted_stars(
             places,
             found,
         )
-    row, col, now, then = places[:found].T
-    clipped = now + then >= 2.0 * POINT_CLIP_SIGMA
+    row, col, now, earlier_snr = places[:found].T
+    clipped = now + earlier_snr >= 2.0 * POINT_CLIP_SIGMA
     whiten.blank_discs(image, blocked, row[clipped], col[clipped], np.full(int(clipped.sum()), CLIPPED_RADIUS_PX))
-    row, col, now, then = places[:found][~clipped].T
-    return np.column_stack([row, col, star_light(now, then, bright_per_px, psf_sigma_px)])
+    row, col, now, earlier_snr = places[:found][~clipped].T
+    return np.column_stack([row, col, star_light(now, earlier_snr, bright_per_px, psf_sigma_px)])
 
 
 def working_images(view: DetectorView, earlier: static_sky.EarlierFrame | None, *, halo_px: float) -> WorkingImages:

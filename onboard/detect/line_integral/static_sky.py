@@ -131,18 +131,17 @@ def segment_snr(
     mask: NDArray[np.uint8],
     sigma_adu: NDArray[np.float32],
     tile_px: int,
-    blocked: NDArray[np.uint8],
-    ignored: int,
-    level: NDArray[np.float32],
-    level_tile_px: int,
+    blanked: tuple[NDArray[np.uint8], int],
+    mesh: tuple[NDArray[np.float32], int],
     ends: NDArray[np.float64],
     psf_sigma_px: float,
 ) -> float:
     """S/N along a segment (row0, col0, row1, col1) of this frame, not clipped; NaN if most of its pixels are masked.
 
-    blocked : working mask; bits `ignored` (the segment's own blanking) do not count. level : mesh of the light that the
-    background left over, sigma/16.
+    blanked : working mask, and its bits that do not count (the segment's own blanking). mesh : the light that the background
+    left over, sigma/16, and its tiles' side, px.
     """
+    (blocked, ignored), (level, level_tile_px) = blanked, mesh
     signal = power = total = 0.0
     at_row, at_col, profile = lit_pixels(blocked, ignored, ends, psf_sigma_px)
     for k in range(profile.size):
@@ -161,10 +160,8 @@ def segment_snr_before(
     pixels: KeptPixels,
     transform: NDArray[np.float64],
     sky: NDArray[np.float64],
-    blocked: NDArray[np.uint8],
-    ignored: int,
-    level: NDArray[np.float32],
-    level_tile_px: int,
+    blanked: tuple[NDArray[np.uint8], int],
+    mesh: tuple[NDArray[np.float32], int],
     ends: NDArray[np.float64],
     psf_sigma_px: float,
 ) -> float:
@@ -173,6 +170,7 @@ def segment_snr_before(
     sky : transform from that place to where its stars are in this frame; pixels of masked ones are left out. NaN if most of the
     segment lies outside.
     """
+    (blocked, ignored), (level, level_tile_px) = blanked, mesh
     rows, cols = pixels[0].shape
     signal = power = total = 0.0
     at_row, at_col, profile = lit_pixels(blocked, ignored, ends, psf_sigma_px)
@@ -225,10 +223,10 @@ def subtracted_snr(
 
 
 @nb.njit(cache=True)
-def _count_static(now: NDArray[np.int8], then: NDArray[np.int8], each: int, both: int) -> int:
+def _count_static(now: NDArray[np.int8], before: NDArray[np.int8], each: int, both: int) -> int:
     count = np.int32(0)
     for i in range(now.shape[0]):
-        bright = (np.int16(now[i]) + np.int16(then[i]) > both) & (now[i] > each) & (then[i] > each)
+        bright = (np.int16(now[i]) + np.int16(before[i]) > both) & (now[i] > each) & (before[i] > each)
         count += np.int32(bright)
     return int(count)
 
@@ -243,7 +241,7 @@ def shifted_rows(transform: NDArray[np.float64], top: int, tile_px: int, cols: i
 @nb.njit(cache=True)
 def faint_static_stars(
     now: NDArray[np.int8],
-    then: NDArray[np.int8],
+    before: NDArray[np.int8],
     now_first: int,
     then_first: int,
     top: int,
@@ -274,16 +272,16 @@ def faint_static_stars(
             continue
         for row in range(max(top, 1, 1 - d_row), min(top + tile_px, rows - 1, rows - 1 - d_row)):
             i, m = row - now_first, row + d_row - then_first
-            if _count_static(now[i, first:last], then[m, first + d_col : last + d_col], each, both) == 0:
+            if _count_static(now[i, first:last], before[m, first + d_col : last + d_col], each, both) == 0:
                 continue
             for j in range(first, last):
-                a, b = np.int32(now[i, j]), np.int32(then[m, j + d_col])
+                a, b = np.int32(now[i, j]), np.int32(before[m, j + d_col])
                 if a <= each or b <= each or a + b <= both:
                     continue
                 peak = True
                 for di in range(-1, 2):
                     for dj in range(-1, 2):
-                        beside = np.int32(now[i + di, j + dj]) + np.int32(then[m + di, j + d_col + dj])
+                        beside = np.int32(now[i + di, j + dj]) + np.int32(before[m + di, j + d_col + dj])
                         # of equal neighbours the first one, unless both frames are at their clip: all of that plain counts
                         if beside > a + b or (beside == a + b < 2 * clip and (di < 0 or (di == 0 and dj < 0))):
                             peak = False

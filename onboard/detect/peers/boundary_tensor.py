@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.detect import components, whiten
+from onboard.detect.single_frame import SingleFrameDetector
 from sboc_e2e.icd.signals import Detection, DetectorView
 
 
@@ -57,7 +58,7 @@ def boundary_tensor(
 
 
 @dataclass(frozen=True, kw_only=True)
-class BoundaryTensorDetector:
+class BoundaryTensorDetector(SingleFrameDetector):
     """Components of pixels whose line-like boundary energy stands above that of the noise."""
 
     scale_px: float = field(default=1.5, metadata={"doc": "sigma of the tensor's Gaussian", "min": 0.5, "max": 20.0})
@@ -67,13 +68,6 @@ class BoundaryTensorDetector:
     min_length_px: float = field(default=10.0, metadata={"doc": "least length", "min": 2.0, "max": 1000.0})
     min_axis_ratio: float = field(default=2.5, metadata={"doc": "least ratio of the axes", "min": 1.0, "max": 100.0})
     min_snr: float = field(default=7.0, metadata={"doc": "least matched-filter S/N", "min": 0.0, "max": 1000.0})
-    halo_px: float = field(default=1.0, metadata={"doc": "star mask growth per sqrt(S/N / 100)", "min": 0.0, "max": 20.0})
-    max_detections: int = field(default=200, metadata={"doc": "most detections of a frame", "min": 1, "max": 10000})
-
-    @property
-    def history_frames(self) -> int:
-        """Works on single frames."""
-        return 0
 
     def detect(self, view: DetectorView) -> tuple[Detection, ...]:
         """Detections by falling S/N."""

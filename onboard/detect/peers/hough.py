@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from skimage.transform import probabilistic_hough_line
 
 from onboard.detect import components
+from onboard.detect.single_frame import SingleFrameDetector
 from sboc_e2e.icd.signals import Detection, DetectorView
 
 MOST_POINTS = 20_000
@@ -25,21 +26,13 @@ def line_segments(points: NDArray[np.bool_], *, votes: int, min_length_px: float
 
 
 @dataclass(frozen=True, kw_only=True)
-class HoughDetector:
+class HoughDetector(SingleFrameDetector):
     """Threshold, transform, join, at half resolution."""
 
     n_sigma: float = field(default=3.5, metadata={"doc": "threshold of the filtered image", "min": 1.0, "max": 100.0})
     votes: int = field(default=10, metadata={"doc": "pixels on a line", "min": 2, "max": 1000})
     min_length_px: float = field(default=20.0, metadata={"doc": "least length of a segment", "min": 2.0, "max": 1000.0})
     gap_px: float = field(default=8.0, metadata={"doc": "largest gap in a segment", "min": 0.0, "max": 100.0})
-    min_snr: float = field(default=7.5, metadata={"doc": "least matched-filter S/N", "min": 0.0, "max": 1000.0})
-    halo_px: float = field(default=1.0, metadata={"doc": "star mask growth per sqrt(S/N / 100)", "min": 0.0, "max": 20.0})
-    max_detections: int = field(default=200, metadata={"doc": "most detections of a frame", "min": 1, "max": 10000})
-
-    @property
-    def history_frames(self) -> int:
-        """Works on single frames."""
-        return 0
 
     def detect(self, view: DetectorView) -> tuple[Detection, ...]:
         """Detections by falling S/N."""

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.detect import components
+from onboard.detect.single_frame import SingleFrameDetector
 from sboc_e2e.icd.signals import Detection, DetectorView
 
 
@@ -24,21 +25,13 @@ def line_segments(image: NDArray[np.uint8], *, min_length_px: float) -> NDArray[
 
 
 @dataclass(frozen=True, kw_only=True)
-class LsdDetector:
+class LsdDetector(SingleFrameDetector):
     """OpenCV's LSD at half resolution."""
 
     stretch_sigma: float = field(
         default=12.0, metadata={"doc": "S/N per filtered pixel shown as white", "min": 1.0, "max": 100.0}
     )
     min_length_px: float = field(default=10.0, metadata={"doc": "least length of a segment", "min": 2.0, "max": 1000.0})
-    min_snr: float = field(default=7.5, metadata={"doc": "least matched-filter S/N", "min": 0.0, "max": 1000.0})
-    halo_px: float = field(default=1.0, metadata={"doc": "star mask growth per sqrt(S/N / 100)", "min": 0.0, "max": 20.0})
-    max_detections: int = field(default=200, metadata={"doc": "most detections of a frame", "min": 1, "max": 10000})
-
-    @property
-    def history_frames(self) -> int:
-        """Works on single frames."""
-        return 0
 
     def detect(self, view: DetectorView) -> tuple[Detection, ...]:
         """Detections by falling S/N."""

@@ -13,25 +13,18 @@ from photutils.segmentation import detect_sources
 from photutils.utils.exceptions import NoDetectionsWarning
 
 from onboard.detect import components, whiten
+from onboard.detect.single_frame import SingleFrameDetector
 from sboc_e2e.icd.signals import Detection, DetectorView
 
 
 @dataclass(frozen=True, kw_only=True)
-class SegmentationDetector:
+class SegmentationDetector(SingleFrameDetector):
     """Smooth, segment, select."""
 
     n_sigma: float = field(default=3.0, metadata={"doc": "threshold of the smoothed image", "min": 1.0, "max": 100.0})
     min_area_px: int = field(default=12, metadata={"doc": "least number of connected pixels", "min": 1, "max": 10000})
     min_length_px: float = field(default=10.0, metadata={"doc": "least length", "min": 2.0, "max": 1000.0})
     min_axis_ratio: float = field(default=2.5, metadata={"doc": "least ratio of the axes", "min": 1.0, "max": 100.0})
-    min_snr: float = field(default=7.5, metadata={"doc": "least matched-filter S/N", "min": 0.0, "max": 1000.0})
-    halo_px: float = field(default=1.0, metadata={"doc": "star mask growth per sqrt(S/N / 100)", "min": 0.0, "max": 20.0})
-    max_detections: int = field(default=200, metadata={"doc": "most detections of a frame", "min": 1, "max": 10000})
-
-    @property
-    def history_frames(self) -> int:
-        """Works on single frames."""
-        return 0
 
     def detect(self, view: DetectorView) -> tuple[Detection, ...]:
         """Detections by falling S/N."""

@@ -17,33 +17,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from sboc_e2e.icd.layout import (
-    RANS_CENTRE_CODES_PER_SIGMA,
-    RANS_CLASSES,
-    RANS_CODES_PER_OCTAVE,
-    RANS_ESCAPE,
-    RANS_HEAD,
-    RANS_LEAST_SIGMA,
-    RANS_LIMITS_SIGMA,
-    RANS_LOWEST_STATE,
-    RANS_NEIGHBOUR_LIMIT,
-    RANS_PLAIN_TOKENS,
-    RANS_SCALE,
-    RANS_STATE_BYTES,
-    RANS_STATES,
-    RANS_TOKENS,
-    CodecNumber,
-)
+from sboc_e2e.icd import ans
+from sboc_e2e.icd.layout import CodecNumber
 
-LOWEST = RANS_LOWEST_STATE
-SCALE = RANS_SCALE
-TOKENS = RANS_TOKENS
-PLAIN = RANS_PLAIN_TOKENS
-ESCAPE = RANS_ESCAPE
 LARGE = 0x8000
 """Bit of a symbol whose token the slow path works out."""
 
-CLIP = RANS_NEIGHBOUR_LIMIT
+CLIP = ans.NEIGHBOUR_LIMIT
 
 MOST_WORDS = 3
 """16-bit words that a value takes at most."""
@@ -89,14 +69,16 @@ def sky_of(values: NDArray[np.int32], level: int, start_sigma: float) -> tuple[f
         centre, sigma = mean, new_sigma
         if settled:
             break
-    return centre, max(sigma, RANS_LEAST_SIGMA)
+    return centre, max(sigma, ans.LEAST_SIGMA)
 
 
 @njit(cache=True)
 def _clipped(values: NDArray[np.int32], level: int, out: NDArray[np.int16]) -> None:
     """Values above the level as neighbours count them."""
     for col in range(values.size):
-        out[col] = np.int16(min(max(np.int32(values[col] - level), np.int32(-CLIP)), np.int32(CLIP)))
+        out[col] = np.int16(
+            min(max(np.int32(values[col] - level), np.int32(-ans.NEIGHBOUR_LIMIT)), np.int32(ans.NEIGHBOUR_LIMIT))
+        )
 
 
 @njit(cache=True)
@@ -105,7 +87,7 @@ def _tokens(values: NDArray[np.int32], level: int, out: NDArray[np.uint16]) -> N
     for col in range(values.size):
         difference = np.int32(values[col] - level)
         code = np.uint32((difference << 1) ^ (difference >> 31))
-        out[col] = np.uint16(min(code, np.uint32(PLAIN)))
+        out[col] = np.uint16(min(code, np.uint32(ans.PLAIN)))
 
 
 @njit(cache=True)
@@ -134,7 +116,7 @@ def _with_class(
         number = np.uint16(np.uint16(pairs + pairs) + quiet)
         token = out[col]
         large = np.uint16(np.uint16(token >> np.uint16(5)) << np.uint16(15))
-        out[col] = np.uint16(np.uint16(number * np.uint16(TOKENS)) + token) | large
+        out[col] = np.uint16(np.uint16(number * np.uint16(ans.TOKENS)) + token) | large
 
 
 @njit(cache=True)
@@ -147,7 +129,7 @@ def _put(state: np.int64, symbol: Any, words: NDArray[np.uint16], place: np.int6
     state >>= full << 4
     # the quotient is below 2^24 and the product good to 2^-28; half a unit more keeps it 2^-17 from the next integer: exact
     quotient = np.int64((np.float64(state) + 0.5) * symbol.reciprocal)
-    return state + np.int64(symbol.start) + quotient * (SCALE - frequency), place
+    return state + np.int64(symbol.start) + quotient * (ans.SCALE - frequency), place
 
 
 @njit(cache=True)
@@ -171,17 +153,17 @@ def _put_any(
         return _put(state, table[symbol], words, place)
     code = np.int64(np.uint32((difference << 1) ^ (difference >> 31)))
     if code >> 17:
-        token = np.int64(ESCAPE)
+        token = np.int64(ans.ESCAPE)
         state, place = _put_bits(state, code & 0xFFFF, np.int64(16), words, place)
         state, place = _put_bits(state, code >> 16, np.int64(16), words, place)
     else:
         top = np.int64(5)  # place of the highest bit; token: that, the bit below it, and the sign
         while code >> (top + 1):
             top += 1
-        token = PLAIN + 4 * (top - 5) + 2 * ((code >> (top - 1)) & 1) + (code & 1)
+        token = ans.PLAIN + 4 * (top - 5) + 2 * ((code >> (top - 1)) & 1) + (code & 1)
         rest = (code >> 1) & ((np.int64(1) << (top - 2)) - 1)
         state, place = _put_bits(state, rest, top - 2, words, place)
-    return _put(state, table[symbol - LARGE - PLAIN + token], words, place)
+    return _put(state, table[symbol - LARGE - ans.PLAIN + token], words, place)
 
 
 @njit(cache=True)
@@ -249,9 +231,9 @@ def put_block(
 
 def _first_and_last() -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Lowest and highest difference from the level of each token except `ESCAPE`."""
-    codes = np.arange(PLAIN)
+    codes = np.arange(ans.PLAIN)
     plain = (codes >> 1) ^ -(codes & 1)
-    large = np.arange(ESCAPE - PLAIN)
+    large = np.arange(ans.ESCAPE - ans.PLAIN)
     first = ((2 + ((large >> 1) & 1)) << (large // 4 + 4)) >> 1
     last = first + (1 << (large // 4 + 3)) - 1
     negative = (large & 1) == 1
@@ -267,16 +249,16 @@ def model(noise_code: int, centre_code: int) -> tuple[NDArray[np.int16], NDArray
     """Limits of the classes and table of symbols for a sky; ICD.md, section 4, says how they follow."""
     from scipy.special import ndtr  # takes 20 MB of memory that other codecs do not need
 
-    sigma = 2.0 ** (noise_code / RANS_CODES_PER_OCTAVE + math.log2(RANS_LEAST_SIGMA))
-    centre = centre_code * sigma / RANS_CENTRE_CODES_PER_SIGMA
-    limits = np.ceil(5.0 * (np.array(RANS_LIMITS_SIGMA) * sigma + centre))
+    sigma = 2.0 ** (noise_code / ans.CODES_PER_OCTAVE + math.log2(ans.LEAST_SIGMA))
+    centre = centre_code * sigma / ans.CENTRE_CODES_PER_SIGMA
+    limits = np.ceil(5.0 * (np.array(ans.LIMITS_SIGMA) * sigma + centre))
     low, high = (FIRST - 0.5 - centre) / sigma, (LAST + 0.5 - centre) / sigma
-    mean, width, share, scale, anything = np.array(RANS_CLASSES).T[:, :, None]
+    mean, width, share, scale, anything = np.array(ans.CLASSES).T[:, :, None]
     noise = ndtr((high - mean) / width) - ndtr((low - mean) / width)
     light = np.exp(np.minimum(-low, 0.0) / scale) - np.exp(np.minimum(-high, 0.0) / scale)
-    chance = np.pad((1.0 - anything) * ((1.0 - share) * noise + share * light), ((0, 0), (0, 1))) + anything / TOKENS
-    frequency = 1 + np.floor((SCALE - TOKENS) * chance).astype(np.int64)
-    frequency[np.arange(len(frequency)), frequency.argmax(axis=1)] += SCALE - frequency.sum(axis=1)
+    chance = np.pad((1.0 - anything) * ((1.0 - share) * noise + share * light), ((0, 0), (0, 1))) + anything / ans.TOKENS
+    frequency = 1 + np.floor((ans.SCALE - ans.TOKENS) * chance).astype(np.int64)
+    frequency[np.arange(len(frequency)), frequency.argmax(axis=1)] += ans.SCALE - frequency.sum(axis=1)
     table = np.empty(frequency.shape, dtype=SYMBOL)
     table["frequency"], table["start"], table["reciprocal"] = frequency, frequency.cumsum(axis=1) - frequency, 1.0 / frequency
     return np.clip(limits, -32768, 32767).astype(np.int16), table.ravel()
@@ -301,12 +283,12 @@ class RansCodec:
         values = np.ascontiguousarray(values_adu, dtype=np.int32)
         level = int(level_adu)
         centre, sigma = sky_of(values.ravel(), level, sigma_adu if math.isfinite(sigma_adu) else 1.0)
-        noise_code = min(max(round(RANS_CODES_PER_OCTAVE * (math.log2(sigma) - math.log2(RANS_LEAST_SIGMA))), 0), 255)
-        noise = 2.0 ** (noise_code / RANS_CODES_PER_OCTAVE + math.log2(RANS_LEAST_SIGMA))
-        centre_code = min(max(round(RANS_CENTRE_CODES_PER_SIGMA * centre / noise), -32768), 32767)
+        noise_code = min(max(round(ans.CODES_PER_OCTAVE * (math.log2(sigma) - math.log2(ans.LEAST_SIGMA))), 0), 255)
+        noise = 2.0 ** (noise_code / ans.CODES_PER_OCTAVE + math.log2(ans.LEAST_SIGMA))
+        centre_code = min(max(round(ans.CENTRE_CODES_PER_SIGMA * centre / noise), -32768), 32767)
         limits, table = model(noise_code, centre_code)
-        states = np.full(RANS_STATES, LOWEST, dtype=np.int64)
+        states = np.full(ans.STATES, ans.LOWEST, dtype=np.int64)
         words = np.empty(MOST_WORDS * values.size + 1, dtype=np.uint16)
         place = put_block(values, level, limits, table, states, words)
-        head = RANS_HEAD.pack(noise_code, centre_code)
-        return head + b"".join(int(x).to_bytes(RANS_STATE_BYTES) for x in states) + words[place:].astype(">u2").tobytes()
+        head = ans.HEAD.pack(noise_code, centre_code)
+        return head + b"".join(int(x).to_bytes(ans.STATE_BYTES) for x in states) + words[place:].astype(">u2").tobytes()

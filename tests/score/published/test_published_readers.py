@@ -112,7 +112,7 @@ def test_axes_are_those_of_erfa() -> None:
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "said"),
+    ("old", "new", "phrase"),
     [
         ("ANGLE_TYPE = RADEC", "ANGLE_TYPE = AZEL", "ANGLE_TYPE = RADEC in the segment before it, not AZEL"),
         ("TIMETAG_REF = RECEIVE", "TIMETAG_REF = TRANSMIT", "TIMETAG_REF = RECEIVE"),
@@ -123,11 +123,11 @@ def test_axes_are_those_of_erfa() -> None:
         ("DATA_STOP", "DATA_STOPPED", "expected DATA_STOP"),
     ],
 )
-def test_tracking_messages_of_another_meaning_are_refused(hand_made: HandMade, old: str, new: str, said: str) -> None:
+def test_tracking_messages_of_another_meaning_are_refused(hand_made: HandMade, old: str, new: str, phrase: str) -> None:
     path = hand_made.write_tdm()
     text = path.read_text().replace(old, new)
     path.write_text(text.replace("T00:00:00.200000 ", "T00:00:00.900000 ") if "900000" in new else text)
-    with pytest.raises(UnreadableProduct, match=said) as error:
+    with pytest.raises(UnreadableProduct, match=phrase) as error:
         read_tdm(path)
     assert "tracklets.tdm" in str(error.value)
 

@@ -1,0 +1,94 @@
+"""Frames of one camera calibrate each other: dust rings, vignetting and hot pixels go, trails and stars stay."""
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from astropy.table import Table
+
+from sboc_e2e.outside.fits_frames import FitsFolder
+from sboc_e2e.outside.fixed_pattern import MutuallyCalibrated, fixed_pattern
+from tests.end_to_end.raw_camera import CLEAN, TRAIL, dusty, raw_frame, streaks_of, write
+from tests.fuzz.outside import run
+
+
+def notes_of(folder: Path) -> list[str]:
+    return [each.notes[-1].text for each in MutuallyCalibrated(source=FitsFolder(path=folder)).frames()]
+
+
+def test_false_lines_go_and_the_trail_stays(tmp_path: Path) -> None:
+    """Two frames have five lines and more that are not there; four of the same camera have the trail and nothing else."""
+    pattern = dusty(1)
+    for k in range(4):
+        write(tmp_path / "four" / f"{k}.fits", raw_frame(k, pattern, sky=k, trail_e_px=150.0 if k == 1 else 0.0))
+    for k in (0, 2):
+        write(tmp_path / "two" / f"{k}.fits", raw_frame(k, pattern, sky=k))
+    run(tmp_path / "two", tmp_path / "out-two")
+    run(tmp_path / "four", tmp_path / "out-four")
+    assert len(streaks_of(tmp_path / "out-two")[0]) >= 4
+    table, published = streaks_of(tmp_path / "out-four")
+    assert len(table) == 1
+    assert published.all()
+    streak = table[0]
+    assert streak["frame"] == 1
+    ends = np.array([[streak["row0"], streak["col0"]], [streak["row1"], streak["col1"]]])
+    true = np.array(TRAIL).reshape(2, 2)
+    if np.linalg.norm(ends - true) > np.linalg.norm(ends[::-1] - true):
+        ends = ends[::-1]
+    assert np.abs(ends - true).max() < 2.0
+    assert streak["snr"] > 0.8 * 34.6, "S/N of the same trail before: four frames' median keeps a part of it"
+    assert streak["probability"] > 0.9
+    ingest = json.loads((tmp_path / "out-four" / "products" / "ingest.json").read_text(encoding="utf-8"))
+    assert all("fixed pattern of 4 frames" in frame["notes"][-1] for frame in ingest["outside"]["frames"])
+
+
+@pytest.mark.parametrize("n", [1, 2])
+def test_too_few_frames_are_said_to_be(tmp_path: Path, n: int) -> None:
+    for k in range(n):
+        write(tmp_path / f"{k}.fits", raw_frame(k, dusty(1), sky=k))
+    assert notes_of(tmp_path) == [f"{n} frame{'s' * (n > 1)} of this camera: a fixed pattern needs 3"] * n
+    (first, *_) = MutuallyCalibrated(source=FitsFolder(path=tmp_path)).frames()
+    assert first.frame.pixels.dtype == np.uint16, "as it came"
+
+
+def test_cameras_are_not_mixed(tmp_path: Path) -> None:
+    for k in range(3):
+        write(tmp_path / f"{k}.fits", raw_frame(k, dusty(1), sky=k), camera="one")
+    write(tmp_path / "z.fits", raw_frame(9, dusty(2), sky=9), camera="other")
+    ingest = notes_of(tmp_path)
+    assert all(text.startswith("fixed pattern of 3 frames") for text in ingest[:3])
+    assert ingest[3] == "1 frame of this camera: a fixed pattern needs 3"
+
+
+def test_frames_without_a_pattern_in_common_stay_as_they_are(tmp_path: Path) -> None:
+    for k in range(3):
+        write(tmp_path / f"{k}.fits", raw_frame(k, CLEAN, sky=k))
+    assert notes_of(tmp_path) == ["3 frames of this camera show no fixed pattern in common"] * 3
+
+
+def test_the_pattern_is_the_camera_s() -> None:
+    """Against the pattern that was put in: the flat's excess to 0.4 % rms of the level (a frame's noise is 2.2 %), and 95 % of
+    hot pixels of ten sigma and more, with fewer than five others."""
+    flat, dark = dusty(3)
+    found = fixed_pattern([raw_frame(k, (flat, dark), sky=k) for k in range(5)])
+    assert found is not None
+    true = (1500.0 * flat + 300.0) / np.median(1500.0 * flat + 300.0) - 1.0
+    rest = (found.excess - true)[~found.hot & (dark == 0.0)]
+    assert np.std(rest) < 0.004 < 0.5 * np.std(true)
+    bright = dark > 10.0 * np.sqrt(1500.0)
+    assert found.hot[bright].mean() > 0.95
+    assert (found.hot & (dark == 0.0)).sum() < 5
+
+
+def test_stars_of_a_sky_that_stays_are_no_pattern(tmp_path: Path) -> None:
+    """A telescope that follows the stars, with dust: as many stars as one clean frame shows, within a tenth."""
+    found = {}
+    for name, n, pattern in (("together", 4, dusty(1)), ("clean", 1, CLEAN)):
+        for k in range(n):
+            write(tmp_path / name / f"{k}.fits", raw_frame(k, pattern, sky=4))
+        run(tmp_path / name, tmp_path / f"out-{name}")
+        frames = Table.read(tmp_path / f"out-{name}" / "products" / "frames.ecsv", format="ascii.ecsv")
+        found[name] = int(frames["n_stars_found"][0])
+    assert found["clean"] > 60
+    assert abs(found["together"] - found["clean"]) <= 0.1 * found["clean"]

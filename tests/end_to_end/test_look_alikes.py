@@ -1,0 +1,136 @@
+"""Lines in the negative of a frame are its own rate of false ones: published, and used where nobody calibrated the frame."""
+
+import json
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ground.vetting.look_alikes import LookAlikeVetter, look_alikes_near
+from onboard.options import OnboardOptions
+from onboard.state import OnboardSteps
+from sboc_e2e import scenario as scenarios
+from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
+from sboc_e2e.icd.products import StreakFit
+from sboc_e2e.icd.signals import Detection, DetectorView
+from sboc_e2e.outside.found import Found
+from sboc_e2e.outside.look_alikes import CountingChain, look_alikes
+from sboc_e2e.outside.process import base_document
+from sboc_e2e.registry import Registry
+from sboc_e2e.run.onboard_stage import onboard_steps
+from tests.downlink import frame_of_psf
+from tests.end_to_end.raw_camera import CLEAN, dusty, raw_frame, streaks_of, write
+from tests.fuzz.outside import run
+
+
+def counts_of(run_dir: Path) -> list[dict[str, int]]:
+    ingest = json.loads((run_dir / "products" / "ingest.json").read_text(encoding="utf-8"))
+    return [frame["look_alikes"] for frame in ingest["outside"]["frames"]]
+
+
+def test_a_frame_with_dust_rings_has_look_alikes_and_its_weak_lines_are_not_published(tmp_path: Path) -> None:
+    """Arcs of the rings are lines of S/N 8 to 12, as sharp as stars: five of them in two frames had probabilities of 0.65 to
+    0.997. A trail of three times their S/N stays published."""
+    pattern = dusty(1)
+    write(tmp_path / "in" / "a.fits", raw_frame(1, pattern, sky=1))
+    write(tmp_path / "in" / "b.fits", raw_frame(2, pattern, sky=2, trail_e_px=150.0))
+    run(tmp_path / "in", tmp_path / "out")
+    counts = counts_of(tmp_path / "out")
+    assert min(each["all"] for each in counts) >= 4
+    assert all(each["snr_50"] == 0 for each in counts)
+    table, published = streaks_of(tmp_path / "out")
+    length = np.hypot(table["row1"] - table["row0"], table["col1"] - table["col0"])
+    (one,) = np.flatnonzero(published)
+    assert table["frame"][one] == 1
+    assert length[one] == pytest.approx(476.3, abs=6.0)
+    assert len(table) >= 4, "the frames hold lines to be judged"
+    (row,) = (row for row in Found.of(tmp_path / "out").rows() if "look-alikes" in row[0])
+    assert row[1] == str(sum(each["all"] for each in counts))
+    assert "at S/N >= 10, 0 at S/N >= 20" in row[2] or "at S/N >= 20" in row[2]
+
+
+def test_clean_frames_have_no_look_alikes_bright_trails_or_not(tmp_path: Path) -> None:
+    """Three seeds of stars and noise, one with a trail of S/N 400, whose shadows in the sky level do not count."""
+    for k, trail_e_px in enumerate((0.0, 0.0, 2000.0)):
+        write(tmp_path / "in" / f"{k}.fits", raw_frame(10 + k, CLEAN, sky=10 + k, trail_e_px=trail_e_px))
+    run(tmp_path / "in", tmp_path / "out")
+    assert [each["all"] for each in counts_of(tmp_path / "out")] == [0, 0, 0]
+    assert streaks_of(tmp_path / "out")[1].sum() == 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Scripted:
+    """A detector that returns given lines and counts its searches."""
+
+    detections: tuple[Detection, ...] = ()
+    seen: list[float] = field(default_factory=list)
+    history_frames: int = 0
+
+    def detect(self, view: DetectorView) -> tuple[Detection, ...]:
+        self.seen.append(float(view.residual_adu[40, 40]))
+        return self.detections
+
+
+def prepared(detector: Any) -> tuple[CountingChain, Any, Any]:
+    scenario = scenarios.bare("process", base_document("none"), registry=Registry())
+    steps: OnboardSteps = replace(onboard_steps(scenario), detector=detector)
+    camera = NominalCamera(
+        name="test", rows=96, cols=96, focal_px=1e4, center_row=47.5, center_col=47.5, psf_sigma_px=1.4, gain_e_adu=1.0,
+        read_noise_e=1.0, saturation_adu=65535.0, full_well_e=65535.0, zero_point_e_s=None, aperture_m=0.1,
+    )  # fmt: skip
+    chain = CountingChain(OnboardOptions(), steps, camera=camera, run_id=1)
+    pixels = np.random.default_rng(5).normal(500.0, 5.0, (96, 96)).astype(np.uint16)
+    header = FrameHeader(frame=0, t_start_tai_ns=0, exposure_ns=10**9, line_time_ns=0, rows=96, cols=96)
+    state = chain.initial_state()
+    return chain, state, chain.prepare(state, Frame(header=header, pixels=pixels))
+
+
+def test_a_frame_costs_one_search_more_of_its_negative() -> None:
+    detector = Scripted(detections=(Detection(row0=5.0, col0=5.0, row1=60.0, col1=40.0, snr=9.0),))
+    chain, state, made = prepared(detector)
+    chain.judge(state, made)
+    assert len(detector.seen) == 2
+    assert detector.seen[0] == -detector.seen[1] != 0.0
+    assert chain.look_alikes[0].tolist() == [[9.0, pytest.approx(np.hypot(55.0, 35.0))]]
+
+
+def test_dark_lines_beside_a_line_twice_as_bright_are_its_shadow() -> None:
+    dark = Detection(row0=20.0, col0=5.0, row1=70.0, col1=5.0, snr=9.0)
+    detector = Scripted(detections=(dark,))
+    _, _, made = prepared(detector)
+    beside = Detection(row0=5.0, col0=30.0, row1=90.0, col1=30.0, snr=18.0)
+    assert len(look_alikes(detector, made.view, (beside,))) == 0
+    assert len(look_alikes(detector, made.view, (replace(beside, snr=17.0),))) == 1
+    assert len(look_alikes(detector, made.view, (replace(beside, row0=95.0, row1=95.0, col0=70.0, col1=95.0),))) == 1
+
+
+@dataclass(frozen=True, kw_only=True)
+class Certain:
+    """A vetter that is sure of everything."""
+
+    def probability(self, fits: Any, frame: Any) -> Any:
+        return np.full(len(fits), 0.99)
+
+
+def fit_of(snr: float, length_px: float) -> StreakFit:
+    made: Any = type("Fit", (), {"snr": snr, "length_px": length_px})()
+    return made
+
+
+def test_look_alikes_speak_against_their_own_kind_alone() -> None:
+    """59 of S/N 20 and 30 px: against a line like them and against fainter ones, not against 1,274 px of S/N 700 nor in another
+    frame. Values by hand: 1 / (1 + 0.0101 + 59 / (2 pi 0.49) / 0.0181)."""
+    known = np.tile([20.0, 30.0], (59, 1))
+    vetter = LookAlikeVetter(vetter=Certain(), look_alikes={0: known})
+    frame = frame_of_psf(1.4)
+    assert frame.header.frame == 0
+    fits = [fit_of(20.0, 30.0), fit_of(8.0, 30.0), fit_of(700.0, 1274.0), fit_of(20.0, 1274.0)]
+    probability = vetter.probability(fits, frame)
+    assert probability[:2] == pytest.approx(1.0 / (1.0 + 59.0 / (2.0 * np.pi * 0.49) / 0.01805), rel=0.01)
+    assert probability[2] == pytest.approx(0.99, abs=1e-6)
+    assert probability[3] > 0.98, "as bright as they, and forty times as long"
+    elsewhere = LookAlikeVetter(vetter=Certain(), look_alikes={1: known})
+    assert elsewhere.probability(fits, frame) == pytest.approx(0.99)
+    assert look_alikes_near(fits, np.zeros((0, 2))).tolist() == [0.0] * 4

@@ -12,11 +12,11 @@ RUN useradd --create-home --uid 1000 sboc
 USER sboc
 WORKDIR /home/sboc/e2e
 # The packages change less often than the sources: they have a layer of their own.
-COPY --chown=sboc requirements.lock .
+COPY --chown=sboc requirements.lock requirements-run.lock ./
 RUN python -m venv .venv && .venv/bin/python -m pip install --no-cache-dir --no-compile --require-hashes -r requirements.lock
 COPY --chown=sboc . .
 # The rest of the set-up. Kernels are compiled while the image is made, for the processor of the machine that makes it.
 ENV NUMBA_CACHE_DIR=/home/sboc/kernels HOME=/home/sboc
-RUN make .venv/.ready && mkdir -p runs bench/out && chmod -R a+rwX /home/sboc
+RUN make .venv/.ready-for-developers && mkdir -p runs bench/out && chmod -R a+rwX /home/sboc
 ENTRYPOINT ["make"]
 CMD ["e2e", "SCENARIO=smoke"]

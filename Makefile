@@ -13,6 +13,7 @@ SCENARIO ?= sso_antisun
 VENV := .venv
 BIN := $(VENV)/bin
 READY := $(VENV)/.ready
+TOOLS := $(VENV)/.ready-for-developers
 FUZZ_RUNS ?= 1000000
 # A process a core, four at most: each needs up to 2 GB. An idle one takes tests from a busy one.
 ON_EVERY_CORE := -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
@@ -28,29 +29,29 @@ export PYTHONHASHSEED ?= 0
 e2e: $(READY)
 	$(BIN)/sboc run $(SCENARIO) --force
 
-test: $(READY)
+test: $(TOOLS)
 	$(BIN)/python -m pytest -q -ra $(ON_EVERY_CORE)
 
-test-full: $(READY)
+test-full: $(TOOLS)
 	$(BIN)/python -m pytest -q -ra $(ON_EVERY_CORE) -m "slow or not slow"
 
-test-slow: $(READY)
+test-slow: $(TOOLS)
 	$(BIN)/python -m pytest -q -ra $(ON_EVERY_CORE) -m slow
 
-lint: $(READY)
+lint: $(TOOLS)
 	$(BIN)/ruff check .
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/python -m sboc_e2e.licences --check LICENSES.md
 
-bench: $(READY)
+bench: $(TOOLS)
 	$(BIN)/sboc bench
 
-bench-check: $(READY)
+bench-check: $(TOOLS)
 	$(BIN)/sboc bench --quick --check
 
-fuzz: $(READY)
+fuzz: $(TOOLS)
 	for target in packets codecs fits scenario; do $(BIN)/python -m tests.fuzz $$target -runs=$(FUZZ_RUNS) -rss_limit_mb=2048 || exit 1; done
 
 docs: $(VENV)-docs/.ready
@@ -61,15 +62,20 @@ clean:
 	rm -rf $(VENV) $(VENV)-docs build runs bench/out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# The environment follows the lock file and the project's metadata; the warm-up compiles numerical kernels once. Packages are not
-# compiled to bytecode (a third of pip's time): Python does so for the modules that it imports.
-$(READY): requirements.lock pyproject.toml
+# The environment follows the lock files and the project's metadata; the warm-up compiles numerical kernels once. Packages are not
+# compiled to bytecode (a third of pip's time): Python does so for the modules that it imports. A run needs half of the packages;
+# those of tests and of other developers' work are installed where a verb needs them.
+$(READY): requirements-run.lock pyproject.toml
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3"; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "Installing packages into $(VENV): one to three minutes without a word."
-	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes -r requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes -r requirements-run.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
 	$(BIN)/python -m sboc_e2e.warm_up
+	touch $@
+
+$(TOOLS): $(READY) requirements.lock
+	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes -r requirements.lock
 	touch $@
 
 # The site's tools read the sources and do not import them: they need nothing of the environment above.

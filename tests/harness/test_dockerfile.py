@@ -16,16 +16,16 @@ def test_its_python_is_one_that_the_project_supports() -> None:
 
 def test_the_targets_it_names_are_those_of_the_makefile() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    for target in ("e2e", "bench"):
-        assert re.search(rf"^{target}: \$\(READY\)", makefile, flags=re.MULTILINE)
+    for target, environment in (("e2e", "READY"), ("bench", "TOOLS")):
+        assert re.search(rf"^{target}: \$\({environment}\)", makefile, flags=re.MULTILINE)
         assert re.search(rf"sboc {target}\b|\"{target}\"", TEXT)
     assert "VENV := .venv\n" in makefile
-    assert "READY := $(VENV)/.ready\n" in makefile
-    assert "RUN make .venv/.ready" in TEXT
+    assert "TOOLS := $(VENV)/.ready-for-developers\n" in makefile
+    assert "RUN make .venv/.ready-for-developers" in TEXT
 
 
 def test_nothing_that_it_needs_is_left_out_of_the_context() -> None:
     ignored = (ROOT / ".dockerignore").read_text(encoding="utf-8").split()
     tracked = {path.name for path in ROOT.iterdir()} - {".git", ".venv"}
-    needed = {"Makefile", "pyproject.toml", "requirements.lock", "README.md", "scenarios", "tests", "bench"}
+    needed = {"Makefile", "pyproject.toml", "requirements.lock", "requirements-run.lock", "README.md", "scenarios", "tests", "bench"}
     assert needed <= tracked - set(ignored)

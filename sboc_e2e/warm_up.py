@@ -1,8 +1,9 @@
 """Compile the numerical kernels once, by running the smoke scenario into a folder that is then removed.
 
 numba keeps what it compiled (`sboc_e2e.kernel_cache`), so that the first real run and benchmarks do not pay for it. With two
-cores, a second process meanwhile compiles half of the kernels: the detector's, the linker's and the fitter's. It calls these
-steps with the synthetic inputs of their exams, so that it needs nothing of the run. The run finds them in numba's cache.
+cores, a second process compiles the kernels of the detector and of the orbits, while this one compiles those of the linker and of
+the fitter and then begins the run. These steps are called with the synthetic inputs of their exams, so that they need nothing of
+the run. The run finds their kernels in numba's cache: it comes to the detector last of all.
 """
 
 import io
@@ -14,6 +15,7 @@ from contextlib import redirect_stdout
 from dataclasses import replace
 from multiprocessing import get_context
 from pathlib import Path
+from typing import Any
 
 from sboc_e2e.cli.main import run
 
@@ -22,10 +24,11 @@ def main() -> int:
     """Run the smoke scenario and print how long it took: two minutes where all is to be compiled, seconds where nothing is."""
     with tempfile.TemporaryDirectory(prefix="sboc-warm-up-") as folder:
         start = time.perf_counter()
-        beside = get_context("spawn").Process(target=_compile_beside, daemon=True)
+        print("Compiling numerical kernels, once, by a small run: two minutes on two free cores, more on busy ones.", flush=True)
+        beside = get_context("spawn").Process(target=_detector_and_orbits, daemon=True)
         if (os.cpu_count() or 1) > 1:
             beside.start()
-        print("Compiling numerical kernels, once, by a small run: two minutes on two free cores, more on busy ones.", flush=True)
+            _linker_and_fitter()
         with redirect_stdout(io.StringIO()):  # the figures of a run in a folder that is removed; what fails is said on stderr
             code = run(["run", "smoke", "--out", str(Path(folder) / "run"), "--workers", "1"])
         if beside.pid is not None:
@@ -36,25 +39,51 @@ def main() -> int:
     return code
 
 
-def _compile_beside() -> None:
-    """Nobody looks at results: what this fails to compile, the run compiles and reports."""
-    # `cli.main` has chosen the folder of the cache; modules with kernels are imported after it
-    from sboc_e2e.checks import synthetic_view
+# `cli.main` has chosen the folder of the cache; modules with kernels are imported after it, in the functions below. Nobody looks
+# at results: what they fail to compile, the run compiles and reports.
+
+
+def _linker_and_fitter() -> None:
     from sboc_e2e.exams import fitter
     from sboc_e2e.exams.linker import linker_trial
-    from sboc_e2e.registry import SEAMS, Registry
+    from sboc_e2e.exams.trails import trail
 
-    registry = Registry()
-    made = {
-        name: registry.resolve(name, SEAMS[name].default)()
-        for name in ("onboard.detector", "ground.linker", "ground.streak_fitter")
-    }
-    detector = made["onboard.detector"]
+    trial = linker_trial(turn_rad_s=0.0, exposure_s=0.2)
+    _default("ground.linker").link(trial.headers, trial.streaks)
+    plain = trail((100.0, 100.0), 60.0, 30.0, 30.0, fitter.SHAPE, fitter.NOISE_E)
+    _default("ground.streak_fitter").fit(*fitter.seen(plain, 0))
+
+
+def _detector_and_orbits() -> None:
+    import numpy as np
+
+    from sboc_e2e.checks import synthetic_view
+    from sboc_e2e.exams.linker import linker_trial
+    from sboc_e2e.icd.frame import ObserverState
+
+    detector = _default("onboard.detector")
     view = synthetic_view("streak", detector.history_frames)
     detector.detect(replace(view, history=tuple(detector.remembered(earlier) for earlier in view.history)))
+
     trial = linker_trial(turn_rad_s=0.0, exposure_s=0.2)
-    made["ground.linker"].link(trial.headers, trial.streaks)
-    next(fitter.questions(made["ground.streak_fitter"].fit))
+    headers = []
+    for header in trial.headers:  # a circular orbit of 7,000 km, GPS fixes in the middle of exposures
+        epoch_ns = header.t_start_tai_ns + header.exposure_ns // 2
+        phase = (epoch_ns - trial.headers[0].t_start_tai_ns) * 1e-9 * 1.078e-3
+        place_m = 7.0e6 * np.array([np.cos(phase), np.sin(phase), 0.0])
+        speed_m_s = 7.546e3 * np.array([-np.sin(phase), np.cos(phase), 0.0])
+        state = ObserverState(
+            tai_ns=epoch_ns, position_m=place_m, velocity_m_s=speed_m_s, sigma_position_m=5.0, sigma_velocity_m_s=0.05
+        )
+        headers.append(replace(header, observer=state))
+    tracklets = _default("ground.linker").link(headers, trial.streaks)
+    _default("ground.orbit").estimate(tracklets[0], headers)
+
+
+def _default(seam: str) -> Any:
+    from sboc_e2e.registry import SEAMS, Registry
+
+    return Registry().resolve(seam, SEAMS[seam].default)()
 
 
 if __name__ == "__main__":

@@ -35,7 +35,7 @@ Fit = Callable[[StreakPixels, Detection], Any]
 def questions(fit: Fit) -> Iterator[Verdict]:
     """Everything that is asked of a fitter."""
     plain = trail((100.0, 100.0), 60.0, 30.0, 30.0, SHAPE, NOISE_E)
-    pixels, detection = _seen(plain, 0)
+    pixels, detection = seen(plain, 0)
     names = " ".join(f"{snr:g}" for snr in SNRS)
     yield asked(f"measures trails of S/N {names}", lambda: _measured(fit))
     for name, bad in _bad_pixels(pixels).items():
@@ -49,7 +49,7 @@ def _survived(fit: Fit, pixels: StreakPixels, detection: Detection) -> None:
     _is_fit(fit(pixels, detection))
 
 
-def _seen(each: Trail, seed: int) -> tuple[StreakPixels, Detection]:
+def seen(each: Trail, seed: int) -> tuple[StreakPixels, Detection]:
     """The pixels around a trail in noise, and a detection whose ends are off by half a pixel."""
     rng = np.random.default_rng([17, seed])
     ends = (float(each.path.row[0]), float(each.path.col[0]), float(each.path.row[-1]), float(each.path.col[-1]))
@@ -88,7 +88,7 @@ def _measured(fit: Fit) -> str:
                 asked_of += 1
                 middle = (100.0 + float(rng.uniform(-5, 5)), 100.0 + float(rng.uniform(-5, 5)))
                 each = trail(middle, length_px, float(rng.uniform(0, 180)), snr, SHAPE, NOISE_E)
-                found = _is_fit(fit(*_seen(each, asked_of)))
+                found = _is_fit(fit(*seen(each, asked_of)))
                 point = np.array([(found.row0 + found.row1) / 2, (found.col0 + found.col1) / 2])
                 across = distance_to_path(point, each.path)[0]
                 if found.flags & StreakFlag.FIT_FAILED or np.hypot(*(point - middle)) > NEAR_PX:

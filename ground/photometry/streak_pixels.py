@@ -40,7 +40,7 @@ def streak_pixels(
     dark = calibration.dark_adu[row, col].astype(np.float64)
     level, sigma = background_at(frame, row, col)
     # Integer frames were sent minus the rounded dark, and the mesh was measured on the same differences. Float frames were sent
-    # minus # the whole dark.
+    # minus the whole dark.
     dark_rest = dark - np.rint(dark) if frame.adu_scale == 1.0 else 0.0
     measured = value_adu - dark_rest - level
     value_e = measured * gain / relative

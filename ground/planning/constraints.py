@@ -20,15 +20,26 @@ class Visibility:
     """Targets (m) at instants (n).
 
     direction : (m, n, 3) unit vectors from the station. range_km, phase_rad : (m, n). rate_rad_s : (m, n) against the stars.
-    allowed : (m, n). forbidden : name of each constraint, and the share of all cases that it alone or with others forbids.
+    free : (m, n) by the name of each constraint, where it forbids nothing. best : by the same names, the angle (deg) or rate
+    (deg/s) of the case that comes nearest to being allowed; only for constraints that an option sets.
     """
 
     direction: Array
     range_km: Array
     phase_rad: Array
     rate_rad_s: Array
-    allowed: Flags
-    forbidden: dict[str, float]
+    free: dict[str, Flags]
+    best: dict[str, float]
+
+    @property
+    def allowed(self) -> Flags:
+        """Where no constraint forbids anything (m, n)."""
+        return np.asarray(np.logical_and.reduce(list(self.free.values())))
+
+    @property
+    def forbidden(self) -> dict[str, float]:
+        """Share of all cases that each constraint, alone or with others, forbids."""
+        return {name: float(1.0 - np.mean(good)) for name, good in self.free.items()}
 
 
 def visibility_of(position_km: Array, velocity_km_s: Array, sky: Sky, options: ConstraintOptions) -> Visibility:
@@ -41,29 +52,40 @@ def visibility_of(position_km: Array, velocity_km_s: Array, sky: Sky, options: C
     rate = np.linalg.norm(motion - radial[..., None] * direction, axis=-1) / range_km
     to_sun = sky.sun_km - position_km
     towards_sun = np.sum(-direction * to_sun, axis=-1) / np.linalg.norm(to_sun, axis=-1)
+    moon_deg = np.degrees(separation(direction, sky.moon_km - sky.station_km))
+    rate_deg_s = np.degrees(rate)
     free = {
         "no position": np.isfinite(range_km),
         "Earth's shadow": sunlit(position_km, sky.sun_km),
-        "Moon": separation(direction, sky.moon_km - sky.station_km) >= np.radians(options.moon_deg),
-        "too fast": rate <= np.radians(options.max_rate_deg_s),
+        "Moon": moon_deg >= options.moon_deg,
+        "too fast": rate_deg_s <= options.max_rate_deg_s,
     }
+    best = {"Moon": _most(moon_deg), "too fast": -_most(-rate_deg_s)}
     if sky.up is None:
-        free["Sun"] = separation(direction, sky.sun_km - sky.station_km) >= np.radians(options.sun_deg)
-        free["Earth's limb"] = above_limb(direction, sky.station_km) >= np.radians(options.limb_deg)
+        sun_deg = np.degrees(separation(direction, sky.sun_km - sky.station_km))
+        limb_deg = np.degrees(above_limb(direction, sky.station_km))
+        free |= {"Sun": sun_deg >= options.sun_deg, "Earth's limb": limb_deg >= options.limb_deg}
+        best |= {"Sun": _most(sun_deg), "Earth's limb": _most(limb_deg)}
     else:
-        free["elevation"] = np.sum(direction * sky.up, axis=-1) >= np.sin(np.radians(options.elevation_deg))
-        dark = sun_elevation_rad(sky, sky.up) <= np.radians(options.darkness_deg)
-        free["daylight"] = np.broadcast_to(dark, range_km.shape)
+        elevation_deg = np.degrees(np.arcsin(np.clip(np.sum(direction * sky.up, axis=-1), -1.0, 1.0)))
+        darkness_deg = np.degrees(sun_elevation_rad(sky, sky.up))
+        free["elevation"] = elevation_deg >= options.elevation_deg
+        free["daylight"] = np.broadcast_to(darkness_deg <= options.darkness_deg, range_km.shape)
         free["weather"] = np.broadcast_to(np.True_ if sky.clear is None else sky.clear, range_km.shape)
-    allowed = np.logical_and.reduce(list(free.values()))
+        best |= {"elevation": _most(elevation_deg), "daylight": -_most(-darkness_deg)}
     return Visibility(
         direction=direction,
         range_km=range_km,
         phase_rad=np.arccos(np.clip(towards_sun, -1.0, 1.0)),
         rate_rad_s=rate,
-        allowed=allowed,
-        forbidden={name: float(1.0 - np.mean(good)) for name, good in free.items()},
+        free=free,
+        best=best,
     )
+
+
+def _most(values: Array) -> float:
+    """The largest finite value, minus infinity where there is none."""
+    return float(np.max(values, where=np.isfinite(values), initial=-np.inf))
 
 
 def separation(direction: Array, body: Array) -> Array:

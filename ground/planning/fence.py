@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from ground.orbit.dynamics import MU_KM3_S2
 from ground.planning.constraints import Visibility, visibility_of
+from ground.planning.contradiction import contradiction
 from ground.planning.light import PlannedCamera
 from ground.planning.options import PlanOptions
 from ground.planning.schedule import Schedule, Visit
@@ -75,8 +76,6 @@ def fence_of(station: Site | Orbit, camera: PlannedCamera, start_tai_ns: int, op
     sky = sky_of(station, epochs)
     meridian, seen = _best_meridian(sky, latitudes, options)
     allowed = seen.allowed[0]
-    if not allowed.any():
-        raise UserError("fence: no meridian of the geostationary ring can be seen at any time of the plan")
     visits = tuple(
         Visit(
             start_tai_ns=int(epochs[k] - round(0.5e9 * observing_s)),
@@ -129,7 +128,10 @@ def _longest_gap_s(slot_s: Array, allowed: NDArray[np.bool_], n_fields: int) -> 
 
 
 def _best_meridian(sky: Sky, latitudes: Array, options: PlanOptions) -> tuple[float, Visibility]:
-    """Right ascension (rad) at which most visits are possible, the best-lit of equals; its geometry."""
+    """Right ascension (rad) at which most visits are possible, the best-lit of equals; its geometry.
+
+    UserError where no visit is possible at any of them.
+    """
     middle = sky.sun_km[len(sky.sun_km) // 2]
     opposite = float(np.arctan2(-middle[1], -middle[0]))
     latitude = latitudes[np.arange(len(sky.t_tai_ns)) % len(latitudes)]
@@ -142,5 +144,8 @@ def _best_meridian(sky: Sky, latitudes: Array, options: PlanOptions) -> tuple[fl
         found.append((float(np.mean(seen.allowed)), ra, seen))
         if found[-1][0] == 1.0:
             break
-    _, ra, seen = max(found, key=lambda one: one[0])
+    held, ra, seen = max(found, key=lambda one: one[0])
+    if held == 0.0:
+        why = contradiction([each for _, _, each in found], None, options)
+        raise UserError(f"fence: no meridian of the geostationary ring can be seen at any time: {why}")
     return ra, seen

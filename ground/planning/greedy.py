@@ -56,22 +56,42 @@ def best_visits(
 ) -> list[Chosen]:
     """Visits in their order. weight : (m,) of targets; observing_s : of a visit, without slew and settling.
 
-    A limit of visits per day is met by a price: fields that are worth less are left out.
+    A limit of visits per day is met by a price: fields that are worth less are left out. Where no price leaves few enough, the
+    best of each day are kept.
     """
     visits = _searched(slots, weight, half_field_rad, observing_s, options, 0.0)
-    limit = options.visits_per_day
-    if limit == 0.0 or _busiest_day(visits, slots) <= limit:
+    limit = options.daily_visits
+    if limit == 0 or _busiest_day(visits, slots) <= limit:
         return visits
     low, high = 0.0, max(float(visit.gains.sum()) for visit in visits)
-    visits = []
+    kept: list[Chosen] = []
     for _ in range(8):
         price = 0.5 * (low + high)
         found = _searched(slots, weight, half_field_rad, observing_s, options, price)
         if _busiest_day(found, slots) <= limit:
-            high, visits = price, found
+            high, kept = price, found
         else:
-            low = price
-    return visits
+            low, visits = price, found
+    return kept or _best_of_days(visits, slots, weight, limit)
+
+
+def _best_of_days(visits: list[Chosen], slots: list[Slot], weight: Array, limit: int) -> list[Chosen]:
+    """The visits of each day with the largest gains, worth what they are without the others.
+
+    A camera that leaves out a field is not later at the next: slews obey the triangle inequality.
+    """
+    by_day: dict[int, list[Chosen]] = {}
+    for visit in visits:
+        by_day.setdefault(int(slots[visit.slot].start_s // 86400.0), []).append(visit)
+    best = [visit for day in by_day.values() for visit in sorted(day, key=lambda one: -float(one.gains.sum()))[:limit]]
+    covariance = np.broadcast_to(np.eye(6), (len(weight), 6, 6)).copy()
+    out = []
+    for visit in sorted(best, key=lambda one: one.slot):
+        slot = slots[visit.slot]
+        seen, told = slot.target[visit.members], slot.told[visit.members]
+        out.append(replace(visit, gains=weight[seen] * gains(covariance[seen], told)))
+        covariance[seen] = updated(covariance[seen], told)
+    return out
 
 
 def _busiest_day(visits: list[Chosen], slots: list[Slot]) -> int:

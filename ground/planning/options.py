@@ -53,8 +53,8 @@ class PlanOptions:
     size_m: float = field(default=1.0, metadata={"doc": "diameter of targets of unknown size", "min": 1e-3, "max": 1e3})
     albedo: float = field(default=0.15, metadata={"doc": "Bond albedo of diffuse spheres", "min": 1e-3, "max": 1.0})
     faintest_snr: float = field(default=7.0, metadata={"doc": "least S/N of a target in one exposure", "min": 0.1, "max": 1e4})
-    visits_per_day: float = field(
-        default=0.0, metadata={"doc": "visits that the downlink carries in a day, 0: any number", "min": 0.0, "max": 1e5}
+    daily_visits: int = field(
+        default=0, metadata={"doc": "visits that the downlink carries in a day, 0: any number", "min": 0, "max": 100_000}
     )
     sky_mag_arcsec2: float = field(default=21.8, metadata={"doc": "V brightness of the sky", "min": 10.0, "max": 30.0})
     look_ahead: int = field(default=8, metadata={"doc": "schedules kept side by side; 1 is greedy", "min": 1, "max": 64})
@@ -66,5 +66,8 @@ class PlanOptions:
     def __post_init__(self) -> None:
         if self.slew.settling_s >= self.visit_s:
             raise UserError(
-                f"slew.settling: {self.slew.settling_s:g} s leaves nothing of a visit of {self.visit_s:g} s; allowed is less"
+                f"plan.slew.settling: {self.slew.settling_s:g} s leaves nothing of a visit of {self.visit_s:g} s; allowed is less"
             )
+        if self.days * 86400.0 < self.visit_s:
+            span_s = self.days * 86400.0
+            raise UserError(f"plan.days: {span_s:g} s are shorter than a visit of {self.visit_s:g} s; allowed is more")

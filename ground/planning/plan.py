@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.planning.constraints import Visibility, visibility_of
+from ground.planning.contradiction import contradiction
 from ground.planning.greedy import Chosen, Slot, best_visits
 from ground.planning.light import PlannedCamera, angle_sigma_rad, magnitudes, snr_of
 from ground.planning.options import PlanOptions
@@ -29,7 +30,7 @@ def plan_visits(
     observing_s = options.exposures * camera.period_s
     if observing_s + options.slew.settling_s > options.visit_s:
         raise UserError(
-            f"visit: {options.exposures} exposures take {observing_s:g} s and settling {options.slew.settling_s:g} s; "
+            f"plan.visit: {options.exposures} exposures take {observing_s:g} s and settling {options.slew.settling_s:g} s; "
             f"a visit of {options.visit_s:g} s is too short, allowed is >= {observing_s + options.slew.settling_s:g} s"
         )
     if not len(targets):
@@ -42,19 +43,20 @@ def plan_visits(
     at_start = np.concatenate([position[:, 0], velocity[:, 0]], axis=1)
     sky = sky_of(station, epochs[1:])
     seen = visibility_of(position[:, 1:], velocity[:, 1:], sky, options.constraints)
+    known = seen.free["no position"] & np.isfinite(at_start).all(axis=1)[:, None]
+    seen = replace(seen, free={**seen.free, "no position": known})
     snr = snr_of(magnitudes(targets.size_m, options.albedo, seen), seen.rate_rad_s, camera)
     with np.errstate(invalid="ignore"):
         bright = snr >= options.faintest_snr
-    usable = seen.allowed & bright & np.isfinite(at_start).all(axis=1)[:, None]
-    forbidden = {**seen.forbidden, "too faint": float(1.0 - np.mean(bright))}
+    usable = seen.allowed & bright
     if not usable.any():
-        most = ", ".join(
-            f"{name} {100 * share:.0f} %" for name, share in sorted(forbidden.items(), key=lambda item: -item[1])[:3]
-        )
-        raise UserError(f"plan: no target can be seen at any time; what forbids most cases: {most}")
+        raise UserError(f"plan: no target can be seen at any time: {contradiction([seen], ~bright, options)}")
+    forbidden = {**seen.forbidden, "too faint": float(1.0 - np.mean(bright))}
     views, sigma = _views(seen, usable, snr, at_start, middle_s, camera, options)
     slots = _slots(views, seen, slot_start_s)
     chosen = best_visits(slots, targets.weight, camera.half_field_rad, observing_s, options)
+    if not chosen:
+        raise UserError("plan.knowledge: no visit adds anything to orbits that are known so well")
     notes = _notes(targets, usable, sigma)
     made = _schedule(chosen, slots, start_tai_ns, observing_s, len(targets), forbidden, notes, options)
     return replace(made, windows=windows_of(targets.known, station, options.constraints, epochs[1:], seen.allowed))

@@ -38,7 +38,8 @@ def scenario_toml(
         document["platform"] = {**document["platform"], **_elements(sky_of(station, np.array([first])))}
     if objects is not None:
         document["population"] = {**document["population"], "classes": []}
-        chosen = {"file": str(objects), "size": f"{request.plan.size_m!r} m", "albedo": request.plan.albedo}
+        size = f"{request.plan.size_m!r} m"
+        chosen = {"file": str(objects), "names": list(request.names), "size": size, "albedo": request.plan.albedo}
         document["objects"] = {"satellites": {**document["objects"]["satellites"], **chosen}, "passing": []}
     return text(from_document(document, name="scenario", registry=registry, where="plan"))
 

@@ -2,7 +2,7 @@
 
 import gzip
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from astropy.table import Table
@@ -23,16 +23,21 @@ from sboc_e2e.planning.flown import scenario_toml
 from sboc_e2e.planning.instrument import planned_camera, station_of
 from sboc_e2e.planning.pictures import sky_png, timeline_png
 from sboc_e2e.planning.request import PlanRequest
-from sboc_e2e.planning.weather import with_weather
+from sboc_e2e.planning.weather import as_errors_of, instant, with_weather
 from sboc_e2e.registry import Registry
+from sboc_e2e.scenario.option_models import did_you_mean
 from simulator.platform import earth
+
+_LISTED: Final = 40
+"""Names that an error line lists."""
 
 
 def make_plan(request: PlanRequest, path: Path, out: Path, registry: Registry) -> Schedule:
     """Make a plan and write its folder. `path` is the plan's file. UserError for what cannot be planned."""
     found = scenario.load(request.scenario, registry=registry)
-    start = earth.tai_ns_of_utc(request.start_utc or found.simulator.epoch_utc)
-    earth.refuse_outside_data(start + round(request.plan.days * 86400e9))
+    start = instant(request.start_utc or found.simulator.epoch_utc, f"{path}: start_utc")
+    with as_errors_of(f"{path}: start_utc"):
+        earth.refuse_outside_data(start + round(request.plan.days * 86400e9))
     camera = planned_camera(found.simulator, request.plan.sky_mag_arcsec2)
     station = station_of(found.simulator, start)
     if request.weather:
@@ -70,11 +75,20 @@ def _objects(request: PlanRequest, path: Path, source: Path) -> KnownObjects:
     except (OSError, EOFError, UnicodeDecodeError) as error:
         raise UserError(f"{path}: objects: {source} cannot be read: {error}") from error
     known = read_elements(text)
+    if not known.names:
+        raise UserError(f"{path}: objects: {source} holds no element set")
+    tags = [{name, str(number)} for name, number in zip(known.names, known.numbers, strict=True)]
+    missing = set(request.names).difference(*tags)
+    if missing:
+        few = len(known.names) <= _LISTED
+        near = did_you_mean(min(missing), known.names) if few else f"it has {len(known.names)} others"
+        raise UserError(f"{path}: names: no element set of {source} is named {', '.join(sorted(missing))}; {near}")
     per_day = np.array([satellite.no_kozai for satellite in known.satellites]) * 1440.0 / (2.0 * np.pi)
-    kept = np.flatnonzero((per_day >= request.least_mean_motion) & (per_day <= request.most_mean_motion))
+    wanted = np.array([not request.names or not tag.isdisjoint(request.names) for tag in tags])
+    kept = np.flatnonzero(wanted & (per_day >= request.least_mean_motion) & (per_day <= request.most_mean_motion))
     if not len(kept):
         raise UserError(
-            f"{path}: objects: none of {len(per_day)} element sets has a mean motion of "
+            f"{path}: objects: none of {np.count_nonzero(wanted)} element sets has a mean motion of "
             f"{request.least_mean_motion:g} to {request.most_mean_motion:g} revolutions a day"
         )
     return KnownObjects(

@@ -26,6 +26,7 @@ class PlanRequest:
         default="orbits", metadata={"doc": "knowledge of the orbits of `objects`, or a fence across the ring", "choices": GOALS}
     )
     objects: str = field(default="", metadata={"doc": "file of two- or three-line element sets, relative to the plan's file"})
+    names: tuple[str, ...] = field(default=(), metadata={"doc": "only objects of these names or numbers; empty for all"})
     least_mean_motion: float = field(default=0.0, metadata={"doc": "of the objects, revolutions a day", "min": 0.0, "max": 20.0})
     most_mean_motion: float = field(default=20.0, metadata={"doc": "of the objects, revolutions a day", "min": 0.0, "max": 20.0})
     weather: str = field(

@@ -1,5 +1,7 @@
 """The weather calendar of a site: when its dome is closed."""
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
 
@@ -28,15 +30,23 @@ def with_weather(station: Site | Orbit, file: Path, where: str) -> Site:
         raise UserError(f"{where}: {file} has no column {' and '.join(missing)}; expected {' and '.join(COLUMNS)}")
     closed = []
     for number, row in enumerate(table, start=1):
-        start, end = (_instant(str(row[name]), f"{where}: {file}, row {number}, {name}") for name in COLUMNS)
+        start, end = (instant(str(row[name]), f"{where}: {file}, row {number}, {name}") for name in COLUMNS)
         if end <= start:
             raise UserError(f"{where}: {file}, row {number}: {row['end_utc']} is not after {row['start_utc']}")
         closed.append((start, end))
     return replace(station, closed_tai_ns=tuple(closed))
 
 
-def _instant(text: str, where: str) -> int:
-    try:
+def instant(text: str, where: str) -> int:
+    """TAI nanoseconds of a date. UserError, one line that begins with `where`, for a text that is none."""
+    with as_errors_of(where):
         return earth.tai_ns_of_utc(text)
+
+
+@contextmanager
+def as_errors_of(where: str) -> Iterator[None]:
+    """Complaints about an epoch name the key or the file that it stands in."""
+    try:
+        yield
     except UserError as error:
         raise UserError(f"{where}: {str(error).removeprefix('epoch_utc: ')}") from error

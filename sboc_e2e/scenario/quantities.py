@@ -15,17 +15,17 @@ from astropy import units
 UNIT_SUFFIXES: Final[dict[str, str]] = {
     "ns": "ns", "us": "us", "ms": "ms", "s": "s", "h": "h", "day": "day", "days": "day", "yr": "yr", "hz": "Hz", "nm": "nm",
     "um": "um", "mm": "mm", "cm": "cm", "m": "m", "km": "km", "m2": "m2", "cm2": "cm2", "au": "AU", "m_s": "m / s",
-    "km_s": "km / s", "m_s2": "m / s2", "rad": "rad", "deg": "deg", "arcmin": "arcmin", "arcsec": "arcsec", "mas": "mas",
-    "hour_angle": "hourangle", "deg_s": "deg / s", "rad_s": "rad / s", "arcsec_s": "arcsec / s", "mas_yr": "mas / yr",
-    "arcsec_px": "arcsec / pix", "deg_s2": "deg / s2", "deg_yr": "deg / yr", "arcsec_s2": "arcsec / s2", "rad2": "rad2",
-    "deg2": "deg2", "per_deg2": "1 / deg2", "px": "pix", "px_s": "pix / s", "px_s2": "pix / s2", "mag_s": "mag / s",
-    "mv": "MV", "px2": "pix2", "um_px": "um / pix", "e": "electron", "e_s": "electron / s", "e_px": "electron / pix",
-    "e_px_s": "electron / (pix s)", "e_um": "electron / um", "e_adu": "electron / adu", "e_s_px": "electron / (pix s)",
-    "adu": "adu", "adu_s": "adu / s", "adu_px": "adu / pix", "mag": "mag", "mag_arcsec2": "mag / arcsec2",
-    "m2_s": "1 / (m2 s)", "per_cm2": "1 / cm2", "ff": "fF", "per_cm2_s": "1 / (cm2 s)", "cm2_s": "1 / (cm2 s)",
-    "per_s": "1 / s", "g_cm2": "g / cm2", "ev": "eV", "kev": "keV", "mev": "MeV", "k": "K", "kg": "kg", "kg_m3": "kg / m3",
-    "w_m2": "W / m2", "percent": "percent", "ppm": "1e-6", "ppm_s": "1e-6 / s", "bytes": "byte", "bits": "bit",
-    "bit_s": "bit / s", "mbit_s": "Mbit / s", "kbit_s": "kbit / s",
+    "km_s": "km / s", "km_day": "km / day", "m_s2": "m / s2", "rad": "rad", "deg": "deg", "arcmin": "arcmin",
+    "arcsec": "arcsec", "mas": "mas", "hour_angle": "hourangle", "deg_s": "deg / s", "rad_s": "rad / s",
+    "arcsec_s": "arcsec / s", "mas_yr": "mas / yr", "arcsec_px": "arcsec / pix", "deg_s2": "deg / s2", "deg_yr": "deg / yr",
+    "arcsec_s2": "arcsec / s2", "rad2": "rad2", "deg2": "deg2", "per_deg2": "1 / deg2", "px": "pix", "px_s": "pix / s",
+    "px_s2": "pix / s2", "mag_s": "mag / s", "mv": "MV", "px2": "pix2", "um_px": "um / pix", "e": "electron",
+    "e_s": "electron / s", "e_px": "electron / pix", "e_px_s": "electron / (pix s)", "e_um": "electron / um",
+    "e_adu": "electron / adu", "e_s_px": "electron / (pix s)", "adu": "adu", "adu_s": "adu / s", "adu_px": "adu / pix",
+    "mag": "mag", "mag_arcsec2": "mag / arcsec2", "m2_s": "1 / (m2 s)", "per_cm2": "1 / cm2", "ff": "fF",
+    "per_cm2_s": "1 / (cm2 s)", "cm2_s": "1 / (cm2 s)", "per_s": "1 / s", "g_cm2": "g / cm2", "ev": "eV", "kev": "keV",
+    "mev": "MeV", "k": "K", "kg": "kg", "kg_m3": "kg / m3", "w_m2": "W / m2", "percent": "percent", "ppm": "1e-6",
+    "ppm_s": "1e-6 / s", "bytes": "byte", "bits": "bit", "bit_s": "bit / s", "mbit_s": "Mbit / s", "kbit_s": "kbit / s",
 }  # fmt: skip
 """Unit suffix of a field's name (without the leading underscore) and its unit as astropy spells it."""
 

@@ -47,6 +47,16 @@ def block_count(days: float) -> int:
     return int(-(-days * earth.DAY_S // BLOCK_S))
 
 
+def refuse_empty_sky(scenario: Scenario, verb: str) -> None:
+    """UserError for a scenario in which nothing flies; `verb` is what was to be done with it."""
+    options = scenario.simulator
+    if not any(c.count for c in options.population.classes) and not is_given(options.objects):
+        raise UserError(
+            f"scenario {scenario.name}: population.classes: none has a count above 0, and no satellites, constellation, orbit "
+            f"or break-up is given, so there is nothing to {verb}"
+        )
+
+
 def run_survey(
     scenario: Scenario,
     response: Response,
@@ -67,11 +77,7 @@ def run_survey(
     if not days > 0.0:
         raise UserError(f"--days: expected more than 0, got {days:g}")
     options = scenario.simulator
-    if not any(c.count for c in options.population.classes) and not is_given(options.objects):
-        raise UserError(
-            f"scenario {scenario.name}: population.classes: none has a count above 0, and no satellites, constellation, orbit "
-            "or break-up is given, so there is nothing to survey"
-        )
+    refuse_empty_sky(scenario, "survey")
     epoch = earth.tai_ns_of_utc(options.epoch_utc)
     if earth.jyear(epoch) + days / 365.25 > EPHEMERIS_END:
         raise UserError(f"--days: {days:g} days end after {EPHEMERIS_END:.0f}, where the ephemeris of the Sun ends")

@@ -11,6 +11,7 @@ from sboc_e2e.icd.errors import UserError
 from sboc_e2e.run.pipeline import worker_count
 from sboc_e2e.scenario import Scenario
 from sboc_e2e.survey import response
+from sboc_e2e.survey.engine import refuse_empty_sky
 from sboc_e2e.survey.gather import IDENTITY, RESPONSE, VALIDATION, Gathered, gather, seeds_for
 from sboc_e2e.survey.validate import page, validate
 
@@ -37,7 +38,11 @@ def measure_response(
     out: Path,
     **how: Unpack[How],
 ) -> tuple[Path, tuple[tuple[int, str], ...]]:
-    """Write `response.json` in a folder from `runs` runs, those that are there already included; its path, and what failed."""
+    """Write `response.json` in a folder from `runs` runs, those that are there already included; its path, and what failed.
+
+    UserError for a scenario in which nothing flies, and where every run failed.
+    """
+    refuse_empty_sky(scenario, "measure")
     seeds = seeds_for(scenario, RESPONSE, runs)
     folder = out / "samples"
     found = _gathered(scenario, seeds, folder, **how)

@@ -64,7 +64,7 @@ def test_schedules_are_within_five_percent_of_the_optimum() -> None:
 def test_a_limit_of_visits_per_day_is_kept_and_leaves_the_best() -> None:
     slots, weight = case(1, slots=40)
     free = PlanOptions(visit_s=VISIT_S, slew=SlewOptions(rate_deg_s=1.0, settling_s=30.0))
-    limited = PlanOptions(visit_s=VISIT_S, slew=free.slew, visits_per_day=10.0)
+    limited = PlanOptions(visit_s=VISIT_S, slew=free.slew, daily_visits=10)
     everything = best_visits(slots, weight, HALF_FIELD, OBSERVING_S, free)
     few = best_visits(slots, weight, HALF_FIELD, OBSERVING_S, limited)
     assert 5 <= len(few) <= 10 < len(everything)

@@ -37,21 +37,18 @@ from simulator.radiation.arrival import field_lines
 from simulator.radiation.field import ParticleField
 from simulator.radiation.hits import HitList
 from simulator.scene.aberration import observer_velocity_km_s
-from simulator.scene.asteroids import AsteroidSky
 from simulator.scene.atmosphere import Atmosphere, clouds_of, seeing_sigma_rad
 from simulator.scene.backdrop import Backdrop, add_moon, backdrop_of, diffuse_image
 from simulator.scene.cast import make_cast, summary, target_direction
 from simulator.scene.cirrus import make_cirrus
-from simulator.scene.clusters import clusters_around
 from simulator.scene.crossing import RowShutter, row_shutter
-from simulator.scene.galaxies import GalaxySky
 from simulator.scene.movers import first_seen_km, paths_of
-from simulator.scene.stars import StarField, StarSky, joined
+from simulator.scene.point_sources import PointSources
 from simulator.scene.trail_image import Path, add_trail
-from simulator.sensor.lag import Lag, hand_on, lag_of
+from simulator.sensor.lag import LagBetweenFrames
 from simulator.sensor.smear import add_smear
-from simulator.starlight import STAR_MARGIN_PX, add_stars
-from simulator.truth_rows import cosmic_rows, frame_row
+from simulator.starlight import STAR_MARGIN_PX, Points, add_stars
+from simulator.truth_rows import cosmic_rows, frame_row, object_rows
 
 Array = NDArray[np.float64]
 
@@ -92,18 +89,16 @@ class Simulator:
             seed=seed,
             epoch_jyear=earth.jyear(epoch),
         )
-        self._stars = StarSky(options.stars, options.instrument, catalogue, seed=seed, epoch_jyear=earth.jyear(epoch))
+        self._points = PointSources(
+            options.stars, options.sky, options.instrument, catalogue, seed=seed, epoch_jyear=earth.jyear(epoch)
+        )
         self._cirrus = make_cirrus(options.sky.structure, seed)
-        self._lag: tuple[int, Lag] | None = None
-        self._asteroids = AsteroidSky(options.sky.asteroids, options.instrument, seed=seed)
-        self._galaxies = GalaxySky(options.sky.galaxies, options.instrument, seed=seed)
+        self._lag = LagBetweenFrames(options.sensor)
         middle = self._carrier.attitude(epoch + round(0.5e9 * duration_s))[2]
         sky_e_s = float(self._backdrop(epoch).surface_flux(middle[None], self._camera)[0] * self._camera.surface_rate_e_s)
         self._cast = make_cast(
             options.objects, options.population, self._carrier, self._camera, options.light, sky_e_s, duration_s
         )
-
-    # ------------------------------------------------------------- one frame
 
     def frame(self, index: int) -> tuple[Frame, truth.FrameTruth]:
         """Frame number `index` and its truth."""
@@ -113,7 +108,7 @@ class Simulator:
         image_e, sky_e, entropy_bits, stars, streaks = self._expose(sight, index)
         hits = self._hits(index)
         self._camera.sensor.overflow(image_e)
-        self._hand_on_lag(image_e, hits, index)
+        self._lag.show(image_e, hits, index, self._light_and_hits)
         pixels = self._camera.sensor.digitise(image_e, index, self._camera.exposure_s, hits)
         cosmics = cosmic_rows(self._camera, hits, index)
         frame = frame_row(self._camera.at(sight.reference_s), self._carrier, sight, self._air_of(sight), sky_e, index)
@@ -154,25 +149,11 @@ class Simulator:
         lines = field_lines(*fixed) if fixed else None
         return self._particles.hits(index, self._camera.exposure_s, self._carrier.geodetic(middle), lines)
 
-    def _hand_on_lag(self, image_e: NDArray[np.float32], hits: HitList, index: int) -> None:
-        """Let charge of the frame before show, in place. That frame is exposed again unless it was the last one made."""
-        share = self.options.sensor.structure.lag
-        if share == 0.0:
-            return
-        window, full_well_e = self.options.sensor.window, self.options.sensor.converter.full_well_e
-
-        def left_by(light_e: NDArray[np.float32], struck: HitList) -> Lag:
-            return lag_of(light_e, struck, (window.row0, window.col0), share, full_well_e)
-
-        own, before = left_by(image_e, hits), None
-        if index > 0 and self._lag is not None and self._lag[0] == index - 1:
-            before = self._lag[1]
-        elif index > 0:
-            earlier_e = self.mean_electrons(index - 1)
-            self._camera.sensor.overflow(earlier_e)
-            before = left_by(earlier_e, self._hits(index - 1))
-        hand_on(image_e, own, before, share)
-        self._lag = (index, own)
+    def _light_and_hits(self, index: int) -> tuple[NDArray[np.float32], HitList]:
+        """Charge of a frame that is exposed only for what it leaves behind."""
+        image_e = self.mean_electrons(index)
+        self._camera.sensor.overflow(image_e)
+        return image_e, self._hits(index)
 
     def _shutter(self, index: int) -> RowShutter:
         """When the rows of the window are open."""
@@ -204,8 +185,6 @@ class Simulator:
             self._camera.seeing_px = float(np.mean(self._camera.projection.focal_px * np.array(sigma_rad)))
             self._camera.seeing_error = self.options.atmosphere.seeing_error
 
-    # ------------------------------------------------------------- the scene
-
     def _backdrop(self, tai_ns: int) -> Backdrop:
         """Sky, Moon, planets and Earth at an instant; the zodiacal light is that of the epoch."""
         observer = self._carrier.observer
@@ -230,32 +209,12 @@ class Simulator:
         swing_rad = float(np.ptp(sight.turn_rad, axis=0).max())
         radius_rad = camera.radius_rad + swing_rad + 1.5 * STAR_MARGIN_PX / camera.projection.focal_px
         centre = camera.direction(0.0, 0.0) @ sight.reference
-        field = self._stars.around(centre, float(np.degrees(radius_rad)))
-        if self.options.sky.asteroids.density > 0.0:
-            now = self._carrier.tai_ns(sight.reference_s)
-            field = joined([field, self._asteroids.around(centre, float(np.degrees(radius_rad)), now, backdrop.observer_km)])
-        planets = backdrop.planets_near(centre, radius_rad)
-        return add_stars(
-            image_e,
-            field,
-            self._nebulae(centre, radius_rad),
-            planets,
-            backdrop,
-            sight,
-            velocity_km_s,
-            shutter,
-            camera,
-            (self.seed, index),
+        points = Points(
+            listed=self._points.listed(centre, radius_rad, self._carrier.tai_ns(sight.reference_s), backdrop.observer_km),
+            nebulae=self._points.nebulae(centre, radius_rad),
+            planets=backdrop.planets_near(centre, radius_rad),
         )
-
-    def _nebulae(self, centre: Array, radius_rad: float) -> StarField | None:
-        """Points of galaxies and globular clusters around a direction; None where there is nothing."""
-        sky, radius_deg, fields = self.options.sky, float(np.degrees(radius_rad)), []
-        if sky.galaxies.density > 0.0:
-            fields.append(self._galaxies.around(centre, radius_deg))
-        if sky.clusters:
-            fields += clusters_around(centre, radius_deg, self.options.instrument, self.seed)
-        return joined(fields) if fields else None
+        return add_stars(image_e, points, backdrop, sight, velocity_km_s, shutter, camera, (self.seed, index))
 
     def _paths(self, sight: LineOfSight, index: int, wanted: Iterable[int]) -> list[tuple[int, Path]]:
         """Paths of those wanted objects that come near the field in a frame."""
@@ -265,8 +224,6 @@ class Simulator:
         camera, air = self._camera.at(sight.reference_s), self._air_of(sight)
         things = [(k, self._cast.objects[k]) for k in wanted]
         return paths_of(things, sight, camera, sun_km, self.options.light, air, (first_open_s, middle_s), (self.seed, index))
-
-    # -------------------------------------------------------------- the run
 
     def camera(self) -> NominalCamera:
         """The camera as ground and on-board software believe it to be."""
@@ -278,21 +235,12 @@ class Simulator:
 
     def objects(self) -> NDArray[np.void]:
         """Truth of all objects, with the range at which each is first seen."""
-        out = truth.empty("objects", len(self._cast.objects))
-        for k, thing in enumerate(self._cast.objects):
-            out[k]["object_id"], out[k]["range_km"] = k, np.nan
-            for name in ("name", "kind", "size_m", "albedo", "a_km", "e", "i_deg", "weight"):
-                out[k][name] = getattr(thing.identity, name)
-        waiting = set(range(len(out)))
-        for index in range(self.n_frames):
-            if not waiting:
-                break
+
+        def seen(index: int, waiting: list[int]) -> dict[int, float]:
             sight = self._carrier.sight(index)
-            seen = first_seen_km(self._paths(sight, index, sorted(waiting)), self._shutter(index), sight)
-            for k, distance_km in seen.items():
-                out[k]["range_km"] = distance_km
-                waiting.discard(k)
-        return out
+            return first_seen_km(self._paths(sight, index, waiting), self._shutter(index), sight)
+
+        return object_rows(self._cast.objects, self.n_frames, seen)
 
     def population_summary(self) -> dict[str, Any]:
         """Encounters of nature against those drawn, for each size class; JSON-able."""

@@ -21,11 +21,21 @@ STAR_MARGIN_PX = 40.0
 """Stars this far outside the frame are drawn for the light of their wings."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Points:
+    """What shines in a field. nebulae : points that together make up what is nebulous, without truth; None for none.
+
+    planets : number and body of each.
+    """
+
+    listed: StarField
+    nebulae: StarField | None
+    planets: list[tuple[int, Body]]
+
+
 def add_stars(
     image_e: NDArray[np.float32],
-    field: StarField,
-    nebulae: StarField | None,
-    planets: list[tuple[int, Body]],
+    points: Points,
     backdrop: Backdrop,
     sight: LineOfSight,
     velocity_km_s: Array,
@@ -35,18 +45,17 @@ def add_stars(
 ) -> NDArray[np.void]:
     """Add stars, nebulae and planets to the image; truth of planets and stars, in this order.
 
-    nebulae : points that together make up what is nebulous; None for none. They have no truth.
     stream : seed and number of the frame, which decide scintillation (planets have none).
     """
     lighting = _Lighting(image_e, backdrop, sight, velocity_km_s, shutter, camera)
     rows = []
-    if nebulae is not None:
-        lighting.expose(nebulae)
-    for number, planet in planets:
-        points, whole = planet_field(planet, number, camera)
-        lighting.expose(points)
+    if points.nebulae is not None:
+        lighting.expose(points.nebulae)
+    for number, planet in points.planets:
+        disc, whole = planet_field(planet, number, camera)
+        lighting.expose(disc)
         rows.append(lighting.truth(whole, stream[1]))
-    rows.append(lighting.truth(field, stream[1], lighting.expose(field, stream)))
+    rows.append(lighting.truth(points.listed, stream[1], lighting.expose(points.listed, stream)))
     return rows[0] if len(rows) == 1 else np.concatenate(rows)
 
 

@@ -1,4 +1,7 @@
-"""What really was in a frame, as rows of the truth tables: the frame itself, its stars and its particle tracks."""
+"""What really was in a frame, as rows of the truth tables: the frame itself, its stars and particle tracks, and
+the objects of a run."""
+
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +13,7 @@ from simulator.platform.line_of_sight import LineOfSight
 from simulator.platform.rotation import quaternion_of
 from simulator.radiation.hits import HitList
 from simulator.scene.atmosphere import Atmosphere
+from simulator.scene.objects import PixelPathObject, SkyObject
 from simulator.scene.star_image import StarPlaces
 from simulator.scene.stars import StarField, angles_deg
 
@@ -100,4 +104,26 @@ def cosmic_rows(camera: Camera, hits: HitList, frame: int) -> NDArray[np.void]:
     for end in ("0", "1"):
         row, col = camera.delivered(tracks[f"row{end}"] - window.row0, tracks[f"col{end}"] - window.col0)
         out[f"row{end}"], out[f"col{end}"] = row, col
+    return out
+
+
+def object_rows(
+    objects: Sequence[SkyObject | PixelPathObject], n_frames: int, seen_km: Callable[[int, list[int]], dict[int, float]]
+) -> NDArray[np.void]:
+    """Truth (n,) of all objects, with the range at which each is first seen; NaN for those that no frame shows.
+
+    seen_km : range of those of the given objects (numbers) that a frame shows.
+    """
+    out = truth.empty("objects", len(objects))
+    for k, thing in enumerate(objects):
+        out[k]["object_id"], out[k]["range_km"] = k, np.nan
+        for name in ("name", "kind", "size_m", "albedo", "a_km", "e", "i_deg", "weight"):
+            out[k][name] = getattr(thing.identity, name)
+    waiting = set(range(len(out)))
+    for index in range(n_frames):
+        if not waiting:
+            break
+        for k, distance_km in seen_km(index, sorted(waiting)).items():
+            out[k]["range_km"] = distance_km
+            waiting.discard(k)
     return out

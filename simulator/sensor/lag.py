@@ -4,6 +4,7 @@ A scientific CMOS sensor shows less than 0.05 % of a pixel's charge in the frame
 Wu et al. 2023, arXiv 2303.08425). Charge that stays by chance is a thinned Poisson process: both parts are Poisson.
 """
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numba
@@ -11,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.radiation.hits import HitList
+from simulator.sensor.options import SensorOptions
 
 LEAST_E = 0.02
 """Lag below this many electrons is left out."""
@@ -55,6 +57,41 @@ def hand_on(image_e: NDArray[np.float32], own: Lag, before: Lag | None, share: f
     flat[own.place] *= np.float32(1.0 - share)
     if before is not None:
         flat[before.place] += before.electrons
+
+
+class LagBetweenFrames:
+    """Charge that goes from one frame to the next. It remembers what the last frame left behind."""
+
+    def __init__(self, options: SensorOptions) -> None:
+        self._share = options.structure.lag
+        self._origin = (options.window.row0, options.window.col0)
+        self._full_well_e = options.converter.full_well_e
+        self._last: tuple[int, Lag] | None = None
+
+    def show(
+        self,
+        image_e: NDArray[np.float32],
+        hits: HitList,
+        index: int,
+        light_and_hits: Callable[[int], tuple[NDArray[np.float32], HitList]],
+    ) -> None:
+        """`hand_on` for frame `index`, in place.
+
+        image_e : (rows, cols) mean electrons; hits : particles. light_and_hits : both of any frame; called for the frame before
+        unless that was the last one shown.
+        """
+        if self._share == 0.0:
+            return
+        own, before = self._left_by(image_e, hits), None
+        if index > 0 and self._last is not None and self._last[0] == index - 1:
+            before = self._last[1]
+        elif index > 0:
+            before = self._left_by(*light_and_hits(index - 1))
+        hand_on(image_e, own, before, self._share)
+        self._last = (index, own)
+
+    def _left_by(self, image_e: NDArray[np.float32], hits: HitList) -> Lag:
+        return lag_of(image_e, hits, self._origin, self._share, self._full_well_e)
 
 
 @numba.njit(cache=True)

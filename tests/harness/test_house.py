@@ -3,6 +3,7 @@
 `make lint` holds the layers (import-linter, pyproject.toml); what it cannot say is tested here on the same graph.
 """
 
+import ast
 import tomllib
 from collections.abc import Iterator, Mapping
 from graphlib import CycleError, TopologicalSorter
@@ -105,3 +106,25 @@ def test_the_linter_forbids_everything_else(imports: dict[str, set[str]], segmen
     parts = {room_in(module, "sboc_e2e") for module in imports} - {None}
     assert set(contract["forbidden_modules"]) >= parts - ALLOWED[segment]
     assert set(contract["forbidden_modules"]).isdisjoint(ALLOWED[segment])
+
+
+@pytest.mark.parametrize("segment", SEGMENTS)
+def test_a_chain_names_the_steps_and_leaves_the_work_to_them(segment: str) -> None:
+    """A file that must be read as a whole stays short enough for it."""
+    assert len((ROOT / segment / "chain.py").read_text(encoding="utf-8").splitlines()) <= 250
+
+
+def test_no_function_takes_more_than_ten_arguments() -> None:
+    """Kernels apart, which take arrays one by one, and commands, whose arguments are the options of the command line."""
+    too_many = []
+    for package in (*SEGMENTS, "sboc_e2e"):
+        for path in sorted((ROOT / package).rglob("*.py")):
+            for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+                if not isinstance(node, ast.FunctionDef) or any(
+                    "jit" in ast.unparse(mark) or ".command" in ast.unparse(mark) for mark in node.decorator_list
+                ):
+                    continue
+                names = [one.arg for one in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+                if len([name for name in names if name not in ("self", "cls")]) > 10:
+                    too_many.append(f"{path.relative_to(ROOT)}: {node.name}")
+    assert too_many == []

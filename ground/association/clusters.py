@@ -214,6 +214,15 @@ def judged(
     return Cluster(members=members, solution=solution)
 
 
+def meets_all(solution: Solution, tracklets: Sequence[Directions]) -> bool:
+    """Whether a fit of these tracklets, in this order, uses at least half of each one's numbers.
+
+    Robust weights let a fit pass that leaves a whole tracklet out.
+    """
+    ends = np.cumsum([2 * len(t.t_tai_ns) for t in tracklets])
+    return all(float((part > 0.0).mean()) >= 0.5 for part in np.split(solution.weights, ends[:-1]))
+
+
 def _with_ambiguity(
     found: Sequence[Cluster], arcs: Sequence[ArcOrbit | None], forces: ForceModel, options: AssociationOptions
 ) -> list[Cluster]:

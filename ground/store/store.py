@@ -5,7 +5,7 @@ import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -184,6 +184,27 @@ class ObjectStore:
         rows = self._rows(select(schema.DECISIONS).order_by(schema.DECISIONS.c.decision_id))
         return [{**row, "detail": json.loads(row["detail"])} for row in rows]
 
+    def without_orbit(self) -> list[int]:
+        """Active and lost objects that no orbit was ever stored for, by number."""
+        o, b = schema.OBJECTS, schema.ORBITS
+        there = exists().where(b.c.object_id == o.c.object_id)
+        query = select(o.c.object_id).where(o.c.status.in_(("active", "lost")), ~there).order_by(o.c.object_id)
+        return [int(row["object_id"]) for row in self._rows(query)]
+
+    def unproven_merges(self) -> list[int]:
+        """Objects that were merged with others after their tracklets were last found to be of one orbit, by number."""
+        table = schema.DECISIONS
+        query = select(table).where(table.c.kind.in_(("merge", "split", "release", "one orbit"))).order_by(table.c.decision_id)
+        found: dict[int, bool] = {}
+        for row in self._rows(query):
+            detail = json.loads(row["detail"])
+            if row["kind"] == "merge":
+                found[detail["kept"]] = True
+                found.pop(detail["merged"], None)
+            else:
+                found[detail["object_id"] if row["kind"] == "one orbit" else detail["from"]] = False
+        return sorted(k for k, unproven in found.items() if unproven)
+
     def _rows(self, query: Any) -> list[dict[str, Any]]:
         with self.engine.connect() as connection:
             return [dict(row) for row in connection.execute(query).mappings()]
@@ -303,23 +324,59 @@ class Writer:
         self._connection.execute(update(o).where(o.c.object_id == other).values(status="merged", merged_into=kept))
         self._decide("merge", by, at_tai_ns, {"kept": kept, "merged": other, "tracklets": len(rows), "why": why})
 
-    def split(self, object_id: int, tracklet_ids: Iterable[int], name: str, *, by: str, at_tai_ns: int, why: str) -> int:
-        """Split an object: move some of its tracklets to a new object. Returns the number of the new object."""
+    def split(
+        self,
+        object_id: int,
+        tracklet_ids: Iterable[int],
+        name: str,
+        orbits: tuple[StoredOrbit, StoredOrbit],
+        *,
+        by: str,
+        at_tai_ns: int,
+        why: str,
+    ) -> int:
+        """Split an object: some of its tracklets go to a new object. Returns the number of the new object.
+
+        orbits : of the tracklets that stay and of those that go, each fitted to its own; they become current. The number of the
+        object in them is not looked at.
+        """
+        rows = self._taken_from(object_id, tracklet_ids, "split")
+        (new,) = self.add_objects([name], at_tai_ns)
+        self.associate([_reassigned(row, new, by, at_tai_ns) for row in rows])
+        self.add_orbits([replace(o, object_id=k) for o, k in zip(orbits, (object_id, new), strict=True)])
+        moved = sorted(row["tracklet_id"] for row in rows)
+        self._decide("split", by, at_tai_ns, {"from": object_id, "new": new, "tracklets": moved, "why": why})
+        return new
+
+    def release(
+        self, object_id: int, tracklet_ids: Iterable[int], orbit: StoredOrbit, *, by: str, at_tai_ns: int, why: str
+    ) -> None:
+        """Take tracklets from an object; they are no object's then. orbit : fitted to those that stay, becomes current."""
+        rows = self._taken_from(object_id, tracklet_ids, "release")
+        self.add_orbits([replace(orbit, object_id=object_id)])
+        freed = sorted(row["tracklet_id"] for row in rows)
+        self._decide("release", by, at_tai_ns, {"from": object_id, "tracklets": freed, "why": why})
+
+    def hold(self, object_id: int, orbit: StoredOrbit, *, by: str, at_tai_ns: int, why: str) -> None:
+        """Record that one orbit meets all tracklets of an object; it becomes current."""
+        self._require(object_id)
+        self.add_orbits([replace(orbit, object_id=object_id)])
+        self._decide("one orbit", by, at_tai_ns, {"object_id": object_id, "why": why})
+
+    def _taken_from(self, object_id: int, tracklet_ids: Iterable[int], what: str) -> list[dict[str, Any]]:
+        """Accepted associations of some tracklets with an object, as they were; they are rejected from here on."""
         self._require(object_id)
         wanted = sorted(set(tracklet_ids))
         a = schema.ASSOCIATIONS
-        rows = []
+        rows: list[dict[str, Any]] = []
         for numbers in _chunks(wanted):
             there = and_(a.c.object_id == object_id, a.c.state == "accepted", a.c.tracklet_id.in_(numbers))
             rows += [dict(row) for row in self._connection.execute(select(a).where(there)).mappings()]
             self._connection.execute(update(a).where(there).values(state="rejected"))
         missing = set(wanted) - {row["tracklet_id"] for row in rows}
         if missing or not wanted:
-            raise UserError(f"store: split: tracklets {sorted(missing)[:5]} are not accepted as object {object_id}'s")
-        (new,) = self.add_objects([name], at_tai_ns)
-        self.associate([_reassigned(row, new, by, at_tai_ns) for row in rows])
-        self._decide("split", by, at_tai_ns, {"from": object_id, "new": new, "tracklets": wanted, "why": why})
-        return new
+            raise UserError(f"store: {what}: tracklets {sorted(missing)[:5]} are not accepted as object {object_id}'s")
+        return rows
 
     def _require(self, object_id: int) -> None:
         table = schema.OBJECTS

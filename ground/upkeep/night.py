@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ground.association.arc import ArcOrbit, arc_orbits
 from ground.association.associate import associate
-from ground.association.clusters import AssociationOptions, Cluster, judged
+from ground.association.clusters import AssociationOptions, Cluster, judged, meets_all
 from ground.association.correlate import candidates_of
 from ground.determination.forces import ForceModel, step_of
 from ground.determination.measurements import Directions
@@ -21,6 +21,7 @@ from ground.determination.propagation import propagate
 from ground.sky.sphere import east_north
 from ground.store.store import Association, ObjectStore, StoredOrbit, StoredTracklet, Writer
 from ground.upkeep import sequential
+from ground.upkeep.division import division_of
 from ground.upkeep.sightings import KnownOrbit, Sighting, sightings
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
@@ -54,7 +55,8 @@ class UpkeepOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class NightReport:
-    """Numbers of a night: tracklets correlated, ambiguous, left; objects renewed, made, merged, found again, lost, retired."""
+    """Numbers of a night: tracklets correlated, ambiguous, left; objects renewed, refused (their new tracklets fit no one orbit),
+    made, merged, split off; tracklets released from objects; objects found again, lost, retired."""
 
     correlated: int = 0
     ambiguous: int = 0
@@ -63,6 +65,8 @@ class NightReport:
     refused: int = 0
     made: int = 0
     merged: int = 0
+    split: int = 0
+    released: int = 0
     reacquired: int = 0
     lost: int = 0
     retired: int = 0
@@ -92,42 +96,62 @@ class _Renewed:
 
 
 def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = None) -> NightReport:
-    """Bring a store up to an epoch; what was done. The same call again changes nothing."""
+    """Bring a store up to an epoch; what was done. The same call again changes nothing.
+
+    Divisions of objects are written first, each whole; the rest of the night follows in a transaction of its own.
+    """
     options = options or UpkeepOptions()
     since = now_tai_ns - round(options.window_days * tai.NS_PER_DAY)
+    divided = _divide(store, store.unproven_merges(), "merged before", now_tai_ns, options)
+    _divide(store, store.without_orbit(), "no orbit before", now_tai_ns, options)
     new = store.uncorrelated(since, now_tai_ns)
     data = {k: directions_of(t) for k, t in new.items()}
-    status = {row["object_id"]: row["status"] for row in store.objects()}
-    known = [known_orbit(o, options) for o in store.orbits() if status[o.object_id] in ("active", "lost")]
+    status, known = _in_service(store, options)
     with _processes(options.workers if len(known) >= PARALLEL_FROM else 1) as pool:
-        seen = {(s.object_id, s.tracklet_id): s for s in sightings(data, known, pool)}
+        seen = {(s.object_id, s.tracklet_id): s for s in sightings(data, list(known.values()), pool)}
         arcs = _arcs(data, list(seen.values()), pool)
-    wanted: dict[int, dict[int, float]] = {}
-    doubtful: list[tuple[int, int, float]] = []
-    for tracklet, found in _candidates(arcs, list(seen.values())).items():
-        if found and found[0][1] >= options.accept:
-            wanted.setdefault(found[0][0], {})[tracklet] = found[0][1]
-        else:
-            doubtful += [(tracklet, object_id, p) for object_id, p in found]
-    renewed, refused = [], 0
-    known_of = {one.orbit.object_id: one for one in known}
-    for object_id, accepted in sorted(wanted.items()):
-        before = known_of[object_id]
-        orbit = sequential.renewed(before, [seen[object_id, t] for t in accepted], MADE_BY, now_tai_ns)
-        if orbit is not None:
-            one: _Renewed | None = _Renewed(object_id=object_id, orbit=orbit, accepted=accepted)
-        else:
-            one = _refitted(store, before.orbit, accepted, data, since, now_tai_ns, options)
-        if one is None:
-            refused += 1
-        else:
-            renewed.append(one)
+    done: dict[tuple[int, tuple[int, ...]], _Renewed | None] = {}
+
+    def correlated() -> tuple[list[_Renewed], list[int], list[tuple[int, int, float]]]:
+        """Objects with their new orbits, objects whose new tracklets fit none, and doubtful pairs with probabilities."""
+        wanted: dict[int, dict[int, float]] = {}
+        doubtful: list[tuple[int, int, float]] = []
+        for tracklet, found in _candidates(arcs, list(seen.values())).items():
+            if found and found[0][1] >= options.accept:
+                wanted.setdefault(found[0][0], {})[tracklet] = found[0][1]
+            else:
+                doubtful += [(tracklet, object_id, p) for object_id, p in found]
+        for object_id, accepted in sorted(wanted.items()):
+            key = object_id, tuple(sorted(accepted))
+            if key not in done:
+                before = known[object_id]
+                orbit = sequential.renewed(before, [seen[object_id, t] for t in accepted], MADE_BY, now_tai_ns)
+                if orbit is not None:
+                    done[key] = _Renewed(object_id=object_id, orbit=orbit, accepted=accepted)
+                else:
+                    done[key] = _refitted(store, before.orbit, accepted, data, since, now_tai_ns, options)
+        out = {object_id: done[object_id, tuple(sorted(accepted))] for object_id, accepted in sorted(wanted.items())}
+        return [one for one in out.values() if one is not None], [k for k, one in out.items() if one is None], doubtful
+
+    renewed, refused, doubtful = correlated()
+    # a tracklet that an object's orbit predicts and its tracklets refuse: they may be of two objects
+    again = _divide(store, refused, "a new tracklet met its prediction and no fit", now_tai_ns, options)
+    if again.changed:
+        status, known = _in_service(store, options)
+        freed = {k: directions_of(t) for k, t in store.uncorrelated(since, now_tai_ns).items() if k not in data}
+        fresh = [known[k] for k in sorted(again.changed) if k in known]
+        seen = {pair: s for pair, s in seen.items() if pair[0] not in again.changed}
+        seen |= {(s.object_id, s.tracklet_id): s for s in (*sightings(data, fresh), *sightings(freed, list(known.values())))}
+        arcs |= _arcs(freed, [s for s in seen.values() if s.tracklet_id in freed], None)
+        data |= freed
+        done = {key: one for key, one in done.items() if key[0] not in again.changed}
+        renewed, refused, doubtful = correlated()
     in_doubt = {(a.tracklet_id, a.object_id) for a in store.associations(state="ambiguous")}
     taken = {t for one in renewed for t in one.accepted} | {t for t, _, _ in doubtful}
     free = sorted(k for k in arcs if k not in taken)
     clusters = associate([data[k] for k in free], options.association)
     made = [(tuple(free[m] for m in c.members), c) for c in clusters]
-    current = {k: one.orbit for k, one in known_of.items()} | {one.object_id: one.orbit for one in renewed}
+    current = {k: one.orbit for k, one in known.items()} | {one.object_id: one.orbit for one in renewed}
     merges = _merges(made, current, options)
     lost, retired = _faded(current, {one.object_id for one in renewed}, status, now_tai_ns, options)
     with store.transaction() as writer:
@@ -140,18 +164,76 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
         ):
             for number in numbers:
                 writer.set_status(number, name, by=MADE_BY, at_tai_ns=now_tai_ns, why=why)
+    if merges:
+        merged = _divide(store, store.unproven_merges(), "merged before", now_tai_ns, options)
+    else:
+        merged = _Divided()
     return NightReport(
         correlated=sum(len(one.accepted) for one in renewed),
         ambiguous=len({t for t, _, _ in doubtful}),
         left=len(free) - sum(len(m) for m, _ in made),
         renewed=len(renewed),
-        refused=refused,
+        refused=len(refused),
         made=len(made) - len(merges),
         merged=len(merges),
+        split=divided.split + again.split + merged.split,
+        released=divided.released + again.released + merged.released,
         reacquired=len(found_again),
         lost=len(lost),
         retired=len(retired),
     )
+
+
+def _in_service(store: ObjectStore, options: UpkeepOptions) -> tuple[dict[int, str], dict[int, KnownOrbit]]:
+    """Status of every object, and the orbits of those that are looked for."""
+    status = {row["object_id"]: str(row["status"]) for row in store.objects()}
+    known = [known_orbit(o, options) for o in store.orbits() if status[o.object_id] in ("active", "lost")]
+    return status, {one.orbit.object_id: one for one in known}
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Divided:
+    """Objects whose orbits are new ones, new objects, and tracklets that are no object's any more."""
+
+    changed: frozenset[int] = frozenset()
+    split: int = 0
+    released: int = 0
+
+
+def _divide(store: ObjectStore, suspects: Sequence[int], cause: str, now: int, options: UpkeepOptions) -> _Divided:
+    """Look at all tracklets of some objects in the window before their last one, and write what they say, object by object."""
+    total = _Divided()
+    names = {row["object_id"]: str(row["name"]) for row in store.objects()} if suspects else {}
+    for object_id in suspects:
+        orbits, every = store.orbits(object_id), store.tracklets_of(object_id)
+        if not every:
+            continue
+        after = max(int(t.t_tai_ns[0]) for t in every.values()) - round(options.window_days * tai.NS_PER_DAY)
+        data = {k: directions_of(t) for k, t in every.items() if t.t_tai_ns[0] >= after}
+        found = division_of(data, known_orbit(orbits[0], options) if orbits else None, options.association)
+        if found is None:
+            continue
+        stored = [_stored(p.cluster, object_id, now) for p in found.parts]
+        shares = " and ".join(f"{len(p.tracklets)} (chi2/nu {p.cluster.solution.chi2_nu:.2f})" for p in found.parts)
+        changed = {object_id}
+        with store.transaction() as writer:
+            if found.whole:
+                why = f"{cause}; one orbit meets its tracklets of the window: {shares}"
+                writer.hold(object_id, stored[0], by=MADE_BY, at_tai_ns=now, why=why)
+            if found.loose:
+                why = f"{cause}; no orbit with the rest, which has one: {shares}"
+                writer.release(object_id, found.loose, stored[0], by=MADE_BY, at_tai_ns=now, why=why)
+            for part, orbit in zip(found.parts[1:], stored[1:], strict=True):
+                why = f"{cause}; no one orbit meets its tracklets, these orbits do: {shares}"
+                name = f"{names[object_id][:50]}-{min(part.tracklets)}"
+                halves = stored[0], orbit
+                changed.add(writer.split(object_id, part.tracklets, name, halves, by=MADE_BY, at_tai_ns=now, why=why))
+        total = _Divided(
+            changed=total.changed | changed,
+            split=total.split + len(found.parts) - 1,
+            released=total.released + len(found.loose),
+        )
+    return total
 
 
 def forces_of(orbit: StoredOrbit, options: AssociationOptions) -> ForceModel:
@@ -230,7 +312,7 @@ def _refitted(
     except UserError:
         # the directions leave an element free: the orbit that is there stays
         return None
-    if cluster is None:
+    if cluster is None or not meets_all(cluster.solution, every):
         return None
     return _Renewed(object_id=orbit.object_id, orbit=_stored(cluster, orbit.object_id, now), accepted=accepted)
 

@@ -113,10 +113,21 @@ def test_merge_and_split_keep_the_history(store: ObjectStore) -> None:
     assert sorted(store.tracklets_of(one)) == numbers
     assert store.objects("merged")[0]["merged_into"] == one
     with store.transaction() as writer:
-        three = writer.split(one, numbers[3:], "C", by="operator", at_tai_ns=T0, why="outlier")
+        writer.add_orbits([orbit(one)])
+        halves = orbit(one, 3.0), orbit(one, 4.0)
+        three = writer.split(one, numbers[3:], "C", halves, by="operator", at_tai_ns=T0, why="outlier")
         writer.set_status(three, "lost", by="operator", at_tai_ns=T0, why="not seen")
     assert sorted(store.tracklets_of(three)) == numbers[3:]
-    assert [d["kind"] for d in store.decisions()] == ["merge", "split", "status"]
+    # both have the orbit of their own tracklets, the one with the moved tracklets is history
+    assert [[o.state[0] for o in store.orbits(k)] for k in (one, three)] == [[42167.0], [42168.0]]
+    assert [o.state[0] for o in store.orbits(one, current=False)] == [42164.0, 42167.0]
+    with store.transaction() as writer:
+        writer.release(one, numbers[2:3], orbit(one, 5.0), by="operator", at_tai_ns=T0, why="of nobody")
+    assert sorted(store.tracklets_of(one)) == numbers[:2]
+    assert list(store.uncorrelated(T0, 2 * T0)) == numbers[2:3]
+    with pytest.raises(UserError, match="release: tracklets"), store.transaction() as writer:
+        writer.release(one, numbers[2:3], orbit(one, 5.0), by="operator", at_tai_ns=T0, why="twice")
+    assert [d["kind"] for d in store.decisions()] == ["merge", "split", "status", "release"]
     assert len(store.associations()) == 4 + 2 + 1
 
 

@@ -11,4 +11,5 @@ worth        what is known of each orbit, and what a visit adds to it
 greedy       the schedule, one visit after another, with look-ahead
 fence        fields that scan a strip of the sky so that nothing slips through
 schedule     the result
+prm          the result as a CCSDS Pointing Request Message
 """

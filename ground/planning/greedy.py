@@ -1,10 +1,12 @@
-"""The schedule, one visit after another: the best fields now are tried, the best schedules so far are kept.
+"""The schedule, one visit after another: the best fields now are tried, the best schedules so far are kept. Then it is improved.
 
 With one schedule and one choice this is the greedy one, which for worths that only fall (they are submodular) and free slews
 is never below 1 - 1/e of the optimum (Nemhauser, Wolsey & Fisher 1978, Math. Program. 14, 265). Schedules kept side by side see
-a poor slew some visits ahead.
+a poor slew some visits ahead. They do not see what later visits will tell. What visits tell does not depend on their order, so
+that a short run of slots can be searched again with everything known that the visits before and after it tell.
 """
 
+from bisect import bisect_left
 from dataclasses import dataclass, replace
 from typing import Any, Final
 
@@ -18,6 +20,13 @@ Array = NDArray[np.float64]
 
 _SAME_FIELD_RAD: Final = 1e-6
 _LEAST_GAIN: Final = 1e-9
+_RUN: Final = 12
+"""Slots that are searched again together; each slot stands in two runs."""
+_SWEEPS: Final = 4
+"""Searches over all runs, fewer where nothing improves."""
+_WIDEST: Final = 64
+_SIGHTINGS: Final = 2_000_000
+"""Targets in slots times schedules kept side by side: plans with fewer are searched again with wider beams."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -41,6 +50,17 @@ class Chosen:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class _Case:
+    """What is to be planned. weight : (m,) of targets; observing_s : of a visit, without slew and settling."""
+
+    slots: list[Slot]
+    weight: Array
+    half_field_rad: float
+    observing_s: float
+    options: PlanOptions
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class _Branch:
     """One schedule so far. visits : its last visit and the chain of those before it."""
 
@@ -59,20 +79,27 @@ def best_visits(
     A limit of visits per day is met by a price: fields that are worth less are left out. Where no price leaves few enough, the
     best of each day are kept.
     """
-    visits = _searched(slots, weight, half_field_rad, observing_s, options, 0.0)
+    case = _Case(slots=slots, weight=weight, half_field_rad=half_field_rad, observing_s=observing_s, options=options)
+    visits = _searched(case, 0.0)
     limit = options.daily_visits
-    if limit == 0 or _busiest_day(visits, slots) <= limit:
-        return visits
+    if limit == 0:
+        return _improved(case, visits, 0.0)
+    if _busiest_day(visits, slots) <= limit:
+        better = _improved(case, visits, 0.0)
+        return better if _busiest_day(better, slots) <= limit else visits
     low, high = 0.0, max(float(visit.gains.sum()) for visit in visits)
     kept: list[Chosen] = []
     for _ in range(8):
         price = 0.5 * (low + high)
-        found = _searched(slots, weight, half_field_rad, observing_s, options, price)
+        found = _searched(case, price)
         if _busiest_day(found, slots) <= limit:
             high, kept = price, found
         else:
             low, visits = price, found
-    return kept or _best_of_days(visits, slots, weight, limit)
+    if not kept:
+        return _best_of_days(visits, slots, weight, limit)
+    better = _improved(case, kept, high)
+    return better if _busiest_day(better, slots) <= limit else kept
 
 
 def _best_of_days(visits: list[Chosen], slots: list[Slot], weight: Array, limit: int) -> list[Chosen]:
@@ -84,14 +111,24 @@ def _best_of_days(visits: list[Chosen], slots: list[Slot], weight: Array, limit:
     for visit in visits:
         by_day.setdefault(int(slots[visit.slot].start_s // 86400.0), []).append(visit)
     best = [visit for day in by_day.values() for visit in sorted(day, key=lambda one: -float(one.gains.sum()))[:limit]]
-    covariance = np.broadcast_to(np.eye(6), (len(weight), 6, 6)).copy()
+    return _in_turn(sorted(best, key=lambda one: one.slot), slots, weight, _nothing_known(len(weight)))
+
+
+def _in_turn(visits: list[Chosen], slots: list[Slot], weight: Array, covariance: Array) -> list[Chosen]:
+    """The same visits with what each adds to those before it; covariance : (m, 6, 6) before the first."""
+    covariance = covariance.copy()
     out = []
-    for visit in sorted(best, key=lambda one: one.slot):
+    for visit in visits:
         slot = slots[visit.slot]
         seen, told = slot.target[visit.members], slot.told[visit.members]
         out.append(replace(visit, gains=weight[seen] * gains(covariance[seen], told)))
         covariance[seen] = updated(covariance[seen], told)
     return out
+
+
+def _nothing_known(n_targets: int) -> Array:
+    """Covariances (m, 6, 6) at the start of the plan, in units of themselves."""
+    return np.broadcast_to(np.eye(6), (n_targets, 6, 6)).copy()
 
 
 def _busiest_day(visits: list[Chosen], slots: list[Slot]) -> int:
@@ -100,29 +137,92 @@ def _busiest_day(visits: list[Chosen], slots: list[Slot]) -> int:
     return int(np.bincount(days).max()) if days else 0
 
 
-def _searched(
-    slots: list[Slot], weight: Array, half_field_rad: float, observing_s: float, options: PlanOptions, price: float
-) -> list[Chosen]:
-    """Beam search over the slots."""
-    start = np.broadcast_to(np.eye(6), (len(weight), 6, 6)).copy()
-    branches = [_Branch(covariance=start, worth=0.0, boresight=None, free_s=-np.inf, visits=None)]
-    for number, slot in enumerate(slots):
+def _searched(case: _Case, price: float) -> list[Chosen]:
+    """The best of the schedules that a beam search over all slots finds."""
+    start = _Branch(covariance=_nothing_known(len(case.weight)), worth=0.0, boresight=None, free_s=-np.inf, visits=None)
+    return _path(max(_beam(case, range(len(case.slots)), start, price), key=lambda branch: branch.worth))
+
+
+def _improved(case: _Case, visits: list[Chosen], price: float) -> list[Chosen]:
+    """The schedule with better visits in short runs of slots; as it is where one schedule alone is looked at (greedy)."""
+    options = case.options
+    if options.look_ahead == 1:
+        return visits
+    sightings = max(1, sum(len(slot.target) for slot in case.slots))
+    width = min(_WIDEST, max(options.look_ahead, _SIGHTINGS // sightings))
+    wide = replace(case, options=replace(options, look_ahead=width))
+    for _ in range(_SWEEPS if width > options.look_ahead else 1):
+        before = visits
+        known = _told(visits, case.slots, len(case.weight))
+        for first in range(-_RUN // 2, len(case.slots), _RUN // 2):
+            run = range(max(first, 0), min(first + _RUN, len(case.slots)))
+            visits, known = _searched_again(wide, run, visits, known, price)
+        if visits is before:
+            break
+    return _in_turn(visits, case.slots, case.weight, _nothing_known(len(case.weight)))
+
+
+def _told(visits: list[Chosen], slots: list[Slot], n_targets: int) -> Array:
+    """What visits tell of each target (m, 6, 6), in units of what is known at the start."""
+    out = np.zeros((n_targets, 6, 6))
+    for visit in visits:
+        slot = slots[visit.slot]
+        told = slot.told[visit.members]
+        out[slot.target[visit.members]] += np.swapaxes(told, 1, 2) @ told
+    return out
+
+
+def _searched_again(case: _Case, run: range, visits: list[Chosen], known: Array, price: float) -> tuple[list[Chosen], Array]:
+    """The schedule with better visits in a run of slots, or as it is where none are found, and what it tells.
+
+    known : (m, 6, 6), what all visits tell.
+    """
+    slots, weight = case.slots, case.weight
+    low, high = (bisect_left(visits, slot, key=lambda visit: visit.slot) for slot in (run.start, run.stop))
+    of_others = known - _told(visits[low:high], slots, len(weight))
+    covariance: Array = np.asarray(np.linalg.inv(np.eye(6) + of_others), dtype=np.float64)
+    last = visits[low - 1] if low else None
+    start = _Branch(
+        covariance=covariance,
+        worth=0.0,
+        boresight=None if last is None else last.boresight,
+        free_s=-np.inf if last is None else slots[last.slot].start_s + case.options.visit_s,
+        visits=None,
+    )
+    branches = _beam(case, run, start, price)
+    if high < len(visits):
+        after = visits[high]
+        branches = [b for b in branches if _reachable(case, b, slots[after.slot], after.boresight[None])[0]]
+    best = max(branches, key=lambda branch: branch.worth, default=None)
+    worth = sum(float(visit.gains.sum()) - price for visit in _in_turn(visits[low:high], slots, weight, covariance))
+    if best is None or best.worth <= worth + _LEAST_GAIN * max(1.0, worth):
+        return visits, known
+    found = _path(best)
+    return visits[:low] + found + visits[high:], of_others + _told(found, slots, len(weight))
+
+
+def _beam(case: _Case, run: range, start: _Branch, price: float) -> list[_Branch]:
+    """The best schedules of a run of slots that go on from a start."""
+    weight, options = case.weight, case.options
+    branches = [start]
+    for number in run:
+        slot = case.slots[number]
         if not len(slot.target):
             continue
-        together = slot.direction @ slot.direction.T >= np.cos(half_field_rad)
+        together = slot.direction @ slot.direction.T >= np.cos(case.half_field_rad)
         children: list[tuple[float, int, Chosen | None]] = []
         for k, branch in enumerate(branches):
             children.append((branch.worth, k, None))
             gain = weight[slot.target] * gains(branch.covariance[slot.target], slot.told)
-            sums = np.where(_reachable(branch, slot, observing_s, options), together @ gain, 0.0)
+            sums = np.where(_reachable(case, branch, slot, slot.direction), together @ gain, 0.0)
             for place in np.argsort(-sums, kind="stable")[: options.choices]:
                 if sums[place] - price > _LEAST_GAIN:
                     members = np.flatnonzero(together[place])
                     visit = Chosen(slot=number, boresight=slot.direction[place], members=members, gains=gain[members])
                     children.append((branch.worth + float(sums[place]) - price, k, visit))
         children.sort(key=lambda child: -child[0])
-        branches = [_grown(branches[k], slots, visit, worth, options) for worth, k, visit in _unlike(children, options)]
-    return _path(max(branches, key=lambda branch: branch.worth))
+        branches = [_grown(branches[k], case.slots, visit, worth, options) for worth, k, visit in _unlike(children, options)]
+    return branches
 
 
 def _unlike(children: list[tuple[float, int, Chosen | None]], options: PlanOptions) -> list[tuple[float, int, Chosen | None]]:
@@ -136,13 +236,14 @@ def _unlike(children: list[tuple[float, int, Chosen | None]], options: PlanOptio
     return kept
 
 
-def _reachable(branch: _Branch, slot: Slot, observing_s: float, options: PlanOptions) -> NDArray[np.bool_]:
-    """Which targets (v,) the camera can rest on in time."""
+def _reachable(case: _Case, branch: _Branch, slot: Slot, direction: Array) -> NDArray[np.bool_]:
+    """Which directions (v, 3) the camera can rest on in time."""
+    options = case.options
     if branch.boresight is None:
-        return np.ones(len(slot.target), dtype=np.bool_)
-    angle = np.arccos(np.clip(slot.direction @ branch.boresight, -1.0, 1.0))
+        return np.ones(len(direction), dtype=np.bool_)
+    angle = np.arccos(np.clip(direction @ branch.boresight, -1.0, 1.0))
     needed_s = np.where(angle < _SAME_FIELD_RAD, 0.0, np.degrees(angle) / options.slew.rate_deg_s + options.slew.settling_s)
-    return np.asarray(branch.free_s + needed_s + observing_s <= slot.start_s + options.visit_s)
+    return np.asarray(branch.free_s + needed_s + case.observing_s <= slot.start_s + options.visit_s)
 
 
 def _grown(branch: _Branch, slots: list[Slot], visit: Chosen | None, worth: float, options: PlanOptions) -> _Branch:

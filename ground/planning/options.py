@@ -57,7 +57,10 @@ class PlanOptions:
         default=0, metadata={"doc": "visits that the downlink carries in a day, 0: any number", "min": 0, "max": 100_000}
     )
     sky_mag_arcsec2: float = field(default=21.8, metadata={"doc": "V brightness of the sky", "min": 10.0, "max": 30.0})
-    look_ahead: int = field(default=8, metadata={"doc": "schedules kept side by side; 1 is greedy", "min": 1, "max": 64})
+    look_ahead: int = field(
+        default=8,
+        metadata={"doc": "schedules kept side by side; 1 is greedy, and nothing is searched again", "min": 1, "max": 64},
+    )
     choices: int = field(default=6, metadata={"doc": "fields tried for each visit of each schedule", "min": 1, "max": 64})
     constraints: ConstraintOptions = field(default_factory=ConstraintOptions, metadata={"doc": "what forbids a direction"})
     slew: SlewOptions = field(default_factory=SlewOptions, metadata={"doc": "slews"})

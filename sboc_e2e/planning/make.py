@@ -1,4 +1,4 @@
-"""From a plan's file to a folder: schedule.ecsv, targets.ecsv, windows.ecsv, scenario.toml, timeline.png, sky.png, plan.md."""
+"""From a plan's file to a folder: schedule.ecsv, targets.ecsv, windows.ecsv, scenario.toml, prm.xml, pictures, plan.md."""
 
 import gzip
 from pathlib import Path
@@ -11,7 +11,9 @@ from numpy.typing import NDArray
 from ground.orbit.catalogue_match import KnownObjects, read_elements
 from ground.planning.fence import Fence, fence_of
 from ground.planning.plan import plan_visits
+from ground.planning.prm import prm_xml
 from ground.planning.schedule import Schedule
+from ground.planning.sky import Orbit
 from ground.planning.targets import Targets
 from ground.planning.windows import Windows
 from ground.products.epochs import utc_text as utc_texts
@@ -56,6 +58,9 @@ def make_plan(request: PlanRequest, path: Path, out: Path, registry: Registry) -
         schedule = plan_visits(targets, station, camera, start, request.plan)
     out.mkdir(parents=True, exist_ok=True)
     atomic.write_text(out / "scenario.toml", scenario_toml(request, found, station, source, schedule, registry))
+    if isinstance(station, Orbit):
+        roll_deg = found.simulator.pointing.roll_deg
+        atomic.write_bytes(out / "prm.xml", prm_xml(schedule, roll_deg, start, found.ground.products))
     ecsv.write_table(out / "schedule.ecsv", _visits(schedule, names))
     if names:
         ecsv.write_table(out / "targets.ecsv", _targets(schedule, names))

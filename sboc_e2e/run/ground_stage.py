@@ -5,7 +5,7 @@ Reads downlink.bin, calibration/ and the star catalogue; nothing else of a run.
 
 import dataclasses
 import shutil
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Final
@@ -94,16 +94,19 @@ def ground_chain(
     catalogue: StarCatalogue,
     run_id: int | None = None,
     look_alikes: Mapping[int, NDArray[np.float64]] | None = None,
+    alone: Collection[int] = (),
 ) -> GroundChain:
     """The ground chain of a scenario for the packets of a run. It has the chosen decoder and every shipped one.
 
-    look_alikes : by frame number, (n, 2) S/N and length (px) of lines that are certainly false (`ground.vetting.look_alikes`).
+    look_alikes : by frame number, (n, 3) S/N, length and width (px) of lines that are certainly false
+    (`ground.vetting.look_alikes`).
+    alone : numbers of the frames that were held against no other frame of the same sky.
     """
     vetter = scenario.step("ground.vetter")
     steps = GroundSteps(
         decoders=decoders_of(scenario),
         streak_fitter=scenario.step("ground.streak_fitter"),
-        vetter=LookAlikeVetter(vetter=vetter, look_alikes=look_alikes) if look_alikes else vetter,
+        vetter=LookAlikeVetter(vetter=vetter, look_alikes=look_alikes, alone=alone) if look_alikes else vetter,
         astrometry=scenario.step("ground.astrometry"),
         photometry=scenario.step("ground.photometry"),
         linker=scenario.step("ground.linker"),

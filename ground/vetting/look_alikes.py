@@ -6,7 +6,7 @@ short trails either.
 """
 
 import math
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Final
 
@@ -58,28 +58,48 @@ def look_alikes_near(fits: Sequence[StreakFit], look_alikes: NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class OwnEvidence:
+    """What a frame itself says of its false lines.
+
+    look_alikes : (k, 3) S/N, length and width (px) of lines that cannot be real.
+    alone : it was held against no other frame of the same sky, so that stars are not told from what moves.
+    seen : first and last row, first and last column in which a pixel saw the sky; None: all of them.
+    """
+
+    look_alikes: NDArray[np.float64]
+    alone: bool = False
+    seen: tuple[int, int, int, int] | None = None
+
+    def refuses(self, fit: StreakFit) -> bool:
+        """Whether a fit may be a star, or lies where no pixel saw the sky."""
+        if self.alone and fit.length_px < SHORTEST_ALONE_PX:
+            return True
+        if self.seen is None:
+            return False
+        top, bottom, left, right = self.seen
+        row, col = 0.5 * (fit.row0 + fit.row1), 0.5 * (fit.col0 + fit.col1)
+        return not (top - 0.5 <= row <= bottom + 0.5 and left - 0.5 <= col <= right + 0.5)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class LookAlikeVetter:
     """Another vetter's probabilities, with the look-alikes of each frame as one more class of what is not real.
 
-    look_alikes : by frame number, (k, 3) S/N, length and width (px) of lines that cannot be real.
-    alone : numbers of the frames that were held against no other frame of the same sky. What a fit measures shorter there than
-    `SHORTEST_ALONE_PX` may be a star, and is refused.
+    evidence : by frame number.
     """
 
     vetter: Vetter
-    look_alikes: Mapping[int, NDArray[np.float64]]
-    alone: Collection[int] = ()
+    evidence: Mapping[int, OwnEvidence]
 
     def probability(self, fits: Sequence[StreakFit], frame: DownlinkFrame) -> NDArray[np.float64]:
         """Probabilities, shape (len(fits),), of being a real object."""
         where = f"frame {frame.header.frame}"
         given = guarded("vetter", self.vetter, where, object, self.vetter.probability, fits, frame)
         probability = probabilities_of(self.vetter, where, given, len(fits))
-        if frame.header.frame in self.alone:
-            probability = np.where([fit.length_px < SHORTEST_ALONE_PX for fit in fits], 0.0, probability)
-        known = self.look_alikes.get(frame.header.frame)
-        if known is None:
+        known = self.evidence.get(frame.header.frame)
+        if known is None or not fits:
             return probability
-        against = look_alikes_near(fits, known) / REAL_DENSITY
+        against = look_alikes_near(fits, known.look_alikes) / REAL_DENSITY
         odds_against = (1.0 - probability) / np.maximum(probability, LEAST) + against
-        return np.where(probability > 0.0, 1.0 / (1.0 + odds_against), 0.0)
+        refused = np.array([known.refuses(fit) for fit in fits])
+        return np.where((probability > 0.0) & ~refused, 1.0 / (1.0 + odds_against), 0.0)

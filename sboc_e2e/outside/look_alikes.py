@@ -12,6 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.vetting.look_alikes import OwnEvidence
 from onboard.chain import OnboardChain
 from onboard.options import OnboardOptions
 from onboard.state import OnboardResult, OnboardState, OnboardSteps, Prepared
@@ -96,6 +97,12 @@ def width_of(line: Detection, residual_adu: NDArray[np.float32], mask: NDArray[n
     return max(left + right - 1, 1) / FWHM_PER_SIGMA
 
 
+def seen_of(mask: NDArray[np.uint8]) -> tuple[int, int, int, int]:
+    """First and last row, first and last column with a pixel that is not masked, of a view that has one."""
+    rows, cols = (np.flatnonzero((mask == 0).any(axis=axis)) for axis in (1, 0))
+    return int(rows[0]), int(rows[-1]), int(cols[0]), int(cols[-1])
+
+
 def _of_readout(line: Detection, view: DetectorView) -> bool:
     """Whether a line stays on one row or column over most of the frame."""
     drow, dcol = abs(line.row1 - line.row0), abs(line.col1 - line.col0)
@@ -118,23 +125,24 @@ def _shadow(dark: Detection, of: Detection) -> bool:
 class CountingChain(OnboardChain):
     """The on-board chain, which searches the negative of each frame too. The chain's own results do not depend on it.
 
-    look_alikes : by frame number, as `look_alikes` returns them. alone : frames that were held against no other frame.
+    evidence : what is learned of false lines in this way, by frame number.
     """
 
     def __init__(self, options: OnboardOptions, steps: OnboardSteps, *, camera: NominalCamera, run_id: int) -> None:
         super().__init__(options, steps, calibration=None, camera=camera, run_id=run_id, work_meter=work_meter)
         self._detector = steps.detector
-        self.look_alikes: dict[int, NDArray[np.float64]] = {}
-        self.alone: set[int] = set()
+        self.evidence: dict[int, OwnEvidence] = {}
 
     def judge(self, state: OnboardState, prepared: Prepared) -> tuple[OnboardState, OnboardResult]:
-        """As `OnboardChain.judge`; the search of the negative is added to `look_alikes`."""
+        """As `OnboardChain.judge`; the search of the negative is added to `evidence`."""
         after, result = super().judge(state, prepared)
         if prepared.usable:
             view = prepared.view
-            self.look_alikes[view.header.frame] = look_alikes(self._detector, view, result.detections)
-            if self.looks_back and not view.history:
-                self.alone.add(view.header.frame)
+            self.evidence[view.header.frame] = OwnEvidence(
+                look_alikes=look_alikes(self._detector, view, result.detections),
+                alone=self.looks_back and not view.history,
+                seen=seen_of(view.mask),
+            )
         return after, result
 
 

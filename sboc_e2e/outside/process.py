@@ -124,10 +124,9 @@ def process(
         camera=nominal,
         catalogue=catalogue,
         run_id=manifest.run_id,
-        look_alikes=chain.look_alikes,
-        alone=chain.alone,
+        evidence=chain.evidence,
     )
-    counts = {number: counts_of(table) for number, table in chain.look_alikes.items()}
+    counts = {number: counts_of(each.look_alikes) for number, each in chain.evidence.items()}
     ground = GroundStage(
         run=directory,
         chain=vetted,

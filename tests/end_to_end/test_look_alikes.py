@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ground.vetting.look_alikes import LookAlikeVetter, look_alikes_near
+from ground.vetting.look_alikes import LookAlikeVetter, OwnEvidence, look_alikes_near
 from onboard.options import OnboardOptions
 from onboard.state import OnboardSteps
 from onboard.work import meter
@@ -17,7 +17,7 @@ from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.products import StreakFit
 from sboc_e2e.icd.signals import Detection, DetectorView
 from sboc_e2e.outside.found import Found
-from sboc_e2e.outside.look_alikes import CountingChain, look_alikes, width_of
+from sboc_e2e.outside.look_alikes import CountingChain, look_alikes, seen_of, width_of
 from sboc_e2e.outside.process import base_document
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.onboard_stage import onboard_steps
@@ -94,7 +94,7 @@ def test_a_frame_costs_one_search_more_of_its_negative() -> None:
     chain.judge(state, made)
     assert len(detector.seen) == 2
     assert detector.seen[0] == -detector.seen[1] != 0.0
-    assert chain.look_alikes[0][:, :2].tolist() == [[9.0, pytest.approx(np.hypot(55.0, 35.0))]]
+    assert chain.evidence[0].look_alikes[:, :2].tolist() == [[9.0, pytest.approx(np.hypot(55.0, 35.0))]]
 
 
 def test_dark_lines_beside_a_line_twice_as_bright_are_its_shadow() -> None:
@@ -116,7 +116,8 @@ class Certain:
 
 
 def fit_of(snr: float, length_px: float, width_px: float = 1.2) -> StreakFit:
-    made: Any = type("Fit", (), {"snr": snr, "length_px": length_px, "width_px": width_px})()
+    ends = {"row0": 40.0, "col0": 40.0, "row1": 50.0, "col1": 50.0}
+    made: Any = type("Fit", (), {"snr": snr, "length_px": length_px, "width_px": width_px} | ends)()
     return made
 
 
@@ -129,7 +130,7 @@ def test_look_alikes_speak_against_their_own_kind_alone() -> None:
     """59 of S/N 20 and 30 px: against a line like them and against fainter ones, not against 1,274 px of S/N 700 nor in another
     frame. Values by hand: 1 / (1 + 0.0101 + 59 / (2 pi 0.49) / 0.0181)."""
     known = np.tile([20.0, 30.0, seen_width(1.2)], (59, 1))
-    vetter = LookAlikeVetter(vetter=Certain(), look_alikes={0: known})
+    vetter = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=known)})
     frame = frame_of_psf(1.4)
     assert frame.header.frame == 0
     fits = [fit_of(20.0, 30.0), fit_of(8.0, 30.0), fit_of(700.0, 1274.0), fit_of(20.0, 1274.0)]
@@ -137,7 +138,7 @@ def test_look_alikes_speak_against_their_own_kind_alone() -> None:
     assert probability[:2] == pytest.approx(1.0 / (1.0 + 59.0 / (2.0 * np.pi * 0.49) / 0.01805), rel=0.01)
     assert probability[2] == pytest.approx(0.99, abs=1e-6)
     assert probability[3] > 0.98, "as bright as they, and forty times as long"
-    elsewhere = LookAlikeVetter(vetter=Certain(), look_alikes={1: known})
+    elsewhere = LookAlikeVetter(vetter=Certain(), evidence={1: OwnEvidence(look_alikes=known)})
     assert elsewhere.probability(fits, frame) == pytest.approx(0.99)
     assert look_alikes_near(fits, np.zeros((0, 3))).tolist() == [0.0] * 4
 
@@ -147,25 +148,25 @@ def test_what_may_be_a_star_is_refused_in_frames_that_stand_alone() -> None:
     fits = [fit_of(5000.0, 1.7), fit_of(170.0, 24.0), fit_of(20.0, 26.0)]
     frame = frame_of_psf(1.4)
     empty = np.zeros((0, 3))
-    alone = LookAlikeVetter(vetter=Certain(), look_alikes={0: empty}, alone={0})
+    alone = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=empty, alone=True)})
     assert alone.probability(fits, frame) == pytest.approx([0.0, 0.0, 0.99])
-    beside = LookAlikeVetter(vetter=Certain(), look_alikes={0: empty}, alone={1})
+    beside = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=empty)})
     assert beside.probability(fits, frame) == pytest.approx(0.99)
 
 
 def test_the_chain_says_which_frames_stand_alone() -> None:
     chain, state, made = prepared(Scripted())
     chain.judge(state, made)
-    assert chain.alone == set(), "a detector that looks at one frame at a time needs no other"
+    assert not chain.evidence[0].alone, "a detector that looks at one frame at a time needs no other"
     chain, state, made = prepared(Scripted(history_frames=1))
     chain.judge(state, made)
-    assert chain.alone == {0}
+    assert chain.evidence[0].alone
 
 
 def test_slopes_ten_times_as_wide_say_nothing_of_a_trail() -> None:
     """Dark slopes of a vignetted border, 600 to 1,300 px long at S/N 440 to 640, vetoed a satellite of S/N 794 (p 0.02)."""
     slopes = np.array([[640.0, 750.0, 12.0], [440.0, 1300.0, 12.0]])
-    vetter = LookAlikeVetter(vetter=Certain(), look_alikes={0: slopes})
+    vetter = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=slopes)})
     frame = frame_of_psf(1.4)
     trail, slope = vetter.probability([fit_of(794.0, 1365.0), fit_of(400.0, 1365.0, 12.0)], frame)
     assert trail == pytest.approx(0.99, abs=1e-3)
@@ -190,9 +191,22 @@ def test_limits_of_orbit_do_not_bind_frames_from_outside() -> None:
     chain, _, made = prepared(detector)
     on_board = meter(96 * 96)
     assert all(made.view.work.limits[kind] > most for kind, most in on_board.limits.items())
-    assert chain.look_alikes == {}
+    assert chain.evidence == {}
     scenario = scenarios.bare("process", base_document("none"), registry=Registry())
     orbit = scenarios.bare("orbit", {}, registry=Registry())
     for step, most in ((scenario, 1000), (orbit, 200)):
         assert step.step("onboard.detector").max_detections == most
     assert scenario.onboard.roi.max_per_frame == 1000 > orbit.onboard.roi.max_per_frame
+
+
+def test_a_fit_where_no_pixel_saw_the_sky_is_refused() -> None:
+    """The step beside an overscan of 51 columns was fitted in its first column, 230 px long at S/N 550 and p 0.69."""
+    frame = frame_of_psf(1.4)
+    for last_col, expected in ((95, 0.99), (45, 0.99), (44, 0.0)):
+        own = OwnEvidence(look_alikes=np.zeros((0, 3)), seen=(0, 95, 0, last_col))
+        assert LookAlikeVetter(vetter=Certain(), evidence={0: own}).probability([fit_of(50.0, 60.0)], frame) == pytest.approx(
+            expected
+        )
+    mask = np.zeros((20, 30), np.uint8)
+    mask[:3] = mask[:, 25:] = 1
+    assert seen_of(mask) == (3, 19, 0, 24)

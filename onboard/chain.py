@@ -4,6 +4,7 @@
 that raises or breaks its Protocol stops the run and is named.
 """
 
+from collections.abc import Callable
 from dataclasses import replace
 from typing import Any
 
@@ -40,7 +41,7 @@ RECENT_FRAMES = 2
 
 
 class OnboardChain:
-    """The on-board software, configured. It holds scratch memory, but nothing of the run's state."""
+    """The on-board software, configured. It holds scratch memory, but nothing of the run's state. work_meter : of n pixels."""
 
     def __init__(
         self,
@@ -50,6 +51,7 @@ class OnboardChain:
         calibration: Calibration | None,
         camera: NominalCamera,
         run_id: int,
+        work_meter: Callable[[int], WorkMeter] = meter,
     ) -> None:
         if not 0 <= run_id < 2**32:
             raise ContractError(f"run_id: expected 0 to 4294967295, got {run_id}")
@@ -58,6 +60,7 @@ class OnboardChain:
         self._calibration = None if calibration is None else IntegerCalibration.of(calibration)
         self._camera = camera
         self._run_id = run_id
+        self._work_meter = work_meter
         self._parameter_set = parameter_set_id(options, steps)
         self._tracks = steps.tracker.window_frames > 0
         if self._tracks and not isinstance(steps.detector, SeedingDetector):
@@ -106,7 +109,7 @@ class OnboardChain:
             self._steps.background,
             psf_sigma_px=self._camera.psf_sigma_px,
             history=state.history,
-            work=meter(frame.pixels.size),
+            work=self._work_meter(frame.pixels.size),
         )
         flags = header_flags(header) | sequence_flags(header, check, state.previous, state.pixel_check)
         flags |= content_flags(view.mask, counts, n_masked)

@@ -15,6 +15,9 @@ PIXEL_VARIANCE_PX2: Final = 1.0 / 12.0
 LEAST_BINS: Final = 4
 """Least number of bins of a light curve for lumpiness."""
 
+SECOND_DIFFERENCE: Final = 6.0
+"""Variance of a second difference of independent values, over theirs: 1 + 4 + 1."""
+
 ALIGNED_DEG: Final = 0.7
 ALIGNED_LENGTH_PX: Final = 15.0
 """Longer trails within this angle of a row or column count as aligned."""
@@ -40,11 +43,14 @@ class Features:
     spike: bool
 
 
-def features_of(fit: StreakFit, psf_sigma_px: float, *, ln_psf_error: float = 0.0, model_error: float = 0.0) -> Features:
+def features_of(
+    fit: StreakFit, psf_sigma_px: float, *, ln_psf_error: float = 0.0, model_error: float = 0.0, may_vary: bool = False
+) -> Features:
     """Features of one fit, given the PSF that a real trail would have.
 
     ln_psf_error : one sigma of ln psf_sigma_px. model_error : share of a real trail's light that the model may miss or
     misplace. It adds (model_error * snr)^2 to the expected chi2, so chi2 has less weight for brighter trails.
+    may_vary : light that changes smoothly along the trail is not lumpy.
     """
     failed = StreakFlag.FIT_FAILED in fit.flags or fit.n_pixels == 0
     seen = fit.width_px**2 + PIXEL_VARIANCE_PX2
@@ -60,7 +66,7 @@ def features_of(fit: StreakFit, psf_sigma_px: float, *, ln_psf_error: float = 0.
         ln_snr=math.log(max(fit.snr, 1e-3)),
         ln_length=math.log(max(fit.length_px, 0.1)),
         chi2_sigmas=math.nan if failed else (fit.chi2_nu - 1.0) / chi2_error,
-        lumpiness=_lumpiness(fit),
+        lumpiness=_lumpiness(fit, may_vary=may_vary),
         aligned=fit.length_px > ALIGNED_LENGTH_PX and angle < ALIGNED_DEG,
         failed=failed,
         static=StreakFlag.STATIC in fit.flags,
@@ -68,9 +74,16 @@ def features_of(fit: StreakFit, psf_sigma_px: float, *, ln_psf_error: float = 0.
     )
 
 
-def _lumpiness(fit: StreakFit) -> float:
-    """Relative scatter of the bins, the noise's own part sqrt(k) / S taken out: 0 for uniform trails, > 1 for chains."""
+def _lumpiness(fit: StreakFit, *, may_vary: bool) -> float:
+    """Relative scatter of the bins, the noise's own part sqrt(k) / S taken out: 0 for uniform trails, > 1 for chains.
+
+    may_vary : where less, the scatter of the second differences, which is as large for bins that know nothing of each other and
+    0 for a trail that brightens evenly. Satellites brighten by a factor of thirty in a frame, by phase, range and vignetting.
+    """
     curve = fit.light_curve_e_px.astype(np.float64)
     if curve.size < LEAST_BINS or not curve.mean() > 0.0:
         return math.nan
-    return math.sqrt(max((curve.std() / curve.mean()) ** 2 - curve.size / fit.snr**2, 0.0))
+    variance = float(curve.var())
+    if may_vary:
+        variance = min(variance, float(np.mean(np.diff(curve, 2) ** 2)) / SECOND_DIFFERENCE)
+    return math.sqrt(max(variance / curve.mean() ** 2 - curve.size / fit.snr**2, 0.0))

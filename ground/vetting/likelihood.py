@@ -218,7 +218,7 @@ class LikelihoodVetter:
         model_error = max(self.model_error, PSF_SHAPE_ERROR)
         widths = [fit.psf_sigma_px if math.isfinite(fit.psf_sigma_px) and not unknown else psf_sigma_px for fit in fits]
         features = [
-            features_of(fit, width, ln_psf_error=ln_psf_error, model_error=model_error)
+            features_of(fit, width, ln_psf_error=ln_psf_error, model_error=model_error, may_vary=self.model_error > 0.0)
             for fit, width in zip(fits, widths, strict=True)
         ]
         strange = np.array([self.model_error > 0.0 and _of_unmodelled_kind(*pair) for pair in zip(fits, features, strict=True)])

@@ -1,7 +1,8 @@
 """Probabilities given how many look-alikes a frame has: lines of the same kind that a search of its negative found.
 
 A vetter's classes are those that were simulated. A frame that nobody calibrated has others: ripples, dust rings, slopes. Their
-rate is measured in the frame itself and enters the odds as one more class.
+rate is measured in the frame itself and enters the odds as one more class. A frame that stands alone does not tell stars from
+short trails either.
 """
 
 import math
@@ -13,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.guard import guarded, probabilities_of
+from ground.vetting.features import PIXEL_VARIANCE_PX2
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.products import StreakFit
 from sboc_e2e.icd.steps import Vetter
@@ -20,9 +22,19 @@ from sboc_e2e.icd.steps import Vetter
 KIND: Final = (0.7, 0.7)
 """Sigma of ln S/N and ln length within which two lines are of one kind: half to twice."""
 
+KIND_WIDTH: Final = 0.5
+"""Sigma of ln width (that of a pixel included) within which two lines are of one kind. Slopes of the sky at a vignetted border
+are ten times as wide as trails, and say nothing of these."""
+
+WIDTH_ERROR: Final = 10.0
+"""Error of ln width of a look-alike, times its S/N: its profile is a median along the line, and its half height is read off."""
+
 REAL_DENSITY: Final = 0.5 / (math.log(800.0 / 5.0) * math.log(400.0 / 1.7))
 """Expected real streaks of a frame for each unit of ln S/N and ln length: half a streak, anything between S/N 5 and 800 and
 1.7 and 400 px alike."""
+
+SHORTEST_ALONE_PX: Final = 25.0
+"""Blends of stars look like trails up to this length in a frame that was held against no other frame of the same sky."""
 
 LEAST: Final = 1e-12
 
@@ -30,37 +42,64 @@ LEAST: Final = 1e-12
 def look_alikes_near(fits: Sequence[StreakFit], look_alikes: NDArray[np.float64]) -> NDArray[np.float64]:
     """Expected look-alikes for each unit of ln S/N and ln length about each fit, shape (n,).
 
-    look_alikes : (k, 2) S/N and length, px. One counts in full for fits that are fainter than itself, for false lines are the
-    more frequent the fainter they are.
+    look_alikes : (k, 3) S/N, length and width (sigma, px; that of a pixel included).
+    One counts in full for fits that are fainter than itself, for false lines are the more frequent the fainter they are.
     """
     if not fits or not len(look_alikes):
         return np.zeros(len(fits))
     place = np.log([(max(fit.snr, 1e-3), max(fit.length_px, 0.1)) for fit in fits])
     known = np.log(np.maximum(look_alikes, 1e-3))
-    apart = (place[:, None] - known[None]) / KIND
+    apart = (place[:, None] - known[None, :, :2]) / KIND
+    width = 0.5 * np.log([fit.width_px**2 + PIXEL_VARIANCE_PX2 for fit in fits])
+    other = (width[:, None] - known[None, :, 2]) / np.hypot(KIND_WIDTH, WIDTH_ERROR / np.maximum(look_alikes[:, 0], 1.0))
     apart[..., 0] = np.maximum(apart[..., 0], 0.0)
     peak = 1.0 / (2.0 * math.pi * math.prod(KIND))
-    return np.asarray(peak * np.exp(-0.5 * np.sum(apart**2, axis=-1)).sum(axis=1), dtype=np.float64)
+    return np.asarray(peak * np.exp(-0.5 * (np.sum(apart**2, axis=-1) + other**2)).sum(axis=1), dtype=np.float64)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class OwnEvidence:
+    """What a frame itself says of its false lines.
+
+    look_alikes : (k, 3) S/N, length and width (px) of lines that cannot be real.
+    alone : it was held against no other frame of the same sky, so that stars are not told from what moves.
+    seen : first and last row, first and last column in which a pixel saw the sky; None: all of them.
+    """
+
+    look_alikes: NDArray[np.float64]
+    alone: bool = False
+    seen: tuple[int, int, int, int] | None = None
+
+    def refuses(self, fit: StreakFit) -> bool:
+        """Whether a fit may be a star, or lies where no pixel saw the sky."""
+        if self.alone and fit.length_px < SHORTEST_ALONE_PX:
+            return True
+        if self.seen is None:
+            return False
+        top, bottom, left, right = self.seen
+        row, col = 0.5 * (fit.row0 + fit.row1), 0.5 * (fit.col0 + fit.col1)
+        return not (top - 0.5 <= row <= bottom + 0.5 and left - 0.5 <= col <= right + 0.5)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LookAlikeVetter:
     """Another vetter's probabilities, with the look-alikes of each frame as one more class of what is not real.
 
-    look_alikes : by frame number, (k, 2) S/N and length (px) of lines that cannot be real.
+    evidence : by frame number.
     """
 
     vetter: Vetter
-    look_alikes: Mapping[int, NDArray[np.float64]]
+    evidence: Mapping[int, OwnEvidence]
 
     def probability(self, fits: Sequence[StreakFit], frame: DownlinkFrame) -> NDArray[np.float64]:
         """Probabilities, shape (len(fits),), of being a real object."""
         where = f"frame {frame.header.frame}"
         given = guarded("vetter", self.vetter, where, object, self.vetter.probability, fits, frame)
         probability = probabilities_of(self.vetter, where, given, len(fits))
-        known = self.look_alikes.get(frame.header.frame)
-        if known is None:
+        known = self.evidence.get(frame.header.frame)
+        if known is None or not fits:
             return probability
-        against = look_alikes_near(fits, known) / REAL_DENSITY
+        against = look_alikes_near(fits, known.look_alikes) / REAL_DENSITY
         odds_against = (1.0 - probability) / np.maximum(probability, LEAST) + against
-        return np.where(probability > 0.0, 1.0 / (1.0 + odds_against), 0.0)
+        refused = np.array([known.refuses(fit) for fit in fits])
+        return np.where((probability > 0.0) & ~refused, 1.0 / (1.0 + odds_against), 0.0)

@@ -12,15 +12,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.vetting.look_alikes import OwnEvidence
 from onboard.chain import OnboardChain
 from onboard.options import OnboardOptions
 from onboard.state import OnboardResult, OnboardState, OnboardSteps, Prepared
-from onboard.work import meter
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import NominalCamera
 from sboc_e2e.icd.results import check_detections
 from sboc_e2e.icd.signals import Detection, DetectorView
 from sboc_e2e.icd.steps import Detector
+from sboc_e2e.outside.limits import work_meter
 
 LEVELS_SNR: Final = (10.0, 20.0, 50.0, 100.0)
 """S/N at which the counts are published, beside the count of all."""
@@ -35,6 +36,11 @@ READOUT_SIGMAS: Final = 2.5
 READOUT_SPAN: Final = 0.7
 """A line within `READOUT_SIGMAS` PSF sigmas of one row or column, over this share of the frame, comes from the readout."""
 
+PROFILE_PX: Final = 32
+"""How far to both sides of a line its profile is looked at."""
+
+FWHM_PER_SIGMA: Final = 2.355
+
 NO_LINE: Final = StreakFlag.POINT_LIKE | StreakFlag.COSMIC_LIKE
 
 
@@ -42,24 +48,59 @@ def negative_of(view: DetectorView) -> DetectorView:
     """The view with bright and dark exchanged, without neighbouring frames and with work of its own."""
     negative = np.negative(view.residual_adu)
     negative.flags.writeable = False
-    return replace(view, residual_adu=negative, history=(), work=meter(negative.size))
+    return replace(view, residual_adu=negative, history=(), work=work_meter(negative.size))
 
 
 def look_alikes(detector: Detector, view: DetectorView, detections: Sequence[Detection]) -> NDArray[np.float64]:
-    """S/N and length (px), shape (n, 2), of lines in the negative of a frame by falling S/N.
+    """S/N, length and width (px), shape (n, 3), of lines in the negative of a frame by falling S/N.
 
     detections : of the frame itself. Dark lines beside a line that is much brighter are its shadow and do not count. Neither do
     lines of the readout: the vetter of uncalibrated frames refuses such lines by their place, and they tell nothing of others.
     """
-    found = detector.detect(negative_of(view))
+    negative = negative_of(view)
+    found = detector.detect(negative)
     check_detections(found, view.mask.shape)
     lines = [
         each
         for each in found
         if not (each.flags & NO_LINE or _of_readout(each, view) or any(_shadow(each, of) for of in detections))
     ]
-    table = np.array([(each.snr, each.length_px) for each in lines], dtype=np.float64).reshape(-1, 2)
+    table = np.array(
+        [(each.snr, each.length_px, width_of(each, negative.residual_adu, negative.mask)) for each in lines], dtype=np.float64
+    ).reshape(-1, 3)
     return table[np.argsort(-table[:, 0], kind="stable")]
+
+
+def width_of(line: Detection, residual_adu: NDArray[np.float32], mask: NDArray[np.uint8]) -> float:
+    """Width of a line (sigma of the Gaussian of its full width at half maximum, px), the pixel's own included.
+
+    The profile is the median along the line, masked pixels left out. Its level is the median of the outer half.
+    """
+    along = np.linspace(0.0, 1.0, max(2, round(line.length_px)))
+    length = max(line.length_px, 1e-6)
+    across = np.array([line.col0 - line.col1, line.row1 - line.row0]) / length
+    offset = np.arange(-PROFILE_PX, PROFILE_PX + 1)
+    row = line.row0 + along[:, None] * (line.row1 - line.row0) + offset * across[0]
+    col = line.col0 + along[:, None] * (line.col1 - line.col0) + offset * across[1]
+    r, c = np.rint(row).astype(np.int64), np.rint(col).astype(np.int64)
+    inside = (r >= 0) & (c >= 0) & (r < mask.shape[0]) & (c < mask.shape[1])
+    r, c = np.where(inside, r, 0), np.where(inside, c, 0)
+    value = np.where(inside & (mask[r, c] == 0), residual_adu[r, c], np.nan)
+    known = np.isfinite(value).any(axis=0)
+    profile = np.zeros(offset.size)
+    profile[known] = np.nanmedian(value[:, known], axis=0)
+    outer = known & (np.abs(offset) > PROFILE_PX // 2)
+    above = profile - (float(np.median(profile[outer])) if outer.any() else 0.0)
+    middle = PROFILE_PX - 2 + int(np.argmax(above[PROFILE_PX - 2 : PROFILE_PX + 3]))
+    half = above > 0.5 * above[middle]
+    left, right = (next((k for k, lit in enumerate(side) if not lit), side.size) for side in (half[middle::-1], half[middle:]))
+    return max(left + right - 1, 1) / FWHM_PER_SIGMA
+
+
+def seen_of(mask: NDArray[np.uint8]) -> tuple[int, int, int, int]:
+    """First and last row, first and last column with a pixel that is not masked, of a view that has one."""
+    rows, cols = (np.flatnonzero((mask == 0).any(axis=axis)) for axis in (1, 0))
+    return int(rows[0]), int(rows[-1]), int(cols[0]), int(cols[-1])
 
 
 def _of_readout(line: Detection, view: DetectorView) -> bool:
@@ -84,23 +125,27 @@ def _shadow(dark: Detection, of: Detection) -> bool:
 class CountingChain(OnboardChain):
     """The on-board chain, which searches the negative of each frame too. The chain's own results do not depend on it.
 
-    look_alikes : by frame number, as `look_alikes` returns them.
+    evidence : what is learned of false lines in this way, by frame number.
     """
 
     def __init__(self, options: OnboardOptions, steps: OnboardSteps, *, camera: NominalCamera, run_id: int) -> None:
-        super().__init__(options, steps, calibration=None, camera=camera, run_id=run_id)
+        super().__init__(options, steps, calibration=None, camera=camera, run_id=run_id, work_meter=work_meter)
         self._detector = steps.detector
-        self.look_alikes: dict[int, NDArray[np.float64]] = {}
+        self.evidence: dict[int, OwnEvidence] = {}
 
     def judge(self, state: OnboardState, prepared: Prepared) -> tuple[OnboardState, OnboardResult]:
-        """As `OnboardChain.judge`; the search of the negative is added to `look_alikes`."""
+        """As `OnboardChain.judge`; the search of the negative is added to `evidence`."""
         after, result = super().judge(state, prepared)
         if prepared.usable:
             view = prepared.view
-            self.look_alikes[view.header.frame] = look_alikes(self._detector, view, result.detections)
+            self.evidence[view.header.frame] = OwnEvidence(
+                look_alikes=look_alikes(self._detector, view, result.detections),
+                alone=self.looks_back and not view.history,
+                seen=seen_of(view.mask),
+            )
         return after, result
 
 
 def counts_of(table: NDArray[np.float64]) -> dict[str, int]:
-    """Number of look-alikes, (n, 2) S/N and length, as published: in all, and from each of `LEVELS_SNR` on."""
+    """Number of look-alikes, (n, 3) S/N, length and width, as published: in all, and from each of `LEVELS_SNR` on."""
     return {"all": len(table)} | {f"snr_{level:g}": int(np.sum(table[:, 0] >= level)) for level in LEVELS_SNR}

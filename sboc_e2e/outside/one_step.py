@@ -30,6 +30,7 @@ from sboc_e2e.icd.tai import NS_PER_S
 from sboc_e2e.outside.camera import camera_of_frame
 from sboc_e2e.outside.fits_frames import FIRST_ASSUMED_TAI_NS, MAX_SIDE_PX, MIN_SIDE_PX, pixels_of
 from sboc_e2e.outside.frame_source import SourcedFrame
+from sboc_e2e.outside.limits import work_meter
 from sboc_e2e.outside.process import base_document
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.ground_stage import ground_chain
@@ -192,7 +193,7 @@ def _on_board(frame: Frame, scenario: Scenario, detector: Any) -> tuple[OnboardR
         detector=detector,
         codec=scenario.step("onboard.codec"),
     )
-    chain = OnboardChain(scenario.onboard, steps, calibration=None, camera=camera, run_id=RUN_ID)
+    chain = OnboardChain(scenario.onboard, steps, calibration=None, camera=camera, run_id=RUN_ID, work_meter=work_meter)
     _, result = chain.process(chain.initial_state(), frame)
     return result, (camera, result.packets)
 

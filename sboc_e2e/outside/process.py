@@ -12,6 +12,7 @@ from sboc_e2e.icd.frame import Frame, NominalCamera
 from sboc_e2e.outside.camera import camera_of_frame, camera_of_preset, focal_px_by_stars, refuse_narrow_field
 from sboc_e2e.outside.fixed_pattern import MutuallyCalibrated
 from sboc_e2e.outside.frame_source import FrameSource
+from sboc_e2e.outside.limits import MOST_DETECTIONS
 from sboc_e2e.outside.look_alikes import CountingChain, counts_of
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.decoders import require_decoder
@@ -26,9 +27,6 @@ WCS_CHOICES: Final = ("header", "solve", "none")
 
 MODEL_ERROR: Final = 0.2
 """Share of a trail's light by which telescopes on the ground differ from the fit's model: turbulence, tracking, tumbling."""
-
-MOST_REGIONS: Final = 300
-"""Detections of a frame that are measured: no link limits them, and dust or cosmic rays must not leave trails out."""
 
 
 @dataclass(kw_only=True)
@@ -52,7 +50,11 @@ def base_document(wcs: str) -> dict[str, Any]:
     if wcs not in WCS_CHOICES:
         raise UserError(f'--wcs: expected one of {", ".join(WCS_CHOICES)}, got "{wcs[:40]}"')
     return {
-        "onboard": {"downlink": {"budget": "0 Mbit/s"}, "roi": {"max_per_frame": MOST_REGIONS}},
+        "onboard": {
+            "downlink": {"budget": "0 Mbit/s"},
+            "roi": {"max_per_frame": MOST_DETECTIONS},
+            "detector": {"max_detections": MOST_DETECTIONS},
+        },
         "ground": {
             "astrometry": {"lost_in_space": "required" if wcs == "solve" else "never"},
             "vetter": {"model_error": MODEL_ERROR},
@@ -122,9 +124,9 @@ def process(
         camera=nominal,
         catalogue=catalogue,
         run_id=manifest.run_id,
-        look_alikes=chain.look_alikes,
+        evidence=chain.evidence,
     )
-    counts = {number: counts_of(table) for number, table in chain.look_alikes.items()}
+    counts = {number: counts_of(each.look_alikes) for number, each in chain.evidence.items()}
     ground = GroundStage(
         run=directory,
         chain=vetted,

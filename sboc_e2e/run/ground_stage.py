@@ -12,7 +12,6 @@ from typing import Any, Final
 
 import numpy as np
 from astropy.table import Column, Table
-from numpy.typing import NDArray
 
 from ground.astrometry.wcs_export import pixel_icrs
 from ground.chain import GroundChain, GroundSteps
@@ -30,7 +29,7 @@ from ground.products.tdm import tdm_text
 from ground.products.tdm_angles import TDM_ANGLES_NAME, tdm_angles_table
 from ground.products.trail_light import trail_light_tables
 from ground.records import FrameProducts, GroundProducts
-from ground.vetting.look_alikes import LookAlikeVetter
+from ground.vetting.look_alikes import LookAlikeVetter, OwnEvidence
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.files import checkpoint, ecsv
 from sboc_e2e.files.atomic import replacing, write_json, write_text
@@ -93,17 +92,17 @@ def ground_chain(
     camera: NominalCamera,
     catalogue: StarCatalogue,
     run_id: int | None = None,
-    look_alikes: Mapping[int, NDArray[np.float64]] | None = None,
+    evidence: Mapping[int, OwnEvidence] | None = None,
 ) -> GroundChain:
     """The ground chain of a scenario for the packets of a run. It has the chosen decoder and every shipped one.
 
-    look_alikes : by frame number, (n, 2) S/N and length (px) of lines that are certainly false (`ground.vetting.look_alikes`).
+    evidence : by frame number, what frames that nobody calibrated say of their own false lines.
     """
     vetter = scenario.step("ground.vetter")
     steps = GroundSteps(
         decoders=decoders_of(scenario),
         streak_fitter=scenario.step("ground.streak_fitter"),
-        vetter=LookAlikeVetter(vetter=vetter, look_alikes=look_alikes) if look_alikes else vetter,
+        vetter=LookAlikeVetter(vetter=vetter, evidence=evidence) if evidence else vetter,
         astrometry=scenario.step("ground.astrometry"),
         photometry=scenario.step("ground.photometry"),
         linker=scenario.step("ground.linker"),

@@ -17,8 +17,9 @@ import resource
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
 
@@ -31,11 +32,13 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from sboc_e2e.icd.flags import StreakFlag
+from tests.benchmarks.real_frames_table import SURE, Row, Trail, table_text
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 SHARED: Final = ROOT.parent / "shared"
+COMMAND: Final = (sys.executable, "-m", "sboc_e2e")
 TRUTH: Final = Path(__file__).with_name("real_frames_truth.json")
-SUFFIXES: Final = (".fits", ".fits.fz", ".fits.xz", ".tiff")
+SUFFIXES: Final = (".fits.fz", ".fits.xz", ".fits", ".fit", ".tiff")
 UNPUBLISHED_PICTURES: Final = ("opd_control", "hst_", "wallace_")
 """Frames whose licence does not clearly allow a picture in these documents."""
 
@@ -49,41 +52,7 @@ BESIDE_PX: Final = 6.0
 BESIDE_WIDTHS: Final = 2.0
 """A measured streak is of an eye's trail where both its ends lie within so much of its line (the eye is good to some pixels)."""
 
-HALF: Final = 0.5
 NEAR_PX: Final = 2.0
-
-
-@dataclass(frozen=True, kw_only=True)
-class Trail:
-    """What became of one trail that the eye saw.
-
-    found, published : share of its length that the longest measured and the longest published streak cover.
-    end_px : (2,) distance of the published streak's ends from the eye's. inside : which are within 2 px or their interval.
-    extra : further published streaks on the same trail.
-    """
-
-    found: float
-    published: float
-    end_px: tuple[float, float]
-    inside: tuple[bool, bool]
-    snr: float
-    probability: float
-    extra: int
-
-
-@dataclass(frozen=True, kw_only=True)
-class Row:
-    """One frame."""
-
-    frame: str
-    camera: str
-    trails: tuple[Trail, ...]
-    measured: int
-    false: int
-    false_sure: int
-    sure: int
-    cpu_s: float
-    exit_code: int
 
 
 def truth_of(folders: Iterable[Path]) -> list[dict[str, Any]]:
@@ -102,6 +71,11 @@ def seen_in(entries: Sequence[dict[str, Any]], name: str, hdu: int) -> tuple[str
     return (here[0]["camera"], here[0]["streaks"]) if here else ("star field of 11 deg (tetra3)", [])
 
 
+def stem_of(path: Path) -> str:
+    """A file's name without its suffix."""
+    return path.name.removesuffix(next(suffix for suffix in SUFFIXES if path.name.endswith(suffix)))
+
+
 def as_fits(path: Path, folder: Path) -> Path:
     """A file that `sboc process` takes."""
     if path.suffix == ".xz":
@@ -115,14 +89,16 @@ def as_fits(path: Path, folder: Path) -> Path:
     return path
 
 
-def process(command: Sequence[str], path: Path, out: Path) -> tuple[int, float]:
-    """Exit code and CPU seconds of `sboc process` on a file."""
+def process_command(path: Path, out: Path, command: Sequence[str] = COMMAND) -> tuple[int, float, float]:
+    """Exit code, CPU seconds and wall seconds of `sboc process` on a file."""
+    start = time.perf_counter()
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run([*command, "process", str(path), "--out", str(out)], capture_output=True, check=False)
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     if done.returncode != 0:
         report(done.stderr.decode(errors="replace").strip()[-300:])
-    return done.returncode, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return done.returncode, cpu_s, time.perf_counter() - start
 
 
 def is_published(streak: Any) -> bool:
@@ -188,8 +164,10 @@ def trail_of(streaks: Table, trail: Sequence[float]) -> tuple[Trail, set[int]]:
     return made, on
 
 
-def rows_of(path: Path, frames: Table, streaks: Table, entries: Sequence[dict[str, Any]], cpu_s: float, code: int) -> list[Row]:
-    """One row for each frame of a file."""
+def rows_of(
+    path: Path, frames: Table, streaks: Table, entries: Sequence[dict[str, Any]], cpu_s: float, wall_s: float
+) -> list[Row]:
+    """One row for each frame of a file whose run ended well."""
     rows = []
     for frame in frames:
         hdu = int(frame["hdu"])
@@ -198,58 +176,25 @@ def rows_of(path: Path, frames: Table, streaks: Table, entries: Sequence[dict[st
         made = [trail_of(here, trail) for trail in trails]
         on = set().union(*(places for _, places in made)) if made else set()
         wrong = [s for k, s in enumerate(here) if k not in on and is_published(s)]
-        sure = [k for k, s in enumerate(here) if is_published(s) and s["probability"] >= 0.9]
+        sure = [k for k, s in enumerate(here) if is_published(s) and s["probability"] >= SURE]
         rows.append(
             Row(
-                frame=path.name.partition(".")[0] + (f" [{hdu}]" if len(frames) > 1 else ""),
+                file=path.name.removesuffix(".xz"),
+                frame=stem_of(path) + (f" [{hdu}]" if len(frames) > 1 else ""),
                 camera=camera,
+                rows=int(frame["rows"]),
+                cols=int(frame["cols"]),
                 trails=tuple(trail for trail, _ in made),
                 measured=len(here),
                 false=len(wrong) + sum(trail.extra for trail, _ in made),
-                false_sure=sum(float(s["probability"]) >= 0.9 for s in wrong),
+                false_sure=sum(float(s["probability"]) >= SURE for s in wrong),
                 sure=len(sure),
                 cpu_s=cpu_s / len(frames),
-                exit_code=code,
+                wall_s=wall_s / len(frames),
+                exit_code=0,
             )
         )
     return rows
-
-
-def table_text(rows: Sequence[Row]) -> str:
-    """The table of the page: a line for each frame with a trail, one for all blank frames of a camera, and the sums."""
-    lines = [
-        "| frame | trail by eye | measured | published | ends off (px) | S/N, p | false | CPU s | exit |",
-        "|---|---|---|---|---|---|---|---|---|",
-    ]
-    for row in rows:
-        for number, trail in enumerate(row.trails):
-            ends = "-" if trail.published == 0.0 else " ".join(
-                f"{px:.1f}{'' if ok else ' (outside)'}" for px, ok in zip(trail.end_px, trail.inside, strict=True)
-            )  # fmt: skip
-            lines.append(
-                f"| {row.frame} | {number + 1} | {trail.found:.0%} | {trail.published:.0%} | {ends} | "
-                f"{trail.snr:.0f}, {trail.probability:.2f} | {row.false} | {row.cpu_s:.1f} | {row.exit_code} |"
-            )
-    blank = [row for row in rows if not row.trails]
-    for camera in dict.fromkeys(row.camera for row in blank):
-        mine = [row for row in blank if row.camera == camera]
-        codes = ", ".join(str(code) for code in sorted({row.exit_code for row in mine}))
-        lines.append(
-            f"| {camera}: {len(mine)} | none | {sum(row.measured for row in mine)} | - | - | - | "
-            f"{sum(row.false for row in mine)} | {sum(row.cpu_s for row in mine):.1f} | {codes} |"
-        )
-    trails = [trail for row in rows for trail in row.trails]
-    half = sum(trail.published >= HALF for trail in trails)
-    ends = [ok for trail in trails if trail.published >= HALF for ok in trail.inside]
-    false = sum(row.false for row in blank)
-    sure, wrong = sum(row.sure for row in rows), sum(row.false_sure for row in rows)
-    failed = sum(row.exit_code != 0 for row in rows)
-    words = (
-        f"Published with half their length or more: {half} of {len(trails)}. Ends within 2 px or their interval: {sum(ends)} of "
-        f"{len(ends)}. False in {len(blank)} blank frames: {false}. Of {sure} published at p >= 0.9, {wrong} are false. "
-        f"Frames of runs that ended in an error: {failed}."
-    )
-    return "\n".join([*lines, "", words])
 
 
 def draw(path: Path, frames: Table, streaks: Table, picture: Path) -> None:
@@ -283,13 +228,13 @@ def draw(path: Path, frames: Table, streaks: Table, picture: Path) -> None:
     figure.savefig(picture, dpi=60, metadata={"Software": None})
 
 
-def with_table(page: str, table: str) -> str:
-    """A page with the table between its marks replaced."""
-    head, begin, rest = page.partition(BEGIN)
+def with_table(page: str, table: str, mark: str = BEGIN) -> str:
+    """A page with the table after a mark, up to the mark of its end, replaced."""
+    head, begin, rest = page.partition(mark)
     _, end, tail = rest.partition(END)
     if not (begin and end):
-        raise SystemExit(f'the page holds no "{BEGIN}" and "{END}"')
-    return f"{head}{BEGIN}\n\n{table}\n\n{END}{tail}"
+        raise SystemExit(f'the page holds no "{mark}" and "{END}"')
+    return f"{head}{mark}\n\n{table}\n\n{END}{tail}"
 
 
 def report(line: str) -> None:
@@ -307,7 +252,7 @@ def main() -> None:
     parser.add_argument("--page", type=Path, help="page whose table is replaced")
     parser.add_argument("--json", type=Path, help="file for the rows as JSON")
     parser.add_argument("--only", default="", help="part of a file's name")
-    parser.add_argument("--sboc", default=f"{sys.executable} -m sboc_e2e", help="the command that is measured")
+    parser.add_argument("--sboc", default=" ".join(COMMAND), help="the command that is measured")
     arguments = parser.parse_args()
     paths = sorted(p for f in arguments.frames for p in f.iterdir() if p.name.endswith(SUFFIXES) and arguments.only in p.name)
     if not paths:
@@ -316,23 +261,24 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as scratch:
         for number, path in enumerate(paths):
             readable, out = as_fits(path, Path(scratch)), Path(scratch) / f"out-{number}"
-            code, cpu_s = process(arguments.sboc.split(), readable, out)
+            code, cpu_s, wall_s = process_command(readable, out, arguments.sboc.split())
             if code != 0:
                 camera, trails = seen_in(entries, path.name.removesuffix(".xz"), 0)
                 lost = [trail_of(Table(), trail)[0] for trail in trails]
                 rows.append(Row(
-                    frame=path.name.partition(".")[0], camera=camera, trails=tuple(lost), measured=0, false=0, false_sure=0,
-                    sure=0, cpu_s=cpu_s, exit_code=code,
+                    file=path.name.removesuffix(".xz"), frame=stem_of(path), camera=camera, rows=0, cols=0,
+                    trails=tuple(lost), measured=0, false=0, false_sure=0, sure=0, cpu_s=cpu_s, wall_s=wall_s, exit_code=code,
                 ))  # fmt: skip
                 continue
             tables = out / "products"
             frames, streaks = (Table.read(tables / f"{name}.ecsv", format="ascii.ecsv") for name in ("frames", "streaks"))
-            made = rows_of(path, frames, streaks, entries, cpu_s, code)
-            report(f"{path.name}: {len(made)} frames, {sum(r.false for r in made)} false, {cpu_s:.1f} s")
+            made = rows_of(path, frames, streaks, entries, cpu_s, wall_s)
+            for row in made:
+                report(row.line)
             rows += made
             if arguments.pictures and not path.name.startswith(UNPUBLISHED_PICTURES):
                 arguments.pictures.mkdir(parents=True, exist_ok=True)
-                draw(readable, frames, streaks, arguments.pictures / f"real-{path.name.partition('.')[0]}.png")
+                draw(readable, frames, streaks, arguments.pictures / f"real-{stem_of(path)}.png")
     report(table_text(rows))
     if arguments.page:
         arguments.page.write_text(with_table(arguments.page.read_text(), table_text(rows)))

@@ -8,15 +8,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ground.vetting.look_alikes import LookAlikeVetter, look_alikes_near
+from ground.vetting.look_alikes import LookAlikeVetter, OwnEvidence, look_alikes_near
 from onboard.options import OnboardOptions
 from onboard.state import OnboardSteps
+from onboard.work import meter
 from sboc_e2e import scenario as scenarios
 from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.products import StreakFit
 from sboc_e2e.icd.signals import Detection, DetectorView
 from sboc_e2e.outside.found import Found
-from sboc_e2e.outside.look_alikes import CountingChain, look_alikes
+from sboc_e2e.outside.look_alikes import CountingChain, look_alikes, seen_of, width_of
 from sboc_e2e.outside.process import base_document
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.onboard_stage import onboard_steps
@@ -93,7 +94,7 @@ def test_a_frame_costs_one_search_more_of_its_negative() -> None:
     chain.judge(state, made)
     assert len(detector.seen) == 2
     assert detector.seen[0] == -detector.seen[1] != 0.0
-    assert chain.look_alikes[0].tolist() == [[9.0, pytest.approx(np.hypot(55.0, 35.0))]]
+    assert chain.evidence[0].look_alikes[:, :2].tolist() == [[9.0, pytest.approx(np.hypot(55.0, 35.0))]]
 
 
 def test_dark_lines_beside_a_line_twice_as_bright_are_its_shadow() -> None:
@@ -114,16 +115,22 @@ class Certain:
         return np.full(len(fits), 0.99)
 
 
-def fit_of(snr: float, length_px: float) -> StreakFit:
-    made: Any = type("Fit", (), {"snr": snr, "length_px": length_px})()
+def fit_of(snr: float, length_px: float, width_px: float = 1.2) -> StreakFit:
+    ends = {"row0": 40.0, "col0": 40.0, "row1": 50.0, "col1": 50.0}
+    made: Any = type("Fit", (), {"snr": snr, "length_px": length_px, "width_px": width_px} | ends)()
     return made
+
+
+def seen_width(width_px: float) -> float:
+    """Width of a line's profile with that of a pixel, whose variance is 1/12 px^2."""
+    return float(np.sqrt(width_px**2 + 1.0 / 12.0))
 
 
 def test_look_alikes_speak_against_their_own_kind_alone() -> None:
     """59 of S/N 20 and 30 px: against a line like them and against fainter ones, not against 1,274 px of S/N 700 nor in another
     frame. Values by hand: 1 / (1 + 0.0101 + 59 / (2 pi 0.49) / 0.0181)."""
-    known = np.tile([20.0, 30.0], (59, 1))
-    vetter = LookAlikeVetter(vetter=Certain(), look_alikes={0: known})
+    known = np.tile([20.0, 30.0, seen_width(1.2)], (59, 1))
+    vetter = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=known)})
     frame = frame_of_psf(1.4)
     assert frame.header.frame == 0
     fits = [fit_of(20.0, 30.0), fit_of(8.0, 30.0), fit_of(700.0, 1274.0), fit_of(20.0, 1274.0)]
@@ -131,6 +138,75 @@ def test_look_alikes_speak_against_their_own_kind_alone() -> None:
     assert probability[:2] == pytest.approx(1.0 / (1.0 + 59.0 / (2.0 * np.pi * 0.49) / 0.01805), rel=0.01)
     assert probability[2] == pytest.approx(0.99, abs=1e-6)
     assert probability[3] > 0.98, "as bright as they, and forty times as long"
-    elsewhere = LookAlikeVetter(vetter=Certain(), look_alikes={1: known})
+    elsewhere = LookAlikeVetter(vetter=Certain(), evidence={1: OwnEvidence(look_alikes=known)})
     assert elsewhere.probability(fits, frame) == pytest.approx(0.99)
-    assert look_alikes_near(fits, np.zeros((0, 2))).tolist() == [0.0] * 4
+    assert look_alikes_near(fits, np.zeros((0, 3))).tolist() == [0.0] * 4
+
+
+def test_what_may_be_a_star_is_refused_in_frames_that_stand_alone() -> None:
+    """Stars of S/N 170 to 5,000 that were fitted as trails of 2 to 4 px had probabilities of 0.6 to 0.97 in raw frames."""
+    fits = [fit_of(5000.0, 1.7), fit_of(170.0, 24.0), fit_of(20.0, 26.0)]
+    frame = frame_of_psf(1.4)
+    empty = np.zeros((0, 3))
+    alone = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=empty, alone=True)})
+    assert alone.probability(fits, frame) == pytest.approx([0.0, 0.0, 0.99])
+    beside = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=empty)})
+    assert beside.probability(fits, frame) == pytest.approx(0.99)
+
+
+def test_the_chain_says_which_frames_stand_alone() -> None:
+    chain, state, made = prepared(Scripted())
+    chain.judge(state, made)
+    assert not chain.evidence[0].alone, "a detector that looks at one frame at a time needs no other"
+    chain, state, made = prepared(Scripted(history_frames=1))
+    chain.judge(state, made)
+    assert chain.evidence[0].alone
+
+
+def test_slopes_ten_times_as_wide_say_nothing_of_a_trail() -> None:
+    """Dark slopes of a vignetted border, 600 to 1,300 px long at S/N 440 to 640, vetoed a satellite of S/N 794 (p 0.02)."""
+    slopes = np.array([[640.0, 750.0, 12.0], [440.0, 1300.0, 12.0]])
+    vetter = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=slopes)})
+    frame = frame_of_psf(1.4)
+    trail, slope = vetter.probability([fit_of(794.0, 1365.0), fit_of(400.0, 1365.0, 12.0)], frame)
+    assert trail == pytest.approx(0.99, abs=1e-3)
+    assert slope < 0.05
+
+
+@pytest.mark.parametrize("sigma_px", [1.0, 2.0, 5.0])
+def test_the_width_of_a_line_is_that_of_its_profile(sigma_px: float) -> None:
+    """A Gaussian ridge at 30 deg, noise of a twentieth of its height: to a fifth, or half a pixel where that is more."""
+    row, col = np.mgrid[:200, :200].astype(float)
+    across = (row - 100.0) * np.cos(np.pi / 6.0) - (col - 100.0) * np.sin(np.pi / 6.0)
+    image = np.exp(-0.5 * (across / sigma_px) ** 2) + np.random.default_rng(3).normal(0.0, 0.05, row.shape)
+    half = 60.0 * np.array([np.sin(np.pi / 6.0), np.cos(np.pi / 6.0)])
+    line = Detection(row0=100.0 - half[0], col0=100.0 - half[1], row1=100.0 + half[0], col1=100.0 + half[1], snr=9.0)
+    found = width_of(line, image.astype(np.float32), np.zeros(row.shape, np.uint8))
+    assert found == pytest.approx(seen_width(sigma_px), abs=max(0.5, 0.2 * sigma_px))
+
+
+def test_limits_of_orbit_do_not_bind_frames_from_outside() -> None:
+    """In raw frames of a 1.1 m telescope slopes and ghosts took all the work, and a trail across the frame was not found."""
+    detector = Scripted()
+    chain, _, made = prepared(detector)
+    on_board = meter(96 * 96)
+    assert all(made.view.work.limits[kind] > most for kind, most in on_board.limits.items())
+    assert chain.evidence == {}
+    scenario = scenarios.bare("process", base_document("none"), registry=Registry())
+    orbit = scenarios.bare("orbit", {}, registry=Registry())
+    for step, most in ((scenario, 1000), (orbit, 200)):
+        assert step.step("onboard.detector").max_detections == most
+    assert scenario.onboard.roi.max_per_frame == 1000 > orbit.onboard.roi.max_per_frame
+
+
+def test_a_fit_where_no_pixel_saw_the_sky_is_refused() -> None:
+    """The step beside an overscan of 51 columns was fitted in its first column, 230 px long at S/N 550 and p 0.69."""
+    frame = frame_of_psf(1.4)
+    for last_col, expected in ((95, 0.99), (45, 0.99), (44, 0.0)):
+        own = OwnEvidence(look_alikes=np.zeros((0, 3)), seen=(0, 95, 0, last_col))
+        assert LookAlikeVetter(vetter=Certain(), evidence={0: own}).probability([fit_of(50.0, 60.0)], frame) == pytest.approx(
+            expected
+        )
+    mask = np.zeros((20, 30), np.uint8)
+    mask[:3] = mask[:, 25:] = 1
+    assert seen_of(mask) == (3, 19, 0, 24)

@@ -10,6 +10,7 @@ import pytest
 from ground.streaks import TrailedPsfFitter
 from ground.vetting import LikelihoodVetter
 from ground.vetting.class_densities import BINS, FLAG_SHARES, RECURRING, class_densities
+from ground.vetting.features import features_of
 from ground.vetting.repeated import repeated
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import StreakFlag
@@ -142,6 +143,19 @@ def test_what_turbulence_does_to_a_bright_trail_is_no_evidence_against_it(
     ragged = replace(max(fits["real"], key=lambda fit: fit.snr), snr=220.0, chi2_nu=3.2, n_pixels=1900)
     assert LikelihoodVetter(model_error=0.2).probability([ragged], frame)[0] > 0.9
     assert LikelihoodVetter().probability([ragged], frame)[0] < LikelihoodVetter(model_error=0.2).probability([ragged], frame)[0]
+
+
+def test_a_trail_that_brightens_evenly_is_not_lumpy_and_a_chain_is(fits: dict[str, list[StreakFit]]) -> None:
+    """A satellite that brightened from 23 to 709 ADU along a frame had a lumpiness of 0.75, as chains of stars have, and p 0.02.
+
+    By hand: 32 bins of 1 to 30 have a scatter of 0.56 of their mean, and no second differences.
+    """
+    one = max(fits["real"], key=lambda fit: fit.snr)
+    even = replace(one, snr=5000.0, light_curve_e_px=np.linspace(1.0, 30.0, 32, dtype=np.float32))
+    assert features_of(even, one.psf_sigma_px).lumpiness == pytest.approx(0.56, abs=0.01)
+    assert features_of(even, one.psf_sigma_px, may_vary=True).lumpiness < 0.01
+    chain = replace(even, light_curve_e_px=np.tile([1.0, 1.0, 9.0, 1.0], 8).astype(np.float32))
+    assert features_of(chain, one.psf_sigma_px, may_vary=True).lumpiness == features_of(chain, one.psf_sigma_px).lumpiness > 1.0
 
 
 def test_a_trail_is_no_less_real_for_being_brighter_than_any_that_was_simulated(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from ground.determination.forces import PARAMETERS, ForceModel
-from ground.determination.measurements import Measurements
+from ground.determination.measurements import Measurements, Offset
 from ground.determination.propagation import propagate
 from sboc_e2e.icd.errors import UserError
 
@@ -105,8 +105,11 @@ def fit(
         for kind in data:
             n = len(kind.t_tai_ns)
             value, slope = kind.residuals(arc.states[at : at + n])
+            slope = slope @ arc.partials[at : at + n]
+            if isinstance(kind, Offset):
+                value, slope = kind.eliminated(value, slope)
             residuals.append(value.reshape(-1))
-            partials.append((slope @ arc.partials[at : at + n]).reshape(-1, arc.partials.shape[2]))
+            partials.append(slope.reshape(-1, arc.partials.shape[2]))
             at += n
         return np.concatenate(residuals), np.vstack(partials)
 

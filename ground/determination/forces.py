@@ -10,19 +10,27 @@ import astropy_iers_data
 
 from sboc_e2e.icd.errors import UserError
 
-PARAMETERS: Final = ("drag", "radiation", "sun", "panel", "third", "third_cos", "third_sin")
+LEAKS: Final = ("leak_x", "leak_y", "leak_z")
+LEAK_RATES: Final = ("leak_x_rate", "leak_y_rate", "leak_z_rate")
+PARAMETERS: Final = ("drag", "radiation", "sun", "panel", "third", "third_cos", "third_sin", *LEAKS, *LEAK_RATES)
 """Force parameters that may be estimated.
 
 drag, radiation : coefficient times area over mass, m^2/kg. sun, panel, third, third_cos, third_sin : accelerations (m/s^2 at one
 astronomical unit) towards the Sun, along the panels' axis, and along the third axis: constant, cosine and sine of the argument of
-latitude (Beutler et al. 1994, Manuscripta Geodaetica 19, 367: the reduced model of CODE).
+latitude (Beutler et al. 1994, Manuscripta Geodaetica 19, 367: the reduced model of CODE). leak_x, leak_y, leak_z : accelerations
+(m/s^2) along the axes of GCRS at the epoch of the state; leak_x_rate, ... : their change with time from there (m/s^3).
 """
-_STEP: Final = {"drag": 1e-3, "radiation": 1e-3} | dict.fromkeys(PARAMETERS[2:], 1e-9)
+_STEP: Final = (
+    {"drag": 1e-3, "radiation": 1e-3}
+    | dict.fromkeys(PARAMETERS[2:7], 1e-9)
+    | dict.fromkeys(LEAKS, 1e-8)
+    | dict.fromkeys(LEAK_RATES, 1e-12)
+)
 
 
 @dataclass(frozen=True, kw_only=True)
 class ForceModel:
-    """Gravity of the Earth to a degree, Sun, Moon, solid tides, relativity, drag (NRLMSISE-00) and radiation pressure."""
+    """Gravity of the Earth to a degree, Sun, Moon, solid tides, relativity, drag (NRLMSISE-00), radiation pressure, leaks."""
 
     gravity_degree: int = 20
     tides: bool = True
@@ -34,6 +42,12 @@ class ForceModel:
     third: float = 0.0
     third_cos: float = 0.0
     third_sin: float = 0.0
+    leak_x: float = 0.0
+    leak_y: float = 0.0
+    leak_z: float = 0.0
+    leak_x_rate: float = 0.0
+    leak_y_rate: float = 0.0
+    leak_z_rate: float = 0.0
 
     def __post_init__(self) -> None:
         if not 2 <= self.gravity_degree <= 70:

@@ -107,6 +107,36 @@ class Directions:
         return -np.einsum("nij,nj->ni", whiten, away), -np.einsum("nij,njk->nik", whiten, partials)
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Offset:
+    """Measurements that all share unknown offsets, which are estimated with the orbit and eliminated.
+
+    kind : the measurements. unit : (m,) one sigma of each of the m numbers of a measurement; each has an offset of its own. A fit
+    of the orbit alone then gives the orbit and the covariance that a fit of both would (with equal weights).
+    """
+
+    kind: Measurements
+    unit: tuple[float, ...]
+
+    @property
+    def t_tai_ns(self) -> NDArray[np.int64]:
+        """Epochs (n,) TAI ns."""
+        return self.kind.t_tai_ns
+
+    def residuals(self, states: Array) -> tuple[Array, Array]:
+        """Residuals (n, m) and partials (n, m, 6) without offsets."""
+        return self.kind.residuals(states)
+
+    def eliminated(self, value: Array, partials: Array) -> tuple[Array, Array]:
+        """Residuals (n, m) and partials (n, m, k) by the unknowns of a fit, both with the best offsets."""
+        return value - value.mean(axis=0), partials - partials.mean(axis=0)
+
+    def offsets(self, states: Array) -> Array:
+        """The offsets (m,), observed minus computed, in the measurements' own units."""
+        value, _ = self.kind.residuals(states)
+        return np.asarray(value.mean(axis=0) * np.array(self.unit))
+
+
 def retarded(states: Array, observer_km: Array) -> tuple[Array, Array, Array]:
     """Lines (n, 3) km from observers to where light that arrives at the states' epochs had left, their lengths and delays s."""
     r, v = states[:, :3], states[:, 3:]

@@ -66,7 +66,7 @@ def features_of(
         ln_snr=math.log(max(fit.snr, 1e-3)),
         ln_length=math.log(max(fit.length_px, 0.1)),
         chi2_sigmas=math.nan if failed else (fit.chi2_nu - 1.0) / chi2_error,
-        lumpiness=_lumpiness(fit, may_vary=may_vary),
+        lumpiness=lumpiness_of(fit, may_vary=may_vary),
         aligned=fit.length_px > ALIGNED_LENGTH_PX and angle < ALIGNED_DEG,
         failed=failed,
         static=StreakFlag.STATIC in fit.flags,
@@ -74,7 +74,7 @@ def features_of(
     )
 
 
-def _lumpiness(fit: StreakFit, *, may_vary: bool) -> float:
+def lumpiness_of(fit: StreakFit, *, may_vary: bool) -> float:
     """Relative scatter of the bins, the noise's own part sqrt(k) / S taken out: 0 for uniform trails, > 1 for chains.
 
     may_vary : where less, the scatter of the second differences, which is as large for bins that know nothing of each other and

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.vetting.class_densities import REAL, RECURRING, class_densities, log_odds_calibration
-from ground.vetting.features import Features, features_of
+from ground.vetting.features import Features, features_of, lumpiness_of
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
@@ -140,7 +140,7 @@ def _snr_over_residuals(fit: StreakFit) -> float:
 
 def _of_unmodelled_kind(fit: StreakFit, features: Features) -> bool:
     """Whether a fit is a bright straight line that is too long for its width to be anything but a trail, though none was
-    simulated."""
+    simulated. Its light must be even: slopes of the sky change smoothly too."""
     crosses = fit.flags & EDGE_TO_EDGE == EDGE_TO_EDGE
     pieces = fit.length_px / max(fit.width_px, 1.0)
     return (
@@ -149,7 +149,7 @@ def _of_unmodelled_kind(fit: StreakFit, features: Features) -> bool:
         and _snr_over_residuals(fit) >= LEAST_UNMODELLED_PIECE_SNR * math.sqrt(pieces)
         and fit.length_px >= (LEAST_EDGE_TO_EDGE_WIDTHS if crosses else LEAST_UNMODELLED_WIDTHS) * fit.width_px
         and features.sharpness >= LEAST_UNMODELLED_SHARPNESS
-        and not features.lumpiness > LUMPIEST
+        and not lumpiness_of(fit, may_vary=False) > LUMPIEST
     )
 
 

@@ -127,9 +127,10 @@ calibrated twice.
 of NumPy's npy arrays, each with type and shape in its header, little endian, no pickles; arrays `in_*` and `out_*`. The inputs
 of a stage stand beside its outputs, so each can be ported alone. `python -m sboc_e2e.bench.flight_vectors tests/golden/flight`
 writes them anew, after a change of a stage or of a default (`packets` has the number of the set of parameters);
-`pytest tests/bench/test_flight_vectors.py` holds the stages to them, every bit. Integer stages are exact on any machine.
-Those with floating point are exact with the versions of `requirements.lock` on the x86-64 processor of the benchmark; elsewhere
-sums may be taken in another order, and an integer that is rounded from a float may differ by one.
+`pytest tests/bench/test_flight_vectors.py` holds the stages to them: whole numbers to the bit, floating-point ones to 1e-6.
+Integer stages are exact on any machine. Those with floating point are exact, with the versions of `requirements.lock`, on the
+processor that made them. On another x86-64 processor compiled code takes sums in another order: the places of stars differ by
+2e-7 px. On other machines an integer that is rounded from a float may differ by one.
 
 {vectors}
 

@@ -1,4 +1,7 @@
-"""The on-board stages give what the golden vectors say, to the bit."""
+"""The on-board stages give what the golden vectors say: whole numbers to the bit, floating-point ones as far as processors agree.
+
+Compiled code sums in another order, and fuses other products, on another x86-64 processor of the same versions.
+"""
 
 from pathlib import Path
 
@@ -18,7 +21,10 @@ def test_a_stage_gives_what_is_stored(stage: Stage) -> None:
     assert got.keys() == wanted.keys()
     for name, array in wanted.items():
         assert (got[name].dtype, got[name].shape) == (array.dtype, array.shape), name
-        assert got[name].tobytes() == array.tobytes(), f"{stage.name}: {name}; {ANEW}"
+        if array.dtype.kind == "f":
+            np.testing.assert_allclose(got[name], array, rtol=1e-6, atol=1e-6, err_msg=f"{stage.name}: {name}; {ANEW}")
+        else:
+            assert got[name].tobytes() == array.tobytes(), f"{stage.name}: {name}; {ANEW}"
 
 
 def test_the_vectors_show_something_in_little_room() -> None:

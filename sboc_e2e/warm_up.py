@@ -21,10 +21,10 @@ from sboc_e2e.cli.main import run
 
 
 def main() -> int:
-    """Run the smoke scenario and print how long it took: a minute and a half where all is to be compiled, seconds where nothing is."""
+    """Run the smoke scenario and print how long it took: 90 s where all is to be compiled, seconds where nothing is."""
     with tempfile.TemporaryDirectory(prefix="sboc-warm-up-") as folder:
         start = time.perf_counter()
-        print("Compiling numerical kernels, once, by a small run: a minute and a half on two free cores, more on busy ones.", flush=True)
+        print("Compiling numerical kernels, once, by a small run: 90 s on two free cores, more on busy ones.", flush=True)
         beside = get_context("spawn").Process(target=_detector_and_orbits, daemon=True)
         if (os.cpu_count() or 1) > 1:
             beside.start()

@@ -69,6 +69,7 @@ def test_an_arc_of_seven_minutes_knows_its_orbit(few: Survey) -> None:
     assert float(np.mean(nees)) == pytest.approx(1.0, abs=3.0 * math.sqrt(2.0 / (6.0 * n)))
 
 
+@pytest.mark.slow
 def test_tracklets_of_days_become_objects(few: Survey) -> None:
     found = associate(measured(few))
     result = verdict(few, found)

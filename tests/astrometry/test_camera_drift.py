@@ -83,6 +83,7 @@ def focal_errors(drift: Callable[[float], float], n: int = 100, **options: Any) 
 
 @pytest.mark.parametrize("drift", [at_rest, warming])
 @pytest.mark.parametrize("step", [0.0, 0.04, pytest.param(0.2, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_pulls_of_the_focal_length_hold_with_and_without_drift(drift, step):
     """Of 100 runs of one star field each, or of scans over 1.6 and 8 fields; the rms of as many pulls scatters by 0.07."""
     error, sigma = focal_errors(drift, step=step)
@@ -119,6 +120,7 @@ def test_jitter_shows_no_new_stars_and_a_move_does(catalogue, monkeypatch):
 
 
 @pytest.mark.parametrize("move", [(0.0, 0.06), (0.17, 0.08)])
+@pytest.mark.slow
 def test_errors_of_stars_last_in_a_scan_as_long_as_stars_drawn_one_by_one_say(move):
     """Estimates of the focal length from 400 displaced stars a frame, least squares by another camera's derivatives: the error of
     the mean over long scans is that of a first-order process with the stated correlation, to 15 % (6.5 % of it chance)."""

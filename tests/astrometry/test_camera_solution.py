@@ -49,6 +49,7 @@ def test_solution_is_right_to_hundredths_of_an_arcsec(catalogue):
     assert np.abs(np.mean(mean, axis=0)).max() < 0.02
 
 
+@pytest.mark.slow
 def test_pulls_of_the_attitude_are_near_one(catalogue):
     """Without displaced stars and with the catalogue error taken out of the weights, errors match the covariance.
 
@@ -147,6 +148,7 @@ def test_star_patterns_give_the_attitude_that_telemetry_does_not(catalogue):
         assert np.linalg.norm(_errors_arcsec(field, solution)[40]) < 0.1
 
 
+@pytest.mark.slow
 def test_a_mirrored_image_gives_the_directions_of_the_image_itself(catalogue):
     """Columns counted from the other side; the parity is found, kept for the next frame, and costs nothing."""
     pytest.importorskip("tetra3rs", reason="the extra `solve` is not installed")

@@ -78,6 +78,7 @@ def test_the_mean_of_a_tumbler_has_the_error_of_its_light_curve() -> None:
 
 
 @pytest.mark.parametrize(("share", "second"), [(0.3, 0.0), (0.3, 0.4), (0.6, 0.0)])
+@pytest.mark.slow
 def test_pulls_with_tumblers_in(share: float, second: float) -> None:
     """800 tracklets of 4 to 24 members: the pull scatters by 0.03, the coverage of 90 % by 0.011."""
     rng = np.random.default_rng(17)
@@ -103,6 +104,7 @@ def found_above(half_point_snr: float, curve: Curve, snr: float, rng: np.random.
 
 
 @pytest.mark.parametrize("tumbling", [0.0, 0.3])
+@pytest.mark.slow
 def test_faint_exposures_are_found_because_they_are_bright(tumbling: float) -> None:
     """Objects of S/N 5.5 to 8 an exposure, of which those above 7.2 come down: as they stand these are 0.1 mag too bright."""
     rng = np.random.default_rng(23)

@@ -66,6 +66,7 @@ def test_a_ccd_exposes_all_rows_at_once():
     assert trail["flux_e"] == pytest.approx(wanted["flux_e"], rel=1e-6)
 
 
+@pytest.mark.slow
 def test_a_mechanical_shutter_leaves_no_smear():
     catalogue = StarCatalogue.embedded()
     transfer_us = 20.0

@@ -53,6 +53,7 @@ def by_time(simulator: Simulator) -> tuple[float, float]:
 @pytest.mark.parametrize("rate_px_s", [3.0, 30.0, 1200.0])
 @pytest.mark.parametrize("phase_deg", [-40.0, -65.0, -93.0])
 @pytest.mark.parametrize(("width_s", "period_s"), [(0.01, 0.7), (1e-4, 0.7), (1e-3, 0.03)])
+@pytest.mark.slow
 def test_a_glint_keeps_its_light_and_its_place(rate_px_s, phase_deg, width_s, period_s):
     """Light on the image, in the truth and along the truth's path to 0.2 %, its centroid to 0.01 px."""
     simulator = Simulator(glinting(rate_px_s, phase_deg, width_s, period_s), seed=3, catalogue=StarCatalogue.embedded())

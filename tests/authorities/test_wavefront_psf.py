@@ -179,6 +179,7 @@ def test_asymmetric_images_are_found_at_their_stars_places():
         assert np.hypot(found[1] - 20.3, found[2] - 19.8) < 0.05
 
 
+@pytest.mark.slow
 def test_the_draw_is_that_of_the_seed():
     first, again, other = (camera(seed=s, wavefront=WavefrontOptions(rms_nm=300.0)).psf_field.tables for s in (1, 1, 2))
     assert np.array_equal(first, again)

@@ -15,6 +15,7 @@ FOLDER = Path(__file__).resolve().parents[1] / "golden" / "flight"
 
 
 @pytest.mark.parametrize("stage", STAGES, ids=lambda stage: stage.name)
+@pytest.mark.slow
 def test_a_stage_gives_what_is_stored(stage: Stage) -> None:
     given, wanted = read(FOLDER / f"{stage.name}.npz")
     got = stage.run(given)

@@ -50,6 +50,7 @@ def correlated(rng: np.random.Generator, objects: int, gain: float) -> tuple[np.
     return one, easy - taste + gain + rng.normal(0.0, 0.5, len(cluster)) > 0, cluster
 
 
+@pytest.mark.slow
 def test_equal_choices_are_called_different_in_a_twentieth_of_trials() -> None:
     """Trials of 40 objects with one to twelve streaks; streaks as coins of their own would find a difference in half of them."""
     rng = np.random.default_rng(7)

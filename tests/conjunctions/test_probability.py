@@ -161,6 +161,7 @@ def test_no_relative_motion_and_bad_figures_are_refused() -> None:
         monte_carlo(one, two, 0.01, 0, (-1.0, 1.0))
 
 
+@pytest.mark.slow
 def test_objects_that_stay_together_go_to_monte_carlo() -> None:
     speed = math.sqrt(MU_KM3_S2 / 7000.0)
     covariance = np.diag([0.01, 0.01, 0.01, 1e-9, 1e-9, 1e-9])

@@ -125,6 +125,7 @@ def test_limits_are_refused_and_lost_objects_named() -> None:
         screen(gone, -1.0, 5.0)
 
 
+@pytest.mark.slow
 def test_the_command_writes_a_table(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     sets = crowd(folder("cdm").parent, 60)
     path = tmp_path / "some.3le"

@@ -116,6 +116,7 @@ def star_scene(seed: int, streaks: list[Streak], n_stars: int = 25_000) -> tuple
 
 
 @pytest.mark.parametrize("length_px", [20.0, 60.0, 200.0, 800.0])
+@pytest.mark.slow
 def test_mean_statistic_is_the_matched_filter_snr_within_5_percent(length_px: float) -> None:
     ratios = []
     for seed in range(12):
@@ -354,6 +355,7 @@ def sharpness_of(scene: Scene, streak: Streak) -> float:
 
 @pytest.mark.parametrize("snr", [8.0, 20.0, 100.0])
 @pytest.mark.parametrize("length_px", [4.0, 12.0, 60.0, 200.0])
+@pytest.mark.slow
 def test_trails_of_light_are_not_sharp_and_tracks_of_the_same_light_are(length_px: float, snr: float) -> None:
     """At most one trail of 60 looks like a track (measured: 0.06 % of 17,400), every track from S/N 20 on does."""
     rng = np.random.default_rng(int(10 * snr + length_px))

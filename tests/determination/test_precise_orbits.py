@@ -53,6 +53,7 @@ def test_the_compressed_file_is_read_as_published(navigation: dict[str, Ephemeri
 
 
 @pytest.mark.parametrize("name", ["G01", "G09", "G23", "G32", "E11", "E14", "E19"])
+@pytest.mark.slow
 def test_a_day_of_navigation_satellites_fits_to_decimetres(navigation: dict[str, Ephemeris], name: str) -> None:
     solution = fitted(navigation[name], ForceModel(gravity_degree=12))
     assert solution.converged

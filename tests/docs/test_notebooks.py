@@ -29,6 +29,7 @@ def test_stored_without_outputs_and_listed(name: str) -> None:
 
 
 @pytest.mark.parametrize("name", [name if name in QUICK else pytest.param(name, marks=pytest.mark.slow) for name in NOTEBOOKS])
+@pytest.mark.slow
 def test_every_cell_runs(name: str, tmp_path: Path) -> None:
     done = subprocess.run([sys.executable, "-c", code_of(name)], cwd=tmp_path, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]

@@ -32,6 +32,7 @@ def plain(seed: int = 1, **cards: object) -> fits.PrimaryHDU:
 
 @settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
 @given(st.binary(min_size=1, max_size=8))
+@pytest.mark.slow
 def test_any_header_and_content_give_products_and_cost_no_other_frame(data: bytes) -> None:
     one_input(data)
 

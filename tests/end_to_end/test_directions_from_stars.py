@@ -96,6 +96,7 @@ def solved_wcs(frame: Table.Row) -> WCS:
     ],
     ids=["camera", "mirrored", "mirrored, optics in the header", "mirrored, nothing known", "scale in the header 8 % off"],
 )
+@pytest.mark.slow
 def test_the_stars_of_a_frame_tell_where_it_looked(
     tmp_path: Path, mirrored: bool, camera: list[str], keys: dict[str, float]
 ) -> None:

@@ -139,6 +139,7 @@ def test_duplicated_and_reordered_packets_change_nothing(healthy: Run, tmp_path:
 
 
 @pytest.mark.parametrize("fault", ["lost", "truncated", "bit_flipped"])
+@pytest.mark.slow
 def test_a_damaged_packet_costs_what_it_carried_and_is_reported(healthy: Run, tmp_path: Path, fault: str) -> None:
     directory, damage, packets = processed(healthy, tmp_path / "run", PacketFaults(**{fault: 0.1}))
     assert damage.gone
@@ -185,6 +186,7 @@ def test_dropped_and_repeated_frames_are_reported_and_publish_nothing_twice(tmp_
 
 
 @pytest.mark.parametrize("jump", ["-10 s", "3600 s"])
+@pytest.mark.slow
 def test_a_clock_jump_costs_no_streak(healthy: Run, tmp_path: Path, jump: str) -> None:
     done = made(tmp_path, f"faults.header.clock_jump={jump}", "faults.header.clock_jump_frame=3")
     frames, _ = decode_downlink(done.directory.downlink.read_bytes(), SHIPPED_DECODERS)
@@ -240,6 +242,7 @@ def check_sky(done: Run) -> None:
     ],
     ids=["stuck column", "dead quadrant", "stray light"],
 )
+@pytest.mark.slow
 def test_a_damaged_detector_publishes_nothing_false_and_keeps_what_it_can(
     healthy: Run, tmp_path: Path, overrides: tuple[str, ...], harmed: object
 ) -> None:
@@ -264,6 +267,7 @@ AS_IN_SBOC = 'radiation.saa_peak_omni="230 cm-2 s-1"'
 
 
 @pytest.mark.parametrize("throughput", [0.583, 0.8])
+@pytest.mark.slow
 def test_in_a_particle_storm_nothing_false_is_published_and_trails_are_still_measured(
     healthy: Run, tmp_path: Path, throughput: float
 ) -> None:

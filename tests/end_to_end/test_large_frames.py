@@ -72,6 +72,7 @@ def away_px(streaks: Table, trail: Trail) -> float:
     [(9001, 64, [(4000.0, 12.0, 4120.0, 50.0)]), (64, 8999, [(10.0, 7000.0, 52.0, 7150.0)])],
     ids=["tall", "broad"],
 )
+@pytest.mark.slow
 def test_strips_are_taken(tmp_path: Path, rows: int, cols: int, trails: list[Trail]) -> None:
     fits.PrimaryHDU(drawn(rows, cols, trails)).writeto(tmp_path / "strip.fits")
     assert cli.run(["process", str(tmp_path / "strip.fits"), "--out", str(tmp_path / "out"), "--wcs", "none"]) == 0

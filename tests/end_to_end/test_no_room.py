@@ -92,6 +92,7 @@ def test_a_run_on_a_full_disk_goes_on_to_the_same_bytes(
 
 
 @pytest.mark.parametrize("stage", ["ground", "score", "report", "onboard"])
+@pytest.mark.slow
 def test_a_stage_on_a_full_disk_leaves_its_earlier_results(
     copy: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], stage: str
 ) -> None:
@@ -177,6 +178,7 @@ def test_a_sweep_stops_when_its_disk_is_full_and_keeps_what_is_done(
     ],
 )
 @pytest.mark.parametrize("kind", ["run", "process", "sweep", "compare", "bench"])
+@pytest.mark.slow
 def test_a_place_that_cannot_be_written_is_found_before_any_work(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], kind: str, reason: int, words: str
 ) -> None:

@@ -109,6 +109,7 @@ def test_ground_needs_nothing_but_downlink_calibration_and_catalogue(finished: R
     assert digest(copy) == expected
 
 
+@pytest.mark.slow
 def test_stages_one_by_one_give_the_same_bytes(copy: Path) -> None:
     expected = digest(copy, "truth", "frames", "calibration")
     opened = Run.open(copy, Registry())

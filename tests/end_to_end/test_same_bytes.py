@@ -16,6 +16,7 @@ from tests.end_to_end.conftest import command, digest, request, tiny
 from tests.processes import wait_for
 
 
+@pytest.mark.slow
 def test_two_workers_give_the_same_bytes_as_one(finished: Run, tmp_path: Path) -> None:
     expected = digest(finished.directory.path, "truth", "frames", "calibration")
     done = command("run", str(tiny(tmp_path)), "--out", str(tmp_path / "two"), "--workers", "2", PYTHONHASHSEED="77")

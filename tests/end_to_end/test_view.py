@@ -200,5 +200,6 @@ def test_blink_goes_through_the_frames(page: Any) -> None:
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("name", ["view/index.html", "report.html"])
+@pytest.mark.slow
 def test_viewer_and_report_of_outside_frames_fit(chromium: Any, run: Path, name: str, width: int, scheme: str) -> None:
     assert excess_and_errors(chromium, run / name, width, scheme) == (0, [])

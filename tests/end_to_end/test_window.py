@@ -27,6 +27,7 @@ BINNED = ("sensor.binning.rows=2", "sensor.binning.cols=2")
 
 
 @pytest.mark.parametrize("binning", [(), BINNED])
+@pytest.mark.slow
 def test_a_run_with_a_window_is_solved(tmp_path: Path, binning: tuple[str, ...]) -> None:
     """Sky above the dark, stars and attitude; a sky of 2.8 e- in 1.2 e-/ADU is far from the pedestal of 256 ADU."""
     run = products_only(request(SMOKE, tmp_path / "run", "frames=1", *WINDOW, *binning))
@@ -38,6 +39,7 @@ def test_a_run_with_a_window_is_solved(tmp_path: Path, binning: tuple[str, ...])
     assert frame["n_stars"] > 20
 
 
+@pytest.mark.slow
 def test_maps_of_the_detector_and_of_the_window_give_the_same() -> None:
     """Packets, and pixels of streaks on ground, of a binned window: with the maps of the whole detector and with their part."""
     made = {}

@@ -20,6 +20,7 @@ def movers_of(camera: Camera, rng: np.random.Generator, n: int, span_s: float) -
 
 
 @pytest.mark.parametrize("sky", [True, False])
+@pytest.mark.slow
 def test_links_all_objects_among_false_streaks(sky: bool) -> None:
     """60 objects, 90 % seen per frame, 50 false streaks per frame: complete, pure, unfragmented, directions right."""
     camera = Camera()

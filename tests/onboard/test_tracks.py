@@ -50,6 +50,7 @@ def test_thresholds_are_those_of_the_theory(n: int, per_frame: float) -> None:
     assert half_point_sigma(threshold_sigma(volume, 0.1)) / math.sqrt(n) == pytest.approx(per_frame, abs=0.02)
 
 
+@pytest.mark.slow
 def test_tracks_that_no_frame_shows_are_found_in_both_senses_and_noise_gives_none() -> None:
     """S/N 5.8 in each of four frames: 2 sigma below what one frame needs."""
     tracker, found_of, senses = JointTracker(window=5), [], set()
@@ -280,6 +281,7 @@ def test_a_change_of_exposure_and_back_ends_the_window_twice() -> None:
     assert [track.members[0].frame for result in run.results for track in result.tracks] == [0, 4]
 
 
+@pytest.mark.slow
 def test_a_chain_taken_up_from_its_saved_state_sends_the_same_bytes() -> None:
     """Saved and read back after every frame, with the joint tracker's window in it."""
     plain, saved = (tracked_run((), tracker=JointTracker(window=3, seed_sigma=4.0)) for _ in range(2))

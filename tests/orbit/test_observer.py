@@ -59,6 +59,7 @@ def found(headers: list[FrameHeader]) -> ObserverOrbit:
 
 
 @pytest.mark.parametrize("n", [1, 24, 300])
+@pytest.mark.slow
 def test_covariance_is_honest_whatever_fixes_have_in_common(n: int) -> None:
     """60 runs with 70 % of the variance common: NEES of the state in mid-run within four standard deviations of one."""
     rng = np.random.default_rng(4)

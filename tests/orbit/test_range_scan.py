@@ -15,6 +15,7 @@ from tests.orbit.encounters import MU, T0_NS, Encounter, draw_encounters, observ
 
 
 @pytest.mark.parametrize("population", ["catalogue", "breakup", "natural"])
+@pytest.mark.slow
 def test_intervals_cover_and_no_trivial_root(population: str) -> None:
     """40 encounters: 90 % intervals hold the truth in 76-100 % of cases (3 sigma of the binomial), none collapses."""
     rng = np.random.default_rng(21)

@@ -28,6 +28,7 @@ def plan_file(folder: Path, *lines: str) -> str:
     return str(path)
 
 
+@pytest.mark.slow
 def test_a_plan_is_a_folder_that_the_chain_can_fly(tmp_path: Path) -> None:
     request, path = read_request(plan_file(tmp_path))
     schedule = make_plan(request, path, tmp_path / "out", Registry())
@@ -78,6 +79,7 @@ def site_plan(folder: Path, calendar: str, scenario: str = "ground_site_tracking
     return str(path)
 
 
+@pytest.mark.slow
 def test_a_closed_dome_ends_windows_to_a_second_and_takes_no_visits(tmp_path: Path) -> None:
     shut, opens = "2027-01-28T22:00:30", "2027-01-29T01:10:10"
     request, path = read_request(site_plan(tmp_path, f"start_utc,end_utc\n{shut},{opens}\n"))

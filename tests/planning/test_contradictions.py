@@ -92,6 +92,7 @@ TOGETHER = [
 
 
 @pytest.mark.parametrize(("plan", "keys", "names"), TOGETHER)
+@pytest.mark.slow
 def test_constraints_that_contradict_each_other_are_both_named(
     tmp_path: Path, capsys: pytest.CaptureFixture[str], plan: str, keys: tuple[str, ...], names: tuple[str, ...]
 ) -> None:

@@ -3,6 +3,7 @@
 import itertools
 
 import numpy as np
+import pytest
 
 from ground.planning.greedy import Slot, best_visits
 from ground.planning.options import PlanOptions, SlewOptions
@@ -49,6 +50,7 @@ def best_of_all(slots: list[Slot], weight: np.ndarray, options: PlanOptions) -> 
     return best
 
 
+@pytest.mark.slow
 def test_schedules_are_within_five_percent_of_the_optimum() -> None:
     """Thirty cases; the slew of 1 deg/s reaches fields within 80 deg in one slot, farther ones only after an idle one."""
     options = PlanOptions(visit_s=VISIT_S, slew=SlewOptions(rate_deg_s=1.0, settling_s=30.0))

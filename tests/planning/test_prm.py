@@ -117,6 +117,7 @@ def test_a_message_asks_for_the_attitude_that_the_simulator_flies(roll_deg: floa
         assert (ends - begins).sec == pytest.approx(20.5, abs=1e-6)
 
 
+@pytest.mark.slow
 def test_a_plan_in_orbit_writes_a_message_and_one_on_the_ground_does_not(tmp_path: Path) -> None:
     folder = folder_of(tmp_path)
     request, path = read_request(str(folder / "orbit.toml"))

@@ -23,6 +23,7 @@ def sample(n: int, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray]:
     return size, np.where(seen, categories(estimate, mag, EDGES_M, MAG_EDGES), NOT_DETECTED)
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_truth() -> None:
     """60 runs of 400 objects among 40 false single-frame detections: 90 % intervals of classes and N(> d) hold the truth."""
     rng = np.random.default_rng(11)

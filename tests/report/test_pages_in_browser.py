@@ -89,6 +89,7 @@ def shard(path: Path, point: dict[str, Any], n_found: int) -> Path:
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("width", WIDTHS)
 @pytest.mark.parametrize("name", ["compare", "campaign", "bench"])
+@pytest.mark.slow
 def test_pages_fit(chromium: Any, pages: dict[str, Path], name: str, width: int, scheme: str) -> None:
     assert excess_and_errors(chromium, pages[name], width, scheme) == (0, [])
 

@@ -74,6 +74,7 @@ def test_half_point_and_its_interval_are_those_of_the_likelihood() -> None:
         assert figures.logistic_half(x, y) == pytest.approx((best.x, *ends), abs=1e-3)
 
 
+@pytest.mark.slow
 def test_interval_of_the_half_point_holds_the_truth_as_often_as_it_says() -> None:
     """200 samples of 40 streaks around S/N 7, unit noise: 90 % within three standard deviations of the count."""
     rng = np.random.default_rng(7)

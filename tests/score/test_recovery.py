@@ -57,6 +57,7 @@ def shares_held(injected: Counted | None, n_runs: int) -> tuple[float, float]:
     return float(np.mean(inside)), float(np.median(ratio))
 
 
+@pytest.mark.slow
 def test_intervals_hold_the_known_population() -> None:
     """Efficiency from 20 other runs: intervals hold what they say, within the scatter of 40 runs of ten correlated figures."""
     rng = np.random.default_rng(15)
@@ -65,6 +66,7 @@ def test_intervals_hold_the_known_population() -> None:
     assert ratio == pytest.approx(1.0, abs=0.1)
 
 
+@pytest.mark.slow
 def test_halves_of_one_run_are_on_the_safe_side() -> None:
     """Errors of the two efficiencies cancel in the sum of both halves, so that intervals hold more than 90 %."""
     held, ratio = shares_held(None, 20)

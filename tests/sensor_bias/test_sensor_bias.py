@@ -172,6 +172,7 @@ def tdm(tracks: list[Track]) -> str:
     return "\n".join(lines) + "\n"
 
 
+@pytest.mark.slow
 def test_the_command_calibrates_from_messages(sky, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     _, passes = sky
     message = tmp_path / "night.tdm"

@@ -48,6 +48,7 @@ def small(**changes):
     return replace(base, **(defaults | changes))
 
 
+@pytest.mark.slow
 def test_any_frame_alone_has_the_same_bytes(smoke, catalogue):
     again = Simulator(smoke_options(), seed=4, catalogue=catalogue)
     late, late_truth = again.frame(3)
@@ -61,6 +62,7 @@ def test_any_frame_alone_has_the_same_bytes(smoke, catalogue):
         assert getattr(late_truth, name).tobytes() == getattr(fourth_truth, name).tobytes()
 
 
+@pytest.mark.slow
 def test_another_seed_gives_another_sky(smoke, catalogue):
     other, _ = Simulator(smoke_options(), seed=5, catalogue=catalogue).frame(0)
     assert other.pixels.tobytes() != smoke.frame(0)[0].pixels.tobytes()

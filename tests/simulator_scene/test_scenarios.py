@@ -74,6 +74,7 @@ def test_both_shutters_see_the_middle_row_at_the_same_time(shutters):
     assert np.abs(first - second).max() < 0.02 * second.max()
 
 
+@pytest.mark.slow
 def test_curved_streak_bends_and_varies_by_40_percent_without_a_roll_of_the_camera():
     made = simulator_of("curved_streak")
     assert made.options.pointing.roll_rate_deg_s == 0.0

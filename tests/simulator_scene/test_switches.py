@@ -115,6 +115,7 @@ def test_the_table_is_read():
 
 
 @pytest.mark.parametrize(("name", "where"), [(name, where) for name, _, where in ROWS])
+@pytest.mark.slow
 def test_an_effect_turned_on_alone_changes_the_frame(name, where):
     beside = NEEDS.get(name, ())
     when = WHEN.get(name, ())

@@ -193,6 +193,7 @@ def killed_writers(url: str, kills: int) -> None:
     store.close()
 
 
+@pytest.mark.slow
 def test_a_killed_writer_loses_nothing(tmp_path: Path) -> None:
     killed_writers(str(tmp_path / "store.db"), 3)
 

@@ -95,6 +95,7 @@ def test_an_exposure_is_a_function_of_its_numbers() -> None:
         assert a.snr > 7.0
 
 
+@pytest.mark.slow
 def test_splitting_finds_the_tail_of_a_sum_of_squares() -> None:
     """P(x^2 + y^2 > s) = exp(-s / 2) down to 3e-9, and one number beyond 6 sigma.
 

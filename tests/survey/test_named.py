@@ -120,6 +120,7 @@ def test_a_broken_object_is_there_before_and_its_pieces_after() -> None:
     assert np.linalg.norm(place[1:, 0] - place[0, 0], axis=1) == pytest.approx(np.zeros(len(rows) - 1), abs=30.0)
 
 
+@pytest.mark.slow
 def test_a_survey_of_named_objects_repeats_and_reports(tmp_path: Path) -> None:
     found = load(SHELL, TARGET, BREAKUP)
     made = responses.read(responses.shipped(found), found)

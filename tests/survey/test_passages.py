@@ -32,6 +32,7 @@ def flight(*overrides: str) -> Flight:
 
 
 @pytest.mark.parametrize("number", [0, 2])
+@pytest.mark.slow
 def test_rate_is_that_of_the_pixel_chains_encounters(number: int) -> None:
     f = flight()
     options = f.options.population
@@ -54,6 +55,7 @@ def test_rate_is_that_of_the_pixel_chains_encounters(number: int) -> None:
     assert np.mean(mine) == pytest.approx(np.mean(theirs), abs=4.0 * error + 0.02 * np.mean(theirs))
 
 
+@pytest.mark.slow
 def test_blocks_scatter_as_poisson_and_repeat() -> None:
     f = flight(*SMALL)
     numbers, pools = candidate_numbers(f), Pools()
@@ -65,6 +67,7 @@ def test_blocks_scatter_as_poisson_and_repeat() -> None:
     assert np.array_equal(first.position_km, again.position_km)
 
 
+@pytest.mark.slow
 def test_passages_lie_in_the_field_and_their_looks_within_the_stay() -> None:
     f = flight(*SMALL)
     at, p = draw_block(f, 3, candidate_numbers(f), Pools())

@@ -122,6 +122,7 @@ def test_what_is_no_response_is_refused(tmp_path: Path, text: str | None, words:
         responses.read(path, load())
 
 
+@pytest.mark.slow
 def test_another_version_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "r.json"
     write_response(path, load())
@@ -135,6 +136,7 @@ def shards(folder: Path) -> dict[str, bytes]:
     return {f"{p.parent.name}/{p.name}": p.read_bytes() for p in names}
 
 
+@pytest.mark.slow
 def test_an_interrupted_survey_ends_with_the_same_bytes(tmp_path: Path) -> None:
     found = load(*SMALL)
     made = write_response(tmp_path / "r.json", found)
@@ -157,6 +159,7 @@ def test_two_processes_give_the_bytes_of_one(tmp_path: Path) -> None:
     assert shards(tmp_path / "one") == shards(tmp_path / "two")
 
 
+@pytest.mark.slow
 def test_a_folder_of_another_survey_is_refused(tmp_path: Path) -> None:
     found = load(*SMALL)
     made = write_response(tmp_path / "r.json", found)
@@ -197,6 +200,7 @@ READERS = {
 
 
 @pytest.mark.parametrize("name", sorted(READERS))
+@pytest.mark.slow
 def test_shards_are_read_as_they_are(tmp_path: Path, name: str) -> None:
     module = pytest.importorskip(name, reason=f"{name} is not installed")
     from pyarrow import parquet
@@ -214,6 +218,7 @@ def test_shards_are_read_as_they_are(tmp_path: Path, name: str) -> None:
             assert np.array_equal(np.asarray(read[column], dtype=np.float64), expected, equal_nan=True)
 
 
+@pytest.mark.slow
 def test_failed_blocks_are_listed_and_tried_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     found = load(*SMALL)
     made = write_response(tmp_path / "r.json", found)

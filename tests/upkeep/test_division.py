@@ -117,6 +117,7 @@ def test_a_true_merge_is_kept_and_gets_an_orbit_of_all_its_tracklets(one: Survey
             assert true_error_chi2(one, store.orbits(number)[0], mine[0]) < 38.0
 
 
+@pytest.mark.slow
 def test_a_foreign_tracklet_is_released_when_the_next_fit_is_refused(
     one: Survey, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -177,6 +178,7 @@ def test_an_object_without_an_orbit_gets_one_from_pairs_of_directions(tmp_path: 
 
 
 @pytest.mark.parametrize("seed", [100, pytest.param(101, marks=pytest.mark.slow)])
+@pytest.mark.slow
 def test_every_two_of_some_objects_are_told_apart(seed: int) -> None:
     one = survey(seed, objects=3, clutter=0, days=4.0, a_day=1.0)
     for a, b in combinations(range(3), 2):
@@ -185,6 +187,7 @@ def test_every_two_of_some_objects_are_told_apart(seed: int) -> None:
         assert {frozenset(p.tracklets) for p in found.parts} == {frozenset(of(one, a)), frozenset(of(one, b))}
 
 
+@pytest.mark.slow
 def test_neighbours_in_one_slot_are_told_apart(monkeypatch: pytest.MonkeyPatch) -> None:
     def slot(rng: np.random.Generator, n: int) -> tuple[np.ndarray, np.ndarray]:
         """One geostationary slot: 0.03 to 0.1 deg from each other."""
@@ -211,6 +214,7 @@ def biased(one: Survey, rng: np.random.Generator, arcsec: float) -> Survey:
 
 
 @pytest.mark.parametrize("seed", [100, 101, *(pytest.param(k, marks=pytest.mark.slow) for k in range(102, 110))])
+@pytest.mark.slow
 def test_a_single_object_is_never_split(seed: int) -> None:
     one = survey(seed, objects=3, clutter=0, days=4.0, a_day=1.0)
     rng = np.random.default_rng(seed)
@@ -241,6 +245,7 @@ def burnt(one: Survey, owner: int, day: float, push_km_s: np.ndarray) -> Survey:
 
 
 @pytest.mark.parametrize("seed", [41, *(pytest.param(k, marks=pytest.mark.slow) for k in (42, 43))])
+@pytest.mark.slow
 def test_a_manoeuvre_is_no_second_object(seed: int) -> None:
     one = survey(seed, objects=2, clutter=0, days=6.0, a_day=1.0)
     rng = np.random.default_rng(seed)

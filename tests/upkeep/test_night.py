@@ -153,6 +153,7 @@ update(store, int(sys.argv[2]))
 """
 
 
+@pytest.mark.slow
 def test_a_page_shows_each_object_with_its_error(
     one: Survey, tmp_path: Path, chromium: Any, capsys: pytest.CaptureFixture[str]
 ) -> None:

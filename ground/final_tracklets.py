@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ground.frame_streaks import with_final_brightness
 from ground.link import Member, apply_links, measured_tracklet
+from ground.link.foretold import with_track_errors
 from ground.link.shake import SeenTrail, Sway, shake_factor, sway_of
 from ground.photometry.magnitude import crossing_time_s
 from ground.photometry.tracklet_light import HALF_POINT_SNR, with_mean_light
@@ -65,7 +66,7 @@ def with_shake(run: LinkedRun, tracklets: Sequence[Tracklet], order: Sequence[in
     for number in order:
         members = run.single(tracklets[number])
         run.linked.put(number, members)
-        snr += [member.fit.snr for member in members]
+        snr += [member.fit.snr for member in members if not member.fit.is_foretold]
         sways.append(_sway(run, tracklets[number], members, 1.0 / (focal_px * ARCSEC_RAD)))
     factor = shake_factor(sways)
     rates = [rate._replace(sigma_rad_s=factor * rate.sigma_rad_s) for rate in run.rates]
@@ -82,7 +83,7 @@ def final_tracklet(
     single = tuple(run.linked.of_tracklet(number))
     at = [run.linked.place[member.frame] for member in single]
     own = [run.headers[k] for k in dict.fromkeys(at)]
-    members = single
+    members: Sequence[StreakMeasurement] = single
     shared: SharedErrors = {}
     if pixels_of is not None:
         place: Mapping[int, int] = run.linked.place
@@ -96,7 +97,14 @@ def final_tracklet(
             run.end_shake,
         )
     frames = [run.products[k] for k in at]
+    _, frame_s = _exposure_and_step_s(run.headers)
+    members, foretold = with_track_errors(members, {header.frame: header for header in own}, frame_s)
     placed = [_placed(member, frame) for member, frame in zip(members, frames, strict=True)]
+    shared |= {
+        streak.streak_id: _in_arcsec(foretold[streak.streak_id], streak, frame)
+        for streak, frame in zip(placed, frames, strict=True)
+        if streak.streak_id in foretold
+    }
     measured = measured_tracklet(
         tracklet,
         [
@@ -110,6 +118,15 @@ def final_tracklet(
     ]
     run.linked.put(number, final)
     return with_mean_light(measured, final, run.half_point_snr)
+
+
+def _in_arcsec(
+    errors: tuple[int, NDArray[np.float64]], streak: StreakMeasurement, product: FrameProducts
+) -> tuple[int, NDArray[np.float64]]:
+    """A window's number and its shared errors on the sky, from those in px, which are alike along any axis."""
+    sky = sky_of(product.header, product.solution, product.wcs)
+    scale = np.sqrt(abs(float(np.linalg.det(jacobian_arcsec(streak, product.header, sky)[1]))))
+    return errors[0], scale * errors[1]
 
 
 def _exposure_and_step_s(headers: Sequence[FrameHeader]) -> tuple[float, float]:

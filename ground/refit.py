@@ -12,7 +12,7 @@ from ground.sky.measure import middle_of, redated
 from ground.sky.rotation import turn
 from ground.sky.shake_model import STEADY, EndShake
 from ground.sky.sphere import ARCSEC_RAD, unit_vectors
-from ground.straight_passage import StraightPassage, straight_passage
+from ground.straight_passage import ROBUST_ITERATIONS, StraightPassage, straight_passage
 from ground.streaks.joint import AccelerationPrior, JointRefit, Motion, TrackletFrame, displacements, flux_between, refit_tracklet
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
@@ -22,12 +22,14 @@ Array = NDArray[np.float64]
 
 UNUSABLE: Final = StreakFlag.NO_SKY | StreakFlag.POINT_LIKE | StreakFlag.FIT_FAILED | StreakFlag.FAST_ROWS
 FLUX_AGREEMENT_SIGMAS: Final = 3.5
+"""Of both errors together: a right frame in 2,000 is beyond it."""
 SHIFT_CHI2: Final = 25.0
 """Shift of the ends (heavy-tailed, so not 3 sigma) beyond which a frame does not belong to the joint motion."""
 
 OFF_MOTION_SIGMAS: Final = 3.5
-ROBUST_ITERATIONS: Final = 12
+"""A normal end in 2,000 is beyond it; the tails of change points reach farther, and such frames are left out, too."""
 UNUSUAL_CHI2: Final = 12.0
+"""Of two degrees of freedom, brightness and width: a usual frame in 400 is beyond it."""
 SIGNIFICANT_SHIFT: Final = 2.0
 """Sigmas of the motion by which it must shift an end if it knows the place of that end less well than the single fit."""
 
@@ -44,7 +46,9 @@ PARABOLA_ERROR: Final = 0.3
 """Largest departure of the motion from a straight passage, in units of the median error of an end (most 1 arcsec)."""
 
 LEAST_END_VARIANCE_PX2: Final = 0.01
+"""0.1 px: ends of bright trails err by the PSF's model, not by their noise. Chosen, not measured."""
 SHORTEST_WINDOW: Final = 3
+"""Frames: three places make an acceleration."""
 GRAVITY_ARCSEC_S2: Final = 1.0
 """Change of rate by differential gravity, beyond that of a straight passage."""
 

@@ -18,7 +18,9 @@ from ground.sky.sphere import ARCSEC_RAD
 Array = NDArray[np.float64]
 
 ROBUST_ITERATIONS: Final = 12
+"""Steps of Cauchy weights, after which these have settled; chosen, not measured."""
 LEAST_ENDS: Final = 4
+"""Three numbers are fitted; one more end shows something of them."""
 MOST_GROWTH: Final = 0.7
 """Largest change of the range in half the passage, relative to its middle."""
 

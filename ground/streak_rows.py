@@ -18,7 +18,7 @@ STREAKS_PER_FRAME: Final = 100_000
 
 FIT_NUMBERS: Final = (
     "row0", "col0", "row1", "col1", "sigma_cross_px", "flux_e", "flux_err_e", "snr", "sagitta_px", "sagitta_err_px", "gradient",
-    "width_px", "width_err_px", "chi2_nu", "flash_e",
+    "width_px", "width_err_px", "chi2_nu", "flash_e", "track_frames",
 )  # fmt: skip
 NUMBERS: Final = (
     "row_mid", "col_mid", "sigma_along_arcsec", "sigma_cross_arcsec", "mag", "mag_err", "mag_at_1deg_s", "mag_at_1deg_s_err",

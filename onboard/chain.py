@@ -37,11 +37,11 @@ from sboc_e2e.icd.work import WorkMeter
 
 __all__ = ["OnboardChain", "OnboardResult", "OnboardState", "OnboardSteps", "Tracking"]
 
-RECENT_FRAMES = 2
+RECENT_FRAMES = 2  # that `detect.static` compares with: what one missed, the other may show. Chosen, not measured
 
 
 class OnboardChain:
-    """The on-board software, configured. It holds scratch memory, but nothing of the run's state. work_meter : of n pixels."""
+    """The on-board software, configured; it holds scratch memory, but no state. work_meter : the meter of a frame of n pixels."""
 
     def __init__(
         self,
@@ -136,9 +136,9 @@ class OnboardChain:
         broken = True
         if tracking is not None and usable:
             transform = earlier[-1].transform if earlier and continues(tracking.last, header) else None
-            broken = transform is None
-            flags |= FrameFlag.TRACKS_ENDED if broken and tracking.last is not None else FrameFlag(0)
-            seen = TrackerView(view=view, detections=detections, searched=searched, transform=transform)
+            flags |= FrameFlag.TRACKS_ENDED if (broken := transform is None) and tracking.last is not None else FrameFlag(0)
+            focal_px = self._camera.focal_px
+            seen = TrackerView(view=view, detections=detections, searched=searched, transform=transform, focal_px=focal_px)
             tracking, tracks = self._tracked(tracking, seen)
         elif tracking is not None and tracking.last is not None:
             # Nothing is linked across a frame that came twice or shows nothing.

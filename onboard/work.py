@@ -13,7 +13,7 @@ from sboc_e2e.icd.work import Work, WorkMeter
 REGULAR_PER_PX: Final = 10
 """Operations of the passes that touch every pixel (docs/flight.md counts them stage by stage; vector lanes count as one)."""
 
-NOMINAL_PER_PX: Final = 30
+NOMINAL_PER_PX: Final = 30  # docs/flight.md shows what it is made of
 NOMINAL_FIXED: Final = 32_000_000
 """Nominal work: a full field of stars, 3,600 above 5 sigma per megapixel, and a score of trails however small the frame is."""
 

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.exams import astrometry, codec, detector, fitter, linker, tracker
+from sboc_e2e.exams.codec import NOISE_ADU, SLOW_S_PER_MPX
 from sboc_e2e.exams.trails import PSF_SIGMA_PX
 from sboc_e2e.exams.verdict import Verdict, asked, expect
 from sboc_e2e.files import checkpoint
@@ -26,24 +27,10 @@ from sboc_e2e.registry import SEAMS, Registry, Seam, own_names
 from sboc_e2e.scenario import option_models
 
 SHAPE: Final = (256, 320)
-TILE_PX: Final = 64
-NOISE_ADU: Final = 2.4
+"""Rows and columns of the synthetic frames: unequal, so that exchanged axes show; small, for many questions."""
+TILE_PX: Final = 64  # Of the synthetic mesh: the default of `onboard.background`, so that plug-ins meet what flies.
 SPEED_SHAPE: Final = (1024, 1024)
 """Frame of the question of speed unless another size is asked for."""
-SLOW_S_PER_MPX: Final = 10.0
-"""CPU seconds for a million pixels."""
-EXAMINED: Final = (
-    "onboard.background",
-    "onboard.star_extractor",
-    "onboard.detector",
-    "onboard.tracker",
-    "onboard.codec",
-    "ground.decoder",
-    "ground.streak_fitter",
-    "ground.astrometry",
-    "ground.linker",
-)
-"""Seams whose steps are tried on synthetic input; steps of the others are examined without being run."""
 
 
 def examine(

@@ -24,7 +24,7 @@ _ONLOOKERS: Final = _PAGES | {"bench", "campaign", "checks.py", "compare", "exam
 """Parts of the harness that do not affect the bytes of a run."""
 _NOT_SOURCE: Final = frozenset({".pyc", ".md", ".nbi", ".nbc"})
 _LIBRARY_FOLDERS: Final = frozenset({"site-packages", "dist-packages"})
-_DIGITS: Final = 16
+_DIGITS: Final = 16  # Hexadecimal digits: 64 bits. Two of a million sources share a digest with a chance of 3e-8.
 
 
 @cache

@@ -39,11 +39,12 @@ from simulator.radiation.hits import HitList
 from simulator.scene.aberration import observer_velocity_km_s
 from simulator.scene.atmosphere import Atmosphere, clouds_of, seeing_sigma_rad
 from simulator.scene.backdrop import Backdrop, add_moon, backdrop_of, diffuse_image
-from simulator.scene.cast import make_cast, summary, target_direction
+from simulator.scene.cast import lasting_objects, make_cast, summary, target_direction
 from simulator.scene.cirrus import make_cirrus
 from simulator.scene.crossing import RowShutter, row_shutter
 from simulator.scene.movers import first_seen_km, paths_of
 from simulator.scene.point_sources import PointSources
+from simulator.scene.sources import OrbitOptions
 from simulator.scene.trail_image import Path, add_trail
 from simulator.sensor.lag import LagBetweenFrames
 from simulator.sensor.smear import add_smear
@@ -54,10 +55,7 @@ Array = NDArray[np.float64]
 
 
 class Simulator:
-    """A simulated camera in its world, at the epoch of its options.
-
-    UserError for options that contradict each other or the laws of nature.
-    """
+    """A simulated camera in its world. UserError for options that contradict each other or the laws of nature."""
 
     def __init__(self, options: SimulatorOptions, *, seed: int, catalogue: StarCatalogue) -> None:
         options = with_drawn_errors(options, seed)
@@ -69,7 +67,7 @@ class Simulator:
         self.seed = seed
         self.n_frames = options.frames
         self._epoch = epoch = earth.tai_ns_of_utc(options.epoch_utc)
-        duration_s = options.frames / options.frame_rate_hz
+        self._duration_s = duration_s = options.frames / options.frame_rate_hz
         earth.refuse_outside_data(epoch + round(duration_s * 1e9))
         self._camera = Camera(
             options.instrument, options.psf, options.vignetting, options.sensor, exposure_s=shutter.exposure_s, seed=seed
@@ -99,6 +97,10 @@ class Simulator:
         self._cast = make_cast(
             options.objects, options.population, self._carrier, self._camera, options.light, sky_e_s, duration_s
         )
+
+    def lasting_objects(self) -> tuple[OrbitOptions, ...]:
+        """Objects that pass or are given by elements, as orbits under all forces that runs of other days can meet."""
+        return lasting_objects(self.options.objects, self._carrier, self._camera, self._duration_s)
 
     def frame(self, index: int) -> tuple[Frame, truth.FrameTruth]:
         """Frame number `index` and its truth."""

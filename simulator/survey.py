@@ -24,7 +24,16 @@ from simulator.platform.observer import OrbitingObserver, make_observer
 from simulator.randomness import Effect, generator
 from simulator.scene.cast import encounter_window
 from simulator.scene.debris import SizeClass, draw_orbits, low_orbit_share
-from simulator.scene.encounters import PopulationOptions, Window, cell_density, expected_snr, in_field, number_density, reach_km
+from simulator.scene.encounters import (
+    NEAR_SHARE,
+    PopulationOptions,
+    Window,
+    cell_density,
+    expected_snr,
+    in_field,
+    number_density,
+    reach_km,
+)
 from simulator.scene.fleet import Fleet, is_given, make_fleet
 from simulator.scene.reflection import LightCurve, in_sight, lambert_flux, sunlit_fraction
 from simulator.scene.sky import diffuse_flux
@@ -42,18 +51,17 @@ STEP_S: Final = 60.0
 EVEN_SHARE: Final = 0.6
 """Of the candidates, how many have ranges even in volume, not in the logarithm."""
 
-NEAR_SHARE: Final = 100.0
 BEYOND_ONE: Final = 0.05
 """Share of nature's passages that may lie beyond weights of 1, where passages come in pairs."""
 
-POOL: Final = 200_000
+POOL: Final = 200_000  # pieces of a pool: `expected_passages` shows what they leave as the scatter between its rounds
 POOL_BLOCKS: Final = 32
 """Sizes and orbits are drawn once for `POOL_BLOCKS` blocks, `POOL` of them for each class. Candidates take theirs from there."""
 
-CHUNK: Final = 200_000
-PILOT: Final = 400_000
-PILOT_DAYS: Final = 365.0
-PILOT_BLOCK: Final = 4_000_000
+CHUNK: Final = 200_000  # candidates at a time; bounds memory
+PILOT: Final = 400_000  # candidates of the pilot for each class: more of them, fewer heavy weights missed. Chosen, not measured
+PILOT_DAYS: Final = 365.0  # a year, so that it sees all seasons of the orbit
+PILOT_BLOCK: Final = 4_000_000  # beyond any block of time: 2,700 years of four a day
 POOL_GROUP: Final = 5_000_000
 """Random streams of the pilot and of pools, beside those of blocks."""
 FRAMES_EACH: Final = 24
@@ -62,8 +70,8 @@ FRAMES_EACH: Final = 24
 LONGEST_STAY_S: Final = 1e5
 """Longest stay that is counted, for objects that stand still in the field."""
 
-CURVE_SPREAD: Final = 1.0
-SPIN_S: Final = 1.0
+CURVE_SPREAD: Final = 1.0  # of the logarithm of the period about 2 s, as `scene.sources: light_curves` draws it (assumed)
+SPIN_S: Final = 1.0  # step of the difference of attitudes; at 0.06 deg/s its sine is its angle to 2e-7
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -400,8 +408,8 @@ def none_of(flight: Flight, at: Instants) -> Passages:
     return make_passages(flight, at, np.zeros(0, np.int64), no, surfaces, where, where)
 
 
-EXPECTED_ROUNDS: Final = 6
-EXPECTED_BLOCK: Final = 8_000_000
+EXPECTED_ROUNDS: Final = 6  # with pools of their own; their scatter is the error of their mean. Time grows with them
+EXPECTED_BLOCK: Final = 8_000_000  # first random stream of the rounds, beside those of the pilot, the pools and the flux
 
 
 def expected_passages(
@@ -433,8 +441,8 @@ def expected_passages(
     return out
 
 
-FLUX_PIECES: Final = 40_000
-FLUX_BLOCK: Final = 7_000_000
+FLUX_PIECES: Final = 40_000  # of a pool of 200,000, for each shell: time against scatter. Chosen, not measured
+FLUX_BLOCK: Final = 7_000_000  # random streams of the flux, beside those of the pools and the rounds
 
 
 def model_flux(flight: Flight, size_edges_m: Array, altitude_edges_km: Array, inclination_edges_deg: Array) -> Array:
@@ -475,7 +483,7 @@ def model_flux(flight: Flight, size_edges_m: Array, altitude_edges_km: Array, in
     return out
 
 
-HIGHEST_SHELL_KM: Final = 2000.0
+HIGHEST_SHELL_KM: Final = 2000.0  # the usual upper border of low orbits
 LOWEST_SHELL_KM: Final = 300.0
 """The lowest and the highest shell are open; their flux is taken from here and to here."""
 

@@ -20,10 +20,12 @@ from sboc_e2e.icd.errors import UserError
 
 Array = NDArray[np.float64]
 
-_STEPS: Final = 4
-_SETTLED: Final = 0.05
+_STEPS: Final = 4  # a budget of Gauss-Newton steps; the batch that judges the orbit later iterates on. Chosen, not measured
+_SETTLED: Final = 0.05  # of one sigma: a step below it changes chi2 by less than 0.02
 _PLANE_COSINE: Final = 0.97
+"""14 deg between the planes: wide enough for rough arcs; what is wrong goes on to the fit. Chosen, not measured."""
 _ENERGY: Final = 0.2
+"""Largest relative difference of energy, as wide as that of rough arcs; what is wrong goes on to the fit. Chosen."""
 _DOUBT_KM_PER_DAY2: Final = 0.4
 """One sigma of place after a day that radiation pressure of unknown area leaves; it grows with the square of days."""
 

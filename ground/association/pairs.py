@@ -22,9 +22,10 @@ from sboc_e2e.icd import tai
 Array = NDArray[np.float64]
 
 _PLACES: Final = np.array([2, 3, 4, 5])
-_STEPS: Final = 4
+_STEPS: Final = 4  # a budget of Gauss-Newton steps: the ranges of arcs are near already. Chosen, not measured
 _LEAST_SINE: Final = 0.03
-_PERIOD_SIGMAS: Final = 4.0
+"""1.7 deg from half and whole turns: bounds the doubt there, which has no bound by the formula. Chosen, not measured."""
+_PERIOD_SIGMAS: Final = 4.0  # a right pair in 16,000 has a period beyond it; a Gaussian's tails
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

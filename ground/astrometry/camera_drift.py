@@ -38,6 +38,7 @@ CHANGES_S: Final = 1000.0
 """Mean time between changes of motion, seconds: the typical distance of eclipses and slews. Longer gaps count as this."""
 
 LEAST_WEIGHT: Final = 1e-12
+"""Keeps the logarithm of a hypothesis' weight finite and lets it come back."""
 UNKNOWN: Final = 1e-9
 """Combinations of parameters on which a frame has this share of the information of the best known one or less are unmeasured."""
 

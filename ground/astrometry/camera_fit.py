@@ -16,8 +16,11 @@ from ground.sky.rotation import rotation_by
 Array = NDArray[np.float64]
 
 CLIP_SIGMA: Final = 4.5
+"""Of one coordinate; a distance beyond it has chance exp(-4.5^2 / 2) = 4e-5, below one of the 600 stars of a fit."""
 N_ROBUST: Final = 6
+"""Steps with soft-l1 weights, enough for Newton to settle before stars are dropped; chosen, not measured."""
 N_GAUSSIAN: Final = 4
+"""Steps with the remaining stars, in which the set that is kept settles; chosen, not measured."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -25,7 +25,9 @@ LARGEST_CHANCE: Final = 1e-3
 serves searches that are a hundred times as wide, and requires eight stars where this requires five."""
 
 MATCH_SIGMAS: Final = 4.0
+"""Reach of a match in PSF sigmas (in px where these are smaller): room for local distortion. Chosen, not measured."""
 LARGEST_FIELD_DEG: Final = 30.0
+"""Radius. Beyond it, a WCS is wrong or an all-sky projection; the cone holds 7 % of the sky. Chosen, not measured."""
 
 
 def identify_by_header(frame: DownlinkFrame, wcs: Any, catalogue: StarCatalogue, camera: NominalCamera) -> FrameSolution:

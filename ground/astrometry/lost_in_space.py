@@ -28,10 +28,12 @@ STARS_PER_FIELD: Final = 100
 """Number of stars in an average field for which the database is made; it holds the brightest."""
 
 BRIGHTEST_USED: Final = 80
+"""A budget of work: patterns need a few bright stars, all of which the database has (`STARS_PER_FIELD`)."""
 FIELD_TOLERANCE: Final = 0.02
 """The field's width is known to this share."""
 
 FEWEST_STARS: Final = 8
+"""Fewer stars than two patterns of four cannot confirm a match; chosen, not measured."""
 
 HINT_TOLERANCE: Final = 0.15
 """A header's pixel scale or focal length is nominal: reducers, binning and rounded values lie within this share."""
@@ -47,6 +49,7 @@ NARROWEST_DEG: Final = DATABASES[-1][1]
 """Narrower fields hold too few stars of a catalogue to V = 11 for patterns, and their database would not fit into memory."""
 
 PATTERNS_PER_FIELD: Final = 50
+"""More make the database larger. The share solved (see `DATABASES`) holds for this number; others were not measured."""
 
 SOLVER_STAR: Final = np.dtype(
     [("number", "<i8"), ("ra", "<f8"), ("dec", "<f8"), ("mag", "<f4"), ("pm_ra", "<f4"), ("pm_dec", "<f4")]

@@ -26,7 +26,9 @@ PixelIcrs = Callable[[Array, Array], tuple[Array, Array]]
 """Rows and cols (n,) to right ascension and declination (deg), catalogue-relative."""
 
 SIP_ORDER: Final = 5
+"""The lowest order that holds the terms r^3 and r^5 of a radial distortion."""
 GRID: Final = 25
+"""Points along each side: 625 for the 20 terms of a SIP polynomial, so that the fit cannot swing between them."""
 _COEFFICIENT: Final = re.compile(r"[AB]P?_\d_\d")
 
 

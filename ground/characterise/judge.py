@@ -14,9 +14,9 @@ from ground.characterise.reduced import Pass, PhaseFunction, phase_function
 Array = NDArray[np.float64]
 
 CLASSES: Final = ("stable", "tumbling", "glinting", "varying")
-_FLASH_SIGMA: Final = 6.0
-_FLASH_MAG: Final = 0.5
-_CHANGES: Final = 1e-3
+_FLASH_SIGMA: Final = 6.0  # noise alone exceeds it in one of 1e9 Gaussian samples; scatter has longer tails. See docs/objects.md
+_FLASH_MAG: Final = 0.5  # smallest flash: the definition of class glinting (docs/objects.md). Chosen, not measured
+_CHANGES: Final = 1e-3  # false alarm of "varying" for one object
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,29 +18,33 @@ from scipy.stats import beta
 Array = NDArray[np.float64]
 
 FALSE_ALARM: Final = 0.01
+"""Probability below which a period is given: one noise curve in a hundred (0 of 60 stable ones, docs/objects.md)."""
 FEWEST_SAMPLES: Final = 12
+"""Drift (3), amplitude, phase, frequency take six; as many again show whether the model repeats. Chosen."""
 _CYCLES: Final = 2.5
 """Turns in the longest pass that a period needs: fewer cannot be told from a slow change."""
 _DRIFT: Final = 2
 """Degree of the polynomial in time that stands for the slow change of a pass."""
 _OVERSAMPLING: Final = 6.0
-_TERMS: Final = (1, 3)
-_PEAKS: Final = 4
+"""Frequencies per 1/span: a peak between two loses at most 2.3 %. Also trials per independent frequency."""
+_TERMS: Final = (1, 3)  # harmonics searched for: a sine, and the sharper light of boxes and panels
+_PEAKS: Final = 4  # peaks of each search that are tried: aliases may be higher than the truth. A budget of work
 _ORDERS: Final = (1, 2, 3, 4, 6, 8, 12, 16, 24)
-_RIDGE: Final = 1e-9
-_MOST_MULTIPLE: Final = 8
-_SCREEN_ORDERS: Final = (4, 8)
+"""Numbers of harmonics compared by Bayesian information, in steps by about half: 24 follow glints of panels."""
+_RIDGE: Final = 1e-9  # of the mean diagonal: keeps the normal matrix invertible where samples do not fix all harmonics
+_MOST_MULTIPLE: Final = 8  # a body with eight like faces shows an eighth of its period; boxes show a half or a quarter
+_SCREEN_ORDERS: Final = (4, 8)  # orders of the first comparison: two instead of nine, a budget of work
 _LIKE: Final = 0.2
 """Of chi2: two periods that fit alike."""
 _KEPT: Final = 5
 """Multiples that are compared with all orders, out of all that a few orders have tried."""
-_MOST_FREQUENCIES: Final = 60_000
-_BLOCKS: Final = 5
+_MOST_FREQUENCIES: Final = 60_000  # a budget of work and memory. Longer series are searched with fewer points to a peak
+_BLOCKS: Final = 5  # of a pass: each fifth is foretold from the other four
 _REPEATS: Final = 0.8
 """A model that repeats leaves no more than this of the scatter in parts of a pass that it was not fitted to."""
 _REPEAT_TERMS: Final = 3
 """More harmonics than that would swing in the block that is left out."""
-_SHUFFLES: Final = 100
+_SHUFFLES: Final = 100  # the share is then known to 0.01; it is reported and decides nothing
 
 
 @dataclass(frozen=True, kw_only=True)

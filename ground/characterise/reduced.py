@@ -14,10 +14,13 @@ from sboc_e2e.icd.errors import UserError
 Array = NDArray[np.float64]
 
 STANDARD_KM: Final = 1000.0
+"""The usual range of standard magnitudes of satellites."""
 _MIRROR: Final = 0.375
 """Light of a mirror-like sphere over that of a Lambert sphere at full phase, both of the same size and albedo."""
 _LEAST_SPAN_DEG: Final = 10.0
+"""Passes over less phase angle cannot separate the two spheres; then the share is assumed. Chosen, not measured."""
 _LEAST_ERROR_MAG: Final = 1e-4
+"""No photometry is better; smaller errors are a mistake of the file, and would make weights of 1e8 and more."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

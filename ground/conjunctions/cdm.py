@@ -31,6 +31,7 @@ _HEADER: Final = ("CCSDS_CDM_VERS", "CREATION_DATE", "ORIGINATOR", "MESSAGE_ID",
 _VALUE: Final = re.compile(r"^(?P<value>.*?)\s*(?:\[(?P<unit>[^\]]*)\])?$")
 _HARD_BODY: Final = re.compile(r"^\s*HBR\s*=\s*(?P<value>[-+0-9.eE]+)\s*\[m\]\s*$")
 _LONGEST: Final = 1_000_000
+"""A message with all covariances has some 10,000 characters: a file of another kind is refused before it is parsed."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -20,16 +20,18 @@ from sboc_e2e.icd.errors import UserError
 
 Array = NDArray[np.float64]
 
-_SEED: Final = 4021
-_BATCHES: Final = 8
+_SEED: Final = 4021  # any number: fixed, so that the same message always has the same probability
+_BATCHES: Final = 8  # independent sets of draws, whose scatter gives the error (of the error itself a quarter)
 _DRAWS: Final = 256
 """Of each batch; a power of two, which Sobol's points want."""
-_STEPS_TO_HIT: Final = 40
-_STEP_OF_Z: Final = 1e-3
-_LARGEST_STEP: Final = 3.0
+_STEPS_TO_HIT: Final = 40  # a budget of Newton's steps; draws that do not hit are counted in `lost`
+_STEP_OF_Z: Final = 1e-3  # of one sigma, central: the error goes with its square (1e-6 of the curvature), rounding is far below
+_LARGEST_STEP: Final = 3.0  # sigmas in one step: beyond, the orbits bend too much for Newton's step
 _RADII: Final = 24
-_ANGLES: Final = 72
+"""Nodes of the disc. With `_ANGLES` good to 1e-11 for sigma of 0.1 hard-body radii and more, 3e-4 at 0.05, 20 % at 0.02."""
+_ANGLES: Final = 72  # see `_RADII`. Half of both numbers: 2e-14 for sigma of 0.3 hard-body radii, 5e-4 at 0.1
 _SLOW: Final = 3.0
+"""Sigmas along the motion that the drift must exceed: three of CARA's 53 messages are slow by it (docs/objects.md)."""
 _NEAR_ENOUGH: Final = 1e-3
 """Of the hard-body radius: how near to a hit a solution must come."""
 

@@ -12,7 +12,7 @@ from ground.orbit.dynamics import MU_KM3_S2
 
 Array = NDArray[np.float64]
 
-_NEWTON = 12
+_NEWTON = 12  # six steps reach 1e-7 rad for e = 0.95 and 12 the rounding; for e = 0.99 Newton's start is too far and diverges
 
 
 def equinoctial_of(state: Array) -> Array:

@@ -16,13 +16,15 @@ from scipy.stats import beta
 from ground.conjunctions.curved import cloud_of
 from ground.conjunctions.encounter import StateEstimate, regular
 from ground.conjunctions.equinoctial import equinoctial_of
+from ground.orbit.dynamics import MU_KM3_S2
 from sboc_e2e.icd.errors import UserError
 
 Array = NDArray[np.float64]
 
-_SEED: Final = 91
-_BLOCK: Final = 100_000
+_SEED: Final = 91  # any number: fixed, so that the same message always has the same probability
+_BLOCK: Final = 100_000  # pairs drawn at once: 5 MB for each object. A limit of memory
 _STEPS_PER_RADIAN: Final = 16
+"""Steps of 3.6 deg, within which the distance of two orbits has one minimum; these are refined. Chosen, not measured."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -105,7 +107,7 @@ def _frame(elements: Array, out: Array) -> None:
     scale = 1.0 / (1.0 + p * p + q * q)
     out[0], out[1], out[2] = (1.0 - p * p + q * q) * scale, 2.0 * p * q * scale, -2.0 * p * scale
     out[3], out[4], out[5] = 2.0 * p * q * scale, (1.0 + p * p - q * q) * scale, 2.0 * q * scale
-    out[6] = (398600.4418 / (elements[0] * elements[0])) ** (1.0 / 3.0)
+    out[6] = (MU_KM3_S2 / (elements[0] * elements[0])) ** (1.0 / 3.0)
     out[7] = 1.0 / (1.0 + math.sqrt(1.0 - elements[1] * elements[1] - elements[2] * elements[2]))
 
 

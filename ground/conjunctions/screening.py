@@ -23,9 +23,9 @@ _FINE_STEPS: Final = 10
 """In a grid step."""
 _FASTEST_KM_S: Final = 22.0
 """Two objects at escape velocity, head on."""
-_CHUNK_STEPS: Final = 30
-_MOST_PER_CHUNK: Final = 4_000_000
-_EMPTY: Final = -1
+_CHUNK_STEPS: Final = 30  # half an hour of states in memory at once (the message below says so)
+_MOST_PER_CHUNK: Final = 4_000_000  # rows of five doubles: 160 MB. Wider limits than the memory are refused
+_EMPTY: Final = -1  # no object in a cell: not an index
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -15,7 +15,7 @@ from sboc_e2e.icd.errors import UserError
 
 Array = NDArray[np.float64]
 
-_MOST_STEPS: Final = 25
+_MOST_STEPS: Final = 25  # a budget of iterations; a fit that uses them all is published as not converged
 _FAR_STEPS: Final = 3
 """Iterations with weights for an orbit that is far."""
 _SETTLED: Final = 0.1
@@ -23,8 +23,11 @@ _SETTLED: Final = 0.1
 _ROUNDING: Final = 1e-3
 """Of the cost: an increase by less is the propagation's own noise."""
 _IDLE: Final = 3
+"""Steps that do not lower the cost, with ever more damping, after which the best point stands. Chosen, not measured."""
 _SURPRISE: Final = 1e-6
+"""Probability of the cost of one free orbit below which a manoeuvre is suspected: one of a million right orbits."""
 _MOST_REJECTED: Final = 0.2
+"""Share of measurements with next to no weight that no sensor's outliers make; then the orbit is wrong. Chosen."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -13,17 +13,18 @@ from ground.determination.forces import ForceModel
 from ground.determination.measurements import Positions
 from ground.determination.propagation import itrs_to_gcrs, propagate
 from ground.orbit.dynamics import LIGHT_KM_S
+from ground.orbit.ephemerides import GPS_BEHIND_TAI_NS
 from ground.orbit.reference import PreciseOrbit
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
 
 Array = NDArray[np.float64]
 
-_GPS_BEHIND_NS: Final = 19_000_000_000
 _MJD_OF_ZERO: Final = 36204
 """Modified Julian date of the zero of TAI ns."""
 _EMPIRICAL: Final = ("sun", "panel", "third", "third_cos", "third_sin")
 _LARGEST_RMS_KM: Final = 0.05
+"""Days of GNSS orbits fit to 0.14 m (docs/objects.md): more than 50 m is a manoeuvre or a wrong frame."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -84,7 +85,7 @@ def read_sp3(raw: bytes, where: str) -> dict[str, Ephemeris]:
     if not lines or lines[0][:1] != "#" or lines[0][1:2] not in "acd":
         raise UserError(f"{where}: not an SP3 file of version a, c or d")
     system = next((line[9:12] for line in lines if line.startswith("%c")), "GPS" if lines[0][1] == "a" else "")
-    behind = {"GPS": _GPS_BEHIND_NS, "GAL": _GPS_BEHIND_NS, "TAI": 0}
+    behind = {"GPS": GPS_BEHIND_TAI_NS, "GAL": GPS_BEHIND_TAI_NS, "TAI": 0}
     if system not in behind:
         raise UserError(f'{where}: time system "{system}" is not read; expected {", ".join(behind)}')
     epochs: list[int] = []

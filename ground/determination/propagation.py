@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from itertools import pairwise
 from typing import Any, Final
 
+import erfa
 import numpy as np
 from numpy.typing import NDArray
 
@@ -13,10 +14,10 @@ from sboc_e2e.icd.errors import UserError
 
 Array = NDArray[np.float64]
 
-_MJD_OF_JD: Final = 2400000.5
-_LONGEST_DAYS: Final = 400.0
+_LONGEST_DAYS: Final = 400.0  # a year and a month: a limit of work, and drag and manoeuvres leave no orbit to say more
 _ABSOLUTE: Final = 1e-7
-_RELATIVE: Final = 1e-11
+"""Error allowed in a step, m and m/s; the relative bound is the larger one for places. Chosen, not measured."""
+_RELATIVE: Final = 1e-11  # 0.4 mm of a geostationary radius in a step (satkit's default: 1e-8). Chosen, not measured
 _LEAK_PIECE_NS: Final = 300 * tai.NS_PER_S
 """A leak that changes is constant over such pieces h. After a time T the place is off by rate T h^2 / 12: 0.13 m at 3e-10 m/s^3
 after 16 hours."""
@@ -38,7 +39,7 @@ def instant(t_tai_ns: int) -> Any:
     """An epoch as the propagator has it, to a microsecond."""
     satkit = propagator()
     days, rest_ns = divmod(int(t_tai_ns), tai.NS_PER_DAY)
-    midnight = satkit.time.from_mjd(float(days + tai.EPOCH_JD - _MJD_OF_JD), satkit.timescale.TAI)
+    midnight = satkit.time.from_mjd(float(days + tai.EPOCH_JD - erfa.DJM0), satkit.timescale.TAI)
     return midnight + satkit.duration(seconds=rest_ns * 1e-9)
 
 

@@ -23,8 +23,11 @@ from sboc_e2e.icd.layout import (
 )
 
 AEC_BLOCK_SIZE = 64
+"""Samples per block, J (CCSDS 121.0-B-3); fixed by ICD.md for the codec `ccsds121`."""
 AEC_SAMPLES_PER_REFERENCE = 128
+"""Blocks per reference interval (CCSDS 121.0-B-3); fixed by ICD.md."""
 SQRT_LEAST_SIGMA_ADU = 0.1
+"""Noise of a frame without noise; fixed by ICD.md for `sqrt_planes`."""
 
 
 def inflate(block: bytes, expected_bytes: int) -> bytes:

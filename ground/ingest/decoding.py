@@ -18,7 +18,9 @@ from sboc_e2e.icd.layout import Apid
 from sboc_e2e.icd.steps import Decoder
 
 FAILURES_LISTED = 1000
+"""A limit of memory for a damaged stream; `n_decode_failures` counts them all."""
 COUNT_MODULUS = 1 << 14
+"""The packet sequence count has 14 bits (CCSDS 133.0-B-2, packet primary header)."""
 NUMBERS = 1 << 32
 """Frame numbers there are."""
 

@@ -14,12 +14,15 @@ from sboc_e2e.icd.tai import NS_PER_S
 from sboc_e2e.icd.version import CONTRACT_MAJOR
 
 TELEMETRY_WITH_SECONDARY_HEADER = 0x0800
+"""Upper five bits of a primary header: version 0, type 0 (telemetry), secondary header flag 1 (CCSDS 133.0-B-2)."""
 UNSEGMENTED = 0xC000
+"""Sequence flags 11: the packet holds all of its user data (CCSDS 133.0-B-2)."""
 APIDS = frozenset(int(apid) for apid in layout.Apid)
 PREAMBLE_OFFSET = layout.PRIMARY.size
 TIME_OFFSET = PREAMBLE_OFFSET + len(layout.CUC_PREAMBLE)
 ITEM_OFFSET = TIME_OFFSET + layout.CUC_TIME.size
 LONGEST_EXPOSURE_NS = 2**53
+"""104 days: a double still holds every nanosecond. More is damage that the checksum did not show."""
 
 
 @dataclass(frozen=True, kw_only=True, slots=True)

@@ -26,8 +26,11 @@ LARGEST_TABLE = 1 << 16
 """Nodes of a background mesh or cells of a thumbnail."""
 
 LARGEST_UNIT_ADU = 1e9
+"""Bound of the step of levels that keeps products of it with 16-bit counts finite; no camera comes near."""
 LARGEST_TRACK = 2**31 - 1
+"""Fixed by ICD.md: the number of a track fits a signed 32-bit integer."""
 MEMORY_FLOOR_BYTES = 1 << 27
+"""128 MiB: a short stream may still hold a whole frame of 4096 x 4096 as int32 (64 MiB) and a copy."""
 MEMORY_PER_STREAM_BYTE = 40
 """Noise expands about tenfold when it is decoded; a stream that claims much more is not a downlink."""
 

@@ -29,6 +29,9 @@ SIGMA_ACCELERATION_ARCSEC_S2: Final = 0.6
 """Differential gravity on the sky, prior of the motion's acceleration."""
 LEAST_SIGMA_ARCSEC: Final = 1e-3
 """Added to every row in quadrature: rows that share all their errors still have a covariance that can be inverted."""
+LONGEST_POINT_PX: Final = 6.0
+"""Median length of a tracklet's members from which a point among them is not the object at mid-exposure: a trail of 6 px is told
+from a star (docs/own-scenario.md). In one tracklet of trails of 10 px a star gave a point 8 arcsec off, with an error of 0.1."""
 LEAST_COSINE: Final = 0.25
 """Least cosine of the angle between trail and motion. A joint fit constrains a more oblique trail hardly at all."""
 INHERITED: Final = StreakFlag.EDGE0 | StreakFlag.EDGE1 | StreakFlag.SATURATED | StreakFlag.VARIABLE
@@ -42,7 +45,8 @@ class Member:
     jacobian_arcsec : (3, 2, 2) of (east, north) by (row, col) at the three points of `final`. pointing_arcsec : one sigma of an
     axis of its frame; sigma_rate_arcsec_s : error of the camera's rate during the exposure; end_shake : errors that this causes
     at shutter open and close.
-    group, shared_arcsec : window of a joint fit (-1: none) and (2, 3) errors that both ends share with the ends of that window.
+    group, shared_arcsec : window of a joint fit (-1: none) and (2, 3) errors that both ends share with the ends of that window;
+    of points the same for the middle, in the first row (`foretold`).
     """
 
     single: StreakMeasurement
@@ -109,14 +113,20 @@ def measured_tracklet(tracklet: Tracklet, members: Sequence[Member]) -> Tracklet
 
 def _rows_of(members: Sequence[Member]) -> _Rows:
     """The dated directions of members: both ends, except those on the frame's edge; the middle of a point or of an unresolved
-    streak."""
+    streak.
+
+    A point among trails has no direction: it is a star on the trail, or a flash whose time within the exposure is unknown.
+    """
     found: list[tuple[Member, int, Array]] = []
+    trails = _are_trails(members)
     for member in members:
         streak = member.final
+        if trails and streak.flags & StreakFlag.POINT_LIKE:
+            continue
         if streak.flags & StreakFlag.DIRECTION_RESOLVED and not streak.flags & StreakFlag.POINT_LIKE:
             found += [(member, p, member.shared_arcsec[p // 2]) for p, edge in EDGES if not streak.flags & edge]
         elif streak.flags & StreakFlag.POINT_LIKE or not streak.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1):
-            found.append((member, 1, np.zeros(3)))
+            found.append((member, 1, member.shared_arcsec[0] if streak.fit.is_foretold else np.zeros(3)))
     found.sort(key=lambda row: (int(row[0].final.t_tai_ns[row[1]]), row[0].final.streak_id))
     t_tai_ns = np.array([m.final.t_tai_ns[p] for m, p, _ in found], dtype=np.int64)
     ra_deg, dec_deg = (np.array([getattr(m.final, name)[p] for m, p, _ in found]) for name in ("ra_deg", "dec_deg"))
@@ -133,13 +143,19 @@ def _rows_of(members: Sequence[Member]) -> _Rows:
             [_covariance_arcsec2(m, p, h, s) for (m, p, _), h, s in zip(found, headings, slants, strict=True)]
         ).reshape(-1, 2, 2),
         headings=headings,
-        group=np.array([m.group if p != 1 else -1 for m, p, _ in found], dtype=np.int64),
+        group=np.array([m.group if p != 1 or m.final.fit.is_foretold else -1 for m, p, _ in found], dtype=np.int64),
         shared=np.array([shared for _, _, shared in found]).reshape(-1, 3),
         pointing=np.array([m.pointing_arcsec for m, _, _ in found], dtype=np.float64),
         turning=np.array(turning, dtype=np.float64),
         frame=np.array([m.final.frame for m, _, _ in found], dtype=np.int64),
         narrower=np.array([_narrower_arcsec2(m, p, h) for (m, p, _), h in zip(found, headings, strict=True)], dtype=np.float64),
     )
+
+
+def _are_trails(members: Sequence[Member]) -> bool:
+    """Whether most members are long enough to be told from points, so that the object cannot be one."""
+    lengths = [0.0 if m.final.flags & StreakFlag.POINT_LIKE else m.final.fit.length_px for m in members]
+    return bool(lengths) and float(np.median(lengths)) > LONGEST_POINT_PX
 
 
 def _slant(member: Member, point: int, heading: Array) -> float:
@@ -285,7 +301,7 @@ def _plane_of(unit: Array) -> tuple[Array, Array]:
 def _joint_covariance(rows: _Rows, each: Array) -> Array:
     """Covariance (2 m, 2 m) of all rows along, then all across, arcsec^2. each : (m, 2, 2) of single rows."""
     m = len(rows.t_tai_ns)
-    common, same_frame = common_errors(rows.shared, rows.group, rows.pointing, rows.turning, rows.frame)
+    common, same_frame = common_errors(rows.shared, rows.group, rows.pointing, rows.turning, rows.frame, rows.point)
     k = np.arange(m)
     own = each.copy()
     own[:, 0, 0] -= common[k, k]

@@ -16,9 +16,10 @@ from sboc_e2e.icd.flags import StreakFlag
 _GAP_FACTOR = 4
 """Fragments may be this many times farther apart than the reach of the search, because two motions predict better than one
 streak."""
-_PIECE_SIGMA = 6.0
+_PIECE_SIGMA = 6.0  # across the motion: a right piece in 5e8 lies beyond it, and the track's errors are not Gaussian
 _VETOED = int(StreakFlag.VETOED)
 _SHORTEST_PIECE_PX = 8.0
+"""As short as that, streaks are chance; one of 8 px has its direction to some 10 deg. Chosen, not measured."""
 
 
 def merged(

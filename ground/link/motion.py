@@ -20,9 +20,10 @@ N_PARAMETERS = 7
 _LOG_2PI = math.log(2.0 * math.pi)
 _LOG_SPEEDS = 12.0
 """Natural logarithm of the ratio of the fastest to the slowest speed a track may have: the prior is uniform in log speed."""
-_SLOWEST_RAD_S = 1e-6
+_SLOWEST_RAD_S = 1e-6  # 0.2 arcsec/s: keeps the logarithm of the speed finite for what stands still
 _STUDENT_NU = 3.0
-_ROBUST_PASSES = 4
+"""Degrees of freedom of an end's error: the smallest integer with a finite variance, for tails of change points."""
+_ROBUST_PASSES = 4  # the first is Gaussian, three reweigh. A budget of work; chosen, not measured
 _ROBUST_MEMBERS = 4
 """Tracks with fewer members have too few ends to identify a wrong one."""
 

@@ -1,5 +1,7 @@
 """Common errors of a tracklet's directions: of the jointly fitted motion, of a frame's pointing, and of the camera's turning."""
 
+from typing import Final
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -8,14 +10,28 @@ from sboc_e2e.icd.products import Tracklet
 Array = NDArray[np.float64]
 
 
+MIDDLE: Final = 1
+"""Row point of a place in the middle of an exposure."""
+
+
 def common_errors(
-    shared: Array, group: NDArray[np.int64], pointing: Array, turning: Array, frame: NDArray[np.int64]
+    shared: Array,
+    group: NDArray[np.int64],
+    pointing: Array,
+    turning: Array,
+    frame: NDArray[np.int64],
+    point: NDArray[np.int64],
 ) -> tuple[Array, Array]:
-    """Covariances (m, m) along and across the motion, of rows as `Tracklet` has them, in the square of their unit."""
+    """Covariances (m, m) along and across the motion, of rows as `Tracklet` has them, in the square of their unit.
+
+    Ends of a joint fit share errors along the motion. Middles of a track of points share them along both axes.
+    """
     turned_together = np.where(frame[:, None] == frame, np.outer(turning, turning), 0.0)
     pointed_together = np.where(frame[:, None] == frame, np.outer(pointing, pointing), 0.0)
     fitted_together = (group[:, None] == group) & (group >= 0)
-    return np.where(fitted_together, shared @ shared.T, 0.0) + pointed_together, pointed_together + turned_together
+    fitted = np.where(fitted_together, shared @ shared.T, 0.0)
+    middles = (point[:, None] == MIDDLE) & (point == MIDDLE)
+    return fitted + pointed_together, np.where(middles, fitted, 0.0) + pointed_together + turned_together
 
 
 def common_errors_arcsec2(tracklet: Tracklet) -> tuple[Array, Array]:
@@ -26,4 +42,6 @@ def common_errors_arcsec2(tracklet: Tracklet) -> tuple[Array, Array]:
     frame_of = dict(zip(tracklet.streak_ids.tolist(), tracklet.frames.tolist(), strict=True))
     frame = np.array([frame_of[k] for k in tracklet.row_streak_ids.tolist()], dtype=np.int64)
     turning = tracklet.turning_arcsec if len(tracklet.turning_arcsec) == m else np.zeros(m)
-    return common_errors(tracklet.shared_arcsec, tracklet.shared_group, tracklet.pointing_arcsec, turning, frame)
+    return common_errors(
+        tracklet.shared_arcsec, tracklet.shared_group, tracklet.pointing_arcsec, turning, frame, tracklet.row_points
+    )

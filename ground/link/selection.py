@@ -86,7 +86,7 @@ def best_tracks(nodes: Nodes, table: StreakTable, frames: FrameTable, search: Se
     return tracks
 
 
-_LEAST_PATH_PX = 2.0
+_LEAST_PATH_PX = 2.0  # below this way on the sky or on the detector it is a star or a defect. Chosen, not measured
 
 
 def is_static(nodes: Nodes, table: StreakTable, members: NDArray[np.int64]) -> bool:

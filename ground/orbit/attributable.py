@@ -15,7 +15,7 @@ from ground.link.row_errors import common_errors_arcsec2
 from ground.sky.sphere import ARCSEC_RAD, unit_vectors
 from sboc_e2e.icd.products import Tracklet
 
-_LONG_ARC_S = 60.0
+_LONG_ARC_S = 60.0  # from here on the curve has seven nodes, not five: longer arcs bend more. Chosen, not measured
 
 
 class CurveForm(NamedTuple):

@@ -13,8 +13,8 @@ from ground.sky.sphere import ARCSEC_RAD, unit_vectors
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import Tracklet
 
-_CLIP_SIGMA = 4.5
-_HALF_STEP_S = 0.05
+_CLIP_SIGMA = 4.5  # a right direction in 150,000 is beyond it: what is beyond is another object or a bad end
+_HALF_STEP_S = 0.05  # at 1 deg/s the central difference errs by 1e-7 of the rate
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

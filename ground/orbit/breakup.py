@@ -8,6 +8,7 @@ from numpy.typing import NDArray
 
 from ground.orbit.dynamics import MU_KM3_S2
 from ground.orbit.prior import LARGEST_A_KM, LOWEST_PERIGEE_KM, catalogue_counts
+from ground.sky.apparent import EARTH_RADIUS_KM
 
 
 def draw_catalogue(n: int, rng: np.random.Generator) -> NDArray[np.float64]:
@@ -92,7 +93,7 @@ def breakup_counts(
     n: int, rng: np.random.Generator
 ) -> tuple[NDArray[np.uint32], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
     """Counts of n draws on a grid that widens outwards, and its edges in a (km), e and i (deg)."""
-    a_edges = 6378.137 + np.concatenate([np.arange(100.0, 2400.0, 50.0), np.geomspace(2400.0, 53000.0, 30)])
+    a_edges = EARTH_RADIUS_KM + np.concatenate([np.arange(100.0, 2400.0, 50.0), np.geomspace(2400.0, 53000.0, 30)])
     e_widening = [np.arange(0.01, 0.1, 0.01), np.arange(0.1, 0.3, 0.02), np.arange(0.3, 0.96, 0.05)]
     e_edges = np.concatenate([[0.0, 0.002, 0.005], *e_widening])
     i_edges_deg = np.arange(0.0, 181.0, 2.0)

@@ -16,14 +16,14 @@ from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import Tracklet
 
-_FARTHEST_SIGMA = 4.0
+_FARTHEST_SIGMA = 4.0  # of four numbers, place and rate: 0.3 % of right candidates are beyond (chi2 of four, 16)
 _LARGEST_CHANCE = 0.01
 """Largest chance-match probability of a known object. Above it, a single candidate is a hypothesis too."""
 _FIELD_COSINE = 0.95
 """Objects within 18 deg of a tracklet give the density around it,"""
 _RATE_SHARE = 0.5
 """and of these the ones whose rates differ by less than this share of the tracklet's own."""
-_NEIGHBOURS = 10
+_NEIGHBOURS = 10  # of the density: its relative error is then 1 / sqrt(8) = 0.35; more would smear the change over the sky
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -10,12 +10,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-MU_KM3_S2 = 398600.4418
-"""IERS Conventions (2010), table 1.1, TCG-compatible value, rounded to the precision that arcseconds need."""
+from ground.sky.apparent import EARTH_GM_M3_S2
+from ground.sky.published import LIGHT_M_S
+
+MU_KM3_S2 = EARTH_GM_M3_S2 / 1e9
+"""398,600.4418."""
 EARTH_RADIUS_KM = 6378.1366
+"""The radius that belongs to `J2`: IERS Conventions (2010), table 1.1, zero-tide system."""
 J2 = 1.0826359e-3
-LIGHT_KM_S = 299792.458
-_LONGEST_STEP_S = 20.0
+"""Dynamical form factor, IERS Conventions (2010), table 1.1, zero-tide system."""
+LIGHT_KM_S = LIGHT_M_S / 1e3
+"""299,792.458, exact (SI)."""
+LONGEST_STEP_S = 20.0
 """One Runge-Kutta step: a low orbit is then wrong by less than a millimetre per step."""
 
 
@@ -35,7 +41,7 @@ def acceleration(r: NDArray[np.float64], out: NDArray[np.float64]) -> None:
 @njit(cache=True)
 def advance(state: NDArray[np.float64], dt_s: float) -> None:
     """Move a state (6,) km, km/s by dt_s in place, classical Runge-Kutta of fourth order."""
-    n_steps = max(1, math.ceil(abs(dt_s) / _LONGEST_STEP_S))
+    n_steps = max(1, math.ceil(abs(dt_s) / LONGEST_STEP_S))
     h = dt_s / n_steps
     k1, k2, k3, k4, p = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     for _ in range(n_steps):

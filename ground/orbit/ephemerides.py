@@ -19,7 +19,8 @@ from sboc_e2e.icd.products import Tracklet
 
 _FRAMES: Final = ("EME2000", "GCRF", "ICRF")
 _TIMES: Final = ("UTC", "TAI", "GPS")
-_GPS_BEHIND_TAI_NS: Final = 19_000_000_000
+GPS_BEHIND_TAI_NS: Final = 19_000_000_000
+"""TAI - GPS, exact: TAI - UTC at the epoch of GPS time, 1980 January 6 (IS-GPS-200). Galileo's time is steered to it."""
 
 
 def read_oem(text: str) -> tuple[PreciseOrbit, ...]:
@@ -77,7 +78,7 @@ def _row(line: str, system: str, number: int) -> tuple[int, list[float]]:
     if system.upper() == "UTC":
         parts = erfa.utctai(*parts)
     t_ns = tai.from_jd_parts(*(float(part) for part in parts))
-    return t_ns + (_GPS_BEHIND_TAI_NS if system.upper() == "GPS" else 0), state
+    return t_ns + (GPS_BEHIND_TAI_NS if system.upper() == "GPS" else 0), state
 
 
 def _orbit(meta: dict[str, str], rows: list[tuple[int, list[float]]]) -> PreciseOrbit:

@@ -18,6 +18,7 @@ from scipy.interpolate import CubicHermiteSpline
 
 from ground.orbit.dynamics import propagate
 from ground.orbit.smoothing import ArcModel, smooth_arc
+from ground.sky.apparent import EARTH_SPIN_RAD_S
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.frame import FrameHeader, ObserverState
 
@@ -35,9 +36,10 @@ _PUSHES_KM_S2: Final = (1e-5, 1e-7)
 """Unmodelled acceleration tried, one sigma: the size of the J2 term itself, for orbits that are no solutions of the equations of
 motion; and that of the next terms of the Earth's field. The first is used unless the fixes prefer the second."""
 _PUSH_TIME_S: Final = 600.0
+"""Correlation time: a tenth of a low revolution, in which unmodelled terms of the field change. Chosen, not measured."""
 _CLEARLY_BETTER: Final = 2.0
-_REJECTED_SIGMA: Final = 6.0
-_EARTH_SPIN_RAD_S: Final = 7.292115e-5
+"""Of the natural log likelihood: e^2, a hint but no more, for the sake of the larger push when undecided."""
+_REJECTED_SIGMA: Final = 6.0  # a right number in 5e8 is beyond it: what is beyond is damage in the telemetry
 _SMALLEST_SIGMA: Final = np.array([1e-4] * 3 + [1e-6] * 3)
 """Of a fix, km and km/s, for telemetry that states none."""
 
@@ -198,7 +200,7 @@ def _nodes(fix_ns: NDArray[np.int64]) -> NDArray[np.int64]:
 def _spin_of(t_tai_ns: int, state: Array, sigma: Array) -> Array:
     """The Earth's spin (3,) rad/s about the pole of date, GCRS axes, if the fixes are of a point of the Earth; else zeros."""
     day, fraction = tai.to_jd_parts(t_tai_ns)
-    spin = _EARTH_SPIN_RAD_S * np.asarray(erfa.pnm06a(*erfa.taitt(day, fraction)))[2]
+    spin = EARTH_SPIN_RAD_S * np.asarray(erfa.pnm06a(*erfa.taitt(day, fraction)))[2]
     slip = np.linalg.norm(state[:, 3:] - np.cross(spin, state[:, :3]), axis=1)
     near_ground = 6340.0 < float(np.median(np.linalg.norm(state[:, :3], axis=1))) < 6400.0
     fixed = near_ground and float(np.median(slip / sigma[:, 3])) < 6.0

@@ -12,8 +12,8 @@ from scipy.special import ndtri
 from ground.orbit.prior import PriorTable
 from ground.orbit.scan import N_COLUMNS, Problem, rows_per_range, scan_range
 
-_COARSE_STEPS = 240
-_MOST_RANGES = 900
+_COARSE_STEPS = 240  # first scan, 6 % apart from 50 m to 60,000 km; ranges that hold density are refined. Chosen, not measured
+_MOST_RANGES = 900  # a budget of work: refinement ends here. Chosen, not measured
 _LOG_CUT = 14.0
 """Ranges whose density is exp(-14) of the best are left coarse; together they hold less than 1e-5."""
 

@@ -17,12 +17,14 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ground.orbit.dynamics import MU_KM3_S2
+from ground.sky.apparent import EARTH_RADIUS_KM
 
 CATALOGUE_FILE = "leo_deb_hist_2023.npz"
 BREAKUP_FILE = "breakup_fragments.npz"
-LOWEST_PERIGEE_KM = 6378.137 + 120.0
+LOWEST_PERIGEE_KM = EARTH_RADIUS_KM + 120.0
 """Below this an object decays within the revolution in which it would be seen."""
 LARGEST_A_KM = 60000.0
+"""Beyond the geostationary ring and the disposal orbits above it; catalogued debris with larger axes is rare."""
 
 
 class PriorTable(NamedTuple):
@@ -46,7 +48,7 @@ def catalogue_counts() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArra
     with np.load(str(files("ground.orbit") / CATALOGUE_FILE), allow_pickle=False) as stored:
         return (
             stored["H"].astype(np.float64),
-            stored["alt_edges"] + 6378.137,
+            stored["alt_edges"] + EARTH_RADIUS_KM,
             stored["ecc_edges"].copy(),
             np.radians(stored["inc_edges"]),
         )

@@ -15,15 +15,16 @@ from ground.orbit.prior import PriorShares, PriorTable, prior_table
 from ground.orbit.scan import Problem
 from ground.orbit.size import diameter_m, log_size_density, magnitude_draws, sun_direction
 from ground.orbit.states import angle_quantiles_deg, elements_of, latitude_argument_of, state_of
+from ground.sky.apparent import EARTH_RADIUS_KM
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import OrbitEstimate, OrbitState, Tracklet
 
-_EARTH_RADIUS_KM = 6378.137
 _TYPICAL_RANGE_KM = 1000.0
+"""The range at which a small piece in low orbit is seen. It only turns a rate error into a velocity for `draws`."""
 _DRAW_STEP_KM_S = 0.02
 """Uncertainty of the transverse velocity at the typical range that asks for one more set of draws; orbits differ by as little."""
-_MOST_DRAWS = 12
+_MOST_DRAWS = 12  # sets of draws, a budget of work: 0.24 km/s at the typical range
 _MAG_UNKNOWN = 12.0
 """V assumed for the size law's weight when a tracklet has no magnitude: about the limit of detection."""
 
@@ -120,7 +121,7 @@ class RangeScan:
         """The contract's record of a posterior. The size includes the scatter of the magnitude and of the albedo."""
         weight = posterior.weight
         position = observer[:3] + posterior.range_km[:, None] * data.axes[2]
-        altitude = np.linalg.norm(position, axis=1) - _EARTH_RADIUS_KM
+        altitude = np.linalg.norm(position, axis=1) - EARTH_RADIUS_KM
         if math.isfinite(tracklet.mag):
             normal = normal_pairs(0, len(weight))
             albedo = self.albedo * np.exp(self.albedo_sigma_ln * normal[:, 0])

@@ -68,6 +68,5 @@ def teme_to_gcrs(t_tai_ns: int) -> NDArray[np.float64]:
 
 def utc_jd(t_tai_ns: Sequence[int] | NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Two-part Julian dates of UTC (n,), (n,), as SGP4 takes them."""
-    parts = np.array([tai.to_jd_parts(int(t)) for t in t_tai_ns]).reshape(-1, 2)
-    day, fraction = erfa.taiutc(parts[:, 0], parts[:, 1])
+    day, fraction = erfa.taiutc(*tai.jd_parts_of(np.asarray(t_tai_ns, dtype=np.int64)))
     return np.asarray(day), np.asarray(fraction)

@@ -12,12 +12,12 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from ground.orbit.dynamics import acceleration
+from ground.orbit.dynamics import LONGEST_STEP_S, acceleration
 
 Array = NDArray[np.float64]
 
 N_STATE = 15
-_LONGEST_STEP_S = 20.0
+"""Position, velocity and push (three each), and the steady error of the fixes (six)."""
 _PROBE = np.array([1e-2, 1e-2, 1e-2, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5, 1e-5])
 """Steps of position (km), velocity (km/s) and acceleration (km/s^2) for derivatives of the motion, which is close to linear."""
 
@@ -52,7 +52,7 @@ def _pull(position: Array, push: Array, spin: Array, out: Array) -> None:
 @njit(cache=True)
 def _move(moving: Array, dt_s: float, spin: Array) -> None:
     """Position, velocity, push (9,) moved in place by dt_s with a constant push; Runge-Kutta of fourth order."""
-    n_steps = max(1, math.ceil(abs(dt_s) / _LONGEST_STEP_S))
+    n_steps = max(1, math.ceil(abs(dt_s) / LONGEST_STEP_S))
     h = dt_s / n_steps
     k1, k2, k3, k4, p = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     push = moving[6:]

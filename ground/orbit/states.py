@@ -19,13 +19,14 @@ Array = NDArray[np.float64]
 N_DRAWN: Final = 2048
 """Samples from which mean, covariance and shape are taken."""
 N_PUBLISHED: Final = 256
-_SEED: Final = 20270129
+"""Every eighth of the drawn ones, to keep messages small: they give the mean to 6 % of sigma, sigma to 4 %."""
+_SEED: Final = 20270129  # any number: fixed, so that the same tracklet always has the same samples
 _LARGEST_DEVIATION: Final = 0.12
 """Largest difference of a distribution function from the normal one. The content of an interval then errs by at most this
 much."""
 _LARGEST_TAIL: Final = 0.015
 """Share beyond the surface that leaves out 0.1 % of a normal distribution (chi-square of six, 22.46)."""
-_TAIL_CHI2: Final = 22.458
+_TAIL_CHI2: Final = 22.458  # chi-square of six degrees of freedom that 0.1 % exceed
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,12 +16,13 @@ from numpy.typing import NDArray
 from ground.photometry.background import background_at, gain_e_adu
 from ground.photometry.zero_point import UNUSABLE
 from ground.streaks.psf_field import PsfField
+from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
 from sboc_e2e.icd.downlink import DownlinkFrame
 
 Array = NDArray[np.float64]
 
 FEWEST_STARS: Final = 40
-PIXEL_VARIANCE_PX2: Final = 1.0 / 12.0
+"""So many stars of `STAR_SCATTER` over a square field give the growth to 0.03, which is `GROWTH_ERROR`; fewer tell less."""
 PRIOR_GROWTH: Final = 0.15
 """One sigma of the relative growth from the axis to the corner, before stars are looked at."""
 
@@ -32,7 +33,9 @@ GROWTH_ERROR: Final = 0.03
 """Of the growth from one star list; taken once in a run, because the lists of all frames err alike."""
 
 LARGEST_GROWTH: Final = 0.8
+"""No camera's corner is nearly twice as wide as its axis: beyond, the list is wrong. Chosen, not measured."""
 N_ITERATIONS: Final = 5
+"""Reweighted steps; chosen, not measured."""
 
 
 def in_frame(field: PsfField, frame: DownlinkFrame) -> PsfField:

@@ -18,7 +18,9 @@ LARGEST_SCATTER: Final = 0.04
 """Largest scatter of a node from frame to frame, in pixel sigmas. A larger scatter means that the sky changes."""
 
 CLIP_SIGMAS: Final = 3.5
+"""One node in 2,000 of a steady sky is beyond it; a trail is brighter."""
 ROUNDS: Final = 3
+"""Each round takes out what the one before had made visible; a trail holds few nodes. Chosen, not measured."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

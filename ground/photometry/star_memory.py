@@ -19,11 +19,14 @@ from sboc_e2e.icd.products import FrameSolution
 from sboc_e2e.icd.signals import StarList
 
 FRAMES_KEPT: Final = 12
+"""Three seconds at 4 frames/s: a limit of memory. Chosen, not measured."""
 FEWEST_FRAMES: Final = 2
 """Least number of frames that sent a star. A moving object is never at the same place of the sky twice."""
 
 SAME_STAR_PX: Final = 1.0
+"""Entries closer than this are one star, as on board: four sigma of a centroid at S/N 5 and a PSF of 1 px."""
 SHORT_PX: Final = 6.0
+"""As on board, whose star list leaves these places out."""
 HIDDEN_PX: Final = 3.0
 """Around point-like detections and those shorter than `SHORT_PX` nothing within this distance is sent."""
 

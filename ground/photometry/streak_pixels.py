@@ -18,6 +18,7 @@ Array = NDArray[np.float64]
 
 UNUSABLE: Final = int(MaskBit.DEAD | MaskBit.HOT | MaskBit.MISSING)
 STAR_REACH_SIGMAS: Final = 5.0
+"""Radius of a star's image in PSF sigmas, a pixel added: beyond, a Gaussian has 4e-6 of its peak."""
 FAINTEST_STAR_SIGMAS: Final = 0.2
 """Stars whose peak is below this many background sigmas are left in."""
 

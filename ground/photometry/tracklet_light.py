@@ -41,10 +41,12 @@ WHITE: Final = ((0.0, 0.94), (0.05, 0.04), (0.25, 0.02))
 """Relative scatter without memory, and its prior probability."""
 
 MOST_PERIODS: Final = 500
+"""A budget of work and memory; longer arcs are searched with wider steps. Chosen, not measured."""
 STEPS_PER_CYCLE: Final = 4.0
 """Frequencies are 1 / (this x span) apart, finer than a peak of the periodogram."""
 
 SLOW_PERIODS: Final = 12
+"""Even in the logarithm, for less than one turn in the arc: neighbours hardly differ there. Chosen, not measured."""
 SECOND_HARMONIC: Final = 1.0 / 3.0
 """Scale of the second harmonic over that of the first."""
 
@@ -58,9 +60,13 @@ the catalogue's colours. By maximum likelihood, of bright steady objects, 0.0035
 tracklets), in `sso_antisun` 0.007 [0.005, 0.009] with the ideal camera (28) and 0.008 [0.006, 0.011] with the real one (24)."""
 
 FEWEST_BINS: Final = 4
+"""Fewer bins cannot show a change beside the trend; chosen, not measured."""
 MOST_BINS: Final = 12
+"""Bins of one trail, a budget of work. Chosen, not measured."""
 BIN_SNR: Final = 4.0
+"""Bins are joined to this S/N: relative errors of a quarter, still near to normal. Chosen, not measured."""
 SIGMAS_90: Final = 1.645
+"""Half width of a 90 % interval: the 95 % point of the normal distribution."""
 HALF_POINT_SNR: Final = 7.2
 """S/N at which the default chain finds half of the trails (docs/survey.md: 7.26 [7.10, 7.38])."""
 
@@ -73,7 +79,9 @@ SURELY_FOUND: Final = 3.0
 """Exposures this many sigma above the half point were not chosen by their noise."""
 
 LEAST_WEIGHT: Final = 1e-6
+"""Periods and scatters whose weight is below this share of the best are left out: a budget of work."""
 NEWTON_STEPS: Final = 20
+"""A budget: the loop ends at a step of 1e-6 of the half point."""
 _FLOOR: Final = 0.02
 """Least mean light, relative to the brightness seen, that a posterior may reach: magnitudes need a positive one."""
 
@@ -102,16 +110,27 @@ UNKNOWN: Final = TrackletLight(
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Samples:
-    """Light of exposures, or of parts of them: mid-epoch t_s (n,), duration_s (n,), mag and mag_err (n,).
+    """Light of exposures, or of parts of them: mid-epoch t_s (n,), duration_s (n,), light and light_err (n,).
 
-    snr : (n,) of exposures that were found by their own light; NaN for parts of them.
+    light : in units of that of the magnitude reference_mag; noise makes some of it negative where exposures were not chosen by
+    their own light. snr : (n,) of exposures that were; NaN for others, and for parts.
     """
 
     t_s: Array
     duration_s: Array
-    mag: Array
-    mag_err: Array
+    light: Array
+    light_err: Array
     snr: Array
+    reference_mag: float
+
+    @classmethod
+    def of_magnitudes(cls, *, t_s: Array, duration_s: Array, mag: Array, mag_err: Array, snr: Array) -> "Samples":
+        """Samples whose light has a magnitude, in units of their median."""
+        reference = float(np.median(mag))
+        light = 10.0 ** (-0.4 * (mag - reference))
+        return cls(
+            t_s=t_s, duration_s=duration_s, light=light, light_err=light * mag_err / POGSON, snr=snr, reference_mag=reference
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -128,8 +147,12 @@ def with_mean_light(tracklet: Tracklet, members: Sequence[StreakMeasurement], ha
 
     half_point_snr : S/N at which half of the trails are found.
     """
-    known = [m for m in members if np.isfinite(m.mag) and m.mag_err > 0.0]
-    light = _with_flashes(mean_light(samples_of(known), tracklet.rate_deg_s, half_point_snr), known) if known else UNKNOWN
+    # a star under a point adds its light to it
+    own = [m for m in members if not (m.fit.is_foretold and m.flags & StreakFlag.CROSSES_STAR)]
+    known = [m for m in own if np.isfinite(m.mag) and m.mag_err > 0.0]
+    dark = [m for m in own if m.fit.is_foretold and not m.fit.flux_e > 0.0 and m.fit.flux_err_e > 0.0]
+    samples = with_dark(samples_of(known), known, dark) if known else None
+    light = UNKNOWN if samples is None else _with_flashes(mean_light(samples, tracklet.rate_deg_s, half_point_snr), known)
     return replace(
         tracklet,
         mag=light.mag,
@@ -178,7 +201,8 @@ def samples_of(members: Sequence[StreakMeasurement]) -> Samples:
         bins = _bins(member) if stop > start else None
         mag = member.mag - 2.5 * float(np.log10(1.0 - member.fit.flash_e / member.fit.flux_e))
         if bins is None:
-            rows.append((middle, max(stop - start, 0.0), mag, member.mag_err, member.fit.snr))
+            snr = np.nan if member.fit.is_foretold else member.fit.snr
+            rows.append((middle, max(stop - start, 0.0), mag, member.mag_err, snr))
             continue
         relative, error = bins
         step = (stop - start) / len(relative)
@@ -189,7 +213,29 @@ def samples_of(members: Sequence[StreakMeasurement]) -> Samples:
             for k in range(len(relative))
         ]
     t_s, duration_s, mag, mag_err, snr = np.array(rows).T
-    return Samples(t_s=t_s, duration_s=duration_s, mag=mag, mag_err=mag_err, snr=snr)
+    return Samples.of_magnitudes(t_s=t_s, duration_s=duration_s, mag=mag, mag_err=mag_err, snr=snr)
+
+
+def with_dark(samples: Samples, known: Sequence[StreakMeasurement], dark: Sequence[StreakMeasurement]) -> Samples:
+    """The samples and those of members in which noise took more than the object gave: they have a flux but no magnitude.
+
+    Members of one tracklet are exposed alike, so that the others tell what light an electron stands for. known : the members
+    behind the samples.
+    """
+    if not dark:
+        return samples
+    per_electron = float(np.median([10.0 ** (-0.4 * (m.mag - samples.reference_mag)) / m.fit.flux_e for m in known]))
+    # samples count from the first known member
+    origin = min(int(m.t_tai_ns[1]) for m in known)
+    start, middle, stop = ((np.array([int(m.t_tai_ns[k]) for m in dark]) - origin) * 1e-9 for k in range(3))
+    return Samples(
+        t_s=np.append(samples.t_s, middle),
+        duration_s=np.append(samples.duration_s, np.maximum(stop - start, 0.0)),
+        light=np.append(samples.light, [per_electron * m.fit.flux_e for m in dark]),
+        light_err=np.append(samples.light_err, [per_electron * m.fit.flux_err_e for m in dark]),
+        snr=np.append(samples.snr, np.full(len(dark), np.nan)),
+        reference_mag=samples.reference_mag,
+    )
 
 
 def _bins(member: StreakMeasurement) -> tuple[Array, Array] | None:
@@ -211,13 +257,12 @@ def _bins(member: StreakMeasurement) -> tuple[Array, Array] | None:
 
 def mean_light(samples: Samples, rate_deg_s: float, half_point_snr: float = HALF_POINT_SNR) -> TrackletLight:
     """The posterior of the mean light of one or more samples, which were found at half_point_snr and above."""
-    reference = float(np.median(samples.mag))
-    y = 10.0 ** (-0.4 * (samples.mag - reference))
-    e = y * samples.mag_err / POGSON
+    reference, y, e = samples.reference_mag, samples.light, samples.light_err
     t = samples.t_s - samples.t_s.mean()
     n = len(y)
     weight = e**-2
-    flat = float(weight @ y / weight.sum())
+    # scales are relative to the light; where noise hides it, to one sigma
+    flat = max(float(weight @ y / weight.sum()), float(weight.sum() ** -0.5))
     chi2_nu = float(weight @ (y - flat) ** 2) / (n - 1) if n > 1 else np.nan
     frequency, share = _frequencies(t)
     trend = TREND_PER_RADIAN * np.radians(rate_deg_s) if np.isfinite(rate_deg_s) else 0.0

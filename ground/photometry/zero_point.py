@@ -14,6 +14,7 @@ from sboc_e2e.icd.products import FrameSolution, PhotometricSolution
 Array = NDArray[np.float64]
 
 SUN_B_V: Final = 0.653
+"""The Sun's B-V (Ramirez et al. 2012, ApJ 752, 5). The contract defines the zero point for this colour."""
 POGSON: Final = 2.5 / np.log(10.0)
 """mag for a relative change of flux (1.0857)."""
 
@@ -21,7 +22,9 @@ UNUSABLE: Final = int(
     StarFlag.SATURATED | StarFlag.EDGE | StarFlag.DEFECT | StarFlag.BLENDED | StarFlag.TRAILED | StarFlag.COSMIC_LIKE
 )
 CLIP_SIGMA: Final = 3.5
+"""One star in 2,000 of a normal distribution is beyond it; variables, blends and wrong matches are."""
 N_ITERATIONS: Final = 8
+"""Rounds of clipping, after which the set has settled; chosen, not measured."""
 
 PRIOR_COLOUR_TERM: Final = 0.05
 """Error of the nominal colour term."""

@@ -7,12 +7,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.planning.options import ConstraintOptions
-from ground.planning.sky import EARTH_RADIUS_KM, Sky
+from ground.planning.sky import Sky
+from ground.sky.apparent import EARTH_RADIUS_KM
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
 
 SUN_RADIUS_KM: Final = 695700.0
+"""Nominal solar radius, IAU 2015 resolution B3."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

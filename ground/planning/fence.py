@@ -23,6 +23,7 @@ from sboc_e2e.icd.errors import UserError
 Array = NDArray[np.float64]
 
 RING_KM: Final = 42164.2
+"""Radius of the geostationary ring: the cube root of GM over the square of the Earth's spin, 42,164.17 km."""
 RING_SPEED_KM_S: Final = float(np.sqrt(MU_KM3_S2 / RING_KM))
 _TRIED_DEG: Final = np.concatenate([np.arange(0.0, 91.0, 2.0), -np.arange(2.0, 91.0, 2.0)])
 """Meridians tried, from that opposite to the Sun: the nearer, the better lit."""

@@ -18,13 +18,15 @@ from ground.planning.worth import gains, updated
 
 Array = NDArray[np.float64]
 
-_SAME_FIELD_RAD: Final = 1e-6
-_LEAST_GAIN: Final = 1e-9
+_SAME_FIELD_RAD: Final = 1e-6  # 0.2 arcsec: the same field up to rounding needs no slew
+_LEAST_GAIN: Final = 1e-9  # of the worth: smaller gains are rounding, and would keep the search going
 _RUN: Final = 12
 """Slots that are searched again together; each slot stands in two runs."""
 _SWEEPS: Final = 4
 """Searches over all runs, fewer where nothing improves."""
-_WIDEST: Final = 64
+_WIDEST: Final = 64  # schedules kept side by side at most: a limit of memory. Chosen, not measured
+_IDLE: Final = -1
+"""In place of a field: the slot is left out."""
 _SIGHTINGS: Final = 2_000_000
 """Targets in slots times schedules kept side by side: plans with fewer are searched again with wider beams."""
 
@@ -85,8 +87,7 @@ def best_visits(
     if limit == 0:
         return _improved(case, visits, 0.0)
     if _busiest_day(visits, slots) <= limit:
-        better = _improved(case, visits, 0.0)
-        return better if _busiest_day(better, slots) <= limit else visits
+        return _improved_within(case, visits, 0.0, limit)
     low, high = 0.0, max(float(visit.gains.sum()) for visit in visits)
     kept: list[Chosen] = []
     for _ in range(8):
@@ -98,8 +99,13 @@ def best_visits(
             low, visits = price, found
     if not kept:
         return _best_of_days(visits, slots, weight, limit)
-    better = _improved(case, kept, high)
-    return better if _busiest_day(better, slots) <= limit else kept
+    return _improved_within(case, kept, high, limit)
+
+
+def _improved_within(case: _Case, visits: list[Chosen], price: float, limit: int) -> list[Chosen]:
+    """The improved schedule, or the given one where the improved one has more than `limit` visits in a day."""
+    better = _improved(case, visits, price)
+    return better if _busiest_day(better, case.slots) <= limit else visits
 
 
 def _best_of_days(visits: list[Chosen], slots: list[Slot], weight: Array, limit: int) -> list[Chosen]:
@@ -209,25 +215,32 @@ def _beam(case: _Case, run: range, start: _Branch, price: float) -> list[_Branch
         slot = case.slots[number]
         if not len(slot.target):
             continue
-        together = slot.direction @ slot.direction.T >= np.cos(case.half_field_rad)
-        children: list[tuple[float, int, Chosen | None]] = []
+        together = (slot.direction @ slot.direction.T >= np.cos(case.half_field_rad)).astype(np.float64)
+        gain = np.stack([weight[slot.target] * gains(branch.covariance[slot.target], slot.told) for branch in branches])
+        sums = gain @ together
+        children: list[tuple[float, int, int]] = []
         for k, branch in enumerate(branches):
-            children.append((branch.worth, k, None))
-            gain = weight[slot.target] * gains(branch.covariance[slot.target], slot.told)
-            sums = np.where(_reachable(case, branch, slot, slot.direction), together @ gain, 0.0)
-            for place in np.argsort(-sums, kind="stable")[: options.choices]:
-                if sums[place] - price > _LEAST_GAIN:
-                    members = np.flatnonzero(together[place])
-                    visit = Chosen(slot=number, boresight=slot.direction[place], members=members, gains=gain[members])
-                    children.append((branch.worth + float(sums[place]) - price, k, visit))
+            children.append((branch.worth, k, _IDLE))
+            mine = np.where(_reachable(case, branch, slot, slot.direction), sums[k], 0.0)
+            for place in np.argsort(-mine, kind="stable")[: options.choices]:
+                if mine[place] - price > _LEAST_GAIN:
+                    children.append((branch.worth + float(mine[place]) - price, k, int(place)))
         children.sort(key=lambda child: -child[0])
-        branches = [_grown(branches[k], case.slots, visit, worth, options) for worth, k, visit in _unlike(children, options)]
+        grown = []
+        for worth, k, place in _unlike(children, options):
+            if place == _IDLE:
+                grown.append(branches[k])
+                continue
+            members = np.flatnonzero(together[place])
+            visit = Chosen(slot=number, boresight=slot.direction[place], members=members, gains=gain[k, members])
+            grown.append(_grown(branches[k], case.slots, visit, worth, options))
+        branches = grown
     return branches
 
 
-def _unlike(children: list[tuple[float, int, Chosen | None]], options: PlanOptions) -> list[tuple[float, int, Chosen | None]]:
+def _unlike(children: list[tuple[float, int, int]], options: PlanOptions) -> list[tuple[float, int, int]]:
     """The best children whose worths differ: the same visits in another order would fill the beam."""
-    kept: list[tuple[float, int, Chosen | None]] = []
+    kept: list[tuple[float, int, int]] = []
     for child in children:
         if len(kept) == options.look_ahead:
             break
@@ -246,10 +259,8 @@ def _reachable(case: _Case, branch: _Branch, slot: Slot, direction: Array) -> ND
     return np.asarray(branch.free_s + needed_s + case.observing_s <= slot.start_s + options.visit_s)
 
 
-def _grown(branch: _Branch, slots: list[Slot], visit: Chosen | None, worth: float, options: PlanOptions) -> _Branch:
-    """A schedule with one more visit, or with an idle slot."""
-    if visit is None:
-        return branch
+def _grown(branch: _Branch, slots: list[Slot], visit: Chosen, worth: float, options: PlanOptions) -> _Branch:
+    """A schedule with one more visit."""
     slot = slots[visit.slot]
     seen = slot.target[visit.members]
     covariance = branch.covariance.copy()

@@ -33,10 +33,32 @@ def states_of(known: KnownObjects, t_tai_ns: NDArray[np.int64]) -> tuple[Array, 
     error, position, velocity = SatrecArray(list(known.satellites)).sgp4(day, fraction)
     bad = error != 0
     position[bad], velocity[bad] = np.nan, np.nan
-    block = (t_tai_ns - t_tai_ns[0]) // _ROTATION_STEP_NS
+    _turn(position, velocity, t_tai_ns)
+    return position, velocity
+
+
+def states_at(known: KnownObjects, target: NDArray[np.int64], t_tai_ns: NDArray[np.int64]) -> tuple[Array, Array]:
+    """The same (k, 3), (k, 3) of targets (k,), each at its own instant (k,)."""
+    day, fraction = utc_jd(t_tai_ns)
+    position, velocity = np.empty((len(target), 3)), np.empty((len(target), 3))
+    by_target = np.argsort(target, kind="stable")
+    for mine in np.split(by_target, np.flatnonzero(np.diff(target[by_target])) + 1):
+        if len(mine):
+            error, where, how_fast = known.satellites[target[mine[0]]].sgp4_array(day[mine], fraction[mine])
+            bad = (error != 0)[:, None]
+            position[mine], velocity[mine] = np.where(bad, np.nan, where), np.where(bad, np.nan, how_fast)
+    _turn(position[None], velocity[None], t_tai_ns)
+    return position, velocity
+
+
+def _turn(position: Array, velocity: Array, t_tai_ns: NDArray[np.int64]) -> None:
+    """From SGP4's frame to GCRS axes, in place, (m, n, 3) at instants (n,)."""
+    if not len(t_tai_ns):
+        return
+    first = t_tai_ns.min()
+    block = (t_tai_ns - first) // _ROTATION_STEP_NS
     for number in np.unique(block):
         here = np.flatnonzero(block == number)
-        matrix = teme_to_gcrs(int(t_tai_ns[here[len(here) // 2]]))
+        matrix = teme_to_gcrs(int(first + (2 * number + 1) * _ROTATION_STEP_NS // 2))
         position[:, here] = position[:, here] @ matrix.T
         velocity[:, here] = velocity[:, here] @ matrix.T
-    return position, velocity

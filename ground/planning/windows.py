@@ -10,9 +10,10 @@ from ground.orbit.catalogue_match import KnownObjects
 from ground.planning.constraints import visibility_of
 from ground.planning.options import ConstraintOptions
 from ground.planning.sky import Orbit, Site, sky_of
-from ground.planning.targets import states_of
+from ground.planning.targets import states_at
 
 _RESOLUTION_NS: Final = 500_000_000
+"""Bisection ends here: both ends of a window are right to half a second. Chosen, not measured."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -52,16 +53,7 @@ def _allowed_at(
     known: KnownObjects, station: Site | Orbit, options: ConstraintOptions, target: NDArray[np.int64], t_tai_ns: NDArray[np.int64]
 ) -> NDArray[np.bool_]:
     """What constraints say of targets (k,), each at its own time."""
-    position, velocity = np.empty((len(target), 3)), np.empty((len(target), 3))
-    for number in np.unique(target):
-        mine = np.flatnonzero(target == number)
-        alone = KnownObjects(
-            names=known.names[number : number + 1],
-            numbers=known.numbers[number : number + 1],
-            satellites=known.satellites[number : number + 1],
-        )
-        where, how_fast = states_of(alone, t_tai_ns[mine])
-        position[mine], velocity[mine] = where[0], how_fast[0]
+    position, velocity = states_at(known, target, t_tai_ns)
     order = np.argsort(t_tai_ns, kind="stable")
     sky = sky_of(station, t_tai_ns[order])
     out = np.empty(len(target), dtype=np.bool_)

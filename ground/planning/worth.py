@@ -20,6 +20,10 @@ Array = NDArray[np.float64]
 _STEP: Final = 1e-3
 """Of a difference quotient, in units of the error of an element."""
 
+_NEWTON_STEPS: Final = 12  # a budget of work; the loop ends earlier, where corrections are below `_SETTLED_RAD`
+_SETTLED_RAD: Final = 1e-9
+"""A correction after which the next is below the rounding of angles: Newton's steps square the error."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Views:
@@ -71,7 +75,9 @@ def updated(covariance: Array, told: Array) -> Array:
     """Covariances (k, 6, 6) after observations (k, 2, 6)."""
     cross = covariance @ np.swapaxes(told, 1, 2)
     seen = told @ cross + np.eye(2)
-    after = covariance - cross @ np.linalg.solve(seen, np.swapaxes(cross, 1, 2))
+    adjugate = np.stack([seen[:, 1, 1], -seen[:, 0, 1], -seen[:, 1, 0], seen[:, 0, 0]], axis=1).reshape(-1, 2, 2)
+    determinant = seen[:, 0, 0] * seen[:, 1, 1] - seen[:, 0, 1] * seen[:, 1, 0]
+    after = covariance - (cross / determinant[:, None, None]) @ (adjugate @ np.swapaxes(cross, 1, 2))
     return np.asarray(0.5 * (after + np.swapaxes(after, 1, 2)))
 
 
@@ -114,9 +120,12 @@ def positions(elements: Array, dt_s: Array) -> Array:
     a, h, k, p, q, longitude = elements.T
     mean = longitude + np.sqrt(MU_KM3_S2 / a**3) * dt_s
     eccentric = mean.copy()
-    for _ in range(12):
+    for _ in range(_NEWTON_STEPS):
         sine, cosine = np.sin(eccentric), np.cos(eccentric)
-        eccentric -= (eccentric + h * cosine - k * sine - mean) / (1.0 - h * sine - k * cosine)
+        correction = (eccentric + h * cosine - k * sine - mean) / (1.0 - h * sine - k * cosine)
+        eccentric -= correction
+        if np.max(np.abs(correction), initial=0.0) < _SETTLED_RAD:
+            break
     sine, cosine = np.sin(eccentric), np.cos(eccentric)
     beta = 1.0 / (1.0 + np.sqrt(1.0 - h * h - k * k))
     x = a * ((1.0 - h * h * beta) * cosine + h * k * beta * sine - k)

@@ -21,12 +21,15 @@ from scipy.special import erf
 
 from ground.orbit.breakup import draw_breakup, draw_catalogue
 from ground.orbit.dynamics import MU_KM3_S2
+from ground.orbit.range_scan import SMALL_BELOW_M
 from ground.orbit.size import SUN_V_MAG, lambert_phase, log_size_density
 
 Array = NDArray[np.float64]
 
 NEAREST_KM: Final = 0.05
+"""Where the range scan of tracklets begins, too (`range_scan`: nearest)."""
 FARTHEST_KM: Final = 3000.0
+"""Farthest range from which objects are drawn. Chosen, not measured."""
 NEAR_SHARE: Final = 100.0
 """Ranges below a hundredth of the reach hold a millionth of the volume."""
 
@@ -37,13 +40,15 @@ FRAMES_EACH: Final = 12
 """Largest number of frames, evenly spread over its stay, in which each object is evaluated."""
 
 CELL_KM: Final = 25.0
+"""One altitude bin of the prior's debris histogram, within which the prior knows no more."""
 CELL_SINE: Final = 0.02
 """Half widths of the cell over which the density of an orbit is averaged."""
 
 FLUX_ROUNDS: Final = 4
+"""Each orbit is met at this many random instants; a mean over all orbits needs few of each. Chosen, not measured."""
 
-SMALL_BELOW_M: Final = 0.1
 BREAKUP_SHARE: Final = (0.8, 0.1)
+"""Share of objects below and above `SMALL_BELOW_M` that carry the velocities of a break-up, as `range_scan` has them."""
 """Share of objects below and above `SMALL_BELOW_M` that carry the velocities of a break-up, as `range_scan` has them."""
 
 

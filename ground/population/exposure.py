@@ -2,14 +2,15 @@
 
 import math
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.icd import validate
 
-_DAY_S = 86400.0
-_YEAR_S = 365.25 * _DAY_S
+YEAR_S: Final = 365.25 * 86_400.0
+"""The Julian year."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -31,11 +32,11 @@ class Exposure:
 
     def days(self) -> NDArray[np.float64]:
         """Days (k,) in which nature would have shown as many objects."""
-        return np.asarray(self.duration_s * self.boost / _DAY_S)
+        return np.asarray(self.duration_s * self.boost / 86400.0)
 
     def km2_years(self) -> NDArray[np.float64]:
         """Area times time (k,), in km^2 years of nature's flux."""
-        return np.asarray(self.duration_s * self.boost * self.area_km2 / _YEAR_S)
+        return np.asarray(self.duration_s * self.boost * self.area_km2 / YEAR_S)
 
 
 def cone_cross_section_km2(full_angle_deg: float, range_km: NDArray[np.float64]) -> NDArray[np.float64]:

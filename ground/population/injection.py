@@ -22,7 +22,9 @@ from sboc_e2e.icd.signals import BackgroundModel
 Array = NDArray[np.float64]
 
 SNR_GRID: Final = (3.0, 4.0, 5.0, 6.0, 6.5, 7.0, 7.5, 8.0, 9.0, 10.0, 12.0, 15.0, 20.0, 40.0)
+"""Densest about the thresholds of detectors (6 to 8), where the share found rises from 0 to 1."""
 LENGTHS_PX: Final = (10.0, 30.0, 100.0, 300.0)
+"""Half-decade steps from short trails to those of a good part of a frame."""
 TRIALS: Final = 24
 """Injections at each S/N and length."""
 
@@ -30,16 +32,21 @@ MASK_SIGMAS: Final = 5.0
 """Pixels this bright in the frame itself are stars, hits and columns, which the detector leaves out."""
 
 STAR_SIGMAS: Final = 0.3
+"""Stars of the list hide pixels where they are brighter than this share of the noise. Chosen, not measured."""
 LEAST_RADIUS_PX: Final = 1.5
+"""Least radius of such a star: the pixels next to it."""
 DEFAULT_WIDTH_PX: Final = 0.9
+"""PSF sigma of a frame that states none: a critically sampled camera. It only sets the radius of masks."""
 PIXEL_SIGMA_PX: Final = 12.0**-0.5
-"""Stars of the list hide pixels where they are brighter than this share of the noise, and at least those next to them."""
+"""Second moment of a unit square, as a width."""
 
 SHIFTS: Final = (-1.0, -0.5, 0.0, 0.5, 1.0)
 """Displacements across the trail in PSF widths at which the filter looks: the best of them counts, as in a search."""
 
 REACH_WIDTHS: Final = 4.0
+"""Pixels farther away than this have less than exp(-8) = 3e-4 of the peak."""
 MOST_FRAMES: Final = 2
+"""Whole frames used, the first and the last: a limit of memory."""
 DEFAULT_THRESHOLD: Final = 7.2
 """Threshold of the default detector, for a downlink without a region from which it could be read."""
 

@@ -13,6 +13,7 @@ from sboc_e2e.icd import validate
 from sboc_e2e.icd.errors import ContractError
 
 NOT_DETECTED = -1
+"""No category: categories count from 0."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

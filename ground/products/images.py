@@ -27,6 +27,7 @@ DIRECTIONS: Final = (
     "and differ from it by up to 21 arcsec."
 )
 BLANK: Final = -(2**31)
+"""Value of pixels that were not sent, FITS keyword BLANK: the least int32, which no camera counts."""
 LARGEST_BOX_PX: Final = 512 * 512
 """A region in a larger box is written strip by strip: of the box of a trail from corner to corner next to nothing was sent."""
 

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from sboc_e2e.icd.products import StreakMeasurement
 
 FEWEST_FRAMES: Final = 8
+"""A sine, a mean and a frequency take four; twice as many leave some to judge them by. Chosen, not measured."""
 FALSE_ALARM: Final = 0.01
 """A period is given when noise alone would show as high a peak in one of a hundred tracklets."""
 

@@ -13,7 +13,7 @@ from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import OrbitEstimate
 from sboc_e2e.icd.version import CONTRACT_VERSION
 
-_ORBITS_AT_ONCE: Final = 64
+_ORBITS_AT_ONCE: Final = 64  # of 256 samples each: 16,384 rows in memory at once
 
 
 def orbit_samples_tables(orbits: Sequence[OrbitEstimate], headers: Sequence[FrameHeader]) -> Iterator[Table]:

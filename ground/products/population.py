@@ -31,6 +31,7 @@ from ground.population.injection import (
 )
 from ground.records import GroundProducts
 from ground.sky.rotation import matrix_of
+from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.icd.frame import FrameHeader, NominalCamera
@@ -38,7 +39,7 @@ from sboc_e2e.icd.products import FrameSolution
 from sboc_e2e.icd.version import CONTRACT_VERSION
 
 SEED: Final = 20270129
-PIXEL_VARIANCE_PX2: Final = 1.0 / 12.0
+"""Any number: fixed, so that the same products always give the same flux."""
 
 COLUMNS: Final = (
     ("from_m", "m", "smallest diameter of the class"),

@@ -47,6 +47,7 @@ COUNTERS: Final = (
 """Fields of `Housekeeping` that `frames.ecsv` has: name, unit, meaning."""
 
 GRID_LINES: Final = 9
+"""Enough for a reader to interpolate the distortion; chosen, not measured. `GRID_TEXT` and docs state it."""
 GRID_TEXT: Final = (
     "9 x 9 pixels, evenly spaced from corner to corner, row by row, at mid-exposure of their rows; NaN where unsolved"
 )
@@ -54,7 +55,9 @@ GRID_DECIMALS: Final = 9
 """Of degrees: 4 micro-arcseconds."""
 
 FRAMES_AT_ONCE: Final = 64
+"""Rows in memory at once; a limit of memory."""
 STREAKS_AT_ONCE: Final = 4096
+"""Rows in memory at once; a limit of memory."""
 
 CROSSINGS: Final = (
     "SINGLE_FRAME with EDGE0 and EDGE1 is an object that crossed the field within one exposure; its speed is unknown: "

@@ -1,8 +1,8 @@
 """Companion table of a tracking message: errors and origin of each direction, for which the message has no fields.
 
 The rows are the angles of the message, in its order, with its epochs. Errors of two rows i and j of one tracklet:
-along the motion ``shared[i] @ shared[j]`` where both are of one `shared_group`, and along as well as across ``pointing[i]
-pointing[j]`` where both are of one frame, across also ``turning[i] turning[j]``; all else is each row's own.
+along the motion ``shared[i] @ shared[j]`` where both are of one `shared_group`, of middles also across, and along as well as
+across ``pointing[i] pointing[j]`` where both are of one frame, across also ``turning[i] turning[j]``; all else is each row's own.
 
 Sigmas are standard deviations; 1.96 of them hold 95 %. Errors of faint ends have heavy tails: their 68 % interval is narrower.
 """

@@ -18,7 +18,9 @@ BIN_SNR: Final = 5.0
 """Neighbouring bins of a fit's light curve are joined until the median one has this S/N."""
 
 FEWEST_BINS: Final = 4
+"""Fewer bins say less than the streak's magnitude and slope; chosen, not measured."""
 STREAKS_AT_ONCE: Final = 512
+"""Streaks in memory at once, of up to 200 bins each; a limit of memory."""
 
 COLUMNS: Final = (
     ("frame", "i8", None, "frame number, 0-based"),

@@ -17,10 +17,10 @@ Array = NDArray[np.float64]
 Place = Callable[[NDArray[np.int64]], Array]
 """Where the sensor was, (n, 3) km, GCRS axes, at TAI epochs (n,) ns."""
 
-_HALF_STEP_S: Final = 0.5
-_CLIP_SIGMA: Final = 4.5
-_ROUNDS: Final = 8
-_FEWEST_TRACKS: Final = 3
+_HALF_STEP_S: Final = 0.5  # half the step of the central difference for the rate; at 0.1 deg/s it errs by 1e-7 of the rate
+_CLIP_SIGMA: Final = 4.5  # a right direction in 150,000 is beyond it on each axis
+_ROUNDS: Final = 8  # rounds of weights and clipping, after which they have settled; chosen, not measured
+_FEWEST_TRACKS: Final = 3  # one track gives three numbers to three unknowns; three show the scatter between tracks
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

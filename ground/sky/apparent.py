@@ -5,7 +5,7 @@ the Sun and aberration by the observer's barycentric velocity, Earth's (`epv00`)
 Parallax is left out (catalogue parallaxes are unknown; 0.05 arcsec at 20 pc).
 """
 
-from typing import Any
+from typing import Any, Final
 
 import erfa
 import numpy as np
@@ -17,14 +17,20 @@ from sboc_e2e.icd.tai import to_jd_parts
 
 Array = NDArray[np.float64]
 
-TT_MINUS_TAI_DAYS = 32.184 / 86400.0
-EARTH_GM_M3_S2 = 3.986004418e14
+TT_MINUS_TAI_DAYS: Final = float(erfa.TTMTAI / erfa.DAYSEC)
+"""32.184 s, exact (IAU 1991, recommendation IV)."""
+EARTH_GM_M3_S2: Final = 3.986004418e14
+"""IERS Conventions (2010), table 1.1, TCG-compatible. The TDB-compatible value is smaller by 1.5e-8 of it."""
+EARTH_RADIUS_KM: Final = float(erfa.eform(1)[0] / 1e3)
+"""6378.137: semi-major axis of the WGS 84 ellipsoid. Published heights are above a sphere of this radius."""
+EARTH_SPIN_RAD_S: Final = 7.292115e-5
+"""Nominal mean angular velocity, IERS Conventions (2010), table 1.2. The length of the day varies it by some 1e-8 of it."""
 
 
 def jyear_of(tai_ns: int) -> float:
     """Julian epoch (TT, which is TDB to 2 ms)."""
     day, fraction = to_jd_parts(tai_ns)
-    return 2000.0 + ((day - 2451545.0) + fraction + TT_MINUS_TAI_DAYS) / 365.25
+    return 2000.0 + ((day - erfa.DJ00) + fraction + TT_MINUS_TAI_DAYS) / erfa.DJY
 
 
 def mid_frame_tai_ns(header: FrameHeader) -> int:

@@ -24,6 +24,7 @@ from sboc_e2e.icd.products import FrameSolution, StreakFit, StreakMeasurement
 Array = NDArray[np.float64]
 
 SHORTEST_PX: Final = 3.0
+"""Shorter trails do not bend by anything that matters: the sagitta goes with the square of the length."""
 LINE_BESIDE_CHORD: Final = 2.0 / 3.0
 """Mean height of a flat arc, in units of its sagitta."""
 MOST_BY_SAGITTA: Final = 5.0 / 6.0

@@ -6,12 +6,10 @@ from numpy.typing import NDArray
 
 from ground.sky.sphere import spherical_deg, unit_vectors
 
-J2000_JD = 2451545.0
-
 
 def frame_bias() -> NDArray[np.float64]:
     """Matrix (3, 3) with ``eme2000 = matrix @ gcrs`` (ERFA `bp06`)."""
-    bias, _, _ = erfa.bp06(J2000_JD, 0.0)
+    bias, _, _ = erfa.bp06(erfa.DJ00, 0.0)
     return np.asarray(bias)
 
 

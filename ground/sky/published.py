@@ -4,12 +4,14 @@ An Earth-orbiting target moves with the Earth around the Sun, so annual aberrati
 de-aberrated direction is 20.7 arcsec off at the anti-Sun point. Light time is left to the orbit.
 """
 
+import erfa
 import numpy as np
 from numpy.typing import NDArray
 
 Array = NDArray[np.float64]
 
-LIGHT_M_S = 299_792_458.0
+LIGHT_M_S = float(erfa.CMPS)
+"""299,792,458 m/s, exact (SI)."""
 
 
 def without_observer_aberration(apparent: Array, velocity_m_s: Array) -> Array:

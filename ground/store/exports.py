@@ -20,9 +20,10 @@ from ground.store.store import ObjectStore, StoredOrbit
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
 
-_OEM_STEP_S: Final = 300.0
-_MEAN_STATES: Final = 97
+_OEM_STEP_S: Final = 300.0  # nineteen states in a low revolution, for the interpolation of degree 7 that the message asks for
+_MEAN_STATES: Final = 97  # every 15 minutes of a day, and the middle is one of them
 _LARGEST_MEAN_KM: Final = 50.0
+"""SGP4 is good to some kilometres over a day; beyond this it describes another orbit. Chosen, not measured."""
 
 
 def forces_of(orbit: StoredOrbit) -> ForceModel:

@@ -26,7 +26,7 @@ STATUS: Final = ("active", "lost", "retired", "merged")
 STATES: Final = ("accepted", "ambiguous", "rejected")
 _CHUNK: Final = 400
 """Values of an IN clause: SQLite allows 999."""
-_BUSY_S: Final = 60
+_BUSY_S: Final = 60  # how long a writer waits for another before the user is told. Chosen, not measured
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -39,6 +39,7 @@ CURVED_WIDTHS: Final = 40.0
 """Shorter trails (in widths) are straight."""
 
 SEARCH_PIXELS: Final = 2000
+"""A budget of work: the search only starts the fit, which uses all pixels. Chosen, not measured."""
 SEARCH_BLOCK_PX: Final = 0.5
 """The line is searched in at most about this many values: pixels, or of longer trails means over blocks this wide."""
 

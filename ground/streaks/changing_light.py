@@ -18,6 +18,7 @@ from ground.streaks.light_curve import LightCurve
 Array = NDArray[np.float64]
 
 MOST_ORDERS: Final = 24
+"""A budget of work, reached at 96 bins (`BINS_EACH`). Chosen, not measured."""
 BINS_EACH: Final = 4
 """Bins for each term of the series, at least."""
 LEAST_LIGHT: Final = 0.05

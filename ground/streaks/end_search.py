@@ -18,6 +18,7 @@ DROP: Final = 16.0
 """Natural-log drop from the best segment beyond which an end is not looked for."""
 
 KEEP_EDGE_PROBABILITY: Final = 0.01
+"""Probability of the edge below which the detector's word is not taken; see `SET_EDGE_PROBABILITY`. Chosen, not measured."""
 SET_EDGE_PROBABILITY: Final = 0.5
 """A trail that the detector says leaves the image is believed unless the pixels say otherwise, and the reverse."""
 

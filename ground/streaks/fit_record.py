@@ -21,6 +21,8 @@ from sboc_e2e.icd.products import StreakFit, StreakPixels
 from sboc_e2e.icd.signals import Detection
 
 SHARP: Final = 0.75
+"""Fitted over expected width below which a trail is COSMIC_LIKE, if by three sigmas: particles have no PSF. Chosen, not
+measured."""
 WIDE: Final = 1.2
 """Fitted over expected width below or above which a trail is COSMIC_LIKE or DEFOCUSED, if by three sigmas."""
 
@@ -99,6 +101,7 @@ def reversed_ends(fit: StreakFit) -> StreakFit:
         period_fraction=fit.period_fraction,
         failure=fit.failure,
         flash_e=fit.flash_e,
+        track_frames=fit.track_frames,
     )
 
 

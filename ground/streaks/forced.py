@@ -2,9 +2,14 @@
 
 Below S/N 7 a frame alone puts the ends anywhere: on a peak of the noise, a third of the way along. The track knows them from all
 of its frames. So ends and direction are taken as given here; brightness and the place across the trail are the frame's own.
+
+A track of points rests on many more frames than come down. It knows places and rate better than all frames that do, so
+that only the brightness is measured. The measurement is linear and keeps what noise has made negative: a mean of
+fluxes from which the negative ones are missing is too bright.
 """
 
 import math
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -24,20 +29,16 @@ from sboc_e2e.icd.signals import Detection
 FORCED_SNR: Final = 7.0
 """Members of tracks that are fainter than this in their own frame are measured so."""
 
-LEAST_PLACED_SNR: Final = 2.5
-"""A frame in which a track of points is fainter says nothing of its place: the largest noise within ACROSS_PX is as high."""
-
-SENT_FRAMES: Final = 7
-"""Frames of such a track that come down: the window of the on-board tracker."""
-
 END_LAW: Final = 5.1
 """Ends of the most likely change points err by sqrt(26) L / S^2, S of the whole track."""
 
 LEAST_END_PX: Final = 0.5
+"""Floor of the ends' blur: the foretold place errs by this much for other causes. Chosen, not measured."""
 ACROSS_PX: Final = 2.5
 """A frame may put its trail so far across from where the track has it; what goes farther is noise or a star."""
 
 ITERATIONS: Final = 8
+"""One or two linear parameters from a near start; chosen, not measured."""
 
 
 def forced_fit(pixels: StreakPixels, detection: Detection, track_snr: float) -> StreakFit:
@@ -46,9 +47,8 @@ def forced_fit(pixels: StreakPixels, detection: Detection, track_snr: float) -> 
     frame, half = TrailFrame.of_chord(detection.row0, detection.col0, detection.row1, detection.col1), 0.5 * length
     edges = (StreakFlag.EDGE0 in detection.flags, StreakFlag.EDGE1 in detection.flags)
     along = max(END_LAW * length / max(track_snr, 1.0) ** 2, LEAST_END_PX)
-    foretold = StreakFlag.POINT_LIKE in detection.flags and detection.snr < LEAST_PLACED_SNR
-    if foretold:
-        along = track_error_px(width, track_snr)
+    if StreakFlag.POINT_LIKE in detection.flags:
+        return _foretold(pixels, detection, frame, edges, width, track_snr)
     blur = (0.0 if edges[0] else along, 0.0 if edges[1] else along)
     near = usable_pixels(pixels, frame, 5.0 * width + ACROSS_PX).near(math.inf)
     if near.u.size < 8:
@@ -61,18 +61,43 @@ def forced_fit(pixels: StreakPixels, detection: Detection, track_snr: float) -> 
     if not line.regular:
         raise NoTrailError(Reason.NO_SOURCE)
     placed = score(near, line.parameters, (DENSITY, V_MID), half_px=half, blur_px=blur, iterations=ITERATIONS)
-    if not foretold and placed.regular and abs(placed.parameters[V_MID]) < ACROSS_PX:
+    if placed.regular and abs(placed.parameters[V_MID]) < ACROSS_PX:
         line = placed
-    return _record(pixels, detection, line, edges, along, crosses, foretold=foretold)
+    across = math.sqrt(line.covariance[V_MID, V_MID]) if V_MID in line.free else ACROSS_PX / math.sqrt(3.0)
+    return _record(pixels, detection, line, edges, along, across, crosses)
 
 
 def track_error_px(width_px: float, track_snr: float) -> float:
-    """Error of a place, in either direction, that a track of points foretells for one of its last frames.
+    """Error of a place, in either direction, that a track of points foretells for the last frame of its window.
 
-    A point's place errs by sqrt(2) width / S along an axis in the middle of its window, and twice that at the ends. The frames
-    that are sent, some seven, share this error, and are stated so wide that their mean errs by it.
+    A point's place errs by sqrt(2) width / S along an axis in the middle of the window, and by twice that at its ends.
     """
-    return math.sqrt(SENT_FRAMES) * 2.0 * math.sqrt(2.0) * width_px / max(track_snr, 1.0)
+    return 2.0 * math.sqrt(2.0) * width_px / max(track_snr, 1.0)
+
+
+def _foretold(
+    pixels: StreakPixels,
+    detection: Detection,
+    frame: TrailFrame,
+    edges: tuple[bool, bool],
+    width_px: float,
+    track_snr: float,
+) -> StreakFit:
+    """The light of a point where its track foretells it; the light's width includes what the place may be off."""
+    error = track_error_px(width_px, track_snr)
+    half, blur = 0.5 * max(detection.length_px, 1.0), (0.0 if edges[0] else error, 0.0 if edges[1] else error)
+    near = usable_pixels(pixels, frame, 5.0 * width_px + ACROSS_PX).near(math.inf)
+    if near.u.size < 8:
+        raise NoTrailError(Reason.NO_LINE)
+    start = uniform_trail(0.0, half, edges, math.hypot(width_px, error))
+    line = score(near, start, (DENSITY,), half_px=half, blur_px=blur, iterations=ITERATIONS)
+    if not (np.isfinite(line.parameters).all() and line.covariance[DENSITY, DENSITY] > 0.0):
+        raise NoTrailError(Reason.SINGULAR)
+    fit = _record(pixels, detection, line, edges, error, error, crosses=False)
+    # each frame has the same share of the track's S/N squared
+    frames = round((track_snr / max(detection.snr, 1e-3)) ** 2)
+    lit = line.parameters[DENSITY] > 0.0
+    return replace(fit, snr=fit.snr if lit else 0.0, track_frames=float(max(frames, 1)))
 
 
 def _record(
@@ -81,15 +106,12 @@ def _record(
     line: LineFit,
     edges: tuple[bool, bool],
     along_px: float,
+    across_px: float,
     crosses: bool,
-    *,
-    foretold: bool,
 ) -> StreakFit:
     """The product record: ends of the track, moved across to where the frame has the trail."""
     frame, p, c = line.pixels.frame, line.parameters, line.covariance
     length, density = 2.0 * line.half_px, float(p[DENSITY])
-    across = math.sqrt(c[V_MID, V_MID]) if V_MID in line.free else ACROSS_PX / math.sqrt(3.0)
-    across = along_px if foretold else across
     slope = known_width.flux_slope(density, float(np.median(line.pixels.variance_e2)), math.exp(p[LN_WIDTH]))
     free = np.diag([0.0 if edge else along_px**2 for edge in edges])
     interval = np.array([[-1.0, 1.0], [-1.0, 1.0]]) * np.sqrt(np.diag(free))[:, None]
@@ -97,9 +119,9 @@ def _record(
     return in_pixel_order(
         StreakFit(
             **ends_in_pixels(frame, (-line.half_px, line.half_px), (float(p[V_MID]), float(p[V_MID]))),
-            covariance_px2=pixel_covariance(frame, free, np.full((2, 2), across**2)),
+            covariance_px2=pixel_covariance(frame, free, np.full((2, 2), across_px**2)),
             end_interval_px=interval,
-            sigma_cross_px=across,
+            sigma_cross_px=across_px,
             flux_e=density * length,
             flux_err_e=math.hypot(math.sqrt(c[DENSITY, DENSITY]), density * slope * known_width.PRIOR) * length,
             snr=line.snr,

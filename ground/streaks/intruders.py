@@ -31,6 +31,7 @@ MOST_MASKED: Final = 0.35
 """A larger share of the trail masked means that the model, not the sky, is at fault; then nothing is masked."""
 
 MEDIAN_WIDTHS: Final = 21
+"""Slices of the running median, one PSF width each: a star covers some six, less than half, and does not move it."""
 MEDIAN_SNR: Final = 2.0
 """Slices (one PSF width each) of the running median, and the S/N of a slice from which it replaces the smooth model."""
 

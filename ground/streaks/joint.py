@@ -40,6 +40,7 @@ SAMPLES: Final = 4096
 """Draws of the motion in each round (a Sobol sequence: the same numbers every time)."""
 
 ROUNDS: Final = 5
+"""A budget of work: the search stops before it once `EFFECTIVE_SAMPLES` is reached. Chosen, not measured."""
 EFFECTIVE_SAMPLES: Final = 400.0
 """The proposal is re-centred until the weights are equivalent to this many independent draws."""
 

@@ -15,6 +15,7 @@ BIN_SNR: Final = 2.0
 """Least S/N of one bin: fewer, longer bins for fainter trails."""
 
 MOST_BINS: Final = 200
+"""A limit of the size of a record: bins become longer on longer trails. Chosen, not measured."""
 SLACK: Final = 1.3
 """The power of a period may be this much higher than that of the plain spectrum."""
 

@@ -21,6 +21,7 @@ LEAST_WIDTHS: Final = {SAGITTA: CURVED_WIDTHS, Q1: 10.0, Q2: 20.0, LN_WIDTH: 0.0
 """Trails shorter than this many widths cannot tell a candidate from misplaced ends; natural curvature is nil there."""
 
 SHORT_WIDTHS: Final = 30.0
+"""Length in widths below which brightness needs `SHORT_EVIDENCE`. Chosen, not measured."""
 SHORT_EVIDENCE: Final = 25.0
 """Chi-square that brightness must be worth on trails shorter than this many widths: there it trades with the place of an end,
 and one gradient in a hundred that noise made costs as much as all other errors of the ends together."""

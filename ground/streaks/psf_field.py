@@ -18,6 +18,7 @@ from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
 
 PRIOR_OFFSET: Final = 0.05
+"""Prior sigma of a, the width over the nominal one at the centre. Chosen, not measured."""
 PRIOR_GROWTH: Final = 0.15
 """Prior sigmas of a and b."""
 
@@ -25,7 +26,9 @@ SCATTER: Final = 0.02
 """Of single trails about the field, beyond their errors."""
 
 LEAST_SNR: Final = 12.0
+"""A fainter trail tells its width to worse than 12 % (sqrt(2) over S/N), six times `SCATTER`."""
 OUTLIER_SIGMAS: Final = 3.5
+"""One trail in 2,000 of a normal distribution is beyond it; tumbling and defocused ones are."""
 
 UNFIT: Final = (
     StreakFlag.FIT_FAILED | StreakFlag.COSMIC_LIKE | StreakFlag.DEFOCUSED | StreakFlag.SATURATED | StreakFlag.STATIC

@@ -49,7 +49,9 @@ EDGE_REACH_PX: Final = 20.0
 """An end flagged as the image's edge but farther than this from it is an ordinary end."""
 
 INTRUDER_ROUNDS: Final = 3
+"""Fit and mask follow each other until the mask stays; a budget of work. Chosen, not measured."""
 WIGGLE_ROUNDS: Final = 3
+"""Offsets and fit follow each other; a budget of work. Chosen, not measured."""
 SERIES_ROUNDS: Final = 2
 """Brightness that changes, and ends, one after the other."""
 

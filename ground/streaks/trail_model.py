@@ -24,6 +24,7 @@ PIXEL_VARIANCE_PX2: Final = 1.0 / 12.0
 """Second moment of a unit square along any direction."""
 
 N_PARAMETERS: Final = 9
+"""As many as the names below."""
 DENSITY, END0, END1, V_MID, SLOPE, SAGITTA, Q1, Q2, LN_WIDTH = range(N_PARAMETERS)
 """Order of the parameter vector: e-/px along the trail, px, px, px, px per half length, px, -, -, ln px."""
 

@@ -28,6 +28,7 @@ MEETING_CHI2: Final = 16.3
 MEETING_KM_S: Final = 0.3
 """Change of velocity up to which a meeting of two orbits may be a manoeuvre."""
 MEETING_EPOCHS: Final = 200
+"""A budget of work: between two epochs the orbits' passing counts as error, so that no meeting is missed."""
 MOST_TURNS: Final = 8
 """Between the first and the last of three tracklets: four days of a navigation orbit."""
 

@@ -30,6 +30,7 @@ Array = NDArray[np.float64]
 
 MADE_BY: Final = "sboc objects update"
 TRACKLETS_AT_ONCE: Final = 250
+"""Tracklets given to a process at once: large against the cost of sending, small against a night's. Chosen, not measured."""
 PARALLEL_FROM: Final = 200
 """Objects from which on further processes gain more than their start costs."""
 
@@ -102,8 +103,10 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
     """
     options = options or UpkeepOptions()
     since = now_tai_ns - round(options.window_days * tai.NS_PER_DAY)
-    divided = _divide(store, store.unproven_merges(), "merged before", now_tai_ns, options)
-    _divide(store, store.without_orbit(), "no orbit before", now_tai_ns, options)
+    divided = [
+        _divide(store, store.unproven_merges(), "merged before", now_tai_ns, options),
+        _divide(store, store.without_orbit(), "no orbit before", now_tai_ns, options),
+    ]
     new = store.uncorrelated(since, now_tai_ns)
     data = {k: directions_of(t) for k, t in new.items()}
     status, known = _in_service(store, options)
@@ -136,6 +139,7 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
     renewed, refused, doubtful = correlated()
     # a tracklet that an object's orbit predicts and its tracklets refuse: they may be of two objects
     again = _divide(store, refused, "a new tracklet met its prediction and no fit", now_tai_ns, options)
+    divided.append(again)
     if again.changed:
         status, known = _in_service(store, options)
         freed = {k: directions_of(t) for k, t in store.uncorrelated(since, now_tai_ns).items() if k not in data}
@@ -165,9 +169,7 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
             for number in numbers:
                 writer.set_status(number, name, by=MADE_BY, at_tai_ns=now_tai_ns, why=why)
     if merges:
-        merged = _divide(store, store.unproven_merges(), "merged before", now_tai_ns, options)
-    else:
-        merged = _Divided()
+        divided.append(_divide(store, store.unproven_merges(), "merged before", now_tai_ns, options))
     return NightReport(
         correlated=sum(len(one.accepted) for one in renewed),
         ambiguous=len({t for t, _, _ in doubtful}),
@@ -176,8 +178,8 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
         refused=len(refused),
         made=len(made) - len(merges),
         merged=len(merges),
-        split=divided.split + again.split + merged.split,
-        released=divided.released + again.released + merged.released,
+        split=sum(one.split for one in divided),
+        released=sum(one.released for one in divided),
         reacquired=len(found_again),
         lost=len(lost),
         retired=len(retired),

@@ -22,13 +22,16 @@ Array = NDArray[np.float64]
 NODES_PER_ORBIT: Final = 24
 """Cubic Hermite polynomials between them err by (2 pi / 24)^4 / 384 = 1.2e-5 of the radius."""
 LONGEST_NODE_S: Final = 3600.0
+"""Bound for orbits of more than a day: 24 nodes a day."""
 NEAR_RAD: Final = 2e-3
 """Added to the sieve's radius of six sigma: for the polynomials and the directions' own errors."""
 WIDEST_RAD: Final = 0.5
+"""29 deg: an error as large as the range says nothing; nothing wider is searched."""
 PUSH_KM2_S3: Final = 1e-18
 """Power density of accelerations that the forces leave out: 1e-8 m/s^2 (a tenth of the light's push on 0.02 m^2/kg) that changes
 from hour to hour have 1e-22 km^2/s^4 * 2 h, about 7e-19. After a day it adds 15 m, after ten days 0.5 km."""
 ORBITS_AT_ONCE: Final = 500
+"""Orbits given to a process at once: large against the cost of sending, small against a catalogue. Chosen, not measured."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

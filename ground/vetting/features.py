@@ -6,11 +6,9 @@ from typing import Final
 
 import numpy as np
 
+from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
-
-PIXEL_VARIANCE_PX2: Final = 1.0 / 12.0
-"""Second moment of a pixel: the width of light that has none of its own."""
 
 LEAST_BINS: Final = 4
 """Least number of bins of a light curve for lumpiness."""
@@ -19,6 +17,7 @@ SECOND_DIFFERENCE: Final = 6.0
 """Variance of a second difference of independent values, over theirs: 1 + 4 + 1."""
 
 ALIGNED_DEG: Final = 0.7
+"""Angle from a row or column within which a trail is aligned: a pixel in 80. Chosen, not measured."""
 ALIGNED_LENGTH_PX: Final = 15.0
 """Longer trails within this angle of a row or column count as aligned."""
 

@@ -20,8 +20,10 @@ from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
 
 ITERATIONS: Final = 40
+"""Class probabilities and the frame's rates in turn: a budget of work. Chosen, not measured."""
 
 UNKNOWN_PSF_SIGMA_PX: Final = 1.2
+"""PSF sigma where neither stars nor a camera tell it. Cameras sample their PSF: FWHM of 1.4 to 6 px."""
 UNKNOWN_LN_PSF: Final = 0.7
 """PSF sigma where neither stars nor a camera tell it, and one sigma of its logarithm: half to twice, cameras being sampled."""
 
@@ -61,27 +63,34 @@ LOOK_ALIKE_OVER_FLAT: Final = math.log(800.0 / 5.0) * math.log(400.0 / 1.7) / (2
 """Peak of that Gaussian over the flat density, which reaches over the borders of the histograms."""
 
 UNMODELLED_PER_FRAME: Final = 0.2
+"""Expected trails of a kind not modelled: chosen, not measured; it matters only where `LN_UNMODELLED` competes."""
 LEAST_UNMODELLED_SNR: Final = 50.0
+"""So bright that noise and chance do not make it; chosen, not measured."""
 LEAST_UNMODELLED_WIDTHS: Final = 40.0
+"""So long that no blend of stars or galaxy is; chosen, not measured."""
 LEAST_EDGE_TO_EDGE_WIDTHS: Final = 12.0
 """Least length in widths of a trail from border to border, whose whole length is not in the frame."""
 LEAST_UNMODELLED_PIECE_SNR: Final = 15.0
 """S/N of each piece as long as the trail is wide, against the residuals that the fit itself leaves: rows of stars and slopes of
 the background are lines of high S/N as a whole, and leave larger residuals."""
 LEAST_UNMODELLED_SHARPNESS: Final = -0.25
+"""Of ln width: what is a fifth narrower than the optics is a particle or a column. Chosen, not measured."""
 LN_UNMODELLED: Final = -7.5
 """Trails of a kind not modelled: as bright and as many widths long, no sharper than the optics. Inside these limits any width,
 texture, length and S/N are as likely as others; the density is of the four histograms together: 4 of 14 bins of S/N, 4 of 11
 of length, all of chi-square and 4 of 9 of lumpiness."""
 
 LUMPIEST: Final = 0.7
+"""Largest lumpiness of such a trail: rows of stars have more. Chosen, not measured."""
 EDGE_TO_EDGE: Final = StreakFlag.EDGE0 | StreakFlag.EDGE1
 READOUT_WIDTHS: Final = 2.5
+"""Largest extent across, in widths (or px), of a line on one row or column; see `READOUT_SPAN`. Chosen, not measured."""
 READOUT_SPAN: Final = 0.7
 """A line that stays within `READOUT_WIDTHS` of its widths on one row or column, over this share of the frame, comes from the
 readout."""
 
 NEVER: Final = -1e3
+"""Log density of what is excluded: exp(-1000) is 0, and no infinity enters differences."""
 
 LEAST_ELONGATION: Final = 4.0 * 2.355
 """Least ratio of length to width (sigma) at which a trail differs from blended stars or a galaxy if no star shows the PSF."""

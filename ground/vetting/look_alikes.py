@@ -14,7 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.guard import guarded, probabilities_of
-from ground.vetting.features import PIXEL_VARIANCE_PX2
+from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
+from ground.vetting.features import LEAST_BINS
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.products import StreakFit
 from sboc_e2e.icd.steps import Vetter
@@ -37,18 +38,21 @@ SHORTEST_ALONE_PX: Final = 25.0
 """Blends of stars look like trails up to this length in a frame that was held against no other frame of the same sky."""
 
 LEAST: Final = 1e-12
+"""Keeps the odds finite."""
 
 
 def look_alikes_near(fits: Sequence[StreakFit], look_alikes: NDArray[np.float64]) -> NDArray[np.float64]:
     """Expected look-alikes for each unit of ln S/N and ln length about each fit, shape (n,).
 
-    look_alikes : (k, 3) S/N, length and width (sigma, px; that of a pixel included).
-    One counts in full for fits that are fainter than itself, for false lines are the more frequent the fainter they are.
+    look_alikes : (k, 4) S/N, length, width (sigma, px; that of a pixel included) and evenness, 0 to 1.
+    One counts in full for fits that are fainter than itself, for false lines are the more frequent the fainter they are. S/N is
+    that of the median light along the line, of fits as of look-alikes: what one clump of light makes bright is like no trail.
     """
     if not fits or not len(look_alikes):
         return np.zeros(len(fits))
-    place = np.log([(max(fit.snr, 1e-3), max(fit.length_px, 0.1)) for fit in fits])
-    known = np.log(np.maximum(look_alikes, 1e-3))
+    place = np.log([(max(fit.snr * evenness_of(fit), 1e-3), max(fit.length_px, 0.1)) for fit in fits])
+    even = look_alikes[:, :3] * np.column_stack((look_alikes[:, 3], np.ones((len(look_alikes), 2))))
+    known = np.log(np.maximum(even, 1e-3))
     apart = (place[:, None] - known[None, :, :2]) / KIND
     width = 0.5 * np.log([fit.width_px**2 + PIXEL_VARIANCE_PX2 for fit in fits])
     other = (width[:, None] - known[None, :, 2]) / np.hypot(KIND_WIDTH, WIDTH_ERROR / np.maximum(look_alikes[:, 0], 1.0))
@@ -57,11 +61,19 @@ def look_alikes_near(fits: Sequence[StreakFit], look_alikes: NDArray[np.float64]
     return np.asarray(peak * np.exp(-0.5 * (np.sum(apart**2, axis=-1) + other**2)).sum(axis=1), dtype=np.float64)
 
 
+def evenness_of(fit: StreakFit) -> float:
+    """Median of the light along a trail over its mean, 0 to 1; 1 of fits with too few bins to tell."""
+    curve = fit.light_curve_e_px
+    if curve.size < LEAST_BINS or not curve.mean() > 0.0:
+        return 1.0
+    return min(max(float(np.median(curve) / curve.mean()), 0.0), 1.0)
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class OwnEvidence:
     """What a frame itself says of its false lines.
 
-    look_alikes : (k, 3) S/N, length and width (px) of lines that cannot be real.
+    look_alikes : (k, 4) S/N, length, width (px) and evenness of lines that cannot be real.
     alone : it was held against no other frame of the same sky, so that stars are not told from what moves.
     seen : first and last row, first and last column in which a pixel saw the sky; None: all of them.
     """

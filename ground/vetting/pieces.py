@@ -18,7 +18,9 @@ BROAD: Final = 2.0
 """Least width of a piece over that of the PSF."""
 
 LEAST_SNR: Final = 50.0
+"""Fainter pieces are not told from a slope of the background; chosen, not measured."""
 LEAST_WIDTHS: Final = 8.0
+"""Least length over width of a piece, which gives its direction; chosen, not measured."""
 BESIDE_WIDTHS: Final = 1.5
 """How far the ends of a piece may lie from the line of the others."""
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from sboc_e2e.icd.products import StreakFit
 
 SAME_TRAIL_WIDTHS: Final = 3.0
+"""Distance from the line, in widths, within which a fit lies in the brighter one's light: 0.3 % of it is beyond."""
 SUPPORTS_ABOVE: Final = 0.1
 """Least probability of the brighter fit for which a fit in its light counts as the same trail."""
 

@@ -9,8 +9,9 @@ from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection
 
 SAME_PLACE_PX = 1.5
+"""For all others, whose ends scatter; more takes slow objects for static ones. Chosen, not measured."""
 
-WELL_PLACED_SNR = 25.0
+WELL_PLACED_SNR = 25.0  # sqrt(2) x 0.87 px / 25 = 0.05 px
 SAME_PLACE_WELL_PLACED_PX = 0.8
 """For points from this S/N on, whose places err by 0.05 px: an object that moves by a pixel from frame to frame is not static."""
 

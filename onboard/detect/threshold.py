@@ -23,7 +23,7 @@ FAINT_STARS_PX: Final = 8.0
 PIECE_PX: Final = 32
 """Pixels of a row that are looked at one by one only when some of them exceed the threshold."""
 
-FLAT: Final = 0.00694
+FLAT: Final = 0.00694  # 1 / 144, the determinant of a pixel's own moments, 1 / 12 each, as SExtractor rounds it
 PIXEL_VARIANCE: Final = 0.0833333
 """Least determinant of a source's second moments, and what is added to both variances below it: SExtractor's constants."""
 

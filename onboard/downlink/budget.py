@@ -16,7 +16,7 @@ from sboc_e2e.icd.tai import NS_PER_S
 
 SUSPICIOUS = StreakFlag.STATIC | StreakFlag.COSMIC_LIKE | StreakFlag.SPIKE_LIKE
 
-LENGTHS_PX = (4.0, 20.0, 100.0, 500.0)
+LENGTHS_PX = (4.0, 20.0, 100.0, 500.0)  # points end at 4 px, star-like trails at 20 px, and so on by factors of five
 FIELD_PARTS = 3
 """Limits of the kinds of detections by length, and parts of the field along each axis, that have quotas of regions."""
 

@@ -21,7 +21,7 @@ from sboc_e2e.icd.signals import BackgroundModel, Detection, StarList, Strip, Tr
 from sboc_e2e.icd.tai import NS_PER_S
 from sboc_e2e.icd.version import CONTRACT_MAJOR, CONTRACT_MINOR
 
-SEQUENCE_MODULUS = 1 << 14
+SEQUENCE_MODULUS = 1 << 14  # packet sequence counts have 14 bits (CCSDS 133.0-B-2, 4.1.3.4)
 MESH_CODE_LIMIT = 1 << 30
 """Mesh codes are 32 bits, and so are their differences; no sky is further from the dark in units of its noise."""
 

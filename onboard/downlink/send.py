@@ -24,7 +24,7 @@ from sboc_e2e.icd.signals import Detection, DetectorView, RoiGroup, Track
 from sboc_e2e.icd.steps import Encoder
 from sboc_e2e.icd.work import Work
 
-REGION_WORK = 150_000
+REGION_WORK = 150_000  # operations of a region, whatever its length ...
 REGION_WORK_PER_PX = 1_500
 """Operations of a region: its profile over 41 px across, sorted for each, and strips of some 20 px across, cut and coded."""
 

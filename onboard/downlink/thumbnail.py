@@ -11,6 +11,7 @@ BRIGHT_SIGMA = 40.0
 
 
 ROW_STEP = 8
+"""Rows from one that is read to the next in large cells: an eighth of the work for 2.8 times the noise of a cell."""
 
 
 @njit(cache=True)

@@ -17,7 +17,7 @@ from sboc_e2e.icd.flags import MaskBit
 from sboc_e2e.icd.frame import LARGEST_ADU, Calibration, Frame, FrameHeader
 from sboc_e2e.icd.signals import BackgroundModel
 
-ROWS_AT_ONCE = 64
+ROWS_AT_ONCE = 64  # bounds the memory of the search for defects
 LINE_LIMIT_SIGMA = 2.5
 """Values beyond this many sigmas are left out of the means of rows and columns."""
 

@@ -11,7 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-FRACTIONS_PER_ADU: Final = 128
+FRACTIONS_PER_ADU: Final = 128  # rounding errs by 1 / (128 sqrt(12)) = 0.002 ADU; +-64 of them fit a byte
 STEPS_PER_ADU: Final = FRACTIONS_PER_ADU + 1
 """A value of the map is STEPS_PER_ADU * (whole ADU) + fraction: fractions are -64 ... 64, for half an ADU may go either way."""
 

@@ -16,7 +16,7 @@ from onboard.image.background import fill_gaps, straight_neighbourhoods
 STRUCTURED: Final = 4.0
 """Mean square of the tiles' departures over their noise from which a neighbourhood has structure; plain sky shows 1 to 2."""
 
-WEAKER: Final = 2.2
+WEAKER: Final = 2.2  # the weaker limit: plain sky shows 1 to 2
 WIDESPREAD: Final = 0.05
 """Where so large a share of a frame has structure, weaker structure is believed too."""
 
@@ -25,7 +25,7 @@ BENT_SIGMA: Final = 0.12
 leaves an eighth of it between nodes and three eighths at the edge of the frame. Plain sky shows 0.01, slopes 0.02, and 0.05 at
 most in 8,000 neighbourhoods."""
 
-FIT_NODES: Final = 5
+FIT_NODES: Final = 5  # three have a parabola through them, which smooths nothing; seven give their own tile a third only
 APART_SIGMA: Final = 4.0
 """A tile that departs from the parabola by this many sigmas of its mean has light of its own."""
 

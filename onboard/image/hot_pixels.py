@@ -11,11 +11,12 @@ from sboc_e2e.icd.signals import StarList
 SIGHTINGS = 3
 """Number of frames with a sharp peak at one pixel that make it a hot pixel."""
 
-FORGET_FRAMES = 64
+FORGET_FRAMES = 64  # eight sightings' worth of patience. Chosen, not measured
 PATIENCE_FRAMES = 8
 """A candidate is forgotten when it was not seen for 8 frames per sighting, 64 at most: particle hits must not pile up."""
 
 CAPACITY = 50_000
+"""Room for candidates, those seen most first: 1 MB, three in a thousand of 4096 x 4096 pixels."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -21,12 +21,12 @@ ROW_STEP = 8
 FAINT_SIGMA = 0.03
 """Stars are cut out to the radius where their light falls to this share of the noise."""
 
-CLIP_SIGMA = 4.0
-MOST_STAR_RADIUS_PX = 64.0
-LINE_NEIGHBOURS = 65
-LINE_CLIP = 4.0
-LEAST_LINES = 32
-SLOW_OVER_FAST = 4.0
+CLIP_SIGMA = 4.0  # values beyond do not count in the moments of a tile
+MOST_STAR_RADIUS_PX = 64.0  # bounds the time of wide, bright blurs; with a PSF of 1 px a star of S/N 1e6 has 6 px
+LINE_NEIGHBOURS = 65  # of the running median, odd: a tile of the mesh, which follows nothing shorter than two
+LINE_CLIP = 4.0  # largest offset over the scatter of offsets; what is beyond is a trail along the line
+LEAST_LINES = 32  # fewer say nothing of the scatter. Chosen, not measured
+SLOW_OVER_FAST = 4.0  # a quarter of the scatter beyond pixel noise takes the whole slow part out. Chosen, not measured
 CLIPPED_RESPONSE = 1.0 - 2.0 * LINE_LIMIT_SIGMA * math.exp(-0.5 * LINE_LIMIT_SIGMA**2) / (
     math.sqrt(2.0 * math.pi) * math.erf(LINE_LIMIT_SIGMA / math.sqrt(2.0))
 )

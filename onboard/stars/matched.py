@@ -35,20 +35,20 @@ ENOUGH_SETTLED = 0.4
 ENOUGH_POINTS = 0.15
 """... unless at least this share has the shape of a point. Then stars do not move, and trails are objects or particles."""
 
-LEAST_TRAIL_SIGMA = 6.0
-MOST_BRIGHT_TRAILS = 60
-MOST_TRAILS = 60_000
+LEAST_TRAIL_SIGMA = 6.0  # above the 5 of points: a longer sum meets more neighbours. Chosen, not measured
+MOST_BRIGHT_TRAILS = 60  # tried for the fit of the motion: five for each of the 12 that it wants
+MOST_TRAILS = 60_000  # room: a full field, 3,600 per megapixel, of 4096 x 4096 pixels
 
 FITTED_TRAILS = 600
 """Trails that are fitted, the brightest of each of `CELLS` x CELLS parts of the frame in turn; the others keep their pixel."""
 
-CELLS = 8
+CELLS = 8  # parts along either axis, so that a cluster in one leaves stars to 63. Chosen, not measured
 
 MOTION_SHARE = 0.2
 """Share of the work for stars after which the search for a motion of all of them ends."""
 
-LIST_WORK = 1_000.0
-FIT_WORK = 3_500.0
+LIST_WORK = 1_000.0  # operations of an entry of the list ...
+FIT_WORK = 3_500.0  # ... and operations of its fit ...
 LISTED_SHARE = 0.4
 """Operations of an entry of the list (looked up in the frame before, masked or subtracted) and of its fit; and the share of the
 work for stars that is kept for entries."""

@@ -29,7 +29,7 @@ FEWEST_FRAMES = 2
 REACH_PX = 64.0
 """Shift of the pointing from frame to frame that is searched."""
 
-LEAST_SNR = 5.0
+LEAST_SNR = 5.0  # the default threshold of `matched`, for extractors with a lower one
 SAME_STAR_PX = 1.0
 """Entries of different frames closer than this are one star: four sigma of a centroid at S/N 5 and a PSF of 1 px."""
 
@@ -39,7 +39,7 @@ SPOILT_SIGMAS = 6.0
 MARGIN_SIGMAS = 3.0
 """Stars up to this distance outside a strip still shine into it."""
 
-SHORT_PX = 6.0
+SHORT_PX = 6.0  # as short a trail may be listed as a star. Chosen, not measured
 MOVER_PX = 3.0
 """An entry within this distance of a detection that is a point or shorter than `SHORT_PX` may be the detected object itself."""
 

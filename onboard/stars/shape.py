@@ -14,14 +14,14 @@ from numpy.typing import NDArray
 ENOUGH_STARS = 40
 """Fewer good stars than this give one shape for the whole field; fewer than `LEAST_STARS` the nominal one."""
 
-LEAST_STARS = 6
-MOST_STARS = 400
-LEAST_VARIANCE_PX2 = 0.15
+LEAST_STARS = 6  # a median and a scatter of fewer say little. Chosen, not measured
+MOST_STARS = 400  # the brightest; a budget of work. Chosen, not measured
+LEAST_VARIANCE_PX2 = 0.15  # of the polynomials, where no star holds them: 1 / 12 of the pixel and (0.26 px)^2 of light
 
 LIKE_NOMINAL = 1.35
 """Peaks whose width is the nominal one within this factor, and so round, have the shape of a point."""
 
-CLIP_SIGMA = 3.5
+CLIP_SIGMA = 3.5  # of moments: doubles and particles lie beyond. Chosen, not measured
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -16,8 +16,8 @@ from sboc_e2e.icd.signals import StarMotion
 COMPONENT_SHARE: Final = 0.35
 """A trail consists of connected pixels that are brighter than this share of its bright pixel."""
 
-MOST_COMPONENTS: Final = 150
-MOST_PIXELS: Final = 4_000
+MOST_COMPONENTS: Final = 150  # of the brightest peaks; `VOTING` of them are combined. A budget of work, not measured
+MOST_PIXELS: Final = 4_000  # room of a set: the longest trail, 100 px, 40 px wide
 LEAST_PX: Final = 3.0
 """Least length of pieces that are used for the motion."""
 
@@ -27,7 +27,7 @@ VOTE_WORK: Final = 6_000_000
 VOTING: Final = 40
 """Brightest trails that are combined in pairs."""
 
-AGREE_PX: Final = 1.5
+AGREE_PX: Final = 1.5  # error of a vector from a set of pixels, however short. Chosen, not measured
 AGREE_SHARE: Final = 0.1
 """A trail agrees with a motion when its vector is as near as this, plus this share of its length."""
 

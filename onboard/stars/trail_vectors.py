@@ -16,15 +16,15 @@ from sboc_e2e.icd.signals import StarMotion
 REFINED_STARS: Final = 12
 """Trails that are enough for the frame's motion."""
 
-MOST_STEPS: Final = 20
+MOST_STEPS: Final = 20  # a fit that needs more is left out. Chosen, not measured
 SETTLED: Final = 1e-4
 """Relative fall of the sum of squares at which a fit has come to its end."""
 
 MOST_MISFIT: Final = 0.05
 """A trail is fitted when no more than this share of its light, in squares, is left."""
 
-LEAST_WIDTH_PX: Final = 0.2
-LEAST_HALF_PX: Final = 0.5
+LEAST_WIDTH_PX: Final = 0.2  # keeps 1 / width finite; pixels alone have 0.29 px
+LEAST_HALF_PX: Final = 0.5  # keeps the angle defined; shorter ones are points
 
 STEP_WORK: Final = 100
 """Operations of a pixel in one step: two error functions, three exponentials, a normal matrix of six."""

@@ -16,17 +16,17 @@ from onboard.stars.star_motion import longest_px
 from sboc_e2e.icd.flags import StarFlag
 from sboc_e2e.icd.signals import DetectorView, StarMotion
 
-FIT_STEPS: Final = 8
-FIT_WORK: Final = 250.0
-BOX_WORK: Final = 4.0
+FIT_STEPS: Final = 8  # of Gauss-Newton, the first for the flux alone; four are usual
+FIT_WORK: Final = 250.0  # per pixel of it ...
+BOX_WORK: Final = 4.0  # ... per pixel around it ...
 SUM_WORK: Final = 0.25
 """Operations of a trail's fit per pixel of it (four steps) and per pixel around it, and of a step of a sum along the trails."""
 
 BLOCK_PX: Final = 128
 """Side of the parts of a frame that have one trail each when the frame turns."""
 
-UNIT: Final = 16.0
-CLIP_SIGMA: Final = 7.5
+UNIT: Final = 16.0  # steps of the smoothed image in a sigma, as `detect.whiten.UNIT`
+CLIP_SIGMA: Final = 7.5  # with the growth to 1,000 times it 100 px sum to 28,600, which 16 bits hold
 GROWTH: Final = 0.2
 """Above `CLIP_SIGMA` the smoothed image grows as a logarithm, scaled by `GROWTH`. A bright point then lights up no more of a path
 than its own width, and every trail is still brightest in its middle."""
@@ -40,20 +40,20 @@ SHORT_PX: Final = 4.0
 DARK_QUARTER: Final = 0.15
 """A path is a trail if each of its quarters has more than this share of the expected light ..."""
 
-BRIGHT_SIGMA: Final = 3.0
-DARK_END: Final = 0.25
+BRIGHT_SIGMA: Final = 3.0  # S/N of its pixels, below which noise hides what the ends have. Chosen, not measured
+DARK_END: Final = 0.25  # the end of a trail has half of its light in its last pixel, noise aside. Chosen, not measured
 LEAST_SHAPE_PX: Final = 12
 """... and its ends exceed the share `DARK_END` of its median. Ends are judged where the median exceeds `BRIGHT_SIGMA` and the
 path has `LEAST_SHAPE_PX` pixels."""
 
-POINT_SIGMA: Final = 5.0
-POINT_PX: Final = 3
+POINT_SIGMA: Final = 5.0  # noise makes one pixel in 3.5 million so bright
+POINT_PX: Final = 3  # 3.4 sigma of a PSF of 0.87 px, beyond which a point has no light
 LEAST_BESIDE: Final = 2.0
 """A path with a pixel above `POINT_SIGMA` shows a point when the others, but for those within `POINT_PX` of it, add up to less
 than `LEAST_BESIDE` sigma."""
 
-CORE: Final = 1
-AROUND: Final = 2
+CORE: Final = 1  # bit of its own width
+AROUND: Final = 2  # bit of its light
 ABOVE_SIDES: Final = 1.5
 """Bits of a map of trails: within the trail's own width, and as far as its light matters. There another trail must be
 `ABOVE_SIDES` times as bright as what lies beside it."""
@@ -62,7 +62,7 @@ FULL_SIGMA: Final = 1e4
 """Saturated pixels, over the noise."""
 
 
-class LitFrame(NamedTuple):
+class ResidualImage(NamedTuple):
     """residual : (rows, cols) ADU above the background; mask : `PixelFlag` bits; noise_adu : of a pixel without stars."""
 
     residual: NDArray[np.float32]
@@ -91,7 +91,7 @@ def trail_model(drow: float, dcol: float, half_row: float, half_col: float, sigm
 
 @njit(cache=True)
 def fit_trails(
-    frame: LitFrame,
+    frame: ResidualImage,
     peaks: NDArray[np.float32],
     half: NDArray[np.float64],
     psf_sigma_px: float,
@@ -374,7 +374,7 @@ def paint_trail(out: NDArray[np.uint8], row: float, col: float, half_row: float,
 
 
 @njit(cache=True)
-def _along(frame: LitFrame, row: int, col: int, half_row: float, half_col: float) -> NDArray[np.float64]:
+def _along(frame: ResidualImage, row: int, col: int, half_row: float, half_col: float) -> NDArray[np.float64]:
     """Pixels along a trail about a centre, over the noise; zeros beyond the frame."""
     rows, cols = frame.residual.shape
     values = np.zeros(2 * int(math.hypot(half_row, half_col)) + 1)
@@ -388,7 +388,7 @@ def _along(frame: LitFrame, row: int, col: int, half_row: float, half_col: float
 
 @njit(cache=True)
 def keep_brightest(
-    frame: LitFrame,
+    frame: ResidualImage,
     peaks: NDArray[np.float32],
     half: NDArray[np.float64],
     psf_sigma_px: float,
@@ -458,7 +458,7 @@ def matched_trails(
     found = matched_peaks(view, motion, psf_sigma_px, threshold, most)
     half = 0.5 * np.column_stack(motion.at(found[:, 0].astype(np.float64), found[:, 1].astype(np.float64)))
     painted, keep = np.zeros(view.mask.shape, np.uint8), np.zeros(len(found), np.bool_)
-    keep_brightest(LitFrame(view.residual_adu, view.mask, noise_adu), found, half, psf_sigma_px, painted, keep)
+    keep_brightest(ResidualImage(view.residual_adu, view.mask, noise_adu), found, half, psf_sigma_px, painted, keep)
     order = np.flatnonzero(keep)
     order = order[np.argsort(-found[order, 2], kind="stable")]
     return found[order], half[order], painted
@@ -489,7 +489,7 @@ def listed(
     fits[:, :2], fits[:, 3] = peaks[:, :2], peaks[:, 2]
     fits[:, 2] = peaks[:, 2] * noise_adu * light
     some, some_flags = np.empty((np.count_nonzero(chosen), 4)), np.zeros(np.count_nonzero(chosen), dtype=np.uint8)
-    frame = LitFrame(view.residual_adu, view.mask, noise_adu)
+    frame = ResidualImage(view.residual_adu, view.mask, noise_adu)
     fit_trails(frame, peaks[chosen], half[chosen], psf_sigma_px, gain_e_adu, some, some_flags)
     fits[chosen], flags[chosen] = some, some_flags
     return fits, flags | np.uint8(StarFlag.TRAILED)

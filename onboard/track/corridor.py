@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from sboc_e2e.icd.signals import UNKNOWN
 
-LANES: Final = 16
+LANES: Final = 16  # pixels of a byte that a register of 128 bits holds
 MIDDLE: Final = 8
 """Lines of a corridor, one pixel apart along the minor axis; the middle one runs along the seed."""
 

@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 SHORTEST_PX = 10.0
-PARAMETERS = 4
+"""Of 2,000 px for the longest, it takes 0.5 % of the volume away: 0.001 sigma of the threshold."""
+PARAMETERS = 4  # a place and a velocity
 
 
 def independent_tracks(

@@ -25,20 +25,20 @@ IDENTITY: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 LONGEST_PX: Final = 2000.0
 """Trails of one exposure that the false-alarm rate is reckoned for."""
 
-WORK_PER_PX: Final = 30.0
+WORK_PER_PX: Final = 30.0  # as many as a frame's nominal work (`onboard.work`)
 LEAST_WORK: Final = 50_000_000
 """Pixels read about seeds, per pixel of the frame, but never fewer."""
 
 LEAST_REST: Final = 3.3
 """What is left of a track without any one of its frames must reach this S/N: particles light up one frame."""
 
-UNEVEN: Final = 6.0
+UNEVEN: Final = 6.0  # noise alone exceeds it in one of 120 tracks of two frames, one of 19 of six. Chosen, not measured
 UNEVEN_SHARE: Final = 0.2
 """Chi-square of a track's frames against even brightness may exceed its degrees of freedom by this, and by this share of the
 joint S/N squared: objects tumble."""
 
-EDGE_PX: Final = 3.0
-SAME_PX: Final = 4.0
+EDGE_PX: Final = 3.0  # such a trail may continue beyond the frame, as `segments.EDGE_PX` has it
+SAME_PX: Final = 4.0  # across and beyond the ends. Chosen, not measured
 SAME_SHARE: Final = 0.35
 """Two tracks are one object where a frame's ends lie as close as this, or as this share of the trail's length."""
 
@@ -47,7 +47,7 @@ SAME_SHARE: Final = 0.35
 class KeptSearch:
     """What stays of a frame. transform : (2, 3) of the frame before into it; unused for the first.
 
-    halves : smooth at half resolution, and transposed, while the frame is next to the one whose seeds are followed.
+    halves : smooth at half resolution, and transposed, while the frame is next to one whose seeds are being followed.
     """
 
     header: FrameHeader
@@ -116,7 +116,8 @@ class JointTracker:
         )
         state = replace(state, window=(*state.window, new))
         state, now = self._followed(state, len(state.window) - (self.window - 1) // 2, view.view.psf_sigma_px)
-        # a full window makes room for the next frame before that one is searched
+        # there is room for the next frame before that one is searched; halves take less time than room
+        state = replace(state, window=tuple(replace(frame, halves=None) for frame in state.window))
         return self._without_oldest(state) if len(state.window) == self.window else state, tuple(found + now)
 
     def _without_oldest(self, state: JointState) -> JointState:

@@ -22,7 +22,7 @@ error is sqrt(24) s / S = 0.8 px."""
 LIKED: Final = 0.75
 """Ends whose S/N in the seed's own frame is below this share of the best ends' are not followed."""
 
-STATIC_SIGMAS: Final = 3.0
+STATIC_SIGMAS: Final = 3.0  # noise makes one in 740 so bright; lower refuses more tracks. Chosen, not measured
 LEAST_STATIC: Final = 1.2
 """A seed is refused where the other frames show at its own place an S/N of `LEAST_STATIC` for one frame that is also
 `STATIC_SIGMAS` errors of their mean: faint stars, in a row or left over, stand still."""
@@ -34,7 +34,7 @@ of the joint S/N from every track."""
 FINE: Final = 24
 """Pieces of a seed in the second look."""
 
-SHORTEST: Final = 0.5
+SHORTEST: Final = 0.5  # more room costs time, less loses seeds that took in other light. Chosen, not measured
 LONGEST: Final = 1.6
 """Trails are so much shorter or longer than their seed at most."""
 

@@ -30,7 +30,7 @@ MOST_CANDIDATES: Final = 2000
 DRIFT_PX: Final = 40.0
 """The model begins anew where the pointing has drifted this far from its grid."""
 
-UNEVEN: Final = 4.0
+UNEVEN: Final = 4.0  # in sigmas of chi-square; of eight groups `UNEVEN_SHARE` allows as much at S/N 20. Chosen, not measured
 UNEVEN_SHARE: Final = 0.2
 """Chi-square of the groups against even brightness may exceed their number by `UNEVEN` of its own standard deviations and by the
 square of `UNEVEN_SHARE` of the S/N: objects tumble."""

@@ -17,9 +17,9 @@ TILE_PX: Final = 128
 GUESS_EVERY: Final = 7
 """Step, in rows and columns, of the pixels that the first guess of the noise is taken from."""
 
-CLIP_SIGMA: Final = 3.0
+CLIP_SIGMA: Final = 3.0  # sigmas; CLIPPED_RMS belongs to it
 CLIPPED_RMS: Final = 0.9865817
-"""Rms of a normal variable without its values beyond CLIP_SIGMA."""
+"""Rms of a normal variable without its values beyond CLIP_SIGMA, to 3e-6: sqrt(1 - 6 phi(3) / erf(3 / sqrt(2))) is 0.9865784."""
 
 OUTER_PX: Final = 1.2
 """Distance of neighbouring lattice tracks at the ends of the window, along either axis; an object is half of it away at most."""

@@ -17,11 +17,11 @@ UNIT: Final = 16
 MASKED: Final = -128
 """Code of a pixel without data."""
 
-MODEL_BITS: Final = 7
+MODEL_BITS: Final = 7  # a code of 127 is 16,256, which 16 bits hold
 MODEL_UNIT: Final = 1 << MODEL_BITS
 """Units of the model for one of a frame's codes."""
 
-SUM_BITS: Final = 3
+SUM_BITS: Final = 3  # eight times a clipped 64 codes is 8,192
 SUM_UNIT: Final = MODEL_UNIT >> SUM_BITS
 """Units of a group's sum for one of a frame's codes: eight clipped frames stay within 16 bits."""
 
@@ -30,6 +30,12 @@ BRIGHT: Final = 96
 
 CLIP: Final = 64
 """Largest residual, in codes: a particle lights up one frame."""
+
+READING_PX: Final = math.sqrt(1.0 / 6.0)
+"""Width that reading between pixels adds, on average over places."""
+
+STAR_REACH_SIGMAS: Final = 3.0
+"""Pixels of a star that `static_snr` looks at."""
 
 BLOCK_PX: Final = 64
 """Columns over which the way between two grids is taken for a shift; a turn by 1e-4 changes it by 0.003 px."""
@@ -140,6 +146,20 @@ def update_model(codes: NDArray[np.int8], transform: NDArray[np.float64], share:
                 weight,
                 model[row, first + low : first + high],
             )
+
+
+def static_snr(model: NDArray[np.int16], place: NDArray[np.float64], psf_sigma_px: float) -> float:
+    """S/N that what stands still at a place (row, col) of the model's grid has in one frame, by the PSF's matched filter."""
+    width = math.hypot(psf_sigma_px, READING_PX)
+    reach = math.ceil(STAR_REACH_SIGMAS * width)
+    row, col = round(float(place[0])), round(float(place[1]))
+    if not (reach <= row < model.shape[0] - reach and reach <= col < model.shape[1] - reach):
+        return 0.0
+    step = np.arange(-reach, reach + 1)
+    by_row, by_col = (np.exp(-0.5 * ((at + step - p) / width) ** 2) for at, p in ((row, place[0]), (col, place[1])))
+    profile = np.outer(by_row, by_col)
+    seen = model[row - reach : row + reach + 1, col - reach : col + reach + 1] / (UNIT * MODEL_UNIT)
+    return float((profile * seen).sum() / math.sqrt(float((profile**2).sum())))
 
 
 @nb.njit(cache=True)

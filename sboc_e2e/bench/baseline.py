@@ -20,6 +20,8 @@ from sboc_e2e.files.atomic import write_text
 from sboc_e2e.icd.errors import UserError
 
 SIGMAS: Final = 4.0
+"""Errors of both measurements that a change must exceed. Of 1,000 figures with normal noise 0.03 exceed four by chance (3.2e-5
+each)."""
 FLOOR_SHARE: Final = 0.02
 """Smallest change that counts, as a share of the baseline: differences below are not worth a failed build."""
 

@@ -16,8 +16,8 @@ from sboc_e2e.icd.work import Work
 from sboc_e2e.registry import SEAMS, Registry
 from sboc_e2e.scenario.option_models import option_fields, to_document
 
-MPX: Final = 1024 * 1024
-SIDES: Final = (1024, 2048, 4096)
+MPX: Final = 1024 * 1024  # Pixels of the megapixel that the page's times are for: a frame of the smallest side below.
+SIDES: Final = (1024, 2048, 4096)  # Sides (px) of the frames in the table of limits; the largest is the frame of `sboc_like`.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -27,13 +27,13 @@ from onboard.stars.matched import MatchedStars
 from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.signals import BackgroundModel, DetectorView, StarList
 
-SIDE: Final = 80
-PSF_PX: Final = 0.85
-GAIN_E_ADU: Final = 1.2
-READ_NOISE_E: Final = 2.3
-SATURATION_ADU: Final = 4095
-CLIP_SIGMA: Final = 7.5
-COARSE_SIGMA: Final = 4.5
+SIDE: Final = 80  # Side (px) of the frames: no multiple of the mesh's 64 px, so that cut tiles occur; all vectors are 240 kB.
+PSF_PX: Final = 0.85  # PSF sigma (px): the 2 px FWHM of the preset `sboc_like`, 2 / 2.3548. Changing it changes every vector.
+GAIN_E_ADU: Final = 1.2  # Of the preset `sboc_like`, high gain.
+READ_NOISE_E: Final = 2.3  # Of the preset `sboc_like`.
+SATURATION_ADU: Final = 4095  # Largest number of a 12-bit converter, as in `sboc_like`: 2**12 - 1.
+CLIP_SIGMA: Final = 7.5  # As `POINT_CLIP_SIGMA` of `onboard.detect.line_integral.star_removal`.
+COARSE_SIGMA: Final = 4.5  # Default of the option "S/N on the coarse lattice worth refining" of the line-integral detector.
 
 Arrays = dict[str, NDArray[Any]]
 

@@ -13,7 +13,8 @@ from scipy import ndimage
 
 NAME: Final = "yardstick_s"
 PIXELS: Final = 1 << 22
-REPEATS: Final = 3
+"""Those of a float32 image of 2048 x 2048 px, 16 MB: passes go through memory. Another number makes stored baselines useless."""
+REPEATS: Final = 3  # The median of three, 0.2 CPU-s each, leaves out one that was disturbed. Chosen, not measured.
 
 
 def yardstick_s() -> float:

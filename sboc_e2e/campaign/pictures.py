@@ -17,6 +17,7 @@ HEADLINES: Final = (
     ("downlink_bytes_per_frame", "bytes per frame"),
 )
 LEAST_IN_CELL: Final = 1
+"""A cell with one streak is shown: its number is written into it, so that the reader sees how little it says."""
 
 
 def heat_map(shards: list[Table]) -> str:

@@ -8,6 +8,8 @@ from astropy_healpix import HEALPix
 from numpy.typing import NDArray
 
 NSIDE = 64
+"""Of the catalogue file: 49,152 pixels of 0.92 deg, 19 stars of V < 11 in each on average. Larger ones read more stars outside a
+cone."""
 N_PIXELS = 12 * NSIDE**2
 
 

@@ -24,13 +24,15 @@ from numpy.typing import NDArray
 from sboc_e2e.catalogue.healpix import N_PIXELS, pixel_of
 
 FORMAT: Final = "sboc-star-catalogue-1"
-ANGLE_UNITS_PER_DEG: Final = 2.0**32 / 360.0
-PM_UNIT_MAS_YR: Final = 0.1
-V_UNIT_MAG: Final = 0.001
-B_V_UNIT_MAG: Final = 0.005
+ANGLE_UNITS_PER_DEG: Final = 2.0**32 / 360.0  # The circle fills 32 bits: a unit is 0.30 mas, less than the 1 mas unit of `sigma`.
+PM_UNIT_MAS_YR: Final = 0.1  # Tycho-2 prints its proper motions in this step (CDS I/259, bytes 42-56).
+V_UNIT_MAG: Final = 0.001  # Tycho-2 prints its magnitudes in this step (CDS I/259, bytes 111-129).
+B_V_UNIT_MAG: Final = 0.005  # A rounding error of 1.4 mmag rms (step / sqrt(12)), below the errors of Tycho-2's colours.
 SIGMA_UNIT_MAS: Final = 1.0
+"""Tycho-2 prints mean errors of positions in this step (CDS I/259, bytes 58-64); the largest stored is 192."""
 SIGMA_PM_UNIT_MAS_YR: Final = 0.1
-EPOCH_ZERO_JYEAR: Final = 1850.0
+"""Tycho-2 prints them in this step (CDS I/259, bytes 66-74); 56 of 945,994 stars have 25.5 or more."""
+EPOCH_ZERO_JYEAR: Final = 1850.0  # A byte holds mean epochs from 1850 to 2105; those of the embedded stars are 1917 to 1992.
 
 _DTYPES: Final[dict[str, str]] = {
     "ra": "<u4", "dec": "<u4", "pm_ra": "<i2", "pm_dec": "<i2", "v_mag": "<i2", "b_v": "<i2", "flags": "<u1",

@@ -20,10 +20,13 @@ from sboc_e2e.catalogue.proper_motion import propagate
 from sboc_e2e.catalogue.stars import CatalogueFlag
 from sboc_e2e.icd.errors import UserError
 
-MAIN_RECORD_BYTES: Final = 207
-SUPPLEMENT_RECORD_BYTES: Final = 123
+MAIN_RECORD_BYTES: Final = 207  # 206 characters by the ReadMe of CDS I/259, and the end of the line.
+SUPPLEMENT_RECORD_BYTES: Final = 123  # 122 characters by the ReadMe of CDS I/259, and the end of the line.
 ASSUMED_BT_VT_MAG: Final = 0.7
+"""Of stars measured in one band: B-V = 0.595. The median of the embedded catalogue is 0.68, so that V is off by 0.01 mag on
+average."""
 SUPPLEMENT_EPOCH_JYEAR: Final = 1991.25
+"""Epoch of the supplement's positions, that of the Hipparcos catalogue (ReadMe of CDS I/259)."""
 SPURIOUS_IDENTIFIER: Final = (1472 << 17) | (1436 << 3) | 2
 """The second row of Arcturus."""
 

@@ -4,13 +4,18 @@ import json
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
 from sboc_e2e.cli.progress import BarProgress, PlainProgress, make_progress
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import SEAMS, Registry, plugin_names
+
+DONE: Final = 0  # Exit code, as docs/user-guide.md lists it: the command did what was asked.
+CHECK_FAILED: Final = 1  # Exit code: the command ran, and what it checked is not so.
+USER_ERROR: Final = 2  # Exit code: the user can mend it. Shells and argparse use 2 for wrong usage, too.
+PROGRAM_ERROR: Final = 3  # Exit code: a plug-in or the program failed, and a traceback is in a log file.
 
 app = typer.Typer(
     add_completion=False,

@@ -23,13 +23,8 @@ import typer
 
 # their commands join the application when they are imported
 from sboc_e2e.cli import objects, outside, studies, validation  # noqa: F401
-from sboc_e2e.cli.application import app
+from sboc_e2e.cli.application import DONE, PROGRAM_ERROR, USER_ERROR, app
 from sboc_e2e.icd.errors import PluginError, SbocError, UserError
-
-DONE: Final = 0
-CHECK_FAILED: Final = 1
-USER_ERROR: Final = 2
-PROGRAM_ERROR: Final = 3
 
 USAGE_ERROR: Final[Any] = typer.BadParameter.__mro__[2]
 """Base of everything that the command-line parser complains about; its public name differs between versions of typer."""

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from sboc_e2e.cli.application import app
+from sboc_e2e.cli.application import Overrides, Plugins, Workers, app, registry_of, shown_progress
 
 conjunctions_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Close approaches and collision probability.")
 app.add_typer(conjunctions_app, name="conjunctions")
@@ -72,7 +72,10 @@ def observe(
     observer: Annotated[Path | None, typer.Option("--observer", help="ephemeris of a moving sensor (OEM)")] = None,
     site: Annotated[str | None, typer.Option("--site", help="LATITUDE,LONGITUDE,HEIGHT of a fixed one: deg, deg, m")] = None,
     sensor: Annotated[str, typer.Option("--sensor", help="name of the sensor in the store")] = "sensor",
-    sigma: Annotated[float, typer.Option("--sigma", help="one sigma of a direction along each axis, arcsec")] = 1.0,
+    sigma: Annotated[
+        float | None,
+        typer.Option("--sigma", help="one sigma of a direction, arcsec; default: tdm_angles.ecsv beside each message, else 1"),
+    ] = None,
     store: Store = "objects.db",
 ) -> None:
     """Put published tracklets into the catalogue, uncorrelated."""
@@ -98,6 +101,26 @@ def update(
     from sboc_e2e.run.pipeline import worker_count
 
     typer.echo(bring_up(store, at, window, worker_count(workers)))
+
+
+@objects_app.command(name="fly")
+def fly_visits(
+    scenario: Annotated[str, typer.Argument(help="a name of `sboc scenarios` or the path of a TOML file")],
+    visit: Annotated[list[float], typer.Option("--visit", help="hours after the scenario's epoch, rising; two or more")],
+    out: Annotated[Path | None, typer.Option("--out", help="folder, default runs/visits-<scenario>")] = None,
+    overrides: Overrides = None,
+    plugin: Plugins = None,
+    workers: Workers = 0,
+) -> None:
+    """Fly a scenario several times, pixel by pixel, and catalogue its objects: store, orbits, score against the truth, page."""
+    from sboc_e2e import scenario as scenarios
+    from sboc_e2e.objects.fly import fly
+
+    registry = registry_of(plugin)
+    found = scenarios.load(scenario, registry=registry, overrides=overrides or ())
+    with shown_progress() as progress:
+        lines = fly(found, visit, out or Path("runs") / f"visits-{found.name}", registry, workers, progress)
+    typer.echo("\n".join(lines))
 
 
 @objects_app.command()

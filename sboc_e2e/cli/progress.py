@@ -9,6 +9,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, Tim
 from rich.progress import Progress as Bar
 
 SECONDS_BETWEEN_LINES: Final = 10.0
+"""Lines of a log: a run of an hour writes 360. Chosen for readers; nothing else depends on it."""
 
 
 class PlainProgress:

@@ -5,7 +5,7 @@ from typing import Annotated
 
 import typer
 
-from sboc_e2e.cli.application import Overrides, Plugins, Workers, app, registry_of, shown_progress
+from sboc_e2e.cli.application import CHECK_FAILED, Overrides, Plugins, Workers, app, registry_of, shown_progress
 
 
 @app.command()
@@ -69,7 +69,7 @@ def sweep(
     typer.echo(f"{result.done} done, {result.skipped} were done before, {len(result.failed)} failed, {result.wall_s:.1f} s")
     typer.echo(target / "campaign.html")
     if result.failed:
-        raise typer.Exit(1)
+        raise typer.Exit(CHECK_FAILED)
 
 
 @app.command()
@@ -98,7 +98,7 @@ def bench(
     for regression in found:
         typer.echo(f"regression: {regression}", err=True)
     if found:
-        raise typer.Exit(1)
+        raise typer.Exit(CHECK_FAILED)
 
 
 @app.command()
@@ -140,7 +140,7 @@ def response(
     if judge:
         typer.echo(judge_response(resolved, judge, target, workers=workers, scheduler=scheduler, report=typer.echo).read_text())
     if failed:
-        raise typer.Exit(1)
+        raise typer.Exit(CHECK_FAILED)
 
 
 @app.command()
@@ -174,7 +174,7 @@ def survey(
         f"{result.done} blocks done, {result.skipped} were done before, {len(result.failed)} failed, {result.wall_s:.1f} s"
     )
     if result.failed:
-        raise typer.Exit(1)
+        raise typer.Exit(CHECK_FAILED)
     if learn:
         from sboc_e2e.survey.report import write_reports
 

@@ -33,7 +33,7 @@ from sboc_e2e.score.figures import absent, bootstrap, exact, half_point, proport
 from sboc_e2e.score.ideal import ideal_snr50
 from sboc_e2e.score.matching import SNR_IGNORED, distance_to_path
 
-MAX_GALLERY: Final = 24
+MAX_GALLERY: Final = 24  # Cut-outs of a page, 96 px PNGs of some 10 kB each. Chosen: more make the page heavier, not clearer.
 MAX_FALSE: Final = 8
 """False alarms shown of each choice."""
 

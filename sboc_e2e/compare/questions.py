@@ -84,9 +84,6 @@ QUESTIONS: Final[dict[str, tuple[tuple[str, str], ...]]] = {
     ),
 }
 
-FOUND_OBJECTS: Final = ("ground.linker", "ground.orbit")
-"""Seams whose pairs are judged object by object, by linked objects instead of detected streaks."""
-
 
 def answers(seam: str, scores: Mapping[str, Sequence[Mapping[str, Any]]]) -> list[dict[str, Any]]:
     """For each question of a seam its label, its name in score.json and a figure for each choice.

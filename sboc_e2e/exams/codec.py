@@ -11,14 +11,18 @@ from numpy.typing import NDArray
 from sboc_e2e.exams.verdict import Verdict, asked, expect
 from sboc_e2e.icd.steps import Decoder, Encoder
 
-LEVEL_ADU: Final = 100
+LEVEL_ADU: Final = 100  # Sky level of the blocks: any positive number; codecs subtract it. That of the exam's pedestal.
 NOISE_ADU: Final = 2.4
+"""Noise of a sky pixel: 2.9 e- at 1.2 e-/ADU, the root of the squares of 2.3 e- read noise and 1.7 e- of sky. Chosen; a codec
+sees only integers."""
 MOST_LOST: Final = 1.0
 """Largest rms error of a lossy codec on noise, in sigmas of the noise. A larger error would cost more S/N than the noise."""
-SPEED_SHAPE: Final = (256, 256)
+SPEED_SHAPE: Final = (256, 256)  # A block of 65,536 pixels, the most that a packet's block may hold (`MAX_STRIP_PIXELS`).
 SPEED_BLOCKS: Final = 16
 """Together a million pixels."""
 SLOW_S_PER_MPX: Final = 10.0
+"""CPU seconds beyond which a step is too slow for any use. Chosen: the default chain on board takes 0.015 (0.25 for 4096 x 4096
+px, docs/limits.md)."""
 
 
 def round_trip(encoder: Encoder, decoder: Decoder) -> Iterator[Verdict]:

@@ -24,18 +24,21 @@ from sboc_e2e.score.matching import TruthStreak
 from sboc_e2e.score.trail import draw
 
 SNRS: Final = (8.0, 12.0, 20.0, 60.0)
+"""From the least S/N that the scores call detectable to bright trails; one in each quarter of a frame."""
 LENGTHS_PX: Final = (6.0, 20.0, 50.0, 100.0)
+"""From point-like to a third of the frame, so that a trail and its margin fit into a quarter."""
 SHAPE: Final = (320, 320)
-FRAMES: Final = 12
+"""Rows and columns; a quarter of 160 px holds a trail of 100 px at any angle. Small, as it runs in seconds."""
+FRAMES: Final = 12  # Four trails in each: 48 in all, three of each S/N and length. An interval of +- 0.1; more cost time.
 LEAD: Final = 3
 """First frames, of stars alone: a detector that looks back has something to look at."""
-STARS: Final = 60
-GAIN_E_ADU: Final = 1.2
-READ_NOISE_E: Final = 2.3
-SKY_E: Final = 6.0
-PEDESTAL_ADU: Final = 100
+STARS: Final = 60  # Of 200 to 20,000 e-. One trail in six has a star within 3 px (60 stars x 6 px x 44 px / 320**2).
+GAIN_E_ADU: Final = 1.2  # Of the preset `sboc_like`, high gain.
+READ_NOISE_E: Final = 2.3  # Of the preset `sboc_like`.
+SKY_E: Final = 6.0  # Electrons of sky in a pixel: its noise of 2.4 e- is as large as the read noise.
+PEDESTAL_ADU: Final = 100  # Level of the dark map: keeps noise above zero, where the converter clips.
 NOISE_E: Final = math.sqrt(SKY_E + READ_NOISE_E**2 + GAIN_E_ADU**2 / 12)
-QUARTERS: Final = 4
+QUARTERS: Final = 4  # One trail in each, so that no trail crosses another.
 
 
 def finding(step: Any) -> Iterator[Verdict]:

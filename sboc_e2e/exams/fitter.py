@@ -19,13 +19,15 @@ from sboc_e2e.report.words import number
 from sboc_e2e.score.figures import pull_width
 from sboc_e2e.score.matching import distance_to_path
 
-SHAPE: Final = (200, 200)
-SNRS: Final = (12.0, 30.0, 100.0)
+SHAPE: Final = (200, 200)  # Rows and columns; holds the longest trail at any angle about the middle.
+SNRS: Final = (12.0, 30.0, 100.0)  # Near the detection threshold, usual, and bright, where the model's own errors show.
 LENGTHS_PX: Final = (3.0, 20.0, 60.0, 120.0)
-REPEATS: Final = 4
-REGION_PX: Final = 7.0
+"""From point-like to one that fills the frame; the shortest has no direction, so that its pull is left out."""
+REPEATS: Final = 4  # Trails of each S/N and length: 48 in all, 36 of them with a pull, whose width is then known to some 20 %.
+REGION_PX: Final = 7.0  # Pixels within this distance are given: eight PSF sigmas, and what the detection is off.
 NEAR_PX: Final = 2.0
-NOISE_E: Final = 2.9
+"""A midpoint nearer than this is measured: two pixels are an FWHM; noise alone would scatter over the region."""
+NOISE_E: Final = 2.9  # Electrons rms of a sky pixel: `codec.NOISE_ADU` times the exam detector's gain.
 SLOW_S: Final = 2.0
 """CPU seconds of one trail; a frame may have dozens."""
 

@@ -20,17 +20,19 @@ from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import StreakFit, StreakMeasurement, Tracklet
 
-SLOW_S: Final = 10.0
-FRAMES: Final = 20
-OBJECTS: Final = 12
-FALSE_PER_FRAME: Final = 6
-SEEN: Final = 0.85
-SIZE_PX: Final = 2048
+SLOW_S: Final = 10.0  # CPU seconds for 20 frames with some 16 streaks each. Chosen: twice the 5 s that it takes to record them.
+FRAMES: Final = 20  # Five seconds at four frames a second, the least that shows each object several times.
+OBJECTS: Final = 12  # The interval of a linked share of one half, the pass mark, is then +- 0.22 (Wilson). More take longer.
+FALSE_PER_FRAME: Final = 6  # False streaks: a third to a half of all, far more than published frames have (0.13 in README.md).
+SEEN: Final = 0.85  # Chance that an object is found in a frame: gaps occur, and a linker must bridge them. Chosen.
+SIZE_PX: Final = 2048  # Side of the frames (px), half that of `sboc_like`.
 FOCAL_PX: Final = 22222.0
-SIGMA_ALONG_PX: Final = 0.4
-SIGMA_CROSS_PX: Final = 0.15
+"""Half of 44,444 px, the focal length of `sboc_like`: the same field of 5.3 deg on half the pixels a side."""
+SIGMA_ALONG_PX: Final = 0.4  # Error of an end along a trail of 23 px and S/N 16: 4.39 L / S**2 (docs/scoring.md).
+SIGMA_CROSS_PX: Final = 0.15  # Error of an end across at S/N 16: the bound of a straight trail, sqrt(8) s / S with s = 0.85 px.
 START_TAI_NS: Final = 2_179_000_000 * 10**9
-LINE_TIME_NS: Final = 10_000
+"""Nanoseconds since 1958 TAI: in January 2027, where the shipped scenarios are. Any epoch serves."""
+LINE_TIME_NS: Final = 10_000  # Of the preset `sboc_like`: rows are dated apart, as a rolling shutter's are.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

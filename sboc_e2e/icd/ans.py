@@ -6,10 +6,10 @@ from typing import Final
 HEAD = struct.Struct(">Bh")
 """Head of a `RANS` block: noise code, centre code; then the states of the coders and 16-bit words."""
 
-STATES: Final = 4
-STATE_BYTES: Final = 5
-LOWEST: Final = 1 << 24
-SCALE: Final = 1 << 16
+STATES: Final = 4  # Interleaved coders of a block: a processor works on four at a time. Chosen; part of the format.
+STATE_BYTES: Final = 5  # Bytes of a coder's state: states are below `LOWEST` * 2**16 = 2**40.
+LOWEST: Final = 1 << 24  # Least state: 256 `SCALE`, so that rounding a state changes a probability by less than 1/256.
+SCALE: Final = 1 << 16  # Sum of the frequencies of a class; the slot of a token is the lower 16 bits of the state.
 TOKENS: Final = 81
 """Coders of a `RANS` block, bytes of each one's state, least state, sum of the frequencies of a class, tokens."""
 
@@ -22,8 +22,8 @@ ESCAPE: Final = TOKENS - 1
 NEIGHBOUR_LIMIT: Final = 4095
 """Neighbours are clipped at this distance from the level, so that five of them fit into 16 bits."""
 
-LEAST_SIGMA: Final = 0.0625
-CODES_PER_OCTAVE: Final = 16
+LEAST_SIGMA: Final = 0.0625  # Noise (ADU) of noise code 0; integers alone scatter by 0.29 ADU. Code 255 is 3,900 ADU.
+CODES_PER_OCTAVE: Final = 16  # Noise codes per factor of two: a noise wrong by 2.2 % at most costs 7e-4 bits a pixel at most.
 CENTRE_CODES_PER_SIGMA: Final = 16
 """Noise of noise code 0, noise codes per factor of two, centre codes per noise."""
 

@@ -13,6 +13,8 @@ from typing import Final
 import numpy as np
 
 MAX_PACKET_BYTES: Final = 4096
+"""Header and CRC are 1.1 % of it (46 bytes); what one lost packet takes with it stays small (docs/decisions/03). CCSDS allows
+65,542."""
 
 PRIMARY = struct.Struct(">HHH")
 """Version 0, type 0 (telemetry), secondary header flag 1, APID | sequence flags 3, count per APID | data length - 1."""
@@ -62,10 +64,10 @@ STAR_DTYPE = np.dtype(
 """One star, 10 bytes. Positions: 24-bit units of `STAR_POSITION_UNIT_PX` offset by `STAR_POSITION_OFFSET_PX`;
 flux_e = 2**(flux / `STAR_FLUX_CODES_PER_OCTAVE`) - 1; snr = 2**(snr / `STAR_SNR_CODES_PER_OCTAVE`) - 1."""
 
-STAR_POSITION_UNIT_PX: Final = 1.0 / 512.0
-STAR_POSITION_OFFSET_PX: Final = -64.0
-STAR_FLUX_CODES_PER_OCTAVE: Final = 2048.0
-STAR_SNR_CODES_PER_OCTAVE: Final = 16.0
+STAR_POSITION_UNIT_PX: Final = 1.0 / 512.0  # Rounding adds 5.6e-4 px rms (unit / sqrt(12)); 24 bits of it reach over 32,768 px.
+STAR_POSITION_OFFSET_PX: Final = -64.0  # Least position: centres of trailed stars at the edge lie outside the frame.
+STAR_FLUX_CODES_PER_OCTAVE: Final = 2048.0  # Steps of 0.03 %; 16 bits reach over 32 octaves, to 4e9 e-.
+STAR_SNR_CODES_PER_OCTAVE: Final = 16.0  # Steps of 4.4 %; 8 bits reach over 16 octaves, to 63,000.
 
 HEADER_FIXED = struct.Struct(">HHBBHHffffddIIIIIIIffffI")
 """Header packet: rows, cols, bin_rows, bin_cols, window_row0, window_col0, gain, read noise, saturation_adu, temperature
@@ -83,8 +85,8 @@ TELEMETRY = struct.Struct(">BI4d3d6dq3d3dff")
 covariance rad^2 (xx, xy, xz, yy, yz, zz) | observer tai_ns | position m | velocity m/s | sigma position m, velocity m/s.
 Absent values are zero."""
 
-HAS_ATTITUDE: Final = 1
-HAS_OBSERVER: Final = 2
+HAS_ATTITUDE: Final = 1  # Bit 0 of the presence bits: quaternion, rate and covariance are given.
+HAS_OBSERVER: Final = 2  # Bit 1 of the presence bits: time, place and velocity of the camera are given.
 
 ROI_GROUP = struct.Struct(">fffffHf")
 """In each ROI packet: row0, col0, row1, col1, snr, flags (low 16 bits), sagitta_px of the detection.
@@ -95,7 +97,7 @@ TRACK_MEMBER = struct.Struct(">IIqfiHH")
 or an earlier one | joint S/N | roi_id of the member among that frame's ROI packets, `TRACK_STRIP_FOLLOWS` when its pixels were
 not sent before and follow here as in a ROI packet, each segment of the item a strip | members of the track so far | reserved."""
 
-TRACK_STRIP_FOLLOWS: Final = -1
+TRACK_STRIP_FOLLOWS: Final = -1  # In the place of a roi_id, which is never negative: the pixels follow in this packet.
 
 STRIP = struct.Struct(">BBHHHiiifI")
 """Codec number | axis | major0 | n | width | minor0_fp | slope_fp | level ADU | sigma ADU | block length in bytes."""
@@ -111,7 +113,7 @@ THUMBNAIL = struct.Struct(">HHHHHff")
 CHUNK = struct.Struct(">BBHHHHifI")
 """FRAME: codec number | reserved | first row | rows | first col | cols | level ADU | sigma ADU | block length."""
 
-BYTES_ESCAPED: Final = 0x10
+BYTES_ESCAPED: Final = 0x10  # Layout of a `PLANES` block: a byte for each code, and escapes where it is 255 or more.
 NIBBLES_ESCAPED: Final = 0x20
 """First byte of a `PLANES` block. 1-4: the number of byte planes. One of these constants | 1-4: bytes or nibbles, then escapes
 of that number of byte planes."""

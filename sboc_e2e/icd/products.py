@@ -46,6 +46,8 @@ class StreakFit:
     light_curve_e_px : (k,) flux density in equal bins along the trail from end 0 to end 1, may be empty; light_curve_err_e_px :
     (k,) one sigma, NaN when not given. period_fraction : of a periodic light curve, in fractions of the trail; None without one.
     flash_e : the part of flux_e that came in flashes shorter than what the PSF resolves along the trail.
+    track_frames : frames that the place was taken from, together, by an on-board track of points; the covariance of the ends is
+    then that track's, which all its members share. 0: the frame itself gave the place.
     failure : why a fit is flagged FIT_FAILED, in a few words that are the same for all of a kind; ingest.json counts them.
     psf_sigma_px : PSF sigma of a point at the trail's place, which the chain fills in for the vetter; NaN: not given.
     """
@@ -74,6 +76,7 @@ class StreakFit:
     failure: str = ""
     psf_sigma_px: float = math.nan
     flash_e: float = 0.0
+    track_frames: float = 0.0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "covariance_px2", validate.array("fit.covariance_px2", self.covariance_px2, "f8", (4, 4)))
@@ -92,6 +95,11 @@ class StreakFit:
     def angle_deg(self) -> float:
         """atan2(drow, dcol) modulo 180 of the chord."""
         return float(np.degrees(np.arctan2(self.row1 - self.row0, self.col1 - self.col0)) % 180.0)
+
+    @property
+    def is_foretold(self) -> bool:
+        """Whether the place is that of an on-board track over many frames, not that of this frame."""
+        return self.track_frames > 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -193,7 +201,8 @@ class Tracklet:
     half68_along_arcsec : (m,) half of the 68 % interval along the motion: smaller than sigma where tails are heavy. May be empty.
     motion_angle_deg : (m,) position angle of the motion at each, from north by east; across is 90 deg further.
     shared_arcsec : (m, 3), shared_group : (m,). A joint fit gives its rows common errors along the motion: rows i and j of one
-    group (-1: none) have the covariance ``shared[i] @ shared[j]``, which is part of sigma_along squared where i = j.
+    group (-1: none) have the covariance ``shared[i] @ shared[j]``, which is part of sigma_along squared where i = j. Middles (row
+    point 1) have it across the motion too: their place is that of one straight track of points.
     pointing_arcsec : (m,) part of both sigmas that the rows of one frame have in common. turning_arcsec : (m,) part of the sigma
     across, below 0 at shutter open, above at close: what the error of the camera's rate puts into rows of one frame.
     ra_ref_deg, dec_ref_deg, t_ref_tai_ns, rate_deg_s, position_angle_deg : motion at the reference epoch.

@@ -22,7 +22,7 @@ STAR_OUTSIDE_PX: Final = -STAR_POSITION_OFFSET_PX
 LARGEST_COUNT: Final = 2.0**31
 """Pixels are integers of 32 bits at most."""
 
-LEAST_NOISE: Final = 1e-6
+LEAST_NOISE: Final = 1e-6  # Noise (ADU) is divided by: this keeps S/N finite. No converter's noise is near it.
 LARGEST_SNR: Final = 1e9
 """A whole frame of saturated pixels has less."""
 

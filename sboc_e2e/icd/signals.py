@@ -173,13 +173,15 @@ class TrackerView:
 
     view : as the detector saw it. detections : what it found. searched : what its search left, None where it leaves nothing.
     transform : (2, 3) map of (row, col) of the frame before into this one, from their stars; None where nothing may be linked
-    across: at the first frame, after a gap, a repeated frame, a slew or a change of exposure.
+    across: at the first frame, after a gap, a repeated frame, a slew or a change of exposure. focal_px : nominal focal length in
+    pixels of the frame; None where it is not known.
     """
 
     view: DetectorView
     detections: tuple[Detection, ...]
     searched: Searched | None
     transform: NDArray[np.float64] | None
+    focal_px: float | None = None
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -2,10 +2,13 @@
 
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
+
 EPOCH_JD: Final = 2436204.5
 """Julian date (TAI) of the zero of `*_tai_ns`."""
 
-NS_PER_S: Final = 1_000_000_000
+NS_PER_S: Final = 1_000_000_000  # Nanoseconds in a second: times of the contract are integers of them.
 NS_PER_DAY: Final = 86_400 * NS_PER_S
 
 
@@ -18,13 +21,14 @@ def to_jd_parts(tai_ns: int) -> tuple[float, float]:
     return EPOCH_JD + days, rest_ns / NS_PER_DAY
 
 
+def jd_parts_of(tai_ns: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`to_jd_parts` of instants (n,): whole days (n,) and fractions (n,)."""
+    days, rest_ns = np.divmod(np.asarray(tai_ns, dtype=np.int64), NS_PER_DAY)
+    return EPOCH_JD + days, rest_ns / NS_PER_DAY
+
+
 def from_jd_parts(jd1: float, jd2: float) -> int:
     """Nanoseconds since 1958 of a two-part Julian date (TAI), rounded to the nanosecond."""
     days = round(jd1 - EPOCH_JD)
     rest_days = (jd1 - EPOCH_JD - days) + jd2
     return days * NS_PER_DAY + round(rest_days * NS_PER_DAY)
-
-
-def row_start_tai_ns(t_start_tai_ns: int, line_time_ns: int, row: float) -> int:
-    """Start of exposure of a (fractional) delivered row: the contract's meaning of `t_start` and `line_time`."""
-    return int(t_start_tai_ns) + round(line_time_ns * row)

@@ -2,8 +2,8 @@
 
 from typing import Final
 
-CONTRACT_MAJOR: Final = 2
-CONTRACT_MINOR: Final = 4
+CONTRACT_MAJOR: Final = 2  # Grows with what an earlier decoder would misinterpret; written into every packet (ICD.md).
+CONTRACT_MINOR: Final = 4  # Grows with what an earlier decoder would only miss; 4 is the last entry of `HISTORY`.
 CONTRACT_VERSION: Final = f"{CONTRACT_MAJOR}.{CONTRACT_MINOR}"
 
 HISTORY: Final = (

@@ -25,6 +25,7 @@ from sboc_e2e.score.published.tdm_reader import TdmSegment, read_tdm
 Array = NDArray[np.float64]
 
 _SAME_ARCSEC: Final = 0.1
+"""Chosen, not measured: far above the rounding of messages (0.4 uas), far below the pixel of a camera."""
 _TRAIL_COLUMNS: Final = ("tracklet_id", "t_tai_ns", "mag", "mag_err")
 
 

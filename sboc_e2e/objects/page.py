@@ -29,7 +29,7 @@ QUALITY: Final = ((1.0, "good"), (10.0, "fair"), (np.inf, "poor"))
 """One sigma of place at the page's epoch (km) up to which an orbit is called so."""
 MOST_RESIDUALS: Final = 200
 """Objects whose residuals are drawn: each costs an integration."""
-MOST_DECISIONS: Final = 50
+MOST_DECISIONS: Final = 50  # Rows of the table of the last decisions, a few screens. Chosen; the store keeps all of them.
 COLOURS: Final = {"good": plots.GREEN, "fair": plots.BLUE, "poor": plots.ORANGE, "lost": plots.RED}
 
 
@@ -50,8 +50,8 @@ class ObjectRow:
         return self.status if self.status != "active" else next(word for limit, word in QUALITY if self.error_km <= limit)
 
 
-def write_page(url: str, at_utc: str, out: Path) -> Path:
-    """The page of a store at an epoch. UserError without a store."""
+def write_page(url: str, at_utc: str, out: Path, more: Sequence[str] = ()) -> Path:
+    """The page of a store at an epoch; `more` are parts that stand before its objects. UserError without a store."""
     if "://" not in url and not Path(url).is_file():
         raise UserError(f"{url}: no such store")
     at = epoch_of(at_utc)
@@ -79,6 +79,7 @@ def write_page(url: str, at_utc: str, out: Path) -> Path:
         "<div class='plots'>",
         *_figures(rows, residuals),
         "</div>",
+        *more,
         "<h2>Objects</h2>",
         _object_table(rows, at),
         "<h2>Decisions</h2>",

@@ -3,6 +3,7 @@
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,22 +14,35 @@ from ground.store.store import ObjectStore, StoredTracklet
 from ground.upkeep.night import UpkeepOptions, update
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.objects.conjunctions import epoch_of
-from sboc_e2e.score.published.tdm_reader import read_tdm
+from sboc_e2e.objects.direction_errors import ERRORS_NAME, errors_of
+from sboc_e2e.score.published.tdm_reader import TdmSegment, read_tdm
 
 Array = NDArray[np.float64]
 
 
-def observe(url: str, messages: Sequence[Path], place: Place, sensor: str, sigma_arcsec: float) -> str:
-    """Put the tracklets of messages into a store; one that is there already is not put in twice."""
-    if not 0.0 < sigma_arcsec < 3600.0:
+SIGMA_ARCSEC: Final = 1.0
+"""Of directions that nothing is stated of."""
+
+
+def observe(url: str, messages: Sequence[Path], place: Place, sensor: str, sigma_arcsec: float | None) -> str:
+    """Put the tracklets of messages into a store; one that is there already is not put in twice.
+
+    sigma_arcsec : one sigma along each axis; None: of the table of errors beside a message, 1 arcsec where there is none.
+    """
+    if sigma_arcsec is not None and not 0.0 < sigma_arcsec < 3600.0:
         raise UserError(f"--sigma: expected arcsec above 0 and below 3600, got {sigma_arcsec:g}")
     tracklets = []
     for path in messages:
         if not path.is_file():
             raise UserError(f"{path}: no such file")
+        stated = errors_of(path.with_name(ERRORS_NAME)) if sigma_arcsec is None else {}
         for segment in read_tdm(path):
-            if len(segment.angle_tai_ns):
-                tracklets.append(_stored(segment.angle_tai_ns, segment.direction, place, sensor, sigma_arcsec, path))
+            n = len(segment.angle_tai_ns)
+            if n:
+                errors = stated.get(segment.tracklet_id)
+                if errors is None or len(errors) != n:
+                    errors = np.tile([sigma_arcsec or SIGMA_ARCSEC, sigma_arcsec or SIGMA_ARCSEC, 0.0], (n, 1))
+                tracklets.append(_stored(segment, errors, place, sensor, path))
     store = ObjectStore(url)
     before = store.counts()["tracklets"]
     with store.transaction() as writer:
@@ -38,14 +52,14 @@ def observe(url: str, messages: Sequence[Path], place: Place, sensor: str, sigma
     return f"{len(tracklets)} tracklets read, {after - before} of them new, {after} in the store"
 
 
-def _stored(t: NDArray[np.int64], direction: Array, place: Place, sensor: str, sigma_arcsec: float, path: Path) -> StoredTracklet:
-    """Directions with one sigma along both axes."""
+def _stored(segment: TdmSegment, errors: Array, place: Place, sensor: str, path: Path) -> StoredTracklet:
+    """Directions in order of time. errors : (n, 3) sigma along, across (arcsec), angle of the motion (rad)."""
+    t = segment.angle_tai_ns
     order = np.argsort(t, kind="stable")
     observer = place(t[order])
     if not np.isfinite(observer).all():
         raise UserError(f"{path}: directions at epochs for which the observer's place is not given")
-    sigma = np.full((len(t), 1), sigma_arcsec * ARCSEC_RAD)
-    rows = np.hstack([direction[order], sigma, sigma, np.zeros((len(t), 1)), observer])
+    rows = np.hstack([segment.direction[order], errors[:, :2] * ARCSEC_RAD, errors[:, 2:], observer])
     return StoredTracklet(sensor=sensor, t_tai_ns=t[order], rows=rows)
 
 

@@ -20,10 +20,13 @@ from sboc_e2e.scenario.toml_files import FOLDER, preset_path, read
 from simulator.chain import Simulator
 
 ASSUMED_PSF_SIGMA_PX: Final = 1.2
+"""Where stars do not tell it: an FWHM of 2.8 px, between a sampled and an undersampled camera's. Chosen."""
 ASSUMED_FOCAL_PX: Final = 1e5
-ASSUMED_SATURATION_ADU: Final = 1e9
-FEWEST_STARS: Final = 5
+"""Where nothing tells it: 2 arcsec/px. Chosen; without a WCS or a solution by stars, positions are published in pixels only."""
+ASSUMED_SATURATION_ADU: Final = 1e9  # Above the numbers of cameras (16 bits hold 65,535): no pixel counts as full.
+FEWEST_STARS: Final = 5  # The median width of five stars leaves out two that are none. Chosen, not measured.
 FRAMES_TRIED: Final = 3
+"""Frames whose stars are solved blindly. Chosen, not measured: more frames cost time where no pattern fits."""
 ROUNDEST_TRAIL: Final = 0.5
 """Sources whose minor axis is less than this share of the major one are no stars."""
 

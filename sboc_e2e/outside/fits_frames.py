@@ -23,22 +23,21 @@ from sboc_e2e.icd.errors import ContractError, UserError
 from sboc_e2e.icd.frame import Frame, FrameHeader
 from sboc_e2e.icd.tai import NS_PER_S, from_jd_parts
 from sboc_e2e.outside.frame_source import Note, SourcedFrame
-from sboc_e2e.outside.header_wcs import COARSEST_DEG, FINEST_DEG, usable_wcs
+from sboc_e2e.outside.header_wcs import COARSEST_DEG, FINEST_DEG, MAX_SHOWN, usable_wcs
 from sboc_e2e.outside.image_planes import Plane, planes_of, with_planes
 from sboc_e2e.outside.overscan import without_sky
 
 SUFFIXES: Final = (".fits", ".fit", ".fts", ".fits.fz", ".fit.fz", ".fits.gz")
-MAX_SIDE_PX: Final = 16384
-MIN_SIDE_PX: Final = 16
+MAX_SIDE_PX: Final = 16384  # Chosen: packets count rows and columns to 65,535, and `MAX_PIXELS` limits wide images first.
+MIN_SIDE_PX: Final = 16  # Chosen, not measured: a smaller image has no room for a trail beside its sky.
 MAX_PIXELS: Final = 10_000 * 10_000
+"""A frame of this size takes 400 MB as float32, and the search needs several such arrays. Chosen, not measured."""
 MJD_KEYS: Final = ("MJD-OBS", "MJD-STR")
 CAMERA_KEYS: Final = (
     "TELESCOP", "INSTRUME", "DETECTOR", "CAMERA", "CCDNAME", "CCDCHIP", "EXTNAME", "AMPNAME", "FILTER", "CCDSUM", "XBINNING",
     "READMODE",
 )  # fmt: skip
 """Keys of headers whose values tell cameras, their detectors, filters and modes apart."""
-MAX_SHOWN: Final = 40
-"""Characters of a header's value that a note repeats."""
 FIRST_ASSUMED_TAI_NS: Final = 1_325_376_000 * NS_PER_S
 """2000-01-01T00:00:00 TAI: frames without a time are numbered from here, one second apart."""
 

@@ -22,12 +22,16 @@ LEAST_FRAMES: Final = 3
 """With two, nobody can tell which of them has a star."""
 
 MOST_FRAMES: Final = 15
+"""The noise of a median of 15 is a third of one frame's; after `SMOOTH_PX` it is below a twentieth. More frames cost memory."""
 MOST_PIXELS: Final = 100_000_000
 """Frames, and pixels of them together, that a pattern is made of; evenly taken from all."""
 
 TILE_PX: Final = 32
+"""Of the level that sources are told against. Chosen, not measured: smaller tiles take large stars for sky."""
 SOURCE_BOX_PX: Final = 3
+"""Side of the box whose mean is compared: about a star's width. Its noise is that of a pixel over this number."""
 SOURCE_SIGMAS: Final = 5.0
+"""Of a box's mean: 3e-7 of the pixels of plain noise are above it, five in a frame of 4096 x 4096."""
 GROWN_PX: Final = 3
 """Light: boxes this far above the median of their tile, grown by `GROWN_PX`."""
 
@@ -35,7 +39,10 @@ SMOOTH_PX: Final = 2.0
 """Sigma of the smoothing: the noise of three frames' median falls to a tenth of one frame's; dust rings are wider."""
 
 LINE_SIGMAS: Final = 5.0
+"""Of the median along a line; of 8,192 lines of plain noise 0.005 exceed it. Fainter lines stay as they are."""
 HOT_SIGMAS: Final = 8.0
+"""Of the median over frames: Gaussian noise lifts one pixel in 1e15 above it. Chosen, not measured: less masks more of the
+sky."""
 LEAST_AGREEMENT: Final = 0.5
 """Correlation of the patterns of two halves of the frames from which on it counts as one camera's."""
 

@@ -12,13 +12,14 @@ from astropy.table import Table
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import UserError
+from sboc_e2e.outside.look_alikes import FWHM_PER_SIGMA
 from sboc_e2e.report.words import Row, number
 from sboc_e2e.run.directory import RunDirectory
 from sboc_e2e.run.manifest import Manifest
 from sboc_e2e.view.run_frames import RunFrames, ShownFrame, is_published
 
-FWHM_OF_SIGMA: Final = 2.3548
 NOISE_FRAMES: Final = 24
+"""Frames whose noise is measured, as many as the page shows. Each must be read again; a median of more changes little. Chosen."""
 DIRECTIONS: Final = (
     "Directions of streaks keep the annual aberration (up to 20.5 arcsec from the place by the WCS) and the light time. "
     "They keep the aberration of the observer's own motion too where its velocity is not known."
@@ -66,7 +67,7 @@ class Found:
             ("streaks measured and rejected", number(len(streaks) - n_published), _each(len(streaks) - n_published, n)),
             ("tracklets", number(self.n_tracklets), ""),
             ("stars found in a frame", *_median(frames, "n_stars_found", least=0.0)),
-            ("PSF, FWHM (px)", *_median(frames, "psf_sigma_px", least=1e-6, factor=FWHM_OF_SIGMA)),
+            ("PSF, FWHM (px)", *_median(frames, "psf_sigma_px", least=1e-6, factor=FWHM_PER_SIGMA)),
             ("noise of a pixel (ADU)", *self._noise()),
             ("frames solved on the sky", number(int(np.sum(frames["solved"]))), f"of {n}"),
             ("stars in a solution", *_median(frames[np.asarray(frames["solved"], dtype=bool)], "n_stars", least=1.0)),

@@ -29,7 +29,10 @@ NO_LIGHT_PLANES: Final = ("MP_BAD", "MP_NO_DATA", "MP_SUSPECT")
 """Header keys of the LSST pipelines that number the bits of a mask; those of detected sources are others."""
 
 MOST_FLAG_VALUES: Final = 64
+"""Different values of an image of flags, each of three bits at most. Chosen, not measured: more let pictures of few counts
+pass."""
 LEAST_UNFLAGGED: Final = 0.5
+"""Share of zeros in an image of flags. Chosen, not measured: less lets pictures pass for flags."""
 
 
 @dataclass(frozen=True, kw_only=True)

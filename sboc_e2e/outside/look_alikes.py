@@ -5,6 +5,7 @@ in the negative, after the same background, masks and star list, is therefore wh
 method of Elias and Gygi 2007, doi:10.1038/nmeth1019). What is bright alone, such as cosmic rays, is not counted this way.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
@@ -33,13 +34,18 @@ SHADOW_SNR: Final = 2.0
 """A shadow is fainter than its trail by this factor at least."""
 
 READOUT_SIGMAS: Final = 2.5
+"""The vetter of uncalibrated frames refuses lines by the same distance (docs/real-frames.md)."""
 READOUT_SPAN: Final = 0.7
 """A line within `READOUT_SIGMAS` PSF sigmas of one row or column, over this share of the frame, comes from the readout."""
 
 PROFILE_PX: Final = 32
 """How far to both sides of a line its profile is looked at."""
 
-FWHM_PER_SIGMA: Final = 2.355
+CORE_PX: Final = 2
+"""Pixels within it of a line hold its light."""
+
+FWHM_PER_SIGMA: Final = 2.0 * math.sqrt(2.0 * math.log(2.0))
+"""Full width at half maximum of a Gaussian over its sigma: 2.3548."""
 
 NO_LINE: Final = StreakFlag.POINT_LIKE | StreakFlag.COSMIC_LIKE
 
@@ -52,7 +58,7 @@ def negative_of(view: DetectorView) -> DetectorView:
 
 
 def look_alikes(detector: Detector, view: DetectorView, detections: Sequence[Detection]) -> NDArray[np.float64]:
-    """S/N, length and width (px), shape (n, 3), of lines in the negative of a frame by falling S/N.
+    """S/N, length, width (px) and evenness, shape (n, 4), of lines in the negative of a frame by falling S/N.
 
     detections : of the frame itself. Dark lines beside a line that is much brighter are its shadow and do not count. Neither do
     lines of the readout: the vetter of uncalibrated frames refuses such lines by their place, and they tell nothing of others.
@@ -66,15 +72,16 @@ def look_alikes(detector: Detector, view: DetectorView, detections: Sequence[Det
         if not (each.flags & NO_LINE or _of_readout(each, view) or any(_shadow(each, of) for of in detections))
     ]
     table = np.array(
-        [(each.snr, each.length_px, width_of(each, negative.residual_adu, negative.mask)) for each in lines], dtype=np.float64
-    ).reshape(-1, 3)
+        [(each.snr, each.length_px, *shape_of(each, negative.residual_adu, negative.mask)) for each in lines], dtype=np.float64
+    ).reshape(-1, 4)
     return table[np.argsort(-table[:, 0], kind="stable")]
 
 
-def width_of(line: Detection, residual_adu: NDArray[np.float32], mask: NDArray[np.uint8]) -> float:
-    """Width of a line (sigma of the Gaussian of its full width at half maximum, px), the pixel's own included.
+def shape_of(line: Detection, residual_adu: NDArray[np.float32], mask: NDArray[np.uint8]) -> tuple[float, float]:
+    """Width of a line (sigma of the Gaussian of its full width at half maximum, px; the pixel's own included) and its evenness.
 
-    The profile is the median along the line, masked pixels left out. Its level is the median of the outer half.
+    The profile is the median along the line, masked pixels left out. Its level is the median of the outer half. Evenness is the
+    median of the light along the line over its mean, 0 to 1: one clump of the line's light gives 0.
     """
     along = np.linspace(0.0, 1.0, max(2, round(line.length_px)))
     length = max(line.length_px, 1e-6)
@@ -86,6 +93,11 @@ def width_of(line: Detection, residual_adu: NDArray[np.float32], mask: NDArray[n
     inside = (r >= 0) & (c >= 0) & (r < mask.shape[0]) & (c < mask.shape[1])
     r, c = np.where(inside, r, 0), np.where(inside, c, 0)
     value = np.where(inside & (mask[r, c] == 0), residual_adu[r, c], np.nan)
+    return _width(value, offset), _evenness(value, offset)
+
+
+def _width(value: NDArray[np.float32], offset: NDArray[np.intp]) -> float:
+    """Of pixels (n, k) at n places along a line and k across it; NaN where masked."""
     known = np.isfinite(value).any(axis=0)
     profile = np.zeros(offset.size)
     profile[known] = np.nanmedian(value[:, known], axis=0)
@@ -95,6 +107,17 @@ def width_of(line: Detection, residual_adu: NDArray[np.float32], mask: NDArray[n
     half = above > 0.5 * above[middle]
     left, right = (next((k for k, lit in enumerate(side) if not lit), side.size) for side in (half[middle::-1], half[middle:]))
     return max(left + right - 1, 1) / FWHM_PER_SIGMA
+
+
+def _evenness(value: NDArray[np.float32], offset: NDArray[np.intp]) -> float:
+    """Of the same pixels: those within `CORE_PX` of the line over the outer half. 1 where they do not tell."""
+    core, outer = np.abs(offset) <= CORE_PX, np.abs(offset) > PROFILE_PX // 2
+    both = np.isfinite(value[:, core]).any(axis=1) & np.isfinite(value[:, outer]).any(axis=1)
+    if not both.any():
+        return 1.0
+    light = np.nanmean(value[both][:, core], axis=1) - np.nanmean(value[both][:, outer], axis=1)
+    mean = float(np.mean(light))
+    return min(max(float(np.median(light)) / mean, 0.0), 1.0) if mean > 0.0 else 1.0
 
 
 def seen_of(mask: NDArray[np.uint8]) -> tuple[int, int, int, int]:
@@ -147,5 +170,5 @@ class CountingChain(OnboardChain):
 
 
 def counts_of(table: NDArray[np.float64]) -> dict[str, int]:
-    """Number of look-alikes, (n, 3) S/N, length and width, as published: in all, and from each of `LEVELS_SNR` on."""
+    """Number of look-alikes, (n, 4) of `look_alikes`, as published: in all, and from each of `LEVELS_SNR` on."""
     return {"all": len(table)} | {f"snr_{level:g}": int(np.sum(table[:, 0] >= level)) for level in LEVELS_SNR}

@@ -36,7 +36,7 @@ from sboc_e2e.registry import Registry
 from sboc_e2e.run.ground_stage import ground_chain
 from sboc_e2e.scenario import Scenario
 
-RUN_ID: Final = 0
+RUN_ID: Final = 0  # Number in the packets of the only run there is; any number serves.
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -22,6 +22,8 @@ STAYS: Final = 0.5
 """Share of the step that is left between the levels on both sides; a bad column leaves none."""
 
 BESIDE_PX: Final = 10
+"""Columns of sky beside the step whose median is its level: more than a bad column or a charge tail is wide. Chosen, not
+measured."""
 MOST_LINES: Final = 512
 """Lines that are looked at, evenly spaced."""
 

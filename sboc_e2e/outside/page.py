@@ -15,8 +15,8 @@ from sboc_e2e.report import pictures
 from sboc_e2e.report.page import simple_page
 from sboc_e2e.view.run_frames import ShownFrame, is_published
 
-MOST_FRAMES: Final = 24
-MOST_CUTOUTS: Final = 60
+MOST_FRAMES: Final = 24  # Pictures of frames on the page, as many as the reports of runs show. Chosen: a page of a few MB.
+MOST_CUTOUTS: Final = 60  # Cut-outs of published streaks, brightest first. Chosen; the table below them has all.
 ENDS: Final = ("row0", "col0", "row1", "col1")
 LOOKS_LIKE: Final = {
     StreakFlag.COSMIC_LIKE: "sharper than the PSF",

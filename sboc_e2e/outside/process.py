@@ -57,6 +57,7 @@ def base_document(wcs: str) -> dict[str, Any]:
         },
         "ground": {
             "astrometry": {"lost_in_space": "required" if wcs == "solve" else "never"},
+            "streak_fitter": {"fading_ends": True},
             "vetter": {"model_error": MODEL_ERROR},
         },
     }

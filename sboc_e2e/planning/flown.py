@@ -3,9 +3,10 @@
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ground.planning.schedule import Schedule
-from ground.planning.sky import Orbit, Site, Sky, sky_of
+from ground.planning.sky import Orbit, Site, sky_of
 from sboc_e2e.files.frame_fits import utc_text
 from sboc_e2e.planning.request import PlanRequest
 from sboc_e2e.registry import Registry
@@ -35,7 +36,8 @@ def scenario_toml(
     document["frames"] = max(1, int((visits[-1].end_tai_ns - first) * 1e-9 * found.simulator.frame_rate_hz))
     document["pointing"] = {**document["pointing"], "law": "schedule", "visits": rows}
     if isinstance(station, Orbit):
-        document["platform"] = {**document["platform"], **_elements(sky_of(station, np.array([first])))}
+        sky = sky_of(station, np.array([first]))
+        document["platform"] = {**document["platform"], **kepler_keys(sky.station_km[0], sky.station_km_s[0])}
     if objects is not None:
         document["population"] = {**document["population"], "classes": []}
         size = f"{request.plan.size_m!r} m"
@@ -44,9 +46,9 @@ def scenario_toml(
     return text(from_document(document, name="scenario", registry=registry, where="plan"))
 
 
-def _elements(sky: Sky) -> dict[str, object]:
-    """Keys of a Kepler platform from the station's state."""
-    elements = elements_of(sky.station_km[0], sky.station_km_s[0])
+def kepler_keys(position_km: NDArray[np.float64], velocity_km_s: NDArray[np.float64]) -> dict[str, object]:
+    """Keys of a Kepler platform from its state (3,) km, (3,) km/s, GCRS axes."""
+    elements = elements_of(position_km, velocity_km_s)
     angles = {
         "inclination": elements.i_rad, "node": elements.node_rad, "perigee": elements.argp_rad,
         "mean_anomaly": elements.mean_anomaly_rad,

@@ -19,13 +19,13 @@ from sboc_e2e.report.pictures import stretch
 from sboc_e2e.scenario import available, load
 from simulator.chain import Simulator
 
-THUMBNAIL_PX: Final = 360
-MARKED_SNR: Final = 5.0
-MARK_BGR: Final = (80, 190, 60)
+THUMBNAIL_PX: Final = 360  # Longer side of a picture: three stand side by side in README.md.
+MARKED_SNR: Final = 5.0  # Chosen, not measured: fainter truth streaks hardly show in a thumbnail.
+MARK_BGR: Final = (80, 190, 60)  # Green that stands off from grey, blue first as OpenCV has it.
 MEASURED_PARTS: Final = ((2044, 1828), (3368, 2280))
 """Middles of parts of `sso_antisun`: a star of V = 3.9, a galaxy of V = 12.1."""
-PART_PX: Final = 240
-PART_SCALE: Final = 2
+PART_PX: Final = 240  # Side of a part: holds the halo of the star and the galaxy.
+PART_SCALE: Final = 2  # Screen pixels for a pixel, so that single pixels can be seen.
 
 
 def thumbnail(name: str, catalogue: StarCatalogue) -> NDArray[np.uint8]:

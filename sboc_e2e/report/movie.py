@@ -17,13 +17,14 @@ from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.report import pictures
 from sboc_e2e.score.evaluation import Evaluation, evaluate
 
-WIDTH_PX: Final = 640
+WIDTH_PX: Final = 640  # Width of the film; a frame of 4096 px shrinks by 6.4. Chosen, not measured: wider films are larger files.
 SECONDS: Final = 0.4
 """How long each frame stands."""
-MAX_FRAMES: Final = 60
+MAX_FRAMES: Final = 60  # 24 s of film at `SECONDS` each; of longer runs every second, third ... frame is taken. Chosen.
 GREYS: Final = 240
 """Entries of the palette that are grey; the colours of what is drawn follow."""
 COLOURS: Final = ((57, 195, 106), (255, 81, 72), (74, 168, 255), (255, 157, 46))
+"""Red, green and blue of what is drawn: true, missed, measured, false, as in the report."""
 TRUE, MISSED, MEASURED, FALSE = range(GREYS, GREYS + len(COLOURS))
 BESIDE_PX: Final = 5
 """Truth is drawn beside its trail, so that the trail stays visible."""

@@ -23,12 +23,13 @@ from sboc_e2e.scenario import load
 from simulator.chain import Simulator
 
 _STYLE: Final[dict[Any, Any]] = {"font.size": 9, "axes.edgecolor": INK, "axes.titlesize": 10}
-_DPI: Final = 110
-CURVED_FRAME: Final = 2
+_DPI: Final = 110  # Dots per inch: a figure of nine inches is 990 px wide, a page of README.md. Chosen.
+CURVED_FRAME: Final = 2  # Frame of `curved_streak` whose trail lies wholly inside; the scenario's seed is fixed.
 _PROFILE_HALF_PX: Final = 5.0
+"""Light within this distance of the path is summed: six PSF sigmas of `sboc_like`, all of a trail's light."""
 _PROFILE_COLS: Final = 31
 """Light along a trail is summed over this many rows to both sides; its running median leaves out stars."""
-PARTICLE_WINDOW_PX: Final = 256
+PARTICLE_WINDOW_PX: Final = 256  # A part in which single tracks can be seen; a frame of 4096 px has 256 of them.
 
 
 def simulator_of(scenario: str, *overrides: str) -> Simulator:

@@ -11,10 +11,10 @@ import numpy as np
 from astropy.io import fits
 from numpy.typing import NDArray
 
-PREVIEW_PX: Final = 1024
-CUTOUT_PX: Final = 96
-TILE_PX: Final = 256
-JPEG_QUALITY: Final = 72
+PREVIEW_PX: Final = 1024  # Longest side of a preview: frames of 4096 px shrink by whole pixels, and a browser shows it unscaled.
+CUTOUT_PX: Final = 96  # Side of a cut-out: a trail's surroundings at full resolution. Chosen; longer trails leave it.
+TILE_PX: Final = 256  # Side of a full-resolution tile: 16 a side of 4096 px, so that a page carries only those with streaks.
+JPEG_QUALITY: Final = 72  # Of 100. A megapixel of noise takes 0.29 MB (0.49 MB at 90), with an error of half the noise.
 
 
 def kept_frames(run_dir: Path) -> dict[int, Path]:

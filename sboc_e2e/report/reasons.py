@@ -11,6 +11,7 @@ from astropy.table import Row
 from numpy.typing import NDArray
 
 from ground.options import GroundOptions
+from ground.vetting.features import ALIGNED_DEG, ALIGNED_LENGTH_PX
 from sboc_e2e.files import calibration_files
 from sboc_e2e.icd.downlink import DownlinkFrame, Housekeeping
 from sboc_e2e.icd.errors import SbocError
@@ -26,12 +27,11 @@ MASKED: Final = 0.15
 """Least share of a trail's light on defective pixels that is mentioned."""
 POINT_WIDTHS: Final = 3.0
 """Trails of fewer PSF widths (sigma) look like stars."""
-STAR_NEAR_PX: Final = 3.0
+STAR_NEAR_PX: Final = 3.0  # A star's light reaches that far: three PSF sigmas of `sboc_like` are 2.6 px.
 TELLING: Final = 3.0
 """Errors from which a term of the vetter is named."""
-ALIGNED_DEG: Final = 0.7
-ALIGNED_PX: Final = 15.0
 PIXEL_VARIANCE_PX2: Final = 1.0 / 12.0
+"""Variance of a uniform distribution over one pixel, which a measured width has besides the PSF's."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -173,7 +173,7 @@ def _terms(measured: Row, psf_sigma_px: float | None) -> list[str]:
         words.append(f"a straight trail fits it badly (chi2/nu {float(measured['chi2_nu']):.1f})")
     if {"angle_deg", "length_px"} <= set(names):
         off = float(measured["angle_deg"]) % 90.0
-        if float(measured["length_px"]) > ALIGNED_PX and min(off, 90.0 - off) < ALIGNED_DEG:
+        if float(measured["length_px"]) > ALIGNED_LENGTH_PX and min(off, 90.0 - off) < ALIGNED_DEG:
             words.append("it runs along a row or column")
     return words
 

@@ -20,7 +20,7 @@ from sboc_e2e.score.astrometry import frame_astrometry, sky_paths, streak_astrom
 from sboc_e2e.score.evaluation import Evaluation, evaluate
 from sboc_e2e.score.photometry import mean_magnitudes, photometry
 
-MAX_PREVIEWS: Final = 24
+MAX_PREVIEWS: Final = 24  # First frames shown on the page. Chosen, with `MAX_TILE_BYTES`, so that it stays below 25 MB.
 MAX_TILE_BYTES: Final = 12_000_000
 """Full-resolution tiles in a page, so that it stays below 25 MB with previews and cut-outs."""
 RESIDUALS_TITLE: Final = "Streak positions against their bounds"

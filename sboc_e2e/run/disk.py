@@ -9,12 +9,14 @@ from sboc_e2e.icd.errors import UserError
 from sboc_e2e.run.progress import Progress
 from sboc_e2e.scenario import Scenario
 
-STAR_ROW_BYTES: Final = 62
+STAR_ROW_BYTES: Final = 85  # Of truth/stars.ecsv: the 10,531 rows of `smoke` have 85.1 on average.
 STARS_PER_PIXEL: Final = 0.002
 """Rows of truth/stars.ecsv per pixel and frame; measured on the anti-Sun field, crowded fields have up to ten times more."""
 
 DOWNLINK_SHARE: Final = 0.02
+"""Of frames of 12 bits: crowded `smoke` has 0.022, `sso_antisun` 1 / 1,243 (README.md). Whole frames take more."""
 FRAMES_IN_FLIGHT: Final = 8
+"""Frames taken to lie between the stages, 6 bytes a pixel. Chosen, not measured: the estimate is rough (50 %)."""
 
 
 def estimate_bytes(scenario: Scenario) -> tuple[int, int]:

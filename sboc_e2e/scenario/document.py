@@ -219,8 +219,19 @@ def bare(
     overrides: Iterable[str] = (),
     use: Mapping[str, str] | None = None,
 ) -> Scenario:
-    """A scenario without a file: the given tables over the defaults, then overrides and typed steps."""
-    return _resolved(dict(document), name, name, registry, overrides, use or {}, None)
+    """A scenario without a file: the given tables over the defaults, then overrides and typed steps.
+
+    Options that the tables give a step are those of its default. They are gone where ``--set SEAM.use=`` chooses another, as
+    with ``--use``: the user did not write them.
+    """
+    overrides = tuple(overrides)
+    tables = dict(document)
+    chosen = {text.partition("=")[0].strip() for text in overrides}
+    for seam in SEAMS:
+        segment, _, key = seam.partition(".")
+        if f"{seam}.use" in chosen and key in tables.get(segment, {}):
+            tables[segment] = {each: value for each, value in tables[segment].items() if each != key}
+    return _resolved(tables, name, name, registry, overrides, use or {}, None)
 
 
 def _resolved(

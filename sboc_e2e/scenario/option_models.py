@@ -20,7 +20,7 @@ from pydantic import BaseModel, ConfigDict, Field, PlainValidator, ValidationErr
 from sboc_e2e.icd.errors import SbocError, UserError
 from sboc_e2e.scenario import quantities
 
-MAX_STRING: Final = 4096
+MAX_STRING: Final = 4096  # Characters of a text: those of a path on Linux (PATH_MAX).
 _NAMES: Final = {bool: "true or false", int: "an integer", float: "a number", str: "a string"}
 
 

@@ -25,12 +25,13 @@ UNIT_SUFFIXES: Final[dict[str, str]] = {
     "mag": "mag", "mag_arcsec2": "mag / arcsec2", "m2_s": "1 / (m2 s)", "per_cm2": "1 / cm2", "ff": "fF",
     "per_cm2_s": "1 / (cm2 s)", "cm2_s": "1 / (cm2 s)", "per_s": "1 / s", "g_cm2": "g / cm2", "ev": "eV", "kev": "keV",
     "mev": "MeV", "k": "K", "kg": "kg", "kg_m3": "kg / m3", "w_m2": "W / m2", "percent": "percent", "ppm": "1e-6",
+    "m2_kg": "m2 / kg",
     "ppm_s": "1e-6 / s", "bytes": "byte", "bits": "bit", "bit_s": "bit / s", "mbit_s": "Mbit / s", "kbit_s": "kbit / s",
 }  # fmt: skip
 """Unit suffix of a field's name (without the leading underscore) and its unit as astropy spells it."""
 
-MAX_TEXT: Final = 80
-MAX_EXAMPLE: Final = 20
+MAX_TEXT: Final = 80  # Characters of a value in an error's one line, and of a quantity: longer ones are no quantities.
+MAX_EXAMPLE: Final = 20  # Characters of a number that a message repeats as an example; a double needs 17 digits at most.
 _LONGEST_SUFFIX: Final = max(suffix.count("_") + 1 for suffix in UNIT_SUFFIXES)
 _NUMBER: Final = re.compile(r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d{1,3})?)\s*([^\d\s].*)?$")
 _UNIT_TEXT: Final = re.compile(r"[A-Za-z0-9 */().^%_-]{1,40}$")

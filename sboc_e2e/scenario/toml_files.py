@@ -13,8 +13,8 @@ from sboc_e2e.icd.errors import UserError
 FOLDER: Final = Path(__file__).resolve().parents[2] / "scenarios"
 """Scenarios and presets that come with the project."""
 
-MAX_FILE_BYTES: Final = 1 << 20
-MAX_DEPTH: Final = 16
+MAX_FILE_BYTES: Final = 1 << 20  # 1 MiB; the largest shipped scenario has 2.3 kB. Keeps a wrong path from filling the memory.
+MAX_DEPTH: Final = 16  # Shipped files nest five deep; what walks tables by recursion stays far from Python's limit of 1,000.
 _UNQUOTED: Final = re.compile(r"([A-Za-z0-9_.-]{1,60})\s*=\s*([A-Za-z0-9+.-][^\"'#\[\]{}=,]{0,60}?)\s*(?:#.*)?")
 """A key with a bare value of letters and digits, such as ``ra = 150 deg``."""
 _PRESET_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")

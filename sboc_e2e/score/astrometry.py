@@ -15,6 +15,7 @@ from sboc_e2e.score.matching import TruthStreak, distance_to_path
 
 ARCSEC_PER_RAD = math.degrees(1.0) * 3600.0
 SHORTEST_LINE_PX = 4.0
+"""A shorter chord has no sure direction: an FWHM of 2 px at both ends. Its middle is judged instead. Chosen, not measured."""
 
 
 def _along_of_ends(measured: NDArray[np.float64], truth: TruthStreak) -> NDArray[np.float64]:

@@ -17,6 +17,8 @@ CHANGE_POINT: Final = math.sqrt(16.0 * 1.2020569031595943)
 """sqrt(16 zeta(3)) = 4.39: rms of the posterior mean of a change point, in units of L / S^2."""
 
 _MOVE_PX: Final = 0.02
+"""Step of the central differences. Bounds differ from those of a tenth of it by 6e-5 at most, of ten times it by 0.6 % (trails of
+5 to 300 px)."""
 
 
 @dataclass(frozen=True, kw_only=True)

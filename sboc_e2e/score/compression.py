@@ -10,7 +10,7 @@ from sboc_e2e.icd.layout import PRIMARY, Apid
 from sboc_e2e.icd.signals import RoiGroup
 from sboc_e2e.score.figures import Figure, absent, bootstrap, exact
 
-RAW_BITS_PER_PIXEL = 12
+RAW_BITS_PER_PIXEL = 12  # Definition of `raw_bytes` (docs/scoring.md): a 12-bit converter's numbers, packed.
 
 
 def bytes_by_kind(downlink: bytes) -> dict[str, int]:

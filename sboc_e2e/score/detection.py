@@ -17,9 +17,12 @@ from sboc_e2e.score.matching import SNR_IGNORED, TruthStreak
 from sboc_e2e.score.trail import draw
 
 LEAST_DETECTABLE_SNR: Final = 8.0
-FLUX_HELD: Final = 0.90
+"""The default detector finds half at S/N 7.26 [7.10, 7.38] (docs/survey.md); below, noise decides."""
+FLUX_HELD: Final = 0.90  # Definition of `n_detected` on board (docs/scoring.md): share of the electrons inside regions. Chosen.
 FLUX_OF_FALSE: Final = 0.10
+"""Definition of `false_per_frame` (docs/scoring.md): less of every trail makes a region false. Chosen."""
 MAX_AREA_FRACTION: Final = 0.05
+"""A score fails above it (docs/scoring.md), or a detector that sends everything would win. Chosen."""
 IMPOSTOR: Final = StreakFlag.COSMIC_LIKE | StreakFlag.SPIKE_LIKE
 """Flags by which the on-board software itself says that a region holds no object."""
 SNR_EDGES: Final = (3.0, 5.0, 6.0, 7.0, 8.0, 10.0, 15.0, 30.0, 100.0, np.inf)

@@ -21,10 +21,10 @@ from sboc_e2e.truth import EXTERNAL, EXTERNAL_REQUIRED, PATH_NODES, empty
 Truth = dict[str, Table]
 """The tables frames, streaks and objects."""
 
-MAX_BYTES: Final = 1 << 30
+MAX_BYTES: Final = 1 << 30  # 1 GiB, some 1e7 trails of 100 characters; keeps a wrong path from filling the memory.
 _KINDS: Final = {column.name: np.dtype(column.dtype).kind for column in EXTERNAL}
 _NODES: Final = np.linspace(0.0, 1.0, PATH_NODES)
-_FINE: Final = 2000
+_FINE: Final = 2000  # Points along a trail at which it is cut to the frame: its ends are right to 1/2000 of its length.
 
 
 def read_table(path: Path) -> Table:

@@ -11,7 +11,7 @@ from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.score.figures import bootstrap, exact, proportion, rate
 from sboc_e2e.score.matching import TruthStreak
 
-FINDABLE_FRAMES: Final = 3
+FINDABLE_FRAMES: Final = 3  # Definition of a findable object (docs/scoring.md): two trails fit any motion, the third tests it.
 
 
 def linking(streaks: Table, pairs: Mapping[int, TruthStreak], n_frames: int) -> tuple[dict[str, Any], dict[int, int]]:

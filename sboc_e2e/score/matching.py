@@ -12,8 +12,8 @@ from sboc_e2e.score.trail import TruePath
 SNR_IGNORED: Final = 3.0
 """Truth below this S/N counts neither as missed nor, when matched, as false."""
 
-POINT_LENGTH_PX: Final = 10.0
-POINT_RADIUS_PX: Final = 3.0
+POINT_LENGTH_PX: Final = 10.0  # Definition of the match (docs/scoring.md): of shorter trails the angle is not judged.
+POINT_RADIUS_PX: Final = 3.0  # Definition of the match (docs/scoring.md): three and a half PSF sigmas of `sboc_like`.
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

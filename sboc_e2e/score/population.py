@@ -16,7 +16,7 @@ from sboc_e2e.score.evaluation import Evaluation
 from sboc_e2e.score.figures import absent, figure, proportion, rate, scaled
 from sboc_e2e.score.recovery import SIZE_EDGES_M
 
-SECONDS_PER_DAY: Final = 86_400.0
+SECONDS_PER_DAY: Final = 86_400.0  # Of a day of 24 h, without leap seconds: rates are scaled by it.
 
 SLOWEST_DEG_S: Final = 0.1
 """Tracklets slower than this are in no flux (definition in products/population.ecsv)."""

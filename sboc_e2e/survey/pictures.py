@@ -20,7 +20,7 @@ _STYLE: Final = {"font.size": 8, "axes.grid": True, "grid.alpha": 0.25}
 SHOWN_EDGES: Final = (2, 3, 4)
 """Of the classes: larger than 1, 3 and 10 cm."""
 
-HIGHEST_SHOWN_KM: Final = 2000.0
+HIGHEST_SHOWN_KM: Final = 2000.0  # The last shell reaches to 60,000 km; drawn so far it would leave no room for the others.
 FEW: Final = 0.5
 """Half widths of intervals above this share of the value are drawn faintly."""
 

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from sboc_e2e.files import atomic, ecsv
 from sboc_e2e.registry import Registry
 from sboc_e2e.scenario import Scenario
+from sboc_e2e.score.figures import SEED
 from sboc_e2e.survey.block import ALTITUDE_EDGES_KM, CLASS_EDGES_M, INCLINATION_EDGES_DEG
 from sboc_e2e.survey.estimate import SIZES, Flux, days_to, flux_by_band, systematic_ln, systematic_terms, told_apart
 from sboc_e2e.survey.named import named_page
@@ -27,9 +28,9 @@ from simulator.survey import Flight, expected_passages, model_flux
 
 Array = NDArray[np.float64]
 
-SEED: Final = 20270129
 RESPONSE_CURVES: Final = 12
-YEAR_DAYS: Final = 365.0
+"""Of the 40 of a response: their spread is then known to 21 % (1 / sqrt(2 * 11)). Each costs an integral."""
+YEAR_DAYS: Final = 365.0  # Length of the survey that the page's figures are scaled to, without its leap day.
 SHELLS: Final = ((2, 3), (2, 4), (3, 4), (4, 4), (4, 7))
 """Numbers of sizes and altitudes for which the page says how soon they are known."""
 

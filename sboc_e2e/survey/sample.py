@@ -5,7 +5,7 @@ import tempfile
 from collections import defaultdict
 from dataclasses import replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
@@ -17,18 +17,7 @@ from sboc_e2e.score.astrometry import sky_paths, streak_astrometry
 from sboc_e2e.score.evaluation import Evaluation
 from sboc_e2e.score.linking import linking
 from sboc_e2e.score.photometry import mean_magnitudes
-
-STREAK_COLUMNS: Final = (
-    "object", "frame", "snr", "length_px", "noise_e", "edges", "onboard", "ground", "mag", "mag_error", "mag_pull", "cross_px",
-    "cross_pull", "sky_cross_arcsec", "sky_along_arcsec", "along_pull",
-)  # fmt: skip
-OBJECT_COLUMNS: Final = (
-    "object", "size_m", "albedo", "a_km", "e", "i_deg", "weight", "range_km", "rate_deg_s", "altitude_km", "frames", "snr_max",
-    "snr_all", "arc_deg", "mag", "detected", "linked", "orbit", "mag_error", "ln_rate_error", "ln_range_error",
-    "ln_size_error", "altitude_error_km", "i_error_deg", "size_estimate_m",
-)  # fmt: skip
-LEAST_SNR: Final = 3.0
-"""Fainter trails are neither found nor counted as missed."""
+from sboc_e2e.survey.rows import LEAST_SNR
 
 
 def sample_run(scenario: Scenario, folder: Path | None = None) -> dict[str, Any]:
@@ -176,9 +165,3 @@ def _plain(value: Any) -> Any:
         return int(value)
     number = float(value)
     return float(f"{number:.6g}") if math.isfinite(number) else None
-
-
-def columns(rows: list[list[Any]], names: tuple[str, ...]) -> dict[str, Any]:
-    """Rows as arrays by name, None as NaN."""
-    table = np.array([[np.nan if v is None else v for v in row] for row in rows], dtype=np.float64).reshape(-1, len(names))
-    return {name: table[:, k] for k, name in enumerate(names)}

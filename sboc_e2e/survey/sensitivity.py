@@ -22,8 +22,11 @@ from simulator.survey import Flight, candidates, instants_of, looks_of, pool_of
 Array = NDArray[np.float64]
 
 CANDIDATES: Final = 150_000
+"""Draws of each class; the scatter that they leave is stated beside every value (`Setting.error`). More cost time."""
 INSTANTS: Final = 240
+"""Times of a year at which the field is looked at. Chosen, not measured: two in three days, at random hours."""
 SENSITIVITY_BLOCK: Final = 9_000_000
+"""Number of a random stream that no survey reaches: its blocks are quarters of a day, 1.5 million in 1,000 years."""
 GROUPS: Final = ((0.001, 0.01), (0.01, 0.1), (0.1, 3.0))
 """Diameters (m) of the pieces that are counted apart."""
 

@@ -16,21 +16,26 @@ from sboc_e2e.scenario import Scenario
 from sboc_e2e.score.figures import Figure, bootstrap
 from sboc_e2e.survey.block import finds_of, tables_of
 from sboc_e2e.survey.response import Response
-from sboc_e2e.survey.sample import LEAST_SNR, OBJECT_COLUMNS, STREAK_COLUMNS, columns
+from sboc_e2e.survey.rows import LEAST_SNR, OBJECT_COLUMNS, STREAK_COLUMNS, columns
 from simulator.randomness import Effect, generator
 from simulator.survey import Flight, Passages, candidates, instants_of, joined, looks_of, pool_of
 
 Array = NDArray[np.float64]
 
 CANDIDATES: Final = 400_000
+"""Draws of each class, from which the objects of all virtual runs are taken. Chosen, not measured: fewer repeat each other."""
 VIRTUAL_RUNS: Final = 400
+"""Twenty times the 20 runs with pixels, so that their own scatter adds 2.5 % to that of the comparison."""
 LONGEST_S: Final = 1e6
+"""Keeps weights of objects that stand still in the field finite; a run lasts seconds."""
 VALIDATION_BLOCK: Final = 6_000_000
+"""Number of a random stream that no survey reaches (1.5 million blocks in 1,000 years), and not that of sensitivities."""
 CLASSES: Final = ((0.0, 0.01), (0.01, 0.1), (0.1, 3.0))
 """Of true diameters (m), for counts."""
 
-SNR_CLASSES: Final = ((3.0, 7.0), (7.0, 10.0), (10.0, 1e9))
+SNR_CLASSES: Final = ((3.0, 7.0), (7.0, 10.0), (10.0, 1e9))  # Below the half point (7.26), about it, and above; for counts.
 LENGTH_CLASSES_PX: Final = ((0.0, 30.0), (30.0, 100.0), (100.0, 1e9))
+"""Short, usual and long trails, half a decade wide; for counts."""
 LARGER_M: Final = (0.003, 0.01, 0.03, 0.1, 0.3)
 """Estimated diameters, for recovered numbers."""
 

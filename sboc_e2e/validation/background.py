@@ -8,8 +8,11 @@ import sep
 from numpy.typing import NDArray
 
 MESH_PX = 64
+"""SExtractor's default BACK_SIZE, and sep's. The spectrum of the noise is not used below two periods of it."""
 DETECT_SIGMA = 2.5
+"""Of a pixel. Chosen, not measured: above SExtractor's 1.5, as what is masked by chance narrows the noise."""
 MIN_AREA_PX = 5
+"""Connected pixels of a source: SExtractor's default DETECT_MINAREA, and sep's."""
 GROW_PX = 4
 """Detected pixels are grown by this, so that the wings of stars do not pass for noise."""
 

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import stats
 
 BINS: Final = 120
+"""Some 0.06 sigma each for Gaussian noise, whose middle 99.9 % are 6.6 sigma. Both histograms have the same. Chosen."""
 
 
 def wasserstein(first: ArrayLike, second: ArrayLike) -> float:

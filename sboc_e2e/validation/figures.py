@@ -6,7 +6,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sboc_e2e.score.figures import Figure, absent, bootstrap, exact, rate, rms
+from sboc_e2e.score.figures import SEED, Figure, absent, bootstrap, exact, rate, rms
 from sboc_e2e.validation import distances
 from sboc_e2e.validation.background import Background, LinearMatch, match, measure_background
 from sboc_e2e.validation.noise import NoiseSpectrum, noise_spectrum
@@ -17,7 +17,7 @@ from sboc_e2e.validation.subjects import Picture
 COUNT_SNR: Final = 10.0
 """Stars are counted above this aperture S/N: below it, detection is not complete."""
 MOST_PIXELS: Final = 2_000_000
-_SEED: Final = 20270129
+"""Distances sort their samples; two million have a Kolmogorov-Smirnov 1 % point of 0.0016, below what real frames differ by."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -105,7 +105,7 @@ def matched_values(side: Side, *, everything: bool) -> NDArray[np.float64]:
     step = side.picture.step_adu / background.noise
     if step == 0.0:
         return values
-    return np.asarray(values + step * (np.random.default_rng(_SEED).random(len(values)) - 0.5))
+    return np.asarray(values + step * (np.random.default_rng(SEED).random(len(values)) - 0.5))
 
 
 def _histograms(ours: Side, theirs: Side) -> dict[str, Any]:

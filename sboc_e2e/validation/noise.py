@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 from sboc_e2e.validation.background import Background
 
 TILE_PX: Final = 64
+"""Hann-windowed tiles, as wide as a mesh of the background: what is longer is taken away with it."""
 RADIAL_BINS: Final = 16
+"""From 2 to 32 periods a tile, two periods each. Chosen: finer bins hold less than the window resolves."""
 MIN_FREE: Final = 0.6
 """Tiles with a smaller share of source-free pixels are left out."""
 

@@ -9,14 +9,16 @@ from numpy.typing import NDArray
 from scipy.optimize import least_squares
 from scipy.spatial import cKDTree
 
-from sboc_e2e.validation.background import Background
+from sboc_e2e.validation.background import MIN_AREA_PX, Background
 
 DETECT_SIGMA: Final = 1.5
-MIN_AREA_PX: Final = 5
+"""SExtractor's default DETECT_THRESH."""
 STREAK_AXIS_RATIO: Final = 3.0
 """Sources longer than this over their width are trails, not stars."""
 FIT_SNR: Final = 20.0
+"""A width is then known to some 5 % (1 / S/N) for each star. Chosen: fewer stars reach more."""
 MOST_FITS: Final = 300
+"""Brightest first; the median width of 300 with 10 % scatter is known to 0.7 %. More cost time."""
 SIGMA_TO_FWHM: Final = 2.0 * np.sqrt(2.0 * np.log(2.0))
 
 

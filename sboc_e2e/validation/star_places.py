@@ -13,7 +13,9 @@ from sboc_e2e.validation.subjects import KnownStars
 SEARCH_PX: Final = 40.0
 """A WCS may be wrong by this much as a whole."""
 NEAR_PX: Final = 3.0
+"""After the common shift. Chosen, not measured: wider pairs strangers, narrower loses stars under a distorted WCS."""
 VOTE_PX: Final = 2.0
+"""Shifts within this distance are one. Chosen, not measured: about the FWHM of a star."""
 MIN_VOTES: Final = 3
 """Fewer pairs with one shift may be chance; the WCS is then taken as it is."""
 DEPTH: Final = 1.5

@@ -17,6 +17,7 @@ from sboc_e2e.run.simulation import sky_catalogue
 from simulator.chain import Simulator
 
 MIN_SIDE_PX = 64
+"""One mesh of the background (`MESH_PX`) and one tile of the spectrum."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

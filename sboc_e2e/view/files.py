@@ -10,7 +10,7 @@ from sboc_e2e.files.atomic import replacing, write_text
 from sboc_e2e.view.run_frames import RunFrames, ShownFrame, is_published
 
 HEAD = '# Region file format: DS9 version 4.1\nglobal width=1 font="helvetica 10 normal roman"\nimage\n'
-STAR_RADIUS_PX = 4.0
+STAR_RADIUS_PX = 4.0  # Of the circle in DS9: two FWHM of `sboc_like`, so that the star stays visible inside. Chosen.
 
 
 def write_files(run: RunFrames, folder: Path) -> list[tuple[ShownFrame, Path, Path]]:

@@ -19,7 +19,7 @@ from sboc_e2e.files.atomic import write_text
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.view.run_frames import RunFrames, ShownFrame, is_published
 
-LEVELS: Final = 65535
+LEVELS: Final = 65535  # Levels of a picture of 16 bits, 2**16 - 1; level 0 is a pixel without number.
 PAGE: Final = "index.html"
 
 

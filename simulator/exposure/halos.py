@@ -7,7 +7,7 @@ from simulator.exposure.tables import FAINTEST_E, FARTHEST_PX, add_arms, add_dis
 from simulator.optics.halo import Halo
 from simulator.optics.psf_field import HALF_PX
 
-_PER_PX = 4
+_PER_PX = 4  # nodes of the round profile in a px: linear between them, r^-3 errs by 0.2 % at 7 px (h^2 f'' / 8 f)
 
 
 def render_halos(

@@ -13,6 +13,7 @@ STAMP_LOSS_E: Final = 0.02
 """Electrons of a star that may fall outside its stamp, under 1 % of the noise of one pixel; 1e-4 of the flux if that is less."""
 
 _LARGEST_STAMP: Final = 257
+"""Pixels across the largest stamp, which bounds its memory: sigmas of 18 px fit at the 7 sigma of a star of 1e9 electrons."""
 
 
 def render_stars(image_e: NDArray[np.float32], row: ArrayLike, col: ArrayLike, flux_e: ArrayLike, sigma_px: ArrayLike) -> None:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 FAINTEST_E = 0.02
 """Electrons per pixel below which light far from a point is left out."""
 FARTHEST_PX = 600.0
+"""Rings are drawn no farther, arms to four times as far: a budget of time for saturated stars. Chosen, not measured."""
 
 
 @numba.njit(cache=True)

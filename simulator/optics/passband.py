@@ -21,9 +21,9 @@ Array = NDArray[np.float64]
 SPECTRA_PATH: Final = Path(__file__).parent / "star_spectra.npz"
 SUN_B_V: Final = 0.653
 """The Sun's B-V (Ramirez et al. 2012, ApJ 752, 5); zero points hold for this colour."""
-SHORTEST_NM: Final = 280.0
-LONGEST_NM: Final = 4000.0
-_STEP_NM: Final = 1.0
+SHORTEST_NM: Final = 280.0  # where ASTM G173-03 begins
+LONGEST_NM: Final = 4000.0  # where ASTM G173-03 ends
+_STEP_NM: Final = 1.0  # longest piece of the midpoint rule; the spectra's own bins cut it further
 
 
 @dataclass(frozen=True, kw_only=True)

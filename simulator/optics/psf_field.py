@@ -20,8 +20,8 @@ from simulator.optics.wavefront import NODES, PERIOD_PX, WavefrontOptions, frequ
 
 Array = NDArray[np.float64]
 
-HALF_PX: Final = 7
-PHASES: Final = 8
+HALF_PX: Final = 7  # half side of a table; closed forms go on from there. Time grows with its square; chosen, not measured
+PHASES: Final = 8  # table nodes per px; bilinear values between them widen a table by a known variance (see `_GRID_VARIANCE`)
 GRID: Final = 13
 """Tables along either axis of the field."""
 LARGEST_DISC_PX: Final = 5.0

@@ -17,8 +17,8 @@ Terms = tuple[tuple[int, int, float], ...]
 
 LARGEST_SHIFT = 0.2
 """Largest shift that is accepted, of the radius where the polynomial holds."""
-_SMALLEST_STRETCH = 0.2
-_HIGHEST_ORDER = 9
+_SMALLEST_STRETCH = 0.2  # least ratio of areas: Newton's inverse fails where the field folds, at 0. Chosen, not measured
+_HIGHEST_ORDER = 9  # the highest A_ORDER and B_ORDER of the convention (Shupe et al. 2005)
 
 
 @dataclass(frozen=True, kw_only=True)

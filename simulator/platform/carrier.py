@@ -1,6 +1,5 @@
 """The platform of a run: its place, the attitude of the camera, the times of open rows, and their telemetry."""
 
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import erfa
@@ -17,8 +16,6 @@ from simulator.platform.shutter import ClockOptions, FrameTiming, ShutterOptions
 from simulator.platform.telemetry import TelemetryOptions, attitude_estimate, observer_state
 
 Array = NDArray[np.float64]
-
-TargetDirection = Callable[[int], Array]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

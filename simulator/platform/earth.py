@@ -17,16 +17,18 @@ from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
 from simulator.platform import earth_orientation
 
-MU_KM3_S2: Final = 398600.4418
-EARTH_RADIUS_KM: Final = 6378.137
+MU_KM3_S2: Final = 398600.4418  # WGS 84, IERS Conventions 2010
+EARTH_RADIUS_KM: Final = 6378.137  # equatorial radius, WGS 84
 J2: Final = 1.08262668e-3
-"""WGS84/EGM96: gravitational parameter, equatorial radius, second zonal harmonic."""
-FLATTENING: Final = 1.0 / 298.257223563
-OMEGA_EARTH_RAD_S: Final = 7.292115e-5
-AU_KM: Final = 149597870.7
-SUN_RADIUS_KM: Final = 695700.0
-LIGHT_KM_S: Final = 299792.458
-DAY_S: Final = 86400.0
+"""Second zonal harmonic, EGM96: sqrt(5) times its normalised coefficient, 4.84165372e-4."""
+FLATTENING: Final = 1.0 / 298.257223563  # of the ellipsoid, a defining number of WGS 84
+OMEGA_EARTH_RAD_S: Final = 7.292115e-5  # rotation of the Earth, a defining number of WGS 84
+AU_KM: Final = 149597870.7  # exact, IAU 2012 resolution B2
+SUN_RADIUS_KM: Final = 695700.0  # nominal, IAU 2015 resolution B3
+LIGHT_KM_S: Final = 299792.458  # exact by the definition of the metre, SI
+DAY_S: Final = 86400.0  # seconds in a day of TAI or TT
+OBLIQUITY_RAD: Final = np.radians(23.4392911)
+"""Mean obliquity of J2000, 84381.448 arcsec (IAU 1976); that of IAU 2006 is 0.042 arcsec less."""
 
 
 def tai_ns_of_utc(epoch_utc: str) -> int:
@@ -43,6 +45,11 @@ def tai_ns_of_utc(epoch_utc: str) -> int:
     tai_ns = tai.from_jd_parts(atomic.jd1, atomic.jd2)
     refuse_outside_data(tai_ns)
     return tai_ns
+
+
+def utc_text(tai_ns: int) -> str:
+    """ISO-8601 UTC of an epoch, to the nanosecond."""
+    return str(Time(*tai.to_jd_parts(tai_ns), format="jd", scale="tai", precision=9).utc.isot)
 
 
 def refuse_outside_data(tai_ns: int) -> None:

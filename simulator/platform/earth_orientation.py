@@ -17,9 +17,9 @@ from numpy.typing import NDArray
 from sboc_e2e.icd import tai
 
 ARCSEC_RAD: Final = np.pi / 648000.0
-MJD_ZERO: Final = 2400000.5
+MJD_ZERO: Final = 2400000.5  # Julian date of MJD 0, by definition
 
-C04: Final = ((16, 10), (26, 12), (38, 12), (50, 12))
+C04: Final = ((16, 10), (26, 12), (38, 12), (50, 12))  # as below, in a line of C04: its header has 4 i4, f10.2, 2 f12.6, f12.7
 BULLETIN_A: Final = ((7, 8), (18, 9), (37, 9), (58, 10))
 """First byte and width of MJD, the pole's x and y (arcsec) and UT1 - UTC (s) in a line (eopc04 header, readme.finals2000A)."""
 

@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import UserError
+from simulator.platform.earth_orientation import ARCSEC_RAD
 from simulator.randomness import Effect, generator
 
 Array = NDArray[np.float64]
 
-ARCSEC_RAD = np.pi / 648000.0
 HARMONICS = 72
+"""Sines that stand for the spectrum, 20 a decade from 0.02 to 100 Hz: time against repetition. Chosen, not measured."""
 
 
 @dataclass(frozen=True, kw_only=True)

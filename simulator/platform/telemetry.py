@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.frame import AttitudeEstimate, ObserverState
-from simulator.platform.jitter import ARCSEC_RAD
+from simulator.platform.earth_orientation import ARCSEC_RAD
 from simulator.platform.rotation import quaternion_of, small_rotation
 from simulator.randomness import Effect, generator
 

@@ -12,9 +12,9 @@ from scipy.interpolate import RegularGridInterpolator
 
 Array = NDArray[np.float64]
 
-MAP_EPOCH_JYEAR: Final = 2015.0
-_FLOOR_LOG: Final = -2.0
-_HARDEST_PROTON_MEV: Final = 1000.0
+MAP_EPOCH_JYEAR: Final = 2015.0  # epoch of the field whose L and B/B0 are tabulated (belts.md)
+_FLOOR_LOG: Final = -2.0  # what the table holds where AP8 and AE8 have no flux, log10 of /cm2/s (belts.md)
+_HARDEST_PROTON_MEV: Final = 1000.0  # the table ends at 300 MeV; where flux reaches zero beyond it is chosen, not measured
 _HARDEST_ELECTRON_MEV: Final = 8.0
 """Integral fluxes are continued beyond the tables' last energies as exponentials that end here."""
 

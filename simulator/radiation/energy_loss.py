@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.interpolate import CubicSpline
 
-ELECTRON_MEV: Final = 0.51099895
-PROTON_MEV: Final = 938.27209
-K_MEV_CM2_MOL: Final = 0.307075
+ELECTRON_MEV: Final = 0.51099895  # rest energy, CODATA 2018
+PROTON_MEV: Final = 938.27209  # rest energy, CODATA 2018
+K_MEV_CM2_MOL: Final = 0.307075  # 4 pi N_A r_e^2 m_e c^2 (Workman et al. 2022, table 34.1)
 
 
 @dataclass(frozen=True, kw_only=True)

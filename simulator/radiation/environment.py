@@ -11,11 +11,14 @@ from simulator.radiation.belts import GeodeticPosition
 from simulator.radiation.energy_loss import PROTON_MEV
 from simulator.radiation.options import RadiationOptions
 
-_POLE_LAT_DEG: Final = 80.7
-_POLE_LON_DEG: Final = -72.7
+POLE_LAT_DEG: Final = 80.7  # geocentric, towards the north
+POLE_LON_DEG: Final = -72.7
 """Geomagnetic dipole axis of IGRF-13 for 2020 (Alken et al. 2021)."""
 _CUTOFF_GV: Final = 14.9
-"""Stoermer's vertical cutoff rigidity at the geomagnetic equator on the ground; falls with r^-2 and cos^4 of latitude."""
+"""Stoermer's vertical cutoff rigidity at the geomagnetic equator on the ground; falls with r^-2 and cos^4 of latitude.
+
+It is B R c / 4 of a dipole of 3.12e-5 T. The 2.98e-5 T of 2020 would make it 14.2 GV.
+"""
 
 NUCLEI: Final = ((1.0, 1.0, 0.872), (2.0, 4.0, 0.118), (6.0, 12.0, 0.0045), (8.0, 16.0, 0.0045), (26.0, 56.0, 0.001))
 """Charge, mass number and share in number of cosmic-ray nuclei (Simpson 1983, Ann. Rev. Nucl. Part. Sci. 33, 323; silicon and its
@@ -37,8 +40,8 @@ EQUATOR_RIGIDITY_GV: Final = 12.0
 
 def geomagnetic_latitude_deg(lat_deg: float, lon_deg: float) -> float:
     """Latitude about the dipole axis."""
-    lat, lon = math.radians(lat_deg), math.radians(lon_deg - _POLE_LON_DEG)
-    pole = math.radians(_POLE_LAT_DEG)
+    lat, lon = math.radians(lat_deg), math.radians(lon_deg - POLE_LON_DEG)
+    pole = math.radians(POLE_LAT_DEG)
     return math.degrees(math.asin(math.sin(lat) * math.sin(pole) + math.cos(lat) * math.cos(pole) * math.cos(lon)))
 
 

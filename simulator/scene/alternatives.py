@@ -24,8 +24,8 @@ Array = NDArray[np.float64]
 
 SNR: Final = 8.0
 """Expected S/N from which a piece counts as seen."""
-ALBEDOS: Final = (0.08, 0.175)
-CANDIDATES: Final = 20_000
+ALBEDOS: Final = (0.08, 0.175)  # lowest and highest median of the albedo (see above)
+CANDIDATES: Final = 20_000  # each has the same random numbers, so that ratios scatter less than rates. Chosen, not measured
 BLOCK: Final = 3000
 """First number of these random streams, apart from those of the draws."""
 

@@ -14,18 +14,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.optics.instrument import InstrumentOptions
-from simulator.platform.earth import AU_KM, DAY_S, LIGHT_KM_S, sun_position_km, tai_ns_of_utc
+from simulator.platform.earth import AU_KM, DAY_S, LIGHT_KM_S, OBLIQUITY_RAD, sun_position_km, tai_ns_of_utc
 from simulator.platform.kepler import Elements, eccentric_anomaly, perifocal_axes
 from simulator.randomness import Effect, generator
 from simulator.scene.stars import StarField
 
 Array = NDArray[np.float64]
 
-KINK_H: Final = 15.4
-_SLOPES: Final = (0.51, 0.30)
+KINK_H: Final = 15.4  # where the slope of the numbers changes (Gladman et al. 2009)
+_SLOPES: Final = (0.51, 0.30)  # of the logarithm of the number per magnitude, before and after the kink (Gladman et al. 2009)
 NUMBER_AT_KINK: Final = 1.44e5
 """Asteroids brighter than that, such that the sky has SKADS' density."""
-SLOPE_G: Final = 0.15
+SLOPE_G: Final = 0.15  # the usual slope parameter of asteroids without one of their own (Bowell et al. 1989)
 _ZONES: Final = np.array(
     [
         # from au, to au, share: Hungarias, inner, middle and outer belt on both sides of the 7:3 gap, Cybeles, Hildas
@@ -38,19 +38,18 @@ _ZONES: Final = np.array(
         [3.92, 4.00, 0.01],
     ]
 )
-_SPREAD_E: Final = 0.115
-_LARGEST_E: Final = 0.35
-_RANGES_OF_E: Final = 7
+_SPREAD_E: Final = 0.115  # of a Rayleigh distribution, rounded from Jedicke & Metcalfe 1998
+_LARGEST_E: Final = 0.35  # where that distribution is cut: 1 % is beyond
+_RANGES_OF_E: Final = 7  # 0.05 wide each: fewer would draw more that stay too faint, more would save little. Chosen, not measured
 _SPREAD_I_RAD, _LARGEST_I_RAD = np.radians(7.5), np.radians(30.0)
 _MEAN_B_V, _SPREAD_B_V = 0.77, 0.08
 """Between C types (0.70) and S types (0.86): Tedesco, Tholen & Zellner 1982, AJ 87, 1585."""
-_GAUSS_RAD_DAY: Final = 0.01720209895
-_OBLIQUITY_RAD: Final = np.radians(23.4392911)
+_GAUSS_RAD_DAY: Final = 0.01720209895  # Gauss's constant: mean motion at 1 au, au^1.5/day (IAU 1976)
 ELEMENTS_UTC: Final = "2027-01-01T00:00:00"
 """Mean anomalies are those of this instant, so that a seed has the same belt at any epoch of a run."""
 FIRST_ASTEROID_ID: Final = -(1 << 62) + 1000
 """Identity of asteroids in the truth of stars: this plus their number."""
-_HELD_DEG: Final = 3.0
+_HELD_DEG: Final = 3.0  # margin about the field; a camera that turns farther has them drawn anew
 _HELD_S: Final = 3600.0
 """Asteroids this far beyond the asked radius are kept for later frames so long: none moves by 1 deg in an hour."""
 
@@ -126,7 +125,7 @@ def heliocentric_au(elements: Elements, days: Array | float) -> Array:
     ecc = eccentric_anomaly(elements.mean_anomaly_rad + _GAUSS_RAD_DAY * a**-1.5 * days, e)
     to_perihelion, ahead = perifocal_axes(elements)
     x, y, z = ((a * (np.cos(ecc) - e))[:, None] * to_perihelion + (a * np.sqrt(1.0 - e * e) * np.sin(ecc))[:, None] * ahead).T
-    c, s = np.cos(_OBLIQUITY_RAD), np.sin(_OBLIQUITY_RAD)
+    c, s = np.cos(OBLIQUITY_RAD), np.sin(OBLIQUITY_RAD)
     return np.stack([x, c * y - s * z, s * y + c * z], axis=-1)
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import UserError
 from simulator.platform.earth import EARTH_RADIUS_KM
-from simulator.platform.jitter import ARCSEC_RAD
+from simulator.platform.earth_orientation import ARCSEC_RAD
 from simulator.randomness import Effect, generator
 from simulator.scene.clouds import CloudLayer, draw_clouds
 from simulator.scene.turbulence import Unsteadiness, crossing_s, draw_unsteadiness, tilt_variance_rad2
@@ -15,6 +15,7 @@ from simulator.scene.turbulence import Unsteadiness, crossing_s, draw_unsteadine
 Array = NDArray[np.float64]
 
 SCALE_HEIGHT_KM = 8.0
+"""Of air at 273 K: R T / g = 287.05 x 273.15 / 9.80665 m = 8.0 km."""
 LOWEST_DEG = 8.0
 """Fields below this elevation are refused: the expansions of refraction and air mass end there."""
 

@@ -15,11 +15,11 @@ from simulator.platform.earth import AU_KM, sun_position_km
 
 Array = NDArray[np.float64]
 
-MOON_RADIUS_KM: Final = 1737.4
-MOON_B_V: Final = 0.92
-_MOON_DISTANCE_KM: Final = 384400.0
-SURGE_DEG: Final = 7.0
-SURGE: Final = 0.35
+MOON_RADIUS_KM: Final = 1737.4  # mean radius (Archinal et al. 2018)
+MOON_B_V: Final = 0.92  # Allen's Astrophysical Quantities, as below
+_MOON_DISTANCE_KM: Final = 384400.0  # mean distance, for which eq. 9 holds
+SURGE_DEG: Final = 7.0  # nearer to full Moon than this it is brighter than eq. 9 ...
+SURGE: Final = 0.35  # ... by a factor of 1.35 - 0.05 phase (Krisciunas & Schaefer 1991)
 _SATURN_POLE: Final = np.array([0.08547883, 0.07323576, 0.99364475])
 """North pole of Saturn and its rings, ICRS (40.589 deg, 83.537 deg; Archinal et al. 2018)."""
 _URANUS_POLE: Final = np.array([-0.21199958, -0.94155916, -0.26176809])

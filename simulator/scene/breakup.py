@@ -28,8 +28,8 @@ SMALL_M, LARGE_M = 0.08, 0.11
 DUST_M: Final = 1e-4
 """Pieces between this and `smallest` are counted as mass that is not drawn; smaller ones weigh less than 1 % of them."""
 
-MOST_PIECES: Final = 400_000
-SHARE_OF_MASS: Final = 0.999
+MOST_PIECES: Final = 400_000  # a budget of memory and time, refused beyond; chosen, not measured
+SHARE_OF_MASS: Final = 0.999  # where less than a thousandth of the broken mass is left over, it counts as dust
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -1,7 +1,7 @@
 """The objects of a run, in the order of the truth table: given ones first, then satellites, then the sampled population."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -58,13 +58,12 @@ def make_cast(
     if given.walker or given.breakup:
         fleet = make_fleet(given, population, carrier.epoch_tai_ns, carrier.seed, colour_factor)
         broken = {fleet.names[k] for k in np.flatnonzero(fleet.to_s <= 0.0)}
-    objects.extend(sources.orbiting(o) for o in given.orbit if o.name not in broken)
+    objects.extend(sources.orbiting(o, carrier.epoch_tai_ns) for o in given.orbit if o.name not in broken)
     objects.extend(sources.sky_path(o) for o in given.sky_path)
     objects.extend(sources.pixel_path(o) for o in given.pixel_path)
     for o in given.passing:
         when = carrier.tai_ns(o.when * duration_s)
-        direction = carrier.attitude(when).T @ camera.direction(o.field_row, o.field_col)
-        objects.append(sources.passing(o, carrier.observer.state(when)[0], direction, o.when * duration_s))
+        objects.append(sources.passing(o, *_met(o, carrier, camera, when), o.when * duration_s))
     for e in given.encounter:
         when = carrier.tai_ns(e.when * duration_s)
         place = camera.direction(e.field_row, e.field_col)
@@ -81,6 +80,25 @@ def make_cast(
     drawn = draw_encounters(population, window, carrier.seed)
     objects.extend(sources.population_objects(drawn, population, middle_s, carrier.seed))
     return Cast(objects=tuple(objects), drawn=drawn, refused=refused, duration_s=duration_s, window=window)
+
+
+def lasting_objects(
+    given: sources.ObjectOptions, carrier: Carrier, camera: Camera, duration_s: float
+) -> tuple[sources.OrbitOptions, ...]:
+    """Orbits of the objects that pass or are given by elements, under all forces and with epochs of their own."""
+    start_utc = earth.utc_text(carrier.epoch_tai_ns)
+    orbits = [replace(o, forces="all", epoch_utc=o.epoch_utc or start_utc) for o in given.orbit]
+    for o in given.passing:
+        when = carrier.tai_ns(o.when * duration_s)
+        elements = sources.passing_elements(o, *_met(o, carrier, camera, when))
+        orbits.append(sources.lasting(o, elements, earth.utc_text(when)))
+    return tuple(orbits)
+
+
+def _met(options: sources.PassingOptions, carrier: Carrier, camera: Camera, when: int) -> tuple[Array, Array]:
+    """Place of the camera (3,) km and direction (3,) in which an object passes."""
+    direction = carrier.attitude(when).T @ camera.direction(options.field_row, options.field_col)
+    return carrier.observer.state(when)[0], np.asarray(direction)
 
 
 def _satellites(
@@ -191,7 +209,7 @@ def target_direction(
 
     UserError when no object has that name.
     """
-    found: list[SkyObject] = [sources.orbiting(o) for o in given.orbit if o.name == name]
+    found: list[SkyObject] = [sources.orbiting(o, epoch_tai_ns) for o in given.orbit if o.name == name]
     found.extend(sources.sky_path(o) for o in given.sky_path if o.name == name)
     if not found and given.satellites.file:
         read = read_satellites(given.satellites.file, (name,))

@@ -15,10 +15,10 @@ from simulator.randomness import Effect, generator
 
 Array = NDArray[np.float64]
 
-SLOPE: Final = 2.9
+SLOPE: Final = 2.9  # of the power spectrum (Gautier et al. 1992, Miville-Deschenes et al. 2007)
 LARGEST_DEG, SMALLEST_DEG = 20.0, 0.2
 """Lengths of the longest and shortest waves; a grid of the sky over 5 deg resolves the latter."""
-_WAVES: Final = 240
+_WAVES: Final = 240  # 120 a decade; their sum is near to a Gaussian field. Time grows with them; chosen, not measured
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

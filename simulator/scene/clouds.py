@@ -11,6 +11,7 @@ from simulator.randomness import Effect, generator
 Array = NDArray[np.float64]
 
 _WAVES: Final = 96
+"""Of the field, 16 for each octave of scale: time against repetition. Chosen, not measured."""
 _FINEST: Final = 64.0
 """Largest over smallest structure that is drawn."""
 

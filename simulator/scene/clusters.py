@@ -16,11 +16,12 @@ from simulator.scene.stars import StarField, unit_vectors
 
 Array = NDArray[np.float64]
 
-MEMBERS: Final = 3000
+MEMBERS: Final = 3000  # of equal light, ASSUMED: fewer make brighter grains
 _FARTHEST: Final = 8.0
 """Half-light radii within which members stand in projection; 98.5 % of Plummer's light does."""
-_B_V: Final = 0.7
+_B_V: Final = 0.7  # one for all clusters, ASSUMED; it acts on the light in a wide band only
 FIRST_CLUSTER_ID: Final = -(1 << 61) - (1 << 59)
+"""Identity of members in the truth of stars, downwards by 10,000 for each cluster: apart from bodies (-2^62) and galaxies."""
 CLUSTERS: Final = (
     # NGC, right ascension and declination (deg, J2000), V, half-light radius (arcmin)
     (104, 6.024, -72.081, 3.95, 3.17),

@@ -32,9 +32,9 @@ KINDS: Final = ("satellite", "fragment", "walker", "orbit")
 LOWEST_PERIGEE_KM: Final = 120.0
 """Pieces whose orbits dip below this come down in their first turn; they are left out."""
 
-FOREVER_S: Final = 1e12
-STEP_S: Final = 10.0
-CHUNK: Final = 15_000
+FOREVER_S: Final = 1e12  # 30,000 years: longer than any run
+STEP_S: Final = 10.0  # of the look at who may be in the field; half of it bends a path by 0.25 km, which `may_cross` allows
+CHUNK: Final = 15_000  # objects whose states are held at a time; bounds memory only
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -22,25 +22,26 @@ from simulator.scene.stars import StarField, angles_deg, joined, unit_vectors
 
 Array = NDArray[np.float64]
 
-_AT_MAG: Final = 16.36
-_PER_DEG2: Final = 9.0
+_AT_MAG: Final = 16.36  # V of r = 16: V-r is 0.36
+_PER_DEG2: Final = 9.0  # brighter than that: between 8.0 and 9.8 of the two surveys (see above)
 _BRIGHTEST_MAG: Final = 8.0
 """All brighter ones are known by name."""
 GALACTIC_POLE: Final = np.array([-0.8676661356833737, -0.1980763872750533, 0.4559837919562393])
 """Direction of the north galactic pole, ICRS (192.85948 deg, 27.12825 deg)."""
-_DUST_MAG: Final = 0.15
-_DISCS: Final = 0.7
-_THICKNESS: Final = 0.2
+_DUST_MAG: Final = 0.15  # V for each unit of cosec b (see above)
+_DISCS: Final = 0.7  # share of galaxies; the others are ellipticals (see above)
+_THICKNESS: Final = 0.2  # axis ratio of a disc from its side (see above)
 _SURFACE_MAG, _SURFACE_SPREAD_MAG = 21.0, 0.6
 _B_V, _B_V_SPREAD = 0.85, 0.12
 """Roberts & Haynes 1994, ARA&A 32, 115: 0.5 to 0.9 from late to early types, the bright sky having most of the latter."""
-_LIGHT_DRAWN: Final = 0.98
-_POINTS_PER_PX2: Final = 40.0
+_LIGHT_DRAWN: Final = 0.98  # the rest is spread thinly: discs end at 3.5 radii of half of the light, ellipticals at 13.9
+_POINTS_PER_PX2: Final = 40.0  # half of them lie within the ellipse of half of the light: 6 for each px^2 of it, 0.4 px apart
 _FEWEST, _MOST = 12, 4000
 """Points of light that stand for a galaxy, in proportion to the square of its radius in pixels."""
-_NSIDE: Final = 32
-_MARGIN_DEG: Final = 0.5
+_NSIDE: Final = 32  # HEALPix cells of 1.8 deg: a field has a few, and each is drawn whole
+_MARGIN_DEG: Final = 0.5  # the pointing may move so far before the sky is searched anew
 FIRST_GALAXY_ID: Final = -(1 << 61) - (1 << 60)
+"""Identity of galaxies, downwards by 10,000 for each cell: apart from bodies and asteroids (-2^62 and up) and from clusters."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -18,8 +18,8 @@ from simulator.scene.satellites import Satellite, propagate
 
 Array = NDArray[np.float64]
 
-STEP_S = 4.0
-FINE_STEPS = 129
+STEP_S = 4.0  # of the look at who may cross; half of it bends a path by 0.04 km, which `may_cross` allows
+FINE_STEPS = 129  # least instants of the look at a crossing; runs longer than 2.6 s have one every 0.02 s
 _LARGEST_ACCELERATION_KM_S2 = 0.02
 """Of one object against another: twice the gravity at the ground."""
 

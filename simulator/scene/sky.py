@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.optics.vignetting import illumination_of_row
+from simulator.platform.earth import OBLIQUITY_RAD
 from simulator.scene.asteroids import AsteroidOptions
 from simulator.scene.galaxies import GALACTIC_POLE, GalaxyOptions
 
@@ -49,9 +50,10 @@ _ZODIACAL: Final = np.array(
 # Leinert et al. 1998, sections 9 to 11; good to about 30 %).
 _GALACTIC_LATITUDE_DEG: Final = np.array([0.0, 5.0, 10.0, 20.0, 30.0, 60.0, 90.0])
 _UNRESOLVED_S10: Final = np.array([200.0, 120.0, 75.0, 50.0, 38.0, 28.0, 25.0])
-_OBLIQUITY_RAD: Final = np.radians(23.4392911)
 
 SKY_GRID: Final = 9
+"""Nodes across a frame. Linear values between them err by 0.4 % of the sky opposite to the Sun, by 1.1 % at kinks of the table
+(5 deg)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,7 +84,7 @@ class SkyOptions:
 
 def ecliptic_of(directions: Array) -> tuple[Array, Array]:
     """Ecliptic longitude and latitude (rad, mean obliquity of J2000) of GCRS directions (..., 3)."""
-    c, s = np.cos(_OBLIQUITY_RAD), np.sin(_OBLIQUITY_RAD)
+    c, s = np.cos(OBLIQUITY_RAD), np.sin(OBLIQUITY_RAD)
     x, y, z = directions[..., 0], directions[..., 1], directions[..., 2]
     return np.arctan2(c * y + s * z, x), np.arcsin(np.clip(c * z - s * y, -1.0, 1.0))
 

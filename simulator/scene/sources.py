@@ -1,14 +1,16 @@
 """Where a run's objects come from: options of each source, and the objects made from them."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import UserError
-from simulator.platform.earth import EARTH_RADIUS_KM
-from simulator.platform.jitter import ARCSEC_RAD
-from simulator.platform.kepler import Elements, elements_in, elements_of, velocity_through
+from simulator.platform import all_forces
+from simulator.platform.earth import DAY_S, EARTH_RADIUS_KM, tai_ns_of_utc
+from simulator.platform.earth_orientation import ARCSEC_RAD
+from simulator.platform.kepler import Elements, elements_in, elements_of, state_of, velocity_through
 from simulator.randomness import Effect, generator
 from simulator.scene.breakup import BreakupOptions
 from simulator.scene.encounters import Drawn, PopulationOptions
@@ -19,6 +21,10 @@ from simulator.scene.stars import unit_vectors
 from simulator.scene.walker import WalkerOptions
 
 Array = NDArray[np.float64]
+
+FORCES: Final = ("oblate", "all")
+LONGEST_DAYS: Final = 60.0
+"""Between the epoch of an orbit under all forces and the run: each of them is integrated minute by minute."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,7 +52,10 @@ class LightCurveOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class OrbitOptions:
-    """A sphere on an orbit, elements osculating at the epoch of the run, GCRS axes."""
+    """A sphere on an orbit, osculating elements, GCRS axes.
+
+    With an epoch of its own and all forces the same object is met in runs of other hours and days.
+    """
 
     name: str = field(default="orbit", metadata={"doc": "name"})
     size_m: float = field(default=1.0, metadata={"doc": "diameter", "min": 1e-5, "max": 1000.0})
@@ -57,6 +66,18 @@ class OrbitOptions:
     node_deg: float = field(default=0.0, metadata={"doc": "right ascension of the ascending node", "min": -360.0, "max": 360.0})
     perigee_deg: float = field(default=0.0, metadata={"doc": "argument of perigee", "min": -360.0, "max": 360.0})
     mean_anomaly_deg: float = field(default=0.0, metadata={"doc": "mean anomaly", "min": -360.0, "max": 360.0})
+    epoch_utc: str = field(default="", metadata={"doc": "epoch of the elements; default is the epoch of the run"})
+    forces: str = field(
+        default="oblate",
+        metadata={
+            "doc": "`oblate`: the Earth's mass and oblateness; `all`: degree 4, Sun, Moon, radiation pressure, no drag",
+            "choices": FORCES,
+        },
+    )
+    area_to_mass_m2_kg: float = field(
+        default=0.02,
+        metadata={"doc": "radiation coefficient times area over mass, for `all` forces", "min": 0.0, "max": 100.0},
+    )
     light_curve: LightCurveOptions = field(default_factory=LightCurveOptions, metadata={"doc": "variation"})
 
 
@@ -181,18 +202,32 @@ class ObjectOptions:
     breakup: tuple[BreakupOptions, ...] = field(default=(), metadata={"doc": "break-ups of satellites or orbits"})
 
 
-def orbiting(options: OrbitOptions) -> OrbitingObject:
-    """An object on the orbit of its options.
+def orbiting(options: OrbitOptions, run_tai_ns: int) -> OrbitingObject:
+    """An object on the orbit of its options. run_tai_ns : epoch of the run.
 
-    UserError when the orbit enters the Earth.
+    UserError when the orbit enters the Earth, and for an epoch that is none or too far from the run.
     """
     perigee_km = options.semi_major_axis_km * (1.0 - options.eccentricity) - EARTH_RADIUS_KM
     if perigee_km < 0.0:
         raise UserError(
             f"objects.orbit {options.name!r}: perigee height {perigee_km:.0f} km lies inside the Earth; allowed is above 0 km"
         )
-    elements = elements_in(options)
-    return kepler_object(options.name, "orbit", options.size_m, options.albedo, elements, 0.0, curve=options.light_curve.curve())
+    elements, since_s, epoch_ns = elements_in(options), 0.0, run_tai_ns
+    if options.epoch_utc:
+        epoch_ns = tai_ns_of_utc(options.epoch_utc)
+        since_s = (epoch_ns - run_tai_ns) * 1e-9
+        if abs(since_s) > LONGEST_DAYS * DAY_S:
+            raise UserError(
+                f"objects.orbit {options.name!r}: epoch_utc: {abs(since_s) / DAY_S:.0f} days from the run; "
+                f"allowed are up to {LONGEST_DAYS:.0f}"
+            )
+    made = kepler_object(
+        options.name, "orbit", options.size_m, options.albedo, elements, since_s, curve=options.light_curve.curve()
+    )
+    if options.forces == "oblate":
+        return made
+    position_km = all_forces.motion(np.concatenate(state_of(elements)), epoch_ns, options.area_to_mass_m2_kg)
+    return replace(made, positions_km=lambda time_s: position_km(np.asarray(time_s) - since_s))
 
 
 def passing(options: PassingOptions, observer_km: Array, direction: Array, time_s: float) -> OrbitingObject:
@@ -200,6 +235,32 @@ def passing(options: PassingOptions, observer_km: Array, direction: Array, time_
 
     UserError, by name, when the point lies inside the Earth or no such orbit passes through it.
     """
+    elements = passing_elements(options, observer_km, direction)
+    return kepler_object(
+        options.name, "orbit", options.size_m, options.albedo, elements, time_s, curve=options.light_curve.curve()
+    )
+
+
+def lasting(options: PassingOptions, elements: Elements, epoch_utc: str) -> OrbitOptions:
+    """The same object as an orbit under all forces, to be met again in other runs."""
+    return OrbitOptions(
+        name=options.name,
+        size_m=options.size_m,
+        albedo=options.albedo,
+        semi_major_axis_km=float(elements.a_km),
+        eccentricity=float(elements.e),
+        inclination_deg=float(np.degrees(elements.i_rad)),
+        node_deg=float(np.degrees(elements.node_rad)) % 360.0,
+        perigee_deg=float(np.degrees(elements.argp_rad)) % 360.0,
+        mean_anomaly_deg=float(np.degrees(elements.mean_anomaly_rad)) % 360.0,
+        epoch_utc=epoch_utc,
+        forces="all",
+        light_curve=options.light_curve,
+    )
+
+
+def passing_elements(options: PassingOptions, observer_km: Array, direction: Array) -> Elements:
+    """Elements, at the time of passing, of the orbit through a point of the field. UserError as for `passing`."""
     position = observer_km + options.range_km * direction
     radius = float(np.linalg.norm(position))
     if radius < EARTH_RADIUS_KM:
@@ -223,8 +284,7 @@ def passing(options: PassingOptions, observer_km: Array, direction: Array, time_
             f"allowed are radii of {low:.0f} to {high:.0f} km and latitudes up to the inclination"
         )
     elements = elements_of(position, velocity)
-    one = Elements(**{name: getattr(elements, name)[0] for name in elements.__dataclass_fields__})
-    return kepler_object(options.name, "orbit", options.size_m, options.albedo, one, time_s, curve=options.light_curve.curve())
+    return Elements(**{name: getattr(elements, name)[0] for name in elements.__dataclass_fields__})
 
 
 def encounter(

@@ -26,8 +26,8 @@ PLACE_ERROR_PX = 1e-3
 """The instants at which a star's row opens and closes are so accurate that the star moves by less in the error."""
 HALO_STEPS = 8
 """Steps of a trailed star that share a halo: what is farther than 7 px does not see 4 px of motion."""
-_MOST_ROUNDS = 12
-_SLOWEST_OVERTAKING = 0.02
+_MOST_ROUNDS = 12  # of the secant method, which ends by itself but for stars that nearly keep pace with the shutter
+_SLOWEST_OVERTAKING = 0.02  # keeps their steps finite: 1 - v line_time is taken for no less
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -27,6 +27,7 @@ DWARFS_FROM_H: Final = 8.5
 _COMPANION: Final = 1 << 61
 """Added to the number of a star for that of its companion."""
 _CACHE_MARGIN_DEG: Final = 0.5
+"""The pointing may move so far before the catalogue is searched anew."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 Array = NDArray[np.float64]
 
 SUN_B_V = 0.65
+"""Rounded: `passband.SUN_B_V` is 0.653. The difference cancels between a piece's factor and the Sun's, but for curvature."""
 
 
 @dataclass(frozen=True, kw_only=True)

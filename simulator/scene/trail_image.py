@@ -24,14 +24,14 @@ from simulator.scene.turbulence import Unsteadiness
 
 Array = NDArray[np.float64]
 
-STEP_PX = 0.45
+STEP_PX = 0.45  # longest bin of a trail (ripple: `exposure.trails`)
 BLOCK_PX = 96
 """Trails are added to the image in blocks along their path, so that memory and time grow with length, not with area."""
-HALO_BINS = 4
+HALO_BINS = 4  # bins that share a halo, 1.8 px: seen from 7 px and more they are one
 HALO_FARTHEST_PX = 120.0
 """A trail's halo is drawn no farther from it; there it is 3e-4 of what it is at 7 px."""
-FEW_FLASHES = 64
-FAINTEST_E = 1e-3
+FEW_FLASHES = 64  # so many are drawn finely even where bins are fewer; a budget of time, chosen, not measured
+FAINTEST_E = 1e-3  # light of the trail from which a full pixel counts as saturated by it; far below the noise
 OUTSIDE_MARGIN_RAD = 5e-3
 """Beyond the corner of the field: refraction, defocus and jitter reach no farther."""
 

@@ -16,13 +16,13 @@ from simulator.randomness import Effect, generator, seed_word
 from simulator.sensor.counter import GAMMA, NORMAL_TABLE, mix, normal, row_key
 from simulator.sensor.options import SensorOptions
 
-_BOLTZMANN_EV_K: Final = 8.617333262e-5
+_BOLTZMANN_EV_K: Final = 8.617333262e-5  # CODATA 2018; a literal, so that frames do not change with the library's edition
 
-_MIDDLE: Final = 128
+_MIDDLE: Final = 128  # class of the median pixel
 _RESPONSE_STEP: Final = 1.0 / 20.0  # sigmas of PRNU from one class to the next; classes 1-255, 0 is dead
 _NORMAL_STEP: Final = 1.0 / 16.0  # sigmas of ln(dark), ln(read noise); dark classes 64-192 are ordinary pixels
 _WARM: Final = (0, 64)  # dark classes of warm pixels
-_HOT: Final = (193, 256)
+_HOT: Final = (193, 256)  # dark classes of hot pixels
 _DEFECT_SPREAD: Final = 0.6
 """Sigma of ln(dark current) among warm and among hot pixels; their classes span +-2.5 sigma."""
 

@@ -9,7 +9,8 @@ from numpy.typing import NDArray
 from ground.association.clusters import Cluster
 from ground.determination.measurements import Directions
 from ground.determination.propagation import propagate
-from tests.association.list_simulator import DAY_S, Seen, Survey, between, bound
+from simulator.platform.all_forces import DAY_S, between
+from tests.association.list_simulator import Seen, Survey, bound
 
 Array = NDArray[np.float64]
 

@@ -13,7 +13,8 @@ from ground.association.lambert import lambert
 from ground.determination.forces import ForceModel
 from ground.determination.propagation import propagate
 from sboc_e2e.icd.errors import UserError
-from tests.association.list_simulator import MU, Survey, between, kepler, survey
+from simulator.platform.all_forces import MU, between
+from tests.association.list_simulator import Survey, kepler, survey
 from tests.association.lists import measured, verdict
 
 ARCSEC = math.radians(1.0 / 3600.0)

@@ -7,7 +7,8 @@ import pytest
 
 from ground.association.gooding import gooding, kepler_step
 from sboc_e2e.icd.errors import UserError
-from tests.association.list_simulator import EARTH_KM, LIGHT, MU, kepler
+from simulator.platform.all_forces import EARTH_KM, MU
+from tests.association.list_simulator import LIGHT, kepler
 
 T0 = 10**18
 METRE = 1e-3

@@ -54,7 +54,7 @@ def test_camera_and_object_of_the_same_elements_stay_together():
     }  # fmt: skip
     epoch = earth.tai_ns_of_utc(EPOCH)
     observer = make_observer(PlatformOptions(kind="kepler", **orbit), epoch)
-    thing = orbiting(OrbitOptions(**orbit))
+    thing = orbiting(OrbitOptions(**orbit), epoch)
     time_s = np.linspace(0.0, 600.0, 61)
     camera_km = np.array([observer.state(epoch + round(t * 1e9))[0] for t in time_s])
     assert np.linalg.norm(thing.positions_km(time_s) - camera_km, axis=1).max() < 1e-6

@@ -23,7 +23,9 @@ def test_a_stage_gives_what_is_stored(stage: Stage) -> None:
     for name, array in wanted.items():
         assert (got[name].dtype, got[name].shape) == (array.dtype, array.shape), name
         if array.dtype.kind == "f":
-            np.testing.assert_allclose(got[name], array, rtol=1e-6, atol=1e-6, err_msg=f"{stage.name}: {name}; {ANEW}")
+            # sums of float32 in another order differ by the rounding of the largest sum, also where they cancel to a small one
+            rounding = max(1e-6, float(np.finfo(np.float32).eps) * float(np.abs(array).max(initial=0.0)))
+            np.testing.assert_allclose(got[name], array, rtol=1e-6, atol=rounding, err_msg=f"{stage.name}: {name}; {ANEW}")
         else:
             assert got[name].tobytes() == array.tobytes(), f"{stage.name}: {name}; {ANEW}"
 

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from ground.store.store import Association, ObjectStore, StoredOrbit, StoredTracklet
 from ground.upkeep.night import UpkeepOptions, update
-from tests.association.list_simulator import DAY_S, Survey, between, survey
+from simulator.platform.all_forces import DAY_S, between
+from tests.association.list_simulator import Survey, survey
 
 Array = NDArray[np.float64]
 DAY_NS = 86400 * 10**9

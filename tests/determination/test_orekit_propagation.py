@@ -20,7 +20,8 @@ import pytest
 from ground.determination.forces import ForceModel
 from ground.determination.propagation import propagate
 from sboc_e2e.icd import tai
-from tests.association.list_simulator import EARTH_KM, kepler
+from simulator.platform.all_forces import EARTH_KM
+from tests.association.list_simulator import kepler
 
 satkit = pytest.importorskip("satkit", reason="satkit propagates orbits (extra `objects`)")
 ABSENT = "Orekit is not installed: pip install sboc-e2e[orekit], and Java 11 or newer"

@@ -1,15 +1,45 @@
 """The documentation site: links of the pages lead into it, and every module has its place in the API reference."""
 
+import ast
 import importlib.util
 import re
 import shutil
 import subprocess
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from types import ModuleType
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
+
+
+def public_names() -> set[str]:
+    """Functions, classes, their methods, and variables of every public module, with their modules."""
+    names = set()
+    for package in ("sboc_e2e", "simulator", "onboard", "ground"):
+        for path in (ROOT / package).rglob("*.py"):
+            module = ".".join(path.relative_to(ROOT).with_suffix("").parts)
+            tree = ast.parse(path.read_text(encoding="utf-8"))
+            names |= {f"{module}.{name}" for name in _defined(tree.body)} if not path.stem.startswith("_") else set()
+    return names
+
+
+def _defined(body: Sequence[ast.stmt]) -> Iterator[str]:
+    """Public names that the statements of a module or a class define; of a class its methods, too."""
+    for statement in body:
+        if isinstance(statement, (ast.FunctionDef, ast.ClassDef)):
+            names = [statement.name]
+        elif isinstance(statement, (ast.Assign, ast.AnnAssign)):
+            targets = statement.targets if isinstance(statement, ast.Assign) else [statement.target]
+            names = [target.id for target in targets if isinstance(target, ast.Name)]
+        else:
+            continue
+        for name in names:
+            if not name.startswith("_"):
+                yield name
+                if isinstance(statement, ast.ClassDef):
+                    yield from (f"{name}.{inner}" for inner in _defined(statement.body))
 
 
 @pytest.fixture(scope="module")
@@ -55,3 +85,9 @@ def test_the_site_builds_without_a_warning() -> None:
     done = subprocess.run(["make", "docs"], cwd=ROOT, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stderr[-2000:]
     assert (ROOT / "build" / "site" / "index.html").is_file()
+    shown = {
+        anchor
+        for page in (ROOT / "build" / "site" / "api").rglob("*.html")
+        for anchor in re.findall(r'id="([^"]+)"', page.read_text(encoding="utf-8"))
+    }
+    assert public_names() - shown == set()

@@ -13,7 +13,7 @@ from sboc_e2e import scenario
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import Registry
 from sboc_e2e.scenario import option_models, schema, toml_files
-from sboc_e2e.scenario.document import from_document
+from sboc_e2e.scenario.document import bare, from_document
 
 REGISTRY = Registry()
 
@@ -46,6 +46,17 @@ def test_a_resolved_scenario_gives_itself_back() -> None:
     assert again.document() == resolved.document()
     assert again.simulator == resolved.simulator
     assert again.components == resolved.components
+
+
+def test_options_that_the_program_gives_a_step_go_with_the_step() -> None:
+    """`sboc process` gives the default detector a limit of its own, which another detector need not know."""
+    tables = {"onboard": {"detector": {"max_detections": 1000}, "roi": {"max_per_frame": 7}}}
+    plain = bare("frames", tables, registry=REGISTRY)
+    other = bare("frames", tables, registry=REGISTRY, overrides=('onboard.detector.use="threshold"',))
+    tuned = bare("frames", tables, registry=REGISTRY, overrides=("onboard.detector.n_sigma=8.0",))
+    assert [one.step("onboard.detector").max_detections for one in (plain, other, tuned)] == [1000, 200, 1000]
+    assert type(other.step("onboard.detector")).__name__ == "ThresholdDetector"
+    assert [one.onboard.roi.max_per_frame for one in (plain, other)] == [7, 7]
 
 
 def test_own_keys_win_over_a_preset_and_overrides_over_both(tmp_path: Path) -> None:

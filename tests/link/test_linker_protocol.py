@@ -99,6 +99,23 @@ def _member(streak: StreakMeasurement, jacobian: np.ndarray) -> Member:
     return Member(single=streak, final=streak, jacobian_arcsec=jacobian, pointing_arcsec=0.0, shared_arcsec=np.zeros((2, 3)))
 
 
+def test_a_point_among_trails_has_no_direction(trial: LinkerTrial, tracklets: tuple[Tracklet, ...]) -> None:
+    """A star on the first trail, fitted as a point 8 arcsec off with an error of 0.1, changes no direction of the others."""
+    tracklet = max(tracklets, key=lambda t: len(t.frames))
+    linked = {s.streak_id: s for s in apply_links(trial.streaks, tracklets, trial.headers)}
+    members = [_member(linked[i], np.tile(ARCSEC_PX * np.eye(2), (3, 1, 1))) for i in tracklet.streak_ids.tolist()]
+    first = members[0].final
+    tiny = replace(
+        first.fit, row1=first.fit.row0, col1=first.fit.col0, covariance_px2=1e-4 * np.eye(4), flags=StreakFlag.POINT_LIKE
+    )
+    star = replace(first, fit=tiny, dec_deg=first.dec_deg + 8.0 / 3600.0, flags=first.flags | StreakFlag.POINT_LIKE)
+    made = measured_tracklet(tracklet, [_member(star, members[0].jacobian_arcsec), *members[1:]])
+    without = measured_tracklet(tracklet, members[1:])
+    np.testing.assert_array_equal(made.ra_deg, without.ra_deg)
+    np.testing.assert_array_equal(made.row_streak_ids, without.row_streak_ids)
+    assert made.rate_deg_s == without.rate_deg_s
+
+
 def test_rows_that_share_their_errors_say_less_of_the_rate(trial: LinkerTrial, tracklets: tuple[Tracklet, ...]) -> None:
     """Ends on one fitted line have the errors of its two numbers: the error of the rate is that of the line, not of 2 n ends."""
     tracklet = max(tracklets, key=lambda t: len(t.frames))

@@ -10,7 +10,7 @@ from onboard.track.false_alarms import expected_above, half_point_sigma, indepen
 from onboard.track.joint_and_stack import JointAndStackTracker
 from onboard.track.stack import WARM_UP
 from onboard.track.stack_search import GROUP_UNIT, group_image
-from onboard.track.static_model import BRIGHT, MODEL_UNIT, add_moving, update_model
+from onboard.track.static_model import BRIGHT, MODEL_UNIT, READING_PX, UNIT, add_moving, static_snr, update_model
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.results import check_tracks
 from sboc_e2e.icd.signals import Searched, Track, TrackerView
@@ -53,6 +53,18 @@ def test_noise_is_above_a_level_as_often_as_theory_says() -> None:
     )
     expected = 8 * expected_above(5.0, volume)
     assert abs(n - expected) < 3.5 * math.sqrt(expected)
+
+
+def test_the_static_light_under_a_point_is_a_star_of_that_snr() -> None:
+    """A Gaussian star of S/N 3 (sqrt of the sum of squares over the pixels' noise), on it, 2 px beside it, and where none is."""
+    row, col = np.indices((60, 60))
+    width = math.hypot(0.849, READING_PX)
+    star = np.exp(-0.5 * ((row - 30.3) ** 2 + (col - 29.8) ** 2) / width**2)
+    model = np.rint(3.0 * star / np.sqrt((star**2).sum()) * UNIT * MODEL_UNIT).astype(np.int16)
+    assert static_snr(model, np.array([30.3, 29.8]), 0.849) == pytest.approx(3.0, abs=0.02)
+    assert static_snr(model, np.array([32.3, 29.8]), 0.849) == pytest.approx(3.0 * math.exp(-1.0 / width**2), abs=0.02)
+    assert static_snr(model, np.array([10.0, 50.0]), 0.849) == pytest.approx(0.0, abs=0.01)
+    assert static_snr(model, np.array([1.0, 1.0]), 0.849) == 0.0
 
 
 def test_a_star_that_stands_still_leaves_nothing_and_a_bright_one_is_left_out() -> None:

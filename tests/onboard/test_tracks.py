@@ -121,7 +121,7 @@ def test_strips_of_a_kept_frame_are_those_of_the_frame(axis: int) -> None:
     background = BackgroundModel(
         tile_px=64, level_adu=rng.normal(10.0, 2.0, (3, 3)).astype(np.float32), sigma_adu=np.full((3, 3), 3.0, np.float32)
     )
-    kept = kept_counts(header(0), background, counts, ())
+    kept = kept_counts(replace(header(0), rows=150, cols=130), background, counts, ())
     geometry = roi.StripGeometry(axis=axis, major0=0, n=130, width=40, minor0_fp=-5 * 65536, slope_fp=60000)
     expected = roi.cut_strip(geometry, counts.pixels, counts.dark, 11)
     assert (kept.cut(geometry, 11).values_adu == expected.values_adu).all()

@@ -12,8 +12,8 @@ from sgp4.api import Satrec
 from ground.orbit.catalogue_match import read_elements
 from ground.planning.constraints import sun_elevation_rad, visibility_of
 from ground.planning.options import ConstraintOptions
-from ground.planning.sky import Site, sky_of
-from ground.planning.targets import states_of
+from ground.planning.sky import Orbit, Site, sky_of
+from ground.planning.targets import states_at, states_of
 from ground.planning.windows import windows_of
 from sboc_e2e.icd import tai
 
@@ -59,6 +59,32 @@ def test_sun_and_moon_stand_where_astropy_has_them() -> None:
             want = get_body(name, time_of(int(t))).gcrs.cartesian.xyz.to_value(u.km)
             cosine = body @ want / np.linalg.norm(body) / np.linalg.norm(want)
             assert np.degrees(np.arccos(min(cosine, 1.0))) * 3600 < 60.0, name  # constraints are whole degrees
+
+
+@pytest.mark.parametrize("station", [SITE, Orbit(state=np.array([7078.0, 0, 0, 0, -1.06, 7.43]), epoch_tai_ns=start_ns())])
+def test_splines_through_many_instants_are_what_each_instant_has_by_itself(station: Site | Orbit) -> None:
+    """Few instants are computed one by one, by ERFA and the equations of motion; thousands go through splines."""
+    rng = np.random.default_rng(2)
+    many = start_ns() + np.sort(rng.integers(0, 2 * 3600 * 10**9, 2000))
+    few = many[::500]
+    through, alone = sky_of(station, many), sky_of(station, few)
+    for name, limit_km in (("sun_km", 1e-3), ("moon_km", 1e-3), ("station_km", 2e-5), ("station_km_s", 1e-6)):
+        worst = np.linalg.norm(getattr(through, name)[::500] - getattr(alone, name), axis=1).max()
+        assert worst < limit_km, (name, worst)
+
+
+def test_targets_at_their_own_instants_are_where_all_of_them_are_together() -> None:
+    known = read_elements(
+        LINES + "0 RING\n"
+        "1 41866U 16071A   22021.50000000  .00000000  00000-0  00000-0 0  9990\n"
+        "2 41866   0.0500  95.0000 0001000 180.0000  20.0000  1.00271000 40000\n"
+    )
+    instants = start_ns() + np.arange(0, 86400, 1800, dtype=np.int64) * 10**9
+    position, velocity = states_of(known, instants)
+    target = np.random.default_rng(3).integers(0, 2, len(instants))
+    where, how_fast = states_at(known, target, instants)
+    np.testing.assert_allclose(where, position[target, np.arange(len(instants))], rtol=0, atol=1e-6)
+    np.testing.assert_allclose(how_fast, velocity[target, np.arange(len(instants))], rtol=0, atol=1e-9)
 
 
 def test_darkness_begins_when_astropy_says_so() -> None:

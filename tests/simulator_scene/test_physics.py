@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 from sboc_e2e.icd.errors import UserError
 from simulator.platform import earth
-from simulator.platform.jitter import ARCSEC_RAD, JitterOptions, VibrationLine, make_jitter
+from simulator.platform.earth_orientation import ARCSEC_RAD
+from simulator.platform.jitter import JitterOptions, VibrationLine, make_jitter
 from simulator.platform.kepler import Elements, elements_deg, elements_of, state_of, velocity_through
 from simulator.platform.observer import PlatformOptions, j2_rates, make_observer
 from simulator.platform.pointing import PointingOptions, commanded_attitude

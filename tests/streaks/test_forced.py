@@ -46,6 +46,29 @@ def test_a_trail_of_four_sigma_keeps_its_length_and_its_errors_are_as_quoted() -
     assert 0.9 < float(np.median(ratio)) < 1.25
 
 
+@pytest.mark.parametrize("snr", [0.7, 1.5])
+def test_the_light_of_foretold_points_is_unbiased_where_noise_makes_some_negative(snr: float) -> None:
+    """Points of 32 frames, off by what their track may be off: a mean without the negative fluxes would be too bright."""
+    rng, flux, pulls, negative = np.random.default_rng(4), [], [], 0
+    track_snr = snr * np.sqrt(32.0)
+    for _ in range(400):
+        exposure = expose(rng, trail_at(rng, 1.8), snr)
+        truth = exposure.trail
+        off = rng.normal(0.0, 2.0 * np.sqrt(2.0) * 0.9 / track_snr, 2)
+        detection = Detection(
+            row0=truth.row0 + off[0], col0=truth.col0 + off[1], row1=truth.row1 + off[0], col1=truth.col1 + off[1], snr=snr,
+            flags=StreakFlag.POINT_LIKE,
+        )  # fmt: skip
+        fit = forced_fit(exposure.pixels, detection, track_snr)
+        assert fit.track_frames == 32.0
+        negative += fit.flux_e <= 0.0
+        flux.append(fit.flux_e / truth.flux_e)
+        pulls.append((fit.flux_e - truth.flux_e) / fit.flux_err_e)
+    assert negative > 5
+    assert np.mean(flux) == pytest.approx(1.0, abs=3.3 * np.std(flux) / 20.0)
+    assert np.std(pulls) == pytest.approx(1.0, abs=0.1)
+
+
 def test_where_there_is_no_light_the_fit_says_so() -> None:
     rng = np.random.default_rng(2)
     exposure = expose(rng, trail_at(rng, 60.0), 4.0)

@@ -16,7 +16,7 @@ from sboc_e2e.survey import engine, instrument
 from sboc_e2e.survey import response as responses
 from sboc_e2e.survey.block import BlockJob, BlockTables, run_block
 from sboc_e2e.survey.engine import run_survey
-from sboc_e2e.survey.sample import OBJECT_COLUMNS, STREAK_COLUMNS
+from sboc_e2e.survey.rows import OBJECT_COLUMNS, STREAK_COLUMNS
 
 SMALL = ['population.classes=[{from="1 mm", to="3 mm", count=1}]']
 TRUE_CURVE = np.array([7.3, -0.6, 0.4, -0.4, 4.0, 0.0])

@@ -14,10 +14,11 @@ from ground.upkeep import sequential
 from ground.upkeep.division import Division, division_of
 from ground.upkeep.night import MADE_BY, update
 from ground.upkeep.sightings import KnownOrbit
+from simulator.platform.all_forces import DAY_S, STEP_S, Sky, between, true_orbits
 from tests.association import list_simulator
-from tests.association.list_simulator import DAY_S, STEP_S, Seen, Sky, Survey, between, light, population, survey, true_orbits
+from tests.association.list_simulator import Seen, Survey, light, population, survey
 from tests.association.lists import directions
-from tests.upkeep.test_night import DAY_NS, owners, put
+from tests.upkeep.test_night import DAY_NS, killed_twenty_times, owners, put
 
 FORCES = ForceModel(gravity_degree=8, radiation=0.02)
 
@@ -118,6 +119,26 @@ def test_a_true_merge_is_kept_and_gets_an_orbit_of_all_its_tracklets(one: Survey
 
 
 @pytest.mark.slow
+def test_a_night_that_divides_and_merges_killed_at_twenty_points_loses_nothing(one: Survey, tmp_path: Path) -> None:
+    path = tmp_path / "store.db"
+    store = ObjectStore(str(path))
+    start = one.sky.t0_tai_ns
+    owner_of = put(store, one, 0.0, 3.0)
+    update(store, start + 3 * DAY_NS)
+    kept, other = sorted(owners(store, owner_of))[:2]
+    with store.transaction() as writer:
+        writer.merge(kept, other, by="operator", at_tai_ns=start + 3 * DAY_NS, why="a mistake")
+    owner_of |= put(store, one, 3.0, 4.0)
+    store.close()
+    # before the night, after the division, after the rest
+    assert len(killed_twenty_times(path, start + 4 * DAY_NS)) == 3
+    store = ObjectStore(str(path))
+    found = [mine for mine in owners(store, owner_of).values() if mine]
+    assert sorted(found) == [[k] * 4 for k in range(4)]
+    assert [d["kind"] for d in store.decisions()] == ["merge", "split"]
+
+
+@pytest.mark.slow
 def test_a_foreign_tracklet_is_released_when_the_next_fit_is_refused(
     one: Survey, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -175,6 +196,25 @@ def test_an_object_without_an_orbit_gets_one_from_pairs_of_directions(tmp_path: 
         assert true_error_chi2(one, store.orbits(number)[0], mine[0]) < 38.0
     assert [d["kind"] for d in store.decisions()] == ["one orbit"] * 2
     assert "no orbit before" in store.decisions()[0]["detail"]["why"]
+
+
+def test_the_report_counts_what_is_split_from_objects_without_an_orbit(one: Survey, tmp_path: Path) -> None:
+    """Tracklets of two objects that somebody gave one number, which never had an orbit."""
+    store = ObjectStore(str(tmp_path / "store.db"))
+    start = one.sky.t0_tai_ns
+    owner_of = put(store, one, 0.0, 3.0)
+    with store.transaction() as writer:
+        (number,) = writer.add_objects(["two in one"], start)
+        mine = [t for t, owner in owner_of.items() if owner in (0, 1)]
+        writer.associate(
+            [
+                Association(tracklet_id=t, object_id=number, probability=1.0, state="accepted", decided_by="t", decided_tai_ns=0)
+                for t in mine
+            ]
+        )
+    night = update(store, start + 3 * DAY_NS)
+    assert [d["kind"] for d in store.decisions()] == ["split"]
+    assert night.split == 1
 
 
 @pytest.mark.parametrize("seed", [100, pytest.param(101, marks=pytest.mark.slow)])

@@ -1,10 +1,5 @@
 """Nights of simulated tracklets into the store: objects appear, are kept, lost, found again; a kill changes nothing."""
 
-import random
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 from typing import Any
 
@@ -16,12 +11,14 @@ from ground.sky.sphere import spherical_deg
 from ground.store.store import ObjectStore, StoredTracklet
 from ground.upkeep.night import UpkeepOptions, directions_of, position_error_km, update
 from sboc_e2e.cli.main import run
-from tests.association.list_simulator import DAY_S, Survey, between, survey
+from simulator.platform.all_forces import DAY_S, between
+from tests.association.list_simulator import Survey, survey
 from tests.association.lists import directions
 from tests.browser import SCHEMES, WIDTHS, excess_and_errors
+from tests.processes import Ended, nursery, points
+from tests.upkeep.killed_nights import content
 
 DAY_NS = 86400 * 10**9
-ROOT = Path(__file__).resolve().parents[2]
 
 
 def stored(one: Survey, place: int) -> StoredTracklet:
@@ -142,17 +139,6 @@ def test_the_commands_take_messages_and_bring_the_store_up(
         assert words in capsys.readouterr().err
 
 
-NIGHT = """
-import sys
-sys.path.insert(0, sys.argv[3])
-from ground.store.store import ObjectStore
-from ground.upkeep.night import update
-store = ObjectStore(sys.argv[1])
-print("ready", flush=True)
-update(store, int(sys.argv[2]))
-"""
-
-
 @pytest.mark.slow
 def test_a_page_shows_each_object_with_its_error(
     one: Survey, tmp_path: Path, chromium: Any, capsys: pytest.CaptureFixture[str]
@@ -176,36 +162,36 @@ def test_a_page_shows_each_object_with_its_error(
     assert "no such store" in capsys.readouterr().err
 
 
+def killed_twenty_times(path: Path, now_tai_ns: int) -> list[str]:
+    """Kill a night of a store at twenty of its changes; contents that it goes through, before it and after each transaction."""
+    given, states = path.read_bytes(), path.with_name("states")
+    states.mkdir()
+    with nursery() as processes:
+        processes.call("tests.upkeep.killed_nights:undisturbed", str(path), now_tai_ns, str(states), fork=False)
+        allowed = [(states / f"{k}.sql").read_text() for k in range(len(list(states.iterdir())))]
+        assert content(path) == allowed[-1]
+
+        def again(kill_at: int | None) -> Ended:
+            for old in path.parent.glob(f"{path.name}*"):
+                old.unlink()
+            path.write_bytes(given)
+            return processes.call("tests.upkeep.killed_nights:updated", str(path), now_tai_ns, kill_at=kill_at)
+
+        for point in points(again(None).changes, 20, seed=8):
+            assert again(point).killed
+            # a transaction is there whole or not at all
+            assert content(path) in allowed
+            processes.call("tests.upkeep.killed_nights:updated", str(path), now_tai_ns)
+            assert content(path) == allowed[-1]
+    return allowed
+
+
 @pytest.mark.slow
 def test_an_update_killed_at_twenty_points_loses_nothing(one: Survey, tmp_path: Path) -> None:
-    path, now = tmp_path / "store.db", one.sky.t0_tai_ns + 2 * DAY_NS
+    path = tmp_path / "store.db"
     store = ObjectStore(str(path))
     owner_of = put(store, one, 0.0, 2.0)
-    empty = store.counts()
-    command = [sys.executable, "-c", NIGHT, str(path), str(now), str(ROOT)]
-    rng, seconds = random.Random(8), 12.0  # noqa: S311 - moments of a test
-    for _ in range(20):
-        process = subprocess.Popen(command, stdout=subprocess.PIPE)
-        assert process.stdout is not None
-        process.stdout.readline()
-        began = time.monotonic()
-        try:
-            process.wait(rng.uniform(0.0, seconds))
-            seconds = time.monotonic() - began
-        except subprocess.TimeoutExpired:
-            process.send_signal(signal.SIGKILL)
-            process.wait()
-        process.stdout.close()
-        # all of the night or nothing of it
-        counts = store.counts()
-        if counts["objects"]:
-            assert sorted(owners(store, owner_of).values()) == [[k] * 2 for k in range(4)]
-            assert counts["orbits"] == 4
-            store.engine.dispose()
-            path.unlink()
-            store = ObjectStore(str(path))
-            owner_of = put(store, one, 0.0, 2.0)
-        else:
-            assert counts == empty
-    update(store, now)
-    assert sorted(owners(store, owner_of).values()) == [[k] * 2 for k in range(4)]
+    store.close()
+    allowed = killed_twenty_times(path, one.sky.t0_tai_ns + 2 * DAY_NS)
+    assert len(allowed) == 2
+    assert sorted(owners(ObjectStore(str(path)), owner_of).values()) == [[k] * 2 for k in range(4)]

@@ -12,7 +12,8 @@ from ground.store.store import StoredOrbit
 from ground.upkeep import sequential
 from ground.upkeep.night import UpkeepOptions, known_orbit
 from ground.upkeep.sightings import KnownOrbit, sightings
-from tests.association.list_simulator import STEP_S, Survey, survey
+from simulator.platform.all_forces import STEP_S
+from tests.association.list_simulator import Survey, survey
 from tests.association.lists import directions
 
 
@@ -73,6 +74,19 @@ def test_a_step_that_is_too_surprising_is_left_to_the_batch_fit(one: Survey) -> 
     assert sequential.renewed(known, [replace(seen, residual=spoilt)], "test", 0) is None
     wide = replace(known, covariance=known.covariance * 1e12)
     assert sequential.renewed(wide, [replace(seen, residual=seen.residual + 1e5)], "test", 0) is None
+
+
+@pytest.mark.parametrize(("kick", "linear"), [(1.0, False), (0.001, True)])
+def test_a_step_in_velocity_that_bends_the_way_is_left_to_the_batch_fit(one: Survey, kick: float, linear: bool) -> None:
+    """An orbit 10 m/s off that says so: its way bends by kilometres within days, and tracklets see a tenth of one."""
+    data = of_owner(one, 0)
+    known = known_of(fitted(one, 0, data[:2]))
+    off = kick * np.array([0.0, 0.0, 0.0, 6.5e-3, -7.2e-3, -0.3e-3, 0.0])
+    moved = replace(known.orbit, state=known.orbit.state + off[:6])
+    wide = replace(known, orbit=moved, covariance=known.covariance + np.outer(off, off))
+    seen = sightings({5: data[0], 6: data[2]}, [wide])
+    assert [s.tracklet_id for s in seen] == [5, 6]
+    assert (sequential.renewed(wide, seen, "test", 0) is not None) == linear
 
 
 def test_only_tracklets_near_its_way_are_an_orbits(one: Survey) -> None:

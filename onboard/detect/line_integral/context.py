@@ -23,8 +23,8 @@ SPIKE_SNR: Final = 5000.0
 SPIKE_REACH_PX: Final = 60.0
 """A spike or a bleeding column begins no farther outside the mask of its star ..."""
 
-ARM_PX: Final = 200.0
-ARM_SNR: Final = 50_000.0
+ARM_PX: Final = 200.0  # half a pair of arms of a star of S/N `ARM_SNR`; no measurement of it is on record
+ARM_SNR: Final = 50_000.0  # light that falls as r^-2 stays above a limit to a distance that grows as the root of S/N
 MOST_ARM_PX: Final = 300.0
 """... opposite arms, joined across the star, reach no farther, growing as the root of S/N / ARM_SNR up to the most, to which
 saturated stars are held at once ..."""
@@ -35,7 +35,7 @@ ARM_SHARE: Final = 0.09
 SPIKE_ACROSS_PX: Final = 2.0
 """... and its line passes the centre as close as this, its own uncertainty added ..."""
 
-COLUMN_ACROSS_PX: Final = 6.0
+COLUMN_ACROSS_PX: Final = 6.0  # six columns to either side. Chosen, not measured
 COLUMN_SLOPE: Final = 0.1
 """... or as this along the columns of a saturated star: several bleed side by side, and which ones do hangs on its place."""
 

@@ -27,7 +27,7 @@ RING_PX: Final = 3.0
 RINGS: Final = 64
 """Most rings of a star."""
 
-RING_WORK: Final = 500
+RING_WORK: Final = 500  # its histogram of 256 values is cleared and walked through ...
 PIXEL_WORK: Final = 2.0 * math.pi * RING_PX * 3.0
 """Operations of a ring: its histogram, and three for each of its pixels."""
 

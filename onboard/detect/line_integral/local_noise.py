@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 
 from onboard.detect.cross_profile import cross_profile
 
-NEAREST_PX: Final = 12.0
-APART_PX: Final = 3.0
+NEAREST_PX: Final = 12.0  # 14 sigma of a PSF of 0.87 px: none of the trail's own light
+APART_PX: Final = 3.0  # sums of neighbours correlate by exp(-d^2 / 4 s^2) = 0.05
 LINES: Final = 44
 """Parallel lines: half of them to each side, from NEAREST_PX on, APART_PX from each other, so that they hardly share pixels."""
 
 LEAST_LINES: Final = 24
 """Fewer usable ones say nothing."""
 
-CLIP: Final = 3.0
+CLIP: Final = 3.0  # sigmas of a line's departure beyond which it shows something else
 CLIPPED_STD: Final = 0.9866
-"""Standard deviation of a unit Gaussian cut at +-3."""
+"""Standard deviation of a unit Gaussian cut at +-3: 0.98658."""
 
 ERRORS: Final = 1.5
 """Mean and width count as far as they differ from 0 and 1 by more than so many of their own standard errors."""

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from onboard.detect import whiten
 from onboard.detect.line_integral import halos, point_movers, sharpness, static_sky
-from onboard.detect.line_integral.segments import MAX_TRAILS, POINT_LIKE_PX, edge_flags
+from onboard.detect.line_integral.segments import MAX_TRAILS, POINT_LIKE_PX, edge_flags, ends_of
 from onboard.detect.line_integral.star_removal import TILE_PX, WorkingImages, noise_e, snr_before
 from onboard.image import registration
 from onboard.image.nearest import nearest
@@ -126,13 +126,11 @@ def short_detections(
     for (_, snr, row, col, angle, length), old in zip(table, before, strict=True):
         if not (snr - max(old, 0.0) > n_sigma and point_movers.rise_sigma(snr, old, s_px, sigma_e) > VARIED_SIGMA):
             continue
-        half_row, half_col = 0.5 * length * math.sin(angle), 0.5 * length * math.cos(angle)
-        limit_row, limit_col = view.residual_adu.shape[0] - 1.0, view.residual_adu.shape[1] - 1.0
-        row0, row1 = (float(np.clip(row + sign * half_row, 0.0, limit_row)) for sign in (-1.0, 1.0))
-        col0, col1 = (float(np.clip(col + sign * half_col, 0.0, limit_col)) for sign in (-1.0, 1.0))
-        flags = edge_flags((row0, col0, row1, col1), view.residual_adu.shape, float(snr))
+        ends = ends_of(row, col, angle, length, view.residual_adu.shape)
+        flags = edge_flags(ends, view.residual_adu.shape, float(snr))
         if length < POINT_LIKE_PX:
             flags |= StreakFlag.POINT_LIKE
+        row0, col0, row1, col1 = ends
         found.append(Detection(row0=row0, col0=col0, row1=row1, col1=col1, snr=float(snr), flags=flags))
     return found
 

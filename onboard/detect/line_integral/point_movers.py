@@ -7,29 +7,30 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-ANGLES: Final = 12
+ANGLES: Final = 12  # directions of a first look, 15 deg apart: ends of 12 px lie 0.8 px off at most, within the PSF
 
 LONGEST_FIT_PX: Final = 90.0
 """Trails fitted with blurred ends grow no longer: half as long again as the longest that are handed in."""
 
-SHARP_SIGMA: Final = 5.0
+SHARP_SIGMA: Final = 5.0  # chance passes one pixel in 3.5 million of those that are looked at, 25 for each entry
 SHARP_SHARE: Final = 0.05
 """A pixel is sharper than light by so many sigma, and this share of the brightest pixel near it for the PSF's own errors."""
 
-LOOK_WORK: Final = 50
+LOOK_WORK: Final = 50  # operations of a look at a position ...
 ROUGH_WORK: Final = 4_000
 """Operations of a look at a position, and of the best of `ANGLES` directions of sums through it."""
 
-TRIALS: Final = 90
+TRIALS: Final = 90  # trial templates of a usual fit
 TEMPLATE_WORK: Final = 35
 """Trial templates of a usual fit, and operations of each pixel of one: two error functions and an exponential."""
 
 MOST_MOVES: Final = 60
 """Rounds of the pattern search: 4 px away from its start it has found something else."""
 
-PEAK_FRACTION: Final = 0.57
+PEAK_FRACTION: Final = 0.57  # mean over a star's places within a pixel, 0.47 at a corner to 0.63 at the centre ...
 PEAK_WIDTH_PX: Final = 0.849
-"""Brightest pixel of a centred star over its matched-filter S/N, in sigma of a pixel, for a PSF of 2 px FWHM on square pixels."""
+"""Brightest pixel of a star over its matched-filter S/N, in sigma of a pixel, for a PSF of 2 px FWHM, `PEAK_WIDTH_PX`, on square
+pixels."""
 
 
 def peak_fraction(psf_sigma_px: float) -> float:

@@ -22,19 +22,19 @@ Noise bends lines too: the sagitta's metric is 0.0616 S^2 per px^2 (4/45 / (2 s^
 7 x 4 / sqrt(2 pi) = 11 times as many false maxima; exp(-9 / 2) leaves an eighth of one.
 """
 
-LOCATE_WORK: Final = 20_000
+LOCATE_WORK: Final = 20_000  # sums compared, which do not grow with the length
 LOCATE_WORK_PER_PX: Final = 26.0
 """Pixels read and sums compared by the search in a corridor: 13 paths, 5 bows, and its length with the extensions."""
 
 POLISH_WORK_PER_PX: Final = 1_600.0
 """Pixels read by the search over all parameters: about 100 paths of 16."""
 
-TAKEN_SAMPLES: Final = 24
-TAKEN_SHARE: Final = 0.75
+TAKEN_SAMPLES: Final = 24  # places along a candidate that are looked at. Chosen, not measured
+TAKEN_SHARE: Final = 0.75  # of them on found trails; a candidate that only crosses some has fewer. Chosen, not measured
 TAKEN_WORK: Final = 100
 """A candidate that lies so far on found trails is one of theirs: a bright trail has thousands."""
 
-SHARP_ENDS_PX: Final = 60.0
+SHARP_ENDS_PX: Final = 60.0  # sharp ends cost 0.23 s / L of the S/N (s = 0.87): of 7.2, 0.14 at 10 px and 0.02 here
 SHARP_LOSS: Final = 0.15
 """What a template with sharp ends may cost a line shorter than that, which is fitted again with blurred ones."""
 

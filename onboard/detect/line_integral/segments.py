@@ -21,7 +21,7 @@ MAX_TRAILS: Final = 2_000
 POINT_LIKE_PX: Final = 4.0
 """Trails shorter than about two PSF widths are called point-like."""
 
-TRAIL_WORK: Final = 200_000.0
+TRAIL_WORK: Final = 200_000.0  # operations of a trail, whatever its length ...
 TRAIL_WORK_PER_PX: Final = 1_400.0
 """Operations of a trail that is looked at: 45 lines beside it of some 14 px across, its place in the frame before, its light
 along it, its surroundings in the star list."""
@@ -112,11 +112,18 @@ def with_blurred_ends(detection: Detection, images: WorkingImages, psf_sigma_px:
     )
     if snr <= detection.snr:
         return detection
-    limit_row, limit_col = images.image.shape[0] - 1.0, images.image.shape[1] - 1.0
-    half_row, half_col = 0.5 * length * math.sin(angle), 0.5 * length * math.cos(angle)
-    row0, row1 = (float(np.clip(row + sign * half_row, 0.0, limit_row)) for sign in (-1.0, 1.0))
-    col0, col1 = (float(np.clip(col + sign * half_col, 0.0, limit_col)) for sign in (-1.0, 1.0))
+    row0, col0, row1, col1 = ends_of(row, col, angle, length, images.image.shape)
     return replace(detection, row0=row0, col0=col0, row1=row1, col1=col1, snr=float(snr))
+
+
+def ends_of(
+    row: float, col: float, angle_rad: float, length_px: float, shape: tuple[int, ...]
+) -> tuple[float, float, float, float]:
+    """row0, col0, row1, col1 of a trail about its middle, each moved into the frame; the angle turns from col to row."""
+    half_row, half_col = 0.5 * length_px * math.sin(angle_rad), 0.5 * length_px * math.cos(angle_rad)
+    row0, row1 = (float(np.clip(row + sign * half_row, 0.0, shape[0] - 1.0)) for sign in (-1.0, 1.0))
+    col0, col1 = (float(np.clip(col + sign * half_col, 0.0, shape[1] - 1.0)) for sign in (-1.0, 1.0))
+    return row0, col0, row1, col1
 
 
 def segment_snr(detection: Detection, view: DetectorView, images: WorkingImages, s_px: float) -> float:

@@ -47,7 +47,7 @@ CLIP_PEAKS: Final = 3.0
 OUTLIER_SIGMA: Final = 5.0
 """Lines whose light is so far from the median, and by more than all of it, show something else and are left out."""
 
-CLEAR_EVIDENCE: Final = 12.0
+CLEAR_EVIDENCE: Final = 12.0  # in squared S/N; less saves more searches and turns more tracks into trails. Chosen, not measured
 CLEAR_SHARE: Final = 0.1
 """Where the PSF explains the light better by so much, and this share of its squared S/N, on the path as it was found, no search
 for a better one turns that round; nor where the narrow cross-section does by three times as much beyond what is asked for."""

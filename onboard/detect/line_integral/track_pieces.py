@@ -21,8 +21,8 @@ SHORT_PX: Final = 40.0
 REACH_PX: Final = 15.0
 """How far beyond its ends a short detection's line is followed; tracks leave points 3 to 10 px apart."""
 
-ON_LINE_PX: Final = 1.5
-BRIGHTER: Final = 3.0
+ON_LINE_PX: Final = 1.5  # points have the places of their pixels, half a pixel off at most. Chosen, not measured
+BRIGHTER: Final = 3.0  # the points gave the track away, its piece did not: it is much fainter. Chosen, not measured
 FEWEST: Final = 2
 """A piece of a track has so many sharp points on its line, each brighter by this factor in S/N. Of short trails among a thousand
 points that are scattered over four million pixels, 0.2 % have two on their line by chance."""

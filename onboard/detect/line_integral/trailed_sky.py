@@ -27,12 +27,12 @@ MOST_LENGTHS: Final = 4.0
 MOST_HIDDEN: Final = 0.35
 """A line as short as that with this share of it on masks of trails is what they left over."""
 
-BESIDE_PX: Final = 3.0
+BESIDE_PX: Final = 3.0  # what the fit of a trail misses at its rim lies within the PSF of it, 3.4 sigma. Chosen, not measured
 SURE_SNR: Final = 40.0
 """Points so near to masked pixels are what a mask left over, unless they are brighter."""
 
-SIDE_PX: Final = 4.0
-MOST_SIDE_PX: Final = 14.0
+SIDE_PX: Final = 4.0  # the point's own light is gone: exp(-r^2 / 2 s^2) is 7e-5 for s^2 = 0.87^2 + 1/12
+MOST_SIDE_PX: Final = 14.0  # ten places make the median; more would reach neighbouring stars. Chosen, not measured
 SIDE_SHARE: Final = 0.2
 """A point is part of a trail when from SIDE_PX on, to one side along the stars' motion, pixels hold this share of its peak."""
 

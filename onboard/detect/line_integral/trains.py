@@ -16,9 +16,9 @@ from onboard.detect import whiten
 from onboard.detect.line_integral.static_sky import lit_pixels
 from sboc_e2e.icd.signals import Detection, DetectorView
 
-LEAST_PIECES: Final = 3
-LEAST_SNR: Final = 20.0
-LEAST_LENGTH_PX: Final = 30.0
+LEAST_PIECES: Final = 3  # two even pieces are a gap in one trail; of three even ones each gap is alike. Chosen, not measured
+LEAST_SNR: Final = 20.0  # three pieces of S/N 6 make 10; their gaps must be seen to be empty, too. Chosen, not measured
+LEAST_LENGTH_PX: Final = 30.0  # three pieces and two gaps need so much room. Chosen, not measured
 
 LIT_SHARE: Final = 0.4
 """A line of pixels belongs to a piece from this share of the bright ones' light on."""
@@ -29,8 +29,8 @@ EMPTY_SHARE: Final = 0.12
 EVEN: Final = 0.3
 """Scatter of the pieces' lengths over their mean, at most."""
 
-LEAST_GAP_PX: Final = 4.0
-BEYOND_PX: Final = 12.0
+LEAST_GAP_PX: Final = 4.0  # px: two at either side are the pieces' own rim
+BEYOND_PX: Final = 12.0  # px beyond either end that are looked at, so that outer pieces are whole. Chosen, not measured
 
 
 def light_along(

@@ -28,7 +28,7 @@ LEAST_LENGTH_PX: Final = 8.0
 ROW: Final = 5
 """So many trails on one line are objects in a row, with S/N enough each to be found; a tumbler flashes less often."""
 
-ON_LINE_PX: Final = 3.0
+ON_LINE_PX: Final = 3.0  # across the line, for middles of other trails. Chosen, not measured
 
 FOLLOW_SIGMA: Final = 4.0
 """S/N of light beyond an end that belongs to the trail. Places along a line give some ten trials: 3e-4 an end."""
@@ -36,7 +36,7 @@ FOLLOW_SIGMA: Final = 4.0
 VARIED_SIGMA: Final = 3.0
 """The same once light was found beyond an end: the object's light varies, and its ends are looked for."""
 
-REACH_LENGTHS: Final = 1.5
+REACH_LENGTHS: Final = 1.5  # `MOST_STEPS` looks follow each other; a longer one meets more of other objects. Chosen, not measured
 REACH_PX: Final = 30.0
 """A line is followed at once as far as this many of its lengths, and this much more."""
 

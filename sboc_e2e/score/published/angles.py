@@ -15,7 +15,7 @@ from sboc_e2e.score.published.true_motion import ARCSEC_PER_RAD, TrueMotion
 
 Array = NDArray[np.float64]
 
-SAME_ARCSEC: Final = 1e-3
+SAME_ARCSEC: Final = 1e-3  # Chosen: 2,500 times what messages round to.
 SAME_NS: Final = 1_000
 """Directions and epochs that differ by no more are the same measurement: messages round to 0.4 uas and 0.5 us."""
 

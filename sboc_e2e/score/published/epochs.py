@@ -14,7 +14,7 @@ from sboc_e2e.icd.errors import UserError
 
 _TEXT: Final = re.compile(r"(\d{4})-(?:(\d\d)-(\d\d)|(\d{3}))T(\d\d):(\d\d):(\d\d)(?:\.(\d*))?Z?")
 _ZERO: Final = date(1958, 1, 1).toordinal()
-_GPS_BEHIND_TAI_S: Final = 19
+_GPS_BEHIND_TAI_S: Final = 19  # TAI - UTC on 6 January 1980, where GPS time began (IS-GPS-200): `erfa.dat` has 19.
 
 
 @lru_cache(maxsize=64)

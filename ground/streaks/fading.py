@@ -39,10 +39,10 @@ LEAST_BESIDE: Final = 12
 MEDIAN_VARIANCE: Final = 0.5 * math.pi
 """Variance of a median over that of a mean, of Gaussian values."""
 
-STAR_SIGMAS: Final = 4.0
+STRAY_SIGMAS: Final = 4.0
 """By chance in one of 30,000 blocks."""
-STAR_SHARE: Final = 1.5
-"""A block that exceeds the median of its neighbours by so many sigmas and by this factor holds another source."""
+STRAY_SHARE: Final = 1.5
+"""A block that differs from those on both sides by so many sigmas and by this factor is not the trail's light alone."""
 
 ABOVE_SIGMAS: Final = 3.0
 """A block beyond an end that stands so far above the best fall holds another source: the fall is pulled up by it already."""
@@ -146,7 +146,7 @@ def blocks_of(pixels: TrailPixels, width_px: float, border_px: float) -> Blocks:
     by_level = np.bincount(place, weight * profile, number) / safe
     sigma = np.where(known, np.sqrt(1.0 / safe + by_level**2 * level_variance), math.inf)
     density = np.where(known, density, 0.0)
-    sigma = np.where(_is_star(density, sigma), math.inf, sigma)
+    sigma = np.where(_strays(density, sigma), math.inf, sigma)
     return Blocks(place=(np.arange(number, dtype=np.float64) + 0.5) * length, density=density, sigma=sigma, length_px=length)
 
 
@@ -162,14 +162,27 @@ def _sky_beside(block: NDArray[np.int64], value: Array, variance: Array, number:
     return level, level_variance
 
 
-def _is_star(density: Array, sigma: Array) -> NDArray[np.bool_]:
-    """(n,) blocks that are much brighter than those about them."""
+def _strays(density: Array, sigma: Array) -> NDArray[np.bool_]:
+    """(n,) blocks that differ much from those on both sides: stars on the line, and sky that a star beside the line raised.
+
+    One side is not enough: the last lit block of a trail that stops is brighter than those outside it.
+    """
     if density.size < 5:
         return np.zeros(density.size, dtype=np.bool_)
+    inside, outside = _neighbours(density)
+    usual = np.minimum(inside.max(axis=0), outside.max(axis=0))
+    dark = (usual - density > STRAY_SIGMAS * sigma) & (usual > STRAY_SHARE * density)
+    inside, outside = _neighbours(np.where(dark, usual, density))
+    usual = np.maximum(np.maximum(inside.mean(axis=0), outside.mean(axis=0)), 0.0)
+    bright = (density - usual > STRAY_SIGMAS * sigma) & (density > STRAY_SHARE * usual)
+    return np.asarray(dark | bright)
+
+
+def _neighbours(density: Array) -> tuple[Array, Array]:
+    """The two blocks before and the two after each block, (2, n) both; ends repeat."""
     about = np.pad(density, 2, mode="edge")
-    neighbours = np.stack([about[k : k + density.size] for k in (0, 1, 3, 4)])
-    usual = np.maximum(np.median(neighbours, axis=0), 0.0)
-    return np.asarray((density - usual > STAR_SIGMAS * sigma) & (density > STAR_SHARE * usual))
+    inside, outside = ([about[k : k + density.size] for k in pair] for pair in ((0, 1), (3, 4)))
+    return np.stack(inside), np.stack(outside)
 
 
 def _weights(sigma: Array) -> Array:

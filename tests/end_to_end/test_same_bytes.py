@@ -1,19 +1,15 @@
 """The same scenario and seed give the same bytes: with more workers, another hash seed, and after being killed."""
 
-import os
-import signal
-import subprocess
-import sys
-import time
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from sboc_e2e.run import run
 from sboc_e2e.run.pipeline import Run
 from tests.end_to_end.conftest import command, digest, request, tiny
-from tests.processes import wait_for
+from tests.processes import Nursery, nursery, points
+
+SBOC = "sboc_e2e.cli:run"
 
 
 @pytest.mark.slow
@@ -24,42 +20,35 @@ def test_two_workers_give_the_same_bytes_as_one(finished: Run, tmp_path: Path) -
     assert digest(tmp_path / "two", "truth", "frames", "calibration") == expected
 
 
-def killed_and_resumed(scenario_file: Path, out: Path, delay_s: float, extra: tuple[str, ...] = ()) -> bool:
-    """Kill a run after a while and resume it; whether it was still running when killed."""
-    arguments = [sys.executable, "-m", "sboc_e2e", "run", str(scenario_file), "--out", str(out), *extra]
-    process = subprocess.Popen(arguments, stderr=subprocess.DEVNULL, start_new_session=True)
-    wait_for(out / "manifest.json", process)
-    time.sleep(delay_s)
-    running = process.poll() is None
-    if running:
-        os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
-    if not (out / "manifest.json").exists():
-        return running
-    done = subprocess.run([*arguments, "--resume"], stderr=subprocess.PIPE, text=True, check=False)
-    assert done.returncode == 0, done.stderr
-    return running
-
-
-def check_kills(finished: Run, folder: Path, delays_s: list[float], workers: int) -> None:
+def check_kills(finished: Run, folder: Path, processes: Nursery, *, kills: int, workers: int) -> None:
+    """Kill runs at random changes of their files and resume them, by one process."""
     expected = digest(finished.directory.path, "truth", "frames", "calibration")
-    scenario_file = tiny(folder)
-    interrupted = 0
-    for number, delay_s in enumerate(delays_s):
-        out = folder / f"killed-{number}"
-        interrupted += killed_and_resumed(scenario_file, out, delay_s, ("--workers", str(workers)))
-        assert digest(out, "truth", "frames", "calibration") == expected
-        assert not list(out.rglob("*.part"))
-        assert not (out / ".work").exists()
-    assert interrupted > 0
+    undisturbed = [*arguments(folder, "undisturbed"), "--workers", str(workers)]
+    changes = processes.call(SBOC, undisturbed).changes
+    for kill_at in points(changes, kills, seed=20):
+        asked, out = arguments(folder, f"killed-{kill_at}"), folder / f"killed-{kill_at}"
+        assert processes.call(SBOC, [*asked, "--workers", str(workers)], kill_at=kill_at).killed
+        if (out / "manifest.json").exists():
+            assert not processes.call(SBOC, [*asked, "--resume"]).killed
+            assert digest(out, "truth", "frames", "calibration") == expected, kill_at
+            assert not list(out.rglob("*.part"))
+            assert not (out / ".work").exists()
+
+
+def arguments(folder: Path, name: str) -> list[str]:
+    return ["run", str(folder / "tiny.toml"), "--out", str(folder / name)]
 
 
 @pytest.mark.slow
 def test_a_run_killed_at_twenty_points_ends_with_the_same_bytes(finished: Run, tmp_path: Path) -> None:
-    delays_s = np.random.default_rng(20).uniform(0.0, 3.5, size=20)
-    check_kills(finished, tmp_path, delays_s[:10].tolist(), workers=1)
+    """Most with one process: with two, each run starts others that have to import everything."""
+    tiny(tmp_path)
     (tmp_path / "two").mkdir()
-    check_kills(finished, tmp_path / "two", delays_s[10:].tolist(), workers=2)
+    tiny(tmp_path / "two")
+    with nursery() as processes:
+        processes.call(SBOC, arguments(tmp_path, "warm"), fork=False)
+        check_kills(finished, tmp_path, processes, kills=16, workers=1)
+        check_kills(finished, tmp_path / "two", processes, kills=4, workers=2)
 
 
 @pytest.mark.slow

@@ -127,6 +127,25 @@ def test_a_star_beyond_the_end_does_not_lengthen_a_trail() -> None:
         assert after.col1 + min(low, -2.0) <= 190.3 <= after.col1 + max(high, 2.0)
 
 
+def test_stars_beside_and_on_the_line_leave_their_blocks_unknown_and_the_last_lit_one_known() -> None:
+    """Light beside the line raises its sky: that block is too dark. Where a trail stops, its last block is the brighter one."""
+    frame = TrailFrame.of_chord(MIDDLE, FIRST, MIDDLE, 190.0)
+    whole = blocks_of(usable_pixels(strip(2, 190.3), frame, math.inf), SIGMA_PX, COLS - 115.5)
+    place = whole.place + 0.5 * (FIRST + 190.0)
+    last = int(np.flatnonzero(place < 187.0)[-1])
+    assert np.isfinite(whole.sigma).all()
+    dark, on = last - 4, last - 9
+    pixels = strip(2, 190.3)
+    from_line, from_dark, from_on = np.abs(pixels.row - MIDDLE), np.abs(pixels.col - place[dark]), np.abs(pixels.col - place[on])
+    light = np.where((from_line > 4.5) & (from_dark < 5.0), 90.0, 0.0) + np.where((from_line < 2.0) & (from_on < 1.5), 300.0, 0.0)
+    starry = replace(pixels, value_e=(pixels.value_e + light).astype(np.float32))
+    blocks = blocks_of(usable_pixels(starry, frame, math.inf), SIGMA_PX, COLS - 115.5)
+    assert not np.isfinite(blocks.sigma[[dark, on]]).any()
+    assert np.isfinite(blocks.sigma[last])
+    assert np.isfinite(blocks.sigma).sum() >= blocks.sigma.size - 4
+    assert blocks.density[dark] < 0.6 * whole.density[dark]
+
+
 def test_only_frames_from_outside_are_followed() -> None:
     outside = scenarios.bare("process", base_document("none"), registry=Registry())
     orbit = scenarios.bare("orbit", {}, registry=Registry())

@@ -37,6 +37,10 @@ _FARTHEST_KM: Final = 150_000.0
 """Upper clamp of the range, over three times that of the geostationary ring: a step cannot run off."""
 
 
+_WEAK: Final = 0.05
+"""Error of a range, relative. Arcs of 30 s have 0.2; of seven minutes, 0.01. Chosen."""
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class ArcOrbit:
     """A tracklet's own orbit at its middle epoch.
@@ -61,6 +65,11 @@ class ArcOrbit:
         out = np.empty(6)
         state_of(self.mean, self.observer_km, self.observer_km_s, self.axes, out)
         return out
+
+    @property
+    def is_weak(self) -> bool:
+        """Whether the range is so wide that an orbit found from it need not be the only one."""
+        return float(self.covariance[4, 4]) > (_WEAK * float(self.mean[4])) ** 2
 
 
 @njit(cache=True)

@@ -26,6 +26,10 @@ _PLANE_COSINE: Final = 0.97
 """14 deg between the planes: wide enough for rough arcs; what is wrong goes on to the fit. Chosen, not measured."""
 _ENERGY: Final = 0.2
 """Largest relative difference of energy, as wide as that of rough arcs; what is wrong goes on to the fit. Chosen."""
+_SEVERAL_RAD: Final = 1.0
+"""Two tracklets that are nearer along the orbit have one orbit, if a wide one. Chosen, not measured."""
+_SEVERAL_SINE: Final = 0.1
+"""6 deg from half turns. Arcs of 30 s of a geostationary object, 3 deg from a whole turn apart, met an orbit 25 sigma off."""
 _DOUBT_KM_PER_DAY2: Final = 0.4
 """One sigma of place after a day that radiation pressure of unknown area leaves; it grows with the square of days."""
 
@@ -144,7 +148,7 @@ def clusters_of(
         except UserError:
             # an orbit that meets the Earth, or data that do not hold together: no object
             continue
-        if cluster is None:
+        if cluster is None or _is_one_of_several(cluster, tracklets):
             refused.add(members)
             continue
         found.append(cluster)
@@ -223,6 +227,19 @@ def meets_all(solution: Solution, tracklets: Sequence[Directions]) -> bool:
     """
     ends = np.cumsum([2 * len(t.t_tai_ns) for t in tracklets])
     return all(float((part > 0.0).mean()) >= 0.5 for part in np.split(solution.weights, ends[:-1]))
+
+
+def _is_one_of_several(cluster: Cluster, tracklets: Sequence[Directions]) -> bool:
+    """Whether an orbit has two tracklets alone, half turns apart: then others meet them as well, and a third has to tell."""
+    if len(cluster.members) > 2:
+        return False
+    s = cluster.solution
+    middles = [d.t_tai_ns[len(d.t_tai_ns) // 2] for d in (tracklets[m] for m in cluster.members)]
+    one, other = propagate(s.state, s.t0_tai_ns, np.array(sorted(middles), dtype=np.int64), s.forces).states
+    radius, speed = float(np.linalg.norm(one[:3])), float(np.linalg.norm(one[3:]))
+    turned_rad = speed / radius * float(abs(middles[1] - middles[0])) * 1e-9
+    sine = float(np.linalg.norm(cross(one[:3], other[:3]))) / (radius * float(np.linalg.norm(other[:3])))
+    return turned_rad > _SEVERAL_RAD and sine < _SEVERAL_SINE
 
 
 def _with_ambiguity(

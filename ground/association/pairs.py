@@ -22,9 +22,16 @@ from sboc_e2e.icd import tai
 Array = NDArray[np.float64]
 
 _PLACES: Final = np.array([2, 3, 4, 5])
-_STEPS: Final = 4  # a budget of Gauss-Newton steps: the ranges of arcs are near already. Chosen, not measured
+_STEPS: Final = 8
+"""A budget of Gauss-Newton steps. Pairs of geostationary arcs of 30 s took up to 7 from the start that is nearest."""
+_OFFSETS: Final = np.array([-1.5, -0.75, 0.0, 0.75, 1.5])
+"""Sigmas from a weak arc's range where solutions are looked for."""
+_PLANES_RAD: Final = 0.451
+"""26 deg (cosine 0.9) between the planes of two sharp arcs: wide enough for what forces do in days. Chosen, not measured."""
+_PLANE_SIGMAS: Final = 4.0  # as for periods
 _LEAST_SINE: Final = 0.03
 """1.7 deg from half and whole turns: bounds the doubt there, which has no bound by the formula. Chosen, not measured."""
+_NEAREST_KM: Final = 100.0  # of an object; no range below it is followed. Chosen, not measured
 _PERIOD_SIGMAS: Final = 4.0  # a right pair in 16,000 has a period beyond it; a Gaussian's tails
 
 
@@ -58,8 +65,8 @@ def pairs_of(
     normal = np.cross(states[:, :3], states[:, 3:])
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     first, second, chi2, state = _search(
-        t_s, mean, place, axes, covariance, rate, rate_sigma, normal, 86400.0 * longest_days, chi2_limit, doubt_km_s,
-        eccentricity_limit,
+        t_s, mean, place, axes, covariance, rate, rate_sigma, normal, _tilts(chosen, states),
+        np.array([a.is_weak for a in chosen]), 86400.0 * longest_days, chi2_limit, doubt_km_s, eccentricity_limit,
     )  # fmt: skip
     return Pairs(first=order[first], second=order[second], chi2=chi2, state=state)
 
@@ -77,6 +84,13 @@ def _mean_motions(arcs: Sequence[ArcOrbit], states: Array) -> tuple[Array, Array
     along = np.einsum("ni,nij->nj", slope, turn)
     variance = np.einsum("ni,nij,nj->n", along, np.array([a.covariance for a in arcs]), along)
     return rate, np.sqrt(variance)
+
+
+def _tilts(arcs: Sequence[ArcOrbit], states: Array) -> Array:
+    """One sigma (n,) rad of the direction of each arc's plane, from that of its velocity."""
+    turn = np.array([_state_partials(a)[3:] for a in arcs])
+    variance = np.einsum("nij,njk,nik->n", turn, np.array([a.covariance for a in arcs]), turn)
+    return np.asarray(np.sqrt(variance) / np.linalg.norm(states[:, 3:], axis=1))
 
 
 def _state_partials(arc: ArcOrbit) -> Array:
@@ -138,10 +152,11 @@ def _whitener(covariance: Array, rho: float, doubt: float) -> Array:
 
 @njit(cache=True)
 def _joined(
-    ends: Array, mean: Array, white: Array, normal: Array, dt_s: float, revolutions: int, late: bool, limit: float, state: Array
-) -> float:
-    """Least chi2 over both ranges, and the state at the first; infinite where no orbit is found."""
-    rho = np.array([mean[0, 4], mean[1, 4]])
+    ends: Array, mean: Array, white: Array, normal: Array, dt_s: float, revolutions: int, late: bool, limit: float, start: Array,
+    state: Array,
+) -> float:  # fmt: skip
+    """Least chi2 over both ranges from a start (2,), and the state at the first; infinite where no orbit is found."""
+    rho = start.copy()
     here, moved, speed = np.empty(8), np.empty(8), np.empty(6)
     z, slope = np.empty(8), np.empty((8, 2))
     best = np.inf
@@ -175,7 +190,7 @@ def _joined(
         right = slope.T @ z
         rho[0] -= (normal_matrix[1, 1] * right[0] - normal_matrix[0, 1] * right[1]) / determinant
         rho[1] -= (normal_matrix[0, 0] * right[1] - normal_matrix[0, 1] * right[0]) / determinant
-        if rho[0] < 100.0 or rho[1] < 100.0:
+        if rho[0] < _NEAREST_KM or rho[1] < _NEAREST_KM:
             return best
     return best
 
@@ -183,13 +198,15 @@ def _joined(
 @njit(cache=True)
 def _search(
     t_s: Array, mean: Array, place: Array, axes: Array, covariance: Array, rate: Array, rate_sigma: Array, normal: Array,
-    longest_s: float, limit: float, doubt: float, eccentricity_limit: float,
+    tilt: Array, weak: NDArray[np.bool_], longest_s: float, limit: float, doubt: float, eccentricity_limit: float,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]:  # fmt: skip
     """Pairs of arcs in order of time, by index, with chi2 and state."""
     first, second, cost, found = [np.int64(0)], [np.int64(0)], [0.0], [np.zeros(6)]
     ends, both = np.empty((2, 5, 3)), np.empty((2, 6))
     white = np.empty((2, 4, 4))
-    state, kept = np.empty(6), np.empty(6)
+    state, kept, start = np.empty(6), np.empty(6), np.empty(2)
+    offsets = np.where(weak[:, None], np.sqrt(covariance[:, 2, 2])[:, None] * _OFFSETS, 0.0)
+    several = np.where(weak, len(_OFFSETS), 1)
     for i in range(len(t_s)):
         for j in range(i + 1, len(t_s)):
             dt = t_s[j] - t_s[i]
@@ -199,7 +216,10 @@ def _search(
             low = max(rate[i] - _PERIOD_SIGMAS * rate_sigma[i], rate[j] - _PERIOD_SIGMAS * rate_sigma[j])
             high = min(rate[i] + _PERIOD_SIGMAS * rate_sigma[i], rate[j] + _PERIOD_SIGMAS * rate_sigma[j])
             # arcs at once are no pair of an orbit's ends: the batch judges them
-            if high <= low or high * dt < 0.02 or (normal[i] * normal[j]).sum() < 0.9:
+            if high <= low or high * dt < 0.02:
+                continue
+            between = math.acos(min(max((normal[i] * normal[j]).sum(), -1.0), 1.0))
+            if between > _PLANES_RAD + _PLANE_SIGMAS * (tilt[i] + tilt[j]):
                 continue
             ends[0, 0], ends[1, 0] = place[i, 0], place[j, 0]
             ends[0, 1:4], ends[1, 1:4] = axes[i], axes[j]
@@ -220,10 +240,15 @@ def _search(
                 for late in range(2):
                     if revolutions == 0 and late == 1:
                         continue
-                    chi2 = _joined(ends, both, white, axis, dt, revolutions, late == 1, limit, state)
-                    if chi2 < best:
-                        best = chi2
-                        kept[:] = state
+                    for at in range(several[i] * several[j]):
+                        start[0] = mean[i, 4] + offsets[i, at // several[j]]
+                        start[1] = mean[j, 4] + offsets[j, at % several[j]]
+                        if start.min() < _NEAREST_KM:
+                            continue
+                        chi2 = _joined(ends, both, white, axis, dt, revolutions, late == 1, limit, start, state)
+                        if chi2 < best:
+                            best = chi2
+                            kept[:] = state
             if best < limit:
                 first.append(np.int64(i))
                 second.append(np.int64(j))

@@ -191,6 +191,12 @@ class ObjectStore:
         query = select(o.c.object_id).where(o.c.status.in_(("active", "lost")), ~there).order_by(o.c.object_id)
         return [int(row["object_id"]) for row in self._rows(query)]
 
+    def with_few_tracklets(self, fewer_than: int) -> set[int]:
+        """Numbers of objects with some accepted tracklets, but fewer than a number."""
+        a = schema.ASSOCIATIONS
+        query = select(a.c.object_id).where(a.c.state == "accepted").group_by(a.c.object_id).having(func.count() < fewer_than)
+        return {int(row["object_id"]) for row in self._rows(query)}
+
     def unproven_merges(self) -> list[int]:
         """Objects that were merged with others after their tracklets were last found to be of one orbit, by number."""
         table = schema.DECISIONS

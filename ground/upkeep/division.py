@@ -1,17 +1,19 @@
 """Whether an object's tracklets are of one orbit, and which are of which orbit where they are not."""
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from itertools import combinations
+from itertools import chain, combinations
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.association.arc import ArcOrbit, arc_orbits
 from ground.association.associate import associate
 from ground.association.clusters import AssociationOptions, Cluster, judged, meets_all
 from ground.association.gooding import starts_of
+from ground.association.pairs import pairs_of
 from ground.determination.measurements import Directions
 from ground.determination.propagation import propagate
 from ground.upkeep.sightings import KnownOrbit
@@ -29,6 +31,10 @@ MEETING_KM_S: Final = 0.3
 """Change of velocity up to which a meeting of two orbits may be a manoeuvre."""
 MEETING_EPOCHS: Final = 200
 """A budget of work: between two epochs the orbits' passing counts as error, so that no meeting is missed."""
+SETTLED_TRACKLETS: Final = 8
+"""From so many on one orbit alone meets an object's short tracklets. Two met five of 30 s, all of two sidereal times. Chosen."""
+MOST_PAIRS: Final = 6
+"""A budget of fits. Of geostationary tracklets of two nights, one of the first two pairs led to the right orbit. Chosen."""
 MOST_TURNS: Final = 8
 """Between the first and the last of three tracklets: four days of a navigation orbit."""
 
@@ -68,7 +74,7 @@ def division_of(data: Mapping[int, Directions], known: KnownOrbit | None, option
     every = [data[k] for k in numbers]
     if len(every) < LEAST_OWN:
         return None
-    one = next((found for state, epoch in _starts(every, known) if (found := _of_one_orbit(every, state, epoch, options))), None)
+    one = one_orbit_of(every, known, options)
     if one is not None:
         return Division(parts=(Part(tracklets=tuple(numbers), cluster=one),))
     clusters = sorted(associate(every, options), key=lambda c: (-len(c.members), c.members))
@@ -84,7 +90,22 @@ def division_of(data: Mapping[int, Directions], known: KnownOrbit | None, option
     return Division(parts=parts, loose=loose)
 
 
-def _starts(every: list[Directions], known: KnownOrbit | None) -> Iterator[tuple[Array, int]]:
+def one_orbit_of(every: Sequence[Directions], known: KnownOrbit | None, options: AssociationOptions) -> Cluster | None:
+    """The orbit that meets all of some tracklets, in order of time; None where none is.
+
+    Fits start from the known orbit and from those that some of the tracklets give. Of a few short tracklets the best of all
+    fits is taken: an orbit of twelve minutes may be too far off a day later for a fit to start from, and one of two or three
+    tracklets may be the wrong one of two that meet them. Of others the first is taken.
+    """
+    arcs = [arc for arc in arc_orbits(every) if arc is not None] if LEAST_OF_ONE <= len(every) < SETTLED_TRACKLETS else []
+    short = len(arcs) >= LEAST_OWN and all(arc.is_weak for arc in arcs)
+    starts = chain(_starts(every, known), _starts_of_pairs(arcs, options) if short else ())
+    fits = (_of_one_orbit(every, state, epoch, options) for state, epoch in starts)
+    good = (one for one in fits if one is not None)
+    return min(good, key=lambda one: one.solution.chi2_nu, default=None) if short else next(good, None)
+
+
+def _starts(every: Sequence[Directions], known: KnownOrbit | None) -> Iterator[tuple[Array, int]]:
     """States and epochs to start a fit of all tracklets from."""
     if known is not None:
         epoch = int(every[-1].t_tai_ns[len(every[-1].t_tai_ns) // 2])
@@ -97,7 +118,14 @@ def _starts(every: list[Directions], known: KnownOrbit | None) -> Iterator[tuple
         yield from ((state, epoch) for state in states)
 
 
-def _of_one_orbit(every: list[Directions], state: Array, epoch_tai_ns: int, options: AssociationOptions) -> Cluster | None:
+def _starts_of_pairs(arcs: Sequence[ArcOrbit], options: AssociationOptions) -> Iterator[tuple[Array, int]]:
+    """The same from the likeliest pairs of arcs."""
+    pairs = pairs_of(arcs, longest_days=options.longest_days, chi2_limit=options.pair_limit, doubt_km_s=options.doubt_km_s)
+    for k in np.argsort(pairs.chi2, kind="stable")[:MOST_PAIRS]:
+        yield pairs.state[k], arcs[pairs.first[k]].t_tai_ns
+
+
+def _of_one_orbit(every: Sequence[Directions], state: Array, epoch_tai_ns: int, options: AssociationOptions) -> Cluster | None:
     """The fit of all tracklets from a start, where it uses all of them."""
     try:
         cluster = judged(tuple(range(len(every))), every, state, epoch_tai_ns, options)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from ground.association.arc import ArcOrbit, arc_orbits
 from ground.association.associate import associate
-from ground.association.clusters import AssociationOptions, Cluster, judged, meets_all
+from ground.association.clusters import AssociationOptions, Cluster, meets_all
 from ground.association.correlate import candidates_of
 from ground.determination.forces import ForceModel, step_of
 from ground.determination.measurements import Directions
@@ -21,10 +21,9 @@ from ground.determination.propagation import propagate
 from ground.sky.sphere import east_north
 from ground.store.store import Association, ObjectStore, StoredOrbit, StoredTracklet, Writer
 from ground.upkeep import sequential
-from ground.upkeep.division import division_of
+from ground.upkeep.division import LEAST_OF_ONE, SETTLED_TRACKLETS, division_of, one_orbit_of
 from ground.upkeep.sightings import KnownOrbit, Sighting, sightings
 from sboc_e2e.icd import tai
-from sboc_e2e.icd.errors import UserError
 
 Array = NDArray[np.float64]
 
@@ -118,6 +117,8 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
     def correlated() -> tuple[list[_Renewed], list[int], list[tuple[int, int, float]]]:
         """Objects with their new orbits, objects whose new tracklets fit none, and doubtful pairs with probabilities."""
         wanted: dict[int, dict[int, float]] = {}
+        # a few short tracklets may have two orbits: a step from the one that was taken would never find the other
+        provisional = store.with_few_tracklets(SETTLED_TRACKLETS)
         doubtful: list[tuple[int, int, float]] = []
         for tracklet, found in _candidates(arcs, list(seen.values())).items():
             if found and found[0][1] >= options.accept:
@@ -128,11 +129,13 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
             key = object_id, tuple(sorted(accepted))
             if key not in done:
                 before = known[object_id]
-                orbit = sequential.renewed(before, [seen[object_id, t] for t in accepted], MADE_BY, now_tai_ns)
+                orbit = None
+                if object_id not in provisional or not all(arcs[t].is_weak for t in accepted):
+                    orbit = sequential.renewed(before, [seen[object_id, t] for t in accepted], MADE_BY, now_tai_ns)
                 if orbit is not None:
                     done[key] = _Renewed(object_id=object_id, orbit=orbit, accepted=accepted)
                 else:
-                    done[key] = _refitted(store, before.orbit, accepted, data, since, now_tai_ns, options)
+                    done[key] = _refitted(store, before, accepted, data, since, now_tai_ns, options)
         out = {object_id: done[object_id, tuple(sorted(accepted))] for object_id, accepted in sorted(wanted.items())}
         return [one for one in out.values() if one is not None], [k for k, one in out.items() if one is None], doubtful
 
@@ -153,8 +156,10 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
     in_doubt = {(a.tracklet_id, a.object_id) for a in store.associations(state="ambiguous")}
     taken = {t for one in renewed for t in one.accepted} | {t for t, _, _ in doubtful}
     free = sorted(k for k in arcs if k not in taken)
-    clusters = associate([data[k] for k in free], options.association)
-    made = [(tuple(free[m] for m in c.members), c) for c in clusters]
+    made, found = _associated(
+        store, {k: data[k] for k in free}, set(known) - {one.object_id for one in renewed}, since, now_tai_ns, options
+    )
+    renewed += found
     current = {k: one.orbit for k, one in known.items()} | {one.object_id: one.orbit for one in renewed}
     merges = _merges(made, current, options)
     lost, retired = _faded(current, {one.object_id for one in renewed}, status, now_tai_ns, options)
@@ -173,7 +178,7 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
     return NightReport(
         correlated=sum(len(one.accepted) for one in renewed),
         ambiguous=len({t for t, _, _ in doubtful}),
-        left=len(free) - sum(len(m) for m, _ in made),
+        left=len(free) - sum(len(m) for m, _ in made) - sum(len(one.accepted) for one in found),
         renewed=len(renewed),
         refused=len(refused),
         made=len(made) - len(merges),
@@ -299,24 +304,45 @@ def _candidates(arcs: Mapping[int, ArcOrbit], seen: Sequence[Sighting]) -> dict[
 
 
 def _refitted(
-    store: ObjectStore, orbit: StoredOrbit, accepted: Mapping[int, float], data: Mapping[int, Directions], since: int, now: int,
+    store: ObjectStore, known: KnownOrbit, accepted: Mapping[int, float], data: Mapping[int, Directions], since: int, now: int,
     options: UpkeepOptions,
 ) -> _Renewed | None:  # fmt: skip
     """The orbit that fits an object's tracklets of the window and the new ones; None where they are no one free orbit."""
-    old = {k: directions_of(t) for k, t in store.tracklets_of(orbit.object_id).items() if since <= t.t_tai_ns[0] < now}
+    object_id = known.orbit.object_id
+    old = {k: directions_of(t) for k, t in store.tracklets_of(object_id).items() if since <= t.t_tai_ns[0] < now}
     every = sorted([*old.values(), *(data[k] for k in accepted)], key=lambda d: int(d.t_tai_ns[0]))
-    epoch = int(every[-1].t_tai_ns[len(every[-1].t_tai_ns) // 2])
-    start = propagate(
-        orbit.state, orbit.epoch_tai_ns, np.array([epoch], dtype=np.int64), forces_of(orbit, options.association)
-    ).states[0]
-    try:
-        cluster = judged(tuple(range(len(every))), every, start, epoch, options.association)
-    except UserError:
-        # the directions leave an element free: the orbit that is there stays
+    cluster = one_orbit_of(every, known, options.association)
+    if cluster is None:
         return None
-    if cluster is None or not meets_all(cluster.solution, every):
-        return None
-    return _Renewed(object_id=orbit.object_id, orbit=_stored(cluster, orbit.object_id, now), accepted=accepted)
+    return _Renewed(object_id=object_id, orbit=_stored(cluster, object_id, now), accepted=accepted)
+
+
+def _associated(
+    store: ObjectStore, free: Mapping[int, Directions], known: set[int], since: int, now: int, options: UpkeepOptions
+) -> tuple[list[tuple[tuple[int, ...], Cluster]], list[_Renewed]]:
+    """New clusters of tracklets that are no object's, and known objects of two tracklets that clusters hold whole.
+
+    The prediction of two tracklets is too bent for its covariance, or of another orbit that meets them.
+    """
+    own: dict[int, int] = {}
+    every = dict(free)
+    for object_id in sorted(known & store.with_few_tracklets(LEAST_OF_ONE)) if free else ():
+        stored = {k: t for k, t in store.tracklets_of(object_id).items() if since <= t.t_tai_ns[0] < now}
+        own |= dict.fromkeys(stored, object_id)
+        every |= {k: directions_of(t) for k, t in stored.items()}
+    numbers = sorted(every)
+    made, found = [], []
+    for cluster in associate([every[k] for k in numbers], options.association):
+        members = tuple(numbers[m] for m in cluster.members)
+        objects, fresh = {own[k] for k in members if k in own}, [k for k in members if k not in own]
+        if not objects:
+            made.append((members, cluster))
+        elif len(objects) == 1 and fresh and meets_all(cluster.solution, [every[k] for k in members]):
+            (object_id,) = objects
+            if {k for k, owner in own.items() if owner == object_id} <= set(members):
+                orbit = _stored(cluster, object_id, now)
+                found.append(_Renewed(object_id=object_id, orbit=orbit, accepted=dict.fromkeys(fresh, 1.0)))
+    return made, found
 
 
 def _stored(cluster: Cluster, object_id: int, now_tai_ns: int) -> StoredOrbit:

@@ -36,6 +36,7 @@ def remember() -> None:
     """What a night works out without the store."""
     night.associate = remembered(night.associate)  # type: ignore[assignment]
     night.division_of = remembered(night.division_of)  # type: ignore[assignment]
+    night.one_orbit_of = remembered(night.one_orbit_of)  # type: ignore[assignment]
     night.sightings = remembered(night.sightings)  # type: ignore[assignment]
     sequential.renewed = remembered(sequential.renewed)
 

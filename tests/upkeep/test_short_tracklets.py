@@ -1,0 +1,69 @@
+"""Objects whose tracklets last half a minute: two orbits may meet the first few of them, and pairs start from ranges 20 % off."""
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from ground.association.arc import arc_orbits
+from ground.association.pairs import pairs_of
+from ground.store.store import ObjectStore
+from ground.upkeep.night import update
+from sboc_e2e.icd import tai
+from simulator.platform.all_forces import DAY_S, between
+from tests.association.list_simulator import Seen, Survey, light, observer_states, survey
+from tests.association.lists import measured
+from tests.upkeep.test_division import true_error_chi2
+from tests.upkeep.test_night import owners, put
+
+HOURS = (0.0, 0.2, 23.9345, 24.1345, 47.869, 48.069)
+"""Two visits in each of three nights, at the same sidereal times."""
+
+
+@pytest.fixture(scope="module", params=(41, 42))
+def short(request: pytest.FixtureRequest) -> Survey:
+    """Three geostationary objects in six visits of 30 s, 24 directions of 0.75 arcsec each."""
+    one = survey(request.param, objects=3, clutter=0, days=3.0)
+    rng, sigma = np.random.default_rng([request.param, 3]), math.radians(0.75 / 3600.0)
+    seen = []
+    for hour in HOURS:
+        for k in range(3):
+            t = 3600.0 * hour + 60.0 + np.linspace(0.0, 30.0, 24)
+            observer = observer_states(t, one.sky.sun[0])
+            line = light(between(one.truth[k], t), observer) + sigma * rng.normal(size=(24, 3))
+            line /= np.linalg.norm(line, axis=1, keepdims=True)
+            seen.append(Seen(owner=k, t_s=t, observer=observer, direction=line))
+    return replace(one, seen=seen, sigma_rad=sigma)
+
+
+@pytest.mark.slow
+def test_orbits_of_half_minutes_are_right_after_three_nights(short: Survey, tmp_path: Path) -> None:
+    """No object mixes others' tracklets, and orbits of three or more are right. Pairs that found no third stay apart."""
+    store, owner_of = ObjectStore(str(tmp_path / "store.db")), {}
+    for hour in HOURS:
+        day = hour * 3600.0 / DAY_S
+        owner_of |= put(store, short, day, day + 0.005)
+        update(store, short.sky.t0_tai_ns + round((day + 0.005) * tai.NS_PER_DAY))
+    found = {number: mine for number, mine in owners(store, owner_of).items() if mine}
+    assert all(len(set(mine)) == 1 for mine in found.values())
+    grown = {number: mine for number, mine in found.items() if len(mine) > 2}
+    assert len(grown) >= 2
+    for number, mine in grown.items():
+        (orbit,) = store.orbits(number)
+        # six degrees of freedom: one in a million is beyond 38
+        assert true_error_chi2(short, orbit, mine[0]) < 38.0
+        assert math.sqrt(np.trace(orbit.state_covariance[:3, :3])) < 1.0
+    store.close()
+
+
+def test_right_pairs_of_weak_arcs_are_found(short: Survey) -> None:
+    """Of one object: pairs of twelve minutes and of different sidereal times in two nights."""
+    mine = [d for d, s in zip(measured(short), short.seen, strict=True) if s.owner == 0]
+    arcs = [arc for arc in arc_orbits(mine) if arc is not None]
+    assert len(arcs) == len(HOURS)
+    assert all(arc.is_weak for arc in arcs)
+    pairs = pairs_of(arcs, longest_days=5.0, chi2_limit=40.0, doubt_km_s=6e-4)
+    found = {(int(a), int(b)) for a, b in zip(pairs.first, pairs.second, strict=True)}
+    assert found >= {(0, 1), (2, 3), (4, 5), (1, 2), (0, 5)}

@@ -191,13 +191,13 @@ def _grown(
 
 
 def _alike(orbit: Orbit, arcs: Sequence[ArcOrbit | None], chosen: Sequence[int]) -> list[int]:
-    """Those of some arcs whose own plane and energy are near an orbit's: a sieve before predictions are made."""
+    """Those of some arcs that are weak, or whose own plane and energy are near an orbit's: a sieve before predictions."""
     if not chosen:
         return []
     normal, energy = _plane_and_energy(np.array([_arc(arcs, k).state for k in chosen]))
     other, wanted = _plane_and_energy(orbit.state[None])
     good = (normal @ other[0] > _PLANE_COSINE) & (np.abs(energy / wanted[0] - 1.0) < _ENERGY)
-    return [k for k, ok in zip(chosen, good, strict=True) if ok]
+    return [k for k, ok in zip(chosen, good, strict=True) if ok or _arc(arcs, k).is_weak]
 
 
 def _plane_and_energy(states: Array) -> tuple[Array, Array]:

@@ -37,6 +37,9 @@ LEAST_END_PX: Final = 0.5
 ACROSS_PX: Final = 2.5
 """A frame may put its trail so far across from where the track has it; what goes farther is noise or a star."""
 
+READING_PX2: Final = 1.0 / 3.0
+"""Variance that reading between pixels adds: 1/6 px^2 on average each time, of frames into groups and of groups into tracks."""
+
 ITERATIONS: Final = 8
 """One or two linear parameters from a near start; chosen, not measured."""
 
@@ -67,12 +70,18 @@ def forced_fit(pixels: StreakPixels, detection: Detection, track_snr: float) -> 
     return _record(pixels, detection, line, edges, along, across, crosses)
 
 
-def track_error_px(width_px: float, track_snr: float) -> float:
-    """Error of a place, in either direction, that a track of points foretells for the last frame of its window.
+def track_error_px(width_px: float, length_px: float, track_snr: float) -> float:
+    """Error of a place that a track of points foretells for the last frame of its window, rms of both axes.
 
-    A point's place errs by sqrt(2) width / S along an axis in the middle of the window, and by twice that at its ends.
+    A filter of width f finds a Gaussian of width g with S to ``(f^2 + g^2) / (sqrt(2) f S)`` (from the curvature of the filtered
+    image and the variance of its noise's slope), in the middle of the window. Reading between pixels widens both; the way
+    within an exposure widens g along it. At the window's ends the error is twice that. Monte Carlo (640 points in noise, 1.8 px
+    an exposure): 1.39 +- 0.04 and 1.23 +- 0.04 sqrt(2) width / S along and across; here 1.36 and 1.21, and 1.29 for both.
     """
-    return 2.0 * math.sqrt(2.0) * width_px / max(track_snr, 1.0)
+    seen = width_px**2 + READING_PX2
+    across = math.sqrt(2.0 * seen)
+    along = (2.0 * seen + length_px**2 / 12.0) / across
+    return 2.0 * math.sqrt(0.5 * (along**2 + across**2)) / max(track_snr, 1.0)
 
 
 def _foretold(
@@ -84,8 +93,9 @@ def _foretold(
     track_snr: float,
 ) -> StreakFit:
     """The light of a point where its track foretells it; the light's width includes what the place may be off."""
-    error = track_error_px(width_px, track_snr)
-    half, blur = 0.5 * max(detection.length_px, 1.0), (0.0 if edges[0] else error, 0.0 if edges[1] else error)
+    length = max(detection.length_px, 1.0)
+    error = track_error_px(width_px, length, track_snr)
+    half, blur = 0.5 * length, (0.0 if edges[0] else error, 0.0 if edges[1] else error)
     near = usable_pixels(pixels, frame, 5.0 * width_px + ACROSS_PX).near(math.inf)
     if near.u.size < 8:
         raise NoTrailError(Reason.NO_LINE)

@@ -88,11 +88,12 @@ def directions_of(stored: StoredTracklet) -> Directions:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Renewed:
-    """An object's new orbit and the tracklets that were accepted for it, with probabilities."""
+    """An object's new orbit, the tracklets that were accepted for it, with probabilities, and objects that it is one with."""
 
     object_id: int
     orbit: StoredOrbit
     accepted: Mapping[int, float]
+    absorbed: tuple[int, ...] = ()
 
 
 def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = None) -> NightReport:
@@ -160,7 +161,8 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
         store, {k: data[k] for k in free}, set(known) - {one.object_id for one in renewed}, since, now_tai_ns, options
     )
     renewed += found
-    current = {k: one.orbit for k, one in known.items()} | {one.object_id: one.orbit for one in renewed}
+    absorbed = {k for one in found for k in one.absorbed}
+    current = {k: one.orbit for k, one in known.items() if k not in absorbed} | {one.object_id: one.orbit for one in renewed}
     merges = _merges(made, current, options)
     lost, retired = _faded(current, {one.object_id for one in renewed}, status, now_tai_ns, options)
     with store.transaction() as writer:
@@ -173,7 +175,7 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
         ):
             for number in numbers:
                 writer.set_status(number, name, by=MADE_BY, at_tai_ns=now_tai_ns, why=why)
-    if merges:
+    if merges or absorbed:
         divided.append(_divide(store, store.unproven_merges(), "merged before", now_tai_ns, options))
     return NightReport(
         correlated=sum(len(one.accepted) for one in renewed),
@@ -182,7 +184,7 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
         renewed=len(renewed),
         refused=len(refused),
         made=len(made) - len(merges),
-        merged=len(merges),
+        merged=len(merges) + len(absorbed),
         split=sum(one.split for one in divided),
         released=sum(one.released for one in divided),
         reacquired=len(found_again),
@@ -337,11 +339,12 @@ def _associated(
         objects, fresh = {own[k] for k in members if k in own}, [k for k in members if k not in own]
         if not objects:
             made.append((members, cluster))
-        elif len(objects) == 1 and fresh and meets_all(cluster.solution, [every[k] for k in members]):
-            (object_id,) = objects
-            if {k for k, owner in own.items() if owner == object_id} <= set(members):
-                orbit = _stored(cluster, object_id, now)
-                found.append(_Renewed(object_id=object_id, orbit=orbit, accepted=dict.fromkeys(fresh, 1.0)))
+            continue
+        whole = {k for k, owner in own.items() if owner in objects} <= set(members)
+        if whole and (fresh or len(objects) > 1) and meets_all(cluster.solution, [every[k] for k in members]):
+            kept, *absorbed = sorted(objects)
+            orbit, accepted = _stored(cluster, kept, now), dict.fromkeys(fresh, 1.0)
+            found.append(_Renewed(object_id=kept, orbit=orbit, accepted=accepted, absorbed=tuple(absorbed)))
     return made, found
 
 
@@ -425,6 +428,9 @@ def _write(
         links += [_link(t, number, 1.0, "accepted", now) for t in members]
     writer.add_orbits(orbits)
     writer.associate(links)
+    for one in renewed:
+        for number in one.absorbed:
+            writer.merge(one.object_id, number, by=MADE_BY, at_tai_ns=now, why="one orbit meets the tracklets of both")
     for place, object_id in merges.items():
         writer.merge(object_id, numbers[place], by=MADE_BY, at_tai_ns=now, why="a new object's orbit is that of a known one")
 

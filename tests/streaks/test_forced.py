@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from ground.streaks.fitter import TrailedPsfFitter
-from ground.streaks.forced import forced_fit
+from ground.streaks.forced import forced_fit, track_error_px
 from ground.streaks.no_trail import NoTrailError
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection
@@ -54,7 +54,7 @@ def test_the_light_of_foretold_points_is_unbiased_where_noise_makes_some_negativ
     for _ in range(400):
         exposure = expose(rng, trail_at(rng, 1.8), snr)
         truth = exposure.trail
-        off = rng.normal(0.0, 2.0 * np.sqrt(2.0) * 0.9 / track_snr, 2)
+        off = rng.normal(0.0, track_error_px(0.9, truth.length_px, track_snr), 2)
         detection = Detection(
             row0=truth.row0 + off[0], col0=truth.col0 + off[1], row1=truth.row1 + off[0], col1=truth.col1 + off[1], snr=snr,
             flags=StreakFlag.POINT_LIKE,

@@ -40,7 +40,7 @@ def short(request: pytest.FixtureRequest) -> Survey:
 
 @pytest.mark.slow
 def test_orbits_of_half_minutes_are_right_after_three_nights(short: Survey, tmp_path: Path) -> None:
-    """No object mixes others' tracklets, and orbits of three or more are right. Pairs that found no third stay apart."""
+    """No object mixes others' tracklets, each has an orbit of four or more, and it is right. A pair may stay apart (2 of 12 did)."""
     store, owner_of = ObjectStore(str(tmp_path / "store.db")), {}
     for hour in HOURS:
         day = hour * 3600.0 / DAY_S
@@ -49,7 +49,8 @@ def test_orbits_of_half_minutes_are_right_after_three_nights(short: Survey, tmp_
     found = {number: mine for number, mine in owners(store, owner_of).items() if mine}
     assert all(len(set(mine)) == 1 for mine in found.values())
     grown = {number: mine for number, mine in found.items() if len(mine) > 2}
-    assert len(grown) >= 2
+    assert sorted(mine[0] for mine in grown.values()) == [0, 1, 2]
+    assert min(len(mine) for mine in grown.values()) >= 4
     for number, mine in grown.items():
         (orbit,) = store.orbits(number)
         # six degrees of freedom: one in a million is beyond 38

@@ -40,7 +40,7 @@ def short(request: pytest.FixtureRequest) -> Survey:
 
 @pytest.mark.slow
 def test_orbits_of_half_minutes_are_right_after_three_nights(short: Survey, tmp_path: Path) -> None:
-    """No object mixes others' tracklets, each has an orbit of four or more, and it is right. A pair may stay apart (2 of 12 did)."""
+    """No object mixes tracklets of others; each has a right orbit of four or more. A pair may stay apart (2 of 12 did)."""
     store, owner_of = ObjectStore(str(tmp_path / "store.db")), {}
     for hour in HOURS:
         day = hour * 3600.0 / DAY_S

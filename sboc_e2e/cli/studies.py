@@ -74,7 +74,7 @@ def sweep(
 
 @app.command()
 def bench(
-    quick: Annotated[bool, typer.Option("--quick", help="the subset for CI, under four minutes")] = False,
+    quick: Annotated[bool, typer.Option("--quick", help="the subset for CI, four to eight minutes on two cores")] = False,
     check: Annotated[bool, typer.Option("--check", help="fail when a figure is worse than the committed baseline")] = False,
     peers: Annotated[bool, typer.Option("--peers", help="also peers that live in an environment of their own")] = False,
     long: Annotated[bool, typer.Option("--long", help="the soak of thousands of frames in full: hours")] = False,

@@ -9,21 +9,13 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from ground.determination.forces import PARAMETERS, ForceModel
+from ground.determination.least_squares import adjusted
 from ground.determination.measurements import Measurements, Offset
 from ground.determination.propagation import propagate
 from sboc_e2e.icd.errors import UserError
 
 Array = NDArray[np.float64]
 
-_MOST_STEPS: Final = 25  # a budget of iterations; a fit that uses them all is published as not converged
-_FAR_STEPS: Final = 3
-"""Iterations with weights for an orbit that is far."""
-_SETTLED: Final = 0.1
-"""Of one sigma: the step that would follow the last iteration."""
-_ROUNDING: Final = 1e-3
-"""Of the cost: an increase by less is the propagation's own noise."""
-_IDLE: Final = 3
-"""Steps that do not lower the cost, with ever more damping, after which the best point stands. Chosen, not measured."""
 _SURPRISE: Final = 1e-6
 """Probability of the cost of one free orbit below which a manoeuvre is suspected: one of a million right orbits."""
 _MOST_REJECTED: Final = 0.2
@@ -98,7 +90,6 @@ def fit(
     unknowns = 6 + len(parameters)
     sigma = dict(options.prior)
     start = np.array([forces.value_of(name) for name in parameters])
-    weight_of_prior = np.concatenate([np.zeros(6), [1.0 / sigma[n] ** 2 if n in sigma else 0.0 for n in parameters]])
 
     def linear(x: Array) -> tuple[Array, Array]:
         """Residuals (m,) and partials (m, unknowns + considered) at a state and parameters."""
@@ -116,115 +107,35 @@ def fit(
             at += n
         return np.concatenate(residuals), np.vstack(partials)
 
-    x = np.concatenate([np.asarray(state, dtype=float), start])
-    best = _Point(np.inf, x, np.empty(0), np.empty((0, 0)), np.empty(0))
     if len(epochs) == 0:
         raise UserError("orbit determination: no measurements")
-    damping, converged, steps, idle = 0.0, False, 0, 0
-    for steps in range(1, _MOST_STEPS + 1):
-        try:
-            value, slope = linear(x)
-            weights, cost = _weights(value, options, near=steps > _FAR_STEPS)
-            cost += float(weight_of_prior[6:] @ (x[6:] - start) ** 2)
-        except UserError:
-            if not np.isfinite(best.cost):
-                raise
-            cost = np.inf
-        if cost > best.cost * (1.0 + _ROUNDING) and steps != _FAR_STEPS + 1:
-            damping = max(10.0 * damping, 1e-3)
-            if damping > 1e8:
-                break
-            x = best.x + _step(best, weight_of_prior, start, damping, unknowns)
-            continue
-        # the cost falls no further than the propagation's own noise: as good as settled
-        idle = idle + 1 if abs(cost - best.cost) <= _ROUNDING * cost and steps > _FAR_STEPS + 1 else 0
-        best = _Point(cost, x, value, slope, weights)
-        damping *= 0.1
-        if idle == _IDLE:
-            converged = True
-            break
-        if steps > _FAR_STEPS + 1:
-            sigma_of = np.sqrt(np.diag(_inverse(_normal(best, weight_of_prior, unknowns))))
-            if np.abs(_step(best, weight_of_prior, start, 0.0, unknowns) / sigma_of).max() < _SETTLED:
-                converged = True
-                break
-        x = x + _step(best, weight_of_prior, start, damping, unknowns)
-    value, slope, weights = best.value, best.slope, best.weights
-    covariance = _inverse(_normal(best, weight_of_prior, unknowns))
+    best = adjusted(
+        linear,
+        np.concatenate([np.asarray(state, dtype=float), start]),
+        np.array([np.inf] * 6 + [sigma.get(name, np.inf) for name in parameters]),
+        huber_sigma=options.huber_sigma,
+        reject_sigma=options.reject_sigma,
+    )
+    covariance, weights = best.covariance, best.weights
     if considered:
         doubt = np.diag([s**2 for _, s in options.considered])
-        gain = covariance @ (slope[:, :unknowns] * weights[:, None]).T @ slope[:, unknowns:]
+        gain = covariance @ (best.partials[:, :unknowns] * weights[:, None]).T @ best.partials[:, unknowns:]
         covariance = covariance + gain @ doubt @ gain.T
     used = weights > 0.0
     nu = max(int(used.sum()) - unknowns, 1)
-    total = float((np.minimum(np.abs(value[used]), options.huber_sigma) ** 2).sum())
+    total = float((np.minimum(np.abs(best.residuals[used]), options.huber_sigma) ** 2).sum())
     surprise = float(chi2.sf(total, nu))
     return Solution(
         t0_tai_ns=t0_tai_ns,
-        state=best.x[:6],
-        forces=forces.with_values(parameters, best.x[6:]),
+        state=best.unknowns[:6],
+        forces=forces.with_values(parameters, best.unknowns[6:]),
         parameters=parameters,
         covariance=covariance,
-        residuals=value,
+        residuals=best.residuals,
         weights=weights,
         chi2_nu=total / nu,
         surprise=surprise,
         manoeuvre=bool(surprise < _SURPRISE or (~used).mean() > _MOST_REJECTED),
-        converged=converged,
-        iterations=steps,
+        converged=best.converged,
+        iterations=best.iterations,
     )
-
-
-@dataclass(frozen=True)
-class _Point:
-    """Cost, unknowns, residuals, partials and weights of an iteration."""
-
-    cost: float
-    x: Array
-    value: Array
-    slope: Array
-    weights: Array
-
-
-def _weights(value: Array, options: FitOptions, *, near: bool) -> tuple[Array, float]:
-    """Weights (m,) of whitened residuals by Huber's rule with a limit, and the cost that they belong to.
-
-    near : False while the orbit is far: then only the scale of the residuals is known, not which of them are wrong.
-    """
-    away = np.abs(value)
-    size = 1.0 if near else max(float(np.median(away)) / 0.6745, 1.0)
-    bend = options.huber_sigma * size
-    limit = options.reject_sigma if near else np.inf
-    weights = np.where(away > limit, 0.0, np.minimum(1.0, bend / np.maximum(away, 1e-300)))
-    capped = np.minimum(away, limit)
-    cost = np.where(capped > bend, 2.0 * bend * capped - bend**2, capped**2)
-    return np.asarray(weights), float(cost.sum())
-
-
-def _normal(point: _Point, prior: Array, unknowns: int) -> Array:
-    slope = point.slope[:, :unknowns]
-    return np.asarray((slope * point.weights[:, None]).T @ slope + np.diag(prior))
-
-
-def _step(point: _Point, prior: Array, start: Array, damping: float, unknowns: int) -> Array:
-    """The damped step (unknowns,)."""
-    normal = _normal(point, prior, unknowns)
-    slope = point.slope[:, :unknowns]
-    right = -(slope * point.weights[:, None]).T @ point.value
-    right[6:] -= prior[6:] * (point.x[6:] - start)
-    diagonal = np.sqrt(np.maximum(np.diag(normal), 1e-300))
-    scaled = normal / np.outer(diagonal, diagonal) + damping * np.eye(unknowns)
-    step, *_ = np.linalg.lstsq(scaled, right / diagonal, rcond=1e-14)
-    return np.asarray(step / diagonal)
-
-
-def _inverse(normal: Array) -> Array:
-    """Covariance of a normal matrix. UserError where the data leave a direction free."""
-    diagonal = np.sqrt(np.diag(normal))
-    if not (diagonal > 0.0).all():
-        raise UserError("orbit determination: the measurements do not determine the orbit")
-    scaled = normal / np.outer(diagonal, diagonal)
-    value, axes = np.linalg.eigh(scaled)
-    if value[0] < 1e-15 * value[-1]:
-        raise UserError("orbit determination: the measurements do not determine the orbit")
-    return np.asarray((axes / value) @ axes.T / np.outer(diagonal, diagonal))

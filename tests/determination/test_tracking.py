@@ -20,7 +20,8 @@ pytest.importorskip("satkit", reason="satkit propagates orbits (extra `objects`)
 
 SIGMA_RAD, SIGMA_KM = np.radians(0.02), 0.02
 TRANSPONDER_KM = 5.969
-AREA_KG = 13.12 / 5370.0
+AREA_KG = 13.12 / 1000.0
+"""The line of the set-up that states 5,370 kg is a comment; Orekit then takes 1,000 kg."""
 # Orekit's NumericalOrbitDeterminationTest.testW3B: EME2000, m and m/s; azimuth, elevation (deg) and range (m) of each station
 POSITION_M, VELOCITY_M_S = np.array([-40541446.236, -9905357.943, 206777.082]), np.array([759.0685, -1476.5156, 54.7931])
 BIASES = {
@@ -142,23 +143,23 @@ def test_residuals_of_real_tracking_are_those_of_the_published_solution(w3b: Fit
         "azimuth_deg": 339, "elevation_deg": 339, "range_m": 182,
     }  # fmt: skip
     for key, expected in SPREAD.items():
-        assert np.concatenate(w3b.left[key]).std(ddof=1) == pytest.approx(expected, rel=0.10 if key == "range_m" else 0.05)
+        assert np.concatenate(w3b.left[key]).std(ddof=1) == pytest.approx(expected, rel=0.02)
 
 
 def test_biases_and_leak_of_real_tracking_are_near_the_published_ones(w3b: Fit) -> None:
-    """Another model of refraction and air delay: Orekit's own tolerances are 1e-5 deg and 0.1 m."""
+    """Another model of refraction, drag and air delay: Orekit's own tolerances are 1e-5 deg and 0.1 m."""
     for name, (azimuth, elevation, distance_m) in BIASES.items():
         found = np.degrees(w3b.angle_bias[name])
         assert found[0] == pytest.approx(azimuth, abs=3e-4)
         assert found[1] == pytest.approx(elevation, abs=2e-3)
-        assert w3b.range_bias_m[name] == pytest.approx(distance_m, abs=30.0)
+        assert w3b.range_bias_m[name] == pytest.approx(distance_m, abs=25.0)
     # formal errors along the worst axes: as large as the leak itself
     for names, expected in ((LEAKS, LEAK), (LEAK_RATES, LEAK_RATE)):
         size = np.linalg.norm([w3b.forces.value_of(name) for name in names])
-        assert size == pytest.approx(expected, rel=0.2)
+        assert size == pytest.approx(expected, rel=0.1)
     state = w3b.state.reshape(2, 3) @ w3b.to_eme.T * 1e3
     away = np.concatenate([state[0] - POSITION_M, state[1] - VELOCITY_M_S])
-    assert np.linalg.norm(away[:3]) < 150.0
+    assert np.linalg.norm(away[:3]) < 100.0
     assert np.linalg.norm(away[3:]) < 0.03
     # within what the data say of it: half a sigma of each number
     assert (np.abs(away) < 0.5e3 * np.sqrt(np.diag(w3b.solution.covariance)[:6])).all()

@@ -76,17 +76,22 @@ def observe(
         float | None,
         typer.Option("--sigma", help="one sigma of a direction, arcsec; default: tdm_angles.ecsv beside each message, else 1"),
     ] = None,
+    calibration: Annotated[
+        Path | None, typer.Option("--calibration", help="file of sboc calibrate: the nearest session's biases are taken off")
+    ] = None,
     store: Store = "objects.db",
 ) -> None:
     """Put published tracklets into the catalogue, uncorrelated."""
     from sboc_e2e.icd.errors import UserError
     from sboc_e2e.objects.calibration import place_of_ephemeris, place_of_site
+    from sboc_e2e.objects.upkeep import Correction
     from sboc_e2e.objects.upkeep import observe as execute
 
     if (observer is None) == (site is None):
         raise UserError("objects observe: give either --observer (a moving sensor) or --site (a fixed one)")
     place = place_of_site(site) if site is not None else place_of_ephemeris(observer or Path())
-    typer.echo(execute(store, messages, place, sensor, sigma))
+    correction = None if calibration is None else Correction.of(calibration, shares_clock=site is None)
+    typer.echo(execute(store, messages, place, sensor, sigma, correction))
 
 
 @objects_app.command()

@@ -1,20 +1,22 @@
 """Published tracklets into the store, and the store brought up to a night."""
 
 from collections.abc import Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.sensor_bias.estimate import Place
+from ground.sensor_bias.correct import corrected, nearest, read_calibration
+from ground.sensor_bias.estimate import Place, SensorBias, Track
 from ground.sky.sphere import ARCSEC_RAD
 from ground.store.store import ObjectStore, StoredTracklet
 from ground.upkeep.night import UpkeepOptions, update
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.objects.conjunctions import epoch_of
 from sboc_e2e.objects.direction_errors import ERRORS_NAME, errors_of
+from sboc_e2e.objects.texts import text_of
 from sboc_e2e.score.published.tdm_reader import TdmSegment, read_tdm
 
 Array = NDArray[np.float64]
@@ -24,10 +26,34 @@ SIGMA_ARCSEC: Final = 1.0
 """Of directions that nothing is stated of."""
 
 
-def observe(url: str, messages: Sequence[Path], place: Place, sensor: str, sigma_arcsec: float | None) -> str:
+@dataclass(frozen=True, kw_only=True)
+class Correction:
+    """A calibration's sessions, and whether the sensor's own states carry the clock of its tags (a space telescope)."""
+
+    sessions: tuple[SensorBias, ...]
+    shares_clock: bool
+
+    @classmethod
+    def of(cls, path: Path, *, shares_clock: bool) -> "Correction":
+        """Of the file that `sboc calibrate` wrote. UserError for another, and for one without sessions."""
+        sessions = read_calibration(text_of(path), path.name)
+        if not sessions:
+            raise UserError(f"{path.name}: a calibration without sessions")
+        return cls(sessions=sessions, shares_clock=shares_clock)
+
+
+def observe(
+    url: str,
+    messages: Sequence[Path],
+    place: Place,
+    sensor: str,
+    sigma_arcsec: float | None,
+    correction: Correction | None = None,
+) -> str:
     """Put the tracklets of messages into a store; one that is there already is not put in twice.
 
     sigma_arcsec : one sigma along each axis; None: of the table of errors beside a message, 1 arcsec where there is none.
+    correction : takes the nearest session's time and pointing bias off each tracklet; its errors are not added to theirs.
     """
     if sigma_arcsec is not None and not 0.0 < sigma_arcsec < 3600.0:
         raise UserError(f"--sigma: expected arcsec above 0 and below 3600, got {sigma_arcsec:g}")
@@ -42,7 +68,7 @@ def observe(url: str, messages: Sequence[Path], place: Place, sensor: str, sigma
                 errors = stated.get(segment.tracklet_id)
                 if errors is None or len(errors) != n:
                     errors = np.tile([sigma_arcsec or SIGMA_ARCSEC, sigma_arcsec or SIGMA_ARCSEC, 0.0], (n, 1))
-                tracklets.append(_stored(segment, errors, place, sensor, path))
+                tracklets.append(_stored(segment, errors, place, sensor, path, correction))
     store = ObjectStore(url)
     before = store.counts()["tracklets"]
     with store.transaction() as writer:
@@ -52,15 +78,21 @@ def observe(url: str, messages: Sequence[Path], place: Place, sensor: str, sigma
     return f"{len(tracklets)} tracklets read, {after - before} of them new, {after} in the store"
 
 
-def _stored(segment: TdmSegment, errors: Array, place: Place, sensor: str, path: Path) -> StoredTracklet:
+def _stored(
+    segment: TdmSegment, errors: Array, place: Place, sensor: str, path: Path, correction: Correction | None
+) -> StoredTracklet:
     """Directions in order of time. errors : (n, 3) sigma along, across (arcsec), angle of the motion (rad)."""
-    t = segment.angle_tai_ns
-    order = np.argsort(t, kind="stable")
-    observer = place(t[order])
+    order = np.argsort(segment.angle_tai_ns, kind="stable")
+    seen = Track(t_tai_ns=segment.angle_tai_ns[order], direction=segment.direction[order])
+    observer = place(seen.t_tai_ns)
+    if correction is not None:
+        seen = corrected(seen, nearest(correction.sessions, int(seen.t_tai_ns[0])))
+        if not correction.shares_clock:
+            observer = place(seen.t_tai_ns)
     if not np.isfinite(observer).all():
         raise UserError(f"{path}: directions at epochs for which the observer's place is not given")
-    rows = np.hstack([segment.direction[order], errors[:, :2] * ARCSEC_RAD, errors[:, 2:], observer])
-    return StoredTracklet(sensor=sensor, t_tai_ns=t[order], rows=rows)
+    rows = np.hstack([seen.direction, errors[:, :2] * ARCSEC_RAD, errors[:, 2:], observer])
+    return StoredTracklet(sensor=sensor, t_tai_ns=seen.t_tai_ns, rows=rows)
 
 
 def bring_up(url: str, at_utc: str, window_days: float, workers: int) -> str:

@@ -16,6 +16,7 @@ from ground.orbit.reference import PreciseOrbit
 from ground.products.epochs import utc_text
 from ground.sensor_bias.correct import calibration_text, corrected, nearest, read_calibration
 from ground.sensor_bias.estimate import Track, estimate, sessions_of
+from ground.store.store import ObjectStore
 from sboc_e2e.cli.main import run
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
@@ -189,6 +190,56 @@ def test_the_command_calibrates_from_messages(sky, tmp_path: Path, capsys: pytes
     assert "give either --observer" in capsys.readouterr().err
     assert run([*arguments, "--site", "a,b"]) == 2
     assert "--site: expected LATITUDE,LONGITUDE,HEIGHT" in capsys.readouterr().err
+
+
+def true_offsets(rows: np.ndarray, t_tai_ns: np.ndarray, truth: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:
+    """Mean offset (3,) of a stored tracklet from where its object was at the stored epochs: along, east, north, arcsec.
+
+    truth : epochs, directions and apparent motion from the ephemeris file alone.
+    """
+    t, direction, rate = truth
+    away = rows[:, :3] - (direction + ((t_tai_ns - t) * 1e-9)[:, None] * rate)
+    east = np.cross([0.0, 0.0, 1.0], direction)
+    east /= np.linalg.norm(east, axis=1, keepdims=True)
+    heading = rate / np.linalg.norm(rate, axis=1, keepdims=True)
+    axes = np.stack([heading, east, np.cross(direction, east)], axis=1)
+    return np.asarray(np.einsum("nij,nj->ni", axes, away).mean(axis=0) / ARCSEC)
+
+
+@pytest.mark.slow
+def test_the_store_takes_tracklets_with_a_calibration_of_other_objects(
+    sky, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Five passes give the calibration, five others go into the store with it; the truth is the ephemeris file and astropy."""
+    orbits, passes = sky
+    known = estimate(observed(passes[::2], np.random.default_rng(8)), place_of_site(SITE), orbits, shares_clock=False)
+    file, message = tmp_path / "calibration.json", tmp_path / "later.tdm"
+    file.write_text(calibration_text("t", [known]))
+    message.write_text(tdm(observed(passes[1::2], np.random.default_rng(9))))
+    offsets = {}
+    for name, more in (("as it is", []), ("corrected", ["--calibration", str(file)])):
+        store = str(tmp_path / f"{name}.db")
+        assert run(["objects", "observe", str(message), "--site", SITE, "--store", store, *more]) == 0
+        found = ObjectStore(store)
+        tracklets = found.tracklets(0, 2**62).values()
+        found.close()
+        assert len(tracklets) == 5
+        by_epoch = {int(truth[0][0]): truth for truth in passes}
+        nearest_truth = [by_epoch[min(by_epoch, key=lambda t, s=s: abs(t - int(s.t_tai_ns[0])))] for s in tracklets]
+        offsets[name] = np.array([true_offsets(s.rows, s.t_tai_ns, t) for s, t in zip(tracklets, nearest_truth, strict=True)])
+        # the site's place is that of the stored epochs
+        for s in tracklets:
+            np.testing.assert_allclose(s.rows[:, 6:], place_of_site(SITE)(s.t_tai_ns), atol=1e-9)
+    # 20 ms of 15 to 40 arcsec/s are added to what the motion's direction has of the pointing
+    before, after = (np.abs(offsets[name].mean(axis=0)) for name in ("as it is", "corrected"))
+    assert before[1] > 2.0
+    assert before[2] > 1.0
+    # the calibration's own error and that of five means of ten
+    assert (after < 4.0 * (np.sqrt(np.diag(known.covariance)) * [30.0, 1.0, 1.0] + 0.15)).all()
+    assert (after < 0.5).all()
+    capsys.readouterr()
+    assert run(["objects", "observe", str(message), "--site", SITE, "--calibration", str(message)]) == 2
+    assert "no sensor calibration" in capsys.readouterr().err
 
 
 def test_a_broken_calibration_is_refused() -> None:

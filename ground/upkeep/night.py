@@ -164,12 +164,13 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
     absorbed = {k for one in found for k in one.absorbed}
     current = {k: one.orbit for k, one in known.items() if k not in absorbed} | {one.object_id: one.orbit for one in renewed}
     merges = _merges(made, current, options)
-    lost, retired = _faded(current, {one.object_id for one in renewed}, status, now_tai_ns, options)
+    met = [*(one.object_id for one in renewed), *sorted(set(merges.values()))]
+    lost, retired = _faded(current, set(met), status, now_tai_ns, options)
     with store.transaction() as writer:
         _write(writer, renewed, [d for d in doubtful if d[:2] not in in_doubt], made, merges, now_tai_ns)
-        found_again = [one.object_id for one in renewed if status[one.object_id] == "lost"]
+        found_again = [k for k in met if status[k] == "lost"]
         for numbers, name, why in (
-            (found_again, "active", "re-acquired: a tracklet met its prediction"),
+            (found_again, "active", "re-acquired: tracklets met its prediction or its orbit"),
             (lost, "lost", f"position error beyond {options.lost_km:g} km"),
             (retired, "retired", f"no tracklet for {options.retired_days:g} days"),
         ):

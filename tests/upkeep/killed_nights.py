@@ -23,10 +23,10 @@ def remembered(function: Callable[..., Any]) -> Callable[..., Any]:
     known: dict[bytes, Any] = {}
 
     @wraps(function)
-    def found(*arguments: Any) -> Any:
-        key = pickle.dumps(arguments)
+    def found(*arguments: Any, **named: Any) -> Any:
+        key = pickle.dumps((arguments, named))
         if key not in known:
-            known[key] = function(*arguments)
+            known[key] = function(*arguments, **named)
         return known[key]
 
     return found
@@ -34,21 +34,23 @@ def remembered(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def remember() -> None:
     """What a night works out without the store."""
+    night.arc_orbits = remembered(night.arc_orbits)  # type: ignore[assignment]
     night.associate = remembered(night.associate)  # type: ignore[assignment]
     night.division_of = remembered(night.division_of)  # type: ignore[assignment]
     night.one_orbit_of = remembered(night.one_orbit_of)  # type: ignore[assignment]
+    night.propagate = remembered(night.propagate)  # type: ignore[assignment]
     night.sightings = remembered(night.sightings)  # type: ignore[assignment]
     sequential.renewed = remembered(sequential.renewed)
 
 
-def updated(path: str, now_tai_ns: int) -> None:
+def updated(path: str, now_tai_ns: int, merge_chi2: float) -> None:
     """A night of a store."""
     store = ObjectStore(path)
-    night.update(store, now_tai_ns)
+    night.update(store, now_tai_ns, night.UpkeepOptions(merge_chi2=merge_chi2))
     store.close()
 
 
-def undisturbed(path: str, now_tai_ns: int, states: str) -> None:
+def undisturbed(path: str, now_tai_ns: int, merge_chi2: float, states: str) -> None:
     """The same, and the store's content before it and after each of its transactions, one file each."""
     remember()
     folder, transaction = Path(states), ObjectStore.transaction
@@ -61,5 +63,5 @@ def undisturbed(path: str, now_tai_ns: int, states: str) -> None:
 
     (folder / "0.sql").write_text(content(Path(path)))
     ObjectStore.transaction = watched  # type: ignore[method-assign]
-    updated(path, now_tai_ns)
+    updated(path, now_tai_ns, merge_chi2)
     ObjectStore.transaction = transaction  # type: ignore[method-assign]

@@ -118,24 +118,46 @@ def test_a_true_merge_is_kept_and_gets_an_orbit_of_all_its_tracklets(one: Survey
             assert true_error_chi2(one, store.orbits(number)[0], mine[0]) < 38.0
 
 
+def a_quarter_turn_off(one: Survey, owner: int, object_id: int) -> StoredOrbit:
+    """An orbit of somebody else's that is wrong by a quarter turn and knows it: no tracklet is near enough to be correlated."""
+    r, v = one.truth[owner, 0, :3], one.truth[owner, 0, 3:]
+    sigma = np.array([20_000.0] * 3 + [2.0] * 3)
+    turned = np.concatenate([v * np.linalg.norm(r) / np.linalg.norm(v), -r * np.linalg.norm(v) / np.linalg.norm(r)])
+    return StoredOrbit(
+        object_id=object_id, epoch_tai_ns=one.sky.t0_tai_ns, state=turned, covariance=np.diag(sigma**2),
+        made_tai_ns=one.sky.t0_tai_ns, made_by="t", chi2_nu=1.0, n_used=0,
+    )  # fmt: skip
+
+
 @pytest.mark.slow
 def test_a_night_that_divides_and_merges_killed_at_twenty_points_loses_nothing(one: Survey, tmp_path: Path) -> None:
+    """An operator's merge is undone, and a new object's orbit is that of a known one: step 5 merges them and proves it."""
     path = tmp_path / "store.db"
     store = ObjectStore(str(path))
     start = one.sky.t0_tai_ns
-    owner_of = put(store, one, 0.0, 3.0)
+    two = frozenset([0, 1])
+    owner_of = put(store, one, 0.0, 3.0, two)
     update(store, start + 3 * DAY_NS)
     kept, other = sorted(owners(store, owner_of))[:2]
     with store.transaction() as writer:
         writer.merge(kept, other, by="operator", at_tai_ns=start + 3 * DAY_NS, why="a mistake")
-    owner_of |= put(store, one, 3.0, 4.0)
+        (known,) = writer.add_objects(["known"], start)
+        writer.add_orbits([a_quarter_turn_off(one, 2, known)])
+        writer.set_status(known, "lost", by="t", at_tai_ns=start, why="nobody knows where it is")
+    owner_of |= put(store, one, 3.0, 4.0, two) | put(store, one, 0.0, 4.0, frozenset([2]))
     store.close()
-    # before the night, after the division, after the rest
-    assert len(killed_twenty_times(path, start + 4 * DAY_NS)) == 3
+    # a covariance that is carried on a straight line says nothing of a quarter turn: chi2 is near 1,000
+    # before the night, after the division, after the rest with its merge, after the proof of the merge
+    assert len(killed_twenty_times(path, start + 4 * DAY_NS, 1e4)) == 4
     store = ObjectStore(str(path))
-    found = [mine for mine in owners(store, owner_of).values() if mine]
-    assert sorted(found) == [[k] * 4 for k in range(4)]
-    assert [d["kind"] for d in store.decisions()] == ["merge", "split"]
+    found = owners(store, owner_of)
+    assert sorted(mine for mine in found.values() if mine) == [[k] * 4 for k in range(3)]
+    assert found[known] == [2] * 4
+    assert true_error_chi2(one, store.orbits(known)[0], 2) < 38.0
+    assert [row["status"] for row in store.objects() if row["object_id"] == known] == ["active"]
+    decisions = [(d["kind"], d["decided_by"]) for d in store.decisions()]
+    assert decisions[:2] == [("merge", "operator"), ("status", "t")]
+    assert decisions[2:] == [(kind, MADE_BY) for kind in ("split", "merge", "status", "one orbit")]
 
 
 @pytest.mark.slow

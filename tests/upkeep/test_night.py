@@ -35,9 +35,10 @@ def one() -> Survey:
     return survey(11, objects=4, clutter=2, days=4.0, a_day=1.0)
 
 
-def put(store: ObjectStore, one: Survey, first_day: float, last_day: float) -> dict[int, int]:
-    """Put the tracklets of some days into a store; their owners by number."""
-    chosen = [k for k, s in enumerate(one.seen) if first_day <= s.t_s[0] / DAY_S < last_day]
+def put(store: ObjectStore, one: Survey, first_day: float, last_day: float, of: frozenset[int] | None = None) -> dict[int, int]:
+    """Put the tracklets of some days, of some owners or all, into a store; their owners by number."""
+    days = (s.t_s[0] / DAY_S for s in one.seen)
+    chosen = [k for k, day in enumerate(days) if first_day <= day < last_day and (of is None or one.seen[k].owner in of)]
     with store.transaction() as writer:
         numbers = writer.add_tracklets([stored(one, k) for k in chosen])
     return {number: one.seen[k].owner for number, k in zip(numbers, chosen, strict=True)}
@@ -162,12 +163,13 @@ def test_a_page_shows_each_object_with_its_error(
     assert "no such store" in capsys.readouterr().err
 
 
-def killed_twenty_times(path: Path, now_tai_ns: int) -> list[str]:
+def killed_twenty_times(path: Path, now_tai_ns: int, merge_chi2: float) -> list[str]:
     """Kill a night of a store at twenty of its changes; contents that it goes through, before it and after each transaction."""
     given, states = path.read_bytes(), path.with_name("states")
+    update_it = "tests.upkeep.killed_nights:updated", str(path), now_tai_ns, merge_chi2
     states.mkdir()
     with nursery() as processes:
-        processes.call("tests.upkeep.killed_nights:undisturbed", str(path), now_tai_ns, str(states), fork=False)
+        processes.call("tests.upkeep.killed_nights:undisturbed", str(path), now_tai_ns, merge_chi2, str(states), fork=False)
         allowed = [(states / f"{k}.sql").read_text() for k in range(len(list(states.iterdir())))]
         assert content(path) == allowed[-1]
 
@@ -175,13 +177,13 @@ def killed_twenty_times(path: Path, now_tai_ns: int) -> list[str]:
             for old in path.parent.glob(f"{path.name}*"):
                 old.unlink()
             path.write_bytes(given)
-            return processes.call("tests.upkeep.killed_nights:updated", str(path), now_tai_ns, kill_at=kill_at)
+            return processes.call(*update_it, kill_at=kill_at)
 
         for point in points(again(None).changes, 20, seed=8):
             assert again(point).killed
             # a transaction is there whole or not at all
             assert content(path) in allowed
-            processes.call("tests.upkeep.killed_nights:updated", str(path), now_tai_ns)
+            processes.call(*update_it)
             assert content(path) == allowed[-1]
     return allowed
 
@@ -192,6 +194,6 @@ def test_an_update_killed_at_twenty_points_loses_nothing(one: Survey, tmp_path: 
     store = ObjectStore(str(path))
     owner_of = put(store, one, 0.0, 2.0)
     store.close()
-    allowed = killed_twenty_times(path, one.sky.t0_tai_ns + 2 * DAY_NS)
+    allowed = killed_twenty_times(path, one.sky.t0_tai_ns + 2 * DAY_NS, UpkeepOptions().merge_chi2)
     assert len(allowed) == 2
     assert sorted(owners(ObjectStore(str(path)), owner_of).values()) == [[k] * 2 for k in range(4)]

@@ -4,7 +4,7 @@ from collections.abc import Sequence
 
 from ground.association.arc import arc_orbits
 from ground.association.clusters import AssociationOptions, Cluster, clusters_of
-from ground.association.pairs import pairs_of
+from ground.association.returns import all_pairs
 from ground.determination.measurements import Directions
 
 
@@ -15,10 +15,7 @@ def associate(tracklets: Sequence[Directions], options: AssociationOptions | Non
     usable = [k for k, a in enumerate(arcs) if a is not None]
     if len(usable) < 2:
         return []
-    pairs = pairs_of(
-        [a for a in arcs if a is not None],
-        longest_days=options.longest_days, chi2_limit=options.pair_limit, doubt_km_s=options.doubt_km_s,
-    )  # fmt: skip
+    pairs = all_pairs([a for a in arcs if a is not None], options)
     found = clusters_of([tracklets[k] for k in usable], [arcs[k] for k in usable], pairs, options)
     return [
         Cluster(members=tuple(usable[m] for m in c.members), solution=c.solution, ambiguous=tuple(usable[m] for m in c.ambiguous))

@@ -11,6 +11,7 @@ from ground.association.arc import ArcOrbit, coordinates_of, scaled_inverse
 from ground.association.pairs import Pairs
 from ground.determination.batch import FitOptions, Solution, fit
 from ground.determination.forces import ForceModel
+from ground.determination.impulses import PUSH_KM2_S3
 from ground.determination.measurements import Directions
 from ground.determination.propagation import propagate
 from ground.orbit.dynamics import MU_KM3_S2
@@ -30,6 +31,8 @@ _SEVERAL_RAD: Final = 1.0
 """Two tracklets that are nearer along the orbit have one orbit, if a wide one. Chosen, not measured."""
 _SEVERAL_SINE: Final = 0.1
 """6 deg from half turns. Arcs of 30 s of a geostationary object, 3 deg from a whole turn apart, met an orbit 25 sigma off."""
+_LONG_DAYS: Final = 6.0
+"""Longer spans are fitted with what the forces leave out, of which six days make 0.2 km: as much as the directions leave."""
 _DOUBT_KM_PER_DAY2: Final = 0.4
 """One sigma of place after a day that radiation pressure of unknown area leaves; it grows with the square of days."""
 
@@ -141,10 +144,13 @@ def clusters_of(
         if not free.issuperset(seed):
             continue
         try:
-            members = _grown(seed, pairs.state[k], arcs, sorted(free), forces, options)
+            members, grown = _grown(seed, pairs.state[k], arcs, sorted(free), forces, options)
             if members in refused:
                 continue
-            cluster = judged(members, tracklets, pairs.state[k], int(_arc(arcs, seed[0]).t_tai_ns), options)
+            cluster = judged(members, tracklets, pairs.state[k], grown.t0_tai_ns, options)
+            if all(_arc(arcs, m).is_weak for m in members):
+                # a fit along a long, bent valley of chi2 may end where it is flat
+                cluster = _better(cluster, judged(members, tracklets, grown.state, grown.t0_tai_ns, options))
         except UserError:
             # an orbit that meets the Earth, or data that do not hold together: no object
             continue
@@ -166,8 +172,8 @@ def _arc(arcs: Sequence[ArcOrbit | None], k: int) -> ArcOrbit:
 def _grown(
     seed: tuple[int, int], start: Array, arcs: Sequence[ArcOrbit | None], free: Sequence[int], forces: ForceModel,
     options: AssociationOptions,
-) -> tuple[int, ...]:  # fmt: skip
-    """Members by index in order of time: the nearest arc in time that the orbit predicts is added until there is none."""
+) -> tuple[tuple[int, ...], Orbit]:  # fmt: skip
+    """Members by index in order of time, and their orbit: the nearest arc that it predicts is added until there is none."""
     members = list(seed)
     t0 = _arc(arcs, seed[0]).t_tai_ns
     orbit, cost = joined(start, t0, [_arc(arcs, m) for m in members], forces)
@@ -187,7 +193,12 @@ def _grown(
         if cost < options.pair_limit + 12.0 * (len(members) - 1):
             members.append(new)
             orbit = trial
-    return tuple(sorted(members, key=lambda m: _arc(arcs, m).t_tai_ns))
+    return tuple(sorted(members, key=lambda m: _arc(arcs, m).t_tai_ns)), orbit
+
+
+def _better(one: Cluster | None, other: Cluster | None) -> Cluster | None:
+    """Of two fits of the same tracklets that with the smaller chi2."""
+    return min((c for c in (one, other) if c is not None), key=lambda c: c.solution.chi2_nu, default=None)
 
 
 def _alike(orbit: Orbit, arcs: Sequence[ArcOrbit | None], chosen: Sequence[int]) -> list[int]:
@@ -211,10 +222,20 @@ def _plane_and_energy(states: Array) -> tuple[Array, Array]:
 def judged(
     members: tuple[int, ...], tracklets: Sequence[Directions], start: Array, t0_tai_ns: int, options: AssociationOptions
 ) -> Cluster | None:
-    """The batch fit of all directions of some tracklets; None where they are not one free orbit."""
+    """The batch fit of all directions of some tracklets; None where they are not one free orbit.
+
+    Over a long span the orbit is one that unknown accelerations push, and its epoch is the last tracklet's: what comes then
+    follows from it alone.
+    """
     forces = ForceModel(gravity_degree=options.gravity_degree, radiation=options.radiation_m2_kg)
-    choice = FitOptions(prior=(("radiation", options.radiation_sigma_m2_kg),))
-    solution = fit(start, t0_tai_ns, [tracklets[m] for m in members], forces, ("radiation",), choice)
+    data = [tracklets[m] for m in members]
+    middles = [int(d.t_tai_ns[len(d.t_tai_ns) // 2]) for d in data]
+    push = PUSH_KM2_S3 if max(middles) - min(middles) > _LONG_DAYS * tai.NS_PER_DAY else 0.0
+    if push:
+        start = propagate(start, t0_tai_ns, np.array([max(middles)], dtype=np.int64), forces).states[0]
+        t0_tai_ns = max(middles)
+    choice = FitOptions(prior=(("radiation", options.radiation_sigma_m2_kg),), push_km2_s3=push)
+    solution = fit(start, t0_tai_ns, data, forces, ("radiation",), choice)
     if not solution.converged or solution.manoeuvre or solution.chi2_nu > options.worst_chi2_nu:
         return None
     return Cluster(members=members, solution=solution)

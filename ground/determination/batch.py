@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.stats import chi2
 
 from ground.determination.forces import PARAMETERS, ForceModel
+from ground.determination.impulses import Impulses
 from ground.determination.least_squares import adjusted
 from ground.determination.measurements import Measurements, Offset
 from ground.determination.propagation import propagate
@@ -29,12 +30,15 @@ class FitOptions:
     huber_sigma : residuals beyond it count with the weight of their inverse. reject_sigma : beyond it not at all.
     considered : parameters that are not estimated although one sigma of them is known: name and sigma; their doubt enters
     the covariance. prior : sigma of estimated parameters about their start, by name; none of a parameter means no prior.
+    push_km2_s3 : power density along each axis of white accelerations that the forces leave out. The orbit then is one that they
+    push; its state is that at the epoch of the fit.
     """
 
     huber_sigma: float = 3.0
     reject_sigma: float = 6.0
     considered: tuple[tuple[str, float], ...] = ()
     prior: tuple[tuple[str, float], ...] = ()
+    push_km2_s3: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -87,32 +91,40 @@ def fit(
     if set(parameters) & set(considered):
         raise UserError(f"orbit determination: {', '.join(set(parameters) & set(considered))}: estimated and considered at once")
     epochs = np.concatenate([d.t_tai_ns for d in data]) if data else np.empty(0, dtype=np.int64)
-    unknowns = 6 + len(parameters)
-    sigma = dict(options.prior)
-    start = np.array([forces.value_of(name) for name in parameters])
+    if len(epochs) == 0:
+        raise UserError("orbit determination: no measurements")
+    n, own = len(epochs), 6 + len(parameters)
+    ends = min(int(epochs.min()), t0_tai_ns), max(int(epochs.max()), t0_tai_ns)
+    impulses = Impulses.within(*ends, options.push_km2_s3)
+    unknowns = own + 3 * len(impulses.t_tai_ns)
+    every = np.concatenate([epochs, impulses.t_tai_ns])
 
     def linear(x: Array) -> tuple[Array, Array]:
-        """Residuals (m,) and partials (m, unknowns + considered) at a state and parameters."""
-        model = forces.with_values(parameters, x[6:])
-        arc = propagate(x[:6], t0_tai_ns, epochs, model, parameters=(*parameters, *considered), partials=True)
+        """Residuals (m,) and partials (m, unknowns + considered) at a state, parameters and impulses."""
+        model = forces.with_values(parameters, x[6:own])
+        arc = propagate(x[:6], t0_tai_ns, every, model, parameters=(*parameters, *considered), partials=True)
+        pushed = impulses.effects(t0_tai_ns, epochs, arc.partials[:n, :, :6], arc.partials[n:, :, :6])
+        states = arc.states[:n] + pushed @ x[own:]
+        turned = np.concatenate([arc.partials[:n, :, :own], pushed, arc.partials[:n, :, own:]], axis=2)
         residuals, partials, at = [], [], 0
         for kind in data:
-            n = len(kind.t_tai_ns)
-            value, slope = kind.residuals(arc.states[at : at + n])
-            slope = slope @ arc.partials[at : at + n]
+            here = slice(at, at + len(kind.t_tai_ns))
+            value, slope = kind.residuals(states[here])
+            slope = slope @ turned[here]
             if isinstance(kind, Offset):
                 value, slope = kind.eliminated(value, slope)
             residuals.append(value.reshape(-1))
-            partials.append(slope.reshape(-1, arc.partials.shape[2]))
-            at += n
+            partials.append(slope.reshape(-1, turned.shape[2]))
+            at = here.stop
         return np.concatenate(residuals), np.vstack(partials)
 
-    if len(epochs) == 0:
-        raise UserError("orbit determination: no measurements")
+    sigma = dict(options.prior)
+    start = [forces.value_of(name) for name in parameters]
+    spread = np.repeat(impulses.sigma_km_s, 3)
     best = adjusted(
         linear,
-        np.concatenate([np.asarray(state, dtype=float), start]),
-        np.array([np.inf] * 6 + [sigma.get(name, np.inf) for name in parameters]),
+        np.concatenate([np.asarray(state, dtype=float), start, np.zeros(len(spread))]),
+        np.array([np.inf] * 6 + [sigma.get(name, np.inf) for name in parameters] + spread.tolist()),
         huber_sigma=options.huber_sigma,
         reject_sigma=options.reject_sigma,
     )
@@ -122,15 +134,17 @@ def fit(
         gain = covariance @ (best.partials[:, :unknowns] * weights[:, None]).T @ best.partials[:, unknowns:]
         covariance = covariance + gain @ doubt @ gain.T
     used = weights > 0.0
-    nu = max(int(used.sum()) - unknowns, 1)
+    # an impulse is an unknown and, by its spread, a measurement of it
+    nu = max(int(used.sum()) - own, 1)
     total = float((np.minimum(np.abs(best.residuals[used]), options.huber_sigma) ** 2).sum())
+    total += float(((best.unknowns[own:] / spread) ** 2).sum())
     surprise = float(chi2.sf(total, nu))
     return Solution(
         t0_tai_ns=t0_tai_ns,
         state=best.unknowns[:6],
-        forces=forces.with_values(parameters, best.unknowns[6:]),
+        forces=forces.with_values(parameters, best.unknowns[6:own]),
         parameters=parameters,
-        covariance=covariance,
+        covariance=covariance[:own, :own],
         residuals=best.residuals,
         weights=weights,
         chi2_nu=total / nu,

@@ -13,7 +13,7 @@ from ground.association.arc import ArcOrbit, arc_orbits
 from ground.association.associate import associate
 from ground.association.clusters import AssociationOptions, Cluster, judged, meets_all
 from ground.association.gooding import starts_of
-from ground.association.pairs import pairs_of
+from ground.association.returns import all_pairs
 from ground.determination.measurements import Directions
 from ground.determination.propagation import propagate
 from ground.upkeep.sightings import KnownOrbit
@@ -120,7 +120,7 @@ def _starts(every: Sequence[Directions], known: KnownOrbit | None) -> Iterator[t
 
 def _starts_of_pairs(arcs: Sequence[ArcOrbit], options: AssociationOptions) -> Iterator[tuple[Array, int]]:
     """The same from the likeliest pairs of arcs."""
-    pairs = pairs_of(arcs, longest_days=options.longest_days, chi2_limit=options.pair_limit, doubt_km_s=options.doubt_km_s)
+    pairs = all_pairs(arcs, options)
     for k in np.argsort(pairs.chi2, kind="stable")[:MOST_PAIRS]:
         yield pairs.state[k], arcs[pairs.first[k]].t_tai_ns
 

@@ -11,6 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.determination.forces import ForceModel
+from ground.determination.impulses import PUSH_KM2_S3
 from ground.determination.measurements import Directions
 from ground.determination.propagation import Flight, grown
 from ground.orbit.dynamics import MU_KM3_S2
@@ -27,9 +28,6 @@ NEAR_RAD: Final = 2e-3
 """Added to the sieve's radius of six sigma: for the polynomials and the directions' own errors."""
 WIDEST_RAD: Final = 0.5
 """29 deg: an error as large as the range says nothing; nothing wider is searched."""
-PUSH_KM2_S3: Final = 1e-18
-"""Power density of accelerations that the forces leave out: 1e-8 m/s^2 (a tenth of the light's push on 0.02 m^2/kg) that changes
-from hour to hour have 1e-22 km^2/s^4 * 2 h, about 7e-19. After a day it adds 15 m, after ten days 0.5 km."""
 ORBITS_AT_ONCE: Final = 500
 """Orbits given to a process at once: large against the cost of sending, small against a catalogue. Chosen, not measured."""
 

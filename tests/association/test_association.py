@@ -7,7 +7,7 @@ import pytest
 
 from ground.association.arc import arc_orbits, coordinates_of
 from ground.association.associate import associate
-from ground.association.clusters import Orbit
+from ground.association.clusters import AssociationOptions, Orbit, judged
 from ground.association.correlate import correlate
 from ground.association.lambert import lambert
 from ground.determination.forces import ForceModel
@@ -15,7 +15,7 @@ from ground.determination.propagation import propagate
 from sboc_e2e.icd.errors import UserError
 from simulator.platform.all_forces import MU, between
 from tests.association.list_simulator import Survey, kepler, survey
-from tests.association.lists import measured, verdict
+from tests.association.lists import directions, measured, verdict
 
 ARCSEC = math.radians(1.0 / 3600.0)
 
@@ -130,3 +130,23 @@ def test_two_hundred_objects_of_five_days() -> None:
     assert math.sqrt(float(result.squared_ratio.mean())) <= 1.3
     # 0.9 to 1.1 is asked; 200 objects leave a standard error of 0.058
     assert float(result.nees.mean()) == pytest.approx(1.0, abs=0.1 + 2.0 * math.sqrt(2.0 / (3.0 * n)))
+
+
+@pytest.mark.slow
+def test_a_long_arc_is_an_orbit_of_its_last_tracklet_that_may_have_been_pushed() -> None:
+    one = survey(61, objects=2, clutter=0, days=9.0, a_day=1.0)
+    for owner in range(2):
+        mine = sorted((s for s in one.seen if s.owner == owner), key=lambda s: s.t_s[0])
+        every, t0 = [directions(one, s) for s in mine], one.sky.t0_tai_ns
+        epochs = []
+        # five days, and nine
+        for few in (every[:5], every):
+            cluster = judged(tuple(range(len(few))), few, one.truth[owner, 0], t0, AssociationOptions())
+            assert cluster is not None
+            s = cluster.solution
+            truth = between(one.truth[owner], np.array([(s.t0_tai_ns - t0) * 1e-9]))[0]
+            away = s.state - truth
+            # six degrees of freedom: one in a million is beyond 38
+            assert away @ np.linalg.solve(s.covariance[:6, :6], away) < 38.0
+            epochs.append(s.t0_tai_ns)
+        assert epochs == [t0, int(every[-1].t_tai_ns[len(every[-1].t_tai_ns) // 2])]

@@ -81,7 +81,7 @@ def run_block(job: BlockJob) -> BlockTables:
     looks = looks_of(flight, at, passages, generator(job.seed, Effect.SURVEY, job.block, TURNS))
     response = Response(content=job.response)
     rng = generator(job.seed, Effect.SURVEY, job.block, FOUND)
-    finds = finds_of(passages, looks, response, rng, 1.0 - (1.0 - job.frames_lost) * (1.0 - job.packets_lost))
+    finds = finds_of(passages.rate_deg_s, looks, response, rng, 1.0 - (1.0 - job.frames_lost) * (1.0 - job.packets_lost))
     measured, true = tables_of(at, passages, looks, finds, response, rng)
     sums: dict[str, Any] = {
         "block": job.block,
@@ -116,13 +116,13 @@ def _with_named(
     found = fleet_block(flight, fleet, job.block, flight.options.objects.satellites.farthest_km)
     rng = generator(job.seed, Effect.SURVEY, job.block, NAMED)
     lost = 1.0 - (1.0 - job.frames_lost) * (1.0 - job.packets_lost)
-    finds = finds_of(found.passages, found.looks, response, rng, lost)
+    finds = finds_of(found.passages.rate_deg_s, found.looks, response, rng, lost)
     kinds = np.array([KINDS.index(name) for name in FLEET_KINDS])[fleet.kind[found.object]]
     rows = np.flatnonzero(finds.linked)
     mine, theirs = tables_of(found.at, found.passages, found.looks, finds, response, rng, kinds[rows])
     linked = np.zeros(len(found.object))
     for _ in range(REDRAWS):
-        linked += finds_of(found.passages, found.looks, response, rng, lost).linked / REDRAWS
+        linked += finds_of(found.passages.rate_deg_s, found.looks, response, rng, lost).linked / REDRAWS
     best = np.zeros(len(found.object))
     np.maximum.at(best, found.looks.passage, found.looks.snr)
     columns = (found.object, found.at.time_s[found.passages.instant], linked, best)
@@ -165,9 +165,9 @@ class Finds:
     linked: NDArray[np.bool_]
 
 
-def finds_of(p: Passages, looks: Looks, response: Response, rng: np.random.Generator, lost: float = 0.0) -> Finds:
-    """Draw what is found. lost : share of frames and packets that never arrive."""
-    n = len(p.size_m)
+def finds_of(rate_deg_s: Array, looks: Looks, response: Response, rng: np.random.Generator, lost: float = 0.0) -> Finds:
+    """Draw what is found. rate_deg_s (n,) : of each passage; lost : share of frames and packets that never arrive."""
+    n = len(rate_deg_s)
     noise = looks.noise_e / float(response.content["noise_e"])
     share = found_share(response.curve, looks.snr, looks.length_px, noise) * (1.0 - lost)
     found = rng.random(len(share)) < np.where(looks.snr > 0.0, share, 0.0)
@@ -187,7 +187,7 @@ def finds_of(p: Passages, looks: Looks, response: Response, rng: np.random.Gener
         frames=frames,
         snr=np.sqrt(total(looks.snr[found] ** 2)),
         mag=-2.5 * np.log10(np.maximum(light, 1e-99)),
-        arc_deg=np.where(frames > 1, p.rate_deg_s * np.where(frames > 1, last - np.where(frames > 1, first, 0.0), 0.0), 0.0),
+        arc_deg=np.where(frames > 1, rate_deg_s * np.where(frames > 1, last - np.where(frames > 1, first, 0.0), 0.0), 0.0),
         linked=rng.random(n) < response.linked_share(frames),
     )
 

@@ -89,13 +89,10 @@ class Flight:
     @classmethod
     def of(cls, options: SimulatorOptions, seed: int) -> "Flight":
         """The flight of a scenario. UserError for a ground site and for pointing that follows an object."""
+        refuse_unwatched(options)
         options = with_drawn_errors(options, seed)
         epoch = earth.tai_ns_of_utc(options.epoch_utc)
         observer = make_observer(options.platform, epoch)
-        if not isinstance(observer, OrbitingObserver):
-            raise UserError("platform.kind: a survey needs a camera in orbit: sun_synchronous or kepler, not site")
-        if options.pointing.law == "object":
-            raise UserError("pointing.law: a survey follows no object; allowed are anti_sun, inertial, sidereal, nadir, schedule")
         shutter = options.shutter
         if options.sensor.type == "ccd":
             shutter = replace(shutter, line_time_us=0.0)
@@ -109,6 +106,14 @@ class Flight:
             colour_factor = camera.instrument.colour_factor
             fleet = make_fleet(options.objects, options.population, epoch, seed, colour_factor)
         return cls(options=options, camera=camera, carrier=carrier, window=window, seed=seed, fleet=fleet)
+
+
+def refuse_unwatched(options: SimulatorOptions) -> None:
+    """UserError for a ground site and for pointing that follows an object."""
+    if options.platform.kind == "site":
+        raise UserError("platform.kind: a survey needs a camera in orbit: sun_synchronous or kepler, not site")
+    if options.pointing.law == "object":
+        raise UserError("pointing.law: a survey follows no object; allowed are anti_sun, inertial, sidereal, nadir, schedule")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -334,27 +339,28 @@ def light_of(flight: Flight, at: Instants, instant: Indices, size_m: Array, surf
     return np.asarray(flux * in_sight(position_km, observer))
 
 
-def candidate_numbers(flight: Flight) -> list[int]:
-    """How many candidates of each class a block needs, so that few stand for more than one passage; from a pilot."""
+def candidate_number(flight: Flight, number: int) -> int:
+    """How many candidates of a class a block needs, so that few stand for more than one passage; from a pilot."""
     options = flight.options.population
-    found = []
+    size_class = options.classes[number]
+    if size_class.count == 0:
+        return 0
     rng = generator(flight.seed, Effect.SURVEY, PILOT_BLOCK)
     at = instants_of(flight, np.sort(rng.random(240)) * PILOT_DAYS * earth.DAY_S, BLOCK_S)
-    for k, size_class in enumerate(options.classes):
-        if size_class.count == 0:
-            found.append(0)
-            continue
-        rng = generator(flight.seed, Effect.SURVEY, PILOT_BLOCK, k + 1)
-        drawn = candidates(flight, at, pool_of(options, size_class, rng), PILOT, rng)
-        weight = np.sort(drawn.natural[drawn.snr >= options.snr_min])[::-1] * PILOT
-        if not weight.size:
-            found.append(1000)
-            continue
-        # with n candidates those above n stand for more than one; what is above is sum(w - n)
-        above = np.cumsum(weight) - np.arange(1, len(weight) + 1) * weight
-        allowed = np.searchsorted(above, BEYOND_ONE * weight.sum(), side="right")
-        found.append(int(np.clip(weight[min(allowed, len(weight) - 1)], 1000, 20_000_000)))
-    return found
+    rng = generator(flight.seed, Effect.SURVEY, PILOT_BLOCK, number + 1)
+    drawn = candidates(flight, at, pool_of(options, size_class, rng), PILOT, rng)
+    weight = np.sort(drawn.natural[drawn.snr >= options.snr_min])[::-1] * PILOT
+    if not weight.size:
+        return 1000
+    # with n candidates those above n stand for more than one; what is above is sum(w - n)
+    above = np.cumsum(weight) - np.arange(1, len(weight) + 1) * weight
+    allowed = np.searchsorted(above, BEYOND_ONE * weight.sum(), side="right")
+    return int(np.clip(weight[min(allowed, len(weight) - 1)], 1000, 20_000_000))
+
+
+def candidate_numbers(flight: Flight) -> list[int]:
+    """Those of all classes."""
+    return [candidate_number(flight, number) for number in range(len(flight.options.population.classes))]
 
 
 class Pools:

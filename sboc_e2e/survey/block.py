@@ -19,7 +19,7 @@ from simulator.platform.earth import EARTH_RADIUS_KM
 from simulator.randomness import Effect, generator
 from simulator.scene.fleet import KINDS as FLEET_KINDS
 from simulator.scene.fleet import Fleet
-from simulator.survey import BLOCK_S, Flight, Instants, Looks, Passages, Pools, draw_block, looks_of, orbits_of
+from simulator.survey import BLOCK_S, Flight, Instants, Looks, Passages, Pools, candidate_number, draw_block, looks_of, orbits_of
 
 Array = NDArray[np.float64]
 Columns = dict[str, NDArray[Any]]
@@ -72,6 +72,11 @@ def parquet_bytes(columns: Columns, meta: Mapping[str, str]) -> bytes:
 @lru_cache(maxsize=2)
 def _flight(options: Any, seed: int) -> tuple[Flight, Pools]:
     return Flight.of(options, seed), Pools()
+
+
+def pilot(options: Any, seed: int, number: int) -> int:
+    """How many candidates of a class the blocks of a survey need."""
+    return candidate_number(_flight(options, seed)[0], number)
 
 
 def run_block(job: BlockJob) -> BlockTables:

@@ -235,6 +235,14 @@ def _counts(shown: Shown, found: NDArray[np.bool_], linked: NDArray[np.bool_], s
         return np.stack(list(table), axis=1)
 
 
+def _with_ends(value: float, draws: Array) -> tuple[float, float, float]:
+    """A ratio and the ends of its 90 % interval; NaN where nothing was expected in some draws."""
+    if not np.isfinite(draws).all():
+        return float(value), float("nan"), float("nan")
+    low, high = np.quantile(draws, [0.05, 0.95])
+    return float(value), float(low), float(high)
+
+
 def ratios(found: Array, expected: Array, scene: Array, survey: Array) -> tuple[Ratio, ...]:
     """The ratios with their intervals from tables (runs, names): found, expected of the same runs; scene; survey by round.
 
@@ -255,7 +263,7 @@ def ratios(found: Array, expected: Array, scene: Array, survey: Array) -> tuple[
     out = []
     for k, name in enumerate(NAMES):
         three = [
-            (float(value), *(float(v) for v in np.nanquantile(draws, [0.05, 0.95])))
+            _with_ends(value, draws)
             for value, draws in (
                 (middle[0][k], same[:, k]),
                 (middle[1][k], drawing[:, k]),

@@ -16,14 +16,17 @@ from sboc_e2e.icd.errors import UserError
 from simulator.as_built import with_drawn_errors
 from simulator.camera import Camera
 from simulator.mount import carrier_of
+from simulator.optics.far_scatter import SHADING_DEG
 from simulator.options import SimulatorOptions
 from simulator.platform import earth
 from simulator.platform.carrier import Carrier
 from simulator.platform.kepler import elements_of, velocity_through
 from simulator.platform.observer import OrbitingObserver, make_observer
 from simulator.randomness import Effect, generator
+from simulator.scene.backdrop import backdrop_of
 from simulator.scene.cast import encounter_window
 from simulator.scene.debris import SizeClass, draw_orbits, low_orbit_share
+from simulator.scene.earth_light import earth_reach_rad
 from simulator.scene.encounters import (
     NEAR_SHARE,
     PopulationOptions,
@@ -36,7 +39,6 @@ from simulator.scene.encounters import (
 )
 from simulator.scene.fleet import Fleet, is_given, make_fleet
 from simulator.scene.reflection import LightCurve, in_sight, lambert_flux, sunlit_fraction
-from simulator.scene.sky import diffuse_flux
 from simulator.scene.surface import Surfaces, draw_surfaces
 
 Array = NDArray[np.float64]
@@ -144,7 +146,7 @@ class Instants:
 
 def instants_of(flight: Flight, time_s: Array, span_s: float) -> Instants:
     """The camera at times after the epoch (m,)."""
-    carrier, camera, options = flight.carrier, flight.camera, flight.options
+    carrier, camera = flight.carrier, flight.camera
     tai_ns = [carrier.tai_ns(float(t)) for t in time_s]
     observer = carrier.observer
     if not isinstance(observer, OrbitingObserver):
@@ -160,13 +162,10 @@ def instants_of(flight: Flight, time_s: Array, span_s: float) -> Instants:
     )
     sun = np.array([earth.sun_position_km(t) for t in tai_ns])
     boresight = attitude[:, 2]
-    # the sky turns with the Sun by a degree a day: instants may be spread over a year
-    sky_e = np.zeros(len(tai_ns))
-    day = np.floor(np.asarray(time_s) / earth.DAY_S)
-    for number in np.unique(day):
-        which = np.flatnonzero(day == number)
-        sky_e[which] = diffuse_flux(options.sky, boresight[which], sun[which[len(which) // 2]])
-    sky_e = sky_e * camera.surface_rate_e_s * camera.exposure_s
+    sky_flux = np.array(
+        [_sky_flux(flight, *values) for values in zip(tai_ns, sun, position, boresight, strict=True)], dtype=np.float64
+    )
+    sky_e = sky_flux * camera.surface_rate_e_s * camera.exposure_s
     sky_e = sky_e + camera.instrument.stray_light_e_px_s * camera.exposure_s
     dark = float(camera.sensor.variance_e2(0.0, camera.exposure_s))
     per_e = float(camera.sensor.variance_e2(1.0, camera.exposure_s)) - dark
@@ -178,6 +177,19 @@ def instants_of(flight: Flight, time_s: Array, span_s: float) -> Instants:
         sky_e=sky_e, noise_e2=dark + per_e * sky_e, watched=watched, span_s=span_s,
         epoch_tai_ns=carrier.epoch_tai_ns,
     )  # fmt: skip
+
+
+def _sky_flux(flight: Flight, tai_ns: int, sun_km: Array, place_km: Array, boresight: Array) -> float:
+    """Flux of a square arcsecond in the middle of the field as in the pixel chain: sky, and scattered light of Moon and Earth.
+
+    Where the baffle shades all of the Earth, what its vanes leak is left out: 0.1 % of the darkest sky.
+    """
+    nadir = -place_km / np.linalg.norm(place_km)
+    shaded = np.radians(flight.camera.instrument.scatter.baffle_deg + SHADING_DEG)
+    dark = float(boresight @ nadir) < np.cos(min(earth_reach_rad(place_km) + shaded, np.pi))
+    options = replace(flight.options.sky, planets=False, earth=flight.options.sky.earth and not dark)
+    backdrop = backdrop_of(options, tai_ns, sun_km, place_km, None, None)
+    return float(backdrop.surface_flux(boresight[None], flight.camera)[0])
 
 
 def block_instants(flight: Flight, block: int) -> Instants:

@@ -173,8 +173,7 @@ class Finds:
 def finds_of(rate_deg_s: Array, looks: Looks, response: Response, rng: np.random.Generator, lost: float = 0.0) -> Finds:
     """Draw what is found. rate_deg_s (n,) : of each passage; lost : share of frames and packets that never arrive."""
     n = len(rate_deg_s)
-    noise = looks.noise_e / float(response.content["noise_e"])
-    share = found_share(response.curve, looks.snr, looks.length_px, noise) * (1.0 - lost)
+    share = found_share(response.curve, looks.snr, looks.length_px, response.noise_ratio(looks.noise_e)) * (1.0 - lost)
     found = rng.random(len(share)) < np.where(looks.snr > 0.0, share, 0.0)
     whose, weight = looks.passage[found], looks.stands_for[found]
 

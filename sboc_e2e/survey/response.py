@@ -79,6 +79,11 @@ class Response:
         """Parameters (b, 6) of bootstrap samples over runs."""
         return np.array(self.content["detection"]["curves"])
 
+    def noise_ratio(self, noise_e: Array) -> Array:
+        """Noise over that of the response's own sky, at most as far from it as was measured: a slope is not drawn on beyond."""
+        low, high = self.content["detection"]["noise_e"]
+        return np.asarray(np.clip(noise_e, low, high) / float(self.content["noise_e"]))
+
     @property
     def false_per_hour(self) -> float:
         """False tracklets in an hour."""

@@ -22,8 +22,7 @@ OBJECTS, FRAMES = 20, 6
 def samples(runs: int, seed: int, kept: float = 1.0) -> list[dict[str, Any]]:
     """Runs in which trails are found as the response says, times `kept`, and objects linked as it says."""
     rng = np.random.default_rng(seed)
-    response = responses.Response(content={**content(), "detection": {"curve": list(TRUE_CURVE)}})
-    made = []
+    response, made = known(), []
     for _ in range(runs):
         brightness = rng.uniform(4.0, 14.0, OBJECTS)
         owner = np.repeat(np.arange(OBJECTS), FRAMES)
@@ -46,7 +45,8 @@ def samples(runs: int, seed: int, kept: float = 1.0) -> list[dict[str, Any]]:
 
 def known() -> responses.Response:
     """The response that the samples are made with."""
-    return responses.Response(content={**content(), "detection": {"curve": list(TRUE_CURVE)}})
+    detection = {**content()["detection"], "curve": list(TRUE_CURVE)}
+    return responses.Response(content={**content(), "detection": detection})
 
 
 def both(made: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:

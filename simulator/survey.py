@@ -16,14 +16,17 @@ from sboc_e2e.icd.errors import UserError
 from simulator.as_built import with_drawn_errors
 from simulator.camera import Camera
 from simulator.mount import carrier_of
+from simulator.optics.far_scatter import SHADING_DEG
 from simulator.options import SimulatorOptions
 from simulator.platform import earth
 from simulator.platform.carrier import Carrier
 from simulator.platform.kepler import elements_of, velocity_through
 from simulator.platform.observer import OrbitingObserver, make_observer
 from simulator.randomness import Effect, generator
+from simulator.scene.backdrop import backdrop_of
 from simulator.scene.cast import encounter_window
 from simulator.scene.debris import SizeClass, draw_orbits, low_orbit_share
+from simulator.scene.earth_light import earth_reach_rad
 from simulator.scene.encounters import (
     NEAR_SHARE,
     PopulationOptions,
@@ -36,7 +39,6 @@ from simulator.scene.encounters import (
 )
 from simulator.scene.fleet import Fleet, is_given, make_fleet
 from simulator.scene.reflection import LightCurve, in_sight, lambert_flux, sunlit_fraction
-from simulator.scene.sky import diffuse_flux
 from simulator.scene.surface import Surfaces, draw_surfaces
 
 Array = NDArray[np.float64]
@@ -89,13 +91,10 @@ class Flight:
     @classmethod
     def of(cls, options: SimulatorOptions, seed: int) -> "Flight":
         """The flight of a scenario. UserError for a ground site and for pointing that follows an object."""
+        refuse_unwatched(options)
         options = with_drawn_errors(options, seed)
         epoch = earth.tai_ns_of_utc(options.epoch_utc)
         observer = make_observer(options.platform, epoch)
-        if not isinstance(observer, OrbitingObserver):
-            raise UserError("platform.kind: a survey needs a camera in orbit: sun_synchronous or kepler, not site")
-        if options.pointing.law == "object":
-            raise UserError("pointing.law: a survey follows no object; allowed are anti_sun, inertial, sidereal, nadir, schedule")
         shutter = options.shutter
         if options.sensor.type == "ccd":
             shutter = replace(shutter, line_time_us=0.0)
@@ -109,6 +108,14 @@ class Flight:
             colour_factor = camera.instrument.colour_factor
             fleet = make_fleet(options.objects, options.population, epoch, seed, colour_factor)
         return cls(options=options, camera=camera, carrier=carrier, window=window, seed=seed, fleet=fleet)
+
+
+def refuse_unwatched(options: SimulatorOptions) -> None:
+    """UserError for a ground site and for pointing that follows an object."""
+    if options.platform.kind == "site":
+        raise UserError("platform.kind: a survey needs a camera in orbit: sun_synchronous or kepler, not site")
+    if options.pointing.law == "object":
+        raise UserError("pointing.law: a survey follows no object; allowed are anti_sun, inertial, sidereal, nadir, schedule")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -139,7 +146,7 @@ class Instants:
 
 def instants_of(flight: Flight, time_s: Array, span_s: float) -> Instants:
     """The camera at times after the epoch (m,)."""
-    carrier, camera, options = flight.carrier, flight.camera, flight.options
+    carrier, camera = flight.carrier, flight.camera
     tai_ns = [carrier.tai_ns(float(t)) for t in time_s]
     observer = carrier.observer
     if not isinstance(observer, OrbitingObserver):
@@ -155,13 +162,10 @@ def instants_of(flight: Flight, time_s: Array, span_s: float) -> Instants:
     )
     sun = np.array([earth.sun_position_km(t) for t in tai_ns])
     boresight = attitude[:, 2]
-    # the sky turns with the Sun by a degree a day: instants may be spread over a year
-    sky_e = np.zeros(len(tai_ns))
-    day = np.floor(np.asarray(time_s) / earth.DAY_S)
-    for number in np.unique(day):
-        which = np.flatnonzero(day == number)
-        sky_e[which] = diffuse_flux(options.sky, boresight[which], sun[which[len(which) // 2]])
-    sky_e = sky_e * camera.surface_rate_e_s * camera.exposure_s
+    sky_flux = np.array(
+        [_sky_flux(flight, *values) for values in zip(tai_ns, sun, position, boresight, strict=True)], dtype=np.float64
+    )
+    sky_e = sky_flux * camera.surface_rate_e_s * camera.exposure_s
     sky_e = sky_e + camera.instrument.stray_light_e_px_s * camera.exposure_s
     dark = float(camera.sensor.variance_e2(0.0, camera.exposure_s))
     per_e = float(camera.sensor.variance_e2(1.0, camera.exposure_s)) - dark
@@ -173,6 +177,19 @@ def instants_of(flight: Flight, time_s: Array, span_s: float) -> Instants:
         sky_e=sky_e, noise_e2=dark + per_e * sky_e, watched=watched, span_s=span_s,
         epoch_tai_ns=carrier.epoch_tai_ns,
     )  # fmt: skip
+
+
+def _sky_flux(flight: Flight, tai_ns: int, sun_km: Array, place_km: Array, boresight: Array) -> float:
+    """Flux of a square arcsecond in the middle of the field as in the pixel chain: sky, and scattered light of Moon and Earth.
+
+    Where the baffle shades all of the Earth, what its vanes leak is left out: 0.1 % of the darkest sky.
+    """
+    nadir = -place_km / np.linalg.norm(place_km)
+    shaded = np.radians(flight.camera.instrument.scatter.baffle_deg + SHADING_DEG)
+    dark = float(boresight @ nadir) < np.cos(min(earth_reach_rad(place_km) + shaded, np.pi))
+    options = replace(flight.options.sky, planets=False, earth=flight.options.sky.earth and not dark)
+    backdrop = backdrop_of(options, tai_ns, sun_km, place_km, None, None)
+    return float(backdrop.surface_flux(boresight[None], flight.camera)[0])
 
 
 def block_instants(flight: Flight, block: int) -> Instants:
@@ -334,27 +351,28 @@ def light_of(flight: Flight, at: Instants, instant: Indices, size_m: Array, surf
     return np.asarray(flux * in_sight(position_km, observer))
 
 
-def candidate_numbers(flight: Flight) -> list[int]:
-    """How many candidates of each class a block needs, so that few stand for more than one passage; from a pilot."""
+def candidate_number(flight: Flight, number: int) -> int:
+    """How many candidates of a class a block needs, so that few stand for more than one passage; from a pilot."""
     options = flight.options.population
-    found = []
+    size_class = options.classes[number]
+    if size_class.count == 0:
+        return 0
     rng = generator(flight.seed, Effect.SURVEY, PILOT_BLOCK)
     at = instants_of(flight, np.sort(rng.random(240)) * PILOT_DAYS * earth.DAY_S, BLOCK_S)
-    for k, size_class in enumerate(options.classes):
-        if size_class.count == 0:
-            found.append(0)
-            continue
-        rng = generator(flight.seed, Effect.SURVEY, PILOT_BLOCK, k + 1)
-        drawn = candidates(flight, at, pool_of(options, size_class, rng), PILOT, rng)
-        weight = np.sort(drawn.natural[drawn.snr >= options.snr_min])[::-1] * PILOT
-        if not weight.size:
-            found.append(1000)
-            continue
-        # with n candidates those above n stand for more than one; what is above is sum(w - n)
-        above = np.cumsum(weight) - np.arange(1, len(weight) + 1) * weight
-        allowed = np.searchsorted(above, BEYOND_ONE * weight.sum(), side="right")
-        found.append(int(np.clip(weight[min(allowed, len(weight) - 1)], 1000, 20_000_000)))
-    return found
+    rng = generator(flight.seed, Effect.SURVEY, PILOT_BLOCK, number + 1)
+    drawn = candidates(flight, at, pool_of(options, size_class, rng), PILOT, rng)
+    weight = np.sort(drawn.natural[drawn.snr >= options.snr_min])[::-1] * PILOT
+    if not weight.size:
+        return 1000
+    # with n candidates those above n stand for more than one; what is above is sum(w - n)
+    above = np.cumsum(weight) - np.arange(1, len(weight) + 1) * weight
+    allowed = np.searchsorted(above, BEYOND_ONE * weight.sum(), side="right")
+    return int(np.clip(weight[min(allowed, len(weight) - 1)], 1000, 20_000_000))
+
+
+def candidate_numbers(flight: Flight) -> list[int]:
+    """Those of all classes."""
+    return [candidate_number(flight, number) for number in range(len(flight.options.population.classes))]
 
 
 class Pools:

@@ -13,8 +13,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.planning.information import Knowledge, gains, updated
 from ground.planning.options import PlanOptions
-from ground.planning.worth import gains, updated
 
 Array = NDArray[np.float64]
 
@@ -64,9 +64,9 @@ class _Case:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Branch:
-    """One schedule so far. visits : its last visit and the chain of those before it."""
+    """One schedule so far. places (m,) : of what is known of the targets; visits : its last visit and those before it."""
 
-    covariance: Array
+    places: NDArray[np.int64]
     worth: float
     boresight: Array | None
     free_s: float
@@ -145,8 +145,8 @@ def _busiest_day(visits: list[Chosen], slots: list[Slot]) -> int:
 
 def _searched(case: _Case, price: float) -> list[Chosen]:
     """The best of the schedules that a beam search over all slots finds."""
-    start = _Branch(covariance=_nothing_known(len(case.weight)), worth=0.0, boresight=None, free_s=-np.inf, visits=None)
-    return _path(max(_beam(case, range(len(case.slots)), start, price), key=lambda branch: branch.worth))
+    found = _beam(case, range(len(case.slots)), _nothing_known(len(case.weight)), None, price)
+    return _path(max(found, key=lambda branch: branch.worth))
 
 
 def _improved(case: _Case, visits: list[Chosen], price: float) -> list[Chosen]:
@@ -186,19 +186,14 @@ def _searched_again(case: _Case, run: range, visits: list[Chosen], known: Array,
     slots, weight = case.slots, case.weight
     low, high = (bisect_left(visits, slot, key=lambda visit: visit.slot) for slot in (run.start, run.stop))
     of_others = known - _told(visits[low:high], slots, len(weight))
-    covariance: Array = np.asarray(np.linalg.inv(np.eye(6) + of_others), dtype=np.float64)
-    last = visits[low - 1] if low else None
-    start = _Branch(
-        covariance=covariance,
-        worth=0.0,
-        boresight=None if last is None else last.boresight,
-        free_s=-np.inf if last is None else slots[last.slot].start_s + case.options.visit_s,
-        visits=None,
-    )
-    branches = _beam(case, run, start, price)
+    seen = np.unique(np.concatenate([slots[number].target for number in run]))
+    covariance = np.zeros((len(weight), 6, 6))  # of targets that the run does not show nobody asks
+    covariance[seen] = np.linalg.inv(np.eye(6) + of_others[seen])
+    branches = _beam(case, run, covariance, visits[low - 1] if low else None, price)
     if high < len(visits):
         after = visits[high]
-        branches = [b for b in branches if _reachable(case, b, slots[after.slot], after.boresight[None])[0]]
+        fits = _reachable(case, branches, slots[after.slot], after.boresight[None])[:, 0]
+        branches = [branch for branch, good in zip(branches, fits, strict=True) if good]
     best = max(branches, key=lambda branch: branch.worth, default=None)
     worth = sum(float(visit.gains.sum()) - price for visit in _in_turn(visits[low:high], slots, weight, covariance))
     if best is None or best.worth <= worth + _LEAST_GAIN * max(1.0, worth):
@@ -207,33 +202,53 @@ def _searched_again(case: _Case, run: range, visits: list[Chosen], known: Array,
     return visits[:low] + found + visits[high:], of_others + _told(found, slots, len(weight))
 
 
-def _beam(case: _Case, run: range, start: _Branch, price: float) -> list[_Branch]:
-    """The best schedules of a run of slots that go on from a start."""
+def _beam(case: _Case, run: range, covariance: Array, before: Chosen | None, price: float) -> list[_Branch]:
+    """The best schedules of a run of slots. covariance : (m, 6, 6) at its start; before : the visit before it."""
     weight, options = case.weight, case.options
+    known = Knowledge(covariance)
+    start = _Branch(
+        places=np.arange(len(weight)),
+        worth=0.0,
+        boresight=None if before is None else before.boresight,
+        free_s=-np.inf if before is None else case.slots[before.slot].start_s + options.visit_s,
+        visits=None,
+    )
     branches = [start]
     for number in run:
         slot = case.slots[number]
         if not len(slot.target):
             continue
         together = (slot.direction @ slot.direction.T >= np.cos(case.half_field_rad)).astype(np.float64)
-        gain = np.stack([weight[slot.target] * gains(branch.covariance[slot.target], slot.told) for branch in branches])
-        sums = gain @ together
+        places = known.packed(np.stack([branch.places for branch in branches]))
+        gain = weight[slot.target] * known.gains(places, slot.target, slot.told)
+        sums = np.where(_reachable(case, branches, slot, slot.direction), gain @ together, 0.0)
+        best = np.argsort(-sums, axis=1, kind="stable")[:, : options.choices]
         children: list[tuple[float, int, int]] = []
         for k, branch in enumerate(branches):
             children.append((branch.worth, k, _IDLE))
-            mine = np.where(_reachable(case, branch, slot, slot.direction), sums[k], 0.0)
-            for place in np.argsort(-mine, kind="stable")[: options.choices]:
-                if mine[place] - price > _LEAST_GAIN:
-                    children.append((branch.worth + float(mine[place]) - price, k, int(place)))
+            children.extend(
+                (branch.worth + float(sums[k, place]) - price, k, int(place))
+                for place in best[k]
+                if sums[k, place] - price > _LEAST_GAIN
+            )
         children.sort(key=lambda child: -child[0])
         grown = []
         for worth, k, place in _unlike(children, options):
+            branch = branches[k]
             if place == _IDLE:
-                grown.append(branches[k])
+                grown.append(replace(branch, places=places[k]))
                 continue
             members = np.flatnonzero(together[place])
             visit = Chosen(slot=number, boresight=slot.direction[place], members=members, gains=gain[k, members])
-            grown.append(_grown(branches[k], case.slots, visit, worth, options))
+            grown.append(
+                _Branch(
+                    places=known.after(places[k], slot.target[members], slot.told[members]),
+                    worth=worth,
+                    boresight=visit.boresight,
+                    free_s=slot.start_s + options.visit_s,
+                    visits=(branch.visits, visit),
+                )
+            )
         branches = grown
     return branches
 
@@ -249,30 +264,14 @@ def _unlike(children: list[tuple[float, int, int]], options: PlanOptions) -> lis
     return kept
 
 
-def _reachable(case: _Case, branch: _Branch, slot: Slot, direction: Array) -> NDArray[np.bool_]:
-    """Which directions (v, 3) the camera can rest on in time."""
+def _reachable(case: _Case, branches: list[_Branch], slot: Slot, direction: Array) -> NDArray[np.bool_]:
+    """Which directions (v, 3) the camera can rest on in time, after each schedule (b, v)."""
     options = case.options
-    if branch.boresight is None:
-        return np.ones(len(direction), dtype=np.bool_)
-    angle = np.arccos(np.clip(direction @ branch.boresight, -1.0, 1.0))
+    last = np.array([direction[0] if branch.boresight is None else branch.boresight for branch in branches])
+    free_s = np.array([branch.free_s for branch in branches])  # minus infinity where nothing was visited before
+    angle = np.arccos(np.clip(last @ direction.T, -1.0, 1.0))
     needed_s = np.where(angle < _SAME_FIELD_RAD, 0.0, np.degrees(angle) / options.slew.rate_deg_s + options.slew.settling_s)
-    return np.asarray(branch.free_s + needed_s + case.observing_s <= slot.start_s + options.visit_s)
-
-
-def _grown(branch: _Branch, slots: list[Slot], visit: Chosen, worth: float, options: PlanOptions) -> _Branch:
-    """A schedule with one more visit."""
-    slot = slots[visit.slot]
-    seen = slot.target[visit.members]
-    covariance = branch.covariance.copy()
-    covariance[seen] = updated(covariance[seen], slot.told[visit.members])
-    return replace(
-        branch,
-        covariance=covariance,
-        worth=worth,
-        boresight=visit.boresight,
-        free_s=slot.start_s + options.visit_s,
-        visits=(branch.visits, visit),
-    )
+    return np.asarray(free_s[:, None] + needed_s + case.observing_s <= slot.start_s + options.visit_s)
 
 
 def _path(branch: _Branch) -> list[Chosen]:

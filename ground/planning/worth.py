@@ -65,22 +65,6 @@ def views_of(
     return Views(target=target, slot=slot, told=told)
 
 
-def gains(covariance: Array, told: Array) -> Array:
-    """Worth (k,) in nats of observations (k, 2, 6) where the knowledge is (k, 6, 6), in units of that at the start."""
-    seen = told @ covariance @ np.swapaxes(told, 1, 2)
-    return np.asarray(0.5 * np.log((1.0 + seen[:, 0, 0]) * (1.0 + seen[:, 1, 1]) - seen[:, 0, 1] * seen[:, 1, 0]))
-
-
-def updated(covariance: Array, told: Array) -> Array:
-    """Covariances (k, 6, 6) after observations (k, 2, 6)."""
-    cross = covariance @ np.swapaxes(told, 1, 2)
-    seen = told @ cross + np.eye(2)
-    adjugate = np.stack([seen[:, 1, 1], -seen[:, 0, 1], -seen[:, 1, 0], seen[:, 0, 0]], axis=1).reshape(-1, 2, 2)
-    determinant = seen[:, 0, 0] * seen[:, 1, 1] - seen[:, 0, 1] * seen[:, 1, 0]
-    after = covariance - (cross / determinant[:, None, None]) @ (adjugate @ np.swapaxes(cross, 1, 2))
-    return np.asarray(0.5 * (after + np.swapaxes(after, 1, 2)))
-
-
 def element_sigma(a_km: Array, knowledge: KnowledgeOptions) -> Array:
     """Errors (m, 6) of a (km), h, k, p, q and mean longitude (rad) from those of positions.
 

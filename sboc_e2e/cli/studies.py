@@ -123,6 +123,10 @@ def response(
     scenario: Annotated[str, typer.Argument(help="a name of `sboc scenarios` or the path of a TOML file")],
     runs: Annotated[int, typer.Option("--runs", min=1, max=10000, help="runs of the pixel chain, each with its own seed")] = 20,
     judge: Annotated[int, typer.Option("--judge", min=0, max=10000, help="other runs that say whether it holds")] = 0,
+    sky: Annotated[
+        list[str] | None,
+        typer.Option("--sky", help="KEY=VALUE of another sky, such as sky.zodiacal=10; every other run is below one"),
+    ] = None,
     out: Annotated[Path | None, typer.Option("--out", help="folder, default runs/response-<scenario>")] = None,
     overrides: Overrides = None,
     plugin: Plugins = None,
@@ -135,7 +139,10 @@ def response(
 
     resolved = scenarios.load(scenario, registry=registry_of(plugin), overrides=overrides or ())
     target = out or Path("runs") / f"response-{resolved.name}"
-    path, failed = measure_response(resolved, runs, target, workers=workers, scheduler=scheduler, report=typer.echo)
+    skies = {
+        text: scenarios.load(scenario, registry=registry_of(plugin), overrides=[*(overrides or ()), text]) for text in sky or ()
+    }
+    path, failed = measure_response(resolved, runs, target, skies, workers=workers, scheduler=scheduler, report=typer.echo)
     typer.echo(path)
     if judge:
         typer.echo(judge_response(resolved, judge, target, workers=workers, scheduler=scheduler, report=typer.echo).read_text())

@@ -19,7 +19,7 @@ from simulator.platform.earth import EARTH_RADIUS_KM
 from simulator.randomness import Effect, generator
 from simulator.scene.fleet import KINDS as FLEET_KINDS
 from simulator.scene.fleet import Fleet
-from simulator.survey import BLOCK_S, Flight, Instants, Looks, Passages, Pools, draw_block, looks_of, orbits_of
+from simulator.survey import BLOCK_S, Flight, Instants, Looks, Passages, Pools, candidate_number, draw_block, looks_of, orbits_of
 
 Array = NDArray[np.float64]
 Columns = dict[str, NDArray[Any]]
@@ -74,6 +74,11 @@ def _flight(options: Any, seed: int) -> tuple[Flight, Pools]:
     return Flight.of(options, seed), Pools()
 
 
+def pilot(options: Any, seed: int, number: int) -> int:
+    """How many candidates of a class the blocks of a survey need."""
+    return candidate_number(_flight(options, seed)[0], number)
+
+
 def run_block(job: BlockJob) -> BlockTables:
     """Make a block."""
     flight, pools = _flight(job.flight_options, job.seed)
@@ -81,7 +86,7 @@ def run_block(job: BlockJob) -> BlockTables:
     looks = looks_of(flight, at, passages, generator(job.seed, Effect.SURVEY, job.block, TURNS))
     response = Response(content=job.response)
     rng = generator(job.seed, Effect.SURVEY, job.block, FOUND)
-    finds = finds_of(passages, looks, response, rng, 1.0 - (1.0 - job.frames_lost) * (1.0 - job.packets_lost))
+    finds = finds_of(passages.rate_deg_s, looks, response, rng, 1.0 - (1.0 - job.frames_lost) * (1.0 - job.packets_lost))
     measured, true = tables_of(at, passages, looks, finds, response, rng)
     sums: dict[str, Any] = {
         "block": job.block,
@@ -116,13 +121,13 @@ def _with_named(
     found = fleet_block(flight, fleet, job.block, flight.options.objects.satellites.farthest_km)
     rng = generator(job.seed, Effect.SURVEY, job.block, NAMED)
     lost = 1.0 - (1.0 - job.frames_lost) * (1.0 - job.packets_lost)
-    finds = finds_of(found.passages, found.looks, response, rng, lost)
+    finds = finds_of(found.passages.rate_deg_s, found.looks, response, rng, lost)
     kinds = np.array([KINDS.index(name) for name in FLEET_KINDS])[fleet.kind[found.object]]
     rows = np.flatnonzero(finds.linked)
     mine, theirs = tables_of(found.at, found.passages, found.looks, finds, response, rng, kinds[rows])
     linked = np.zeros(len(found.object))
     for _ in range(REDRAWS):
-        linked += finds_of(found.passages, found.looks, response, rng, lost).linked / REDRAWS
+        linked += finds_of(found.passages.rate_deg_s, found.looks, response, rng, lost).linked / REDRAWS
     best = np.zeros(len(found.object))
     np.maximum.at(best, found.looks.passage, found.looks.snr)
     columns = (found.object, found.at.time_s[found.passages.instant], linked, best)
@@ -165,11 +170,10 @@ class Finds:
     linked: NDArray[np.bool_]
 
 
-def finds_of(p: Passages, looks: Looks, response: Response, rng: np.random.Generator, lost: float = 0.0) -> Finds:
-    """Draw what is found. lost : share of frames and packets that never arrive."""
-    n = len(p.size_m)
-    noise = looks.noise_e / float(response.content["noise_e"])
-    share = found_share(response.curve, looks.snr, looks.length_px, noise) * (1.0 - lost)
+def finds_of(rate_deg_s: Array, looks: Looks, response: Response, rng: np.random.Generator, lost: float = 0.0) -> Finds:
+    """Draw what is found. rate_deg_s (n,) : of each passage; lost : share of frames and packets that never arrive."""
+    n = len(rate_deg_s)
+    share = found_share(response.curve, looks.snr, looks.length_px, response.noise_ratio(looks.noise_e)) * (1.0 - lost)
     found = rng.random(len(share)) < np.where(looks.snr > 0.0, share, 0.0)
     whose, weight = looks.passage[found], looks.stands_for[found]
 
@@ -187,7 +191,7 @@ def finds_of(p: Passages, looks: Looks, response: Response, rng: np.random.Gener
         frames=frames,
         snr=np.sqrt(total(looks.snr[found] ** 2)),
         mag=-2.5 * np.log10(np.maximum(light, 1e-99)),
-        arc_deg=np.where(frames > 1, p.rate_deg_s * np.where(frames > 1, last - np.where(frames > 1, first, 0.0), 0.0), 0.0),
+        arc_deg=np.where(frames > 1, rate_deg_s * np.where(frames > 1, last - np.where(frames > 1, first, 0.0), 0.0), 0.0),
         linked=rng.random(n) < response.linked_share(frames),
     )
 

@@ -6,7 +6,7 @@ import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import FIRST_COMPLETED, Executor, Future, wait
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any, Final
@@ -18,11 +18,11 @@ from sboc_e2e.icd.errors import UserError
 from sboc_e2e.run.manifest import versions
 from sboc_e2e.scenario import Scenario
 from sboc_e2e.survey import instrument
-from sboc_e2e.survey.block import BlockJob, BlockTables, run_block
+from sboc_e2e.survey.block import BlockJob, BlockTables, pilot, run_block
 from sboc_e2e.survey.response import Response
 from simulator.platform import earth
 from simulator.scene.fleet import is_given
-from simulator.survey import BLOCK_S, Flight, candidate_numbers
+from simulator.survey import BLOCK_S, refuse_unwatched
 
 IDENTITY: Final = "survey.json"
 FOLDERS: Final = ("tracklets", "truth", "sums", "failed")
@@ -83,24 +83,26 @@ def run_survey(
         raise UserError(f"--days: {days:g} days end after {EPHEMERIS_END:.0f}, where the ephemeris of the Sun ends")
     if options.objects.satellites.file:
         earth.refuse_outside_data(epoch + round(days * earth.DAY_S * 1e9))
-    flight = Flight.of(options, scenario.seed)
-    numbers = _claim(out, scenario, response, flight, days, force=force)
+    refuse_unwatched(options)
+    numbers = _known(out, scenario, response, days, force=force)
     blocks = range(block_count(days))
     todo = [b for b in blocks if not _done(out, b)]
-    jobs = (
-        BlockJob(
+    failed: list[tuple[int, str]] = []
+    with executor(workers, scheduler, here=here) as (pool, slots):
+        if numbers is None:
+            # by the workers, a class each, while they get ready for blocks
+            counted = [pool.submit(pilot, options, scenario.seed, k) for k in range(len(options.population.classes))]
+            numbers = _begun(out, scenario, response, days, tuple(found.result() for found in counted))
+        job = BlockJob(
             flight_options=options,
             seed=scenario.seed,
             numbers=numbers,
             response=response.content,
             frames_lost=scenario.faults.frames.dropped,
             packets_lost=scenario.faults.packets.lost,
-            block=b,
+            block=0,
         )
-        for b in todo
-    )
-    failed: list[tuple[int, str]] = []
-    with executor(workers, scheduler, here=here) as (pool, slots):
+        jobs = (replace(job, block=b) for b in todo)
         for count, (block, made, error) in enumerate(_streamed(pool, jobs, slots * AHEAD), 1):
             if error is not None:
                 if isinstance(error, OSError) and error.errno in UNWRITABLE:
@@ -174,36 +176,43 @@ def identity_of(scenario: Scenario, response: Response) -> dict[str, Any]:
     }
 
 
-def _claim(out: Path, scenario: Scenario, response: Response, flight: Flight, days: float, *, force: bool) -> tuple[int, ...]:
-    """Make the folder this survey's; candidates of each class. A longer survey goes on in the folder of a shorter one."""
+def _known(out: Path, scenario: Scenario, response: Response, days: float, *, force: bool) -> tuple[int, ...] | None:
+    """Candidates of each class of the survey in a folder, None where there is none yet; another one is refused.
+
+    A longer survey goes on in the folder of a shorter one.
+    """
     path = out / IDENTITY
     if force:
         for name in FOLDERS:
             shutil.rmtree(out / name, ignore_errors=True)
         path.unlink(missing_ok=True)
-    wanted = identity_of(scenario, response)
     way_out = "--out goes elsewhere, --force begins anew here"
-    if path.is_file():
-        try:
-            found = json.loads(path.read_text(encoding="utf-8"))
-            numbers = tuple(int(n) for n in found["candidates"])
-        except (ValueError, KeyError, TypeError) as error:
-            raise UserError(f"{path}: not readable; {way_out}") from error
-        differs = next((name for name in wanted if found["identity"].get(name) != wanted[name]), None)
-        if differs:
-            raise UserError(f"{out}: holds a survey with another {differs}; {way_out}")
-        if days > found["days"]:
-            write_json(path, found | {"days": days})
-        return numbers
-    if (out / "sums").exists() and any((out / "sums").iterdir()):
-        raise UserError(f"{out}: holds shards of an unknown survey; {way_out}")
+    if not path.is_file():
+        if (out / "sums").exists() and any((out / "sums").iterdir()):
+            raise UserError(f"{out}: holds shards of an unknown survey; {way_out}")
+        return None
+    wanted = identity_of(scenario, response)
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+        numbers = tuple(int(n) for n in found["candidates"])
+    except (ValueError, KeyError, TypeError) as error:
+        raise UserError(f"{path}: not readable; {way_out}") from error
+    differs = next((name for name in wanted if found["identity"].get(name) != wanted[name]), None)
+    if differs:
+        raise UserError(f"{out}: holds a survey with another {differs}; {way_out}")
+    if days > found["days"]:
+        write_json(path, found | {"days": days})
+    return numbers
+
+
+def _begun(out: Path, scenario: Scenario, response: Response, days: float, numbers: tuple[int, ...]) -> tuple[int, ...]:
+    """Make the folder this survey's; its candidates of each class."""
     require_writable(out)
     for name in FOLDERS:
         (out / name).mkdir(parents=True, exist_ok=True)
         remove_leftovers(out / name)
-    numbers = tuple(candidate_numbers(flight))
     content: Mapping[str, Any] = {
-        "identity": wanted,
+        "identity": identity_of(scenario, response),
         "days": days,
         "block_s": BLOCK_S,
         "epoch_utc": scenario.simulator.epoch_utc,
@@ -213,7 +222,7 @@ def _claim(out: Path, scenario: Scenario, response: Response, flight: Flight, da
         "commit": provenance.commit(),
         "document": scenario.document(),
     }
-    write_json(path, content)
+    write_json(out / IDENTITY, content)
     return numbers
 
 

@@ -54,6 +54,10 @@ FEWEST_TRAILS: Final = 200  # Their found share is known to +- 0.06 at one half 
 FEWEST_TRACKLETS: Final = 30  # Three times `NEIGHBOURS`, so that neighbours are not always the same. Chosen.
 SKY_SPREAD: Final = 1.05
 """Ratio of noises above which the samples tell how the half point goes with the sky."""
+SKY_REDRAWS: Final = 4000  # of runs: an end of the 90 % interval is known to 0.03 of the standard error
+
+OWN_SKY: Final = "as in the scenario"
+"""Name of the sky of runs that are made below no other."""
 
 START: Final = (8.0, 0.0, 0.0, 0.6, 3.0, 0.0)
 """Where the search for the curve begins: half at S/N 8, no slopes, a width of exp(0.6) = 1.8, 95 % found at the top."""
@@ -74,6 +78,11 @@ class Response:
     def curves(self) -> Array:
         """Parameters (b, 6) of bootstrap samples over runs."""
         return np.array(self.content["detection"]["curves"])
+
+    def noise_ratio(self, noise_e: Array) -> Array:
+        """Noise over that of the response's own sky, at most as far from it as was measured: a slope is not drawn on beyond."""
+        low, high = self.content["detection"]["noise_e"]
+        return np.asarray(np.clip(noise_e, low, high) / float(self.content["noise_e"]))
 
     @property
     def false_per_hour(self) -> float:
@@ -144,6 +153,7 @@ def made_of(
     Trails of a run's first frame are left out: it has no predecessor, and a survey has one first frame in its life.
     """
     runs = [columns(s["streaks"], STREAK_COLUMNS) for s in samples]
+    below = [str(s.get("sky", OWN_SKY)) for s in samples]
     for run, sample in zip(runs, samples, strict=True):
         # objects that the scenario placed are no debris: two far ones would hold a third of all trails
         debris = columns(sample["objects"], OBJECT_COLUMNS)["object"]
@@ -157,7 +167,8 @@ def made_of(
             f"response of {scenario.name}: {len(trails['snr'])} trails and {int(linked.sum())} tracklets are too few; "
             f"needed are {FEWEST_TRAILS} and {FEWEST_TRACKLETS}: raise --runs"
         )
-    noise = float(np.median(trails["noise_e"]))
+    own = [run["noise_e"] for run, sky in zip(runs, below, strict=True) if sky == OWN_SKY]
+    noise = float(np.median(np.concatenate(own or [trails["noise_e"]])))
     described = instrument.description(scenario)
     hours = sum(s["frames"] / s["frame_rate_hz"] for s in samples) / 3600.0
     n_false = int(sum(s["false_tracklets"] for s in samples))
@@ -174,7 +185,8 @@ def made_of(
         "frames": int(sum(s["frames"] for s in samples)),
         "hours": hours,
         "noise_e": noise,
-        "detection": _detection(runs, trails, noise),
+        "detection": (detection := _detection(runs, below, trails, noise)),
+        "skies": _skies(samples, runs, below, np.array(detection["curve"]), noise),
         "linking": _linking(objects),
         "tracklets": [[_rounded(v) for v in row] for row in bank.tolist()],
         "tracklet_columns": list(BANK_COLUMNS),
@@ -199,15 +211,48 @@ def made_of(
     }
 
 
-def _detection(runs: Sequence[Mapping[str, Array]], trails: Mapping[str, Array], noise: float) -> dict[str, Any]:
-    """The curve, curves of resampled runs, and the table that they stand for."""
+def _skies(
+    samples: Sequence[Mapping[str, Any]], runs: Sequence[Mapping[str, Array]], below: Sequence[str], curve: Array, noise: float
+) -> list[dict[str, Any]]:
+    """What each sky shows of the curve: trails found over those that it expects of their S/N, length and noise."""
+    rng = np.random.default_rng(SEED)
+    out = []
+    for sky in dict.fromkeys(below):
+        mine = [k for k, name in enumerate(below) if name == sky]
+        found = np.array([runs[k]["ground"].sum() for k in mine])
+        expected = np.array(
+            [found_share(curve, runs[k]["snr"], runs[k]["length_px"], runs[k]["noise_e"] / noise).sum() for k in mine]
+        )
+        pick = rng.integers(len(mine), size=(SKY_REDRAWS, len(mine)))
+        low, high = np.quantile(found[pick].sum(axis=1) / np.maximum(expected[pick].sum(axis=1), 1e-9), [0.05, 0.95])
+        out.append(
+            {
+                "sky": sky,
+                "runs": len(mine),
+                "trails": sum(len(runs[k]["snr"]) for k in mine),
+                "noise_ratio": _rounded(np.median(np.concatenate([runs[k]["noise_e"] for k in mine])) / noise),
+                "found": int(found.sum()),
+                "expected": _rounded(expected.sum()),
+                "found_over_expected": [_rounded(v) for v in (found.sum() / max(expected.sum(), 1e-9), low, high)],
+                "false_streaks": int(sum(samples[k]["false_streaks"] for k in mine)),
+                "false_tracklets": int(sum(samples[k]["false_tracklets"] for k in mine)),
+            }
+        )
+    return out
+
+
+def _detection(
+    runs: Sequence[Mapping[str, Array]], below: Sequence[str], trails: Mapping[str, Array], noise: float
+) -> dict[str, Any]:
+    """The curve, curves of resampled runs (as many below each sky), and the table that they stand for."""
     ratio = trails["noise_e"] / noise
     sky = bool(ratio.max() / ratio.min() > SKY_SPREAD)
     curve = fitted(trails["snr"], trails["length_px"], ratio, trails["ground"], sky=sky)
     rng = np.random.default_rng(SEED)
+    skies = [np.flatnonzero(np.array(below) == name) for name in dict.fromkeys(below)]
     curves = []
     for _ in range(BOOTSTRAPS):
-        pick = rng.integers(len(runs), size=len(runs))
+        pick = np.concatenate([rng.choice(group, size=len(group)) for group in skies])
         some = {name: np.concatenate([runs[k][name] for k in pick]) for name in ("snr", "length_px", "noise_e", "ground")}
         curves.append(fitted(some["snr"], some["length_px"], some["noise_e"] / noise, some["ground"], sky=sky))
     table: list[dict[str, Any]] = []
@@ -231,12 +276,18 @@ def _detection(runs: Sequence[Mapping[str, Array]], trails: Mapping[str, Array],
     counted = np.array([t["found"]["value"] * t["found"]["n"] for t in table])
     spread = np.array([max(t["curve"] * (1.0 - t["curve"]) * t["found"]["n"], 0.25) for t in table])
     half = np.percentile([c[0] for c in curves], [5.0, 95.0])
+    slope = [float(v) for v in np.percentile([c[5] for c in curves], [5.0, 95.0])]
     return {
         "curve": [_rounded(v) for v in curve],
         "curves": [[_rounded(v) for v in c] for c in curves],
         "parameters": ["s50 at 30 px", "its slope with x = log10(length / 30 px)", "with x^2", "ln width", "logit top",
                        "slope of s50 with log10 noise" if sky else "slope with noise: one sky only, taken as 0"],
         "snr50_30px": {"value": float(curve[0]), "n": len(trails["snr"]), "low": float(half[0]), "high": float(half[1])},
+        "slope_with_log10_noise": (
+            {"value": float(curve[5]), "n": len(trails["snr"]), "low": slope[0], "high": slope[1]}
+            if sky
+            else absent("one sky only", len(trails["snr"]))
+        ),
         "noise_e": [float(trails["noise_e"].min()), float(trails["noise_e"].max())],
         "chi2": float(np.sum((counted - expected) ** 2 / spread)),
         "cells": len(table),

@@ -11,7 +11,7 @@ STREAK_COLUMNS: Final = (
 OBJECT_COLUMNS: Final = (
     "object", "size_m", "albedo", "a_km", "e", "i_deg", "weight", "range_km", "rate_deg_s", "altitude_km", "frames", "snr_max",
     "snr_all", "arc_deg", "mag", "detected", "linked", "orbit", "mag_error", "ln_rate_error", "ln_range_error",
-    "ln_size_error", "altitude_error_km", "i_error_deg", "size_estimate_m",
+    "ln_size_error", "altitude_error_km", "i_error_deg", "size_estimate_m", "light_size_m",
 )  # fmt: skip
 LEAST_SNR: Final = 3.0
 """Fainter trails are neither found nor counted as missed."""

@@ -108,7 +108,8 @@ def _objects(e: Evaluation, rows: list[list[Any]]) -> list[list[Any]]:
             [key, float(o["size_m"]), float(o["albedo"]), float(o["a_km"]), float(o["e"]), float(o["i_deg"]),
              float(o["weight"]), float(truth["range_km"][brightest]), rate, _altitude_km(e, brightest), len(trails),
              float(snr.max()), float(np.sqrt(np.sum(snr**2))), rate * span, -2.5 * math.log10(light), found,
-             0 if known is None else int(known["n_frames"]), bool(np.isfinite(errors[2])), *errors]
+             0 if known is None else int(known["n_frames"]), bool(np.isfinite(errors[2])), *errors,
+             _light_size_m(e, brightest, -2.5 * math.log10(light))]
         )  # fmt: skip
     return out
 
@@ -116,8 +117,7 @@ def _objects(e: Evaluation, rows: list[list[Any]]) -> list[list[Any]]:
 def _errors(e: Evaluation, known: Any, orbit: Any, o: Any, key: int, true_mag: float) -> list[float]:
     """Measured less true for a tracklet: magnitude, ln rate, ln range, ln size, altitude, inclination; the size itself.
 
-    ln size : against the diameter that the true light and range give with ground's albedo and phase, so that what the object's
-    own albedo does is not in it.
+    ln size : against `_light_size_m`, so that what the object's own albedo does is not in it.
     """
     truth = e.truth_tables["streaks"]
     ids = np.asarray(truth["object_id"], int)
@@ -128,19 +128,24 @@ def _errors(e: Evaluation, known: Any, orbit: Any, o: Any, key: int, true_mag: f
     out = [float(known["mag"]) - true_mag, math.log(max(float(known["rate_deg_s"]), 1e-9) / rate)]
     if orbit is None or not np.isfinite([float(orbit[c]) for c in ("range_km", "size_m", "i_deg", "altitude_km")]).all():
         return [*out, *[math.nan] * 5]
-    range_km = float(truth["range_km"][nearest])
-    direction = _unit(float(truth["ra_app_deg"][nearest]), float(truth["dec_app_deg"][nearest]))
-    phase = math.acos(float(np.clip(-direction @ sun_direction(int(known["t_ref_tai_ns"])), -1.0, 1.0)))
-    by_light = float(diameter_m(true_mag, range_km, ALBEDO, phase))
     size = float(orbit["size_m"])
     return [
         *out,
-        math.log(float(orbit["range_km"]) / range_km),
-        math.log(size / by_light),
+        math.log(float(orbit["range_km"]) / float(truth["range_km"][nearest])),
+        math.log(size / _light_size_m(e, nearest, true_mag)),
         float(orbit["altitude_km"]) - _altitude_km(e, nearest),
         float(orbit["i_deg"]) - float(o["i_deg"]),
         size,
     ]
+
+
+def _light_size_m(e: Evaluation, row: int, true_mag: float) -> float:
+    """Diameter that an object's true light gives with ground's albedo and phase, at its range and direction in a trail."""
+    truth = e.truth_tables["streaks"]
+    direction = _unit(float(truth["ra_app_deg"][row]), float(truth["dec_app_deg"][row]))
+    when = int(np.asarray(truth["path_t_tai_ns"][row], np.int64)[0])
+    phase = math.acos(float(np.clip(-direction @ sun_direction(when), -1.0, 1.0)))
+    return float(diameter_m(true_mag, float(truth["range_km"][row]), ALBEDO, phase))
 
 
 def _altitude_km(e: Evaluation, row: int) -> float:

@@ -82,7 +82,7 @@ def expected_per_day(
         p = candidates(flight, at, pool_of(flight.options.population, size_class, rng), CANDIDATES, rng)
         p = p.taken(np.flatnonzero(p.snr >= flight.options.population.snr_min))
         looks = looks_of(flight, at, p, rng)
-        noise = looks.noise_e / float(response.content["noise_e"])
+        noise = response.noise_ratio(looks.noise_e)
         share = np.where(looks.snr > 0.0, found_share(curve, looks.snr, looks.length_px, noise) * (1.0 - lost), 0.0)
         share = np.clip(share, 0.0, 1.0 - 1e-9)
         n = len(p.size_m)

@@ -84,7 +84,7 @@ class Backdrop:
         if not self.options.earth:
             return False
         nadir = -self.observer_km / np.linalg.norm(self.observer_km)
-        return bool((directions @ nadir).max() > np.cos(earth_reach_rad(self.observer_km)))
+        return bool(np.max(directions @ nadir, initial=-1.0) > np.cos(earth_reach_rad(self.observer_km)))
 
     def shining(self, directions: Array) -> Array:
         """Share of distant light that reaches the camera from directions (n, 3), through the Earth's limb or a site's air."""

@@ -13,11 +13,20 @@ from simulator.camera import Camera
 from simulator.platform import earth
 from simulator.platform.carrier import Carrier
 from simulator.platform.observer import Observer
+from simulator.randomness import Effect, generator
 from simulator.scene import sources
 from simulator.scene.aberration import aberrate
 from simulator.scene.alternatives import seen_per_day
 from simulator.scene.atmosphere import Atmosphere
-from simulator.scene.encounters import Drawn, PopulationOptions, Window, draw_encounters, natural_number
+from simulator.scene.encounters import (
+    FLUX_BLOCK,
+    Drawn,
+    PopulationOptions,
+    Window,
+    draw_encounters,
+    natural_flux,
+    natural_number,
+)
 from simulator.scene.fleet import KINDS, make_fleet, passing_now, pixel_objects
 from simulator.scene.light import LightOptions
 from simulator.scene.objects import PixelPathObject, SkyObject
@@ -168,6 +177,8 @@ def summary(options: PopulationOptions, cast: Cast) -> dict[str, Any]:
     drawn = cast.drawn
     expected = [natural_number(options, c, cast.window) if c.count else 0.0 for c in options.classes]
     seen = [seen_per_day(options, c, cast.window, k) for k, c in enumerate(options.classes)]
+    streams = [generator(drawn.seed, Effect.POPULATION, block=FLUX_BLOCK + k) for k in range(len(options.classes))]
+    flux = [natural_flux(options, c, cast.window, rng) for c, rng in zip(options.classes, streams, strict=True)]
     classes = [
         {
             "from_mm": size_class.from_mm,
@@ -178,7 +189,7 @@ def summary(options: PopulationOptions, cast: Cast) -> dict[str, Any]:
             "natural_expected": expected[k],
             "density_boost": _ratio(drawn.drawn_by_class[k], expected[k]),
             "entering_per_day": float(drawn.per_day_by_class[k]),
-            "flux_km2_year": float(drawn.flux_by_class[k] * YEAR_S),
+            "flux_km2_year": flux[k] * YEAR_S,
             "seen_per_day": seen[k].per_day,
             "models_low": seen[k].low,
             "models_high": seen[k].high,

@@ -360,8 +360,8 @@ class Drawn:
     per_day_by_class: Array
     """Detectable objects that enter the field per day, if the field stayed as it is in the middle of the run."""
     drawn_by_class: NDArray[np.intp]
-    flux_by_class: Array
-    """Nature's flux at the camera, objects per km^2 and second."""
+    seed: int
+    """That they were drawn with."""
 
 
 def draw_encounters(options: PopulationOptions, window: Window, seed: int) -> Drawn:
@@ -413,12 +413,7 @@ def draw_encounters(options: PopulationOptions, window: Window, seed: int) -> Dr
         natural_by_class=natural,
         per_day_by_class=per_day,
         drawn_by_class=np.array([c.count for c in options.classes], dtype=np.intp),
-        flux_by_class=np.array(
-            [
-                natural_flux(options, c, window, generator(seed, Effect.POPULATION, block=FLUX_BLOCK + k))
-                for k, c in enumerate(options.classes)
-            ]
-        ),
+        seed=seed,
     )
 
 

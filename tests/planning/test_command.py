@@ -5,11 +5,14 @@ from pathlib import Path
 import numpy as np
 import pytest
 from astropy.table import Table
+from matplotlib.image import imread
 
+from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.planning import make_plan, read_request
 from sboc_e2e.registry import Registry
 from sboc_e2e.scenario import load
+from simulator.chain import Simulator
 from simulator.platform.earth import tai_ns_of_utc
 from simulator.platform.pointing import scheduled_direction
 
@@ -49,6 +52,23 @@ def test_a_plan_is_a_folder_that_the_chain_can_fly(tmp_path: Path) -> None:
     between = scheduled_direction(visits, 0.5 * (visits[0].end_s + visits[1].start_s))
     middle = visits[0].direction + visits[1].direction
     assert between == pytest.approx(middle / np.linalg.norm(middle), abs=1e-9)
+    for picture in ("timeline.png", "sky.png"):
+        shades = imread(tmp_path / "out" / picture)
+        assert min(shades.shape[:2]) > 300
+        assert shades[..., :3].std() > 0.02  # not blank
+
+
+@pytest.mark.slow
+def test_the_chain_sees_the_targets_that_a_visit_promises(tmp_path: Path) -> None:
+    request, path = read_request(plan_file(tmp_path))
+    schedule = make_plan(request, path, tmp_path / "out", Registry())
+    flown = load(str(tmp_path / "out" / "scenario.toml"), registry=Registry())
+    chain = Simulator(flown.simulator, seed=flown.seed, catalogue=StarCatalogue.embedded())
+    first = flown.simulator.pointing.visits[0]
+    _, truth = chain.frame(int(0.5 * (first.start_s + first.end_s) * flown.simulator.frame_rate_hz))
+    # nothing flies but the targets; those of the visit lie in the circle inside the field, others may show in its corners
+    seen = np.unique(truth.streaks["object_id"][truth.streaks["snr"] >= request.plan.faintest_snr])
+    assert len(seen) >= len(schedule.visits[0].targets) > 0
 
 
 @pytest.mark.parametrize(

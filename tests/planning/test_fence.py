@@ -53,6 +53,29 @@ def test_nothing_slips_through_a_fence_that_says_so() -> None:
     assert caught(made, start) == 1.0
 
 
+def test_the_fence_stands_where_the_ring_is_lit_best() -> None:
+    """Its mean phase angle against that of the same visits at meridians all around; all of its visits are allowed."""
+    made, start = fence(60.0)
+    assert made.held == 1.0
+    middle = np.array([(visit.start_tai_ns + visit.end_tai_ns) // 2 for visit in made.schedule.visits])
+    sky = sky_of(station(start), middle)
+    line = np.array([visit.boresight for visit in made.schedule.visits])
+    # the field's centre at the ring: where the line of sight meets the sphere of its radius
+    along = np.sum(line * sky.station_km, axis=1)
+    reach = -along + np.sqrt(along**2 - np.sum(sky.station_km**2, axis=1) + RING_KM**2)
+    place = sky.station_km + reach[:, None] * line
+    height, around = place[:, 2], np.hypot(place[:, 0], place[:, 1])
+
+    def phase_deg(ra_deg: float) -> float:
+        ra = np.radians(ra_deg)
+        there = np.stack([around * np.cos(ra), around * np.sin(ra), height], axis=1)
+        to_sun, to_camera = sky.sun_km - there, sky.station_km - there
+        cosine = np.sum(to_sun * to_camera, axis=1) / np.linalg.norm(to_sun, axis=1) / np.linalg.norm(to_camera, axis=1)
+        return float(np.degrees(np.arccos(cosine)).mean())
+
+    assert phase_deg(made.meridian_deg) <= min(phase_deg(ra) for ra in range(0, 360, 5)) + 0.5
+
+
 def test_a_slow_fence_leaks_and_says_so() -> None:
     made, start = fence(400.0)
     assert not made.leak_proof

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 
 from ground.planning.greedy import Slot, best_visits
+from ground.planning.information import gains, updated
 from ground.planning.options import PlanOptions, SlewOptions
-from ground.planning.worth import gains, updated
 
 VISIT_S, OBSERVING_S, HALF_FIELD = 120.0, 10.0, np.radians(2.0)
 

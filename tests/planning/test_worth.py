@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from ground.planning.information import Knowledge, gains, updated
 from ground.planning.options import KnowledgeOptions
-from ground.planning.worth import element_sigma, equinoctial, gains, positions, updated, views_of
+from ground.planning.worth import element_sigma, equinoctial, positions, views_of
 
 MU = 398600.4418
 
@@ -65,3 +66,25 @@ def test_a_visit_tells_in_units_of_both_errors() -> None:
                    np.array([1e-6]), knowledge)  # fmt: skip
     assert np.hypot(*day.told[0, :, 0]) * 1e-6 * 42164.0 == pytest.approx(1.0, rel=1e-3)  # drifted by 1 km in a day
     assert element_sigma(np.array([42164.0]), knowledge)[0, 5] == pytest.approx(1e-3)
+
+
+def test_schedules_that_share_their_past_know_what_each_of_them_has_seen() -> None:
+    """Against matrices of their own: 40 visits of four schedules, some of them dropped, so that the pool is packed."""
+    rng = np.random.default_rng(2)
+    n, schedules = 7, 4
+    pool = Knowledge(np.broadcast_to(np.eye(6), (n, 6, 6)).copy())
+    places, own = np.arange(n)[None], np.broadcast_to(np.eye(6), (1, n, 6, 6)).copy()
+    for _ in range(200):
+        target = rng.choice(n, 3, replace=False)
+        told = rng.normal(size=(3, 2, 6))
+        places = pool.packed(places)
+        want = [gains(one[target], told) for one in own]
+        assert pool.gains(places, target, told) == pytest.approx(np.array(want), rel=1e-9)
+        pick = rng.integers(len(own), size=schedules)
+        members = [rng.permutation(3)[: rng.integers(0, 4)] for _ in pick]
+        places = np.stack([pool.after(places[k], target[m], told[m]) for k, m in zip(pick, members, strict=True)])
+        grown = []
+        for k, m in zip(pick, members, strict=True):
+            grown.append(own[k].copy())
+            grown[-1][target[m]] = updated(own[k][target[m]], told[m])
+        own = np.stack(grown)

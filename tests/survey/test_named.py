@@ -1,10 +1,15 @@
 """Objects with names in surveys: the same crossings as prediction, the same bytes again, a cloud by hand."""
 
+import gzip
 import json
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
 import pytest
+from sgp4 import omm
+from sgp4.api import Satrec
+from sgp4.exporter import export_tle
 
 from sboc_e2e import scenario
 from sboc_e2e.registry import Registry
@@ -90,18 +95,47 @@ def test_pixels_show_the_members_that_the_survey_sees() -> None:
     assert name in {thing.identity.name for thing in cast.objects}
 
 
-def test_element_sets_in_json_are_those_in_csv(tmp_path: Path) -> None:
+def test_element_sets_of_all_usual_files_are_the_same(tmp_path: Path) -> None:
+    """TLE, 3LE and OMM in csv, json and xml, plain and gzipped; written by sgp4's exporter and by hand."""
     fields = {
         "OBJECT_NAME": "INVENTED", "OBJECT_ID": "2020-001A", "EPOCH": "2022-01-22T06:00:00.000000", "MEAN_MOTION": 14.5,
         "ECCENTRICITY": 0.001, "INCLINATION": 98.2, "RA_OF_ASC_NODE": 12.0, "ARG_OF_PERICENTER": 40.0, "MEAN_ANOMALY": 7.0,
         "EPHEMERIS_TYPE": 0, "CLASSIFICATION_TYPE": "U", "NORAD_CAT_ID": 90001, "ELEMENT_SET_NO": 999, "REV_AT_EPOCH": 1,
         "BSTAR": 1e-5, "MEAN_MOTION_DOT": 0.0, "MEAN_MOTION_DDOT": 0.0,
     }  # fmt: skip
-    (tmp_path / "a.json").write_text(json.dumps([fields]))
-    (tmp_path / "a.csv").write_text(",".join(fields) + "\n" + ",".join(str(v) for v in fields.values()) + "\n")
-    read = [read_satellites(tmp_path / name)[0] for name in ("a.json", "a.csv")]
-    first, second = (propagate([s], 2_021_600_000 * 10**9, np.zeros(1))[0] for s in read)
-    assert np.array_equal(first, second)
+    satellite = Satrec()
+    omm.initialize(satellite, {name: str(value) for name, value in fields.items()})
+    lines = "\n".join(export_tle(satellite)) + "\n"
+    metadata = ("OBJECT_NAME", "OBJECT_ID")
+    parameters = (
+        "EPHEMERIS_TYPE", "CLASSIFICATION_TYPE", "NORAD_CAT_ID", "ELEMENT_SET_NO", "REV_AT_EPOCH", "BSTAR", "MEAN_MOTION_DOT",
+        "MEAN_MOTION_DDOT",
+    )  # fmt: skip
+
+    def tags(names: Iterable[str]) -> str:
+        return "".join(f"<{name}>{fields[name]}</{name}>" for name in names)
+
+    mean = [name for name in fields if name not in (*metadata, *parameters)]
+    texts = {
+        "a.tle": lines,
+        "a.3le": "0 INVENTED\n" + lines,
+        "a.csv": ",".join(fields) + "\n" + ",".join(str(v) for v in fields.values()) + "\n",
+        "a.json": json.dumps([fields]),
+        "a.xml": f"<ndm><omm><body><segment><metadata>{tags(metadata)}</metadata><data><meanElements>{tags(mean)}</meanElements>"
+        f"<tleParameters>{tags(parameters)}</tleParameters></data></segment></body></omm></ndm>",
+    }
+    found = {}
+    for name, text in texts.items():
+        (tmp_path / name).write_text(text)
+        (tmp_path / f"{name}.gz").write_bytes(gzip.compress(text.encode()))
+        for file in (name, f"{name}.gz"):
+            (read,) = read_satellites(tmp_path / file)
+            assert name == "a.tle" or read.name == "INVENTED"
+            found[file] = propagate([read], 2_021_600_000 * 10**9, np.zeros(1))[0]
+    assert len(found) == 10
+    for file, place in found.items():
+        # lines of elements hold eight decimals of revolutions a day and four of degrees: these numbers are whole in both
+        assert np.abs(place - found["a.csv"]).max() < 1e-6, file
     (tmp_path / "b.json").write_text("[1, 2]")
     with pytest.raises(Exception, match=r"element set 1 cannot be read"):
         read_satellites(tmp_path / "b.json")

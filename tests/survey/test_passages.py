@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 
 from sboc_e2e import scenario
+from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import Registry
+from simulator.chain import Simulator
 from simulator.randomness import Effect, generator
 from simulator.scene.encounters import draw_candidates, in_field
 from simulator.survey import (
@@ -102,6 +104,27 @@ def test_instants_of_a_year_have_the_sun_of_their_day() -> None:
     away = np.einsum("ni,ni->n", at.attitude[:, 2], at.sun_km) / np.linalg.norm(at.sun_km, axis=1)
     # the camera looks away from the Sun: 45 days of delay would make this 0.7
     assert (away < -0.999).all()
+
+
+@pytest.mark.parametrize(
+    ("epoch", "brightest"),
+    [("2027-01-29T00:00:00", 6.0), ("2027-06-23T00:00:00", 1e6), ("2027-03-22T18:00:00", 1e6)],
+    ids=["dark", "the Earth's limb 6 deg from the field", "full Moon"],
+)
+def test_the_sky_is_that_of_the_pixel_chain(epoch: str, brightest: float) -> None:
+    """Mean electrons of a frame without stars, in the middle of the field, where the Earth and the Moon scatter light into it."""
+    small = [f"sensor.window.{key}" for key in ("rows=64", "cols=64", "row0=2016", "col0=2016")]
+    found = scenario.load(
+        "sso_antisun", registry=Registry(),
+        overrides=[f'epoch_utc="{epoch}"', "stars.enabled=false", "population.classes=[]", "objects.passing=[]",
+                   "sky.structure=0", "frames=1", *small],
+    )  # fmt: skip
+    f = Flight.of(found.simulator, found.seed)
+    at = instants_of(f, np.array([0.1]), 1.0)
+    image = Simulator(found.simulator, seed=found.seed, catalogue=StarCatalogue.embedded()).mean_electrons(0)
+    # vignetting is nothing there; the field's middle moves by 0.01 deg in a frame
+    assert at.sky_e[0] == pytest.approx(float(np.median(image)), rel=0.02)
+    assert 3.0 < at.sky_e[0] < brightest
 
 
 def test_a_site_is_refused() -> None:

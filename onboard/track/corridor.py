@@ -14,58 +14,19 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from sboc_e2e.icd.signals import UNKNOWN
+from onboard.track.packed import PIXELS, ZERO, add_lanes, code_at
 
-LANES: Final = 16  # pixels of a byte that a register of 128 bits holds
+LANES: Final = PIXELS  # a word holds as many
 MIDDLE: Final = 8
 """Lines of a corridor, one pixel apart along the minor axis; the middle one runs along the seed."""
 
 MOST_PIECES: Final = 512
 """Pieces of a corridor."""
 
-CLIP: Final = 64
-"""A pixel counts for four sigma at most: particles are brighter, trails that no single frame shows are not."""
-
-
-@nb.njit(cache=True)
-def _halve_row(a: NDArray[np.int8], b: NDArray[np.int8], out: NDArray[np.int8]) -> None:
-    unknown, clip = np.int16(UNKNOWN), np.int16(CLIP)
-    for i in range(out.size):
-        total, seen = np.int16(0), np.int16(0)
-        for value in (np.int16(a[2 * i]), np.int16(a[2 * i + 1]), np.int16(b[2 * i]), np.int16(b[2 * i + 1])):
-            known = value != unknown
-            seen += np.int16(known)
-            total += min(max(value, -clip), clip) if known else np.int16(0)
-        out[i] = np.int8((total + np.int16(2)) >> 2) if seen > np.int16(1) else np.int8(UNKNOWN)
-
-
-@nb.njit(cache=True)
-def _halve_rows(image: NDArray[np.int8], out: NDArray[np.int8]) -> None:
-    for row in range(out.shape[0]):
-        _halve_row(image[2 * row], image[2 * row + 1], out[row])
-
-
-def halved(image: NDArray[np.int8]) -> NDArray[np.int8]:
-    """Means of 2 x 2 pixels of an image as `Searched.smooth`, clipped; `UNKNOWN` where most are."""
-    out = np.empty((image.shape[0] // 2, image.shape[1] // 2), np.int8)
-    _halve_rows(image, out)
-    return out
-
-
-@nb.njit(cache=True)
-def _add_lanes(values: NDArray[np.int8], sums: NDArray[np.int32], counts: NDArray[np.int32]) -> None:
-    for k in range(LANES):
-        value = np.int32(values[k])
-        seen = value != np.int32(UNKNOWN)
-        value = np.int32(CLIP) if value > np.int32(CLIP) else value
-        value = np.int32(-CLIP) if value < np.int32(-CLIP) else value
-        sums[k] += value if seen else np.int32(0)
-        counts[k] += np.int32(seen)
-
 
 @nb.njit(cache=True)
 def gather(
-    image: NDArray[np.int8],
+    image: NDArray[np.uint64],
     steep: bool,
     place: NDArray[np.float64],
     first_px: float,
@@ -76,32 +37,36 @@ def gather(
 ) -> int:
     """Running sums over a frame's corridor; returns the pixels read.
 
-    image : as `Searched.smooth`. steep : the major axis is row. place (4,) : major and minor coordinate in this frame of the
+    image : as `packed.packed`. steep : the major axis is row. place (4,) : major and minor coordinate in this frame of the
     seed's first end, and of the seed's direction (change per px along it; that of major > 0). Piece p covers
-    first_px + p piece_px ... on the seed's line, from its first end. sums, counts (MOST_PIECES + 1, LANES) : of the clipped
-    values and of the known pixels before each piece, lane by lane; row n_pieces holds the whole.
+    first_px + p piece_px ... on the seed's line, from its first end. sums, counts (MOST_PIECES + 1, LANES) : of the values in
+    steps of a code, and of the known pixels before each piece, lane by lane; row n_pieces holds the whole.
     """
-    n_major, n_minor = (image.shape[0], image.shape[1]) if steep else (image.shape[1], image.shape[0])
+    n_major, n_minor = image.shape[0], PIXELS * (image.shape[1] - 2)
+    if not steep:
+        n_major, n_minor = n_minor, n_major
     slope = place[3] / place[2]
+    origin = place[1] - slope * place[0] + 0.5 - MIDDLE
     sums[0], counts[0] = 0, 0
     read = 0
     start = math.ceil(place[0] + place[2] * first_px)
     for p in range(n_pieces):
         stop = math.ceil(place[0] + place[2] * (first_px + (p + 1) * piece_px))
         sums[p + 1], counts[p + 1] = sums[p], counts[p]
-        for major in range(max(0, start), min(n_major, stop)):
-            base = math.floor(place[1] + slope * (major - place[0]) + 0.5) - MIDDLE
-            if base >= n_minor or base + LANES <= 0:
-                continue
-            read += LANES
-            if base >= 0 and base + LANES <= n_minor and steep:
-                _add_lanes(image[major, base : base + LANES], sums[p + 1], counts[p + 1])
-                continue
-            for k in range(max(0, -base), min(LANES, n_minor - base)):
-                value = int(image[major, base + k]) if steep else int(image[base + k, major])
-                if value != UNKNOWN:
-                    sums[p + 1, k] += min(max(value, -CLIP), CLIP)
-                    counts[p + 1, k] += 1
+        low, high = max(0, start), min(n_major, stop)
+        if steep:
+            read += add_lanes(image, low, high, origin, slope, sums[p + 1], counts[p + 1])
+        else:
+            for major in range(low, high):
+                base = math.floor(origin + slope * major)
+                if base >= n_minor or base + LANES <= 0:
+                    continue
+                read += LANES
+                for k in range(max(0, -base), min(LANES, n_minor - base)):
+                    code = code_at(image, base + k, major)
+                    if code > 0:
+                        sums[p + 1, k] += code - ZERO
+                        counts[p + 1, k] += 1
         start = stop
     return read
 
@@ -178,10 +143,12 @@ def _interpolated(
 
 @nb.njit(cache=True)
 def path_sum(
-    image: NDArray[np.int8], steep: bool, place: NDArray[np.float64], first_px: float, last_px: float
+    image: NDArray[np.uint64], steep: bool, place: NDArray[np.float64], first_px: float, last_px: float
 ) -> tuple[int, int]:
-    """Sum of clipped values and number of known pixels on the seed's line itself; see `gather`."""
-    n_major, n_minor = (image.shape[0], image.shape[1]) if steep else (image.shape[1], image.shape[0])
+    """Sum of values, in steps of a code, and number of known pixels on the seed's line itself; see `gather`."""
+    n_major, n_minor = image.shape[0], PIXELS * (image.shape[1] - 2)
+    if not steep:
+        n_major, n_minor = n_minor, n_major
     slope = place[3] / place[2]
     total = count = 0
     for major in range(
@@ -189,8 +156,8 @@ def path_sum(
     ):
         minor = math.floor(place[1] + slope * (major - place[0]) + 0.5)
         if 0 <= minor < n_minor:
-            value = int(image[major, minor]) if steep else int(image[minor, major])
-            if value != UNKNOWN:
-                total += min(max(value, -CLIP), CLIP)
+            code = code_at(image, major, minor) if steep else code_at(image, minor, major)
+            if code > 0:
+                total += code - ZERO
                 count += 1
     return total, count

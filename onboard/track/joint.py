@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 
 from onboard.image import registration
 from onboard.track import joint_filter
-from onboard.track.corridor import halved
 from onboard.track.false_alarms import independent_tracks, threshold_sigma
+from onboard.track.packed import halved, packed
 from onboard.track.particles import without_hits
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
@@ -23,7 +23,7 @@ from sboc_e2e.icd.signals import Detection, Track, TrackerView, TrackMember
 IDENTITY: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 LONGEST_PX: Final = 2000.0
-"""Trails of one exposure that the false-alarm rate is reckoned for."""
+"""Trails of one exposure that the false-alarm rate is reckoned for; longer seeds are not followed."""
 
 WORK_PER_PX: Final = 30.0  # as many as a frame's nominal work (`onboard.work`)
 LEAST_WORK: Final = 50_000_000
@@ -47,24 +47,24 @@ SAME_SHARE: Final = 0.35
 class KeptSearch:
     """What stays of a frame. transform : (2, 3) of the frame before into it; unused for the first.
 
-    halves : smooth at half resolution, and transposed, while the frame is next to one whose seeds are being followed.
+    image : `Searched.smooth` in half a byte a pixel. halves : the same at half resolution, and that transposed, while the frame
+    is next to one whose seeds are being followed.
     """
 
     header: FrameHeader
-    smooth: NDArray[np.int8]
+    image: NDArray[np.uint64]
     seeds: NDArray[np.float64]
     transform: NDArray[np.float64]
-    halves: tuple[NDArray[np.int8], NDArray[np.int8]] | None = None
+    halves: tuple[NDArray[np.uint64], NDArray[np.uint64]] | None = None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the frame."""
+        return self.header.rows, self.header.cols
 
     def with_halves(self) -> "KeptSearch":
         """The same with its halves."""
-        if self.halves is not None:
-            return self
-        half = halved(self.smooth)
-        flat = np.ascontiguousarray(half.T)
-        for image in (half, flat):
-            image.flags.writeable = False  # as of a state that was read back: compiled code has one kind of image
-        return replace(self, halves=(half, flat))
+        return self if self.halves is not None else replace(self, halves=halved(self.image))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,14 +110,12 @@ class JointTracker:
             state = JointState(next_number=state.next_number)
         new = KeptSearch(
             header=view.view.header,
-            smooth=without_hits(view.searched.smooth, view.view.psf_sigma_px),
+            image=packed(without_hits(view.searched.smooth, view.view.psf_sigma_px)),
             seeds=view.searched.seeds,
             transform=IDENTITY if view.transform is None else view.transform,
         )
         state = replace(state, window=(*state.window, new))
         state, now = self._followed(state, len(state.window) - (self.window - 1) // 2, view.view.psf_sigma_px)
-        # there is room for the next frame before that one is searched; halves take less time than room
-        state = replace(state, window=tuple(replace(frame, halves=None) for frame in state.window))
         return self._without_oldest(state) if len(state.window) == self.window else state, tuple(found + now)
 
     def _without_oldest(self, state: JointState) -> JointState:
@@ -145,26 +143,29 @@ class JointTracker:
                     track = replace(track, number=same.number)
                 known[track.number] = track
                 found.append(track)
+            # those of the frames before it are not asked for again: there is room for the next frame before that one is searched
+            window = tuple(replace(frame, halves=None) if k < centre else frame for k, frame in enumerate(window))
             state = replace(state, window=window, tracks=tuple(known.values()), next_number=number, followed=centre + 1)
         return state, found
 
     def _about(self, window: tuple[KeptSearch, ...], centre: int, psf_sigma_px: float) -> list[Track]:
         """Tracks through seeds of one frame of the window, best first, each object once."""
         kept = window[centre]
-        seeds = kept.seeds[np.argsort(-kept.seeds[:, 4], kind="stable")]
+        seeds = kept.seeds[np.hypot(*(kept.seeds[:, 2:4] - kept.seeds[:, :2]).T) < LONGEST_PX]
+        seeds = seeds[np.argsort(-seeds[:, 4], kind="stable")]
         if len(window) < 2 or not len(seeds):
             return []
         transforms = from_centre(window, centre)
         taus = exposures_from(window, centre, transforms)
-        rows, cols = kept.smooth.shape
+        rows, cols = kept.shape
         period = float(np.median(np.abs(np.diff(taus))))
         thresholds = self.thresholds((rows, cols), period, psf_sigma_px)
         # one kernel for any number of frames: the tuple is filled up to the window's length
         filled = window + (window[0],) * (self.window - len(window))
-        own = window[centre].with_halves().halves or (kept.smooth, kept.smooth)
+        own = kept.with_halves().halves or (kept.image, kept.image)
         near = [frame.halves or own for frame in filled]
         table, _, _ = joint_filter.follow(
-            tuple(frame.smooth for frame in filled),
+            tuple(frame.image for frame in filled),
             tuple(half for half, _ in near),
             tuple(flat for _, flat in near),
             np.ascontiguousarray(np.concatenate([transforms, np.repeat(transforms[:1], self.window - len(window), axis=0)])),
@@ -255,7 +256,7 @@ def track_of(
         along = np.array([begin, begin + length] if sense > 0.0 else [begin + length, begin])
         away = offset + tilt * (along / seed_px - 0.5)
         ends = registration.apply(transforms[k], seed[0:2] + along[:, None] * u + away[:, None] * across)
-        inside = clipped(ends, window[k].smooth.shape)
+        inside = clipped(ends, window[k].shape)
         if inside is not None:
             (row0, col0, row1, col1), flags = inside
             members.append(

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.track.corridor import LANES, MIDDLE, MOST_PIECES, between, gather, lanes_between, path_sum
+from onboard.track.packed import HALF_ROUNDING, ROUNDING, STEP
 
 STEPS: Final = 8
 """Pieces of a seed in the first look: ends are tried at steps of an eighth of its length."""
@@ -77,9 +78,15 @@ def work_space(n_frames: int) -> Corridors:
 
 @nb.njit(cache=True)
 def look_of(taus: NDArray[np.float64], sense: float, seed_px: float, per_lane: float, psf_sigma_px: float) -> Look:
-    """The look at a seed on images of pixels smoothed by the PSF, 16 for one sigma; paths advance by one px of the major axis."""
-    unit = 16.0 * math.sqrt(2.0 * math.sqrt(math.pi) * psf_sigma_px * per_lane)
+    """The look at a seed on packed images of pixels smoothed by the PSF; paths advance by one px of the major axis."""
+    unit = math.sqrt(line_variance(psf_sigma_px, per_lane) + ROUNDING)
     return Look(taus, sense, seed_px, per_lane, math.exp(-0.25 * (per_lane / psf_sigma_px) ** 2), unit)
+
+
+@nb.njit(cache=True)
+def line_variance(psf_sigma_px: float, per_lane: float) -> float:
+    """Variance of the sum of smoothed pixels along a line, for each of them, steps of a code squared."""
+    return (16.0 / STEP) ** 2 * 2.0 * math.sqrt(math.pi) * psf_sigma_px * per_lane
 
 
 @nb.njit(cache=True)
@@ -101,7 +108,7 @@ def _placed(seed: NDArray[np.float64], transform: NDArray[np.float64], place: ND
 
 @nb.njit(cache=True)
 def static_snr(
-    images: tuple[NDArray[np.int8], ...],
+    images: tuple[NDArray[np.uint64], ...],
     transforms: NDArray[np.float64],
     n_frames: int,
     own: int,
@@ -129,7 +136,7 @@ def static_snr(
 
 @nb.njit(cache=True)
 def collect(
-    images: tuple[NDArray[np.int8], ...],
+    images: tuple[NDArray[np.uint64], ...],
     frame: int,
     seed: NDArray[np.float64],
     transforms: NDArray[np.float64],
@@ -169,6 +176,12 @@ def evaluate(corridors: Corridors, look: Look, low: int, high: int, track: NDArr
 
 
 @nb.njit(cache=True)
+def _exceeds(total: float, weight: float, least: float) -> bool:
+    """Whether total / sqrt(weight) does, without a root: hardly any does."""
+    return total > 0.0 and (least <= 0.0 or total * total > least * least * weight)
+
+
+@nb.njit(cache=True)
 def _first_look(
     corridors: Corridors,
     look: Look,
@@ -176,17 +189,19 @@ def _first_look(
     low: int,
     high: int,
     margin: NDArray[np.float64],
+    least: float,
     best: NDArray[np.float64],
     lanes: NDArray[np.float32],
 ) -> float:
     """Best track on a lattice of ends and tilts in frames low ... high about `centre`; fills best (a, length, tilt, sense).
 
     All in pixels of the images that the corridors are of; tilts are whole lanes per length. Pairs of frames count beside all
-    three: by how much the S/N exceeds margin[number of frames]. lanes (6, LANES) : work space, sums and weights of the three.
+    three: by how much the S/N exceeds margin[number of frames]. Returns `least` where none has more. lanes (6, LANES) : work
+    space, sums and weights of the three.
     """
     sums, counts, grid, pieces = corridors
     taus, seed_px, unit = look.taus, look.seed_px, look.unit
-    score, step = -1e9, seed_px / STEPS
+    score, step = least, seed_px / STEPS
     top = 0.0
     for turn in range(2):
         # what the seed's own frame says best of the ends: tracks that it likes much less are not looked at
@@ -225,11 +240,11 @@ def _first_look(
                             continue
                         s0, w0, s2, w2 = lanes[0, m], lanes[3, m], lanes[2, n], lanes[5, n]
                         value = -1e9
-                        if w0 > 0.0:
+                        if w0 > 0.0 and _exceeds(s0 + s1, w0 + w1, (score + margin[2]) * unit):
                             value = max(value, (s0 + s1) / (unit * math.sqrt(w0 + w1)) - margin[2])
-                        if w2 > 0.0:
+                        if w2 > 0.0 and _exceeds(s2 + s1, w2 + w1, (score + margin[2]) * unit):
                             value = max(value, (s2 + s1) / (unit * math.sqrt(w2 + w1)) - margin[2])
-                        if w0 > 0.0 and w2 > 0.0:
+                        if w0 > 0.0 and w2 > 0.0 and _exceeds(s0 + s1 + s2, w0 + w1 + w2, (score + margin[3]) * unit):
                             value = max(value, (s0 + s1 + s2) / (unit * math.sqrt(w0 + w1 + w2)) - margin[3])
                         if value > score:
                             score = value
@@ -328,9 +343,9 @@ def _segment(
 
 @nb.njit(cache=True)
 def follow(
-    images: tuple[NDArray[np.int8], ...],
-    halves: tuple[NDArray[np.int8], ...],
-    flat_halves: tuple[NDArray[np.int8], ...],
+    images: tuple[NDArray[np.uint64], ...],
+    halves: tuple[NDArray[np.uint64], ...],
+    flat_halves: tuple[NDArray[np.uint64], ...],
     transforms: NDArray[np.float64],
     taus: NDArray[np.float64],
     n_frames: int,
@@ -344,12 +359,12 @@ def follow(
 ) -> tuple[NDArray[np.float64], int, int]:
     """Tracks through seeds, best seeds first.
 
-    images : of the window's frames, as `Searched.smooth`; halves, flat_halves : the same as `corridor.halved` makes them, and
-    transposed; those from n_frames on are not looked at. transforms (n, 2, 3) : of
-    (row, col) of the centre frame into each; taus (n,) : start of each exposure after that of the centre frame, in exposures, on
-    the rows where the object is. seeds (m, 5) : row0, col0, row1, col1, S/N in the centre frame. threshold : joint S/N asked of
-    n frames, at index n. first_margin : how far the first look, on a lattice, may fall short. most_work : pixels read after
-    which no further seed is taken up.
+    images : of the window's frames, as `packed.packed`; halves, flat_halves : the same as `packed.halved` makes them, and
+    transposed; those from n_frames on are not looked at. transforms (n, 2, 3) : of (row, col) of the centre frame into each;
+    taus (n,) : start of each exposure after that of the centre frame, in exposures, on the rows where the object is. seeds
+    (m, 5) : row0, col0, row1, col1, S/N in the centre frame. threshold : joint S/N asked of n frames, at index n.
+    first_margin : how far the first look, on a lattice, may fall short. most_work : pixels read after which no further seed is
+    taken up.
 
     Returns (k, 12 + window): number of the seed, sense, a, length, offset, tilt (px), first and last frame, joint S/N, least
     joint S/N that is left without one of the frames, chi-square of the frames against even brightness, its degrees of freedom,
@@ -367,7 +382,7 @@ def follow(
                 transforms[frame, k, 2] + 0.5 * (transforms[frame, k, 0] + transforms[frame, k, 1]) - 0.5
             )
     wider = math.hypot(psf_sigma_px, 0.5)
-    half_noise = math.sqrt(0.5 * psf_sigma_px / wider)
+    half_variance = 0.5 * psf_sigma_px / wider
     static_limit = max(LEAST_STATIC, STATIC_SIGMAS / math.sqrt(max(n_frames - 1.0, 1.0)))
     static_error = STATIC_ERRORS / math.sqrt(max(n_frames - 1.0, 1.0))
     steps, sums, weights = np.empty(4), np.empty(len(images)), np.empty(len(images))
@@ -396,8 +411,9 @@ def follow(
             _placed(half_seed, half_transforms[frame], place)
             image = halves[frame] if steep else flat_halves[frame]
             read += gather(image, True, place, begin, piece, n, corridors.sums[frame], corridors.counts[frame])
-        half_look = Look(taus, 1.0, half_px, per_lane, 1.0, unit * half_noise)
-        if _first_look(corridors, half_look, centre, low, high, threshold, best, lanes) < -first_margin:
+        half_unit = math.sqrt(half_variance * line_variance(psf_sigma_px, per_lane) + HALF_ROUNDING)
+        half_look = Look(taus, 1.0, half_px, per_lane, 1.0, half_unit)
+        if _first_look(corridors, half_look, centre, low, high, threshold, -first_margin, best, lanes) <= -first_margin:
             continue
         read += n_frames * round(seed_px)
         if static_snr(images, transforms, n_frames, centre, seed[:4], unit, place) > static_limit:

@@ -24,6 +24,7 @@ from onboard.detect import LineIntegralDetector
 from onboard.image import registration
 from onboard.track import joint_filter
 from onboard.track.joint import IDENTITY, JointTracker
+from onboard.track.packed import packed
 from sboc_e2e.icd.signals import DetectorView, Searched, Track, TrackerView
 from sboc_e2e.score.figures import half_point, rate
 from simulator.radiation import ParticleField, RadiationOptions
@@ -127,7 +128,7 @@ def hit(track: Track, truth: TrueTrack) -> float:
 def joint_snr(truth: TrueTrack, searched: list[Searched]) -> float:
     """Joint S/N that the filter puts at a true track when it starts from the truth. searched : frames of the cube."""
     n = len(truth.ends)
-    images = tuple(each.smooth for each in searched[truth.first : truth.first + n])
+    images = tuple(packed(each.smooth) for each in searched[truth.first : truth.first + n])
     row0, col0, row1, col1 = truth.ends[n // 2]
     steep, sense = abs(row1 - row0) >= abs(col1 - col0), 1.0
     if (row1 < row0) if steep else (col1 < col0):

@@ -77,6 +77,9 @@ SEEN_DROP: Final = 0.5
 AT_BORDER_WIDTHS: Final = 6.0
 """A fall that is seen to within so many widths of the border runs over it."""
 
+MASK_WIDTHS: Final = 3.0
+"""An end is one of the mask if no pixel can be used so many widths beyond it."""
+
 STEP_WIDTHS: Final = 0.1
 """Step of the places where a stop is tried: an error of half of it changes the light of a block by 1.3 %."""
 
@@ -129,7 +132,21 @@ def with_fading_ends(fit: StreakFit, pixels: StreakPixels) -> StreakFit:
         if fade is not None:
             moved = _with_end(fit, end, fade, border, half, width)
             fit = _with_curve(moved, end, blocks, half, fit.length_px)
+        elif _ends_at_a_mask(outwards, half, width, border):
+            interval = fit.end_interval_px.copy()
+            interval[end, 1] = border - half
+            fit = replace(fit, end_interval_px=interval, flags=fit.flags | StreakFlag.ENDS_NOT_GAUSSIAN)
     return fit
+
+
+def _ends_at_a_mask(outwards: TrailPixels, end_px: float, width_px: float, border_px: float) -> bool:
+    """Whether the last pixels that can be used lie at an end, and not at the border: the light may go on below the mask.
+
+    Regions reach `onboard.downlink.roi.LEAST_END_MARGIN_SIGMA` widths beyond an end, twice as far as is asked here.
+    """
+    lit = outwards.u[np.abs(outwards.v) < LIT_WIDTHS * width_px]
+    last = float(lit.max(initial=0.0))
+    return border_px - last > LIT_WIDTHS * width_px and last < end_px + MASK_WIDTHS * width_px
 
 
 def blocks_of(pixels: TrailPixels, width_px: float, border_px: float) -> Blocks:

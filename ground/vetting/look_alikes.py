@@ -16,8 +16,11 @@ from numpy.typing import NDArray
 from ground.guard import guarded, probabilities_of
 from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
 from ground.vetting.features import LEAST_BINS
+from ground.vetting.sides import SkyMap
 from sboc_e2e.icd.downlink import DownlinkFrame
+from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
+from sboc_e2e.icd.signals import StarMotion
 from sboc_e2e.icd.steps import Vetter
 
 KIND: Final = (0.7, 0.7)
@@ -36,6 +39,12 @@ REAL_DENSITY: Final = 0.5 / (math.log(800.0 / 5.0) * math.log(400.0 / 1.7))
 
 SHORTEST_ALONE_PX: Final = 25.0
 """Blends of stars look like trails up to this length in a frame that was held against no other frame of the same sky."""
+
+STAR_APART_PX: Final = 1.5
+"""A trail is a star's when its vector is as near as this to the stars' motion, plus `STAR_APART_SHARE` of its length: as on
+board (`onboard.stars.star_motion`)."""
+STAR_APART_SHARE: Final = 0.1
+"""See `STAR_APART_PX`."""
 
 LEAST: Final = 1e-12
 """Keeps the odds finite."""
@@ -61,6 +70,18 @@ def look_alikes_near(fits: Sequence[StreakFit], look_alikes: NDArray[np.float64]
     return np.asarray(peak * np.exp(-0.5 * (np.sum(apart**2, axis=-1) + other**2)).sum(axis=1), dtype=np.float64)
 
 
+def moves_as(stars: StarMotion, fit: StreakFit) -> bool:
+    """Whether a trail is as long as that of a star at its place, and runs the same way. One that a border cuts may be shorter."""
+    middle = np.array([0.5 * (fit.row0 + fit.row1)]), np.array([0.5 * (fit.col0 + fit.col1)])
+    wanted = np.array([float(part[0]) for part in stars.at(*middle)])
+    vector = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0])
+    vector *= 1.0 if vector @ wanted >= 0.0 else -1.0
+    length = float(np.hypot(*wanted))
+    if fit.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1):
+        wanted *= min(fit.length_px, length) / max(length, 1e-9)
+    return bool(np.hypot(*(vector - wanted)) < STAR_APART_PX + STAR_APART_SHARE * length)
+
+
 def evenness_of(fit: StreakFit) -> float:
     """Median of the light along a trail over its mean, 0 to 1; 1 of fits with too few bins to tell."""
     curve = fit.light_curve_e_px
@@ -76,15 +97,23 @@ class OwnEvidence:
     look_alikes : (k, 4) S/N, length, width (px) and evenness of lines that cannot be real.
     alone : it was held against no other frame of the same sky, so that stars are not told from what moves.
     seen : first and last row, first and last column in which a pixel saw the sky; None: all of them.
+    stars : motion of the stars during the exposure, where the lines of the frame share one; None: they do not.
+    sky : a map of the sky, slopes and edges included; None: there is none.
     """
 
     look_alikes: NDArray[np.float64]
     alone: bool = False
     seen: tuple[int, int, int, int] | None = None
+    stars: StarMotion | None = None
+    sky: SkyMap | None = None
 
-    def refuses(self, fit: StreakFit) -> bool:
-        """Whether a fit may be a star, or lies where no pixel saw the sky."""
+    def refuses(self, fit: StreakFit, frame: DownlinkFrame) -> bool:
+        """Whether a fit may be a star, a slope or an edge of the sky, or lies where no pixel saw the sky."""
         if self.alone and fit.length_px < SHORTEST_ALONE_PX:
+            return True
+        if self.stars is not None and moves_as(self.stars, fit):
+            return True
+        if self.sky is not None and self.sky.refuses(fit, frame.header.gain_e_adu or 1.0):
             return True
         if self.seen is None:
             return False
@@ -113,5 +142,5 @@ class LookAlikeVetter:
             return probability
         against = look_alikes_near(fits, known.look_alikes) / REAL_DENSITY
         odds_against = (1.0 - probability) / np.maximum(probability, LEAST) + against
-        refused = np.array([known.refuses(fit) for fit in fits])
+        refused = np.array([known.refuses(fit, frame) for fit in fits])
         return np.where((probability > 0.0) & ~refused, 1.0 / (1.0 + odds_against), 0.0)

@@ -13,14 +13,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.vetting.look_alikes import OwnEvidence
+from ground.vetting.look_alikes import STAR_APART_PX, STAR_APART_SHARE, OwnEvidence
+from ground.vetting.sides import SkyMap
 from onboard.chain import OnboardChain
 from onboard.options import OnboardOptions
+from onboard.stars.star_motion import common_motion
 from onboard.state import OnboardResult, OnboardState, OnboardSteps, Prepared
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import NominalCamera
 from sboc_e2e.icd.results import check_detections
-from sboc_e2e.icd.signals import Detection, DetectorView
+from sboc_e2e.icd.signals import Detection, DetectorView, StarMotion
 from sboc_e2e.icd.steps import Detector
 from sboc_e2e.outside.limits import work_meter
 
@@ -46,6 +48,11 @@ CORE_PX: Final = 2
 
 FWHM_PER_SIGMA: Final = 2.0 * math.sqrt(2.0 * math.log(2.0))
 """Full width at half maximum of a Gaussian over its sigma: 2.3548."""
+
+FEWEST_STARS: Final = 8
+"""Lines that share a motion from which on they are stars: a formation of objects has fewer. Chosen, not measured."""
+SPREAD_LENGTHS: Final = 0.5
+"""They lie about a line of their own by more than so many of their lengths (rms). Chosen, not measured."""
 
 NO_LINE: Final = StreakFlag.POINT_LIKE | StreakFlag.COSMIC_LIKE
 
@@ -145,6 +152,37 @@ def _shadow(dark: Detection, of: Detection) -> bool:
     return True
 
 
+def stars_as_lines(found: Sequence[Detection], shape: tuple[int, ...]) -> StarMotion | None:
+    """The motion that the stars share where they are lines too long for the star list; None where the lines share none.
+
+    Lines that share a motion and lie in a row are a train of satellites, not the sky.
+    """
+    lines = [d for d in found if not d.flags & (NO_LINE | StreakFlag.EDGE0 | StreakFlag.EDGE1)]
+    lines.sort(key=lambda d: -d.snr)
+    if len(lines) < FEWEST_STARS:
+        return None
+    ends = np.array([(d.row0, d.col0, d.row1, d.col1) for d in lines])
+    places, vectors = 0.5 * (ends[:, :2] + ends[:, 2:]), ends[:, 2:] - ends[:, :2]
+    motion = common_motion(places, vectors, (0.5 * (shape[0] - 1), 0.5 * (shape[1] - 1)))
+    if motion is None:
+        return None
+    wanted = np.stack(motion.at(places[:, 0], places[:, 1]), axis=1)
+    length = np.hypot(*wanted.T)
+    apart = np.minimum(np.hypot(*(vectors - wanted).T), np.hypot(*(vectors + wanted).T))
+    agree = places[apart < STAR_APART_PX + STAR_APART_SHARE * length]
+    if len(agree) < FEWEST_STARS:
+        return None
+    spread = np.linalg.svd(agree - agree.mean(axis=0), compute_uv=False)[-1] / math.sqrt(len(agree))
+    return motion if spread > SPREAD_LENGTHS * float(np.median(length)) else None
+
+
+def _sky_of(prepared: Prepared) -> SkyMap:
+    """The map of a prepared frame's sky."""
+    counts = prepared.counts
+    adu = counts.pixels.astype(np.float32) * np.float32(counts.adu_scale)
+    return SkyMap.of(adu, prepared.view.mask != 0)
+
+
 class CountingChain(OnboardChain):
     """The on-board chain, which searches the negative of each frame too. The chain's own results do not depend on it.
 
@@ -165,6 +203,8 @@ class CountingChain(OnboardChain):
                 look_alikes=look_alikes(self._detector, view, result.detections),
                 alone=self.looks_back and not view.history,
                 seen=seen_of(view.mask),
+                stars=stars_as_lines(result.detections, view.mask.shape),
+                sky=_sky_of(prepared) if result.detections else None,
             )
         return after, result
 

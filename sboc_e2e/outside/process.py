@@ -9,6 +9,7 @@ from ground.astrometry import lost_in_space
 from sboc_e2e.files import calibration_files
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Frame, NominalCamera
+from sboc_e2e.outside.border_slopes import WithoutSlopes
 from sboc_e2e.outside.camera import camera_of_frame, camera_of_preset, focal_px_by_stars, refuse_narrow_field
 from sboc_e2e.outside.fixed_pattern import MutuallyCalibrated
 from sboc_e2e.outside.frame_source import FrameSource
@@ -81,7 +82,7 @@ def process(
     length then comes from its stars. folder : where the files lie, for `sboc view`.
     """
     directory = RunDirectory(path=out)
-    source = MutuallyCalibrated(source=source)
+    source = WithoutSlopes(source=MutuallyCalibrated(source=source))
     n_frames = source.n_frames
     require_files(scenario)
     require_decoder(scenario)

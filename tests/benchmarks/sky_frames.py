@@ -30,7 +30,10 @@ Light = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True)
 class Row:
-    """One sky: what is added to stars and noise, as light in e- on both frames, and the width of the stars."""
+    """One sky: what is added to stars and noise, as light in e- on both frames, and the width of the stars.
+
+    tracks, hot_pixels : as many on 2048 x 2048 px, elsewhere by area.
+    """
 
     name: str
     fwhm_px: float = FWHM_PX
@@ -192,8 +195,9 @@ def scene(row: Row, side: int, streaks: list[tuple[float, float]], seed: int) ->
     turn = float(rng.uniform(0.0, 0.5 * math.pi))
     axis = np.linspace(-1.0, 1.0, side)
     sky = SKY_E + row.stray_e * (0.5 + 0.3 * axis[:, None] + 0.2 * axis[None, :] ** 2)
-    hot_row, hot_col = rng.integers(0, side, (2, row.hot_pixels))
-    hot = rng.uniform(10.0, 300.0, row.hot_pixels) * SIGMA_E
+    n_tracks, n_hot = round(row.tracks * share), round(row.hot_pixels * share)
+    hot_row, hot_col = rng.integers(0, side, (2, n_hot))
+    hot = rng.uniform(10.0, 300.0, n_hot) * SIGMA_E
     moon = moon_light(side, row.moon_share) if row.moon_share > 0.0 else 0.0
     drawn: list[Streak] = []
     frames = []
@@ -213,7 +217,7 @@ def scene(row: Row, side: int, streaks: list[tuple[float, float]], seed: int) ->
                 variance = (sky + moon)[window] + READ_NOISE_E**2
                 light[window] += wanted / math.sqrt(float(np.sum(shape**2 / variance))) * shape
         counts = exposed(light, rng)
-        add_tracks(counts, row.tracks, rng)
+        add_tracks(counts, n_tracks, rng)
         np.add.at(counts, (hot_row, hot_col), hot)
         frames.append(digitised(counts))
     return Scene(earlier=frames[0], later=frames[1], streaks=drawn)

@@ -13,11 +13,12 @@ from onboard.options import OnboardOptions
 from onboard.state import OnboardSteps
 from onboard.work import meter
 from sboc_e2e import scenario as scenarios
+from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.products import StreakFit
 from sboc_e2e.icd.signals import Detection, DetectorView
 from sboc_e2e.outside.found import Found
-from sboc_e2e.outside.look_alikes import CountingChain, look_alikes, seen_of, shape_of
+from sboc_e2e.outside.look_alikes import CountingChain, look_alikes, seen_of, shape_of, stars_as_lines
 from sboc_e2e.outside.process import base_document
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.onboard_stage import onboard_steps
@@ -237,3 +238,52 @@ def test_a_fit_where_no_pixel_saw_the_sky_is_refused() -> None:
     mask = np.zeros((20, 30), np.uint8)
     mask[:3] = mask[:, 25:] = 1
     assert seen_of(mask) == (3, 19, 0, 24)
+
+
+def star_lines(turn_rad: float, n: int, seed: int) -> list[Detection]:
+    """Trails of stars over a frame of 1000 px: a shift of 120 px and a turn about the middle, ends to 1 px."""
+    rng = np.random.default_rng(seed)
+    lines = []
+    for row, col in rng.uniform(100.0, 900.0, (n, 2)):
+        d_row, d_col = 40.0 - turn_rad * (col - 499.5), 113.0 + turn_rad * (row - 499.5)
+        ends = np.array([row - d_row / 2, col - d_col / 2, row + d_row / 2, col + d_col / 2]) + rng.normal(0.0, 0.5, 4)
+        line = dict(zip(("row0", "col0", "row1", "col1"), map(float, ends), strict=True))
+        lines.append(Detection(snr=float(rng.uniform(10.0, 300.0)), **line))
+    return lines
+
+
+@pytest.mark.parametrize("turn_rad", [0.0, 0.06])
+def test_equal_trails_all_over_a_frame_are_its_stars(turn_rad: float) -> None:
+    """Trails beyond 100 px are not in the star list. A satellite among them runs another way."""
+    satellite = Detection(row0=200.0, col0=300.0, row1=330.0, col1=310.0, snr=40.0)
+    motion = stars_as_lines([*star_lines(turn_rad, 14, 3), satellite], (1000, 1000))
+    assert motion is not None
+    assert motion.turn_rad == pytest.approx(turn_rad, abs=0.003)
+    own = OwnEvidence(look_alikes=np.zeros((0, 4)), stars=motion)
+    vetter = LookAlikeVetter(vetter=Certain(), evidence={0: own})
+    fits = [line_fit(each) for each in (*star_lines(turn_rad, 5, 9), satellite)]
+    assert vetter.probability(fits, frame_of_psf(1.4)).tolist() == [0.0] * 5 + [0.99]
+
+
+def line_fit(line: Detection) -> StreakFit:
+    """A fit of a detection."""
+    ends = {name: getattr(line, name) for name in ("row0", "col0", "row1", "col1")}
+    light = {"snr": 50.0, "width_px": 1.2, "light_curve_e_px": np.zeros(0, np.float32), "flags": line.flags}
+    made: Any = type("Fit", (), ends | light | {"length_px": line.length_px})()
+    return made
+
+
+def test_a_star_that_the_border_cuts_runs_the_same_way() -> None:
+    motion = stars_as_lines(star_lines(0.0, 12, 4), (1000, 1000))
+    own = OwnEvidence(look_alikes=np.zeros((0, 4)), stars=motion)
+    vetter = LookAlikeVetter(vetter=Certain(), evidence={0: own})
+    short = Detection(row0=500.0, col0=0.0, row1=520.0, col1=56.5, snr=40.0, flags=StreakFlag.EDGE0)
+    fits = [line_fit(short), line_fit(replace(short, flags=StreakFlag(0)))]
+    assert vetter.probability(fits, frame_of_psf(1.4)).tolist() == [0.0, 0.99]
+
+
+def test_a_train_of_satellites_and_a_few_lines_are_no_stars() -> None:
+    """Ten equal trails in a row; and seven stars, too few to tell."""
+    train = [Detection(row0=r, col0=2.0 * r, row1=r + 50.0, col1=2.0 * r + 100.0, snr=30.0) for r in np.arange(40.0, 440.0, 40.0)]
+    assert stars_as_lines(train, (1000, 1000)) is None
+    assert stars_as_lines(star_lines(0.0, 7, 5), (1000, 1000)) is None

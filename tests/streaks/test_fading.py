@@ -153,3 +153,15 @@ def test_only_frames_from_outside_are_followed() -> None:
     assert not orbit.step("ground.streak_fitter").fading_ends
     failed = TrailedPsfFitter().fit(strip(1, 0.0, 0.0), seen(190.0))
     assert with_fading_ends(failed, strip(1, 0.0, 0.0)) is failed
+
+
+def test_an_end_at_a_mask_reaches_through_it_and_one_in_the_sky_does_not() -> None:
+    """A uniform trail runs on to column 230, below columns that are masked from 201 on. One without a mask ends at 200."""
+    masked = strip(3, 230.0)
+    unknown = masked.col > 200
+    covered = replace(masked, variance_e2=np.where(unknown, np.inf, masked.variance_e2).astype(np.float32))
+    _, through = both(covered, 200.0)
+    assert through.col1 + through.end_interval_px[1, 1] == pytest.approx(COLS - 0.5, abs=0.1)
+    assert through.flags & StreakFlag.ENDS_NOT_GAUSSIAN
+    _, free = both(strip(3, 200.0), 200.0)
+    assert free.end_interval_px[1, 1] < 3.0

@@ -1,7 +1,6 @@
 """Objects whose tracklets last half a minute: two orbits may meet the first few of them, and pairs start from ranges 20 % off."""
 
 import math
-from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +11,10 @@ from ground.association.pairs import pairs_of
 from ground.store.store import ObjectStore
 from ground.upkeep.night import update
 from sboc_e2e.icd import tai
-from simulator.platform.all_forces import DAY_S, between
-from tests.association.list_simulator import Seen, Survey, light, observer_states, survey
+from simulator.platform.all_forces import DAY_S
+from tests.association.list_simulator import Survey
 from tests.association.lists import measured
+from tests.upkeep.short_lists import of_half_minutes
 from tests.upkeep.test_division import true_error_chi2
 from tests.upkeep.test_night import owners, put
 
@@ -24,18 +24,8 @@ HOURS = (0.0, 0.2, 23.9345, 24.1345, 47.869, 48.069)
 
 @pytest.fixture(scope="module", params=(41, 42))
 def short(request: pytest.FixtureRequest) -> Survey:
-    """Three geostationary objects in six visits of 30 s, 24 directions of 0.75 arcsec each."""
-    one = survey(request.param, objects=3, clutter=0, days=3.0)
-    rng, sigma = np.random.default_rng([request.param, 3]), math.radians(0.75 / 3600.0)
-    seen = []
-    for hour in HOURS:
-        for k in range(3):
-            t = 3600.0 * hour + 60.0 + np.linspace(0.0, 30.0, 24)
-            observer = observer_states(t, one.sky.sun[0])
-            line = light(between(one.truth[k], t), observer) + sigma * rng.normal(size=(24, 3))
-            line /= np.linalg.norm(line, axis=1, keepdims=True)
-            seen.append(Seen(owner=k, t_s=t, observer=observer, direction=line))
-    return replace(one, seen=seen, sigma_rad=sigma)
+    """Three geostationary objects in six visits."""
+    return of_half_minutes(request.param, HOURS)
 
 
 @pytest.mark.slow

@@ -217,10 +217,10 @@ def _counts(shown: Shown, found: NDArray[np.bool_], linked: NDArray[np.bool_], s
     whose = shown.run[looks.passage]
 
     def trails(which: NDArray[np.bool_]) -> Array:
-        return np.bincount(whose, weights=looks.stands_for * (trail & which), minlength=shown.runs)
+        return np.asarray(np.bincount(whose, weights=looks.stands_for * (trail & which), minlength=shown.runs), dtype=np.float64)
 
     def objects(which: NDArray[np.bool_]) -> Array:
-        return np.bincount(shown.run, weights=linked & which, minlength=shown.runs)
+        return np.asarray(np.bincount(shown.run, weights=linked & which, minlength=shown.runs), dtype=np.float64)
 
     everything, every_trail = np.ones(len(linked), np.bool_), np.ones(len(found), np.bool_)
     with np.errstate(invalid="ignore"):

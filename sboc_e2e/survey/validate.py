@@ -5,13 +5,16 @@ random is compared. Counts are compared in the two steps of `sboc_e2e.survey.bot
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from io import BytesIO
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import ks_2samp
 
+from sboc_e2e.files.atomic import write_bytes
 from sboc_e2e.run.simulation import sky_catalogue
 from sboc_e2e.scenario import Scenario
 from sboc_e2e.survey.block import finds_of, tables_of
@@ -26,7 +29,7 @@ from sboc_e2e.survey.both_ways import (
 )
 from sboc_e2e.survey.response import Response
 from sboc_e2e.survey.rows import LEAST_SNR, OBJECT_COLUMNS, STREAK_COLUMNS, columns
-from simulator.bare_trails import bare_trails
+from simulator.bare_trails import BareTrails, bare_trails
 from simulator.randomness import Effect, generator
 from simulator.survey import Flight, Instants, Passages, candidates, instants_of, joined, looks_of, pool_of
 
@@ -43,8 +46,8 @@ VALIDATION_BLOCK: Final = 6_000_000
 """Number of a random stream that no survey reaches (1.5 million blocks in 1,000 years), and not that of sensitivities."""
 INSTANTS: Final = 256
 """Of a run, one at random in each step. Those at its ends show shortened stays: 64 at random made counts scatter by 6 %."""
-SCENE_RUNS: Final = 300
-"""Runs of the pixel chain's scene without noise: some 6,300 objects, whose counts are known to 1.5 % (90 %, docs/survey.md)."""
+SCENE_RUNS: Final = 180
+"""Runs of the pixel chain's scene without noise: 3,780 objects, whose counts are known to 2 % (90 %, docs/survey.md)."""
 ROUNDS: Final = 16
 """Draws of `VIRTUAL_RUNS` virtual runs, each with candidates of its own: their scatter is that of their mean, 0.4 %."""
 
@@ -178,8 +181,8 @@ COMPARED: Final = (
 )
 
 
-def validate(samples: Sequence[Mapping[str, Any]], scenario: Scenario, response: Response) -> Validation:
-    """Compare the samples of pixel runs with the survey's code."""
+def validate(samples: Sequence[Mapping[str, Any]], scenario: Scenario, response: Response, scene: BareTrails) -> Validation:
+    """Compare the samples of pixel runs with the survey's code. scene : of `SCENE_RUNS` other runs."""
     rng = np.random.default_rng(20270129)
     theirs = pixel_objects(samples, rng)
     mine = virtual_objects(scenario, response)
@@ -194,17 +197,30 @@ def validate(samples: Sequence[Mapping[str, Any]], scenario: Scenario, response:
         )  # fmt: skip
     return Validation(
         quantities=tuple(quantities),
-        ratios=counts_both_ways(samples, scenario, response),
+        ratios=counts_both_ways(samples, scenario, response, scene),
         runs=len(samples),
-        scene_runs=SCENE_RUNS,
+        scene_runs=int(scene.run.max()) + 1,
     )
+
+
+def kept_scene(scenario: Scenario, path: Path) -> BareTrails:
+    """The pixel chain's scene of `SCENE_RUNS` runs, read from a file (npz) or made and written there."""
+    if path.is_file():
+        with np.load(path) as kept:
+            return BareTrails(**{field.name: kept[field.name] for field in fields(BareTrails)})
+    flight = Flight.of(scenario.simulator, scenario.seed)
+    made = bare_trails(flight, sky_catalogue(scenario.simulator), range(SCENE_RUNS))
+    stream = BytesIO()
+    np.savez_compressed(stream, **{field.name: getattr(made, field.name) for field in fields(made)})
+    write_bytes(path, stream.getvalue())
+    return made
 
 
 def counts_both_ways(
     samples: Sequence[Mapping[str, Any]],
     scenario: Scenario,
     response: Response,
-    scene_runs: int = SCENE_RUNS,
+    scene: BareTrails,
     rounds: int = ROUNDS,
     virtual_runs: int = VIRTUAL_RUNS,
 ) -> tuple[Ratio, ...]:
@@ -218,10 +234,9 @@ def counts_both_ways(
         looks = looks_of(flight, at, p, rng, only=(1, options.frames - 1))
         survey.append(expected_of(shown_to_survey(at, p, run, looks), response, rng, redraws=FEW_REDRAWS).mean(axis=0))
     rng = generator(scenario.seed, Effect.SURVEY, VALIDATION_BLOCK, 1 + rounds)
-    made = bare_trails(flight, sky_catalogue(options), range(scene_runs))
-    scene = expected_of(shown_in_scene(made, options.frame_rate_hz, scene_runs), response, rng)
+    shown = shown_in_scene(scene, options.frame_rate_hz, int(scene.run.max()) + 1)
     expected = expected_of(shown_in_samples(samples), response, rng)
-    return ratios(counted_in_samples(samples), expected, scene, np.stack(survey))
+    return ratios(counted_in_samples(samples), expected, expected_of(shown, response, rng), np.stack(survey))
 
 
 def page(found: Validation) -> str:

@@ -370,11 +370,6 @@ def candidate_number(flight: Flight, number: int) -> int:
     return int(np.clip(weight[min(allowed, len(weight) - 1)], 1000, 20_000_000))
 
 
-def candidate_numbers(flight: Flight) -> list[int]:
-    """Those of all classes."""
-    return [candidate_number(flight, number) for number in range(len(flight.options.population.classes))]
-
-
 class Pools:
     """The pools of the blocks that a worker makes; the last of each class is kept."""
 

@@ -1,14 +1,16 @@
 """Counts of trails and tracklets both ways, without the scatter of two draws of objects.
 
 Twenty runs of the pixel chain have some 230 tracklets. Against a survey that draws objects of its own, their number is known to
-7 %. The comparison is therefore made in two steps, neither of which has that scatter:
+7 %. The comparison is therefore made in three steps, none of which has that scatter:
 
-1. the same objects: what the response expects of the runs' own trails (true S/N, length, noise, frames) against what was found.
-   Only the draw of what is found scatters, ``p (1 - p)`` for each;
-2. their drawing: what the response expects of the trails of many runs of the pixel chain's scene, made without noise, against
-   what it expects of a survey's passages through the same frames.
+1. what is found: of the runs' own trails (true S/N, length, noise, frames), against what the response expects of them. Only the
+   draw of what is found scatters, ``p (1 - p)`` for each;
+2. trails: what the response expects of the true trails of the pixel chain's objects, made without noise, against what it expects
+   of the looks that a survey makes of the same objects;
+3. drawing: what it expects of looks at the encounters that the pixel chain draws, against a survey's passages through the same
+   frames.
 
-The product of both ratios is that of a survey's counts to the pixel chain's, one over it.
+The product of the three is the ratio of the pixel chain's counts to a survey's.
 """
 
 from collections.abc import Mapping, Sequence
@@ -49,6 +51,8 @@ NAMES: Final = (
 
 REDRAWS: Final = 200
 """Of what is found of the same trails: their mean has 1/14 of the scatter of one draw, and so of what it is compared with."""
+Pair = tuple[Array, Array]
+"""Two tables (runs, names) of the same runs."""
 RESAMPLED: Final = 4000  # times: an end of a 90 % interval is known to 0.03 of the standard error
 
 
@@ -71,19 +75,19 @@ class Shown:
 
 @dataclass(frozen=True, kw_only=True)
 class Ratio:
-    """A count both ways. found, expected : of the same objects; scene, survey : expected of a run of either.
+    """A count both ways. found, expected : in the judging runs; survey : expected of a run of a survey's passages.
 
-    same, drawing : found over expected, scene over survey; both : their product; each with its 90 % interval.
+    finds : found over expected; trails, drawing : of the other two steps; all : the product; each with its 90 % interval.
     """
 
     name: str
     found: int
     expected: float
-    scene: float
     survey: float
-    same: tuple[float, float, float]
+    finds: tuple[float, float, float]
+    trails: tuple[float, float, float]
     drawing: tuple[float, float, float]
-    both: tuple[float, float, float]
+    all: tuple[float, float, float]
 
 
 def shown_in_samples(samples: Sequence[Mapping[str, Any]]) -> Shown:
@@ -146,7 +150,7 @@ def shown_in_scene(made: BareTrails, frame_rate_hz: float, runs: int) -> Shown:
 
 
 def shown_to_survey(at: Instants, p: Passages, run: NDArray[np.int64], looks: Looks) -> Shown:
-    """The passages that a survey's code draws for some runs, and their looks. at : instants of the passages."""
+    """Passages (m,) of some runs as a survey looks at them. at : instants of the passages."""
     n = len(p.size_m)
     line = (p.position_km - at.position_km[p.instant]) / p.range_km[:, None]
     sun = at.sun_km[p.instant] / np.linalg.norm(at.sun_km[p.instant], axis=1, keepdims=True)
@@ -217,10 +221,10 @@ def _counts(shown: Shown, found: NDArray[np.bool_], linked: NDArray[np.bool_], s
     whose = shown.run[looks.passage]
 
     def trails(which: NDArray[np.bool_]) -> Array:
-        return np.bincount(whose, weights=looks.stands_for * (trail & which), minlength=shown.runs)
+        return np.asarray(np.bincount(whose, weights=looks.stands_for * (trail & which), minlength=shown.runs), dtype=np.float64)
 
     def objects(which: NDArray[np.bool_]) -> Array:
-        return np.bincount(shown.run, weights=linked & which, minlength=shown.runs)
+        return np.asarray(np.bincount(shown.run, weights=linked & which, minlength=shown.runs), dtype=np.float64)
 
     everything, every_trail = np.ones(len(linked), np.bool_), np.ones(len(found), np.bool_)
     with np.errstate(invalid="ignore"):
@@ -243,37 +247,30 @@ def _with_ends(value: float, draws: Array) -> tuple[float, float, float]:
     return float(value), float(low), float(high)
 
 
-def ratios(found: Array, expected: Array, scene: Array, survey: Array) -> tuple[Ratio, ...]:
-    """The ratios with their intervals from tables (runs, names): found, expected of the same runs; scene; survey by round.
+def ratios(judged: Pair, trails: Pair, drawn: Array, survey: Array) -> tuple[Ratio, ...]:
+    """The ratios with their intervals from tables (runs, names).
 
-    Runs are resampled, those of the first two together; the rounds of the survey's draws too.
+    judged : found and expected in the same runs; trails : expected of true trails and of a survey's looks at the same runs;
+    drawn, survey : expected by seed of the pixel chain's draws, and by round of a survey's. Runs, seeds and rounds are resampled.
     """
     rng = np.random.default_rng(SEED)
 
-    def resampled(table: Array) -> tuple[Array, NDArray[np.int64]]:
-        pick = rng.integers(len(table), size=(RESAMPLED, len(table)))
-        return table[pick].mean(axis=1), pick
+    def resampled(one: Array, other: Array, *, together: bool) -> tuple[Array, Array]:
+        pick = rng.integers(len(one), size=(RESAMPLED, len(one)))
+        its = pick if together else rng.integers(len(other), size=(RESAMPLED, len(other)))
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return one.mean(axis=0) / other.mean(axis=0), one[pick].mean(axis=1) / other[its].mean(axis=1)
 
-    found_draws, pick = resampled(found)
-    expected_draws = expected[pick].mean(axis=1)
-    scene_draws, survey_draws = resampled(scene)[0], resampled(survey)[0]
-    with np.errstate(divide="ignore", invalid="ignore"):
-        same, drawing = found_draws / expected_draws, scene_draws / survey_draws
-        middle = found.mean(axis=0) / expected.mean(axis=0), scene.mean(axis=0) / survey.mean(axis=0)
+    finds, seen = resampled(*judged, together=True), resampled(*trails, together=True)
+    drawing = resampled(drawn, survey, together=False)
+    both = [finds[k] * seen[k] * drawing[k] for k in range(2)]
     out = []
     for k, name in enumerate(NAMES):
-        three = [
-            _with_ends(value, draws)
-            for value, draws in (
-                (middle[0][k], same[:, k]),
-                (middle[1][k], drawing[:, k]),
-                (middle[0][k] * middle[1][k], same[:, k] * drawing[:, k]),
-            )
-        ]  # fmt: skip
+        each = [_with_ends(value[k], draws[:, k]) for value, draws in (finds, seen, drawing, both)]
         out.append(
             Ratio(
-                name=name, found=int(found[:, k].sum()), expected=float(expected[:, k].sum()), scene=float(scene[:, k].mean()),
-                survey=float(survey[:, k].mean()), same=three[0], drawing=three[1], both=three[2],
+                name=name, found=int(judged[0][:, k].sum()), expected=float(judged[1][:, k].sum()),
+                survey=float(survey[:, k].mean()), finds=each[0], trails=each[1], drawing=each[2], all=each[3],
             )
         )  # fmt: skip
     return tuple(out)

@@ -14,7 +14,7 @@ from sboc_e2e.survey import instrument, response
 from sboc_e2e.survey.engine import refuse_empty_sky
 from sboc_e2e.survey.gather import IDENTITY, RESPONSE, VALIDATION, Gathered, gather, seeds_for
 from sboc_e2e.survey.response import OWN_SKY
-from sboc_e2e.survey.validate import page, validate
+from sboc_e2e.survey.validate import kept_scene, page, validate
 
 SAMPLES: Final = "samples"
 """Folder of the samples below the scenario's own sky; those of other skies are beside it."""
@@ -86,5 +86,6 @@ def judge_response(
     seeds = seeds_for(scenario, VALIDATION, runs)
     found = _gathered(scenario, seeds, out / VALIDATION, **how)
     path = out / "validation.md"
-    write_text(path, page(validate(found.samples, scenario, response.read(out / "response.json", scenario))))
+    scene = kept_scene(scenario, out / VALIDATION / "scene.npz")
+    write_text(path, page(validate(found.samples, scenario, response.read(out / "response.json", scenario), scene)))
     return path

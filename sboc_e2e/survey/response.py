@@ -142,7 +142,8 @@ def fitted(snr: Array, length_px: Array, noise_ratio: Array, found: Array, *, sk
         )
         return float(-np.sum(np.where(found > 0.5, np.log(p), np.log1p(-p))) + 0.5 * prior)
 
-    return np.asarray(minimize(loss, np.array(START), method="Nelder-Mead", options={"maxiter": 4000, "xatol": 1e-4}).x)
+    # a simplex would start with steps of 0.00025 in the slopes, which begin at 0, and end before it has found them
+    return np.asarray(minimize(loss, np.array(START), method="BFGS").x)
 
 
 def made_of(

@@ -23,8 +23,15 @@ ELEMENTS = (
 )
 
 
+def ring() -> str:
+    """Thirty element sets whose lines end with their checksums: the simulator flies no others."""
+    lines = "".join(ELEMENTS.format(k * 12.0) for k in range(30)).splitlines()
+    sums = [sum(int(c) if c.isdigit() else c == "-" for c in line[:68]) % 10 for line in lines]
+    return "".join(f"{line[:68]}{n}\n" if line[0] in "12" else f"{line}\n" for line, n in zip(lines, sums, strict=True))
+
+
 def plan_file(folder: Path, *lines: str) -> str:
-    (folder / "ring.3le").write_text("".join(ELEMENTS.format(k * 12.0) for k in range(30)))
+    (folder / "ring.3le").write_text(ring())
     path = folder / "ring.toml"
     text = ['scenario = "geo_survey"', 'objects = "ring.3le"', *lines, "[plan]", "days = 0.2", 'size = "4 m"']
     path.write_text("\n".join(text) + "\n")
@@ -88,7 +95,7 @@ def test_what_cannot_be_planned_is_said_in_one_line(tmp_path: Path, lines: list[
 
 
 def site_plan(folder: Path, calendar: str, scenario: str = "ground_site_tracking") -> str:
-    (folder / "ring.3le").write_text("".join(ELEMENTS.format(k * 12.0) for k in range(30)))
+    (folder / "ring.3le").write_text(ring())
     (folder / "closed.csv").write_text(calendar)
     path = folder / "site.toml"
     text = [

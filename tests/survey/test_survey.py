@@ -74,6 +74,30 @@ def test_the_curve_of_trails_is_found_again_within_its_interval(tmp_path: Path) 
     assert figure["low"] <= 7.3 <= figure["high"]
 
 
+def test_the_course_with_length_and_sky_is_found_again() -> None:
+    """2,400 trails below three skies, half of them of the scenario's own: all six parameters within 3 sigma of resampled runs."""
+    true = np.array([7.3, -0.6, 0.4, -0.4, 4.0, -2.0])
+    rng = np.random.default_rng(8)
+    made = synthetic_samples(20, rng)
+    for number, sample in enumerate(made):
+        sky, ratio = (("own", 1.0), ("bright", 2.0), ("own", 1.0), ("dense", 1.2))[number % 4]
+        sample["sky"] = responses.OWN_SKY if sky == "own" else sky
+        names = {name: k for k, name in enumerate(STREAK_COLUMNS)}
+        for row in sample["streaks"]:
+            share = responses.found_share(true, *(np.array([row[names[n]]]) for n in ("snr", "length_px")), ratio)
+            row[names["noise_e"]], row[names["ground"]] = 3.0 * ratio, float(rng.random() < share[0])
+    found = responses.made_of(load(), made, "code", "commit", range(20))
+    spread = np.std(found["detection"]["curves"], axis=0)
+    assert (np.abs(np.array(found["detection"]["curve"]) - true) <= 3.0 * spread + 0.02).all()
+    slope = found["detection"]["slope_with_log10_noise"]
+    assert slope["high"] - slope["low"] > 0.3  # a fit that stays at its start would have none
+    assert found["noise_e"] == pytest.approx(3.0)
+    assert [sky["runs"] for sky in found["skies"]] == [10, 5, 5]
+    for sky in found["skies"]:
+        _, low, high = sky["found_over_expected"]
+        assert low - (high - low) < 1.0 < high + (high - low)  # intervals of five runs, widened to three of their own
+
+
 def test_residuals_of_a_tracklet_stay_together(tmp_path: Path) -> None:
     made = write_response(tmp_path / "r.json", load())
     n = 2000

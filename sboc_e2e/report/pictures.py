@@ -64,7 +64,8 @@ def stretch(image: NDArray[np.float32], soft_sigma: float = 3.0, top_sigma: floa
     return Stretch.of(image, soft_sigma, top_sigma).apply(image)
 
 
-def _data_uri(picture: NDArray[np.uint8], lossless: bool) -> str:
+def data_uri(picture: NDArray[np.uint8], lossless: bool) -> str:
+    """A picture as PNG or JPEG, ready to embed."""
     kind, options = (".png", []) if lossless else (".jpg", [cv2.IMWRITE_JPEG_QUALITY, JPEG_QUALITY])
     _, encoded = cv2.imencode(kind, picture, options)
     return f"data:image/{'png' if lossless else 'jpeg'};base64," + base64.b64encode(encoded.tobytes()).decode()
@@ -81,7 +82,7 @@ def preview(image: NDArray[np.float32]) -> tuple[str, Stretch]:
     size = (-(-image.shape[1] // factor), -(-image.shape[0] // factor))
     small = np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.float32)
     chosen = Stretch.of(small)
-    return _data_uri(chosen.apply(small), lossless=False), chosen
+    return data_uri(chosen.apply(small), lossless=False), chosen
 
 
 def tiles(image: NDArray[np.float32], places: Iterable[tuple[float, float]]) -> tuple[list[tuple[int, int, str]], Stretch]:
@@ -92,7 +93,7 @@ def tiles(image: NDArray[np.float32], places: Iterable[tuple[float, float]]) -> 
     out = []
     for i, j in wanted:
         part = image[i * TILE_PX : (i + 1) * TILE_PX, j * TILE_PX : (j + 1) * TILE_PX]
-        out.append((i * TILE_PX, j * TILE_PX, _data_uri(chosen.apply(part), lossless=False)))
+        out.append((i * TILE_PX, j * TILE_PX, data_uri(chosen.apply(part), lossless=False)))
     return out, chosen
 
 
@@ -102,4 +103,4 @@ def cutout(image: NDArray[np.float32], row: float, col: float, size_px: int = CU
     row0 = int(np.clip(round(row) - half, 0, max(0, image.shape[0] - size_px)))
     col0 = int(np.clip(round(col) - half, 0, max(0, image.shape[1] - size_px)))
     part = image[row0 : row0 + size_px, col0 : col0 + size_px]
-    return _data_uri(stretch(part, soft_sigma=2.0, top_sigma=15.0), lossless=True), row0, col0
+    return data_uri(stretch(part, soft_sigma=2.0, top_sigma=15.0), lossless=True), row0, col0

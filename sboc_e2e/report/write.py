@@ -8,6 +8,7 @@ from typing import Any, Final
 import jinja2
 import numpy as np
 from astropy.table import Table
+from numpy.typing import NDArray
 
 from sboc_e2e.files.atomic import write_text
 from sboc_e2e.report import pictures, plots
@@ -15,6 +16,7 @@ from sboc_e2e.report.headlines import figure_at, headline_rows
 from sboc_e2e.report.layers import cases, completeness_series, frame_layers
 from sboc_e2e.report.published_files import published_rows
 from sboc_e2e.report.reasons import Reasons
+from sboc_e2e.report.track_stacks import track_stacks
 from sboc_e2e.report.words import figure_words, section_rows
 from sboc_e2e.score.astrometry import frame_astrometry, sky_paths, streak_astrometry
 from sboc_e2e.score.evaluation import Evaluation, evaluate
@@ -134,6 +136,7 @@ def html(score: dict[str, Any], e: Evaluation, run_dir: Path) -> str:
         published=published_rows(score),
         sections=sections,
         plots=_plots(score, e, run_dir),
+        stacks=track_stacks(e.streaks, kept, _dark(run_dir)),
         wide_plots=(RESIDUALS_TITLE, ORBITS_TITLE),
         n_frames=e.n_frames,
         n_tiles=sum(len(each) for each in close_up.values()),
@@ -145,6 +148,12 @@ def html(score: dict[str, Any], e: Evaluation, run_dir: Path) -> str:
         css=(folder / "page.css").read_text(encoding="utf-8"),
         js="".join((folder / name).read_text(encoding="utf-8") for name in ("page.js", "sort.js")),
     )
+
+
+def _dark(run_dir: Path) -> NDArray[np.float32] | None:
+    """The dark of the run, ADU, where it has one."""
+    path = run_dir / "calibration" / "dark.fits"
+    return pictures.read_pixels(path) if path.is_file() else None
 
 
 def _true_ranges(e: Evaluation) -> dict[int, float]:

@@ -6,6 +6,7 @@ repository's root:
 
     python -m tests.benchmarks.bench_stacks                      # 32 frames of 512 x 512, noise
     python -m tests.benchmarks.bench_stacks --stars --frames 128
+    python -m tests.benchmarks.bench_stacks --whole 30    # windows of whole frames of noise: what is above the threshold itself
 """
 
 import argparse
@@ -22,7 +23,7 @@ from onboard.image import registration
 from onboard.track.false_alarms import expected_above, half_point_sigma, independent_stacks, threshold_sigma
 from onboard.track.stack import WARM_UP, Box, SlowObject, Stack
 from sboc_e2e.icd.signals import StarList
-from sboc_e2e.score.figures import half_point
+from sboc_e2e.score.figures import half_point, rate
 from tests.benchmarks import detection_frames
 from tests.benchmarks.detection_frames import PSF_SIGMA_PX, Scene, Streak, add_streak, exposure, random_stars, view_of
 
@@ -138,6 +139,24 @@ def noise(frames: int, size: int, cubes: int, n_stars: int) -> dict[str, Any]:
     }
 
 
+def whole_windows(frames: int, windows: int, n_stars: int) -> dict[str, Any]:
+    """False objects at the threshold in windows of whole frames, each written as soon as it is done; see `noise`."""
+    stack = PieceStack(frames=frames, box=GEO, false_per_window=0.1)
+    false, search, each = 0, [], []
+    for c in range(windows):
+        found, a, b = run_cube(stack, [], WHOLE_PX, np.random.default_rng((9, n_stars, c)), n_stars)
+        false += len(found)
+        search.append(a)
+        each.append(b)
+        sys.stdout.write(f"window {c}: {[round(o.snr, 3) for o in found]}\n")
+        sys.stdout.flush()
+    return {
+        "false_per_window": rate(false, float(windows), windows),
+        "search_cpu_s": round(float(np.median(search)), 3),
+        "frame_cpu_s": round(float(np.median(each)), 4),
+    }
+
+
 def completeness(frames: int, size: int, cubes: int, n_stars: int) -> dict[str, Any]:
     """S50 per frame; places and S/N of what was found against the truth."""
     stack = PieceStack(frames=frames, box=GEO, false_per_window=0.1)
@@ -199,6 +218,11 @@ if __name__ == "__main__":
     parser.add_argument("--frames", type=int, default=32)
     parser.add_argument("--stars", action="store_true")
     parser.add_argument("--noise", type=int, default=0, help="cubes without objects; 0: as many as with them")
+    parser.add_argument("--whole", type=int, default=0, help="windows of whole frames without objects, and nothing else")
     chosen = parser.parse_args()
-    made = figures(chosen.size, chosen.cubes, chosen.frames, STARS if chosen.stars else 0, chosen.noise or chosen.cubes)
+    stars = STARS if chosen.stars else 0
+    if chosen.whole:
+        made = whole_windows(chosen.frames, chosen.whole, stars)
+    else:
+        made = figures(chosen.size, chosen.cubes, chosen.frames, stars, chosen.noise or chosen.cubes)
     sys.stdout.write("\n".join(f"{key}: {json.dumps(value)}" for key, value in made.items()) + "\n")

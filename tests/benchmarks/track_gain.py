@@ -4,7 +4,8 @@
     python -m tests.benchmarks.track_gain DIR/runs
 
 prints tracklets a day of objects below 3 cm, weighted as nature has them, with and without, their ratio with its interval
-(objects are resampled), false and impure tracklets, and pulls of the faint members.
+(objects are resampled), the same by class of size, false and impure tracklets, pulls of the faint members, and their errors
+across the motion over the joint bound of all frames of their tracklet.
 """
 
 import json
@@ -22,6 +23,7 @@ from sboc_e2e.score.linking import linking
 from sboc_e2e.score.photometry import mean_magnitudes
 
 LARGEST_M: Final = 0.03
+CLASSES_M: Final = ((0.001, 0.003), (0.003, 0.01), (0.01, 0.03))
 FAINT_SNR: Final = 7.0
 DRAWS: Final = 4000
 DAY_S: Final = 86_400.0
@@ -44,11 +46,11 @@ def linked_objects(e: Evaluation) -> tuple[set[int], dict[int, int]]:
     return {o for o in owner.values() if o >= 0}, owner
 
 
-def small_objects(e: Evaluation) -> dict[int, float]:
-    """Natural objects below LARGEST_M and how many of them each stands for."""
+def small_objects(e: Evaluation) -> dict[int, tuple[float, float]]:
+    """Natural objects below LARGEST_M: how many of them each stands for, and its size (m)."""
     table = e.truth_tables["objects"]
     return {
-        int(row["object_id"]): float(row["weight"])
+        int(row["object_id"]): (float(row["weight"]), float(row["size_m"]))
         for row in table
         if str(row["kind"]) == "population" and float(row["size_m"]) < LARGEST_M
     }
@@ -65,6 +67,48 @@ def ratio_interval(weight: NDArray[np.float64], before: NDArray[np.bool_], after
     return {"value": value, "low": float(low), "high": float(high), "n": len(weight)}
 
 
+def joint_cross(
+    x: NDArray[np.float64], cross_px: NDArray[np.float64], error_px: NDArray[np.float64]
+) -> list[NDArray[np.float64]]:
+    """Errors across the motion of members as published, and of the line through them, each over the joint bound; (n,) both.
+
+    x : middles along the track, in trail lengths. cross_px : bounds of single frames. A trail of even light tells its line's
+    place, 1 / cross_px^2, and its slope, a twelfth of that per length squared: the Fisher matrix of a line's two parameters,
+    summed over frames, is the joint one.
+    """
+    weight = cross_px**-2.0
+    rows = np.stack([np.ones_like(x), x], axis=1)
+    places = np.einsum("k,ki,kj->ij", weight, rows, rows)
+    both = places + np.diag([0.0, weight.sum() / 12.0])
+    bound = np.sqrt(np.einsum("ki,ij,kj->k", rows, np.linalg.inv(both), rows))
+    line = rows @ np.linalg.solve(places, rows.T @ (weight * error_px))
+    return [error_px / bound, line / bound]
+
+
+def joint_ratios(e: Evaluation, table: list[dict[str, float]]) -> dict[str, list[float]]:
+    """Errors across the motion of the members of tracklets whose frames all show less than FAINT_SNR, over bounds.
+
+    Members of one tracklet share the line's two errors, which intervals do not know.
+    """
+    of: dict[int, list[dict[str, float]]] = {}
+    for row in table:
+        of.setdefault(int(e.streaks["tracklet_id"][int(row["row"])]), []).append(row)
+    out: dict[str, list[float]] = {f"faint_{name}_bound": [] for name in ("own_over_own", "own_over_joint", "line_over_joint")}
+    for rows in of.values():
+        objects = {e.pairs[int(r["row"])].object_id for r in rows}
+        if len(rows) < 2 or len(objects) > 1 or max(r["snr"] for r in rows) >= FAINT_SNR:
+            continue
+        s = e.streaks[[int(r["row"]) for r in rows]]
+        epochs, length_ns = np.asarray(s["t_mid_tai_ns"], np.float64), np.asarray(s["t1_tai_ns"] - s["t0_tai_ns"], np.float64)
+        exposure_ns = float(np.abs(np.median(length_ns)))
+        error, ratio = (np.array([r[name] for r in rows]) for name in ("cross_px", "cross_ratio"))
+        if exposure_ns > 0.0 and np.isfinite(ratio).all() and (ratio != 0.0).all():
+            own, line = joint_cross((epochs - epochs.mean()) / exposure_ns, np.abs(error / ratio), error)
+            for name, values in zip(out, (ratio, own, line), strict=True):
+                out[name] += list(values)
+    return out
+
+
 def faint_pulls(e: Evaluation) -> dict[str, list[float]]:
     """Residuals over errors of the members of tracklets below FAINT_SNR; across also over the frame's own bound."""
     rows = {i: t for i, t in e.pairs.items() if int(e.streaks["tracklet_id"][i]) >= 0 and 3.0 <= t.snr < FAINT_SNR}
@@ -77,6 +121,7 @@ def faint_pulls(e: Evaluation) -> dict[str, list[float]]:
         if t.index in magnitudes and float(e.streaks["mag_err"][i]) > 0.0
     ]
     return {
+        **joint_ratios(e, table),
         "cross": [r["cross_pull"] for r in table],
         "along": [r["along_pull"] for r in table if "along_pull" in r],
         "cross_over_bound": [r["cross_ratio"] for r in table],
@@ -87,6 +132,7 @@ def faint_pulls(e: Evaluation) -> dict[str, list[float]]:
 def gain(pairs: list[tuple[Path, Path]]) -> dict[str, Any]:
     """Figures of pairs of runs, without and with."""
     weight: list[float] = []
+    size: list[float] = []
     before: list[bool] = []
     after: list[bool] = []
     pulls: dict[str, list[float]] = {}
@@ -97,8 +143,9 @@ def gain(pairs: list[tuple[Path, Path]]) -> dict[str, Any]:
         for number, (_, owner) in enumerate(found):
             false[number] += sum(o < 0 for o in owner.values())
             n_tracklets[number] += len(owner)
-        for o, w in small_objects(runs[1]).items():
+        for o, (w, size_m) in small_objects(runs[1]).items():
             weight.append(w)
+            size.append(size_m)
             before.append(o in found[0][0])
             after.append(o in found[1][0])
         for name, values in faint_pulls(runs[1]).items():
@@ -110,14 +157,25 @@ def gain(pairs: list[tuple[Path, Path]]) -> dict[str, Any]:
         span_s += runs[0].n_frames / float(runs[0].manifest["frame_rate_hz"])
         n_frames += runs[0].n_frames
     w, b, a = np.asarray(weight, np.float64), np.asarray(before, np.bool_), np.asarray(after, np.bool_)
+    of_class = {
+        f"{1e3 * low:g} to {1e3 * high:g} mm": (np.asarray(size) >= low) & (np.asarray(size) < high) for low, high in CLASSES_M
+    }
     return {
         "runs": len(pairs), "objects": len(w), "linked": [int(b.sum()), int(a.sum())],
         "a_day": [round(float((w * x).sum()) * DAY_S / span_s, 1) for x in (b, a)],
         "ratio_weighted": ratio_interval(w, b, a), "ratio_drawn": ratio_interval(np.ones(len(w)), b, a),
+        "by_size": {
+            name: {
+                "objects": int(c.sum()), "linked": [int((b & c).sum()), int((a & c).sum())],
+                "a_day": [round(float((w * x)[c].sum()) * DAY_S / span_s, 1) for x in (b, a)],
+                "ratio_weighted": ratio_interval(w[c], b[c], a[c]),
+            }
+            for name, c in of_class.items() if c.any()
+        },
         "false_tracklets_per_frame": [rate(k, float(n_frames), n_frames) for k in false],
         "impure": proportion(impure, n_tracklets[1]), "tracklets": n_tracklets,
         "pulls": {
-            name: bootstrap(np.array(values), rms if name == "cross_over_bound" else pull_width)
+            name: bootstrap(np.array(values), rms if name.endswith("_bound") else pull_width)
             for name, values in pulls.items()
         },
     }  # fmt: skip

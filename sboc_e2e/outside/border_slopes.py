@@ -54,7 +54,8 @@ def without_slopes(pixels: NDArray[Any]) -> tuple[NDArray[Any], tuple[str, ...]]
     noise = noise_of(pixels)
     if not noise > 0.0:
         return pixels, ()
-    out, borders = np.asarray(pixels, dtype=np.float32), []
+    out = np.asarray(pixels, dtype=np.float32)
+    borders: list[str] = []
     for name, turned in _BORDERS:
         zone = turned(out)
         slope = _slope(zone, noise)

@@ -32,8 +32,8 @@ def streak_pixels(
     """
     header, found = frame.header, group.detection
     psf_sigma_px = light.psf.sigma_px(0.5 * (found.row0 + found.row1), 0.5 * (found.col0 + found.col1), found.length_px)
-    row, col, value_adu = _unique_pixels(group, header)
-    value_adu = value_adu * frame.adu_scale + frame.adu_offset
+    row, col, count = _unique_pixels(group, header)
+    value_adu = count * frame.adu_scale + frame.adu_offset
     gain = gain_e_adu(header)
     flat = calibration.flat[row, col].astype(np.float64)
     good_flat = flat > 0.05
@@ -50,6 +50,8 @@ def streak_pixels(
     saturation = header.saturation_adu if header.saturation_adu is not None else calibration.camera.saturation_adu
     saturated = value_adu + dark >= 0.98 * saturation
     bad = ((calibration.defects[row, col] & UNUSABLE) > 0) | ~good_flat | saturated
+    if frame.adu_scale != 1.0:
+        bad |= _without_numbers(row, col, count)
     star_e, star_variance, crossed = _star_light(
         row, col, light.stars, found, psf_sigma_px, float(np.median(sigma)) * gain if len(sigma) else 1.0
     )
@@ -79,6 +81,21 @@ def _unique_pixels(group: RoiGroup, header: FrameHeader) -> tuple[NDArray[np.int
         return none, none, np.zeros(0)
     where, first = np.unique(np.concatenate(flat_index), return_index=True)
     return where // header.cols, where % header.cols, np.concatenate(values)[first].astype(np.float64)
+
+
+def _without_numbers(row: NDArray[np.intp], col: NDArray[np.intp], count: Array) -> NDArray[np.bool_]:
+    """(n,) pixels of a float frame that held no number: neighbours in a row, by rising place, that all have the count 0.
+
+    On board they become 0, the level of the frame. Noise of 20 counts (`onboard.image.calibrate.FLOAT_QUANTUM_SIGMA`) makes three
+    zeros side by side in one of 120,000 places, and a mask makes nothing else.
+    """
+    zero = count == 0.0
+    beside = (np.diff(col) == 1) & (np.diff(row) == 0) & zero[1:] & zero[:-1]
+    three = beside[1:] & beside[:-1]
+    out = np.zeros(len(row), dtype=np.bool_)
+    for shift in range(3):
+        out[shift : shift + len(three)] |= three
+    return out
 
 
 def _star_light(

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sboc_e2e.icd.frame import Frame
-from sboc_e2e.outside.frame_source import FrameSource, Note, SourcedFrame
+from sboc_e2e.outside.frame_source import Calibrating, Note, SourcedFrame
 
 DEPTH_PX: Final = 256
 """Depth of the zone along a border: an edge seen 60 px wide began 180 px inside the frame. Chosen, not measured."""
@@ -54,7 +54,8 @@ def without_slopes(pixels: NDArray[Any]) -> tuple[NDArray[Any], tuple[str, ...]]
     noise = noise_of(pixels)
     if not noise > 0.0:
         return pixels, ()
-    out, borders = np.asarray(pixels, dtype=np.float32), []
+    out = np.asarray(pixels, dtype=np.float32)
+    borders: list[str] = []
     for name, turned in _BORDERS:
         zone = turned(out)
         slope = _slope(zone, noise)
@@ -166,20 +167,8 @@ def _expanded(tiles: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.
 
 
 @dataclass(frozen=True, kw_only=True)
-class WithoutSlopes:
+class WithoutSlopes(Calibrating):
     """A `FrameSource` whose frames have no slopes at their borders."""
-
-    source: FrameSource
-
-    @property
-    def n_frames(self) -> int:
-        """How many frames there are."""
-        return self.source.n_frames
-
-    @property
-    def left_out(self) -> tuple[str, ...]:
-        """What could not be taken as a frame."""
-        return self.source.left_out
 
     def frames(self) -> Iterator[SourcedFrame]:
         """The frames; those that had slopes say so in a note."""

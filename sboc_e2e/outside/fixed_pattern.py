@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from sboc_e2e.icd.frame import Frame
-from sboc_e2e.outside.frame_source import FrameSource, Note, SourcedFrame
+from sboc_e2e.outside.frame_source import Calibrating, Note, SourcedFrame
 
 LEAST_FRAMES: Final = 3
 """With two, nobody can tell which of them has a star."""
@@ -163,20 +163,8 @@ def subtracted(frame: Frame, pattern: FixedPattern) -> Frame:
 
 
 @dataclass(frozen=True, kw_only=True)
-class MutuallyCalibrated:
+class MutuallyCalibrated(Calibrating):
     """A `FrameSource` whose frames have the fixed pattern of their camera subtracted, where frames enough tell it."""
-
-    source: FrameSource
-
-    @property
-    def n_frames(self) -> int:
-        """How many frames there are."""
-        return self.source.n_frames
-
-    @property
-    def left_out(self) -> tuple[str, ...]:
-        """What could not be taken as a frame."""
-        return self.source.left_out
 
     @cached_property
     def cameras(self) -> dict[tuple[str, int, int], list[int]]:

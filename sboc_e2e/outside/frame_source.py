@@ -48,3 +48,20 @@ class FrameSource(Protocol):
     def frames(self) -> Iterator[SourcedFrame]:
         """The frames; each is made or read when it is asked for."""
         ...
+
+
+@dataclass(frozen=True, kw_only=True)
+class Calibrating:
+    """What sources that change the frames of another one have in common; `frames` is theirs."""
+
+    source: FrameSource
+
+    @property
+    def n_frames(self) -> int:
+        """How many frames there are."""
+        return self.source.n_frames
+
+    @property
+    def left_out(self) -> tuple[str, ...]:
+        """What could not be taken as a frame."""
+        return self.source.left_out

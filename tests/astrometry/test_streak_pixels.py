@@ -8,7 +8,7 @@ from scipy.special import erf
 
 from ground.photometry.background import background_at
 from ground.photometry.known_stars import FrameLight, KnownStars
-from ground.photometry.streak_pixels import streak_pixels
+from ground.photometry.streak_pixels import _without_numbers, streak_pixels
 from ground.streaks.psf_field import PsfField
 from sboc_e2e.icd.flags import MaskBit
 from sboc_e2e.icd.frame import Calibration, FrameHeader, NominalCamera
@@ -178,3 +178,14 @@ def test_an_empty_group_gives_no_pixels(scene):
         replace(group, strips=()), frame, calibration, FrameLight(stars=stars, psf=WIDTH), star_model_error=0.05
     )
     assert len(pixels.row) == 0
+
+
+def test_pixels_that_held_no_number_are_not_used_and_chance_zeros_are():
+    """A masked border of three columns, two zeros of the noise, and three zeros over the end of a row."""
+    row = np.repeat(np.arange(3), 6)
+    col = np.tile(np.arange(6), 3)
+    count = np.array([[5.0, 3.0, 7.0, 0.0, 0.0, 0.0], [1.0, 0.0, 0.0, 4.0, 0.0, 0.0], [0.0, 2.0, 9.0, 1.0, -3.0, 6.0]]).ravel()
+    unknown = _without_numbers(row, col, count).reshape(3, 6)
+    assert unknown[0].tolist() == [False] * 3 + [True] * 3
+    assert not unknown[1:].any()
+    assert _without_numbers(row[:2], col[:2], count[:2]).tolist() == [False, False]

@@ -32,7 +32,7 @@ from simulator.survey import Instants, Looks, Passages
 
 Array = NDArray[np.float64]
 
-SNR_CLASSES: Final = ((3.0, 7.0), (7.0, 10.0), (10.0, 1e9))  # Below the half point (7.26), about it, and above; for counts.
+SNR_CLASSES: Final = ((3.0, 7.0), (7.0, 10.0), (10.0, 1e9))  # Below the half point (7.4), about it, and above; for counts.
 LENGTH_CLASSES_PX: Final = ((0.0, 30.0), (30.0, 100.0), (100.0, 1e9))
 """Short, usual and long trails, half a decade wide; for counts."""
 CLASSES: Final = ((0.0, 0.01), (0.01, 0.1), (0.1, 3.0))

@@ -32,7 +32,7 @@ VERSION: Final = 1
 """Of the file; another one is refused."""
 
 SNR_EDGES: Final = (3.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 12.0, 15.0, 20.0, 30.0, 1e9)
-"""Of the table of trails: one S/N wide where the found share rises (half at 7.26), wider above."""
+"""Of the table of trails: one S/N wide where the found share rises (half at 7.4), wider above."""
 LENGTH_EDGES_PX: Final = (0.0, 10.0, 30.0, 100.0, 300.0, 1e9)
 """Of the table of trails: two a decade; what is longer than 300 px is one class."""
 FRAME_EDGES: Final = (1, 2, 3, 4, 6, 11, 100000)

@@ -49,9 +49,9 @@ INSTANTS: Final = 256
 SCENE_RUNS: Final = 60
 """Runs of the pixel chain's objects, 1,260, whose true trails are held against a survey's looks at them (docs/survey.md)."""
 TURNS: Final = 4  # draws of how they turn in the survey's looks: what tumbles scatters more than the rest together. Chosen
-SEEDS: Final = 24
+SEEDS: Final = 24  # of the pixel chain's draws of candidates. Chosen: time against scatter
 EACH: Final = 20
-"""Draws of candidates of the pixel chain, and how many runs' objects are taken out of each: 10,080 objects."""
+"""Runs' objects that are taken out of each draw: 10,080 objects in all."""
 ROUNDS: Final = 8
 """Draws of `VIRTUAL_RUNS` virtual runs, each with candidates of its own: their scatter is that of their mean, 0.5 %."""
 

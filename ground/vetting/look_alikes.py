@@ -44,7 +44,7 @@ STAR_APART_PX: Final = 1.5
 """A trail is a star's when its vector is as near as this to the stars' motion, plus `STAR_APART_SHARE` of its length: as on
 board (`onboard.stars.star_motion`)."""
 STAR_APART_SHARE: Final = 0.1
-"""See `STAR_APART_PX`."""
+"""Share of a star trail's length by which its vector may err, beside `STAR_APART_PX`."""
 
 LEAST: Final = 1e-12
 """Keeps the odds finite."""

@@ -101,6 +101,27 @@ def test_monte_carlo_is_within_three_sigma_of_alfanos() -> None:
         assert abs(found.probability - case.monte_carlo) < 3.0 * sigma, case.number
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize(("number", "entries"), [(11, 2.4407488450e-3), (12, 2.4415473580e-3)])
+def test_encounters_that_last_are_entered_as_often_as_cara_says(number: int, entries: float) -> None:
+    # expected: Nc3D of the unit test of CARA's Pc3D_Hall (CARA Analysis Tools), which counts entries and not who is inside already
+    case, drawn, first_s = alfano_cases()[number - 1], 400_000, -alfano_cases()[number - 1].half_window_s
+
+    def hits(until_s: float) -> float:
+        return monte_carlo(case.first, case.second, case.hard_body_km, drawn, (first_s, until_s), enough_hits=drawn).probability
+
+    entered = hits(-first_s) - hits(first_s + 1e-4)
+    assert abs(entered - entries) < 3.0 * math.sqrt(entries / drawn)
+
+
+@pytest.mark.slow
+def test_case_eleven_is_alfanos_from_the_closest_approach_on() -> None:
+    case, drawn = alfano_cases()[10], 400_000
+    window = (0.0, case.half_window_s)
+    found = monte_carlo(case.first, case.second, case.hard_body_km, drawn, window, cartesian=True, enough_hits=drawn)
+    assert abs(found.probability - case.monte_carlo) < 3.0 * math.sqrt(case.monte_carlo / drawn)
+
+
 @pytest.mark.parametrize(("sigma_m", "radius_m"), [((100.0, 100.0), 10.0), ((5000.0, 20.0), 10.0), ((3000.0, 2.0), 20.0)])
 def test_forms_agree_where_a_strip_is_all_there_is(sigma_m: tuple[float, float], radius_m: float) -> None:
     # along the long axis the density is flat: a chord-weighted sum of normal probabilities, by brute force

@@ -104,7 +104,7 @@ def test_monte_carlo_is_within_three_sigma_of_alfanos() -> None:
 @pytest.mark.slow
 @pytest.mark.parametrize(("number", "entries"), [(11, 2.4407488450e-3), (12, 2.4415473580e-3)])
 def test_encounters_that_last_are_entered_as_often_as_cara_says(number: int, entries: float) -> None:
-    # expected: Nc3D of the unit test of CARA's Pc3D_Hall (CARA Analysis Tools), which counts entries and not who is inside already
+    # expected: unit test of Pc3D_Hall (CARA Analysis Tools), which counts entries and not who is inside already
     case, drawn, first_s = alfano_cases()[number - 1], 400_000, -alfano_cases()[number - 1].half_window_s
 
     def hits(until_s: float) -> float:

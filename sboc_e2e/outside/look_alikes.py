@@ -13,7 +13,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.vetting.look_alikes import STAR_APART_PX, STAR_APART_SHARE, OwnEvidence
+from ground.vetting.look_alikes import STAR_APART_PX, STAR_APART_SHARE, OwnEvidence, is_aligned
 from ground.vetting.sides import SkyMap
 from onboard.chain import OnboardChain
 from onboard.options import OnboardOptions
@@ -65,7 +65,7 @@ def negative_of(view: DetectorView) -> DetectorView:
 
 
 def look_alikes(detector: Detector, view: DetectorView, detections: Sequence[Detection]) -> NDArray[np.float64]:
-    """S/N, length, width (px) and evenness, shape (n, 4), of lines in the negative of a frame by falling S/N.
+    """S/N, length, width (px), evenness and alignment, shape (n, 5), of lines in the negative of a frame by falling S/N.
 
     detections : of the frame itself. Dark lines beside a line that is much brighter are its shadow and do not count. Neither do
     lines of the readout: the vetter of uncalibrated frames refuses such lines by their place, and they tell nothing of others.
@@ -79,8 +79,15 @@ def look_alikes(detector: Detector, view: DetectorView, detections: Sequence[Det
         if not (each.flags & NO_LINE or _of_readout(each, view) or any(_shadow(each, of) for of in detections))
     ]
     table = np.array(
-        [(each.snr, each.length_px, *shape_of(each, negative.residual_adu, negative.mask)) for each in lines], dtype=np.float64
-    ).reshape(-1, 4)
+        [
+            (
+                each.snr, each.length_px, *shape_of(each, negative.residual_adu, negative.mask),
+                is_aligned(each.row1 - each.row0, each.col1 - each.col0),
+            )
+            for each in lines
+        ],
+        dtype=np.float64,
+    ).reshape(-1, 5)  # fmt: skip
     return table[np.argsort(-table[:, 0], kind="stable")]
 
 
@@ -210,5 +217,5 @@ class CountingChain(OnboardChain):
 
 
 def counts_of(table: NDArray[np.float64]) -> dict[str, int]:
-    """Number of look-alikes, (n, 4) of `look_alikes`, as published: in all, and from each of `LEVELS_SNR` on."""
+    """Number of look-alikes, (n, 5) of `look_alikes`, as published: in all, and from each of `LEVELS_SNR` on."""
     return {"all": len(table)} | {f"snr_{level:g}": int(np.sum(table[:, 0] >= level)) for level in LEVELS_SNR}

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ground.vetting.look_alikes import LookAlikeVetter, OwnEvidence, look_alikes_near
+from ground.vetting.look_alikes import LookAlikeVetter, OwnEvidence, is_aligned, look_alikes_near
 from onboard.options import OnboardOptions
 from onboard.state import OnboardSteps
 from onboard.work import meter
@@ -130,7 +130,7 @@ def seen_width(width_px: float) -> float:
 def test_look_alikes_speak_against_their_own_kind_alone() -> None:
     """59 of S/N 20 and 30 px: against a line like them and against fainter ones, not against 1,274 px of S/N 700 nor in another
     frame. Values by hand: 1 / (1 + 0.0101 + 59 / (2 pi 0.49) / 0.0181)."""
-    known = np.tile([20.0, 30.0, seen_width(1.2), 1.0], (59, 1))
+    known = np.tile([20.0, 30.0, seen_width(1.2), 1.0, 0.0], (59, 1))
     vetter = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=known)})
     frame = frame_of_psf(1.4)
     assert frame.header.frame == 0
@@ -141,14 +141,14 @@ def test_look_alikes_speak_against_their_own_kind_alone() -> None:
     assert probability[3] > 0.98, "as bright as they, and forty times as long"
     elsewhere = LookAlikeVetter(vetter=Certain(), evidence={1: OwnEvidence(look_alikes=known)})
     assert elsewhere.probability(fits, frame) == pytest.approx(0.99)
-    assert look_alikes_near(fits, np.zeros((0, 4))).tolist() == [0.0] * 4
+    assert look_alikes_near(fits, np.zeros((0, 5))).tolist() == [0.0] * 4
 
 
 def test_what_may_be_a_star_is_refused_in_frames_that_stand_alone() -> None:
     """Stars of S/N 170 to 5,000 that were fitted as trails of 2 to 4 px had probabilities of 0.6 to 0.97 in raw frames."""
     fits = [fit_of(5000.0, 1.7), fit_of(170.0, 24.0), fit_of(20.0, 26.0)]
     frame = frame_of_psf(1.4)
-    empty = np.zeros((0, 4))
+    empty = np.zeros((0, 5))
     alone = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=empty, alone=True)})
     assert alone.probability(fits, frame) == pytest.approx([0.0, 0.0, 0.99])
     beside = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=empty)})
@@ -166,7 +166,7 @@ def test_the_chain_says_which_frames_stand_alone() -> None:
 
 def test_slopes_ten_times_as_wide_say_nothing_of_a_trail() -> None:
     """Dark slopes of a vignetted border, 600 to 1,300 px long at S/N 440 to 640, vetoed a satellite of S/N 794 (p 0.02)."""
-    slopes = np.array([[640.0, 750.0, 12.0, 1.0], [440.0, 1300.0, 12.0, 1.0]])
+    slopes = np.array([[640.0, 750.0, 12.0, 1.0, 0.0], [440.0, 1300.0, 12.0, 1.0, 0.0]])
     vetter = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=slopes)})
     frame = frame_of_psf(1.4)
     trail, slope = vetter.probability([fit_of(794.0, 1365.0), fit_of(400.0, 1365.0, 12.0)], frame)
@@ -174,10 +174,28 @@ def test_slopes_ten_times_as_wide_say_nothing_of_a_trail() -> None:
     assert slope < 0.05
 
 
+def test_a_dark_column_says_nothing_of_a_trail_that_crosses_it() -> None:
+    """A dark column beside the overscan, 922 px of S/N 41, vetoed a satellite of S/N 181 (p 0.41)."""
+    column = np.array([[41.0, 922.0, 0.4, 1.0, 1.0]])
+    vetter = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=column)})
+    across, along = fit_of(30.0, 1366.0, 0.6), fit_of(30.0, 1366.0, 0.6)
+    across.row0, across.col0, across.row1, across.col1 = 13.0, 108.0, 1369.0, 270.0
+    along.row0, along.col0, along.row1, along.col1 = 3.0, 1381.0, 1369.0, 1381.0
+    probability = vetter.probability([across, along], frame_of_psf(0.9))
+    assert probability[0] == pytest.approx(0.99)
+    assert probability[1] < 0.5
+
+
+def test_lines_within_two_degrees_of_rows_or_columns_are_aligned() -> None:
+    assert [is_aligned(100.0 * np.sin(a), 100.0 * np.cos(a)) for a in np.radians([0.0, 1.9, 2.1, 45.0, 87.9, 88.1, 180.0])] == [
+        True, True, False, False, False, True, True,
+    ]  # fmt: skip
+
+
 def test_a_clump_of_dark_light_says_nothing_of_an_even_trail() -> None:
     """What was left of one star made a dark line of S/N 413, 652 px long, whose median light was that of the sky, and vetoed a
     satellite of S/N 786 (p 0.94 before, 0.27 after). It still speaks against lines that are clumps themselves."""
-    clump = np.array([[413.0, 652.0, 0.4, 0.0], [632.0, 748.0, 3.8, 0.2]])
+    clump = np.array([[413.0, 652.0, 0.4, 0.0, 0.0], [632.0, 748.0, 3.8, 0.2, 0.0]])
     vetter = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=clump)})
     even = replace_even(clump, 1.0)
     strict = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=even)})
@@ -189,7 +207,7 @@ def test_a_clump_of_dark_light_says_nothing_of_an_even_trail() -> None:
 
 
 def replace_even(table: Any, even: float) -> Any:
-    return np.column_stack((table[:, :3], np.full(len(table), even)))
+    return np.column_stack((table[:, :3], np.full(len(table), even), table[:, 4]))
 
 
 def test_light_in_one_place_of_a_line_is_not_even() -> None:
@@ -231,7 +249,7 @@ def test_a_fit_where_no_pixel_saw_the_sky_is_refused() -> None:
     """The step beside an overscan of 51 columns was fitted in its first column, 230 px long at S/N 550 and p 0.69."""
     frame = frame_of_psf(1.4)
     for last_col, expected in ((95, 0.99), (45, 0.99), (44, 0.0)):
-        own = OwnEvidence(look_alikes=np.zeros((0, 4)), seen=(0, 95, 0, last_col))
+        own = OwnEvidence(look_alikes=np.zeros((0, 5)), seen=(0, 95, 0, last_col))
         assert LookAlikeVetter(vetter=Certain(), evidence={0: own}).probability([fit_of(50.0, 60.0)], frame) == pytest.approx(
             expected
         )
@@ -259,7 +277,7 @@ def test_equal_trails_all_over_a_frame_are_its_stars(turn_rad: float) -> None:
     motion = stars_as_lines([*star_lines(turn_rad, 14, 3), satellite], (1000, 1000))
     assert motion is not None
     assert motion.turn_rad == pytest.approx(turn_rad, abs=0.003)
-    own = OwnEvidence(look_alikes=np.zeros((0, 4)), stars=motion)
+    own = OwnEvidence(look_alikes=np.zeros((0, 5)), stars=motion)
     vetter = LookAlikeVetter(vetter=Certain(), evidence={0: own})
     fits = [line_fit(each) for each in (*star_lines(turn_rad, 5, 9), satellite)]
     assert vetter.probability(fits, frame_of_psf(1.4)).tolist() == [0.0] * 5 + [0.99]
@@ -275,7 +293,7 @@ def line_fit(line: Detection) -> StreakFit:
 
 def test_a_star_that_the_border_cuts_runs_the_same_way() -> None:
     motion = stars_as_lines(star_lines(0.0, 12, 4), (1000, 1000))
-    own = OwnEvidence(look_alikes=np.zeros((0, 4)), stars=motion)
+    own = OwnEvidence(look_alikes=np.zeros((0, 5)), stars=motion)
     vetter = LookAlikeVetter(vetter=Certain(), evidence={0: own})
     short = Detection(row0=500.0, col0=0.0, row1=520.0, col1=56.5, snr=40.0, flags=StreakFlag.EDGE0)
     fits = [line_fit(short), line_fit(replace(short, flags=StreakFlag(0)))]

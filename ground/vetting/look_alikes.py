@@ -59,7 +59,7 @@ def look_alikes_near(fits: Sequence[StreakFit], look_alikes: NDArray[np.float64]
     """Expected look-alikes for each unit of ln S/N and ln length about each fit, shape (n,).
 
     look_alikes : (k, 5) S/N, length, width (sigma, px; that of a pixel included), evenness, 0 to 1, and 1 of lines that run along
-        rows or columns. Such lines count for fits that do so too, and the others for the others.
+        rows or columns. Such lines count for fits that do so too. The others may have any direction and count for all fits.
     One counts in full for fits that are fainter than itself, for false lines are the more frequent the fainter they are. S/N is
     that of the median light along the line, of fits as of look-alikes: what one clump of light makes bright is like no trail.
     """
@@ -70,11 +70,12 @@ def look_alikes_near(fits: Sequence[StreakFit], look_alikes: NDArray[np.float64]
     known = np.log(np.maximum(even, 1e-3))
     apart = (place[:, None] - known[None, :, :2]) / KIND
     width = 0.5 * np.log([fit.width_px**2 + PIXEL_VARIANCE_PX2 for fit in fits])
-    same = np.array([is_aligned(fit.row1 - fit.row0, fit.col1 - fit.col0) for fit in fits])[:, None] == (look_alikes[:, 4] > 0.5)
+    aligned = np.array([is_aligned(fit.row1 - fit.row0, fit.col1 - fit.col0) for fit in fits])
+    counts = aligned[:, None] | (look_alikes[:, 4] < 0.5)
     other = (width[:, None] - known[None, :, 2]) / np.hypot(KIND_WIDTH, WIDTH_ERROR / np.maximum(look_alikes[:, 0], 1.0))
     apart[..., 0] = np.maximum(apart[..., 0], 0.0)
     peak = 1.0 / (2.0 * math.pi * math.prod(KIND))
-    return np.asarray(peak * (same * np.exp(-0.5 * (np.sum(apart**2, axis=-1) + other**2))).sum(axis=1), dtype=np.float64)
+    return np.asarray(peak * (counts * np.exp(-0.5 * (np.sum(apart**2, axis=-1) + other**2))).sum(axis=1), dtype=np.float64)
 
 
 def is_aligned(drow: float, dcol: float) -> bool:

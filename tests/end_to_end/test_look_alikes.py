@@ -186,6 +186,18 @@ def test_a_dark_column_says_nothing_of_a_trail_that_crosses_it() -> None:
     assert probability[1] < 0.5
 
 
+def test_a_dark_line_of_any_direction_speaks_against_lines_along_the_readout_too() -> None:
+    """False lines of all directions run along rows or columns as often as any other way."""
+    known = np.tile([30.0, 300.0, seen_width(1.2), 1.0, 0.0], (5, 1))
+    vetter = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=known)})
+    oblique, along = fit_of(30.0, 300.0, 1.2), fit_of(30.0, 300.0, 1.2)
+    oblique.row0, oblique.col0, oblique.row1, oblique.col1 = 10.0, 10.0, 190.0, 250.0
+    along.row0, along.col0, along.row1, along.col1 = 50.0, 10.0, 50.0, 310.0
+    probability = vetter.probability([oblique, along], frame_of_psf(0.9))
+    assert probability[0] == pytest.approx(probability[1])
+    assert probability[1] < 0.1
+
+
 def test_lines_within_two_degrees_of_rows_or_columns_are_aligned() -> None:
     assert [is_aligned(100.0 * np.sin(a), 100.0 * np.cos(a)) for a in np.radians([0.0, 1.9, 2.1, 45.0, 87.9, 88.1, 180.0])] == [
         True, True, False, False, False, True, True,

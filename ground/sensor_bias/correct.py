@@ -6,10 +6,13 @@ from dataclasses import asdict
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from ground.sensor_bias.estimate import SensorBias, Track
 from ground.sky.sphere import ARCSEC_RAD
 from sboc_e2e.icd.errors import UserError
+
+Array = NDArray[np.float64]
 
 _FORMAT = "sboc-sensor-calibration-2"
 
@@ -51,9 +54,60 @@ def nearest(sessions: Sequence[SensorBias], t_tai_ns: int) -> SensorBias:
 
 def corrected(track: Track, bias: SensorBias) -> Track:
     """A track with epochs and directions corrected for the bias."""
-    east = np.cross([0.0, 0.0, 1.0], track.direction)
-    east /= np.linalg.norm(east, axis=1, keepdims=True)
-    north = np.cross(track.direction, east)
+    east, north = _axes(track.direction)
     direction = track.direction - ARCSEC_RAD * (bias.east_arcsec * east + bias.north_arcsec * north)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
     return Track(t_tai_ns=track.t_tai_ns - round(bias.time_s * 1e9), direction=direction)
+
+
+def widened(errors: Array, track: Track, bias: SensorBias) -> Array:
+    """Errors (n, 3) of a track's directions that hold what the correction leaves: sigma on two axes (arcsec), angle (rad).
+
+    The first axis lies at the angle from north to east. What the correction leaves is common to all n directions: the
+    covariance of the bias, and what the directions of a track of this sensor share. The store has no place for a common error.
+    So n times its covariance is added to that of each direction: the mean direction then has its whole error, the rate too
+    large a one. For a sensor that moves, the apparent motion stands for that of the object, whose range is not known yet.
+    """
+    n = len(track.direction)
+    east, north = _axes(track.direction)
+    seconds = (track.t_tai_ns - track.t_tai_ns[0]) * 1e-9
+    rate = np.zeros(2)
+    if n > 1:
+        away = track.direction - track.direction[0]
+        shown = np.stack([away @ north[n // 2], away @ east[n // 2]], axis=1) / ARCSEC_RAD
+        rate = np.polyfit(seconds, shown, 1)[0]
+    speed = float(np.linalg.norm(rate))
+    heading = rate / speed if speed > 0.0 else np.array([1.0, 0.0])
+    side = np.array([-heading[1], heading[0]])
+    # in the order north, east; the biases in the order time, east, north
+    design = np.column_stack([-rate, [0.0, 1.0], [1.0, 0.0]])
+    spread = np.sqrt([_of_student(float(nu)) for nu in bias.degrees])
+    common = design @ (bias.covariance * np.outer(spread, spread)) @ design.T
+    of_a_mean = bias.n_tracks / bias.n_used
+    for axis, shared, noise in (
+        (heading, bias.common_along_arcsec, bias.noise_along_arcsec),
+        (side, bias.common_cross_arcsec, bias.noise_cross_arcsec),
+    ):
+        # a smaller one may be the scatter of the means of few tracks: the estimate takes it so too
+        if shared**2 > noise**2 * of_a_mean:
+            common += _of_student(bias.n_tracks - 1.5) * shared**2 * np.outer(axis, axis)
+    cos, sin = np.cos(errors[:, 2]), np.sin(errors[:, 2])
+    turn = np.stack([np.stack([cos, sin], axis=1), np.stack([-sin, cos], axis=1)], axis=1)
+    own = np.einsum("nki,nk,nkj->nij", turn, errors[:, :2] ** 2, turn)
+    variance, axes = np.linalg.eigh(own + n * common)
+    return np.column_stack([np.sqrt(variance[:, ::-1]), np.arctan2(axes[:, 1, 1], axes[:, 0, 1])])
+
+
+def _of_student(freedom: float) -> float:
+    """Variance of an error over its estimated variance, by the estimate's degrees of freedom: that of Student's t.
+
+    It grows without bound towards two degrees; below four it stays at two.
+    """
+    return max(freedom, 4.0) / (max(freedom, 4.0) - 2.0)
+
+
+def _axes(direction: Array) -> tuple[Array, Array]:
+    """East and north (n, 3) at directions (n, 3)."""
+    east = np.cross([0.0, 0.0, 1.0], direction)
+    east /= np.linalg.norm(east, axis=1, keepdims=True)
+    return east, np.cross(direction, east)

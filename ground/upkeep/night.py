@@ -22,10 +22,13 @@ from ground.sky.sphere import east_north
 from ground.store.store import Association, ObjectStore, StoredOrbit, StoredTracklet, Writer
 from ground.upkeep import sequential
 from ground.upkeep.division import LEAST_OF_ONE, SETTLED_TRACKLETS, division_of, one_orbit_of
+from ground.upkeep.joins import Provisional, join_of
 from ground.upkeep.sightings import KnownOrbit, Sighting, sightings
 from sboc_e2e.icd import tai
 
 Array = NDArray[np.float64]
+_Made = tuple[tuple[int, ...], Cluster]
+"""Tracklets of a new object, by number, and their orbit."""
 
 MADE_BY: Final = "sboc objects update"
 TRACKLETS_AT_ONCE: Final = 250
@@ -160,8 +163,9 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
     made, found = _associated(
         store, {k: data[k] for k in free}, set(known) - {one.object_id for one in renewed}, since, now_tai_ns, options
     )
-    renewed += found
-    absorbed = {k for one in found for k in one.absorbed}
+    made, renewed = _joined(store, made, [*renewed, *found], known, data, since, now_tai_ns, options)
+    absorbed = {k for one in renewed for k in one.absorbed}
+    placed = {t for members, _ in made for t in members} | {t for one in renewed for t in one.accepted}
     current = {k: one.orbit for k, one in known.items() if k not in absorbed} | {one.object_id: one.orbit for one in renewed}
     merges = _merges(made, current, options)
     met = [*(one.object_id for one in renewed), *sorted(set(merges.values()))]
@@ -181,7 +185,7 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
     return NightReport(
         correlated=sum(len(one.accepted) for one in renewed),
         ambiguous=len({t for t, _, _ in doubtful}),
-        left=len(free) - sum(len(m) for m, _ in made) - sum(len(one.accepted) for one in found),
+        left=len(set(free) - placed),
         renewed=len(renewed),
         refused=len(refused),
         made=len(made) - len(merges),
@@ -322,7 +326,7 @@ def _refitted(
 
 def _associated(
     store: ObjectStore, free: Mapping[int, Directions], known: set[int], since: int, now: int, options: UpkeepOptions
-) -> tuple[list[tuple[tuple[int, ...], Cluster]], list[_Renewed]]:
+) -> tuple[list[_Made], list[_Renewed]]:
     """New clusters of tracklets that are no object's, and known objects of two tracklets that clusters hold whole.
 
     The prediction of two tracklets is too bent for its covariance, or of another orbit that meets them.
@@ -349,6 +353,55 @@ def _associated(
     return made, found
 
 
+def _joined(
+    store: ObjectStore, made: Sequence[_Made], renewed: Sequence[_Renewed], known: Mapping[int, KnownOrbit],
+    data: Mapping[int, Directions], since: int, now: int, options: UpkeepOptions,
+) -> tuple[list[_Made], list[_Renewed]]:  # fmt: skip
+    """Tonight's objects, where pairs are joined to the objects that they belong to. What was not touched tonight is not tried.
+
+    Objects that are made tonight have the numbers below zero until they are written.
+    """
+    fresh = {-1 - place: one for place, one in enumerate(made)}
+    tonight = {one.object_id: one for one in renewed}
+    gone = {k for one in renewed for k in one.absorbed}
+    if not fresh and not tonight:
+        return list(made), list(renewed)
+    all_of: dict[int, Provisional] = {}
+    for k in sorted((set(known) & store.with_few_tracklets(SETTLED_TRACKLETS)) - gone):
+        new = tonight.get(k)
+        stored = [store.tracklets_of(number) for number in (k, *(new.absorbed if new else ()))]
+        tracklets = {t: directions_of(d) for one in stored for t, d in one.items()}
+        if any(d.t_tai_ns[0] < since for d in tracklets.values()):
+            # no orbit of the window's tracklets speaks for it
+            continue
+        tracklets |= {t: data[t] for t in new.accepted} if new else {}
+        orbit = known_orbit(new.orbit, options) if new else known[k]
+        all_of[k] = Provisional(orbit=orbit, tracklets=tracklets, is_new=new is not None)
+    for k, (members, cluster) in fresh.items():
+        orbit = known_orbit(_stored(cluster, k, now), options)
+        all_of[k] = Provisional(orbit=orbit, tracklets={t: data[t] for t in members}, is_new=True)
+    while True:
+        hosts = {k: one for k, one in all_of.items() if LEAST_OF_ONE <= len(one.tracklets) < SETTLED_TRACKLETS}
+        pairs = {k: one for k, one in all_of.items() if len(one.tracklets) == LEAST_OF_ONE - 1}
+        join = join_of(hosts, pairs, options.association) if hosts and pairs else None
+        if join is None:
+            return list(fresh.values()), list(tonight.values())
+        host, pair = all_of.pop(join.host), all_of.pop(join.pair)
+        both = {**host.tracklets, **pair.tracklets}
+        old = sorted(k for k in (join.host, join.pair) if k > 0)
+        kept = old[0] if old else join.host
+        parts = [tonight.pop(k) for k in old if k in tonight]
+        accepted = {t: p for one in parts for t, p in one.accepted.items()}
+        accepted |= {t: 1.0 for k in (join.host, join.pair) if k in fresh for t in fresh.pop(k)[0]}
+        common = _stored(join.cluster, kept, now)
+        if old:
+            absorbed = (*(k for one in parts for k in one.absorbed), *old[1:])
+            tonight[kept] = _Renewed(object_id=kept, orbit=common, accepted=accepted, absorbed=absorbed)
+        else:
+            fresh[kept] = tuple(sorted(both)), join.cluster
+        all_of[kept] = Provisional(orbit=known_orbit(common, options), tracklets=both, is_new=True)
+
+
 def _stored(cluster: Cluster, object_id: int, now_tai_ns: int) -> StoredOrbit:
     s = cluster.solution
     return StoredOrbit(
@@ -358,9 +411,7 @@ def _stored(cluster: Cluster, object_id: int, now_tai_ns: int) -> StoredOrbit:
     )  # fmt: skip
 
 
-def _merges(
-    made: Sequence[tuple[tuple[int, ...], Cluster]], current: Mapping[int, StoredOrbit], options: UpkeepOptions
-) -> dict[int, int]:
+def _merges(made: Sequence[_Made], current: Mapping[int, StoredOrbit], options: UpkeepOptions) -> dict[int, int]:
     """Of new clusters (by place) those whose orbit is a known object's, whose tracklets were too far off to be correlated."""
     out = {}
     for place, (_, cluster) in enumerate(made):
@@ -416,7 +467,7 @@ def position_error_km(orbit: StoredOrbit, at_tai_ns: int) -> float:
 
 def _write(
     writer: Writer, renewed: Sequence[_Renewed], doubtful: Sequence[tuple[int, int, float]],
-    made: Sequence[tuple[tuple[int, ...], Cluster]], merges: Mapping[int, int], now: int,
+    made: Sequence[_Made], merges: Mapping[int, int], now: int,
 ) -> None:  # fmt: skip
     """All of a night within a transaction."""
     links = [_link(t, one.object_id, p, "accepted", now) for one in renewed for t, p in one.accepted.items()]

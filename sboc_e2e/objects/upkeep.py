@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.sensor_bias.correct import corrected, nearest, read_calibration
+from ground.sensor_bias.correct import corrected, nearest, read_calibration, widened
 from ground.sensor_bias.estimate import Place, SensorBias, Track
 from ground.sky.sphere import ARCSEC_RAD
 from ground.store.store import ObjectStore, StoredTracklet
@@ -53,7 +53,7 @@ def observe(
     """Put the tracklets of messages into a store; one that is there already is not put in twice.
 
     sigma_arcsec : one sigma along each axis; None: of the table of errors beside a message, 1 arcsec where there is none.
-    correction : takes the nearest session's time and pointing bias off each tracklet; its errors are not added to theirs.
+    correction : takes the nearest session's time and pointing bias off each tracklet, and adds its own errors.
     """
     if sigma_arcsec is not None and not 0.0 < sigma_arcsec < 3600.0:
         raise UserError(f"--sigma: expected arcsec above 0 and below 3600, got {sigma_arcsec:g}")
@@ -86,7 +86,9 @@ def _stored(
     seen = Track(t_tai_ns=segment.angle_tai_ns[order], direction=segment.direction[order])
     observer = place(seen.t_tai_ns)
     if correction is not None:
-        seen = corrected(seen, nearest(correction.sessions, int(seen.t_tai_ns[0])))
+        bias = nearest(correction.sessions, int(seen.t_tai_ns[0]))
+        errors = widened(errors, seen, bias)
+        seen = corrected(seen, bias)
         if not correction.shares_clock:
             observer = place(seen.t_tai_ns)
     if not np.isfinite(observer).all():

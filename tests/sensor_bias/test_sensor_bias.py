@@ -1,5 +1,6 @@
 """Injected biases of clock and pointing come back within their own intervals, from passes of real GPS and Galileo satellites."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ pytest.importorskip("satkit", reason="satkit propagates orbits (extra `objects`)
 from ground.determination.precise import Ephemeris, orbit_of, read_sp3
 from ground.orbit.reference import PreciseOrbit
 from ground.products.epochs import utc_text
-from ground.sensor_bias.correct import calibration_text, corrected, nearest, read_calibration
+from ground.sensor_bias.correct import calibration_text, corrected, nearest, read_calibration, widened
 from ground.sensor_bias.estimate import Track, estimate, sessions_of
 from ground.store.store import ObjectStore
 from sboc_e2e.cli.main import run
@@ -240,6 +241,63 @@ def test_the_store_takes_tracklets_with_a_calibration_of_other_objects(
     capsys.readouterr()
     assert run(["objects", "observe", str(message), "--site", SITE, "--calibration", str(message)]) == 2
     assert "no sensor calibration" in capsys.readouterr().err
+
+
+def mean_pulls(passes, known, tracks: list[Track], *, adds: bool) -> list[np.ndarray]:
+    """Whitened error (2,) of the mean direction of each track after correction, by the errors as they are or with the bias's."""
+    out = []
+    for truth, track in zip(passes, tracks, strict=True):
+        heading = truth[2] / np.linalg.norm(truth[2], axis=1, keepdims=True)
+        east = np.cross([0.0, 0.0, 1.0], truth[1])
+        east /= np.linalg.norm(east, axis=1, keepdims=True)
+        north = np.cross(truth[1], east)
+        angle = np.arctan2((heading * east).sum(axis=1), (heading * north).sum(axis=1))
+        errors = np.column_stack([np.tile([1.0, 0.6], (len(angle), 1)), angle])
+        if adds:
+            errors = widened(errors, track, known)
+        mended = corrected(track, known)
+        away = mended.direction - (truth[1] + ((mended.t_tai_ns - truth[0]) * 1e-9)[:, None] * truth[2])
+        offset = np.stack([(away * north).sum(axis=1), (away * east).sum(axis=1)], axis=1) / ARCSEC
+        cos, sin = np.cos(errors[:, 2]), np.sin(errors[:, 2])
+        turn = np.stack([np.stack([cos, sin], axis=1), np.stack([-sin, cos], axis=1)], axis=1)
+        weight = np.einsum("nki,nk,nkj->nij", turn, errors[:, :2] ** -2.0, turn)
+        covariance = np.linalg.inv(weight.sum(axis=0))
+        mean = covariance @ np.einsum("nij,nj->i", weight, offset)
+        out.append(np.linalg.solve(np.linalg.cholesky(covariance), mean))
+    return out
+
+
+@pytest.mark.slow
+def test_errors_after_a_correction_hold_the_truth(sky) -> None:
+    """Ten passes of a night give the calibration; it is taken off ten of another night. The mean directions of these are held."""
+    orbits, passes = sky
+    place, pulls, before = place_of_site(SITE), [], []
+    for k in range(25):
+        rng = np.random.default_rng([k, 7])
+        known = estimate(observed(passes, rng), place, orbits, shares_clock=False)
+        later = observed(passes, rng)
+        pulls.append(mean_pulls(passes, known, later, adds=True))
+        before.append(mean_pulls(passes, known, later, adds=False))
+    # 500 numbers; those of a night share its calibration
+    assert 0.9 <= float(np.sqrt(np.mean(np.square(pulls)))) <= 1.1
+    assert float(np.sqrt(np.mean(np.square(before)))) > float(np.sqrt(np.mean(np.square(pulls))))
+
+
+def test_errors_of_one_direction_get_the_pointing_alone(sky) -> None:
+    """No motion shows in one direction: the error of time is left out, that of the pointing is added whole."""
+    orbits, passes = sky
+    known = estimate(observed(passes, np.random.default_rng(8)), place_of_site(SITE), orbits, shares_clock=False)
+    track = Track(t_tai_ns=passes[0][0][:1], direction=passes[0][1][:1])
+    quiet = replace(
+        known,
+        covariance=np.diag([1.0, 0.3**2, 0.4**2]),
+        degrees=np.full(3, 1e9),
+        common_along_arcsec=0.0,
+        common_cross_arcsec=0.0,
+    )
+    north, east, angle = widened(np.array([[1.0, 1.0, 0.7]]), track, quiet)[0]
+    assert (north, east) == pytest.approx((np.hypot(1.0, 0.4), np.hypot(1.0, 0.3)))
+    assert np.sin(angle) == pytest.approx(0.0, abs=1e-9)
 
 
 def test_a_broken_calibration_is_refused() -> None:

@@ -263,7 +263,9 @@ def candidates(flight: Flight, at: Instants, pool: Pool, n: int, rng: np.random.
     shell = (far**3 - near**3) / 3.0
     even = rng.random(n) < EVEN_SHARE
     place = rng.random(n)
-    range_km = np.where(even, np.cbrt(near**3 + 3.0 * place * shell), near * np.exp(place * span))
+    range_km = np.empty(n)
+    range_km[even] = np.cbrt(near[even] ** 3 + 3.0 * place[even] * shell[even])
+    range_km[~even] = near[~even] * np.exp(place[~even] * span[~even])
     per_km = (1.0 - EVEN_SHARE) / (range_km * span) + EVEN_SHARE * range_km**2 / shell
     u, v = rng.uniform(-window.half_col, window.half_col, n), rng.uniform(-window.half_row, window.half_row, n)
     slant = np.sqrt(1.0 + u * u + v * v)

@@ -22,7 +22,7 @@ from simulator.scene.backdrop import backdrop_of
 from simulator.scene.cast import Cast, encounter_window, make_cast
 from simulator.scene.cirrus import make_cirrus
 from simulator.scene.crossing import row_shutter
-from simulator.scene.encounters import Window, draw_candidates
+from simulator.scene.encounters import TRUTH_EVEN_SHARE, Window, draw_candidates
 from simulator.scene.movers import paths_of
 from simulator.scene.sources import ObjectOptions
 from simulator.scene.surface import Surfaces
@@ -32,6 +32,7 @@ from simulator.survey import Flight, Instants, Passages, instants_of, make_passa
 Array = NDArray[np.float64]
 
 SURFACE: Final = ("albedo", "specular", "colour")
+MANY: Final = 400_000  # candidates of each class in `encounters_of`: a run's 60,000 weigh as some 100 equal ones
 NOBODY: Final = ObjectOptions(passing=())
 """In place of the objects that a scenario places by name: only the sampled population flies."""
 
@@ -105,14 +106,17 @@ def met(
 
 
 def encounters_of(flight: Flight, seed: int, each: int) -> tuple[Instants, Passages]:
-    """`each` times as many objects as a run shows, out of the candidates that the pixel chain draws for the run with a seed.
+    """`each` times as many objects as a run shows, drawn as the pixel chain draws them, out of more candidates than a run has.
 
-    A run takes its few without repetition; so many are taken with it.
+    A run takes its few without repetition; so many are taken with it. More candidates, most of them far as most of nature's
+    objects are, scatter less and mean the same (docs/survey.md).
     """
     options, window = flight.options.population, _window(flight)
+    many = replace(options, candidates=MANY)
     parts = []
     for k, size_class in enumerate(options.classes):
-        found = draw_candidates(options, size_class, window, generator(seed, Effect.POPULATION, block=k))
+        rng = generator(seed, Effect.POPULATION, block=k)
+        found = draw_candidates(many, size_class, window, rng, even_share=TRUTH_EVEN_SHARE)
         share = np.where((found.snr >= options.snr_min) & (found.rate_deg_s >= options.slowest_deg_s), found.natural, 0.0)
         rng = generator(seed, Effect.SURVEY, k)
         pick = rng.choice(len(share), size=size_class.count * each, p=share / share.sum())

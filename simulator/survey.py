@@ -12,6 +12,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
 from simulator.as_built import with_drawn_errors
 from simulator.camera import Camera
@@ -39,6 +40,7 @@ from simulator.scene.encounters import (
 from simulator.scene.fleet import Fleet, is_given, make_fleet
 from simulator.scene.reflection import LightCurve, in_sight, lambert_flux, sunlit_fraction
 from simulator.scene.surface import Surfaces, draw_surfaces
+from simulator.trail_noise import StarNoise, TrailEnergy
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]
@@ -90,6 +92,8 @@ class Flight:
     seed: int
     fleet: Fleet | None
     """Objects with names; None where the scenario has none."""
+    energy: TrailEnergy
+    stars: StarNoise
 
     @classmethod
     def of(cls, options: SimulatorOptions, seed: int) -> "Flight":
@@ -110,7 +114,12 @@ class Flight:
         if is_given(options.objects):
             colour_factor = camera.instrument.colour_factor
             fleet = make_fleet(options.objects, options.population, epoch, seed, colour_factor)
-        return cls(options=options, camera=camera, carrier=carrier, window=window, seed=seed, fleet=fleet)
+        path = options.stars.catalogue_file
+        catalogue = StarCatalogue.open(path) if path else StarCatalogue.embedded()
+        return cls(
+            options=options, camera=camera, carrier=carrier, window=window, seed=seed, fleet=fleet,
+            energy=TrailEnergy(camera=camera), stars=StarNoise(camera, options.stars, catalogue),
+        )  # fmt: skip
 
 
 def refuse_unwatched(options: SimulatorOptions) -> None:
@@ -125,8 +134,8 @@ def refuse_unwatched(options: SimulatorOptions) -> None:
 class Instants:
     """The camera at m times. spin_rad_s (m, 3) : turn of the camera frame, in its own axes.
 
-    noise_e2 (m,) : variance of a pixel in the middle of the field, one exposure. span_s : time for which all of them stand;
-    watched (m,) : the Earth is not in the field.
+    noise_e2 (m,) : variance of a pixel in the middle of the field, one exposure. star_share (m,) : of S^2 that the noise of
+    stars leaves. span_s : time for which all of them stand; watched (m,) : the Earth is not in the field.
     """
 
     time_s: Array
@@ -137,6 +146,7 @@ class Instants:
     sun_km: Array
     sky_e: Array
     noise_e2: Array
+    star_share: Array
     watched: NDArray[np.bool_]
     span_s: float
     epoch_tai_ns: int
@@ -175,10 +185,11 @@ def instants_of(flight: Flight, time_s: Array, span_s: float) -> Instants:
     distance = np.linalg.norm(position, axis=1)
     from_nadir = np.arccos(np.clip(-np.sum(boresight * position, axis=1) / distance, -1.0, 1.0))
     watched = from_nadir >= np.arcsin(earth.EARTH_RADIUS_KM / distance) + camera.radius_rad
+    noise_e2 = dark + per_e * sky_e
     return Instants(
         time_s=np.asarray(time_s), position_km=position, velocity_km_s=velocity, attitude=attitude, spin_rad_s=spin, sun_km=sun,
-        sky_e=sky_e, noise_e2=dark + per_e * sky_e, watched=watched, span_s=span_s,
-        epoch_tai_ns=carrier.epoch_tai_ns,
+        sky_e=sky_e, noise_e2=noise_e2, star_share=flight.stars.share(boresight, noise_e2), watched=watched,
+        span_s=span_s, epoch_tai_ns=carrier.epoch_tai_ns,
     )  # fmt: skip
 
 
@@ -584,12 +595,13 @@ def looks_of(
         flux *= turning(flight, len(p.size_m), whose, base[whose] + begin, base[whose] + np.maximum(end, begin + 1e-6), rng)
     lit_share = np.nan_to_num(camera.illumination_at(row, col), nan=0.0)
     noise_e2 = at.noise_e2[p.instant][whose] - (1.0 - lit_share) * at.sky_e[p.instant][whose]
-    here = replace(window, noise_variance_e2=noise_e2, exposure_s=np.inf)  # type: ignore[arg-type]  # one for each look
-    snr = expected_snr(flux * lit_share * window.flux_e_s, rate, lit, distance, here)
+    length_px = rate * lit * window.focal_px
+    share = flight.energy.of(length_px, row, col, camera.defocus_px(distance)) * at.star_share[p.instant][whose]
+    snr = flux * lit_share * window.flux_e_s * lit * np.sqrt(share / noise_e2)
     with np.errstate(divide="ignore"):
         mag = -2.5 * np.log10(flux)
     return Looks(
-        passage=whose, snr=np.where(lit > 0.0, snr, 0.0), length_px=rate * lit * window.focal_px, mag=mag,
+        passage=whose, snr=np.where(lit > 0.0, snr, 0.0), length_px=length_px, mag=mag,
         noise_e=np.sqrt(noise_e2), stands_for=frames[whose] / shown[whose], open_s=open_s, cut=lit < exposure * (1.0 - 1e-9),
         frames=frames,
     )  # fmt: skip

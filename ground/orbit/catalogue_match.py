@@ -12,6 +12,7 @@ from ground.orbit.dynamics import LIGHT_KM_S
 from ground.orbit.observer import observer_orbit
 from ground.orbit.reference import teme_to_gcrs, utc_jd
 from ground.sky.sphere import ARCSEC_RAD
+from sboc_e2e.icd.element_sets import element_sets
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import Tracklet
@@ -79,27 +80,15 @@ class CatalogueMatch:
 def read_elements(text: str) -> KnownObjects:
     """Objects of a two- or three-line element file; a name line may begin with ``0 ``.
 
-    Errors: a `UserError` that names the line for one that starts an element set but has no second line or cannot be read.
+    Errors: a `UserError` that names the line for one with a wrong checksum, for half a set, and for one that cannot be read.
     """
     names, satellites = [], []
-    lines = [line.rstrip() for line in text.splitlines()]
-    name = ""
-    k = 0
-    while k < len(lines):
-        line = lines[k]
-        if line.startswith("1 ") and len(line) >= 63:
-            if k + 1 >= len(lines) or not lines[k + 1].startswith("2 "):
-                raise UserError(f"element sets, line {k + 2}: expected a line that starts with '2 ' after '{line[:20]}...'")
-            try:
-                satellites.append(Satrec.twoline2rv(line, lines[k + 1]))
-            except ValueError as error:
-                raise UserError(f"element sets, line {k + 1}: expected a two-line element set, got '{line[:30]}...'") from error
-            names.append(name or line[2:7])
-            name = ""
-            k += 2
-            continue
-        name = line[2:].strip() if line.startswith("0 ") else line.strip()
-        k += 1
+    for name, first, second in element_sets(text, "element sets"):
+        try:
+            satellites.append(Satrec.twoline2rv(first, second))
+        except ValueError as error:
+            raise UserError(f"element sets: expected a two-line element set, got '{first[:30]}...'") from error
+        names.append(name)
     numbers = np.array([s.satnum for s in satellites], dtype=np.int64)
     return KnownObjects(names=tuple(names), numbers=numbers, satellites=tuple(satellites))
 

@@ -162,7 +162,7 @@ def shown_to_survey(at: Instants, p: Passages, run: NDArray[np.int64], looks: Lo
         light_size_m=_light_size(mag, p.range_km, line, sun),
         rate_deg_s=p.rate_deg_s,
         looks=looks,
-        counted=np.ones(len(looks.snr), np.bool_),
+        counted=looks.open_s > 0.0,
     )
 
 

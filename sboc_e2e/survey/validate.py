@@ -31,6 +31,7 @@ from sboc_e2e.survey.response import Response
 from sboc_e2e.survey.rows import LEAST_SNR, OBJECT_COLUMNS, STREAK_COLUMNS, columns
 from simulator.bare_trails import BareTrails, bare_trails, encounters_of
 from simulator.randomness import Effect, generator
+from simulator.scene.encounters import expected_snr
 from simulator.survey import Flight, Instants, Passages, candidates, instants_of, joined, looks_of, pool_of
 
 Array = NDArray[np.float64]
@@ -49,10 +50,10 @@ INSTANTS: Final = 256
 SCENE_RUNS: Final = 60
 """Runs of the pixel chain's objects, 1,260, whose true trails are held against a survey's looks at them (docs/survey.md)."""
 TURNS: Final = 4  # draws of how they turn in the survey's looks: what tumbles scatters more than the rest together. Chosen
-SEEDS: Final = 24  # of the pixel chain's draws of candidates. Chosen: time against scatter
-EACH: Final = 20
-"""Runs' objects that are taken out of each draw: 10,080 objects in all."""
-ROUNDS: Final = 8
+SEEDS: Final = 20  # of the pixel chain's draws of candidates. Chosen: time against scatter
+EACH: Final = 80
+"""Runs' objects that are taken out of each draw: 33,600 objects in all."""
+ROUNDS: Final = 12
 """Draws of `VIRTUAL_RUNS` virtual runs, each with candidates of its own: their scatter is that of their mean, 0.5 %."""
 
 
@@ -94,7 +95,11 @@ def virtual_passages(flight: Flight, runs: int, rng: np.random.Generator) -> tup
         # a run counts an object that is in the field at any time of it: its stay within the run decides how often it is met
         within = np.minimum(drawn.leave_s + when, duration) - np.maximum(drawn.enter_s + when, 0.0)
         at_most = np.minimum(within, whole)
-        weight = np.where(drawn.snr >= options.population.snr_min, drawn.natural * whole / np.maximum(at_most, 1e-9), 0.0)
+        # and a run's ends may leave less of it than an exposure: it is drawn by the S/N of what they leave
+        rate = np.radians(drawn.rate_deg_s)
+        left, all_of_it = (expected_snr(np.ones(1), rate, stay, drawn.range_km, flight.window) for stay in (at_most, whole))
+        bright = drawn.snr * left / all_of_it >= options.population.snr_min
+        weight = np.where(bright, drawn.natural * whole / np.maximum(at_most, 1e-9), 0.0)
         pick = rng.choice(len(weight), size=size_class.count * runs, p=weight / weight.sum())
         parts.append(drawn.taken(pick))
         run.append(np.repeat(np.arange(runs), size_class.count))
@@ -107,14 +112,15 @@ def virtual_objects(scenario: Scenario, response: Response, runs: int = VIRTUAL_
     flight = Flight.of(options, scenario.seed)
     rng = generator(scenario.seed, Effect.SURVEY, VALIDATION_BLOCK)
     at, p, _ = virtual_passages(flight, runs, rng)
-    looks = looks_of(flight, at, p, rng, only=(1, options.frames - 1))
+    looks = looks_of(flight, at, p, rng, only=(0, options.frames - 1))
     finds = finds_of(p.rate_deg_s, looks, response, rng)
     measured, _ = tables_of(at, p, looks, finds, response, rng)
     best = np.zeros(len(p.size_m))
-    np.maximum.at(best, looks.passage, looks.snr)
-    trail = _one_of_each(looks.passage, looks.snr >= LEAST_SNR, rng)
-    found = _one_of_each(looks.passage, finds.look, rng)
-    counted = np.bincount(looks.passage, weights=(looks.snr >= LEAST_SNR) * looks.stands_for, minlength=len(best))
+    later = looks.open_s > 0.0  # trails of a run's first frame are counted on neither side; tracklets may begin with it
+    np.maximum.at(best, looks.passage, np.where(later, looks.snr, 0.0))
+    trail = _one_of_each(looks.passage, later & (looks.snr >= LEAST_SNR), rng)
+    found = _one_of_each(looks.passage, later & finds.look, rng)
+    counted = np.bincount(looks.passage, weights=later * (looks.snr >= LEAST_SNR) * looks.stands_for, minlength=len(best))
     return {
         "trail_snr": looks.snr[trail],
         "trail_length_px": looks.length_px[trail],
@@ -226,7 +232,7 @@ def counts_both_ways(
     """Counts of pixel runs over those of a survey: what is found, trails, and drawing."""
     flight = Flight.of(scenario.simulator, scenario.seed)
     options = flight.options
-    only = (1, options.frames - 1)
+    only = (0, options.frames - 1)
     survey, drawn = [], []
     for turn in range(ROUNDS):
         rng = generator(scenario.seed, Effect.SURVEY, VALIDATION_BLOCK, 1 + turn)

@@ -18,15 +18,12 @@ from sgp4 import omm
 from sgp4.api import SGP4_ERRORS, WGS72, Satrec, SatrecArray
 
 from sboc_e2e.icd import tai
+from sboc_e2e.icd.element_sets import element_sets
 from sboc_e2e.icd.errors import UserError
 from simulator.platform import earth, earth_orientation
 from simulator.scene.objects import Identity, OrbitingObject
 
 Array = NDArray[np.float64]
-
-ELEMENT_LINE = 69
-"""Characters of a line of elements."""
-
 
 SIZES_BY_NAME: Final = (
     (" DEB ", 0.14),
@@ -129,31 +126,8 @@ def size_of(satellite: Satellite, options: SatelliteOptions) -> float:
 
 
 def _read_lines(path: Path, text: str) -> list[Satellite]:
-    lines = text.splitlines()
-    found = []
-    paired: set[int] = set()
-    for k in range(len(lines) - 1):
-        first, second = lines[k].rstrip(), lines[k + 1].rstrip()
-        if not (first.startswith("1 ") and second.startswith("2 ")):
-            continue
-        paired |= {k, k + 1}
-        for number, line in ((k + 1, first), (k + 2, second)):
-            if len(line) < ELEMENT_LINE or _checksum(line) != line[68]:
-                raise UserError(
-                    f"satellite file {path}, line {number}: not an element line of 69 characters with a right checksum"
-                )
-        title = lines[k - 1].strip() if k > 0 and not lines[k - 1].startswith(("1 ", "2 ")) else ""
-        record = Satrec.twoline2rv(first, second, WGS72)
-        found.append(Satellite(name=title.removeprefix("0 ").strip() or first[2:7].strip(), record=record))
-    for k, line in enumerate(lines):
-        if k not in paired and len(line.rstrip()) == ELEMENT_LINE and line.startswith(("1 ", "2 ")):
-            raise UserError(f"satellite file {path}, line {k + 1}: half an element set; its other line must stand beside it")
-    return found
-
-
-def _checksum(line: str) -> str:
-    """Last digit of the sum of digits, minus signs counting one."""
-    return str(sum(int(c) if c.isdigit() else c == "-" for c in line[:68]) % 10)
+    sets = element_sets(text, f"satellite file {path}")
+    return [Satellite(name=name, record=Satrec.twoline2rv(*lines, WGS72)) for name, *lines in sets]
 
 
 def _read_omm(path: Path, text: str, kind: str) -> list[Satellite]:

@@ -20,6 +20,7 @@ import numpy as np
 from ground.planning import plan
 from sboc_e2e.planning import make, make_plan, read_request
 from sboc_e2e.registry import Registry
+from tests.element_lines import with_checksums
 
 SEED = 20270129
 PARTS = (
@@ -44,7 +45,7 @@ def elements(objects: int) -> str:
             f"2 {41000 + k:5d} {inclination:8.4f} {node:8.4f} {round(rng.uniform(1e3, 9e3)):07d} {perigee:8.4f} {anomaly:8.4f} "
             f"{motion:11.8f} 4000{0}",
         ]
-    return "\n".join(lines) + "\n"
+    return with_checksums("\n".join(lines))
 
 
 def request(folder: Path, objects: int, days: float) -> Path:

@@ -140,11 +140,14 @@ def test_chance_of_a_match_is_the_share_of_chance_matches() -> None:
 
 
 def test_broken_element_sets_are_named() -> None:
-    """A first line without a second is an error with its line number."""
+    """A first line without a second, and one whose checksum is wrong, are errors with their line numbers."""
     text, _ = element_sets(2, np.random.default_rng(1))
-    broken = "\n".join(text.splitlines()[:-1])
-    with pytest.raises(UserError, match="line 6"):
-        read_elements(broken)
+    lines = text.splitlines()
+    with pytest.raises(UserError, match="line 5: half an element set"):
+        read_elements("\n".join(lines[:-1]))
+    wrong = str((int(lines[4][68]) + 1) % 10)
+    with pytest.raises(UserError, match="line 5: not an element line of 69 characters with a right checksum"):
+        read_elements("\n".join([*lines[:4], lines[4][:68] + wrong, lines[5]]))
 
 
 def tagged_late(headers: tuple[FrameHeader, ...], late_ns: int) -> list[FrameHeader]:

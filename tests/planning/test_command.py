@@ -15,6 +15,7 @@ from sboc_e2e.scenario import load
 from simulator.chain import Simulator
 from simulator.platform.earth import tai_ns_of_utc
 from simulator.platform.pointing import scheduled_direction
+from tests.element_lines import with_checksums
 
 ELEMENTS = (
     "0 RING 1\n"
@@ -24,10 +25,8 @@ ELEMENTS = (
 
 
 def ring() -> str:
-    """Thirty element sets whose lines end with their checksums: the simulator flies no others."""
-    lines = "".join(ELEMENTS.format(k * 12.0) for k in range(30)).splitlines()
-    sums = [sum(int(c) if c.isdigit() else c == "-" for c in line[:68]) % 10 for line in lines]
-    return "".join(f"{line[:68]}{n}\n" if line[0] in "12" else f"{line}\n" for line, n in zip(lines, sums, strict=True))
+    """Thirty element sets."""
+    return with_checksums("".join(ELEMENTS.format(k * 12.0) for k in range(30)))
 
 
 def plan_file(folder: Path, *lines: str) -> str:

@@ -11,6 +11,7 @@ from astropy.table import Table
 from sboc_e2e.cli.main import run
 from sboc_e2e.planning import make_plan, read_request
 from sboc_e2e.registry import Registry
+from tests.element_lines import with_checksums
 
 ELEMENTS = (
     "0 RING {1}\n"
@@ -28,10 +29,11 @@ SPAN = "start_utc,end_utc\n2027-01-28T00:00:00,2027-01-30T00:00:00\n"
 
 def folder_of(folder: Path) -> Path:
     """A camera in orbit (`orbit.toml`), one on the ground (`site.toml`, from dusk on), targets, calendars."""
-    (folder / "ring.3le").write_text("".join(ELEMENTS.format(k * 12.0, k, 41866 + k) for k in range(30)))
+    (folder / "ring.3le").write_text(with_checksums("".join(ELEMENTS.format(k * 12.0, k, 41866 + k) for k in range(30))))
     (folder / "empty.3le").write_text("")
     (folder / "words.3le").write_text("nothing here\nis an element set\n")
-    (folder / "gone.3le").write_text(DECAYED)
+    (folder / "gone.3le").write_text(with_checksums(DECAYED))
+    (folder / "sums.3le").write_text(DECAYED)
     (folder / "night.csv").write_text(NIGHT)
     (folder / "span.csv").write_text(SPAN)
     common = ['objects = "ring.3le"', "[plan]", 'size = "4 m"']
@@ -63,6 +65,7 @@ ALONE = [
     ("orbit.toml", "plan.constraints.max_rate=1e-6 deg/s", "plan.constraints.max_rate: no target is ever slower"),
     ("orbit.toml", "plan.faintest_snr=10000", "plan.faintest_snr: no target of 4 m ever reaches S/N 10000"),
     ("orbit.toml", "plan.size=1 mm", "plan.faintest_snr: no target of 0.001 m ever reaches S/N 7"),
+    ("orbit.toml", "objects=sums.3le", "line 2: not an element line of 69 characters with a right checksum"),
     ("orbit.toml", "objects=gone.3le", "objects: SGP4 gives no target a position"),
     # site: 38 deg north, the ring culminates at 45 deg; the Sun sinks to -70 deg in January
     ("site.toml", "plan.constraints.elevation=60 deg", "plan.constraints.elevation: no target ever rises above 45"),

@@ -16,11 +16,17 @@ from ground.planning.sky import Orbit, Site, sky_of
 from ground.planning.targets import states_at, states_of
 from ground.planning.windows import windows_of
 from sboc_e2e.icd import tai
+from tests.element_lines import with_checksums
 
-LINES = (
+LINES = with_checksums(
     "0 NAVIGATION\n"
     "1 37846U 11060A   22021.50000000  .00000000  00000-0  00000-0 0  9990\n"
     "2 37846  56.0000  60.0000 0002000  30.0000 330.0000  1.70475000 60000\n"
+)
+RING = with_checksums(
+    "0 RING\n"
+    "1 41866U 16071A   22021.50000000  .00000000  00000-0  00000-0 0  9990\n"
+    "2 41866   0.0500  95.0000 0001000 180.0000  20.0000  1.00271000 40000\n"
 )
 SITE = Site(longitude_deg=-6.631, latitude_deg=38.216, height_m=565.0)
 PLACE = EarthLocation.from_geodetic(-6.631 * u.deg, 38.216 * u.deg, 565.0 * u.m)
@@ -74,11 +80,7 @@ def test_splines_through_many_instants_are_what_each_instant_has_by_itself(stati
 
 
 def test_targets_at_their_own_instants_are_where_all_of_them_are_together() -> None:
-    known = read_elements(
-        LINES + "0 RING\n"
-        "1 41866U 16071A   22021.50000000  .00000000  00000-0  00000-0 0  9990\n"
-        "2 41866   0.0500  95.0000 0001000 180.0000  20.0000  1.00271000 40000\n"
-    )
+    known = read_elements(LINES + RING)
     instants = start_ns() + np.arange(0, 86400, 1800, dtype=np.int64) * 10**9
     position, velocity = states_of(known, instants)
     target = np.random.default_rng(3).integers(0, 2, len(instants))
@@ -99,11 +101,7 @@ def test_darkness_begins_when_astropy_says_so() -> None:
 
 def test_windows_begin_and_end_with_the_night_of_astroplan() -> None:
     """A satellite that never sets and is not eclipsed is seen while the Sun is low: four nights against astroplan."""
-    known = read_elements(
-        "0 RING\n"
-        "1 41866U 16071A   22021.50000000  .00000000  00000-0  00000-0 0  9990\n"
-        "2 41866   0.0500  95.0000 0001000 180.0000  20.0000  1.00271000 40000\n"
-    )
+    known = read_elements(RING)
     site = Observer(location=PLACE)
     options = ConstraintOptions(elevation_deg=-90.0, moon_deg=0.0, darkness_deg=-15.0)
     instants = start_ns() + np.arange(0, 4 * 86400, 300, dtype=np.int64) * 10**9

@@ -30,7 +30,6 @@ from simulator.scene.debris import SizeClass, draw_orbits, low_orbit_share
 from simulator.scene.earth_light import earth_reach_rad
 from simulator.scene.encounters import (
     NEAR_SHARE,
-    PopulationOptions,
     Window,
     cell_density,
     expected_snr,
@@ -61,6 +60,10 @@ BEYOND_ONE: Final = 0.05
 POOL: Final = 200_000  # pieces of a pool: `expected_passages` shows what they leave as the scatter between its rounds
 POOL_BLOCKS: Final = 32
 """Sizes and orbits are drawn once for `POOL_BLOCKS` blocks, `POOL` of them for each class. Candidates take theirs from there."""
+
+SIZE_CELLS: Final = 48  # of ln size in a class, each with its share of a pool; more of them change nothing but time. Chosen
+EVEN_SIZES: Final = 0.1
+"""Of a pool's pieces, how many have sizes even in the logarithm. Chosen: it bounds what a piece can stand for."""
 
 CHUNK: Final = 200_000  # candidates at a time; bounds memory
 PILOT: Final = 400_000  # candidates of the pilot for each class: more of them, fewer heavy weights missed. Chosen, not measured
@@ -239,9 +242,9 @@ class Passages:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Pool:
-    """Pieces of a class: diameters, even in the logarithm, and orbits. population (n,) : pieces of nature that each stands for,
+    """Pieces of a class: diameters and orbits. population (n,) : pieces of nature that each stands for, times the number of
 
-    times the number of pieces.
+    pieces.
     """
 
     size_m: Array
@@ -251,14 +254,31 @@ class Pool:
     i_rad: Array
 
 
-def pool_of(options: PopulationOptions, size_class: SizeClass, rng: np.random.Generator) -> Pool:
-    """Pieces of a class."""
-    low_m, high_m = size_class.from_mm * 1e-3, size_class.to_mm * 1e-3
-    size_m = np.exp(rng.uniform(np.log(low_m), np.log(high_m), POOL))
-    share = low_orbit_share(size_m, options.low_orbit_share_small, options.low_orbit_share_large)
+def pool_of(flight: Flight, size_class: SizeClass, rng: np.random.Generator) -> Pool:
+    """Pieces of a class: sizes as `_size_cells` has them, orbits of the population."""
+    options = flight.options.population
+    edges, share = _size_cells(flight, size_class)
+    width = edges[1] - edges[0]
+    cell = np.searchsorted(np.cumsum(share[:-1]), rng.random(POOL), side="right")
+    size_m = np.exp(edges[cell] + width * rng.random(POOL))
+    low = low_orbit_share(size_m, options.low_orbit_share_small, options.low_orbit_share_large)
     a_km, e, i_rad = draw_orbits(rng, size_m, spread=options.spread_by_breakup)
-    population = number_density(size_m) * np.log(high_m / low_m) * share
-    return Pool(size_m=size_m, population=population, a_km=a_km, e=e, i_rad=i_rad)
+    return Pool(size_m=size_m, population=number_density(size_m) * low * width / share[cell], a_km=a_km, e=e, i_rad=i_rad)
+
+
+def _size_cells(flight: Flight, size_class: SizeClass) -> tuple[Array, Array]:
+    """Edges of cells of ln size (m), and the share of a pool's pieces of each: about as many as can be seen.
+
+    That is their number times the volume within which they can have `snr_min`. All sizes then stand for about as many
+    passages, and fewer candidates do. `EVEN_SIZES` of a pool are even in ln size, whatever can be seen.
+    """
+    options = flight.options.population
+    edges = np.linspace(np.log(size_class.from_mm * 1e-3), np.log(size_class.to_mm * 1e-3), SIZE_CELLS + 1)
+    size_m = np.exp(0.5 * (edges[1:] + edges[:-1]))
+    one = np.ones(SIZE_CELLS)
+    reach = _reach_km(flight, flight.window, size_m, Surfaces(albedo=options.albedo * one, specular=0.0 * one, colour=one))
+    seen = number_density(size_m) * np.clip(reach, options.nearest_km, options.farthest_km) ** 3
+    return edges, EVEN_SIZES / SIZE_CELLS + (1.0 - EVEN_SIZES) * seen / seen.sum()
 
 
 def candidates(flight: Flight, at: Instants, pool: Pool, n: int, rng: np.random.Generator) -> Passages:
@@ -267,14 +287,17 @@ def candidates(flight: Flight, at: Instants, pool: Pool, n: int, rng: np.random.
     piece = rng.integers(len(pool.size_m), size=n)
     size_m = pool.size_m[piece]
     surfaces = draw_surfaces(rng.spawn(1)[0], n, options.albedo, options.surface, window.colour_factor)
-    reach = _reach_km(flight, at, size_m, surfaces)
+    darkest = replace(window, noise_variance_e2=float(at.noise_e2.min()), attitude=at.attitude[0], sun_km=at.sun_km[0])
+    reach = _reach_km(flight, darkest, size_m, surfaces)
     far = np.clip(reach, options.nearest_km * 1.001, options.farthest_km)
     near = np.maximum(options.nearest_km, far / NEAR_SHARE)
     span = np.log(far / near)
     shell = (far**3 - near**3) / 3.0
     even = rng.random(n) < EVEN_SHARE
     place = rng.random(n)
-    range_km = np.where(even, np.cbrt(near**3 + 3.0 * place * shell), near * np.exp(place * span))
+    range_km = np.empty(n)
+    range_km[even] = np.cbrt(near[even] ** 3 + 3.0 * place[even] * shell[even])
+    range_km[~even] = near[~even] * np.exp(place[~even] * span[~even])
     per_km = (1.0 - EVEN_SHARE) / (range_km * span) + EVEN_SHARE * range_km**2 / shell
     u, v = rng.uniform(-window.half_col, window.half_col, n), rng.uniform(-window.half_row, window.half_row, n)
     slant = np.sqrt(1.0 + u * u + v * v)
@@ -297,15 +320,14 @@ def candidates(flight: Flight, at: Instants, pool: Pool, n: int, rng: np.random.
     )
 
 
-def _reach_km(flight: Flight, at: Instants, size_m: Array, surfaces: Surfaces) -> Array:
-    """Range within which a piece can have `snr_min`: at zero phase, in focus, as slow as counts, at the darkest instant."""
-    window, options = flight.window, flight.options.population
-    darkest = replace(window, noise_variance_e2=float(at.noise_e2.min()), attitude=at.attitude[0], sun_km=at.sun_km[0])
+def _reach_km(flight: Flight, window: Window, size_m: Array, surfaces: Surfaces) -> Array:
+    """Range within which a piece can have `snr_min` in a window: at zero phase, in focus, as slow as counts."""
+    options = flight.options.population
     still, slow = (
-        expected_snr(np.ones(1), np.radians([rate]), np.array([window.exposure_s]), np.array([1e9]), darkest)[0]
+        expected_snr(np.ones(1), np.radians([rate]), np.array([window.exposure_s]), np.array([1e9]), window)[0]
         for rate in (0.0, options.slowest_deg_s)
     )
-    return np.asarray(reach_km(size_m, surfaces, options.snr_min, darkest) * np.sqrt(slow / still))
+    return np.asarray(reach_km(size_m, surfaces, options.snr_min, window) * np.sqrt(slow / still))
 
 
 def make_passages(
@@ -371,7 +393,7 @@ def candidate_number(flight: Flight, number: int) -> int:
     rng = generator(flight.seed, Effect.SURVEY, PILOT_BLOCK)
     at = instants_of(flight, np.sort(rng.random(240)) * PILOT_DAYS * earth.DAY_S, BLOCK_S)
     rng = generator(flight.seed, Effect.SURVEY, PILOT_BLOCK, number + 1)
-    drawn = candidates(flight, at, pool_of(options, size_class, rng), PILOT, rng)
+    drawn = candidates(flight, at, pool_of(flight, size_class, rng), PILOT, rng)
     weight = np.sort(drawn.natural[drawn.snr >= options.snr_min])[::-1] * PILOT
     if not weight.size:
         return 1000
@@ -393,7 +415,7 @@ class Pools:
         kept = self._kept.get(number)
         if kept is None or kept[0] != group:
             rng = generator(flight.seed, Effect.SURVEY, POOL_GROUP + group, number + 1)
-            kept = group, pool_of(flight.options.population, size_class, rng)
+            kept = group, pool_of(flight, size_class, rng)
             self._kept[number] = kept
         return kept[1]
 
@@ -454,7 +476,7 @@ def expected_passages(
             for turn in range(EXPECTED_ROUNDS):
                 rng = generator(flight.seed, Effect.SURVEY, EXPECTED_BLOCK + turn, 10 * k + part)
                 at = instants_of(flight, np.sort(rng.random(360)) * span_s, span_s)
-                pool = pool_of(flight.options.population, SizeClass(from_mm=a, to_mm=b, count=1), rng)
+                pool = pool_of(flight, SizeClass(from_mm=a, to_mm=b, count=1), rng)
                 found = candidates(flight, at, pool, CHUNK, rng)
                 weight = np.where(found.snr >= flight.options.population.snr_min, found.natural, 0.0)
                 _, _, i_deg = orbits_of(found)
@@ -486,7 +508,7 @@ def model_flux(flight: Flight, size_edges_m: Array, altitude_edges_km: Array, in
     for k in range(len(size_edges_m) - 1):
         rng = generator(flight.seed, Effect.SURVEY, FLUX_BLOCK, k + 1)
         size_class = SizeClass(from_mm=1e3 * float(size_edges_m[k]), to_mm=1e3 * float(size_edges_m[k + 1]), count=1)
-        pool = pool_of(flight.options.population, size_class, rng)
+        pool = pool_of(flight, size_class, rng)
         n = FLUX_PIECES
         a_km, e, i_rad, population = pool.a_km[:n], pool.e[:n], pool.i_rad[:n], pool.population[:n]
         band = np.searchsorted(inclination_edges_deg, np.degrees(i_rad), side="right") - 1

@@ -79,7 +79,7 @@ def expected_per_day(
         if size_class.count == 0:
             continue
         rng = generator(flight.seed, Effect.SURVEY, SENSITIVITY_BLOCK, k + 1)
-        p = candidates(flight, at, pool_of(flight.options.population, size_class, rng), CANDIDATES, rng)
+        p = candidates(flight, at, pool_of(flight, size_class, rng), CANDIDATES, rng)
         p = p.taken(np.flatnonzero(p.snr >= flight.options.population.snr_min))
         looks = looks_of(flight, at, p, rng)
         noise = response.noise_ratio(looks.noise_e)

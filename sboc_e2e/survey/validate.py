@@ -89,7 +89,7 @@ def virtual_passages(flight: Flight, runs: int, rng: np.random.Generator) -> tup
     for size_class in options.population.classes:
         if size_class.count == 0:
             continue
-        drawn = candidates(flight, at, pool_of(options.population, size_class, rng), CANDIDATES, rng)
+        drawn = candidates(flight, at, pool_of(flight, size_class, rng), CANDIDATES, rng)
         when = at.time_s[drawn.instant]
         whole = np.minimum(drawn.leave_s - drawn.enter_s, LONGEST_S)
         # a run counts an object that is in the field at any time of it: its stay within the run decides how often it is met

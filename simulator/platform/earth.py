@@ -80,10 +80,16 @@ def earth_velocity_km_s(tai_ns: int) -> NDArray[np.float64]:
     return np.asarray(barycentric["v"]) * (AU_KM / DAY_S)
 
 
+@lru_cache(maxsize=1024)  # pointing, sky and light each ask for the same instant
 def sun_position_km(tai_ns: int) -> NDArray[np.float64]:
-    """Geocentric position of the Sun's centre, (3,), GCRS axes, geometric (light time moves it by less than 1e-7 rad)."""
+    """Geocentric position of the Sun's centre, (3,), GCRS axes, geometric (light time moves it by less than 1e-7 rad).
+
+    The array is shared and cannot be written to.
+    """
     heliocentric, _ = erfa.epv00(*tt_parts(tai_ns))
-    return -np.asarray(heliocentric["p"]) * AU_KM
+    out = -np.asarray(heliocentric["p"]) * AU_KM
+    out.flags.writeable = False
+    return out
 
 
 @lru_cache(maxsize=512)

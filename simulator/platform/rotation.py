@@ -16,7 +16,8 @@ def matrix_of_boresight(boresight: Array, roll_rad: float) -> Array:
     if np.linalg.norm(south) < 1e-9:
         south = np.array([np.sign(z[2]), 0.0, 0.0])
     y = south / np.linalg.norm(south)
-    x = np.cross(y, z)
+    # y x z, written out: `np.cross` on single vectors takes ten times as long
+    x = np.array([y[1] * z[2] - y[2] * z[1], y[2] * z[0] - y[0] * z[2], y[0] * z[1] - y[1] * z[0]])
     c, s = np.cos(roll_rad), np.sin(roll_rad)
     return np.stack([c * x + s * y, -s * x + c * y, z])
 

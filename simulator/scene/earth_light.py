@@ -6,6 +6,7 @@ falls off exponentially; below the Sun's horizon it is lit above the shadow's ed
 aurora and the shapes of clouds are left out.
 """
 
+from functools import cache
 from typing import Final
 
 import numpy as np
@@ -77,16 +78,25 @@ def _airglow(closest_km: Array, ground: NDArray[np.bool_], ahead: NDArray[np.boo
     return np.asarray(10.0 ** (-0.4 * AIRGLOW_MAG) * crossings * half / AIRGLOW_WIDTH_KM)
 
 
+@cache
+def _spiral() -> tuple[Array, Array, Array]:
+    """Even points over a cap, each (n,): the share of its area below them, cosine and sine of their turn about its middle."""
+    k = np.arange(_SAMPLES) + 0.5
+    turn = np.pi * (1.0 + np.sqrt(5.0)) * k
+    return k / _SAMPLES, np.cos(turn), np.sin(turn)
+
+
 def earth_veil(options: FarScatterOptions, directions: Array, observer_km: Array, sun_km: Array) -> Array:
     """Light that the camera scatters from the visible Earth into a square arcsecond of directions (n, 3), V = 0 units."""
     reach, nadir = earth_reach_rad(observer_km), -observer_km / np.linalg.norm(observer_km)
-    k = np.arange(_SAMPLES) + 0.5
-    cosine = 1.0 - (1.0 - np.cos(reach)) * k / _SAMPLES
-    sine, turn = np.sqrt(1.0 - cosine**2), np.pi * (1.0 + np.sqrt(5.0)) * k
-    side = np.cross(nadir, [0.0, 0.0, 1.0] if abs(nadir[2]) < 0.9 else [1.0, 0.0, 0.0])
+    share, cos_turn, sin_turn = _spiral()
+    cosine = 1.0 - (1.0 - np.cos(reach)) * share
+    sine = np.sqrt(1.0 - cosine**2)
+    x, y, z = nadir
+    side = np.array([y, -x, 0.0] if abs(z) < 0.9 else [0.0, z, -y])  # nadir x the axis that is farther from it
     side /= np.linalg.norm(side)
-    other = np.cross(nadir, side)
-    seen = cosine[:, None] * nadir + sine[:, None] * (np.cos(turn)[:, None] * side + np.sin(turn)[:, None] * other)
+    other = np.array([y * side[2] - z * side[1], z * side[0] - x * side[2], x * side[1] - y * side[0]])  # nadir x side
+    seen = cosine[:, None] * nadir + sine[:, None] * (cos_turn[:, None] * side + sin_turn[:, None] * other)
     light, _ = earth_light(seen, observer_km, sun_km)
     solid_arcsec2 = 2.0 * np.pi * (1.0 - np.cos(reach)) / _SAMPLES * ARCSEC2_PER_SR
     apart = np.arccos(np.clip(directions @ seen.T, -1.0, 1.0))

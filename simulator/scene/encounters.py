@@ -282,17 +282,22 @@ def cell_density(position_km: Array, a_km: Array, e: Array, i_rad: Array) -> Arr
     """
     radius = np.linalg.norm(position_km, axis=-1)
     sine = position_km[..., 2] / radius
-    highest = np.maximum(np.sin(i_rad), 1e-6)
+    highest, shape = np.maximum(np.sin(i_rad), 1e-6), np.maximum(e, 1e-9)
+    out = np.zeros(len(radius))
+    # Most orbits come nowhere near: only the others are worth their inverse functions.
+    there = np.flatnonzero((np.abs(radius - a_km) < a_km * shape + CELL_KM) & (np.abs(sine) < highest + CELL_SINE))
+    radius, sine, a_km, shape, highest = radius[there], sine[there], a_km[there], shape[there], highest[there]
 
     def anomaly(r: Array) -> Array:
-        return np.asarray(np.arccos(np.clip((1.0 - r / a_km) / np.maximum(e, 1e-9), -1.0, 1.0)))
+        return np.asarray(np.arccos(np.clip((1.0 - r / a_km) / shape, -1.0, 1.0)))
 
     def argument(s: Array) -> Array:
         return np.asarray(np.arcsin(np.clip(s / highest, -1.0, 1.0)))
 
     radial = anomaly(radius + CELL_KM) - anomaly(radius - CELL_KM)
     lateral = argument(sine + CELL_SINE) - argument(sine - CELL_SINE)
-    return np.asarray(radial * lateral / (4.0 * CELL_KM * CELL_SINE) / (2.0 * np.pi**3 * radius * a_km))
+    out[there] = radial * lateral / (4.0 * CELL_KM * CELL_SINE) / (2.0 * np.pi**3 * radius * a_km)
+    return out
 
 
 def time_in_field(camera_km: Array, rate_km_s: Array, time_s: Array, window: Window) -> Array:

@@ -57,14 +57,16 @@ def sunlit_fraction(object_km: Array, sun_km: Array) -> Array:
     a = np.arcsin(SUN_RADIUS_KM / sun_distance)
     b = np.arcsin(np.clip(EARTH_RADIUS_KM / radius, 0.0, 1.0))
     c = np.arccos(np.clip(-np.sum(object_km * to_sun, axis=-1) / (radius * sun_distance), -1.0, 1.0))
+    ring = 1.0 - np.minimum((b / a) ** 2, 1.0)
+    out = np.asarray(np.where(c < a - b, ring, np.where(c < b - a, 0.0, 1.0)))
+    cut = (c >= np.abs(a - b)) & (c <= a + b)
+    a, b, c = a[cut], b[cut], c[cut]
     with np.errstate(invalid="ignore", divide="ignore"):
         x = (c * c + a * a - b * b) / (2.0 * c)
         y = np.sqrt(np.clip(a * a - x * x, 0.0, None))
         overlap = a * a * np.arccos(np.clip(x / a, -1, 1)) + b * b * np.arccos(np.clip((c - x) / b, -1, 1)) - c * y
-    partial = 1.0 - overlap / (np.pi * a * a)
-    covered = np.where(c < b - a, 0.0, np.where(c > a + b, 1.0, np.clip(partial, 0.0, 1.0)))
-    ring = 1.0 - np.minimum((b / a) ** 2, 1.0)
-    return np.asarray(np.where(c < a - b, ring, covered))
+        out[cut] = np.clip(1.0 - overlap / (np.pi * a * a), 0.0, 1.0)
+    return out
 
 
 def in_sight(object_km: Array, observer_km: Array) -> NDArray[np.bool_]:

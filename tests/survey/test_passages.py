@@ -51,7 +51,7 @@ def test_rate_is_that_of_the_pixel_chains_encounters(number: int) -> None:
     rng = generator(5, Effect.SURVEY)
     mine = []
     for _ in range(3):
-        found = candidates(f, at, pool_of(options, size_class, rng), 200_000, rng)
+        found = candidates(f, at, pool_of(f, size_class, rng), 200_000, rng)
         mine.append(found.natural[found.snr >= options.snr_min].sum() * 86_400.0 / BLOCK_S)
     error = np.hypot(np.std(theirs, ddof=1), np.std(mine, ddof=1)) / np.sqrt(3.0)
     assert np.mean(mine) == pytest.approx(np.mean(theirs), abs=4.0 * error + 0.02 * np.mean(theirs))

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.vetting.look_alikes import STAR_APART_PX, STAR_APART_SHARE, OwnEvidence, is_aligned
+from ground.vetting.readout import is_of_readout
 from ground.vetting.sides import SkyMap
 from onboard.chain import OnboardChain
 from onboard.options import OnboardOptions
@@ -34,11 +35,6 @@ SHADOW_PX: Final = 64.0
 
 SHADOW_SNR: Final = 2.0
 """A shadow is fainter than its trail by this factor at least."""
-
-READOUT_SIGMAS: Final = 2.5
-"""The vetter of uncalibrated frames refuses lines by the same distance (docs/real-frames.md)."""
-READOUT_SPAN: Final = 0.7
-"""A line within `READOUT_SIGMAS` PSF sigmas of one row or column, over this share of the frame, comes from the readout."""
 
 PROFILE_PX: Final = 32
 """How far to both sides of a line its profile is looked at."""
@@ -73,10 +69,13 @@ def look_alikes(detector: Detector, view: DetectorView, detections: Sequence[Det
     negative = negative_of(view)
     found = detector.detect(negative)
     check_detections(found, view.mask.shape)
+
+    def of_readout(line: Detection) -> bool:
+        shape = view.header.rows, view.header.cols
+        return is_of_readout(line.row1 - line.row0, line.col1 - line.col0, view.psf_sigma_px, shape)
+
     lines = [
-        each
-        for each in found
-        if not (each.flags & NO_LINE or _of_readout(each, view) or any(_shadow(each, of) for of in detections))
+        each for each in found if not (each.flags & NO_LINE or of_readout(each) or any(_shadow(each, of) for of in detections))
     ]
     table = np.array(
         [
@@ -138,13 +137,6 @@ def seen_of(mask: NDArray[np.uint8]) -> tuple[int, int, int, int]:
     """First and last row, first and last column with a pixel that is not masked, of a view that has one."""
     rows, cols = (np.flatnonzero((mask == 0).any(axis=axis)) for axis in (1, 0))
     return int(rows[0]), int(rows[-1]), int(cols[0]), int(cols[-1])
-
-
-def _of_readout(line: Detection, view: DetectorView) -> bool:
-    """Whether a line stays on one row or column over most of the frame."""
-    drow, dcol = abs(line.row1 - line.row0), abs(line.col1 - line.col0)
-    along, side = max((drow, view.header.rows), (dcol, view.header.cols), key=lambda pair: pair[0])
-    return min(drow, dcol) < READOUT_SIGMAS * max(view.psf_sigma_px, 1.0) and along > READOUT_SPAN * side
 
 
 def _shadow(dark: Detection, of: Detection) -> bool:

@@ -17,6 +17,9 @@ from ground.vetting.look_alikes import STAR_APART_PX, STAR_APART_SHARE, OwnEvide
 from ground.vetting.readout import is_of_readout
 from ground.vetting.sides import SkyMap
 from onboard.chain import OnboardChain
+from onboard.detect.line_integral.star_removal import TILE_PX
+from onboard.detect.line_integral.static_sky import IDENTITY, EarlierFrame, earlier_frame, segment_snr_before
+from onboard.latency import REACH_PX
 from onboard.options import OnboardOptions
 from onboard.stars.star_motion import common_motion
 from onboard.state import OnboardResult, OnboardState, OnboardSteps, Prepared
@@ -35,6 +38,9 @@ SHADOW_PX: Final = 64.0
 
 SHADOW_SNR: Final = 2.0
 """A shadow is fainter than its trail by this factor at least."""
+
+RECURRING_SHARE: Final = 0.5
+"""Share of its S/N from which on a dark line was there in the frame beside it too. Chosen, not measured: chance gives 1 / S/N."""
 
 PROFILE_PX: Final = 32
 """How far to both sides of a line its profile is looked at."""
@@ -65,6 +71,7 @@ def look_alikes(detector: Detector, view: DetectorView, detections: Sequence[Det
 
     detections : of the frame itself. Dark lines beside a line that is much brighter are its shadow and do not count. Neither do
     lines of the readout: the vetter of uncalibrated frames refuses such lines by their place, and they tell nothing of others.
+    Nor do dark lines that a neighbouring frame has too, among the stars or on the sensor: bright ones that stay are not detected.
     """
     negative = negative_of(view)
     found = detector.detect(negative)
@@ -77,6 +84,9 @@ def look_alikes(detector: Detector, view: DetectorView, detections: Sequence[Det
     lines = [
         each for each in found if not (each.flags & NO_LINE or of_readout(each) or any(_shadow(each, of) for of in detections))
     ]
+    earlier = earlier_frame(view, REACH_PX) if lines and view.history else None
+    if earlier is not None:
+        lines = [each for each in lines if not _recurs(each, earlier, view)]
     table = np.array(
         [
             (
@@ -137,6 +147,18 @@ def seen_of(mask: NDArray[np.uint8]) -> tuple[int, int, int, int]:
     """First and last row, first and last column with a pixel that is not masked, of a view that has one."""
     rows, cols = (np.flatnonzero((mask == 0).any(axis=axis)) for axis in (1, 0))
     return int(rows[0]), int(rows[-1]), int(cols[0]), int(cols[-1])
+
+
+def _recurs(dark: Detection, earlier: EarlierFrame, view: DetectorView) -> bool:
+    """Whether the neighbouring frame of a view is dark too where a dark line lies, among the stars or on the sensor."""
+    ends = np.array([dark.row0, dark.col0, dark.row1, dark.col1])
+    blocked = np.zeros(view.mask.shape, np.uint8)
+    level = np.zeros([-(-side // TILE_PX) for side in view.mask.shape], np.float32)
+    return any(
+        segment_snr_before(earlier.frame.pixels, transform, IDENTITY, (blocked, 0), (level, TILE_PX), ends, view.psf_sigma_px)
+        < -RECURRING_SHARE * dark.snr
+        for transform in (earlier.transform, IDENTITY)
+    )
 
 
 def _shadow(dark: Detection, of: Detection) -> bool:

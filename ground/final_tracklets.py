@@ -123,7 +123,7 @@ def final_tracklet(
 def _on_line(
     placed: Sequence[StreakMeasurement], parts: Sequence[Member], frames: Sequence[FrameProducts]
 ) -> list[StreakMeasurement]:
-    """Members with those of on-board tracks that their own frames hardly show on the line of all, with directions there."""
+    """Members, those of on-board tracks on the line of all, with directions there."""
     trails = [
         PlacedTrail(streak=streak, jacobian_arcsec=part.jacobian_arcsec, pointing_arcsec=part.pointing_arcsec)
         for streak, part in zip(placed, parts, strict=True)

@@ -1,7 +1,7 @@
 """Where the members of an on-board track lie across their motion: on one line through all of their frames.
 
 A trail of S/N 4 is placed by its own frame to a third of a pixel across. All n frames of its track together know the place of
-the line better by the root of n. So such members are moved across onto the line, each with the line's error there.
+the line better by the root of n. So members are moved across onto the line, each with the line's error there.
 
 A straight passage is a straight line in the tangent plane of any direction, whatever the range does. Differential gravity
 bends it by a parabola of time with a narrow prior, which is fitted as well.
@@ -16,7 +16,6 @@ from numpy.typing import NDArray
 
 from ground.sky.measure import middle_of
 from ground.sky.sphere import ARCSEC_RAD, east_north, unit_vectors
-from ground.streaks.forced import FORCED_SNR
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit, StreakMeasurement
 
@@ -32,9 +31,12 @@ LEAST_TILT: Final = 1e-6
 """Variance of the ends' difference over that of their mean, both across the trail, below which the fit was given its direction
 and knows nothing of it. A trail of even light that has both free has 12."""
 
-LEAST_PX: Final = 0.1
-"""Added in quadrature to the ends of trails that were fitted freely: bright ones err by the PSF's model, not by their noise
-(`refit.LEAST_END_VARIANCE_PX2`)."""
+LEAST_PX: Final = 0.05
+"""Added in quadrature to the ends of trails that were fitted freely, for errors of the PSF's model. Chosen, not measured: it
+widens a trail of S/N 8 by 5 % and halves the weight of one of S/N 26."""
+
+LEAST_SHARE: Final = 0.05
+"""Of a place's variance, in its distance from a line that it alone decides: the two would be equal but for rounding."""
 
 LEAST_AGREEING: Final = 3
 """Places that do not lie on one line do not say which of them is wrong while they are so few."""
@@ -55,13 +57,8 @@ class PlacedTrail:
     pointing_arcsec: float
 
     @property
-    def is_faint_member(self) -> bool:
-        """Whether it belongs to an on-board track and its own frame shows it too faintly to be found there alone."""
-        return self.streak.track >= 0 and self.streak.fit.snr < FORCED_SNR and self.is_usable
-
-    @property
     def is_usable(self) -> bool:
-        """Whether it says where the line is."""
+        """Whether it is a trail with a direction and places on the sky."""
         streak = self.streak
         seen = bool(streak.flags & StreakFlag.DIRECTION_RESOLVED) and not (streak.flags & UNUSABLE or streak.fit.is_foretold)
         return seen and bool(np.isfinite(streak.ra_deg).all() and np.isfinite(self.jacobian_arcsec).all())
@@ -94,30 +91,35 @@ class _Plane:
 
 
 def on_common_line(trails: Sequence[PlacedTrail]) -> dict[int, StreakMeasurement]:
-    """The faint members of on-board tracks moved across onto the line of all members, by their place in `trails`.
+    """The members of on-board tracks moved across onto the line of all members, by their place in `trails`.
 
+    The line is that of the members that the joint refit took for light of one object, or of all where it took fewer than two.
     Members that lie off the line are not moved and do not count. The ends' errors along the trail are kept. Those across are of
     the line, which all members share, and of their frame's pointing. Directions are still those before; the caller measures them
     again.
     """
-    used = [k for k, trail in enumerate(trails) if trail.is_usable]
-    if not any(trails[k].is_faint_member for k in used):
+    movable = [k for k, trail in enumerate(trails) if trail.is_usable and trail.streak.track >= 0]
+    if not movable:
         return {}
+    usable = [k for k, trail in enumerate(trails) if trail.is_usable]
+    refitted = [k for k in usable if trails[k].streak.flags & StreakFlag.REFIT]
+    used = refitted if len(refitted) >= 2 else usable
     units = [_units(trail.streak) for trail in trails]
     while len(used) >= 2:
         epochs = np.array([trails[k].streak.t_tai_ns[1] for k in used], dtype=np.int64)
         plane = _Plane(np.concatenate([units[k][[0, 2]] for k in used]), int(epochs[0] + np.mean(epochs - epochs[0])))
-        shares = [_evidence(trails[k], units[k], plane) for k in used]
-        rows, values, weights = (np.concatenate([share[i] for share in shares]) for i in range(3))
+        shares = {k: _evidence(trails[k], units[k], plane) for k in {*used, *movable}}
+        rows, values, weights = (np.concatenate([shares[k][i] for k in used]) for i in range(3))
         information = (rows * weights[:, None]).T @ rows + np.diag([0.0, 0.0, SIGMA_BEND_ARCSEC_S2**-2])
         covariance = _inverse(information)
         line = covariance @ (rows.T @ (weights * values))
-        off = np.array([_off_line(share, line, covariance) for share in shares])
-        if off.max() <= OFF_LINE_SIGMAS:
-            return {k: _moved(trails[k], units[k], plane, line, covariance) for k in used if trails[k].is_faint_member}
+        off = {k: _off_line(shares[k], line, covariance, is_part=k in used) for k in shares}
+        worst = max(used, key=lambda k: off[k])
+        if off[worst] <= OFF_LINE_SIGMAS:
+            return {k: _moved(trails[k], units[k], plane, line, covariance) for k in movable if off[k] <= OFF_LINE_SIGMAS}
         if len(used) <= LEAST_AGREEING:
             return {}
-        used.pop(int(np.argmax(off)))
+        used = [k for k in used if k != worst]
     return {}
 
 
@@ -159,10 +161,11 @@ def _inverse(information: Array) -> Array:
     return np.asarray(np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale))
 
 
-def _off_line(evidence: tuple[Array, Array, Array], line: Array, covariance: Array) -> float:
-    """Distance of a frame's place from the line that it is part of, in errors of this distance."""
+def _off_line(evidence: tuple[Array, Array, Array], line: Array, covariance: Array, *, is_part: bool) -> float:
+    """Distance of a frame's place from the line, in errors of this distance. is_part : whether the line is fitted to it."""
     row, value, weight = evidence[0][0], evidence[1][0], evidence[2][0]
-    variance = max(1.0 / weight - float(row @ covariance @ row), 0.05 / weight)
+    known = float(row @ covariance @ row)
+    variance = max(1.0 / weight - known, LEAST_SHARE / weight) if is_part else 1.0 / weight + known
     return abs(float(value - row @ line)) / float(np.sqrt(variance))
 
 

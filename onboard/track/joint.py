@@ -16,6 +16,7 @@ from onboard.track import joint_filter
 from onboard.track.false_alarms import independent_tracks, threshold_sigma
 from onboard.track.packed import halved, packed
 from onboard.track.particles import without_hits
+from onboard.track.same import same_object
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import Detection, Track, TrackerView, TrackMember
@@ -38,9 +39,6 @@ UNEVEN_SHARE: Final = 0.2
 joint S/N squared: objects tumble."""
 
 EDGE_PX: Final = 3.0  # such a trail may continue beyond the frame, as `segments.EDGE_PX` has it
-SAME_PX: Final = 4.0  # across and beyond the ends. Chosen, not measured
-SAME_SHARE: Final = 0.35
-"""Two tracks are one object where a frame's ends lie as close as this, or as this share of the trail's length."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -133,8 +131,9 @@ class JointTracker:
                 frame.with_halves() if abs(k - centre) <= 1 else replace(frame, halves=None)
                 for k, frame in enumerate(state.window)
             )
-            for track in self._about(window, centre, psf_sigma_px):
-                same = next((t for t in known.values() if same_object(t, track)), None)
+            asked = self._asked(window, centre, psf_sigma_px)
+            for track in self._about(window, centre, psf_sigma_px, asked):
+                same = next((t for t in known.values() if same_object(t, track, asked)), None)
                 if same is None:
                     track, number = replace(track, number=number), number + 1
                 elif same.number in {t.number for t in found if t is same}:
@@ -148,8 +147,14 @@ class JointTracker:
             state = replace(state, window=window, tracks=tuple(known.values()), next_number=number, followed=centre + 1)
         return state, found
 
-    def _about(self, window: tuple[KeptSearch, ...], centre: int, psf_sigma_px: float) -> list[Track]:
-        """Tracks through seeds of one frame of the window, best first, each object once."""
+    def _asked(self, window: tuple[KeptSearch, ...], centre: int, psf_sigma_px: float) -> NDArray[np.float64]:
+        """Joint S/N asked of a track of n frames of a window, at index n."""
+        taus = exposures_from(window, centre, from_centre(window, centre))
+        period = float(np.median(np.abs(np.diff(taus)))) if len(taus) > 1 else 1.0
+        return self.thresholds(window[centre].shape, period, psf_sigma_px)
+
+    def _about(self, window: tuple[KeptSearch, ...], centre: int, psf_sigma_px: float, asked: NDArray[np.float64]) -> list[Track]:
+        """Tracks through seeds of one frame of the window, best first, each object once. asked : see `_asked`."""
         kept = window[centre]
         seeds = kept.seeds[np.hypot(*(kept.seeds[:, 2:4] - kept.seeds[:, :2]).T) < LONGEST_PX]
         seeds = seeds[np.argsort(-seeds[:, 4], kind="stable")]
@@ -158,8 +163,6 @@ class JointTracker:
         transforms = from_centre(window, centre)
         taus = exposures_from(window, centre, transforms)
         rows, cols = kept.shape
-        period = float(np.median(np.abs(np.diff(taus))))
-        thresholds = self.thresholds((rows, cols), period, psf_sigma_px)
         # one kernel for any number of frames: the tuple is filled up to the window's length
         filled = window + (window[0],) * (self.window - len(window))
         own = kept.with_halves().halves or (kept.image, kept.image)
@@ -174,7 +177,7 @@ class JointTracker:
             centre,
             seeds,
             psf_sigma_px,
-            thresholds,
+            asked,
             self.first_margin,
             max(LEAST_WORK, round(WORK_PER_PX * rows * cols)),
             joint_filter.work_space(self.window),
@@ -184,7 +187,7 @@ class JointTracker:
             if not plausible(row):
                 continue
             track = track_of(row, seeds[int(row[0])], window, transforms, taus)
-            if track is not None and not any(same_object(t, track) for t in tracks):
+            if track is not None and not any(same_object(t, track, asked) for t in tracks):
                 tracks.append(track)
         return tracks
 
@@ -290,18 +293,3 @@ def clipped(ends: NDArray[np.float64], shape: tuple[int, ...]) -> tuple[tuple[fl
             flags |= flag
     points = np.clip(points, 0.0, limits)
     return (float(points[0, 0]), float(points[0, 1]), float(points[1, 0]), float(points[1, 1])), flags
-
-
-def same_object(known: Track, track: Track) -> bool:
-    """Whether two tracks show one object: in a frame that both have, their trails lie on each other."""
-    ends = {m.frame: m.detection for m in known.members}
-    for member in track.members:
-        a, b = ends.get(member.frame), member.detection
-        if a is None:
-            continue
-        length = max(a.length_px, b.length_px, 1.0)
-        u = np.array([b.row1 - b.row0, b.col1 - b.col0]) / max(b.length_px, 1e-6)
-        middle = 0.5 * np.array([a.row0 + a.row1 - b.row0 - b.row1, a.col0 + a.col1 - b.col0 - b.col1])
-        if abs(middle @ u) < 0.5 * length + SAME_PX and abs(middle @ np.array([-u[1], u[0]])) < SAME_PX + 0.02 * length:
-            return True
-    return False

@@ -1,0 +1,77 @@
+"""Tracks of one object and tracks of two objects that cross: told apart by the light that is not shared."""
+
+import math
+
+import numpy as np
+import pytest
+
+from onboard.track.joint import JointTracker
+from onboard.track.same import distance_px, same_object
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.signals import Detection, Track, TrackMember
+from tests.benchmarks.bench_tracks import WHOLE_PX
+
+ASKED = JointTracker().thresholds((WHOLE_PX, WHOLE_PX), 1.25, 0.85)
+
+
+def segment(row0: float, col0: float, row1: float, col1: float, snr: float = 4.0) -> Detection:
+    return Detection(row0=row0, col0=col0, row1=row1, col1=col1, snr=snr, flags=StreakFlag(0))
+
+
+def straight(
+    row: float, col: float, angle_deg: float, length: float, *, frames: range, snr: float = 4.0, number: int = 0, middle: int = 3
+) -> Track:
+    """A track whose trail in frame `middle` has its middle at (row, col)."""
+    way = np.array([math.sin(math.radians(angle_deg)), math.cos(math.radians(angle_deg))])
+    members = []
+    for k in frames:
+        at = np.array([row, col]) + 1.25 * length * (k - middle) * way
+        low, high = at - 0.5 * length * way, at + 0.5 * length * way
+        members.append(TrackMember(frame=k, detection=segment(*low, *high, snr=snr)))
+    return Track(number=number, snr=snr * math.sqrt(len(members)), members=tuple(members))
+
+
+@pytest.mark.parametrize("angle_deg", [10.0, 40.0, 90.0, 200.0])
+def test_two_objects_whose_trails_cross_in_one_frame_are_two(angle_deg: float) -> None:
+    """Each has six frames of its own light; the same tracks too faint without the common frame are taken for one."""
+    known = straight(1000.0, 1000.0, 0.0, 200.0, frames=range(7), snr=9.0)
+    other = straight(1001.0, 1003.0, angle_deg, 150.0, frames=range(7))
+    assert not same_object(known, other, ASKED)
+    assert same_object(known, other)
+    faint = straight(1001.0, 1003.0, angle_deg, 150.0, frames=range(7), snr=3.0)
+    assert same_object(known, faint, ASKED)
+
+
+def test_a_find_with_a_wrong_motion_is_the_same_object() -> None:
+    """Wrong sense, wrong speed, wrong direction: outside of the object's light there is noise, or its light a second time."""
+    known = straight(1000.0, 1000.0, 20.0, 150.0, frames=range(7), snr=15.0)
+    in_noise = {200.0: 1.5, 26.0: 2.5}
+    for angle_deg, noise in in_noise.items():
+        wrong = straight(1000.0, 1000.0, angle_deg, 150.0, frames=range(7), snr=noise)
+        assert same_object(known, wrong, ASKED)
+    along = straight(1000.0, 1000.0, 20.0, 185.0, frames=range(7), snr=12.0)
+    assert same_object(known, along, ASKED)
+
+
+def test_an_object_goes_on_under_its_number_and_others_are_others() -> None:
+    """Later frames of one motion; a track of other frames; a parallel neighbour 30 px aside."""
+    known = straight(1000.0, 1000.0, 20.0, 60.0, frames=range(5))
+    assert same_object(known, straight(1001.0, 1002.0, 20.5, 61.0, frames=range(3, 10)), ASKED)
+    assert same_object(known, straight(1001.0, 1002.0, 20.5, 61.0, frames=range(4, 11), snr=9.0), ASKED)
+    assert not same_object(known, straight(1000.0, 1000.0, 20.0, 60.0, frames=range(5, 9)), ASKED)
+    assert not same_object(known, straight(1030.0, 1000.0, 20.0, 60.0, frames=range(5)), ASKED)
+
+
+def test_distances_of_segments_agree_with_the_nearest_of_many_points() -> None:
+    """200 random pairs, crossing ones among them."""
+    rng, share = np.random.default_rng(3), np.linspace(0.0, 1.0, 400)[:, None]
+    crossing = 0
+    for _ in range(200):
+        ends = rng.uniform(0.0, 100.0, (4, 2))
+        a, b = (p + share * (q - p) for p, q in ((ends[0], ends[1]), (ends[2], ends[3])))
+        nearest = float(np.hypot(*(a[:, None] - b[None]).transpose(2, 0, 1)).min())
+        found = distance_px(segment(*ends[0], *ends[1]), segment(*ends[2], *ends[3]))
+        crossing += found == 0.0
+        assert found == pytest.approx(nearest, abs=0.4)
+    assert 20 < crossing < 100
+    assert distance_px(segment(1.0, 1.0, 1.0, 1.0), segment(4.0, 5.0, 4.0, 9.0)) == pytest.approx(5.0)

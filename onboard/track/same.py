@@ -9,9 +9,10 @@ from numpy.typing import NDArray
 from sboc_e2e.icd.signals import Detection, Track
 
 SAME_PX: Final = 4.0  # some four PSF widths: closer trails share light. Chosen, not measured
-ALONG_SHARE: Final = 0.5
+ALONG_SHARE: Final = 0.5  # of the longer trail's length: the middle of one lies on the other
 ACROSS_SHARE: Final = 0.02
-"""Trails lie on each other where their middles are closer than `SAME_PX` and these shares of the longer one's length."""
+"""Trails lie on each other where their middles are closer across than `SAME_PX` and this share of the longer one's length: their
+directions differ by a degree. Chosen, not measured."""
 
 
 def same_object(known: Track, track: Track, least: NDArray[np.float64] | None = None) -> bool:

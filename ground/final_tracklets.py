@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from ground.frame_streaks import with_final_brightness
 from ground.link import Member, apply_links, measured_tracklet
+from ground.link.common_line import PlacedTrail, on_common_line
 from ground.link.foretold import with_track_errors
 from ground.link.shake import SeenTrail, Sway, shake_factor, sway_of
 from ground.photometry.magnitude import crossing_time_s
@@ -105,19 +106,30 @@ def final_tracklet(
         for streak, frame in zip(placed, frames, strict=True)
         if streak.streak_id in foretold
     }
-    measured = measured_tracklet(
-        tracklet,
-        [
-            _member(one, streak, frame, run.sigma_rate_arcsec_s(k), run.end_shake, shared.get(streak.streak_id))
-            for one, streak, frame, k in zip(single, placed, frames, at, strict=True)
-        ],
-    )
+    parts = [
+        _member(one, streak, frame, run.sigma_rate_arcsec_s(k), run.end_shake, shared.get(streak.streak_id))
+        for one, streak, frame, k in zip(single, placed, frames, at, strict=True)
+    ]
+    measured = measured_tracklet(tracklet, parts)
+    # the tracklet's directions have errors of their own frames across the motion; its published members share one line
     final = [
         with_final_brightness(streak, frame, crossing_time_s(streak, measured.rate_deg_s))
-        for streak, frame in zip(placed, frames, strict=True)
+        for streak, frame in zip(_on_line(placed, parts, frames), frames, strict=True)
     ]
     run.linked.put(number, final)
     return with_mean_light(measured, final, run.half_point_snr)
+
+
+def _on_line(
+    placed: Sequence[StreakMeasurement], parts: Sequence[Member], frames: Sequence[FrameProducts]
+) -> list[StreakMeasurement]:
+    """Members with those of on-board tracks that their own frames hardly show on the line of all, with directions there."""
+    trails = [
+        PlacedTrail(streak=streak, jacobian_arcsec=part.jacobian_arcsec, pointing_arcsec=part.pointing_arcsec)
+        for streak, part in zip(placed, parts, strict=True)
+    ]
+    moved = on_common_line(trails)
+    return [_placed(moved[k], frames[k]) if k in moved else streak for k, streak in enumerate(placed)]
 
 
 def _in_arcsec(

@@ -384,14 +384,18 @@ def light_of(flight: Flight, at: Instants, instant: Indices, size_m: Array, surf
     return np.asarray(flux * in_sight(position_km, observer))
 
 
-def candidate_number(flight: Flight, number: int) -> int:
-    """How many candidates of a class a block needs, so that few stand for more than one passage; from a pilot."""
+def pilot_instants(flight: Flight) -> Instants:
+    """Instants of a year, at which the pilots of all classes look."""
+    rng = generator(flight.seed, Effect.SURVEY, PILOT_BLOCK)
+    return instants_of(flight, np.sort(rng.random(240)) * PILOT_DAYS * earth.DAY_S, BLOCK_S)
+
+
+def candidate_number(flight: Flight, at: Instants, number: int) -> int:
+    """How many candidates of a class a block needs, so that few stand for more than one passage; from a pilot at instants."""
     options = flight.options.population
     size_class = options.classes[number]
     if size_class.count == 0:
         return 0
-    rng = generator(flight.seed, Effect.SURVEY, PILOT_BLOCK)
-    at = instants_of(flight, np.sort(rng.random(240)) * PILOT_DAYS * earth.DAY_S, BLOCK_S)
     rng = generator(flight.seed, Effect.SURVEY, PILOT_BLOCK, number + 1)
     drawn = candidates(flight, at, pool_of(flight, size_class, rng), PILOT, rng)
     weight = np.sort(drawn.natural[drawn.snr >= options.snr_min])[::-1] * PILOT

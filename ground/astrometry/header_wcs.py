@@ -4,7 +4,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
-from scipy.stats import poisson
+from scipy.special import pdtrc
 
 from ground.astrometry.astrometer import UNUSABLE_CATALOGUE, unsolved
 from ground.astrometry.camera import Camera
@@ -65,7 +65,7 @@ def identify_by_header(frame: DownlinkFrame, wcs: Any, catalogue: StarCatalogue,
         half_size_px=0.5 * float(np.hypot(header.rows, header.cols)),
     )
     offsets = (2.0 * SEARCH_PX / bin_px + 1.0) ** 2
-    if offsets * poisson.sf(vote.votes - 1, vote.chance) > LARGEST_CHANCE:
+    if vote.votes == 0 or offsets * pdtrc(vote.votes - 1, vote.chance) > LARGEST_CHANCE:
         return nothing
     predicted = predicted + np.array([vote.d_row_px, vote.d_col_px])
     index, chosen = mutual_pairs(listed, predicted, MATCH_SIGMAS * max(1.0, camera.psf_sigma_px))

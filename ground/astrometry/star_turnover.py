@@ -12,7 +12,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.signal import fftconvolve
 
 Array = NDArray[np.float64]
 
@@ -57,6 +56,8 @@ def _autocorrelation() -> Array:
         ]
     ).reshape(8, -1)  # fmt: skip
     weight = np.linalg.pinv(columns.T)[0].reshape(2, CELLS, CELLS)
+    from scipy.signal import fftconvolve  # takes a fifth of a second, which frames without a solution do not need
+
     both = sum(fftconvolve(w, w[::-1, ::-1]) for w in weight)
     out = np.zeros((CELLS + 1, CELLS + 1))
     out[:CELLS, :CELLS] = both[CELLS - 1 :, CELLS - 1 :]

@@ -20,7 +20,6 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
-from scipy.stats import qmc
 
 from ground.streaks import known_width
 from ground.streaks.centre_line import LineFit, effective_width_px, uniform_trail
@@ -412,6 +411,8 @@ class _Proposals(NamedTuple):
 
     @classmethod
     def of(cls, n: int) -> "_Proposals":
+        from scipy.stats import qmc  # takes half a second, which frames without tracklets do not need
+
         # the first Sobol point is the corner of the cube; half a cell inwards it is a point like the others
         uniform = qmc.Sobol(n + 1, scramble=False).random(SAMPLES) + 0.5 / SAMPLES
         # the gamma variable from its Wilson-Hilferty quantiles

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
-from astropy.timeseries import LombScargle
 from numpy.typing import NDArray
 
 BIN_WIDTHS: Final = 4.0
@@ -97,6 +96,8 @@ def _period(residual: NDArray[np.float64], sigma: NDArray[np.float64], position:
     power = SLACK * 2.0 * float(spectrum.max()) / (weight.sum() * float(weight @ centred**2))
     if n * max(1.0 - power, 0.0) ** (0.5 * (n - 3)) > FALSE_ALARM:
         return None
+    from astropy.timeseries import LombScargle  # takes a tenth of a second, which trails that do not vary do not need
+
     # at least 1.5 cycles in the trail, at most the Nyquist rate of the bins
     frequency = np.linspace(1.5, 0.5 * n, max(8 * n, 32))
     search = LombScargle(position, residual, sigma)

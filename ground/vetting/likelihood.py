@@ -13,8 +13,9 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.vetting.class_densities import REAL, RECURRING, class_densities, log_odds_calibration
+from ground.vetting.class_densities import REAL, RECURRING, STRUCTURE, class_densities, log_odds_calibration
 from ground.vetting.features import Features, features_of, lumpiness_of
+from ground.vetting.readout import is_of_readout
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
@@ -83,11 +84,6 @@ of length, all of chi-square and 4 of 9 of lumpiness."""
 LUMPIEST: Final = 0.7
 """Largest lumpiness of such a trail: rows of stars have more. Chosen, not measured."""
 EDGE_TO_EDGE: Final = StreakFlag.EDGE0 | StreakFlag.EDGE1
-READOUT_WIDTHS: Final = 2.5
-"""Largest extent across, in widths (or px), of a line on one row or column; see `READOUT_SPAN`. Chosen, not measured."""
-READOUT_SPAN: Final = 0.7
-"""A line that stays within `READOUT_WIDTHS` of its widths on one row or column, over this share of the frame, comes from the
-readout."""
 
 NEVER: Final = -1e3
 """Log density of what is excluded: exp(-1000) is 0, and no infinity enters differences."""
@@ -162,16 +158,6 @@ def _of_unmodelled_kind(fit: StreakFit, features: Features) -> bool:
     )
 
 
-def _along_the_readout(fit: StreakFit, frame: DownlinkFrame) -> bool:
-    """Whether a fit stays within its own width on one row or column and spans most of the frame along it.
-
-    Columns, borders of amplifiers and steps of the overscan do so. One in 500 trails in a frame of 4096 pixels does so.
-    """
-    drow, dcol = abs(fit.row1 - fit.row0), abs(fit.col1 - fit.col0)
-    along, side = max((drow, frame.header.rows), (dcol, frame.header.cols), key=lambda pair: pair[0])
-    return min(drow, dcol) < READOUT_WIDTHS * max(fit.width_px, 1.0) and along > READOUT_SPAN * side
-
-
 def _blob(fit: StreakFit, psf_sigma_px: float, *, unknown: bool) -> bool:
     """Whether a source is too round to be distinguished from blends, galaxies and halos, its width being unknown or not the
     PSF's."""
@@ -189,6 +175,10 @@ STAR_CHAIN_PER_FRAME: Final = 0.05
 
 RECURRING_PER_FRAME: Final = 0.01
 """Expected spikes, ghosts and glow per frame."""
+
+STRUCTURE_PER_FRAME: Final = 1.0
+"""Expected faint broad lines of the sky and the flat in a frame that nobody calibrated. Measured: 17 a frame of a 1.1 m
+telescope with steep vignetting, 1.0 and 1.25 of a 14-inch telescope with two sets of exposures (`STRUCTURE_SHARPNESS`)."""
 
 STEADY_FRAMES: Final = 30.0
 """Frames that the expected rates of real streaks and of noise count as."""
@@ -234,7 +224,7 @@ class LikelihoodVetter:
         if unknown or self.model_error > 0.0:
             brightest = LN_BRIGHTEST_SNR_UNKNOWN if unknown else LN_BRIGHTEST_SNR
             features = [replace(each, ln_snr=min(each.ln_snr, brightest)) for each in features]
-        probability = 1.0 / (1.0 + np.exp(-(offset + slope * self.log_odds(features, strange))))
+        probability = 1.0 / (1.0 + np.exp(-(offset + slope * self.log_odds(features, strange, psf_known=not unknown))))
         refused = [self._refused(fit, frame, psf_sigma_px, unknown=unknown) for fit in fits]
         return np.asarray(np.where(refused, 0.0, probability), dtype=np.float64)
 
@@ -242,19 +232,22 @@ class LikelihoodVetter:
         """Whether a fit is rejected independently of the densities; unknown : the PSF's width is assumed."""
         # The class densities end far below such widths: stray light, dead borders. No defocus makes them at these ranges.
         widest = min(WIDEST, WIDEST_UNKNOWN) if unknown else WIDEST
-        uncalibrated = self.model_error > 0.0
+        uncalibrated, shape = self.model_error > 0.0, (frame.header.rows, frame.header.cols)
         snr = _snr_over_residuals(fit) if uncalibrated else fit.snr
         if fit.width_px > widest * psf_sigma_px and snr < WIDEST_SNR:
             return True
-        if uncalibrated and _along_the_readout(fit, frame):
+        if uncalibrated and is_of_readout(fit.row1 - fit.row0, fit.col1 - fit.col0, fit.width_px, shape):
             return True
         if unknown and _beyond_knowledge(fit, frame):
             return True
         return uncalibrated and _blob(fit, psf_sigma_px, unknown=unknown)
 
-    def class_rates(self) -> dict[str, tuple[float, float]]:
-        """For each class: expected detections per frame, and the weight of this expectation in frames."""
-        return {
+    def class_rates(self, *, psf_known: bool = True) -> dict[str, tuple[float, float]]:
+        """For each class: expected detections per frame, and the weight of this expectation in frames.
+
+        psf_known : what is broad is told where stars or a camera tell the PSF.
+        """
+        rates = {
             REAL: (self.real_per_frame, STEADY_FRAMES),
             "noise": (self.noise_per_frame, STEADY_FRAMES),
             "particle": (PARTICLE_PER_FRAME, 1.0),
@@ -263,13 +256,16 @@ class LikelihoodVetter:
             "star_chain": (STAR_CHAIN_PER_FRAME, 1.0),
             RECURRING: (RECURRING_PER_FRAME, 1.0),
         }
+        return rates | {STRUCTURE: (STRUCTURE_PER_FRAME, 1.0)} if self.model_error > 0.0 and psf_known else rates
 
-    def log_odds(self, features: Sequence[Features], strange: NDArray[np.bool_] | None = None) -> NDArray[np.float64]:
+    def log_odds(
+        self, features: Sequence[Features], strange: NDArray[np.bool_] | None = None, *, psf_known: bool = True
+    ) -> NDArray[np.float64]:
         """ln P(real) / P(not real), shape (n,), of the detections of one frame, features taken as independent.
 
-        strange : (n,) fits that may be trails of a kind that is not modelled.
+        strange : (n,) fits that may be trails of a kind that is not modelled. psf_known : as for `class_rates`.
         """
-        densities, classes = class_densities(), self.class_rates()
+        densities, classes = class_densities(), self.class_rates(psf_known=psf_known)
         log_density = np.array([[densities[name].log_density(name, f) for name in classes] for f in features])
         rate, worth = (np.array(column) for column in zip(*classes.values(), strict=True))
         real = np.array([name == REAL for name in classes])

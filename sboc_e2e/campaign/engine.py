@@ -10,10 +10,8 @@ import shutil
 import time
 from collections import defaultdict
 from collections.abc import Callable, Iterator, Sequence
-from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor, as_completed
-from contextlib import contextmanager
+from concurrent.futures import as_completed
 from dataclasses import dataclass
-from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, Final
 
@@ -24,6 +22,7 @@ from sboc_e2e.files.atomic import UNWRITABLE, remove_leftovers, require_writable
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.manifest import first_difference
+from sboc_e2e.run.workers import executor
 
 IDENTITY: Final = "identity.json"
 FOLDERS: Final = ("shards", "failed", "work")
@@ -43,37 +42,6 @@ class CampaignResult:
 def failure_path(out: Path, task: Task) -> Path:
     """One line that says why a task failed."""
     return out / "failed" / f"{task.number:06d}.txt"
-
-
-@contextmanager
-def executor(workers: int, scheduler: str | None, *, here: bool = False) -> Iterator[tuple[Executor, int]]:
-    """Local processes, a dask LocalCluster ("local") or a dask scheduler, all behind the standard library's interface.
-
-    Beside it: how many tasks it runs at a time. here : in this process, one task after the other.
-    """
-    if here:
-        with ThreadPoolExecutor(max_workers=1) as pool:
-            yield pool, 1
-        return
-    if scheduler is None:
-        # Fresh interpreters: a forked child would inherit the parent's numba and BLAS threads.
-        with ProcessPoolExecutor(max_workers=workers, mp_context=get_context("spawn")) as processes:
-            yield processes, workers
-        return
-    try:
-        from distributed import Client, LocalCluster
-    except ImportError as error:
-        raise UserError('--scheduler needs the extra "distributed": pip install "sboc-e2e[distributed]"') from error
-    if scheduler == "local":
-        with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster, Client(cluster) as client:
-            yield client.get_executor(pure=False), workers
-        return
-    try:
-        client = Client(scheduler, timeout="10s")
-    except (OSError, ValueError) as error:
-        raise UserError(f"--scheduler {scheduler}: no dask scheduler answers there ({error})"[:300]) from error
-    with client:
-        yield client.get_executor(pure=False), max(1, sum(client.nthreads().values()))
 
 
 def run_campaign(

@@ -14,8 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.vetting.look_alikes import STAR_APART_PX, STAR_APART_SHARE, OwnEvidence, is_aligned
+from ground.vetting.readout import is_of_readout
 from ground.vetting.sides import SkyMap
 from onboard.chain import OnboardChain
+from onboard.detect.line_integral.star_removal import TILE_PX
+from onboard.detect.line_integral.static_sky import IDENTITY, EarlierFrame, earlier_frame, segment_snr_before
+from onboard.latency import REACH_PX
 from onboard.options import OnboardOptions
 from onboard.stars.star_motion import common_motion
 from onboard.state import OnboardResult, OnboardState, OnboardSteps, Prepared
@@ -35,10 +39,8 @@ SHADOW_PX: Final = 64.0
 SHADOW_SNR: Final = 2.0
 """A shadow is fainter than its trail by this factor at least."""
 
-READOUT_SIGMAS: Final = 2.5
-"""The vetter of uncalibrated frames refuses lines by the same distance (docs/real-frames.md)."""
-READOUT_SPAN: Final = 0.7
-"""A line within `READOUT_SIGMAS` PSF sigmas of one row or column, over this share of the frame, comes from the readout."""
+RECURRING_SHARE: Final = 0.5
+"""Share of its S/N from which on a dark line was there in the frame beside it too. Chosen, not measured: chance gives 1 / S/N."""
 
 PROFILE_PX: Final = 32
 """How far to both sides of a line its profile is looked at."""
@@ -69,15 +71,22 @@ def look_alikes(detector: Detector, view: DetectorView, detections: Sequence[Det
 
     detections : of the frame itself. Dark lines beside a line that is much brighter are its shadow and do not count. Neither do
     lines of the readout: the vetter of uncalibrated frames refuses such lines by their place, and they tell nothing of others.
+    Nor do dark lines that a neighbouring frame has too, among the stars or on the sensor: bright ones that stay are not detected.
     """
     negative = negative_of(view)
     found = detector.detect(negative)
     check_detections(found, view.mask.shape)
+
+    def of_readout(line: Detection) -> bool:
+        shape = view.header.rows, view.header.cols
+        return is_of_readout(line.row1 - line.row0, line.col1 - line.col0, view.psf_sigma_px, shape)
+
     lines = [
-        each
-        for each in found
-        if not (each.flags & NO_LINE or _of_readout(each, view) or any(_shadow(each, of) for of in detections))
+        each for each in found if not (each.flags & NO_LINE or of_readout(each) or any(_shadow(each, of) for of in detections))
     ]
+    earlier = earlier_frame(view, REACH_PX) if lines and view.history else None
+    if earlier is not None:
+        lines = [each for each in lines if not _recurs(each, earlier, view)]
     table = np.array(
         [
             (
@@ -140,11 +149,16 @@ def seen_of(mask: NDArray[np.uint8]) -> tuple[int, int, int, int]:
     return int(rows[0]), int(rows[-1]), int(cols[0]), int(cols[-1])
 
 
-def _of_readout(line: Detection, view: DetectorView) -> bool:
-    """Whether a line stays on one row or column over most of the frame."""
-    drow, dcol = abs(line.row1 - line.row0), abs(line.col1 - line.col0)
-    along, side = max((drow, view.header.rows), (dcol, view.header.cols), key=lambda pair: pair[0])
-    return min(drow, dcol) < READOUT_SIGMAS * max(view.psf_sigma_px, 1.0) and along > READOUT_SPAN * side
+def _recurs(dark: Detection, earlier: EarlierFrame, view: DetectorView) -> bool:
+    """Whether the neighbouring frame of a view is dark too where a dark line lies, among the stars or on the sensor."""
+    ends = np.array([dark.row0, dark.col0, dark.row1, dark.col1])
+    blocked = np.zeros(view.mask.shape, np.uint8)
+    level = np.zeros([-(-side // TILE_PX) for side in view.mask.shape], np.float32)
+    return any(
+        segment_snr_before(earlier.frame.pixels, transform, IDENTITY, (blocked, 0), (level, TILE_PX), ends, view.psf_sigma_px)
+        < -RECURRING_SHARE * dark.snr
+        for transform in (earlier.transform, IDENTITY)
+    )
 
 
 def _shadow(dark: Detection, of: Detection) -> bool:

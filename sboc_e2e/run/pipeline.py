@@ -12,7 +12,7 @@ from sboc_e2e.files.atomic import write_json
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Frame
 from sboc_e2e.registry import Registry
-from sboc_e2e.report import write_report
+from sboc_e2e.report.write import write_report
 from sboc_e2e.run import disk, truth_files
 from sboc_e2e.run.decoders import decoders_of, require_decoder
 from sboc_e2e.run.directory import STAGES, RunDirectory

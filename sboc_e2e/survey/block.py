@@ -19,7 +19,19 @@ from simulator.platform.earth import EARTH_RADIUS_KM
 from simulator.randomness import Effect, generator
 from simulator.scene.fleet import KINDS as FLEET_KINDS
 from simulator.scene.fleet import Fleet
-from simulator.survey import BLOCK_S, Flight, Instants, Looks, Passages, Pools, candidate_number, draw_block, looks_of, orbits_of
+from simulator.survey import (
+    BLOCK_S,
+    Flight,
+    Instants,
+    Looks,
+    Passages,
+    Pools,
+    candidate_number,
+    draw_block,
+    looks_of,
+    orbits_of,
+    pilot_instants,
+)
 
 Array = NDArray[np.float64]
 Columns = dict[str, NDArray[Any]]
@@ -74,9 +86,14 @@ def _flight(options: Any, seed: int) -> tuple[Flight, Pools]:
     return Flight.of(options, seed), Pools()
 
 
+@lru_cache(maxsize=1)
+def _pilot_instants(options: Any, seed: int) -> Instants:
+    return pilot_instants(_flight(options, seed)[0])
+
+
 def pilot(options: Any, seed: int, number: int) -> int:
     """How many candidates of a class the blocks of a survey need."""
-    return candidate_number(_flight(options, seed)[0], number)
+    return candidate_number(_flight(options, seed)[0], _pilot_instants(options, seed), number)
 
 
 def run_block(job: BlockJob) -> BlockTables:

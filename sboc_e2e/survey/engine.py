@@ -12,10 +12,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from sboc_e2e import provenance
-from sboc_e2e.campaign.engine import executor
 from sboc_e2e.files.atomic import UNWRITABLE, remove_leftovers, require_writable, write_bytes, write_json, write_text
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.run.manifest import versions
+from sboc_e2e.run.workers import executor
 from sboc_e2e.scenario import Scenario
 from sboc_e2e.survey import instrument
 from sboc_e2e.survey.block import BlockJob, BlockTables, pilot, run_block

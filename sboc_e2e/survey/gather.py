@@ -9,10 +9,10 @@ from pathlib import Path
 from typing import Any, Final
 
 from sboc_e2e import provenance
-from sboc_e2e.campaign.engine import executor
 from sboc_e2e.files.atomic import UNWRITABLE, require_writable, write_json
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.run.manifest import versions
+from sboc_e2e.run.workers import executor
 from sboc_e2e.scenario import Scenario
 from sboc_e2e.survey import instrument
 from sboc_e2e.survey.sample import sample_run

@@ -6,7 +6,6 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr, ndtri
-from scipy.stats import landau
 
 from simulator.radiation.energy_loss import (
     ELECTRON_MEV,
@@ -50,6 +49,8 @@ class LandauTable(NamedTuple):
 @cache
 def landau_table() -> LandauTable:
     """Nodes dense in both tails, up to the millionth part of the upper one."""
+    from scipy.stats import landau  # takes half a second, which programs that draw no particles do not need
+
     middle = (np.arange(_NODES) + 0.5) / _NODES
     tail = 10.0 ** np.linspace(-6.0, -3.0, 600)
     probability = np.unique(np.concatenate([tail, middle, 1.0 - tail]))

@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 
 from sboc_e2e.campaign import Campaign, run_campaign
-from sboc_e2e.campaign.engine import executor
+from sboc_e2e.run.workers import executor
 from sboc_e2e.score.figures import Figure, absent, bootstrap, exact, figure
 
 FRAMES: Final = 3

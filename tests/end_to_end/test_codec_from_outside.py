@@ -12,7 +12,7 @@ from ground.ingest import decode_downlink
 from sboc_e2e import scenario
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import Registry
-from sboc_e2e.report import write_report
+from sboc_e2e.report.write import write_report
 from sboc_e2e.run import RunRequest, run
 from sboc_e2e.run.pipeline import Run
 from sboc_e2e.scenario import Scenario

@@ -16,7 +16,7 @@ from sboc_e2e import scenario as scenarios
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.products import StreakFit
-from sboc_e2e.icd.signals import Detection, DetectorView
+from sboc_e2e.icd.signals import Detection, DetectorView, StarList
 from sboc_e2e.outside.found import Found
 from sboc_e2e.outside.look_alikes import CountingChain, look_alikes, seen_of, shape_of, stars_as_lines
 from sboc_e2e.outside.process import base_document
@@ -106,6 +106,34 @@ def test_dark_lines_beside_a_line_twice_as_bright_are_its_shadow() -> None:
     assert len(look_alikes(detector, made.view, (beside,))) == 0
     assert len(look_alikes(detector, made.view, (replace(beside, snr=17.0),))) == 1
     assert len(look_alikes(detector, made.view, (replace(beside, row0=95.0, row1=95.0, col0=70.0, col1=95.0),))) == 1
+
+
+def test_dark_lines_that_a_neighbouring_frame_has_too_do_not_count() -> None:
+    """Remains of stars and of the flat in frames given together: dark in both, among the stars (shifted by 3, 5 px) or on the
+    sensor. What is dark in one of them alone counts."""
+    dark = Detection(row0=20.0, col0=12.0, row1=70.0, col1=60.0, snr=12.0)
+    detector = Scripted(detections=(dark,))
+    _, _, made = prepared(detector)
+    stars = np.random.default_rng(8).uniform(12.0, 84.0, (2, 30))
+    flux = np.linspace(9000.0, 3000.0, 30, dtype=np.float32)
+    plain = StarList(row=stars[0], col=stars[1], flux_e=flux, snr=flux / 20.0, flags=np.zeros(30, np.uint8))
+    moved = replace(plain, row=stars[0] + 3.0, col=stars[1] + 5.0)
+    sigma = float(np.median(made.view.background.sigma_adu))
+
+    def before(shift: tuple[float, float], share: float) -> DetectorView:
+        """The neighbouring frame with a dark line of this share of S/N 12 at a shift."""
+        grid = np.mgrid[:96, :96] - np.array([20.0 + shift[0], 12.0 + shift[1]])[:, None, None]
+        unit = np.array([50.0, 48.0]) / np.hypot(50.0, 48.0)
+        along, across = np.tensordot(unit, grid, 1), grid[0] * unit[1] - grid[1] * unit[0]
+        s_px = made.view.psf_sigma_px
+        height = share * 12.0 / np.sqrt(dark.length_px * np.sqrt(np.pi) * s_px)
+        line = -sigma * height * np.exp(-0.5 * (across / s_px) ** 2) * ((along > 0.0) & (along < dark.length_px))
+        return replace(made.view, residual_adu=line.astype(np.float32), stars=moved)
+
+    for shift, share, left in (((3.0, 5.0), 1.0, 0), ((0.0, 0.0), 1.0, 0), ((3.0, 5.0), 0.2, 1), ((20.0, -9.0), 1.0, 1)):
+        view = replace(made.view, stars=plain, history=(before(shift, share),))
+        assert len(look_alikes(detector, view, ())) == left, (shift, share)
+    assert len(look_alikes(detector, replace(made.view, stars=plain), ())) == 1
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -8,7 +8,7 @@ import pytest
 from astropy.io import fits
 from astropy.table import Table
 
-from sboc_e2e.report import write_report
+from sboc_e2e.report.write import write_report
 from sboc_e2e.score import score_run
 from tests.score.conftest import SHAPE, Synthetic
 

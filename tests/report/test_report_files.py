@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from sboc_e2e.report import write_report
+from sboc_e2e.report.write import write_report
 from sboc_e2e.score import evaluate
 
 

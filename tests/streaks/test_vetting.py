@@ -9,7 +9,7 @@ import pytest
 
 from ground.streaks import TrailedPsfFitter
 from ground.vetting import LikelihoodVetter
-from ground.vetting.class_densities import BINS, FLAG_SHARES, RECURRING, class_densities
+from ground.vetting.class_densities import BINS, FLAG_SHARES, RECURRING, STRUCTURE, class_densities
 from ground.vetting.features import features_of
 from ground.vetting.repeated import repeated
 from sboc_e2e.icd.downlink import DownlinkFrame
@@ -101,7 +101,7 @@ def test_a_storm_turns_the_odds_of_its_frame_only_towards_particles(
 
 def test_the_table_is_complete_and_normalised() -> None:
     densities = class_densities()
-    assert set(densities) == {*CLASSES, RECURRING}
+    assert set(densities) == {*CLASSES, RECURRING, STRUCTURE}
     for density in densities.values():
         assert sum(w for w, _, _ in density.sharpness) == pytest.approx(1.0, abs=1e-3)
         for name, histogram in density.histograms.items():
@@ -134,6 +134,26 @@ def test_where_nobody_knows_the_width_any_is_believed_but_not_in_blobs(frame: Do
         vetter = LikelihoodVetter(model_error=0.2)
         probability = np.array([vetter.probability([fit], unknown)[0] for fit in fits])
         assert (probability.min() > 0.5) if believed else (probability.max() == 0.0)
+
+
+def test_a_faint_line_three_times_as_wide_as_stars_is_structure_where_nobody_calibrated(frame: DownlinkFrame) -> None:
+    """Edges of shadows and wings of stars in raw frames: S/N 9, 91 and 107 px, three PSFs wide, p 0.945 and 0.995. A faint trail
+    as wide as the stars, or a fifth wider, and a bright wide one keep their probability; calibrated frames keep all."""
+    rng, fitter = np.random.default_rng(17), TrailedPsfFitter()
+    raw = LikelihoodVetter(model_error=0.2)
+
+    def fit_of(widths: float, snr: float, length_px: float) -> StreakFit:
+        sigma_px = widths * PSF_SIGMA_PX
+        shot = expose(rng, trail_at(rng, length_px, sigma_px=sigma_px), snr, half_px=20.0)
+        return fitter.fit(replace(shot.pixels, psf_sigma_px=sigma_px), shot.detection)
+
+    broad = [fit_of(3.0, 9.5, 100.0) for _ in range(6)]
+    assert np.median([raw.probability([fit], frame)[0] for fit in broad]) < 0.5
+    assert max(raw.probability([fit], frame)[0] for fit in broad) < 0.9
+    for widths in (1.0, 1.2):
+        sharp = [raw.probability([fit_of(widths, 11.0, 100.0)], frame)[0] for _ in range(6)]
+        assert np.median(sharp) > 0.9, widths
+    assert min(raw.probability([fit_of(3.0, 120.0, 300.0)], frame)[0] for _ in range(3)) > 0.9
 
 
 def test_what_turbulence_does_to_a_bright_trail_is_no_evidence_against_it(

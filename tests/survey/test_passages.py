@@ -22,6 +22,7 @@ from simulator.survey import (
     draw_block,
     instants_of,
     looks_of,
+    pilot_instants,
     pool_of,
 )
 
@@ -61,7 +62,7 @@ def test_rate_is_that_of_the_pixel_chains_encounters(number: int) -> None:
 def test_blocks_scatter_as_poisson_and_repeat() -> None:
     # the Moon passes the field once in the 24 days, and the Earth's limb turns with the orbit: both change how many can be seen
     f = flight(*SMALL, "sky.moon=false", "sky.earth=false")
-    numbers, pools = [candidate_number(f, 0)], Pools()
+    numbers, pools = [candidate_number(f, pilot_instants(f), 0)], Pools()
     counts = np.array([len(draw_block(f, b, numbers, pools)[1].size_m) for b in range(96)])
     # The variance over the mean of n counts has a scatter of sqrt(2 / (n - 1)); up to 5 % of the passages may come in pairs.
     assert counts.var(ddof=1) / counts.mean() == pytest.approx(1.05, abs=3.0 * np.sqrt(2.0 / 95.0))
@@ -73,7 +74,7 @@ def test_blocks_scatter_as_poisson_and_repeat() -> None:
 @pytest.mark.slow
 def test_passages_lie_in_the_field_and_their_looks_within_the_stay() -> None:
     f = flight(*SMALL)
-    at, p = draw_block(f, 3, [candidate_number(f, 0)], Pools())
+    at, p = draw_block(f, 3, [candidate_number(f, pilot_instants(f), 0)], Pools())
     camera = np.einsum("nij,nj->ni", at.attitude[p.instant], p.position_km - at.position_km[p.instant])
     assert (np.abs(camera[:, 0] / camera[:, 2]) <= f.window.half_col).all()
     assert (np.abs(camera[:, 1] / camera[:, 2]) <= f.window.half_row).all()

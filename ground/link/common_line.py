@@ -1,0 +1,194 @@
+"""Where the members of an on-board track lie across their motion: on one line through all of their frames.
+
+A trail of S/N 4 is placed by its own frame to a third of a pixel across. All n frames of its track together know the place of
+the line better by the root of n. So such members are moved across onto the line, each with the line's error there.
+
+A straight passage is a straight line in the tangent plane of any direction, whatever the range does. Differential gravity
+bends it by a parabola of time with a narrow prior, which is fitted as well.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.sky.measure import middle_of
+from ground.sky.sphere import ARCSEC_RAD, east_north, unit_vectors
+from ground.streaks.forced import FORCED_SNR
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.products import StreakFit, StreakMeasurement
+
+Array = NDArray[np.float64]
+
+OFF_LINE_SIGMAS: Final = 3.5
+"""A right place in 2,000 is farther off the line. What is, is a star or noise, and keeps its own place."""
+
+SIGMA_BEND_ARCSEC_S2: Final = 0.6
+"""Differential gravity on the sky: some 3 n^2 rad/s^2 at an orbital rate of n = 1e-3 rad/s."""
+
+LEAST_TILT: Final = 1e-6
+"""Variance of the ends' difference over that of their mean, both across the trail, below which the fit was given its direction
+and knows nothing of it. A trail of even light that has both free has 12."""
+
+LEAST_PX: Final = 0.1
+"""Added in quadrature to the ends of trails that were fitted freely: bright ones err by the PSF's model, not by their noise
+(`refit.LEAST_END_VARIANCE_PX2`)."""
+
+LEAST_AGREEING: Final = 3
+"""Places that do not lie on one line do not say which of them is wrong while they are so few."""
+
+UNUSABLE: Final = StreakFlag.NO_SKY | StreakFlag.POINT_LIKE | StreakFlag.FIT_FAILED | StreakFlag.FAST_ROWS
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PlacedTrail:
+    """A member of a tracklet, with its place on the sky.
+
+    jacobian_arcsec : (3, 2, 2) of (east, north) by (row, col) at its three points. pointing_arcsec : one sigma of an axis of its
+    frame.
+    """
+
+    streak: StreakMeasurement
+    jacobian_arcsec: Array
+    pointing_arcsec: float
+
+    @property
+    def is_faint_member(self) -> bool:
+        """Whether it belongs to an on-board track and its own frame shows it too faintly to be found there alone."""
+        return self.streak.track >= 0 and self.streak.fit.snr < FORCED_SNR and self.is_usable
+
+    @property
+    def is_usable(self) -> bool:
+        """Whether it says where the line is."""
+        streak = self.streak
+        seen = bool(streak.flags & StreakFlag.DIRECTION_RESOLVED) and not (streak.flags & UNUSABLE or streak.fit.is_foretold)
+        return seen and bool(np.isfinite(streak.ra_deg).all() and np.isfinite(self.jacobian_arcsec).all())
+
+
+class _Plane:
+    """The tangent plane about the middle of a tracklet, in arcsec along its motion and across."""
+
+    def __init__(self, ends: Array, zero_ns: int) -> None:
+        middle = ends.mean(axis=0)
+        self.middle = middle / np.linalg.norm(middle)
+        pole = np.linalg.svd(ends)[2][2]
+        self.pole = pole - (pole @ self.middle) * self.middle
+        self.pole /= np.linalg.norm(self.pole)
+        self.way = np.cross(self.pole, self.middle)
+        self.zero_ns = zero_ns
+
+    def along(self, unit: Array) -> Array:
+        """Of directions (n, 3)."""
+        return np.asarray((unit @ self.way) / (unit @ self.middle) / ARCSEC_RAD)
+
+    def across(self, unit: Array) -> Array:
+        """Of directions (n, 3)."""
+        return np.asarray((unit @ self.pole) / (unit @ self.middle) / ARCSEC_RAD)
+
+    def rows(self, along: Array, t_tai_ns: NDArray[np.int64]) -> Array:
+        """The line's three terms (n, 3) at places and epochs."""
+        t_s = (t_tai_ns - self.zero_ns) * 1e-9
+        return np.stack([np.ones_like(along), along, 0.5 * t_s**2], axis=1)
+
+
+def on_common_line(trails: Sequence[PlacedTrail]) -> dict[int, StreakMeasurement]:
+    """The faint members of on-board tracks moved across onto the line of all members, by their place in `trails`.
+
+    Members that lie off the line are not moved and do not count. The ends' errors along the trail are kept. Those across are of
+    the line, which all members share, and of their frame's pointing. Directions are still those before; the caller measures them
+    again.
+    """
+    used = [k for k, trail in enumerate(trails) if trail.is_usable]
+    if not any(trails[k].is_faint_member for k in used):
+        return {}
+    units = [_units(trail.streak) for trail in trails]
+    while len(used) >= 2:
+        epochs = np.array([trails[k].streak.t_tai_ns[1] for k in used], dtype=np.int64)
+        plane = _Plane(np.concatenate([units[k][[0, 2]] for k in used]), int(epochs[0] + np.mean(epochs - epochs[0])))
+        shares = [_evidence(trails[k], units[k], plane) for k in used]
+        rows, values, weights = (np.concatenate([share[i] for share in shares]) for i in range(3))
+        information = (rows * weights[:, None]).T @ rows + np.diag([0.0, 0.0, SIGMA_BEND_ARCSEC_S2**-2])
+        covariance = _inverse(information)
+        line = covariance @ (rows.T @ (weights * values))
+        off = np.array([_off_line(share, line, covariance) for share in shares])
+        if off.max() <= OFF_LINE_SIGMAS:
+            return {k: _moved(trails[k], units[k], plane, line, covariance) for k in used if trails[k].is_faint_member}
+        if len(used) <= LEAST_AGREEING:
+            return {}
+        used.pop(int(np.argmax(off)))
+    return {}
+
+
+def _units(streak: StreakMeasurement) -> Array:
+    """Directions (3, 3) of end 0, middle and end 1."""
+    return np.asarray(unit_vectors(np.radians(streak.ra_deg), np.radians(streak.dec_deg)))
+
+
+def _side(unit: Array, plane: _Plane) -> Array:
+    """Across the motion, east and north (2,) of a direction (3,)."""
+    side = np.array(east_north(unit)) @ plane.pole
+    return np.asarray(side / np.linalg.norm(side))
+
+
+def _blocks(fit: StreakFit) -> Array:
+    """Covariances (2, 2, 2, 2) of both ends with each other, row and col last, px^2."""
+    return np.asarray(fit.covariance_px2).reshape(2, 2, 2, 2).transpose(0, 2, 1, 3)
+
+
+def _evidence(trail: PlacedTrail, units: Array, plane: _Plane) -> tuple[Array, Array, Array]:
+    """What a frame says of the line: terms (m, 3), values (m,) in arcsec and weights (m,): of its place, and tilt if fitted."""
+    streak, blocks = trail.streak, _blocks(trail.streak.fit)
+    at, values = plane.rows(plane.along(units), streak.t_tai_ns), plane.across(units)
+    seen = trail.jacobian_arcsec[1].T @ _side(units[1], plane)
+    place, tilt = blocks.sum(axis=(0, 1)) / 4.0, blocks[0, 0] + blocks[1, 1] - blocks[0, 1] - blocks[1, 0]
+    along = np.array([streak.fit.row1 - streak.fit.row0, streak.fit.col1 - streak.fit.col0])
+    side = np.array([-along[1], along[0]]) / max(float(np.linalg.norm(along)), 1e-6)
+    place_arcsec2 = float(seen @ place @ seen) + trail.pointing_arcsec**2
+    if float(side @ tilt @ side) <= LEAST_TILT * float(side @ place @ side):
+        return at[1:2], values[1:2], 1.0 / np.array([place_arcsec2])
+    least = LEAST_PX**2 * float(seen @ seen)
+    variances = np.array([place_arcsec2 + least, float(seen @ tilt @ seen) + 2.0 * least])
+    return np.array([at[1], at[2] - at[0]]), np.array([values[1], values[2] - values[0]]), 1.0 / variances
+
+
+def _inverse(information: Array) -> Array:
+    """Of terms whose sizes differ by orders of magnitude."""
+    scale = np.sqrt(np.diag(information))
+    return np.asarray(np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale))
+
+
+def _off_line(evidence: tuple[Array, Array, Array], line: Array, covariance: Array) -> float:
+    """Distance of a frame's place from the line that it is part of, in errors of this distance."""
+    row, value, weight = evidence[0][0], evidence[1][0], evidence[2][0]
+    variance = max(1.0 / weight - float(row @ covariance @ row), 0.05 / weight)
+    return abs(float(value - row @ line)) / float(np.sqrt(variance))
+
+
+def _moved(trail: PlacedTrail, units: Array, plane: _Plane, line: Array, covariance: Array) -> StreakMeasurement:
+    """A member with its ends on the line."""
+    streak, fit = trail.streak, trail.streak.fit
+    ends = units[[0, 2]]
+    rows = plane.rows(plane.along(ends), streak.t_tai_ns[[0, 2]])
+    shift = rows @ line - plane.across(ends)
+    steps = np.array([np.linalg.solve(trail.jacobian_arcsec[point], _side(units[point], plane)) for point in (0, 2)])
+    shared = rows @ covariance @ rows.T + trail.pointing_arcsec**2
+    length = max(fit.length_px, 1e-6)
+    along = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0]) / length
+    keep = np.kron(np.eye(2), np.outer(along, along))
+    across = np.einsum("ij,ia,jb->iajb", shared, steps, steps).reshape(4, 4)
+    middle = steps.mean(axis=0)
+    (row0, col0), (row1, col1) = np.array([[fit.row0, fit.col0], [fit.row1, fit.col1]]) + shift[:, None] * steps
+    placed = replace(
+        fit,
+        row0=float(row0),
+        col0=float(col0),
+        row1=float(row1),
+        col1=float(col1),
+        covariance_px2=keep @ np.asarray(fit.covariance_px2) @ keep + across,
+        sigma_cross_px=float(np.sqrt(shared.mean()) * np.linalg.norm(middle)),
+        flags=fit.flags | StreakFlag.REFIT,
+    )
+    row_mid, col_mid = middle_of(placed)
+    return replace(streak, fit=placed, row_mid=row_mid, col_mid=col_mid, flags=streak.flags | StreakFlag.REFIT)

@@ -1,0 +1,39 @@
+"""Processes that do a campaign's or a survey's tasks, here or on a dask cluster."""
+
+from collections.abc import Iterator
+from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
+from contextlib import contextmanager
+from multiprocessing import get_context
+
+from sboc_e2e.icd.errors import UserError
+
+
+@contextmanager
+def executor(workers: int, scheduler: str | None, *, here: bool = False) -> Iterator[tuple[Executor, int]]:
+    """Local processes, a dask LocalCluster ("local") or a dask scheduler, all behind the standard library's interface.
+
+    Beside it: how many tasks it runs at a time. here : in this process, one task after the other.
+    """
+    if here:
+        with ThreadPoolExecutor(max_workers=1) as pool:
+            yield pool, 1
+        return
+    if scheduler is None:
+        # Fresh interpreters: a forked child would inherit the parent's numba and BLAS threads.
+        with ProcessPoolExecutor(max_workers=workers, mp_context=get_context("spawn")) as processes:
+            yield processes, workers
+        return
+    try:
+        from distributed import Client, LocalCluster
+    except ImportError as error:
+        raise UserError('--scheduler needs the extra "distributed": pip install "sboc-e2e[distributed]"') from error
+    if scheduler == "local":
+        with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster, Client(cluster) as client:
+            yield client.get_executor(pure=False), workers
+        return
+    try:
+        client = Client(scheduler, timeout="10s")
+    except (OSError, ValueError) as error:
+        raise UserError(f"--scheduler {scheduler}: no dask scheduler answers there ({error})"[:300]) from error
+    with client:
+        yield client.get_executor(pure=False), max(1, sum(client.nthreads().values()))

@@ -1,0 +1,18 @@
+"""What a command loads before it begins: half of the time of `sboc process` on a small frame is the start."""
+
+import json
+import subprocess
+import sys
+
+HEAVY = ("matplotlib", "scipy.stats", "scipy.signal", "astropy.timeseries")
+"""Some 1.3 CPU-seconds together, for particles, solved fields, light curves and pictures of reports. Most frames need none."""
+
+
+def test_processing_frames_does_not_wait_for_libraries_that_it_does_not_need() -> None:
+    code = (
+        "import json, sys\n"
+        "import sboc_e2e.cli.main, sboc_e2e.outside.process, sboc_e2e.outside.found, sboc_e2e.outside.page\n"
+        "print(json.dumps(sorted(sys.modules)))"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
+    assert not set(HEAVY) & set(json.loads(done.stdout))

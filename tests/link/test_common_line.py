@@ -1,0 +1,152 @@
+"""Members of on-board tracks moved onto one line: pulls and errors over the joint Cramér-Rao bound, with a camera of its own."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ground.link.common_line import SIGMA_BEND_ARCSEC_S2, PlacedTrail, on_common_line
+from ground.sky.sphere import ARCSEC_RAD, east_north, spherical_deg
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.products import StreakFit, StreakMeasurement
+
+Array = NDArray[np.float64]
+SCALE_ARCSEC, TURNED_RAD, POINTING_PX = 5.0, 0.7, 0.02
+CENTRE = np.array([0.36, 0.48, 0.8])
+AXES = np.array(east_north(CENTRE))
+TO_PLANE = SCALE_ARCSEC * ARCSEC_RAD * np.array(
+    [[np.sin(TURNED_RAD), np.cos(TURNED_RAD)], [np.cos(TURNED_RAD), -np.sin(TURNED_RAD)]]
+)  # fmt: skip
+FRAME_S, EXPOSURE_S = 0.25, 0.2
+
+
+def directions(px: Array) -> Array:
+    """Unit vectors (n, 3) of pixels (n, 2), row and col from the optical axis."""
+    seen = CENTRE + px @ TO_PLANE.T @ AXES
+    return np.asarray(seen / np.linalg.norm(seen, axis=1)[:, None])
+
+
+def jacobian(px: Array) -> Array:
+    """East and north in arcsec by row and col at pixels (n, 2)."""
+    here = directions(px)
+    steps = np.stack([directions(px + step) - here for step in np.eye(2)], axis=2)
+    return np.array([np.array(east_north(h)) @ s for h, s in zip(here, steps, strict=True)]) / ARCSEC_RAD
+
+
+def trail(ends: Array, frame: int, sigma_px: float, snr: float, tilt: bool, track: int = 0) -> PlacedTrail:
+    """A member with ends (2, 2); across they share one error, or have that of a line fit."""
+    along = (ends[1] - ends[0]) / np.linalg.norm(ends[1] - ends[0])
+    across = np.outer(*[np.array([-along[1], along[0]])] * 2)
+    # ends of variance 4 and covariance -2: a place of variance 1, a difference of 12, as of a trail of even light
+    block = np.array([[4.0, -2.0], [-2.0, 4.0]]) if tilt else np.ones((2, 2))
+    fit = StreakFit(
+        row0=ends[0, 0], col0=ends[0, 1], row1=ends[1, 0], col1=ends[1, 1],
+        covariance_px2=np.kron(np.eye(2), np.outer(along, along)) + sigma_px**2 * np.kron(block, across),
+        end_interval_px=np.ones((2, 2)), sigma_cross_px=sigma_px, flux_e=1.0, flux_err_e=1.0, snr=snr, sagitta_px=0.0,
+        sagitta_err_px=1.0, gradient=0.0, width_px=0.9, width_err_px=0.1, chi2_nu=1.0, n_pixels=50, flags=StreakFlag(0),
+        light_curve_e_px=np.zeros(0, dtype=np.float32),
+    )  # fmt: skip
+    points = np.array([ends[0], ends.mean(axis=0), ends[1]])
+    ra_deg, dec_deg = spherical_deg(directions(points))
+    start = 10**18 + round(1e9 * FRAME_S * frame)
+    streak = StreakMeasurement(
+        frame=frame, streak_id=frame, roi_id=0, fit=fit, row_mid=points[1, 0], col_mid=points[1, 1], ra_deg=ra_deg,
+        dec_deg=dec_deg, t_tai_ns=start + np.array([0, round(0.5e9 * EXPOSURE_S), round(1e9 * EXPOSURE_S)]),
+        sigma_along_arcsec=1.0, sigma_cross_arcsec=1.0, mag=12.0, mag_err=0.1, probability=1.0, tracklet_id=0,
+        flags=StreakFlag.DIRECTION_RESOLVED, track=track,
+    )  # fmt: skip
+    return PlacedTrail(streak=streak, jacobian_arcsec=jacobian(points), pointing_arcsec=POINTING_PX * SCALE_ARCSEC)
+
+
+def drawn(rng: np.random.Generator, n: int) -> tuple[list[PlacedTrail], Array, Array]:
+    """A group of n members, the true ends (n, 2, 2) in px as the solved attitudes have them, and the direction across (2,)."""
+    angle, length = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(15.0, 60.0)
+    way = np.array([np.sin(angle), np.cos(angle)])
+    side = np.array([-way[1], way[0]])
+    t = FRAME_S * np.arange(n)[:, None] + np.array([0.0, EXPOSURE_S])
+    t = t - t.mean()
+    bend = rng.normal(0.0, SIGMA_BEND_ARCSEC_S2 / SCALE_ARCSEC)
+    start = rng.uniform(-300.0, 300.0, 2)
+    true = start + (length / EXPOSURE_S * t)[..., None] * way + (0.5 * bend * t**2)[..., None] * side
+    trails = []
+    for k in range(n):
+        snr = rng.uniform(3.0, 9.0)
+        tilt, sigma = bool(snr > 7.0), 1.3 / snr
+        off = rng.normal(0.0, sigma) + rng.normal(0.0, POINTING_PX)
+        turned = rng.normal(0.0, sigma * np.sqrt(12.0)) if tilt else rng.normal(0.0, 0.5)
+        shift = np.array([off - 0.5 * turned, off + 0.5 * turned])
+        along = rng.normal(0.0, 1.0, 2)
+        trails.append(trail(true[k] + shift[:, None] * side + along[:, None] * way, k, sigma, snr, tilt))
+    return trails, true, side
+
+
+@pytest.mark.parametrize("n", [2, 4, 9])
+def test_members_on_the_line_err_as_stated_and_reach_the_joint_bound(n: int) -> None:
+    """400 groups of faint and bright frames: pulls of places and ends 0.9 to 1.1; errors over the bound of all frames 1.0."""
+    rng = np.random.default_rng(n)
+    pulls, ends, ratio, own = [], [], [], []
+    for _ in range(400):
+        trails, true, side = drawn(rng, n)
+        moved = on_common_line(trails)
+        for k, streak in moved.items():
+            fit = streak.fit
+            error = (np.array([[fit.row0, fit.col0], [fit.row1, fit.col1]]) - true[k]) @ side
+            error += rng.normal(0.0, POINTING_PX)  # the frame's own attitude
+            pulls.append(error.mean() / fit.sigma_cross_px)
+            blocks = np.asarray(fit.covariance_px2).reshape(2, 2, 2, 2)
+            ends += [error[e] / np.sqrt(side @ blocks[e, :, e] @ side) for e in range(2)]
+            own.append(fit.sigma_cross_px / trails[k].streak.fit.sigma_cross_px)
+            ratio.append(np.square(error.mean()) / _bound_px2(trails, k))
+    assert len(pulls) > 200
+    assert np.std(pulls) == pytest.approx(1.0, abs=0.1)
+    assert np.std(ends) == pytest.approx(1.0, abs=0.1)
+    assert np.sqrt(np.mean(ratio)) == pytest.approx(1.0, abs=0.1)
+    assert np.median(own) < {2: 1.02, 4: 0.8, 9: 0.55}[n]
+
+
+def _bound_px2(trails: list[PlacedTrail], k: int) -> float:
+    """Joint bound of the place in frame k, px^2: Fisher matrix of place, slope and bend (with its prior) over frames."""
+    frames = FRAME_S * (np.arange(len(trails)) - 0.5 * (len(trails) - 1))
+    rows = np.stack([np.ones_like(frames), frames, 0.5 * frames**2], axis=1)
+    information = np.diag([0.0, 0.0, (SIGMA_BEND_ARCSEC_S2 / SCALE_ARCSEC) ** -2])
+    for row, each in zip(rows, trails, strict=True):
+        variance = each.streak.fit.sigma_cross_px**2
+        information += np.outer(row, row) / (variance + POINTING_PX**2)
+        if each.streak.fit.snr > 7.0:
+            step = np.array([0.0, EXPOSURE_S, EXPOSURE_S * row[1]])
+            information += np.outer(step, step) / (12.0 * variance)
+    return float(rows[k] @ np.linalg.inv(information) @ rows[k]) + POINTING_PX**2
+
+
+def test_a_star_beside_one_frame_keeps_its_place_and_does_not_bend_the_line() -> None:
+    """One of nine members 3 px off: it is not moved, and the others lie on the line that they have without it."""
+    rng = np.random.default_rng(5)
+    trails, _, side = drawn(rng, 9)
+    k = next(iter(on_common_line(trails)))
+    streak = trails[k].streak
+    ends = np.array([[streak.fit.row0, streak.fit.col0], [streak.fit.row1, streak.fit.col1]]) + 3.0 * side
+    spoilt = [*trails]
+    spoilt[k] = trail(ends, streak.frame, streak.fit.sigma_cross_px, streak.fit.snr, tilt=False)
+    moved = on_common_line(spoilt)
+    without = on_common_line([t for i, t in enumerate(trails) if i != k])
+    assert k not in moved
+    assert [m.fit.row0 for _, m in sorted(moved.items())] == pytest.approx([m.fit.row0 for _, m in sorted(without.items())])
+
+
+def test_what_is_of_no_on_board_track_or_bright_or_foretold_stays() -> None:
+    """Only faint members of on-board tracks are moved; three places that disagree move none."""
+    rng = np.random.default_rng(6)
+    trails, _, side = drawn(rng, 6)
+    moved = on_common_line(trails)
+    assert set(moved) == {k for k, t in enumerate(trails) if t.streak.fit.snr < 7.0}
+    assert all(m.flags & StreakFlag.REFIT for m in moved.values())
+    assert on_common_line([replace(t, streak=replace(t.streak, track=-1)) for t in trails]) == {}
+    foretold = [replace(t, streak=replace(t.streak, fit=replace(t.streak.fit, track_frames=32.0))) for t in trails]
+    assert on_common_line(foretold) == {}
+    apart = []
+    for k, each in enumerate(trails[:3]):
+        fit = each.streak.fit
+        ends = np.array([[fit.row0, fit.col0], [fit.row1, fit.col1]]) + (30.0 if k == 1 else 0.0) * side
+        apart.append(trail(ends, k, 0.3, 4.0, tilt=False))
+    assert on_common_line(apart) == {}

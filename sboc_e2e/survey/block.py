@@ -227,7 +227,8 @@ def tables_of(
     p = passages.taken(rows)
     observer = at.position_km[p.instant]
     line = (p.position_km - observer) / p.range_km[:, None]
-    wrong = response.residuals(finds.frames[rows].astype(np.float64), finds.snr[rows], finds.arc_deg[rows], rng)
+    shown = finds.frames[rows].astype(np.float64), finds.snr[rows], finds.arc_deg[rows], p.range_km
+    wrong = response.residuals(*shown, rng)
     sun = at.sun_km[p.instant] / np.linalg.norm(at.sun_km[p.instant], axis=1, keepdims=True)
     phase = np.arccos(np.clip(-np.sum(line * sun, axis=1), -1.0, 1.0))
     by_light = diameter_m(finds.mag[rows], p.range_km, ALBEDO, phase)

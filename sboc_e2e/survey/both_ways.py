@@ -68,6 +68,7 @@ class Shown:
     run: NDArray[np.int64]
     size_m: Array
     light_size_m: Array
+    range_km: Array
     rate_deg_s: Array
     looks: Looks
     counted: NDArray[np.bool_]
@@ -111,6 +112,7 @@ def shown_in_samples(samples: Sequence[Mapping[str, Any]]) -> Shown:
         run=np.concatenate(runs),
         size_m=np.concatenate([o["size_m"] for o in objects]),
         light_size_m=np.concatenate([o["light_size_m"] for o in objects]),
+        range_km=np.concatenate([o["range_km"] for o in objects]),
         rate_deg_s=np.concatenate([o["rate_deg_s"] for o in objects]),
         looks=_looks(every["place"].astype(np.int64), every, first),
         counted=every["frame"] > 0,
@@ -126,10 +128,10 @@ def shown_in_scene(made: BareTrails, frame_rate_hz: float, runs: int) -> Shown:
     ra, dec = np.radians(t["ra_app_deg"]), np.radians(t["dec_app_deg"])
     line = np.stack([np.cos(dec) * np.cos(ra), np.cos(dec) * np.sin(ra), np.sin(dec)], axis=1)
     sun = sun_direction(int(t["path_t_tai_ns"][:, 0].mean()))
-    rate, light_size = np.zeros(n), np.full(n, np.nan)
+    rate, range_km, light_size = np.zeros(n), np.zeros(n), np.full(n, np.nan)
     # the last written of each object is its brightest trail
     order = np.argsort(t["snr"], kind="stable")
-    rate[place[order]] = t["rate_deg_s"][order]
+    rate[place[order]], range_km[place[order]] = t["rate_deg_s"][order], t["range_km"][order]
     # the table's magnitude is that of mid-trail, where a tumbling object may flash: to that of the mean light
     light = t["path_flux_e_s"].astype(np.float64)
     mean, middle = np.trapezoid(light, axis=1) / (light.shape[1] - 1), light[:, light.shape[1] // 2]
@@ -144,7 +146,7 @@ def shown_in_scene(made: BareTrails, frame_rate_hz: float, runs: int) -> Shown:
     light_size[place[order]] = size[order]
     looks = _looks(place, trails, n)
     return Shown(
-        runs=runs, run=made.run, size_m=made.size_m, light_size_m=light_size, rate_deg_s=rate, looks=looks,
+        runs=runs, run=made.run, size_m=made.size_m, light_size_m=light_size, range_km=range_km, rate_deg_s=rate, looks=looks,
         counted=t["frame"] > 0,
     )  # fmt: skip
 
@@ -160,6 +162,7 @@ def shown_to_survey(at: Instants, p: Passages, run: NDArray[np.int64], looks: Lo
         run=run,
         size_m=p.size_m,
         light_size_m=_light_size(mag, p.range_km, line, sun),
+        range_km=p.range_km,
         rate_deg_s=p.rate_deg_s,
         looks=looks,
         counted=looks.open_s > 0.0,
@@ -207,7 +210,8 @@ def expected_of(shown: Shown, response: Response, rng: np.random.Generator, redr
     for _ in range(redraws):
         finds = finds_of(shown.rate_deg_s, shown.looks, response, rng)
         rows = np.flatnonzero(finds.linked)
-        wrong = response.residuals(finds.frames[rows].astype(np.float64), finds.snr[rows], finds.arc_deg[rows], rng)
+        measured = finds.frames[rows].astype(np.float64), finds.snr[rows], finds.arc_deg[rows], shown.range_km[rows]
+        wrong = response.residuals(*measured, rng)
         size = np.full(len(shown.size_m), np.nan)
         size[rows] = shown.light_size_m[rows] * np.exp(wrong["ln_size_error"])
         total += _counts(shown, finds.look, finds.linked, size)

@@ -86,6 +86,7 @@ def judge_response(
     seeds = seeds_for(scenario, VALIDATION, runs)
     found = _gathered(scenario, seeds, out / VALIDATION, **how)
     path = out / "validation.md"
-    scene = kept_scene(scenario, out / VALIDATION / "scene.npz")
-    write_text(path, page(validate(found.samples, scenario, response.read(out / "response.json", scenario), scene)))
+    measured = response.read(out / "response.json", scenario)
+    scene = kept_scene(scenario, out / VALIDATION, len(found.samples))
+    write_text(path, page(validate(found.samples, scenario, measured, scene)))
     return path

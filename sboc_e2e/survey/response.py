@@ -1,8 +1,8 @@
 """The response of a camera and its software: what was found of trails with known S/N, how well it was measured, what was false.
 
 A file holds counts and residuals as they were measured, so that every figure has its n; the curve that surveys draw from is
-fitted to them. Residuals of a tracklet stay together: a survey takes all of a neighbour's in S/N, frames and arc, which keeps
-their covariances and tails.
+fitted to them. Residuals of a tracklet stay together: a survey takes all of a neighbour's (in S/N, frames, arc, range), which
+keeps their covariances and tails.
 """
 
 import json
@@ -28,7 +28,7 @@ from sboc_e2e.survey.rows import OBJECT_COLUMNS, STREAK_COLUMNS, columns
 
 Array = NDArray[np.float64]
 
-VERSION: Final = 1
+VERSION: Final = 2
 """Of the file; another one is refused."""
 
 SNR_EDGES: Final = (3.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 12.0, 15.0, 20.0, 30.0, 1e9)
@@ -45,7 +45,7 @@ LONGEST_PX: Final = 3000.0
 """Longer trails count as of this length: a parabola in log length must not be drawn on beyond what was measured. Chosen."""
 PULL_POINTS: Final = (0.01, 0.05, 0.16, 0.5, 0.84, 0.95, 0.99)
 """Quantiles: median, one sigma (0.16, 0.84), both ends of the 90 % interval, and the tails."""
-NEIGHBOURS: Final = 10  # Tracklets of 268 among which a survey draws: more blur S/N and arc, fewer repeat one another. Chosen.
+NEIGHBOURS: Final = 10  # Tracklets of 453 among which a survey draws: more blur S/N and arc, fewer repeat one another. Chosen.
 RESIDUALS: Final = ("mag_error", "ln_rate_error", "ln_range_error", "ln_size_error", "i_error_deg")
 PULLS: Final = ("mag_pull", "cross_pull", "along_pull")
 BOOTSTRAPS: Final = 40
@@ -97,26 +97,30 @@ class Response:
         cell = np.clip(np.searchsorted(FRAME_EDGES, frames_found, side="right") - 1, 0, len(share) - 1)
         return np.where(frames_found >= 2, share[cell], 0.0)
 
-    def residuals(self, frames: Array, snr: Array, arc_deg: Array, rng: np.random.Generator) -> dict[str, Array]:
+    def residuals(self, frames: Array, snr: Array, arc_deg: Array, range_km: Array, rng: np.random.Generator) -> dict[str, Array]:
         """Residuals (n,) of tracklets by name, all of one measured neighbour each; NaN where that had no orbit.
 
-        frames, snr, arc_deg : frames linked, root of the summed squares of their S/N, angle between first and last.
+        frames, snr, arc_deg : frames linked, root of the summed squares of their S/N, angle between first and last. range_km :
+        the true one. Sizes of near objects err by a factor, those of far ones by some per cent.
         """
         bank = columns(self.content["tracklets"], BANK_COLUMNS)
-        scale = np.array([np.std(f) for f in _features(bank["linked"], bank["snr_all"], bank["arc_deg"]).T]) + 1e-9
-        tree = cKDTree(_features(bank["linked"], bank["snr_all"], bank["arc_deg"]) / scale)
-        k = min(NEIGHBOURS, len(bank["linked"]))
-        _, near = tree.query(_features(frames, snr, arc_deg) / scale, k=k)
+        known = _features(*(bank[name] for name in FEATURES))
+        scale = np.std(known, axis=0) + 1e-9
+        k = min(NEIGHBOURS, len(known))
+        _, near = cKDTree(known / scale).query(_features(frames, snr, arc_deg, range_km) / scale, k=k)
         chosen = near.reshape(len(frames), k)[np.arange(len(frames)), rng.integers(k, size=len(frames))]
         return {name: bank[name][chosen] for name in RESIDUALS}
 
 
-BANK_COLUMNS: Final = ("linked", "snr_all", "arc_deg", *RESIDUALS)
+FEATURES: Final = ("linked", "snr_all", "arc_deg", "range_km")
+BANK_COLUMNS: Final = (*FEATURES, *RESIDUALS)
+LEAST: Final = (1.0, 1.0, 0.01, 0.01)
+"""Frames, S/N, arc (deg) and range (km) below which all count as these in the search of neighbours."""
 
 
-def _features(frames: Array, snr: Array, arc_deg: Array) -> Array:
-    """What neighbours are near in: logarithms."""
-    return np.log(np.stack([np.maximum(frames, 1.0), np.maximum(snr, 1.0), np.maximum(arc_deg, 0.01)], axis=1))
+def _features(*values: Array) -> Array:
+    """What neighbours are near in (n, 4): logarithms of `FEATURES`."""
+    return np.log(np.stack([np.maximum(v, least) for v, least in zip(values, LEAST, strict=True)], axis=1))
 
 
 def found_share(curve: Array, snr: Array, length_px: Array, noise_ratio: Array | float = 1.0) -> Array:

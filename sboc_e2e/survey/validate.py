@@ -38,8 +38,8 @@ Array = NDArray[np.float64]
 
 CANDIDATES: Final = 400_000
 """Draws of each class, from which the objects of all virtual runs are taken. Chosen, not measured: fewer repeat each other."""
-VIRTUAL_RUNS: Final = 400
-"""Twenty times the 20 runs with pixels, so that their own scatter adds 2.5 % to that of the comparison."""
+VIRTUAL_RUNS: Final = 20
+"""For each run with pixels, so that their own scatter adds 2.5 % to that of the comparison."""
 LONGEST_S: Final = 1e6
 """Keeps weights of objects that stand still in the field finite; a run lasts seconds."""
 FEW_REDRAWS: Final = 8  # of what is found of 8,400 objects of a round, whose drawing scatters more. Chosen
@@ -47,14 +47,21 @@ VALIDATION_BLOCK: Final = 6_000_000
 """Number of a random stream that no survey reaches (1.5 million blocks in 1,000 years), and not that of sensitivities."""
 INSTANTS: Final = 256
 """Of a run, one at random in each step. Those at its ends show shortened stays: 64 at random made counts scatter by 6 %."""
-SCENE_RUNS: Final = 60
-"""Runs of the pixel chain's objects, 1,260, whose true trails are held against a survey's looks at them (docs/survey.md)."""
+SCENE_RUNS: Final = 3
+"""Runs of the pixel chain's objects for each that judges, whose true trails are held against a survey's looks at them."""
 TURNS: Final = 4  # draws of how they turn in the survey's looks: what tumbles scatters more than the rest together. Chosen
-SEEDS: Final = 20  # of the pixel chain's draws of candidates. Chosen: time against scatter
+SEEDS: Final = 1  # of the pixel chain's draws of candidates, for each run that judges. Chosen: time against scatter
 EACH: Final = 80
-"""Runs' objects that are taken out of each draw: 33,600 objects in all."""
-ROUNDS: Final = 12
-"""Draws of `VIRTUAL_RUNS` virtual runs, each with candidates of its own: their scatter is that of their mean, 0.5 %."""
+"""Runs' objects that are taken out of each draw: 33,600 objects for 20 runs."""
+ROUNDS: Final = 0.6
+"""Draws of `ROUND_RUNS` virtual runs for each that judges, each with candidates of its own: 12 for 20 runs."""
+ROUND_RUNS: Final = 400  # virtual runs of a round: so many that its candidates scatter more than they do. Chosen
+FEWEST: Final = 2  # draws, rounds and runs of a scene, so that there is a scatter
+
+
+def _for(each: float, runs: int) -> int:
+    """How many are made for some judging runs: their time goes with the runs'."""
+    return max(FEWEST, round(each * runs))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -106,7 +113,7 @@ def virtual_passages(flight: Flight, runs: int, rng: np.random.Generator) -> tup
     return at, joined(parts), np.concatenate(run)
 
 
-def virtual_objects(scenario: Scenario, response: Response, runs: int = VIRTUAL_RUNS) -> dict[str, Array]:
+def virtual_objects(scenario: Scenario, response: Response, runs: int) -> dict[str, Array]:
     """Objects as a survey's code draws them for `runs` runs of a scenario, one row each, true and measured."""
     options = scenario.simulator
     flight = Flight.of(options, scenario.seed)
@@ -192,10 +199,10 @@ COMPARED: Final = (
 
 
 def validate(samples: Sequence[Mapping[str, Any]], scenario: Scenario, response: Response, scene: BareTrails) -> Validation:
-    """Compare the samples of pixel runs with the survey's code. scene : of `SCENE_RUNS` other runs."""
+    """Compare the samples of pixel runs with the survey's code. scene : of other runs (`kept_scene`)."""
     rng = np.random.default_rng(20270129)
     theirs = pixel_objects(samples, rng)
-    mine = virtual_objects(scenario, response)
+    mine = virtual_objects(scenario, response, VIRTUAL_RUNS * len(samples))
     quantities = []
     for name, column in COMPARED:
         a, b = (v[np.isfinite(v)] for v in (theirs[column], mine[column]))
@@ -213,13 +220,15 @@ def validate(samples: Sequence[Mapping[str, Any]], scenario: Scenario, response:
     )
 
 
-def kept_scene(scenario: Scenario, path: Path) -> BareTrails:
-    """The pixel chain's scene of `SCENE_RUNS` runs, read from a file (npz) or made and written there."""
+def kept_scene(scenario: Scenario, folder: Path, runs: int) -> BareTrails:
+    """The pixel chain's scene for some judging runs, read from a file (npz) in a folder or made and written there."""
+    number = _for(SCENE_RUNS, runs)
+    path = folder / f"scene-{number}.npz"
     if path.is_file():
         with np.load(path) as kept:
             return BareTrails(**{field.name: kept[field.name] for field in fields(BareTrails)})
     flight = Flight.of(scenario.simulator, scenario.seed)
-    made = bare_trails(flight, sky_catalogue(scenario.simulator), range(SCENE_RUNS))
+    made = bare_trails(flight, sky_catalogue(scenario.simulator), range(number))
     stream = BytesIO()
     np.savez_compressed(stream, **{field.name: getattr(made, field.name) for field in fields(made)})
     write_bytes(path, stream.getvalue())
@@ -234,13 +243,14 @@ def counts_both_ways(
     options = flight.options
     only = (0, options.frames - 1)
     survey, drawn = [], []
-    for turn in range(ROUNDS):
+    rounds = _for(ROUNDS, len(samples))
+    for turn in range(rounds):
         rng = generator(scenario.seed, Effect.SURVEY, VALIDATION_BLOCK, 1 + turn)
-        at, p, run = virtual_passages(flight, VIRTUAL_RUNS, rng)
+        at, p, run = virtual_passages(flight, ROUND_RUNS, rng)
         shown = shown_to_survey(at, p, run, looks_of(flight, at, p, rng, only=only))
         survey.append(expected_of(shown, response, rng, redraws=FEW_REDRAWS).mean(axis=0))
-    rng = generator(scenario.seed, Effect.SURVEY, VALIDATION_BLOCK, 1 + ROUNDS)
-    for seed in range(SEEDS):
+    rng = generator(scenario.seed, Effect.SURVEY, VALIDATION_BLOCK, 1 + rounds)
+    for seed in range(_for(SEEDS, len(samples))):
         at, p = encounters_of(flight, seed, EACH)
         shown = shown_to_survey(at, p, np.arange(len(p.size_m)) % EACH, looks_of(flight, at, p, rng, only=only))
         drawn.append(expected_of(shown, response, rng, redraws=FEW_REDRAWS).mean(axis=0))

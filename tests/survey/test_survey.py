@@ -101,10 +101,24 @@ def test_the_course_with_length_and_sky_is_found_again() -> None:
 def test_residuals_of_a_tracklet_stay_together(tmp_path: Path) -> None:
     made = write_response(tmp_path / "r.json", load())
     n = 2000
-    drawn = made.residuals(np.full(n, 4.0), np.full(n, 40.0), np.full(n, 0.4), np.random.default_rng(1))
+    drawn = made.residuals(np.full(n, 4.0), np.full(n, 40.0), np.full(n, 0.4), np.ones(n), np.random.default_rng(1))
     assert np.array_equal(drawn["ln_range_error"], drawn["ln_size_error"])
     assert np.allclose(drawn["i_error_deg"], -drawn["ln_range_error"])
     assert drawn["ln_range_error"].std() == pytest.approx(1.0, abs=0.5)
+
+
+def test_residuals_of_near_objects_are_not_given_to_far_ones() -> None:
+    """Alike in frames, S/N and arc: sizes of near ones err by a factor, of far ones by a hundredth."""
+    rng, names = np.random.default_rng(4), responses.BANK_COLUMNS
+    rows = []
+    for k in range(80):
+        spread, range_km = (1.0, 20.0) if k % 2 else (0.01, 800.0)
+        row = dict.fromkeys(names, 0.0) | {"linked": 4.0, "snr_all": 40.0, "arc_deg": 0.4, "range_km": range_km}
+        row["ln_size_error"] = spread * rng.standard_normal()
+        rows.append([row[name] for name in names])
+    made, n = responses.Response(content={"tracklets": rows}), 500
+    drawn = made.residuals(np.full(n, 4.0), np.full(n, 41.0), np.full(n, 0.4), np.full(n, 700.0), rng)["ln_size_error"]
+    assert np.abs(drawn).max() < 0.05
 
 
 def test_a_response_of_another_instrument_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

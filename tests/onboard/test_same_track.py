@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from onboard.track.joint import JointTracker
-from onboard.track.same import distance_px, same_object
+from onboard.track.same import light_of, same_object
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection, Track, TrackMember
 from tests.benchmarks.bench_tracks import WHOLE_PX
@@ -33,7 +33,7 @@ def straight(
 
 @pytest.mark.parametrize("angle_deg", [10.0, 40.0, 90.0, 200.0])
 def test_two_objects_whose_trails_cross_in_one_frame_are_two(angle_deg: float) -> None:
-    """Each has six frames of its own light; the same tracks too faint without the common frame are taken for one."""
+    """Each has light of its own; the same tracks where they are too faint without the common light are taken for one."""
     known = straight(1000.0, 1000.0, 0.0, 200.0, frames=range(7), snr=9.0)
     other = straight(1001.0, 1003.0, angle_deg, 150.0, frames=range(7))
     assert not same_object(known, other, ASKED)
@@ -62,16 +62,17 @@ def test_an_object_goes_on_under_its_number_and_others_are_others() -> None:
     assert not same_object(known, straight(1030.0, 1000.0, 20.0, 60.0, frames=range(5)), ASKED)
 
 
-def test_distances_of_segments_agree_with_the_nearest_of_many_points() -> None:
-    """200 random pairs, crossing ones among them."""
-    rng, share = np.random.default_rng(3), np.linspace(0.0, 1.0, 400)[:, None]
-    crossing = 0
-    for _ in range(200):
-        ends = rng.uniform(0.0, 100.0, (4, 2))
-        a, b = (p + share * (q - p) for p, q in ((ends[0], ends[1]), (ends[2], ends[3])))
-        nearest = float(np.hypot(*(a[:, None] - b[None]).transpose(2, 0, 1)).min())
-        found = distance_px(segment(*ends[0], *ends[1]), segment(*ends[2], *ends[3]))
-        crossing += found == 0.0
-        assert found == pytest.approx(nearest, abs=0.4)
-    assert 20 < crossing < 100
-    assert distance_px(segment(1.0, 1.0, 1.0, 1.0), segment(4.0, 5.0, 4.0, 9.0)) == pytest.approx(5.0)
+def test_crossing_tracks_of_two_frames_are_two_where_they_share_little() -> None:
+    """At right angles 8 of 400 px are shared; at 1 degree nearly all of one frame is, and what is left is no track."""
+    known = straight(1000.0, 1000.0, 0.0, 300.0, frames=range(3, 5), snr=6.0)
+    assert not same_object(known, straight(1001.0, 1003.0, 90.0, 400.0, frames=range(3, 5), snr=6.5), ASKED)
+    assert same_object(known, straight(1001.0, 1003.0, 181.0, 400.0, frames=range(3, 5), snr=6.5), ASKED)
+
+
+def test_the_light_of_a_trail_in_another_is_that_of_their_common_part() -> None:
+    """On itself all of it; on one of twice the length the root of a half; across at right angles 8 px."""
+    trail = segment(100.0, 100.0, 100.0, 200.0, snr=6.0)
+    assert light_of(trail, trail) == pytest.approx(6.0)
+    assert light_of(trail, segment(100.0, 50.0, 100.0, 250.0)) == pytest.approx(6.0 * math.sqrt(0.5), rel=0.1)
+    assert light_of(trail, segment(50.0, 150.0, 150.0, 150.0)) == pytest.approx(6.0 * 8.0 / 100.0, rel=0.15)
+    assert light_of(trail, segment(105.0, 100.0, 105.0, 200.0)) == 0.0

@@ -244,8 +244,8 @@ def _counts(shown: Shown, found: NDArray[np.bool_], linked: NDArray[np.bool_], s
 
 
 def _with_ends(value: float, draws: Array) -> tuple[float, float, float]:
-    """A ratio and the ends of its 90 % interval; NaN where nothing was expected in some draws."""
-    if not np.isfinite(draws).all():
+    """A ratio and the ends of its 90 % interval; NaN where draws expected nothing, and where one run has no scatter."""
+    if not np.isfinite(draws).all() or np.ptp(draws) == 0.0:
         return float(value), float("nan"), float("nan")
     low, high = np.quantile(draws, [0.05, 0.95])
     return float(value), float(low), float(high)

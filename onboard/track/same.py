@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from sboc_e2e.icd.signals import Detection, Track
 
 SAME_PX: Final = 4.0  # some four PSF widths: closer trails share light. Chosen, not measured
-ALONG_SHARE: Final = 0.5
+ALONG_SHARE: Final = 0.5  # the middle of one lies on the other
 ACROSS_SHARE: Final = 0.02
 """Trails lie on each other where their middles are closer than `SAME_PX` and these shares of the longer one's length."""
 

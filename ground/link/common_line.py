@@ -22,7 +22,7 @@ from sboc_e2e.icd.products import StreakFit, StreakMeasurement
 Array = NDArray[np.float64]
 
 OFF_LINE_SIGMAS: Final = 3.5
-"""A right place in 2,000 is farther off the line. What is, is a star or noise, and keeps its own place."""
+"""A right place in 2,000 is farther off the line. What is, is a star or noise."""
 
 SIGMA_BEND_ARCSEC_S2: Final = 0.6
 """Differential gravity on the sky: some 3 n^2 rad/s^2 at an orbital rate of n = 1e-3 rad/s."""
@@ -94,9 +94,9 @@ def on_common_line(trails: Sequence[PlacedTrail]) -> dict[int, StreakMeasurement
     """The members of on-board tracks moved across onto the line of all members, by their place in `trails`.
 
     The line is that of the members that the joint refit took for light of one object, or of all where it took fewer than two.
-    Members that lie off the line are not moved and do not count. The ends' errors along the trail are kept. Those across are of
-    the line, which all members share, and of their frame's pointing. Directions are still those before; the caller measures them
-    again.
+    Members off the line do not count. They are moved, too, where enough others agree: a star or noise shifted them. The ends'
+    errors along the trail are kept. Those across are of the line, which all members share, and of their frame's pointing.
+    Directions are still those before; the caller measures them again.
     """
     movable = [k for k, trail in enumerate(trails) if trail.is_usable and trail.streak.track >= 0]
     if not movable:
@@ -108,7 +108,7 @@ def on_common_line(trails: Sequence[PlacedTrail]) -> dict[int, StreakMeasurement
     while len(used) >= 2:
         epochs = np.array([trails[k].streak.t_tai_ns[1] for k in used], dtype=np.int64)
         plane = _Plane(np.concatenate([units[k][[0, 2]] for k in used]), int(epochs[0] + np.mean(epochs - epochs[0])))
-        shares = {k: _evidence(trails[k], units[k], plane) for k in {*used, *movable}}
+        shares = _even({k: _evidence(trails[k], units[k], plane) for k in {*used, *movable}}, used)
         rows, values, weights = (np.concatenate([shares[k][i] for k in used]) for i in range(3))
         information = (rows * weights[:, None]).T @ rows + np.diag([0.0, 0.0, SIGMA_BEND_ARCSEC_S2**-2])
         covariance = _inverse(information)
@@ -116,7 +116,9 @@ def on_common_line(trails: Sequence[PlacedTrail]) -> dict[int, StreakMeasurement
         off = {k: _off_line(shares[k], line, covariance, is_part=k in used) for k in shares}
         worst = max(used, key=lambda k: off[k])
         if off[worst] <= OFF_LINE_SIGMAS:
-            return {k: _moved(trails[k], units[k], plane, line, covariance) for k in movable if off[k] <= OFF_LINE_SIGMAS}
+            sure = len(used) > LEAST_AGREEING
+            on_line = [k for k in movable if sure or off[k] <= OFF_LINE_SIGMAS]
+            return {k: _moved(trails[k], units[k], plane, line, covariance) for k in on_line}
         if len(used) <= LEAST_AGREEING:
             return {}
         used = [k for k in used if k != worst]
@@ -153,6 +155,16 @@ def _evidence(trail: PlacedTrail, units: Array, plane: _Plane) -> tuple[Array, A
     least = LEAST_PX**2 * float(seen @ seen)
     variances = np.array([place_arcsec2 + least, float(seen @ tilt @ seen) + 2.0 * least])
     return np.array([at[1], at[2] - at[0]]), np.array([values[1], values[2] - values[0]]), 1.0 / variances
+
+
+def _even(shares: dict[int, tuple[Array, Array, Array]], used: Sequence[int]) -> dict[int, tuple[Array, Array, Array]]:
+    """The evidence with no frame's place better than the median of those used.
+
+    An object is about as bright in all frames of a track. A frame states a smaller error where a star or noise has added light,
+    just where its place is wrong.
+    """
+    most = float(np.median([shares[k][2][0] for k in used]))
+    return {k: (rows, values, weights * min(1.0, most / weights[0])) for k, (rows, values, weights) in shares.items()}
 
 
 def _inverse(information: Array) -> Array:

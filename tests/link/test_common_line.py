@@ -59,9 +59,9 @@ def trail(ends: Array, frame: int, sigma_px: float, snr: float, tilt: bool, trac
     return PlacedTrail(streak=streak, jacobian_arcsec=jacobian(points), pointing_arcsec=POINTING_PX * SCALE_ARCSEC)
 
 
-def drawn(rng: np.random.Generator, n: int) -> tuple[list[PlacedTrail], Array, Array]:
-    """A group of n members, the true ends (n, 2, 2) in px as the solved attitudes have them, and the direction across (2,)."""
-    angle, length = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(15.0, 60.0)
+def drawn(rng: np.random.Generator, n: int) -> tuple[list[PlacedTrail], Array, Array, float]:
+    """A group of n members with S/N as noise shows it; the true ends (n, 2, 2) in px, the direction across (2,), the true S/N."""
+    angle, length, snr = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(15.0, 60.0), rng.uniform(3.5, 8.0)
     way = np.array([np.sin(angle), np.cos(angle)])
     side = np.array([-way[1], way[0]])
     t = FRAME_S * np.arange(n)[:, None] + np.array([0.0, EXPOSURE_S])
@@ -71,14 +71,14 @@ def drawn(rng: np.random.Generator, n: int) -> tuple[list[PlacedTrail], Array, A
     true = start + (length / EXPOSURE_S * t)[..., None] * way + (0.5 * bend * t**2)[..., None] * side
     trails = []
     for k in range(n):
-        snr = rng.uniform(3.0, 9.0)
-        tilt, sigma = bool(snr > 7.0), 1.3 / snr
+        seen = max(snr + rng.normal(), 1.5)
+        tilt, sigma = bool(seen > 7.0), 1.3 / snr
         off = rng.normal(0.0, sigma) + rng.normal(0.0, POINTING_PX)
         turned = rng.normal(0.0, sigma * np.sqrt(12.0)) if tilt else rng.normal(0.0, 0.5)
         shift = np.array([off - 0.5 * turned, off + 0.5 * turned])
         along = rng.normal(0.0, 1.0, 2)
-        trails.append(trail(true[k] + shift[:, None] * side + along[:, None] * way, k, sigma, snr, tilt))
-    return trails, true, side
+        trails.append(trail(true[k] + shift[:, None] * side + along[:, None] * way, k, 1.3 / seen, seen, tilt))
+    return trails, true, side, snr
 
 
 @pytest.mark.parametrize("n", [2, 4, 9])
@@ -87,7 +87,7 @@ def test_members_on_the_line_err_as_stated_and_reach_the_joint_bound(n: int) -> 
     rng = np.random.default_rng(n)
     pulls, ends, ratio, own = [], [], [], []
     for _ in range(250):
-        trails, true, side = drawn(rng, n)
+        trails, true, side, snr = drawn(rng, n)
         moved = on_common_line(trails)
         for k, streak in moved.items():
             fit = streak.fit
@@ -97,21 +97,21 @@ def test_members_on_the_line_err_as_stated_and_reach_the_joint_bound(n: int) -> 
             blocks = np.asarray(fit.covariance_px2).reshape(2, 2, 2, 2)
             ends += [error[e] / np.sqrt(side @ blocks[e, :, e] @ side) for e in range(2)]
             own.append(fit.sigma_cross_px / trails[k].streak.fit.sigma_cross_px)
-            ratio.append(np.square(error.mean()) / _bound_px2(trails, k))
+            ratio.append(np.square(error.mean()) / _bound_px2(trails, k, snr))
     assert len(pulls) > 400
     assert np.std(pulls) == pytest.approx(1.0, abs=0.1)
     assert np.std(ends) == pytest.approx(1.0, abs=0.1)
     assert np.sqrt(np.mean(ratio)) == pytest.approx(1.0, abs=0.1)
-    assert np.median(own) < {2: 1.02, 4: 0.8, 9: 0.55}[n]
+    assert np.median(own) < {2: 1.05, 4: 0.85, 9: 0.6}[n]
 
 
-def _bound_px2(trails: list[PlacedTrail], k: int) -> float:
+def _bound_px2(trails: list[PlacedTrail], k: int, snr: float) -> float:
     """Joint bound of the place in frame k, px^2: Fisher matrix of place, slope and bend (with its prior) over frames."""
     frames = FRAME_S * (np.arange(len(trails)) - 0.5 * (len(trails) - 1))
     rows = np.stack([np.ones_like(frames), frames, 0.5 * frames**2], axis=1)
     information = np.diag([0.0, 0.0, (SIGMA_BEND_ARCSEC_S2 / SCALE_ARCSEC) ** -2])
     for row, each in zip(rows, trails, strict=True):
-        variance = each.streak.fit.sigma_cross_px**2
+        variance = (1.3 / snr) ** 2
         information += np.outer(row, row) / (variance + POINTING_PX**2)
         if each.streak.fit.snr > 7.0:
             step = np.array([0.0, EXPOSURE_S, EXPOSURE_S * row[1]])
@@ -119,10 +119,10 @@ def _bound_px2(trails: list[PlacedTrail], k: int) -> float:
     return float(rows[k] @ np.linalg.inv(information) @ rows[k]) + POINTING_PX**2
 
 
-def test_a_star_beside_one_frame_keeps_its_place_and_does_not_bend_the_line() -> None:
-    """One of nine members 3 px off: it is not moved, and the others lie on the line that they have without it."""
+def test_a_star_beside_one_frame_does_not_bend_the_line_and_the_member_lies_on_it() -> None:
+    """One of nine members 3 px off: the others lie on the line that they have without it, and so does that one."""
     rng = np.random.default_rng(5)
-    trails, _, side = drawn(rng, 9)
+    trails, true, side, _ = drawn(rng, 9)
     k = next(iter(on_common_line(trails)))
     streak = trails[k].streak
     ends = np.array([[streak.fit.row0, streak.fit.col0], [streak.fit.row1, streak.fit.col1]]) + 3.0 * side
@@ -130,14 +130,16 @@ def test_a_star_beside_one_frame_keeps_its_place_and_does_not_bend_the_line() ->
     spoilt[k] = trail(ends, streak.frame, streak.fit.sigma_cross_px, streak.fit.snr, tilt=False)
     moved = on_common_line(spoilt)
     without = on_common_line([t for i, t in enumerate(trails) if i != k])
-    assert k not in moved
+    fit = moved.pop(k).fit
+    off = float((np.array([fit.row0 + fit.row1, fit.col0 + fit.col1]) / 2.0 - true[k].mean(axis=0)) @ side)
+    assert abs(off) < 3.5 * fit.sigma_cross_px < 1.0
     assert [m.fit.row0 for _, m in sorted(moved.items())] == pytest.approx([m.fit.row0 for _, m in sorted(without.items())])
 
 
 def test_a_star_that_the_joint_refit_left_out_does_not_bend_the_line_and_lies_on_it() -> None:
     """One of nine, brighter than the others by a star, 0.3 px off with an error of 0.2: placed by the eight others."""
     rng = np.random.default_rng(7)
-    trails, true, side = drawn(rng, 9)
+    trails, true, side, _ = drawn(rng, 9)
     trails = [replace(t, streak=replace(t.streak, flags=t.streak.flags | StreakFlag.REFIT)) for t in trails]
     star = trail(true[4] + 0.3 * side, 4, 0.2, 26.0, tilt=True)
     moved = on_common_line([*trails[:4], star, *trails[5:]])
@@ -151,7 +153,7 @@ def test_a_star_that_the_joint_refit_left_out_does_not_bend_the_line_and_lies_on
 def test_what_is_of_no_on_board_track_or_foretold_stays() -> None:
     """Only members of on-board tracks are moved; three places that disagree move none."""
     rng = np.random.default_rng(6)
-    trails, _, side = drawn(rng, 6)
+    trails, _, side, _ = drawn(rng, 6)
     moved = on_common_line(trails)
     assert set(moved) == set(range(6))
     assert all(m.flags & StreakFlag.REFIT for m in moved.values())

@@ -113,7 +113,6 @@ class StarNoise:
 
     def __init__(self, camera: Camera, options: StarOptions, catalogue: StarCatalogue) -> None:
         self._reach_rad = camera.radius_rad / np.sqrt(0.5 * np.pi)  # a circle of the field's area
-        self._catalogue, self._kept = catalogue, dict[int, float]()
         area_deg2 = float(np.degrees(np.degrees(4.0 * np.pi))) / len(catalogue.pixel_counts)
         base = float(cumulative_counts_deg2(catalogue.v_max)) * area_deg2
         self._scale = (catalogue.pixel_counts + 1.0) / (base + 1.0)
@@ -134,10 +133,10 @@ class StarNoise:
         """Share (m,) of S^2 that is left in fields around directions (m, 3), at variances (m,) of a pixel without stars."""
         ra, dec = angles_deg(boresight)
         pixels = pixel_of(ra, dec)
-        for pixel in set(pixels.tolist()) - self._kept.keys():
-            first = boresight[np.flatnonzero(pixels == pixel)[0]]
-            self._kept[pixel] = float(self._scale[pixels_in_cone(first, self._reach_rad)].mean())
-        scale = np.array([self._kept[pixel] for pixel in pixels.tolist()])
+        scale = np.empty(len(pixels))
+        for pixel in np.unique(pixels):  # nothing is kept for later calls: a block must not depend on those before it
+            here = pixels == pixel
+            scale[here] = self._scale[pixels_in_cone(boresight[np.flatnonzero(here)[0]], self._reach_rad)].mean()
         return np.exp(-scale * np.interp(np.log(variance_e2), np.log(VARIANCES_E2), self._lost))
 
 

@@ -12,7 +12,6 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
 from simulator.as_built import with_drawn_errors
 from simulator.camera import Camera
@@ -39,6 +38,7 @@ from simulator.scene.encounters import (
 )
 from simulator.scene.fleet import Fleet, is_given, make_fleet
 from simulator.scene.reflection import LightCurve, in_sight, lambert_flux, sunlit_fraction
+from simulator.scene.stars import sky_catalogue
 from simulator.scene.surface import Surfaces, draw_surfaces
 from simulator.trail_noise import StarNoise, TrailEnergy
 
@@ -114,11 +114,9 @@ class Flight:
         if is_given(options.objects):
             colour_factor = camera.instrument.colour_factor
             fleet = make_fleet(options.objects, options.population, epoch, seed, colour_factor)
-        path = options.stars.catalogue_file
-        catalogue = StarCatalogue.open(path) if path else StarCatalogue.embedded()
         return cls(
             options=options, camera=camera, carrier=carrier, window=window, seed=seed, fleet=fleet,
-            energy=TrailEnergy(camera=camera), stars=StarNoise(camera, options.stars, catalogue),
+            energy=TrailEnergy(camera=camera), stars=StarNoise(camera, options.stars, sky_catalogue(options.stars)),
         )  # fmt: skip
 
 

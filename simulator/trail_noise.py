@@ -21,7 +21,7 @@ from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.catalogue.healpix import pixel_of, pixels_in_cone
 from simulator.camera import Camera
 from simulator.optics.psf_field import GRID, HALF_PX, PHASES
-from simulator.scene.stars import StarOptions, angles_deg, cumulative_counts_deg2
+from simulator.scene.stars import FAINT_B_V, StarOptions, angles_deg, cumulative_counts_deg2, over_mean_density
 
 Array = NDArray[np.float64]
 
@@ -31,8 +31,6 @@ LENGTHS_PX: Final = np.geomspace(0.05, 3000.0, 160)
 """Lengths of the table, 7 % apart: linear in their logarithm it errs by less than 1e-3."""
 BRIGHTEST_MAG: Final = 7.5  # The counts begin there; the 0.65 a square degree that are brighter count as of this magnitude.
 COUNT_STEP_MAG: Final = 0.1  # Of the sum over magnitudes. Chosen
-FAINT_B_V: Final = 0.75
-"""Of most faint stars (`simulator.scene.stars`)."""
 VARIANCES_E2: Final = np.geomspace(0.5, 1e5, 60)  # of a pixel, from less than read noise to moonlight at the Moon's rim
 HALO_REACH_PX: Final = 120.0  # Halos of bright stars take something to here; farther ones are part of the sky. Chosen
 PLACES: Final = 3 * GRID  # Along either axis of the window, at which the PSF's tables are asked for: thrice as many as there are.
@@ -114,8 +112,7 @@ class StarNoise:
     def __init__(self, camera: Camera, options: StarOptions, catalogue: StarCatalogue) -> None:
         self._reach_rad = camera.radius_rad / np.sqrt(0.5 * np.pi)  # a circle of the field's area
         area_deg2 = float(np.degrees(np.degrees(4.0 * np.pi))) / len(catalogue.pixel_counts)
-        base = float(cumulative_counts_deg2(catalogue.v_max)) * area_deg2
-        self._scale = (catalogue.pixel_counts + 1.0) / (base + 1.0)
+        self._scale = over_mean_density(catalogue, catalogue.v_max, area_deg2)
         nodes = np.arange(BRIGHTEST_MAG, max(options.faint_limit_mag, catalogue.v_max), COUNT_STEP_MAG)
         ends = cumulative_counts_deg2(np.append(nodes, nodes[-1] + COUNT_STEP_MAG))
         number = np.diff(ends, prepend=0.0)[1:] * float(np.degrees(1.0 / camera.projection.focal_px)) ** 2

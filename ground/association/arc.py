@@ -15,6 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ground.determination.measurements import Directions
+from ground.normal_equations import scaled_inverse
 from ground.orbit.dynamics import LIGHT_KM_S, MU_KM3_S2, advance
 from ground.sky.sphere import east_north
 from sboc_e2e.icd import tai
@@ -237,12 +238,6 @@ def _fitted(linear: Callable[[Array], tuple[Array, Array]], q: Array) -> tuple[f
         return None
     value, slope = best[2], best[3]
     return float(value @ value), best[1], slope.T @ slope
-
-
-def scaled_inverse(matrix: Array) -> Array:
-    """Inverse of a positive matrix (k, k) whose unknowns have units of very different size."""
-    scale = np.sqrt(np.diag(matrix))
-    return np.asarray(np.linalg.inv(matrix / np.outer(scale, scale)) / np.outer(scale, scale))
 
 
 def arc_orbits(tracklets: Sequence[Directions], starts: Sequence[Array | None] | None = None) -> list[ArcOrbit | None]:

@@ -7,13 +7,14 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.association.arc import ArcOrbit, coordinates_of, scaled_inverse
+from ground.association.arc import ArcOrbit, coordinates_of
 from ground.association.pairs import Pairs
 from ground.determination.batch import FitOptions, Solution, fit
 from ground.determination.forces import ForceModel
 from ground.determination.impulses import PUSH_KM2_S3
 from ground.determination.measurements import Directions
 from ground.determination.propagation import propagate
+from ground.normal_equations import scaled_inverse
 from ground.orbit.dynamics import MU_KM3_S2
 from ground.sky.sphere import cross
 from sboc_e2e.icd import tai

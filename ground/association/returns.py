@@ -14,9 +14,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.association.arc import ArcOrbit, coordinates_of, scaled_inverse, state_of
+from ground.association.arc import ArcOrbit, coordinates_of, state_of
 from ground.association.clusters import AssociationOptions
 from ground.association.pairs import Pairs, pairs_of
+from ground.normal_equations import scaled_inverse
 from ground.orbit.dynamics import MU_KM3_S2
 from sboc_e2e.icd import tai
 

@@ -14,6 +14,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.link.measured import SIGMA_ACCELERATION_ARCSEC_S2
+from ground.normal_equations import scaled_inverse
 from ground.sky.measure import middle_of
 from ground.sky.sphere import ARCSEC_RAD, east_north, unit_vectors
 from sboc_e2e.icd.flags import StreakFlag
@@ -23,9 +25,6 @@ Array = NDArray[np.float64]
 
 OFF_LINE_SIGMAS: Final = 3.5
 """A right place in 2,000 is farther off the line. What is, is a star or noise."""
-
-SIGMA_BEND_ARCSEC_S2: Final = 0.6
-"""Differential gravity on the sky: some 3 n^2 rad/s^2 at an orbital rate of n = 1e-3 rad/s."""
 
 LEAST_TILT: Final = 1e-6
 """Variance of the ends' difference over that of their mean, both across the trail, below which the fit was given its direction
@@ -110,8 +109,8 @@ def on_common_line(trails: Sequence[PlacedTrail]) -> dict[int, StreakMeasurement
         plane = _Plane(np.concatenate([units[k][[0, 2]] for k in used]), int(epochs[0] + np.mean(epochs - epochs[0])))
         shares = _even({k: _evidence(trails[k], units[k], plane) for k in {*used, *movable}}, used)
         rows, values, weights = (np.concatenate([shares[k][i] for k in used]) for i in range(3))
-        information = (rows * weights[:, None]).T @ rows + np.diag([0.0, 0.0, SIGMA_BEND_ARCSEC_S2**-2])
-        covariance = _inverse(information)
+        information = (rows * weights[:, None]).T @ rows + np.diag([0.0, 0.0, SIGMA_ACCELERATION_ARCSEC_S2**-2])
+        covariance = scaled_inverse(information)
         line = covariance @ (rows.T @ (weights * values))
         off = {k: _off_line(shares[k], line, covariance, is_part=k in used) for k in shares}
         worst = max(used, key=lambda k: off[k])
@@ -165,12 +164,6 @@ def _even(shares: dict[int, tuple[Array, Array, Array]], used: Sequence[int]) ->
     """
     most = float(np.median([shares[k][2][0] for k in used]))
     return {k: (rows, values, weights * min(1.0, most / weights[0])) for k, (rows, values, weights) in shares.items()}
-
-
-def _inverse(information: Array) -> Array:
-    """Of terms whose sizes differ by orders of magnitude."""
-    scale = np.sqrt(np.diag(information))
-    return np.asarray(np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale))
 
 
 def _off_line(evidence: tuple[Array, Array, Array], line: Array, covariance: Array, *, is_part: bool) -> float:

@@ -16,6 +16,7 @@ from ground.link.hypotheses import ENTERING, FULL, LEAVING, POINT, Nodes, end_er
 from ground.link.motion import N_PARAMETERS, fit_motion, kappa_sigma
 from ground.link.resolve import pieces_among
 from ground.link.row_errors import common_errors
+from ground.normal_equations import scaled_inverse
 from ground.sky.shake_model import STEADY, EndShake
 from ground.sky.sphere import ARCSEC_RAD, east_north, spherical_deg, unit_vectors
 from sboc_e2e.icd.flags import StreakFlag
@@ -26,7 +27,7 @@ Array = NDArray[np.float64]
 EDGES: Final = ((0, StreakFlag.EDGE0), (2, StreakFlag.EDGE1))
 """Points of a streak that the shutter dates, and the flags of points that it does not date."""
 SIGMA_ACCELERATION_ARCSEC_S2: Final = 0.6
-"""Differential gravity on the sky, prior of the motion's acceleration."""
+"""Differential gravity on the sky, prior of the motion's acceleration: some 3 n^2 rad/s^2, orbital rate n = 1e-3 rad/s."""
 LEAST_SIGMA_ARCSEC: Final = 1e-3
 """Added to every row in quadrature: rows that share all their errors still have a covariance that can be inverted."""
 LONGEST_POINT_PX: Final = 6.0
@@ -339,8 +340,7 @@ def _fitted(
     sigma = SIGMA_ACCELERATION_ARCSEC_S2 * ARCSEC_RAD
     weight = np.linalg.inv(covariance_arcsec2 * ARCSEC_RAD**2)
     information = rows.T @ weight @ rows + np.diag([0.0, 0.0, 0.0, 0.0, kappa_sigma(speed) ** -2, sigma**-2, sigma**-2])
-    scale = np.sqrt(np.diag(information))
-    covariance = np.linalg.inv(information / np.outer(scale, scale)) / np.outer(scale, scale)
+    covariance = scaled_inverse(information)
     x0, y0, vx, vy, kappa, _, _ = theta = covariance @ (rows.T @ weight @ seen)
     # x(t) = (x0 + v t + ...) / (1 + kappa t): the velocity at t = 0 is v - kappa x0
     velocity = np.array([vx - kappa * x0, vy - kappa * y0])

@@ -15,12 +15,12 @@ from numpy.typing import NDArray
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.planning.flown import kepler_keys
 from sboc_e2e.registry import Registry
-from sboc_e2e.run.simulation import sky_catalogue
 from sboc_e2e.scenario import Scenario, from_document, option_models
 from simulator.chain import Simulator
 from simulator.platform import earth
 from simulator.platform.observer import OrbitingObserver, make_observer
 from simulator.scene.sources import OrbitOptions
+from simulator.scene.stars import sky_catalogue
 
 Array = NDArray[np.float64]
 
@@ -45,7 +45,7 @@ def visits_of(found: Scenario, hours: Sequence[float], registry: Registry) -> tu
     rising = all(a < b for a, b in pairwise(hours))
     if not hours or not rising or not 0.0 <= hours[0] <= hours[-1] <= MOST_HOURS:
         raise UserError(f"--visit: expected rising hours from 0 to {MOST_HOURS:g}, got {', '.join(f'{h:g}' for h in hours)}")
-    simulator = Simulator(found.simulator, seed=found.seed, catalogue=sky_catalogue(found.simulator))
+    simulator = Simulator(found.simulator, seed=found.seed, catalogue=sky_catalogue(found.simulator.stars))
     orbits = _with_areas(simulator.lasting_objects(), found.seed)
     if not orbits:
         raise UserError(f"scenario {found.name}: objects: visits need objects.passing or objects.orbit")

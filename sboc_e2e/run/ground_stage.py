@@ -41,9 +41,9 @@ from sboc_e2e.run.decoders import decoders_of
 from sboc_e2e.run.directory import RunDirectory
 from sboc_e2e.run.measure import Meter, peak_rss_mb, reset_peak, stage_figures
 from sboc_e2e.run.progress import Progress
-from sboc_e2e.run.simulation import sky_catalogue
 from sboc_e2e.run.states import StateKeeper
 from sboc_e2e.scenario import Scenario
+from simulator.scene.stars import sky_catalogue
 
 STAGE = "ground"
 TDM_NAME: Final = "tracklets.tdm"
@@ -116,7 +116,7 @@ def star_catalogue(scenario: Scenario) -> StarCatalogue:
     catalogue."""
     path = scenario.ground.catalogue_file
     try:
-        return StarCatalogue.open(path) if path else sky_catalogue(scenario.simulator)
+        return StarCatalogue.open(path) if path else sky_catalogue(scenario.simulator.stars)
     except UserError as error:
         raise UserError(f"ground.catalogue_file: {error}" if path else str(error)) from error
 

@@ -7,26 +7,17 @@ from concurrent.futures.process import BrokenProcessPool
 from dataclasses import dataclass, field
 from typing import Any
 
-from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.files import checkpoint, frame_fits
-from sboc_e2e.icd.errors import PluginError, UserError
+from sboc_e2e.icd.errors import PluginError
 from sboc_e2e.icd.frame import Frame
 from sboc_e2e.run.directory import RunDirectory
 from sboc_e2e.run.measure import Meter, peak_rss_mb, reset_peak, stage_figures
 from sboc_e2e.truth import FrameTruth
 from simulator.chain import Simulator
 from simulator.options import SimulatorOptions
+from simulator.scene.stars import sky_catalogue
 
 STAGE = "simulate"
-
-
-def sky_catalogue(options: SimulatorOptions) -> StarCatalogue:
-    """The star catalogue of the simulated sky. Raises `UserError` for a file that is no catalogue."""
-    path = options.stars.catalogue_file
-    try:
-        return StarCatalogue.open(path) if path else StarCatalogue.embedded()
-    except UserError as error:
-        raise UserError(f"stars.catalogue_file: {error}") from error
 
 
 @dataclass(kw_only=True)
@@ -71,7 +62,7 @@ class FrameMaker:
 
     def simulator(self) -> Simulator:
         """The simulator; costs seconds to set up."""
-        return Simulator(self.options, seed=self.seed, catalogue=sky_catalogue(self.options))
+        return Simulator(self.options, seed=self.seed, catalogue=sky_catalogue(self.options.stars))
 
     def kept(self, frame: int) -> bool:
         """Whether frames/ keeps this frame."""

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from scipy.stats import ks_2samp
 
 from sboc_e2e.files.atomic import write_bytes
-from sboc_e2e.run.simulation import sky_catalogue
 from sboc_e2e.scenario import Scenario
 from sboc_e2e.survey.block import finds_of, tables_of
 from sboc_e2e.survey.both_ways import (
@@ -32,6 +31,7 @@ from sboc_e2e.survey.rows import LEAST_SNR, OBJECT_COLUMNS, STREAK_COLUMNS, colu
 from simulator.bare_trails import BareTrails, bare_trails, encounters_of
 from simulator.randomness import Effect, generator
 from simulator.scene.encounters import expected_snr
+from simulator.scene.stars import sky_catalogue
 from simulator.survey import Flight, Instants, Passages, candidates, instants_of, joined, looks_of, pool_of
 
 Array = NDArray[np.float64]
@@ -228,7 +228,7 @@ def kept_scene(scenario: Scenario, folder: Path, runs: int) -> BareTrails:
         with np.load(path) as kept:
             return BareTrails(**{field.name: kept[field.name] for field in fields(BareTrails)})
     flight = Flight.of(scenario.simulator, scenario.seed)
-    made = bare_trails(flight, sky_catalogue(scenario.simulator), range(number))
+    made = bare_trails(flight, sky_catalogue(scenario.simulator.stars), range(number))
     stream = BytesIO()
     np.savez_compressed(stream, **{field.name: getattr(made, field.name) for field in fields(made)})
     write_bytes(path, stream.getvalue())

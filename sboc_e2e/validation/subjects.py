@@ -13,8 +13,8 @@ from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.outside.fits_frames import SUFFIXES, images_of, read_frame
 from sboc_e2e.registry import Registry
-from sboc_e2e.run.simulation import sky_catalogue
 from simulator.chain import Simulator
+from simulator.scene.stars import sky_catalogue
 
 MIN_SIDE_PX = 64
 """One mesh of the background (`MESH_PX`) and one tile of the spectrum."""
@@ -113,7 +113,7 @@ def catalogue_stars(wcs: WCS, shape: tuple[int, ...], catalogue: StarCatalogue, 
 def from_scenario(name: str, frame: int, registry: Registry, overrides: tuple[str, ...]) -> Picture:
     """One simulated frame of a scenario; its known stars are the truth's catalogue stars, where they were drawn."""
     resolved = scenarios.load(name, registry=registry, overrides=overrides)
-    simulator = Simulator(resolved.simulator, seed=resolved.seed, catalogue=sky_catalogue(resolved.simulator))
+    simulator = Simulator(resolved.simulator, seed=resolved.seed, catalogue=sky_catalogue(resolved.simulator.stars))
     made, truth = simulator.frame(frame)
     catalogued = truth.stars[truth.stars["star_id"] > 0]
     image = np.ascontiguousarray(made.pixels, dtype=np.float32)

@@ -24,6 +24,8 @@ _COUNT_MAG: Final = np.array([7.5, 9.0, 10.5, 12.0, 13.75, 15.5, 16.75, 18.0])
 _COUNT_DEG2: Final = np.array([0.65, 4.05, 14.2, 55.4, 249.0, 972.0, 2366.0, 5345.0])
 DWARFS_FROM_H: Final = 8.5
 """Reduced proper motion that parts red dwarfs from red giants."""
+FAINT_B_V: Final = 0.75
+"""Faint stars of the field are mostly late F to K dwarfs: B-V spread about this (Bahcall & Soneira 1980, ApJS 44, 73)."""
 _COMPANION: Final = 1 << 61
 """Added to the number of a star for that of its companion."""
 _CACHE_MARGIN_DEG: Final = 0.5
@@ -88,6 +90,20 @@ def angles_deg(vectors: Array) -> tuple[Array, Array]:
     """Right ascension [0, 360) and declination of vectors (..., 3)."""
     ra = np.degrees(np.arctan2(vectors[..., 1], vectors[..., 0])) % 360.0
     return ra, np.degrees(np.arctan2(vectors[..., 2], np.hypot(vectors[..., 0], vectors[..., 1])))
+
+
+def sky_catalogue(options: StarOptions) -> StarCatalogue:
+    """The star catalogue of the simulated sky. Raises `UserError` for a file that is no catalogue."""
+    path = options.catalogue_file
+    try:
+        return StarCatalogue.open(path) if path else StarCatalogue.embedded()
+    except UserError as error:
+        raise UserError(f"stars.catalogue_file: {error}") from error
+
+
+def over_mean_density(catalogue: StarCatalogue, mag: float, pixel_deg2: float) -> Array:
+    """Stars (pixels,) of a catalogue over those of the all-sky mean brighter than a magnitude, one added to both."""
+    return np.asarray((catalogue.pixel_counts + 1.0) / (float(cumulative_counts_deg2(mag)) * pixel_deg2 + 1.0))
 
 
 def cumulative_counts_deg2(v_mag: Array | float) -> Array:
@@ -215,7 +231,7 @@ class StarSky:
         rng = generator(self.seed, Effect.FAINT_STARS, block=pixel)
         area_deg2 = self._healpix.pixel_area.to_value("deg2")
         base = float(cumulative_counts_deg2(from_mag))
-        scale = (self.catalogue.pixel_counts + 1.0) / (base * area_deg2 + 1.0)
+        scale = over_mean_density(self.catalogue, from_mag, area_deg2)
         around = self._healpix.neighbours(pixel)
         peak = float(max(scale[pixel], scale[around[around >= 0]].max()))
         n = int(rng.poisson(peak * (float(cumulative_counts_deg2(to_mag)) - base) * area_deg2))
@@ -226,8 +242,7 @@ class StarSky:
         nodes = np.linspace(from_mag, to_mag, 65)
         counts = cumulative_counts_deg2(nodes)
         v_mag = np.interp(rng.random(n), (counts - counts[0]) / (counts[-1] - counts[0]), nodes)
-        # Faint stars of the field are mostly late F to K dwarfs: B-V spread about 0.75 (Bahcall & Soneira 1980, ApJS 44, 73).
-        b_v = np.clip(rng.normal(0.75, 0.25, n), -0.2, 1.8)
+        b_v = np.clip(rng.normal(FAINT_B_V, 0.25, n), -0.2, 1.8)
         self._faint[pixel] = (vectors, v_mag, b_v)
         return self._faint[pixel]
 

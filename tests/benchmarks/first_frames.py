@@ -21,11 +21,11 @@ from onboard.state import OnboardResult
 from sboc_e2e.icd.frame import Frame
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.onboard_stage import onboard_chain
-from sboc_e2e.run.simulation import sky_catalogue
 from sboc_e2e.scenario import load
 from sboc_e2e.score.detection import FLUX_HELD, LEAST_DETECTABLE_SNR, RoiFootprints
 from sboc_e2e.score.evaluation import truth_streaks
 from simulator.chain import Simulator
+from simulator.scene.stars import sky_catalogue
 
 SIDES: Final = {512: ("72 um", "4 cm", "80 us"), 1024: ("36 um", "8 cm", "40 us")}
 """Pixel, aperture and line time that keep the field of `smoke` on so many pixels: 512 is crowded."""
@@ -57,7 +57,7 @@ def run(seed: int, side: int, n_frames: int) -> list[dict[str, Any]]:
             f'shutter.line_time="{line_time}"', f'instrument.aperture="{aperture}"', f"frames={n_frames}",
         ],
     )  # fmt: skip
-    simulator = Simulator(scenario.simulator, seed=seed, catalogue=sky_catalogue(scenario.simulator))
+    simulator = Simulator(scenario.simulator, seed=seed, catalogue=sky_catalogue(scenario.simulator.stars))
     calibration = simulator.calibration()
     made = [simulator.frame(number) for number in range(n_frames)]
     rows = []

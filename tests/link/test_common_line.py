@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ground.link.common_line import SIGMA_BEND_ARCSEC_S2, PlacedTrail, on_common_line
+from ground.link.common_line import PlacedTrail, on_common_line
+from ground.link.measured import SIGMA_ACCELERATION_ARCSEC_S2
 from ground.sky.sphere import ARCSEC_RAD, east_north, spherical_deg
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit, StreakMeasurement
@@ -66,7 +67,7 @@ def drawn(rng: np.random.Generator, n: int) -> tuple[list[PlacedTrail], Array, A
     side = np.array([-way[1], way[0]])
     t = FRAME_S * np.arange(n)[:, None] + np.array([0.0, EXPOSURE_S])
     t = t - t.mean()
-    bend = rng.normal(0.0, SIGMA_BEND_ARCSEC_S2 / SCALE_ARCSEC)
+    bend = rng.normal(0.0, SIGMA_ACCELERATION_ARCSEC_S2 / SCALE_ARCSEC)
     start = rng.uniform(-300.0, 300.0, 2)
     true = start + (length / EXPOSURE_S * t)[..., None] * way + (0.5 * bend * t**2)[..., None] * side
     trails = []
@@ -109,7 +110,7 @@ def _bound_px2(trails: list[PlacedTrail], k: int, snr: float) -> float:
     """Joint bound of the place in frame k, px^2: Fisher matrix of place, slope and bend (with its prior) over frames."""
     frames = FRAME_S * (np.arange(len(trails)) - 0.5 * (len(trails) - 1))
     rows = np.stack([np.ones_like(frames), frames, 0.5 * frames**2], axis=1)
-    information = np.diag([0.0, 0.0, (SIGMA_BEND_ARCSEC_S2 / SCALE_ARCSEC) ** -2])
+    information = np.diag([0.0, 0.0, (SIGMA_ACCELERATION_ARCSEC_S2 / SCALE_ARCSEC) ** -2])
     for row, each in zip(rows, trails, strict=True):
         variance = (1.3 / snr) ** 2
         information += np.outer(row, row) / (variance + POINTING_PX**2)

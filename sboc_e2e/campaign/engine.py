@@ -5,7 +5,6 @@ in a folder of its own, and of each task comes back one table of truth streaks w
 """
 
 import json
-import os
 import shutil
 import time
 from collections import defaultdict
@@ -22,7 +21,7 @@ from sboc_e2e.files.atomic import UNWRITABLE, remove_leftovers, require_writable
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.manifest import first_difference
-from sboc_e2e.run.workers import executor
+from sboc_e2e.run.workers import executor, worker_count
 
 IDENTITY: Final = "identity.json"
 FOLDERS: Final = ("shards", "failed", "work")
@@ -75,7 +74,7 @@ def run_campaign(
     # A scheduler's workers may have another disk, or another working folder: they get none, and their shards travel back.
     place = None if scheduler else str(out.resolve())
     count = 0
-    with executor(workers or os.cpu_count() or 1, scheduler, here=here) as (pool, slots):
+    with executor(worker_count(workers or 0), scheduler, here=here) as (pool, slots):
         jobs = [
             Job(plan=plan, tasks=tuple(tasks), surroundings=plan.surroundings(tasks[0].task), out=place)
             for tasks in shared_frames(todo, slots)

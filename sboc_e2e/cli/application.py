@@ -32,7 +32,7 @@ app.add_typer(scenarios_app, name="scenarios")
 Plugins = Annotated[list[str] | None, typer.Option("--plugin", help="trust a module that a scenario names as module:Class")]
 Overrides = Annotated[list[str] | None, typer.Option("--set", help="override a scenario key, such as sensor.prnu=0.01")]
 Uses = Annotated[list[str] | None, typer.Option("--use", help="swap a step: onboard.detector=lsd or =my_lab.nets:StreakNet")]
-Workers = Annotated[int, typer.Option("--workers", help="simulation processes, 0: one for each processor")]
+Workers = Annotated[int, typer.Option("--workers", help="processes, 0: one for each processor, one for few pixels")]
 RunDir = Annotated[Path, typer.Argument(metavar="RUN_DIR", help="directory of a run")]
 
 

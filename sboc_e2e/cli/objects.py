@@ -103,7 +103,7 @@ def update(
 ) -> None:
     """Correlate new tracklets, renew orbits, find new objects (MEO, GEO), call objects lost, found again or retired."""
     from sboc_e2e.objects.upkeep import bring_up
-    from sboc_e2e.run.pipeline import worker_count
+    from sboc_e2e.run.workers import worker_count
 
     typer.echo(bring_up(store, at, window, worker_count(workers)))
 

@@ -168,14 +168,15 @@ def survey(
 ) -> None:
     """Months of tracklets without pixels; finished blocks are kept, so the same command goes on after an interruption."""
     from sboc_e2e import scenario as scenarios
+    from sboc_e2e.run.workers import worker_count
     from sboc_e2e.survey import response as responses
-    from sboc_e2e.survey.engine import default_workers, run_survey
+    from sboc_e2e.survey.engine import run_survey
 
     resolved = scenarios.load(scenario, registry=registry_of(plugin), overrides=overrides or (), seed=seed)
     measured = responses.read(response_file or responses.shipped(resolved), resolved)
     target = out or Path("runs") / f"survey-{resolved.name}"
     result = run_survey(
-        resolved, measured, days, target, workers=default_workers(workers), scheduler=scheduler, force=force, report=typer.echo
+        resolved, measured, days, target, workers=worker_count(workers), scheduler=scheduler, force=force, report=typer.echo
     )
     typer.echo(
         f"{result.done} blocks done, {result.skipped} were done before, {len(result.failed)} failed, {result.wall_s:.1f} s"

@@ -6,8 +6,9 @@ from sboc_e2e.run.decoders import require_decoder
 from sboc_e2e.run.directory import RunDirectory
 from sboc_e2e.run.ground_stage import require_files
 from sboc_e2e.run.manifest import Manifest
-from sboc_e2e.run.pipeline import Run, worker_count
+from sboc_e2e.run.pipeline import Run
 from sboc_e2e.run.progress import Progress, Silent
+from sboc_e2e.run.workers import simulation_processes
 from sboc_e2e.scenario import Scenario
 
 
@@ -30,5 +31,9 @@ def begin_or_continue(
     path.mkdir(parents=True, exist_ok=True)
     manifest.save()
     return Run(
-        directory=directory, manifest=manifest, scenario=scenario, workers=worker_count(workers), progress=progress or Silent()
+        directory=directory,
+        manifest=manifest,
+        scenario=scenario,
+        workers=simulation_processes(workers, scenario),
+        progress=progress or Silent(),
     )

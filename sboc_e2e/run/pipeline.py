@@ -1,6 +1,5 @@
 """Stages in order over a run directory: simulate and on board together, frame by frame; then ground, score, report."""
 
-import os
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -21,6 +20,7 @@ from sboc_e2e.run.manifest import Manifest
 from sboc_e2e.run.onboard_stage import OnboardStage, onboard_chain
 from sboc_e2e.run.progress import Progress, Silent
 from sboc_e2e.run.simulation import FrameMaker, FrameStream, SimulationCost
+from sboc_e2e.run.workers import simulation_processes
 from sboc_e2e.scenario import Scenario
 from sboc_e2e.score import Evaluation, evaluate, score_evaluation
 from simulator.chain import Simulator
@@ -37,7 +37,7 @@ class RunRequest:
     resume: bool = False
     force: bool = False
     workers: int = 0
-    """Simulation processes; 0 for as many as there are processors."""
+    """Simulation processes; 0 for as many as pay (`simulation_processes`)."""
 
 
 @dataclass(kw_only=True)
@@ -62,7 +62,7 @@ class Run:
             directory=directory,
             manifest=manifest,
             scenario=scenario,
-            workers=worker_count(workers),
+            workers=simulation_processes(workers, scenario),
             progress=progress or Silent(),
         )
 
@@ -231,7 +231,7 @@ class Run:
 def run(request: RunRequest, progress: Progress | None = None) -> Run:
     """All stages of a scenario, from where an earlier attempt stopped when `resume` is set."""
     shown = progress or Silent()
-    workers = worker_count(request.workers)
+    workers = simulation_processes(request.workers, request.scenario)
     directory = RunDirectory(path=request.out)
     wanted = Manifest.of(directory.manifest, request.scenario)
     directory.check(resume=request.resume, force=request.force)
@@ -258,14 +258,6 @@ def _next_to_make(plan: tuple[int, ...], first: int) -> int:
     """The first frame to make so that the on-board stage can go on at position `first` and no dropped frame lacks its truth."""
     after_last = plan[first - 1] + 1 if first > 0 else 0
     return min(after_last, plan[first]) if first < len(plan) else after_last
-
-
-def worker_count(wanted: int) -> int:
-    """Processes to use: as asked, or one for each processor this process may run on."""
-    if wanted < 0:
-        raise UserError(f"--workers: expected 0 (one for each processor) or more, got {wanted}")
-    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-    return wanted or available
 
 
 def _same_run(found: Manifest, wanted: Manifest) -> None:

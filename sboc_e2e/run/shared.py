@@ -26,8 +26,6 @@ _AFTER: Final = {
     "ground": _LABELS,
 }
 """Tables of a scenario that do not affect a stage or the stages before it."""
-SMALL_PX: Final = 20_000_000
-"""Starting processes takes longer than simulating fewer pixels than this."""
 KEPT: Final = ("frames", "downlinks", "runs")
 
 
@@ -61,7 +59,7 @@ def key(content: Mapping[str, Any]) -> str:
 
 @dataclass(frozen=True, kw_only=True)
 class SharedRuns:
-    """Runs below one folder. workers : simulation processes, 0 for one for each processor unless the frames are small."""
+    """Runs below one folder. workers : simulation processes, 0 for as many as pay."""
 
     out: Path
     workers: int = 0
@@ -106,9 +104,7 @@ class SharedRuns:
 
     def _run(self, kind: str, stage: str, scenario: Scenario) -> Run:
         path = self.out / kind / key(stage_content(scenario, stage))
-        small = scenario.simulator.frames * scenario.simulator.instrument.rows * scenario.simulator.instrument.cols < SMALL_PX
-        workers = self.workers or (1 if small else 0)
-        return begin_or_continue(path, scenario, keyed=True, workers=workers, progress=self.progress)
+        return begin_or_continue(path, scenario, keyed=True, workers=self.workers, progress=self.progress)
 
 
 def _link(source: Path, target: Path) -> None:

@@ -1,11 +1,33 @@
-"""Processes that do a campaign's or a survey's tasks, here or on a dask cluster."""
+"""How many processes a run, a campaign or a survey uses, and those that do its tasks, here or on a dask cluster."""
 
+import os
 from collections.abc import Iterator
 from concurrent.futures import Executor, ProcessPoolExecutor, ThreadPoolExecutor
 from contextlib import contextmanager
 from multiprocessing import get_context
+from typing import Final
 
 from sboc_e2e.icd.errors import UserError
+from sboc_e2e.scenario import Scenario
+
+SMALL_PX: Final = 20_000_000
+"""Starting processes takes longer than simulating fewer pixels than this."""
+
+
+def worker_count(wanted: int) -> int:
+    """Processes to use: as asked, or one for each processor this process may run on."""
+    if wanted < 0:
+        raise UserError(f"--workers: expected 0 (one for each processor) or more, got {wanted}")
+    available = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    return wanted or available
+
+
+def simulation_processes(wanted: int, scenario: Scenario) -> int:
+    """Processes that simulate a scenario's frames: as asked, or (0) one for each processor, and one alone for few pixels."""
+    camera = scenario.simulator.instrument
+    if wanted == 0 and scenario.simulator.frames * camera.rows * camera.cols < SMALL_PX:
+        return 1
+    return worker_count(wanted)
 
 
 @contextmanager

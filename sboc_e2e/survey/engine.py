@@ -1,7 +1,6 @@
 """Run the blocks of a survey: local processes or a dask cluster, two parquet shards for each block, resumable."""
 
 import json
-import os
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -224,8 +223,3 @@ def _begun(out: Path, scenario: Scenario, response: Response, days: float, numbe
     }
     write_json(out / IDENTITY, content)
     return numbers
-
-
-def default_workers(asked: int) -> int:
-    """Processes: those asked for, or one for each processor."""
-    return asked or len(os.sched_getaffinity(0))

@@ -8,7 +8,7 @@ from typing import Any, Final, TypedDict, Unpack
 from sboc_e2e import provenance
 from sboc_e2e.files.atomic import write_text
 from sboc_e2e.icd.errors import UserError
-from sboc_e2e.run.pipeline import worker_count
+from sboc_e2e.run.workers import worker_count
 from sboc_e2e.scenario import Scenario
 from sboc_e2e.survey import instrument, response
 from sboc_e2e.survey.engine import refuse_empty_sky

@@ -10,12 +10,13 @@ import pytest
 from astropy.io import fits
 from astropy.table import Table
 
-from sboc_e2e import cli
+from sboc_e2e import cli, scenario
 from sboc_e2e.files import frame_fits
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import Registry
 from sboc_e2e.run import run
 from sboc_e2e.run.pipeline import Run
+from sboc_e2e.run.workers import simulation_processes, worker_count
 from sboc_e2e.truth import TABLES
 from tests.end_to_end.conftest import command, digest, request, tiny
 
@@ -50,6 +51,16 @@ STREAK_COLUMNS = [
 def copy(finished: Run, tmp_path: Path) -> Path:
     """A copy of the finished run that a test may change."""
     return Path(shutil.copytree(finished.directory.path, tmp_path / "run"))
+
+
+def test_few_pixels_are_simulated_by_one_process_unless_asked_otherwise(tmp_path: Path) -> None:
+    few = scenario.load(str(tiny(tmp_path)), registry=Registry())
+    many = scenario.load("sso_antisun", registry=Registry())
+    assert simulation_processes(0, few) == 1
+    assert simulation_processes(3, few) == simulation_processes(3, many) == 3
+    assert simulation_processes(0, many) == worker_count(0) == len(os.sched_getaffinity(0))
+    with pytest.raises(UserError, match="--workers: expected 0"):
+        simulation_processes(-1, few)
 
 
 def test_a_run_leaves_the_documented_files_and_nothing_else(finished: Run) -> None:

@@ -13,7 +13,8 @@ from ground.orbit.size import diameter_m
 from ground.population.flux import ALBEDO
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.score.recovery import SIZE_EDGES_M
-from sboc_e2e.survey.response import Response, found_share
+from sboc_e2e.survey.curve import found_share, shifts
+from sboc_e2e.survey.response import Response
 from simulator.fleet_passages import fleet_block
 from simulator.platform.earth import EARTH_RADIUS_KM
 from simulator.randomness import Effect, generator
@@ -190,7 +191,8 @@ class Finds:
 def finds_of(rate_deg_s: Array, looks: Looks, response: Response, rng: np.random.Generator, lost: float = 0.0) -> Finds:
     """Draw what is found. rate_deg_s (n,) : of each passage; lost : share of frames and packets that never arrive."""
     n = len(rate_deg_s)
-    share = found_share(response.curve, looks.snr, looks.length_px, response.noise_ratio(looks.noise_e)) * (1.0 - lost)
+    noise, shift = response.noise_ratio(looks.noise_e), shifts(response.curve, n, rng)[looks.passage]
+    share = found_share(response.curve, looks.snr, looks.length_px, noise, looks.cut, shift) * (1.0 - lost)
     found = rng.random(len(share)) < np.where(looks.snr > 0.0, share, 0.0)
     whose, weight = looks.passage[found], looks.stands_for[found]
 

@@ -52,7 +52,7 @@ NAMES: Final = (
 REDRAWS: Final = 200
 """Of what is found of the same trails: their mean has 1/14 of the scatter of one draw, and so of what it is compared with."""
 Pair = tuple[Array, Array]
-"""Two tables (runs, names) of the same runs."""
+"""Two tables (runs, names) of the same runs; the second may have one for each turn."""
 RESAMPLED: Final = 4000  # times: an end of a 90 % interval is known to 0.03 of the standard error
 
 
@@ -102,6 +102,7 @@ def shown_in_samples(samples: Sequence[Mapping[str, Any]]) -> Shown:
         trails = {name: values[kept] for name, values in trails.items()}
         trails["place"] = first + np.searchsorted(mine["object"], trails["object"])
         trails["open_s"] = trails["frame"] / float(sample["frame_rate_hz"])
+        trails["cut"] = trails["edges"] > 0.0
         first += len(order)
         parts.append(trails)
         objects.append(mine)
@@ -141,6 +142,7 @@ def shown_in_scene(made: BareTrails, frame_rate_hz: float, runs: int) -> Shown:
         "mag": t["mag"] - 2.5 * np.log10(np.maximum(mean, 1e-300) / np.maximum(middle, 1e-300)),
         "noise_e": noise,
         "open_s": t["frame"] / frame_rate_hz,
+        "cut": t["edge0"] | t["edge1"],
     }
     size = _light_size(_mean_mag(place, trails["mag"], n)[place], t["range_km"].astype(np.float64), line, sun)
     light_size[place[order]] = size[order]
@@ -169,12 +171,13 @@ def shown_to_survey(at: Instants, p: Passages, run: NDArray[np.int64], looks: Lo
     )
 
 
-def _looks(place: NDArray[np.int64], trails: Mapping[str, Array], n: int) -> Looks:
+def _looks(place: NDArray[np.int64], trails: Mapping[str, NDArray[Any]], n: int) -> Looks:
     """Trails as a survey's code has them."""
     k = len(place)
     return Looks(
         passage=place, snr=trails["snr"], length_px=trails["length_px"], mag=trails["mag"], noise_e=trails["noise_e"],
-        stands_for=np.ones(k), open_s=trails["open_s"], cut=np.zeros(k, np.bool_), frames=np.bincount(place, minlength=n),
+        stands_for=np.ones(k), open_s=trails["open_s"], cut=np.asarray(trails["cut"], dtype=np.bool_),
+        frames=np.bincount(place, minlength=n),
     )  # fmt: skip
 
 
@@ -254,8 +257,11 @@ def _with_ends(value: float, draws: Array) -> tuple[float, float, float]:
 def ratios(judged: Pair, trails: Pair, drawn: Array, survey: Array) -> tuple[Ratio, ...]:
     """The ratios with their intervals from tables (runs, names).
 
-    judged : found and expected in the same runs; trails : expected of true trails and of a survey's looks at the same runs;
-    drawn, survey : expected by seed of the pixel chain's draws, and by round of a survey's. Runs, seeds and rounds are resampled.
+    judged : found and expected in the same runs; trails : expected of true trails, and (turns, runs, names) of a survey's looks
+    at the same runs, each time with other turns of what tumbles; drawn, survey : expected by seed of the pixel chain's draws, and
+    by round of a survey's. Runs, seeds, rounds and the turns of each run are resampled: without the turns, intervals of 20 runs
+    held a ratio that is 1 in 85 % of the cases, with them in 89 % (looks at the objects of 100 runs, one turn in place of the
+    true trails).
     """
     rng = np.random.default_rng(SEED)
 
@@ -265,7 +271,14 @@ def ratios(judged: Pair, trails: Pair, drawn: Array, survey: Array) -> tuple[Rat
         with np.errstate(divide="ignore", invalid="ignore"):
             return one.mean(axis=0) / other.mean(axis=0), one[pick].mean(axis=1) / other[its].mean(axis=1)
 
-    finds, seen = resampled(*judged, together=True), resampled(*trails, together=True)
+    def turned(true: Array, looked: Array) -> tuple[Array, Array]:
+        turns, runs = looked.shape[:2]
+        pick = rng.integers(runs, size=(RESAMPLED, runs))
+        mean = np.mean([looked[rng.integers(turns, size=pick.shape), pick].mean(axis=1) for _ in range(turns)], axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            return true.mean(axis=0) / looked.mean(axis=(0, 1)), true[pick].mean(axis=1) / mean
+
+    finds, seen = resampled(*judged, together=True), turned(*trails)
     drawing = resampled(drawn, survey, together=False)
     both = [finds[k] * seen[k] * drawing[k] for k in range(2)]
     out = []

@@ -83,10 +83,10 @@ def judge_response(
     **how: Unpack[How],
 ) -> Path:
     """Compare `response.json` of a folder with `runs` other runs of the pixel chain: `validation.md`."""
+    measured = response.read(out / "response.json", scenario)  # before the runs: a file of another version ends it here
     seeds = seeds_for(scenario, VALIDATION, runs)
     found = _gathered(scenario, seeds, out / VALIDATION, **how)
     path = out / "validation.md"
-    measured = response.read(out / "response.json", scenario)
     scene = kept_scene(scenario, out / VALIDATION, len(found.samples))
     write_text(path, page(validate(found.samples, scenario, measured, scene)))
     return path

@@ -14,9 +14,7 @@ from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import minimize
 from scipy.spatial import cKDTree
-from scipy.special import expit
 
 from sboc_e2e.files.atomic import write_text
 from sboc_e2e.icd.errors import UserError
@@ -24,11 +22,12 @@ from sboc_e2e.scenario import Scenario
 from sboc_e2e.scenario.toml_files import FOLDER
 from sboc_e2e.score.figures import SEED, absent, proportion, rate
 from sboc_e2e.survey import instrument
+from sboc_e2e.survey.curve import HALF, LN_SPREAD, PARAMETERS, SHORTEST, WHEN_CUT, WITH_NOISE, Trails, fitted, mean_share
 from sboc_e2e.survey.rows import OBJECT_COLUMNS, STREAK_COLUMNS, columns
 
 Array = NDArray[np.float64]
 
-VERSION: Final = 2
+VERSION: Final = 3
 """Of the file; another one is refused."""
 
 SNR_EDGES: Final = (3.0, 5.0, 6.0, 7.0, 8.0, 9.0, 10.0, 12.0, 15.0, 20.0, 30.0, 1e9)
@@ -38,14 +37,9 @@ LENGTH_EDGES_PX: Final = (0.0, 10.0, 30.0, 100.0, 300.0, 1e9)
 FRAME_EDGES: Final = (1, 2, 3, 4, 6, 11, 100000)
 """Cells of the tables: S/N, length, and frames in which a passage was found."""
 
-LENGTH_PX: Final = 30.0
-"""The half point of the curve is that of this length."""
-
-LONGEST_PX: Final = 3000.0
-"""Longer trails count as of this length: a parabola in log length must not be drawn on beyond what was measured. Chosen."""
 PULL_POINTS: Final = (0.01, 0.05, 0.16, 0.5, 0.84, 0.95, 0.99)
 """Quantiles: median, one sigma (0.16, 0.84), both ends of the 90 % interval, and the tails."""
-NEIGHBOURS: Final = 10  # Tracklets of 453 among which a survey draws: more blur S/N and arc, fewer repeat one another. Chosen.
+NEIGHBOURS: Final = 10  # Tracklets of 688 among which a survey draws: more blur S/N and arc, fewer repeat one another. Chosen.
 RESIDUALS: Final = ("mag_error", "ln_rate_error", "ln_range_error", "ln_size_error", "i_error_deg")
 PULLS: Final = ("mag_pull", "cross_pull", "along_pull")
 BOOTSTRAPS: Final = 40
@@ -59,9 +53,6 @@ SKY_REDRAWS: Final = 4000  # of runs: an end of the 90 % interval is known to 0.
 OWN_SKY: Final = "as in the scenario"
 """Name of the sky of runs that are made below no other."""
 
-START: Final = (8.0, 0.0, 0.0, 0.6, 3.0, 0.0)
-"""Where the search for the curve begins: half at S/N 8, no slopes, a width of exp(0.6) = 1.8, 95 % found at the top."""
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Response:
@@ -71,12 +62,12 @@ class Response:
 
     @property
     def curve(self) -> Array:
-        """Parameters of `found_share`."""
+        """Parameters of `curve.found_share`."""
         return np.array(self.content["detection"]["curve"])
 
     @property
     def curves(self) -> Array:
-        """Parameters (b, 6) of bootstrap samples over runs."""
+        """Parameters (b, 9) of bootstrap samples over runs."""
         return np.array(self.content["detection"]["curves"])
 
     def noise_ratio(self, noise_e: Array) -> Array:
@@ -121,33 +112,6 @@ LEAST: Final = (1.0, 1.0, 0.01, 0.01)
 def _features(*values: Array) -> Array:
     """What neighbours are near in (n, 4): logarithms of `FEATURES`."""
     return np.log(np.stack([np.maximum(v, least) for v, least in zip(values, LEAST, strict=True)], axis=1))
-
-
-def found_share(curve: Array, snr: Array, length_px: Array, noise_ratio: Array | float = 1.0) -> Array:
-    """Probability that a trail is found: ``p = top / (1 + exp(-(snr - s50) / width))``.
-
-    curve : s50 at 30 px, its slopes with x = log10(length / 30 px) and x^2, ln width, logit top, slope of s50 with log10 noise.
-    """
-    x = np.log10(np.clip(length_px, 1.0, LONGEST_PX) / LENGTH_PX)
-    half = curve[0] + curve[1] * x + curve[2] * x * x + curve[5] * np.log10(noise_ratio)
-    return np.asarray(expit(curve[4]) * expit((snr - half) / np.exp(curve[3])))
-
-
-def fitted(snr: Array, length_px: Array, noise_ratio: Array, found: Array, *, sky: bool) -> Array:
-    """The curve of highest likelihood under weak priors on slopes. sky : whether the noise varies enough to tell its slope."""
-
-    def loss(curve: Array) -> float:
-        p = np.clip(found_share(curve, snr, length_px, noise_ratio), 1e-6, 1.0 - 1e-6)
-        prior = (
-            (curve[1] / 3.0) ** 2
-            + (curve[2] / 3.0) ** 2
-            + ((curve[4] - 3.0) / 2.0) ** 2
-            + (curve[5] / (5.0 if sky else 1e-3)) ** 2
-        )
-        return float(-np.sum(np.where(found > 0.5, np.log(p), np.log1p(-p))) + 0.5 * prior)
-
-    # a simplex would start with steps of 0.00025 in the slopes, which begin at 0, and end before it has found them
-    return np.asarray(minimize(loss, np.array(START), method="BFGS").x)
 
 
 def made_of(
@@ -226,7 +190,10 @@ def _skies(
         mine = [k for k, name in enumerate(below) if name == sky]
         found = np.array([runs[k]["ground"].sum() for k in mine])
         expected = np.array(
-            [found_share(curve, runs[k]["snr"], runs[k]["length_px"], runs[k]["noise_e"] / noise).sum() for k in mine]
+            [
+                mean_share(curve, runs[k]["snr"], runs[k]["length_px"], runs[k]["noise_e"] / noise, runs[k]["edges"] > 0).sum()
+                for k in mine
+            ]
         )
         pick = rng.integers(len(mine), size=(SKY_REDRAWS, len(mine)))
         low, high = np.quantile(found[pick].sum(axis=1) / np.maximum(expected[pick].sum(axis=1), 1e-9), [0.05, 0.95])
@@ -250,16 +217,15 @@ def _detection(
     runs: Sequence[Mapping[str, Array]], below: Sequence[str], trails: Mapping[str, Array], noise: float
 ) -> dict[str, Any]:
     """The curve, curves of resampled runs (as many below each sky), and the table that they stand for."""
-    ratio = trails["noise_e"] / noise
+    ratio, cut = trails["noise_e"] / noise, trails["edges"] > 0
     sky = bool(ratio.max() / ratio.min() > SKY_SPREAD)
-    curve = fitted(trails["snr"], trails["length_px"], ratio, trails["ground"], sky=sky)
+    curve = fitted(trails_of(runs, noise), sky=sky)
     rng = np.random.default_rng(SEED)
     skies = [np.flatnonzero(np.array(below) == name) for name in dict.fromkeys(below)]
     curves = []
     for _ in range(BOOTSTRAPS):
         pick = np.concatenate([rng.choice(group, size=len(group)) for group in skies])
-        some = {name: np.concatenate([runs[k][name] for k in pick]) for name in ("snr", "length_px", "noise_e", "ground")}
-        curves.append(fitted(some["snr"], some["length_px"], some["noise_e"] / noise, some["ground"], sky=sky))
+        curves.append(fitted(trails_of([runs[k] for k in pick], noise), sky=sky, start=curve))
     table: list[dict[str, Any]] = []
     for low, high in pairwise(SNR_EDGES):
         for short, long in pairwise(LENGTH_EDGES_PX):
@@ -267,7 +233,7 @@ def _detection(
             inside &= trails["length_px"] < long
             n = int(inside.sum())
             if n:
-                share = found_share(curve, trails["snr"][inside], trails["length_px"][inside], ratio[inside])
+                share = mean_share(curve, trails["snr"][inside], trails["length_px"][inside], ratio[inside], cut[inside])
                 table.append(
                     {
                         "snr": [low, min(high, 1e6)],
@@ -280,24 +246,39 @@ def _detection(
     expected = np.array([t["curve"] * t["found"]["n"] for t in table])
     counted = np.array([t["found"]["value"] * t["found"]["n"] for t in table])
     spread = np.array([max(t["curve"] * (1.0 - t["curve"]) * t["found"]["n"], 0.25) for t in table])
-    half = np.percentile([c[0] for c in curves], [5.0, 95.0])
-    slope = [float(v) for v in np.percentile([c[5] for c in curves], [5.0, 95.0])]
+
+    def figure(place: int) -> dict[str, Any]:
+        low, high = np.percentile([c[place] for c in curves], [5.0, 95.0])
+        return {"value": float(curve[place]), "n": len(trails["snr"]), "low": float(low), "high": float(high)}
+
     return {
         "curve": [_rounded(v) for v in curve],
         "curves": [[_rounded(v) for v in c] for c in curves],
-        "parameters": ["s50 at 30 px", "its slope with x = log10(length / 30 px)", "with x^2", "ln width", "logit top",
-                       "slope of s50 with log10 noise" if sky else "slope with noise: one sky only, taken as 0"],
-        "snr50_30px": {"value": float(curve[0]), "n": len(trails["snr"]), "low": float(half[0]), "high": float(half[1])},
-        "slope_with_log10_noise": (
-            {"value": float(curve[5]), "n": len(trails["snr"]), "low": slope[0], "high": slope[1]}
-            if sky
-            else absent("one sky only", len(trails["snr"]))
-        ),
+        "parameters": list(PARAMETERS),
+        "snr50_30px": figure(HALF),
+        "slope_with_log10_noise": figure(WITH_NOISE) if sky else absent("one sky only", len(trails["snr"])),
+        "when_cut": figure(WHEN_CUT) | {"n": int(cut.sum())},
+        "shortest_px": figure(SHORTEST) | {"n": int((trails["length_px"] < LENGTH_EDGES_PX[2]).sum())},
+        "ln_spread_of_objects": figure(LN_SPREAD),
         "noise_e": [float(trails["noise_e"].min()), float(trails["noise_e"].max())],
         "chi2": float(np.sum((counted - expected) ** 2 / spread)),
         "cells": len(table),
         "table": table,
     }  # fmt: skip
+
+
+def trails_of(runs: Sequence[Mapping[str, Array]], noise: float) -> Trails:
+    """Trails of runs, the same run drawn twice being two; noise : of the scenario's own sky."""
+    every = {n: np.concatenate([run[n] for run in runs]) for n in ("snr", "length_px", "noise_e", "edges", "ground", "object")}
+    first = np.cumsum([0, *(1.0 + np.max(run["object"], initial=0.0) for run in runs[:-1])])
+    return Trails(
+        snr=every["snr"],
+        length_px=every["length_px"],
+        noise_ratio=every["noise_e"] / noise,
+        cut=every["edges"] > 0,
+        found=every["ground"] > 0.5,
+        owner=(every["object"] + np.repeat(first, [len(run["object"]) for run in runs])).astype(np.int64),
+    )
 
 
 def _linking(objects: Mapping[str, Array]) -> list[dict[str, Any]]:

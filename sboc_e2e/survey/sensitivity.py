@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from sboc_e2e import scenario as scenarios
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import Registry
-from sboc_e2e.survey.response import Response, found_share
+from sboc_e2e.survey.curve import HALF, found_share, shifts
+from sboc_e2e.survey.response import Response
 from simulator.platform.earth import DAY_S
 from simulator.randomness import Effect, generator
 from simulator.survey import Flight, candidates, instants_of, looks_of, pool_of
@@ -72,7 +73,7 @@ def expected_per_day(
     at = instants_of(flight, np.sort(rng.random(INSTANTS)) * days * DAY_S, DAY_S)
     total, variance = np.zeros(len(GROUPS)), np.zeros(len(GROUPS))
     curve = response.curve.copy()
-    curve[0] += threshold_shift
+    curve[HALF] += threshold_shift
     shallow = replace(flight.options.population, snr_min=max(1.0, flight.options.population.snr_min + min(threshold_shift, 0.0)))
     flight = replace(flight, options=replace(flight.options, population=shallow))
     for k, size_class in enumerate(flight.options.population.classes):
@@ -82,10 +83,10 @@ def expected_per_day(
         p = candidates(flight, at, pool_of(flight, size_class, rng), CANDIDATES, rng)
         p = p.taken(np.flatnonzero(p.snr >= flight.options.population.snr_min))
         looks = looks_of(flight, at, p, rng)
-        noise = response.noise_ratio(looks.noise_e)
-        share = np.where(looks.snr > 0.0, found_share(curve, looks.snr, looks.length_px, noise) * (1.0 - lost), 0.0)
-        share = np.clip(share, 0.0, 1.0 - 1e-9)
         n = len(p.size_m)
+        noise, shift = response.noise_ratio(looks.noise_e), shifts(curve, n, rng)[looks.passage]
+        share = found_share(curve, looks.snr, looks.length_px, noise, looks.cut, shift) * (1.0 - lost)
+        share = np.clip(np.where(looks.snr > 0.0, share, 0.0), 0.0, 1.0 - 1e-9)
         none = np.exp(np.bincount(looks.passage, weights=looks.stands_for * np.log1p(-share), minlength=n))
         odds = np.bincount(looks.passage, weights=looks.stands_for * share / (1.0 - share), minlength=n)
         twice = np.clip(1.0 - none - none * odds, 0.0, 1.0)

@@ -49,7 +49,7 @@ INSTANTS: Final = 256
 """Of a run, one at random in each step. Those at its ends show shortened stays: 64 at random made counts scatter by 6 %."""
 SCENE_RUNS: Final = 3
 """Runs of the pixel chain's objects for each that judges, whose true trails are held against a survey's looks at them."""
-TURNS: Final = 4  # draws of how they turn in the survey's looks: what tumbles scatters more than the rest together. Chosen
+TURNS: Final = 8  # draws of how they turn in the survey's looks: what tumbles scatters more than the rest together. Chosen
 SEEDS: Final = 1  # of the pixel chain's draws of candidates, for each run that judges. Chosen: time against scatter
 EACH: Final = 80
 """Runs' objects that are taken out of each draw: 33,600 objects for 20 runs."""
@@ -256,15 +256,14 @@ def counts_both_ways(
         drawn.append(expected_of(shown, response, rng, redraws=FEW_REDRAWS).mean(axis=0))
     true = expected_of(shown_in_scene(scene, options.frame_rate_hz, int(scene.run.max()) + 1), response, rng)
     at, p = scene.as_passages(flight)
-    looked = np.mean(
+    looked = np.stack(
         [
             expected_of(shown_to_survey(at, p, scene.run, looks_of(flight, at, p, rng, only=only)), response, rng, redraws=50)
             for _ in range(TURNS)
-        ],
-        axis=0,
+        ]
     )
     judged = counted_in_samples(samples), expected_of(shown_in_samples(samples), response, rng)
-    return ratios(judged, (true, np.asarray(looked)), np.stack(drawn), np.stack(survey))
+    return ratios(judged, (true, looked), np.stack(drawn), np.stack(survey))
 
 
 def page(found: Validation) -> str:

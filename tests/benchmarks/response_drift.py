@@ -14,7 +14,8 @@ from typing import Any
 import numpy as np
 
 from sboc_e2e.scenario.toml_files import FOLDER
-from sboc_e2e.survey.response import RESIDUALS, Response, found_share
+from sboc_e2e.survey.curve import mean_share
+from sboc_e2e.survey.response import RESIDUALS, Response
 from sboc_e2e.survey.rows import OBJECT_COLUMNS, STREAK_COLUMNS, columns
 
 SAME_ARC = SAME_SNR = 2e-3  # tracklets of one object: its arc and S/N are true ones, so that code hardly changes them
@@ -60,7 +61,8 @@ def found_and_expected(runs: list[dict[str, Any]], objects: list[dict[str, Any]]
     for run, mine in zip(runs, objects, strict=True):
         t = columns(run["streaks"], STREAK_COLUMNS)
         kept = (t["frame"] > 0) & np.isin(t["object"], mine["object"])
-        share = found_share(response.curve, t["snr"], t["length_px"], t["noise_e"] / response.content["noise_e"])
+        ratio = t["noise_e"] / response.content["noise_e"]
+        share = mean_share(response.curve, t["snr"], t["length_px"], ratio, t["edges"] > 0.0)
         counts.append((kept.sum(), t["ground"][kept].sum(), share[kept].sum()))
     table = np.array(counts)
     pick = np.random.default_rng(1).integers(len(table), size=(REDRAWS, len(table)))

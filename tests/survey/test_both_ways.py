@@ -10,6 +10,7 @@ from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.registry import Registry
 from sboc_e2e.survey import response as responses
 from sboc_e2e.survey.both_ways import NAMES, counted_in_samples, expected_of, ratios, shown_in_samples
+from sboc_e2e.survey.curve import found_share, shifts
 from sboc_e2e.survey.rows import OBJECT_COLUMNS, STREAK_COLUMNS
 from simulator.bare_trails import NOBODY, bare_trails
 from simulator.chain import Simulator
@@ -18,6 +19,7 @@ from tests.survey.test_survey import TRUE_CURVE, content
 
 OBJECTS, FRAMES = 20, 6
 LEVEL = np.ones((8, len(NAMES)))
+LOOKED = LEVEL[None]
 
 
 def samples(runs: int, seed: int, kept: float = 1.0) -> list[dict[str, Any]]:
@@ -28,13 +30,15 @@ def samples(runs: int, seed: int, kept: float = 1.0) -> list[dict[str, Any]]:
         brightness = rng.uniform(4.0, 14.0, OBJECTS)
         owner = np.repeat(np.arange(OBJECTS), FRAMES)
         snr, length = brightness[owner] * rng.uniform(0.8, 1.2, len(owner)), 10.0 ** rng.uniform(0.7, 2.7, OBJECTS)[owner]
-        found = rng.random(len(owner)) < kept * responses.found_share(TRUE_CURVE, snr, length)
+        shift, cut = shifts(TRUE_CURVE, OBJECTS, rng)[owner], rng.random(len(owner)) < 0.3
+        found = rng.random(len(owner)) < kept * found_share(TRUE_CURVE, snr, length, 1.0, cut, shift)
         n = np.bincount(owner, weights=found, minlength=OBJECTS).astype(np.int64)
         linked = np.where(rng.random(OBJECTS) < response.linked_share(n), n, 0)
         streaks, objects = [], []
         for k in range(len(owner)):
             row = dict.fromkeys(STREAK_COLUMNS, 0.0) | {"object": owner[k], "frame": 1 + k % FRAMES, "snr": snr[k]}
             row |= {"length_px": length[k], "noise_e": 3.0, "onboard": found[k], "ground": found[k], "mag": 15.0}
+            row |= {"edges": cut[k]}
             streaks.append([float(row[name]) for name in STREAK_COLUMNS])
         for k in rng.permutation(OBJECTS):
             row = dict.fromkeys(OBJECT_COLUMNS, 0.01) | {"object": k, "detected": n[k], "linked": linked[k]}
@@ -56,7 +60,7 @@ def both(made: list[dict[str, Any]]) -> tuple[np.ndarray, np.ndarray]:
 
 def test_runs_that_follow_the_response_are_as_many_as_expected() -> None:
     found, expected = both(samples(40, seed=5))
-    by_name = {one.name: one for one in ratios((found, expected), (LEVEL, LEVEL), LEVEL, LEVEL)}
+    by_name = {one.name: one for one in ratios((found, expected), (LEVEL, LOOKED), LEVEL, LEVEL)}
     for name in (
         "trails found",
         "trails found, S/N 7 to 10",
@@ -75,7 +79,7 @@ def test_runs_that_follow_the_response_are_as_many_as_expected() -> None:
 
 def test_a_tenth_of_the_trails_that_is_lost_is_seen() -> None:
     found, expected = both(samples(40, seed=6, kept=0.9))
-    first = ratios((found, expected), (LEVEL, LEVEL), LEVEL, LEVEL)[0]
+    first = ratios((found, expected), (LEVEL, LOOKED), LEVEL, LEVEL)[0]
     assert first.finds[0] == pytest.approx(0.9, abs=0.02)
     assert first.finds[2] < 1.0
     assert first.all == pytest.approx(first.finds)
@@ -87,13 +91,29 @@ def test_intervals_of_all_steps_hold_their_product_in_nine_of_ten_repeats() -> N
     held = []
     for _ in range(120):
         mean = rng.uniform(40.0, 80.0, (20, 1)) * np.ones(len(NAMES))
-        looked = rng.uniform(40.0, 80.0, (60, 1)) * np.ones(len(NAMES))
+        objects = rng.uniform(40.0, 80.0, (60, 1)) * np.ones(len(NAMES))
+        looked, true = (rng.normal(objects, 3.0, (n, *objects.shape)) for n in (4, 1))
         drawn, survey = rng.normal(103.0, 7.0, (48, len(NAMES))), rng.normal(100.0, 1.5, (16, len(NAMES)))
-        made = ratios((rng.normal(0.97 * mean, 3.0), mean), (rng.normal(1.02 * looked, 3.0), looked), drawn, survey)
+        made = ratios((rng.normal(0.97 * mean, 3.0), mean), (1.02 * true[0], looked), drawn, survey)
         low, high = made[0].all[1:]
         held.append(low <= 0.97 * 1.02 * 1.03 <= high)
     # 120 repeats know a share of 0.9 to 0.027; percentiles of 20 runs hold a little less than 0.9
     assert 0.80 <= np.mean(held) <= 0.98
+
+
+@pytest.mark.slow
+def test_intervals_of_the_looks_have_the_turning_of_few_objects_in_them() -> None:
+    """One run in five has an object that adds 30 trails or none as it turns; the true trails are one turn more."""
+    rng = np.random.default_rng(5)
+    held = []
+    for _ in range(120):
+        still = rng.uniform(40.0, 80.0, (20, 1))
+        turning = 30.0 * (rng.random((20, 1)) < 0.2) * rng.random((5, 20, 1)).round()
+        table = (still + turning) * np.ones(len(NAMES))
+        made = ratios((LEVEL, LEVEL), (table[0], table[1:]), LEVEL, LEVEL)
+        held.append(made[0].trails[1] <= 1.0 <= made[0].trails[2])
+    # 120 repeats know a share of 0.9 to 0.027; 0.05 less than 0.9 is what percentiles of 20 skew runs may lack
+    assert np.mean(held) >= 0.80
 
 
 def test_the_first_frame_counts_for_objects_only() -> None:

@@ -11,6 +11,7 @@ from ground.frame_streaks import with_final_brightness
 from ground.link import Member, apply_links, measured_tracklet
 from ground.link.common_line import PlacedTrail, on_common_line
 from ground.link.foretold import with_track_errors
+from ground.link.measured import turning_arcsec
 from ground.link.shake import SeenTrail, Sway, shake_factor, sway_of
 from ground.photometry.magnitude import crossing_time_s
 from ground.photometry.tracklet_light import HALF_POINT_SNR, with_mean_light
@@ -114,21 +115,31 @@ def final_tracklet(
     # the tracklet's directions have errors of their own frames across the motion; its published members share one line
     final = [
         with_final_brightness(streak, frame, crossing_time_s(streak, measured.rate_deg_s))
-        for streak, frame in zip(_on_line(placed, parts, frames), frames, strict=True)
+        for streak, frame in zip(_on_line(placed, parts, frames, pixels_of), frames, strict=True)
     ]
     run.linked.put(number, final)
     return with_mean_light(measured, final, run.half_point_snr)
 
 
 def _on_line(
-    placed: Sequence[StreakMeasurement], parts: Sequence[Member], frames: Sequence[FrameProducts]
+    placed: Sequence[StreakMeasurement],
+    parts: Sequence[Member],
+    frames: Sequence[FrameProducts],
+    pixels_of: Callable[[StreakMeasurement], StreakPixels] | None,
 ) -> list[StreakMeasurement]:
     """Members, those of on-board tracks on the line of all, with directions there."""
+    tracked = pixels_of is not None and any(streak.track >= 0 for streak in placed)
     trails = [
-        PlacedTrail(streak=streak, jacobian_arcsec=part.jacobian_arcsec, pointing_arcsec=part.pointing_arcsec)
+        PlacedTrail(
+            streak=streak,
+            jacobian_arcsec=part.jacobian_arcsec,
+            pointing_arcsec=part.pointing_arcsec,
+            turning_arcsec=turning_arcsec(streak, part.sigma_rate_arcsec_s, 2),
+            pixels=pixels_of(streak) if pixels_of is not None and tracked else None,
+        )
         for streak, part in zip(placed, parts, strict=True)
     ]
-    moved = on_common_line(trails)
+    moved = on_common_line(trails, frames[len(frames) // 2].header.observer)
     return [_placed(moved[k], frames[k]) if k in moved else streak for k, streak in enumerate(placed)]
 
 

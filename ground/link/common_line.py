@@ -96,6 +96,17 @@ class _Plane:
         return np.stack([np.ones_like(along), along, 0.5 * t_s**2], axis=1)
 
 
+class CommonLine(NamedTuple):
+    """Members moved onto one line, by their place among the trails.
+
+    shared_arcsec : (2, 3) of each: ends i and j have the covariance ``shared[i] @ shared[j]`` across the motion, pointing apart.
+    It is that of the line: every end is a linear function of its three numbers.
+    """
+
+    members: dict[int, StreakMeasurement]
+    shared_arcsec: dict[int, Array]
+
+
 class _Line(NamedTuple):
     """A line in a plane: parameters (3,), covariance (3, 3); of `used` trails, number of those that agree on it.
 
@@ -109,8 +120,8 @@ class _Line(NamedTuple):
     off: dict[int, float]
 
 
-def on_common_line(trails: Sequence[PlacedTrail], observer: ObserverState | None = None) -> dict[int, StreakMeasurement]:
-    """The members of on-board tracks moved across onto the line of all members, by their place in `trails`.
+def on_common_line(trails: Sequence[PlacedTrail], observer: ObserverState | None = None) -> CommonLine:
+    """The members of on-board tracks moved across onto the line of all members.
 
     The line is that of the members that the joint refit took for light of one object, or of all where it took fewer than two.
     Members off the line do not count. They are moved, too, where enough others agree: a star or noise shifted them. The ends'
@@ -120,21 +131,24 @@ def on_common_line(trails: Sequence[PlacedTrail], observer: ObserverState | None
     observer : the camera's place, which tells how gravity bends the line.
     """
     movable = [k for k, trail in enumerate(trails) if trail.is_usable and trail.streak.track >= 0]
+    nothing = CommonLine({}, {})
     if not movable:
-        return {}
+        return nothing
     usable = [k for k, trail in enumerate(trails) if trail.is_usable]
     refitted = [k for k in usable if trails[k].streak.flags & StreakFlag.REFIT]
     members = refitted if len(refitted) >= 2 else usable
     if len(members) < 2:
-        return {}
+        return nothing
     units = [_units(trail.streak) for trail in trails]
     line = _through_pixels(trails, units, members, _through_places(trails, units, members, movable, observer), observer)
     disagree = line.off[max(line.used, key=lambda k: line.off[k])] > OFF_LINE_SIGMAS
     if disagree or len(line.used) < 2:
-        return {}
+        return nothing
     sure = len(line.used) > LEAST_AGREEING
     on_line = [k for k in movable if sure or line.off[k] <= OFF_LINE_SIGMAS]
-    return {k: _moved(trails[k], units[k], line.plane, line.parameters, line.covariance) for k in on_line}
+    moved = {k: _moved(trails[k], units[k], line.plane, line.parameters, line.covariance) for k in on_line}
+    root = np.linalg.cholesky(line.covariance)
+    return CommonLine(moved, {k: _ends_rows(trails[k], units[k], line.plane) @ root for k in on_line})
 
 
 def _through_places(
@@ -215,9 +229,14 @@ def _crossed(trail: PlacedTrail, units: Array, plane: _Plane) -> CrossedFrame | 
     return CrossedFrame(
         pixels=pixels,
         offset_px=-to_place @ plane.across(ends),
-        by_line=to_place @ plane.rows(plane.along(ends), trail.streak.t_tai_ns[[0, 2]]),
+        by_line=to_place @ _ends_rows(trail, units, plane),
         variance_px2=(per_arcsec * np.array([trail.pointing_arcsec, trail.turning_arcsec])) ** 2,
     )
+
+
+def _ends_rows(trail: PlacedTrail, units: Array, plane: _Plane) -> Array:
+    """The line's three terms (2, 3) at both ends of a trail."""
+    return plane.rows(plane.along(units[[0, 2]]), trail.streak.t_tai_ns[[0, 2]])
 
 
 def _step_px(trail: PlacedTrail, units: Array, plane: _Plane, point: int) -> Array:
@@ -279,7 +298,7 @@ def _moved(trail: PlacedTrail, units: Array, plane: _Plane, line: Array, covaria
     """A member with its ends on the line."""
     streak, fit = trail.streak, trail.streak.fit
     ends = units[[0, 2]]
-    rows = plane.rows(plane.along(ends), streak.t_tai_ns[[0, 2]])
+    rows = _ends_rows(trail, units, plane)
     shift = rows @ line - plane.across(ends)
     steps = np.array([_step_px(trail, units, plane, point) for point in (0, 2)])
     shared = rows @ covariance @ rows.T + trail.pointing_arcsec**2

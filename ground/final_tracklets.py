@@ -9,8 +9,9 @@ from numpy.typing import NDArray
 
 from ground.frame_streaks import with_final_brightness
 from ground.link import Member, apply_links, measured_tracklet
-from ground.link.common_line import PlacedTrail, on_common_line
+from ground.link.common_line import CommonLine, PlacedTrail, on_common_line
 from ground.link.foretold import with_track_errors
+from ground.link.measured import turning_arcsec
 from ground.link.shake import SeenTrail, Sway, shake_factor, sway_of
 from ground.photometry.magnitude import crossing_time_s
 from ground.photometry.tracklet_light import HALF_POINT_SNR, with_mean_light
@@ -23,7 +24,7 @@ from ground.sky.shake_model import STEADY, EndShake, end_shake
 from ground.sky.sphere import ARCSEC_RAD
 from ground.sky.turning import Rate
 from ground.streak_rows import LinkedStreaks
-from sboc_e2e.icd.flags import FrameFlag
+from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import StreakMeasurement, StreakPixels, Tracklet
 
@@ -110,26 +111,47 @@ def final_tracklet(
         _member(one, streak, frame, run.sigma_rate_arcsec_s(k), run.end_shake, shared.get(streak.streak_id))
         for one, streak, frame, k in zip(single, placed, frames, at, strict=True)
     ]
-    measured = measured_tracklet(tracklet, parts)
-    # the tracklet's directions have errors of their own frames across the motion; its published members share one line
+    line = _common_line(placed, parts, frames, pixels_of)
+    moved = {k: _placed(streak, frames[k]) for k, streak in line.members.items()}
+    measured = measured_tracklet(
+        tracklet,
+        [_member_on_line(p, moved[k], frames[k], line.shared_arcsec[k]) if k in moved else p for k, p in enumerate(parts)],
+    )
     final = [
         with_final_brightness(streak, frame, crossing_time_s(streak, measured.rate_deg_s))
-        for streak, frame in zip(_on_line(placed, parts, frames), frames, strict=True)
+        for streak, frame in zip([moved.get(k, streak) for k, streak in enumerate(placed)], frames, strict=True)
     ]
     run.linked.put(number, final)
     return with_mean_light(measured, final, run.half_point_snr)
 
 
-def _on_line(
-    placed: Sequence[StreakMeasurement], parts: Sequence[Member], frames: Sequence[FrameProducts]
-) -> list[StreakMeasurement]:
-    """Members, those of on-board tracks on the line of all, with directions there."""
+def _common_line(
+    placed: Sequence[StreakMeasurement],
+    parts: Sequence[Member],
+    frames: Sequence[FrameProducts],
+    pixels_of: Callable[[StreakMeasurement], StreakPixels] | None,
+) -> CommonLine:
+    """The members of on-board tracks on the line of all."""
+    tracked = pixels_of is not None and any(streak.track >= 0 for streak in placed)
     trails = [
-        PlacedTrail(streak=streak, jacobian_arcsec=part.jacobian_arcsec, pointing_arcsec=part.pointing_arcsec)
+        PlacedTrail(
+            streak=streak,
+            jacobian_arcsec=part.jacobian_arcsec,
+            pointing_arcsec=part.pointing_arcsec,
+            turning_arcsec=turning_arcsec(streak, part.sigma_rate_arcsec_s, 2),
+            pixels=pixels_of(streak) if pixels_of is not None and tracked else None,
+        )
         for streak, part in zip(placed, parts, strict=True)
     ]
-    moved = on_common_line(trails)
-    return [_placed(moved[k], frames[k]) if k in moved else streak for k, streak in enumerate(placed)]
+    return on_common_line(trails, frames[len(frames) // 2].header.observer)
+
+
+def _member_on_line(part: Member, moved: StreakMeasurement, product: FrameProducts, shared_arcsec: NDArray[np.float64]) -> Member:
+    """The part of a member that was moved onto a line. Its errors along stay those of the fit before."""
+    final = replace(moved, flags=moved.flags & ~StreakFlag.REFIT | part.final.flags & StreakFlag.REFIT)
+    sky = sky_of(product.header, product.solution, product.wcs)
+    jacobian = jacobian_arcsec(final, product.header, sky)
+    return replace(part, final=final, jacobian_arcsec=jacobian, shared_cross_arcsec=shared_arcsec)
 
 
 def _in_arcsec(

@@ -1,7 +1,8 @@
 """Where the members of an on-board track lie across their motion: on one line through all of their frames.
 
 A trail of S/N 4 is placed by its own frame to a third of a pixel across. All n frames of its track together know the place of
-the line better by the root of n. So members are moved across onto the line, each with the line's error there.
+the line better by the root of n. So members are moved across onto the line, each with the line's error there. Where a frame
+alone does not show its trail, the line is fitted to the frame's pixels, else to the frame's place and tilt.
 
 A straight passage is a straight line in the tangent plane of any direction, whatever the range does. Differential gravity
 bends it by a parabola of time with a narrow prior, which is fitted as well.
@@ -9,17 +10,21 @@ bends it by a parabola of time with a narrow prior, which is fitted as well.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ground.link.measured import SIGMA_ACCELERATION_ARCSEC_S2
+from ground.link.pixel_line import CrossedFrame, line_of_pixels
 from ground.normal_equations import scaled_inverse
+from ground.sky.gravity import Bend, bend_by_gravity
 from ground.sky.measure import middle_of
 from ground.sky.sphere import ARCSEC_RAD, east_north, unit_vectors
+from ground.streaks.across import AcrossPixels
 from sboc_e2e.icd.flags import StreakFlag
-from sboc_e2e.icd.products import StreakFit, StreakMeasurement
+from sboc_e2e.icd.frame import ObserverState
+from sboc_e2e.icd.products import StreakFit, StreakMeasurement, StreakPixels
 
 Array = NDArray[np.float64]
 
@@ -48,12 +53,14 @@ class PlacedTrail:
     """A member of a tracklet, with its place on the sky.
 
     jacobian_arcsec : (3, 2, 2) of (east, north) by (row, col) at its three points. pointing_arcsec : one sigma of an axis of its
-    frame.
+    frame. turning_arcsec : of an end, by the error of the camera's rate. pixels : calibrated; None where they are not at hand.
     """
 
     streak: StreakMeasurement
     jacobian_arcsec: Array
     pointing_arcsec: float
+    turning_arcsec: float = 0.0
+    pixels: StreakPixels | None = None
 
     @property
     def is_usable(self) -> bool:
@@ -89,39 +96,152 @@ class _Plane:
         return np.stack([np.ones_like(along), along, 0.5 * t_s**2], axis=1)
 
 
-def on_common_line(trails: Sequence[PlacedTrail]) -> dict[int, StreakMeasurement]:
-    """The members of on-board tracks moved across onto the line of all members, by their place in `trails`.
+class CommonLine(NamedTuple):
+    """Members moved onto one line, by their place among the trails.
+
+    shared_arcsec : (2, 3) of each: ends i and j have the covariance ``shared[i] @ shared[j]`` across the motion, pointing apart.
+    It is that of the line: every end is a linear function of its three numbers.
+    """
+
+    members: dict[int, StreakMeasurement]
+    shared_arcsec: dict[int, Array]
+
+
+class _Line(NamedTuple):
+    """A line in a plane: parameters (3,), covariance (3, 3); of `used` trails, number of those that agree on it.
+
+    off : distance of each trail's place from it, in its errors.
+    """
+
+    plane: _Plane
+    parameters: Array
+    covariance: Array
+    used: list[int]
+    off: dict[int, float]
+
+
+def on_common_line(trails: Sequence[PlacedTrail], observer: ObserverState | None = None) -> CommonLine:
+    """The members of on-board tracks moved across onto the line of all members.
 
     The line is that of the members that the joint refit took for light of one object, or of all where it took fewer than two.
     Members off the line do not count. They are moved, too, where enough others agree: a star or noise shifted them. The ends'
     errors along the trail are kept. Those across are of the line, which all members share, and of their frame's pointing.
     Directions are still those before; the caller measures them again.
+
+    observer : the camera's place, which tells how gravity bends the line.
     """
     movable = [k for k, trail in enumerate(trails) if trail.is_usable and trail.streak.track >= 0]
+    nothing = CommonLine({}, {})
     if not movable:
-        return {}
+        return nothing
     usable = [k for k, trail in enumerate(trails) if trail.is_usable]
     refitted = [k for k in usable if trails[k].streak.flags & StreakFlag.REFIT]
-    used = refitted if len(refitted) >= 2 else usable
+    members = refitted if len(refitted) >= 2 else usable
+    if len(members) < 2:
+        return nothing
     units = [_units(trail.streak) for trail in trails]
-    while len(used) >= 2:
-        epochs = np.array([trails[k].streak.t_tai_ns[1] for k in used], dtype=np.int64)
-        plane = _Plane(np.concatenate([units[k][[0, 2]] for k in used]), int(epochs[0] + np.mean(epochs - epochs[0])))
+    line = _through_pixels(trails, units, members, _through_places(trails, units, members, movable, observer), observer)
+    disagree = line.off[max(line.used, key=lambda k: line.off[k])] > OFF_LINE_SIGMAS
+    if disagree or len(line.used) < 2:
+        return nothing
+    sure = len(line.used) > LEAST_AGREEING
+    on_line = [k for k in movable if sure or line.off[k] <= OFF_LINE_SIGMAS]
+    moved = {k: _moved(trails[k], units[k], line.plane, line.parameters, line.covariance) for k in on_line}
+    root = np.linalg.cholesky(line.covariance)
+    return CommonLine(moved, {k: _ends_rows(trails[k], units[k], line.plane) @ root for k in on_line})
+
+
+def _through_places(
+    trails: Sequence[PlacedTrail], units: list[Array], members: list[int], movable: list[int], observer: ObserverState | None
+) -> _Line:
+    """The line through the places of the members without those off it, as long as enough are left."""
+    used = members
+    while True:
+        plane = _plane_of(trails, units, used)
         shares = _even({k: _evidence(trails[k], units[k], plane) for k in {*used, *movable}}, used)
-        rows, values, weights = (np.concatenate([shares[k][i] for k in used]) for i in range(3))
-        information = (rows * weights[:, None]).T @ rows + np.diag([0.0, 0.0, SIGMA_ACCELERATION_ARCSEC_S2**-2])
+        information, right = _of_places(shares, used, _bend(trails, units, used, plane, observer))
         covariance = scaled_inverse(information)
-        line = covariance @ (rows.T @ (weights * values))
+        line = covariance @ right
         off = {k: _off_line(shares[k], line, covariance, is_part=k in used) for k in shares}
         worst = max(used, key=lambda k: off[k])
-        if off[worst] <= OFF_LINE_SIGMAS:
-            sure = len(used) > LEAST_AGREEING
-            on_line = [k for k in movable if sure or off[k] <= OFF_LINE_SIGMAS]
-            return {k: _moved(trails[k], units[k], plane, line, covariance) for k in on_line}
-        if len(used) <= LEAST_AGREEING:
-            return {}
+        if off[worst] <= OFF_LINE_SIGMAS or len(used) <= LEAST_AGREEING:
+            return _Line(plane, line, covariance, used, off)
         used = [k for k in used if k != worst]
-    return {}
+
+
+def _through_pixels(
+    trails: Sequence[PlacedTrail], units: list[Array], members: list[int], start: _Line, observer: ObserverState | None
+) -> _Line:
+    """The line through the pixels of the members that were placed on their track's direction, and the places of the others.
+
+    That through the places alone, where there are no such pixels or they lead away from it.
+    """
+    plane = start.plane
+    shares = {k: _evidence(trails[k], units[k], plane) for k in members}
+    faint = [k for k in members if len(shares[k][0]) == 1]
+    frames = {k: frame for k in faint if (frame := _crossed(trails[k], units[k], plane)) is not None}
+    bright = [k for k in start.used if k not in faint]
+    if len(frames) < 2:
+        return start
+    known = _of_places(_even(shares, members), bright, _bend(trails, units, start.used, plane, observer))
+    found = line_of_pixels(list(frames.values()), start.parameters, *known)
+    if found is None:
+        return start
+    counts = [k for k, on in zip(frames, found.counts.tolist(), strict=True) if on]
+    off = dict(start.off) | {k: 0.0 if k in counts else np.inf for k in frames}
+    return _Line(plane, found.parameters, found.covariance, [*bright, *counts], off)
+
+
+def _plane_of(trails: Sequence[PlacedTrail], units: list[Array], used: Sequence[int]) -> _Plane:
+    epochs = np.array([trails[k].streak.t_tai_ns[1] for k in used], dtype=np.int64)
+    return _Plane(np.concatenate([units[k][[0, 2]] for k in used]), int(epochs[0] + np.mean(epochs - epochs[0])))
+
+
+def _bend(
+    trails: Sequence[PlacedTrail], units: list[Array], used: Sequence[int], plane: _Plane, observer: ObserverState | None
+) -> Bend:
+    """What is known of the line's third parameter."""
+    t_s = np.concatenate([(trails[k].streak.t_tai_ns[[0, 2]] - plane.zero_ns) * 1e-9 for k in used])
+    along = np.concatenate([plane.along(units[k][[0, 2]]) for k in used])
+    rate = float(np.ptp(along)) / max(float(np.ptp(t_s)), 1e-6)
+    return bend_by_gravity(observer, plane.middle, plane.pole, rate) or Bend(0.0, SIGMA_ACCELERATION_ARCSEC_S2)
+
+
+def _of_places(shares: dict[int, tuple[Array, Array, Array]], used: Sequence[int], bend: Bend) -> tuple[Array, Array]:
+    """Normal equations (3, 3) and (3,) of the places of the trails used and of the bend."""
+    information = np.diag([0.0, 0.0, bend.sigma**-2])
+    right = np.array([0.0, 0.0, bend.mean * bend.sigma**-2])
+    for rows, values, weights in (shares[k] for k in used):
+        information += (rows * weights[:, None]).T @ rows
+        right += rows.T @ (weights * values)
+    return information, right
+
+
+def _crossed(trail: PlacedTrail, units: Array, plane: _Plane) -> CrossedFrame | None:
+    """The pixels of a trail, and how a line in the plane moves it; None without pixels."""
+    pixels = None if trail.pixels is None else AcrossPixels.of(trail.streak.fit, trail.pixels)
+    if pixels is None:
+        return None
+    ends = units[[0, 2]]
+    steps = np.array([pixels.across_px(_step_px(trail, units, plane, point)) for point in (0, 2)])
+    to_place = 0.5 * np.array([[1.0, 1.0], [-1.0, 1.0]]) * steps
+    per_arcsec = float(np.abs(steps).mean())
+    return CrossedFrame(
+        pixels=pixels,
+        offset_px=-to_place @ plane.across(ends),
+        by_line=to_place @ _ends_rows(trail, units, plane),
+        variance_px2=(per_arcsec * np.array([trail.pointing_arcsec, trail.turning_arcsec])) ** 2,
+    )
+
+
+def _ends_rows(trail: PlacedTrail, units: Array, plane: _Plane) -> Array:
+    """The line's three terms (2, 3) at both ends of a trail."""
+    return plane.rows(plane.along(units[[0, 2]]), trail.streak.t_tai_ns[[0, 2]])
+
+
+def _step_px(trail: PlacedTrail, units: Array, plane: _Plane, point: int) -> Array:
+    """Row and col (2,) by which a point of a trail moves for an arcsec across the motion."""
+    return np.asarray(np.linalg.solve(trail.jacobian_arcsec[point], _side(units[point], plane)))
 
 
 def _units(streak: StreakMeasurement) -> Array:
@@ -178,9 +298,9 @@ def _moved(trail: PlacedTrail, units: Array, plane: _Plane, line: Array, covaria
     """A member with its ends on the line."""
     streak, fit = trail.streak, trail.streak.fit
     ends = units[[0, 2]]
-    rows = plane.rows(plane.along(ends), streak.t_tai_ns[[0, 2]])
+    rows = _ends_rows(trail, units, plane)
     shift = rows @ line - plane.across(ends)
-    steps = np.array([np.linalg.solve(trail.jacobian_arcsec[point], _side(units[point], plane)) for point in (0, 2)])
+    steps = np.array([_step_px(trail, units, plane, point) for point in (0, 2)])
     shared = rows @ covariance @ rows.T + trail.pointing_arcsec**2
     length = max(fit.length_px, 1e-6)
     along = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0]) / length

@@ -6,7 +6,7 @@ same way for every linker.
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
@@ -47,7 +47,8 @@ class Member:
     axis of its frame; sigma_rate_arcsec_s : error of the camera's rate during the exposure; end_shake : errors that this causes
     at shutter open and close.
     group, shared_arcsec : window of a joint fit (-1: none) and (2, 3) errors that both ends share with the ends of that window;
-    of points the same for the middle, in the first row (`foretold`).
+    of points the same for the middle, in the first row (`foretold`). shared_cross_arcsec : (2, 3) errors across that both ends
+    share with all ends on one line (`common_line`); zero for members that are on none.
     """
 
     single: StreakMeasurement
@@ -58,11 +59,18 @@ class Member:
     end_shake: EndShake = STEADY
     group: int = -1
     shared_arcsec: Array
+    shared_cross_arcsec: Array = field(default_factory=lambda: np.zeros((2, 3)))
+
+    @property
+    def is_on_line(self) -> bool:
+        """Whether its place across the motion is that of a line through all frames."""
+        return bool(self.shared_cross_arcsec.any())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Rows:
-    """Dated directions by time. covariance : (m, 2, 2) arcsec^2, headings : (m, 2) of motion, east, north; shared : (m, 3).
+    """Dated directions by time. covariance : (m, 2, 2) arcsec^2, headings : (m, 2) of motion, east, north; shared, shared_cross :
+    (m, 3).
 
     narrower : (m,) variance along the motion minus the square of half the 68 % interval, arcsec^2.
     """
@@ -76,6 +84,7 @@ class _Rows:
     headings: Array
     group: NDArray[np.int64]
     shared: Array
+    shared_cross: Array
     pointing: Array
     turning: Array
     frame: NDArray[np.int64]
@@ -104,6 +113,7 @@ def measured_tracklet(tracklet: Tracklet, members: Sequence[Member]) -> Tracklet
         row_points=rows.point,
         shared_arcsec=rows.shared,
         shared_group=rows.group,
+        shared_cross_arcsec=rows.shared_cross,
         pointing_arcsec=rows.pointing,
         turning_arcsec=rows.turning,
         t_ref_tai_ns=t_ref_ns,
@@ -146,6 +156,7 @@ def _rows_of(members: Sequence[Member]) -> _Rows:
         headings=headings,
         group=np.array([m.group if p != 1 or m.final.fit.is_foretold else -1 for m, p, _ in found], dtype=np.int64),
         shared=np.array([shared for _, _, shared in found]).reshape(-1, 3),
+        shared_cross=np.array([np.zeros(3) if p == 1 else m.shared_cross_arcsec[p // 2] for m, p, _ in found]).reshape(-1, 3),
         pointing=np.array([m.pointing_arcsec for m, _, _ in found], dtype=np.float64),
         turning=np.array(turning, dtype=np.float64),
         frame=np.array([m.final.frame for m, _, _ in found], dtype=np.int64),
@@ -164,9 +175,9 @@ def _slant(member: Member, point: int, heading: Array) -> float:
 
     If the camera turns, the trail of a slow object lies at an angle to its motion. The joint fit moves an end along the trail to
     the place of the motion. The error of the end across the trail then appears across the motion, divided by the cosine of the
-    angle.
+    angle. A member on one line with others is placed across the motion, not across its trail.
     """
-    if point == 1 or not member.final.flags & StreakFlag.REFIT or not np.isfinite(heading).all():
+    if point == 1 or member.is_on_line or not member.final.flags & StreakFlag.REFIT or not np.isfinite(heading).all():
         return 1.0
     trail = _trail_heading(member, point)
     return 1.0 / max(abs(float(trail @ heading)), LEAST_COSINE)
@@ -226,6 +237,8 @@ def _covariance_arcsec2(member: Member, point: int, heading: Array, slant: float
         # the joint fit has already included the attitude's errors along the motion in the ends
         beside = np.array([-heading[1], heading[0]])
         off = float(across @ block @ across) * float(np.linalg.norm(jacobian @ across)) ** 2
+        if member.is_on_line:
+            off = float(np.sum(member.shared_cross_arcsec[point // 2] ** 2))
         off += member.pointing_arcsec**2 + turning**2
         way = jacobian @ along
         return np.asarray(float(along @ block @ along) * np.outer(way, way) + slant**2 * off * np.outer(beside, beside))
@@ -302,7 +315,9 @@ def _plane_of(unit: Array) -> tuple[Array, Array]:
 def _joint_covariance(rows: _Rows, each: Array) -> Array:
     """Covariance (2 m, 2 m) of all rows along, then all across, arcsec^2. each : (m, 2, 2) of single rows."""
     m = len(rows.t_tai_ns)
-    common, same_frame = common_errors(rows.shared, rows.group, rows.pointing, rows.turning, rows.frame, rows.point)
+    common, same_frame = common_errors(
+        rows.shared, rows.group, rows.pointing, rows.turning, rows.frame, rows.point, rows.shared_cross
+    )
     k = np.arange(m)
     own = each.copy()
     own[:, 0, 0] -= common[k, k]

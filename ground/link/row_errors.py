@@ -1,4 +1,4 @@
-"""Common errors of a tracklet's directions: of the jointly fitted motion, of a frame's pointing, and of the camera's turning."""
+"""Common errors of a tracklet's directions: of the jointly fitted motion and line, of a frame's pointing and of its turning."""
 
 from typing import Final
 
@@ -21,17 +21,20 @@ def common_errors(
     turning: Array,
     frame: NDArray[np.int64],
     point: NDArray[np.int64],
+    shared_cross: Array | None = None,
 ) -> tuple[Array, Array]:
     """Covariances (m, m) along and across the motion, of rows as `Tracklet` has them, in the square of their unit.
 
-    Ends of a joint fit share errors along the motion. Middles of a track of points share them along both axes.
+    Ends of a joint fit share errors along the motion. Middles of a track of points share them along both axes. Ends on one line
+    share errors across, shared_cross (m, 3).
     """
     turned_together = np.where(frame[:, None] == frame, np.outer(turning, turning), 0.0)
     pointed_together = np.where(frame[:, None] == frame, np.outer(pointing, pointing), 0.0)
     fitted_together = (group[:, None] == group) & (group >= 0)
     fitted = np.where(fitted_together, shared @ shared.T, 0.0)
     middles = (point[:, None] == MIDDLE) & (point == MIDDLE)
-    return fitted + pointed_together, np.where(middles, fitted, 0.0) + pointed_together + turned_together
+    line = np.zeros_like(fitted) if shared_cross is None else shared_cross @ shared_cross.T
+    return fitted + pointed_together, np.where(middles, fitted, 0.0) + line + pointed_together + turned_together
 
 
 def common_errors_arcsec2(tracklet: Tracklet) -> tuple[Array, Array]:
@@ -42,6 +45,7 @@ def common_errors_arcsec2(tracklet: Tracklet) -> tuple[Array, Array]:
     frame_of = dict(zip(tracklet.streak_ids.tolist(), tracklet.frames.tolist(), strict=True))
     frame = np.array([frame_of[k] for k in tracklet.row_streak_ids.tolist()], dtype=np.int64)
     turning = tracklet.turning_arcsec if len(tracklet.turning_arcsec) == m else np.zeros(m)
+    line = tracklet.shared_cross_arcsec if len(tracklet.shared_cross_arcsec) == m else None
     return common_errors(
-        tracklet.shared_arcsec, tracklet.shared_group, tracklet.pointing_arcsec, turning, frame, tracklet.row_points
+        tracklet.shared_arcsec, tracklet.shared_group, tracklet.pointing_arcsec, turning, frame, tracklet.row_points, line
     )

@@ -1,8 +1,9 @@
 """Companion table of a tracking message: errors and origin of each direction, for which the message has no fields.
 
 The rows are the angles of the message, in its order, with its epochs. Errors of two rows i and j of one tracklet:
-along the motion ``shared[i] @ shared[j]`` where both are of one `shared_group`, of middles also across, and along as well as
-across ``pointing[i] pointing[j]`` where both are of one frame, across also ``turning[i] turning[j]``; all else is each row's own.
+along the motion ``shared[i] @ shared[j]`` where both are of one `shared_group`, of middles also across;
+across ``shared_cross[i] @ shared_cross[j]``, whatever their group; along as well as across ``pointing[i] pointing[j]`` where
+both are of one frame, across also ``turning[i] turning[j]``; all else is each row's own.
 
 Sigmas are standard deviations; 1.96 of them hold 95 %. Errors of faint ends have heavy tails: their 68 % interval is narrower.
 """
@@ -52,6 +53,7 @@ def tdm_angles_table(
     along, cross, correlation = column["sigma_along_arcsec"], column["sigma_cross_arcsec"], column["correlation"]
     sigma_ra, sigma_dec, ra_dec = east_north_errors(along, cross, correlation, column["motion_angle_deg"])
     shared = np.concatenate([np.zeros((0, 3)), *(_of_rows(t, "shared_arcsec") for t, _ in told)])
+    line = np.concatenate([np.zeros((0, 3)), *(_shared_cross(t) for t, _ in told)])
     point = np.concatenate([np.zeros(0, dtype=np.int64), *(_of_rows(t, "row_points") for t, _ in told)]).astype(np.int64)
     group = np.concatenate([np.zeros(0, dtype=np.int64), *(_of_rows(t, "shared_group") for t, _ in told)]).astype(np.int64)
     pointing = np.concatenate([np.zeros(0), *(_of_rows(t, "pointing_arcsec") for t, _ in told)])
@@ -75,6 +77,7 @@ def tdm_angles_table(
         ("motion_angle_deg", column["motion_angle_deg"], "deg", "position angle of the motion, from north by east"),
         ("shared_group", group, None, "rows of a tracklet fitted together; -1: none"),
         *((f"shared_{k + 1}_arcsec", shared[:, k], "arcsec", "part of the error along that the group shares") for k in range(3)),
+        *((f"shared_cross_{k + 1}_arcsec", line[:, k], "arcsec", "part of the error across of one line") for k in range(3)),
         ("pointing_arcsec", pointing, "arcsec", "part of both errors that the rows of one frame share"),
         ("turning_arcsec", turning, "arcsec", "part of the error across that the frame's turning gives, with its sign"),
         ("frame", frame, None, "frame number"),
@@ -127,6 +130,12 @@ def _turning(tracklet: Tracklet) -> NDArray[np.float64]:
     """Part of each row's error across that the camera's rate makes; none where the tracklet does not say."""
     m = len(tracklet.t_tai_ns)
     return tracklet.turning_arcsec if len(tracklet.turning_arcsec) == m else np.zeros(m)
+
+
+def _shared_cross(tracklet: Tracklet) -> NDArray[np.float64]:
+    """Part of each row's error across that a line through all frames gives; none where the tracklet does not say."""
+    m = len(tracklet.t_tai_ns)
+    return tracklet.shared_cross_arcsec if len(tracklet.shared_cross_arcsec) == m else np.zeros((m, 3))
 
 
 def _half68(tracklet: Tracklet) -> NDArray[np.float64]:

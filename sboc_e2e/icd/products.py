@@ -203,6 +203,9 @@ class Tracklet:
     shared_arcsec : (m, 3), shared_group : (m,). A joint fit gives its rows common errors along the motion: rows i and j of one
     group (-1: none) have the covariance ``shared[i] @ shared[j]``, which is part of sigma_along squared where i = j. Middles (row
     point 1) have it across the motion too: their place is that of one straight track of points.
+    shared_cross_arcsec : (m, 3), may be empty: the same across the motion for members on one line through all frames of the
+    tracklet (zero for others), whatever their group: across, rows i and j have the covariance
+    ``shared_cross[i] @ shared_cross[j]``.
     pointing_arcsec : (m,) part of both sigmas that the rows of one frame have in common. turning_arcsec : (m,) part of the sigma
     across, below 0 at shutter open, above at close: what the error of the camera's rate puts into rows of one frame.
     ra_ref_deg, dec_ref_deg, t_ref_tai_ns, rate_deg_s, position_angle_deg : motion at the reference epoch.
@@ -247,6 +250,7 @@ class Tracklet:
     mag_scatter: float = float("nan")
     mag_scatter_err: float = float("nan")
     mag_chi2_nu: float = float("nan")
+    shared_cross_arcsec: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -42,15 +42,24 @@ def errors_of(path: Path) -> dict[int, Array]:
         rows = rows[np.argsort(np.asarray(rows["epoch_tai_ns"]), kind="stable")]
         along, cross = (np.asarray(rows[f"sigma_{name}_arcsec"], dtype=float) for name in ("along", "cross"))
         shared = np.column_stack([np.asarray(rows[f"shared_{k}_arcsec"], dtype=float) for k in (1, 2, 3)])
-        variance = along**2
+        variance = np.column_stack([along, cross]) ** 2
+        line = [f"shared_cross_{k}_arcsec" for k in (1, 2, 3)]
+        if set(line) <= set(rows.colnames):  # tables of earlier versions have no members on lines
+            on_line = np.column_stack([np.asarray(rows[name], dtype=float) for name in line])
+            _own(variance[:, 1], on_line, np.asarray(on_line.any(axis=1)))
         for group in np.unique(rows["shared_group"]):
-            mine = np.asarray(rows["shared_group"]) == group
-            numbers = int(np.linalg.matrix_rank(shared[mine])) if group >= 0 else 0
-            if numbers and mine.sum() > numbers:
-                common = (shared[mine] ** 2).sum(axis=1)
-                variance[mine] += common.sum() / numbers - common
+            if group >= 0:
+                _own(variance[:, 0], shared, np.asarray(rows["shared_group"]) == group)
         angle = np.radians(np.asarray(rows["motion_angle_deg"], dtype=float))
-        errors = np.column_stack([np.sqrt(variance), cross, angle])
+        errors = np.column_stack([np.sqrt(variance), angle])
         if np.isfinite(errors).all() and (errors[:, :2] > 0.0).all():
             out[int(number)] = errors
     return out
+
+
+def _own(variance: Array, shared: Array, mine: NDArray[np.bool_]) -> None:
+    """Replace, in the variances (n,), what rows of one curve share (n, 3) by what each would have for itself."""
+    numbers = int(np.linalg.matrix_rank(shared[mine])) if mine.any() else 0
+    if numbers and mine.sum() > numbers:
+        common = (shared[mine] ** 2).sum(axis=1)
+        variance[mine] += common.sum() / numbers - common

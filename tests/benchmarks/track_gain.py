@@ -4,8 +4,9 @@
     python -m tests.benchmarks.track_gain DIR/runs
 
 prints tracklets a day of objects below 3 cm, weighted as nature has them, with and without, their ratio with its interval
-(objects are resampled), the same by class of size, false and impure tracklets, pulls of the faint members, and their errors
-across the motion over the joint bound of all frames of their tracklet.
+(objects are resampled), the same by class of size, false and impure tracklets, pulls of the faint members, their errors
+across the motion over the joint bound of all frames of their tracklet, and pulls of the mean place and of the rate across of
+faint tracklets, from `tdm_angles.ecsv` and its shared errors. `--joint` takes runs with the tracker alone and prints the pulls.
 """
 
 import json
@@ -14,6 +15,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from astropy.table import Table
 from numpy.typing import NDArray
 
 from sboc_e2e.score.astrometry import sky_paths, streak_astrometry
@@ -109,11 +111,56 @@ def joint_ratios(e: Evaluation, table: list[dict[str, float]]) -> dict[str, list
     return out
 
 
+def row_covariance(rows: Table) -> NDArray[np.float64]:
+    """Covariance (m, m) across the motion of the directions of a tracklet, as its companion table states it."""
+    shared = np.column_stack([rows[f"shared_cross_{k}_arcsec"] for k in (1, 2, 3)])
+    frame = np.asarray(rows["frame"])
+    pointing, turning = np.asarray(rows["pointing_arcsec"]), np.asarray(rows["turning_arcsec"])
+    together = np.outer(pointing, pointing) + np.outer(turning, turning)
+    common = shared @ shared.T + np.where(frame[:, None] == frame, together, 0.0)
+    sigma2 = np.asarray(rows["sigma_cross_arcsec"]) ** 2
+    return np.asarray(common + np.diag(np.maximum(sigma2 - np.diag(common), 1e-3 * sigma2)))
+
+
+def tracklet_pulls(e: Evaluation, run: Path) -> dict[str, list[float]]:
+    """Mean place and rate across of tracklets whose frames all show less than FAINT_SNR, over their stated errors."""
+    angles = Table.read(run / "products" / "tdm_angles.ecsv")
+    row_of = {int(k): i for i, k in enumerate(e.streaks["streak_id"])}
+    paths = sky_paths(e.truth_tables["streaks"], [t.index for t in e.pairs.values()])
+    out: dict[str, list[float]] = {"tracklet_place_cross": [], "tracklet_rate_cross": [], "tracklet_row_cross": []}
+    for number in np.unique(angles["tracklet_id"]):
+        rows = angles[angles["tracklet_id"] == number]
+        at = [row_of[int(k)] for k in rows["streak_id"]]
+        seen = [e.pairs.get(i) for i in at]
+        truth = [t for t in seen if t is not None and t.index in paths]
+        if len(rows) < 4 or len(truth) < len(rows) or len({t.object_id for t in truth}) > 1:
+            continue
+        if max(t.snr for t in truth) >= FAINT_SNR or not set(rows["end"]) <= {"end 0", "end 1"}:
+            continue
+        off = np.zeros(len(rows))
+        for k, (i, t) in enumerate(zip(at, truth, strict=True)):
+            end = str(rows["end"][k])[-1]
+            ra, dec = float(e.streaks[f"ra{end}_deg"][i]), float(e.streaks[f"dec{end}_deg"][i])
+            off[k] = paths[t.index].offset_arcsec(ra, dec, int(rows["epoch_tai_ns"][k]))[1]
+        t_s = 1e-9 * (np.asarray(rows["epoch_tai_ns"]) - int(rows["epoch_tai_ns"][0]))
+        design = np.stack([np.ones(len(rows)), t_s - t_s.mean()], axis=1)
+        covariance = row_covariance(rows)
+        weighted = np.linalg.solve(covariance, design)
+        known = np.linalg.inv(design.T @ weighted)
+        pulls = known @ (weighted.T @ off) / np.sqrt(np.diag(known))
+        out["tracklet_place_cross"].append(float(pulls[0]))
+        out["tracklet_rate_cross"].append(float(pulls[1]))
+        out["tracklet_row_cross"] += list(off / np.sqrt(np.diag(covariance)))
+    return out
+
+
 def faint_pulls(e: Evaluation) -> dict[str, list[float]]:
     """Residuals over errors of the members of tracklets below FAINT_SNR; across also over the frame's own bound."""
-    rows = {i: t for i, t in e.pairs.items() if int(e.streaks["tracklet_id"][i]) >= 0 and 3.0 <= t.snr < FAINT_SNR}
-    wanted = [t.index for t in rows.values()]
-    _, table = streak_astrometry(e.streaks, rows, e.bounds, sky_paths(e.truth_tables["streaks"], wanted))
+    linked = {i: t for i, t in e.pairs.items() if int(e.streaks["tracklet_id"][i]) >= 0 and t.snr >= 3.0}
+    paths = sky_paths(e.truth_tables["streaks"], [t.index for t in linked.values()])
+    _, whole = streak_astrometry(e.streaks, linked, e.bounds, paths)
+    rows = {i: t for i, t in linked.items() if t.snr < FAINT_SNR}
+    table = [r for r in whole if r["snr"] < FAINT_SNR]
     magnitudes = mean_magnitudes(e.truth_tables["streaks"], e.truth)
     mag = [
         (float(e.streaks["mag"][i]) - magnitudes[t.index]) / float(e.streaks["mag_err"][i])
@@ -121,7 +168,7 @@ def faint_pulls(e: Evaluation) -> dict[str, list[float]]:
         if t.index in magnitudes and float(e.streaks["mag_err"][i]) > 0.0
     ]
     return {
-        **joint_ratios(e, table),
+        **joint_ratios(e, whole),
         "cross": [r["cross_pull"] for r in table],
         "along": [r["along_pull"] for r in table if "along_pull" in r],
         "cross_over_bound": [r["cross_ratio"] for r in table],
@@ -148,7 +195,7 @@ def gain(pairs: list[tuple[Path, Path]]) -> dict[str, Any]:
             size.append(size_m)
             before.append(o in found[0][0])
             after.append(o in found[1][0])
-        for name, values in faint_pulls(runs[1]).items():
+        for name, values in (faint_pulls(runs[1]) | tracklet_pulls(runs[1], with_tracker)).items():
             pulls[name] = pulls.get(name, []) + values
         for tracklet in found[1][1]:
             members = np.flatnonzero(np.asarray(runs[1].streaks["tracklet_id"]) == tracklet)
@@ -174,16 +221,27 @@ def gain(pairs: list[tuple[Path, Path]]) -> dict[str, Any]:
         },
         "false_tracklets_per_frame": [rate(k, float(n_frames), n_frames) for k in false],
         "impure": proportion(impure, n_tracklets[1]), "tracklets": n_tracklets,
-        "pulls": {
-            name: bootstrap(np.array(values), rms if name.endswith("_bound") else pull_width)
-            for name, values in pulls.items()
-        },
+        "pulls": widths(pulls),
     }  # fmt: skip
+
+
+def widths(pulls: dict[str, list[float]]) -> dict[str, Any]:
+    """Rms of ratios to bounds, widths of pulls, with their intervals."""
+    return {name: bootstrap(np.array(values), rms if name.endswith("_bound") else pull_width) for name, values in pulls.items()}
 
 
 def main() -> None:
     """Print the figures as JSON."""
-    runs = [run for folder in sys.argv[1:] for run in sorted(Path(folder).iterdir()) if (run / "products/streaks.ecsv").exists()]
+    folders = [name for name in sys.argv[1:] if name != "--joint"]
+    runs = [run for folder in folders for run in sorted(Path(folder).iterdir()) if (run / "products/streaks.ecsv").exists()]
+    if "--joint" in sys.argv:
+        pulls: dict[str, list[float]] = {}
+        for run in runs:
+            e = evaluate(run)
+            for name, values in (faint_pulls(e) | tracklet_pulls(e, run)).items():
+                pulls[name] = pulls.get(name, []) + values
+        sys.stdout.write(json.dumps(widths(pulls), indent=1) + "\n")
+        return
     of: dict[int, dict[str, Path]] = {}
     for run in runs:
         of.setdefault(seed_of(run), {})[tracker_of(run)] = run

@@ -60,6 +60,11 @@ def trail(ends: Array, frame: int, sigma_px: float, snr: float, tilt: bool, trac
     return PlacedTrail(streak=streak, jacobian_arcsec=jacobian(points), pointing_arcsec=POINTING_PX * SCALE_ARCSEC)
 
 
+def on_line(trails: list[PlacedTrail]) -> dict[int, StreakMeasurement]:
+    """Members that are moved."""
+    return on_common_line(trails).members
+
+
 def drawn(rng: np.random.Generator, n: int) -> tuple[list[PlacedTrail], Array, Array, float]:
     """A group of n members with S/N as noise shows it; the true ends (n, 2, 2) in px, the direction across (2,), the true S/N."""
     angle, length, snr = rng.uniform(0.0, 2.0 * np.pi), rng.uniform(15.0, 60.0), rng.uniform(3.5, 8.0)
@@ -89,7 +94,7 @@ def test_members_on_the_line_err_as_stated_and_reach_the_joint_bound(n: int) -> 
     pulls, ends, ratio, own = [], [], [], []
     for _ in range(250):
         trails, true, side, snr = drawn(rng, n)
-        moved = on_common_line(trails)
+        moved = on_line(trails)
         for k, streak in moved.items():
             fit = streak.fit
             error = (np.array([[fit.row0, fit.col0], [fit.row1, fit.col1]]) - true[k]) @ side
@@ -104,6 +109,33 @@ def test_members_on_the_line_err_as_stated_and_reach_the_joint_bound(n: int) -> 
     assert np.std(ends) == pytest.approx(1.0, abs=0.1)
     assert np.sqrt(np.mean(ratio)) == pytest.approx(1.0, abs=0.1)
     assert np.median(own) < {2: 1.05, 4: 0.85, 9: 0.6}[n]
+
+
+@pytest.mark.parametrize("n", [3, 8])
+def test_ends_share_the_errors_of_the_line(n: int) -> None:
+    """Mean place and rate across of all ends of 300 groups: pulls 0.85 to 1.15 by shared errors, 1.5 by independent ones."""
+    rng = np.random.default_rng(20 + n)
+    mean, slope, apart = [], [], []
+    for _ in range(300):
+        trails, true, side, _ = drawn(rng, n)
+        line = on_common_line(trails)
+        if len(line.members) < n:
+            continue
+        t_s = (FRAME_S * np.arange(n)[:, None] + np.array([0.0, EXPOSURE_S])).ravel()
+        t_s -= t_s.mean()
+        errors = []
+        for k, streak in line.members.items():
+            fit = streak.fit
+            errors.append((np.array([[fit.row0, fit.col0], [fit.row1, fit.col1]]) - true[k]) @ side * SCALE_ARCSEC)
+        off, shared = np.concatenate(errors), np.concatenate([line.shared_arcsec[k] for k in line.members])
+        # pixels of the axes turn to the sky with either sign, which a variance does not see
+        for pulls, weight in ((mean, np.full(2 * n, 0.5 / n)), (slope, t_s / (t_s @ t_s))):
+            pulls.append(weight @ off / np.linalg.norm(weight @ shared))
+        apart.append(off.mean() / np.sqrt(np.sum(shared**2)) * 2 * n)
+    assert len(mean) > 200
+    assert np.std(mean) == pytest.approx(1.0, abs=0.15)
+    assert np.std(slope) == pytest.approx(1.0, abs=0.15)
+    assert np.std(apart) > 1.5
 
 
 def _bound_px2(trails: list[PlacedTrail], k: int, snr: float) -> float:
@@ -124,13 +156,13 @@ def test_a_star_beside_one_frame_does_not_bend_the_line_and_the_member_lies_on_i
     """One of nine members 3 px off: the others lie on the line that they have without it, and so does that one."""
     rng = np.random.default_rng(5)
     trails, true, side, _ = drawn(rng, 9)
-    k = next(iter(on_common_line(trails)))
+    k = next(iter(on_line(trails)))
     streak = trails[k].streak
     ends = np.array([[streak.fit.row0, streak.fit.col0], [streak.fit.row1, streak.fit.col1]]) + 3.0 * side
     spoilt = [*trails]
     spoilt[k] = trail(ends, streak.frame, streak.fit.sigma_cross_px, streak.fit.snr, tilt=False)
-    moved = on_common_line(spoilt)
-    without = on_common_line([t for i, t in enumerate(trails) if i != k])
+    moved = on_line(spoilt)
+    without = on_line([t for i, t in enumerate(trails) if i != k])
     fit = moved.pop(k).fit
     off = float((np.array([fit.row0 + fit.row1, fit.col0 + fit.col1]) / 2.0 - true[k].mean(axis=0)) @ side)
     assert abs(off) < 3.5 * fit.sigma_cross_px < 1.0
@@ -143,8 +175,8 @@ def test_a_star_that_the_joint_refit_left_out_does_not_bend_the_line_and_lies_on
     trails, true, side, _ = drawn(rng, 9)
     trails = [replace(t, streak=replace(t.streak, flags=t.streak.flags | StreakFlag.REFIT)) for t in trails]
     star = trail(true[4] + 0.3 * side, 4, 0.2, 26.0, tilt=True)
-    moved = on_common_line([*trails[:4], star, *trails[5:]])
-    without = on_common_line([*trails[:4], *trails[5:]])
+    moved = on_line([*trails[:4], star, *trails[5:]])
+    without = on_line([*trails[:4], *trails[5:]])
     assert [moved[k].fit.row0 for k in range(4)] == pytest.approx([without[k].fit.row0 for k in range(4)])
     fit = moved[4].fit
     off = float((np.array([fit.row0 + fit.row1, fit.col0 + fit.col1]) / 2.0 - true[4].mean(axis=0)) @ side)
@@ -155,15 +187,15 @@ def test_what_is_of_no_on_board_track_or_foretold_stays() -> None:
     """Only members of on-board tracks are moved; three places that disagree move none."""
     rng = np.random.default_rng(6)
     trails, _, side, _ = drawn(rng, 6)
-    moved = on_common_line(trails)
+    moved = on_line(trails)
     assert set(moved) == set(range(6))
     assert all(m.flags & StreakFlag.REFIT for m in moved.values())
-    assert on_common_line([replace(t, streak=replace(t.streak, track=-1)) for t in trails]) == {}
+    assert on_line([replace(t, streak=replace(t.streak, track=-1)) for t in trails]) == {}
     foretold = [replace(t, streak=replace(t.streak, fit=replace(t.streak.fit, track_frames=32.0))) for t in trails]
-    assert on_common_line(foretold) == {}
+    assert on_line(foretold) == {}
     apart = []
     for k, each in enumerate(trails[:3]):
         fit = each.streak.fit
         ends = np.array([[fit.row0, fit.col0], [fit.row1, fit.col1]]) + (30.0 if k == 1 else 0.0) * side
         apart.append(trail(ends, k, 0.3, 4.0, tilt=False))
-    assert on_common_line(apart) == {}
+    assert on_line(apart) == {}

@@ -66,6 +66,18 @@ def test_rows_are_those_of_the_message() -> None:
     assert "TRACK_ID = " + table["track_id"][0] in text
 
 
+def test_what_members_of_one_line_share_across_is_stated() -> None:
+    """Its columns, a product of which is the covariance across; zero where the tracklet does not say."""
+    made, members = measured(17)
+    table = tdm_angles_table([made], [members], headers(), ProductOptions(), oem_name="observer.oem")
+    assert not np.any([table[f"shared_cross_{k}_arcsec"] for k in (1, 2, 3)])
+    line = np.array([[0.2, 0.0, 0.0], [0.2, 0.1, 0.0], [0.2, 0.1, 0.05]])
+    stated = replace(made, shared_cross_arcsec=line)
+    table = tdm_angles_table([stated], [members], headers(), ProductOptions(), oem_name="observer.oem")
+    np.testing.assert_allclose(np.column_stack([table[f"shared_cross_{k}_arcsec"] for k in (1, 2, 3)]), line)
+    assert "shared_cross[i] @" in table.meta["covariance"]
+
+
 def test_the_interval_of_a_change_point_is_narrower_than_its_sigma() -> None:
     """Exponential tails hold 76 % within a standard deviation; where no interval is stated, it is that of a normal error."""
     made, members = measured(17)

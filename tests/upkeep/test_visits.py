@@ -129,6 +129,13 @@ def test_rows_of_one_fit_hold_no_more_than_the_fit(tmp_path: Path) -> None:
     table.write(tmp_path / "tdm_angles.ecsv", format="ascii.ecsv")
     errors = errors_of(tmp_path / "tdm_angles.ecsv")[0]
     assert np.allclose(errors, np.column_stack([np.full(n, sigma), np.full(n, 0.3), np.full(n, np.pi / 2.0)]))
+    # members of one line: three numbers across as well, of all rows whatever their group
+    for k in range(3):
+        table[f"shared_cross_{k + 1}_arcsec"] = shared[:, k] * (0.3 / np.linalg.norm(shared, axis=1))
+    table.write(tmp_path / "tdm_angles.ecsv", format="ascii.ecsv", overwrite=True)
+    on_line = errors_of(tmp_path / "tdm_angles.ecsv")[0]
+    assert np.allclose(on_line[:, 1], np.sqrt(n * 0.3**2 / 3.0))
+    assert np.allclose(on_line[:, [0, 2]], errors[:, [0, 2]])
     table.remove_column("shared_group")
     table.write(tmp_path / "tdm_angles.ecsv", format="ascii.ecsv", overwrite=True)
     with pytest.raises(UserError, match="without the columns shared_group"):

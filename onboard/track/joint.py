@@ -1,6 +1,6 @@
 """`onboard.tracker: joint`: trails too faint for any single frame, found in several together.
 
-Segments that a frame shows at S/N 4.5, below the detector's threshold, are pointers. Each foretells in both senses of motion
+Segments that a frame shows at S/N 4.35, below the detector's threshold, are pointers. Each foretells in both senses of motion
 where the object's trail lies in the frames around. The sum over all frames is compared with the sums that noise alone makes.
 """
 
@@ -37,6 +37,9 @@ UNEVEN: Final = 6.0  # noise alone exceeds it in one of 120 tracks of two frames
 UNEVEN_SHARE: Final = 0.2
 """Chi-square of a track's frames against even brightness may exceed its degrees of freedom by this, and by this share of the
 joint S/N squared: objects tumble."""
+
+HALF_LOSS: Final = 0.1
+"""What half resolution takes from a seed's S/N in its own frame: 2 % of 4.5 by the widths, the rest by its lattice of ends."""
 
 EDGE_PX: Final = 3.0  # such a trail may continue beyond the frame, as `segments.EDGE_PX` has it
 
@@ -80,12 +83,12 @@ class JointTracker:
     """Straight tracks through `window` frames, found from segments of S/N `seed_sigma` in one of them."""
 
     window: int = field(default=7, metadata={"doc": "frames that are searched together", "min": 3, "max": 15})
-    seed_sigma: float = field(default=4.5, metadata={"doc": "least S/N of a segment that is followed", "min": 4.0, "max": 20.0})
+    seed_sigma: float = field(default=4.35, metadata={"doc": "least S/N of a segment that is followed", "min": 4.0, "max": 20.0})
     false_tracks: float = field(
         default=0.02, metadata={"doc": "false tracks per frame that noise may make", "min": 1e-9, "max": 10.0}
     )
     first_margin: float = field(
-        default=2.2, metadata={"doc": "S/N by which the first look may fall short", "min": 0.0, "max": 10.0}
+        default=2.6, metadata={"doc": "S/N by which the first look may fall short", "min": 0.0, "max": 10.0}
     )
 
     @property
@@ -179,6 +182,7 @@ class JointTracker:
             psf_sigma_px,
             asked,
             self.first_margin,
+            self.seed_sigma - HALF_LOSS,
             max(LEAST_WORK, round(WORK_PER_PX * rows * cols)),
             joint_filter.work_space(self.window),
         )

@@ -38,6 +38,9 @@ STATIC_ERRORS: Final = 1.0
 """Light at a track's places in the other frames counts above this many errors of its mean. Without this, noise alone takes 0.16
 of the joint S/N from every track."""
 
+WAITING: Final = 1.6
+"""A track that falls short by less, with light in later frames, is followed again when more of them have come."""
+
 FINE: Final = 24
 """Pieces of a seed in the second look."""
 
@@ -395,29 +398,32 @@ def follow(
     n_frames: int,
     centre: int,
     seeds: NDArray[np.float64],
+    senses: NDArray[np.float64],
     psf_sigma_px: float,
     threshold: NDArray[np.float64],
     first_margin: float,
     least_own: float,
     most_work: int,
     corridors: Corridors,
-) -> tuple[NDArray[np.float64], int, int]:
-    """Tracks through seeds, best seeds first.
+) -> tuple[NDArray[np.float64], NDArray[np.float64], int, int]:
+    """Tracks through seeds, in their order.
 
     images : of the window's frames, as `packed.packed`; halves, flat_halves : the same as `packed.halved` makes them, and
     transposed; those from n_frames on are not looked at. transforms (n, 2, 3) : of (row, col) of the centre frame into each;
     taus (n,) : start of each exposure after that of the centre frame, in exposures, on the rows where the object is. seeds
-    (m, 5) : row0, col0, row1, col1, S/N in the centre frame. threshold : joint S/N asked of n frames, at index n.
-    first_margin : how far the first look, on a lattice, may fall short. least_own : S/N that the seed's own frame must show it at
-    half resolution. most_work : pixels read after which no further seed is
-    taken up.
+    (m, 5) : row0, col0, row1, col1, S/N in the centre frame. senses (m,) : of the motion where it is known, so that there is no
+    first look, or 0. threshold : joint S/N asked of n frames, at index n. first_margin : how far the first look, on a lattice,
+    may fall short. least_own : S/N that the seed's own frame must show it at half resolution. most_work : pixels read after which
+    no further seed is taken up.
 
     Returns (k, 12 + window): number of the seed, sense, a, length, offset, tilt (px), first and last frame, joint S/N, least
     joint S/N that is left without one of the frames, chi-square of the frames against even brightness, its degrees of freedom,
-    S/N in each frame of the window; the pixels read; the seeds taken up.
+    S/N in each frame of the window; seeds that may yet become a track when later frames have come, as climbed to, and
+    their senses, (j, 6); the pixels read; the seeds taken up.
     """
     found = np.zeros((len(seeds), 12 + len(images)))
-    n_found = read = taken = 0
+    waiting = np.zeros((len(seeds), 6))
+    n_found = n_waiting = read = taken = 0
     place, trial, best, line = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
     half_seed, parameters = np.empty(4), np.empty(4)
     ends = np.empty(((2 * END_STEPS + 1) ** 2, 4))
@@ -444,37 +450,40 @@ def follow(
         per_lane = max(d_row, d_col) / seed_px
         forward = look_of(taus, 1.0, seed_px, per_lane, psf_sigma_px)
         unit = forward.unit
-        # the first look is at half resolution: a quarter of the pixels, which the cache holds better
-        half_px = 0.5 * seed_px
-        half_seed[:] = 0.5 * (seed[:4] - 0.5)
-        steep = abs(seed[2] - seed[0]) >= abs(seed[3] - seed[1])
-        reach = END_STEPS / STEPS * half_px
-        low, high = max(0, centre - 1), min(n_frames - 1, centre + 1)
-        half_unit = math.sqrt(half_variance * line_variance(psf_sigma_px, per_lane) + HALF_ROUNDING)
-        half_look = Look(taus, 1.0, half_px, per_lane, 1.0, half_unit)
-        n_ends = lane = 0
-        for turn in range(3):
-            # the seed's own frame first: those beside it cost six times as much
-            frame = centre if turn == 0 else centre - 3 + 2 * turn
-            if frame < low or frame > high:
+        lane = MIDDLE
+        best[0], best[1], best[2], best[3] = 0.0, 0.5 * seed_px, 0.0, senses[m]
+        if senses[m] == 0.0:
+            # the first look is at half resolution: a quarter of the pixels, which the cache holds better
+            half_px = 0.5 * seed_px
+            half_seed[:] = 0.5 * (seed[:4] - 0.5)
+            steep = abs(seed[2] - seed[0]) >= abs(seed[3] - seed[1])
+            reach = END_STEPS / STEPS * half_px
+            low, high = max(0, centre - 1), min(n_frames - 1, centre + 1)
+            half_unit = math.sqrt(half_variance * line_variance(psf_sigma_px, per_lane) + HALF_ROUNDING)
+            half_look = Look(taus, 1.0, half_px, per_lane, 1.0, half_unit)
+            n_ends = 0
+            for turn in range(3):
+                # the seed's own frame first: those beside it cost six times as much
+                frame = centre if turn == 0 else centre - 3 + 2 * turn
+                if frame < low or frame > high:
+                    continue
+                away = abs(taus[frame]) * LONGEST * half_px
+                begin, piece = -away - reach, max(1.0, half_px / STEPS)
+                n = min(MOST_PIECES, math.ceil((half_px + 2.0 * (away + reach)) / piece))
+                corridors.grid[frame, 0], corridors.grid[frame, 1], corridors.pieces[frame] = begin, piece, n
+                _placed(half_seed, half_transforms[frame], place)
+                image = halves[frame] if steep else flat_halves[frame]
+                read += gather(image, True, place, begin, piece, n, corridors.sums[frame], corridors.counts[frame])
+                if turn == 0:
+                    n_ends, lane, own = _own_ends(corridors, half_look, centre, ends)
+                    if own < least_own:
+                        n_ends = 0
+                        break
+            if n_ends == 0:
                 continue
-            away = abs(taus[frame]) * LONGEST * half_px
-            begin, piece = -away - reach, max(1.0, half_px / STEPS)
-            n = min(MOST_PIECES, math.ceil((half_px + 2.0 * (away + reach)) / piece))
-            corridors.grid[frame, 0], corridors.grid[frame, 1], corridors.pieces[frame] = begin, piece, n
-            _placed(half_seed, half_transforms[frame], place)
-            image = halves[frame] if steep else flat_halves[frame]
-            read += gather(image, True, place, begin, piece, n, corridors.sums[frame], corridors.counts[frame])
-            if turn == 0:
-                n_ends, lane, own = _own_ends(corridors, half_look, centre, ends)
-                if own < least_own:
-                    n_ends = 0
-                    break
-        if n_ends == 0:
-            continue
-        found_at = _first_look(corridors, half_look, centre, low, high, threshold, -first_margin, best, ends, n_ends, lane)
-        if found_at <= -first_margin:
-            continue
+            found_at = _first_look(corridors, half_look, centre, low, high, threshold, -first_margin, best, ends, n_ends, lane)
+            if found_at <= -first_margin:
+                continue
         read += n_frames * round(seed_px)
         if static_snr(images, transforms, n_frames, centre, seed[:4], unit, place) > static_limit:
             continue
@@ -500,6 +509,11 @@ def follow(
                 break
             if low == 0 and high == n_frames - 1:
                 break
+        if score > -WAITING and last > centre:
+            # kept until it is found
+            _segment(seed, track, 0.0, seed_px, waiting[n_waiting])
+            waiting[n_waiting, 5] = sense
+            n_waiting += 1
         if score < -0.5:
             continue
         # the last word on the frames that count alone
@@ -532,4 +546,6 @@ def follow(
         found[n_found, 6], found[n_found, 7], found[n_found, 8] = first, last, snr
         found[n_found, 9], found[n_found, 10], found[n_found, 11] = least, chi2, last - first
         n_found += 1
-    return found[:n_found], read, taken
+        if score > -WAITING and last > centre:
+            n_waiting -= 1
+    return found[:n_found], waiting[:n_waiting], read, taken

@@ -20,6 +20,9 @@ LANES: Final = PIXELS  # a word holds as many
 MIDDLE: Final = 8
 """Lines of a corridor, one pixel apart along the minor axis; the middle one runs along the seed."""
 
+PARTS: Final = 16
+"""Parts of a piece that the first look tells apart."""
+
 MOST_PIECES: Final = 512
 """Pieces of a corridor."""
 
@@ -47,15 +50,19 @@ def gather(
         n_major, n_minor = n_minor, n_major
     slope = place[3] / place[2]
     origin = place[1] - slope * place[0] + 0.5 - MIDDLE
-    sums[0], counts[0] = 0, 0
+    for k in range(np.uint64(LANES)):
+        sums[0, k] = counts[0, k] = 0
     read = 0
     start = math.ceil(place[0] + place[2] * first_px)
     for p in range(n_pieces):
         stop = math.ceil(place[0] + place[2] * (first_px + (p + 1) * piece_px))
-        sums[p + 1], counts[p + 1] = sums[p], counts[p]
+        before, after = np.uint64(p), np.uint64(p + 1)
+        for k in range(np.uint64(LANES)):
+            sums[after, k] = sums[before, k]
+            counts[after, k] = counts[before, k]
         low, high = max(0, start), min(n_major, stop)
         if steep:
-            read += add_lanes(image, low, high, origin, slope, sums[p + 1], counts[p + 1])
+            read += add_lanes(image, low, high, origin, slope, sums, counts, p + 1)
         else:
             for major in range(low, high):
                 base = math.floor(origin + slope * major)
@@ -75,70 +82,57 @@ def gather(
 def between(
     sums: NDArray[np.int32],
     counts: NDArray[np.int32],
+    frame: int,
     n_pieces: int,
     first: float,
     last: float,
     lane: float,
     correlation: float,
 ) -> tuple[float, float]:
-    """Sum and weight of a trail: of pieces first ... last (fractions interpolated) on a fractional lane; 0, 0 outside.
+    """Sum and weight of a trail: of a frame's pieces first ... last (fractions interpolated) on a fractional lane; 0, 0 outside.
 
-    weight : sum of the variances of the interpolated values, in pixels; correlation : of neighbouring lanes.
+    sums, counts : of `Corridors`. weight : sum of the variances of the interpolated values, in pixels; correlation : of
+    neighbouring lanes.
     """
     lane += MIDDLE
     first, last = max(first, 0.0), min(last, float(n_pieces))
     if last <= first or lane < 0.0 or lane >= LANES - 1.0:
         return 0.0, 0.0
-    k = int(lane)
-    f = lane - k
-    i, j = min(int(first), n_pieces - 1), min(int(last), n_pieces - 1)
-    u, v = first - i, last - j
+    k = np.uint64(lane)
+    f = lane - float(k)
+    g, i, j = np.uint64(frame), np.uint64(min(int(first), n_pieces - 1)), np.uint64(min(int(last), n_pieces - 1))
+    u, v = first - float(i), last - float(j)
+    i1, j1 = i + np.uint64(1), j + np.uint64(1)
     total = weight = 0.0
     for side in range(2):
         share = 1.0 - f if side == 0 else f
-        n = k + side
-        low = sums[i, n] + u * (sums[i + 1, n] - sums[i, n])
-        high = sums[j, n] + v * (sums[j + 1, n] - sums[j, n])
+        n = k + np.uint64(side)
+        low = sums[g, i, n] + u * (sums[g, i1, n] - sums[g, i, n])
+        high = sums[g, j, n] + v * (sums[g, j1, n] - sums[g, j, n])
         total += share * (high - low)
-        low = counts[i, n] + u * (counts[i + 1, n] - counts[i, n])
-        high = counts[j, n] + v * (counts[j + 1, n] - counts[j, n])
+        low = counts[g, i, n] + u * (counts[g, i1, n] - counts[g, i, n])
+        high = counts[g, j, n] + v * (counts[g, j1, n] - counts[g, j, n])
         weight += share * (high - low)
     return total, weight * (1.0 - 2.0 * f * (1.0 - f) * (1.0 - correlation))
 
 
 @nb.njit(cache=True)
-def lanes_between(
-    sums: NDArray[np.int32],
-    counts: NDArray[np.int32],
-    n_pieces: int,
-    first: float,
-    last: float,
-    total: NDArray[np.float32],
-    weight: NDArray[np.float32],
-) -> None:
-    """Sum and known pixels of pieces first ... last (fractions interpolated) on each lane, into total and weight (LANES,)."""
-    first, last = max(first, 0.0), min(last, float(n_pieces))
-    if last <= first:
-        total[:], weight[:] = 0.0, 0.0
-        return
-    i, j = min(int(first), n_pieces - 1), min(int(last), n_pieces - 1)
-    u, v = np.float32(first - i), np.float32(last - j)
-    _interpolated(sums[i], sums[i + 1], u, sums[j], sums[j + 1], v, total)
-    _interpolated(counts[i], counts[i + 1], u, counts[j], counts[j + 1], v, weight)
+def brightest(sums: NDArray[np.int32], frame: int, n_pieces: int, first: float, last: float, low: int, high: int) -> int:
+    """Largest sum over pieces first ... last of a frame, in 1 / PARTS, of the lanes low ... high; 0 outside.
 
-
-@nb.njit(cache=True)
-def _interpolated(
-    a: NDArray[np.int32],
-    b: NDArray[np.int32],
-    u: np.float32,
-    c: NDArray[np.int32],
-    d: NDArray[np.int32],
-    v: np.float32,
-    out: NDArray[np.float32],
-) -> None:
-    for k in range(LANES):
-        out[k] = np.float32(c[k] - a[k]) + v * np.float32(d[k] - c[k]) - u * np.float32(b[k] - a[k])
+    sums : of `Corridors`. first, last : in pieces, to the nearest of PARTS.
+    """
+    begin, end = max(round(first * PARTS), 0), min(round(last * PARTS), PARTS * n_pieces)
+    if end <= begin:
+        return 0
+    g, i, j = np.uint64(frame), np.uint64(min(begin // PARTS, n_pieces - 1)), np.uint64(min(end // PARTS, n_pieces - 1))
+    u, v = begin - PARTS * int(i), end - PARTS * int(j)
+    u0, v0 = PARTS - u, PARTS - v
+    i1, j1 = i + np.uint64(1), j + np.uint64(1)
+    most = -(2**40)
+    for k in range(np.uint64(low), np.uint64(high + 1)):
+        most = max(most, v0 * sums[g, j, k] + v * sums[g, j1, k] - u0 * sums[g, i, k] - u * sums[g, i1, k])
+    return most
 
 
 @nb.njit(cache=True)

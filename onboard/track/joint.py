@@ -1,6 +1,6 @@
 """`onboard.tracker: joint`: trails too faint for any single frame, found in several together.
 
-Segments that a frame shows at S/N 4.5, below the detector's threshold, are pointers. Each foretells in both senses of motion
+Segments that a frame shows at S/N 4.4, below the detector's threshold, are pointers. Each foretells in both senses of motion
 where the object's trail lies in the frames around. The sum over all frames is compared with the sums that noise alone makes.
 """
 
@@ -30,6 +30,15 @@ WORK_PER_PX: Final = 30.0  # as many as a frame's nominal work (`onboard.work`)
 LEAST_WORK: Final = 50_000_000
 """Pixels read about seeds, per pixel of the frame, but never fewer."""
 
+AGAIN: Final = 1
+"""Place in the window where seeds that fell short are followed again: five later frames are there then, not three."""
+
+LOOK_PER_PX: Final = 110.0
+"""Pixels that the first look reads for each px of a seed: sixteen lanes of half resolution, 1.75 + 2 x 5.75 + 0.5 lengths."""
+
+BAND_PX: Final = 128.0
+"""Height of a band of seeds that are looked at in turn: 64 lines of three halved images (200 kB) stay in the cache."""
+
 LEAST_REST: Final = 3.3
 """What is left of a track without any one of its frames must reach this S/N: particles light up one frame."""
 
@@ -46,13 +55,14 @@ class KeptSearch:
     """What stays of a frame. transform : (2, 3) of the frame before into it; unused for the first.
 
     image : `Searched.smooth` in half a byte a pixel. halves : the same at half resolution, and that transposed, while the frame
-    is next to one whose seeds are being followed.
+    is next to one whose seeds are being followed. waiting (n, 6) : seeds that fell short, and their senses of motion.
     """
 
     header: FrameHeader
     image: NDArray[np.uint64]
     seeds: NDArray[np.float64]
     transform: NDArray[np.float64]
+    waiting: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 6)))
     halves: tuple[NDArray[np.uint64], NDArray[np.uint64]] | None = None
 
     @property
@@ -80,12 +90,12 @@ class JointTracker:
     """Straight tracks through `window` frames, found from segments of S/N `seed_sigma` in one of them."""
 
     window: int = field(default=7, metadata={"doc": "frames that are searched together", "min": 3, "max": 15})
-    seed_sigma: float = field(default=4.5, metadata={"doc": "least S/N of a segment that is followed", "min": 4.0, "max": 20.0})
+    seed_sigma: float = field(default=4.4, metadata={"doc": "least S/N of a segment that is followed", "min": 4.0, "max": 20.0})
     false_tracks: float = field(
         default=0.02, metadata={"doc": "false tracks per frame that noise may make", "min": 1e-9, "max": 10.0}
     )
     first_margin: float = field(
-        default=2.2, metadata={"doc": "S/N by which the first look may fall short", "min": 0.0, "max": 10.0}
+        default=2.6, metadata={"doc": "S/N by which the first look may fall short", "min": 0.0, "max": 10.0}
     )
 
     @property
@@ -131,21 +141,45 @@ class JointTracker:
                 frame.with_halves() if abs(k - centre) <= 1 else replace(frame, halves=None)
                 for k, frame in enumerate(state.window)
             )
-            asked = self._asked(window, centre, psf_sigma_px)
-            for track in self._about(window, centre, psf_sigma_px, asked):
-                same = next((t for t in known.values() if same_object(t, track, asked)), None)
-                if same is None:
-                    track, number = replace(track, number=number), number + 1
-                elif same.number in {t.number for t in found if t is same}:
-                    continue
-                else:
-                    track = replace(track, number=same.number)
-                known[track.number] = track
-                found.append(track)
+            window, more, number = self._numbered(window, centre, psf_sigma_px, known, number, kept_seeds=False)
+            found += more
+            if len(window) == self.window and len(window[AGAIN].waiting):
+                window, more, number = self._numbered(window, AGAIN, psf_sigma_px, known, number, kept_seeds=True)
+                found += more
             # those of the frames before it are not asked for again: there is room for the next frame before that one is searched
             window = tuple(replace(frame, halves=None) if k < centre else frame for k, frame in enumerate(window))
             state = replace(state, window=window, tracks=tuple(known.values()), next_number=number, followed=centre + 1)
         return state, found
+
+    def _numbered(
+        self,
+        window: tuple[KeptSearch, ...],
+        centre: int,
+        psf_sigma_px: float,
+        known: dict[int, Track],
+        number: int,
+        *,
+        kept_seeds: bool,
+    ) -> tuple[tuple[KeptSearch, ...], list[Track], int]:
+        """Tracks through one frame's seeds with the numbers of their objects, the next free number, and the window after it.
+
+        known : tracks by number; grows. kept_seeds : those that wait are followed, not those that the frame came with.
+        """
+        found: list[Track] = []
+        asked = self._asked(window, centre, psf_sigma_px)
+        tracks, waiting = self._about(window, centre, psf_sigma_px, asked, kept_seeds)
+        for track in tracks:
+            same = next((t for t in known.values() if same_object(t, track, asked)), None)
+            if same is None:
+                track, number = replace(track, number=number), number + 1
+            elif same.number in {t.number for t in found if t is same}:
+                continue
+            else:
+                track = replace(track, number=same.number)
+            known[track.number] = track
+            found.append(track)
+        window = tuple(replace(frame, waiting=waiting) if k == centre else frame for k, frame in enumerate(window))
+        return window, found, number
 
     def _asked(self, window: tuple[KeptSearch, ...], centre: int, psf_sigma_px: float) -> NDArray[np.float64]:
         """Joint S/N asked of a track of n frames of a window, at index n."""
@@ -153,21 +187,34 @@ class JointTracker:
         period = float(np.median(np.abs(np.diff(taus)))) if len(taus) > 1 else 1.0
         return self.thresholds(window[centre].shape, period, psf_sigma_px)
 
-    def _about(self, window: tuple[KeptSearch, ...], centre: int, psf_sigma_px: float, asked: NDArray[np.float64]) -> list[Track]:
-        """Tracks through seeds of one frame of the window, best first, each object once. asked : see `_asked`."""
+    def _about(
+        self,
+        window: tuple[KeptSearch, ...],
+        centre: int,
+        psf_sigma_px: float,
+        asked: NDArray[np.float64],
+        kept_seeds: bool,
+    ) -> tuple[list[Track], NDArray[np.float64]]:
+        """Tracks through seeds of one frame of the window, best first, each object once; and the seeds that wait.
+
+        asked : see `_asked`. kept_seeds : see `_numbered`.
+        """
         kept = window[centre]
-        seeds = kept.seeds[np.hypot(*(kept.seeds[:, 2:4] - kept.seeds[:, :2]).T) < LONGEST_PX]
-        seeds = seeds[np.argsort(-seeds[:, 4], kind="stable")]
+        most_work = max(LEAST_WORK, round(WORK_PER_PX * kept.shape[0] * kept.shape[1]))
+        seeds, senses = kept.waiting[:, :5], np.ascontiguousarray(kept.waiting[:, 5])
+        if not kept_seeds:
+            seeds = kept.seeds[np.hypot(*(kept.seeds[:, 2:4] - kept.seeds[:, :2]).T) < LONGEST_PX]
+            seeds = by_place(seeds[np.argsort(-seeds[:, 4], kind="stable")], most_work)
+            senses = np.zeros(len(seeds))
         if len(window) < 2 or not len(seeds):
-            return []
+            return [], np.zeros((0, 6))
         transforms = from_centre(window, centre)
         taus = exposures_from(window, centre, transforms)
-        rows, cols = kept.shape
         # one kernel for any number of frames: the tuple is filled up to the window's length
         filled = window + (window[0],) * (self.window - len(window))
-        own = kept.with_halves().halves or (kept.image, kept.image)
+        own = (kept.image, kept.image)
         near = [frame.halves or own for frame in filled]
-        table, _, _ = joint_filter.follow(
+        table, waiting, _, _ = joint_filter.follow(
             tuple(frame.image for frame in filled),
             tuple(half for half, _ in near),
             tuple(flat for _, flat in near),
@@ -175,11 +222,13 @@ class JointTracker:
             np.concatenate([taus, np.zeros(self.window - len(window))]),
             len(window),
             centre,
-            seeds,
+            np.ascontiguousarray(seeds),
+            senses,
             psf_sigma_px,
             asked,
             self.first_margin,
-            max(LEAST_WORK, round(WORK_PER_PX * rows * cols)),
+            self.seed_sigma,
+            most_work,
             joint_filter.work_space(self.window),
         )
         tracks: list[Track] = []
@@ -189,7 +238,7 @@ class JointTracker:
             track = track_of(row, seeds[int(row[0])], window, transforms, taus)
             if track is not None and not any(same_object(t, track, asked) for t in tracks):
                 tracks.append(track)
-        return tracks
+        return tracks, waiting
 
     def thresholds(self, shape: tuple[int, int], period_over_exposure: float, psf_sigma_px: float) -> NDArray[np.float64]:
         """Joint S/N asked of a track of n frames, at index n; (window + 1,)."""
@@ -205,6 +254,16 @@ class JointTracker:
             )
             out[n] = threshold_sigma(volume, self.false_tracks)
         return out
+
+
+def by_place(seeds: NDArray[np.float64], most_work: int) -> NDArray[np.float64]:
+    """As many seeds, best first, as the work allows, in bands of the frame: neighbours read the same lines of memory."""
+    way = np.abs(seeds[:, 2:4] - seeds[:, :2])
+    seeds, way = (x[np.cumsum(LOOK_PER_PX * way.max(axis=1, initial=0.0)) < most_work] for x in (seeds, way))
+    steep = way[:, 0] >= way[:, 1]
+    middle = 0.5 * (seeds[:, :2] + seeds[:, 2:4])
+    major, minor = np.where(steep, middle.T, middle.T[::-1])
+    return np.ascontiguousarray(seeds[np.lexsort((minor, major // BAND_PX, steep))])
 
 
 def from_centre(window: tuple[KeptSearch, ...], centre: int) -> NDArray[np.float64]:

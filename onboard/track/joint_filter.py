@@ -7,7 +7,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.track.corridor import LANES, MIDDLE, MOST_PIECES, between, gather, lanes_between, path_sum
+from onboard.track.corridor import LANES, MIDDLE, MOST_PIECES, PARTS, between, brightest, gather, path_sum
 from onboard.track.packed import HALF_ROUNDING, ROUNDING, STEP
 
 STEPS: Final = 8
@@ -23,6 +23,12 @@ error is sqrt(24) s / S = 0.8 px."""
 LIKED: Final = 0.75
 """Ends whose S/N in the seed's own frame is below this share of the best ends' are not followed."""
 
+BESIDE: Final = 1
+"""A seed may lie beside its trail by so many lanes (2 px) of the first look."""
+
+KNOWN: Final = 0.8
+"""Lanes beside the middle one have so much of its known pixels, or what they hold may be missed: its own star hides no more."""
+
 STATIC_SIGMAS: Final = 3.0  # noise makes one in 740 so bright; lower refuses more tracks. Chosen, not measured
 LEAST_STATIC: Final = 1.2
 """A seed is refused where the other frames show at its own place an S/N of `LEAST_STATIC` for one frame that is also
@@ -31,6 +37,9 @@ LEAST_STATIC: Final = 1.2
 STATIC_ERRORS: Final = 1.0
 """Light at a track's places in the other frames counts above this many errors of its mean. Without this, noise alone takes 0.16
 of the joint S/N from every track."""
+
+WAITING: Final = 1.6
+"""A track that falls short by less, with light in later frames, is followed again when more of them have come."""
 
 FINE: Final = 24
 """Pieces of a seed in the second look."""
@@ -161,7 +170,7 @@ def trail_sums(corridors: Corridors, look: Look, frame: int, track: NDArray[np.f
     lane = (track[2] + track[3] * (middle / look.seed_px - 0.5)) / look.per_lane
     first = (start - corridors.grid[frame, 0]) / corridors.grid[frame, 1]
     last = (start + track[1] - corridors.grid[frame, 0]) / corridors.grid[frame, 1]
-    return between(corridors.sums[frame], corridors.counts[frame], corridors.pieces[frame], first, last, lane, look.correlation)
+    return between(corridors.sums, corridors.counts, frame, corridors.pieces[frame], first, last, lane, look.correlation)
 
 
 @nb.njit(cache=True)
@@ -176,9 +185,35 @@ def evaluate(corridors: Corridors, look: Look, low: int, high: int, track: NDArr
 
 
 @nb.njit(cache=True)
-def _exceeds(total: float, weight: float, least: float) -> bool:
-    """Whether total / sqrt(weight) does, without a root: hardly any does."""
-    return total > 0.0 and (least <= 0.0 or total * total > least * least * weight)
+def _own_ends(corridors: Corridors, look: Look, centre: int, ends: NDArray[np.float64]) -> tuple[int, int, float]:
+    """Ends that the seed's own frame likes, of all on a lattice: how many, on which lane, S/N of the best.
+
+    ends (n, 4) : where the trail begins and its length, px, sum and weight as `brightest` has them. Lanes beside the middle one
+    count too: a seed lies on the lattice of the search that made it.
+    """
+    seed_px, step = look.seed_px, look.seed_px / STEPS
+    top, lane, n = 0.0, MIDDLE, 0
+    for turn in range(2):
+        for i in range(-END_STEPS, END_STEPS + 1):
+            for j in range(-END_STEPS, END_STEPS + 1):
+                start, length = i * step, seed_px + (j - i) * step
+                if length < SHORTEST * seed_px or length > LONGEST * seed_px:
+                    continue
+                first = (start - corridors.grid[centre, 0]) / corridors.grid[centre, 1]
+                last = first + length / corridors.grid[centre, 1]
+                for k in range(MIDDLE - BESIDE, MIDDLE + BESIDE + 1) if turn == 0 else range(lane, lane + 1):
+                    total = brightest(corridors.sums, centre, corridors.pieces[centre], first, last, k, k)
+                    weight = brightest(corridors.counts, centre, corridors.pieces[centre], first, last, k, k)
+                    power = float(total) * float(total)
+                    if total <= 0 or weight <= 0:
+                        continue
+                    if turn == 0:
+                        if power > top * weight:
+                            top, lane = power / weight, k
+                    elif power >= LIKED * LIKED * top * weight:
+                        ends[n, 0], ends[n, 1], ends[n, 2], ends[n, 3] = start, length, total, weight
+                        n += 1
+    return n, lane, math.sqrt(top / PARTS) / look.unit
 
 
 @nb.njit(cache=True)
@@ -191,65 +226,77 @@ def _first_look(
     margin: NDArray[np.float64],
     least: float,
     best: NDArray[np.float64],
-    lanes: NDArray[np.float32],
+    ends: NDArray[np.float64],
+    n_ends: int,
+    lane: int,
 ) -> float:
     """Best track on a lattice of ends and tilts in frames low ... high about `centre`; fills best (a, length, tilt, sense).
 
     All in pixels of the images that the corridors are of; tilts are whole lanes per length. Pairs of frames count beside all
-    three: by how much the S/N exceeds margin[number of frames]. Returns `least` where none has more. lanes (6, LANES) : work
-    space, sums and weights of the three.
+    three: by how much the S/N exceeds margin[number of frames]. Returns `least` where none has more. ends, n_ends, lane : as
+    `_own_ends` leaves them.
     """
     sums, counts, grid, pieces = corridors
-    taus, seed_px, unit = look.taus, look.seed_px, look.unit
-    score, step = least, seed_px / STEPS
-    top = 0.0
-    for turn in range(2):
-        # what the seed's own frame says best of the ends: tracks that it likes much less are not looked at
-        for i in range(-END_STEPS, END_STEPS + 1):
-            for j in range(-END_STEPS, END_STEPS + 1):
-                start, length = i * step, seed_px + (j - i) * step
-                if length < SHORTEST * seed_px or length > LONGEST * seed_px:
+    taus, seed_px = look.taus, look.seed_px
+    scale = look.unit * math.sqrt(float(PARTS))  # of a sum over the root of its weight
+    score = least
+    two, three = max(score + margin[2], 0.0) * scale, max(score + margin[3], 0.0) * scale
+    before, after = max(centre - 1, low), min(centre + 1, high)
+    for e in range(n_ends):
+        start, length, s1, w1 = ends[e, 0], ends[e, 1], ends[e, 2], ends[e, 3]
+        for sense in (-1.0, 1.0):
+            # lanes from the seed's frame to those beside it for a tilt of one
+            back = (start + (sense * taus[before] + 0.5) * length) / seed_px - 0.5
+            apart = (start + (sense * taus[after] + 0.5) * length) / seed_px - 0.5
+            first0 = (start + sense * taus[before] * length - grid[before, 0]) / grid[before, 1]
+            first2 = (start + sense * taus[after] * length - grid[after, 0]) / grid[after, 1]
+            last0, last2 = first0 + length / grid[before, 1], first2 + length / grid[after, 1]
+            most0 = most2 = known0 = known2 = 0
+            if before < centre:
+                known0 = brightest(counts, before, pieces[before], first0, last0, lane, lane)
+                wide = math.ceil(TILT_STEPS * abs(back))
+                most0 = brightest(sums, before, pieces[before], first0, last0, max(0, lane - wide), min(LANES - 1, lane + wide))
+            if after > centre:
+                known2 = brightest(counts, after, pieces[after], first2, last2, lane, lane)
+                wide = math.ceil(TILT_STEPS * abs(apart))
+                most2 = brightest(sums, after, pieces[after], first2, last2, max(0, lane - wide), min(LANES - 1, lane + wide))
+            # the brightest lanes of both sides tell whether any tilt can reach what is asked: hardly ever
+            if (
+                _below(s1 + most0, w1 + KNOWN * known0, two)
+                and _below(s1 + most2, w1 + KNOWN * known2, two)
+                and _below(s1 + most0 + most2, w1 + KNOWN * (known0 + known2), three)
+            ):
+                continue
+            for half in range(-2 * TILT_STEPS, 2 * TILT_STEPS + 1):
+                tilt = 0.5 * half
+                m, n = lane + round(tilt * back), lane + round(tilt * apart)
+                if m < 0 or n < 0 or m >= LANES or n >= LANES:
                     continue
-                first = (start - grid[centre, 0]) / grid[centre, 1]
-                lanes_between(
-                    sums[centre], counts[centre], pieces[centre], first, first + length / grid[centre, 1], lanes[1], lanes[4]
-                )
-                s1, w1 = lanes[1, MIDDLE], lanes[4, MIDDLE]
-                own = s1 / math.sqrt(max(w1, 1.0))
-                if turn == 0:
-                    top = max(top, own)
-                    continue
-                if own < LIKED * top or w1 == 0.0:
-                    continue
-                for sense in (-1.0, 1.0):
-                    for side in (0, 2):
-                        frame = centre - 1 + side
-                        if frame < low or frame > high:
-                            lanes[side], lanes[side + 3] = 0.0, 0.0
-                            continue
-                        first = (start + sense * taus[frame] * length - grid[frame, 0]) / grid[frame, 1]
-                        last = first + length / grid[frame, 1]
-                        lanes_between(sums[frame], counts[frame], pieces[frame], first, last, lanes[side], lanes[side + 3])
-                    # lanes from the seed's frame to the next for a tilt of one
-                    apart = (start + sense * taus[min(centre + 1, high)] * length + 0.5 * length) / seed_px - 0.5
-                    back = (start + sense * taus[max(centre - 1, low)] * length + 0.5 * length) / seed_px - 0.5
-                    for half in range(-2 * TILT_STEPS, 2 * TILT_STEPS + 1):
-                        tilt = 0.5 * half
-                        m, n = MIDDLE + round(tilt * back), MIDDLE + round(tilt * apart)
-                        if m < 0 or n < 0 or m >= LANES or n >= LANES:
-                            continue
-                        s0, w0, s2, w2 = lanes[0, m], lanes[3, m], lanes[2, n], lanes[5, n]
-                        value = -1e9
-                        if w0 > 0.0 and _exceeds(s0 + s1, w0 + w1, (score + margin[2]) * unit):
-                            value = max(value, (s0 + s1) / (unit * math.sqrt(w0 + w1)) - margin[2])
-                        if w2 > 0.0 and _exceeds(s2 + s1, w2 + w1, (score + margin[2]) * unit):
-                            value = max(value, (s2 + s1) / (unit * math.sqrt(w2 + w1)) - margin[2])
-                        if w0 > 0.0 and w2 > 0.0 and _exceeds(s0 + s1 + s2, w0 + w1 + w2, (score + margin[3]) * unit):
-                            value = max(value, (s0 + s1 + s2) / (unit * math.sqrt(w0 + w1 + w2)) - margin[3])
-                        if value > score:
-                            score = value
-                            best[0], best[1], best[2], best[3] = start, length, tilt, sense
+                s0 = w0 = s2 = w2 = 0
+                if before < centre:
+                    s0 = brightest(sums, before, pieces[before], first0, last0, m, m)
+                    w0 = brightest(counts, before, pieces[before], first0, last0, m, m)
+                if after > centre:
+                    s2 = brightest(sums, after, pieces[after], first2, last2, n, n)
+                    w2 = brightest(counts, after, pieces[after], first2, last2, n, n)
+                value = -1e9
+                if w0 > 0 and not _below(s0 + s1, w0 + w1, two):
+                    value = max(value, (s0 + s1) / (scale * math.sqrt(w0 + w1)) - margin[2])
+                if w2 > 0 and not _below(s2 + s1, w2 + w1, two):
+                    value = max(value, (s2 + s1) / (scale * math.sqrt(w2 + w1)) - margin[2])
+                if w0 > 0 and w2 > 0 and not _below(s0 + s1 + s2, w0 + w1 + w2, three):
+                    value = max(value, (s0 + s1 + s2) / (scale * math.sqrt(w0 + w1 + w2)) - margin[3])
+                if value > score:
+                    score = value
+                    two, three = max(score + margin[2], 0.0) * scale, max(score + margin[3], 0.0) * scale
+                    best[0], best[1], best[2], best[3] = start, length, tilt, sense
     return score
+
+
+@nb.njit(cache=True)
+def _below(total: float, weight: float, least: float) -> bool:
+    """Whether total / sqrt(weight) is, without a root: nearly all are."""
+    return total <= 0.0 or total * total <= least * least * weight
 
 
 @nb.njit(cache=True)
@@ -351,29 +398,35 @@ def follow(
     n_frames: int,
     centre: int,
     seeds: NDArray[np.float64],
+    senses: NDArray[np.float64],
     psf_sigma_px: float,
     threshold: NDArray[np.float64],
     first_margin: float,
+    least_own: float,
     most_work: int,
     corridors: Corridors,
-) -> tuple[NDArray[np.float64], int, int]:
-    """Tracks through seeds, best seeds first.
+) -> tuple[NDArray[np.float64], NDArray[np.float64], int, int]:
+    """Tracks through seeds, in their order.
 
     images : of the window's frames, as `packed.packed`; halves, flat_halves : the same as `packed.halved` makes them, and
     transposed; those from n_frames on are not looked at. transforms (n, 2, 3) : of (row, col) of the centre frame into each;
     taus (n,) : start of each exposure after that of the centre frame, in exposures, on the rows where the object is. seeds
-    (m, 5) : row0, col0, row1, col1, S/N in the centre frame. threshold : joint S/N asked of n frames, at index n.
-    first_margin : how far the first look, on a lattice, may fall short. most_work : pixels read after which no further seed is
-    taken up.
+    (m, 5) : row0, col0, row1, col1, S/N in the centre frame. senses (m,) : of the motion where it is known, so that there is no
+    first look, or 0. threshold : joint S/N asked of n frames, at index n. first_margin : how far the first look, on a lattice,
+    may fall short. least_own : S/N that the seed's own frame must show it at half resolution. most_work : pixels read after which
+    no further seed is taken up.
 
     Returns (k, 12 + window): number of the seed, sense, a, length, offset, tilt (px), first and last frame, joint S/N, least
     joint S/N that is left without one of the frames, chi-square of the frames against even brightness, its degrees of freedom,
-    S/N in each frame of the window; the pixels read; the seeds taken up.
+    S/N in each frame of the window; seeds that may yet become a track when later frames have come, as climbed to, and
+    their senses, (j, 6); the pixels read; the seeds taken up.
     """
     found = np.zeros((len(seeds), 12 + len(images)))
-    n_found = read = taken = 0
+    waiting = np.zeros((len(seeds), 6))
+    n_found = n_waiting = read = taken = 0
     place, trial, best, line = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
-    lanes, half_seed, parameters = np.zeros((6, LANES), np.float32), np.empty(4), np.empty(4)
+    half_seed, parameters = np.empty(4), np.empty(4)
+    ends = np.empty(((2 * END_STEPS + 1) ** 2, 4))
     # pixel centres of the halved image lie at 2 k + 0.5
     half_transforms = transforms.copy()
     for frame in range(n_frames):
@@ -397,30 +450,47 @@ def follow(
         per_lane = max(d_row, d_col) / seed_px
         forward = look_of(taus, 1.0, seed_px, per_lane, psf_sigma_px)
         unit = forward.unit
-        # the first look is at half resolution: a quarter of the pixels, which the cache holds better
-        half_px = 0.5 * seed_px
-        half_seed[:] = 0.5 * (seed[:4] - 0.5)
-        steep = abs(seed[2] - seed[0]) >= abs(seed[3] - seed[1])
-        reach = END_STEPS / STEPS * half_px
-        low, high = max(0, centre - 1), min(n_frames - 1, centre + 1)
-        for frame in range(low, high + 1):
-            away = abs(taus[frame]) * LONGEST * half_px
-            begin, piece = -away - reach, max(1.0, half_px / STEPS)
-            n = min(MOST_PIECES, math.ceil((half_px + 2.0 * (away + reach)) / piece))
-            corridors.grid[frame, 0], corridors.grid[frame, 1], corridors.pieces[frame] = begin, piece, n
-            _placed(half_seed, half_transforms[frame], place)
-            image = halves[frame] if steep else flat_halves[frame]
-            read += gather(image, True, place, begin, piece, n, corridors.sums[frame], corridors.counts[frame])
-        half_unit = math.sqrt(half_variance * line_variance(psf_sigma_px, per_lane) + HALF_ROUNDING)
-        half_look = Look(taus, 1.0, half_px, per_lane, 1.0, half_unit)
-        if _first_look(corridors, half_look, centre, low, high, threshold, -first_margin, best, lanes) <= -first_margin:
-            continue
+        lane = MIDDLE
+        best[0], best[1], best[2], best[3] = 0.0, 0.5 * seed_px, 0.0, senses[m]
+        if senses[m] == 0.0:
+            # the first look is at half resolution: a quarter of the pixels, which the cache holds better
+            half_px = 0.5 * seed_px
+            half_seed[:] = 0.5 * (seed[:4] - 0.5)
+            steep = abs(seed[2] - seed[0]) >= abs(seed[3] - seed[1])
+            reach = END_STEPS / STEPS * half_px
+            low, high = max(0, centre - 1), min(n_frames - 1, centre + 1)
+            half_unit = math.sqrt(half_variance * line_variance(psf_sigma_px, per_lane) + HALF_ROUNDING)
+            half_look = Look(taus, 1.0, half_px, per_lane, 1.0, half_unit)
+            n_ends = 0
+            for turn in range(3):
+                # the seed's own frame first: those beside it cost six times as much
+                frame = centre if turn == 0 else centre - 3 + 2 * turn
+                if frame < low or frame > high:
+                    continue
+                away = abs(taus[frame]) * LONGEST * half_px
+                begin, piece = -away - reach, max(1.0, half_px / STEPS)
+                n = min(MOST_PIECES, math.ceil((half_px + 2.0 * (away + reach)) / piece))
+                corridors.grid[frame, 0], corridors.grid[frame, 1], corridors.pieces[frame] = begin, piece, n
+                _placed(half_seed, half_transforms[frame], place)
+                image = halves[frame] if steep else flat_halves[frame]
+                read += gather(image, True, place, begin, piece, n, corridors.sums[frame], corridors.counts[frame])
+                if turn == 0:
+                    n_ends, lane, own = _own_ends(corridors, half_look, centre, ends)
+                    if own < least_own:
+                        n_ends = 0
+                        break
+            if n_ends == 0:
+                continue
+            found_at = _first_look(corridors, half_look, centre, low, high, threshold, -first_margin, best, ends, n_ends, lane)
+            if found_at <= -first_margin:
+                continue
         read += n_frames * round(seed_px)
         if static_snr(images, transforms, n_frames, centre, seed[:4], unit, place) > static_limit:
             continue
         track, sense = parameters, best[3]
         look = look_of(taus, sense, seed_px, per_lane, psf_sigma_px)
-        track[0], track[1], track[2], track[3] = 2.0 * best[0], 2.0 * best[1], 0.0, 2.0 * best[2] * per_lane
+        track[0], track[1] = 2.0 * best[0], 2.0 * best[1]
+        track[2], track[3] = 2.0 * (lane - MIDDLE) * per_lane, 2.0 * best[2] * per_lane
         score, first, last = -1e9, centre, centre
         for reach_frames in range(1, len(images)):
             low, high = max(0, centre - reach_frames), min(n_frames - 1, centre + reach_frames)
@@ -439,6 +509,11 @@ def follow(
                 break
             if low == 0 and high == n_frames - 1:
                 break
+        if score > -WAITING and last > centre:
+            # kept until it is found
+            _segment(seed, track, 0.0, seed_px, waiting[n_waiting])
+            waiting[n_waiting, 5] = sense
+            n_waiting += 1
         if score < -0.5:
             continue
         # the last word on the frames that count alone
@@ -471,4 +546,6 @@ def follow(
         found[n_found, 6], found[n_found, 7], found[n_found, 8] = first, last, snr
         found[n_found, 9], found[n_found, 10], found[n_found, 11] = least, chi2, last - first
         n_found += 1
-    return found[:n_found], read, taken
+        if score > -WAITING and last > centre:
+            n_waiting -= 1
+    return found[:n_found], waiting[:n_waiting], read, taken

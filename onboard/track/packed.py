@@ -141,13 +141,15 @@ def add_lanes(
     slope: float,
     sums: NDArray[np.int32],
     counts: NDArray[np.int32],
+    at_row: int,
 ) -> int:
-    """Add sixteen neighbouring lanes along rows start ... stop - 1 to sums and counts (16,); returns the pixels read.
+    """Add sixteen neighbouring lanes along rows start ... stop - 1 to row `at_row` of sums and counts; returns the pixels read.
 
     first, slope : the first lane lies in column floor(first + slope row). sums : of the codes less `ZERO`, known pixels alone.
     """
     low, one, most = np.uint64(0x0F0F0F0F0F0F0F0F), np.uint64(0x0101010101010101), np.uint64(0x7F7F7F7F7F7F7F7F)
     four, seven, end = np.uint64(4), np.uint64(7), PIXELS * (words.shape[1] - 2)
+    byte, line = np.uint64(255), np.uint64(at_row)
     read = 0
     while start < stop:
         # bytes of a word hold the sum of sixteen codes
@@ -159,8 +161,8 @@ def add_lanes(
                 continue
             read += PIXELS
             word, at = np.uint64((base >> 4) + 1), np.uint64(4 * (base & 15))
-            line = np.uint64(row)
-            bits = (words[line, word] >> at) | ((words[line, word + np.uint64(1)] << np.uint64(1)) << (np.uint64(63) - at))
+            bits = words[np.uint64(row), word] >> at
+            bits |= (words[np.uint64(row), word + np.uint64(1)] << np.uint64(1)) << (np.uint64(63) - at)
             part = bits & low
             even += part
             even_known += ((part + most) >> seven) & one
@@ -168,12 +170,13 @@ def add_lanes(
             odd += part
             odd_known += ((part + most) >> seven) & one
         for k in range(8):
-            at, byte = np.uint64(8 * k), np.uint64(255)
+            at, lane = np.uint64(8 * k), np.uint64(2 * k)
             known = np.int32((even_known >> at) & byte)
-            counts[2 * k] += known
-            sums[2 * k] += np.int32((even >> at) & byte) - np.int32(ZERO) * known
+            counts[line, lane] += known
+            sums[line, lane] += np.int32((even >> at) & byte) - np.int32(ZERO) * known
+            lane += np.uint64(1)
             known = np.int32((odd_known >> at) & byte)
-            counts[2 * k + 1] += known
-            sums[2 * k + 1] += np.int32((odd >> at) & byte) - np.int32(ZERO) * known
+            counts[line, lane] += known
+            sums[line, lane] += np.int32((odd >> at) & byte) - np.int32(ZERO) * known
         start = last
     return read

@@ -12,6 +12,7 @@ from ground.ingest import decode_downlink
 from ground.ingest.codecs import PlanesDecoder
 from onboard.chain import OnboardChain, OnboardSteps, continues
 from onboard.detect import LineIntegralDetector, ThresholdDetector
+from onboard.detect.line_integral import dyadic
 from onboard.downlink import roi
 from onboard.downlink.codec import PlanesCodec
 from onboard.downlink.kept_counts import kept_counts
@@ -321,3 +322,13 @@ def packets_but(downlink: bytes, left_out: Apid) -> list[bytes]:
             out.append(packet)
         at += length
     return out
+
+
+def test_what_only_the_tracker_asks_for_takes_nothing_from_the_single_frame() -> None:
+    """Candidates of a lower threshold hold those of the higher one, in the same order, and are told from them by their S/N."""
+    image = np.random.default_rng(3).normal(0.0, 32.0, (256, 256)).astype(np.int16)
+    noise = np.array([32.0**2, 32.0**2])
+    high, _ = dyadic.coarse_segments(image.copy(), noise, 4.0, 4, 10_000)
+    low, _ = dyadic.coarse_segments(image.copy(), noise, 3.6, 4, 10_000)
+    assert 20 < len(high) < 0.6 * len(low)
+    assert (dyadic.in_order(low[dyadic.above(low, 4.0)]) == high).all()

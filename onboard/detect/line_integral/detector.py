@@ -57,11 +57,7 @@ MAX_SEEDS: Final = 60_000
 """Room for segments that a tracker may go on from."""
 
 SEED_LOSS: Final = 0.25
-"""A seed's S/N on the coarse lattice may fall so far short of what the search in its corridor makes of it.
-
-With 0.5 there are 1.7 times as many seeds, and half of the objects over four frames are found at S/N 0.04 less; search and
-tracker take twice the time for them.
-"""
+"""A seed's S/N on the coarse lattice may fall so far short of what the best ends make of it."""
 
 BLEND_PX: Final = 25.0
 """Blends of stars look like trails up to this length in a single frame."""
@@ -157,6 +153,11 @@ class LineIntegralDetector:
         # sums are looked at before anything is known of them, so that the search of what they gave keeps its own part
         view.work.spend(Work.CANDIDATES, min(work, COLLECTED_SHARE * view.work.limits[Work.CANDIDATES]))
         del binned
+        faint = candidates[:0]
+        if coarse_sigma < self.coarse_sigma:
+            # fainter ones are for the tracker alone, which looks at them with the frames around; one frame gains nothing by them
+            wanted = dyadic.above(candidates, self.coarse_sigma)
+            faint, candidates = candidates[~wanted][:MAX_SEEDS], dyadic.in_order(candidates[wanted])
         images = replace(images, blocked=np.unpackbits(bits, count=view.mask.size).reshape(view.mask.shape))
         del bits
         smooth = whiten.smooth(images.image, images.level, TILE_PX, whiten.odd_taps(s_px), POINT_CLIP_SIGMA)
@@ -183,6 +184,9 @@ class LineIntegralDetector:
             math.inf if seed_sigma is None else seed_sigma,
             seeds,
         )
+        seeds = seeds[:n_seeds]
+        if told:
+            seeds = np.concatenate([seeds, faint[resolve.free(images.blocked, faint)]])
         view.work.spend(Work.CANDIDATES, work)
         view.work.leave(Work.CANDIDATES, n_left)
         table = local_noise.above(
@@ -221,4 +225,4 @@ class LineIntegralDetector:
         tracks += track_pieces.beside_trails(hits[: max(0, self.max_detections - len(real))], found)
         tracks.sort(key=lambda d: -d.snr)
         detections = tuple((real + tracks)[: self.max_detections])
-        return detections, None if whole is None else Searched(smooth=whole, seeds=seed_ends(seeds[:n_seeds]))
+        return detections, None if whole is None else Searched(smooth=whole, seeds=seed_ends(seeds))

@@ -27,6 +27,9 @@ CELL: Final = 8
 """Candidates of one block that cross its middle in the same cell of this many columns are one: the best of all shifts."""
 
 
+CHUNK: Final = 256
+"""Sums of which the largest is looked for at once, and which are passed over where it is below the threshold."""
+
 LONG_BLOCK_STEP: Final = 0.06
 """The threshold falls by so many sigma for each doubling of the block beyond 32 rows."""
 
@@ -62,15 +65,27 @@ def _collect(
     sums: NDArray[np.int16], shift: int, threshold: int, unit: float, best: NDArray[np.float32], place: NDArray[np.int32]
 ) -> None:
     """Keep the best sum of each cell of the block's middle; place holds (shift, first column)."""
-    for k in range(sums.shape[0]):
-        if sums[k] > threshold:
-            value = sums[k] * unit
-            first = k - shift
-            cell = max(0, (first + shift // 2) // CELL)
-            if value > best[cell]:
-                best[cell] = value
-                place[cell, 0] = shift
-                place[cell, 1] = first
+    for low in range(0, sums.shape[0], CHUNK):
+        high = min(low + CHUNK, sums.shape[0])
+        if _largest(sums[low:high]) <= threshold:
+            continue
+        for k in range(low, high):
+            if sums[k] > threshold:
+                value = sums[k] * unit
+                first = k - shift
+                cell = max(0, (first + shift // 2) // CELL)
+                if value > best[cell]:
+                    best[cell] = value
+                    place[cell, 0] = shift
+                    place[cell, 1] = first
+
+
+@nb.njit(cache=True)
+def _largest(values: NDArray[np.int16]) -> np.int16:
+    best = np.int16(-32768)
+    for i in range(values.shape[0]):
+        best = max(best, values[i])
+    return best
 
 
 @nb.njit(cache=True)
@@ -248,11 +263,27 @@ def coarse_segments(
                 enter, leave = leave, enter
             ends = 2.0 * np.stack([first, enter, last, leave], axis=1) + 0.5
             tables.append(np.column_stack([np.full(len(found), float(axis)), ends, found[:, 4]]))
-    joined = np.concatenate(tables)
-    joined = joined[np.argsort(-joined[:, 5], kind="stable")]
-    if len(joined) <= FAIR_ABOVE:
-        return joined, int(work[0])
-    return joined[np.argsort(turns(np.log2(joined[:, 3] - joined[:, 1] + 2.0).astype(np.int64)), kind="stable")], int(work[0])
+    return in_order(np.concatenate(tables)), int(work[0])
+
+
+def in_order(candidates: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Candidates best first; of more than FAIR_ABOVE those of each octave of length in turn."""
+    best_first = candidates[np.argsort(-candidates[:, 5], kind="stable")]
+    if len(best_first) <= FAIR_ABOVE:
+        return np.asarray(best_first)
+    octave = np.log2(best_first[:, 3] - best_first[:, 1] + 2.0).astype(np.int64)
+    return np.asarray(best_first[np.argsort(turns(octave), kind="stable")])
+
+
+def wanted_sigma(threshold_sigma: float, rows: NDArray[np.float64]) -> NDArray[np.float64]:
+    """S/N asked of blocks of so many rows of the half-resolution image."""
+    return np.asarray(threshold_sigma - LONG_BLOCK_STEP * np.maximum(0.0, np.log2(rows / 32.0)))
+
+
+def above(candidates: NDArray[np.float64], threshold_sigma: float) -> NDArray[np.bool_]:
+    """Which candidates (see `coarse_segments`) a search with a higher threshold would have kept."""
+    rows = 0.5 * (candidates[:, 3] - candidates[:, 1]) + 1.0
+    return np.asarray(candidates[:, 5] > wanted_sigma(threshold_sigma, rows))
 
 
 def turns(group: NDArray[np.int64]) -> NDArray[np.int64]:

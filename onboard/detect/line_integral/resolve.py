@@ -176,6 +176,16 @@ def taken(blocked: NDArray[np.uint8], candidate: NDArray[np.float64]) -> bool:
 
 
 @nb.njit(cache=True)
+def free(blocked: NDArray[np.uint8], candidates: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Which candidates, as `resolve` takes them, do not lie on found trails."""
+    out = np.empty(candidates.shape[0], np.bool_)
+    turned = blocked.T
+    for c in range(candidates.shape[0]):
+        out[c] = not taken(blocked if candidates[c, 0] == 0.0 else turned, candidates[c, 1:5])
+    return out
+
+
+@nb.njit(cache=True)
 def resolve(
     image: NDArray[np.int8],
     smooth: NDArray[np.int8],

@@ -3,6 +3,7 @@
 A search of a frame's negative counts no rows of stars, for stars have no negative. Two things tell them from trails. The light of
 a trail lies all along it, and stars that it crosses only add to it. A row of stars, a pair of bright ones or the tail of one has
 gaps. And the frame's own list of stars says how many pairs of stars of that brightness lie as near to each other by chance.
+Where images of stars overlap all over a frame, rows without gaps come by chance too, and the list says how many.
 """
 
 import math
@@ -47,6 +48,13 @@ UNEVEN_TRAILS: Final = 0.05
 """Share of trails with gaps as rows of stars have: flashes of tumbling objects, fits that run on past the trail's end. Measured
 on injected trails, see `gaps_of`."""
 
+PITCH_FWHM: Final = 2.0
+"""Largest distance of the stars of a row without gaps, in full widths: halfway between them each has 6 % of its peak left."""
+BREADTH_WIDTHS: Final = 4.0
+"""Breadth of such a row in widths: two to both sides, where a Gaussian has 14 % of its peak left."""
+FAINTEST_SHARE: Final = 0.5
+"""Least light of its stars, as a share of the line's light in one full width."""
+
 REAL_PER_FRAME: Final = 0.5
 """Expected real streaks per frame: the default of `ground.vetter`."""
 FWHM_PER_SIGMA: Final = 2.0 * math.sqrt(2.0 * math.log(2.0))
@@ -78,22 +86,55 @@ class StarField:
     area_px2: float
     crops: tuple[Crop, ...]
 
+    def brighter(self, fit: StreakFit, share: float) -> int:
+        """Number of stars with this share, or more, of a line's light in one image of a star."""
+        return len(self.flux_e) - int(np.searchsorted(self.flux_e, share * fit.flux_e * min(_fwhm_px(fit) / fit.length_px, 1.0)))
+
     def pairs(self, fit: StreakFit) -> float:
         """Expected pairs of stars as near to each other as a line is long, each as bright as its light in one image of a star."""
-        width = math.sqrt(fit.width_px**2 + PIXEL_VARIANCE_PX2)
-        least = fit.flux_e * min(FWHM_PER_SIGMA * width / max(fit.length_px, 1.0), 1.0)
-        n = len(self.flux_e) - int(np.searchsorted(self.flux_e, least))
+        n = self.brighter(fit, 1.0)
         return 0.5 * n * max(n - 1, 0) * min(math.pi * fit.length_px**2 / self.area_px2, 1.0)
+
+    def even_rows(self, fit: StreakFit) -> float:
+        """Expected rows without gaps, as long and as bright as a line: each star has the next one within a pitch on its line.
+
+        The first two are a pair within the pitch in any direction; each further star lies in a strip as long as the pitch.
+        """
+        n = self.brighter(fit, FAINTEST_SHARE)
+        pitch, density = PITCH_FWHM * _fwhm_px(fit), n / self.area_px2
+        further = max(fit.length_px / pitch - 1.0, 0.0)
+        next_one = min(density * pitch * BREADTH_WIDTHS * _fwhm_px(fit) / FWHM_PER_SIGMA, 1.0)
+        return 0.5 * n * density * math.pi * pitch**2 * next_one**further
 
     def against(self, fit: StreakFit, gain_e_adu: float) -> float:
         """Odds of a row of stars against a trail, as far as gaps and the stars of the frame tell; 0 where they do not."""
-        if not fit.length_px <= LONGEST_PX or not fit.flux_e > 0.0:
+        if not 0.0 < fit.length_px <= LONGEST_PX or not fit.flux_e > 0.0:
             return 0.0
+        odds = self.even_rows(fit) / REAL_PER_FRAME
         pairs = self.pairs(fit)
-        if pairs == 0.0:
-            return 0.0
-        gaps = next((gaps_of(fit, crop, gain_e_adu) for crop in self.crops if _reaches(crop, fit)), math.nan)
-        return 0.0 if math.isnan(gaps) else pairs / REAL_PER_FRAME * row_over_trail(gaps)
+        if pairs > 0.0:
+            gaps = self.gaps(fit, gain_e_adu)
+            odds += 0.0 if math.isnan(gaps) else pairs / REAL_PER_FRAME * row_over_trail(gaps)
+        return odds
+
+    def gaps(self, fit: StreakFit, gain_e_adu: float) -> float:
+        """`gaps_of` in the crop in whose middle a line lies best; NaN where none tells."""
+        middle = np.array([0.5 * (fit.row0 + fit.row1), 0.5 * (fit.col0 + fit.col1)])
+
+        def apart(crop: Crop) -> float:
+            centre = np.array([crop.row, crop.col]) + 0.5 * (np.array(crop.adu.shape) - 1.0)
+            return float(np.hypot(*(centre - middle)))
+
+        for crop in sorted((crop for crop in self.crops if _reaches(crop, fit)), key=apart):
+            gaps = gaps_of(fit, crop, gain_e_adu)
+            if not math.isnan(gaps):
+                return gaps
+        return math.nan
+
+
+def _fwhm_px(fit: StreakFit) -> float:
+    """Full width at half maximum of a line's profile, pixel included."""
+    return FWHM_PER_SIGMA * math.sqrt(fit.width_px**2 + PIXEL_VARIANCE_PX2)
 
 
 def row_over_trail(gaps: float) -> float:

@@ -14,7 +14,6 @@ from typing import Final
 import erfa
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 from ground.orbit.dynamics import propagate
 from ground.orbit.smoothing import ArcModel, smooth_arc
@@ -67,6 +66,8 @@ class ObserverArc:
 
     def states(self, t_tai_ns: NDArray[np.int64]) -> Array:
         """States (m, 6), NaN outside the arc."""
+        from scipy.interpolate import CubicHermiteSpline  # takes a fifth of a second, which an observer at rest does not need
+
         origin = int(self.t_tai_ns[0])
         spline = CubicHermiteSpline((self.t_tai_ns - origin) * 1e-9, self.state[:, :3], self.state[:, 3:], extrapolate=False)
         t_s = (np.asarray(t_tai_ns) - origin) * 1e-9

@@ -6,7 +6,6 @@ from dataclasses import dataclass
 import erfa
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 from ground.orbit.dynamics import LIGHT_KM_S
 from sboc_e2e.icd import tai, validate
@@ -35,6 +34,8 @@ class PreciseOrbit:
 
     def states(self, t_tai_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """States (n, 6) by cubic Hermite interpolation (0.3 m at one-minute steps of a low orbit); NaN outside the table."""
+        from scipy.interpolate import CubicHermiteSpline  # takes a fifth of a second, which runs without known orbits do not need
+
         origin = int(self.t_tai_ns[0])
         spline = CubicHermiteSpline((self.t_tai_ns - origin) * 1e-9, self.position_km, self.velocity_km_s, extrapolate=False)
         t_s = (np.asarray(t_tai_ns) - origin) * 1e-9

@@ -14,7 +14,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import isotonic_regression
 from scipy.special import ndtr
 
 from ground.streaks.centre_line import effective_width_px
@@ -218,6 +217,8 @@ def _gains(density: Array, sigma: Array, model: Array) -> Array:
 
 def _falling(density: Array, sigma: Array) -> Array:
     """The best light (n,) that never rises outwards and is never negative."""
+    from scipy.optimize import isotonic_regression  # takes a quarter of a second, which frames without trails do not need
+
     weights = np.maximum(_weights(sigma), 1e-30)
     return np.maximum(isotonic_regression(density, weights=weights, increasing=False).x, 0.0)
 

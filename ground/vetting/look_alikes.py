@@ -17,6 +17,7 @@ from ground.guard import guarded, probabilities_of
 from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
 from ground.vetting.features import LEAST_BINS
 from ground.vetting.sides import SkyMap
+from ground.vetting.star_rows import StarField
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
@@ -112,6 +113,7 @@ class OwnEvidence:
     seen : first and last row, first and last column in which a pixel saw the sky; None: all of them.
     stars : motion of the stars during the exposure, where the lines of the frame share one; None: they do not.
     sky : a map of the sky, slopes and edges included; None: there is none.
+    field : the listed stars and the counts around short lines; None: rows of stars are not judged.
     """
 
     look_alikes: NDArray[np.float64]
@@ -119,6 +121,7 @@ class OwnEvidence:
     seen: tuple[int, int, int, int] | None = None
     stars: StarMotion | None = None
     sky: SkyMap | None = None
+    field: StarField | None = None
 
     def refuses(self, fit: StreakFit, frame: DownlinkFrame) -> bool:
         """Whether a fit may be a star, a slope or an edge of the sky, or lies where no pixel saw the sky."""
@@ -154,6 +157,9 @@ class LookAlikeVetter:
         if known is None or not fits:
             return probability
         against = look_alikes_near(fits, known.look_alikes) / REAL_DENSITY
+        if known.field is not None:
+            gain = frame.header.gain_e_adu or 1.0
+            against = against + np.array([known.field.against(fit, gain) for fit in fits])
         odds_against = (1.0 - probability) / np.maximum(probability, LEAST) + against
         refused = np.array([known.refuses(fit, frame) for fit in fits])
         return np.where((probability > 0.0) & ~refused, 1.0 / (1.0 + odds_against), 0.0)

@@ -17,7 +17,6 @@ from sboc_e2e.outside.frame_source import FrameSource, SourcedFrame
 from sboc_e2e.registry import Registry
 from sboc_e2e.scenario import from_document
 from sboc_e2e.scenario.toml_files import FOLDER, preset_path, read
-from simulator.chain import Simulator
 
 ASSUMED_PSF_SIGMA_PX: Final = 1.2
 """Where stars do not tell it: an FWHM of 2.8 px, between a sampled and an undersampled camera's. Chosen."""
@@ -43,6 +42,8 @@ def camera_of_preset(name: str, registry: Registry) -> NominalCamera:
         return camera_of_table(tables["camera"], str(path))
     document = tables | {"frames": 1, "population": {"classes": []}, "objects": {"passing": []}}
     scenario = from_document(document, name=path.stem, registry=registry, where=str(path))
+    from simulator.chain import Simulator  # takes half a second, which a camera that is guessed does not need
+
     return Simulator(scenario.simulator, seed=scenario.seed, catalogue=StarCatalogue.embedded()).camera()
 
 

@@ -4,9 +4,11 @@ Headers of other people hold text where numbers belong, matrices of zeros, poles
 a frame is processed in pixels, and a note says why.
 """
 
+import logging
 import math
 import warnings
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from typing import Any, Final
 
 import numpy as np
@@ -50,7 +52,7 @@ def usable_wcs(header: fits.Header, rows: int, cols: int) -> tuple[WCS | None, N
     """
     if not any(isinstance(header.get(key), str) and header[key].strip() for key in ("CTYPE1", "CTYPE2")):
         return None, None
-    with warnings.catch_warnings(), np.errstate(all="ignore"):
+    with warnings.catch_warnings(), np.errstate(all="ignore"), _unsaid():
         warnings.simplefilter("ignore")
         try:
             wrong = _wrong_value(header)
@@ -62,6 +64,18 @@ def usable_wcs(header: fits.Header, rows: int, cols: int) -> tuple[WCS | None, N
             text = str(error).strip().splitlines()
             wcs, wrong = None, f"it cannot be read ({text[-1][:80] if text else type(error).__name__})"
     return (None, Note(kind="WCS", text=f"WCS not used, positions in pixels only: {wrong}")) if wrong else (wcs, None)
+
+
+@contextmanager
+def _unsaid() -> Iterator[None]:
+    """Without astropy's own log: it writes fourteen lines about coefficients without a suffix to where our figures go."""
+    log = logging.getLogger("astropy")
+    level = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
 
 
 def _wrong_value(header: Mapping[str, Any]) -> str | None:

@@ -6,7 +6,7 @@ method of Elias and Gygi 2007, doi:10.1038/nmeth1019). What is bright alone, suc
 """
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from ground.vetting.look_alikes import STAR_APART_PX, STAR_APART_SHARE, OwnEvidence, is_aligned
 from ground.vetting.readout import is_of_readout
 from ground.vetting.sides import SkyMap
+from ground.vetting.star_rows import LONGEST_PX, MARGIN_PX, MOST_PIXELS, Crop, StarField
 from onboard.chain import OnboardChain
 from onboard.detect.line_integral.star_removal import TILE_PX
 from onboard.detect.line_integral.static_sky import IDENTITY, EarlierFrame, earlier_frame, segment_snr_before
@@ -197,11 +198,32 @@ def stars_as_lines(found: Sequence[Detection], shape: tuple[int, ...]) -> StarMo
     return motion if spread > SPREAD_LENGTHS * float(np.median(length)) else None
 
 
-def _sky_of(prepared: Prepared) -> SkyMap:
-    """The map of a prepared frame's sky."""
-    counts = prepared.counts
+def _sky_of(prepared: Prepared, found: Sequence[Detection]) -> tuple[SkyMap, StarField]:
+    """The map of a prepared frame's sky; its stars, with the counts around its short lines."""
+    counts, unknown = prepared.counts, prepared.view.mask != 0
     adu = counts.pixels.astype(np.float32) * np.float32(counts.adu_scale)
-    return SkyMap.of(adu, prepared.view.mask != 0)
+    flux = prepared.view.stars.flux_e
+    stars = StarField(
+        flux_e=np.sort(flux[np.isfinite(flux)]),
+        area_px2=float(np.count_nonzero(~unknown)),
+        crops=tuple(_crops(np.where(unknown, np.float32(np.nan), adu), found)),
+    )
+    return SkyMap.of(adu, unknown), stars
+
+
+def _crops(adu: NDArray[np.float32], found: Sequence[Detection]) -> Iterator[Crop]:
+    """Counts around the short lines of a frame, the brightest first, as far as `MOST_PIXELS` goes."""
+    left = MOST_PIXELS
+    for line in sorted(found, key=lambda each: -each.snr):
+        if line.length_px > LONGEST_PX:
+            continue
+        rows, cols = sorted((line.row0, line.row1)), sorted((line.col0, line.col1))
+        top, first = (max(math.floor(low) - MARGIN_PX, 0) for low in (rows[0], cols[0]))
+        crop = adu[top : math.ceil(rows[1]) + MARGIN_PX + 1, first : math.ceil(cols[1]) + MARGIN_PX + 1].copy()
+        left -= crop.size
+        if left < 0:
+            return
+        yield Crop(adu=crop, row=top, col=first)
 
 
 class CountingChain(OnboardChain):
@@ -220,12 +242,14 @@ class CountingChain(OnboardChain):
         after, result = super().judge(state, prepared)
         if prepared.usable:
             view = prepared.view
+            sky, field = _sky_of(prepared, result.detections) if result.detections else (None, None)
             self.evidence[view.header.frame] = OwnEvidence(
                 look_alikes=look_alikes(self._detector, view, result.detections),
                 alone=self.looks_back and not view.history,
                 seen=seen_of(view.mask),
                 stars=stars_as_lines(result.detections, view.mask.shape),
-                sky=_sky_of(prepared) if result.detections else None,
+                sky=sky,
+                field=field,
             )
         return after, result
 

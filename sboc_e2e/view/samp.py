@@ -7,15 +7,8 @@ from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from astropy.utils.exceptions import AstropyDeprecationWarning
-
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.view.run_frames import ShownFrame
-
-with warnings.catch_warnings():
-    # since 8.0 astropy names pyvo as the future home of the same code; the locked version has it here
-    warnings.simplefilter("ignore", AstropyDeprecationWarning)
-    from astropy.samp import SAMPHubError, SAMPIntegratedClient
 
 IMAGE, TABLE, DS9 = "image.load.fits", "table.load.votable", "ds9.set"
 
@@ -27,6 +20,14 @@ class Hub:
     client: Any = None
 
     def __enter__(self) -> Self:
+        # Only who sends waits a tenth of a second for these.
+        from astropy.utils.exceptions import AstropyDeprecationWarning
+
+        with warnings.catch_warnings():
+            # since 8.0 astropy names pyvo as the future home of the same code; the locked version has it here
+            warnings.simplefilter("ignore", AstropyDeprecationWarning)
+            from astropy.samp import SAMPHubError, SAMPIntegratedClient
+
         client = SAMPIntegratedClient(name="sboc", description="frames and streaks of a run")
         try:
             client.connect()

@@ -4,11 +4,13 @@ import math
 from dataclasses import dataclass
 from functools import cache
 from importlib import resources
-from typing import Final, NamedTuple
+from typing import TYPE_CHECKING, Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import RegularGridInterpolator
+
+if TYPE_CHECKING:
+    from scipy.interpolate import RegularGridInterpolator
 
 Array = NDArray[np.float64]
 
@@ -61,7 +63,7 @@ class TrappedSpectrum:
 
 
 class _Tables(NamedTuple):
-    place: RegularGridInterpolator
+    place: "RegularGridInterpolator"
     inverse_l: Array
     share: Array
     energy_mev: dict[str, Array]
@@ -71,6 +73,8 @@ class _Tables(NamedTuple):
 @cache
 def _tables() -> _Tables:
     """The tables, with longitude closed; places are looked up by latitude, longitude and logarithm of altitude."""
+    from scipy.interpolate import RegularGridInterpolator  # takes a fifth of a second, which runs without belts do not need
+
     with resources.files("simulator.radiation").joinpath("belts.npz").open("rb") as file, np.load(file) as content:
         table = {name: content[name].astype(np.float64) for name in content.files}
     values = np.stack([table["ln_l_2000"] / 2000.0, table["ln_b_1000"] / 1000.0], axis=-1)

@@ -10,7 +10,6 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.interpolate import CubicSpline
 
 ELECTRON_MEV: Final = 0.51099895  # rest energy, CODATA 2018
 PROTON_MEV: Final = 938.27209  # rest energy, CODATA 2018
@@ -166,6 +165,8 @@ class StoppingRange:
     _LOWEST_MEV = 1.0
 
     def __init__(self, material: Material) -> None:
+        from scipy.interpolate import CubicSpline  # takes a fifth of a second, which runs without particles do not need
+
         log_energy = np.linspace(math.log(self._LOWEST_MEV), math.log(2e5), 600)
         energy = np.exp(log_energy)
         per_log = CubicSpline(log_energy, energy / stopping_power_mev_cm2_g(energy, material)).antiderivative()

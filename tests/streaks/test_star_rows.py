@@ -1,0 +1,117 @@
+"""A trail has its light all along it; a pair of stars, a row of them and the tail of one have gaps."""
+
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ground.vetting.star_rows import LONGEST_PX, ROW_GAPS, Crop, StarField, gaps_of, row_over_trail
+
+SIDE, NOISE, SIGMA, PIXEL = 128, 10.0, 1.2, 12.0**-0.5
+ENDS = (40.0, 44.0, 70.0, 84.0)
+"""Row and column of both ends: 50 px."""
+LENGTH = 50.0
+
+
+def fit(snr_per_px: float, length_px: float = LENGTH) -> Any:
+    """A fit of the line, or of a longer one, with so much light in each pixel of its length."""
+    ends = dict(zip(("row0", "col0", "row1", "col1"), ENDS, strict=True))
+    flux = snr_per_px * NOISE * (2.0 * np.sqrt(np.pi) * SIGMA) ** 0.5 * length_px
+    return type("Fit", (), ends | {"length_px": length_px, "width_px": SIGMA, "flux_e": flux, "sagitta_px": 0.0})()
+
+
+def image_of(light: NDArray[np.float64], seed: int) -> Crop:
+    """Light in each pixel of the line's length (n,), with the same line in noise."""
+    row, col = np.mgrid[:SIDE, :SIDE].astype(float)
+    image = 1_000.0 + np.random.default_rng(seed).normal(0.0, NOISE, row.shape)
+    width2 = SIGMA**2 + PIXEL**2
+    for share, flux in zip((np.arange(light.size) + 0.5) / light.size, light, strict=True):
+        r, c = ENDS[0] + share * (ENDS[2] - ENDS[0]), ENDS[1] + share * (ENDS[3] - ENDS[1])
+        image += flux / (2.0 * np.pi * width2) * np.exp(-0.5 * ((row - r) ** 2 + (col - c) ** 2) / width2)
+    return Crop(adu=image.astype(np.float32), row=0, col=0)
+
+
+def along(snr_per_px: float) -> NDArray[np.float64]:
+    """The light of an even line, as `fit` claims it."""
+    return np.full(int(LENGTH), fit(snr_per_px).flux_e / LENGTH)
+
+
+@pytest.mark.parametrize("snr_per_px", [1.5, 5.0, 50.0])
+def test_a_trail_has_no_gaps(snr_per_px: float) -> None:
+    """S/N of 10 to 350, and a star of three times its light upon it."""
+    light = along(snr_per_px)
+    assert max(gaps_of(fit(snr_per_px), image_of(light, seed), 1.0) for seed in range(3)) < ROW_GAPS[0]
+    light[20] += 3.0 * light.sum()
+    assert max(gaps_of(fit(snr_per_px), image_of(light, seed), 1.0) for seed in range(3)) < ROW_GAPS[0]
+
+
+@pytest.mark.parametrize("places", [(0, 49), (0, 24, 49), (0, 12, 25, 37, 49)])
+def test_a_row_of_stars_has_gaps(places: tuple[int, ...]) -> None:
+    """Two to five stars with the light of a line of S/N 35."""
+    light = np.zeros(int(LENGTH))
+    light[list(places)] = fit(5.0).flux_e / len(places)
+    assert min(gaps_of(fit(5.0), image_of(light, seed), 1.0) for seed in range(3)) > 0.4
+
+
+def test_a_slope_of_the_sky_along_a_line_is_no_gap() -> None:
+    """Vignetting takes half of the sky from one end of a trail to the other."""
+    crop = image_of(along(5.0), 1)
+    sloped = Crop(adu=(crop.adu - 10.0 * np.mgrid[:SIDE, :SIDE][1]).astype(np.float32), row=0, col=0)
+    assert gaps_of(fit(5.0), sloped, 1.0) < 0.25
+
+
+def test_gaps_count_by_the_stars_that_the_frame_has() -> None:
+    """A tumbling object flashes too: with few stars its gaps say little, in a crowded field they say what it is."""
+    light = np.zeros(int(LENGTH))
+    light[[0, 49]] = 0.5 * fit(5.0).flux_e
+    crop = image_of(light, 1)
+
+    def odds(stars: int) -> float:
+        flux = np.full(stars, 0.5 * fit(5.0).flux_e, dtype=np.float32)
+        return StarField(flux_e=flux, area_px2=1e6, crops=(crop,)).against(fit(5.0), 1.0)
+
+    assert max(odds(0), odds(1)) < 1e-3
+    assert odds(2) < 1.0 < 100.0 < odds(200)
+    faint = StarField(flux_e=np.full(5_000, 1.0, dtype=np.float32), area_px2=1e6, crops=(crop,))
+    assert faint.against(fit(5.0), 1.0) == 0.0
+
+
+def test_long_lines_and_lines_that_no_crop_holds_are_not_judged() -> None:
+    """Chance makes no long rows, and what was not kept cannot be looked at."""
+    flux = np.full(5_000, 1e5, dtype=np.float32)
+    crop = image_of(np.zeros(int(LENGTH)), 1)
+    assert StarField(flux_e=flux, area_px2=1e6, crops=(crop,)).against(fit(5.0, LONGEST_PX + 1.0), 1.0) == 0.0
+    aside = Crop(adu=crop.adu[:60], row=0, col=0)
+    assert StarField(flux_e=flux, area_px2=1e6, crops=(aside,)).against(fit(5.0), 1.0) < 0.01
+
+
+def test_the_odds_turn_where_trails_have_no_such_gaps() -> None:
+    """Both densities hold all of their own cases."""
+    gaps = np.linspace(0.0, 3.0, 30_001)
+    ratio = np.array([row_over_trail(float(each)) for each in gaps])
+    assert ratio[gaps < 0.3].max() == 0.0
+    assert ratio[gaps > 0.6].min() > 10.0
+
+
+def test_stars_that_overlap_all_over_a_frame_make_rows_without_gaps() -> None:
+    """With 2.9 px of full width: a star in each 8 by 8 px, and one in each 16 by 16 px. Longer and brighter rows are rarer."""
+
+    def rows(pitch_px: float, line: Any) -> float:
+        flux = np.full(round(1e6 / pitch_px**2), 0.1 * fit(5.0).flux_e, dtype=np.float32)
+        return StarField(flux_e=flux, area_px2=1e6, crops=()).even_rows(line)
+
+    assert rows(8.0, fit(5.0)) > 10.0 > 0.001 > rows(16.0, fit(5.0))
+    assert rows(8.0, fit(5.0, 100.0)) < 0.01 * rows(8.0, fit(5.0))
+    assert rows(8.0, fit(50.0)) == 0.0
+
+
+def test_the_crop_around_a_line_is_taken_before_one_that_it_borders() -> None:
+    """A brighter line's crop may end at this line's side, and does not tell."""
+    light = np.zeros(int(LENGTH))
+    light[[0, 49]] = 0.5 * fit(5.0).flux_e
+    whole = image_of(light, 1)
+    border = Crop(adu=whole.adu[:71], row=0, col=0)
+    flux = np.full(200, fit(5.0).flux_e, dtype=np.float32)
+    field = StarField(flux_e=flux, area_px2=1e6, crops=(border, whole))
+    assert field.gaps(fit(5.0), 1.0) == gaps_of(fit(5.0), whole, 1.0)

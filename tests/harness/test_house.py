@@ -128,3 +128,11 @@ def test_no_function_takes_more_than_ten_arguments() -> None:
                 if len([name for name in names if name not in ("self", "cls")]) > 10:
                     too_many.append(f"{path.relative_to(ROOT)}: {node.name}")
     assert too_many == []
+
+
+def test_no_file_holds_the_marks_of_a_merge() -> None:
+    """They passed every reader of Markdown once."""
+    written = [p for suffix in ("md", "py", "toml") for p in ROOT.rglob(f"*.{suffix}") if not {".venv", "runs"} & set(p.parts)]
+    assert len(written) > 500
+    marks = ("<" * 7 + " ", ">" * 7 + " ")
+    assert [str(p) for p in written if any(line.startswith(marks) for line in p.read_text(encoding="utf-8").splitlines())] == []

@@ -25,7 +25,7 @@ FOREIGN_SIGMAS: Final = 3.5
 """A right frame in 2,000 shows more light or is farther off the line. What does is lit by a star and does not count."""
 ITERATIONS: Final = 8
 """Of Fisher scoring from a start within the PSF; frames are judged from the fourth on. A budget of work; chosen, not measured."""
-FIRST_JUDGED: Final = 3
+FIRST_JUDGED: Final = 3  # the iteration, counted from 0, from which on frames are judged: the line has settled by then
 ROBUST_STEPS: Final = 5
 """Of the mean brightness with Huber's weights, which have settled after them. Chosen, not measured."""
 HUBER: Final = 2.0

@@ -17,7 +17,7 @@ from ground.guard import guarded, probabilities_of
 from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
 from ground.vetting.features import LEAST_BINS
 from ground.vetting.sides import SkyMap
-from ground.vetting.star_rows import StarField
+from ground.vetting.star_rows import REAL_PER_FRAME, StarField
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
@@ -39,7 +39,7 @@ ALIGNED_SLOPE: Final = 0.035
 do. What follows the readout or a border tells nothing of lines that cross it: two satellites (S/N 181 and 48) were refused for a
 dark column of half the frame."""
 
-REAL_DENSITY: Final = 0.5 / (math.log(800.0 / 5.0) * math.log(400.0 / 1.7))
+REAL_DENSITY: Final = REAL_PER_FRAME / (math.log(800.0 / 5.0) * math.log(400.0 / 1.7))
 """Expected real streaks of a frame for each unit of ln S/N and ln length: half a streak, anything between S/N 5 and 800 and
 1.7 and 400 px alike."""
 

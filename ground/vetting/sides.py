@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
+from ground.streaks.centre_line import effective_width_px
 from sboc_e2e.icd.products import StreakFit
 
 LEAST_CELL_PX: Final = 4
@@ -131,7 +131,7 @@ class SkyMap:
     def _is_lower(self, fit: StreakFit, gain_e_adu: float, first: float, last: float) -> bool:
         """Whether a part of a line is lower than the share of a trail, for certain. False where the map does not tell."""
         height, error = self.height(fit, first, last)
-        wide = math.hypot(math.sqrt(fit.width_px**2 + PIXEL_VARIANCE_PX2), self.cell_px / math.sqrt(12.0))
+        wide = math.hypot(effective_width_px(fit.width_px), self.cell_px / math.sqrt(12.0))
         claimed = fit.flux_e / gain_e_adu / max(fit.length_px, 1.0) / (math.sqrt(2.0 * math.pi) * wide)
         return height + SIGMAS * error < LEAST_SHARE * claimed
 

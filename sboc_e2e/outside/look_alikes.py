@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ground.vetting.look_alikes import STAR_APART_PX, STAR_APART_SHARE, OwnEvidence, is_aligned
 from ground.vetting.readout import is_of_readout
 from ground.vetting.sides import SkyMap
-from ground.vetting.star_rows import LONGEST_PX, MARGIN_PX, MOST_PIXELS, Crop, StarField
+from ground.vetting.star_rows import FWHM_PER_SIGMA, LONGEST_PX, MARGIN_PX, MOST_PIXELS, Crop, StarField
 from onboard.chain import OnboardChain
 from onboard.detect.line_integral.star_removal import TILE_PX
 from onboard.detect.line_integral.static_sky import IDENTITY, EarlierFrame, earlier_frame, segment_snr_before
@@ -48,9 +48,6 @@ PROFILE_PX: Final = 32
 
 CORE_PX: Final = 2
 """Pixels within it of a line hold its light."""
-
-FWHM_PER_SIGMA: Final = 2.0 * math.sqrt(2.0 * math.log(2.0))
-"""Full width at half maximum of a Gaussian over its sigma: 2.3548."""
 
 FEWEST_STARS: Final = 8
 """Lines that share a motion from which on they are stars: a formation of objects has fewer. Chosen, not measured."""
@@ -206,12 +203,12 @@ def _sky_of(prepared: Prepared, found: Sequence[Detection]) -> tuple[SkyMap, Sta
     stars = StarField(
         flux_e=np.sort(flux[np.isfinite(flux)]),
         area_px2=float(np.count_nonzero(~unknown)),
-        crops=tuple(_crops(np.where(unknown, np.float32(np.nan), adu), found)),
+        crops=tuple(_crops(adu, unknown, found)),
     )
     return SkyMap.of(adu, unknown), stars
 
 
-def _crops(adu: NDArray[np.float32], found: Sequence[Detection]) -> Iterator[Crop]:
+def _crops(adu: NDArray[np.float32], unknown: NDArray[np.bool_], found: Sequence[Detection]) -> Iterator[Crop]:
     """Counts around the short lines of a frame, the brightest first, as far as `MOST_PIXELS` goes."""
     left = MOST_PIXELS
     for line in sorted(found, key=lambda each: -each.snr):
@@ -219,7 +216,8 @@ def _crops(adu: NDArray[np.float32], found: Sequence[Detection]) -> Iterator[Cro
             continue
         rows, cols = sorted((line.row0, line.row1)), sorted((line.col0, line.col1))
         top, first = (max(math.floor(low) - MARGIN_PX, 0) for low in (rows[0], cols[0]))
-        crop = adu[top : math.ceil(rows[1]) + MARGIN_PX + 1, first : math.ceil(cols[1]) + MARGIN_PX + 1].copy()
+        box = slice(top, math.ceil(rows[1]) + MARGIN_PX + 1), slice(first, math.ceil(cols[1]) + MARGIN_PX + 1)
+        crop = np.where(unknown[box], np.float32(np.nan), adu[box])
         left -= crop.size
         if left < 0:
             return

@@ -73,11 +73,16 @@ def found_share(
     curve : `PARAMETERS`. noise_ratio : noise over that of the response's own sky. cut : by the field's edge. shift : of s50, that
     of the trail's object; without one, that of the usual object.
     """
-    x = np.log10(np.clip(length_px, 1.0, LONGEST_PX) / LENGTH_PX)
+    x = _log_length(length_px)
     half = curve[HALF] + curve[SLOPE] * x + curve[BEND] * x * x + curve[WITH_NOISE] * np.log10(noise_ratio)
     half = half + curve[WHEN_CUT] * np.asarray(cut, dtype=np.float64) + shift
     short = expit((length_px - curve[SHORTEST]) / SHORT_WIDTH_PX)
     return np.asarray(expit(curve[LOGIT_TOP]) * expit((snr - half) / np.exp(curve[LN_WIDTH])) * short)
+
+
+def _log_length(length_px: Array) -> Array:
+    """The curve's x."""
+    return np.asarray(np.log10(np.clip(length_px, 1.0, LONGEST_PX) / LENGTH_PX))
 
 
 def mean_share(
@@ -88,8 +93,8 @@ def mean_share(
     cut: NDArray[np.bool_] | bool = False,
 ) -> Array:
     """The same as `found_share` in the mean of all objects."""
-    shifts = np.exp(curve[LN_SPREAD]) * _Z
-    each = [w * found_share(curve, snr, length_px, noise_ratio, cut, s) for w, s in zip(_WEIGHT, shifts, strict=True)]
+    of_nodes = np.exp(curve[LN_SPREAD]) * _Z
+    each = [w * found_share(curve, snr, length_px, noise_ratio, cut, s) for w, s in zip(_WEIGHT, of_nodes, strict=True)]
     return np.asarray(np.sum(each, axis=0))
 
 
@@ -110,13 +115,14 @@ def fitted(trails: Trails, *, sky: bool, start: Array | None = None) -> Array:
         sigma[WHEN_CUT] = UNTOLD
     _, owner = np.unique(trails.owner, return_inverse=True)
     about, n = np.array(START), int(owner.max()) + 1
-    x = np.log10(np.clip(trails.length_px, 1.0, LONGEST_PX) / LENGTH_PX)
+    x = _log_length(trails.length_px)
     of_half = {HALF: np.ones(len(x)), SLOPE: x, BEND: x * x, WITH_NOISE: np.log10(trails.noise_ratio), WHEN_CUT: trails.cut}
 
     def loss(curve: Array) -> tuple[float, Array]:
         """Minus the log likelihood, and its gradient."""
         width, spread = np.exp(curve[LN_WIDTH]), np.exp(curve[LN_SPREAD])
         top, short = expit(curve[LOGIT_TOP]), expit((trails.length_px - curve[SHORTEST]) / SHORT_WIDTH_PX)
+        half = np.sum([curve[k] * value for k, value in of_half.items()], axis=0)
         each, slopes = np.empty((NODES, n)), np.empty((NODES, len(curve), n))
         for j, z in enumerate(_Z):
             whole = found_share(curve, trails.snr, trails.length_px, trails.noise_ratio, trails.cut, spread * z)
@@ -126,8 +132,7 @@ def fitted(trails: Trails, *, sky: bool, start: Array | None = None) -> Array:
             rise = 1.0 - whole / np.maximum(top * short, 1e-300)
             by_half = -by_ln_p * rise / width
             slope = {k: by_half * value for k, value in of_half.items()}
-            half = sum(curve[k] * value for k, value in of_half.items()) + spread * z
-            slope[LN_WIDTH] = by_half * (trails.snr - half)
+            slope[LN_WIDTH] = by_half * (trails.snr - half - spread * z)
             slope[LOGIT_TOP] = by_ln_p * (1.0 - top)
             slope[SHORTEST] = -by_ln_p * (1.0 - short) / SHORT_WIDTH_PX
             slope[LN_SPREAD] = by_half * spread * z

@@ -13,7 +13,16 @@ from ground.sky.rotation import turn
 from ground.sky.shake_model import STEADY, EndShake
 from ground.sky.sphere import ARCSEC_RAD, unit_vectors
 from ground.straight_passage import ROBUST_ITERATIONS, StraightPassage, straight_passage
-from ground.streaks.joint import AccelerationPrior, JointRefit, Motion, TrackletFrame, displacements, flux_between, refit_tracklet
+from ground.streaks.joint import (
+    AccelerationPrior,
+    JointRefit,
+    Motion,
+    TrackletFrame,
+    displacements,
+    flux_between,
+    has_change_points,
+    refit_tracklet,
+)
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution, StreakFit, StreakMeasurement, StreakPixels, Tracklet
@@ -23,8 +32,8 @@ Array = NDArray[np.float64]
 UNUSABLE: Final = StreakFlag.NO_SKY | StreakFlag.POINT_LIKE | StreakFlag.FIT_FAILED | StreakFlag.FAST_ROWS
 FLUX_AGREEMENT_SIGMAS: Final = 3.5
 """Of both errors together: a right frame in 2,000 is beyond it."""
-SHIFT_CHI2: Final = 25.0
-"""Shift of the ends (heavy-tailed, so not 3 sigma) beyond which a frame does not belong to the joint motion."""
+OFF_MOTION_CHI2: Final = 25.0
+"""Misfit of a frame's ends beyond which it does not belong to the joint motion: a right frame in 300,000 if they are Gaussian."""
 
 OFF_MOTION_SIGMAS: Final = 3.5
 """A normal end in 2,000 is beyond it; the tails of change points reach farther, and such frames are left out, too."""
@@ -100,15 +109,15 @@ def refit_streaks(
     shared = {members[k].streak_id: errors for k, errors in common.items()}
     frames = [_straightened(frame, passage) for frame in seen]
     out = list(streaks)
-    for k, fit in joint.items():
-        member = members[k]
-        if fit is not member.fit:
+    for k, member in enumerate(members):
+        frame = seen[k]
+        if (fit := joint.get(k, member.fit)) is not member.fit:
             line_ns = header_of[member.frame].line_time_ns
             row_mid, col_mid = middle_of(fit)
             shift_px = np.array([fit.row0, row_mid, fit.row1]) - np.array([member.fit.row0, member.row_mid, member.fit.row1])
             changed = StreakFlag.REFIT | StreakFlag.ENDS_NOT_GAUSSIAN
             epochs = member.t_tai_ns + np.rint(line_ns * shift_px).astype(np.int64)
-            out[at[member.streak_id]] = replace(
+            member = replace(
                 member,
                 fit=replace(fit, flux_e=fit.flux_e + flash_e[member.streak_id], flash_e=flash_e[member.streak_id]),
                 row_mid=row_mid,
@@ -116,6 +125,10 @@ def refit_streaks(
                 t_tai_ns=_with_edge_epoch(epochs, frames[k], frames, joint, passage, zero_ns),
                 flags=member.flags & ~changed | fit.flags & changed,
             )
+            frame = _with_ends(frame, fit, member.t_tai_ns, zero_ns)
+        else:
+            member = streaks[at[member.streak_id]]
+        out[at[member.streak_id]] = redated(member, _with_middle_epoch(member.t_tai_ns, frame, passage))
     return tuple(out), shared
 
 
@@ -176,7 +189,36 @@ def _with_edge_epoch(
     cut_s = own_s[0] + float(passed_s(cut_along) - passed_s(own_along[0]))
     out = epochs_ns.copy()
     out[0 if edges[0] else 2] = zero_ns + round(passage.epoch(cut_s) * 1e9)
-    out[1] = (out[0] + out[2]) // 2
+    return out
+
+
+def _with_ends(frame: TrackletFrame, fit: StreakFit, t_tai_ns: NDArray[np.int64], zero_ns: int) -> TrackletFrame:
+    """The frame with other ends on the line of its trail."""
+    unit, _ = _along_of(frame.fit)
+    shift0, shift1 = (float((np.array(_end(fit, k)) - np.array(_end(frame.fit, k))) @ unit) for k in range(2))
+    return replace(
+        frame,
+        fit=fit,
+        along0=frame.along0 + frame.along_per_px * shift0,
+        along1=frame.along1 + frame.along_per_px * shift1,
+        t_open_s=float(t_tai_ns[0] - zero_ns) * 1e-9,
+        t_close_s=float(t_tai_ns[2] - zero_ns) * 1e-9,
+    )
+
+
+def _with_middle_epoch(t_tai_ns: NDArray[np.int64], frame: TrackletFrame, passage: StraightPassage) -> NDArray[np.int64]:
+    """Epochs (3,) of a trail whose middle is dated by the passage between its ends.
+
+    What passes close by changes its rate w by 2 kappa w within a second. In the middle of T seconds it is kappa w T^2 / 4 away
+    from the middle of its trail: 20 ms for one second at 0.08 per second.
+    """
+    span_s = frame.t_close_s - frame.t_open_s
+    way = frame.along_per_px * frame.fit.length_px  # as seen at once: without what the camera turned meanwhile
+    if not (span_s > 0.0 and way > 0.0):
+        return t_tai_ns
+    ahead = passage.ahead((frame.t_open_s, frame.t_close_s), (frame.along0, frame.along1))
+    out = t_tai_ns.copy()
+    out[1] = (out[0] + out[2]) // 2 - round(ahead / way * span_s * 1e9)
     return out
 
 
@@ -247,10 +289,13 @@ def _refit_window(
 ) -> tuple[dict[int, StreakFit], dict[int, Array]]:
     """Changed fits of the frames of one window, by their numbers; (2, 3) shared errors of those that the motion was fitted to."""
     members = [frames[k] for k in window]
-    used, (fits, common, motion) = _refit_of_agreeing(members, prior)
+    used, (fits, common, misfits, motion) = _refit_of_agreeing(members, prior)
     fitted = dict(zip(used, fits, strict=True))
     shared = dict(zip(used, common, strict=True))
-    joint = {k: fit for k, fit in fitted.items() if fit.flags & StreakFlag.REFIT and _agrees(members[k].fit, fit)}
+    off = {k for k, misfit in zip(used, misfits, strict=True) if misfit > OFF_MOTION_CHI2}
+    joint = {
+        k: fit for k, fit in fitted.items() if fit.flags & StreakFlag.REFIT and k not in off and _same_light(members[k].fit, fit)
+    }
     shared = {k: shared[k] for k in joint}
     if len(joint) >= 2 and motion is not None:
         for k, member in enumerate(members):
@@ -271,12 +316,11 @@ def _refit_of_agreeing(frames: Sequence[TrackletFrame], prior: AccelerationPrior
     used = [int(k) for k in np.flatnonzero(usual)]
     while True:
         if len(used) < 2:
-            return [], JointRefit((), np.zeros((0, 2, 3)), None)
+            return [], JointRefit((), np.zeros((0, 2, 3)), np.zeros(0), None)
         joint = refit_tracklet([frames[k] for k in used], prior=prior)
-        shift_chi2 = np.array([_shift_chi2(frames[k].fit, fit) for k, fit in zip(used, joint.fits, strict=True)])
-        if shift_chi2.max() <= SHIFT_CHI2 or len(used) < 4:
+        if joint.misfit.max() <= OFF_MOTION_CHI2 or len(used) < 4:
             return used, joint
-        used.pop(int(np.argmax(shift_chi2)))
+        used.pop(int(np.argmax(joint.misfit)))
 
 
 def carried(frame: TrackletFrame, motion: Motion) -> StreakFit:
@@ -368,7 +412,10 @@ def _usual(fits: Sequence[StreakFit]) -> NDArray[np.bool_]:
 
 
 def _on_one_motion(frames: Sequence[TrackletFrame], prior: AccelerationPrior) -> NDArray[np.bool_]:
-    """Whether the ends of each single fit lie on the parabola that most ends lie on (Cauchy weights, iterated)."""
+    """Whether the ends of each single fit lie on the parabola that most ends lie on (Cauchy weights, iterated).
+
+    Ends that are change points err by many of their sigmas. Their frames stay: the joint refit knows their likelihood.
+    """
     ends = [(k, *end) for k, frame in enumerate(frames) for end in _shutter_ends(frame)]
     good = np.ones(len(frames), dtype=bool)
     if len(ends) < 6:
@@ -384,24 +431,14 @@ def _on_one_motion(frames: Sequence[TrackletFrame], prior: AccelerationPrior) ->
         z = (y - design @ motion) / error
         weight = 1.0 / (1.0 + (z / 2.0) ** 2)
     np.logical_and.at(good, owner, np.abs(z) < OFF_MOTION_SIGMAS)
-    return good
+    return good | [has_change_points(frame) for frame in frames]
 
 
-def _shift_chi2(single: StreakFit, joint: StreakFit) -> float:
-    """Squared shift of both ends in units of the single fit's errors along the trail."""
-    along, _ = _along_of(single)
-    shift0 = np.array([joint.row0 - single.row0, joint.col0 - single.col0]) @ along
-    shift1 = np.array([joint.row1 - single.row1, joint.col1 - single.col1]) @ along
-    covariance = np.asarray(single.covariance_px2)
-    variance0, variance1 = float(along @ covariance[:2, :2] @ along), float(along @ covariance[2:, 2:] @ along)
-    return float(shift0**2 / max(variance0, 0.01) + shift1**2 / max(variance1, 0.01))
-
-
-def _agrees(single: StreakFit, joint: StreakFit) -> bool:
+def _same_light(single: StreakFit, joint: StreakFit) -> bool:
     """Whether the joint fit has the flux of the single fit. A different flux means another source, such as a star on the
     track."""
     error = float(np.hypot(single.flux_err_e, joint.flux_err_e))
-    return abs(joint.flux_e - single.flux_e) <= FLUX_AGREEMENT_SIGMAS * error and _shift_chi2(single, joint) <= SHIFT_CHI2
+    return abs(joint.flux_e - single.flux_e) <= FLUX_AGREEMENT_SIGMAS * error
 
 
 def _path_of(members: Sequence[StreakMeasurement]) -> Array:

@@ -53,6 +53,13 @@ class StraightPassage(NamedTuple):
         """Inverse of `time`, s."""
         return self.middle_s + time_s / (1.0 - self.kappa_per_s * time_s)
 
+    def ahead(self, epochs_s: tuple[float, float], along_arcsec: tuple[float, float]) -> float:
+        """How far (arcsec) beyond the middle of two places the motion between them is at the middle of their epochs."""
+        (place0, place1), (time0, time1) = map(self.place, along_arcsec), map(self.time, epochs_s)
+        share = (self.time(0.5 * sum(epochs_s)) - time0) / (time1 - time0)
+        middle = 0.5 * sum(along_arcsec)
+        return (place0 + share * (place1 - place0) - self.place(middle)) / self.stretch(middle)
+
 
 def straight_passage(t_s: Array, along_arcsec: Array, sigma_arcsec: Array) -> StraightPassage:
     """Passage that most ends (n,) lie on: least squares with Cauchy weights and the prior of linking; kappa 0 for few ends.

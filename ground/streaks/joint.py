@@ -140,11 +140,14 @@ class JointRefit(NamedTuple):
 
     shared : (n, 2, 3) in the unit of `along`: ends i and j have the covariance ``shared[i] @ shared[j]``, pointing apart. It is
     that of the motion: every end is a linear function of the motion. Zero for frames that came back as they were.
+    misfit : (n,) twice the log likelihood that the motion's ends lose against the frame's own best ones: chi-square where ends
+    are Gaussian, less where the light of a faint trail tells little of them. Zero for frames that came back as they were.
     motion : None where nothing was fitted.
     """
 
     fits: tuple[StreakFit, ...]
     shared: NDArray[np.float64]
+    misfit: NDArray[np.float64]
     motion: Motion | None
 
 
@@ -153,16 +156,17 @@ def refit_tracklet(frames: Sequence[TrackletFrame], *, prior: AccelerationPrior 
 
     prior : of the change of rate; None for a constant rate.
     """
-    shared = np.zeros((len(frames), 2, 3))
+    shared, misfit = np.zeros((len(frames), 2, 3)), np.zeros(len(frames))
+    unchanged = JointRefit(tuple(frame.fit for frame in frames), shared, misfit, None)
     evidence = [_evidence(frame, turn) for frame, turn in zip(frames, common_turns([f.fit for f in frames]), strict=True)]
     ends = sum(2 - _edge_count(e.frame.fit) for e in evidence if e is not None)
     if ends < 3:
-        return JointRefit(tuple(frame.fit for frame in frames), shared, None)
+        return unchanged
     used = [e for e in evidence if e is not None]
     zero = float(np.mean([0.5 * (e.frame.t_open_s + e.frame.t_close_s) for e in used]))
     start = _linear_start(used, zero, prior)
     if start is None:
-        return JointRefit(tuple(frame.fit for frame in frames), shared, None)
+        return unchanged
     motion, weight = _sample(used, zero, prior, *start)
     mean = np.asarray(weight @ motion, dtype=np.float64)
     scatter = motion - mean
@@ -171,8 +175,10 @@ def refit_tracklet(frames: Sequence[TrackletFrame], *, prior: AccelerationPrior 
     for k, e in enumerate(evidence):
         if e is not None:
             shared[k] = common.errors(e.frame)
+            x0, x1 = displacements(e.frame, e.rows_per_px, mean[None, :], zero)
+            misfit[k] = 2.0 * (_best(e) - float(_of_ends(e, x0, x1)[0]))
     fits = (frame.fit if e is None else _refitted(e, motion, weight, zero) for frame, e in zip(frames, evidence, strict=True))
-    return JointRefit(tuple(fits), shared, common)
+    return JointRefit(tuple(fits), shared, misfit, common)
 
 
 def _edge_count(fit: StreakFit) -> int:
@@ -199,12 +205,16 @@ def _evidence(frame: TrackletFrame, turn_rad: float) -> _Evidence | None:
     precision = np.zeros((2, 2))
     index = np.flatnonzero(free)
     precision[np.ix_(index, index)] = np.linalg.inv(covariance[np.ix_(index, index)])
-    width = effective_width_px(frame.pixels.psf_sigma_px)
-    change_points = fit.snr**2 < 3.0 * CHANGE_POINT_SNR2 * length / width
     turned = trail.turned(0.0, 0.0, turn_rad)
-    tables = _tables(frame, turned) if change_points and length > OVERLAP_WIDTHS * width else None
+    tables = _tables(frame, turned) if has_change_points(frame) else None
     spoilt = -math.inf if tables is None else math.log(SPOILT) + _mean(tables)
     return _Evidence(frame=frame, tables=tables, precision=precision, rows_per_px=trail.sin, spoilt=spoilt)
+
+
+def has_change_points(frame: TrackletFrame) -> bool:
+    """Whether the ends of a trail are change points, so that a sigma says little of how far off they may be."""
+    width, length = effective_width_px(frame.pixels.psf_sigma_px), frame.fit.length_px
+    return frame.fit.snr**2 < 3.0 * CHANGE_POINT_SNR2 * length / width and length > OVERLAP_WIDTHS * width
 
 
 def _mean(tables: EndTables) -> float:
@@ -358,6 +368,11 @@ def _of_ends(e: _Evidence, x0: NDArray[np.float64], x1: NDArray[np.float64]) -> 
     log = _per_density(e.tables, x0 - half, x1 + half)
     top = log.max(axis=0)
     return np.asarray(top + np.log(np.exp(log - top).sum(axis=0)))
+
+
+def _best(e: _Evidence) -> float:
+    """Largest log likelihood of any ends and any density."""
+    return 0.0 if e.tables is None else float((e.tables.log0.max(axis=1) + e.tables.log1.max(axis=1)).max())
 
 
 def _per_density(tables: EndTables, end0: NDArray[np.float64], end1: NDArray[np.float64]) -> NDArray[np.float64]:

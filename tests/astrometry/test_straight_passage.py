@@ -42,6 +42,21 @@ def test_the_motion_is_uniform_in_the_time_of_the_passage(radial_km_s: float) ->
     assert passage.stretch(900.0) == pytest.approx(passage.place(900.5) - passage.place(899.5), rel=1e-6)
 
 
+@pytest.mark.parametrize("radial_km_s", [-10.0, 0.0, 10.0])
+def test_the_middle_of_a_trail_is_not_passed_in_the_middle_of_the_exposure(radial_km_s: float) -> None:
+    """300 km, 10 km/s across, one second: the closed form is 6 to 60 arcsec from the middle of the ends; told to 0.05."""
+    t_s = np.linspace(0.0, 6.0, 48)
+    along = angle_arcsec(t_s - 2.0, range_km=300.0, transverse_km_s=10.0, radial_km_s=radial_km_s)
+    passage = straight_passage(t_s, along, np.full(48, 0.01))
+    away = []
+    for start_s in (0.0, 2.5, 5.0):
+        epochs = np.array([start_s, start_s + 0.5, start_s + 1.0])
+        first, middle, last = angle_arcsec(epochs - 2.0, range_km=300.0, transverse_km_s=10.0, radial_km_s=radial_km_s)
+        away.append(middle - 0.5 * (first + last))
+        assert passage.ahead((start_s, start_s + 1.0), (first, last)) == pytest.approx(away[-1], abs=0.05)
+    assert np.abs(away).max() > 5.0
+
+
 def test_few_ends_give_no_change_of_range() -> None:
     passage = straight_passage(np.array([0.0, 0.2]), np.array([0.0, 900.0]), np.ones(2))
     assert passage.kappa_per_s == 0.0

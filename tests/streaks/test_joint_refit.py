@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ground.refit import OFF_MOTION_CHI2
 from ground.streaks import TrackletFrame, TrailedPsfFitter, refit_tracklet
 from ground.streaks.common_direction import common_turns
 from ground.streaks.fit_record import reversed_ends
@@ -208,3 +209,29 @@ def test_the_same_frames_give_the_same_bytes() -> None:
     a, b = refit_tracklet(frames).fits, refit_tracklet(frames).fits
     for one, two in zip(a, b, strict=True):
         assert (one.row0, one.col1, one.flux_e) == (two.row0, two.col1, two.flux_e)
+
+
+def test_frames_of_one_faint_object_fit_one_motion_though_their_ends_lie_many_sigmas_off() -> None:
+    """L = 60, S = 5: change points have tails. In sigmas some frames seem to belong elsewhere; by their likelihood none does."""
+    misfit, by_sigmas = list[float](), list[float]()
+    for seed in range(12):
+        frames, _ = tracklet(np.random.default_rng([31, seed, 60]), 60.0, 5.0, 6, 0.0)
+        joint = refit_tracklet(frames)
+        misfit += list(joint.misfit)
+        for frame, fit in zip(frames, joint.fits, strict=True):
+            along = np.array([frame.fit.row1 - frame.fit.row0, frame.fit.col1 - frame.fit.col0]) / frame.fit.length_px
+            shift = np.array(
+                [[fit.row0 - frame.fit.row0, fit.col0 - frame.fit.col0], [fit.row1 - frame.fit.row1, fit.col1 - frame.fit.col1]]
+            )
+            variance = [along @ frame.fit.covariance_px2[i : i + 2, i : i + 2] @ along for i in (0, 2)]
+            by_sigmas.append(float(np.sum((shift @ along) ** 2 / variance)))
+    assert max(misfit) < OFF_MOTION_CHI2 < max(by_sigmas)
+
+
+def test_a_frame_of_another_object_does_not_fit_the_motion() -> None:
+    """Six bright frames, one of them 10 px ahead of the others."""
+    frames, _ = tracklet(np.random.default_rng(32), 20.0, 100.0, 6, 0.0)
+    frames[3] = replace(frames[3], along0=frames[3].along0 + 10.0, along1=frames[3].along1 + 10.0)
+    misfit = refit_tracklet(frames).misfit
+    assert int(np.argmax(misfit)) == 3
+    assert misfit[3] > OFF_MOTION_CHI2

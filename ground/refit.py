@@ -13,6 +13,7 @@ from ground.sky.rotation import turn
 from ground.sky.shake_model import STEADY, EndShake
 from ground.sky.sphere import ARCSEC_RAD, unit_vectors
 from ground.straight_passage import ROBUST_ITERATIONS, StraightPassage, straight_passage
+from ground.streaks.forced import has_given_ends
 from ground.streaks.joint import AccelerationPrior, JointRefit, Motion, TrackletFrame, displacements, flux_between, refit_tracklet
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
@@ -388,7 +389,12 @@ def _on_one_motion(frames: Sequence[TrackletFrame], prior: AccelerationPrior) ->
 
 
 def _shift_chi2(single: StreakFit, joint: StreakFit) -> float:
-    """Squared shift of both ends in units of the single fit's errors along the trail."""
+    """Squared shift of both ends in units of the single fit's errors along the trail.
+
+    Zero for ends that an on-board track gave: all of them shift together when the track was off, which makes none of them wrong.
+    """
+    if has_given_ends(single):
+        return 0.0
     along, _ = _along_of(single)
     shift0 = np.array([joint.row0 - single.row0, joint.col0 - single.col0]) @ along
     shift1 = np.array([joint.row1 - single.row1, joint.col1 - single.col1]) @ along

@@ -70,6 +70,14 @@ def forced_fit(pixels: StreakPixels, detection: Detection, track_snr: float) -> 
     return _record(pixels, detection, line, edges, along, across, crosses)
 
 
+def has_given_ends(fit: StreakFit) -> bool:
+    """Whether the ends along the trail are an on-board track's, so that all of its members are off together.
+
+    A forced fit knows nothing of its width. Brightness and place across are the frame's own.
+    """
+    return fit.width_err_px >= fit.width_px and StreakFlag.REFIT not in fit.flags
+
+
 def track_error_px(width_px: float, length_px: float, track_snr: float) -> float:
     """Error of a place that a track of points foretells for the last frame of its window, rms of both axes.
 

@@ -17,7 +17,7 @@ from onboard.downlink.kept_counts import kept_counts
 from onboard.downlink.packets import PacketWriter
 from onboard.downlink.send import Content, send, send_tracks
 from onboard.guard import guarded
-from onboard.image.calibrate import Counts, IntegerCalibration, to_counts
+from onboard.image.calibrate import IntegerCalibration, to_counts
 from onboard.image.dead_area import mark_dead_area
 from onboard.image.frame_flags import checksum, content_flags, continues, header_flags, sequence_flags
 from onboard.image.hot_pixels import HotPixels
@@ -25,17 +25,17 @@ from onboard.image.view import calibrated_view, with_stars
 from onboard.options import OnboardOptions
 from onboard.parameter_set import parameter_set_id
 from onboard.stars.memory import brought_forward, usable_stars, with_frame
-from onboard.state import OnboardResult, OnboardState, OnboardSteps, Prepared, Tracking
+from onboard.state import OnboardResult, OnboardState, OnboardSteps, Prepared, RunEnd, Tracking
 from onboard.work import meter
 from sboc_e2e.icd.errors import ContractError, UserError
 from sboc_e2e.icd.flags import FrameFlag
 from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.results import check_detections, check_tracks
 from sboc_e2e.icd.signals import Detection, DetectorView, Searched, Track, TrackerView
-from sboc_e2e.icd.steps import Encoder, GainAwareEncoder, SeedingDetector, SelectiveMemory
+from sboc_e2e.icd.steps import Encoder, FinishingTracker, GainAwareEncoder, SeedingDetector, SelectiveMemory
 from sboc_e2e.icd.work import WorkMeter
 
-__all__ = ["OnboardChain", "OnboardResult", "OnboardState", "OnboardSteps", "Tracking"]
+__all__ = ["OnboardChain", "OnboardResult", "OnboardState", "OnboardSteps", "RunEnd", "Tracking"]
 
 RECENT_FRAMES = 2  # that `detect.static` compares with: what one missed, the other may show. Chosen, not measured
 
@@ -157,7 +157,7 @@ class OnboardChain:
             n_masked=prepared.n_masked,
             previous=state.previous,
             frames_done=state.frames_done,
-            codec=self._codec_of(counts),
+            codec=self._codec_of(counts.adu_scale),
             parameter_set=self._parameter_set,
         )
         housekeeping, rois = send(content, outbox, self._options)
@@ -194,6 +194,22 @@ class OnboardChain:
             work=work,
         )
         return after, result
+
+    def finish(self, state: OnboardState) -> RunEnd:
+        """What the tracker finds when no frame follows, once, after the last one.
+
+        Its packets are the last frame's, for which the downlink has the time of one more exposure.
+        """
+        step, tracking, last = self._steps.tracker, state.tracking, state.previous
+        if tracking is None or last is None or not tracking.pixels.kept or not isinstance(step, FinishingTracker):
+            return RunEnd()
+        tracks = guarded("tracker", step, step.finish, tracking.step)
+        kept = tracking.pixels.kept
+        guarded("tracker", step, check_tracks, tracks, {frame.header.frame: frame.shape for frame in kept})
+        outbox = Outbox(writer=state.writer, allowance=state.allowance.after(elapsed_s(last, None)), header=last)
+        codec = self._codec_of(kept[-1].adu_scale)
+        send_tracks(tracks, tracking.pixels, outbox, codec, self._options.roi, self._camera.psf_sigma_px)
+        return RunEnd(packets=outbox.joined(), tracks=tuple(tracks))
 
     def _first_tracking(self) -> Tracking:
         """What the tracker starts with."""
@@ -241,10 +257,10 @@ class OnboardChain:
         guarded("detector", detector, check_detections, found, view.mask.shape)
         return tuple(found), searched
 
-    def _codec_of(self, counts: Counts) -> Encoder:
-        """The codec as a frame's counts need it."""
+    def _codec_of(self, adu_scale: float) -> Encoder:
+        """The codec as a frame needs it of which one count is `adu_scale` ADU."""
         codec = self._steps.codec
-        if counts.adu_scale == 1.0 or not isinstance(codec, GainAwareEncoder):
+        if adu_scale == 1.0 or not isinstance(codec, GainAwareEncoder):
             return codec
-        scaled: Encoder = guarded("codec", self._steps.codec, codec.for_counts, counts.adu_scale)
+        scaled: Encoder = guarded("codec", self._steps.codec, codec.for_counts, adu_scale)
         return scaled

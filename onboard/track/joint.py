@@ -77,12 +77,16 @@ class KeptSearch:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointState:
-    """The window, oldest first; how many of its frames, from the oldest, have had their seeds followed; the tracks seen in it."""
+    """The window, oldest first; how many of its frames, from the oldest, have had their seeds followed; the tracks seen in it.
+
+    psf_sigma_px : nominal width of the PSF; 0 before the first frame.
+    """
 
     window: tuple[KeptSearch, ...] = ()
     followed: int = 0
     tracks: tuple[Track, ...] = ()
     next_number: int = 0
+    psf_sigma_px: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -113,7 +117,7 @@ class JointTracker:
             return replace(JointState(), next_number=state.next_number), ()
         found: list[Track] = []
         if view.transform is None:
-            state, rest = self._followed(state, len(state.window), view.view.psf_sigma_px)
+            state, rest = self._followed(state, len(state.window))
             found += rest
             state = JointState(next_number=state.next_number)
         new = KeptSearch(
@@ -122,9 +126,13 @@ class JointTracker:
             seeds=view.searched.seeds,
             transform=IDENTITY if view.transform is None else view.transform,
         )
-        state = replace(state, window=(*state.window, new))
-        state, now = self._followed(state, len(state.window) - (self.window - 1) // 2, view.view.psf_sigma_px)
+        state = replace(state, window=(*state.window, new), psf_sigma_px=view.view.psf_sigma_px)
+        state, now = self._followed(state, len(state.window) - (self.window - 1) // 2)
         return self._without_oldest(state) if len(state.window) == self.window else state, tuple(found + now)
+
+    def finish(self, state: JointState) -> tuple[Track, ...]:
+        """Tracks about all frames that wait for later ones."""
+        return tuple(self._followed(state, len(state.window))[1])
 
     def _without_oldest(self, state: JointState) -> JointState:
         """The state with one frame less, and without the tracks that lie in none of the others."""
@@ -132,9 +140,9 @@ class JointTracker:
         tracks = tuple(t for t in state.tracks if t.members[-1].frame >= window[0].header.frame)
         return replace(state, window=window, followed=max(0, state.followed - 1), tracks=tracks)
 
-    def _followed(self, state: JointState, stop: int, psf_sigma_px: float) -> tuple[JointState, list[Track]]:
+    def _followed(self, state: JointState, stop: int) -> tuple[JointState, list[Track]]:
         """Follow the seeds of the window's frames up to the one at `stop`; the state after it and the tracks found."""
-        found: list[Track] = []
+        found, psf_sigma_px = list[Track](), state.psf_sigma_px
         for centre in range(state.followed, stop):
             known, number = {t.number: t for t in state.tracks}, state.next_number
             window = tuple(  # the look at the frames around needs halves

@@ -146,6 +146,10 @@ class JointAndStackTracker(JointTracker):
         after = JointAndStackState(joint=joint, stack=stack, seen=seen, slow=slow, box=box)
         return after, (*tracks, *(track for track, _ in found))
 
+    def finish(self, state: JointAndStackState) -> tuple[Track, ...]:  # type: ignore[override]
+        """Trails that wait for later frames; slow objects are looked for in full windows alone."""
+        return super().finish(state.joint)
+
     def _given(self) -> Box:
         """The box that the options give."""
         if self.box == "blind":

@@ -209,6 +209,7 @@ def run_cube(
             left.append(searched)
         if stars is not None:
             history, before = (detector.remembered(view),), view.stars
+    found += tracker.finish(state)
     return found, search_s / n_frames, track_s / n_frames
 
 

@@ -24,6 +24,7 @@ from onboard.image.hot_pixels import HotPixels
 from onboard.image.view import calibrated_view, with_stars
 from onboard.options import OnboardOptions
 from onboard.parameter_set import parameter_set_id
+from onboard.run_end import codec_of, run_end
 from onboard.stars.memory import brought_forward, usable_stars, with_frame
 from onboard.state import OnboardResult, OnboardState, OnboardSteps, Prepared, RunEnd, Tracking
 from onboard.work import meter
@@ -32,7 +33,7 @@ from sboc_e2e.icd.flags import FrameFlag
 from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.results import check_detections, check_tracks
 from sboc_e2e.icd.signals import Detection, DetectorView, Searched, Track, TrackerView
-from sboc_e2e.icd.steps import Encoder, FinishingTracker, GainAwareEncoder, SeedingDetector, SelectiveMemory
+from sboc_e2e.icd.steps import SeedingDetector, SelectiveMemory
 from sboc_e2e.icd.work import WorkMeter
 
 __all__ = ["OnboardChain", "OnboardResult", "OnboardState", "OnboardSteps", "RunEnd", "Tracking"]
@@ -140,6 +141,7 @@ class OnboardChain:
             focal_px = self._camera.focal_px
             seen = TrackerView(view=view, detections=detections, searched=searched, transform=transform, focal_px=focal_px)
             tracking, tracks = self._tracked(tracking, seen)
+            del seen, searched  # their memory is wanted
         elif tracking is not None and tracking.last is not None:
             # Nothing is linked across a frame that came twice or shows nothing.
             flags |= FrameFlag.TRACKS_ENDED
@@ -157,7 +159,7 @@ class OnboardChain:
             n_masked=prepared.n_masked,
             previous=state.previous,
             frames_done=state.frames_done,
-            codec=self._codec_of(counts.adu_scale),
+            codec=codec_of(self._steps.codec, counts.adu_scale),
             parameter_set=self._parameter_set,
         )
         housekeeping, rois = send(content, outbox, self._options)
@@ -196,20 +198,8 @@ class OnboardChain:
         return after, result
 
     def finish(self, state: OnboardState) -> RunEnd:
-        """What the tracker finds when no frame follows, once, after the last one.
-
-        Its packets are the last frame's, for which the downlink has the time of one more exposure.
-        """
-        step, tracking, last = self._steps.tracker, state.tracking, state.previous
-        if tracking is None or last is None or not tracking.pixels.kept or not isinstance(step, FinishingTracker):
-            return RunEnd()
-        tracks = guarded("tracker", step, step.finish, tracking.step)
-        kept = tracking.pixels.kept
-        guarded("tracker", step, check_tracks, tracks, {frame.header.frame: frame.shape for frame in kept})
-        outbox = Outbox(writer=state.writer, allowance=state.allowance.after(elapsed_s(last, None)), header=last)
-        codec = self._codec_of(kept[-1].adu_scale)
-        send_tracks(tracks, tracking.pixels, outbox, codec, self._options.roi, self._camera.psf_sigma_px)
-        return RunEnd(packets=outbox.joined(), tracks=tuple(tracks))
+        """What is found when no frame follows, once, after the last one."""
+        return run_end(state, self._steps, self._options.roi, self._camera.psf_sigma_px)
 
     def _first_tracking(self) -> Tracking:
         """What the tracker starts with."""
@@ -256,11 +246,3 @@ class OnboardChain:
             found = guarded("detector", detector, detector.detect, view)
         guarded("detector", detector, check_detections, found, view.mask.shape)
         return tuple(found), searched
-
-    def _codec_of(self, adu_scale: float) -> Encoder:
-        """The codec as a frame needs it of which one count is `adu_scale` ADU."""
-        codec = self._steps.codec
-        if adu_scale == 1.0 or not isinstance(codec, GainAwareEncoder):
-            return codec
-        scaled: Encoder = guarded("codec", self._steps.codec, codec.for_counts, adu_scale)
-        return scaled

@@ -5,6 +5,7 @@ from collections.abc import Iterator, Sequence
 from contextlib import nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ from onboard.image.dark_map import DarkMap
 from onboard.options import OnboardOptions
 from onboard.stars.matched import MatchedStars
 from onboard.track.false_alarms import half_point_sigma, independent_tracks, threshold_sigma
-from onboard.track.joint import JointTracker
+from onboard.track.joint import JointTracker, KeptSearch
 from onboard.track.none import NoTracker
 from onboard.track.particles import HIT_CODE, without_hits
 from sboc_e2e.exams.detector import NOISE_E, SHAPE, chain_with, frame_of, star_light
@@ -76,6 +77,27 @@ def test_tracks_that_no_frame_shows_are_found_in_both_senses_and_noise_gives_non
         assert all(any(hit(track, t) >= 0.5 for t in truth if t is not None) for track in tracks)
     assert sum(found_of) >= 5
     assert senses == {True, False}
+
+
+@dataclass(frozen=True, kw_only=True)
+class WithoutOlder(JointTracker):
+    """Looks at the window alone."""
+
+    def _about(self, window: tuple[KeptSearch, ...], older: tuple[KeptSearch, ...], *rest: Any) -> Any:
+        return super()._about(window, (), *rest)
+
+
+def test_a_track_is_followed_into_frames_before_the_window() -> None:
+    """S/N 4 in each of six frames: 6.9 in a window of three, where 7.4 is asked, and 9.8 in all. Members lie in the window."""
+    with_older, without = [], []
+    for tracker, out in ((JointTracker(window=3), with_older), (WithoutOlder(window=3), without)):
+        rng = np.random.default_rng(15)
+        truth = [random_track(512, length, 6, 6, 4.0, rng) for length in (16.0, 20.0, 24.0, 28.0, 32.0, 36.0)]
+        tracks, _, _ = run_cube(tracker, [t for t in truth if t is not None], 512, 8, rng)
+        assert all(len(track.members) <= 3 for track in tracks)
+        out += [max((t.snr for t in tracks if t is not None and hit(t, one) >= 0.3), default=0.0) for one in truth if one]
+    assert sum(snr > 8.5 for snr in with_older) >= 4
+    assert sum(snr > 8.5 for snr in without) <= 1
 
 
 @pytest.mark.slow

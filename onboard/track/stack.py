@@ -171,7 +171,8 @@ class Stack:
         places, sums = stack_search.candidates(groups, cols, shifts, math.ceil(first * unit))
         while len(places) >= MOST_CANDIDATES:  # a deterministic limit: the best are followed
             first += 0.25
-            places, sums = (x[sums[:, 0] >= first * unit] for x in (places, sums))
+            bright = sums[:, 0] >= first * unit
+            places, sums = places[bright], sums[bright]
         # neighbouring pixels of a group image share what its filter and the reading between pixels spread
         window = stack_search.GroupWindow(groups, cols, epochs, math.exp(-0.25 / (psf_sigma_px**2 + 1.0 / 3.0)))
         box, objects = self.box, []

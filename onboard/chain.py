@@ -17,25 +17,26 @@ from onboard.downlink.kept_counts import kept_counts
 from onboard.downlink.packets import PacketWriter
 from onboard.downlink.send import Content, send, send_tracks
 from onboard.guard import guarded
-from onboard.image.calibrate import Counts, IntegerCalibration, to_counts
+from onboard.image.calibrate import IntegerCalibration, to_counts
 from onboard.image.dead_area import mark_dead_area
 from onboard.image.frame_flags import checksum, content_flags, continues, header_flags, sequence_flags
 from onboard.image.hot_pixels import HotPixels
 from onboard.image.view import calibrated_view, with_stars
 from onboard.options import OnboardOptions
 from onboard.parameter_set import parameter_set_id
+from onboard.run_end import codec_of, run_end
 from onboard.stars.memory import brought_forward, usable_stars, with_frame
-from onboard.state import OnboardResult, OnboardState, OnboardSteps, Prepared, Tracking
+from onboard.state import OnboardResult, OnboardState, OnboardSteps, Prepared, RunEnd, Tracking
 from onboard.work import meter
 from sboc_e2e.icd.errors import ContractError, UserError
 from sboc_e2e.icd.flags import FrameFlag
 from sboc_e2e.icd.frame import Calibration, Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.results import check_detections, check_tracks
 from sboc_e2e.icd.signals import Detection, DetectorView, Searched, Track, TrackerView
-from sboc_e2e.icd.steps import Encoder, GainAwareEncoder, SeedingDetector, SelectiveMemory
+from sboc_e2e.icd.steps import SeedingDetector, SelectiveMemory
 from sboc_e2e.icd.work import WorkMeter
 
-__all__ = ["OnboardChain", "OnboardResult", "OnboardState", "OnboardSteps", "Tracking"]
+__all__ = ["OnboardChain", "OnboardResult", "OnboardState", "OnboardSteps", "RunEnd", "Tracking"]
 
 RECENT_FRAMES = 2  # that `detect.static` compares with: what one missed, the other may show. Chosen, not measured
 
@@ -140,6 +141,7 @@ class OnboardChain:
             focal_px = self._camera.focal_px
             seen = TrackerView(view=view, detections=detections, searched=searched, transform=transform, focal_px=focal_px)
             tracking, tracks = self._tracked(tracking, seen)
+            del seen, searched  # their memory is wanted
         elif tracking is not None and tracking.last is not None:
             # Nothing is linked across a frame that came twice or shows nothing.
             flags |= FrameFlag.TRACKS_ENDED
@@ -157,7 +159,7 @@ class OnboardChain:
             n_masked=prepared.n_masked,
             previous=state.previous,
             frames_done=state.frames_done,
-            codec=self._codec_of(counts),
+            codec=codec_of(self._steps.codec, counts.adu_scale),
             parameter_set=self._parameter_set,
         )
         housekeeping, rois = send(content, outbox, self._options)
@@ -194,6 +196,10 @@ class OnboardChain:
             work=work,
         )
         return after, result
+
+    def finish(self, state: OnboardState) -> RunEnd:
+        """What is found when no frame follows, once, after the last one."""
+        return run_end(state, self._steps, self._options.roi, self._camera.psf_sigma_px)
 
     def _first_tracking(self) -> Tracking:
         """What the tracker starts with."""
@@ -240,11 +246,3 @@ class OnboardChain:
             found = guarded("detector", detector, detector.detect, view)
         guarded("detector", detector, check_detections, found, view.mask.shape)
         return tuple(found), searched
-
-    def _codec_of(self, counts: Counts) -> Encoder:
-        """The codec as a frame's counts need it."""
-        codec = self._steps.codec
-        if counts.adu_scale == 1.0 or not isinstance(codec, GainAwareEncoder):
-            return codec
-        scaled: Encoder = guarded("codec", self._steps.codec, codec.for_counts, counts.adu_scale)
-        return scaled

@@ -12,7 +12,7 @@ from onboard.chain import OnboardChain
 from onboard.image import registration
 from onboard.image.frame_flags import checksum
 from onboard.stars.memory import NOT_KEPT, EarlierStars, brought_forward, part_of
-from onboard.state import OnboardResult, OnboardState
+from onboard.state import OnboardResult, OnboardState, RunEnd
 from sboc_e2e.icd.frame import Frame
 from sboc_e2e.icd.signals import StarList
 
@@ -50,6 +50,10 @@ class FrameSequence:
     def flush(self) -> Results:
         """At the end of the frames: the result of one that still waits, judged alone."""
         return () if self.state.held is None else (self._judged(self.state.held, None),)
+
+    def finish(self) -> RunEnd:
+        """What is sent after the results of all frames, those of `flush` included."""
+        return self.chain.finish(self.state)
 
     def _taken(self, frame: Frame) -> Results:
         """What a frame makes known when none waits."""

@@ -93,3 +93,11 @@ class OnboardResult:
     bytes_by_apid: dict[int, int]
     tracks: tuple[Track, ...] = ()
     work: WorkMeter = field(default_factory=WorkMeter)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class RunEnd:
+    """What is sent after the last frame's packets: tracks that waited for later frames. None without such a tracker."""
+
+    packets: bytes = b""
+    tracks: tuple[Track, ...] = ()

@@ -114,25 +114,6 @@ def unusable(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
 
 
 @nb.njit(cache=True)
-def _known_row(values: NDArray[np.int8], blocked: NDArray[np.uint8], out: NDArray[np.int8]) -> None:
-    for i in range(out.size):
-        out[i] = values[i] if blocked[i] == 0 else np.int8(UNKNOWN)
-
-
-@nb.njit(cache=True)
-def _known_rows(values: NDArray[np.int8], blocked: NDArray[np.uint8], out: NDArray[np.int8]) -> None:
-    for row in range(values.shape[0]):
-        _known_row(values[row], blocked[row], out[row])
-
-
-def known(values: NDArray[np.int8], blocked: NDArray[np.uint8]) -> NDArray[np.int8]:
-    """A copy of an image with `UNKNOWN` where pixels are blocked."""
-    out = np.empty(values.shape, np.int8)
-    _known_rows(values, blocked, out)
-    return out
-
-
-@nb.njit(cache=True)
 def blank_discs(
     image: NDArray[np.int8],
     blocked: NDArray[np.uint8],
@@ -267,7 +248,7 @@ def smooth(
 ) -> NDArray[np.int8]:
     """PSF-smoothed image, sigma = UNIT, clipped at +-clip_sigma; `level` is subtracted. Shape (rows, cols)."""
     out = np.empty(image.shape, np.int8)
-    _smooth(image, level, tile_px, taps, clip_sigma, out)
+    _smooth(image, level, tile_px, taps, clip_sigma, 0, out)
     return out
 
 
@@ -278,8 +259,10 @@ def _smooth(
     tile_px: int,
     taps: NDArray[np.int16],
     clip_sigma: float,
+    first: int,
     out: NDArray[np.int8],
 ) -> None:
+    """Rows from `first` on, as many as `out` has."""
     rows, cols = image.shape
     radius = taps.shape[0] - 1
     power, total_weight = float(taps[0]) ** 2, float(taps[0])
@@ -291,7 +274,7 @@ def _smooth(
     line = np.zeros(cols + 2 * radius, np.int16)
     total = np.empty(cols, np.int32)
     blank = np.zeros(cols, np.int8)
-    for row in range(rows):
+    for row in range(first, first + out.shape[0]):
         middle = line[radius : radius + cols]
         for j in range(level.shape[1]):
             shift = np.int16(np.rint(level[row // tile_px, j] * total_weight))
@@ -306,7 +289,7 @@ def _smooth(
                 image[row + 2] if row + 2 < rows else blank,
                 taps,
             )
-            _store_five(line, taps, scale, limit, out[row])
+            _store_five(line, taps, scale, limit, out[row - first])
             continue
         _add_row(middle, image[row], taps[0])
         for k in range(1, radius + 1):
@@ -319,7 +302,40 @@ def _smooth(
         half = np.int32(taps[0])
         for i in range(cols):
             total[i] += half * np.int32(middle[i])
-        _store_clipped(total, scale, limit, out[row])
+        _store_clipped(total, scale, limit, out[row - first])
+
+
+@nb.njit(cache=True)
+def _known_row(values: NDArray[np.int8], blocked: NDArray[np.uint8]) -> bool:
+    """Make pixels unknown that are blocked by anything but a trail; whether a trail was taken out of the row."""
+    found = np.uint8(0)
+    for i in range(values.size):
+        values[i] = values[i] if blocked[i] & np.uint8(255 - FOUND_BIT) == 0 else np.int8(UNKNOWN)
+        found |= blocked[i]
+    return (found & np.uint8(FOUND_BIT)) != 0
+
+
+@nb.njit(cache=True)
+def known(
+    smoothed: NDArray[np.int8],
+    image: NDArray[np.int8],
+    blocked: NDArray[np.uint8],
+    level: NDArray[np.float32],
+    tile_px: int,
+    taps: NDArray[np.int16],
+    clip_sigma: float,
+) -> None:
+    """Put trails that were taken out of a smoothed image back, and `UNKNOWN` where pixels are blocked. In place.
+
+    The other arguments are those that it was smoothed with.
+    """
+    again = np.empty((1, image.shape[1]), np.int8)
+    for row in range(image.shape[0]):
+        if _known_row(smoothed[row], blocked[row]):
+            _smooth(image, level, tile_px, taps, clip_sigma, row, again)
+            for i in range(image.shape[1]):
+                if blocked[row, i] == np.uint8(FOUND_BIT):
+                    smoothed[row, i] = again[0, i]
 
 
 def smooth_binned(

@@ -55,14 +55,18 @@ class Content:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class TrackPixels:
-    """Kept frames that strips of tracks are cut from, oldest first. sent : (track, frame) of the members sent so far."""
+    """Kept frames that strips of tracks are cut from, oldest first.
+
+    sent : (track, frame) of the members sent so far. items : members sent with the newest frame.
+    """
 
     kept: tuple[KeptCounts, ...] = ()
     sent: tuple[tuple[int, int], ...] = ()
+    items: int = 0
 
     def after(self, frame: KeptCounts) -> "TrackPixels":
         """The record with one more frame."""
-        return replace(self, kept=(*self.kept, frame))
+        return replace(self, kept=(*self.kept, frame), items=0)
 
     def newest(self, number: int) -> "TrackPixels":
         """The newest frames alone, so that there is room before the next one comes."""
@@ -75,7 +79,7 @@ def send_tracks(
 ) -> TrackPixels:
     """Send members of tracks that were not sent yet, best tracks first, while they fit; sent members are recorded."""
     frames = {kept.header.frame: kept for kept in pixels.kept}
-    sent, item = list(pixels.sent), 0
+    sent, item = list(pixels.sent), pixels.items
     for track in sorted(tracks, key=lambda t: -t.snr):
         for member in track.members:
             place = (track.number, member.frame)
@@ -85,7 +89,7 @@ def send_tracks(
             if coded.payloads and outbox.offer(Apid.TRACK, coded.payloads, item=item):
                 sent.append(place)
                 item += 1
-    return replace(pixels, sent=tuple(sent))
+    return replace(pixels, sent=tuple(sent), items=item)
 
 
 def send(content: Content, outbox: Outbox, options: OnboardOptions) -> tuple[Housekeeping, tuple[RoiGroup, ...]]:

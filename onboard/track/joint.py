@@ -1,6 +1,6 @@
 """`onboard.tracker: joint`: trails too faint for any single frame, found in several together.
 
-Segments that a frame shows at S/N 4.4, below the detector's threshold, are pointers. Each foretells in both senses of motion
+Segments that a frame shows at S/N 4.3, below the detector's threshold, are pointers. Each foretells in both senses of motion
 where the object's trail lies in the frames around. The sum over all frames is compared with the sums that noise alone makes.
 """
 
@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from onboard.image import registration
 from onboard.track import joint_filter
 from onboard.track.false_alarms import independent_tracks, threshold_sigma
-from onboard.track.packed import halved, packed
+from onboard.track.packed import half_of, halved, packed
 from onboard.track.particles import without_hits
 from onboard.track.same import same_object
 from sboc_e2e.icd.flags import StreakFlag
@@ -23,12 +23,18 @@ from sboc_e2e.icd.signals import Detection, Track, TrackerView, TrackMember
 
 IDENTITY: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
+NONE_WAIT: Final = np.zeros((0, 6))  # `KeptSearch.waiting` without seeds
+
 LONGEST_PX: Final = 2000.0
 """Trails of one exposure that the false-alarm rate is reckoned for; longer seeds are not followed."""
 
 WORK_PER_PX: Final = 30.0  # as many as a frame's nominal work (`onboard.work`)
 LEAST_WORK: Final = 50_000_000
 """Pixels read about seeds, per pixel of the frame, but never fewer."""
+
+OLDER: Final = 3
+"""Frames before the window that are kept at half resolution, 2 MB each, for tracks that reach its oldest frame: of eight frames a
+window of seven has four where the seed is in the last."""
 
 AGAIN: Final = 1
 """Place in the window where seeds that fell short are followed again: five later frames are there then, not three."""
@@ -62,7 +68,7 @@ class KeptSearch:
     image: NDArray[np.uint64]
     seeds: NDArray[np.float64]
     transform: NDArray[np.float64]
-    waiting: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 6)))
+    waiting: NDArray[np.float64] = field(default_factory=lambda: NONE_WAIT)
     halves: tuple[NDArray[np.uint64], NDArray[np.uint64]] | None = None
 
     @property
@@ -77,12 +83,18 @@ class KeptSearch:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class JointState:
-    """The window, oldest first; how many of its frames, from the oldest, have had their seeds followed; the tracks seen in it."""
+    """The window, oldest first; how many of its frames, from the oldest, have had their seeds followed; the tracks seen in it.
+
+    psf_sigma_px : nominal width of the PSF; 0 before the first frame. older : the frames before the window, their images at half
+    resolution.
+    """
 
     window: tuple[KeptSearch, ...] = ()
     followed: int = 0
     tracks: tuple[Track, ...] = ()
     next_number: int = 0
+    psf_sigma_px: float = 0.0
+    older: tuple[KeptSearch, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -90,7 +102,7 @@ class JointTracker:
     """Straight tracks through `window` frames, found from segments of S/N `seed_sigma` in one of them."""
 
     window: int = field(default=7, metadata={"doc": "frames that are searched together", "min": 3, "max": 15})
-    seed_sigma: float = field(default=4.4, metadata={"doc": "least S/N of a segment that is followed", "min": 4.0, "max": 20.0})
+    seed_sigma: float = field(default=4.3, metadata={"doc": "least S/N of a segment that is followed", "min": 4.0, "max": 20.0})
     false_tracks: float = field(
         default=0.02, metadata={"doc": "false tracks per frame that noise may make", "min": 1e-9, "max": 10.0}
     )
@@ -113,7 +125,7 @@ class JointTracker:
             return replace(JointState(), next_number=state.next_number), ()
         found: list[Track] = []
         if view.transform is None:
-            state, rest = self._followed(state, len(state.window), view.view.psf_sigma_px)
+            state, rest = self._followed(state, len(state.window))
             found += rest
             state = JointState(next_number=state.next_number)
         new = KeptSearch(
@@ -122,38 +134,48 @@ class JointTracker:
             seeds=view.searched.seeds,
             transform=IDENTITY if view.transform is None else view.transform,
         )
-        state = replace(state, window=(*state.window, new))
-        state, now = self._followed(state, len(state.window) - (self.window - 1) // 2, view.view.psf_sigma_px)
+        state = replace(state, window=(*state.window, new), psf_sigma_px=view.view.psf_sigma_px)
+        state, now = self._followed(state, len(state.window) - (self.window - 1) // 2)
         return self._without_oldest(state) if len(state.window) == self.window else state, tuple(found + now)
+
+    def finish(self, state: JointState) -> tuple[Track, ...]:
+        """Tracks about all frames that wait for later ones."""
+        return tuple(self._followed(state, len(state.window))[1])
 
     def _without_oldest(self, state: JointState) -> JointState:
         """The state with one frame less, and without the tracks that lie in none of the others."""
         window = state.window[1:]
         tracks = tuple(t for t in state.tracks if t.members[-1].frame >= window[0].header.frame)
-        return replace(state, window=window, followed=max(0, state.followed - 1), tracks=tracks)
+        oldest = state.window[0]
+        older = (*state.older, replace(oldest, image=half_of(oldest.image), waiting=NONE_WAIT, halves=None))[-OLDER:]
+        return replace(state, window=window, followed=max(0, state.followed - 1), tracks=tracks, older=older)
 
-    def _followed(self, state: JointState, stop: int, psf_sigma_px: float) -> tuple[JointState, list[Track]]:
+    def _followed(self, state: JointState, stop: int) -> tuple[JointState, list[Track]]:
         """Follow the seeds of the window's frames up to the one at `stop`; the state after it and the tracks found."""
-        found: list[Track] = []
+        found, psf_sigma_px = list[Track](), state.psf_sigma_px
         for centre in range(state.followed, stop):
             known, number = {t.number: t for t in state.tracks}, state.next_number
             window = tuple(  # the look at the frames around needs halves
                 frame.with_halves() if abs(k - centre) <= 1 else replace(frame, halves=None)
                 for k, frame in enumerate(state.window)
             )
-            window, more, number = self._numbered(window, centre, psf_sigma_px, known, number, kept_seeds=False)
+            older = state.older
+            window, more, number = self._numbered(window, older, centre, psf_sigma_px, known, number, kept_seeds=False)
             found += more
             if len(window) == self.window and len(window[AGAIN].waiting):
-                window, more, number = self._numbered(window, AGAIN, psf_sigma_px, known, number, kept_seeds=True)
+                window, more, number = self._numbered(window, older, AGAIN, psf_sigma_px, known, number, kept_seeds=True)
                 found += more
-            # those of the frames before it are not asked for again: there is room for the next frame before that one is searched
-            window = tuple(replace(frame, halves=None) if k < centre else frame for k, frame in enumerate(window))
             state = replace(state, window=window, tracks=tuple(known.values()), next_number=number, followed=centre + 1)
-        return state, found
+        return replace(state, window=self._put_by(state.window, state.followed)), found
+
+    def _put_by(self, window: tuple[KeptSearch, ...], followed: int) -> tuple[KeptSearch, ...]:
+        """The window while the next frame is searched: halves of frames before the last followed one are not asked for again."""
+        return tuple(replace(frame, halves=None) if k < followed - 1 else frame for k, frame in enumerate(window))
 
     def _numbered(
         self,
         window: tuple[KeptSearch, ...],
+        older: tuple[KeptSearch, ...],
         centre: int,
         psf_sigma_px: float,
         known: dict[int, Track],
@@ -167,7 +189,7 @@ class JointTracker:
         """
         found: list[Track] = []
         asked = self._asked(window, centre, psf_sigma_px)
-        tracks, waiting = self._about(window, centre, psf_sigma_px, asked, kept_seeds)
+        tracks, waiting = self._about(window, older, centre, psf_sigma_px, asked, kept_seeds)
         for track in tracks:
             same = next((t for t in known.values() if same_object(t, track, asked)), None)
             if same is None:
@@ -190,6 +212,7 @@ class JointTracker:
     def _about(
         self,
         window: tuple[KeptSearch, ...],
+        older: tuple[KeptSearch, ...],
         centre: int,
         psf_sigma_px: float,
         asked: NDArray[np.float64],
@@ -207,21 +230,24 @@ class JointTracker:
             seeds = by_place(seeds[np.argsort(-seeds[:, 4], kind="stable")], most_work)
             senses = np.zeros(len(seeds))
         if len(window) < 2 or not len(seeds):
-            return [], np.zeros((0, 6))
-        transforms = from_centre(window, centre)
-        taus = exposures_from(window, centre, transforms)
-        # one kernel for any number of frames: the tuple is filled up to the window's length
-        filled = window + (window[0],) * (self.window - len(window))
+            return [], NONE_WAIT
+        frames, place = older + window, len(older) + centre
+        transforms = from_centre(frames, place)
+        taus = exposures_from(frames, place, transforms)
+        # one kernel for any number of frames: the tuple is filled up to the largest
+        missing = OLDER + self.window - len(frames)
+        filled = frames + (window[0],) * missing
         own = (kept.image, kept.image)
         near = [frame.halves or own for frame in filled]
         table, waiting, _, _ = joint_filter.follow(
             tuple(frame.image for frame in filled),
             tuple(half for half, _ in near),
             tuple(flat for _, flat in near),
-            np.ascontiguousarray(np.concatenate([transforms, np.repeat(transforms[:1], self.window - len(window), axis=0)])),
-            np.concatenate([taus, np.zeros(self.window - len(window))]),
-            len(window),
-            centre,
+            np.ascontiguousarray(np.concatenate([transforms, np.repeat(transforms[:1], missing, axis=0)])),
+            np.concatenate([taus, np.zeros(missing)]),
+            len(older),
+            len(frames),
+            place,
             np.ascontiguousarray(seeds),
             senses,
             psf_sigma_px,
@@ -229,22 +255,22 @@ class JointTracker:
             self.first_margin,
             self.seed_sigma,
             most_work,
-            joint_filter.work_space(self.window),
+            joint_filter.work_space(OLDER + self.window),
         )
         tracks: list[Track] = []
         for row in table[np.argsort(-table[:, 8], kind="stable")]:
             if not plausible(row):
                 continue
-            track = track_of(row, seeds[int(row[0])], window, transforms, taus)
+            track = track_of(row, seeds[int(row[0])], frames, transforms, taus, len(older))
             if track is not None and not any(same_object(t, track, asked) for t in tracks):
                 tracks.append(track)
         return tracks, waiting
 
     def thresholds(self, shape: tuple[int, int], period_over_exposure: float, psf_sigma_px: float) -> NDArray[np.float64]:
-        """Joint S/N asked of a track of n frames, at index n; (window + 1,)."""
+        """Joint S/N asked of a track of n frames, at index n; (OLDER + window + 1,)."""
         longest = min(LONGEST_PX, math.hypot(*shape))
-        out = np.full(self.window + 1, np.inf)
-        for n in range(2, self.window + 1):
+        out = np.full(OLDER + self.window + 1, np.inf)
+        for n in range(2, len(out)):
             volume = independent_tracks(
                 n,
                 area_px=float(shape[0] * shape[1]),
@@ -305,15 +331,19 @@ def track_of(
     window: tuple[KeptSearch, ...],
     transforms: NDArray[np.float64],
     taus: NDArray[np.float64],
+    n_old: int,
 ) -> Track | None:
-    """A row of `joint_filter.follow` as a contract record without a number; None when it lies in fewer than two frames."""
+    """A row of `joint_filter.follow` as a contract record without a number; None when it lies in fewer than two frames.
+
+    The first n_old frames of the window are those whose pixels are no longer kept: no members lie in them.
+    """
     _, sense, start, length, offset, tilt, first, last, snr = row[:9]
     seed_px = math.hypot(seed[2] - seed[0], seed[3] - seed[1])
     u = (seed[2:4] - seed[0:2]) / seed_px
     # lanes lie side by side along the minor axis, max(|u|) px across the line for each px of it
     across = np.eye(2)[int(abs(u[0]) >= abs(u[1]))] / np.abs(u).max()
     members = []
-    for k in range(int(first), int(last) + 1):
+    for k in range(max(int(first), n_old), int(last) + 1):
         begin = start + sense * taus[k] * length
         along = np.array([begin, begin + length] if sense > 0.0 else [begin + length, begin])
         away = offset + tilt * (along / seed_px - 0.5)

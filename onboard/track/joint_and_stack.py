@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from onboard.image import registration
 from onboard.track.boxes import KINDS, blind_box, named_box
-from onboard.track.joint import JointState, JointTracker, clipped
+from onboard.track.joint import JointState, JointTracker, KeptSearch, clipped
 from onboard.track.same import same_object
 from onboard.track.stack import Box, SlowObject, Stack, StackState, middle_ns
 from onboard.track.static_model import static_snr
@@ -60,6 +60,9 @@ class JointAndStackState:
 class JointAndStackTracker(JointTracker):
     """`joint`, and points that move straight within a box of velocities among the stars, `stack_frames` frames at a time."""
 
+    window: int = field(
+        default=6, metadata={"doc": "frames that are searched together; 18 MB each of 4096 x 4096 px", "min": 3, "max": 15}
+    )
     box: str = field(
         default="given",
         metadata={
@@ -146,6 +149,14 @@ class JointAndStackTracker(JointTracker):
         after = JointAndStackState(joint=joint, stack=stack, seen=seen, slow=slow, box=box)
         return after, (*tracks, *(track for track, _ in found))
 
+    def finish(self, state: JointAndStackState) -> tuple[Track, ...]:  # type: ignore[override]
+        """Trails that wait for later frames; slow objects are looked for in full windows alone."""
+        return super().finish(state.joint)
+
+    def _put_by(self, window: tuple[KeptSearch, ...], followed: int) -> tuple[KeptSearch, ...]:
+        """Without halves, which are made again: 8 MB for 20 ms a frame. Memory is what both searches together lack."""
+        return tuple(replace(frame, halves=None) for frame in window)
+
     def _given(self) -> Box:
         """The box that the options give."""
         if self.box == "blind":
@@ -161,7 +172,7 @@ class JointAndStackTracker(JointTracker):
         return Stack(frames=self.stack_frames, box=box, false_per_window=self.false_stacks)
 
     def _track_of(
-        self, found: SlowObject, number: int, seen: tuple[SeenFrame, ...], model: NDArray[np.int16], psf_sigma_px: float
+        self, found: SlowObject, number: int, seen: tuple[SeenFrame, ...], model: NDArray[np.int8], psf_sigma_px: float
     ) -> Track | None:
         """The contract's record of a slow object, its members on stars flagged; None where fewer than two frames hold it."""
         members = []

@@ -10,10 +10,10 @@ from numpy.typing import NDArray
 from onboard.track.corridor import LANES, MIDDLE, MOST_PIECES, PARTS, between, brightest, gather, path_sum
 from onboard.track.packed import HALF_ROUNDING, ROUNDING, STEP
 
-STEPS: Final = 8
+STEPS: Final = 6
 """Pieces of a seed in the first look: ends are tried at steps of an eighth of its length."""
 
-END_STEPS: Final = 3
+END_STEPS: Final = 2
 """Largest error of an end, in steps: a seed of S/N 5 has ends good to sqrt(26) / 25 = 0.2 of its length (change-point law)."""
 
 TILT_STEPS: Final = 2
@@ -68,7 +68,8 @@ class Look(NamedTuple):
     """What turns a track (a, length, offset, tilt) about a seed into sums, and sums into S/N.
 
     taus : (frames,). sense : of the motion. seed_px : the seed's length. per_lane : px across the line from lane to lane.
-    correlation : of neighbouring lanes. unit : standard deviation of a path's sum per root of its weight.
+    correlation : of neighbouring lanes. unit : standard deviation of a path's sum per root of its weight. n_old : frames, the
+    first ones, that are kept at half resolution.
     """
 
     taus: NDArray[np.float64]
@@ -77,6 +78,7 @@ class Look(NamedTuple):
     per_lane: float
     correlation: float
     unit: float
+    n_old: int
 
 
 def work_space(n_frames: int) -> Corridors:
@@ -86,10 +88,12 @@ def work_space(n_frames: int) -> Corridors:
 
 
 @nb.njit(cache=True)
-def look_of(taus: NDArray[np.float64], sense: float, seed_px: float, per_lane: float, psf_sigma_px: float) -> Look:
+def look_of(
+    taus: NDArray[np.float64], sense: float, seed_px: float, per_lane: float, psf_sigma_px: float, n_old: int = 0
+) -> Look:
     """The look at a seed on packed images of pixels smoothed by the PSF; paths advance by one px of the major axis."""
     unit = math.sqrt(line_variance(psf_sigma_px, per_lane) + ROUNDING)
-    return Look(taus, sense, seed_px, per_lane, math.exp(-0.25 * (per_lane / psf_sigma_px) ** 2), unit)
+    return Look(taus, sense, seed_px, per_lane, math.exp(-0.25 * (per_lane / psf_sigma_px) ** 2), unit, n_old)
 
 
 @nb.njit(cache=True)
@@ -119,6 +123,7 @@ def _placed(seed: NDArray[np.float64], transform: NDArray[np.float64], place: ND
 def static_snr(
     images: tuple[NDArray[np.uint64], ...],
     transforms: NDArray[np.float64],
+    n_old: int,
     n_frames: int,
     own: int,
     line: NDArray[np.float64],
@@ -127,20 +132,25 @@ def static_snr(
 ) -> float:
     """S/N that what stands still gives to a segment of frame `own`: the mean of the other frames at its place among the stars.
 
+    The frames before n_old are not looked at.
     line (4,) : row0, col0, row1, col1 in the frame that the transforms start from. place (4,) : work space. 0 where nothing is
     known.
     """
     length = math.hypot(line[2] - line[0], line[3] - line[1])
-    total = known = weight = 0
-    for frame in range(n_frames):
+    total = known = others = 0
+    weight = -1.0
+    for frame in range(n_old, n_frames):
         steep = _placed(line, transforms[frame], place)
         s, w = path_sum(images[frame], steep, place, 0.0, length)
         if frame == own:
-            weight = w
+            weight = float(w)
         else:
             total += s
             known += w
-    return total / known * math.sqrt(float(weight)) / unit if known > 0 else 0.0
+            others += 1
+    if weight < 0.0:  # of an older frame
+        weight = known / max(others, 1)
+    return total / known * math.sqrt(weight) / unit if known > 0 else 0.0
 
 
 @nb.njit(cache=True)
@@ -163,6 +173,35 @@ def collect(
 
 
 @nb.njit(cache=True)
+def collect_half(
+    images: tuple[NDArray[np.uint64], ...],
+    frame: int,
+    half_seed: NDArray[np.float64],
+    half_transforms: NDArray[np.float64],
+    first_px: float,
+    last_px: float,
+    piece_px: float,
+    scale: tuple[float, float],
+    corridors: Corridors,
+    place: NDArray[np.float64],
+) -> int:
+    """The same for a frame at half resolution; first_px ... piece_px of the whole one.
+
+    scale : of its sums and of its known pixels, so that they add up with those of other frames.
+    """
+    n = min(MOST_PIECES, math.ceil((last_px - first_px) / piece_px))
+    corridors.grid[frame, 0], corridors.grid[frame, 1], corridors.pieces[frame] = first_px, piece_px, n
+    steep = _placed(half_seed, half_transforms[frame], place)
+    sums, counts = corridors.sums[frame], corridors.counts[frame]
+    read = gather(images[frame], steep, place, 0.5 * first_px, 0.5 * piece_px, n, sums, counts)
+    for p in range(n + 1):
+        for k in range(LANES):
+            sums[p, k] = round(scale[0] * sums[p, k])
+            counts[p, k] = round(scale[1] * counts[p, k])
+    return read
+
+
+@nb.njit(cache=True)
 def trail_sums(corridors: Corridors, look: Look, frame: int, track: NDArray[np.float64]) -> tuple[float, float]:
     """Sum and weight of a track (a, length, offset, tilt) in one frame."""
     start = track[0] + look.sense * look.taus[frame] * track[1]
@@ -170,6 +209,10 @@ def trail_sums(corridors: Corridors, look: Look, frame: int, track: NDArray[np.f
     lane = (track[2] + track[3] * (middle / look.seed_px - 0.5)) / look.per_lane
     first = (start - corridors.grid[frame, 0]) / corridors.grid[frame, 1]
     last = (start + track[1] - corridors.grid[frame, 0]) / corridors.grid[frame, 1]
+    if frame < look.n_old:  # lanes of half resolution, whose noise is hardly correlated
+        return between(
+            corridors.sums, corridors.counts, frame, corridors.pieces[frame], first, last, 0.5 * lane, look.correlation**4
+        )
     return between(corridors.sums, corridors.counts, frame, corridors.pieces[frame], first, last, lane, look.correlation)
 
 
@@ -395,6 +438,7 @@ def follow(
     flat_halves: tuple[NDArray[np.uint64], ...],
     transforms: NDArray[np.float64],
     taus: NDArray[np.float64],
+    n_old: int,
     n_frames: int,
     centre: int,
     seeds: NDArray[np.float64],
@@ -408,7 +452,8 @@ def follow(
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], int, int]:
     """Tracks through seeds, in their order.
 
-    images : of the window's frames, as `packed.packed`; halves, flat_halves : the same as `packed.halved` makes them, and
+    images : of frames in their order, as `packed.packed`, the first n_old at half resolution: they are looked at where a track
+    reaches the oldest of the others. halves, flat_halves : the same as `packed.halved` makes them, and
     transposed; those from n_frames on are not looked at. transforms (n, 2, 3) : of (row, col) of the centre frame into each;
     taus (n,) : start of each exposure after that of the centre frame, in exposures, on the rows where the object is. seeds
     (m, 5) : row0, col0, row1, col1, S/N in the centre frame. senses (m,) : of the motion where it is known, so that there is no
@@ -416,9 +461,9 @@ def follow(
     may fall short. least_own : S/N that the seed's own frame must show it at half resolution. most_work : pixels read after which
     no further seed is taken up.
 
-    Returns (k, 12 + window): number of the seed, sense, a, length, offset, tilt (px), first and last frame, joint S/N, least
+    Returns (k, 12 + images): number of the seed, sense, a, length, offset, tilt (px), first and last frame, joint S/N, least
     joint S/N that is left without one of the frames, chi-square of the frames against even brightness, its degrees of freedom,
-    S/N in each frame of the window; seeds that may yet become a track when later frames have come, as climbed to, and
+    S/N in each frame; seeds that may yet become a track when later frames have come, as climbed to, and
     their senses, (j, 6); the pixels read; the seeds taken up.
     """
     found = np.zeros((len(seeds), 12 + len(images)))
@@ -436,8 +481,10 @@ def follow(
             )
     wider = math.hypot(psf_sigma_px, 0.5)
     half_variance = 0.5 * psf_sigma_px / wider
-    static_limit = max(LEAST_STATIC, STATIC_SIGMAS / math.sqrt(max(n_frames - 1.0, 1.0)))
-    static_error = STATIC_ERRORS / math.sqrt(max(n_frames - 1.0, 1.0))
+    static_limit = max(LEAST_STATIC, STATIC_SIGMAS / math.sqrt(max(n_frames - n_old - 1.0, 1.0)))
+    static_error = STATIC_ERRORS / math.sqrt(max(n_frames - n_old - 1.0, 1.0))
+    # a line's brightest pixels are lower at half resolution
+    fainter = math.sqrt(2.0 * psf_sigma_px**2 / (2.0 * psf_sigma_px**2 + 0.25))
     steps, sums, weights = np.empty(4), np.empty(len(images)), np.empty(len(images))
     for m in range(len(seeds)):
         if read > most_work:
@@ -448,19 +495,19 @@ def follow(
         seed_px = math.hypot(d_row, d_col)
         # px across the line for a step of one pixel along the minor axis, and the noise of a sum over major steps
         per_lane = max(d_row, d_col) / seed_px
-        forward = look_of(taus, 1.0, seed_px, per_lane, psf_sigma_px)
+        forward = look_of(taus, 1.0, seed_px, per_lane, psf_sigma_px, n_old)
         unit = forward.unit
         lane = MIDDLE
         best[0], best[1], best[2], best[3] = 0.0, 0.5 * seed_px, 0.0, senses[m]
+        half_seed[:] = 0.5 * (seed[:4] - 0.5)
+        half_unit = math.sqrt(half_variance * line_variance(psf_sigma_px, per_lane) + HALF_ROUNDING)
         if senses[m] == 0.0:
             # the first look is at half resolution: a quarter of the pixels, which the cache holds better
             half_px = 0.5 * seed_px
-            half_seed[:] = 0.5 * (seed[:4] - 0.5)
             steep = abs(seed[2] - seed[0]) >= abs(seed[3] - seed[1])
             reach = END_STEPS / STEPS * half_px
-            low, high = max(0, centre - 1), min(n_frames - 1, centre + 1)
-            half_unit = math.sqrt(half_variance * line_variance(psf_sigma_px, per_lane) + HALF_ROUNDING)
-            half_look = Look(taus, 1.0, half_px, per_lane, 1.0, half_unit)
+            low, high = max(n_old, centre - 1), min(n_frames - 1, centre + 1)
+            half_look = Look(taus, 1.0, half_px, per_lane, 1.0, half_unit, 0)
             n_ends = 0
             for turn in range(3):
                 # the seed's own frame first: those beside it cost six times as much
@@ -484,16 +531,16 @@ def follow(
             found_at = _first_look(corridors, half_look, centre, low, high, threshold, -first_margin, best, ends, n_ends, lane)
             if found_at <= -first_margin:
                 continue
-        read += n_frames * round(seed_px)
-        if static_snr(images, transforms, n_frames, centre, seed[:4], unit, place) > static_limit:
+        read += (n_frames - n_old) * round(seed_px)
+        if static_snr(images, transforms, n_old, n_frames, centre, seed[:4], unit, place) > static_limit:
             continue
         track, sense = parameters, best[3]
-        look = look_of(taus, sense, seed_px, per_lane, psf_sigma_px)
+        look = look_of(taus, sense, seed_px, per_lane, psf_sigma_px, n_old)
         track[0], track[1] = 2.0 * best[0], 2.0 * best[1]
         track[2], track[3] = 2.0 * (lane - MIDDLE) * per_lane, 2.0 * best[2] * per_lane
         score, first, last = -1e9, centre, centre
         for reach_frames in range(1, len(images)):
-            low, high = max(0, centre - reach_frames), min(n_frames - 1, centre + reach_frames)
+            low, high = max(n_old, centre - reach_frames), min(n_frames - 1, centre + reach_frames)
             for frame in range(low, high + 1):
                 # what was gathered for nearer frames is gathered again, finer, about the place as it is known now
                 middle = track[0] + (0.5 + sense * taus[frame]) * track[1]
@@ -507,8 +554,23 @@ def follow(
             score, first, last = best_range(corridors, look, centre, low, high, track, threshold, sums, weights)
             if reach_frames > 1 and ((last < high and first > low) or score < -first_margin):
                 break
-            if low == 0 and high == n_frames - 1:
+            if low == n_old and high == n_frames - 1:
                 break
+        while score > -WAITING and 0 < low <= n_old and first == low:
+            # a track that reaches the oldest frame is followed into those before it
+            low -= 1
+            middle = track[0] + (0.5 + sense * taus[low]) * track[1]
+            half = (0.9 + 0.12 * abs(taus[low])) * seed_px
+            scale = (fainter * (unit / half_unit) ** 2, (fainter * unit / half_unit) ** 2)
+            piece = max(2.0, seed_px / FINE)
+            read += collect_half(
+                images, low, half_seed, half_transforms, middle - half, middle + half, piece, scale, corridors, place
+            )
+            span = max(1.0, abs(taus[low]), abs(taus[high]))
+            steps[0], steps[1] = seed_px / STEPS, seed_px / STEPS / span
+            steps[2], steps[3] = 0.6, 1.2 / span
+            climb(corridors, look, low, high, track, steps, 4, trial)
+            score, first, last = best_range(corridors, look, centre, low, high, track, threshold, sums, weights)
         if score > -WAITING and last > centre:
             # kept until it is found
             _segment(seed, track, 0.0, seed_px, waiting[n_waiting])
@@ -531,7 +593,7 @@ def follow(
         chi2, least, static = 0.0, 1e9, 0.0
         for frame in range(first, last + 1):
             _segment(seed, track, sense * taus[frame], seed_px, line)
-            share = static_snr(images, transforms, n_frames, frame, line, unit, place)
+            share = static_snr(images, transforms, n_old, n_frames, frame, line, unit, place)
             static += share * math.sqrt(weights[frame] / max(weight, 1.0))
         if snr - max(static - static_error, 0.0) < threshold[last - first + 1]:
             continue

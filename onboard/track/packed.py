@@ -64,7 +64,7 @@ def words_of(cols: int) -> int:
 def packed(smooth: NDArray[np.int8]) -> NDArray[np.uint64]:
     """An image as `Searched.smooth` (rows, cols) -> (rows, words)."""
     out = np.zeros((smooth.shape[0], words_of(smooth.shape[1])), np.uint64)
-    _pack(smooth.view(np.uint8), CODES, out)
+    pack(smooth.view(np.uint8), CODES, out)
     return read_only(out)
 
 
@@ -75,7 +75,8 @@ def read_only(words: NDArray[np.uint64]) -> NDArray[np.uint64]:
 
 
 @nb.njit(cache=True)
-def _pack(values: NDArray[np.uint8], codes: NDArray[np.uint8], out: NDArray[np.uint64]) -> None:
+def pack(values: NDArray[np.uint8], codes: NDArray[np.uint8], out: NDArray[np.uint64]) -> None:
+    """Fill the words of an image with the codes of its values. codes : by a value's bits."""
     rows, cols = values.shape
     for row in range(rows):
         for word in range(out.shape[1] - 2):
@@ -93,12 +94,17 @@ def code_at(words: NDArray[np.uint64], row: int, col: int) -> int:
 
 def halved(words: NDArray[np.uint64]) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
     """Means of 2 x 2 pixels, unknown where most are, and the same transposed. Pixel centres lie at 2 k + 0.5."""
-    rows, half_words = words.shape[0] // 2, (words.shape[1] - 1) // 2
-    half = np.zeros((rows, half_words + 2), np.uint64)
-    flat = np.zeros((half_words * PIXELS, words_of(rows)), np.uint64)
-    _halve(words, MEAN_CODES, half)
+    half = half_of(words)
+    flat = np.zeros(((half.shape[1] - 2) * PIXELS, words_of(half.shape[0])), np.uint64)
     _turn(half, flat)
-    return read_only(half), read_only(flat)
+    return half, read_only(flat)
+
+
+def half_of(words: NDArray[np.uint64]) -> NDArray[np.uint64]:
+    """The first of `halved`."""
+    half = np.zeros((words.shape[0] // 2, (words.shape[1] - 1) // 2 + 2), np.uint64)
+    _halve(words, MEAN_CODES, half)
+    return read_only(half)
 
 
 @nb.njit(cache=True)

@@ -18,8 +18,12 @@ WARM_UP: Final = 8
 MODEL_FRAMES: Final = 32
 """Frames in the model's running mean."""
 
-SMEAR_PX: Final = 0.35
-"""Within a group an object of the box moves by no more than this against the box's middle, to either side of the group's."""
+SMEAR_PX: Final = 0.8
+"""Within a group an object of the box moves by no more than this against the box's middle, to either side of the group's. At the
+box's edge that takes 5 % of the S/N, 2 % on average: half as many groups hold half of the memory."""
+
+LEAST_GROUPS: Final = 4
+"""Groups of a window, or their places would not tell an object's rate."""
 
 FIRST_MARGIN: Final = 1.3
 """S/N by which the lattice's sums may fall short of the threshold."""
@@ -53,10 +57,10 @@ class Box:
         """Its area."""
         return 4.0 * self.half_row_px_s * self.half_col_px_s
 
-    def group_frames(self, period_s: float) -> int:
-        """Frames that may be summed at the velocity of the middle: 1, 2, 4 or 8."""
+    def group_frames(self, period_s: float, frames: int) -> int:
+        """Frames of a window of `frames` that may be summed at the velocity of the middle: 1, 2, 4 or 8."""
         fastest = max(self.half_row_px_s, self.half_col_px_s) * period_s
-        return next((n for n in (8, 4, 2) if fastest * 0.5 * (n - 1) <= SMEAR_PX), 1)
+        return next((n for n in (8, 4, 2) if n * LEAST_GROUPS <= frames and fastest * 0.5 * (n - 1) <= SMEAR_PX), 1)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -85,13 +89,13 @@ class StackState:
     sum of the group under way and the epochs of its frames (s). groups, middles : finished groups and their epochs.
     """
 
-    model: NDArray[np.int16]
-    total: NDArray[np.int16]
+    model: NDArray[np.int8]
+    total: NDArray[np.int8]
     transform: NDArray[np.float64]
     begin_ns: int = 0
     seen: int = 0
     epochs: tuple[float, ...] = ()
-    groups: tuple[NDArray[np.int8], ...] = ()
+    groups: tuple[NDArray[np.uint64], ...] = ()
     middles: tuple[float, ...] = ()
 
 
@@ -105,7 +109,7 @@ class Stack:
 
     def initial_state(self) -> StackState:
         """Nothing seen."""
-        return StackState(model=np.zeros((0, 0), np.int16), total=np.zeros((0, 0), np.int16), transform=np.eye(2, 3))
+        return StackState(model=np.zeros((0, 0), np.int8), total=np.zeros((0, 0), np.int8), transform=np.eye(2, 3))
 
     def step(
         self, state: StackState, view: DetectorView, transform: NDArray[np.float64] | None
@@ -113,7 +117,7 @@ class Stack:
         """The state with one frame more, and what the window held if it is full."""
         shape = view.mask.shape
         if transform is None or state.model.shape != shape:
-            zeros = np.zeros(shape, np.int16), np.zeros(shape, np.int16)
+            zeros = np.zeros(shape, np.int8), np.zeros(shape, np.int8)
             state = replace(self.initial_state(), model=zeros[0], total=zeros[1], begin_ns=middle_ns(view))
         else:
             shift_px = transform[:, :2] @ state.transform[:, 2] + transform[:, 2]
@@ -129,13 +133,14 @@ class Stack:
         if seen <= WARM_UP:
             return state, ()
         add_moving(codes, state.transform, state.model, self.box.row_px_s * epoch, self.box.col_px_s * epoch, state.total)
+        del codes
         state = replace(state, epochs=(*state.epochs, epoch))
         period = max(epoch / max(seen - 1, 1), 1e-3)
-        size = self.box.group_frames(period)
+        size = self.box.group_frames(period, self.frames)
         if len(state.epochs) < size:
             return state, ()
         image = stack_search.group_image(state.total, view.psf_sigma_px)
-        state.total[:] = 0.0
+        state.total[:] = 0
         state = replace(state, epochs=(), groups=(*state.groups, image), middles=(*state.middles, float(np.mean(state.epochs))))
         if len(state.groups) * size < self.frames:
             return state, ()
@@ -159,21 +164,20 @@ class Stack:
         epochs = np.array(state.middles) - middle
         rates = stack_search.lattice(self.box.half_row_px_s, self.box.half_col_px_s, epochs)
         shifts = np.rint(rates[:, None, :] * epochs[None, :, None]).astype(np.int64)
-        shape = groups[0].shape
-        best, which = np.empty(shape, np.int16), np.zeros(shape, np.int16)
-        stack_search.stack(groups, shifts, best, which)
-        asked = self.threshold((shape[0], shape[1]), period_s, psf_sigma_px)
-        unit = stack_search.GROUP_UNIT * math.sqrt(n)
+        rows, cols = state.model.shape
+        asked = self.threshold((rows, cols), period_s, psf_sigma_px)
+        unit = stack_search.CODED_UNIT * math.sqrt(n)
         first = asked - FIRST_MARGIN
-        places = stack_search.maxima(best, math.ceil(first * unit), MOST_CANDIDATES)
-        while len(places) == MOST_CANDIDATES:  # a deterministic limit: the best are followed
+        places, sums = stack_search.candidates(groups, cols, shifts, math.ceil(first * unit))
+        while len(places) >= MOST_CANDIDATES:  # a deterministic limit: the best are followed
             first += 0.25
-            places = stack_search.maxima(best, math.ceil(first * unit), MOST_CANDIDATES)
+            bright = sums[:, 0] >= first * unit
+            places, sums = places[bright], sums[bright]
         # neighbouring pixels of a group image share what its filter and the reading between pixels spread
-        window = stack_search.GroupWindow(groups, epochs, math.exp(-0.25 / (psf_sigma_px**2 + 1.0 / 3.0)))
+        window = stack_search.GroupWindow(groups, cols, epochs, math.exp(-0.25 / (psf_sigma_px**2 + 1.0 / 3.0)))
         box, objects = self.box, []
-        for row, col in places:
-            rate = rates[which[row, col]]
+        for (row, col), (_, which) in zip(places, sums, strict=True):
+            rate = rates[which]
             place, parts = np.array([row, col, rate[0], rate[1]], dtype=np.float64), np.zeros(n)
             snr = stack_search.climb(window, place, parts)
             excess = float(((parts - snr / math.sqrt(n)) ** 2).sum()) - n

@@ -1,25 +1,39 @@
 """Sums of group images along straight tracks: a lattice of velocities first, then a climb to the best place and velocity."""
 
 import math
+from itertools import pairwise
 from typing import Final, NamedTuple
 
-import cv2
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.track.packed import PIXELS, ZERO, code_at, pack, read_only, words_of
+
 GROUP_UNIT: Final = 16
 """One sigma of a group image."""
+
+LEVELS: Final = (0, 7, 14, 22, 31, 42, 57, 80)
+"""Values that four bits a pixel tell apart, and their negatives: close where noise is, and up to five sigma. Chosen."""
+
+BAND_ROWS: Final = 128
+"""Rows that are summed at a time, unpacked."""
 
 TILE_PX: Final = 128
 """The noise of a group image is measured in squares of this side."""
 
-GUESS_EVERY: Final = 7
-"""Step, in rows and columns, of the pixels that the first guess of the noise is taken from."""
+GUESS_EVERY: Final = 50
+"""One pixel of so many is looked at for the first guess of the noise: some 300 of a tile, which tell it to 6 %."""
+
+REACH_SIGMAS: Final = 3.5
+"""The matched filter ends at so many widths, where a thousandth of its light is left."""
 
 CLIP_SIGMA: Final = 3.0  # sigmas; CLIPPED_RMS belongs to it
 CLIPPED_RMS: Final = 0.9865817
 """Rms of a normal variable without its values beyond CLIP_SIGMA, to 3e-6: sqrt(1 - 6 phi(3) / erf(3 / sqrt(2))) is 0.9865784."""
+
+NEIGHBOURS: Final = 2
+"""A maximum is the largest of the pixels so far around it."""
 
 OUTER_PX: Final = 1.2
 """Distance of neighbouring lattice tracks at the ends of the window, along either axis; an object is half of it away at most."""
@@ -30,29 +44,85 @@ def filter_sigma_px(psf_sigma_px: float) -> float:
     return math.sqrt(psf_sigma_px**2 + 1.0 / 6.0)
 
 
-def group_image(total: NDArray[np.int16], psf_sigma_px: float) -> NDArray[np.int8]:
-    """Sum of a few frames -> matched filter -> units of its own noise, tile by tile, GROUP_UNIT for one sigma."""
+def _codes() -> NDArray[np.uint8]:
+    """Code of each value in GROUP_UNIT, by the value's bits: 8 for none, the nearest of LEVELS."""
+    value = np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float64)
+    middles = 0.5 * (np.array(LEVELS[1:]) + np.array(LEVELS[:-1]))
+    return np.asarray(ZERO + np.sign(value) * np.searchsorted(middles, np.abs(value)), np.uint8)
+
+
+GROUP_CODES: Final = _codes()
+VALUES: Final = np.array([0, *(-v for v in LEVELS[:0:-1]), *LEVELS], np.int8)
+"""Value of each code."""
+
+
+def _coded_rms() -> float:
+    """Rms of a group image's noise as it is kept, for noise of one sigma."""
+    borders = [0.5 * (a + b) / (GROUP_UNIT * math.sqrt(2.0)) for a, b in pairwise(LEVELS)]
+    above = [math.erfc(b) for b in borders]
+    share = [a - b for a, b in zip(above, [*above[1:], 0.0], strict=True)]
+    return math.sqrt(sum(s * v * v for s, v in zip(share, LEVELS[1:], strict=True))) / GROUP_UNIT
+
+
+CODED_UNIT: Final = GROUP_UNIT * _coded_rms()
+"""One sigma of the noise of a kept group image."""
+
+
+def group_image(total: NDArray[np.int8], psf_sigma_px: float) -> NDArray[np.uint64]:
+    """Sum of a few frames -> matched filter -> units of its own noise, tile by tile; in four bits a pixel, LEVELS."""
+    rows, cols = total.shape
     width = filter_sigma_px(psf_sigma_px)
-    smooth = cv2.GaussianBlur(total.astype(np.float32), (0, 0), width, borderType=cv2.BORDER_CONSTANT)
-    some = smooth[::GUESS_EVERY, ::GUESS_EVERY][total[::GUESS_EVERY, ::GUESS_EVERY] != 0]
-    first = 1.4826 * float(np.median(np.abs(some))) if some.size else 0.0
-    out = np.zeros(total.shape, np.int8)
-    for row in range(0, total.shape[0], TILE_PX):
-        for col in range(0, total.shape[1], TILE_PX):
-            part = (slice(row, row + TILE_PX), slice(col, col + TILE_PX))
-            values = smooth[part]
-            lit = values[total[part] != 0]
-            sigma = _noise(lit, first)
+    taps = np.exp(-0.5 * (np.arange(math.ceil(REACH_SIGMAS * width) + 1) / width) ** 2).astype(np.float32)
+    out = np.zeros((rows, words_of(cols)), np.uint64)
+    for row in range(0, rows, TILE_PX):
+        lit = total[row : row + TILE_PX] != 0
+        smooth = np.empty(lit.shape, np.float32)
+        _filter(total, row, taps, smooth)
+        codes = np.zeros(smooth.shape, np.int8)
+        for col in range(0, cols, TILE_PX):
+            part = slice(col, col + TILE_PX)
+            sigma = _noise(smooth[:, part][lit[:, part]])
             if sigma > 0.0:
-                out[part] = np.clip(np.rint(values * (GROUP_UNIT / sigma)), -127, 127)
-    out.flags.writeable = False
-    return out
+                codes[:, part] = np.clip(np.rint(smooth[:, part] * (GROUP_UNIT / sigma)), -127, 127)
+        pack(codes.view(np.uint8), GROUP_CODES, out[row : row + TILE_PX])
+    return read_only(out)
 
 
-def _noise(values: NDArray[np.float32], sigma: float) -> float:
-    """Rms of the values without outliers, from a first guess; 0 of fewer than 100 values."""
+@nb.njit(cache=True)
+def _filter(total: NDArray[np.int8], first: int, taps: NDArray[np.float32], out: NDArray[np.float32]) -> None:
+    """Rows from `first` on after a symmetric filter along both axes, nothing outside. taps : half of it, the centre first."""
+    rows, cols = total.shape
+    reach = taps.size - 1
+    line = np.zeros(cols + 2 * reach, np.float32)
+    middle = line[reach : reach + cols]
+    for row in range(first, first + out.shape[0]):
+        middle[:] = 0.0
+        for k in range(-reach, reach + 1):
+            if 0 <= row + k < rows:
+                _add_codes(middle, total[row + k], taps[abs(k)])
+        sums = out[row - first]
+        sums[:] = 0.0
+        for k in range(-reach, reach + 1):
+            _add_values(sums, line[reach + k : reach + k + cols], taps[abs(k)])
+
+
+@nb.njit(cache=True)
+def _add_codes(line: NDArray[np.float32], codes: NDArray[np.int8], weight: np.float32) -> None:
+    for i in range(line.size):
+        line[i] += weight * np.float32(codes[i])
+
+
+@nb.njit(cache=True)
+def _add_values(line: NDArray[np.float32], values: NDArray[np.float32], weight: np.float32) -> None:
+    for i in range(line.size):
+        line[i] += weight * values[i]
+
+
+def _noise(values: NDArray[np.float32]) -> float:
+    """Rms of the values without outliers; 0 of fewer than 100 values."""
     if values.size < 100:
         return 0.0
+    sigma = 1.4826 * float(np.median(np.abs(values[::GUESS_EVERY])))
     for _ in range(3):
         inside = values[np.abs(values) < CLIP_SIGMA * sigma]
         sigma = math.sqrt(float(inside @ inside) / inside.size) / CLIPPED_RMS if inside.size else 0.0
@@ -68,24 +138,67 @@ def lattice(half_row: float, half_col: float, epochs: NDArray[np.float64]) -> ND
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 2)
 
 
+def candidates(
+    groups: tuple[NDArray[np.uint64], ...], cols: int, shifts: NDArray[np.int64], least: int
+) -> tuple[NDArray[np.int64], NDArray[np.int16]]:
+    """Places (n, 2) where the largest sum over all velocities is at least `least` and none within 2 px exceeds it.
+
+    shifts : (velocities, groups, 2) px. Also returned: sum and number of velocity of each place, (n, 2).
+    """
+    rows = groups[0].shape[0]
+    reach = int(np.abs(shifts[..., 0]).max(initial=0))
+    band = np.zeros((len(groups), BAND_ROWS + 2 * (reach + NEIGHBOURS), cols), np.int8)
+    best = np.empty((BAND_ROWS + 2 * NEIGHBOURS, cols), np.int16)
+    which = np.zeros_like(best)
+    places, sums = [], []
+    for first in range(0, rows, BAND_ROWS):
+        last = min(rows, first + BAND_ROWS)
+        low, high = max(0, first - NEIGHBOURS), min(rows, last + NEIGHBOURS)
+        for group, unpacked in zip(groups, band, strict=True):
+            _unpack(group, low - reach, VALUES, unpacked)
+        n = high - low
+        stack(band, reach, shifts, best[:n], which[:n])
+        found = maxima(best[:n], least, first - low, last - low)
+        sums.append(np.stack([best[found[:, 0], found[:, 1]], which[found[:, 0], found[:, 1]]], axis=-1))
+        places.append(found + np.array([low, 0]))
+    return np.concatenate(places), np.concatenate(sums)
+
+
+@nb.njit(cache=True)
+def _unpack(words: NDArray[np.uint64], first: int, values: NDArray[np.int8], out: NDArray[np.int8]) -> None:
+    """Rows of an image from `first` on; zero outside."""
+    cols = out.shape[1]
+    for i in range(out.shape[0]):
+        row = first + i
+        if row < 0 or row >= words.shape[0]:
+            out[i, :] = 0
+            continue
+        for word in range(words.shape[1] - 2):
+            bits = words[row, word + 1]
+            for k in range(min(PIXELS, cols - PIXELS * word)):
+                out[i, PIXELS * word + k] = values[(bits >> np.uint64(4 * k)) & np.uint64(15)]
+
+
 @nb.njit(cache=True)
 def stack(
-    groups: tuple[NDArray[np.int8], ...], shifts: NDArray[np.int64], best: NDArray[np.int16], which: NDArray[np.int16]
+    groups: NDArray[np.int8], first: int, shifts: NDArray[np.int64], best: NDArray[np.int16], which: NDArray[np.int16]
 ) -> None:
-    """Largest sum at every pixel over all velocities, and the number of its velocity. shifts : (velocities, groups, 2) px."""
-    rows, cols = groups[0].shape
+    """Largest sum at every pixel over all velocities, and the number of its velocity.
+
+    groups (groups, rows, cols) : from `first` rows before those of the result on.
+    """
+    rows, cols = best.shape
     total = np.zeros(cols, np.int16)
     for row in range(rows):
         best[row, :] = -32768
         for h in range(shifts.shape[0]):
             total[:] = 0
-            for g in range(len(groups)):
-                r, c = row + shifts[h, g, 0], shifts[h, g, 1]
-                if 0 <= r < rows:
-                    low, high = max(0, -c), min(cols, cols - c)
-                    source = groups[g][r]
-                    for j in range(low, high):
-                        total[j] += np.int16(source[j + c])
+            for g in range(groups.shape[0]):
+                c = shifts[h, g, 1]
+                low, high = max(0, -c), min(cols, cols - c)
+                source = groups[g, first + row + shifts[h, g, 0]]
+                for j in range(low, high):
+                    total[j] += np.int16(source[j + c])
             for j in range(cols):
                 better = total[j] > best[row, j]
                 best[row, j] = total[j] if better else best[row, j]
@@ -93,19 +206,19 @@ def stack(
 
 
 @nb.njit(cache=True)
-def maxima(best: NDArray[np.int16], least: int, most: int) -> NDArray[np.int64]:
-    """Places (n, 2) of the sums above `least` that none within 2 px exceeds, at most `most`, by rows."""
+def maxima(best: NDArray[np.int16], least: int, first: int, last: int) -> NDArray[np.int64]:
+    """Places (n, 2) in rows first ... last - 1 of the sums from `least` on that none within NEIGHBOURS px exceeds."""
     rows, cols = best.shape
-    out = np.empty((most, 2), np.int64)
+    out = np.empty((((last - first) // NEIGHBOURS + 1) * (cols // NEIGHBOURS + 1), 2), np.int64)
     n = 0
-    for row in range(rows):
+    for row in range(first, last):
         for col in range(cols):
             value = best[row, col]
-            if value < least or n == most:
+            if value < least:
                 continue
             highest = True
-            for r in range(max(0, row - 2), min(rows, row + 3)):
-                for c in range(max(0, col - 2), min(cols, col + 3)):
+            for r in range(max(0, row - NEIGHBOURS), min(rows, row + NEIGHBOURS + 1)):
+                for c in range(max(0, col - NEIGHBOURS), min(cols, col + NEIGHBOURS + 1)):
                     before = r < row or (r == row and c < col)
                     if best[r, c] > value or (before and best[r, c] == value):
                         highest = False
@@ -116,9 +229,10 @@ def maxima(best: NDArray[np.int16], least: int, most: int) -> NDArray[np.int64]:
 
 
 class GroupWindow(NamedTuple):
-    """Group images, their epochs, and the correlation of the noise of neighbouring pixels."""
+    """Group images and their columns, their epochs, and the correlation of the noise of neighbouring pixels."""
 
-    groups: tuple[NDArray[np.int8], ...]
+    groups: tuple[NDArray[np.uint64], ...]
+    cols: int
     epochs: NDArray[np.float64]
     likeness: float
 
@@ -129,8 +243,8 @@ def along(window: GroupWindow, place: NDArray[np.float64], out: NDArray[np.float
 
     place : row, col, and their rates, px and px/s.
     """
-    groups, epochs, likeness = window
-    rows, cols = groups[0].shape
+    groups, cols, epochs, likeness = window
+    rows = groups[0].shape[0]
     total, count = 0.0, 0
     for g in range(len(groups)):
         row, col = place[0] + place[2] * epochs[g], place[1] + place[3] * epochs[g]
@@ -139,10 +253,10 @@ def along(window: GroupWindow, place: NDArray[np.float64], out: NDArray[np.float
         # between pixels the noise of the interpolated image is lower
         if 0 <= r < rows - 1 and 0 <= c < cols - 1:
             fr, fc = row - r, col - c
-            top = groups[g][r, c] * (1 - fc) + groups[g][r, c + 1] * fc
-            low = groups[g][r + 1, c] * (1 - fc) + groups[g][r + 1, c + 1] * fc
+            top = VALUES[code_at(groups[g], r, c)] * (1 - fc) + VALUES[code_at(groups[g], r, c + 1)] * fc
+            low = VALUES[code_at(groups[g], r + 1, c)] * (1 - fc) + VALUES[code_at(groups[g], r + 1, c + 1)] * fc
             kept = (1.0 - 2.0 * fr * (1 - fr) * (1.0 - likeness)) * (1.0 - 2.0 * fc * (1 - fc) * (1.0 - likeness))
-            out[g] = (top * (1 - fr) + low * fr) / (GROUP_UNIT * math.sqrt(kept))
+            out[g] = (top * (1 - fr) + low * fr) / (CODED_UNIT * math.sqrt(kept))
             total += out[g]
             count += 1
     return total / math.sqrt(len(groups)) if count else 0.0

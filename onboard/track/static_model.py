@@ -17,13 +17,17 @@ UNIT: Final = 16
 MASKED: Final = -128
 """Code of a pixel without data."""
 
-MODEL_BITS: Final = 7  # a code of 127 is 16,256, which 16 bits hold
-MODEL_UNIT: Final = 1 << MODEL_BITS
-"""Units of the model for one of a frame's codes."""
+WEIGHT_BITS: Final = 7  # shares of bilinear interpolation to a hundredth
+WEIGHTS: Final = 1 << WEIGHT_BITS
+"""Sum of the shares of the four pixels that a value between them is read from."""
 
-SUM_BITS: Final = 3  # eight times a clipped 64 codes is 8,192
-SUM_UNIT: Final = MODEL_UNIT >> SUM_BITS
-"""Units of a group's sum for one of a frame's codes: eight clipped frames stay within 16 bits."""
+SUM_CODES: Final = 2
+"""Codes in one unit of a group's sum: eighths of the noise, so that rounding adds 0.0013 of a frame's variance. Eight bits hold
+sixteen sigma of a frame, more than five of the sum of eight."""
+
+FULL: Final = 127
+"""Largest value of the model and of a sum. Changes of the model are smaller than a code, but with their noise of half a code they
+are rounded to the right mean: to the 2 codes of the model's own error the rounding adds 1.2."""
 
 BRIGHT: Final = 96
 """Codes (sixteenths of the noise) of the model from which a pixel is a star's and is not used: the model is too rough there."""
@@ -76,23 +80,23 @@ Weights = tuple[np.int32, np.int32, np.int32, np.int32]
 
 @nb.njit(cache=True)
 def _weights(part_row: float, part_col: float) -> Weights:
-    """Shares of four neighbours in 1 / MODEL_UNIT; they add up to one."""
-    right = np.int32(round(MODEL_UNIT * part_col * (1.0 - part_row)))
-    below = np.int32(round(MODEL_UNIT * part_row * (1.0 - part_col)))
-    both = np.int32(round(MODEL_UNIT * part_row * part_col))
-    return np.int32(MODEL_UNIT - right - below - both), right, below, both
+    """Shares of four neighbours in 1 / WEIGHTS; they add up to one."""
+    right = np.int32(round(WEIGHTS * part_col * (1.0 - part_row)))
+    below = np.int32(round(WEIGHTS * part_row * (1.0 - part_col)))
+    both = np.int32(round(WEIGHTS * part_row * part_col))
+    return np.int32(WEIGHTS - right - below - both), right, below, both
 
 
 @nb.njit(cache=True)
-def _mix_row(top: NDArray[np.int8], low: NDArray[np.int8], w: Weights, weight: np.float32, model: NDArray[np.int16]) -> None:
-    """Bring a row of a frame into the model; it stays where one of the four pixels is masked."""
+def _mix_row(top: NDArray[np.int8], low: NDArray[np.int8], w: Weights, weight: np.float32, model: NDArray[np.int8]) -> None:
+    """Bring a row of a frame into the model; it stays where one of the four pixels is masked. weight : for the sum of shares."""
     for j in range(model.size):
         a, b, d, e = np.int32(top[j]), np.int32(top[j + 1]), np.int32(low[j]), np.int32(low[j + 1])
         least = min(min(a, b), min(d, e))
         old = np.int32(model[j])
-        step = np.float32(w[0] * a + w[1] * b + w[2] * d + w[3] * e - old) * weight
-        new = np.int32(old + np.int32(step + np.float32(40000.5)) - np.int32(40000))
-        model[j] = np.int16(new if least > np.int32(MASKED) else old)
+        step = np.float32(w[0] * a + w[1] * b + w[2] * d + w[3] * e - np.int32(WEIGHTS) * old) * weight
+        new = np.int32(old + np.int32(step + np.float32(400.5)) - np.int32(400))
+        model[j] = np.int8(new if least > np.int32(MASKED) else old)
 
 
 @nb.njit(cache=True)
@@ -100,29 +104,30 @@ def _add_row(
     top: NDArray[np.int8],
     low: NDArray[np.int8],
     w: Weights,
-    model_top: NDArray[np.int16],
-    model_low: NDArray[np.int16],
+    model_top: NDArray[np.int8],
+    model_low: NDArray[np.int8],
     m: Weights,
-    total: NDArray[np.int16],
+    total: NDArray[np.int8],
 ) -> None:
     """Add a row of a frame less the model's to the sum; nothing where one of the eight is masked or a star's."""
-    bright = np.int32(BRIGHT * MODEL_UNIT)
-    clip = np.int32(CLIP * SUM_UNIT)
+    bright, clip, full = np.int32(BRIGHT), np.int32(CLIP // SUM_CODES), np.int32(FULL)
+    half, bits = np.int32(WEIGHTS * SUM_CODES // 2), np.int32(WEIGHT_BITS + 1)
     for j in range(total.size):
         a, b, d, e = np.int32(top[j]), np.int32(top[j + 1]), np.int32(low[j]), np.int32(low[j + 1])
         p, q = np.int32(model_top[j]), np.int32(model_top[j + 1])
         s, t = np.int32(model_low[j]), np.int32(model_low[j + 1])
-        sky = (m[0] * p + m[1] * q + m[2] * s + m[3] * t) >> np.int32(MODEL_BITS)
-        value = (w[0] * a + w[1] * b + w[2] * d + w[3] * e - sky) >> np.int32(SUM_BITS)
+        sky = m[0] * p + m[1] * q + m[2] * s + m[3] * t
+        value = (w[0] * a + w[1] * b + w[2] * d + w[3] * e - sky + half) >> bits
         value = min(max(value, -clip), clip)
         least = min(min(a, b), min(d, e))
         lowest, highest = min(min(p, q), min(s, t)), max(max(p, q), max(s, t))
         known = (least > np.int32(MASKED)) & (lowest > -bright) & (highest < bright)
-        total[j] = np.int16(np.int32(total[j]) + (value if known else np.int32(0)))
+        value = np.int32(total[j]) + (value if known else np.int32(0))
+        total[j] = np.int8(min(max(value, -full), full))
 
 
 @nb.njit(cache=True)
-def update_model(codes: NDArray[np.int8], transform: NDArray[np.float64], share: int, model: NDArray[np.int16]) -> None:
+def update_model(codes: NDArray[np.int8], transform: NDArray[np.float64], share: int, model: NDArray[np.int8]) -> None:
     """Bring a frame into the model with a weight of 1 / share. transform : (2, 3) of the model's grid into the frame."""
     rows, cols = codes.shape
     for row in range(rows):
@@ -135,7 +140,7 @@ def update_model(codes: NDArray[np.int8], transform: NDArray[np.float64], share:
             if r < 0 or r >= rows - 1:
                 continue
             w = _weights(at_row - r, at_col - c)
-            weight = np.float32(1.0 / share)
+            weight = np.float32(1.0 / (WEIGHTS * share))
             low, high = _inside(first, c, n, cols)
             if high <= low:
                 continue
@@ -148,7 +153,7 @@ def update_model(codes: NDArray[np.int8], transform: NDArray[np.float64], share:
             )
 
 
-def static_snr(model: NDArray[np.int16], place: NDArray[np.float64], psf_sigma_px: float) -> float:
+def static_snr(model: NDArray[np.int8], place: NDArray[np.float64], psf_sigma_px: float) -> float:
     """S/N that what stands still at a place (row, col) of the model's grid has in one frame, by the PSF's matched filter."""
     width = math.hypot(psf_sigma_px, READING_PX)
     reach = math.ceil(STAR_REACH_SIGMAS * width)
@@ -158,7 +163,7 @@ def static_snr(model: NDArray[np.int16], place: NDArray[np.float64], psf_sigma_p
     step = np.arange(-reach, reach + 1)
     by_row, by_col = (np.exp(-0.5 * ((at + step - p) / width) ** 2) for at, p in ((row, place[0]), (col, place[1])))
     profile = np.outer(by_row, by_col)
-    seen = model[row - reach : row + reach + 1, col - reach : col + reach + 1] / (UNIT * MODEL_UNIT)
+    seen = model[row - reach : row + reach + 1, col - reach : col + reach + 1] / UNIT
     return float((profile * seen).sum() / math.sqrt(float((profile**2).sum())))
 
 
@@ -166,10 +171,10 @@ def static_snr(model: NDArray[np.int16], place: NDArray[np.float64], psf_sigma_p
 def add_moving(
     codes: NDArray[np.int8],
     transform: NDArray[np.float64],
-    model: NDArray[np.int16],
+    model: NDArray[np.int8],
     shift_row: float,
     shift_col: float,
-    total: NDArray[np.int16],
+    total: NDArray[np.int8],
 ) -> None:
     """Add a frame less the model to the sum of what moved by (shift_row, shift_col) px of the model's grid."""
     rows, cols = codes.shape

@@ -95,7 +95,7 @@ def _run(step: Any, truth: Sequence[TrueTrack], cube: int, gap: int | None = Non
             frame = replace(frame, header=late)
         state, result = chain.process(state, frame)
         found += result.tracks
-    return found, state
+    return [*found, *chain.finish(state).tracks], state
 
 
 def _hit(found: Track, truth: TrueTrack) -> bool:

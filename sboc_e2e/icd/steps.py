@@ -110,6 +110,18 @@ class Tracker(Protocol):
 
 
 @runtime_checkable
+class FinishingTracker(Protocol):
+    """Optional part of a tracker that waits for later frames before it says what a frame shows."""
+
+    def finish(self, state: Any) -> tuple[Track, ...]:
+        """What is found when no frame follows; asked for once, after the last frame of a run.
+
+        Members lie in the last `Tracker.window_frames` - 1 frames.
+        """
+        ...
+
+
+@runtime_checkable
 class Encoder(Protocol):
     """`onboard.codec`: pixels to bytes. `number` names the block layout in the packet."""
 

@@ -4,7 +4,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 
 from onboard import latency
-from onboard.chain import OnboardChain, OnboardState, OnboardSteps
+from onboard.chain import OnboardChain, OnboardResult, OnboardState, OnboardSteps, RunEnd
 from sboc_e2e.faults import FaultOptions, damaged_packets, split_packets
 from sboc_e2e.files.atomic import replacing, write_bytes
 from sboc_e2e.icd.frame import Calibration, Frame, NominalCamera
@@ -61,15 +61,17 @@ class OnboardStage:
             self._keeper.offer(position, self._sequence.state)
             position += 1
             progress.advance()
-        waiting: latency.Results = ()
-        if self._sequence.state.held is not None:
+        left: tuple[OnboardResult | RunEnd, ...] = ()
+        if self._sequence.state.held is not None or self._sequence.state.tracking is not None:
+            reset_peak()
             with self.meter:
-                waiting = self._sequence.flush()
-        self._write(position, waiting)
+                left = (*self._sequence.flush(), self._sequence.finish())
+            self.peak_rss_mb = max(self.peak_rss_mb, peak_rss_mb())
+        self._write(position, left)
         return position
 
-    def _write(self, position: int, results: latency.Results) -> None:
-        """Keep the packets that left at a position; after the last frame those of a frame that waited."""
+    def _write(self, position: int, results: Iterable[OnboardResult | RunEnd]) -> None:
+        """Keep the packets that left at a position; after the last frame those of what waited."""
         write_bytes(self.run.work_file(STAGE, position, "bin"), b"".join(result.packets for result in results))
 
     def figures(self) -> dict[str, float]:

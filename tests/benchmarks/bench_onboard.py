@@ -298,7 +298,7 @@ def process_memory(frames: list[tuple[Frame, FrameTruth]], calibration: Calibrat
             environment = {**os.environ, **onboard_process.ENVIRONMENT}
             done = subprocess.run(command, check=True, capture_output=True, text=True, env=environment)
             stages = json.loads(done.stdout)
-            stages.pop("cpu_s_per_frame")
+            del stages["cpu_s_per_frame"], stages["peaks"]
             mpx = frames[0][0].pixels.size / 1e6
             stages["peak_above_libraries_and_kernels"] = stages["peak"] - stages["libraries_and_kernels"]
             out[detector] = {f"{stage}_rss_mb": {"value": value, "n": len(frames[:4])} for stage, value in stages.items()}

@@ -6,6 +6,7 @@ S/N and false tracks are asked as of whole ones. Particles of a storm are the si
 
     python -m tests.benchmarks.bench_tracks            # 1024 x 1024, minutes
     python -m tests.benchmarks.bench_tracks --stars    # the same among stars
+    python -m tests.benchmarks.bench_tracks --seed 93 --frames 8    # other cubes, objects of eight frames alone
     python -m tests.benchmarks.bench_tracks --storm 3000 --cubes 150    # false tracks with so many hits per whole frame
 """
 
@@ -209,6 +210,7 @@ def run_cube(
             left.append(searched)
         if stars is not None:
             history, before = (detector.remembered(view),), view.stars
+    found += tracker.finish(state)
     return found, search_s / n_frames, track_s / n_frames
 
 
@@ -233,7 +235,13 @@ def noise(
 
 
 def completeness(
-    tracker: JointTracker, size: int, cubes: int, seed: int, spread: float = 2.0, n_stars: int = 0
+    tracker: JointTracker,
+    size: int,
+    cubes: int,
+    seed: int,
+    spread: float = 2.0,
+    n_stars: int = 0,
+    numbers: tuple[int, ...] = FRAMES,
 ) -> dict[str, Any]:
     """S50 per frame by number of frames and length; `cubes` cubes for each number of frames, all lengths in each.
 
@@ -242,7 +250,7 @@ def completeness(
     """
     out: dict[str, Any] = {}
     thresholds = replace(tracker, window=max(FRAMES)).thresholds((size, size), PERIOD, PSF_SIGMA_PX)
-    for n in FRAMES:
+    for n in numbers:
         snr: dict[float, list[float]] = {length: [] for length in LENGTHS_PX}
         seen: dict[float, list[bool]] = {length: [] for length in LENGTHS_PX}
         bound: list[tuple[bool, bool]] = []
@@ -287,13 +295,13 @@ def completeness(
     return out
 
 
-def figures(size: int, cubes: int, n_stars: int, storm: float) -> dict[str, Any]:
+def figures(size: int, cubes: int, n_stars: int, storm: float, seed: int = 2) -> dict[str, Any]:
     """Thresholds, false tracks in noise, and, without a storm, completeness."""
     tracker = PieceTracker()
     return {
         "thresholds": tracker.thresholds((size, size), PERIOD, PSF_SIGMA_PX).round(2).tolist(),
         "noise": noise(tracker, size, max(1, cubes // 2), 16, 1, n_stars, storm),
-        **({} if storm else completeness(tracker, size, cubes, 2, n_stars=n_stars)),
+        **({} if storm else completeness(tracker, size, cubes, seed, n_stars=n_stars)),
     }
 
 
@@ -308,6 +316,14 @@ if __name__ == "__main__":
     parser.add_argument("--cubes", type=int, default=20)
     parser.add_argument("--stars", action="store_true")
     parser.add_argument("--storm", type=float, default=0.0)
+    parser.add_argument("--seed", type=int, default=2, help="of the cubes with objects")
+    parser.add_argument(
+        "--frames", type=int, choices=FRAMES, help="objects of so many frames alone, and no cubes without objects"
+    )
     chosen = parser.parse_args()
-    made = figures(chosen.size, chosen.cubes, STARS if chosen.stars or chosen.storm else 0, chosen.storm)
+    stars = STARS if chosen.stars or chosen.storm else 0
+    if chosen.frames:
+        made = completeness(PieceTracker(), chosen.size, chosen.cubes, chosen.seed, n_stars=stars, numbers=(chosen.frames,))
+    else:
+        made = figures(chosen.size, chosen.cubes, stars, chosen.storm, chosen.seed)
     sys.stdout.write("\n".join(f"{key}: {json.dumps(value)}" for key, value in made.items()) + "\n")

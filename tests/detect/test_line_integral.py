@@ -14,7 +14,7 @@ from onboard.detect.line_integral import corridor, refine, sharpness, strip
 from onboard.detect.line_integral.dyadic import line_sums, work_size
 from onboard.detect.line_integral.star_removal import star_light
 from sboc_e2e.icd.flags import MaskBit, StreakFlag
-from sboc_e2e.icd.signals import Detection, DetectorView
+from sboc_e2e.icd.signals import UNKNOWN, Detection, DetectorView
 from sboc_e2e.icd.steps import Detector
 from tests.benchmarks.bench_detection import clip, score
 from tests.benchmarks.detection_frames import (
@@ -544,3 +544,16 @@ def test_particle_storm_neither_floods_nor_blinds() -> None:
     assert false <= 2
     assert sum(bool(d.flags & StreakFlag.COSMIC_LIKE) for d in found) >= 100
     assert len(found) <= LineIntegralDetector().max_detections
+
+
+def test_what_a_tracker_gets_has_the_trails_that_were_taken_out_and_nothing_of_stars() -> None:
+    rng = np.random.default_rng(12)
+    image = rng.integers(-50, 50, (96, 140)).astype(np.int8)
+    level, taps = rng.normal(0.0, 1.0, (2, 3)).astype(np.float32), whiten.odd_taps(PSF_SIGMA_PX)
+    blocked = np.where(rng.random(image.shape) < 0.1, np.uint8(whiten.STAR_BIT), np.uint8(0))
+    smooth = whiten.smooth(image, level, 64, taps, 7.0)
+    before, stars = smooth.copy(), blocked != 0
+    refine.blank_path(smooth, blocked, np.array([5.0, 20.0, 80.0, 100.0, 0.0]), 4.0)
+    assert (smooth != before).sum() > 500
+    whiten.known(smooth, image, blocked, level, 64, taps, 7.0)
+    assert (smooth == np.where(stars, UNKNOWN, before)).all()

@@ -9,8 +9,8 @@ import pytest
 from onboard.track.false_alarms import expected_above, half_point_sigma, independent_stacks, threshold_sigma
 from onboard.track.joint_and_stack import JointAndStackTracker
 from onboard.track.stack import WARM_UP
-from onboard.track.stack_search import GROUP_UNIT, group_image
-from onboard.track.static_model import BRIGHT, MODEL_UNIT, READING_PX, UNIT, add_moving, static_snr, update_model
+from onboard.track.stack_search import CODED_UNIT, VALUES, group_image
+from onboard.track.static_model import BRIGHT, READING_PX, SUM_CODES, UNIT, add_moving, static_snr, update_model
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.results import check_tracks
 from sboc_e2e.icd.signals import Searched, Track, TrackerView
@@ -60,7 +60,7 @@ def test_the_static_light_under_a_point_is_a_star_of_that_snr() -> None:
     row, col = np.indices((60, 60))
     width = math.hypot(0.849, READING_PX)
     star = np.exp(-0.5 * ((row - 30.3) ** 2 + (col - 29.8) ** 2) / width**2)
-    model = np.rint(3.0 * star / np.sqrt((star**2).sum()) * UNIT * MODEL_UNIT).astype(np.int16)
+    model = np.rint(3.0 * star / np.sqrt((star**2).sum()) * UNIT).astype(np.int8)
     assert static_snr(model, np.array([30.3, 29.8]), 0.849) == pytest.approx(3.0, abs=0.02)
     assert static_snr(model, np.array([32.3, 29.8]), 0.849) == pytest.approx(3.0 * math.exp(-1.0 / width**2), abs=0.02)
     assert static_snr(model, np.array([10.0, 50.0]), 0.849) == pytest.approx(0.0, abs=0.01)
@@ -70,23 +70,24 @@ def test_the_static_light_under_a_point_is_a_star_of_that_snr() -> None:
 def test_a_star_that_stands_still_leaves_nothing_and_a_bright_one_is_left_out() -> None:
     codes = np.zeros((40, 40), np.int8)
     codes[10, 10], codes[30, 30] = 40, BRIGHT + 10
-    model, total = np.zeros((40, 40), np.int16), np.zeros((40, 40), np.int16)
+    model, total = np.zeros((40, 40), np.int8), np.zeros((40, 40), np.int8)
     for share in range(1, 9):
         update_model(codes, np.eye(2, 3), share, model)
-    assert model[10, 10] == 40 * MODEL_UNIT
+    assert model[10, 10] == 40
     codes[30, 30] = 0  # whatever a bright star leaves is not counted
     add_moving(codes, np.eye(2, 3), model, 0.0, 0.0, total)
     assert not total.any()
     moved = np.roll(codes, 3, axis=1)  # the same light elsewhere is: three pixels on
     add_moving(moved, np.eye(2, 3), model, 0.0, 3.0, total)
-    assert total[10, 10] == 40 * (MODEL_UNIT >> 3)
+    assert total[10, 10] == 40 // SUM_CODES
 
 
 def test_a_frame_that_has_mostly_moved_out_keeps_its_noise() -> None:
     """After 30 s at 9 px/s more than half of a small frame holds nothing; the rest is in units of its own noise."""
-    total = np.zeros((256, 256), np.int16)
-    total[:, :100] = np.random.default_rng(4).normal(0.0, 500.0, (256, 100))
-    image = group_image(total, 0.849).astype(float) / GROUP_UNIT
+    total = np.zeros((256, 256), np.int8)
+    total[:, :100] = np.random.default_rng(4).normal(0.0, 18.0, (256, 100))
+    words = group_image(total, 0.849)[:, 1:-1]
+    image = VALUES[(words[..., None] >> (4 * np.arange(16, dtype=np.uint64))) & 15].reshape(256, 256) / CODED_UNIT
     assert image[8:-8, 8:90].std() == pytest.approx(1.0, abs=0.05)
     assert not image[:, 110:].any()
 
@@ -119,7 +120,7 @@ def test_an_object_is_reported_with_its_places_in_the_newest_frames_and_keeps_it
     assert [k for k, _ in reported] == [WARM_UP + 15, WARM_UP + 31]
     assert {t.number for _, t in reported} == {0}
     for k, track in reported:
-        assert [m.frame for m in track.members] == list(range(k - 6, k + 1))
+        assert [m.frame for m in track.members] == list(range(k - tracker.window_frames + 1, k + 1))
         for m in track.members:
             d = m.detection
             middle = np.array([d.row0 + d.row1, d.col0 + d.col1]) / 2

@@ -1,8 +1,11 @@
 """Objects over several frames: what noise reaches, what is found, what is kept and sent of them, where tracking ends."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import nullcontext
 from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -22,12 +25,16 @@ from onboard.image.dark_map import DarkMap
 from onboard.options import OnboardOptions
 from onboard.stars.matched import MatchedStars
 from onboard.track.false_alarms import half_point_sigma, independent_tracks, threshold_sigma
-from onboard.track.joint import JointTracker
+from onboard.track.joint import JointTracker, KeptSearch
 from onboard.track.none import NoTracker
 from onboard.track.particles import HIT_CODE, without_hits
+from sboc_e2e.exams.detector import NOISE_E, SHAPE, chain_with, frame_of, star_light
+from sboc_e2e.exams.trails import trail
+from sboc_e2e.faults import FaultOptions
 from sboc_e2e.files import checkpoint
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.flags import FrameFlag
+from sboc_e2e.icd.frame import Frame
 from sboc_e2e.icd.layout import CRC, HEADER_BYTES, Apid
 from sboc_e2e.icd.signals import (
     UNKNOWN,
@@ -40,6 +47,10 @@ from sboc_e2e.icd.signals import (
     TrackerView,
     TrackMember,
 )
+from sboc_e2e.run.directory import RunDirectory
+from sboc_e2e.run.onboard_stage import OnboardStage
+from sboc_e2e.run.progress import Silent
+from sboc_e2e.score.matching import TruthStreak
 from tests.benchmarks.bench_tracks import STARS, PieceTracker, Storm, hit, random_track, run_cube
 from tests.onboard.small_run import Run, calibration, camera, frame, header
 
@@ -66,6 +77,27 @@ def test_tracks_that_no_frame_shows_are_found_in_both_senses_and_noise_gives_non
         assert all(any(hit(track, t) >= 0.5 for t in truth if t is not None) for track in tracks)
     assert sum(found_of) >= 5
     assert senses == {True, False}
+
+
+@dataclass(frozen=True, kw_only=True)
+class WithoutOlder(JointTracker):
+    """Looks at the window alone."""
+
+    def _about(self, window: tuple[KeptSearch, ...], older: tuple[KeptSearch, ...], *rest: Any) -> Any:
+        return super()._about(window, (), *rest)
+
+
+def test_a_track_is_followed_into_frames_before_the_window() -> None:
+    """S/N 4 in each of six frames: 6.9 in a window of three, where 7.4 is asked, and 9.8 in all. Members lie in the window."""
+    with_older, without = [], []
+    for tracker, out in ((JointTracker(window=3), with_older), (WithoutOlder(window=3), without)):
+        rng = np.random.default_rng(15)
+        truth = [random_track(512, length, 6, 6, 4.0, rng) for length in (16.0, 20.0, 24.0, 28.0, 32.0, 36.0)]
+        tracks, _, _ = run_cube(tracker, [t for t in truth if t is not None], 512, 8, rng)
+        assert all(len(track.members) <= 3 for track in tracks)
+        out += [max((t.snr for t in tracks if t is not None and hit(t, one) >= 0.3), default=0.0) for one in truth if one]
+    assert sum(snr > 8.5 for snr in with_older) >= 4
+    assert sum(snr > 8.5 for snr in without) <= 1
 
 
 @pytest.mark.slow
@@ -151,6 +183,19 @@ class Planted:
         return state, (Track(number=5, snr=7.5, members=members),)
 
 
+@dataclass(frozen=True, kw_only=True)
+class Waiting(Planted):
+    """Reports another track through the last two frames when no frame follows."""
+
+    def finish(self, state: tuple[int, ...]) -> tuple[Track, ...]:
+        """A faint one beside the first."""
+        members = tuple(
+            TrackMember(frame=k, detection=Detection(row0=60.0, col0=90.0 + 10 * k, row1=80.0, col1=98.0 + 10 * k, snr=5.0))
+            for k in state[-2:]
+        )
+        return (Track(number=6, snr=8.0, members=members),) if len(members) == 2 else ()
+
+
 def tracked_run(
     numbers: Sequence[int],
     *,
@@ -189,6 +234,94 @@ def test_members_come_down_once_with_the_pixels_of_their_own_frames() -> None:
             row, col, inside = strip.pixel_coordinates(256, 256)
             dark = np.rint(calibration().dark_adu[row[inside], col[inside]])
             assert (strip.values_adu[inside] == pixels[row[inside], col[inside]] - dark).all()
+
+
+def test_what_waits_at_the_end_of_a_run_comes_down_after_the_last_frame() -> None:
+    """With that frame's number, beside the track that came with it, and the strips of every frame it lies in."""
+    run = tracked_run(range(4), tracker=Waiting())
+    end = run.chain.finish(run.state)
+    assert [track.number for track in end.tracks] == [6]
+    frames, report = decode_downlink(run.downlink + end.packets, (PlanesDecoder(),))
+    assert not report.decode_failures
+    assert (report.conflicts, report.apids["track"].n_missing) == (0, 0)
+    assert [sorted(g.track for g in decoded.rois if g.track >= 0) for decoded in frames] == [[5], [5], [5, 6], [5, 6]]
+    for number in (2, 3):
+        (group,) = [g for g in frames[number].rois if g.track == 6]
+        pixels = frame(0).pixels.astype(np.int64) + number % 5
+        for strip in group.strips:
+            row, col, inside = strip.pixel_coordinates(256, 256)
+            dark = np.rint(calibration().dark_adu[row[inside], col[inside]])
+            assert (strip.values_adu[inside] == pixels[row[inside], col[inside]] - dark).all()
+
+
+@pytest.mark.parametrize("tracker", [NoTracker(), Planted()])
+def test_without_a_last_word_nothing_follows_the_last_frame(tracker: object) -> None:
+    run = tracked_run(range(3), tracker=tracker)
+    assert run.chain.finish(run.state).packets == b""
+
+
+def test_the_last_word_says_nothing_of_frames_before_a_break() -> None:
+    """Their tracks came down with the frame that ended the window."""
+    run = tracked_run((0, 1, 2, 5, 6), tracker=Waiting())
+    (track,) = run.chain.finish(run.state).tracks
+    assert [member.frame for member in track.members] == [5, 6]
+
+
+@pytest.mark.parametrize(("n", "snr"), [(2, 7.0), (3, 6.0)])
+def test_an_object_of_a_runs_last_frames_is_found_when_no_frame_follows(n: int, snr: float) -> None:
+    """Below the 7.2 of one frame, and in none of the tracks that came with the frames."""
+    chain, stars = chain_with(tracker=JointTracker()), star_light()
+    state, before, trails = chain.initial_state(), [], []
+    for number in range(7):
+        k = number - (7 - n)
+        if k >= 0:
+            trails.append(trail((160.0 + 4.0 * k, 90.0 + 30.0 * k), 24.0, 7.6, snr, SHAPE, NOISE_E))
+        drawn = [
+            TruthStreak(
+                index=0, frame=number, object_id=0, path=each.path, snr=each.snr, length_px=24.0, rate_deg_s=1.0,
+                attainable_end_px=0.0,
+            )
+            for each in trails[-1:]
+        ]  # fmt: skip
+        state, result = chain.process(state, frame_of(number, stars, drawn, np.random.default_rng([71, n, number])))
+        before += result.tracks
+    end = chain.finish(state)
+    assert before == []
+    assert {track.number for track in end.tracks} == {0}
+    found = max(end.tracks, key=lambda track: track.snr)
+    assert [member.frame for member in found.members] == list(range(7 - n, 7))
+    for member, each in zip(found.members, trails, strict=True):
+        d = member.detection
+        assert 0.5 * (d.row0 + d.row1) == pytest.approx(each.path.row.mean(), abs=4.0)
+        assert 0.5 * (d.col0 + d.col1) == pytest.approx(each.path.col.mean(), abs=6.0)
+    assert end.packets
+
+
+def test_the_last_word_is_sent_once_though_a_run_is_killed_after_any_frame(tmp_path: Path) -> None:
+    """Also when it is killed after that word, before the files are joined."""
+    frames = [frame(number, pixels=frame(0).pixels + np.uint16(number)) for number in range(4)]
+    whole: set[bytes] = set()
+    for last in (None, *range(len(frames) + 1)):
+        folder = RunDirectory(path=tmp_path / str(last))
+        folder.prepare(resume=False, force=False)
+        if last is not None:
+            with pytest.raises(KeyboardInterrupt) if last < len(frames) else nullcontext():
+                OnboardStage(run=folder, chain=tracked_run((), tracker=Waiting()).chain).take(
+                    killed_after(frames, last), Silent()
+                )
+        stage = OnboardStage(run=folder, chain=tracked_run((), tracker=Waiting()).chain)
+        stage.join(stage.take(frames[stage.first :], Silent()), FaultOptions(), 0)
+        whole.add(folder.downlink.read_bytes())
+    (downlink,) = whole
+    decoded, _ = decode_downlink(downlink, (PlanesDecoder(),))
+    assert [sorted(g.track for g in one.rois if g.track >= 0) for one in decoded] == [[5], [5], [5, 6], [5, 6]]
+
+
+def killed_after(frames: Sequence[Frame], last: int) -> Iterator[Frame]:
+    """The first frames, then an interrupt where not all are wanted."""
+    yield from frames[:last]
+    if last < len(frames):
+        raise KeyboardInterrupt
 
 
 def test_a_lost_track_packet_is_missed_and_named() -> None:

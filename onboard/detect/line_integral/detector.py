@@ -160,11 +160,10 @@ class LineIntegralDetector:
             faint, candidates = candidates[~wanted][:MAX_SEEDS], dyadic.in_order(candidates[wanted])
         images = replace(images, blocked=np.unpackbits(bits, count=view.mask.size).reshape(view.mask.shape))
         del bits
-        smooth = whiten.smooth(images.image, images.level, TILE_PX, whiten.odd_taps(s_px), POINT_CLIP_SIGMA)
-        # trails are taken out of it as they are found
+        taps = whiten.odd_taps(s_px)
+        smooth = whiten.smooth(images.image, images.level, TILE_PX, taps, POINT_CLIP_SIGMA)
         # without a frame before, faint stars are still in it: such a frame foretells nothing and bears nothing out
         told = seed_sigma is not None and (earlier is not None or len(view.stars) == 0)
-        whole = whiten.known(smooth, images.blocked) if told else None
         seeds = np.empty((0 if seed_sigma is None else MAX_SEEDS, 6))
         table, n_seeds, work, n_left = resolve.resolve(
             images.image,
@@ -225,4 +224,8 @@ class LineIntegralDetector:
         tracks += track_pieces.beside_trails(hits[: max(0, self.max_detections - len(real))], found)
         tracks.sort(key=lambda d: -d.snr)
         detections = tuple((real + tracks)[: self.max_detections])
-        return detections, None if whole is None else Searched(smooth=whole, seeds=seed_ends(seeds))
+        if not told:
+            return detections, None
+        # trails were taken out of it as they were found
+        whiten.known(smooth, images.image, images.blocked, images.level, TILE_PX, taps, POINT_CLIP_SIGMA)
+        return detections, Searched(smooth=smooth, seeds=seed_ends(seeds))

@@ -199,22 +199,27 @@ def process(
     force: Annotated[bool, typer.Option("--force", help="replace earlier products")] = False,
 ) -> None:
     """Process frames from outside: on board and on ground, without truth."""
-    from sboc_e2e.outside.first_frame import FirstFrame
-    from sboc_e2e.outside.fits_frames import FitsFolder
-    from sboc_e2e.outside.memory import keep_freed_memory
+    from sboc_e2e.outside.memory import keep_freed_memory, uncollected
 
-    keep_freed_memory()
-    source = FitsFolder(path=folder, use_wcs=wcs == "header")
-    first = FirstFrame.of(source, measured=camera is None)
-    # The stars of a large frame are measured beside the following imports and what comes before the first frame.
-    from sboc_e2e import scenario as scenarios
-    from sboc_e2e.outside.found import Found, closing_text
-    from sboc_e2e.outside.page import write_report as write_page
-    from sboc_e2e.outside.process import base_document
-    from sboc_e2e.outside.process import process as execute
+    with uncollected():
+        from sboc_e2e.outside.first_frame import FirstFrame
+        from sboc_e2e.outside.fits_frames import FitsFolder
 
-    registry = registry_of(plugin)
-    resolved = scenarios.bare("process", base_document(wcs), registry=registry, overrides=overrides or (), use=parsed_uses(use))
+        source = FitsFolder(path=folder, use_wcs=wcs == "header")
+        first = FirstFrame.of(source, measured=camera is None)
+        if first.is_beside:  # else the frame is small, or so large that its memory counts more than its time
+            keep_freed_memory()
+        # The stars of a large frame are measured beside the following imports and what comes before the first frame.
+        from sboc_e2e import scenario as scenarios
+        from sboc_e2e.outside.found import Found, closing_text
+        from sboc_e2e.outside.page import write_report as write_page
+        from sboc_e2e.outside.process import base_document
+        from sboc_e2e.outside.process import process as execute
+
+        registry = registry_of(plugin)
+        resolved = scenarios.bare(
+            "process", base_document(wcs), registry=registry, overrides=overrides or (), use=parsed_uses(use)
+        )
     with shown_progress() as progress:
         at = folder.parent if folder.is_file() else folder
         execute(

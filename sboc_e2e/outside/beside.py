@@ -10,10 +10,13 @@ from typing import Any, Final
 LEAST_PX: Final = 1 << 20
 """Pixels of a frame from which on work beside is worth its start: a megapixel's stars take a tenth of a second. Chosen."""
 
+MOST_PX: Final = 36_000_000
+"""Pixels of a frame up to which two searches at once find the memory, 500 MB more. Chosen: frames of 6000 x 6000."""
+
 
 def is_worth(n_pixels: int) -> bool:
     """Whether to work beside on a frame of so many pixels. Elsewhere than on Linux a process cannot be forked safely."""
-    return n_pixels >= LEAST_PX and sys.platform == "linux" and len(os.sched_getaffinity(0)) > 1
+    return LEAST_PX <= n_pixels <= MOST_PX and sys.platform == "linux" and len(os.sched_getaffinity(0)) > 1
 
 
 def forked(function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:

@@ -58,7 +58,7 @@ def camera_of_table(table: dict[str, Any], where: str) -> NominalCamera:
 def camera_of_frame(sourced: SourcedFrame, star_sigma_px: float | None) -> NominalCamera:
     """A camera guessed from one frame and the width of its stars, None where they do not tell it."""
     header, pixels = sourced.frame.header, sourced.frame.pixels
-    finite = pixels[np.isfinite(pixels)]
+    finite = pixels if pixels.dtype.kind == "u" else pixels[np.isfinite(pixels)]
     top = float(finite.max()) if finite.size else 1.0
     saturation = header.saturation_adu or max(ASSUMED_SATURATION_ADU, 2.0 * top)
     gain = header.gain_e_adu or 1.0

@@ -129,10 +129,18 @@ def _seam(name: str) -> Seam:
 
 
 @cache
+def _all_points() -> Any:
+    """What all installed packages announce; its type differs between versions of Python. To read it takes some milliseconds, and
+    every seam asks.
+    """
+    return entry_points()
+
+
+@cache
 def _installed(seam: str) -> dict[str, tuple[EntryPoint, ...]]:
     """Entry points of a seam by name; more than one value for a name is a duplicate."""
     found: dict[str, dict[str, EntryPoint]] = {}
-    for point in entry_points(group=GROUP_PREFIX + seam):
+    for point in _all_points().select(group=GROUP_PREFIX + seam):
         found.setdefault(point.name, {})[point.value] = point
     return {name: tuple(points.values()) for name, points in found.items()}
 

@@ -8,8 +8,8 @@ is refined.
 from dataclasses import dataclass
 
 import numpy as np
+import scipy  # scipy.spatial is loaded where it is used: frames without a solution need none
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 Array = NDArray[np.float64]
 Index = NDArray[np.intp]
@@ -83,8 +83,8 @@ def mutual_pairs(listed: Array, catalogue: Array, radius_px: float) -> tuple[Ind
     if len(listed) == 0 or len(catalogue) == 0:
         none = np.zeros(0, dtype=np.intp)
         return none, none
-    distance, nearest = cKDTree(catalogue).query(listed, distance_upper_bound=radius_px)
-    _, back = cKDTree(listed).query(catalogue)
+    distance, nearest = scipy.spatial.cKDTree(catalogue).query(listed, distance_upper_bound=radius_px)
+    _, back = scipy.spatial.cKDTree(listed).query(catalogue)
     found = np.flatnonzero(np.isfinite(distance))
     mutual = found[back[nearest[found]] == found]
     return mutual, np.asarray(nearest[mutual], dtype=np.intp)
@@ -92,7 +92,7 @@ def mutual_pairs(listed: Array, catalogue: Array, radius_px: float) -> tuple[Ind
 
 def _pairs_within(listed: Array, catalogue: Array, radius_px: float) -> tuple[Index, Index]:
     """All pairs of points closer than `radius_px`."""
-    lists = cKDTree(listed).query_ball_point(catalogue, radius_px)
+    lists = scipy.spatial.cKDTree(listed).query_ball_point(catalogue, radius_px)
     second = np.repeat(np.arange(len(catalogue)), [len(found) for found in lists])
     first = np.fromiter((i for found in lists for i in found), dtype=np.intp, count=len(second))
     return first, second

@@ -3,8 +3,8 @@
 from dataclasses import dataclass, fields
 
 import numpy as np
+import scipy  # scipy.spatial is loaded where it is used: frames without a solution need none
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ground.photometry.zero_point import SUN_B_V, flat_at
 from ground.sky.apparent import apparent_directions, jyear_of, mid_frame_tai_ns, observer_at
@@ -109,7 +109,7 @@ def _among(stars: KnownStars, others: KnownStars, same_px: float) -> tuple[NDArr
     """Which stars are nearer than `same_px` to one of the others, and the index of the nearest of those."""
     if len(stars.row) == 0 or len(others.row) == 0:
         return np.zeros(len(stars.row), dtype=bool), np.zeros(len(stars.row), dtype=np.intp)
-    tree = cKDTree(np.column_stack((others.row, others.col)))
+    tree = scipy.spatial.cKDTree(np.column_stack((others.row, others.col)))
     distance, nearest = tree.query(np.column_stack((stars.row, stars.col)))
     return distance <= same_px, nearest
 

@@ -9,8 +9,8 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+import scipy  # scipy.spatial is loaded where it is used: frames without a solution need none
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from ground.sky.pixel_sky import mid_frame_directions, mid_frame_pixels
 from sboc_e2e.icd.downlink import DownlinkFrame
@@ -85,7 +85,7 @@ def _hidden(memory: tuple[EarlierStars, ...], frame: DownlinkFrame, solution: Fr
     found = np.array(out).reshape(-1, 4)
     if len(found) == 0 or len(frame.remembered) == 0:
         return found
-    sent = cKDTree(np.column_stack((frame.remembered.row, frame.remembered.col)))
+    sent = scipy.spatial.cKDTree(np.column_stack((frame.remembered.row, frame.remembered.col)))
     return np.asarray(found[sent.query(found[:, :2])[0] > SAME_STAR_PX])
 
 

@@ -61,7 +61,7 @@ def _goes_on(
     return False
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, nogil=True)
 def trail_pieces(
     residual_adu: NDArray[np.float32],
     smooth: NDArray[np.int8],

@@ -67,7 +67,7 @@ def pixel_scale(sigma_adu: NDArray[np.float32], tile_px: int, row: int, out: NDA
         out[col] = UNIT / sigma if sigma > 0.0 else 0.0
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, nogil=True)
 def _quantise_rows(
     residual_adu: NDArray[np.float32],
     mask: NDArray[np.uint8],
@@ -100,7 +100,7 @@ def _unusable_row(mask: NDArray[np.uint8], out: NDArray[np.uint8]) -> None:
         out[i] = np.uint8((mask[i] != 0) & (mask[i] != SATURATED))
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, nogil=True)
 def _unusable_rows(mask: NDArray[np.uint8], out: NDArray[np.uint8]) -> None:
     for row in range(mask.shape[0]):
         _unusable_row(mask[row], out[row])
@@ -113,7 +113,7 @@ def unusable(mask: NDArray[np.uint8]) -> NDArray[np.uint8]:
     return out
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, nogil=True)
 def blank_discs(
     image: NDArray[np.int8],
     blocked: NDArray[np.uint8],
@@ -148,7 +148,7 @@ def _tile_sums(values: NDArray[np.int8], blocked: NDArray[np.uint8], limit: int)
     return int(total), int(count)
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, nogil=True)
 def local_level(image: NDArray[np.int8], blocked: NDArray[np.uint8], tile_px: int) -> NDArray[np.float32]:
     """Mean of the clipped image (+-3 sigma) in tiles, smoothed over squares of LEVEL_TILES; units of sigma/16.
 
@@ -252,7 +252,7 @@ def smooth(
     return out
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, nogil=True)
 def _smooth(
     image: NDArray[np.int8],
     level: NDArray[np.float32],
@@ -347,7 +347,7 @@ def smooth_binned(
     return out
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, nogil=True)
 def _smooth_binned(
     image: NDArray[np.int8],
     level: NDArray[np.float32],

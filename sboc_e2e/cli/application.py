@@ -167,7 +167,7 @@ def report(
     plugin: Plugins = None,
 ) -> None:
     """Write report.html and report.md of a scored run; of frames from outside without truth, a page of what was found."""
-    from sboc_e2e.outside.found import is_unscored
+    from sboc_e2e.outside.found import Found, is_unscored
 
     if movie is not None and movie.suffix.lower() != ".gif":
         raise UserError(f'--movie: expected a file name that ends in .gif, got "{movie}"')
@@ -176,7 +176,7 @@ def report(
 
         if movie is not None:
             raise UserError(f"--movie: {run_dir} holds frames from outside, which no run kept; expected a run of `sboc run`")
-        typer.echo(write_page(run_dir))
+        typer.echo(write_page(Found.of(run_dir)))
         return
     _stage("report", run_dir, plugin)
     typer.echo(run_dir / "report.html")
@@ -199,17 +199,28 @@ def process(
     force: Annotated[bool, typer.Option("--force", help="replace earlier products")] = False,
 ) -> None:
     """Process frames from outside: on board and on ground, without truth."""
-    from sboc_e2e import scenario as scenarios
-    from sboc_e2e.outside.fits_frames import FitsFolder
-    from sboc_e2e.outside.found import Found, closing_text
-    from sboc_e2e.outside.page import write_report as write_page
-    from sboc_e2e.outside.process import base_document
-    from sboc_e2e.outside.process import process as execute
+    from sboc_e2e.outside.memory import keep_freed_memory, uncollected
 
-    registry = registry_of(plugin)
-    resolved = scenarios.bare("process", base_document(wcs), registry=registry, overrides=overrides or (), use=parsed_uses(use))
-    with shown_progress() as progress:
+    with uncollected():
+        from sboc_e2e.outside.first_frame import FirstFrame
+        from sboc_e2e.outside.fits_frames import FitsFolder
+
         source = FitsFolder(path=folder, use_wcs=wcs == "header")
+        first = FirstFrame.of(source, measured=camera is None)
+        if first.is_beside:  # else the frame is small, or so large that its memory counts more than its time
+            keep_freed_memory()
+        # The stars of a large frame are measured beside the following imports and what comes before the first frame.
+        from sboc_e2e import scenario as scenarios
+        from sboc_e2e.outside.found import Found, closing_text
+        from sboc_e2e.outside.page import write_report as write_page
+        from sboc_e2e.outside.process import base_document
+        from sboc_e2e.outside.process import process as execute
+
+        registry = registry_of(plugin)
+        resolved = scenarios.bare(
+            "process", base_document(wcs), registry=registry, overrides=overrides or (), use=parsed_uses(use)
+        )
+    with shown_progress() as progress:
         at = folder.parent if folder.is_file() else folder
         execute(
             source,
@@ -218,12 +229,14 @@ def process(
             camera=camera,
             solve=wcs == "solve",
             folder=at,
+            first=first,
             force=force,
             registry=registry,
             progress=progress,
         )
-    typer.echo(closing_text(Found.of(out)))
-    typer.echo(write_page(out))
+    found = Found.of(out)
+    typer.echo(closing_text(found))
+    typer.echo(write_page(found))
 
 
 @app.command()

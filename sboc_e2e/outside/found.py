@@ -68,7 +68,7 @@ class Found:
             ("tracklets", number(self.n_tracklets), ""),
             ("stars found in a frame", *_median(frames, "n_stars_found", least=0.0)),
             ("PSF, FWHM (px)", *_median(frames, "psf_sigma_px", least=1e-6, factor=FWHM_PER_SIGMA)),
-            ("noise of a pixel (ADU)", *self._noise()),
+            ("noise of a pixel (ADU)", *self._noise),
             ("frames solved on the sky", number(int(np.sum(frames["solved"]))), f"of {n}"),
             ("stars in a solution", *_median(frames[np.asarray(frames["solved"], dtype=bool)], "n_stars", least=1.0)),
             ("residual of its stars (px)", *_median(frames, "rms_px", least=0.0)),
@@ -86,6 +86,7 @@ class Found:
         words = ", ".join(f"{in_all[f'snr_{level}']} at S/N >= {level}" for level in levels)
         return number(in_all["all"]), f"{_each(in_all['all'], len(counts))}; {words}"
 
+    @cached_property
     def _noise(self) -> tuple[str, str]:
         """Median over some frames of the scatter of neighbouring pixels' differences, over the square root of two."""
         levels = []

@@ -7,7 +7,10 @@ method of Elias and Gygi 2007, doi:10.1038/nmeth1019). What is bright alone, suc
 
 import math
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
+from dataclasses import dataclass, replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -18,6 +21,7 @@ from ground.vetting.readout import is_of_readout
 from ground.vetting.sides import SkyMap
 from ground.vetting.star_rows import FWHM_PER_SIGMA, LONGEST_PX, MARGIN_PX, MOST_PIXELS, Crop, StarField
 from onboard.chain import OnboardChain
+from onboard.detect.line_integral.detector import LineIntegralDetector
 from onboard.detect.line_integral.star_removal import TILE_PX
 from onboard.detect.line_integral.static_sky import IDENTITY, EarlierFrame, earlier_frame, segment_snr_before
 from onboard.latency import REACH_PX
@@ -29,6 +33,7 @@ from sboc_e2e.icd.frame import NominalCamera
 from sboc_e2e.icd.results import check_detections
 from sboc_e2e.icd.signals import Detection, DetectorView, StarMotion
 from sboc_e2e.icd.steps import Detector
+from sboc_e2e.outside import beside
 from sboc_e2e.outside.limits import work_meter
 
 LEVELS_SNR: Final = (10.0, 20.0, 50.0, 100.0)
@@ -64,23 +69,38 @@ def negative_of(view: DetectorView) -> DetectorView:
     return replace(view, residual_adu=negative, history=(), work=work_meter(negative.size))
 
 
-def look_alikes(detector: Detector, view: DetectorView, detections: Sequence[Detection]) -> NDArray[np.float64]:
+@dataclass(frozen=True, kw_only=True)
+class Dark:
+    """The negative of a view and the lines that the detector finds in it."""
+
+    view: DetectorView
+    lines: Sequence[Detection]
+
+    @classmethod
+    def of(cls, detector: Detector, view: DetectorView) -> "Dark":
+        """Search the negative of a view."""
+        negative = negative_of(view)
+        found = detector.detect(negative)
+        check_detections(found, view.mask.shape)
+        return cls(view=negative, lines=found)
+
+
+def look_alikes(dark: Dark, view: DetectorView, detections: Sequence[Detection]) -> NDArray[np.float64]:
     """S/N, length, width (px), evenness and alignment, shape (n, 5), of lines in the negative of a frame by falling S/N.
 
     detections : of the frame itself. Dark lines beside a line that is much brighter are its shadow and do not count. Neither do
     lines of the readout: the vetter of uncalibrated frames refuses such lines by their place, and they tell nothing of others.
     Nor do dark lines that a neighbouring frame has too, among the stars or on the sensor: bright ones that stay are not detected.
     """
-    negative = negative_of(view)
-    found = detector.detect(negative)
-    check_detections(found, view.mask.shape)
 
     def of_readout(line: Detection) -> bool:
         shape = view.header.rows, view.header.cols
         return is_of_readout(line.row1 - line.row0, line.col1 - line.col0, view.psf_sigma_px, shape)
 
     lines = [
-        each for each in found if not (each.flags & NO_LINE or of_readout(each) or any(_shadow(each, of) for of in detections))
+        each
+        for each in dark.lines
+        if not (each.flags & NO_LINE or of_readout(each) or any(_shadow(each, of) for of in detections))
     ]
     earlier = earlier_frame(view, REACH_PX) if lines and view.history else None
     if earlier is not None:
@@ -88,7 +108,7 @@ def look_alikes(detector: Detector, view: DetectorView, detections: Sequence[Det
     table = np.array(
         [
             (
-                each.snr, each.length_px, *shape_of(each, negative.residual_adu, negative.mask),
+                each.snr, each.length_px, *shape_of(each, dark.view.residual_adu, dark.view.mask),
                 is_aligned(each.row1 - each.row0, each.col1 - each.col0),
             )
             for each in lines
@@ -195,17 +215,29 @@ def stars_as_lines(found: Sequence[Detection], shape: tuple[int, ...]) -> StarMo
     return motion if spread > SPREAD_LENGTHS * float(np.median(length)) else None
 
 
-def _sky_of(prepared: Prepared, found: Sequence[Detection]) -> tuple[SkyMap, StarField]:
-    """The map of a prepared frame's sky; its stars, with the counts around its short lines."""
-    counts, unknown = prepared.counts, prepared.view.mask != 0
-    adu = counts.pixels.astype(np.float32) * np.float32(counts.adu_scale)
-    flux = prepared.view.stars.flux_e
-    stars = StarField(
-        flux_e=np.sort(flux[np.isfinite(flux)]),
-        area_px2=float(np.count_nonzero(~unknown)),
-        crops=tuple(_crops(adu, unknown, found)),
-    )
-    return SkyMap.of(adu, unknown), stars
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Sky:
+    """Counts of a frame in ADU, which of its pixels are unknown, and the map of its sky."""
+
+    adu: NDArray[np.float32]
+    unknown: NDArray[np.bool_]
+    map: SkyMap
+
+    @classmethod
+    def of(cls, prepared: Prepared) -> "Sky":
+        """The sky of a prepared frame."""
+        counts, unknown = prepared.counts, prepared.view.mask != 0
+        adu = counts.pixels.astype(np.float32) * np.float32(counts.adu_scale)
+        return cls(adu=adu, unknown=unknown, map=SkyMap.of(adu, unknown))
+
+    def stars(self, prepared: Prepared, found: Sequence[Detection]) -> StarField:
+        """The stars of the frame, with the counts around its short lines."""
+        flux = prepared.view.stars.flux_e
+        return StarField(
+            flux_e=np.sort(flux[np.isfinite(flux)]),
+            area_px2=float(np.count_nonzero(~self.unknown)),
+            crops=tuple(_crops(self.adu, self.unknown, found)),
+        )
 
 
 def _crops(adu: NDArray[np.float32], unknown: NDArray[np.bool_], found: Sequence[Detection]) -> Iterator[Crop]:
@@ -236,18 +268,28 @@ class CountingChain(OnboardChain):
         self.evidence: dict[int, OwnEvidence] = {}
 
     def judge(self, state: OnboardState, prepared: Prepared) -> tuple[OnboardState, OnboardResult]:
-        """As `OnboardChain.judge`; the search of the negative is added to `evidence`."""
-        after, result = super().judge(state, prepared)
-        if prepared.usable:
-            view = prepared.view
-            sky, field = _sky_of(prepared, result.detections) if result.detections else (None, None)
+        """As `OnboardChain.judge`; the search of the negative is added to `evidence`.
+
+        In large frames the negative is searched in a thread beside, and the sky is mapped there before it is known whether there
+        are lines to hold against it.
+        """
+        view = prepared.view
+        if not prepared.usable:
+            return super().judge(state, prepared)
+        threaded = isinstance(self._detector, LineIntegralDetector) and beside.is_worth(view.mask.size)
+        with ThreadPoolExecutor(max_workers=1) if threaded else nullcontext() as pool:
+            dark = pool.submit(Dark.of, self._detector, view).result if pool else partial(Dark.of, self._detector, view)
+            sky = pool.submit(Sky.of, prepared).result if pool else partial(Sky.of, prepared)
+            after, result = super().judge(state, prepared)
+            found = result.detections
+            seen = sky() if found else None
             self.evidence[view.header.frame] = OwnEvidence(
-                look_alikes=look_alikes(self._detector, view, result.detections),
+                look_alikes=look_alikes(dark(), view, found),
                 alone=self.looks_back and not view.history,
                 seen=seen_of(view.mask),
-                stars=stars_as_lines(result.detections, view.mask.shape),
-                sky=sky,
-                field=field,
+                stars=stars_as_lines(found, view.mask.shape),
+                sky=seen.map if seen else None,
+                field=seen.stars(prepared, found) if seen else None,
             )
         return after, result
 

@@ -32,6 +32,7 @@ from sboc_e2e.outside.fits_frames import FIRST_ASSUMED_TAI_NS, MAX_SIDE_PX, MIN_
 from sboc_e2e.outside.frame_source import SourcedFrame
 from sboc_e2e.outside.limits import work_meter
 from sboc_e2e.outside.process import base_document
+from sboc_e2e.outside.star_width import star_sigma_px
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.ground_stage import ground_chain
 from sboc_e2e.scenario import Scenario
@@ -186,7 +187,8 @@ def _scenario(detector: str | None) -> Scenario:
 
 def _on_board(frame: Frame, scenario: Scenario, detector: Any) -> tuple[OnboardResult, tuple[NominalCamera, bytes]]:
     """What the on-board chain makes of a frame; the camera guessed from it, and its packets."""
-    camera = camera_of_frame(SourcedFrame(frame=frame, file="image", hdu=0, wcs=None, notes=()))
+    sourced = SourcedFrame(frame=frame, file="image", hdu=0, wcs=None, notes=())
+    camera = camera_of_frame(sourced, star_sigma_px(np.asarray(frame.pixels, dtype=np.float32)))
     steps = OnboardSteps(
         background=scenario.step("onboard.background"),
         star_extractor=scenario.step("onboard.star_extractor"),

@@ -26,9 +26,9 @@ LOOKS_LIKE: Final = {
 }
 
 
-def write_report(run_dir: Path) -> Path:
-    """The page of a run of `sboc process`. Raises `UserError` where products are absent."""
-    found = Found.of(run_dir)
+def write_report(found: Found) -> Path:
+    """The page of a run of `sboc process`."""
+    run_dir = found.run.path
     shown, cutouts = _pictures(found)
     body = [
         "<div class='cards'>",

@@ -1,18 +1,20 @@
 """`sboc process`: frames from outside through the on-board and the ground chain; products, and no score without truth."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
 from typing import Any, Final
+
+import numpy as np
 
 from ground.astrometry import lost_in_space
 from sboc_e2e.files import calibration_files
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Frame, NominalCamera
-from sboc_e2e.outside.border_slopes import WithoutSlopes
 from sboc_e2e.outside.camera import camera_of_frame, camera_of_preset, focal_px_by_stars, refuse_narrow_field
-from sboc_e2e.outside.fixed_pattern import MutuallyCalibrated
-from sboc_e2e.outside.frame_source import FrameSource
+from sboc_e2e.outside.first_frame import FirstFrame
+from sboc_e2e.outside.frame_source import FrameSource, SourcedFrame
 from sboc_e2e.outside.limits import MOST_DETECTIONS
 from sboc_e2e.outside.look_alikes import CountingChain, counts_of
 from sboc_e2e.registry import Registry
@@ -28,6 +30,9 @@ WCS_CHOICES: Final = ("header", "solve", "none")
 
 MODEL_ERROR: Final = 0.2
 """Share of a trail's light by which telescopes on the ground differ from the fit's model: turbulence, tracking, tumbling."""
+
+REHEARSED_PX: Final = 256
+"""Side of the part of a frame that the chain begins with: four tiles of the sky. Chosen."""
 
 
 @dataclass(kw_only=True)
@@ -72,6 +77,7 @@ def process(
     camera: str | None,
     solve: bool = False,
     folder: Path | None = None,
+    first: FirstFrame | None = None,
     force: bool,
     registry: Registry,
     progress: Progress,
@@ -79,28 +85,29 @@ def process(
     """Products of all frames of a source in a run directory.
 
     camera : an instrument preset, None to guess one from the first frame. solve : `--wcs solve`; an unknown camera's focal
-    length then comes from its stars. folder : where the files lie, for `sboc view`.
+    length then comes from its stars. folder : where the files lie, for `sboc view`. first : of the source, where it was read.
     """
     directory = RunDirectory(path=out)
-    source = WithoutSlopes(source=MutuallyCalibrated(source=source))
-    n_frames = source.n_frames
     require_files(scenario)
     require_decoder(scenario)
     if solve:
         lost_in_space.required_solver()
     catalogue = star_catalogue(scenario)
     known = camera_of_preset(camera, registry) if camera else None
-    first = next(iter(source.frames()))
-    nominal = _fitting(known, first.frame) if known else camera_of_frame(first)
+    if first is None:
+        first = FirstFrame.of(source, measured=known is None)
+    source = first.source
+    if first.is_beside:
+        _rehearse(first.frame, scenario)
+    nominal = _fitting(known, first.frame.frame) if known else camera_of_frame(first.frame, first.star_sigma_px())
     if solve and known is None:
         nominal = replace(nominal, focal_px=focal_px_by_stars(source, catalogue))
     if solve:
         refuse_narrow_field(nominal)
-    del first  # its pixels
     # Only now: what is wrong with frames or camera costs no earlier products.
     directory.prepare(resume=False, force=force)
     manifest = Manifest.of(directory.manifest, scenario)
-    manifest.n_frames = n_frames
+    manifest.n_frames = n_frames = source.n_frames
     if folder is not None:
         manifest.sources["frames"] = str(folder.resolve())
     manifest.save()
@@ -109,10 +116,10 @@ def process(
     )
     seen = Seen()
     chain = CountingChain(scenario.onboard, onboard_steps(scenario), camera=nominal, run_id=manifest.run_id)
-    board = OnboardStage(run=directory, chain=chain)
+    board = OnboardStage(run=directory, chain=chain, resumed=False)
     manifest.begin("onboard")
     progress.stage("onboard", n_frames)
-    manifest.n_frames = n_frames = board.take(_noted(source, seen), progress)
+    manifest.n_frames = n_frames = board.take(_noted(first.frames(), seen), progress)
     board.join(n_frames, scenario.faults, scenario.seed)
     manifest.finish("onboard", **board.figures())
     directory.clear_work("onboard")
@@ -134,6 +141,7 @@ def process(
         chain=vetted,
         options=scenario.ground,
         catalogue=catalogue,
+        resumed=False,
         outside=Outside(origin=seen.origin, wcs=seen.wcs, notes=seen.of_frame, left_out=source.left_out, look_alikes=counts),
     )
     manifest.begin("ground")
@@ -142,9 +150,25 @@ def process(
     directory.clear_work("ground")
 
 
-def _noted(source: FrameSource, seen: Seen) -> Iterator[Frame]:
-    """Frames of a source, while what is known of each is noted."""
-    for sourced in source.frames():
+def _rehearse(sourced: SourcedFrame, scenario: Scenario) -> None:
+    """Load the kernels of the on-board chain by a part of a frame, with a camera that fits it roughly.
+
+    Done while the stars are measured beside, where every step is our own: somebody else's sees the frames alone.
+    """
+    steps = onboard_steps(scenario)
+    if any(type(getattr(steps, each.name)).__module__.partition(".")[0] != "onboard" for each in fields(steps)):
+        return
+    pixels: Any = np.ascontiguousarray(sourced.frame.pixels[:REHEARSED_PX, :REHEARSED_PX])
+    header = replace(sourced.frame.header, rows=pixels.shape[0], cols=pixels.shape[1])
+    part = Frame(header=header, pixels=pixels)
+    with suppress(Exception):  # what is wrong with the frame is said when it is processed
+        chain = CountingChain(scenario.onboard, steps, camera=camera_of_frame(replace(sourced, frame=part), None), run_id=0)
+        chain.process(chain.initial_state(), part)
+
+
+def _noted(frames: Iterator[SourcedFrame], seen: Seen) -> Iterator[Frame]:
+    """Frames, while what is known of each is noted."""
+    for sourced in frames:
         number = sourced.frame.header.frame
         seen.origin[number] = (sourced.file, sourced.hdu)
         if sourced.wcs is not None:

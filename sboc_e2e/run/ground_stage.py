@@ -137,6 +137,8 @@ class GroundStage:
     options: GroundOptions
     catalogue: StarCatalogue
     outside: Outside = field(default_factory=Outside)
+    resumed: bool = True
+    """Whether the run can be resumed."""
     meter: Meter = field(default_factory=Meter)
     frame_meter: Meter = field(default_factory=Meter)
     """Per-frame share of `meter`."""
@@ -196,7 +198,7 @@ class GroundStage:
 
     def _process_frames(self, frames: Sequence[DownlinkFrame], progress: Progress) -> None:
         """Products of each frame into the work folder, from where an earlier attempt stopped."""
-        keeper = StateKeeper(run=self.run, stage=STAGE, shared={"catalogue": self.catalogue})
+        keeper = StateKeeper(run=self.run, stage=STAGE, shared={"catalogue": self.catalogue}, resumed=self.resumed)
         last = keeper.last()
         first, state = (0, self.chain.initial_state()) if last is None else (last[0] + 1, last[1])
         progress.stage(STAGE, len(frames), first)

@@ -39,11 +39,13 @@ class OnboardStage:
 
     run: RunDirectory
     chain: OnboardChain
+    resumed: bool = True
+    """Whether the run can be resumed."""
     meter: Meter = field(default_factory=Meter)
     peak_rss_mb: float = 0.0
 
     def __post_init__(self) -> None:
-        self._keeper = StateKeeper(run=self.run, stage=STAGE)
+        self._keeper = StateKeeper(run=self.run, stage=STAGE, resumed=self.resumed)
         last = self._keeper.last()
         self.first: int = 0 if last is None else last[0] + 1
         state: OnboardState = self.chain.initial_state() if last is None else last[1]

@@ -20,6 +20,8 @@ class StateKeeper:
     stage: str
     shared: Mapping[str, Any] = field(default_factory=dict)
     """Large objects that are not the state's own, by name."""
+    resumed: bool = True
+    """Whether anything can go on from a state; if not, none is kept."""
     _cost_s: float = 0.0
     _since: float = field(default_factory=time.perf_counter)
 
@@ -33,7 +35,7 @@ class StateKeeper:
     def offer(self, frame: int, state: Any) -> None:
         """Keep the state after this frame if enough was done since the last one; older states go."""
         start = time.perf_counter()
-        if start - self._since < WORK_PER_COST * self._cost_s:
+        if not self.resumed or start - self._since < WORK_PER_COST * self._cost_s:
             return
         older = self.run.numbers(self.stage, "state")
         checkpoint.save(self.run.work_file(self.stage, frame, "state"), state, self.shared)

@@ -93,7 +93,7 @@ def model_of(options: type) -> type[BaseModel]:
     """The pydantic model of a TOML table with these options; unknown keys are refused."""
     return create_model(
         options.__name__,
-        __config__=ConfigDict(extra="forbid", protected_namespaces=(), frozen=True, validate_by_alias=True),
+        __config__=ConfigDict(extra="forbid", protected_namespaces=(), frozen=True, validate_by_alias=True, defer_build=True),
         __doc__=(options.__doc__ or "").strip().splitlines()[0] if options.__doc__ else "",
         **model_fields(options),
     )

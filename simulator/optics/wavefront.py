@@ -10,7 +10,7 @@ from itertools import pairwise
 from typing import Final
 
 import numpy as np
-import scipy.fft
+import scipy  # scipy.fft is loaded where it is used: most programs draw no PSF of a wavefront
 from numpy.typing import NDArray
 
 from simulator.optics.passband import Passband, sun_electrons_m2_s

@@ -18,7 +18,7 @@ from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.products import StreakFit
 from sboc_e2e.icd.signals import Detection, DetectorView, StarList
 from sboc_e2e.outside.found import Found
-from sboc_e2e.outside.look_alikes import CountingChain, look_alikes, seen_of, shape_of, stars_as_lines
+from sboc_e2e.outside.look_alikes import CountingChain, Dark, look_alikes, seen_of, shape_of, stars_as_lines
 from sboc_e2e.outside.process import base_document
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.onboard_stage import onboard_steps
@@ -103,9 +103,12 @@ def test_dark_lines_beside_a_line_twice_as_bright_are_its_shadow() -> None:
     detector = Scripted(detections=(dark,))
     _, _, made = prepared(detector)
     beside = Detection(row0=5.0, col0=30.0, row1=90.0, col1=30.0, snr=18.0)
-    assert len(look_alikes(detector, made.view, (beside,))) == 0
-    assert len(look_alikes(detector, made.view, (replace(beside, snr=17.0),))) == 1
-    assert len(look_alikes(detector, made.view, (replace(beside, row0=95.0, row1=95.0, col0=70.0, col1=95.0),))) == 1
+    assert len(look_alikes(Dark.of(detector, made.view), made.view, (beside,))) == 0
+    assert len(look_alikes(Dark.of(detector, made.view), made.view, (replace(beside, snr=17.0),))) == 1
+    assert (
+        len(look_alikes(Dark.of(detector, made.view), made.view, (replace(beside, row0=95.0, row1=95.0, col0=70.0, col1=95.0),)))
+        == 1
+    )
 
 
 def test_dark_lines_that_a_neighbouring_frame_has_too_do_not_count() -> None:
@@ -132,8 +135,8 @@ def test_dark_lines_that_a_neighbouring_frame_has_too_do_not_count() -> None:
 
     for shift, share, left in (((3.0, 5.0), 1.0, 0), ((0.0, 0.0), 1.0, 0), ((3.0, 5.0), 0.2, 1), ((20.0, -9.0), 1.0, 1)):
         view = replace(made.view, stars=plain, history=(before(shift, share),))
-        assert len(look_alikes(detector, view, ())) == left, (shift, share)
-    assert len(look_alikes(detector, replace(made.view, stars=plain), ())) == 1
+        assert len(look_alikes(Dark.of(detector, view), view, ())) == left, (shift, share)
+    assert len(look_alikes(Dark.of(detector, made.view), replace(made.view, stars=plain), ())) == 1
 
 
 @dataclass(frozen=True, kw_only=True)

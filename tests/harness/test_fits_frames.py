@@ -9,9 +9,10 @@ from astropy.io import fits
 
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.tai import from_jd_parts
-from sboc_e2e.outside.camera import camera_of_frame, star_sigma_px
+from sboc_e2e.outside.camera import camera_of_frame
 from sboc_e2e.outside.fits_frames import FIRST_ASSUMED_TAI_NS, FitsFolder, _frame_header, start_tai_ns
 from sboc_e2e.outside.frame_source import Note, SourcedFrame
+from sboc_e2e.outside.star_width import star_sigma_px
 
 SKY = np.random.default_rng(4).normal(1000.0, 5.0, (65, 71))
 
@@ -73,7 +74,7 @@ def test_headers_are_read_where_present(tmp_path: Path) -> None:
     assert header.t_start_tai_ns == from_jd_parts(2460370.5, (2 * 3600 + 3 * 60 + 4.5 + 37) / 86400)
     assert found.wcs is not None
     assert found.notes == ()
-    assert camera_of_frame(found).focal_px == pytest.approx(np.degrees(1) / 1e-3, rel=1e-6)
+    assert camera_of_frame(found, None).focal_px == pytest.approx(np.degrees(1) / 1e-3, rel=1e-6)
     (bare,) = FitsFolder(path=tmp_path, use_wcs=False).frames()
     assert bare.wcs is None
 

@@ -101,7 +101,7 @@ def _keep_best(found: NDArray[np.float32], first: int, stop: int) -> tuple[int, 
     return n, float(least)
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, nogil=True)
 def line_sums(
     image: NDArray[np.int16],
     upside_down: bool,

@@ -112,7 +112,7 @@ def light_at(radius: float, inner: float, light: NDArray[np.float32]) -> float:
     return float(light[k] + (x - k) * (light[k + 1] - light[k]))
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, nogil=True)
 def measure_and_take_out(
     image: NDArray[np.int8],
     blocked: NDArray[np.uint8],

@@ -185,7 +185,7 @@ def free(blocked: NDArray[np.uint8], candidates: NDArray[np.float64]) -> NDArray
     return out
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, nogil=True)
 def resolve(
     image: NDArray[np.int8],
     smooth: NDArray[np.int8],

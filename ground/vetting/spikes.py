@@ -35,7 +35,7 @@ class BrightStars:
 
     @classmethod
     def of(
-        cls, row: NDArray[np.float64], col: NDArray[np.float64], flux_e: NDArray[np.float64], area_px2: float
+        cls, row: NDArray[np.float64], col: NDArray[np.float64], flux_e: NDArray[np.float32], area_px2: float
     ) -> "BrightStars":
         """From a list in any order; entries without a number are left out."""
         order = np.argsort(flux_e, kind="stable")

@@ -204,7 +204,7 @@ def test_what_may_be_a_star_is_refused_in_frames_that_stand_alone() -> None:
     alone = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=empty, alone=True)})
     assert alone.probability(fits, frame) == pytest.approx([0.0, 0.0, 0.99])
     beside = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=empty)})
-    assert beside.probability(fits, frame) == pytest.approx(0.99)
+    assert beside.probability(fits, frame) == pytest.approx([0.332, 0.99, 0.99], abs=1e-3), "left to the linker, not published"
 
 
 def test_the_chain_says_which_frames_stand_alone() -> None:

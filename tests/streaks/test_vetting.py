@@ -261,8 +261,9 @@ def test_what_stays_on_a_column_is_of_the_readout(fits: dict[str, list[StreakFit
 def test_a_wide_trail_that_drifts_across_rows_is_no_line_of_the_readout(
     fits: dict[str, list[StreakFit]], frame: DownlinkFrame
 ) -> None:
-    """Frame 0064 of a field of the galactic bulge: 506 px, 12.2 +- 0.28 px across the rows, sigma 5.5 px where stars have
-    2.3, chi square 9.5 of the stars that it crosses. It was refused, since it stays within 2.5 of its widths over most of the frame."""
+    """Frame 0064 of a field of the galactic bulge: 506 px long, 12.2 +- 0.28 px across the rows, sigma 5.5 px where stars have
+    2.3, chi square 9.5 of the stars that it crosses. It was refused for staying within 2.5 of its widths over most of the
+    frame."""
     light = np.array(
         [0.9, 0.8, 1.0, 0.4, 0.8, 1.5, 0.6, 0.4, 0.9, 1.3, 2.8, 0.4, 1.4, 0.7, 1.2, 0.6, 0.5, 0.7, 1.9, 0.7, 1.1, 2.0, 0.4]
     )

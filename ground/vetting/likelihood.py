@@ -237,8 +237,7 @@ class LikelihoodVetter:
             features = [replace(each, ln_snr=min(each.ln_snr, brightest)) for each in features]
         probability = 1.0 / (1.0 + np.exp(-(offset + slope * self.log_odds(features, strange, psf_known=not unknown))))
         if self.model_error > 0.0:
-            of_readout = np.array([odds_of_readout(fit) for fit in fits])
-            probability = probability / (1.0 + probability * of_readout)
+            probability = probability / (1.0 + probability * odds_of_readout(fits))
         refused = [self._refused(fit, frame, psf_sigma_px, unknown=unknown) for fit in fits]
         return np.asarray(np.where(refused, 0.0, probability), dtype=np.float64)
 

@@ -6,9 +6,11 @@ the longer the line is; a drift that differs from zero by several of its errors 
 """
 
 import math
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from sboc_e2e.icd.products import StreakFit
 
@@ -20,8 +22,15 @@ READOUT_SPAN: Final = 0.7
 """Least share of the frame along it. Both together take in one of 500 lines of any direction and place in frames of 4,096 px,
 and one of eight in cut-outs of 100 px (docs/real-frames.md). Chosen, not measured."""
 
-READOUT_PER_REAL: Final = 1.0
-"""Expected lines of the readout for each real streak, in a frame that nobody calibrated: one half. Chosen, not measured."""
+READOUT_SHARE: Final = 0.03
+"""Share of lines that are the readout's in a frame that shows no others of them. Chosen, so that a trail of 25 px along a row,
+one in twenty of its length, is still published, and a lone column of 50 px is not."""
+READOUT_LINES: Final = 10.0
+"""Lines that this expectation is worth: the frame's own lines correct it."""
+LEAST_LINE_PX: Final = 15.0
+"""Shorter fits say nothing of the readout. Chosen, not measured."""
+ITERATIONS: Final = 20
+"""The share and the lines in turn: a budget of work. Chosen, not measured."""
 
 DRIFT_ERROR_PX: Final = 0.5
 """One sigma of a drift beside what the fit quotes: stars beside a line, pixels that it covers in part. Chosen, not measured."""
@@ -52,12 +61,26 @@ def drift_of(fit: StreakFit) -> tuple[float, float]:
     return drift, math.hypot(math.sqrt(variance), DRIFT_ERROR_PX, DRIFT_ERROR_WIDTHS * fit.width_px)
 
 
-def odds_of_readout(fit: StreakFit) -> float:
-    """Odds of a line of the readout against a trail of any direction, as far as the drift tells."""
+def exactness(fit: StreakFit) -> float:
+    """Likelihood of a line's drift if it is one of the readout, over that of a trail of any direction.
+
+    Its mean over trails of all directions is 1.
+    """
     if not fit.length_px > 0.0:
-        return 0.0
+        return 1.0
     drift, sigma = drift_of(fit)
     of_readout = math.exp(-0.5 * (drift / sigma) ** 2) / (math.sqrt(2.0 * math.pi) * sigma)
     # directions within 45 deg of a row or column are alike: drifts of a small angle have 2 / (pi length) for each px
-    of_trail = 2.0 / (math.pi * fit.length_px)
-    return READOUT_PER_REAL * of_readout / of_trail
+    return of_readout * 0.5 * math.pi * fit.length_px
+
+
+def odds_of_readout(fits: Sequence[StreakFit]) -> NDArray[np.float64]:
+    """Odds (n,) of a line of the readout against a trail, as far as their drifts tell; the other lines of a frame give the share."""
+    exact = np.array([exactness(fit) for fit in fits])
+    tells = np.array([fit.length_px > LEAST_LINE_PX for fit in fits], dtype=np.bool_)
+    of_readout, share = np.zeros(len(exact)), np.full(len(exact), READOUT_SHARE)
+    for _ in range(ITERATIONS):
+        of_readout = np.where(tells, share * exact / (share * exact + 1.0 - share), 0.0)
+        known = READOUT_SHARE * READOUT_LINES + of_readout.sum() - of_readout
+        share = known / (READOUT_LINES + tells.sum() - tells)
+    return np.asarray(share / (1.0 - share) * exact, dtype=np.float64)

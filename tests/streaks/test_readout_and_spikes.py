@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ground.vetting.readout import drift_of, odds_of_readout
+from ground.vetting.readout import drift_of, exactness, odds_of_readout
 from ground.vetting.spikes import BrightStars
 
 
@@ -17,24 +17,42 @@ def line(row0: float, col0: float, row1: float, col1: float, **more: Any) -> Any
     return type("Fit", (), ends | values)()
 
 
-def test_the_odds_of_the_readout_average_to_one_over_trails_of_all_directions() -> None:
-    """A likelihood ratio does, whatever its form: 200,000 trails of 200 px, to 6 % (seed 11)."""
-    rng = np.random.default_rng(11)
-    angle = rng.uniform(0.0, math.pi, 200_000)
+def test_the_likelihood_ratio_averages_to_one_over_trails_of_all_directions() -> None:
+    """As any does: 200,000 trails of 200 px, to 6 % (seed 11)."""
+    angle = np.random.default_rng(11).uniform(0.0, math.pi, 200_000)
     near = np.abs(np.sin(2.0 * angle)) < 0.2
-    total = sum(odds_of_readout(line(0.0, 0.0, 200.0 * math.sin(a), 200.0 * math.cos(a))) for a in angle[near])
+    total = sum(exactness(line(0.0, 0.0, 200.0 * math.sin(a), 200.0 * math.cos(a))) for a in angle[near])
     assert total / len(angle) == pytest.approx(1.0, abs=0.06)
 
 
 def test_a_drift_of_several_errors_is_no_readout_whatever_the_width() -> None:
     """A column speaks the more for the readout the longer it is; texture and stars widen the error of a drift."""
-    assert 20.0 < odds_of_readout(line(10.0, 5.0, 60.0, 5.0)) < odds_of_readout(line(10.0, 5.0, 460.0, 5.2))
-    assert odds_of_readout(line(10.0, 5.0, 460.0, 9.0)) < 1e-3
-    assert odds_of_readout(line(10.0, 5.0, 460.0, 19.0, width_px=5.5, chi2_nu=9.5)) < 0.01
-    assert odds_of_readout(line(10.0, 5.0, 10.0, 5.0)) == 0.0
-    wide = drift_of(line(10.0, 5.0, 460.0, 9.0, chi2_nu=100.0))
-    assert wide[0] == pytest.approx(4.0)
-    assert wide[1] == pytest.approx(math.hypot(math.sqrt(2.0), 0.5, 0.3), rel=0.01)
+    short, long, drifts, wide, point = odds_of_readout(
+        [
+            line(10.0, 5.0, 60.0, 5.0),
+            line(10.0, 5.0, 460.0, 5.2),
+            line(10.0, 5.0, 460.0, 9.0),
+            line(10.0, 5.0, 460.0, 19.0, width_px=5.5, chi2_nu=9.5),
+            line(10.0, 5.0, 10.0, 5.0),
+        ]
+    )
+    assert 1.0 < short < long / 5.0
+    assert max(drifts, wide) < 1e-2
+    assert point < 1.0
+    drift, sigma = drift_of(line(10.0, 5.0, 460.0, 9.0, chi2_nu=100.0))
+    assert drift == pytest.approx(4.0)
+    assert sigma == pytest.approx(math.hypot(math.sqrt(2.0), 0.5, 0.3), rel=0.01)
+    assert odds_of_readout([]).shape == (0,)
+
+
+def test_a_frame_with_columns_expects_more_of_them() -> None:
+    """A line of 27 px along a row may be a trail; among eight such columns it is not; among thirty lines of other ways it may."""
+    alone = line(10.0, 5.0, 37.0, 5.3)
+    others = [line(50.0, 60.0 + 30.0 * k, 50.0 + 90.0 * math.sin(0.3 + 0.09 * k), 150.0) for k in range(30)]
+    columns = [line(0.0, 20.0 + 40.0 * k, 300.0, 20.0 + 40.0 * k) for k in range(8)]
+    assert odds_of_readout([alone])[0] < 1.5
+    assert odds_of_readout([alone, *others])[0] < 1.5
+    assert odds_of_readout([alone, *columns])[0] > 10.0
 
 
 def stars(n: int, *, flux_e: float = 1e6) -> BrightStars:

@@ -75,7 +75,7 @@ def exactness(fit: StreakFit) -> float:
 
 
 def odds_of_readout(fits: Sequence[StreakFit]) -> NDArray[np.float64]:
-    """Odds (n,) of a line of the readout against a trail, as far as their drifts tell; the other lines of a frame give the share."""
+    """Odds (n,) of a line of the readout against a trail, as far as drifts tell; the other lines of a frame give the share."""
     exact = np.array([exactness(fit) for fit in fits])
     tells = np.array([fit.length_px > LEAST_LINE_PX for fit in fits], dtype=np.bool_)
     of_readout, share = np.zeros(len(exact)), np.full(len(exact), READOUT_SHARE)

@@ -22,10 +22,10 @@ READOUT_SPAN: Final = 0.7
 """Least share of the frame along it. Both together take in one of 500 lines of any direction and place in frames of 4,096 px,
 and one of eight in cut-outs of 100 px (docs/real-frames.md). Chosen, not measured."""
 
-READOUT_SHARE: Final = 0.03
+READOUT_SHARE: Final = 0.015
 """Share of lines that are the readout's in a frame that shows no others of them. Chosen, so that a trail of 25 px along a row,
-one in twenty of its length, is still published, and a lone column of 50 px is not."""
-READOUT_LINES: Final = 10.0
+one in twenty of its length, is still published, and a lone column of 60 px is not."""
+READOUT_LINES: Final = 20.0
 """Lines that this expectation is worth: the frame's own lines correct it."""
 LEAST_LINE_PX: Final = 15.0
 """Shorter fits say nothing of the readout. Chosen, not measured."""

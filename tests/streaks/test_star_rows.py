@@ -88,6 +88,13 @@ def test_a_full_star_is_no_trail_where_it_is_the_only_one() -> None:
     assert StarField(flux_e=none, area_px2=1e6, crops=(image_of(along(1000.0), 1),)).against(bright, 1.0) < 1e-3
 
 
+def test_a_line_that_ends_on_the_border_is_judged() -> None:
+    """Its end lies half a pixel beyond the middle of the last one. None of them was held by a crop."""
+    crop = Crop(adu=np.zeros((20, 30), np.float32), row=0, col=0)
+    for row, held in ((-0.5, True), (19.5, True), (-0.6, False), (19.6, False)):
+        assert crop.holds(np.array([row, 5.0]), np.array([3.0, 29.5])) == held
+
+
 def test_long_lines_and_lines_that_no_crop_holds_are_not_judged() -> None:
     """Chance makes no long rows, and what was not kept cannot be looked at."""
     flux = np.full(5_000, 1e5, dtype=np.float32)

@@ -250,8 +250,8 @@ def test_what_stays_on_a_column_is_of_the_readout(fits: dict[str, list[StreakFit
     rows = frame.header.rows
     vetter, calibrated = LikelihoodVetter(model_error=0.2), LikelihoodVetter()
     column = outside_fit(fits["real"][0], (-0.5, 40.0, rows - 0.5, 40.4), width_px=1.5, snr=190.0, chi2_nu=1.0)
-    assert vetter.probability([column], frame)[0] < 0.01
-    assert vetter.probability([replace(column, row1=0.1 * rows)], frame)[0] < 0.05
+    assert vetter.probability([column], frame)[0] < 0.05
+    assert vetter.probability([replace(column, row1=0.1 * rows)], frame)[0] < 0.3
     assert calibrated.probability([column], frame)[0] > 0.0
     free, drifts = (vetter.probability([replace(column, col1=col)], frame)[0] for col in (900.0, 44.0))
     assert free > 0.9

@@ -49,7 +49,7 @@ SHORTEST_ALONE_PX: Final = 25.0
 """Blends of stars look like trails up to this length in a frame that was held against no other frame of the same sky."""
 
 POINT_WIDTHS: Final = 10.0
-"""Fits up to so many widths long are points: four full widths. A pair of hot pixels was 5 px long at S/N 1,070 and 0.7 px wide."""
+"""Fits up to so many widths long are points: four full widths. Two hot pixels were 5 px long at S/N 1,070, 0.7 px wide."""
 POINTS_PER_REAL: Final = 2.0
 """Hot pixels and cores of stars for each real object of this kind, in frames that were held against others. The neighbours are
 where a mover shows again: what they link is published from `ground.veto_below` on, and a point alone is not. Of seven false

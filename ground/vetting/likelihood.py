@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from ground.vetting.class_densities import REAL, RECURRING, STRUCTURE, class_densities, log_odds_calibration
 from ground.vetting.features import Features, features_of, lumpiness_of
-from ground.vetting.readout import is_of_readout
+from ground.vetting.readout import odds_of_readout
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
@@ -74,6 +74,11 @@ LEAST_EDGE_TO_EDGE_WIDTHS: Final = 12.0
 LEAST_UNMODELLED_PIECE_SNR: Final = 15.0
 """S/N of each piece as long as the trail is wide, against the residuals that the fit itself leaves: rows of stars and slopes of
 the background are lines of high S/N as a whole, and leave larger residuals."""
+UNBROKEN_BINS: Final = 8
+"""Bins of a light curve from which on a line that is lit in all of them is a trail as well, whatever stars beside it leave to the
+residuals. Chosen, not measured."""
+UNBROKEN_SHARE: Final = 0.3
+"""Least light of each of them, as a share of the median one: a row of stars or galaxies has gaps. Chosen, not measured."""
 LEAST_UNMODELLED_SHARPNESS: Final = -0.25
 """Of ln width: what is a fifth narrower than the optics is a particle or a column. Chosen, not measured."""
 LN_UNMODELLED: Final = -7.5
@@ -143,6 +148,12 @@ def _snr_over_residuals(fit: StreakFit) -> float:
     return fit.snr / math.sqrt(max(fit.chi2_nu, 1.0)) if math.isfinite(fit.chi2_nu) else 0.0
 
 
+def _is_unbroken(fit: StreakFit) -> bool:
+    """Whether a line has light all along it."""
+    curve = fit.light_curve_e_px
+    return curve.size >= UNBROKEN_BINS and float(curve.min()) >= UNBROKEN_SHARE * float(np.median(curve)) > 0.0
+
+
 def _of_unmodelled_kind(fit: StreakFit, features: Features) -> bool:
     """Whether a fit is a bright straight line that is too long for its width to be anything but a trail, though none was
     simulated. Its light must be even: slopes of the sky change smoothly too."""
@@ -151,7 +162,7 @@ def _of_unmodelled_kind(fit: StreakFit, features: Features) -> bool:
     return (
         not (features.failed or features.aligned or features.static or features.spike)
         and fit.snr >= LEAST_UNMODELLED_SNR
-        and _snr_over_residuals(fit) >= LEAST_UNMODELLED_PIECE_SNR * math.sqrt(pieces)
+        and (_is_unbroken(fit) or _snr_over_residuals(fit) >= LEAST_UNMODELLED_PIECE_SNR * math.sqrt(pieces))
         and fit.length_px >= (LEAST_EDGE_TO_EDGE_WIDTHS if crosses else LEAST_UNMODELLED_WIDTHS) * fit.width_px
         and features.sharpness >= LEAST_UNMODELLED_SHARPNESS
         and not lumpiness_of(fit, may_vary=False) > LUMPIEST
@@ -225,6 +236,8 @@ class LikelihoodVetter:
             brightest = LN_BRIGHTEST_SNR_UNKNOWN if unknown else LN_BRIGHTEST_SNR
             features = [replace(each, ln_snr=min(each.ln_snr, brightest)) for each in features]
         probability = 1.0 / (1.0 + np.exp(-(offset + slope * self.log_odds(features, strange, psf_known=not unknown))))
+        if self.model_error > 0.0:
+            probability = probability / (1.0 + probability * odds_of_readout(fits))
         refused = [self._refused(fit, frame, psf_sigma_px, unknown=unknown) for fit in fits]
         return np.asarray(np.where(refused, 0.0, probability), dtype=np.float64)
 
@@ -232,11 +245,9 @@ class LikelihoodVetter:
         """Whether a fit is rejected independently of the densities; unknown : the PSF's width is assumed."""
         # The class densities end far below such widths: stray light, dead borders. No defocus makes them at these ranges.
         widest = min(WIDEST, WIDEST_UNKNOWN) if unknown else WIDEST
-        uncalibrated, shape = self.model_error > 0.0, (frame.header.rows, frame.header.cols)
+        uncalibrated = self.model_error > 0.0
         snr = _snr_over_residuals(fit) if uncalibrated else fit.snr
         if fit.width_px > widest * psf_sigma_px and snr < WIDEST_SNR:
-            return True
-        if uncalibrated and is_of_readout(fit.row1 - fit.row0, fit.col1 - fit.col0, fit.width_px, shape):
             return True
         if unknown and _beyond_knowledge(fit, frame):
             return True

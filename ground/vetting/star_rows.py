@@ -48,6 +48,14 @@ UNEVEN_TRAILS: Final = 0.05
 """Share of trails with gaps as rows of stars have: flashes of tumbling objects, fits that run on past the trail's end. Measured
 on injected trails, see `gaps_of`."""
 
+FULL_SNR: Final = 1000.0
+"""S/N from which a star is full or nearly: it spills, has a tail, and its companions and wings show. Chosen, not measured."""
+FULL_LONGEST_PX: Final = 256.0
+"""Lines as bright as that are judged up to this length: one full star and the glow of a border were 164 px."""
+FULL_PER_FRAME: Final = 0.1
+"""Expected lines that are such a star, however few are listed. In 142 frames of a crowded field one was published (S/N 19,600, 28
+px, chi square 31,000, p 0.72), and a pair in two stacks of galaxies. Chosen, not measured."""
+
 PITCH_FWHM: Final = 2.0
 """Largest distance of the stars of a row without gaps, in full widths: halfway between them each has 6 % of its peak left."""
 BREADTH_WIDTHS: Final = 4.0
@@ -70,10 +78,10 @@ class Crop:
     col: int
 
     def holds(self, row: NDArray[np.float64], col: NDArray[np.float64]) -> bool:
-        """Whether all places lie inside."""
+        """Whether all places lie inside or on the border, which runs half a pixel beyond the middles of its pixels."""
         r, c = row - self.row, col - self.col
-        shape = self.adu.shape
-        return bool((r >= 0.0).all() and (c >= 0.0).all() and (r <= shape[0] - 1).all() and (c <= shape[1] - 1).all())
+        last = np.array(self.adu.shape) - 0.5
+        return bool((r >= -0.5).all() and (c >= -0.5).all() and (r <= last[0]).all() and (c <= last[1]).all())
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -109,10 +117,11 @@ class StarField:
 
     def against(self, fit: StreakFit, gain_e_adu: float) -> float:
         """Odds of a row of stars against a trail, as far as gaps and the stars of the frame tell; 0 where they do not."""
-        if not 0.0 < fit.length_px <= LONGEST_PX or not fit.flux_e > 0.0:
+        full = fit.snr > FULL_SNR
+        if not 0.0 < fit.length_px <= (FULL_LONGEST_PX if full else LONGEST_PX) or not fit.flux_e > 0.0:
             return 0.0
         odds = self.even_rows(fit) / REAL_PER_FRAME
-        pairs = self.pairs(fit)
+        pairs = self.pairs(fit) + (FULL_PER_FRAME if full else 0.0)
         if pairs > 0.0:
             gaps = self.gaps(fit, gain_e_adu)
             odds += 0.0 if math.isnan(gaps) else pairs / REAL_PER_FRAME * row_over_trail(gaps)

@@ -98,6 +98,30 @@ def test_a_frame_costs_one_search_more_of_its_negative() -> None:
     assert chain.evidence[0].look_alikes[:, :2].tolist() == [[9.0, pytest.approx(np.hypot(55.0, 35.0))]]
 
 
+def test_fringes_are_counted_though_they_lie_beside_each_other() -> None:
+    """Ripples 24 px apart raise the threshold of the lines beside them, and stars lift bright lines over it again. Of the dark
+    ones none was counted, and seven of fourteen bright lines were published at p of 0.74 to 0.96."""
+    rng = np.random.default_rng(12)
+    row, col = np.mgrid[:512, :512].astype(np.float64)
+    bend = 40.0 * np.sin(row / 90.0)
+    image = rng.normal(1000.0, 20.0, row.shape) + 16.0 * np.sin((col + bend) / 4.0)
+    frame = Frame(
+        header=FrameHeader(frame=0, t_start_tai_ns=0, exposure_ns=10**9, line_time_ns=0, rows=512, cols=512),
+        pixels=image.astype(np.uint16),
+    )
+    scenario = scenarios.bare("process", base_document("none"), registry=Registry())
+    camera = NominalCamera(
+        name="test", rows=512, cols=512, focal_px=1e4, center_row=255.5, center_col=255.5, psf_sigma_px=1.6, gain_e_adu=1.0,
+        read_noise_e=1.0, saturation_adu=65535.0, full_well_e=65535.0, zero_point_e_s=None, aperture_m=0.1,
+    )  # fmt: skip
+    chain = CountingChain(scenario.onboard, onboard_steps(scenario), camera=camera, run_id=1)
+    state = chain.initial_state()
+    chain.judge(state, chain.prepare(state, frame))
+    own = chain.evidence[0]
+    assert len(own.look_alikes) >= 10
+    assert own.share < 1.0
+
+
 def test_dark_lines_beside_a_line_twice_as_bright_are_its_shadow() -> None:
     dark = Detection(row0=20.0, col0=5.0, row1=70.0, col1=5.0, snr=9.0)
     detector = Scripted(detections=(dark,))
@@ -183,7 +207,7 @@ def test_what_may_be_a_star_is_refused_in_frames_that_stand_alone() -> None:
     alone = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=empty, alone=True)})
     assert alone.probability(fits, frame) == pytest.approx([0.0, 0.0, 0.99])
     beside = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=empty)})
-    assert beside.probability(fits, frame) == pytest.approx(0.99)
+    assert beside.probability(fits, frame) == pytest.approx([0.332, 0.99, 0.99], abs=1e-3), "left to the linker, not published"
 
 
 def test_the_chain_says_which_frames_stand_alone() -> None:

@@ -18,7 +18,8 @@ def fit(snr_per_px: float, length_px: float = LENGTH) -> Any:
     """A fit of the line, or of a longer one, with so much light in each pixel of its length."""
     ends = dict(zip(("row0", "col0", "row1", "col1"), ENDS, strict=True))
     flux = snr_per_px * NOISE * (2.0 * np.sqrt(np.pi) * SIGMA) ** 0.5 * length_px
-    return type("Fit", (), ends | {"length_px": length_px, "width_px": SIGMA, "flux_e": flux, "sagitta_px": 0.0})()
+    more = {"length_px": length_px, "width_px": SIGMA, "flux_e": flux, "sagitta_px": 0.0, "snr": snr_per_px * length_px**0.5}
+    return type("Fit", (), ends | more)()
 
 
 def image_of(light: NDArray[np.float64], seed: int) -> Crop:
@@ -75,6 +76,23 @@ def test_gaps_count_by_the_stars_that_the_frame_has() -> None:
     assert odds(2) < 1.0 < 100.0 < odds(200)
     faint = StarField(flux_e=np.full(5_000, 1.0, dtype=np.float32), area_px2=1e6, crops=(crop,))
     assert faint.against(fit(5.0), 1.0) == 0.0
+
+
+def test_a_full_star_is_no_trail_where_it_is_the_only_one() -> None:
+    """A line of S/N 19,600 and 28 px that held one clump of light was published with p 0.72: no star was listed as bright."""
+    bright = fit(1000.0)
+    clump = np.zeros(int(LENGTH))
+    clump[[24, 25]] = 0.5 * bright.flux_e
+    none = np.zeros(0, dtype=np.float32)
+    assert StarField(flux_e=none, area_px2=1e6, crops=(image_of(clump, 1),)).against(bright, 1.0) > 2.0
+    assert StarField(flux_e=none, area_px2=1e6, crops=(image_of(along(1000.0), 1),)).against(bright, 1.0) < 1e-3
+
+
+def test_a_line_that_ends_on_the_border_is_judged() -> None:
+    """Its end lies half a pixel beyond the middle of the last one. None of them was held by a crop."""
+    crop = Crop(adu=np.zeros((20, 30), np.float32), row=0, col=0)
+    for row, held in ((-0.5, True), (19.5, True), (-0.6, False), (19.6, False)):
+        assert crop.holds(np.array([row, 5.0]), np.array([3.0, 29.5])) == held
 
 
 def test_long_lines_and_lines_that_no_crop_holds_are_not_judged() -> None:

@@ -124,13 +124,19 @@ class LineIntegralDetector:
         """Detections by falling S/N; particle hits (flagged) after everything else."""
         return self._search(view, None)[0]
 
+    def detect_in_white_noise(self, view: DetectorView) -> tuple[Detection, ...]:
+        """The same, except that the lines beside a detection do not raise its threshold: structure of the sky counts in full."""
+        return self._search(view, None, noise_beside=False)[0]
+
     def search(self, view: DetectorView, seed_sigma: float) -> tuple[tuple[Detection, ...], Searched]:
         """The same detections, and what a tracker goes on from: segments from `seed_sigma` on, and the image they are in."""
         found, searched = self._search(view, seed_sigma)
         return found, Searched.empty(view.mask.shape) if searched is None else searched
 
-    def _search(self, view: DetectorView, seed_sigma: float | None) -> tuple[tuple[Detection, ...], Searched | None]:
-        """Detections and, where seeds are asked for, what a tracker goes on from."""
+    def _search(
+        self, view: DetectorView, seed_sigma: float | None, *, noise_beside: bool = True
+    ) -> tuple[tuple[Detection, ...], Searched | None]:
+        """Detections and, where seeds are asked for, what a tracker goes on from. noise_beside : whether `local_noise` judges."""
         if min(view.residual_adu.shape) < 2 * MIN_ROWS:
             return (), None
         s_px = view.psf_sigma_px
@@ -188,9 +194,9 @@ class LineIntegralDetector:
             seeds = np.concatenate([seeds, faint[resolve.free(images.blocked, faint)]])
         view.work.spend(Work.CANDIDATES, work)
         view.work.leave(Work.CANDIDATES, n_left)
-        table = local_noise.above(
-            within_work(table, view.work), n_sigma, images.image, images.blocked, images.level, TILE_PX, s_px
-        )
+        table = within_work(table, view.work)
+        if noise_beside:
+            table = local_noise.above(table, n_sigma, images.image, images.blocked, images.level, TILE_PX, s_px)
         found = [line_detection(row, view.residual_adu.shape) for row in table]
         found = [piece for d in found for piece in trains.taken_apart(d, view, images.blocked, s_px)]
         found = [with_blurred_ends(d, images, s_px) if d.length_px < resolve.SHARP_ENDS_PX else d for d in found]

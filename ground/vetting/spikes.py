@@ -1,0 +1,71 @@
+"""Spikes of bright stars: a line that passes through a star's centre, or aims at it from beside it.
+
+Struts before a mirror and full columns draw lines through a star that hold some per cent of its light. A trail does so only by
+chance, and the frame's own list of stars says how often: the more stars are as bright as that, the less it means.
+"""
+
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from sboc_e2e.icd.products import StreakFit
+
+LEAST_LIGHT: Final = 30.0
+"""Light of a star over that of its spike, at least: struts take some per cent of the aperture. Chosen, not measured."""
+
+CENTRE_ERROR_PX: Final = 2.0
+"""How near to the centre of a star its spikes run: the middle of a full star is known to a pixel or two. Chosen, not measured."""
+SIGMAS: Final = 3.0
+"""The line's own error is added so many times."""
+
+SPIKE_PER_REAL: Final = 0.5
+"""Expected lines that are spikes, for each real streak: one frame in four has one. Chosen, not measured."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class BrightStars:
+    """The listed stars of a frame by rising light: row, col (px) and flux_e, (n,) each; and the area in which they lie (px2)."""
+
+    row: NDArray[np.float64]
+    col: NDArray[np.float64]
+    flux_e: NDArray[np.float32]
+    area_px2: float
+
+    @classmethod
+    def of(
+        cls, row: NDArray[np.float64], col: NDArray[np.float64], flux_e: NDArray[np.float32], area_px2: float
+    ) -> "BrightStars":
+        """From a list in any order; entries without a number are left out."""
+        order = np.argsort(flux_e, kind="stable")
+        order = order[np.isfinite(flux_e[order])]
+        return cls(row=row[order], col=col[order], flux_e=flux_e[order], area_px2=area_px2)
+
+    def against(self, fit: StreakFit) -> float:
+        """Odds of a spike against a trail, as far as the stars tell; 0 where a line aims at none."""
+        length = fit.length_px
+        first = int(np.searchsorted(self.flux_e, LEAST_LIGHT * fit.flux_e))
+        if not length > 0.0 or not fit.flux_e > 0.0 or first == len(self.flux_e):
+            return 0.0
+        along_row, along_col = (fit.row1 - fit.row0) / length, (fit.col1 - fit.col0) / length
+        row, col = self.row[first:] - fit.row0, self.col[first:] - fit.col0
+        along, across = row * along_row + col * along_col, row * along_col - col * along_row
+        place = along / length
+        reach = CENTRE_ERROR_PX + SIGMAS * _across_error(fit, place)
+        aims = (np.abs(across) < reach) & (place > -1.0) & (place < 2.0)
+        if not aims.any():
+            return 0.0
+        breadth = 2.0 * float(np.median(reach[aims]))
+        chance = min(len(row) * breadth * 3.0 * length / self.area_px2, 1.0)
+        return SPIKE_PER_REAL * (1.0 / chance - 1.0)
+
+
+def _across_error(fit: StreakFit, place: NDArray[np.float64]) -> NDArray[np.float64]:
+    """One sigma of a line across itself, px, at places (n,) along it: 0 and 1 are its ends, others lie beyond."""
+    across = np.array([fit.col1 - fit.col0, fit.row0 - fit.row1]) / fit.length_px
+    ends = np.zeros((2, 4))
+    ends[0, :2], ends[1, 2:] = across, across
+    covariance = ends @ fit.covariance_px2 @ ends.T * max(float(np.nan_to_num(fit.chi2_nu, nan=1.0)), 1.0)
+    weight = np.stack((1.0 - place, place))
+    return np.asarray(np.sqrt(np.maximum(np.einsum("in,ij,jn->n", weight, covariance, weight), 0.0)), dtype=np.float64)

@@ -306,13 +306,20 @@ def _smooth(
 
 
 @nb.njit(cache=True)
-def _known_row(values: NDArray[np.int8], blocked: NDArray[np.uint8]) -> bool:
-    """Make pixels unknown that are blocked by anything but a trail; whether a trail was taken out of the row."""
-    found = np.uint8(0)
+def _known_row(values: NDArray[np.int8], blocked: NDArray[np.uint8]) -> None:
+    """Make pixels unknown that are blocked by anything but a trail."""
     for i in range(values.size):
-        values[i] = values[i] if blocked[i] & np.uint8(255 - FOUND_BIT) == 0 else np.int8(UNKNOWN)
-        found |= blocked[i]
-    return (found & np.uint8(FOUND_BIT)) != 0
+        free = (blocked[i] == np.uint8(0)) | (blocked[i] == np.uint8(FOUND_BIT))
+        values[i] = values[i] if free else np.int8(UNKNOWN)
+
+
+@nb.njit(cache=True)
+def _trail_pixels(blocked: NDArray[np.uint8]) -> int:
+    """Pixels of a row that are a trail's; a loop of its own, for the two in one take twice the time."""
+    count = np.int32(0)
+    for i in range(blocked.size):
+        count += np.int32(blocked[i] == np.uint8(FOUND_BIT))
+    return int(count)
 
 
 @nb.njit(cache=True)
@@ -331,7 +338,8 @@ def known(
     """
     again = np.empty((1, image.shape[1]), np.int8)
     for row in range(image.shape[0]):
-        if _known_row(smoothed[row], blocked[row]):
+        _known_row(smoothed[row], blocked[row])
+        if _trail_pixels(blocked[row]) > 0:
             _smooth(image, level, tile_px, taps, clip_sigma, row, again)
             for i in range(image.shape[1]):
                 if blocked[row, i] == np.uint8(FOUND_BIT):

@@ -92,18 +92,37 @@ def _encode_row(
 
 
 @nb.njit(cache=True)
-def _pack_row(codes: NDArray[np.int8], words: NDArray[np.uint64], rest: NDArray[np.int8], n: int) -> int:
-    """Pack the differences of a row; those that need a byte come to the n of the rest, whose new number is returned."""
+def _fours(codes: NDArray[np.int8], out: NDArray[np.uint8]) -> None:
+    """What four bits hold of each difference, in a byte."""
+    for i in range(codes.size):
+        near = (codes[i] >= np.int8(-NEAR)) & (codes[i] <= np.int8(NEAR))
+        out[i] = np.uint8(np.int32(codes[i]) + np.int32(NEAR + 1)) if near else np.uint8(0)
+
+
+@nb.njit(cache=True)
+def _squeezed(eight: np.uint64) -> np.uint64:
+    """The low four bits of eight bytes side by side, in the low half."""
+    eight = (eight | (eight >> np.uint64(4))) & np.uint64(0x00FF00FF00FF00FF)
+    eight = (eight | (eight >> np.uint64(8))) & np.uint64(0x0000FFFF0000FFFF)
+    return (eight | (eight >> np.uint64(16))) & np.uint64(0xFFFFFFFF)
+
+
+@nb.njit(cache=True)
+def _pack_row(
+    codes: NDArray[np.int8], fours: NDArray[np.uint8], words: NDArray[np.uint64], rest: NDArray[np.int8], n: int
+) -> int:
+    """Pack the differences of a row; those that need a byte come to the n of the rest, whose new number is returned.
+
+    fours : room for a byte of each.
+    """
+    _fours(codes, fours)
+    eights = fours.view(np.uint64)
+    one, high = np.uint64(0x1111111111111111), np.uint64(0x8888888888888888)
     for word in range(words.size):
-        bits = np.uint64(0)
-        far = False
-        for k in range(PIXELS):
-            value = np.int32(codes[PIXELS * word + k])
-            near = (value >= np.int32(-NEAR)) & (value <= np.int32(NEAR))
-            bits |= np.uint64(value + np.int32(NEAR + 1) if near else np.int32(0)) << np.uint64(4 * k)
-            far |= not near
+        bits = _squeezed(eights[2 * word]) | (_squeezed(eights[2 * word + 1]) << np.uint64(32))
         words[word] = bits
-        if far:
+        # whether any of the sixteen holds nothing
+        if (bits - one) & ~bits & high:
             for k in range(PIXELS):
                 if (bits >> np.uint64(4 * k)) & np.uint64(15) == np.uint64(0):
                     rest[n] = codes[PIXELS * word + k]
@@ -123,6 +142,7 @@ def _encode(
     rows, cols = pixels.shape
     whole, fraction, sky = np.empty(cols, np.int16), np.empty(cols, np.int8), np.empty(cols, np.int32)
     codes = np.zeros(PIXELS * words.shape[1], np.int8)
+    fours = np.zeros(codes.size, np.uint8)
     first, n = np.zeros(rows + 1, np.int64), 0
     column, value = np.empty(cols, np.int32), np.empty(cols, np.int32)
     first_rest, n_rest, rest = np.zeros(rows + 1, np.int64), 0, np.empty(2 * cols, np.int8)
@@ -134,7 +154,7 @@ def _encode(
         count = _encode_row(pixels[row], whole, sky, codes)
         if n_rest + cols > rest.size:
             rest = np.append(rest, np.empty_like(rest))
-        n_rest = _pack_row(codes, words[row], rest, n_rest)
+        n_rest = _pack_row(codes, fours, words[row], rest, n_rest)
         first_rest[row + 1] = n_rest
         if n + count > column.size:
             column, value = np.append(column, np.empty_like(column)), np.append(value, np.empty_like(value))

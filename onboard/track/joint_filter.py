@@ -11,7 +11,7 @@ from onboard.track.corridor import LANES, MIDDLE, MOST_PIECES, PARTS, between, b
 from onboard.track.packed import HALF_ROUNDING, ROUNDING, STEP
 
 STEPS: Final = 6
-"""Pieces of a seed in the first look: ends are tried at steps of an eighth of its length."""
+"""Pieces of a seed in the first look: ends are tried at steps of a sixth of its length."""
 
 END_STEPS: Final = 2
 """Largest error of an end, in steps: a seed of S/N 5 has ends good to sqrt(26) / 25 = 0.2 of its length (change-point law)."""

@@ -17,6 +17,9 @@ CHECK_FAILED: Final = 1  # Exit code: the command ran, and what it checked is no
 USER_ERROR: Final = 2  # Exit code: the user can mend it. Shells and argparse use 2 for wrong usage, too.
 PROGRAM_ERROR: Final = 3  # Exit code: a plug-in or the program failed, and a traceback is in a log file.
 
+WCS_CHOICES: Final = ("header", "solve", "none")
+"""Of `sboc process --wcs`."""
+
 app = typer.Typer(
     add_completion=False,
     no_args_is_help=True,
@@ -201,6 +204,8 @@ def process(
     """Process frames from outside: on board and on ground, without truth."""
     from sboc_e2e.outside.memory import keep_freed_memory, uncollected
 
+    if wcs not in WCS_CHOICES:
+        raise UserError(f'--wcs: expected one of {", ".join(WCS_CHOICES)}, got "{wcs[:40]}"')
     with uncollected():
         from sboc_e2e.outside.first_frame import FirstFrame
         from sboc_e2e.outside.fits_frames import FitsFolder

@@ -10,7 +10,6 @@ import numpy as np
 
 from ground.astrometry import lost_in_space
 from sboc_e2e.files import calibration_files
-from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Frame, NominalCamera
 from sboc_e2e.outside.camera import camera_of_frame, camera_of_preset, focal_px_by_stars, refuse_narrow_field
 from sboc_e2e.outside.first_frame import FirstFrame
@@ -25,8 +24,6 @@ from sboc_e2e.run.manifest import Manifest
 from sboc_e2e.run.onboard_stage import OnboardStage, onboard_steps
 from sboc_e2e.run.progress import Progress
 from sboc_e2e.scenario import Scenario
-
-WCS_CHOICES: Final = ("header", "solve", "none")
 
 MODEL_ERROR: Final = 0.2
 """Share of a trail's light by which telescopes on the ground differ from the fit's model: turbulence, tracking, tumbling."""
@@ -53,8 +50,6 @@ def base_document(wcs: str) -> dict[str, Any]:
     "header" uses the WCS of headers, "solve" solves the attitude from stars, "none" gives pixel positions only.
     Frames without EXPTIME or with one DATE-OBS for all would earn no bytes.
     """
-    if wcs not in WCS_CHOICES:
-        raise UserError(f'--wcs: expected one of {", ".join(WCS_CHOICES)}, got "{wcs[:40]}"')
     return {
         "onboard": {
             "downlink": {"budget": "0 Mbit/s"},

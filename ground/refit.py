@@ -23,6 +23,7 @@ from ground.streaks.joint import (
     has_change_points,
     refit_tracklet,
 )
+from ground.trail_epochs import along_of, timed_by_shutter, with_edge_epoch, with_ends, with_middle_epoch
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution, StreakFit, StreakMeasurement, StreakPixels, Tracklet
@@ -97,7 +98,7 @@ def refit_streaks(
         return tuple(streaks), {}
     # the ends follow from the steady light; that of flashes comes back at the end
     flash_e = {m.streak_id: m.fit.flash_e for m in members}
-    members = [_without_flashes(_timed_by_shutter(m, header_of[m.frame])) for m in members]
+    members = [_without_flashes(timed_by_shutter(m, header_of[m.frame])) for m in members]
     path, zero_ns = _path_of(members), int(members[0].t_tai_ns[0])
     seen = [
         _tracklet_frame(
@@ -122,13 +123,13 @@ def refit_streaks(
                 fit=replace(fit, flux_e=fit.flux_e + flash_e[member.streak_id], flash_e=flash_e[member.streak_id]),
                 row_mid=row_mid,
                 col_mid=col_mid,
-                t_tai_ns=_with_edge_epoch(epochs, frames[k], frames, joint, passage, zero_ns),
+                t_tai_ns=with_edge_epoch(epochs, frames[k], frames, joint, passage, zero_ns),
                 flags=member.flags & ~changed | fit.flags & changed,
             )
-            frame = _with_ends(frame, fit, member.t_tai_ns, zero_ns)
+            frame = with_ends(frame, fit, member.t_tai_ns, zero_ns)
         else:
             member = streaks[at[member.streak_id]]
-        out[at[member.streak_id]] = redated(member, _with_middle_epoch(member.t_tai_ns, frame, passage))
+        out[at[member.streak_id]] = redated(member, with_middle_epoch(member.t_tai_ns, frame, passage))
     return tuple(out), shared
 
 
@@ -145,81 +146,10 @@ def refit_frames(frames: Sequence[TrackletFrame]) -> tuple[dict[int, StreakFit],
     return joint, shared, passage
 
 
-def _timed_by_shutter(member: StreakMeasurement, header: FrameHeader) -> StreakMeasurement:
-    """The streak with the shutter's epochs at both ends, except ends on the frame's edge.
-
-    A linker dates an end that lies off the motion by the epoch at which the motion passed it. Here the place of the end is in
-    doubt instead, so the shutter dates it.
-    """
-    epochs = member.t_tai_ns.copy()
-    if not member.flags & StreakFlag.EDGE0:
-        epochs[0] = header.t_start_tai_ns + round(header.line_time_ns * member.fit.row0)
-    if not member.flags & StreakFlag.EDGE1:
-        epochs[2] = header.t_start_tai_ns + header.exposure_ns + round(header.line_time_ns * member.fit.row1)
-    epochs[1] = (epochs[0] + epochs[2]) // 2
-    return redated(member, epochs)
-
-
 def _without_flashes(member: StreakMeasurement) -> StreakMeasurement:
     """The streak without the light of its flashes."""
     fit = member.fit
     return replace(member, fit=replace(fit, flux_e=fit.flux_e - fit.flash_e, flash_e=0.0)) if fit.flash_e else member
-
-
-def _with_edge_epoch(
-    epochs_ns: NDArray[np.int64],
-    frame: TrackletFrame,
-    frames: Sequence[TrackletFrame],
-    joint: dict[int, StreakFit],
-    passage: StraightPassage,
-    zero_ns: int,
-) -> NDArray[np.int64]:
-    """Epochs (3,) of a trail cut by the frame: its edge was passed when the joint motion says."""
-    edges = [bool(frame.fit.flags & flag) for flag in (StreakFlag.EDGE0, StreakFlag.EDGE1)]
-    own = [k for k in joint if frames[k] is frame]
-    if edges[0] == edges[1] or not own:
-        return epochs_ns
-    t_s, along, _ = _timed_ends([frames[k] for k in joint], list(joint.values()))
-    if len(t_s) < 3:
-        return epochs_ns
-    passed_s = np.polynomial.Polynomial.fit(along, t_s, 2 if len(t_s) > 4 else 1)
-    # The smooth fit predicts a difference of two places better than a single place.
-    own_s, own_along, _ = _timed_ends([frame], [joint[own[0]]])
-    cut_along = frame.along0 if edges[0] else frame.along1
-    cut_s = own_s[0] + float(passed_s(cut_along) - passed_s(own_along[0]))
-    out = epochs_ns.copy()
-    out[0 if edges[0] else 2] = zero_ns + round(passage.epoch(cut_s) * 1e9)
-    return out
-
-
-def _with_ends(frame: TrackletFrame, fit: StreakFit, t_tai_ns: NDArray[np.int64], zero_ns: int) -> TrackletFrame:
-    """The frame with other ends on the line of its trail."""
-    unit, _ = _along_of(frame.fit)
-    shift0, shift1 = (float((np.array(_end(fit, k)) - np.array(_end(frame.fit, k))) @ unit) for k in range(2))
-    return replace(
-        frame,
-        fit=fit,
-        along0=frame.along0 + frame.along_per_px * shift0,
-        along1=frame.along1 + frame.along_per_px * shift1,
-        t_open_s=float(t_tai_ns[0] - zero_ns) * 1e-9,
-        t_close_s=float(t_tai_ns[2] - zero_ns) * 1e-9,
-    )
-
-
-def _with_middle_epoch(t_tai_ns: NDArray[np.int64], frame: TrackletFrame, passage: StraightPassage) -> NDArray[np.int64]:
-    """Epochs (3,) of a trail whose middle is dated by the passage between its ends.
-
-    What passes close by changes its rate w by 2 kappa w within a second. In the middle of T seconds it is kappa w T^2 / 4 away
-    from the middle of its trail: 20 ms for one second at 0.08 per second.
-    """
-    span_s = frame.t_close_s - frame.t_open_s
-    way = frame.along_per_px * frame.fit.length_px  # as seen at once: without what the camera turned meanwhile
-    if not (span_s > 0.0 and way > 0.0):
-        return t_tai_ns
-    ahead = passage.ahead((frame.t_open_s, frame.t_close_s), (frame.along0, frame.along1))
-    out = t_tai_ns.copy()
-    out[1] = (out[0] + out[2]) // 2 - round(ahead / way * span_s * 1e9)
-    return out
 
 
 def _passage_of(frames: Sequence[TrackletFrame]) -> StraightPassage:
@@ -273,7 +203,7 @@ def _windows(frames: Sequence[TrackletFrame], passage: StraightPassage) -> list[
 
 def _shutter_ends(frame: TrackletFrame) -> list[tuple[float, float, float]]:
     """Epoch, place and one sigma along the path of each end of a single fit, without ends on the frame's edge."""
-    unit, _ = _along_of(frame.fit)
+    unit, _ = along_of(frame.fit)
     covariance = np.asarray(frame.fit.covariance_px2)
     ends = ((StreakFlag.EDGE0, frame.t_open_s, frame.along0), (StreakFlag.EDGE1, frame.t_close_s, frame.along1))
     out = []
@@ -328,7 +258,7 @@ def carried(frame: TrackletFrame, motion: Motion) -> StreakFit:
 
     Ends on the frame's edge and the density of the light do not change.
     """
-    unit, length = _along_of(frame.fit)
+    unit, length = along_of(frame.fit)
     free = np.array([not frame.fit.flags & flag for flag in (StreakFlag.EDGE0, StreakFlag.EDGE1)])
     displacement_px = displacements(frame, float(unit[0]), motion.mean[None, :], motion.zero_s)
     shifts = [float(shift[0]) if end else 0.0 for shift, end in zip(displacement_px, free, strict=True)]
@@ -362,38 +292,10 @@ def carried(frame: TrackletFrame, motion: Motion) -> StreakFit:
 
 def _worth_carrying(single: StreakFit, shifts: Sequence[float], sigma: Array) -> bool:
     """Whether a motion knows the ends better than the single fit, or the single fit is clearly off it."""
-    unit, _ = _along_of(single)
+    unit, _ = along_of(single)
     covariance = np.asarray(single.covariance_px2)
     own = np.sqrt([max(float(unit @ covariance[i : i + 2, i : i + 2] @ unit), LEAST_END_VARIANCE_PX2) for i in (0, 2)])
     return bool(np.all(sigma <= own) or np.any(np.abs(shifts) > SIGNIFICANT_SHIFT * sigma))
-
-
-def _timed_ends(frames: Sequence[TrackletFrame], joint: Sequence[StreakFit]) -> tuple[list[float], list[float], list[float]]:
-    """Epoch (s), place along the path and error along the trail (px) of all ends that the shutter made."""
-    t_s, along, sigma = [], [], []
-    for place, fit in zip(frames, joint, strict=True):
-        unit, _ = _along_of(place.fit)
-        for end, (flag, start, epoch) in enumerate(
-            ((StreakFlag.EDGE0, place.along0, place.t_open_s), (StreakFlag.EDGE1, place.along1, place.t_close_s))
-        ):
-            if fit.flags & flag:
-                continue
-            shift_px = np.array(_end(fit, end)) - np.array(_end(place.fit, end))
-            t_s.append(epoch + place.line_time_s * shift_px[0])
-            along.append(start + place.along_per_px * float(shift_px @ unit))
-            block = np.asarray(fit.covariance_px2)[2 * end : 2 * end + 2, 2 * end : 2 * end + 2]
-            sigma.append(float(np.sqrt(max(float(unit @ block @ unit), 0.0))))
-    return t_s, along, sigma
-
-
-def _along_of(fit: StreakFit) -> tuple[Array, float]:
-    """Unit vector (row, col) from end 0 to end 1, and the length."""
-    length = max(fit.length_px, 1e-6)
-    return np.array([fit.row1 - fit.row0, fit.col1 - fit.col0]) / length, length
-
-
-def _end(fit: StreakFit, end: int) -> tuple[float, float]:
-    return (fit.row0, fit.col0) if end == 0 else (fit.row1, fit.col1)
 
 
 def _usual(fits: Sequence[StreakFit]) -> NDArray[np.bool_]:

@@ -65,11 +65,14 @@ LEAST: Final = 1e-12
 """Keeps the odds finite."""
 
 
-def look_alikes_near(fits: Sequence[StreakFit], look_alikes: NDArray[np.float64]) -> NDArray[np.float64]:
+def look_alikes_near(
+    fits: Sequence[StreakFit], look_alikes: NDArray[np.float64], weight: NDArray[np.float64] | None = None
+) -> NDArray[np.float64]:
     """Expected look-alikes for each unit of ln S/N and ln length about each fit, shape (n,).
 
     look_alikes : (k, 5) S/N, length, width (sigma, px; that of a pixel included), evenness, 0 to 1, and 1 of lines that run along
         rows or columns. Such lines count for fits that do so too. The others may have any direction and count for all fits.
+    weight : (k,) how many false lines each stands for; None: one.
     One counts in full for fits that are fainter than itself, for false lines are the more frequent the fainter they are. S/N is
     that of the median light along the line, of fits as of look-alikes: what one clump of light makes bright is like no trail.
     """
@@ -84,8 +87,8 @@ def look_alikes_near(fits: Sequence[StreakFit], look_alikes: NDArray[np.float64]
     counts = aligned[:, None] | (look_alikes[:, 4] < 0.5)
     other = (width[:, None] - known[None, :, 2]) / np.hypot(KIND_WIDTH, WIDTH_ERROR / np.maximum(look_alikes[:, 0], 1.0))
     apart[..., 0] = np.maximum(apart[..., 0], 0.0)
-    peak = 1.0 / (2.0 * math.pi * math.prod(KIND))
-    return np.asarray(peak * (counts * np.exp(-0.5 * (np.sum(apart**2, axis=-1) + other**2))).sum(axis=1), dtype=np.float64)
+    peak = (1.0 if weight is None else weight) / (2.0 * math.pi * math.prod(KIND))
+    return np.asarray((peak * counts * np.exp(-0.5 * (np.sum(apart**2, axis=-1) + other**2))).sum(axis=1), dtype=np.float64)
 
 
 def is_aligned(drow: float, dcol: float) -> bool:
@@ -123,7 +126,7 @@ class OwnEvidence:
     """What a frame itself says of its false lines.
 
     look_alikes : (k, 5) S/N, length, width (px), evenness and alignment of lines that cannot be real; see `look_alikes_near`.
-    share : how many false lines each of them stands for.
+    weight : (k,) how many false lines each of them stands for; None: one.
     alone : it was held against no other frame of the same sky, so that stars are not told from what moves.
     seen : first and last row, first and last column in which a pixel saw the sky; None: all of them.
     stars : motion of the stars during the exposure, where the lines of the frame share one; None: they do not.
@@ -133,7 +136,7 @@ class OwnEvidence:
     """
 
     look_alikes: NDArray[np.float64]
-    share: float = 1.0
+    weight: NDArray[np.float64] | None = None
     alone: bool = False
     seen: tuple[int, int, int, int] | None = None
     stars: StarMotion | None = None
@@ -174,7 +177,7 @@ class LookAlikeVetter:
         known = self.evidence.get(frame.header.frame)
         if known is None or not fits:
             return probability
-        against = known.share * look_alikes_near(fits, known.look_alikes) / REAL_DENSITY
+        against = look_alikes_near(fits, known.look_alikes, known.weight) / REAL_DENSITY
         if not known.alone:
             against = against + np.array([POINTS_PER_REAL * _is_point(fit) for fit in fits])
         if known.field is not None:

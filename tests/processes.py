@@ -157,6 +157,8 @@ def _child(asked: dict[str, Any], told: Path) -> None:
 
 
 def _main() -> None:
+    import sqlalchemy.engine  # noqa: F401 - every fork hooks into it: imported here once
+
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what the calls print goes to standard error
     told = Path(tempfile.mkdtemp(), "changes")

@@ -102,18 +102,10 @@ def elements_of(position_km: Array, velocity_km_s: Array) -> Elements:
     """Osculating elements of states (..., 3); circular or equatorial orbits give some valid set of angles."""
     r = np.asarray(position_km, dtype=np.float64)
     v = np.asarray(velocity_km_s, dtype=np.float64)
-    radius = np.linalg.norm(r, axis=-1)
-    speed2 = np.sum(v * v, axis=-1)
-    a = 1.0 / (2.0 / radius - speed2 / MU_KM3_S2)
-    h = np.cross(r, v)
+    a, e, ecc, inclination, h = _shape_of(r, v)
     h_norm = np.linalg.norm(h, axis=-1)
-    inclination = np.arctan2(np.hypot(h[..., 0], h[..., 1]), h[..., 2])
     node = np.arctan2(h[..., 0], -h[..., 1])
     node = np.where(np.hypot(h[..., 0], h[..., 1]) < 1e-12 * h_norm, 0.0, node)
-    e_cos = 1.0 - radius / a
-    e_sin = np.sum(r * v, axis=-1) / np.sqrt(MU_KM3_S2 * np.abs(a))
-    e = np.hypot(e_cos, e_sin)
-    ecc = np.arctan2(e_sin, e_cos)
     bounded = np.clip(e, 0.0, 1.0 - 1e-12)
     true = np.arctan2(np.sqrt(1.0 - bounded * bounded) * np.sin(ecc), np.cos(ecc) - bounded)
     cn, sn = np.cos(node), np.sin(node)
@@ -123,6 +115,24 @@ def elements_of(position_km: Array, velocity_km_s: Array) -> Elements:
     return Elements(
         a_km=a, e=e, i_rad=inclination, node_rad=node, argp_rad=latitude_argument - true, mean_anomaly_rad=ecc - e * np.sin(ecc)
     )
+
+
+def size_shape_inclination(position_km: Array, velocity_km_s: Array) -> tuple[Array, Array, Array]:
+    """Semi-major axis (km), eccentricity and inclination (rad) of states (..., 3): a third of the work of `elements_of`."""
+    a, e, _, inclination, _ = _shape_of(position_km, velocity_km_s)
+    return a, e, inclination
+
+
+def _shape_of(r: Array, v: Array) -> tuple[Array, Array, Array, Array, Array]:
+    """Semi-major axis, eccentricity, eccentric anomaly, inclination, and angular momentum (..., 3), of states (..., 3)."""
+    radius = np.linalg.norm(r, axis=-1)
+    speed2 = np.sum(v * v, axis=-1)
+    a = 1.0 / (2.0 / radius - speed2 / MU_KM3_S2)
+    h = np.cross(r, v)
+    inclination = np.arctan2(np.hypot(h[..., 0], h[..., 1]), h[..., 2])
+    e_cos = 1.0 - radius / a
+    e_sin = np.sum(r * v, axis=-1) / np.sqrt(MU_KM3_S2 * np.abs(a))
+    return a, np.hypot(e_cos, e_sin), np.arctan2(e_sin, e_cos), inclination, h
 
 
 def velocity_through(

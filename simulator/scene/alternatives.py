@@ -11,13 +11,13 @@ logarithms). So do those that give fewer.
 """
 
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from simulator.randomness import Effect, generator
-from simulator.scene.debris import SizeClass
+from simulator.scene.debris import SizeClass, draw_orbits
 from simulator.scene.encounters import PopulationOptions, Window, draw_candidates
 
 Array = NDArray[np.float64]
@@ -42,10 +42,11 @@ class Seen:
 def seen_per_day(options: PopulationOptions, size_class: SizeClass, window: Window, class_number: int) -> Seen:
     """Pieces of a class that enter the field in a day and reach `SNR`, and the interval that models leave."""
     few = replace(options, candidates=CANDIDATES)
+    orbits = _SameOrbits()
 
     def rate(changed: PopulationOptions) -> float:
         rng = generator(0, Effect.POPULATION, block=BLOCK + class_number)
-        found = draw_candidates(changed, size_class, window, rng)
+        found = draw_candidates(changed, size_class, window, rng, orbits=orbits)
         return float(found.per_day[(found.snr >= SNR) & (found.rate_deg_s >= options.slowest_deg_s)].sum())
 
     nominal = rate(few)
@@ -62,6 +63,20 @@ def seen_per_day(options: PopulationOptions, size_class: SizeClass, window: Wind
     logs = np.log(np.maximum([*others, nominal * law, nominal / law], 1e-9) / nominal)
     low, high = (float(np.sqrt(np.sum(np.clip(sign * logs, 0.0, None) ** 2))) for sign in (-1.0, 1.0))
     return Seen(per_day=nominal, low=float(np.exp(-low)), high=float(np.exp(high)))
+
+
+class _SameOrbits:
+    """`draw_orbits` for the alternatives of one class: all reach it with equal diameters and random numbers, and pay once."""
+
+    def __init__(self) -> None:
+        self._drawn: dict[bool, tuple[tuple[Array, Array, Array], Any]] = {}
+
+    def __call__(self, rng: np.random.Generator, size_m: Array, *, spread: bool) -> tuple[Array, Array, Array]:
+        if spread not in self._drawn:
+            orbits = draw_orbits(rng, size_m, spread=spread)
+            self._drawn[spread] = orbits, rng.bit_generator.state
+        orbits, rng.bit_generator.state = self._drawn[spread]
+        return orbits
 
 
 def number_factor(size_m: Array) -> Array:

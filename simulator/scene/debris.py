@@ -9,11 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.platform.earth import EARTH_RADIUS_KM
-from simulator.platform.kepler import Elements, elements_of, state_of
+from simulator.platform.kepler import Elements, size_shape_inclination, state_of
 
 Array = NDArray[np.float64]
 
 HISTOGRAM_PATH: Final = Path(__file__).parent / "leo_deb_hist_2023.npz"
+BLOCK: Final = 4096  # orbits whose intermediate arrays fit a core's cache together. Chosen
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -75,15 +76,19 @@ def _break_up(rng: np.random.Generator, a_km: Array, e: Array, i_rad: Array, siz
     """Elements after an isotropic velocity change at a random point."""
     n = len(a_km)
     angles = rng.uniform(0.0, 2 * np.pi, (3, n))
-    position, velocity = state_of(
-        Elements(a_km=a_km, e=e, i_rad=i_rad, node_rad=angles[0], argp_rad=angles[1], mean_anomaly_rad=angles[2])
-    )
     kick = rng.standard_normal((n, 3))
     kick *= (breakup_speed_m_s(rng, size_m) * 1e-3 / np.linalg.norm(kick, axis=1))[:, None]
-    with np.errstate(invalid="ignore"):
-        changed = elements_of(position, velocity + kick)
-    unbound = ~np.isfinite(changed.a_km) | (changed.a_km <= 0.0)
-    return np.where(unbound, -1.0, changed.a_km), np.where(unbound, 0.0, changed.e), changed.i_rad
+    a_new, e_new, i_new = np.zeros(n), np.zeros(n), np.zeros(n)
+    for first in range(0, n, BLOCK):
+        part = slice(first, first + BLOCK)
+        node, argp, anomaly = angles[:, part]
+        position, velocity = state_of(
+            Elements(a_km=a_km[part], e=e[part], i_rad=i_rad[part], node_rad=node, argp_rad=argp, mean_anomaly_rad=anomaly)
+        )
+        with np.errstate(invalid="ignore"):
+            a_new[part], e_new[part], i_new[part] = size_shape_inclination(position, velocity + kick[part])
+    unbound = ~np.isfinite(a_new) | (a_new <= 0.0)
+    return np.where(unbound, -1.0, a_new), np.where(unbound, 0.0, e_new), i_new
 
 
 def breakup_speed_m_s(rng: np.random.Generator, size_m: Array) -> Array:

@@ -151,11 +151,12 @@ def draw_candidates(
     *,
     even_share: float = 0.0,
     over_cells: bool = False,
+    orbits: Callable[..., tuple[Array, Array, Array]] = draw_orbits,
 ) -> Encounters:
     """Candidates of one size class, undetectable ones included.
 
     even_share : of them have ranges even in volume, not in the logarithm: most of nature's objects are far. over_cells :
-    densities are means over cells, which have no singularities.
+    densities are means over cells, which have no singularities. orbits : draws their orbits, with the signature of `draw_orbits`.
     """
     n = options.candidates
     low_m, high_m = size_class.from_mm * 1e-3, size_class.to_mm * 1e-3
@@ -180,7 +181,7 @@ def draw_candidates(
     camera = np.stack([u, v, np.ones(n)], axis=1) / slant[:, None] * range_km[:, None]
     observer = window.observer_km + window.velocity_km_s * time_s[:, None]
     position = observer + camera @ window.attitude
-    a_km, e, i_rad = draw_orbits(rng, size_m, spread=options.spread_by_breakup)
+    a_km, e, i_rad = orbits(rng, size_m, spread=options.spread_by_breakup)
     signs = rng.random(n) < 0.5, rng.random(n) < 0.5
     velocity = velocity_through(position, a_km, e, i_rad, *signs, just_missing=over_cells)
     solid_angle = 4.0 * window.half_row * window.half_col / slant**3

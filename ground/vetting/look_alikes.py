@@ -17,6 +17,7 @@ from ground.guard import guarded, probabilities_of
 from ground.streaks.centre_line import effective_width_px
 from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
 from ground.vetting.features import LEAST_BINS
+from ground.vetting.rim import ImageCircle
 from ground.vetting.sides import SkyMap
 from ground.vetting.spikes import BrightStars
 from ground.vetting.star_rows import REAL_PER_FRAME, StarField
@@ -133,6 +134,7 @@ class OwnEvidence:
     sky : a map of the sky, slopes and edges included; None: there is none.
     field : the listed stars and the counts around short lines; None: rows of stars are not judged.
     bright : the listed stars with their places; None: spikes are not judged.
+    circle : of a lens that does not fill the frame; None: it does, or is not known.
     """
 
     look_alikes: NDArray[np.float64]
@@ -143,14 +145,17 @@ class OwnEvidence:
     sky: SkyMap | None = None
     field: StarField | None = None
     bright: BrightStars | None = None
+    circle: ImageCircle | None = None
 
     def refuses(self, fit: StreakFit, frame: DownlinkFrame) -> bool:
-        """Whether a fit may be a star, a slope or an edge of the sky, or lies where no pixel saw the sky."""
+        """Whether a fit may be a star, a slope or an edge of the sky, runs along a rim, or lies where no pixel saw the sky."""
         if self.alone and fit.length_px < SHORTEST_ALONE_PX:
             return True
         if self.stars is not None and moves_as(self.stars, fit):
             return True
         if self.sky is not None and self.sky.refuses(fit, frame.header.gain_e_adu or 1.0):
+            return True
+        if self.circle is not None and self.circle.refuses(fit):
             return True
         if self.seen is None:
             return False

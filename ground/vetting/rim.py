@@ -11,8 +11,9 @@ from typing import Final
 from sboc_e2e.icd.products import StreakFit
 
 RIM: Final = 0.80
-"""Share of the circle's radius from which on lines that run along the rim are its structure: 18 deg above the horizon where the
-distance from the middle is as the angle. Of 20 pictures of one camera the false lines lie at 0.88 to 1.0. Chosen, not measured."""
+"""Share of the circle's radius from which on lines that run along the rim are its structure: 18 deg above the horizon where
+the distance from the middle is as the angle. The false lines of 20 pictures of one camera lie at 0.88 to 1.0. Chosen in view of
+them."""
 ALONG_RIM_DEG: Final = 15.0
 """Angle to the rim within which a line runs along it: a sixth of all directions. Chosen, not measured."""
 

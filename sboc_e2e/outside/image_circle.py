@@ -37,8 +37,8 @@ MOST_FALL: Final = math.log(4.0)
 FALL: Final = math.log(1.8)
 """Fall from which on an angle shows a rim. Isophotes of vignetting fall by a tenth to a third between the two places."""
 LEAST_SHARE: Final = 0.55
-"""Share of the visible angles that must show it. 23 of 24 pictures of three all-sky cameras have 0.60 to 1.0, one in moonlit clouds
-0.54; ten other pictures with dark corners 0.15 to 0.46. Chosen in view of them."""
+"""Share of the visible angles that must show it. 22 of 23 pictures of three all-sky cameras have 0.60 to 1.0, one in moonlit
+clouds 0.54; nine other pictures with dark corners 0.15 to 0.46 or too few angles. Chosen in view of them."""
 FEWEST_ANGLES: Final = 30
 """Visible angles, at least: 150 deg. Corners of vignetted frames show 20 to 27."""
 SMALLEST: Final = 0.35

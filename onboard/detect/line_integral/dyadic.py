@@ -21,8 +21,8 @@ FAIR_ABOVE: Final = 8_000
 """From so many candidates on, those of each length and place share the work, best first: it may end before their list does."""
 
 PLACE_PX: Final = 256
-"""Side of a place, or more where candidates are longer. A horizon or a cloud of one place has thousands of candidates, and a trail elsewhere was never reached: in a
-picture of 1080 x 1920 px of a landscape 266 of 66,290 were. Chosen, not measured."""
+"""Side of a place, or more where candidates are longer. A horizon or a cloud has thousands of candidates, and a trail elsewhere
+was never reached: in a picture of a landscape (1080 x 1920 px) 267 of 66,290 were. Chosen, not measured."""
 
 COLLECT_WORK: Final = 2
 """Operations of a sum that is looked at for itself."""

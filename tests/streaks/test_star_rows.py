@@ -92,7 +92,7 @@ def odds_of(light: NDArray[np.float64], line: Any, stars: int) -> float:
 
 
 def test_a_meteor_rises_and_falls_and_has_no_dips() -> None:
-    """A triangle with its top at 0.3 of the line: rms of what is missing 3^-0.5 of the mean, dips none. A crowded field's odds."""
+    """A triangle with its top at 0.3 of the line: rms of what is missing 3^-0.5 of the mean, dips none."""
     share = (np.arange(int(LENGTH)) + 0.5) / LENGTH
     triangle = 2.0 * np.where(share < 0.3, share / 0.3, (1.0 - share) / 0.7)
     light = triangle * fit(20.0).flux_e / LENGTH

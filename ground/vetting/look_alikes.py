@@ -20,7 +20,7 @@ from ground.vetting.features import LEAST_BINS
 from ground.vetting.rim import ImageCircle
 from ground.vetting.sides import SkyMap
 from ground.vetting.spikes import BrightStars
-from ground.vetting.star_rows import REAL_PER_FRAME, StarField
+from ground.vetting.star_rows import FULL_SNR, REAL_PER_FRAME, StarField
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
@@ -61,6 +61,11 @@ STAR_APART_PX: Final = 1.5
 board (`onboard.stars.star_motion`)."""
 STAR_APART_SHARE: Final = 0.1
 """Share of a star trail's length by which its vector may err, beside `STAR_APART_PX`."""
+
+SPILLED_PER_REAL: Final = 0.2
+"""Expected lines of spilled charge of full stars for each real streak, as `ground.vetting.star_rows.FULL_PER_FRAME` has it."""
+ALIGNED_SHARE: Final = 0.045
+"""Share of trails that run along rows or columns: 4 atan(`ALIGNED_SLOPE`) of pi."""
 
 LEAST: Final = 1e-12
 """Keeps the odds finite."""
@@ -115,6 +120,12 @@ def evenness_of(fit: StreakFit) -> float:
     if curve.size < LEAST_BINS or not curve.mean() > 0.0:
         return 1.0
     return min(max(float(np.median(curve) / curve.mean()), 0.0), 1.0)
+
+
+def of_spilled_charge(fit: StreakFit) -> float:
+    """Odds of spilled charge against a trail: charge of full pixels runs along columns, or rows, and a trail seldom does."""
+    full = fit.snr > FULL_SNR or StreakFlag.SATURATED in fit.flags
+    return SPILLED_PER_REAL / ALIGNED_SHARE if full and is_aligned(fit.row1 - fit.row0, fit.col1 - fit.col0) else 0.0
 
 
 def _is_point(fit: StreakFit) -> bool:
@@ -183,6 +194,7 @@ class LookAlikeVetter:
         if known is None or not fits:
             return probability
         against = look_alikes_near(fits, known.look_alikes, known.weight) / REAL_DENSITY
+        against = against + np.array([of_spilled_charge(fit) for fit in fits])
         if not known.alone:
             against = against + np.array([POINTS_PER_REAL * _is_point(fit) for fit in fits])
         if known.field is not None:

@@ -68,6 +68,9 @@ BREADTH_WIDTHS: Final = 4.0
 FAINTEST_SHARE: Final = 0.5
 """Least light of its stars, as a share of the line's light in one full width."""
 
+FEWEST_ROWS: Final = 1e-4
+"""Expected rows up to which gaps are not looked at: they count twenty times at most (`row_over_trail`)."""
+
 LIT_SHARE: Final = 0.5
 """A cell with this share of the claimed light, or more, is lit."""
 CELLS_OF_STAR: Final = 3.0
@@ -150,7 +153,9 @@ class StarField:
             along = self.along(fit, gain_e_adu)
             stars = FULL_PER_FRAME if full else 0.0
             if along is not None:
-                odds += (self.rows(fit, along.lit_cells) + stars) / REAL_PER_FRAME * row_over_trail(along.gaps_for(fit))
+                stars += self.rows(fit, along.lit_cells)
+                if stars > FEWEST_ROWS:
+                    odds += stars / REAL_PER_FRAME * row_over_trail(along.gaps_for(fit))
             elif fit.length_px < FEWEST_CELLS * CELL_WIDTHS * effective_width_px(fit.width_px):
                 odds += stars / REAL_PER_FRAME * SHORT_OVER_TRAIL
         return odds

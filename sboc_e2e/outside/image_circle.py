@@ -39,6 +39,10 @@ FALL: Final = math.log(1.8)
 LEAST_SHARE: Final = 0.55
 """Share of the visible angles that must show it. 22 of 23 pictures of three all-sky cameras have 0.60 to 1.0, one in moonlit
 clouds 0.54; nine other pictures with dark corners 0.15 to 0.46 or too few angles. Chosen in view of them."""
+BRIGHT_BEYOND: Final = 0.5
+MOST_BRIGHT: Final = 0.15
+"""Level behind a rim that is no darkness, and the share of the visible angles that may have it without a fall: the light of a
+square field goes on beyond its inscribed circle in a quarter of them. Chosen, not measured."""
 FEWEST_ANGLES: Final = 30
 """Visible angles, at least: 150 deg. Corners of vignetted frames show 20 to 27."""
 SMALLEST: Final = 0.35
@@ -68,11 +72,11 @@ def image_circle(pixels: NDArray[Any]) -> ImageCircle | None:
         0.5 * (cols - 1) + offset * cols,
         np.arange(SMALLEST * side, LARGEST * max(rows, cols), 3.0),
     )
-    best, share, seen = _best(level, *tried)
+    best, share, bright, seen = _best(level, *tried)
     for number, (centre, radius) in zip(STEPS[1:], ((0.02, 0.03), (0.005, 0.008)), strict=True):
         about = np.linspace(-side, side, number)
-        best, share, seen = _best(level, best[0] + centre * about, best[1] + centre * about, best[2] + radius * about)
-    if share < LEAST_SHARE or seen < FEWEST_ANGLES:
+        best, share, bright, seen = _best(level, best[0] + centre * about, best[1] + centre * about, best[2] + radius * about)
+    if share < LEAST_SHARE or bright > MOST_BRIGHT or seen < FEWEST_ANGLES:
         return None
     row, col, radius_px = (step * each for each in best)
     return ImageCircle(row=row, col=col, radius_px=radius_px)
@@ -105,10 +109,10 @@ def _levels(coarse: NDArray[np.float32]) -> NDArray[np.float32] | None:
 
 def _best(
     level: NDArray[np.float32], rows: NDArray[np.float64], cols: NDArray[np.float64], radii: NDArray[np.float64]
-) -> tuple[tuple[float, float, float], float, int]:
+) -> tuple[tuple[float, float, float], float, float, int]:
     """Of the circles about centres (rows x cols) with these radii, all in cells, the one with the greatest fall.
 
-    Beside it: the share of its visible angles that show a rim, and their number.
+    Beside it: the shares of its visible angles that show a rim and that are bright on both sides, and their number.
     """
     angle = np.linspace(0.0, 2.0 * np.pi, ANGLES, endpoint=False)
     away = radii[:, None, None] * np.array([*INSIDE, OUTSIDE])[:, None]
@@ -122,4 +126,5 @@ def _best(
     k = np.unravel_index(int(total.argmax()), total.shape)
     seen = int(visible[k].sum())
     share = float((fall[k] > FALL).sum()) / max(seen, 1)
-    return (float(rows[k[0]]), float(cols[k[1]]), float(radii[k[2]])), share, seen
+    bright = float((visible[k] & (fall[k] <= FALL) & (value[..., 2, :][k] > BRIGHT_BEYOND + SOFTENED)).sum()) / max(seen, 1)
+    return (float(rows[k[0]]), float(cols[k[1]]), float(radii[k[2]])), share, bright, seen

@@ -17,9 +17,10 @@ from ground.guard import guarded, probabilities_of
 from ground.streaks.centre_line import effective_width_px
 from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
 from ground.vetting.features import LEAST_BINS
+from ground.vetting.rim import ImageCircle
 from ground.vetting.sides import SkyMap
 from ground.vetting.spikes import BrightStars
-from ground.vetting.star_rows import REAL_PER_FRAME, StarField
+from ground.vetting.star_rows import FULL_SNR, REAL_PER_FRAME, StarField
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
@@ -60,6 +61,11 @@ STAR_APART_PX: Final = 1.5
 board (`onboard.stars.star_motion`)."""
 STAR_APART_SHARE: Final = 0.1
 """Share of a star trail's length by which its vector may err, beside `STAR_APART_PX`."""
+
+SPILLED_PER_REAL: Final = 0.2
+"""Expected lines of spilled charge of full stars for each real streak, as `ground.vetting.star_rows.FULL_PER_FRAME` has it."""
+ALIGNED_SHARE: Final = 0.045
+"""Share of trails that run along rows or columns: 4 atan(`ALIGNED_SLOPE`) of pi."""
 
 LEAST: Final = 1e-12
 """Keeps the odds finite."""
@@ -116,6 +122,12 @@ def evenness_of(fit: StreakFit) -> float:
     return min(max(float(np.median(curve) / curve.mean()), 0.0), 1.0)
 
 
+def of_spilled_charge(fit: StreakFit) -> float:
+    """Odds of spilled charge against a trail: charge of full pixels runs along columns, or rows, and a trail seldom does."""
+    full = fit.snr > FULL_SNR or StreakFlag.SATURATED in fit.flags
+    return SPILLED_PER_REAL / ALIGNED_SHARE if full and is_aligned(fit.row1 - fit.row0, fit.col1 - fit.col0) else 0.0
+
+
 def _is_point(fit: StreakFit) -> bool:
     """Whether a fit is about as long as it is wide."""
     return fit.length_px < POINT_WIDTHS * effective_width_px(fit.width_px)
@@ -133,6 +145,7 @@ class OwnEvidence:
     sky : a map of the sky, slopes and edges included; None: there is none.
     field : the listed stars and the counts around short lines; None: rows of stars are not judged.
     bright : the listed stars with their places; None: spikes are not judged.
+    circle : of a lens that does not fill the frame; None: it does, or is not known.
     """
 
     look_alikes: NDArray[np.float64]
@@ -143,14 +156,17 @@ class OwnEvidence:
     sky: SkyMap | None = None
     field: StarField | None = None
     bright: BrightStars | None = None
+    circle: ImageCircle | None = None
 
     def refuses(self, fit: StreakFit, frame: DownlinkFrame) -> bool:
-        """Whether a fit may be a star, a slope or an edge of the sky, or lies where no pixel saw the sky."""
+        """Whether a fit may be a star, a slope or an edge of the sky, runs along a rim, or lies where no pixel saw the sky."""
         if self.alone and fit.length_px < SHORTEST_ALONE_PX:
             return True
         if self.stars is not None and moves_as(self.stars, fit):
             return True
         if self.sky is not None and self.sky.refuses(fit, frame.header.gain_e_adu or 1.0):
+            return True
+        if self.circle is not None and self.circle.refuses(fit):
             return True
         if self.seen is None:
             return False
@@ -178,6 +194,7 @@ class LookAlikeVetter:
         if known is None or not fits:
             return probability
         against = look_alikes_near(fits, known.look_alikes, known.weight) / REAL_DENSITY
+        against = against + np.array([of_spilled_charge(fit) for fit in fits])
         if not known.alone:
             against = against + np.array([POINTS_PER_REAL * _is_point(fit) for fit in fits])
         if known.field is not None:

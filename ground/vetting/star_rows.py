@@ -12,6 +12,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import gammainc
 
 from ground.streaks.centre_line import effective_width_px
 from sboc_e2e.icd.products import StreakFit
@@ -41,12 +42,12 @@ CERTAIN_SIGMAS: Final = 3.0
 """Gaps count by what is certain of them: so many standard errors of the part that noise has in them are taken off."""
 
 ROW_GAPS: Final = (0.4, 1.4)
-"""Gaps of rows of stars, any in between alike. Measured: see `gaps_of`."""
+"""Gaps of rows of stars, any in between alike. Measured: see `Along.gaps`."""
 TRAIL_GAPS: Final = 0.1
-"""Scale of the gaps of trails, whose number falls exponentially with them. Measured: see `gaps_of`."""
+"""Scale of the gaps of trails, whose number falls exponentially with them. Measured: see `Along.gaps`."""
 UNEVEN_TRAILS: Final = 0.05
 """Share of trails with gaps as rows of stars have: flashes of tumbling objects, fits that run on past the trail's end. Measured
-on injected trails, see `gaps_of`."""
+on injected trails, see `Along.gaps`."""
 
 FULL_SNR: Final = 1000.0
 """S/N from which a star is full or nearly: it spills, has a tail, and its companions and wings show. Chosen, not measured."""
@@ -56,12 +57,30 @@ FULL_PER_FRAME: Final = 0.1
 """Expected lines that are such a star, however few are listed. In 142 frames of a crowded field one was published (S/N 19,600, 28
 px, chi square 31,000, p 0.72), and a pair in two stacks of galaxies. Chosen, not measured."""
 
+SHORT_OVER_TRAIL: Final = 2.5
+"""Density of full stars over that of trails among lines of fewer than `FEWEST_CELLS`: all full stars, and of trails whose lengths
+are alike in their logarithm (1.7 to 400 px) four in ten."""
+
 PITCH_FWHM: Final = 2.0
 """Largest distance of the stars of a row without gaps, in full widths: halfway between them each has 6 % of its peak left."""
 BREADTH_WIDTHS: Final = 4.0
 """Breadth of such a row in widths: two to both sides, where a Gaussian has 14 % of its peak left."""
 FAINTEST_SHARE: Final = 0.5
 """Least light of its stars, as a share of the line's light in one full width."""
+
+FEWEST_ROWS: Final = 1e-4
+"""Expected rows up to which gaps are not looked at: they count twenty times at most (`row_over_trail`)."""
+
+LIT_SHARE: Final = 0.5
+"""A cell with this share of the claimed light, or more, is lit."""
+CELLS_OF_STAR: Final = 3.0
+"""Lit cells of one star, at most: twenty times as bright as a cell's least light, it lights 2.7 of them."""
+
+ROUND_FILL: Final = 0.6
+"""Share of a line that its light fills, (sum of cells)^2 / (n sum of squares) of its best rise and fall, from which on a fall to
+both ends is no gap. A triangle has 0.75, a star with a tail 0.1 to 0.3."""
+ROUND_WIDTHS: Final = 1.3
+"""Largest width over that of the PSF of such a line: bulges of galaxies and full stars are wider. Chosen, not measured."""
 
 REAL_PER_FRAME: Final = 0.5
 """Expected real streaks per frame: the default of `ground.vetter`."""
@@ -115,20 +134,39 @@ class StarField:
         next_one = min(density * pitch * BREADTH_WIDTHS * _fwhm_px(fit) / FWHM_PER_SIGMA, 1.0)
         return 0.5 * n * density * math.pi * pitch**2 * next_one**further
 
+    def rows(self, fit: StreakFit, lit_cells: int) -> float:
+        """Expected rows of stars of a line's length and light that have so many lit cells: a pair, and the others on its line."""
+        further = lit_cells / CELLS_OF_STAR - 2.0
+        if not further > 0.0:
+            return self.pairs(fit)
+        density = self.brighter(fit, FAINTEST_SHARE) / self.area_px2
+        on_line = density * fit.length_px * BREADTH_WIDTHS * _fwhm_px(fit) / FWHM_PER_SIGMA
+        return self.pairs(fit) * float(gammainc(further, on_line))
+
     def against(self, fit: StreakFit, gain_e_adu: float) -> float:
         """Odds of a row of stars against a trail, as far as gaps and the stars of the frame tell; 0 where they do not."""
         full = fit.snr > FULL_SNR
         if not 0.0 < fit.length_px <= (FULL_LONGEST_PX if full else LONGEST_PX) or not fit.flux_e > 0.0:
             return 0.0
         odds = self.even_rows(fit) / REAL_PER_FRAME
-        pairs = self.pairs(fit) + (FULL_PER_FRAME if full else 0.0)
-        if pairs > 0.0:
-            gaps = self.gaps(fit, gain_e_adu)
-            odds += 0.0 if math.isnan(gaps) else pairs / REAL_PER_FRAME * row_over_trail(gaps)
+        if self.pairs(fit) > 0.0 or full:
+            along = self.along(fit, gain_e_adu)
+            stars = FULL_PER_FRAME if full else 0.0
+            if along is not None:
+                stars += self.rows(fit, along.lit_cells)
+                if stars > FEWEST_ROWS:
+                    odds += stars / REAL_PER_FRAME * row_over_trail(along.gaps_for(fit))
+            elif fit.length_px < FEWEST_CELLS * CELL_WIDTHS * effective_width_px(fit.width_px):
+                odds += stars / REAL_PER_FRAME * SHORT_OVER_TRAIL
         return odds
 
     def gaps(self, fit: StreakFit, gain_e_adu: float) -> float:
-        """`gaps_of` in the crop in whose middle a line lies best; NaN where none tells."""
+        """Gaps of a line where a crop shows it; NaN where none tells."""
+        along = self.along(fit, gain_e_adu)
+        return math.nan if along is None else along.gaps
+
+    def along(self, fit: StreakFit, gain_e_adu: float) -> "Along | None":
+        """A line's light in the crop in whose middle it lies best; None where none tells."""
         middle = np.array([0.5 * (fit.row0 + fit.row1), 0.5 * (fit.col0 + fit.col1)])
 
         def apart(crop: Crop) -> float:
@@ -136,10 +174,10 @@ class StarField:
             return float(np.hypot(*(centre - middle)))
 
         for crop in sorted((crop for crop in self.crops if _reaches(crop, fit)), key=apart):
-            gaps = gaps_of(fit, crop, gain_e_adu)
-            if not math.isnan(gaps):
-                return gaps
-        return math.nan
+            along = Along.of(fit, crop, gain_e_adu)
+            if along is not None:
+                return along
+        return None
 
 
 def _fwhm_px(fit: StreakFit) -> float:
@@ -155,41 +193,85 @@ def row_over_trail(gaps: float) -> float:
     return row / trail
 
 
-def gaps_of(fit: StreakFit, crop: Crop, gain_e_adu: float) -> float:
-    """Gaps in the light of a line: rms by which cells fall below what the fit claims, as a share of it; NaN: too little is seen.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Along:
+    """Light of the cells along a line and its error, as shares of what the fit claims, (n,) each."""
 
-    Only what is missing counts: stars that a trail crosses add light. The part of the noise is taken off. Of 50 false lines of a
-    crowded field all have 0.30 to 1.3 and 95 % more than 0.44. Of 40 trails of an independent simulator 95 % have less than 0.20
-    and all less than 0.34. Of 51 trails put into frames of that crowded field 90 % have less than 0.25.
-    """
-    width = effective_width_px(fit.width_px)
-    n = round(fit.length_px / max(CELL_WIDTHS * width, 1.0))
-    if n < FEWEST_CELLS:
-        return math.nan
-    per_cell = max(math.ceil(fit.length_px / n), 1)
-    share = (np.arange(n * per_cell) + 0.5) / (n * per_cell)
-    across = np.arange(-math.ceil(SIDE_WIDTHS[1] * width), math.ceil(SIDE_WIDTHS[1] * width) + 1.0)
-    value = _along(fit, crop, share, across).reshape(n, per_cell, across.size)
-    core = np.where(np.abs(across) <= CORE_WIDTHS * width, np.exp(-0.5 * (across / width) ** 2), 0.0)
-    side = value[:, :, np.abs(across) >= SIDE_WIDTHS[0] * width].reshape(n, -1)
-    known = np.isfinite(value)
-    power = (known * core**2).sum(axis=2)
-    told = (power > 0.5 * float(core @ core)).any(axis=1) & np.isfinite(side).any(axis=1)
-    if np.count_nonzero(told) < max(FEWEST_CELLS, n // 2):
-        return math.nan
-    slope = _slope(side)
-    flat = side - slope[:, None]
-    level = slope + np.array([_median(flat[max(k - LEVEL_CELLS, 0) : k + LEVEL_CELLS + 1]) for k in range(n)])
-    noise = 1.4826 * _median(np.abs(side - level[:, None]))
-    light = (np.where(known, value - level[:, None, None], 0.0) * core).sum(axis=(1, 2))[told] / power.sum(axis=1)[told]
-    claimed = fit.flux_e / gain_e_adu / fit.length_px / (math.sqrt(2.0 * math.pi) * width)
-    # pixels share their cells' values where a line is sampled once a pixel and more
-    error = noise / np.sqrt(power.sum(axis=1)[told] * fit.length_px / (n * per_cell))
-    missing = 2.0 * np.minimum(light / claimed - 1.0, 0.0) ** 2
-    of_noise = (error / claimed) ** 2
-    # the mean of 2 min(x, 0)^2 is that of x^2, and its variance 5 sigma^4
-    certain = float(missing.mean()) - float(of_noise.mean()) * (1.0 + CERTAIN_SIGMAS * math.sqrt(5.0 / light.size))
-    return math.sqrt(max(certain, 0.0))
+    light: NDArray[np.float64]
+    error: NDArray[np.float64]
+
+    @classmethod
+    def of(cls, fit: StreakFit, crop: Crop, gain_e_adu: float) -> "Along | None":
+        """Of a line in a crop; None: too little is seen."""
+        width = effective_width_px(fit.width_px)
+        n = round(fit.length_px / max(CELL_WIDTHS * width, 1.0))
+        if n < FEWEST_CELLS:
+            return None
+        per_cell = max(math.ceil(fit.length_px / n), 1)
+        share = (np.arange(n * per_cell) + 0.5) / (n * per_cell)
+        across = np.arange(-math.ceil(SIDE_WIDTHS[1] * width), math.ceil(SIDE_WIDTHS[1] * width) + 1.0)
+        value = _along(fit, crop, share, across).reshape(n, per_cell, across.size)
+        core = np.where(np.abs(across) <= CORE_WIDTHS * width, np.exp(-0.5 * (across / width) ** 2), 0.0)
+        side = value[:, :, np.abs(across) >= SIDE_WIDTHS[0] * width].reshape(n, -1)
+        known = np.isfinite(value)
+        power = (known * core**2).sum(axis=2)
+        told = (power > 0.5 * float(core @ core)).any(axis=1) & np.isfinite(side).any(axis=1)
+        if np.count_nonzero(told) < max(FEWEST_CELLS, n // 2):
+            return None
+        slope = _slope(side)
+        flat = side - slope[:, None]
+        level = slope + np.array([_median(flat[max(k - LEVEL_CELLS, 0) : k + LEVEL_CELLS + 1]) for k in range(n)])
+        noise = 1.4826 * _median(np.abs(side - level[:, None]))
+        light = (np.where(known, value - level[:, None, None], 0.0) * core).sum(axis=(1, 2))[told] / power.sum(axis=1)[told]
+        claimed = fit.flux_e / gain_e_adu / fit.length_px / (math.sqrt(2.0 * math.pi) * width)
+        # pixels share their cells' values where a line is sampled once a pixel and more
+        error = noise / np.sqrt(power.sum(axis=1)[told] * fit.length_px / (n * per_cell))
+        return cls(light=light / claimed, error=error / claimed)
+
+    @property
+    def lit_cells(self) -> int:
+        """Number of cells with light."""
+        return int(np.count_nonzero(self.light >= LIT_SHARE))
+
+    @property
+    def gaps(self) -> float:
+        """Rms by which cells fall below what the fit claims, as a share of it.
+
+        Only what is missing counts: stars that a trail crosses add light. The part of the noise is taken off. Of 50 false lines
+        of a crowded field all have 0.30 to 1.3 and 95 % more than 0.44. Of 40 trails of an independent simulator 95 % have less
+        than 0.20 and all less than 0.34. Of 51 trails put into frames of that crowded field 90 % have less than 0.25.
+        """
+        return self._missing_from(np.ones(self.light.size))
+
+    def gaps_for(self, fit: StreakFit) -> float:
+        """The same, but of a line as narrow as stars that rises once and falls once and fills its length: of its dips alone.
+
+        Meteors rise and fall so. A star with a tail fills little of its length, and the bulge of a galaxy is wide.
+        """
+        from scipy.optimize import isotonic_regression  # takes a quarter of a second, which frames without short lines spare
+
+        plain = self.gaps
+        if not plain > 0.0 or not fit.width_px <= ROUND_WIDTHS * fit.psf_sigma_px:
+            return plain
+        weight = 1.0 / np.maximum(self.error, 1e-6) ** 2
+        best, least = self.light, math.inf
+        for top in range(1, self.light.size):
+            up = isotonic_regression(self.light[:top], weights=weight[:top]).x
+            down = isotonic_regression(self.light[top:], weights=weight[top:], increasing=False).x
+            curve = np.concatenate((up, down))
+            rest = float(weight @ (self.light - curve) ** 2)
+            if rest < least:
+                best, least = curve, rest
+        lit = np.maximum(best, 0.0)
+        fill = float(lit.sum()) ** 2 / max(float(lit @ lit) * lit.size, 1e-300)
+        return min(plain, self._missing_from(best)) if fill >= ROUND_FILL else plain
+
+    def _missing_from(self, expected: NDArray[np.float64]) -> float:
+        """Rms by which cells fall below an expectation, with the part that noise has for certain taken off."""
+        missing = 2.0 * np.minimum(self.light - expected, 0.0) ** 2
+        # the mean of 2 min(x, 0)^2 is that of x^2, and its variance 5 sigma^4
+        of_noise = float(np.mean(self.error**2)) * (1.0 + CERTAIN_SIGMAS * math.sqrt(5.0 / self.light.size))
+        return math.sqrt(max(float(missing.mean()) - of_noise, 0.0))
 
 
 def _slope(side: NDArray[np.float64]) -> NDArray[np.float64]:

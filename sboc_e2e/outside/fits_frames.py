@@ -24,6 +24,7 @@ from sboc_e2e.icd.frame import Frame, FrameHeader
 from sboc_e2e.icd.tai import NS_PER_S, from_jd_parts
 from sboc_e2e.outside.frame_source import Note, SourcedFrame
 from sboc_e2e.outside.header_wcs import COARSEST_DEG, FINEST_DEG, MAX_SHOWN, usable_wcs
+from sboc_e2e.outside.image_circle import beyond, image_circle
 from sboc_e2e.outside.image_planes import Plane, planes_of, with_planes
 from sboc_e2e.outside.overscan import without_sky
 
@@ -180,6 +181,12 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True) -> SourcedFra
         covered[sky] = False
         blind |= covered
         notes.append(Note(kind="no sky", text=f"masked borders without sky, such as overscan: {_borders(sky, pixels.shape)}"))
+    circle = image_circle(pixels)
+    if circle is not None:
+        outside = beyond(circle, pixels.shape)
+        blind = outside if blind is None else blind | outside
+        where = f"radius {circle.radius_px:.0f} px about row {circle.row:.0f}, column {circle.col:.0f}"
+        notes.append(Note(kind="circle", text=f"masked what lies beyond the image circle of the lens and at its rim: {where}"))
     if blind is not None and blind.any():
         pixels = pixels.astype(np.float32)
         pixels[blind] = np.nan
@@ -193,6 +200,7 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True) -> SourcedFra
         notes=tuple(notes),
         focal_hints_px=focal_hints_px(header, wcs),
         camera=" ".join(f"{header.get(key, '')}".strip() for key in CAMERA_KEYS) + f" HDU {place.hdu}",
+        circle=circle,
     )
 
 

@@ -4,6 +4,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Protocol
 
+from ground.vetting.rim import ImageCircle
 from sboc_e2e.icd.frame import Frame
 
 
@@ -21,6 +22,7 @@ class SourcedFrame:
 
     focal_hints_px : focal lengths in pixels that the header tells in one way or another, the best first.
     camera : words of the header that tell cameras, detectors and filters apart; frames with equal ones share a fixed pattern.
+    circle : of a lens that does not fill the frame.
     """
 
     frame: Frame
@@ -30,6 +32,7 @@ class SourcedFrame:
     notes: tuple[Note, ...]
     focal_hints_px: tuple[float, ...] = ()
     camera: str = ""
+    circle: ImageCircle | None = None
 
 
 class FrameSource(Protocol):

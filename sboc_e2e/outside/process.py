@@ -9,6 +9,7 @@ from typing import Any, Final
 import numpy as np
 
 from ground.astrometry import lost_in_space
+from ground.vetting.rim import ImageCircle
 from sboc_e2e.files import calibration_files
 from sboc_e2e.icd.frame import Frame, NominalCamera
 from sboc_e2e.outside.camera import camera_of_frame, camera_of_preset, focal_px_by_stars, refuse_narrow_field
@@ -42,6 +43,8 @@ class Seen:
     """Texts of the notes by kind."""
     of_frame: dict[int, tuple[str, ...]] = field(default_factory=dict)
     """Texts of the notes by frame."""
+    circles: dict[int, ImageCircle] = field(default_factory=dict)
+    """Image circles of lenses that do not fill their frame, by frame."""
 
 
 def base_document(wcs: str) -> dict[str, Any]:
@@ -128,7 +131,7 @@ def process(
         camera=nominal,
         catalogue=catalogue,
         run_id=manifest.run_id,
-        evidence=chain.evidence,
+        evidence={number: replace(each, circle=seen.circles.get(number)) for number, each in chain.evidence.items()},
     )
     counts = {number: counts_of(each.look_alikes) for number, each in chain.evidence.items()}
     ground = GroundStage(
@@ -168,6 +171,8 @@ def _noted(frames: Iterator[SourcedFrame], seen: Seen) -> Iterator[Frame]:
         seen.origin[number] = (sourced.file, sourced.hdu)
         if sourced.wcs is not None:
             seen.wcs[number] = sourced.wcs
+        if sourced.circle is not None:
+            seen.circles[number] = sourced.circle
         seen.of_frame[number] = tuple(note.text for note in sourced.notes)
         for note in sourced.notes:
             seen.notes.setdefault(note.kind, []).append(note.text)

@@ -171,7 +171,9 @@ class Certain:
 
 
 def fit_of(snr: float, length_px: float, width_px: float = 1.2, light: tuple[float, ...] = ()) -> StreakFit:
-    ends = {"row0": 40.0, "col0": 40.0, "row1": 50.0, "col1": 50.0, "light_curve_e_px": np.array(light, np.float32)}
+    ends = {"row0": 40.0, "col0": 40.0, "row1": 50.0, "col1": 50.0, "light_curve_e_px": np.array(light, np.float32)} | {
+        "flags": StreakFlag(0)
+    }
     made: Any = type("Fit", (), {"snr": snr, "length_px": length_px, "width_px": width_px} | ends)()
     return made
 

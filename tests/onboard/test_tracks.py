@@ -465,3 +465,20 @@ def test_what_only_the_tracker_asks_for_takes_nothing_from_the_single_frame() ->
     low, _ = dyadic.coarse_segments(image.copy(), noise, 3.6, 4, 10_000)
     assert 20 < len(high) < 0.6 * len(low)
     assert (dyadic.in_order(low[dyadic.above(low, 4.0)]) == high).all()
+
+
+def test_a_horizon_leaves_work_for_a_trail_elsewhere() -> None:
+    """20,000 candidates of one place and 20 fainter ones of another: after a thousandth of the work the best of those is reached.
+
+    Candidates along rows and along columns of one place are in one.
+    """
+    rng = np.random.default_rng(5)
+    rows, cols = rng.uniform(1_030.0, 1_270.0, (2, 20_000))
+    horizon = np.column_stack((np.zeros(20_000), rows, cols, rows + 100.0, cols + 20.0, rng.uniform(50.0, 60.0, 20_000)))
+    place = np.linspace(10.0, 100.0, 20)
+    trail = np.column_stack((np.ones(20), place + 300.0, place, place + 400.0, place + 30.0, np.linspace(20.0, 30.0, 20)))
+    ordered = dyadic.in_order(np.concatenate((horizon, trail)))
+    assert len(ordered) == 20_020
+    (found,) = np.nonzero(ordered[:, 5] == 30.0)
+    assert found[0] <= 20
+    assert (dyadic.in_order(horizon[:5_000])[:, 5] == np.sort(horizon[:5_000, 5])[::-1]).all(), "few ones by their S/N alone"

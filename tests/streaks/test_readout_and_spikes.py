@@ -6,8 +6,10 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ground.vetting.look_alikes import of_spilled_charge
 from ground.vetting.readout import drift_of, exactness, odds_of_readout
 from ground.vetting.spikes import BrightStars
+from sboc_e2e.icd.flags import StreakFlag
 
 
 def line(row0: float, col0: float, row1: float, col1: float, **more: Any) -> Any:
@@ -84,3 +86,17 @@ def test_trails_aim_at_stars_as_seldom_as_the_odds_say() -> None:
         place = np.array([row, col])
         aimed += field.against(line(*(place - half), *(place + half))) > 0.0
     assert 0.008 < aimed / 4000 < 0.03
+
+
+def test_charge_of_full_stars_runs_along_columns_and_a_bright_trail_seldom_does() -> None:
+    """A line of S/N 24,000 that tapered for 520 px along a column was published with p 0.75. Odds by the shares of directions."""
+    full, bright, plain = StreakFlag.SATURATED, 5_000.0, 200.0
+
+    def odds(angle_deg: float, snr: float, flags: StreakFlag) -> float:
+        angle = math.radians(angle_deg)
+        return of_spilled_charge(line(0.0, 0.0, 500.0 * math.cos(angle), 500.0 * math.sin(angle), snr=snr, flags=flags))
+
+    assert odds(1.6, bright, StreakFlag(0)) == odds(91.6, plain, full) > 4.0
+    assert odds(1.6, plain, StreakFlag(0)) == odds(30.0, bright, full) == 0.0
+    aligned = sum(odds(float(each), bright, full) > 0.0 for each in np.arange(0.05, 180.0, 0.1)) / 1_800
+    assert odds(0.0, bright, full) == pytest.approx(0.2 / aligned, rel=0.05)

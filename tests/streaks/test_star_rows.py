@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ground.vetting.star_rows import LONGEST_PX, ROW_GAPS, Crop, StarField, gaps_of, row_over_trail
+from ground.vetting.star_rows import LONGEST_PX, ROW_GAPS, Along, Crop, StarField, row_over_trail
 
 SIDE, NOISE, SIGMA, PIXEL = 128, 10.0, 1.2, 12.0**-0.5
 ENDS = (40.0, 44.0, 70.0, 84.0)
@@ -19,7 +19,14 @@ def fit(snr_per_px: float, length_px: float = LENGTH) -> Any:
     ends = dict(zip(("row0", "col0", "row1", "col1"), ENDS, strict=True))
     flux = snr_per_px * NOISE * (2.0 * np.sqrt(np.pi) * SIGMA) ** 0.5 * length_px
     more = {"length_px": length_px, "width_px": SIGMA, "flux_e": flux, "sagitta_px": 0.0, "snr": snr_per_px * length_px**0.5}
-    return type("Fit", (), ends | more)()
+    return type("Fit", (), ends | more | {"psf_sigma_px": SIGMA})()
+
+
+def gaps_of(line: Any, crop: Crop, gain_e_adu: float) -> float:
+    """Gaps of a line that a crop shows."""
+    seen = Along.of(line, crop, gain_e_adu)
+    assert seen is not None
+    return seen.gaps
 
 
 def image_of(light: NDArray[np.float64], seed: int) -> Crop:
@@ -76,6 +83,57 @@ def test_gaps_count_by_the_stars_that_the_frame_has() -> None:
     assert odds(2) < 1.0 < 100.0 < odds(200)
     faint = StarField(flux_e=np.full(5_000, 1.0, dtype=np.float32), area_px2=1e6, crops=(crop,))
     assert faint.against(fit(5.0), 1.0) == 0.0
+
+
+def odds_of(light: NDArray[np.float64], line: Any, stars: int) -> float:
+    """Odds of a row of stars against a trail, with so many stars in a megapixel that are as bright as the whole line."""
+    flux = np.full(stars, line.flux_e, dtype=np.float32)
+    return StarField(flux_e=flux, area_px2=1e6, crops=(image_of(light, 1),)).against(line, 1.0)
+
+
+def test_a_meteor_rises_and_falls_and_has_no_dips() -> None:
+    """A triangle with its top at 0.3 of the line: rms of what is missing 3^-0.5 of the mean, dips none."""
+    share = (np.arange(int(LENGTH)) + 0.5) / LENGTH
+    triangle = 2.0 * np.where(share < 0.3, share / 0.3, (1.0 - share) / 0.7)
+    light = triangle * fit(20.0).flux_e / LENGTH
+    seen = Along.of(fit(20.0), image_of(light, 1), 1.0)
+    assert seen is not None
+    assert seen.gaps == pytest.approx(3.0**-0.5, abs=0.08)
+    assert seen.gaps_for(fit(20.0)) < 0.1
+    assert odds_of(light, fit(20.0), 500) < 0.1
+    wide = fit(20.0)
+    wide.psf_sigma_px = 0.5 * SIGMA
+    assert seen.gaps_for(wide) == seen.gaps, "the bulge of a galaxy, or a full star"
+
+
+def test_a_star_with_a_tail_keeps_its_gaps() -> None:
+    """It rises at one end and falls, and fills little of its length."""
+    light = np.exp(-np.arange(int(LENGTH)) / 4.0)
+    light *= fit(20.0).flux_e / light.sum()
+    seen = Along.of(fit(20.0), image_of(light, 1), 1.0)
+    assert seen is not None
+    assert seen.gaps_for(fit(20.0)) == seen.gaps > 0.6
+    assert odds_of(light, fit(20.0), 500) > 5.0
+
+
+def test_a_long_lit_line_with_dips_is_no_row_of_stars_where_that_takes_many() -> None:
+    """A shutter's dips: twelve of fifty px dark. Stars for all the rest do not lie in a row by chance; two stars do."""
+    light = np.full(int(LENGTH), fit(20.0).flux_e / LENGTH)
+    for start in (8, 20, 32):
+        light[start : start + 6] = 0.0
+    assert odds_of(light, fit(20.0), 100) < 0.1
+    pair = np.zeros(int(LENGTH))
+    pair[[0, -1]] = 0.5 * fit(20.0).flux_e
+    assert odds_of(pair, fit(20.0), 100) > 10.0
+
+
+def test_the_stars_on_a_line_follow_poissons_law() -> None:
+    """Twelve lit cells are four stars: a pair, and two or more of the mu others on a strip of four widths."""
+    field = StarField(flux_e=np.full(3_000, fit(5.0).flux_e, dtype=np.float32), area_px2=1e6, crops=())
+    width = (SIGMA**2 + PIXEL**2) ** 0.5
+    mu = 3_000 / 1e6 * LENGTH * 4.0 * width
+    assert field.rows(fit(5.0), 12) / field.pairs(fit(5.0)) == pytest.approx(1.0 - np.exp(-mu) * (1.0 + mu), rel=1e-6)
+    assert field.rows(fit(5.0), 6) == field.pairs(fit(5.0))
 
 
 def test_a_full_star_is_no_trail_where_it_is_the_only_one() -> None:

@@ -18,7 +18,11 @@ from numpy.typing import NDArray
 from onboard.detect.whiten import UNIT
 
 FAIR_ABOVE: Final = 8_000
-"""From so many candidates on, those of each length take turns, best first: work may end before their list does."""
+"""From so many candidates on, those of each length and place share the work, best first: it may end before their list does."""
+
+PLACE_PX: Final = 256
+"""Side of a place, or more where candidates are longer. A horizon or a cloud has thousands of candidates, and a trail elsewhere
+was never reached: in a picture of a landscape (1080 x 1920 px) 267 of 66,290 were. Chosen, not measured."""
 
 COLLECT_WORK: Final = 2
 """Operations of a sum that is looked at for itself."""
@@ -267,12 +271,16 @@ def coarse_segments(
 
 
 def in_order(candidates: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Candidates best first; of more than FAIR_ABOVE those of each octave of length in turn."""
+    """Candidates best first; of more than FAIR_ABOVE those of each octave of length and each place share the work."""
     best_first = candidates[np.argsort(-candidates[:, 5], kind="stable")]
     if len(best_first) <= FAIR_ABOVE:
         return np.asarray(best_first)
-    octave = np.log2(best_first[:, 3] - best_first[:, 1] + 2.0).astype(np.int64)
-    return np.asarray(best_first[np.argsort(turns(octave), kind="stable")])
+    length = best_first[:, 3] - best_first[:, 1] + 2.0
+    octave = np.log2(length).astype(np.int64)
+    middle = 0.5 * (best_first[:, 1:3] + best_first[:, 3:5])
+    middle = np.where(best_first[:, :1] == 0.0, middle, middle[:, ::-1])
+    row, col = np.maximum(middle / np.maximum(2.0**octave, PLACE_PX)[:, None], 0.0).astype(np.int64).T
+    return np.asarray(best_first[np.argsort(spent_before((octave << 16) + (row << 8) + col, length), kind="stable")])
 
 
 def wanted_sigma(threshold_sigma: float, rows: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -286,11 +294,16 @@ def above(candidates: NDArray[np.float64], threshold_sigma: float) -> NDArray[np
     return np.asarray(candidates[:, 5] > wanted_sigma(threshold_sigma, rows))
 
 
-def turns(group: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Number of members of the same group before each one, shape (n,)."""
+def spent_before(group: NDArray[np.int64], work: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Work for the members of the same group before each one, shape (n,)."""
     order = np.argsort(group, kind="stable")
-    ordered = group[order]
-    start = np.searchsorted(ordered, ordered, side="left")
-    out = np.empty(len(group), np.int64)
-    out[order] = np.arange(len(group)) - start
+    before = np.cumsum(work[order]) - work[order]
+    start = np.searchsorted(group[order], group[order], side="left")
+    out = np.empty(len(group))
+    out[order] = before - before[start]
     return out
+
+
+def turns(group: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Number of members of the same group before each one, shape (n,)."""
+    return spent_before(group, np.ones(len(group)))

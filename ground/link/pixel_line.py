@@ -2,7 +2,10 @@
 
 Places of S/N 3 to 5 are maxima of noise as often as of light, and a line through them is no better than they are. Here the line
 is what is fitted: Fisher scoring on the sum of the frames' log likelihoods, each at the place where the line crosses its
-frame. The light of a frame is free, but for a prior about that of all frames. Errors follow from the Fisher matrix.
+frame. The light of a frame is free, but for a prior about that of all frames.
+
+The likelihood of so faint frames is no parabola, and one star may make a maximum of its own. So what is published is the mean and
+the covariance of the line over the whole likelihood about the most likely line, with a share of frames that a star has spoilt.
 """
 
 import math
@@ -13,8 +16,10 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.importance import Proposals, adapted
 from ground.normal_equations import scaled_inverse
 from ground.streaks.across import REACH_PX, AcrossPixels
+from ground.streaks.across_likelihood import SPOILT, AcrossLikelihood
 
 Array = NDArray[np.float64]
 
@@ -30,6 +35,8 @@ ROBUST_STEPS: Final = 5
 """Of the mean brightness with Huber's weights, which have settled after them. Chosen, not measured."""
 HUBER: Final = 2.0
 """Sigmas beyond which the weight of a frame's brightness falls. Chosen, not measured."""
+BORDER_PX: Final = 0.1
+"""Width over which the likelihood falls off where a line leaves the pixels. Chosen, not measured."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -48,7 +55,7 @@ class CrossedFrame:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class PixelLine:
-    """Parameters (k,), covariance (k, k), and which frames count."""
+    """Mean (k,) and covariance (k, k) of the line's parameters, and which frames the most likely line rests on."""
 
     parameters: Array
     covariance: Array
@@ -56,14 +63,14 @@ class PixelLine:
 
 
 def line_of_pixels(frames: Sequence[CrossedFrame], start: Array, information: Array, right: Array) -> PixelLine | None:
-    """The most likely line; None where the pixels lead it away from its start or fewer than two frames show its light.
+    """The line; None where the pixels lead it away from its start or fewer than two frames show its light.
 
     information, right : (k, k) and (k,), normal equations of what is known of the line without these frames.
     """
     pixels = [frame.pixels.without_intruders(frame.offset_px + frame.by_line @ start) for frame in frames]
     line = start
     off_line = np.zeros(len(frames), dtype=np.bool_)
-    counts, covariance = ~off_line, information
+    counts, covariance, usual = ~off_line, information, math.nan
     for iteration in range(ITERATIONS):
         places = [frame.offset_px + frame.by_line @ line for frame in frames]
         light = np.array([each.density(place) for each, place in zip(pixels, places, strict=True)])
@@ -91,7 +98,43 @@ def line_of_pixels(frames: Sequence[CrossedFrame], start: Array, information: Ar
     moved = max(float(np.abs(frame.by_line @ (line - start))[0]) for frame in frames)
     if not (np.isfinite(line).all() and moved < REACH_PX and np.count_nonzero(counts) >= 2):
         return None
-    return PixelLine(parameters=line, covariance=covariance, counts=counts)
+    within = _within_doubt(frames, pixels, usual, (line, covariance), information, right)
+    return PixelLine(parameters=within[0], covariance=within[1], counts=counts)
+
+
+def _within_doubt(
+    frames: Sequence[CrossedFrame],
+    pixels: Sequence[AcrossPixels],
+    usual: float,
+    start: tuple[Array, Array],
+    information: Array,
+    right: Array,
+) -> tuple[Array, Array]:
+    """Mean (k,) and covariance (k, k) of the line over the whole likelihood, spoilt frames included.
+
+    usual : light of the object, e-/px. start : most likely line and the inverse of its Fisher matrix.
+    """
+    tables = [AcrossLikelihood.of(each) for each in pixels]
+    sure = [_sureness(frame, each, start[0], usual) for frame, each in zip(frames, pixels, strict=True)]
+    spoilt = [math.log(SPOILT) + each.log_spoilt(usual) for each in tables]
+
+    def log_density(lines: Array) -> Array:
+        total = lines @ right - 0.5 * np.einsum("mi,ij,mj->m", lines, information, lines)
+        for frame, table, share, floor in zip(frames, tables, sure, spoilt, strict=True):
+            place = frame.offset_px + lines @ frame.by_line.T
+            log = share * table.log(place, usual, BRIGHTNESS * usual)
+            total += np.logaddexp(math.log1p(-SPOILT) + log, floor)
+            total -= 0.5 * (np.maximum(np.abs(place[:, 0]) - REACH_PX, 0.0) / BORDER_PX) ** 2
+        return np.asarray(total)
+
+    draws = adapted(Proposals.of(len(right)), start, log_density)
+    return draws.mean, draws.covariance
+
+
+def _sureness(frame: CrossedFrame, pixels: AcrossPixels, line: Array, usual: float) -> float:
+    """Share of a place's information that is left when the frame itself may be off: normal errors widen a parabola by it."""
+    _, fisher = pixels.evidence(frame.offset_px + frame.by_line @ line, usual, 0.0)
+    return 1.0 / (1.0 + float(fisher[0, 0] * frame.variance_px2[0]))
 
 
 def _usual_light(light: Array) -> float:

@@ -19,8 +19,9 @@ from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr, ndtri
+from scipy.special import ndtr
 
+from ground.importance import Draws, Gaussian, Proposals, adapted
 from ground.streaks import known_width
 from ground.streaks.centre_line import LineFit, effective_width_px, uniform_trail
 from ground.streaks.common_direction import common_turns
@@ -36,23 +37,11 @@ from ground.streaks.trail_pixels import TrailPixels, usable_pixels
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit, StreakPixels
 
-SAMPLES: Final = 4096
-"""Draws of the motion in each round (a Sobol sequence: the same numbers every time)."""
-
-ROUNDS: Final = 5
-"""A budget of work: the search stops before it once `EFFECTIVE_SAMPLES` is reached. Chosen, not measured."""
-EFFECTIVE_SAMPLES: Final = 400.0
-"""The proposal is re-centred until the weights are equivalent to this many independent draws."""
-
 LEAST_PIXELS: Final = 20
 """Fewer lit pixels give no brightness."""
 
 LEAST_LIT: Final = 1e-3
 """Least light of a pixel, relative to the brightest pixel, that is used for the brightness of the trail."""
-
-STUDENT_FREEDOM: Final = 4.0
-"""Tails of the proposal: heavier than those of the product of change-point likelihoods."""
-
 
 SPOILT: Final = 0.02
 """Share of faint trails whose ends tell nothing of the motion: a star below the list's limit lies at one of them. Measured as the
@@ -426,81 +415,42 @@ def _sample(
     frames is flat where the motion is not, so draws that miss a narrow peak would not find it. It comes second, about the motion
     that was found. This keeps the posterior proper: if all frames were spoilt, any motion would do.
     """
-    proposals = _Proposals.of(center.size)
+    proposals = Proposals.of(center.size)
     on_track = any(has_given_ends(e.frame.fit) for e in used)
     track = (center, covariance * REACH_OF_TRACK**2) if on_track else None
     first = _adapted(proposals, used, zero_s, prior, (center, covariance), track, _of_ends)
     if all(e.spoilt == -math.inf for e in used):
-        return first[:2]
-    found, spread = first[2:]
+        return first.points, first.weight
+    found, spread = first.mean, first.covariance
     about = track or (found, spread * REACH_OF_SPOILT**2)
-    return _adapted(proposals, used, zero_s, prior, (found, spread + covariance), about, _log_likelihood)[:2]
-
-
-class _Proposals(NamedTuple):
-    """Quasi-random draws of a Student t: a normal (m, p) over the root of a gamma variable (m,) of mean one."""
-
-    normal: NDArray[np.float64]
-    gamma: NDArray[np.float64]
-
-    @classmethod
-    def of(cls, n: int) -> "_Proposals":
-        from scipy.stats import qmc  # takes half a second, which frames without tracklets do not need
-
-        # the first Sobol point is the corner of the cube; half a cell inwards it is a point like the others
-        uniform = qmc.Sobol(n + 1, scramble=False).random(SAMPLES) + 0.5 / SAMPLES
-        # the gamma variable from its Wilson-Hilferty quantiles
-        nu = STUDENT_FREEDOM
-        gamma = np.maximum(1.0 - 2.0 / (9.0 * nu) + ndtri(uniform[:, n]) * math.sqrt(2.0 / (9.0 * nu)), 0.05) ** 3
-        return cls(ndtri(uniform[:, :n]), gamma)
-
-
-_Gaussian = tuple[NDArray[np.float64], NDArray[np.float64]]
+    second = _adapted(proposals, used, zero_s, prior, (found, spread + covariance), about, _log_likelihood)
+    return second.points, second.weight
 
 
 def _adapted(
-    proposals: _Proposals,
+    proposals: Proposals,
     used: list[_Evidence],
     zero_s: float,
     prior: AccelerationPrior | None,
-    start: _Gaussian,
-    about: _Gaussian | None,
+    start: Gaussian,
+    about: Gaussian | None,
     likelihood: Callable[[_Evidence, NDArray[np.float64], NDArray[np.float64]], NDArray[np.float64]],
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
-    """Draws, weights, and their mean and covariance, from a proposal that adapts to them.
+) -> Draws:
+    """Draws of the motion.
 
     likelihood : of the ends of a frame. about : normal prior of the motion, mean and covariance.
     """
-    normal, gamma = proposals
-    (center, covariance), n = start, normal.shape[1]
-    shape = normal / np.sqrt(gamma)[:, None]
-    widening = 1.5
-    motion, weight = np.tile(center, (SAMPLES, 1)), np.full(SAMPLES, 1.0 / SAMPLES)
-    for _ in range(ROUNDS):
-        factor = np.linalg.cholesky(covariance) * widening
-        motion = center + shape @ factor.T
-        log_weight = 0.5 * np.sum(normal**2, axis=1) - 0.5 * n * np.log(gamma)
-        if prior is not None:
-            log_weight += prior.log_density(motion[:, 2])
+
+    def log_density(motion: NDArray[np.float64]) -> NDArray[np.float64]:
+        total = np.zeros(len(motion)) if prior is None else prior.log_density(motion[:, 2])
         if about is not None:
             off = np.linalg.solve(np.linalg.cholesky(about[1]), (motion - about[0]).T)
-            log_weight -= 0.5 * np.sum(off**2, axis=0)
+            total -= 0.5 * np.sum(off**2, axis=0)
         for e in used:
-            log_weight += likelihood(e, *displacements(e.frame, e.rows_per_px, motion, zero_s))
-        weight = np.exp(log_weight - log_weight.max())
-        weight /= weight.sum()
-        center = weight @ motion
-        scatter = motion - center
-        estimate = (scatter * weight[:, None]).T @ scatter
-        effective = 1.0 / float(np.sum(weight**2))
-        # few effective draws understate the spread: keep part of the old one
-        keep = 0.5 if effective < 30.0 else 0.0
-        covariance = np.asarray(
-            (1.0 - keep) * estimate + keep * covariance + 1e-12 * np.diag(np.diag(covariance)), dtype=np.float64
-        )
-        if effective > EFFECTIVE_SAMPLES:
-            break
-    return motion, weight, center, covariance
+            total += likelihood(e, *displacements(e.frame, e.rows_per_px, motion, zero_s))
+        return total
+
+    return adapted(proposals, start, log_density)
 
 
 def _quantile(values: NDArray[np.float64], weight: NDArray[np.float64], levels: tuple[float, float]) -> tuple[float, float]:

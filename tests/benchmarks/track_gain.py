@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from sboc_e2e.score.astrometry import sky_paths, streak_astrometry
 from sboc_e2e.score.evaluation import Evaluation, evaluate
-from sboc_e2e.score.figures import bootstrap, proportion, pull_width, rate, rms
+from sboc_e2e.score.figures import bootstrap_by_owner, proportion, pull_width, rate, rms
 from sboc_e2e.score.linking import linking
 from sboc_e2e.score.photometry import mean_magnitudes
 
@@ -29,6 +29,11 @@ CLASSES_M: Final = ((0.001, 0.003), (0.003, 0.01), (0.01, 0.03))
 FAINT_SNR: Final = 7.0
 DRAWS: Final = 4000
 DAY_S: Final = 86_400.0
+RUN: Final = 1_000_000
+"""Numbers of tracklets of one run are below it."""
+
+Owned = list[tuple[float, int]]
+"""Values, each with the number of its tracklet."""
 
 
 def tracker_of(run: Path) -> str:
@@ -87,16 +92,16 @@ def joint_cross(
     return [error_px / bound, line / bound]
 
 
-def joint_ratios(e: Evaluation, table: list[dict[str, float]]) -> dict[str, list[float]]:
+def joint_ratios(e: Evaluation, table: list[dict[str, float]]) -> dict[str, Owned]:
     """Errors across the motion of the members of tracklets whose frames all show less than FAINT_SNR, over bounds.
 
-    Members of one tracklet share the line's two errors, which intervals do not know.
+    Members of one tracklet share the line's two errors.
     """
     of: dict[int, list[dict[str, float]]] = {}
     for row in table:
         of.setdefault(int(e.streaks["tracklet_id"][int(row["row"])]), []).append(row)
-    out: dict[str, list[float]] = {f"faint_{name}_bound": [] for name in ("own_over_own", "own_over_joint", "line_over_joint")}
-    for rows in of.values():
+    out: dict[str, Owned] = {f"faint_{name}_bound": [] for name in ("own_over_own", "own_over_joint", "line_over_joint")}
+    for tracklet, rows in of.items():
         objects = {e.pairs[int(r["row"])].object_id for r in rows}
         if len(rows) < 2 or len(objects) > 1 or max(r["snr"] for r in rows) >= FAINT_SNR:
             continue
@@ -107,7 +112,7 @@ def joint_ratios(e: Evaluation, table: list[dict[str, float]]) -> dict[str, list
         if exposure_ns > 0.0 and np.isfinite(ratio).all() and (ratio != 0.0).all():
             own, line = joint_cross((epochs - epochs.mean()) / exposure_ns, np.abs(error / ratio), error)
             for name, values in zip(out, (ratio, own, line), strict=True):
-                out[name] += list(values)
+                out[name] += [(float(value), tracklet) for value in values]
     return out
 
 
@@ -122,12 +127,12 @@ def row_covariance(rows: Table) -> NDArray[np.float64]:
     return np.asarray(common + np.diag(np.maximum(sigma2 - np.diag(common), 1e-3 * sigma2)))
 
 
-def tracklet_pulls(e: Evaluation, run: Path) -> dict[str, list[float]]:
+def tracklet_pulls(e: Evaluation, run: Path) -> dict[str, Owned]:
     """Mean place and rate across of tracklets whose frames all show less than FAINT_SNR, over their stated errors."""
     angles = Table.read(run / "products" / "tdm_angles.ecsv")
     row_of = {int(k): i for i, k in enumerate(e.streaks["streak_id"])}
     paths = sky_paths(e.truth_tables["streaks"], [t.index for t in e.pairs.values()])
-    out: dict[str, list[float]] = {"tracklet_place_cross": [], "tracklet_rate_cross": [], "tracklet_row_cross": []}
+    out: dict[str, Owned] = {"tracklet_place_cross": [], "tracklet_rate_cross": [], "tracklet_row_cross": []}
     for number in np.unique(angles["tracklet_id"]):
         rows = angles[angles["tracklet_id"] == number]
         at = [row_of[int(k)] for k in rows["streak_id"]]
@@ -148,13 +153,13 @@ def tracklet_pulls(e: Evaluation, run: Path) -> dict[str, list[float]]:
         weighted = np.linalg.solve(covariance, design)
         known = np.linalg.inv(design.T @ weighted)
         pulls = known @ (weighted.T @ off) / np.sqrt(np.diag(known))
-        out["tracklet_place_cross"].append(float(pulls[0]))
-        out["tracklet_rate_cross"].append(float(pulls[1]))
-        out["tracklet_row_cross"] += list(off / np.sqrt(np.diag(covariance)))
+        out["tracklet_place_cross"].append((float(pulls[0]), int(number)))
+        out["tracklet_rate_cross"].append((float(pulls[1]), int(number)))
+        out["tracklet_row_cross"] += [(float(pull), int(number)) for pull in off / np.sqrt(np.diag(covariance))]
     return out
 
 
-def faint_pulls(e: Evaluation) -> dict[str, list[float]]:
+def faint_pulls(e: Evaluation) -> dict[str, Owned]:
     """Residuals over errors of the members of tracklets below FAINT_SNR; across also over the frame's own bound."""
     linked = {i: t for i, t in e.pairs.items() if int(e.streaks["tracklet_id"][i]) >= 0 and t.snr >= 3.0}
     paths = sky_paths(e.truth_tables["streaks"], [t.index for t in linked.values()])
@@ -163,17 +168,32 @@ def faint_pulls(e: Evaluation) -> dict[str, list[float]]:
     table = [r for r in whole if r["snr"] < FAINT_SNR]
     magnitudes = mean_magnitudes(e.truth_tables["streaks"], e.truth)
     mag = [
-        (float(e.streaks["mag"][i]) - magnitudes[t.index]) / float(e.streaks["mag_err"][i])
+        ((float(e.streaks["mag"][i]) - magnitudes[t.index]) / float(e.streaks["mag_err"][i]), tracklet_of(e, i))
         for i, t in rows.items()
         if t.index in magnitudes and float(e.streaks["mag_err"][i]) > 0.0
     ]
+
+    def column(name: str) -> Owned:
+        return [(r[name], tracklet_of(e, int(r["row"]))) for r in table if name in r]
+
     return {
         **joint_ratios(e, whole),
-        "cross": [r["cross_pull"] for r in table],
-        "along": [r["along_pull"] for r in table if "along_pull" in r],
-        "cross_over_bound": [r["cross_ratio"] for r in table],
-        "mag": [m for m in mag if np.isfinite(m)],
+        "cross": column("cross_pull"),
+        "along": column("along_pull"),
+        "cross_over_bound": column("cross_ratio"),
+        "mag": [m for m in mag if np.isfinite(m[0])],
     }
+
+
+def tracklet_of(e: Evaluation, row: int) -> int:
+    """Number of the tracklet of a row of the streaks."""
+    return int(e.streaks["tracklet_id"][row])
+
+
+def add_run(pulls: dict[str, Owned], e: Evaluation, run: Path, number: int) -> None:
+    """Add the pulls of a run; `number` tells its tracklets from those of other runs."""
+    for name, values in (faint_pulls(e) | tracklet_pulls(e, run)).items():
+        pulls.setdefault(name, []).extend((value, number * RUN + tracklet) for value, tracklet in values)
 
 
 def gain(pairs: list[tuple[Path, Path]]) -> dict[str, Any]:
@@ -182,9 +202,9 @@ def gain(pairs: list[tuple[Path, Path]]) -> dict[str, Any]:
     size: list[float] = []
     before: list[bool] = []
     after: list[bool] = []
-    pulls: dict[str, list[float]] = {}
+    pulls: dict[str, Owned] = {}
     false, n_tracklets, impure, span_s, n_frames = [0, 0], [0, 0], 0, 0.0, 0
-    for without, with_tracker in pairs:
+    for number_of_pair, (without, with_tracker) in enumerate(pairs):
         runs = [evaluate(without), evaluate(with_tracker)]
         found = [linked_objects(e) for e in runs]
         for number, (_, owner) in enumerate(found):
@@ -195,8 +215,7 @@ def gain(pairs: list[tuple[Path, Path]]) -> dict[str, Any]:
             size.append(size_m)
             before.append(o in found[0][0])
             after.append(o in found[1][0])
-        for name, values in (faint_pulls(runs[1]) | tracklet_pulls(runs[1], with_tracker)).items():
-            pulls[name] = pulls.get(name, []) + values
+        add_run(pulls, runs[1], with_tracker, number_of_pair)
         for tracklet in found[1][1]:
             members = np.flatnonzero(np.asarray(runs[1].streaks["tracklet_id"]) == tracklet)
             owners = {runs[1].pairs[int(k)].object_id if int(k) in runs[1].pairs else -1 for k in members}
@@ -225,9 +244,15 @@ def gain(pairs: list[tuple[Path, Path]]) -> dict[str, Any]:
     }  # fmt: skip
 
 
-def widths(pulls: dict[str, list[float]]) -> dict[str, Any]:
-    """Rms of ratios to bounds, widths of pulls, with their intervals."""
-    return {name: bootstrap(np.array(values), rms if name.endswith("_bound") else pull_width) for name, values in pulls.items()}
+def widths(pulls: dict[str, Owned]) -> dict[str, Any]:
+    """Rms of ratios to bounds, rms and widths of pulls, with their intervals when tracklets are drawn again."""
+    out: dict[str, Any] = {}
+    for name, owned in pulls.items():
+        values, owners = [value for value, _ in owned], [owner for _, owner in owned]
+        if not name.endswith("_bound"):
+            out[name] = bootstrap_by_owner(values, owners, pull_width)
+        out[name if name.endswith("_bound") else f"{name}_rms"] = bootstrap_by_owner(values, owners, rms)
+    return out
 
 
 def main() -> None:
@@ -235,11 +260,9 @@ def main() -> None:
     folders = [name for name in sys.argv[1:] if name != "--joint"]
     runs = [run for folder in folders for run in sorted(Path(folder).iterdir()) if (run / "products/streaks.ecsv").exists()]
     if "--joint" in sys.argv:
-        pulls: dict[str, list[float]] = {}
-        for run in runs:
-            e = evaluate(run)
-            for name, values in (faint_pulls(e) | tracklet_pulls(e, run)).items():
-                pulls[name] = pulls.get(name, []) + values
+        pulls: dict[str, Owned] = {}
+        for number, run in enumerate(runs):
+            add_run(pulls, evaluate(run), run, number)
         sys.stdout.write(json.dumps(widths(pulls), indent=1) + "\n")
         return
     of: dict[int, dict[str, Path]] = {}

@@ -17,9 +17,9 @@ import numpy as np
 from ground.streaks import known_width
 from ground.streaks.centre_line import LineFit, effective_width_px, score, uniform_trail
 from ground.streaks.fit_record import ends_in_pixels, in_pixel_order, pixel_covariance
-from ground.streaks.intruders import intruder_mask
+from ground.streaks.intruders import at_median_brightness, intruder_mask
 from ground.streaks.no_trail import NoTrailError, Reason
-from ground.streaks.trail_frame import TrailFrame
+from ground.streaks.trail_frame import TrailFrame, cut_ends
 from ground.streaks.trail_model import DENSITY, LN_WIDTH, V_MID
 from ground.streaks.trail_pixels import usable_pixels
 from sboc_e2e.icd.flags import StreakFlag
@@ -48,7 +48,7 @@ def forced_fit(pixels: StreakPixels, detection: Detection, track_snr: float) -> 
     """The trail on the segment of a track's member. Raises `NoTrailError` where the frame has no light there."""
     width, length = effective_width_px(pixels.psf_sigma_px), max(detection.length_px, 1.0)
     frame, half = TrailFrame.of_chord(detection.row0, detection.col0, detection.row1, detection.col1), 0.5 * length
-    edges = (StreakFlag.EDGE0 in detection.flags, StreakFlag.EDGE1 in detection.flags)
+    edges = cut_ends(detection, pixels.frame_shape)
     along = max(END_LAW * length / max(track_snr, 1.0) ** 2, LEAST_END_PX)
     if StreakFlag.POINT_LIKE in detection.flags:
         return _foretold(pixels, detection, frame, edges, width, track_snr)
@@ -58,7 +58,12 @@ def forced_fit(pixels: StreakPixels, detection: Detection, track_snr: float) -> 
         raise NoTrailError(Reason.NO_LINE)
     start = uniform_trail(0.0, half, edges, width)
     line = score(near, start, (DENSITY,), half_px=half, blur_px=blur, iterations=ITERATIONS)
-    mask, crosses = intruder_mask(line, width, blur) if line.regular else (np.zeros(near.u.size, dtype=bool), False)
+    # ends and direction are the track's: light that the line lacks is a star's, however much of the trail it hides
+    mask, crosses = (
+        intruder_mask(at_median_brightness(line), width, blur, most_masked=1.0)
+        if line.regular
+        else (np.zeros(near.u.size, dtype=bool), False)
+    )
     near = near.take(~mask)
     line = score(near, start, (DENSITY,), half_px=half, blur_px=blur, iterations=ITERATIONS)
     if not line.regular:
@@ -134,7 +139,9 @@ def _record(
     slope = known_width.flux_slope(density, float(np.median(line.pixels.variance_e2)), math.exp(p[LN_WIDTH]))
     free = np.diag([0.0 if edge else along_px**2 for edge in edges])
     interval = np.array([[-1.0, 1.0], [-1.0, 1.0]]) * np.sqrt(np.diag(free))[:, None]
-    flags = detection.flags & ~StreakFlag.COSMIC_LIKE | StreakFlag.ENDS_NOT_GAUSSIAN
+    flags = detection.flags & ~(StreakFlag.COSMIC_LIKE | StreakFlag.EDGE0 | StreakFlag.EDGE1) | StreakFlag.ENDS_NOT_GAUSSIAN
+    for edge, flag in zip(edges, (StreakFlag.EDGE0, StreakFlag.EDGE1), strict=True):
+        flags |= flag if edge else StreakFlag(0)
     return in_pixel_order(
         StreakFit(
             **ends_in_pixels(frame, (-line.half_px, line.half_px), (float(p[V_MID]), float(p[V_MID]))),

@@ -22,7 +22,7 @@ from ground.streaks.light_curve import LightCurve, light_curve
 from ground.streaks.model_choice import choose_model, straight_unless_evident, width_estimate
 from ground.streaks.no_trail import NoTrailError, Reason
 from ground.streaks.point_source import fit_point
-from ground.streaks.trail_frame import TrailFrame
+from ground.streaks.trail_frame import TrailFrame, cut_ends
 from ground.streaks.trail_model import DENSITY, END0, END1, Q1, Q2, SAGITTA, SLOPE, V_MID, profiles
 from ground.streaks.trail_pixels import usable_pixels
 from ground.streaks.wiggle import local_offsets
@@ -44,9 +44,6 @@ POINT_WIDTHS: Final = 2.0
 
 OVERLAP_WIDTHS: Final = 9.0
 """Below this length in widths the PSFs of the two ends overlap."""
-
-EDGE_REACH_PX: Final = 20.0
-"""An end flagged as the image's edge but farther than this from it is an ordinary end."""
 
 INTRUDER_ROUNDS: Final = 3
 """Fit and mask follow each other until the mask stays; a budget of work. Chosen, not measured."""
@@ -71,7 +68,7 @@ def fit_trail(pixels: StreakPixels, detection: Detection) -> StreakFit:
     reach = MAX_SHIFT_PX + 6.0 * width + 1.0 + abs(detection.sagitta_px)
     usable = usable_pixels(pixels, frame, reach)
     half = 0.5 * detection.length_px
-    flagged = _edges(detection, pixels.frame_shape)
+    flagged = cut_ends(detection, pixels.frame_shape)
     first = find_line(usable, half, flagged, width_px=width, sagitta_px=detection.sagitta_px, max_shift_px=MAX_SHIFT_PX)
     if first is None:
         raise NoTrailError(Reason.NO_LINE)
@@ -97,18 +94,6 @@ def fit_trail(pixels: StreakPixels, detection: Detection) -> StreakFit:
         return _short_trail(pixels, detection, line, crosses)
     line = _refined(line, coarse)
     return _long_trail(pixels, detection, line, coarse.edges, crosses)
-
-
-def _edges(detection: Detection, shape: tuple[int, int]) -> tuple[bool, bool]:
-    """Which ends the detector places on the image's edge: flagged, and near enough to it to be believed."""
-    out = []
-    for flag, row, col in (
-        (StreakFlag.EDGE0, detection.row0, detection.col0),
-        (StreakFlag.EDGE1, detection.row1, detection.col1),
-    ):
-        gap = min(row + 0.5, col + 0.5, shape[0] - 0.5 - row, shape[1] - 0.5 - col)
-        out.append(flag in detection.flags and gap < EDGE_REACH_PX)
-    return out[0], out[1]
 
 
 def _with_ends(line: LineFit, edges: tuple[bool, bool], shape: tuple[int, int]) -> tuple[LineFit, CoarseEnds]:

@@ -2,10 +2,16 @@
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.signals import Detection
+
+EDGE_REACH_PX: Final = 20.0
+"""An end flagged as the image's edge but farther than this from it, along the trail, is an ordinary end."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -54,3 +60,17 @@ class TrailFrame:
             a, b = (-0.5 - position) / direction, (size - 0.5 - position) / direction
             low, high = max(low, min(a, b)), min(high, max(a, b))
         return low, high
+
+
+def cut_ends(detection: Detection, shape: tuple[int, int]) -> tuple[bool, bool]:
+    """Which ends the image's edge cuts off: flagged, and near enough to it along the trail to be believed.
+
+    The detector flags what is near the edge in any direction. A trail that runs along an edge begins and ends within the image.
+    """
+    frame = TrailFrame.of_chord(detection.row0, detection.col0, detection.row1, detection.col1)
+    low, high = frame.image_limits(shape)
+    half = 0.5 * detection.length_px
+    return (
+        StreakFlag.EDGE0 in detection.flags and bool(-half - low < EDGE_REACH_PX),
+        StreakFlag.EDGE1 in detection.flags and bool(high - half < EDGE_REACH_PX),
+    )

@@ -8,9 +8,10 @@ import pytest
 from ground.streaks.fitter import TrailedPsfFitter
 from ground.streaks.forced import forced_fit, track_error_px
 from ground.streaks.no_trail import NoTrailError
+from ground.streaks.trail_frame import cut_ends
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection
-from tests.streaks.trail_rendering import expose, trail_at
+from tests.streaks.trail_rendering import expose, render, trail_at
 
 TRACK_SNR = 9.0
 
@@ -79,7 +80,40 @@ def test_where_there_is_no_light_the_fit_says_so() -> None:
 
 def test_ends_at_the_edge_stay_there() -> None:
     rng = np.random.default_rng(3)
-    exposure = expose(rng, trail_at(rng, 80.0), 5.0)
-    fit = forced_fit(exposure.pixels, replace(exposure.detection, flags=StreakFlag.EDGE0 | StreakFlag.EDGE1), TRACK_SNR)
-    assert fit.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1) == StreakFlag.EDGE0 | StreakFlag.EDGE1
-    assert fit.end_interval_px == pytest.approx(0.0)
+    exposure = expose(rng, trail_at(rng, 80.0, angle_rad=0.0), 5.0)
+    truth = exposure.trail
+    pixels = replace(exposure.pixels, frame_shape=(4096, round(truth.col1) + 2))
+    detection = Detection(row0=truth.row0, col0=truth.col0, row1=truth.row1, col1=truth.col1, snr=5.0, flags=StreakFlag.EDGE1)
+    fit = forced_fit(pixels, detection, TRACK_SNR)
+    assert fit.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1) == StreakFlag.EDGE1
+    assert fit.end_interval_px[1] == pytest.approx(0.0)
+    assert (np.abs(fit.end_interval_px[0]) > 1.0).all()
+
+
+def test_a_trail_along_the_edge_has_ends_within_the_image() -> None:
+    """Its ends are as near to the edge as its middle, and flagged; on the edge they would be without error."""
+    rng = np.random.default_rng(3)
+    exposure = expose(rng, trail_at(rng, 20.0, angle_rad=0.02), 5.0)
+    pixels = replace(exposure.pixels, frame_shape=(2002, 4096))
+    detection = replace(exposure.detection, flags=StreakFlag.EDGE0 | StreakFlag.EDGE1)
+    assert cut_ends(detection, pixels.frame_shape) == (False, False)
+    fit = forced_fit(pixels, detection, TRACK_SNR)
+    assert not fit.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1)
+    assert (np.abs(fit.end_interval_px) > 0.4).all()
+
+
+def test_a_star_on_two_fifths_of_a_short_trail_leaves_its_light_out() -> None:
+    """A star a hundred times as bright a pixel; without the mask the flux would be ten times that of the trail."""
+    rng, pulls = np.random.default_rng(5), []
+    for _ in range(100):
+        exposure = expose(rng, trail_at(rng, 30.0), 5.5)
+        truth, pixels = exposure.trail, exposure.pixels
+        share = rng.uniform(0.2, 0.8)
+        row, col = truth.row0 + share * (truth.row1 - truth.row0), truth.col0 + share * (truth.col1 - truth.col0)
+        star = replace(truth, row0=row, row1=row, col0=col, col1=col + 0.01, flux_e=10.0 * truth.flux_e)
+        with_star = replace(pixels, value_e=pixels.value_e + rng.poisson(render(star, pixels.row, pixels.col)))
+        fit = forced_fit(with_star, exposure.detection, TRACK_SNR)
+        assert StreakFlag.CROSSES_STAR in fit.flags
+        pulls.append((fit.flux_e - truth.flux_e) / fit.flux_err_e)
+    assert abs(np.median(pulls)) < 0.5
+    assert np.sqrt(np.mean(np.square(pulls))) < 1.4

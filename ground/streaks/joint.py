@@ -518,7 +518,10 @@ def _flux(e: _Evidence, x0: NDArray[np.float64], x1: NDArray[np.float64], weight
     second = e.tables.densities**2 @ share
     flux = float(weight @ (first * length))
     given_width = math.sqrt(max(float(weight @ (second * length**2)) - flux**2, 0.0))
-    return flux, math.hypot(given_width, flux * _width_error(e.frame))
+    error = math.hypot(given_width, flux * _width_error(e.frame))
+    # densities are positive, so that the lowest alone may be left of a frame of S/N 1; with its ends given, the fit's own error
+    # is the least that there can be
+    return flux, max(error, fit.flux_err_e) if has_given_ends(fit) else error
 
 
 def _width_error(frame: TrackletFrame) -> float:

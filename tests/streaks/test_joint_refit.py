@@ -14,7 +14,7 @@ from ground.streaks.forced import END_LAW, forced_fit
 from ground.streaks.joint import AccelerationPrior, flux_between
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection
-from tests.streaks.trail_rendering import Trail, expose, trail_at
+from tests.streaks.trail_rendering import Trail, expose, render, trail_at
 
 EXPOSURE_S = 0.2
 PERIOD_S = 0.25
@@ -144,6 +144,21 @@ def test_a_track_that_is_off_along_its_motion_makes_none_of_its_members_wrong(
     # errors of one track are nearly one: 40 of them scatter by 11 %
     assert 0.65 < float(np.sqrt(np.mean(np.square(pulls)))) < 1.35
     assert np.abs(errors).max() < largest_px
+
+
+def test_a_member_that_noise_has_dimmed_keeps_the_error_of_its_light() -> None:
+    """S/N 1 is left of it, and no density below that is tried: their spread alone would be an error of nothing."""
+    frames, truths = given_tracklet(np.random.default_rng(33), 30.0, 4.5, 6)
+    dimmed, trail = frames[2], truths[2]
+    pixels = dimmed.pixels
+    light = render(replace(trail, flux_e=dimmed.fit.flux_e), pixels.row, pixels.col)
+    pixels = replace(pixels, value_e=pixels.value_e - 0.85 * light)
+    ends = {name: getattr(dimmed.fit, name) for name in ("row0", "col0", "row1", "col1")}
+    fit = forced_fit(pixels, Detection(**ends, snr=4.5), 4.5 * math.sqrt(6.0))
+    assert 0.0 < fit.snr < 1.3
+    frames[2] = replace(dimmed, pixels=pixels, fit=fit)
+    joint, _, _ = refit_frames(frames)
+    assert all(joint[k].flux_err_e >= frame.fit.flux_err_e for k, frame in enumerate(frames))
 
 
 def test_a_bright_window_keeps_its_motion_though_frames_may_be_spoilt() -> None:

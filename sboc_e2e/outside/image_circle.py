@@ -28,8 +28,9 @@ FEWEST_DARK_CORNERS: Final = 3  # of four; a lamp or a line of text may stand in
 ANGLES: Final = 72
 """Angles at which a rim is looked at."""
 INSIDE: Final = (0.93, 0.96)
+"""Shares of a radius at which the level before the rim is read; the higher one counts."""
 OUTSIDE: Final = 1.04
-"""Shares of a radius at which the level before the rim (the higher one) and behind it are read."""
+"""Share of a radius at which the level behind the rim is read."""
 SOFTENED: Final = 0.05
 """Added to both levels before their ratio is taken: 5 % of the middle's."""
 MOST_FALL: Final = math.log(4.0)
@@ -40,14 +41,16 @@ LEAST_SHARE: Final = 0.55
 """Share of the visible angles that must show it. 22 of 23 pictures of three all-sky cameras have 0.60 to 1.0, one in moonlit
 clouds 0.54; nine other pictures with dark corners 0.15 to 0.46 or too few angles. Chosen in view of them."""
 BRIGHT_BEYOND: Final = 0.5
+"""Level behind a rim that is no darkness, over that of the middle. Chosen, not measured."""
 MOST_BRIGHT: Final = 0.15
-"""Level behind a rim that is no darkness, and the share of the visible angles that may have it without a fall: the light of a
-square field goes on beyond its inscribed circle in a quarter of them. Chosen, not measured."""
+"""Share of the visible angles that may have that level without a fall: the light of a square field goes on beyond its inscribed
+circle in a quarter of them. Chosen, not measured."""
 FEWEST_ANGLES: Final = 30
 """Visible angles, at least: 150 deg. Corners of vignetted frames show 20 to 27."""
 SMALLEST: Final = 0.35
+"""Smallest radius that is tried, as a share of the shorter side."""
 LARGEST: Final = 0.62
-"""Radii that are tried, as shares of the shorter and of the longer side."""
+"""Largest radius that is tried, as a share of the longer side."""
 OFF_CENTRE: Final = 0.1
 """How far from the middle of the frame a centre may lie, as a share of the side."""
 STEPS: Final = (7, 7, 7)

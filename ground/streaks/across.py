@@ -69,10 +69,7 @@ class AcrossPixels:
         return float(shift_px @ np.array([frame.cos, -frame.sin]))
 
     def without_intruders(self, place: Array) -> "AcrossPixels":
-        """The same without the light of other sources, when the trail is moved by `place` (2,).
-
-        Ends and direction are the track's. So light that the model lacks is a star's, however much of the trail it hides.
-        """
+        """The same without the light of other sources, when the trail is moved by `place` (2,)."""
         parameters = self._moved(place, float(self.straight[DENSITY]))
         line = LineFit(
             pixels=self.pixels,
@@ -85,7 +82,7 @@ class AcrossPixels:
             snr=math.nan,
             n_pixels=self.pixels.u.size,
         )
-        mask, _ = intruder_mask(line, self.width_px, self.blur_px, most_masked=1.0)
+        mask, _ = intruder_mask(line, self.width_px, self.blur_px, ends_given=True)
         return replace(self, pixels=self.pixels.take(~mask))
 
     def density(self, place: Array) -> tuple[float, float]:

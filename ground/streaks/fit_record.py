@@ -58,12 +58,14 @@ def pixel_covariance(frame: TrailFrame, along_px2: NDArray[np.float64], across_p
 
 def swap_edge_flags(flags: StreakFlag) -> StreakFlag:
     """The flags when the ends change places."""
-    edges = (StreakFlag.EDGE0 in flags, StreakFlag.EDGE1 in flags)
+    return with_edge_flags(flags, (StreakFlag.EDGE1 in flags, StreakFlag.EDGE0 in flags))
+
+
+def with_edge_flags(flags: StreakFlag, edges: tuple[bool, bool]) -> StreakFlag:
+    """The flags where the image's edge cuts off these ends and no other."""
     flags &= ~(StreakFlag.EDGE0 | StreakFlag.EDGE1)
-    if edges[0]:
-        flags |= StreakFlag.EDGE1
-    if edges[1]:
-        flags |= StreakFlag.EDGE0
+    for edge, flag in zip(edges, (StreakFlag.EDGE0, StreakFlag.EDGE1), strict=True):
+        flags |= flag if edge else StreakFlag(0)
     return flags
 
 

@@ -16,7 +16,7 @@ import numpy as np
 
 from ground.streaks import known_width
 from ground.streaks.centre_line import LineFit, effective_width_px, score, uniform_trail
-from ground.streaks.fit_record import ends_in_pixels, in_pixel_order, pixel_covariance
+from ground.streaks.fit_record import ends_in_pixels, in_pixel_order, pixel_covariance, with_edge_flags
 from ground.streaks.intruders import at_median_brightness, intruder_mask
 from ground.streaks.no_trail import NoTrailError, Reason
 from ground.streaks.trail_frame import TrailFrame, cut_ends
@@ -58,9 +58,8 @@ def forced_fit(pixels: StreakPixels, detection: Detection, track_snr: float) -> 
         raise NoTrailError(Reason.NO_LINE)
     start = uniform_trail(0.0, half, edges, width)
     line = score(near, start, (DENSITY,), half_px=half, blur_px=blur, iterations=ITERATIONS)
-    # ends and direction are the track's: light that the line lacks is a star's, however much of the trail it hides
     mask, crosses = (
-        intruder_mask(at_median_brightness(line), width, blur, most_masked=1.0)
+        intruder_mask(at_median_brightness(line), width, blur, ends_given=True)
         if line.regular
         else (np.zeros(near.u.size, dtype=bool), False)
     )
@@ -139,9 +138,7 @@ def _record(
     slope = known_width.flux_slope(density, float(np.median(line.pixels.variance_e2)), math.exp(p[LN_WIDTH]))
     free = np.diag([0.0 if edge else along_px**2 for edge in edges])
     interval = np.array([[-1.0, 1.0], [-1.0, 1.0]]) * np.sqrt(np.diag(free))[:, None]
-    flags = detection.flags & ~(StreakFlag.COSMIC_LIKE | StreakFlag.EDGE0 | StreakFlag.EDGE1) | StreakFlag.ENDS_NOT_GAUSSIAN
-    for edge, flag in zip(edges, (StreakFlag.EDGE0, StreakFlag.EDGE1), strict=True):
-        flags |= flag if edge else StreakFlag(0)
+    flags = with_edge_flags(detection.flags & ~StreakFlag.COSMIC_LIKE | StreakFlag.ENDS_NOT_GAUSSIAN, edges)
     return in_pixel_order(
         StreakFit(
             **ends_in_pixels(frame, (-line.half_px, line.half_px), (float(p[V_MID]), float(p[V_MID]))),

@@ -134,12 +134,13 @@ def intruder_mask(
     width_px: float,
     end_error_px: tuple[float, float],
     model_error: float = 0.35,
-    most_masked: float = MOST_MASKED,
+    ends_given: bool = False,
 ) -> tuple[NDArray[np.bool_], bool]:
     """(n,) pixels to leave out, and whether any of them lies on the trail.
 
     The line's pixels are by ascending u. end_error_px : how far off the model's ends may be. model_error : of its brightness.
-    most_masked : larger share of the trail that says that the model is at fault.
+    ends_given : ends and direction are an on-board track's. Light that the model lacks is a star's then, however much of the
+    trail it hides.
     """
     pixels = line.pixels
     mask = np.zeros(pixels.u.size, dtype=np.bool_)
@@ -159,6 +160,6 @@ def intruder_mask(
         mask[low:high] |= near
     inside = (pixels.u > line.parameters[END0]) & (pixels.u < line.parameters[END1]) & (np.abs(pixels.v) < 1.5 * width_px)
     share = float(mask[inside].mean()) if inside.any() else 0.0
-    if share > most_masked:
+    if share > MOST_MASKED and not ends_given:
         return np.zeros_like(mask), False
     return mask, share > 0.0

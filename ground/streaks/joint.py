@@ -29,7 +29,7 @@ from ground.streaks.end_posterior import EndTables, end_tables, lit_length
 from ground.streaks.end_search import coarse_ends
 from ground.streaks.fit_record import pixel_covariance
 from ground.streaks.forced import has_given_ends
-from ground.streaks.intruders import MOST_MASKED, intruder_mask
+from ground.streaks.intruders import intruder_mask
 from ground.streaks.trail_fit import CHANGE_POINT_SNR2, OVERLAP_WIDTHS
 from ground.streaks.trail_frame import TrailFrame
 from ground.streaks.trail_model import N_PARAMETERS, Q1, SAGITTA, V_MID, profiles
@@ -310,7 +310,7 @@ def _without_intruders(pixels: TrailPixels, parameters: NDArray[np.float64], fit
         snr=fit.snr,
         n_pixels=pixels.u.size,
     )
-    mask, _ = intruder_mask(line, width_px, line.blur_px, most_masked=1.0 if has_given_ends(fit) else MOST_MASKED)
+    mask, _ = intruder_mask(line, width_px, line.blur_px, ends_given=has_given_ends(fit))
     return pixels.take(~mask)
 
 

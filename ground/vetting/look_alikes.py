@@ -20,7 +20,7 @@ from ground.vetting.features import LEAST_BINS
 from ground.vetting.rim import ImageCircle
 from ground.vetting.sides import SkyMap
 from ground.vetting.spikes import BrightStars
-from ground.vetting.star_rows import FULL_SNR, REAL_PER_FRAME, StarField
+from ground.vetting.star_rows import FULL_PER_FRAME, FULL_SNR, REAL_PER_FRAME, StarField
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
@@ -62,8 +62,8 @@ board (`onboard.stars.star_motion`)."""
 STAR_APART_SHARE: Final = 0.1
 """Share of a star trail's length by which its vector may err, beside `STAR_APART_PX`."""
 
-SPILLED_PER_REAL: Final = 0.2
-"""Expected lines of spilled charge of full stars for each real streak, as `ground.vetting.star_rows.FULL_PER_FRAME` has it."""
+SPILLED_PER_REAL: Final = FULL_PER_FRAME / REAL_PER_FRAME
+"""Expected lines of spilled charge of full stars for each real streak."""
 ALIGNED_SHARE: Final = 0.045
 """Share of trails that run along rows or columns: 4 atan(`ALIGNED_SLOPE`) of pi."""
 

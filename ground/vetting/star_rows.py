@@ -160,11 +160,6 @@ class StarField:
                 odds += stars / REAL_PER_FRAME * SHORT_OVER_TRAIL
         return odds
 
-    def gaps(self, fit: StreakFit, gain_e_adu: float) -> float:
-        """Gaps of a line where a crop shows it; NaN where none tells."""
-        along = self.along(fit, gain_e_adu)
-        return math.nan if along is None else along.gaps
-
     def along(self, fit: StreakFit, gain_e_adu: float) -> "Along | None":
         """A line's light in the crop in whose middle it lies best; None where none tells."""
         middle = np.array([0.5 * (fit.row0 + fit.row1), 0.5 * (fit.col0 + fit.col1)])

@@ -53,7 +53,7 @@ LARGEST: Final = 0.62
 """Largest radius that is tried, as a share of the longer side."""
 OFF_CENTRE: Final = 0.1
 """How far from the middle of the frame a centre may lie, as a share of the side."""
-STEPS: Final = (7, 7, 7)
+STEPS: Final = 7
 """Places tried along each axis of the centre, coarse to fine; radii are tried by threes of cells at first."""
 
 MARGIN: Final = 0.07
@@ -69,15 +69,15 @@ def image_circle(pixels: NDArray[Any]) -> ImageCircle | None:
         return None
     rows, cols = level.shape
     side = min(rows, cols)
-    offset = np.linspace(-OFF_CENTRE, OFF_CENTRE, STEPS[0])
+    offset = np.linspace(-OFF_CENTRE, OFF_CENTRE, STEPS)
     tried = (
         0.5 * (rows - 1) + offset * rows,
         0.5 * (cols - 1) + offset * cols,
         np.arange(SMALLEST * side, LARGEST * max(rows, cols), 3.0),
     )
     best, share, bright, seen = _best(level, *tried)
-    for number, (centre, radius) in zip(STEPS[1:], ((0.02, 0.03), (0.005, 0.008)), strict=True):
-        about = np.linspace(-side, side, number)
+    about = np.linspace(-side, side, STEPS)
+    for centre, radius in ((0.02, 0.03), (0.005, 0.008)):
         best, share, bright, seen = _best(level, best[0] + centre * about, best[1] + centre * about, best[2] + radius * about)
     if share < LEAST_SHARE or bright > MOST_BRIGHT or seen < FEWEST_ANGLES:
         return None

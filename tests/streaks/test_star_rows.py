@@ -190,4 +190,6 @@ def test_the_crop_around_a_line_is_taken_before_one_that_it_borders() -> None:
     border = Crop(adu=whole.adu[:71], row=0, col=0)
     flux = np.full(200, fit(5.0).flux_e, dtype=np.float32)
     field = StarField(flux_e=flux, area_px2=1e6, crops=(border, whole))
-    assert field.gaps(fit(5.0), 1.0) == gaps_of(fit(5.0), whole, 1.0)
+    along = field.along(fit(5.0), 1.0)
+    assert along is not None
+    assert along.gaps == gaps_of(fit(5.0), whole, 1.0)

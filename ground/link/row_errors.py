@@ -21,7 +21,7 @@ def common_errors(
     turning: Array,
     frame: NDArray[np.int64],
     point: NDArray[np.int64],
-    shared_cross: Array | None = None,
+    shared_cross: Array,
 ) -> tuple[Array, Array]:
     """Covariances (m, m) along and across the motion, of rows as `Tracklet` has them, in the square of their unit.
 
@@ -33,7 +33,7 @@ def common_errors(
     fitted_together = (group[:, None] == group) & (group >= 0)
     fitted = np.where(fitted_together, shared @ shared.T, 0.0)
     middles = (point[:, None] == MIDDLE) & (point == MIDDLE)
-    line = np.zeros_like(fitted) if shared_cross is None else shared_cross @ shared_cross.T
+    line = shared_cross @ shared_cross.T
     return fitted + pointed_together, np.where(middles, fitted, 0.0) + line + pointed_together + turned_together
 
 
@@ -44,8 +44,7 @@ def common_errors_arcsec2(tracklet: Tracklet) -> tuple[Array, Array]:
         return np.zeros((m, m)), np.zeros((m, m))
     frame_of = dict(zip(tracklet.streak_ids.tolist(), tracklet.frames.tolist(), strict=True))
     frame = np.array([frame_of[k] for k in tracklet.row_streak_ids.tolist()], dtype=np.int64)
-    turning = tracklet.turning_arcsec if len(tracklet.turning_arcsec) == m else np.zeros(m)
-    line = tracklet.shared_cross_arcsec if len(tracklet.shared_cross_arcsec) == m else None
     return common_errors(
-        tracklet.shared_arcsec, tracklet.shared_group, tracklet.pointing_arcsec, turning, frame, tracklet.row_points, line
-    )
+        tracklet.shared_arcsec, tracklet.shared_group, tracklet.pointing_arcsec, tracklet.turning_arcsec, frame,
+        tracklet.row_points, tracklet.shared_cross_arcsec,
+    )  # fmt: skip

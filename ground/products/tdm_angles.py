@@ -53,11 +53,11 @@ def tdm_angles_table(
     along, cross, correlation = column["sigma_along_arcsec"], column["sigma_cross_arcsec"], column["correlation"]
     sigma_ra, sigma_dec, ra_dec = east_north_errors(along, cross, correlation, column["motion_angle_deg"])
     shared = np.concatenate([np.zeros((0, 3)), *(_of_rows(t, "shared_arcsec") for t, _ in told)])
-    line = np.concatenate([np.zeros((0, 3)), *(_shared_cross(t) for t, _ in told)])
+    line = np.concatenate([np.zeros((0, 3)), *(_of_rows(t, "shared_cross_arcsec") for t, _ in told)])
     point = np.concatenate([np.zeros(0, dtype=np.int64), *(_of_rows(t, "row_points") for t, _ in told)]).astype(np.int64)
     group = np.concatenate([np.zeros(0, dtype=np.int64), *(_of_rows(t, "shared_group") for t, _ in told)]).astype(np.int64)
     pointing = np.concatenate([np.zeros(0), *(_of_rows(t, "pointing_arcsec") for t, _ in told)])
-    turning = np.concatenate([np.zeros(0), *(_turning(t) for t, _ in told)])
+    turning = np.concatenate([np.zeros(0), *(_of_rows(t, "turning_arcsec") for t, _ in told)])
     frame = np.array([s.frame for s in rows], dtype=np.int64)
     flags = np.array([int(s.flags | s.fit.flags) for s in rows], dtype=np.int64)
     columns = [
@@ -124,18 +124,6 @@ def _by_row(tracklet: Tracklet, members: Sequence[StreakMeasurement]) -> list[St
 
 def _of_rows(tracklet: Tracklet, name: str) -> NDArray[np.float64]:
     return np.asarray(getattr(tracklet, name))
-
-
-def _turning(tracklet: Tracklet) -> NDArray[np.float64]:
-    """Part of each row's error across that the camera's rate makes; none where the tracklet does not say."""
-    m = len(tracklet.t_tai_ns)
-    return tracklet.turning_arcsec if len(tracklet.turning_arcsec) == m else np.zeros(m)
-
-
-def _shared_cross(tracklet: Tracklet) -> NDArray[np.float64]:
-    """Part of each row's error across that a line through all frames gives; none where the tracklet does not say."""
-    m = len(tracklet.t_tai_ns)
-    return tracklet.shared_cross_arcsec if len(tracklet.shared_cross_arcsec) == m else np.zeros((m, 3))
 
 
 def _half68(tracklet: Tracklet) -> NDArray[np.float64]:

@@ -203,11 +203,11 @@ class Tracklet:
     shared_arcsec : (m, 3), shared_group : (m,). A joint fit gives its rows common errors along the motion: rows i and j of one
     group (-1: none) have the covariance ``shared[i] @ shared[j]``, which is part of sigma_along squared where i = j. Middles (row
     point 1) have it across the motion too: their place is that of one straight track of points.
-    shared_cross_arcsec : (m, 3), may be empty: the same across the motion for members on one line through all frames of the
-    tracklet (zero for others), whatever their group: across, rows i and j have the covariance
-    ``shared_cross[i] @ shared_cross[j]``.
+    shared_cross_arcsec : (m, 3) the same across the motion for members on one line through all frames of the tracklet (zero for
+    others), whatever their group: across, rows i and j have the covariance ``shared_cross[i] @ shared_cross[j]``.
     pointing_arcsec : (m,) part of both sigmas that the rows of one frame have in common. turning_arcsec : (m,) part of the sigma
-    across, below 0 at shutter open, above at close: what the error of the camera's rate puts into rows of one frame.
+    across, below 0 at shutter open, above at close: what the error of the camera's rate puts into rows of one frame. Both are
+    zero where they are not given.
     ra_ref_deg, dec_ref_deg, t_ref_tai_ns, rate_deg_s, position_angle_deg : motion at the reference epoch.
     chi2_nu : of the motion model, against the ends of single-frame fits.
     mag : V of the object's mean light over its light curve at the mean epoch of the members; mag_err : one sigma, the unobserved
@@ -251,6 +251,12 @@ class Tracklet:
     mag_scatter_err: float = float("nan")
     mag_chi2_nu: float = float("nan")
     shared_cross_arcsec: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 3)))
+
+    def __post_init__(self) -> None:
+        m = len(self.t_tai_ns)
+        for name, shape in (("turning_arcsec", (m,)), ("shared_cross_arcsec", (m, 3))):
+            if len(getattr(self, name)) == 0:
+                object.__setattr__(self, name, np.zeros(shape))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -36,5 +36,5 @@ def test_rows_of_a_frame_share_pointing_and_turning() -> None:
     pointing, turning, frame = np.full(3, 0.2), np.array([-0.3, 0.3, -0.3]), np.array([4, 4, 5])
     shift, turn = rng.standard_normal((2, 400_000, 6))
     drawn = pointing * shift[:, frame] + turning * turn[:, frame]
-    _, across = common_errors(np.zeros((3, 3)), np.full(3, -1), pointing, turning, frame, np.array([0, 2, 0]))
+    _, across = common_errors(np.zeros((3, 3)), np.full(3, -1), pointing, turning, frame, np.array([0, 2, 0]), np.zeros((3, 3)))
     np.testing.assert_allclose(across, np.cov(drawn.T), atol=1e-3)

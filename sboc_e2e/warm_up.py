@@ -7,7 +7,6 @@ the run. The run finds their kernels in numba's cache: it comes to the detector 
 """
 
 import io
-import os
 import sys
 import tempfile
 import time
@@ -18,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from sboc_e2e.cli.main import run
+from sboc_e2e.run.workers import worker_count
 
 
 def main() -> int:
@@ -26,7 +26,7 @@ def main() -> int:
         start = time.perf_counter()
         print("Compiling numerical kernels, once, by a small run: 90 s on two free cores, more on busy ones.", flush=True)
         beside = get_context("spawn").Process(target=_detector_and_orbits, daemon=True)
-        if (os.cpu_count() or 1) > 1:
+        if worker_count(0) > 1:
             beside.start()
             _linker_and_fitter()
         with redirect_stdout(io.StringIO()):  # the figures of a run in a folder that is removed; what fails is said on stderr

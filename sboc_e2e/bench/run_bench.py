@@ -20,6 +20,7 @@ from sboc_e2e.bench.yardstick import NAME as YARDSTICK
 from sboc_e2e.bench.yardstick import yardstick_s
 from sboc_e2e.files.atomic import require_writable, write_json
 from sboc_e2e.icd.errors import UserError
+from sboc_e2e.run.workers import worker_count
 
 ONE_THREAD: Final = dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 CHECKOUT_ONLY: Final = " (benches of single steps run from a source checkout)"
@@ -61,7 +62,7 @@ def run_bench(
         raise UserError(f"--only: there is no part {', '.join(sorted(unknown))}; known: {', '.join(known)}{where}")
     wanted = parts(quick=quick, peers=peers or any(name.startswith("peers_") for name in only), long=long, only=only)
     require_writable(out)
-    processors = max(1, os.cpu_count() or 1)
+    processors = worker_count(0)
     if installed:
         report(f"{', '.join(part.name for part in wanted)}{CHECKOUT_ONLY}")
     report(cost_words(expected_costs(wanted, quick=quick), wanted, processors))
@@ -152,4 +153,4 @@ def _run_script(part: Part, out: Path) -> dict[str, Any]:
 
 
 def _environment() -> dict[str, Any]:
-    return {"python": platform.python_version(), "machine": platform.machine(), "processors": os.cpu_count()}
+    return {"python": platform.python_version(), "machine": platform.machine(), "processors": worker_count(0)}

@@ -98,8 +98,7 @@ class Dark:
             found = detector.detect(negative)
             check_detections(found, view.mask.shape)
             return cls(view=negative, lines=found)
-        in_white_noise = detector.detect_in_white_noise(negative)
-        found = detector.detect(replace(negative, work=work_meter(view.mask.size))) if in_white_noise else ()
+        in_white_noise, found = detector.detect_in_white_noise(negative)
         known = {_ends(each) for each in found}
         return cls(view=negative, lines=found, structure=tuple(each for each in in_white_noise if _ends(each) not in known))
 

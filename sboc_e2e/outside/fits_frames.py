@@ -7,6 +7,7 @@ EXPTIME seconds, GAIN e-/ADU, RDNOISE e-; each may be absent.
 import math
 import warnings
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
@@ -65,6 +66,7 @@ class FitsFolder:
     use_wcs: bool = True
     max_pixels: int = MAX_PIXELS
     _unread: dict[tuple[Path, int], str] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _opened: "dict[Place, Content]" = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @cached_property
     def places(self) -> tuple[Place, ...]:
@@ -101,6 +103,11 @@ class FitsFolder:
         """What could not be read, as far as the frames have been gone through."""
         return tuple(self._unread.values())
 
+    def open_first(self) -> None:
+        """Open the first image now, so that a thread may go through `frames`: warnings cannot be silenced in one."""
+        with suppress(UserError):  # which comes again when the frame is read
+            self._opened[self.places[0]] = _content(self.places[0])
+
     def frames(self) -> Iterator[SourcedFrame]:
         """Frames in order; times that do not rise are left as the headers have them.
 
@@ -109,7 +116,7 @@ class FitsFolder:
         number, first = 0, None
         for place in self.places:
             try:
-                sourced = read_frame(place, number, use_wcs=self.use_wcs)
+                sourced = read_frame(place, number, use_wcs=self.use_wcs, content=self._opened.pop(place, None))
             except UserError as error:
                 first = first or error
                 self._unread[place.path, place.hdu] = str(error)
@@ -158,8 +165,20 @@ def _survey(path: Path, max_pixels: int) -> tuple[list[Place], list[UserError]]:
     return [replace(each, planes=tuple(p for p in planes if p.image == each.hdu)) for each in pictures], refused
 
 
-def read_frame(place: Place, number: int, *, use_wcs: bool = True) -> SourcedFrame:
-    """One image as a frame. Raises `UserError` when its data cannot be read."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Content:
+    """What the file of an image holds of it: values of its headers, pixels, WCS, doubts of that, pixels masked by planes."""
+
+    header: Mapping[str, Any]
+    data: NDArray[Any] | None
+    wcs: WCS | None
+    doubt: Note | None
+    blind: NDArray[np.bool_] | None
+    notes: list[Note]
+
+
+def _content(place: Place) -> Content:
+    """Open an image. Raises `UserError` when it cannot be read."""
     try:
         with _quietly(), fits.open(place.path, memmap=False) as hdus:
             hdu = hdus[place.hdu]
@@ -171,6 +190,14 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True) -> SourcedFra
         raise
     except Exception as error:  # as above
         raise UserError(f"{place.path}, HDU {place.hdu}: cannot be read ({_first_line(error)})") from error
+    return Content(header=header, data=data, wcs=wcs, doubt=doubt, blind=blind, notes=notes)
+
+
+def read_frame(place: Place, number: int, *, use_wcs: bool = True, content: Content | None = None) -> SourcedFrame:
+    """One image as a frame. content : where it was opened before. Raises `UserError` when its data cannot be read."""
+    content = content or _content(place)
+    header, data, wcs, doubt, blind = content.header, content.data, content.wcs, content.doubt, content.blind
+    notes = list(content.notes)
     if data is None or np.shape(data) != (place.rows, place.cols) or data.dtype.kind not in "uif":
         raise UserError(f"{place.path}, HDU {place.hdu}: holds no image of {place.rows} x {place.cols} numbers")
     pixels, saturation = pixels_of(data)

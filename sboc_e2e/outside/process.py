@@ -80,7 +80,7 @@ def process(
     """Products of all frames of a source in a run directory.
 
     camera : an instrument preset, None to guess one from the first frame. solve : `--wcs solve`; an unknown camera's focal
-    length then comes from its stars. folder : where the files lie, for `sboc view`. first : of the source, where it was read.
+    length then comes from its stars. folder : where the files lie, for `sboc view`. first : of the source, if begun.
     """
     directory = RunDirectory(path=out)
     require_decoder(scenario)
@@ -88,15 +88,18 @@ def process(
         lost_in_space.required_solver()
     known = camera_of_preset(camera, registry) if camera else None
     if first is None:
-        first = FirstFrame.of(source, measured=known is None)
+        first = FirstFrame.of(source)
     source = first.source
+    # a process is forked before there are threads
+    star_sigma_px = first.star_sigma_px() if known is None else lambda: None
     with beside.threaded(worth=first.is_beside) as begin:
         files = begin(_files, scenario)
         rehearsal = Rehearsal.of(scenario, first.frame) if first.is_beside else None
         catalogue = files()
         if rehearsal is not None:
             begin(rehearsal.on_ground, catalogue)
-        nominal = _fitting(known, first.frame.frame) if known else camera_of_frame(first.frame, first.star_sigma_px())
+        nominal = _fitting(known, first.frame.frame) if known else camera_of_frame(first.frame, star_sigma_px())
+        del star_sigma_px  # it holds a copy of the frame
         if solve and known is None:
             nominal = replace(nominal, focal_px=focal_px_by_stars(source, catalogue))
         if solve:

@@ -16,7 +16,7 @@ from sboc_e2e.outside.first_frame import FirstFrame
 from sboc_e2e.outside.frame_source import FrameSource, SourcedFrame
 from sboc_e2e.outside.limits import MOST_DETECTIONS
 from sboc_e2e.outside.look_alikes import CountingChain, counts_of
-from sboc_e2e.outside.rehearsal import Rehearsal
+from sboc_e2e.outside.rehearsal import rehearse
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.decoders import require_decoder
 from sboc_e2e.run.directory import RunDirectory
@@ -94,10 +94,10 @@ def process(
     star_sigma_px = first.star_sigma_px() if known is None else lambda: None
     with beside.threaded(worth=first.is_beside) as begin:
         files = begin(_files, scenario)
-        rehearsal = Rehearsal.of(scenario, first.frame) if first.is_beside else None
+        manifest = Manifest.of(directory.manifest, scenario)
         catalogue = files()
-        if rehearsal is not None:
-            begin(rehearsal.on_ground, catalogue)
+        if first.is_beside:
+            begin(rehearse, scenario, first.frame, catalogue)
         nominal = _fitting(known, first.frame.frame) if known else camera_of_frame(first.frame, star_sigma_px())
         del star_sigma_px  # it holds a copy of the frame
         if solve and known is None:
@@ -106,7 +106,6 @@ def process(
             refuse_narrow_field(nominal)
         # Only now: what is wrong with frames or camera costs no earlier products.
         directory.prepare(resume=False, force=force)
-        manifest = Manifest.of(directory.manifest, scenario)
         manifest.n_frames = n_frames = source.n_frames
         if folder is not None:
             manifest.sources["frames"] = str(folder.resolve())

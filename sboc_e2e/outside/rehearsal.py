@@ -1,22 +1,22 @@
-"""A small frame goes through both chains before a large one does, so that libraries and kernels are loaded beside other work.
+"""A small frame goes through both chains ahead of a large one, in a thread: libraries and kernels are loaded beside other work.
 
 It is a corner of the large frame with a trail drawn into it, without which neither chain would come to its costly steps.
 """
 
 from contextlib import suppress
-from dataclasses import dataclass, fields, replace
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
 
 from ground.on_demand import OnDemand
-from ground.vetting.look_alikes import OwnEvidence
 from sboc_e2e.catalogue import StarCatalogue
-from sboc_e2e.icd.frame import Frame, NominalCamera
+from sboc_e2e.icd.frame import Frame
 from sboc_e2e.outside.border_slopes import noise_of
 from sboc_e2e.outside.camera import ASSUMED_PSF_SIGMA_PX, camera_of_frame
 from sboc_e2e.outside.frame_source import SourcedFrame
 from sboc_e2e.outside.look_alikes import CountingChain
+from sboc_e2e.provenance import SEGMENTS
 from sboc_e2e.run.ground_stage import ground_chain
 from sboc_e2e.run.onboard_stage import onboard_steps
 from sboc_e2e.scenario import Scenario
@@ -31,42 +31,23 @@ TRAIL_PEAK: Final = 6.0
 """Its brightest pixels, in noise of a pixel: S/N 100. Chosen."""
 
 
-@dataclass(frozen=True, kw_only=True)
-class Rehearsal:
-    """What the on-board chain made of the small frame; nothing of it is published."""
+def rehearse(scenario: Scenario, sourced: SourcedFrame, catalogue: StarCatalogue) -> None:
+    """A corner of a frame through both chains, with a camera that fits it roughly; nothing of it is kept.
 
-    scenario: Scenario
-    camera: NominalCamera
-    packets: bytes
-    evidence: dict[int, OwnEvidence]
-
-    @classmethod
-    def of(cls, scenario: Scenario, sourced: SourcedFrame) -> "Rehearsal | None":
-        """The corner of a frame on board, with a camera that fits it roughly. None where a step is not the project's own.
-
-        Such a step sees the frames alone. What is wrong with the frame is said when it is processed.
-        """
-        steps = onboard_steps(scenario)
-        every = [getattr(steps, each.name) for each in fields(steps)] + [each.step for each in scenario.components.values()]
-        if any(type(step).__module__.partition(".")[0] not in ("onboard", "ground", "simulator") for step in every):
-            return None
-        with suppress(Exception):
-            corner = _corner(sourced.frame)
-            camera = camera_of_frame(replace(sourced, frame=corner), None)
-            chain = CountingChain(scenario.onboard, steps, camera=camera, run_id=0)
-            _, result = chain.process(chain.initial_state(), corner)
-            return cls(scenario=scenario, camera=camera, packets=result.packets, evidence=chain.evidence)
-        return None
-
-    def on_ground(self, catalogue: StarCatalogue) -> None:
-        """The packets on ground."""
-        with suppress(Exception):
-            chain = ground_chain(
-                self.scenario, calibration=None, camera=self.camera, catalogue=catalogue, run_id=0, evidence=self.evidence
-            )
-            frames, ingest = chain.ingest(self.packets)
-            _, products = chain.process_frame(chain.initial_state(), frames[0])
-            chain.finish(frames, OnDemand(1, lambda _: products, keep=1), ingest)
+    Not done where a step is not the project's own: somebody else's sees the frames alone. What is wrong with the frame is said
+    when it is processed.
+    """
+    if any(type(each.step).__module__.partition(".")[0] not in SEGMENTS for each in scenario.components.values()):
+        return
+    with suppress(Exception):
+        corner = _corner(sourced.frame)
+        camera = camera_of_frame(replace(sourced, frame=corner), None)
+        board = CountingChain(scenario.onboard, onboard_steps(scenario), camera=camera, run_id=0)
+        _, result = board.process(board.initial_state(), corner)
+        ground = ground_chain(scenario, calibration=None, camera=camera, catalogue=catalogue, run_id=0, evidence=board.evidence)
+        frames, ingest = ground.ingest(result.packets)
+        _, products = ground.process_frame(ground.initial_state(), frames[0])
+        ground.finish(frames, OnDemand(1, lambda _: products), ingest)
 
 
 def _corner(frame: Frame) -> Frame:

@@ -214,8 +214,6 @@ def process(
         first = FirstFrame.of(source)
         # A large frame is read beside the following imports and what comes before the frame.
         from sboc_e2e import scenario as scenarios
-        from sboc_e2e.outside.found import Found, closing_text
-        from sboc_e2e.outside.page import write_report as write_page
         from sboc_e2e.outside.process import base_document
         from sboc_e2e.outside.process import process as execute
 
@@ -240,6 +238,9 @@ def process(
             registry=registry,
             progress=progress,
         )
+    from sboc_e2e.outside.found import Found, closing_text
+    from sboc_e2e.outside.page import write_report as write_page
+
     found = Found.of(out)
     typer.echo(closing_text(found))
     typer.echo(write_page(found))

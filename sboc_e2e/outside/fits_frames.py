@@ -11,13 +11,11 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from astropy.io import fits
 from astropy.time import Time
-from astropy.wcs import WCS
-from astropy.wcs.utils import proj_plane_pixel_scales
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import ContractError, UserError
@@ -28,6 +26,9 @@ from sboc_e2e.outside.header_wcs import COARSEST_DEG, FINEST_DEG, MAX_SHOWN, usa
 from sboc_e2e.outside.image_circle import beyond, image_circle
 from sboc_e2e.outside.image_planes import Plane, planes_of, with_planes
 from sboc_e2e.outside.overscan import without_sky
+
+if TYPE_CHECKING:
+    from astropy.wcs import WCS
 
 SUFFIXES: Final = (".fits", ".fit", ".fts", ".fits.fz", ".fit.fz", ".fits.gz")
 MAX_SIDE_PX: Final = 16384  # Chosen: packets count rows and columns to 65,535, and `MAX_PIXELS` limits wide images first.
@@ -167,14 +168,18 @@ def _survey(path: Path, max_pixels: int) -> tuple[list[Place], list[UserError]]:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Content:
-    """What the file of an image holds of it: values of its headers, pixels, WCS, doubts of that, pixels masked by planes."""
+    """What the file of an image holds of it: values of its headers, pixels, WCS, doubts of that, pixels masked by planes.
+
+    hints_px : see `focal_hints_px`.
+    """
 
     header: Mapping[str, Any]
     data: NDArray[Any] | None
-    wcs: WCS | None
+    wcs: "WCS | None"
     doubt: Note | None
     blind: NDArray[np.bool_] | None
     notes: list[Note]
+    hints_px: tuple[float, ...]
 
 
 def _content(place: Place) -> Content:
@@ -190,7 +195,8 @@ def _content(place: Place) -> Content:
         raise
     except Exception as error:  # as above
         raise UserError(f"{place.path}, HDU {place.hdu}: cannot be read ({_first_line(error)})") from error
-    return Content(header=header, data=data, wcs=wcs, doubt=doubt, blind=blind, notes=notes)
+    hints_px = focal_hints_px(header, wcs)
+    return Content(header=header, data=data, wcs=wcs, doubt=doubt, blind=blind, notes=notes, hints_px=hints_px)
 
 
 def read_frame(place: Place, number: int, *, use_wcs: bool = True, content: Content | None = None) -> SourcedFrame:
@@ -225,7 +231,7 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True, content: Cont
         hdu=place.hdu,
         wcs=wcs if use_wcs else None,
         notes=tuple(notes),
-        focal_hints_px=focal_hints_px(header, wcs),
+        focal_hints_px=content.hints_px,
         camera=" ".join(f"{header.get(key, '')}".strip() for key in CAMERA_KEYS) + f" HDU {place.hdu}",
         circle=circle,
     )
@@ -275,7 +281,7 @@ def number_of(header: Mapping[str, Any], names: tuple[str, ...], low: float, hig
     return None
 
 
-def focal_hints_px(header: Mapping[str, Any], wcs: WCS | None) -> tuple[float, ...]:
+def focal_hints_px(header: Mapping[str, Any], wcs: "WCS | None") -> tuple[float, ...]:
     """Distinct focal lengths in pixels: by the WCS, by keys of the pixel scale (arcsec), by focal length (mm) and pixel (um).
 
     Programs differ on whether XPIXSZ and PIXSIZE1 count binning, so both readings are given.
@@ -297,8 +303,10 @@ def focal_hints_px(header: Mapping[str, Any], wcs: WCS | None) -> tuple[float, .
     return tuple(hints)
 
 
-def _scale_deg(wcs: WCS) -> float:
+def _scale_deg(wcs: "WCS") -> float:
     """Size of a pixel by a WCS, the geometric mean of both axes; 0 where it has none."""
+    from astropy.wcs.utils import proj_plane_pixel_scales
+
     try:
         with _quietly():
             return float(np.sqrt(np.prod(proj_plane_pixel_scales(wcs.celestial))))

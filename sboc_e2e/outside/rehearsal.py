@@ -39,6 +39,8 @@ def rehearse(scenario: Scenario, sourced: SourcedFrame, catalogue: StarCatalogue
     """
     if any(type(each.step).__module__.partition(".")[0] not in SEGMENTS for each in scenario.components.values()):
         return
+    import sboc_e2e.outside.page  # noqa: F401 - what comes last is loaded here too
+
     with suppress(Exception):
         corner = _corner(sourced.frame)
         camera = camera_of_frame(replace(sourced, frame=corner), None)

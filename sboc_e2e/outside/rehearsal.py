@@ -25,7 +25,7 @@ REHEARSED_PX: Final = 256
 """Side of the corner: four tiles of the sky. Chosen."""
 
 TRAIL: Final = (60.0, 70.0, 190.0, 150.0)
-"""Ends of the trail (row, col, row, col). Chosen: it touches neither border, and no class of lines but a trail's is like it."""
+"""Ends of the trail (row, col, row, col). Chosen: far from the borders, along neither rows nor columns."""
 
 TRAIL_PEAK: Final = 6.0
 """Its brightest pixels, in noise of a pixel: S/N 100. Chosen."""

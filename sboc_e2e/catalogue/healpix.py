@@ -4,7 +4,6 @@ from functools import cache
 
 import numpy as np
 from astropy import units as u
-from astropy_healpix import HEALPix
 from numpy.typing import NDArray
 
 NSIDE = 64
@@ -15,6 +14,8 @@ N_PIXELS = 12 * NSIDE**2
 
 def pixel_of(ra_deg: NDArray[np.float64], dec_deg: NDArray[np.float64]) -> NDArray[np.int64]:
     """Pixel number of each direction, shape (n,)."""
+    from astropy_healpix import HEALPix  # takes a fifth of a second, which frames without directions do not need
+
     grid = HEALPix(nside=NSIDE, order="nested")
     return np.asarray(grid.lonlat_to_healpix(ra_deg * u.deg, dec_deg * u.deg), dtype=np.int64)
 
@@ -22,6 +23,8 @@ def pixel_of(ra_deg: NDArray[np.float64], dec_deg: NDArray[np.float64]) -> NDArr
 @cache
 def _centres() -> NDArray[np.float64]:
     """Unit vectors of all pixel centres, shape (N_PIXELS, 3)."""
+    from astropy_healpix import HEALPix  # as above
+
     lon, lat = HEALPix(nside=NSIDE, order="nested").healpix_to_lonlat(np.arange(N_PIXELS))
     lon, lat = lon.to_value(u.rad), lat.to_value(u.rad)
     return np.stack((np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)), axis=1)

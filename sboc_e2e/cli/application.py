@@ -211,13 +211,9 @@ def process(
         from sboc_e2e.outside.fits_frames import FitsFolder
 
         source = FitsFolder(path=folder, use_wcs=wcs == "header")
-        first = FirstFrame.of(source, measured=camera is None)
-        if first.is_beside:  # else the frame is small, or so large that its memory counts more than its time
-            keep_freed_memory()
-        # The stars of a large frame are measured beside the following imports and what comes before the first frame.
+        first = FirstFrame.of(source)
+        # A large frame is read beside the following imports and what comes before the frame.
         from sboc_e2e import scenario as scenarios
-        from sboc_e2e.outside.found import Found, closing_text
-        from sboc_e2e.outside.page import write_report as write_page
         from sboc_e2e.outside.process import base_document
         from sboc_e2e.outside.process import process as execute
 
@@ -225,6 +221,9 @@ def process(
         resolved = scenarios.bare(
             "process", base_document(wcs), registry=registry, overrides=overrides or (), use=parsed_uses(use)
         )
+    if first.is_beside:  # else the frame is small, or so large that its memory counts more than its time
+        first.wait()
+        keep_freed_memory()
     with shown_progress() as progress:
         at = folder.parent if folder.is_file() else folder
         execute(
@@ -239,6 +238,9 @@ def process(
             registry=registry,
             progress=progress,
         )
+    from sboc_e2e.outside.found import Found, closing_text
+    from sboc_e2e.outside.page import write_report as write_page
+
     found = Found.of(out)
     typer.echo(closing_text(found))
     typer.echo(write_page(found))

@@ -3,7 +3,10 @@
 import multiprocessing
 import os
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from functools import cache, partial
 from multiprocessing.connection import Connection
 from typing import Any, Final
 
@@ -17,6 +20,19 @@ MOST_PX: Final = 36_000_000
 def is_worth(n_pixels: int) -> bool:
     """Whether to work beside on a frame of so many pixels. Elsewhere than on Linux a process cannot be forked safely."""
     return LEAST_PX <= n_pixels <= MOST_PX and sys.platform == "linux" and len(os.sched_getaffinity(0)) > 1
+
+
+@contextmanager
+def threaded(*, worth: bool) -> Iterator[Callable[..., Callable[[], Any]]]:
+    """What begins a call in a thread and gives what waits for its result; calls are made one after the other.
+
+    Where it is not worth a thread, a call is made once its result is wanted.
+    """
+    if not worth:
+        yield lambda function, *arguments: cache(partial(function, *arguments))
+        return
+    with ThreadPoolExecutor(max_workers=1) as pool:
+        yield lambda function, *arguments: pool.submit(function, *arguments).result
 
 
 def forked(function: Callable[..., Any], *arguments: Any) -> Callable[[], Any]:

@@ -7,16 +7,15 @@ EXPTIME seconds, GAIN e-/ADU, RDNOISE e-; each may be absent.
 import math
 import warnings
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from astropy.io import fits
 from astropy.time import Time
-from astropy.wcs import WCS
-from astropy.wcs.utils import proj_plane_pixel_scales
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import ContractError, UserError
@@ -27,6 +26,9 @@ from sboc_e2e.outside.header_wcs import COARSEST_DEG, FINEST_DEG, MAX_SHOWN, usa
 from sboc_e2e.outside.image_circle import beyond, image_circle
 from sboc_e2e.outside.image_planes import Plane, planes_of, with_planes
 from sboc_e2e.outside.overscan import without_sky
+
+if TYPE_CHECKING:
+    from astropy.wcs import WCS
 
 SUFFIXES: Final = (".fits", ".fit", ".fts", ".fits.fz", ".fit.fz", ".fits.gz")
 MAX_SIDE_PX: Final = 16384  # Chosen: packets count rows and columns to 65,535, and `MAX_PIXELS` limits wide images first.
@@ -65,6 +67,7 @@ class FitsFolder:
     use_wcs: bool = True
     max_pixels: int = MAX_PIXELS
     _unread: dict[tuple[Path, int], str] = field(default_factory=dict, init=False, repr=False, compare=False)
+    _opened: "dict[Place, Content]" = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @cached_property
     def places(self) -> tuple[Place, ...]:
@@ -101,6 +104,11 @@ class FitsFolder:
         """What could not be read, as far as the frames have been gone through."""
         return tuple(self._unread.values())
 
+    def open_first(self) -> None:
+        """Open the first image now, so that a thread may go through `frames`: warnings cannot be silenced in one."""
+        with suppress(UserError):  # which comes again when the frame is read
+            self._opened[self.places[0]] = _content(self.places[0])
+
     def frames(self) -> Iterator[SourcedFrame]:
         """Frames in order; times that do not rise are left as the headers have them.
 
@@ -109,7 +117,7 @@ class FitsFolder:
         number, first = 0, None
         for place in self.places:
             try:
-                sourced = read_frame(place, number, use_wcs=self.use_wcs)
+                sourced = read_frame(place, number, use_wcs=self.use_wcs, content=self._opened.pop(place, None))
             except UserError as error:
                 first = first or error
                 self._unread[place.path, place.hdu] = str(error)
@@ -158,8 +166,24 @@ def _survey(path: Path, max_pixels: int) -> tuple[list[Place], list[UserError]]:
     return [replace(each, planes=tuple(p for p in planes if p.image == each.hdu)) for each in pictures], refused
 
 
-def read_frame(place: Place, number: int, *, use_wcs: bool = True) -> SourcedFrame:
-    """One image as a frame. Raises `UserError` when its data cannot be read."""
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Content:
+    """What the file of an image holds of it: values of its headers, pixels, WCS, doubts of that, pixels masked by planes.
+
+    hints_px : see `focal_hints_px`.
+    """
+
+    header: Mapping[str, Any]
+    data: NDArray[Any] | None
+    wcs: "WCS | None"
+    doubt: Note | None
+    blind: NDArray[np.bool_] | None
+    notes: list[Note]
+    hints_px: tuple[float, ...]
+
+
+def _content(place: Place) -> Content:
+    """Open an image. Raises `UserError` when it cannot be read."""
     try:
         with _quietly(), fits.open(place.path, memmap=False) as hdus:
             hdu = hdus[place.hdu]
@@ -171,6 +195,15 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True) -> SourcedFra
         raise
     except Exception as error:  # as above
         raise UserError(f"{place.path}, HDU {place.hdu}: cannot be read ({_first_line(error)})") from error
+    hints_px = focal_hints_px(header, wcs)
+    return Content(header=header, data=data, wcs=wcs, doubt=doubt, blind=blind, notes=notes, hints_px=hints_px)
+
+
+def read_frame(place: Place, number: int, *, use_wcs: bool = True, content: Content | None = None) -> SourcedFrame:
+    """One image as a frame. content : where it was opened before. Raises `UserError` when its data cannot be read."""
+    content = content or _content(place)
+    header, data, wcs, doubt, blind = content.header, content.data, content.wcs, content.doubt, content.blind
+    notes = list(content.notes)
     if data is None or np.shape(data) != (place.rows, place.cols) or data.dtype.kind not in "uif":
         raise UserError(f"{place.path}, HDU {place.hdu}: holds no image of {place.rows} x {place.cols} numbers")
     pixels, saturation = pixels_of(data)
@@ -198,7 +231,7 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True) -> SourcedFra
         hdu=place.hdu,
         wcs=wcs if use_wcs else None,
         notes=tuple(notes),
-        focal_hints_px=focal_hints_px(header, wcs),
+        focal_hints_px=content.hints_px,
         camera=" ".join(f"{header.get(key, '')}".strip() for key in CAMERA_KEYS) + f" HDU {place.hdu}",
         circle=circle,
     )
@@ -248,7 +281,7 @@ def number_of(header: Mapping[str, Any], names: tuple[str, ...], low: float, hig
     return None
 
 
-def focal_hints_px(header: Mapping[str, Any], wcs: WCS | None) -> tuple[float, ...]:
+def focal_hints_px(header: Mapping[str, Any], wcs: "WCS | None") -> tuple[float, ...]:
     """Distinct focal lengths in pixels: by the WCS, by keys of the pixel scale (arcsec), by focal length (mm) and pixel (um).
 
     Programs differ on whether XPIXSZ and PIXSIZE1 count binning, so both readings are given.
@@ -270,8 +303,10 @@ def focal_hints_px(header: Mapping[str, Any], wcs: WCS | None) -> tuple[float, .
     return tuple(hints)
 
 
-def _scale_deg(wcs: WCS) -> float:
+def _scale_deg(wcs: "WCS") -> float:
     """Size of a pixel by a WCS, the geometric mean of both axes; 0 where it has none."""
+    from astropy.wcs.utils import proj_plane_pixel_scales
+
     try:
         with _quietly():
             return float(np.sqrt(np.prod(proj_plane_pixel_scales(wcs.celestial))))

@@ -9,16 +9,16 @@ import math
 import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
-from astropy.coordinates import FK5, ICRS
 from astropy.io import fits
-from astropy.wcs import WCS
-from astropy.wcs.utils import wcs_to_celestial_frame
 from numpy.typing import NDArray
 
 from sboc_e2e.outside.frame_source import Note
+
+if TYPE_CHECKING:
+    from astropy.wcs import WCS
 
 NUMBERS: Final = ("CRVAL1", "CRVAL2", "CRPIX1", "CRPIX2")
 """Without one of these the standard's default is a place on the sky that nobody meant."""
@@ -45,13 +45,15 @@ MAX_SHOWN: Final = 40
 """Characters of a header's value that a note repeats: a FITS card holds 68, and a note is one line."""
 
 
-def usable_wcs(header: fits.Header, rows: int, cols: int) -> tuple[WCS | None, Note | None]:
+def usable_wcs(header: fits.Header, rows: int, cols: int) -> "tuple[WCS | None, Note | None]":
     """The WCS of a frame of that size with RA and Dec (ICRS) from pixels, or None; and a note on one that is not believed.
 
     No note where the header does not try to give one.
     """
     if not any(isinstance(header.get(key), str) and header[key].strip() for key in ("CTYPE1", "CTYPE2")):
         return None, None
+    from astropy.wcs import WCS  # takes a fifth of a second, which frames without directions do not need
+
     with warnings.catch_warnings(), np.errstate(all="ignore"), _unsaid():
         warnings.simplefilter("ignore")
         try:
@@ -91,8 +93,11 @@ def _wrong_value(header: Mapping[str, Any]) -> str | None:
     return None
 
 
-def _wrong_axes(wcs: WCS) -> str | None:
+def _wrong_axes(wcs: "WCS") -> str | None:
     """Axes that are not RA and Dec, in this order, of the ICRS or of J2000 (which differ by 0.02 arcsec)."""
+    from astropy.coordinates import FK5, ICRS
+    from astropy.wcs.utils import wcs_to_celestial_frame
+
     if not wcs.has_celestial or wcs.naxis != 2:
         return "it is no celestial one of two axes"
     kinds = [str(kind)[:4].rstrip("-") for kind in wcs.wcs.ctype]
@@ -104,7 +109,7 @@ def _wrong_axes(wcs: WCS) -> str | None:
     return f"its directions are {frame.name.upper()} of {frame.equinox}, not ICRS or J2000"
 
 
-def _wrong_directions(wcs: WCS, rows: int, cols: int) -> str | None:
+def _wrong_directions(wcs: "WCS", rows: int, cols: int) -> str | None:
     """Directions that are no numbers, pixels of absurd size, or places that do not come back to their pixels."""
     grid = np.meshgrid(np.linspace(-MARGIN_PX, cols - 1 + MARGIN_PX, GRID), np.linspace(-MARGIN_PX, rows - 1 + MARGIN_PX, GRID))
     col, row = (axis.ravel() for axis in grid)
@@ -121,7 +126,7 @@ def _wrong_directions(wcs: WCS, rows: int, cols: int) -> str | None:
     return None
 
 
-def _steps_deg(wcs: WCS, col: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.float64]:
+def _steps_deg(wcs: "WCS", col: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.float64]:
     """(n, 2) longest and shortest way on the sky that one pixel makes, from half-pixel steps; holds at the poles too."""
 
     def direction(col: NDArray[np.float64], row: NDArray[np.float64]) -> NDArray[np.float64]:

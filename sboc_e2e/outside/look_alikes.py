@@ -7,10 +7,7 @@ method of Elias and Gygi 2007, doi:10.1038/nmeth1019). What is bright alone, suc
 
 import math
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import nullcontext
 from dataclasses import dataclass, replace
-from functools import partial
 from typing import Final
 
 import numpy as np
@@ -98,8 +95,7 @@ class Dark:
             found = detector.detect(negative)
             check_detections(found, view.mask.shape)
             return cls(view=negative, lines=found)
-        in_white_noise = detector.detect_in_white_noise(negative)
-        found = detector.detect(replace(negative, work=work_meter(view.mask.size))) if in_white_noise else ()
+        in_white_noise, found = detector.detect_in_white_noise(negative)
         known = {_ends(each) for each in found}
         return cls(view=negative, lines=found, structure=tuple(each for each in in_white_noise if _ends(each) not in known))
 
@@ -301,19 +297,17 @@ class CountingChain(OnboardChain):
     def judge(self, state: OnboardState, prepared: Prepared) -> tuple[OnboardState, OnboardResult]:
         """As `OnboardChain.judge`; the search of the negative is added to `evidence`.
 
-        In large frames the negative is searched in a thread beside, and the sky is mapped there before it is known whether there
-        are lines to hold against it.
+        In large frames the negative is searched in a thread beside.
         """
         view = prepared.view
         if not prepared.usable:
             return super().judge(state, prepared)
-        threaded = isinstance(self._detector, LineIntegralDetector) and beside.is_worth(view.mask.size)
-        with ThreadPoolExecutor(max_workers=1) if threaded else nullcontext() as pool:
-            dark = pool.submit(Dark.of, self._detector, view).result if pool else partial(Dark.of, self._detector, view)
-            sky = pool.submit(Sky.of, prepared).result if pool else partial(Sky.of, prepared)
+        worth = isinstance(self._detector, LineIntegralDetector) and beside.is_worth(view.mask.size)
+        with beside.threaded(worth=worth) as begin:
+            dark = begin(Dark.of, self._detector, view)
             after, result = super().judge(state, prepared)
             found = result.detections
-            seen = sky() if found else None
+            seen = Sky.of(prepared) if found else None
             field, bright = seen.stars(prepared, found) if seen else (None, None)
             table, weight = look_alikes(dark(), view, found)
             self.evidence[view.header.frame] = OwnEvidence(

@@ -1,22 +1,22 @@
 """`sboc process`: frames from outside through the on-board and the ground chain; products, and no score without truth."""
 
 from collections.abc import Iterator
-from contextlib import suppress
-from dataclasses import dataclass, field, fields, replace
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, Final
 
-import numpy as np
-
 from ground.astrometry import lost_in_space
 from ground.vetting.rim import ImageCircle
+from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.files import calibration_files
 from sboc_e2e.icd.frame import Frame, NominalCamera
+from sboc_e2e.outside import beside
 from sboc_e2e.outside.camera import camera_of_frame, camera_of_preset, focal_px_by_stars, refuse_narrow_field
 from sboc_e2e.outside.first_frame import FirstFrame
 from sboc_e2e.outside.frame_source import FrameSource, SourcedFrame
 from sboc_e2e.outside.limits import MOST_DETECTIONS
 from sboc_e2e.outside.look_alikes import CountingChain, counts_of
+from sboc_e2e.outside.rehearsal import rehearse
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.decoders import require_decoder
 from sboc_e2e.run.directory import RunDirectory
@@ -28,9 +28,6 @@ from sboc_e2e.scenario import Scenario
 
 MODEL_ERROR: Final = 0.2
 """Share of a trail's light by which telescopes on the ground differ from the fit's model: turbulence, tracking, tumbling."""
-
-REHEARSED_PX: Final = 256
-"""Side of the part of a frame that the chain begins with: four tiles of the sky. Chosen."""
 
 
 @dataclass(kw_only=True)
@@ -83,48 +80,52 @@ def process(
     """Products of all frames of a source in a run directory.
 
     camera : an instrument preset, None to guess one from the first frame. solve : `--wcs solve`; an unknown camera's focal
-    length then comes from its stars. folder : where the files lie, for `sboc view`. first : of the source, where it was read.
+    length then comes from its stars. folder : where the files lie, for `sboc view`. first : of the source, if begun.
     """
     directory = RunDirectory(path=out)
-    require_files(scenario)
     require_decoder(scenario)
     if solve:
         lost_in_space.required_solver()
-    catalogue = star_catalogue(scenario)
     known = camera_of_preset(camera, registry) if camera else None
     if first is None:
-        first = FirstFrame.of(source, measured=known is None)
+        first = FirstFrame.of(source)
     source = first.source
-    if first.is_beside:
-        _rehearse(first.frame, scenario)
-    nominal = _fitting(known, first.frame.frame) if known else camera_of_frame(first.frame, first.star_sigma_px())
-    if solve and known is None:
-        nominal = replace(nominal, focal_px=focal_px_by_stars(source, catalogue))
-    if solve:
-        refuse_narrow_field(nominal)
-    # Only now: what is wrong with frames or camera costs no earlier products.
-    directory.prepare(resume=False, force=force)
-    manifest = Manifest.of(directory.manifest, scenario)
-    manifest.n_frames = n_frames = source.n_frames
-    if folder is not None:
-        manifest.sources["frames"] = str(folder.resolve())
-    manifest.save()
-    calibration_files.write_camera(
-        directory.calibration, nominal, f"preset {camera}" if camera else "guessed from the first frame"
-    )
-    seen = Seen()
-    chain = CountingChain(scenario.onboard, onboard_steps(scenario), camera=nominal, run_id=manifest.run_id)
-    board = OnboardStage(run=directory, chain=chain, resumed=False)
-    manifest.begin("onboard")
-    progress.stage("onboard", n_frames)
-    manifest.n_frames = n_frames = board.take(_noted(first.frames(), seen), progress)
-    board.join(n_frames, scenario.faults, scenario.seed)
-    manifest.finish("onboard", **board.figures())
-    directory.clear_work("onboard")
-    for texts in seen.notes.values():
-        progress.note(f"{len(texts)} of {n_frames} frames: {texts[0]}")
-    for text in source.left_out:
-        progress.note(f"left out: {text}")
+    # a process is forked before there are threads
+    star_sigma_px = first.star_sigma_px() if known is None else lambda: None
+    with beside.threaded(worth=first.is_beside) as begin:
+        files = begin(_files, scenario)
+        manifest = Manifest.of(directory.manifest, scenario)
+        catalogue = files()
+        if first.is_beside:
+            begin(rehearse, scenario, first.frame, catalogue)
+        nominal = _fitting(known, first.frame.frame) if known else camera_of_frame(first.frame, star_sigma_px())
+        del star_sigma_px  # it holds a copy of the frame
+        if solve and known is None:
+            nominal = replace(nominal, focal_px=focal_px_by_stars(source, catalogue))
+        if solve:
+            refuse_narrow_field(nominal)
+        # Only now: what is wrong with frames or camera costs no earlier products.
+        directory.prepare(resume=False, force=force)
+        manifest.n_frames = n_frames = source.n_frames
+        if folder is not None:
+            manifest.sources["frames"] = str(folder.resolve())
+        manifest.save()
+        calibration_files.write_camera(
+            directory.calibration, nominal, f"preset {camera}" if camera else "guessed from the first frame"
+        )
+        seen = Seen()
+        chain = CountingChain(scenario.onboard, onboard_steps(scenario), camera=nominal, run_id=manifest.run_id)
+        board = OnboardStage(run=directory, chain=chain, resumed=False)
+        manifest.begin("onboard")
+        progress.stage("onboard", n_frames)
+        manifest.n_frames = n_frames = board.take(_noted(first.frames(), seen), progress)
+        board.join(n_frames, scenario.faults, scenario.seed)
+        manifest.finish("onboard", **board.figures())
+        directory.clear_work("onboard")
+        for texts in seen.notes.values():
+            progress.note(f"{len(texts)} of {n_frames} frames: {texts[0]}")
+        for text in source.left_out:
+            progress.note(f"left out: {text}")
     vetted = ground_chain(
         scenario,
         calibration=None,
@@ -148,20 +149,10 @@ def process(
     directory.clear_work("ground")
 
 
-def _rehearse(sourced: SourcedFrame, scenario: Scenario) -> None:
-    """Load the kernels of the on-board chain by a part of a frame, with a camera that fits it roughly.
-
-    Done while the stars are measured beside, where every step is our own: somebody else's sees the frames alone.
-    """
-    steps = onboard_steps(scenario)
-    if any(type(getattr(steps, each.name)).__module__.partition(".")[0] != "onboard" for each in fields(steps)):
-        return
-    pixels: Any = np.ascontiguousarray(sourced.frame.pixels[:REHEARSED_PX, :REHEARSED_PX])
-    header = replace(sourced.frame.header, rows=pixels.shape[0], cols=pixels.shape[1])
-    part = Frame(header=header, pixels=pixels)
-    with suppress(Exception):  # what is wrong with the frame is said when it is processed
-        chain = CountingChain(scenario.onboard, steps, camera=camera_of_frame(replace(sourced, frame=part), None), run_id=0)
-        chain.process(chain.initial_state(), part)
+def _files(scenario: Scenario) -> StarCatalogue:
+    """Open what ground is to read; its catalogue."""
+    require_files(scenario)
+    return star_catalogue(scenario)
 
 
 def _noted(frames: Iterator[SourcedFrame], seen: Seen) -> Iterator[Frame]:

@@ -12,7 +12,6 @@ from typing import Final
 
 import numpy as np
 from astropy import units as u
-from astropy_healpix import HEALPix
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
@@ -84,6 +83,8 @@ def thinned_by_dust(direction: Array) -> Array:
 def draw_galaxies(options: GalaxyOptions, seed: int, pixel: int) -> Galaxies:
     """Those of one HEALPix pixel."""
     rng = generator(seed, Effect.GALAXIES, block=pixel)
+    from astropy_healpix import HEALPix  # as below
+
     healpix = HEALPix(nside=_NSIDE, order="nested")
     first, last = (float(cumulative_galaxies_deg2(m)) for m in (_BRIGHTEST_MAG, options.faint_limit_mag))
     n = int(rng.poisson(options.density * (last - first) * healpix.pixel_area.to_value("deg2")))
@@ -131,6 +132,8 @@ class GalaxySky:
 
     def __init__(self, options: GalaxyOptions, instrument: InstrumentOptions, *, seed: int) -> None:
         self.options, self.instrument, self._seed = options, instrument, seed
+        from astropy_healpix import HEALPix  # takes a fifth of a second, which programs that draw no sky do not need
+
         self._healpix = HEALPix(nside=_NSIDE, order="nested")
         self._held: tuple[Array, float, StarField] | None = None
 

@@ -6,7 +6,6 @@ from typing import Final
 
 import numpy as np
 from astropy import units as u
-from astropy_healpix import HEALPix
 from numpy.typing import NDArray
 from scipy.special import ndtri
 
@@ -122,6 +121,8 @@ class StarSky:
         self.catalogue = catalogue
         self.seed = seed
         self.epoch_jyear = epoch_jyear
+        from astropy_healpix import HEALPix  # takes a fifth of a second, which programs that draw no sky do not need
+
         self._healpix = HEALPix(nside=catalogue.nside, order="nested")
         self._held: tuple[Array, float, StarField] | None = None
         self._faint: dict[int, tuple[Array, Array, Array]] = {}

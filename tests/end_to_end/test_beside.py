@@ -1,13 +1,26 @@
 """Work beside: large frames give the same bytes whether or not there is a second processor."""
 
 import os
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 from astropy.io import fits
 
+from ground.chain import GroundChain
+from onboard.detect.line_integral.detector import LineIntegralDetector
+from sboc_e2e import scenario as scenarios
+from sboc_e2e.catalogue import StarCatalogue
+from sboc_e2e.checks import synthetic_view
+from sboc_e2e.icd.frame import Frame, FrameHeader
 from sboc_e2e.outside import beside, fits_frames
+from sboc_e2e.outside.frame_source import SourcedFrame
+from sboc_e2e.outside.limits import work_meter
+from sboc_e2e.outside.process import base_document
+from sboc_e2e.outside.rehearsal import rehearse
+from sboc_e2e.registry import Registry
 from tests.fuzz.outside import run
 
 
@@ -29,6 +42,39 @@ def test_a_call_whose_process_is_ended_is_made_here() -> None:
         return 7
 
     assert beside.forked(other_than_here)() == 7
+
+
+def test_the_small_frame_that_goes_ahead_comes_through_both_chains(monkeypatch: pytest.MonkeyPatch) -> None:
+    """It holds a streak, or kernels that fit streaks would not be loaded; what fails in it is said nowhere else."""
+    measured: list[int] = []
+    finish = GroundChain.finish
+
+    def noted(chain: GroundChain, frames: Any, products: Any, ingest: Any = None) -> Any:
+        result = finish(chain, frames, products, ingest)
+        measured.extend(len(each.streaks) for each in products)
+        return result
+
+    monkeypatch.setattr(GroundChain, "finish", noted)
+    scenario = scenarios.bare("process", base_document("header"), registry=Registry())
+    for dtype in (np.uint16, np.float32):
+        pixels = np.random.default_rng(3).normal(300.0, 4.0, (1100, 1000)).astype(dtype)
+        header = FrameHeader(frame=0, rows=1100, cols=1000, exposure_ns=1, line_time_ns=0, t_start_tai_ns=0)
+        sourced = SourcedFrame(frame=Frame(header=header, pixels=pixels), file="a.fits", hdu=0, wcs=None, notes=())
+        rehearse(scenario, sourced, StarCatalogue.embedded())
+    assert measured == [1, 1]
+
+
+def test_a_search_in_white_noise_gives_what_the_detector_gives_too() -> None:
+    """Both judgements share one search: lines of a rippled frame, more of them where lines beside them do not count."""
+    rng = np.random.default_rng(5)
+    rows, cols = np.mgrid[:512, :512]
+    residual = (rng.normal(0.0, 2.4, (512, 512)) + 1.2 * np.sin(0.11 * rows + 0.07 * cols)).astype(np.float32)
+    view = replace(synthetic_view("noise", shape=residual.shape), residual_adu=residual)
+    detector = LineIntegralDetector()
+    in_white_noise, found = detector.detect_in_white_noise(replace(view, work=work_meter(residual.size)))
+    again = detector.detect(replace(view, work=work_meter(residual.size)))
+    assert found == again
+    assert len(in_white_noise) > len(found)
 
 
 def test_products_do_not_depend_on_what_is_done_beside(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

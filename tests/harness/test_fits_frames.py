@@ -9,7 +9,9 @@ from astropy.io import fits
 
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.tai import from_jd_parts
+from sboc_e2e.outside import star_width
 from sboc_e2e.outside.camera import camera_of_frame
+from sboc_e2e.outside.first_frame import FirstFrame
 from sboc_e2e.outside.fits_frames import FIRST_ASSUMED_TAI_NS, FitsFolder, _frame_header, start_tai_ns
 from sboc_e2e.outside.frame_source import Note, SourcedFrame
 from sboc_e2e.outside.star_width import star_sigma_px
@@ -187,3 +189,35 @@ def test_the_width_of_stars_is_estimated(sigma_px: float, error: float) -> None:
     assert found is not None
     assert abs(found / sigma_px - 1.0) < error
     assert star_sigma_px(rng.normal(100.0, 3.0, (200, 200)).astype(np.float32)) is None
+
+
+def test_the_width_of_stars_in_a_large_frame_comes_from_a_sample_where_it_holds_enough(monkeypatch: pytest.MonkeyPatch) -> None:
+    rng = np.random.default_rng(9)
+    image = rng.normal(100.0, 3.0, (640, 640)).astype(np.float32)
+    rows, cols = np.mgrid[-6:7, -6:7]
+    for row in range(16, 630, 16):
+        for col in range(16, 630, 16):
+            r, c = rng.uniform(-0.5, 0.5, 2)
+            sigma_px = rng.uniform(1.2, 1.8)
+            star = rng.uniform(200.0, 900.0) * np.exp(-0.5 * ((rows - r) ** 2 + (cols - c) ** 2) / sigma_px**2)
+            image[row - 6 : row + 7, col - 6 : col + 7] += star
+    whole = star_sigma_px(image)
+    monkeypatch.setattr(star_width, "SAMPLED_PX", image.size)
+    monkeypatch.setattr(star_width, "SQUARE_PX", 96)
+    monkeypatch.setattr(star_width, "ENOUGH_STARS", 200)
+    sampled = star_sigma_px(image)
+    assert whole is not None
+    assert sampled is not None
+    assert sampled != whole
+    assert sampled == pytest.approx(whole, rel=0.03)
+    monkeypatch.setattr(star_width, "ENOUGH_STARS", 2000)
+    assert star_sigma_px(image) == whole
+    image[200:, 200:] = np.nan  # squares without a value
+    assert star_sigma_px(image) == pytest.approx(whole, rel=0.05)
+
+
+def test_a_large_frame_that_cannot_be_read_beside_is_refused_as_any_other(tmp_path: Path) -> None:
+    fits.PrimaryHDU(np.zeros((1100, 1000), np.int16)).writeto(tmp_path / "a.fits")
+    (tmp_path / "a.fits").write_bytes((tmp_path / "a.fits").read_bytes()[:900_000])
+    with pytest.raises(UserError, match=r"cannot be read|not a readable FITS file"):
+        FirstFrame.of(FitsFolder(path=tmp_path)).wait()

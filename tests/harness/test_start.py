@@ -6,7 +6,7 @@ import sys
 
 HEAVY = (
     "matplotlib", "scipy.stats", "scipy.signal", "scipy.optimize", "scipy.interpolate", "scipy.fft", "scipy.spatial",
-    "astropy.timeseries", "astropy.samp",
+    "astropy.timeseries", "astropy.samp", "astropy.wcs", "astropy.coordinates",
 )  # fmt: skip
 """Some 1.7 CPU-seconds together, for particles, PSFs, solved fields, orbits, light curves, pictures, tools. Most need none."""
 

@@ -133,12 +133,16 @@ def search_corridor(
     half, span = OFFSETS // 2, max(1, n_piece - 1)
     o0 = o1 = sag = 0.0
     snr = -1e9
+    along, bent = np.empty(n_piece), np.empty(n_piece)
     for turn in range(2):
         step, width = (1.0, reach) if turn == 0 else (0.5, 1.0)
         n_step = round(width / step)
         bows = 0 if turn == 0 or last - first < 3 else 2
         u_first, u_last = (first - 0.5) / span, (last + 0.5) / span
         centre0, centre1 = o0 + (o1 - o0) * u_first, o0 + (o1 - o0) * u_last
+        for p in range(first, last + 1):
+            along[p] = (p - first + 0.5) / (last - first + 1)
+            bent[p] = bend(along[p])
         snr = -1e9
         for bow in range(-bows, bows + 1):
             for i in range(-n_step, n_step + 1):
@@ -146,8 +150,7 @@ def search_corridor(
                     p0, p1 = centre0 + i * step, centre1 + j * step
                     total, count = 0.0, 0.0
                     for p in range(first, last + 1):
-                        u = (p - first + 0.5) / (last - first + 1)
-                        s, c = _path_piece(sums, counts, p, half + p0 + (p1 - p0) * u + bow * bend(u))
+                        s, c = _path_piece(sums, counts, p, half + p0 + (p1 - p0) * along[p] + bow * bent[p])
                         total += s
                         count += c
                     if count > 0.0 and total > snr * math.sqrt(count * variance):

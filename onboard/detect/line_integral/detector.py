@@ -10,6 +10,7 @@ from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from onboard.detect import star_mask, whiten
 from onboard.detect.line_integral import (
@@ -36,7 +37,7 @@ from onboard.detect.line_integral.segments import (
     with_unclipped_snr,
     within_work,
 )
-from onboard.detect.line_integral.star_removal import POINT_CLIP_SIGMA, TILE_PX, working_images
+from onboard.detect.line_integral.star_removal import POINT_CLIP_SIGMA, TILE_PX, WorkingImages, working_images
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView, Searched
 from sboc_e2e.icd.work import Work
@@ -122,23 +123,39 @@ class LineIntegralDetector:
 
     def detect(self, view: DetectorView) -> tuple[Detection, ...]:
         """Detections by falling S/N; particle hits (flagged) after everything else."""
-        return self._search(view, None)[0]
+        lines = self._lines(view, None)
+        return () if lines is None else self._judged(view, lines)
 
-    def detect_in_white_noise(self, view: DetectorView) -> tuple[Detection, ...]:
-        """The same, except that the lines beside a detection do not raise its threshold: structure of the sky counts in full."""
-        return self._search(view, None, noise_beside=False)[0]
+    def detect_in_white_noise(self, view: DetectorView) -> tuple[tuple[Detection, ...], tuple[Detection, ...]]:
+        """Detections whose thresholds the lines beside them do not raise, so that structure of the sky counts in full.
+
+        And what `detect` gives, by the same search.
+        """
+        lines = self._lines(view, None)
+        if lines is None:
+            return (), ()
+        work = replace(view.work, done=dict(view.work.done), shed=dict(view.work.shed))
+        in_white_noise = self._judged(view, lines, noise_beside=False)
+        return in_white_noise, self._judged(replace(view, work=work), lines) if in_white_noise else ()
 
     def search(self, view: DetectorView, seed_sigma: float) -> tuple[tuple[Detection, ...], Searched]:
         """The same detections, and what a tracker goes on from: segments from `seed_sigma` on, and the image they are in."""
-        found, searched = self._search(view, seed_sigma)
-        return found, Searched.empty(view.mask.shape) if searched is None else searched
+        lines = self._lines(view, seed_sigma)
+        if lines is None:
+            return (), Searched.empty(view.mask.shape)
+        found = self._judged(view, lines)
+        if lines.earlier is None and len(view.stars) > 0:
+            # with faint stars still in it, such a frame foretells nothing and bears nothing out
+            return found, Searched.empty(view.mask.shape)
+        # trails were taken out of it as they were found
+        images, taps = lines.images, whiten.odd_taps(view.psf_sigma_px)
+        whiten.known(lines.smooth, images.image, images.blocked, images.level, TILE_PX, taps, POINT_CLIP_SIGMA)
+        return found, Searched(smooth=lines.smooth, seeds=seed_ends(lines.seeds))
 
-    def _search(
-        self, view: DetectorView, seed_sigma: float | None, *, noise_beside: bool = True
-    ) -> tuple[tuple[Detection, ...], Searched | None]:
-        """Detections and, where seeds are asked for, what a tracker goes on from. noise_beside : whether `local_noise` judges."""
+    def _lines(self, view: DetectorView, seed_sigma: float | None) -> "_Lines | None":
+        """Lines of a view, found and taken out of its images one after the other; None of a view too small for any."""
         if min(view.residual_adu.shape) < 2 * MIN_ROWS:
-            return (), None
+            return None
         s_px = view.psf_sigma_px
         motion = view.stars.motion
         earlier = static_sky.earlier_frame(view, self.reach_px) if motion is None else None
@@ -168,8 +185,6 @@ class LineIntegralDetector:
         del bits
         taps = whiten.odd_taps(s_px)
         smooth = whiten.smooth(images.image, images.level, TILE_PX, taps, POINT_CLIP_SIGMA)
-        # without a frame before, faint stars are still in it: such a frame foretells nothing and bears nothing out
-        told = seed_sigma is not None and (earlier is not None or len(view.stars) == 0)
         seeds = np.empty((0 if seed_sigma is None else MAX_SEEDS, 6))
         table, n_seeds, work, n_left = resolve.resolve(
             images.image,
@@ -190,11 +205,17 @@ class LineIntegralDetector:
             seeds,
         )
         seeds = seeds[:n_seeds]
-        if told:
+        if len(faint):
             seeds = np.concatenate([seeds, faint[resolve.free(images.blocked, faint)]])
         view.work.spend(Work.CANDIDATES, work)
         view.work.leave(Work.CANDIDATES, n_left)
         table = within_work(table, view.work)
+        return _Lines(images=images, smooth=smooth, earlier=earlier, n_sigma=n_sigma, table=table, seeds=seeds)
+
+    def _judged(self, view: DetectorView, lines: "_Lines", *, noise_beside: bool = True) -> tuple[Detection, ...]:
+        """Detections among the lines of a view, whose images stay as they are. noise_beside : whether `local_noise` judges."""
+        images, earlier, n_sigma, table = lines.images, lines.earlier, lines.n_sigma, lines.table
+        s_px, motion = view.psf_sigma_px, view.stars.motion
         if noise_beside:
             table = local_noise.above(table, n_sigma, images.image, images.blocked, images.level, TILE_PX, s_px)
         found = [line_detection(row, view.residual_adu.shape) for row in table]
@@ -216,7 +237,7 @@ class LineIntegralDetector:
                 found += trailed_sky.still_points(view, images, n_sigma + self.short_margin)
         else:
             found = [d for d in found if stays_above_earlier(d, earlier, images, s_px, n_sigma, self.short_margin)]
-            found += short_detections(view, earlier, images, smooth, n_sigma + self.short_margin)
+            found += short_detections(view, earlier, images, lines.smooth, n_sigma + self.short_margin)
             found += slow_movers(view, earlier)
         found = [sharpness.with_sharpness(d, view, images.level, TILE_PX) for d in found]
         found = [with_unclipped_snr(d, view, images, s_px) for d in found]
@@ -229,9 +250,20 @@ class LineIntegralDetector:
         real = sorted((d for d in found if not d.flags & StreakFlag.COSMIC_LIKE), key=lambda d: -d.snr)
         tracks += track_pieces.beside_trails(hits[: max(0, self.max_detections - len(real))], found)
         tracks.sort(key=lambda d: -d.snr)
-        detections = tuple((real + tracks)[: self.max_detections])
-        if not told:
-            return detections, None
-        # trails were taken out of it as they were found
-        whiten.known(smooth, images.image, images.blocked, images.level, TILE_PX, taps, POINT_CLIP_SIGMA)
-        return detections, Searched(smooth=smooth, seeds=seed_ends(seeds))
+        return tuple((real + tracks)[: self.max_detections])
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Lines:
+    """What the search of a view leaves.
+
+    images, smooth : without the lines. earlier : the frame before, where it helps. n_sigma : threshold.
+    table, seeds : see `resolve.resolve`.
+    """
+
+    images: WorkingImages
+    smooth: NDArray[np.int8]
+    earlier: static_sky.EarlierFrame | None
+    n_sigma: float
+    table: NDArray[np.float64]
+    seeds: NDArray[np.float64]

@@ -83,7 +83,7 @@ LEAST_UNMODELLED_SHARPNESS: Final = -0.25
 """Of ln width: what is a fifth narrower than the optics is a particle or a column. Chosen, not measured."""
 LN_WIDE: Final = math.log(3.0)
 """Ln width over the PSF from which on such a trail must be straight: arcs of stray light are wide and bend by more than their
-width. Defocused trails do not bend, and what a lens of the whole sky bends is as narrow as its stars. Made in view of one frame."""
+width. Defocused trails do not bend, and what an all-sky lens bends is as narrow as its stars. Made in view of one frame."""
 LN_UNMODELLED: Final = -7.5
 """Trails of a kind not modelled: as bright and as many widths long, no sharper than the optics. Inside these limits any width,
 texture, length and S/N are as likely as others; the density is of the four histograms together: 4 of 14 bins of S/N, 4 of 11
@@ -196,8 +196,8 @@ STRUCTURE_PER_FRAME: Final = 1.0
 telescope with steep vignetting, 1.0 and 1.25 of a 14-inch telescope with two sets of exposures (`STRUCTURE_SHARPNESS`)."""
 
 NOISE_FRAME_PX: Final = 4096.0 * 4096.0
-"""Pixels of the frame that `noise_per_frame` is stated for. Noise maxima go with the area: in white noise of 256 to 2048 px a side
-the detector finds 0.3 to 0.7 a megapixel from S/N 6.0 on (21 in 44 megapixels)."""
+"""Pixels of the frame that `noise_per_frame` is stated for. Noise maxima go with the area: in white noise of 256 to 2048 px a
+side the detector finds 0.3 to 0.7 a megapixel from S/N 6.0 on (21 in 44 megapixels)."""
 
 STEADY_FRAMES: Final = 30.0
 """Frames that the expected rates of real streaks and of noise count as."""

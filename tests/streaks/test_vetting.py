@@ -156,9 +156,7 @@ def test_a_faint_line_three_times_as_wide_as_stars_is_structure_where_nobody_cal
     assert min(raw.probability([fit_of(3.0, 120.0, 300.0)], frame)[0] for _ in range(3)) > 0.9
 
 
-def test_noise_maxima_are_as_rare_as_a_frame_of_anybodys_is_small(
-    fits: dict[str, list[StreakFit]], frame: DownlinkFrame
-) -> None:
+def test_noise_maxima_are_as_rare_as_a_frame_of_anybodys_is_small(fits: dict[str, list[StreakFit]], frame: DownlinkFrame) -> None:
     """White noise has so many maxima a pixel: in a frame of 512 x 512 px they are 64 times as rare as in one of 4096 x 4096 px.
 
     By hand: where noise alone competes, the log odds of a lone line differ by ln 64. The line itself changes the rate of noise,
@@ -171,7 +169,7 @@ def test_noise_maxima_are_as_rare_as_a_frame_of_anybodys_is_small(
     real = min(fits["real"], key=lambda fit: abs(fit.snr - 7.5))
     assert raw.probability([real], small)[0] > raw.probability([real], frame)[0]
     calibrated = LikelihoodVetter()
-    assert calibrated.probability([real], small)[0] == calibrated.probability([real], frame)[0], "the option is for its own camera"
+    assert calibrated.probability([real], small)[0] == calibrated.probability([real], frame)[0], "its own camera"
 
 
 def test_what_turbulence_does_to_a_bright_trail_is_no_evidence_against_it(

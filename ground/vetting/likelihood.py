@@ -222,7 +222,14 @@ class LikelihoodVetter:
         },
     )
     real_per_frame: float = field(default=0.5, metadata={"doc": "expected real streaks per frame", "min": 1e-9, "max": 1e4})
-    noise_per_frame: float = field(default=0.1, metadata={"doc": "expected noise maxima per frame", "min": 1e-9, "max": 1e4})
+    noise_per_frame: float = field(
+        default=0.1,
+        metadata={
+            "doc": "expected noise maxima per frame; with a model_error, in 4096 x 4096 px",
+            "min": 1e-9,
+            "max": 1e4,
+        },
+    )
 
     def probability(self, fits: Sequence[StreakFit], frame: DownlinkFrame) -> NDArray[np.float64]:
         """Probabilities, shape (len(fits),), of being a real object."""

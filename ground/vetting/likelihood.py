@@ -81,6 +81,9 @@ UNBROKEN_SHARE: Final = 0.3
 """Least light of each of them, as a share of the median one: a row of stars or galaxies has gaps. Chosen, not measured."""
 LEAST_UNMODELLED_SHARPNESS: Final = -0.25
 """Of ln width: what is a fifth narrower than the optics is a particle or a column. Chosen, not measured."""
+LN_WIDE: Final = math.log(3.0)
+"""Ln width over the PSF from which on such a trail must be straight: arcs of stray light are wide and bend by more than their
+width. Defocused trails do not bend, and what an all-sky lens bends is as narrow as its stars. Made in view of one frame."""
 LN_UNMODELLED: Final = -7.5
 """Trails of a kind not modelled: as bright and as many widths long, no sharper than the optics. Inside these limits any width,
 texture, length and S/N are as likely as others; the density is of the four histograms together: 4 of 14 bins of S/N, 4 of 11
@@ -165,6 +168,7 @@ def _of_unmodelled_kind(fit: StreakFit, features: Features) -> bool:
         and (_is_unbroken(fit) or _snr_over_residuals(fit) >= LEAST_UNMODELLED_PIECE_SNR * math.sqrt(pieces))
         and fit.length_px >= (LEAST_EDGE_TO_EDGE_WIDTHS if crosses else LEAST_UNMODELLED_WIDTHS) * fit.width_px
         and features.sharpness >= LEAST_UNMODELLED_SHARPNESS
+        and not (features.sharpness > LN_WIDE and abs(fit.sagitta_px) > fit.width_px)
         and not lumpiness_of(fit, may_vary=False) > LUMPIEST
     )
 
@@ -191,6 +195,10 @@ STRUCTURE_PER_FRAME: Final = 1.0
 """Expected faint broad lines of the sky and the flat in a frame that nobody calibrated. Measured: 17 a frame of a 1.1 m
 telescope with steep vignetting, 1.0 and 1.25 of a 14-inch telescope with two sets of exposures (`STRUCTURE_SHARPNESS`)."""
 
+NOISE_FRAME_PX: Final = 4096.0 * 4096.0
+"""Pixels of the frame that `noise_per_frame` is stated for. Noise maxima go with the area: in white noise of 256 to 2048 px a
+side the detector finds 0.3 to 0.7 a megapixel from S/N 6.0 on (21 in 44 megapixels)."""
+
 STEADY_FRAMES: Final = 30.0
 """Frames that the expected rates of real streaks and of noise count as."""
 
@@ -214,7 +222,14 @@ class LikelihoodVetter:
         },
     )
     real_per_frame: float = field(default=0.5, metadata={"doc": "expected real streaks per frame", "min": 1e-9, "max": 1e4})
-    noise_per_frame: float = field(default=0.1, metadata={"doc": "expected noise maxima per frame", "min": 1e-9, "max": 1e4})
+    noise_per_frame: float = field(
+        default=0.1,
+        metadata={
+            "doc": "expected noise maxima per frame; with a model_error, in 4096 x 4096 px",
+            "min": 1e-9,
+            "max": 1e4,
+        },
+    )
 
     def probability(self, fits: Sequence[StreakFit], frame: DownlinkFrame) -> NDArray[np.float64]:
         """Probabilities, shape (len(fits),), of being a real object."""
@@ -235,7 +250,9 @@ class LikelihoodVetter:
         if unknown or self.model_error > 0.0:
             brightest = LN_BRIGHTEST_SNR_UNKNOWN if unknown else LN_BRIGHTEST_SNR
             features = [replace(each, ln_snr=min(each.ln_snr, brightest)) for each in features]
-        probability = 1.0 / (1.0 + np.exp(-(offset + slope * self.log_odds(features, strange, psf_known=not unknown))))
+        area = frame.header.rows * frame.header.cols / NOISE_FRAME_PX if self.model_error > 0.0 else 1.0
+        log_odds = self.log_odds(features, strange, psf_known=not unknown, area=area)
+        probability = 1.0 / (1.0 + np.exp(-(offset + slope * log_odds)))
         if self.model_error > 0.0:
             probability = probability / (1.0 + probability * odds_of_readout(fits))
         refused = [self._refused(fit, frame, psf_sigma_px, unknown=unknown) for fit in fits]
@@ -253,14 +270,16 @@ class LikelihoodVetter:
             return True
         return uncalibrated and _blob(fit, psf_sigma_px, unknown=unknown)
 
-    def class_rates(self, *, psf_known: bool = True) -> dict[str, tuple[float, float]]:
+    def class_rates(self, *, psf_known: bool = True, area: float = 1.0) -> dict[str, tuple[float, float]]:
         """For each class: expected detections per frame, and the weight of this expectation in frames.
 
         psf_known : what is broad is told where stars or a camera tell the PSF.
+        area : of the frame, over that which the rate of noise maxima is stated for: frames that nobody calibrated come in all
+            sizes. What is known of this rate is worth the same area in frames of any size.
         """
         rates = {
             REAL: (self.real_per_frame, STEADY_FRAMES),
-            "noise": (self.noise_per_frame, STEADY_FRAMES),
+            "noise": (self.noise_per_frame * area, STEADY_FRAMES / area),
             "particle": (PARTICLE_PER_FRAME, 1.0),
             "hit_group": (GROUPED * PARTICLE_PER_FRAME, 1.0),
             "hot_line": (HOT_LINE_PER_FRAME, 1.0),
@@ -270,13 +289,18 @@ class LikelihoodVetter:
         return rates | {STRUCTURE: (STRUCTURE_PER_FRAME, 1.0)} if self.model_error > 0.0 and psf_known else rates
 
     def log_odds(
-        self, features: Sequence[Features], strange: NDArray[np.bool_] | None = None, *, psf_known: bool = True
+        self,
+        features: Sequence[Features],
+        strange: NDArray[np.bool_] | None = None,
+        *,
+        psf_known: bool = True,
+        area: float = 1.0,
     ) -> NDArray[np.float64]:
         """ln P(real) / P(not real), shape (n,), of the detections of one frame, features taken as independent.
 
-        strange : (n,) fits that may be trails of a kind that is not modelled. psf_known : as for `class_rates`.
+        strange : (n,) fits that may be trails of a kind that is not modelled. psf_known, area : as for `class_rates`.
         """
-        densities, classes = class_densities(), self.class_rates(psf_known=psf_known)
+        densities, classes = class_densities(), self.class_rates(psf_known=psf_known, area=area)
         log_density = np.array([[densities[name].log_density(name, f) for name in classes] for f in features])
         rate, worth = (np.array(column) for column in zip(*classes.values(), strict=True))
         real = np.array([name == REAL for name in classes])

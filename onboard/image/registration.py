@@ -1,5 +1,6 @@
 """Transform from an earlier frame to this one: a similarity found from the two star lists alone."""
 
+import math
 from typing import Final
 
 import numpy as np
@@ -18,6 +19,12 @@ MATCHED: Final = 1500
 
 LEAST: Final = 5
 """Stars that must agree."""
+
+FIXED: Final = 2
+"""Of these, stars that a similarity brings together whatever they are."""
+
+CHANCE: Final = 0.01
+"""Two fields that have nothing to do with each other are taken for one no more often than this. Chosen, not measured."""
 
 
 def _similarity(source: NDArray[np.float64], target: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -63,7 +70,8 @@ def _shift(old: NDArray[np.float64], new: NDArray[np.float64], reach_px: float) 
 
 
 def register(earlier: StarList, now: StarList, *, reach_px: float) -> NDArray[np.float64] | None:
-    """The (2, 3) transform that takes (row, col) of `earlier` to `now`, or None when fewer than 5 stars agree.
+    """The (2, 3) transform that takes (row, col) of `earlier` to `now`, or None when fewer than 5 stars agree, or no more than
+    in fields that have nothing to do with each other.
 
     Shifts between the brightest stars vote within 2 px (up to reach_px), those that are no blends first; the winner is refined by
     matching bright stars within 3, then 1.5 px and fitting a similarity. Rotation
@@ -85,4 +93,12 @@ def register(earlier: StarList, now: StarList, *, reach_px: float) -> NDArray[np
         if np.count_nonzero(matched) < LEAST:
             return None
         transform = _similarity(points[matched], target[index[matched]])
-    return transform
+    expected = len(points) * len(target) * math.pi * radius**2 / max(float(np.prod(np.ptp(target, axis=0))), 1.0)
+    places = (2.0 * reach_px / radius) ** 2
+    ln_fields = ln_chance(int(np.count_nonzero(matched)) - FIXED, expected) + math.log(places)
+    return transform if ln_fields < math.log(CHANCE) else None
+
+
+def ln_chance(found: int, expected: float) -> float:
+    """Upper bound of ln P(n >= found) of Poisson's law (Chernoff): found - expected - found ln(found / expected)."""
+    return found - expected - found * math.log(found / expected) if found > expected > 0.0 else 0.0

@@ -4,7 +4,8 @@
 
 `sky_frames` draws pairs of frames with nothing of the simulator. The streaks are in the first frame of every
 second pair, so that half of them lie in a frame without a predecessor. S/N is drawn evenly in its logarithm from 8 to 50, length
-from 20 to 300 px. A streak is found when a published one covers half of it or more along its line.
+from 20 to 300 px. A streak is found when a published one covers half of it or more along its line. Each sky has seeds of its own:
+the same ones would draw the same noise under most of them.
 """
 
 import argparse
@@ -28,6 +29,9 @@ SNR: Final = (8.0, 50.0)
 LENGTH_PX: Final = (20.0, 300.0)
 EACH: Final = 5
 """Streaks of a scene."""
+
+SEEDS_APART: Final = 100
+"""Between the first seeds of two skies: more than the scenes of one."""
 
 FAINT_SNR: Final = 10.0
 """Streaks below it are counted apart too."""
@@ -133,9 +137,12 @@ def main() -> None:
     cases: list[Case] = []
     false = frames = 0
     spent_s = 0.0
-    for row in (row for row in sky_frames.ROWS if row.name in arguments.rows):
+    for number, row in enumerate(sky_frames.ROWS):
+        if row.name not in arguments.rows:
+            continue
+        seed = arguments.seed + SEEDS_APART * number
         with tempfile.TemporaryDirectory() as scratch:
-            made, wrong, wall_s = examined(row, arguments.side, arguments.scenes, arguments.seed, Path(scratch))
+            made, wrong, wall_s = examined(row, arguments.side, arguments.scenes, seed, Path(scratch))
         lines.append(line_of(row.name, made, 2 * arguments.scenes, wrong, wall_s))
         report(lines[-1])
         cases, false, frames, spent_s = cases + made, false + wrong, frames + 2 * arguments.scenes, spent_s + wall_s

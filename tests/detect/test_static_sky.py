@@ -1,7 +1,10 @@
 """What the earlier frame shows counts once, and a pixel of it no more than the clip of the image that trails are found on."""
 
+import math
+
 import numpy as np
 import pytest
+from scipy.stats import poisson
 
 from onboard.detect.line_integral import static_sky
 from onboard.image import registration
@@ -69,3 +72,27 @@ def test_trails_of_one_motion_do_not_outvote_the_stars() -> None:
     transform = registration.register(*lists, reach_px=64.0)
     assert transform is not None
     assert np.abs(transform - static_sky.IDENTITY).max() < 1e-6
+
+
+@pytest.mark.parametrize(("n", "side"), [(30, 512.0), (600, 512.0), (3000, 4096.0)])
+def test_fields_that_have_nothing_to_do_with_each_other_are_not_matched(n: int, side: float) -> None:
+    """600 stars in 512 x 512 px have shifts at which 20 of them meet others within a pixel."""
+    rng = np.random.default_rng(n)
+    light = np.linspace(100.0, 10.0, n, dtype=np.float32)
+
+    def field_of(places: np.ndarray) -> StarList:
+        return StarList(row=places[:, 0], col=places[:, 1], flux_e=light, snr=light, flags=np.zeros(n, np.uint8))
+
+    for _ in range(8):
+        places = rng.uniform(0.0, side, (n, 2))
+        assert registration.register(field_of(places), field_of(rng.uniform(0.0, side, (n, 2))), reach_px=300.0) is None
+        there = registration.register(field_of(places), field_of(places + np.array((40.0, -25.0))), reach_px=300.0)
+        assert there is not None
+        assert np.abs(there[:, 2] - np.array((40.0, -25.0))).max() < 0.01
+
+
+@pytest.mark.parametrize(("found", "expected"), [(5, 0.3), (12, 0.3), (60, 17.0)])
+def test_the_chance_of_so_many_matches_is_an_upper_bound(found: int, expected: float) -> None:
+    ln_tail = math.log(poisson.sf(found - 1, expected))
+    assert ln_tail <= registration.ln_chance(found, expected) < ln_tail + math.log(found) + 1.0
+    assert registration.ln_chance(2, 3.0) == 0.0

@@ -156,6 +156,22 @@ def test_a_faint_line_three_times_as_wide_as_stars_is_structure_where_nobody_cal
     assert min(raw.probability([fit_of(3.0, 120.0, 300.0)], frame)[0] for _ in range(3)) > 0.9
 
 
+def test_noise_maxima_are_as_rare_as_a_frame_of_anybodys_is_small(fits: dict[str, list[StreakFit]], frame: DownlinkFrame) -> None:
+    """White noise has so many maxima a pixel: in a frame of 512 x 512 px they are 64 times as rare as in one of 4096 x 4096 px.
+
+    By hand: where noise alone competes, the log odds of a lone line differ by ln 64. The line itself changes the rate of noise,
+    three maxima in thirty full frames, by a third at most.
+    """
+    raw, small = LikelihoodVetter(model_error=0.2), replace(frame, header=replace(frame.header, rows=512, cols=512))
+    faint = [features_of(fit, PSF_SIGMA_PX) for fit in fits["noise"]]
+    gained = [float((raw.log_odds([f], area=1.0 / 64.0) - raw.log_odds([f]))[0]) for f in faint]
+    assert max(gained) == pytest.approx(math.log(64.0), abs=math.log(4.0 / 3.0))
+    real = min(fits["real"], key=lambda fit: abs(fit.snr - 7.5))
+    assert raw.probability([real], small)[0] > raw.probability([real], frame)[0]
+    calibrated = LikelihoodVetter()
+    assert calibrated.probability([real], small)[0] == calibrated.probability([real], frame)[0], "its own camera"
+
+
 def test_what_turbulence_does_to_a_bright_trail_is_no_evidence_against_it(
     fits: dict[str, list[StreakFit]], frame: DownlinkFrame
 ) -> None:
@@ -243,6 +259,23 @@ def test_a_wide_trail_from_border_to_border_of_a_small_frame_is_published(
     assert LikelihoodVetter(model_error=0.2).probability([trail], unknown)[0] > 0.5
     slope = replace(trail, snr=147.0, chi2_nu=30.0)  # a row of stars or a slope of the background: leaves more than it explains
     assert LikelihoodVetter(model_error=0.2).probability([slope], unknown)[0] < 0.5
+
+
+def test_a_wide_arc_is_no_trail_and_a_wide_line_or_a_narrow_arc_is(
+    fits: dict[str, list[StreakFit]], frame: DownlinkFrame
+) -> None:
+    """Stray light of a frame of a 14-inch telescope: S/N 310, 574 px long, four widths of its stars wide, bent by 18 px."""
+    straight = replace(
+        outside_fit(fits["real"][0], (556.0, 126.0, 828.0, 632.0), width_px=4.2 * PSF_SIGMA_PX, snr=310.0, chi2_nu=0.9),
+        flags=StreakFlag.DEFOCUSED,
+        sagitta_px=0.0,
+    )
+    vetter = LikelihoodVetter(model_error=0.2)
+    believed, bent = (vetter.probability([replace(straight, sagitta_px=s)], frame)[0] for s in (1.0, -18.0))
+    assert believed > 0.8
+    assert bent / (1.0 - bent) < 0.5 * believed / (1.0 - believed), "it is left with the class of debris, whose widths stray"
+    narrow = replace(straight, width_px=PSF_SIGMA_PX, flags=StreakFlag.CURVED, sagitta_px=18.0)
+    assert vetter.probability([narrow], frame)[0] > 0.9
 
 
 def test_what_stays_on_a_column_is_of_the_readout(fits: dict[str, list[StreakFit]], frame: DownlinkFrame) -> None:

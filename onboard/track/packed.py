@@ -202,8 +202,8 @@ def add_rows(
 ) -> int:
     """The same for lanes along columns start ... stop - 1, the first of them in row floor(first + slope col).
 
-    A word holds sixteen pixels of one row. Columns whose lanes begin in the same row are cut out of it together. room (3, PIXELS) :
-    work space.
+    A word holds sixteen pixels of one row. Columns whose lanes begin in the same row are cut out of it together.
+    room (3, PIXELS) : work space.
     """
     low, one, most = np.uint64(0x0F0F0F0F0F0F0F0F), np.uint64(0x0101010101010101), np.uint64(0x7F7F7F7F7F7F7F7F)
     four, seven, at_line, rows = np.uint64(4), np.uint64(7), np.uint64(at_row), words.shape[0]

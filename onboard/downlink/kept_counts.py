@@ -117,16 +117,18 @@ def _pack_row(
     """
     _fours(codes, fours)
     eights = fours.view(np.uint64)
-    one, high = np.uint64(0x1111111111111111), np.uint64(0x8888888888888888)
+    ones, three = np.uint64(0x1111111111111111), np.uint64(0x7777777777777777)
     for word in range(words.size):
         bits = _squeezed(eights[2 * word]) | (_squeezed(eights[2 * word + 1]) << np.uint64(32))
         words[word] = bits
-        # whether any of the sixteen holds nothing
-        if (bits - one) & ~bits & high:
-            for k in range(PIXELS):
-                if (bits >> np.uint64(4 * k)) & np.uint64(15) == np.uint64(0):
-                    rest[n] = codes[PIXELS * word + k]
-                    n += 1
+        # the lowest bit of each four that hold nothing
+        empty = (~(((bits & three) + three) | bits) >> np.uint64(3)) & ones
+        while empty != np.uint64(0):
+            # a product counts the fours below the lowest one
+            below = ((empty & ~(empty - np.uint64(1))) - np.uint64(1)) & ones
+            rest[n] = codes[np.uint64(PIXELS * word) + ((below * ones) >> np.uint64(60))]
+            n += 1
+            empty &= empty - np.uint64(1)
     return n
 
 

@@ -14,7 +14,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.track.packed import PIXELS, ZERO, add_lanes, code_at
+from onboard.track.packed import PIXELS, ZERO, add_lanes, add_rows, code_at
 
 LANES: Final = PIXELS  # a word holds as many
 MIDDLE: Final = 8
@@ -45,14 +45,12 @@ def gather(
     first_px + p piece_px ... on the seed's line, from its first end. sums, counts (MOST_PIECES + 1, LANES) : of the values in
     steps of a code, and of the known pixels before each piece, lane by lane; row n_pieces holds the whole.
     """
-    n_major, n_minor = image.shape[0], PIXELS * (image.shape[1] - 2)
-    if not steep:
-        n_major, n_minor = n_minor, n_major
+    n_major = image.shape[0] if steep else PIXELS * (image.shape[1] - 2)
     slope = place[3] / place[2]
     origin = place[1] - slope * place[0] + 0.5 - MIDDLE
     for k in range(np.uint64(LANES)):
         sums[0, k] = counts[0, k] = 0
-    read = 0
+    read, room = 0, np.empty((3, 0 if steep else PIXELS), np.uint64)
     start = math.ceil(place[0] + place[2] * first_px)
     for p in range(n_pieces):
         stop = math.ceil(place[0] + place[2] * (first_px + (p + 1) * piece_px))
@@ -64,16 +62,7 @@ def gather(
         if steep:
             read += add_lanes(image, low, high, origin, slope, sums, counts, p + 1)
         else:
-            for major in range(low, high):
-                base = math.floor(origin + slope * major)
-                if base >= n_minor or base + LANES <= 0:
-                    continue
-                read += LANES
-                for k in range(max(0, -base), min(LANES, n_minor - base)):
-                    code = code_at(image, base + k, major)
-                    if code > 0:
-                        sums[p + 1, k] += code - ZERO
-                        counts[p + 1, k] += 1
+            read += add_rows(image, low, high, origin, slope, sums, counts, p + 1, room)
         start = stop
     return read
 

@@ -552,7 +552,10 @@ def follow(
             steps[2], steps[3] = 0.6, 1.2 / span
             climb(corridors, look, low, high, track, steps, 4, trial)
             score, first, last = best_range(corridors, look, centre, low, high, track, threshold, sums, weights)
-            if reach_frames > 1 and ((last < high and first > low) or score < -first_margin):
+            # noise may end a faint track's best run early; its frames together tell whether there is light in more of them
+            ended = last < high and first > low
+            together = evaluate(corridors, look, low, high, track) - threshold[high - low + 1] if ended else score
+            if reach_frames > 1 and together < -first_margin:
                 break
             if low == n_old and high == n_frames - 1:
                 break

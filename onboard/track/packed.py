@@ -186,3 +186,62 @@ def add_lanes(
             sums[line, lane] += np.int32((odd >> at) & byte) - np.int32(ZERO) * known
         start = last
     return read
+
+
+@nb.njit(cache=True)
+def add_rows(
+    words: NDArray[np.uint64],
+    start: int,
+    stop: int,
+    first: float,
+    slope: float,
+    sums: NDArray[np.int32],
+    counts: NDArray[np.int32],
+    at_row: int,
+    room: NDArray[np.uint64],
+) -> int:
+    """The same for lanes along columns start ... stop - 1, the first of them in row floor(first + slope col).
+
+    A word holds sixteen pixels of one row. Columns whose lanes begin in the same row are cut out of it together.
+    room (3, PIXELS) : work space.
+    """
+    low, one, most = np.uint64(0x0F0F0F0F0F0F0F0F), np.uint64(0x0101010101010101), np.uint64(0x7F7F7F7F7F7F7F7F)
+    four, seven, at_line, rows = np.uint64(4), np.uint64(7), np.uint64(at_row), words.shape[0]
+    cut, codes, known = room[0], room[1], room[2]
+    read, col = 0, start
+    base = math.floor(first + slope * col)
+    while col < stop:
+        codes[:] = known[:] = np.uint64(0)
+        # bytes of a word hold the sums of eight words
+        for word in range((col >> 4) + 1, min((col >> 4) + 8, ((stop - 1) >> 4) + 1) + 1):
+            last = min(PIXELS * word, stop)
+            cut[:] = np.uint64(0)
+            while col < last:
+                begin, row = col, base
+                while col < last and base == row:
+                    col += 1
+                    base = math.floor(first + slope * col)
+                if row >= rows or row <= -PIXELS:
+                    continue
+                read += PIXELS * (col - begin)
+                mask = (~np.uint64(0) >> np.uint64(64 - 4 * (col - begin))) << np.uint64(4 * (begin & 15))
+                for k in range(max(0, -row), min(PIXELS, rows - row)):
+                    cut[np.uint64(k)] |= words[np.uint64(row + k), np.uint64(word)] & mask
+            for k in range(np.uint64(PIXELS)):
+                even, odd = cut[k] & low, (cut[k] >> four) & low
+                codes[k] += even + odd
+                known[k] += (((even + most) >> seven) & one) + (((odd + most) >> seven) & one)
+        for k in range(np.uint64(PIXELS)):
+            n = np.int32(_sum_of_bytes(known[k]))
+            counts[at_line, k] += n
+            sums[at_line, k] += np.int32(_sum_of_bytes(codes[k])) - np.int32(ZERO) * n
+    return read
+
+
+@nb.njit(cache=True)
+def _sum_of_bytes(word: np.uint64) -> np.uint64:
+    """Of the eight bytes of a word."""
+    pairs = np.uint64(0x00FF00FF00FF00FF)
+    word = (word & pairs) + ((word >> np.uint64(8)) & pairs)
+    word += word >> np.uint64(32)
+    return (word + (word >> np.uint64(16))) & np.uint64(0xFFFF)

@@ -16,7 +16,7 @@ from ground.link.shake import SeenTrail, Sway, shake_factor, sway_of
 from ground.photometry.magnitude import crossing_time_s
 from ground.photometry.tracklet_light import HALF_POINT_SNR, with_mean_light
 from ground.records import FrameProducts
-from ground.refit import SharedErrors, refit_streaks
+from ground.refit import CutErrors, SharedErrors, refit_streaks
 from ground.sky.bend import bent
 from ground.sky.measure import jacobian_arcsec, pointing_sigma_arcsec, with_sky
 from ground.sky.pixel_sky import sky_of
@@ -87,9 +87,10 @@ def final_tracklet(
     own = [run.headers[k] for k in dict.fromkeys(at)]
     members: Sequence[StreakMeasurement] = single
     shared: SharedErrors = {}
+    cut: CutErrors = {}
     if pixels_of is not None:
         place: Mapping[int, int] = run.linked.place
-        members, shared = refit_streaks(
+        members, shared, cut = refit_streaks(
             single,
             tracklet,
             own,
@@ -101,7 +102,7 @@ def final_tracklet(
     frames = [run.products[k] for k in at]
     _, frame_s = _exposure_and_step_s(run.headers)
     members, foretold = with_track_errors(members, {header.frame: header for header in own}, frame_s)
-    placed = [_placed(member, frame) for member, frame in zip(members, frames, strict=True)]
+    placed = [_placed(member, frame, cut.get(member.streak_id)) for member, frame in zip(members, frames, strict=True)]
     shared |= {
         streak.streak_id: _in_arcsec(foretold[streak.streak_id], streak, frame)
         for streak, frame in zip(placed, frames, strict=True)
@@ -112,7 +113,7 @@ def final_tracklet(
         for one, streak, frame, k in zip(single, placed, frames, at, strict=True)
     ]
     line = _common_line(placed, parts, frames, pixels_of)
-    moved = {k: _placed(streak, frames[k]) for k, streak in line.members.items()}
+    moved = {k: _placed(streak, frames[k], cut.get(streak.streak_id)) for k, streak in line.members.items()}
     measured = measured_tracklet(
         tracklet,
         [_member_on_line(p, moved[k], frames[k], line.shared_arcsec[k]) if k in moved else p for k, p in enumerate(parts)],
@@ -187,10 +188,16 @@ def _bent(streak: StreakMeasurement, product: FrameProducts) -> StreakMeasuremen
     return _placed(bent(streak, product.header, product.solution), product)
 
 
-def _placed(streak: StreakMeasurement, product: FrameProducts) -> StreakMeasurement:
-    """A member of a tracklet with directions at its final epochs."""
+def _placed(streak: StreakMeasurement, product: FrameProducts, cut_arcsec: float | None = None) -> StreakMeasurement:
+    """A member of a tracklet with directions at its final epochs. cut_arcsec : error along of the middle of a refitted trail that
+    the frame's edge cuts."""
     sky = sky_of(product.header, product.solution, product.wcs)
-    return with_sky(streak, product.header, sky, product.solution.covariance_rad2)
+    placed = with_sky(streak, product.header, sky, product.solution.covariance_rad2)
+    if cut_arcsec is None:
+        return placed
+    return replace(
+        placed, sigma_along_arcsec=float(np.hypot(cut_arcsec, pointing_sigma_arcsec(product.solution.covariance_rad2)))
+    )
 
 
 def _member(

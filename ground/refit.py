@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Final
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -23,7 +23,7 @@ from ground.streaks.joint import (
     has_change_points,
     refit_tracklet,
 )
-from ground.trail_epochs import along_of, timed_by_shutter, with_edge_epoch, with_ends, with_middle_epoch
+from ground.trail_epochs import along_of, cut_end, edge_passed_s, timed_by_shutter, with_ends, with_middle_epoch
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import FrameSolution, StreakFit, StreakMeasurement, StreakPixels, Tracklet
@@ -70,6 +70,19 @@ SharedErrors = dict[int, tuple[int, Array]]
 """By streak: number of the window that was fitted together, and (2, 3) the part of both ends' errors along the path that is
 common to the streaks of the window, arcsec (`streaks.joint.JointRefit`)."""
 
+CutErrors = dict[int, float]
+"""By streak that the frame's edge cuts: error of its middle along the path, arcsec. Its epoch follows from the motion."""
+
+
+class FramesRefit(NamedTuple):
+    """Changed fits and common errors of the frames of a tracklet, and the motion of each changed one, by their numbers."""
+
+    fits: dict[int, StreakFit]
+    shared: SharedErrors
+    motions: dict[int, Motion]
+    passage: StraightPassage
+    """That the motions are in."""
+
 
 def refit_streaks(
     streaks: Sequence[StreakMeasurement],
@@ -79,8 +92,8 @@ def refit_streaks(
     pixels_of: Callable[[StreakMeasurement], StreakPixels],
     sigma_rate_of: Callable[[int], float],
     end_shake: EndShake = STEADY,
-) -> tuple[tuple[StreakMeasurement, ...], SharedErrors]:
-    """Refit the streaks of a tracklet together, and return them with their common errors.
+) -> tuple[tuple[StreakMeasurement, ...], SharedErrors, CutErrors]:
+    """Refit the streaks of a tracklet together, and return them with their common errors and those of middles of cut ones.
 
     Streaks whose direction is not resolved are returned unchanged.
 
@@ -95,7 +108,7 @@ def refit_streaks(
     often = Counter(m.frame for m in members)
     members = [m for m in members if m.flags & StreakFlag.DIRECTION_RESOLVED and not m.flags & UNUSABLE and often[m.frame] == 1]
     if len(members) < 2:
-        return tuple(streaks), {}
+        return tuple(streaks), {}, {}
     # the ends follow from the steady light; that of flashes comes back at the end
     flash_e = {m.streak_id: m.fit.flash_e for m in members}
     members = [_without_flashes(timed_by_shutter(m, header_of[m.frame])) for m in members]
@@ -106,9 +119,9 @@ def refit_streaks(
         )
         for m in members
     ]
-    joint, common, passage = refit_frames(seen)
+    joint, common, motions, passage = refit_frames(seen)
     shared = {members[k].streak_id: errors for k, errors in common.items()}
-    frames = [_straightened(frame, passage) for frame in seen]
+    cut: CutErrors = {}
     out = list(streaks)
     for k, member in enumerate(members):
         frame = seen[k]
@@ -118,32 +131,51 @@ def refit_streaks(
             shift_px = np.array([fit.row0, row_mid, fit.row1]) - np.array([member.fit.row0, member.row_mid, member.fit.row1])
             changed = StreakFlag.REFIT | StreakFlag.ENDS_NOT_GAUSSIAN
             epochs = member.t_tai_ns + np.rint(line_ns * shift_px).astype(np.int64)
+            if (end := cut_end(fit)) is not None:
+                passed_s = edge_passed_s(frame, end, motions[k], passage, _turning_arcsec_s(member, 2 * end, path))
+                epochs[2 * end] = zero_ns + round(passed_s * 1e9)
+                cut[member.streak_id] = _middle_sigma(
+                    frame, 0.5e-9 * float(epochs[0] + epochs[2] - 2 * zero_ns), motions[k], passage
+                )
             member = replace(
                 member,
                 fit=replace(fit, flux_e=fit.flux_e + flash_e[member.streak_id], flash_e=flash_e[member.streak_id]),
                 row_mid=row_mid,
                 col_mid=col_mid,
-                t_tai_ns=with_edge_epoch(epochs, frames[k], frames, joint, passage, zero_ns),
+                t_tai_ns=epochs,
                 flags=member.flags & ~changed | fit.flags & changed,
             )
             frame = with_ends(frame, fit, member.t_tai_ns, zero_ns)
         else:
             member = streaks[at[member.streak_id]]
         out[at[member.streak_id]] = redated(member, with_middle_epoch(member.t_tai_ns, frame, passage))
-    return tuple(out), shared
+    return tuple(out), shared, cut
 
 
-def refit_frames(frames: Sequence[TrackletFrame]) -> tuple[dict[int, StreakFit], SharedErrors, StraightPassage]:
-    """Changed fits and common errors of the frames of a tracklet, by their numbers, and the passage that they are fitted in."""
+def refit_frames(frames: Sequence[TrackletFrame]) -> FramesRefit:
+    """The frames of a tracklet fitted together."""
     passage = _passage_of(frames)
     straight = [_straightened(frame, passage) for frame in frames]
-    joint: dict[int, StreakFit] = {}
-    shared: SharedErrors = {}
+    out = FramesRefit({}, {}, {}, passage)
     for number, (window, prior) in enumerate(_windows(frames, passage)):
-        fits, common = _refit_window(straight, window, prior)
-        joint |= fits
-        shared |= {k: (number, _along_path_again(frames[k], passage, errors)) for k, errors in common.items()}
-    return joint, shared, passage
+        fits, common, motion = _refit_window(straight, window, prior)
+        out.fits.update(fits)
+        out.shared.update({k: (number, _along_path_again(frames[k], passage, errors)) for k, errors in common.items()})
+        if motion is not None:
+            out.motions.update(dict.fromkeys(fits, motion))
+    return out
+
+
+def _middle_sigma(frame: TrackletFrame, epoch_s: float, motion: Motion, passage: StraightPassage) -> float:
+    """Error of the motion along the path at the middle of a trail, arcsec."""
+    return motion.sigma(passage.time(epoch_s)) / passage.stretch(0.5 * (frame.along0 + frame.along1))
+
+
+def _turning_arcsec_s(streak: StreakMeasurement, point: int, path: Array) -> float:
+    """Rate at which one of the three points of a streak moves along the path as the camera turns."""
+    seen = unit_vectors(np.radians(streak.ra_deg[point]), np.radians(streak.dec_deg[point]))[None]
+    before, after = (_along_path(turn(seen, seconds * streak.turn_rad_s[None]), path)[0] for seconds in (-0.5, 0.5))
+    return float(after - before)
 
 
 def _without_flashes(member: StreakMeasurement) -> StreakMeasurement:
@@ -216,8 +248,9 @@ def _shutter_ends(frame: TrackletFrame) -> list[tuple[float, float, float]]:
 
 def _refit_window(
     frames: Sequence[TrackletFrame], window: Sequence[int], prior: AccelerationPrior
-) -> tuple[dict[int, StreakFit], dict[int, Array]]:
-    """Changed fits of the frames of one window, by their numbers; (2, 3) shared errors of those that the motion was fitted to."""
+) -> tuple[dict[int, StreakFit], dict[int, Array], Motion | None]:
+    """Changed fits of the frames of one window, by their numbers; (2, 3) shared errors of those that the motion was fitted to;
+    the motion."""
     members = [frames[k] for k in window]
     used, (fits, common, misfits, motion) = _refit_of_agreeing(members, prior)
     fitted = dict(zip(used, fits, strict=True))
@@ -233,7 +266,7 @@ def _refit_window(
                 joint[k] = carried(member, motion)
                 if joint[k] is not member.fit:
                     shared[k] = motion.errors(member)
-    return {window[k]: fit for k, fit in joint.items()}, {window[k]: errors for k, errors in shared.items()}
+    return {window[k]: fit for k, fit in joint.items()}, {window[k]: errors for k, errors in shared.items()}, motion
 
 
 def _refit_of_agreeing(frames: Sequence[TrackletFrame], prior: AccelerationPrior) -> tuple[list[int], JointRefit]:

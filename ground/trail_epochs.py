@@ -4,61 +4,62 @@ An end on the frame's edge was not made by the shutter. The middle of a trail is
 the object changes its rate.
 """
 
-from collections.abc import Sequence
 from dataclasses import replace
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ground.sky.measure import redated
 from ground.straight_passage import StraightPassage
-from ground.streaks.joint import TrackletFrame
+from ground.streaks.joint import Motion, TrackletFrame
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import StreakFit, StreakMeasurement
 
 Array = NDArray[np.float64]
 
+NEWTON_STEPS: Final = 8
+"""Of the epoch at which a motion passes a place: it changes its rate by little within an exposure. Chosen, not measured."""
+
 
 def timed_by_shutter(member: StreakMeasurement, header: FrameHeader) -> StreakMeasurement:
-    """The streak with the shutter's epochs at both ends, except ends on the frame's edge.
+    """The streak with the shutter's epochs at both ends; one that crosses the whole frame is left as it is.
 
     A linker dates an end that lies off the motion by the epoch at which the motion passed it. Here the place of the end is in
-    doubt instead, so the shutter dates it.
+    doubt instead, so the shutter dates it. An end on the frame's edge was passed before the shutter closed, or after it opened.
     """
+    if member.flags & StreakFlag.EDGE0 and member.flags & StreakFlag.EDGE1:
+        return member
     epochs = member.t_tai_ns.copy()
-    if not member.flags & StreakFlag.EDGE0:
-        epochs[0] = header.t_start_tai_ns + round(header.line_time_ns * member.fit.row0)
-    if not member.flags & StreakFlag.EDGE1:
-        epochs[2] = header.t_start_tai_ns + header.exposure_ns + round(header.line_time_ns * member.fit.row1)
+    epochs[0] = header.t_start_tai_ns + round(header.line_time_ns * member.fit.row0)
+    epochs[2] = header.t_start_tai_ns + header.exposure_ns + round(header.line_time_ns * member.fit.row1)
     epochs[1] = (epochs[0] + epochs[2]) // 2
     return redated(member, epochs)
 
 
-def with_edge_epoch(
-    epochs_ns: NDArray[np.int64],
-    frame: TrackletFrame,
-    frames: Sequence[TrackletFrame],
-    joint: dict[int, StreakFit],
-    passage: StraightPassage,
-    zero_ns: int,
-) -> NDArray[np.int64]:
-    """Epochs (3,) of a trail cut by the frame: its edge was passed when the joint motion says."""
-    edges = [bool(frame.fit.flags & flag) for flag in (StreakFlag.EDGE0, StreakFlag.EDGE1)]
-    own = [k for k in joint if frames[k] is frame]
-    if edges[0] == edges[1] or not own:
-        return epochs_ns
-    t_s, along, _ = _timed_ends([frames[k] for k in joint], list(joint.values()))
-    if len(t_s) < 3:
-        return epochs_ns
-    passed_s = np.polynomial.Polynomial.fit(along, t_s, 2 if len(t_s) > 4 else 1)
-    # The smooth fit predicts a difference of two places better than a single place.
-    own_s, own_along, _ = _timed_ends([frame], [joint[own[0]]])
-    cut_along = frame.along0 if edges[0] else frame.along1
-    cut_s = own_s[0] + float(passed_s(cut_along) - passed_s(own_along[0]))
-    out = epochs_ns.copy()
-    out[0 if edges[0] else 2] = zero_ns + round(passage.epoch(cut_s) * 1e9)
-    return out
+def cut_end(fit: StreakFit) -> int | None:
+    """Which end of a trail, 0 or 1, is on the frame's edge; None if none or both are."""
+    edges = StreakFlag.EDGE0 in fit.flags, StreakFlag.EDGE1 in fit.flags
+    return None if edges[0] == edges[1] else int(edges[1])
+
+
+def edge_passed_s(frame: TrackletFrame, end: int, motion: Motion, passage: StraightPassage, turning_arcsec_s: float) -> float:
+    """When a motion passes the end of a trail that lies on the frame's edge. Within the exposure.
+
+    motion : in the time and the place of the passage. turning_arcsec_s : rate at which that pixel moves along the path, as the
+    camera turns.
+    """
+    along, dated_s = (frame.along0, frame.t_open_s) if end == 0 else (frame.along1, frame.t_close_s)
+    t_s = dated_s
+    for _ in range(NEWTON_STEPS):
+        edge = along + turning_arcsec_s * (t_s - dated_s)
+        place, rate = motion.at(passage.time(t_s))
+        approach = rate * passage.pace(t_s) - turning_arcsec_s * passage.stretch(edge)
+        if not approach > 0.0:
+            return dated_s
+        t_s = min(max(t_s + (passage.place(edge) - place) / approach, frame.t_open_s), frame.t_close_s)
+    return t_s
 
 
 def with_middle_epoch(t_tai_ns: NDArray[np.int64], frame: TrackletFrame, passage: StraightPassage) -> NDArray[np.int64]:
@@ -89,24 +90,6 @@ def with_ends(frame: TrackletFrame, fit: StreakFit, t_tai_ns: NDArray[np.int64],
         t_open_s=float(t_tai_ns[0] - zero_ns) * 1e-9,
         t_close_s=float(t_tai_ns[2] - zero_ns) * 1e-9,
     )
-
-
-def _timed_ends(frames: Sequence[TrackletFrame], joint: Sequence[StreakFit]) -> tuple[list[float], list[float], list[float]]:
-    """Epoch (s), place along the path and error along the trail (px) of all ends that the shutter made."""
-    t_s, along, sigma = [], [], []
-    for place, fit in zip(frames, joint, strict=True):
-        unit, _ = along_of(place.fit)
-        for end, (flag, start, epoch) in enumerate(
-            ((StreakFlag.EDGE0, place.along0, place.t_open_s), (StreakFlag.EDGE1, place.along1, place.t_close_s))
-        ):
-            if fit.flags & flag:
-                continue
-            shift_px = np.array(end_of(fit, end)) - np.array(end_of(place.fit, end))
-            t_s.append(epoch + place.line_time_s * shift_px[0])
-            along.append(start + place.along_per_px * float(shift_px @ unit))
-            block = np.asarray(fit.covariance_px2)[2 * end : 2 * end + 2, 2 * end : 2 * end + 2]
-            sigma.append(float(np.sqrt(max(float(unit @ block @ unit), 0.0))))
-    return t_s, along, sigma
 
 
 def along_of(fit: StreakFit) -> tuple[Array, float]:

@@ -141,7 +141,7 @@ class EndTables:
     """Log likelihoods of each end given the density: log0 (K, G0) on grid0, log1 (K, G1) on grid1, densities (K,).
 
     The joint one of (density, end 0, end 1) is their sum. An end at the image's edge has one node. open0, open1 : the grid
-    reaches to the last pixel, beyond which the end may lie as well as on it.
+    reaches to the last pixel, and the end may lie beyond it. snr2_per_px (K,) : square of the S/N of a pixel's length of trail.
     """
 
     grid0: NDArray[np.float64]
@@ -151,6 +151,7 @@ class EndTables:
     densities: NDArray[np.float64]
     open0: bool
     open1: bool
+    snr2_per_px: NDArray[np.float64]
 
 
 def end_tables(
@@ -193,6 +194,7 @@ def end_tables(
         densities=densities,
         open0=bool(grid0[0] <= coarse.limits[0]),
         open1=bool(grid1[-1] >= coarse.limits[1]),
+        snr2_per_px=(densities / coarse.density_err_e_px) ** 2 / coarse.length_px,
     )
 
 

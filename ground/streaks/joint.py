@@ -23,10 +23,11 @@ from scipy.special import ndtr
 
 from ground.importance import Draws, Gaussian, Proposals, adapted
 from ground.streaks import known_width
+from ground.streaks.beyond_pixels import log_stopped
 from ground.streaks.centre_line import LineFit, effective_width_px, uniform_trail
 from ground.streaks.common_direction import common_turns
 from ground.streaks.end_posterior import EndTables, end_tables, lit_length
-from ground.streaks.end_search import coarse_ends
+from ground.streaks.end_search import COVERED_PX, coarse_ends
 from ground.streaks.fit_record import pixel_covariance
 from ground.streaks.forced import has_given_ends
 from ground.streaks.intruders import intruder_mask
@@ -65,8 +66,9 @@ class TrackletFrame:
     fit : ends in time order (end 0 where the exposure began). along0, along1 : coordinate along the tracklet's path of
     the fitted ends, in one unit for all frames (say arcsec along the great circle); along_per_px : its derivative along
     the trail, from end 0 to end 1 (positive). t_open_s, t_close_s : shutter open on the row of end 0 and shutter close
-    on the row of end 1, from a common zero. line_time_s : signed. sigma_frame : pointing error along the path, in the
-    same unit; sigma_turn, sigma_sway : of the attitude at shutter open and close about it, opposite at both ends and alike.
+    on the row of end 1, from a common zero, also where these are the image's edge. line_time_s : signed. sigma_frame :
+    pointing error along the path, in the same unit; sigma_turn, sigma_sway : of the attitude at shutter open and close
+    about it, opposite at both ends and alike.
     """
 
     pixels: StreakPixels
@@ -87,10 +89,12 @@ class _Evidence:
     """Likelihood of a frame's ends, as displacements (px, along the trail) from the fitted ones.
 
     spoilt : log likelihood of ends that lie anywhere within reach of the pixels, whatever the motion, times their share.
+    seen : whether the on-board detector, which chose the ends, saw what lies before the first pixel and behind the last one.
     """
 
     frame: TrackletFrame
     tables: EndTables | None
+    seen: tuple[bool, bool]
     precision: NDArray[np.float64]
     rows_per_px: float
     spoilt: float
@@ -122,6 +126,16 @@ class Motion(NamedTuple):
     mean: NDArray[np.float64]
     root: NDArray[np.float64]
     zero_s: float
+
+    def at(self, t_s: float) -> tuple[float, float]:
+        """Place and rate at an epoch."""
+        t = t_s - self.zero_s
+        change = float(self.mean[2]) if len(self.mean) > 2 else 0.0
+        return float(_basis(t, len(self.mean)) @ self.mean), float(self.mean[1]) + change * t
+
+    def sigma(self, t_s: float) -> float:
+        """Error of the place at an epoch."""
+        return float(np.linalg.norm(_basis(t_s - self.zero_s, len(self.mean)) @ self.root))
 
     def errors(self, frame: TrackletFrame) -> NDArray[np.float64]:
         """(2, 3) errors of both ends of a frame, in the unit of `along`: their covariance is this times its transpose."""
@@ -174,7 +188,7 @@ def refit_tracklet(frames: Sequence[TrackletFrame], *, prior: AccelerationPrior 
     for k, e in enumerate(evidence):
         if e is not None:
             shared[k] = common.errors(e.frame)
-            x0, x1 = displacements(e.frame, e.rows_per_px, mean[None, :], zero)
+            x0, x1 = _seen_displacements(e, mean[None, :], zero)
             if not has_given_ends(e.frame.fit):
                 misfit[k] = 2.0 * (_best(e) - float(_of_ends(e, x0, x1)[0]))
     fits = (frame.fit if e is None else _refitted(e, motion, weight, zero) for frame, e in zip(frames, evidence, strict=True))
@@ -212,8 +226,9 @@ def _evidence(frame: TrackletFrame, turn_rad: float, n_given: int) -> _Evidence 
     precision[np.ix_(index, index)] = np.linalg.inv(covariance[np.ix_(index, index)])
     turned = trail.turned(0.0, 0.0, turn_rad)
     tables = _tables(frame, turned) if has_change_points(frame) else None
-    spoilt = -math.inf if tables is None else math.log(SPOILT) + _mean(tables)
-    return _Evidence(frame=frame, tables=tables, precision=precision, rows_per_px=trail.sin, spoilt=spoilt)
+    seen = (False, False) if tables is None or has_given_ends(fit) else _seen_beyond(tables, turned, frame)
+    spoilt = -math.inf if tables is None else math.log(SPOILT) + _mean(tables, free)
+    return _Evidence(frame=frame, tables=tables, seen=seen, precision=precision, rows_per_px=trail.sin, spoilt=spoilt)
 
 
 def has_change_points(frame: TrackletFrame) -> bool:
@@ -222,9 +237,11 @@ def has_change_points(frame: TrackletFrame) -> bool:
     return frame.fit.snr**2 < 3.0 * CHANGE_POINT_SNR2 * length / width and length > OVERLAP_WIDTHS * width
 
 
-def _mean(tables: EndTables) -> float:
-    """Log of the mean likelihood over the places of both ends, summed over densities."""
-    sides = (np.logaddexp.reduce(log, axis=1) - math.log(log.shape[1]) for log in (tables.log0, tables.log1))
+def _mean(tables: EndTables, free: Sequence[bool]) -> float:
+    """Log of the mean likelihood over the places of both ends that are not the image's edge, summed over densities."""
+    log0 = tables.log0 if free[0] else tables.log0[:, :1]
+    log1 = tables.log1 if free[1] else tables.log1[:, -1:]
+    sides = (np.logaddexp.reduce(log, axis=1) - math.log(log.shape[1]) for log in (log0, log1))
     return float(np.logaddexp.reduce(sum(sides)))
 
 
@@ -238,8 +255,16 @@ def _tables(frame: TrackletFrame, trail: TrailFrame) -> EndTables | None:
     )  # fmt: skip
     if coarse is None or coarse.edges != edges:
         return None
-    coarse = replace(coarse, density_e_px=density)
-    return end_tables(near.u, template, near.value_e, near.variance_e2, width_px=width, coarse=coarse)
+    coarse = replace(coarse, density_e_px=density, edges=(False, False))
+    tables = end_tables(near.u, template, near.value_e, near.variance_e2, width_px=width, coarse=coarse)
+    # of a track, the reach says what is known of places beyond the pixels
+    return replace(tables, snr2_per_px=np.zeros_like(tables.densities)) if has_given_ends(frame.fit) else tables
+
+
+def _seen_beyond(tables: EndTables, trail: TrailFrame, frame: TrackletFrame) -> tuple[bool, bool]:
+    """Whether the image goes on before the first node and behind the last one."""
+    low, high = trail.image_limits(frame.pixels.frame_shape)
+    return bool(tables.grid0[0] - low > COVERED_PX), bool(high - tables.grid1[-1] > COVERED_PX)
 
 
 def _segment(fit: StreakFit) -> tuple[float, float, tuple[bool, bool]]:
@@ -358,6 +383,18 @@ def displacements(
     return out[0], out[1]
 
 
+def _seen_displacements(
+    e: _Evidence, motion: NDArray[np.float64], zero_s: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """`displacements` of what the image shows: a trail that the shutter would end beyond the image's edge ends on the edge.
+
+    A motion too slow to have reached the edge ends the trail inside, where the pixels have light.
+    """
+    x0, x1 = displacements(e.frame, e.rows_per_px, motion, zero_s)
+    flags = e.frame.fit.flags
+    return np.maximum(x0, 0.0) if flags & StreakFlag.EDGE0 else x0, np.minimum(x1, 0.0) if flags & StreakFlag.EDGE1 else x1
+
+
 def _log_likelihood(e: _Evidence, x0: NDArray[np.float64], x1: NDArray[np.float64]) -> NDArray[np.float64]:
     """(m,) log likelihood of motions that put the ends there: of ends that show the motion, or of spoilt ones."""
     return np.asarray(np.logaddexp(math.log1p(-SPOILT) + _of_ends(e, x0, x1), e.spoilt))
@@ -370,7 +407,7 @@ def _of_ends(e: _Evidence, x0: NDArray[np.float64], x1: NDArray[np.float64]) -> 
         quadratic: NDArray[np.float64] = -0.5 * np.einsum("mi,ij,mj->m", x, e.precision, x)
         return quadratic
     half = 0.5 * e.frame.fit.length_px
-    log = _per_density(e.tables, x0 - half, x1 + half)
+    log = _per_density(e.tables, e.seen, x0 - half, x1 + half)
     top = log.max(axis=0)
     return np.asarray(top + np.log(np.exp(log - top).sum(axis=0)))
 
@@ -380,25 +417,32 @@ def _best(e: _Evidence) -> float:
     return 0.0 if e.tables is None else float((e.tables.log0.max(axis=1) + e.tables.log1.max(axis=1)).max())
 
 
-def _per_density(tables: EndTables, end0: NDArray[np.float64], end1: NDArray[np.float64]) -> NDArray[np.float64]:
-    """(K, m) log likelihood of both ends (u, px) and density; beyond the tables it falls off steadily, beyond the pixels not."""
+def _per_density(
+    tables: EndTables, seen: tuple[bool, bool], end0: NDArray[np.float64], end1: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """(K, m) log likelihood of both ends (u, px) and density.
+
+    Beyond the tables it falls off steadily; beyond the pixels as far as the on-board detector has `seen` what is there.
+    """
     total = np.zeros((tables.densities.size, end0.size))
-    sides = (
-        (tables.grid0, tables.log0, end0, tables.open0, False),
-        (tables.grid1, tables.log1, end1, False, tables.open1),
-    )
-    for grid, log, position, open_below, open_above in sides:
-        if grid.size == 1:
-            total += log
-            continue
+    for grid, log, position, border, is_open, was_seen in (
+        (tables.grid0, tables.log0, end0, 0, tables.open0, seen[0]),
+        (tables.grid1, tables.log1, end1, -1, tables.open1, seen[1]),
+    ):
         step = grid[1] - grid[0]
         place = np.clip((position - grid[0]) / step, 0.0, grid.size - 1.000001)
         left = place.astype(np.int64)
         share = place - left
         total += log[:, left] * (1.0 - share) + log[:, left + 1] * share
-        below, above = grid[0] - position, position - grid[-1]
-        outside = np.maximum(np.where(open_below, 0.0, below), np.where(open_above, 0.0, above))
-        total -= np.maximum(outside, 0.0) / (4.0 * step)
+        inward, outward = position - grid[-1], grid[0] - position
+        if border == -1:
+            inward, outward = outward, inward
+        steady = inward if is_open else np.maximum(inward, outward)
+        total -= np.maximum(steady, 0.0) / (4.0 * step)
+        out = np.flatnonzero(outward > 0.0)
+        if is_open and was_seen:
+            fall = log.max(axis=1) - log[:, border]
+            total[:, out] += log_stopped(outward[out], fall[:, None], tables.snr2_per_px[:, None])
     return total
 
 
@@ -441,13 +485,19 @@ def _adapted(
     likelihood : of the ends of a frame. about : normal prior of the motion, mean and covariance.
     """
 
+    slowest = 1e-3 * abs(float(start[0][1])) + 1e-12
+
     def log_density(motion: NDArray[np.float64]) -> NDArray[np.float64]:
-        total = np.zeros(len(motion)) if prior is None else prior.log_density(motion[:, 2])
+        # even in the logarithm of the rate, as single trails are in that of their length: faster ones are not all as likely
+        rate = motion[:, 1]
+        total = np.where(rate > slowest, -np.log(np.maximum(rate, slowest)), -1e3)
+        if prior is not None:
+            total += prior.log_density(motion[:, 2])
         if about is not None:
             off = np.linalg.solve(np.linalg.cholesky(about[1]), (motion - about[0]).T)
             total -= 0.5 * np.sum(off**2, axis=0)
         for e in used:
-            total += likelihood(e, *displacements(e.frame, e.rows_per_px, motion, zero_s))
+            total += likelihood(e, *_seen_displacements(e, motion, zero_s))
         return total
 
     return adapted(proposals, start, log_density)
@@ -464,9 +514,9 @@ def _quantile(values: NDArray[np.float64], weight: NDArray[np.float64], levels: 
 def _refitted(e: _Evidence, motion: NDArray[np.float64], weight: NDArray[np.float64], zero_s: float) -> StreakFit:
     """The frame's fit with ends and flux as the common motion has them."""
     frame, fit = e.frame, e.frame.fit
-    x0, x1 = displacements(frame, e.rows_per_px, motion, zero_s)
     at_edge = (StreakFlag.EDGE0 in fit.flags, StreakFlag.EDGE1 in fit.flags)
-    x0, x1 = (np.zeros_like(x) if edge else x for x, edge in zip((x0, x1), at_edge, strict=True))
+    seen = _seen_displacements(e, motion, zero_s)
+    x0, x1 = (np.zeros_like(x) if edge else x for x, edge in zip(seen, at_edge, strict=True))
     shift0, shift1 = float(weight @ x0), float(weight @ x1)
     d0, d1 = x0 - shift0, x1 - shift1
     pointing = (frame.sigma_frame / frame.along_per_px) ** 2
@@ -511,7 +561,7 @@ def _flux(e: _Evidence, x0: NDArray[np.float64], x1: NDArray[np.float64], weight
     half = 0.5 * fit.length_px
     brightness = (half, 0.5 * fit.gradient, 0.0)
     length = lit_length(x1 + half, brightness) - lit_length(x0 - half, brightness)
-    log = _per_density(e.tables, x0 - half, x1 + half)
+    log = _per_density(e.tables, e.seen, x0 - half, x1 + half)
     share = np.exp(log - log.max(axis=0))
     share /= share.sum(axis=0)
     first = e.tables.densities @ share

@@ -100,7 +100,7 @@ def test_a_star_at_one_end_near_the_end_of_a_tracklet_does_not_stay() -> None:
         unit = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0]) / fit.length_px
         late = replace(fit, row1=fit.row1 + 7.0 * unit[0], col1=fit.col1 + 7.0 * unit[1])
         frames[10] = replace(frames[10], fit=late, along1=frames[10].along1 + 7.0 * SCALE_ARCSEC)
-        joint, shared, _ = refit_frames(frames)
+        joint, shared, _, _ = refit_frames(frames)
         assert set(joint) == set(range(13))
         assert joint[10].flags & StreakFlag.REFIT
         assert np.abs(_off_px(truths[10], joint[10])).max() < 1.5
@@ -115,6 +115,6 @@ def test_a_star_at_the_end_of_the_first_frame_does_not_stay() -> None:
     unit = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0]) / fit.length_px
     late = replace(fit, row0=fit.row0 - 8.0 * unit[0], col0=fit.col0 - 8.0 * unit[1])
     frames[0] = replace(frames[0], fit=late, along0=frames[0].along0 - 8.0 * SCALE_ARCSEC)
-    joint, shared, _ = refit_frames(frames)
+    joint, shared, _, _ = refit_frames(frames)
     assert np.abs(_off_px(truths[0], joint[0])).max() < 2.0
     assert set(shared) == set(range(6))

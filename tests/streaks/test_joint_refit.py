@@ -134,7 +134,7 @@ def test_a_track_that_is_off_along_its_motion_makes_none_of_its_members_wrong(
     pulls, errors = [], []
     for seed in range(40):
         frames, truths = given_tracklet(np.random.default_rng([31, seed, n_frames]), length_px, snr, n_frames)
-        joint, _, _ = refit_frames(frames)
+        joint = refit_frames(frames).fits
         assert len(joint) == n_frames
         for k, trail in enumerate(truths):
             cos, sin = trail.axes
@@ -157,7 +157,7 @@ def test_a_member_that_noise_has_dimmed_keeps_the_error_of_its_light() -> None:
     fit = forced_fit(pixels, Detection(**ends, snr=4.5), 4.5 * math.sqrt(6.0))
     assert 0.0 < fit.snr < 1.3
     frames[2] = replace(dimmed, pixels=pixels, fit=fit)
-    joint, _, _ = refit_frames(frames)
+    joint = refit_frames(frames).fits
     assert all(joint[k].flux_err_e >= frame.fit.flux_err_e for k, frame in enumerate(frames))
 
 

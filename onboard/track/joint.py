@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.image import registration
-from onboard.track import joint_filter
+from onboard.track import joint_filter, trail_sums
 from onboard.track.false_alarms import independent_tracks, threshold_sigma
 from onboard.track.packed import half_of, halved, packed
 from onboard.track.particles import without_hits
@@ -255,7 +255,7 @@ class JointTracker:
             self.first_margin,
             self.seed_sigma,
             most_work,
-            joint_filter.work_space(OLDER + self.window),
+            trail_sums.work_space(OLDER + self.window),
         )
         tracks: list[Track] = []
         for row in table[np.argsort(-table[:, 8], kind="stable")]:

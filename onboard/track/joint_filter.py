@@ -1,33 +1,17 @@
 """From a seed in one frame to the straight track through its neighbours with the highest joint S/N."""
 
 import math
-from typing import Final, NamedTuple
+from typing import Final
 
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.track.corridor import LANES, MIDDLE, MOST_PIECES, PARTS, between, brightest, gather, path_sum
-from onboard.track.packed import HALF_ROUNDING, ROUNDING, STEP
-
-STEPS: Final = 6
-"""Pieces of a seed in the first look: ends are tried at steps of a sixth of its length."""
-
-END_STEPS: Final = 2
-"""Largest error of an end, in steps: a seed of S/N 5 has ends good to sqrt(26) / 25 = 0.2 of its length (change-point law)."""
-
-TILT_STEPS: Final = 2
-"""In the first look, at half resolution, the seed's direction may be wrong by this many lanes (4 px) per seed length: its
-error is sqrt(24) s / S = 0.8 px."""
-
-LIKED: Final = 0.75
-"""Ends whose S/N in the seed's own frame is below this share of the best ends' are not followed."""
-
-BESIDE: Final = 1
-"""A seed may lie beside its trail by so many lanes (2 px) of the first look."""
-
-KNOWN: Final = 0.8
-"""Lanes beside the middle one have so much of its known pixels, or what they hold may be missed: its own star hides no more."""
+from onboard.track.climb import best_range, climb
+from onboard.track.corridor import MIDDLE, MOST_PIECES, gather, path_sum
+from onboard.track.first_look import END_STEPS, LONGEST, STEPS, first_look, own_ends
+from onboard.track.packed import HALF_ROUNDING
+from onboard.track.trail_sums import Corridors, Look, collect, collect_half, evaluate, line_variance, look_of, placed, trail_sums
 
 STATIC_SIGMAS: Final = 3.0  # noise makes one in 740 so bright; lower refuses more tracks. Chosen, not measured
 LEAST_STATIC: Final = 1.2
@@ -43,80 +27,6 @@ WAITING: Final = 1.6
 
 FINE: Final = 24
 """Pieces of a seed in the second look."""
-
-SHORTEST: Final = 0.5  # more room costs time, less loses seeds that took in other light. Chosen, not measured
-LONGEST: Final = 1.6
-"""Trails are so much shorter or longer than their seed at most."""
-
-LEAST_SEEN: Final = 0.4
-"""A frame counts where so much of the trail in it falls on known pixels."""
-
-
-class Corridors(NamedTuple):
-    """Running sums about a seed's line in each frame of a window.
-
-    sums, counts : (frames, MOST_PIECES + 1, LANES). grid : first px and px per piece, (frames, 2). pieces : how many, (frames,).
-    """
-
-    sums: NDArray[np.int32]
-    counts: NDArray[np.int32]
-    grid: NDArray[np.float64]
-    pieces: NDArray[np.int64]
-
-
-class Look(NamedTuple):
-    """What turns a track (a, length, offset, tilt) about a seed into sums, and sums into S/N.
-
-    taus : (frames,). sense : of the motion. seed_px : the seed's length. per_lane : px across the line from lane to lane.
-    correlation : of neighbouring lanes. unit : standard deviation of a path's sum per root of its weight. n_old : frames, the
-    first ones, that are kept at half resolution.
-    """
-
-    taus: NDArray[np.float64]
-    sense: float
-    seed_px: float
-    per_lane: float
-    correlation: float
-    unit: float
-    n_old: int
-
-
-def work_space(n_frames: int) -> Corridors:
-    """Room for the corridors of a window."""
-    shape = (n_frames, MOST_PIECES + 1, LANES)
-    return Corridors(np.zeros(shape, np.int32), np.zeros(shape, np.int32), np.zeros((n_frames, 2)), np.zeros(n_frames, np.int64))
-
-
-@nb.njit(cache=True)
-def look_of(
-    taus: NDArray[np.float64], sense: float, seed_px: float, per_lane: float, psf_sigma_px: float, n_old: int = 0
-) -> Look:
-    """The look at a seed on packed images of pixels smoothed by the PSF; paths advance by one px of the major axis."""
-    unit = math.sqrt(line_variance(psf_sigma_px, per_lane) + ROUNDING)
-    return Look(taus, sense, seed_px, per_lane, math.exp(-0.25 * (per_lane / psf_sigma_px) ** 2), unit, n_old)
-
-
-@nb.njit(cache=True)
-def line_variance(psf_sigma_px: float, per_lane: float) -> float:
-    """Variance of the sum of smoothed pixels along a line, for each of them, steps of a code squared."""
-    return (16.0 / STEP) ** 2 * 2.0 * math.sqrt(math.pi) * psf_sigma_px * per_lane
-
-
-@nb.njit(cache=True)
-def _placed(seed: NDArray[np.float64], transform: NDArray[np.float64], place: NDArray[np.float64]) -> bool:
-    """Fill place (see `corridor.gather`) with a seed (row0, col0, row1, col1) in a frame; returns whether rows are major."""
-    d_row, d_col = seed[2] - seed[0], seed[3] - seed[1]
-    steep = abs(d_row) >= abs(d_col)
-    length = math.hypot(d_row, d_col)
-    row = transform[0, 0] * seed[0] + transform[0, 1] * seed[1] + transform[0, 2]
-    col = transform[1, 0] * seed[0] + transform[1, 1] * seed[1] + transform[1, 2]
-    u_row = (transform[0, 0] * d_row + transform[0, 1] * d_col) / length
-    u_col = (transform[1, 0] * d_row + transform[1, 1] * d_col) / length
-    if steep:
-        place[0], place[1], place[2], place[3] = row, col, u_row, u_col
-    else:
-        place[0], place[1], place[2], place[3] = col, row, u_col, u_row
-    return steep
 
 
 @nb.njit(cache=True)
@@ -140,7 +50,7 @@ def static_snr(
     total = known = others = 0
     weight = -1.0
     for frame in range(n_old, n_frames):
-        steep = _placed(line, transforms[frame], place)
+        steep = placed(line, transforms[frame], place)
         s, w = path_sum(images[frame], steep, place, 0.0, length)
         if frame == own:
             weight = float(w)
@@ -151,266 +61,6 @@ def static_snr(
     if weight < 0.0:  # of an older frame
         weight = known / max(others, 1)
     return total / known * math.sqrt(weight) / unit if known > 0 else 0.0
-
-
-@nb.njit(cache=True)
-def collect(
-    images: tuple[NDArray[np.uint64], ...],
-    frame: int,
-    seed: NDArray[np.float64],
-    transforms: NDArray[np.float64],
-    first_px: float,
-    last_px: float,
-    piece_px: float,
-    corridors: Corridors,
-    place: NDArray[np.float64],
-) -> int:
-    """Gather one frame's corridor from first_px to last_px on the seed's line; returns the pixels read."""
-    n = min(MOST_PIECES, math.ceil((last_px - first_px) / piece_px))
-    corridors.grid[frame, 0], corridors.grid[frame, 1], corridors.pieces[frame] = first_px, piece_px, n
-    steep = _placed(seed, transforms[frame], place)
-    return gather(images[frame], steep, place, first_px, piece_px, n, corridors.sums[frame], corridors.counts[frame])
-
-
-@nb.njit(cache=True)
-def collect_half(
-    images: tuple[NDArray[np.uint64], ...],
-    frame: int,
-    half_seed: NDArray[np.float64],
-    half_transforms: NDArray[np.float64],
-    first_px: float,
-    last_px: float,
-    piece_px: float,
-    scale: tuple[float, float],
-    corridors: Corridors,
-    place: NDArray[np.float64],
-) -> int:
-    """The same for a frame at half resolution; first_px ... piece_px of the whole one.
-
-    scale : of its sums and of its known pixels, so that they add up with those of other frames.
-    """
-    n = min(MOST_PIECES, math.ceil((last_px - first_px) / piece_px))
-    corridors.grid[frame, 0], corridors.grid[frame, 1], corridors.pieces[frame] = first_px, piece_px, n
-    steep = _placed(half_seed, half_transforms[frame], place)
-    sums, counts = corridors.sums[frame], corridors.counts[frame]
-    read = gather(images[frame], steep, place, 0.5 * first_px, 0.5 * piece_px, n, sums, counts)
-    for p in range(n + 1):
-        for k in range(LANES):
-            sums[p, k] = round(scale[0] * sums[p, k])
-            counts[p, k] = round(scale[1] * counts[p, k])
-    return read
-
-
-@nb.njit(cache=True)
-def trail_sums(corridors: Corridors, look: Look, frame: int, track: NDArray[np.float64]) -> tuple[float, float]:
-    """Sum and weight of a track (a, length, offset, tilt) in one frame."""
-    start = track[0] + look.sense * look.taus[frame] * track[1]
-    middle = start + 0.5 * track[1]
-    lane = (track[2] + track[3] * (middle / look.seed_px - 0.5)) / look.per_lane
-    first = (start - corridors.grid[frame, 0]) / corridors.grid[frame, 1]
-    last = (start + track[1] - corridors.grid[frame, 0]) / corridors.grid[frame, 1]
-    if frame < look.n_old:  # lanes of half resolution, whose noise is hardly correlated
-        return between(
-            corridors.sums, corridors.counts, frame, corridors.pieces[frame], first, last, 0.5 * lane, look.correlation**4
-        )
-    return between(corridors.sums, corridors.counts, frame, corridors.pieces[frame], first, last, lane, look.correlation)
-
-
-@nb.njit(cache=True)
-def evaluate(corridors: Corridors, look: Look, low: int, high: int, track: NDArray[np.float64]) -> float:
-    """Joint S/N of a track in frames low ... high."""
-    total = weight = 0.0
-    for frame in range(low, high + 1):
-        s, w = trail_sums(corridors, look, frame, track)
-        total += s
-        weight += w
-    return total / (look.unit * math.sqrt(weight)) if weight > 0.0 else 0.0
-
-
-@nb.njit(cache=True)
-def _own_ends(corridors: Corridors, look: Look, centre: int, ends: NDArray[np.float64]) -> tuple[int, int, float]:
-    """Ends that the seed's own frame likes, of all on a lattice: how many, on which lane, S/N of the best.
-
-    ends (n, 4) : where the trail begins and its length, px, sum and weight as `brightest` has them. Lanes beside the middle one
-    count too: a seed lies on the lattice of the search that made it.
-    """
-    seed_px, step = look.seed_px, look.seed_px / STEPS
-    top, lane, n = 0.0, MIDDLE, 0
-    for turn in range(2):
-        for i in range(-END_STEPS, END_STEPS + 1):
-            for j in range(-END_STEPS, END_STEPS + 1):
-                start, length = i * step, seed_px + (j - i) * step
-                if length < SHORTEST * seed_px or length > LONGEST * seed_px:
-                    continue
-                first = (start - corridors.grid[centre, 0]) / corridors.grid[centre, 1]
-                last = first + length / corridors.grid[centre, 1]
-                for k in range(MIDDLE - BESIDE, MIDDLE + BESIDE + 1) if turn == 0 else range(lane, lane + 1):
-                    total = brightest(corridors.sums, centre, corridors.pieces[centre], first, last, k, k)
-                    weight = brightest(corridors.counts, centre, corridors.pieces[centre], first, last, k, k)
-                    power = float(total) * float(total)
-                    if total <= 0 or weight <= 0:
-                        continue
-                    if turn == 0:
-                        if power > top * weight:
-                            top, lane = power / weight, k
-                    elif power >= LIKED * LIKED * top * weight:
-                        ends[n, 0], ends[n, 1], ends[n, 2], ends[n, 3] = start, length, total, weight
-                        n += 1
-    return n, lane, math.sqrt(top / PARTS) / look.unit
-
-
-@nb.njit(cache=True)
-def _first_look(
-    corridors: Corridors,
-    look: Look,
-    centre: int,
-    low: int,
-    high: int,
-    margin: NDArray[np.float64],
-    least: float,
-    best: NDArray[np.float64],
-    ends: NDArray[np.float64],
-    n_ends: int,
-    lane: int,
-) -> float:
-    """Best track on a lattice of ends and tilts in frames low ... high about `centre`; fills best (a, length, tilt, sense).
-
-    All in pixels of the images that the corridors are of; tilts are whole lanes per length. Pairs of frames count beside all
-    three: by how much the S/N exceeds margin[number of frames]. Returns `least` where none has more. ends, n_ends, lane : as
-    `_own_ends` leaves them.
-    """
-    sums, counts, grid, pieces = corridors
-    taus, seed_px = look.taus, look.seed_px
-    scale = look.unit * math.sqrt(float(PARTS))  # of a sum over the root of its weight
-    score = least
-    two, three = max(score + margin[2], 0.0) * scale, max(score + margin[3], 0.0) * scale
-    before, after = max(centre - 1, low), min(centre + 1, high)
-    for e in range(n_ends):
-        start, length, s1, w1 = ends[e, 0], ends[e, 1], ends[e, 2], ends[e, 3]
-        for sense in (-1.0, 1.0):
-            # lanes from the seed's frame to those beside it for a tilt of one
-            back = (start + (sense * taus[before] + 0.5) * length) / seed_px - 0.5
-            apart = (start + (sense * taus[after] + 0.5) * length) / seed_px - 0.5
-            first0 = (start + sense * taus[before] * length - grid[before, 0]) / grid[before, 1]
-            first2 = (start + sense * taus[after] * length - grid[after, 0]) / grid[after, 1]
-            last0, last2 = first0 + length / grid[before, 1], first2 + length / grid[after, 1]
-            most0 = most2 = known0 = known2 = 0
-            if before < centre:
-                known0 = brightest(counts, before, pieces[before], first0, last0, lane, lane)
-                wide = math.ceil(TILT_STEPS * abs(back))
-                most0 = brightest(sums, before, pieces[before], first0, last0, max(0, lane - wide), min(LANES - 1, lane + wide))
-            if after > centre:
-                known2 = brightest(counts, after, pieces[after], first2, last2, lane, lane)
-                wide = math.ceil(TILT_STEPS * abs(apart))
-                most2 = brightest(sums, after, pieces[after], first2, last2, max(0, lane - wide), min(LANES - 1, lane + wide))
-            # the brightest lanes of both sides tell whether any tilt can reach what is asked: hardly ever
-            if (
-                _below(s1 + most0, w1 + KNOWN * known0, two)
-                and _below(s1 + most2, w1 + KNOWN * known2, two)
-                and _below(s1 + most0 + most2, w1 + KNOWN * (known0 + known2), three)
-            ):
-                continue
-            for half in range(-2 * TILT_STEPS, 2 * TILT_STEPS + 1):
-                tilt = 0.5 * half
-                m, n = lane + round(tilt * back), lane + round(tilt * apart)
-                if m < 0 or n < 0 or m >= LANES or n >= LANES:
-                    continue
-                s0 = w0 = s2 = w2 = 0
-                if before < centre:
-                    s0 = brightest(sums, before, pieces[before], first0, last0, m, m)
-                    w0 = brightest(counts, before, pieces[before], first0, last0, m, m)
-                if after > centre:
-                    s2 = brightest(sums, after, pieces[after], first2, last2, n, n)
-                    w2 = brightest(counts, after, pieces[after], first2, last2, n, n)
-                value = -1e9
-                if w0 > 0 and not _below(s0 + s1, w0 + w1, two):
-                    value = max(value, (s0 + s1) / (scale * math.sqrt(w0 + w1)) - margin[2])
-                if w2 > 0 and not _below(s2 + s1, w2 + w1, two):
-                    value = max(value, (s2 + s1) / (scale * math.sqrt(w2 + w1)) - margin[2])
-                if w0 > 0 and w2 > 0 and not _below(s0 + s1 + s2, w0 + w1 + w2, three):
-                    value = max(value, (s0 + s1 + s2) / (scale * math.sqrt(w0 + w1 + w2)) - margin[3])
-                if value > score:
-                    score = value
-                    two, three = max(score + margin[2], 0.0) * scale, max(score + margin[3], 0.0) * scale
-                    best[0], best[1], best[2], best[3] = start, length, tilt, sense
-    return score
-
-
-@nb.njit(cache=True)
-def _below(total: float, weight: float, least: float) -> bool:
-    """Whether total / sqrt(weight) is, without a root: nearly all are."""
-    return total <= 0.0 or total * total <= least * least * weight
-
-
-@nb.njit(cache=True)
-def climb(
-    corridors: Corridors,
-    look: Look,
-    low: int,
-    high: int,
-    track: NDArray[np.float64],
-    steps: NDArray[np.float64],
-    halvings: int,
-    trial: NDArray[np.float64],
-) -> float:
-    """Raise a track's joint S/N by steps in its four parameters, alone and with its length about its middle; in place."""
-    snr = evaluate(corridors, look, low, high, track)
-    scale = 1.0
-    for _ in range(halvings):
-        for _ in range(8):
-            improved = False
-            for parameter in range(5):
-                for sign in (-1.0, 1.0):
-                    trial[:] = track
-                    if parameter < 4:
-                        trial[parameter] += sign * scale * steps[parameter]
-                    else:
-                        # longer about its middle: alone, length and start would wait for each other
-                        trial[1] += sign * scale * steps[1]
-                        trial[0] -= 0.5 * sign * scale * steps[1]
-                    if trial[1] < 0.4 * look.seed_px or trial[1] > 1.8 * look.seed_px:
-                        continue
-                    value = evaluate(corridors, look, low, high, trial)
-                    if value > snr + 1e-4:
-                        snr, improved = value, True
-                        track[:] = trial
-            if not improved:
-                break
-        scale *= 0.5
-    return snr
-
-
-@nb.njit(cache=True)
-def best_range(
-    corridors: Corridors,
-    look: Look,
-    centre: int,
-    low: int,
-    high: int,
-    track: NDArray[np.float64],
-    threshold: NDArray[np.float64],
-    sums: NDArray[np.float64],
-    weights: NDArray[np.float64],
-) -> tuple[float, int, int]:
-    """The run of frames with the centre whose joint S/N exceeds its threshold most: this margin, first and last frame."""
-    full = track[1] * look.per_lane
-    for frame in range(low, high + 1):
-        sums[frame], weights[frame] = trail_sums(corridors, look, frame, track)
-    score, first, last = -1e9, centre, centre
-    for i in range(low, centre + 1):
-        for j in range(centre, high + 1):
-            total = weight = 0.0
-            seen = 0
-            for k in range(i, j + 1):
-                if weights[k] > LEAST_SEEN * full:
-                    seen += 1
-                total += sums[k]
-                weight += weights[k]
-            if seen == j - i + 1 and seen >= 2:
-                value = total / (look.unit * math.sqrt(weight)) - threshold[seen]
-                if value > score:
-                    score, first, last = value, i, j
-    return score, first, last
 
 
 @nb.njit(cache=True)
@@ -518,17 +168,17 @@ def follow(
                 begin, piece = -away - reach, max(1.0, half_px / STEPS)
                 n = min(MOST_PIECES, math.ceil((half_px + 2.0 * (away + reach)) / piece))
                 corridors.grid[frame, 0], corridors.grid[frame, 1], corridors.pieces[frame] = begin, piece, n
-                _placed(half_seed, half_transforms[frame], place)
+                placed(half_seed, half_transforms[frame], place)
                 image = halves[frame] if steep else flat_halves[frame]
                 read += gather(image, True, place, begin, piece, n, corridors.sums[frame], corridors.counts[frame])
                 if turn == 0:
-                    n_ends, lane, own = _own_ends(corridors, half_look, centre, ends)
+                    n_ends, lane, own = own_ends(corridors, half_look, centre, ends)
                     if own < least_own:
                         n_ends = 0
                         break
             if n_ends == 0:
                 continue
-            found_at = _first_look(corridors, half_look, centre, low, high, threshold, -first_margin, best, ends, n_ends, lane)
+            found_at = first_look(corridors, half_look, centre, low, high, threshold, -first_margin, best, ends, n_ends, lane)
             if found_at <= -first_margin:
                 continue
         read += (n_frames - n_old) * round(seed_px)

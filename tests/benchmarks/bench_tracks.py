@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from onboard.detect import LineIntegralDetector
 from onboard.image import registration
-from onboard.track import joint_filter
+from onboard.track import climb, joint_filter, trail_sums
 from onboard.track.joint import IDENTITY, JointTracker
 from onboard.track.packed import packed
 from sboc_e2e.icd.signals import DetectorView, Searched, Track, TrackerView
@@ -137,15 +137,15 @@ def joint_snr(truth: TrueTrack, searched: list[Searched]) -> float:
     length = truth.length_px
     per_lane = max(abs(row1 - row0), abs(col1 - col0)) / length
     seed, transforms = np.array([row0, col0, row1, col1, 0.0]), np.repeat(IDENTITY[None], n, axis=0)
-    taus, corridors, place = PERIOD * (np.arange(n) - n // 2), joint_filter.work_space(n), np.empty(4)
+    taus, corridors, place = PERIOD * (np.arange(n) - n // 2), trail_sums.work_space(n), np.empty(4)
     for k in range(n):
         middle, half = (0.5 + sense * taus[k]) * length, (0.9 + 0.12 * abs(taus[k])) * length
         piece = max(1.0, length / joint_filter.FINE)
-        joint_filter.collect(images, k, seed, transforms, middle - half, middle + half, piece, corridors, place)
+        trail_sums.collect(images, k, seed, transforms, middle - half, middle + half, piece, corridors, place)
     span = float(np.abs(taus).max())
     best, steps = np.array([0.0, length, 0.0, 0.0]), np.array([length / 8.0, length / 8.0 / span, 0.6, 1.2 / span])
-    look = joint_filter.look_of(taus, sense, length, per_lane, PSF_SIGMA_PX)
-    return float(joint_filter.climb(corridors, look, 0, n - 1, best, steps, 5, np.empty(4)))
+    look = trail_sums.look_of(taus, sense, length, per_lane, PSF_SIGMA_PX)
+    return float(climb.climb(corridors, look, 0, n - 1, best, steps, 5, np.empty(4)))
 
 
 def n_seeded(truth: TrueTrack, searched: list[Searched]) -> int:

@@ -13,16 +13,9 @@ from ground.sky.rotation import turn
 from ground.sky.shake_model import STEADY, EndShake
 from ground.sky.sphere import ARCSEC_RAD, unit_vectors
 from ground.straight_passage import ROBUST_ITERATIONS, StraightPassage, straight_passage
-from ground.streaks.joint import (
-    AccelerationPrior,
-    JointRefit,
-    Motion,
-    TrackletFrame,
-    displacements,
-    flux_between,
-    has_change_points,
-    refit_tracklet,
-)
+from ground.streaks.joint import JointRefit, refit_tracklet
+from ground.streaks.joint_evidence import TrackletFrame, flux_between, has_change_points
+from ground.streaks.joint_motion import AccelerationPrior, Motion, displacements
 from ground.trail_epochs import along_of, cut_end, edge_passed_s, timed_by_shutter, with_ends, with_middle_epoch
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader

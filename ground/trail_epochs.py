@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 
 from ground.sky.measure import redated
 from ground.straight_passage import StraightPassage
-from ground.streaks.joint import Motion, TrackletFrame
+from ground.streaks.joint_evidence import TrackletFrame
+from ground.streaks.joint_motion import Motion
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import StreakFit, StreakMeasurement

@@ -5,7 +5,8 @@ from dataclasses import replace
 import numpy as np
 
 from ground.refit import carried
-from ground.streaks.joint import Motion, TrackletFrame
+from ground.streaks.joint_evidence import TrackletFrame
+from ground.streaks.joint_motion import Motion
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit, StreakPixels
 

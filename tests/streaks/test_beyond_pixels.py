@@ -10,7 +10,7 @@ from ground.straight_passage import straight_passage
 from ground.streaks import TrackletFrame, TrailedPsfFitter, refit_tracklet
 from ground.streaks.beyond_pixels import log_stopped
 from ground.streaks.fit_record import reversed_ends
-from ground.streaks.joint import AccelerationPrior, Motion
+from ground.streaks.joint_motion import AccelerationPrior, Motion
 from ground.trail_epochs import edge_passed_s
 from sboc_e2e.icd.flags import StreakFlag
 from tests.streaks.test_joint_refit import EXPOSURE_S, PERIOD_S, along_errors

@@ -11,7 +11,8 @@ from ground.streaks import TrackletFrame, TrailedPsfFitter, refit_tracklet
 from ground.streaks.common_direction import common_turns
 from ground.streaks.fit_record import reversed_ends
 from ground.streaks.forced import END_LAW, forced_fit
-from ground.streaks.joint import AccelerationPrior, flux_between
+from ground.streaks.joint_evidence import flux_between
+from ground.streaks.joint_motion import AccelerationPrior
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection
 from tests.streaks.trail_rendering import Trail, expose, render, trail_at

@@ -30,6 +30,12 @@ from sboc_e2e.outside.overscan import without_sky
 if TYPE_CHECKING:
     from astropy.wcs import WCS
 
+NO_FITS: Final = (
+    ": it does not begin as one. Save the pixels of a picture in one colour as FITS first, in Python with "
+    "fits.PrimaryHDU(pixels).writeto('frame.fits') of astropy.io"
+)
+"""What to do with a picture of another format, whose colours are not told apart here."""
+
 SUFFIXES: Final = (".fits", ".fit", ".fts", ".fits.fz", ".fit.fz", ".fits.gz")
 MAX_SIDE_PX: Final = 16384  # Chosen: packets count rows and columns to 65,535, and `MAX_PIXELS` limits wide images first.
 MIN_SIDE_PX: Final = 16  # Chosen, not measured: a smaller image has no room for a trail beside its sky.
@@ -159,7 +165,8 @@ def _survey(path: Path, max_pixels: int) -> tuple[list[Place], list[UserError]]:
     except MemoryError:
         raise
     except Exception as error:  # noqa: BLE001 - damaged files make astropy and its decompressors raise nearly everything
-        return [], [*refused, UserError(f"{path}: not a readable FITS file ({_first_line(error)})")]
+        why = NO_FITS if "No SIMPLE card" in str(error) else f" ({_first_line(error)})"
+        return [], [*refused, UserError(f"{path}: not a readable FITS file{why}")]
     pictures = [place for place in places if place.hdu not in {plane.hdu for plane in planes}]
     if places and not pictures:
         refused.append(UserError(f"{path}: holds no picture, only {', '.join(sorted({plane.words for plane in planes}))}"))

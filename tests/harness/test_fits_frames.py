@@ -163,7 +163,7 @@ def test_what_cannot_be_used_is_one_line(tmp_path: Path) -> None:
     with pytest.raises(UserError, match="holds no FITS file"):
         frames(tmp_path)
     (tmp_path / "text.fits").write_text("hello")
-    with pytest.raises(UserError, match="not a readable FITS file"):
+    with pytest.raises(UserError, match=r"not a readable FITS file: it does not begin as one. Save the pixels"):
         frames(tmp_path)
     fits.PrimaryHDU().writeto(tmp_path / "text.fits", overwrite=True)
     with pytest.raises(UserError, match="no file holds a two-dimensional image"):

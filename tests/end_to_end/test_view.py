@@ -70,7 +70,7 @@ def test_a_listening_tool_gets_images_tables_and_regions(run: Path, tmp_path: Pa
         with Hub() as connected:
             assert send(connected, write_files(RunFrames(path=run), run / "view")) == 6
         # The hub passes notifications on in threads of its own.
-        deadline = time.monotonic() + 20.0
+        deadline = time.monotonic() + 60.0
         while len(heard) < 6 and time.monotonic() < deadline:
             time.sleep(0.02)
         ds9.disconnect()

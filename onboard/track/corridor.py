@@ -62,7 +62,7 @@ def gather(
         if steep:
             read += add_lanes(image, low, high, origin, slope, sums, counts, p + 1)
         else:
-            read += add_rows(image, low, high, origin, slope, sums, counts, p + 1, room)
+            read += add_rows(image, low, high, origin, slope, room, sums, counts, p + 1)
         start = stop
     return read
 

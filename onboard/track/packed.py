@@ -195,10 +195,10 @@ def add_rows(
     stop: int,
     first: float,
     slope: float,
+    room: NDArray[np.uint64],
     sums: NDArray[np.int32],
     counts: NDArray[np.int32],
     at_row: int,
-    room: NDArray[np.uint64],
 ) -> int:
     """The same for lanes along columns start ... stop - 1, the first of them in row floor(first + slope col).
 

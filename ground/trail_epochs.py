@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from ground.sky.measure import redated
 from ground.straight_passage import StraightPassage
+from ground.streaks.fit_record import edges_of
 from ground.streaks.joint_evidence import TrackletFrame
 from ground.streaks.joint_motion import Motion
-from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.products import StreakFit, StreakMeasurement
 
@@ -30,7 +30,7 @@ def timed_by_shutter(member: StreakMeasurement, header: FrameHeader) -> StreakMe
     A linker dates an end that lies off the motion by the epoch at which the motion passed it. Here the place of the end is in
     doubt instead, so the shutter dates it. An end on the frame's edge was passed before the shutter closed, or after it opened.
     """
-    if member.flags & StreakFlag.EDGE0 and member.flags & StreakFlag.EDGE1:
+    if all(edges_of(member.flags)):
         return member
     epochs = member.t_tai_ns.copy()
     epochs[0] = header.t_start_tai_ns + round(header.line_time_ns * member.fit.row0)
@@ -41,7 +41,7 @@ def timed_by_shutter(member: StreakMeasurement, header: FrameHeader) -> StreakMe
 
 def cut_end(fit: StreakFit) -> int | None:
     """Which end of a trail, 0 or 1, is on the frame's edge; None if none or both are."""
-    edges = StreakFlag.EDGE0 in fit.flags, StreakFlag.EDGE1 in fit.flags
+    edges = edges_of(fit.flags)
     return None if edges[0] == edges[1] else int(edges[1])
 
 

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.streaks.centre_line import LineFit, effective_width_px, uniform_trail
+from ground.streaks.fit_record import edges_of
 from ground.streaks.intruders import intruder_mask
 from ground.streaks.trail_frame import TrailFrame
 from ground.streaks.trail_model import DENSITY, N_PARAMETERS, SAGITTA, SLOPE, V_MID, accumulate, quartic_px4
 from ground.streaks.trail_pixels import TrailPixels, usable_pixels
-from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit, StreakPixels
 
 Array = NDArray[np.float64]
@@ -56,7 +56,7 @@ class AcrossPixels:
         if near.u.size < FEWEST_PIXELS:
             return None
         along, covariance = np.array([frame.sin, frame.cos]), np.asarray(fit.covariance_px2)
-        edges = (StreakFlag.EDGE0 in fit.flags, StreakFlag.EDGE1 in fit.flags)
+        edges = edges_of(fit.flags)
         sigma = [math.sqrt(max(float(along @ covariance[i : i + 2, i : i + 2] @ along), 0.0)) for i in (0, 2)]
         blur0, blur1 = (0.0 if edge else max(s, LEAST_END_PX) for s, edge in zip(sigma, edges, strict=True))
         straight = uniform_trail(max(fit.flux_e / (2.0 * half), LEAST_DENSITY), half, edges, width)

@@ -56,9 +56,15 @@ def pixel_covariance(frame: TrailFrame, along_px2: NDArray[np.float64], across_p
     return out
 
 
+def edges_of(flags: StreakFlag) -> tuple[bool, bool]:
+    """Which ends the image's edge cuts off."""
+    return StreakFlag.EDGE0 in flags, StreakFlag.EDGE1 in flags
+
+
 def swap_edge_flags(flags: StreakFlag) -> StreakFlag:
     """The flags when the ends change places."""
-    return with_edge_flags(flags, (StreakFlag.EDGE1 in flags, StreakFlag.EDGE0 in flags))
+    edge0, edge1 = edges_of(flags)
+    return with_edge_flags(flags, (edge1, edge0))
 
 
 def with_edge_flags(flags: StreakFlag, edges: tuple[bool, bool]) -> StreakFlag:

@@ -23,13 +23,12 @@ from numpy.typing import NDArray
 from ground.importance import Draws, Gaussian, Proposals, adapted
 from ground.streaks.common_direction import common_turns
 from ground.streaks.end_posterior import lit_length
-from ground.streaks.fit_record import pixel_covariance
+from ground.streaks.fit_record import edges_of, pixel_covariance
 from ground.streaks.forced import has_given_ends
 from ground.streaks.joint_evidence import (
     Evidence,
     TrackletFrame,
     best_of,
-    edge_count,
     evidence_of,
     log_likelihood,
     of_ends,
@@ -78,7 +77,7 @@ def refit_tracklet(frames: Sequence[TrackletFrame], *, prior: AccelerationPrior 
     n_given = sum(has_given_ends(frame.fit) for frame in frames)
     turns = common_turns([f.fit for f in frames])
     evidence = [evidence_of(frame, turn, n_given) for frame, turn in zip(frames, turns, strict=True)]
-    ends = sum(2 - edge_count(e.frame.fit) for e in evidence if e is not None)
+    ends = sum(2 - sum(edges_of(e.frame.fit.flags)) for e in evidence if e is not None)
     if ends < 3:
         return unchanged
     used = [e for e in evidence if e is not None]
@@ -169,7 +168,7 @@ def _quantile(values: NDArray[np.float64], weight: NDArray[np.float64], levels: 
 def _refitted(e: Evidence, motion: NDArray[np.float64], weight: NDArray[np.float64], zero_s: float) -> StreakFit:
     """The frame's fit with ends and flux as the common motion has them."""
     frame, fit = e.frame, e.frame.fit
-    at_edge = (StreakFlag.EDGE0 in fit.flags, StreakFlag.EDGE1 in fit.flags)
+    at_edge = edges_of(fit.flags)
     seen = seen_displacements(e, motion, zero_s)
     x0, x1 = (np.zeros_like(x) if edge else x for x, edge in zip(seen, at_edge, strict=True))
     shift0, shift1 = float(weight @ x0), float(weight @ x1)

@@ -14,6 +14,7 @@ from ground.streaks.beyond_pixels import log_stopped
 from ground.streaks.centre_line import LineFit, effective_width_px, uniform_trail
 from ground.streaks.end_posterior import EndTables, end_tables
 from ground.streaks.end_search import COVERED_PX, coarse_ends
+from ground.streaks.fit_record import edges_of
 from ground.streaks.forced import has_given_ends
 from ground.streaks.intruders import intruder_mask
 from ground.streaks.trail_fit import CHANGE_POINT_SNR2, OVERLAP_WIDTHS
@@ -76,11 +77,6 @@ class Evidence:
     spoilt: float
 
 
-def edge_count(fit: StreakFit) -> int:
-    """Ends that are the image's edge."""
-    return int(StreakFlag.EDGE0 in fit.flags) + int(StreakFlag.EDGE1 in fit.flags)
-
-
 def evidence_of(frame: TrackletFrame, turn_rad: float, n_given: int) -> Evidence | None:
     """End likelihood of a frame along its line, turned by this about its middle; None where it has no end or no fit.
 
@@ -88,7 +84,7 @@ def evidence_of(frame: TrackletFrame, turn_rad: float, n_given: int) -> Evidence
     """
     fit = frame.fit
     length = fit.length_px
-    if StreakFlag.FIT_FAILED in fit.flags or edge_count(fit) == 2 or not frame.along_per_px > 0.0:
+    if StreakFlag.FIT_FAILED in fit.flags or all(edges_of(fit.flags)) or not frame.along_per_px > 0.0:
         return None
     if StreakFlag.POINT_LIKE in fit.flags or length < 1.0:
         return None
@@ -101,7 +97,7 @@ def evidence_of(frame: TrackletFrame, turn_rad: float, n_given: int) -> Evidence
     if has_given_ends(fit):
         covariance *= max(0.5 * n_given, 1.0)
     covariance += sway**2 + turn**2 * np.array([[1.0, -1.0], [-1.0, 1.0]])
-    free = [StreakFlag.EDGE0 not in fit.flags, StreakFlag.EDGE1 not in fit.flags]
+    free = [not edge for edge in edges_of(fit.flags)]
     precision = np.zeros((2, 2))
     index = np.flatnonzero(free)
     precision[np.ix_(index, index)] = np.linalg.inv(covariance[np.ix_(index, index)])
@@ -151,7 +147,7 @@ def _seen_beyond(tables: EndTables, trail: TrailFrame, frame: TrackletFrame) -> 
 def _segment(fit: StreakFit) -> tuple[float, float, tuple[bool, bool]]:
     """Half length, density and which ends are the image's edge."""
     half = 0.5 * fit.length_px
-    return half, fit.flux_e / (2.0 * half), (StreakFlag.EDGE0 in fit.flags, StreakFlag.EDGE1 in fit.flags)
+    return half, fit.flux_e / (2.0 * half), edges_of(fit.flags)
 
 
 def _lit_pixels(frame: TrackletFrame, trail: TrailFrame, gradient: float) -> tuple[TrailPixels, NDArray[np.float64], float]:

@@ -5,8 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.streaks.fit_record import edges_of
 from ground.streaks.joint_evidence import Evidence, TrackletFrame
-from sboc_e2e.icd.flags import StreakFlag
 
 
 class AccelerationPrior(NamedTuple):
@@ -106,5 +106,5 @@ def seen_displacements(
     A motion too slow to have reached the edge ends the trail inside, where the pixels have light.
     """
     x0, x1 = displacements(e.frame, e.rows_per_px, motion, zero_s)
-    flags = e.frame.fit.flags
-    return np.maximum(x0, 0.0) if flags & StreakFlag.EDGE0 else x0, np.minimum(x1, 0.0) if flags & StreakFlag.EDGE1 else x1
+    edge0, edge1 = edges_of(e.frame.fit.flags)
+    return np.maximum(x0, 0.0) if edge0 else x0, np.minimum(x1, 0.0) if edge1 else x1

@@ -1,10 +1,14 @@
 """HEALPix pixels (NESTED order, Gorski et al. 2005, ApJ 622, 759) that a cone touches."""
 
 from functools import cache
+from typing import TYPE_CHECKING
 
 import numpy as np
 from astropy import units as u
 from numpy.typing import NDArray
+
+if TYPE_CHECKING:
+    from astropy_healpix import HEALPix
 
 NSIDE = 64
 """Of the catalogue file: 49,152 pixels of 0.92 deg, 19 stars of V < 11 in each on average. Larger ones read more stars outside a
@@ -12,20 +16,22 @@ cone."""
 N_PIXELS = 12 * NSIDE**2
 
 
-def pixel_of(ra_deg: NDArray[np.float64], dec_deg: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Pixel number of each direction, shape (n,)."""
+def grid(nside: int) -> "HEALPix":
+    """The grid of so many pixels a side, NESTED order."""
     from astropy_healpix import HEALPix  # takes a fifth of a second, which frames without directions do not need
 
-    grid = HEALPix(nside=NSIDE, order="nested")
-    return np.asarray(grid.lonlat_to_healpix(ra_deg * u.deg, dec_deg * u.deg), dtype=np.int64)
+    return HEALPix(nside=nside, order="nested")
+
+
+def pixel_of(ra_deg: NDArray[np.float64], dec_deg: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Pixel number of each direction, shape (n,)."""
+    return np.asarray(grid(NSIDE).lonlat_to_healpix(ra_deg * u.deg, dec_deg * u.deg), dtype=np.int64)
 
 
 @cache
 def _centres() -> NDArray[np.float64]:
     """Unit vectors of all pixel centres, shape (N_PIXELS, 3)."""
-    from astropy_healpix import HEALPix  # as above
-
-    lon, lat = HEALPix(nside=NSIDE, order="nested").healpix_to_lonlat(np.arange(N_PIXELS))
+    lon, lat = grid(NSIDE).healpix_to_lonlat(np.arange(N_PIXELS))
     lon, lat = lon.to_value(u.rad), lat.to_value(u.rad)
     return np.stack((np.cos(lat) * np.cos(lon), np.cos(lat) * np.sin(lon), np.sin(lat)), axis=1)
 

@@ -15,6 +15,7 @@ from astropy import units as u
 from numpy.typing import NDArray
 from scipy.special import gammaincinv
 
+from sboc_e2e.catalogue.healpix import grid
 from simulator.optics.instrument import InstrumentOptions
 from simulator.randomness import Effect, generator
 from simulator.scene.stars import StarField, angles_deg, joined, unit_vectors
@@ -83,9 +84,7 @@ def thinned_by_dust(direction: Array) -> Array:
 def draw_galaxies(options: GalaxyOptions, seed: int, pixel: int) -> Galaxies:
     """Those of one HEALPix pixel."""
     rng = generator(seed, Effect.GALAXIES, block=pixel)
-    from astropy_healpix import HEALPix  # as below
-
-    healpix = HEALPix(nside=_NSIDE, order="nested")
+    healpix = grid(_NSIDE)
     first, last = (float(cumulative_galaxies_deg2(m)) for m in (_BRIGHTEST_MAG, options.faint_limit_mag))
     n = int(rng.poisson(options.density * (last - first) * healpix.pixel_area.to_value("deg2")))
     longitude, latitude = healpix.healpix_to_lonlat(np.full(n, pixel), dx=rng.random(n), dy=rng.random(n))
@@ -132,9 +131,7 @@ class GalaxySky:
 
     def __init__(self, options: GalaxyOptions, instrument: InstrumentOptions, *, seed: int) -> None:
         self.options, self.instrument, self._seed = options, instrument, seed
-        from astropy_healpix import HEALPix  # takes a fifth of a second, which programs that draw no sky do not need
-
-        self._healpix = HEALPix(nside=_NSIDE, order="nested")
+        self._healpix = grid(_NSIDE)
         self._held: tuple[Array, float, StarField] | None = None
 
     def around(self, direction: Array, radius_deg: float) -> StarField:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.special import ndtri
 
 from sboc_e2e.catalogue import StarCatalogue, Stars
+from sboc_e2e.catalogue.healpix import grid
 from sboc_e2e.icd.errors import UserError
 from simulator.optics.instrument import InstrumentOptions
 from simulator.randomness import Effect, generator, seed_word
@@ -121,9 +122,7 @@ class StarSky:
         self.catalogue = catalogue
         self.seed = seed
         self.epoch_jyear = epoch_jyear
-        from astropy_healpix import HEALPix  # takes a fifth of a second, which programs that draw no sky do not need
-
-        self._healpix = HEALPix(nside=catalogue.nside, order="nested")
+        self._healpix = grid(catalogue.nside)
         self._held: tuple[Array, float, StarField] | None = None
         self._faint: dict[int, tuple[Array, Array, Array]] = {}
 

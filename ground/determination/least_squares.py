@@ -18,6 +18,8 @@ _SETTLED: Final = 0.1
 """Of one sigma: the step that would follow the last iteration."""
 _ROUNDING: Final = 1e-3
 """Of the cost: an increase by less is the propagation's own noise."""
+_NO_STEP: Final = 1e3
+"""Damping from which a step is under a thousandth of the undamped one: what the cost still changes by is noise."""
 _IDLE: Final = 3
 """Steps that do not lower the cost, with ever more damping, after which the best point stands. Chosen, not measured."""
 
@@ -63,6 +65,10 @@ def adjusted(
                 raise
             cost = np.inf
         if cost > best.cost * (1.0 + _ROUNDING) and steps != _FAR_STEPS + 1:
+            if damping >= _NO_STEP and _promise(best, prior, fixed) < cost - best.cost < np.inf:
+                # no step lowers the cost by as much as the model's own noise moves it
+                converged = True
+                break
             damping = max(10.0 * damping, 1e-3)
             if damping > 1e8:
                 break
@@ -132,6 +138,12 @@ def _step(point: _Point, prior: Array, fixed: Array, damping: float) -> Array:
     scaled = normal / np.outer(diagonal, diagonal) + damping * np.eye(len(prior))
     step, *_ = np.linalg.lstsq(scaled, right / diagonal, rcond=1e-14)
     return np.asarray(step / diagonal)
+
+
+def _promise(point: _Point, prior: Array, fixed: Array) -> float:
+    """By how much the undamped step lowers the cost of the linear model."""
+    step = _step(point, prior, fixed, 0.0)
+    return float(step @ _normal(point, prior) @ step)
 
 
 def _inverse(normal: Array) -> Array:

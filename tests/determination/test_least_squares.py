@@ -69,3 +69,18 @@ def test_the_published_orbit_of_w3b_by_our_filter_and_the_peers_models() -> None
     done = subprocess.run(command, capture_output=True, text=True, check=False)
     assert done.returncode == 0, done.stdout + done.stderr
     assert "33 of 33 within" in done.stdout
+
+
+def test_a_model_with_noise_of_its_own_settles_where_no_step_can_be_told_from_it() -> None:
+    """A propagator is such a model: its error control takes other steps for a start that is a micrometre away."""
+    seen = TRUTH[0] * np.exp(-TRUTH[1] * T) + TRUTH[2]
+
+    def rough(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        value, slope = decay(seen, 0.01, x)
+        return value + 0.3 * np.random.default_rng(int.from_bytes(x.tobytes()[:8], "little")).standard_normal(len(T)), slope
+
+    free = np.full(3, np.inf)
+    found = [adjusted(rough, TRUTH + shift, free, huber_sigma=3.0, reject_sigma=8.0) for shift in (0.0, 0.1, -0.1, 0.2)]
+    assert all(one.converged for one in found)
+    # the model's noise is 0.3 of a measurement's
+    assert all((np.abs(one.unknowns - TRUTH) < 1.5 * np.sqrt(np.diag(one.covariance))).all() for one in found)

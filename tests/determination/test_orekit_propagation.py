@@ -11,7 +11,7 @@ import importlib.util
 import math
 import shutil
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +21,7 @@ import numpy as np
 import pytest
 
 from ground.determination.forces import ForceModel
-from ground.determination.propagation import propagate
+from ground.determination.propagation import _settings_with_table, propagate
 from sboc_e2e.icd import tai
 from simulator.platform.all_forces import EARTH_KM
 from tests.association.list_simulator import kepler
@@ -137,7 +137,7 @@ def orekit(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., np.ndarray
 
 
 @pytest.fixture
-def of_egm96(monkeypatch: pytest.MonkeyPatch) -> None:
+def of_egm96(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
     """The field of 1996 in our propagator, which otherwise takes that of 2008, of which no package has a file."""
     plain = satkit.propsettings
 
@@ -145,6 +145,9 @@ def of_egm96(monkeypatch: pytest.MonkeyPatch) -> None:
         return plain(gravity_model=satkit.gravmodel.egm96, **settings)
 
     monkeypatch.setattr(sys.modules["satkit"], "propsettings", older)
+    _settings_with_table.cache_clear()
+    yield
+    _settings_with_table.cache_clear()
 
 
 T_S = np.linspace(0.0, 86_400.0, 49)

@@ -2,6 +2,8 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property
+from typing import TYPE_CHECKING
 
 import erfa
 import numpy as np
@@ -9,6 +11,9 @@ from numpy.typing import NDArray
 
 from ground.orbit.dynamics import LIGHT_KM_S
 from sboc_e2e.icd import tai, validate
+
+if TYPE_CHECKING:
+    from scipy.interpolate import CubicHermiteSpline
 
 Path = Callable[[NDArray[np.int64]], NDArray[np.float64]]
 """GCRS states (n, 6) km, km/s at TAI epochs (n,) ns."""
@@ -34,12 +39,16 @@ class PreciseOrbit:
 
     def states(self, t_tai_ns: NDArray[np.int64]) -> NDArray[np.float64]:
         """States (n, 6) by cubic Hermite interpolation (0.3 m at one-minute steps of a low orbit); NaN outside the table."""
+        t_s = (np.asarray(t_tai_ns) - self.t_tai_ns[0]) * 1e-9
+        return np.hstack([self._spline(t_s), self._spline(t_s, 1)])
+
+    @cached_property
+    def _spline(self) -> "CubicHermiteSpline":
+        """Positions in seconds from the first epoch; made once, since an orbit is asked for each track of a session."""
         from scipy.interpolate import CubicHermiteSpline  # takes a fifth of a second, which runs without known orbits do not need
 
-        origin = int(self.t_tai_ns[0])
-        spline = CubicHermiteSpline((self.t_tai_ns - origin) * 1e-9, self.position_km, self.velocity_km_s, extrapolate=False)
-        t_s = (np.asarray(t_tai_ns) - origin) * 1e-9
-        return np.hstack([spline(t_s), spline(t_s, 1)])
+        t_s = (self.t_tai_ns - self.t_tai_ns[0]) * 1e-9
+        return CubicHermiteSpline(t_s, self.position_km, self.velocity_km_s, extrapolate=False)
 
 
 def seen_from(

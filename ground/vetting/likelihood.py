@@ -87,6 +87,9 @@ LONGEST_PARTICLE_PX: Final = 400.0
 """Of tracks through a detector of d pixels' thickness a share of d^2 / (d^2 + L^2) is longer than L, for particles from all
 sides: 0.2 % here for 250 um and pixels of 15 um. A longer line that is lit all along it is light, and the optics are as sharp as
 that."""
+LEAST_READOUT_ODDS: Final = 0.01
+"""Odds of `odds_of_readout` below which a line that runs along rows or columns drifts across them, as columns do not. Four
+satellites 0.1 to 0.4 deg from the columns, 807 px long, were refused for their direction alone. Chosen, not measured."""
 LN_WIDE: Final = math.log(3.0)
 """Ln width over the PSF from which on such a trail must be straight: arcs of stray light are wide and bend by more than their
 width. Defocused trails do not bend, and what an all-sky lens bends is as narrow as its stars. Made in view of one frame."""
@@ -174,11 +177,11 @@ def sharpest_light_px(fits: Sequence[StreakFit]) -> float:
     """
     widths = [
         fit.width_px
-        for fit in fits
+        for fit, odds in zip(fits, odds_of_readout(fits), strict=True)
         if fit.length_px >= LONGEST_PARTICLE_PX
         and fit.snr >= LEAST_UNMODELLED_SNR
         and not fit.flags & (StreakFlag.FIT_FAILED | StreakFlag.STATIC)
-        and not is_aligned(fit.angle_deg)
+        and not (is_aligned(fit.angle_deg) and odds >= LEAST_READOUT_ODDS)
         and _is_unbroken(fit)
     ]
     return float(np.median(widths)) if widths else math.inf
@@ -278,7 +281,10 @@ class LikelihoodVetter:
         ]
         if self.model_error > 0.0:
             # on board a full trail is a row of full stars, which it aims at; here `spikes` asks for a star that outshines it
-            features = [replace(each, spike=False) for each in features]
+            exact = odds_of_readout(fits) >= LEAST_READOUT_ODDS
+            features = [
+                replace(each, spike=False, aligned=each.aligned and bool(on)) for each, on in zip(features, exact, strict=True)
+            ]
         strange = np.array([self.model_error > 0.0 and _of_unmodelled_kind(*pair) for pair in zip(fits, features, strict=True)])
         if unknown or self.model_error > 0.0:
             brightest = LN_BRIGHTEST_SNR_UNKNOWN if unknown else LN_BRIGHTEST_SNR

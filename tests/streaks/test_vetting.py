@@ -319,6 +319,19 @@ def test_a_train_of_satellites_does_not_recur_and_short_sharp_tracks_do(
     assert vetter.probability(tracks, wide).max() < 0.5
 
 
+def test_trails_that_drift_across_columns_are_not_refused_for_their_direction(
+    fits: dict[str, list[StreakFit]], frame: DownlinkFrame
+) -> None:
+    """Four satellites 0.1 to 0.4 deg from the columns, S/N 460 to 530 and 807 px long, had p 0.03 to 0.04."""
+    vetter = LikelihoodVetter(model_error=0.2)
+    one = outside_fit(fits["real"][0], (-0.5, 59.5, 806.5, 55.5), width_px=0.5, snr=480.0, chi2_nu=3.4)
+    one = with_light(replace(one, sagitta_px=0.0, flags=StreakFlag.EDGE0 | StreakFlag.EDGE1), np.ones(200))
+    drifting = [replace(one, col0=one.col0 + 60.0 * k, col1=one.col1 + 60.0 * k) for k in range(3)]
+    assert vetter.probability(drifting, frame).min() > 0.9
+    still = [replace(each, col1=each.col0 + 0.1) for each in drifting]
+    assert vetter.probability(still, frame).max() < 0.05
+
+
 def test_a_full_trail_that_aims_at_its_own_light_is_no_spike(fits: dict[str, list[StreakFit]], frame: DownlinkFrame) -> None:
     """On board its full pixels are listed as full stars. In frames from outside stars that outshine a line speak against it."""
     bright = replace(max(fits["real"], key=lambda fit: fit.snr), flags=StreakFlag.SATURATED)

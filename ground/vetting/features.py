@@ -58,7 +58,6 @@ def features_of(
         fit.width_err_px * fit.width_px / seen, ln_psf_error * psf_sigma_px**2 / (psf_sigma_px**2 + PIXEL_VARIANCE_PX2)
     )
     chi2_error = math.nan if failed else math.hypot(math.sqrt(2.0 / fit.n_pixels), (model_error * fit.snr) ** 2 / fit.n_pixels)
-    angle = min(fit.angle_deg % 90.0, 90.0 - fit.angle_deg % 90.0)
     return Features(
         sharpness=math.nan if failed else sharpness,
         sharpness_err=min(error, 3.0) if math.isfinite(error) else 3.0,
@@ -66,11 +65,16 @@ def features_of(
         ln_length=math.log(max(fit.length_px, 0.1)),
         chi2_sigmas=math.nan if failed else (fit.chi2_nu - 1.0) / chi2_error,
         lumpiness=lumpiness_of(fit, may_vary=may_vary),
-        aligned=fit.length_px > ALIGNED_LENGTH_PX and angle < ALIGNED_DEG,
+        aligned=fit.length_px > ALIGNED_LENGTH_PX and is_aligned(fit.angle_deg),
         failed=failed,
         static=StreakFlag.STATIC in fit.flags,
         spike=StreakFlag.SPIKE_LIKE in fit.flags,
     )
+
+
+def is_aligned(angle_deg: float) -> bool:
+    """Whether a line of this direction follows rows or columns."""
+    return min(angle_deg % 90.0, 90.0 - angle_deg % 90.0) < ALIGNED_DEG
 
 
 def lumpiness_of(fit: StreakFit, *, may_vary: bool) -> float:

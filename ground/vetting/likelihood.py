@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.vetting.class_densities import REAL, RECURRING, STRUCTURE, class_densities, log_odds_calibration
-from ground.vetting.features import Features, features_of, lumpiness_of
+from ground.vetting.features import Features, features_of, is_aligned, lumpiness_of
 from ground.vetting.readout import odds_of_readout
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import StreakFlag
@@ -79,8 +79,17 @@ UNBROKEN_BINS: Final = 8
 residuals. Chosen, not measured."""
 UNBROKEN_SHARE: Final = 0.3
 """Least light of each of them, as a share of the median one: a row of stars or galaxies has gaps. Chosen, not measured."""
+DIMMED_BINS: Final = 0.05
+"""Share of them that may have less: what was taken out beside bright stars dims a few of 200. Chosen, not measured."""
 LEAST_UNMODELLED_SHARPNESS: Final = -0.25
 """Of ln width: what is a fifth narrower than the optics is a particle or a column. Chosen, not measured."""
+LONGEST_PARTICLE_PX: Final = 400.0
+"""Of tracks through a detector of d pixels' thickness a share of d^2 / (d^2 + L^2) is longer than L, for particles from all
+sides: 0.2 % here for 250 um and pixels of 15 um. A longer line that is lit all along it is light, and the optics are as sharp as
+that."""
+LEAST_READOUT_ODDS: Final = 0.01
+"""Odds of `odds_of_readout` below which a line that runs along rows or columns drifts across them, as columns do not. Four
+satellites 0.1 to 0.4 deg from the columns, 807 px long, were refused for their direction alone. Chosen, not measured."""
 LN_WIDE: Final = math.log(3.0)
 """Ln width over the PSF from which on such a trail must be straight: arcs of stray light are wide and bend by more than their
 width. Defocused trails do not bend, and what an all-sky lens bends is as narrow as its stars. Made in view of one frame."""
@@ -154,7 +163,28 @@ def _snr_over_residuals(fit: StreakFit) -> float:
 def _is_unbroken(fit: StreakFit) -> bool:
     """Whether a line has light all along it."""
     curve = fit.light_curve_e_px
-    return curve.size >= UNBROKEN_BINS and float(curve.min()) >= UNBROKEN_SHARE * float(np.median(curve)) > 0.0
+    return (
+        curve.size >= UNBROKEN_BINS
+        and float(np.quantile(curve, DIMMED_BINS, method="lower")) >= UNBROKEN_SHARE * float(np.median(curve)) > 0.0
+    )
+
+
+def sharpest_light_px(fits: Sequence[StreakFit]) -> float:
+    """Width (sigma, px) that the optics do not exceed, as long bright lines show it; infinite where there is none.
+
+    Stars do not always tell: full, stretched or crowded ones are wider than the optics. Satellites of one train had an eighth of
+    their width.
+    """
+    widths = [
+        fit.width_px
+        for fit, odds in zip(fits, odds_of_readout(fits), strict=True)
+        if fit.length_px >= LONGEST_PARTICLE_PX
+        and fit.snr >= LEAST_UNMODELLED_SNR
+        and not fit.flags & (StreakFlag.FIT_FAILED | StreakFlag.STATIC)
+        and not (is_aligned(fit.angle_deg) and odds >= LEAST_READOUT_ODDS)
+        and _is_unbroken(fit)
+    ]
+    return float(np.median(widths)) if widths else math.inf
 
 
 def _of_unmodelled_kind(fit: StreakFit, features: Features) -> bool:
@@ -241,11 +271,20 @@ class LikelihoodVetter:
         ln_psf_error = math.hypot(UNKNOWN_LN_PSF, self.model_error) if unknown else self.model_error
         ln_psf_error = math.hypot(ln_psf_error, PLACE_LN_PSF)
         model_error = max(self.model_error, PSF_SHAPE_ERROR)
+        sharpest = sharpest_light_px(fits) if self.model_error > 0.0 else math.inf
         widths = [fit.psf_sigma_px if math.isfinite(fit.psf_sigma_px) and not unknown else psf_sigma_px for fit in fits]
         features = [
-            features_of(fit, width, ln_psf_error=ln_psf_error, model_error=model_error, may_vary=self.model_error > 0.0)
+            features_of(
+                fit, min(width, sharpest), ln_psf_error=ln_psf_error, model_error=model_error, may_vary=self.model_error > 0.0
+            )
             for fit, width in zip(fits, widths, strict=True)
         ]
+        if self.model_error > 0.0:
+            # on board a full trail is a row of full stars, which it aims at; here `spikes` asks for a star that outshines it
+            exact = odds_of_readout(fits) >= LEAST_READOUT_ODDS
+            features = [
+                replace(each, spike=False, aligned=each.aligned and bool(on)) for each, on in zip(features, exact, strict=True)
+            ]
         strange = np.array([self.model_error > 0.0 and _of_unmodelled_kind(*pair) for pair in zip(fits, features, strict=True)])
         if unknown or self.model_error > 0.0:
             brightest = LN_BRIGHTEST_SNR_UNKNOWN if unknown else LN_BRIGHTEST_SNR
@@ -305,6 +344,10 @@ class LikelihoodVetter:
         rate, worth = (np.array(column) for column in zip(*classes.values(), strict=True))
         real = np.array([name == REAL for name in classes])
         if self.model_error > 0.0:  # frames that nobody calibrated
+            if strange is not None:
+                # what recurs is short, broad or along the readout: a train of satellites is neither
+                narrow = strange & np.array([each.sharpness <= LN_WIDE for each in features])
+                log_density[narrow, list(classes).index(RECURRING)] = NEVER
             log_density = with_recurring_here(log_density, features, list(classes), rate)
         if strange is not None and strange.any():
             log_density = np.column_stack((log_density, np.where(strange, LN_UNMODELLED, NEVER)))

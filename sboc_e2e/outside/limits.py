@@ -10,7 +10,12 @@ WORK: Final = 4
 """Times the work that a frame of its size may take on board."""
 
 MOST_DETECTIONS: Final = 1_000
-"""Detections of a frame, all of which are measured."""
+"""Detections of a frame, all of which are measured but for particle hits."""
+
+MOST_HITS: Final = 100
+"""Of lines sharper than the stars, as particles are, the brightest are measured: the vetter tells trails among them by their
+length. Full, stretched and crowded stars are wider than the optics, and ten of ten satellites of a train were sharper. In orbit
+one is sent. A budget of time."""
 
 
 def work_meter(n_pixels: int) -> WorkMeter:

@@ -14,7 +14,7 @@ from sboc_e2e.outside import beside
 from sboc_e2e.outside.camera import camera_of_frame, camera_of_preset, focal_px_by_stars, refuse_narrow_field
 from sboc_e2e.outside.first_frame import FirstFrame
 from sboc_e2e.outside.frame_source import FrameSource, SourcedFrame
-from sboc_e2e.outside.limits import MOST_DETECTIONS
+from sboc_e2e.outside.limits import MOST_DETECTIONS, MOST_HITS
 from sboc_e2e.outside.look_alikes import CountingChain, counts_of
 from sboc_e2e.outside.rehearsal import rehearse
 from sboc_e2e.registry import Registry
@@ -53,7 +53,7 @@ def base_document(wcs: str) -> dict[str, Any]:
     return {
         "onboard": {
             "downlink": {"budget": "0 Mbit/s"},
-            "roi": {"max_per_frame": MOST_DETECTIONS},
+            "roi": {"max_per_frame": MOST_DETECTIONS, "max_cosmic_like": MOST_HITS},
             "detector": {"max_detections": MOST_DETECTIONS},
         },
         "ground": {

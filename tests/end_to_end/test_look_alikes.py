@@ -311,6 +311,7 @@ def test_limits_of_orbit_do_not_bind_frames_from_outside() -> None:
     for step, most in ((scenario, 1000), (orbit, 200)):
         assert step.step("onboard.detector").max_detections == most
     assert scenario.onboard.roi.max_per_frame == 1000 > orbit.onboard.roi.max_per_frame
+    assert scenario.onboard.roi.max_cosmic_like == 100 > orbit.onboard.roi.max_cosmic_like
 
 
 def test_a_fit_where_no_pixel_saw_the_sky_is_refused() -> None:

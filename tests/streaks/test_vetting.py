@@ -11,6 +11,7 @@ from ground.streaks import TrailedPsfFitter
 from ground.vetting import LikelihoodVetter
 from ground.vetting.class_densities import BINS, FLAG_SHARES, RECURRING, STRUCTURE, class_densities
 from ground.vetting.features import features_of
+from ground.vetting.likelihood import LONGEST_PARTICLE_PX, sharpest_light_px
 from ground.vetting.repeated import repeated
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import StreakFlag
@@ -276,6 +277,68 @@ def test_a_wide_arc_is_no_trail_and_a_wide_line_or_a_narrow_arc_is(
     assert bent / (1.0 - bent) < 0.5 * believed / (1.0 - believed), "it is left with the class of debris, whose widths stray"
     narrow = replace(straight, width_px=PSF_SIGMA_PX, flags=StreakFlag.CURVED, sagitta_px=18.0)
     assert vetter.probability([narrow], frame)[0] > 0.9
+
+
+def with_light(fit: StreakFit, light: np.ndarray) -> StreakFit:
+    """The fit with another light curve (k,)."""
+    return replace(fit, light_curve_e_px=light.astype(np.float32), light_curve_err_e_px=np.full(len(light), 0.1, np.float32))
+
+
+def train_of_satellites(fit: StreakFit) -> list[StreakFit]:
+    """Ten parallel trails, 640 px long at S/N 150, sigma 0.4 px, with 200 bins of light."""
+    one = outside_fit(fit, (0.0, 0.0, 300.0, 565.0), width_px=0.4, snr=150.0, chi2_nu=1.5)
+    one = with_light(replace(one, sagitta_px=0.0, flags=StreakFlag.COSMIC_LIKE | StreakFlag.CROSSES_STAR), np.ones(200))
+    return [replace(one, row0=50.0 * k, row1=300.0 + 50.0 * k) for k in range(10)]
+
+
+def test_long_lines_that_are_lit_all_along_tell_how_sharp_the_optics_are(fits: dict[str, list[StreakFit]]) -> None:
+    """Stars of a crowded picture had three pixels, satellites of a train 0.4. Particles and rows tell nothing."""
+    train = train_of_satellites(fits["real"][0])
+    assert sharpest_light_px(train) == pytest.approx(0.4)
+    for n_dark, tells in ((9, True), (30, False)):
+        gaps = [with_light(trail, np.arange(200) >= n_dark) for trail in train]
+        assert math.isfinite(sharpest_light_px(gaps)) == tells
+    part = 0.99 * LONGEST_PARTICLE_PX / train[0].length_px
+    for others in (
+        [replace(trail, row1=trail.row0 + 300.0 * part, col1=565.0 * part) for trail in train],
+        [replace(trail, row1=trail.row0) for trail in train],
+        [replace(trail, snr=40.0) for trail in train],
+    ):
+        assert math.isinf(sharpest_light_px(others))
+
+
+def test_a_train_of_satellites_does_not_recur_and_short_sharp_tracks_do(
+    fits: dict[str, list[StreakFit]], frame: DownlinkFrame
+) -> None:
+    """Ten trails of one picture, an eighth as wide as its stars: nine were not sent, and the tenth had p 0.04."""
+    vetter, train = LikelihoodVetter(model_error=0.2), train_of_satellites(fits["real"][0])
+    wide = replace(frame, psf_sigma_px=3.0)
+    train = [replace(trail, psf_sigma_px=3.0) for trail in train]
+    assert vetter.probability(train, wide).min() > 0.9
+    tracks = [with_light(replace(trail, row1=trail.row0 + 60.0, col1=113.0), np.ones(40)) for trail in train]
+    assert vetter.probability(tracks, wide).max() < 0.5
+
+
+def test_trails_that_drift_across_columns_are_not_refused_for_their_direction(
+    fits: dict[str, list[StreakFit]], frame: DownlinkFrame
+) -> None:
+    """Four satellites 0.1 to 0.4 deg from the columns, S/N 460 to 530 and 807 px long, had p 0.03 to 0.04."""
+    vetter = LikelihoodVetter(model_error=0.2)
+    one = outside_fit(fits["real"][0], (-0.5, 59.5, 806.5, 55.5), width_px=0.5, snr=480.0, chi2_nu=3.4)
+    one = with_light(replace(one, sagitta_px=0.0, flags=StreakFlag.EDGE0 | StreakFlag.EDGE1), np.ones(200))
+    drifting = [replace(one, col0=one.col0 + 60.0 * k, col1=one.col1 + 60.0 * k) for k in range(3)]
+    assert vetter.probability(drifting, frame).min() > 0.9
+    still = [replace(each, col1=each.col0 + 0.1) for each in drifting]
+    assert vetter.probability(still, frame).max() < 0.05
+
+
+def test_a_full_trail_that_aims_at_its_own_light_is_no_spike(fits: dict[str, list[StreakFit]], frame: DownlinkFrame) -> None:
+    """On board its full pixels are listed as full stars. In frames from outside stars that outshine a line speak against it."""
+    bright = replace(max(fits["real"], key=lambda fit: fit.snr), flags=StreakFlag.SATURATED)
+    spike = replace(bright, flags=bright.flags | StreakFlag.SPIKE_LIKE)
+    outside, orbit = LikelihoodVetter(model_error=0.2), LikelihoodVetter()
+    assert outside.probability([spike], frame)[0] == outside.probability([bright], frame)[0]
+    assert orbit.probability([spike], frame)[0] < orbit.probability([bright], frame)[0]
 
 
 def test_what_stays_on_a_column_is_of_the_readout(fits: dict[str, list[StreakFit]], frame: DownlinkFrame) -> None:

@@ -87,7 +87,7 @@ def _encode_row(
         value = np.int32(np.int32(pixels[i]) - np.int32(whole[i]) - level[i])
         far = (value >= np.int32(BEYOND)) | (value <= np.int32(-BEYOND))
         codes[i] = np.int8(BEYOND) if far else np.int8(value)
-        count += np.int32(far)
+        count = np.int32(count + np.int32(far))
     return int(count)
 
 

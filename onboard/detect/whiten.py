@@ -143,8 +143,8 @@ def _tile_sums(values: NDArray[np.int8], blocked: NDArray[np.uint8], limit: int)
         value = np.int32(values[i])
         value = low if value < low else value
         value = high if value > high else value
-        total += value
-        count += np.int32(blocked[i] == 0)
+        total = np.int32(total + value)
+        count = np.int32(count + np.int32(blocked[i] == 0))
     return int(total), int(count)
 
 

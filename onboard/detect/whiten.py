@@ -143,8 +143,8 @@ def _tile_sums(values: NDArray[np.int8], blocked: NDArray[np.uint8], limit: int)
         value = np.int32(values[i])
         value = low if value < low else value
         value = high if value > high else value
-        total += value
-        count += np.int32(blocked[i] == 0)
+        total = np.int32(total + value)
+        count = np.int32(count + np.int32(blocked[i] == 0))
     return int(total), int(count)
 
 
@@ -252,6 +252,13 @@ def smooth(
     return out
 
 
+@nb.njit(cache=True)
+def _fill_shift(level: NDArray[np.float32], tile_px: int, total_weight: float, out: NDArray[np.int16]) -> None:
+    """What a row of the mesh takes away from the sum along each column."""
+    for j in range(level.size):
+        out[j * tile_px : (j + 1) * tile_px] = -np.int16(np.rint(level[j] * total_weight))
+
+
 @nb.njit(cache=True, nogil=True)
 def _smooth(
     image: NDArray[np.int8],
@@ -271,14 +278,14 @@ def _smooth(
         total_weight += 2.0 * taps[k]
     scale = np.float32(1.0 / power)
     limit = np.float32(clip_sigma * UNIT)
-    line = np.zeros(cols + 2 * radius, np.int16)
+    line, shift = np.zeros(cols + 2 * radius, np.int16), np.zeros(cols, np.int16)
     total = np.empty(cols, np.int32)
     blank = np.zeros(cols, np.int8)
     for row in range(first, first + out.shape[0]):
         middle = line[radius : radius + cols]
-        for j in range(level.shape[1]):
-            shift = np.int16(np.rint(level[row // tile_px, j] * total_weight))
-            middle[j * tile_px : (j + 1) * tile_px] = -shift
+        if row == first or row % tile_px == 0:
+            _fill_shift(level[row // tile_px], tile_px, total_weight, shift)
+        middle[:] = shift
         if radius == 2:  # a PSF of 2 px FWHM: one pass in each direction
             _add_five_rows(
                 middle,
@@ -372,14 +379,14 @@ def _smooth_binned(
         total_weight += 2.0 * taps[k]
     scale = np.float32(2.0 / power)
     limit = np.float32(2.0 * clip_sigma * UNIT)
-    line = np.zeros(cols + 2 * radius, np.int16)
+    line, shift = np.zeros(cols + 2 * radius, np.int16), np.zeros(cols, np.int16)
     total = np.empty(cols, np.int32)
     blank = np.zeros(cols, np.int8)
     for half_row in range(rows // 2):
         middle = line[radius : radius + cols]
-        for j in range(level.shape[1]):
-            shift = np.int16(np.rint(level[2 * half_row // tile_px, j] * total_weight))
-            middle[j * tile_px : (j + 1) * tile_px] = -shift
+        if half_row == 0 or 2 * half_row // tile_px != (2 * half_row - 2) // tile_px:
+            _fill_shift(level[2 * half_row // tile_px], tile_px, total_weight, shift)
+        middle[:] = shift
         for k in range(radius):
             upper = image[2 * half_row - k] if 2 * half_row >= k else blank
             lower = image[2 * half_row + 1 + k] if 2 * half_row + 1 + k < rows else blank

@@ -87,7 +87,7 @@ def _encode_row(
         value = np.int32(np.int32(pixels[i]) - np.int32(whole[i]) - level[i])
         far = (value >= np.int32(BEYOND)) | (value <= np.int32(-BEYOND))
         codes[i] = np.int8(BEYOND) if far else np.int8(value)
-        count += np.int32(far)
+        count = np.int32(count + np.int32(far))
     return int(count)
 
 
@@ -133,6 +133,14 @@ def _pack_row(
 
 
 @nb.njit(cache=True)
+def _holds_beyond(eight: np.uint64) -> bool:
+    """Whether one of eight bytes is `BEYOND`: it becomes 0, of which alone, or beside which, a one is borrowed."""
+    ones = np.uint64(0x0101010101010101)
+    eight ^= ones * np.uint64(BEYOND)
+    return ((eight - ones) & ~eight & (ones << np.uint64(7))) != np.uint64(0)
+
+
+@nb.njit(cache=True)
 def _encode(
     pixels: NDArray[np.uint16] | NDArray[np.int32],
     dark: Codes,
@@ -144,7 +152,7 @@ def _encode(
     rows, cols = pixels.shape
     whole, fraction, sky = np.empty(cols, np.int16), np.empty(cols, np.int8), np.empty(cols, np.int32)
     codes = np.zeros(PIXELS * words.shape[1], np.int8)
-    fours = np.zeros(codes.size, np.uint8)
+    eights, fours = codes.view(np.uint64), np.zeros(codes.size, np.uint8)
     first, n = np.zeros(rows + 1, np.int64), 0
     column, value = np.empty(cols, np.int32), np.empty(cols, np.int32)
     first_rest, n_rest, rest = np.zeros(rows + 1, np.int64), 0, np.empty(2 * cols, np.int8)
@@ -160,8 +168,10 @@ def _encode(
         first_rest[row + 1] = n_rest
         if n + count > column.size:
             column, value = np.append(column, np.empty_like(column)), np.append(value, np.empty_like(value))
-        if count > 0:
-            for j in range(cols):
+        for word in range(eights.size if count > 0 else 0):
+            if not _holds_beyond(eights[word]):
+                continue
+            for j in range(8 * word, 8 * word + 8):
                 if codes[j] == np.int8(BEYOND):
                     column[n], value[n] = j, np.int32(pixels[row, j]) - np.int32(whole[j])
                     n += 1

@@ -216,17 +216,21 @@ def _residual_row(
 ) -> np.int32:
     """One row of `residual_pass`, without the table of the dark. A separate function, so that its loop is vectorised."""
     unusable = np.int32(0)
-    unit = np.float32(1.0 / FRACTIONS_PER_ADU)
+    unit, limit = np.float32(1.0 / FRACTIONS_PER_ADU), np.int32(saturation)
     for col in range(pixels.size):
         away = np.int32(np.int32(codes[col]) + np.int32(rest[col]))
         steps = whole_steps(away, one_byte)
         fraction = np.int32(away - np.int32(steps * np.int32(STEPS_PER_ADU)))
         value = np.int32(pixels[col])
-        bits = mask[col] | (np.uint8(4) if value >= saturation else np.uint8(0))
-        net = np.float32(np.int32(value - np.int32(middle[col])) - steps) * scale - np.float32(fraction) * unit - level[col]
+        bits = np.uint8(mask[col] | (np.uint8(4) if value >= limit else np.uint8(0)))
+        net = (
+            np.float32(np.int32(np.int32(value - np.int32(middle[col])) - steps)) * scale
+            - np.float32(fraction) * unit
+            - level[col]
+        )
         residual[col] = net if bits == 0 else np.float32(0.0)
         mask[col] = bits
-        unusable += np.int32(bits != 0)
+        unusable = np.int32(unusable + np.int32(bits != 0))
     return unusable
 
 

@@ -38,15 +38,20 @@ def _bend(level: NDArray[np.float32]) -> NDArray[np.float64]:
 
 
 @njit(cache=True)
+def _saturated(mask: NDArray[np.uint8]) -> np.int32:
+    """Saturated pixels of a piece of a row; a function of its own so that it is compiled to vector instructions."""
+    number = np.int32(0)
+    for k in range(mask.size):
+        number += np.int32((mask[k] & SATURATED) != 0)
+    return number
+
+
+@njit(cache=True)
 def count_saturated(mask: NDArray[np.uint8], tile_px: int, out: NDArray[np.int32]) -> None:
     """Saturated pixels of each tile, added to out; pixels beyond the last tile do not count."""
-    rows, cols = min(mask.shape[0], out.shape[0] * tile_px), mask.shape[1]
-    for row in range(rows):
+    for row in range(min(mask.shape[0], out.shape[0] * tile_px)):
         for tile in range(out.shape[1]):
-            number = np.int32(0)
-            for col in range(tile * tile_px, min((tile + 1) * tile_px, cols)):
-                number += np.int32((mask[row, col] & SATURATED) != 0)
-            out[row // tile_px, tile] += number
+            out[row // tile_px, tile] += _saturated(mask[row, tile * tile_px : (tile + 1) * tile_px])
 
 
 def glare_tiles(mask: NDArray[np.uint8], background: BackgroundModel) -> NDArray[np.bool_]:

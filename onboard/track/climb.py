@@ -13,7 +13,7 @@ LEAST_SEEN: Final = 0.4
 """A frame counts where so much of the trail in it falls on known pixels."""
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def climb(
     corridors: Corridors,
     look: Look,
@@ -28,10 +28,13 @@ def climb(
     snr = evaluate(corridors, look, low, high, track)
     scale = 1.0
     for _ in range(halvings):
+        failed = 0
         for _ in range(8):
-            improved = False
             for parameter in range(5):
                 for sign in (-1.0, 1.0):
+                    if failed == 10:  # all ten steps from where the track is
+                        break
+                    failed += 1
                     trial[:] = track
                     if parameter < 4:
                         trial[parameter] += sign * scale * steps[parameter]
@@ -43,10 +46,8 @@ def climb(
                         continue
                     value = evaluate(corridors, look, low, high, trial)
                     if value > snr + 1e-4:
-                        snr, improved = value, True
+                        snr, failed = value, 0
                         track[:] = trial
-            if not improved:
-                break
         scale *= 0.5
     return snr
 

@@ -67,7 +67,7 @@ def gather(
     return read
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def between(
     sums: NDArray[np.int32],
     counts: NDArray[np.int32],

@@ -27,33 +27,14 @@ sum along a line (PSF of 0.85 px): 0.4 % of its S/N.
 ZERO: Final = 8
 """Code of a pixel without light."""
 
+NINTH: Final = 57
+"""2^9 / STEP, rounded up: n * NINTH >> 9 is n // STEP for n below 450."""
+
 ROUNDING: Final = 1.0 / 12.0
 """Variance of the rounding, steps squared."""
 
 HALF_ROUNDING: Final = (1.0 + 0.25) / 12.0
 """The same of the image at half resolution: its own, and the mean of four."""
-
-
-def _codes() -> NDArray[np.uint8]:
-    """Code of each value of `Searched.smooth`, by the value's bits."""
-    value = np.arange(256, dtype=np.uint8).view(np.int8).astype(np.float64)
-    code = np.clip(np.rint(value / STEP), -7, 7) + ZERO
-    code[value == UNKNOWN] = 0
-    return code.astype(np.uint8)
-
-
-CODES: Final = _codes()
-
-
-def _mean_codes() -> NDArray[np.uint8]:
-    """Code of the mean of four pixels by the sum of their codes, for 0 to 4 known ones: (5 * 64,); unknown where most are."""
-    total, known = np.meshgrid(np.arange(64), np.arange(5))
-    mean = np.clip(np.rint((total - ZERO * known) / 4.0), -7, 7) + ZERO
-    mean[known < 2] = 0
-    return np.asarray(mean.astype(np.uint8).ravel())
-
-
-MEAN_CODES: Final = _mean_codes()
 
 
 def words_of(cols: int) -> int:
@@ -64,7 +45,7 @@ def words_of(cols: int) -> int:
 def packed(smooth: NDArray[np.int8]) -> NDArray[np.uint64]:
     """An image as `Searched.smooth` (rows, cols) -> (rows, words)."""
     out = np.zeros((smooth.shape[0], words_of(smooth.shape[1])), np.uint64)
-    pack(smooth.view(np.uint8), CODES, out)
+    _pack_smooth(smooth, out)
     return read_only(out)
 
 
@@ -72,6 +53,34 @@ def read_only(words: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """The same, as of a state that was read back: compiled code has one kind of image."""
     words.flags.writeable = False
     return words
+
+
+@nb.njit(cache=True)
+def _pack_smooth(smooth: NDArray[np.int8], out: NDArray[np.uint64]) -> None:
+    cols = smooth.shape[1]
+    pairs = out.view(np.uint8)  # the first pixel of two in the lower half
+    for row in range(smooth.shape[0]):
+        line = pairs[row, PIXELS // 2 :]
+        _pack_pairs(smooth[row, : cols // 2 * 2], line[: cols // 2])
+        if cols % 2:
+            line[cols // 2] = _code(smooth[row, cols - 1])
+
+
+@nb.njit(cache=True)
+def _pack_pairs(smooth: NDArray[np.int8], out: NDArray[np.uint8]) -> None:
+    for i in range(out.size):
+        out[i] = np.uint8(np.int16(_code(smooth[2 * i]) | np.int16(_code(smooth[2 * i + 1]) << np.int16(4))))
+
+
+@nb.njit(cache=True)
+def _code(smooth: np.int8) -> np.int16:
+    """Code of a value of `Searched.smooth`: rounded to whole steps, by a product and a shift for vector instructions."""
+    most = np.int16(7 * STEP + STEP // 2)
+    value = np.int16(smooth)
+    value = np.int16(-most) if value < np.int16(-most) else value
+    value = most if value > most else value
+    code = np.int16(np.int16(np.int16(np.int16(value + most) * np.int16(NINTH)) >> np.int16(9)) + np.int16(1))
+    return np.int16(0) if smooth == np.int8(UNKNOWN) else code
 
 
 @nb.njit(cache=True)
@@ -103,39 +112,73 @@ def halved(words: NDArray[np.uint64]) -> tuple[NDArray[np.uint64], NDArray[np.ui
 def half_of(words: NDArray[np.uint64]) -> NDArray[np.uint64]:
     """The first of `halved`."""
     half = np.zeros((words.shape[0] // 2, (words.shape[1] - 1) // 2 + 2), np.uint64)
-    _halve(words, MEAN_CODES, half)
+    _halve(words, half)
     return read_only(half)
 
 
 @nb.njit(cache=True)
-def _halve(words: NDArray[np.uint64], mean_codes: NDArray[np.uint8], out: NDArray[np.uint64]) -> None:
-    low, one, most = np.uint64(0x0F0F0F0F0F0F0F0F), np.uint64(0x0101010101010101), np.uint64(0x7F7F7F7F7F7F7F7F)
+def _halve(words: NDArray[np.uint64], out: NDArray[np.uint64]) -> None:
+    # a byte holds two pixels, the first in its lower half
+    pairs, halves = words.view(np.uint8), out.view(np.uint8)
+    begin, end = PIXELS // 2, 4 * words.shape[1]
     for row in range(out.shape[0]):
-        for word in range(words.shape[1] - 2):
-            total = known = np.uint64(0)
-            for i in range(2):
-                bits = words[2 * row + i, word + 1]
-                for part in (bits & low, (bits >> np.uint64(4)) & low):
-                    total += part
-                    known += ((part + most) >> np.uint64(7)) & one
-            bits = np.uint64(0)
-            for k in range(8):
-                at = np.uint64(8 * k)
-                place = ((total >> at) & np.uint64(63)) | (((known >> at) & np.uint64(7)) << np.uint64(6))
-                bits |= np.uint64(mean_codes[place]) << np.uint64(4 * k)
-            out[row, (word >> 1) + 1] |= bits << np.uint64(32 * (word & 1))
+        _halve_rows(pairs[2 * row, begin:-begin], pairs[2 * row + 1, begin:-begin], halves[row, begin:end])
+
+
+@nb.njit(cache=True)
+def _halve_rows(upper: NDArray[np.uint8], lower: NDArray[np.uint8], out: NDArray[np.uint8]) -> None:
+    for i in range(out.size):
+        first = _mean_code(upper[2 * i], lower[2 * i])
+        second = _mean_code(upper[2 * i + 1], lower[2 * i + 1])
+        out[i] = np.uint8(np.int16(first | np.int16(second << np.int16(4))))
+
+
+@nb.njit(cache=True)
+def _mean_code(upper: np.uint8, lower: np.uint8) -> np.int16:
+    """Code of the mean of two pairs of pixels, unknown where most are; vector instructions."""
+    one, zero = np.int16(1), np.int16(0)
+    a, b = np.int16(upper & np.uint8(15)), np.int16(upper >> np.uint8(4))
+    d, e = np.int16(lower & np.uint8(15)), np.int16(lower >> np.uint8(4))
+    known = np.int16(np.int16(np.int16(a > zero) + np.int16(b > zero)) + np.int16(np.int16(d > zero) + np.int16(e > zero)))
+    total = np.int16(np.int16(np.int16(a + b) + np.int16(d + e)) - np.int16(np.int16(ZERO) * known))
+    mean = np.int16(np.int16(total + np.int16(2)) >> np.int16(2))
+    # halves go to the even neighbour
+    odd_half = (np.int16(total & np.int16(3)) == np.int16(2)) & (np.int16(mean & one) == one)
+    mean = np.int16(mean - np.int16(odd_half))
+    mean = np.int16(-7) if mean < np.int16(-7) else mean
+    mean = np.int16(7) if mean > np.int16(7) else mean
+    return np.int16(mean + np.int16(ZERO)) if known > one else zero
 
 
 @nb.njit(cache=True)
 def _turn(words: NDArray[np.uint64], out: NDArray[np.uint64]) -> None:
     """Transpose, sixteen by sixteen pixels at a time; rows and cols of the result are those of whole words."""
-    rows = words.shape[0]
+    rows, block = words.shape[0], np.zeros(PIXELS, np.uint64)
     for word in range(words.shape[1] - 2):
         for first in range(0, rows, PIXELS):
-            for i in range(min(PIXELS, rows - first)):
-                bits, at = words[first + i, word + 1], np.uint64(4 * i)
-                for k in range(PIXELS):
-                    out[PIXELS * word + k, (first >> 4) + 1] |= ((bits >> np.uint64(4 * k)) & np.uint64(15)) << at
+            n = min(PIXELS, rows - first)
+            for i in range(n):
+                block[i] = words[first + i, word + 1]
+            block[n:] = np.uint64(0)
+            # squares of 8, 4, 2 and 1 pixels across the diagonal change places
+            _swap(block, 8, np.uint64(0x00000000FFFFFFFF))
+            _swap(block, 4, np.uint64(0x0000FFFF0000FFFF))
+            _swap(block, 2, np.uint64(0x00FF00FF00FF00FF))
+            _swap(block, 1, np.uint64(0x0F0F0F0F0F0F0F0F))
+            for k in range(PIXELS):
+                out[PIXELS * word + k, (first >> 4) + 1] = block[k]
+
+
+@nb.njit(cache=True)
+def _swap(block: NDArray[np.uint64], side: int, mask: np.uint64) -> None:
+    """Upper right squares of `side` with the lower left ones. mask : columns of the left ones."""
+    bits = np.uint64(4 * side)
+    for first in range(0, PIXELS, 2 * side):
+        for i in range(np.uint64(first), np.uint64(first + side)):
+            j = i + np.uint64(side)
+            change = ((block[i] >> bits) ^ block[j]) & mask
+            block[i] ^= change << bits
+            block[j] ^= change
 
 
 @nb.njit(cache=True)

@@ -52,6 +52,19 @@ def _inside(first: int, base: int, n: int, size: int) -> tuple[int, int]:
 
 
 @nb.njit(cache=True)
+def _codes_row(source: NDArray[np.float32], mask: NDArray[np.uint8], scale: NDArray[np.float32], codes: NDArray[np.int8]) -> None:
+    for i in range(codes.size):
+        value = source[i] * scale[i]
+        value = np.float32(-127.0) if value < np.float32(-127.0) else value
+        value = np.float32(127.0) if value > np.float32(127.0) else value
+        value += np.float32(0.5)
+        whole = np.int32(value)
+        whole = np.int32(whole - np.int32(np.float32(whole) > value))  # down, not towards zero
+        known = (mask[i] == np.uint8(0)) & (scale[i] > np.float32(0.0))
+        codes[i] = np.int8(whole if known else np.int32(MASKED))
+
+
+@nb.njit(cache=True)
 def codes_of(
     residual_adu: NDArray[np.float32],
     mask: NDArray[np.uint8],
@@ -68,11 +81,7 @@ def codes_of(
             for col in range(cols):
                 sigma = sigma_adu[mesh_row, min(col // tile_px, sigma_adu.shape[1] - 1)]
                 scale[col] = UNIT / sigma if sigma > 0.0 else 0.0
-        for col in range(cols):
-            value = residual_adu[row, col] * scale[col]
-            value = min(max(value, np.float32(-127.0)), np.float32(127.0))
-            known = (mask[row, col] == np.uint8(0)) & (scale[col] > np.float32(0.0))
-            codes[row, col] = np.int8(math.floor(value + np.float32(0.5))) if known else np.int8(MASKED)
+        _codes_row(residual_adu[row], mask[row], scale, codes[row])
 
 
 Weights = tuple[np.int32, np.int32, np.int32, np.int32]
@@ -88,13 +97,20 @@ def _weights(part_row: float, part_col: float) -> Weights:
 
 
 @nb.njit(cache=True)
+def _mixed(w: Weights, a: np.int32, b: np.int32, d: np.int32, e: np.int32) -> np.int32:
+    """Sum of four neighbours by their shares; each step in 32 bits, for with 64 loops have half the lanes."""
+    upper, lower = np.int32(np.int32(w[0] * a) + np.int32(w[1] * b)), np.int32(np.int32(w[2] * d) + np.int32(w[3] * e))
+    return np.int32(upper + lower)
+
+
+@nb.njit(cache=True)
 def _mix_row(top: NDArray[np.int8], low: NDArray[np.int8], w: Weights, weight: np.float32, model: NDArray[np.int8]) -> None:
     """Bring a row of a frame into the model; it stays where one of the four pixels is masked. weight : for the sum of shares."""
     for j in range(model.size):
         a, b, d, e = np.int32(top[j]), np.int32(top[j + 1]), np.int32(low[j]), np.int32(low[j + 1])
         least = min(min(a, b), min(d, e))
         old = np.int32(model[j])
-        step = np.float32(w[0] * a + w[1] * b + w[2] * d + w[3] * e - np.int32(WEIGHTS) * old) * weight
+        step = np.float32(np.int32(_mixed(w, a, b, d, e) - np.int32(WEIGHTS * old))) * weight
         new = np.int32(old + np.int32(step + np.float32(400.5)) - np.int32(400))
         model[j] = np.int8(new if least > np.int32(MASKED) else old)
 
@@ -110,47 +126,66 @@ def _add_row(
     total: NDArray[np.int8],
 ) -> None:
     """Add a row of a frame less the model's to the sum; nothing where one of the eight is masked or a star's."""
-    bright, clip, full = np.int32(BRIGHT), np.int32(CLIP // SUM_CODES), np.int32(FULL)
-    half, bits = np.int32(WEIGHTS * SUM_CODES // 2), np.int32(WEIGHT_BITS + 1)
+    bright, dark, half = np.int32(BRIGHT), np.int32(-BRIGHT), np.int32(WEIGHTS * SUM_CODES // 2)
+    most, least_sum = np.int32(CLIP // SUM_CODES), np.int32(-(CLIP // SUM_CODES))
+    full, empty, none = np.int32(FULL), np.int32(-FULL), np.int32(0)
     for j in range(total.size):
         a, b, d, e = np.int32(top[j]), np.int32(top[j + 1]), np.int32(low[j]), np.int32(low[j + 1])
         p, q = np.int32(model_top[j]), np.int32(model_top[j + 1])
         s, t = np.int32(model_low[j]), np.int32(model_low[j + 1])
-        sky = m[0] * p + m[1] * q + m[2] * s + m[3] * t
-        value = (w[0] * a + w[1] * b + w[2] * d + w[3] * e - sky + half) >> bits
-        value = min(max(value, -clip), clip)
+        value = np.int32(np.int32(np.int32(_mixed(w, a, b, d, e) - _mixed(m, p, q, s, t)) + half) >> np.int32(WEIGHT_BITS + 1))
+        value = min(max(value, least_sum), most)
         least = min(min(a, b), min(d, e))
         lowest, highest = min(min(p, q), min(s, t)), max(max(p, q), max(s, t))
-        known = (least > np.int32(MASKED)) & (lowest > -bright) & (highest < bright)
-        value = np.int32(total[j]) + (value if known else np.int32(0))
-        total[j] = np.int8(min(max(value, -full), full))
+        known = (least > np.int32(MASKED)) & (lowest > dark) & (highest < bright)
+        value = np.int32(np.int32(total[j]) + (value if known else none))
+        total[j] = np.int8(min(max(value, empty), full))
+
+
+Reading = tuple[int, int, Weights]
+"""Where a block of columns is read from: first of two rows, columns between here and there, shares of the four neighbours."""
+
+
+@nb.njit(cache=True)
+def _reading(transform: NDArray[np.float64], row: float, first: int, shift_col: float, cols: int) -> Reading:
+    """Of the block that begins at column `first`. transform : (2, 3) of the grid, moved by shift_col, into the frame."""
+    n = min(BLOCK_PX, cols - first)
+    middle = first + 0.5 * n
+    col = middle + shift_col
+    at_row = transform[0, 0] * row + transform[0, 1] * col + transform[0, 2]
+    at_col = transform[1, 0] * row + transform[1, 1] * col + transform[1, 2] - middle + first
+    r, c = math.floor(at_row), math.floor(at_col)
+    return r, c - first, _weights(at_row - r, at_col - c)
+
+
+@nb.njit(cache=True)
+def _readings(
+    transform: NDArray[np.float64], row: float, first: int, shift_col: float, cols: int, reading: Reading
+) -> tuple[int, Reading]:
+    """Where the blocks that are read alike end, and how the next one is read. reading : of the block that begins at `first`."""
+    stop, following = first, reading
+    while stop < cols and following == reading:
+        stop = min(stop + BLOCK_PX, cols)
+        if stop < cols:
+            following = _reading(transform, row, stop, shift_col, cols)
+    return stop, following
 
 
 @nb.njit(cache=True)
 def update_model(codes: NDArray[np.int8], transform: NDArray[np.float64], share: int, model: NDArray[np.int8]) -> None:
     """Bring a frame into the model with a weight of 1 / share. transform : (2, 3) of the model's grid into the frame."""
     rows, cols = codes.shape
+    weight = np.float32(1.0 / (WEIGHTS * share))
     for row in range(rows):
-        for first in range(0, cols, BLOCK_PX):
-            n = min(BLOCK_PX, cols - first)
-            middle = first + 0.5 * n
-            at_row = transform[0, 0] * row + transform[0, 1] * middle + transform[0, 2]
-            at_col = transform[1, 0] * row + transform[1, 1] * middle + transform[1, 2] - middle + first
-            r, c = math.floor(at_row), math.floor(at_col)
-            if r < 0 or r >= rows - 1:
+        first, following = 0, _reading(transform, float(row), 0, 0.0, cols)
+        while first < cols:
+            start, (r, to, w) = first, following
+            first, following = _readings(transform, float(row), start, 0.0, cols, following)
+            low, high = _inside(start, start + to, first - start, cols)
+            if r < 0 or r >= rows - 1 or high <= low:
                 continue
-            w = _weights(at_row - r, at_col - c)
-            weight = np.float32(1.0 / (WEIGHTS * share))
-            low, high = _inside(first, c, n, cols)
-            if high <= low:
-                continue
-            _mix_row(
-                codes[r, c + low : c + high + 1],
-                codes[r + 1, c + low : c + high + 1],
-                w,
-                weight,
-                model[row, first + low : first + high],
-            )
+            low, high = start + low, start + high
+            _mix_row(codes[r, low + to : high + to + 1], codes[r + 1, low + to : high + to + 1], w, weight, model[row, low:high])
 
 
 def static_snr(model: NDArray[np.int8], place: NDArray[np.float64], psf_sigma_px: float) -> float:
@@ -182,31 +217,24 @@ def add_moving(
     gr, gc = shift_row - sr, shift_col - sc
     m = _weights(gr, gc)
     for row in range(rows):
-        model_row = row + sr
+        model_row, at = row + sr, row + shift_row
         if model_row < 0 or model_row >= rows - 1:
             continue
-        for first in range(0, cols, BLOCK_PX):
-            n = min(BLOCK_PX, cols - first)
-            middle = first + 0.5 * n
-            x, y = row + shift_row, middle + shift_col
-            at_row = transform[0, 0] * x + transform[0, 1] * y + transform[0, 2]
-            at_col = transform[1, 0] * x + transform[1, 1] * y + transform[1, 2] - middle + first
-            r, c = math.floor(at_row), math.floor(at_col)
-            if r < 0 or r >= rows - 1:
+        first, following = 0, _reading(transform, at, 0, shift_col, cols)
+        while first < cols:
+            start, (r, to, w) = first, following
+            first, following = _readings(transform, at, start, shift_col, cols, following)
+            low, high = _inside(start, start + to, first - start, cols)
+            low_model, high_model = _inside(start, start + sc, first - start, cols)
+            low, high = start + max(low, low_model), start + min(high, high_model)
+            if r < 0 or r >= rows - 1 or high <= low:
                 continue
-            w = _weights(at_row - r, at_col - c)
-            low, high = _inside(first, c, n, cols)
-            low_model, high_model = _inside(first, first + sc, n, cols)
-            low, high = max(low, low_model), min(high, high_model)
-            if high <= low:
-                continue
-            k = first + sc
             _add_row(
-                codes[r, c + low : c + high + 1],
-                codes[r + 1, c + low : c + high + 1],
+                codes[r, low + to : high + to + 1],
+                codes[r + 1, low + to : high + to + 1],
                 w,
-                model[model_row, k + low : k + high + 1],
-                model[model_row + 1, k + low : k + high + 1],
+                model[model_row, low + sc : high + sc + 1],
+                model[model_row + 1, low + sc : high + sc + 1],
                 m,
-                total[row, first + low : first + high],
+                total[row, low:high],
             )

@@ -126,7 +126,7 @@ def collect_half(
     return read
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def trail_sums(corridors: Corridors, look: Look, frame: int, track: NDArray[np.float64]) -> tuple[float, float]:
     """Sum and weight of a track (a, length, offset, tilt) in one frame."""
     start = track[0] + look.sense * look.taus[frame] * track[1]
@@ -141,7 +141,7 @@ def trail_sums(corridors: Corridors, look: Look, frame: int, track: NDArray[np.f
     return between(corridors.sums, corridors.counts, frame, corridors.pieces[frame], first, last, lane, look.correlation)
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def evaluate(corridors: Corridors, look: Look, low: int, high: int, track: NDArray[np.float64]) -> float:
     """Joint S/N of a track in frames low ... high."""
     total = weight = 0.0

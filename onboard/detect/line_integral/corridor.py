@@ -5,7 +5,7 @@ for steep lines, col for flat ones, with the images handed in transposed), minor
 """
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numba as nb
 import numpy as np
@@ -22,22 +22,42 @@ BOW_GAIN: Final = 0.6
 BENT_PX: Final = 40.0
 """Shorter segments are straight: their curvature cannot be measured."""
 
-LANES: Final = 16
-"""Pixels read at once: the paths of a corridor, filled up to whole vector registers."""
-
 PIECES: Final = 48
 """Most pieces that a corridor is cut into along its length."""
 
+LANES: Final = 16
+"""Pixels of a row that are read at once: the paths of a corridor, filled up to two words of eight bytes."""
+
+FLUSH: Final = 256
+"""Rows whose bytes are summed in 16 bits."""
+
+BIAS: Final = 128
+"""What makes a signed byte unsigned: its highest bit flipped."""
+
+
+class Lines(NamedTuple):
+    """An image as corridors read it. flat : its pixels, row by row; words : the same, eight in each, without those left over.
+
+    rows, cols : its shape. steep : rows are the major axis.
+    """
+
+    flat: NDArray[np.int8]
+    words: NDArray[np.uint64]
+    rows: int
+    cols: int
+    steep: bool
+
 
 @nb.njit(cache=True)
-def _add_lanes(paths: NDArray[np.int32], values: NDArray[np.int8]) -> None:
-    for k in range(LANES):
-        paths[k] += values[k]
+def lines_of(image: NDArray[np.int8], steep: bool) -> Lines:
+    """The rows of an image (rows, cols), or its columns, as major axis."""
+    flat = image.reshape(-1)
+    return Lines(flat, flat[: flat.size // 8 * 8].view(np.uint64), image.shape[0], image.shape[1], steep)
 
 
 @nb.njit(cache=True)
 def corridor_sums(
-    smooth: NDArray[np.int8],
+    lines: Lines,
     major0: int,
     major1: int,
     minor0: float,
@@ -50,40 +70,114 @@ def corridor_sums(
 
     The middle path starts at (major0, minor0) and climbs by `slope` per px; sums, counts: (PIECES, OFFSETS).
     """
-    n_minor = smooth.shape[1]
-    half = OFFSETS // 2
+    flat, words, _, cols, steep = lines
+    # pixels across that are read at once
+    across, n_minor = (LANES, cols) if steep else (OFFSETS, lines.rows)
     n_piece = min(PIECES, (major1 - major0 + piece) // piece)
     counts[:n_piece] = 0
-    paths = np.empty(LANES, np.int32)
+    sums[:n_piece] = 0
     for p in range(n_piece):
-        paths[:] = 0
-        inside = 0
-        for major in range(major0 + p * piece, min(major0 + (p + 1) * piece, major1 + 1)):
-            base = math.floor(minor0 + slope * (major - major0) + 0.5) - half
-            if base >= 0 and base + LANES <= n_minor:
-                inside += 1
-                _add_lanes(paths, smooth[major, base : base + LANES])
+        start, stop = major0 + p * piece, min(major0 + (p + 1) * piece, major1 + 1)
+        while start < stop:
+            last = min(start + FLUSH, stop)
+            base0 = _base(minor0, slope, start - major0)
+            base1 = _base(minor0, slope, last - 1 - major0)
+            inside = min(base0, base1) >= 0 and max(base0, base1) + across <= n_minor
+            if inside and not steep:
+                _add_columns(flat, cols, start, last, major0, minor0, slope, sums, p)
+            elif inside and ((last - 1) * cols + base1 >> 3) + 2 < words.size:
+                _add_rows(words, cols, start, last, major0, minor0, slope, sums, p)
             else:
+                inside = False
+                for major in range(start, last):
+                    _add_some(lines, major, _base(minor0, slope, major - major0), sums, counts, p)
+            if inside:
                 for k in range(OFFSETS):
-                    if 0 <= base + k < n_minor:
-                        paths[k] += smooth[major, base + k]
-                        counts[p, k] += 1
-        for k in range(OFFSETS):
-            sums[p, k] = paths[k]
-            counts[p, k] += inside
+                    counts[p, k] += last - start
+            start = last
     return n_piece
 
 
 @nb.njit(cache=True)
-def _path_piece(sums: NDArray[np.int32], counts: NDArray[np.int32], p: int, position: float) -> tuple[float, float]:
-    """Sum and count of a piece at a fractional path number, linear between paths."""
-    position = min(max(position, 0.0), OFFSETS - 1.001)
-    k = int(position)
-    f = position - k
-    return sums[p, k] * (1.0 - f) + sums[p, k + 1] * f, counts[p, k] * (1.0 - f) + counts[p, k + 1] * f
+def _base(minor0: float, slope: float, step: int) -> int:
+    """Pixel of the first path."""
+    return math.floor(minor0 + slope * step + 0.5) - OFFSETS // 2
 
 
 @nb.njit(cache=True)
+def _add_rows(
+    words: NDArray[np.uint64],
+    cols: int,
+    start: int,
+    stop: int,
+    major0: int,
+    minor0: float,
+    slope: float,
+    sums: NDArray[np.int32],
+    p: int,
+) -> None:
+    """Add rows start ... stop - 1, all of whose paths lie in the image, to row p of sums: sixteen bytes of each at once."""
+    even, signs = np.uint64(0x00FF00FF00FF00FF), np.uint64(0x8080808080808080)
+    one, two, eight, rest = np.uint64(1), np.uint64(2), np.uint64(8), np.uint64(63)
+    first = second = third = fourth = np.uint64(0)
+    for row in range(start, stop):
+        at = np.uint64(row * cols + _base(minor0, slope, row - major0))
+        word, bits = at >> np.uint64(3), eight * (at & np.uint64(7))
+        low, middle, high = words[word], words[word + one], words[word + two]
+        # unsigned bytes: a flipped sign adds BIAS
+        low = ((low >> bits) | ((middle << one) << (rest - bits))) ^ signs
+        high = ((middle >> bits) | ((high << one) << (rest - bits))) ^ signs
+        first += low & even
+        second += (low >> eight) & even
+        third += high & even
+        fourth += (high >> eight) & even
+    for k in range(OFFSETS):
+        four = (second if k % 2 else first) if k < 8 else (fourth if k % 2 else third)
+        sums[p, k] += np.int32((four >> np.uint64(8 * (k % 8 - k % 2))) & np.uint64(0xFFFF)) - BIAS * (stop - start)
+
+
+@nb.njit(cache=True)
+def _add_columns(
+    flat: NDArray[np.int8],
+    cols: int,
+    start: int,
+    stop: int,
+    major0: int,
+    minor0: float,
+    slope: float,
+    sums: NDArray[np.int32],
+    p: int,
+) -> None:
+    """The same for columns, pixel by pixel."""
+    line, stride = np.uint64(p), np.uint64(cols)
+    for col in range(start, stop):
+        at = np.uint64(_base(minor0, slope, col - major0) * cols + col)
+        for k in range(np.uint64(OFFSETS)):
+            sums[line, k] += flat[at]
+            at += stride
+
+
+@nb.njit(cache=True)
+def _add_some(lines: Lines, major: int, base: int, sums: NDArray[np.int32], counts: NDArray[np.int32], p: int) -> None:
+    """Add those pixels of a line of the major axis that lie in the image."""
+    n_minor = lines.cols if lines.steep else lines.rows
+    for k in range(OFFSETS):
+        minor = base + k
+        if 0 <= minor < n_minor:
+            sums[p, k] += lines.flat[major * lines.cols + minor if lines.steep else minor * lines.cols + major]
+            counts[p, k] += 1
+
+
+@nb.njit(cache=True, error_model="numpy")
+def _path_piece(sums: NDArray[np.int32], counts: NDArray[np.int32], p: int, position: float) -> tuple[float, float]:
+    """Sum and count of a piece at a fractional path number, linear between paths."""
+    position = min(max(position, 0.0), OFFSETS - 1.001)
+    line, k = np.uint64(p), np.uint64(position)
+    f, beside = position - float(k), k + np.uint64(1)
+    return sums[line, k] * (1.0 - f) + sums[line, beside] * f, counts[line, k] * (1.0 - f) + counts[line, beside] * f
+
+
+@nb.njit(cache=True, error_model="numpy")
 def best_pieces(
     sums: NDArray[np.int32],
     counts: NDArray[np.int32],
@@ -113,7 +207,7 @@ def best_pieces(
     return math.copysign(math.sqrt(abs(power) / (pixels * variance)), power), best_first, best_last
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def search_corridor(
     sums: NDArray[np.int32],
     counts: NDArray[np.int32],
@@ -176,9 +270,9 @@ def search_corridor(
     return snr, o0, o1, sag, first, last
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def locate(
-    smooth: NDArray[np.int8],
+    lines: Lines,
     candidate: NDArray[np.float64],
     psf_sigma_px: float,
     usable: float,
@@ -196,9 +290,9 @@ def locate(
     slope = (candidate[3] - candidate[1]) / length
     extend = max(8.0, 0.3 * length)
     low = int(max(0.0, math.floor(candidate[0] - extend)))
-    high = int(min(smooth.shape[0] - 1.0, math.ceil(candidate[2] + extend)))
+    high = int(min((lines.rows if lines.steep else lines.cols) - 1.0, math.ceil(candidate[2] + extend)))
     piece = max(2, (high - low + PIECES) // PIECES)
-    n_piece = corridor_sums(smooth, low, high, candidate[1] + slope * (low - candidate[0]), slope, piece, sums, counts)
+    n_piece = corridor_sums(lines, low, high, candidate[1] + slope * (low - candidate[0]), slope, piece, sums, counts)
     first = min(n_piece - 1, max(0, int((candidate[0] - low) / piece)))
     last = min(n_piece - 1, max(first, int((candidate[2] - low) / piece)))
     cosine = 1.0 / math.sqrt(1.0 + slope * slope)

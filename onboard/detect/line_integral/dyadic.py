@@ -155,6 +155,8 @@ def line_sums(
             if last == blocks and not even:
                 continue
             kept = even and height < rows
+            if not (kept or searched):
+                continue
             best[:] = 0.0
             hit = False
             for shift in range(height):

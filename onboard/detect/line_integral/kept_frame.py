@@ -60,7 +60,7 @@ def _encode_row(
         far = known & ((code == np.int32(BEYOND)) | (code == np.int32(-BEYOND)))
         codes[i] = np.int8(code if known else hidden)
         beyond[i] = np.uint8(far)
-        count += np.int32(far)
+        count = np.int32(count + np.int32(far))
     return int(count)
 
 

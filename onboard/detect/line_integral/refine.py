@@ -14,7 +14,7 @@ from onboard.detect.line_integral.strip import Strip, cross_sections, gather, mi
 from onboard.detect.whiten import FOUND_BIT, POINT_BIT
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def profile_snr(signal: NDArray[np.float64], weight: NDArray[np.float64], n: int) -> float:
     """Matched-filter S/N of the first n lines of a cross profile: sum(signal) / sqrt(sum(weight))."""
     s = w = 0.0
@@ -24,7 +24,7 @@ def profile_snr(signal: NDArray[np.float64], weight: NDArray[np.float64], n: int
     return s / math.sqrt(w) if w > 0.0 else 0.0
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def best_run(signal: NDArray[np.float64], weight: NDArray[np.float64], n: int, min_px: int) -> tuple[float, int, int]:
     """The run of lines [i, j) with the largest sum(signal)/sqrt(sum(weight)), found on a lattice of steps, then refined.
 
@@ -62,7 +62,7 @@ def best_run(signal: NDArray[np.float64], weight: NDArray[np.float64], n: int, m
     return best, first, last
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def polish(
     image: NDArray[np.int8],
     blocked: NDArray[np.uint8],

@@ -40,12 +40,16 @@ SHARP_LOSS: Final = 0.15
 
 
 class Planes(NamedTuple):
-    """Images with the segments' major axis along rows: image and smooth in sigma/16, blocked (bits), mesh of the level."""
+    """Images with the segments' major axis along rows: image and smooth in sigma/16, blocked (bits), mesh of the level.
+
+    lines : of smooth, in the memory's order.
+    """
 
     image: NDArray[np.int8]
     smooth: NDArray[np.int8]
     blocked: NDArray[np.uint8]
     level: NDArray[np.float32]
+    lines: corridor.Lines
 
 
 class Asked(NamedTuple):
@@ -113,12 +117,12 @@ def accept(
     The trail, and stars that were not in the star list but lie on the way, are taken out of the images. work (1,) : grows by
     what was done, in pixels read, as the length of the candidate tells.
     """
-    image, smooth, blocked, level = planes
+    image, smooth, blocked, level, lines = planes
     psf_sigma_px, usable, n_sigma, first_sigma, min_length_px = asked
     segment, straight, sums, counts, signal, weight, points, strip = space
     length_px = candidate[2] - candidate[0]
     work[0] += LOCATE_WORK + int(LOCATE_WORK_PER_PX * length_px)
-    located[4] = corridor.locate(smooth, candidate, psf_sigma_px, usable, first_sigma, segment, sums, counts)
+    located[4] = corridor.locate(lines, candidate, psf_sigma_px, usable, first_sigma, segment, sums, counts)
     located[:4] = segment[:4]
     if located[4] < first_sigma:
         return 0.0
@@ -213,8 +217,8 @@ def resolve(
     Returns (m, 7): axis, major0, minor0, major1, minor1, sagitta along minor (px), S/N; the number of seeds; the work done; and
     how many candidates were left.
     """
-    planes = Planes(image, smooth, blocked, level)
-    planes_t = Planes(image.T, smooth.T, blocked.T, level.T)
+    planes = Planes(image, smooth, blocked, level, corridor.lines_of(smooth, True))
+    planes_t = Planes(image.T, smooth.T, blocked.T, level.T, corridor.lines_of(smooth, False))
     asked = Asked(psf_sigma_px, usable, n_sigma, first_sigma, min_length_px)
     found = np.empty((max_found, 7))
     n_found = 0

@@ -227,7 +227,7 @@ def _count_static(now: NDArray[np.int8], before: NDArray[np.int8], each: int, bo
     count = np.int32(0)
     for i in range(now.shape[0]):
         bright = (np.int16(now[i]) + np.int16(before[i]) > both) & (now[i] > each) & (before[i] > each)
-        count += np.int32(bright)
+        count = np.int32(count + np.int32(bright))
     return int(count)
 
 

@@ -64,7 +64,7 @@ def work_space(lines: int, psf_sigma_px: float) -> Strip:
     )
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def minor_at(segment: NDArray[np.float64], major: float) -> float:
     """Minor coordinate of a bent segment (major0, minor0, major1, minor1, sagitta) at `major`, beyond its ends too."""
     u = (major - segment[0]) / max(segment[2] - segment[0], 1e-6)
@@ -119,7 +119,7 @@ def gather(
     return low, n
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def cross_sections(slope: float, psf_sigma_px: float, table: NDArray[np.int32], norms: NDArray[np.float64]) -> None:
     """Fill table (PHASES, lanes) with a trail's cross-section for each phase, in 1/SCALE.
 
@@ -155,7 +155,7 @@ def _dot(taps: NDArray[np.int32], values: NDArray[np.int8]) -> int:
     return int(total)
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def _norms_of(taps: NDArray[np.int32], usable: NDArray[np.uint8]) -> tuple[float, float]:
     total = power = 0.0
     for j in range(taps.shape[0]):
@@ -165,7 +165,7 @@ def _norms_of(taps: NDArray[np.int32], usable: NDArray[np.uint8]) -> tuple[float
     return total / SCALE, power / SCALE**2
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, error_model="numpy")
 def path_sums(
     values: NDArray[np.int8],
     usable: NDArray[np.uint8],

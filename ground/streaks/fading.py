@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
+from ground.isotonic import never_rising
 from ground.streaks.centre_line import effective_width_px
 from ground.streaks.trail_frame import TrailFrame
 from ground.streaks.trail_pixels import TrailPixels, usable_pixels
@@ -225,10 +226,8 @@ def _gains(density: Array, sigma: Array, model: Array) -> Array:
 
 def _falling(density: Array, sigma: Array) -> Array:
     """The best light (n,) that never rises outwards and is never negative."""
-    from scipy.optimize import isotonic_regression  # takes a quarter of a second, which frames without trails do not need
-
     weights = np.maximum(_weights(sigma), 1e-30)
-    return np.maximum(isotonic_regression(density, weights=weights, increasing=False).x, 0.0)
+    return np.maximum(never_rising(density, weights), 0.0)
 
 
 def _best_step(blocks: Blocks, sigma: Array, width_px: float, first: int) -> float:

@@ -11,9 +11,10 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import scipy  # scipy.special is loaded where it is used: a frame's stars are listed without it
 from numpy.typing import NDArray
-from scipy.special import gammainc
 
+from ground.isotonic import never_falling, never_rising
 from ground.streaks.centre_line import effective_width_px
 from sboc_e2e.icd.products import StreakFit
 
@@ -141,7 +142,7 @@ class StarField:
             return self.pairs(fit)
         density = self.brighter(fit, FAINTEST_SHARE) / self.area_px2
         on_line = density * fit.length_px * BREADTH_WIDTHS * _fwhm_px(fit) / FWHM_PER_SIGMA
-        return self.pairs(fit) * float(gammainc(further, on_line))
+        return self.pairs(fit) * float(scipy.special.gammainc(further, on_line))
 
     def against(self, fit: StreakFit, gain_e_adu: float) -> float:
         """Odds of a row of stars against a trail, as far as gaps and the stars of the frame tell; 0 where they do not."""
@@ -243,16 +244,14 @@ class Along:
 
         Meteors rise and fall so. A star with a tail fills little of its length, and the bulge of a galaxy is wide.
         """
-        from scipy.optimize import isotonic_regression  # takes a quarter of a second, which frames without short lines spare
-
         plain = self.gaps
         if not plain > 0.0 or not fit.width_px <= ROUND_WIDTHS * fit.psf_sigma_px:
             return plain
         weight = 1.0 / np.maximum(self.error, 1e-6) ** 2
         best, least = self.light, math.inf
         for top in range(1, self.light.size):
-            up = isotonic_regression(self.light[:top], weights=weight[:top]).x
-            down = isotonic_regression(self.light[top:], weights=weight[top:], increasing=False).x
+            up = never_falling(self.light[:top], weight[:top])
+            down = never_rising(self.light[top:], weight[top:])
             curve = np.concatenate((up, down))
             rest = float(weight @ (self.light - curve) ** 2)
             if rest < least:

@@ -212,7 +212,7 @@ def process(
         from sboc_e2e.outside.lone_frame import begun
 
         source = FitsFolder(path=folder, use_wcs=wcs == "header")
-        half = stack.enter_context(begun(source, alone=wcs != "solve", guessed=camera is None))
+        first = stack.enter_context(begun(source, alone=wcs != "solve", guessed=camera is None))
         # A large frame is read beside the following imports and what comes before the frame.
         from sboc_e2e import scenario as scenarios
         from sboc_e2e.outside.process import base_document
@@ -224,9 +224,9 @@ def process(
         )
         beside = stack.pop_all()
     with beside, shown_progress() as progress:
-        if isinstance(half, FirstFrame) and half.is_beside:
+        if isinstance(first, FirstFrame) and first.is_beside:
             # else the frame is small, or so large that its memory counts more than its time
-            half.wait()
+            first.wait()
             keep_freed_memory()
         at = folder.parent if folder.is_file() else folder
         execute(
@@ -236,7 +236,7 @@ def process(
             camera=camera,
             solve=wcs == "solve",
             folder=at,
-            half=half,
+            begun=first,
             force=force,
             registry=registry,
             progress=progress,

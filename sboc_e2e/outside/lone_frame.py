@@ -69,13 +69,15 @@ class LoneFrame:
         """What the half leaves; its packets go into the run's files."""
         from sboc_e2e.run.onboard_stage import keep
 
+        packets: list[bytes]
+        flight: Flight
         packets, flight = self._aboard.reply()
         for position, each in enumerate(packets):
             keep(self._orders.run, position, each)
         progress.advance()
         # A WCS that went from process to process would have rounded numbers.
         flight.seen.wcs.update({number: wcs_of(self.source.places[0]) for number in flight.seen.wcs})
-        return flight  # type: ignore[no-any-return]
+        return flight
 
 
 def _aboard(orders: "Callable[[], Orders]", source: FitsFolder, guessed: bool) -> Iterator[Any]:

@@ -55,7 +55,7 @@ def process(
     camera: str | None,
     solve: bool = False,
     folder: Path | None = None,
-    half: LoneFrame | FirstFrame | None = None,
+    begun: LoneFrame | FirstFrame | None = None,
     force: bool,
     registry: Registry,
     progress: Progress,
@@ -63,17 +63,14 @@ def process(
     """Products of all frames of a source in a run directory.
 
     camera : an instrument preset, None to guess one from the first frame. solve : `--wcs solve`; an unknown camera's focal
-    length then comes from its stars. folder : where the files lie, for `sboc view`. half : the on-board half, if begun.
+    length then comes from its stars. folder : where the files lie, for `sboc view`. begun : of the source, by `lone_frame.begun`.
     """
     directory = RunDirectory(path=out)
     require_decoder(scenario)
     if solve:
         lost_in_space.required_solver()
     known = camera_of_preset(camera, registry) if camera else None
-    if half is None:
-        half = FirstFrame.of(source)
-    if isinstance(half, FirstFrame):
-        half = InTurn(first=half)
+    half = begun if isinstance(begun, LoneFrame) else InTurn(first=begun or FirstFrame.of(source))
     steps = onboard_steps(scenario)
     half.begin(Orders(options=scenario.onboard, steps=steps, run_id=run_id(scenario.document()), known=known, run=directory))
     from sboc_e2e.run.ground_stage import GroundStage, Outside, ground_chain  # while the frame is processed on board

@@ -14,6 +14,7 @@ from onboard.options import OnboardOptions
 from onboard.state import OnboardSteps
 from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.tai import NS_PER_S
+from sboc_e2e.outside.fits_frames import FIRST_ASSUMED_TAI_NS
 from sboc_e2e.outside.frame_source import SourcedFrame
 from sboc_e2e.outside.guessed_camera import ASSUMED_PSF_SIGMA_PX, camera_of_frame
 from sboc_e2e.outside.look_alikes import CountingChain
@@ -54,7 +55,14 @@ def are_own(steps: Iterable[Any]) -> bool:
 def small_frame() -> tuple[Frame, NominalCamera]:
     """The frame, and a camera that fits it roughly."""
     pixels = np.rint(_pixels_adu()).astype(np.uint16)
-    header = FrameHeader(frame=0, rows=REHEARSED_PX, cols=REHEARSED_PX, exposure_ns=NS_PER_S, line_time_ns=0, t_start_tai_ns=0)
+    header = FrameHeader(
+        frame=0,
+        rows=REHEARSED_PX,
+        cols=REHEARSED_PX,
+        exposure_ns=NS_PER_S,
+        line_time_ns=0,
+        t_start_tai_ns=FIRST_ASSUMED_TAI_NS,
+    )
     frame = Frame(header=header, pixels=pixels)
     return frame, camera_of_frame(SourcedFrame(frame=frame, file="", hdu=0, wcs=None, notes=()), None)
 

@@ -15,7 +15,7 @@ from multiprocessing.connection import Connection
 from multiprocessing.process import BaseProcess
 from typing import Any, Final
 
-from sboc_e2e.icd.errors import SbocError
+from sboc_e2e.icd.errors import SbocError, UserError
 
 PR_SET_PDEATHSIG: Final = 1  # number of an option of Linux's prctl(2): the signal to a process whose parent has ended
 
@@ -81,8 +81,8 @@ class Companion:
             failed, value = self._pipe.recv()
         except (EOFError, ConnectionResetError):
             self._process.join()
-            text = f"a process of this command was ended from outside (exit code {self._process.exitcode})"
-            raise SbocError(text) from None
+            code = self._process.exitcode
+            raise UserError(f"a process of this command was ended from outside (exit code {code}); was memory short?") from None
         if failed:
             raise value
         return value

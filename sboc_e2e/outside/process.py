@@ -15,6 +15,7 @@ from sboc_e2e.outside.frame_source import FrameSource
 from sboc_e2e.outside.limits import MOST_DETECTIONS
 from sboc_e2e.outside.lone_frame import LoneFrame
 from sboc_e2e.outside.look_alikes import counts_of
+from sboc_e2e.outside.rehearsal import are_own
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.decoders import require_decoder
 from sboc_e2e.run.directory import RunDirectory
@@ -70,8 +71,12 @@ def process(
     if solve:
         lost_in_space.required_solver()
     known = camera_of_preset(camera, registry) if camera else None
-    half = begun if isinstance(begun, LoneFrame) else InTurn(first=begun or FirstFrame.of(source))
     steps = onboard_steps(scenario)
+    half: LoneFrame | InTurn
+    if isinstance(begun, LoneFrame) and are_own(vars(steps).values()):
+        half = begun
+    else:  # somebody else's step works in this process
+        half = InTurn(first=begun if isinstance(begun, FirstFrame) else FirstFrame.of(source))
     half.begin(Orders(options=scenario.onboard, steps=steps, run_id=run_id(scenario.document()), known=known, run=directory))
     from sboc_e2e.run.ground_stage import GroundStage, Outside, ground_chain  # while the frame is processed on board
 

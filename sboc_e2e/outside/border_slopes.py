@@ -109,8 +109,12 @@ def _tiles(zone: NDArray[np.float32]) -> NDArray[np.float64]:
     """Medians of tiles (across, along); those without numbers from their neighbours along the border."""
     along = zone.shape[1] // ALONG_PX
     cut = zone[:, : along * ALONG_PX].reshape(DEPTH_PX // ACROSS_PX, ACROSS_PX, along, ALONG_PX).swapaxes(1, 2)
-    flat = np.sort(cut.reshape(*cut.shape[:2], -1), axis=-1)  # NaN last
+    flat = cut.reshape(*cut.shape[:2], -1)
     known = np.isfinite(flat).sum(axis=-1)
+    if known.min() == flat.shape[-1]:
+        half = (flat.shape[-1] - 1) // 2
+        return np.partition(flat, half, axis=-1)[..., half].astype(np.float64)
+    flat = np.sort(flat, axis=-1)  # NaN last
     middle = np.take_along_axis(flat, (np.maximum(known - 1, 0) // 2)[..., None], axis=-1)[..., 0].astype(np.float64)
     middle[known < flat.shape[-1] // 4] = np.nan
     for line in middle:

@@ -9,9 +9,10 @@ higher of both by a share of the height that its fit claims.
 import math
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from ground.streaks.centre_line import effective_width_px
@@ -47,6 +48,32 @@ FEWEST_ALONG: Final = 8
 """Least number of cells along a line. Chosen, not measured."""
 
 
+@njit(cache=True)
+def _means(pixels: Any, scale: Any, unknown: Any, cell_px: int, out: Any) -> None:
+    """Means of the known pixels of square cells. Lines of a cell are summed in eight parts at most, in the order of numpy."""
+    rows, cols = out.shape
+    parts = min(cell_px, 8)
+    part = np.zeros(8, np.float32)
+    known = np.zeros(cols, np.int64)
+    for i in range(rows):
+        known[:] = 0
+        for line in range(i * cell_px, (i + 1) * cell_px):
+            for j in range(cols):
+                part[:] = 0.0
+                for first in range(j * cell_px, (j + 1) * cell_px, parts):
+                    for k in range(parts):
+                        if unknown[line, first + k] == 0:
+                            part[k] += np.float32(pixels[line, first + k]) * scale
+                            known[j] += 1
+                if parts == 8:
+                    total = ((part[0] + part[1]) + (part[2] + part[3])) + ((part[4] + part[5]) + (part[6] + part[7]))
+                else:
+                    total = ((part[0] + part[1]) + part[2]) + part[3]
+                out[i, j] = total if line == i * cell_px else out[i, j] + total
+        for j in range(cols):
+            out[i, j] = out[i, j] / np.float32(known[j]) if known[j] else np.nan
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class SkyMap:
     """Mean counts of square cells, (rows, cols) float32, ADU, NaN where no pixel saw the sky; and the side of a cell in px."""
@@ -55,18 +82,16 @@ class SkyMap:
     cell_px: int
 
     @classmethod
-    def of(cls, pixels: NDArray[np.float32], unknown: NDArray[np.bool_]) -> "SkyMap":
-        """The map of an image (rows, cols), ADU; pixels that are unknown are left out. Rests of cells at the far borders too."""
+    def of(cls, pixels: NDArray[Any], unknown: NDArray[np.bool_ | np.uint8], adu_scale: float = 1.0) -> "SkyMap":
+        """The map of an image (rows, cols) in units of `adu_scale` ADU; unknown pixels, True or above 0, are left out.
+
+        Rests of cells at the far borders are left out too.
+        """
         cell_px = LEAST_CELL_PX
         while pixels.size > MOST_CELLS * cell_px**2:
             cell_px *= 2
-        rows, cols = (side // cell_px for side in pixels.shape)
-        cut = np.s_[: rows * cell_px, : cols * cell_px]
-        shape = (rows, cell_px, cols, cell_px)
-        known = ~unknown[cut].reshape(shape)
-        total = np.where(known, pixels[cut].reshape(shape), np.float32(0.0)).sum(axis=(1, 3), dtype=np.float32)
-        number = known.sum(axis=(1, 3), dtype=np.float32)
-        adu = np.where(number > 0.0, total / np.maximum(number, 1.0), np.nan).astype(np.float32)
+        adu = np.empty([side // cell_px for side in pixels.shape], dtype=np.float32)
+        _means(pixels, np.float32(adu_scale), unknown.view(np.uint8), cell_px, adu)
         return cls(adu=adu, cell_px=cell_px)
 
     def height(self, fit: StreakFit, first: float = 0.0, last: float = 1.0) -> tuple[float, float]:

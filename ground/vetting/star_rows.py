@@ -11,8 +11,8 @@ from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
+import scipy  # scipy.special is loaded where it is used: a frame's stars are listed without it
 from numpy.typing import NDArray
-from scipy.special import gammainc
 
 from ground.streaks.centre_line import effective_width_px
 from sboc_e2e.icd.products import StreakFit
@@ -141,7 +141,7 @@ class StarField:
             return self.pairs(fit)
         density = self.brighter(fit, FAINTEST_SHARE) / self.area_px2
         on_line = density * fit.length_px * BREADTH_WIDTHS * _fwhm_px(fit) / FWHM_PER_SIGMA
-        return self.pairs(fit) * float(gammainc(further, on_line))
+        return self.pairs(fit) * float(scipy.special.gammainc(further, on_line))
 
     def against(self, fit: StreakFit, gain_e_adu: float) -> float:
         """Odds of a row of stars against a trail, as far as gaps and the stars of the frame tell; 0 where they do not."""

@@ -2,7 +2,7 @@
 
 import json
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import Annotated, Final
 
@@ -206,12 +206,13 @@ def process(
 
     if wcs not in WCS_CHOICES:
         raise UserError(f'--wcs: expected one of {", ".join(WCS_CHOICES)}, got "{wcs[:40]}"')
-    with uncollected():
+    with uncollected(), ExitStack() as stack:
         from sboc_e2e.outside.first_frame import FirstFrame
         from sboc_e2e.outside.fits_frames import FitsFolder
+        from sboc_e2e.outside.lone_frame import begun
 
         source = FitsFolder(path=folder, use_wcs=wcs == "header")
-        first = FirstFrame.of(source)
+        first = stack.enter_context(begun(source, alone=wcs != "solve", guessed=camera is None))
         # A large frame is read beside the following imports and what comes before the frame.
         from sboc_e2e import scenario as scenarios
         from sboc_e2e.outside.process import base_document
@@ -221,10 +222,12 @@ def process(
         resolved = scenarios.bare(
             "process", base_document(wcs), registry=registry, overrides=overrides or (), use=parsed_uses(use)
         )
-    if first.is_beside:  # else the frame is small, or so large that its memory counts more than its time
-        first.wait()
-        keep_freed_memory()
-    with shown_progress() as progress:
+        beside = stack.pop_all()
+    with beside, shown_progress() as progress:
+        if isinstance(first, FirstFrame) and first.is_beside:
+            # else the frame is small, or so large that its memory counts more than its time
+            first.wait()
+            keep_freed_memory()
         at = folder.parent if folder.is_file() else folder
         execute(
             source,
@@ -233,7 +236,7 @@ def process(
             camera=camera,
             solve=wcs == "solve",
             folder=at,
-            first=first,
+            begun=first,
             force=force,
             registry=registry,
             progress=progress,

@@ -2,11 +2,10 @@
 
 import sys
 import time
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, TaskID, TextColumn, TimeRemainingColumn
-from rich.progress import Progress as Bar
+if TYPE_CHECKING:
+    from rich.progress import TaskID
 
 SECONDS_BETWEEN_LINES: Final = 10.0
 """Lines of a log: a run of an hour writes 360. Chosen for readers; nothing else depends on it."""
@@ -48,6 +47,11 @@ class BarProgress:
     """A bar for each stage."""
 
     def __init__(self) -> None:
+        # takes 40 ms, which commands without a bar do not need
+        from rich.console import Console
+        from rich.progress import BarColumn, MofNCompleteColumn, TextColumn, TimeRemainingColumn
+        from rich.progress import Progress as Bar
+
         self._bar = Bar(
             TextColumn("{task.description:>20}"),
             BarColumn(),

@@ -11,8 +11,8 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
+import scipy  # scipy.ndimage is loaded where it is used: most frames have no slopes
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from sboc_e2e.icd.frame import Frame
 from sboc_e2e.outside.frame_source import Calibrating, Note, SourcedFrame
@@ -109,8 +109,12 @@ def _tiles(zone: NDArray[np.float32]) -> NDArray[np.float64]:
     """Medians of tiles (across, along); those without numbers from their neighbours along the border."""
     along = zone.shape[1] // ALONG_PX
     cut = zone[:, : along * ALONG_PX].reshape(DEPTH_PX // ACROSS_PX, ACROSS_PX, along, ALONG_PX).swapaxes(1, 2)
-    flat = np.sort(cut.reshape(*cut.shape[:2], -1), axis=-1)  # NaN last
+    flat = cut.reshape(*cut.shape[:2], -1)
     known = np.isfinite(flat).sum(axis=-1)
+    if known.min() == flat.shape[-1]:
+        half = (flat.shape[-1] - 1) // 2
+        return np.partition(flat, half, axis=-1)[..., half].astype(np.float64)
+    flat = np.sort(flat, axis=-1)  # NaN last
     middle = np.take_along_axis(flat, (np.maximum(known - 1, 0) // 2)[..., None], axis=-1)[..., 0].astype(np.float64)
     middle[known < flat.shape[-1] // 4] = np.nan
     for line in middle:
@@ -131,8 +135,20 @@ def _running_median(tiles: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _smooth(level: NDArray[np.float64]) -> NDArray[np.float64]:
-    once = ndimage.gaussian_filter1d(level, SMOOTH_TILES, axis=0, mode="nearest")
-    return np.asarray(once + ndimage.gaussian_filter1d(level - once, SMOOTH_TILES, axis=0, mode="nearest"))
+    once = _blurred(level)
+    return once + _blurred(level - once)
+
+
+def _blurred(level: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Smoothed once across the border, in the order of sums of scipy.ndimage.gaussian_filter1d."""
+    reach = round(4.0 * SMOOTH_TILES)
+    weight = np.exp(-0.5 / SMOOTH_TILES**2 * np.arange(-reach, reach + 1) ** 2)
+    weight /= weight.sum()
+    padded, n = np.pad(level, ((reach, reach), (0, 0)), mode="edge"), len(level)
+    out = padded[reach : reach + n] * weight[reach]
+    for k in range(reach):
+        out += (padded[k : k + n] + padded[2 * reach - k : 2 * reach - k + n]) * weight[k]
+    return out
 
 
 def _on_mesh(level: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -153,7 +169,7 @@ def _tangent(level: NDArray[np.float64]) -> NDArray[np.float64]:
     per = MESH_PX // ACROSS_PX
     inner, before = (np.median(level[part], axis=0) for part in (slice(-per, None), slice(-2 * per, -per)))
     slope = float(np.median(inner - before)) / per
-    last = ndimage.median_filter(inner, INNER_TILES, mode="nearest")
+    last = scipy.ndimage.median_filter(inner, INNER_TILES, mode="nearest")
     return np.asarray(last + (np.arange(len(level))[:, None] - (len(level) - 0.5 * (per + 1))) * slope)
 
 
@@ -161,7 +177,7 @@ def _expanded(tiles: NDArray[np.float64], shape: tuple[int, ...]) -> NDArray[np.
     """Tiles interpolated to the pixels of the zone; at its inner side they fade to nothing over a tile of the mesh."""
     row = (np.arange(shape[0]) + 0.5) / ACROSS_PX - 0.5
     col = (np.arange(shape[1]) + 0.5) / ALONG_PX - 0.5
-    out = ndimage.map_coordinates(tiles, np.meshgrid(row, col, indexing="ij"), order=1, mode="nearest")
+    out = scipy.ndimage.map_coordinates(tiles, np.meshgrid(row, col, indexing="ij"), order=1, mode="nearest")
     fade = np.clip((shape[0] - np.arange(shape[0])) / MESH_PX, 0.0, 1.0)
     return np.asarray(out * fade[:, None], dtype=np.float32)
 

@@ -206,6 +206,12 @@ def _content(place: Place) -> Content:
     return Content(header=header, data=data, wcs=wcs, doubt=doubt, blind=blind, notes=notes, hints_px=hints_px)
 
 
+def wcs_of(place: Place) -> "WCS | None":
+    """The WCS of an image, as `read_frame` gives it."""
+    with _quietly(), fits.open(place.path, memmap=False) as hdus:
+        return usable_wcs(hdus[place.hdu].header, place.rows, place.cols)[0]
+
+
 def read_frame(place: Place, number: int, *, use_wcs: bool = True, content: Content | None = None) -> SourcedFrame:
     """One image as a frame. content : where it was opened before. Raises `UserError` when its data cannot be read."""
     content = content or _content(place)

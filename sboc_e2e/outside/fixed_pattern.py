@@ -12,8 +12,8 @@ from functools import cached_property
 from typing import Any, Final
 
 import numpy as np
+import scipy  # scipy.ndimage is loaded where it is used: a frame alone has no pattern
 from numpy.typing import NDArray
-from scipy import ndimage
 
 from sboc_e2e.icd.frame import Frame
 from sboc_e2e.outside.frame_source import Calibrating, Note, SourcedFrame
@@ -74,9 +74,9 @@ def without_sources(pixels: NDArray[Any]) -> tuple[NDArray[np.float32], float]:
     known = np.nan_to_num(scaled, nan=1.0)
     steps = np.abs(np.diff(known, axis=1))
     noise = 1.4826 * float(np.median(steps)) / np.sqrt(2.0)
-    excess = ndimage.uniform_filter(known - _tile_medians(known), SOURCE_BOX_PX)
+    excess = scipy.ndimage.uniform_filter(known - _tile_medians(known), SOURCE_BOX_PX)
     bright = excess > SOURCE_SIGMAS * noise / SOURCE_BOX_PX
-    scaled[ndimage.binary_dilation(bright, iterations=GROWN_PX)] = np.nan
+    scaled[scipy.ndimage.binary_dilation(bright, iterations=GROWN_PX)] = np.nan
     return scaled, noise
 
 
@@ -89,7 +89,7 @@ def _tile_medians(image: NDArray[np.float32]) -> NDArray[np.float32]:
     row = (np.arange(rows) + 0.5) / TILE_PX - 0.5
     col = (np.arange(cols) + 0.5) / TILE_PX - 0.5
     at = np.meshgrid(row, col, indexing="ij")
-    return np.asarray(ndimage.map_coordinates(tiles, at, order=1, mode="nearest"), dtype=np.float32)
+    return np.asarray(scipy.ndimage.map_coordinates(tiles, at, order=1, mode="nearest"), dtype=np.float32)
 
 
 def fixed_pattern(images: Sequence[NDArray[Any]]) -> FixedPattern | None:
@@ -120,7 +120,7 @@ def fixed_pattern(images: Sequence[NDArray[Any]]) -> FixedPattern | None:
         line[np.abs(line) < LINE_SIGMAS * 1.25 * of_median / np.sqrt(rest.shape[axis])] = 0.0
         smooth, rest = smooth + line, rest - line
     plain = _median(np.array([np.asarray(image, dtype=np.float32) / np.float32(level_of(image)) for image in images]))
-    aside = np.abs(plain - ndimage.median_filter(np.nan_to_num(plain, nan=1.0), SOURCE_BOX_PX))
+    aside = np.abs(plain - scipy.ndimage.median_filter(np.nan_to_num(plain, nan=1.0), SOURCE_BOX_PX))
     hot = _alone(np.nan_to_num(aside) > HOT_SIGMAS * of_median)
     return FixedPattern(excess=(smooth - 1.0).astype(np.float32), hot=hot, n_frames=len(images))
 
@@ -139,14 +139,14 @@ def _median(cube: NDArray[np.float32]) -> NDArray[np.float32]:
 def _smooth(image: NDArray[np.float32]) -> NDArray[np.float32]:
     """Smoothed over the pixels that are known; 1 where none is near."""
     known = np.isfinite(image)
-    weight = ndimage.gaussian_filter(known.astype(np.float32), SMOOTH_PX)
-    light = ndimage.gaussian_filter(np.where(known, image, 0.0).astype(np.float32), SMOOTH_PX)
+    weight = scipy.ndimage.gaussian_filter(known.astype(np.float32), SMOOTH_PX)
+    light = scipy.ndimage.gaussian_filter(np.where(known, image, 0.0).astype(np.float32), SMOOTH_PX)
     return np.where(weight > 0.05, light / np.maximum(weight, 0.05), 1.0).astype(np.float32)
 
 
 def _alone(pixels: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Those of a mask that have no neighbour in it: hot pixels, and not the stars of a sky that stays."""
-    neighbours = ndimage.convolve(pixels.astype(np.uint8), np.ones((3, 3), np.uint8), mode="constant")
+    neighbours = scipy.ndimage.convolve(pixels.astype(np.uint8), np.ones((3, 3), np.uint8), mode="constant")
     return pixels & (neighbours == 1)
 
 

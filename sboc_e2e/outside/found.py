@@ -1,7 +1,7 @@
 """What was found in frames from outside, without truth: counts, image quality, solutions, as rows of name, value and note."""
 
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import islice
 from pathlib import Path
@@ -31,6 +31,7 @@ class Found:
     """Published tables of a run of `sboc process`, and what its ingest noted."""
 
     run: RunFrames
+    _last: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @classmethod
     def of(cls, path: Path) -> "Found":
@@ -91,13 +92,19 @@ class Found:
         """Median over some frames of the scatter of neighbouring pixels' differences, over the square root of two."""
         levels = []
         for frame in islice(self.run, NOISE_FRAMES):
-            image = image_of(frame)
+            image = self.image(frame)
             if image is not None and image.shape[1] > 1:
                 difference = np.diff(image[:: max(1, image.shape[0] // 256)], axis=1)
                 levels.append(np.subtract(*np.nanpercentile(difference, [75.0, 25.0])) / 1.349 / np.sqrt(2.0))
         if not levels:
             return "-", "the files of the frames are not where they were"
         return number(float(np.median(levels))), f"median of {len(levels)} frames, from neighbouring pixels"
+
+    def image(self, frame: ShownFrame) -> NDArray[np.float32] | None:
+        """Pixels of a frame, see `image_of`; the last one that was asked for stays in memory."""
+        if self._last.get("number") != frame.number:
+            self._last.update(number=frame.number, image=image_of(frame))
+        return self._last["image"]
 
     def lacking(self) -> list[str]:
         """What products lack, what headers lack, what was left out: a sentence each."""

@@ -2,10 +2,12 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import TYPE_CHECKING, Any, Protocol
 
-from ground.vetting.rim import ImageCircle
 from sboc_e2e.icd.frame import Frame
+
+if TYPE_CHECKING:
+    from ground.vetting.rim import ImageCircle
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -32,7 +34,7 @@ class SourcedFrame:
     notes: tuple[Note, ...]
     focal_hints_px: tuple[float, ...] = ()
     camera: str = ""
-    circle: ImageCircle | None = None
+    circle: "ImageCircle | None" = None
 
 
 class FrameSource(Protocol):

@@ -7,13 +7,13 @@ within some per cent of a radius.
 """
 
 import math
-from typing import Any, Final
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
 
-from ground.vetting.rim import ImageCircle
+if TYPE_CHECKING:
+    from ground.vetting.rim import ImageCircle
 
 COARSE: Final = 256
 """Cells along the longer side of the coarse copy. Chosen, so that a rim of 1 % of the radius is a cell wide."""
@@ -61,7 +61,7 @@ MARGIN: Final = 0.07
 horizon where the distance from the middle is as the angle."""
 
 
-def image_circle(pixels: NDArray[Any]) -> ImageCircle | None:
+def image_circle(pixels: NDArray[Any]) -> "ImageCircle | None":
     """The circle of a frame (rows, cols), NaN where there is no number; None where the light fills it or nothing is certain."""
     step = max(-(-max(pixels.shape) // COARSE), 1)
     level = _levels(np.asarray(pixels[::step, ::step], dtype=np.float32))
@@ -81,11 +81,13 @@ def image_circle(pixels: NDArray[Any]) -> ImageCircle | None:
         best, share, bright, seen = _best(level, best[0] + centre * about, best[1] + centre * about, best[2] + radius * about)
     if share < LEAST_SHARE or bright > MOST_BRIGHT or seen < FEWEST_ANGLES:
         return None
+    from ground.vetting.rim import ImageCircle  # with the fits of streaks, which a frame without a circle can be read without
+
     row, col, radius_px = (step * each for each in best)
     return ImageCircle(row=row, col=col, radius_px=radius_px)
 
 
-def beyond(circle: ImageCircle, shape: tuple[int, ...]) -> NDArray[np.bool_]:
+def beyond(circle: "ImageCircle", shape: tuple[int, ...]) -> NDArray[np.bool_]:
     """Pixels of a frame (rows, cols) that lie beyond a circle or in its margin."""
     row = (np.arange(shape[0], dtype=np.float32) - np.float32(circle.row)) ** 2
     col = (np.arange(shape[1], dtype=np.float32) - np.float32(circle.col)) ** 2
@@ -97,7 +99,7 @@ def _levels(coarse: NDArray[np.float32]) -> NDArray[np.float32] | None:
     known = np.isfinite(coarse)
     if min(coarse.shape) < 3 * ANGLES // 4 or not known.any():
         return None
-    image = ndimage.median_filter(np.where(known, coarse, coarse[known].min()), 3)
+    image = _medians(np.where(known, coarse, coarse[known].min()))
     rows, cols = image.shape
     dark = float(np.percentile(image, 2.0))
     middle = float(np.median(image[rows // 4 : 3 * rows // 4, cols // 4 : 3 * cols // 4])) - dark
@@ -108,6 +110,12 @@ def _levels(coarse: NDArray[np.float32]) -> NDArray[np.float32] | None:
     high, wide = max(int(CORNER * rows), 1), max(int(CORNER * cols), 1)
     corners = [level[a, b] for a in (slice(0, high), slice(-high, None)) for b in (slice(0, wide), slice(-wide, None))]
     return level if sum(float(np.median(each)) < DARK_CORNER for each in corners) >= FEWEST_DARK_CORNERS else None
+
+
+def _medians(image: NDArray[np.float32]) -> NDArray[np.float32]:
+    """Medians of 3 x 3 cells; at the borders of the image as it is mirrored."""
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(image, 1, mode="symmetric"), (3, 3))
+    return np.asarray(np.partition(around.reshape(*image.shape, 9), 4, axis=-1)[..., 4])
 
 
 def _best(

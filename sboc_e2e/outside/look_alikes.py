@@ -8,7 +8,7 @@ method of Elias and Gygi 2007, doi:10.1038/nmeth1019). What is bright alone, suc
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -246,41 +246,41 @@ def stars_as_lines(found: Sequence[Detection], shape: tuple[int, ...]) -> StarMo
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sky:
-    """Counts of a frame in ADU, which of its pixels are unknown, and the map of its sky."""
+    """Counts of a frame, in units of `adu_scale` ADU, which of its pixels are masked, and the map of its sky."""
 
-    adu: NDArray[np.float32]
-    unknown: NDArray[np.bool_]
+    counts: NDArray[Any]
+    adu_scale: np.float32
+    mask: NDArray[np.uint8]
     map: SkyMap
 
     @classmethod
     def of(cls, prepared: Prepared) -> "Sky":
         """The sky of a prepared frame."""
-        counts, unknown = prepared.counts, prepared.view.mask != 0
-        adu = counts.pixels.astype(np.float32) * np.float32(counts.adu_scale)
-        return cls(adu=adu, unknown=unknown, map=SkyMap.of(adu, unknown))
+        counts, mask = prepared.counts, prepared.view.mask
+        sky = SkyMap.of(counts.pixels, mask, counts.adu_scale)
+        return cls(counts=counts.pixels, adu_scale=np.float32(counts.adu_scale), mask=mask, map=sky)
 
     def stars(self, prepared: Prepared, found: Sequence[Detection]) -> tuple[StarField, BrightStars]:
         """The stars of the frame, with the counts around its short lines; and their places."""
-        listed, area_px2 = prepared.view.stars, float(np.count_nonzero(~self.unknown))
+        listed, area_px2 = prepared.view.stars, float(self.mask.size - np.count_nonzero(self.mask))
         bright = BrightStars.of(listed.row, listed.col, listed.flux_e, area_px2)
-        return StarField(flux_e=bright.flux_e, area_px2=area_px2, crops=tuple(_crops(self.adu, self.unknown, found))), bright
+        return StarField(flux_e=bright.flux_e, area_px2=area_px2, crops=tuple(self._crops(found))), bright
 
+    def _crops(self, found: Sequence[Detection]) -> Iterator[Crop]:
+        """Counts around lines of the frame, short ones first and the brightest of them, as far as `MOST_PIXELS` goes.
 
-def _crops(adu: NDArray[np.float32], unknown: NDArray[np.bool_], found: Sequence[Detection]) -> Iterator[Crop]:
-    """Counts around the lines of a frame, short ones first and the brightest of them, as far as `MOST_PIXELS` goes.
-
-    A pair of bright stars was found as a line of 148 px and fitted as one of 50.
-    """
-    left = MOST_PIXELS
-    for line in sorted(found, key=lambda each: (each.length_px > LONGEST_PX, -each.snr)):
-        rows, cols = sorted((line.row0, line.row1)), sorted((line.col0, line.col1))
-        top, first = (max(math.floor(low) - MARGIN_PX, 0) for low in (rows[0], cols[0]))
-        box = slice(top, math.ceil(rows[1]) + MARGIN_PX + 1), slice(first, math.ceil(cols[1]) + MARGIN_PX + 1)
-        crop = np.where(unknown[box], np.float32(np.nan), adu[box])
-        left -= crop.size
-        if left < 0:
-            return
-        yield Crop(adu=crop, row=top, col=first)
+        A pair of bright stars was found as a line of 148 px and fitted as one of 50.
+        """
+        left = MOST_PIXELS
+        for line in sorted(found, key=lambda each: (each.length_px > LONGEST_PX, -each.snr)):
+            rows, cols = sorted((line.row0, line.row1)), sorted((line.col0, line.col1))
+            top, first = (max(math.floor(low) - MARGIN_PX, 0) for low in (rows[0], cols[0]))
+            box = slice(top, math.ceil(rows[1]) + MARGIN_PX + 1), slice(first, math.ceil(cols[1]) + MARGIN_PX + 1)
+            crop = np.where(self.mask[box] != 0, np.float32(np.nan), self.counts[box].astype(np.float32) * self.adu_scale)
+            left -= crop.size
+            if left < 0:
+                return
+            yield Crop(adu=crop, row=top, col=first)
 
 
 class CountingChain(OnboardChain):

@@ -19,9 +19,9 @@ from ground.astrometry import lost_in_space
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import NominalCamera
-from sboc_e2e.outside.camera import ASSUMED_FOCAL_PX, ASSUMED_PSF_SIGMA_PX, ASSUMED_SATURATION_ADU
 from sboc_e2e.outside.fits_frames import images_of, read_frame
 from sboc_e2e.outside.frame_source import SourcedFrame
+from sboc_e2e.outside.guessed_camera import ASSUMED_FOCAL_PX, ASSUMED_PSF_SIGMA_PX, ASSUMED_SATURATION_ADU
 from sboc_e2e.outside.one_step import Found, detect
 from sboc_e2e.outside.overscan import without_sky
 from sboc_e2e.score.figures import MEDIAN_OF_CHI2

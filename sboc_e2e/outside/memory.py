@@ -13,13 +13,17 @@ MOST_BYTES: Final = 2**31 - 1  # the largest value that mallopt takes
 
 @contextmanager
 def uncollected() -> Iterator[None]:
-    """No search for garbage meanwhile: while libraries are loaded there is none, and looking takes a tenth of the time."""
+    """No search for garbage meanwhile: while libraries are loaded there is none, and looking takes a tenth of the time.
+
+    Nor is any looked for later in what was loaded.
+    """
     was_enabled = gc.isenabled()
     gc.disable()
     try:
         yield
     finally:
         if was_enabled:
+            gc.freeze()
             gc.enable()
 
 

@@ -47,9 +47,11 @@ def _seen(pixels: NDArray[Any]) -> slice:
     alike = (np.sign(steps) == np.sign(step)).mean(axis=0)
     scatter = 1.4826 * float(np.median(np.abs(step - np.median(step))))
     sure = (np.abs(step) > max(STEP_SIGMAS * scatter, 1e-6)) & (alike >= SAME_SIGN)
-    level = np.nan_to_num(np.median(lines, axis=0))
     low, high = 0, n
     reach = int(BORDER * n)
+    if not (sure[:reach].any() or sure[n - 1 - reach :].any()):
+        return slice(low, high)
+    level = np.nan_to_num(np.median(lines, axis=0))
     for k in np.flatnonzero(sure[:reach])[::-1]:  # the innermost first
         if _stays(level[: k + 1], level[k + 1 : k + 1 + BESIDE_PX], step[k]):
             low = int(k) + 2

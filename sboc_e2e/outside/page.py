@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sboc_e2e.files.atomic import write_text
 from sboc_e2e.icd.flags import StreakFlag
-from sboc_e2e.outside.found import DIRECTIONS, Found, image_of
+from sboc_e2e.outside.found import DIRECTIONS, Found
 from sboc_e2e.report import pictures
 from sboc_e2e.report.page import simple_page
 from sboc_e2e.view.run_frames import ShownFrame, is_published
@@ -77,7 +77,7 @@ def _pictures(found: Found) -> tuple[list[str], list[str]]:
     for frame in frames:
         if frame.number not in of_frame and frame.number not in wanted:
             continue
-        image = image_of(frame)
+        image = found.image(frame)
         if frame.number in of_frame:
             shown.append(_preview(frame, image))
         if image is not None:

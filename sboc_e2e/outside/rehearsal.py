@@ -1,60 +1,75 @@
-"""A small frame goes through both chains ahead of a large one, in a thread: libraries and kernels are loaded beside other work.
+"""A small frame goes ahead of a large one: libraries and kernels are loaded beside other work. On board here.
 
-It is a corner of the large frame with a trail drawn into it, without which neither chain would come to its costly steps.
+It is noise with a trail, without which the chain would not come to its costly steps. Nothing of it is kept.
 """
 
+from collections.abc import Iterable
 from contextlib import suppress
-from dataclasses import replace
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
-from ground.on_demand import OnDemand
-from sboc_e2e.catalogue import StarCatalogue
-from sboc_e2e.icd.frame import Frame
-from sboc_e2e.outside.border_slopes import noise_of
-from sboc_e2e.outside.camera import ASSUMED_PSF_SIGMA_PX, camera_of_frame
+from onboard.options import OnboardOptions
+from onboard.state import OnboardSteps
+from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
+from sboc_e2e.icd.tai import NS_PER_S
+from sboc_e2e.outside.fits_frames import FIRST_ASSUMED_TAI_NS
 from sboc_e2e.outside.frame_source import SourcedFrame
+from sboc_e2e.outside.guessed_camera import ASSUMED_PSF_SIGMA_PX, camera_of_frame
 from sboc_e2e.outside.look_alikes import CountingChain
 from sboc_e2e.provenance import SEGMENTS
-from sboc_e2e.run.ground_stage import ground_chain
-from sboc_e2e.run.onboard_stage import onboard_steps
-from sboc_e2e.scenario import Scenario
 
 REHEARSED_PX: Final = 256
-"""Side of the corner: four tiles of the sky. Chosen."""
+"""Side of the frame: four tiles of the sky. Chosen."""
+SKY_ADU: Final = 300.0
+"""Its sky. Chosen."""
+NOISE_ADU: Final = 4.0
+"""Noise of its pixels. Chosen."""
 
 TRAIL: Final = (60.0, 70.0, 190.0, 150.0)
 """Ends of the trail (row, col, row, col). Chosen: far from the borders, along neither rows nor columns."""
-
 TRAIL_PEAK: Final = 6.0
 """Its brightest pixels, in noise of a pixel: S/N 100. Chosen."""
 
 
-def rehearse(scenario: Scenario, sourced: SourcedFrame, catalogue: StarCatalogue) -> None:
-    """A corner of a frame through both chains, with a camera that fits it roughly; nothing of it is kept.
+def rehearse_board(options: OnboardOptions, steps: OnboardSteps) -> None:
+    """The small frame through the on-board chain.
 
-    Not done where a step is not the project's own: somebody else's sees the frames alone. What is wrong with the frame is said
-    when it is processed.
+    Not done where a step is not the project's own: somebody else's sees the frames alone. What is wrong is said when a frame is
+    processed.
     """
-    if any(type(each.step).__module__.partition(".")[0] not in SEGMENTS for each in scenario.components.values()):
+    if not are_own(vars(steps).values()):
         return
-    import sboc_e2e.outside.page  # noqa: F401 - what comes last is loaded here too
-
     with suppress(Exception):
-        corner = _corner(sourced.frame)
-        camera = camera_of_frame(replace(sourced, frame=corner), None)
-        board = CountingChain(scenario.onboard, onboard_steps(scenario), camera=camera, run_id=0)
-        _, result = board.process(board.initial_state(), corner)
-        ground = ground_chain(scenario, calibration=None, camera=camera, catalogue=catalogue, run_id=0, evidence=board.evidence)
-        frames, ingest = ground.ingest(result.packets)
-        _, products = ground.process_frame(ground.initial_state(), frames[0])
-        ground.finish(frames, OnDemand(1, lambda _: products), ingest)
+        frame, camera = small_frame()
+        board = CountingChain(options, steps, camera=camera, run_id=0)
+        board.process(board.initial_state(), frame)
 
 
-def _corner(frame: Frame) -> Frame:
-    """The first rows and columns of a frame with a trail in them."""
-    pixels = np.array(frame.pixels[:REHEARSED_PX, :REHEARSED_PX], dtype=np.float32)
+def are_own(steps: Iterable[Any]) -> bool:
+    """Whether steps are the project's own."""
+    return all(type(each).__module__.partition(".")[0] in SEGMENTS for each in steps)
+
+
+def small_frame() -> tuple[Frame, NominalCamera]:
+    """The frame, and a camera that fits it roughly."""
+    pixels = np.rint(_pixels_adu()).astype(np.uint16)
+    header = FrameHeader(
+        frame=0,
+        rows=REHEARSED_PX,
+        cols=REHEARSED_PX,
+        exposure_ns=NS_PER_S,
+        line_time_ns=0,
+        t_start_tai_ns=FIRST_ASSUMED_TAI_NS,
+    )
+    frame = Frame(header=header, pixels=pixels)
+    return frame, camera_of_frame(SourcedFrame(frame=frame, file="", hdu=0, wcs=None, notes=()), None)
+
+
+def _pixels_adu() -> NDArray[np.float64]:
+    """Noise and the trail."""
+    pixels = np.random.default_rng(0).normal(SKY_ADU, NOISE_ADU, (REHEARSED_PX, REHEARSED_PX))
     row, col = np.indices(pixels.shape)
     row0, col0, row1, col1 = TRAIL
     length = np.hypot(row1 - row0, col1 - col0)
@@ -62,8 +77,4 @@ def _corner(frame: Frame) -> Frame:
     along = (row - row0) * u_row + (col - col0) * u_col
     across = (row - row0) * u_col - (col - col0) * u_row
     profile = np.exp(-0.5 * (across / ASSUMED_PSF_SIGMA_PX) ** 2)
-    pixels += TRAIL_PEAK * noise_of(pixels) * np.where((along >= 0.0) & (along <= length), profile, 0.0)
-    if frame.pixels.dtype.kind == "u":
-        pixels = np.rint(pixels).clip(0, 65535)
-    header = replace(frame.header, rows=pixels.shape[0], cols=pixels.shape[1])
-    return Frame(header=header, pixels=np.ascontiguousarray(pixels.astype(frame.pixels.dtype)))
+    return pixels + TRAIL_PEAK * NOISE_ADU * np.where((along >= 0.0) & (along <= length), profile, 0.0)

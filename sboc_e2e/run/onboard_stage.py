@@ -1,7 +1,9 @@
 """Frames -> packets: the on-board chain frame by frame, its packets kept as they leave and joined at the end."""
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import partial
+from typing import TYPE_CHECKING
 
 from onboard import latency
 from onboard.chain import OnboardChain, OnboardResult, OnboardState, OnboardSteps, RunEnd
@@ -12,12 +14,14 @@ from sboc_e2e.run.directory import RunDirectory
 from sboc_e2e.run.measure import Meter, peak_rss_mb, reset_peak, stage_figures
 from sboc_e2e.run.progress import Progress
 from sboc_e2e.run.states import StateKeeper
-from sboc_e2e.scenario import Scenario
+
+if TYPE_CHECKING:
+    from sboc_e2e.scenario import Scenario
 
 STAGE = "onboard"
 
 
-def onboard_steps(scenario: Scenario) -> OnboardSteps:
+def onboard_steps(scenario: "Scenario") -> OnboardSteps:
     """The on-board steps of a scenario."""
     return OnboardSteps(
         background=scenario.step("onboard.background"),
@@ -28,7 +32,7 @@ def onboard_steps(scenario: Scenario) -> OnboardSteps:
     )
 
 
-def onboard_chain(scenario: Scenario, *, calibration: Calibration | None, camera: NominalCamera, run_id: int) -> OnboardChain:
+def onboard_chain(scenario: "Scenario", *, calibration: Calibration | None, camera: NominalCamera, run_id: int) -> OnboardChain:
     """The on-board chain of a scenario."""
     return OnboardChain(scenario.onboard, onboard_steps(scenario), calibration=calibration, camera=camera, run_id=run_id)
 
@@ -41,6 +45,8 @@ class OnboardStage:
     chain: OnboardChain
     resumed: bool = True
     """Whether the run can be resumed."""
+    keep: Callable[[int, bytes], None] | None = None
+    """Takes the packets that left at a position, in place of a file."""
     meter: Meter = field(default_factory=Meter)
     peak_rss_mb: float = 0.0
 
@@ -74,7 +80,7 @@ class OnboardStage:
 
     def _write(self, position: int, results: Iterable[OnboardResult | RunEnd]) -> None:
         """Keep the packets that left at a position; after the last frame those of what waited."""
-        write_bytes(self.run.work_file(STAGE, position, "bin"), b"".join(result.packets for result in results))
+        (self.keep or partial(keep, self.run))(position, b"".join(result.packets for result in results))
 
     def figures(self) -> dict[str, float]:
         """What the stage cost, for the manifest."""
@@ -87,13 +93,19 @@ class OnboardStage:
             compile_cpu_s=meter.compile_cpu_s,
         )
 
-    def join(self, n_frames: int, faults: FaultOptions, seed: int) -> None:
-        """Write downlink.bin from the packets of all frames, as they arrive on ground."""
-        files = (self.run.work_file(STAGE, position, "bin") for position in range(n_frames + 1))
-        with replacing(self.run.downlink) as stream:
-            if faults.packets.any:
-                packets = [packet for path in files for packet in split_packets(path.read_bytes())]
-                stream.write(damaged_packets(packets, faults.packets, seed)[0])
-            else:
-                for path in files:
-                    stream.write(path.read_bytes())
+
+def keep(run: RunDirectory, position: int, packets: bytes) -> None:
+    """Keep the packets that left at a position for `join`."""
+    write_bytes(run.work_file(STAGE, position, "bin"), packets)
+
+
+def join(run: RunDirectory, n_frames: int, faults: FaultOptions, seed: int) -> None:
+    """Write downlink.bin from the packets of all frames, as they arrive on ground."""
+    files = (run.work_file(STAGE, position, "bin") for position in range(n_frames + 1))
+    with replacing(run.downlink) as stream:
+        if faults.packets.any:
+            packets = [packet for path in files for packet in split_packets(path.read_bytes())]
+            stream.write(damaged_packets(packets, faults.packets, seed)[0])
+        else:
+            for path in files:
+                stream.write(path.read_bytes())

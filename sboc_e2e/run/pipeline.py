@@ -12,7 +12,7 @@ from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Frame
 from sboc_e2e.registry import Registry
 from sboc_e2e.report.write import write_report
-from sboc_e2e.run import disk, truth_files
+from sboc_e2e.run import disk, onboard_stage, truth_files
 from sboc_e2e.run.decoders import decoders_of, require_decoder
 from sboc_e2e.run.directory import STAGES, RunDirectory
 from sboc_e2e.run.ground_stage import GroundStage, ground_chain, require_files, star_catalogue
@@ -218,7 +218,7 @@ class Run:
         self.progress.stage("simulate + onboard", len(self._plan()), stage.first)
 
     def _finish_onboard(self, stage: OnboardStage, n_frames: int) -> None:
-        stage.join(n_frames, self.scenario.faults, self.scenario.seed)
+        onboard_stage.join(self.directory, n_frames, self.scenario.faults, self.scenario.seed)
         self.manifest.finish("onboard", **stage.figures())
         self.directory.clear_work("onboard")
 

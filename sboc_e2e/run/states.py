@@ -27,7 +27,7 @@ class StateKeeper:
 
     def last(self) -> tuple[int, Any] | None:
         """Number of the frame after which a state was kept, and that state."""
-        numbers = self.run.numbers(self.stage, "state")
+        numbers = self.run.numbers(self.stage, "state") if self.resumed else []
         if not numbers:
             return None
         return numbers[-1], checkpoint.load(self.run.work_file(self.stage, numbers[-1], "state"), self.shared)

@@ -17,6 +17,7 @@ from astropy.table import Table
 from sboc_e2e import scenario as scenarios
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.outside.fits_frames import FitsFolder
+from sboc_e2e.outside.lone_frame import LoneFrame
 from sboc_e2e.outside.process import base_document, process
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.progress import Silent
@@ -61,11 +62,11 @@ def one_input(data: bytes) -> None:
             assert "\n" not in str(error)
 
 
-def run(folder: Path, out: Path) -> dict[str, Any]:
-    """`sboc process` with its defaults; what ingest.json says."""
+def run(folder: Path, out: Path, begun: LoneFrame | None = None) -> dict[str, Any]:
+    """`sboc process` with its defaults; what ingest.json says. begun : see `process`."""
     registry = Registry()
     scenario = scenarios.bare("process", base_document("header"), registry=registry)
-    process(FitsFolder(path=folder), scenario, out, camera=None, force=True, registry=registry, progress=Silent())
+    process(FitsFolder(path=folder), scenario, out, camera=None, begun=begun, force=True, registry=registry, progress=Silent())
     ingest: dict[str, Any] = json.loads((out / "products" / "ingest.json").read_text(encoding="utf-8"))
     return ingest
 

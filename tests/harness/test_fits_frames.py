@@ -10,10 +10,10 @@ from astropy.io import fits
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.tai import from_jd_parts
 from sboc_e2e.outside import star_width
-from sboc_e2e.outside.camera import camera_of_frame
 from sboc_e2e.outside.first_frame import FirstFrame
 from sboc_e2e.outside.fits_frames import FIRST_ASSUMED_TAI_NS, FitsFolder, _frame_header, start_tai_ns
 from sboc_e2e.outside.frame_source import Note, SourcedFrame
+from sboc_e2e.outside.guessed_camera import camera_of_frame
 from sboc_e2e.outside.star_width import star_sigma_px
 
 SKY = np.random.default_rng(4).normal(1000.0, 5.0, (65, 71))

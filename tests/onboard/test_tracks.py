@@ -48,7 +48,7 @@ from sboc_e2e.icd.signals import (
     TrackMember,
 )
 from sboc_e2e.run.directory import RunDirectory
-from sboc_e2e.run.onboard_stage import OnboardStage
+from sboc_e2e.run.onboard_stage import OnboardStage, join
 from sboc_e2e.run.progress import Silent
 from sboc_e2e.score.matching import TruthStreak
 from tests.benchmarks.bench_tracks import STARS, PieceTracker, Storm, hit, random_track, run_cube
@@ -310,7 +310,7 @@ def test_the_last_word_is_sent_once_though_a_run_is_killed_after_any_frame(tmp_p
                     killed_after(frames, last), Silent()
                 )
         stage = OnboardStage(run=folder, chain=tracked_run((), tracker=Waiting()).chain)
-        stage.join(stage.take(frames[stage.first :], Silent()), FaultOptions(), 0)
+        join(folder, stage.take(frames[stage.first :], Silent()), FaultOptions(), 0)
         whole.add(folder.downlink.read_bytes())
     (downlink,) = whole
     decoded, _ = decode_downlink(downlink, (PlanesDecoder(),))

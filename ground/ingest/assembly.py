@@ -30,6 +30,9 @@ from sboc_e2e.icd.signals import BackgroundModel, RoiGroup, StarList
 FIRST_TRACK_ROI = 1 << 16
 """Numbers from here on are for regions that came in track packets, by track. Numbers of ROI packets have 16 bits."""
 
+AFTER_OWN = 1 << 16
+"""Added to the segment of a strip that came later than its region: the region's own, numbered by 16 bits, go first."""
+
 
 @dataclass(kw_only=True)
 class FrameParts:
@@ -71,19 +74,26 @@ class FrameParts:
 
 
 def with_tracks(parts: Sequence[FrameParts], failures: list[str]) -> None:
-    """Put the members from track packets into their frames. Members of missing frames are listed."""
+    """Put the members from track packets into their frames. Members of missing frames are listed.
+
+    Strips in one item with the number of a region hold what that region lacks of the trail: they become strips of it.
+    """
     frames = {(part.frame, part.t_start_tai_ns): part for part in parts}
     for carrier in parts:
+        regions = {item: record.roi_id for item, _, _, record in carrier.members if record.roi_id is not None}
         for item, segment, n_segments, record in carrier.members:
             part = frames.get((record.frame, record.t_start_tai_ns))
             if part is None:
                 failures.append(f"frame {carrier.frame} TRACK item {item}: frame {record.frame} of its member is not there")
                 continue
-            roi_id = record.roi_id
-            if record.strip is not None:
-                roi_id = FIRST_TRACK_ROI + record.number
-                part.strips.setdefault(roi_id, []).append((segment, record.strip))
-                part.n_strips[roi_id] = n_segments
+            roi_id = regions.get(item, FIRST_TRACK_ROI + record.number)
+            if record.strip is None and n_segments > 1:
+                part.n_strips[roi_id] = part.n_strips.get(roi_id, 1) + n_segments - 1
+            elif record.strip is not None:
+                after = AFTER_OWN * (item in regions)
+                part.strips.setdefault(roi_id, []).append((after + segment, record.strip))
+                if item not in regions:
+                    part.n_strips[roi_id] = n_segments
             if roi_id in part.strips:
                 known = part.tracks.get(roi_id, (record.number, 0.0))
                 part.tracks[roi_id] = (record.number, max(record.snr, known[1]))

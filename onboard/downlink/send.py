@@ -85,8 +85,8 @@ def send_tracks(
             place = (track.number, member.frame)
             if place in sent or member.frame not in frames:
                 continue
-            coded = code_member(track, member, frames[member.frame], codec, options, psf_sigma_px)
-            if coded.payloads and outbox.offer(Apid.TRACK, coded.payloads, item=item):
+            payloads = code_member(track, member, frames[member.frame], codec, options, psf_sigma_px)
+            if payloads and outbox.offer(Apid.TRACK, payloads, item=item):
                 sent.append(place)
                 item += 1
     return replace(pixels, sent=tuple(sent), items=item)

@@ -39,6 +39,9 @@ window of seven has four where the seed is in the last."""
 AGAIN: Final = 1
 """Place in the window where seeds that fell short are followed again: five later frames are there then, not three."""
 
+OWN_LOSS: Final = 0.2
+"""A seed is followed where the first look, at half resolution and on other ends, has this much less S/N in the seed's own frame."""
+
 LOOK_PER_PX: Final = 110.0
 """Pixels that the first look reads for each px of a seed: sixteen lanes of half resolution, 1.75 + 2 x 5.75 + 0.5 lengths."""
 
@@ -253,7 +256,7 @@ class JointTracker:
             psf_sigma_px,
             asked,
             self.first_margin,
-            self.seed_sigma,
+            self.seed_sigma - OWN_LOSS,
             most_work,
             trail_sums.work_space(OLDER + self.window),
         )

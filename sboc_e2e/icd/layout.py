@@ -95,7 +95,8 @@ The item number of the packet is the roi_id, its segment the strip's number."""
 TRACK_MEMBER = struct.Struct(">IIqfiHH")
 """In each TRACK packet: number of the track in the run | frame, t_start_tai_ns of the member's frame, which is the packet's own
 or an earlier one | joint S/N | roi_id of the member among that frame's ROI packets, `TRACK_STRIP_FOLLOWS` when its pixels were
-not sent before and follow here as in a ROI packet, each segment of the item a strip | members of the track so far | reserved."""
+not sent before and follow here as in a ROI packet, each segment of the item a strip (the first one may name a region that lacks
+them) | members of the track so far | reserved."""
 
 TRACK_STRIP_FOLLOWS: Final = -1  # In the place of a roi_id, which is never negative: the pixels follow in this packet.
 

@@ -200,13 +200,14 @@ def tracked_run(
     numbers: Sequence[int],
     *,
     tracker: object | None = None,
+    detector: LineIntegralDetector | None = None,
     exposure_of: dict[int, int] | None = None,
     turned_from: int | None = None,
 ) -> Run:
     """A run of frames with these numbers; exposures (ns) where they are not the usual ones; other stars from a frame on."""
     steps = OnboardSteps(
-        background=MeshBackground(), star_extractor=MatchedStars(), detector=LineIntegralDetector(), codec=PlanesCodec(),
-        tracker=tracker or Planted(),  # type: ignore[arg-type]
+        background=MeshBackground(), star_extractor=MatchedStars(), codec=PlanesCodec(),
+        detector=detector or LineIntegralDetector(), tracker=tracker or Planted(),  # type: ignore[arg-type]
     )  # fmt: skip
     chain = OnboardChain(OnboardOptions(), steps, calibration=calibration(), camera=camera(), run_id=1)
     run = Run(chain=chain, state=chain.initial_state())
@@ -234,6 +235,62 @@ def test_members_come_down_once_with_the_pixels_of_their_own_frames() -> None:
             row, col, inside = strip.pixel_coordinates(256, 256)
             dark = np.rint(calibration().dark_adu[row[inside], col[inside]])
             assert (strip.values_adu[inside] == pixels[row[inside], col[inside]] - dark).all()
+
+
+@dataclass(frozen=True, kw_only=True)
+class PartSeen(LineIntegralDetector):
+    """Sees the middle of a trail alone."""
+
+    def search(self, view: DetectorView, seed_sigma: float) -> tuple[tuple[Detection, ...], Searched]:
+        """A third of what `Longer` has."""
+        seen = Detection(row0=100.0, col0=80.0, row1=140.0, col1=120.0, snr=30.0)
+        return (seen,), Searched.empty(view.mask.shape)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Longer(Planted):
+    """Reports the whole trail in two frames."""
+
+    def track(self, state: tuple[int, ...], view: TrackerView) -> tuple[tuple[int, ...], tuple[Track, ...]]:
+        """At the same place in both."""
+        state = (*state, view.view.header.frame)
+        whole = Detection(row0=60.0, col0=40.0, row1=180.0, col1=160.0, snr=20.0)
+        members = tuple(TrackMember(frame=k, detection=whole) for k in state)
+        return state, (Track(number=5, snr=30.0, members=members),) if len(state) == 2 else ()
+
+
+def test_pixels_of_a_trail_beyond_a_region_that_was_sent_come_down_as_strips_of_it() -> None:
+    """Also where the packet that names the region is lost, or one with pixels: then the region says that pixels are missing."""
+    run = tracked_run(range(2), tracker=Longer(), detector=PartSeen())
+    frames, report = decode_downlink(run.downlink, (PlanesDecoder(),))
+    assert not report.decode_failures
+    for number, decoded in enumerate(frames):
+        (group,) = decoded.rois
+        assert (group.track, group.roi_id, group.detection.snr, group.n_strips) == (5, 0, 30.0, len(group.strips))
+        seen = np.zeros((256, 256), dtype=np.bool_)
+        pixels = frame(0).pixels.astype(np.int64) + number % 5
+        for strip in group.strips:
+            row, col, inside = strip.pixel_coordinates(256, 256)
+            seen[row[inside], col[inside]] = True
+            dark = np.rint(calibration().dark_adu[row[inside], col[inside]])
+            assert (strip.values_adu[inside] == pixels[row[inside], col[inside]] - dark).all()
+        along = np.arange(60, 181)
+        assert seen[along, along - 20].all()
+    for start, length in packets_of(run.downlink, Apid.TRACK):
+        frames, _ = decode_downlink(run.downlink[:start] + run.downlink[start + length :], (PlanesDecoder(),))
+        (spoilt,) = [g for decoded in frames for g in decoded.rois if len(g.strips) < g.n_strips]
+        assert spoilt.track == 5
+
+
+def packets_of(downlink: bytes, apid: Apid) -> list[tuple[int, int]]:
+    """Place and length of the packets of one kind."""
+    out, at = [], 0
+    while at < len(downlink):
+        length = int.from_bytes(downlink[at + 4 : at + 6], "big") + 7
+        if int.from_bytes(downlink[at : at + 2], "big") & 0x7FF == int(apid):
+            out.append((at, length))
+        at += length
+    return out
 
 
 def test_what_waits_at_the_end_of_a_run_comes_down_after_the_last_frame() -> None:

@@ -40,7 +40,7 @@ AGAIN: Final = 1
 """Place in the window where seeds that fell short are followed again: five later frames are there then, not three."""
 
 OWN_LOSS: Final = 0.2
-"""A seed is followed where the first look, at half resolution and on other ends, has this much less S/N in the seed's own frame."""
+"""Less S/N that a seed may have in its own frame when it is looked at there, at half resolution and on other ends."""
 
 LOOK_PER_PX: Final = 110.0
 """Pixels that the first look reads for each px of a seed: sixteen lanes of half resolution, 1.75 + 2 x 5.75 + 0.5 lengths."""

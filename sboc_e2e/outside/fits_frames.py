@@ -25,6 +25,7 @@ from sboc_e2e.outside.frame_source import Note, SourcedFrame
 from sboc_e2e.outside.header_wcs import COARSEST_DEG, FINEST_DEG, MAX_SHOWN, usable_wcs
 from sboc_e2e.outside.image_circle import beyond, image_circle
 from sboc_e2e.outside.image_planes import Plane, planes_of, with_planes
+from sboc_e2e.outside.no_data import without_data
 from sboc_e2e.outside.overscan import without_sky
 
 if TYPE_CHECKING:
@@ -220,6 +221,12 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True, content: Cont
     if data is None or np.shape(data) != (place.rows, place.cols) or data.dtype.kind not in "uif":
         raise UserError(f"{place.path}, HDU {place.hdu}: holds no image of {place.rows} x {place.cols} numbers")
     pixels, saturation = pixels_of(data)
+    empty = without_data(pixels)
+    if empty is not None:
+        pixels = pixels.astype(np.float32)
+        pixels[empty] = np.nan
+        share = f"{100.0 * float(empty.mean()):.2g} % of the frame"
+        notes.append(Note(kind="no data", text=f"masked areas that hold one value, such as gaps between chips: {share}"))
     sky = without_sky(pixels)
     if sky is not None:
         blind = np.zeros(pixels.shape, dtype=np.bool_) if blind is None else blind

@@ -42,7 +42,7 @@ def without_data(pixels: NDArray[Any]) -> NDArray[np.bool_] | None:
     if not _has_run(equal):
         return None
     changing = lines[:, 1:][~equal][::SIDE_PX]
-    changing = changing[np.isfinite(changing)]
+    changing = changing[np.isfinite(changing)].astype(np.float64)
     if changing.size == 0:
         return None
     quarter, sky = (float(each) for each in np.quantile(changing, (0.25, 0.5)))

@@ -71,7 +71,7 @@ def _areas(pixels: NDArray[Any], deepest: float, sky: float) -> NDArray[np.bool_
     same = (cv2.erode(pixels, square(SIDE_PX)) == cv2.dilate(pixels, square(SIDE_PX))) & (pixels < deepest)
     if not same.any():
         return None
-    value = float(np.median(pixels[same]))
+    value = float(np.median(pixels[same].astype(np.float64)))
     alike = (pixels < min(deepest, value + ALIKE * (sky - value))).astype(np.uint8)
     dark = cv2.morphologyEx(alike, cv2.MORPH_OPEN, square(3))
     n, label, stats, _ = cv2.connectedComponentsWithStats(dark, connectivity=8)

@@ -45,11 +45,11 @@ def without_data(pixels: NDArray[Any]) -> NDArray[np.bool_] | None:
     changing = changing[np.isfinite(changing)].astype(np.float64)
     if changing.size == 0:
         return None
-    quarter, sky = (float(each) for each in np.quantile(changing, (0.25, 0.5)))
+    quarter, sky = np.quantile(changing, (0.25, 0.5))  # in double precision, which has room for any number of a frame
     deepest = sky - SIGMAS * (sky - quarter) / QUARTER_SIGMAS  # the darker half has no stars
     if not _has_run(equal & (lines[:, 1:] < deepest)):
         return None
-    return _areas(np.nan_to_num(pixels, nan=sky), deepest, sky)
+    return _areas(np.where(np.isnan(pixels), pixels.dtype.type(sky), pixels), deepest, sky)
 
 
 def _has_run(equal: NDArray[np.bool_]) -> bool:
@@ -71,7 +71,7 @@ def _areas(pixels: NDArray[Any], deepest: float, sky: float) -> NDArray[np.bool_
     same = (cv2.erode(pixels, square(SIDE_PX)) == cv2.dilate(pixels, square(SIDE_PX))) & (pixels < deepest)
     if not same.any():
         return None
-    value = float(np.median(pixels[same].astype(np.float64)))
+    value = np.median(pixels[same].astype(np.float64))
     alike = (pixels < min(deepest, value + ALIKE * (sky - value))).astype(np.uint8)
     dark = cv2.morphologyEx(alike, cv2.MORPH_OPEN, square(3))
     n, label, stats, _ = cv2.connectedComponentsWithStats(dark, connectivity=8)

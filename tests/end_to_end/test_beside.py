@@ -72,6 +72,7 @@ class Stubborn(Exception):
 
     def __init__(self, one: int, two: int) -> None:
         super().__init__(f"{one} and {two}")
+        self.held = lambda: None  # no function without a name is pickled, whatever other libraries teach pickle of exceptions
 
 
 def stubborn(_heard: Callable[[], object]) -> Iterator[int]:

@@ -84,7 +84,7 @@ def corridor_sums(
             base1 = _base(minor0, slope, last - 1 - major0)
             inside = min(base0, base1) >= 0 and max(base0, base1) + across <= n_minor
             if inside and not steep:
-                _add_columns(flat, cols, start, last, major0, minor0, slope, sums, p)
+                _add_columns(sums, p, flat, cols, major0, minor0, slope, start, last)
             elif inside and ((last - 1) * cols + base1 >> 3) + 2 < words.size:
                 _add_rows(words, cols, start, last, major0, minor0, slope, sums, p)
             else:
@@ -138,15 +138,15 @@ def _add_rows(
 
 @nb.njit(cache=True)
 def _add_columns(
+    sums: NDArray[np.int32],
+    p: int,
     flat: NDArray[np.int8],
     cols: int,
-    start: int,
-    stop: int,
     major0: int,
     minor0: float,
     slope: float,
-    sums: NDArray[np.int32],
-    p: int,
+    start: int,
+    stop: int,
 ) -> None:
     """The same for columns, pixel by pixel."""
     line, stride = np.uint64(p), np.uint64(cols)

@@ -1,6 +1,6 @@
 # Verbs, each of which does all its own set-up in .venv from the lock file:
 #   make e2e SCENARIO=sso_antisun   the whole chain, ends with runs/<scenario>/report.html
-#   make test        fast tests         make test-full   all tests, under an hour on two cores
+#   make test        fast tests         make test-full   all tests, three quarters of an hour on two cores
 #   make test-slow   the slow ones alone: whole scenarios, commands of the documents, notebooks
 #   make lint        style, types, import rules, schema, licences
 #   make bench       the benchmark report         make fuzz   a million inputs against every parser

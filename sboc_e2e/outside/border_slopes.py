@@ -11,7 +11,7 @@ from dataclasses import dataclass, replace
 from typing import Any, Final
 
 import numpy as np
-import scipy  # scipy.ndimage is loaded where it is used: most frames have no slopes
+import scipy  # scipy.ndimage is loaded where it is used: small frames have no slopes
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.frame import Frame
@@ -135,20 +135,8 @@ def _running_median(tiles: NDArray[np.float64]) -> NDArray[np.float64]:
 
 
 def _smooth(level: NDArray[np.float64]) -> NDArray[np.float64]:
-    once = _blurred(level)
-    return once + _blurred(level - once)
-
-
-def _blurred(level: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Smoothed once across the border, in the order of sums of scipy.ndimage.gaussian_filter1d."""
-    reach = round(4.0 * SMOOTH_TILES)
-    weight = np.exp(-0.5 / SMOOTH_TILES**2 * np.arange(-reach, reach + 1) ** 2)
-    weight /= weight.sum()
-    padded, n = np.pad(level, ((reach, reach), (0, 0)), mode="edge"), len(level)
-    out = padded[reach : reach + n] * weight[reach]
-    for k in range(reach):
-        out += (padded[k : k + n] + padded[2 * reach - k : 2 * reach - k + n]) * weight[k]
-    return out
+    once = scipy.ndimage.gaussian_filter1d(level, SMOOTH_TILES, axis=0, mode="nearest")
+    return np.asarray(once + scipy.ndimage.gaussian_filter1d(level - once, SMOOTH_TILES, axis=0, mode="nearest"))
 
 
 def _on_mesh(level: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -10,6 +10,7 @@ import math
 from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
+import scipy  # scipy.ndimage is loaded where it is used, as in `border_slopes`
 from numpy.typing import NDArray
 
 if TYPE_CHECKING:
@@ -99,7 +100,7 @@ def _levels(coarse: NDArray[np.float32]) -> NDArray[np.float32] | None:
     known = np.isfinite(coarse)
     if min(coarse.shape) < 3 * ANGLES // 4 or not known.any():
         return None
-    image = _medians(np.where(known, coarse, coarse[known].min()))
+    image = scipy.ndimage.median_filter(np.where(known, coarse, coarse[known].min()), 3)
     rows, cols = image.shape
     dark = float(np.percentile(image, 2.0))
     middle = float(np.median(image[rows // 4 : 3 * rows // 4, cols // 4 : 3 * cols // 4])) - dark
@@ -110,12 +111,6 @@ def _levels(coarse: NDArray[np.float32]) -> NDArray[np.float32] | None:
     high, wide = max(int(CORNER * rows), 1), max(int(CORNER * cols), 1)
     corners = [level[a, b] for a in (slice(0, high), slice(-high, None)) for b in (slice(0, wide), slice(-wide, None))]
     return level if sum(float(np.median(each)) < DARK_CORNER for each in corners) >= FEWEST_DARK_CORNERS else None
-
-
-def _medians(image: NDArray[np.float32]) -> NDArray[np.float32]:
-    """Medians of 3 x 3 cells; at the borders of the image as it is mirrored."""
-    around = np.lib.stride_tricks.sliding_window_view(np.pad(image, 1, mode="symmetric"), (3, 3))
-    return np.asarray(np.partition(around.reshape(*image.shape, 9), 4, axis=-1)[..., 4])
 
 
 def _best(

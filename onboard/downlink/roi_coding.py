@@ -77,6 +77,12 @@ def cross_profile(view: DetectorView, detection: Detection, reach: int) -> tuple
     return values[cut : samples - cut].sum(axis=0).astype(np.float64), samples - 2 * cut
 
 
+def region_margin_px(detection: Detection, psf_sigma_px: float, options: RoiOptions) -> float:
+    """Margin that a region has beyond the ends of its detection: a smaller one where it is flagged ROI_CUT."""
+    factor = min(options.end_margin, 1.0) if detection.flags & StreakFlag.ROI_CUT else options.end_margin
+    return roi.end_margin_px(detection.length_px, detection.snr, psf_sigma_px, factor)
+
+
 def pixels_per_strip(sigma_counts: float, room_bytes: int) -> int:
     """Number of noise pixels that fit into a block of `room_bytes`, with some margin."""
     return min(max(64, int(FIRST_GUESS_FILL * 8.0 * room_bytes / bits_per_pixel(sigma_counts))), layout.MAX_STRIP_PIXELS)
@@ -93,11 +99,10 @@ def code_roi(
         least_px=min(options.half_width_sigma * sigma_px, options.max_half_width_px),
         largest_px=options.max_half_width_px,
     )
-    margin = roi.end_margin_px(detection.length_px, detection.snr, sigma_px, options.end_margin)
     if tight:
         half_width = min(half_width, 3.0 * sigma_px)
-        margin = roi.end_margin_px(detection.length_px, detection.snr, sigma_px, min(options.end_margin, 1.0))
         detection = replace(detection, flags=detection.flags | StreakFlag.ROI_CUT)
+    margin = region_margin_px(detection, sigma_px, options)
     sigma_counts = float(np.median(view.background.sigma_adu)) / counts.adu_scale
     plan = roi.plan_strips(
         detection,

@@ -9,7 +9,7 @@ import numpy as np
 
 from onboard.downlink import packets, roi
 from onboard.downlink.kept_counts import KeptCounts
-from onboard.downlink.roi_coding import BLOCK_ROOM_BYTES, code_strips, pixels_per_strip
+from onboard.downlink.roi_coding import BLOCK_ROOM_BYTES, code_strips, pixels_per_strip, region_margin_px
 from onboard.options import RoiOptions
 from sboc_e2e.icd import layout
 from sboc_e2e.icd.flags import StreakFlag
@@ -82,8 +82,7 @@ def unsent(found: Detection, region: RoiGroup, margin_px: float, psf_sigma_px: f
     u = np.array([found.row1 - found.row0, found.col1 - found.col0]) / length
     start = np.array([found.row0, found.col0])
     low, high = sorted(float((np.array(end) - start) @ u) for end in ((d.row0, d.col0), (d.row1, d.col1)))
-    factor = min(options.end_margin, 1.0) if d.flags & StreakFlag.ROI_CUT else options.end_margin
-    sent_px = roi.end_margin_px(d.length_px, d.snr, psf_sigma_px, factor)
+    sent_px = region_margin_px(d, psf_sigma_px, options)
     spans = []
     if low - sent_px > 0.0:
         spans.append((0.0 if found.flags & StreakFlag.EDGE0 else -margin_px, low - sent_px))

@@ -223,8 +223,7 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True, content: Cont
     pixels, saturation = pixels_of(data)
     empty = without_data(pixels)
     if empty is not None:
-        pixels = pixels.astype(np.float32)
-        pixels[empty] = np.nan
+        pixels = _without(pixels, empty)
         share = f"{100.0 * float(empty.mean()):.2g} % of the frame"
         notes.append(Note(kind="no data", text=f"masked areas that hold one value, such as gaps between chips: {share}"))
     sky = without_sky(pixels)
@@ -241,8 +240,7 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True, content: Cont
         where = f"radius {circle.radius_px:.0f} px about row {circle.row:.0f}, column {circle.col:.0f}"
         notes.append(Note(kind="circle", text=f"masked what lies beyond the image circle of the lens and at its rim: {where}"))
     if blind is not None and blind.any():
-        pixels = pixels.astype(np.float32)
-        pixels[blind] = np.nan
+        pixels = _without(pixels, blind)
     notes += [doubt] if doubt and use_wcs else []
     frame_header = _frame_header(header, number, pixels.shape, saturation, notes)
     return SourcedFrame(
@@ -255,6 +253,11 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True, content: Cont
         camera=" ".join(f"{header.get(key, '')}".strip() for key in CAMERA_KEYS) + f" HDU {place.hdu}",
         circle=circle,
     )
+
+
+def _without(pixels: NDArray[Any], masked: NDArray[np.bool_]) -> NDArray[np.float32]:
+    """The pixels with NaN where they are masked."""
+    return np.where(masked, np.float32(np.nan), pixels.astype(np.float32))
 
 
 def _borders(sky: tuple[slice, slice], shape: tuple[int, ...]) -> str:

@@ -27,7 +27,8 @@ from simulator.scene.movers import paths_of
 from simulator.scene.sources import ObjectOptions
 from simulator.scene.surface import Surfaces
 from simulator.scene.trail_image import add_trail
-from simulator.survey import Flight, Instants, Passages, instants_of, make_passages
+from simulator.survey.flight import Flight, Instants, instants_of
+from simulator.survey.passages import Passages, make_passages
 
 Array = NDArray[np.float64]
 

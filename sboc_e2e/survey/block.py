@@ -15,24 +15,15 @@ from sboc_e2e.icd.errors import UserError
 from sboc_e2e.score.recovery import SIZE_EDGES_M
 from sboc_e2e.survey.curve import found_share, shifts
 from sboc_e2e.survey.response import Response
-from simulator.fleet_passages import fleet_block
 from simulator.platform.earth import EARTH_RADIUS_KM
 from simulator.randomness import Effect, generator
 from simulator.scene.fleet import KINDS as FLEET_KINDS
 from simulator.scene.fleet import Fleet
-from simulator.survey import (
-    BLOCK_S,
-    Flight,
-    Instants,
-    Looks,
-    Passages,
-    Pools,
-    candidate_number,
-    draw_block,
-    looks_of,
-    orbits_of,
-    pilot_instants,
-)
+from simulator.survey.blocks import Pools, candidate_number, draw_block, pilot_instants
+from simulator.survey.flight import BLOCK_S, Flight, Instants
+from simulator.survey.looks import Looks, looks_of
+from simulator.survey.named import fleet_block
+from simulator.survey.passages import Passages, orbits_of
 
 Array = NDArray[np.float64]
 Columns = dict[str, NDArray[Any]]

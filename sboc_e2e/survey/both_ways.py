@@ -28,7 +28,9 @@ from sboc_e2e.survey.block import finds_of
 from sboc_e2e.survey.response import Response
 from sboc_e2e.survey.rows import LEAST_SNR, OBJECT_COLUMNS, STREAK_COLUMNS, columns
 from simulator.bare_trails import BareTrails
-from simulator.survey import Instants, Looks, Passages
+from simulator.survey.flight import Instants
+from simulator.survey.looks import Looks
+from simulator.survey.passages import Passages
 
 Array = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from sboc_e2e.survey.block import BlockJob, BlockTables, pilot, run_block
 from sboc_e2e.survey.response import Response
 from simulator.platform import earth
 from simulator.scene.fleet import is_given
-from simulator.survey import BLOCK_S, refuse_unwatched
+from simulator.survey.flight import BLOCK_S, refuse_unwatched
 
 IDENTITY: Final = "survey.json"
 FOLDERS: Final = ("tracklets", "truth", "sums", "failed")

@@ -19,7 +19,7 @@ from ground.population.recover import recover
 from ground.population.response import Response as Counts
 from sboc_e2e.survey.block import CLASS_EDGES_M
 from sboc_e2e.survey.shards import Survey, cells
-from simulator.survey import POOL_BLOCKS
+from simulator.survey.blocks import POOL_BLOCKS
 
 Array = NDArray[np.float64]
 

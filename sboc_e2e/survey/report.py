@@ -24,7 +24,8 @@ from sboc_e2e.survey.shards import Survey, read_survey
 from simulator.platform.earth import DAY_S, EARTH_RADIUS_KM
 from simulator.scene.fleet import KINDS as FLEET_KINDS
 from simulator.scene.fleet import Fleet
-from simulator.survey import Flight, expected_passages, model_flux
+from simulator.survey.expected import expected_passages, model_flux
+from simulator.survey.flight import Flight
 
 Array = NDArray[np.float64]
 

@@ -18,7 +18,9 @@ from sboc_e2e.survey.curve import HALF, found_share, shifts
 from sboc_e2e.survey.response import Response
 from simulator.platform.earth import DAY_S
 from simulator.randomness import Effect, generator
-from simulator.survey import Flight, candidates, instants_of, looks_of, pool_of
+from simulator.survey.candidates import candidates, pool_of
+from simulator.survey.flight import Flight, instants_of
+from simulator.survey.looks import looks_of
 
 Array = NDArray[np.float64]
 

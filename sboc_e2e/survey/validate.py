@@ -32,7 +32,10 @@ from simulator.bare_trails import BareTrails, bare_trails, encounters_of
 from simulator.randomness import Effect, generator
 from simulator.scene.encounters import expected_snr
 from simulator.scene.stars import sky_catalogue
-from simulator.survey import Flight, Instants, Passages, candidates, instants_of, joined, looks_of, pool_of
+from simulator.survey.candidates import candidates, pool_of
+from simulator.survey.flight import Flight, Instants, instants_of
+from simulator.survey.looks import looks_of
+from simulator.survey.passages import Passages, joined
 
 Array = NDArray[np.float64]
 

@@ -14,7 +14,7 @@ from sboc_e2e.survey.curve import found_share, shifts
 from sboc_e2e.survey.rows import OBJECT_COLUMNS, STREAK_COLUMNS
 from simulator.bare_trails import NOBODY, bare_trails
 from simulator.chain import Simulator
-from simulator.survey import Flight
+from simulator.survey.flight import Flight
 from tests.survey.test_survey import TRUE_CURVE, content
 
 OBJECTS, FRAMES = 20, 6

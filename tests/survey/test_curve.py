@@ -10,7 +10,7 @@ from sboc_e2e.survey import curve as curves
 from sboc_e2e.survey import response as responses
 from sboc_e2e.survey.block import finds_of
 from sboc_e2e.survey.curve import HALF, LN_SPREAD, LN_WIDTH, LOGIT_TOP, SHORTEST, WHEN_CUT, found_share, mean_share
-from simulator.survey import Looks
+from simulator.survey.looks import Looks
 
 CURVE = np.array([7.3, -0.6, 0.4, -0.4, 4.0, -1.0, 0.5, 8.0, -0.3])
 

@@ -17,12 +17,12 @@ from sboc_e2e.survey import response as responses
 from sboc_e2e.survey.engine import run_survey
 from sboc_e2e.survey.named import NamedPassages, cloud_of, named_page, seen_probability
 from simulator.camera import Camera
-from simulator.fleet_passages import fleet_block, series
 from simulator.platform.kepler import elements_deg, state_of
 from simulator.scene.cast import make_cast
 from simulator.scene.prediction import Watch, predict_crossings
 from simulator.scene.satellites import propagate, read_satellites
-from simulator.survey import Flight
+from simulator.survey.flight import Flight
+from simulator.survey.named import fleet_block, series
 
 SHARED = Path(__file__).resolve().parents[3] / "shared" / "data"
 CATALOGUE = SHARED / "tle" / "catalogue_2022-01.3le.gz"

@@ -12,19 +12,10 @@ from sboc_e2e.registry import Registry
 from simulator.chain import Simulator
 from simulator.randomness import Effect, generator
 from simulator.scene.encounters import draw_candidates, in_field
-from simulator.survey import (
-    BLOCK_S,
-    Flight,
-    Pools,
-    block_instants,
-    candidate_number,
-    candidates,
-    draw_block,
-    instants_of,
-    looks_of,
-    pilot_instants,
-    pool_of,
-)
+from simulator.survey.blocks import Pools, candidate_number, draw_block, pilot_instants
+from simulator.survey.candidates import candidates, pool_of
+from simulator.survey.flight import BLOCK_S, Flight, block_instants, instants_of
+from simulator.survey.looks import looks_of
 
 SMALL = ['population.classes=[{from="1 mm", to="3 mm", count=1}]']
 

@@ -12,7 +12,8 @@ from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.registry import Registry
 from simulator.bare_trails import NOBODY, bare_trails
 from simulator.chain import Simulator
-from simulator.survey import Flight, instants_of, looks_of
+from simulator.survey.flight import Flight, instants_of
+from simulator.survey.looks import looks_of
 from simulator.trail_noise import PIXEL_VARIANCE_PX2, gaussian_energy
 
 SMALL = [f"sensor.window.{key}" for key in ("rows=512", "cols=512", "row0=1792", "col0=1792")]

@@ -1,4 +1,4 @@
-"""Passages of objects with names through the field: the counterpart of drawn passages in `simulator.survey`.
+"""Passages of objects with names through the field: the counterpart of drawn passages in `simulator.survey.passages`.
 
 Time is cut into legs of 10 s. In each leg an object moves straight relative to the camera. The accelerations of two objects
 near each other differ by less than 0.1 m/s^2, a metre in 5 s; for the farthest it is 0.1 km. States come from the middle of every
@@ -15,7 +15,9 @@ from simulator.platform import earth
 from simulator.scene.encounters import in_field
 from simulator.scene.fleet import Fleet
 from simulator.scene.prediction import may_cross
-from simulator.survey import BLOCK_S, Flight, Instants, Looks, Passages, instants_of, looks_of, make_passages
+from simulator.survey.flight import BLOCK_S, Flight, Instants, instants_of
+from simulator.survey.looks import Looks, looks_of
+from simulator.survey.passages import Passages, make_passages
 
 Array = NDArray[np.float64]
 Indices = NDArray[np.int64]

@@ -27,3 +27,18 @@ def test_a_large_frame_alone_is_read_before_most_libraries_are_loaded() -> None:
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=True, text=True)
     loaded = set(json.loads(done.stdout))
     assert not {*HEAVY, "numba", "scipy.special", "scipy.ndimage", "scipy.linalg", "pydantic", "astropy.table"} & loaded
+
+
+def test_an_interrupt_while_libraries_load_is_one_line() -> None:
+    code = (
+        "import sys\n"
+        "class Interrupts:\n"
+        "    def find_spec(self, name, path=None, target=None):\n"
+        "        if name == 'typer':\n"
+        "            raise KeyboardInterrupt\n"
+        "sys.meta_path.insert(0, Interrupts())\n"
+        "from sboc_e2e.__main__ import main\n"
+        "main()"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, check=False, text=True)
+    assert (done.returncode, done.stderr) == (2, "sboc: interrupted before anything was done\n")

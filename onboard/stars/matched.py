@@ -242,13 +242,13 @@ class MatchedStars:
         peaks : of the frame as if stars were points. bright, like_point : the brightest, and which of them are points.
         """
         # kernels that frames with stars as points need not load
-        from onboard.stars import star_motion, trail_vectors, trails
+        from onboard.stars import star_motion, trail_fits, trail_peaks, trail_vectors, trails
 
         psf_sigma_px = math.sqrt(view.psf_sigma_px**2 + 1.0 / 12.0)
         threshold = max(self.n_sigma, LEAST_TRAIL_SIGMA)
         view.work.spend(Work.STARS, star_motion.VOTE_WORK)
         motion, places = star_motion.first_motion(view.residual_adu, _brightest_first(peaks), psf_sigma_px)
-        if motion is None or not LONG_TRAIL_PX < star_motion.longest_px(motion) < trails.LONGEST_PX:
+        if motion is None or not LONG_TRAIL_PX < star_motion.longest_px(motion) < trail_peaks.LONGEST_PX:
             return None
         some, most_work = places[:MOST_BRIGHT_TRAILS], MOTION_SHARE * view.work.left(Work.STARS)
         *fitted, work = trail_vectors.fitted_vectors(view.residual_adu, view.mask, some, motion, psf_sigma_px, most_work)
@@ -258,10 +258,10 @@ class MatchedStars:
             return None
         width = float(min(max(np.median(fitted[2]), 0.4), 3.0 * psf_sigma_px))
         found, half, painted = trails.matched_trails(view, motion, width, threshold, MOST_TRAILS, sigma_adu)
-        view.work.spend(Work.STARS, trails.sum_work(motion, view.mask.shape))
-        room = view.work.room(Work.STARS, trails.fit_work(motion, width), 0.5)
+        view.work.spend(Work.STARS, trail_peaks.sum_work(motion, view.mask.shape))
+        room = view.work.room(Work.STARS, trail_fits.fit_work(motion, width), 0.5)
         chosen = _turns(found, view.mask.shape) < min(FITTED_TRAILS, room)
-        view.work.spend(Work.STARS, trails.fit_work(motion, width) * np.count_nonzero(chosen))
+        view.work.spend(Work.STARS, trail_fits.fit_work(motion, width) * np.count_nonzero(chosen))
         view.work.leave(Work.STARS, max(0, min(FITTED_TRAILS, len(found)) - int(np.count_nonzero(chosen))))
         fits, flags = trails.listed(view, found, half, width, sigma_adu, gain_e_adu, chosen)
         points, point_flags = self._points_among_trails(view, peaks, bright[like_point], painted, motion, gain_e_adu)

@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from onboard.stars.star_motion import common_motion, refined_motion
-from onboard.stars.trails import path_of
+from onboard.stars.trail_peaks import path_of
 from sboc_e2e.icd.flags import StarFlag, StreakFlag
 from sboc_e2e.icd.signals import StarMotion
 from tests.benchmarks import sky_frames

@@ -14,7 +14,7 @@ from onboard.detect import star_mask, whiten
 from onboard.detect.line_integral import halos, point_movers
 from onboard.detect.line_integral.sharpness import measured_width_px
 from onboard.detect.line_integral.star_removal import TILE_PX, WorkingImages
-from onboard.stars.trails import paint_trails
+from onboard.stars.trail_map import paint_trails
 from sboc_e2e.icd.flags import StarFlag, StreakFlag
 from sboc_e2e.icd.signals import Detection, DetectorView, StarMotion
 

@@ -14,7 +14,7 @@ from scipy.stats import chi2
 from ground.association.clusters import AssociationOptions
 from ground.determination.propagation import propagate
 from ground.store.store import ObjectStore, StoredOrbit
-from ground.upkeep.night import UpkeepOptions, forces_of, known_orbit
+from ground.upkeep.view import UpkeepOptions, forces_of, known_orbit
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.report import plots

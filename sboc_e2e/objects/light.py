@@ -18,7 +18,7 @@ from ground.orbit.size import sun_direction
 from ground.sensor_bias.estimate import Place
 from ground.sky.sphere import ARCSEC_RAD
 from ground.store.store import ObjectStore, StoredOrbit, StoredTracklet
-from ground.upkeep.night import forces_of
+from ground.upkeep.view import forces_of
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.score.published.tdm_reader import TdmSegment, read_tdm
 

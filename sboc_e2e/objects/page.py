@@ -15,7 +15,7 @@ from ground.determination.propagation import propagate
 from ground.orbit.states import elements_of
 from ground.products.epochs import utc_text
 from ground.store.store import ObjectStore, StoredOrbit
-from ground.upkeep.night import directions_of, forces_of, position_error_km
+from ground.upkeep.view import directions_of, forces_of, position_error_km
 from sboc_e2e.files.atomic import write_text
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError

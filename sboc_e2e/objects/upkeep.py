@@ -12,7 +12,8 @@ from ground.sensor_bias.correct import corrected, nearest, read_calibration, wid
 from ground.sensor_bias.estimate import Place, SensorBias, Track
 from ground.sky.sphere import ARCSEC_RAD
 from ground.store.store import ObjectStore, StoredTracklet
-from ground.upkeep.night import UpkeepOptions, update
+from ground.upkeep.night import update
+from ground.upkeep.view import UpkeepOptions
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.objects.conjunctions import epoch_of
 from sboc_e2e.objects.direction_errors import ERRORS_NAME, errors_of

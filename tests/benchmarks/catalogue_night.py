@@ -20,7 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.store.store import Association, ObjectStore, StoredOrbit, StoredTracklet
-from ground.upkeep.night import UpkeepOptions, update
+from ground.upkeep.night import update
+from ground.upkeep.view import UpkeepOptions
 from simulator.platform.all_forces import DAY_S, between
 from tests.association.list_simulator import Survey, survey
 

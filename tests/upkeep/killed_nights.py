@@ -9,7 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from ground.store.store import ObjectStore, Writer
-from ground.upkeep import night, sequential
+from ground.upkeep import correlation, new_objects, night, review, sequential, view
+from ground.upkeep.view import UpkeepOptions
 
 
 def content(path: Path) -> str:
@@ -34,19 +35,20 @@ def remembered(function: Callable[..., Any]) -> Callable[..., Any]:
 
 def remember() -> None:
     """What a night works out without the store."""
-    night.arc_orbits = remembered(night.arc_orbits)  # type: ignore[assignment]
-    night.associate = remembered(night.associate)  # type: ignore[assignment]
-    night.division_of = remembered(night.division_of)  # type: ignore[assignment]
-    night.one_orbit_of = remembered(night.one_orbit_of)  # type: ignore[assignment]
-    night.propagate = remembered(night.propagate)  # type: ignore[assignment]
-    night.sightings = remembered(night.sightings)  # type: ignore[assignment]
+    correlation.arc_orbits = remembered(correlation.arc_orbits)  # type: ignore[assignment]
+    correlation.one_orbit_of = remembered(correlation.one_orbit_of)  # type: ignore[assignment]
+    correlation.sightings = remembered(correlation.sightings)  # type: ignore[assignment]
+    new_objects.associate = remembered(new_objects.associate)  # type: ignore[assignment]
+    new_objects.propagate = remembered(new_objects.propagate)  # type: ignore[assignment]
+    review.division_of = remembered(review.division_of)  # type: ignore[assignment]
+    view.propagate = remembered(view.propagate)  # type: ignore[assignment]
     sequential.renewed = remembered(sequential.renewed)
 
 
 def updated(path: str, now_tai_ns: int, merge_chi2: float) -> None:
     """A night of a store."""
     store = ObjectStore(path)
-    night.update(store, now_tai_ns, night.UpkeepOptions(merge_chi2=merge_chi2))
+    night.update(store, now_tai_ns, UpkeepOptions(merge_chi2=merge_chi2))
     store.close()
 
 

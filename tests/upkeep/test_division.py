@@ -12,8 +12,9 @@ from ground.determination.forces import ForceModel
 from ground.store.store import Association, ObjectStore, StoredOrbit
 from ground.upkeep import sequential
 from ground.upkeep.division import Division, division_of
-from ground.upkeep.night import MADE_BY, update
+from ground.upkeep.night import update
 from ground.upkeep.sightings import KnownOrbit
+from ground.upkeep.view import MADE_BY
 from simulator.platform.all_forces import DAY_S, STEP_S, Sky, between, true_orbits
 from tests.association import list_simulator
 from tests.association.list_simulator import Seen, Survey, light, population, survey

@@ -9,7 +9,8 @@ import pytest
 from ground.products.epochs import utc_text
 from ground.sky.sphere import spherical_deg
 from ground.store.store import ObjectStore, StoredTracklet
-from ground.upkeep.night import UpkeepOptions, directions_of, position_error_km, update
+from ground.upkeep.night import update
+from ground.upkeep.view import UpkeepOptions, directions_of, position_error_km
 from sboc_e2e.cli.main import run
 from simulator.platform.all_forces import DAY_S, between
 from tests.association.list_simulator import Survey, survey

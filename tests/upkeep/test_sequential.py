@@ -10,8 +10,8 @@ from ground.association.clusters import AssociationOptions, Cluster, judged
 from ground.determination.measurements import Directions
 from ground.store.store import StoredOrbit
 from ground.upkeep import sequential
-from ground.upkeep.night import UpkeepOptions, known_orbit
 from ground.upkeep.sightings import KnownOrbit, sightings
+from ground.upkeep.view import UpkeepOptions, known_orbit
 from simulator.platform.all_forces import STEP_S
 from tests.association.list_simulator import Survey, survey
 from tests.association.lists import directions

@@ -14,7 +14,8 @@ from ground.association.pairs import pairs_of
 from ground.determination.measurements import Directions
 from ground.store.store import ObjectStore, StoredOrbit
 from ground.upkeep.joins import Provisional, join_of
-from ground.upkeep.night import UpkeepOptions, known_orbit, update
+from ground.upkeep.night import update
+from ground.upkeep.view import UpkeepOptions, known_orbit
 from sboc_e2e.icd import tai
 from simulator.platform.all_forces import DAY_S
 from tests.association.list_simulator import Survey

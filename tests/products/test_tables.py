@@ -12,6 +12,7 @@ from ground.astrometry.astrometer import CameraFit
 from ground.calibration import ideal_calibration
 from ground.photometry.zero_point import ZeroPoint
 from ground.products import tables
+from ground.products.tables.frames import COUNTERS
 from ground.records import GroundProducts
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
@@ -122,7 +123,7 @@ def test_frames_table_has_what_the_spacecraft_said(run):
     assert (table["flags"] & int(FrameFlag.STORM) > 0).all()
     assert (table["flags"] & int(FrameFlag.BUDGET_CUT) > 0).all()
     assert table["psf_sigma_px"].tolist() == [0.93] * len(frames)
-    for name, _, _ in tables.COUNTERS:
+    for name, _, _ in COUNTERS:
         assert table[name].tolist() == [getattr(HOUSEKEEPING, name)] * len(frames)
     assert table["threshold_sigma"].tolist() == [HOUSEKEEPING.threshold_sigma] * len(frames)
     (lost,) = tables.frames_tables(products, [replace(frame, housekeeping=None) for frame in frames])

@@ -192,28 +192,36 @@ def _peaks(power: Array) -> list[int]:
     return [int(k) for k in every[np.argsort(-power[every], kind="stable")][:_PEAKS]]
 
 
-def _harmonics(t: Array, frequency: float, terms: int) -> Array:
-    angle = 2.0 * np.pi * frequency * np.outer(t, np.arange(1, terms + 1))
-    scaled = t / max(float(np.ptp(t)), 1e-9)
-    return np.column_stack([np.vander(scaled, _DRIFT + 1), np.cos(angle), np.sin(angle)])
-
-
-def _fitted(c: _Curve, frequency: float, terms: int) -> Array:
-    """The model (n,) of a pass."""
-    columns = _harmonics(c.t, frequency, terms)
-    return np.asarray(columns @ _solved(columns, c.y, c.w))
+def _harmonics(t: Array, frequency: Array, terms: int) -> Array:
+    """Columns (m, n, 3 + 2 terms) of the model at times (n,) for frequencies (m,): the drift, then cosines, then sines."""
+    out = np.empty((len(frequency), len(t), _DRIFT + 1 + 2 * terms))
+    out[:, :, : _DRIFT + 1] = np.vander(t / max(float(np.ptp(t)), 1e-9), _DRIFT + 1)
+    first = np.exp(2j * np.pi * np.outer(frequency, t))
+    turned = first.copy()
+    for k in range(terms):
+        out[:, :, _DRIFT + 1 + k], out[:, :, _DRIFT + 1 + terms + k] = turned.real, turned.imag
+        turned *= first
+    return out
 
 
 def _solved(columns: Array, y: Array, w: Array) -> Array:
-    """Coefficients of weighted least squares; a trace of a ridge keeps them finite where samples leave one free."""
-    weighted = columns * w[:, None]
-    normal = weighted.T @ columns
-    normal[np.diag_indices_from(normal)] += _RIDGE * float(np.trace(normal)) / len(normal)
-    return np.asarray(np.linalg.solve(normal, weighted.T @ y))
+    """Coefficients (m, k) of weighted least squares for columns (m, n, k); a trace of a ridge keeps free ones finite."""
+    weighted = np.swapaxes(columns * w[:, None], 1, 2)
+    normal = weighted @ columns
+    diagonal = np.arange(normal.shape[1])
+    normal[:, diagonal, diagonal] += _RIDGE * normal[:, diagonal, diagonal].mean(axis=1, keepdims=True)
+    return np.asarray(np.linalg.solve(normal, (weighted @ y)[..., None])[..., 0])
 
 
-def _chi2(curves: Sequence[_Curve], frequency: float, terms: int) -> float:
-    return float(sum(c.w @ (c.y - _fitted(c, frequency, terms)) ** 2 for c in curves))
+def _fitted(c: _Curve, frequency: Array, terms: int) -> Array:
+    """The models (m, n) of a pass."""
+    columns = _harmonics(c.t, frequency, terms)
+    return np.asarray((columns @ _solved(columns, c.y, c.w)[..., None])[..., 0])
+
+
+def _chi2(curves: Sequence[_Curve], frequency: Array, terms: int) -> Array:
+    """Of all passes, for each frequency (m,)."""
+    return np.asarray(sum((c.y - _fitted(c, frequency, terms)) ** 2 @ c.w for c in curves))
 
 
 def _sharpened(curves: Sequence[_Curve], frequency: float, longest: float, terms: int) -> float:
@@ -221,7 +229,7 @@ def _sharpened(curves: Sequence[_Curve], frequency: float, longest: float, terms
     step = 0.15 / (longest * terms)
     for _ in range(4):
         tried = frequency + step * np.linspace(-1.0, 1.0, 5)
-        frequency = float(tried[int(np.argmin([_chi2(curves, f, terms) for f in tried]))])
+        frequency = float(tried[int(np.argmin(_chi2(curves, tried, terms)))])
         step *= 0.5
     return frequency
 
@@ -234,15 +242,15 @@ def _refined(curves: Sequence[_Curve], frequency: float, longest: float, orders:
     for terms, reach, points in ((4, 0.12, 13), (8, 0.015, 7)):
         near = centre + reach / longest * np.linspace(-1.0, 1.0, points)
         if (2 * terms + _DRIFT + 1) * len(curves) <= 0.4 * n:
-            centre = float(near[int(np.argmin([_chi2(curves, f, terms) for f in near]))])
+            centre = float(near[int(np.argmin(_chi2(curves, near, terms)))])
     best = (centre, np.inf, 1)
     for terms in orders:
         used = (2 * terms + _DRIFT + 1) * len(curves)
         if used > 0.4 * n:
             break
         near = centre + 0.06 / (longest * terms) * np.linspace(-1.0, 1.0, 5)
-        every = [_chi2(curves, f, terms) for f in near]
-        cost = n * float(np.log(max(min(every), 1e-300) / n)) + used * float(np.log(n))
+        every = _chi2(curves, near, terms)
+        cost = n * float(np.log(max(float(every.min()), 1e-300) / n)) + used * float(np.log(n))
         if cost < best[1]:
             best = (float(near[int(np.argmin(every))]), cost, terms)
     return best
@@ -269,12 +277,12 @@ def _left_elsewhere(curves: Sequence[_Curve], frequency: float, terms: int) -> f
     before, after = 0.0, 0.0
     for c in curves:
         block = np.minimum((_BLOCKS * (c.t - c.t[0]) / c.span).astype(int), _BLOCKS - 1)
+        columns = _harmonics(c.t, np.array([frequency]), terms)[0, :, _DRIFT:]
         for k in range(_BLOCKS):
             out = block == k
             if not out.any() or (~out).sum() <= 2 * terms + _DRIFT + 2:
                 continue
-            columns = _harmonics(c.t, frequency, terms)[:, _DRIFT:]
-            coefficients = _solved(columns[~out], c.y[~out], c.w[~out])
+            coefficients = _solved(columns[None, ~out], c.y[~out], c.w[~out])[0]
             level = float(np.average(c.y, weights=c.w * ~out))
             before += float(c.w[out] @ (c.y[out] - level) ** 2)
             after += float(c.w[out] @ (c.y[out] - columns[out] @ coefficients) ** 2)
@@ -301,16 +309,14 @@ def _string_alarm(curves: Sequence[_Curve], frequency: float, rng: np.random.Gen
 
 def _amplitude_and_error(curves: Sequence[_Curve], frequency: float, terms: int) -> tuple[float, float]:
     """Peak to peak of the largest pass's model (mag), and one sigma of the frequency (Hz) from the curvature of chi2."""
-    models = [_fitted(c, frequency, terms) for c in curves]
     n = sum(len(c.t) for c in curves)
-    chi2 = float(sum(c.w @ (c.y - m) ** 2 for c, m in zip(curves, models, strict=True)))
-    scale = chi2 / max(n - (2 * terms + _DRIFT + 1) * len(curves), 1)
     step = 0.05 / (max(c.span for c in curves) * terms)
-    bend = (_chi2(curves, frequency + step, terms) + _chi2(curves, frequency - step, terms) - 2.0 * chi2) / step**2
-    swing = 0.0
+    below, chi2, above = (float(value) for value in _chi2(curves, frequency + step * np.array([-1.0, 0.0, 1.0]), terms))
+    scale = chi2 / max(n - (2 * terms + _DRIFT + 1) * len(curves), 1)
+    bend = (above + below - 2.0 * chi2) / step**2
+    swing, once = 0.0, np.linspace(0.0, 1.0 / frequency, 200)
+    turn = _harmonics(once, np.array([frequency]), terms)[0, :, _DRIFT + 1 :]
     for c in curves:
-        columns = _harmonics(c.t, frequency, terms)
-        turn = _harmonics(np.linspace(0.0, 1.0 / frequency, 200), frequency, terms)
-        coefficients = _solved(columns, c.y, c.w)[_DRIFT + 1 :]
-        swing = max(swing, float(np.ptp(turn[:, _DRIFT + 1 :] @ coefficients)))
+        coefficients = _solved(_harmonics(c.t, np.array([frequency]), terms), c.y, c.w)[0, _DRIFT + 1 :]
+        swing = max(swing, float(np.ptp(turn @ coefficients)))
     return swing, float(np.sqrt(2.0 * scale / bend)) if bend > 0.0 else float("inf")

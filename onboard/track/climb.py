@@ -7,7 +7,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.track.trail_sums import Corridors, Look, evaluate, trail_sums
+from onboard.track.trail_sums import Corridors, Look, evaluate, trail_sums, trail_variance
 
 LEAST_SEEN: Final = 0.4
 """A frame counts where so much of the trail in it falls on known pixels."""
@@ -65,7 +65,7 @@ def best_range(
     weights: NDArray[np.float64],
 ) -> tuple[float, int, int]:
     """The run of frames with the centre whose joint S/N exceeds its threshold most: this margin, first and last frame."""
-    full = track[1] * look.per_lane
+    full, unit = track[1] * look.per_lane, math.sqrt(trail_variance(look, track[1]))
     for frame in range(low, high + 1):
         sums[frame], weights[frame] = trail_sums(corridors, look, frame, track)
     score, first, last = -1e9, centre, centre
@@ -79,7 +79,7 @@ def best_range(
                 total += sums[k]
                 weight += weights[k]
             if seen == j - i + 1 and seen >= 2:
-                value = total / (look.unit * math.sqrt(weight)) - threshold[seen]
+                value = total / (unit * math.sqrt(weight)) - threshold[seen]
                 if value > score:
                     score, first, last = value, i, j
     return score, first, last

@@ -63,7 +63,7 @@ def own_ends(corridors: Corridors, look: Look, centre: int, ends: NDArray[np.flo
                     elif power >= LIKED * LIKED * top * weight:
                         ends[n, 0], ends[n, 1], ends[n, 2], ends[n, 3] = start, length, total, weight
                         n += 1
-    return n, lane, math.sqrt(top / PARTS) / look.unit
+    return n, lane, math.sqrt(top / PARTS / look.variance)
 
 
 @nb.njit(cache=True)
@@ -88,7 +88,7 @@ def first_look(
     """
     sums, counts, grid, pieces = corridors
     taus, seed_px = look.taus, look.seed_px
-    scale = look.unit * math.sqrt(float(PARTS))  # of a sum over the root of its weight
+    scale = math.sqrt(look.variance * PARTS)  # of a sum over the root of its weight
     score = least
     two, three = max(score + margin[2], 0.0) * scale, max(score + margin[3], 0.0) * scale
     before, after = max(centre - 1, low), min(centre + 1, high)

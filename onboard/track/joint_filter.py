@@ -11,7 +11,18 @@ from onboard.track.climb import best_range, climb
 from onboard.track.corridor import MIDDLE, MOST_PIECES, gather, path_sum
 from onboard.track.first_look import END_STEPS, LONGEST, STEPS, first_look, own_ends
 from onboard.track.packed import HALF_ROUNDING
-from onboard.track.trail_sums import Corridors, Look, collect, collect_half, evaluate, line_variance, look_of, placed, trail_sums
+from onboard.track.trail_sums import (
+    Corridors,
+    Look,
+    collect,
+    collect_half,
+    evaluate,
+    line_variance,
+    look_of,
+    placed,
+    trail_sums,
+    trail_variance,
+)
 
 STATIC_SIGMAS: Final = 3.0  # noise makes one in 740 so bright; lower refuses more tracks. Chosen, not measured
 LEAST_STATIC: Final = 1.2
@@ -146,7 +157,7 @@ def follow(
         # px across the line for a step of one pixel along the minor axis, and the noise of a sum over major steps
         per_lane = max(d_row, d_col) / seed_px
         forward = look_of(taus, 1.0, seed_px, per_lane, psf_sigma_px, n_old)
-        unit = forward.unit
+        unit = math.sqrt(trail_variance(forward, seed_px))
         lane = MIDDLE
         best[0], best[1], best[2], best[3] = 0.0, 0.5 * seed_px, 0.0, senses[m]
         half_seed[:] = 0.5 * (seed[:4] - 0.5)
@@ -157,7 +168,7 @@ def follow(
             steep = abs(seed[2] - seed[0]) >= abs(seed[3] - seed[1])
             reach = END_STEPS / STEPS * half_px
             low, high = max(n_old, centre - 1), min(n_frames - 1, centre + 1)
-            half_look = Look(taus, 1.0, half_px, per_lane, 1.0, half_unit, 0)
+            half_look = Look(taus, 1.0, half_px, per_lane, 1.0, half_unit * half_unit, 0.0, 0)
             n_ends = 0
             for turn in range(3):
                 # the seed's own frame first: those beside it cost six times as much
@@ -214,7 +225,8 @@ def follow(
             low -= 1
             middle = track[0] + (0.5 + sense * taus[low]) * track[1]
             half = (0.9 + 0.12 * abs(taus[low])) * seed_px
-            scale = (fainter * (unit / half_unit) ** 2, (fainter * unit / half_unit) ** 2)
+            ratio = math.sqrt(look.variance) / half_unit
+            scale = (fainter * ratio**2, (fainter * ratio) ** 2)
             piece = max(2.0, seed_px / FINE)
             read += collect_half(
                 images, low, half_seed, half_transforms, middle - half, middle + half, piece, scale, corridors, place
@@ -238,7 +250,7 @@ def follow(
         snr = climb(corridors, look, first, last, track, steps, 3, trial)
         if snr < threshold[last - first + 1]:
             continue
-        total = weight = 0.0
+        total, weight, unit = 0.0, 0.0, math.sqrt(trail_variance(look, track[1]))
         for frame in range(first, last + 1):
             sums[frame], weights[frame] = trail_sums(corridors, look, frame, track)
             total += sums[frame]

@@ -1,7 +1,7 @@
 """What a straight track shows in corridors gathered about a seed's line: sums, weights and joint S/N over frames."""
 
 import math
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import numba as nb
 import numpy as np
@@ -9,6 +9,9 @@ from numpy.typing import NDArray
 
 from onboard.track.corridor import LANES, MOST_PIECES, between, gather
 from onboard.track.packed import ROUNDING, STEP
+
+REACH_SIGMAS: Final = 6.0  # of the PSF, where the correlation is 1e-4
+LEAST_PATH: Final = 4.0  # pixels: shorter paths are hardly longer than the correlation reaches
 
 
 class Corridors(NamedTuple):
@@ -27,8 +30,8 @@ class Look(NamedTuple):
     """What turns a track (a, length, offset, tilt) about a seed into sums, and sums into S/N.
 
     taus : (frames,). sense : of the motion. seed_px : the seed's length. per_lane : px across the line from lane to lane.
-    correlation : of neighbouring lanes. unit : standard deviation of a path's sum per root of its weight. n_old : frames, the
-    first ones, that are kept at half resolution.
+    correlation : of neighbouring lanes. variance, ends : of a path's sum, see `path_variance`. n_old : frames, the first ones,
+    that are kept at half resolution.
     """
 
     taus: NDArray[np.float64]
@@ -36,7 +39,8 @@ class Look(NamedTuple):
     seed_px: float
     per_lane: float
     correlation: float
-    unit: float
+    variance: float
+    ends: float
     n_old: int
 
 
@@ -51,13 +55,40 @@ def look_of(
     taus: NDArray[np.float64], sense: float, seed_px: float, per_lane: float, psf_sigma_px: float, n_old: int = 0
 ) -> Look:
     """The look at a seed on packed images of pixels smoothed by the PSF; paths advance by one px of the major axis."""
-    unit = math.sqrt(line_variance(psf_sigma_px, per_lane) + ROUNDING)
-    return Look(taus, sense, seed_px, per_lane, math.exp(-0.25 * (per_lane / psf_sigma_px) ** 2), unit, n_old)
+    variance, ends = path_variance(psf_sigma_px, per_lane)
+    return Look(taus, sense, seed_px, per_lane, math.exp(-0.25 * (per_lane / psf_sigma_px) ** 2), variance, ends, n_old)
+
+
+@nb.njit(cache=True)
+def path_variance(psf_sigma_px: float, per_lane: float) -> tuple[float, float]:
+    """Variance of the sum of smoothed pixels along a path for each of them, and what is less of it in a whole path, for its ends.
+
+    In steps of a code squared. A path takes the nearest pixel of the minor axis. So pixels k steps apart lie floor(k slope) apart
+    along it, or one more in a share of the places. Noise that is smoothed by the PSF has the correlation exp(-(r / 2 sigma)^2) at
+    a distance r. A path of n pixels has n - k pairs at k steps.
+    """
+    slope = math.sqrt(max(1.0 / (per_lane * per_lane) - 1.0, 0.0))
+    variance, ends = 1.0, 0.0
+    for k in range(1, math.ceil(REACH_SIGMAS * psf_sigma_px) + 1):
+        across = math.floor(k * slope)
+        share = k * slope - across
+        near = math.exp(-0.25 * (k * k + across**2) / psf_sigma_px**2)
+        far = math.exp(-0.25 * (k * k + (across + 1) ** 2) / psf_sigma_px**2)
+        pair = 2.0 * ((1.0 - share) * near + share * far)
+        variance += pair
+        ends += k * pair
+    return (16.0 / STEP) ** 2 * variance + ROUNDING, (16.0 / STEP) ** 2 * ends
+
+
+@nb.njit(cache=True)
+def trail_variance(look: Look, length_px: float) -> float:
+    """Variance of the sum over a trail, over its weight; steps of a code squared."""
+    return look.variance - look.ends / max(look.per_lane * length_px, LEAST_PATH)
 
 
 @nb.njit(cache=True)
 def line_variance(psf_sigma_px: float, per_lane: float) -> float:
-    """Variance of the sum of smoothed pixels along a line, for each of them, steps of a code squared."""
+    """Variance of the sum of smoothed pixels along an endless line, for each of them, steps of a code squared."""
     return (16.0 / STEP) ** 2 * 2.0 * math.sqrt(math.pi) * psf_sigma_px * per_lane
 
 
@@ -149,4 +180,4 @@ def evaluate(corridors: Corridors, look: Look, low: int, high: int, track: NDArr
         s, w = trail_sums(corridors, look, frame, track)
         total += s
         weight += w
-    return total / (look.unit * math.sqrt(weight)) if weight > 0.0 else 0.0
+    return total / math.sqrt(weight * trail_variance(look, track[1])) if weight > 0.0 else 0.0

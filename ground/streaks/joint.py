@@ -74,9 +74,10 @@ def refit_tracklet(frames: Sequence[TrackletFrame], *, prior: AccelerationPrior 
     """
     shared, misfit = np.zeros((len(frames), 2, 3)), np.zeros(len(frames))
     unchanged = JointRefit(tuple(frame.fit for frame in frames), shared, misfit, None)
-    n_given = sum(has_given_ends(frame.fit) for frame in frames)
+    given = [frame.fit.snr for frame in frames if has_given_ends(frame.fit)]
+    n_given, given_snr = len(given), float(np.median(given)) if given else 0.0
     turns = common_turns([f.fit for f in frames])
-    evidence = [evidence_of(frame, turn, n_given) for frame, turn in zip(frames, turns, strict=True)]
+    evidence = [evidence_of(frame, turn, n_given, given_snr) for frame, turn in zip(frames, turns, strict=True)]
     used = [e for e in evidence if e is not None]
     if len(used) < 2:
         return unchanged

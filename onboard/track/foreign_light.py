@@ -90,14 +90,14 @@ def _foreign_pieces(detection: Detection, trails: NDArray[np.float64]) -> list[t
     low = np.minimum(trails[:, :2], trails[:, 2:]) - SAME_PX
     high = np.maximum(trails[:, :2], trails[:, 2:]) + SAME_PX
     near = ((high >= np.minimum(line[:2], line[2:])) & (low <= np.maximum(line[:2], line[2:]))).all(axis=1)
-    near[near] &= ~_is_own(line, trails[near])
-    if not near.any():
+    others = trails[near & ~_is_own(line, trails)]
+    if not len(others):
         return []
     length = max(detection.length_px, 1.0)
     n = math.ceil(length) + 1
     points = line[:2] + np.linspace(0.0, 1.0, n)[:, None] * (line[2:] - line[:2])
     covered = np.zeros(n, dtype=np.bool_)
-    for trail in trails[near]:
+    for trail in others:
         way = trail[2:] - trail[:2]
         at = np.clip((points - trail[:2]) @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
         covered |= np.hypot(*(points - trail[:2] - at[:, None] * way).T) < SAME_PX

@@ -17,7 +17,7 @@ from onboard.track.false_alarms import independent_tracks, threshold_sigma
 from onboard.track.foreign_light import LitMember, own_light
 from onboard.track.packed import half_of, halved, packed
 from onboard.track.particles import without_hits
-from onboard.track.same import same_object, shared_frames
+from onboard.track.same import most_alike, same_object
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import Detection, Track, TrackerView, TrackMember
@@ -199,9 +199,7 @@ class JointTracker:
         asked = self._asked(window, centre, psf_sigma_px)
         tracks, waiting = self._about(window, older, centre, psf_sigma_px, asked, kept_seeds)
         for track in tracks:
-            # where two lie on it, the one that moves with it over more frames
-            alike = [t for t in known.values() if same_object(t, track, asked)]
-            same = max(alike, key=lambda t, track=track: (shared_frames(t, track), t.snr), default=None)
+            same = most_alike(known.values(), track, asked)
             if same is None:
                 track, number = replace(track, number=number), number + 1
             elif same.number in {t.number for t in found if t is same}:
@@ -272,9 +270,9 @@ class JointTracker:
             if not plausible(row):
                 continue
             track = track_of(row, seeds[int(row[0])], frames, transforms, taus, len(older))
-            if track is None or not stands(track, row, frames, len(older), asked, psf_sigma_px):
+            if track is None or any(same_object(t, track, asked) for t in tracks):
                 continue
-            if not any(same_object(t, track, asked) for t in tracks):
+            if stands(track, row, frames, len(older), asked, psf_sigma_px):
                 tracks.append(track)
         return tracks, waiting
 

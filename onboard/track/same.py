@@ -1,5 +1,6 @@
 """Whether two tracks show one object, or two whose trails cross in a frame."""
 
+from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
@@ -37,6 +38,12 @@ def same_object(known: Track, track: Track, least: NDArray[np.float64] | None = 
     # noise grows as the root of the length
     root = np.sqrt([max(m.detection.length_px, 1.0) for m in track.members])
     return float(root @ own / np.linalg.norm(root)) < float(least[len(own)])
+
+
+def most_alike(known: Iterable[Track], track: Track, least: NDArray[np.float64]) -> Track | None:
+    """Of the known tracks that show the same object, the one whose trails lie on the track's in most frames."""
+    alike = [t for t in known if same_object(t, track, least)]
+    return max(alike, key=lambda t: (shared_frames(t, track), t.snr)) if alike else None
 
 
 def shared_frames(known: Track, track: Track) -> int:

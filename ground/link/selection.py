@@ -1,4 +1,7 @@
-"""Choice among candidate tracks: each streak goes to the track with the most evidence; then fragments and pieces."""
+"""Choice among candidate tracks: each streak goes to the track with the most evidence; then fragments and pieces.
+
+A streak that is the same light as one that a track took is taken with it.
+"""
 
 import math
 from dataclasses import dataclass, replace
@@ -10,6 +13,7 @@ from ground.link.groups import tracked_groups
 from ground.link.hypotheses import POINT, FrameTable, Nodes, StreakTable
 from ground.link.merge import merged, pieces_of
 from ground.link.motion import N_PARAMETERS
+from ground.link.same_light import SameLight
 from ground.link.search import candidates, find_pairs, gain_of, grow
 from ground.link.tracks import Track
 
@@ -52,12 +56,16 @@ def best_tracks(nodes: Nodes, table: StreakTable, frames: FrameTable, search: Se
     used = np.zeros(len(nodes.frame) // 2, dtype=np.bool_)
     accepted: list[NDArray[np.int64]] = []
     accepted_gains: list[float] = []
-    groups = list(tracked_groups(nodes, table, model, search.log_new))
-    for members, _ in groups:  # Before any of them grows: no track may take a streak that another one started with.
-        used[members // 2] = True
+    light = SameLight(table)
+    groups: list[tuple[NDArray[np.int64], float]] = []
+    for members, gain in sorted(tracked_groups(nodes, table, model, search.log_new), key=lambda g: (-g[1], -len(g[0]))):
+        # The joint test on board holds for all of a track's light together: what is left of it is linked as other streaks are.
+        if not used[members // 2].any():
+            groups.append((members, gain))
+            used[light.with_twins(members // 2)] = True  # before any grows: no track may take what another one started with
     for members, gain in groups:
         longer, longer_gain = grow(nodes, members, used, *growth)
-        used[longer // 2] = True
+        used[light.with_twins(longer // 2)] = True
         accepted.append(longer)
         accepted_gains.append(max(gain, longer_gain))
     for k in np.argsort(-gains, kind="stable"):
@@ -73,7 +81,7 @@ def best_tracks(nodes: Nodes, table: StreakTable, frames: FrameTable, search: Se
                 continue
         if is_static(nodes, table, members):
             continue
-        used[members // 2] = True
+        used[light.with_twins(members // 2)] = True
         accepted.append(members)
         accepted_gains.append(gain)
     joined, _ = merged(nodes, accepted, accepted_gains, search.reach, search.log_new, model)

@@ -74,13 +74,13 @@ def refit_tracklet(frames: Sequence[TrackletFrame], *, prior: AccelerationPrior 
     """
     shared, misfit = np.zeros((len(frames), 2, 3)), np.zeros(len(frames))
     unchanged = JointRefit(tuple(frame.fit for frame in frames), shared, misfit, None)
-    n_given = sum(has_given_ends(frame.fit) for frame in frames)
+    given = [frame.fit.snr for frame in frames if has_given_ends(frame.fit)]
+    n_given, given_snr = len(given), float(np.median(given)) if given else 0.0
     turns = common_turns([f.fit for f in frames])
-    evidence = [evidence_of(frame, turn, n_given) for frame, turn in zip(frames, turns, strict=True)]
-    ends = sum(2 - sum(edges_of(e.frame.fit.flags)) for e in evidence if e is not None)
-    if ends < 3:
-        return unchanged
+    evidence = [evidence_of(frame, turn, n_given, given_snr) for frame, turn in zip(frames, turns, strict=True)]
     used = [e for e in evidence if e is not None]
+    if len(used) < 2:
+        return unchanged
     zero = float(np.mean([0.5 * (e.frame.t_open_s + e.frame.t_close_s) for e in used]))
     start = linear_start(used, zero, prior)
     if start is None:

@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from onboard.image import registration
 from onboard.track import joint_filter, trail_sums
 from onboard.track.false_alarms import independent_tracks, threshold_sigma
+from onboard.track.foreign_light import LitMember, own_light
 from onboard.track.packed import half_of, halved, packed
 from onboard.track.particles import without_hits
-from onboard.track.same import same_object
+from onboard.track.same import most_alike, same_object
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import Detection, Track, TrackerView, TrackMember
@@ -24,6 +25,7 @@ from sboc_e2e.icd.signals import Detection, Track, TrackerView, TrackMember
 IDENTITY: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 NONE_WAIT: Final = np.zeros((0, 6))  # `KeptSearch.waiting` without seeds
+NO_TRAILS: Final = np.zeros((0, 4))  # `KeptSearch.trails` of a frame that shows none
 
 LONGEST_PX: Final = 2000.0
 """Trails of one exposure that the false-alarm rate is reckoned for; longer seeds are not followed."""
@@ -68,7 +70,8 @@ class KeptSearch:
     """What stays of a frame. transform : (2, 3) of the frame before into it; unused for the first.
 
     image : `Searched.smooth` in half a byte a pixel. halves : the same at half resolution, and that transposed, while the frame
-    is next to one whose seeds are being followed. waiting (n, 6) : seeds that fell short, and their senses of motion.
+    is next to one whose seeds are being followed. waiting (n, 6) : seeds that fell short, and their senses of motion. trails
+    (n, 4) : row0, col0, row1, col1 of the frame's own detections.
     """
 
     header: FrameHeader
@@ -77,6 +80,7 @@ class KeptSearch:
     transform: NDArray[np.float64]
     waiting: NDArray[np.float64] = field(default_factory=lambda: NONE_WAIT)
     halves: tuple[NDArray[np.uint64], NDArray[np.uint64]] | None = None
+    trails: NDArray[np.float64] = field(default_factory=lambda: NO_TRAILS)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -140,6 +144,7 @@ class JointTracker:
             image=packed(without_hits(view.searched.smooth, view.view.psf_sigma_px)),
             seeds=view.searched.seeds,
             transform=IDENTITY if view.transform is None else view.transform,
+            trails=np.array([(d.row0, d.col0, d.row1, d.col1) for d in view.detections]).reshape(-1, 4),
         )
         state = replace(state, window=(*state.window, new), psf_sigma_px=view.view.psf_sigma_px)
         state, now = self._followed(state, len(state.window) - (self.window - 1) // 2)
@@ -198,7 +203,7 @@ class JointTracker:
         asked = self._asked(window, centre, psf_sigma_px)
         tracks, waiting = self._about(window, older, centre, psf_sigma_px, asked, kept_seeds)
         for track in tracks:
-            same = next((t for t in known.values() if same_object(t, track, asked)), None)
+            same = most_alike(known.values(), track, asked)
             if same is None:
                 track, number = replace(track, number=number), number + 1
             elif same.number in {t.number for t in found if t is same}:
@@ -269,7 +274,9 @@ class JointTracker:
             if not plausible(row):
                 continue
             track = track_of(row, seeds[int(row[0])], frames, transforms, taus, len(older))
-            if track is not None and not any(same_object(t, track, asked) for t in tracks):
+            if track is None or any(same_object(t, track, asked) for t in tracks):
+                continue
+            if stands(track, row, frames, len(older), asked, psf_sigma_px):
                 tracks.append(track)
         return tracks, waiting
 
@@ -330,6 +337,26 @@ def plausible(row: NDArray[np.float64]) -> bool:
     """Whether a row of `joint_filter.follow` is lit in all its frames, about evenly."""
     snr, least, chi2, free = row[8:12]
     return bool(least > LEAST_REST and chi2 < free + UNEVEN + (UNEVEN_SHARE * snr) ** 2)
+
+
+def stands(
+    track: Track,
+    row: NDArray[np.float64],
+    window: tuple[KeptSearch, ...],
+    n_old: int,
+    asked: NDArray[np.float64],
+    psf_sigma_px: float,
+) -> bool:
+    """Whether a track reaches what is asked of it in light that no frame's own trails explain. See `track_of`."""
+    first, last = int(row[6]), int(row[7])
+    of = {member.frame: member.detection for member in track.members}
+    members = [
+        LitMember(of[frame.header.frame], float(row[12 + k]), frame.image, frame.trails)
+        for k, frame in enumerate(window)
+        if k >= n_old and frame.header.frame in of
+    ]
+    own = own_light(members, row[12 + first : 12 + max(first, n_old)], psf_sigma_px)
+    return own is None or (own.snr >= asked[last - first + 1] and own.least > LEAST_REST)
 
 
 def track_of(

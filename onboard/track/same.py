@@ -1,5 +1,6 @@
 """Whether two tracks show one object, or two whose trails cross in a frame."""
 
+from collections.abc import Iterable
 from typing import Final
 
 import numpy as np
@@ -21,20 +22,43 @@ def same_object(known: Track, track: Track, least: NDArray[np.float64] | None = 
 
     One frame is enough for two finds of one object, one of them with a wrong motion: that one has no light but what it shares.
     Objects whose trails cross share light as well, but each has its own besides. So a track that leaves the known one in half
-    of the common frames or more is another object if it reaches the joint S/N that is asked without the known one's light.
+    of the common frames or more, or has another trail in the only one, is another object if it reaches the joint S/N that is
+    asked without the known one's light.
     least : this S/N, by the number of frames; None: it is never reached.
     """
     ends = {m.frame: m.detection for m in known.members}
     common = [m for m in track.members if m.frame in ends]
-    on = sum(_on_each_other(ends[m.frame], m.detection) for m in common)
+    on = shared_frames(known, track)
     if on == 0:
         return False
-    if least is None or 2 * on > len(common) or len(track.members) >= len(least):
+    as_known = 2 * on > len(common) if len(common) > 1 else _alike(ends[common[0].frame], common[0].detection)
+    if least is None or as_known or len(track.members) >= len(least):
         return True
     own = [m.detection.snr - (light_of(ends[m.frame], m.detection) if m.frame in ends else 0.0) for m in track.members]
     # noise grows as the root of the length
     root = np.sqrt([max(m.detection.length_px, 1.0) for m in track.members])
     return float(root @ own / np.linalg.norm(root)) < float(least[len(own)])
+
+
+def most_alike(known: Iterable[Track], track: Track, least: NDArray[np.float64]) -> Track | None:
+    """Of the known tracks that show the same object, the one whose trails lie on the track's in most frames."""
+    alike = [t for t in known if same_object(t, track, least)]
+    return max(alike, key=lambda t: (shared_frames(t, track), t.snr)) if alike else None
+
+
+def shared_frames(known: Track, track: Track) -> int:
+    """In how many frames the trails of two tracks lie on each other."""
+    ends = {m.frame: m.detection for m in known.members}
+    return sum(_on_each_other(ends[m.frame], m.detection) for m in track.members if m.frame in ends)
+
+
+def _alike(a: Detection, b: Detection) -> bool:
+    """Whether two trails have the same ends, in the same order of time."""
+    length = max(a.length_px, b.length_px, 1.0)
+    u = np.array([b.row1 - b.row0, b.col1 - b.col0]) / max(b.length_px, 1e-6)
+    off = np.array([[a.row0 - b.row0, a.col0 - b.col0], [a.row1 - b.row1, a.col1 - b.col1]])
+    along, across = np.abs(off @ u).max(), np.abs(off @ np.array([-u[1], u[0]])).max()
+    return bool(along < ALONG_SHARE * length + SAME_PX and across < SAME_PX + ACROSS_SHARE * length)
 
 
 def _on_each_other(a: Detection, b: Detection) -> bool:

@@ -8,6 +8,7 @@ S/N and false tracks are asked as of whole ones. Particles of a storm are the si
     python -m tests.benchmarks.bench_tracks --stars    # the same among stars
     python -m tests.benchmarks.bench_tracks --seed 93 --frames 8    # other cubes, objects of eight frames alone
     python -m tests.benchmarks.bench_tracks --storm 3000 --cubes 150    # false tracks with so many hits per whole frame
+    python -m tests.benchmarks.bench_tracks --storm 3000 --size 4096 --seed 7 --cubes 20    # in 10 x 16 whole frames
 """
 
 import argparse
@@ -300,7 +301,7 @@ def figures(size: int, cubes: int, n_stars: int, storm: float, seed: int = 2) ->
     tracker = PieceTracker()
     return {
         "thresholds": tracker.thresholds((size, size), PERIOD, PSF_SIGMA_PX).round(2).tolist(),
-        "noise": noise(tracker, size, max(1, cubes // 2), 16, 1, n_stars, storm),
+        "noise": noise(tracker, size, max(1, cubes // 2), 16, seed if storm else 1, n_stars, storm),
         **({} if storm else completeness(tracker, size, cubes, seed, n_stars=n_stars)),
     }
 
@@ -316,7 +317,7 @@ if __name__ == "__main__":
     parser.add_argument("--cubes", type=int, default=20)
     parser.add_argument("--stars", action="store_true")
     parser.add_argument("--storm", type=float, default=0.0)
-    parser.add_argument("--seed", type=int, default=2, help="of the cubes with objects")
+    parser.add_argument("--seed", type=int, default=2, help="of the cubes with objects or with a storm")
     parser.add_argument(
         "--frames", type=int, choices=FRAMES, help="objects of so many frames alone, and no cubes without objects"
     )

@@ -40,3 +40,24 @@ def test_no_streak_is_in_two_tracklets_where_one_track_could_grow_into_another()
     often = Counter(i for t in tracklets for i in t.streak_ids.tolist())
     assert set(often.values()) == {1}
     assert max(len(t.frames) for t in tracklets) == 10
+
+
+def test_light_that_came_down_under_two_numbers_is_one_tracklet() -> None:
+    """Two tracks of one object, the second of which also has the frames after the first: all of them are one tracklet's."""
+    camera = Camera()
+    mover = pixel_mover(camera, 500.0, 300.0, 90.0, 400.0, t_s=0.0)
+    headers, streaks, truth = observe(camera, [mover], 8, np.random.default_rng(4), false_per_frame=5)
+    number_of = {h.frame: k for k, h in enumerate(headers)}
+    first = [replace(s, track=2) if o == 0 and number_of[s.frame] < 6 else s for s, o in zip(streaks, truth.owner, strict=True)]
+    again = [
+        replace(s, track=7, streak_id=s.streak_id + 50_000)
+        for s, o in zip(streaks, truth.owner, strict=True)
+        if o == 0 and number_of[s.frame] >= 3
+    ]
+    alone = MotionLinker().link(headers, first)
+    both = MotionLinker().link(headers, first + again)
+    of_object = {s.streak_id for s, o in zip(streaks, truth.owner, strict=True) if o == 0} | {s.streak_id for s in again}
+    mine = [t for t in both if of_object & set(t.streak_ids.tolist())]
+    assert len(mine) == 1
+    assert len(mine[0].frames) == len(set(mine[0].frames.tolist())) == 8
+    assert len(both) == len(alone)

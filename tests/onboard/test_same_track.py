@@ -69,6 +69,14 @@ def test_crossing_tracks_of_two_frames_are_two_where_they_share_little() -> None
     assert same_object(known, straight(1001.0, 1003.0, 181.0, 400.0, frames=range(3, 5), snr=6.5), ASKED)
 
 
+def test_tracks_with_one_common_frame_where_their_trails_cross_are_two() -> None:
+    """The first has gone when the other comes. One that goes on in the same trail is the same object."""
+    known = straight(1000.0, 1000.0, 0.0, 200.0, frames=range(4), snr=9.0)
+    assert not same_object(known, straight(1001.0, 1003.0, 60.0, 150.0, frames=range(3, 7), snr=5.0), ASKED)
+    assert same_object(known, straight(1001.0, 1003.0, 0.3, 190.0, frames=range(3, 7), snr=5.0), ASKED)
+    assert same_object(known, straight(1001.0, 1003.0, 60.0, 150.0, frames=range(3, 7), snr=3.0), ASKED)
+
+
 def test_the_light_of_a_trail_in_another_is_that_of_their_common_part() -> None:
     """On itself all of it; on one of twice the length the root of a half; across at right angles 8 px."""
     trail = segment(100.0, 100.0, 100.0, 200.0, snr=6.0)

@@ -212,11 +212,12 @@ def _store_five(
     line: NDArray[np.int16], taps: NDArray[np.int16], scale: np.float32, limit: np.float32, out: NDArray[np.int8]
 ) -> None:
     """The same along a line that is two longer than `out` at each end, scaled and clipped: `_add_pairs` and `_store_clipped`."""
-    t0, t1, t2 = np.int32(taps[0]), np.int32(taps[1]), np.int32(taps[2])
+    # sums of two fit 16 bits, and the products and their sum are exact in single precision
+    t0, t1, t2 = np.float32(taps[0]), np.float32(taps[1]), np.float32(taps[2])
     for i in range(out.shape[0]):
-        near, far = np.int32(line[i + 1] + np.int32(line[i + 3])), np.int32(line[i] + np.int32(line[i + 4]))
-        total = np.int32(np.int32(t0 * np.int32(line[i + 2])) + np.int32(np.int32(t1 * near) + np.int32(t2 * far)))
-        out[i] = np.int8(clipped_code(np.float32(total) * scale, limit))
+        near, far = np.int16(line[i + 1] + line[i + 3]), np.int16(line[i] + line[i + 4])
+        total = t0 * np.float32(line[i + 2]) + (t1 * np.float32(near) + t2 * np.float32(far))
+        out[i] = np.int8(clipped_code(total * scale, limit))
 
 
 @nb.njit(cache=True)

@@ -67,7 +67,7 @@ def gather(
     return read
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", inline="always")
 def between(
     sums: NDArray[np.int32],
     counts: NDArray[np.int32],
@@ -105,7 +105,7 @@ def between(
     return total, weight * (1.0 - 2.0 * f * (1.0 - f) * (1.0 - correlation))
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, inline="always")
 def brightest(sums: NDArray[np.int32], frame: int, n_pieces: int, first: float, last: float, low: int, high: int) -> int:
     """Largest sum over pieces first ... last of a frame, in 1 / PARTS, of the lanes low ... high; 0 outside.
 
@@ -122,6 +122,30 @@ def brightest(sums: NDArray[np.int32], frame: int, n_pieces: int, first: float, 
     for k in range(np.uint64(low), np.uint64(high + 1)):
         most = max(most, v0 * sums[g, j, k] + v * sums[g, j1, k] - u0 * sums[g, i, k] - u * sums[g, i1, k])
     return most
+
+
+@nb.njit(cache=True, inline="always")
+def running(
+    sums: NDArray[np.int32],
+    counts: NDArray[np.int32],
+    frame: int,
+    n_pieces: int,
+    at: float,
+    low: int,
+    high: int,
+    out: NDArray[np.int64],
+) -> None:
+    """Sums and counts before a place of a frame, in 1 / PARTS, of the lanes low ... high; `brightest` takes their difference.
+
+    at : in pieces, to the nearest of PARTS. out : (2, LANES).
+    """
+    parts = min(max(round(at * PARTS), 0), PARTS * n_pieces)
+    g, i = np.uint64(frame), np.uint64(min(parts // PARTS, n_pieces - 1))
+    v = parts - PARTS * int(i)
+    i1 = i + np.uint64(1)
+    for k in range(np.uint64(low), np.uint64(high + 1)):
+        out[0, k] = (PARTS - v) * sums[g, i, k] + v * sums[g, i1, k]
+        out[1, k] = (PARTS - v) * counts[g, i, k] + v * counts[g, i1, k]
 
 
 @nb.njit(cache=True)

@@ -7,7 +7,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.track.corridor import LANES, MIDDLE, PARTS, brightest
+from onboard.track.corridor import LANES, MIDDLE, PARTS, brightest, running
 from onboard.track.trail_sums import Corridors, Look
 
 STEPS: Final = 6
@@ -34,26 +34,36 @@ LONGEST: Final = 1.6
 """Trails are so much shorter or longer than their seed at most."""
 
 
+ENDS: Final = 2 * END_STEPS + 1
+"""Places that are tried for each end."""
+
+
 @nb.njit(cache=True)
-def own_ends(corridors: Corridors, look: Look, centre: int, ends: NDArray[np.float64]) -> tuple[int, int, float]:
+def own_ends(
+    corridors: Corridors, look: Look, centre: int, ends: NDArray[np.float64], before: NDArray[np.int64]
+) -> tuple[int, int, float]:
     """Ends that the seed's own frame likes, of all on a lattice: how many, on which lane, S/N of the best.
 
     ends (n, 4) : where the trail begins and its length, px, sum and weight as `brightest` has them. Lanes beside the middle one
-    count too: a seed lies on the lattice of the search that made it.
+    count too: a seed lies on the lattice of the search that made it. before (2, ENDS, 2, LANES) : work space, for sums and known
+    pixels before each place of either end.
     """
     seed_px, step = look.seed_px, look.seed_px / STEPS
+    grid, n_pieces = corridors.grid[centre], corridors.pieces[centre]
+    for k in range(ENDS):
+        for end in range(2):
+            at = ((k - END_STEPS) * step + end * seed_px - grid[0]) / grid[1]
+            running(corridors.sums, corridors.counts, centre, n_pieces, at, MIDDLE - BESIDE, MIDDLE + BESIDE, before[end, k])
     top, lane, n = 0.0, MIDDLE, 0
     for turn in range(2):
-        for i in range(-END_STEPS, END_STEPS + 1):
-            for j in range(-END_STEPS, END_STEPS + 1):
-                start, length = i * step, seed_px + (j - i) * step
+        for i in range(ENDS):
+            for j in range(ENDS):
+                length = seed_px + (j - i) * step
                 if length < SHORTEST * seed_px or length > LONGEST * seed_px:
                     continue
-                first = (start - corridors.grid[centre, 0]) / corridors.grid[centre, 1]
-                last = first + length / corridors.grid[centre, 1]
                 for k in range(MIDDLE - BESIDE, MIDDLE + BESIDE + 1) if turn == 0 else range(lane, lane + 1):
-                    total = brightest(corridors.sums, centre, corridors.pieces[centre], first, last, k, k)
-                    weight = brightest(corridors.counts, centre, corridors.pieces[centre], first, last, k, k)
+                    total = before[1, j, 0, k] - before[0, i, 0, k]
+                    weight = before[1, j, 1, k] - before[0, i, 1, k]
                     power = float(total) * float(total)
                     if total <= 0 or weight <= 0:
                         continue
@@ -61,7 +71,7 @@ def own_ends(corridors: Corridors, look: Look, centre: int, ends: NDArray[np.flo
                         if power > top * weight:
                             top, lane = power / weight, k
                     elif power >= LIKED * LIKED * top * weight:
-                        ends[n, 0], ends[n, 1], ends[n, 2], ends[n, 3] = start, length, total, weight
+                        ends[n, 0], ends[n, 1], ends[n, 2], ends[n, 3] = (i - END_STEPS) * step, length, total, weight
                         n += 1
     return n, lane, math.sqrt(top / PARTS / look.variance)
 
@@ -143,7 +153,7 @@ def first_look(
     return score
 
 
-@nb.njit(cache=True)
+@nb.njit(cache=True, inline="always")
 def _below(total: float, weight: float, least: float) -> bool:
     """Whether total / sqrt(weight) is, without a root: nearly all are."""
     return total <= 0.0 or total * total <= least * least * weight

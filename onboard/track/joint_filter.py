@@ -8,8 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.track.climb import best_range, climb
-from onboard.track.corridor import MIDDLE, MOST_PIECES, gather, path_sum
-from onboard.track.first_look import END_STEPS, LONGEST, STEPS, first_look, own_ends
+from onboard.track.corridor import LANES, MIDDLE, MOST_PIECES, gather, path_sum
+from onboard.track.first_look import END_STEPS, ENDS, LONGEST, STEPS, first_look, own_ends
 from onboard.track.packed import HALF_ROUNDING
 from onboard.track.trail_sums import (
     Corridors,
@@ -132,7 +132,7 @@ def follow(
     n_found = n_waiting = read = taken = 0
     place, trial, best, line = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
     half_seed, parameters = np.empty(4), np.empty(4)
-    ends = np.empty(((2 * END_STEPS + 1) ** 2, 4))
+    ends, before = np.empty((ENDS**2, 4)), np.empty((2, ENDS, 2, LANES), np.int64)
     # pixel centres of the halved image lie at 2 k + 0.5
     half_transforms = transforms.copy()
     for frame in range(n_frames):
@@ -183,7 +183,7 @@ def follow(
                 image = halves[frame] if steep else flat_halves[frame]
                 read += gather(image, True, place, begin, piece, n, corridors.sums[frame], corridors.counts[frame])
                 if turn == 0:
-                    n_ends, lane, own = own_ends(corridors, half_look, centre, ends)
+                    n_ends, lane, own = own_ends(corridors, half_look, centre, ends, before)
                     if own < least_own:
                         n_ends = 0
                         break

@@ -84,35 +84,36 @@ def codes_of(
         _codes_row(residual_adu[row], mask[row], scale, codes[row])
 
 
-Weights = tuple[np.int32, np.int32, np.int32, np.int32]
+Weights = tuple[np.int16, np.int16, np.int16, np.int16]
 
 
 @nb.njit(cache=True)
 def _weights(part_row: float, part_col: float) -> Weights:
     """Shares of four neighbours in 1 / WEIGHTS; they add up to one."""
-    right = np.int32(round(WEIGHTS * part_col * (1.0 - part_row)))
-    below = np.int32(round(WEIGHTS * part_row * (1.0 - part_col)))
-    both = np.int32(round(WEIGHTS * part_row * part_col))
-    return np.int32(WEIGHTS - right - below - both), right, below, both
+    right = round(WEIGHTS * part_col * (1.0 - part_row))
+    below = round(WEIGHTS * part_row * (1.0 - part_col))
+    both = round(WEIGHTS * part_row * part_col)
+    return np.int16(WEIGHTS - right - below - both), np.int16(right), np.int16(below), np.int16(both)
 
 
 @nb.njit(cache=True)
-def _mixed(w: Weights, a: np.int32, b: np.int32, d: np.int32, e: np.int32) -> np.int32:
-    """Sum of four neighbours by their shares; each step in 32 bits, for with 64 loops have half the lanes."""
-    upper, lower = np.int32(np.int32(w[0] * a) + np.int32(w[1] * b)), np.int32(np.int32(w[2] * d) + np.int32(w[3] * e))
-    return np.int32(upper + lower)
+def _mixed(w: Weights, a: np.int8, b: np.int8, d: np.int8, e: np.int8) -> np.int16:
+    """Sum of four neighbours by their shares, which 16 bits hold, and the difference of two; each step in as many."""
+    upper = np.int16(np.int16(w[0] * np.int16(a)) + np.int16(w[1] * np.int16(b)))
+    lower = np.int16(np.int16(w[2] * np.int16(d)) + np.int16(w[3] * np.int16(e)))
+    return np.int16(upper + lower)
 
 
 @nb.njit(cache=True)
 def _mix_row(top: NDArray[np.int8], low: NDArray[np.int8], w: Weights, weight: np.float32, model: NDArray[np.int8]) -> None:
     """Bring a row of a frame into the model; it stays where one of the four pixels is masked. weight : for the sum of shares."""
     for j in range(model.size):
-        a, b, d, e = np.int32(top[j]), np.int32(top[j + 1]), np.int32(low[j]), np.int32(low[j + 1])
+        a, b, d, e = top[j], top[j + 1], low[j], low[j + 1]
         least = min(min(a, b), min(d, e))
-        old = np.int32(model[j])
-        step = np.float32(np.int32(_mixed(w, a, b, d, e) - np.int32(WEIGHTS * old))) * weight
-        new = np.int32(old + np.int32(step + np.float32(400.5)) - np.int32(400))
-        model[j] = np.int8(new if least > np.int32(MASKED) else old)
+        old = np.int16(model[j])
+        step = np.float32(np.int16(_mixed(w, a, b, d, e) - np.int16(np.int16(WEIGHTS) * old))) * weight
+        new = np.int16(old + np.int16(np.int16(step + np.float32(400.5)) - np.int16(400)))
+        model[j] = np.int8(new if least > np.int8(MASKED) else old)
 
 
 @nb.njit(cache=True)
@@ -126,20 +127,19 @@ def _add_row(
     total: NDArray[np.int8],
 ) -> None:
     """Add a row of a frame less the model's to the sum; nothing where one of the eight is masked or a star's."""
-    bright, dark, half = np.int32(BRIGHT), np.int32(-BRIGHT), np.int32(WEIGHTS * SUM_CODES // 2)
-    most, least_sum = np.int32(CLIP // SUM_CODES), np.int32(-(CLIP // SUM_CODES))
-    full, empty, none = np.int32(FULL), np.int32(-FULL), np.int32(0)
+    bright, dark, half = np.int8(BRIGHT), np.int8(-BRIGHT), np.int16(WEIGHTS * SUM_CODES // 2)
+    most, least_sum = np.int16(CLIP // SUM_CODES), np.int16(-(CLIP // SUM_CODES))
+    full, empty, none = np.int16(FULL), np.int16(-FULL), np.int16(0)
     for j in range(total.size):
-        a, b, d, e = np.int32(top[j]), np.int32(top[j + 1]), np.int32(low[j]), np.int32(low[j + 1])
-        p, q = np.int32(model_top[j]), np.int32(model_top[j + 1])
-        s, t = np.int32(model_low[j]), np.int32(model_low[j + 1])
-        value = np.int32(np.int32(np.int32(_mixed(w, a, b, d, e) - _mixed(m, p, q, s, t)) + half) >> np.int32(WEIGHT_BITS + 1))
-        value = min(max(value, least_sum), most)
+        a, b, d, e = top[j], top[j + 1], low[j], low[j + 1]
+        p, q, s, t = model_top[j], model_top[j + 1], model_low[j], model_low[j + 1]
+        change = np.int16(np.int16(_mixed(w, a, b, d, e) - _mixed(m, p, q, s, t)) + half)
+        value = min(max(np.int16(change >> np.int16(WEIGHT_BITS + 1)), least_sum), most)
         least = min(min(a, b), min(d, e))
         lowest, highest = min(min(p, q), min(s, t)), max(max(p, q), max(s, t))
-        known = (least > np.int32(MASKED)) & (lowest > dark) & (highest < bright)
-        value = np.int32(np.int32(total[j]) + (value if known else none))
-        total[j] = np.int8(min(max(value, empty), full))
+        known = (least > np.int8(MASKED)) & (lowest > dark) & (highest < bright)
+        added = np.int16(np.int16(total[j]) + (value if known else none))
+        total[j] = np.int8(min(max(added, empty), full))
 
 
 Reading = tuple[int, int, Weights]

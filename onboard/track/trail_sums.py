@@ -157,7 +157,7 @@ def collect_half(
     return read
 
 
-@nb.njit(cache=True, error_model="numpy")
+@nb.njit(cache=True, error_model="numpy", inline="always")
 def trail_sums(corridors: Corridors, look: Look, frame: int, track: NDArray[np.float64]) -> tuple[float, float]:
     """Sum and weight of a track (a, length, offset, tilt) in one frame."""
     start = track[0] + look.sense * look.taus[frame] * track[1]

@@ -63,8 +63,8 @@ def test_dyadic_sum_of_a_drawn_line_is_its_number_of_pixels(height: int, shift: 
     image = np.zeros((64, 200), np.int16)
     for row, col in enumerate(columns(height, shift)):
         image[row, 60 + col] = 7
-    work = np.empty((2, work_size(*image.shape)), np.int16)
-    table = line_sums(image, False, np.array([1.0, 1.0]), 2.0, height, 1000, work[0], work[1], np.zeros(1, np.int64))
+    store = np.empty(work_size(*image.shape), np.int16)
+    table = line_sums(image, False, np.array([1.0, 1.0]), 2.0, height, 1000, store, np.zeros(1, np.int64))
     best = table[np.argmax(table[:, 4])]
     assert best[0] == 0
     assert best[1] == height

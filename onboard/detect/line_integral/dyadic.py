@@ -9,7 +9,7 @@ x = -s ... cols-1 at index x + s.
 """
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numba as nb
 import numpy as np
@@ -34,18 +34,42 @@ CELL: Final = 8
 CHUNK: Final = 256
 """Sums of which the largest is looked for at once, and which are passed over where it is below the threshold."""
 
+HALVED: Final = (6, 9)
+"""Sums of 2^6 and 2^9 rows are halved, so that 16 bits hold those of all heights."""
+
 LONG_BLOCK_STEP: Final = 0.06
 """The threshold falls by so many sigma for each doubling of the block beyond 32 rows."""
 
 
 @nb.njit(cache=True)
-def _add_best(a: NDArray[np.int16], b: NDArray[np.int16], out: NDArray[np.int16]) -> np.int16:
+def _add_best(store: NDArray[np.int16], upper: int, lower: int, out: int, n: int) -> np.int16:
+    """Add n sums from two places of the store into a third; the largest is returned.
+
+    Places instead of slices: each slice is counted by atomic operations, which took as long as the sums.
+    """
+    a, b, o = np.uint64(upper), np.uint64(lower), np.uint64(out)
     best = np.int16(-32768)
-    for i in range(out.shape[0]):
-        value = np.int16(a[i] + b[i])
-        out[i] = value
+    for i in range(np.uint64(n)):
+        value = np.int16(store[a + i] + store[b + i])
+        store[o + i] = value
         best = max(best, value)
     return best
+
+
+@nb.njit(cache=True)
+def _largest_sum(store: NDArray[np.int16], upper: int, lower: int, n: int) -> np.int16:
+    a, b = np.uint64(upper), np.uint64(lower)
+    best = np.int16(-32768)
+    for i in range(np.uint64(n)):
+        best = max(best, np.int16(store[a + i] + store[b + i]))
+    return best
+
+
+@nb.njit(cache=True)
+def _copy(store: NDArray[np.int16], first: int, out: int, n: int) -> None:
+    a, o = np.uint64(first), np.uint64(out)
+    for i in range(np.uint64(n)):
+        store[o + i] = store[a + i]
 
 
 @nb.njit(cache=True)
@@ -55,13 +79,11 @@ def _halve(values: NDArray[np.int16]) -> None:
 
 
 @nb.njit(cache=True)
-def _merge_row(a: NDArray[np.int16], b: NDArray[np.int16], out: NDArray[np.int16], lag: int) -> np.int16:
-    """out[k] = a[k - lag] + b[k] on rows of length n (a, b) and n + lag (out); the largest sum is returned."""
-    n = a.shape[0]
-    out[:lag] = b[:lag]
-    best = _add_best(a[: n - lag], b[lag:], out[lag:n])
-    out[n : n + lag] = a[n - lag :]
-    return best
+def _merge_row(store: NDArray[np.int16], a: int, b: int, out: int, n: int, lag: int) -> np.int16:
+    """out[k] = a[k - lag] + b[k] on rows of length n (a, b) and n + lag (out) of the store; the largest sum is returned."""
+    _copy(store, b, out, lag)
+    _copy(store, a + n - lag, out + n, lag)
+    return _add_best(store, a, b + lag, out + lag, n - lag)
 
 
 @nb.njit(cache=True)
@@ -93,16 +115,143 @@ def _largest(values: NDArray[np.int16]) -> np.int16:
 
 
 @nb.njit(cache=True)
-def _keep_best(found: NDArray[np.float32], first: int, stop: int) -> tuple[int, float]:
-    """Keep the better half of rows first..stop-1 by S/N, in place and in their order; returns the new stop and the least S/N."""
-    values = np.sort(found[first:stop, 4])
+def _keep_best(found: NDArray[np.float32], stop: int) -> tuple[int, float]:
+    """Keep the better half of the first `stop` rows by S/N, in place and in their order; returns how many, and the least S/N."""
+    values = np.sort(found[:stop, 4])
     least = values[values.size // 2]
-    n = first
-    for k in range(first, stop):
+    n = 0
+    for k in range(stop):
         if found[k, 4] > least:
             found[n] = found[k]
             n += 1
     return n, float(least)
+
+
+class Search(NamedTuple):
+    """What is looked for in blocks of each height 2^level, and what was found; level comes first in all shapes.
+
+    wanted (levels + 1,) : least S/N. noise (2,), work (1,) : see `line_sums`. blocks (levels + 1,) : of each height in the image.
+    best, place, hit : of the block that is being made (see `_collect`). found (levels + 1, room, 5), listed : what `line_sums`
+    returns.
+    """
+
+    wanted: NDArray[np.float64]
+    noise: NDArray[np.float64]
+    work: NDArray[np.int64]
+    blocks: NDArray[np.int64]
+    best: NDArray[np.float32]
+    place: NDArray[np.int32]
+    hit: NDArray[np.bool_]
+    found: NDArray[np.float32]
+    listed: NDArray[np.int64]
+
+
+@nb.njit(cache=True)
+def _search(
+    rows: int, cols: int, levels: int, noise: NDArray[np.float64], sigma: float, max_found: int, work: NDArray[np.int64]
+) -> Search:
+    """Nothing found yet."""
+    wanted, blocks = np.empty(levels + 1), np.empty(levels + 1, np.int64)
+    for level in range(levels + 1):
+        # long blocks fit a trail's length and slope less well, and there are few independent ones
+        wanted[level] = sigma - LONG_BLOCK_STEP * max(0.0, math.log2((1 << level) / 32.0))
+        blocks[level] = (rows + (1 << level) - 1) >> level
+    cells = cols // CELL + (1 << levels) // CELL + 2
+    best, place = np.empty((levels + 1, cells), np.float32), np.empty((levels + 1, cells, 2), np.int32)
+    found = np.empty((levels + 1, max(2, max_found // levels), 5), np.float32)
+    hit, listed = np.zeros(levels + 1, np.bool_), np.zeros(levels + 1, np.int64)
+    return Search(wanted, noise, work, blocks, best, place, hit, found, listed)
+
+
+@nb.njit(cache=True)
+def _look(search: Search, level: int, shift: int, unit: float, sums: NDArray[np.int16]) -> None:
+    """Collect from a block's sums of one shift, of which one exceeds what is wanted."""
+    if not search.hit[level]:
+        search.hit[level] = True
+        search.best[level] = 0.0
+    _collect(sums, shift, int(search.wanted[level] / unit), unit, search.best[level], search.place[level])
+    search.work[0] += COLLECT_WORK * sums.shape[0]
+
+
+@nb.njit(cache=True)
+def _list(search: Search, level: int, first_row: int) -> None:
+    """List what a complete block showed above what is wanted."""
+    found, best, place, n = search.found[level], search.best[level], search.place[level], search.listed[level]
+    search.hit[level] = False
+    search.work[0] += COLLECT_WORK * best.shape[0]
+    for cell in range(best.shape[0]):
+        if n == found.shape[0]:
+            n, least = _keep_best(found, n)
+            search.wanted[level] = max(search.wanted[level], least)
+        if best[cell] > search.wanted[level]:
+            found[n, 0], found[n, 1] = first_row, 1 << level
+            found[n, 2], found[n, 3] = place[cell, 1], place[cell, 0]
+            found[n, 4] = best[cell]
+            n += 1
+    search.listed[level] = n
+
+
+@nb.njit(cache=True)
+def _unit(noise: NDArray[np.float64], level: int, shift: int) -> float:
+    """S/N of a sum of 1 along a block's line."""
+    height, scale = 1 << level, 1.0 if level <= HALVED[0] else 2.0 if level <= HALVED[1] else 4.0
+    return scale / math.sqrt(height * (noise[0] + (noise[1] - noise[0]) * (shift / (height - 1))))
+
+
+@nb.njit(cache=True)
+def _bring(
+    search: Search, store: NDArray[np.int16], place: NDArray[np.int64], cols: int, lowest: int, block: int, min_rows: int
+) -> None:
+    """Take up a block of height 2^lowest, and make all that it completes, row by row: each makes two of the next height.
+
+    block : its number; a row of the image, or one past its last block of this height, which holds nothing. place (levels + 1,
+    full / 2 + 1) : where in the store the row of each shift is; at index 2^level a free one, which takes the next; the last one
+    for rows that are not kept.
+    """
+    levels, top, empty = place.shape[0] - 1, lowest, block == search.blocks[lowest]
+    scratch = place[levels, 0]
+    while (block >> (top - lowest)) & 1:
+        top += 1
+    for turn in range(1 << top):
+        for level in range(lowest, top + 1):
+            if turn & ((1 << (top - level)) - 1):
+                continue
+            shift, number, height = turn >> (top - level), block >> (level - lowest), 1 << level
+            sums = place[level, height] if level < levels else scratch
+            if level > lowest:
+                half = shift >> 1
+                lag, n = shift - half, cols + half
+                free = place[level - 1, height >> 1]
+                if empty and level == lowest + 1:
+                    store[sums : sums + lag] = 0
+                    _copy(store, place[level - 1, half], sums + lag, n)
+                else:
+                    peak = _merge_row(store, place[level - 1, half], free, sums, n, lag)
+                    if height >= min_rows:
+                        unit = _unit(search.noise, level, shift)
+                        if peak * unit > search.wanted[level]:
+                            _look(search, level, shift, unit, store[sums : sums + cols + shift])
+                        if shift == height - 1 and search.hit[level]:
+                            _list(search, level, number * height)
+                    if shift & 1:  # both rows that it makes are made
+                        place[level - 1, height >> 1], place[level - 1, half] = place[level - 1, half], free
+                if level in HALVED:
+                    _halve(store[sums : sums + cols + shift])
+            if level < top or level == levels or (empty and level == lowest):
+                continue
+            before = place[level, shift]
+            if number > 0 and 2 * height >= min_rows:
+                # with the block before it, half a height later than what is stored
+                n = cols + shift
+                for k in range(2):
+                    lag, later = shift + k, shift + shift + k
+                    unit = _unit(search.noise, level + 1, later)
+                    if _largest_sum(store, before, sums + lag, n - lag) * unit > search.wanted[level + 1]:
+                        _merge_row(store, before, sums, scratch, n, lag)
+                        _look(search, level + 1, later, unit, store[scratch : scratch + n + lag])
+                if shift == height - 1 and search.hit[level + 1]:
+                    _list(search, level + 1, (number - 1) * height)
+            place[level, height], place[level, shift] = before, sums
 
 
 @nb.njit(cache=True, nogil=True)
@@ -113,96 +262,42 @@ def line_sums(
     threshold_sigma: float,
     min_rows: int,
     max_found: int,
-    current: NDArray[np.int16],
-    following: NDArray[np.int16],
+    store: NDArray[np.int16],
     work: NDArray[np.int64],
 ) -> NDArray[np.float32]:
     """Segments along growing rows with 0 <= dcol/drow <= 1 whose sum exceeds the threshold.
 
-    image : (rows, cols) int16, zero mean. noise : (2,) standard deviation of a sum of n rows is sqrt(n (noise[0] +
-    (noise[1] - noise[0]) slope)). upside_down : rows are taken in reverse. current, following : work space of `work_size`.
+    image : (rows, cols) int16, zero mean, two rows or more. noise : (2,) standard deviation of a sum of n rows is
+    sqrt(n (noise[0] + (noise[1] - noise[0]) slope)). upside_down : rows are taken in reverse. store : work space of `work_size`.
     work (1,) : grows by the sums that were looked at one by one, in blocks with one above the threshold.
     Returns (n, 5): first row, number of rows, first column, shift, S/N. Blocks of each height have the same share of the room,
     so that a storm of short ones does not crowd the long ones out; of more than that the most significant are kept.
+
+    Each row of the image makes the sums of all heights that it completes before the next one comes. Only the newest block of each
+    height is stored, and low ones stay in the cache.
     """
     rows, cols = image.shape
-    found = np.empty((max_found, 5), np.float32)
-    n_found = 0
     levels = 0
     while (1 << levels) < rows:
         levels += 1
-    full = 1 << levels
+    place, begin = np.empty((levels + 1, (1 << levels) // 2 + 1), np.int64), 0
+    for level in range(levels):
+        for k in range((1 << level) + 1):
+            place[level, k] = begin
+            begin += cols + (1 << level)
+    place[levels, 0] = begin
+    search = _search(rows, cols, levels, noise, threshold_sigma, max_found, work)
     for row in range(rows):
-        current[row * (cols + 1) : row * (cols + 1) + cols] = image[rows - 1 - row if upside_down else row]
-    blocks = rows
-    scratch = np.empty(cols + full, np.int16)
-    best = np.zeros(cols // CELL + full // CELL + 2, np.float32)
-    place = np.zeros((cols // CELL + full // CELL + 2, 2), np.int32)
-    unit_scale = 1.0
-    for doubling in range(levels):
-        half = 1 << doubling
-        height = 2 * half
-        pitch, next_pitch = cols + half, cols + height
-        next_blocks = (blocks + 1) // 2
-        searched = height >= min_rows
-        level_start, room = n_found, max(2, max_found // levels)
-        rescale = doubling == 5 or doubling == 8
-        # long blocks fit a trail's length and slope less well, and there are few independent ones
-        wanted = threshold_sigma - LONG_BLOCK_STEP * max(0.0, math.log2(height / 32.0))
-        for first in range(blocks):
-            last = first + 1
-            even = first % 2 == 0
-            if last == blocks and not even:
-                continue
-            kept = even and height < rows
-            if not (kept or searched):
-                continue
-            best[:] = 0.0
-            hit = False
-            for shift in range(height):
-                half_shift = shift // 2
-                lag = shift - half_shift
-                a0 = (first * half + half_shift) * pitch
-                a = current[a0 : a0 + cols + half_shift]
-                if kept:
-                    o0 = (first // 2 * height + shift) * next_pitch
-                    out = following[o0 : o0 + cols + shift]
-                else:
-                    out = scratch[: cols + shift]
-                if last < blocks:
-                    b0 = (last * half + half_shift) * pitch
-                    peak = _merge_row(a, current[b0 : b0 + cols + half_shift], out, lag)
-                else:
-                    out[:lag] = 0
-                    out[lag:] = a
-                    peak = np.int16(0)
-                if searched:
-                    slope = shift / (height - 1)
-                    unit = unit_scale / math.sqrt(height * (noise[0] + (noise[1] - noise[0]) * slope))
-                    if peak * unit > wanted:
-                        _collect(out, shift, int(wanted / unit), unit, best, place)
-                        hit = True
-                        work[0] += COLLECT_WORK * out.shape[0]
-                if kept and rescale:
-                    _halve(out)
-            if hit:
-                work[0] += COLLECT_WORK * best.shape[0]
-                for cell in range(best.shape[0]):
-                    if n_found - level_start == room:
-                        n_found, least = _keep_best(found, level_start, n_found)
-                        wanted = max(wanted, least)
-                    if best[cell] > wanted:
-                        found[n_found, 0] = first * half
-                        found[n_found, 1] = height
-                        found[n_found, 2] = place[cell, 1]
-                        found[n_found, 3] = place[cell, 0]
-                        found[n_found, 4] = best[cell]
-                        n_found += 1
-        if rescale:
-            unit_scale *= 2.0
-        current, following = following, current
-        blocks = next_blocks
-    return found[:n_found]
+        store[place[0, 1] : place[0, 1] + cols] = image[rows - 1 - row if upside_down else row]
+        _bring(search, store, place, cols, 0, row, min_rows)
+    for level in range(levels):
+        if search.blocks[level] & 1:  # half of the block that it belongs to lies outside
+            _bring(search, store, place, cols, level, search.blocks[level], min_rows)
+    out, n = np.empty((search.listed.sum(), 5), np.float32), 0
+    for level in range(levels + 1):
+        out[n : n + search.listed[level]] = search.found[level, : search.listed[level]]
+        n += search.listed[level]
+    return out
 
 
 def half_resolution_noise(taps: NDArray[np.int16], usable: float) -> NDArray[np.float64]:
@@ -219,12 +314,12 @@ def half_resolution_noise(taps: NDArray[np.int16], usable: float) -> NDArray[np.
 
 @nb.njit(cache=True)
 def work_size(rows: int, cols: int) -> int:
-    """Elements of one work array of `line_sums`: all block sums of the level that needs most (the last one is not kept)."""
-    size, height = rows * (cols + 1), 1
-    while 2 * height < rows:
+    """Elements of the work array of `line_sums`: a block of each height but the last, a row more of each, and one not kept."""
+    size, height = 0, 1
+    while height < rows:
+        size += (height + 1) * (cols + height)
         height *= 2
-        size = max(size, ((rows + height - 1) // height) * height * (cols + height))
-    return size
+    return size + cols + height
 
 
 def turned(image: NDArray[np.int16], room: NDArray[np.int16]) -> NDArray[np.int16]:
@@ -256,11 +351,11 @@ def coarse_segments(
     """
     tables, work = [], np.zeros(1, np.int64)
     size = max(work_size(*binned.shape), work_size(*binned.shape[::-1]))
-    current, following = np.empty(size, np.int16), np.empty(size, np.int16)
+    store = np.empty(size, np.int16)
     for axis in (0, 1):
-        image = turned(binned, current) if axis else binned
+        image = turned(binned, store) if axis else binned
         for upside_down in (False, True):
-            found = line_sums(image, upside_down, noise, threshold_sigma, min_rows, max_found, current, following, work)
+            found = line_sums(image, upside_down, noise, threshold_sigma, min_rows, max_found, store, work)
             found = found.astype(np.float64)
             first, last = found[:, 0], found[:, 0] + found[:, 1] - 1.0
             enter, leave = found[:, 2], found[:, 2] + found[:, 3]

@@ -12,9 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.track.corridor import path_sum
-from onboard.track.packed import ROUNDING
 from onboard.track.same import SAME_PX
-from onboard.track.trail_sums import line_variance, placed
+from onboard.track.trail_sums import look_of, placed, trail_variance
 from sboc_e2e.icd.signals import Detection
 
 OWN_BEYOND: Final = 0.25
@@ -23,6 +22,7 @@ by a tenth. Chosen, not measured."""
 
 OWN_TILT: Final = 0.02  # of the length across, as tracks of one object may differ (`same.ACROSS_SHARE`)
 
+NOW: Final = np.zeros(1)
 IN_PLACE: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
@@ -73,7 +73,8 @@ def _path(detection: Detection, psf_sigma_px: float) -> tuple[NDArray[np.float64
     line, place = _ends(detection), np.empty(4)
     steep = placed(line, IN_PLACE, place)
     per_lane = max(abs(place[2]), abs(place[3]))
-    return place, steep, math.sqrt(line_variance(psf_sigma_px, per_lane) + ROUNDING)
+    look = look_of(NOW, 1.0, detection.length_px, per_lane, psf_sigma_px)
+    return place, steep, math.sqrt(trail_variance(look, detection.length_px))
 
 
 def _ends(detection: Detection) -> NDArray[np.float64]:

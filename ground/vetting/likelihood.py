@@ -187,6 +187,19 @@ def sharpest_light_px(fits: Sequence[StreakFit]) -> float:
     return float(np.median(widths)) if widths else math.inf
 
 
+def sharpness_of(fits: Sequence[StreakFit], psf_sigma_px: float | None) -> list[float]:
+    """Ln of the width of each fit over that of the optics (pixel included); NaN where it failed, or nothing tells the optics.
+
+    psf_sigma_px : of the frame's stars, None where they do not tell.
+    """
+    optics = [fit.psf_sigma_px if math.isfinite(fit.psf_sigma_px) else psf_sigma_px for fit in fits]
+    sharpest = sharpest_light_px(fits)
+    known = [min(math.inf if psf_sigma_px is None else float(width or math.inf), sharpest) for width in optics]
+    return [
+        features_of(fit, width).sharpness if math.isfinite(width) else math.nan for fit, width in zip(fits, known, strict=True)
+    ]
+
+
 def _of_unmodelled_kind(fit: StreakFit, features: Features) -> bool:
     """Whether a fit is a bright straight line that is too long for its width to be anything but a trail, though none was
     simulated. Its light must be even: slopes of the sky change smoothly too."""

@@ -1,0 +1,74 @@
+"""Odds of a line in a frame from outside: the vetter's own, weighed with what held for cameras that it had not seen.
+
+A vetter's classes are those of one simulated camera, and a frame's look-alikes are few. How far both can be trusted, and what the
+line's contrast, length and width add, was fitted to lines of real frames (logistic regression). With the frames of each camera
+left out of the fit in turn, the rest published 62 of 76 of its trails and 3 other lines, of which one is a tree, one a roof and
+one a photograph of people; the vetter alone published 53 and 3 (docs/real-frames.md).
+"""
+
+import math
+from collections.abc import Sequence
+from typing import Final
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.streaks.centre_line import effective_width_px
+from ground.vetting.contrast import Contrast, Tiles
+from ground.vetting.readout import odds_of_readout
+from sboc_e2e.icd.products import StreakFit
+
+LARGEST: Final = 7.0
+"""Log odds of the vetter count up to this: beyond, they say how far its classes lie apart and not how often it errs."""
+LONGEST_WIDTHS: Final = 200.0
+"""Longer lines count as this long."""
+WIDTHS: Final = 40.0
+"""Length over width at which the length says nothing."""
+LEAST_PROBABILITY: Final = 1e-3
+"""What the vetter finds less probable stays so: the other terms add 5 to the log odds at most."""
+
+CONSTANT: Final = -2.27
+PER_LOG_ODDS: Final = 0.80
+PER_WINS: Final = 0.97
+PER_PEAK: Final = 2.82
+PER_LN_WIDTHS: Final = 1.84
+PER_LN_READOUT: Final = -1.39
+PER_LN_SHARPER: Final = 5.5
+PER_LN_WIDER: Final = -1.56
+"""Weights of the logistic regression, to the 2,900 lines (76 trails) of 207 frames of 32 cameras and those of 72 frames of six
+simulated skies (176 trails); each camera's trails count as four and its other lines as 40 at most. One sigma over cameras drawn
+again: constant -3.4 to -1.6, log odds 0.75 to 0.95, wins 0.7 to 1.6, peak 1.8 to 4.3, widths 1.5 to 2.1, readout -1.9 to -0.9,
+sharper 3.9 to 6.3, wider -2.2 to -0.7."""
+
+
+def probability_in_any_camera(
+    fits: Sequence[StreakFit], probability: NDArray[np.float64], sharpness: Sequence[float], tiles: Tiles
+) -> NDArray[np.float64]:
+    """(n,) of the fits of a frame, given a vetter's own (n,).
+
+    sharpness : ln of each fit's width over that of the optics, NaN where nothing tells the optics.
+    """
+    readout = np.log1p(odds_of_readout(fits))
+    out = probability.astype(np.float64)
+    for k in np.flatnonzero(probability >= LEAST_PROBABILITY):
+        contrast = Contrast.of(fits[k], tiles)
+        if contrast is not None:
+            own = math.log(probability[k] / max(1.0 - probability[k], 1e-9))
+            out[k] = 1.0 / (1.0 + math.exp(-_log_odds(fits[k], own, float(readout[k]), sharpness[k], contrast)))
+    return out
+
+
+def _log_odds(fit: StreakFit, own: float, ln_readout: float, sharpness: float, contrast: Contrast) -> float:
+    """Log odds of a line. own : the vetter's. ln_readout : of one plus the odds of a line of the readout."""
+    widths = min(fit.length_px / effective_width_px(fit.width_px), LONGEST_WIDTHS)
+    told = sharpness if math.isfinite(sharpness) else 0.0
+    return (
+        CONSTANT
+        + PER_LOG_ODDS * min(max(own, -LARGEST), LARGEST)
+        + PER_WINS * math.log(contrast.pieces) * (contrast.wins - 0.5)
+        + PER_PEAK * contrast.peak
+        + PER_LN_WIDTHS * math.log(widths / WIDTHS)
+        + PER_LN_READOUT * ln_readout
+        + PER_LN_SHARPER * min(told, 0.0)
+        + PER_LN_WIDER * max(told, 0.0)
+    )

@@ -27,14 +27,14 @@ WIDTHS: Final = 40.0
 LEAST_PROBABILITY: Final = 1e-3
 """What the vetter finds less probable stays so: the other terms add 5 to the log odds at most."""
 
-CONSTANT: Final = -2.27
-PER_LOG_ODDS: Final = 0.80
-PER_WINS: Final = 0.97
-PER_PEAK: Final = 2.82
-PER_LN_WIDTHS: Final = 1.84
+CONSTANT: Final = -2.05
+PER_LOG_ODDS: Final = 0.93
+PER_WINS: Final = 1.21
+PER_PEAK: Final = 2.86
+PER_LN_WIDTHS: Final = 1.92
 PER_LN_READOUT: Final = -1.39
-PER_LN_SHARPER: Final = 5.5
-PER_LN_WIDER: Final = -1.56
+PER_LN_SHARPER: Final = 5.7
+PER_LN_WIDER: Final = -0.71
 """Weights of the logistic regression, to the 2,900 lines (76 trails) of 207 frames of 32 cameras and those of 72 frames of six
 simulated skies (176 trails); each camera's trails count as four and its other lines as 40 at most. One sigma over cameras drawn
 again: constant -3.4 to -1.6, log odds 0.75 to 0.95, wins 0.7 to 1.6, peak 1.8 to 4.3, widths 1.5 to 2.1, readout -1.9 to -0.9,

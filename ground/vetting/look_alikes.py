@@ -211,6 +211,7 @@ class LookAlikeVetter:
         odds_against = (1.0 - probability) / np.maximum(probability, LEAST) + against
         refused = np.array([known.refuses(fit, frame) for fit in fits])
         given = np.where((probability > 0.0) & ~refused, 1.0 / (1.0 + odds_against), 0.0)
-        if known.tiles is not None:
-            given = probability_in_any_camera(fits, given, sharpness_of(fits, frame.psf_sigma_px), known.tiles)
+        if known.tiles is None:
+            return given
+        given = probability_in_any_camera(fits, given, sharpness_of(fits, frame.psf_sigma_px), known.tiles)
         return np.where(doubled(fits, given), 0.0, given)

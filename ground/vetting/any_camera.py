@@ -28,17 +28,23 @@ LEAST_PROBABILITY: Final = 1e-3
 """What the vetter finds less probable stays so: the other terms add 5 to the log odds at most."""
 
 CONSTANT: Final = -2.05
+"""Weights of the logistic regression follow, to 1,900 lines (72 trails) in 277 frames of 34 cameras, 19 of them with trails, and to
+255 lines (175 satellites) in 72 frames of six simulated skies. The trails of a camera count as four at most and its other lines as
+40, those of a sky as 24. This is the constant; one sigma over cameras drawn again is 0.9."""
 PER_LOG_ODDS: Final = 0.93
+"""Of the vetter's log odds; one sigma 0.1."""
 PER_WINS: Final = 1.21
+"""Of ln(pieces) (wins - 1/2); one sigma 0.5."""
 PER_PEAK: Final = 2.86
+"""Of the peak; one sigma 1.2."""
 PER_LN_WIDTHS: Final = 1.92
+"""Of ln(length / (`WIDTHS` widths)); one sigma 0.3."""
 PER_LN_READOUT: Final = -1.39
+"""Of ln(1 + odds of a line of the readout); one sigma 0.5."""
 PER_LN_SHARPER: Final = 5.7
+"""Of ln(width / that of the optics) where it is negative; one sigma 1.3."""
 PER_LN_WIDER: Final = -0.71
-"""Weights of the logistic regression, to the 1,900 lines (72 trails) of 215 pictures and frames of 34 cameras, 19 of them with
-trails, and to 255 lines (175 satellites) of 72 frames of six simulated skies. The trails of a camera count as four at most and its
-other lines as 40, those of a sky as 24. One sigma, over cameras drawn again: constant 0.9, log odds 0.1, wins 0.5, peak 1.2,
-widths 0.3, readout 0.5, sharper 1.3, wider 0.8."""
+"""Of the same where it is positive; one sigma 0.8."""
 
 
 def probability_in_any_camera(

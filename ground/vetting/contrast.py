@@ -29,15 +29,18 @@ FIRST_WIDTHS: Final = 3.0
 STEP_WIDTHS: Final = 2.0
 """From one to the next."""
 LEAST_STEP_PX: Final = 1.5
+"""Least distance from one to the next: nearer places share their pixels."""
 FEWEST_SIDES: Final = 5
 """Places beside a piece that must be known."""
 
 PIECE_WIDTHS: Final = 4.0
 """Least length of a piece in widths, which is more than the full width of a star (2.35)."""
 LEAST_PIECE_PX: Final = 6.0
+"""Least length of a piece. Chosen, not measured."""
 PIECE_SNR: Final = 4.0
 """S/N that a piece of an even trail has at least: the best of twelve places in white noise has 1.6."""
 MOST_PIECES: Final = 64
+"""Pieces of a line, at most: a budget of work."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

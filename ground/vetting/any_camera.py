@@ -28,9 +28,9 @@ LEAST_PROBABILITY: Final = 1e-3
 """What the vetter finds less probable stays so: the other terms add 5 to the log odds at most."""
 
 CONSTANT: Final = -2.05
-"""Weights of the logistic regression follow, to 1,900 lines (72 trails) in 277 frames of 34 cameras, 19 of them with trails, and to
-255 lines (175 satellites) in 72 frames of six simulated skies. The trails of a camera count as four at most and its other lines as
-40, those of a sky as 24. This is the constant; one sigma over cameras drawn again is 0.9."""
+"""Weights of the logistic regression follow, to 1,900 lines (72 trails) in 277 frames of 34 cameras, 19 of them with trails, and
+to 255 lines (175 satellites) in 72 frames of six simulated skies. The trails of a camera count as four at most and its other
+lines as 40, those of a sky as 24. This is the constant; one sigma over cameras drawn again is 0.9."""
 PER_LOG_ODDS: Final = 0.93
 """Of the vetter's log odds; one sigma 0.1."""
 PER_WINS: Final = 1.21

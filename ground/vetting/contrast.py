@@ -17,8 +17,8 @@ from sboc_e2e.icd.products import StreakFit
 
 TILE_PX: Final = 64
 """Side of the tiles in which counts around lines are kept."""
-MOST_TILES: Final = 256
-"""Tiles of a frame, 4 MB: the brightest lines first."""
+MOST_TILES: Final = 1024
+"""Tiles of a frame, 16 MB: the brightest lines first. A mosaic with 20 trails of 1,000 to 1,900 px takes most of them."""
 REACH_PX: Final = 28.0
 """What is kept to both sides of a line: six places beside a profile of 2 px. Of a wider one fewer are known."""
 
@@ -39,6 +39,8 @@ LEAST_PIECE_PX: Final = 6.0
 """Least length of a piece. Chosen, not measured."""
 PIECE_SNR: Final = 4.0
 """S/N that a piece of an even trail has at least: the best of twelve places in white noise has 1.6."""
+MOST_ALONG: Final = 64
+"""Samples along a piece, at most: a budget of work. Across it they are half a width apart, or a pixel."""
 MOST_PIECES: Final = 64
 """Pieces of a line, at most: a budget of work."""
 
@@ -113,11 +115,12 @@ class Contrast:
             return None
         most = min(length / max(PIECE_WIDTHS * width, LEAST_PIECE_PX), (fit.snr / PIECE_SNR) ** 2, MOST_PIECES)
         n = max(int(most), 1)
-        per_piece = max(int(length / n), 2)
+        per_piece = min(max(int(length / n), 2), MOST_ALONG)
         share = (np.arange(n * per_piece) + 0.5) / (n * per_piece)
         away = FIRST_WIDTHS * width + max(STEP_WIDTHS * width, LEAST_STEP_PX) * np.arange(SIDES)
         place = np.concatenate((-away[::-1], [0.0], away))
-        fine = np.arange(-math.ceil(2.0 * width), math.ceil(2.0 * width) + 1.0)
+        apart = max(1.0, width / 2.0)
+        fine = apart * np.arange(-math.ceil(2.0 * width / apart), math.ceil(2.0 * width / apart) + 1.0)
         core = np.exp(-0.5 * (fine / width) ** 2)
         bend = 4.0 * fit.sagitta_px * share * (1.0 - share)
         across = (place[:, None] + fine)[:, :, None] + bend

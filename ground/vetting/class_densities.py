@@ -31,39 +31,17 @@ FLAG_SHARES: Final = ("aligned", "failed")
 STATED_SHARES: Final[dict[str, dict[str, float]]] = {
     "static": {
         "real": 0.002, "noise": 0.002, "particle": 0.002, "hit_group": 0.002, "hot_line": 0.6, "star_chain": 0.4,
-        "recurring": 0.9, "structure": 0.002,
+        "recurring": 0.9,
     },
     "spike": {
         "real": 0.005, "noise": 0.005, "particle": 0.002, "hit_group": 0.002, "hot_line": 0.05, "star_chain": 0.2,
-        "recurring": 0.5, "structure": 0.005,
+        "recurring": 0.5,
     },
 }  # fmt: skip
 """Shares of flags that depend on other frames and stars, which single simulated detections do not have: stated, not measured."""
 
 RECURRING: Final = "recurring"
 """Class of artefacts that stay on their pixels or their star and have any shape: spikes, ghosts, glow. Stated, not simulated."""
-
-STRUCTURE: Final = "structure"
-"""Class of faint broad lines of sky and flat: shadows of dust, wings of stars in a row, slopes. See `STRUCTURE_SHARPNESS`."""
-
-STRUCTURE_SHARPNESS: Final = tuple((0.25, mean, 0.2) for mean in (0.7, 1.0, 1.3, 1.6))
-"""Any width from 1.6 to 6 times that of the stars alike (weight, mean and sigma of ln width). Of 409 lines of 25 px and more in
-60 raw frames of two telescopes that were no trails and did not run along rows or columns, 336 were more than 1.6 times as wide
-as stars, about as many from one ln width to the next up to 5.5 times; the other 73 were as wide as stars or narrower."""
-STRUCTURE_SNR: Final = (5.0, 50.0)
-"""Any S/N in between alike (in its logarithm). Of the same 336 lines 272 are. Brighter ones are judged by sides and look-alikes
-and by their evenness, and this class does not compete for them."""
-STRUCTURE_LENGTH_PX: Final = (25.0, 400.0)
-"""Any length in between alike (in its logarithm): 325 of the 336."""
-ELSEWHERE: Final = 1e-5
-"""Share of the density in each bin beyond: next to nothing, so that this class is silent there."""
-
-
-def _flat_between(borders: tuple[float, ...], low: float, high: float) -> NDArray[np.float64]:
-    """Histogram (len(borders) + 1,) of a logarithm that is uniform from ln low to ln high, `ELSEWHERE` in the bins beyond."""
-    edges = np.clip((-math.inf, *borders, math.inf), math.log(low), math.log(high))
-    share = np.maximum(np.diff(edges) / math.log(high / low), ELSEWHERE)
-    return np.asarray(share / share.sum(), dtype=np.float64)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -120,10 +98,4 @@ def class_densities() -> dict[str, ClassDensity]:
     }
     flat = {feature: np.full(len(borders) + 1, 1.0 / (len(borders) + 1)) for feature, borders in BINS.items()}
     table[RECURRING] = ClassDensity(sharpness=((1.0, 0.0, 0.7),), histograms=flat, shares={"aligned": 0.1, "failed": 0.1})
-    structure = {"ln_snr": STRUCTURE_SNR, "ln_length": STRUCTURE_LENGTH_PX}
-    table[STRUCTURE] = ClassDensity(
-        sharpness=STRUCTURE_SHARPNESS,
-        histograms=flat | {feature: _flat_between(BINS[feature], *limits) for feature, limits in structure.items()},
-        shares={"aligned": 0.1, "failed": 0.1},
-    )
     return table

@@ -13,8 +13,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.vetting.class_densities import REAL, RECURRING, STRUCTURE, class_densities, log_odds_calibration
-from ground.vetting.features import Features, features_of, is_aligned, lumpiness_of
+from ground.vetting.class_densities import REAL, RECURRING, class_densities, log_odds_calibration
+from ground.vetting.features import Features, features_of, is_aligned
 from ground.vetting.readout import odds_of_readout
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import StreakFlag
@@ -57,23 +57,8 @@ LN_BRIGHTEST_SNR_UNKNOWN: Final = math.log(300.0)
 """The class densities cover debris up to some S/N. Other telescopes see satellites; brighter trails count as this bright. If the
 PSF is unknown, the S/N is the main feature that separates bright trails from slopes."""
 
-LOOK_ALIKE: Final = (0.7, 0.7)
-"""Sigma of ln S/N and ln length within which detections of a frame are of one kind."""
-
-LOOK_ALIKE_OVER_FLAT: Final = math.log(800.0 / 5.0) * math.log(400.0 / 1.7) / (2.0 * math.pi * math.prod(LOOK_ALIKE))
-"""Peak of that Gaussian over the flat density, which reaches over the borders of the histograms."""
-
-UNMODELLED_PER_FRAME: Final = 0.2
-"""Expected trails of a kind not modelled: chosen, not measured; it matters only where `LN_UNMODELLED` competes."""
-LEAST_UNMODELLED_SNR: Final = 50.0
+LEAST_LIGHT_SNR: Final = 50.0
 """So bright that noise and chance do not make it; chosen, not measured."""
-LEAST_UNMODELLED_WIDTHS: Final = 40.0
-"""So long that no blend of stars or galaxy is; chosen, not measured."""
-LEAST_EDGE_TO_EDGE_WIDTHS: Final = 12.0
-"""Least length in widths of a trail from border to border, whose whole length is not in the frame."""
-LEAST_UNMODELLED_PIECE_SNR: Final = 15.0
-"""S/N of each piece as long as the trail is wide, against the residuals that the fit itself leaves: rows of stars and slopes of
-the background are lines of high S/N as a whole, and leave larger residuals."""
 UNBROKEN_BINS: Final = 8
 """Bins of a light curve from which on a line that is lit in all of them is a trail as well, whatever stars beside it leave to the
 residuals. Chosen, not measured."""
@@ -81,8 +66,6 @@ UNBROKEN_SHARE: Final = 0.3
 """Least light of each of them, as a share of the median one: a row of stars or galaxies has gaps. Chosen, not measured."""
 DIMMED_BINS: Final = 0.05
 """Share of them that may have less: what was taken out beside bright stars dims a few of 200. Chosen, not measured."""
-LEAST_UNMODELLED_SHARPNESS: Final = -0.25
-"""Of ln width: what is a fifth narrower than the optics is a particle or a column. Chosen, not measured."""
 LONGEST_PARTICLE_PX: Final = 400.0
 """Of tracks through a detector of d pixels' thickness a share of d^2 / (d^2 + L^2) is longer than L, for particles from all
 sides: 0.2 % here for 250 um and pixels of 15 um. A longer line that is lit all along it is light, and the optics are as sharp as
@@ -90,21 +73,6 @@ that."""
 LEAST_READOUT_ODDS: Final = 0.01
 """Odds of `odds_of_readout` below which a line that runs along rows or columns drifts across them, as columns do not. Four
 satellites 0.1 to 0.4 deg from the columns, 807 px long, were refused for their direction alone. Chosen, not measured."""
-LN_WIDE: Final = math.log(3.0)
-"""Ln width over the PSF from which on such a trail must be straight: arcs of stray light are wide and bend by more than their
-width. Defocused trails do not bend, and what an all-sky lens bends is as narrow as its stars. Made in view of one frame."""
-LN_UNMODELLED: Final = -7.5
-"""Trails of a kind not modelled: as bright and as many widths long, no sharper than the optics. Inside these limits any width,
-texture, length and S/N are as likely as others; the density is of the four histograms together: 4 of 14 bins of S/N, 4 of 11
-of length, all of chi-square and 4 of 9 of lumpiness."""
-
-LUMPIEST: Final = 0.7
-"""Largest lumpiness of such a trail: rows of stars have more. Chosen, not measured."""
-EDGE_TO_EDGE: Final = StreakFlag.EDGE0 | StreakFlag.EDGE1
-
-NEVER: Final = -1e3
-"""Log density of what is excluded: exp(-1000) is 0, and no infinity enters differences."""
-
 LEAST_ELONGATION: Final = 4.0 * 2.355
 """Least ratio of length to width (sigma) at which a trail differs from blended stars or a galaxy if no star shows the PSF."""
 
@@ -125,27 +93,6 @@ def posterior_of_classes(
         share /= share.sum(axis=1, keepdims=True)
         rate = (rate_per_frame * frames_worth + share.sum(axis=0)) / (frames_worth + 1.0)
     return share
-
-
-def with_recurring_here(
-    log_density: NDArray[np.float64], features: Sequence[Features], classes: Sequence[str], rates: NDArray[np.float64]
-) -> NDArray[np.float64]:
-    """Class densities in which the density of recurring artefacts follows the similar detections of the frame.
-
-    Artefacts that a frame shows repeatedly (dust rings, warm columns) are evidence against detections of the same length and
-    brightness, and not against a line ten times as long. The flat density has the weight of one frame. Each member adds a
-    Gaussian of `LOOK_ALIKE` about itself, and does not count for itself.
-    """
-    column = list(classes).index(RECURRING)
-    share = posterior_of_classes(log_density, rates, np.ones(len(rates)))[:, column]
-    place = np.array([(f.ln_snr, f.ln_length) for f in features]) / LOOK_ALIKE
-    alike = np.exp(-0.5 * np.sum((place[:, None] - place[None]) ** 2, axis=-1))
-    np.fill_diagonal(alike, 0.0)
-    here = alike @ share / max(float(share.sum()), 1.0)
-    flat = 1.0 / (1.0 + share.sum())
-    out = log_density.copy()
-    out[:, column] += np.log(flat + (1.0 - flat) * LOOK_ALIKE_OVER_FLAT * here)
-    return out
 
 
 def _beyond_knowledge(fit: StreakFit, frame: DownlinkFrame) -> bool:
@@ -179,7 +126,7 @@ def sharpest_light_px(fits: Sequence[StreakFit]) -> float:
         fit.width_px
         for fit, odds in zip(fits, odds_of_readout(fits), strict=True)
         if fit.length_px >= LONGEST_PARTICLE_PX
-        and fit.snr >= LEAST_UNMODELLED_SNR
+        and fit.snr >= LEAST_LIGHT_SNR
         and not fit.flags & (StreakFlag.FIT_FAILED | StreakFlag.STATIC)
         and not (is_aligned(fit.angle_deg) and odds >= LEAST_READOUT_ODDS)
         and _is_unbroken(fit)
@@ -187,20 +134,17 @@ def sharpest_light_px(fits: Sequence[StreakFit]) -> float:
     return float(np.median(widths)) if widths else math.inf
 
 
-def _of_unmodelled_kind(fit: StreakFit, features: Features) -> bool:
-    """Whether a fit is a bright straight line that is too long for its width to be anything but a trail, though none was
-    simulated. Its light must be even: slopes of the sky change smoothly too."""
-    crosses = fit.flags & EDGE_TO_EDGE == EDGE_TO_EDGE
-    pieces = fit.length_px / max(fit.width_px, 1.0)
-    return (
-        not (features.failed or features.aligned or features.static or features.spike)
-        and fit.snr >= LEAST_UNMODELLED_SNR
-        and (_is_unbroken(fit) or _snr_over_residuals(fit) >= LEAST_UNMODELLED_PIECE_SNR * math.sqrt(pieces))
-        and fit.length_px >= (LEAST_EDGE_TO_EDGE_WIDTHS if crosses else LEAST_UNMODELLED_WIDTHS) * fit.width_px
-        and features.sharpness >= LEAST_UNMODELLED_SHARPNESS
-        and not (features.sharpness > LN_WIDE and abs(fit.sagitta_px) > fit.width_px)
-        and not lumpiness_of(fit, may_vary=False) > LUMPIEST
-    )
+def sharpness_of(fits: Sequence[StreakFit], psf_sigma_px: float | None) -> list[float]:
+    """Ln of the width of each fit over that of the optics (pixel included); NaN where it failed, or nothing tells the optics.
+
+    psf_sigma_px : of the frame's stars, None where they do not tell.
+    """
+    optics = [fit.psf_sigma_px if math.isfinite(fit.psf_sigma_px) else psf_sigma_px for fit in fits]
+    sharpest = sharpest_light_px(fits)
+    known = [min(math.inf if psf_sigma_px is None else float(width or math.inf), sharpest) for width in optics]
+    return [
+        features_of(fit, width).sharpness if math.isfinite(width) else math.nan for fit, width in zip(fits, known, strict=True)
+    ]
 
 
 def _blob(fit: StreakFit, psf_sigma_px: float, *, unknown: bool) -> bool:
@@ -220,10 +164,6 @@ STAR_CHAIN_PER_FRAME: Final = 0.05
 
 RECURRING_PER_FRAME: Final = 0.01
 """Expected spikes, ghosts and glow per frame."""
-
-STRUCTURE_PER_FRAME: Final = 1.0
-"""Expected faint broad lines of the sky and the flat in a frame that nobody calibrated. Measured: 17 a frame of a 1.1 m
-telescope with steep vignetting, 1.0 and 1.25 of a 14-inch telescope with two sets of exposures (`STRUCTURE_SHARPNESS`)."""
 
 NOISE_FRAME_PX: Final = 4096.0 * 4096.0
 """Pixels of the frame that `noise_per_frame` is stated for. Noise maxima go with the area: in white noise of 256 to 2048 px a
@@ -285,12 +225,11 @@ class LikelihoodVetter:
             features = [
                 replace(each, spike=False, aligned=each.aligned and bool(on)) for each, on in zip(features, exact, strict=True)
             ]
-        strange = np.array([self.model_error > 0.0 and _of_unmodelled_kind(*pair) for pair in zip(fits, features, strict=True)])
         if unknown or self.model_error > 0.0:
             brightest = LN_BRIGHTEST_SNR_UNKNOWN if unknown else LN_BRIGHTEST_SNR
             features = [replace(each, ln_snr=min(each.ln_snr, brightest)) for each in features]
         area = frame.header.rows * frame.header.cols / NOISE_FRAME_PX if self.model_error > 0.0 else 1.0
-        log_odds = self.log_odds(features, strange, psf_known=not unknown, area=area)
+        log_odds = self.log_odds(features, area=area)
         probability = 1.0 / (1.0 + np.exp(-(offset + slope * log_odds)))
         if self.model_error > 0.0:
             probability = probability / (1.0 + probability * odds_of_readout(fits))
@@ -309,14 +248,13 @@ class LikelihoodVetter:
             return True
         return uncalibrated and _blob(fit, psf_sigma_px, unknown=unknown)
 
-    def class_rates(self, *, psf_known: bool = True, area: float = 1.0) -> dict[str, tuple[float, float]]:
+    def class_rates(self, *, area: float = 1.0) -> dict[str, tuple[float, float]]:
         """For each class: expected detections per frame, and the weight of this expectation in frames.
 
-        psf_known : what is broad is told where stars or a camera tell the PSF.
         area : of the frame, over that which the rate of noise maxima is stated for: frames that nobody calibrated come in all
             sizes. What is known of this rate is worth the same area in frames of any size.
         """
-        rates = {
+        return {
             REAL: (self.real_per_frame, STEADY_FRAMES),
             "noise": (self.noise_per_frame * area, STEADY_FRAMES / area),
             "particle": (PARTICLE_PER_FRAME, 1.0),
@@ -325,33 +263,16 @@ class LikelihoodVetter:
             "star_chain": (STAR_CHAIN_PER_FRAME, 1.0),
             RECURRING: (RECURRING_PER_FRAME, 1.0),
         }
-        return rates | {STRUCTURE: (STRUCTURE_PER_FRAME, 1.0)} if self.model_error > 0.0 and psf_known else rates
 
-    def log_odds(
-        self,
-        features: Sequence[Features],
-        strange: NDArray[np.bool_] | None = None,
-        *,
-        psf_known: bool = True,
-        area: float = 1.0,
-    ) -> NDArray[np.float64]:
+    def log_odds(self, features: Sequence[Features], *, area: float = 1.0) -> NDArray[np.float64]:
         """ln P(real) / P(not real), shape (n,), of the detections of one frame, features taken as independent.
 
-        strange : (n,) fits that may be trails of a kind that is not modelled. psf_known, area : as for `class_rates`.
+        area : as for `class_rates`.
         """
-        densities, classes = class_densities(), self.class_rates(psf_known=psf_known, area=area)
+        densities, classes = class_densities(), self.class_rates(area=area)
         log_density = np.array([[densities[name].log_density(name, f) for name in classes] for f in features])
         rate, worth = (np.array(column) for column in zip(*classes.values(), strict=True))
         real = np.array([name == REAL for name in classes])
-        if self.model_error > 0.0:  # frames that nobody calibrated
-            if strange is not None:
-                # what recurs is short, broad or along the readout: a train of satellites is neither
-                narrow = strange & np.array([each.sharpness <= LN_WIDE for each in features])
-                log_density[narrow, list(classes).index(RECURRING)] = NEVER
-            log_density = with_recurring_here(log_density, features, list(classes), rate)
-        if strange is not None and strange.any():
-            log_density = np.column_stack((log_density, np.where(strange, LN_UNMODELLED, NEVER)))
-            rate, worth, real = np.append(rate, UNMODELLED_PER_FRAME), np.append(worth, STEADY_FRAMES), np.append(real, True)
         share = posterior_of_classes(log_density, rate, worth)
         yes, no = share[:, real].sum(axis=1), share[:, ~real].sum(axis=1)
         return np.asarray(np.log(np.maximum(yes, 1e-12)) - np.log(np.maximum(no, 1e-12)), dtype=np.float64)

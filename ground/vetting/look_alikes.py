@@ -16,7 +16,11 @@ from numpy.typing import NDArray
 from ground.guard import guarded, probabilities_of
 from ground.streaks.centre_line import effective_width_px
 from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
+from ground.vetting.any_camera import probability_in_any_camera
+from ground.vetting.contrast import Tiles
 from ground.vetting.features import LEAST_BINS
+from ground.vetting.likelihood import sharpness_of
+from ground.vetting.repeated import doubled
 from ground.vetting.rim import ImageCircle
 from ground.vetting.sides import SkyMap
 from ground.vetting.spikes import BrightStars
@@ -146,6 +150,7 @@ class OwnEvidence:
     field : the listed stars and the counts around short lines; None: rows of stars are not judged.
     bright : the listed stars with their places; None: spikes are not judged.
     circle : of a lens that does not fill the frame; None: it does, or is not known.
+    tiles : counts around the lines; None: the lines are not held against their neighbourhood.
     """
 
     look_alikes: NDArray[np.float64]
@@ -157,6 +162,7 @@ class OwnEvidence:
     field: StarField | None = None
     bright: BrightStars | None = None
     circle: ImageCircle | None = None
+    tiles: Tiles | None = None
 
     def refuses(self, fit: StreakFit, frame: DownlinkFrame) -> bool:
         """Whether a fit may be a star, a slope or an edge of the sky, runs along a rim, or lies where no pixel saw the sky."""
@@ -204,4 +210,8 @@ class LookAlikeVetter:
             against = against + np.array([known.bright.against(fit) for fit in fits])
         odds_against = (1.0 - probability) / np.maximum(probability, LEAST) + against
         refused = np.array([known.refuses(fit, frame) for fit in fits])
-        return np.where((probability > 0.0) & ~refused, 1.0 / (1.0 + odds_against), 0.0)
+        given = np.where((probability > 0.0) & ~refused, 1.0 / (1.0 + odds_against), 0.0)
+        if known.tiles is None:
+            return given
+        given = probability_in_any_camera(fits, given, sharpness_of(fits, frame.psf_sigma_px), known.tiles)
+        return np.where(doubled(fits, given), 0.0, given)

@@ -13,6 +13,11 @@ SAME_TRAIL_WIDTHS: Final = 3.0
 SUPPORTS_ABOVE: Final = 0.1
 """Least probability of the brighter fit for which a fit in its light counts as the same trail."""
 
+PUBLISHED: Final = 0.5
+"""Least probability of what is published without other frames: the default of `ground.veto_unlinked_below`."""
+DOUBLED_SHARE: Final = 0.5
+"""Share of a fit's length that a longer one covers from which on both are one trail. Chosen, not measured."""
+
 
 def repeated(fits: Sequence[StreakFit], probability: NDArray[np.float64]) -> NDArray[np.bool_]:
     """(n,) which fits lie in the light of a brighter probable one: its flanks, or its whole length, found once more."""
@@ -25,6 +30,27 @@ def repeated(fits: Sequence[StreakFit], probability: NDArray[np.float64]) -> NDA
         for j in order[place + 1 :]:
             out[j] |= _inside(fits[j], fits[i], reach)
     return out
+
+
+def doubled(fits: Sequence[StreakFit], probability: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """(n,) which fits lie for half their length or more along a longer one on the same line, both being published."""
+    out = np.zeros(len(fits), dtype=np.bool_)
+    order = [k for k in sorted(range(len(fits)), key=lambda k: -fits[k].length_px) if probability[k] >= PUBLISHED]
+    for place, i in enumerate(order):
+        if not out[i]:
+            for j in order[place + 1 :]:
+                out[j] |= _overlaps(fits[j], fits[i])
+    return out
+
+
+def _overlaps(fit: StreakFit, trail: StreakFit) -> bool:
+    """Whether a fit lies on the line of a longer one and shares half its own length with it."""
+    drow, dcol = (trail.row1 - trail.row0) / trail.length_px, (trail.col1 - trail.col0) / trail.length_px
+    row, col = np.array([fit.row0, fit.row1]) - trail.row0, np.array([fit.col0, fit.col1]) - trail.col0
+    along, across = row * drow + col * dcol, row * dcol - col * drow
+    reach = SAME_TRAIL_WIDTHS * max(fit.width_px, trail.width_px, 1.0) + abs(trail.sagitta_px) + abs(fit.sagitta_px)
+    shared = min(along.max(), trail.length_px) - max(along.min(), 0.0)
+    return bool(np.abs(across).max() <= reach and shared >= DOUBLED_SHARE * fit.length_px)
 
 
 def _inside(fit: StreakFit, trail: StreakFit, reach: float) -> bool:

@@ -13,6 +13,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.vetting.contrast import Tiles
 from ground.vetting.look_alikes import STAR_APART_PX, STAR_APART_SHARE, OwnEvidence, is_aligned
 from ground.vetting.readout import is_of_readout
 from ground.vetting.sides import SkyMap
@@ -266,6 +267,11 @@ class Sky:
         bright = BrightStars.of(listed.row, listed.col, listed.flux_e, area_px2)
         return StarField(flux_e=bright.flux_e, area_px2=area_px2, crops=tuple(self._crops(found))), bright
 
+    def tiles(self, found: Sequence[Detection]) -> Tiles:
+        """Counts around the lines of the frame, the brightest first."""
+        lines = [(line.row0, line.col0, line.row1, line.col1) for line in sorted(found, key=lambda each: -each.snr)]
+        return Tiles.of(self.counts, self.mask, lines, float(self.adu_scale))
+
     def _crops(self, found: Sequence[Detection]) -> Iterator[Crop]:
         """Counts around lines of the frame, short ones first and the brightest of them, as far as `MOST_PIXELS` goes.
 
@@ -319,6 +325,7 @@ class CountingChain(OnboardChain):
                 sky=seen.map if seen else None,
                 field=field,
                 bright=bright,
+                tiles=seen.tiles(found) if seen else None,
             )
         return after, result
 

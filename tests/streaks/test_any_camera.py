@@ -1,0 +1,109 @@
+"""Lines of frames from outside against their own neighbourhood, and the weights that were fitted across cameras."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ground.streaks import TrailedPsfFitter
+from ground.vetting.any_camera import probability_in_any_camera
+from ground.vetting.contrast import TILE_PX, Contrast, Tiles
+from ground.vetting.repeated import doubled
+from sboc_e2e.icd.products import StreakFit
+from tests.streaks.impostors import draw
+
+SIDE_PX = 200
+ENDS = (40.0, 30.0, 120.0, 170.0)
+"""First and last row and column of the line of these tests."""
+
+
+@pytest.fixture(scope="module")
+def line() -> StreakFit:
+    """A fit along `ENDS`, 1.2 px wide at S/N 60."""
+    shot = draw("real", np.random.default_rng(5))
+    found = TrailedPsfFitter().fit(shot.pixels, shot.detection)
+    return replace(
+        found, row0=ENDS[0], col0=ENDS[1], row1=ENDS[2], col1=ENDS[3], width_px=1.2, snr=60.0, sagitta_px=0.0, chi2_nu=1.0
+    )
+
+
+def sky(seed: int) -> np.ndarray:
+    """White noise of one count."""
+    return np.random.default_rng(seed).normal(100.0, 1.0, (SIDE_PX, SIDE_PX)).astype(np.float32)
+
+
+def trail(shares: np.ndarray, peak: float) -> np.ndarray:
+    """Light of stars of 1.2 px at shares of the way along `ENDS`, as high as a trail of this peak where they lie densely."""
+    row, col = np.mgrid[:SIDE_PX, :SIDE_PX]
+    out = np.zeros((SIDE_PX, SIDE_PX), np.float32)
+    for share in shares:
+        r, c = ENDS[0] + share * (ENDS[2] - ENDS[0]), ENDS[1] + share * (ENDS[3] - ENDS[1])
+        out += np.exp(-0.5 * ((row - r) ** 2 + (col - c) ** 2) / 1.2**2).astype(np.float32)
+    return peak * out / out.max()
+
+
+def tiles(pixels: np.ndarray, mask: np.ndarray | None = None) -> Tiles:
+    """The tiles of an image along the line."""
+    unknown = np.zeros(pixels.shape, np.uint8) if mask is None else mask
+    return Tiles.of(pixels, unknown, [(ENDS[0], ENDS[1], ENDS[2], ENDS[3])])
+
+
+def test_a_trail_wins_in_all_its_pieces_and_a_row_of_stars_or_noise_in_some(line: StreakFit) -> None:
+    even = Contrast.of(line, tiles(sky(1) + trail(np.linspace(0.0, 1.0, 400), 8.0)))
+    assert even is not None
+    assert even.pieces >= 20
+    assert even.wins > 0.95
+    assert even.peak > 0.6
+    row = Contrast.of(line, tiles(sky(1) + trail(np.array([0.1, 0.4, 0.7, 0.95]), 40.0)))
+    assert row is not None
+    assert row.wins < 0.6
+    noise = Contrast.of(line, tiles(sky(1)))
+    assert noise is not None
+    assert noise.wins < 0.4
+    assert noise.peak < 0.0
+
+
+def test_the_edge_of_a_bright_area_does_not_win(line: StreakFit) -> None:
+    row, col = np.mgrid[:SIDE_PX, :SIDE_PX]
+    above = (row - ENDS[0]) * (ENDS[3] - ENDS[1]) > (col - ENDS[1]) * (ENDS[2] - ENDS[0])
+    edge = Contrast.of(line, tiles(sky(2) + 50.0 * above.astype(np.float32)))
+    assert edge is not None
+    assert edge.wins == 0.0
+
+
+def test_masked_pixels_and_places_outside_say_nothing(line: StreakFit) -> None:
+    lit = sky(3) + trail(np.linspace(0.0, 1.0, 400), 8.0)
+    assert Contrast.of(line, tiles(lit, np.ones(lit.shape, np.uint8))) is None
+    half = np.zeros(lit.shape, np.uint8)
+    half[:, 100:] = 1
+    part, whole = Contrast.of(line, tiles(lit, half)), Contrast.of(line, tiles(lit))
+    assert part is not None
+    assert whole is not None
+    assert part.pieces < 0.6 * whole.pieces
+    assert Contrast.of(replace(line, row0=-90.0, row1=-10.0), tiles(lit)) is None
+
+
+def test_tiles_hold_the_pixels_around_lines_alone() -> None:
+    pixels = np.arange(300 * 300, dtype=np.float32).reshape(300, 300)
+    kept = Tiles.of(pixels, np.zeros(pixels.shape, np.uint8), [(10.0, 10.0, 20.0, 20.0)], 2.0)
+    assert kept.at(np.array([12.3]), np.array([15.6]))[0] == 2.0 * pixels[12, 16]
+    assert np.isnan(kept.at(np.array([290.0, -50.0]), np.array([290.0, 5.0]))).all()
+    assert len(kept.adu) == 1
+    assert kept.adu.shape[1:] == (TILE_PX, TILE_PX)
+
+
+def test_contrast_lifts_what_a_vetter_doubts_and_lowers_what_has_none(line: StreakFit) -> None:
+    lit = tiles(sky(4) + trail(np.linspace(0.0, 1.0, 400), 8.0))
+    doubted = probability_in_any_camera([line], np.array([0.2]), [0.0], lit)[0]
+    assert doubted > 0.9
+    assert probability_in_any_camera([line], np.array([0.2]), [-0.7], lit)[0] < 0.5, "sharper than the optics"
+    assert probability_in_any_camera([line], np.array([0.6]), [0.0], tiles(sky(4)))[0] < 0.1
+    assert probability_in_any_camera([line], np.array([0.0]), [0.0], lit)[0] == 0.0, "what was refused stays so"
+
+
+def test_of_two_published_fits_that_share_half_their_length_the_longer_stays(line: StreakFit) -> None:
+    """A fireball, 1,730 px long: the second fit began 158 px later and ended 11 px farther on, beyond the first one's reach."""
+    part = replace(line, row0=80.0, col0=100.0, row1=128.0, col1=184.0, snr=2.0 * line.snr)
+    follows = replace(line, row0=112.0, col0=156.0, row1=168.0, col1=254.0)
+    assert doubled([part, line, follows], np.ones(3)).tolist() == [True, False, False]
+    assert not doubled([part, line], np.array([1.0, 0.4])).any(), "the longer one is not published"

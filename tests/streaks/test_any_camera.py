@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from ground.streaks import TrailedPsfFitter
+from ground.vetting import any_camera
 from ground.vetting.any_camera import probability_in_any_camera
 from ground.vetting.contrast import TILE_PX, Contrast, Tiles
 from ground.vetting.repeated import doubled
 from sboc_e2e.icd.products import StreakFit
+from tests.benchmarks.any_camera_weights import TERMS, Judged, Lines, fitted, judged, out_of_camera
 from tests.streaks.impostors import draw
 
 SIDE_PX = 200
@@ -107,3 +109,16 @@ def test_of_two_published_fits_that_share_half_their_length_the_longer_stays(lin
     follows = replace(line, row0=112.0, col0=156.0, row1=168.0, col1=254.0)
     assert doubled([part, line, follows], np.ones(3)).tolist() == [True, False, False]
     assert not doubled([part, line], np.array([1.0, 0.4])).any(), "the longer one is not published"
+
+
+def test_the_weights_are_those_of_the_table_of_lines() -> None:
+    lines = Lines.of()
+    weights = fitted(lines, np.ones(len(lines.real), dtype=bool))
+    for name, value in zip((*TERMS, "CONSTANT"), weights, strict=True):
+        assert getattr(any_camera, name) == pytest.approx(value, abs=0.05 if abs(value) > 5.0 else 0.006), name
+
+
+def test_cameras_judged_by_the_others_publish_as_the_page_says() -> None:
+    lines = Lines.of()
+    found = judged(lines, out_of_camera(lines), simulated=False)
+    assert found == Judged(trails=76, published=62, false=1, sure=67, sure_false=0)

@@ -45,7 +45,7 @@ window of seven has four where the seed is in the last."""
 AGAIN: Final = 1
 """Place in the window where seeds that fell short are followed again: five later frames are there then, not three."""
 
-OWN_LOSS: Final = 0.2
+OWN_LOSS: Final = 0.3
 """Less S/N that a seed may have in its own frame when it is looked at there, at half resolution and on other ends."""
 
 LOOK_PER_PX: Final = 110.0
@@ -118,7 +118,7 @@ class JointTracker:
         default=0.02, metadata={"doc": "false tracks per frame that noise may make", "min": 1e-9, "max": 10.0}
     )
     first_margin: float = field(
-        default=2.4, metadata={"doc": "S/N by which the first look may fall short", "min": 0.0, "max": 10.0}
+        default=2.6, metadata={"doc": "S/N by which the first look may fall short", "min": 0.0, "max": 10.0}
     )
 
     @property

@@ -23,7 +23,8 @@ class SameLight:
     """Pairs of streaks (rows of a table) in one frame that lie on each other, one of them at least of an on-board track."""
 
     def __init__(self, table: StreakTable) -> None:
-        self._pairs = np.concatenate([np.zeros((0, 2), dtype=np.int64), *(_pairs(table, f) for f in _tracked_frames(table))])
+        tracked = np.unique(table.frame[table.track >= 0])
+        self._pairs = np.concatenate([np.zeros((0, 2), dtype=np.int64), *(_pairs(table, f) for f in tracked)])
 
     def with_twins(self, streaks: NDArray[np.int64]) -> NDArray[np.int64]:
         """These streaks, and all that are the same light."""
@@ -31,26 +32,16 @@ class SameLight:
         return np.union1d(streaks, twins)
 
 
-def _tracked_frames(table: StreakTable) -> NDArray[np.int64]:
-    return np.unique(table.frame[table.track >= 0])
-
-
 def _pairs(table: StreakTable, frame: int) -> NDArray[np.int64]:
     """The pairs (n, 2) of a frame, in both orders."""
     low, high = np.searchsorted(table.frame, [frame, frame + 1])
     ends = np.stack([table.row[low:high, [0, 2]], table.col[low:high, [0, 2]]], axis=-1)
     tracked = np.flatnonzero(table.track[low:high] >= 0)
-    own, others = _shares(ends[tracked], ends)
-    same = (own >= COMMON_SHARE) & (others >= COMMON_SHARE)
+    same = (_covered(ends[tracked], ends) >= COMMON_SHARE) & (_covered(ends, ends[tracked]).T >= COMMON_SHARE)
     same[np.arange(len(tracked)), tracked] = False
     k, j = np.nonzero(same)
     one, other = low + tracked[k], low + j
     return np.unique(np.concatenate([np.column_stack([one, other]), np.column_stack([other, one])]), axis=0)
-
-
-def _shares(some: NDArray[np.float64], ends: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Shares of trails (m, 2, 2) that lie in others (n, 2, 2), and of those in the first; (m, n) both."""
-    return _covered(some, ends), _covered(ends, some).T
 
 
 def _covered(trails: NDArray[np.float64], by: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from ground.streaks.centre_line import effective_width_px
 from ground.vetting.contrast import Contrast, Tiles
@@ -45,6 +45,8 @@ PER_LN_SHARPER: Final = 5.7
 """Of ln(width / that of the optics) where it is negative; one sigma 1.3."""
 PER_LN_WIDER: Final = -0.71
 """Of the same where it is positive; one sigma 0.8."""
+PER_TERM: Final = (PER_LOG_ODDS, PER_WINS, PER_PEAK, PER_LN_WIDTHS, PER_LN_READOUT, PER_LN_SHARPER, PER_LN_WIDER)
+"""In the order of `terms_of`."""
 
 
 def probability_in_any_camera(
@@ -60,21 +62,25 @@ def probability_in_any_camera(
         contrast = Contrast.of(fits[k], tiles)
         if contrast is not None:
             own = math.log(probability[k] / max(1.0 - probability[k], 1e-9))
-            out[k] = 1.0 / (1.0 + math.exp(-_log_odds(fits[k], own, float(readout[k]), sharpness[k], contrast)))
+            widths = fits[k].length_px / effective_width_px(fits[k].width_px)
+            told = sharpness[k] if math.isfinite(sharpness[k]) else 0.0
+            terms = terms_of(own, contrast.pieces, contrast.wins, contrast.peak, widths, readout[k], told)
+            out[k] = 1.0 / (1.0 + math.exp(-(CONSTANT + float(terms[0] @ PER_TERM))))
     return out
 
 
-def _log_odds(fit: StreakFit, own: float, ln_readout: float, sharpness: float, contrast: Contrast) -> float:
-    """Log odds of a line. own : the vetter's. ln_readout : of one plus the odds of a line of the readout."""
-    widths = min(fit.length_px / effective_width_px(fit.width_px), LONGEST_WIDTHS)
-    told = sharpness if math.isfinite(sharpness) else 0.0
-    return (
-        CONSTANT
-        + PER_LOG_ODDS * min(max(own, -LARGEST), LARGEST)
-        + PER_WINS * math.log(contrast.pieces) * (contrast.wins - 0.5)
-        + PER_PEAK * contrast.peak
-        + PER_LN_WIDTHS * math.log(widths / WIDTHS)
-        + PER_LN_READOUT * ln_readout
-        + PER_LN_SHARPER * min(told, 0.0)
-        + PER_LN_WIDER * max(told, 0.0)
-    )
+def terms_of(
+    own: ArrayLike, pieces: ArrayLike, wins: ArrayLike, peak: ArrayLike, widths: ArrayLike, ln_readout: ArrayLike,
+    ln_sharpness: ArrayLike,
+) -> NDArray[np.float64]:  # fmt: skip
+    """Terms (n, 7) of the log odds of lines, in the order of `PER_TERM`.
+
+    own : log odds of the vetter. pieces, wins, peak : see `Contrast`. widths : length over width. ln_readout : of one plus the
+    odds of a line of the readout. ln_sharpness : ln of the width over that of the optics, 0 where nothing tells these.
+    """
+    columns = (
+        np.clip(own, -LARGEST, LARGEST), np.log(pieces) * (np.asarray(wins) - 0.5), peak,
+        np.log(np.minimum(widths, LONGEST_WIDTHS) / WIDTHS), ln_readout, np.minimum(ln_sharpness, 0.0),
+        np.maximum(ln_sharpness, 0.0),
+    )  # fmt: skip
+    return np.column_stack([np.atleast_1d(np.asarray(column, dtype=np.float64)) for column in columns])

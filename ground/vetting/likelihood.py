@@ -60,8 +60,7 @@ PSF is unknown, the S/N is the main feature that separates bright trails from sl
 LEAST_LIGHT_SNR: Final = 50.0
 """So bright that noise and chance do not make it; chosen, not measured."""
 UNBROKEN_BINS: Final = 8
-"""Bins of a light curve from which on a line that is lit in all of them is a trail as well, whatever stars beside it leave to the
-residuals. Chosen, not measured."""
+"""Bins of a light curve from which on it tells whether a line is lit all along. Chosen, not measured."""
 UNBROKEN_SHARE: Final = 0.3
 """Least light of each of them, as a share of the median one: a row of stars or galaxies has gaps. Chosen, not measured."""
 DIMMED_BINS: Final = 0.05
@@ -221,7 +220,8 @@ class LikelihoodVetter:
         ]
         if self.model_error > 0.0:
             # on board a full trail is a row of full stars, which it aims at; here `spikes` asks for a star that outshines it
-            exact = odds_of_readout(fits) >= LEAST_READOUT_ODDS
+            readout = odds_of_readout(fits)
+            exact = readout >= LEAST_READOUT_ODDS
             features = [
                 replace(each, spike=False, aligned=each.aligned and bool(on)) for each, on in zip(features, exact, strict=True)
             ]
@@ -232,7 +232,7 @@ class LikelihoodVetter:
         log_odds = self.log_odds(features, area=area)
         probability = 1.0 / (1.0 + np.exp(-(offset + slope * log_odds)))
         if self.model_error > 0.0:
-            probability = probability / (1.0 + probability * odds_of_readout(fits))
+            probability = probability / (1.0 + probability * readout)
         refused = [self._refused(fit, frame, psf_sigma_px, unknown=unknown) for fit in fits]
         return np.asarray(np.where(refused, 0.0, probability), dtype=np.float64)
 

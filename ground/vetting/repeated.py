@@ -45,9 +45,7 @@ def doubled(fits: Sequence[StreakFit], probability: NDArray[np.float64]) -> NDAr
 
 def _overlaps(fit: StreakFit, trail: StreakFit) -> bool:
     """Whether a fit lies on the line of a longer one and shares half its own length with it."""
-    drow, dcol = (trail.row1 - trail.row0) / trail.length_px, (trail.col1 - trail.col0) / trail.length_px
-    row, col = np.array([fit.row0, fit.row1]) - trail.row0, np.array([fit.col0, fit.col1]) - trail.col0
-    along, across = row * drow + col * dcol, row * dcol - col * drow
+    along, across = _ends_on(trail, fit)
     reach = SAME_TRAIL_WIDTHS * max(fit.width_px, trail.width_px, 1.0) + abs(trail.sagitta_px) + abs(fit.sagitta_px)
     shared = min(along.max(), trail.length_px) - max(along.min(), 0.0)
     return bool(np.abs(across).max() <= reach and shared >= DOUBLED_SHARE * fit.length_px)
@@ -55,10 +53,13 @@ def _overlaps(fit: StreakFit, trail: StreakFit) -> bool:
 
 def _inside(fit: StreakFit, trail: StreakFit, reach: float) -> bool:
     """Whether both ends of a fit lie within `reach` of the chord of another, its bend allowed for."""
+    along, across = _ends_on(trail, fit)
+    beside = np.abs(across) > reach + abs(trail.sagitta_px)
+    return bool(((along >= -reach) & (along <= trail.length_px + reach) & ~beside).all())
+
+
+def _ends_on(trail: StreakFit, fit: StreakFit) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Places (2,) of a fit's ends along the chord of another, from its first end, and across it."""
     drow, dcol = (trail.row1 - trail.row0) / trail.length_px, (trail.col1 - trail.col0) / trail.length_px
-    for row, col in ((fit.row0, fit.col0), (fit.row1, fit.col1)):
-        r, c = row - trail.row0, col - trail.col0
-        along, across = r * drow + c * dcol, r * dcol - c * drow
-        if not -reach <= along <= trail.length_px + reach or abs(across) > reach + abs(trail.sagitta_px):
-            return False
-    return True
+    row, col = np.array([fit.row0, fit.row1]) - trail.row0, np.array([fit.col0, fit.col1]) - trail.col0
+    return row * drow + col * dcol, row * dcol - col * drow

@@ -10,6 +10,9 @@ from onboard.image.nearest import nearest, number_within
 from sboc_e2e.icd.flags import StarFlag
 from sboc_e2e.icd.signals import StarList
 
+IDENTITY: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
+"""Transform of a frame into itself."""
+
 BRIGHTEST: Final = 60
 """Stars of each list that vote for the shift."""
 

@@ -65,7 +65,8 @@ def best_range(
     weights: NDArray[np.float64],
 ) -> tuple[float, int, int]:
     """The run of frames with the centre whose joint S/N exceeds its threshold most: this margin, first and last frame."""
-    full, unit = track[1] * look.per_lane, math.sqrt(trail_variance(look, track[1]))
+    full = track[1] * look.per_lane
+    unit = math.sqrt(trail_variance(look.variance, look.ends, full))
     for frame in range(low, high + 1):
         sums[frame], weights[frame] = trail_sums(corridors, look, frame, track)
     score, first, last = -1e9, centre, centre

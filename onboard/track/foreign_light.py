@@ -11,9 +11,10 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.image import registration
 from onboard.track.corridor import path_sum
 from onboard.track.same import SAME_PX
-from onboard.track.trail_sums import look_of, placed, trail_variance
+from onboard.track.trail_sums import path_variance, placed, trail_variance
 from sboc_e2e.icd.signals import Detection
 
 OWN_BEYOND: Final = 0.25
@@ -21,9 +22,6 @@ OWN_BEYOND: Final = 0.25
 by a tenth. Chosen, not measured."""
 
 OWN_TILT: Final = 0.02  # of the length across, as tracks of one object may differ (`same.ACROSS_SHARE`)
-
-NOW: Final = np.zeros(1)
-IN_PLACE: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
 
 
 class LitMember(NamedTuple):
@@ -71,10 +69,10 @@ def _path(detection: Detection, psf_sigma_px: float) -> tuple[NDArray[np.float64
     """A trail's place for `path_sum`, from the end with the lower major coordinate; whether rows are major; the noise of a sum,
     for the root of a pixel."""
     line, place = _ends(detection), np.empty(4)
-    steep = placed(line, IN_PLACE, place)
+    steep = placed(line, registration.IDENTITY, place)
     per_lane = max(abs(place[2]), abs(place[3]))
-    look = look_of(NOW, 1.0, detection.length_px, per_lane, psf_sigma_px)
-    return place, steep, math.sqrt(trail_variance(look, detection.length_px))
+    noise = trail_variance(*path_variance(psf_sigma_px, per_lane), per_lane * detection.length_px)
+    return place, steep, math.sqrt(noise)
 
 
 def _ends(detection: Detection) -> NDArray[np.float64]:

@@ -22,8 +22,6 @@ from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import Detection, Track, TrackerView, TrackMember
 
-IDENTITY: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-
 NONE_WAIT: Final = np.zeros((0, 6))  # `KeptSearch.waiting` without seeds
 NO_TRAILS: Final = np.zeros((0, 4))  # `KeptSearch.trails` of a frame that shows none
 
@@ -143,7 +141,7 @@ class JointTracker:
             header=view.view.header,
             image=packed(without_hits(view.searched.smooth, view.view.psf_sigma_px)),
             seeds=view.searched.seeds,
-            transform=IDENTITY if view.transform is None else view.transform,
+            transform=registration.IDENTITY if view.transform is None else view.transform,
             trails=np.array([(d.row0, d.col0, d.row1, d.col1) for d in view.detections]).reshape(-1, 4),
         )
         state = replace(state, window=(*state.window, new), psf_sigma_px=view.view.psf_sigma_px)
@@ -309,7 +307,7 @@ def by_place(seeds: NDArray[np.float64], most_work: int) -> NDArray[np.float64]:
 def from_centre(window: tuple[KeptSearch, ...], centre: int) -> NDArray[np.float64]:
     """Transforms (n, 2, 3) of (row, col) of the centre frame into each frame of the window."""
     out = np.empty((len(window), 2, 3))
-    out[centre] = IDENTITY
+    out[centre] = registration.IDENTITY
     for k in range(centre + 1, len(window)):
         out[k] = joined(out[k - 1], window[k].transform)
     for k in range(centre - 1, -1, -1):

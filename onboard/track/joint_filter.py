@@ -160,21 +160,19 @@ def follow(
         seed = seeds[m]
         d_row, d_col = abs(seed[2] - seed[0]), abs(seed[3] - seed[1])
         seed_px = math.hypot(d_row, d_col)
-        # px across the line for a step of one pixel along the minor axis, and the noise of a sum over major steps
+        # px across the line for a step of one pixel along the minor axis
         per_lane = max(d_row, d_col) / seed_px
-        forward = look_of(taus, 1.0, seed_px, per_lane, psf_sigma_px, n_old)
-        unit = math.sqrt(trail_variance(forward, seed_px))
         lane = MIDDLE
         best[0], best[1], best[2], best[3] = 0.0, 0.5 * seed_px, 0.0, senses[m]
         half_seed[:] = 0.5 * (seed[:4] - 0.5)
-        half_unit = math.sqrt(half_variance * line_variance(psf_sigma_px, per_lane) + HALF_ROUNDING)
+        half_noise = half_variance * line_variance(psf_sigma_px, per_lane) + HALF_ROUNDING
         if senses[m] == 0.0:
             # the first look is at half resolution: a quarter of the pixels, which the cache holds better
             half_px = 0.5 * seed_px
             steep = abs(seed[2] - seed[0]) >= abs(seed[3] - seed[1])
             reach = END_STEPS / STEPS * half_px
             low, high = max(n_old, centre - 1), min(n_frames - 1, centre + 1)
-            half_look = Look(taus, 1.0, half_px, per_lane, 1.0, half_unit * half_unit, 0.0, 0)
+            half_look = Look(taus, 1.0, half_px, per_lane, 1.0, half_noise, 0.0, 0)
             n_ends = 0
             for turn in range(3):
                 # the seed's own frame first: those beside it cost six times as much
@@ -199,10 +197,11 @@ def follow(
             if found_at <= -first_margin:
                 continue
         read += (n_frames - n_old) * round(seed_px)
-        if static_snr(images, transforms, n_old, n_frames, centre, seed[:4], unit, place) > static_limit:
-            continue
         track, sense = parameters, best[3]
         look = look_of(taus, sense, seed_px, per_lane, psf_sigma_px, n_old)
+        unit = math.sqrt(trail_variance(look.variance, look.ends, per_lane * seed_px))
+        if static_snr(images, transforms, n_old, n_frames, centre, seed[:4], unit, place) > static_limit:
+            continue
         track[0], track[1] = 2.0 * best[0], 2.0 * best[1]
         track[2], track[3] = 2.0 * (lane - MIDDLE) * per_lane, 2.0 * best[2] * per_lane
         score, first, last = -1e9, centre, centre
@@ -231,8 +230,8 @@ def follow(
             low -= 1
             middle = track[0] + (0.5 + sense * taus[low]) * track[1]
             half = (0.9 + 0.12 * abs(taus[low])) * seed_px
-            ratio = math.sqrt(look.variance) / half_unit
-            scale = (fainter * ratio**2, (fainter * ratio) ** 2)
+            ratio = look.variance / half_noise
+            scale = (fainter * ratio, fainter**2 * ratio)
             piece = max(2.0, seed_px / FINE)
             read += collect_half(
                 images, low, half_seed, half_transforms, middle - half, middle + half, piece, scale, corridors, place
@@ -256,7 +255,8 @@ def follow(
         snr = climb(corridors, look, first, last, track, steps, 3, trial)
         if snr < threshold[last - first + 1]:
             continue
-        total, weight, unit = 0.0, 0.0, math.sqrt(trail_variance(look, track[1]))
+        total = weight = 0.0
+        unit = math.sqrt(trail_variance(look.variance, look.ends, per_lane * track[1]))
         for frame in range(first, last + 1):
             sums[frame], weights[frame] = trail_sums(corridors, look, frame, track)
             total += sums[frame]

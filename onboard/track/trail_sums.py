@@ -81,9 +81,9 @@ def path_variance(psf_sigma_px: float, per_lane: float) -> tuple[float, float]:
 
 
 @nb.njit(cache=True)
-def trail_variance(look: Look, length_px: float) -> float:
-    """Variance of the sum over a trail, over its weight; steps of a code squared."""
-    return look.variance - look.ends / max(look.per_lane * length_px, LEAST_PATH)
+def trail_variance(variance: float, ends: float, path_px: float) -> float:
+    """Variance of the sum over a whole path of so many pixels, over its weight; variance, ends : see `path_variance`."""
+    return variance - ends / max(path_px, LEAST_PATH)
 
 
 @nb.njit(cache=True)
@@ -180,4 +180,4 @@ def evaluate(corridors: Corridors, look: Look, low: int, high: int, track: NDArr
         s, w = trail_sums(corridors, look, frame, track)
         total += s
         weight += w
-    return total / math.sqrt(weight * trail_variance(look, track[1])) if weight > 0.0 else 0.0
+    return total / math.sqrt(weight * trail_variance(look.variance, look.ends, look.per_lane * track[1])) if weight > 0.0 else 0.0

@@ -22,7 +22,8 @@ from ground.vetting.star_rows import FWHM_PER_SIGMA, LONGEST_PX, MARGIN_PX, MOST
 from onboard.chain import OnboardChain
 from onboard.detect.line_integral.detector import LineIntegralDetector
 from onboard.detect.line_integral.star_removal import TILE_PX
-from onboard.detect.line_integral.static_sky import IDENTITY, EarlierFrame, earlier_frame, segment_snr_before
+from onboard.detect.line_integral.static_sky import EarlierFrame, earlier_frame, segment_snr_before
+from onboard.image.registration import IDENTITY
 from onboard.latency import REACH_PX
 from onboard.options import OnboardOptions
 from onboard.stars.star_motion import common_motion

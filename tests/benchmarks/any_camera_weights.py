@@ -18,11 +18,12 @@ from astropy.table import Table
 from numpy.typing import NDArray
 from scipy.optimize import minimize
 
-from ground.vetting.any_camera import LARGEST, LONGEST_WIDTHS, WIDTHS
+from ground.vetting.any_camera import terms_of
 
 LINES: Final = Path(__file__).resolve().parents[1] / "streaks" / "lines_of_all_cameras.csv"
 TERMS: Final = ("PER_LOG_ODDS", "PER_WINS", "PER_PEAK", "PER_LN_WIDTHS", "PER_LN_READOUT", "PER_LN_SHARPER", "PER_LN_WIDER")
 RIDGE: Final = 0.5  # of weights in units of a term's scatter: one half of a line. Chosen, not measured
+LEAST_WIDTHS: Final = 3.0  # shorter lines count as this long in the fit; some have no length at all
 HALF: Final = 0.5  # of a trail's length, which counts as found
 SIMULATED: Final = "sim_"
 """How the names of simulated skies begin; they count as one camera."""
@@ -47,14 +48,11 @@ class Lines:
         """As the table has them."""
         t = Table.read(path, format="ascii.csv", fill_values=[("", "-1", "trail")])
         trail, camera = np.asarray(t["trail"].filled(-1)), np.asarray(t["camera"], dtype=str)
-        own = np.clip(np.asarray(t["vetter_log_odds"], dtype=float), -LARGEST, LARGEST)
-        widths = np.clip(np.asarray(t["widths"], dtype=float), 3.0, LONGEST_WIDTHS)
-        sharp = np.asarray(t["ln_sharpness"], dtype=float)
-        wins = np.log(t["pieces"]) * (np.asarray(t["wins"]) - 0.5)
-        columns = own, wins, t["peak"], np.log(widths / WIDTHS), t["ln_readout"], np.minimum(sharp, 0.0), np.maximum(sharp, 0.0)
+        t["widths"] = np.maximum(t["widths"], LEAST_WIDTHS)
+        columns = ("vetter_log_odds", "pieces", "wins", "peak", "widths", "ln_readout", "ln_sharpness")
         name = [f"{c} {f} {k}" for c, f, k in zip(camera, t["frame"], trail, strict=True)]
         return cls(
-            terms=np.column_stack([np.asarray(c, dtype=float) for c in columns]), real=trail >= 0,
+            terms=terms_of(*(np.asarray(t[name], dtype=float) for name in columns)), real=trail >= 0,
             weight=np.asarray(t["weight"], dtype=float), refused=np.asarray(t["refused"]) == 1,
             share=np.asarray(t["share"], dtype=float),
             camera=np.where(np.char.startswith(camera, SIMULATED), SIMULATED, camera), trail=np.array(name),

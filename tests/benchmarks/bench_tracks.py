@@ -25,7 +25,7 @@ from numpy.typing import NDArray
 from onboard.detect import LineIntegralDetector
 from onboard.image import registration
 from onboard.track import climb, joint_filter, trail_sums
-from onboard.track.joint import IDENTITY, JointTracker
+from onboard.track.joint import JointTracker
 from onboard.track.packed import packed
 from sboc_e2e.icd.signals import DetectorView, Searched, Track, TrackerView
 from sboc_e2e.score.figures import half_point, rate
@@ -137,7 +137,7 @@ def joint_snr(truth: TrueTrack, searched: list[Searched]) -> float:
         row0, col0, row1, col1, sense = row1, col1, row0, col0, -1.0
     length = truth.length_px
     per_lane = max(abs(row1 - row0), abs(col1 - col0)) / length
-    seed, transforms = np.array([row0, col0, row1, col1, 0.0]), np.repeat(IDENTITY[None], n, axis=0)
+    seed, transforms = np.array([row0, col0, row1, col1, 0.0]), np.repeat(registration.IDENTITY[None], n, axis=0)
     taus, corridors, place = PERIOD * (np.arange(n) - n // 2), trail_sums.work_space(n), np.empty(4)
     for k in range(n):
         middle, half = (0.5 + sense * taus[k]) * length, (0.9 + 0.12 * abs(taus[k])) * length

@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from onboard.detect.line_integral import halos, static_sky
+from onboard.image import registration
 from sboc_e2e.icd.signals import StarList
 from sboc_e2e.icd.work import WorkMeter
 
@@ -66,6 +67,6 @@ def test_light_taken_from_a_segment_is_what_the_earlier_frame_still_shows() -> N
     halo = aureole()[at_row, at_col]
     expected = float(np.sum(profile * halo) / math.sqrt(np.sum(profile**2)))
     assert expected > 3.0
-    assert halos.subtracted_snr(left, static_sky.IDENTITY, blocked, 0, ends, s_px) == pytest.approx(expected, rel=0.15)
+    assert halos.subtracted_snr(left, registration.IDENTITY, blocked, 0, ends, s_px) == pytest.approx(expected, rel=0.15)
     far = ends + np.array([0.0, 90.0, 0.0, 90.0])
-    assert halos.subtracted_snr(left, static_sky.IDENTITY, blocked, 0, far, s_px) < 0.5
+    assert halos.subtracted_snr(left, registration.IDENTITY, blocked, 0, far, s_px) < 0.5

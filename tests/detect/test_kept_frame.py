@@ -10,6 +10,7 @@ from onboard.detect import LineIntegralDetector
 from onboard.detect.line_integral import static_sky
 from onboard.detect.line_integral.kept_frame import KeptFrame, in_sigmas, kept, quantised
 from onboard.detect.whiten import quantise
+from onboard.image import registration
 from sboc_e2e.icd.flags import MaskBit
 from sboc_e2e.icd.signals import DetectorView
 from tests.benchmarks.detection_frames import PSF_SIGMA_PX, Scene, Streak, add_streak, exposure, random_stars, view_of
@@ -53,7 +54,7 @@ def test_stars_are_as_bright_in_it_as_in_their_list() -> None:
     view = starry_view()
     stars = view.stars
     clean = (stars.flags == 0) & (stars.snr > 8.0)
-    before = static_sky.point_snr_before(kept(view).pixels, static_sky.IDENTITY, stars.row, stars.col, PSF_SIGMA_PX)[clean]
+    before = static_sky.point_snr_before(kept(view).pixels, registration.IDENTITY, stars.row, stars.col, PSF_SIGMA_PX)[clean]
     known = np.isfinite(before)  # those on masked pixels are not
     ratio = before[known] / stars.snr[clean][known]
     assert known.sum() > 200

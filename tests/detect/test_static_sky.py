@@ -20,7 +20,7 @@ def test_of_equal_neighbours_one_is_a_star_unless_they_are_clipped(level: int, e
     frame = np.zeros((SIZE, SIZE), np.int8)
     frame[30:33, 20:24] = level
     places = np.empty((100, 4))
-    found = static_sky.faint_static_stars(frame, frame, 0, 0, 0, SIZE, static_sky.IDENTITY, 32, 86, CLIP, SIZE, places, 0)
+    found = static_sky.faint_static_stars(frame, frame, 0, 0, 0, SIZE, registration.IDENTITY, 32, 86, CLIP, SIZE, places, 0)
     assert found == expected
     assert (places[:found, 2:] == level / 16.0).all()
 
@@ -33,8 +33,8 @@ def test_one_pixel_of_the_earlier_frame_is_not_a_trail() -> None:
     pixels = (codes, first, np.array([32], np.int32), np.array([5000.0], np.float32))
     before = static_sky.segment_snr_before(
         pixels,
-        static_sky.IDENTITY,
-        static_sky.IDENTITY,
+        registration.IDENTITY,
+        registration.IDENTITY,
         (np.zeros((SIZE, SIZE), np.uint8), 0),
         (np.zeros((1, 1), np.float32), SIZE),
         np.array([32.0, 7.0, 32.0, 57.0]),
@@ -52,7 +52,7 @@ def test_stars_of_the_earlier_frame_where_they_stood_on_the_sensor_refuse_nothin
     blocked[10:15, 30:35] = 2
     back = registration.inverse(np.array([[1.0, 0.0, 20.0], [0.0, 1.0, 0.0]]))
     level, ends = np.zeros((1, 1), np.float32), np.array([32.0, 7.0, 32.0, 57.0])
-    here = static_sky.IDENTITY
+    here = registration.IDENTITY
     for sky, low, high in ((back, -0.01, 0.01), (here, 3.0, 8.0)):
         before = static_sky.segment_snr_before(pixels, here, sky, (blocked, 0), (level, SIZE), ends, 0.85)
         assert low <= before <= high
@@ -71,7 +71,7 @@ def test_trails_of_one_motion_do_not_outvote_the_stars() -> None:
         lists.append(StarList(row=row, col=col, flux_e=light, snr=light, flags=blend))
     transform = registration.register(*lists, reach_px=64.0)
     assert transform is not None
-    assert np.abs(transform - static_sky.IDENTITY).max() < 1e-6
+    assert np.abs(transform - registration.IDENTITY).max() < 1e-6
 
 
 @pytest.mark.parametrize(("n", "side"), [(30, 512.0), (600, 512.0), (3000, 4096.0)])

@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from scipy.ndimage import gaussian_filter
 
+from onboard.image import registration
 from onboard.track import trail_sums
-from onboard.track.joint import IDENTITY
 from onboard.track.packed import packed
 
 SIDE, PSF_SIGMA_PX = 1024, 0.85
@@ -24,7 +24,7 @@ def scatter(length_px: float, n: int, rng: np.random.Generator) -> float:
         u = u if u[np.argmax(np.abs(u))] > 0.0 else -u
         start = rng.uniform(length_px + 10.0, SIDE - length_px - 10.0, 2)
         seed = np.concatenate([start, start + length_px * u, [0.0]])
-        trail_sums.collect((image,), 0, seed, IDENTITY[None], -2.0, length_px + 2.0, 1.0, corridors, place)
+        trail_sums.collect((image,), 0, seed, registration.IDENTITY[None], -2.0, length_px + 2.0, 1.0, corridors, place)
         look = trail_sums.look_of(np.zeros(1), 1.0, length_px, float(np.abs(u).max()), PSF_SIGMA_PX)
         found[k] = trail_sums.evaluate(corridors, look, 0, 0, np.array([0.0, length_px, 0.0, 0.0]))
     return float(found.std())

@@ -78,8 +78,8 @@ def stays_above_earlier(
     # among the stars these lie where they lie in this frame, on the sensor where the earlier frame had them
     back = registration.inverse(earlier.transform)
     for transform, sky, places in (
-        (earlier.transform, static_sky.IDENTITY, static_sky.IDENTITY),
-        (static_sky.IDENTITY, back, earlier.transform),
+        (earlier.transform, registration.IDENTITY, registration.IDENTITY),
+        (registration.IDENTITY, back, earlier.transform),
     ):
         before = static_sky.segment_snr_before(
             earlier.frame.pixels, transform, sky, (images.blocked, whiten.FOUND_BIT), (images.level, TILE_PX), ends, psf_sigma_px

@@ -23,8 +23,6 @@ EDGE_PX: Final = 3.0
 CLIP_SIGMA: Final = BEYOND / UNIT
 """Clip of the image that trails are found on; a pixel at the end of a bled column, brighter then than now, tells nothing more."""
 
-IDENTITY: Final = np.array([[1.0, 0.0, 0.0], [0.0, 1.0, 0.0]])
-
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class EarlierFrame:

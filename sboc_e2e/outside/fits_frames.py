@@ -40,8 +40,8 @@ NO_FITS: Final = (
 SUFFIXES: Final = (".fits", ".fit", ".fts", ".fits.fz", ".fit.fz", ".fits.gz")
 MAX_SIDE_PX: Final = 16384  # Chosen: packets count rows and columns to 65,535, and `MAX_PIXELS` limits wide images first.
 MIN_SIDE_PX: Final = 16  # Chosen, not measured: a smaller image has no room for a trail beside its sky.
-MAX_PIXELS: Final = 10_000 * 10_000
-"""A frame of this size takes 400 MB as float32, and the search needs several such arrays. Chosen, not measured."""
+MAX_PIXELS: Final = 200_000_000
+"""The largest sensors have 151 million (14,208 x 10,656), of which `sboc process` takes 1.3 GB in its largest process. Chosen."""
 MJD_KEYS: Final = ("MJD-OBS", "MJD-STR")
 CAMERA_KEYS: Final = (
     "TELESCOP", "INSTRUME", "DETECTOR", "CAMERA", "CCDNAME", "CCDCHIP", "EXTNAME", "AMPNAME", "FILTER", "CCDSUM", "XBINNING",

@@ -65,13 +65,30 @@ def _root(low: float, high: float, target: float, lam: float, revolutions: int, 
 def _quickest(lam: float, revolutions: int) -> float:
     """x of the shortest flight with a given number of revolutions (one or more): where the slope is zero."""
     low, high = -1.0 + _EDGE, 1.0 - _EDGE
-    for _ in range(60):
-        x = 0.5 * (low + high)
-        if _slope(x, _flight(x, lam, revolutions), lam) > 0.0:
+    x = 0.0
+    for _ in range(_STEPS):
+        t = _flight(x, lam, revolutions)
+        slope = _slope(x, t, lam)
+        if slope > 0.0:
             high = x
         else:
             low = x
-    return 0.5 * (low + high)
+        # d2T/dx2 (Izzo, eq. 22)
+        y = math.sqrt(1.0 - lam * lam * (1.0 - x * x))
+        bend = (3.0 * t + 5.0 * x * slope + 2.0 * (1.0 - lam * lam) * (lam / y) ** 3) / (1.0 - x * x)
+        new = x - slope / bend if bend > 0.0 else math.inf
+        if not low < new < high:
+            new = 0.5 * (low + high)
+        if abs(new - x) < 1e-12:
+            return new
+        x = new
+    return x
+
+
+@njit(cache=True)
+def dot(one: Array, other: Array) -> float:
+    """Product of two vectors (3,), without an array of its own."""
+    return one[0] * other[0] + one[1] * other[1] + one[2] * other[2]
 
 
 @njit(cache=True)
@@ -81,22 +98,25 @@ def lambert(first: Array, second: Array, dt_s: float, revolutions: int, normal: 
     normal : (3,) on whose side the angular momentum lies. late : of the two orbits with one or more revolutions that with
     the larger x (the smaller eccentric way); without revolutions there is one, and `late` is not looked at.
     """
-    r1, r2 = math.sqrt((first**2).sum()), math.sqrt((second**2).sum())
-    chord = math.sqrt(((second - first) ** 2).sum())
+    r1, r2 = math.sqrt(dot(first, first)), math.sqrt(dot(second, second))
+    u1, u2, h = np.empty(3), np.empty(3), np.empty(3)
+    chord = 0.0
+    for c in range(3):
+        chord += (second[c] - first[c]) ** 2
+        u1[c], u2[c] = first[c] / r1, second[c] / r2
+    chord = math.sqrt(chord)
     half = 0.5 * (r1 + r2 + chord)
-    u1, u2 = first / r1, second / r2
-    h = np.empty(3)
     h[0] = u1[1] * u2[2] - u1[2] * u2[1]
     h[1] = u1[2] * u2[0] - u1[0] * u2[2]
     h[2] = u1[0] * u2[1] - u1[1] * u2[0]
-    size = math.sqrt((h**2).sum())
+    size = math.sqrt(dot(h, h))
     if size < 1e-9:
         return False
-    h /= size
     lam = math.sqrt(max(1.0 - chord / half, 0.0))
-    if (h * normal).sum() < 0.0:
-        lam = -lam
-        h = -h
+    if dot(h, normal) < 0.0:
+        lam, size = -lam, -size
+    for c in range(3):
+        h[c] /= size
     target = math.sqrt(2.0 * MU_KM3_S2 / half**3) * dt_s
     low, high = -1.0 + _EDGE, 1.0 - _EDGE
     if revolutions == 0:

@@ -15,7 +15,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ground.association.arc import ArcOrbit
-from ground.association.lambert import lambert
+from ground.association.lambert import dot, lambert
 from ground.orbit.dynamics import MU_KM3_S2
 from sboc_e2e.icd import tai
 
@@ -107,21 +107,37 @@ def _state_partials(arc: ArcOrbit) -> Array:
 @njit(cache=True)
 def _left(
     rho_1: float, rho_2: float, ends: Array, mean: Array, normal: Array, dt_s: float, revolutions: int, late: bool,
-    speed: Array, out: Array,
+    speed: Array, places: Array, out: Array,
 ) -> bool:  # fmt: skip
-    """What two ranges leave of both arcs' numbers: (8,) tangential velocities over range, range, velocity along the line."""
-    r_1 = ends[0, 0] + rho_1 * ends[0, 3]
-    r_2 = ends[1, 0] + rho_2 * ends[1, 3]
-    if not lambert(r_1, r_2, dt_s, revolutions, normal, late, speed):
+    """What two ranges leave of both arcs' numbers: (8,) tangential velocities over range, range, velocity along the line.
+
+    speed (6,), places (2, 3) : work space; velocities at both ends are left in speed.
+    """
+    one, two = places[0], places[1]
+    for c in range(3):
+        one[c], two[c] = ends[0, 0, c] + rho_1 * ends[0, 3, c], ends[1, 0, c] + rho_2 * ends[1, 3, c]
+    if not lambert(one, two, dt_s, revolutions, normal, late, speed):
         return False
     for end in range(2):
-        rho = rho_1 if end == 0 else rho_2
-        v = speed[3 * end : 3 * end + 3] - ends[end, 4]
-        out[4 * end] = (v * ends[end, 1]).sum() / rho - mean[end, 2]
-        out[4 * end + 1] = (v * ends[end, 2]).sum() / rho - mean[end, 3]
+        rho, v = rho_1 if end == 0 else rho_2, places[end]
+        for c in range(3):
+            v[c] = speed[3 * end + c] - ends[end, 4, c]
+        out[4 * end] = dot(v, ends[end, 1]) / rho - mean[end, 2]
+        out[4 * end + 1] = dot(v, ends[end, 2]) / rho - mean[end, 3]
         out[4 * end + 2] = rho - mean[end, 4]
-        out[4 * end + 3] = (v * ends[end, 3]).sum() - mean[end, 5]
+        out[4 * end + 3] = dot(v, ends[end, 3]) - mean[end, 5]
     return True
+
+
+@njit(cache=True)
+def _whitened(white: Array, values: Array, out: Array) -> None:
+    """Both arcs' numbers (8,), each by its own matrix (2, 4, 4); into out."""
+    for end in range(2):
+        for row in range(4):
+            total = 0.0
+            for col in range(row + 1):  # the inverse of a lower triangle is one
+                total += white[end, row, col] * values[4 * end + col]
+            out[4 * end + row] = total
 
 
 @njit(cache=True)
@@ -157,39 +173,40 @@ def _joined(
 ) -> float:  # fmt: skip
     """Least chi2 over both ranges from a start (2,), and the state at the first; infinite where no orbit is found."""
     rho = start.copy()
-    here, moved, speed = np.empty(8), np.empty(8), np.empty(6)
-    z, slope = np.empty(8), np.empty((8, 2))
+    here, moved, speed, places = np.empty(8), np.empty(8), np.empty(6), np.empty((2, 3))
+    z, changed, slope = np.empty(8), np.empty(2), np.empty((2, 8))
     best = np.inf
     for step in range(_STEPS):
-        if not _left(rho[0], rho[1], ends, mean, normal, dt_s, revolutions, late, speed, here):
+        if not _left(rho[0], rho[1], ends, mean, normal, dt_s, revolutions, late, speed, places, here):
             return best
+        _whitened(white, here, z)
         chi2 = 0.0
-        for end in range(2):
-            z[4 * end : 4 * end + 4] = white[end] @ here[4 * end : 4 * end + 4]
-        chi2 = (z * z).sum()
+        for k in range(8):
+            chi2 += z[k] * z[k]
         if chi2 < best:
             best = chi2
-            state[:3] = ends[0, 0] + rho[0] * ends[0, 3]
-            state[3:] = speed[:3]
+            for c in range(3):
+                state[c], state[3 + c] = ends[0, 0, c] + rho[0] * ends[0, 3, c], speed[c]
         # a pair that is wrong by so much after a step does not become right
         if step == _STEPS - 1 or (step >= 2 and best > 1e3 * limit):
             break
         for k in range(2):
-            nudge = 1.0
-            changed = rho.copy()
-            changed[k] += nudge
-            if not _left(changed[0], changed[1], ends, mean, normal, dt_s, revolutions, late, speed, moved):
+            changed[0], changed[1] = rho[0], rho[1]
+            changed[k] += 1.0  # km
+            if not _left(changed[0], changed[1], ends, mean, normal, dt_s, revolutions, late, speed, places, moved):
                 return best
-            for end in range(2):
-                part = slice(4 * end, 4 * end + 4)
-                slope[part, k] = white[end] @ ((moved[part] - here[part]) / nudge)
-        normal_matrix = slope.T @ slope
-        determinant = normal_matrix[0, 0] * normal_matrix[1, 1] - normal_matrix[0, 1] ** 2
+            for n in range(8):
+                moved[n] -= here[n]
+            _whitened(white, moved, slope[k])
+        aa = ab = bb = az = bz = 0.0
+        for n in range(8):
+            a, b = slope[0, n], slope[1, n]
+            aa, ab, bb, az, bz = aa + a * a, ab + a * b, bb + b * b, az + a * z[n], bz + b * z[n]
+        determinant = aa * bb - ab * ab
         if not determinant > 0.0:
             return best
-        right = slope.T @ z
-        rho[0] -= (normal_matrix[1, 1] * right[0] - normal_matrix[0, 1] * right[1]) / determinant
-        rho[1] -= (normal_matrix[0, 0] * right[1] - normal_matrix[0, 1] * right[0]) / determinant
+        rho[0] -= (bb * az - ab * bz) / determinant
+        rho[1] -= (aa * bz - ab * az) / determinant
         if rho[0] < _NEAREST_KM or rho[1] < _NEAREST_KM:
             return best
     return best
@@ -218,7 +235,7 @@ def _search(
             # arcs at once are no pair of an orbit's ends: the batch judges them
             if high <= low or high * dt < 0.02:
                 continue
-            between = math.acos(min(max((normal[i] * normal[j]).sum(), -1.0), 1.0))
+            between = math.acos(min(max(dot(normal[i], normal[j]), -1.0), 1.0))
             if between > _PLANES_RAD + _PLANE_SIGMAS * (tilt[i] + tilt[j]):
                 continue
             ends[0, 0], ends[1, 0] = place[i, 0], place[j, 0]

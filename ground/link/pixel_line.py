@@ -19,14 +19,12 @@ from scipy.linalg import block_diag
 
 from ground.importance import Proposals, adapted
 from ground.normal_equations import scaled_inverse
+from ground.photometry.usual_light import BRIGHTNESS, usual_light
 from ground.streaks.across import REACH_PX, AcrossPixels
 from ground.streaks.across_likelihood import SPOILT, AcrossLikelihood
 
 Array = NDArray[np.float64]
 
-BRIGHTNESS: Final = 0.3
-"""Spread of an object's light from frame to frame, relative. Spreads of 0.15 and 0.5 gave errors of 1.06 and 1.16 times the joint
-bound where this gives 1.08 (63 tracklets), so that the choice matters little."""
 COUNTS: Final = 0.9
 """Objects brighter than F are as F to minus this: light goes as the size squared, and the number of objects larger than a size as
 the size to -1.45 above 1 cm and to -2.10 below (docs/physics.md, "Population")."""
@@ -35,10 +33,6 @@ FOREIGN_SIGMAS: Final = 3.5
 ITERATIONS: Final = 8
 """Of Fisher scoring from a start within the PSF; frames are judged from the fourth on. A budget of work; chosen, not measured."""
 FIRST_JUDGED: Final = 3  # the iteration, counted from 0, from which on frames are judged: the line has settled by then
-ROBUST_STEPS: Final = 5
-"""Of the mean brightness with Huber's weights, which have settled after them. Chosen, not measured."""
-HUBER: Final = 2.0
-"""Sigmas beyond which the weight of a frame's brightness falls. Chosen, not measured."""
 BORDER_PX: Final = 0.1
 """Width over which the likelihood falls off where a line leaves the pixels. Chosen, not measured."""
 
@@ -78,7 +72,7 @@ def line_of_pixels(frames: Sequence[CrossedFrame], start: Array, information: Ar
     for iteration in range(ITERATIONS):
         places = [frame.offset_px + frame.by_line @ line for frame in frames]
         light = np.array([each.density(place) for each, place in zip(pixels, places, strict=True)])
-        usual = _usual_light(light[~off_line])
+        usual = usual_light(light[~off_line])
         if not usual > 0.0:
             return None
         spread2 = (BRIGHTNESS * usual) ** 2
@@ -147,17 +141,6 @@ def _sureness(frame: CrossedFrame, pixels: AcrossPixels, line: Array, usual: flo
     """Share of a place's information that is left when the frame itself may be off: normal errors widen a parabola by it."""
     _, fisher = pixels.evidence(frame.offset_px + frame.by_line @ line, usual, 0.0)
     return 1.0 / (1.0 + float(fisher[0, 0] * frame.variance_px2[0]))
-
-
-def _usual_light(light: Array) -> float:
-    """Robust mean of the frames' light (n, 2), e-/px and its variance."""
-    value, variance = light.T
-    mean = float(np.median(value))
-    for _ in range(ROBUST_STEPS):
-        total = variance + (BRIGHTNESS * mean) ** 2 + 1e-30
-        weight = 1.0 / (total * np.maximum(1.0, np.abs(value - mean) / (HUBER * np.sqrt(total))))
-        mean = float(weight @ value / weight.sum())
-    return mean
 
 
 def _in_doubt(gradient: Array, fisher: Array, variance_px2: Array) -> tuple[Array, Array]:

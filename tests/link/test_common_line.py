@@ -206,7 +206,7 @@ def test_what_is_of_no_on_board_track_or_foretold_stays() -> None:
 
 
 def test_light_on_the_line_is_not_what_noise_adds_where_a_frame_puts_its_trail() -> None:
-    """40 groups of seven frames of S/N 4: frames at their own places are 0.12 of their errors too bright, on the line they are not."""
+    """40 groups of seven frames of S/N 4: fluxes where frames put trails are 0.12 of their errors higher than on the line."""
     rng = np.random.default_rng(40)
     own, on_the_line = [], []
     for _ in range(40):

@@ -124,9 +124,9 @@ def on_common_line(trails: Sequence[PlacedTrail], observer: ObserverState | None
     """The members of on-board tracks moved across onto the line of all members.
 
     The line is that of the members that the joint refit took for light of one object, or of all where it took fewer than two.
-    Members off the line do not count. They are moved, too, where enough others agree: a star or noise shifted them. The ends'
-    errors along the trail are kept. Those across are of the line, which all members share, and of their frame's pointing.
-    Directions are still those before; the caller measures them again.
+    Members off the line do not count. They are moved, too, where enough others agree: a star or noise shifted them. Their light
+    is that on the line. The ends' errors along the trail are kept. Those across are of the line, which all members share, and of
+    their frame's pointing. Directions are still those before; the caller measures them again.
 
     observer : the camera's place, which tells how gravity bends the line.
     """

@@ -15,6 +15,7 @@ from ground.link.measured import turning_arcsec
 from ground.link.shake import SeenTrail, Sway, shake_factor, sway_of
 from ground.photometry.magnitude import crossing_time_s
 from ground.photometry.tracklet_light import HALF_POINT_SNR, with_mean_light
+from ground.photometry.usual_light import with_errors_of_usual_light
 from ground.records import FrameProducts
 from ground.refit import CutErrors, SharedErrors, refit_streaks
 from ground.sky.bend import bent
@@ -122,7 +123,8 @@ def final_tracklet(
         with_final_brightness(streak, frame, crossing_time_s(streak, measured.rate_deg_s))
         for streak, frame in zip([moved.get(k, streak) for k, streak in enumerate(placed)], frames, strict=True)
     ]
-    run.linked.put(number, final)
+    # the mean light takes fluxes with the errors of their own noise
+    run.linked.put(number, with_errors_of_usual_light(final))
     return with_mean_light(measured, final, run.half_point_snr)
 
 

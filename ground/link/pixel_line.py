@@ -15,26 +15,24 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import block_diag
 
 from ground.importance import Proposals, adapted
 from ground.normal_equations import scaled_inverse
+from ground.photometry.usual_light import BRIGHTNESS, usual_light
 from ground.streaks.across import REACH_PX, AcrossPixels
 from ground.streaks.across_likelihood import SPOILT, AcrossLikelihood
 
 Array = NDArray[np.float64]
 
-BRIGHTNESS: Final = 0.3
-"""Spread of an object's light from frame to frame, relative. Spreads of 0.15 and 0.5 gave errors of 1.06 and 1.16 times the joint
-bound where this gives 1.08 (63 tracklets), so that the choice matters little."""
+COUNTS: Final = 0.9
+"""Objects brighter than F are as F to minus this: light goes as the size squared, and the number of objects larger than a size as
+the size to -1.45 above 1 cm and to -2.10 below (docs/physics.md, "Population")."""
 FOREIGN_SIGMAS: Final = 3.5
 """A right frame in 2,000 shows more light or is farther off the line. What does is lit by a star and does not count."""
 ITERATIONS: Final = 8
 """Of Fisher scoring from a start within the PSF; frames are judged from the fourth on. A budget of work; chosen, not measured."""
 FIRST_JUDGED: Final = 3  # the iteration, counted from 0, from which on frames are judged: the line has settled by then
-ROBUST_STEPS: Final = 5
-"""Of the mean brightness with Huber's weights, which have settled after them. Chosen, not measured."""
-HUBER: Final = 2.0
-"""Sigmas beyond which the weight of a frame's brightness falls. Chosen, not measured."""
 BORDER_PX: Final = 0.1
 """Width over which the likelihood falls off where a line leaves the pixels. Chosen, not measured."""
 
@@ -74,7 +72,7 @@ def line_of_pixels(frames: Sequence[CrossedFrame], start: Array, information: Ar
     for iteration in range(ITERATIONS):
         places = [frame.offset_px + frame.by_line @ line for frame in frames]
         light = np.array([each.density(place) for each, place in zip(pixels, places, strict=True)])
-        usual = _usual_light(light[~off_line])
+        usual = usual_light(light[~off_line])
         if not usual > 0.0:
             return None
         spread2 = (BRIGHTNESS * usual) ** 2
@@ -110,42 +108,39 @@ def _within_doubt(
     information: Array,
     right: Array,
 ) -> tuple[Array, Array]:
-    """Mean (k,) and covariance (k, k) of the line over the whole likelihood, spoilt frames included.
+    """Mean (k,) and covariance (k, k) of the line over the whole likelihood, spoilt frames included, and over the object's light.
 
-    usual : light of the object, e-/px. start : most likely line and the inverse of its Fisher matrix.
+    The most likely line is where noise adds most light. With this light given, a line beside it would be too unlikely.
+
+    usual : light of the object on the most likely line, e-/px. start : that line and the inverse of its Fisher matrix.
     """
     tables = [AcrossLikelihood.of(each) for each in pixels]
     sure = [_sureness(frame, each, start[0], usual) for frame, each in zip(frames, pixels, strict=True)]
     spoilt = [math.log(SPOILT) + each.log_spoilt(usual) for each in tables]
 
-    def log_density(lines: Array) -> Array:
-        total = lines @ right - 0.5 * np.einsum("mi,ij,mj->m", lines, information, lines)
+    def log_density(points: Array) -> Array:
+        lines, relative = points[:, :-1], points[:, -1]
+        light = usual * np.exp(relative)
+        total = -COUNTS * relative
+        total += lines @ right - 0.5 * np.einsum("mi,ij,mj->m", lines, information, lines)
         for frame, table, share, floor in zip(frames, tables, sure, spoilt, strict=True):
             place = frame.offset_px + lines @ frame.by_line.T
-            log = share * table.log(place, usual, BRIGHTNESS * usual)
+            log = share * table.log(place, light, BRIGHTNESS * light)
             total += np.logaddexp(math.log1p(-SPOILT) + log, floor)
             total -= 0.5 * (np.maximum(np.abs(place[:, 0]) - REACH_PX, 0.0) / BORDER_PX) ** 2
         return np.asarray(total)
 
-    draws = adapted(Proposals.of(len(right)), start, log_density)
-    return draws.mean, draws.covariance
+    line, covariance = start
+    variance = [each.density(frame.offset_px + frame.by_line @ line)[1] for frame, each in zip(frames, pixels, strict=True)]
+    relative = 1.0 / float(np.sum(1.0 / (np.array(variance) / usual**2 + BRIGHTNESS**2)))
+    draws = adapted(Proposals.of(len(right) + 1), (np.append(line, 0.0), block_diag(covariance, relative)), log_density)
+    return draws.mean[:-1], draws.covariance[:-1, :-1]
 
 
 def _sureness(frame: CrossedFrame, pixels: AcrossPixels, line: Array, usual: float) -> float:
     """Share of a place's information that is left when the frame itself may be off: normal errors widen a parabola by it."""
     _, fisher = pixels.evidence(frame.offset_px + frame.by_line @ line, usual, 0.0)
     return 1.0 / (1.0 + float(fisher[0, 0] * frame.variance_px2[0]))
-
-
-def _usual_light(light: Array) -> float:
-    """Robust mean of the frames' light (n, 2), e-/px and its variance."""
-    value, variance = light.T
-    mean = float(np.median(value))
-    for _ in range(ROBUST_STEPS):
-        total = variance + (BRIGHTNESS * mean) ** 2 + 1e-30
-        weight = 1.0 / (total * np.maximum(1.0, np.abs(value - mean) / (HUBER * np.sqrt(total))))
-        mean = float(weight @ value / weight.sum())
-    return mean
 
 
 def _in_doubt(gradient: Array, fisher: Array, variance_px2: Array) -> tuple[Array, Array]:

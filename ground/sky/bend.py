@@ -31,7 +31,8 @@ MOST_BY_SAGITTA: Final = 5.0 / 6.0
 """Share of the variance of an arc's ends across, both moving alike, that is the sagitta's where light is even: the arc's is six
 times the line's."""
 LARGEST_PX: Final = 2.0
-"""Largest bend that is applied, px. A trail that bends by more than its width was not fitted by a line."""
+"""Largest bend that is applied, px. A trail that bends by more than its width was not fitted by a line. A member of an on-board
+track moves straight, so that a star has bent its fit."""
 
 
 def bent(streak: StreakMeasurement, header: FrameHeader, solution: FrameSolution) -> StreakMeasurement:
@@ -46,7 +47,8 @@ def bent(streak: StreakMeasurement, header: FrameHeader, solution: FrameSolution
     if fit.length_px < SHORTEST_PX:
         return streak
     sagitta = sagitta_px(fit, header, solution, streak.t_tai_ns)
-    if not max(abs(sagitta), abs(sagitta - fit.sagitta_px)) < LARGEST_PX:
+    is_straight = streak.track >= 0 or abs(sagitta - fit.sagitta_px) < LARGEST_PX
+    if not (is_straight and abs(sagitta) < LARGEST_PX):
         return streak
     d_row, d_col = (fit.row1 - fit.row0) / fit.length_px, (fit.col1 - fit.col0) / fit.length_px
     back = LINE_BESIDE_CHORD * (fit.sagitta_px - sagitta)

@@ -69,10 +69,11 @@ class AcrossLikelihood:
             power[:, k] = np.bincount(block, template**2 / p.variance_e2, BLOCKS)
         return cls(x=0.5 * (edges[1:] + edges[:-1]), matched=matched, power=power)
 
-    def log(self, place: Array, light: float, spread: float) -> Array:
+    def log(self, place: Array, light: float | Array, spread: float | Array) -> Array:
         """(m,) log likelihood over that of no light, of places (m, 2): shift of the middle and half of the tilt, px.
 
-        light, spread : normal prior of the trail's light, e-/px. Shifts beyond the tables are as those at their border.
+        light, spread : normal prior of the trail's light, e-/px, of all places or (m,). Shifts beyond the tables are as those at
+        their border.
         """
         matched, power = np.zeros(len(place)), np.zeros(len(place))
         last = len(_SHIFTS_PX) - 1

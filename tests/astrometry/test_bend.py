@@ -77,12 +77,18 @@ def test_an_arc_that_the_camera_shook_is_taken_back_to_its_line() -> None:
     assert made.fit.sagitta_px == pytest.approx(0.0, abs=1e-6)
     want = line**2 * np.outer(both, both) + slope**2 * np.outer(apart, apart)
     np.testing.assert_allclose(made.fit.covariance_px2, want, atol=1e-9)
-    assert (
-        bent(
-            replace(arc, fit=replace(fit, sagitta_px=9.0)), header, solution_of(lambda t_s: POINTING, np.zeros(3))
-        ).fit.sagitta_px
-        == 9.0
-    )
+
+
+def test_a_bend_beyond_the_camera_s_is_taken_back_where_a_track_says_that_the_motion_is_straight() -> None:
+    """A star bends a fit by 3 px: the member of an on-board track becomes its line, a trail of one frame stays as fitted."""
+    given, header = _still()
+    arc = replace(given, fit=replace(given.fit, sagitta_px=3.0, sagitta_err_px=0.5))
+    at_rest = solution_of(lambda t_s: POINTING, np.zeros(3))
+    assert bent(arc, header, at_rest) is arc
+    made = bent(replace(arc, track=7), header, at_rest)
+    assert made.fit.sagitta_px == pytest.approx(0.0, abs=1e-6)
+    side = np.array([400.0, -200.0]) / np.hypot(200.0, 400.0)
+    np.testing.assert_allclose([made.fit.row0 - given.fit.row0, made.fit.col0 - given.fit.col0], 2.0 * side, atol=1e-6)
 
 
 def _still() -> tuple[StreakMeasurement, FrameHeader]:

@@ -5,12 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from ground.link.common_line import PlacedTrail, on_common_line
 from ground.link.measured import SIGMA_ACCELERATION_ARCSEC_S2
 from ground.sky.sphere import ARCSEC_RAD, east_north, spherical_deg
+from ground.streaks.fit_record import reversed_ends
+from ground.streaks.forced import forced_fit
 from sboc_e2e.icd.flags import StreakFlag
-from sboc_e2e.icd.products import StreakFit, StreakMeasurement
+from sboc_e2e.icd.products import StreakFit, StreakMeasurement, StreakPixels
+from sboc_e2e.icd.signals import Detection
 
 Array = NDArray[np.float64]
 SCALE_ARCSEC, TURNED_RAD, POINTING_PX = 5.0, 0.7, 0.02
@@ -199,3 +203,49 @@ def test_what_is_of_no_on_board_track_or_foretold_stays() -> None:
         ends = np.array([[fit.row0, fit.col0], [fit.row1, fit.col1]]) + (30.0 if k == 1 else 0.0) * side
         apart.append(trail(ends, k, 0.3, 4.0, tilt=False))
     assert on_line(apart) == {}
+
+
+def test_light_on_the_line_is_not_what_noise_adds_where_a_frame_puts_its_trail() -> None:
+    """40 groups of seven frames of S/N 4: fluxes where frames put trails are 0.12 of their errors higher than on the line."""
+    rng = np.random.default_rng(40)
+    own, on_the_line = [], []
+    for _ in range(40):
+        trails, flux_e = _exposed_group(rng, 7, 4.0)
+        for k, streak in on_line(trails).items():
+            before, after = trails[k].streak.fit, streak.fit
+            own.append((before.flux_e - flux_e) / before.flux_err_e)
+            on_the_line.append((after.flux_e - flux_e) / after.flux_err_e)
+    assert len(own) > 240
+    assert np.mean(own) - np.mean(on_the_line) == pytest.approx(0.12, abs=0.05)
+    assert np.std(on_the_line) == pytest.approx(1.0, abs=0.1)
+
+
+def _exposed_group(rng: np.random.Generator, n: int, snr: float) -> tuple[list[PlacedTrail], float]:
+    """Members measured by forced fits in white noise, on one line that their track has 0.3 px off; and their true flux."""
+    length, noise_e, psf_px = 25.0, 10.0, 0.9
+    width = np.hypot(psf_px, np.sqrt(1.0 / 12.0))
+    flux_e = snr * noise_e * np.sqrt(2.0 * np.sqrt(np.pi) * width * length)
+    angle = rng.uniform(0.0, 2.0 * np.pi)
+    way = np.array([np.sin(angle), np.cos(angle)])
+    side = np.array([-way[1], way[0]])
+    trails = []
+    for k in range(n):
+        middle = (k - 0.5 * (n - 1)) * length / EXPOSURE_S * FRAME_S * way
+        place = middle + 0.3 * rng.choice([-1.0, 1.0]) * side
+        row, col = (x.ravel() for x in np.mgrid[-20:21, -20:21] + np.rint(middle)[:, None, None])
+        u, v = (row - middle[0]) * way[0] + (col - middle[1]) * way[1], (row - middle[0]) * side[0] + (col - middle[1]) * side[1]
+        share = ndtr((u + 0.5 * length) / width) - ndtr((u - 0.5 * length) / width)
+        light = flux_e / length * share * np.exp(-0.5 * (v / width) ** 2) / (np.sqrt(2.0 * np.pi) * width)
+        pixels = StreakPixels(
+            row=row.astype(np.int32), col=col.astype(np.int32), psf_sigma_px=psf_px, frame_shape=(10_000, 10_000),
+            value_e=(light + rng.normal(0.0, noise_e, row.size)).astype(np.float32),
+            variance_e2=np.full(row.size, noise_e**2, dtype=np.float32),
+        )  # fmt: skip
+        ends = place + 0.5 * length * np.array([-1.0, 1.0])[:, None] * way
+        found = Detection(row0=ends[0, 0], col0=ends[0, 1], row1=ends[1, 0], col1=ends[1, 1], snr=snr)
+        fit = forced_fit(pixels, found, snr * np.sqrt(n))
+        at = np.array([[fit.row0, fit.col0], [fit.row1, fit.col1]])
+        member = trail(at if (at[1] - at[0]) @ way > 0.0 else at[::-1], k, fit.sigma_cross_px, fit.snr, tilt=False)
+        fit = fit if (at[1] - at[0]) @ way > 0.0 else reversed_ends(fit)
+        trails.append(replace(member, streak=replace(member.streak, fit=fit), pixels=pixels))
+    return trails, flux_e

@@ -28,7 +28,7 @@ def trail(first: float, last: float, height: float) -> NDArray[np.float64]:
 
 
 def test_stars_beyond_an_end_do_not_lengthen_a_trail_where_lines_beside_it_meet_as_many() -> None:
-    """1,500 stars that are on no list, six skies. Followed without a look beside it the trail of 100 px takes in others' light."""
+    """1,500 stars that are on no list, six skies. Without a look beside it the trail of 100 px takes in others' light."""
     longer: dict[bool, int] = {True: 0, False: 0}
     row, col = np.mgrid[-4:5, -4:5]
     star = 8.0 * np.exp(-0.5 * (row**2 + col**2) / 1.2**2)

@@ -40,7 +40,8 @@ WIDEST_UNKNOWN: Final = 3.0
 """A faint fit that is wider than this many assumed widths is more often a slope of the background than a trail."""
 
 NARROWEST_PX: Final = 0.3
-"""No optics in front of pixels are narrower (FWHM 0.7 px): columns, particles."""
+"""No optics in front of pixels are narrower (FWHM 0.7 px): columns, particles. Pictures that were made smaller have lines
+that are; what is light without doubt may be so."""
 
 LEAST_SNR_UNKNOWN: Final = 20.0
 """S/N that residuals of the flat field and rows of stars reach in frames without calibration."""
@@ -94,11 +95,11 @@ def posterior_of_classes(
     return share
 
 
-def _beyond_knowledge(fit: StreakFit, frame: DownlinkFrame) -> bool:
-    """Whether this fit cannot be trusted in a frame without calibration and without a PSF from its stars."""
+def _beyond_knowledge(fit: StreakFit, frame: DownlinkFrame, *, light: bool) -> bool:
+    """Whether a fit cannot be trusted in a frame without calibration and without a PSF from its stars; light : see `_light`."""
     outside = max(-fit.row0, -fit.row1, -fit.col0, -fit.col1)
     outside = max(outside, max(fit.row0, fit.row1) - frame.header.rows, max(fit.col0, fit.col1) - frame.header.cols)
-    return fit.snr < LEAST_SNR_UNKNOWN or fit.width_px < NARROWEST_PX or outside > FARTHEST_OUTSIDE_PX
+    return fit.snr < LEAST_SNR_UNKNOWN or (fit.width_px < NARROWEST_PX and not light) or outside > FARTHEST_OUTSIDE_PX
 
 
 def _snr_over_residuals(fit: StreakFit) -> float:
@@ -115,21 +116,25 @@ def _is_unbroken(fit: StreakFit) -> bool:
     )
 
 
+def _light(fits: Sequence[StreakFit]) -> list[bool]:
+    """Which of the fits of a frame are light without doubt: long, bright, lit all along, and no line of the readout."""
+    return [
+        fit.length_px >= LONGEST_PARTICLE_PX
+        and fit.snr >= LEAST_LIGHT_SNR
+        and not fit.flags & (StreakFlag.FIT_FAILED | StreakFlag.STATIC)
+        and not (is_aligned(fit.angle_deg) and odds >= LEAST_READOUT_ODDS)
+        and _is_unbroken(fit)
+        for fit, odds in zip(fits, odds_of_readout(fits), strict=True)
+    ]
+
+
 def sharpest_light_px(fits: Sequence[StreakFit]) -> float:
     """Width (sigma, px) that the optics do not exceed, as long bright lines show it; infinite where there is none.
 
     Stars do not always tell: full, stretched or crowded ones are wider than the optics. Satellites of one train had an eighth of
     their width.
     """
-    widths = [
-        fit.width_px
-        for fit, odds in zip(fits, odds_of_readout(fits), strict=True)
-        if fit.length_px >= LONGEST_PARTICLE_PX
-        and fit.snr >= LEAST_LIGHT_SNR
-        and not fit.flags & (StreakFlag.FIT_FAILED | StreakFlag.STATIC)
-        and not (is_aligned(fit.angle_deg) and odds >= LEAST_READOUT_ODDS)
-        and _is_unbroken(fit)
-    ]
+    widths = [fit.width_px for fit, light in zip(fits, _light(fits), strict=True) if light]
     return float(np.median(widths)) if widths else math.inf
 
 
@@ -233,18 +238,24 @@ class LikelihoodVetter:
         probability = 1.0 / (1.0 + np.exp(-(offset + slope * log_odds)))
         if self.model_error > 0.0:
             probability = probability / (1.0 + probability * readout)
-        refused = [self._refused(fit, frame, psf_sigma_px, unknown=unknown) for fit in fits]
+        refused = [
+            self._refused(fit, frame, psf_sigma_px, unknown=unknown, light=light)
+            for fit, light in zip(fits, _light(fits), strict=True)
+        ]
         return np.asarray(np.where(refused, 0.0, probability), dtype=np.float64)
 
-    def _refused(self, fit: StreakFit, frame: DownlinkFrame, psf_sigma_px: float, *, unknown: bool) -> bool:
-        """Whether a fit is rejected independently of the densities; unknown : the PSF's width is assumed."""
+    def _refused(self, fit: StreakFit, frame: DownlinkFrame, psf_sigma_px: float, *, unknown: bool, light: bool) -> bool:
+        """Whether a fit is rejected independently of the densities.
+
+        unknown : the PSF's width is assumed. light : the line is light, see `_light`.
+        """
         # The class densities end far below such widths: stray light, dead borders. No defocus makes them at these ranges.
         widest = min(WIDEST, WIDEST_UNKNOWN) if unknown else WIDEST
         uncalibrated = self.model_error > 0.0
         snr = _snr_over_residuals(fit) if uncalibrated else fit.snr
         if fit.width_px > widest * psf_sigma_px and snr < WIDEST_SNR:
             return True
-        if unknown and _beyond_knowledge(fit, frame):
+        if unknown and _beyond_knowledge(fit, frame, light=light):
             return True
         return uncalibrated and _blob(fit, psf_sigma_px, unknown=unknown)
 

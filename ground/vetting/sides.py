@@ -16,6 +16,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from ground.streaks.centre_line import effective_width_px
+from ground.vetting.features import LEAST_BINS
 from sboc_e2e.icd.products import StreakFit
 
 LEAST_CELL_PX: Final = 4
@@ -157,7 +158,10 @@ class SkyMap:
         """Whether a part of a line is lower than the share of a trail, for certain. False where the map does not tell."""
         height, error = self.height(fit, first, last)
         wide = math.hypot(effective_width_px(fit.width_px), self.cell_px / math.sqrt(12.0))
-        claimed = fit.flux_e / gain_e_adu / max(fit.length_px, 1.0) / (math.sqrt(2.0 * math.pi) * wide)
+        curve = fit.light_curve_e_px[round(first * fit.light_curve_e_px.size) : round(last * fit.light_curve_e_px.size)]
+        # the map has medians along the line, and a meteor has most of its light in its head
+        density = float(np.median(curve)) if curve.size >= LEAST_BINS else fit.flux_e / max(fit.length_px, 1.0)
+        claimed = density / gain_e_adu / (math.sqrt(2.0 * math.pi) * wide)
         return height + SIGMAS * error < LEAST_SHARE * claimed
 
 

@@ -10,10 +10,15 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.vetting.star_rows import FULL_LONGEST_PX, FULL_PER_FRAME, FULL_SNR, REAL_PER_FRAME
 from sboc_e2e.icd.products import StreakFit
 
-LEAST_LIGHT: Final = 30.0
-"""Light of a star over that of its spike, at least: struts take some per cent of the aperture. Chosen, not measured."""
+LEAST_LIGHT: Final = 20.0
+"""Light of a star over that of its spike, at least. Struts take some per cent of the aperture, and a fit through the star takes
+some of its core: four had a twenty-fifth."""
+LEAST_OF_LINE: Final = 0.3
+"""Light of a full star over that of a line which is this star, at least: what it spills is the rest. An even trail has a tenth of
+its light in one image of a star. Chosen, not measured."""
 
 CENTRE_ERROR_PX: Final = 2.0
 """How near to the centre of a star its spikes run: the middle of a full star is known to a pixel or two. Chosen, not measured."""
@@ -43,9 +48,19 @@ class BrightStars:
         return cls(row=row[order], col=col[order], flux_e=flux_e[order], area_px2=area_px2)
 
     def against(self, fit: StreakFit) -> float:
-        """Odds of a spike against a trail, as far as the stars tell; 0 where a line aims at none."""
+        """Odds of a spike or of one full star against a trail, as far as the stars tell; 0 where a line aims at none."""
+        odds = self._aimed_at(fit, LEAST_LIGHT, -1.0, 2.0, SPIKE_PER_REAL)
+        if fit.length_px <= FULL_LONGEST_PX and fit.snr > FULL_SNR:
+            odds += self._aimed_at(fit, LEAST_OF_LINE, 0.0, 1.0, FULL_PER_FRAME / REAL_PER_FRAME)
+        return odds
+
+    def _aimed_at(self, fit: StreakFit, least: float, low: float, high: float, per_real: float) -> float:
+        """Odds that a line belongs to a star of at least so many times its light, which lies on it.
+
+        low, high : where, in lengths from end 0. per_real : expected lines of this kind for each real streak.
+        """
         length = fit.length_px
-        first = int(np.searchsorted(self.flux_e, LEAST_LIGHT * fit.flux_e))
+        first = int(np.searchsorted(self.flux_e, least * fit.flux_e))
         if not length > 0.0 or not fit.flux_e > 0.0 or first == len(self.flux_e):
             return 0.0
         along_row, along_col = (fit.row1 - fit.row0) / length, (fit.col1 - fit.col0) / length
@@ -53,12 +68,12 @@ class BrightStars:
         along, across = row * along_row + col * along_col, row * along_col - col * along_row
         place = along / length
         reach = CENTRE_ERROR_PX + SIGMAS * _across_error(fit, place)
-        aims = (np.abs(across) < reach) & (place > -1.0) & (place < 2.0)
+        aims = (np.abs(across) < reach) & (place > low) & (place < high)
         if not aims.any():
             return 0.0
         breadth = 2.0 * float(np.median(reach[aims]))
-        chance = min(len(row) * breadth * 3.0 * length / self.area_px2, 1.0)
-        return SPIKE_PER_REAL * (1.0 / chance - 1.0)
+        chance = min(len(row) * breadth * (high - low) * length / self.area_px2, 1.0)
+        return per_real * (1.0 / chance - 1.0)
 
 
 def _across_error(fit: StreakFit, place: NDArray[np.float64]) -> NDArray[np.float64]:

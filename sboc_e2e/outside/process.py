@@ -38,7 +38,7 @@ def base_document(wcs: str) -> dict[str, Any]:
         "onboard": {
             "downlink": {"budget": "0 Mbit/s"},
             "roi": {"max_per_frame": MOST_DETECTIONS, "max_cosmic_like": MOST_HITS},
-            "detector": {"max_detections": MOST_DETECTIONS},
+            "detector": {"max_detections": MOST_DETECTIONS, "held_beside": True},
         },
         "ground": {
             "astrometry": {"lost_in_space": "required" if wcs == "solve" else "never"},

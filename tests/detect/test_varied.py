@@ -1,6 +1,53 @@
 """Facts about trails whose light varies, drawn by `tests.benchmarks.tumblers`, not by the simulator."""
 
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from onboard.detect.line_integral.varied import trail_followed
+from sboc_e2e.icd.signals import Detection
 from tests.benchmarks.tumblers import measure, whole
+
+SIDE = 512
+TRAIL = Detection(row0=256.0, col0=200.0, row1=256.0, col1=300.0, snr=200.0)
+
+
+def images(light: NDArray[np.float64], seed: int) -> Any:
+    """Working images of light (rows, cols) in sigmas, over white noise, clipped as the detector's are."""
+    sigmas = light + np.random.default_rng(seed).normal(size=light.shape)
+    image = np.clip(np.rint(16.0 * sigmas), -127, 127).astype(np.int8)
+    return SimpleNamespace(image=image, blocked=np.zeros(light.shape, np.uint8), level=np.zeros((SIDE, SIDE), np.float32))
+
+
+def trail(first: float, last: float, height: float) -> NDArray[np.float64]:
+    """Light on row 256 from one column to another."""
+    row, col = np.mgrid[:SIDE, :SIDE]
+    return np.asarray(height * np.exp(-0.5 * ((row - 256.0) / 1.2) ** 2) * ((col >= first) & (col <= last)))
+
+
+def test_stars_beyond_an_end_do_not_lengthen_a_trail_where_lines_beside_it_meet_as_many() -> None:
+    """1,500 stars that are on no list, six skies. Without a look beside it the trail of 100 px takes in others' light."""
+    longer: dict[bool, int] = {True: 0, False: 0}
+    row, col = np.mgrid[-4:5, -4:5]
+    star = 8.0 * np.exp(-0.5 * (row**2 + col**2) / 1.2**2)
+    for seed in range(6):
+        light = trail(200, 300, 8.0)
+        for r, c in np.random.default_rng(100 + seed).integers(4, SIDE - 5, (1500, 2)):
+            light[r - 4 : r + 5, c - 4 : c + 5] += star
+        sky = images(light, seed)
+        for held in longer:
+            longer[held] += trail_followed(TRAIL, sky, 1.2, held).length_px > 110.0
+    assert longer[False] >= 5
+    assert longer[True] <= 2
+
+
+def test_a_dim_part_of_a_trail_is_followed_where_lines_beside_it_show_nothing() -> None:
+    """A tenth of its light on 60 px: S/N 8."""
+    for seed in range(3):
+        sky = images(trail(200, 300, 8.0) + trail(301, 360, 0.8), seed)
+        assert abs(trail_followed(TRAIL, sky, 1.2, True).length_px - 160.0) < 15.0
 
 
 def test_tumblers_come_out_as_one_trail_and_whole() -> None:

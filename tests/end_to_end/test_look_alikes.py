@@ -13,12 +13,12 @@ from onboard.options import OnboardOptions
 from onboard.state import OnboardSteps
 from onboard.work import meter
 from sboc_e2e import scenario as scenarios
-from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.flags import MaskBit, StreakFlag
 from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.products import StreakFit
 from sboc_e2e.icd.signals import Detection, DetectorView, StarList
 from sboc_e2e.outside.found import Found
-from sboc_e2e.outside.look_alikes import CountingChain, Dark, look_alikes, seen_of, shape_of, stars_as_lines
+from sboc_e2e.outside.look_alikes import CountingChain, Dark, look_alikes, seen_of, shape_of, stars_as_lines, unseen
 from sboc_e2e.outside.process import base_document
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.onboard_stage import onboard_steps
@@ -374,3 +374,9 @@ def test_a_train_of_satellites_and_a_few_lines_are_no_stars() -> None:
     train = [Detection(row0=r, col0=2.0 * r, row1=r + 50.0, col1=2.0 * r + 100.0, snr=30.0) for r in np.arange(40.0, 440.0, 40.0)]
     assert stars_as_lines(train, (1000, 1000)) is None
     assert stars_as_lines(star_lines(0.0, 7, 5), (1000, 1000)) is None
+
+
+def test_full_pixels_are_light_and_others_that_are_masked_say_nothing() -> None:
+    """A satellite that fills its pixels had no light left in its middle, and was taken for a slope."""
+    mask = np.array([[0, MaskBit.SATURATED, MaskBit.DEAD, MaskBit.SATURATED | MaskBit.HOT]], dtype=np.uint8)
+    assert unseen(mask).tolist() == [[False, False, True, True]]

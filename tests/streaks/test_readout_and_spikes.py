@@ -14,7 +14,7 @@ from sboc_e2e.icd.flags import StreakFlag
 
 def line(row0: float, col0: float, row1: float, col1: float, **more: Any) -> Any:
     """A fit of ends that are known to 0.1 px."""
-    values = {"width_px": 1.0, "chi2_nu": 1.0, "flux_e": 1000.0, "covariance_px2": 0.01 * np.eye(4)} | more
+    values = {"width_px": 1.0, "chi2_nu": 1.0, "flux_e": 1000.0, "snr": 50.0, "covariance_px2": 0.01 * np.eye(4)} | more
     ends = {"row0": row0, "col0": col0, "row1": row1, "col1": col1, "length_px": math.hypot(row1 - row0, col1 - col0)}
     return type("Fit", (), ends | values)()
 
@@ -72,9 +72,17 @@ def test_a_line_through_a_bright_star_is_a_spike(shift: float) -> None:
     spike = line(*start, *stop)
     assert stars(1).against(spike) > 100.0
     assert stars(1).against(line(start[0] + 4.0, start[1], stop[0] + 4.0, stop[1])) == 0.0
-    assert stars(1, flux_e=2e4).against(spike) == 0.0
+    assert stars(1, flux_e=1.5e4).against(spike) == 0.0
     assert stars(40).against(spike) < 10.0, "in a field of forty such stars every tenth line aims at one"
     assert BrightStars.of(np.zeros(0), np.zeros(0), np.zeros(0, np.float32), 1e6).against(spike) == 0.0
+
+
+def test_a_bright_line_that_is_one_full_star_is_none() -> None:
+    """A star of the line's own light on it, S/N 100,000: spilled charge, 31 px long, had p 0.99. At S/N 50 it crosses a star."""
+    star = stars(1, flux_e=1000.0)
+    assert star.against(line(285.0, 300.0, 316.0, 302.0, snr=1e5)) > 100.0
+    assert star.against(line(285.0, 300.0, 316.0, 302.0)) == 0.0
+    assert star.against(line(320.0, 300.0, 351.0, 302.0, snr=1e5)) == 0.0, "before it and not on it"
 
 
 def test_trails_aim_at_stars_as_seldom_as_the_odds_say() -> None:

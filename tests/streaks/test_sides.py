@@ -26,9 +26,8 @@ def fit(width_px: float, height: float) -> Any:
     length = float(np.hypot(ENDS[2] - ENDS[0], ENDS[3] - ENDS[1]))
     flux = height * np.sqrt(2.0 * np.pi) * np.hypot(width_px, 12.0**-0.5) * length
     ends = dict(zip(("row0", "col0", "row1", "col1"), ENDS, strict=True))
-    return type(
-        "Fit", (), ends | {"length_px": length, "width_px": width_px, "flux_e": flux, "sagitta_px": 0.0, "psf_sigma_px": 1.3}
-    )()
+    of = {"length_px": length, "width_px": width_px, "flux_e": flux, "sagitta_px": 0.0, "psf_sigma_px": 1.3}
+    return type("Fit", (), ends | of | {"light_curve_e_px": np.zeros(0, np.float32)})()
 
 
 def refused(light: NDArray[np.float64], width_px: float, height: float, unknown: NDArray[np.bool_] | None = None) -> list[bool]:
@@ -55,6 +54,19 @@ def test_a_step_of_the_level_is_an_edge() -> None:
     """The slit of a dome: dark on one side, a soft step of 100 ADU. A fit takes the brighter half for a trail."""
     light = 100.0 / (1.0 + np.exp(across() / 6.0))
     assert refused(light, 10.0, 50.0) == [True] * 3
+
+
+def test_a_meteor_with_its_light_in_its_head_is_no_slope() -> None:
+    """The last tenth is twenty times as bright as the rest, so that the mean is three times the median along the line."""
+    row = np.mgrid[:SIDE, :SIDE][0].astype(float)
+    share = (row - ENDS[0]) / (ENDS[2] - ENDS[0])
+    image = (1_000.0 + np.where(share > 0.9, 2_000.0, 100.0) * np.exp(-0.5 * (across() / 1.3) ** 2)).astype(np.float32)
+    meteor = fit(1.3, 290.0)
+    sky = SkyMap.of(image + np.random.default_rng(0).normal(0.0, NOISE, image.shape).astype(np.float32), image < 0.0)
+    assert sky.refuses(meteor, 1.0)
+    density = np.sqrt(2.0 * np.pi) * 1.3
+    meteor.light_curve_e_px = (density * np.where(np.arange(40) >= 36, 2_000.0, 100.0)).astype(np.float32)
+    assert not sky.refuses(meteor, 1.0)
 
 
 def test_the_rim_of_a_field_is_an_edge() -> None:

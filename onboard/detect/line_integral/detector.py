@@ -108,6 +108,10 @@ class LineIntegralDetector:
         },
     )
     reach_px: float = field(default=300.0, metadata={"doc": "largest shift of stars between frames", "min": 0.0, "max": 5000.0})
+    held_beside: bool = field(
+        default=False,
+        metadata={"doc": "light beyond a trail's ends must exceed that of lines beside it: the sky is not known to be even"},
+    )
     max_detections: int = field(
         default=200, metadata={"doc": "most detections of a frame, particle hits last", "min": 1, "max": 10000}
     )
@@ -241,7 +245,7 @@ class LineIntegralDetector:
             found += slow_movers(view, earlier)
         found = [sharpness.with_sharpness(d, view, images.level, TILE_PX) for d in found]
         found = [with_unclipped_snr(d, view, images, s_px) for d in found]
-        found = fragments.join(varied.followed(found, view, images, s_px))
+        found = fragments.join(varied.followed(found, view, images, s_px, held_beside=self.held_beside))
         hits = particle_hits(view, images, n_sigma + self.short_margin, MOST_HITS)
         found = track_pieces.flagged(found, hits)
         radii = star_mask.mask_radii_px(view.stars.snr, s_px, self.halo_px) if found else np.zeros(0)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.detect.line_integral import trains
+from onboard.detect.line_integral.local_noise import NEAREST_PX
 from onboard.detect.line_integral.star_removal import TILE_PX, WorkingImages
 from onboard.detect.whiten import FOUND_BIT, UNIT
 from sboc_e2e.icd.flags import StreakFlag
@@ -46,13 +47,25 @@ BEYOND_SIGMAS: Final = 2.0
 MOST_STEPS: Final = 8
 """Each step begins at the ends and on the line that the one before gave."""
 
+BESIDE: Final = 16
+"""Lines beside a trail, half of them to each side, on which light is looked for as beyond its ends. Chosen, not measured."""
+BESIDE_APART_PX: Final = 6.0
+"""From one of them to the next; the first two are `local_noise.NEAREST_PX` away. Chosen, not measured."""
+MOST_BRIGHTER: Final = 1
+"""Lines beside that may show more than the trail's own: a star or another trail may lie on one of them. Chosen, not measured."""
 
-def followed(detections: Sequence[Detection], view: DetectorView, images: WorkingImages, psf_sigma_px: float) -> list[Detection]:
-    """The detections, clear trails with their ends where their light ends; pieces of one trail then lie on each other."""
+
+def followed(
+    detections: Sequence[Detection], view: DetectorView, images: WorkingImages, psf_sigma_px: float, *, held_beside: bool = False
+) -> list[Detection]:
+    """The detections, clear trails with their ends where their light ends; pieces of one trail then lie on each other.
+
+    held_beside : light beyond an end must exceed what the same look finds on lines beside the trail.
+    """
     middles = np.array([(0.5 * (d.row0 + d.row1), 0.5 * (d.col0 + d.col1)) for d in detections]).reshape(-1, 2)
     out = []
     for detection in detections:
-        longer = _followed(detection, images, psf_sigma_px)
+        longer = trail_followed(detection, images, psf_sigma_px, held_beside)
         # a piece of a row has less light than the row
         row = replace(longer, snr=max(longer.snr, trains.LEAST_SNR))
         in_row = longer is not detection and (
@@ -72,20 +85,20 @@ def _on(detection: Detection, middles: NDArray[np.float64]) -> int:
     return int(np.count_nonzero((along > 0.0) & (along < length) & (np.abs(across - bow) < ON_LINE_PX)))
 
 
-def _followed(detection: Detection, images: WorkingImages, psf_sigma_px: float) -> Detection:
+def trail_followed(detection: Detection, images: WorkingImages, psf_sigma_px: float, held_beside: bool) -> Detection:
     """One trail followed; as it was when nothing more is found."""
     if detection.snr < LEAST_SNR or detection.length_px < LEAST_LENGTH_PX or detection.flags & StreakFlag.COSMIC_LIKE:
         return detection
     least = FOLLOW_SIGMA
     for _ in range(MOST_STEPS):
-        longer = _step(detection, images, psf_sigma_px, least)
+        longer = _step(detection, images, psf_sigma_px, least, held_beside)
         if longer is None:
             break
         detection, least = longer, VARIED_SIGMA
     return detection
 
 
-def _step(detection: Detection, images: WorkingImages, psf_sigma_px: float, least: float) -> Detection | None:
+def _step(detection: Detection, images: WorkingImages, psf_sigma_px: float, least: float, held_beside: bool) -> Detection | None:
     """The detection after one look beyond both ends; None when there is nothing."""
     length = detection.length_px
     reach = math.ceil(REACH_LENGTHS * length + REACH_PX)
@@ -94,10 +107,13 @@ def _step(detection: Detection, images: WorkingImages, psf_sigma_px: float, leas
         images.image, images.blocked, images.level, TILE_PX, ends, detection.sagitta_px, reach, psf_sigma_px
     )
     along = np.arange(len(signal), dtype=np.float64) - reach  # px from end 0
-    skip = BEYOND_SIGMAS * psf_sigma_px
-    after, before = along > length + skip, along < -skip
+    after, before = _beyond(len(signal), reach, length, psf_sigma_px)
     more = _light_ends(signal[after], power[after], least)
     less = _light_ends(signal[before][::-1], power[before][::-1], least)
+    if held_beside and not (more is None and less is None):
+        most = _most_beside(detection, images, reach, psf_sigma_px)
+        more = more if _best_snr(signal[after], power[after]) > most[0] else None
+        less = less if _best_snr(signal[before][::-1], power[before][::-1]) > most[1] else None
     if more is None and less is None:
         return None
     stop = length if more is None else float(along[after][more])
@@ -114,6 +130,35 @@ def _step(detection: Detection, images: WorkingImages, psf_sigma_px: float, leas
         places += [float(np.clip(row, 0.0, rows - 1.0)), float(np.clip(col, 0.0, cols - 1.0))]
     grown = detection.sagitta_px * ((stop - start) / length) ** 2
     return replace(detection, row0=places[0], col0=places[1], row1=places[2], col1=places[3], sagitta_px=grown)
+
+
+def _most_beside(detection: Detection, images: WorkingImages, reach: int, psf_sigma_px: float) -> tuple[float, float]:
+    """S/N of light beyond end 1 and end 0 that all lines beside a detection but `MOST_BRIGHTER` stay below."""
+    length = detection.length_px
+    across = np.array([detection.col1 - detection.col0, detection.row0 - detection.row1]) / length
+    found = np.zeros((2, BESIDE))
+    for k in range(BESIDE):
+        shift = (NEAREST_PX + BESIDE_APART_PX * (k // 2)) * (1.0 if k % 2 else -1.0) * across
+        ends = np.array([detection.row0, detection.col0, detection.row1, detection.col1]) + np.tile(shift, 2)
+        signal, power, _ = light_along(
+            images.image, images.blocked, images.level, TILE_PX, ends, detection.sagitta_px, reach, psf_sigma_px
+        )
+        after, before = _beyond(len(signal), reach, length, psf_sigma_px)
+        found[0, k] = _best_snr(signal[after], power[after])
+        found[1, k] = _best_snr(signal[before][::-1], power[before][::-1])
+    found.sort(axis=1)
+    return float(found[0, -1 - MOST_BRIGHTER]), float(found[1, -1 - MOST_BRIGHTER])
+
+
+def _beyond(n: int, reach: int, length_px: float, psf_sigma_px: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Which of the n bins of `light_along` lie beyond end 1, and which before end 0."""
+    along = np.arange(n, dtype=np.float64) - reach
+    return along > length_px + BEYOND_SIGMAS * psf_sigma_px, along < -BEYOND_SIGMAS * psf_sigma_px
+
+
+def _best_snr(signal: NDArray[np.float64], power: NDArray[np.float64]) -> float:
+    """Largest S/N of light that begins at the first bin; 0 of no bins."""
+    return float(np.max(np.cumsum(signal) / np.sqrt(np.maximum(np.cumsum(power), 1e-9)), initial=0.0))
 
 
 def _light_ends(signal: NDArray[np.float64], power: NDArray[np.float64], least: float) -> int | None:

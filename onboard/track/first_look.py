@@ -95,9 +95,10 @@ def first_look(
     """Best track on a lattice of ends and tilts in frames low ... high about `centre`; fills best (a, length, tilt, sense).
 
     All in pixels of the images that the corridors are of; tilts are whole lanes per length. Pairs of frames count beside all
-    three: by how much the S/N exceeds margin[number of frames], or `least` where none does by more. Returns this and how many of
-    the starts (m, 5) were filled: a, length, tilt, sense and S/N beyond the margin of the best tilt for ends and sense, of all that
-    are no more than `keep` below the best one; some that are come before it. ends, n_ends, lane : as `own_ends` leaves them.
+    three: by how much the S/N exceeds margin[number of frames], or `least` where none does by more. Returns this and how many
+    of the starts (m, 5) were filled: a, length, tilt, sense and S/N beyond the margin of the best tilt for some ends and a
+    sense. All that are no more than `keep` below the best one are among them, and some that came before it. ends, n_ends,
+    lane : as `own_ends` leaves them.
     """
     sums, counts, grid, pieces = corridors
     taus, seed_px = look.taus, look.seed_px

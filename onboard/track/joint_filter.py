@@ -43,12 +43,12 @@ more frames. With `LONGER` there it costs 4 of 253 seeds that become tracks, and
 frames (30 cubes of eight frames, seed 101)."""
 LONGER: Final = 1.7  # the same in more frames
 
-NARROW: Final = 1.8
+NARROW: Final = 1.8  # the same of the first look
 WIDE: Final = 2.0
-"""S/N by which the first look, and the one in the frames two away, may fall short for a seed to be climbed with: one of them is
-enough. Of noise's seeds that come so far these leave one in twelve."""
+"""S/N by which the look in the frames two away may fall short for a seed to be climbed with; where the first look falls short by
+less than `NARROW` it may be more. Of noise's seeds that come so far these leave one in twelve."""
 
-DEARER: Final = 0.15
+DEARER: Final = 0.15  # chosen, not measured
 DEARER_PX: Final = 256.0
 """A seed needs so much more S/N for each doubling of its length beyond this: the work grows as its length, and fewer of its
 object's trails lie in the image."""
@@ -232,9 +232,7 @@ def follow(
                         placed(half_seed, half_transforms[frame], place)
                         image = halves[frame] if steep else flat_halves[frame]
                         read += gather_starts(image, frame, place, half_look, chosen[:n], corridors)
-                wide = wide_look(
-                    corridors, half_look, centre, low, high, threshold, wide, chosen[:n], lane, wide_best, room
-                )
+                wide = wide_look(corridors, half_look, centre, low, high, threshold, wide, chosen[:n], lane, wide_best, room)
             if found_at < -NARROW and wide < -WIDE:
                 continue
             if wide > found_at:

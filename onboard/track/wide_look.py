@@ -36,8 +36,8 @@ def gather_starts(
 ) -> int:
     """Gather what the trails of some starts cover in a frame; returns the pixels read.
 
-    image : rows are the major axis. place : see `gather`, of the seed in this frame. starts : as `first_look` fills them, at least
-    one, all of the look's sense.
+    image : rows are the major axis. place : see `gather`, of the seed in this frame. starts : as `first_look` fills them, one or
+    more, all of the look's sense.
     """
     step = look.seed_px / STEPS
     first_px, last_px = 1e9, -1e9
@@ -64,7 +64,7 @@ def wide_look(
     best: NDArray[np.float64],
     room: NDArray[np.float64],
 ) -> float:
-    """Best of some starts and of their neighbours on a finer lattice, in frames low ... high; fills best (a, length, tilt, sense).
+    """Best of some starts and their neighbours on a finer lattice in frames low ... high; fills best (a, length, tilt, sense).
 
     By how much the S/N of three or more frames in a row with the centre exceeds margin[number of frames]; `least` where none has
     more. starts : all of the look's sense. lane : of the seed. room (2, frames) : work space.

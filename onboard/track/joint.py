@@ -1,6 +1,6 @@
 """`onboard.tracker: joint`: trails too faint for any single frame, found in several together.
 
-Segments that a frame shows at S/N 4.0, below the detector's threshold, are pointers. Each foretells in both senses of motion
+Segments that a frame shows at S/N 4.1, below the detector's threshold, are pointers. Each foretells in both senses of motion
 where the object's trail lies in the frames around. The sum over all frames is compared with the sums that noise alone makes.
 """
 
@@ -111,7 +111,7 @@ class JointTracker:
     """Straight tracks through `window` frames, found from segments of S/N `seed_sigma` in one of them."""
 
     window: int = field(default=7, metadata={"doc": "frames that are searched together", "min": 3, "max": 15})
-    seed_sigma: float = field(default=4.0, metadata={"doc": "least S/N of a segment that is followed", "min": 4.0, "max": 20.0})
+    seed_sigma: float = field(default=4.1, metadata={"doc": "least S/N of a segment that is followed", "min": 4.0, "max": 20.0})
     false_tracks: float = field(
         default=0.02, metadata={"doc": "false tracks per frame that noise may make", "min": 1e-9, "max": 10.0}
     )

@@ -89,17 +89,21 @@ def first_look(
     ends: NDArray[np.float64],
     n_ends: int,
     lane: int,
-) -> float:
+    starts: NDArray[np.float64],
+    keep: float,
+) -> tuple[float, int]:
     """Best track on a lattice of ends and tilts in frames low ... high about `centre`; fills best (a, length, tilt, sense).
 
     All in pixels of the images that the corridors are of; tilts are whole lanes per length. Pairs of frames count beside all
-    three: by how much the S/N exceeds margin[number of frames]. Returns `least` where none has more. ends, n_ends, lane : as
-    `own_ends` leaves them.
+    three: by how much the S/N exceeds margin[number of frames], or `least` where none does by more. Returns this and how many
+    of the starts (m, 5) were filled: a, length, tilt, sense and S/N beyond the margin of the best tilt for some ends and a
+    sense. All that are no more than `keep` below the best one are among them, and some that came before it. ends, n_ends,
+    lane : as `own_ends` leaves them.
     """
     sums, counts, grid, pieces = corridors
     taus, seed_px = look.taus, look.seed_px
     scale = math.sqrt(look.variance * PARTS)  # of a sum over the root of its weight
-    score = least
+    score, n_starts = least, 0
     two, three = max(score + margin[2], 0.0) * scale, max(score + margin[3], 0.0) * scale
     before, after = max(centre - 1, low), min(centre + 1, high)
     for e in range(n_ends):
@@ -127,6 +131,7 @@ def first_look(
                 and _below(s1 + most0 + most2, w1 + KNOWN * (known0 + known2), three)
             ):
                 continue
+            top = least
             for half in range(-2 * TILT_STEPS, 2 * TILT_STEPS + 1):
                 tilt = 0.5 * half
                 m, n = lane + round(tilt * back), lane + round(tilt * apart)
@@ -146,11 +151,16 @@ def first_look(
                     value = max(value, (s2 + s1) / (scale * math.sqrt(w2 + w1)) - margin[2])
                 if w0 > 0 and w2 > 0 and not _below(s0 + s1 + s2, w0 + w1 + w2, three):
                     value = max(value, (s0 + s1 + s2) / (scale * math.sqrt(w0 + w1 + w2)) - margin[3])
+                if value > top:
+                    top, each = value, starts[n_starts]
+                    each[0], each[1], each[2], each[3], each[4] = start, length, tilt, sense, value
                 if value > score:
                     score = value
-                    two, three = max(score + margin[2], 0.0) * scale, max(score + margin[3], 0.0) * scale
+                    wanted = max(least, score - keep)
+                    two, three = max(wanted + margin[2], 0.0) * scale, max(wanted + margin[3], 0.0) * scale
                     best[0], best[1], best[2], best[3] = start, length, tilt, sense
-    return score
+            n_starts += int(top > least)
+    return score, n_starts
 
 
 @nb.njit(cache=True, inline="always")

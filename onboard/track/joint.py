@@ -1,6 +1,6 @@
 """`onboard.tracker: joint`: trails too faint for any single frame, found in several together.
 
-Segments that a frame shows at S/N 4.3, below the detector's threshold, are pointers. Each foretells in both senses of motion
+Segments that a frame shows at S/N 4.1, below the detector's threshold, are pointers. Each foretells in both senses of motion
 where the object's trail lies in the frames around. The sum over all frames is compared with the sums that noise alone makes.
 """
 
@@ -43,7 +43,7 @@ window of seven has four where the seed is in the last."""
 AGAIN: Final = 1
 """Place in the window where seeds that fell short are followed again: five later frames are there then, not three."""
 
-OWN_LOSS: Final = 0.3
+OWN_LOSS: Final = 0.1
 """Less S/N that a seed may have in its own frame when it is looked at there, at half resolution and on other ends."""
 
 LOOK_PER_PX: Final = 110.0
@@ -111,7 +111,7 @@ class JointTracker:
     """Straight tracks through `window` frames, found from segments of S/N `seed_sigma` in one of them."""
 
     window: int = field(default=7, metadata={"doc": "frames that are searched together", "min": 3, "max": 15})
-    seed_sigma: float = field(default=4.3, metadata={"doc": "least S/N of a segment that is followed", "min": 4.0, "max": 20.0})
+    seed_sigma: float = field(default=4.1, metadata={"doc": "least S/N of a segment that is followed", "min": 4.0, "max": 20.0})
     false_tracks: float = field(
         default=0.02, metadata={"doc": "false tracks per frame that noise may make", "min": 1e-9, "max": 10.0}
     )
@@ -166,7 +166,7 @@ class JointTracker:
         for centre in range(state.followed, stop):
             known, number = {t.number: t for t in state.tracks}, state.next_number
             window = tuple(  # the look at the frames around needs halves
-                frame.with_halves() if abs(k - centre) <= 1 else replace(frame, halves=None)
+                frame.with_halves() if abs(k - centre) <= 2 else replace(frame, halves=None)
                 for k, frame in enumerate(state.window)
             )
             older = state.older
@@ -179,8 +179,8 @@ class JointTracker:
         return replace(state, window=self._put_by(state.window, state.followed)), found
 
     def _put_by(self, window: tuple[KeptSearch, ...], followed: int) -> tuple[KeptSearch, ...]:
-        """The window while the next frame is searched: halves of frames before the last followed one are not asked for again."""
-        return tuple(replace(frame, halves=None) if k < followed - 1 else frame for k, frame in enumerate(window))
+        """The window while the next frame is searched: halves of frames two before the next to be followed stay."""
+        return tuple(replace(frame, halves=None) if k < followed - 2 else frame for k, frame in enumerate(window))
 
     def _numbered(
         self,
@@ -236,8 +236,9 @@ class JointTracker:
         most_work = max(LEAST_WORK, round(WORK_PER_PX * kept.shape[0] * kept.shape[1]))
         seeds, senses = kept.waiting[:, :5], np.ascontiguousarray(kept.waiting[:, 5])
         if not kept_seeds:
-            seeds = kept.seeds[np.hypot(*(kept.seeds[:, 2:4] - kept.seeds[:, :2]).T) < LONGEST_PX]
-            seeds = by_place(seeds[np.argsort(-seeds[:, 4], kind="stable")], most_work)
+            px = np.hypot(*(kept.seeds[:, 2:4] - kept.seeds[:, :2]).T)
+            seeds, px = kept.seeds[px < LONGEST_PX], px[px < LONGEST_PX]
+            seeds = by_place(seeds[np.argsort(joint_filter.dearer(px) - seeds[:, 4], kind="stable")], most_work)
             senses = np.zeros(len(seeds))
         if len(window) < 2 or not len(seeds):
             return [], NONE_WAIT

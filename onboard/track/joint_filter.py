@@ -23,6 +23,7 @@ from onboard.track.trail_sums import (
     trail_sums,
     trail_variance,
 )
+from onboard.track.wide_look import KEPT, gather_starts, wide_look
 
 STATIC_SIGMAS: Final = 3.0  # noise makes one in 740 so bright; lower refuses more tracks. Chosen, not measured
 LEAST_STATIC: Final = 1.2
@@ -42,8 +43,24 @@ more frames. With `LONGER` there it costs 4 of 253 seeds that become tracks, and
 frames (30 cubes of eight frames, seed 101)."""
 LONGER: Final = 1.7  # the same in more frames
 
+NARROW: Final = 1.8  # the same of the first look
+WIDE: Final = 2.0
+"""S/N by which the look in the frames two away may fall short for a seed to be climbed with; where the first look falls short by
+less than `NARROW` it may be more. Of noise's seeds that come so far these leave one in twelve."""
+
+DEARER: Final = 0.15  # chosen, not measured
+DEARER_PX: Final = 256.0
+"""A seed needs so much more S/N for each doubling of its length beyond this: the work grows as its length, and fewer of its
+object's trails lie in the image."""
+
 FINE: Final = 24
 """Pieces of a seed in the second look."""
+
+
+@nb.vectorize(cache=True)
+def dearer(seed_px: float) -> float:
+    """S/N that a seed of such a length needs beyond what short ones do."""
+    return DEARER * max(0.0, math.log2(seed_px / DEARER_PX))
 
 
 @nb.njit(cache=True)
@@ -137,7 +154,8 @@ def follow(
     waiting = np.zeros((len(seeds), 6))
     n_found = n_waiting = read = taken = 0
     place, trial, best, line = np.empty(4), np.empty(4), np.empty(4), np.empty(4)
-    half_seed, parameters = np.empty(4), np.empty(4)
+    half_seed, parameters, wide_best = np.empty(4), np.empty(4), np.empty(4)
+    starts, chosen, room = np.empty((2 * ENDS**2 + 1, 5)), np.empty((2 * ENDS**2, 5)), np.empty((2, len(images)))
     ends, before = np.empty((ENDS**2, 4)), np.empty((2, ENDS, 2, LANES), np.int64)
     # pixel centres of the halved image lie at 2 k + 0.5
     half_transforms = transforms.copy()
@@ -162,7 +180,7 @@ def follow(
         seed_px = math.hypot(d_row, d_col)
         # px across the line for a step of one pixel along the minor axis
         per_lane = max(d_row, d_col) / seed_px
-        lane = MIDDLE
+        lane, nearest = MIDDLE, 1
         best[0], best[1], best[2], best[3] = 0.0, 0.5 * seed_px, 0.0, senses[m]
         half_seed[:] = 0.5 * (seed[:4] - 0.5)
         half_noise = half_variance * line_variance(psf_sigma_px, per_lane) + HALF_ROUNDING
@@ -188,14 +206,38 @@ def follow(
                 read += gather(image, True, place, begin, piece, n, corridors.sums[frame], corridors.counts[frame])
                 if turn == 0:
                     n_ends, lane, own = own_ends(corridors, half_look, centre, ends, before)
-                    if own < least_own:
+                    if own < least_own + dearer(seed_px):
                         n_ends = 0
                         break
             if n_ends == 0:
                 continue
-            found_at = first_look(corridors, half_look, centre, low, high, threshold, -first_margin, best, ends, n_ends, lane)
+            found_at, n_starts = first_look(
+                corridors, half_look, centre, low, high, threshold, -first_margin, best, ends, n_ends, lane, starts, KEPT
+            )
             if found_at <= -first_margin:
                 continue
+            low, high = max(n_old, centre - 2), min(n_frames - 1, centre + 2)
+            wide = -1e9
+            for side in (-1.0, 1.0):
+                n = 0
+                for k in range(n_starts):
+                    if starts[k, 3] == side and starts[k, 4] >= found_at - KEPT:
+                        chosen[n] = starts[k]
+                        n += 1
+                if n == 0:
+                    continue
+                half_look = Look(taus, side, half_px, per_lane, 1.0, half_noise, 0.0, 0)
+                for frame in (centre - 2, centre + 2):
+                    if low <= frame <= high:
+                        placed(half_seed, half_transforms[frame], place)
+                        image = halves[frame] if steep else flat_halves[frame]
+                        read += gather_starts(image, frame, place, half_look, chosen[:n], corridors)
+                wide = wide_look(corridors, half_look, centre, low, high, threshold, wide, chosen[:n], lane, wide_best, room)
+            if found_at < -NARROW and wide < -WIDE:
+                continue
+            if wide > found_at:
+                best[:] = wide_best
+                nearest = 2
         read += (n_frames - n_old) * round(seed_px)
         track, sense = parameters, best[3]
         look = look_of(taus, sense, seed_px, per_lane, psf_sigma_px, n_old)
@@ -205,7 +247,7 @@ def follow(
         track[0], track[1] = 2.0 * best[0], 2.0 * best[1]
         track[2], track[3] = 2.0 * (lane - MIDDLE) * per_lane, 2.0 * best[2] * per_lane
         score, first, last = -1e9, centre, centre
-        for reach_frames in range(1, len(images)):
+        for reach_frames in range(nearest, len(images)):
             low, high = max(n_old, centre - reach_frames), min(n_frames - 1, centre + reach_frames)
             for frame in range(low, high + 1):
                 # what was gathered for nearer frames is gathered again, finer, about the place as it is known now

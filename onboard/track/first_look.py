@@ -1,7 +1,7 @@
 """The best track through a seed on a lattice of ends and tilts, at half resolution, in its frame and those beside it."""
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numba as nb
 import numpy as np
@@ -36,6 +36,14 @@ LONGEST: Final = 1.6
 
 ENDS: Final = 2 * END_STEPS + 1
 """Places that are tried for each end."""
+
+
+class Span(NamedTuple):
+    """Frames that are looked at: low ... high, and the seed's own among them."""
+
+    centre: int
+    low: int
+    high: int
 
 
 @nb.njit(cache=True)
@@ -80,9 +88,7 @@ def own_ends(
 def first_look(
     corridors: Corridors,
     look: Look,
-    centre: int,
-    low: int,
-    high: int,
+    span: Span,
     margin: NDArray[np.float64],
     least: float,
     best: NDArray[np.float64],
@@ -92,7 +98,7 @@ def first_look(
     starts: NDArray[np.float64],
     keep: float,
 ) -> tuple[float, int]:
-    """Best track on a lattice of ends and tilts in frames low ... high about `centre`; fills best (a, length, tilt, sense).
+    """Best track on a lattice of ends and tilts in the frames of a span; fills best (a, length, tilt, sense).
 
     All in pixels of the images that the corridors are of; tilts are whole lanes per length. Pairs of frames count beside all
     three: by how much the S/N exceeds margin[number of frames], or `least` where none does by more. Returns this and how many
@@ -102,6 +108,7 @@ def first_look(
     """
     sums, counts, grid, pieces = corridors
     taus, seed_px = look.taus, look.seed_px
+    centre, low, high = span
     scale = math.sqrt(look.variance * PARTS)  # of a sum over the root of its weight
     score, n_starts = least, 0
     two, three = max(score + margin[2], 0.0) * scale, max(score + margin[3], 0.0) * scale

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from onboard.track.climb import best_range, climb
 from onboard.track.corridor import LANES, MIDDLE, MOST_PIECES, gather, path_sum
-from onboard.track.first_look import END_STEPS, ENDS, LONGEST, STEPS, first_look, own_ends
+from onboard.track.first_look import END_STEPS, ENDS, LONGEST, STEPS, Span, first_look, own_ends
 from onboard.track.packed import HALF_ROUNDING
 from onboard.track.trail_sums import (
     Corridors,
@@ -212,7 +212,7 @@ def follow(
             if n_ends == 0:
                 continue
             found_at, n_starts = first_look(
-                corridors, half_look, centre, low, high, threshold, -first_margin, best, ends, n_ends, lane, starts, KEPT
+                corridors, half_look, Span(centre, low, high), threshold, -first_margin, best, ends, n_ends, lane, starts, KEPT
             )
             if found_at <= -first_margin:
                 continue
@@ -232,7 +232,8 @@ def follow(
                         placed(half_seed, half_transforms[frame], place)
                         image = halves[frame] if steep else flat_halves[frame]
                         read += gather_starts(image, frame, place, half_look, chosen[:n], corridors)
-                wide = wide_look(corridors, half_look, centre, low, high, threshold, wide, chosen[:n], lane, wide_best, room)
+                span = Span(centre, low, high)
+                wide = wide_look(corridors, half_look, span, threshold, wide, chosen[:n], lane, wide_best, room)
             if found_at < -NARROW and wide < -WIDE:
                 continue
             if wide > found_at:

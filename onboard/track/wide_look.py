@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.track.corridor import LANES, MOST_PIECES, PARTS, brightest, gather
-from onboard.track.first_look import STEPS
+from onboard.track.first_look import STEPS, Span
 from onboard.track.trail_sums import Corridors, Look
 
 KEPT: Final = 0.8
@@ -54,9 +54,7 @@ def gather_starts(
 def wide_look(
     corridors: Corridors,
     look: Look,
-    centre: int,
-    low: int,
-    high: int,
+    span: Span,
     margin: NDArray[np.float64],
     least: float,
     starts: NDArray[np.float64],
@@ -64,12 +62,13 @@ def wide_look(
     best: NDArray[np.float64],
     room: NDArray[np.float64],
 ) -> float:
-    """Best of some starts and their neighbours on a finer lattice in frames low ... high; fills best (a, length, tilt, sense).
+    """Best of some starts and their neighbours on a finer lattice in the frames of a span; fills best (a, length, tilt, sense).
 
     By how much the S/N of three or more frames in a row with the centre exceeds margin[number of frames]; `least` where none has
     more. starts : all of the look's sense. lane : of the seed. room (2, frames) : work space.
     """
     sums, counts, grid, pieces = corridors
+    centre, low, high = span
     scale, step, score = math.sqrt(look.variance * PARTS), look.seed_px / STEPS, least
     total, weight = room[0], room[1]
     for e in range(len(starts)):

@@ -63,9 +63,12 @@ def test_thresholds_are_those_of_the_theory(n: int, per_frame: float) -> None:
 
 
 @pytest.mark.slow
-def test_tracks_that_no_frame_shows_are_found_in_both_senses_and_noise_gives_none() -> None:
-    """S/N 5.8 in each of four frames: 2 sigma below what one frame needs."""
-    tracker, found_of, senses = JointTracker(window=5), [], set()
+def test_tracks_that_no_frame_shows_are_found_in_both_senses_and_noise_gives_one_at_most() -> None:
+    """S/N 5.8 in each of four frames: 2 sigma below what one frame needs.
+
+    Noise may make 0.02 false tracks a frame: 0.3 in these sixteen, and more than one in 4 % of such cubes.
+    """
+    tracker, found_of, senses, false = JointTracker(window=5), [], set(), 0
     for cube in range(2):
         rng = np.random.default_rng((3, cube))
         truth = [random_track(512, length, 4, 6, 5.8, rng) for length in (20.0, 40.0, 60.0)]
@@ -74,7 +77,8 @@ def test_tracks_that_no_frame_shows_are_found_in_both_senses_and_noise_gives_non
             assert t is not None
             found_of.append(any(hit(track, t) >= 0.5 for track in tracks))
             senses.add(bool(t.ends[0, 3] > t.ends[0, 1]))
-        assert all(any(hit(track, t) >= 0.5 for t in truth if t is not None) for track in tracks)
+        false += sum(not any(hit(track, t) >= 0.5 for t in truth if t is not None) for track in tracks)
+    assert false <= 1
     assert sum(found_of) >= 5
     assert senses == {True, False}
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from onboard.track.corridor import MIDDLE
+from onboard.track.first_look import Span
 from onboard.track.trail_sums import Look, work_space
 from onboard.track.wide_look import wide_look
 
@@ -15,6 +16,7 @@ FIRST_PX = -120  # where the corridors begin
 PIXELS = 264
 LIGHT = 4  # steps of a code a pixel
 MARGIN = np.array([np.inf, np.inf, 7.5, 7.6, 7.7, 7.8])
+SPAN = Span(2, 0, 4)
 
 
 @pytest.mark.parametrize("sense", [-1.0, 1.0])
@@ -34,9 +36,9 @@ def test_light_two_frames_away_decides(sense: float) -> None:
     starts = np.array([[0.0, 16.0, 0.0, sense, 0.0], [0.0, SEED_PX, 0.0, sense, 0.0]])
     best, room = np.empty(4), np.empty((2, 5))
 
-    both = wide_look(corridors, look, 2, 0, 4, MARGIN, -1e9, starts, MIDDLE, best, room)
+    both = wide_look(corridors, look, SPAN, MARGIN, -1e9, starts, MIDDLE, best, room)
     assert best.tolist() == [0.0, SEED_PX, 0.0, sense]
     # of five frames: LIGHT root(5 x 24 px) over a noise of 5 a pixel
     assert both == pytest.approx(LIGHT * math.sqrt(5 * SEED_PX) / 5.0 - MARGIN[5], abs=0.05)
-    assert wide_look(corridors, look, 2, 0, 4, MARGIN, -1e9, starts[:1], MIDDLE, best, room) < both - 2.0
-    assert wide_look(corridors, look, 2, 0, 4, MARGIN, both + 1.0, starts, MIDDLE, best, room) == both + 1.0
+    assert wide_look(corridors, look, SPAN, MARGIN, -1e9, starts[:1], MIDDLE, best, room) < both - 2.0
+    assert wide_look(corridors, look, SPAN, MARGIN, both + 1.0, starts, MIDDLE, best, room) == both + 1.0

@@ -116,15 +116,18 @@ def _is_unbroken(fit: StreakFit) -> bool:
     )
 
 
-def _light(fits: Sequence[StreakFit]) -> list[bool]:
-    """Which of the fits of a frame are light without doubt: long, bright, lit all along, and no line of the readout."""
+def _light(fits: Sequence[StreakFit], readout: NDArray[np.float64]) -> list[bool]:
+    """Which of the fits of a frame are light without doubt: long, bright, lit all along, and no line of the readout.
+
+    readout : odds of that, see `odds_of_readout`.
+    """
     return [
         fit.length_px >= LONGEST_PARTICLE_PX
         and fit.snr >= LEAST_LIGHT_SNR
         and not fit.flags & (StreakFlag.FIT_FAILED | StreakFlag.STATIC)
         and not (is_aligned(fit.angle_deg) and odds >= LEAST_READOUT_ODDS)
         and _is_unbroken(fit)
-        for fit, odds in zip(fits, odds_of_readout(fits), strict=True)
+        for fit, odds in zip(fits, readout, strict=True)
     ]
 
 
@@ -134,7 +137,12 @@ def sharpest_light_px(fits: Sequence[StreakFit]) -> float:
     Stars do not always tell: full, stretched or crowded ones are wider than the optics. Satellites of one train had an eighth of
     their width.
     """
-    widths = [fit.width_px for fit, light in zip(fits, _light(fits), strict=True) if light]
+    return _sharpest_px(fits, _light(fits, odds_of_readout(fits)))
+
+
+def _sharpest_px(fits: Sequence[StreakFit], light: Sequence[bool]) -> float:
+    """The same, where it is known which fits are light."""
+    widths = [fit.width_px for fit, lit in zip(fits, light, strict=True) if lit]
     return float(np.median(widths)) if widths else math.inf
 
 
@@ -215,7 +223,9 @@ class LikelihoodVetter:
         ln_psf_error = math.hypot(UNKNOWN_LN_PSF, self.model_error) if unknown else self.model_error
         ln_psf_error = math.hypot(ln_psf_error, PLACE_LN_PSF)
         model_error = max(self.model_error, PSF_SHAPE_ERROR)
-        sharpest = sharpest_light_px(fits) if self.model_error > 0.0 else math.inf
+        readout = odds_of_readout(fits)
+        light = _light(fits, readout)
+        sharpest = _sharpest_px(fits, light) if self.model_error > 0.0 else math.inf
         widths = [fit.psf_sigma_px if math.isfinite(fit.psf_sigma_px) and not unknown else psf_sigma_px for fit in fits]
         features = [
             features_of(
@@ -225,7 +235,6 @@ class LikelihoodVetter:
         ]
         if self.model_error > 0.0:
             # on board a full trail is a row of full stars, which it aims at; here `spikes` asks for a star that outshines it
-            readout = odds_of_readout(fits)
             exact = readout >= LEAST_READOUT_ODDS
             features = [
                 replace(each, spike=False, aligned=each.aligned and bool(on)) for each, on in zip(features, exact, strict=True)
@@ -239,8 +248,7 @@ class LikelihoodVetter:
         if self.model_error > 0.0:
             probability = probability / (1.0 + probability * readout)
         refused = [
-            self._refused(fit, frame, psf_sigma_px, unknown=unknown, light=light)
-            for fit, light in zip(fits, _light(fits), strict=True)
+            self._refused(fit, frame, psf_sigma_px, unknown=unknown, light=lit) for fit, lit in zip(fits, light, strict=True)
         ]
         return np.asarray(np.where(refused, 0.0, probability), dtype=np.float64)
 

@@ -18,6 +18,7 @@ from onboard.track.foreign_light import LitMember, own_light
 from onboard.track.packed import half_of, halved, packed
 from onboard.track.particles import without_hits
 from onboard.track.same import most_alike, same_object
+from onboard.track.wide_look import AWAY
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import Detection, Track, TrackerView, TrackMember
@@ -166,7 +167,7 @@ class JointTracker:
         for centre in range(state.followed, stop):
             known, number = {t.number: t for t in state.tracks}, state.next_number
             window = tuple(  # the look at the frames around needs halves
-                frame.with_halves() if abs(k - centre) <= 2 else replace(frame, halves=None)
+                frame.with_halves() if abs(k - centre) <= AWAY else replace(frame, halves=None)
                 for k, frame in enumerate(state.window)
             )
             older = state.older
@@ -180,7 +181,7 @@ class JointTracker:
 
     def _put_by(self, window: tuple[KeptSearch, ...], followed: int) -> tuple[KeptSearch, ...]:
         """The window while the next frame is searched: halves of frames two before the next to be followed stay."""
-        return tuple(replace(frame, halves=None) if k < followed - 2 else frame for k, frame in enumerate(window))
+        return tuple(replace(frame, halves=None) if k < followed - AWAY else frame for k, frame in enumerate(window))
 
     def _numbered(
         self,

@@ -23,7 +23,7 @@ from onboard.track.trail_sums import (
     trail_sums,
     trail_variance,
 )
-from onboard.track.wide_look import KEPT, gather_starts, wide_look
+from onboard.track.wide_look import AWAY, KEPT, gather_starts, wide_look
 
 STATIC_SIGMAS: Final = 3.0  # noise makes one in 740 so bright; lower refuses more tracks. Chosen, not measured
 LEAST_STATIC: Final = 1.2
@@ -216,8 +216,8 @@ def follow(
             )
             if found_at <= -first_margin:
                 continue
-            low, high = max(n_old, centre - 2), min(n_frames - 1, centre + 2)
-            wide = -1e9
+            low, high = max(n_old, centre - AWAY), min(n_frames - 1, centre + AWAY)
+            wide, span = -1e9, Span(centre, low, high)
             for side in (-1.0, 1.0):
                 n = 0
                 for k in range(n_starts):
@@ -227,18 +227,17 @@ def follow(
                 if n == 0:
                     continue
                 half_look = Look(taus, side, half_px, per_lane, 1.0, half_noise, 0.0, 0)
-                for frame in (centre - 2, centre + 2):
+                for frame in (centre - AWAY, centre + AWAY):
                     if low <= frame <= high:
                         placed(half_seed, half_transforms[frame], place)
                         image = halves[frame] if steep else flat_halves[frame]
                         read += gather_starts(image, frame, place, half_look, chosen[:n], corridors)
-                span = Span(centre, low, high)
                 wide = wide_look(corridors, half_look, span, threshold, wide, chosen[:n], lane, wide_best, room)
             if found_at < -NARROW and wide < -WIDE:
                 continue
             if wide > found_at:
                 best[:] = wide_best
-                nearest = 2
+                nearest = AWAY
         read += (n_frames - n_old) * round(seed_px)
         track, sense = parameters, best[3]
         look = look_of(taus, sense, seed_px, per_lane, psf_sigma_px, n_old)

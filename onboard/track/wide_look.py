@@ -14,6 +14,7 @@ from onboard.track.corridor import LANES, MOST_PIECES, PARTS, brightest, gather
 from onboard.track.first_look import STEPS, Span
 from onboard.track.trail_sums import Corridors, Look
 
+AWAY: Final = 2  # frames before and after the seed's that are looked at
 KEPT: Final = 0.8
 """Starts are looked at whose S/N in the first look is no farther below the best one's. Chosen, not measured."""
 

@@ -23,12 +23,13 @@ from onboard.chain import OnboardChain
 from onboard.detect.line_integral.detector import LineIntegralDetector
 from onboard.detect.line_integral.star_removal import TILE_PX
 from onboard.detect.line_integral.static_sky import EarlierFrame, earlier_frame, segment_snr_before
+from onboard.detect.whiten import unusable
 from onboard.image.registration import IDENTITY
 from onboard.latency import REACH_PX
 from onboard.options import OnboardOptions
 from onboard.stars.star_motion import common_motion
 from onboard.state import OnboardResult, OnboardState, OnboardSteps, Prepared
-from sboc_e2e.icd.flags import MaskBit, StreakFlag
+from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import NominalCamera
 from sboc_e2e.icd.results import check_detections
 from sboc_e2e.icd.signals import Detection, DetectorView, StarMotion
@@ -198,11 +199,6 @@ def seen_of(mask: NDArray[np.uint8]) -> tuple[int, int, int, int]:
     return int(rows[0]), int(rows[-1]), int(cols[0]), int(cols[-1])
 
 
-def unseen(mask: NDArray[np.uint8]) -> NDArray[np.bool_]:
-    """Which pixels say nothing of the sky. Full ones do: a trail that fills its pixels is brighter than what lies beside it."""
-    return (mask & ~np.uint8(MaskBit.SATURATED)) != 0
-
-
 def _recurs(dark: Detection, earlier: EarlierFrame, view: DetectorView) -> bool:
     """Whether the neighbouring frame of a view is dark too where a dark line lies, among the stars or on the sensor."""
     ends = np.array([dark.row0, dark.col0, dark.row1, dark.col1])
@@ -264,7 +260,7 @@ class Sky:
     def of(cls, prepared: Prepared) -> "Sky":
         """The sky of a prepared frame."""
         counts, mask = prepared.counts, prepared.view.mask
-        sky = SkyMap.of(counts.pixels, unseen(mask), counts.adu_scale)
+        sky = SkyMap.of(counts.pixels, unusable(mask), counts.adu_scale)
         return cls(counts=counts.pixels, adu_scale=np.float32(counts.adu_scale), mask=mask, map=sky)
 
     def stars(self, prepared: Prepared, found: Sequence[Detection]) -> tuple[StarField, BrightStars]:
@@ -276,7 +272,7 @@ class Sky:
     def tiles(self, found: Sequence[Detection]) -> Tiles:
         """Counts around the lines of the frame, the brightest first."""
         lines = [(line.row0, line.col0, line.row1, line.col1) for line in sorted(found, key=lambda each: -each.snr)]
-        return Tiles.of(self.counts, unseen(self.mask), lines, float(self.adu_scale))
+        return Tiles.of(self.counts, unusable(self.mask), lines, float(self.adu_scale))
 
     def _crops(self, found: Sequence[Detection]) -> Iterator[Crop]:
         """Counts around lines of the frame, short ones first and the brightest of them, as far as `MOST_PIXELS` goes.

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from ground.vetting.look_alikes import LookAlikeVetter, OwnEvidence, is_aligned, look_alikes_near
+from onboard.detect.whiten import unusable
 from onboard.options import OnboardOptions
 from onboard.state import OnboardSteps
 from onboard.work import meter
@@ -18,7 +19,7 @@ from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.products import StreakFit
 from sboc_e2e.icd.signals import Detection, DetectorView, StarList
 from sboc_e2e.outside.found import Found
-from sboc_e2e.outside.look_alikes import CountingChain, Dark, look_alikes, seen_of, shape_of, stars_as_lines, unseen
+from sboc_e2e.outside.look_alikes import CountingChain, Dark, look_alikes, seen_of, shape_of, stars_as_lines
 from sboc_e2e.outside.process import base_document
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.onboard_stage import onboard_steps
@@ -379,4 +380,4 @@ def test_a_train_of_satellites_and_a_few_lines_are_no_stars() -> None:
 def test_full_pixels_are_light_and_others_that_are_masked_say_nothing() -> None:
     """A satellite that fills its pixels had no light left in its middle, and was taken for a slope."""
     mask = np.array([[0, MaskBit.SATURATED, MaskBit.DEAD, MaskBit.SATURATED | MaskBit.HOT]], dtype=np.uint8)
-    assert unseen(mask).tolist() == [[False, False, True, True]]
+    assert unusable(mask).tolist() == [[False, False, True, True]]

@@ -156,16 +156,21 @@ def _beyond(n: int, reach: int, length_px: float, psf_sigma_px: float) -> tuple[
     return along > length_px + BEYOND_SIGMAS * psf_sigma_px, along < -BEYOND_SIGMAS * psf_sigma_px
 
 
+def _snr_to(signal: NDArray[np.float64], power: NDArray[np.float64]) -> NDArray[np.float64]:
+    """S/N of light that begins at the first bin, up to each one."""
+    return np.asarray(np.cumsum(signal) / np.sqrt(np.maximum(np.cumsum(power), 1e-9)))
+
+
 def _best_snr(signal: NDArray[np.float64], power: NDArray[np.float64]) -> float:
     """Largest S/N of light that begins at the first bin; 0 of no bins."""
-    return float(np.max(np.cumsum(signal) / np.sqrt(np.maximum(np.cumsum(power), 1e-9)), initial=0.0))
+    return float(np.max(_snr_to(signal, power), initial=0.0))
 
 
 def _light_ends(signal: NDArray[np.float64], power: NDArray[np.float64], least: float) -> int | None:
     """The bin up to which light that begins here has the largest S/N; None when that is below `least`."""
     if not len(signal):
         return None
-    snr = np.cumsum(signal) / np.sqrt(np.maximum(np.cumsum(power), 1e-9))
+    snr = _snr_to(signal, power)
     best = int(np.argmax(snr))
     return best if snr[best] >= least else None
 

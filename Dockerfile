@@ -17,6 +17,6 @@ RUN python -m venv .venv && .venv/bin/python -m pip install --no-cache-dir --no-
 COPY --chown=sboc . .
 # The rest of the set-up. Kernels are compiled while the image is made, for the processor of the machine that makes it.
 ENV NUMBA_CACHE_DIR=/home/sboc/kernels HOME=/home/sboc
-RUN make .venv/.ready-for-developers && mkdir -p runs bench/out && chmod -R a+rwX /home/sboc
+RUN make .venv/.tools .venv/.kernels && mkdir -p runs bench/out && chmod -R a+rwX /home/sboc
 ENTRYPOINT ["make"]
 CMD ["e2e", "SCENARIO=smoke"]

@@ -12,8 +12,9 @@ PYTHON ?= $(shell for p in python3.11 python3.12 python3.13 python3; do $$p -c '
 SCENARIO ?= sso_antisun
 VENV := .venv
 BIN := $(VENV)/bin
-READY := $(VENV)/.ready
-TOOLS := $(VENV)/.ready-for-developers
+PACKAGES := $(VENV)/.packages
+KERNELS := $(VENV)/.kernels
+TOOLS := $(VENV)/.tools
 FUZZ_RUNS ?= 1000000
 # A process a core, four at most: each needs up to 2 GB. An idle one takes tests from a busy one.
 ON_EVERY_CORE := -n auto --maxprocesses 4 --dist loadfile --no-loadscope-reorder
@@ -23,19 +24,23 @@ export OMP_NUM_THREADS := 1
 export OPENBLAS_NUM_THREADS := 1
 export NUMBA_NUM_THREADS := 1
 export PYTHONHASHSEED ?= 0
+# Where it is set, each process compiles three thousand modules anew: 3 to 4 CPU-s of a run of `smoke`.
+export PYTHONDONTWRITEBYTECODE :=
 
-.PHONY: e2e test test-full test-slow lint bench bench-check fuzz docs clean
+.PHONY: kernels e2e test test-full test-slow lint bench bench-check fuzz docs clean
 
-e2e: $(READY)
+kernels: $(KERNELS)
+
+e2e: $(KERNELS)
 	$(BIN)/sboc run $(SCENARIO) --force
 
-test: $(TOOLS)
+test: $(TOOLS) $(KERNELS)
 	$(BIN)/python -m pytest -q -ra $(ON_EVERY_CORE)
 
-test-full: $(TOOLS)
+test-full: $(TOOLS) $(KERNELS)
 	$(BIN)/python -m pytest -q -ra $(ON_EVERY_CORE) -m "slow or not slow"
 
-test-slow: $(TOOLS)
+test-slow: $(TOOLS) $(KERNELS)
 	$(BIN)/python -m pytest -q -ra $(ON_EVERY_CORE) -m slow
 
 lint: $(TOOLS)
@@ -45,13 +50,13 @@ lint: $(TOOLS)
 	$(BIN)/lint-imports --no-logo
 	$(BIN)/python -m sboc_e2e.licences --check LICENSES.md
 
-bench: $(TOOLS)
+bench: $(TOOLS) $(KERNELS)
 	$(BIN)/sboc bench
 
-bench-check: $(TOOLS)
+bench-check: $(TOOLS) $(KERNELS)
 	$(BIN)/sboc bench --quick --check
 
-fuzz: $(TOOLS)
+fuzz: $(TOOLS) $(KERNELS)
 	for target in packets codecs fits scenario; do $(BIN)/python -m tests.fuzz $$target -runs=$(FUZZ_RUNS) -rss_limit_mb=2048 || exit 1; done
 
 docs: $(VENV)-docs/.ready
@@ -62,19 +67,22 @@ clean:
 	rm -rf $(VENV) $(VENV)-docs build runs bench/out dist .mypy_cache .ruff_cache .pytest_cache .hypothesis .import_linter_cache .benchmarks
 	find . -name __pycache__ -type d -prune -exec rm -rf {} +
 
-# The environment follows the lock files and the project's metadata; the warm-up compiles numerical kernels once. Packages are not
-# compiled to bytecode (a third of pip's time): Python does so for the modules that it imports. A run needs half of the packages;
-# those of tests and of other developers' work are installed where a verb needs them.
-$(READY): requirements-run.lock pyproject.toml
+# The environment follows the lock files and the project's metadata. Packages are not compiled to bytecode (a third of pip's time):
+# Python does so for the modules that it imports. A run needs half of the packages; those of tests and of other developers' work are
+# installed where a verb needs them. `make -j2` compiles the numerical kernels, once, while it installs these.
+$(PACKAGES): requirements-run.lock pyproject.toml
 	@test -n "$(PYTHON)" || { echo "Python 3.11 or newer is needed: make PYTHON=/path/to/python3"; exit 2; }
 	test -x $(BIN)/python || $(PYTHON) -m venv $(VENV)
 	@echo "Installing packages into $(VENV): one to three minutes without a word."
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes -r requirements-run.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-deps -e .
+	touch $@
+
+$(KERNELS): $(PACKAGES)
 	$(BIN)/python -m sboc_e2e.warm_up
 	touch $@
 
-$(TOOLS): $(READY) requirements.lock
+$(TOOLS): $(PACKAGES) requirements.lock
 	$(BIN)/python -m pip install --quiet --disable-pip-version-check --no-compile --require-hashes -r requirements.lock
 	touch $@
 

@@ -16,12 +16,12 @@ def test_its_python_is_one_that_the_project_supports() -> None:
 
 def test_the_targets_it_names_are_those_of_the_makefile() -> None:
     makefile = (ROOT / "Makefile").read_text(encoding="utf-8")
-    for target, environment in (("e2e", "READY"), ("bench", "TOOLS")):
+    for target, environment in (("e2e", "KERNELS"), ("bench", "TOOLS")):
         assert re.search(rf"^{target}: \$\({environment}\)", makefile, flags=re.MULTILINE)
         assert re.search(rf"sboc {target}\b|\"{target}\"", TEXT)
     assert "VENV := .venv\n" in makefile
-    assert "TOOLS := $(VENV)/.ready-for-developers\n" in makefile
-    assert "RUN make .venv/.ready-for-developers" in TEXT
+    assert {"TOOLS := $(VENV)/.tools", "KERNELS := $(VENV)/.kernels"} <= set(makefile.splitlines())
+    assert "RUN make .venv/.tools .venv/.kernels " in TEXT
 
 
 def test_nothing_that_it_needs_is_left_out_of_the_context() -> None:

@@ -7,6 +7,7 @@ import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
+from onboard.track.frames import Span
 from onboard.track.trail_sums import Corridors, Look, evaluate, trail_sums, trail_variance
 
 LEAST_SEEN: Final = 0.4
@@ -56,15 +57,14 @@ def climb(
 def best_range(
     corridors: Corridors,
     look: Look,
-    centre: int,
-    low: int,
-    high: int,
+    span: Span,
     track: NDArray[np.float64],
     threshold: NDArray[np.float64],
     sums: NDArray[np.float64],
     weights: NDArray[np.float64],
 ) -> tuple[float, int, int]:
     """The run of frames with the centre whose joint S/N exceeds its threshold most: this margin, first and last frame."""
+    centre, low, high = span
     full = track[1] * look.per_lane
     unit = math.sqrt(trail_variance(look.variance, look.ends, full))
     for frame in range(low, high + 1):

@@ -1,13 +1,14 @@
 """The best track through a seed on a lattice of ends and tilts, at half resolution, in its frame and those beside it."""
 
 import math
-from typing import Final, NamedTuple
+from typing import Final
 
 import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
 from onboard.track.corridor import LANES, MIDDLE, PARTS, brightest, running
+from onboard.track.frames import Span
 from onboard.track.trail_sums import Corridors, Look
 
 STEPS: Final = 6
@@ -36,14 +37,6 @@ LONGEST: Final = 1.6
 
 ENDS: Final = 2 * END_STEPS + 1
 """Places that are tried for each end."""
-
-
-class Span(NamedTuple):
-    """Frames that are looked at: low ... high, and the seed's own among them."""
-
-    centre: int
-    low: int
-    high: int
 
 
 @nb.njit(cache=True)

@@ -15,9 +15,11 @@ from onboard.image import registration
 from onboard.track import joint_filter, trail_sums
 from onboard.track.false_alarms import independent_tracks, threshold_sigma
 from onboard.track.foreign_light import LitMember, own_light
+from onboard.track.frames import Frames, halved_transforms
 from onboard.track.packed import half_of, halved, packed
 from onboard.track.particles import without_hits
 from onboard.track.same import most_alike, same_object
+from onboard.track.start import dearer
 from onboard.track.wide_look import AWAY
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
@@ -239,7 +241,7 @@ class JointTracker:
         if not kept_seeds:
             px = np.hypot(*(kept.seeds[:, 2:4] - kept.seeds[:, :2]).T)
             seeds, px = kept.seeds[px < LONGEST_PX], px[px < LONGEST_PX]
-            seeds = by_place(seeds[np.argsort(joint_filter.dearer(px) - seeds[:, 4], kind="stable")], most_work)
+            seeds = by_place(seeds[np.argsort(dearer(px) - seeds[:, 4], kind="stable")], most_work)
             senses = np.zeros(len(seeds))
         if len(window) < 2 or not len(seeds):
             return [], NONE_WAIT
@@ -250,20 +252,25 @@ class JointTracker:
         missing = OLDER + self.window - len(frames)
         filled = frames + (window[0],) * missing
         own = (kept.image, kept.image)
-        near = [frame.halves or own for frame in filled]
+        near = [frames[k].halves or own if 0 <= k < len(frames) else own for k in range(place - AWAY, place + AWAY + 1)]
+        every = np.ascontiguousarray(np.concatenate([transforms, np.repeat(transforms[:1], missing, axis=0)]))
+        followed = Frames(
+            transforms=every,
+            half_transforms=halved_transforms(every),
+            taus=np.concatenate([taus, np.zeros(missing)]),
+            n_old=len(older),
+            n_frames=len(frames),
+            centre=place,
+            psf_sigma_px=psf_sigma_px,
+            threshold=asked,
+        )
         table, waiting, _, _ = joint_filter.follow(
+            followed,
             tuple(frame.image for frame in filled),
             tuple(half for half, _ in near),
             tuple(flat for _, flat in near),
-            np.ascontiguousarray(np.concatenate([transforms, np.repeat(transforms[:1], missing, axis=0)])),
-            np.concatenate([taus, np.zeros(missing)]),
-            len(older),
-            len(frames),
-            place,
             np.ascontiguousarray(seeds),
             senses,
-            psf_sigma_px,
-            asked,
             self.first_margin,
             self.seed_sigma - OWN_LOSS,
             most_work,

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.track.corridor import LANES, MOST_PIECES, between, gather
-from onboard.track.packed import ROUNDING, STEP
+from onboard.track.packed import HALF_ROUNDING, ROUNDING, STEP
 
 REACH_SIGMAS: Final = 6.0  # of the PSF, where the correlation is 1e-4
 LEAST_PATH: Final = 4.0  # pixels: shorter paths are hardly longer than the correlation reaches
@@ -90,6 +90,12 @@ def trail_variance(variance: float, ends: float, path_px: float) -> float:
 def line_variance(psf_sigma_px: float, per_lane: float) -> float:
     """Variance of the sum of smoothed pixels along an endless line, for each of them, steps of a code squared."""
     return (16.0 / STEP) ** 2 * 2.0 * math.sqrt(math.pi) * psf_sigma_px * per_lane
+
+
+@nb.njit(cache=True)
+def half_line_variance(psf_sigma_px: float, per_lane: float) -> float:
+    """The same of halved images, whose rounding is theirs."""
+    return 0.5 * psf_sigma_px / math.hypot(psf_sigma_px, 0.5) * line_variance(psf_sigma_px, per_lane) + HALF_ROUNDING
 
 
 @nb.njit(cache=True)

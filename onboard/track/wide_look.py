@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.track.corridor import LANES, MOST_PIECES, PARTS, brightest, gather
-from onboard.track.first_look import STEPS, Span
+from onboard.track.first_look import STEPS
+from onboard.track.frames import Span
 from onboard.track.trail_sums import Corridors, Look
 
 AWAY: Final = 2  # frames before and after the seed's that are looked at

@@ -24,7 +24,7 @@ from numpy.typing import NDArray
 
 from onboard.detect import LineIntegralDetector
 from onboard.image import registration
-from onboard.track import climb, joint_filter, trail_sums
+from onboard.track import climb, growth, trail_sums
 from onboard.track.joint import JointTracker
 from onboard.track.packed import packed
 from sboc_e2e.icd.signals import DetectorView, Searched, Track, TrackerView
@@ -141,7 +141,7 @@ def joint_snr(truth: TrueTrack, searched: list[Searched]) -> float:
     taus, corridors, place = PERIOD * (np.arange(n) - n // 2), trail_sums.work_space(n), np.empty(4)
     for k in range(n):
         middle, half = (0.5 + sense * taus[k]) * length, (0.9 + 0.12 * abs(taus[k])) * length
-        piece = max(1.0, length / joint_filter.FINE)
+        piece = max(1.0, length / growth.FINE)
         trail_sums.collect(images, k, seed, transforms, middle - half, middle + half, piece, corridors, place)
     span = float(np.abs(taus).max())
     best, steps = np.array([0.0, length, 0.0, 0.0]), np.array([length / 8.0, length / 8.0 / span, 0.6, 1.2 / span])

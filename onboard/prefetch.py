@@ -14,12 +14,8 @@ READ, KEEP, DATA = 0, 3, 1
 """Arguments of LLVM's intrinsic: the memory will be read, stays in all caches, and is no code."""
 
 
-@intrinsic
-def ask_for(typing_context: Any, array: Any, place: Any) -> Any:
-    """Bring an element of an array, and what lies beside it, into the cache; a place outside of the array does no harm.
-
-    place : its indices, a tuple of as many integers as the array has axes.
-    """
+def _ask_for(typing_context: Any, array: Any, place: Any) -> Any:
+    """Signature and code of `ask_for`; None for other arguments, as Numba wants it."""
     if not (isinstance(array, types.Array) and isinstance(place, types.UniTuple) and array.ndim == place.count):
         return None
 
@@ -37,3 +33,10 @@ def ask_for(typing_context: Any, array: Any, place: Any) -> Any:
         return context.get_dummy_value()
 
     return types.void(array, types.UniTuple(types.intp, array.ndim)), code
+
+
+ask_for: Any = intrinsic(_ask_for)
+"""`ask_for(array, place)` in compiled code: bring an element of an array, and what lies beside it, into the cache.
+
+place : its indices, a tuple of as many integers as the array has axes; outside of the array it does no harm.
+"""

@@ -143,9 +143,9 @@ def fit_stars(
     per_electron = np.float32(1.0 / gain_e_adu)
     for n in range(peaks.shape[0]):
         later = min(n + STARS_AHEAD, peaks.shape[0] - 1)
-        for row in range(int(peaks[later, 0]) - radii[0], int(peaks[later, 0]) + radii[0] + 1):
-            ask_for(residual, (row, int(peaks[later, 1])))
-            ask_for(mask, (row, int(peaks[later, 1])))
+        for i in range(int(peaks[later, 0]) - radii[0], int(peaks[later, 0]) + radii[0] + 1):
+            ask_for(residual, (i, int(peaks[later, 1])))
+            ask_for(mask, (i, int(peaks[later, 1])))
         row0, col0 = int(peaks[n, 0]), int(peaks[n, 1])
         sigma = float(sigma_nodes[min(row0 // tile_px, sigma_nodes.shape[0] - 1), min(col0 // tile_px, sigma_nodes.shape[1] - 1)])
         crr, crc, ccc = covariances[n, 0], covariances[n, 1], covariances[n, 2]

@@ -191,8 +191,9 @@ def even_taps(psf_sigma_px: float) -> NDArray[np.int16]:
 
 
 @nb.njit(cache=True)
-def _add_five_rows(
+def _weigh_five_rows(
     out: NDArray[np.int16],
+    shift: NDArray[np.int16],
     a: NDArray[np.int8],
     b: NDArray[np.int8],
     c: NDArray[np.int8],
@@ -200,11 +201,11 @@ def _add_five_rows(
     e: NDArray[np.int8],
     taps: NDArray[np.int16],
 ) -> None:
-    """``out += t2 (a + e) + t1 (b + d) + t0 c``, what `_add_row` and `_add_rows` do in three passes."""
+    """``out = shift + t2 (a + e) + t1 (b + d) + t0 c``, what a copy, `_add_row` and `_add_rows` do in four passes."""
     t0, t1, t2 = taps[0], taps[1], taps[2]
     for i in range(out.shape[0]):
         near, far = np.int16(np.int16(b[i]) + np.int16(d[i])), np.int16(np.int16(a[i]) + np.int16(e[i]))
-        out[i] = np.int16(out[i] + t0 * np.int16(c[i]) + t1 * near + t2 * far)
+        out[i] = np.int16(shift[i] + t0 * np.int16(c[i]) + t1 * near + t2 * far)
 
 
 @nb.njit(cache=True)
@@ -218,6 +219,14 @@ def _store_five(
         near, far = np.int16(line[i + 1] + line[i + 3]), np.int16(line[i] + line[i + 4])
         total = t0 * np.float32(line[i + 2]) + (t1 * np.float32(near) + t2 * np.float32(far))
         out[i] = np.int8(clipped_code(total * scale, limit))
+
+
+@nb.njit(cache=True)
+def _begin_row(out: NDArray[np.int16], shift: NDArray[np.int16], total: NDArray[np.int32]) -> None:
+    """``out = shift``, ``total = 0``: a slice set to an array is checked for overlap and takes as long as a pass of its own."""
+    for i in range(shift.shape[0]):
+        out[i] = shift[i]
+        total[i] = np.int32(0)
 
 
 @nb.njit(cache=True)
@@ -282,14 +291,14 @@ def _smooth(
     line, shift = np.zeros(cols + 2 * radius, np.int16), np.zeros(cols, np.int16)
     total = np.empty(cols, np.int32)
     blank = np.zeros(cols, np.int8)
+    middle = line[radius : radius + cols]
     for row in range(first, first + out.shape[0]):
-        middle = line[radius : radius + cols]
         if row == first or row % tile_px == 0:
             _fill_shift(level[row // tile_px], tile_px, total_weight, shift)
-        middle[:] = shift
         if radius == 2:  # a PSF of 2 px FWHM: one pass in each direction
-            _add_five_rows(
+            _weigh_five_rows(
                 middle,
+                shift,
                 image[row - 2] if row >= 2 else blank,
                 image[row - 1] if row >= 1 else blank,
                 image[row],
@@ -299,12 +308,12 @@ def _smooth(
             )
             _store_five(line, taps, scale, limit, out[row - first])
             continue
+        _begin_row(middle, shift, total)
         _add_row(middle, image[row], taps[0])
         for k in range(1, radius + 1):
             upper = image[row - k] if row >= k else blank
             lower = image[row + k] if row + k < rows else blank
             _add_rows(middle, upper, lower, taps[k])
-        total[:] = 0
         for k in range(1, radius + 1):
             _add_pairs(total, line[radius - k : radius - k + cols], line[radius + k : radius + k + cols], np.int32(taps[k]))
         half = np.int32(taps[0])
@@ -383,16 +392,15 @@ def _smooth_binned(
     line, shift = np.zeros(cols + 2 * radius, np.int16), np.zeros(cols, np.int16)
     total = np.empty(cols, np.int32)
     blank = np.zeros(cols, np.int8)
+    middle = line[radius : radius + cols]
     for half_row in range(rows // 2):
-        middle = line[radius : radius + cols]
         if half_row == 0 or 2 * half_row // tile_px != (2 * half_row - 2) // tile_px:
             _fill_shift(level[2 * half_row // tile_px], tile_px, total_weight, shift)
-        middle[:] = shift
+        _begin_row(middle, shift, total)
         for k in range(radius):
             upper = image[2 * half_row - k] if 2 * half_row >= k else blank
             lower = image[2 * half_row + 1 + k] if 2 * half_row + 1 + k < rows else blank
             _add_rows(middle, upper, lower, taps[k])
-        total[:] = 0
         for k in range(radius):
             _add_pairs(
                 total, line[radius - k : radius - k + cols], line[radius + 1 + k : radius + 1 + k + cols], np.int32(taps[k])

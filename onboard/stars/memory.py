@@ -171,7 +171,7 @@ def _means(entries: Array) -> Array:
         distance = np.hypot(entries[:, 0] - entries[k, 0], entries[:, 1] - entries[k, 1])
         same = np.flatnonzero(free & (distance < SAME_STAR_PX))
         free[same] = False
-        if len(np.unique(entries[same, 5])) < FEWEST_FRAMES:
+        if len(same) < FEWEST_FRAMES or len(set(entries[same, 5].tolist())) < FEWEST_FRAMES:
             continue
         mean = entries[same, :3].mean(axis=0)
         snr = entries[same, 3].mean() * np.sqrt(len(same))

@@ -405,6 +405,10 @@ def track_of(
 
 def clipped(ends: NDArray[np.float64], shape: tuple[int, ...]) -> tuple[tuple[float, float, float, float], StreakFlag] | None:
     """The part of a segment (2, 2) inside a frame, flagged where the edge cuts it; None when nothing is."""
+    (row0, col0), (row1, col1) = ends.tolist()
+    last_row, last_col = (n - 1.0 - EDGE_PX for n in shape)
+    if min(row0, row1, col0, col1) >= EDGE_PX and max(row0, row1) <= last_row and max(col0, col1) <= last_col:
+        return (row0, col0, row1, col1), StreakFlag(0)  # nearly all of them
     way, limits = ends[1] - ends[0], np.array(shape) - 1.0
     low, high = 0.0, 1.0
     for k in range(2):

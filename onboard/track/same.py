@@ -1,5 +1,6 @@
 """Whether two tracks show one object, or two whose trails cross in a frame."""
 
+import math
 from collections.abc import Iterable
 from typing import Final
 
@@ -28,7 +29,7 @@ def same_object(known: Track, track: Track, least: NDArray[np.float64] | None = 
     """
     ends = {m.frame: m.detection for m in known.members}
     common = [m for m in track.members if m.frame in ends]
-    on = shared_frames(known, track)
+    on = sum(_on_each_other(ends[m.frame], m.detection) for m in common)
     if on == 0:
         return False
     as_known = 2 * on > len(common) if len(common) > 1 else _alike(ends[common[0].frame], common[0].detection)
@@ -62,11 +63,13 @@ def _alike(a: Detection, b: Detection) -> bool:
 
 
 def _on_each_other(a: Detection, b: Detection) -> bool:
-    """Whether the middle of one trail lies on the other, along it and across."""
-    length = max(a.length_px, b.length_px, 1.0)
-    u = np.array([b.row1 - b.row0, b.col1 - b.col0]) / max(b.length_px, 1e-6)
-    middle = 0.5 * np.array([a.row0 + a.row1 - b.row0 - b.row1, a.col0 + a.col1 - b.col0 - b.col1])
-    along, across = abs(float(middle @ u)), abs(float(middle @ np.array([-u[1], u[0]])))
+    """Whether the middle of one trail lies on the other, along it and across. Plain numbers: hundreds of pairs in a frame."""
+    d_row, d_col = b.row1 - b.row0, b.col1 - b.col0
+    length_b = math.hypot(d_row, d_col)
+    length = max(math.hypot(a.row1 - a.row0, a.col1 - a.col0), length_b, 1.0)
+    u_row, u_col = d_row / max(length_b, 1e-6), d_col / max(length_b, 1e-6)
+    row, col = 0.5 * (a.row0 + a.row1 - b.row0 - b.row1), 0.5 * (a.col0 + a.col1 - b.col0 - b.col1)
+    along, across = abs(row * u_row + col * u_col), abs(col * u_row - row * u_col)
     return along < ALONG_SHARE * length + SAME_PX and across < SAME_PX + ACROSS_SHARE * length
 
 

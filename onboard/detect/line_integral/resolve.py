@@ -169,14 +169,16 @@ def most_of_one(side_px: int) -> int:
 def taken(blocked: NDArray[np.uint8], candidate: NDArray[np.float64]) -> bool:
     """Whether nearly all of a candidate (major0, minor0, major1, minor1) lies on trails that were found before it."""
     n_major, n_minor = blocked.shape
-    on = 0
+    off = 0
     for k in range(TAKEN_SAMPLES):
         u = (k + 0.5) / TAKEN_SAMPLES
         i = math.floor(candidate[0] + u * (candidate[2] - candidate[0]) + 0.5)
         j = math.floor(candidate[1] + u * (candidate[3] - candidate[1]) + 0.5)
-        if 0 <= i < n_major and 0 <= j < n_minor and blocked[i, j] & FOUND_BIT:
-            on += 1
-    return on >= TAKEN_SHARE * TAKEN_SAMPLES
+        if not (0 <= i < n_major and 0 <= j < n_minor and blocked[i, j] & FOUND_BIT):
+            off += 1
+            if off > (1.0 - TAKEN_SHARE) * TAKEN_SAMPLES:  # as nearly all do after seven samples
+                return False
+    return True
 
 
 @nb.njit(cache=True)

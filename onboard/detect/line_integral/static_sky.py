@@ -15,7 +15,10 @@ from numpy.typing import NDArray
 from onboard.detect.line_integral.kept_frame import BEYOND, KeptFrame, KeptPixels, in_sigmas, kept
 from onboard.detect.whiten import UNIT
 from onboard.image import registration
+from onboard.prefetch import ask_for
 from sboc_e2e.icd.signals import DetectorView
+
+STARS_AHEAD: Final = 8  # whose memory is asked for: some 3 us before it is read
 
 EDGE_PX: Final = 3.0
 """Closer to the edge of the earlier frame a star is not measured there."""
@@ -83,7 +86,13 @@ def point_snr_before(
     """S/N in the earlier frame at the mapped places of points (n,) of this frame; NaN where it cannot be known."""
     rows, cols = pixels[0].shape
     out = np.full(row.shape[0], np.nan)
+    reach = math.ceil(2.5 * psf_sigma_px)
     for k in range(row.shape[0]):
+        later = min(k + STARS_AHEAD, row.shape[0] - 1)
+        r = transform[0, 0] * row[later] + transform[0, 1] * col[later] + transform[0, 2]
+        c = transform[1, 0] * row[later] + transform[1, 1] * col[later] + transform[1, 2]
+        for i in range(math.floor(r + 0.5) - reach, math.floor(r + 0.5) + reach + 1):
+            ask_for(pixels[0], (i, math.floor(c + 0.5)))
         r = transform[0, 0] * row[k] + transform[0, 1] * col[k] + transform[0, 2]
         c = transform[1, 0] * row[k] + transform[1, 1] * col[k] + transform[1, 2]
         if EDGE_PX <= r <= rows - 1 - EDGE_PX and EDGE_PX <= c <= cols - 1 - EDGE_PX:
@@ -311,6 +320,9 @@ def subtract_stars(
     scale = 16.0 / (math.sqrt(math.pi) * psf_sigma_px)
     profile = np.empty(2 * radius + 1)
     for k in range(row.shape[0]):
+        later = min(k + STARS_AHEAD, row.shape[0] - 1)
+        for i in range(math.floor(row[later] + 0.5) - radius, math.floor(row[later] + 0.5) + radius + 1):
+            ask_for(image, (i, math.floor(col[later] + 0.5)))
         i0, j0 = math.floor(row[k] + 0.5) - radius, math.floor(col[k] + 0.5) - radius
         for m in range(2 * radius + 1):
             profile[m] = math.exp(factor * (j0 + m - col[k]) ** 2)

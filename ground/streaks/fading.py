@@ -66,8 +66,8 @@ LEAST_EVIDENCE: Final = 5.0
 """Gain in log likelihood from which a fall is believed. Noise on a step gives the fall, which is free to follow it, 1 to 2."""
 
 RUNS_ON_WIDTHS: Final = (1.0, 2.0, 4.0)
-"""Lengths in widths of the blocks in which light is followed that may be the trail's: short ones, as regions end six widths beyond
-an end, and long ones for faint light."""
+"""Lengths in widths of the blocks in which light is followed that may be the trail's: short ones, as regions end six widths
+beyond an end, and long ones for faint light."""
 RUNS_ON_SIGMAS: Final = 3.0
 """Light of a block beyond an end, without `OTHER_LIGHT`, from which it may be the trail's."""
 BLURRED_SHARE: Final = 0.02
@@ -146,9 +146,6 @@ def with_fading_ends(fit: StreakFit, pixels: StreakPixels) -> StreakFit:
         blocks = blocks_of(outwards, width, border)
         other = OTHER_LIGHT * max(fit.flux_e, 0.0) / max(fit.length_px, 1.0)
         beyond = np.where(blocks.place > half, other, 0.0)
-        runs_on_px = max(
-            _runs_on_to(blocks_of(outwards, width, border, each), half, width, border) for each in RUNS_ON_WIDTHS
-        )
         blocks = replace(blocks, sigma=np.hypot(blocks.sigma, beyond))
         fade = _fade(blocks, half, width, border)
         if fade is not None:
@@ -158,18 +155,20 @@ def with_fading_ends(fit: StreakFit, pixels: StreakPixels) -> StreakFit:
             interval = fit.end_interval_px.copy()
             interval[end, 1] = border - half
             fit = replace(fit, end_interval_px=interval, flags=fit.flags | StreakFlag.ENDS_NOT_GAUSSIAN)
-        elif runs_on_px > half + fit.end_interval_px[end, 1]:
-            interval = fit.end_interval_px.copy()
-            interval[end, 1] = runs_on_px - half
-            fit = replace(fit, end_interval_px=interval, flags=fit.flags | StreakFlag.ENDS_NOT_GAUSSIAN)
+        else:
+            runs_on = max(_runs_on_to(blocks_of(outwards, width, border, n), half, width, border) for n in RUNS_ON_WIDTHS)
+            if runs_on > half + fit.end_interval_px[end, 1]:
+                interval = fit.end_interval_px.copy()
+                interval[end, 1] = runs_on - half
+                fit = replace(fit, end_interval_px=interval, flags=fit.flags | StreakFlag.ENDS_NOT_GAUSSIAN)
     return fit
 
 
 def _runs_on_to(blocks: Blocks, end_px: float, width_px: float, border_px: float) -> float:
     """How far light goes on beyond an end without a gap, px from the middle: the end itself where it stops.
 
-    A hundredth of a bright trail's light is seen far beyond where half of it is lost. It may be that of other sources, so that the
-    end does not move, but the trail may go on as far as that.
+    A hundredth of a bright trail's light is seen far beyond where half of it is lost. It may be that of other sources, so that
+    the end does not move, but the trail may go on as far as that.
     """
     first = math.ceil(end_px / blocks.length_px)
     inside = first - math.ceil(BLOCK_WIDTHS * width_px / blocks.length_px)

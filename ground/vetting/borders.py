@@ -1,7 +1,7 @@
 """Lines along a border of the frame: half lines of video, rims of masks, reflections of the sensor's edge.
 
-Such a line stays near one border from end to end, with a slope of its own, so that it is none of the readout. A trail of any place
-and direction seldom does.
+Such a line stays near one border from end to end, with a slope of its own, so that it is none of the readout. A trail of any
+place and direction seldom does.
 """
 
 import math
@@ -18,8 +18,8 @@ LEAST_DEPTH_PX: Final = 2.0
 def against_border(fit: StreakFit, seen: tuple[int, int, int, int]) -> float:
     """Odds of a line along a border against a trail, as far as its place and direction tell.
 
-    seen : first and last row, first and last column in which a pixel saw the sky. The chance that a trail of this length lies as near
-    to a border with both of its ends is that of its middle, times that of its direction.
+    seen : first and last row, first and last column in which a pixel saw the sky. The chance that a trail of this length lies as
+    near to a border with both of its ends is that of its middle, times that of its direction.
     """
     if not fit.length_px > 0.0:
         return 0.0

@@ -36,8 +36,9 @@ KIND: Final = (0.7, 0.7)
 """Sigma of ln S/N and ln length within which two lines are of one kind, where a frame has one look-alike: half to twice."""
 NARROWER_BY: Final = -1.0 / 6.0
 """Power of the number of look-alikes by which both shrink, as the scale of a density of two dimensions that n samples tell does
-(Silverman 1986, Density Estimation for Statistics and Data Analysis, 4.14). The number of false lines falls as the third to fourth
-power of their S/N. A scale of 0.7 makes the brightest of seventy twenty times as many as there are, and one of 0.35 twice."""
+(Silverman 1986, Density Estimation for Statistics and Data Analysis, 4.14). Where the number of false lines falls as the n-th
+power of their S/N, a scale s makes the bright ones exp(n^2 s^2 / 2) times as many as there are: for n = 3.5, 20 times with 0.7
+and twice with 0.35, that of sixty-four."""
 
 KIND_WIDTH: Final = 0.5
 """Sigma of ln width (that of a pixel included) within which two lines are of one kind. Slopes of the sky at a vignetted border

@@ -87,7 +87,9 @@ def test_stars_do_not_lift_the_level_seen_by_the_detector() -> None:
     stars = MatchedStars().extract(view)
     residual = view.residual_adu.copy()
     sums = LineSums(rows=sums_of(residual / NOISE_ADU, 1), cols=sums_of(residual / NOISE_ADU, 0))
-    sky = without_stars(residual, view.mask, sums, stars, view.background, gain_e_adu=GAIN_E_ADU, psf_sigma_px=0.849, quantum_adu=1.0)
+    sky = without_stars(
+        residual, view.mask, sums, stars, view.background, gain_e_adu=GAIN_E_ADU, psf_sigma_px=0.849, quantum_adu=1.0
+    )
     assert sky.level_adu.mean() == pytest.approx(SKY_E / GAIN_E_ADU, abs=0.01 * NOISE_ADU)
     assert sky.sigma_adu.mean() == pytest.approx(NOISE_ADU, rel=0.01)
     far = field.electrons < SKY_E + 0.01

@@ -87,8 +87,8 @@ def test_a_bright_line_that_is_one_full_star_is_none() -> None:
 
 
 def test_a_fireball_is_no_full_star_though_its_core_is_listed_as_one() -> None:
-    """S/N 2,156, 83 px long and 2.4 px wide, 20 deg from the columns. Along a column it may be spilled charge, and a short one may
-    be the star."""
+    """S/N 2,156, 83 px long and 2.4 px wide, 20 deg from the columns. Along a column it may be spilled charge, and a short one
+    may be the star."""
     core = stars(1, flux_e=1000.0)
     more = {"snr": 2156.0, "width_px": 2.4}
     assert core.against(line(261.0, 286.0, 339.0, 314.0, **more)) == 0.0

@@ -17,6 +17,7 @@ from ground.guard import guarded, probabilities_of
 from ground.streaks.centre_line import effective_width_px
 from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
 from ground.vetting.any_camera import probability_in_any_camera
+from ground.vetting.bends import bends_too_much
 from ground.vetting.borders import against_border
 from ground.vetting.contrast import Tiles
 from ground.vetting.features import LEAST_BINS
@@ -173,7 +174,7 @@ class OwnEvidence:
     tiles: Tiles | None = None
 
     def refuses(self, fit: StreakFit, frame: DownlinkFrame) -> bool:
-        """Whether a fit may be a star, a slope or an edge of the sky, runs along a rim, or lies where no pixel saw the sky."""
+        """Whether a fit may be a star, a slope or an edge, runs along a rim, bends too much, or lies where no pixel saw."""
         if self.alone and fit.length_px < SHORTEST_ALONE_PX:
             return True
         if self.stars is not None and moves_as(self.stars, fit):
@@ -181,6 +182,9 @@ class OwnEvidence:
         if self.sky is not None and self.sky.refuses(fit, frame.header.gain_e_adu or 1.0):
             return True
         if self.circle is not None and self.circle.refuses(fit):
+            return True
+        shape = frame.header.rows, frame.header.cols
+        if bends_too_much(fit, shape, None if self.circle is None else self.circle.radius_px):
             return True
         if self.seen is None:
             return False

@@ -173,7 +173,8 @@ class Certain:
 
 def fit_of(snr: float, length_px: float, width_px: float = 1.2, light: tuple[float, ...] = ()) -> StreakFit:
     ends = {"row0": 40.0, "col0": 40.0, "row1": 50.0, "col1": 50.0, "light_curve_e_px": np.array(light, np.float32)} | {
-        "flags": StreakFlag(0)
+        "flags": StreakFlag(0),
+        "sagitta_px": 0.0,
     }
     made: Any = type("Fit", (), {"snr": snr, "length_px": length_px, "width_px": width_px} | ends)()
     return made
@@ -367,6 +368,7 @@ def line_fit(line: Detection) -> StreakFit:
     """A fit of a detection."""
     ends = {name: getattr(line, name) for name in ("row0", "col0", "row1", "col1")}
     light = {"snr": 50.0, "width_px": 1.2, "light_curve_e_px": np.zeros(0, np.float32), "flags": line.flags}
+    light["sagitta_px"] = line.sagitta_px
     made: Any = type("Fit", (), ends | light | {"length_px": line.length_px})()
     return made
 

@@ -6,6 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ground.vetting.bends import bends_too_much
 from ground.vetting.borders import against_border
 from ground.vetting.look_alikes import of_spilled_charge
 from ground.vetting.readout import drift_of, exactness, odds_of_readout
@@ -94,6 +95,27 @@ def test_a_fireball_is_no_full_star_though_its_core_is_listed_as_one() -> None:
     assert core.against(line(261.0, 286.0, 339.0, 314.0, **more)) == 0.0
     assert core.against(line(261.0, 300.0, 339.0, 300.0, **more)) > 10.0
     assert core.against(line(281.0, 293.0, 319.0, 307.0, **more)) > 10.0
+
+
+def test_the_rim_of_a_nebula_bends_more_than_any_lens_bends_a_path() -> None:
+    """A quarter of a ring of 80 px, and great circles through a fisheye of 500 px (distance from the axis as the angle), 5 to 160
+    deg long and 0 to 85 deg from the axis: their bend is below that of the horizon."""
+    rim = line(300.0, 300.0, 300.0, 418.0, width_px=7.7, sagitta_px=-24.3)
+    assert bends_too_much(rim, (1023, 1536))
+    assert not bends_too_much(line(300.0, 300.0, 300.0, 418.0, width_px=7.7, sagitta_px=2.0), (1023, 1536))
+    assert not bends_too_much(rim, (100, 100)), "a cut-out tells little of its lens"
+    assert bends_too_much(line(300.0, 300.0, 300.0, 418.0, width_px=1.0, sagitta_px=6.0), (1023, 1536))
+    assert not bends_too_much(line(300.0, 300.0, 300.0, 418.0, width_px=1.0, sagitta_px=6.0), (1023, 1536), 300.0)
+    scale = 500.0 / (0.5 * math.pi)
+    for away in np.radians([0.0, 20.0, 45.0, 70.0, 85.0]):
+        for half in np.radians([2.5, 20.0, 50.0, 80.0]):
+            along = np.array([-half, 0.0, half])
+            z, x, y = math.cos(away) * np.cos(along), math.sin(away) * np.cos(along), np.sin(along)
+            theta = np.arccos(z)
+            col, row = scale * theta * np.array([x, y]) / np.maximum(np.hypot(x, y), 1e-12)
+            bend = col[1] - 0.5 * (col[0] + col[2])
+            path = line(row[0], col[0], row[2], col[2], width_px=1.0, sagitta_px=bend)
+            assert not bends_too_much(path, (1000, 1000))
 
 
 def test_lines_that_stay_near_a_border_are_the_frames_and_trails_seldom_do() -> None:

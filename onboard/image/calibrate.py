@@ -70,18 +70,11 @@ def robust_noise(pixels: NDArray[np.float32], missing: NDArray[np.bool_]) -> tup
 
 
 def float_counts(pixels: NDArray[np.float32]) -> tuple[NDArray[np.int32], NDArray[np.bool_], float, float]:
-    """A float frame as (counts, missing, scale, offset), rounded at 0.05 sigma. Values that are no measurement are missing.
-
-    Whole numbers stay as they are, so that their step is known: a compressed picture of a dark sky has one value in most pixels,
-    and its noise is that of rounding and not none.
-    """
+    """A float frame as (counts, missing, scale, offset), rounded at 0.05 sigma. Values that are no measurement are missing."""
     missing = ~(np.abs(pixels) <= LARGEST_ADU)  # NaN too
     offset, noise = robust_noise(pixels, missing)
     values = np.where(missing, np.float32(offset), pixels).astype(np.float64)
     reach = float(np.abs(values - offset).max(initial=0.0))
-    if reach < 2.0**29 and bool(np.all(missing | (values == np.rint(values)))):
-        offset = float(np.float32(np.rint(offset)))
-        return np.rint(values - offset).astype(np.int32), missing, 1.0, offset
     scale = max(FLOAT_QUANTUM_SIGMA * noise, reach / 2.0**29)
     if scale <= 0.0:
         scale = 1.0

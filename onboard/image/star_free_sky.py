@@ -10,7 +10,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from onboard.image.background import LEAST_SAMPLES, LEAST_SIGMA, continued, fill_gaps, neighbourhoods
+from onboard.image.background import LEAST_SAMPLES, continued, fill_gaps, neighbourhoods
 from onboard.image.calibrate import LINE_LIMIT_SIGMA, LineSums, between_nodes, expand_nodes
 from onboard.image.fine_sky import bent_tiles, continued_on_parabolas, fine_nodes, structured_tiles
 from sboc_e2e.icd.signals import BackgroundModel, StarList
@@ -249,12 +249,10 @@ def without_stars(
     *,
     gain_e_adu: float,
     psf_sigma_px: float,
-    quantum_adu: float,
 ) -> BackgroundModel:
     """The background measured beside the stars; `residual` is brought to its level in place.
 
-    sums : of `residual` before the change. quantum_adu : step of the counts, whose rounding is the least noise there is: a dark
-    tile of one value, as compressed pictures have them, is not known better than that.
+    sums : of `residual` before the change.
     """
     tile_px, shape = background.tile_px, background.level_adu.shape
     row_step = ROW_STEP if tile_px >= 4 * ROW_STEP else 1
@@ -263,9 +261,7 @@ def without_stars(
     mark_stars(stars.row, stars.col, star_reach_px(stars, sigma_e, psf_sigma_px), row_step, marked)
     mean, deviation = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
     star_free_moments(residual, mask, marked, row_step, tile_px, background.sigma_adu, mean, deviation)
-    least = np.float32(LEAST_SIGMA * quantum_adu)
     sigma = np.where(np.isfinite(deviation) & (deviation > 0.0), deviation, background.sigma_adu).astype(np.float32)
-    sigma = np.maximum(sigma, least)
     noise = float(np.median(sigma))
     rows, cols = residual.shape
     row_offset, col_offset = line_offsets(sums.rows, cols, noise), line_offsets(sums.cols, rows, noise)
@@ -280,7 +276,7 @@ def without_stars(
         structured[[0, -1]] = structured[:, [0, -1]] = True
         reach = star_reach_px(stars, sigma_e, psf_sigma_px)
         change, within = _take_out_structure(residual, mask, stars, reach, background.sigma_adu, tile_px, structured)
-        shift, sigma = shift + change, np.where(structured & (within > 0.0), np.maximum(within, least), sigma)
+        shift, sigma = shift + change, np.where(structured & (within > 0.0), within, sigma)
     return BackgroundModel(
         tile_px=tile_px,
         level_adu=background.level_adu + shift,

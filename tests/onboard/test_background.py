@@ -87,26 +87,11 @@ def test_stars_do_not_lift_the_level_seen_by_the_detector() -> None:
     stars = MatchedStars().extract(view)
     residual = view.residual_adu.copy()
     sums = LineSums(rows=sums_of(residual / NOISE_ADU, 1), cols=sums_of(residual / NOISE_ADU, 0))
-    sky = without_stars(
-        residual, view.mask, sums, stars, view.background, gain_e_adu=GAIN_E_ADU, psf_sigma_px=0.849, quantum_adu=1.0
-    )
+    sky = without_stars(residual, view.mask, sums, stars, view.background, gain_e_adu=GAIN_E_ADU, psf_sigma_px=0.849)
     assert sky.level_adu.mean() == pytest.approx(SKY_E / GAIN_E_ADU, abs=0.01 * NOISE_ADU)
     assert sky.sigma_adu.mean() == pytest.approx(NOISE_ADU, rel=0.01)
     far = field.electrons < SKY_E + 0.01
     assert residual[far].mean() == pytest.approx(0.0, abs=0.01 * NOISE_ADU)
-
-
-def test_a_tile_of_one_value_has_the_noise_of_rounding() -> None:
-    """Compressed pictures of a dark sky: 64 x 64 px of one count, of two counts a frame. Lines there had S/N of 1e8."""
-    flat = BackgroundModel(tile_px=64, level_adu=np.zeros((4, 4), np.float32), sigma_adu=np.ones((4, 4), np.float32))
-    for quantum_adu in (1.0, 2.0):
-        residual = np.full((256, 256), np.float32(0.3))
-        sums = LineSums(rows=sums_of(residual, 1), cols=sums_of(residual, 0))
-        mask = np.zeros(residual.shape, np.uint8)
-        sky = without_stars(
-            residual, mask, sums, StarList.empty(), flat, gain_e_adu=1.0, psf_sigma_px=0.85, quantum_adu=quantum_adu
-        )
-        assert sky.sigma_adu == pytest.approx(quantum_adu / np.sqrt(12.0), rel=0.01)
 
 
 def test_masked_tiles_are_filled_from_neighbours() -> None:
@@ -218,7 +203,7 @@ def test_rows_columns_and_level_are_taken_out_together() -> None:
     sums = LineSums(rows=sums_of(residual, 1), cols=sums_of(residual, 0))
     flat = BackgroundModel(tile_px=64, level_adu=np.zeros((8, 8), np.float32), sigma_adu=np.ones((8, 8), np.float32))
     mask = np.zeros(residual.shape, np.uint8)
-    without_stars(residual, mask, sums, StarList.empty(), flat, gain_e_adu=1.0, psf_sigma_px=0.85, quantum_adu=1.0)
+    without_stars(residual, mask, sums, StarList.empty(), flat, gain_e_adu=1.0, psf_sigma_px=0.85)
     for axis in (0, 1):
         assert residual.mean(axis=axis).std() < 1.3 / np.sqrt(512)
     assert abs(np.polyfit(np.arange(512), residual.mean(axis=1), 1)[0]) * 512 < 0.02

@@ -165,21 +165,6 @@ def test_float_frame_is_rounded_at_a_twentieth_of_its_noise() -> None:
     assert got.background.level_adu.mean() == pytest.approx(1000.0 + 0.37 * (256 + 2.8 / 1.2), abs=0.1 * sigma)
 
 
-def test_whole_numbers_in_a_float_frame_stay_whole() -> None:
-    """A frame of integers with a masked column is a float frame: its step is one count, and strips give its values back."""
-    pixels = small_run.sky(0).astype(np.float32)
-    pixels[:, 3] = np.nan
-    run = start_run(with_calibration=False)
-    run.feed(frame(0, pixels=pixels))
-    got = only_frame(run.downlink)
-    assert got.adu_scale == 1.0
-    strip = got.rois[0].strips[0]
-    row, col, inside = strip.pixel_coordinates(SIDE, SIDE)
-    seen = np.isfinite(pixels[row[inside], col[inside]])
-    back = strip.values_adu[inside] + got.adu_offset
-    assert (back[seen] == pixels[row[inside], col[inside]][seen]).all()
-
-
 def test_near_lossless_steps_follow_the_noise_in_float_frames_too() -> None:
     """A trail of 9,000 ADU: as many bytes as the same frame takes in integers, and errors of the same share of the noise."""
     along, row, col = np.linspace(0.0, 1.0, 2000)[:, None, None], np.arange(SIDE)[:, None], np.arange(SIDE)

@@ -65,6 +65,15 @@ LEAST_SNR: Final = 10.0
 LEAST_EVIDENCE: Final = 5.0
 """Gain in log likelihood from which a fall is believed. Noise on a step gives the fall, which is free to follow it, 1 to 2."""
 
+RUNS_ON_WIDTHS: Final = (1.0, 2.0, 4.0)
+"""Lengths in widths of the blocks in which light is followed that may be the trail's: short ones, as regions end six widths
+beyond an end, and long ones for faint light."""
+RUNS_ON_SIGMAS: Final = 3.0
+"""Light of a block beyond an end, without `OTHER_LIGHT`, from which it may be the trail's."""
+BLURRED_SHARE: Final = 0.02
+"""Light that a real lens throws beyond a step, as a share of the light before it (one sigma): most of what a Gaussian misplaces,
+`ground.vetting.likelihood.PSF_SHAPE_ERROR`."""
+
 DOUBT: Final = 3.0
 """Gain from which the end stays but its interval reaches to the border. Of 60 ends of uniform drawn trails of S/N 15 to 300, 4
 had as much and 1 had `LEAST_EVIDENCE`; with one end in five fading, a fall is then as likely as a step."""
@@ -146,7 +155,33 @@ def with_fading_ends(fit: StreakFit, pixels: StreakPixels) -> StreakFit:
             interval = fit.end_interval_px.copy()
             interval[end, 1] = border - half
             fit = replace(fit, end_interval_px=interval, flags=fit.flags | StreakFlag.ENDS_NOT_GAUSSIAN)
+        else:
+            runs_on = max(_runs_on_to(blocks_of(outwards, width, border, n), half, width, border) for n in RUNS_ON_WIDTHS)
+            if runs_on > half + fit.end_interval_px[end, 1]:
+                interval = fit.end_interval_px.copy()
+                interval[end, 1] = runs_on - half
+                fit = replace(fit, end_interval_px=interval, flags=fit.flags | StreakFlag.ENDS_NOT_GAUSSIAN)
     return fit
+
+
+def _runs_on_to(blocks: Blocks, end_px: float, width_px: float, border_px: float) -> float:
+    """How far light goes on beyond an end without a gap, px from the middle: the end itself where it stops.
+
+    A hundredth of a bright trail's light is seen far beyond where half of it is lost. It may be that of other sources, so that
+    the end does not move, but the trail may go on as far as that.
+    """
+    first = math.ceil(end_px / blocks.length_px)
+    inside = first - math.ceil(BLOCK_WIDTHS * width_px / blocks.length_px)
+    if not 0 <= inside < first < blocks.density.size:
+        return end_px
+    before = float(np.median(blocks.density[inside:first]))
+    near = blocks.place[first:] - 0.5 * blocks.length_px - end_px
+    # the light of a step that the profile's width blurs; see `_best_step`
+    blurred = width_px / blocks.length_px * (_ramp(-near / width_px) - _ramp(-(near + blocks.length_px) / width_px))
+    sigma = np.hypot(blocks.sigma[first:], BLURRED_SHARE * before)
+    lit = blocks.density[first:] - before * blurred > RUNS_ON_SIGMAS * sigma
+    number = int(np.argmin(lit)) if not lit.all() else lit.size
+    return min(float(first + number) * blocks.length_px, border_px) if number else end_px
 
 
 def _ends_at_a_mask(outwards: TrailPixels, end_px: float, width_px: float, border_px: float) -> bool:
@@ -159,9 +194,9 @@ def _ends_at_a_mask(outwards: TrailPixels, end_px: float, width_px: float, borde
     return border_px - last > LIT_WIDTHS * width_px and last < end_px + MASK_WIDTHS * width_px
 
 
-def blocks_of(pixels: TrailPixels, width_px: float, border_px: float) -> Blocks:
-    """Light in blocks from the middle outwards, above the sky beside each."""
-    length = BLOCK_WIDTHS * width_px
+def blocks_of(pixels: TrailPixels, width_px: float, border_px: float, block_widths: float = BLOCK_WIDTHS) -> Blocks:
+    """Light in blocks from the middle outwards, above the sky beside each. block_widths : their length in widths."""
+    length = block_widths * width_px
     number = max(int(min(float(pixels.u.max(initial=0.0)), border_px) / length), 0)
     block = np.floor(pixels.u / length).astype(np.int64)
     inside = (block >= 0) & (block < number)

@@ -17,6 +17,8 @@ from ground.guard import guarded, probabilities_of
 from ground.streaks.centre_line import effective_width_px
 from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
 from ground.vetting.any_camera import probability_in_any_camera
+from ground.vetting.bends import bends_too_much
+from ground.vetting.borders import against_border
 from ground.vetting.contrast import Tiles
 from ground.vetting.features import LEAST_BINS
 from ground.vetting.likelihood import sharpness_of
@@ -32,7 +34,12 @@ from sboc_e2e.icd.signals import StarMotion
 from sboc_e2e.icd.steps import Vetter
 
 KIND: Final = (0.7, 0.7)
-"""Sigma of ln S/N and ln length within which two lines are of one kind: half to twice."""
+"""Sigma of ln S/N and ln length within which two lines are of one kind, where a frame has one look-alike: half to twice."""
+NARROWER_BY: Final = -1.0 / 6.0
+"""Power of the number of look-alikes by which both shrink, as the scale of a density of two dimensions that n samples tell does
+(Silverman 1986, Density Estimation for Statistics and Data Analysis, 4.14). Where the number of false lines falls as the n-th
+power of their S/N, a scale s makes the bright ones exp(n^2 s^2 / 2) times as many as there are: for n = 3.5, 20 times with 0.7
+and twice with 0.35, that of sixty-four."""
 
 KIND_WIDTH: Final = 0.5
 """Sigma of ln width (that of a pixel included) within which two lines are of one kind. Slopes of the sky at a vignetted border
@@ -91,13 +98,15 @@ def look_alikes_near(
     place = np.log([(max(fit.snr * evenness_of(fit), 1e-3), max(fit.length_px, 0.1)) for fit in fits])
     even = look_alikes[:, :3] * np.column_stack((look_alikes[:, 3], np.ones((len(look_alikes), 2))))
     known = np.log(np.maximum(even, 1e-3))
-    apart = (place[:, None] - known[None, :, :2]) / KIND
+    number = float(len(look_alikes)) if weight is None else max(float(np.sum(weight)), 1.0)
+    kind = np.array(KIND) * number**NARROWER_BY
+    apart = (place[:, None] - known[None, :, :2]) / kind
     width = 0.5 * np.log([fit.width_px**2 + PIXEL_VARIANCE_PX2 for fit in fits])
     aligned = np.array([is_aligned(fit.row1 - fit.row0, fit.col1 - fit.col0) for fit in fits])
     counts = aligned[:, None] | (look_alikes[:, 4] < 0.5)
     other = (width[:, None] - known[None, :, 2]) / np.hypot(KIND_WIDTH, WIDTH_ERROR / np.maximum(look_alikes[:, 0], 1.0))
     apart[..., 0] = np.maximum(apart[..., 0], 0.0)
-    peak = (1.0 if weight is None else weight) / (2.0 * math.pi * math.prod(KIND))
+    peak = (1.0 if weight is None else weight) / (2.0 * math.pi * float(kind.prod()))
     return np.asarray((peak * counts * np.exp(-0.5 * (np.sum(apart**2, axis=-1) + other**2))).sum(axis=1), dtype=np.float64)
 
 
@@ -165,7 +174,7 @@ class OwnEvidence:
     tiles: Tiles | None = None
 
     def refuses(self, fit: StreakFit, frame: DownlinkFrame) -> bool:
-        """Whether a fit may be a star, a slope or an edge of the sky, runs along a rim, or lies where no pixel saw the sky."""
+        """Whether a fit may be a star, a slope or an edge, runs along a rim, bends too much, or lies where no pixel saw."""
         if self.alone and fit.length_px < SHORTEST_ALONE_PX:
             return True
         if self.stars is not None and moves_as(self.stars, fit):
@@ -173,6 +182,9 @@ class OwnEvidence:
         if self.sky is not None and self.sky.refuses(fit, frame.header.gain_e_adu or 1.0):
             return True
         if self.circle is not None and self.circle.refuses(fit):
+            return True
+        shape = frame.header.rows, frame.header.cols
+        if bends_too_much(fit, shape, None if self.circle is None else self.circle.radius_px):
             return True
         if self.seen is None:
             return False
@@ -208,6 +220,8 @@ class LookAlikeVetter:
             against = against + np.array([known.field.against(fit, gain) for fit in fits])
         if known.bright is not None:
             against = against + np.array([known.bright.against(fit) for fit in fits])
+        if known.seen is not None:
+            against = against + np.array([against_border(fit, known.seen) for fit in fits])
         odds_against = (1.0 - probability) / np.maximum(probability, LEAST) + against
         refused = np.array([known.refuses(fit, frame) for fit in fits])
         given = np.where((probability > 0.0) & ~refused, 1.0 / (1.0 + odds_against), 0.0)

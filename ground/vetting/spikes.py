@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.vetting.star_rows import FULL_LONGEST_PX, FULL_PER_FRAME, FULL_SNR, REAL_PER_FRAME
+from ground.vetting.star_rows import FULL_LONGEST_PX, FULL_PER_FRAME, FULL_SNR, REAL_PER_FRAME, is_long
 from sboc_e2e.icd.products import StreakFit
 
 LEAST_LIGHT: Final = 20.0
@@ -19,6 +19,10 @@ some of its core: four had a twenty-fifth."""
 LEAST_OF_LINE: Final = 0.3
 """Light of a full star over that of a line which is this star, at least: what it spills is the rest. An even trail has a tenth of
 its light in one image of a star. Chosen, not measured."""
+
+SPILL_SLOPE: Final = 0.1
+"""Slope to rows or columns up to which a line may be charge that a full star spilled, on several columns side by side: as on
+board (`onboard.detect.line_integral.context.COLUMN_SLOPE`)."""
 
 CENTRE_ERROR_PX: Final = 2.0
 """How near to the centre of a star its spikes run: the middle of a full star is known to a pixel or two. Chosen, not measured."""
@@ -50,7 +54,8 @@ class BrightStars:
     def against(self, fit: StreakFit) -> float:
         """Odds of a spike or of one full star against a trail, as far as the stars tell; 0 where a line aims at none."""
         odds = self._aimed_at(fit, LEAST_LIGHT, -1.0, 2.0, SPIKE_PER_REAL)
-        if fit.length_px <= FULL_LONGEST_PX and fit.snr > FULL_SNR:
+        may_be_full = fit.length_px <= FULL_LONGEST_PX and fit.snr > FULL_SNR
+        if may_be_full and (_may_be_spilled(fit) or not is_long(fit)):
             odds += self._aimed_at(fit, LEAST_OF_LINE, 0.0, 1.0, FULL_PER_FRAME / REAL_PER_FRAME)
         return odds
 
@@ -74,6 +79,12 @@ class BrightStars:
         breadth = 2.0 * float(np.median(reach[aims]))
         chance = min(len(row) * breadth * (high - low) * length / self.area_px2, 1.0)
         return per_real * (1.0 / chance - 1.0)
+
+
+def _may_be_spilled(fit: StreakFit) -> bool:
+    """Whether a line runs about along rows or columns. In other directions a full star is no longer than its image."""
+    drow, dcol = abs(fit.row1 - fit.row0), abs(fit.col1 - fit.col0)
+    return min(drow, dcol) < SPILL_SLOPE * max(drow, dcol)
 
 
 def _across_error(fit: StreakFit, place: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -81,6 +81,9 @@ ROUND_FILL: Final = 0.6
 both ends is no gap. A triangle has 0.75, a star with a tail 0.1 to 0.3."""
 ROUND_WIDTHS: Final = 1.3
 """Largest width over that of the PSF of such a line: bulges of galaxies and full stars are wider. Chosen, not measured."""
+LONG_WIDTHS: Final = 20.0
+"""Length over width from which a line as bright as a full star may be wider than that: ten widths from its middle the image of a
+star has a thousandth of its peak left (a Moffat profile, index 2.5), so that it does not fill such a line. Fireballs do."""
 
 REAL_PER_FRAME: Final = 0.5
 """Expected real streaks per frame: the default of `ground.vetter`."""
@@ -180,6 +183,11 @@ def _fwhm_px(fit: StreakFit) -> float:
     return FWHM_PER_SIGMA * effective_width_px(fit.width_px)
 
 
+def is_long(fit: StreakFit) -> bool:
+    """Whether a line is longer than the image of any star for its width."""
+    return fit.length_px >= LONG_WIDTHS * effective_width_px(fit.width_px)
+
+
 def row_over_trail(gaps: float) -> float:
     """Density of the gaps of rows of stars over that of trails."""
     low, high = ROW_GAPS
@@ -239,14 +247,16 @@ class Along:
         return self._missing_from(np.ones(self.light.size))
 
     def gaps_for(self, fit: StreakFit) -> float:
-        """The same, but of a line as narrow as stars that rises once and falls once and fills its length: of its dips alone.
+        """The same, but of a line that rises once and falls once and fills its length: of its dips alone.
 
-        Meteors rise and fall so. A star with a tail fills little of its length, and the bulge of a galaxy is wide.
+        Meteors rise and fall so, and fireballs are wide. A star with a tail fills little of its length, and the bulge of a galaxy
+        is wide and short.
         """
         from scipy.optimize import isotonic_regression  # takes a quarter of a second, which frames without short lines spare
 
         plain = self.gaps
-        if not plain > 0.0 or not fit.width_px <= ROUND_WIDTHS * fit.psf_sigma_px:
+        narrow = fit.width_px <= ROUND_WIDTHS * fit.psf_sigma_px or (fit.snr > FULL_SNR and is_long(fit))
+        if not plain > 0.0 or not narrow:
             return plain
         weight = 1.0 / np.maximum(self.error, 1e-6) ** 2
         best, least = self.light, math.inf

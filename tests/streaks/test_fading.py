@@ -103,6 +103,21 @@ def test_trails_that_stop_keep_their_ends() -> None:
     assert doubted < 6
 
 
+def test_faint_light_beyond_a_bright_end_moves_no_end_but_its_interval_holds_it() -> None:
+    """A meteor of S/N 840 with a tenth of its light for 10 px more. Other sources may shine so: the end stays. Where the light
+    stops with a step, the interval stays too."""
+    for seed in range(4):
+        step = strip(seed, 190.0, density=3_000.0)
+        beyond = strip(99, 200.0, density=300.0).value_e - strip(99, 190.0, density=300.0).value_e
+        before, after = both(replace(step, value_e=step.value_e + beyond), 190.0)
+        assert (after.row1, after.col1) == (before.row1, before.col1)
+        assert 200.0 - after.col1 - 2.0 < after.end_interval_px[1, 1] < 15.0
+        assert before.end_interval_px[1, 1] < 1.0
+        assert after.flags & StreakFlag.ENDS_NOT_GAUSSIAN
+        before, after = both(step, 190.0)
+        assert after.end_interval_px[1].tolist() == before.end_interval_px[1].tolist()
+
+
 def after_ends(fit: StreakFit) -> tuple[tuple[float, float], tuple[float, float]]:
     return (fit.row0, fit.col0), (fit.row1, fit.col1)
 

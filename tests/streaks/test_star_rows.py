@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ground.vetting.star_rows import LONGEST_PX, ROW_GAPS, Along, Crop, StarField, row_over_trail
+from ground.vetting.star_rows import FULL_SNR, LONGEST_PX, ROW_GAPS, Along, Crop, StarField, row_over_trail
 
 SIDE, NOISE, SIGMA, PIXEL = 128, 10.0, 1.2, 12.0**-0.5
 ENDS = (40.0, 44.0, 70.0, 84.0)
@@ -104,6 +104,10 @@ def test_a_meteor_rises_and_falls_and_has_no_dips() -> None:
     wide = fit(20.0)
     wide.psf_sigma_px = 0.5 * SIGMA
     assert seen.gaps_for(wide) == seen.gaps, "the bulge of a galaxy, or a full star"
+    wide.snr = 1.1 * FULL_SNR
+    assert seen.gaps_for(wide) < 0.1, "a fireball: no full star is forty widths long"
+    wide.length_px, wide.width_px = LENGTH, LENGTH / 15.0
+    assert seen.gaps_for(wide) == seen.gaps, "as short as the image of a star"
 
 
 def test_a_star_with_a_tail_keeps_its_gaps() -> None:

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from onboard.track.corridor import LANES, MOST_PIECES, gather
 from onboard.track.first_look import END_STEPS, ENDS, LONGEST, STEPS, first_look, own_ends
 from onboard.track.frames import Frames, span_of
-from onboard.track.trail_sums import Corridors, Look, half_line_variance, placed
+from onboard.track.trail_sums import Corridors, Look, placed
 from onboard.track.wide_look import AWAY, KEPT, gather_starts, wide_look
 
 NARROW: Final = 1.8  # S/N by which the first look may fall short for a seed to be climbed with

@@ -34,12 +34,7 @@ from sboc_e2e.icd.signals import StarMotion
 from sboc_e2e.icd.steps import Vetter
 
 KIND: Final = (0.7, 0.7)
-"""Sigma of ln S/N and ln length within which two lines are of one kind, where a frame has one look-alike: half to twice."""
-NARROWER_BY: Final = -1.0 / 6.0
-"""Power of the number of look-alikes by which both shrink, as the scale of a density of two dimensions that n samples tell does
-(Silverman 1986, Density Estimation for Statistics and Data Analysis, 4.14). Where the number of false lines falls as the n-th
-power of their S/N, a scale s makes the bright ones exp(n^2 s^2 / 2) times as many as there are: for n = 3.5, 20 times with 0.7
-and twice with 0.35, that of sixty-four."""
+"""Sigma of ln S/N and ln length within which two lines are of one kind: half to twice."""
 
 KIND_WIDTH: Final = 0.5
 """Sigma of ln width (that of a pixel included) within which two lines are of one kind. Slopes of the sky at a vignetted border
@@ -98,15 +93,13 @@ def look_alikes_near(
     place = np.log([(max(fit.snr * evenness_of(fit), 1e-3), max(fit.length_px, 0.1)) for fit in fits])
     even = look_alikes[:, :3] * np.column_stack((look_alikes[:, 3], np.ones((len(look_alikes), 2))))
     known = np.log(np.maximum(even, 1e-3))
-    number = float(len(look_alikes)) if weight is None else max(float(np.sum(weight)), 1.0)
-    kind = np.array(KIND) * number**NARROWER_BY
-    apart = (place[:, None] - known[None, :, :2]) / kind
+    apart = (place[:, None] - known[None, :, :2]) / KIND
     width = 0.5 * np.log([fit.width_px**2 + PIXEL_VARIANCE_PX2 for fit in fits])
     aligned = np.array([is_aligned(fit.row1 - fit.row0, fit.col1 - fit.col0) for fit in fits])
     counts = aligned[:, None] | (look_alikes[:, 4] < 0.5)
     other = (width[:, None] - known[None, :, 2]) / np.hypot(KIND_WIDTH, WIDTH_ERROR / np.maximum(look_alikes[:, 0], 1.0))
     apart[..., 0] = np.maximum(apart[..., 0], 0.0)
-    peak = (1.0 if weight is None else weight) / (2.0 * math.pi * float(kind.prod()))
+    peak = (1.0 if weight is None else weight) / (2.0 * math.pi * math.prod(KIND))
     return np.asarray((peak * counts * np.exp(-0.5 * (np.sum(apart**2, axis=-1) + other**2))).sum(axis=1), dtype=np.float64)
 
 

@@ -38,12 +38,12 @@ def use_cache_of_these_sources() -> None:
 
 
 def source_digest(root: Path) -> str:
-    """Sixteen hexadecimal digits over the sources of all modules that use numba, in a fixed order."""
+    """Sixteen hexadecimal digits over the sources of all modules that name numba, in a fixed order."""
     digest = hashlib.sha256()
     for package in PACKAGES:
         for path in sorted((root / package).rglob("*.py")):
             text = path.read_bytes()
-            if b"njit" in text:
+            if b"numba" in text:
                 digest.update(str(path.relative_to(root)).encode())
                 digest.update(text)
     return digest.hexdigest()[:16]

@@ -149,14 +149,19 @@ def _sharpest_px(fits: Sequence[StreakFit], light: Sequence[bool]) -> float:
 def sharpness_of(fits: Sequence[StreakFit], psf_sigma_px: float | None) -> list[float]:
     """Ln of the width of each fit over that of the optics (pixel included); NaN where it failed, or nothing tells the optics.
 
-    psf_sigma_px : of the frame's stars, None where they do not tell.
+    psf_sigma_px : of the frame's stars, None where they do not tell. Then long light bounds the optics from above, and lines that
+    are narrower have 0: a band of cloud is long light of 4 px, and satellites beside it are 0.7 px wide.
     """
-    optics = [fit.psf_sigma_px if math.isfinite(fit.psf_sigma_px) else psf_sigma_px for fit in fits]
     sharpest = sharpest_light_px(fits)
-    known = [min(math.inf if psf_sigma_px is None else float(width or math.inf), sharpest) for width in optics]
-    return [
-        features_of(fit, width).sharpness if math.isfinite(width) else math.nan for fit, width in zip(fits, known, strict=True)
-    ]
+    if psf_sigma_px is None:
+        return [max(_sharpness(fit, sharpest), 0.0) for fit in fits]
+    optics = [fit.psf_sigma_px if math.isfinite(fit.psf_sigma_px) else psf_sigma_px for fit in fits]
+    return [_sharpness(fit, min(width or math.inf, sharpest)) for fit, width in zip(fits, optics, strict=True)]
+
+
+def _sharpness(fit: StreakFit, optics_px: float) -> float:
+    """Ln of the width of a fit over that of the optics; NaN where it failed or these are not known (infinite)."""
+    return features_of(fit, optics_px).sharpness if math.isfinite(optics_px) else math.nan
 
 
 def _blob(fit: StreakFit, psf_sigma_px: float, *, unknown: bool) -> bool:

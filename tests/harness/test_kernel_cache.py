@@ -11,8 +11,8 @@ from sboc_e2e import kernel_cache
 def sources(root: Path, body: str) -> Path:
     for package in kernel_cache.PACKAGES:
         (root / package).mkdir(parents=True, exist_ok=True)
-    (root / "ground" / "inlined.py").write_text(f"@njit\ndef f(x):\n    return {body}\n")
-    (root / "ground" / "kernel.py").write_text("@njit\ndef g(x):\n    return f(x)\n")
+    (root / "ground" / "inlined.py").write_text(f"from numba import njit\n\n@njit\ndef f(x):\n    return {body}\n")
+    (root / "ground" / "kernel.py").write_text("from numba import njit\n\n@njit\ndef g(x):\n    return f(x)\n")
     (root / "ground" / "words.py").write_text("text = 1\n")
     return root
 

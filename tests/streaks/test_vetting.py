@@ -11,7 +11,7 @@ from ground.streaks import TrailedPsfFitter
 from ground.vetting import LikelihoodVetter
 from ground.vetting.class_densities import BINS, FLAG_SHARES, RECURRING, class_densities
 from ground.vetting.features import features_of
-from ground.vetting.likelihood import LONGEST_PARTICLE_PX, sharpest_light_px
+from ground.vetting.likelihood import LONGEST_PARTICLE_PX, sharpest_light_px, sharpness_of
 from ground.vetting.readout import odds_of_readout
 from ground.vetting.repeated import repeated
 from sboc_e2e.icd.downlink import DownlinkFrame
@@ -239,6 +239,18 @@ def test_long_lines_that_are_lit_all_along_tell_how_sharp_the_optics_are(fits: d
         [replace(trail, snr=40.0) for trail in train],
     ):
         assert math.isinf(sharpest_light_px(others))
+
+
+def test_a_band_of_cloud_does_not_make_trails_too_sharp_where_no_star_tells_the_optics(fits: dict[str, list[StreakFit]]) -> None:
+    """Satellites of S/N 109 to 209 and 0.7 to 0.9 px beside bands of 4 to 5 px had p below 0.04 for that alone."""
+    trail = replace(train_of_satellites(fits["real"][0])[0], width_px=0.8, row1=120.0, col1=140.0)
+    band = replace(train_of_satellites(fits["real"][0])[1], width_px=4.2, snr=64.0)
+    assert sharpness_of([trail, band], None) == [0.0, 0.0]
+    wider = sharpness_of([replace(trail, width_px=8.4), band], None)[0]
+    assert wider == pytest.approx(0.5 * math.log((8.4**2 + 1.0 / 12.0) / (4.2**2 + 1.0 / 12.0)))
+    told = sharpness_of([replace(trail, psf_sigma_px=2.0)], 2.0)[0]
+    assert told == pytest.approx(0.5 * math.log((0.8**2 + 1.0 / 12.0) / (2.0**2 + 1.0 / 12.0)))
+    assert math.isnan(sharpness_of([trail], None)[0])
 
 
 def test_a_train_of_satellites_does_not_recur_and_short_sharp_tracks_do(

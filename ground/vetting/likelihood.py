@@ -131,13 +131,14 @@ def _light(fits: Sequence[StreakFit], readout: NDArray[np.float64]) -> list[bool
     ]
 
 
-def sharpest_light_px(fits: Sequence[StreakFit]) -> float:
+def sharpest_light_px(fits: Sequence[StreakFit], believed: Sequence[bool]) -> float:
     """Width (sigma, px) that the optics do not exceed, as long bright lines show it; infinite where there is none.
 
     Stars do not always tell: full, stretched or crowded ones are wider than the optics. Satellites of one train had an eighth of
-    their width.
+    their width. believed : lines that may be trails, as far as is known. Bands of cloud are long and bright, and they are not.
     """
-    return _sharpest_px(fits, _light(fits, odds_of_readout(fits)))
+    light = _light(fits, odds_of_readout(fits))
+    return _sharpest_px(fits, [lit and trail for lit, trail in zip(light, believed, strict=True)])
 
 
 def _sharpest_px(fits: Sequence[StreakFit], light: Sequence[bool]) -> float:
@@ -146,22 +147,17 @@ def _sharpest_px(fits: Sequence[StreakFit], light: Sequence[bool]) -> float:
     return float(np.median(widths)) if widths else math.inf
 
 
-def sharpness_of(fits: Sequence[StreakFit], psf_sigma_px: float | None) -> list[float]:
+def sharpness_of(fits: Sequence[StreakFit], psf_sigma_px: float | None, believed: Sequence[bool]) -> list[float]:
     """Ln of the width of each fit over that of the optics (pixel included); NaN where it failed, or nothing tells the optics.
 
-    psf_sigma_px : of the frame's stars, None where they do not tell. Then long light bounds the optics from above, and lines that
-    are narrower have 0: a band of cloud is long light of 4 px, and satellites beside it are 0.7 px wide.
+    psf_sigma_px : of the frame's stars, None where they do not tell. believed : see `sharpest_light_px`.
     """
-    sharpest = sharpest_light_px(fits)
-    if psf_sigma_px is None:
-        return [max(_sharpness(fit, sharpest), 0.0) for fit in fits]
     optics = [fit.psf_sigma_px if math.isfinite(fit.psf_sigma_px) else psf_sigma_px for fit in fits]
-    return [_sharpness(fit, min(width or math.inf, sharpest)) for fit, width in zip(fits, optics, strict=True)]
-
-
-def _sharpness(fit: StreakFit, optics_px: float) -> float:
-    """Ln of the width of a fit over that of the optics; NaN where it failed or these are not known (infinite)."""
-    return features_of(fit, optics_px).sharpness if math.isfinite(optics_px) else math.nan
+    sharpest = sharpest_light_px(fits, believed)
+    known = [min(math.inf if psf_sigma_px is None else float(width or math.inf), sharpest) for width in optics]
+    return [
+        features_of(fit, width).sharpness if math.isfinite(width) else math.nan for fit, width in zip(fits, known, strict=True)
+    ]
 
 
 def _blob(fit: StreakFit, psf_sigma_px: float, *, unknown: bool) -> bool:

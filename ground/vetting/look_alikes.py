@@ -220,5 +220,6 @@ class LookAlikeVetter:
         given = np.where((probability > 0.0) & ~refused, 1.0 / (1.0 + odds_against), 0.0)
         if known.tiles is None:
             return given
-        given = probability_in_any_camera(fits, given, sharpness_of(fits, frame.psf_sigma_px), known.tiles)
+        sharpness = sharpness_of(fits, frame.psf_sigma_px, (given > 0.0).tolist())
+        given = probability_in_any_camera(fits, given, sharpness, known.tiles)
         return np.where(doubled(fits, given), 0.0, given)

@@ -50,7 +50,10 @@ def executor(workers: int, scheduler: str | None, *, here: bool = False) -> Iter
     except ImportError as error:
         raise UserError('--scheduler needs the extra "distributed": pip install "sboc-e2e[distributed]"') from error
     if scheduler == "local":
-        with LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None) as cluster, Client(cluster) as client:
+        # without a dashboard dask's scheduler still opens port 8787, which another cluster of this machine may have
+        any_port = {"dashboard_address": "127.0.0.1:0"}
+        cluster = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=None, scheduler_kwargs=any_port)
+        with cluster, Client(cluster) as client:
             yield client.get_executor(pure=False), workers
         return
     try:

@@ -211,7 +211,8 @@ def test_a_cluster_in_another_folder_fills_a_relative_out(tmp_path: Path, monkey
     (tmp_path / "there").mkdir()
     monkeypatch.chdir(tmp_path / "here")
     Path("campaign.toml").write_text(GRID + TINY)
-    cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None)
+    any_port = {"dashboard_address": "127.0.0.1:0"}
+    cluster = distributed.LocalCluster(n_workers=1, threads_per_worker=1, dashboard_address=None, scheduler_kwargs=any_port)
     with cluster, distributed.Client(cluster) as client:
         client.run(os.chdir, str(tmp_path / "there"))
         result = run_campaign(read_campaign("campaign.toml"), Path("out"), scheduler=cluster.scheduler_address)

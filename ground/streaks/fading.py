@@ -152,16 +152,19 @@ def with_fading_ends(fit: StreakFit, pixels: StreakPixels) -> StreakFit:
             moved = _with_end(fit, end, fade, border, half, width)
             fit = _with_curve(moved, end, blocks, half, fit.length_px)
         elif _ends_at_a_mask(outwards, half, width, border):
-            interval = fit.end_interval_px.copy()
-            interval[end, 1] = border - half
-            fit = replace(fit, end_interval_px=interval, flags=fit.flags | StreakFlag.ENDS_NOT_GAUSSIAN)
+            fit = _reaching_to(fit, end, border - half)
         else:
             runs_on = max(_runs_on_to(blocks_of(outwards, width, border, n), half, width, border) for n in RUNS_ON_WIDTHS)
             if runs_on > half + fit.end_interval_px[end, 1]:
-                interval = fit.end_interval_px.copy()
-                interval[end, 1] = runs_on - half
-                fit = replace(fit, end_interval_px=interval, flags=fit.flags | StreakFlag.ENDS_NOT_GAUSSIAN)
+                fit = _reaching_to(fit, end, runs_on - half)
     return fit
+
+
+def _reaching_to(fit: StreakFit, end: int, beyond_px: float) -> StreakFit:
+    """The fit with an end that stays and an interval that reaches so far beyond it."""
+    interval = fit.end_interval_px.copy()
+    interval[end, 1] = beyond_px
+    return replace(fit, end_interval_px=interval, flags=fit.flags | StreakFlag.ENDS_NOT_GAUSSIAN)
 
 
 def _runs_on_to(blocks: Blocks, end_px: float, width_px: float, border_px: float) -> float:

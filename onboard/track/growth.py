@@ -60,7 +60,7 @@ def grown(
     images : as `packed.packed`, old ones at half resolution. half_seed : see `start.own_look`. sums, weights (frames,) : work
     space.
     """
-    steps, trial, place, read, seed_px = np.empty(4), np.empty(4), np.empty(4), 0, look.seed_px
+    place, read, seed_px = np.empty(4), 0, look.seed_px
     low = high = first = last = frames.centre
     score = -1e9
     for reach_frames in range(away, len(images)):
@@ -70,9 +70,7 @@ def grown(
             begin, end = _corridor(look, frame, track)
             piece = max(1.0, seed_px / FINE)
             read += collect(images, frame, seed, frames.transforms, begin, end, piece, corridors, place)
-        set_steps(steps, look, low, high, STEPS, 0.6)
-        climb(corridors, look, low, high, track, steps, 4, trial)
-        score, first, last = best_range(corridors, look, Span(frames.centre, low, high), track, frames.threshold, sums, weights)
+        score, first, last = _raised(frames, look, low, high, track, corridors, sums, weights)
         # noise may end a faint track's best run early; its frames together tell whether there is light in more of them
         ended = last < high and first > low
         together = evaluate(corridors, look, low, high, track) - frames.threshold[high - low + 1] if ended else score
@@ -91,10 +89,26 @@ def grown(
         begin, end = _corridor(look, low, track)
         piece = max(2.0, seed_px / FINE)
         read += collect_half(images, low, half_seed, frames.half_transforms, begin, end, piece, scale, corridors, place)
-        set_steps(steps, look, low, high, STEPS, 0.6)
-        climb(corridors, look, low, high, track, steps, 4, trial)
-        score, first, last = best_range(corridors, look, Span(frames.centre, low, high), track, frames.threshold, sums, weights)
+        score, first, last = _raised(frames, look, low, high, track, corridors, sums, weights)
     return Grown(score, first, last, read)
+
+
+@nb.njit(cache=True)
+def _raised(
+    frames: Frames,
+    look: Look,
+    low: int,
+    high: int,
+    track: NDArray[np.float64],
+    corridors: Corridors,
+    sums: NDArray[np.float64],
+    weights: NDArray[np.float64],
+) -> tuple[float, int, int]:
+    """Climb with a track in frames low ... high, in place; margin, first and last frame of its best run there."""
+    steps = np.empty(4)
+    set_steps(steps, look, low, high, STEPS, 0.6)
+    climb(corridors, look, low, high, track, steps, 4, np.empty(4))
+    return best_range(corridors, look, Span(frames.centre, low, high), track, frames.threshold, sums, weights)
 
 
 @nb.njit(cache=True)

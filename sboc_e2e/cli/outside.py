@@ -30,7 +30,8 @@ def view(
     if samp:
         try:
             with Hub() as hub:
-                typer.echo(f"SAMP: {send(hub, written)} messages taken")
+                send(hub, written)
+            typer.echo("\n".join([f"SAMP: {hub.taken} messages taken", *hub.remarks]))
         except UserError as error:
             typer.echo(str(error))
     if browser:

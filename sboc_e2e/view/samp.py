@@ -2,15 +2,20 @@
 
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
+from queue import Empty, Queue
 from types import TracebackType
-from typing import Any, Self
+from typing import Any, Final, Self
+from xmlrpc.client import Fault
 
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.view.run_frames import ShownFrame
 
 IMAGE, TABLE, DS9 = "image.load.fits", "table.load.votable", "ds9.set"
+
+ANSWER_S: Final = 30
+"""So long a tool may take for one file; it answers when it has loaded it."""
 
 
 @dataclass(kw_only=True)
@@ -18,6 +23,12 @@ class Hub:
     """A connection to the hub that runs on this machine; a context manager. Raises `UserError` where none runs."""
 
     client: Any = None
+    taken: int = 0
+    """Messages that a tool took."""
+    remarks: list[str] = field(default_factory=list)
+    """A line for each message that a tool refused, and each tool that did not answer."""
+    silent: set[str] = field(default_factory=set)
+    calls: int = 0
 
     def __enter__(self) -> Self:
         # Only who sends waits a tenth of a second for these.
@@ -39,19 +50,49 @@ class Hub:
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         self.client.disconnect()
 
+    def call(self, mtype: str, parameters: dict[str, str]) -> None:
+        """A message to each tool that listens for its type; returns when all have answered.
 
-def send(hub: Hub, written: Sequence[tuple[ShownFrame, Path, Path]]) -> int:
-    """Images, tables and regions of frames to everybody who listens; returns how many messages somebody got."""
-    heard = 0
+        A notification need not have been passed on when its sender leaves, and a hub then drops it: astropy's does. So tools are
+        called, and answer (SAMP 1.3, section 3.2). One that does not answer within `ANSWER_S` gets no further message.
+        """
+        answers: Queue[tuple[str, dict[str, Any]]] = Queue()
+        self.calls += 1
+        tag = f"sboc-{self.calls}"
+        self.client.bind_receive_response(tag, lambda _key, tool, _tag, answer: answers.put((tool, answer)))
+        waiting = {tool for tool in self.client.get_subscribed_clients(mtype) if tool not in self.silent}
+        try:
+            for tool in waiting:
+                self.client.call(tool, tag, {"samp.mtype": mtype, "samp.params": parameters})
+            while waiting:
+                tool, answer = answers.get(timeout=ANSWER_S)
+                waiting.remove(tool)
+                if answer.get("samp.status") == "samp.error":
+                    why = answer.get("samp.error", {}).get("samp.errortxt", "no reason given")
+                    self.remarks.append(f"{self._name(tool)} refused {mtype}: {why}")
+                else:
+                    self.taken += 1
+        except (Empty, Fault):  # it is busy, or has left
+            self.silent |= waiting
+            self.remarks += [
+                f"{self._name(tool)} did not answer {mtype} within {ANSWER_S} s, and got nothing more" for tool in waiting
+            ]
+        finally:
+            self.client.unbind_receive_response(tag)
+
+    def _name(self, tool: str) -> str:
+        try:
+            return str(self.client.get_metadata(tool).get("samp.name", tool))
+        except Fault:
+            return tool  # it has left meanwhile
+
+
+def send(hub: Hub, written: Sequence[tuple[ShownFrame, Path, Path]]) -> None:
+    """Images, tables and regions of frames to everybody who listens; the hub keeps how many messages were taken, and remarks."""
     for frame, regions, streaks in written:
         if frame.file is not None:
             where = f"{frame.file.resolve().as_uri()}" + (f"#{frame.hdu}" if frame.hdu else "")
-            heard += _notify(hub, IMAGE, {"url": where, "image-id": f"frame {frame.number}", "name": f"frame {frame.number}"})
-        heard += _notify(hub, DS9, {"cmd": f"regions load {regions.resolve()}"})
+            hub.call(IMAGE, {"url": where, "image-id": f"frame {frame.number}", "name": f"frame {frame.number}"})
+        hub.call(DS9, {"cmd": f"regions load {regions.resolve()}"})
         table = {"url": streaks.resolve().as_uri(), "table-id": f"streaks {frame.number}", "name": f"streaks {frame.number}"}
-        heard += _notify(hub, TABLE, table)
-    return heard
-
-
-def _notify(hub: Hub, mtype: str, parameters: dict[str, str]) -> int:
-    return len(hub.client.notify_all({"samp.mtype": mtype, "samp.params": parameters}))
+        hub.call(TABLE, table)

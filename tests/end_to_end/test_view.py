@@ -1,7 +1,7 @@
 """`sboc view`: region files, VOTables, messages to a hub, and the page in a real headless Chromium."""
 
 import json
-import time
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -56,31 +56,67 @@ def test_regions_and_tables_lie_beside_each_frame_and_count_from_one(run: Path) 
         assert len(Table.read(run / "view" / f"{number:06d}.stars.vot", format="votable")) >= 0
 
 
-def test_a_listening_tool_gets_images_tables_and_regions(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A hub of astropy's own on this machine, and a client that plays DS9."""
+@pytest.fixture
+def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """A hub of astropy's own on this machine."""
     monkeypatch.setenv("SAMP_HUB", f"std-lockurl:{(tmp_path / 'samp').as_uri()}")
-    hub = SAMP.SAMPHubServer(web_profile=False, mode="multiple", lockfile=str(tmp_path / "samp"), addr="127.0.0.1")
-    hub.start()
+    server = SAMP.SAMPHubServer(web_profile=False, mode="multiple", lockfile=str(tmp_path / "samp"), addr="127.0.0.1")
+    server.start()
     try:
-        ds9 = SAMP.SAMPIntegratedClient(name="ds9")
-        ds9.connect()
-        heard: list[tuple[str, dict[str, str]]] = []
-        for mtype in ("image.load.fits", "table.load.votable", "ds9.set"):
-            ds9.bind_receive_notification(mtype, lambda _key, _sender, mtype, params, _extra: heard.append((mtype, params)))
-        with Hub() as connected:
-            assert send(connected, write_files(RunFrames(path=run), run / "view")) == 6
-        # The hub passes notifications on in threads of its own.
-        deadline = time.monotonic() + 60.0
-        while len(heard) < 6 and time.monotonic() < deadline:
-            time.sleep(0.02)
-        ds9.disconnect()
+        yield
     finally:
-        hub.stop()
-    kinds = sorted(mtype for mtype, _ in heard)
-    assert kinds == ["ds9.set"] * 2 + ["image.load.fits"] * 2 + ["table.load.votable"] * 2
+        server.stop()
+
+
+MTYPES = ("image.load.fits", "table.load.votable", "ds9.set")
+
+
+def listening(name: str, take: Callable[[str, dict[str, str]], dict[str, Any] | None]) -> Any:
+    """A client that plays DS9: `take` gets type and parameters of each message and gives the answer, or None for none."""
+    client = SAMP.SAMPIntegratedClient(name=name)
+    client.connect()
+
+    def called(_key: str, _sender: str, message: str, mtype: str, params: dict[str, str], _extra: object) -> None:
+        if (answer := take(mtype, params)) is not None:
+            client.reply(message, answer)
+
+    for mtype in MTYPES:
+        client.bind_receive_call(mtype, called)
+    return client
+
+
+def test_a_listening_tool_has_images_tables_and_regions_when_the_sender_leaves(run: Path, hub: None) -> None:
+    heard: list[tuple[str, dict[str, str]]] = []
+
+    def take(mtype: str, params: dict[str, str]) -> dict[str, Any]:
+        heard.append((mtype, params))
+        return {"samp.status": "samp.ok", "samp.result": {}}
+
+    ds9 = listening("ds9", take)
+    with Hub() as connected:
+        send(connected, write_files(RunFrames(path=run), run / "view"))
+    assert (connected.taken, connected.remarks) == (6, [])
+    ds9.disconnect()
+    assert sorted(mtype for mtype, _ in heard) == ["ds9.set"] * 2 + ["image.load.fits"] * 2 + ["table.load.votable"] * 2
     image = next(params for mtype, params in heard if mtype == "image.load.fits")
     assert image["url"].startswith("file:///")
     assert "%20" in image["url"]
+
+
+def test_a_tool_that_refuses_a_file_or_does_not_answer_is_named(
+    run: Path, hub: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setattr("sboc_e2e.view.samp.ANSWER_S", 1)
+    refusal = {"samp.status": "samp.error", "samp.error": {"samp.errortxt": "no room for tables"}}
+    topcat = listening("topcat", lambda mtype, _: refusal if mtype == "table.load.votable" else {"samp.status": "samp.ok"})
+    mute = listening("mute", lambda *_: None)
+    assert cli.run(["view", str(run)]) == 0
+    topcat.disconnect()
+    mute.disconnect()
+    lines = capsys.readouterr().out.splitlines()
+    assert "SAMP: 4 messages taken" in lines
+    assert lines.count("topcat refused table.load.votable: no room for tables") == 2
+    assert lines.count("mute did not answer image.load.fits within 1 s, and got nothing more") == 1
 
 
 def test_without_a_hub_one_line_says_so(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:

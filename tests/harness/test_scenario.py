@@ -88,6 +88,7 @@ def test_a_preset_can_be_chosen_on_the_command_line(tmp_path: Path) -> None:
     [
         ("sed = 1", ('unknown key "sed"', 'did you mean "seed"?')),
         ("[shutter]\nexposur = 1", ('unknown key "exposur" in [shutter]', 'did you mean "exposure"?')),
+        ("[psf]\npreest = 'ideal'", ('unknown key "preest" in [psf]', 'did you mean "preset"?')),
         ("[sensor.dark]\nmedin = 1", ('"medin" in [sensor.dark]', 'did you mean "median"?')),
         ("[shutter]\nexposure = 0.2", ("shutter.exposure", "a quantity in s", "got 0.2")),
         ('[shutter]\nexposure = "0.2 m"', ("shutter.exposure", "a quantity in s", "length")),

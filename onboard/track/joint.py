@@ -25,6 +25,7 @@ from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import Detection, Track, TrackerView, TrackMember
 
+NO_SEEDS: Final = np.zeros((0, 5))  # `KeptSearch.seeds` when they have been followed
 NONE_WAIT: Final = np.zeros((0, 6))  # `KeptSearch.waiting` without seeds
 NO_TRAILS: Final = np.zeros((0, 4))  # `KeptSearch.trails` of a frame that shows none
 
@@ -213,7 +214,7 @@ class JointTracker:
                 track = replace(track, number=same.number)
             known[track.number] = track
             found.append(track)
-        window = tuple(replace(frame, waiting=waiting) if k == centre else frame for k, frame in enumerate(window))
+        window = tuple(replace(frame, seeds=NO_SEEDS, waiting=waiting) if k == centre else frame for k, frame in enumerate(window))
         return window, found, number
 
     def _asked(self, window: tuple[KeptSearch, ...], centre: int, psf_sigma_px: float) -> NDArray[np.float64]:

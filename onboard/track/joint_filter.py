@@ -54,7 +54,8 @@ def follow(
     their senses, (j, 6); the pixels read; the seeds taken up.
     """
     n_images = len(images)
-    found, waiting = np.zeros((len(seeds), 12 + n_images)), np.zeros((len(seeds), 6))
+    # room for every seed, of which hardly any is touched
+    found, waiting = np.empty((len(seeds), 12 + n_images)), np.empty((len(seeds), 6))
     n_found = n_waiting = read = taken = 0
     room, best, half_seed, track = room_for(n_images), np.empty(4), np.empty(4), np.empty(4)
     place, sums, weights = np.empty(4), np.empty(n_images), np.empty(n_images)
@@ -95,13 +96,16 @@ def follow(
         may_grow = run.margin > -WAITING and run.last > frames.centre
         if may_grow:
             _segment(seed, track, 0.0, seed_px, waiting[n_waiting])
-            waiting[n_waiting, 5] = look.sense
-        if run.margin >= -NEARLY and judged(frames, images, seed, look, run, track, corridors, sums, weights, found[n_found]):
-            found[n_found, 0] = m
-            n_found += 1
-        elif may_grow:  # it waits until it is found
+            waiting[n_waiting, 4], waiting[n_waiting, 5] = 0.0, look.sense  # it was judged, and needs no S/N
+        if run.margin >= -NEARLY:
+            found[n_found] = 0.0
+            if judged(frames, images, seed, look, run, track, corridors, sums, weights, found[n_found]):
+                found[n_found, 0] = m
+                n_found += 1
+                continue
+        if may_grow:  # it waits until it is found
             n_waiting += 1
-    return found[:n_found], waiting[:n_waiting], read, taken
+    return found[:n_found].copy(), waiting[:n_waiting].copy(), read, taken
 
 
 @nb.njit(cache=True)

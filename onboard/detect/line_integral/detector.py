@@ -189,7 +189,7 @@ class LineIntegralDetector:
         del bits
         taps = whiten.odd_taps(s_px)
         smooth = whiten.smooth(images.image, images.level, TILE_PX, taps, POINT_CLIP_SIGMA)
-        seeds = np.empty((0 if seed_sigma is None else MAX_SEEDS, 6))
+        seeds = np.empty((0 if seed_sigma is None else MAX_SEEDS + len(faint), 6))
         table, n_seeds, work, n_left = resolve.resolve(
             images.image,
             smooth,
@@ -206,11 +206,11 @@ class LineIntegralDetector:
             strip.work_space(max(images.image.shape), s_px),
             max(0, view.work.left(Work.CANDIDATES) - resolve.most_of_one(max(images.image.shape))),
             math.inf if seed_sigma is None else seed_sigma,
-            seeds,
+            seeds[: len(seeds) - len(faint)],
         )
-        seeds = seeds[:n_seeds]
         if len(faint):
-            seeds = np.concatenate([seeds, faint[resolve.free(images.blocked, faint)]])
+            n_seeds = resolve.with_free(images.blocked, faint, seeds, n_seeds)
+        seeds = seeds[:n_seeds]
         view.work.spend(Work.CANDIDATES, work)
         view.work.leave(Work.CANDIDATES, n_left)
         table = within_work(table, view.work)

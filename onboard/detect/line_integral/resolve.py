@@ -182,13 +182,14 @@ def taken(blocked: NDArray[np.uint8], candidate: NDArray[np.float64]) -> bool:
 
 
 @nb.njit(cache=True)
-def free(blocked: NDArray[np.uint8], candidates: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Which candidates, as `resolve` takes them, do not lie on found trails."""
-    out = np.empty(candidates.shape[0], np.bool_)
+def with_free(blocked: NDArray[np.uint8], candidates: NDArray[np.float64], seeds: NDArray[np.float64], n_seeds: int) -> int:
+    """Put the candidates, as `resolve` takes them, that do not lie on found trails after n_seeds seeds; how many seeds are there."""
     turned = blocked.T
     for c in range(candidates.shape[0]):
-        out[c] = not taken(blocked if candidates[c, 0] == 0.0 else turned, candidates[c, 1:5])
-    return out
+        if not taken(blocked if candidates[c, 0] == 0.0 else turned, candidates[c, 1:5]):
+            seeds[n_seeds] = candidates[c]
+            n_seeds += 1
+    return n_seeds
 
 
 @nb.njit(cache=True, nogil=True)

@@ -144,7 +144,8 @@ def remove_static_stars(
     whiten.blank_discs(image, blocked, stars.row[hits], stars.col[hits], np.full(len(hits), HIT_RADIUS_PX))
     bright_per_px = float(np.count_nonzero(stars.snr[static] > SUBTRACT_SNR)) / image.size
     places = unlisted_stars(image, blocked, earlier, bright_per_px, psf_sigma_px)
-    static_sky.subtract_stars(image, blocked, places[:, 0], places[:, 1], places[:, 2], psf_sigma_px)
+    row, col, snr = np.ascontiguousarray(places.T)  # as above, so that one kernel serves both
+    static_sky.subtract_stars(image, blocked, row, col, snr, psf_sigma_px)
     listed = np.column_stack([stars.row[faint], stars.col[faint], before[faint]])
     return new, sharp, np.concatenate([listed, places]), light
 

@@ -27,6 +27,7 @@ from ground.vetting.rim import ImageCircle
 from ground.vetting.sides import SkyMap
 from ground.vetting.spikes import BrightStars
 from ground.vetting.star_rows import FULL_PER_FRAME, FULL_SNR, REAL_PER_FRAME, StarField
+from ground.vetting.star_trails import against_chains, move_as
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
@@ -61,12 +62,6 @@ POINTS_PER_REAL: Final = 2.0
 """Hot pixels and cores of stars for each real object of this kind, in frames that were held against others. The neighbours are
 where a mover shows again: what they link is published from `ground.veto_below` on, and a point alone is not. Of seven false
 lines in 142 frames given together four were points with p of 0.6. Chosen, not measured."""
-
-STAR_APART_PX: Final = 1.5
-"""A trail is a star's when its vector is as near as this to the stars' motion, plus `STAR_APART_SHARE` of its length: as on
-board (`onboard.stars.star_motion`)."""
-STAR_APART_SHARE: Final = 0.1
-"""Share of a star trail's length by which its vector may err, beside `STAR_APART_PX`."""
 
 SPILLED_PER_REAL: Final = FULL_PER_FRAME / REAL_PER_FRAME
 """Expected lines of spilled charge of full stars for each real streak."""
@@ -106,18 +101,6 @@ def look_alikes_near(
 def is_aligned(drow: float, dcol: float) -> bool:
     """Whether a line from one end to the other (px) runs along the rows or the columns."""
     return min(abs(drow), abs(dcol)) < ALIGNED_SLOPE * max(abs(drow), abs(dcol))
-
-
-def moves_as(stars: StarMotion, fit: StreakFit) -> bool:
-    """Whether a trail is as long as that of a star at its place, and runs the same way. One that a border cuts may be shorter."""
-    middle = np.array([0.5 * (fit.row0 + fit.row1)]), np.array([0.5 * (fit.col0 + fit.col1)])
-    wanted = np.array([float(part[0]) for part in stars.at(*middle)])
-    vector = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0])
-    vector *= 1.0 if vector @ wanted >= 0.0 else -1.0
-    length = float(np.hypot(*wanted))
-    if fit.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1):
-        wanted *= min(fit.length_px, length) / max(length, 1e-9)
-    return bool(np.hypot(*(vector - wanted)) < STAR_APART_PX + STAR_APART_SHARE * length)
 
 
 def evenness_of(fit: StreakFit) -> float:
@@ -170,7 +153,7 @@ class OwnEvidence:
         """Whether a fit may be a star, a slope or an edge, runs along a rim, bends too much, or lies where no pixel saw."""
         if self.alone and fit.length_px < SHORTEST_ALONE_PX:
             return True
-        if self.stars is not None and moves_as(self.stars, fit):
+        if self.stars is not None and bool(move_as(self.stars, [fit])[0]):
             return True
         if self.sky is not None and self.sky.refuses(fit, frame.header.gain_e_adu or 1.0):
             return True
@@ -213,6 +196,8 @@ class LookAlikeVetter:
             against = against + np.array([known.field.against(fit, gain) for fit in fits])
         if known.bright is not None:
             against = against + np.array([known.bright.against(fit) for fit in fits])
+        if known.stars is not None:
+            against = against + against_chains(known.stars, fits)
         if known.seen is not None:
             against = against + np.array([against_border(fit, known.seen) for fit in fits])
         odds_against = (1.0 - probability) / np.maximum(probability, LEAST) + against

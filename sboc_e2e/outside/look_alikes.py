@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.vetting.contrast import Tiles
-from ground.vetting.look_alikes import STAR_APART_PX, STAR_APART_SHARE, OwnEvidence, is_aligned
+from ground.vetting.look_alikes import OwnEvidence, is_aligned
 from ground.vetting.readout import is_of_readout
 from ground.vetting.sides import SkyMap
 from ground.vetting.spikes import BrightStars
 from ground.vetting.star_rows import FWHM_PER_SIGMA, LONGEST_PX, MARGIN_PX, MOST_PIXELS, Crop, StarField
+from ground.vetting.star_trails import APART_PX, APART_SHARE
 from onboard.chain import OnboardChain
 from onboard.detect.line_integral.detector import LineIntegralDetector
 from onboard.detect.line_integral.star_removal import TILE_PX
@@ -240,7 +241,7 @@ def stars_as_lines(found: Sequence[Detection], shape: tuple[int, ...]) -> StarMo
     wanted = np.stack(motion.at(places[:, 0], places[:, 1]), axis=1)
     length = np.hypot(*wanted.T)
     apart = np.minimum(np.hypot(*(vectors - wanted).T), np.hypot(*(vectors + wanted).T))
-    agree = places[apart < STAR_APART_PX + STAR_APART_SHARE * length]
+    agree = places[apart < APART_PX + APART_SHARE * length]
     if len(agree) < FEWEST_STARS:
         return None
     spread = np.linalg.svd(agree - agree.mean(axis=0), compute_uv=False)[-1] / math.sqrt(len(agree))

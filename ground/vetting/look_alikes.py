@@ -7,7 +7,7 @@ short trails either.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -103,6 +103,16 @@ def is_aligned(drow: float, dcol: float) -> bool:
     return min(abs(drow), abs(dcol)) < ALIGNED_SLOPE * max(abs(drow), abs(dcol))
 
 
+def as_sharp_as(
+    short_axis_px: float, fits: Sequence[StreakFit], frame: DownlinkFrame
+) -> tuple[Sequence[StreakFit], DownlinkFrame]:
+    """Fits and their frame whose optics are as sharp as the short axis of its stars, or sharper; unknown ones stay unknown."""
+    if frame.psf_sigma_px is None or frame.psf_sigma_px <= short_axis_px:
+        return fits, frame
+    sharp = [replace(fit, psf_sigma_px=min(fit.psf_sigma_px, short_axis_px)) for fit in fits]
+    return sharp, replace(frame, psf_sigma_px=short_axis_px)
+
+
 def evenness_of(fit: StreakFit) -> float:
     """Median of the light along a trail over its mean, 0 to 1; 1 of fits with too few bins to tell."""
     curve = fit.light_curve_e_px
@@ -136,6 +146,7 @@ class OwnEvidence:
     bright : the listed stars with their places; None: spikes are not judged.
     circle : of a lens that does not fill the frame; None: it does, or is not known.
     tiles : counts around the lines; None: the lines are not held against their neighbourhood.
+    short_axis_px : of the images of the stars (sigma, the pixel's own taken off); None: they do not tell.
     """
 
     look_alikes: NDArray[np.float64]
@@ -148,6 +159,7 @@ class OwnEvidence:
     bright: BrightStars | None = None
     circle: ImageCircle | None = None
     tiles: Tiles | None = None
+    short_axis_px: float | None = None
 
     def refuses(self, fit: StreakFit, frame: DownlinkFrame) -> bool:
         """Whether a fit may be a star, a slope or an edge, runs along a rim, bends too much, or lies where no pixel saw."""
@@ -182,9 +194,13 @@ class LookAlikeVetter:
     def probability(self, fits: Sequence[StreakFit], frame: DownlinkFrame) -> NDArray[np.float64]:
         """Probabilities, shape (len(fits),), of being a real object."""
         where = f"frame {frame.header.frame}"
-        given = guarded("vetter", self.vetter, where, object, self.vetter.probability, fits, frame)
-        probability = probabilities_of(self.vetter, where, given, len(fits))
         known = self.evidence.get(frame.header.frame)
+        if known is not None and known.short_axis_px is not None:
+            sharp, frame = as_sharp_as(known.short_axis_px, fits, frame)
+        else:
+            sharp = fits
+        given = guarded("vetter", self.vetter, where, object, self.vetter.probability, sharp, frame)
+        probability = probabilities_of(self.vetter, where, given, len(fits))
         if known is None or not fits:
             return probability
         against = look_alikes_near(fits, known.look_alikes, known.weight) / REAL_DENSITY
@@ -205,6 +221,6 @@ class LookAlikeVetter:
         given = np.where((probability > 0.0) & ~refused, 1.0 / (1.0 + odds_against), 0.0)
         if known.tiles is None:
             return given
-        sharpness = sharpness_of(fits, frame.psf_sigma_px, (given > 0.0).tolist())
+        sharpness = sharpness_of(sharp, frame.psf_sigma_px, (given > 0.0).tolist())
         given = probability_in_any_camera(fits, given, sharpness, known.tiles)
         return np.where(doubled(fits, given), 0.0, given)

@@ -37,6 +37,7 @@ from sboc_e2e.icd.signals import Detection, DetectorView, StarMotion
 from sboc_e2e.icd.steps import Detector
 from sboc_e2e.outside import beside
 from sboc_e2e.outside.limits import work_meter
+from sboc_e2e.outside.short_axis import short_axis_px
 
 IN_WHITE_NOISE: Final = 1.0 / 3.0
 """False lines for each dark one that stands out of white noise, but not of the lines beside it. The threshold of the frame itself
@@ -329,6 +330,7 @@ class CountingChain(OnboardChain):
                 field=field,
                 bright=bright,
                 tiles=seen.tiles(found) if seen else None,
+                short_axis_px=short_axis_px(view) if seen else None,
             )
         return after, result
 

@@ -18,6 +18,7 @@ from ground.streaks.centre_line import effective_width_px
 from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
 from ground.vetting.any_camera import probability_in_any_camera
 from ground.vetting.bends import bends_too_much
+from ground.vetting.beside import against_beside
 from ground.vetting.borders import against_border
 from ground.vetting.contrast import Tiles
 from ground.vetting.features import LEAST_BINS
@@ -218,6 +219,10 @@ class LookAlikeVetter:
             against = against + np.array([against_border(fit, known.seen) for fit in fits])
         odds_against = (1.0 - probability) / np.maximum(probability, LEAST) + against
         refused = np.array([known.refuses(fit, frame) for fit in fits])
+        if known.tiles is not None:
+            area_px2 = float(frame.header.rows * frame.header.cols)
+            trails = [fit for fit, no in zip(fits, refused, strict=True) if not no]
+            odds_against = odds_against + np.array([against_beside(fit, known.tiles, area_px2, trails) for fit in fits])
         given = np.where((probability > 0.0) & ~refused, 1.0 / (1.0 + odds_against), 0.0)
         if known.tiles is None:
             return given

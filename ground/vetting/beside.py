@@ -1,8 +1,8 @@
 """A line against lines beside it: the same length, direction and bend, a little to both sides, and how much these scatter.
 
-The S/N of a fit is that of white noise. Compressed pictures, clouds, branches and crowded fields scatter more. What parallel lines
-show is the scatter of lines of this kind at this place. With n of them a line by chance exceeds them as Student's t does with n - 2
-degrees of freedom, and a frame has as many places and directions for lines as its area holds points, for each length.
+The S/N of a fit is that of white noise. Compressed pictures, clouds, branches and crowded fields scatter more. What parallel
+lines show is the scatter of lines of this kind at this place. With n of them a line by chance exceeds them as Student's t does
+with n - 2 degrees of freedom, and a frame has as many places and directions for lines as its area holds points, for each length.
 """
 
 import math
@@ -43,10 +43,10 @@ LEAST_TRAIL_SNR: Final = 20.0
 OVERLAP_SHARE: Final = 0.2
 """Share of a line from which on another trail that runs beside it is left out. Chosen, not measured."""
 LEAST_EXCESS: Final = 2.0
-"""Scatter of the lines beside, over that of white noise, from which on they count: what little more says is the vetter's. Without it
-eight of 250 satellites of S/N 8 to 12 in simulated skies were lost."""
+"""Scatter of the lines beside, over that of white noise, from which on they count: what little more says is the vetter's. Without
+it eight of 250 satellites of S/N 8 to 12 in simulated skies were lost."""
 BRIGHTEST: Final = 100.0
-"""S/N from which lines are not judged by this. What is as bright beside them is seldom scatter: pairs of trails, trains, wires."""
+"""S/N from which lines are not judged by this. What is as bright beside them is seldom scatter: trains, pairs, wires."""
 LENGTHS: Final = 6.0
 """Lengths that a line may have at each place: octaves from 25 to 1,600 px."""
 MOST_ALONG: Final = 512

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from ground.guard import guarded, probabilities_of
 from ground.streaks.centre_line import effective_width_px
 from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
-from ground.vetting.any_camera import probability_in_any_camera
+from ground.vetting.any_camera import LEAST_PROBABILITY, probability_in_any_camera
 from ground.vetting.bends import bends_too_much
 from ground.vetting.beside import against_beside
 from ground.vetting.borders import against_border
@@ -222,7 +222,8 @@ class LookAlikeVetter:
         if known.tiles is not None:
             area_px2 = float(frame.header.rows * frame.header.cols)
             trails = [fit for fit, no in zip(fits, refused, strict=True) if not no]
-            odds_against = odds_against + np.array([against_beside(fit, known.tiles, area_px2, trails) for fit in fits])
+            for k in np.flatnonzero((odds_against < 1.0 / LEAST_PROBABILITY) & ~refused).tolist():
+                odds_against[k] += against_beside(fits[k], known.tiles, area_px2, trails)
         given = np.where((probability > 0.0) & ~refused, 1.0 / (1.0 + odds_against), 0.0)
         if known.tiles is None:
             return given

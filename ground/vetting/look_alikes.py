@@ -7,7 +7,7 @@ short trails either.
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from ground.guard import guarded, probabilities_of
 from ground.streaks.centre_line import effective_width_px
 from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
-from ground.vetting.any_camera import probability_in_any_camera
+from ground.vetting.any_camera import LEAST_PROBABILITY, probability_in_any_camera
 from ground.vetting.bends import bends_too_much
+from ground.vetting.beside import against_beside
 from ground.vetting.borders import against_border
 from ground.vetting.contrast import Tiles
 from ground.vetting.features import LEAST_BINS
@@ -27,6 +28,7 @@ from ground.vetting.rim import ImageCircle
 from ground.vetting.sides import SkyMap
 from ground.vetting.spikes import BrightStars
 from ground.vetting.star_rows import FULL_PER_FRAME, FULL_SNR, REAL_PER_FRAME, StarField
+from ground.vetting.star_trails import against_chains, move_as
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
@@ -61,12 +63,6 @@ POINTS_PER_REAL: Final = 2.0
 """Hot pixels and cores of stars for each real object of this kind, in frames that were held against others. The neighbours are
 where a mover shows again: what they link is published from `ground.veto_below` on, and a point alone is not. Of seven false
 lines in 142 frames given together four were points with p of 0.6. Chosen, not measured."""
-
-STAR_APART_PX: Final = 1.5
-"""A trail is a star's when its vector is as near as this to the stars' motion, plus `STAR_APART_SHARE` of its length: as on
-board (`onboard.stars.star_motion`)."""
-STAR_APART_SHARE: Final = 0.1
-"""Share of a star trail's length by which its vector may err, beside `STAR_APART_PX`."""
 
 SPILLED_PER_REAL: Final = FULL_PER_FRAME / REAL_PER_FRAME
 """Expected lines of spilled charge of full stars for each real streak."""
@@ -108,16 +104,14 @@ def is_aligned(drow: float, dcol: float) -> bool:
     return min(abs(drow), abs(dcol)) < ALIGNED_SLOPE * max(abs(drow), abs(dcol))
 
 
-def moves_as(stars: StarMotion, fit: StreakFit) -> bool:
-    """Whether a trail is as long as that of a star at its place, and runs the same way. One that a border cuts may be shorter."""
-    middle = np.array([0.5 * (fit.row0 + fit.row1)]), np.array([0.5 * (fit.col0 + fit.col1)])
-    wanted = np.array([float(part[0]) for part in stars.at(*middle)])
-    vector = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0])
-    vector *= 1.0 if vector @ wanted >= 0.0 else -1.0
-    length = float(np.hypot(*wanted))
-    if fit.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1):
-        wanted *= min(fit.length_px, length) / max(length, 1e-9)
-    return bool(np.hypot(*(vector - wanted)) < STAR_APART_PX + STAR_APART_SHARE * length)
+def as_sharp_as(
+    short_axis_px: float, fits: Sequence[StreakFit], frame: DownlinkFrame
+) -> tuple[Sequence[StreakFit], DownlinkFrame]:
+    """Fits and their frame whose optics are as sharp as the short axis of its stars, or sharper; unknown ones stay unknown."""
+    if frame.psf_sigma_px is None or frame.psf_sigma_px <= short_axis_px:
+        return fits, frame
+    sharp = [replace(fit, psf_sigma_px=min(fit.psf_sigma_px, short_axis_px)) for fit in fits]
+    return sharp, replace(frame, psf_sigma_px=short_axis_px)
 
 
 def evenness_of(fit: StreakFit) -> float:
@@ -153,6 +147,7 @@ class OwnEvidence:
     bright : the listed stars with their places; None: spikes are not judged.
     circle : of a lens that does not fill the frame; None: it does, or is not known.
     tiles : counts around the lines; None: the lines are not held against their neighbourhood.
+    short_axis_px : of the images of the stars (sigma, the pixel's own taken off); None: they do not tell.
     """
 
     look_alikes: NDArray[np.float64]
@@ -165,12 +160,13 @@ class OwnEvidence:
     bright: BrightStars | None = None
     circle: ImageCircle | None = None
     tiles: Tiles | None = None
+    short_axis_px: float | None = None
 
     def refuses(self, fit: StreakFit, frame: DownlinkFrame) -> bool:
         """Whether a fit may be a star, a slope or an edge, runs along a rim, bends too much, or lies where no pixel saw."""
         if self.alone and fit.length_px < SHORTEST_ALONE_PX:
             return True
-        if self.stars is not None and moves_as(self.stars, fit):
+        if self.stars is not None and bool(move_as(self.stars, [fit])[0]):
             return True
         if self.sky is not None and self.sky.refuses(fit, frame.header.gain_e_adu or 1.0):
             return True
@@ -199,9 +195,13 @@ class LookAlikeVetter:
     def probability(self, fits: Sequence[StreakFit], frame: DownlinkFrame) -> NDArray[np.float64]:
         """Probabilities, shape (len(fits),), of being a real object."""
         where = f"frame {frame.header.frame}"
-        given = guarded("vetter", self.vetter, where, object, self.vetter.probability, fits, frame)
-        probability = probabilities_of(self.vetter, where, given, len(fits))
         known = self.evidence.get(frame.header.frame)
+        if known is not None and known.short_axis_px is not None:
+            sharp, frame = as_sharp_as(known.short_axis_px, fits, frame)
+        else:
+            sharp = fits
+        given = guarded("vetter", self.vetter, where, object, self.vetter.probability, sharp, frame)
+        probability = probabilities_of(self.vetter, where, given, len(fits))
         if known is None or not fits:
             return probability
         against = look_alikes_near(fits, known.look_alikes, known.weight) / REAL_DENSITY
@@ -213,13 +213,20 @@ class LookAlikeVetter:
             against = against + np.array([known.field.against(fit, gain) for fit in fits])
         if known.bright is not None:
             against = against + np.array([known.bright.against(fit) for fit in fits])
+        if known.stars is not None:
+            against = against + against_chains(known.stars, fits)
         if known.seen is not None:
             against = against + np.array([against_border(fit, known.seen) for fit in fits])
         odds_against = (1.0 - probability) / np.maximum(probability, LEAST) + against
         refused = np.array([known.refuses(fit, frame) for fit in fits])
+        if known.tiles is not None:
+            area_px2 = float(frame.header.rows * frame.header.cols)
+            trails = [fit for fit, no in zip(fits, refused, strict=True) if not no]
+            for k in np.flatnonzero((odds_against < 1.0 / LEAST_PROBABILITY) & ~refused).tolist():
+                odds_against[k] += against_beside(fits[k], known.tiles, area_px2, trails)
         given = np.where((probability > 0.0) & ~refused, 1.0 / (1.0 + odds_against), 0.0)
         if known.tiles is None:
             return given
-        sharpness = sharpness_of(fits, frame.psf_sigma_px, (given > 0.0).tolist())
+        sharpness = sharpness_of(sharp, frame.psf_sigma_px, (given > 0.0).tolist())
         given = probability_in_any_camera(fits, given, sharpness, known.tiles)
         return np.where(doubled(fits, given), 0.0, given)

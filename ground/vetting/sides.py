@@ -30,6 +30,9 @@ OUTER_WIDTHS: Final = 6.0
 """They reach as far as they lie away, and so do the straight lines through them."""
 LEAST_SIDE_CELLS: Final = 5
 """Least number of cells across a side, for a level and a slope. Chosen, not measured."""
+NEAREST_WIDTHS: Final = 1.0
+"""Of a side that is masked, as full areas are, the last cell that is seen tells its level from so many widths on, the line's own
+light in it (0.6 at this distance, by its profile) taken off."""
 
 LEAST_SHARE: Final = 0.35
 """Least height above the higher side, as a share of the height that the fit claims. A trail has 1; the brighter half of a step
@@ -104,17 +107,24 @@ class SkyMap:
         reach = math.ceil(OUTER_WIDTHS * width / self.cell_px) + LEAST_SIDE_CELLS
         profile, scatter = self._profile(fit, reach, first, last)
         offset = self.cell_px * np.arange(-reach, reach + 1.0)
-        sides = []
-        for side in (-1.0, 1.0):
-            chosen = (side * offset > INNER_WIDTHS * width) & np.isfinite(profile)
-            if np.count_nonzero(chosen) < LEAST_SIDE_CELLS:
-                return math.nan, math.nan
-            sides.append(_continued(offset[chosen], profile[chosen]))
-        level, error = max(sides)
         middle = profile[reach - 1 : reach + 2]
         if not np.isfinite(middle).any():
             return math.nan, math.nan
-        return float(np.nanmax(middle)) - level, math.hypot(error, scatter)
+        top = float(np.nanmax(middle))
+        sides = []
+        for side in (-1.0, 1.0):
+            chosen = (side * offset > INNER_WIDTHS * width) & np.isfinite(profile)
+            if np.count_nonzero(chosen) >= LEAST_SIDE_CELLS:
+                sides.append(_continued(offset[chosen], profile[chosen]))
+                continue
+            near = np.flatnonzero((side * offset >= NEAREST_WIDTHS * width) & np.isfinite(profile))
+            if not near.size:
+                return math.nan, math.nan
+            last = int(near[-1] if side > 0.0 else near[0])
+            held = math.exp(-0.5 * (float(offset[last]) / width) ** 2)
+            sides.append(((float(profile[last]) - held * top) / (1.0 - held), scatter / (1.0 - held)))
+        level, error = max(sides)
+        return top - level, math.hypot(error, scatter)
 
     def _profile(self, fit: StreakFit, reach: int, first: float, last: float) -> tuple[NDArray[np.float64], float]:
         """Medians along a line, (2 reach + 1,) by distance across it in cells, and the error of one of them."""

@@ -14,11 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.vetting.contrast import Tiles
-from ground.vetting.look_alikes import STAR_APART_PX, STAR_APART_SHARE, OwnEvidence, is_aligned
+from ground.vetting.look_alikes import OwnEvidence, is_aligned
 from ground.vetting.readout import is_of_readout
 from ground.vetting.sides import SkyMap
 from ground.vetting.spikes import BrightStars
 from ground.vetting.star_rows import FWHM_PER_SIGMA, LONGEST_PX, MARGIN_PX, MOST_PIXELS, Crop, StarField
+from ground.vetting.star_trails import APART_PX, APART_SHARE
 from onboard.chain import OnboardChain
 from onboard.detect.line_integral.detector import LineIntegralDetector
 from onboard.detect.line_integral.star_removal import TILE_PX
@@ -36,6 +37,7 @@ from sboc_e2e.icd.signals import Detection, DetectorView, StarMotion
 from sboc_e2e.icd.steps import Detector
 from sboc_e2e.outside import beside
 from sboc_e2e.outside.limits import work_meter
+from sboc_e2e.outside.short_axis import short_axis_px
 
 IN_WHITE_NOISE: Final = 1.0 / 3.0
 """False lines for each dark one that stands out of white noise, but not of the lines beside it. The threshold of the frame itself
@@ -240,7 +242,7 @@ def stars_as_lines(found: Sequence[Detection], shape: tuple[int, ...]) -> StarMo
     wanted = np.stack(motion.at(places[:, 0], places[:, 1]), axis=1)
     length = np.hypot(*wanted.T)
     apart = np.minimum(np.hypot(*(vectors - wanted).T), np.hypot(*(vectors + wanted).T))
-    agree = places[apart < STAR_APART_PX + STAR_APART_SHARE * length]
+    agree = places[apart < APART_PX + APART_SHARE * length]
     if len(agree) < FEWEST_STARS:
         return None
     spread = np.linalg.svd(agree - agree.mean(axis=0), compute_uv=False)[-1] / math.sqrt(len(agree))
@@ -328,6 +330,7 @@ class CountingChain(OnboardChain):
                 field=field,
                 bright=bright,
                 tiles=seen.tiles(found) if seen else None,
+                short_axis_px=short_axis_px(view) if seen else None,
             )
         return after, result
 

@@ -87,11 +87,22 @@ def test_a_ridge_that_is_a_slope_for_half_its_length_is_no_trail() -> None:
 
 
 def test_where_the_map_does_not_tell_a_line_stays() -> None:
-    """A faint narrow line in noise, without light in the map; and a line one of whose sides is masked."""
+    """A faint narrow line in noise, without light in the map; and a line one of whose sides is masked from its middle on."""
     nothing = np.zeros((SIDE, SIDE))
     assert refused(nothing, 1.3, 0.02 * NOISE) == [False] * 3
     light = 100.0 / (1.0 + np.exp(across() / 6.0))
-    assert refused(light, 10.0, 50.0, across() < -15.0) == [False] * 3
+    assert refused(light, 10.0, 50.0, across() < -4.0) == [False] * 3
+
+
+@pytest.mark.parametrize(("masked_px", "width_px"), [(15.0, 6.0), (15.0, 10.0), (20.0, 10.0)])
+def test_a_side_that_is_seen_for_a_little_way_tells_its_level(masked_px: float, width_px: float) -> None:
+    """The rim of a window in daylight: full pixels beyond some 15 px are masked. A trail beside such an area is none."""
+    v = across()
+    light = 100.0 / (1.0 + np.exp(v / 4.0))
+    assert refused(light, width_px, 50.0, v < -masked_px) == [True] * 3
+    trail = 50.0 * np.exp(-0.5 * (v / width_px) ** 2)
+    assert refused(trail, width_px, 50.0, v < -masked_px) == [False] * 3
+    assert refused(trail, width_px, 50.0, v > masked_px) == [False] * 3
 
 
 def test_the_map_leaves_unknown_pixels_out_and_keeps_its_size() -> None:

@@ -214,7 +214,9 @@ class JointTracker:
                 track = replace(track, number=same.number)
             known[track.number] = track
             found.append(track)
-        window = tuple(replace(frame, seeds=NO_SEEDS, waiting=waiting) if k == centre else frame for k, frame in enumerate(window))
+        window = tuple(
+            replace(frame, seeds=NO_SEEDS, waiting=waiting) if k == centre else frame for k, frame in enumerate(window)
+        )
         return window, found, number
 
     def _asked(self, window: tuple[KeptSearch, ...], centre: int, psf_sigma_px: float) -> NDArray[np.float64]:

@@ -32,8 +32,8 @@ LONGEST_PX: Final = 2000.0
 """Trails of one exposure that the false-alarm rate is reckoned for; longer seeds are not followed."""
 
 FOLLOWED: Final = 0.14
-"""Share of noise's tracks above a threshold that the search finds, as it begins at seeds. With 0.2 it found 4 in 320 whole frames
-of noise where 0.02 a frame were expected (seeds 53000 and 55500): a share of 0.12 [0.04, 0.29] (90 %)."""
+"""Share of noise's tracks above a threshold that the search finds, as it begins at seeds. Thresholds by 0.2 gave 2 in 192 whole
+frames of noise where 3.8 were to be expected."""
 
 WORK_PER_PX: Final = 30.0  # as many as a frame's nominal work (`onboard.work`)
 LEAST_WORK: Final = 50_000_000

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from onboard.image.background import MeshBackground, continued, fill_gaps
-from onboard.image.calibrate import LineSums, residual_pass, runs_of, write_runs
+from onboard.image.calibrate import LANES, LineSums, residual_pass, runs_of, write_runs
 from onboard.image.dark_map import DarkMap
 from onboard.image.star_free_sky import line_offsets, without_stars
 from onboard.stars.matched import MatchedStars
@@ -152,6 +152,16 @@ def test_residual_is_raw_minus_dark_minus_level() -> None:
     assert np.abs(residual - expected).max() < 1e-3
     assert mask[10, 20] & 4
     assert number == np.count_nonzero(mask)
+    # the sum of a row in the order that is written down, to the last bit: no choice is left to the compiler
+    kept = np.where((mask == 0) & (np.abs(residual) < np.float32(60.0)), residual, np.float32(0.0))
+    padded = np.pad(kept, ((0, 0), (0, -kept.shape[1] % LANES))).reshape(len(kept), -1, LANES)
+    lanes = np.zeros((len(kept), LANES), np.float32)
+    for step in range(padded.shape[1]):
+        lanes += padded[:, step]
+    total = np.zeros(len(kept), np.float32)
+    for lane in range(LANES):
+        total += lanes[:, lane]
+    assert np.array_equal(row_sums[1], total)
     within = (mask == 0) & (np.abs(expected) < 60.0)
     for sums, axis in ((row_sums, 1), (col_sums, 0)):
         assert (np.abs(sums[0] - within.sum(axis=axis)) <= 1).all()  # float32 may decide otherwise on the limit itself

@@ -183,7 +183,7 @@ def taken(blocked: NDArray[np.uint8], candidate: NDArray[np.float64]) -> bool:
 
 @nb.njit(cache=True)
 def with_free(blocked: NDArray[np.uint8], candidates: NDArray[np.float64], seeds: NDArray[np.float64], n_seeds: int) -> int:
-    """Put the candidates, as `resolve` takes them, that do not lie on found trails after n_seeds seeds; how many seeds are there."""
+    """Put candidates, as `resolve` takes them, that lie on no found trail after n_seeds seeds; how many seeds are there then."""
     turned = blocked.T
     for c in range(candidates.shape[0]):
         if not taken(blocked if candidates[c, 0] == 0.0 else turned, candidates[c, 1:5]):

@@ -123,7 +123,7 @@ def _compressed(plain: NDArray[np.uint8]) -> bytes:
 
 def encode_planes(values: NDArray[np.int32], level: int) -> bytes:
     """Block of `CodecNumber.PLANES`: layout (1 byte), number of escapes where the layout has any (2), one zstd frame."""
-    flat = np.require(values, np.int32, "CW").ravel()  # one kernel for what may be written to and what may not
+    flat = np.require(values, np.int32, ("C", "W")).ravel()  # one kernel for what may be written to and what may not
     codes = np.empty(flat.size, dtype=np.uint32)
     largest = int(zigzag(flat, level, codes))
     beyond_nibble, beyond_byte = count_at_least(codes)

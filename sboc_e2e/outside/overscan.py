@@ -1,13 +1,16 @@
 """Borders of a raw frame that saw no sky: overscan, prescan, covered columns, and the bright edge next to them.
 
 Between them and the sky the level steps in every row alike, within a pixel or two. Trails do not; bad columns step back at once.
-Left in, such a step is the straightest and brightest line of the frame.
+Left in, such a step is the straightest and brightest line of the frame. Where columns without data lie between, as in subframes,
+level and noise tell such a border from another chip, and interference in it makes lines side by side.
 """
 
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
+
+from sboc_e2e.outside.no_data import QUARTER_SIGMAS
 
 BORDER: Final = 0.25
 """Share of a side in which the step is looked for."""
@@ -24,6 +27,10 @@ STAYS: Final = 0.5
 BESIDE_PX: Final = 10
 """Columns of sky beside the step whose median is its level: more than a bad column or a charge tail is wide. Chosen, not
 measured."""
+
+QUIET: Final = 0.7
+"""Noise of a border over that of the sky. Light that adds less than the readout's noise tells nothing. Chosen."""
+
 MOST_LINES: Final = 512
 """Lines that are looked at, evenly spaced."""
 
@@ -47,20 +54,40 @@ def _seen(pixels: NDArray[Any]) -> slice:
     alike = (np.sign(steps) == np.sign(step)).mean(axis=0)
     scatter = 1.4826 * float(np.median(np.abs(step - np.median(step))))
     sure = (np.abs(step) > max(STEP_SIGMAS * scatter, 1e-6)) & (alike >= SAME_SIGN)
-    low, high = 0, n
     reach = int(BORDER * n)
+    empty = np.isnan(lines).all(axis=0)
+    low, high = _beyond_gap(lines, empty, reach), n - _beyond_gap(lines[:, ::-1], empty[::-1], reach)
     if not (sure[:reach].any() or sure[n - 1 - reach :].any()):
         return slice(low, high)
     level = np.nan_to_num(np.median(lines, axis=0))
     for k in np.flatnonzero(sure[:reach])[::-1]:  # the innermost first
         if _stays(level[: k + 1], level[k + 1 : k + 1 + BESIDE_PX], step[k]):
-            low = int(k) + 2
+            low = max(low, int(k) + 2)
             break
     for k in np.flatnonzero(sure[n - 1 - reach :]) + n - 1 - reach:
         if _stays(level[k + 1 :], level[max(k + 1 - BESIDE_PX, 0) : k + 1], step[k]):
-            high = int(k)
+            high = min(high, int(k))
             break
     return slice(low, high)
+
+
+def _beyond_gap(lines: NDArray[Any], empty: NDArray[np.bool_], reach: int) -> int:
+    """First column of sky where columns without data end a border that saw none; 0 where it is none."""
+    if empty[0] or not empty[:reach].any():
+        return 0
+    end = int(np.argmax(empty))
+    if empty[end:].all():
+        return 0
+    sky = end + int(np.argmin(empty[end:]))
+    border, beside = (_level_and_noise(part) for part in (lines[:, :end], lines[:, sky : sky + end]))
+    dark = beside[0] - border[0] > STEP_SIGMAS * border[1] and border[1] < QUIET * beside[1]
+    return sky if dark else 0
+
+
+def _level_and_noise(part: NDArray[Any]) -> tuple[float, float]:
+    """Median and half of what lies between the quarters, in sigma."""
+    quarter, level, upper = np.nanquantile(part, (0.25, 0.5, 0.75))
+    return float(level), float(upper - quarter) / (2.0 * QUARTER_SIGMAS)
 
 
 def _stays(outer: NDArray[Any], inner: NDArray[Any], step: float) -> bool:

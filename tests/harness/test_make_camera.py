@@ -116,6 +116,20 @@ def test_borders_without_sky_are_found_and_nothing_else() -> None:
     assert without_sky(np.full((40, 40), math.nan)) is None
 
 
+def test_a_border_behind_columns_without_data_saw_no_sky_where_it_is_darker_and_quieter_than_the_sky() -> None:
+    """A subframe with an overscan under interference, as of NEOSSat; two chips of a mosaic with levels of their own are sky."""
+    rng = np.random.default_rng(6)
+    image = rng.normal(2600.0, 130.0, (200, 400))
+    image[:, :40] = rng.normal(1650.0, 10.0, (200, 40)) + 15.0 * np.sin(np.add.outer(np.arange(200), 2 * np.arange(40)) / 4.0)
+    image[:, 40:150] = math.nan
+    assert without_sky(image) == (slice(0, 200), slice(150, 400))
+    assert without_sky(image[:, ::-1].T) == (slice(0, 250), slice(0, 200))
+    image[:, :40] = rng.normal(1650.0, 130.0, (200, 40))
+    assert without_sky(image) is None
+    image[:, 150:] = math.nan
+    assert without_sky(image) is None
+
+
 def test_a_trail_across_the_border_columns_is_no_border() -> None:
     rng = np.random.default_rng(5)
     image = rng.normal(100.0, 5.0, (200, 200))

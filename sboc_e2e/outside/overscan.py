@@ -55,7 +55,7 @@ def _seen(pixels: NDArray[Any]) -> slice:
     scatter = 1.4826 * float(np.median(np.abs(step - np.median(step))))
     sure = (np.abs(step) > max(STEP_SIGMAS * scatter, 1e-6)) & (alike >= SAME_SIGN)
     reach = int(BORDER * n)
-    empty = np.isnan(lines).all(axis=0)
+    empty = np.asarray(np.isnan(lines).all(axis=0))
     low, high = _beyond_gap(lines, empty, reach), n - _beyond_gap(lines[:, ::-1], empty[::-1], reach)
     if not (sure[:reach].any() or sure[n - 1 - reach :].any()):
         return slice(low, high)

@@ -18,7 +18,7 @@ from onboard.track.foreign_light import LitMember, own_light
 from onboard.track.frames import Frames, halved_transforms
 from onboard.track.packed import half_of, halved, packed
 from onboard.track.particles import without_hits
-from onboard.track.same import most_alike, same_object
+from onboard.track.same import most_alike, same_object, tells_nothing_new
 from onboard.track.start import dearer
 from onboard.track.wide_look import AWAY
 from sboc_e2e.icd.flags import StreakFlag
@@ -208,7 +208,7 @@ class JointTracker:
             same = most_alike(known.values(), track, asked)
             if same is None:
                 track, number = replace(track, number=number), number + 1
-            elif same.number in {t.number for t in found if t is same}:
+            elif same.number in {t.number for t in found if t is same} or tells_nothing_new(same, track):
                 continue
             else:
                 track = replace(track, number=same.number)

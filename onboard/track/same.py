@@ -47,6 +47,11 @@ def most_alike(known: Iterable[Track], track: Track, least: NDArray[np.float64])
     return max(alike, key=lambda t: (shared_frames(t, track), t.snr)) if alike else None
 
 
+def tells_nothing_new(known: Track, track: Track) -> bool:
+    """Whether a find of a known track's object has no frame that this lacks and less S/N: part of its light, or a wrong motion."""
+    return track.snr < known.snr and {m.frame for m in track.members} <= {m.frame for m in known.members}
+
+
 def shared_frames(known: Track, track: Track) -> int:
     """In how many frames the trails of two tracks lie on each other."""
     ends = {m.frame: m.detection for m in known.members}

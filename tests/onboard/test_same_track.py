@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from onboard.track.joint import JointTracker
-from onboard.track.same import light_of, same_object
+from onboard.track.same import light_of, same_object, tells_nothing_new
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection, Track, TrackMember
 from tests.benchmarks.bench_tracks import WHOLE_PX
@@ -84,3 +84,11 @@ def test_the_light_of_a_trail_in_another_is_that_of_their_common_part() -> None:
     assert light_of(trail, segment(100.0, 50.0, 100.0, 250.0)) == pytest.approx(6.0 * math.sqrt(0.5), rel=0.1)
     assert light_of(trail, segment(50.0, 150.0, 150.0, 150.0)) == pytest.approx(6.0 * 8.0 / 100.0, rel=0.15)
     assert light_of(trail, segment(105.0, 100.0, 105.0, 200.0)) == 0.0
+
+
+def test_a_fainter_find_in_frames_that_are_known_tells_nothing_new() -> None:
+    """A brighter one may have the better motion, and one with a later frame follows the object on."""
+    known = straight(1000.0, 1000.0, 20.0, 150.0, frames=range(1, 5), snr=5.0)
+    assert tells_nothing_new(known, straight(1000.0, 1000.0, 25.0, 170.0, frames=range(2, 4), snr=4.9))
+    assert not tells_nothing_new(known, straight(1000.0, 1000.0, 20.0, 150.0, frames=range(1, 5), snr=5.1))
+    assert not tells_nothing_new(known, straight(1000.0, 1000.0, 20.0, 150.0, frames=range(3, 6), snr=4.9))

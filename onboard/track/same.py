@@ -48,7 +48,7 @@ def most_alike(known: Iterable[Track], track: Track, least: NDArray[np.float64])
 
 
 def tells_nothing_new(known: Track, track: Track) -> bool:
-    """Whether a find of a known track's object has no frame that this lacks and less S/N: part of its light, or a wrong motion."""
+    """Whether a find of a known object has no frame that this lacks, and less S/N: part of its light, or a wrong motion."""
     return track.snr < known.snr and {m.frame for m in track.members} <= {m.frame for m in known.members}
 
 

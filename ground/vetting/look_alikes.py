@@ -163,10 +163,8 @@ class OwnEvidence:
     short_axis_px: float | None = None
 
     def refuses(self, fit: StreakFit, frame: DownlinkFrame) -> bool:
-        """Whether a fit may be a star, a slope or an edge, runs along a rim, bends too much, or lies where no pixel saw."""
+        """Whether a fit may be a point, a slope or an edge, runs along a rim, bends too much, or lies where no pixel saw."""
         if self.alone and fit.length_px < SHORTEST_ALONE_PX:
-            return True
-        if self.stars is not None and bool(move_as(self.stars, [fit])[0]):
             return True
         if self.sky is not None and self.sky.refuses(fit, frame.header.gain_e_adu or 1.0):
             return True
@@ -219,6 +217,8 @@ class LookAlikeVetter:
             against = against + np.array([against_border(fit, known.seen) for fit in fits])
         odds_against = (1.0 - probability) / np.maximum(probability, LEAST) + against
         refused = np.array([known.refuses(fit, frame) for fit in fits])
+        if known.stars is not None:
+            refused |= move_as(known.stars, fits)
         if known.tiles is not None:
             area_px2 = float(frame.header.rows * frame.header.cols)
             trails = [fit for fit, no in zip(fits, refused, strict=True) if not no]

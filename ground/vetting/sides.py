@@ -120,9 +120,9 @@ class SkyMap:
             near = np.flatnonzero((side * offset >= NEAREST_WIDTHS * width) & np.isfinite(profile))
             if not near.size:
                 return math.nan, math.nan
-            last = int(near[-1] if side > 0.0 else near[0])
-            held = math.exp(-0.5 * (float(offset[last]) / width) ** 2)
-            sides.append(((float(profile[last]) - held * top) / (1.0 - held), scatter / (1.0 - held)))
+            edge = int(near[-1] if side > 0.0 else near[0])
+            held = math.exp(-0.5 * (float(offset[edge]) / width) ** 2)
+            sides.append(((float(profile[edge]) - held * top) / (1.0 - held), scatter / (1.0 - held)))
         level, error = max(sides)
         return top - level, math.hypot(error, scatter)
 

@@ -246,7 +246,7 @@ def _add_pixel(
     lanes: NDArray[np.float32],
     lane: int,
 ) -> np.int32:
-    """One pixel of `_add_line`; 1 where it counts."""
+    """One pixel of `_add_line`, of its full groups and of the rest; 1 where it counts."""
     value = residual[col]
     good = mask[col] == 0 and abs(value) < limit
     kept = value if good else np.float32(0.0)

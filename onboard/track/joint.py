@@ -208,7 +208,7 @@ class JointTracker:
             same = most_alike(known.values(), track, asked)
             if same is None:
                 track, number = replace(track, number=number), number + 1
-            elif same.number in {t.number for t in found if t is same} or tells_nothing_new(same, track):
+            elif any(t is same for t in found) or tells_nothing_new(same, track):
                 continue
             else:
                 track = replace(track, number=same.number)

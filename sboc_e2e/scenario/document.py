@@ -93,10 +93,13 @@ SEGMENT_SEAMS: Final = {
 }
 """Keys of component tables by segment; they are read before the model of the segment's options."""
 
-KEYS_BESIDE: Final = {
-    field.key: ("preset",) for field in option_models.option_fields(SimulatorOptions) if option_models.is_options(field.hint)
-}
-"""Keys of tables that are read before a scenario is validated."""
+PRESET_TABLES: Final = tuple(
+    field.key
+    for options in (HarnessOptions, SimulatorOptions)
+    for field in option_models.option_fields(options)
+    if option_models.is_options(field.hint)
+)
+"""Tables that a preset may lie under; their key `preset` is read before the model of their options."""
 
 
 @cache
@@ -283,7 +286,9 @@ def from_document(
         key: dict(value) if key in SEGMENT_OPTIONS and isinstance(value, Mapping) else value for key, value in document.items()
     }
     components = {seam: _component(seam, _taken(tables, seam, where), registry, where, typed) for seam in SEAMS}
-    model: Any = option_models.validate(scenario_model(), tables, where, also=KEYS_BESIDE | SEGMENT_SEAMS)
+    model: Any = option_models.validate(
+        scenario_model(), tables, where, also=dict.fromkeys(PRESET_TABLES, ("preset",)) | SEGMENT_SEAMS
+    )
     harness: HarnessOptions = option_models.build(HarnessOptions, model, where)
     segments = {
         segment: option_models.build(options, given, f"{where}: {segment}")

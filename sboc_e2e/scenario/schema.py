@@ -5,7 +5,7 @@ from typing import Any, Final
 
 from sboc_e2e.registry import SEAMS, Registry, own_names
 from sboc_e2e.scenario import option_models, toml_files
-from sboc_e2e.scenario.document import scenario_model
+from sboc_e2e.scenario.document import PRESET_TABLES, scenario_model
 
 COMMITTED: Final = toml_files.FOLDER / "schema.json"
 
@@ -33,13 +33,11 @@ def schema() -> dict[str, Any]:
         foreign = {"type": "string", "not": {"enum": list(known)}, "description": "an installed or trusted plug-in"}
         arms.append({"type": "object", "properties": {"use": foreign}, "required": ["use"], "title": f"{seam.name}: plug-in"})
         _table(tables, segment)["properties"][key] = {"anyOf": arms, "description": (seam.protocol.__doc__ or "").strip()}
-    for table_name in tables["properties"]:
-        table = _table(tables, table_name)
-        if table_name not in ("onboard", "ground") and table.get("type") == "object":
-            table["properties"].setdefault(
-                "preset",
-                {"type": "string", "description": "fragment of scenarios/presets that lies under this scenario's own keys"},
-            )
+    for table_name in PRESET_TABLES:
+        _table(tables, table_name)["properties"].setdefault(
+            "preset",
+            {"type": "string", "description": "fragment of scenarios/presets that lies under this scenario's own keys"},
+        )
     return {"$schema": "https://json-schema.org/draft/2020-12/schema", **tables}
 
 

@@ -10,7 +10,7 @@ import imagecodecs
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.downlink.codec.planes import zigzag
+from onboard.downlink.codec.planes import zigzag_codes
 from sboc_e2e.icd.layout import CodecNumber
 
 BLOCK_SIZE = 64
@@ -36,9 +36,8 @@ class Ccsds121Codec:
 
     def encode(self, values_adu: NDArray[np.int32], *, level_adu: int, sigma_adu: float) -> bytes:
         """Bits per sample (1 byte: 8, 16 or 32), then the coder's output for the block row by row, big endian."""
-        flat = np.ascontiguousarray(values_adu, dtype=np.int32).ravel()
-        codes = np.empty(flat.size, dtype=np.uint32)
-        n_bits = int(zigzag(flat, level_adu, codes)).bit_length()
+        codes, largest = zigzag_codes(values_adu, level_adu)
+        n_bits = largest.bit_length()
         bits = next(size for size in (8, 16, 32) if n_bits <= size)
         samples = codes.astype(f"<u{bits // 8}")
         coded = imagecodecs.aec_encode(

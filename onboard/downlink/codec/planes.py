@@ -121,16 +121,21 @@ def _compressed(plain: NDArray[np.uint8]) -> bytes:
     return zstandard.ZstdCompressor(compression_params=_COMPRESSION).compress(plain.data)
 
 
-def encode_planes(values: NDArray[np.int32], level: int) -> bytes:
-    """Block of `CodecNumber.PLANES`: layout (1 byte), number of escapes where the layout has any (2), one zstd frame."""
+def zigzag_codes(values: NDArray[np.int32], level: int) -> tuple[NDArray[np.uint32], int]:
+    """Codes of a block row by row, as `zigzag` makes them, and the bitwise or of all."""
     flat = np.require(values, np.int32, ("C", "W")).ravel()  # one kernel for what may be written to and what may not
     codes = np.empty(flat.size, dtype=np.uint32)
-    largest = int(zigzag(flat, level, codes))
+    return codes, int(zigzag(flat, level, codes))
+
+
+def encode_planes(values: NDArray[np.int32], level: int) -> bytes:
+    """Block of `CodecNumber.PLANES`: layout (1 byte), number of escapes where the layout has any (2), one zstd frame."""
+    codes, largest = zigzag_codes(values, level)
     beyond_nibble, beyond_byte = count_at_least(codes)
-    if beyond_byte * 16 > flat.size:
+    if beyond_byte * 16 > codes.size:
         return _in_planes(codes, largest)
     block = _escaped(codes, largest, int(beyond_byte), BYTES_ESCAPED)
-    if beyond_nibble * NIBBLES_BELOW <= flat.size:
+    if beyond_nibble * NIBBLES_BELOW <= codes.size:
         block = min(block, _escaped(codes, largest, int(beyond_nibble), NIBBLES_ESCAPED), key=len)
     return block
 

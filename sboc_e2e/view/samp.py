@@ -1,5 +1,6 @@
 """What a run shows, sent to the tools that listen: DS9, Aladin, TOPCAT through a SAMP hub on this machine."""
 
+import contextlib
 import warnings
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -48,20 +49,23 @@ class Hub:
         return self
 
     def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
-        self.client.disconnect()
+        with contextlib.suppress(OSError, Fault):  # the hub may have gone
+            self.client.disconnect()
 
     def call(self, mtype: str, parameters: dict[str, str]) -> None:
         """A message to each tool that listens for its type; returns when all have answered.
 
         A notification need not have been passed on when its sender leaves, and a hub then drops it: astropy's does. So tools are
-        called, and answer (SAMP 1.3, section 3.2). One that does not answer within `ANSWER_S` gets no further message.
+        called, and answer (SAMP 1.3, section 3.2). One that does not answer within `ANSWER_S` gets no further message. Raises
+        `UserError` where the hub has gone.
         """
         answers: Queue[tuple[str, dict[str, Any]]] = Queue()
         self.calls += 1
         tag = f"sboc-{self.calls}"
         self.client.bind_receive_response(tag, lambda _key, tool, _tag, answer: answers.put((tool, answer)))
-        waiting = {tool for tool in self.client.get_subscribed_clients(mtype) if tool not in self.silent}
+        waiting = set[str]()
         try:
+            waiting |= set(self.client.get_subscribed_clients(mtype)) - self.silent
             for tool in waiting:
                 self.client.call(tool, tag, {"samp.mtype": mtype, "samp.params": parameters})
             while waiting:
@@ -77,14 +81,16 @@ class Hub:
             self.remarks += [
                 f"{self._name(tool)} did not answer {mtype} within {ANSWER_S} s, and got nothing more" for tool in waiting
             ]
+        except OSError as error:
+            raise UserError(f"--samp: the hub stopped while files were sent; {self.taken} messages were taken") from error
         finally:
             self.client.unbind_receive_response(tag)
 
     def _name(self, tool: str) -> str:
         try:
             return str(self.client.get_metadata(tool).get("samp.name", tool))
-        except Fault:
-            return tool  # it has left meanwhile
+        except (Fault, OSError):
+            return tool  # it has left meanwhile, or the hub has
 
 
 def send(hub: Hub, written: Sequence[tuple[ShownFrame, Path, Path]]) -> None:

@@ -11,6 +11,7 @@ from astropy.io import fits
 from astropy.table import Table
 
 from sboc_e2e import cli
+from sboc_e2e.icd.errors import UserError
 from sboc_e2e.view import Hub, RunFrames, send, write_files
 from sboc_e2e.view.page import picture_of
 from tests.browser import SCHEMES, WIDTHS, excess_and_errors
@@ -57,15 +58,16 @@ def test_regions_and_tables_lie_beside_each_frame_and_count_from_one(run: Path) 
 
 
 @pytest.fixture
-def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+def hub(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Any]:
     """A hub of astropy's own on this machine."""
     monkeypatch.setenv("SAMP_HUB", f"std-lockurl:{(tmp_path / 'samp').as_uri()}")
     server = SAMP.SAMPHubServer(web_profile=False, mode="multiple", lockfile=str(tmp_path / "samp"), addr="127.0.0.1")
     server.start()
     try:
-        yield
+        yield server
     finally:
-        server.stop()
+        if server.is_running:
+            server.stop()
 
 
 MTYPES = ("image.load.fits", "table.load.votable", "ds9.set")
@@ -85,7 +87,7 @@ def listening(name: str, take: Callable[[str, dict[str, str]], dict[str, Any] | 
     return client
 
 
-def test_a_listening_tool_has_images_tables_and_regions_when_the_sender_leaves(run: Path, hub: None) -> None:
+def test_a_listening_tool_has_images_tables_and_regions_when_the_sender_leaves(run: Path, hub: Any) -> None:
     heard: list[tuple[str, dict[str, str]]] = []
 
     def take(mtype: str, params: dict[str, str]) -> dict[str, Any]:
@@ -104,7 +106,7 @@ def test_a_listening_tool_has_images_tables_and_regions_when_the_sender_leaves(r
 
 
 def test_a_tool_that_refuses_a_file_or_does_not_answer_is_named(
-    run: Path, hub: None, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+    run: Path, hub: Any, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
     monkeypatch.setattr("sboc_e2e.view.samp.ANSWER_S", 1)
     refusal = {"samp.status": "samp.error", "samp.error": {"samp.errortxt": "no room for tables"}}
@@ -117,6 +119,15 @@ def test_a_tool_that_refuses_a_file_or_does_not_answer_is_named(
     assert "SAMP: 4 messages taken" in lines
     assert lines.count("topcat refused table.load.votable: no room for tables") == 2
     assert lines.count("mute did not answer image.load.fits within 1 s, and got nothing more") == 1
+
+
+def test_a_hub_that_stops_while_files_are_sent_is_one_line(run: Path, hub: Any) -> None:
+    """As when a user closes the tool that is the hub; leaving it is no error then."""
+    written = write_files(RunFrames(path=run), run / "view")
+    with Hub() as connected:
+        hub.stop()
+        with pytest.raises(UserError, match="the hub stopped while files were sent; 0 messages were taken"):
+            send(connected, written)
 
 
 def test_without_a_hub_one_line_says_so(run: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:

@@ -94,6 +94,19 @@ def trail_pieces(
 def mask_radii_px(snr: NDArray[np.float32], psf_sigma_px: float, halo_px: float | NDArray[np.float64]) -> NDArray[np.float64]:
     """Radius at which a Gaussian star of matched-filter S/N `snr` falls to 0.4 sigma of a pixel, plus a halo ~ sqrt(snr)."""
     signal = np.maximum(np.asarray(snr, np.float64), 1.0)
-    peak = signal / (2.0 * math.sqrt(math.pi) * psf_sigma_px)
-    core = psf_sigma_px * np.sqrt(2.0 * np.log(np.maximum(peak / 0.4, 1.65)))
-    return core + MARGIN_PX + halo_px * np.maximum(0.0, np.sqrt(signal / 100.0) - 1.0)
+    # step by step in place: it is called where a frame's memory has its peak
+    radius = signal / (2.0 * math.sqrt(math.pi) * psf_sigma_px)
+    radius /= 0.4
+    np.maximum(radius, 1.65, out=radius)
+    np.log(radius, out=radius)
+    radius *= 2.0
+    np.sqrt(radius, out=radius)
+    radius *= psf_sigma_px
+    radius += MARGIN_PX
+    signal /= 100.0
+    np.sqrt(signal, out=signal)
+    signal -= 1.0
+    np.maximum(0.0, signal, out=signal)
+    signal *= halo_px
+    radius += signal
+    return radius

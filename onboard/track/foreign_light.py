@@ -1,7 +1,7 @@
-"""Whether a track stands without the light of trails that its frames show by themselves and that are not its own.
+"""Whether a track stands without light that is not its own: other trails that its frames show by themselves, and stars left in.
 
 The tracker searches images with those trails in them, since a faint object may be bright enough in one frame. Their light would
-bear out any track that runs along them, or across them at a small angle.
+bear out any track that runs along them, or across them at a small angle. Stars that are left in: see `removed_stars`.
 """
 
 import math
@@ -21,17 +21,21 @@ OWN_BEYOND: Final = 0.25
 """A frame's own detection may reach so far beyond the ends that a track foretells, in lengths of its trail. At S/N 7 an end errs
 by a tenth. Chosen, not measured."""
 
+STAR_SIGMAS: Final = 2.4
+"""Of a star, pixels within so many PSF widths are left out: nine tenths of its light in the smoothed image."""
+
 OWN_TILT: Final = 0.02  # of the length across, as tracks of one object may differ (`same.ACROSS_SHARE`)
 
 
 class LitMember(NamedTuple):
     """A track's trail in a frame. snr : in the tracker's image, also below 0. image : as `packed.packed`. trails (m, 4) : row0,
-    col0, row1, col1 of what the frame shows by itself."""
+    col0, row1, col1 of what the frame shows by itself. stars (n, 2) : row, col of stars that were left in it."""
 
     detection: Detection
     snr: float
     image: NDArray[np.uint64]
     trails: NDArray[np.float64]
+    stars: NDArray[np.float64]
 
 
 class OwnLight(NamedTuple):
@@ -42,11 +46,11 @@ class OwnLight(NamedTuple):
 
 
 def own_light(members: Sequence[LitMember], old_snr: NDArray[np.float64], psf_sigma_px: float) -> OwnLight | None:
-    """A track's own light, None where no other trail lies on any of its members.
+    """A track's own light, None where no other trail and no star lies on any of its members.
 
     old_snr (n,) : S/N in its frames whose pixels are no longer at hand; such a frame counts as much as a member.
     """
-    foreign = [_foreign_pieces(member.detection, member.trails) for member in members]
+    foreign = [_foreign_pieces(member, STAR_SIGMAS * psf_sigma_px) for member in members]
     if not any(foreign):
         return None
     sums, weights = np.empty(len(members)), np.empty(len(members))
@@ -83,14 +87,15 @@ def _ends(detection: Detection) -> NDArray[np.float64]:
     return line[[2, 3, 0, 1]] if backward else line
 
 
-def _foreign_pieces(detection: Detection, trails: NDArray[np.float64]) -> list[tuple[float, float]]:
-    """Pieces (px along the trail from `_ends`'s first) of a trail that lie in the light of others."""
+def _foreign_pieces(member: LitMember, star_px: float) -> list[tuple[float, float]]:
+    """Pieces (px along the trail from `_ends`'s first) of a trail that lie in the light of others, or so near to stars."""
+    detection, trails = member.detection, member.trails
     line = _ends(detection)
     low = np.minimum(trails[:, :2], trails[:, 2:]) - SAME_PX
     high = np.maximum(trails[:, :2], trails[:, 2:]) + SAME_PX
     near = ((high >= np.minimum(line[:2], line[2:])) & (low <= np.maximum(line[:2], line[2:]))).all(axis=1)
     others = trails[near & ~_is_own(line, trails)]
-    if not len(others):
+    if not len(others) and not len(member.stars):
         return []
     length = max(detection.length_px, 1.0)
     n = math.ceil(length) + 1
@@ -100,6 +105,8 @@ def _foreign_pieces(detection: Detection, trails: NDArray[np.float64]) -> list[t
         way = trail[2:] - trail[:2]
         at = np.clip((points - trail[:2]) @ way / max(float(way @ way), 1e-12), 0.0, 1.0)
         covered |= np.hypot(*(points - trail[:2] - at[:, None] * way).T) < SAME_PX
+    for star in member.stars:
+        covered |= np.hypot(*(points - star).T) < star_px
     edges = np.flatnonzero(np.diff(np.concatenate([[False], covered, [False]]).astype(np.int8)))
     step = length / (n - 1)
     return [((first - 0.5) * step, (stop - 0.5) * step) for first, stop in edges.reshape(-1, 2)]

@@ -18,6 +18,7 @@ from onboard.track.foreign_light import LitMember, own_light
 from onboard.track.frames import Frames, halved_transforms
 from onboard.track.packed import half_of, halved, packed
 from onboard.track.particles import without_hits
+from onboard.track.removed_stars import left_in
 from onboard.track.same import most_alike, same_object, tells_nothing_new
 from onboard.track.start import dearer
 from onboard.track.wide_look import AWAY
@@ -28,13 +29,19 @@ from sboc_e2e.icd.signals import Detection, Track, TrackerView, TrackMember
 NO_SEEDS: Final = np.zeros((0, 5))  # `KeptSearch.seeds` when they have been followed
 NONE_WAIT: Final = np.zeros((0, 6))  # `KeptSearch.waiting` without seeds
 NO_TRAILS: Final = np.zeros((0, 4))  # `KeptSearch.trails` of a frame that shows none
+NONE_REMOVED: Final = np.zeros((0, 2), np.uint16)  # `KeptSearch.removed` of a frame without stars
 
 LONGEST_PX: Final = 2000.0
 """Trails of one exposure that the false-alarm rate is reckoned for; longer seeds are not followed."""
 
-FOLLOWED: Final = 0.14
-"""Share of noise's tracks above a threshold that the search finds, as it begins at seeds. Thresholds by 0.2 gave 2 in 192 whole
-frames of noise where 3.8 were to be expected."""
+FOLLOWED: Final = (0.05, 0.02, 0.008)
+"""Share of noise's tracks of two, of three and of more frames above a threshold that the search finds, as it begins at seeds: 26,
+11 and 4 in 256 whole frames, half of them with stars, where 512 of each number were to be expected (seeds 57000 and 57001, before
+`removed_stars`). None of the 41 had five frames or more."""
+
+ALLOWED: Final = (0.75, 0.15, 0.1)
+"""Share of `false_tracks` that tracks of two, of three and of each greater number of frames may make. An object in two frames has
+no other chance; one in four may be found in three of them as well. Of five frames and more noise hardly makes any."""
 
 WORK_PER_PX: Final = 30.0  # as many as a frame's nominal work (`onboard.work`)
 LEAST_WORK: Final = 50_000_000
@@ -73,7 +80,7 @@ class KeptSearch:
 
     image : `Searched.smooth` in half a byte a pixel. halves : the same at half resolution, and that transposed, while the frame
     is next to one whose seeds are being followed. waiting (n, 6) : seeds that fell short, and their senses of motion. trails
-    (n, 4) : row0, col0, row1, col1 of the frame's own detections.
+    (n, 4) : row0, col0, row1, col1 of the frame's own detections. removed : as `Searched.removed`.
     """
 
     header: FrameHeader
@@ -83,6 +90,7 @@ class KeptSearch:
     waiting: NDArray[np.float64] = field(default_factory=lambda: NONE_WAIT)
     halves: tuple[NDArray[np.uint64], NDArray[np.uint64]] | None = None
     trails: NDArray[np.float64] = field(default_factory=lambda: NO_TRAILS)
+    removed: NDArray[np.uint16] = field(default_factory=lambda: NONE_REMOVED)
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -147,6 +155,7 @@ class JointTracker:
             seeds=view.searched.seeds,
             transform=registration.IDENTITY if view.transform is None else view.transform,
             trails=np.array([(d.row0, d.col0, d.row1, d.col1) for d in view.detections]).reshape(-1, 4),
+            removed=view.searched.removed,
         )
         state = replace(state, window=(*state.window, new), psf_sigma_px=view.view.psf_sigma_px)
         state, now = self._followed(state, len(state.window) - (self.window - 1) // 2)
@@ -286,7 +295,7 @@ class JointTracker:
             track = track_of(row, seeds[int(row[0])], frames, transforms, taus, len(older))
             if track is None or any(same_object(t, track, asked) for t in tracks):
                 continue
-            if stands(track, row, frames, len(older), asked, psf_sigma_px):
+            if stands(track, row, frames, transforms, len(older), asked, psf_sigma_px):
                 tracks.append(track)
         return tracks, waiting
 
@@ -302,7 +311,8 @@ class JointTracker:
                 period_over_exposure=period_over_exposure,
                 psf_sigma_px=psf_sigma_px,
             )
-            out[n] = threshold_sigma(FOLLOWED * volume, self.false_tracks)
+            followed, allowed = (shares[min(n, len(shares) + 1) - 2] for shares in (FOLLOWED, ALLOWED))
+            out[n] = threshold_sigma(followed * volume, allowed * self.false_tracks)
         return out
 
 
@@ -353,18 +363,21 @@ def stands(
     track: Track,
     row: NDArray[np.float64],
     window: tuple[KeptSearch, ...],
+    transforms: NDArray[np.float64],
     n_old: int,
     asked: NDArray[np.float64],
     psf_sigma_px: float,
 ) -> bool:
-    """Whether a track reaches what is asked of it in light that no frame's own trails explain. See `track_of`."""
+    """Whether a track reaches what is asked of it in light that no frame's own trails and no stars explain. See `track_of`."""
     first, last = int(row[6]), int(row[7])
     of = {member.frame: member.detection for member in track.members}
-    members = [
-        LitMember(of[frame.header.frame], float(row[12 + k]), frame.image, frame.trails)
-        for k, frame in enumerate(window)
-        if k >= n_old and frame.header.frame in of
-    ]
+    removed = [frame.removed for frame in window]
+    members = []
+    for k, frame in enumerate(window):
+        if k >= n_old and frame.header.frame in of:
+            d = of[frame.header.frame]
+            stars = left_in(np.array([[d.row0, d.col0], [d.row1, d.col1]]), k, removed, transforms, psf_sigma_px)
+            members.append(LitMember(d, float(row[12 + k]), frame.image, frame.trails, stars))
     own = own_light(members, row[12 + first : 12 + max(first, n_old)], psf_sigma_px)
     return own is None or (own.snr >= asked[last - first + 1] and own.least > LEAST_REST)
 

@@ -151,15 +151,18 @@ class Searched:
 
     smooth : (rows, cols) int8, the image without its stars after the PSF's matched filter, 16 for one sigma; `UNKNOWN` where
     pixels are masked or stars bright. seeds : (n, 5) float64 row0, col0, row1, col1 (px) and S/N of segments too faint to be
-    detections, and of those that are.
+    detections, and of those that are. removed : (m, 2) uint16 row, col of the stars whose light was subtracted; what other frames
+    took out and this one did not is left in it.
     """
 
     smooth: NDArray[np.int8]
     seeds: NDArray[np.float64]
+    removed: NDArray[np.uint16] = field(default_factory=lambda: np.zeros((0, 2), np.uint16))
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "smooth", validate.array("searched.smooth", self.smooth, np.int8, (None, None)))
         object.__setattr__(self, "seeds", validate.array("searched.seeds", self.seeds, np.float64, (None, 5)))
+        object.__setattr__(self, "removed", validate.array("searched.removed", self.removed, np.uint16, (None, 2)))
 
     @classmethod
     def empty(cls, shape: tuple[int, ...]) -> "Searched":

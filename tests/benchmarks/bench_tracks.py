@@ -112,6 +112,13 @@ def random_track(size: int, length_px: float, n: int, n_frames: int, snr: float,
             )
 
 
+def drawn_in(size: int, length_px: float) -> int:
+    """Objects of a length that a cube is given: a whole sensor has room for equally many of each."""
+    if size >= WHOLE_PX:
+        return 6
+    return 3 if length_px < 300.0 else 1
+
+
 def hit(track: Track, truth: TrueTrack) -> float:
     """In how many frames of a true track a found one lies on it: middle within 3 px across and half a length, share of them."""
     found = {member.frame: member.detection for member in track.members}
@@ -263,7 +270,7 @@ def completeness(
             guess = {2: 5.4, 3: 4.6, 4: 4.1, 8: 3.2}[n]
             truth = []
             for length in LENGTHS_PX:
-                for _ in range(3 if length < 300 else 1):
+                for _ in range(drawn_in(size, length)):
                     t = random_track(size, length, n, n_frames, float(rng.uniform(guess - spread / 2, guess + spread / 2)), rng)
                     truth += [] if t is None else [t]
             if n_stars:  # the first frame has none before it to tell its stars by: nothing is searched in it

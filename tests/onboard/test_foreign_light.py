@@ -13,6 +13,7 @@ PSF_SIGMA_PX = 0.85
 LIT_CODE = 40  # 2.5 sigma of a smoothed pixel: too faint to be blanked as a hit
 FAINT_CODE = 16  # on 80 px S/N 5
 DARK: NDArray[np.float64] = np.zeros((0, 4))
+NO_STARS: NDArray[np.float64] = np.zeros((0, 2))
 TRAIL = np.array([[100.0, 20.0, 100.0, 230.0]])
 
 
@@ -25,9 +26,17 @@ def image(*, lit: bool) -> NDArray[np.uint64]:
     return packed(smooth)
 
 
-def member(row0: float, col0: float, row1: float, col1: float, snr: float, trails: NDArray[np.float64]) -> LitMember:
+def member(
+    row0: float,
+    col0: float,
+    row1: float,
+    col1: float,
+    snr: float,
+    trails: NDArray[np.float64],
+    stars: NDArray[np.float64] = NO_STARS,
+) -> LitMember:
     detection = Detection(row0=row0, col0=col0, row1=row1, col1=col1, snr=snr, flags=StreakFlag(0))
-    return LitMember(detection, snr, image(lit=len(trails) > 0), trails)
+    return LitMember(detection, snr, image(lit=len(trails) > 0), trails, stars)
 
 
 def test_a_member_along_a_brighter_trail_of_another_object_leaves_its_track_the_other_frames() -> None:
@@ -67,3 +76,17 @@ def test_frames_whose_pixels_are_gone_count_as_much_as_a_member() -> None:
     )
     assert own is not None
     assert own.snr == pytest.approx(5.0 * np.sqrt(3.0), abs=0.1)
+
+
+def test_the_light_of_a_star_that_was_left_in_is_not_the_tracks() -> None:
+    """A trail of 60 px along nothing but a star of 4 sigma: what is left of it is dark, and the star's 5 px do not count."""
+    smooth = np.zeros((256, 256), np.int8)
+    smooth[99:102, 148:153] = 64
+    detection = Detection(row0=100.0, col0=120.0, row1=100.0, col1=180.0, snr=4.0, flags=StreakFlag(0))
+    first = member(60.0, 40.0, 60.0, 120.0, 5.0, DARK)
+    own = own_light(
+        [first, LitMember(detection, 4.0, packed(smooth), DARK, np.array([[100.2, 150.0]]))], np.zeros(0), PSF_SIGMA_PX
+    )
+    assert own is not None
+    # without light the second frame adds its 55 of 80 + 55 px to the noise alone
+    assert own.snr == pytest.approx(5.0 * np.sqrt(80.0 / 135.0), abs=0.15)

@@ -154,7 +154,8 @@ class LineIntegralDetector:
         # trails were taken out of it as they were found
         images, taps = lines.images, whiten.odd_taps(view.psf_sigma_px)
         whiten.known(lines.smooth, images.image, images.blocked, images.level, TILE_PX, taps, POINT_CLIP_SIGMA)
-        return found, Searched(smooth=lines.smooth, seeds=seed_ends(lines.seeds))
+        removed = np.rint(images.subtracted[:, :2]).astype(np.uint16)
+        return found, Searched(smooth=lines.smooth, seeds=seed_ends(lines.seeds), removed=removed)
 
     def _lines(self, view: DetectorView, seed_sigma: float | None) -> "_Lines | None":
         """Lines of a view, found and taken out of its images one after the other; None of a view too small for any."""
@@ -208,8 +209,10 @@ class LineIntegralDetector:
             math.inf if seed_sigma is None else seed_sigma,
             seeds[: len(seeds) - len(faint)],
         )
+        del candidates  # memory is dearest here
         if len(faint):
             n_seeds = resolve.with_free(images.blocked, faint, seeds, n_seeds)
+            del faint
         seeds = seeds[:n_seeds]
         view.work.spend(Work.CANDIDATES, work)
         view.work.leave(Work.CANDIDATES, n_left)

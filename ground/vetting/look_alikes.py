@@ -71,8 +71,8 @@ ALIGNED_SHARE: Final = 0.045
 """Share of trails that run along rows or columns: 4 atan(`ALIGNED_SLOPE`) of pi."""
 
 BELIEVED: Final = 0.5
-"""Probability from which on a long bright line tells the optics. A half line of video, 2.6 px wide with p of 0.004, did so too, and a
-meteor of S/N 92 and 0.5 px was too sharp for it."""
+"""Probability from which on a long bright line tells the optics. A half line of video, 2.6 px wide with p of 0.004, did so too,
+and a meteor of S/N 92 and 0.5 px was too sharp for it."""
 
 LEAST: Final = 1e-12
 """Keeps the odds finite."""

@@ -1,8 +1,8 @@
 """Light that rises once and falls once, evenly and by a large factor: that of a meteor.
 
-A meteor brightens from nothing, and ends. Roofs, wires and edges are as bright at one end as at the other; clouds, branches and rows
-of stars are uneven. So this tells a fireball, which full pixels make several times as wide as stars, where its width speaks
-against it. Few satellites do so, and to these it says nothing.
+A meteor brightens from nothing, and ends. Roofs, wires and edges are as bright at one end as at the other; clouds, branches and
+rows of stars are uneven. So this tells a fireball, which full pixels make several times as wide as stars, where its width speaks
+against it. Of other lines, satellites among them, it says nothing.
 """
 
 import math
@@ -33,8 +33,8 @@ FADED: Final = 0.15
 LEAST_WINS: Final = 0.8
 """Share of its pieces in which such a line is brighter than all places beside it, at least."""
 IN_FAVOUR: Final = 10.0
-"""Odds of a trail for a line of this kind. On half of 62 cameras two of three bright trails were of it and 1 of about 60 other lines,
-which is 40; less is taken, for that line's share is known to a factor of four."""
+"""Odds of a trail for a line of this kind. On half of 62 cameras with trails two of three bright trails were of it and 1 of about
+60 other lines, which is 40; less is taken, for the share of the others is known to a factor of four."""
 
 
 def for_meteor(fit: StreakFit, tiles: Tiles) -> float:

@@ -1,8 +1,8 @@
 """The noise of tiles that lost theirs: a compressed picture holds one value where its noise was below the codec's step.
 
-Such tiles have a noise of 0, or of 1e-7 by rounding, so that nothing in them was searched and lines had an S/N of 1e8. Whole numbers
-have the noise of their rounding at least. The codec has one step for the whole picture, so that noise which survived somewhere is a
-measure of what was lost elsewhere.
+Such tiles have a noise of 0, or of 1e-7 by rounding, so that nothing in them was found and lines had an S/N of 1e8. Whole
+numbers have the noise of their rounding at least. The codec has one step for the whole picture, so that noise which survived
+somewhere is a measure of what was lost elsewhere.
 """
 
 import numpy as np
@@ -15,7 +15,7 @@ SURVIVED = 0.25
 
 
 def with_least_noise(sigma: NDArray[np.float32], quantum: float) -> NDArray[np.float32]:
-    """Noise of tiles, any shape; below that of rounding to multiples of a quantum it is what survived in the other tiles."""
+    """Noise of tiles, any shape, in which that of rounding to multiples of a quantum, or less, is what the others kept."""
     least = LEAST_SIGMA * quantum
     lost = sigma <= least
     if not lost.any():

@@ -116,7 +116,7 @@ class OnboardChain:
         flags |= content_flags(view.mask, counts, n_masked)
         usable = not flags & (FrameFlag.ALL_MASKED | FrameFlag.EMPTY_SIGNAL | FrameFlag.REPEATED_FRAME)
         if usable:
-            view = with_stars(view, residual, sums, self._steps.star_extractor)
+            view = with_stars(view, residual, sums, self._steps.star_extractor, float(counts.adu_scale))
         earlier = brought_forward(state.earlier_stars, view.stars) if usable else ()
         return Prepared(
             view=view, counts=counts, flags=flags, usable=usable, earlier=earlier, n_masked=n_masked, pixel_check=check

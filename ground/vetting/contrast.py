@@ -114,24 +114,7 @@ class Contrast:
         if not length > 0.0 or not math.isfinite(length + width + fit.sagitta_px):
             return None
         most = min(length / max(PIECE_WIDTHS * width, LEAST_PIECE_PX), (fit.snr / PIECE_SNR) ** 2, MOST_PIECES)
-        n = max(int(most), 1)
-        per_piece = min(max(int(length / n), 2), MOST_ALONG)
-        share = (np.arange(n * per_piece) + 0.5) / (n * per_piece)
-        away = FIRST_WIDTHS * width + max(STEP_WIDTHS * width, LEAST_STEP_PX) * np.arange(SIDES)
-        place = np.concatenate((-away[::-1], [0.0], away))
-        apart = max(1.0, width / 2.0)
-        fine = apart * np.arange(-math.ceil(2.0 * width / apart), math.ceil(2.0 * width / apart) + 1.0)
-        core = np.exp(-0.5 * (fine / width) ** 2)
-        bend = 4.0 * fit.sagitta_px * share * (1.0 - share)
-        across = (place[:, None] + fine)[:, :, None] + bend
-        d_row, d_col = (fit.row1 - fit.row0) / length, (fit.col1 - fit.col0) / length
-        value = tiles.at(
-            fit.row0 + share * length * d_row + across * d_col, fit.col0 + share * length * d_col - across * d_row
-        ).reshape(place.size, fine.size, n, per_piece)
-        known = np.isfinite(value)
-        weight = np.einsum("pfnk,f->pn", known, core)
-        light = np.einsum("pfnk,f->pn", np.where(known, value, 0.0), core) / np.maximum(weight, 1e-9)
-        light[weight < 0.5 * core.sum() * per_piece] = np.nan
+        light = light_of_pieces(fit, tiles, max(int(most), 1))
         middle, sides = light[SIDES], np.delete(light, SIDES, axis=0)
         told = np.isfinite(middle) & (np.isfinite(sides).sum(axis=0) >= FEWEST_SIDES)
         told &= np.isfinite(light[[SIDES - 1, SIDES - 2, SIDES + 1, SIDES + 2]]).any(axis=0)
@@ -143,3 +126,29 @@ class Contrast:
         peak = np.median((middle - near) / np.maximum(height, 1e-6))
         wins = np.mean(middle > np.nanmax(sides, axis=0))
         return cls(pieces=int(told.sum()), wins=float(wins), peak=float(np.clip(peak, -1.0, 1.0)))
+
+
+def light_of_pieces(fit: StreakFit, tiles: Tiles, n: int) -> NDArray[np.float64]:
+    """Mean counts of n equal pieces of a line, in row `SIDES`, and of the same pieces beside it, (2 `SIDES` + 1, n).
+
+    NaN where less than half of a piece is known. The line has a length.
+    """
+    length, width = fit.length_px, effective_width_px(fit.width_px)
+    per_piece = min(max(int(length / n), 2), MOST_ALONG)
+    share = (np.arange(n * per_piece) + 0.5) / (n * per_piece)
+    away = FIRST_WIDTHS * width + max(STEP_WIDTHS * width, LEAST_STEP_PX) * np.arange(SIDES)
+    place = np.concatenate((-away[::-1], [0.0], away))
+    apart = max(1.0, width / 2.0)
+    fine = apart * np.arange(-math.ceil(2.0 * width / apart), math.ceil(2.0 * width / apart) + 1.0)
+    core = np.exp(-0.5 * (fine / width) ** 2)
+    bend = 4.0 * fit.sagitta_px * share * (1.0 - share)
+    across = (place[:, None] + fine)[:, :, None] + bend
+    d_row, d_col = (fit.row1 - fit.row0) / length, (fit.col1 - fit.col0) / length
+    value = tiles.at(
+        fit.row0 + share * length * d_row + across * d_col, fit.col0 + share * length * d_col - across * d_row
+    ).reshape(place.size, fine.size, n, per_piece)
+    known = np.isfinite(value)
+    weight = np.einsum("pfnk,f->pn", known, core)
+    light = np.einsum("pfnk,f->pn", np.where(known, value, 0.0), core) / np.maximum(weight, 1e-9)
+    light[weight < 0.5 * core.sum() * per_piece] = np.nan
+    return np.asarray(light, dtype=np.float64)

@@ -23,6 +23,7 @@ from ground.vetting.borders import against_border
 from ground.vetting.contrast import Tiles
 from ground.vetting.features import LEAST_BINS
 from ground.vetting.likelihood import sharpness_of
+from ground.vetting.meteors import for_meteor
 from ground.vetting.repeated import doubled
 from ground.vetting.rim import ImageCircle
 from ground.vetting.sides import SkyMap
@@ -68,6 +69,10 @@ SPILLED_PER_REAL: Final = FULL_PER_FRAME / REAL_PER_FRAME
 """Expected lines of spilled charge of full stars for each real streak."""
 ALIGNED_SHARE: Final = 0.045
 """Share of trails that run along rows or columns: 4 atan(`ALIGNED_SLOPE`) of pi."""
+
+BELIEVED: Final = 0.5
+"""Probability from which on a long bright line tells the optics. A half line of video, 2.6 px wide with p of 0.004, did so too,
+and a meteor of S/N 92 and 0.5 px was too sharp for it."""
 
 LEAST: Final = 1e-12
 """Keeps the odds finite."""
@@ -213,9 +218,8 @@ class LookAlikeVetter:
             against = against + np.array([known.bright.against(fit) for fit in fits])
         if known.stars is not None:
             against = against + against_chains(known.stars, fits)
-        if known.seen is not None:
-            against = against + np.array([against_border(fit, known.seen) for fit in fits])
-        odds_against = (1.0 - probability) / np.maximum(probability, LEAST) + against
+        borders = np.array([0.0 if known.seen is None else against_border(fit, known.seen) for fit in fits])
+        odds_against = (1.0 - probability) / np.maximum(probability, LEAST) + against + borders
         refused = np.array([known.refuses(fit, frame) for fit in fits])
         if known.stars is not None:
             refused |= move_as(known.stars, fits)
@@ -227,6 +231,11 @@ class LookAlikeVetter:
         given = np.where((probability > 0.0) & ~refused, 1.0 / (1.0 + odds_against), 0.0)
         if known.tiles is None:
             return given
-        sharpness = sharpness_of(sharp, frame.psf_sigma_px, (given > 0.0).tolist())
+        sharpness = sharpness_of(sharp, frame.psf_sigma_px, (given >= BELIEVED).tolist())
         given = probability_in_any_camera(fits, given, sharpness, known.tiles)
+        for k in np.flatnonzero(given >= LEAST_PROBABILITY).tolist():
+            odds = given[k] * for_meteor(fits[k], known.tiles)
+            given[k] = odds / (odds + 1.0 - given[k])
+        # such a line wins all along it, as a trail does: its contrast and length do not outweigh its place
+        given = np.minimum(given, 1.0 / (1.0 + borders))
         return np.where(doubled(fits, given), 0.0, given)

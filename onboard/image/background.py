@@ -11,6 +11,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from onboard.image.least_noise import LEAST_SIGMA, with_least_noise
 from sboc_e2e.icd.signals import BackgroundModel
 
 PROBES = 49
@@ -24,9 +25,6 @@ CLIPPED_STD = 0.9866
 LEAST_SAMPLES = 32  # a mean good to 0.18 sigma; tiles with fewer are filled from others
 FREE_SLOPE = 0.5
 """Slopes of a mesh, in sigma from tile to tile, that go on beyond the outer nodes whatever lies inside of them."""
-
-LEAST_SIGMA = 0.29
-"""Noise of an ideal quantiser, 1/sqrt(12), in units of the pixels: no frame has less."""
 
 
 @njit(cache=True)
@@ -235,7 +233,7 @@ class MeshBackground:
         shape = (-(-rows // self.tile_px), -(-cols // self.tile_px))
         level, sigma = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
         clipped_mesh(pixels_adu, dark_adu, mask, self.tile_px, self.row_step, level, sigma)
-        level, sigma = fill_gaps(level, 0.0), fill_gaps(sigma, 1.0)
+        level, sigma = fill_gaps(level, 0.0), with_least_noise(fill_gaps(sigma, 1.0), 1.0)
         return BackgroundModel(
             tile_px=self.tile_px,
             level_adu=np.median(straight_neighbourhoods(level, float(np.median(sigma))), axis=0),

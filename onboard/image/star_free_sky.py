@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from onboard.image.background import LEAST_SAMPLES, continued, fill_gaps, neighbourhoods
 from onboard.image.calibrate import LINE_LIMIT_SIGMA, LineSums, between_nodes, expand_nodes
 from onboard.image.fine_sky import bent_tiles, continued_on_parabolas, fine_nodes, structured_tiles
+from onboard.image.least_noise import with_least_noise
 from sboc_e2e.icd.signals import BackgroundModel, StarList
 
 ROW_STEP = 8
@@ -249,10 +250,11 @@ def without_stars(
     *,
     gain_e_adu: float,
     psf_sigma_px: float,
+    quantum_adu: float = 1.0,
 ) -> BackgroundModel:
     """The background measured beside the stars; `residual` is brought to its level in place.
 
-    sums : of `residual` before the change.
+    sums : of `residual` before the change. quantum_adu : of the counts.
     """
     tile_px, shape = background.tile_px, background.level_adu.shape
     row_step = ROW_STEP if tile_px >= 4 * ROW_STEP else 1
@@ -262,6 +264,7 @@ def without_stars(
     mean, deviation = np.empty(shape, dtype=np.float32), np.empty(shape, dtype=np.float32)
     star_free_moments(residual, mask, marked, row_step, tile_px, background.sigma_adu, mean, deviation)
     sigma = np.where(np.isfinite(deviation) & (deviation > 0.0), deviation, background.sigma_adu).astype(np.float32)
+    sigma = with_least_noise(sigma, quantum_adu)
     noise = float(np.median(sigma))
     rows, cols = residual.shape
     row_offset, col_offset = line_offsets(sums.rows, cols, noise), line_offsets(sums.cols, rows, noise)
@@ -276,7 +279,7 @@ def without_stars(
         structured[[0, -1]] = structured[:, [0, -1]] = True
         reach = star_reach_px(stars, sigma_e, psf_sigma_px)
         change, within = _take_out_structure(residual, mask, stars, reach, background.sigma_adu, tile_px, structured)
-        shift, sigma = shift + change, np.where(structured & (within > 0.0), within, sigma)
+        shift, sigma = shift + change, with_least_noise(np.where(structured & (within > 0.0), within, sigma), quantum_adu)
     return BackgroundModel(
         tile_px=tile_px,
         level_adu=background.level_adu + shift,

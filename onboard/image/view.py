@@ -49,10 +49,12 @@ def calibrated_view(
     return view, sums, n_masked
 
 
-def with_stars(view: DetectorView, residual: NDArray[np.float32], sums: LineSums, step: StarExtractor) -> DetectorView:
+def with_stars(
+    view: DetectorView, residual: NDArray[np.float32], sums: LineSums, step: StarExtractor, quantum_adu: float = 1.0
+) -> DetectorView:
     """The view with its star list, and with level and noise of the sky measured beside these stars.
 
-    residual : the memory under the view's read-only image, which is brought to the new level.
+    residual : the memory under the view's read-only image, which is brought to the new level. quantum_adu : of the counts.
     """
     stars = guarded("star_extractor", step, step.extract, view)
     guarded("star_extractor", step, check_stars, stars, view.mask.shape)
@@ -64,6 +66,7 @@ def with_stars(view: DetectorView, residual: NDArray[np.float32], sums: LineSums
         view.background,
         gain_e_adu=view.header.gain_e_adu or 1.0,
         psf_sigma_px=view.psf_sigma_px,
+        quantum_adu=quantum_adu,
     )
     return replace(view, stars=stars, background=background)
 

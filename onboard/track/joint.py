@@ -26,7 +26,7 @@ from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import Detection, Track, TrackerView, TrackMember
 
-NO_SEEDS: Final = np.zeros((0, 5))  # `KeptSearch.seeds` when they have been followed
+NO_SEEDS: Final = np.zeros((0, 5), np.float32)  # `KeptSearch.seeds` when they have been followed
 NONE_WAIT: Final = np.zeros((0, 6))  # `KeptSearch.waiting` without seeds
 NO_TRAILS: Final = np.zeros((0, 4))  # `KeptSearch.trails` of a frame that shows none
 NONE_REMOVED: Final = np.zeros((0, 2), np.uint16)  # `KeptSearch.removed` of a frame without stars
@@ -78,14 +78,15 @@ EDGE_PX: Final = 3.0  # such a trail may continue beyond the frame, as `segments
 class KeptSearch:
     """What stays of a frame. transform : (2, 3) of the frame before into it; unused for the first.
 
-    image : `Searched.smooth` in half a byte a pixel. halves : the same at half resolution, and that transposed, while the frame
-    is next to one whose seeds are being followed. waiting (n, 6) : seeds that fell short, and their senses of motion. trails
-    (n, 4) : row0, col0, row1, col1 of the frame's own detections. removed : as `Searched.removed`.
+    image : `Searched.smooth` in half a byte a pixel. seeds : to 2e-4 px, for memory. halves : the image at half resolution, and
+    that transposed, while the frame is next to one whose seeds are being followed. waiting (n, 6) : seeds that fell short, and
+    their senses of motion. trails (n, 4) : row0, col0, row1, col1 of the frame's own detections. removed : as
+    `Searched.removed`; without what lies before the window.
     """
 
     header: FrameHeader
     image: NDArray[np.uint64]
-    seeds: NDArray[np.float64]
+    seeds: NDArray[np.float32]
     transform: NDArray[np.float64]
     waiting: NDArray[np.float64] = field(default_factory=lambda: NONE_WAIT)
     halves: tuple[NDArray[np.uint64], NDArray[np.uint64]] | None = None
@@ -152,7 +153,7 @@ class JointTracker:
         new = KeptSearch(
             header=view.view.header,
             image=packed(without_hits(view.searched.smooth, view.view.psf_sigma_px)),
-            seeds=view.searched.seeds,
+            seeds=view.searched.seeds.astype(np.float32),
             transform=registration.IDENTITY if view.transform is None else view.transform,
             trails=np.array([(d.row0, d.col0, d.row1, d.col1) for d in view.detections]).reshape(-1, 4),
             removed=view.searched.removed,
@@ -170,7 +171,10 @@ class JointTracker:
         window = state.window[1:]
         tracks = tuple(t for t in state.tracks if t.members[-1].frame >= window[0].header.frame)
         oldest = state.window[0]
-        older = (*state.older, replace(oldest, image=half_of(oldest.image), waiting=NONE_WAIT, halves=None))[-OLDER:]
+        older = (
+            *state.older,
+            replace(oldest, image=half_of(oldest.image), waiting=NONE_WAIT, halves=None, removed=NONE_REMOVED),
+        )[-OLDER:]
         return replace(state, window=window, followed=max(0, state.followed - 1), tracks=tracks, older=older)
 
     def _followed(self, state: JointState, stop: int) -> tuple[JointState, list[Track]]:
@@ -251,8 +255,9 @@ class JointTracker:
         most_work = max(LEAST_WORK, round(WORK_PER_PX * kept.shape[0] * kept.shape[1]))
         seeds, senses = kept.waiting[:, :5], np.ascontiguousarray(kept.waiting[:, 5])
         if not kept_seeds:
-            px = np.hypot(*(kept.seeds[:, 2:4] - kept.seeds[:, :2]).T)
-            seeds, px = kept.seeds[px < LONGEST_PX], px[px < LONGEST_PX]
+            every = kept.seeds.astype(np.float64)
+            px = np.hypot(*(every[:, 2:4] - every[:, :2]).T)
+            seeds, px = every[px < LONGEST_PX], px[px < LONGEST_PX]
             seeds = by_place(seeds[np.argsort(dearer(px) - seeds[:, 4], kind="stable")], most_work)
             senses = np.zeros(len(seeds))
         if len(window) < 2 or not len(seeds):
@@ -265,10 +270,10 @@ class JointTracker:
         filled = frames + (window[0],) * missing
         own = (kept.image, kept.image)
         near = [frames[k].halves or own if 0 <= k < len(frames) else own for k in range(place - AWAY, place + AWAY + 1)]
-        every = np.ascontiguousarray(np.concatenate([transforms, np.repeat(transforms[:1], missing, axis=0)]))
+        to_each = np.ascontiguousarray(np.concatenate([transforms, np.repeat(transforms[:1], missing, axis=0)]))
         followed = Frames(
-            transforms=every,
-            half_transforms=halved_transforms(every),
+            transforms=to_each,
+            half_transforms=halved_transforms(to_each),
             taus=np.concatenate([taus, np.zeros(missing)]),
             n_old=len(older),
             n_frames=len(frames),

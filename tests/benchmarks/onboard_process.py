@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any
 
 STATUS = Path("/proc/self/status")
-ENVIRONMENT = {"MALLOC_MMAP_THRESHOLD_": str(1 << 17)}
+ENVIRONMENT = {"MALLOC_MMAP_THRESHOLD_": str(1 << 14)}
 """Images are given back to the system when they are freed: by itself glibc keeps up to 30 MB of them between frames."""
 
 PERIOD_NS = 250_000_000

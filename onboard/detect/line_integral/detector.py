@@ -181,11 +181,11 @@ class LineIntegralDetector:
         # sums are looked at before anything is known of them, so that the search of what they gave keeps its own part
         view.work.spend(Work.CANDIDATES, min(work, COLLECTED_SHARE * view.work.limits[Work.CANDIDATES]))
         del binned
-        faint = candidates[:0]
+        faint = candidates[:0].astype(np.float32)  # exact but for the S/N: ends lie on the lattice
         if coarse_sigma < self.coarse_sigma:
             # fainter ones are for the tracker alone, which looks at them with the frames around; one frame gains nothing by them
             wanted = dyadic.above(candidates, self.coarse_sigma)
-            faint, candidates = candidates[~wanted][:MAX_SEEDS], dyadic.in_order(candidates[wanted])
+            faint, candidates = candidates[~wanted][:MAX_SEEDS].astype(np.float32), dyadic.in_order(candidates[wanted])
         images = replace(images, blocked=np.unpackbits(bits, count=view.mask.size).reshape(view.mask.shape))
         del bits
         taps = whiten.odd_taps(s_px)

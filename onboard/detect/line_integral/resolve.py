@@ -166,7 +166,7 @@ def most_of_one(side_px: int) -> int:
 
 
 @nb.njit(cache=True)
-def taken(blocked: NDArray[np.uint8], candidate: NDArray[np.float64]) -> bool:
+def taken(blocked: NDArray[np.uint8], candidate: NDArray[np.float32] | NDArray[np.float64]) -> bool:
     """Whether nearly all of a candidate (major0, minor0, major1, minor1) lies on trails that were found before it."""
     n_major, n_minor = blocked.shape
     off = 0
@@ -182,7 +182,7 @@ def taken(blocked: NDArray[np.uint8], candidate: NDArray[np.float64]) -> bool:
 
 
 @nb.njit(cache=True)
-def with_free(blocked: NDArray[np.uint8], candidates: NDArray[np.float64], seeds: NDArray[np.float64], n_seeds: int) -> int:
+def with_free(blocked: NDArray[np.uint8], candidates: NDArray[np.float32], seeds: NDArray[np.float64], n_seeds: int) -> int:
     """Put candidates, as `resolve` takes them, that lie on no found trail after n_seeds seeds; how many seeds are there then."""
     turned = blocked.T
     for c in range(candidates.shape[0]):

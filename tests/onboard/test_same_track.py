@@ -38,7 +38,7 @@ def test_two_objects_whose_trails_cross_in_one_frame_are_two(angle_deg: float) -
     other = straight(1001.0, 1003.0, angle_deg, 150.0, frames=range(7))
     assert not same_object(known, other, ASKED)
     assert same_object(known, other)
-    faint = straight(1001.0, 1003.0, angle_deg, 150.0, frames=range(7), snr=3.0)
+    faint = straight(1001.0, 1003.0, angle_deg, 150.0, frames=range(7), snr=2.8)
     assert same_object(known, faint, ASKED)
 
 

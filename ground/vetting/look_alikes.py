@@ -70,10 +70,6 @@ SPILLED_PER_REAL: Final = FULL_PER_FRAME / REAL_PER_FRAME
 ALIGNED_SHARE: Final = 0.045
 """Share of trails that run along rows or columns: 4 atan(`ALIGNED_SLOPE`) of pi."""
 
-BELIEVED: Final = 0.5
-"""Probability from which on a long bright line tells the optics. A half line of video, 2.6 px wide with p of 0.004, did so too,
-and a meteor of S/N 92 and 0.5 px was too sharp for it."""
-
 LEAST: Final = 1e-12
 """Keeps the odds finite."""
 
@@ -231,7 +227,7 @@ class LookAlikeVetter:
         given = np.where((probability > 0.0) & ~refused, 1.0 / (1.0 + odds_against), 0.0)
         if known.tiles is None:
             return given
-        sharpness = sharpness_of(sharp, frame.psf_sigma_px, (given >= BELIEVED).tolist())
+        sharpness = sharpness_of(sharp, frame.psf_sigma_px, (given > 0.0).tolist())
         given = probability_in_any_camera(fits, given, sharpness, known.tiles)
         for k in np.flatnonzero(given >= LEAST_PROBABILITY).tolist():
             odds = given[k] * for_meteor(fits[k], known.tiles)

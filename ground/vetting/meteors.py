@@ -9,10 +9,10 @@ import math
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from ground.streaks.centre_line import effective_width_px
 from ground.vetting.contrast import SIDES, Contrast, Tiles, light_of_pieces
+from ground.vetting.rise_and_fall import rise_and_fall
 from sboc_e2e.icd.products import StreakFit
 
 LEAST_SNR: Final = 100.0
@@ -54,14 +54,3 @@ def for_meteor(fit: StreakFit, tiles: Tiles) -> float:
     top = float(curve.max())
     rest = math.sqrt(float(np.mean((height - curve) ** 2)))
     return IN_FAVOUR if top > 0.0 and rest <= LARGEST_REST * top and min(curve[0], curve[-1]) <= FADED * top else 1.0
-
-
-def rise_and_fall(light: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The curve that rises to one of its points, falls from there and fits light (n,) best."""
-    from scipy.optimize import isotonic_regression  # takes a quarter of a second, which frames without such lines spare
-
-    curves = [
-        np.concatenate((isotonic_regression(light[:top]).x, isotonic_regression(light[top:], increasing=False).x))
-        for top in range(1, len(light))
-    ]
-    return min(curves, key=lambda curve: float(np.sum((light - curve) ** 2)))

@@ -15,6 +15,7 @@ import scipy  # scipy.special is loaded where it is used: a frame's stars are li
 from numpy.typing import NDArray
 
 from ground.streaks.centre_line import effective_width_px
+from ground.vetting.rise_and_fall import rise_and_fall
 from sboc_e2e.icd.products import StreakFit
 
 LONGEST_PX: Final = 128.0
@@ -252,21 +253,11 @@ class Along:
         Meteors rise and fall so, and fireballs are wide. A star with a tail fills little of its length, and the bulge of a galaxy
         is wide and short.
         """
-        from scipy.optimize import isotonic_regression  # takes a quarter of a second, which frames without short lines spare
-
         plain = self.gaps
         narrow = fit.width_px <= ROUND_WIDTHS * fit.psf_sigma_px or (fit.snr > FULL_SNR and is_long(fit))
         if not plain > 0.0 or not narrow:
             return plain
-        weight = 1.0 / np.maximum(self.error, 1e-6) ** 2
-        best, least = self.light, math.inf
-        for top in range(1, self.light.size):
-            up = isotonic_regression(self.light[:top], weights=weight[:top]).x
-            down = isotonic_regression(self.light[top:], weights=weight[top:], increasing=False).x
-            curve = np.concatenate((up, down))
-            rest = float(weight @ (self.light - curve) ** 2)
-            if rest < least:
-                best, least = curve, rest
+        best = rise_and_fall(self.light, 1.0 / np.maximum(self.error, 1e-6) ** 2)
         lit = np.maximum(best, 0.0)
         fill = float(lit.sum()) ** 2 / max(float(lit @ lit) * lit.size, 1e-300)
         return min(plain, self._missing_from(best)) if fill >= ROUND_FILL else plain

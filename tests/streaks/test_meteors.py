@@ -9,7 +9,8 @@ import pytest
 from ground.streaks import TrailedPsfFitter
 from ground.vetting.contrast import Tiles
 from ground.vetting.look_alikes import LookAlikeVetter, OwnEvidence
-from ground.vetting.meteors import IN_FAVOUR, for_meteor, rise_and_fall
+from ground.vetting.meteors import IN_FAVOUR, for_meteor
+from ground.vetting.rise_and_fall import rise_and_fall
 from sboc_e2e.icd.products import StreakFit
 from tests.streaks.impostors import draw
 

@@ -154,7 +154,7 @@ class LineIntegralDetector:
         # trails were taken out of it as they were found
         images, taps = lines.images, whiten.odd_taps(view.psf_sigma_px)
         whiten.known(lines.smooth, images.image, images.blocked, images.level, TILE_PX, taps, POINT_CLIP_SIGMA)
-        removed = np.rint(images.subtracted[:, :2]).astype(np.uint16)
+        removed = np.rint(np.maximum(images.subtracted[:, :2], 0.0)).astype(np.uint16)  # a fit may leave the frame
         return found, Searched(smooth=lines.smooth, seeds=seed_ends(lines.seeds), removed=removed)
 
     def _lines(self, view: DetectorView, seed_sigma: float | None) -> "_Lines | None":

@@ -49,24 +49,43 @@ PER_TERM: Final = (PER_LOG_ODDS, PER_WINS, PER_PEAK, PER_LN_WIDTHS, PER_LN_READO
 """In the order of `terms_of`."""
 
 
+def contrasts_of(fits: Sequence[StreakFit], probability: NDArray[np.float64], tiles: Tiles) -> list[Contrast | None]:
+    """Contrast of each fit of a frame that may be a trail, as far as a vetter (n,) and the tiles tell."""
+    return [
+        Contrast.of(fit, tiles) if p >= LEAST_PROBABILITY else None for fit, p in zip(fits, probability.tolist(), strict=True)
+    ]
+
+
 def probability_in_any_camera(
-    fits: Sequence[StreakFit], probability: NDArray[np.float64], sharpness: Sequence[float], tiles: Tiles
+    fits: Sequence[StreakFit],
+    probability: NDArray[np.float64],
+    sharpness: Sequence[float],
+    contrasts: Sequence[Contrast | None],
+    tracks: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """(n,) of the fits of a frame, given a vetter's own (n,).
 
-    sharpness : ln of each fit's width over that of the optics, NaN where nothing tells the optics.
+    sharpness : ln of each fit's width over that of the optics, NaN where nothing tells the optics. contrasts : of the fits, None
+        where they keep their probability. tracks : odds (n,) of a particle's track for lines that are sharper than the optics;
+        infinite for others.
     """
     readout = np.log1p(odds_of_readout(fits))
     out = probability.astype(np.float64)
-    for k in np.flatnonzero(probability >= LEAST_PROBABILITY).tolist():
-        contrast = Contrast.of(fits[k], tiles)
+    for k, contrast in enumerate(contrasts):
         if contrast is not None:
             own = math.log(probability[k] / max(1.0 - probability[k], 1e-9))
             widths = fits[k].length_px / effective_width_px(fits[k].width_px)
             told = sharpness[k] if math.isfinite(sharpness[k]) else 0.0
-            terms = terms_of(own, contrast.pieces, contrast.wins, contrast.peak, widths, readout[k], told)
-            out[k] = 1.0 / (1.0 + math.exp(-(CONSTANT + float(terms[0] @ PER_TERM))))
+            given = [own, contrast.pieces, contrast.wins, contrast.peak, widths, readout[k]]
+            as_told, as_light = (_probability(*given, sharper) for sharper in (told, max(told, 0.0)))
+            # a sharper line is the track of a particle, or light of optics that are sharper than was told
+            out[k] = as_told + (as_light - as_told) / (1.0 + tracks[k])
     return out
+
+
+def _probability(*terms: float) -> float:
+    """Of a line with these terms; see `terms_of`."""
+    return 1.0 / (1.0 + math.exp(-(CONSTANT + float(terms_of(*terms)[0] @ PER_TERM))))
 
 
 def terms_of(

@@ -147,14 +147,13 @@ def _sharpest_px(fits: Sequence[StreakFit], light: Sequence[bool]) -> float:
     return float(np.median(widths)) if widths else math.inf
 
 
-def sharpness_of(fits: Sequence[StreakFit], psf_sigma_px: float | None, believed: Sequence[bool]) -> list[float]:
+def sharpness_of(fits: Sequence[StreakFit], psf_sigma_px: float | None, sharpest_px: float) -> list[float]:
     """Ln of the width of each fit over that of the optics (pixel included); NaN where it failed, or nothing tells the optics.
 
-    psf_sigma_px : of the frame's stars, None where they do not tell. believed : see `sharpest_light_px`.
+    psf_sigma_px : of the frame's stars, None where they do not tell. sharpest_px : see `sharpest_light_px`.
     """
     optics = [fit.psf_sigma_px if math.isfinite(fit.psf_sigma_px) else psf_sigma_px for fit in fits]
-    sharpest = sharpest_light_px(fits, believed)
-    known = [min(math.inf if psf_sigma_px is None else float(width or math.inf), sharpest) for width in optics]
+    known = [min(math.inf if psf_sigma_px is None else float(width or math.inf), sharpest_px) for width in optics]
     return [
         features_of(fit, width).sharpness if math.isfinite(width) else math.nan for fit, width in zip(fits, known, strict=True)
     ]

@@ -16,14 +16,15 @@ from numpy.typing import NDArray
 from ground.guard import guarded, probabilities_of
 from ground.streaks.centre_line import effective_width_px
 from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
-from ground.vetting.any_camera import LEAST_PROBABILITY, probability_in_any_camera
+from ground.vetting.any_camera import LEAST_PROBABILITY, contrasts_of, probability_in_any_camera
 from ground.vetting.bends import bends_too_much
 from ground.vetting.beside import against_beside
 from ground.vetting.borders import against_border
 from ground.vetting.contrast import Tiles
 from ground.vetting.features import LEAST_BINS
-from ground.vetting.likelihood import sharpness_of
+from ground.vetting.likelihood import sharpest_light_px, sharpness_of
 from ground.vetting.meteors import for_meteor
+from ground.vetting.particles import SHARP, odds_of_particles
 from ground.vetting.repeated import doubled
 from ground.vetting.rim import ImageCircle
 from ground.vetting.sides import SkyMap
@@ -225,13 +226,22 @@ class LookAlikeVetter:
             for k in np.flatnonzero((odds_against < 1.0 / LEAST_PROBABILITY) & ~refused).tolist():
                 odds_against[k] += against_beside(fits[k], known.tiles, area_px2, trails)
         given = np.where((probability > 0.0) & ~refused, 1.0 / (1.0 + odds_against), 0.0)
-        if known.tiles is None:
+        tiles = known.tiles
+        if tiles is None:
             return given
-        sharpness = sharpness_of(sharp, frame.psf_sigma_px, (given > 0.0).tolist())
-        given = probability_in_any_camera(fits, given, sharpness, known.tiles)
+        # half lines of video are as long and bright as light, and no optics made them
+        believed = (given > 0.0) & (borders < 1.0)
+        sharpest = sharpest_light_px(sharp, believed.tolist())
+        sharpness = sharpness_of(sharp, frame.psf_sigma_px, sharpest)
+        contrasts = contrasts_of(fits, given, tiles)
+        # stars may be wider than the optics, and long light is not
+        by_stars = frame.psf_sigma_px is not None and frame.psf_sigma_px <= sharpest
+        tracks = odds_of_particles(fits, [by_stars and told < SHARP for told in sharpness])
+        given = probability_in_any_camera(fits, given, sharpness, contrasts, tracks)
         for k in np.flatnonzero(given >= LEAST_PROBABILITY).tolist():
-            odds = given[k] * for_meteor(fits[k], known.tiles)
+            odds = given[k] * for_meteor(fits[k], tiles, contrasts[k])
             given[k] = odds / (odds + 1.0 - given[k])
         # such a line wins all along it, as a trail does: its contrast and length do not outweigh its place
         given = np.minimum(given, 1.0 / (1.0 + borders))
-        return np.where(doubled(fits, given), 0.0, given)
+        stands_out = [1.0 if contrast is None else contrast.wins for contrast in contrasts]
+        return np.where(doubled(fits, given, stands_out), 0.0, given)

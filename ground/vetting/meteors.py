@@ -37,10 +37,12 @@ IN_FAVOUR: Final = 10.0
 60 other lines, which is 40; less is taken, for the share of the others is known to a factor of four."""
 
 
-def for_meteor(fit: StreakFit, tiles: Tiles) -> float:
-    """Odds of a trail that the rise and fall of a line's light adds; 1 where it says nothing."""
-    contrast = Contrast.of(fit, tiles) if fit.snr >= LEAST_SNR else None
-    if contrast is None or contrast.wins < LEAST_WINS:
+def for_meteor(fit: StreakFit, tiles: Tiles, contrast: Contrast | None) -> float:
+    """Odds of a trail that the rise and fall of a line's light adds; 1 where it says nothing.
+
+    contrast : of the line, None where it is not known.
+    """
+    if fit.snr < LEAST_SNR or contrast is None or contrast.wins < LEAST_WINS:
         return 1.0
     n = int(min(fit.length_px / max(CELL_WIDTHS * effective_width_px(fit.width_px), LEAST_CELL_PX), MOST_CELLS))
     if n < FEWEST_CELLS:

@@ -32,14 +32,20 @@ def repeated(fits: Sequence[StreakFit], probability: NDArray[np.float64]) -> NDA
     return out
 
 
-def doubled(fits: Sequence[StreakFit], probability: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """(n,) which fits lie for half their length or more along a longer one on the same line, both being published."""
+def doubled(fits: Sequence[StreakFit], probability: NDArray[np.float64], stands_out: Sequence[float]) -> NDArray[np.bool_]:
+    """(n,) which published fits share half of their length or more with a better one on the same line, or half of that one's.
+
+    stands_out : share of each fit's length that is brighter than its neighbourhood. The better one has more of such length: a
+        fit that ran away is longer, and its line leaves the trail.
+    """
     out = np.zeros(len(fits), dtype=np.bool_)
-    order = [k for k in sorted(range(len(fits)), key=lambda k: -fits[k].length_px) if probability[k] >= PUBLISHED]
+    length = [fit.length_px * share for fit, share in zip(fits, stands_out, strict=True)]
+    order = [k for k in sorted(range(len(fits)), key=lambda k: -length[k]) if probability[k] >= PUBLISHED]
     for place, i in enumerate(order):
         if not out[i]:
             for j in order[place + 1 :]:
-                out[j] |= _overlaps(fits[j], fits[i])
+                shorter, longer = sorted((i, j), key=lambda k: fits[k].length_px)
+                out[j] |= _overlaps(fits[shorter], fits[longer])
     return out
 
 

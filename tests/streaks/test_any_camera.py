@@ -1,5 +1,6 @@
 """Lines of frames from outside against their own neighbourhood, and the weights that were fitted across cameras."""
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -7,8 +8,9 @@ import pytest
 
 from ground.streaks import TrailedPsfFitter
 from ground.vetting import any_camera
-from ground.vetting.any_camera import probability_in_any_camera
+from ground.vetting.any_camera import contrasts_of, probability_in_any_camera
 from ground.vetting.contrast import TILE_PX, Contrast, Tiles
+from ground.vetting.particles import SHORTEST_PX, THICKNESS_PX, odds_of_particles
 from ground.vetting.repeated import doubled
 from sboc_e2e.icd.products import StreakFit
 from tests.benchmarks.any_camera_weights import TERMS, Judged, Lines, fitted, judged, out_of_camera
@@ -94,21 +96,49 @@ def test_tiles_hold_the_pixels_around_lines_alone() -> None:
     assert kept.adu.shape[1:] == (TILE_PX, TILE_PX)
 
 
+def chance(fit: StreakFit, given: float, sharpness: float, around: Tiles, tracks: float = math.inf) -> float:
+    """Probability of a line that a vetter gives one."""
+    own = np.array([given])
+    contrasts = contrasts_of([fit], own, around)
+    return float(probability_in_any_camera([fit], own, [sharpness], contrasts, np.array([tracks]))[0])
+
+
 def test_contrast_lifts_what_a_vetter_doubts_and_lowers_what_has_none(line: StreakFit) -> None:
     lit = tiles(sky(4) + trail(np.linspace(0.0, 1.0, 400), 8.0))
-    doubted = probability_in_any_camera([line], np.array([0.2]), [0.0], lit)[0]
-    assert doubted > 0.9
-    assert probability_in_any_camera([line], np.array([0.2]), [-0.7], lit)[0] < 0.5, "sharper than the optics"
-    assert probability_in_any_camera([line], np.array([0.6]), [0.0], tiles(sky(4)))[0] < 0.1
-    assert probability_in_any_camera([line], np.array([0.0]), [0.0], lit)[0] == 0.0, "what was refused stays so"
+    assert chance(line, 0.2, 0.0, lit) > 0.9
+    assert chance(line, 0.2, -0.7, lit) < 0.5, "sharper than the optics"
+    assert chance(line, 0.2, -0.7, lit, tracks=0.1) > 0.8, "in a frame without tracks of particles"
+    assert chance(line, 0.6, 0.0, tiles(sky(4))) < 0.1
+    assert chance(line, 0.0, 0.0, lit) == 0.0, "what was refused stays so"
+
+
+def test_a_frame_with_long_sharp_lines_and_no_short_ones_has_no_tracks_of_particles(line: StreakFit) -> None:
+    """Six meteors of a picture were a third as wide as its stars, 80 to 320 px long, and five had p of 0.01 to 0.10 for it.
+    A Hubble chip has 96 sharp lines; lengths of tracks from all sides are drawn here."""
+    meteors = [replace(line, row1=line.row0, col1=line.col0 + length) for length in (320.0, 128.0, 125.0, 114.0, 89.0, 80.0)]
+    assert odds_of_particles(meteors, [True] * 6).max() < 0.1
+    share = (np.arange(90) + 0.5) / 90
+    lengths = np.sqrt((THICKNESS_PX**2 + SHORTEST_PX**2) / share - THICKNESS_PX**2)
+    tracks = [replace(line, row1=line.row0, col1=line.col0 + length) for length in lengths]
+    odds = odds_of_particles([*tracks, meteors[1]], [True] * 91)
+    assert odds[-1] > 2.0, "128 px long among them"
+    assert np.median(odds) > 10.0
+    assert np.isinf(odds_of_particles(meteors, [False] * 6)).all(), "as wide as the optics"
 
 
 def test_of_two_published_fits_that_share_half_their_length_the_longer_stays(line: StreakFit) -> None:
     """A fireball, 1,730 px long: the second fit began 158 px later and ended 11 px farther on, beyond the first one's reach."""
     part = replace(line, row0=80.0, col0=100.0, row1=128.0, col1=184.0, snr=2.0 * line.snr)
     follows = replace(line, row0=112.0, col0=156.0, row1=168.0, col1=254.0)
-    assert doubled([part, line, follows], np.ones(3)).tolist() == [True, False, False]
-    assert not doubled([part, line], np.array([1.0, 0.4])).any(), "the longer one is not published"
+    assert doubled([part, line, follows], np.ones(3), [1.0, 1.0, 1.0]).tolist() == [True, False, False]
+    assert not doubled([part, line], np.array([1.0, 0.4]), [1.0, 1.0]).any(), "the longer one is not published"
+
+
+def test_of_two_published_fits_the_one_stays_that_stands_out_over_the_greater_length(line: StreakFit) -> None:
+    """A fireball: the longest of seven fits on it bent away, and 0.78 of its pieces won. It was the one that stayed."""
+    away = replace(line, row1=line.row1 + 8.0, col1=line.col1 + 20.0, sagitta_px=9.0)
+    assert doubled([away, line], np.ones(2), [0.78, 1.0]).tolist() == [True, False]
+    assert doubled([away, line], np.ones(2), [1.0, 1.0]).tolist() == [False, True]
 
 
 def test_the_weights_are_those_of_the_table_of_lines() -> None:

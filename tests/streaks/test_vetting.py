@@ -246,9 +246,10 @@ def test_a_band_of_cloud_does_not_tell_how_sharp_the_optics_are(fits: dict[str, 
     Tracks of particles beside a trail are as narrow, and the trail tells."""
     trail = replace(train_of_satellites(fits["real"][0])[0], width_px=0.8, row1=120.0, col1=140.0)
     band = replace(train_of_satellites(fits["real"][0])[1], width_px=4.2, snr=64.0)
-    assert np.isnan(sharpness_of([trail, band], None, [True, False])).all()
+    assert np.isnan(sharpness_of([trail, band], None, sharpest_light_px([trail, band], [True, False]))).all()
     narrow = 0.5 * math.log((0.8**2 + 1.0 / 12.0) / (4.2**2 + 1.0 / 12.0))
-    assert sharpness_of([trail, band], None, [True, True]) == pytest.approx([narrow, 0.0])
+    sharpest = sharpest_light_px([trail, band], [True, True])
+    assert sharpness_of([trail, band], None, sharpest) == pytest.approx([narrow, 0.0])
 
 
 def test_a_train_of_satellites_does_not_recur_and_short_sharp_tracks_do(

@@ -20,6 +20,8 @@ THICKNESS_PX: Final = 17.0
 """Thickness of a detector: 250 um, pixels of 15 um. Thin ones, and those of video, have shorter tracks."""
 SHORTEST_PX: Final = 15.0
 """Shorter lines are not counted: they are sharp for many reasons. Chosen, not measured."""
+LEAST_SNR: Final = 20.0
+"""Fainter lines are not counted: noise is sharper than the optics too. Chosen, not measured: its best maxima have 8."""
 LONGEST_PX: Final = 1600.0
 """Lengths of trails up to it are alike in their logarithm."""
 PER_FRAME: Final = 0.1
@@ -33,11 +35,12 @@ ITERATIONS: Final = 20
 def odds_of_particles(fits: Sequence[StreakFit], sharp: Sequence[bool]) -> NDArray[np.float64]:
     """Odds (n,) of the track of a particle against a trail for the sharp lines of a frame, as far as lengths tell.
 
-    Infinite for lines that are too short to tell, or not sharp.
+    Infinite for lines that are too short or faint to tell, or not sharp.
     sharp : lines that are sharper than the optics.
     """
     length = np.array([fit.length_px for fit in fits], dtype=np.float64)
-    counts = np.asarray(sharp, dtype=np.bool_) & (length >= SHORTEST_PX)
+    bright = np.array([fit.snr >= LEAST_SNR for fit in fits], dtype=np.bool_)
+    counts = np.asarray(sharp, dtype=np.bool_) & (length >= SHORTEST_PX) & bright
     of_tracks = 2.0 * length**2 * (THICKNESS_PX**2 + SHORTEST_PX**2) / (THICKNESS_PX**2 + length**2) ** 2
     ratio = of_tracks * math.log(LONGEST_PX / SHORTEST_PX)
     odds = np.zeros(len(fits))

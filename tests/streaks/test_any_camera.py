@@ -124,6 +124,7 @@ def test_a_frame_with_long_sharp_lines_and_no_short_ones_has_no_tracks_of_partic
     assert odds[-1] > 2.0, "128 px long among them"
     assert np.median(odds) > 10.0
     assert np.isinf(odds_of_particles(meteors, [False] * 6)).all(), "as wide as the optics"
+    assert np.isinf(odds_of_particles([replace(meteors[0], snr=7.0)], [True])).all(), "noise is as sharp"
 
 
 def test_of_two_published_fits_that_share_half_their_length_the_longer_stays(line: StreakFit) -> None:

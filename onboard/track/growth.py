@@ -78,11 +78,7 @@ def grown(
             break
         if low == frames.n_old and high == frames.n_frames - 1:
             break
-    half_noise = half_line_variance(frames.psf_sigma_px, look.per_lane)
-    # a line's brightest pixels are lower at half resolution
-    fainter = math.sqrt(2.0 * frames.psf_sigma_px**2 / (2.0 * frames.psf_sigma_px**2 + 0.25))
-    ratio = look.variance / half_noise
-    scale = (fainter * ratio, fainter**2 * ratio)
+    scale = half_scale(frames, look)
     while score > -WAITING and 0 < low <= frames.n_old and first == low:
         # a track that reaches the oldest frame is followed into those before it
         low -= 1
@@ -91,6 +87,39 @@ def grown(
         read += collect_half(images, low, half_seed, frames.half_transforms, begin, end, piece, scale, corridors, place)
         score, first, last = _raised(frames, look, low, high, track, corridors, sums, weights)
     return Grown(score, first, last, read)
+
+
+@nb.njit(cache=True)
+def half_scale(frames: Frames, look: Look) -> tuple[float, float]:
+    """`scale` of `trail_sums.collect_half`: a line's brightest pixels are lower at half resolution."""
+    fainter = math.sqrt(2.0 * frames.psf_sigma_px**2 / (2.0 * frames.psf_sigma_px**2 + 0.25))
+    ratio = look.variance / half_line_variance(frames.psf_sigma_px, look.per_lane)
+    return fainter * ratio, fainter**2 * ratio
+
+
+@nb.njit(cache=True)
+def gathered_anew(
+    frames: Frames,
+    images: tuple[NDArray[np.uint64], ...],
+    line: NDArray[np.float64],
+    half_line: NDArray[np.float64],
+    look: Look,
+    first: int,
+    last: int,
+    track: NDArray[np.float64],
+    corridors: Corridors,
+) -> int:
+    """Gather frames first ... last about a track along another line (4,), on which `look` and the track are; the pixels read."""
+    place, read, scale = np.empty(4), 0, half_scale(frames, look)
+    for frame in range(first, last + 1):
+        begin, end = _corridor(look, frame, track)
+        if frame >= frames.n_old:
+            piece = max(1.0, look.seed_px / FINE)
+            read += collect(images, frame, line, frames.transforms, begin, end, piece, corridors, place)
+        else:
+            piece = max(2.0, look.seed_px / FINE)
+            read += collect_half(images, frame, half_line, frames.half_transforms, begin, end, piece, scale, corridors, place)
+    return read
 
 
 @nb.njit(cache=True)

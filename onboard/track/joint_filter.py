@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from onboard.track.climb import climb
 from onboard.track.corridor import MIDDLE
 from onboard.track.frames import Frames
-from onboard.track.growth import FINE, WAITING, Grown, grown, set_steps
+from onboard.track.growth import FINE, WAITING, Grown, gathered_anew, grown, set_steps
 from onboard.track.standing_light import STATIC_ERRORS, others, standing
 from onboard.track.start import Start, dearer, own_look, room_for, start_of
 from onboard.track.trail_sums import Corridors, Look, half_line_variance, look_of, trail_sums, trail_variance
@@ -26,8 +26,22 @@ SHORTER: Final = 0.4
 """More joint S/N is asked of trails shorter than `SHORT_PX`, for each halving: stars make most of what is false there, and one
 pixel more or less decides. Chosen on seeds 55000 and 55100, where 8 of 22 false tracks that came near were so short."""
 
+LONG_PX: Final = (32.0, 512.0)
+LESS: Final = 0.07
+"""Less joint S/N is asked of longer trails, for each doubling from the first to the second of `LONG_PX`. Noise has twice as many
+tracks in each octave of length. But seeds of long trails must be brighter, and hide each other, so that the search comes upon
+fewer. Of 40 false tracks of two frames in 272 whole frames with thresholds 0.45 and 0.6 lower, 7 were of 10 to 20 px, and 15,
+10, 5, 1, 2 and 0 of each octave from there (seeds 57200 to 57202, before tracks were measured on their own lines)."""
+
 NEARLY: Final = 0.5
 """A track that falls short by more is not climbed once more in the frames that show it best."""
+
+
+@nb.njit(cache=True)
+def more_asked(length_px: float) -> float:
+    """Joint S/N asked of a track beyond what its number of frames asks, by the length of its trail in an exposure."""
+    short, long = SHORT_PX / max(length_px, 1.0), min(length_px, LONG_PX[1]) / LONG_PX[0]
+    return SHORTER * math.log2(max(1.0, short)) - LESS * math.log2(max(1.0, long))
 
 
 @nb.njit(cache=True)
@@ -42,7 +56,7 @@ def follow(
     least_own: float,
     most_work: int,
     corridors: Corridors,
-) -> tuple[NDArray[np.float64], NDArray[np.float64], int, int]:
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], int, int]:
     """Tracks through seeds, in their order.
 
     images : see `grown`. halves, flat_halves : see `start_of`; the second ones transposed. seeds (m, 5) : row0, col0, row1, col1,
@@ -52,12 +66,13 @@ def follow(
 
     Returns (k, 12 + frames): number of the seed, sense, a, length, offset, tilt (px), first and last frame, joint S/N, least
     joint S/N that is left without one of the frames, chi-square of the frames against even brightness, its degrees of freedom,
-    S/N in each frame; seeds that may yet become a track when later frames have come, as climbed to, and
-    their senses, (j, 6); the pixels read; the seeds taken up.
+    S/N in each frame; the lines that these are measured on in the centre frame, (k, 4) as seeds; seeds that may yet become a
+    track when later frames have come, as climbed to, and their senses, (j, 6); the pixels read; the seeds taken up.
     """
     n_images = len(images)
     # room for every seed, of which hardly any is touched
     found, waiting = np.empty((len(seeds), 12 + n_images)), np.empty((len(seeds), 6))
+    lines, own_line, half_line = np.empty((len(seeds), 4)), np.empty(4), np.empty(4)
     n_found = n_waiting = read = taken = 0
     room, best, half_seed, track = room_for(n_images), np.empty(4), np.empty(4), np.empty(4)
     place, sums, weights = np.empty(4), np.empty(n_images), np.empty(n_images)
@@ -87,7 +102,7 @@ def follow(
             if start.away == 0:
                 continue
         read += (frames.n_frames - frames.n_old) * round(seed_px)
-        look = look_of(frames.taus, best[3], seed_px, per_lane, frames.psf_sigma_px, frames.n_old)
+        look = line_look(frames, seed, best[3])
         unit = math.sqrt(trail_variance(look.variance, look.ends, per_lane * seed_px))
         if standing(frames, images, frames.centre, seed[:4], unit, place).static > static_limit:
             continue
@@ -99,15 +114,43 @@ def follow(
         if may_grow:
             _segment(seed, track, 0.0, seed_px, waiting[n_waiting])
             waiting[n_waiting, 4], waiting[n_waiting, 5] = 0.0, look.sense  # it was judged, and needs no S/N
-        if run.margin >= -NEARLY:
+        if run.margin >= min(0.0, more_asked(track[1])) - NEARLY:
+            sense = along_own_line(seed, look, track, own_line)
+            own = line_look(frames, own_line, sense)
+            half_line[:] = 0.5 * (own_line - 0.5)
+            track[0], track[1], track[2], track[3] = 0.0, own.seed_px, 0.0, 0.0
+            read += gathered_anew(frames, images, own_line, half_line, own, run.first, run.last, track, corridors)
             found[n_found] = 0.0
-            if judged(frames, images, seed, look, run, track, corridors, sums, weights, found[n_found]):
-                found[n_found, 0] = m
+            if judged(frames, images, own_line, own, run, track, corridors, sums, weights, found[n_found]):
+                found[n_found, 0], lines[n_found] = m, own_line
                 n_found += 1
                 continue
         if may_grow:  # it waits until it is found
             n_waiting += 1
-    return found[:n_found].copy(), waiting[:n_waiting].copy(), read, taken
+    return found[:n_found].copy(), lines[:n_found].copy(), waiting[:n_waiting].copy(), read, taken
+
+
+@nb.njit(cache=True)
+def along_own_line(seed: NDArray[np.float64], look: Look, track: NDArray[np.float64], line: NDArray[np.float64]) -> float:
+    """Ends of a track's trail in the seed's frame, into line, by growing place along its major axis; the sense of motion on it.
+
+    Away from its seed's line, a tilted track's pixels are taken from lane to lane, up to a pixel beside those that its own line
+    takes. Climbs make use of that: noise has S/N on such steps that it has on no straight line.
+    """
+    _segment(seed, track, 0.0, look.seed_px, line)
+    d_row, d_col = line[2] - line[0], line[3] - line[1]
+    if (d_row if abs(d_row) >= abs(d_col) else d_col) >= 0.0:
+        return look.sense
+    line[0], line[1], line[2], line[3] = line[2], line[3], line[0], line[1]
+    return -look.sense
+
+
+@nb.njit(cache=True)
+def line_look(frames: Frames, line: NDArray[np.float64], sense: float) -> Look:
+    """The look at a line (4,) of the centre frame at full resolution."""
+    d_row, d_col = abs(line[2] - line[0]), abs(line[3] - line[1])
+    length = max(math.hypot(d_row, d_col), 1.0)
+    return look_of(frames.taus, sense, length, max(d_row, d_col) / length, frames.psf_sigma_px, frames.n_old)
 
 
 @nb.njit(cache=True)
@@ -131,7 +174,7 @@ def judged(
     first, last = run.first, run.last
     set_steps(steps, look, first, last, FINE, 0.3)
     snr = climb(corridors, look, first, last, track, steps, 3, trial)
-    asked = frames.threshold[last - first + 1] + SHORTER * max(0.0, math.log2(SHORT_PX / max(track[1], 1.0)))
+    asked = frames.threshold[last - first + 1] + more_asked(track[1])
     if snr < asked:
         return False
     total = weight = 0.0

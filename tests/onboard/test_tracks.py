@@ -27,7 +27,9 @@ from onboard.stars.matched import MatchedStars
 from onboard.track.false_alarms import half_point_sigma, independent_tracks, threshold_sigma
 from onboard.track.joint import JointTracker, KeptSearch
 from onboard.track.none import NoTracker
+from onboard.track.packed import STEP
 from onboard.track.particles import HIT_CODE, without_hits
+from onboard.track.trail_sums import path_variance, trail_variance
 from sboc_e2e.exams.detector import NOISE_E, SHAPE, chain_with, frame_of, star_light
 from sboc_e2e.exams.trails import trail
 from sboc_e2e.faults import FaultOptions
@@ -81,6 +83,55 @@ def test_tracks_that_no_frame_shows_are_found_in_both_senses_and_noise_gives_one
     assert false <= 1
     assert sum(found_of) >= 5
     assert senses == {True, False}
+
+
+def test_long_trails_are_found_below_the_threshold_of_their_number_of_frames_and_short_ones_are_not() -> None:
+    """S/N 5.2 in each of two frames: 7.4 together, which is asked, give or take the noise."""
+    tracker, found = PieceTracker(), list[tuple[float, float]]()
+    asked = float(tracker.thresholds((512, 512), 1.25, 0.849)[2])
+    for cube in (6, 10):
+        rng = np.random.default_rng((77, cube))
+        truth = [t for length in (200.0, 200.0, 30.0, 30.0) if (t := random_track(512, length, 2, 4, 5.2, rng)) is not None]
+        tracks, _, _ = run_cube(tracker, truth, 512, 7, rng)
+        found += [(t.members[0].detection.length_px, t.snr) for t in tracks if max(hit(t, one) for one in truth) >= 0.5]
+    assert sum(px > 100.0 and snr < asked for px, snr in found) == 2
+    assert min(snr for px, snr in found if px < 40.0) > asked
+
+
+@dataclass(frozen=True, kw_only=True)
+class Eager(PieceTracker):
+    """Takes much of the noise for tracks."""
+
+    def thresholds(self, *given: Any) -> NDArray[np.float64]:
+        return super().thresholds(*given) - 1.5
+
+
+def on_its_lines(track: Track, searched: list[Searched]) -> float:
+    """Joint S/N of a track in the pixels nearest to the lines between its published ends."""
+    total = pixels = 0.0
+    for member in track.members:
+        d = member.detection
+        steep = abs(d.row1 - d.row0) >= abs(d.col1 - d.col0)
+        ends = np.array([[d.row0, d.col0], [d.row1, d.col1]])[:, :: 1 if steep else -1]
+        (major0, minor0), (major1, minor1) = ends[np.argsort(ends[:, 0])]
+        major = np.arange(math.ceil(major0), math.floor(major1) + 1)
+        minor = np.rint(minor0 + (major - major0) * (minor1 - minor0) / (major1 - major0)).astype(np.intp)
+        light = searched[member.frame].smooth[(major, minor) if steep else (minor, major)]
+        total += float(light.sum()) / STEP
+        pixels += len(light)
+        variance = path_variance(0.849, (major1 - major0) / d.length_px)
+    return total / math.sqrt(trail_variance(*variance, pixels / len(track.members)) * pixels)
+
+
+def test_tracks_have_their_snr_on_straight_lines() -> None:
+    """Noise has S/N on paths that step from line to line; those that were measured so lost 0.9 on their own lines."""
+    lost = []
+    for cube in range(6):
+        searched: list[Searched] = []
+        tracks, _, _ = run_cube(Eager(), [], 512, 8, np.random.default_rng((78, cube)), left=searched)
+        lost += [track.snr - on_its_lines(track, searched) for track in tracks]
+    assert len(lost) > 10
+    assert np.mean(lost) < 0.4
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -26,7 +26,7 @@ SHORTER: Final = 0.4
 """More joint S/N is asked of trails shorter than `SHORT_PX`, for each halving: stars make most of what is false there, and one
 pixel more or less decides. Chosen on seeds 55000 and 55100, where 8 of 22 false tracks that came near were so short."""
 
-LONG_PX: Final = (32.0, 512.0)
+LONG_PX: Final = (32.0, 512.0)  # lengths between which ever less is asked
 LESS: Final = 0.07
 """Less joint S/N is asked of longer trails, for each doubling from the first to the second of `LONG_PX`. Noise has twice as many
 tracks in each octave of length. But seeds of long trails must be brighter, and hide each other, so that the search comes upon

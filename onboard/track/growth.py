@@ -60,16 +60,14 @@ def grown(
     images : as `packed.packed`, old ones at half resolution. half_seed : see `start.own_look`. sums, weights (frames,) : work
     space.
     """
-    place, read, seed_px = np.empty(4), 0, look.seed_px
+    place, read, scale = np.empty(4), 0, half_scale(frames, look)
     low = high = first = last = frames.centre
     score = -1e9
     for reach_frames in range(away, len(images)):
         _, low, high = span_of(frames, reach_frames)
         for frame in range(low, high + 1):
             # what was gathered for nearer frames is gathered again, finer, about the place as it is known now
-            begin, end = _corridor(look, frame, track)
-            piece = max(1.0, seed_px / FINE)
-            read += collect(images, frame, seed, frames.transforms, begin, end, piece, corridors, place)
+            read += gathered(frames, images, frame, seed, half_seed, look, track, scale, corridors, place)
         score, first, last = _raised(frames, look, low, high, track, corridors, sums, weights)
         # noise may end a faint track's best run early; its frames together tell whether there is light in more of them
         ended = last < high and first > low
@@ -78,13 +76,10 @@ def grown(
             break
         if low == frames.n_old and high == frames.n_frames - 1:
             break
-    scale = half_scale(frames, look)
     while score > -WAITING and 0 < low <= frames.n_old and first == low:
         # a track that reaches the oldest frame is followed into those before it
         low -= 1
-        begin, end = _corridor(look, low, track)
-        piece = max(2.0, seed_px / FINE)
-        read += collect_half(images, low, half_seed, frames.half_transforms, begin, end, piece, scale, corridors, place)
+        read += gathered(frames, images, low, seed, half_seed, look, track, scale, corridors, place)
         score, first, last = _raised(frames, look, low, high, track, corridors, sums, weights)
     return Grown(score, first, last, read)
 
@@ -98,28 +93,27 @@ def half_scale(frames: Frames, look: Look) -> tuple[float, float]:
 
 
 @nb.njit(cache=True)
-def gathered_anew(
+def gathered(
     frames: Frames,
     images: tuple[NDArray[np.uint64], ...],
+    frame: int,
     line: NDArray[np.float64],
     half_line: NDArray[np.float64],
     look: Look,
-    first: int,
-    last: int,
     track: NDArray[np.float64],
+    scale: tuple[float, float],
     corridors: Corridors,
+    place: NDArray[np.float64],
 ) -> int:
-    """Gather frames first ... last about a track along another line (4,), on which `look` and the track are; the pixels read."""
-    place, read, scale = np.empty(4), 0, half_scale(frames, look)
-    for frame in range(first, last + 1):
-        begin, end = _corridor(look, frame, track)
-        if frame >= frames.n_old:
-            piece = max(1.0, look.seed_px / FINE)
-            read += collect(images, frame, line, frames.transforms, begin, end, piece, corridors, place)
-        else:
-            piece = max(2.0, look.seed_px / FINE)
-            read += collect_half(images, frame, half_line, frames.half_transforms, begin, end, piece, scale, corridors, place)
-    return read
+    """Gather a frame, old ones at half resolution, about a track's trail on a line (4,) of the centre frame; the pixels read.
+
+    scale : see `half_scale`. place (4,) : work space.
+    """
+    begin, end = _corridor(look, frame, track)
+    piece = look.seed_px / FINE
+    if frame >= frames.n_old:
+        return collect(images, frame, line, frames.transforms, begin, end, max(1.0, piece), corridors, place)
+    return collect_half(images, frame, half_line, frames.half_transforms, begin, end, max(2.0, piece), scale, corridors, place)
 
 
 @nb.njit(cache=True)

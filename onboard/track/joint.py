@@ -295,7 +295,7 @@ class JointTracker:
             trail_sums.work_space(OLDER + self.window),
         )
         tracks: list[Track] = []
-        best_first = np.argsort(-table[:, 8], kind="stable")
+        best_first = np.argsort(-table[:, 7], kind="stable")
         for row, line in zip(table[best_first], lines[best_first], strict=True):
             if not plausible(row):
                 continue
@@ -362,7 +362,7 @@ def exposures_from(window: tuple[KeptSearch, ...], centre: int, transforms: NDAr
 
 def plausible(row: NDArray[np.float64]) -> bool:
     """Whether a row of `joint_filter.follow` is lit in all its frames, about evenly."""
-    snr, least, chi2, free = row[8:12]
+    snr, least, chi2, free = row[7:11]
     return bool(least > LEAST_REST and chi2 < free + UNEVEN + (UNEVEN_SHARE * snr) ** 2)
 
 
@@ -376,7 +376,7 @@ def stands(
     psf_sigma_px: float,
 ) -> bool:
     """Whether a track reaches what is asked of it in light that no frame's own trails and no stars explain. See `track_of`."""
-    first, last = int(row[6]), int(row[7])
+    first, last = int(row[5]), int(row[6])
     of = {member.frame: member.detection for member in track.members}
     removed = [frame.removed for frame in window]
     members = []
@@ -384,9 +384,9 @@ def stands(
         if k >= n_old and frame.header.frame in of:
             d = of[frame.header.frame]
             stars = left_in(np.array([[d.row0, d.col0], [d.row1, d.col1]]), k, removed, transforms, psf_sigma_px)
-            members.append(LitMember(d, float(row[12 + k]), frame.image, frame.trails, stars))
-    own = own_light(members, row[12 + first : 12 + max(first, n_old)], psf_sigma_px)
-    return own is None or (own.snr >= asked[last - first + 1] + joint_filter.more_asked(row[3]) and own.least > LEAST_REST)
+            members.append(LitMember(d, float(row[11 + k]), frame.image, frame.trails, stars))
+    own = own_light(members, row[11 + first : 11 + max(first, n_old)], psf_sigma_px)
+    return own is None or (own.snr >= asked[last - first + 1] + joint_filter.more_asked(row[2]) and own.least > LEAST_REST)
 
 
 def track_of(
@@ -401,7 +401,7 @@ def track_of(
 
     The first n_old frames of the window are those whose pixels are no longer kept: no members lie in them.
     """
-    _, sense, start, length, offset, tilt, first, last, snr = row[:9]
+    sense, start, length, offset, tilt, first, last, snr = row[:8]
     line_px = math.hypot(line[2] - line[0], line[3] - line[1])
     u = (line[2:4] - line[0:2]) / line_px
     # lanes lie side by side along the minor axis, max(|u|) px across the line for each px of it
@@ -419,7 +419,7 @@ def track_of(
                 TrackMember(
                     frame=window[k].header.frame,
                     detection=Detection(
-                        row0=row0, col0=col0, row1=row1, col1=col1, snr=max(float(row[12 + k]), 0.0), flags=flags
+                        row0=row0, col0=col0, row1=row1, col1=col1, snr=max(float(row[11 + k]), 0.0), flags=flags
                     ),
                 )
             )

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from onboard.track.climb import climb
 from onboard.track.corridor import MIDDLE
 from onboard.track.frames import Frames
-from onboard.track.growth import FINE, WAITING, Grown, gathered_anew, grown, set_steps
+from onboard.track.growth import FINE, WAITING, Grown, gathered, grown, half_scale, set_steps
 from onboard.track.standing_light import STATIC_ERRORS, others, standing
 from onboard.track.start import Start, dearer, own_look, room_for, start_of
 from onboard.track.trail_sums import Corridors, Look, half_line_variance, look_of, trail_sums, trail_variance
@@ -64,15 +64,15 @@ def follow(
     see `start_of`. least_own : S/N that short seeds must show at half resolution in their own frame. most_work : pixels read
     after which no further seed is taken up.
 
-    Returns (k, 12 + frames): number of the seed, sense, a, length, offset, tilt (px), first and last frame, joint S/N, least
-    joint S/N that is left without one of the frames, chi-square of the frames against even brightness, its degrees of freedom,
-    S/N in each frame; the lines that these are measured on in the centre frame, (k, 4) as seeds; seeds that may yet become a
-    track when later frames have come, as climbed to, and their senses, (j, 6); the pixels read; the seeds taken up.
+    Returns (k, 11 + frames): sense, a, length, offset, tilt (px), first and last frame, joint S/N, least joint S/N that is left
+    without one of the frames, chi-square of the frames against even brightness, its degrees of freedom, S/N in each frame; the
+    lines that these are measured on in the centre frame, (k, 4) as seeds; seeds that may yet become a track when later frames
+    have come, as climbed to, and their senses, (j, 6); the pixels read; the seeds taken up.
     """
     n_images = len(images)
     # room for every seed, of which hardly any is touched
-    found, waiting = np.empty((len(seeds), 12 + n_images)), np.empty((len(seeds), 6))
-    lines, own_line, half_line = np.empty((len(seeds), 4)), np.empty(4), np.empty(4)
+    found, waiting = np.empty((len(seeds), 11 + n_images)), np.empty((len(seeds), 6))
+    lines, half_line = np.empty((len(seeds), 4)), np.empty(4)
     n_found = n_waiting = read = taken = 0
     room, best, half_seed, track = room_for(n_images), np.empty(4), np.empty(4), np.empty(4)
     place, sums, weights = np.empty(4), np.empty(n_images), np.empty(n_images)
@@ -115,14 +115,15 @@ def follow(
             _segment(seed, track, 0.0, seed_px, waiting[n_waiting])
             waiting[n_waiting, 4], waiting[n_waiting, 5] = 0.0, look.sense  # it was judged, and needs no S/N
         if run.margin >= min(0.0, more_asked(track[1])) - NEARLY:
-            sense = along_own_line(seed, look, track, own_line)
-            own = line_look(frames, own_line, sense)
+            own_line = lines[n_found]
+            own = line_look(frames, own_line, along_own_line(seed, look, track, own_line))
             half_line[:] = 0.5 * (own_line - 0.5)
             track[0], track[1], track[2], track[3] = 0.0, own.seed_px, 0.0, 0.0
-            read += gathered_anew(frames, images, own_line, half_line, own, run.first, run.last, track, corridors)
+            scale = half_scale(frames, own)
+            for frame in range(run.first, run.last + 1):
+                read += gathered(frames, images, frame, own_line, half_line, own, track, scale, corridors, place)
             found[n_found] = 0.0
             if judged(frames, images, own_line, own, run, track, corridors, sums, weights, found[n_found]):
-                found[n_found, 0], lines[n_found] = m, own_line
                 n_found += 1
                 continue
         if may_grow:  # it waits until it is found
@@ -166,7 +167,7 @@ def judged(
     weights: NDArray[np.float64],
     row: NDArray[np.float64],
 ) -> bool:
-    """Whether a track passes once it was climbed in the frames of its best run alone; row : of `follow`, from the sense on.
+    """Whether a track passes once it was climbed in the frames of its best run alone; row : of `follow`.
 
     What stands still at its places in the other frames counts against it. sums, weights (frames,) : work space.
     """
@@ -198,11 +199,11 @@ def judged(
         chi2 += (sums[frame] - expected) ** 2 / (unit * unit * max(weights[frame], 1.0))
         rest_w = weight - weights[frame]
         least = min(least, (total - sums[frame]) / (unit * math.sqrt(max(rest_w, 1.0))))
-        row[12 + frame] = sums[frame] / (unit * math.sqrt(max(weights[frame], 1.0)))
-    row[1] = look.sense
-    row[2:6] = track
-    row[6], row[7], row[8] = first, last, snr
-    row[9], row[10], row[11] = least, chi2, last - first
+        row[11 + frame] = sums[frame] / (unit * math.sqrt(max(weights[frame], 1.0)))
+    row[0] = look.sense
+    row[1:5] = track
+    row[5], row[6], row[7] = first, last, snr
+    row[8], row[9], row[10] = least, chi2, last - first
     return True
 
 

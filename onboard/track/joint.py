@@ -18,7 +18,7 @@ from onboard.track.foreign_light import LitMember, own_light
 from onboard.track.frames import Frames, halved_transforms
 from onboard.track.packed import half_of, halved, packed
 from onboard.track.particles import without_hits
-from onboard.track.removed_stars import left_in
+from onboard.track.removed_stars import by_row, left_in
 from onboard.track.same import most_alike, same_object, tells_nothing_new
 from onboard.track.start import dearer
 from onboard.track.wide_look import AWAY
@@ -82,7 +82,7 @@ class KeptSearch:
     image : `Searched.smooth` in half a byte a pixel. seeds : to 2e-4 px, for memory. halves : the image at half resolution, and
     that transposed, while the frame is next to one whose seeds are being followed. waiting (n, 6) : seeds that fell short, and
     their senses of motion. trails (n, 4) : row0, col0, row1, col1 of the frame's own detections. removed : as
-    `Searched.removed`; without what lies before the window.
+    `Searched.removed`, by growing row; without what lies before the window.
     """
 
     header: FrameHeader
@@ -157,7 +157,7 @@ class JointTracker:
             seeds=view.searched.seeds.astype(np.float32),
             transform=registration.IDENTITY if view.transform is None else view.transform,
             trails=np.array([(d.row0, d.col0, d.row1, d.col1) for d in view.detections]).reshape(-1, 4),
-            removed=view.searched.removed,
+            removed=by_row(view.searched.removed),
         )
         state = replace(state, window=(*state.window, new), psf_sigma_px=view.view.psf_sigma_px)
         state, now = self._followed(state, len(state.window) - (self.window - 1) // 2)

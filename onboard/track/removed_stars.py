@@ -5,9 +5,11 @@ track, and the other frames show nothing at its place. Each of the three false t
 lay on such stars.
 """
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
+import numba as nb
 import numpy as np
 from numpy.typing import NDArray
 
@@ -22,6 +24,11 @@ AGREE_PX: Final = 2.0
 TIMES: Final = 2  # frames that took it out: noise passes for a star at one place in 10^5. Chosen, not measured
 
 
+def by_row(stars: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """A list of stars (n, 2) row, col by growing row, so that a track's rows are found in it without reading all of it."""
+    return stars[np.argsort(stars[:, 0], kind="stable")]
+
+
 def left_in(
     line: NDArray[np.float64],
     own: int,
@@ -31,16 +38,16 @@ def left_in(
 ) -> NDArray[np.float64]:
     """Places (m, 2) row, col of the stars on a segment of frame `own` that other frames took out and this one did not.
 
-    line (2, 2) : its ends, row and col. removed : of each frame, (n, 2) row, col. transforms (frames, 2, 3) : of row, col of the
-    centre frame into each.
+    line (2, 2) : its ends, row and col. removed : of each frame, (n, 2) row, col, as `by_row` has them. transforms (frames, 2, 3) :
+    of row, col of the centre frame into each.
     """
-    back = registration.inverse(transforms[own])
+    centre = registration.apply(registration.inverse(transforms[own]), line)
+    ends = centre @ transforms[:, :, :2].transpose(0, 2, 1) + transforms[:, None, :, 2]
     places, frames = [np.zeros((0, 2))], [np.zeros(0, np.intp)]
     for k, stars in enumerate(removed):
-        ends = registration.apply(transforms[k], registration.apply(back, line))
-        near = _beside(stars, ends, ACROSS_SIGMAS * psf_sigma_px, AGREE_PX)
+        near = _beside(stars, ends[k], ACROSS_SIGMAS * psf_sigma_px, AGREE_PX)
         if len(near):
-            there = registration.apply(registration.inverse(transforms[k]), near.astype(np.float64))
+            there = registration.apply(registration.inverse(transforms[k]), near)
             places.append(registration.apply(transforms[own], there))
             frames.append(np.full(len(near), k))
     place, frame = np.concatenate(places), np.concatenate(frames)
@@ -50,12 +57,37 @@ def left_in(
     return place[(frame != own) & (elsewhere >= min(TIMES, len(removed) - 1)) & ~known_here]
 
 
-def _beside(stars: NDArray[np.uint16], ends: NDArray[np.float64], across_px: float, beyond_px: float) -> NDArray[np.uint16]:
-    """Which stars (n, 2) lie on a segment (2, 2), or so near to it."""
-    low, high = ends.min(axis=0) - across_px - beyond_px, ends.max(axis=0) + across_px + beyond_px
-    near = stars[(stars >= low).all(axis=1) & (stars <= high).all(axis=1)]
-    way = ends[1] - ends[0]
-    length = max(float(np.hypot(*way)), 1e-6)
-    away = near - ends[0]
-    along, across = away @ way / length, np.abs(away[:, 0] * way[1] - away[:, 1] * way[0]) / length
-    return near[(along > -beyond_px) & (along < length + beyond_px) & (across < across_px)]
+@nb.njit(cache=True)
+def _beside(
+    stars: NDArray[np.uint16], ends: NDArray[np.float64], across_px: float, beyond_px: float
+) -> NDArray[np.float64]:
+    """Which stars (n, 2), by growing row, lie on a segment (2, 2), or so near to it."""
+    margin = across_px + beyond_px
+    low, high = ends[:, 0].min() - margin, ends[:, 0].max() + margin
+    first = _first_from(stars, low)
+    way_row, way_col = ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1]
+    length = max(math.hypot(way_row, way_col), 1e-6)
+    near, n = np.empty((len(stars) - first, 2)), 0
+    for k in range(first, len(stars)):
+        if stars[k, 0] > high:
+            break
+        row, col = stars[k, 0] - ends[0, 0], stars[k, 1] - ends[0, 1]
+        along = (row * way_row + col * way_col) / length
+        across = abs(row * way_col - col * way_row) / length
+        if -beyond_px < along < length + beyond_px and across < across_px:
+            near[n, 0], near[n, 1] = stars[k, 0], stars[k, 1]
+            n += 1
+    return near[:n].copy()
+
+
+@nb.njit(cache=True)
+def _first_from(stars: NDArray[np.uint16], low: float) -> int:
+    """The first of the stars, by growing row, whose row is not below `low`."""
+    first, end = 0, len(stars)
+    while first < end:
+        middle = (first + end) // 2
+        if stars[middle, 0] < low:
+            first = middle + 1
+        else:
+            end = middle
+    return first

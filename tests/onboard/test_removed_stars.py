@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from onboard.track.removed_stars import left_in
+from onboard.track.removed_stars import by_row, left_in
 
 PSF_SIGMA_PX = 0.85
 LINE = np.array([[100.0, 50.0], [130.0, 90.0]])  # 50 px long, (0.6, 0.8) along
@@ -29,7 +29,7 @@ def lists(*of: tuple[int, NDArray[np.float64]]) -> list[NDArray[np.uint16]]:
     out: list[list[NDArray[np.float64]]] = [[] for _ in TRANSFORMS]
     for frame, place in of:
         out[frame].append(TRANSFORMS[frame] @ np.append(np.linalg.solve(back, np.append(place, 1.0))[:2], 1.0))
-    return [np.rint(np.array(places).reshape(-1, 2)).astype(np.uint16) for places in out]
+    return [by_row(np.rint(np.array(places).reshape(-1, 2)).astype(np.uint16)) for places in out]
 
 
 def test_a_star_that_two_other_frames_took_out_lies_on_the_trail_where_it_is_in_its_own_frame() -> None:
@@ -57,3 +57,23 @@ def test_what_is_no_such_star_is_not_named(of: tuple[tuple[int, NDArray[np.float
 def test_without_any_list_there_are_no_stars() -> None:
     """Noise without stars, or a detector that removes none."""
     assert left_in(LINE, OWN, lists(), TRANSFORMS, PSF_SIGMA_PX).shape == (0, 2)
+
+
+def test_what_lies_on_a_trail_is_found_in_long_lists_as_by_looking_at_every_star() -> None:
+    """30,000 stars a frame at one place on the sky but for 0.3 px; this frame took none of them out."""
+    rng = np.random.default_rng(4)
+    sky = rng.uniform(0.0, 1200.0, (30_000, 2))
+    back = np.vstack([TRANSFORMS[OWN], [0.0, 0.0, 1.0]])
+    centre = np.linalg.solve(back, np.column_stack([sky, np.ones(len(sky))]).T)[:2].T
+    seen = [centre @ t[:, :2].T + t[:, 2] + rng.normal(0.0, 0.3, sky.shape) for t in TRANSFORMS]
+    rounded = [np.rint(np.clip(places, 0.0, 60_000.0)) for places in seen]
+    rounded[OWN] = np.zeros((0, 2))
+    line = np.array([[300.0, 200.0], [900.0, 1000.0]])  # 1,000 px long
+    found = left_in(line, OWN, [by_row(r.astype(np.uint16)) for r in rounded], TRANSFORMS, PSF_SIGMA_PX)
+    along = (sky - line[0]) @ np.array([0.6, 0.8])
+    across = np.abs((sky - line[0]) @ np.array([-0.8, 0.6]))
+    inside = (along > 2.0) & (along < 998.0) & (across < 1.0)  # nearer than places err
+    assert inside.sum() > 30
+    nearest = np.hypot(*(sky[inside][:, None] - found).T).min(axis=0)
+    assert nearest.max() < 2.0
+    assert (np.abs((found - line[0]) @ np.array([-0.8, 0.6])) < 5.0).all()

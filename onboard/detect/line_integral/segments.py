@@ -98,8 +98,11 @@ def line_detection(row: NDArray[np.float64], shape: tuple[int, int]) -> Detectio
 
 def seed_ends(seeds: NDArray[np.float64]) -> NDArray[np.float64]:
     """Seeds of `resolve.resolve` (n, 6) as row0, col0, row1, col1, S/N (n, 5), ends by growing major coordinate."""
-    steep = seeds[:, :1] == 0.0
-    return np.column_stack([np.where(steep, seeds[:, 1:5], seeds[:, [2, 1, 4, 3]]), seeds[:, 5]])
+    out = seeds[:, 1:].copy()
+    flat = seeds[:, 0] != 0.0
+    for row, col in ((0, 1), (2, 3)):  # one column after the other: memory is dearest here
+        out[flat, row], out[flat, col] = seeds[flat, col + 1], seeds[flat, row + 1]
+    return out
 
 
 def with_blurred_ends(detection: Detection, images: WorkingImages, psf_sigma_px: float) -> Detection:

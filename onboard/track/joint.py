@@ -14,22 +14,16 @@ from numpy.typing import NDArray
 from onboard.image import registration
 from onboard.track import joint_filter, trail_sums
 from onboard.track.false_alarms import independent_tracks, threshold_sigma
-from onboard.track.foreign_light import LitMember, own_light
 from onboard.track.frames import Frames, halved_transforms
-from onboard.track.packed import half_of, halved, packed
+from onboard.track.kept_search import NO_SEEDS, NONE_REMOVED, NONE_WAIT, KeptSearch, exposures_from, from_centre
+from onboard.track.packed import half_of, packed
 from onboard.track.particles import without_hits
-from onboard.track.removed_stars import by_row, left_in
+from onboard.track.records import plausible, stands, track_of
+from onboard.track.removed_stars import by_row
 from onboard.track.same import most_alike, same_object, tells_nothing_new
 from onboard.track.start import dearer
 from onboard.track.wide_look import AWAY
-from sboc_e2e.icd.flags import StreakFlag
-from sboc_e2e.icd.frame import FrameHeader
-from sboc_e2e.icd.signals import Detection, Track, TrackerView, TrackMember
-
-NO_SEEDS: Final = np.zeros((0, 5), np.float32)  # `KeptSearch.seeds` when they have been followed
-NONE_WAIT: Final = np.zeros((0, 6))  # `KeptSearch.waiting` without seeds
-NO_TRAILS: Final = np.zeros((0, 4))  # `KeptSearch.trails` of a frame that shows none
-NONE_REMOVED: Final = np.zeros((0, 2), np.uint16)  # `KeptSearch.removed` of a frame without stars
+from sboc_e2e.icd.signals import Track, TrackerView
 
 LONGEST_PX: Final = 2000.0
 """Trails of one exposure that the false-alarm rate is reckoned for; longer seeds are not followed."""
@@ -63,45 +57,6 @@ LOOK_PER_PX: Final = 110.0
 
 BAND_PX: Final = 128.0
 """Height of a band of seeds that are looked at in turn: 64 lines of three halved images (200 kB) stay in the cache."""
-
-LEAST_REST: Final = 3.3
-"""What is left of a track without any one of its frames must reach this S/N: particles light up one frame."""
-
-UNEVEN: Final = 6.0  # noise alone exceeds it in one of 120 tracks of two frames, one of 19 of six. Chosen, not measured
-UNEVEN_SHARE: Final = 0.2
-"""Chi-square of a track's frames against even brightness may exceed its degrees of freedom by this, and by this share of the
-joint S/N squared: objects tumble."""
-
-EDGE_PX: Final = 3.0  # such a trail may continue beyond the frame, as `segments.EDGE_PX` has it
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class KeptSearch:
-    """What stays of a frame. transform : (2, 3) of the frame before into it; unused for the first.
-
-    image : `Searched.smooth` in half a byte a pixel. seeds : to 2e-4 px, for memory. halves : the image at half resolution, and
-    that transposed, while the frame is next to one whose seeds are being followed. waiting (n, 6) : seeds that fell short, and
-    their senses of motion. trails (n, 4) : row0, col0, row1, col1 of the frame's own detections. removed : as
-    `Searched.removed`, by growing row; without what lies before the window.
-    """
-
-    header: FrameHeader
-    image: NDArray[np.uint64]
-    seeds: NDArray[np.float32]
-    transform: NDArray[np.float64]
-    waiting: NDArray[np.float64] = field(default_factory=lambda: NONE_WAIT)
-    halves: tuple[NDArray[np.uint64], NDArray[np.uint64]] | None = None
-    trails: NDArray[np.float64] = field(default_factory=lambda: NO_TRAILS)
-    removed: NDArray[np.uint16] = field(default_factory=lambda: NONE_REMOVED)
-
-    @property
-    def shape(self) -> tuple[int, int]:
-        """Rows and columns of the frame."""
-        return self.header.rows, self.header.cols
-
-    def with_halves(self) -> "KeptSearch":
-        """The same with its halves."""
-        return self if self.halves is not None else replace(self, halves=halved(self.image))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -331,122 +286,3 @@ def by_place(seeds: NDArray[np.float64], most_work: int) -> NDArray[np.float64]:
     middle = 0.5 * (seeds[:, :2] + seeds[:, 2:4])
     major, minor = np.where(steep, middle.T, middle.T[::-1])
     return np.ascontiguousarray(seeds[np.lexsort((minor, major // BAND_PX, steep))])
-
-
-def from_centre(window: tuple[KeptSearch, ...], centre: int) -> NDArray[np.float64]:
-    """Transforms (n, 2, 3) of (row, col) of the centre frame into each frame of the window."""
-    out = np.empty((len(window), 2, 3))
-    out[centre] = registration.IDENTITY
-    for k in range(centre + 1, len(window)):
-        out[k] = joined(out[k - 1], window[k].transform)
-    for k in range(centre - 1, -1, -1):
-        out[k] = joined(out[k + 1], registration.inverse(window[k + 1].transform))
-    return out
-
-
-def joined(first: NDArray[np.float64], second: NDArray[np.float64]) -> NDArray[np.float64]:
-    """The (2, 3) transform that does one after the other."""
-    return np.column_stack([second[:, :2] @ first[:, :2], second[:, :2] @ first[:, 2] + second[:, 2]])
-
-
-def exposures_from(window: tuple[KeptSearch, ...], centre: int, transforms: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Start of each frame's exposure after that of the centre frame, in exposures, on the row that a star has moved to."""
-    own = window[centre].header
-    middle = np.array([[0.5 * own.rows, 0.5 * own.cols]])
-    out = np.empty(len(window))
-    for k, frame in enumerate(window):
-        shift = float(registration.apply(transforms[k], middle)[0, 0] - middle[0, 0])
-        out[k] = (frame.header.t_start_tai_ns - own.t_start_tai_ns + own.line_time_ns * shift) / max(own.exposure_ns, 1)
-    return out
-
-
-def plausible(row: NDArray[np.float64]) -> bool:
-    """Whether a row of `joint_filter.follow` is lit in all its frames, about evenly."""
-    snr, least, chi2, free = row[7:11]
-    return bool(least > LEAST_REST and chi2 < free + UNEVEN + (UNEVEN_SHARE * snr) ** 2)
-
-
-def stands(
-    track: Track,
-    row: NDArray[np.float64],
-    window: tuple[KeptSearch, ...],
-    transforms: NDArray[np.float64],
-    n_old: int,
-    asked: NDArray[np.float64],
-    psf_sigma_px: float,
-) -> bool:
-    """Whether a track reaches what is asked of it in light that no frame's own trails and no stars explain. See `track_of`."""
-    first, last = int(row[5]), int(row[6])
-    of = {member.frame: member.detection for member in track.members}
-    removed = [frame.removed for frame in window]
-    members = []
-    for k, frame in enumerate(window):
-        if k >= n_old and frame.header.frame in of:
-            d = of[frame.header.frame]
-            stars = left_in(np.array([[d.row0, d.col0], [d.row1, d.col1]]), k, removed, transforms, psf_sigma_px)
-            members.append(LitMember(d, float(row[11 + k]), frame.image, frame.trails, stars))
-    own = own_light(members, row[11 + first : 11 + max(first, n_old)], psf_sigma_px)
-    return own is None or (own.snr >= asked[last - first + 1] + joint_filter.more_asked(row[2]) and own.least > LEAST_REST)
-
-
-def track_of(
-    row: NDArray[np.float64],
-    line: NDArray[np.float64],
-    window: tuple[KeptSearch, ...],
-    transforms: NDArray[np.float64],
-    taus: NDArray[np.float64],
-    n_old: int,
-) -> Track | None:
-    """A row of `joint_filter.follow` and its line as a contract record without a number; None for fewer than two frames.
-
-    The first n_old frames of the window are those whose pixels are no longer kept: no members lie in them.
-    """
-    sense, start, length, offset, tilt, first, last, snr = row[:8]
-    line_px = math.hypot(line[2] - line[0], line[3] - line[1])
-    u = (line[2:4] - line[0:2]) / line_px
-    # lanes lie side by side along the minor axis, max(|u|) px across the line for each px of it
-    across = np.eye(2)[int(abs(u[0]) >= abs(u[1]))] / np.abs(u).max()
-    members = []
-    for k in range(max(int(first), n_old), int(last) + 1):
-        begin = start + sense * taus[k] * length
-        along = np.array([begin, begin + length] if sense > 0.0 else [begin + length, begin])
-        away = offset + tilt * (along / line_px - 0.5)
-        ends = registration.apply(transforms[k], line[0:2] + along[:, None] * u + away[:, None] * across)
-        inside = clipped(ends, window[k].shape)
-        if inside is not None:
-            (row0, col0, row1, col1), flags = inside
-            members.append(
-                TrackMember(
-                    frame=window[k].header.frame,
-                    detection=Detection(
-                        row0=row0, col0=col0, row1=row1, col1=col1, snr=max(float(row[11 + k]), 0.0), flags=flags
-                    ),
-                )
-            )
-    return Track(number=0, snr=float(snr), members=tuple(members)) if len(members) >= 2 else None
-
-
-def clipped(ends: NDArray[np.float64], shape: tuple[int, ...]) -> tuple[tuple[float, float, float, float], StreakFlag] | None:
-    """The part of a segment (2, 2) inside a frame, flagged where the edge cuts it; None when nothing is."""
-    (row0, col0), (row1, col1) = ends.tolist()
-    last_row, last_col = (n - 1.0 - EDGE_PX for n in shape)
-    if min(row0, row1, col0, col1) >= EDGE_PX and max(row0, row1) <= last_row and max(col0, col1) <= last_col:
-        return (row0, col0, row1, col1), StreakFlag(0)  # nearly all of them
-    way, limits = ends[1] - ends[0], np.array(shape) - 1.0
-    low, high = 0.0, 1.0
-    for k in range(2):
-        if abs(way[k]) < 1e-9:
-            if not 0.0 <= ends[0, k] <= limits[k]:
-                return None
-            continue
-        cuts = sorted((-ends[0, k] / way[k], (limits[k] - ends[0, k]) / way[k]))
-        low, high = max(low, cuts[0]), min(high, cuts[1])
-    if high - low < 0.1:
-        return None
-    points = ends[0] + np.array([[low], [high]]) * way
-    flags = StreakFlag(0)
-    for flag, cut, point in ((StreakFlag.EDGE0, low > 0.0, points[0]), (StreakFlag.EDGE1, high < 1.0, points[1])):
-        if cut or (point < EDGE_PX).any() or (point > limits - EDGE_PX).any():
-            flags |= flag
-    points = np.clip(points, 0.0, limits)
-    return (float(points[0, 0]), float(points[0, 1]), float(points[1, 0]), float(points[1, 1])), flags

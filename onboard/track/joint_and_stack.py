@@ -9,7 +9,9 @@ from numpy.typing import NDArray
 
 from onboard.image import registration
 from onboard.track.boxes import KINDS, blind_box, named_box
-from onboard.track.joint import JointState, JointTracker, KeptSearch, clipped
+from onboard.track.joint import JointState, JointTracker
+from onboard.track.kept_search import KeptSearch
+from onboard.track.records import clipped
 from onboard.track.same import same_object
 from onboard.track.stack import Box, SlowObject, Stack, StackState, middle_ns
 from onboard.track.static_model import static_snr

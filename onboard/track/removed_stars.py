@@ -38,8 +38,8 @@ def left_in(
 ) -> NDArray[np.float64]:
     """Places (m, 2) row, col of the stars on a segment of frame `own` that other frames took out and this one did not.
 
-    line (2, 2) : its ends, row and col. removed : of each frame, (n, 2) row, col, as `by_row` has them. transforms (frames, 2, 3) :
-    of row, col of the centre frame into each.
+    line (2, 2) : its ends, row and col. removed : of each frame, (n, 2) row, col, as `by_row` has them.
+    transforms (frames, 2, 3) : of row, col of the centre frame into each.
     """
     centre = registration.apply(registration.inverse(transforms[own]), line)
     ends = centre @ transforms[:, :, :2].transpose(0, 2, 1) + transforms[:, None, :, 2]
@@ -58,9 +58,7 @@ def left_in(
 
 
 @nb.njit(cache=True)
-def _beside(
-    stars: NDArray[np.uint16], ends: NDArray[np.float64], across_px: float, beyond_px: float
-) -> NDArray[np.float64]:
+def _beside(stars: NDArray[np.uint16], ends: NDArray[np.float64], across_px: float, beyond_px: float) -> NDArray[np.float64]:
     """Which stars (n, 2), by growing row, lie on a segment (2, 2), or so near to it."""
     margin = across_px + beyond_px
     low, high = ends[:, 0].min() - margin, ends[:, 0].max() + margin

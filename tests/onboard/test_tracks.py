@@ -25,7 +25,8 @@ from onboard.image.dark_map import DarkMap
 from onboard.options import OnboardOptions
 from onboard.stars.matched import MatchedStars
 from onboard.track.false_alarms import half_point_sigma, independent_tracks, threshold_sigma
-from onboard.track.joint import JointTracker, KeptSearch
+from onboard.track.joint import JointTracker
+from onboard.track.kept_search import KeptSearch
 from onboard.track.none import NoTracker
 from onboard.track.packed import STEP
 from onboard.track.particles import HIT_CODE, without_hits

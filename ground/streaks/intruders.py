@@ -137,7 +137,7 @@ def mask_sources(
     No seed is looked at once more than the share `most` of the pixels inside is masked: the mask only grows. Seeds far apart come
     one after the other, so that a trail that is masked all along is known from a few.
     """
-    precision, all_inside = 1.0 / variance_e2, max(np.count_nonzero(inside), 1)
+    precision, all_inside = 1.0 / variance_e2, max(int(np.count_nonzero(inside)), 1)
     masked, looked = 0, 0
     for first in range(SEED_TURNS):
         for k in range(first, seeds.size, SEED_TURNS):

@@ -13,6 +13,7 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
@@ -221,16 +222,24 @@ def blocks_of(pixels: TrailPixels, width_px: float, border_px: float, block_widt
 
 def _sky_beside(block: NDArray[np.int64], value: Array, variance: Array, number: int) -> tuple[Array, Array]:
     """Level of the sky in each block and its variance, (number,): median of the pixels beside it and its two neighbours."""
-    level, level_variance = np.zeros(number), np.zeros(number)
     order = np.argsort(block, kind="stable")
-    value, variance = value[order], variance[order]
     first = np.searchsorted(block[order], np.arange(-1, number + 2))  # first[k] : of block k - 1
+    return _running_medians(value[order], variance[order], first)
+
+
+@njit(cache=True)
+def _running_medians(value: Array, variance: Array, first: NDArray[np.int64]) -> tuple[Array, Array]:
+    """Median of value and variance of the median in each three neighbouring groups of pixels, (m - 3,); zero of too few.
+
+    first : (m,) first pixel of each group.
+    """
+    number = first.size - 3
+    level, level_variance = np.zeros(number), np.zeros(number)
     for k in range(number):
-        near = slice(first[k], first[k + 3])
-        count = near.stop - near.start
+        count = first[k + 3] - first[k]
         if count >= LEAST_BESIDE:
-            level[k] = float(np.median(value[near]))
-            level_variance[k] = MEDIAN_VARIANCE * float(np.median(variance[near])) / count
+            level[k] = np.median(value[first[k] : first[k + 3]])
+            level_variance[k] = MEDIAN_VARIANCE * np.median(variance[first[k] : first[k + 3]]) / count
     return level, level_variance
 
 

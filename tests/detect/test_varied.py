@@ -1,11 +1,15 @@
 """Facts about trails whose light varies, drawn by `tests.benchmarks.tumblers`, not by the simulator."""
 
+import math
 from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
+from hypothesis import given
+from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from onboard.detect.line_integral import varied
 from onboard.detect.line_integral.varied import trail_followed
 from sboc_e2e.icd.signals import Detection
 from tests.benchmarks.tumblers import measure, whole
@@ -62,3 +66,14 @@ def test_tumblers_come_out_as_one_trail_and_whole() -> None:
 def test_trails_of_even_light_are_followed_no_farther_than_they_go() -> None:
     for trail, found in measure(2, 4, depth=0.0):
         assert whole(found), (trail, found)
+
+
+@given(length=st.floats(8.0, 500.0), sigma=st.floats(0.5, 20.0))
+def test_light_beyond_the_ends_is_a_view_of_the_bins_that_lie_there(length: float, sigma: float) -> None:
+    """Sixteen lines beside a trail are looked at in each step; their sums are not copied bin by bin."""
+    reach = math.ceil(varied.REACH_LENGTHS * length + varied.REACH_PX)
+    along = np.arange(2 * reach + math.ceil(length) + 1, dtype=np.float64) - reach
+    after, before = varied._beyond(along.size, reach, length, sigma)
+    np.testing.assert_array_equal(along[after], along[along > length + varied.BEYOND_SIGMAS * sigma])
+    np.testing.assert_array_equal(along[before], along[along < -varied.BEYOND_SIGMAS * sigma])
+    assert along[after].base is along

@@ -9,7 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from scipy.special import erf, ndtr
 
-from ground.streaks.fading import Blocks, _best_step, blocks_of, with_fading_ends
+from ground.streaks.fading import LEAST_BESIDE, MEDIAN_VARIANCE, Blocks, _best_step, _running_medians, blocks_of, with_fading_ends
 from ground.streaks.fitter import TrailedPsfFitter
 from ground.streaks.trail_frame import TrailFrame
 from ground.streaks.trail_pixels import usable_pixels
@@ -212,3 +212,17 @@ def test_a_line_of_five_thousand_blocks_needs_memory_for_its_stops_alone() -> No
     most = tracemalloc.get_traced_memory()[1]
     tracemalloc.stop()
     assert most < 100e6
+
+
+def test_the_sky_beside_a_block_is_the_median_of_three_groups_and_nothing_where_they_are_few() -> None:
+    rng = np.random.default_rng(8)
+    first = np.concatenate(([0], np.cumsum(rng.integers(0, 15, 60))))
+    value, variance = rng.normal(size=first[-1]), rng.uniform(1.0, 2.0, first[-1])
+    level, level_variance = _running_medians(value, variance, first)
+    for k in range(first.size - 3):
+        near = slice(first[k], first[k + 3])
+        if (count := near.stop - near.start) < LEAST_BESIDE:
+            assert (level[k], level_variance[k]) == (0.0, 0.0)
+        else:
+            assert level[k] == np.median(value[near])
+            assert level_variance[k] == MEDIAN_VARIANCE * np.median(variance[near]) / count

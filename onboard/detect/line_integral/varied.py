@@ -150,10 +150,10 @@ def _most_beside(detection: Detection, images: WorkingImages, reach: int, psf_si
     return float(found[0, -1 - MOST_BRIGHTER]), float(found[1, -1 - MOST_BRIGHTER])
 
 
-def _beyond(n: int, reach: int, length_px: float, psf_sigma_px: float) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Which of the n bins of `light_along` lie beyond end 1, and which before end 0."""
-    along = np.arange(n, dtype=np.float64) - reach
-    return along > length_px + BEYOND_SIGMAS * psf_sigma_px, along < -BEYOND_SIGMAS * psf_sigma_px
+def _beyond(n: int, reach: int, length_px: float, psf_sigma_px: float) -> tuple[slice, slice]:
+    """Which of the n bins of `light_along` lie beyond end 1, and which before end 0: views of the sums, not copies."""
+    first = math.floor(length_px + BEYOND_SIGMAS * psf_sigma_px) + 1 + reach
+    return slice(first, n), slice(0, max(math.ceil(-BEYOND_SIGMAS * psf_sigma_px) + reach, 0))
 
 
 def _snr_to(signal: NDArray[np.float64], power: NDArray[np.float64]) -> NDArray[np.float64]:

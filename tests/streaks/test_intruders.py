@@ -1,0 +1,59 @@
+"""Light of other sources on a trail: which pixels are masked, and how many seeds are looked at for it."""
+
+import math
+
+import numpy as np
+from numpy.typing import NDArray
+
+from ground.streaks.intruders import CLEAN_SIGMAS, MOST_MASKED, mask_sources
+
+WIDTH_PX, LENGTH_PX, REACH_PX = 1.3, 300, 12
+Array = NDArray[np.float64]
+
+
+def pixels() -> tuple[Array, Array, NDArray[np.bool_]]:
+    """Places along and across of the pixels about a line, by ascending u, and which of them lie on the trail."""
+    u, v = (part.ravel().astype(np.float64) for part in np.mgrid[:LENGTH_PX, -REACH_PX : REACH_PX + 1])
+    return u, v, np.abs(v) < 1.5 * WIDTH_PX
+
+
+def masked(residual_e: Array, most: float) -> tuple[NDArray[np.bool_], float, int, int]:
+    """Mask, share of the trail masked, seeds looked at and seeds, of residuals in units of the noise."""
+    u, v, inside = pixels()
+    seeds = np.flatnonzero(residual_e > 1.5)
+    mask = np.zeros(u.size, dtype=np.bool_)
+    noise = np.ones(u.size)
+    share, looked = mask_sources(mask, seeds, np.full(seeds.size, 4.2), u, v, residual_e, noise, WIDTH_PX, inside, most)
+    return mask, share, looked, seeds.size
+
+
+def test_a_trail_that_is_masked_all_along_is_known_from_a_tenth_of_its_seeds() -> None:
+    """The time of nebulae and crowded fields, where every pixel is a seed, went into seeds whose masks were thrown away."""
+    u, _, inside = pixels()
+    mask, share, looked, seeds = masked(np.full(u.size, 20.0), MOST_MASKED)
+    assert seeds == u.size
+    assert looked < 0.1 * seeds
+    assert share > MOST_MASKED
+    assert share == float(mask[inside].mean())
+
+
+def test_each_source_is_masked_to_where_it_falls_below_the_noise() -> None:
+    """As disc by disc about every seed whose matched-filter S/N is above what is needed."""
+    u, v, inside = pixels()
+    rng = np.random.default_rng(5)
+    residual = rng.normal(size=u.size)
+    for place, offset, light in ((40.0, 1.0, 12.0), (120.0, -6.0, 40.0), (121.5, 3.0, 9.0), (280.0, 0.0, 200.0)):
+        residual += light * np.exp(-0.5 * ((u - place) ** 2 + (v - offset) ** 2) / WIDTH_PX**2)
+    expected = np.zeros(u.size, dtype=np.bool_)
+    for i in np.flatnonzero(residual > 1.5):
+        r2 = (u - u[i]) ** 2 + (v - v[i]) ** 2
+        weight = np.where(r2 < (3.0 * WIDTH_PX) ** 2, np.exp(-0.5 * r2 / WIDTH_PX**2), 0.0)
+        snr = float(weight @ residual) / math.sqrt(float(weight @ weight))
+        if snr > 4.2:
+            peak = snr / (math.sqrt(math.pi) * WIDTH_PX)
+            expected |= r2 < 2.0 * WIDTH_PX**2 * math.log(max(peak / CLEAN_SIGMAS, 2.0))
+    mask, share, looked, seeds = masked(residual, 1.0)
+    assert looked == seeds
+    assert expected.any()
+    np.testing.assert_array_equal(mask, expected)
+    assert share == float(expected[inside].mean())

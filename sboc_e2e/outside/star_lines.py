@@ -6,7 +6,7 @@ among detections and among fits (`ground.vetting.look_alikes`).
 """
 
 from collections.abc import Sequence
-from typing import Final, Protocol
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from ground.vetting.star_trails import APART_PX, APART_SHARE
 from onboard.stars.star_motion import common_motion
 from sboc_e2e.icd.flags import StreakFlag
-from sboc_e2e.icd.signals import StarMotion
+from sboc_e2e.icd.products import StreakFit
+from sboc_e2e.icd.signals import Detection, StarMotion
 
 FEWEST_STARS: Final = 8
 """Lanes of lines that share a motion from which on they are stars: a formation of objects has fewer. Chosen, not measured."""
@@ -23,25 +24,8 @@ NOT_WHOLE: Final = StreakFlag.POINT_LIKE | StreakFlag.EDGE0 | StreakFlag.EDGE1 |
 """Points, lines that a border cuts, and fits that say nothing."""
 
 
-class Line(Protocol):
-    """A detection or a fit: from (row0, col0) to (row1, col1), px."""
-
-    @property
-    def row0(self) -> float: ...
-    @property
-    def col0(self) -> float: ...
-    @property
-    def row1(self) -> float: ...
-    @property
-    def col1(self) -> float: ...
-    @property
-    def snr(self) -> float: ...
-    @property
-    def flags(self) -> StreakFlag: ...
-
-
-def stars_as_lines(found: Sequence[Line], shape: tuple[int, ...]) -> StarMotion | None:
-    """The motion that the stars share where they are lines; None where the lines share none.
+def stars_as_lines(found: Sequence[Detection] | Sequence[StreakFit], shape: tuple[int, ...]) -> StarMotion | None:
+    """The motion that the stars share where they are lines, detections or fits; None where the lines share none.
 
     Lines that share a motion and follow each other are a train of satellites, and one lane. Stars lie all over the frame.
     """

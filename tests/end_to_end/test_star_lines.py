@@ -1,4 +1,4 @@
-"""Stars that are lines: told from trains of satellites, and found among the fits where the detections of a dense field run together."""
+"""Stars that are lines: told from trains of satellites, and found among fits where detections of a dense field run together."""
 
 from functools import partial
 from typing import Any
@@ -12,9 +12,10 @@ from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.outside.star_lines import lanes_of, stars_as_lines
 
 SHAPE = (500, 300)
+NONE = StreakFlag(0)
 
 
-def line(row: float, col: float, vector: tuple[float, float], snr: float, flags: StreakFlag = StreakFlag(0)) -> Any:
+def line(row: float, col: float, vector: tuple[float, float], snr: float, flags: StreakFlag = NONE) -> Any:
     """A detection or fit about its middle."""
     half_row, half_col = 0.5 * vector[0], 0.5 * vector[1]
     ends = {"row0": row - half_row, "col0": col - half_col, "row1": row + half_row, "col1": col + half_col}
@@ -22,7 +23,7 @@ def line(row: float, col: float, vector: tuple[float, float], snr: float, flags:
 
 
 def film(n: int, seed: int) -> list[Any]:
-    """Trails of a film camera: a shift of (30, 12) px and a turn of 0.02 rad, ends to 0.5 px, all flagged as sharp as particles."""
+    """Trails on film: a shift of (30, 12) px and a turn of 0.02 rad, ends to 0.5 px, all flagged as sharp as particles."""
     rng = np.random.default_rng(seed)
     lines = []
     for row, col in zip(rng.uniform(30.0, 470.0, n), rng.uniform(30.0, 270.0, n), strict=True):

@@ -92,7 +92,12 @@ def fit_trail(pixels: StreakPixels, detection: Detection) -> StreakFit:
     line, coarse = found
     if coarse.length_px < OVERLAP_WIDTHS * width and not any(coarse.edges):
         return _short_trail(pixels, detection, line, crosses)
-    line = _refined(line, coarse)
+    try:
+        return _long_trail(pixels, detection, _refined(line, coarse), coarse.edges, crosses)
+    except NoTrailError as error:
+        if error.reason is not Reason.IRREGULAR:
+            raise
+    # a shape that fades to nothing leaves its end open, and grows beyond all bounds where another light lies there
     return _long_trail(pixels, detection, line, coarse.edges, crosses)
 
 

@@ -224,6 +224,7 @@ class LikelihoodVetter:
         ln_psf_error = math.hypot(ln_psf_error, PLACE_LN_PSF)
         model_error = max(self.model_error, PSF_SHAPE_ERROR)
         readout = odds_of_readout(fits)
+        hot = np.ones(len(fits), dtype=np.bool_)
         light = _light(fits, readout)
         sharpest = _sharpest_px(fits, light) if self.model_error > 0.0 else math.inf
         widths = [fit.psf_sigma_px if math.isfinite(fit.psf_sigma_px) and not unknown else psf_sigma_px for fit in fits]
@@ -236,6 +237,8 @@ class LikelihoodVetter:
         if self.model_error > 0.0:
             # on board a full trail is a row of full stars, which it aims at; here `spikes` asks for a star that outshines it
             exact = readout >= LEAST_READOUT_ODDS
+            # one that drifts across rows and columns is no hot line, however narrow and uneven it is
+            hot = exact
             features = [
                 replace(each, spike=False, aligned=each.aligned and bool(on)) for each, on in zip(features, exact, strict=True)
             ]
@@ -243,7 +246,7 @@ class LikelihoodVetter:
             brightest = LN_BRIGHTEST_SNR_UNKNOWN if unknown else LN_BRIGHTEST_SNR
             features = [replace(each, ln_snr=min(each.ln_snr, brightest)) for each in features]
         area = frame.header.rows * frame.header.cols / NOISE_FRAME_PX if self.model_error > 0.0 else 1.0
-        log_odds = self.log_odds(features, area=area)
+        log_odds = self.log_odds(features, area=area, hot=hot)
         probability = 1.0 / (1.0 + np.exp(-(offset + slope * log_odds)))
         if self.model_error > 0.0:
             probability = probability / (1.0 + probability * readout)
@@ -283,13 +286,17 @@ class LikelihoodVetter:
             RECURRING: (RECURRING_PER_FRAME, 1.0),
         }
 
-    def log_odds(self, features: Sequence[Features], *, area: float = 1.0) -> NDArray[np.float64]:
+    def log_odds(
+        self, features: Sequence[Features], *, area: float = 1.0, hot: NDArray[np.bool_] | None = None
+    ) -> NDArray[np.float64]:
         """ln P(real) / P(not real), shape (n,), of the detections of one frame, features taken as independent.
 
-        area : as for `class_rates`.
+        area : as for `class_rates`. hot : (n,) which of them may be a hot line, one that follows a row or column; None: all.
         """
         densities, classes = class_densities(), self.class_rates(area=area)
         log_density = np.array([[densities[name].log_density(name, f) for name in classes] for f in features])
+        if hot is not None:
+            log_density[~hot, list(classes).index("hot_line")] = -math.inf
         rate, worth = (np.array(column) for column in zip(*classes.values(), strict=True))
         real = np.array([name == REAL for name in classes])
         share = posterior_of_classes(log_density, rate, worth)

@@ -6,7 +6,7 @@ short trails either.
 """
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -143,7 +143,8 @@ class OwnEvidence:
     weight : (k,) how many false lines each of them stands for; None: one.
     alone : it was held against no other frame of the same sky, so that stars are not told from what moves.
     seen : first and last row, first and last column in which a pixel saw the sky; None: all of them.
-    stars : motion of the stars during the exposure, where the lines of the frame share one; None: they do not.
+    stars : motion of the stars during the exposure, where the detections of the frame share one; None: they do not.
+    shared : finds it among the fits where it is not among the detections; None: nothing does.
     sky : a map of the sky, slopes and edges included; None: there is none.
     field : the listed stars and the counts around short lines; None: rows of stars are not judged.
     bright : the listed stars with their places; None: spikes are not judged.
@@ -157,12 +158,17 @@ class OwnEvidence:
     alone: bool = False
     seen: tuple[int, int, int, int] | None = None
     stars: StarMotion | None = None
+    shared: Callable[[Sequence[StreakFit]], StarMotion | None] | None = None
     sky: SkyMap | None = None
     field: StarField | None = None
     bright: BrightStars | None = None
     circle: ImageCircle | None = None
     tiles: Tiles | None = None
     short_axis_px: float | None = None
+
+    def stars_among(self, fits: Sequence[StreakFit]) -> StarMotion | None:
+        """Motion of the stars where they are lines. In a dense field detections of several run together, and fits part them."""
+        return self.shared(fits) if self.stars is None and self.shared is not None else self.stars
 
     def refuses(self, fit: StreakFit, frame: DownlinkFrame) -> bool:
         """Whether a fit may be a point, a slope or an edge, runs along a rim, bends too much, or lies where no pixel saw."""
@@ -213,13 +219,14 @@ class LookAlikeVetter:
             against = against + np.array([known.field.against(fit, gain) for fit in fits])
         if known.bright is not None:
             against = against + np.array([known.bright.against(fit) for fit in fits])
-        if known.stars is not None:
-            against = against + against_chains(known.stars, fits)
+        stars = known.stars_among(fits)
+        if stars is not None:
+            against = against + against_chains(stars, fits)
         borders = np.array([0.0 if known.seen is None else against_border(fit, known.seen) for fit in fits])
         odds_against = (1.0 - probability) / np.maximum(probability, LEAST) + against + borders
         refused = np.array([known.refuses(fit, frame) for fit in fits])
-        if known.stars is not None:
-            refused |= move_as(known.stars, fits)
+        if stars is not None:
+            refused |= move_as(stars, fits)
         if known.tiles is not None:
             area_px2 = float(frame.header.rows * frame.header.cols)
             trails = [fit for fit, no in zip(fits, refused, strict=True) if not no]

@@ -8,6 +8,7 @@ method of Elias and Gygi 2007, doi:10.1038/nmeth1019). What is bright alone, suc
 import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any, Final
 
 import numpy as np
@@ -19,7 +20,6 @@ from ground.vetting.readout import is_of_readout
 from ground.vetting.sides import SkyMap
 from ground.vetting.spikes import BrightStars
 from ground.vetting.star_rows import FWHM_PER_SIGMA, LONGEST_PX, MARGIN_PX, MOST_PIXELS, Crop, StarField
-from ground.vetting.star_trails import APART_PX, APART_SHARE
 from onboard.chain import OnboardChain
 from onboard.detect.line_integral.detector import LineIntegralDetector
 from onboard.detect.line_integral.star_removal import TILE_PX
@@ -28,16 +28,16 @@ from onboard.detect.whiten import unusable
 from onboard.image.registration import IDENTITY
 from onboard.latency import REACH_PX
 from onboard.options import OnboardOptions
-from onboard.stars.star_motion import common_motion
 from onboard.state import OnboardResult, OnboardState, OnboardSteps, Prepared
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import NominalCamera
 from sboc_e2e.icd.results import check_detections
-from sboc_e2e.icd.signals import Detection, DetectorView, StarMotion
+from sboc_e2e.icd.signals import Detection, DetectorView
 from sboc_e2e.icd.steps import Detector
 from sboc_e2e.outside import beside
 from sboc_e2e.outside.limits import work_meter
 from sboc_e2e.outside.short_axis import short_axis_px
+from sboc_e2e.outside.star_lines import stars_as_lines
 
 IN_WHITE_NOISE: Final = 1.0 / 3.0
 """False lines for each dark one that stands out of white noise, but not of the lines beside it. The threshold of the frame itself
@@ -65,11 +65,6 @@ PROFILE_PX: Final = 32
 
 CORE_PX: Final = 2
 """Pixels within it of a line hold its light."""
-
-FEWEST_STARS: Final = 8
-"""Lines that share a motion from which on they are stars: a formation of objects has fewer. Chosen, not measured."""
-SPREAD_LENGTHS: Final = 0.5
-"""They lie about a line of their own by more than so many of their lengths (rms). Chosen, not measured."""
 
 NO_LINE: Final = StreakFlag.POINT_LIKE | StreakFlag.COSMIC_LIKE
 
@@ -225,30 +220,6 @@ def _shadow(dark: Detection, of: Detection) -> bool:
     return True
 
 
-def stars_as_lines(found: Sequence[Detection], shape: tuple[int, ...]) -> StarMotion | None:
-    """The motion that the stars share where they are lines too long for the star list; None where the lines share none.
-
-    Lines that share a motion and lie in a row are a train of satellites, not the sky.
-    """
-    lines = [d for d in found if not d.flags & (NO_LINE | StreakFlag.EDGE0 | StreakFlag.EDGE1)]
-    lines.sort(key=lambda d: -d.snr)
-    if len(lines) < FEWEST_STARS:
-        return None
-    ends = np.array([(d.row0, d.col0, d.row1, d.col1) for d in lines])
-    places, vectors = 0.5 * (ends[:, :2] + ends[:, 2:]), ends[:, 2:] - ends[:, :2]
-    motion = common_motion(places, vectors, (0.5 * (shape[0] - 1), 0.5 * (shape[1] - 1)))
-    if motion is None:
-        return None
-    wanted = np.stack(motion.at(places[:, 0], places[:, 1]), axis=1)
-    length = np.hypot(*wanted.T)
-    apart = np.minimum(np.hypot(*(vectors - wanted).T), np.hypot(*(vectors + wanted).T))
-    agree = places[apart < APART_PX + APART_SHARE * length]
-    if len(agree) < FEWEST_STARS:
-        return None
-    spread = np.linalg.svd(agree - agree.mean(axis=0), compute_uv=False)[-1] / math.sqrt(len(agree))
-    return motion if spread > SPREAD_LENGTHS * float(np.median(length)) else None
-
-
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sky:
     """Counts of a frame, in units of `adu_scale` ADU, which of its pixels are masked, and the map of its sky."""
@@ -325,7 +296,8 @@ class CountingChain(OnboardChain):
                 weight=weight,
                 alone=self.looks_back and not view.history,
                 seen=seen_of(view.mask),
-                stars=stars_as_lines(found, view.mask.shape),
+                stars=stars_as_lines([line for line in found if not line.flags & NO_LINE], view.mask.shape),
+                shared=partial(stars_as_lines, shape=view.mask.shape),
                 sky=seen.map if seen else None,
                 field=field,
                 bright=bright,

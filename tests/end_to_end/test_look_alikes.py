@@ -20,8 +20,9 @@ from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.products import StreakFit
 from sboc_e2e.icd.signals import Detection, DetectorView, StarList
 from sboc_e2e.outside.found import Found
-from sboc_e2e.outside.look_alikes import CountingChain, Dark, look_alikes, seen_of, shape_of, stars_as_lines
+from sboc_e2e.outside.look_alikes import CountingChain, Dark, look_alikes, seen_of, shape_of
 from sboc_e2e.outside.process import base_document
+from sboc_e2e.outside.star_lines import stars_as_lines
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.onboard_stage import onboard_steps
 from tests.downlink import frame_of_psf

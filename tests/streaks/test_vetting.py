@@ -277,6 +277,17 @@ def test_trails_that_drift_across_columns_are_not_refused_for_their_direction(
     assert vetter.probability(still, frame).max() < 0.05
 
 
+def test_a_meteor_across_rows_and_columns_is_no_hot_line(fits: dict[str, list[StreakFit]], frame: DownlinkFrame) -> None:
+    """Meteors of S/N 24 to 44 and 37 to 56 px in a plane of maxima, 0.4 to 0.8 px wide where nobody knows it, and uneven, had p
+    0.04 to 0.24. A hot line is as narrow and as uneven, and follows a row or column."""
+    vetter, unknown = LikelihoodVetter(model_error=0.2), replace(frame, psf_sigma_px=None)
+    one = outside_fit(fits["real"][0], (548.0, 562.0, 594.0, 583.0), width_px=0.5, snr=30.0, chi2_nu=1.9)
+    one = with_light(replace(one, n_pixels=600, sagitta_px=0.0, flags=StreakFlag(0)), np.array([0.5, 1.3, 1.5, 1.1, 0.9, 0.3]))
+    many = [replace(one, row0=one.row0 + 40.0 * k, row1=one.row1 + 40.0 * k) for k in range(8)]
+    assert vetter.probability(many, unknown).min() > 0.5
+    assert vetter.probability([replace(each, col1=each.col0 + 0.3) for each in many], unknown).max() < 0.1
+
+
 def test_a_full_trail_that_aims_at_its_own_light_is_no_spike(fits: dict[str, list[StreakFit]], frame: DownlinkFrame) -> None:
     """On board its full pixels are listed as full stars. In frames from outside stars that outshine a line speak against it."""
     bright = replace(max(fits["real"], key=lambda fit: fit.snr), flags=StreakFlag.SATURATED)

@@ -1,0 +1,85 @@
+"""Stars that are lines: told from trains of satellites, and found among fits where detections of a dense field run together."""
+
+from functools import partial
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+from ground.vetting.look_alikes import OwnEvidence
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.outside.star_lines import lanes_of, stars_as_lines
+
+SHAPE = (500, 300)
+NONE = StreakFlag(0)
+
+
+def line(row: float, col: float, vector: tuple[float, float], snr: float, flags: StreakFlag = NONE) -> Any:
+    """A detection or fit about its middle."""
+    half_row, half_col = 0.5 * vector[0], 0.5 * vector[1]
+    ends = {"row0": row - half_row, "col0": col - half_col, "row1": row + half_row, "col1": col + half_col}
+    return type("Line", (), ends | {"length_px": float(np.hypot(*vector)), "snr": snr, "flags": flags})()
+
+
+def film(n: int, seed: int) -> list[Any]:
+    """Trails on film: a shift of (30, 12) px and a turn of 0.02 rad, ends to 0.5 px, all flagged as sharp as particles."""
+    rng = np.random.default_rng(seed)
+    lines = []
+    for row, col in zip(rng.uniform(30.0, 470.0, n), rng.uniform(30.0, 270.0, n), strict=True):
+        d_row, d_col = rng.normal((30.0 - 0.02 * (col - 149.5), 12.0 + 0.02 * (row - 249.5)), 0.7)
+        lines.append(line(row, col, (d_row, d_col), float(rng.lognormal(4.0, 0.7)), StreakFlag.COSMIC_LIKE))
+    return lines
+
+
+def train(n: int, row: float, col: float, seed: int) -> list[Any]:
+    """Satellites of one train: equal trails that follow each other on a line, ends to 0.5 px."""
+    rng = np.random.default_rng(seed)
+    along = 45.0 * np.arange(n)
+    return [line(row + 0.928 * a, col + 0.371 * a, tuple(rng.normal((30.0, 12.0), 0.5)), 80.0) for a in along]
+
+
+def test_fits_tell_where_detections_run_together() -> None:
+    """Of 60 trails 25 remain single; 30 longer lines of two or three, at odd angles, are found first."""
+    rng = np.random.default_rng(3)
+    singles = film(25, 1)
+    together = [
+        line(*rng.uniform(40.0, 260.0, 2), (float(rng.uniform(60.0, 200.0)), float(rng.uniform(10.0, 90.0))), 150.0)
+        for _ in range(45)
+    ]
+    assert stars_as_lines([*singles, *together], SHAPE) is None
+    own = OwnEvidence(look_alikes=np.zeros((0, 5)), shared=partial(stars_as_lines, shape=SHAPE))
+    assert own.stars_among([*singles, *together]) is None
+    motion = own.stars_among([*singles, *film(30, 2), *together])
+    assert motion is not None
+    assert motion.turn_rad == pytest.approx(0.02, abs=0.008)
+    assert OwnEvidence(look_alikes=np.zeros((0, 5)), stars=motion).stars_among([]) is motion
+    assert OwnEvidence(look_alikes=np.zeros((0, 5))).stars_among(film(30, 2)) is None
+
+
+def test_trains_of_satellites_are_no_stars() -> None:
+    """Three trains beside each other have three lanes, however many satellites; a border cuts none of those that count."""
+    trains = [*train(8, 40.0, 30.0, 1), *train(8, 30.0, 90.0, 2), *train(8, 35.0, 160.0, 3)]
+    assert stars_as_lines(trains, SHAPE) is None
+    stars = film(24, 4)
+    assert stars_as_lines(stars, SHAPE) is not None
+    cut = [line(250.0, 20.0 * k, (30.0, 12.0), 50.0, StreakFlag.EDGE0) for k in range(12)]
+    assert stars_as_lines(cut, SHAPE) is None
+
+
+def test_meteors_of_one_radiant_differ_in_length() -> None:
+    """Eleven parallel meteors of 20 to 120 px: fewer than eight are equal."""
+    for seed in range(20):
+        rng = np.random.default_rng(seed)
+        length = np.exp(rng.uniform(np.log(20.0), np.log(120.0), 11))
+        meteors = [line(*rng.uniform((60.0, 60.0), (440.0, 240.0)), (0.9 * d, 0.43 * d), 60.0) for d in length]
+        assert stars_as_lines(meteors, SHAPE) is None
+
+
+def test_lanes() -> None:
+    """Trails beside each other are lanes, those behind each other share one; a trail shorter than a lane is wide tells none."""
+    vectors: NDArray[np.float64] = np.tile([0.0, 40.0], (4, 1))
+    places = np.array([[10.0, 50.0], [11.0, 250.0], [30.0, 50.0], [50.0, 90.0]])
+    assert lanes_of(places, vectors) == 3
+    assert lanes_of(places, 0.05 * vectors) == 0
+    assert lanes_of(places[:0], vectors[:0]) == 0

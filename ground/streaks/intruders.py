@@ -188,7 +188,7 @@ def intruder_mask(
 ) -> tuple[NDArray[np.bool_], bool]:
     """(n,) pixels to leave out, and whether any of them lies on the trail.
 
-    The line's pixels are by ascending u. end_error_px : how far off the model's ends may be. model_error : of its brightness.
+    end_error_px : how far off the model's ends may be. model_error : of its brightness.
     ends_given : ends and direction are an on-board track's. Light that the model lacks is a star's then, however much of the
     trail it hides.
     """
@@ -202,7 +202,12 @@ def intruder_mask(
     needed = needed_snr(line, seeds, variance, end_error_px, model_error)
     inside = (pixels.u > line.parameters[END0]) & (pixels.u < line.parameters[END1]) & (np.abs(pixels.v) < 1.5 * width_px)
     most = 1.0 if ends_given else MOST_MASKED
-    share, _ = mask_sources(mask, seeds, needed, pixels.u, pixels.v, residual, variance, width_px, inside, most)
+    # pixels are ordered along the detection's line, and a fit turns it
+    order = np.argsort(pixels.u, kind="stable")
+    place = np.empty_like(order)
+    place[order] = np.arange(order.size)
+    u, v, residual, variance, inside = (values[order] for values in (pixels.u, pixels.v, residual, variance, inside))
+    share, _ = mask_sources(mask, place[seeds], needed, u, v, residual, variance, width_px, inside, most)
     if share > most:
         return np.zeros_like(mask), False
-    return mask, share > 0.0
+    return mask[place], share > 0.0

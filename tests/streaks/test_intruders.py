@@ -1,11 +1,16 @@
 """Light of other sources on a trail: which pixels are masked, and how many seeds are looked at for it."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.streaks.intruders import CLEAN_SIGMAS, MOST_MASKED, mask_sources
+from ground.streaks.centre_line import LineFit, uniform_trail
+from ground.streaks.intruders import CLEAN_SIGMAS, MOST_MASKED, intruder_mask, mask_sources
+from ground.streaks.trail_frame import TrailFrame
+from ground.streaks.trail_model import N_PARAMETERS
+from ground.streaks.trail_pixels import TrailPixels
 
 WIDTH_PX, LENGTH_PX, REACH_PX = 1.3, 300, 12
 Array = NDArray[np.float64]
@@ -57,3 +62,39 @@ def test_each_source_is_masked_to_where_it_falls_below_the_noise() -> None:
     assert expected.any()
     np.testing.assert_array_equal(mask, expected)
     assert share == float(expected[inside].mean())
+
+
+def test_the_mask_does_not_hang_on_the_order_of_the_pixels() -> None:
+    """Pixels are ordered along the detection, and a fit turns its line: some are out of order along that, and were searched as
+    if they were not."""
+    u, v, _ = pixels()
+    u -= 0.5 * LENGTH_PX
+    rng = np.random.default_rng(6)
+    variance = np.full(u.size, 9.0)
+    value = rng.normal(0.0, 3.0, u.size) + 300.0 * np.exp(-0.5 * ((u - 20.0) ** 2 + (v - 4.0) ** 2) / WIDTH_PX**2)
+    given = TrailPixels(
+        frame=TrailFrame(row=100.0, col=200.0, cos=1.0, sin=0.0),
+        u=u,
+        v=v,
+        value_e=value,
+        variance_e2=variance,
+        index=np.arange(u.size),
+    )
+    half_px = 0.4 * LENGTH_PX
+    line = LineFit(
+        pixels=given,
+        parameters=uniform_trail(5.0, half_px, (False, False), WIDTH_PX),
+        covariance=np.zeros((N_PARAMETERS, N_PARAMETERS)),
+        half_px=half_px,
+        blur_px=(0.5, 0.5),
+        free=(),
+        chi2=math.nan,
+        snr=10.0,
+        n_pixels=u.size,
+    )
+    mask, _ = intruder_mask(line, WIDTH_PX, line.blur_px)
+    assert 20 < mask.sum() < 200
+    turned = np.argsort(u + 0.3 * v, kind="stable")
+    np.testing.assert_array_equal(
+        intruder_mask(replace(line, pixels=given.take(turned)), WIDTH_PX, line.blur_px)[0], mask[turned]
+    )

@@ -120,11 +120,11 @@ def compare(
         "runs": {name: [made.directory.path.relative_to(out).as_posix() for made, _ in pairs] for name, pairs in runs.items()},
         "froc": curves,
     }
-    shape, sigma = first[0][1].shape, float(np.median(first[0][1].truth_tables["streaks"]["psf_sigma_px"]))
-    svgs = {
-        "Completeness": completeness_plot(outcomes.snr, outcomes.found, ideal_snr50(0.1, *shape, sigma)),
-        "Free-response curve": froc_plot(curves),
-    }
+    svgs = {"Free-response curve": froc_plot(curves)}
+    if len(outcomes.snr):  # of a blank sky, only false alarms are compared
+        shape, sigma = first[0][1].shape, float(np.median(first[0][1].truth_tables["streaks"]["psf_sigma_px"]))
+        ideal = ideal_snr50(0.1, *shape, sigma)
+        svgs = {"Completeness": completeness_plot(outcomes.snr, outcomes.found, ideal), **svgs}
     write_pages(result, svgs, _gallery(runs, onboard), {} if onboard else _false_alarms(runs), out)
     return result
 

@@ -206,8 +206,8 @@ def intruder_mask(
     order = np.argsort(pixels.u, kind="stable")
     place = np.empty_like(order)
     place[order] = np.arange(order.size)
-    u, v, residual, variance, inside = (values[order] for values in (pixels.u, pixels.v, residual, variance, inside))
-    share, _ = mask_sources(mask, place[seeds], needed, u, v, residual, variance, width_px, inside, most)
+    u, v, residual, variance = (values[order] for values in (pixels.u, pixels.v, residual, variance))
+    share, _ = mask_sources(mask, place[seeds], needed, u, v, residual, variance, width_px, inside[order], most)
     if share > most:
         return np.zeros_like(mask), False
     return mask[place], share > 0.0

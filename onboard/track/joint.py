@@ -17,13 +17,14 @@ from onboard.track.false_alarms import independent_tracks, threshold_sigma
 from onboard.track.frames import Frames, halved_transforms
 from onboard.track.kept_search import NO_SEEDS, NONE_REMOVED, NONE_WAIT, KeptSearch, exposures_from, from_centre
 from onboard.track.packed import half_of, packed
-from onboard.track.particles import without_hits
+from onboard.track.particles import blank_hits
 from onboard.track.records import plausible, stands, track_of
 from onboard.track.removed_stars import by_row
 from onboard.track.same import most_alike, same_object, tells_nothing_new
+from onboard.track.star_rings import take_off
 from onboard.track.start import dearer
 from onboard.track.wide_look import AWAY
-from sboc_e2e.icd.signals import Track, TrackerView
+from sboc_e2e.icd.signals import DetectorView, Track, TrackerView
 
 LONGEST_PX: Final = 2000.0
 """Trails of one exposure that the false-alarm rate is reckoned for; longer seeds are not followed."""
@@ -33,7 +34,7 @@ FOLLOWED: Final = (0.05, 0.02, 0.008)
 11 and 4 in 256 whole frames, half of them with stars, where 512 of each number were to be expected (seeds 57000 and 57001, before
 `removed_stars`). None of the 41 had five frames or more."""
 
-ALLOWED: Final = (2.2, 0.3, 0.2)
+ALLOWED: Final = (1.2, 0.3, 0.2)
 """Share of `false_tracks` that tracks of two, of three and of each greater number of frames may make, by `FOLLOWED`. An object in
 two frames has no other chance; one in four may be found in three of them as well. `FOLLOWED` was measured before tracks had to be
 bright on their own lines, and is too large since then: what shares to allow was chosen by what is false in whole frames."""
@@ -108,7 +109,7 @@ class JointTracker:
             state = JointState(next_number=state.next_number)
         new = KeptSearch(
             header=view.view.header,
-            image=packed(without_hits(view.searched.smooth, view.view.psf_sigma_px)),
+            image=packed(cleaned(view.searched.smooth, view.view)),
             seeds=view.searched.seeds.astype(np.float32),
             transform=registration.IDENTITY if view.transform is None else view.transform,
             trails=np.array([(d.row0, d.col0, d.row1, d.col1) for d in view.detections]).reshape(-1, 4),
@@ -276,6 +277,15 @@ class JointTracker:
             followed, allowed = (shares[min(n, len(shares) + 1) - 2] for shares in (FOLLOWED, ALLOWED))
             out[n] = threshold_sigma(followed * volume, allowed * self.false_tracks)
         return out
+
+
+def cleaned(smooth: NDArray[np.int8], view: DetectorView) -> NDArray[np.int8]:
+    """`Searched.smooth` without particle hits and without what stars leave around them."""
+    out = smooth.copy()
+    take_off(out, view.stars)
+    blank_hits(out, view.psf_sigma_px)
+    out.flags.writeable = False  # compiled code has one kind of image
+    return out
 
 
 def by_place(seeds: NDArray[np.float64], most_work: int) -> NDArray[np.float64]:

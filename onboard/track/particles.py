@@ -51,15 +51,9 @@ def _blank(image: NDArray[np.int8], places: NDArray[np.int64], reach_px: int) ->
                 image[i, j] = UNKNOWN
 
 
-def without_hits(smooth: NDArray[np.int8], psf_sigma_px: float) -> NDArray[np.int8]:
-    """`Searched.smooth` with `UNKNOWN` about pixels too bright for a trail that no frame shows.
+def blank_hits(image: NDArray[np.int8], psf_sigma_px: float) -> None:
+    """Put `UNKNOWN` about pixels of an image as `Searched.smooth` that are too bright for a trail that no frame shows. In place.
 
     Bright trails of light go too: frames show them one by one.
     """
-    places = _bright_places(smooth)
-    if not len(places):
-        return smooth
-    out = smooth.copy()
-    _blank(out, places, math.ceil(REACH_SIGMAS * psf_sigma_px))
-    out.flags.writeable = False  # as the other is: compiled code has one kind of image
-    return out
+    _blank(image, _bright_places(image), math.ceil(REACH_SIGMAS * psf_sigma_px))

@@ -37,7 +37,8 @@ FOLLOWED: Final = (0.05, 0.02, 0.008)
 ALLOWED: Final = (1.2, 0.3, 0.2)
 """Share of `false_tracks` that tracks of two, of three and of each greater number of frames may make, by `FOLLOWED`. An object in
 two frames has no other chance; one in four may be found in three of them as well. `FOLLOWED` was measured before tracks had to be
-bright on their own lines, and is too large since then: what shares to allow was chosen by what is false in whole frames."""
+bright on their own lines, and is too large since then: what shares to allow was chosen by what is false in whole frames, drawn
+ones and simulated ones (seeds 41050 to 41053)."""
 
 WORK_PER_PX: Final = 30.0  # as many as a frame's nominal work (`onboard.work`)
 LEAST_WORK: Final = 50_000_000

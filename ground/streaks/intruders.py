@@ -106,19 +106,6 @@ def point_source_snr(
     return signal / math.sqrt(information)
 
 
-@njit(cache=True)
-def first_at(u: NDArray[np.float64], least: float, low: int) -> int:
-    """Index from `low` on of the first of ascending values (n,) that is at least `least`."""
-    high = u.size
-    while low < high:
-        middle = (low + high) // 2
-        if u[middle] < least:
-            low = middle + 1
-        else:
-            high = middle
-    return low
-
-
 @njit(cache=True, error_model="numpy")
 def mask_sources(
     mask: NDArray[np.bool_],
@@ -151,8 +138,7 @@ def mask_sources(
             # amplitude over noise of the brightest pixel of a point source of this S/N
             peak = snr / (math.sqrt(math.pi) * width)
             radius = width * math.sqrt(2.0 * math.log(max(peak / CLEAN_SIGMAS, 2.0)))
-            low = first_at(u, u[i] - radius, 0)
-            for j in range(low, first_at(u, u[i] + radius, low)):
+            for j in range(np.searchsorted(u, u[i] - radius), np.searchsorted(u, u[i] + radius)):
                 if not mask[j] and (u[j] - u[i]) ** 2 + (v[j] - v[i]) ** 2 < radius * radius:
                     mask[j] = True
                     masked += inside[j]

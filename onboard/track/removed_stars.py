@@ -62,7 +62,7 @@ def _beside(stars: NDArray[np.uint16], ends: NDArray[np.float64], across_px: flo
     """Which stars (n, 2), by growing row, lie on a segment (2, 2), or so near to it."""
     margin = across_px + beyond_px
     low, high = ends[:, 0].min() - margin, ends[:, 0].max() + margin
-    first = _first_from(stars, low)
+    first = np.searchsorted(stars[:, 0], low)
     way_row, way_col = ends[1, 0] - ends[0, 0], ends[1, 1] - ends[0, 1]
     length = max(math.hypot(way_row, way_col), 1e-6)
     near, n = np.empty((len(stars) - first, 2)), 0
@@ -76,16 +76,3 @@ def _beside(stars: NDArray[np.uint16], ends: NDArray[np.float64], across_px: flo
             near[n, 0], near[n, 1] = stars[k, 0], stars[k, 1]
             n += 1
     return near[:n].copy()
-
-
-@nb.njit(cache=True)
-def _first_from(stars: NDArray[np.uint16], low: float) -> int:
-    """The first of the stars, by growing row, whose row is not below `low`."""
-    first, end = 0, len(stars)
-    while first < end:
-        middle = (first + end) // 2
-        if stars[middle, 0] < low:
-            first = middle + 1
-        else:
-            end = middle
-    return first

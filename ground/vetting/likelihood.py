@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from ground.vetting.class_densities import REAL, RECURRING, class_densities, log_odds_calibration
 from ground.vetting.features import Features, features_of, is_aligned
+from ground.vetting.particles import odds_of_particles
 from ground.vetting.readout import odds_of_readout
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import StreakFlag
@@ -40,8 +41,8 @@ WIDEST_UNKNOWN: Final = 3.0
 """A faint fit that is wider than this many assumed widths is more often a slope of the background than a trail."""
 
 NARROWEST_PX: Final = 0.3
-"""No optics in front of pixels are narrower (FWHM 0.7 px): columns, particles. Pictures that were made smaller have lines
-that are; what is light without doubt may be so."""
+"""No optics in front of pixels are narrower (FWHM 0.7 px): columns, particles. Pictures that were made smaller and sharpened have
+lines that are. Their lengths tell these from particles, and columns do not drift."""
 
 LEAST_SNR_UNKNOWN: Final = 20.0
 """S/N that residuals of the flat field and rows of stars reach in frames without calibration."""
@@ -95,11 +96,21 @@ def posterior_of_classes(
     return share
 
 
-def _beyond_knowledge(fit: StreakFit, frame: DownlinkFrame, *, light: bool) -> bool:
-    """Whether a fit cannot be trusted in a frame without calibration and without a PSF from its stars; light : see `_light`."""
+def _beyond_knowledge(fit: StreakFit, frame: DownlinkFrame) -> bool:
+    """Whether a fit cannot be trusted in a frame without calibration and without a PSF from its stars."""
     outside = max(-fit.row0, -fit.row1, -fit.col0, -fit.col1)
     outside = max(outside, max(fit.row0, fit.row1) - frame.header.rows, max(fit.col0, fit.col1) - frame.header.cols)
-    return fit.snr < LEAST_SNR_UNKNOWN or (fit.width_px < NARROWEST_PX and not light) or outside > FARTHEST_OUTSIDE_PX
+    return fit.snr < LEAST_SNR_UNKNOWN or outside > FARTHEST_OUTSIDE_PX
+
+
+def _odds_of_narrow(fits: Sequence[StreakFit], light: Sequence[bool]) -> NDArray[np.float64]:
+    """Odds (n,) against lines that no optics made: tracks of particles, by the lengths of all of them, and columns.
+
+    light : see `_light`. Such lines may be as narrow.
+    """
+    narrow = [fit.width_px < NARROWEST_PX and not lit for fit, lit in zip(fits, light, strict=True)]
+    odds = odds_of_particles(fits, [thin and not is_aligned(fit.angle_deg) for fit, thin in zip(fits, narrow, strict=True)])
+    return np.where(narrow, odds, 0.0)
 
 
 def _snr_over_residuals(fit: StreakFit) -> float:
@@ -250,23 +261,20 @@ class LikelihoodVetter:
         probability = 1.0 / (1.0 + np.exp(-(offset + slope * log_odds)))
         if self.model_error > 0.0:
             probability = probability / (1.0 + probability * readout)
-        refused = [
-            self._refused(fit, frame, psf_sigma_px, unknown=unknown, light=lit) for fit, lit in zip(fits, light, strict=True)
-        ]
+        if unknown:
+            probability = probability / (1.0 + _odds_of_narrow(fits, light))
+        refused = [self._refused(fit, frame, psf_sigma_px, unknown=unknown) for fit in fits]
         return np.asarray(np.where(refused, 0.0, probability), dtype=np.float64)
 
-    def _refused(self, fit: StreakFit, frame: DownlinkFrame, psf_sigma_px: float, *, unknown: bool, light: bool) -> bool:
-        """Whether a fit is rejected independently of the densities.
-
-        unknown : the PSF's width is assumed. light : the line is light, see `_light`.
-        """
+    def _refused(self, fit: StreakFit, frame: DownlinkFrame, psf_sigma_px: float, *, unknown: bool) -> bool:
+        """Whether a fit is rejected independently of the densities. unknown : the PSF's width is assumed."""
         # The class densities end far below such widths: stray light, dead borders. No defocus makes them at these ranges.
         widest = min(WIDEST, WIDEST_UNKNOWN) if unknown else WIDEST
         uncalibrated = self.model_error > 0.0
         snr = _snr_over_residuals(fit) if uncalibrated else fit.snr
         if fit.width_px > widest * psf_sigma_px and snr < WIDEST_SNR:
             return True
-        if unknown and _beyond_knowledge(fit, frame, light=light):
+        if unknown and _beyond_knowledge(fit, frame):
             return True
         return uncalibrated and _blob(fit, psf_sigma_px, unknown=unknown)
 

@@ -288,6 +288,22 @@ def test_a_meteor_across_rows_and_columns_is_no_hot_line(fits: dict[str, list[St
     assert vetter.probability([replace(each, col1=each.col0 + 0.3) for each in many], unknown).max() < 0.1
 
 
+def test_lines_that_no_optics_made_are_meteors_of_a_sharpened_picture_or_tracks_by_their_lengths(
+    fits: dict[str, list[StreakFit]], frame: DownlinkFrame
+) -> None:
+    """Six meteors of two pictures that were made smaller, 0.05 to 0.3 px wide, 28 to 84 px long, had p of zero. A detector has
+    many short tracks where it has a long one, and columns are as narrow."""
+    vetter, unknown = LikelihoodVetter(model_error=0.2), replace(frame, psf_sigma_px=None)
+    one = outside_fit(fits["real"][0], (142.0, 215.0, 180.0, 275.0), width_px=0.2, snr=90.0, chi2_nu=2.6)
+    one = with_light(replace(one, n_pixels=600, sagitta_px=0.0, flags=StreakFlag(0)), np.ones(12))
+    other = replace(one, row0=40.0, row1=90.0)
+    assert vetter.probability([one, other], unknown).min() > 0.5
+    tracks = [replace(one, row1=one.row0 + 0.5 * length, col1=one.col0 + 0.87 * length) for length in np.geomspace(15.0, 45.0, 40)]
+    assert vetter.probability([one, *tracks], unknown).max() < 0.5
+    assert vetter.probability([replace(one, row1=one.row0 + 0.3), other], unknown)[0] == 0.0, "a column"
+    assert vetter.probability([replace(one, snr=15.0), other], unknown)[0] == 0.0
+
+
 def test_a_full_trail_that_aims_at_its_own_light_is_no_spike(fits: dict[str, list[StreakFit]], frame: DownlinkFrame) -> None:
     """On board its full pixels are listed as full stars. In frames from outside stars that outshine a line speak against it."""
     bright = replace(max(fits["real"], key=lambda fit: fit.snr), flags=StreakFlag.SATURATED)

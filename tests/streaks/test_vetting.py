@@ -298,7 +298,8 @@ def test_lines_that_no_optics_made_are_meteors_of_a_sharpened_picture_or_tracks_
     one = with_light(replace(one, n_pixels=600, sagitta_px=0.0, flags=StreakFlag(0)), np.ones(12))
     other = replace(one, row0=40.0, row1=90.0)
     assert vetter.probability([one, other], unknown).min() > 0.5
-    tracks = [replace(one, row1=one.row0 + 0.5 * length, col1=one.col0 + 0.87 * length) for length in np.geomspace(15.0, 45.0, 40)]
+    lengths = np.geomspace(15.0, 45.0, 40)
+    tracks = [replace(one, row1=one.row0 + 0.5 * length, col1=one.col0 + 0.87 * length) for length in lengths]
     assert vetter.probability([one, *tracks], unknown).max() < 0.5
     assert vetter.probability([replace(one, row1=one.row0 + 0.3), other], unknown)[0] == 0.0, "a column"
     assert vetter.probability([replace(one, snr=15.0), other], unknown)[0] == 0.0

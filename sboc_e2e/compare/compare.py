@@ -120,13 +120,21 @@ def compare(
         "runs": {name: [made.directory.path.relative_to(out).as_posix() for made, _ in pairs] for name, pairs in runs.items()},
         "froc": curves,
     }
-    svgs = {"Free-response curve": froc_plot(curves)}
-    if len(outcomes.snr):  # of a blank sky, only false alarms are compared
-        shape, sigma = first[0][1].shape, float(np.median(first[0][1].truth_tables["streaks"]["psf_sigma_px"]))
-        ideal = ideal_snr50(0.1, *shape, sigma)
-        svgs = {"Completeness": completeness_plot(outcomes.snr, outcomes.found, ideal), **svgs}
-    write_pages(result, svgs, _gallery(runs, onboard), {} if onboard else _false_alarms(runs), out)
+    write_pages(
+        result, _curves(first[0][1], outcomes, curves), _gallery(runs, onboard), {} if onboard else _false_alarms(runs), out
+    )
     return result
+
+
+def _curves(e: Evaluation, outcomes: Outcomes, free_response: dict[str, list[list[float]]]) -> dict[str, str]:
+    """Titled SVGs; none of a blank sky, of which no share can be found."""
+    if not len(outcomes.snr):
+        return {}
+    ideal = ideal_snr50(0.1, *e.shape, float(np.median(e.truth_tables["streaks"]["psf_sigma_px"])))
+    return {
+        "Completeness": completeness_plot(outcomes.snr, outcomes.found, ideal),
+        "Free-response curve": froc_plot(free_response),
+    }
 
 
 def _score(made: Run) -> dict[str, Any]:

@@ -101,18 +101,16 @@ def verdict(result: dict[str, Any]) -> list[str]:
     lines = []
     for p in result["pairs"]:
         gain, p_value = p["difference"]["value"], p["mcnemar"]["p_value"]
-        if gain is None:
-            lines.append(f"{p['second']} and {p['first']}: {p['difference']['reason']}.")
-            continue
-        better, worse = (p["second"], p["first"]) if gain >= 0 else (p["first"], p["second"])
+        better, worse = (p["second"], p["first"]) if (gain or 0.0) >= 0 else (p["first"], p["second"])
         cost = [figure_words(result["choices"][name]["median_cpu_ms_per_frame"])[0] for name in (better, worse)]
         false = [figure_words(result["choices"][name]["false_per_frame"])[0] for name in (better, worse)]
+        price = f"false per frame {false[0]} against {false[1]}, CPU {cost[0]} against {cost[1]} ms in the median frame."
+        if gain is None:
+            lines.append(f"{better} and {worse}: {p['difference']['reason']}; {price}")
+            continue
         sure = "more than chance explains" if p_value < LEVEL else "no more than chance explains"
         streaks = f"{number(100 * abs(gain))} of 100 streaks with S/N >= 5 more than" if gain else "as many streaks as"
-        lines.append(
-            f"{better} finds {streaks} {worse}: {sure} (p = {number(p_value)}); false per frame {false[0]} against {false[1]}, "
-            f"CPU {cost[0]} against {cost[1]} ms in the median frame."
-        )
+        lines.append(f"{better} finds {streaks} {worse}: {sure} (p = {number(p_value)}); {price}")
     return lines
 
 
@@ -207,7 +205,7 @@ def write_pages(
         "<h2>Pairs</h2>",
         table(PAIR_HEAD, pairs),
         "<h2>Where they differ</h2>",
-        table(*tables[3]),
+        table(*tables[3]) if tables[3][1] else "<p>There is no truth streak.</p>",
         '<div class="plots">',
     ]
     body += [f"<figure><figcaption>{name}</figcaption>{svg}</figure>" for name, svg in pictures.items()]

@@ -39,8 +39,8 @@ COUNTED: Final = 4  # known pixels are counted in one row of so many: 0.3 % of a
 
 COL_PHASE: Final = 158
 ROW_PHASE: Final = 107
-"""Of the pattern by which fractions of a code are given back, in 256ths from pixel to pixel: the golden section and the root of two,
-so that any few pixels of a line get their share."""
+"""Of the pattern by which fractions of a code are given back, in 256ths from pixel to pixel: the golden section and the root of
+two, so that any few pixels of a line get their share."""
 
 LEAST_PIXELS: Final = 200
 """Fewer pixels of a ring tell no mean to a tenth of a sigma, and it stays. Smoothed pixels side by side are alike."""

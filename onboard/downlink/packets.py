@@ -5,7 +5,7 @@ Every function returns payloads; `PacketWriter` puts headers, sequence counts an
 
 import binascii
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -205,38 +205,43 @@ def background_payloads(background: BackgroundModel, *, level_unit_adu: float, s
         np.clip(np.rint(values / unit), -MESH_CODE_LIMIT, MESH_CODE_LIMIT).astype(np.int32)
         for values, unit in ((background.level_adu, level_unit_adu), (background.sigma_adu, sigma_unit_adu))
     )
-    room = layout.MAX_PAYLOAD_BYTES - layout.MESH.size
 
-    def band(first: int, last: int) -> list[bytes]:
+    def band(first: int, last: int) -> bytes:
         centres = [int(np.median(codes[first:last])) for codes in (level, sigma)]
         blocks = [encode_planes(codes[first:last], centre) for codes, centre in zip((level, sigma), centres, strict=True)]
-        if sum(map(len, blocks)) > room:
-            if last - first == 1:
-                raise ContractError(f"background mesh: a row of {level.shape[1]} nodes does not fit into a packet")
-            middle = (first + last) // 2
-            return band(first, middle) + band(middle, last)
         head = layout.MESH.pack(
             background.tile_px, *level.shape, first, last - first, level_unit_adu, sigma_unit_adu, *centres, len(blocks[0])
         )
-        return [head + blocks[0] + blocks[1]]
+        return head + blocks[0] + blocks[1]
 
-    return tuple(band(0, level.shape[0]))
+    return _in_bands(len(level), band, f"background mesh: a row of {level.shape[1]} nodes")
 
 
 def thumbnail_payloads(cells: NDArray[np.uint8], *, cell_px: int, offset_adu: float, unit_adu: float) -> tuple[bytes, ...]:
     """A thumbnail (rows, cols) of uint8 in bands of rows that fit into one packet each."""
     compressor = zstandard.ZstdCompressor(level=3)
-    room = layout.MAX_PAYLOAD_BYTES - layout.THUMBNAIL.size
 
-    def band(first: int, last: int) -> list[bytes]:
-        block = compressor.compress(np.ascontiguousarray(cells[first:last]).tobytes())
-        if len(block) > room and last - first > 1:
-            middle = (first + last) // 2
-            return band(first, middle) + band(middle, last)
+    def band(first: int, last: int) -> bytes:
         head = layout.THUMBNAIL.pack(*cells.shape, cell_px, first, last - first, offset_adu, unit_adu)
-        return [head + block]
+        return head + compressor.compress(np.ascontiguousarray(cells[first:last]).tobytes())
 
-    return tuple(band(0, cells.shape[0]))
+    return _in_bands(len(cells), band, f"thumbnail: a row of {cells.shape[1]} cells")
+
+
+def _in_bands(n_rows: int, payload: Callable[[int, int], bytes], row: str) -> tuple[bytes, ...]:
+    """Payloads of the bands from one row to another; all rows at first, halved until each fits into a packet."""
+    done, waiting = list[bytes](), [(0, n_rows)]
+    while waiting:
+        first, last = waiting.pop()
+        made = payload(first, last)
+        if len(made) <= layout.MAX_PAYLOAD_BYTES:
+            done.append(made)
+        elif last - first == 1:
+            raise ContractError(f"{row} does not fit into a packet")
+        else:
+            middle = (first + last) // 2
+            waiting += [(middle, last), (first, middle)]
+    return tuple(done)
 
 
 def chunk_payload(

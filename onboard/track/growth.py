@@ -12,14 +12,14 @@ from onboard.track.first_look import STEPS
 from onboard.track.frames import Frames, Span, span_of
 from onboard.track.trail_sums import Corridors, Look, collect, collect_half, evaluate, half_line_variance
 
-WAITING: Final = 1.6
+WAITING: Final = 1.7
 """A track that falls short by less, with light in later frames, is followed again when more of them have come."""
 
-CLIMBED: Final = 2.0
+CLIMBED: Final = 2.1
 """S/N by which a track may fall short in the seed's frame and those beside it, once it was climbed there, to be looked for in
 more frames. With `LONGER` there it costs 4 of 253 seeds that become tracks, and three quarters of the climbs in more than three
 frames (30 cubes of eight frames, seed 101)."""
-LONGER: Final = 1.7  # the same in more frames
+LONGER: Final = 1.8  # the same in more frames
 
 FINE: Final = 24
 """Pieces of a seed in the second look."""

@@ -16,8 +16,8 @@ from onboard.track.frames import Frames, span_of
 from onboard.track.trail_sums import Corridors, Look, placed
 from onboard.track.wide_look import AWAY, KEPT, gather_starts, wide_look
 
-NARROW: Final = 1.8  # S/N by which the first look may fall short for a seed to be climbed with
-WIDE: Final = 2.0
+NARROW: Final = 1.9  # S/N by which the first look may fall short for a seed to be climbed with
+WIDE: Final = 2.1
 """The same of the look in the frames two away; where the first look falls short by less than `NARROW` it may be more. Of noise's
 seeds that come so far these leave one in twelve."""
 

@@ -97,12 +97,14 @@ def line_detection(row: NDArray[np.float64], shape: tuple[int, int]) -> Detectio
 
 
 def seed_ends(seeds: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Seeds of `resolve.resolve` (n, 6) as row0, col0, row1, col1, S/N (n, 5), ends by growing major coordinate."""
-    out = seeds[:, 1:].copy()
+    """Seeds of `resolve.resolve` (n, 6) as row0, col0, row1, col1, S/N (n, 5), ends by growing major coordinate.
+
+    They are turned where they lie, and a part of `seeds` comes back: memory is dearest here.
+    """
     flat = seeds[:, 0] != 0.0
-    for row, col in ((0, 1), (2, 3)):  # one column after the other: memory is dearest here
-        out[flat, row], out[flat, col] = seeds[flat, col + 1], seeds[flat, row + 1]
-    return out
+    for first in (1, 3):
+        seeds[flat, first], seeds[flat, first + 1] = seeds[flat, first + 1], seeds[flat, first]
+    return seeds[:, 1:]
 
 
 def with_blurred_ends(detection: Detection, images: WorkingImages, psf_sigma_px: float) -> Detection:

@@ -58,10 +58,21 @@ class CoarseEnds:
 @njit(cache=True, error_model="numpy")
 def pixel_ratio(value_e: float, variance_e2: float, lit: float, noise_density: float) -> tuple[float, float, float]:
     """ln p(value | lit) - ln p(value | dark) of one pixel: coefficients for `at_density`; lit : electrons per unit density."""
+    quiet, square, c1, c2 = pixel_parts(value_e, variance_e2, lit, noise_density)
+    return square + 0.5 * math.log(quiet), c1, c2
+
+
+@njit(cache=True, error_model="numpy")
+def pixel_parts(value_e: float, variance_e2: float, lit: float, noise_density: float) -> tuple[float, float, float, float]:
+    """The same with the constant in two parts: a ratio of variances, half of whose logarithm is to be added, and the rest."""
     light = noise_density * lit
     inverse = 1.0 / (variance_e2 + light)
-    constant = 0.5 * (value_e * value_e * light * inverse / variance_e2 + math.log(variance_e2 * inverse))
-    return constant, value_e * lit * inverse, lit * lit * inverse
+    return (
+        variance_e2 * inverse,
+        0.5 * value_e * value_e * light * inverse / variance_e2,
+        value_e * lit * inverse,
+        lit * lit * inverse,
+    )
 
 
 @njit(cache=True, error_model="numpy")

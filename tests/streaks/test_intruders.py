@@ -7,7 +7,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.streaks.centre_line import LineFit, uniform_trail
-from ground.streaks.intruders import CLEAN_SIGMAS, MOST_MASKED, intruder_mask, mask_sources
+from ground.streaks.intruders import (
+    CLEAN_SIGMAS,
+    MOST_MASKED,
+    POINT_REACH,
+    intruder_mask,
+    mask_sources,
+    point_source_snr,
+    profile_by_distance,
+)
 from ground.streaks.trail_frame import TrailFrame
 from ground.streaks.trail_model import N_PARAMETERS
 from ground.streaks.trail_pixels import TrailPixels
@@ -98,3 +106,20 @@ def test_the_mask_does_not_hang_on_the_order_of_the_pixels() -> None:
     np.testing.assert_array_equal(
         intruder_mask(replace(line, pixels=given.take(turned)), WIDTH_PX, line.blur_px)[0], mask[turned]
     )
+
+
+def test_the_signal_of_a_point_source_is_that_of_its_profile_at_every_distance() -> None:
+    """Squared distances of pixels are whole numbers in turned axes too: a table of the profile is exact."""
+    rng = np.random.default_rng(2)
+    row, col = (part.ravel().astype(np.float64) for part in np.mgrid[:60, :60])
+    u, v = 0.28 * row + 0.96 * col, 0.96 * row - 0.28 * col
+    order = np.argsort(u)
+    u, v = u[order], v[order]
+    precision, residual_e = rng.uniform(0.5, 2.0, u.size), rng.normal(size=u.size)
+    for width in (0.9, 2.3, 8.0):
+        i, reach = 1700, POINT_REACH * width
+        r2 = (u - u[i]) ** 2 + (v - v[i]) ** 2
+        weight = np.where(r2 < reach**2 - 1e-9, np.exp(-0.5 * r2 / width**2), 0.0)
+        exact = np.sum(weight * residual_e * precision) / math.sqrt(np.sum(weight**2 * precision))
+        found = point_source_snr(i, u, v, residual_e * precision, precision, profile_by_distance(width), reach)
+        assert math.isclose(found, exact, rel_tol=1e-9)

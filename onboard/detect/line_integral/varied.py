@@ -215,7 +215,9 @@ def light_along(
     half = 3.0 * psf_sigma_px
     factor = -0.5 / psf_sigma_px**2
     steep = abs(u_row) >= abs(u_col)
+    onward = u_row < 0.0 if steep else u_col > 0.0
     along_major = abs(u_row) if steep else abs(u_col)
+    change = math.exp(2.0 * factor * along_major**2)
     origin_major, origin_minor = (ends[0], ends[1]) if steep else (ends[1], ends[0])
     slope = (u_col / u_row) if steep else (u_row / u_col)
     way = u_row if steep else u_col
@@ -227,21 +229,28 @@ def light_along(
         u = at / length
         # the parabola of a bent trail, on the side of (+row, -col) turned from the chord
         bow = 4.0 * sagitta_px * u * (1.0 - u) / along_major
-        turned = bow if (steep and u_row < 0.0) or (not steep and u_col > 0.0) else -bow
-        centre = origin_minor + slope * (major - origin_major) + turned
+        centre = origin_minor + slope * (major - origin_major) + (bow if onward else -bow)
         k = math.floor(at + reach + 0.5)
         if not 0 <= k < n:
             continue
         lowest, highest = math.ceil(centre - half / along_major), math.floor(centre + half / along_major)
-        for minor in range(max(0, lowest), min(n_minor - 1, highest) + 1):
+        lowest, highest = max(0, lowest), min(n_minor - 1, highest)
+        # exp(-x^2) in equal steps of x: each value is the one before times a ratio, which itself changes by a constant factor
+        off = (lowest - centre) * along_major
+        g, ratio = math.exp(factor * off * off), math.exp(factor * along_major * (2.0 * off + along_major))
+        tile, ground, left = major // tile_px, 0.0, 0
+        for minor in range(lowest, highest + 1):
             i, j = (major, minor) if steep else (minor, major)
-            if blocked[i, j] & ~FOUND_BIT:
-                continue
-            off = (minor - centre) * along_major
-            g = math.exp(factor * off * off)
-            value = (image[i, j] - level[i // tile_px, j // tile_px]) / UNIT
-            side = off if (steep and u_row < 0.0) or (not steep and u_col > 0.0) else -off
-            signal[k] += g * value
-            power[k] += g * g
-            moment[k] += g * value * side
+            if left == 0:  # the level is read once a tile
+                ground = level[tile, minor // tile_px] if steep else level[minor // tile_px, tile]
+                left = tile_px - minor % tile_px
+            left -= 1
+            if not blocked[i, j] & ~FOUND_BIT:
+                off = (minor - centre) * along_major
+                value = (image[i, j] - ground) / UNIT
+                side = off if onward else -off
+                signal[k] += g * value
+                power[k] += g * g
+                moment[k] += g * value * side
+            g, ratio = g * ratio, ratio * change
     return signal, power, moment

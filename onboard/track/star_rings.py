@@ -37,10 +37,10 @@ TILE_PX: Final = 256
 
 COUNTED: Final = 4  # known pixels are counted in one row of so many: 0.3 % of a tile's share, which is small itself
 
-COL_PHASE: Final = 158
 ROW_PHASE: Final = 107
-"""Of the pattern by which fractions of a code are given back, in 256ths from pixel to pixel: the golden section and the root of
-two, so that any few pixels of a line get their share."""
+"""By which the pattern that gives back fractions of a code goes on from row to row, in 256ths: the root of two, so that ..."""
+COL_PHASE: Final = 158
+"""... any few pixels of a line get their share. The same from column to column: the golden section."""
 
 LEAST_PIXELS: Final = 200
 """Fewer pixels of a ring tell no mean to a tenth of a sigma, and it stays. Smoothed pixels side by side are alike."""

@@ -63,17 +63,18 @@ def for_meteor(fit: StreakFit, tiles: Tiles, contrast: Contrast | None) -> float
     height = light[SIDES, told] - np.nanmedian(np.delete(light[:, told], SIDES, axis=0), axis=0)
     curve = rise_and_fall(height)
     top = float(curve.max())
-    rest = _left_of(height)
+    rest = _rms(height - curve)
     even = rest <= LARGEST_REST * top or (height.size >= CELLS_OF_ORDER and rest <= LEAST_ORDER * _left_by_chance(height))
     return IN_FAVOUR if top > 0.0 and even and min(curve[0], curve[-1]) <= FADED * top else 1.0
 
 
-def _left_of(height: NDArray[np.float64]) -> float:
-    """Root mean square of what is left of cells (n,) beside their best rise and fall."""
-    return math.sqrt(float(np.mean((height - rise_and_fall(height)) ** 2)))
+def _rms(rest: NDArray[np.float64]) -> float:
+    """Root mean square of what is left of cells (n,)."""
+    return math.sqrt(float(np.mean(rest**2)))
 
 
 def _left_by_chance(height: NDArray[np.float64]) -> float:
-    """The same of these cells in chance orders, in the mean."""
-    orders = np.random.default_rng(height.size)
-    return float(np.mean([_left_of(orders.permutation(height)) for _ in range(ORDERS)]))
+    """The same of these cells in chance orders beside their best rise and fall, in the mean of the orders."""
+    draws = np.random.default_rng(height.size)
+    orders = [draws.permutation(height) for _ in range(ORDERS)]
+    return float(np.mean([_rms(order - rise_and_fall(order)) for order in orders]))

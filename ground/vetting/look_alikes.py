@@ -144,7 +144,7 @@ class OwnEvidence:
     alone : it was held against no other frame of the same sky, so that stars are not told from what moves.
     seen : first and last row, first and last column in which a pixel saw the sky; None: all of them.
     stars : motion of the stars during the exposure, where the detections of the frame share one; None: they do not.
-    shared : finds it among the fits where it is not among the detections; None: nothing does.
+    shared : finds it among the fits where it is not among the detections, told whether the frame has round stars; None: nothing.
     sky : a map of the sky, slopes and edges included; None: there is none.
     field : the listed stars and the counts around short lines; None: rows of stars are not judged.
     bright : the listed stars with their places; None: spikes are not judged.
@@ -158,7 +158,7 @@ class OwnEvidence:
     alone: bool = False
     seen: tuple[int, int, int, int] | None = None
     stars: StarMotion | None = None
-    shared: Callable[[Sequence[StreakFit]], StarMotion | None] | None = None
+    shared: Callable[[Sequence[StreakFit], bool], StarMotion | None] | None = None
     sky: SkyMap | None = None
     field: StarField | None = None
     bright: BrightStars | None = None
@@ -166,9 +166,12 @@ class OwnEvidence:
     tiles: Tiles | None = None
     short_axis_px: float | None = None
 
-    def stars_among(self, fits: Sequence[StreakFit]) -> StarMotion | None:
-        """Motion of the stars where they are lines. In a dense field detections of several run together, and fits part them."""
-        return self.shared(fits) if self.stars is None and self.shared is not None else self.stars
+    def stars_among(self, fits: Sequence[StreakFit], *, round_stars: bool) -> StarMotion | None:
+        """Motion of the stars where they are lines. In a dense field detections of several run together, and fits part them.
+
+        round_stars : whether the frame has stars that are points, which told its PSF.
+        """
+        return self.shared(fits, round_stars) if self.stars is None and self.shared is not None else self.stars
 
     def refuses(self, fit: StreakFit, frame: DownlinkFrame) -> bool:
         """Whether a fit may be a point, a slope or an edge, runs along a rim, bends too much, or lies where no pixel saw."""
@@ -219,7 +222,7 @@ class LookAlikeVetter:
             against = against + np.array([known.field.against(fit, gain) for fit in fits])
         if known.bright is not None:
             against = against + np.array([known.bright.against(fit) for fit in fits])
-        stars = known.stars_among(fits)
+        stars = known.stars_among(fits, round_stars=frame.psf_sigma_px is not None)
         if stars is not None:
             against = against + against_chains(stars, fits)
         borders = np.array([0.0 if known.seen is None else against_border(fit, known.seen) for fit in fits])

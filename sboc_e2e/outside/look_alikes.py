@@ -296,7 +296,7 @@ class CountingChain(OnboardChain):
                 weight=weight,
                 alone=self.looks_back and not view.history,
                 seen=seen_of(view.mask),
-                stars=stars_as_lines([line for line in found if not line.flags & NO_LINE], view.mask.shape),
+                stars=stars_as_lines([line for line in found if not line.flags & NO_LINE], shape=view.mask.shape),
                 shared=partial(stars_as_lines, shape=view.mask.shape),
                 sky=seen.map if seen else None,
                 field=field,

@@ -346,7 +346,7 @@ def star_lines(turn_rad: float, n: int, seed: int) -> list[Detection]:
 def test_equal_trails_all_over_a_frame_are_its_stars(turn_rad: float) -> None:
     """Trails beyond 100 px are not in the star list. A satellite among them runs another way."""
     satellite = Detection(row0=200.0, col0=300.0, row1=330.0, col1=310.0, snr=40.0)
-    motion = stars_as_lines([*star_lines(turn_rad, 14, 3), satellite], (1000, 1000))
+    motion = stars_as_lines([*star_lines(turn_rad, 14, 3), satellite], shape=(1000, 1000))
     assert motion is not None
     assert motion.turn_rad == pytest.approx(turn_rad, abs=0.003)
     own = OwnEvidence(look_alikes=np.zeros((0, 5)), stars=motion)
@@ -365,7 +365,7 @@ def line_fit(line: Detection) -> StreakFit:
 
 
 def test_a_star_that_the_border_cuts_runs_the_same_way() -> None:
-    motion = stars_as_lines(star_lines(0.0, 12, 4), (1000, 1000))
+    motion = stars_as_lines(star_lines(0.0, 12, 4), shape=(1000, 1000))
     own = OwnEvidence(look_alikes=np.zeros((0, 5)), stars=motion)
     vetter = LookAlikeVetter(vetter=Certain(), evidence={0: own})
     short = Detection(row0=500.0, col0=0.0, row1=520.0, col1=56.5, snr=40.0, flags=StreakFlag.EDGE0)
@@ -378,8 +378,8 @@ def test_a_star_that_the_border_cuts_runs_the_same_way() -> None:
 def test_a_train_of_satellites_and_a_few_lines_are_no_stars() -> None:
     """Ten equal trails in a row; and seven stars, too few to tell."""
     train = [Detection(row0=r, col0=2.0 * r, row1=r + 50.0, col1=2.0 * r + 100.0, snr=30.0) for r in np.arange(40.0, 440.0, 40.0)]
-    assert stars_as_lines(train, (1000, 1000)) is None
-    assert stars_as_lines(star_lines(0.0, 7, 5), (1000, 1000)) is None
+    assert stars_as_lines(train, shape=(1000, 1000)) is None
+    assert stars_as_lines(star_lines(0.0, 7, 5), shape=(1000, 1000)) is None
 
 
 def test_full_pixels_are_light_and_others_that_are_masked_say_nothing() -> None:

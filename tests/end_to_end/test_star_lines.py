@@ -47,24 +47,24 @@ def test_fits_tell_where_detections_run_together() -> None:
         line(*rng.uniform(40.0, 260.0, 2), (float(rng.uniform(60.0, 200.0)), float(rng.uniform(10.0, 90.0))), 150.0)
         for _ in range(45)
     ]
-    assert stars_as_lines([*singles, *together], SHAPE) is None
+    assert stars_as_lines([*singles, *together], shape=SHAPE) is None
     own = OwnEvidence(look_alikes=np.zeros((0, 5)), shared=partial(stars_as_lines, shape=SHAPE))
-    assert own.stars_among([*singles, *together]) is None
-    motion = own.stars_among([*singles, *film(30, 2), *together])
+    assert own.stars_among([*singles, *together], round_stars=True) is None
+    motion = own.stars_among([*singles, *film(30, 2), *together], round_stars=True)
     assert motion is not None
     assert motion.turn_rad == pytest.approx(0.02, abs=0.008)
-    assert OwnEvidence(look_alikes=np.zeros((0, 5)), stars=motion).stars_among([]) is motion
-    assert OwnEvidence(look_alikes=np.zeros((0, 5))).stars_among(film(30, 2)) is None
+    assert OwnEvidence(look_alikes=np.zeros((0, 5)), stars=motion).stars_among([], round_stars=True) is motion
+    assert OwnEvidence(look_alikes=np.zeros((0, 5))).stars_among(film(30, 2), round_stars=True) is None
 
 
 def test_trains_of_satellites_are_no_stars() -> None:
     """Three trains beside each other have three lanes, however many satellites; a border cuts none of those that count."""
     trains = [*train(8, 40.0, 30.0, 1), *train(8, 30.0, 90.0, 2), *train(8, 35.0, 160.0, 3)]
-    assert stars_as_lines(trains, SHAPE) is None
+    assert stars_as_lines(trains, shape=SHAPE) is None
     stars = film(24, 4)
-    assert stars_as_lines(stars, SHAPE) is not None
+    assert stars_as_lines(stars, shape=SHAPE) is not None
     cut = [line(250.0, 20.0 * k, (30.0, 12.0), 50.0, StreakFlag.EDGE0) for k in range(12)]
-    assert stars_as_lines(cut, SHAPE) is None
+    assert stars_as_lines(cut, shape=SHAPE) is None
 
 
 def test_meteors_of_one_radiant_differ_in_length() -> None:
@@ -73,7 +73,25 @@ def test_meteors_of_one_radiant_differ_in_length() -> None:
         rng = np.random.default_rng(seed)
         length = np.exp(rng.uniform(np.log(20.0), np.log(120.0), 11))
         meteors = [line(*rng.uniform((60.0, 60.0), (440.0, 240.0)), (0.9 * d, 0.43 * d), 60.0) for d in length]
-        assert stars_as_lines(meteors, SHAPE) is None
+        assert stars_as_lines(meteors, shape=SHAPE) is None
+        assert stars_as_lines(meteors, False, shape=SHAPE) is None
+
+
+def test_a_few_equal_lines_are_stars_where_no_star_is_round() -> None:
+    """Five trails of 300 px in a frame without round stars were published as five satellites. Beside round stars equal lines are
+    a formation. Four whose lengths differ by a fifth share no motion."""
+    rng = np.random.default_rng(6)
+    stars = [line(60.0 + 75.0 * k, 60.0 + 40.0 * k, tuple(rng.normal((90.0, -30.0), 1.0)), 40.0) for k in range(5)]
+    motion = stars_as_lines(stars, False, shape=SHAPE)
+    assert motion is not None
+    assert abs(motion.drow) == pytest.approx(90.0, abs=3.0)
+    assert stars_as_lines(stars, shape=SHAPE) is None
+    assert stars_as_lines(stars[:3], False, shape=SHAPE) is None
+    own = OwnEvidence(look_alikes=np.zeros((0, 5)), shared=partial(stars_as_lines, shape=SHAPE))
+    assert own.stars_among(stars, round_stars=False) is not None
+    assert own.stars_among(stars, round_stars=True) is None
+    uneven = [line(60.0 + 75.0 * k, 60.0, (90.0 * (1.09 if k % 2 else 0.91), -30.0), 40.0) for k in range(4)]
+    assert stars_as_lines(uneven, False, shape=SHAPE) is None
 
 
 def test_lanes() -> None:

@@ -48,8 +48,9 @@ def stars_as_lines(
     apart = np.minimum(np.hypot(*(vectors - wanted).T), np.hypot(*(vectors + wanted).T))
     share = apart / _may_err(wanted)
     agree = share < 1.0
-    equal = not round_stars and float(np.mean(share[agree] ** 2)) <= EQUAL**2
-    return motion if lanes_of(places[agree], wanted[agree]) >= (LEAST_COMMON if equal else FEWEST_STARS) else None
+    lanes = lanes_of(places[agree], wanted[agree])
+    equal = not round_stars and lanes >= LEAST_COMMON and float(np.mean(share[agree] ** 2)) <= EQUAL**2
+    return motion if equal or lanes >= FEWEST_STARS else None
 
 
 def lanes_of(places: NDArray[np.float64], vectors: NDArray[np.float64]) -> int:

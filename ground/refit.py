@@ -55,6 +55,11 @@ SHORTEST_WINDOW: Final = 3
 GRAVITY_ARCSEC_S2: Final = 1.0
 """Change of rate by differential gravity, beyond that of a straight passage."""
 
+OVERTAKING_RAD_S: Final = 2.0 * 7.6 / 500.0
+"""Twice the speed in low orbit over a near range, 7.6 km/s over 500 km. An object on an orbit like the observer's, whose heading
+differs by h, passes at 7.6 km/s * 2 sin(h/2)^2 over its range, if the observer looks across its own flight. Its velocity leans on the
+line of sight by c = cot(h/2), so that 1 + c^2 is this rate over that of the passage: the slower, the more it leans."""
+
 LEAST_APPROACH_PER_S: Final = 1e-4
 """Least rate, relative to the distance, at which the geometry of a passage changes."""
 
@@ -217,7 +222,8 @@ def _windows(frames: Sequence[TrackletFrame], passage: StraightPassage) -> list[
     span_s = float(t_s.max() - t_s.min())
     rate = max(float(np.ptp(along)) / max(span_s, 1e-6), 1e-3)
     # in the time of the passage a range that does not change shows as 2 w kappa
-    prior = AccelerationPrior(2.0 * rate * passage.kappa_per_s, 2.0 * rate**2 * ARCSEC_RAD + GRAVITY_ARCSEC_S2)
+    leaning = float(np.sqrt(1.0 + OVERTAKING_RAD_S / (rate * ARCSEC_RAD)))
+    prior = AccelerationPrior(2.0 * rate * passage.kappa_per_s, 2.0 * rate**2 * ARCSEC_RAD * leaning + GRAVITY_ARCSEC_S2)
     approach = float(np.hypot(rate * ARCSEC_RAD, passage.kappa_per_s)) + LEAST_APPROACH_PER_S
     errors = [sigma for frame in frames for _, _, sigma in _shutter_ends(frame)]
     error = min(PARABOLA_ERROR * float(np.median(errors)), 1.0) if errors else 1.0

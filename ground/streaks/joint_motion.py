@@ -10,10 +10,11 @@ from ground.streaks.joint_evidence import Evidence, TrackletFrame
 
 
 class AccelerationPrior(NamedTuple):
-    """Prior of the change of rate, unit of `along` per s^2: Student's t with two degrees of freedom about the usual one.
+    """Prior of the change of rate, unit of `along` per s^2: even about the usual one up to the scale, falling as its cube beyond.
 
     The change is 2 w^2 c for an object that passes at the rate w. c is the cotangent of the angle of its relative velocity with
-    the line of sight. Directions at random give c the density (1 + c^2)^(-3/2) / 2.
+    the line of sight. Directions at random give c the density (1 + c^2)^(-3/2) / 2, with the same tails. But all slow objects of
+    a run may lean one way, as orbits of one sense do from one place: a peak in the middle would shift each of them.
     """
 
     usual: float
@@ -21,12 +22,12 @@ class AccelerationPrior(NamedTuple):
 
     @property
     def wide(self) -> float:
-        """95 % lie within it."""
+        """96 % lie within it."""
         return 3.0 * self.scale
 
     def log_density(self, change: NDArray[np.float64]) -> NDArray[np.float64]:
         """Log density but for a constant."""
-        return np.asarray(-1.5 * np.log1p(((change - self.usual) / self.scale) ** 2))
+        return np.asarray(-0.75 * np.log1p(((change - self.usual) / self.scale) ** 4))
 
 
 class Motion(NamedTuple):

@@ -57,8 +57,8 @@ GRAVITY_ARCSEC_S2: Final = 1.0
 
 OVERTAKING_RAD_S: Final = 2.0 * 7.6 / 500.0
 """Twice the speed in low orbit over a near range, 7.6 km/s over 500 km. An object on an orbit like the observer's, whose heading
-differs by h, passes at 7.6 km/s * 2 sin(h/2)^2 over its range, if the observer looks across its own flight. Its velocity leans on the
-line of sight by c = cot(h/2), so that 1 + c^2 is this rate over that of the passage: the slower, the more it leans."""
+differs by h, passes at 7.6 km/s * 2 sin(h/2)^2 over its range, if the observer looks across its own flight. Its velocity leans
+towards the line of sight by c = cot(h/2), so that 1 + c^2 is this rate over that of the passage: the slower, the more."""
 
 LEAST_APPROACH_PER_S: Final = 1e-4
 """Least rate, relative to the distance, at which the geometry of a passage changes."""

@@ -25,6 +25,7 @@ from ground.vetting.features import LEAST_BINS
 from ground.vetting.likelihood import sharpest_light_px, sharpness_of
 from ground.vetting.meteors import for_meteor
 from ground.vetting.particles import SHARP, odds_of_particles
+from ground.vetting.radiants import for_radiant
 from ground.vetting.repeated import doubled
 from ground.vetting.rim import ImageCircle
 from ground.vetting.sides import SkyMap
@@ -249,9 +250,17 @@ class LookAlikeVetter:
         tracks = odds_of_particles(fits, [by_stars and told < SHARP for told in sharpness])
         given = probability_in_any_camera(fits, given, sharpness, contrasts, tracks)
         for k in np.flatnonzero(given >= LEAST_PROBABILITY).tolist():
-            odds = given[k] * for_meteor(fits[k], tiles, contrasts[k])
-            given[k] = odds / (odds + 1.0 - given[k])
+            given[k] = with_odds(given[k], for_meteor(fits[k], tiles, contrasts[k]))
         # such a line wins all along it, as a trail does: its contrast and length do not outweigh its place
-        given = np.minimum(given, 1.0 / (1.0 + borders))
+        at_most = 1.0 / (1.0 + borders)
+        given = np.minimum(given, at_most)
         stands_out = [1.0 if contrast is None else contrast.wins for contrast in contrasts]
+        given = np.where(doubled(fits, given, stands_out), 0.0, given)
+        shower = for_radiant(fits, given, round_stars=frame.psf_sigma_px is not None)
+        given = np.minimum(with_odds(given, shower), at_most)
         return np.where(doubled(fits, given, stands_out), 0.0, given)
+
+
+def with_odds(probability: NDArray[np.float64], odds: NDArray[np.float64] | float) -> NDArray[np.float64]:
+    """Probabilities whose odds are multiplied."""
+    return probability * odds / (probability * odds + 1.0 - probability)

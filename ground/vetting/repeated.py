@@ -44,13 +44,13 @@ def doubled(fits: Sequence[StreakFit], probability: NDArray[np.float64], stands_
     for place, i in enumerate(order):
         if not out[i]:
             for j in order[place + 1 :]:
-                shorter, longer = sorted((i, j), key=lambda k: fits[k].length_px)
-                out[j] |= _overlaps(fits[shorter], fits[longer])
+                out[j] |= on_one_trail(fits[i], fits[j])
     return out
 
 
-def _overlaps(fit: StreakFit, trail: StreakFit) -> bool:
-    """Whether a fit lies on the line of a longer one and shares half its own length with it."""
+def on_one_trail(one: StreakFit, other: StreakFit) -> bool:
+    """Whether the shorter of two fits lies on the line of the longer one and shares half its own length with it."""
+    fit, trail = sorted((one, other), key=lambda each: each.length_px)
     along, across = _ends_on(trail, fit)
     reach = SAME_TRAIL_WIDTHS * max(fit.width_px, trail.width_px, 1.0) + abs(trail.sagitta_px) + abs(fit.sagitta_px)
     shared = min(along.max(), trail.length_px) - max(along.min(), 0.0)

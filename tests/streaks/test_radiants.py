@@ -1,0 +1,92 @@
+"""Lines that point at one place: a shower of meteors, and what is none."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from ground.streaks import TrailedPsfFitter
+from ground.vetting.look_alikes import with_odds
+from ground.vetting.radiants import for_radiant
+from sboc_e2e.icd.products import StreakFit
+from tests.streaks.impostors import draw
+from tests.streaks.test_meteors import EVEN, judged, lit
+
+RADIANT = (-40.0, 90.0)
+MEMBERS = (35.0, 60.0, 85.0, 110.0)
+"""Directions (deg) from the radiant of four meteors of a shower."""
+
+
+@pytest.fixture(scope="module")
+def drawn() -> StreakFit:
+    """A fit of a trail of no place yet."""
+    shot = draw("real", np.random.default_rng(5))
+    return replace(TrailedPsfFitter().fit(shot.pixels, shot.detection), sagitta_px=0.0, chi2_nu=1.0, width_px=1.2, snr=60.0)
+
+
+def way(fit: StreakFit, angle_deg: float, near_px: float, length_px: float, turn_deg: float = 0.0) -> StreakFit:
+    """The fit on a line from the radiant, turned about its own first end."""
+    d_row, d_col = math.sin(math.radians(angle_deg)), math.cos(math.radians(angle_deg))
+    row, col = RADIANT[0] + near_px * d_row, RADIANT[1] + near_px * d_col
+    turned = math.radians(angle_deg + turn_deg)
+    end = row + length_px * math.sin(turned), col + length_px * math.cos(turned)
+    return replace(fit, row0=row, col0=col, row1=end[0], col1=end[1])
+
+
+def shower(fit: StreakFit, n: int) -> list[StreakFit]:
+    """The first n of four meteors."""
+    return [way(fit, angle, 90.0 + 10.0 * k, 50.0 + 20.0 * k) for k, angle in enumerate(MEMBERS[:n])]
+
+
+def odds_of(others: list[StreakFit], fit: StreakFit, *, round_stars: bool = True) -> float:
+    """For a fit that may be a trail beside others that are published."""
+    given = np.array([*[0.8] * len(others), 0.3])
+    return float(for_radiant([*others, fit], given, round_stars=round_stars)[-1])
+
+
+def test_a_line_that_points_at_the_radiant_of_published_ones_gains_and_others_do_not(drawn: StreakFit) -> None:
+    """Nine meteors of two showers, three to five others published, had p of 0.15 to 0.49."""
+    others, faint = shower(drawn, 4), way(drawn, 72.0, 170.0, 60.0)
+    assert odds_of(others, faint) == pytest.approx(30.0, rel=0.01)
+    assert odds_of(others, way(drawn, 72.0, 170.0, 60.0, turn_deg=8.0)) == 1.0
+    assert odds_of(others[:2], faint) == 1.0, "two lines always cross"
+    assert with_odds(np.array([0.0, 0.3, 1.0]), 30.0) == pytest.approx([0.0, 0.928, 1.0], abs=1e-3)
+
+
+def test_a_radiant_that_chance_gives_as_well_says_little(drawn: StreakFit) -> None:
+    """Of thirteen published lines of a picture four met in a place, and chance gives 0.8 such places."""
+    stray = [way(drawn, 40.0 + 7.0 * k, 90.0 + 14.0 * k, 60.0, turn_deg=25.0 + 17.0 * k) for k in range(7)]
+    faint = way(drawn, 72.0, 170.0, 60.0)
+    few, among = odds_of(shower(drawn, 3), faint), odds_of(shower(drawn, 3) + stray, faint)
+    assert few > 25.0
+    assert among < 0.25 * few
+
+
+def test_parallel_lines_and_many_lines_without_round_stars_may_be_trailed_stars(drawn: StreakFit) -> None:
+    """Two pictures of trailed stars: 9 of 18 and 13 of 21 published lines pointed at one place, and 14 more followed them."""
+    parallel = [replace(drawn, row0=20.0 + 30.0 * k, col0=40.0 * k, row1=70.0 + 30.0 * k, col1=40.0 * k + 60.0) for k in range(6)]
+    assert odds_of(parallel[:-1], parallel[-1]) == 1.0
+    faint = way(drawn, 72.0, 170.0, 60.0)
+    many = [way(drawn, 20.0 + 12.0 * k, 90.0 + 20.0 * (k % 3), 60.0) for k in range(8)]
+    assert odds_of(many, faint) > 25.0
+    assert odds_of(many, faint, round_stars=False) == 1.0
+    assert odds_of(many[:7], faint, round_stars=False) > 25.0
+
+
+def test_no_line_speaks_for_itself_nor_for_a_second_fit_on_its_trail(drawn: StreakFit) -> None:
+    others = shower(drawn, 3)
+    again = replace(others[2], row1=others[2].row1 - 5.0)
+    assert odds_of(others, again) == 1.0, "the two others always cross"
+    assert for_radiant(others, np.full(3, 0.8), round_stars=True) == pytest.approx(1.0)
+    none = replace(drawn, row1=drawn.row0, col1=drawn.col0)
+    assert odds_of(others, none) == 1.0, "no length"
+
+
+def test_a_faint_meteor_of_a_shower_is_published(drawn: StreakFit) -> None:
+    lines = [*shower(drawn, 4), way(drawn, 72.0, 170.0, 60.0), way(drawn, 48.0, 190.0, 60.0, turn_deg=60.0)]
+    pixels = sum((lit(line, EVEN, 9.0) for line in lines[1:]), lit(lines[0], EVEN, 9.0)) - 100.0 * (len(lines) - 1)
+    p = judged((0.9, 0.9, 0.9, 0.9, 0.1, 0.1), lines, pixels)
+    assert p[:4].min() > 0.5
+    assert p[4] > 0.8
+    assert p[5] < 0.5, "as bright, but it points elsewhere"

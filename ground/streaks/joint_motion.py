@@ -10,11 +10,11 @@ from ground.streaks.joint_evidence import Evidence, TrackletFrame
 
 
 class AccelerationPrior(NamedTuple):
-    """Prior of the change of rate, unit of `along` per s^2: even about the usual one up to the scale, falling as its cube beyond.
+    """Prior of the change of rate, unit of `along` per s^2: even about the usual one up to the scale, an inverse cube beyond.
 
     The change is 2 w^2 c for an object that passes at the rate w. c is the cotangent of the angle of its relative velocity with
-    the line of sight. Directions at random give c the density (1 + c^2)^(-3/2) / 2, with the same tails. But all slow objects of
-    a run may lean one way, as orbits of one sense do from one place: a peak in the middle would shift each of them.
+    the line of sight. Directions at random give c the density (1 + c^2)^(-3/2) / 2, with the same tails. But most slow objects
+    of a run may lean one way, as orbits of one sense do from one place: a peak in the middle would shift each of them.
     """
 
     usual: float

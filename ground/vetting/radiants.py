@@ -14,6 +14,7 @@ import numpy as np
 import scipy  # scipy.special is loaded where it is used
 from numpy.typing import NDArray
 
+from ground.vetting.any_camera import LEAST_PROBABILITY
 from ground.vetting.repeated import PUBLISHED, on_one_trail
 from sboc_e2e.icd.products import StreakFit
 
@@ -31,8 +32,6 @@ LEAST_SPREAD_DEG: Final = 2.0 * AWAY_DEG
 FEWEST_STARS: Final = 8
 """Where no star is round, so many lines that point at one place may be the stars: as many as share a motion there
 (`sboc_e2e.outside.star_lines`). Two pictures of trailed stars with 9 and 13 had 14 false lines more without this."""
-LEAST_PROBABILITY: Final = 1e-3
-"""What is less likely stays so, as in `any_camera`."""
 
 
 def for_radiant(fits: Sequence[StreakFit], probability: NDArray[np.float64], *, round_stars: bool) -> NDArray[np.float64]:

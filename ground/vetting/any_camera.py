@@ -3,7 +3,7 @@
 A vetter's classes are those of one simulated camera, and a frame's look-alikes are few. How far both can be trusted, and what the
 line's contrast, length and width add, was fitted to lines of real frames (logistic regression). With each camera judged by a fit
 to the others, 62 of 76 trails were published and one other line, in a photograph of people. Without these terms 53 and 3 were
-(docs/real-frames.md).
+(docs/exams.md).
 """
 
 import math

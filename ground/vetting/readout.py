@@ -20,7 +20,7 @@ its light farther out. Chosen, not measured."""
 
 READOUT_SPAN: Final = 0.7
 """Least share of the frame along it. Both together take in one of 500 lines of any direction and place in frames of 4,096 px,
-and one of eight in cut-outs of 100 px (docs/real-frames.md). Chosen, not measured."""
+and one of eight in cut-outs of 100 px (docs/vetting.md). Chosen, not measured."""
 
 READOUT_SHARE: Final = 0.015
 """Share of lines that are the readout's in a frame that shows no others of them. Chosen, so that a trail of 25 px along a row,

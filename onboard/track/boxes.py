@@ -96,15 +96,19 @@ def motions(kind: OrbitKind, sight: Array, position_m: Array, velocity_m_s: Arra
         range_m = -along + math.sqrt(max(along**2 + radius**2 - float(position_m @ position_m), 0.0))
         up = (position_m + range_m * sight) / radius
         east = np.array([-up[1], up[0], 0.0]) / max(math.hypot(up[0], up[1]), 1e-12)
-        north = np.cross(up, east)
-        for a, e, i in product(kind.semi_major_axis_m, kind.eccentricity, np.linspace(*kind.inclination_deg, 3)):
+        north, level = np.cross(up, east), max(math.hypot(up[0], up[1]), 1e-12)
+        least, most = kind.inclination_deg
+        # no orbit is inclined by less than the latitude of its places
+        least = max(least, math.degrees(math.acos(min(level, 1.0))))
+        if least > most:
+            continue
+        for a, e, i in product(kind.semi_major_axis_m, kind.eccentricity, np.linspace(least, most, 3)):
             speed2, across = GM_M3_S2 * (2.0 / radius - 1.0 / a), math.sqrt(GM_M3_S2 * a * (1.0 - e**2)) / radius
-            # cos(inclination) = cos(latitude) cos(heading from the east)
-            cosine = math.cos(math.radians(i)) / max(math.hypot(up[0], up[1]), 1e-12)
-            if speed2 < across**2 * (1.0 - 1e-6) or cosine > 1.0:
+            if speed2 < across**2 * (1.0 - 1e-6):
                 continue
             outward = math.sqrt(max(speed2 - across**2, 0.0))
-            heading = math.acos(cosine)
+            # cos(inclination) = cos(latitude) cos(heading from the east)
+            heading = math.acos(min(math.cos(math.radians(i)) / level, 1.0))
             for sense, radial in product((-1.0, 1.0), (-1.0, 1.0)):
                 way = across * (math.cos(heading) * east + sense * math.sin(heading) * north) + radial * outward * up
                 relative = way - velocity_m_s

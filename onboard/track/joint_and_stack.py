@@ -104,14 +104,14 @@ class JointAndStackTracker(JointTracker):
         reach = 0.5 * self.stack_frames * PERIOD_S
         return math.prod(max(1, math.ceil(2.0 * half * reach)) for half in (box.half_row_px_s, box.half_col_px_s))
 
-    def box_of(self, view: TrackerView) -> Box | None:
+    def box_of(self, header: FrameHeader, focal_px: float | None) -> Box | None:
         """Velocities to be searched in a window that begins with a frame; None where the frame does not tell those of its orbits.
 
         A box of orbits that needs too many sums is cut about its middle.
         """
         if self.box not in KINDS:
             return self._given()
-        found = None if view.focal_px is None else named_box(self.box, view.view.header, view.focal_px)
+        found = None if focal_px is None else named_box(self.box, header, focal_px)
         if found is None or self.sums(found) <= MOST_VELOCITIES:
             return found
         share = math.sqrt(MOST_VELOCITIES / self.sums(found))
@@ -128,7 +128,7 @@ class JointAndStackTracker(JointTracker):
         joint, tracks = super().track(state.joint, view)
         begun, box = state.stack.begin_ns, state.box
         if view.transform is None or not (state.stack.groups or state.stack.epochs):
-            box = self.box_of(view) or box
+            box = self.box_of(view.view.header, view.focal_px) or box
         if box is None:
             return replace(self.initial_state(), joint=joint), tracks
         stack, objects = self._stack(box).step(state.stack, view.view, view.transform)

@@ -1,6 +1,6 @@
 """The weights of `ground.vetting.any_camera`, fitted again: ``python -m tests.benchmarks.any_camera_weights``.
 
-tests/streaks/lines_of_all_cameras.csv has the measured lines of 34 cameras and six simulated skies (docs/real-frames.md): the
+tests/streaks/lines_of_all_cameras.csv has the measured lines of 34 cameras and six simulated skies (docs/exams.md): the
 frame's number within its camera, the trail by eye that the line lies on (empty for none), the share of this trail that
 it covers, whether the vetter refused it outright, its weight in the fit, and what the log odds are made of. The weights of a
 camera's trails add up to four at most, those of its other lines to 40. The frames themselves are not part of the project.

@@ -6,6 +6,7 @@ repository's root:
 
     python -m tests.benchmarks.bench_stacks                      # 32 frames of 512 x 512, noise
     python -m tests.benchmarks.bench_stacks --stars --frames 128
+    python -m tests.benchmarks.bench_stacks --box meo --size 768 --stars    # objects on orbits, in the box that their name gives
     python -m tests.benchmarks.bench_stacks --whole 30    # windows of whole frames of noise: what is above the threshold itself
 """
 
@@ -13,27 +14,36 @@ import argparse
 import json
 import sys
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from onboard.image import registration
+from onboard.track.boxes import blind_box
 from onboard.track.false_alarms import expected_above, half_point_sigma, independent_stacks, threshold_sigma
+from onboard.track.joint_and_stack import JointAndStackTracker
 from onboard.track.stack import WARM_UP, Box, SlowObject, Stack
 from sboc_e2e.icd.signals import StarList
 from sboc_e2e.score.figures import half_point, rate
 from tests.benchmarks import detection_frames
 from tests.benchmarks.detection_frames import PSF_SIGMA_PX, Scene, Streak, add_streak, exposure, random_stars, view_of
+from tests.benchmarks.orbits_in_view import DRAWN, Observer
 
 PERIOD_S, EXPOSURE_S = 0.25, 0.2
 STARS = 25_000
 WHOLE_PX = 4096
 JITTER_PX = 0.4
+FOCAL_PX = 0.4 / 9e-6
+"""Of `sboc_like`."""
 
 GEO = Box(row_px_s=1.6, col_px_s=9.0, half_row_px_s=0.4, half_col_px_s=0.88)
 """0.2 x 0.44 px in 0.25 s about the motion of a geostationary object seen from a low orbit."""
+
+BOXES = ("given", *DRAWN, "blind")
 
 LOW_SNR = 5.2
 """Noise is counted from here on: at the threshold itself too few windows would be seen."""
@@ -59,12 +69,56 @@ class Truth:
     snr: float
 
 
-def draw(n: int, size: int, seconds: float, low: float, high: float, rng: np.random.Generator) -> list[Truth]:
-    """Objects that stay inside, at least 16 px from each other in the middle of the window."""
+@dataclass(frozen=True, kw_only=True)
+class Motions:
+    """A box that is searched, and how the rates (row, col; px/s) of objects are drawn."""
+
+    box: Box
+    rate: Callable[[np.random.Generator], NDArray[np.float64]]
+
+    @classmethod
+    def all_of(cls, box: Box) -> "Motions":
+        """Any rate of a box alike."""
+        middle, half = np.array([box.row_px_s, box.col_px_s]), np.array([box.half_row_px_s, box.half_col_px_s])
+        return cls(box=box, rate=lambda rng: middle + rng.uniform(-1, 1, 2) * half)
+
+    @classmethod
+    def of_orbits(cls, kind: str, frames: int, rng: np.random.Generator) -> "Motions":
+        """Objects of a kind in the field of an observer somewhere, and the box that the kind's name gives there."""
+        tracker = JointAndStackTracker(box=kind, stack_frames=frames)
+        while True:
+            observer = Observer.towards_the_night(rng)
+            box = tracker.box_of(observer.header(WHOLE_PX), FOCAL_PX)
+            # a box of the field's corner alone is passed over: few orbits lead through there
+            if box is not None and observer.object_in_view(DRAWN[kind], 0.5 * WHOLE_PX, FOCAL_PX, rng) is not None:
+                return cls(box=box, rate=partial(_rate_of_some, observer, kind))
+
+
+def _rate_of_some(observer: Observer, kind: str, rng: np.random.Generator) -> NDArray[np.float64]:
+    """Rate of an object of a kind somewhere in the field, through which there are orbits."""
+    while (drawn := observer.object_in_view(DRAWN[kind], 0.5 * WHOLE_PX, FOCAL_PX, rng)) is None:
+        pass
+    return observer.rate_px_s(*drawn, FOCAL_PX)
+
+
+def motions(kind: str, frames: int, rng: np.random.Generator) -> Motions:
+    """By the name of a box: "given" is `GEO`."""
+    if kind == "given":
+        return Motions.all_of(GEO)
+    return Motions.all_of(blind_box(PERIOD_S)) if kind == "blind" else Motions.of_orbits(kind, frames, rng)
+
+
+def draw(
+    n: int, size: int, seconds: float, low: float, high: float, rng: np.random.Generator, moving: Motions | None = None
+) -> list[Truth]:
+    """Objects that stay inside, at least 16 px from each other in the middle of the window; moving: in `GEO` by default."""
+    moving = moving or Motions.all_of(GEO)
     made: list[Truth] = []
     while len(made) < n:
-        rate = np.array([GEO.row_px_s, GEO.col_px_s]) + rng.uniform(-1, 1, 2) * (GEO.half_row_px_s, GEO.half_col_px_s)
+        rate = moving.rate(rng)
         way = rate * seconds
+        if np.abs(way).max() > size - 32.0:
+            raise RuntimeError(f"an object moves by {np.abs(way).max():.0f} px in a window: --size {size} is too small")
         start = rng.uniform(8.0 - np.minimum(way, 0.0), size - 8.0 - np.maximum(way, 0.0))
         if all(np.hypot(*(start + 0.5 * way - t.start - 0.5 * seconds * t.rate)) > 16.0 for t in made):
             made.append(Truth(start=start, rate=rate, snr=float(rng.uniform(low, high))))
@@ -157,16 +211,22 @@ def whole_windows(frames: int, windows: int, n_stars: int) -> dict[str, Any]:
     }
 
 
-def completeness(frames: int, size: int, cubes: int, n_stars: int) -> dict[str, Any]:
-    """S50 per frame; places and S/N of what was found against the truth."""
-    stack = PieceStack(frames=frames, box=GEO, false_per_window=0.1)
+def completeness(frames: int, size: int, cubes: int, n_stars: int, box: str = "given") -> dict[str, Any]:
+    """S50 per frame; places and S/N of what was found against the truth. Each cube has a box of its own where orbits give it."""
     seconds = PERIOD_S * (frames + WARM_UP)
-    ideal = half_point_sigma(stack.threshold((size, size), PERIOD_S, PSF_SIGMA_PX)) / frames**0.5
     snr, seen, errors, ratios, false = [], [], [], [], 0
+    ideals, sums, search, outside = [], [], [], 0
     for c in range(cubes):
         rng = np.random.default_rng((8, frames, c))
-        truth = draw(max(6, size // 40), size, seconds, 0.7 * ideal, 1.6 * ideal, rng)
-        found, _, _ = run_cube(stack, truth, size, rng, n_stars)
+        moving = motions(box, frames, rng)
+        stack = PieceStack(frames=frames, box=moving.box, false_per_window=0.1)
+        ideal = half_point_sigma(stack.threshold((size, size), PERIOD_S, PSF_SIGMA_PX)) / frames**0.5
+        truth = draw(max(6, size // 40), size, seconds, 0.7 * ideal, 1.6 * ideal, rng, moving)
+        outside += sum(not _holds(moving.box, t.rate) for t in truth)
+        found, took, _ = run_cube(stack, truth, size, rng, n_stars)
+        ideals.append(ideal)
+        sums.append(JointAndStackTracker(stack_frames=frames).sums(moving.box))
+        search.append(took)
         for t in truth:
             mine = [f for f in found if near(f, t, seconds)]
             snr.append(t.snr)
@@ -177,12 +237,22 @@ def completeness(frames: int, size: int, cubes: int, n_stars: int) -> dict[str, 
                 ratios.append(mine[0].snr / (t.snr * frames**0.5))
         false += sum(not any(near(f, t, seconds) for t in truth) for f in found)
     return {
-        "ideal": round(ideal, 3),
+        "n": len(snr),
+        "ideal": round(float(np.mean(ideals)), 3),
         "s50": half_point(snr, seen),
         "false": false,
+        "outside_box": outside,
+        "sums": [min(sums), max(sums)],
+        "search_cpu_s_whole_frame": [round(t * (WHOLE_PX / size) ** 2, 2) for t in (min(search), float(np.median(search)))],
         "error_over_bound": np.round(np.sqrt(np.mean(np.square(errors), axis=0)), 2).tolist(),
         "snr_ratio_bright": round(float(np.median(np.array(ratios)[np.argsort(snr_of(ratios, snr, seen))[-20:]])), 3),
     }
+
+
+def _holds(box: Box, rate: NDArray[np.float64]) -> bool:
+    """Whether a box holds a rate."""
+    apart = np.abs(rate - (box.row_px_s, box.col_px_s))
+    return bool((apart <= (box.half_row_px_s, box.half_col_px_s)).all())
 
 
 def snr_of(ratios: list[float], snr: list[float], seen: list[bool]) -> list[float]:
@@ -218,11 +288,16 @@ if __name__ == "__main__":
     parser.add_argument("--frames", type=int, default=32)
     parser.add_argument("--stars", action="store_true")
     parser.add_argument("--noise", type=int, default=0, help="cubes without objects; 0: as many as with them")
+    parser.add_argument(
+        "--box", choices=BOXES, default="given", help="objects in this box, and nothing else if it is not `given`"
+    )
     parser.add_argument("--whole", type=int, default=0, help="windows of whole frames without objects, and nothing else")
     chosen = parser.parse_args()
     stars = STARS if chosen.stars else 0
     if chosen.whole:
         made = whole_windows(chosen.frames, chosen.whole, stars)
+    elif chosen.box != "given":
+        made = completeness(chosen.frames, chosen.size, chosen.cubes, stars, chosen.box)
     else:
         made = figures(chosen.size, chosen.cubes, chosen.frames, stars, chosen.noise or chosen.cubes)
     sys.stdout.write("\n".join(f"{key}: {json.dumps(value)}" for key, value in made.items()) + "\n")

@@ -30,6 +30,7 @@ from ground.vetting.repeated import doubled
 from ground.vetting.rim import ImageCircle
 from ground.vetting.sides import SkyMap
 from ground.vetting.spikes import BrightStars
+from ground.vetting.star_arcs import of_turning_stars
 from ground.vetting.star_rows import FULL_PER_FRAME, FULL_SNR, REAL_PER_FRAME, StarField
 from ground.vetting.star_trails import against_chains, move_as
 from sboc_e2e.icd.downlink import DownlinkFrame
@@ -256,7 +257,11 @@ class LookAlikeVetter:
         given = np.minimum(given, at_most)
         stands_out = [1.0 if contrast is None else contrast.wins for contrast in contrasts]
         given = np.where(doubled(fits, given, stands_out), 0.0, given)
-        shower = for_radiant(fits, given, round_stars=frame.psf_sigma_px is not None)
+        round_stars = frame.psf_sigma_px is not None
+        if not round_stars:
+            shape = frame.header.rows, frame.header.cols
+            given = np.where(of_turning_stars(fits, given, shape), 0.0, given)
+        shower = for_radiant(fits, given, round_stars=round_stars)
         given = np.minimum(with_odds(given, shower), at_most)
         return np.where(doubled(fits, given, stands_out), 0.0, given)
 

@@ -8,6 +8,7 @@ trunks are parallel too. In a wide field trailed stars are not, and there are ma
 
 import math
 from collections.abc import Sequence
+from functools import cached_property
 from typing import Final
 
 import numpy as np
@@ -44,18 +45,18 @@ def for_radiant(fits: Sequence[StreakFit], probability: NDArray[np.float64], *, 
     odds = np.ones(len(fits))
     if len(telling) < FEWEST:
         return odds
-    lines = _Lines.of([fits[k] for k in telling])
+    lines = Lines.of([fits[k] for k in telling])
     if not round_stars and int((lines.agree <= AWAY_DEG).sum(axis=1).max()) >= FEWEST_STARS:
         return odds
     for k in np.flatnonzero(known & (probability >= LEAST_PROBABILITY)).tolist():
         others = [place for place, j in enumerate(telling) if j != k and not on_one_trail(fits[k], fits[j])]
         found = lines.radiant(others)
-        if found is not None and _Lines.of([fits[k]]).away_deg(found[0][None, :])[0, 0] <= AWAY_DEG:
+        if found is not None and Lines.of([fits[k]]).away_deg(found[0][None, :])[0, 0] <= AWAY_DEG:
             odds[k] = found[1]
     return odds
 
 
-class _Lines:
+class Lines:
     """Lines of a frame: their middles and directions (n, 2), rows and columns."""
 
     def __init__(self, middle: NDArray[np.float64], way: NDArray[np.float64]) -> None:
@@ -65,11 +66,14 @@ class _Lines:
         straight = np.column_stack((across, -(across * middle).sum(axis=1)))
         self.crossings = np.cross(straight[self.first], straight[self.second])
         """Where each pair of lines crosses: row, column and what both are to be divided by, 0 for parallel ones."""
-        self.agree = self.away_deg(self.crossings)
+
+    @cached_property
+    def agree(self) -> NDArray[np.float64]:
         """Angles (pairs, n) of the lines from the directions to the crossings."""
+        return self.away_deg(self.crossings)
 
     @classmethod
-    def of(cls, fits: Sequence[StreakFit]) -> "_Lines":
+    def of(cls, fits: Sequence[StreakFit]) -> "Lines":
         """Of fits that have a length."""
         ends = np.array([(fit.row0, fit.col0, fit.row1, fit.col1) for fit in fits])
         along = ends[:, 2:] - ends[:, :2]

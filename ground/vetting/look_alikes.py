@@ -258,9 +258,8 @@ class LookAlikeVetter:
         stands_out = [1.0 if contrast is None else contrast.wins for contrast in contrasts]
         given = np.where(doubled(fits, given, stands_out), 0.0, given)
         round_stars = frame.psf_sigma_px is not None
-        if not round_stars:
-            shape = frame.header.rows, frame.header.cols
-            given = np.where(of_turning_stars(fits, given, shape), 0.0, given)
+        shape = frame.header.rows, frame.header.cols
+        given = np.where(of_turning_stars(fits, given, shape, round_stars=round_stars), 0.0, given)
         shower = for_radiant(fits, given, round_stars=round_stars)
         given = np.minimum(with_odds(given, shower), at_most)
         return np.where(doubled(fits, given, stands_out), 0.0, given)

@@ -99,14 +99,14 @@ class Lines:
         meeting = meets.sum(axis=1)
         best = int(np.lexsort((np.where(meets, away**2, 0.0).sum(axis=1), -meeting))[0])
         most = int(meeting[best])
-        if most < FEWEST or _spread_deg(self.way[np.asarray(chosen)[meets[best]]]) < LEAST_SPREAD_DEG:
+        if most < FEWEST or spread_deg(self.way[np.asarray(chosen)[meets[best]]]) < LEAST_SPREAD_DEG:
             return None
         by_chance = math.comb(n, 2) * float(scipy.special.bdtrc(most - 3, n - 2, BY_CHANCE)) / math.comb(most, 2)
         believed = 1.0 / (1.0 + by_chance)
         return self.crossings[pairs[best]], max(1.0 - believed + believed * most / n / BY_CHANCE, 1.0)
 
 
-def _spread_deg(way: NDArray[np.float64]) -> float:
+def spread_deg(way: NDArray[np.float64]) -> float:
     """Least angle that holds all directions (n, 2), either sense of each alike."""
     angle = np.sort(np.degrees(np.arctan2(way[:, 0], way[:, 1])) % 180.0)
     return 180.0 - float(np.max(np.diff(angle, append=angle[0] + 180.0)))

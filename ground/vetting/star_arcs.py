@@ -17,7 +17,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.vetting.radiants import Lines
+from ground.vetting.radiants import Lines, spread_deg
 from ground.vetting.repeated import PUBLISHED
 from sboc_e2e.icd.products import StreakFit
 
@@ -36,6 +36,11 @@ and the share below, and 5 of 18,000 showers."""
 LEAST_SHARE: Final = 0.7
 """Least share of the published lines that run about the axis. Eight of nine pictures of star trails have 0.79 to 1. Chosen in
 view of them."""
+BESIDE_ROUND: Final = 12
+"""Least number of circles where leaves or lamps passed for round stars, or stars are round and the lines are objects."""
+AROUND_DEG: Final = 45.0
+"""Least spread of the directions of these lines. Objects of a formation are nearly parallel, as geostationary ones in a frame
+that follows the stars; none runs around the pole. Chosen."""
 APART_PX: Final = 4.0
 """Circles this far apart are two: lines that follow each other, as satellites of a train do, count once."""
 LONGER: Final = 2.0
@@ -129,20 +134,26 @@ class _Turn:
         return count
 
 
-def of_turning_stars(fits: Sequence[StreakFit], probability: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.bool_]:
-    """(n,) which fits of a frame without round stars are arcs of stars; none where its published lines share no turn.
+def of_turning_stars(
+    fits: Sequence[StreakFit], probability: NDArray[np.float64], shape: tuple[int, int], *, round_stars: bool
+) -> NDArray[np.bool_]:
+    """(n,) which fits of a frame are arcs of stars; none where its published lines share no turn.
 
-    probability : (n,) of the fits. shape : rows, columns of the frame.
+    probability : (n,) of the fits. shape : rows, columns of the frame. round_stars : whether it seems to have round stars.
     """
+    none = np.zeros(len(fits), np.bool_)
     known = np.array([fit.length_px > 0.0 for fit in fits], dtype=np.bool_)
     published = _Arcs.of([fit for fit, p, ok in zip(fits, probability, known, strict=True) if ok and p >= PUBLISHED], shape)
     if len(published.middle) < FEWEST:
-        return np.zeros(len(fits), np.bool_)
+        return none
     turn = _best_turn(published, max(shape))
     stars = published.chosen(turn.holds(published))
-    few = len(stars.middle) < LEAST_SHARE * len(published.middle) or turn.circles(stars) < FEWEST
-    if few or published.misfit(turn.away_deg(published)) >= _misfit_of_a_shower(published):
-        return np.zeros(len(fits), np.bool_)
+    if len(stars.middle) < LEAST_SHARE * len(published.middle) or turn.circles(stars) < (BESIDE_ROUND if round_stars else FEWEST):
+        return none
+    if round_stars and spread_deg(stars.way) < AROUND_DEG:
+        return none
+    if published.misfit(turn.away_deg(published)) >= _misfit_of_a_shower(published):
+        return none
     lines = _Arcs.of(fits, shape)
     turn_rad = float(np.quantile(stars.length / turn.arc_px(stars), 0.9))
     return known & turn.holds(lines) & (lines.length <= LONGER * turn_rad * turn.arc_px(lines) + ENDS_PX)

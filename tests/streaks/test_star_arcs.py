@@ -42,10 +42,19 @@ def arcs(fit: StreakFit, pole: tuple[float, float, float], n: int, share: float,
     return [arc(fit, at, np.array(pole), turn_deg, share * max(SHAPE)) for at in places]
 
 
-def stars_among(fits: list[StreakFit], faint: int = 0) -> np.ndarray:
+def stars_among(fits: list[StreakFit], faint: int = 0, *, round_stars: bool = False) -> np.ndarray:
     """Which fits are arcs of stars, the last ones not published."""
     given = np.array([0.9] * (len(fits) - faint) + [0.2] * faint)
-    return of_turning_stars(fits, given, SHAPE)
+    return of_turning_stars(fits, given, SHAPE, round_stars=round_stars)
+
+
+def test_leaves_that_pass_for_round_stars_do_not_hide_arcs_around_the_pole(drawn: StreakFit) -> None:
+    """A house among bushes under 43 arcs. Geostationary objects among round stars are as many, but nearly parallel."""
+    around, parallel = (arcs(drawn, pole, 20, 0.8) for pole in ((0.1, -0.3, 1.0), (0.05, 1.0, 0.02)))
+    assert stars_among(around, round_stars=True).mean() >= 0.9
+    assert not stars_among(around[:10], round_stars=True).any()
+    assert stars_among(parallel).mean() >= 0.9
+    assert not stars_among(parallel, round_stars=True).any()
 
 
 @pytest.mark.parametrize("pole", [(0.1, -0.3, 1.0), (0.6, -0.9, 0.4), (0.05, 1.0, 0.02)])

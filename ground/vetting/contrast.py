@@ -128,6 +128,11 @@ class Contrast:
         return cls(pieces=int(told.sum()), wins=float(wins), peak=float(np.clip(peak, -1.0, 1.0)))
 
 
+def places_beside(width_px: float) -> NDArray[np.float64]:
+    """Distances (`SIDES`,) of the places on each side of a line, px."""
+    return FIRST_WIDTHS * width_px + max(STEP_WIDTHS * width_px, LEAST_STEP_PX) * np.arange(SIDES, dtype=np.float64)
+
+
 def light_of_pieces(fit: StreakFit, tiles: Tiles, n: int) -> NDArray[np.float64]:
     """Mean counts of n equal pieces of a line, in row `SIDES`, and of the same pieces beside it, (2 `SIDES` + 1, n).
 
@@ -136,7 +141,7 @@ def light_of_pieces(fit: StreakFit, tiles: Tiles, n: int) -> NDArray[np.float64]
     length, width = fit.length_px, effective_width_px(fit.width_px)
     per_piece = min(max(int(length / n), 2), MOST_ALONG)
     share = (np.arange(n * per_piece) + 0.5) / (n * per_piece)
-    away = FIRST_WIDTHS * width + max(STEP_WIDTHS * width, LEAST_STEP_PX) * np.arange(SIDES)
+    away = places_beside(width)
     place = np.concatenate((-away[::-1], [0.0], away))
     apart = max(1.0, width / 2.0)
     fine = apart * np.arange(-math.ceil(2.0 * width / apart), math.ceil(2.0 * width / apart) + 1.0)

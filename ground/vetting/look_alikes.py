@@ -33,6 +33,7 @@ from ground.vetting.spikes import BrightStars
 from ground.vetting.star_arcs import of_turning_stars
 from ground.vetting.star_rows import FULL_PER_FRAME, FULL_SNR, REAL_PER_FRAME, StarField
 from ground.vetting.star_trails import against_chains, move_as
+from ground.vetting.two_areas import is_border
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
@@ -251,7 +252,8 @@ class LookAlikeVetter:
         tracks = odds_of_particles(fits, [by_stars and told < SHARP for told in sharpness])
         given = probability_in_any_camera(fits, given, sharpness, contrasts, tracks)
         for k in np.flatnonzero(given >= LEAST_PROBABILITY).tolist():
-            given[k] = with_odds(given[k], for_meteor(fits[k], tiles, contrasts[k]))
+            odds = 0.0 if is_border(fits[k], tiles) else for_meteor(fits[k], tiles, contrasts[k])
+            given[k] = with_odds(given[k], odds)
         # such a line wins all along it, as a trail does: its contrast and length do not outweigh its place
         at_most = 1.0 / (1.0 + borders)
         given = np.minimum(given, at_most)

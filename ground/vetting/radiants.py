@@ -62,10 +62,13 @@ class Lines:
     def __init__(self, middle: NDArray[np.float64], way: NDArray[np.float64]) -> None:
         self.middle, self.way = middle, way
         self.first, self.second = np.triu_indices(len(middle), 1)
-        across = np.column_stack((way[:, 1], -way[:, 0]))
-        straight = np.column_stack((across, -(across * middle).sum(axis=1)))
-        self.crossings = np.cross(straight[self.first], straight[self.second])
+
+    @cached_property
+    def crossings(self) -> NDArray[np.float64]:
         """Where each pair of lines crosses: row, column and what both are to be divided by, 0 for parallel ones."""
+        across = np.column_stack((self.way[:, 1], -self.way[:, 0]))
+        straight = np.column_stack((across, -(across * self.middle).sum(axis=1)))
+        return np.cross(straight[self.first], straight[self.second])
 
     @cached_property
     def agree(self) -> NDArray[np.float64]:

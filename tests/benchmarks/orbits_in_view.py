@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
+from onboard.track.boxes import OrbitKind
 from sboc_e2e.icd.frame import AttitudeEstimate, FrameHeader, ObserverState
 
 Array = NDArray[np.float64]
@@ -25,32 +26,18 @@ OBSERVER_M_S: Final = math.sqrt(GM_M3_S2 / OBSERVER_M)
 OBSERVER_INCLINATION_DEG: Final = 98.2
 """Sun-synchronous at that height."""
 
-
-@dataclass(frozen=True, kw_only=True)
-class Drawn:
-    """Ranges that the objects of a kind are drawn from: semi-major axis (m), eccentricity, inclination (deg), radius (m)."""
-
-    semi_major_axis_m: tuple[float, float]
-    eccentricity: tuple[float, float]
-    inclination_deg: tuple[float, float]
-    radius_m: tuple[float, float]
-
-
-DRAWN: Final = {
-    "geo": Drawn(
-        semi_major_axis_m=(42.164e6, 42.164e6),
-        eccentricity=(0.0, 0.0),
-        inclination_deg=(0.0, 15.0),
-        radius_m=(42.164e6, 42.164e6),
-    ),
-    "meo": Drawn(
-        semi_major_axis_m=(25.5e6, 29.6e6), eccentricity=(0.0, 0.0), inclination_deg=(54.0, 65.0), radius_m=(25.5e6, 29.6e6)
-    ),
-    "molniya": Drawn(
-        semi_major_axis_m=(26.56e6, 26.56e6), eccentricity=(0.69, 0.74), inclination_deg=(62.0, 65.0), radius_m=(38.0e6, 45.0e6)
-    ),
+RANGES: Final = {
+    "geo": ((42.164e6, 42.164e6), (0.0, 0.0), (0.0, 15.0), (42.164e6, 42.164e6)),
+    "meo": ((25.5e6, 29.6e6), (0.0, 0.0), (54.0, 65.0), (25.5e6, 29.6e6)),
+    "molniya": ((26.56e6, 26.56e6), (0.69, 0.74), (62.0, 65.0), (38.0e6, 45.0e6)),
 }
-"""GEO: IADC 2007. MEO: GLONASS (25.5 Mm, 64.8 deg) to Galileo (29.6 Mm, 56 deg). Molniya about its apogee."""
+"""Semi-major axis (m), eccentricity, inclination (deg), radius (m), stated here and not taken from on board. GEO: IADC 2007.
+MEO: GLONASS (25.5 Mm, 64.8 deg) to Galileo (29.6 Mm, 56 deg). Molniya about its apogee."""
+DRAWN: Final = {
+    name: OrbitKind(semi_major_axis_m=axis, eccentricity=eccentricity, inclination_deg=inclination, radius_m=radius)
+    for name, (axis, eccentricity, inclination, radius) in RANGES.items()
+}
+"""Kinds of orbits that objects are drawn from."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -101,7 +88,7 @@ class Observer:
         return after - before
 
     def object_in_view(
-        self, kind: Drawn, half_px: float, focal_px: float, rng: np.random.Generator
+        self, kind: OrbitKind, half_px: float, focal_px: float, rng: np.random.Generator
     ) -> tuple[Array, Array] | None:
         """Place and velocity of an object of a kind somewhere in the field; None where no such orbit leads through there."""
         at = rng.uniform(-half_px, half_px, 2) / focal_px

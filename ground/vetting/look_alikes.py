@@ -262,7 +262,7 @@ class LookAlikeVetter:
         round_stars = frame.psf_sigma_px is not None
         shape = frame.header.rows, frame.header.cols
         given = np.where(of_turning_stars(fits, given, shape, round_stars=round_stars), 0.0, given)
-        shower = for_radiant(fits, given, round_stars=round_stars)
+        shower = for_radiant(fits, given, shape, round_stars=round_stars)
         given = np.minimum(with_odds(given, shower), at_most)
         return np.where(doubled(fits, given, stands_out), 0.0, given)
 

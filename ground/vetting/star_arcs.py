@@ -176,5 +176,5 @@ def _best_turn(lines: _Arcs, side_px: int) -> _Turn:
 
 def _misfit_of_a_shower(lines: _Arcs) -> float:
     """That of the place which the lines point at best."""
-    places = Lines(lines.middle[lines.longest], lines.way[lines.longest]).crossings
-    return float(lines.misfit(Lines(lines.middle, lines.way).away_deg(places)).min())
+    places = Lines.in_plane(lines.middle[lines.longest], lines.way[lines.longest]).crossings
+    return float(lines.misfit(Lines.in_plane(lines.middle, lines.way).away_deg(places)).min())

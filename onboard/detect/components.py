@@ -80,7 +80,9 @@ def _take_out(masked: MaskedImage, view: DetectorView, chosen: NDArray[np.intp],
         piece, level = masked.image[window], np.zeros((1, 1), np.float32)
         smooth = whiten.smooth(piece, level, max(piece.shape), whiten.odd_taps(view.psf_sigma_px), 7.0)
         residual, sigma = residual[window], sigma[corner[0] // tile_px :, corner[1] // tile_px :]
-    trail = star_mask.trail_pieces(residual, smooth, sigma, tile_px, row - corner[0], col - corner[1], snr, view.psf_sigma_px)
+    trail = star_mask.trail_pieces(
+        residual, smooth, sigma, tile_px, row - corner[0], col - corner[1], snr, view.psf_sigma_px, stars.psf_sigma_px is not None
+    )
     radius = star_mask.mask_radii_px(snr[~trail], view.psf_sigma_px, halo_px)
     whiten.blank_discs(masked.image, masked.blocked, row[~trail], col[~trail], radius)
 

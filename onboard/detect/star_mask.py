@@ -20,6 +20,13 @@ REACH_PX: Final = 7
 FAINT_SNR: Final = 12.0
 """Fainter entries are looked at on the PSF-smoothed image."""
 
+BRIGHTEST: Final = 6.0
+"""A path that is brighter, over the level that is asked of it, is the light of something else beside a faint star."""
+
+BRIGHTEST_UNKNOWN: Final = 12.0
+"""The same where no star tells the PSF. A line of sigma w has sqrt(1 + s^2 / w^2) / 0.42 where s is assumed: 3.4 with the PSF's
+own width, and 9.8 for lines of 0.3 px where 1.2 is assumed."""
+
 MARGIN_PX: Final = 0.3
 """Added to the radius at which a star falls to 0.4 sigma of a pixel."""
 
@@ -39,8 +46,9 @@ def _goes_on(
     smooth: NDArray[np.int8],
     use_smooth: bool,
     unit: NDArray[np.float64],
+    brightest: float,
 ) -> bool:
-    """Whether every pair of neighbouring samples from 2 to 7 px in some direction lies between `level` and six times that."""
+    """Whether every pair of neighbouring samples from 2 to 7 px in some direction lies between `level` and `brightest` of it."""
     rows, cols = residual.shape
     for k in range(DIRECTIONS):
         d_row, d_col = unit[k, 0], unit[k, 1]
@@ -52,7 +60,7 @@ def _goes_on(
                 bright = d > 4
                 break
             value = float(smooth[i, j]) / 16.0 if use_smooth else residual[i, j] * scale
-            if d > 2 and not level < 0.5 * (value + before) < 6.0 * level:
+            if d > 2 and not level < 0.5 * (value + before) < brightest * level:
                 bright = False
                 break
             before = value
@@ -71,9 +79,14 @@ def trail_pieces(
     col: NDArray[np.float64],
     snr: NDArray[np.float32],
     psf_sigma_px: float,
+    psf_known: bool,
 ) -> NDArray[np.bool_]:
-    """Entries that are pieces of trails, shape (n,). `smooth` is the PSF-smoothed image in units of sigma/16, not star-masked."""
+    """Entries that are pieces of trails, shape (n,). `smooth` is the PSF-smoothed image in units of sigma/16, not star-masked.
+
+    psf_known : whether stars tell psf_sigma_px.
+    """
     out = np.zeros(row.shape[0], np.bool_)
+    brightest = BRIGHTEST if psf_known else BRIGHTEST_UNKNOWN
     peak = 1.0 / (2.0 * math.sqrt(math.pi) * psf_sigma_px)
     unit = np.empty((DIRECTIONS, 2))
     for k in range(DIRECTIONS):
@@ -87,7 +100,7 @@ def trail_pieces(
             continue
         faint = snr[k] < FAINT_SNR
         level = 0.42 * snr[k] * (1.0 if faint else peak)
-        out[k] = _goes_on(residual_adu, row[k], col[k], level, 1.0 / sigma, smooth, faint, unit)
+        out[k] = _goes_on(residual_adu, row[k], col[k], level, 1.0 / sigma, smooth, faint, unit, brightest)
     return out
 
 

@@ -1,5 +1,7 @@
 """Pieces of one trail become one detection, whichever of them is the brighter."""
 
+from dataclasses import replace
+
 import pytest
 
 from onboard.detect.line_integral.fragments import join
@@ -19,3 +21,14 @@ def test_short_bright_and_long_faint_piece_are_one(pieces: tuple[Detection, Dete
 
 def test_parallel_pieces_stay_two_by_falling_snr() -> None:
     assert join([ASIDE, SHORT]) == [SHORT, ASIDE]
+
+
+def test_a_bright_trail_on_a_long_faint_line_stays_by_itself_where_the_sky_is_not_even() -> None:
+    """A meteor of S/N 244, 180 px long, went into a line of S/N 19 through its neighbourhood, 420 px long, and was lost."""
+    line = Detection(row0=100.0, col0=100.0, row1=520.0, col1=100.0, snr=19.0)
+    meteor = Detection(row0=200.0, col0=101.0, row1=380.0, col1=101.0, snr=244.0)
+    assert join([line, meteor]) == [line]
+    assert join([line, meteor], brighter_apart=True) == [meteor, line]
+    # the light of one trail goes on beyond its bright part
+    assert len(join([SHORT, LONG], brighter_apart=True)) == 1
+    assert join([line, replace(meteor, snr=9.0)], brighter_apart=True) == [line]

@@ -47,6 +47,21 @@ def test_stars_beyond_an_end_do_not_lengthen_a_trail_where_lines_beside_it_meet_
     assert longer[True] <= 2
 
 
+def test_where_lines_beside_a_trail_show_light_only_bright_light_lengthens_it() -> None:
+    """Of 137 lines on trails of pictures 40 were followed to where other stars, clouds or trails had a tenth of their light.
+
+    Bands of cloud lie across the trail; a twentieth or a half of its light goes on along it for 60 px.
+    """
+    row, col = np.mgrid[:SIDE, :SIDE]
+    bands = 0.4 * ((col > 305) & (col < 355) & (np.abs(row - 256.0) > 3.0))
+    for share, length_px in ((0.05, 100.0), (0.5, 160.0)):
+        sky = images(trail(200, 300, 16.0) + trail(301, 360, share * 16.0) + bands, 4)
+        assert abs(trail_followed(TRAIL, sky, 1.2, True).length_px - length_px) < 15.0
+    # without bands as with them, if the sky is not looked at
+    dim = images(trail(200, 300, 16.0) + trail(301, 360, 0.8), 4)
+    assert trail_followed(TRAIL, dim, 1.2, False).length_px > 140.0
+
+
 def test_a_dim_part_of_a_trail_is_followed_where_lines_beside_it_show_nothing() -> None:
     """A tenth of its light on 60 px: S/N 8."""
     for seed in range(3):

@@ -5,15 +5,17 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 from ground.streaks import TrailedPsfFitter
 from ground.vetting.look_alikes import with_odds
-from ground.vetting.radiants import for_radiant
+from ground.vetting.radiants import Lines, for_radiant
 from sboc_e2e.icd.products import StreakFit
 from tests.streaks.impostors import draw
 from tests.streaks.test_meteors import EVEN, judged, lit
 
 RADIANT = (-40.0, 90.0)
+FRAME = (300, 400)
 MEMBERS = (35.0, 60.0, 85.0, 110.0)
 """Directions (deg) from the radiant of four meteors of a shower."""
 
@@ -42,7 +44,7 @@ def shower(fit: StreakFit, n: int) -> list[StreakFit]:
 def odds_of(others: list[StreakFit], fit: StreakFit, *, round_stars: bool = True) -> float:
     """For a fit that may be a trail beside others that are published."""
     given = np.array([*[0.8] * len(others), 0.3])
-    return float(for_radiant([*others, fit], given, round_stars=round_stars)[-1])
+    return float(for_radiant([*others, fit], given, FRAME, round_stars=round_stars)[-1])
 
 
 def test_a_line_that_points_at_the_radiant_of_published_ones_gains_and_others_do_not(drawn: StreakFit) -> None:
@@ -74,11 +76,52 @@ def test_parallel_lines_and_many_lines_without_round_stars_may_be_trailed_stars(
     assert odds_of(many[:7], faint, round_stars=False) > 25.0
 
 
+def in_fisheye(fit: StreakFit, focal_px: float, angle_deg: float, from_deg: float) -> StreakFit:
+    """The fit on 8 deg of a great circle from a radiant 40 deg off the axis of an equidistant fisheye."""
+    radiant = np.array([math.sin(math.radians(40.0)), 0.0, math.cos(math.radians(40.0))])
+    pole = Rotation.from_rotvec(math.radians(angle_deg) * radiant).apply([0.0, 1.0, 0.0])
+    ends = [Rotation.from_rotvec(math.radians(from_deg + each) * pole).apply(radiant) for each in (0.0, 8.0)]
+    theta = [math.acos(end[2]) for end in ends]
+    (row0, col0), (row1, col1) = (
+        (149.5 + focal_px * t * end[0] / math.sin(t), 199.5 + focal_px * t * end[1] / math.sin(t))
+        for t, end in zip(theta, ends, strict=True)
+    )
+    return replace(fit, row0=row0, col0=col0, row1=row1, col1=col1)
+
+
+def test_a_shower_of_a_fisheye_is_recognised_by_the_sky_and_not_by_the_plane(drawn: StreakFit) -> None:
+    """The meteors of a photograph of 180 deg met within 3 deg in the sky, 10 of 12, and 6 of 12 in the plane."""
+    lines = [in_fisheye(drawn, 120.0, angle, away) for angle, away in ((20.0, 25.0), (75.0, 70.0), (130.0, 40.0), (250.0, 80.0))]
+    faint = in_fisheye(drawn, 120.0, 315.0, 60.0)
+    assert odds_of(lines, faint) > 20.0
+    assert odds_of(lines, replace(faint, row1=faint.row1 + 6.0)) == 1.0
+    ends = np.array([(line.row0, line.col0, line.row1, line.col1) for line in lines])
+    way = (ends[:, 2:] - ends[:, :2]) / np.hypot(*(ends[:, 2:] - ends[:, :2]).T)[:, None]
+    assert (Lines.in_plane(0.5 * (ends[:, :2] + ends[:, 2:]), way).agree <= 3.0).sum(axis=1).max() < 4
+
+
+def test_unlikely_lines_that_look_like_published_ones_tell_a_radiant_with_them(drawn: StreakFit) -> None:
+    """Twelve short meteors of one photograph: three were published and seven had p of 0.03 to 0.19."""
+    lines = [way(drawn, angle, 90.0 + 9.0 * k, 40.0) for k, angle in enumerate((35.0, 60.0, 85.0, 110.0, 47.0, 72.0, 97.0))]
+
+    def odds(published: int, *, round_stars: bool = True, lines: list[StreakFit] = lines) -> float:
+        given = np.array([*[0.8] * published, *[0.1] * (len(lines) - published)])
+        return float(for_radiant(lines, given, FRAME, round_stars=round_stars)[-1])
+
+    assert odds(2) > 25.0
+    assert odds(1) == 1.0, "roofs and clouds are unlikely lines as well"
+    assert odds(2, round_stars=False) == 1.0, "trailed stars of a wide lens"
+    wide = replace(lines[-1], width_px=4.0 * drawn.width_px)
+    assert odds(2, lines=[*lines[:-1], wide]) == 1.0, "the edge of a cloud"
+    others = [way(line, 40.0, 90.0, 40.0, turn_deg=40.0 + 13.0 * k) for k, line in enumerate(lines[2:-1])]
+    assert odds(2, lines=[*lines[:2], *others, lines[-1]]) == 1.0
+
+
 def test_no_line_speaks_for_itself_nor_for_a_second_fit_on_its_trail(drawn: StreakFit) -> None:
     others = shower(drawn, 3)
     again = replace(others[2], row1=others[2].row1 - 5.0)
     assert odds_of(others, again) == 1.0, "the two others always cross"
-    assert for_radiant(others, np.full(3, 0.8), round_stars=True) == pytest.approx(1.0)
+    assert for_radiant(others, np.full(3, 0.8), FRAME, round_stars=True) == pytest.approx(1.0)
     none = replace(drawn, row1=drawn.row0, col1=drawn.col0)
     assert odds_of(others, none) == 1.0, "no length"
 

@@ -248,7 +248,8 @@ class LineIntegralDetector:
             found += slow_movers(view, earlier)
         found = [sharpness.with_sharpness(d, view, images.level, TILE_PX) for d in found]
         found = [with_unclipped_snr(d, view, images, s_px) for d in found]
-        found = fragments.join(varied.followed(found, view, images, s_px, held_beside=self.held_beside))
+        found = varied.followed(found, view, images, s_px, held_beside=self.held_beside)
+        found = fragments.join(found, brighter_apart=self.held_beside)
         hits = particle_hits(view, images, n_sigma + self.short_margin, MOST_HITS)
         found = track_pieces.flagged(found, hits)
         radii = star_mask.mask_radii_px(view.stars.snr, s_px, self.halo_px) if found else np.zeros(0)

@@ -23,10 +23,12 @@ def _ends(detections: Sequence[Detection]) -> NDArray[np.float64]:
     return np.array([(d.row0, d.col0, d.row1, d.col1, d.length_px) for d in detections]).reshape(-1, 5)
 
 
-def _first_continuation(main: Detection, ends: NDArray[np.float64]) -> tuple[int, tuple[float, float]] | None:
-    """The first of some pieces (n, 5: `_ends`) on the same line as `main` and near it; and where its ends lie along that.
+def _first_continuation(
+    main: Detection, pieces: Sequence[Detection], ends: NDArray[np.float64], brighter_apart: bool
+) -> tuple[int, tuple[float, float]] | None:
+    """The first of some pieces on the same line as `main` and near it; and where its ends lie along that.
 
-    Positions are px from end 0.
+    ends (n, 5) : `_ends` of the pieces. Positions are px from end 0. brighter_apart : see `join`.
     """
     length = main.length_px
     if length < 1.0 or not len(ends):
@@ -39,7 +41,12 @@ def _first_continuation(main: Detection, ends: NDArray[np.float64]) -> tuple[int
     across = d_row * u_col - d_col * u_row - 4.0 * main.sagitta_px * u * (1.0 - u)
     gap = np.maximum(np.maximum(along.min(axis=1) - length, -along.max(axis=1)), 0.0)
     near = gap <= np.maximum(8.0, GAP_SHARE * (length + ends[:, 4]))
-    on_line = np.flatnonzero(near & (np.abs(across).max(axis=1) <= ACROSS_PX + 0.01 * gap))
+    belongs = near & (np.abs(across).max(axis=1) <= ACROSS_PX + 0.01 * gap)
+    if brighter_apart:
+        shared = np.minimum(along.max(axis=1), length) - np.maximum(along.min(axis=1), 0.0)
+        brighter = np.array([piece.snr > main.snr for piece in pieces])
+        belongs &= ~(brighter & (shared > 0.5 * ends[:, 4]))
+    on_line = np.flatnonzero(belongs)
     if not len(on_line):
         return None
     first = int(on_line[0])
@@ -65,14 +72,18 @@ def _union(main: Detection, piece: Detection, along: tuple[float, float]) -> Det
     return replace(main, row0=first[1], col0=first[2], row1=last[1], col1=last[2], snr=snr, sagitta_px=sagitta, flags=flags)
 
 
-def join(detections: Sequence[Detection]) -> list[Detection]:
-    """Detections with pieces of the same trail joined; the order of the result is by falling S/N."""
+def join(detections: Sequence[Detection], *, brighter_apart: bool = False) -> list[Detection]:
+    """Detections with pieces of the same trail joined; the order of the result is by falling S/N.
+
+    brighter_apart : a piece that is brighter than a longer line it lies on stays by itself. Where the sky is not even, what is
+    left of it beside a bright trail makes such lines.
+    """
     # the longest first: its line is the one that others are compared with, whichever piece is the brightest
     todo = sorted(detections, key=lambda d: (-d.length_px, -d.snr))
     ends, done = _ends(todo), []
     while todo:
         main, ends = todo.pop(0), ends[1:]
-        while (piece := _first_continuation(main, ends)) is not None:
+        while (piece := _first_continuation(main, todo, ends, brighter_apart)) is not None:
             k, along = piece
             main, ends = _union(main, todo.pop(k), along), np.delete(ends, k, axis=0)
         done.append(main)

@@ -94,6 +94,7 @@ def remove_stars_alone(
         stars.col,
         stars.snr,
         psf_sigma_px,
+        stars.psf_sigma_px is not None,
     )
     order = star_mask.by_row(stars.row)
     mask_stars(view, order[~pieces[order]], image, blocked, halo_px)

@@ -53,6 +53,10 @@ BESIDE_APART_PX: Final = 6.0
 """From one of them to the next; the first two are `local_noise.NEAREST_PX` away. Chosen, not measured."""
 MOST_BRIGHTER: Final = 1
 """Lines beside that may show more than the trail's own: a star or another trail may lie on one of them. Chosen, not measured."""
+LEAST_SHARE: Final = 0.2
+"""Least brightness of light beyond an end, over that of the trail, where lines beside it show light too. Of 137 lines followed on
+trails of pictures 50 had both ends within 6 px or 6 % of the length without this, and 63 with it; 38 if none is followed. It was
+chosen in view of these: shares of 0.1 to 0.3 give 56 to 66."""
 
 
 def followed(
@@ -60,7 +64,8 @@ def followed(
 ) -> list[Detection]:
     """The detections, clear trails with their ends where their light ends; pieces of one trail then lie on each other.
 
-    held_beside : light beyond an end must exceed what the same look finds on lines beside the trail.
+    held_beside : light beyond an end must exceed what the same look finds on lines beside the trail, and be as bright as
+        `LEAST_SHARE` of it where those show light.
     """
     middles = np.array([(0.5 * (d.row0 + d.row1), 0.5 * (d.col0 + d.col1)) for d in detections]).reshape(-1, 2)
     out = []
@@ -112,8 +117,10 @@ def _step(detection: Detection, images: WorkingImages, psf_sigma_px: float, leas
     less = _light_ends(signal[before][::-1], power[before][::-1], least)
     if held_beside and not (more is None and less is None):
         most = _most_beside(detection, images, reach, psf_sigma_px)
-        more = more if _best_snr(signal[after], power[after]) > most[0] else None
-        less = less if _best_snr(signal[before][::-1], power[before][::-1]) > most[1] else None
+        own = slice(reach, reach + math.ceil(length))
+        least_bright = LEAST_SHARE * float(signal[own].sum()) / max(float(power[own].sum()), 1e-9)
+        more = _held(signal[after], power[after], more, most[0], least_bright)
+        less = _held(signal[before][::-1], power[before][::-1], less, most[1], least_bright)
     if more is None and less is None:
         return None
     stop = length if more is None else float(along[after][more])
@@ -130,6 +137,20 @@ def _step(detection: Detection, images: WorkingImages, psf_sigma_px: float, leas
         places += [float(np.clip(row, 0.0, rows - 1.0)), float(np.clip(col, 0.0, cols - 1.0))]
     grown = detection.sagitta_px * ((stop - start) / length) ** 2
     return replace(detection, row0=places[0], col0=places[1], row1=places[2], col1=places[3], sagitta_px=grown)
+
+
+def _held(
+    signal: NDArray[np.float64], power: NDArray[np.float64], end: int | None, most_beside: float, least_bright: float
+) -> int | None:
+    """The bin where light ends, if there is more of it than on lines beside the trail.
+
+    It must be bright enough up to there, where those show light as well.
+    """
+    if end is None or _best_snr(signal, power) <= most_beside:
+        return None
+    up_to = slice(0, end + 1)
+    bright = float(signal[up_to].sum()) >= least_bright * float(power[up_to].sum())
+    return end if bright or most_beside < FOLLOW_SIGMA else None
 
 
 def _most_beside(detection: Detection, images: WorkingImages, reach: int, psf_sigma_px: float) -> tuple[float, float]:

@@ -9,10 +9,6 @@ from sboc_e2e.icd.work import WorkMeter
 WORK: Final = 4
 """Times the work that a frame of its size may take on board."""
 
-LEAST_PX: Final = 2048 * 2048
-"""Smaller frames may take as much as one of this size: pictures of a tenth of it have as many candidates. In 65 of 78 pictures of
-0.1 to 20 megapixels some were left out, and trails of 11 to 15 sigma a pixel among them."""
-
 MOST_DETECTIONS: Final = 1_000
 """Detections of a frame, all of which are measured but for particle hits."""
 
@@ -24,5 +20,5 @@ one is sent. A budget of time."""
 
 def work_meter(n_pixels: int) -> WorkMeter:
     """The meter of a frame of `n_pixels` pixels."""
-    limits = meter(max(n_pixels, LEAST_PX)).limits
-    return replace(meter(n_pixels), limits={kind: WORK * most for kind, most in limits.items()})
+    on_board = meter(n_pixels)
+    return replace(on_board, limits={kind: WORK * most for kind, most in on_board.limits.items()})

@@ -149,6 +149,7 @@ def _survey(path: Path, max_pixels: int) -> tuple[list[Place], list[UserError]]:
     try:
         with _quietly(), fits.open(path, memmap=False, lazy_load_hdus=False) as hdus:
             for index, hdu in enumerate(hdus):
+                take_out_illegible(hdu.header)
                 shape = _shape(hdu)
                 if shape is None:
                     continue
@@ -195,10 +196,16 @@ def _content(place: Place) -> Content:
     try:
         with _quietly(), fits.open(place.path, memmap=False) as hdus:
             hdu = hdus[place.hdu]
+            illegible = [keyword for source in (hdus[0].header, hdu.header) for keyword in take_out_illegible(source)]
             header = _headers(hdus, hdu)
             data = hdu.data
             wcs, doubt = usable_wcs(hdu.header, place.rows, place.cols)
             blind, notes = with_planes(hdus, place.planes, (place.rows, place.cols))
+            if illegible:
+                notes = [
+                    *notes,
+                    Note(kind="header", text=f"header cards left out, whose values cannot be read: {', '.join(illegible)}"),
+                ]
     except MemoryError:
         raise
     except Exception as error:  # as above
@@ -210,7 +217,9 @@ def _content(place: Place) -> Content:
 def wcs_of(place: Place) -> "WCS | None":
     """The WCS of an image, as `read_frame` gives it."""
     with _quietly(), fits.open(place.path, memmap=False) as hdus:
-        return usable_wcs(hdus[place.hdu].header, place.rows, place.cols)[0]
+        header = hdus[place.hdu].header
+        take_out_illegible(header)
+        return usable_wcs(header, place.rows, place.cols)[0]
 
 
 def read_frame(place: Place, number: int, *, use_wcs: bool = True, content: Content | None = None) -> SourcedFrame:
@@ -404,6 +413,19 @@ def _missing(header: Mapping[str, Any], names: tuple[str, ...], wanted: str, wit
     if given is None:
         return Note(kind=f"no {names[0]}", text=f"no {names[0]}: {without}")
     return Note(kind=given, text=f"{given} = {str(header[given])[:MAX_SHOWN]!r} {wanted}: {without}")
+
+
+def take_out_illegible(header: fits.Header) -> list[str]:
+    """Delete cards whose value astropy cannot parse, and return their keywords: one odd key that nobody needs costs no frame."""
+    illegible: list[str] = []
+    for index in reversed(range(len(header.cards))):
+        card = header.cards[index]
+        try:
+            _ = card.value
+        except fits.VerifyError:
+            illegible.insert(0, card.keyword)
+            del header[index]
+    return illegible
 
 
 def _headers(hdus: fits.HDUList, hdu: Any) -> dict[str, Any]:

@@ -155,3 +155,8 @@ def header(rng: np.random.Generator, cards: fits.Header, shape: tuple[int, ...])
     if rng.random() < 0.1:
         for key in ("CD1_1", "CD1_2", "CD2_1", "CD2_2"):
             cards[key] = 0.0
+    (apart,) = rng.spawn(1)  # a stream of its own: files of earlier seeds stay otherwise as they were
+    if apart.random() < 0.1:
+        key = str(apart.choice([key for key in KEYS if key not in ("BLANK", "BSCALE", "BZERO")]))  # the writer reads these
+        cards.remove(key, ignore_missing=True)
+        cards.append(fits.Card.fromstring(f"{key:<8}= 'a quote that does not end / of {key}"))

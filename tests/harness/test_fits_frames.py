@@ -33,6 +33,26 @@ def test_every_type_of_pixel_keeps_its_values(tmp_path: Path, dtype: str) -> Non
     assert found.frame.pixels.dtype.isnative
 
 
+@pytest.mark.parametrize("key", ["SKEW", "CTYPE1", "EXPTIME", "BLANK", "BITPIX"])
+def test_a_card_without_a_closing_quote_is_left_out_and_named(tmp_path: Path, key: str) -> None:
+    """SKEW of an archive's picture began with a quote that did not end, and the frame was refused for it."""
+    header = fits.Header({"OBJECT": "a field", "SKEW": "-1.1, -2.2", "CTYPE1": "RA---TAN", "EXPTIME": "10", "BLANK": -1})
+    fits.PrimaryHDU(SKY.astype(np.int16), header).writeto(tmp_path / "a.fits")
+    data = (tmp_path / "a.fits").read_bytes()
+    at = data.index(f"{key:<8}=".encode())
+    broken = f"{key:<8}= '-1.1119389479069E-01, -2.1538987987253E-01 / Measure of skew".ljust(80).encode()
+    (tmp_path / "a.fits").write_bytes(data[:at] + broken + data[at + 80 :])
+    if key in ("BLANK", "BITPIX"):  # without these nothing says what the numbers are
+        with pytest.raises(UserError, match="not a readable FITS file"):
+            frames(tmp_path)
+        return
+    (found,) = frames(tmp_path)
+    assert np.array_equal(found.frame.pixels, SKY.astype(np.int16))
+    (note,) = [note.text for note in found.notes if note.kind == "header"]
+    assert note.endswith(f": {key}")
+    assert (found.frame.header.exposure_ns == 0) == (key == "EXPTIME")
+
+
 def test_negative_large_and_missing_values_become_float_with_nan(tmp_path: Path) -> None:
     fits.PrimaryHDU((SKY - 1000).astype(np.int16)).writeto(tmp_path / "a.fits")
     fits.PrimaryHDU((SKY * 1000).astype(np.int32)).writeto(tmp_path / "b.fits")

@@ -17,6 +17,10 @@ ACROSS_PX: Final = 3.0
 GAP_SHARE: Final = 0.25
 """Largest gap as a share of the summed length of the pieces."""
 
+BRIGHTER: Final = 4.0
+"""S/N of a piece over that of a longer line it lies on, from which on both are two, if `brighter_apart`. Flashes of tumblers are
+brighter than the rest of their trail: of 81 trails 79 come out as one without this, 77 with 4, 73 with 2."""
+
 
 def _ends(detections: Sequence[Detection]) -> NDArray[np.float64]:
     """Ends and length (n, 5) of detections: row0, col0, row1, col1, px."""
@@ -44,7 +48,7 @@ def _first_continuation(
     belongs = near & (np.abs(across).max(axis=1) <= ACROSS_PX + 0.01 * gap)
     if brighter_apart:
         shared = np.minimum(along.max(axis=1), length) - np.maximum(along.min(axis=1), 0.0)
-        brighter = np.array([piece.snr > main.snr for piece in pieces])
+        brighter = np.array([piece.snr > BRIGHTER * main.snr for piece in pieces])
         belongs &= ~(brighter & (shared > 0.5 * ends[:, 4]))
     on_line = np.flatnonzero(belongs)
     if not len(on_line):
@@ -75,7 +79,7 @@ def _union(main: Detection, piece: Detection, along: tuple[float, float]) -> Det
 def join(detections: Sequence[Detection], *, brighter_apart: bool = False) -> list[Detection]:
     """Detections with pieces of the same trail joined; the order of the result is by falling S/N.
 
-    brighter_apart : a piece that is brighter than a longer line it lies on stays by itself. Where the sky is not even, what is
+    brighter_apart : a piece much brighter than a longer line it lies on stays by itself. Where the sky is not even, what is
     left of it beside a bright trail makes such lines.
     """
     # the longest first: its line is the one that others are compared with, whichever piece is the brightest

@@ -37,8 +37,8 @@ FEWEST_PUBLISHED: Final = 2
 UNLIKELY: Final = 0.02
 """Probability from which on lines tell a radiant beside published ones. Chosen: short meteors of one picture had 0.03 to 0.2."""
 ALIKE: Final = 3.0
-"""Such a line is as wide as a published one that points there, within this factor: edges of clouds and shores are wider than
-meteors. Chosen."""
+"""Such a line is as wide as the median published one, within this factor: edges of clouds and shores are wider than meteors.
+Chosen."""
 FISHEYES: Final = (0.3, 0.45, 0.7)
 """Focal lengths of fisheyes that are tried, in longer sides of the frame: 191, 127 and 82 deg along it. Chosen."""
 MOST: Final = 24
@@ -58,46 +58,15 @@ def for_radiant(
     shape : rows, columns of the frame. round_stars : whether it has stars that are points; where not, unlikely lines tell
     nothing. No line speaks for itself, nor a line beside it on the same trail.
     """
-    known = np.array([fit.length_px > 0.0 for fit in fits], dtype=np.bool_)
-    likeliest = [k for k in np.argsort(-probability, kind="stable").tolist() if known[k] and probability[k] >= UNLIKELY]
-    published = _of_one_line_each(fits, [k for k in likeliest if probability[k] >= PUBLISHED][:MOST])
+    may_gain = np.array([fit.length_px > 0.0 for fit in fits], dtype=np.bool_) & (probability >= LEAST_PROBABILITY)
+    order = np.argsort(-probability, kind="stable")
+    order = order[may_gain[order]]
     odds = np.ones(len(fits))
-    if len(published) < FEWEST_PUBLISHED:
-        return odds
-    by_published = _Shower([fits[k] for k in published], len(published), shape, trials=1)
-    if not round_stars and by_published.largest >= FEWEST_STARS:
-        return odds
-    gaining = np.flatnonzero(known & (probability >= LEAST_PROBABILITY)).tolist()
-    for k in gaining:
-        odds[k] = by_published.odds_of(fits[k])
-    if round_stars:
-        width = np.array([effective_width_px(fit.width_px) for fit in fits])
-        usual = float(np.median(width[published]))
-        alike = (width <= ALIKE * usual) & (width >= usual / ALIKE)
-        telling = _of_one_line_each(fits, [k for k in likeliest if alike[k]][:MOST])
-        by_all = _Shower([fits[k] for k in telling], sum(k in published for k in telling), shape, trials=2)
-        for k in gaining:
-            if alike[k]:
-                odds[k] = max(odds[k], by_all.odds_of(fits[k]))
+    published = int((probability[order] >= PUBLISHED).sum())
+    if published >= FEWEST_PUBLISHED:
+        likely = int((probability[order] >= UNLIKELY).sum())
+        odds[order] = _Sky([fits[k] for k in order], shape).odds(published, likely, round_stars=round_stars)
     return odds
-
-
-def _of_one_line_each(fits: Sequence[StreakFit], likeliest: Sequence[int]) -> list[int]:
-    """Those of some fits that lie on no line of one before: pieces of a trail point at each place of it."""
-    kept: list[int] = []
-    for k in likeliest:
-        if not any(_on_one_line(fits[k], fits[j]) for j in kept):
-            kept.append(k)
-    return kept
-
-
-def _on_one_line(one: StreakFit, other: StreakFit) -> bool:
-    """Whether two fits are one, lie on one trail, or point at each other."""
-    if one is other or on_one_trail(one, other):
-        return True
-    lines = Lines.in_plane(*_middles_and_ways([one, other]))
-    there = np.column_stack((_middles_and_ways([other, one])[0], np.ones(2)))
-    return bool((np.diagonal(lines.away_deg(there)) <= AWAY_DEG).all())
 
 
 def _middles_and_ways(fits: Sequence[StreakFit]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -142,6 +111,10 @@ class Lines:
         onward /= np.maximum(np.linalg.norm(onward, axis=1), 1e-30)[:, None]
         return cls(straight=np.cross(np.hstack((sine * outward, cosine)), onward), onward=onward, way=way)
 
+    def chosen(self, which: Sequence[int]) -> "Lines":
+        """Some of them."""
+        return Lines(straight=self.straight[which], onward=self.onward[which], way=self.way[which])
+
     @cached_property
     def pairs(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """First and second line of each pair."""
@@ -185,44 +158,65 @@ class Lines:
         return self.crossings[pairs[best]], max(1.0 - believed + believed * most / n / BY_CHANCE, 1.0)
 
 
-class _Shower:
-    """What lines of a frame tell of a radiant, through each of the lenses.
+class _Sky:
+    """Lines of a frame, the likeliest first, through each of the lenses."""
 
-    fits : the lines, the published ones first. trials : places where one was looked for, before those of several lenses.
-    """
+    def __init__(self, fits: Sequence[StreakFit], shape: tuple[int, int]) -> None:
+        middle, way = _middles_and_ways(fits)
+        from_axis = middle - 0.5 * (np.array(shape) - 1.0)
+        self._fits = fits
+        self._plane = Lines.in_plane(middle, way)
+        self._lenses = [(self._plane, 1)]
+        self._lenses += [(Lines.of_fisheye(from_axis, way, share * max(shape)), len(FISHEYES)) for share in FISHEYES]
+        away = self._plane.away_deg(np.column_stack((middle, np.ones(len(fits)))))
+        self._facing = (away <= AWAY_DEG) & (away.T <= AWAY_DEG)
 
-    def __init__(self, fits: Sequence[StreakFit], published: int, shape: tuple[int, int], *, trials: int) -> None:
-        self._fits, self._published, self._shape = fits, published, shape
-        self._lenses: list[tuple[float | None, int]] = [(None, trials)]
-        self._lenses += [(share * max(shape), len(FISHEYES) * trials) for share in FISHEYES]
-        self._lines = [self._seen(fits, focal_px) for focal_px, _ in self._lenses]
-        self._found: dict[tuple[int, ...], list[tuple[NDArray[np.float64], float] | None]] = {}
+    def odds(self, published: int, likely: int, *, round_stars: bool) -> NDArray[np.float64]:
+        """Odds (n,) of a trail, see `for_radiant`. published, likely : how many of the lines are, the first ones."""
+        telling = self._of_one_line_each(range(min(published, MOST)))
+        if len(telling) < FEWEST_PUBLISHED:
+            return np.ones(len(self._fits))
+        if not round_stars:
+            most = (self._plane.chosen(telling).agree <= AWAY_DEG).sum(axis=1).max()
+            return np.ones(len(self._fits)) if most >= FEWEST_STARS else self._by(telling, len(telling), trials=1)
+        width = np.array([effective_width_px(fit.width_px) for fit in self._fits])
+        usual = float(np.median(width[telling]))
+        alike = (width <= ALIKE * usual) & (width >= usual / ALIKE)
+        all_telling = self._of_one_line_each(np.flatnonzero(alike[:likely])[:MOST].tolist())
+        by_all = self._by(all_telling, sum(k in telling for k in all_telling), trials=2)
+        return np.maximum(self._by(telling, len(telling), trials=1), np.where(alike, by_all, 1.0))
 
-    @property
-    def largest(self) -> int:
-        """Most lines that point at one place, without distortion."""
-        return int((self._lines[0].agree <= AWAY_DEG).sum(axis=1).max())
+    def _by(self, telling: Sequence[int], published: int, *, trials: int) -> NDArray[np.float64]:
+        """Odds (n,) that some lines add to each line, those on its own line left out.
 
-    def odds_of(self, fit: StreakFit) -> float:
-        """Odds of a trail that it adds for a line, which may be one of its own."""
-        others = tuple(place for place, other in enumerate(self._fits) if not _on_one_line(fit, other))
-        if others not in self._found:
-            self._found[others] = [
-                lines.radiant(others, self._published, trials)
-                for lines, (_, trials) in zip(self._lines, self._lenses, strict=True)
-            ]
-        odds = 1.0
-        for (focal_px, _), found in zip(self._lenses, self._found[others], strict=True):
-            if found is not None and found[1] > odds:
-                away = self._seen([fit], focal_px).away_deg(found[0][None, :])[0, 0]
-                odds = found[1] if away <= AWAY_DEG else odds
+        published : how many of them are, the first ones. trials : how often a radiant was looked for, before several lenses.
+        """
+        lenses = [(lines, lines.chosen(telling), trials * more) for lines, more in self._lenses]
+        found: dict[tuple[int, ...], NDArray[np.float64]] = {}
+        odds = np.ones(len(self._fits))
+        for k in range(len(odds)):
+            others = tuple(place for place, j in enumerate(telling) if not self._on_one_line(k, j))
+            if others not in found:
+                found[others] = np.ones(len(odds))
+                for lines, own, each in lenses:
+                    radiant = own.radiant(others, published, each)
+                    if radiant is not None:
+                        points = lines.away_deg(radiant[0][None, :])[0] <= AWAY_DEG
+                        found[others] = np.maximum(found[others], np.where(points, radiant[1], 1.0))
+            odds[k] = found[others][k]
         return odds
 
-    def _seen(self, fits: Sequence[StreakFit], focal_px: float | None) -> Lines:
-        """Fits that have a length, through a lens whose axis is the middle of the frame."""
-        middle, way = _middles_and_ways(fits)
-        middle = middle - 0.5 * (np.array(self._shape) - 1.0)
-        return Lines.in_plane(middle, way) if focal_px is None else Lines.of_fisheye(middle, way, focal_px)
+    def _of_one_line_each(self, likeliest: Sequence[int]) -> list[int]:
+        """Those of some lines that lie on none of those before: pieces of a trail point at each place of it."""
+        kept: list[int] = []
+        for k in likeliest:
+            if not any(self._on_one_line(k, j) for j in kept):
+                kept.append(k)
+        return kept
+
+    def _on_one_line(self, k: int, j: int) -> bool:
+        """Whether two lines point at each other, as one does at itself, or lie on one trail."""
+        return bool(self._facing[k, j]) or on_one_trail(self._fits[k], self._fits[j])
 
 
 def spread_deg(way: NDArray[np.float64]) -> float:

@@ -15,7 +15,7 @@ def quick(arguments: list[str]) -> int:
 
     Forks of a warm process spend their time on what they write. Score and report are written all the same; their bytes are
     not compared. Those of the population are, with runs of as few draws. The summary depends on nothing that a run leaves on
-    disk. Together these take four fifths of the time of a small run.
+    disk. Together these take three quarters of the time of a small run.
     """
     plots.svg = lambda _: "<svg></svg>"
     flux.CANDIDATES = 500  # type: ignore[misc]

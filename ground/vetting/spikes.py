@@ -72,7 +72,7 @@ class BrightStars:
         row, col = self.row[first:] - fit.row0, self.col[first:] - fit.col0
         along, across = row * along_row + col * along_col, row * along_col - col * along_row
         place = along / length
-        reach = CENTRE_ERROR_PX + SIGMAS * _across_error(fit, place)
+        reach = CENTRE_ERROR_PX + SIGMAS * across_error(fit, place)
         aims = (np.abs(across) < reach) & (place > low) & (place < high)
         if not aims.any():
             return 0.0
@@ -87,7 +87,7 @@ def _may_be_spilled(fit: StreakFit) -> bool:
     return min(drow, dcol) < SPILL_SLOPE * max(drow, dcol)
 
 
-def _across_error(fit: StreakFit, place: NDArray[np.float64]) -> NDArray[np.float64]:
+def across_error(fit: StreakFit, place: NDArray[np.float64]) -> NDArray[np.float64]:
     """One sigma of a line across itself, px, at places (n,) along it: 0 and 1 are its ends, others lie beyond."""
     across = np.array([fit.col1 - fit.col0, fit.row0 - fit.row1]) / fit.length_px
     ends = np.zeros((2, 4))

@@ -22,7 +22,7 @@ FWHM: Final = 2.354820045
 HALF_RESOLUTION_UNIT: Final = 2 * whiten.UNIT
 """One sigma of the noise in `half_resolution`."""
 
-AROUND_PX: Final = star_mask.REACH_PX + 2 * 8
+AROUND_PX: Final = star_mask.WIDE_REACH_PX + 2 * 8
 """Margin about a piece of the image: the reach of the test for trails and of the smoothing."""
 
 

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.vetting.contrast import Tiles
+from ground.vetting.crosses import Crosses
 from ground.vetting.look_alikes import OwnEvidence, is_aligned
 from ground.vetting.readout import is_of_readout
 from ground.vetting.sides import SkyMap
@@ -301,6 +302,7 @@ class CountingChain(OnboardChain):
                 sky=seen.map if seen else None,
                 field=field,
                 bright=bright,
+                crosses=Crosses.of(seen.counts, unusable(seen.mask), bright) if seen and bright else None,
                 tiles=seen.tiles(found) if seen else None,
                 short_axis_px=short_axis_px(view) if seen else None,
             )

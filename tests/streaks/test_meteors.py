@@ -119,3 +119,12 @@ def test_a_half_line_of_video_does_not_tell_how_sharp_the_optics_are(drawn: Stre
     meteor = placed(drawn, (100.0, 300.0, 160.0, 405.0), 0.6, 90.0)
     pixels = lit(border, EVEN, 10.0) + lit(meteor, EVEN, 25.0) - 100.0
     assert judged((0.96, 0.4), [border, meteor], pixels)[1] > 0.8
+
+
+def test_a_line_that_is_hardly_one_does_not_tell_how_sharp_the_optics_are(drawn: StreakFit) -> None:
+    """Nine meteors of 0.3 to 0.6 px were refused for a band along a fisheye's rim, 7 px wide, of p 0.016."""
+    band = placed(drawn, (230.0, 20.0, 210.0, 640.0), 7.0, 220.0)
+    meteor = placed(drawn, (50.0, 300.0, 110.0, 405.0), 0.4, 120.0)
+    pixels = lit(band, EVEN, 3.0) + lit(meteor, EVEN, 25.0) - 100.0
+    assert judged((0.016, 0.4), [band, meteor], pixels)[1] > 0.8
+    assert judged((0.9, 0.4), [band, meteor], pixels)[1] < 0.1, "one that is probable does"

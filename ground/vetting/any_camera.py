@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ground.streaks.centre_line import effective_width_px
 from ground.vetting.contrast import Contrast, Tiles
+from ground.vetting.features import is_aligned
 from ground.vetting.readout import odds_of_readout
 from sboc_e2e.icd.products import StreakFit
 
@@ -26,6 +27,18 @@ WIDTHS: Final = 40.0
 """Length over width at which the length says nothing."""
 LEAST_PROBABILITY: Final = 1e-3
 """What the vetter finds less probable stays so: the other terms add 5 to the log odds at most."""
+
+UNMODELLED_PIECES: Final = 40
+"""Pieces of a line that may be a trail of a kind that no class describes, at least: 160 widths of it."""
+UNMODELLED_SHARE: Final = 0.7
+"""Its wins and its peak, at least: stars beside a trail take up to three pieces in ten. In 265 frames of other cameras 58 lines
+off rows and columns have these, of S/N 100 and more: 46 lie on trails as an eye marked them, nine on such trails with other ends,
+and three are none, one of them a spike."""
+UNMODELLED_SNR: Final = 100.0
+"""Its S/N, at least."""
+UNMODELLED_PROBABILITY: Final = 0.1
+"""The vetter's probability counts as this at least: a satellite of S/N 892 across a stack, where stars take a fifth of the places
+beside it, had 0.005 for its width and texture. Lines of no more do not tell the optics (`look_alikes.LEAST_TELLING`)."""
 
 CONSTANT: Final = -2.05
 """Weights of the logistic regression follow, to 1,900 lines (72 trails) in 277 frames of 34 cameras, 19 of them with trails, and
@@ -54,6 +67,24 @@ def contrasts_of(fits: Sequence[StreakFit], probability: NDArray[np.float64], ti
     return [
         Contrast.of(fit, tiles) if p >= LEAST_PROBABILITY else None for fit, p in zip(fits, probability.tolist(), strict=True)
     ]
+
+
+def as_unmodelled(
+    fits: Sequence[StreakFit], probability: NDArray[np.float64], contrasts: Sequence[Contrast | None]
+) -> NDArray[np.float64]:
+    """A vetter's probabilities (n,), raised for long bright lines that stand out all along, whatever their width and texture.
+
+    Lines that run along rows or columns keep theirs: so do columns of the readout, which stand out as well.
+    """
+    clear = [
+        contrast is not None
+        and contrast.pieces >= UNMODELLED_PIECES
+        and min(contrast.wins, contrast.peak) >= UNMODELLED_SHARE
+        and fit.snr >= UNMODELLED_SNR
+        and not is_aligned(fit.angle_deg)
+        for fit, contrast in zip(fits, contrasts, strict=True)
+    ]
+    return np.where(clear, np.maximum(probability, UNMODELLED_PROBABILITY), probability)
 
 
 def probability_in_any_camera(

@@ -16,11 +16,11 @@ from numpy.typing import NDArray
 from ground.guard import guarded, probabilities_of
 from ground.streaks.centre_line import effective_width_px
 from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
-from ground.vetting.any_camera import LEAST_PROBABILITY, contrasts_of, probability_in_any_camera
+from ground.vetting.any_camera import LEAST_PROBABILITY, as_unmodelled, contrasts_of, probability_in_any_camera
 from ground.vetting.bends import bends_too_much
 from ground.vetting.beside import against_beside
 from ground.vetting.borders import against_border
-from ground.vetting.contrast import Tiles
+from ground.vetting.contrast import Contrast, Tiles
 from ground.vetting.crosses import Crosses
 from ground.vetting.features import LEAST_BINS
 from ground.vetting.likelihood import sharpest_light_px, sharpness_of
@@ -223,6 +223,10 @@ class LookAlikeVetter:
         probability = probabilities_of(self.vetter, where, given, len(fits))
         if known is None or not fits:
             return probability
+        contrasts: list[Contrast | None] = [None] * len(fits)
+        if known.tiles is not None:
+            contrasts = contrasts_of(fits, probability, known.tiles)
+            probability = as_unmodelled(fits, probability, contrasts)
         against = look_alikes_near(fits, known.look_alikes, known.weight) / REAL_DENSITY
         against = against + np.array([of_spilled_charge(fit) for fit in fits])
         if not known.alone:
@@ -256,7 +260,7 @@ class LookAlikeVetter:
         believed = (given > least) & (borders < 1.0)
         sharpest = sharpest_light_px(sharp, believed.tolist())
         sharpness = sharpness_of(sharp, frame.psf_sigma_px, sharpest)
-        contrasts = contrasts_of(fits, given, tiles)
+        contrasts = [each if p >= LEAST_PROBABILITY else None for each, p in zip(contrasts, given.tolist(), strict=True)]
         # stars may be wider than the optics, and long light is not
         by_stars = frame.psf_sigma_px is not None and frame.psf_sigma_px <= sharpest
         tracks = odds_of_particles(fits, [by_stars and told < SHARP for told in sharpness])

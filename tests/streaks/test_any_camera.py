@@ -8,7 +8,7 @@ import pytest
 
 from ground.streaks import TrailedPsfFitter
 from ground.vetting import any_camera
-from ground.vetting.any_camera import contrasts_of, probability_in_any_camera
+from ground.vetting.any_camera import as_unmodelled, contrasts_of, probability_in_any_camera
 from ground.vetting.contrast import TILE_PX, Contrast, Tiles
 from ground.vetting.particles import SHORTEST_PX, THICKNESS_PX, odds_of_particles
 from ground.vetting.repeated import doubled
@@ -153,3 +153,16 @@ def test_cameras_judged_by_the_others_publish_as_the_page_says() -> None:
     lines = Lines.of()
     found = judged(lines, out_of_camera(lines), simulated=False)
     assert found == Judged(trails=76, published=62, false=1, sure=67, sure_false=0)
+
+
+def test_a_long_bright_line_that_stands_out_all_along_is_not_refused_for_its_width_and_texture(line: StreakFit) -> None:
+    """A satellite of S/N 892 across a stack had 0.005 and then 0.33: its texture was that of lines that recur."""
+    bright = replace(line, snr=900.0)
+    column = replace(bright, row0=10.0, row1=190.0, col0=50.0, col1=50.0)
+    clear, broken = Contrast(pieces=64, wins=0.78, peak=0.72), Contrast(pieces=64, wins=0.5, peak=0.72)
+    fits = [bright, bright, bright, replace(bright, snr=60.0), column]
+    raised = as_unmodelled(fits, np.full(5, 0.005), [clear, broken, None, clear, clear])
+    assert raised.tolist() == [0.1, 0.005, 0.005, 0.005, 0.005]
+    assert as_unmodelled([bright], np.array([0.9]), [clear]).tolist() == [0.9]
+    nothing = np.full(1, np.inf)
+    assert probability_in_any_camera([bright], raised[:1], [0.0], [clear], nothing)[0] > 0.7

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from ground.vetting.spikes import CENTRE_ERROR_PX, SIGMAS, SPIKE_PER_REAL, BrightStars, across_error
+from ground.vetting.spikes import CENTRE_ERROR_PX, SPIKE_PER_REAL, SPIKE_PLACES, BrightStars, aim_of
 from sboc_e2e.icd.products import StreakFit
 
 MOST_STARS: Final = 70
@@ -102,18 +102,16 @@ class Crosses:
         length = fit.length_px
         if not length > 0.0 or not self.stars:
             return 0.0
-        along_row, along_col = (fit.row1 - fit.row0) / length, (fit.col1 - fit.col0) / length
-        angle = math.atan2(along_col, along_row)
+        angle = math.atan2((fit.col1 - fit.col0) / length, (fit.row1 - fit.row0) / length)
+        places, aways, reaches = aim_of(fit, *np.array([(star.row, star.col) for star in self.stars]).T)
+        low, high = SPIKE_PLACES
         odds = 0.0
-        for star in self.stars:
-            row, col = star.row - fit.row0, star.col - fit.col0
-            place = (row * along_row + col * along_col) / length
-            across = row * along_col - col * along_row
-            reach = CENTRE_ERROR_PX + 0.5 * star.radius_px + SIGMAS * float(across_error(fit, np.array([place]))[0])
+        for star, place, away, error in zip(self.stars, places.tolist(), aways.tolist(), reaches.tolist(), strict=True):
+            reach = error + 0.5 * star.radius_px
             apart = math.radians(SAME_DEG) + math.atan2(reach, length)
-            if abs(across) < reach and star.off(angle) < apart and -1.0 < place < 2.0:
+            if away < reach and star.off(angle) < apart and low < place < high:
                 share = min(star.arms * apart / math.pi, 1.0)
-                chance = min(len(self.stars) * 2.0 * reach * 3.0 * length / self.area_px2, 1.0) * share
+                chance = min(len(self.stars) * 2.0 * reach * (high - low) * length / self.area_px2, 1.0) * share
                 odds = max(odds, SPIKE_PER_REAL * (1.0 / chance - 1.0))
         return odds
 
@@ -144,8 +142,6 @@ def _core_of(counts: NDArray[Any], unusable: NDArray[np.uint8], row: float, col:
         return None
     box = slice(max(r - HALF_PX, 0), r + HALF_PX + 1), slice(max(c - HALF_PX, 0), c + HALF_PX + 1)
     crop = np.where(unusable[box] != 0, np.nan, counts[box].astype(np.float32))
-    if not np.isfinite(crop).any():
-        return None
     r0, c0 = r - box[0].start, c - box[1].start
     near = crop[max(r0 - 2, 0) : r0 + 3, max(c0 - 2, 0) : c0 + 3]
     if not np.isfinite(near).any():

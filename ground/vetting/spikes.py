@@ -29,6 +29,9 @@ CENTRE_ERROR_PX: Final = 2.0
 SIGMAS: Final = 3.0
 """The line's own error is added so many times."""
 
+SPIKE_PLACES: Final = (-1.0, 2.0)
+"""Where on a line the star of a spike may lie, in lengths from end 0: between the ends, or up to a length beside them."""
+
 SPIKE_PER_REAL: Final = 0.5
 """Expected lines that are spikes, for each real streak: one frame in four has one. Chosen, not measured."""
 
@@ -53,7 +56,7 @@ class BrightStars:
 
     def against(self, fit: StreakFit) -> float:
         """Odds of a spike or of one full star against a trail, as far as the stars tell; 0 where a line aims at none."""
-        odds = self._aimed_at(fit, LEAST_LIGHT, -1.0, 2.0, SPIKE_PER_REAL)
+        odds = self._aimed_at(fit, LEAST_LIGHT, *SPIKE_PLACES, SPIKE_PER_REAL)
         may_be_full = fit.length_px <= FULL_LONGEST_PX and fit.snr > FULL_SNR
         if may_be_full and (_may_be_spilled(fit) or not is_long(fit)):
             odds += self._aimed_at(fit, LEAST_OF_LINE, 0.0, 1.0, FULL_PER_FRAME / REAL_PER_FRAME)
@@ -68,16 +71,12 @@ class BrightStars:
         first = int(np.searchsorted(self.flux_e, least * fit.flux_e))
         if not length > 0.0 or not fit.flux_e > 0.0 or first == len(self.flux_e):
             return 0.0
-        along_row, along_col = (fit.row1 - fit.row0) / length, (fit.col1 - fit.col0) / length
-        row, col = self.row[first:] - fit.row0, self.col[first:] - fit.col0
-        along, across = row * along_row + col * along_col, row * along_col - col * along_row
-        place = along / length
-        reach = CENTRE_ERROR_PX + SIGMAS * across_error(fit, place)
-        aims = (np.abs(across) < reach) & (place > low) & (place < high)
+        place, away, reach = aim_of(fit, self.row[first:], self.col[first:])
+        aims = (away < reach) & (place > low) & (place < high)
         if not aims.any():
             return 0.0
         breadth = 2.0 * float(np.median(reach[aims]))
-        chance = min(len(row) * breadth * (high - low) * length / self.area_px2, 1.0)
+        chance = min(len(place) * breadth * (high - low) * length / self.area_px2, 1.0)
         return per_real * (1.0 / chance - 1.0)
 
 
@@ -87,7 +86,21 @@ def _may_be_spilled(fit: StreakFit) -> bool:
     return min(drow, dcol) < SPILL_SLOPE * max(drow, dcol)
 
 
-def across_error(fit: StreakFit, place: NDArray[np.float64]) -> NDArray[np.float64]:
+def aim_of(
+    fit: StreakFit, row: NDArray[np.float64], col: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]]:
+    """How a line lies to the centres of stars, (n,) each, px: it has a length.
+
+    Returns where on the line each lies, in lengths from end 0, how far beside it, px, and how far it may, (n,) each.
+    """
+    length = fit.length_px
+    along_row, along_col = (fit.row1 - fit.row0) / length, (fit.col1 - fit.col0) / length
+    row, col = row - fit.row0, col - fit.col0
+    place = (row * along_row + col * along_col) / length
+    return place, np.abs(row * along_col - col * along_row), CENTRE_ERROR_PX + SIGMAS * _across_error(fit, place)
+
+
+def _across_error(fit: StreakFit, place: NDArray[np.float64]) -> NDArray[np.float64]:
     """One sigma of a line across itself, px, at places (n,) along it: 0 and 1 are its ends, others lie beyond."""
     across = np.array([fit.col1 - fit.col0, fit.row0 - fit.row1]) / fit.length_px
     ends = np.zeros((2, 4))

@@ -223,19 +223,24 @@ def _shadow(dark: Detection, of: Detection) -> bool:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Sky:
-    """Counts of a frame, in units of `adu_scale` ADU, which of its pixels are masked, and the map of its sky."""
+    """Counts of a frame, in units of `adu_scale` ADU, which of its pixels are masked, and the map of its sky.
+
+    unusable : nonzero where a pixel tells nothing; of masked ones the full do tell.
+    """
 
     counts: NDArray[Any]
     adu_scale: np.float32
     mask: NDArray[np.uint8]
+    unusable: NDArray[np.uint8]
     map: SkyMap
 
     @classmethod
     def of(cls, prepared: Prepared) -> "Sky":
         """The sky of a prepared frame."""
         counts, mask = prepared.counts, prepared.view.mask
-        sky = SkyMap.of(counts.pixels, unusable(mask), counts.adu_scale)
-        return cls(counts=counts.pixels, adu_scale=np.float32(counts.adu_scale), mask=mask, map=sky)
+        hidden = unusable(mask)
+        sky = SkyMap.of(counts.pixels, hidden, counts.adu_scale)
+        return cls(counts=counts.pixels, adu_scale=np.float32(counts.adu_scale), mask=mask, unusable=hidden, map=sky)
 
     def stars(self, prepared: Prepared, found: Sequence[Detection]) -> tuple[StarField, BrightStars]:
         """The stars of the frame, with the counts around its short lines; and their places."""
@@ -246,7 +251,7 @@ class Sky:
     def tiles(self, found: Sequence[Detection]) -> Tiles:
         """Counts around the lines of the frame, the brightest first."""
         lines = [(line.row0, line.col0, line.row1, line.col1) for line in sorted(found, key=lambda each: -each.snr)]
-        return Tiles.of(self.counts, unusable(self.mask), lines, float(self.adu_scale))
+        return Tiles.of(self.counts, self.unusable, lines, float(self.adu_scale))
 
     def _crops(self, found: Sequence[Detection]) -> Iterator[Crop]:
         """Counts around lines of the frame, short ones first and the brightest of them, as far as `MOST_PIXELS` goes.
@@ -302,7 +307,7 @@ class CountingChain(OnboardChain):
                 sky=seen.map if seen else None,
                 field=field,
                 bright=bright,
-                crosses=Crosses.of(seen.counts, unusable(seen.mask), bright) if seen and bright else None,
+                crosses=Crosses.of(seen.counts, seen.unusable, bright) if seen and bright else None,
                 tiles=seen.tiles(found) if seen else None,
                 short_axis_px=short_axis_px(view) if seen else None,
             )

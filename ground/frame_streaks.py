@@ -130,6 +130,7 @@ def measured(
         tracklet_id=-1,
         flags=fit.flags | veto,
         track=track,
+        track_snr=lit.frame.rois[number].track_snr,
     )
     on_sky = with_sky(streak, header, sky, lit.solution.covariance_rad2)
     return _with_brightness(on_sky, header, lit.photometry, mean_flat, None)

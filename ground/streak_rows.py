@@ -22,7 +22,7 @@ FIT_NUMBERS: Final = (
 )  # fmt: skip
 NUMBERS: Final = (
     "row_mid", "col_mid", "sigma_along_arcsec", "sigma_cross_arcsec", "mag", "mag_err", "mag_at_1deg_s", "mag_at_1deg_s_err",
-    "probability",
+    "probability", "track_snr",
 )  # fmt: skip
 COUNTS: Final = ("frame", "streak_id", "roi_id", "tracklet_id", "track")
 

@@ -50,7 +50,7 @@ class StreakTable(NamedTuple):
     turn_rad_s : (n, 3) angular velocity of the camera in the same axes.
     sigma_along_rad, (n, 2) of both ends; sigma_cross_rad (n,). scale_rad_px : (n,) plate scale.
     log_odds : (n,) of being real, from the vetter, relative to the mean of all. track : (n,) number of the on-board track, -1:
-    none.
+    none. snr : (n,) of the fit; track_snr : (n,) joint S/N of the track on board, 0: not known.
     """
 
     frame: NDArray[np.int64]
@@ -67,6 +67,8 @@ class StreakTable(NamedTuple):
     mag: NDArray[np.float64]
     mag_err: NDArray[np.float64]
     track: NDArray[np.int64]
+    snr: NDArray[np.float64]
+    track_snr: NDArray[np.float64]
 
 
 class FrameTable(NamedTuple):
@@ -183,6 +185,8 @@ def _columns(
         "mag": np.array([s.mag for s in streaks], dtype=np.float64),
         "mag_err": np.array([s.mag_err for s in streaks], dtype=np.float64),
         "track": np.array([s.track for s in streaks], dtype=np.int64),
+        "snr": np.array([s.fit.snr for s in streaks], dtype=np.float64),
+        "track_snr": np.array([s.track_snr for s in streaks], dtype=np.float64),
     }
 
 

@@ -4,6 +4,7 @@ A streak that is the same light as one that a track took is taken with it.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,9 +14,12 @@ from ground.link.groups import tracked_groups
 from ground.link.hypotheses import POINT, FrameTable, Nodes, StreakTable
 from ground.link.merge import merged, pieces_of
 from ground.link.motion import N_PARAMETERS
+from ground.link.noise_tracks import joint_snr, log_odds_of_tracks
 from ground.link.same_light import SameLight
 from ground.link.search import candidates, find_pairs, gain_of, grow
 from ground.link.tracks import Track
+from ground.streaks.forced import FORCED_SNR
+from sboc_e2e.icd.flags import StreakFlag
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -91,7 +95,30 @@ def best_tracks(nodes: Nodes, table: StreakTable, frames: FrameTable, search: Se
         pieces = pieces_of(track, table, frames, nodes.kind, used)
         used[pieces] = True
         tracks.append(replace(track, pieces=pieces))
-    return tracks
+    return told_from_noise(tracks, table, frames)
+
+
+def told_from_noise(tracks: Sequence[Track], table: StreakTable, frames: FrameTable) -> list[Track]:
+    """The tracks without those that are rather noise's. Of what an on-board track alone vouches for, the light gives the odds:
+
+    places that it foretold lie on one motion whatever they show.
+    """
+    snr = np.array([_seen_together(track.members // 2, table) for track in tracks])
+    told = np.isfinite(snr)
+    odds = np.array([track.log_odds for track in tracks])
+    if told.any():
+        shape = frames.shape[table.frame[0]]
+        odds[told] = log_odds_of_tracks(snr[told], len(frames.number), (float(shape[0]), float(shape[1])))
+    return [replace(track, log_odds=float(o)) for track, o, known in zip(tracks, odds, told, strict=True) if o > 0.0 or not known]
+
+
+def _seen_together(streaks: NDArray[np.int64], table: StreakTable) -> float:
+    """Mean of the joint S/N on board and on ground of trails that no single frame shows; NaN where one does, and of points."""
+    foretold = (table.track_snr[streaks] > 0.0) & ~(table.snr[streaks] >= FORCED_SNR)
+    point = (table.flags[streaks] & StreakFlag.POINT_LIKE) != 0
+    if not foretold.all() or point.any():
+        return math.nan
+    return 0.5 * (float(table.track_snr[streaks].max()) + joint_snr(table.snr[streaks]))
 
 
 _LEAST_PATH_PX = 2.0  # below this way on the sky or on the detector it is a star or a defect. Chosen, not measured

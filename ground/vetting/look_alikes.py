@@ -34,6 +34,7 @@ from ground.vetting.spikes import BrightStars
 from ground.vetting.star_arcs import of_turning_stars
 from ground.vetting.star_rows import FULL_PER_FRAME, FULL_SNR, REAL_PER_FRAME, StarField
 from ground.vetting.star_trails import against_chains, move_as
+from ground.vetting.texture import for_texture
 from ground.vetting.two_areas import is_border
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import StreakFlag
@@ -160,6 +161,7 @@ class OwnEvidence:
     circle : of a lens that does not fill the frame; None: it does, or is not known.
     tiles : counts around the lines; None: the lines are not held against their neighbourhood.
     short_axis_px : of the images of the stars (sigma, the pixel's own taken off); None: they do not tell.
+    noise_adu : of a pixel of the sky; 0: not known.
     """
 
     look_alikes: NDArray[np.float64]
@@ -175,6 +177,7 @@ class OwnEvidence:
     circle: ImageCircle | None = None
     tiles: Tiles | None = None
     short_axis_px: float | None = None
+    noise_adu: float = 0.0
 
     def stars_among(self, fits: Sequence[StreakFit], *, round_stars: bool) -> StarMotion | None:
         """Motion of the stars where they are lines. In a dense field detections of several run together, and fits part them.
@@ -267,7 +270,7 @@ class LookAlikeVetter:
         given = probability_in_any_camera(fits, given, sharpness, contrasts, tracks)
         for k in np.flatnonzero(given >= LEAST_PROBABILITY).tolist():
             odds = 0.0 if is_border(fits[k], tiles) else for_meteor(fits[k], tiles, contrasts[k])
-            given[k] = with_odds(given[k], odds)
+            given[k] = with_odds(given[k], odds * for_texture(fits[k], tiles, known.noise_adu))
         # such a line wins all along it, as a trail does: its contrast and length do not outweigh its place
         at_most = 1.0 / (1.0 + borders)
         given = np.minimum(given, at_most)

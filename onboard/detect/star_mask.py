@@ -43,6 +43,15 @@ LEVEL: Final = 0.42
 ASIDE: Final = 0.5
 """Share of the light of such an entry that is not kept on both sides of its path: a nebula or a full star is bright there too."""
 
+FINE_DIRECTIONS: Final = 144
+"""Of a path of `WIDE_REACH_PX`: a trail of one pixel is still under the nearest of them at its end."""
+
+AWAY_DEG: Final = 15.0
+"""A path so near to the stars' motion is the trail of a star, or of two in a row. Chosen, not measured."""
+
+LEAST_OWN: Final = 6.0
+"""Brightest pixel of an entry, in sigmas, below which noise decides how its path goes on. Chosen, not measured."""
+
 MARGIN_PX: Final = 0.3
 """Added to the radius at which a star falls to 0.4 sigma of a pixel."""
 
@@ -71,7 +80,7 @@ def _goes_on(
     aside : and whether the light 7 px to both sides of the entry is less than this, across such a path.
     """
     rows, cols = residual.shape
-    for k in range(DIRECTIONS):
+    for k in range(unit.shape[0]):
         d_row, d_col = unit[k, 0], unit[k, 1]
         before = 0.0
         bright = True
@@ -100,6 +109,14 @@ def _light_at(residual: NDArray[np.float32], row: float, col: float) -> float:
     """Of the pixel at a place; none beyond the borders."""
     i, j = math.floor(row + 0.5), math.floor(col + 0.5)
     return float(residual[i, j]) if 0 <= i < residual.shape[0] and 0 <= j < residual.shape[1] else -math.inf
+
+
+@nb.njit(cache=True)
+def _noise_at(sigma_adu: NDArray[np.float32], tile_px: int, row: float, col: float) -> float:
+    """Of the tile of a place, or of the nearest one."""
+    tile_row = min(max(int(row) // tile_px, 0), sigma_adu.shape[0] - 1)
+    tile_col = min(max(int(col) // tile_px, 0), sigma_adu.shape[1] - 1)
+    return float(sigma_adu[tile_row, tile_col])
 
 
 @nb.njit(cache=True)
@@ -136,9 +153,7 @@ def trail_pieces(
         angle = 2.0 * math.pi * k / DIRECTIONS
         unit[k, 0], unit[k, 1] = math.sin(angle), math.cos(angle)
     for k in range(row.shape[0]):
-        mesh_row = min(max(int(row[k]) // tile_px, 0), sigma_adu.shape[0] - 1)
-        mesh_col = min(max(int(col[k]) // tile_px, 0), sigma_adu.shape[1] - 1)
-        sigma = sigma_adu[mesh_row, mesh_col]
+        sigma = _noise_at(sigma_adu, tile_px, row[k], col[k])
         if not sigma > 0.0:
             continue
         faint, scale = snr[k] < FAINT_SNR, 1.0 / sigma
@@ -150,6 +165,44 @@ def trail_pieces(
             if own < LEAST_PEAK * light:
                 level, most = LEVEL * own, ASIDE * own
                 out[k] = _goes_on(residual_adu, row[k], col[k], level, scale, smooth, False, unit, brightest, most, WIDE_REACH_PX)
+    return out
+
+
+@nb.njit(cache=True, nogil=True)
+def pieces_across(
+    residual_adu: NDArray[np.float32],
+    sigma_adu: NDArray[np.float32],
+    tile_px: int,
+    row: NDArray[np.float64],
+    col: NDArray[np.float64],
+    d_row: NDArray[np.float64],
+    d_col: NDArray[np.float64],
+) -> NDArray[np.bool_]:
+    """Entries of a sky of trailed stars that are pieces of a line which runs elsewhere than the stars do, shape (n,).
+
+    d_row, d_col (n,) : the stars' motion there.
+    """
+    out, no_smooth = np.zeros(row.shape[0], np.bool_), np.zeros((0, 0), np.int8)
+    unit, most = np.empty((FINE_DIRECTIONS, 2)), math.cos(math.radians(AWAY_DEG))
+    for k in range(row.shape[0]):
+        sigma = _noise_at(sigma_adu, tile_px, row[k], col[k])
+        if not sigma > 0.0:
+            continue
+        own = _brightest_near(residual_adu, row[k], col[k]) / sigma
+        if own < LEAST_OWN:
+            continue
+        n, length = 0, max(math.hypot(d_row[k], d_col[k]), 1e-6)
+        for direction in range(FINE_DIRECTIONS):
+            angle = 2.0 * math.pi * direction / FINE_DIRECTIONS
+            u_row, u_col = math.sin(angle), math.cos(angle)
+            if abs(u_row * d_row[k] + u_col * d_col[k]) < most * length:
+                unit[n, 0], unit[n, 1] = u_row, u_col
+                n += 1
+        level = LEVEL * own
+        out[k] = _goes_on(
+            residual_adu, row[k], col[k], level, 1.0 / sigma, no_smooth, False, unit[:n], BRIGHTEST_UNKNOWN, ASIDE * own,
+            WIDE_REACH_PX,
+        )  # fmt: skip
     return out
 
 

@@ -184,6 +184,8 @@ class StreakMeasurement:
     turn_rad_s: NDArray[np.float64] = field(default_factory=lambda: np.zeros(3))
     track: int = -1
     """Number of the on-board track over several frames that it is a member of; -1: of none."""
+    track_snr: float = 0.0
+    """Joint S/N of that track on board; 0: not known."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -67,6 +67,9 @@ PROFILE_PX: Final = 32
 CORE_PX: Final = 2
 """Pixels within it of a line hold its light."""
 
+QUIET: Final = 0.3
+"""Share of the parts of a frame that are sky, at least: their noise is that of the sky. Chosen, not measured."""
+
 NO_LINE: Final = StreakFlag.POINT_LIKE | StreakFlag.COSMIC_LIKE
 
 
@@ -310,6 +313,7 @@ class CountingChain(OnboardChain):
                 crosses=Crosses.of(seen.counts, seen.unusable, bright) if seen and bright else None,
                 tiles=seen.tiles(found) if seen else None,
                 short_axis_px=short_axis_px(view) if seen else None,
+                noise_adu=float(np.quantile(view.background.sigma_adu, QUIET)),
             )
         return after, result
 

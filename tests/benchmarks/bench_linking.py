@@ -146,6 +146,8 @@ def chance_streaks(
         mag=np.full(n, 10.0),
         mag_err=np.full(n, 0.1),
         track=np.full(n, -1),
+        snr=np.full(n, 10.0),
+        track_snr=np.zeros(n),
     )
     frames = FrameTable(
         number=np.arange(n_frames),

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from onboard.detect.star_mask import trail_pieces
+from onboard.detect.star_mask import pieces_across, trail_pieces
 
 SIDE, PSF_SIGMA_PX = 200, 1.2
 
@@ -65,3 +65,21 @@ def test_entries_in_a_patch_of_light_are_no_pieces(psf_known: bool) -> None:
     light = 200.0 * np.exp(-0.5 * ((row - 100.0) ** 2 + (col - 100.0) ** 2) / 30.0**2)
     places = 100.0 + np.random.default_rng(3).uniform(-10.0, 10.0, (25, 2))
     assert pieces(light, places, psf_known=psf_known, times=2.5).mean() < 0.1
+
+
+def test_entries_on_a_line_that_the_stars_do_not_follow_are_its_pieces() -> None:
+    """A meteor among trailed stars was listed as trailed stars and masked. Stars stay, also where two follow each other."""
+    row, col = np.mgrid[:SIDE, :SIDE].astype(float)
+    slope = 2.0
+    across = (col - 60.0 - (row - 100.0) / slope) / np.hypot(1.0, 1.0 / slope)
+    light = 30.0 * np.exp(-0.5 * across**2) * ((row > 25.0) & (row < 175.0))
+    stars = np.array([[50.0, 120.0], [50.0, 129.0], [90.0, 150.0], [150.0, 40.0], [120.0, 170.0]])
+    for r, c in stars:
+        light += 40.0 * np.exp(-0.5 * (row - r) ** 2) * ((col > c - 5.0) & (col < c + 5.0))
+    image = (light + np.random.default_rng(5).normal(size=light.shape)).astype(np.float32)
+    rows = np.arange(45.0, 155.0, 5.0)
+    places = np.concatenate([np.column_stack([rows, 60.0 + (rows - 100.0) / slope]), stars])
+    along_columns = np.zeros(len(places)), np.full(len(places), 10.0)
+    told = pieces_across(image, np.ones((4, 4), np.float32), 64, *places.T.copy(), *along_columns)
+    assert told[: len(rows)].mean() > 0.9
+    assert not told[len(rows) :].any()

@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from onboard.detect import star_mask, whiten
+from onboard.detect import dotted, star_mask, whiten
 from onboard.detect.line_integral import halos, point_movers, static_sky
 from onboard.detect.line_integral.kept_frame import quantised
 from onboard.detect.line_integral.sharpness import measured_width_px
@@ -96,6 +96,7 @@ def remove_stars_alone(
         psf_sigma_px,
         stars.psf_sigma_px is not None,
     )
+    pieces |= dotted.dots_in_rows(stars.row, stars.col, image.size)
     order = star_mask.by_row(stars.row)
     mask_stars(view, order[~pieces[order]], image, blocked, halo_px)
     return ~pieces

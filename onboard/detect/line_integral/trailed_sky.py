@@ -44,11 +44,19 @@ def working_images(view: DetectorView, motion: StarMotion) -> WorkingImages:
     stars, psf_sigma_px = view.stars, view.psf_sigma_px
     image = whiten.quantise(view.residual_adu, view.mask, view.background.sigma_adu, view.background.tile_px)
     blocked = whiten.unusable(view.mask)
-    trailed = (stars.flags & int(StarFlag.TRAILED)) != 0
+    across = star_mask.pieces_across(
+        view.residual_adu,
+        view.background.sigma_adu,
+        view.background.tile_px,
+        stars.row,
+        stars.col,
+        *motion.at(stars.row, stars.col),
+    )
+    trailed = ((stars.flags & int(StarFlag.TRAILED)) != 0) & ~across
     row, col = stars.row[trailed], stars.col[trailed]
     half = 0.5 * np.column_stack(motion.at(row, col))
     paint_trails(blocked, row, col, half, stars.snr[trailed], measured_width_px(view), whiten.STAR_BIT)
-    points = np.flatnonzero((stars.flags & NOT_AN_OBJECT) == 0)
+    points = np.flatnonzero(((stars.flags & NOT_AN_OBJECT) == 0) & ~across)
     beside = _beside(blocked, stars.row[points], stars.col[points]) & (stars.snr[points] < SURE_SNR)
     lit = _on_lines(view, stars.row[points], stars.col[points], motion)
     cut = _near_edge(view.mask.shape, stars.row[points], stars.col[points], motion) & (stars.snr[points] < SURE_SNR)
@@ -64,7 +72,7 @@ def working_images(view: DetectorView, motion: StarMotion) -> WorkingImages:
         fraction,
     )
     sharp |= (stars.flags[new] & int(StarFlag.COSMIC_LIKE)) != 0
-    still = np.flatnonzero(~trailed)
+    still = np.flatnonzero(~trailed & ~across)
     radii = star_mask.mask_radii_px(stars.snr[still], psf_sigma_px, 1.0)
     whiten.blank_discs(image, blocked, stars.row[still], stars.col[still], radii)
     image[blocked != 0] = 0

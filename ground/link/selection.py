@@ -99,9 +99,10 @@ def best_tracks(nodes: Nodes, table: StreakTable, frames: FrameTable, search: Se
 
 
 def told_from_noise(tracks: Sequence[Track], table: StreakTable, frames: FrameTable) -> list[Track]:
-    """The tracks without those that are rather noise's. Of what an on-board track alone vouches for, the light gives the odds:
+    """The tracks without those that are rather noise's.
 
-    places that it foretold lie on one motion whatever they show.
+    Places that an on-board track foretold lie on one motion whatever they show. Where no member is seen in its own frame, the
+    light of all together gives the odds.
     """
     snr = np.array([_seen_together(track.members // 2, table) for track in tracks])
     told = np.isfinite(snr)

@@ -22,7 +22,7 @@ LEAST_DOTS: Final = 6
 BY_CHANCE: Final = 1e-3
 """Rows that evenly strewn entries may make in a frame."""
 
-MOST_DOTS: Final = 40
+MOST_DOTS: Final = 16
 """Where more are needed, the list fills the frame, and a row says nothing."""
 
 
@@ -42,30 +42,26 @@ def dots_needed(n: int, n_pixels: int) -> int:
 def dots_in_rows(row: NDArray[np.float64], col: NDArray[np.float64], n_pixels: int) -> NDArray[np.bool_]:
     """Which entries (n,) lie in a row of as many as chance does not make."""
     needed = dots_needed(len(row), n_pixels)
-    out = np.zeros(len(row), np.bool_)
     if needed > MOST_DOTS or len(row) < needed:
-        return out
-    order = np.argsort(row, kind="stable")
-    out[order] = _in_rows(row[order], col[order], needed)
-    return out
+        return np.zeros(len(row), np.bool_)
+    return _in_rows(row, col, needed)
 
 
 @nb.njit(cache=True)
 def _in_rows(row: NDArray[np.float64], col: NDArray[np.float64], needed: int) -> NDArray[np.bool_]:
-    """The same for entries by rising row."""
+    """Which entries lie in a row of so many."""
     n = row.shape[0]
     out, chain = np.zeros(n, np.bool_), np.empty(n, np.int64)
+    first, order, cols = _cells(row, col)
     for a in range(n):
-        for b in range(a + 1, n):
-            if row[b] - row[a] > GAP_PX:
-                break
+        for b in _near(row, col, a, first, order, cols):
             apart = math.hypot(row[b] - row[a], col[b] - col[a])
-            if apart > GAP_PX or apart < 1.0 or (out[a] and out[b]):
+            if b <= a or apart > GAP_PX or apart < 1.0 or (out[a] and out[b]):
                 continue
             chain[0], chain[1] = a, b
-            count = _grown(row, col, chain, 2)
+            count = _grown(row, col, chain, 2, first, order, cols)
             chain[:count] = chain[:count][::-1].copy()
-            count = _grown(row, col, chain, count)
+            count = _grown(row, col, chain, count, first, order, cols)
             if count >= needed:
                 for k in range(count):
                     out[chain[k]] = True
@@ -73,22 +69,71 @@ def _in_rows(row: NDArray[np.float64], col: NDArray[np.float64], needed: int) ->
 
 
 @nb.njit(cache=True)
-def _grown(row: NDArray[np.float64], col: NDArray[np.float64], chain: NDArray[np.int64], count: int) -> int:
+def _cells(row: NDArray[np.float64], col: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
+    """Entries by cells of `GAP_PX`: where each cell begins in the order of entries, that order, and the cells of a row."""
+    cols = int(max(col.max(), 0.0) / GAP_PX) + 3
+    first = np.zeros((int(max(row.max(), 0.0) / GAP_PX) + 3) * cols + 1, np.int64)
+    order = np.empty(row.shape[0], np.int64)
+    for k in range(row.shape[0]):
+        first[_cell(row[k], col[k], cols) + 1] += 1
+    first[:] = np.cumsum(first)
+    place = first.copy()
+    for k in range(row.shape[0]):
+        cell = _cell(row[k], col[k], cols)
+        order[place[cell]] = k
+        place[cell] += 1
+    return first, order, cols
+
+
+@nb.njit(cache=True)
+def _cell(row: float, col: float, cols: int) -> int:
+    """The cell of a place, with an empty one around all; what lies before the first row or column is in the first."""
+    return (int(max(row, 0.0) / GAP_PX) + 1) * cols + int(max(col, 0.0) / GAP_PX) + 1
+
+
+@nb.njit(cache=True)
+def _near(
+    row: NDArray[np.float64],
+    col: NDArray[np.float64],
+    k: int,
+    first: NDArray[np.int64],
+    order: NDArray[np.int64],
+    cols: int,
+) -> NDArray[np.int64]:
+    """Entries in the cell of one and in those around it."""
+    cell = _cell(row[k], col[k], cols)
+    above, here, below = cell - cols, cell, cell + cols
+    return np.concatenate(
+        (
+            order[first[above - 1] : first[above + 2]],
+            order[first[here - 1] : first[here + 2]],
+            order[first[below - 1] : first[below + 2]],
+        )
+    )
+
+
+@nb.njit(cache=True)
+def _grown(
+    row: NDArray[np.float64],
+    col: NDArray[np.float64],
+    chain: NDArray[np.int64],
+    count: int,
+    first: NDArray[np.int64],
+    order: NDArray[np.int64],
+    cols: int,
+) -> int:
     """Entries of a row that goes on beyond its last one, each time to the nearest ahead; into chain."""
     while count < row.shape[0]:
-        first, last = chain[0], chain[count - 1]
-        length = math.hypot(row[last] - row[first], col[last] - col[first])
-        u_row, u_col = (row[last] - row[first]) / length, (col[last] - col[first]) / length
+        begin, end = chain[0], chain[count - 1]
+        length = math.hypot(row[end] - row[begin], col[end] - col[begin])
+        u_row, u_col = (row[end] - row[begin]) / length, (col[end] - col[begin]) / length
         best, nearest = -1, GAP_PX
-        for step in (-1, 1):
-            k = last + step
-            while 0 <= k < row.shape[0] and abs(row[k] - row[last]) <= GAP_PX:
-                d_row, d_col = row[k] - row[last], col[k] - col[last]
-                along, across = d_row * u_row + d_col * u_col, abs(d_row * u_col - d_col * u_row)
-                # a short row tells its direction less well
-                if 1.0 < along < nearest and across < ASIDE_PX * (1.0 + 0.5 * along / length):
-                    best, nearest = k, along
-                k += step
+        for k in _near(row, col, end, first, order, cols):
+            d_row, d_col = row[k] - row[end], col[k] - col[end]
+            along, across = d_row * u_row + d_col * u_col, abs(d_row * u_col - d_col * u_row)
+            # a short row tells its direction less well
+            if 1.0 < along < nearest and across < ASIDE_PX * (1.0 + 0.5 * along / length):
+                best, nearest = k, along
         if best < 0:
             break
         chain[count] = best

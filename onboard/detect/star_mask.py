@@ -49,6 +49,9 @@ FINE_DIRECTIONS: Final = 144
 AWAY_DEG: Final = 15.0
 """A path so near to the stars' motion is the trail of a star, or of two in a row. Chosen, not measured."""
 
+SHORT_STAR_PX: Final = 8.0
+"""Where stars move by less, two of them in a row with their own width are shorter than the path, which may then lie anyhow."""
+
 LEAST_OWN: Final = 6.0
 """Brightest pixel of an entry, in sigmas, below which noise decides how its path goes on. Chosen, not measured."""
 
@@ -195,7 +198,7 @@ def pieces_across(
         for direction in range(FINE_DIRECTIONS):
             angle = 2.0 * math.pi * direction / FINE_DIRECTIONS
             u_row, u_col = math.sin(angle), math.cos(angle)
-            if abs(u_row * d_row[k] + u_col * d_col[k]) < most * length:
+            if length < SHORT_STAR_PX or abs(u_row * d_row[k] + u_col * d_col[k]) < most * length:
                 unit[n, 0], unit[n, 1] = u_row, u_col
                 n += 1
         level = LEVEL * own

@@ -19,7 +19,9 @@ from sboc_e2e.icd.flags import MaskBit, StreakFlag
 from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.products import StreakFit
 from sboc_e2e.icd.signals import Detection, DetectorView, StarList
+from sboc_e2e.icd.work import Work
 from sboc_e2e.outside.found import Found
+from sboc_e2e.outside.limits import work_meter
 from sboc_e2e.outside.look_alikes import CountingChain, Dark, look_alikes, seen_of, shape_of
 from sboc_e2e.outside.process import base_document
 from sboc_e2e.outside.star_lines import stars_as_lines
@@ -316,6 +318,16 @@ def test_limits_of_orbit_do_not_bind_frames_from_outside() -> None:
         assert step.step("onboard.detector").max_detections == most
     assert scenario.onboard.roi.max_per_frame == 1000 > orbit.onboard.roi.max_per_frame
     assert scenario.onboard.roi.max_cosmic_like == 100 > orbit.onboard.roi.max_cosmic_like
+
+
+def test_small_pictures_have_the_work_of_four_megapixels_for_candidates_and_trails() -> None:
+    """A meteor of 79 px in a picture of 736 px was left undone: trees below it had 11,000 candidates."""
+    small, square, large = (work_meter(n).limits for n in (736**2, 2048**2, 4096**2))
+    for kind in Work:
+        if kind in (Work.CANDIDATES, Work.TRAILS):
+            assert small[kind] == square[kind] < large[kind]
+        else:
+            assert small[kind] < square[kind] < large[kind]
 
 
 def test_a_fit_where_no_pixel_saw_the_sky_is_refused() -> None:

@@ -43,7 +43,7 @@ def joint_snr(snr: NDArray[np.float64]) -> float:
 
     Each frame's fit puts the light where it is brightest across, which adds one to its square.
     """
-    return float(np.nansum(np.sqrt(np.maximum(np.nan_to_num(snr) ** 2 - 1.0, 0.0)))) / math.sqrt(max(len(snr), 1))
+    return float(np.sqrt(np.maximum(np.nan_to_num(snr) ** 2 - 1.0, 0.0)).sum()) / math.sqrt(max(len(snr), 1))
 
 
 def noise_per_frame(snr: NDArray[np.float64], shape: tuple[float, float]) -> NDArray[np.float64]:

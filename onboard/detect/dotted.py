@@ -4,7 +4,7 @@ Masking them would eat the trail. How many there must be in a row follows from h
 """
 
 import math
-from typing import Final
+from typing import Final, NamedTuple
 
 import numba as nb
 import numpy as np
@@ -24,6 +24,14 @@ BY_CHANCE: Final = 1e-3
 
 MOST_DOTS: Final = 16
 """Where more are needed, the list fills the frame, and a row says nothing."""
+
+
+class Cells(NamedTuple):
+    """Entries by cells of `GAP_PX`: where each cell begins in the order of entries, that order, and the cells of a row."""
+
+    first: NDArray[np.int64]
+    order: NDArray[np.int64]
+    per_row: int
 
 
 def dots_needed(n: int, n_pixels: int) -> int:
@@ -52,16 +60,16 @@ def _in_rows(row: NDArray[np.float64], col: NDArray[np.float64], needed: int) ->
     """Which entries lie in a row of so many."""
     n = row.shape[0]
     out, chain = np.zeros(n, np.bool_), np.empty(n, np.int64)
-    first, order, cols = _cells(row, col)
+    cells = _cells(row, col)
     for a in range(n):
-        for b in _near(row, col, a, first, order, cols):
+        for b in _near(cells, row[a], col[a]):
             apart = math.hypot(row[b] - row[a], col[b] - col[a])
             if b <= a or apart > GAP_PX or apart < 1.0 or (out[a] and out[b]):
                 continue
             chain[0], chain[1] = a, b
-            count = _grown(row, col, chain, 2, first, order, cols)
+            count = _grown(row, col, chain, 2, cells)
             chain[:count] = chain[:count][::-1].copy()
-            count = _grown(row, col, chain, count, first, order, cols)
+            count = _grown(row, col, chain, count, cells)
             if count >= needed:
                 for k in range(count):
                     out[chain[k]] = True
@@ -69,40 +77,34 @@ def _in_rows(row: NDArray[np.float64], col: NDArray[np.float64], needed: int) ->
 
 
 @nb.njit(cache=True)
-def _cells(row: NDArray[np.float64], col: NDArray[np.float64]) -> tuple[NDArray[np.int64], NDArray[np.int64], int]:
-    """Entries by cells of `GAP_PX`: where each cell begins in the order of entries, that order, and the cells of a row."""
-    cols = int(max(col.max(), 0.0) / GAP_PX) + 3
-    first = np.zeros((int(max(row.max(), 0.0) / GAP_PX) + 3) * cols + 1, np.int64)
+def _cells(row: NDArray[np.float64], col: NDArray[np.float64]) -> Cells:
+    """Entries sorted into cells, with an empty one around all."""
+    per_row = int(max(col.max(), 0.0) / GAP_PX) + 3
+    first = np.zeros((int(max(row.max(), 0.0) / GAP_PX) + 3) * per_row + 1, np.int64)
     order = np.empty(row.shape[0], np.int64)
     for k in range(row.shape[0]):
-        first[_cell(row[k], col[k], cols) + 1] += 1
+        first[_cell(row[k], col[k], per_row) + 1] += 1
     first[:] = np.cumsum(first)
     place = first.copy()
     for k in range(row.shape[0]):
-        cell = _cell(row[k], col[k], cols)
+        cell = _cell(row[k], col[k], per_row)
         order[place[cell]] = k
         place[cell] += 1
-    return first, order, cols
+    return Cells(first, order, per_row)
 
 
 @nb.njit(cache=True)
-def _cell(row: float, col: float, cols: int) -> int:
-    """The cell of a place, with an empty one around all; what lies before the first row or column is in the first."""
-    return (int(max(row, 0.0) / GAP_PX) + 1) * cols + int(max(col, 0.0) / GAP_PX) + 1
+def _cell(row: float, col: float, per_row: int) -> int:
+    """The cell of a place; what lies before the first row or column is in the first."""
+    return (int(max(row, 0.0) / GAP_PX) + 1) * per_row + int(max(col, 0.0) / GAP_PX) + 1
 
 
 @nb.njit(cache=True)
-def _near(
-    row: NDArray[np.float64],
-    col: NDArray[np.float64],
-    k: int,
-    first: NDArray[np.int64],
-    order: NDArray[np.int64],
-    cols: int,
-) -> NDArray[np.int64]:
-    """Entries in the cell of one and in those around it."""
-    cell = _cell(row[k], col[k], cols)
-    above, here, below = cell - cols, cell, cell + cols
+def _near(cells: Cells, row: float, col: float) -> NDArray[np.int64]:
+    """Entries in the cell of a place and in those around it."""
+    first, order = cells.first, cells.order
+    here = _cell(row, col, cells.per_row)
+    above, below = here - cells.per_row, here + cells.per_row
     return np.concatenate(
         (
             order[first[above - 1] : first[above + 2]],
@@ -113,22 +115,14 @@ def _near(
 
 
 @nb.njit(cache=True)
-def _grown(
-    row: NDArray[np.float64],
-    col: NDArray[np.float64],
-    chain: NDArray[np.int64],
-    count: int,
-    first: NDArray[np.int64],
-    order: NDArray[np.int64],
-    cols: int,
-) -> int:
+def _grown(row: NDArray[np.float64], col: NDArray[np.float64], chain: NDArray[np.int64], count: int, cells: Cells) -> int:
     """Entries of a row that goes on beyond its last one, each time to the nearest ahead; into chain."""
     while count < row.shape[0]:
         begin, end = chain[0], chain[count - 1]
         length = math.hypot(row[end] - row[begin], col[end] - col[begin])
         u_row, u_col = (row[end] - row[begin]) / length, (col[end] - col[begin]) / length
         best, nearest = -1, GAP_PX
-        for k in _near(row, col, end, first, order, cols):
+        for k in _near(cells, row[end], col[end]):
             d_row, d_col = row[k] - row[end], col[k] - col[end]
             along, across = d_row * u_row + d_col * u_col, abs(d_row * u_col - d_col * u_row)
             # a short row tells its direction less well

@@ -115,6 +115,16 @@ def _light_at(residual: NDArray[np.float32], row: float, col: float) -> float:
 
 
 @nb.njit(cache=True)
+def _directions(n: int) -> NDArray[np.float64]:
+    """Unit vectors (n, 2: row, col), evenly spaced."""
+    unit = np.empty((n, 2))
+    for k in range(n):
+        angle = 2.0 * math.pi * k / n
+        unit[k, 0], unit[k, 1] = math.sin(angle), math.cos(angle)
+    return unit
+
+
+@nb.njit(cache=True)
 def _noise_at(sigma_adu: NDArray[np.float32], tile_px: int, row: float, col: float) -> float:
     """Of the tile of a place, or of the nearest one."""
     tile_row = min(max(int(row) // tile_px, 0), sigma_adu.shape[0] - 1)
@@ -151,10 +161,7 @@ def trail_pieces(
     out = np.zeros(row.shape[0], np.bool_)
     brightest = BRIGHTEST if psf_known else BRIGHTEST_UNKNOWN
     peak = 1.0 / (2.0 * math.sqrt(math.pi) * psf_sigma_px)
-    unit = np.empty((DIRECTIONS, 2))
-    for k in range(DIRECTIONS):
-        angle = 2.0 * math.pi * k / DIRECTIONS
-        unit[k, 0], unit[k, 1] = math.sin(angle), math.cos(angle)
+    unit = _directions(DIRECTIONS)
     for k in range(row.shape[0]):
         sigma = _noise_at(sigma_adu, tile_px, row[k], col[k])
         if not sigma > 0.0:
@@ -186,7 +193,7 @@ def pieces_across(
     d_row, d_col (n,) : the stars' motion there.
     """
     out, no_smooth = np.zeros(row.shape[0], np.bool_), np.zeros((0, 0), np.int8)
-    unit, most = np.empty((FINE_DIRECTIONS, 2)), math.cos(math.radians(AWAY_DEG))
+    every, allowed, most = _directions(FINE_DIRECTIONS), np.empty((FINE_DIRECTIONS, 2)), math.cos(math.radians(AWAY_DEG))
     for k in range(row.shape[0]):
         sigma = _noise_at(sigma_adu, tile_px, row[k], col[k])
         if not sigma > 0.0:
@@ -195,15 +202,13 @@ def pieces_across(
         if own < LEAST_OWN:
             continue
         n, length = 0, max(math.hypot(d_row[k], d_col[k]), 1e-6)
-        for direction in range(FINE_DIRECTIONS):
-            angle = 2.0 * math.pi * direction / FINE_DIRECTIONS
-            u_row, u_col = math.sin(angle), math.cos(angle)
-            if length < SHORT_STAR_PX or abs(u_row * d_row[k] + u_col * d_col[k]) < most * length:
-                unit[n, 0], unit[n, 1] = u_row, u_col
+        for unit in every:
+            if length < SHORT_STAR_PX or abs(unit[0] * d_row[k] + unit[1] * d_col[k]) < most * length:
+                allowed[n] = unit
                 n += 1
         level = LEVEL * own
         out[k] = _goes_on(
-            residual_adu, row[k], col[k], level, 1.0 / sigma, no_smooth, False, unit[:n], BRIGHTEST_UNKNOWN, ASIDE * own,
+            residual_adu, row[k], col[k], level, 1.0 / sigma, no_smooth, False, allowed[:n], BRIGHTEST_UNKNOWN, ASIDE * own,
             WIDE_REACH_PX,
         )  # fmt: skip
     return out

@@ -121,7 +121,10 @@ def measured_streaks(table: Table) -> list[MeasuredStreak]:
     """Measured streaks of products/streaks.ecsv."""
     return [
         MeasuredStreak(
-            index=i, frame=int(s["frame"]), ends=np.array([[s["row0"], s["col0"]], [s["row1"], s["col1"]]], dtype=float)
+            index=i,
+            frame=int(s["frame"]),
+            ends=np.array([[s["row0"], s["col0"]], [s["row1"], s["col1"]]], dtype=float),
+            middle=np.array([s["row_mid"], s["col_mid"]], dtype=float),
         )
         for i, s in enumerate(table)
     ]

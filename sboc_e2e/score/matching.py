@@ -46,16 +46,15 @@ class TruthStreak:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class MeasuredStreak:
-    """Ends of one measured streak; `index` is its row in the products table."""
+    """Ends of one measured streak; `index` is its row in the products table.
+
+    middle : (row, col) on the trail; of a curved one, off the middle of its chord by the sagitta.
+    """
 
     index: int
     frame: int
     ends: NDArray[np.float64]
-
-    @property
-    def middle(self) -> NDArray[np.float64]:
-        """Midpoint (row, col)."""
-        return np.asarray(self.ends.mean(axis=0))
+    middle: NDArray[np.float64]
 
     @property
     def length_px(self) -> float:

@@ -28,7 +28,11 @@ def tracking(truth: Sequence[TruthStreak], frames: Sequence[DownlinkFrame], seen
     members = [(g.track, f.header.frame, g.detection) for f in frames for g in f.rois if g.track >= 0]
     ends = [np.array([[d.row0, d.col0], [d.row1, d.col1]]) for _, _, d in members]
     matched = match_all(
-        [MeasuredStreak(index=k, frame=frame, ends=ends[k]) for k, (_, frame, _) in enumerate(members)], list(truth)
+        [
+            MeasuredStreak(index=k, frame=frame, ends=ends[k], middle=ends[k].mean(axis=0))
+            for k, (_, frame, _) in enumerate(members)
+        ],
+        list(truth),
     )
     objects: dict[int, list[int]] = defaultdict(list)
     for k, (number, _, _) in enumerate(members):

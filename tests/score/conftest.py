@@ -68,6 +68,7 @@ class Synthetic:
         out = Table({name: np.asarray(t[name]) for name in ("frame", "row0", "col0", "row1", "col1", "length_px", "snr", "mag")})
         n = len(t)
         middle = PATH_NODES // 2
+        out["row_mid"], out["col_mid"] = t["path_row"][:, middle], t["path_col"][:, middle]
         out["streak_id"] = np.arange(n)
         out["tracklet_id"] = np.asarray(t["object_id"])
         out["ra_mid_deg"], out["dec_mid_deg"] = t["path_ra_deg"][:, middle], t["path_dec_deg"][:, middle]

@@ -129,6 +129,21 @@ def test_a_path_that_jitters_is_compared_as_a_whole(synthetic: Factory) -> None:
     assert cross_px == pytest.approx(0.0, abs=0.003)
 
 
+@pytest.mark.parametrize(("on_the_trail", "found"), [(True, 1.0), (False, 0.0)])
+def test_a_bent_trail_is_matched_by_its_middle_not_that_of_its_chord(
+    synthetic: Factory, on_the_trail: bool, found: float
+) -> None:
+    """The chord of a trail of sagitta 8 px passes more than 3 px (the limit of S/N 60) beside its middle."""
+    run = synthetic(4, snr=60.0)
+    t = run.tables["streaks"]
+    node = np.linspace(0, 1, t["path_row"].shape[1])
+    t["path_row"] = t["path_row"] + 32.0 * node * (1.0 - node)
+    streaks = run.perfect_streaks()
+    if not on_the_trail:
+        streaks["row_mid"] = streaks["row_mid"] - 8.0
+    assert score_evaluation(run.evaluation(streaks))["detection"]["ground"]["completeness_snr8"]["value"] == found
+
+
 def test_magnitudes(synthetic: Factory) -> None:
     run = synthetic(150)
     streaks = run.perfect_streaks()

@@ -102,7 +102,7 @@ def look_alikes_near(
     known = np.log(np.maximum(even, 1e-3))
     apart = (place[:, None] - known[None, :, :2]) / KIND
     width = 0.5 * np.log([fit.width_px**2 + PIXEL_VARIANCE_PX2 for fit in fits])
-    aligned = np.array([is_aligned(fit.row1 - fit.row0, fit.col1 - fit.col0) for fit in fits])
+    aligned = np.array([follows_readout(fit.row1 - fit.row0, fit.col1 - fit.col0) for fit in fits])
     counts = aligned[:, None] | (look_alikes[:, 4] < 0.5)
     other = (width[:, None] - known[None, :, 2]) / np.hypot(KIND_WIDTH, WIDTH_ERROR / np.maximum(look_alikes[:, 0], 1.0))
     apart[..., 0] = np.maximum(apart[..., 0], 0.0)
@@ -110,7 +110,7 @@ def look_alikes_near(
     return np.asarray((peak * counts * np.exp(-0.5 * (np.sum(apart**2, axis=-1) + other**2))).sum(axis=1), dtype=np.float64)
 
 
-def is_aligned(drow: float, dcol: float) -> bool:
+def follows_readout(drow: float, dcol: float) -> bool:
     """Whether a line from one end to the other (px) runs along the rows or the columns."""
     return min(abs(drow), abs(dcol)) < ALIGNED_SLOPE * max(abs(drow), abs(dcol))
 
@@ -136,7 +136,7 @@ def evenness_of(fit: StreakFit) -> float:
 def of_spilled_charge(fit: StreakFit) -> float:
     """Odds of spilled charge against a trail: charge of full pixels runs along columns, or rows, and a trail seldom does."""
     full = fit.snr > FULL_SNR or StreakFlag.SATURATED in fit.flags
-    return SPILLED_PER_REAL / ALIGNED_SHARE if full and is_aligned(fit.row1 - fit.row0, fit.col1 - fit.col0) else 0.0
+    return SPILLED_PER_REAL / ALIGNED_SHARE if full and follows_readout(fit.row1 - fit.row0, fit.col1 - fit.col0) else 0.0
 
 
 def _is_point(fit: StreakFit) -> bool:

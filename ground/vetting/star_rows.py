@@ -85,6 +85,9 @@ ROUND_WIDTHS: Final = 1.3
 LONG_WIDTHS: Final = 20.0
 """Length over width from which a line as bright as a full star may be wider than that: ten widths from its middle the image of a
 star has a thousandth of its peak left (a Moffat profile, index 2.5), so that it does not fill such a line. Fireballs do."""
+THIN_WIDTHS: Final = 32.0
+"""Length over width from which any line may be wider. Two galaxies seen from their edge (S/N 225 and 301) had 20 and 24;
+meteors that are wider than stars had 40 and 52."""
 
 REAL_PER_FRAME: Final = 0.5
 """Expected real streaks per frame: the default of `ground.vetter`."""
@@ -250,11 +253,12 @@ class Along:
     def gaps_for(self, fit: StreakFit) -> float:
         """The same, but of a line that rises once and falls once and fills its length: of its dips alone.
 
-        Meteors rise and fall so, and fireballs are wide. A star with a tail fills little of its length, and the bulge of a galaxy
-        is wide and short.
+        Meteors rise and fall so, and may be wider than stars. A star with a tail fills little of its length, and the bulge of a
+        galaxy is wide and short.
         """
         plain = self.gaps
-        narrow = fit.width_px <= ROUND_WIDTHS * fit.psf_sigma_px or (fit.snr > FULL_SNR and is_long(fit))
+        thin = fit.length_px >= THIN_WIDTHS * effective_width_px(fit.width_px) or (fit.snr > FULL_SNR and is_long(fit))
+        narrow = fit.width_px <= ROUND_WIDTHS * fit.psf_sigma_px or thin
         if not plain > 0.0 or not narrow:
             return plain
         best = rise_and_fall(self.light, 1.0 / np.maximum(self.error, 1e-6) ** 2)

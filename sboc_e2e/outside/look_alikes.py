@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from ground.vetting.contrast import Tiles
 from ground.vetting.crosses import Crosses
-from ground.vetting.look_alikes import OwnEvidence, is_aligned
+from ground.vetting.look_alikes import OwnEvidence, follows_readout
 from ground.vetting.readout import is_of_readout
 from ground.vetting.sides import SkyMap
 from ground.vetting.spikes import BrightStars
@@ -140,7 +140,7 @@ def look_alikes(
         [
             (
                 each.snr, each.length_px, *shape_of(each, dark.view.residual_adu, dark.view.mask),
-                is_aligned(each.row1 - each.row0, each.col1 - each.col0),
+                follows_readout(each.row1 - each.row0, each.col1 - each.col0),
             )
             for each in (*lines, *structure)
         ],

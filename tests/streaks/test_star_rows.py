@@ -103,10 +103,12 @@ def test_a_meteor_rises_and_falls_and_has_no_dips() -> None:
     assert odds_of(light, fit(20.0), 500) < 0.1
     wide = fit(20.0)
     wide.psf_sigma_px = 0.5 * SIGMA
-    assert seen.gaps_for(wide) == seen.gaps, "the bulge of a galaxy, or a full star"
+    assert seen.gaps_for(wide) < 0.1, "a meteor, wider than stars: nothing else of forty widths rises and falls so"
+    wide.width_px = LENGTH / 24.0
+    assert seen.gaps_for(wide) == seen.gaps, "a galaxy from its edge, or a full star"
     wide.snr = 1.1 * FULL_SNR
-    assert seen.gaps_for(wide) < 0.1, "a fireball: no full star is forty widths long"
-    wide.length_px, wide.width_px = LENGTH, LENGTH / 15.0
+    assert seen.gaps_for(wide) < 0.1, "a fireball: no full star is 24 widths long"
+    wide.width_px = LENGTH / 15.0
     assert seen.gaps_for(wide) == seen.gaps, "as short as the image of a star"
 
 

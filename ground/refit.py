@@ -13,9 +13,11 @@ from ground.sky.rotation import turn
 from ground.sky.shake_model import STEADY, EndShake
 from ground.sky.sphere import ARCSEC_RAD, unit_vectors
 from ground.straight_passage import ROBUST_ITERATIONS, StraightPassage, straight_passage
+from ground.streaks.fit_record import edges_of, with_edge_flags
 from ground.streaks.joint import JointRefit, refit_tracklet
 from ground.streaks.joint_evidence import TrackletFrame, flux_between, has_change_points
 from ground.streaks.joint_motion import AccelerationPrior, Motion, displacements
+from ground.streaks.trail_frame import TrailFrame
 from ground.trail_epochs import along_of, cut_end, edge_passed_s, timed_by_shutter, with_ends, with_middle_epoch
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.frame import FrameHeader
@@ -127,9 +129,10 @@ def refit_streaks(
             line_ns = header_of[member.frame].line_time_ns
             row_mid, col_mid = middle_of(fit)
             shift_px = np.array([fit.row0, row_mid, fit.row1]) - np.array([member.fit.row0, member.row_mid, member.fit.row1])
-            changed = StreakFlag.REFIT | StreakFlag.ENDS_NOT_GAUSSIAN
+            changed = StreakFlag.REFIT | StreakFlag.ENDS_NOT_GAUSSIAN | StreakFlag.EDGE0 | StreakFlag.EDGE1
             epochs = member.t_tai_ns + np.rint(line_ns * shift_px).astype(np.int64)
             if (end := cut_end(fit)) is not None:
+                frame = with_ends(frame, fit, epochs, zero_ns)
                 passed_s = edge_passed_s(frame, end, motions[k], passage, _turning_arcsec_s(member, 2 * end, path))
                 epochs[2 * end] = zero_ns + round(passed_s * 1e9)
                 cut[member.streak_id] = _middle_sigma(
@@ -288,12 +291,15 @@ def _refit_of_agreeing(frames: Sequence[TrackletFrame], prior: AccelerationPrior
 def carried(frame: TrackletFrame, motion: Motion) -> StreakFit:
     """Fit of an outlying frame, with its ends placed by the motion of the other frames and with that motion's errors.
 
-    Ends on the frame's edge and the density of the light do not change.
+    An end that the motion puts beyond the frame's edge is on it. Ends that were there already, and the density of the light, do
+    not change.
     """
     unit, length = along_of(frame.fit)
-    free = np.array([not frame.fit.flags & flag for flag in (StreakFlag.EDGE0, StreakFlag.EDGE1)])
     displacement_px = displacements(frame, float(unit[0]), motion.mean[None, :], motion.zero_s)
-    shifts = [float(shift[0]) if end else 0.0 for shift, end in zip(displacement_px, free, strict=True)]
+    shifts, edges = _within_frame(frame, [float(shift[0]) for shift in displacement_px])
+    if all(edges):
+        return frame.fit
+    free = ~np.array(edges)
     errors = motion.errors(frame) / frame.along_per_px * free[:, None]
     spread = errors @ errors.T + (frame.sigma_frame / frame.along_per_px) ** 2 * np.outer(free, free)
     sigma = np.sqrt(np.diag(spread))
@@ -318,8 +324,20 @@ def carried(frame: TrackletFrame, motion: Motion) -> StreakFit:
         end_interval_px=np.array([[-1.0, 1.0], [-1.0, 1.0]]) * sigma[:, None],
         flux_e=flux,
         flux_err_e=flux_err,
-        flags=frame.fit.flags & ~StreakFlag.ENDS_NOT_GAUSSIAN | StreakFlag.REFIT,
+        flags=with_edge_flags(frame.fit.flags & ~StreakFlag.ENDS_NOT_GAUSSIAN | StreakFlag.REFIT, edges),
     )
+
+
+def _within_frame(frame: TrackletFrame, shifts: Sequence[float]) -> tuple[list[float], tuple[bool, bool]]:
+    """Shifts of both ends that leave them in the frame, px, and which ends lie on its edge."""
+    fit = frame.fit
+    half = 0.5 * fit.length_px
+    limits = TrailFrame.of_chord(fit.row0, fit.col0, fit.row1, fit.col1).image_limits(frame.pixels.frame_shape)
+    edge0, edge1 = edges_of(fit.flags)
+    first, last = (0.0 if edge else shift for edge, shift in zip((edge0, edge1), shifts, strict=True))
+    leaves0, leaves1 = first - half < limits[0], last + half > limits[1]
+    first, last = limits[0] + half if leaves0 else first, limits[1] - half if leaves1 else last
+    return [first, last], (edge0 or leaves0, edge1 or leaves1)
 
 
 def _worth_carrying(single: StreakFit, shifts: Sequence[float], sigma: Array) -> bool:

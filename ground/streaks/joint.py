@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from ground.importance import Draws, Gaussian, Proposals, adapted
 from ground.streaks.common_direction import common_turns
 from ground.streaks.end_posterior import lit_length
-from ground.streaks.fit_record import edges_of, pixel_covariance
+from ground.streaks.fit_record import edges_of, pixel_covariance, with_edge_flags
 from ground.streaks.forced import has_given_ends
 from ground.streaks.joint_evidence import (
     Evidence,
@@ -48,6 +48,14 @@ REACH_OF_TRACK: Final = 6.0
 frames, while ends beyond the pixels that came down would be as likely as any. So wide that the same pixels hardly count twice.
 In 50 tracks each of two frames of S/N 5.5 and three of 5, 200 px long, rms errors of a middle are 15 and 11 px; without it 190
 and 170 px, because a few go astray."""
+
+
+EDGE_ERROR_PX: Final = 0.5
+"""Ends of the motion that are nearer to the image's edge are on it: half a pixel."""
+
+LEAST_CUT: Final = 0.05
+"""Share of the motions that reach the image's edge from which on a trail that was taken for cut is one. A trail of 33 px that ran
+along a border at 7 deg and ended 1.6 px beside it was lengthened by 14 px. Chosen, not measured."""
 
 
 class JointRefit(NamedTuple):
@@ -168,8 +176,10 @@ def _quantile(values: NDArray[np.float64], weight: NDArray[np.float64], levels: 
 def _refitted(e: Evidence, motion: NDArray[np.float64], weight: NDArray[np.float64], zero_s: float) -> StreakFit:
     """The frame's fit with ends and flux as the common motion has them."""
     frame, fit = e.frame, e.frame.fit
-    at_edge = edges_of(fit.flags)
     seen = seen_displacements(e, motion, zero_s)
+    reached = [float(weight @ (np.abs(x) < EDGE_ERROR_PX)) for x in seen]
+    edge0, edge1 = edges_of(fit.flags)
+    at_edge = edge0 and reached[0] > LEAST_CUT, edge1 and reached[1] > LEAST_CUT
     x0, x1 = (np.zeros_like(x) if edge else x for x, edge in zip(seen, at_edge, strict=True))
     shift0, shift1 = float(weight @ x0), float(weight @ x1)
     d0, d1 = x0 - shift0, x1 - shift1
@@ -192,7 +202,7 @@ def _refitted(e: Evidence, motion: NDArray[np.float64], weight: NDArray[np.float
     row1, col1 = trail.to_pixel(half + shift1, 0.0)
     flux, flux_err = _flux(e, x0, x1, weight)
     kurtosis = max(float(weight @ d**4) / max(float(weight @ d**2), 1e-30) ** 2 for d in (d0, d1))
-    flags = (fit.flags | StreakFlag.REFIT) & ~StreakFlag.ENDS_NOT_GAUSSIAN
+    flags = with_edge_flags((fit.flags | StreakFlag.REFIT) & ~StreakFlag.ENDS_NOT_GAUSSIAN, at_edge)
     return replace(
         fit,
         row0=row0,

@@ -111,3 +111,18 @@ def test_an_end_on_the_edge_stays_there():
     fit = carried(spoilt, _motion(0.1))
     assert (fit.row0, fit.col0) == (spoilt.fit.row0, spoilt.fit.col0)
     assert fit.end_interval_px[0].tolist() == [0.0, 0.0]
+
+
+def test_an_end_that_the_motion_puts_beyond_the_edge_is_on_it():
+    """A fit that stopped 8 px before the border. The motion leaves the frame there, 37 px before the shutter closes."""
+    good = _frame(2)
+    pixels = replace(NO_PIXELS, frame_shape=(690, 4096))
+    border_px = (689.5 - 500.0) / 0.6
+    stop = border_px - 8.0
+    short = replace(good.fit, row1=500.0 + 0.6 * stop, col1=300.0 + 0.8 * stop)
+    fit = carried(replace(good, pixels=pixels, fit=short, along1=SCALE_ARCSEC * stop), _motion(0.1))
+    assert abs(fit.row1 - 689.5) < 1e-6
+    assert abs(fit.col1 - (300.0 + 0.8 * border_px)) < 1e-6
+    assert StreakFlag.EDGE1 in fit.flags
+    assert StreakFlag.EDGE0 not in fit.flags
+    assert fit.end_interval_px[1].tolist() == [0.0, 0.0]

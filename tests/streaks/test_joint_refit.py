@@ -320,6 +320,21 @@ def test_frames_without_ends_come_back_as_they_went() -> None:
     assert refit_tracklet([]).fits == ()
 
 
+def test_a_trail_that_ended_beside_a_border_is_not_lengthened_to_it() -> None:
+    """The last of five trails runs along a border at a small angle. Its fit took it for cut, and went on by 14 px."""
+    frames, truths = tracklet(np.random.default_rng(41), 33.0, 12.0, 5, 0.0)
+    last = frames[-1]
+    cos, sin = truths[-1].axes
+    longer = replace(
+        last.fit, row1=last.fit.row1 + 14.0 * sin, col1=last.fit.col1 + 14.0 * cos, flags=last.fit.flags | StreakFlag.EDGE1
+    )
+    frames[-1] = replace(last, fit=longer, along1=last.along1 + 14.0)
+    fit = refit_tracklet(frames).fits[-1]
+    assert StreakFlag.EDGE1 not in fit.flags
+    assert StreakFlag.REFIT in fit.flags
+    assert np.abs(along_errors(truths[-1], fit)).max() < 1.5
+
+
 def test_a_prior_on_the_acceleration_widens_the_errors_and_nothing_breaks() -> None:
     frames, truths = tracklet(np.random.default_rng(24), 60.0, 12.0, 5, 0.0)
     free, rigid = refit_tracklet(frames, prior=AccelerationPrior(0.0, 17.0)).fits, refit_tracklet(frames).fits

@@ -131,10 +131,11 @@ def refit_streaks(
             shift_px = np.array([fit.row0, row_mid, fit.row1]) - np.array([member.fit.row0, member.row_mid, member.fit.row1])
             changed = StreakFlag.REFIT | StreakFlag.ENDS_NOT_GAUSSIAN | StreakFlag.EDGE0 | StreakFlag.EDGE1
             epochs = member.t_tai_ns + np.rint(line_ns * shift_px).astype(np.int64)
+            frame = with_ends(frame, fit, epochs, zero_ns)
             if (end := cut_end(fit)) is not None:
-                frame = with_ends(frame, fit, epochs, zero_ns)
                 passed_s = edge_passed_s(frame, end, motions[k], passage, _turning_arcsec_s(member, 2 * end, path))
                 epochs[2 * end] = zero_ns + round(passed_s * 1e9)
+                frame = with_ends(frame, fit, epochs, zero_ns)
                 cut[member.streak_id] = _middle_sigma(
                     frame, 0.5e-9 * float(epochs[0] + epochs[2] - 2 * zero_ns), motions[k], passage
                 )
@@ -146,7 +147,6 @@ def refit_streaks(
                 t_tai_ns=epochs,
                 flags=member.flags & ~changed | fit.flags & changed,
             )
-            frame = with_ends(frame, fit, member.t_tai_ns, zero_ns)
         else:
             member = streaks[at[member.streak_id]]
         out[at[member.streak_id]] = redated(member, with_middle_epoch(member.t_tai_ns, frame, passage))
@@ -329,15 +329,14 @@ def carried(frame: TrackletFrame, motion: Motion) -> StreakFit:
 
 
 def _within_frame(frame: TrackletFrame, shifts: Sequence[float]) -> tuple[list[float], tuple[bool, bool]]:
-    """Shifts of both ends that leave them in the frame, px, and which ends lie on its edge."""
+    """Shifts of both ends that leave them in the frame, px, and which ends lie on its edge; those that did already stay."""
     fit = frame.fit
     half = 0.5 * fit.length_px
-    limits = TrailFrame.of_chord(fit.row0, fit.col0, fit.row1, fit.col1).image_limits(frame.pixels.frame_shape)
+    begin, stop = TrailFrame.of_chord(fit.row0, fit.col0, fit.row1, fit.col1).image_limits(frame.pixels.frame_shape)
     edge0, edge1 = edges_of(fit.flags)
-    first, last = (0.0 if edge else shift for edge, shift in zip((edge0, edge1), shifts, strict=True))
-    leaves0, leaves1 = first - half < limits[0], last + half > limits[1]
-    first, last = limits[0] + half if leaves0 else first, limits[1] - half if leaves1 else last
-    return [first, last], (edge0 or leaves0, edge1 or leaves1)
+    first = 0.0 if edge0 else max(shifts[0], begin + half)
+    last = 0.0 if edge1 else min(shifts[1], stop - half)
+    return [first, last], (edge0 or first <= begin + half, edge1 or last >= stop - half)
 
 
 def _worth_carrying(single: StreakFit, shifts: Sequence[float], sigma: Array) -> bool:

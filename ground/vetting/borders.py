@@ -7,6 +7,7 @@ place and direction seldom does.
 import math
 from typing import Final
 
+from ground.vetting.star_rows import LN_LENGTHS
 from sboc_e2e.icd.products import StreakFit
 
 BORDER_PER_REAL: Final = 0.02
@@ -16,8 +17,6 @@ DEPTH_PX: Final = 4.0
 refused where any depth was taken to be as likely (eight of 600 satellites of an independent simulator)."""
 LEAST_DEPTH_PX: Final = 2.0
 """A place is not known better than this relative to what a border is: half lines of video are one or two pixels high."""
-LN_LENGTHS: Final = math.log(400.0 / 1.7)
-"""Trails have any ln length of this range alike (`look_alikes.REAL_DENSITY`)."""
 
 
 def against_border(fit: StreakFit, seen: tuple[int, int, int, int]) -> float:

@@ -32,7 +32,7 @@ from ground.vetting.rim import ImageCircle
 from ground.vetting.sides import SkyMap
 from ground.vetting.spikes import BrightStars
 from ground.vetting.star_arcs import of_turning_stars
-from ground.vetting.star_rows import FULL_PER_FRAME, FULL_SNR, REAL_PER_FRAME, StarField
+from ground.vetting.star_rows import FULL_PER_FRAME, FULL_SNR, LN_LENGTHS, REAL_PER_FRAME, StarField
 from ground.vetting.star_trails import against_chains, move_as
 from ground.vetting.texture import for_texture
 from ground.vetting.two_areas import is_border
@@ -57,7 +57,7 @@ ALIGNED_SLOPE: Final = 0.035
 do. What follows the readout or a border tells nothing of lines that cross it: two satellites (S/N 181 and 48) were refused for a
 dark column of half the frame."""
 
-REAL_DENSITY: Final = REAL_PER_FRAME / (math.log(800.0 / 5.0) * math.log(400.0 / 1.7))
+REAL_DENSITY: Final = REAL_PER_FRAME / (math.log(800.0 / 5.0) * LN_LENGTHS)
 """Expected real streaks of a frame for each unit of ln S/N and ln length: half a streak, anything between S/N 5 and 800 and
 1.7 and 400 px alike."""
 

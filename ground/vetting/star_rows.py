@@ -91,6 +91,8 @@ meteors that are wider than stars had 40 and 52."""
 
 REAL_PER_FRAME: Final = 0.5
 """Expected real streaks per frame: the default of `ground.vetter`."""
+LN_LENGTHS: Final = math.log(400.0 / 1.7)
+"""Lengths of real streaks, 1.7 to 400 px, are alike in their logarithm."""
 FWHM_PER_SIGMA: Final = 2.0 * math.sqrt(2.0 * math.log(2.0))
 """Full width at half maximum of a Gaussian over its sigma: 2.3548."""
 
@@ -187,9 +189,9 @@ def _fwhm_px(fit: StreakFit) -> float:
     return FWHM_PER_SIGMA * effective_width_px(fit.width_px)
 
 
-def is_long(fit: StreakFit) -> bool:
-    """Whether a line is longer than the image of any star for its width."""
-    return fit.length_px >= LONG_WIDTHS * effective_width_px(fit.width_px)
+def is_long(fit: StreakFit, widths: float = LONG_WIDTHS) -> bool:
+    """Whether a line has so many widths; by default more than the image of any star has."""
+    return fit.length_px >= widths * effective_width_px(fit.width_px)
 
 
 def row_over_trail(gaps: float) -> float:
@@ -257,7 +259,7 @@ class Along:
         galaxy is wide and short.
         """
         plain = self.gaps
-        thin = fit.length_px >= THIN_WIDTHS * effective_width_px(fit.width_px) or (fit.snr > FULL_SNR and is_long(fit))
+        thin = is_long(fit, LONG_WIDTHS if fit.snr > FULL_SNR else THIN_WIDTHS)
         narrow = fit.width_px <= ROUND_WIDTHS * fit.psf_sigma_px or thin
         if not plain > 0.0 or not narrow:
             return plain

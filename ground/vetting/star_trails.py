@@ -5,14 +5,13 @@ on one line, a few degrees off that direction. They are no rows of points, for t
 How many there are follows from the lines that are single stars; a trail of an object has any direction and length.
 """
 
-import math
 from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.vetting.star_rows import REAL_PER_FRAME
+from ground.vetting.star_rows import LN_LENGTHS, REAL_PER_FRAME
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
 from sboc_e2e.icd.signals import StarMotion
@@ -31,8 +30,6 @@ FURTHER: Final = 1.0
 """Scale of the length of a chain beyond that of one star, over that. The same frame."""
 SHORTER: Final = 0.1
 """Scale of the length by which a faint star falls short of the others, over that. The same frame: two in 131 by a fifth."""
-LN_LENGTHS: Final = math.log(400.0 / 1.7)
-"""Lengths of real streaks, 1.7 to 400 px, are alike in their logarithm."""
 LN_SNR: Final = 0.7
 """One sigma of ln S/N within which stars are as bright as those of a chain: half to twice, as for look-alikes."""
 

@@ -84,6 +84,12 @@ class LineFit:
         return self.half_px, *self.blur_px, 0.0
 
     @property
+    def across_px(self) -> NDArray[np.float64]:
+        """(n,) how far the pixels lie from the centre line, bend included, across the axes."""
+        p, x = self.parameters, self.pixels.u / self.half_px
+        return np.asarray(self.pixels.v - p[V_MID] - p[SLOPE] * x - p[SAGITTA] * (1.0 / 3.0 - x * x))
+
+    @property
     def width_px(self) -> float:
         """Width across the trail, pixel included."""
         return math.exp(self.parameters[LN_WIDTH])
@@ -213,7 +219,7 @@ def find_line(
     line = _searched(near, uniform_trail(0.0, half_px, edges, width_px), half_px, width_px)
     if sagitta_px != 0.0:
         parameters = uniform_trail(0.0, half_px, edges, width_px)
-        parameters[SAGITTA] = sagitta_px
+        parameters[SAGITTA], parameters[V_MID] = sagitta_px, sagitta_px * 2.0 / 3.0  # the arc meets the chord at both ends
         bent = _searched(near, parameters, half_px, width_px)
         gain = minus_two_ln_likelihood(line) - minus_two_ln_likelihood(bent)
         if bent.regular and (not line.regular or gain > math.log(near.u.size) + 3.0):

@@ -51,8 +51,9 @@ def slice_densities(line: LineFit) -> tuple[NDArray[np.float64], float, NDArray[
     if pixels.u.size == 0:
         raise NoTrailError(Reason.TOO_FEW_PIXELS)
     low, high = max(p[END0], float(pixels.u.min())), min(p[END1], float(pixels.u.max()))
-    lit = (pixels.u > low) & (pixels.u < high) & (np.abs(pixels.v) < 2.0 * line.width_px)
-    u, weight = pixels.u[lit], np.exp(-0.5 * (pixels.v[lit] / line.width_px) ** 2)
+    across = line.across_px
+    lit = (pixels.u > low) & (pixels.u < high) & (np.abs(across) < 2.0 * line.width_px)
+    u, weight = pixels.u[lit], np.exp(-0.5 * (across[lit] / line.width_px) ** 2)
     if u.size < 20:
         return np.zeros(0), low, np.zeros(0, dtype=np.bool_)
     slices = ((u - low) / line.width_px).astype(np.int64)
@@ -177,7 +178,7 @@ def needed_snr(
     u = pixels.u[seeds]
     guard0, guard1 = (4.0 * error + 2.0 * width for error in end_error_px)
     near_end = (np.abs(u - p[END0]) < guard0) | (np.abs(u - p[END1]) < guard1)
-    share = np.where(near_end, 1.3, model_error) * (np.abs(pixels.v[seeds]) < 2.5 * width)
+    share = np.where(near_end, 1.3, model_error) * (np.abs(line.across_px[seeds]) < 2.5 * width)
     return POINT_SIGMAS + share * p[DENSITY] / np.sqrt(variance_e2[seeds])
 
 
@@ -202,7 +203,7 @@ def intruder_mask(
     if seeds.size == 0:
         return mask, False
     needed = needed_snr(line, seeds, variance, end_error_px, model_error)
-    inside = (pixels.u > line.parameters[END0]) & (pixels.u < line.parameters[END1]) & (np.abs(pixels.v) < 1.5 * width_px)
+    inside = (pixels.u > line.parameters[END0]) & (pixels.u < line.parameters[END1]) & (np.abs(line.across_px) < 1.5 * width_px)
     most = 1.0 if ends_given else MOST_MASKED
     # pixels are ordered along the detection's line, and a fit turns it
     order = np.argsort(pixels.u, kind="stable")

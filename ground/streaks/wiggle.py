@@ -30,7 +30,7 @@ def local_offsets(line: LineFit, ends: tuple[float, float]) -> tuple[NDArray[np.
         return None
     knots = np.linspace(ends[0], ends[1], pieces + 1)
     p = line.pixels
-    inside = (p.u > line.parameters[END0]) & (p.u < line.parameters[END1]) & (np.abs(p.v) < 4.0 * line.width_px)
+    inside = (p.u > line.parameters[END0]) & (p.u < line.parameters[END1]) & (np.abs(line.across_px) < 4.0 * line.width_px)
     lit = p.take(inside)
     slope, information = line_scores(line.parameters, lit.u, lit.v, lit.value_e, lit.variance_e2, line.half_px)
     place = np.clip((lit.u - ends[0]) * (pieces / length), 0.0, pieces - 1e-9)

@@ -154,6 +154,21 @@ def test_a_bend_that_the_detector_guessed_is_not_taken_over() -> None:
         assert abs(errors_of(exposure, guessed)[2]) < abs(errors_of(exposure, straight)[2]) + 0.5 * straight.sigma_cross_px
 
 
+@pytest.mark.parametrize("sagitta_px", [-14.0, 9.0])
+def test_a_trail_of_a_fisheye_is_fitted_as_bent_as_it_is(sagitta_px: float) -> None:
+    """A detector gives the ends of the arc and its height. A search that began with the mean of the arc on the chord, 9 px beside
+    the light, found a straight line across it: a fireball of S/N 1,500 and meteors were lost."""
+    rng = np.random.default_rng(29)
+    for _ in range(4):
+        exposure = expose(rng, trail_at(rng, 500.0, sagitta_px=sagitta_px), 150.0, half_px=28.0)
+        seen = replace(exposure.detection, sagitta_px=0.95 * sagitta_px, flags=exposure.detection.flags | StreakFlag.CURVED)
+        fit = FITTER.fit(exposure.pixels, seen)
+        assert StreakFlag.CURVED in fit.flags
+        assert abs(fit.sagitta_px) == pytest.approx(abs(sagitta_px), abs=0.2)
+        start, stop, _ = errors_of(exposure, fit)
+        assert max(abs(start), abs(stop)) < 2.0
+
+
 def test_a_tumbling_trail_has_its_period_and_its_flux() -> None:
     """Seven flashes in a trail: the Lomb-Scargle period within 3 %; a steady trail has none."""
     rng = np.random.default_rng(8)

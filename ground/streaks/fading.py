@@ -60,6 +60,12 @@ OTHER_LIGHT: Final = 0.07
 noise): unlisted stars, roofs, its own wings. From S/N 300 on a hundredth of a trail's light is far above the noise. Two meteors
 were followed 25 and 220 px beyond their ends, over stars and a dome of 1 to 9 % of their light. Chosen in view of them."""
 
+BESIDE_LINES: Final = (5.0, 8.0, 11.0, 14.0)
+"""Widths to both sides at which lines beside a trail tell what light is there without it, as far as the region reaches. They are
+three apart, so that they hardly share a star."""
+BESIDE_BLOCKS: Final = 4
+"""Fewer blocks on lines beside a trail tell no scatter. Chosen, not measured."""
+
 LEAST_SNR: Final = 10.0
 """Fainter trails do not tell a step from a fall."""
 
@@ -149,6 +155,13 @@ def with_fading_ends(fit: StreakFit, pixels: StreakPixels) -> StreakFit:
         beyond = np.where(blocks.place > half, other, 0.0)
         blocks = replace(blocks, sigma=np.hypot(blocks.sigma, beyond))
         fade = _fade(blocks, half, width, border)
+        if fade is not None and fade.seen_px > half:  # where it went outwards, the lines beside it have a say
+            mean, scatter = (np.where(blocks.place > half, each, 0.0) for each in _light_beside(outwards, half, width, border))
+            blocks = replace(blocks, density=blocks.density - mean, sigma=np.hypot(blocks.sigma, scatter))
+            without, fade = fade, _fade(blocks, half, width, border)
+            if fade is None:  # the trail's light or that of stars: the end stays, and may lie there
+                fit = _reaching_to(fit, end, without.seen_px - half)
+                continue
         if fade is not None:
             moved = _with_end(fit, end, fade, border, half, width)
             fit = _with_curve(moved, end, blocks, half, fit.length_px)
@@ -159,6 +172,26 @@ def with_fading_ends(fit: StreakFit, pixels: StreakPixels) -> StreakFit:
             if runs_on > half + fit.end_interval_px[end, 1]:
                 fit = _reaching_to(fit, end, runs_on - half)
     return fit
+
+
+def _light_beside(outwards: TrailPixels, end_px: float, width_px: float, border_px: float) -> tuple[float, float]:
+    """Mean and scatter (e-/px) of the light in blocks beyond an end on lines beside the trail, their noise taken off.
+
+    Stars that are too faint to be listed are light on any line. Zero where too little of such lines is seen.
+    """
+    density, variance = [np.zeros(0)], [np.zeros(0)]
+    for shift in (side * away for away in BESIDE_LINES for side in (-1.0, 1.0)):
+        reach = float((np.sign(shift) * outwards.v).max(initial=0.0))
+        if reach < (abs(shift) + 1.0) * width_px:
+            continue
+        beside = blocks_of(replace(outwards, v=outwards.v - shift * width_px), width_px, border_px)
+        used = (beside.place > end_px + width_px) & np.isfinite(beside.sigma)
+        density.append(beside.density[used])
+        variance.append(beside.sigma[used] ** 2)
+    light, noise = np.concatenate(density), np.concatenate(variance)
+    if light.size < BESIDE_BLOCKS:
+        return 0.0, 0.0
+    return max(float(light.mean()), 0.0), math.sqrt(max(float(light.var() - noise.mean()), 0.0))
 
 
 def _reaching_to(fit: StreakFit, end: int, beyond_px: float) -> StreakFit:

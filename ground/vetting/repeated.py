@@ -1,5 +1,6 @@
 """One trail, one streak: wide or ragged trails are detected more than once, along their flanks or in pieces."""
 
+import math
 from collections.abc import Sequence
 from typing import Final
 
@@ -17,6 +18,11 @@ PUBLISHED: Final = 0.5
 """Least probability of what is published without other frames: the default of `ground.veto_unlinked_below`."""
 DOUBLED_SHARE: Final = 0.5
 """Share of a fit's length that a longer one covers from which on both are one trail. Chosen, not measured."""
+RAN_ON_SHARE: Final = 0.25
+"""Length of a fit over that of a longer one on its trail, below which the longer one may have run on. Chosen, not measured."""
+RAN_ON_SNR: Final = 1.3
+"""S/N of such a longer fit, over what the light of the shorter one alone gives it, up to which it has run on over nothing. A tail
+twelve times as long as the shorter one, with 2.6 % of its brightness, gives that. Chosen, not measured."""
 
 
 def repeated(fits: Sequence[StreakFit], probability: NDArray[np.float64]) -> NDArray[np.bool_]:
@@ -36,16 +42,25 @@ def doubled(fits: Sequence[StreakFit], probability: NDArray[np.float64], stands_
     """(n,) which published fits share half of their length or more with a better one on the same line, or half of that one's.
 
     stands_out : share of each fit's length that is brighter than its neighbourhood. The better one has more of such length: a
-        fit that ran away is longer, and its line leaves the trail.
+        fit that ran away is longer, and its line leaves the trail. One that ran on has less S/N than what it ran on from.
     """
     out = np.zeros(len(fits), dtype=np.bool_)
     length = [fit.length_px * share for fit, share in zip(fits, stands_out, strict=True)]
-    order = [k for k in sorted(range(len(fits)), key=lambda k: -length[k]) if probability[k] >= PUBLISHED]
+    published = [k for k in range(len(fits)) if probability[k] >= PUBLISHED]
+    for i in published:
+        out[i] = any(_ran_on(fits[i], fits[j]) for j in published if j != i)
+    order = sorted((k for k in published if not out[k]), key=lambda k: -length[k])
     for place, i in enumerate(order):
         if not out[i]:
             for j in order[place + 1 :]:
                 out[j] |= on_one_trail(fits[i], fits[j])
     return out
+
+
+def _ran_on(long: StreakFit, short: StreakFit) -> bool:
+    """Whether a fit has hardly more light than a far shorter one on its line, which the noise of its length outweighs."""
+    share = short.length_px / max(long.length_px, 1e-6)
+    return share < RAN_ON_SHARE and long.snr < RAN_ON_SNR * short.snr * math.sqrt(share) and on_one_trail(long, short)
 
 
 def on_one_trail(one: StreakFit, other: StreakFit) -> bool:

@@ -142,6 +142,15 @@ def test_of_two_published_fits_the_one_stays_that_stands_out_over_the_greater_le
     assert doubled([away, line], np.ones(2), [1.0, 1.0]).tolist() == [False, True]
 
 
+def test_a_fit_that_ran_on_over_nothing_gives_way_to_the_trail_it_ran_on_from(line: StreakFit) -> None:
+    """A meteor of S/N 54, 57 px long, among many stars; the fit over 719 px that holds it had S/N 17 and stayed."""
+    far = replace(line, row0=0.0, row1=0.0, col0=0.0, col1=719.0, snr=17.0)
+    meteor = replace(line, row0=0.0, row1=0.0, col0=150.0, col1=207.0, snr=54.0)
+    assert doubled([far, meteor], np.ones(2), [0.6, 0.8]).tolist() == [True, False]
+    with_tail = replace(far, snr=24.0)  # a tail of 5 % of its brightness all along
+    assert doubled([with_tail, meteor], np.ones(2), [0.6, 0.8]).tolist() == [False, True]
+
+
 def test_the_weights_are_those_of_the_table_of_lines() -> None:
     lines = Lines.of()
     weights = fitted(lines, np.ones(len(lines.real), dtype=bool))

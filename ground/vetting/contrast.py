@@ -45,6 +45,20 @@ MOST_PIECES: Final = 64
 """Pieces of a line, at most: a budget of work."""
 
 
+@dataclass(frozen=True, kw_only=True)
+class Line:
+    """A line that has no fit, such as one of the negative: ends, width (sigma, that of a pixel not included) and arc in px."""
+
+    row0: float
+    col0: float
+    row1: float
+    col1: float
+    length_px: float
+    width_px: float
+    sagitta_px: float
+    snr: float
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tiles:
     """Counts of a frame near its lines.
@@ -108,8 +122,8 @@ class Contrast:
     peak: float
 
     @classmethod
-    def of(cls, fit: StreakFit, tiles: Tiles) -> "Contrast | None":
-        """Of a fit; None where the tiles do not tell."""
+    def of(cls, fit: StreakFit | Line, tiles: Tiles) -> "Contrast | None":
+        """Of a line; None where the tiles do not tell."""
         length, width = fit.length_px, effective_width_px(fit.width_px)
         if not length > 0.0 or not math.isfinite(length + width + fit.sagitta_px):
             return None
@@ -133,7 +147,7 @@ def places_beside(width_px: float) -> NDArray[np.float64]:
     return FIRST_WIDTHS * width_px + max(STEP_WIDTHS * width_px, LEAST_STEP_PX) * np.arange(SIDES, dtype=np.float64)
 
 
-def light_of_pieces(fit: StreakFit, tiles: Tiles, n: int) -> NDArray[np.float64]:
+def light_of_pieces(fit: StreakFit | Line, tiles: Tiles, n: int) -> NDArray[np.float64]:
     """Mean counts of n equal pieces of a line, in row `SIDES`, and of the same pieces beside it, (2 `SIDES` + 1, n).
 
     NaN where less than half of a piece is known. The line has a length.

@@ -52,6 +52,12 @@ are ten times as wide as trails, and say nothing of these."""
 WIDTH_ERROR: Final = 10.0
 """Error of ln width of a look-alike, times its S/N: its profile is a median along the line, and its half height is read off."""
 
+KIND_WINS: Final = 0.3
+"""A dark line that wins in so much less of its pieces than a bright one is hardly of its kind (one sigma). Chosen in view of
+frames that were seen, where 0.2 to 0.3, with peaks of 0.15 to 0.3, publish about as many trails."""
+KIND_PEAK: Final = 0.15
+"""The same of the peak."""
+
 ALIGNED_SLOPE: Final = 0.035
 """Slope within which a line runs along rows or columns: 2 deg, as the rims of vignetted fields do. Of lines of any direction 4 %
 do. What follows the readout or a border tells nothing of lines that cross it: two satellites (S/N 181 and 48) were refused for a
@@ -85,13 +91,19 @@ LEAST: Final = 1e-12
 
 
 def look_alikes_near(
-    fits: Sequence[StreakFit], look_alikes: NDArray[np.float64], weight: NDArray[np.float64] | None = None
+    fits: Sequence[StreakFit],
+    look_alikes: NDArray[np.float64],
+    weight: NDArray[np.float64] | None = None,
+    contrasts: Sequence[Contrast | None] | None = None,
+    stand_out: NDArray[np.float64] | None = None,
 ) -> NDArray[np.float64]:
     """Expected look-alikes for each unit of ln S/N and ln length about each fit, shape (n,).
 
     look_alikes : (k, 5) S/N, length, width (sigma, px; that of a pixel included), evenness, 0 to 1, and 1 of lines that run along
         rows or columns. Such lines count for fits that do so too. The others may have any direction and count for all fits.
     weight : (k,) how many false lines each stands for; None: one.
+    contrasts : of the fits, None where nothing tells it. stand_out : (k, 2) wins and peak of the look-alikes, NaN where they are
+        not known. One that stands out less than a fit counts the less against it.
     One counts in full for fits that are fainter than itself, for false lines are the more frequent the fainter they are. S/N is
     that of the median light along the line, of fits as of look-alikes: what one clump of light makes bright is like no trail.
     """
@@ -107,7 +119,12 @@ def look_alikes_near(
     other = (width[:, None] - known[None, :, 2]) / np.hypot(KIND_WIDTH, WIDTH_ERROR / np.maximum(look_alikes[:, 0], 1.0))
     apart[..., 0] = np.maximum(apart[..., 0], 0.0)
     peak = (1.0 if weight is None else weight) / (2.0 * math.pi * math.prod(KIND))
-    return np.asarray((peak * counts * np.exp(-0.5 * (np.sum(apart**2, axis=-1) + other**2))).sum(axis=1), dtype=np.float64)
+    unlike = np.sum(apart**2, axis=-1) + other**2
+    if contrasts is not None and stand_out is not None:
+        own = np.array([(-1.0, -1.0) if each is None else (each.wins, each.peak) for each in contrasts])
+        less = np.maximum(own[:, None] - np.where(np.isfinite(stand_out), stand_out, np.inf), 0.0)
+        unlike += np.sum((less / (KIND_WINS, KIND_PEAK)) ** 2, axis=-1)
+    return np.asarray((peak * counts * np.exp(-0.5 * unlike)).sum(axis=1), dtype=np.float64)
 
 
 def follows_readout(drow: float, dcol: float) -> bool:
@@ -150,6 +167,7 @@ class OwnEvidence:
 
     look_alikes : (k, 5) S/N, length, width (px), evenness and alignment of lines that cannot be real; see `look_alikes_near`.
     weight : (k,) how many false lines each of them stands for; None: one.
+    stand_out : (k, 2) how far they stand out of their neighbourhood, as wins and peak of `Contrast`; None: not known.
     alone : it was held against no other frame of the same sky, so that stars are not told from what moves.
     seen : first and last row, first and last column in which a pixel saw the sky; None: all of them.
     stars : motion of the stars during the exposure, where the detections of the frame share one; None: they do not.
@@ -166,6 +184,7 @@ class OwnEvidence:
 
     look_alikes: NDArray[np.float64]
     weight: NDArray[np.float64] | None = None
+    stand_out: NDArray[np.float64] | None = None
     alone: bool = False
     seen: tuple[int, int, int, int] | None = None
     stars: StarMotion | None = None
@@ -230,7 +249,7 @@ class LookAlikeVetter:
         if known.tiles is not None:
             contrasts = contrasts_of(fits, probability, known.tiles)
             probability = as_unmodelled(fits, probability, contrasts)
-        against = look_alikes_near(fits, known.look_alikes, known.weight) / REAL_DENSITY
+        against = look_alikes_near(fits, known.look_alikes, known.weight, contrasts, known.stand_out) / REAL_DENSITY
         against = against + np.array([of_spilled_charge(fit) for fit in fits])
         if not known.alone:
             against = against + np.array([POINTS_PER_REAL * _is_point(fit) for fit in fits])

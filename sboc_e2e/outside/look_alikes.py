@@ -14,7 +14,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.vetting.contrast import Tiles
+from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
+from ground.vetting.contrast import Contrast, Line, Tiles
 from ground.vetting.crosses import Crosses
 from ground.vetting.look_alikes import OwnEvidence, follows_readout
 from ground.vetting.readout import is_of_readout
@@ -70,6 +71,9 @@ CORE_PX: Final = 2
 QUIET: Final = 0.3
 """Share of the parts of a frame that are sky, at least: their noise is that of the sky. Chosen, not measured."""
 
+LEAST_WIDTH_PX: Final = 0.1
+"""Sigma of the narrowest dark line, that of a pixel taken off."""
+
 NO_LINE: Final = StreakFlag.POINT_LIKE | StreakFlag.COSMIC_LIKE
 
 
@@ -108,12 +112,23 @@ def _ends(line: Detection) -> tuple[float, float, float, float]:
     return line.row0, line.col0, line.row1, line.col1
 
 
-def look_alikes(
-    dark: Dark, view: DetectorView, detections: Sequence[Detection]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """S/N, length, width (px), evenness and alignment, shape (n, 5), of lines in the negative of a frame by falling S/N.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class LookAlikes:
+    """Lines in the negative of a frame by falling S/N.
 
-    And how many false lines each of them stands for, (n,).
+    table : (k, 5) S/N, length, width (sigma, px; that of a pixel included), evenness, and 1 of those along rows or columns.
+    table : (k, 5) S/N, length, width (sigma, px; that of a pixel included), evenness, and 1 of lines along rows or columns.
+    where they are not known.
+    """
+
+    table: NDArray[np.float64]
+    weight: NDArray[np.float64]
+    stand_out: NDArray[np.float64]
+
+
+def look_alikes(dark: Dark, view: DetectorView, detections: Sequence[Detection]) -> LookAlikes:
+    """The lines in the negative of a frame that tell of false ones.
+
     detections : of the frame itself. Dark lines beside a line that is much brighter are its shadow and do not count. Neither do
     lines of the readout: the vetter of uncalibrated frames refuses such lines by their place, and they tell nothing of others.
     Nor do dark lines that a neighbouring frame has too, among the stars or on the sensor: bright ones that stay are not detected.
@@ -135,20 +150,39 @@ def look_alikes(
 
     lines, structure = counting(dark.lines), counting(dark.structure)
     share = IN_WHITE_NOISE * max(1.0 - WITHOUT_STRUCTURE / len(structure), 0.0) if structure else 0.0
-    weight = np.repeat([1.0, share], [len(lines), len(structure)])
+    if share == 0.0:
+        structure = []
+    weighted = [(each, 1.0) for each in lines] + [(each, share) for each in structure]
+    weighted.sort(key=lambda pair: -pair[0].snr)
+    counted = [each for each, _ in weighted]
     table = np.array(
         [
             (
                 each.snr, each.length_px, *shape_of(each, dark.view.residual_adu, dark.view.mask),
                 follows_readout(each.row1 - each.row0, each.col1 - each.col0),
             )
-            for each in (*lines, *structure)
+            for each in counted
         ],
         dtype=np.float64,
     ).reshape(-1, 5)  # fmt: skip
-    table, weight = table[weight > 0.0], weight[weight > 0.0]
-    order = np.argsort(-table[:, 0], kind="stable")
-    return table[order], weight[order]
+    weight = np.array([each for _, each in weighted], dtype=np.float64)
+    return LookAlikes(table=table, weight=weight, stand_out=_stand_out(counted, table[:, 2], dark.view))
+
+
+def _stand_out(lines: Sequence[Detection], width_px: NDArray[np.float64], negative: DetectorView) -> NDArray[np.float64]:
+    """Wins and peak (k, 2) of lines of a negative, whose widths (k,) include that of a pixel; NaN where nothing tells them."""
+    tiles = Tiles.of(negative.residual_adu, negative.mask, [_ends(each) for each in lines])
+    own = np.sqrt(np.maximum(width_px**2 - PIXEL_VARIANCE_PX2, LEAST_WIDTH_PX**2))
+    shaped = [
+        Line(
+            row0=each.row0, col0=each.col0, row1=each.row1, col1=each.col1, length_px=each.length_px, width_px=w,
+            sagitta_px=each.sagitta_px, snr=each.snr,
+        )
+        for each, w in zip(lines, own.tolist(), strict=True)
+    ]  # fmt: skip
+    seen = [Contrast.of(each, tiles) for each in shaped]
+    told = [(math.nan, math.nan) if each is None else (each.wins, each.peak) for each in seen]
+    return np.array(told, dtype=np.float64).reshape(-1, 2)
 
 
 def shape_of(line: Detection, residual_adu: NDArray[np.float32], mask: NDArray[np.uint8]) -> tuple[float, float]:
@@ -299,10 +333,11 @@ class CountingChain(OnboardChain):
             found = result.detections
             seen = Sky.of(prepared) if found else None
             field, bright = seen.stars(prepared, found) if seen else (None, None)
-            table, weight = look_alikes(dark(), view, found)
+            alike = look_alikes(dark(), view, found)
             self.evidence[view.header.frame] = OwnEvidence(
-                look_alikes=table,
-                weight=weight,
+                look_alikes=alike.table,
+                weight=alike.weight,
+                stand_out=alike.stand_out,
                 alone=self.looks_back and not view.history,
                 seen=seen_of(view.mask),
                 stars=stars_as_lines([line for line in found if not line.flags & NO_LINE], shape=view.mask.shape),

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ground.vetting.contrast import Contrast
 from ground.vetting.look_alikes import LookAlikeVetter, OwnEvidence, follows_readout, look_alikes_near
 from ground.vetting.star_trails import move_as
 from onboard.detect.whiten import unusable
@@ -134,10 +135,10 @@ def test_dark_lines_beside_a_line_twice_as_bright_are_its_shadow() -> None:
     detector = Scripted(detections=(dark,))
     _, _, made = prepared(detector)
     beside = Detection(row0=5.0, col0=30.0, row1=90.0, col1=30.0, snr=18.0)
-    assert len(look_alikes(Dark.of(detector, made.view), made.view, (beside,))[0]) == 0
-    assert len(look_alikes(Dark.of(detector, made.view), made.view, (replace(beside, snr=17.0),))[0]) == 1
+    assert len(look_alikes(Dark.of(detector, made.view), made.view, (beside,)).table) == 0
+    assert len(look_alikes(Dark.of(detector, made.view), made.view, (replace(beside, snr=17.0),)).table) == 1
     apart = replace(beside, row0=95.0, row1=95.0, col0=70.0, col1=95.0)
-    assert len(look_alikes(Dark.of(detector, made.view), made.view, (apart,))[0]) == 1
+    assert len(look_alikes(Dark.of(detector, made.view), made.view, (apart,)).table) == 1
 
 
 def test_dark_lines_that_a_neighbouring_frame_has_too_do_not_count() -> None:
@@ -164,8 +165,8 @@ def test_dark_lines_that_a_neighbouring_frame_has_too_do_not_count() -> None:
 
     for shift, share, left in (((3.0, 5.0), 1.0, 0), ((0.0, 0.0), 1.0, 0), ((3.0, 5.0), 0.2, 1), ((20.0, -9.0), 1.0, 1)):
         view = replace(made.view, stars=plain, history=(before(shift, share),))
-        assert len(look_alikes(Dark.of(detector, view), view, ())[0]) == left, (shift, share)
-    assert len(look_alikes(Dark.of(detector, made.view), replace(made.view, stars=plain), ())[0]) == 1
+        assert len(look_alikes(Dark.of(detector, view), view, ()).table) == left, (shift, share)
+    assert len(look_alikes(Dark.of(detector, made.view), replace(made.view, stars=plain), ()).table) == 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -205,6 +206,40 @@ def test_look_alikes_speak_against_their_own_kind_alone() -> None:
     elsewhere = LookAlikeVetter(vetter=Certain(), evidence={1: OwnEvidence(look_alikes=known)})
     assert elsewhere.probability(fits, frame) == pytest.approx(0.99)
     assert look_alikes_near(fits, np.zeros((0, 5))).tolist() == [0.0] * 4
+
+
+def test_dark_lines_that_stand_out_less_than_a_trail_hardly_speak_against_it() -> None:
+    """Values by hand: exp(-1/2) for a sigma less of wins, the same for one of peak; in full for lines that stand out as much, and
+    where either is not known."""
+    known = np.tile([20.0, 30.0, seen_width(1.2), 1.0, 0.0], (1, 1))
+    fit = fit_of(20.0, 30.0)
+    (full,) = look_alikes_near([fit], known)
+    cases = ((0.7, 0.85, math.exp(-0.5)), (0.4, 0.7, math.exp(-2.5)), (1.0, 0.95, 1.0), (math.nan, math.nan, 1.0))
+    for wins, peak, share in cases:
+        told = [Contrast(pieces=6, wins=1.0, peak=0.85)]
+        assert look_alikes_near([fit], known, None, told, np.array([[wins, peak]])) == pytest.approx([full * share])
+        assert look_alikes_near([fit], known, None, [None], np.array([[wins, peak]])) == pytest.approx([full])
+
+
+def test_a_dark_line_stands_out_of_the_negative_as_a_bright_one_of_the_frame() -> None:
+    """A dark trench that is alone wins all along it. A row of dark pits, with as many to its sides, does not."""
+    _, _, made = prepared(Scripted())
+    noise = np.random.default_rng(3).normal(0.0, 1.0, made.view.mask.shape)
+    row, col = np.mgrid[:96, :96]
+    line = Detection(row0=30.0, col0=10.0, row1=60.0, col1=86.0, snr=40.0)
+    across = ((row - line.row0) * 76.0 - (col - line.col0) * 30.0) / math.hypot(76.0, 30.0)
+    trench = -60.0 * np.exp(-0.5 * (across / 1.2) ** 2)
+    pits = -60.0 * (np.random.default_rng(4).random(noise.shape) < 0.04)
+    found = []
+    for dark in (trench, pits):
+        view = replace(made.view, residual_adu=(noise + dark).astype(np.float32))
+        negative = replace(view, residual_adu=-view.residual_adu)
+        (told,) = look_alikes(Dark(view=negative, lines=(line,)), view, ()).stand_out
+        found.append(told)
+    assert found[0] == pytest.approx([1.0, 0.9], abs=0.15)
+    assert found[1][0] < 0.5
+    assert found[1][1] < 0.5
+    assert look_alikes(Dark(view=made.view, lines=()), made.view, ()).stand_out.shape == (0, 2)
 
 
 def test_what_may_be_a_star_is_refused_in_frames_that_stand_alone() -> None:

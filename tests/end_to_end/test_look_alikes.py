@@ -210,7 +210,7 @@ def test_look_alikes_speak_against_their_own_kind_alone() -> None:
 
 def test_dark_lines_that_stand_out_less_than_a_trail_hardly_speak_against_it() -> None:
     """Values by hand: exp(-1/2) for a sigma less of wins, the same for one of peak; in full for lines that stand out as much, and
-    where either is not known."""
+    where either is not known, or where the line itself does not win all along."""
     known = np.tile([20.0, 30.0, seen_width(1.2), 1.0, 0.0], (1, 1))
     fit = fit_of(20.0, 30.0)
     (full,) = look_alikes_near([fit], known)
@@ -218,7 +218,8 @@ def test_dark_lines_that_stand_out_less_than_a_trail_hardly_speak_against_it() -
     for wins, peak, share in cases:
         told = [Contrast(pieces=6, wins=1.0, peak=0.85)]
         assert look_alikes_near([fit], known, None, told, np.array([[wins, peak]])) == pytest.approx([full * share])
-        assert look_alikes_near([fit], known, None, [None], np.array([[wins, peak]])) == pytest.approx([full])
+        for other in (None, Contrast(pieces=20, wins=0.9, peak=0.85)):
+            assert look_alikes_near([fit], known, None, [other], np.array([[wins, peak]])) == pytest.approx([full])
 
 
 def test_a_dark_line_stands_out_of_the_negative_as_a_bright_one_of_the_frame() -> None:

@@ -8,6 +8,7 @@ the runs of `real_frames_exam`, by the name of the frame.
 
 import argparse
 import json
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
@@ -15,7 +16,7 @@ from typing import Any, Final
 import numpy as np
 from astropy.table import Table
 
-from tests.benchmarks.real_frames import NEAR_PX, covered, report
+from tests.benchmarks.real_frames import NEAR_PX, report, trail_of
 from tests.benchmarks.real_frames_exam import by_column, row_of
 from tests.benchmarks.real_frames_table import HALF, share_text
 
@@ -25,31 +26,26 @@ Marks = Mapping[str, Mapping[str, Any]]
 """Marks of an eye by the name of the frame: "trails" and "doubtful" as [row0, col0, row1, col1]."""
 
 
-def as_streak(ends: Sequence[float]) -> dict[str, float]:
-    """A mark as `covered` takes a streak."""
-    return dict(zip(("row0", "col0", "row1", "col1", "width_px"), (*ends, 0.0), strict=True))
-
-
-def ends_apart_px(one: Sequence[float], other: Sequence[float]) -> list[float]:
-    """How far both ends of two marks of one trail lie apart along the first."""
-    a, b = np.reshape(one, (2, 2)), np.reshape(other, (2, 2))
-    if np.linalg.norm(a - b, axis=1).sum() > np.linalg.norm(a - b[::-1], axis=1).sum():
-        b = b[::-1]
-    along = (a[1] - a[0]) / np.linalg.norm(a[1] - a[0])
-    return [abs(float((b[k] - a[k]) @ along)) for k in (0, 1)]
+def as_streaks(trails: Sequence[Sequence[float]]) -> Table:
+    """Marks of an eye as published streaks, whose ends quote no interval."""
+    ends = np.reshape(np.asarray(trails, dtype=np.float64), (-1, 4))
+    table = Table(ends, names=("row0", "col0", "row1", "col1"))
+    for name in ("width_px", "flags"):
+        table[name] = np.zeros(len(ends), dtype=np.int64)
+    for name in ("snr", "probability", "end0_low_px", "end0_high_px", "end1_low_px", "end1_high_px"):
+        table[name] = np.full(len(ends), math.nan)
+    return table
 
 
 def agreement(first: Marks, second: Marks) -> tuple[int, int, list[float]]:
     """Trails of one eye that another has with half their length or more, all of the one, and how far the ends lie apart (px)."""
-    seen, number, apart = 0, 0, list[float]()
-    for file, marks in first.items():
-        for trail in marks["trails"]:
-            number += 1
-            share = [covered(as_streak(each), by_column(trail)) for each in second[file]["trails"]]
-            if share and max(share) >= HALF:
-                seen += 1
-                apart += ends_apart_px(trail, second[file]["trails"][int(np.argmax(share))])
-    return seen, number, apart
+    made = [
+        trail_of(as_streaks(second[file]["trails"]), by_column(ends))[0]
+        for file, marks in first.items()
+        for ends in marks["trails"]
+    ]
+    seen = [trail for trail in made if trail.published >= HALF]
+    return len(seen), len(made), [px for trail in seen for px in trail.end_px]
 
 
 def against(marks: Marks, entries: Sequence[Mapping[str, Any]], runs: Path) -> str:

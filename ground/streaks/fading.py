@@ -155,16 +155,15 @@ def with_fading_ends(fit: StreakFit, pixels: StreakPixels) -> StreakFit:
         beyond = np.where(blocks.place > half, other, 0.0)
         blocks = replace(blocks, sigma=np.hypot(blocks.sigma, beyond))
         fade = _fade(blocks, half, width, border)
-        if fade is not None and fade.seen_px > half:  # where it went outwards, the lines beside it have a say
-            mean, scatter = (np.where(blocks.place > half, each, 0.0) for each in _light_beside(outwards, half, width, border))
-            blocks = replace(blocks, density=blocks.density - mean, sigma=np.hypot(blocks.sigma, scatter))
-            without, fade = fade, _fade(blocks, half, width, border)
-            if fade is None:  # the trail's light or that of stars: the end stays, and may lie there
-                fit = _reaching_to(fit, end, without.seen_px - half)
-                continue
+        seen_px = half if fade is None else fade.seen_px
+        if seen_px > half:  # where it went outwards, the lines beside it have a say
+            blocks = _without_light_beside(blocks, outwards, half, width, border)
+            fade = _fade(blocks, half, width, border)
         if fade is not None:
             moved = _with_end(fit, end, fade, border, half, width)
             fit = _with_curve(moved, end, blocks, half, fit.length_px)
+        elif seen_px > half:  # the trail's light or that of stars: the end stays, and may lie there
+            fit = _reaching_to(fit, end, seen_px - half)
         elif _ends_at_a_mask(outwards, half, width, border):
             fit = _reaching_to(fit, end, border - half)
         else:
@@ -174,10 +173,11 @@ def with_fading_ends(fit: StreakFit, pixels: StreakPixels) -> StreakFit:
     return fit
 
 
-def _light_beside(outwards: TrailPixels, end_px: float, width_px: float, border_px: float) -> tuple[float, float]:
-    """Mean and scatter (e-/px) of the light in blocks beyond an end on lines beside the trail, their noise taken off.
+def _without_light_beside(blocks: Blocks, outwards: TrailPixels, end_px: float, width_px: float, border_px: float) -> Blocks:
+    """The blocks, those beyond an end without the light that blocks on lines beside the trail have in the mean.
 
-    Stars that are too faint to be listed are light on any line. Zero where too little of such lines is seen.
+    Its scatter, without their noise, is added to the errors. Stars that are too faint to be listed are light on any line. Where
+    too little of such lines is seen the blocks stay as they are.
     """
     density, variance = [np.zeros(0)], [np.zeros(0)]
     for shift in (side * away for away in BESIDE_LINES for side in (-1.0, 1.0)):
@@ -190,8 +190,14 @@ def _light_beside(outwards: TrailPixels, end_px: float, width_px: float, border_
         variance.append(beside.sigma[used] ** 2)
     light, noise = np.concatenate(density), np.concatenate(variance)
     if light.size < BESIDE_BLOCKS:
-        return 0.0, 0.0
-    return max(float(light.mean()), 0.0), math.sqrt(max(float(light.var() - noise.mean()), 0.0))
+        return blocks
+    mean, scatter = max(float(light.mean()), 0.0), math.sqrt(max(float(light.var() - noise.mean()), 0.0))
+    beyond = blocks.place > end_px
+    return replace(
+        blocks,
+        density=blocks.density - np.where(beyond, mean, 0.0),
+        sigma=np.hypot(blocks.sigma, np.where(beyond, scatter, 0.0)),
+    )
 
 
 def _reaching_to(fit: StreakFit, end: int, beyond_px: float) -> StreakFit:

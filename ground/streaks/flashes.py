@@ -6,13 +6,14 @@ were subtracted before. A particle hit is narrower than the PSF. The flash of an
 from a star; it stays out.
 """
 
+from dataclasses import replace
 from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from ground.streaks.centre_line import LineFit
-from ground.streaks.trail_model import SAGITTA, SLOPE, V_MID, mean_all
+from ground.streaks.trail_model import SAGITTA, mean_all
 from ground.streaks.trail_pixels import TrailPixels
 
 Array = NDArray[np.float64]
@@ -48,8 +49,7 @@ def flashes(line: LineFit, everything: TrailPixels, ends: tuple[float, float]) -
         return []
     trail = mean_all(line.parameters, masked.u, masked.v, line.scale)
     rest = masked.value_e - trail
-    p, x = line.parameters, masked.u / line.half_px
-    across = masked.v - p[V_MID] - p[SLOPE] * x - p[SAGITTA] * (1.0 / 3.0 - x * x)
+    across = replace(line, pixels=masked).across_px
     variance = masked.variance_e2 + np.maximum(trail, 0.0) + np.maximum(rest, 0.0)
     starts = np.flatnonzero(np.diff(masked.u, prepend=-np.inf) > GAP_WIDTHS * width)
     found = []

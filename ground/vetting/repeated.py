@@ -48,7 +48,7 @@ def doubled(fits: Sequence[StreakFit], probability: NDArray[np.float64], stands_
     length = [fit.length_px * share for fit, share in zip(fits, stands_out, strict=True)]
     published = [k for k in range(len(fits)) if probability[k] >= PUBLISHED]
     for i in published:
-        out[i] = any(_ran_on(fits[i], fits[j]) for j in published if j != i)
+        out[i] = any(_ran_on(fits[i], fits[j]) for j in published)
     order = sorted((k for k in published if not out[k]), key=lambda k: -length[k])
     for place, i in enumerate(order):
         if not out[i]:

@@ -116,9 +116,9 @@ def _ends(line: Detection) -> tuple[float, float, float, float]:
 class LookAlikes:
     """Lines in the negative of a frame by falling S/N.
 
-    table : (k, 5) S/N, length, width (sigma, px; that of a pixel included), evenness, and 1 of those along rows or columns.
     table : (k, 5) S/N, length, width (sigma, px; that of a pixel included), evenness, and 1 of lines along rows or columns.
-    where they are not known.
+    weight : (k,) how many false lines each of them stands for. stand_out : (k, 2) wins and peak of `Contrast` on the negative,
+    NaN where they are not known.
     """
 
     table: NDArray[np.float64]
@@ -354,5 +354,5 @@ class CountingChain(OnboardChain):
 
 
 def counts_of(table: NDArray[np.float64]) -> dict[str, int]:
-    """Number of look-alikes, (n, 5) of `look_alikes`, as published: in all, and from each of `LEVELS_SNR` on."""
+    """Number of look-alikes, (n, 5) of `LookAlikes.table`, as published: in all, and from each of `LEVELS_SNR` on."""
     return {"all": len(table)} | {f"snr_{level:g}": int(np.sum(table[:, 0] >= level)) for level in LEVELS_SNR}

@@ -7,7 +7,7 @@ short trails either.
 
 import math
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Final
 
 import numpy as np
@@ -15,20 +15,20 @@ from numpy.typing import NDArray
 
 from ground.guard import guarded, probabilities_of
 from ground.streaks.centre_line import effective_width_px
-from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
+from ground.vetting.alike import LookAlikes, follows_readout
 from ground.vetting.any_camera import LEAST_PROBABILITY, as_unmodelled, contrasts_of, probability_in_any_camera
 from ground.vetting.bends import bends_too_much
 from ground.vetting.beside import against_beside
 from ground.vetting.borders import against_border
 from ground.vetting.contrast import Contrast, Tiles
 from ground.vetting.crosses import Crosses
-from ground.vetting.features import LEAST_BINS
 from ground.vetting.likelihood import sharpest_light_px, sharpness_of
 from ground.vetting.meteors import for_meteor
 from ground.vetting.particles import SHARP, odds_of_particles
 from ground.vetting.radiants import for_radiant
 from ground.vetting.repeated import doubled
 from ground.vetting.rim import ImageCircle
+from ground.vetting.short_lines import against_short_lines
 from ground.vetting.sides import SkyMap
 from ground.vetting.spikes import BrightStars
 from ground.vetting.star_arcs import of_turning_stars
@@ -41,30 +41,6 @@ from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
 from sboc_e2e.icd.signals import StarMotion
 from sboc_e2e.icd.steps import Vetter
-
-KIND: Final = (0.7, 0.7)
-"""Sigma of ln S/N and ln length within which two lines are of one kind: half to twice."""
-
-KIND_WIDTH: Final = 0.5
-"""Sigma of ln width (that of a pixel included) within which two lines are of one kind. Slopes of the sky at a vignetted border
-are ten times as wide as trails, and say nothing of these."""
-
-WIDTH_ERROR: Final = 10.0
-"""Error of ln width of a look-alike, times its S/N: its profile is a median along the line, and its half height is read off."""
-
-ALL_ALONG: Final = 0.95
-"""Wins from which on a line stands out all along it, as a trail does. Once dark lines counted by how they stand out, 26 lines
-more were published in frames that had been seen. Ten had these wins, none of them false; of the sixteen others eight were."""
-KIND_WINS: Final = 0.3
-"""A dark line that wins in so much less of its pieces than a bright one is hardly of its kind (one sigma). Chosen in view of
-frames that were seen, where 0.2 to 0.3, with peaks of 0.15 to 0.3, publish about as many trails."""
-KIND_PEAK: Final = 0.15
-"""The same of the peak."""
-
-ALIGNED_SLOPE: Final = 0.035
-"""Slope within which a line runs along rows or columns: 2 deg, as the rims of vignetted fields do. Of lines of any direction 4 %
-do. What follows the readout or a border tells nothing of lines that cross it: two satellites (S/N 181 and 48) were refused for a
-dark column of half the frame."""
 
 REAL_DENSITY: Final = REAL_PER_FRAME / (math.log(800.0 / 5.0) * LN_LENGTHS)
 """Expected real streaks of a frame for each unit of ln S/N and ln length: half a streak, anything between S/N 5 and 800 and
@@ -93,48 +69,6 @@ LEAST: Final = 1e-12
 """Keeps the odds finite."""
 
 
-def look_alikes_near(
-    fits: Sequence[StreakFit],
-    look_alikes: NDArray[np.float64],
-    weight: NDArray[np.float64] | None = None,
-    contrasts: Sequence[Contrast | None] | None = None,
-    stand_out: NDArray[np.float64] | None = None,
-) -> NDArray[np.float64]:
-    """Expected look-alikes for each unit of ln S/N and ln length about each fit, shape (n,).
-
-    look_alikes : (k, 5) S/N, length, width (sigma, px; that of a pixel included), evenness, 0 to 1, and 1 of lines that run along
-        rows or columns. Such lines count for fits that do so too. The others may have any direction and count for all fits.
-    weight : (k,) how many false lines each stands for; None: one.
-    contrasts : of the fits, None where nothing tells it. stand_out : (k, 2) wins and peak of the look-alikes, NaN where they are
-        not known. One that stands out less than a fit that does so all along counts the less against it.
-    One counts in full for fits that are fainter than itself, for false lines are the more frequent the fainter they are. S/N is
-    that of the median light along the line, of fits as of look-alikes: what one clump of light makes bright is like no trail.
-    """
-    if not fits or not len(look_alikes):
-        return np.zeros(len(fits))
-    place = np.log([(max(fit.snr * evenness_of(fit), 1e-3), max(fit.length_px, 0.1)) for fit in fits])
-    even = look_alikes[:, :3] * np.column_stack((look_alikes[:, 3], np.ones((len(look_alikes), 2))))
-    known = np.log(np.maximum(even, 1e-3))
-    apart = (place[:, None] - known[None, :, :2]) / KIND
-    width = 0.5 * np.log([fit.width_px**2 + PIXEL_VARIANCE_PX2 for fit in fits])
-    aligned = np.array([follows_readout(fit.row1 - fit.row0, fit.col1 - fit.col0) for fit in fits])
-    counts = aligned[:, None] | (look_alikes[:, 4] < 0.5)
-    other = (width[:, None] - known[None, :, 2]) / np.hypot(KIND_WIDTH, WIDTH_ERROR / np.maximum(look_alikes[:, 0], 1.0))
-    apart[..., 0] = np.maximum(apart[..., 0], 0.0)
-    peak = (1.0 if weight is None else weight) / (2.0 * math.pi * math.prod(KIND))
-    unlike = np.sum(apart**2, axis=-1) + other**2
-    if contrasts is not None and stand_out is not None:
-        own = np.array([(c.wins, c.peak) if c is not None and c.wins >= ALL_ALONG else (-1.0, -1.0) for c in contrasts])
-        less = np.maximum(own[:, None] - np.where(np.isfinite(stand_out), stand_out, np.inf), 0.0)
-        unlike += np.sum((less / (KIND_WINS, KIND_PEAK)) ** 2, axis=-1)
-    return np.asarray((peak * counts * np.exp(-0.5 * unlike)).sum(axis=1), dtype=np.float64)
-
-
-def follows_readout(drow: float, dcol: float) -> bool:
-    """Whether a line from one end to the other (px) runs along the rows or the columns."""
-    return min(abs(drow), abs(dcol)) < ALIGNED_SLOPE * max(abs(drow), abs(dcol))
-
-
 def as_sharp_as(
     short_axis_px: float, fits: Sequence[StreakFit], frame: DownlinkFrame
 ) -> tuple[Sequence[StreakFit], DownlinkFrame]:
@@ -143,14 +77,6 @@ def as_sharp_as(
         return fits, frame
     sharp = [replace(fit, psf_sigma_px=min(fit.psf_sigma_px, short_axis_px)) for fit in fits]
     return sharp, replace(frame, psf_sigma_px=short_axis_px)
-
-
-def evenness_of(fit: StreakFit) -> float:
-    """Median of the light along a trail over its mean, 0 to 1; 1 of fits with too few bins to tell."""
-    curve = fit.light_curve_e_px
-    if curve.size < LEAST_BINS or not curve.mean() > 0.0:
-        return 1.0
-    return min(max(float(np.median(curve) / curve.mean()), 0.0), 1.0)
 
 
 def of_spilled_charge(fit: StreakFit) -> float:
@@ -168,9 +94,7 @@ def _is_point(fit: StreakFit) -> bool:
 class OwnEvidence:
     """What a frame itself says of its false lines.
 
-    look_alikes : (k, 5) S/N, length, width (px), evenness and alignment of lines that cannot be real; see `look_alikes_near`.
-    weight : (k,) how many false lines each of them stands for; None: one.
-    stand_out : (k, 2) how far they stand out of their neighbourhood, as wins and peak of `Contrast`; None: not known.
+    look_alikes : lines that cannot be real.
     alone : it was held against no other frame of the same sky, so that stars are not told from what moves.
     seen : first and last row, first and last column in which a pixel saw the sky; None: all of them.
     stars : motion of the stars during the exposure, where the detections of the frame share one; None: they do not.
@@ -185,9 +109,7 @@ class OwnEvidence:
     noise_adu : of a pixel of the sky; 0: not known.
     """
 
-    look_alikes: NDArray[np.float64]
-    weight: NDArray[np.float64] | None = None
-    stand_out: NDArray[np.float64] | None = None
+    look_alikes: LookAlikes = field(default_factory=LookAlikes)
     alone: bool = False
     seen: tuple[int, int, int, int] | None = None
     stars: StarMotion | None = None
@@ -209,9 +131,7 @@ class OwnEvidence:
         return self.shared(fits, round_stars) if self.stars is None and self.shared is not None else self.stars
 
     def refuses(self, fit: StreakFit, frame: DownlinkFrame) -> bool:
-        """Whether a fit may be a point, a slope or an edge, runs along a rim, bends too much, or lies where no pixel saw."""
-        if self.alone and fit.length_px < SHORTEST_ALONE_PX:
-            return True
+        """Whether a fit may be a slope or an edge, runs along a rim, bends too much, or lies where no pixel saw."""
         if self.sky is not None and self.sky.refuses(fit, frame.header.gain_e_adu or 1.0):
             return True
         if self.circle is not None and self.circle.refuses(fit):
@@ -238,8 +158,20 @@ class LookAlikeVetter:
 
     def probability(self, fits: Sequence[StreakFit], frame: DownlinkFrame) -> NDArray[np.float64]:
         """Probabilities, shape (len(fits),), of being a real object."""
-        where = f"frame {frame.header.frame}"
         known = self.evidence.get(frame.header.frame)
+        # what may be a blend of stars is refused, and says nothing of the rates of longer lines
+        alone = known is not None and known.alone
+        long = [k for k, fit in enumerate(fits) if not (alone and fit.length_px < SHORTEST_ALONE_PX)]
+        short = [fit for k, fit in enumerate(fits) if k not in long]
+        out = np.zeros(len(fits))
+        out[long] = self._of_frame([fits[k] for k in long], short, frame, known)
+        return out
+
+    def _of_frame(
+        self, fits: Sequence[StreakFit], short: Sequence[StreakFit], frame: DownlinkFrame, known: OwnEvidence | None
+    ) -> NDArray[np.float64]:
+        """Probabilities (len(fits),) of fits of a frame, given what is known of it. short : lines of it that are refused."""
+        where = f"frame {frame.header.frame}"
         if known is not None and known.short_axis_px is not None:
             sharp, frame = as_sharp_as(known.short_axis_px, fits, frame)
         else:
@@ -252,7 +184,7 @@ class LookAlikeVetter:
         if known.tiles is not None:
             contrasts = contrasts_of(fits, probability, known.tiles)
             probability = as_unmodelled(fits, probability, contrasts)
-        against = look_alikes_near(fits, known.look_alikes, known.weight, contrasts, known.stand_out) / REAL_DENSITY
+        against = known.look_alikes.near(fits, contrasts) / REAL_DENSITY
         against = against + np.array([of_spilled_charge(fit) for fit in fits])
         if not known.alone:
             against = against + np.array([POINTS_PER_REAL * _is_point(fit) for fit in fits])
@@ -284,11 +216,12 @@ class LookAlikeVetter:
         # half lines of video are as long and bright as light, and no optics made them
         believed = (given > least) & (borders < 1.0)
         sharpest = sharpest_light_px(sharp, believed.tolist())
-        sharpness = sharpness_of(sharp, frame.psf_sigma_px, sharpest)
+        every_sharpness = sharpness_of([*sharp, *short], frame.psf_sigma_px, sharpest)
+        sharpness = every_sharpness[: len(fits)]
         contrasts = [each if p >= LEAST_PROBABILITY else None for each, p in zip(contrasts, given.tolist(), strict=True)]
         # stars may be wider than the optics, and long light is not
         by_stars = frame.psf_sigma_px is not None and frame.psf_sigma_px <= sharpest
-        tracks = odds_of_particles(fits, [by_stars and told < SHARP for told in sharpness])
+        tracks = odds_of_particles([*fits, *short], [by_stars and told < SHARP for told in every_sharpness])[: len(fits)]
         given = probability_in_any_camera(fits, given, sharpness, contrasts, tracks)
         for k in np.flatnonzero(given >= LEAST_PROBABILITY).tolist():
             odds = 0.0 if is_border(fits[k], tiles) else for_meteor(fits[k], tiles, contrasts[k])
@@ -303,6 +236,7 @@ class LookAlikeVetter:
         given = np.where(of_turning_stars(fits, given, shape, round_stars=round_stars), 0.0, given)
         shower = for_radiant(fits, given, shape, round_stars=round_stars)
         given = np.minimum(with_odds(given, shower), at_most)
+        given = given / (1.0 + given * against_short_lines(fits, short))
         return np.where(doubled(fits, given, stands_out), 0.0, given)
 
 

@@ -15,9 +15,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
+from ground.vetting.alike import LookAlikes, follows_readout
 from ground.vetting.contrast import Contrast, Line, Tiles
 from ground.vetting.crosses import Crosses
-from ground.vetting.look_alikes import OwnEvidence, follows_readout
+from ground.vetting.look_alikes import SHORTEST_ALONE_PX, OwnEvidence
 from ground.vetting.readout import is_of_readout
 from ground.vetting.sides import SkyMap
 from ground.vetting.spikes import BrightStars
@@ -103,6 +104,8 @@ class Dark:
             found = detector.detect(negative)
             check_detections(found, view.mask.shape)
             return cls(view=negative, lines=found)
+        # shorter fits of a frame that stands alone are refused: dark lines as short would tell of none that is published
+        detector = replace(detector, blend_px=max(detector.blend_px, SHORTEST_ALONE_PX))
         in_white_noise, found = detector.detect_in_white_noise(negative)
         known = {_ends(each) for each in found}
         return cls(view=negative, lines=found, structure=tuple(each for each in in_white_noise if _ends(each) not in known))
@@ -110,20 +113,6 @@ class Dark:
 
 def _ends(line: Detection) -> tuple[float, float, float, float]:
     return line.row0, line.col0, line.row1, line.col1
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class LookAlikes:
-    """Lines in the negative of a frame by falling S/N.
-
-    table : (k, 5) S/N, length, width (sigma, px; that of a pixel included), evenness, and 1 of lines along rows or columns.
-    weight : (k,) how many false lines each of them stands for. stand_out : (k, 2) wins and peak of `Contrast` on the negative,
-    NaN where they are not known.
-    """
-
-    table: NDArray[np.float64]
-    weight: NDArray[np.float64]
-    stand_out: NDArray[np.float64]
 
 
 def look_alikes(dark: Dark, view: DetectorView, detections: Sequence[Detection]) -> LookAlikes:
@@ -333,11 +322,8 @@ class CountingChain(OnboardChain):
             found = result.detections
             seen = Sky.of(prepared) if found else None
             field, bright = seen.stars(prepared, found) if seen else (None, None)
-            alike = look_alikes(dark(), view, found)
             self.evidence[view.header.frame] = OwnEvidence(
-                look_alikes=alike.table,
-                weight=alike.weight,
-                stand_out=alike.stand_out,
+                look_alikes=look_alikes(dark(), view, found),
                 alone=self.looks_back and not view.history,
                 seen=seen_of(view.mask),
                 stars=stars_as_lines([line for line in found if not line.flags & NO_LINE], shape=view.mask.shape),
@@ -353,6 +339,7 @@ class CountingChain(OnboardChain):
         return after, result
 
 
-def counts_of(table: NDArray[np.float64]) -> dict[str, int]:
-    """Number of look-alikes, (n, 5) of `LookAlikes.table`, as published: in all, and from each of `LEVELS_SNR` on."""
+def counts_of(known: LookAlikes) -> dict[str, int]:
+    """Number of look-alikes, as published: in all, and from each of `LEVELS_SNR` on."""
+    table = known.table
     return {"all": len(table)} | {f"snr_{level:g}": int(np.sum(table[:, 0] >= level)) for level in LEVELS_SNR}

@@ -24,6 +24,10 @@ from sboc_e2e.run.onboard_stage import join, onboard_steps
 from sboc_e2e.run.progress import Progress
 from sboc_e2e.scenario import Scenario
 
+SHORTEST_FOUND_PX: Final = 12.0
+"""Shortest line that is measured. What is found first of a short meteor is its bright part: 16 to 25 px in eight trails
+of 16 to 43 px, S/N 30 to 54."""
+
 MODEL_ERROR: Final = 0.2
 """Share of a trail's light by which telescopes on the ground differ from the fit's model: turbulence, tracking, tumbling."""
 
@@ -38,7 +42,7 @@ def base_document(wcs: str) -> dict[str, Any]:
         "onboard": {
             "downlink": {"budget": "0 Mbit/s"},
             "roi": {"max_per_frame": MOST_DETECTIONS, "max_cosmic_like": MOST_HITS},
-            "detector": {"max_detections": MOST_DETECTIONS, "held_beside": True},
+            "detector": {"max_detections": MOST_DETECTIONS, "held_beside": True, "blend": f"{SHORTEST_FOUND_PX:g} px"},
         },
         "ground": {
             "astrometry": {"lost_in_space": "required" if wcs == "solve" else "never"},

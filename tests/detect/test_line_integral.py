@@ -153,6 +153,22 @@ def test_bright_streaks_are_not_eaten_by_the_star_mask() -> None:
         assert detection.snr == pytest.approx(streak.snr, rel=0.15)
 
 
+def test_short_bright_lines_of_a_frame_that_stands_alone_are_found_where_they_are_asked_for() -> None:
+    """Blends of stars are as short: the default leaves them out, and faint ones are never reported."""
+    scene, rng = noise_scene(512, 11)
+    bright = Streak(row0=100.0, col0=100.0, row1=107.0, col1=116.0, snr=45.0)
+    add_streak(scene, bright, rng)
+    add_streak(scene, Streak(row0=300.0, col0=300.0, row1=307.0, col1=316.0, snr=14.0), rng)
+    long = Streak(row0=400.0, col0=100.0, row1=420.0, col1=300.0, snr=30.0)
+    add_streak(scene, long, rng)
+    view = view_of(scene, frame=1, history=())
+    (only,) = LineIntegralDetector().detect(view)
+    assert only.length_px == pytest.approx(long.length_px, abs=8.0)
+    paired, _, false = score(LineIntegralDetector(blend_px=12.0).detect(view), [bright, long])
+    assert all(found is not None for found in paired)
+    assert false == 0
+
+
 def test_point_like_mover_is_found_and_flagged() -> None:
     scene, history = star_scene(8, [Streak(row0=700.0, col0=300.0, row1=700.0, col1=300.5, snr=25.0)])
     found = [d for d in found_in(scene, history) if not d.flags & StreakFlag.COSMIC_LIKE]

@@ -9,8 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from ground.vetting.alike import LookAlikes, follows_readout
 from ground.vetting.contrast import Contrast
-from ground.vetting.look_alikes import LookAlikeVetter, OwnEvidence, follows_readout, look_alikes_near
+from ground.vetting.look_alikes import LookAlikeVetter, OwnEvidence
 from ground.vetting.star_trails import move_as
 from onboard.detect.whiten import unusable
 from onboard.options import OnboardOptions
@@ -102,7 +103,7 @@ def test_a_frame_costs_one_search_more_of_its_negative() -> None:
     chain.judge(state, made)
     assert len(detector.seen) == 2
     assert detector.seen[0] == -detector.seen[1] != 0.0
-    assert chain.evidence[0].look_alikes[:, :2].tolist() == [[9.0, pytest.approx(np.hypot(55.0, 35.0))]]
+    assert chain.evidence[0].look_alikes.table[:, :2].tolist() == [[9.0, pytest.approx(np.hypot(55.0, 35.0))]]
 
 
 def test_fringes_are_counted_though_they_lie_beside_each_other() -> None:
@@ -124,10 +125,10 @@ def test_fringes_are_counted_though_they_lie_beside_each_other() -> None:
     chain = CountingChain(scenario.onboard, onboard_steps(scenario), camera=camera, run_id=1)
     state = chain.initial_state()
     chain.judge(state, chain.prepare(state, frame))
-    own = chain.evidence[0]
-    assert len(own.look_alikes) >= 10
-    assert own.weight is not None
-    assert 2.0 < own.weight.sum() < len(own.look_alikes)
+    known = chain.evidence[0].look_alikes
+    assert len(known.table) >= 10
+    assert known.weight is not None
+    assert 2.0 < known.weight.sum() < len(known.table)
 
 
 def test_dark_lines_beside_a_line_twice_as_bright_are_its_shadow() -> None:
@@ -195,7 +196,7 @@ def test_look_alikes_speak_against_their_own_kind_alone() -> None:
     """59 of S/N 20 and 30 px: against a line like them and against fainter ones, not against 1,274 px of S/N 700 nor in another
     frame. Values by hand: 1 / (1 + 0.0101 + 59 / (2 pi 0.49) / 0.0181)."""
     known = np.tile([20.0, 30.0, seen_width(1.2), 1.0, 0.0], (59, 1))
-    vetter = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=known)})
+    vetter = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=LookAlikes(table=known))})
     frame = frame_of_psf(1.4)
     assert frame.header.frame == 0
     fits = [fit_of(20.0, 30.0), fit_of(8.0, 30.0), fit_of(700.0, 1274.0), fit_of(20.0, 1274.0)]
@@ -203,9 +204,9 @@ def test_look_alikes_speak_against_their_own_kind_alone() -> None:
     assert probability[:2] == pytest.approx(1.0 / (1.0 + 59.0 / (2.0 * np.pi * 0.49) / 0.01805), rel=0.01)
     assert probability[2] == pytest.approx(0.99, abs=1e-6)
     assert probability[3] > 0.98, "as bright as they, and forty times as long"
-    elsewhere = LookAlikeVetter(vetter=Certain(), evidence={1: OwnEvidence(look_alikes=known)})
+    elsewhere = LookAlikeVetter(vetter=Certain(), evidence={1: OwnEvidence(look_alikes=LookAlikes(table=known))})
     assert elsewhere.probability(fits, frame) == pytest.approx(0.99)
-    assert look_alikes_near(fits, np.zeros((0, 5))).tolist() == [0.0] * 4
+    assert LookAlikes().near(fits).tolist() == [0.0] * 4
 
 
 def test_dark_lines_that_stand_out_less_than_a_trail_hardly_speak_against_it() -> None:
@@ -213,13 +214,14 @@ def test_dark_lines_that_stand_out_less_than_a_trail_hardly_speak_against_it() -
     where either is not known, or where the line itself does not win all along."""
     known = np.tile([20.0, 30.0, seen_width(1.2), 1.0, 0.0], (1, 1))
     fit = fit_of(20.0, 30.0)
-    (full,) = look_alikes_near([fit], known)
+    (full,) = LookAlikes(table=known).near([fit])
     cases = ((0.7, 0.85, math.exp(-0.5)), (0.4, 0.7, math.exp(-2.5)), (1.0, 0.95, 1.0), (math.nan, math.nan, 1.0))
     for wins, peak, share in cases:
         told = [Contrast(pieces=6, wins=1.0, peak=0.85)]
-        assert look_alikes_near([fit], known, None, told, np.array([[wins, peak]])) == pytest.approx([full * share])
+        seen = LookAlikes(table=known, stand_out=np.array([[wins, peak]]))
+        assert seen.near([fit], told) == pytest.approx([full * share])
         for other in (None, Contrast(pieces=20, wins=0.9, peak=0.85)):
-            assert look_alikes_near([fit], known, None, [other], np.array([[wins, peak]])) == pytest.approx([full])
+            assert seen.near([fit], [other]) == pytest.approx([full])
 
 
 def test_a_dark_line_stands_out_of_the_negative_as_a_bright_one_of_the_frame() -> None:
@@ -235,22 +237,24 @@ def test_a_dark_line_stands_out_of_the_negative_as_a_bright_one_of_the_frame() -
     for dark in (trench, pits):
         view = replace(made.view, residual_adu=(noise + dark).astype(np.float32))
         negative = replace(view, residual_adu=-view.residual_adu)
-        (told,) = look_alikes(Dark(view=negative, lines=(line,)), view, ()).stand_out
-        found.append(told)
+        told = look_alikes(Dark(view=negative, lines=(line,)), view, ()).stand_out
+        assert told is not None
+        found.append(told[0])
     assert found[0] == pytest.approx([1.0, 0.9], abs=0.15)
     assert found[1][0] < 0.5
     assert found[1][1] < 0.5
-    assert look_alikes(Dark(view=made.view, lines=()), made.view, ()).stand_out.shape == (0, 2)
+    nothing = look_alikes(Dark(view=made.view, lines=()), made.view, ()).stand_out
+    assert nothing is not None
+    assert nothing.shape == (0, 2)
 
 
 def test_what_may_be_a_star_is_refused_in_frames_that_stand_alone() -> None:
     """Stars of S/N 170 to 5,000 that were fitted as trails of 2 to 4 px had probabilities of 0.6 to 0.97 in raw frames."""
     fits = [fit_of(5000.0, 1.7), fit_of(170.0, 24.0), fit_of(20.0, 26.0)]
     frame = frame_of_psf(1.4)
-    empty = np.zeros((0, 5))
-    alone = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=empty, alone=True)})
+    alone = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(alone=True)})
     assert alone.probability(fits, frame) == pytest.approx([0.0, 0.0, 0.99])
-    beside = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=empty)})
+    beside = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence()})
     assert beside.probability(fits, frame) == pytest.approx([0.332, 0.99, 0.99], abs=1e-3), "left to the linker, not published"
 
 
@@ -266,7 +270,7 @@ def test_the_chain_says_which_frames_stand_alone() -> None:
 def test_slopes_ten_times_as_wide_say_nothing_of_a_trail() -> None:
     """Dark slopes of a vignetted border, 600 to 1,300 px long at S/N 440 to 640, vetoed a satellite of S/N 794 (p 0.02)."""
     slopes = np.array([[640.0, 750.0, 12.0, 1.0, 0.0], [440.0, 1300.0, 12.0, 1.0, 0.0]])
-    vetter = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=slopes)})
+    vetter = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=LookAlikes(table=slopes))})
     frame = frame_of_psf(1.4)
     trail, slope = vetter.probability([fit_of(794.0, 1365.0), fit_of(400.0, 1365.0, 12.0)], frame)
     assert trail == pytest.approx(0.99, abs=1e-3)
@@ -276,7 +280,7 @@ def test_slopes_ten_times_as_wide_say_nothing_of_a_trail() -> None:
 def test_a_dark_column_says_nothing_of_a_trail_that_crosses_it() -> None:
     """A dark column beside the overscan, 922 px of S/N 41, vetoed a satellite of S/N 181 (p 0.41)."""
     column = np.array([[41.0, 922.0, 0.4, 1.0, 1.0]])
-    vetter = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=column)})
+    vetter = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=LookAlikes(table=column))})
     across, along = fit_of(30.0, 1366.0, 0.6), fit_of(30.0, 1366.0, 0.6)
     across.row0, across.col0, across.row1, across.col1 = 13.0, 108.0, 1369.0, 270.0
     along.row0, along.col0, along.row1, along.col1 = 3.0, 1381.0, 1369.0, 1381.0
@@ -288,7 +292,7 @@ def test_a_dark_column_says_nothing_of_a_trail_that_crosses_it() -> None:
 def test_a_dark_line_of_any_direction_speaks_against_lines_along_the_readout_too() -> None:
     """False lines of all directions run along rows or columns as often as any other way."""
     known = np.tile([30.0, 300.0, seen_width(1.2), 1.0, 0.0], (5, 1))
-    vetter = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=known)})
+    vetter = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=LookAlikes(table=known))})
     oblique, along = fit_of(30.0, 300.0, 1.2), fit_of(30.0, 300.0, 1.2)
     oblique.row0, oblique.col0, oblique.row1, oblique.col1 = 10.0, 10.0, 190.0, 250.0
     along.row0, along.col0, along.row1, along.col1 = 50.0, 10.0, 50.0, 310.0
@@ -307,9 +311,9 @@ def test_a_clump_of_dark_light_says_nothing_of_an_even_trail() -> None:
     """What was left of one star made a dark line of S/N 413, 652 px long, whose median light was that of the sky, and vetoed a
     satellite of S/N 786 (p 0.94 before, 0.27 after). It still speaks against lines that are clumps themselves."""
     clump = np.array([[413.0, 652.0, 0.4, 0.0, 0.0], [632.0, 748.0, 3.8, 0.2, 0.0]])
-    vetter = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=clump)})
+    vetter = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=LookAlikes(table=clump))})
     even = replace_even(clump, 1.0)
-    strict = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=even)})
+    strict = LookAlikeVetter(vetter=Certain(), evidence={0: OwnEvidence(look_alikes=LookAlikes(table=even))})
     trail = fit_of(786.0, 1399.0, 0.8, (4.0, 4.0, 3.0, 3.0, 2.0))
     assert vetter.probability([trail], frame_of_psf(0.9))[0] > 0.98
     assert strict.probability([trail], frame_of_psf(0.9))[0] < 0.5
@@ -371,7 +375,7 @@ def test_a_fit_where_no_pixel_saw_the_sky_is_refused() -> None:
     """The step beside an overscan of 51 columns was fitted in its first column, 230 px long at S/N 550 and p 0.69."""
     frame = frame_of_psf(1.4)
     for last_col, kept in ((95, True), (45, True), (44, False)):
-        own = OwnEvidence(look_alikes=np.zeros((0, 5)), seen=(0, 95, 0, last_col))
+        own = OwnEvidence(seen=(0, 95, 0, last_col))
         (seen,) = LookAlikeVetter(vetter=Certain(), evidence={0: own}).probability([fit_of(50.0, 15.0)], frame)
         assert (seen > 0.6) == kept == (seen > 0.0)
     mask = np.zeros((20, 30), np.uint8)
@@ -398,7 +402,7 @@ def test_equal_trails_all_over_a_frame_are_its_stars(turn_rad: float) -> None:
     motion = stars_as_lines([*star_lines(turn_rad, 14, 3), satellite], shape=(1000, 1000))
     assert motion is not None
     assert motion.turn_rad == pytest.approx(turn_rad, abs=0.003)
-    own = OwnEvidence(look_alikes=np.zeros((0, 5)), stars=motion)
+    own = OwnEvidence(stars=motion)
     vetter = LookAlikeVetter(vetter=Certain(), evidence={0: own})
     fits = [line_fit(each) for each in (*star_lines(turn_rad, 5, 9), satellite)]
     assert vetter.probability(fits, frame_of_psf(1.4)).tolist() == pytest.approx([0.0] * 5 + [0.99], abs=0.01)
@@ -415,7 +419,7 @@ def line_fit(line: Detection) -> StreakFit:
 
 def test_a_star_that_the_border_cuts_runs_the_same_way() -> None:
     motion = stars_as_lines(star_lines(0.0, 12, 4), shape=(1000, 1000))
-    own = OwnEvidence(look_alikes=np.zeros((0, 5)), stars=motion)
+    own = OwnEvidence(stars=motion)
     vetter = LookAlikeVetter(vetter=Certain(), evidence={0: own})
     short = Detection(row0=500.0, col0=0.0, row1=520.0, col1=56.5, snr=40.0, flags=StreakFlag.EDGE0)
     assert motion is not None

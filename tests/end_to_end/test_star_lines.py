@@ -48,13 +48,13 @@ def test_fits_tell_where_detections_run_together() -> None:
         for _ in range(45)
     ]
     assert stars_as_lines([*singles, *together], shape=SHAPE) is None
-    own = OwnEvidence(look_alikes=np.zeros((0, 5)), shared=partial(stars_as_lines, shape=SHAPE))
+    own = OwnEvidence(shared=partial(stars_as_lines, shape=SHAPE))
     assert own.stars_among([*singles, *together], round_stars=True) is None
     motion = own.stars_among([*singles, *film(30, 2), *together], round_stars=True)
     assert motion is not None
     assert motion.turn_rad == pytest.approx(0.02, abs=0.008)
-    assert OwnEvidence(look_alikes=np.zeros((0, 5)), stars=motion).stars_among([], round_stars=True) is motion
-    assert OwnEvidence(look_alikes=np.zeros((0, 5))).stars_among(film(30, 2), round_stars=True) is None
+    assert OwnEvidence(stars=motion).stars_among([], round_stars=True) is motion
+    assert OwnEvidence().stars_among(film(30, 2), round_stars=True) is None
 
 
 def test_trains_of_satellites_are_no_stars() -> None:
@@ -87,7 +87,7 @@ def test_a_few_equal_lines_are_stars_where_no_star_is_round() -> None:
     assert abs(motion.drow) == pytest.approx(90.0, abs=3.0)
     assert stars_as_lines(stars, shape=SHAPE) is None
     assert stars_as_lines(stars[:3], False, shape=SHAPE) is None
-    own = OwnEvidence(look_alikes=np.zeros((0, 5)), shared=partial(stars_as_lines, shape=SHAPE))
+    own = OwnEvidence(shared=partial(stars_as_lines, shape=SHAPE))
     assert own.stars_among(stars, round_stars=False) is not None
     assert own.stars_among(stars, round_stars=True) is None
     uneven = [line(60.0 + 75.0 * k, 60.0, (90.0 * (1.09 if k % 2 else 0.91), -30.0), 40.0) for k in range(4)]

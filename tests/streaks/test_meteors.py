@@ -102,7 +102,7 @@ def judged(given: tuple[float, ...], fits: list[StreakFit], pixels: np.ndarray, 
     """Probabilities of the fits of a frame of `SHAPE` whose vetter gave these, its stars telling a width or none."""
     header = type("Header", (), {"frame": 0, "rows": SHAPE[0], "cols": SHAPE[1], "gain_e_adu": 1.0})()
     frame: Any = type("Frame", (), {"header": header, "psf_sigma_px": psf_sigma_px})()
-    own = OwnEvidence(look_alikes=np.zeros((0, 5)), seen=(0, SHAPE[0] - 1, 0, SHAPE[1] - 1), tiles=tiles(pixels, *fits))
+    own = OwnEvidence(seen=(0, SHAPE[0] - 1, 0, SHAPE[1] - 1), tiles=tiles(pixels, *fits))
     return LookAlikeVetter(vetter=Told(*given), evidence={0: own}).probability(fits, frame)
 
 

@@ -62,6 +62,8 @@ SEED_LOSS: Final = 0.25
 
 BLEND_PX: Final = 25.0
 """Blends of stars look like trails up to this length in a single frame."""
+BRIGHT_SNR: Final = 20.0
+"""S/N from which shorter lines are reported where `blend_px` says so. Fainter ones, followed, ran over trails beside them."""
 
 STORM_ENTRIES: Final = 1000
 """New star-list entries above which a particle storm raises the threshold."""
@@ -106,6 +108,10 @@ class LineIntegralDetector:
             "min": 0.0,
             "max": 20.0,
         },
+    )
+    blend_px: float = field(
+        default=BLEND_PX,
+        metadata={"doc": "least length of a line, however bright, when no earlier frame helps", "min": 4.0, "max": 1000.0},
     )
     reach_px: float = field(default=300.0, metadata={"doc": "largest shift of stars between frames", "min": 0.0, "max": 5000.0})
     held_beside: bool = field(
@@ -230,7 +236,7 @@ class LineIntegralDetector:
         found = [with_blurred_ends(d, images, s_px) if d.length_px < resolve.SHARP_ENDS_PX else d for d in found]
         found = [d for d in found if d.snr >= n_sigma]
         if earlier is None:
-            found = [d for d in found if d.length_px >= BLEND_PX]
+            found = [d for d in found if d.length_px >= (self.blend_px if d.snr >= BRIGHT_SNR else max(self.blend_px, BLEND_PX))]
             # what is left of faint stars that trail lies along every line, long or short
             all_alike = motion is not None
             found = [

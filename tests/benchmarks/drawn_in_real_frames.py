@@ -1,0 +1,199 @@
+"""Trails drawn into real frames that hold none: what share of them comes back, by length, brightness and kind of frame.
+
+    python -m tests.benchmarks.drawn_in_real_frames EXAM.json ... --frames FRAMES --out DIR [--each 3] [--seed 1] [--only TEXT]
+
+EXAM.json and FRAMES: see `real_frames_exam`; frames of its list without trails are taken. The sky, its noise, the lens and the
+compression are those of the frame, the trail is drawn: a line convolved with a Gaussian, in steps of a quarter of a pixel, of
+even light or of a meteor's (it rises to its brightest point at two thirds, and fades). Lengths are log-uniform. The light is
+given as that of the brightest pixel over the scatter of the frame around it (pixels minus their median over 15 x 15), so that
+it counts texture and faint stars as noise. Places where this scatter is above twice the frame's median are left out: trees and
+buildings. Nothing of the simulator or of ground is used. Intervals hold 95 % (Clopper-Pearson).
+"""
+
+import argparse
+import json
+import math
+from collections.abc import Callable, Iterator
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from astropy.io import fits
+from astropy.table import Table
+from numpy.typing import NDArray
+from scipy.ndimage import median_filter
+
+from tests.benchmarks.real_frames import COMMAND, process_command, report
+from tests.benchmarks.real_frames_exam import row_of
+from tests.benchmarks.real_frames_table import Row, share_text
+
+LENGTHS_PX: Final = (15.0, 300.0)
+"""Shortest and longest trail, log-uniform."""
+PEAKS: Final = (2.0, 40.0)
+"""Brightest pixel over the scatter around it, log-uniform."""
+SIGMAS_PX: Final = (0.55, 1.6)
+"""Width of the Gaussian, log-uniform: FWHM of 1.3 to 3.8 px."""
+MEDIAN_PX: Final = 15
+AROUND_PX: Final = 50
+"""The scatter is that within so many pixels of a place."""
+ROUGH: Final = 2.0
+BOXES: Final = 30
+"""Places that tell the usual scatter of a frame; rougher ones by that factor take no trail."""
+STEP_PX: Final = 0.25
+BRIGHTEST_AT: Final = 2.0 / 3.0
+APART_PX: Final = 40.0
+"""Middles of trails are so far apart at least, and 0.6 of their length more."""
+TRIES: Final = 200
+LENGTH_EDGES_PX: Final = (15.0, 25.0, 40.0, 80.0, 300.0)
+"""Of the rows of the table, as the next."""
+PEAK_EDGES: Final = (2.0, 4.0, 8.0, 16.0, 40.0)
+
+
+def even(u: NDArray[np.float64]) -> NDArray[np.float64]:
+    """The same light all along."""
+    return np.ones_like(u)
+
+
+def meteor(u: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Light that rises evenly to its brightest at two thirds of the way, and falls evenly."""
+    return np.minimum(u / BRIGHTEST_AT, (1.0 - u) / (1.0 - BRIGHTEST_AT))
+
+
+CURVES: Final[dict[str, Callable[[NDArray[np.float64]], NDArray[np.float64]]]] = {"even": even, "meteor": meteor}
+
+
+def drawn(
+    shape: tuple[int, int], ends: tuple[float, float, float, float], sigma_px: float, curve: str
+) -> tuple[tuple[slice, slice], NDArray[np.float64]]:
+    """A trail whose brightest pixel is 1: where it lies in the frame, and its light there."""
+    row0, col0, row1, col1 = ends
+    margin = math.ceil(5.0 * sigma_px) + 1
+    first = [max(0, math.floor(min(a, b)) - margin) for a, b in ((row0, row1), (col0, col1))]
+    last = [min(n, math.ceil(max(a, b)) + margin + 1) for n, a, b in ((shape[0], row0, row1), (shape[1], col0, col1))]
+    light = np.zeros((last[0] - first[0], last[1] - first[1]))
+    number = math.ceil(math.hypot(row1 - row0, col1 - col0) / STEP_PX)
+    u = (np.arange(number) + 0.5) / number
+    for row, col, part in zip(row0 + u * (row1 - row0), col0 + u * (col1 - col0), CURVES[curve](u), strict=True):
+        low_row, low_col = max(first[0], math.floor(row) - margin), max(first[1], math.floor(col) - margin)
+        i = np.arange(low_row, min(last[0], math.ceil(row) + margin + 1))
+        j = np.arange(low_col, min(last[1], math.ceil(col) + margin + 1))
+        across = np.exp(-0.5 * ((i - row) / sigma_px) ** 2)[:, None] * np.exp(-0.5 * ((j - col) / sigma_px) ** 2)
+        light[low_row - first[0] : low_row - first[0] + i.size, low_col - first[1] : low_col - first[1] + j.size] += part * across
+    return (slice(first[0], last[0]), slice(first[1], last[1])), light / max(float(light.max(initial=0.0)), 1e-12)
+
+
+def scatter_at(image: NDArray[np.float64], row: float, col: float) -> float:
+    """Scatter of the pixels around a place, of what a median over `MEDIAN_PX` leaves; NaN where some are not known."""
+    first_row, first_col = max(0, int(row) - AROUND_PX), max(0, int(col) - AROUND_PX)
+    box = image[first_row : int(row) + AROUND_PX, first_col : int(col) + AROUND_PX]
+    return 1.4826 * float(np.median(np.abs(box - median_filter(box, MEDIAN_PX))))
+
+
+def with_trails(image: NDArray[np.float64], number: int, rng: np.random.Generator) -> Iterator[dict[str, Any]]:
+    """Draw trails into a frame, in place; what each one is. Fewer than asked where the frame has no room."""
+    rows, cols = image.shape
+    places = rng.uniform(0.0, 1.0, (BOXES, 2)) * (rows, cols)
+    usual = float(np.median([scatter_at(image, row, col) for row, col in places.tolist()]))
+    largest = float(np.nanmax(image))
+    whole = largest <= 255.0 and float(np.nanmin(image)) >= 0.0
+    middles: list[tuple[float, float]] = []
+    for _ in range(TRIES):
+        if len(middles) == number:
+            return
+        longest = min(LENGTHS_PX[1], 0.6 * min(rows, cols))
+        length = math.exp(rng.uniform(math.log(LENGTHS_PX[0]), math.log(longest)))
+        angle, row, col = rng.uniform(0.0, math.pi), rng.uniform(0.0, rows - 1.0), rng.uniform(0.0, cols - 1.0)
+        half_row, half_col = 0.5 * length * math.sin(angle), 0.5 * length * math.cos(angle)
+        ends = (row - half_row, col - half_col, row + half_row, col + half_col)
+        sigma, curve = math.exp(rng.uniform(*np.log(SIGMAS_PX))), ("even", "meteor")[int(rng.integers(2))]
+        peak = math.exp(rng.uniform(*np.log(PEAKS)))
+        if min(ends) < 8.0 or max(ends[0], ends[2]) > rows - 9.0 or max(ends[1], ends[3]) > cols - 9.0:
+            continue
+        if any(math.hypot(row - r, col - c) < APART_PX + 0.6 * length for r, c in middles):
+            continue
+        scatter = scatter_at(image, row, col)
+        if not 0.0 < scatter < ROUGH * usual:
+            continue
+        where, light = drawn((rows, cols), ends, sigma, curve)
+        image[where] += peak * scatter * light
+        if whole:
+            np.clip(np.rint(3.0 * image[where]) / 3.0, 0.0, 255.0, out=image[where])
+        middles.append((row, col))
+        yield {"ends": [round(e, 2) for e in ends], "length_px": length, "peak": peak, "sigma_px": sigma, "curve": curve}
+
+
+def made(entry: dict[str, Any], frames: Path, out: Path, number: int, seed: int) -> dict[str, Any] | None:
+    """A frame with trails drawn into it, written to out; its entry, as an exam has it. None where there is no room."""
+    image = np.array(fits.getdata(frames / entry["file"]), dtype=np.float64)
+    if image.ndim != 2 or min(image.shape) < 100:
+        return None
+    rng = np.random.default_rng([seed, int(entry["sha256"][:8], 16)])
+    trails = list(with_trails(image, number, rng))
+    path = out / entry["file"]
+    if not path.exists():
+        header = fits.getheader(frames / entry["file"])
+        for key in ("BZERO", "BSCALE", "BLANK"):
+            header.remove(key, ignore_missing=True)
+        fits.writeto(path, image.astype(np.float32), header, output_verify="silentfix+ignore")
+    return {**entry, "trails": [t["ends"] for t in trails], "drawn": trails} if trails else None
+
+
+def table_text(rows: list[tuple[dict[str, Any], Row]]) -> str:
+    """Shares that were measured and published, by what the trail and the frame are."""
+    each = [
+        {"trail": trail, "kind": entry["blank_kind"], **drawn_as}
+        for entry, row in rows
+        for drawn_as, trail in zip(entry["drawn"], row.trails, strict=True)
+    ]
+
+    def line(name: str, chosen: list[dict[str, Any]]) -> str:
+        trails = [one["trail"] for one in chosen]
+        measured, published = sum(t.found >= 0.5 for t in trails), sum(t.published >= 0.5 for t in trails)
+        return f"| {name} | {share_text(measured, len(trails))} | {share_text(published, len(trails))} |"
+
+    lines = ["| trails | measured | published |", "|---|---|---|", line("all", each)]
+    for low, high in pairwise(LENGTH_EDGES_PX):
+        for faint, bright in pairwise(PEAK_EDGES):
+            some = [one for one in each if low <= one["length_px"] < high and faint <= one["peak"] < bright]
+            lines.append(line(f"{low:g} to {high:g} px, brightest pixel {faint:g} to {bright:g}", some))
+    for key, value in (*(("curve", curve) for curve in CURVES), ("kind", "raw"), ("kind", "calibrated")):
+        lines.append(line(value, [one for one in each if one[key] == value]))
+    ends = [inside for one in each if one["trail"].published >= 0.5 for inside in one["trail"].inside]
+    lines.append(f"Ends within 2 px or their interval: {share_text(sum(ends), len(ends))}.")
+    lines.append(f"Published beside the trails: {sum(row.false for _, row in rows)} in {len(rows)} frames.")
+    return "\n".join(lines)
+
+
+def main() -> None:
+    """Draw, process what was not yet, compare, print."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("exams", type=Path, nargs="+")
+    parser.add_argument("--frames", type=Path, required=True)
+    parser.add_argument("--out", type=Path, required=True, help="folder of the frames and runs")
+    parser.add_argument("--each", type=int, default=3, help="trails of a frame")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--only", default="", help="part of a file's name")
+    parser.add_argument("--draw", action="store_true", help="draw, and process nothing")
+    parser.add_argument("--sboc", default=" ".join(COMMAND), help="the command that is measured")
+    chosen = parser.parse_args()
+    drawn_frames = chosen.out / "frames"
+    drawn_frames.mkdir(parents=True, exist_ok=True)
+    rows = []
+    for entry in (e for exam in chosen.exams for e in json.loads(exam.read_text())):
+        if entry["blank_kind"] is None or chosen.only not in entry["file"] or not (chosen.frames / entry["file"]).exists():
+            continue
+        full = made(entry, chosen.frames, drawn_frames, chosen.each, chosen.seed)
+        if full is None or chosen.draw:
+            continue
+        run, code, cpu_s, wall_s = chosen.out / "runs" / Path(entry["file"]).stem, 0, 0.0, 0.0
+        if not (run / "report.html").exists():
+            code, cpu_s, wall_s = process_command(drawn_frames / entry["file"], run, chosen.sboc.split())
+        table = run / "products" / "streaks.ecsv"
+        rows.append((full, row_of(full, Table.read(table) if code == 0 else Table(), cpu_s, wall_s, code)))
+        report(rows[-1][1].line)
+    report(table_text(rows))
+
+
+if __name__ == "__main__":
+    main()

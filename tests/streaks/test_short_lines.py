@@ -1,0 +1,91 @@
+"""Lines that are too short to be judged speak against longer ones of their kind."""
+
+import math
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from ground.vetting.look_alikes import SHORTEST_ALONE_PX, LookAlikeVetter, OwnEvidence
+from ground.vetting.short_lines import AGAINST, KIND, against_short_lines
+from sboc_e2e.icd.products import StreakFit
+from tests.streaks.test_meteors import EVEN, SHAPE, drawn, lit, placed, tiles  # noqa: F401
+
+
+def line(fit: StreakFit, length_px: float, *, row: float = 150.0, width_px: float = 0.8, snr: float = 80.0) -> StreakFit:
+    """Along a slope of one in four, from a place at the left."""
+    down, right = length_px / math.sqrt(17.0), 4.0 * length_px / math.sqrt(17.0)
+    return placed(fit, (row, 100.0, row + down, 100.0 + right), width_px, snr)
+
+
+def test_a_short_line_counts_as_far_as_it_is_of_a_kind(drawn: StreakFit) -> None:  # noqa: F811
+    """By hand: exp(-1/2) for a sigma of each of S/N, length and width; a brighter one counts as one that is as bright."""
+    fit = line(drawn, 30.0)
+    at_width = math.sqrt((0.8**2 + 1.0 / 12.0) * math.exp(2.0 * KIND[2]) - 1.0 / 12.0)
+    cases = (
+        (line(drawn, 30.0), 1.0),
+        (line(drawn, 30.0 * math.exp(-KIND[1])), math.exp(-0.5)),
+        (line(drawn, 30.0, snr=80.0 * math.exp(-KIND[0])), math.exp(-0.5)),
+        (line(drawn, 30.0, snr=4000.0), 1.0),
+        (line(drawn, 30.0, width_px=at_width), math.exp(-0.5)),
+    )
+    for short, share in cases:
+        assert against_short_lines([fit], [short])[0] == pytest.approx(AGAINST * share, rel=1e-6)
+    together = against_short_lines([fit, line(drawn, 300.0)], [short for short, _ in cases])
+    assert together[0] == pytest.approx(AGAINST * sum(share for _, share in cases), rel=1e-6)
+    assert together[1] < 0.02 * together[0], "ten times as long"
+    assert against_short_lines([fit], []).tolist() == [0.0]
+    assert against_short_lines([], [fit]).shape == (0,)
+
+
+class Constant:
+    """A vetter that gives every line one probability and counts those it was asked about."""
+
+    def __init__(self, probability: float) -> None:
+        self.given = probability
+        self.asked: list[int] = []
+
+    def probability(self, fits: Any, _frame: Any) -> np.ndarray:
+        """The same for all."""
+        self.asked.append(len(fits))
+        return np.full(len(fits), self.given)
+
+
+def judged(fits: list[StreakFit], pixels: np.ndarray, *, alone: bool = True) -> tuple[np.ndarray, list[int]]:
+    """Probabilities of the fits of a frame, and how many of them the vetter was asked about."""
+    header = type("Header", (), {"frame": 0, "rows": SHAPE[0], "cols": SHAPE[1], "gain_e_adu": 1.0})()
+    frame: Any = type("Frame", (), {"header": header, "psf_sigma_px": 0.8})()
+    own = OwnEvidence(alone=alone, seen=(0, SHAPE[0] - 1, 0, SHAPE[1] - 1), tiles=tiles(pixels, *fits))
+    vetter = Constant(0.9)
+    return LookAlikeVetter(vetter=vetter, evidence={0: own}).probability(fits, frame), vetter.asked
+
+
+def test_many_short_lines_veto_one_that_is_little_longer_and_no_long_one(drawn: StreakFit) -> None:  # noqa: F811
+    """In a Hubble picture with 366 short lines two tracks of 58 and 71 px were published."""
+    little, long = line(drawn, 28.0), line(drawn, 280.0, row=40.0)
+    pixels = lit(little, EVEN, 30.0) + lit(long, EVEN, 30.0) - 100.0
+    few = [line(drawn, 12.0 + k, row=200.0) for k in range(2)]
+    many = [line(drawn, 12.0 + 0.25 * k, row=200.0) for k in range(48)]
+    without, asked = judged([little, long], pixels)
+    assert asked == [2]
+    assert min(without) > 0.8
+    beside, asked = judged([*few, little, long], pixels)
+    assert asked == [2], "lines that are refused do not count among the classes of the others"
+    assert beside[:2].tolist() == [0.0, 0.0]
+    assert beside[2] > 0.75
+    crowd, _ = judged([*many, little, long], pixels)
+    assert not crowd[:48].any()
+    assert crowd[48] < 0.5
+    assert crowd[49] == pytest.approx(without[1], abs=0.02)
+
+
+def test_where_stars_are_told_from_movers_short_lines_are_judged(drawn: StreakFit) -> None:  # noqa: F811
+    short = line(drawn, SHORTEST_ALONE_PX - 5.0)
+    pixels = lit(short, EVEN, 30.0)
+    assert judged([short], pixels)[0].tolist() == [0.0]
+    probability, asked = judged([short], pixels, alone=False)
+    assert asked == [1]
+    assert probability[0] > 0.3
+    just_long = replace(short, col1=short.col1 + 6.0)
+    assert judged([just_long], lit(just_long, EVEN, 30.0))[0][0] > 0.5

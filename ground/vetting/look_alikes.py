@@ -237,6 +237,8 @@ class LookAlikeVetter:
         shower = for_radiant(fits, given, shape, round_stars=round_stars)
         given = np.minimum(with_odds(given, shower), at_most)
         given = given / (1.0 + given * against_short_lines(fits, short))
+        if known.crosses is not None:
+            given = np.where(known.crosses.crossed(fits, given), 0.0, given)
         return np.where(doubled(fits, given, stands_out), 0.0, given)
 
 

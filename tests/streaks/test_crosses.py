@@ -89,3 +89,26 @@ def test_a_star_at_the_border_or_without_light_has_none() -> None:
     assert len(Crosses.of(dark, nothing, bright).stars) == 0
     assert len(Crosses.of(dark, np.ones((50, 50), np.uint8), bright).stars) == 0
     assert len(Crosses.of(dark[:5, :5], nothing[:5, :5], bright).stars) == 0
+
+
+@pytest.mark.parametrize("apart_deg", [90.0, 60.0])
+def test_lines_that_cross_at_a_star_as_spikes_do_are_spikes_and_other_pairs_are_none(apart_deg: float) -> None:
+    """Two spikes of a star in a nebula, 54 px from the border, had p of 0.99 and 1.00: its arms are as clear as the nebula."""
+    crosses = sky(5)
+    assert not crosses.stars, "no arms are drawn"
+    star, beside = PLACES[0], PLACES[0] + np.array([0.0, 30.0])
+    turn = math.radians(apart_deg)
+    one, other = line(star, 0.3, -40.0, 90.0), line(star, 0.3 + turn, -60.0, 50.0)
+    sure = np.array([0.99, 0.9])
+    assert crosses.crossed([one, other], sure).all()
+    assert crosses.crossed([one, other, line(PLACES[2], 0.3, -40.0, 90.0)], np.array([0.9, 0.05, 0.9])).tolist() == [
+        True,
+        True,
+        False,
+    ]
+    assert not crosses.crossed([one, other], np.array([0.99, 0.01])).any(), "nobody believes in the other"
+    assert not crosses.crossed([one, line(star, 0.3 + turn + math.radians(8.0), -60.0, 50.0)], sure).any()
+    assert not crosses.crossed([one, line(star, 0.3 + turn, -60.0, 50.0, aside=20.0)], sure).any()
+    assert not crosses.crossed([line(beside, 0.3, -40.0, 90.0), line(beside, 0.3 + turn, -60.0, 50.0)], sure).any(), "no star"
+    assert not crosses.crossed([one, line(star, 0.3 + turn, -3.0, 4.0)], sure).any(), "the core itself"
+    assert not crosses.crossed([one], sure[:1]).any()

@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.special import ndtr
 
 from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
 from ground.vetting.contrast import Contrast
@@ -38,6 +39,17 @@ do. What follows the readout or a border tells nothing of lines that cross it: t
 dark column of half the frame."""
 
 
+NEAR: Final = 0.15
+"""Sigma of the distance within which a look-alike tells of a fit, as a share of the side of a square of the frame's area. Trees,
+roofs and lights fill a part of a picture, and trails lie in the sky above them. Chosen at once, not in view of results."""
+ANYWHERE: Final = 0.2
+"""Share of a look-alike that counts anywhere in the frame. Chosen likewise."""
+LEAST_SEEN: Final = 0.3
+"""Share of the distance's distribution that a frame holds at least: half of it at a border. Bounds what lies outside."""
+POINTS: Final = 5
+"""Places along a fit at which it is held against look-alikes: a budget of work."""
+
+
 def _no_lines() -> NDArray[np.float64]:
     return np.zeros((0, 5))
 
@@ -51,11 +63,14 @@ class LookAlikes:
     weight : (k,) how many false lines each of them stands for; None: one.
     stand_out : (k, 2) how far they stand out of their neighbourhood, as wins and peak of `Contrast`, NaN where that is not known;
         None: of none. One that stands out less than a fit that does so all along counts the less against it.
+    place : (k, 2) row and column of their middles; None: they count alike everywhere. shape : rows, columns of the frame.
     """
 
     table: NDArray[np.float64] = field(default_factory=_no_lines)
     weight: NDArray[np.float64] | None = None
     stand_out: NDArray[np.float64] | None = None
+    place: NDArray[np.float64] | None = None
+    shape: tuple[int, int] = (0, 0)
 
     def near(self, fits: Sequence[StreakFit], contrasts: Sequence[Contrast | None] | None = None) -> NDArray[np.float64]:
         """Expected look-alikes for each unit of ln S/N and ln length about each fit, shape (n,).
@@ -82,7 +97,26 @@ class LookAlikes:
             own = np.array([(c.wins, c.peak) if c is not None and c.wins >= ALL_ALONG else (-1.0, -1.0) for c in contrasts])
             less = np.maximum(own[:, None] - np.where(np.isfinite(self.stand_out), self.stand_out, np.inf), 0.0)
             unlike += np.sum((less / (KIND_WINS, KIND_PEAK)) ** 2, axis=-1)
-        return np.asarray((peak * counts * np.exp(-0.5 * unlike)).sum(axis=1), dtype=np.float64)
+        each = peak * counts * np.exp(-0.5 * unlike)
+        if self.place is not None:
+            each = each * (ANYWHERE + (1.0 - ANYWHERE) * self._nearness(fits, self.place))
+        return np.asarray(each.sum(axis=1), dtype=np.float64)
+
+    def _nearness(self, fits: Sequence[StreakFit], place: NDArray[np.float64]) -> NDArray[np.float64]:
+        """How many times more than in the mean over the frame each look-alike (k) tells of each fit (n), (n, k)."""
+        side = NEAR * math.sqrt(self.shape[0] * self.shape[1])
+        ends = np.array([(fit.row0, fit.col0, fit.row1, fit.col1) for fit in fits])
+        out = np.zeros((len(fits), len(place)))
+        for u in (np.arange(POINTS) + 0.5) / POINTS:
+            at = ends[:, :2] + u * (ends[:, 2:] - ends[:, :2])
+            kernel = np.ones((len(fits), len(place)))
+            for axis, size in enumerate(self.shape):
+                seen = ndtr((size - at[:, axis]) / side) - ndtr(-at[:, axis] / side)
+                apart = (at[:, axis][:, None] - place[None, :, axis]) / side
+                density = np.exp(-0.5 * apart**2) / (math.sqrt(2.0 * math.pi) * side)
+                kernel *= size * density / np.maximum(seen, LEAST_SEEN)[:, None]
+            out += kernel / POINTS
+        return out
 
 
 def follows_readout(drow: float, dcol: float) -> bool:

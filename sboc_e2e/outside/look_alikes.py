@@ -155,7 +155,13 @@ def look_alikes(dark: Dark, view: DetectorView, detections: Sequence[Detection])
         dtype=np.float64,
     ).reshape(-1, 5)  # fmt: skip
     weight = np.array([each for _, each in weighted], dtype=np.float64)
-    return LookAlikes(table=table, weight=weight, stand_out=_stand_out(counted, table[:, 2], dark.view))
+    return LookAlikes(
+        table=table,
+        weight=weight,
+        stand_out=_stand_out(counted, table[:, 2], dark.view),
+        place=np.array([(0.5 * (each.row0 + each.row1), 0.5 * (each.col0 + each.col1)) for each in counted]).reshape(-1, 2),
+        shape=view.mask.shape,
+    )
 
 
 def _stand_out(lines: Sequence[Detection], width_px: NDArray[np.float64], negative: DetectorView) -> NDArray[np.float64]:

@@ -178,8 +178,11 @@ class Certain:
         return np.full(len(fits), 0.99)
 
 
-def fit_of(snr: float, length_px: float, width_px: float = 1.2, light: tuple[float, ...] = ()) -> StreakFit:
-    ends = {"row0": 40.0, "col0": 40.0, "row1": 50.0, "col1": 50.0, "light_curve_e_px": np.array(light, np.float32)} | {
+def fit_of(
+    snr: float, length_px: float, width_px: float = 1.2, light: tuple[float, ...] = (), at: tuple[float, float] = (40.0, 40.0)
+) -> StreakFit:
+    row, col = at
+    ends = {"row0": row, "col0": col, "row1": row + 10.0, "col1": col + 10.0, "light_curve_e_px": np.array(light, np.float32)} | {
         "flags": StreakFlag(0),
         "sagitta_px": 0.0,
     }
@@ -222,6 +225,20 @@ def test_dark_lines_that_stand_out_less_than_a_trail_hardly_speak_against_it() -
         assert seen.near([fit], told) == pytest.approx([full * share])
         for other in (None, Contrast(pieces=20, wins=0.9, peak=0.85)):
             assert seen.near([fit], [other]) == pytest.approx([full])
+
+
+def test_look_alikes_tell_most_of_what_lies_near_them() -> None:
+    """Beside a fit one counts 0.2 + 0.8 / (2 pi 0.15^2), far away 0.2. Spread evenly, they count as those of no known place."""
+    row = [20.0, 30.0, seen_width(1.2), 1.0, 0.0]
+    at = [fit_of(20.0, 30.0, at=place) for place in ((495.0, 995.0), (1.0, 1900.0), (5.0, 20.0))]
+    (full,) = LookAlikes(table=np.array([row])).near(at[:1])
+    there = LookAlikes(table=np.array([row]), place=np.array([[500.0, 1000.0]]), shape=(1000, 2000))
+    near, border, corner = there.near(at)
+    assert near == pytest.approx(full * (0.2 + 0.8 / (2.0 * math.pi * 0.15**2)), rel=0.02)
+    assert [border, corner] == pytest.approx([0.2 * full] * 2, rel=0.01)
+    grid = np.stack(np.meshgrid(np.arange(5.0, 1000.0, 10.0), np.arange(5.0, 2000.0, 10.0)), axis=-1).reshape(-1, 2)
+    evenly = LookAlikes(table=np.tile(row, (len(grid), 1)), place=grid, shape=(1000, 2000))
+    assert evenly.near(at) == pytest.approx([len(grid) * full] * 3, rel=0.02)
 
 
 def test_a_dark_line_stands_out_of_the_negative_as_a_bright_one_of_the_frame() -> None:

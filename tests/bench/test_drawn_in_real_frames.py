@@ -1,0 +1,34 @@
+"""Trails drawn into frames of others: their shape against the closed form, their light against the frame's scatter."""
+
+import math
+
+import numpy as np
+import pytest
+
+from tests.benchmarks.drawn_in_real_frames import PEAKS, drawn, scatter_at, with_trails
+
+
+def test_a_drawn_trail_has_a_gaussian_across_and_its_ends_where_its_light_is_half() -> None:
+    sigma, (row, first, last) = 1.2, (40.0, 30.0, 90.0)
+    where, light = drawn((80, 120), (row, first, row, last), sigma, "even")
+    image = np.zeros((80, 120))
+    image[where] = light
+    assert image.max() == pytest.approx(1.0)
+    across = image[36:45, 60] / image[40, 60]
+    assert across == pytest.approx(np.exp(-0.5 * (np.arange(-4.0, 5.0) / sigma) ** 2), abs=1e-6)
+    assert image[40, [30, 90]] == pytest.approx([0.5, 0.5], abs=0.02)
+    assert image.sum() == pytest.approx(math.sqrt(2.0 * math.pi) * sigma * (last - first), rel=0.01)
+
+
+def test_trails_are_as_bright_as_they_say_and_repeat_with_the_seed() -> None:
+    noise = np.random.default_rng(1).normal(100.0, 2.0, (400, 500))
+    assert scatter_at(noise, 200.0, 250.0) == pytest.approx(2.0, rel=0.05)
+    image, again = noise.copy(), noise.copy()
+    trails = list(with_trails(image, 3, np.random.default_rng(7)))
+    assert trails == list(with_trails(again, 3, np.random.default_rng(7)))
+    assert np.array_equal(image, again)
+    assert len(trails) == 3
+    assert all(PEAKS[0] <= one["peak"] <= PEAKS[1] for one in trails)
+    brightest = max(one["peak"] for one in trails)
+    whole = np.clip(np.rint(3.0 * noise) / 3.0, 0.0, 255.0)  # the light is rounded to thirds where a frame holds bytes
+    assert (image - whole).max() == pytest.approx(2.0 * brightest, rel=0.1, abs=1.0)

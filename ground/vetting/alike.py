@@ -38,7 +38,6 @@ ALIGNED_SLOPE: Final = 0.035
 do. What follows the readout or a border tells nothing of lines that cross it: two satellites (S/N 181 and 48) were refused for a
 dark column of half the frame."""
 
-
 NEAR: Final = 0.15
 """Sigma of the distance within which a look-alike tells of a fit, as a share of the side of a square of the frame's area. Trees,
 roofs and lights fill a part of a picture, and trails lie in the sky above them. Chosen at once, not in view of results."""

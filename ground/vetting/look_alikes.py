@@ -8,6 +8,7 @@ short trails either.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import compress
 from typing import Final
 
 import numpy as np
@@ -161,10 +162,10 @@ class LookAlikeVetter:
         known = self.evidence.get(frame.header.frame)
         # what may be a blend of stars is refused, and says nothing of the rates of longer lines
         alone = known is not None and known.alone
-        long = [k for k, fit in enumerate(fits) if not (alone and fit.length_px < SHORTEST_ALONE_PX)]
-        short = [fit for k, fit in enumerate(fits) if k not in long]
+        judged = [not (alone and fit.length_px < SHORTEST_ALONE_PX) for fit in fits]
+        short = [fit for fit, long in zip(fits, judged, strict=True) if not long]
         out = np.zeros(len(fits))
-        out[long] = self._of_frame([fits[k] for k in long], short, frame, known)
+        out[np.flatnonzero(judged)] = self._of_frame(list(compress(fits, judged)), short, frame, known)
         return out
 
     def _of_frame(

@@ -12,10 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
+from ground.vetting import alike
 from sboc_e2e.icd.products import StreakFit
 
-KIND: Final = (0.7, 0.7, 0.3)
-"""Sigma of ln S/N, ln length and ln width (that of a pixel included) within which two lines are of one kind."""
+KIND: Final = (*alike.KIND, 0.3)
+"""Sigma of ln S/N, ln length and ln width (that of a pixel included) within which two lines are of one kind. Both widths are
+fitted here, and told better than that of a look-alike."""
 
 AGAINST: Final = 0.1
 """Odds against a line for each short one of its kind. Of 800 lines with a probability of 0.03 and more in 331 frames of exams

@@ -55,7 +55,7 @@ SHORT_STAR_PX: Final = 8.0
 GAPS_ACROSS: Final = 4
 """Of the 18 pairs of samples on the path of an entry across the stars' motion, so many may have less light: meteors flicker, and
 blocks of JPEG break them. In ten pictures of trailed stars all six entries on a meteor that was masked are pieces with 4, none
-with 0, and 1,057 instead of 402 others of 127,745 are."""
+with 0, and 1,137 instead of 402 others of some 127,000 are."""
 
 LEAST_OWN: Final = 6.0
 """Brightest pixel of an entry, in sigmas, below which noise decides how its path goes on. Chosen, not measured."""

@@ -20,12 +20,11 @@ from typing import Any, Final
 
 import numpy as np
 from astropy.io import fits
-from astropy.table import Table
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
 
-from tests.benchmarks.real_frames import COMMAND, process_command, report
-from tests.benchmarks.real_frames_exam import row_of
+from tests.benchmarks.real_frames import COMMAND, report
+from tests.benchmarks.real_frames_exam import frame_of, processed
 from tests.benchmarks.real_frames_table import Row, share_text
 
 LENGTHS_PX: Final = (15.0, 300.0)
@@ -123,16 +122,15 @@ def with_trails(image: NDArray[np.float64], number: int, rng: np.random.Generato
         yield {"ends": [round(e, 2) for e in ends], "length_px": length, "peak": peak, "sigma_px": sigma, "curve": curve}
 
 
-def made(entry: dict[str, Any], frames: Path, out: Path, number: int, seed: int) -> dict[str, Any] | None:
-    """A frame with trails drawn into it, written to out; its entry, as an exam has it. None where there is no room."""
-    image = np.array(fits.getdata(frames / entry["file"]), dtype=np.float64)
+def made(entry: dict[str, Any], source: Path, path: Path, number: int, seed: int) -> dict[str, Any] | None:
+    """A frame with trails drawn into it, written to path; its entry, as an exam has it. None where there is no room."""
+    image = np.array(fits.getdata(source), dtype=np.float64)
     if image.ndim != 2 or min(image.shape) < 100:
         return None
     rng = np.random.default_rng([seed, int(entry["sha256"][:8], 16)])
     trails = list(with_trails(image, number, rng))
-    path = out / entry["file"]
     if not path.exists():
-        header = fits.getheader(frames / entry["file"])
+        header = fits.getheader(source)
         for key in ("BZERO", "BSCALE", "BLANK"):
             header.remove(key, ignore_missing=True)
         fits.writeto(path, image.astype(np.float32), header, output_verify="silentfix+ignore")
@@ -174,24 +172,19 @@ def main() -> None:
     parser.add_argument("--each", type=int, default=3, help="trails of a frame")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="part of a file's name")
-    parser.add_argument("--draw", action="store_true", help="draw, and process nothing")
     parser.add_argument("--sboc", default=" ".join(COMMAND), help="the command that is measured")
     chosen = parser.parse_args()
-    drawn_frames = chosen.out / "frames"
-    drawn_frames.mkdir(parents=True, exist_ok=True)
+    # others of these draw other trails, whose frames and runs are not those
+    out = chosen.out / f"seed_{chosen.seed}_each_{chosen.each}"
+    (out / "frames").mkdir(parents=True, exist_ok=True)
     rows = []
     for entry in (e for exam in chosen.exams for e in json.loads(exam.read_text())):
-        if entry["blank_kind"] is None or chosen.only not in entry["file"] or not (chosen.frames / entry["file"]).exists():
+        if entry["blank_kind"] is None or chosen.only not in entry["file"]:
             continue
-        full = made(entry, chosen.frames, drawn_frames, chosen.each, chosen.seed)
-        if full is None or chosen.draw:
-            continue
-        run, code, cpu_s, wall_s = chosen.out / "runs" / Path(entry["file"]).stem, 0, 0.0, 0.0
-        if not (run / "report.html").exists():
-            code, cpu_s, wall_s = process_command(drawn_frames / entry["file"], run, chosen.sboc.split())
-        table = run / "products" / "streaks.ecsv"
-        rows.append((full, row_of(full, Table.read(table) if code == 0 else Table(), cpu_s, wall_s, code)))
-        report(rows[-1][1].line)
+        source, path = frame_of(entry, chosen.frames), out / "frames" / entry["file"]
+        full = None if source is None else made(entry, source, path, chosen.each, chosen.seed)
+        if full is not None:
+            rows.append((full, processed(full, path, out / "runs" / path.stem, chosen.sboc.split())))
     report(table_text(rows))
 
 

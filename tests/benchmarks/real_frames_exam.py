@@ -55,6 +55,26 @@ def row_of(entry: dict[str, Any], streaks: Table, cpu_s: float, wall_s: float, e
     )
 
 
+def frame_of(entry: dict[str, Any], frames: Path) -> Path | None:
+    """The file of an entry; None, and a line that says so, where it is not there or another."""
+    path = frames / entry["file"]
+    if not path.exists() or hashlib.sha256(path.read_bytes()).hexdigest() != entry["sha256"]:
+        report(f"{path}: left out, " + ("its SHA-256 is not that of the exam" if path.exists() else "not there"))
+        return None
+    return path
+
+
+def processed(entry: dict[str, Any], path: Path, out: Path, command: Sequence[str]) -> Row:
+    """What became of a file, which is processed unless its run exists."""
+    code, cpu_s, wall_s = 0, 0.0, 0.0
+    if not (out / "report.html").exists():
+        code, cpu_s, wall_s = process_command(path, out, command)
+    table = out / "products" / "streaks.ecsv"
+    row = row_of(entry, Table.read(table) if code == 0 else Table(), cpu_s, wall_s, code)
+    report(row.line)
+    return row
+
+
 def main() -> None:
     """Process what was not yet, compare, print."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
@@ -66,18 +86,9 @@ def main() -> None:
     chosen = parser.parse_args()
     rows = []
     for entry in json.loads(chosen.exam.read_text()):
-        path = chosen.frames / entry["file"]
-        if chosen.only not in entry["file"]:
-            continue
-        if not path.exists() or hashlib.sha256(path.read_bytes()).hexdigest() != entry["sha256"]:
-            report(f"{path}: left out, " + ("its SHA-256 is not that of the exam" if path.exists() else "not there"))
-            continue
-        out, code, cpu_s, wall_s = chosen.out / path.stem, 0, 0.0, 0.0
-        if not (out / "report.html").exists():
-            code, cpu_s, wall_s = process_command(path, out, chosen.sboc.split())
-        table = out / "products" / "streaks.ecsv"
-        rows.append(row_of(entry, Table.read(table) if code == 0 else Table(), cpu_s, wall_s, code))
-        report(rows[-1].line)
+        path = frame_of(entry, chosen.frames) if chosen.only in entry["file"] else None
+        if path is not None:
+            rows.append(processed(entry, path, chosen.out / path.stem, chosen.sboc.split()))
     report(sums_text(rows))
 
 

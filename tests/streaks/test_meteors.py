@@ -6,51 +6,19 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ground.streaks import TrailedPsfFitter
-from ground.vetting.contrast import Contrast, Tiles
-from ground.vetting.look_alikes import LookAlikeVetter, OwnEvidence
+from ground.vetting.contrast import Contrast
 from ground.vetting.meteors import IN_FAVOUR, for_meteor
 from ground.vetting.rise_and_fall import rise_and_fall
 from sboc_e2e.icd.products import StreakFit
-from tests.streaks.impostors import draw
+from tests.streaks.lit_lines import EVEN, fit_of_a_trail, judged_by, lit, placed, tiles
 
-SHAPE = (300, 700)
-EVEN = np.ones(400)
 METEOR = np.sin(np.linspace(0.02, 0.99 * np.pi, 400))
 
 
 @pytest.fixture(scope="module")
 def drawn() -> StreakFit:
     """A fit of a trail of no place yet."""
-    shot = draw("real", np.random.default_rng(5))
-    return replace(TrailedPsfFitter().fit(shot.pixels, shot.detection), sagitta_px=0.0, chi2_nu=1.0)
-
-
-def placed(fit: StreakFit, ends: tuple[float, float, float, float], width_px: float, snr: float) -> StreakFit:
-    """The fit with first row and column, last row and column, a width and an S/N."""
-    row0, col0, row1, col1 = ends
-    even = np.ones(20, np.float32)
-    return replace(
-        fit, row0=row0, col0=col0, row1=row1, col1=col1, width_px=width_px, snr=snr,
-        light_curve_e_px=even, light_curve_err_e_px=0.01 * even,
-    )  # fmt: skip
-
-
-def lit(fit: StreakFit, light: np.ndarray, peak: float) -> np.ndarray:
-    """A sky of one count of noise with a line of its light along the way, as high as a peak."""
-    row, col = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
-    share = np.clip(
-        ((row - fit.row0) * (fit.row1 - fit.row0) + (col - fit.col0) * (fit.col1 - fit.col0)) / fit.length_px**2, 0.0, 1.0
-    )
-    away2 = (row - fit.row0 - share * (fit.row1 - fit.row0)) ** 2 + (col - fit.col0 - share * (fit.col1 - fit.col0)) ** 2
-    height = peak * np.interp(share, np.linspace(0.0, 1.0, light.size), light)
-    return np.random.default_rng(7).normal(100.0, 1.0, SHAPE) + height * np.exp(-0.5 * away2 / fit.width_px**2)
-
-
-def tiles(pixels: np.ndarray, *fits: StreakFit) -> Tiles:
-    """The tiles of an image along lines."""
-    ends = [(fit.row0, fit.col0, fit.row1, fit.col1) for fit in fits]
-    return Tiles.of(pixels.astype(np.float32), np.zeros(SHAPE, np.uint8), ends)
+    return fit_of_a_trail()
 
 
 def in_favour(fit: StreakFit, pixels: np.ndarray) -> float:
@@ -100,10 +68,7 @@ class Told:
 
 def judged(given: tuple[float, ...], fits: list[StreakFit], pixels: np.ndarray, psf_sigma_px: float | None = None) -> np.ndarray:
     """Probabilities of the fits of a frame of `SHAPE` whose vetter gave these, its stars telling a width or none."""
-    header = type("Header", (), {"frame": 0, "rows": SHAPE[0], "cols": SHAPE[1], "gain_e_adu": 1.0})()
-    frame: Any = type("Frame", (), {"header": header, "psf_sigma_px": psf_sigma_px})()
-    own = OwnEvidence(seen=(0, SHAPE[0] - 1, 0, SHAPE[1] - 1), tiles=tiles(pixels, *fits))
-    return LookAlikeVetter(vetter=Told(*given), evidence={0: own}).probability(fits, frame)
+    return judged_by(Told(*given), fits, pixels, psf_sigma_px)
 
 
 def test_a_half_line_of_video_is_none_however_well_it_stands_out(drawn: StreakFit) -> None:

@@ -7,10 +7,16 @@ from typing import Any
 import numpy as np
 import pytest
 
-from ground.vetting.look_alikes import SHORTEST_ALONE_PX, LookAlikeVetter, OwnEvidence
+from ground.vetting.look_alikes import SHORTEST_ALONE_PX
 from ground.vetting.short_lines import AGAINST, KIND, against_short_lines
 from sboc_e2e.icd.products import StreakFit
-from tests.streaks.test_meteors import EVEN, SHAPE, drawn, lit, placed, tiles  # noqa: F401
+from tests.streaks.lit_lines import EVEN, fit_of_a_trail, judged_by, lit, placed
+
+
+@pytest.fixture(scope="module")
+def drawn() -> StreakFit:
+    """A fit of a trail of no place yet."""
+    return fit_of_a_trail()
 
 
 def line(fit: StreakFit, length_px: float, *, row: float = 150.0, width_px: float = 0.8, snr: float = 80.0) -> StreakFit:
@@ -19,7 +25,7 @@ def line(fit: StreakFit, length_px: float, *, row: float = 150.0, width_px: floa
     return placed(fit, (row, 100.0, row + down, 100.0 + right), width_px, snr)
 
 
-def test_a_short_line_counts_as_far_as_it_is_of_a_kind(drawn: StreakFit) -> None:  # noqa: F811
+def test_a_short_line_counts_as_far_as_it_is_of_a_kind(drawn: StreakFit) -> None:
     """By hand: exp(-1/2) for a sigma of each of S/N, length and width; a brighter one counts as one that is as bright."""
     fit = line(drawn, 30.0)
     at_width = math.sqrt((0.8**2 + 1.0 / 12.0) * math.exp(2.0 * KIND[2]) - 1.0 / 12.0)
@@ -54,14 +60,11 @@ class Constant:
 
 def judged(fits: list[StreakFit], pixels: np.ndarray, *, alone: bool = True) -> tuple[np.ndarray, list[int]]:
     """Probabilities of the fits of a frame, and how many of them the vetter was asked about."""
-    header = type("Header", (), {"frame": 0, "rows": SHAPE[0], "cols": SHAPE[1], "gain_e_adu": 1.0})()
-    frame: Any = type("Frame", (), {"header": header, "psf_sigma_px": 0.8})()
-    own = OwnEvidence(alone=alone, seen=(0, SHAPE[0] - 1, 0, SHAPE[1] - 1), tiles=tiles(pixels, *fits))
     vetter = Constant(0.9)
-    return LookAlikeVetter(vetter=vetter, evidence={0: own}).probability(fits, frame), vetter.asked
+    return judged_by(vetter, fits, pixels, 0.8, alone=alone), vetter.asked
 
 
-def test_many_short_lines_veto_one_that_is_little_longer_and_no_long_one(drawn: StreakFit) -> None:  # noqa: F811
+def test_many_short_lines_veto_one_that_is_little_longer_and_no_long_one(drawn: StreakFit) -> None:
     """In a Hubble picture with 366 short lines two tracks of 58 and 71 px were published."""
     little, long = line(drawn, 28.0), line(drawn, 280.0, row=40.0)
     pixels = lit(little, EVEN, 30.0) + lit(long, EVEN, 30.0) - 100.0
@@ -80,7 +83,7 @@ def test_many_short_lines_veto_one_that_is_little_longer_and_no_long_one(drawn: 
     assert crowd[49] == pytest.approx(without[1], abs=0.02)
 
 
-def test_where_stars_are_told_from_movers_short_lines_are_judged(drawn: StreakFit) -> None:  # noqa: F811
+def test_where_stars_are_told_from_movers_short_lines_are_judged(drawn: StreakFit) -> None:
     short = line(drawn, SHORTEST_ALONE_PX - 5.0)
     pixels = lit(short, EVEN, 30.0)
     assert judged([short], pixels)[0].tolist() == [0.0]

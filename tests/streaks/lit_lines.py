@@ -13,6 +13,7 @@ from tests.streaks.impostors import draw
 
 SHAPE = (300, 700)
 EVEN = np.ones(400)
+METEOR = np.sin(np.linspace(0.02, 0.99 * np.pi, 400))
 
 
 def fit_of_a_trail() -> StreakFit:
@@ -59,3 +60,19 @@ def judged_by(
     frame: Any = type("Frame", (), {"header": header, "psf_sigma_px": psf_sigma_px})()
     own = OwnEvidence(alone=alone, seen=(0, SHAPE[0] - 1, 0, SHAPE[1] - 1), tiles=tiles(pixels, *fits))
     return LookAlikeVetter(vetter=vetter, evidence={0: own}).probability(fits, frame)
+
+
+class Told:
+    """A vetter that gives what it was told."""
+
+    def __init__(self, *probability: float) -> None:
+        self._given = np.array(probability)
+
+    def probability(self, _fits: Any, _frame: Any) -> np.ndarray:
+        """As told."""
+        return self._given
+
+
+def judged(given: tuple[float, ...], fits: list[StreakFit], pixels: np.ndarray, psf_sigma_px: float | None = None) -> np.ndarray:
+    """Probabilities of the fits of a frame of `SHAPE` whose vetter gave these, its stars telling a width or none."""
+    return judged_by(Told(*given), fits, pixels, psf_sigma_px)

@@ -1,7 +1,6 @@
 """Light that rises and falls along a line, and half lines of video along a border."""
 
 from dataclasses import replace
-from typing import Any
 
 import numpy as np
 import pytest
@@ -10,9 +9,7 @@ from ground.vetting.contrast import Contrast
 from ground.vetting.meteors import IN_FAVOUR, for_meteor
 from ground.vetting.rise_and_fall import rise_and_fall
 from sboc_e2e.icd.products import StreakFit
-from tests.streaks.lit_lines import EVEN, fit_of_a_trail, judged_by, lit, placed, tiles
-
-METEOR = np.sin(np.linspace(0.02, 0.99 * np.pi, 400))
+from tests.streaks.lit_lines import EVEN, METEOR, fit_of_a_trail, judged, lit, placed, tiles
 
 
 @pytest.fixture(scope="module")
@@ -53,22 +50,6 @@ def test_the_best_rise_and_fall_leaves_nothing_of_one_and_half_of_a_dip() -> Non
     rises = np.array([1.0, 2.0, 5.0, 4.0, 0.5])
     assert np.array_equal(rise_and_fall(rises), rises)
     assert np.array_equal(rise_and_fall(np.array([4.0, 2.0, 5.0, 1.0])), [3.0, 3.0, 5.0, 1.0])
-
-
-class Told:
-    """A vetter that gives what it was told, and the evidence of a frame with these lines."""
-
-    def __init__(self, *probability: float) -> None:
-        self._given = np.array(probability)
-
-    def probability(self, _fits: Any, _frame: Any) -> np.ndarray:
-        """As told."""
-        return self._given
-
-
-def judged(given: tuple[float, ...], fits: list[StreakFit], pixels: np.ndarray, psf_sigma_px: float | None = None) -> np.ndarray:
-    """Probabilities of the fits of a frame of `SHAPE` whose vetter gave these, its stars telling a width or none."""
-    return judged_by(Told(*given), fits, pixels, psf_sigma_px)
 
 
 def test_a_half_line_of_video_is_none_however_well_it_stands_out(drawn: StreakFit) -> None:

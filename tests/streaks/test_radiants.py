@@ -12,7 +12,7 @@ from ground.vetting.look_alikes import with_odds
 from ground.vetting.radiants import Lines, for_radiant
 from sboc_e2e.icd.products import StreakFit
 from tests.streaks.impostors import draw
-from tests.streaks.test_meteors import EVEN, judged, lit
+from tests.streaks.lit_lines import EVEN, judged, lit
 
 RADIANT = (-40.0, 90.0)
 FRAME = (300, 400)

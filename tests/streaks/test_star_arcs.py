@@ -10,7 +10,7 @@ from ground.streaks import TrailedPsfFitter
 from ground.vetting.star_arcs import of_turning_stars
 from sboc_e2e.icd.products import StreakFit
 from tests.streaks.impostors import draw
-from tests.streaks.test_meteors import EVEN, judged, lit, placed
+from tests.streaks.lit_lines import EVEN, judged, lit, placed
 
 SHAPE = (1300, 2000)
 MIDDLE = 0.5 * (np.array(SHAPE) - 1.0)

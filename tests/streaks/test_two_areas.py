@@ -9,7 +9,7 @@ from ground.streaks import TrailedPsfFitter
 from ground.vetting.two_areas import is_border
 from sboc_e2e.icd.products import StreakFit
 from tests.streaks.impostors import draw
-from tests.streaks.test_meteors import EVEN, METEOR, SHAPE, judged, lit, placed, tiles
+from tests.streaks.lit_lines import EVEN, METEOR, SHAPE, judged, lit, placed, tiles
 
 
 @pytest.fixture(scope="module")

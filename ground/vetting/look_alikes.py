@@ -194,8 +194,8 @@ class LookAlikeVetter:
             against = against + np.array([known.field.against(fit, gain) for fit in fits])
         if known.bright is not None:
             against = against + np.array([known.bright.against(fit) for fit in fits])
-        if known.crosses is not None:
-            against = against + np.array([known.crosses.against(fit) for fit in fits])
+        spikes = np.array([0.0 if known.crosses is None else known.crosses.against(fit) for fit in fits])
+        against = against + spikes
         stars = known.stars_among(fits, round_stars=frame.psf_sigma_px is not None)
         if stars is not None:
             against = against + against_chains(stars, fits)
@@ -227,8 +227,8 @@ class LookAlikeVetter:
         for k in np.flatnonzero(given >= LEAST_PROBABILITY).tolist():
             odds = 0.0 if is_border(fits[k], tiles) else for_meteor(fits[k], tiles, contrasts[k])
             given[k] = with_odds(given[k], odds * for_texture(fits[k], tiles, known.noise_adu))
-        # such a line wins all along it, as a trail does: its contrast and length do not outweigh its place
-        at_most = 1.0 / (1.0 + borders)
+        # such lines win all along them, as trails do: their contrast and length do not outweigh their places
+        at_most = 1.0 / (1.0 + borders + spikes)
         given = np.minimum(given, at_most)
         stands_out = [1.0 if contrast is None else contrast.wins for contrast in contrasts]
         given = np.where(doubled(fits, given, stands_out), 0.0, given)

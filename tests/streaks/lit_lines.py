@@ -50,15 +50,15 @@ def tiles(pixels: np.ndarray, *fits: StreakFit) -> Tiles:
 
 
 def judged_by(
-    vetter: Any, fits: list[StreakFit], pixels: np.ndarray, psf_sigma_px: float | None = None, *, alone: bool = False
+    vetter: Any, fits: list[StreakFit], pixels: np.ndarray, psf_sigma_px: float | None = None, **evidence: Any
 ) -> np.ndarray:
     """Probabilities of the fits of a frame of `SHAPE` by a vetter and the frame's own evidence.
 
-    psf_sigma_px : what its stars tell. alone : it was held against no other frame.
+    psf_sigma_px : what its stars tell. evidence : what else `OwnEvidence` has.
     """
     header = type("Header", (), {"frame": 0, "rows": SHAPE[0], "cols": SHAPE[1], "gain_e_adu": 1.0})()
     frame: Any = type("Frame", (), {"header": header, "psf_sigma_px": psf_sigma_px})()
-    own = OwnEvidence(alone=alone, seen=(0, SHAPE[0] - 1, 0, SHAPE[1] - 1), tiles=tiles(pixels, *fits))
+    own = OwnEvidence(seen=(0, SHAPE[0] - 1, 0, SHAPE[1] - 1), tiles=tiles(pixels, *fits), **evidence)
     return LookAlikeVetter(vetter=vetter, evidence={0: own}).probability(fits, frame)
 
 
@@ -73,6 +73,8 @@ class Told:
         return self._given
 
 
-def judged(given: tuple[float, ...], fits: list[StreakFit], pixels: np.ndarray, psf_sigma_px: float | None = None) -> np.ndarray:
+def judged(
+    given: tuple[float, ...], fits: list[StreakFit], pixels: np.ndarray, psf_sigma_px: float | None = None, **evidence: Any
+) -> np.ndarray:
     """Probabilities of the fits of a frame of `SHAPE` whose vetter gave these, its stars telling a width or none."""
-    return judged_by(Told(*given), fits, pixels, psf_sigma_px)
+    return judged_by(Told(*given), fits, pixels, psf_sigma_px, **evidence)

@@ -1,14 +1,16 @@
 """Four or six equal arms on bright stars, drawn here: lines on them are spikes."""
 
 import math
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from ground.vetting.crosses import Crosses
+from ground.vetting.crosses import Cross, Crosses
 from ground.vetting.spikes import BrightStars
+from tests.streaks.lit_lines import EVEN, SHAPE, fit_of_a_trail, judged, lit, placed
 
 SIDE, NOISE, FULL = 400, 3.0, 250.0
 PLACES = np.array([[100.0, 110.0], [300.0, 120.0], [210.0, 290.0]])
@@ -112,3 +114,18 @@ def test_lines_that_cross_at_a_star_as_spikes_do_are_spikes_and_other_pairs_are_
     assert not crosses.crossed([line(beside, 0.3, -40.0, 90.0), line(beside, 0.3 + turn, -60.0, 50.0)], sure).any(), "no star"
     assert not crosses.crossed([one, line(star, 0.3 + turn, -3.0, 4.0)], sure).any(), "the core itself"
     assert not crosses.crossed([one], sure[:1]).any()
+
+
+def test_a_spike_is_none_however_well_it_stands_out() -> None:
+    """A spike of 574 px, S/N 295, had odds of 31 against it, and p of 0.96: it won nearly all along."""
+    fit = placed(fit_of_a_trail(), (100.0, 150.0, 180.0, 470.0), 1.5, 90.0)
+    bright = lit(fit, EVEN, 10.0)
+    angle = math.atan2(320.0, 80.0)
+    arms = Cross(row=140.0, col=310.0, angle_rad=angle, arms=4, weakest=10.0, radius_px=5.0)
+    spiked, crossing = (
+        Crosses(stars=[star], area_px2=SHAPE[0] * SHAPE[1]) for star in (arms, replace(arms, angle_rad=angle + 0.5))
+    )
+    against = spiked.against(fit)
+    assert against > 10.0
+    assert judged((0.99,), [fit], bright, crosses=spiked)[0] <= 1.0 / (1.0 + against)
+    assert judged((0.99,), [fit], bright, crosses=crossing)[0] > 0.9

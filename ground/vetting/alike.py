@@ -7,10 +7,10 @@ from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import ndtr
 
 from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
 from ground.vetting.contrast import Contrast
+from ground.vetting.distance import told_at_distance
 from ground.vetting.features import LEAST_BINS
 from sboc_e2e.icd.products import StreakFit
 
@@ -37,16 +37,6 @@ ALIGNED_SLOPE: Final = 0.035
 """Slope within which a line runs along rows or columns: 2 deg, as the rims of vignetted fields do. Of lines of any direction 4 %
 do. What follows the readout or a border tells nothing of lines that cross it: two satellites (S/N 181 and 48) were refused for a
 dark column of half the frame."""
-
-NEAR: Final = 0.15
-"""Sigma of the distance within which a look-alike tells of a fit, as a share of the side of a square of the frame's area. Trees,
-roofs and lights fill a part of a picture, and trails lie in the sky above them. Chosen at once, not in view of results."""
-ANYWHERE: Final = 0.2
-"""Share of a look-alike that counts anywhere in the frame. Chosen likewise."""
-LEAST_SEEN: Final = 0.3
-"""Share of the distance's distribution that a frame holds at least: half of it at a border. Bounds what lies outside."""
-POINTS: Final = 5
-"""Places along a fit at which it is held against look-alikes: a budget of work."""
 
 
 def _no_lines() -> NDArray[np.float64]:
@@ -98,24 +88,8 @@ class LookAlikes:
             unlike += np.sum((less / (KIND_WINS, KIND_PEAK)) ** 2, axis=-1)
         each = peak * counts * np.exp(-0.5 * unlike)
         if self.place is not None:
-            each = each * (ANYWHERE + (1.0 - ANYWHERE) * self._nearness(fits, self.place))
+            each = each * told_at_distance(fits, self.place, self.shape)
         return np.asarray(each.sum(axis=1), dtype=np.float64)
-
-    def _nearness(self, fits: Sequence[StreakFit], place: NDArray[np.float64]) -> NDArray[np.float64]:
-        """How many times more than in the mean over the frame each look-alike (k) tells of each fit (n), (n, k)."""
-        side = NEAR * math.sqrt(self.shape[0] * self.shape[1])
-        ends = np.array([(fit.row0, fit.col0, fit.row1, fit.col1) for fit in fits])
-        out = np.zeros((len(fits), len(place)))
-        for u in (np.arange(POINTS) + 0.5) / POINTS:
-            at = ends[:, :2] + u * (ends[:, 2:] - ends[:, :2])
-            kernel = np.ones((len(fits), len(place)))
-            for axis, size in enumerate(self.shape):
-                seen = ndtr((size - at[:, axis]) / side) - ndtr(-at[:, axis] / side)
-                apart = (at[:, axis][:, None] - place[None, :, axis]) / side
-                density = np.exp(-0.5 * apart**2) / (math.sqrt(2.0 * math.pi) * side)
-                kernel *= size * density / np.maximum(seen, LEAST_SEEN)[:, None]
-            out += kernel / POINTS
-        return out
 
 
 def follows_readout(drow: float, dcol: float) -> bool:

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from ground.streaks.centre_line import effective_width_px
 from ground.vetting.contrast import Contrast, Tiles
+from ground.vetting.distance import told_at_distance
 from ground.vetting.features import is_aligned
 from ground.vetting.readout import odds_of_readout
 from sboc_e2e.icd.products import StreakFit
@@ -28,8 +29,7 @@ WIDTHS: Final = 40.0
 LONG_PX: Final = 40.0
 """Other lines of a frame from this length on are counted, whatever they are: where there are many, few of them are trails."""
 FEW: Final = 20
-"""So many of them say nothing yet. With 10 the same fit publishes as many trails, and twice as many false lines in simulated
-skies that it was not fitted to; with 30 it publishes more false lines in real frames."""
+"""So many of them say nothing yet: simulated skies have as many."""
 LEAST_PROBABILITY: Final = 1e-3
 """What the vetter finds less probable stays so: the other terms add 5 to the log odds at most."""
 
@@ -45,26 +45,27 @@ UNMODELLED_PROBABILITY: Final = 0.1
 """The vetter's probability counts as this at least: a satellite of S/N 892 across a stack, where stars take a fifth of the places
 beside it, had 0.005 for its width and texture. Lines of no more do not tell the optics (`look_alikes.LEAST_TELLING`)."""
 
-CONSTANT: Final = -3.38
+CONSTANT: Final = -2.8
 """Weights of the logistic regression follow, to 6,441 lines (456 trails) in frames of 303 repositories, 143 of them with trails,
 and to 467 lines (240 satellites) in 96 frames of six simulated skies. The trails of a repository count as four at most and its
-other lines as 40, those of a sky as 24. This is the constant; one sigma over repositories drawn again is 0.6."""
-PER_LOG_ODDS: Final = 0.79
+other lines as 40, those of a sky as 24. This is the constant, with which the probabilities of lines that count once each are
+right in the mean; one sigma over repositories drawn again is 0.7."""
+PER_LOG_ODDS: Final = 0.78
 """Of the vetter's log odds; one sigma 0.1."""
-PER_WINS: Final = 0.76
+PER_WINS: Final = 0.84
 """Of ln(pieces) (wins - 1/2); one sigma 0.4."""
-PER_PEAK: Final = 4.54
+PER_PEAK: Final = 4.29
 """Of the peak; one sigma 0.8."""
-PER_LN_WIDTHS: Final = 2.41
+PER_LN_WIDTHS: Final = 2.35
 """Of ln(length / (`WIDTHS` widths)); one sigma 0.2."""
-PER_LN_READOUT: Final = -2.79
+PER_LN_READOUT: Final = -2.69
 """Of ln(1 + odds of a line of the readout); one sigma 0.7."""
-PER_LN_SHARPER: Final = 5.8
+PER_LN_SHARPER: Final = 5.9
 """Of ln(width / that of the optics) where it is negative; one sigma 0.6."""
-PER_LN_WIDER: Final = -1.2
-"""Of the same where it is positive; one sigma 0.7."""
-PER_LN_OTHERS: Final = -1.07
-"""Of ln(other long lines of the frame / `FEW`) where it is positive; one sigma 0.3."""
+PER_LN_WIDER: Final = -1.26
+"""Of the same where it is positive; one sigma 0.8."""
+PER_LN_OTHERS: Final = -1.14
+"""Of ln(other long lines about it / `FEW`) where it is positive; one sigma 0.3."""
 PER_TERM: Final = (
     PER_LOG_ODDS, PER_WINS, PER_PEAK, PER_LN_WIDTHS, PER_LN_READOUT, PER_LN_SHARPER, PER_LN_WIDER, PER_LN_OTHERS,
 )  # fmt: skip
@@ -76,6 +77,15 @@ def contrasts_of(fits: Sequence[StreakFit], probability: NDArray[np.float64], ti
     return [
         Contrast.of(fit, tiles) if p >= LEAST_PROBABILITY else None for fit, p in zip(fits, probability.tolist(), strict=True)
     ]
+
+
+def others_near(fits: Sequence[StreakFit], shape: tuple[int, int]) -> NDArray[np.float64]:
+    """Number (n,) of other long lines about each fit of a frame (rows, columns), those far from it counting less."""
+    long = np.flatnonzero([fit.length_px >= LONG_PX for fit in fits])
+    middles = np.array([(0.5 * (fits[k].row0 + fits[k].row1), 0.5 * (fits[k].col0 + fits[k].col1)) for k in long.tolist()])
+    told = told_at_distance(fits, middles.reshape(-1, 2), shape)
+    told[long, np.arange(long.size)] = 0.0
+    return np.asarray(told.sum(axis=1))
 
 
 def as_unmodelled(
@@ -102,16 +112,15 @@ def probability_in_any_camera(
     sharpness: Sequence[float],
     contrasts: Sequence[Contrast | None],
     tracks: NDArray[np.float64],
+    others: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """(n,) of the fits of a frame, given a vetter's own (n,).
 
     sharpness : ln of each fit's width over that of the optics, NaN where nothing tells the optics. contrasts : of the fits, None
         where they keep their probability. tracks : odds (n,) of a particle's track for lines that are sharper than the optics;
-        infinite for others.
+        infinite for others. others : number (n,) of other long lines about each, see `others_near`.
     """
     readout = np.log1p(odds_of_readout(fits))
-    long = np.array([fit.length_px >= LONG_PX for fit in fits])
-    others = np.count_nonzero(long) - long
     out = probability.astype(np.float64)
     for k, contrast in enumerate(contrasts):
         if contrast is not None:
@@ -138,7 +147,7 @@ def terms_of(
 
     own : log odds of the vetter. pieces, wins, peak : see `Contrast`. widths : length over width. ln_readout : of one plus the
     odds of a line of the readout. ln_sharpness : ln of the width over that of the optics, 0 where nothing tells these.
-    others : number of other long lines of the frame.
+    others : number of other long lines about each.
     """
     columns = (
         np.clip(own, -LARGEST, LARGEST), np.log(pieces) * (np.asarray(wins) - 0.5), peak,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from ground.guard import guarded, probabilities_of
 from ground.streaks.centre_line import effective_width_px
 from ground.vetting.alike import LookAlikes, follows_readout
-from ground.vetting.any_camera import LEAST_PROBABILITY, as_unmodelled, contrasts_of, probability_in_any_camera
+from ground.vetting.any_camera import LEAST_PROBABILITY, as_unmodelled, contrasts_of, others_near, probability_in_any_camera
 from ground.vetting.bends import bends_too_much
 from ground.vetting.beside import against_beside
 from ground.vetting.borders import against_border
@@ -223,7 +223,8 @@ class LookAlikeVetter:
         # stars may be wider than the optics, and long light is not
         by_stars = frame.psf_sigma_px is not None and frame.psf_sigma_px <= sharpest
         tracks = odds_of_particles([*fits, *short], [by_stars and told < SHARP for told in every_sharpness])[: len(fits)]
-        given = probability_in_any_camera(fits, given, sharpness, contrasts, tracks)
+        shape = frame.header.rows, frame.header.cols
+        given = probability_in_any_camera(fits, given, sharpness, contrasts, tracks, others_near(fits, shape))
         for k in np.flatnonzero(given >= LEAST_PROBABILITY).tolist():
             odds = 0.0 if is_border(fits[k], tiles) else for_meteor(fits[k], tiles, contrasts[k])
             given[k] = with_odds(given[k], odds * for_texture(fits[k], tiles, known.noise_adu))
@@ -233,7 +234,6 @@ class LookAlikeVetter:
         stands_out = [1.0 if contrast is None else contrast.wins for contrast in contrasts]
         given = np.where(doubled(fits, given, stands_out), 0.0, given)
         round_stars = frame.psf_sigma_px is not None
-        shape = frame.header.rows, frame.header.cols
         given = np.where(of_turning_stars(fits, given, shape, round_stars=round_stars), 0.0, given)
         shower = for_radiant(fits, given, shape, round_stars=round_stars)
         given = np.minimum(with_odds(given, shower), at_most)

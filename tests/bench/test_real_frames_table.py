@@ -2,6 +2,7 @@
 
 import pytest
 
+from tests.benchmarks.real_frames import covered
 from tests.benchmarks.real_frames_table import Row, Trail, rate_text, share_text, sums_text
 
 
@@ -47,3 +48,25 @@ def test_what_is_asked_is_answered_for_all_and_for_the_kept_half() -> None:
     assert "0 in 1" in lines[5]
     assert "| yes | no case | no case |" in lines[5]
     assert "0 of 4 | yes | 0 of 2 | yes" in lines[7]
+
+
+def streak(row0: float, col0: float, row1: float, col1: float, sagitta_px: float = 0.0) -> dict[str, float]:
+    return {"row0": row0, "col0": col0, "row1": row1, "col1": col1, "sagitta_px": sagitta_px, "width_px": 1.0}
+
+
+def test_a_streak_covers_a_trail_where_it_lies_on_it() -> None:
+    """The trail runs from column 100 to 300 of row 50; a streak may be 6 px beside it."""
+    trail = (100.0, 50.0, 300.0, 50.0)
+    assert covered(streak(50.0, 100.0, 50.0, 300.0), trail) == 1.0
+    assert covered(streak(52.0, 300.0, 49.0, 200.0), trail) == pytest.approx(0.5), "from either end"
+    assert covered(streak(45.0, 100.0, 55.0, 400.0), trail) == 1.0, "5 px beside it, and beyond its end"
+    assert covered(streak(45.0, 0.0, 45.0, 1300.0), trail) == 1.0
+    assert covered(streak(40.0, 100.0, 60.0, 300.0), trail) == 0.0, "10 px beside it at its ends"
+    assert covered(streak(58.0, 100.0, 58.0, 300.0), trail) == 0.0
+    assert covered(streak(50.0, 310.0, 50.0, 400.0), trail) == 0.0, "beyond it"
+    assert covered(streak(42.0, 100.0, 42.0, 300.0, sagitta_px=8.0), trail) == 0.0, "an arc away from its ends"
+    assert covered(streak(50.0, 60.0, 50.0, 340.0, sagitta_px=9.0), trail) == 1.0, "the eye marked the chord"
+    gentle = 50.0 + 4.0 * 12.0 * 0.25 * 0.75
+    assert covered(streak(50.0, 0.0, 50.0, 400.0, sagitta_px=12.0), (100.0, gentle, 300.0, gentle)) == 1.0, "its arc"
+    strong = 50.0 + 4.0 * 30.0 * 0.25 * 0.75
+    assert covered(streak(50.0, 0.0, 50.0, 400.0, sagitta_px=30.0), (100.0, strong, 300.0, strong)) == 0.0, "8 px beside it"

@@ -18,7 +18,7 @@ from typing import Final
 import numpy as np
 from astropy.table import Table
 from numpy.typing import NDArray
-from scipy.optimize import minimize
+from scipy.optimize import brentq, minimize
 
 from ground.vetting.any_camera import terms_of
 
@@ -77,6 +77,7 @@ class Lines:
 def fitted(lines: Lines, among: NDArray[np.bool_], start: Array | None = None) -> Array:
     """Weights (9,) of the terms, the constant last: logistic regression on some of the lines, with a small ridge.
 
+    The constant is that with which the probabilities of these lines are right in the mean, each line counting once.
     start : weights that are near, which save time.
     """
     use = among & (lines.weight > 0.0)
@@ -92,7 +93,12 @@ def fitted(lines: Lines, among: NDArray[np.bool_], start: Array | None = None) -
 
     near = np.zeros(columns.shape[1]) if start is None else np.append(start[:-1] * scatter, start[-1] + start[:-1] @ mean)
     b = minimize(loss, near, jac=True).x
-    return np.append(b[:-1] / scatter, b[-1] - float((b[:-1] * mean / scatter).sum()))
+    odds = columns @ b + later
+
+    def missing(shift: float) -> float:
+        return float(np.sum(1.0 / (1.0 + np.exp(-(odds + shift)))) - np.count_nonzero(sign > 0.0))
+
+    return np.append(b[:-1] / scatter, b[-1] - float((b[:-1] * mean / scatter).sum()) + brentq(missing, -10.0, 10.0))
 
 
 def out_of_camera(lines: Lines) -> Array:

@@ -50,7 +50,10 @@ BEGIN, END = "<!-- table: tests.benchmarks.real_frames -->", "<!-- end of table 
 
 BESIDE_PX: Final = 6.0
 BESIDE_WIDTHS: Final = 2.0
-"""A measured streak is of an eye's trail where both its ends lie within so much of its line (the eye is good to some pixels)."""
+"""A measured streak is of an eye's trail where it lies within so much of its line (the eye is good to some pixels)."""
+
+PLACES: Final = 201
+"""Places along a streak that are held against an eye's line."""
 
 NEAR_PX: Final = 2.0
 
@@ -107,14 +110,23 @@ def is_published(streak: Any) -> bool:
 
 
 def covered(streak: Any, trail: Sequence[float]) -> float:
-    """Share of an eye's trail that a measured streak covers, 0 where it is not on its line."""
+    """Share of an eye's trail that a measured streak covers, 0 where it is not on its line.
+
+    Its chord or its arc is held against the eye's line between the ends that the eye saw: what lies beyond them is an error of
+    the ends, which `ends_of` measures.
+    """
     start, stop = np.array([trail[1], trail[0]], dtype=float), np.array([trail[3], trail[2]], dtype=float)
     along = (stop - start) / (length := float(np.linalg.norm(stop - start)))
-    ends = np.array([[streak["row0"], streak["col0"]], [streak["row1"], streak["col1"]]], dtype=float) - start
-    across = ends @ np.array([-along[1], along[0]])
-    if not np.abs(across).max() < max(BESIDE_PX, BESIDE_WIDTHS * float(streak["width_px"])):
+    first, last = (np.array([streak[f"row{k}"], streak[f"col{k}"]], dtype=float) - start for k in (0, 1))
+    share = np.linspace(0.0, 1.0, PLACES)
+    chord = first + share[:, None] * (last - first)
+    sideways = np.array([last[1] - first[1], first[0] - last[0]]) / max(float(np.linalg.norm(last - first)), 1e-9)
+    arc = chord + (4.0 * float(streak["sagitta_px"]) * share * (1.0 - share))[:, None] * sideways
+    seen = (chord @ along >= 0.0) & (chord @ along <= length)
+    away = [np.abs(way[seen] @ np.array([-along[1], along[0]])).max(initial=0.0) for way in (chord, arc)]
+    if not seen.any() or not min(away) < max(BESIDE_PX, BESIDE_WIDTHS * float(streak["width_px"])):
         return 0.0
-    low, high = np.clip(np.sort(ends @ along), 0.0, length)
+    low, high = np.clip(np.sort([first @ along, last @ along]), 0.0, length)
     return float((high - low) / length)
 
 

@@ -30,7 +30,7 @@ def as_streaks(trails: Sequence[Sequence[float]]) -> Table:
     """Marks of an eye as published streaks, whose ends quote no interval."""
     ends = np.reshape(np.asarray(trails, dtype=np.float64), (-1, 4))
     table = Table(ends, names=("row0", "col0", "row1", "col1"))
-    for name in ("width_px", "flags"):
+    for name in ("width_px", "sagitta_px", "flags"):
         table[name] = np.zeros(len(ends), dtype=np.int64)
     for name in ("snr", "probability", "end0_low_px", "end0_high_px", "end1_low_px", "end1_high_px"):
         table[name] = np.full(len(ends), math.nan)

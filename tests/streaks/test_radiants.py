@@ -129,7 +129,7 @@ def test_no_line_speaks_for_itself_nor_for_a_second_fit_on_its_trail(drawn: Stre
 def test_a_faint_meteor_of_a_shower_is_published(drawn: StreakFit) -> None:
     lines = [*shower(drawn, 4), way(drawn, 72.0, 170.0, 60.0), way(drawn, 48.0, 190.0, 60.0, turn_deg=60.0)]
     pixels = sum((lit(line, EVEN, 9.0) for line in lines[1:]), lit(lines[0], EVEN, 9.0)) - 100.0 * (len(lines) - 1)
-    p = judged((0.9, 0.9, 0.9, 0.9, 0.1, 0.1), lines, pixels)
+    p = judged((0.9, 0.9, 0.9, 0.9, 0.05, 0.05), lines, pixels)
     assert p[:4].min() > 0.5
     assert p[4] > 0.8
     assert p[5] < 0.5, "as bright, but it points elsewhere"

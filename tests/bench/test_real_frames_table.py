@@ -15,7 +15,8 @@ def row(file: str, *, camera: str = "raw", trails: tuple[Trail, ...] = (), false
 
 def trail(published: float, *, inside: bool = True) -> Trail:
     return Trail(
-        found=1.0, published=published, end_px=(0.5, 3.0), inside=(True, inside), snr=20.0, probability=0.9, extra=0,
+        found=1.0, published=published, end_px=(0.5, 3.0), inside=(True, inside), interval_px=(1.0, 400.0), snr=20.0,
+        probability=0.9, extra=0,
     )  # fmt: skip
 
 
@@ -48,6 +49,7 @@ def test_what_is_asked_is_answered_for_all_and_for_the_kept_half() -> None:
     assert "0 in 1" in lines[5]
     assert "| yes | no case | no case |" in lines[5]
     assert "0 of 4 | yes | 0 of 2 | yes" in lines[7]
+    assert "1 of 2 (1 to 99 %). Of those with an interval of at most 20 px, within 2 px or it: 1 of 1" in lines[9]
 
 
 def streak(row0: float, col0: float, row1: float, col1: float, sagitta_px: float = 0.0) -> dict[str, float]:

@@ -32,7 +32,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from sboc_e2e.icd.flags import StreakFlag
-from tests.benchmarks.real_frames_table import SURE, Row, Trail, table_text
+from tests.benchmarks.real_frames_table import NEAR_PX, SURE, Row, Trail, table_text
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 SHARED: Final = ROOT.parent / "shared"
@@ -54,8 +54,6 @@ BESIDE_WIDTHS: Final = 2.0
 
 PLACES: Final = 201
 """Places along a streak that are held against an eye's line."""
-
-NEAR_PX: Final = 2.0
 
 
 def truth_of(folders: Iterable[Path]) -> list[dict[str, Any]]:
@@ -130,8 +128,8 @@ def covered(streak: Any, trail: Sequence[float]) -> float:
     return float((high - low) / length)
 
 
-def ends_of(streak: Any, trail: Sequence[float]) -> tuple[tuple[float, float], tuple[bool, bool]]:
-    """Distance of each end along the trail from the eye's nearest one, and whether it is within 2 px or the quoted interval.
+def ends_of(streak: Any, trail: Sequence[float]) -> tuple[list[float], list[float]]:
+    """Distance of each end along the trail from the eye's nearest one, and the larger side of its quoted interval, px.
 
     The eye's ends on a border stand for light that goes on: a measured end beyond the border is no error.
     """
@@ -141,15 +139,14 @@ def ends_of(streak: Any, trail: Sequence[float]) -> tuple[tuple[float, float], t
         eye = eye[::-1]
     along = (eye[1] - eye[0]) / np.linalg.norm(eye[1] - eye[0])
     flags = int(streak["flags"])
-    away, inside = [], []
+    away, interval = [], []
     for k, edge in enumerate((StreakFlag.EDGE0, StreakFlag.EDGE1)):
         beyond = float((ends[k] - eye[k]) @ along) * (-1.0 if k == 0 else 1.0)
         error = max(-beyond, 0.0) if flags & edge else abs(beyond)
         low, high = float(streak[f"end{k}_low_px"]), float(streak[f"end{k}_high_px"])
-        quoted = max(abs(low), abs(high)) if math.isfinite(low) and math.isfinite(high) else 0.0
+        interval.append(max(abs(low), abs(high)) if math.isfinite(low) and math.isfinite(high) else 0.0)
         away.append(error)
-        inside.append(error <= max(NEAR_PX, quoted))
-    return (away[0], away[1]), (inside[0], inside[1])
+    return away, interval
 
 
 def trail_of(streaks: Table, trail: Sequence[float]) -> tuple[Trail, set[int]]:
@@ -159,7 +156,8 @@ def trail_of(streaks: Table, trail: Sequence[float]) -> tuple[Trail, set[int]]:
     let_through = [k for k in on if is_published(streaks[k])]
     nothing = Trail(
         found=max((share[k] for k in on), default=0.0),
-        published=0.0, end_px=(math.nan, math.nan), inside=(False, False), snr=math.nan, probability=math.nan, extra=0,
+        published=0.0, end_px=(math.nan, math.nan), inside=(False, False), interval_px=(math.nan, math.nan), snr=math.nan,
+        probability=math.nan, extra=0,
     )  # fmt: skip
     if not let_through:
         best = max(on, key=lambda k: share[k], default=None)
@@ -168,10 +166,11 @@ def trail_of(streaks: Table, trail: Sequence[float]) -> tuple[Trail, set[int]]:
         seen = {"snr": float(streaks[best]["snr"]), "probability": float(streaks[best]["probability"])}
         return Trail(**(asdict(nothing) | seen)), on
     best = max(let_through, key=lambda k: share[k])
-    end_px, inside = ends_of(streaks[best], trail)
+    (away0, away1), (interval0, interval1) = ends_of(streaks[best], trail)
     made = Trail(
-        found=nothing.found, published=float(share[best]), end_px=end_px, inside=inside, snr=float(streaks[best]["snr"]),
-        probability=float(streaks[best]["probability"]), extra=len(let_through) - 1,
+        found=nothing.found, published=float(share[best]), end_px=(away0, away1),
+        inside=(away0 <= max(NEAR_PX, interval0), away1 <= max(NEAR_PX, interval1)), interval_px=(interval0, interval1),
+        snr=float(streaks[best]["snr"]), probability=float(streaks[best]["probability"]), extra=len(let_through) - 1,
     )  # fmt: skip
     return made, on
 

@@ -17,6 +17,10 @@ LEAST_SHARE: Final = 0.9
 MOST_FALSE_RAW: Final = 0.1
 MOST_FALSE_CALIBRATED: Final = 0.02
 MOST_WRONG: Final = 0.15
+NEAR_PX: Final = 2.0
+"""What is asked of ends, px."""
+CLOSED_PX: Final = 20.0
+"""Intervals of ends up to this length say where an end is: of trails that fade, they reach to the border."""
 ASKED: Final = (
     "at least 90 % of trails published with half their length or more",
     "at least 90 % of their ends within 2 px or their interval",
@@ -37,6 +41,7 @@ class Trail:
 
     found, published : share of its length that the longest measured and the longest published streak cover.
     end_px : (2,) distance of the published streak's ends from the eye's. inside : which are within 2 px or their interval.
+    interval_px : (2,) the larger side of their intervals.
     extra : further published streaks on the same trail.
     """
 
@@ -44,6 +49,7 @@ class Trail:
     published: float
     end_px: tuple[float, float]
     inside: tuple[bool, bool]
+    interval_px: tuple[float, float]
     snr: float
     probability: float
     extra: int
@@ -144,7 +150,21 @@ def sums_text(rows: Sequence[Row]) -> str:
     """What is asked of real frames against what was measured, for all frames and for the half that is kept."""
     lines = ["| asked | all | met | kept half | met |", "|---|---|---|---|---|"]
     both = zip(ASKED, _answers(rows), _answers([row for row in rows if row.kept]), strict=True)
-    return "\n".join([*lines, *(f"| {asked} | {' | '.join((*every, *kept))} |" for asked, every, kept in both)])
+    table = [*lines, *(f"| {asked} | {' | '.join((*every, *kept))} |" for asked, every, kept in both)]
+    return "\n".join([*table, "", _ends_text(rows)])
+
+
+def _ends_text(rows: Sequence[Row]) -> str:
+    """How much of what is asked of ends is owed to long intervals."""
+    half = [trail for row in rows for trail in row.trails if trail.published >= HALF]
+    ends = [end for t in half for end in zip(t.end_px, t.inside, t.interval_px, strict=True)]
+    closed = [(px, ok) for px, ok, interval_px in ends if interval_px <= CLOSED_PX]
+    near = share_text(sum(px <= NEAR_PX for px, _, _ in ends), len(ends))
+    return (
+        f"Ends within {NEAR_PX:g} px of the eye's, whatever is quoted: {near}. "
+        f"Of those with an interval of at most {CLOSED_PX:g} px, within {NEAR_PX:g} px or it: "
+        f"{share_text(sum(ok for _, ok in closed), len(closed))}."
+    )
 
 
 def table_text(rows: Sequence[Row]) -> str:

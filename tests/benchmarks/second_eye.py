@@ -16,9 +16,9 @@ from typing import Any, Final
 import numpy as np
 from astropy.table import Table
 
-from tests.benchmarks.real_frames import NEAR_PX, report, trail_of
+from tests.benchmarks.real_frames import report, trail_of
 from tests.benchmarks.real_frames_exam import by_column, row_of
-from tests.benchmarks.real_frames_table import HALF, share_text
+from tests.benchmarks.real_frames_table import HALF, NEAR_PX, share_text
 
 MARKS: Final = Path(__file__).with_name("second_eye.json")
 

@@ -25,7 +25,7 @@ POINTS: Final = 5
 
 
 def told_at_distance(fits: Sequence[StreakFit], place: NDArray[np.float64], shape: tuple[int, int]) -> NDArray[np.float64]:
-    """Weights (n, k) of lines for fits (n): of a line anywhere in the frame the mean is one.
+    """Weights (n, k) of lines for fits (n). Over all places that a line may have in the frame their mean is about one.
 
     place : (k, 2) row and column of the middles of the lines. shape : rows, columns of the frame.
     """

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from tests.benchmarks.drawn_in_real_frames import PEAKS, drawn, scatter_at, with_trails
+from tests.benchmarks.drawn_in_real_frames import PEAKS, drawn, scatter_at, star_sigma_px, with_trails
 
 
 def test_a_drawn_trail_has_a_gaussian_across_and_its_ends_where_its_light_is_half() -> None:
@@ -32,3 +32,19 @@ def test_trails_are_as_bright_as_they_say_and_repeat_with_the_seed() -> None:
     brightest = max(one["peak"] for one in trails)
     whole = np.clip(np.rint(3.0 * noise) / 3.0, 0.0, 255.0)  # the light is rounded to thirds where a frame holds bytes
     assert (image - whole).max() == pytest.approx(2.0 * brightest, rel=0.1, abs=1.0)
+
+
+def test_trails_are_as_wide_as_the_stars_where_these_tell() -> None:
+    """Gaussians of 1.5 px; the light within a pixel adds a twelfth of its square."""
+    rng = np.random.default_rng(3)
+    noise = rng.normal(100.0, 1.0, (400, 400))
+    assert star_sigma_px(noise) is None
+    row, col = np.mgrid[:400, :400].astype(float)
+    sky = noise.copy()
+    for r, c in rng.uniform(20.0, 380.0, (40, 2)):
+        sky += rng.uniform(100.0, 300.0) * np.exp(-0.5 * ((row - r) ** 2 + (col - c) ** 2) / 1.5**2)
+    assert star_sigma_px(sky) == pytest.approx(1.5, rel=0.07)
+    widths = [one["sigma_px"] for one in with_trails(sky, 3, rng)]
+    assert len(widths) == 3
+    assert min(widths) > 1.35
+    assert max(widths) < 2.3

@@ -4,10 +4,11 @@
 
 EXAM.json and FRAMES: see `real_frames_exam`; frames of its list without trails are taken. The sky, its noise, the lens and the
 compression are those of the frame, the trail is drawn: a line convolved with a Gaussian, in steps of a quarter of a pixel, of
-even light or of a meteor's (it rises to its brightest point at two thirds, and fades). Lengths are log-uniform. The light is
-given as that of the brightest pixel over the scatter of the frame around it (pixels minus their median over 15 x 15), so that
-it counts texture and faint stars as noise. Places where this scatter is above twice the frame's median are left out: trees and
-buildings. Nothing of the simulator or of ground is used. Intervals hold 95 % (Clopper-Pearson).
+even light or of a meteor's (it rises to its brightest point at two thirds, and fades). It is as wide as the stars of the frame,
+as `sep` measures them, or up to 1.4 times as wide. Lengths are log-uniform. The light is given as that of the brightest pixel
+over the scatter of the frame around it (pixels minus their median over 15 x 15), so that it counts texture and faint stars as
+noise. Places where this scatter is above twice the frame's median are left out: trees and buildings. Nothing of the simulator or
+of ground is used. Intervals hold 95 % (Clopper-Pearson).
 """
 
 import argparse
@@ -19,6 +20,7 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import sep
 from astropy.io import fits
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
@@ -31,8 +33,24 @@ LENGTHS_PX: Final = (15.0, 300.0)
 """Shortest and longest trail, log-uniform."""
 PEAKS: Final = (2.0, 40.0)
 """Brightest pixel over the scatter around it, log-uniform."""
-SIGMAS_PX: Final = (0.55, 1.6)
-"""Width of the Gaussian, log-uniform: FWHM of 1.3 to 3.8 px."""
+WIDER: Final = (1.0, 1.4)
+"""Width of the Gaussian over that of the frame's stars, log-uniform."""
+SIGMAS_PX: Final = (0.7, 1.6)
+"""Width of the Gaussian where no stars tell it, log-uniform, px."""
+STAR_SIGMAS_PX: Final = (0.55, 4.0)
+"""Widths of stars that are believed."""
+FEWEST_STARS: Final = 10
+"""Fewer stars do not tell it."""
+STAR_SNR: Final = 8.0
+"""Of a pixel of a star."""
+ROUND: Final = 1.5
+"""Long axis of a star over its short one, at most."""
+FULL_SHARE: Final = 0.7
+"""Stars with more of the frame's brightest pixel may be full, and say nothing of their width."""
+SUB_OBJECTS: Final = 1 << 16
+"""Parts of one bright area, at most: a landscape has many. `sep` gives up at 1,024."""
+APERTURE_AXES: Final = 6.0
+"""Radius in which the light of a star is measured, in long axes: half of it lies within 1.18 sigma of a Gaussian."""
 MEDIAN_PX: Final = 15
 AROUND_PX: Final = 50
 """The scatter is that within so many pixels of a place."""
@@ -89,11 +107,29 @@ def scatter_at(image: NDArray[np.float64], row: float, col: float) -> float:
     return 1.4826 * float(np.median(np.abs(box - median_filter(box, MEDIAN_PX))))
 
 
+def star_sigma_px(image: NDArray[np.float64]) -> float | None:
+    """Width (sigma, px) of the frame's stars as `sep` measures them; None where too few are round."""
+    data = np.ascontiguousarray(np.nan_to_num(image, nan=float(np.nanmedian(image))))
+    sky = sep.Background(data)
+    data -= sky.back()
+    sep.set_extract_pixstack(data.size + 1)
+    sep.set_sub_object_limit(SUB_OBJECTS)
+    found = sep.extract(data, STAR_SNR, err=max(sky.globalrms, 1e-6), deblend_cont=1.0)
+    round_ones = (found["a"] < ROUND * found["b"]) & (found["peak"] < FULL_SHARE * data.max())
+    stars = found[round_ones & (found["flag"] == 0)]
+    if len(stars) < FEWEST_STARS:
+        return None
+    radius, _ = sep.flux_radius(data, stars["x"], stars["y"], APERTURE_AXES * stars["a"], 0.5)
+    sigma = float(np.median(radius)) / math.sqrt(2.0 * math.log(2.0))
+    return sigma if STAR_SIGMAS_PX[0] <= sigma <= STAR_SIGMAS_PX[1] else None
+
+
 def with_trails(image: NDArray[np.float64], number: int, rng: np.random.Generator) -> Iterator[dict[str, Any]]:
     """Draw trails into a frame, in place; what each one is. Fewer than asked where the frame has no room."""
     rows, cols = image.shape
     places = rng.uniform(0.0, 1.0, (BOXES, 2)) * (rows, cols)
     usual = float(np.median([scatter_at(image, row, col) for row, col in places.tolist()]))
+    stars = star_sigma_px(image)
     largest = float(np.nanmax(image))
     whole = largest <= 255.0 and float(np.nanmin(image)) >= 0.0
     middles: list[tuple[float, float]] = []
@@ -105,7 +141,8 @@ def with_trails(image: NDArray[np.float64], number: int, rng: np.random.Generato
         angle, row, col = rng.uniform(0.0, math.pi), rng.uniform(0.0, rows - 1.0), rng.uniform(0.0, cols - 1.0)
         half_row, half_col = 0.5 * length * math.sin(angle), 0.5 * length * math.cos(angle)
         ends = (row - half_row, col - half_col, row + half_row, col + half_col)
-        sigma, curve = math.exp(rng.uniform(*np.log(SIGMAS_PX))), ("even", "meteor")[int(rng.integers(2))]
+        curve = ("even", "meteor")[int(rng.integers(2))]
+        sigma = math.exp(rng.uniform(*np.log(SIGMAS_PX))) if stars is None else stars * math.exp(rng.uniform(*np.log(WIDER)))
         peak = math.exp(rng.uniform(*np.log(PEAKS)))
         if min(ends) < 8.0 or max(ends[0], ends[2]) > rows - 9.0 or max(ends[1], ends[3]) > cols - 9.0:
             continue

@@ -15,8 +15,8 @@ def row(file: str, *, camera: str = "raw", trails: tuple[Trail, ...] = (), false
 
 def trail(published: float, *, inside: bool = True) -> Trail:
     return Trail(
-        found=1.0, published=published, end_px=(0.5, 3.0), inside=(True, inside), interval_px=(1.0, 400.0), snr=20.0,
-        probability=0.9, extra=0,
+        found=1.0, published=published, end_px=(0.5, 3.0), interval_px=(1.0, 400.0 if inside else 1.0), snr=20.0, probability=0.9,
+        extra=0,
     )  # fmt: skip
 
 

@@ -19,6 +19,7 @@ import numpy as np
 from astropy.table import Table
 from numpy.typing import NDArray
 from scipy.optimize import brentq, minimize
+from scipy.special import expit
 
 from ground.vetting.any_camera import terms_of
 
@@ -96,7 +97,7 @@ def fitted(lines: Lines, among: NDArray[np.bool_], start: Array | None = None) -
     odds = columns @ b + later
 
     def missing(shift: float) -> float:
-        return float(np.sum(1.0 / (1.0 + np.exp(-(odds + shift)))) - np.count_nonzero(sign > 0.0))
+        return float(np.sum(expit(odds + shift))) - np.count_nonzero(sign > 0.0)
 
     return np.append(b[:-1] / scatter, b[-1] - float((b[:-1] * mean / scatter).sum()) + brentq(missing, -10.0, 10.0))
 

@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -32,7 +32,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from sboc_e2e.icd.flags import StreakFlag
-from tests.benchmarks.real_frames_table import NEAR_PX, SURE, Row, Trail, table_text
+from tests.benchmarks.real_frames_table import SURE, Row, Trail, table_text
 
 ROOT: Final = Path(__file__).resolve().parents[2]
 SHARED: Final = ROOT.parent / "shared"
@@ -128,7 +128,7 @@ def covered(streak: Any, trail: Sequence[float]) -> float:
     return float((high - low) / length)
 
 
-def ends_of(streak: Any, trail: Sequence[float]) -> tuple[list[float], list[float]]:
+def ends_of(streak: Any, trail: Sequence[float]) -> tuple[tuple[float, float], tuple[float, float]]:
     """Distance of each end along the trail from the eye's nearest one, and the larger side of its quoted interval, px.
 
     The eye's ends on a border stand for light that goes on: a measured end beyond the border is no error.
@@ -146,7 +146,7 @@ def ends_of(streak: Any, trail: Sequence[float]) -> tuple[list[float], list[floa
         low, high = float(streak[f"end{k}_low_px"]), float(streak[f"end{k}_high_px"])
         interval.append(max(abs(low), abs(high)) if math.isfinite(low) and math.isfinite(high) else 0.0)
         away.append(error)
-    return away, interval
+    return (away[0], away[1]), (interval[0], interval[1])
 
 
 def trail_of(streaks: Table, trail: Sequence[float]) -> tuple[Trail, set[int]]:
@@ -156,20 +156,17 @@ def trail_of(streaks: Table, trail: Sequence[float]) -> tuple[Trail, set[int]]:
     let_through = [k for k in on if is_published(streaks[k])]
     nothing = Trail(
         found=max((share[k] for k in on), default=0.0),
-        published=0.0, end_px=(math.nan, math.nan), inside=(False, False), interval_px=(math.nan, math.nan), snr=math.nan,
-        probability=math.nan, extra=0,
+        published=0.0, end_px=(math.nan, math.nan), interval_px=(math.nan, math.nan), snr=math.nan, probability=math.nan, extra=0,
     )  # fmt: skip
     if not let_through:
         best = max(on, key=lambda k: share[k], default=None)
         if best is None:
             return nothing, on
-        seen = {"snr": float(streaks[best]["snr"]), "probability": float(streaks[best]["probability"])}
-        return Trail(**(asdict(nothing) | seen)), on
+        return replace(nothing, snr=float(streaks[best]["snr"]), probability=float(streaks[best]["probability"])), on
     best = max(let_through, key=lambda k: share[k])
-    (away0, away1), (interval0, interval1) = ends_of(streaks[best], trail)
+    end_px, interval_px = ends_of(streaks[best], trail)
     made = Trail(
-        found=nothing.found, published=float(share[best]), end_px=(away0, away1),
-        inside=(away0 <= max(NEAR_PX, interval0), away1 <= max(NEAR_PX, interval1)), interval_px=(interval0, interval1),
+        found=nothing.found, published=float(share[best]), end_px=end_px, interval_px=interval_px,
         snr=float(streaks[best]["snr"]), probability=float(streaks[best]["probability"]), extra=len(let_through) - 1,
     )  # fmt: skip
     return made, on

@@ -2,7 +2,7 @@
 
 import hashlib
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Final
 
 from scipy.stats import beta, chi2
@@ -40,19 +40,23 @@ class Trail:
     """What became of one trail that the eye saw.
 
     found, published : share of its length that the longest measured and the longest published streak cover.
-    end_px : (2,) distance of the published streak's ends from the eye's. inside : which are within 2 px or their interval.
-    interval_px : (2,) the larger side of their intervals.
+    end_px : (2,) distance of the published streak's ends from the eye's. interval_px : (2,) the larger side of their intervals.
+    inside : which ends are within `NEAR_PX` or their interval.
     extra : further published streaks on the same trail.
     """
 
     found: float
     published: float
     end_px: tuple[float, float]
-    inside: tuple[bool, bool]
     interval_px: tuple[float, float]
     snr: float
     probability: float
     extra: int
+    inside: tuple[bool, bool] = field(init=False)
+
+    def __post_init__(self) -> None:
+        first, last = (px <= max(NEAR_PX, quoted) for px, quoted in zip(self.end_px, self.interval_px, strict=True))
+        object.__setattr__(self, "inside", (first, last))
 
     @property
     def ends_text(self) -> str:

@@ -38,6 +38,7 @@ ROW: Final = np.dtype(
         ("fit_numbers", "f8", len(FIT_NUMBERS)),
         ("covariance_px2", "f8", (4, 4)),
         ("end_interval_px", "f8", (2, 2)),
+        ("light_interval_px", "f8", (2, 2)),
         ("period_fraction", "f8"),
         ("curve_end", "i8"),
     ]
@@ -78,6 +79,7 @@ class StreakRows(ByPlace[StreakMeasurement]):
                     [getattr(fit, name) for name in FIT_NUMBERS],
                     fit.covariance_px2,
                     fit.end_interval_px,
+                    fit.light_ends_px,
                     np.nan if fit.period_fraction is None else fit.period_fraction,
                     end,
                 )
@@ -105,6 +107,7 @@ class StreakRows(ByPlace[StreakMeasurement]):
         fit = StreakFit(
             covariance_px2=row["covariance_px2"],
             end_interval_px=row["end_interval_px"],
+            light_interval_px=row["light_interval_px"],
             n_pixels=int(row["n_pixels"]),
             flags=StreakFlag(fit_flags),
             light_curve_e_px=curve,

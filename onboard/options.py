@@ -16,6 +16,10 @@ class RoiOptions:
     end_margin: float = field(
         default=3.0, metadata={"doc": "margin beyond the ends over the rms of a faint end's position", "min": 0.0, "max": 10.0}
     )
+    follow_light: bool = field(
+        default=False,
+        metadata={"doc": "whether regions reach as far as light goes on beyond an end, as of trails that fade; costs bytes"},
+    )
     max_per_frame: int = field(
         default=60, metadata={"doc": "detections sent per frame; more means a particle storm", "min": 1, "max": 10000}
     )

@@ -13,37 +13,15 @@ from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
 from ground.streaks.centre_line import effective_width_px
+from ground.streaks.light_blocks import BLOCK_WIDTHS, LIT_WIDTHS, Array, Blocks, blocks_of, light_beside, weights_of
+from ground.streaks.light_end import LightEnd, light_end
 from ground.streaks.trail_frame import TrailFrame
 from ground.streaks.trail_pixels import TrailPixels, usable_pixels
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit, StreakPixels
-
-Array = NDArray[np.float64]
-
-BLOCK_WIDTHS: Final = 4.0
-"""Length of a block in widths of the profile: neighbouring blocks are then nearly independent."""
-
-LIT_WIDTHS: Final = 2.5
-"""Pixels within this many widths of the line hold its light (0.988 of it)."""
-
-BESIDE_WIDTHS: Final = 3.3
-"""Pixels beyond this many widths hold the sky alone (1e-3 of the light)."""
-
-LEAST_BESIDE: Final = 12
-"""Pixels beside three blocks from which the sky's level is taken there."""
-
-MEDIAN_VARIANCE: Final = 0.5 * math.pi
-"""Variance of a median over that of a mean, of Gaussian values."""
-
-STRAY_SIGMAS: Final = 4.0
-"""By chance in one of 30,000 blocks."""
-STRAY_SHARE: Final = 1.5
-"""A block that differs from those on both sides by so many sigmas and by this factor is not the trail's light alone."""
 
 ABOVE_SIGMAS: Final = 3.0
 """A block beyond an end that stands so far above the best fall holds another source: the fall is pulled up by it already."""
@@ -59,12 +37,6 @@ OTHER_LIGHT: Final = 0.07
 """Light of a block beyond an end that is none of the trail's, as a share of the trail's mean light (one sigma, beside the
 noise): unlisted stars, roofs, its own wings. From S/N 300 on a hundredth of a trail's light is far above the noise. Two meteors
 were followed 25 and 220 px beyond their ends, over stars and a dome of 1 to 9 % of their light. Chosen in view of them."""
-
-BESIDE_LINES: Final = (5.0, 8.0, 11.0, 14.0)
-"""Widths to both sides at which lines beside a trail tell what light is there without it, as far as the region reaches. They are
-three apart, so that they hardly share a star."""
-BESIDE_BLOCKS: Final = 4
-"""Fewer blocks on lines beside a trail tell no scatter. Chosen, not measured."""
 
 LEAST_SNR: Final = 10.0
 """Fainter trails do not tell a step from a fall."""
@@ -110,28 +82,12 @@ LEAST_BLOCKS: Final = 6
 """Fewer blocks from the middle outwards leave no window before the end. Chosen, not measured."""
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Blocks:
-    """Light along one half of a trail, outwards: place of each block's middle (px), density and its sigma (e-/px), all (n,).
-
-    Infinite sigma: unknown.
-    """
-
-    place: Array
-    density: Array
-    sigma: Array
-    length_px: float
-
-
 @dataclass(frozen=True, kw_only=True)
 class Fade:
-    """An end as followed outwards: where its light was last seen (px from the middle), how far inwards it may have ended, and
-    the light between the fitted end and this one."""
+    """An end as followed outwards: where its light was last seen (px from the middle), and how far inwards it may have ended."""
 
     seen_px: float
     inwards_px: float
-    light_e: float
-    light_err_e: float
 
 
 def with_fading_ends(fit: StreakFit, pixels: StreakPixels) -> StreakFit:
@@ -159,37 +115,53 @@ def with_fading_ends(fit: StreakFit, pixels: StreakPixels) -> StreakFit:
         if seen_px > half:  # where it went outwards, the lines beside it have a say
             blocks = _without_light_beside(blocks, outwards, half, width, border)
             fade = _fade(blocks, half, width, border)
-        if fade is not None:
-            moved = _with_end(fit, end, fade, border, half, width)
-            fit = _with_curve(moved, end, blocks, half, fit.length_px)
+        light = light_end(outwards, half, width, border)
+        place = min(light.place_px, half if fade is None else max(fade.seen_px, half))
+        own = fit.end_interval_px[end].copy()
+        if fade is not None or place < half:
+            # a fall reaches to the border; where light is lost before the fit's end without one, that end may be right
+            inwards = 0.0 if fade is None else fade.inwards_px
+            reach = half + own[1] if fade is None else border + width
+            moved = _with_end(fit, end, (-inwards, reach - place), place, border, half, width)
+            fit = _with_curve(_with_light_of(moved, blocks, half, place, width), end, blocks, half, fit.length_px)
         elif seen_px > half:  # the trail's light or that of stars: the end stays, and may lie there
             fit = _reaching_to(fit, end, seen_px - half)
         elif _ends_at_a_mask(outwards, half, width, border):
             fit = _reaching_to(fit, end, border - half)
         else:
             runs_on = max(_runs_on_to(blocks_of(outwards, width, border, n), half, width, border) for n in RUNS_ON_WIDTHS)
-            if runs_on > half + fit.end_interval_px[end, 1]:
+            if runs_on > half + own[1]:
                 fit = _reaching_to(fit, end, runs_on - half)
+        fit = _with_light_interval(fit, end, light, place, own)
     return fit
+
+
+def _with_light_interval(fit: StreakFit, end: int, light: LightEnd, place_px: float, own_px: Array) -> StreakFit:
+    """The fit with the interval of its light's end, which is on the border with the end. own_px : (2,) of one brightness."""
+    intervals = fit.light_interval_px.copy() if len(fit.light_interval_px) else fit.end_interval_px.copy()
+    on_border = (StreakFlag.EDGE0, StreakFlag.EDGE1)[end] in fit.flags
+    lost = np.array([min(light.bright_px - place_px, own_px[0]), max(light.faint_px - place_px, own_px[1])])
+    intervals[end] = 0.0 if on_border else lost
+    return replace(fit, light_interval_px=intervals)
+
+
+def _with_light_of(fit: StreakFit, blocks: Blocks, half_px: float, place_px: float, width_px: float) -> StreakFit:
+    """The fit with the light between its old end and a later one."""
+    more = (blocks.place > half_px + width_px) & (blocks.place < place_px) & np.isfinite(blocks.sigma)
+    return replace(
+        fit,
+        flux_e=fit.flux_e + float(blocks.density[more].sum()) * blocks.length_px,
+        flux_err_e=math.hypot(fit.flux_err_e, math.sqrt(float(np.sum(blocks.sigma[more] ** 2))) * blocks.length_px),
+    )
 
 
 def _without_light_beside(blocks: Blocks, outwards: TrailPixels, end_px: float, width_px: float, border_px: float) -> Blocks:
     """The blocks, those beyond an end without the light that blocks on lines beside the trail have in the mean.
 
-    Its scatter, without their noise, is added to the errors. Stars that are too faint to be listed are light on any line. Where
-    too little of such lines is seen the blocks stay as they are.
+    Its scatter, without their noise, is added to the errors. Where too little of such lines is seen the blocks stay as they are.
     """
-    density, variance = [np.zeros(0)], [np.zeros(0)]
-    for shift in (side * away for away in BESIDE_LINES for side in (-1.0, 1.0)):
-        reach = float((np.sign(shift) * outwards.v).max(initial=0.0))
-        if reach < (abs(shift) + 1.0) * width_px:
-            continue
-        beside = blocks_of(replace(outwards, v=outwards.v - shift * width_px), width_px, border_px)
-        used = (beside.place > end_px + width_px) & np.isfinite(beside.sigma)
-        density.append(beside.density[used])
-        variance.append(beside.sigma[used] ** 2)
-    light, noise = np.concatenate(density), np.concatenate(variance)
-    if light.size < BESIDE_BLOCKS:
+    light, noise = light_beside(outwards, end_px, width_px, border_px)
+    if not light.size:
         return blocks
     mean, scatter = max(float(light.mean()), 0.0), math.sqrt(max(float(light.var() - noise.mean()), 0.0))
     beyond = blocks.place > end_px
@@ -237,89 +209,16 @@ def _ends_at_a_mask(outwards: TrailPixels, end_px: float, width_px: float, borde
     return border_px - last > LIT_WIDTHS * width_px and last < end_px + MASK_WIDTHS * width_px
 
 
-def blocks_of(pixels: TrailPixels, width_px: float, border_px: float, block_widths: float = BLOCK_WIDTHS) -> Blocks:
-    """Light in blocks from the middle outwards, above the sky beside each. block_widths : their length in widths."""
-    length = block_widths * width_px
-    number = max(int(min(float(pixels.u.max(initial=0.0)), border_px) / length), 0)
-    block = np.floor(pixels.u / length).astype(np.int64)
-    inside = (block >= 0) & (block < number)
-    lit = inside & (np.abs(pixels.v) < LIT_WIDTHS * width_px)
-    beside = inside & (np.abs(pixels.v) > BESIDE_WIDTHS * width_px)
-    level, level_variance = _sky_beside(block[beside], pixels.value_e[beside], pixels.variance_e2[beside], number)
-    profile = np.exp(-0.5 * (pixels.v[lit] / width_px) ** 2) / (math.sqrt(2.0 * math.pi) * width_px)
-    place, weight = block[lit], 1.0 / pixels.variance_e2[lit]
-    information = np.bincount(place, weight * profile**2, number)
-    known = information > 0.3 * np.median(information) if number else np.zeros(0, dtype=np.bool_)
-    safe = np.where(known, np.maximum(information, 1e-300), 1.0)
-    density = np.bincount(place, weight * profile * (pixels.value_e[lit] - level[place]), number) / safe
-    by_level = np.bincount(place, weight * profile, number) / safe
-    sigma = np.where(known, np.sqrt(1.0 / safe + by_level**2 * level_variance), math.inf)
-    density = np.where(known, density, 0.0)
-    sigma = np.where(_strays(density, sigma), math.inf, sigma)
-    return Blocks(place=(np.arange(number, dtype=np.float64) + 0.5) * length, density=density, sigma=sigma, length_px=length)
-
-
-def _sky_beside(block: NDArray[np.int64], value: Array, variance: Array, number: int) -> tuple[Array, Array]:
-    """Level of the sky in each block and its variance, (number,): median of the pixels beside it and its two neighbours."""
-    order = np.argsort(block, kind="stable")
-    first = np.searchsorted(block[order], np.arange(-1, number + 2))  # first[k] : of block k - 1
-    return _running_medians(value[order], variance[order], first)
-
-
-@njit(cache=True)
-def _running_medians(value: Array, variance: Array, first: NDArray[np.int64]) -> tuple[Array, Array]:
-    """Median of value and variance of the median in each three neighbouring groups of pixels, (m - 3,); zero of too few.
-
-    first : (m,) first pixel of each group.
-    """
-    number = first.size - 3
-    level, level_variance = np.zeros(number), np.zeros(number)
-    for k in range(number):
-        count = first[k + 3] - first[k]
-        if count >= LEAST_BESIDE:
-            level[k] = np.median(value[first[k] : first[k + 3]])
-            level_variance[k] = MEDIAN_VARIANCE * np.median(variance[first[k] : first[k + 3]]) / count
-    return level, level_variance
-
-
-def _strays(density: Array, sigma: Array) -> NDArray[np.bool_]:
-    """(n,) blocks that differ much from those on both sides: stars on the line, and sky that a star beside the line raised.
-
-    One side is not enough: the last lit block of a trail that stops is brighter than those outside it.
-    """
-    if density.size < 5:
-        return np.zeros(density.size, dtype=np.bool_)
-    inside, outside = _neighbours(density)
-    usual = np.minimum(inside.max(axis=0), outside.max(axis=0))
-    dark = (usual - density > STRAY_SIGMAS * sigma) & (usual > STRAY_SHARE * density)
-    inside, outside = _neighbours(np.where(dark, usual, density))
-    usual = np.maximum(np.maximum(inside.mean(axis=0), outside.mean(axis=0)), 0.0)
-    bright = (density - usual > STRAY_SIGMAS * sigma) & (density > STRAY_SHARE * usual)
-    return np.asarray(dark | bright)
-
-
-def _neighbours(density: Array) -> tuple[Array, Array]:
-    """The two blocks before and the two after each block, (2, n) both; ends repeat."""
-    about = np.pad(density, 2, mode="edge")
-    inside, outside = ([about[k : k + density.size] for k in pair] for pair in ((0, 1), (3, 4)))
-    return np.stack(inside), np.stack(outside)
-
-
-def _weights(sigma: Array) -> Array:
-    """(n,) inverse variances, 0 where nothing is known."""
-    return np.where(np.isfinite(sigma), 1.0 / np.where(np.isfinite(sigma), sigma, 1.0) ** 2, 0.0)
-
-
 def _gains(density: Array, sigma: Array, model: Array) -> Array:
     """(n,) log likelihood of each block with a model over that without light."""
-    return np.asarray(0.5 * _weights(sigma) * (density**2 - (density - model) ** 2))
+    return np.asarray(0.5 * weights_of(sigma) * (density**2 - (density - model) ** 2))
 
 
 def _falling(density: Array, sigma: Array) -> Array:
     """The best light (n,) that never rises outwards and is never negative."""
     from scipy.optimize import isotonic_regression  # takes a quarter of a second, which frames without trails do not need
 
-    weights = np.maximum(_weights(sigma), 1e-30)
+    weights = np.maximum(weights_of(sigma), 1e-30)
     return np.maximum(isotonic_regression(density, weights=weights, increasing=False).x, 0.0)
 
 
@@ -328,7 +227,7 @@ def _best_step(blocks: Blocks, sigma: Array, width_px: float, first: int) -> flo
 
     The share of a block that is lit is the mean of a normal distribution function over it: 1 or 0 but for those near the stop.
     """
-    weight, length = _weights(sigma[first:]), blocks.length_px
+    weight, length = weights_of(sigma[first:]), blocks.length_px
     light, n = weight * blocks.density[first:], weight.size
     stops = STEP_WIDTHS * width_px * np.arange(1, 1 + round(n * length / (STEP_WIDTHS * width_px)))
     block, reach = (stops // length).astype(np.int64), math.ceil(BLUR_WIDTHS * width_px / length)
@@ -362,7 +261,7 @@ def _fade(blocks: Blocks, end_px: float, width_px: float, border_px: float) -> F
         sigma = np.where(above, math.inf, sigma)
         fall = _falling(density, sigma)
     seen = _last_seen(_gains(density, sigma, fall))
-    inwards = np.cumsum((_weights(sigma) * np.maximum(density, 0.0) ** 2)[seen::-1])
+    inwards = np.cumsum((weights_of(sigma) * np.maximum(density, 0.0) ** 2)[seen::-1])
     # both ends of the window move by whole blocks: at least two are needed to tell a step from a fall
     start = max(min(seen - int(np.searchsorted(inwards, WINDOW_SNR**2)), seen - 2), 0)
     window = slice(start, None)
@@ -377,15 +276,10 @@ def _fade(blocks: Blocks, end_px: float, width_px: float, border_px: float) -> F
         if not evidence > DOUBT:
             return None
         seen_px, inwards_px = (min(seen_px, end_px), blocks.length_px) if falls else (end_px, 0.0)
-        return Fade(seen_px=seen_px, inwards_px=inwards_px, light_e=0.0, light_err_e=0.0)
+        return Fade(seen_px=seen_px, inwards_px=inwards_px)
     # what runs on without a visible fall may be stars in a row: then the fitted end is the right one
     doubtful = 0.0 if falls else max(seen_px - end_px, 0.0)
-    return Fade(
-        seen_px=min(seen_px, border_px),
-        inwards_px=blocks.length_px + doubtful,
-        light_e=float(density[beyond].sum()) * blocks.length_px,
-        light_err_e=math.sqrt(float(np.sum(sigma[beyond] ** 2))) * blocks.length_px,
-    )
+    return Fade(seen_px=min(seen_px, border_px), inwards_px=blocks.length_px + doubtful)
 
 
 def _snr(density: Array, sigma: Array) -> float:
@@ -408,17 +302,21 @@ def _last_seen(gains: Array) -> int:
     return int(np.flatnonzero(total >= total.max() - SEEN_DROP)[0])
 
 
-def _with_end(fit: StreakFit, end: int, fade: Fade, border_px: float, half_px: float, width_px: float) -> StreakFit:
-    """The fit with one end where its light was last seen, or on the border where it is seen to there."""
-    over = border_px - fade.seen_px < AT_BORDER_WIDTHS * width_px
-    place = border_px if over else fade.seen_px
+def _with_end(
+    fit: StreakFit, end: int, interval_px: tuple[float, float], seen_px: float, border_px: float, half_px: float, width_px: float
+) -> StreakFit:
+    """The fit with one end where its light was last seen, or on the border where it is seen to there.
+
+    interval_px : of the object's end about `seen_px`.
+    """
+    over = border_px - seen_px < AT_BORDER_WIDTHS * width_px
+    place = border_px if over else seen_px
     along = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0]) / max(fit.length_px, 1e-6)
     across = np.array([-along[1], along[0]])
     shift = (place - half_px) * (along if end else -along)
     interval = fit.end_interval_px.copy()
-    interval[end] = min(-fade.inwards_px, interval[end, 0]), border_px - place + width_px
-    if over:
-        interval[end] = 0.0
+    low, high = interval_px
+    interval[end] = (0.0, 0.0) if over else (min(low, interval[end, 0]), high)
     spread = 0.5 * float(interval[end, 1] - interval[end, 0])
     block = slice(2 * end, 2 * end + 2)
     kept = float(across @ fit.covariance_px2[block, block] @ across)
@@ -435,8 +333,6 @@ def _with_end(fit: StreakFit, end: int, fade: Fade, border_px: float, half_px: f
         **moved,  # type: ignore[arg-type]
         covariance_px2=covariance,
         end_interval_px=interval,
-        flux_e=fit.flux_e + fade.light_e,
-        flux_err_e=math.hypot(fit.flux_err_e, fade.light_err_e),
         flags=flags,
     )
 

@@ -92,6 +92,7 @@ def reversed_ends(fit: StreakFit) -> StreakFit:
         col1=fit.col0,
         covariance_px2=fit.covariance_px2[np.ix_(order, order)],
         end_interval_px=fit.end_interval_px[::-1],
+        light_interval_px=fit.light_interval_px[::-1],
         sigma_cross_px=fit.sigma_cross_px,
         flux_e=fit.flux_e,
         flux_err_e=fit.flux_err_e,

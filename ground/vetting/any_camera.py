@@ -1,9 +1,9 @@
 """Odds of a line in a frame from outside: the vetter's own, weighed with what held for cameras that it had not seen.
 
 A vetter's classes are those of one simulated camera, and a frame's look-alikes are few. How far both can be trusted, and what the
-line's contrast, length and width and the other lines about it add, was fitted to lines of real frames (logistic regression). With
-each repository judged by a fit to the others, 407 of 477 measured trails were published and 30 other lines, in 472 frames. By the
-weights before, made in view of 34 cameras, they were 411 and 43 (docs/exams.md).
+line's contrast, length and width, the other lines about it and the picture about it add, was fitted to lines of real frames
+(logistic regression). With each repository judged by a fit to the others, 413 of 477 measured trails were published and 20 other
+lines, in 472 frames; without the picture 407 and 30 (docs/exams.md).
 """
 
 import math
@@ -30,6 +30,12 @@ LONG_PX: Final = 40.0
 """Other lines of a frame from this length on are counted, whatever they are: where there are many, few of them are trails."""
 FEW: Final = 20
 """So many of them say nothing yet: simulated skies have as many."""
+USUAL: Final = (0.9, -0.1, -0.15, 0.6, -2.2, 2.7, 0.17)
+"""Numbers of the picture about a line (`surroundings.NAMES`) that say nothing: the means of the lines of real frames."""
+LOWEST: Final = (0.4, -1.2, -0.85, 0.1, -3.1, 0.0, 0.0)
+"""They count from these on, and"""
+HIGHEST: Final = (3.6, 0.6, 0.3, 2.5, -0.9, 5.4, 0.46)
+"""up to these: 98 % of the lines lie between."""
 LEAST_PROBABILITY: Final = 1e-3
 """What the vetter finds less probable stays so: the other terms add 5 to the log odds at most."""
 
@@ -45,29 +51,33 @@ UNMODELLED_PROBABILITY: Final = 0.1
 """The vetter's probability counts as this at least: a satellite of S/N 892 across a stack, where stars take a fifth of the places
 beside it, had 0.005 for its width and texture. Lines of no more do not tell the optics (`look_alikes.LEAST_TELLING`)."""
 
-CONSTANT: Final = -2.8
+CONSTANT: Final = -3.67
 """Weights of the logistic regression follow, to 6,441 lines (456 trails) in frames of 303 repositories, 143 of them with trails,
 and to 467 lines (240 satellites) in 96 frames of six simulated skies. The trails of a repository count as four at most and its
 other lines as 40, those of a sky as 24. This is the constant, with which the probabilities of lines that count once each are
-right in the mean; one sigma over repositories drawn again is 0.7."""
-PER_LOG_ODDS: Final = 0.78
+right in the mean; one sigma over repositories drawn again is 0.85."""
+PER_LOG_ODDS: Final = 0.84
 """Of the vetter's log odds; one sigma 0.1."""
-PER_WINS: Final = 0.84
-"""Of ln(pieces) (wins - 1/2); one sigma 0.4."""
-PER_PEAK: Final = 4.29
-"""Of the peak; one sigma 0.8."""
-PER_LN_WIDTHS: Final = 2.35
-"""Of ln(length / (`WIDTHS` widths)); one sigma 0.2."""
-PER_LN_READOUT: Final = -2.69
-"""Of ln(1 + odds of a line of the readout); one sigma 0.7."""
-PER_LN_SHARPER: Final = 5.9
-"""Of ln(width / that of the optics) where it is negative; one sigma 0.6."""
-PER_LN_WIDER: Final = -1.26
-"""Of the same where it is positive; one sigma 0.8."""
-PER_LN_OTHERS: Final = -1.14
+PER_WINS: Final = 0.97
+"""Of ln(pieces) (wins - 1/2); one sigma 0.5."""
+PER_PEAK: Final = 3.86
+"""Of the peak; one sigma 1."""
+PER_LN_WIDTHS: Final = 1.88
+"""Of ln(length / (`WIDTHS` widths)); one sigma 0.3."""
+PER_LN_READOUT: Final = -3.09
+"""Of ln(1 + odds of a line of the readout); one sigma 1.1."""
+PER_LN_SHARPER: Final = 6.4
+"""Of ln(width / that of the optics) where it is negative; one sigma 1.5."""
+PER_LN_WIDER: Final = -1.62
+"""Of the same where it is positive; one sigma 1.2."""
+PER_LN_OTHERS: Final = -0.59
 """Of ln(other long lines about it / `FEW`) where it is positive; one sigma 0.3."""
+PER_SURROUNDINGS: Final = (-2.21, 1.19, 1.86, -1.38, -2.97, 0.74, 5.72)
+"""Of the numbers of the picture about it, in the order of `surroundings.NAMES`, above `USUAL`; one sigma 0.8, 0.9, 0.9,
+1.5, 0.8, 0.15 and 1.3."""
 PER_TERM: Final = (
     PER_LOG_ODDS, PER_WINS, PER_PEAK, PER_LN_WIDTHS, PER_LN_READOUT, PER_LN_SHARPER, PER_LN_WIDER, PER_LN_OTHERS,
+    *PER_SURROUNDINGS,
 )  # fmt: skip
 """In the order of `terms_of`."""
 
@@ -113,12 +123,14 @@ def probability_in_any_camera(
     contrasts: Sequence[Contrast | None],
     tracks: NDArray[np.float64],
     others: NDArray[np.float64],
+    surroundings: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     """(n,) of the fits of a frame, given a vetter's own (n,).
 
     sharpness : ln of each fit's width over that of the optics, NaN where nothing tells the optics. contrasts : of the fits, None
         where they keep their probability. tracks : odds (n,) of a particle's track for lines that are sharper than the optics;
-        infinite for others. others : number (n,) of other long lines about each, see `others_near`.
+        infinite for others. others : number (n,) of other long lines about each, see `others_near`. surroundings : numbers (n, 7)
+        of the picture about each, see `surroundings.NAMES`; NaN where they are not known.
     """
     readout = np.log1p(odds_of_readout(fits))
     out = probability.astype(np.float64)
@@ -128,30 +140,31 @@ def probability_in_any_camera(
             widths = fits[k].length_px / effective_width_px(fits[k].width_px)
             told = sharpness[k] if math.isfinite(sharpness[k]) else 0.0
             given = [own, contrast.pieces, contrast.wins, contrast.peak, widths, readout[k]]
-            as_told, as_light = (_probability(*given, sharper, others[k]) for sharper in (told, max(told, 0.0)))
+            as_told, as_light = (_probability(*given, sharper, others[k], surroundings[k]) for sharper in (told, max(told, 0.0)))
             # a sharper line is the track of a particle, or light of optics that are sharper than was told
             out[k] = as_told + (as_light - as_told) / (1.0 + tracks[k])
     return out
 
 
-def _probability(*terms: float) -> float:
+def _probability(*terms: ArrayLike) -> float:
     """Of a line with these terms; see `terms_of`."""
     return 1.0 / (1.0 + math.exp(-(CONSTANT + float(terms_of(*terms)[0] @ PER_TERM))))
 
 
 def terms_of(
     own: ArrayLike, pieces: ArrayLike, wins: ArrayLike, peak: ArrayLike, widths: ArrayLike, ln_readout: ArrayLike,
-    ln_sharpness: ArrayLike, others: ArrayLike,
+    ln_sharpness: ArrayLike, others: ArrayLike, surroundings: ArrayLike,
 ) -> NDArray[np.float64]:  # fmt: skip
-    """Terms (n, 8) of the log odds of lines, in the order of `PER_TERM`.
+    """Terms (n, 15) of the log odds of lines, in the order of `PER_TERM`.
 
     own : log odds of the vetter. pieces, wins, peak : see `Contrast`. widths : length over width. ln_readout : of one plus the
     odds of a line of the readout. ln_sharpness : ln of the width over that of the optics, 0 where nothing tells these.
-    others : number of other long lines about each.
+    others : number of other long lines about each. surroundings : (n, 7) of the picture about each.
     """
+    picture = np.clip(np.asarray(surroundings, dtype=np.float64).reshape(-1, len(USUAL)), LOWEST, HIGHEST) - USUAL
     columns = (
         np.clip(own, -LARGEST, LARGEST), np.log(pieces) * (np.asarray(wins) - 0.5), peak,
         np.log(np.minimum(widths, LONGEST_WIDTHS) / WIDTHS), ln_readout, np.minimum(ln_sharpness, 0.0),
-        np.maximum(ln_sharpness, 0.0), np.log(np.maximum(others, FEW) / FEW),
+        np.maximum(ln_sharpness, 0.0), np.log(np.maximum(others, FEW) / FEW), *np.nan_to_num(picture).T,
     )  # fmt: skip
     return np.column_stack([np.atleast_1d(np.asarray(column, dtype=np.float64)) for column in columns])

@@ -35,6 +35,7 @@ from ground.vetting.spikes import BrightStars
 from ground.vetting.star_arcs import of_turning_stars
 from ground.vetting.star_rows import FULL_PER_FRAME, FULL_SNR, LN_LENGTHS, REAL_PER_FRAME, StarField
 from ground.vetting.star_trails import against_chains, move_as
+from ground.vetting.surroundings import Surroundings
 from ground.vetting.texture import for_texture
 from ground.vetting.two_areas import is_border
 from sboc_e2e.icd.downlink import DownlinkFrame
@@ -106,6 +107,7 @@ class OwnEvidence:
     crosses : stars whose arms show in the picture; None: they were not looked for.
     circle : of a lens that does not fill the frame; None: it does, or is not known.
     tiles : counts around the lines; None: the lines are not held against their neighbourhood.
+    surroundings : the picture about the lines; None: it was not looked at.
     short_axis_px : of the images of the stars (sigma, the pixel's own taken off); None: they do not tell.
     noise_adu : of a pixel of the sky; 0: not known.
     """
@@ -121,6 +123,7 @@ class OwnEvidence:
     crosses: Crosses | None = None
     circle: ImageCircle | None = None
     tiles: Tiles | None = None
+    surroundings: Surroundings | None = None
     short_axis_px: float | None = None
     noise_adu: float = 0.0
 
@@ -224,7 +227,8 @@ class LookAlikeVetter:
         by_stars = frame.psf_sigma_px is not None and frame.psf_sigma_px <= sharpest
         tracks = odds_of_particles([*fits, *short], [by_stars and told < SHARP for told in every_sharpness])[: len(fits)]
         shape = frame.header.rows, frame.header.cols
-        given = probability_in_any_camera(fits, given, sharpness, contrasts, tracks, others_near(fits, shape))
+        about = (known.surroundings or Surroundings.none()).about(fits)
+        given = probability_in_any_camera(fits, given, sharpness, contrasts, tracks, others_near(fits, shape), about)
         for k in np.flatnonzero(given >= LEAST_PROBABILITY).tolist():
             odds = 0.0 if is_border(fits[k], tiles) else for_meteor(fits[k], tiles, contrasts[k])
             given[k] = with_odds(given[k], odds * for_texture(fits[k], tiles, known.noise_adu))

@@ -111,6 +111,7 @@ def _joined(pieces: Sequence[StreakFit]) -> StreakFit | None:
         col1=forward[high].col1,
         covariance_px2=covariance,
         end_interval_px=np.stack((forward[low].end_interval_px[0], forward[high].end_interval_px[1])),
+        light_interval_px=np.stack((forward[low].light_ends_px[0], forward[high].light_ends_px[1])),
         flux_e=flux,
         flux_err_e=abs(flux) * first.flux_err_e / max(abs(first.flux_e), 1e-9),
         flash_e=0.0,

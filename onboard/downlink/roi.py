@@ -1,6 +1,7 @@
 """ROI strips: sheared rectangles of pixels that follow a streak, with margins that follow its uncertainty."""
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
@@ -85,35 +86,59 @@ def plan_strips(
     shape: tuple[int, int],
     *,
     half_width_px: float,
-    margin_px: float,
+    margins_px: tuple[float, float],
     pixels_per_strip: int,
+    margin_half_width_px: float | None = None,
 ) -> tuple[StripGeometry, ...]:
-    """Strips that cover a detection with its margins, clipped to the frame; together they follow its arc."""
+    """Strips that cover a detection with margins beyond both ends, clipped to the frame; together they follow its arc.
+
+    margin_half_width_px : of the margins, where it is another.
+    """
     length = max(detection.length_px, 1e-3)
-    margins = [0.0 if detection.flags & edge else margin_px for edge in (StreakFlag.EDGE0, StreakFlag.EDGE1)]
+    edges = (StreakFlag.EDGE0, StreakFlag.EDGE1)
+    margins = [0.0 if detection.flags & edge else px for edge, px in zip(edges, margins_px, strict=True)]
     if length < 1.0:
-        return _square(detection, shape, half_width_px, max(margin_px, half_width_px), pixels_per_strip)
+        return _square(detection, shape, half_width_px, max(*margins_px, half_width_px), pixels_per_strip)
     low, high = -margins[0] / length, 1.0 + margins[1] / length
-    drow, dcol = abs(detection.row1 - detection.row0), abs(detection.col1 - detection.col0)
-    axis = 0 if drow >= dcol else 1
     # within a piece the arc departs from the chord by 1/n^2 of the whole; what remains is allowed for in the width
     pieces_for_arc = max(1, math.ceil(math.sqrt(abs(detection.sagitta_px) / STRAIGHT_WITHIN_PX)))
     half_width_px += abs(detection.sagitta_px) / pieces_for_arc**2
-    lines = (high - low) * max(drow, dcol) + 1.0
-    width = 2.0 * math.ceil(half_width_px * length / max(drow, dcol)) + 1.0
-    pieces = max(pieces_for_arc, math.ceil(lines * width / pixels_per_strip))
-    nodes = arc_points(detection, np.linspace(low, high, pieces + 1))
-    # neighbouring pieces share a node; the later one starts a line further on, so that no line is sent twice
-    strips: list[StripGeometry] = []
-    for a, b in pairwise(nodes):
-        strip = piece_geometry(a, b, half_width_px, axis, shape)
-        if strip is not None:
-            strips.append(strip)
+    if margin_half_width_px is None:
+        parts = [(low, high, half_width_px, pieces_for_arc)]
+    else:
+        parts = [
+            (low, 0.0, margin_half_width_px, 1),
+            (0.0, 1.0, half_width_px, pieces_for_arc),
+            (1.0, high, margin_half_width_px, 1),
+        ]
+    strips = [strip for part in parts for strip in _strips_between(detection, shape, *part, pixels_per_strip)]
     return _without_repeats(strips)
 
 
+def _strips_between(
+    detection: Detection,
+    shape: tuple[int, int],
+    low: float,
+    high: float,
+    half_width_px: float,
+    least_pieces: int,
+    pixels_per_strip: int,
+) -> Iterator[StripGeometry]:
+    """Strips along a part of a detection, between fractions of its chord. Neighbours share a line."""
+    drow, dcol = abs(detection.row1 - detection.row0), abs(detection.col1 - detection.col0)
+    longer = max(drow, dcol)
+    lines = (high - low) * longer + 1.0
+    width = 2.0 * math.ceil(half_width_px * max(detection.length_px, 1e-3) / longer) + 1.0
+    pieces = max(least_pieces, math.ceil(lines * width / pixels_per_strip))
+    nodes = arc_points(detection, np.linspace(low, high, pieces + 1))
+    for a, b in pairwise(nodes):
+        strip = piece_geometry(a, b, half_width_px, 0 if drow >= dcol else 1, shape)
+        if strip is not None:
+            yield strip
+
+
 def _without_repeats(strips: list[StripGeometry]) -> tuple[StripGeometry, ...]:
-    """Drop lines that the previous strip already contains."""
+    """Drop lines that the previous strip already contains, so that no line is sent twice: neighbouring pieces share a node."""
     out: list[StripGeometry] = []
     for strip in strips:
         if out:

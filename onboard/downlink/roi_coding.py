@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.downlink import packets, roi
+from onboard.downlink.trail_light import room_beyond_px, trail_half_width_px
 from onboard.image.calibrate import Counts
 from onboard.options import RoiOptions
 from sboc_e2e.icd import layout
@@ -19,6 +20,9 @@ from sboc_e2e.icd.steps import Encoder
 BLOCK_ROOM_BYTES = layout.MAX_PAYLOAD_BYTES - layout.ROI_GROUP.size - layout.STRIP.size
 FIRST_GUESS_FILL = 0.9
 """Strips are planned to fill this share of a packet, so that few need splitting."""
+
+MARGIN_HALF_WIDTHS = 2.4
+"""Half width of the margins in which light is followed, in those of the trail: lines beside it tell what light is no trail's."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -35,52 +39,21 @@ def bits_per_pixel(sigma_counts: float) -> float:
     return max(math.log2(4.13 * max(sigma_counts, 0.3)), 0.5) + 0.35
 
 
-def trail_half_width_px(view: DetectorView, detection: Detection, *, least_px: float, largest_px: float) -> float:
-    """Half width across that holds the trail's light, measured on the image: near objects are out of focus.
-
-    The profile across the trail, above what lies at the largest distance, is followed outwards from `least_px` as long as
-    the next 2 px on either side hold a significant part of the light (4 sigma, and 1 % of what lies within).
-    """
-    reach = math.ceil(largest_px)
-    if reach < least_px + 4.0:
-        return least_px
-    profile, number = cross_profile(view, detection, reach)
-    profile = profile - 0.5 * (np.median(profile[:4]) + np.median(profile[-4:]))
-    noise = float(np.median(view.background.sigma_adu)) * math.sqrt(number)
-    half = least_px
-    while half + 2.0 <= largest_px:
-        inner = round(half)
-        inside = profile[reach - inner : reach + inner + 1].sum()
-        ring = profile[reach - inner - 2 : reach - inner].sum() + profile[reach + inner + 1 : reach + inner + 3].sum()
-        if ring < 4.0 * noise * 2.0 or ring < 0.01 * inside:
-            break
-        half += 2.0
-    return half
-
-
-def cross_profile(view: DetectorView, detection: Detection, reach: int) -> tuple[NDArray[np.float64], int]:
-    """Sum along the trail of the image at offsets -reach ... reach px across it (nearest pixels), and how many each adds."""
-    drow, dcol = detection.row1 - detection.row0, detection.col1 - detection.col0
-    length = detection.length_px
-    samples = max(1, min(int(length), 2000))
-    points = roi.arc_points(detection, (np.arange(samples) + 0.5) / samples)
-    normal = (dcol / length, -drow / length) if length > 0.0 else (0.0, 1.0)
-    offsets = np.arange(-reach, reach + 1)
-    row = np.rint(points[:, :1] + offsets * normal[0]).astype(np.intp)
-    col = np.rint(points[:, 1:] + offsets * normal[1]).astype(np.intp)
-    rows, cols = view.residual_adu.shape
-    inside = (row >= 0) & (row < rows) & (col >= 0) & (col < cols)
-    values = np.where(inside, view.residual_adu[np.clip(row, 0, rows - 1), np.clip(col, 0, cols - 1)], 0.0)
-    # stars under the trail must not widen it: each offset's brightest and faintest tenths are left out
-    values = np.sort(values, axis=0)
-    cut = samples // 10
-    return values[cut : samples - cut].sum(axis=0).astype(np.float64), samples - 2 * cut
-
-
-def region_margin_px(detection: Detection, psf_sigma_px: float, options: RoiOptions) -> float:
-    """Margin that a region has beyond the ends of its detection: a smaller one where it is flagged ROI_CUT."""
+def least_margin_px(detection: Detection, psf_sigma_px: float, options: RoiOptions) -> float:
+    """Margin that a region has at least beyond the ends of its detection: a smaller one where it is flagged ROI_CUT."""
     factor = min(options.end_margin, 1.0) if detection.flags & StreakFlag.ROI_CUT else options.end_margin
     return roi.end_margin_px(detection.length_px, detection.snr, psf_sigma_px, factor)
+
+
+def region_margins_px(
+    view: DetectorView, detection: Detection, half_width_px: float, psf_sigma_px: float, options: RoiOptions
+) -> tuple[float, float]:
+    """Margins that a region has beyond both ends of its detection, wider where light goes on and is followed."""
+    least = least_margin_px(detection, psf_sigma_px, options)
+    if StreakFlag.ROI_CUT in detection.flags or not options.follow_light:
+        return least, least
+    first, last = (max(least, room_beyond_px(view, detection, end, half_width_px / options.half_width_sigma)) for end in (0, 1))
+    return first, last
 
 
 def pixels_per_strip(sigma_counts: float, room_bytes: int) -> int:
@@ -102,13 +75,14 @@ def code_roi(
     if tight:
         half_width = min(half_width, 3.0 * sigma_px)
         detection = replace(detection, flags=detection.flags | StreakFlag.ROI_CUT)
-    margin = region_margin_px(detection, sigma_px, options)
+    margins = region_margins_px(view, detection, half_width, sigma_px, options)
     sigma_counts = float(np.median(view.background.sigma_adu)) / counts.adu_scale
     plan = roi.plan_strips(
         detection,
         view.mask.shape,
         half_width_px=half_width,
-        margin_px=margin,
+        margins_px=margins,
+        margin_half_width_px=half_width * MARGIN_HALF_WIDTHS if options.follow_light else None,
         pixels_per_strip=pixels_per_strip(sigma_counts, BLOCK_ROOM_BYTES),
     )
     if not codec.lossless:

@@ -9,7 +9,7 @@ import numpy as np
 
 from onboard.downlink import packets, roi
 from onboard.downlink.kept_counts import KeptCounts
-from onboard.downlink.roi_coding import BLOCK_ROOM_BYTES, code_strips, pixels_per_strip, region_margin_px
+from onboard.downlink.roi_coding import BLOCK_ROOM_BYTES, code_strips, least_margin_px, pixels_per_strip
 from onboard.options import RoiOptions
 from sboc_e2e.icd import layout
 from sboc_e2e.icd.flags import StreakFlag
@@ -46,7 +46,7 @@ def code_member(
             piece,
             kept.shape,
             half_width_px=min(options.half_width_sigma * sigma_px, options.max_half_width_px),
-            margin_px=margin_px,
+            margins_px=(margin_px, margin_px),
             pixels_per_strip=pixels_per_strip(sigma_counts, ROOM_BYTES),
         )
     ]
@@ -82,7 +82,7 @@ def unsent(found: Detection, region: RoiGroup, margin_px: float, psf_sigma_px: f
     u = np.array([found.row1 - found.row0, found.col1 - found.col0]) / length
     start = np.array([found.row0, found.col0])
     low, high = sorted(float((np.array(end) - start) @ u) for end in ((d.row0, d.col0), (d.row1, d.col1)))
-    sent_px = region_margin_px(d, psf_sigma_px, options)
+    sent_px = least_margin_px(d, psf_sigma_px, options)
     spans = []
     if low - sent_px > 0.0:
         spans.append((0.0 if found.flags & StreakFlag.EDGE0 else -margin_px, low - sent_px))

@@ -40,7 +40,9 @@ class StreakFit:
 
     covariance_px2 : (4, 4) of (row0, col0, row1, col1).
     end_interval_px : (2, 2) 68 % intervals of end 0 and end 1 along the trail, relative to the quoted position,
-    positive outwards. Use them instead of the covariance where `ENDS_NOT_GAUSSIAN` is set.
+    positive outwards. Use them instead of the covariance where `ENDS_NOT_GAUSSIAN` is set. They are the object's: where a trail
+    fades it may go on unseen to the border.
+    light_interval_px : (2, 2) the same of the ends of the light that is seen; empty: those of the object.
     flux_e : inside the frame, all of the trail. sagitta_px, gradient : curvature and linear brightness change
     (relative, end to end); 0 when the simpler model won. width_px : fitted PSF sigma.
     light_curve_e_px : (k,) flux density in equal bins along the trail from end 0 to end 1, may be empty; light_curve_err_e_px :
@@ -77,14 +79,22 @@ class StreakFit:
     psf_sigma_px: float = math.nan
     flash_e: float = 0.0
     track_frames: float = 0.0
+    light_interval_px: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 2)))
 
     def __post_init__(self) -> None:
+        light = validate.array("fit.light_interval_px", self.light_interval_px, "f8", (None, 2))
+        object.__setattr__(self, "light_interval_px", light)
         object.__setattr__(self, "covariance_px2", validate.array("fit.covariance_px2", self.covariance_px2, "f8", (4, 4)))
         object.__setattr__(self, "end_interval_px", validate.array("fit.end_interval_px", self.end_interval_px, "f8", (2, 2)))
         object.__setattr__(self, "light_curve_e_px", validate.array("fit.light_curve_e_px", self.light_curve_e_px, "f4", (None,)))
         bins = self.light_curve_e_px.shape
         error = self.light_curve_err_e_px if len(self.light_curve_err_e_px) else np.full(bins, np.nan, dtype=np.float32)
         object.__setattr__(self, "light_curve_err_e_px", validate.array("fit.light_curve_err_e_px", error, "f4", bins))
+
+    @property
+    def light_ends_px(self) -> NDArray[np.float64]:
+        """(2, 2) 68 % intervals of the ends of the light that is seen, those of the object where no others are given."""
+        return self.light_interval_px if len(self.light_interval_px) else self.end_interval_px
 
     @property
     def length_px(self) -> float:

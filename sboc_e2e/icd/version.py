@@ -32,7 +32,8 @@ HISTORY: Final = (
         "2.4",
         "header packets say which set of parameters flew, how many operations the frame took, and how many items of each kind of "
         "work were left undone; `FrameFlag.WORK_SHED`; views have a meter of the frame's work; streak fits have the PSF's width "
-        "at their place and the light of flashes, tracklets half of the 68 % interval along the motion; trackers may "
+        "at their place, the light of flashes and the intervals of their light's ends, tracklets half of the 68 % interval along "
+        "the motion; trackers may "
         "say what they find when no frame follows (packets as before)",
     ),
 )

@@ -23,6 +23,7 @@ from ground.vetting.readout import is_of_readout
 from ground.vetting.sides import SkyMap
 from ground.vetting.spikes import BrightStars
 from ground.vetting.star_rows import FWHM_PER_SIGMA, LONGEST_PX, MARGIN_PX, MOST_PIXELS, Crop, StarField
+from ground.vetting.surroundings import Picture, Surroundings
 from onboard.chain import OnboardChain
 from onboard.detect.line_integral.detector import LineIntegralDetector
 from onboard.detect.line_integral.star_removal import TILE_PX
@@ -282,8 +283,12 @@ class Sky:
 
     def tiles(self, found: Sequence[Detection]) -> Tiles:
         """Counts around the lines of the frame, the brightest first."""
-        lines = [(line.row0, line.col0, line.row1, line.col1) for line in sorted(found, key=lambda each: -each.snr)]
+        lines = [_ends(line) for line in sorted(found, key=lambda each: -each.snr)]
         return Tiles.of(self.counts, self.unusable, lines, float(self.adu_scale))
+
+    def surroundings(self, found: Sequence[Detection]) -> Surroundings:
+        """The picture about the lines of the frame."""
+        return Surroundings.of(Picture.of(self.counts, self.unusable), [_ends(line) for line in found])
 
     def _crops(self, found: Sequence[Detection]) -> Iterator[Crop]:
         """Counts around lines of the frame, short ones first and the brightest of them, as far as `MOST_PIXELS` goes.
@@ -339,6 +344,7 @@ class CountingChain(OnboardChain):
                 bright=bright,
                 crosses=Crosses.of(seen.counts, seen.unusable, bright) if seen and bright else None,
                 tiles=seen.tiles(found) if seen else None,
+                surroundings=seen.surroundings(found) if seen else None,
                 short_axis_px=short_axis_px(view) if seen else None,
                 noise_adu=float(np.quantile(view.background.sigma_adu, QUIET)),
             )

@@ -41,7 +41,7 @@ def base_document(wcs: str) -> dict[str, Any]:
     return {
         "onboard": {
             "downlink": {"budget": "0 Mbit/s"},
-            "roi": {"max_per_frame": MOST_DETECTIONS, "max_cosmic_like": MOST_HITS},
+            "roi": {"max_per_frame": MOST_DETECTIONS, "max_cosmic_like": MOST_HITS, "follow_light": True},
             "detector": {"max_detections": MOST_DETECTIONS, "held_beside": True, "blend": f"{SHORTEST_FOUND_PX:g} px"},
         },
         "ground": {

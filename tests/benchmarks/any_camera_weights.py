@@ -22,6 +22,7 @@ from scipy.optimize import brentq, minimize
 from scipy.special import expit
 
 from ground.vetting.any_camera import terms_of
+from ground.vetting.surroundings import NAMES
 
 LINES: Final = Path(__file__).resolve().parents[1] / "streaks" / "lines_of_all_cameras.csv"
 TERMS: Final = (
@@ -33,6 +34,7 @@ TERMS: Final = (
     "PER_LN_SHARPER",
     "PER_LN_WIDER",
     "PER_LN_OTHERS",
+    *NAMES,
 )
 RIDGE: Final = 0.5  # of weights in units of a term's scatter: one half of a line. Chosen, not measured
 LEAST_WIDTHS: Final = 3.0  # shorter lines count as this long in the fit; some have no length at all
@@ -45,8 +47,8 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Lines:
-    """n lines: terms (n, 8) in the order of `TERMS`, log odds that later rules add (light that rises and falls, texture, showers,
-    short lines; n), whether each lies on a trail, its weight in the fit, camera, trail.
+    """n lines: terms (n, 15) in the order of `TERMS`, log odds that later rules add (light that rises and falls, texture,
+    showers, short lines; n), whether each lies on a trail, its weight in the fit, camera, trail.
     """
 
     terms: Array
@@ -65,9 +67,10 @@ class Lines:
         trail, camera = np.asarray(t["trail"].filled(-1)), np.asarray(t["camera"], dtype=str)
         t["widths"] = np.maximum(t["widths"], LEAST_WIDTHS)
         columns = ("vetter_log_odds", "pieces", "wins", "peak", "widths", "ln_readout", "ln_sharpness", "others")
+        picture: Array = np.column_stack([np.asarray(t[name], dtype=float) for name in NAMES])
         name = [f"{c} {f} {k}" for c, f, k in zip(camera, t["frame"], trail, strict=True)]
         return cls(
-            terms=terms_of(*(np.asarray(t[name], dtype=float) for name in columns)),
+            terms=terms_of(*[*(np.asarray(t[name], dtype=float) for name in columns), picture]),
             later=np.asarray(t["later_log_odds"], dtype=float), real=trail >= 0,
             weight=np.asarray(t["weight"], dtype=float), refused=np.asarray(t["refused"]) == 1,
             share=np.asarray(t["share"], dtype=float),
@@ -76,7 +79,7 @@ class Lines:
 
 
 def fitted(lines: Lines, among: NDArray[np.bool_], start: Array | None = None) -> Array:
-    """Weights (9,) of the terms, the constant last: logistic regression on some of the lines, with a small ridge.
+    """Weights (16,) of the terms, the constant last: logistic regression on some of the lines, with a small ridge.
 
     The constant is that with which the probabilities of these lines are right in the mean, each line counting once.
     start : weights that are near, which save time.

@@ -129,7 +129,7 @@ def covered(streak: Any, trail: Sequence[float]) -> float:
 
 
 def ends_of(streak: Any, trail: Sequence[float]) -> tuple[tuple[float, float], tuple[float, float]]:
-    """Distance of each end along the trail from the eye's nearest one, and the larger side of its quoted interval, px.
+    """Distance of each end along the trail from the eye's nearest one, and the interval of its light's end on that side, px.
 
     The eye's ends on a border stand for light that goes on: a measured end beyond the border is no error.
     """
@@ -143,8 +143,8 @@ def ends_of(streak: Any, trail: Sequence[float]) -> tuple[tuple[float, float], t
     for k, edge in enumerate((StreakFlag.EDGE0, StreakFlag.EDGE1)):
         beyond = float((ends[k] - eye[k]) @ along) * (-1.0 if k == 0 else 1.0)
         error = max(-beyond, 0.0) if flags & edge else abs(beyond)
-        low, high = float(streak[f"end{k}_low_px"]), float(streak[f"end{k}_high_px"])
-        interval.append(max(abs(low), abs(high)) if math.isfinite(low) and math.isfinite(high) else 0.0)
+        side = float(streak[f"light{k}_low_px" if beyond > 0.0 else f"light{k}_high_px"])
+        interval.append(abs(side) if math.isfinite(side) else 0.0)
         away.append(error)
     return (away[0], away[1]), (interval[0], interval[1])
 

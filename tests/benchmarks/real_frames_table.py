@@ -19,8 +19,8 @@ MOST_FALSE_CALIBRATED: Final = 0.02
 MOST_WRONG: Final = 0.15
 NEAR_PX: Final = 2.0
 """What is asked of ends, px."""
-CLOSED_PX: Final = 20.0
-"""Intervals of ends up to this length say where an end is: of trails that fade, they reach to the border."""
+LONG_PX: Final = 6.0
+"""Intervals of ends that are longer are counted apart: of trails that fade."""
 ASKED: Final = (
     "at least 90 % of trails published with half their length or more",
     "at least 90 % of their ends within 2 px or their interval",
@@ -40,7 +40,8 @@ class Trail:
     """What became of one trail that the eye saw.
 
     found, published : share of its length that the longest measured and the longest published streak cover.
-    end_px : (2,) distance of the published streak's ends from the eye's. interval_px : (2,) the larger side of their intervals.
+    end_px : (2,) distance of the published streak's ends from the eye's.
+    interval_px : (2,) the intervals of its light's ends on the eye's side.
     inside : which ends are within `NEAR_PX` or their interval.
     extra : further published streaks on the same trail.
     """
@@ -159,15 +160,15 @@ def sums_text(rows: Sequence[Row]) -> str:
 
 
 def _ends_text(rows: Sequence[Row]) -> str:
-    """How much of what is asked of ends is owed to long intervals."""
+    """How much of what is asked of ends is owed to intervals, and whether these are as long as they should be."""
     half = [trail for row in rows for trail in row.trails if trail.published >= HALF]
     ends = [end for t in half for end in zip(t.end_px, t.inside, t.interval_px, strict=True)]
-    closed = [(px, ok) for px, ok, interval_px in ends if interval_px <= CLOSED_PX]
+    fading = [ok for _, ok, interval_px in ends if interval_px > LONG_PX]
     near = share_text(sum(px <= NEAR_PX for px, _, _ in ends), len(ends))
     return (
         f"Ends within {NEAR_PX:g} px of the eye's, whatever is quoted: {near}. "
-        f"Of those with an interval of at most {CLOSED_PX:g} px, within {NEAR_PX:g} px or it: "
-        f"{share_text(sum(ok for _, ok in closed), len(closed))}."
+        f"With an interval of the light's end of more than {LONG_PX:g} px, as of trails that fade: {len(fading)}, "
+        f"within it {share_text(sum(fading), len(fading))}; 68 % is what it stands for."
     )
 
 

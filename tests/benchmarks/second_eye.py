@@ -32,7 +32,7 @@ def as_streaks(trails: Sequence[Sequence[float]]) -> Table:
     table = Table(ends, names=("row0", "col0", "row1", "col1"))
     for name in ("width_px", "sagitta_px", "flags"):
         table[name] = np.zeros(len(ends), dtype=np.int64)
-    for name in ("snr", "probability", "end0_low_px", "end0_high_px", "end1_low_px", "end1_high_px"):
+    for name in ("snr", "probability", "light0_low_px", "light0_high_px", "light1_low_px", "light1_high_px"):
         table[name] = np.full(len(ends), math.nan)
     return table
 

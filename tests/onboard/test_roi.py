@@ -55,7 +55,7 @@ def test_strips_hold_the_light_and_no_pixel_twice(
     sagitta = sagitta if length > 60.0 else 0.0
     detection = Detection(row0=ends[0], col0=ends[1], row1=ends[2], col1=ends[3], snr=snr, sagitta_px=sagitta)
     margin = roi.end_margin_px(length, snr, SIGMA_PX, 3.0)
-    strips = roi.plan_strips(detection, SHAPE, half_width_px=5.0 * SIGMA_PX, margin_px=margin, pixels_per_strip=room)
+    strips = roi.plan_strips(detection, SHAPE, half_width_px=5.0 * SIGMA_PX, margins_px=(margin, margin), pixels_per_strip=room)
     counts = footprint(strips)
     assert counts.max() <= 1
     assert (rendered(detection) * (counts > 0)).sum() >= 0.995
@@ -65,7 +65,7 @@ def test_strips_hold_the_light_and_no_pixel_twice(
 def test_strips_lie_inside_the_frame_along_their_axis(ends: tuple[float, float, float, float]) -> None:
     """Lines never leave the frame, so that no packet carries lines of padding only."""
     detection = Detection(row0=ends[0], col0=ends[1], row1=ends[2], col1=ends[3], snr=7.0)
-    for g in roi.plan_strips(detection, SHAPE, half_width_px=4.5, margin_px=30.0, pixels_per_strip=4000):
+    for g in roi.plan_strips(detection, SHAPE, half_width_px=4.5, margins_px=(30.0, 30.0), pixels_per_strip=4000):
         assert g.major0 >= 0
         assert g.major0 + g.n <= SHAPE[g.axis]
         assert g.n >= 1
@@ -83,7 +83,7 @@ def test_margin_follows_the_change_point_law() -> None:
 def test_edge_ends_get_no_margin() -> None:
     """An end on the frame's edge is not an end: the strip stops there."""
     detection = Detection(row0=0.0, col0=100.0, row1=200.0, col1=100.0, snr=7.0, flags=StreakFlag.EDGE0)
-    with_edge = footprint(roi.plan_strips(detection, SHAPE, half_width_px=4.5, margin_px=50.0, pixels_per_strip=4000))
+    with_edge = footprint(roi.plan_strips(detection, SHAPE, half_width_px=4.5, margins_px=(50.0, 50.0), pixels_per_strip=4000))
     rows = np.flatnonzero(with_edge.any(axis=1))
     assert rows[0] == 0
     assert rows[-1] == pytest.approx(250, abs=1)
@@ -92,7 +92,7 @@ def test_edge_ends_get_no_margin() -> None:
 def test_point_like_is_a_small_square() -> None:
     """A point gets a square around it."""
     detection = Detection(row0=100.2, col0=200.7, row1=100.2, col1=200.7, snr=9.0, flags=StreakFlag.POINT_LIKE)
-    counts = footprint(roi.plan_strips(detection, SHAPE, half_width_px=4.5, margin_px=5.4, pixels_per_strip=4000))
+    counts = footprint(roi.plan_strips(detection, SHAPE, half_width_px=4.5, margins_px=(5.4, 5.4), pixels_per_strip=4000))
     rows, cols = np.nonzero(counts)
     assert (rows.min(), rows.max()) == (95, 106)
     assert cols.max() - cols.min() == rows.max() - rows.min() + 1

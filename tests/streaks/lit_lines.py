@@ -8,6 +8,7 @@ import numpy as np
 from ground.streaks import TrailedPsfFitter
 from ground.vetting.contrast import Tiles
 from ground.vetting.look_alikes import LookAlikeVetter, OwnEvidence
+from ground.vetting.surroundings import Picture, Surroundings
 from sboc_e2e.icd.products import StreakFit
 from tests.streaks.impostors import draw
 
@@ -58,7 +59,9 @@ def judged_by(
     """
     header = type("Header", (), {"frame": 0, "rows": SHAPE[0], "cols": SHAPE[1], "gain_e_adu": 1.0})()
     frame: Any = type("Frame", (), {"header": header, "psf_sigma_px": psf_sigma_px})()
-    own = OwnEvidence(seen=(0, SHAPE[0] - 1, 0, SHAPE[1] - 1), tiles=tiles(pixels, *fits), **evidence)
+    about = Surroundings.of(Picture.of(pixels, np.zeros(SHAPE, np.uint8)), [(f.row0, f.col0, f.row1, f.col1) for f in fits])
+    known = {"seen": (0, SHAPE[0] - 1, 0, SHAPE[1] - 1), "tiles": tiles(pixels, *fits), "surroundings": about}
+    own = OwnEvidence(**(known | evidence))
     return LookAlikeVetter(vetter=vetter, evidence={0: own}).probability(fits, frame)
 
 

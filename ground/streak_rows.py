@@ -43,8 +43,8 @@ ROW: Final = np.dtype(
         ("curve_end", "i8"),
     ]
 )
-"""`sky_deg` : right ascensions, declinations. `flags` : of the measurement, of its fit. `period_fraction` : NaN for none.
-`curve_end` : where the light curve ends among all curves; it begins where the one before ends."""
+"""`sky_deg` : right ascensions, declinations. `flags` : of the measurement, of its fit. `light_interval_px`, `period_fraction` :
+NaN for none. `curve_end` : where the light curve ends among all curves; it begins where the one before ends."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -79,7 +79,7 @@ class StreakRows(ByPlace[StreakMeasurement]):
                     [getattr(fit, name) for name in FIT_NUMBERS],
                     fit.covariance_px2,
                     fit.end_interval_px,
-                    fit.light_ends_px,
+                    fit.light_interval_px if len(fit.light_interval_px) else np.full((2, 2), np.nan),
                     np.nan if fit.period_fraction is None else fit.period_fraction,
                     end,
                 )
@@ -107,7 +107,7 @@ class StreakRows(ByPlace[StreakMeasurement]):
         fit = StreakFit(
             covariance_px2=row["covariance_px2"],
             end_interval_px=row["end_interval_px"],
-            light_interval_px=row["light_interval_px"],
+            light_interval_px=row["light_interval_px"][: 0 if np.isnan(row["light_interval_px"]).all() else 2],
             n_pixels=int(row["n_pixels"]),
             flags=StreakFlag(fit_flags),
             light_curve_e_px=curve,

@@ -34,6 +34,7 @@ def streaks() -> list[StreakMeasurement]:
                 light_curve_e_px=np.arange(k % 4, dtype=np.float32),
                 light_curve_err_e_px=np.linspace(0.1, 0.2, k % 4, dtype=np.float32),
                 period_fraction=0.1 * k if k % 2 else None,
+                light_interval_px=np.array([[-1.0, 2.0], [-0.5, 4.0 + k]])[: 2 * (k % 2)],
             ),
         )
         for k, s in enumerate(made)

@@ -24,6 +24,8 @@ STREAK_COLUMNS = {
     *("frame", "streak_id", "row0", "col0", "row1", "col1", "row_mid", "col_mid", "length_px", "angle_deg", "flux_e"),
     *("flux_err_e", "snr", "ra_mid_deg", "dec_mid_deg", "sigma_along_arcsec", "sigma_cross_arcsec", "t_mid_utc", "mag"),
     *("mag_err", "tracklet_id", "flags", "density_e_px", "density_err_e_px", "mag_at_1deg_s", "mag_at_1deg_s_err"),
+    *("end0_low_px", "end0_high_px", "end1_low_px", "end1_high_px"),
+    *("light0_low_px", "light0_high_px", "light1_low_px", "light1_high_px"),
 }
 
 
@@ -81,6 +83,16 @@ def test_streaks_have_the_columns_that_are_promised(run):
     assert set(table.colnames) >= STREAK_COLUMNS
     assert len(table) == 0
     assert "annual aberration not removed" in table.meta["directions"]
+
+
+def test_ends_of_the_light_are_those_of_the_object_where_no_others_are_given(run):
+    _, products = run
+    plain = measured_streak(0.0, 200.0, [2 * 10**18] * 3, 1e4, StreakFlag(0))
+    fades = replace(plain, fit=replace(plain.fit, light_interval_px=np.array([[-1.0, 2.0], [-3.0, 4.0]])))
+    (table,) = tables.streaks_tables(replace(products, streaks=(plain, fades)))
+    for name, given in (("0_low", -1.0), ("0_high", 2.0), ("1_low", -3.0), ("1_high", 4.0)):
+        assert table[f"light{name}_px"].tolist() == [table[f"end{name}_px"][0], given]
+        assert table[f"end{name}_px"][1] == table[f"end{name}_px"][0]
 
 
 def test_crossings_are_told_and_points_have_no_density(run):

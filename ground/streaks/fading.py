@@ -117,6 +117,8 @@ def with_fading_ends(fit: StreakFit, pixels: StreakPixels) -> StreakFit:
             fade = _fade(blocks, half, width, border)
         light = light_end(outwards, half, width, border)
         place = min(light.place_px, half if fade is None else max(fade.seen_px, half))
+        if fade is not None and light.place_px == half and abs(fade.seen_px - half) <= 1.5 * blocks.length_px:
+            place = fade.seen_px  # both agree to a block and a half, and the fall is the finer measure
         own = fit.end_interval_px[end].copy()
         if fade is not None or place < half:
             # a fall reaches to the border; where light is lost before the fit's end without one, that end may be right

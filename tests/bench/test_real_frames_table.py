@@ -49,7 +49,8 @@ def test_what_is_asked_is_answered_for_all_and_for_the_kept_half() -> None:
     assert "0 in 1" in lines[5]
     assert "| yes | no case | no case |" in lines[5]
     assert "0 of 4 | yes | 0 of 2 | yes" in lines[7]
-    assert "1 of 2 (1 to 99 %). Of those with an interval of at most 20 px, within 2 px or it: 1 of 1" in lines[9]
+    assert "whatever is quoted: 1 of 2 (1 to 99 %)." in lines[9]
+    assert "of more than 6 px, as of trails that fade: 1, within it 1 of 1 (2 to 100 %)" in lines[9]
 
 
 def streak(row0: float, col0: float, row1: float, col1: float, sagitta_px: float = 0.0) -> dict[str, float]:

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.special import ndtr
 
 from ground.streaks.centre_line import effective_width_px
-from ground.streaks.light_blocks import BLOCK_WIDTHS, LIT_WIDTHS, Array, Blocks, blocks_of, light_beside, weights_of
+from ground.streaks.light_blocks import BLOCK_WIDTHS, LIT_WIDTHS, Array, Blocks, blocks_of, light_beside, sums_before, weights_of
 from ground.streaks.light_end import LightEnd, light_end
 from ground.streaks.trail_frame import TrailFrame
 from ground.streaks.trail_pixels import TrailPixels, usable_pixels
@@ -78,6 +78,9 @@ STEP_WIDTHS: Final = 0.1
 BLUR_WIDTHS: Final = 8.0
 """So many widths from a stop the light is whole or none to 1e-15."""
 
+AGREE_BLOCKS: Final = 1.5
+"""Blocks within which a fall and a fit agree on an end. The fall is then the finer measure. Chosen in view of one drawn trail."""
+
 LEAST_BLOCKS: Final = 6
 """Fewer blocks from the middle outwards leave no window before the end. Chosen, not measured."""
 
@@ -103,39 +106,54 @@ def with_fading_ends(fit: StreakFit, pixels: StreakPixels) -> StreakFit:
     all_near = usable_pixels(pixels, frame, math.inf)
     straight = replace(all_near, v=all_near.v - fit.sagitta_px * (1.0 - (all_near.u / max(half, 1.0)) ** 2))
     for end, (flag, border) in enumerate(((StreakFlag.EDGE0, -limits[0]), (StreakFlag.EDGE1, limits[1]))):
-        if flag in fit.flags:
-            continue
-        outwards = replace(straight, u=straight.u if end else -straight.u)
-        blocks = blocks_of(outwards, width, border)
-        other = OTHER_LIGHT * max(fit.flux_e, 0.0) / max(fit.length_px, 1.0)
-        beyond = np.where(blocks.place > half, other, 0.0)
-        blocks = replace(blocks, sigma=np.hypot(blocks.sigma, beyond))
-        fade = _fade(blocks, half, width, border)
-        seen_px = half if fade is None else fade.seen_px
-        if seen_px > half:  # where it went outwards, the lines beside it have a say
-            blocks = _without_light_beside(blocks, outwards, half, width, border)
-            fade = _fade(blocks, half, width, border)
-        light = light_end(outwards, half, width, border)
-        place = min(light.place_px, half if fade is None else max(fade.seen_px, half))
-        if fade is not None and light.place_px == half and abs(fade.seen_px - half) <= 1.5 * blocks.length_px:
-            place = fade.seen_px  # both agree to a block and a half, and the fall is the finer measure
-        own = fit.end_interval_px[end].copy()
-        if fade is not None or place < half:
-            # a fall reaches to the border; where light is lost before the fit's end without one, that end may be right
-            inwards = 0.0 if fade is None else fade.inwards_px
-            reach = half + own[1] if fade is None else border + width
-            moved = _with_end(fit, end, (-inwards, reach - place), place, border, half, width)
-            fit = _with_curve(_with_light_of(moved, blocks, half, place, width), end, blocks, half, fit.length_px)
-        elif seen_px > half:  # the trail's light or that of stars: the end stays, and may lie there
-            fit = _reaching_to(fit, end, seen_px - half)
-        elif _ends_at_a_mask(outwards, half, width, border):
-            fit = _reaching_to(fit, end, border - half)
-        else:
-            runs_on = max(_runs_on_to(blocks_of(outwards, width, border, n), half, width, border) for n in RUNS_ON_WIDTHS)
-            if runs_on > half + own[1]:
-                fit = _reaching_to(fit, end, runs_on - half)
-        fit = _with_light_interval(fit, end, light, place, own)
+        if flag not in fit.flags:
+            outwards = replace(straight, u=straight.u if end else -straight.u)
+            fit = _with_end_followed(fit, end, outwards, half, width, border)
     return fit
+
+
+def _with_end_followed(
+    fit: StreakFit, end: int, outwards: TrailPixels, half_px: float, width_px: float, border_px: float
+) -> StreakFit:
+    """The fit with one end followed outwards. half_px : from the middle to the fit's end, before any was moved."""
+    blocks = blocks_of(outwards, width_px, border_px)
+    other = OTHER_LIGHT * max(fit.flux_e, 0.0) / max(fit.length_px, 1.0)
+    beyond = np.where(blocks.place > half_px, other, 0.0)
+    blocks = replace(blocks, sigma=np.hypot(blocks.sigma, beyond))
+    fade = _fade(blocks, half_px, width_px, border_px)
+    seen_px = half_px if fade is None else fade.seen_px
+    if seen_px > half_px:  # where it went outwards, the lines beside it have a say
+        blocks = _without_light_beside(blocks, outwards, half_px, width_px, border_px)
+        fade = _fade(blocks, half_px, width_px, border_px)
+    light = light_end(outwards, half_px, width_px, border_px)
+    place_px = _place_of(light, fade, half_px, blocks.length_px)
+    own = fit.end_interval_px[end].copy()
+    if fade is not None or place_px < half_px:
+        # a fall reaches to the border; where light is lost before the fit's end without one, that end may be right
+        inwards_px = 0.0 if fade is None else fade.inwards_px
+        reach_px = half_px + own[1] if fade is None else border_px + width_px
+        moved = _with_end(fit, end, (-inwards_px, reach_px - place_px), place_px, border_px, half_px, width_px)
+        lit = _with_light_of(moved, blocks, half_px, place_px, width_px)
+        fit = _with_curve(lit, end, blocks, half_px, fit.length_px)
+    elif seen_px > half_px:  # the trail's light or that of stars: the end stays, and may lie there
+        fit = _reaching_to(fit, end, seen_px - half_px)
+    elif _ends_at_a_mask(outwards, half_px, width_px, border_px):
+        fit = _reaching_to(fit, end, border_px - half_px)
+    else:
+        longer = (blocks_of(outwards, width_px, border_px, n) for n in RUNS_ON_WIDTHS)
+        runs_on_px = max(_runs_on_to(each, half_px, width_px, border_px) for each in longer)
+        if runs_on_px > half_px + own[1]:
+            fit = _reaching_to(fit, end, runs_on_px - half_px)
+    return _with_light_interval(fit, end, light, place_px, own)
+
+
+def _place_of(light: LightEnd, fade: Fade | None, half_px: float, block_px: float) -> float:
+    """Where the trail ends, px from the middle: at the nearer of the light's end and the place where a fall is last seen."""
+    if fade is None:
+        return min(light.place_px, half_px)
+    if light.place_px == half_px and abs(fade.seen_px - half_px) <= AGREE_BLOCKS * block_px:
+        return fade.seen_px
+    return min(light.place_px, max(fade.seen_px, half_px))
 
 
 def _with_light_interval(fit: StreakFit, end: int, light: LightEnd, place_px: float, own_px: Array) -> StreakFit:
@@ -234,7 +252,7 @@ def _best_step(blocks: Blocks, sigma: Array, width_px: float, first: int) -> flo
     stops = STEP_WIDTHS * width_px * np.arange(1, 1 + round(n * length / (STEP_WIDTHS * width_px)))
     block, reach = (stops // length).astype(np.int64), math.ceil(BLUR_WIDTHS * width_px / length)
     wholly = np.clip(block - reach, 0, n)
-    total, square = (np.concatenate([[0.0], np.cumsum(each)])[wholly] for each in (light, weight))
+    total, square = (sums_before(each)[wholly] for each in (light, weight))
     for near in (block + away for away in range(-reach, reach + 1)):
         inside = (near >= 0) & (near < n)
         u = (stops - near * length) / width_px

@@ -152,3 +152,8 @@ def _neighbours(density: Array) -> tuple[Array, Array]:
 def weights_of(sigma: Array) -> Array:
     """(n,) inverse variances, 0 where nothing is known."""
     return np.where(np.isfinite(sigma), 1.0 / np.where(np.isfinite(sigma), sigma, 1.0) ** 2, 0.0)
+
+
+def sums_before(values: Array) -> Array:
+    """(n + 1,) sum of the values before each place, that of all at the end."""
+    return np.concatenate([[0.0], np.cumsum(values)])

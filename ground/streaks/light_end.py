@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from ground.streaks.light_blocks import Array, blocks_of, light_beside, weights_of
+from ground.streaks.light_blocks import Array, blocks_of, light_beside, sums_before, weights_of
 from ground.streaks.trail_pixels import TrailPixels
 
 BLOCK_WIDTHS: Final = 2.0
@@ -92,7 +92,8 @@ def light_end(outwards: TrailPixels, end_px: float, width_px: float, border_px: 
 
 def _is_dark(density: Array, weight: Array, place: int, last: int, number: int) -> bool:
     """Whether the blocks between a place and a fit's end lack the light that those before it have."""
-    level = float(np.average(density[max(place - number, 0) : place], weights=weight[max(place - number, 0) : place] + 1e-30))
+    before = slice(max(place - number, 0), place)
+    level = float(np.average(density[before], weights=weight[before] + 1e-30))
     rest, known = density[place:last], weight[place:last]
     total = float(known.sum())
     if not total > 0.0:
@@ -103,14 +104,14 @@ def _is_dark(density: Array, weight: Array, place: int, last: int, number: int) 
 
 def _window_snr(density: Array, weight: Array, number: int) -> Array:
     """S/N of the light in each window of so many blocks, infinite where none of them is known."""
-    total, light = (np.concatenate([[0.0], np.cumsum(each)]) for each in (weight, weight * density))
+    total, light = (sums_before(each) for each in (weight, weight * density))
     known = total[number:] - total[:-number]
     return np.where(known > 0.0, (light[number:] - light[:-number]) / np.sqrt(np.maximum(known, 1e-300)), math.inf)
 
 
 def _snr_up_to(density: Array, weight: Array, last: int) -> Array:
     """S/N (n + 1,) of the light from each block on, up to a last one; 0 from this on."""
-    total, light = (np.concatenate([[0.0], np.cumsum(each)]) for each in (weight, weight * density))
+    total, light = (sums_before(each) for each in (weight, weight * density))
     known = np.maximum(total[last] - total, 0.0)
     return np.asarray((light[last] - light) * (known > 0.0) / np.sqrt(np.maximum(known, 1e-300)))
 
@@ -121,5 +122,5 @@ def _step_about(density: Array, weight: Array, block: int, number: int) -> int:
     light, known = density[low:high], weight[low:high]
     before = light[: block + 1 - low], known[: block + 1 - low] + 1e-30
     level = float(np.average(before[0], weights=before[1]))
-    off, dark = (np.concatenate([[0.0], np.cumsum(known * misfit**2)]) for misfit in (level - light, light))
+    off, dark = (sums_before(known * misfit**2) for misfit in (level - light, light))
     return low + int(np.argmin(off + dark[-1] - dark))

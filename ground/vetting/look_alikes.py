@@ -97,6 +97,7 @@ class OwnEvidence:
     """What a frame itself says of its false lines.
 
     look_alikes : lines that cannot be real.
+    surroundings : the picture about the lines; of none where it was not looked at.
     alone : it was held against no other frame of the same sky, so that stars are not told from what moves.
     seen : first and last row, first and last column in which a pixel saw the sky; None: all of them.
     stars : motion of the stars during the exposure, where the detections of the frame share one; None: they do not.
@@ -107,12 +108,12 @@ class OwnEvidence:
     crosses : stars whose arms show in the picture; None: they were not looked for.
     circle : of a lens that does not fill the frame; None: it does, or is not known.
     tiles : counts around the lines; None: the lines are not held against their neighbourhood.
-    surroundings : the picture about the lines; None: it was not looked at.
     short_axis_px : of the images of the stars (sigma, the pixel's own taken off); None: they do not tell.
     noise_adu : of a pixel of the sky; 0: not known.
     """
 
     look_alikes: LookAlikes = field(default_factory=LookAlikes)
+    surroundings: Surroundings = field(default_factory=Surroundings)
     alone: bool = False
     seen: tuple[int, int, int, int] | None = None
     stars: StarMotion | None = None
@@ -123,7 +124,6 @@ class OwnEvidence:
     crosses: Crosses | None = None
     circle: ImageCircle | None = None
     tiles: Tiles | None = None
-    surroundings: Surroundings | None = None
     short_axis_px: float | None = None
     noise_adu: float = 0.0
 
@@ -227,7 +227,7 @@ class LookAlikeVetter:
         by_stars = frame.psf_sigma_px is not None and frame.psf_sigma_px <= sharpest
         tracks = odds_of_particles([*fits, *short], [by_stars and told < SHARP for told in every_sharpness])[: len(fits)]
         shape = frame.header.rows, frame.header.cols
-        about = (known.surroundings or Surroundings.none()).about(fits)
+        about = known.surroundings.about(fits)
         given = probability_in_any_camera(fits, given, sharpness, contrasts, tracks, others_near(fits, shape), about)
         for k in np.flatnonzero(given >= LEAST_PROBABILITY).tolist():
             odds = 0.0 if is_border(fits[k], tiles) else for_meteor(fits[k], tiles, contrasts[k])

@@ -6,7 +6,7 @@ lengths, each scaled by its median and its robust scatter. So neither exposure n
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import cv2
@@ -195,19 +195,14 @@ def numbers_of(picture: Picture, ends: Sequence[float]) -> NDArray[np.float64]:
 class Surroundings:
     """The numbers of a frame's lines. ends : (k, 4) of the lines; numbers : (k, 7) in the order of `NAMES`."""
 
-    ends: NDArray[np.float64]
-    numbers: NDArray[np.float64]
+    ends: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, 4)))
+    numbers: NDArray[np.float64] = field(default_factory=lambda: np.zeros((0, len(NAMES))))
 
     @classmethod
     def of(cls, picture: Picture, lines: Sequence[Sequence[float]]) -> "Surroundings":
         """Of lines (row0, col0, row1, col1) in a picture."""
         told = [numbers_of(picture, line) for line in lines]
         return cls(ends=np.array(lines, dtype=np.float64).reshape(-1, 4), numbers=np.array(told).reshape(-1, len(NAMES)))
-
-    @classmethod
-    def none(cls) -> "Surroundings":
-        """Of no lines: nothing is known about any."""
-        return cls.of(Picture(levels=()), ())
 
     def about(self, fits: Sequence[StreakFit]) -> NDArray[np.float64]:
         """Numbers (n, 7) of fits: those of the line whose ends are nearest. NaN where there is none."""

@@ -33,8 +33,7 @@ HISTORY: Final = (
         "header packets say which set of parameters flew, how many operations the frame took, and how many items of each kind of "
         "work were left undone; `FrameFlag.WORK_SHED`; views have a meter of the frame's work; streak fits have the PSF's width "
         "at their place, the light of flashes and the intervals of their light's ends, tracklets half of the 68 % interval along "
-        "the motion; trackers may "
-        "say what they find when no frame follows (packets as before)",
+        "the motion; trackers may say what they find when no frame follows (packets as before)",
     ),
 )
 """The major number grows if a decoder of the previous version would misinterpret something. The minor number grows if it would

@@ -344,7 +344,7 @@ class CountingChain(OnboardChain):
                 bright=bright,
                 crosses=Crosses.of(seen.counts, seen.unusable, bright) if seen and bright else None,
                 tiles=seen.tiles(found) if seen else None,
-                surroundings=seen.surroundings(found) if seen else None,
+                surroundings=seen.surroundings(found) if seen else Surroundings(),
                 short_axis_px=short_axis_px(view) if seen else None,
                 noise_adu=float(np.quantile(view.background.sigma_adu, QUIET)),
             )

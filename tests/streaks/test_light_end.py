@@ -71,6 +71,17 @@ def test_a_gap_within_a_trail_is_no_end() -> None:
         assert light.place_px == 150.2
 
 
+def test_whatever_the_light_is_the_three_places_are_in_order() -> None:
+    """Light that changes at random, also lost from the middle on: no block is left before the place, and nothing fails."""
+    u = np.arange(120)
+    for seed in range(60):
+        rng = np.random.default_rng(seed)
+        density = rng.normal(0.0, 300.0, u.size)
+        end_px = rng.uniform(13.0, 60.0)
+        light = light_end(outwards(seed, density), end_px, WIDTH_PX, BORDER_PX)
+        assert 0.0 <= light.bright_px <= light.place_px <= light.faint_px <= BORDER_PX
+
+
 def test_a_faint_trail_is_judged_in_longer_windows_or_not_at_all() -> None:
     """S/N 16 on 600 px: its 12 px hold an S/N of 2 and would end anywhere. S/N 6: no window tells."""
     u = np.arange(290)

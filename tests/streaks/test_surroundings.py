@@ -74,7 +74,7 @@ def test_a_fit_has_the_numbers_of_the_nearest_line_whichever_way_it_runs() -> No
     told = Surroundings.of(picture, [other, ENDS])
     reversed_fit = placed(fit_of_a_trail(), (231.0, 329.0, 151.0, 138.0), 1.3, 50.0)
     assert told.about([reversed_fit])[0] == pytest.approx(told.numbers[1])
-    assert np.isnan(Surroundings.none().about([reversed_fit])).all()
+    assert np.isnan(Surroundings().about([reversed_fit])).all()
 
 
 def test_what_no_pixel_saw_is_as_dark_as_the_sky_and_frames_of_nothing_do_no_harm() -> None:

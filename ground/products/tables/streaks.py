@@ -35,9 +35,8 @@ def streaks_tables(products: GroundProducts) -> Iterator[Table]:
 def _streaks_table(streaks: Sequence[StreakMeasurement], directions: str) -> Table:
     fits = [s.fit for s in streaks]
     covariance = np.array([f.covariance_px2 for f in fits]).reshape(-1, 4, 4)
-    interval, light = (
-        np.array(each).reshape(-1, 2, 2) for each in ([f.end_interval_px for f in fits], [f.light_ends_px for f in fits])
-    )
+    interval = np.array([f.end_interval_px for f in fits]).reshape(-1, 2, 2)
+    light = np.array([f.light_ends_px for f in fits]).reshape(-1, 2, 2)
     ra, dec = (np.array([getattr(s, name) for s in streaks]).reshape(-1, 3) for name in ("ra_deg", "dec_deg"))
     t = [np.array([s.t_tai_ns[k] for s in streaks], dtype=np.int64) for k in range(3)]
     length = np.array([np.nan if f.flags & StreakFlag.POINT_LIKE or f.length_px == 0.0 else f.length_px for f in fits])
@@ -86,12 +85,7 @@ def _streaks_table(streaks: Sequence[StreakMeasurement], directions: str) -> Tab
         ("end0_high_px", interval[:, 0, 1], "pix", "68 % interval of end 0"),
         ("end1_low_px", interval[:, 1, 0], "pix", "68 % interval of end 1 along the trail, outwards positive"),
         ("end1_high_px", interval[:, 1, 1], "pix", "68 % interval of end 1"),
-        (
-            "light0_low_px",
-            light[:, 0, 0],
-            "pix",
-            "68 % interval of the end of the seen light at end 0, outwards positive",
-        ),
+        ("light0_low_px", light[:, 0, 0], "pix", "68 % interval of the light's end at end 0, outwards positive"),
         ("light0_high_px", light[:, 0, 1], "pix", "68 % interval of the light's end at end 0"),
         ("light1_low_px", light[:, 1, 0], "pix", "68 % interval of the light's end at end 1, outwards positive"),
         ("light1_high_px", light[:, 1, 1], "pix", "68 % interval of the light's end at end 1"),

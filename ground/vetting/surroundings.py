@@ -1,4 +1,4 @@
-"""The picture about a line: numbers by which an eye tells the sky from ground, clouds, galaxies and compressed nothing.
+"""The picture about a line: numbers by which an eye tells the sky from ground, clouds, galaxies and compressed video.
 
 Three cut-outs are sampled along the line: a strip of its own pixels, a strip as wide as half of its length, and a square of 2.5
 lengths, each scaled by its median and its robust scatter. So neither exposure nor stretch matter, and no camera is described.

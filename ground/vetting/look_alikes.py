@@ -29,7 +29,7 @@ from ground.vetting.particles import SHARP, odds_of_particles
 from ground.vetting.radiants import for_radiant
 from ground.vetting.repeated import doubled
 from ground.vetting.rim import ImageCircle
-from ground.vetting.short_lines import against_short_lines
+from ground.vetting.short_lines import SHORT_PX, SHORTEST_PX, against_short_lines
 from ground.vetting.sides import SkyMap
 from ground.vetting.spikes import BrightStars
 from ground.vetting.star_arcs import of_turning_stars
@@ -48,9 +48,6 @@ REAL_DENSITY: Final = REAL_PER_FRAME / (math.log(800.0 / 5.0) * LN_LENGTHS)
 """Expected real streaks of a frame for each unit of ln S/N and ln length: half a streak, anything between S/N 5 and 800 and
 1.7 and 400 px alike."""
 
-SHORTEST_ALONE_PX: Final = 25.0
-"""Blends of stars look like trails up to this length in a frame that was held against no other frame of the same sky."""
-
 POINT_WIDTHS: Final = 10.0
 """Fits up to so many widths long are points: four full widths. Two hot pixels were 5 px long at S/N 1,070, 0.7 px wide."""
 POINTS_PER_REAL: Final = 2.0
@@ -64,8 +61,9 @@ ALIGNED_SHARE: Final = 0.045
 """Share of trails that run along rows or columns: 4 atan(`ALIGNED_SLOPE`) of pi."""
 
 LEAST_TELLING: Final = 0.1
-"""Probability from which on a line tells how sharp the optics are, where no star does. A band along the rim of a fisheye, 7 px
-wide and of probability 0.016, was the only line that told, and nine meteors of 0.3 to 0.6 px were refused as too sharp."""
+"""Probability by all but its width from which on a line tells how sharp the optics are, where no star does. A band along the rim
+of a fisheye, 7 px wide and of probability 0.016, was the only line that told, and nine meteors of 0.3 to 0.6 px were refused as
+too sharp. So were eleven beside the ridge of a hill, 5 px wide, of 0.14 by the vetter and 0.03 by its surroundings too."""
 
 LEAST: Final = 1e-12
 """Keeps the odds finite."""
@@ -163,27 +161,16 @@ class LookAlikeVetter:
     def probability(self, fits: Sequence[StreakFit], frame: DownlinkFrame) -> NDArray[np.float64]:
         """Probabilities, shape (len(fits),), of being a real object."""
         known = self.evidence.get(frame.header.frame)
-        # what may be a blend of stars is refused, and says nothing of the rates of longer lines
-        alone = known is not None and known.alone
-        judged = [not (alone and fit.length_px < SHORTEST_ALONE_PX) for fit in fits]
-        short = [fit for fit, long in zip(fits, judged, strict=True) if not long]
-        out = np.zeros(len(fits))
-        out[np.flatnonzero(judged)] = self._of_frame(list(compress(fits, judged)), short, frame, known)
-        return out
-
-    def _of_frame(
-        self, fits: Sequence[StreakFit], short: Sequence[StreakFit], frame: DownlinkFrame, known: OwnEvidence | None
-    ) -> NDArray[np.float64]:
-        """Probabilities (len(fits),) of fits of a frame, given what is known of it. short : lines of it that are refused."""
-        where = f"frame {frame.header.frame}"
-        if known is not None and known.short_axis_px is not None:
-            sharp, frame = as_sharp_as(known.short_axis_px, fits, frame)
-        else:
-            sharp = fits
-        given = guarded("vetter", self.vetter, where, object, self.vetter.probability, sharp, frame)
-        probability = probabilities_of(self.vetter, where, given, len(fits))
         if known is None or not fits:
-            return probability
+            return self._of_classes(fits, frame)
+        sharp = fits
+        if known.short_axis_px is not None:
+            sharp, frame = as_sharp_as(known.short_axis_px, fits, frame)
+        # what may be a blend of stars says nothing of the rates of longer lines
+        short = np.array([known.alone and fit.length_px < SHORT_PX for fit in fits], dtype=np.bool_)
+        probability = self._of_classes(sharp, frame)
+        if short.any() and not short.all():
+            probability[~short] = self._of_classes(list(compress(sharp, ~short)), frame)
         contrasts: list[Contrast | None] = [None] * len(fits)
         if known.tiles is not None:
             contrasts = contrasts_of(fits, probability, known.tiles)
@@ -205,6 +192,7 @@ class LookAlikeVetter:
         borders = np.array([0.0 if known.seen is None else against_border(fit, known.seen) for fit in fits])
         odds_against = (1.0 - probability) / np.maximum(probability, LEAST) + against + borders
         refused = np.array([known.refuses(fit, frame) for fit in fits])
+        refused |= short & np.array([fit.length_px < SHORTEST_PX for fit in fits])
         if stars is not None:
             refused |= move_as(stars, fits)
         if known.tiles is not None:
@@ -216,28 +204,31 @@ class LookAlikeVetter:
         tiles = known.tiles
         if tiles is None:
             return given
-        least = 0.0 if frame.psf_sigma_px is not None else LEAST_TELLING
-        # half lines of video are as long and bright as light, and no optics made them
-        believed = (given > least) & (borders < 1.0)
-        sharpest = sharpest_light_px(sharp, believed.tolist())
-        every_sharpness = sharpness_of([*sharp, *short], frame.psf_sigma_px, sharpest)
-        sharpness = every_sharpness[: len(fits)]
         contrasts = [each if p >= LEAST_PROBABILITY else None for each, p in zip(contrasts, given.tolist(), strict=True)]
+        shape = frame.header.rows, frame.header.cols
+        about, others = known.surroundings.about(fits), others_near(fits, shape)
+        round_stars = frame.psf_sigma_px is not None
+        # where stars do not tell how sharp the optics are, lines do that all but their sharpness speaks for
+        unknown, none = [math.nan] * len(fits), np.full(len(fits), math.inf)
+        told = given if round_stars else probability_in_any_camera(fits, given, unknown, contrasts, none, others, about)
+        # half lines of video are as long and bright as light, and no optics made them
+        believed = (told > (0.0 if round_stars else LEAST_TELLING)) & (borders < 1.0)
+        sharpest = sharpest_light_px(sharp, believed.tolist())
+        sharpness = sharpness_of(sharp, frame.psf_sigma_px, sharpest)
         # stars may be wider than the optics, and long light is not
         by_stars = frame.psf_sigma_px is not None and frame.psf_sigma_px <= sharpest
-        tracks = odds_of_particles([*fits, *short], [by_stars and told < SHARP for told in every_sharpness])[: len(fits)]
-        shape = frame.header.rows, frame.header.cols
-        about = known.surroundings.about(fits)
-        given = probability_in_any_camera(fits, given, sharpness, contrasts, tracks, others_near(fits, shape), about)
+        tracks = odds_of_particles(fits, [by_stars and each < SHARP for each in sharpness])
+        given = probability_in_any_camera(fits, given, sharpness, contrasts, tracks, others, about)
         for k in np.flatnonzero(given >= LEAST_PROBABILITY).tolist():
-            odds = 0.0 if is_border(fits[k], tiles) else for_meteor(fits[k], tiles, contrasts[k])
+            # stars rise and fall as meteors do
+            rises = 1.0 if short[k] else for_meteor(fits[k], tiles, contrasts[k])
+            odds = 0.0 if is_border(fits[k], tiles) else rises
             given[k] = with_odds(given[k], odds * for_texture(fits[k], tiles, known.noise_adu))
         # such lines win all along them, as trails do: their contrast and length do not outweigh their places
         at_most = 1.0 / (1.0 + borders + spikes)
         given = np.minimum(given, at_most)
         stands_out = [1.0 if contrast is None else contrast.wins for contrast in contrasts]
         given = np.where(doubled(fits, given, stands_out), 0.0, given)
-        round_stars = frame.psf_sigma_px is not None
         given = np.where(of_turning_stars(fits, given, shape, round_stars=round_stars), 0.0, given)
         shower = for_radiant(fits, given, shape, round_stars=round_stars)
         given = np.minimum(with_odds(given, shower), at_most)
@@ -245,6 +236,12 @@ class LookAlikeVetter:
         if known.crosses is not None:
             given = np.where(known.crosses.crossed(fits, given), 0.0, given)
         return np.where(doubled(fits, given, stands_out), 0.0, given)
+
+    def _of_classes(self, fits: Sequence[StreakFit], frame: DownlinkFrame) -> NDArray[np.float64]:
+        """The other vetter's probabilities (len(fits),), an array of their own."""
+        where = f"frame {frame.header.frame}"
+        given = guarded("vetter", self.vetter, where, object, self.vetter.probability, fits, frame)
+        return probabilities_of(self.vetter, where, given, len(fits)).copy()
 
 
 def with_odds(probability: NDArray[np.float64], odds: NDArray[np.float64] | float) -> NDArray[np.float64]:

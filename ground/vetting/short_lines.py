@@ -1,8 +1,7 @@
-"""Lines of a frame that are too short to be judged, and what they say of longer ones: tracks of particles and blends of stars.
+"""Short lines of a frame that stands alone: blends of stars and tracks of particles look like them, and short meteors are some.
 
-A frame that stands alone does not tell stars from trails below some length, so shorter lines are refused. Where many of them are
-as bright and as wide as a longer line, it is likely to be one of theirs: their lengths do not end at that limit. Short meteors of
-a shower count in this way too, but they are few.
+Where many of them are as bright and as wide as another line, this is likely to be one of theirs, short or long. They say nothing
+of the rates of longer lines: a frame has them by the hundred.
 """
 
 from collections.abc import Sequence
@@ -15,6 +14,12 @@ from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
 from ground.vetting import alike
 from sboc_e2e.icd.products import StreakFit
 
+SHORT_PX: Final = 25.0
+"""Blends of stars look like trails up to this length in a frame that was held against no other frame of the same sky."""
+
+SHORTEST_PX: Final = 12.0
+"""Shorter ones are refused there. They are not searched for either, but fits of longer ones become as short."""
+
 KIND: Final = (*alike.KIND, 0.3)
 """Sigma of ln S/N, ln length and ln width (that of a pixel included) within which two lines are of one kind. Both widths are
 fitted here, and told better than that of a look-alike."""
@@ -25,13 +30,20 @@ that had been seen 326 lie on trails. Without this term 308 of these and 62 othe
 likelihood is largest at 0.5, where 295 and 43 are."""
 
 
-def against_short_lines(fits: Sequence[StreakFit], short: Sequence[StreakFit]) -> NDArray[np.float64]:
-    """Odds (n,) that short lines of a frame add against its fits. A brighter one counts as if it were as bright as the fit."""
-    if not fits or not short:
+def against_short_lines(fits: Sequence[StreakFit], short: NDArray[np.bool_]) -> NDArray[np.float64]:
+    """Odds (n,) that the short lines among the fits of a frame add against each of the others.
+
+    short : (n,) which of them are. A brighter one counts as if it were as bright as the fit.
+    """
+    which = np.flatnonzero(short)
+    if not which.size:
         return np.zeros(len(fits))
-    apart = (_place(fits)[:, None] - _place(short)) / KIND
+    place = _place(fits)
+    apart = (place[:, None] - place[which]) / KIND
     apart[..., 0] = np.maximum(apart[..., 0], 0.0)
-    return np.asarray(AGAINST * np.exp(-0.5 * (apart**2).sum(axis=-1)).sum(axis=1), dtype=np.float64)
+    each = AGAINST * np.exp(-0.5 * (apart**2).sum(axis=-1))
+    each[which, np.arange(which.size)] = 0.0
+    return np.asarray(each.sum(axis=1), dtype=np.float64)
 
 
 def _place(fits: Sequence[StreakFit]) -> NDArray[np.float64]:

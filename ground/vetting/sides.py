@@ -154,8 +154,11 @@ class SkyMap:
     def refuses(self, fit: StreakFit, gain_e_adu: float) -> bool:
         """Whether a line is a slope or an edge: not above the higher of its sides by the share of a trail.
 
-        A line much wider than the PSF must be so in its parts too: clouds of stars and of gas are ridges here and slopes there.
+        One that is sharper than the stars is neither, however little the map shows of it. A line much wider than the PSF must be
+        higher in its parts too: clouds of stars and of gas are ridges here and slopes there.
         """
+        if fit.width_px < fit.psf_sigma_px:
+            return False
         if self._is_lower(fit, gain_e_adu, 0.0, 1.0):
             return True
         if not fit.width_px > WIDE * fit.psf_sigma_px:

@@ -18,8 +18,9 @@ from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
 from ground.vetting.alike import LookAlikes, follows_readout
 from ground.vetting.contrast import Contrast, Line, Tiles
 from ground.vetting.crosses import Crosses
-from ground.vetting.look_alikes import SHORTEST_ALONE_PX, OwnEvidence
+from ground.vetting.look_alikes import OwnEvidence
 from ground.vetting.readout import is_of_readout
+from ground.vetting.short_lines import SHORT_PX
 from ground.vetting.sides import SkyMap
 from ground.vetting.spikes import BrightStars
 from ground.vetting.star_rows import FWHM_PER_SIGMA, LONGEST_PX, MARGIN_PX, MOST_PIXELS, Crop, StarField
@@ -105,8 +106,8 @@ class Dark:
             found = detector.detect(negative)
             check_detections(found, view.mask.shape)
             return cls(view=negative, lines=found)
-        # shorter fits of a frame that stands alone are refused: dark lines as short would tell of none that is published
-        detector = replace(detector, blend_px=max(detector.blend_px, SHORTEST_ALONE_PX))
+        # shorter bright lines of a frame that stands alone are judged by the other short ones, stars above all
+        detector = replace(detector, blend_px=max(detector.blend_px, SHORT_PX))
         in_white_noise, found = detector.detect_in_white_noise(negative)
         known = {_ends(each) for each in found}
         return cls(view=negative, lines=found, structure=tuple(each for each in in_white_noise if _ends(each) not in known))

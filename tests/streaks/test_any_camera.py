@@ -15,6 +15,8 @@ from ground.vetting.repeated import doubled
 from sboc_e2e.icd.products import StreakFit
 from tests.benchmarks.any_camera_weights import TERMS, Judged, Lines, fitted, judged, out_of_camera
 from tests.streaks.impostors import draw
+from tests.streaks.lit_lines import EVEN, SHAPE, fit_of_a_trail, lit, placed
+from tests.streaks.lit_lines import judged as judged_in_frame
 
 SIDE_PX = 200
 ENDS = (40.0, 30.0, 120.0, 170.0)
@@ -205,3 +207,17 @@ def test_a_long_bright_line_that_stands_out_all_along_is_not_refused_for_its_wid
     assert as_unmodelled([bright], np.array([0.9]), [clear]).tolist() == [0.9]
     nothing = np.full(1, np.inf)
     assert probability_in_any_camera([bright], raised[:1], [0.0], [clear], nothing, np.zeros(1), AMONG_STARS)[0] > 0.7
+
+
+@pytest.mark.parametrize("width_px", [2.0, 5.0])
+def test_what_is_no_light_by_its_surroundings_does_not_tell_the_optics(width_px: float) -> None:
+    """The ridge of a hill, 5 px wide, made eleven meteors of 0.3 to 0.4 px too sharp, each by 13 in the log odds."""
+    found = fit_of_a_trail()
+    meteor = placed(found, (60.0, 100.0, 90.0, 160.0), 0.45, 300.0)
+    ridge = placed(found, (220.0, 60.0, 190.0, 640.0), width_px, 300.0)
+    row, col = np.mgrid[: SHAPE[0], : SHAPE[1]].astype(float)
+    beside_a_trail = lit(meteor, EVEN, 60.0) + lit(ridge, EVEN, 20.0) - 100.0
+    above_a_hill = lit(meteor, EVEN, 60.0) + 20.0 * (row > 220.0 - 30.0 * (col - 60.0) / 580.0)
+    for given in (0.9, 0.14):
+        assert judged_in_frame((0.45, given), [meteor, ridge], beside_a_trail)[0] < 0.1
+        assert judged_in_frame((0.45, given), [meteor, ridge], above_a_hill)[0] > 0.9

@@ -1,16 +1,16 @@
-"""Lines that are too short to be judged speak against longer ones of their kind."""
+"""Short lines of a frame that stands alone: how they are judged, and that they speak against others of their kind."""
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 import pytest
 
-from ground.vetting.look_alikes import SHORTEST_ALONE_PX
-from ground.vetting.short_lines import AGAINST, KIND, against_short_lines
+from ground.vetting.contrast import Contrast
+from ground.vetting.meteors import IN_FAVOUR, for_meteor
+from ground.vetting.short_lines import AGAINST, KIND, SHORT_PX, SHORTEST_PX, against_short_lines
 from sboc_e2e.icd.products import StreakFit
-from tests.streaks.lit_lines import EVEN, fit_of_a_trail, judged_by, lit, placed
+from tests.streaks.lit_lines import EVEN, METEOR, fit_of_a_trail, judged_by, lit, placed, tiles
 
 
 @pytest.fixture(scope="module")
@@ -37,12 +37,15 @@ def test_a_short_line_counts_as_far_as_it_is_of_a_kind(drawn: StreakFit) -> None
         (line(drawn, 30.0, width_px=at_width), math.exp(-0.5)),
     )
     for short, share in cases:
-        assert against_short_lines([fit], [short])[0] == pytest.approx(AGAINST * share, rel=1e-6)
-    together = against_short_lines([fit, line(drawn, 300.0)], [short for short, _ in cases])
+        told = against_short_lines([fit, short], np.array([False, True]))
+        assert told[0] == pytest.approx(AGAINST * share, rel=1e-6)
+        assert told[1] == 0.0, "none speaks against itself"
+    lines = [fit, line(drawn, 300.0), *(short for short, _ in cases)]
+    together = against_short_lines(lines, np.arange(len(lines)) >= 2)
     assert together[0] == pytest.approx(AGAINST * sum(share for _, share in cases), rel=1e-6)
     assert together[1] < 0.02 * together[0], "ten times as long"
-    assert against_short_lines([fit], []).tolist() == [0.0]
-    assert against_short_lines([], [fit]).shape == (0,)
+    assert against_short_lines([fit], np.array([False])).tolist() == [0.0]
+    assert against_short_lines([], np.zeros(0, dtype=bool)).shape == (0,)
 
 
 class Constant:
@@ -74,21 +77,46 @@ def test_many_short_lines_veto_one_that_is_little_longer_and_no_long_one(drawn: 
     assert asked == [2]
     assert min(without) > 0.8
     beside, asked = judged([*few, little, long], pixels)
-    assert asked == [2], "lines that are refused do not count among the classes of the others"
-    assert beside[:2].tolist() == [0.0, 0.0]
+    assert asked == [4, 2], "short lines do not count among the classes of the others"
+    assert max(beside[:2]) < 0.5
     assert beside[2] > 0.75
     crowd, _ = judged([*many, little, long], pixels)
-    assert not crowd[:48].any()
+    assert max(crowd[:48]) < 0.5
     assert crowd[48] < 0.5
     assert crowd[49] == pytest.approx(without[1], abs=0.02)
 
 
-def test_where_stars_are_told_from_movers_short_lines_are_judged(drawn: StreakFit) -> None:
-    short = line(drawn, SHORTEST_ALONE_PX - 5.0)
+def test_a_short_line_is_judged_by_how_it_stands_out(drawn: StreakFit) -> None:
+    """Satellites of 17 to 25 px in a phone's picture are 0.4 to 0.5 px wide. A pair of stars is as wide as the stars."""
+    narrow, wide = (line(drawn, 22.0, width_px=w) for w in (0.45, 1.4))
+    assert narrow.length_px < SHORT_PX
+    assert judged([narrow], lit(narrow, EVEN, 40.0))[0][0] > 0.5
+    assert judged([wide], lit(wide, EVEN, 40.0))[0][0] < 0.5
+    assert judged([narrow], lit(wide, EVEN, 40.0))[0][0] < 0.5, "the light beside it is as bright"
+    crowd = [narrow, *(line(drawn, 15.0 + 0.2 * k, row=200.0, width_px=0.45) for k in range(48))]
+    assert judged(crowd, lit(narrow, EVEN, 40.0))[0][0] < 0.3
+    shortest = line(drawn, SHORTEST_PX - 1.0, width_px=0.2)
+    assert judged([shortest], lit(shortest, EVEN, 40.0))[0].tolist() == [0.0]
+    assert judged([shortest, line(drawn, SHORTEST_PX - 2.0)], lit(shortest, EVEN, 40.0))[0].tolist() == [0.0, 0.0]
+
+
+def test_a_short_line_that_rises_and_falls_is_no_meteor_for_that(drawn: StreakFit) -> None:
+    """Stars rise and fall too."""
+    for length, gains in ((SHORT_PX - 1.0, False), (40.0, True)):
+        fit = line(drawn, length, width_px=0.9, snr=200.0)
+        pixels = {"even": lit(fit, EVEN, 60.0), "rises and falls": lit(fit, METEOR, 60.0)}
+        seen = tiles(pixels["rises and falls"], fit)
+        assert for_meteor(fit, seen, Contrast.of(fit, seen)) == IN_FAVOUR
+        odds = {name: p / (1.0 - p) for name, p in ((name, judged([fit], light)[0][0]) for name, light in pixels.items())}
+        assert (odds["rises and falls"] > 2.0 * odds["even"]) == gains
+
+
+def test_where_stars_are_told_from_movers_short_lines_are_as_others(drawn: StreakFit) -> None:
+    short = line(drawn, SHORT_PX - 5.0)
     pixels = lit(short, EVEN, 30.0)
-    assert judged([short], pixels)[0].tolist() == [0.0]
     probability, asked = judged([short], pixels, alone=False)
     assert asked == [1]
     assert probability[0] > 0.3
-    just_long = replace(short, col1=short.col1 + 6.0)
-    assert judged([just_long], lit(just_long, EVEN, 30.0))[0][0] > 0.5
+    few, asked = judged([short, line(drawn, 60.0, row=40.0)], pixels, alone=False)
+    assert asked == [2]
+    assert few[0] > 0.3

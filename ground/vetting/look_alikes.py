@@ -36,7 +36,6 @@ from ground.vetting.star_arcs import of_turning_stars
 from ground.vetting.star_rows import FULL_PER_FRAME, FULL_SNR, LN_LENGTHS, REAL_PER_FRAME, StarField
 from ground.vetting.star_trails import against_chains, move_as
 from ground.vetting.surroundings import Surroundings
-from ground.vetting.texture import for_texture
 from ground.vetting.two_areas import is_border
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import StreakFlag
@@ -107,7 +106,6 @@ class OwnEvidence:
     circle : of a lens that does not fill the frame; None: it does, or is not known.
     tiles : counts around the lines; None: the lines are not held against their neighbourhood.
     short_axis_px : of the images of the stars (sigma, the pixel's own taken off); None: they do not tell.
-    noise_adu : of a pixel of the sky; 0: not known.
     """
 
     look_alikes: LookAlikes = field(default_factory=LookAlikes)
@@ -123,7 +121,6 @@ class OwnEvidence:
     circle: ImageCircle | None = None
     tiles: Tiles | None = None
     short_axis_px: float | None = None
-    noise_adu: float = 0.0
 
     def stars_among(self, fits: Sequence[StreakFit], *, round_stars: bool) -> StarMotion | None:
         """Motion of the stars where they are lines. In a dense field detections of several run together, and fits part them.
@@ -222,8 +219,7 @@ class LookAlikeVetter:
         for k in np.flatnonzero(given >= LEAST_PROBABILITY).tolist():
             # stars rise and fall as meteors do
             rises = 1.0 if short[k] else for_meteor(fits[k], tiles, contrasts[k])
-            odds = 0.0 if is_border(fits[k], tiles) else rises
-            given[k] = with_odds(given[k], odds * for_texture(fits[k], tiles, known.noise_adu))
+            given[k] = 0.0 if is_border(fits[k], tiles) else with_odds(given[k], rises)
         # such lines win all along them, as trails do: their contrast and length do not outweigh their places
         at_most = 1.0 / (1.0 + borders + spikes)
         given = np.minimum(given, at_most)

@@ -71,9 +71,6 @@ PROFILE_PX: Final = 32
 CORE_PX: Final = 2
 """Pixels within it of a line hold its light."""
 
-QUIET: Final = 0.3
-"""Share of the parts of a frame that are sky, at least: their noise is that of the sky. Chosen, not measured."""
-
 LEAST_WIDTH_PX: Final = 0.1
 """Sigma of the narrowest dark line, that of a pixel taken off."""
 
@@ -347,7 +344,6 @@ class CountingChain(OnboardChain):
                 tiles=seen.tiles(found) if seen else None,
                 surroundings=seen.surroundings(found) if seen else Surroundings(),
                 short_axis_px=short_axis_px(view) if seen else None,
-                noise_adu=float(np.quantile(view.background.sigma_adu, QUIET)),
             )
         return after, result
 

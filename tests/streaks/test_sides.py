@@ -57,7 +57,7 @@ def test_a_step_of_the_level_is_an_edge() -> None:
 
 
 def test_what_is_sharper_than_the_stars_is_no_slope() -> None:
-    """A satellite of S/N 508, 0.6 px wide among stars of 0.8 px, was refused: half of its length is faint, and the map is coarse."""
+    """A satellite of S/N 508, 0.6 px wide among stars of 0.8 px, was refused: half of its length is faint."""
     light = 100.0 / (1.0 + np.exp(across() / 6.0))
     assert refused(light, 1.6, 50.0) == [True] * 3
     assert refused(light, 1.2, 50.0) == [False] * 3

@@ -60,9 +60,9 @@ ALIGNED_SHARE: Final = 0.045
 """Share of trails that run along rows or columns: 4 atan(`ALIGNED_SLOPE`) of pi."""
 
 LEAST_TELLING: Final = 0.1
-"""Probability by all but its width from which on a line tells how sharp the optics are, where no star does. A band along the rim
-of a fisheye, 7 px wide and of probability 0.016, was the only line that told, and nine meteors of 0.3 to 0.6 px were refused as
-too sharp. So were eleven beside the ridge of a hill, 5 px wide, of 0.14 by the vetter and 0.03 by its surroundings too."""
+"""Probability from which on a line tells how sharp the optics are, where no star does: by the vetter, and by all but its
+sharpness. A band along the rim of a fisheye, 7 px wide and of 0.016 by the vetter, was the only line that told, and nine meteors
+of 0.3 to 0.6 px were refused as too sharp. So were eleven beside the ridge of a hill, 5 px wide, of 0.14 and 0.03."""
 
 LEAST: Final = 1e-12
 """Keeps the odds finite."""
@@ -205,12 +205,15 @@ class LookAlikeVetter:
         shape = frame.header.rows, frame.header.cols
         about, others = known.surroundings.about(fits), others_near(fits, shape)
         round_stars = frame.psf_sigma_px is not None
-        # where stars do not tell how sharp the optics are, lines do that all but their sharpness speaks for
-        unknown, none = [math.nan] * len(fits), np.full(len(fits), math.inf)
-        told = given if round_stars else probability_in_any_camera(fits, given, unknown, contrasts, none, others, about)
+        believed = given
+        if not round_stars:
+            # lines tell how sharp the optics are that the vetter finds likely, and all else but their sharpness
+            unknown, none = [math.nan] * len(fits), np.full(len(fits), math.inf)
+            else_told = probability_in_any_camera(fits, given, unknown, contrasts, none, others, about)
+            believed = np.where(np.minimum(given, else_told) > LEAST_TELLING, given, 0.0)
         # half lines of video are as long and bright as light, and no optics made them
-        believed = (told > (0.0 if round_stars else LEAST_TELLING)) & (borders < 1.0)
-        sharpest = sharpest_light_px(sharp, believed.tolist())
+        may_tell = (believed > 0.0) & (borders < 1.0)
+        sharpest = sharpest_light_px(sharp, may_tell.tolist())
         sharpness = sharpness_of(sharp, frame.psf_sigma_px, sharpest)
         # stars may be wider than the optics, and long light is not
         by_stars = frame.psf_sigma_px is not None and frame.psf_sigma_px <= sharpest

@@ -189,7 +189,9 @@ class LookAlikeVetter:
         borders = np.array([0.0 if known.seen is None else against_border(fit, known.seen) for fit in fits])
         odds_against = (1.0 - probability) / np.maximum(probability, LEAST) + against + borders
         refused = np.array([known.refuses(fit, frame) for fit in fits])
-        refused |= short & np.array([fit.length_px < SHORTEST_PX for fit in fits])
+        # nothing but its contrast tells a short line from a star
+        untold = [c is None or fit.length_px < SHORTEST_PX for fit, c in zip(fits, contrasts, strict=True)]
+        refused |= short & np.array(untold)
         if stars is not None:
             refused |= move_as(stars, fits)
         if known.tiles is not None:

@@ -46,8 +46,7 @@ lines that are. Their lengths tell these from particles, and columns do not drif
 
 LEAST_SNR_UNKNOWN: Final = 12.0
 """S/N up to which lines of a frame without a PSF are refused. Residuals of the flat field and rows of stars reach 20 and more,
-and are told by the frame itself: of 1,700 lines of 12 to 20 in 420 frames nine have a probability of 0.5 and more then. Five lie
-on trails, one is a part of one, and three, which no eye had marked, stand out in each third of their length."""
+and are told by the frame itself (docs/vetting.md, faint lines without a PSF)."""
 
 FARTHEST_OUTSIDE_PX: Final = 20.0
 """A fit that ends farther outside the frame has left its pixels."""

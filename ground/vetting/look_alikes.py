@@ -183,7 +183,8 @@ class LookAlikeVetter:
             against = against + np.array([known.bright.against(fit) for fit in fits])
         spikes = np.array([0.0 if known.crosses is None else known.crosses.against(fit) for fit in fits])
         against = against + spikes
-        stars = known.stars_among(fits, round_stars=frame.psf_sigma_px is not None)
+        round_stars = frame.psf_sigma_px is not None
+        stars = known.stars_among(fits, round_stars=round_stars)
         if stars is not None:
             against = against + against_chains(stars, fits)
         borders = np.array([0.0 if known.seen is None else against_border(fit, known.seen) for fit in fits])
@@ -206,15 +207,13 @@ class LookAlikeVetter:
         contrasts = [each if p >= LEAST_PROBABILITY else None for each, p in zip(contrasts, given.tolist(), strict=True)]
         shape = frame.header.rows, frame.header.cols
         about, others = known.surroundings.about(fits), others_near(fits, shape)
-        round_stars = frame.psf_sigma_px is not None
-        believed = given
+        # half lines of video are as long and bright as light, and no optics made them
+        may_tell = (given > 0.0) & (borders < 1.0)
         if not round_stars:
             # lines tell how sharp the optics are that the vetter finds likely, and all else but their sharpness
             unknown, none = [math.nan] * len(fits), np.full(len(fits), math.inf)
             else_told = probability_in_any_camera(fits, given, unknown, contrasts, none, others, about)
-            believed = np.where(np.minimum(given, else_told) > LEAST_TELLING, given, 0.0)
-        # half lines of video are as long and bright as light, and no optics made them
-        may_tell = (believed > 0.0) & (borders < 1.0)
+            may_tell &= np.minimum(given, else_told) > LEAST_TELLING
         sharpest = sharpest_light_px(sharp, may_tell.tolist())
         sharpness = sharpness_of(sharp, frame.psf_sigma_px, sharpest)
         # stars may be wider than the optics, and long light is not

@@ -18,7 +18,8 @@ SHORT_PX: Final = 25.0
 """Blends of stars look like trails up to this length in a frame that was held against no other frame of the same sky."""
 
 SHORTEST_PX: Final = 12.0
-"""Shorter ones are refused there. They are not searched for either, but fits of longer ones become as short."""
+"""Shorter ones are neither reported on board nor judged there; fits of longer ones become as short. What is found first of a
+short meteor is its bright part: 16 to 25 px in eight trails of 16 to 43 px, S/N 30 to 54."""
 
 KIND: Final = (*alike.KIND, 0.3)
 """Sigma of ln S/N, ln length and ln width (that of a pixel included) within which two lines are of one kind. Both widths are

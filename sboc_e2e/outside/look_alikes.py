@@ -103,7 +103,7 @@ class Dark:
             found = detector.detect(negative)
             check_detections(found, view.mask.shape)
             return cls(view=negative, lines=found)
-        # shorter bright lines of a frame that stands alone are judged by the other short ones, stars above all
+        # most bright lines as short are stars, which have no negative: dark ones would tell little of them
         detector = replace(detector, blend_px=max(detector.blend_px, SHORT_PX))
         in_white_noise, found = detector.detect_in_white_noise(negative)
         known = {_ends(each) for each in found}

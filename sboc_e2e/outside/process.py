@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from ground.astrometry import lost_in_space
+from ground.vetting.short_lines import SHORTEST_PX
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.files import calibration_files
 from sboc_e2e.outside import beside
@@ -24,10 +25,6 @@ from sboc_e2e.run.onboard_stage import join, onboard_steps
 from sboc_e2e.run.progress import Progress
 from sboc_e2e.scenario import Scenario
 
-SHORTEST_FOUND_PX: Final = 12.0
-"""Shortest line that is measured. What is found first of a short meteor is its bright part: 16 to 25 px in eight trails
-of 16 to 43 px, S/N 30 to 54."""
-
 MODEL_ERROR: Final = 0.2
 """Share of a trail's light by which telescopes on the ground differ from the fit's model: turbulence, tracking, tumbling."""
 
@@ -42,7 +39,7 @@ def base_document(wcs: str) -> dict[str, Any]:
         "onboard": {
             "downlink": {"budget": "0 Mbit/s"},
             "roi": {"max_per_frame": MOST_DETECTIONS, "max_cosmic_like": MOST_HITS, "follow_light": True},
-            "detector": {"max_detections": MOST_DETECTIONS, "held_beside": True, "blend": f"{SHORTEST_FOUND_PX:g} px"},
+            "detector": {"max_detections": MOST_DETECTIONS, "held_beside": True, "blend": f"{SHORTEST_PX:g} px"},
         },
         "ground": {
             "astrometry": {"lost_in_space": "required" if wcs == "solve" else "never"},

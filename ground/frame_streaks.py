@@ -21,7 +21,7 @@ from ground.streaks.no_trail import NoTrailError
 from ground.streaks.psf_field import PsfField
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.downlink import DownlinkFrame
-from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.icd.frame import Calibration, FrameHeader
 from sboc_e2e.icd.products import FrameSolution, PhotometricSolution, StreakFit, StreakMeasurement, StreakPixels
 from sboc_e2e.icd.signals import RoiGroup
@@ -76,7 +76,7 @@ def number_of(streak: StreakMeasurement) -> int:
 def fitted(lit: LitFrame, fitter: StreakFitter) -> tuple[list[StreakFit], list[float]]:
     """Fit of each region, with the flags from pixels and packets; and the mean flat under each."""
     header = lit.frame.header
-    gain_assumed = StreakFlag.GAIN_ASSUMED if header.gain_e_adu is None else StreakFlag(0)
+    gain_assumed = StreakFlag.GAIN_ASSUMED if FrameFlag.GAIN_ASSUMED in lit.frame.flags else StreakFlag(0)
     fits, flats = [], []
     for group in lit.frame.rois:
         where = f"frame {header.frame}, region {group.roi_id}"

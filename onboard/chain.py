@@ -97,7 +97,7 @@ class OnboardChain:
 
     def prepare(self, state: OnboardState, frame: Frame) -> Prepared:
         """A frame's calibrated image, stars and flags, in memory that the next call uses again."""
-        header = self._with_saturation(frame.header)
+        header = self._completed(frame.header)
         check = checksum(frame.pixels)
         residual, mask = self._buffers(frame.pixels.shape)
         counts = to_counts(replace(frame, header=header), self._calibration_of(header), mask)
@@ -112,7 +112,7 @@ class OnboardChain:
             history=state.history,
             work=self._work_meter(frame.pixels.size),
         )
-        flags = header_flags(header) | sequence_flags(header, check, state.previous, state.pixel_check)
+        flags = header_flags(frame.header) | sequence_flags(header, check, state.previous, state.pixel_check)
         flags |= content_flags(view.mask, counts, n_masked)
         usable = not flags & (FrameFlag.ALL_MASKED | FrameFlag.EMPTY_SIGNAL | FrameFlag.REPEATED_FRAME)
         if usable:
@@ -213,11 +213,13 @@ class OnboardChain:
         guarded("tracker", step, check_tracks, tracks, window)
         return replace(tracking, step=state, last=header), tuple(tracks)
 
-    def _with_saturation(self, header: FrameHeader) -> FrameHeader:
-        """The header with the camera's saturation level, if the frame has none and a calibration exists."""
-        if header.saturation_adu is not None or self._calibration is None:
-            return header
-        return replace(header, saturation_adu=self._camera.saturation_adu)
+    def _completed(self, header: FrameHeader) -> FrameHeader:
+        """The header with the camera's gain, and with its saturation level if a calibration exists, where the frame has none."""
+        if header.gain_e_adu is None:
+            header = replace(header, gain_e_adu=self._camera.gain_e_adu)
+        if header.saturation_adu is None and self._calibration is not None:
+            header = replace(header, saturation_adu=self._camera.saturation_adu)
+        return header
 
     def _calibration_of(self, header: FrameHeader) -> IntegerCalibration:
         """Dark and defects under a frame."""

@@ -83,9 +83,10 @@ PER_TERM: Final = (
 
 
 def contrasts_of(fits: Sequence[StreakFit], probability: NDArray[np.float64], tiles: Tiles) -> list[Contrast | None]:
-    """Contrast of each fit of a frame that may be a trail, as far as a vetter (n,) and the tiles tell."""
+    """Contrast of each fit of a frame that may be a trail, as far as a vetter (n,) and the tiles tell, or one of no class."""
     return [
-        Contrast.of(fit, tiles) if p >= LEAST_PROBABILITY else None for fit, p in zip(fits, probability.tolist(), strict=True)
+        Contrast.of(fit, tiles) if p >= LEAST_PROBABILITY or fit.snr >= UNMODELLED_SNR else None
+        for fit, p in zip(fits, probability.tolist(), strict=True)
     ]
 
 

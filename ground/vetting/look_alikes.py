@@ -71,8 +71,8 @@ LEAST: Final = 1e-12
 def as_sharp_as(
     short_axis_px: float, fits: Sequence[StreakFit], frame: DownlinkFrame
 ) -> tuple[Sequence[StreakFit], DownlinkFrame]:
-    """Fits and their frame whose optics are as sharp as the short axis of its stars, or sharper; unknown ones stay unknown."""
-    if frame.psf_sigma_px is None or frame.psf_sigma_px <= short_axis_px:
+    """Fits and their frame whose optics are as sharp as the short axis of its stars, or sharper."""
+    if frame.psf_sigma_px is not None and frame.psf_sigma_px <= short_axis_px:
         return fits, frame
     sharp = [replace(fit, psf_sigma_px=min(fit.psf_sigma_px, short_axis_px)) for fit in fits]
     return sharp, replace(frame, psf_sigma_px=short_axis_px)
@@ -160,6 +160,7 @@ class LookAlikeVetter:
         known = self.evidence.get(frame.header.frame)
         if known is None or not fits:
             return self._of_classes(fits, frame)
+        round_stars = frame.psf_sigma_px is not None
         sharp = fits
         if known.short_axis_px is not None:
             sharp, frame = as_sharp_as(known.short_axis_px, fits, frame)
@@ -183,7 +184,6 @@ class LookAlikeVetter:
             against = against + np.array([known.bright.against(fit) for fit in fits])
         spikes = np.array([0.0 if known.crosses is None else known.crosses.against(fit) for fit in fits])
         against = against + spikes
-        round_stars = frame.psf_sigma_px is not None
         stars = known.stars_among(fits, round_stars=round_stars)
         if stars is not None:
             against = against + against_chains(stars, fits)
@@ -209,7 +209,7 @@ class LookAlikeVetter:
         about, others = known.surroundings.about(fits), others_near(fits, shape)
         # half lines of video are as long and bright as light, and no optics made them
         may_tell = (given > 0.0) & (borders < 1.0)
-        if not round_stars:
+        if frame.psf_sigma_px is None:
             # lines tell how sharp the optics are that the vetter finds likely, and all else but their sharpness
             unknown, none = [math.nan] * len(fits), np.full(len(fits), math.inf)
             else_told = probability_in_any_camera(fits, given, unknown, contrasts, none, others, about)

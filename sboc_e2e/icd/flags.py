@@ -82,7 +82,7 @@ class MaskBit(IntFlag):
 
 FLAG_TEXT: Final[dict[str, dict[str, str]]] = {
     "FrameFlag": {
-        "GAIN_ASSUMED": "no gain was given; 1 e-/ADU was used",
+        "GAIN_ASSUMED": "no gain was given; that of the nominal camera was used",
         "READ_NOISE_ASSUMED": "no read noise was given; noise is what the background mesh says, 5 e- without one",
         "NO_ATTITUDE": "telemetry carries no attitude",
         "NO_OBSERVER": "telemetry carries no observer state",
@@ -134,7 +134,7 @@ FLAG_TEXT: Final[dict[str, dict[str, str]]] = {
         "PIXELS_MISSING": "ROI packets are missing",
         "SINGLE_FRAME": "not linked to any other frame; with EDGE0 and EDGE1: crossed the field within one exposure",
         "REFIT": "refitted jointly with the other frames of its tracklet",
-        "GAIN_ASSUMED": "flux is in ADU because no gain was given",
+        "GAIN_ASSUMED": "electrons by an assumed gain: the frame gave none",
         "FAST_ROWS": "moves about as fast as the rolling shutter or faster",
     },
     "MaskBit": {

@@ -55,8 +55,8 @@ class StarMotion:
 class StarList:
     """Stars by falling flux. Columns of equal length n; an empty list has n = 0.
 
-    row, col : float64 px, centroid. flux_e : float32, PSF-weighted flux in one exposure (ADU when no gain is known,
-    then the frame is flagged). snr : float32, matched-filter. flags : uint8 of `StarFlag`.
+    row, col : float64 px, centroid. flux_e : float32, PSF-weighted flux in one exposure (by an assumed gain where
+    none is known, then the frame is flagged). snr : float32, matched-filter. flags : uint8 of `StarFlag`.
     psf_sigma_px : width of the PSF in the middle of the frame as these stars show it, without the pixel; None when not measured.
     motion : of the stars when they are trails, with their places at mid-exposure; entries without `StarFlag.TRAILED` are then
     points that follow the camera. None when stars are points. It stays on board.

@@ -19,7 +19,7 @@ from astropy.time import Time
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import ContractError, UserError
-from sboc_e2e.icd.frame import Frame, FrameHeader
+from sboc_e2e.icd.frame import LARGEST_ADU, Frame, FrameHeader
 from sboc_e2e.icd.tai import NS_PER_S, from_jd_parts
 from sboc_e2e.outside.frame_source import Note, SourcedFrame
 from sboc_e2e.outside.header_wcs import COARSEST_DEG, FINEST_DEG, MAX_SHOWN, usable_wcs
@@ -27,6 +27,7 @@ from sboc_e2e.outside.image_circle import beyond, image_circle
 from sboc_e2e.outside.image_planes import Plane, planes_of, with_planes
 from sboc_e2e.outside.no_data import without_data
 from sboc_e2e.outside.overscan import without_sky
+from sboc_e2e.outside.pixel_unit import in_unit, is_denied, usable_unit
 
 if TYPE_CHECKING:
     from astropy.wcs import WCS
@@ -48,6 +49,9 @@ CAMERA_KEYS: Final = (
     "READMODE",
 )  # fmt: skip
 """Keys of headers whose values tell cameras, their detectors, filters and modes apart."""
+GAINS_E_ADU: Final = (1e-3, 1e4)
+"""Gains that are believed."""
+OTHER_GAIN: Final = "that of --camera is taken, or a guess from the noise"
 FIRST_ASSUMED_TAI_NS: Final = 1_325_376_000 * NS_PER_S
 """2000-01-01T00:00:00 TAI: frames without a time are numbered from here, one second apart."""
 
@@ -230,6 +234,10 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True, content: Cont
     if data is None or np.shape(data) != (place.rows, place.cols) or data.dtype.kind not in "uif":
         raise UserError(f"{place.path}, HDU {place.hdu}: holds no image of {place.rows} x {place.cols} numbers")
     pixels, saturation = pixels_of(data)
+    unit = usable_unit(pixels)
+    if unit > 1.0:
+        pixels = in_unit(pixels, unit)
+        notes.append(Note(kind="unit", text=f"pixels multiplied by {unit:.0e}: their noise is below a thousandth"))
     empty = without_data(pixels)
     if empty is not None:
         pixels = _without(pixels, empty)
@@ -251,7 +259,7 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True, content: Cont
     if blind is not None and blind.any():
         pixels = _without(pixels, blind)
     notes += [doubt] if doubt and use_wcs else []
-    frame_header = _frame_header(header, number, pixels.shape, saturation, notes)
+    frame_header = _frame_header(header, number, pixels, saturation, unit, notes)
     return SourcedFrame(
         frame=Frame(header=frame_header, pixels=pixels),
         file=place.path.name,
@@ -373,8 +381,10 @@ def _tai_ns(utc: Time) -> int | None:
 
 
 def _frame_header(
-    header: Mapping[str, Any], number: int, shape: tuple[int, ...], saturation: float | None, notes: list[Note]
+    header: Mapping[str, Any], number: int, pixels: NDArray[Any], saturation: float | None, unit: float, notes: list[Note]
 ) -> FrameHeader:
+    """unit : what the file's numbers were multiplied by."""
+
     def known(names: tuple[str, ...], low: float, high: float, without: str, *, quiet: bool = False) -> float | None:
         value = number_of(header, names, low, high)
         if value is None and (not quiet or any(header.get(name) is not None for name in names)):
@@ -387,7 +397,11 @@ def _frame_header(
         wanted = "is no time from 1958 to 2104"
         notes.append(_missing(header, ("DATE-OBS", *MJD_KEYS), wanted, "the epoch is a number, not a time"))
     exposure_s = known(("EXPTIME", "EXPOSURE", "EXP_TIME"), 0.0, 9e6, "no magnitudes")
-    gain = known(("GAIN", "EGAIN"), 1e-3, 1e4, "1 e-/ADU is assumed")
+    # amateurs' programs write e-/ADU as EGAIN, and the camera's setting as GAIN
+    gain = number_of(header, ("EGAIN",), *GAINS_E_ADU) or known(("GAIN", "EGAIN"), *GAINS_E_ADU, OTHER_GAIN)
+    if gain is not None and is_denied(gain / unit, pixels):
+        notes.append(Note(kind="GAIN denied", text=f"GAIN = {gain:g} e-/ADU leaves pixels too little noise: {OTHER_GAIN}"))
+        gain = None
     read_noise = known(("RDNOISE", "READNOIS", "RON"), 0.0, 1e5, "it is ignored", quiet=True)
     full = known(("SATURATE", "SATLEVEL"), 1.0, 1e9, "it is ignored", quiet=True)
     try:
@@ -396,11 +410,11 @@ def _frame_header(
             t_start_tai_ns=start,
             exposure_ns=round((exposure_s or 0.0) * NS_PER_S),
             line_time_ns=0,
-            rows=shape[0],
-            cols=shape[1],
-            gain_e_adu=gain,
+            rows=pixels.shape[0],
+            cols=pixels.shape[1],
+            gain_e_adu=gain and gain / unit,
             read_noise_e=read_noise,
-            saturation_adu=full or saturation,
+            saturation_adu=full * unit if full and full * unit <= LARGEST_ADU else saturation,
             temperature_k=None,
         )
     except ContractError as error:

@@ -6,6 +6,7 @@ import numpy as np
 
 from sboc_e2e.icd.frame import NominalCamera
 from sboc_e2e.outside.frame_source import SourcedFrame
+from sboc_e2e.outside.pixel_unit import assumed_gain_e_adu
 
 ASSUMED_PSF_SIGMA_PX: Final = 1.2
 """Where stars do not tell it: an FWHM of 2.8 px, between a sampled and an undersampled camera's. Chosen."""
@@ -20,7 +21,7 @@ def camera_of_frame(sourced: SourcedFrame, star_sigma_px: float | None) -> Nomin
     finite = pixels if pixels.dtype.kind == "u" else pixels[np.isfinite(pixels)]
     top = float(finite.max()) if finite.size else 1.0
     saturation = header.saturation_adu or max(ASSUMED_SATURATION_ADU, 2.0 * top)
-    gain = header.gain_e_adu or 1.0
+    gain = header.gain_e_adu or assumed_gain_e_adu(pixels)
     return NominalCamera(
         name="unknown",
         rows=header.rows,

@@ -31,6 +31,7 @@ from sboc_e2e.outside.fits_frames import FIRST_ASSUMED_TAI_NS, MAX_SIDE_PX, MIN_
 from sboc_e2e.outside.frame_source import SourcedFrame
 from sboc_e2e.outside.guessed_camera import camera_of_frame
 from sboc_e2e.outside.limits import work_meter
+from sboc_e2e.outside.pixel_unit import in_unit, usable_unit
 from sboc_e2e.outside.process import base_document
 from sboc_e2e.outside.star_width import star_sigma_px
 from sboc_e2e.registry import Registry
@@ -45,8 +46,8 @@ class Found:
     """What one frame shows.
 
     detections : table of row0, col0, row1, col1 (px, 0-based, pixel centres at whole numbers), snr (matched filter) and flags.
-    stars : table of row, col (px), flux_e (electrons; ADU when no gain was given), snr and flags, by falling flux; its meta
-    holds ``rows`` and ``cols`` of the image and ``psf_sigma_px`` (NaN: no star tells it).
+    stars : table of row, col (px), flux_e (electrons), snr and flags, by falling flux; its meta
+    holds ``rows`` and ``cols`` of the image, ``psf_sigma_px`` (NaN: no star tells it) and ``gain_e_adu``.
     """
 
     detections: Table
@@ -82,7 +83,8 @@ def detect(
     Parameters
     ----------
     image : (rows, cols) of any number type, ADU; NaN is a masked pixel. Sides of 16 to 16384 px.
-    gain_e_adu : e-/ADU; None takes 1. read_noise_e : e-. saturation_adu : level from which pixels are full; None: by number type.
+    gain_e_adu : e-/ADU; None: a guess from the noise, which `Found.stars.meta` has. read_noise_e : e-.
+    saturation_adu : level from which pixels are full; None: by number type.
     exposure_s : seconds, 0 when unknown.
     detector : a name of seam ``onboard.detector``, by default the one of `sboc process`.
 
@@ -93,8 +95,8 @@ def detect(
     """
     frame = _frame(image, gain_e_adu, read_noise_e, saturation_adu, exposure_s)
     scenario = _scenario(detector)
-    result, _ = _on_board(frame, scenario, scenario.step("onboard.detector"))
-    return Found(detections=_detection_table(result.detections), stars=_star_table(result.stars, frame.header))
+    result, (camera, _) = _on_board(frame, scenario, scenario.step("onboard.detector"))
+    return Found(detections=_detection_table(result.detections), stars=_star_table(result.stars, camera))
 
 
 def measure(
@@ -166,6 +168,9 @@ def _frame(
     if not 0.0 <= exposure_s <= 1e6:
         raise UserError(f"exposure_s: expected 0 to 1e6, got {exposure_s}")
     pixels, full_adu = pixels_of(data)
+    unit = usable_unit(pixels) if gain_e_adu is None else 1.0
+    if unit > 1.0:
+        pixels = in_unit(pixels, unit)
     header = FrameHeader(
         frame=0,
         t_start_tai_ns=FIRST_ASSUMED_TAI_NS,
@@ -175,7 +180,7 @@ def _frame(
         cols=data.shape[1],
         gain_e_adu=gain_e_adu,
         read_noise_e=read_noise_e,
-        saturation_adu=saturation_adu or full_adu,
+        saturation_adu=saturation_adu * unit if saturation_adu else full_adu,
     )
     return Frame(header=header, pixels=pixels)
 
@@ -210,12 +215,12 @@ def _detection_table(found: Iterable[Detection]) -> Table:
     return table
 
 
-def _star_table(stars: StarList, header: FrameHeader) -> Table:
+def _star_table(stars: StarList, camera: NominalCamera) -> Table:
     table = Table({name: np.array(getattr(stars, name)) for name in ("row", "col", "flux_e", "snr", "flags")})
     table["row"].unit = table["col"].unit = "pix"
     table["flux_e"].unit = "electron"
     width = float("nan") if stars.psf_sigma_px is None else stars.psf_sigma_px
-    table.meta = {"rows": header.rows, "cols": header.cols, "psf_sigma_px": width}
+    table.meta = {"rows": camera.rows, "cols": camera.cols, "psf_sigma_px": width, "gain_e_adu": camera.gain_e_adu}
     return table
 
 

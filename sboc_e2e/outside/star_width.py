@@ -19,26 +19,46 @@ SQUARE_PX: Final = 256
 ENOUGH_STARS: Final = 400
 """Stars of the sample that tell the width to 1.3 %: single ones scatter by a fifth. Of fewer the whole frame is measured."""
 
-NO_SOURCES: Final = np.zeros(0, dtype=[(name, "f8") for name in ("x", "y", "a", "b", "flux", "peak")] + [("flag", "i8")])
+SINGLE_PIXEL: Final = 0.35
+"""Peak after sep's smoothing (3 x 3, weights 1-2-1) over the one before, up to which a source may be a single pixel: one alone
+has 0.25, a star of sigma 0.45 px on the middle of a pixel 0.35."""
+RESOLVED: Final = 0.7
+"""The same of a star that is no group of hot pixels, at least: on the middle of a pixel it has a sigma of 1.1 px. A star as sharp
+as a pixel on the corner of four has 0.6."""
+MANY_HOT: Final = 0.5
+"""Share of single pixels among round sources from which on they are hot pixels, and not the stars of undersampled optics. In 683
+frames of others seven have more, all with hot pixels; at the next one it is 0.35. Chosen in view of them."""
+
+NO_SOURCES: Final = np.zeros(0, dtype=[(name, "f8") for name in ("x", "y", "a", "b", "flux", "peak", "cpeak")] + [("flag", "i8")])
 
 
 def star_sigma_px(pixels: NDArray[np.float32]) -> float | None:
     """PSF sigma from round, unblended, unsaturated sources (SExtractor moments); None when there are too few.
 
     Moments above a threshold miss the wings; sources well above it, as taken here, give the width to 15 %. Below 1 px the
-    pixels themselves widen it, by a third at 0.8 px. Of large frames a sample is measured.
+    pixels themselves widen it, by a third at 0.8 px. Of large frames a sample is measured. Where most sources are hot pixels,
+    their neighbours' noise passes for a narrow star: those that are resolved tell it there.
     """
     if pixels.size >= SAMPLED_PX:
         peak = float(np.fmax.reduce(pixels, axis=None))
-        sampled = np.concatenate([_star_widths_px(square, peak) for square in _squares(pixels)])
+        sampled = _without_hot(np.concatenate([_round_sources(square, peak) for square in _squares(pixels)]))
         if len(sampled) >= ENOUGH_STARS:
-            return _median(sampled)
-    widths = _star_widths_px(pixels)
-    return None if len(widths) < FEWEST_STARS else _median(widths)
+            return _sigma_px(sampled)
+    stars = _without_hot(_round_sources(pixels))
+    return None if len(stars) < FEWEST_STARS else _sigma_px(stars)
 
 
-def _median(widths_px: NDArray[np.float64]) -> float:
-    return float(np.clip(np.median(widths_px), 0.4, 20.0))
+def _sigma_px(stars: NDArray[Any]) -> float:
+    """Median width of SExtractor's records."""
+    return float(np.clip(np.median(np.sqrt(stars["a"] * stars["b"])), 0.4, 20.0))
+
+
+def _without_hot(stars: NDArray[Any]) -> NDArray[Any]:
+    """What is resolved where most are single pixels and enough are resolved; else all, as they come."""
+    smoothed = stars["cpeak"] / stars["peak"]
+    resolved = stars[smoothed >= RESOLVED]
+    hot = len(resolved) >= FEWEST_STARS and float(np.mean(smoothed < SINGLE_PIXEL)) > MANY_HOT
+    return resolved if hot else stars
 
 
 def _squares(pixels: NDArray[np.float32]) -> Iterator[NDArray[np.float32]]:
@@ -53,16 +73,15 @@ def _squares(pixels: NDArray[np.float32]) -> Iterator[NDArray[np.float32]]:
             yield square
 
 
-def _star_widths_px(pixels: NDArray[np.float32], full: float | None = None) -> NDArray[np.float64]:
-    """Widths of single stars. full : the highest value of the frame that the pixels are of."""
+def _round_sources(pixels: NDArray[np.float32], full: float | None = None) -> NDArray[Any]:
+    """SExtractor's records of single round sources. full : the highest value of the frame that the pixels are of."""
     sources, noise, peak = sources_of(pixels)
-    stars = sources[
+    return sources[
         (sources["flag"] == 0)
         & (sources["b"] > 0.7 * sources["a"])
         & (sources["peak"] > 15.0 * noise)
         & (sources["peak"] < 0.7 * (peak if full is None else full))
     ]
-    return np.asarray(np.sqrt(stars["a"] * stars["b"]))
 
 
 def sources_of(pixels: NDArray[Any]) -> tuple[NDArray[Any], float, float]:

@@ -11,6 +11,7 @@ from astropy.wcs import WCS
 
 from sboc_e2e.api import detect, measure, solve
 from sboc_e2e.icd.errors import UserError
+from sboc_e2e.icd.flags import StreakFlag
 from tests.validation.star_field import solve_field
 
 
@@ -38,6 +39,20 @@ def test_a_trail_of_known_light_comes_back_in_electrons_whatever_the_gain() -> N
         assert np.abs(np.array([best[name] for name in ("row0", "col0", "row1", "col1")]) - ends).max() < 1.0
         assert abs(best["flux_e"] - true_e) < 4.0 * best["flux_err_e"] + 0.02 * true_e
         assert best["probability"] > 0.5
+
+
+@pytest.mark.parametrize("scale", [1e3, 1.0, 1e-2, 1e-4, 1e-20])
+def test_the_unit_of_the_pixels_does_not_matter(scale: float) -> None:
+    """Where no gain is given: a stack in counts per second, one divided by its sky, and fluxes in erg/(s cm2 A). Values below 1 had
+    a photon noise of hundreds of e-, and both ends of a trail of S/N 367 were 2.7 px off."""
+    ends = (30.0, 25.0, 120.0, 170.0)
+    image = scale * trail_image(ends, 300.0)
+    trails = measure(image, detect(image).detections)
+    best = trails[np.argmax(trails["snr"])]
+    assert np.abs(np.array([best[name] for name in ("row0", "col0", "row1", "col1")]) - ends).max() < 0.3
+    assert 0.7 < best["chi2_nu"] < 1.3
+    assert best["probability"] > 0.5
+    assert best["flags"] & StreakFlag.GAIN_ASSUMED
 
 
 def test_detections_of_another_program_are_measured_where_they_are() -> None:

@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from astropy.io import fits
+from scipy.special import ndtr
 
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.tai import from_jd_parts
@@ -170,7 +171,7 @@ def test_a_date_that_cannot_be_is_shown_and_warns_of_nothing_else(
         warnings.simplefilter("always")
         header = {"DATE-OBS": date, "EXPTIME": 1.0, "GAIN": 1.0}
         notes: list[Note] = []
-        made = _frame_header(header, 0, (64, 64), None, notes)
+        made = _frame_header(header, 0, np.zeros((64, 64), np.float32), None, 1.0, notes)
     assert made.t_start_tai_ns == FIRST_ASSUMED_TAI_NS
     (note,) = notes
     assert note.text == f"DATE-OBS = {date!r} is no time from 1958 to 2104: the epoch is a number, not a time"
@@ -209,6 +210,37 @@ def test_the_width_of_stars_is_estimated(sigma_px: float, error: float) -> None:
     assert found is not None
     assert abs(found / sigma_px - 1.0) < error
     assert star_sigma_px(rng.normal(100.0, 3.0, (200, 200)).astype(np.float32)) is None
+
+
+@pytest.mark.parametrize("n_hot", [30, 300, 3000])
+def test_hot_pixels_are_no_stars(n_hot: int) -> None:
+    """Raw frames of uncooled cameras have more of them than stars; their neighbours' noise made 0.7 px of stars of 1.8 px."""
+    rng = np.random.default_rng(10)
+    rows, cols = np.mgrid[-9:10, -9:10]
+    image = rng.normal(100.0, 3.0, (420, 420))
+    for row in range(20, 400, 40):
+        for col in range(20, 400, 40):
+            r, c = rng.uniform(-0.5, 0.5, 2)
+            star = rng.uniform(100.0, 600.0) * np.exp(-0.5 * ((rows - r) ** 2 + (cols - c) ** 2) / 1.8**2)
+            image[row - 9 : row + 10, col - 9 : col + 10] += star
+    alone = star_sigma_px(image.astype(np.float32))
+    assert alone == pytest.approx(1.8, rel=0.2)
+    image[rng.integers(0, 420, n_hot), rng.integers(0, 420, n_hot)] += rng.uniform(100.0, 400.0, n_hot)
+    assert star_sigma_px(image.astype(np.float32)) == pytest.approx(alone, rel=0.1)
+
+
+def test_stars_as_sharp_as_a_pixel_stay_stars() -> None:
+    """Undersampled optics of 0.35 px: four in ten count as single pixels, and none is resolved."""
+    rng = np.random.default_rng(11)
+    image = rng.normal(100.0, 3.0, (420, 420))
+    edges = np.arange(-4, 6) - 0.5
+    for row in range(20, 400, 20):
+        for col in range(20, 400, 20):
+            by = [np.diff(ndtr((edges - at) / 0.35)) for at in rng.uniform(-0.5, 0.5, 2)]
+            image[row - 4 : row + 5, col - 4 : col + 5] += rng.uniform(500.0, 3000.0) * np.outer(*by)
+    found = star_sigma_px(image.astype(np.float32))
+    assert found is not None
+    assert found < 0.9
 
 
 def test_the_width_of_stars_in_a_large_frame_comes_from_a_sample_where_it_holds_enough(monkeypatch: pytest.MonkeyPatch) -> None:

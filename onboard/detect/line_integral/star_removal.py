@@ -103,7 +103,7 @@ def remove_stars_alone(
 
 
 def noise_e(view: DetectorView) -> float:
-    """Noise of a pixel, e-; ADU where the gain is not known."""
+    """Noise of a pixel, e-."""
     return float(np.median(view.background.sigma_adu)) * (view.header.gain_e_adu or 1.0)
 
 

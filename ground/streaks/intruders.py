@@ -13,10 +13,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 from scipy.ndimage import median_filter
+from scipy.spatial import KDTree
 
 from ground.streaks.centre_line import LineFit
 from ground.streaks.no_trail import NoTrailError, Reason
 from ground.streaks.trail_model import DENSITY, END0, END1, mean_all
+from ground.streaks.trail_pixels import TrailPixels
+from sboc_e2e.icd.signals import Detection
 
 POINT_SIGMAS: Final = 4.2
 """Matched-filter S/N of a point source that is masked: one by chance in a hundred trails of 100 px."""
@@ -29,6 +32,18 @@ CLEAN_SIGMAS: Final = 0.3
 
 MOST_MASKED: Final = 0.35
 """A larger share of the trail masked means that the model, not the sky, is at fault; then nothing is masked."""
+
+OUTSHINES: Final = 3.0
+"""Times the brightness of a trail, as its detection tells it, from which light is none of it where sources cover more than
+`MOST_MASKED` of it. Of 2, 3 and 5 it was chosen at one trail of S/N 470 across a cluster, whose stars are up to 200 times as bright."""
+OUTSHONE_SIGMAS: Final = 5.0
+"""And so many times the noise more: pixels of faint trails are noise."""
+OUTSHONE_WIDTHS: Final = 2.0
+"""As near to such a pixel the light is a star's too."""
+OUTSHONE_LENGTH_WIDTHS: Final = 40.0
+"""Shorter lines keep all their light: hits of particles beside each other would leave a trail."""
+MOST_OUTSHONE: Final = 0.7
+"""Share of a trail that stars may outshine; with less of it left nothing is left out."""
 
 POINT_REACH: Final = 3.0
 """Widths from a point source within which its light is summed: 1 % of it lies farther out."""
@@ -182,14 +197,34 @@ def needed_snr(
     return POINT_SIGMAS + share * p[DENSITY] / np.sqrt(variance_e2[seeds])
 
 
+def outshining(pixels: TrailPixels, detection: Detection, width_px: float) -> NDArray[np.bool_]:
+    """(n,) pixels that are too bright for a detected trail, and those about them.
+
+    None of short ones, and none where they would be most of it.
+    """
+    if detection.length_px < OUTSHONE_LENGTH_WIDTHS * width_px:
+        return np.zeros(pixels.u.size, dtype=np.bool_)
+    noise = np.sqrt(pixels.variance_e2)
+    # S/N of a line of length L and width w, of so much light on its middle: light sqrt(L w sqrt(pi)) / noise
+    light = detection.snr * float(np.median(noise)) / math.sqrt(detection.length_px * width_px * math.sqrt(math.pi))
+    bright = pixels.value_e > OUTSHINES * light + OUTSHONE_SIGMAS * noise
+    if not bright.any():
+        return bright
+    places = np.column_stack((pixels.u, pixels.v))
+    reach = OUTSHONE_WIDTHS * width_px
+    near = np.isfinite(KDTree(places[bright]).query(places, distance_upper_bound=reach)[0])
+    core = np.abs(pixels.v) < width_px
+    return near if np.count_nonzero(near[core]) <= MOST_OUTSHONE * np.count_nonzero(core) else np.zeros_like(bright)
+
+
 def intruder_mask(
     line: LineFit,
     width_px: float,
     end_error_px: tuple[float, float],
     model_error: float = 0.35,
     ends_given: bool = False,
-) -> tuple[NDArray[np.bool_], bool]:
-    """(n,) pixels to leave out, and whether any of them lies on the trail.
+) -> tuple[NDArray[np.bool_], float]:
+    """(n,) pixels to leave out, and the share of the trail that intruders cover; none are left out where that is too large.
 
     end_error_px : how far off the model's ends may be. model_error : of its brightness.
     ends_given : ends and direction are an on-board track's. Light that the model lacks is a star's then, however much of the
@@ -201,7 +236,7 @@ def intruder_mask(
     residual, variance = pixels.value_e - mean, pixels.variance_e2 + np.maximum(mean, 0.0)
     seeds = np.flatnonzero(residual > SEED_SIGMAS * np.sqrt(variance))
     if seeds.size == 0:
-        return mask, False
+        return mask, 0.0
     needed = needed_snr(line, seeds, variance, end_error_px, model_error)
     inside = (pixels.u > line.parameters[END0]) & (pixels.u < line.parameters[END1]) & (np.abs(line.across_px) < 1.5 * width_px)
     most = 1.0 if ends_given else MOST_MASKED
@@ -211,6 +246,4 @@ def intruder_mask(
     place[order] = np.arange(order.size)
     u, v, residual, variance = (values[order] for values in (pixels.u, pixels.v, residual, variance))
     share, _ = mask_sources(mask, place[seeds], needed, u, v, residual, variance, width_px, inside[order], most)
-    if share > most:
-        return np.zeros_like(mask), False
-    return mask[place], share > 0.0
+    return np.zeros_like(mask) if share > most else mask[place], share

@@ -17,14 +17,14 @@ from ground.streaks.end_posterior import EndPosterior, end_posterior, end_tables
 from ground.streaks.end_search import CoarseEnds, coarse_ends
 from ground.streaks.fit_record import TrailResult, point_record, trail_record
 from ground.streaks.flashes import flashes
-from ground.streaks.intruders import at_median_brightness, intruder_mask
+from ground.streaks.intruders import MOST_MASKED, at_median_brightness, intruder_mask, outshining
 from ground.streaks.light_curve import LightCurve, light_curve
 from ground.streaks.model_choice import choose_model, straight_unless_evident, width_estimate
 from ground.streaks.no_trail import NoTrailError, Reason
 from ground.streaks.point_source import fit_point
 from ground.streaks.trail_frame import TrailFrame, cut_ends
 from ground.streaks.trail_model import DENSITY, END0, END1, Q1, Q2, SAGITTA, SLOPE, V_MID, profiles
-from ground.streaks.trail_pixels import usable_pixels
+from ground.streaks.trail_pixels import TrailPixels, usable_pixels
 from ground.streaks.wiggle import local_offsets
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit, StreakPixels
@@ -69,24 +69,13 @@ def fit_trail(pixels: StreakPixels, detection: Detection) -> StreakFit:
     usable = usable_pixels(pixels, frame, reach)
     half = 0.5 * detection.length_px
     flagged = cut_ends(detection, pixels.frame_shape)
-    first = find_line(usable, half, flagged, width_px=width, sagitta_px=detection.sagitta_px, max_shift_px=MAX_SHIFT_PX)
-    if first is None:
-        raise NoTrailError(Reason.NO_LINE)
-    # a bright star would pull both the line and the ends to itself, so it must go before they are looked for
-    detector_error = 0.1 * half + 2.0 * width
-    mask, crosses = intruder_mask(at_median_brightness(first), width, (detector_error, detector_error), 1.0)
-    line = find_line(
-        usable.without(first.pixels.index[mask]), half, flagged,
-        width_px=width, sagitta_px=detection.sagitta_px, max_shift_px=MAX_SHIFT_PX,
-    ) if mask.any() else first  # fmt: skip
-    if line is None:
-        raise NoTrailError(Reason.NO_LINE)
+    line, crosses = _line_among_stars(usable, detection, half, flagged, width)
     found = _with_ends(line, flagged, pixels.frame_shape)
     for _ in range(INTRUDER_ROUNDS):
-        mask, on_trail = intruder_mask(found[0], width, found[0].blur_px)
+        mask, share = intruder_mask(found[0], width, found[0].blur_px)
         if not mask.any():
             break
-        crosses |= on_trail
+        crosses |= share > 0.0
         kept = replace(found[0], pixels=found[0].pixels.take(~mask))
         found = _with_ends(kept, found[1].edges, pixels.frame_shape)
     line, coarse = found
@@ -99,6 +88,34 @@ def fit_trail(pixels: StreakPixels, detection: Detection) -> StreakFit:
             raise
     # a shape that fades to nothing leaves its end open, and grows beyond all bounds where another light lies there
     return _long_trail(pixels, detection, line, coarse.edges, crosses)
+
+
+def _line_among_stars(
+    usable: TrailPixels, detection: Detection, half_px: float, edges: tuple[bool, bool], width_px: float
+) -> tuple[LineFit, bool]:
+    """The line without the light of stars on it, and whether there are any. Raises `NoTrailError` where there is no line.
+
+    A bright star would pull both the line and the ends to itself, so it must go before they are looked for.
+    """
+
+    def found(pixels: TrailPixels) -> LineFit:
+        sagitta_px = detection.sagitta_px
+        line = find_line(pixels, half_px, edges, width_px=width_px, sagitta_px=sagitta_px, max_shift_px=MAX_SHIFT_PX)
+        if line is None:
+            raise NoTrailError(Reason.NO_LINE)
+        return line
+
+    error_px = 0.1 * half_px + 2.0 * width_px
+    first = found(usable)
+    mask, share = intruder_mask(at_median_brightness(first), width_px, (error_px, error_px), 1.0)
+    crosses = 0.0 < share <= MOST_MASKED
+    if share > MOST_MASKED and (bright := outshining(usable, detection, width_px)).any():
+        # too many sources to be told from the trail by a line that they pull: the brightest go first
+        crosses = True
+        usable = usable.take(~bright)
+        first = found(usable)
+        mask, _ = intruder_mask(at_median_brightness(first), width_px, (error_px, error_px), 1.0)
+    return (found(usable.without(first.pixels.index[mask])), crosses) if mask.any() else (first, crosses)
 
 
 def _with_ends(line: LineFit, edges: tuple[bool, bool], shape: tuple[int, int]) -> tuple[LineFit, CoarseEnds]:

@@ -4,8 +4,11 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from numpy.typing import NDArray
+from scipy.special import erf
 
+from ground.streaks import TrailedPsfFitter
 from ground.streaks.centre_line import LineFit, uniform_trail
 from ground.streaks.intruders import (
     CLEAN_SIGMAS,
@@ -19,6 +22,9 @@ from ground.streaks.intruders import (
 from ground.streaks.trail_frame import TrailFrame
 from ground.streaks.trail_model import N_PARAMETERS
 from ground.streaks.trail_pixels import TrailPixels
+from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.icd.products import StreakPixels
+from sboc_e2e.icd.signals import Detection
 
 WIDTH_PX, LENGTH_PX, REACH_PX = 1.3, 300, 12
 Array = NDArray[np.float64]
@@ -123,3 +129,33 @@ def test_the_signal_of_a_point_source_is_that_of_its_profile_at_every_distance()
         exact = np.sum(weight * residual_e * precision) / math.sqrt(np.sum(weight**2 * precision))
         found = point_source_snr(i, u, v, residual_e * precision, precision, profile_by_distance(width), reach)
         assert math.isclose(found, exact, rel_tol=1e-9)
+
+
+def test_a_trail_across_a_cluster_is_fitted_to_its_own_light() -> None:
+    """Stars of up to 200 times its brightness cover more than a third of it. They count as sources on it, and pull nothing."""
+    rng = np.random.default_rng(14)
+    rows, cols = 60, 600
+    row, col = (part.astype(np.float64) for part in np.mgrid[:rows, :cols])
+    lit = 0.5 * (erf((col - 60.0) / 2.8) - erf((col - 540.0) / 2.8))
+    light = 100.0 * np.exp(-0.5 * ((row - 30.0) / 2.0) ** 2) * lit
+    for place, peak in zip(rng.uniform(80.0, 520.0, 11), np.geomspace(800.0, 20000.0, 11), strict=True):
+        r2 = (row - 30.0 - rng.normal(0.0, 3.0)) ** 2 + (col - place) ** 2
+        light += peak * (1.0 + r2 / 24.0) ** -3.5
+    value = light + rng.normal(0.0, 15.0, light.shape) + rng.normal(0.0, 1.0, light.shape) * np.sqrt(light)
+    seen = StreakPixels(
+        row=row.ravel().astype(np.int32),
+        col=col.ravel().astype(np.int32),
+        value_e=value.ravel().astype(np.float32),
+        variance_e2=np.full(row.size, 225.0, np.float32),
+        psf_sigma_px=1.9,
+        frame_shape=(rows, cols),
+    )
+    snr = 100.0 / 15.0 * math.sqrt(480.0 * 2.0 * math.sqrt(math.pi))
+    detection = Detection(row0=30.5, col0=63.0, row1=29.6, col1=536.0, snr=snr, flags=StreakFlag(0))
+    fit = TrailedPsfFitter().fit(seen, detection)
+    assert fit.flags & StreakFlag.CROSSES_STAR
+    assert abs(fit.row0 - 30.0) < 0.5
+    assert abs(fit.row1 - 30.0) < 0.5
+    assert abs(fit.col0 - 60.0) < 2.0
+    assert abs(fit.col1 - 540.0) < 2.0
+    assert fit.flux_e == pytest.approx(100.0 * 2.0 * math.sqrt(2.0 * math.pi) * 480.0, rel=0.15)

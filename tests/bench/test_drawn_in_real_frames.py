@@ -5,7 +5,15 @@ import math
 import numpy as np
 import pytest
 
-from tests.benchmarks.drawn_in_real_frames import PEAKS, drawn, scatter_at, star_sigma_px, with_trails
+from tests.benchmarks.drawn_in_real_frames import (
+    METEORS,
+    SATELLITES,
+    drawn,
+    from_border_to_border,
+    scatter_at,
+    star_sigma_px,
+    with_trails,
+)
 
 
 def test_a_drawn_trail_has_a_gaussian_across_and_its_ends_where_its_light_is_half() -> None:
@@ -28,7 +36,7 @@ def test_trails_are_as_bright_as_they_say_and_repeat_with_the_seed() -> None:
     assert trails == list(with_trails(again, 3, np.random.default_rng(7)))
     assert np.array_equal(image, again)
     assert len(trails) == 3
-    assert all(PEAKS[0] <= one["peak"] <= PEAKS[1] for one in trails)
+    assert all(METEORS.peaks[0] <= one["peak"] <= METEORS.peaks[1] for one in trails)
     brightest = max(one["peak"] for one in trails)
     whole = np.clip(np.rint(3.0 * noise) / 3.0, 0.0, 255.0)  # the light is rounded to thirds where a frame holds bytes
     assert (image - whole).max() == pytest.approx(2.0 * brightest, rel=0.1, abs=1.0)
@@ -48,3 +56,23 @@ def test_trails_are_as_wide_as_the_stars_where_these_tell() -> None:
     assert len(widths) == 3
     assert min(widths) > 1.35
     assert max(widths) < 2.3
+
+
+def test_satellites_cross_the_frame_or_lie_within_it() -> None:
+    """Four in ten go from border to border, and shine there as in the middle."""
+    assert from_border_to_border((30.0, 50.0), 0.0, (61, 101)) == pytest.approx((30.0, 0.0, 30.0, 100.0))
+    assert from_border_to_border((20.0, 20.0), math.pi / 4.0, (61, 101)) == pytest.approx((0.0, 0.0, 60.0, 60.0))
+    image = np.random.default_rng(2).normal(100.0, 2.0, (500, 600))
+    every = []
+    for seed in range(30):
+        lit = image.copy()
+        (one,) = with_trails(lit, 1, np.random.default_rng(seed), SATELLITES)
+        every.append(one)
+        row0, col0, row1, col1 = one["ends"]
+        on_border = {row0, row1} <= {0.0, 499.0} or bool({col0, col1} & {0.0, 599.0})
+        assert on_border == one["crosses"]
+        if one["crosses"] and one["peak"] > 5.0:
+            light = (lit - image)[round(row0), round(col0)]
+            assert light > 1.2 * one["peak"]  # of 2 ADU times the peak, less what half a pixel beside the middle lacks
+    assert 6 <= sum(one["crosses"] for one in every) <= 18
+    assert all(0.7 <= one["peak"] <= 30.0 for one in every)

@@ -1,20 +1,23 @@
 """Trails drawn into real frames that hold none: what share of them comes back, by length, brightness and kind of frame.
 
     python -m tests.benchmarks.drawn_in_real_frames EXAM.json ... --frames FRAMES --out DIR [--each 3] [--seed 1] [--only TEXT]
+        [--kind meteors|satellites] [--fits]
 
 EXAM.json and FRAMES: see `real_frames_exam`; frames of its list without trails are taken. The sky, its noise, the lens and the
-compression are those of the frame, the trail is drawn: a line convolved with a Gaussian, in steps of a quarter of a pixel, of
-even light or of a meteor's (it rises to its brightest point at two thirds, and fades). It is as wide as the stars of the frame,
-as `sep` measures them, or up to 1.4 times as wide. Lengths are log-uniform. The light is given as that of the brightest pixel
-over the scatter of the frame around it (pixels minus their median over 15 x 15), so that it counts texture and faint stars as
-noise. Places where this scatter is above twice the frame's median are left out: trees and buildings. Nothing of the simulator or
-of ground is used. Intervals hold 95 % (Clopper-Pearson).
+compression are those of the frame, the trail is drawn: a line convolved with a Gaussian, in steps of a quarter of a pixel.
+Meteors are short, of even light or of one that rises to its brightest point at two thirds, and fades. They are as wide as the
+stars of the frame, as `sep` measures them, or up to 1.4 times as wide. Satellites are long and of even light, up to twice as wide
+as stars, and four in ten cross the frame from border to border. Lengths are log-uniform. The light is given as that of the
+brightest pixel over the scatter of the frame around it (pixels minus their median over 15 x 15), so that it counts texture and
+faint stars as noise. Places where this scatter is above twice the frame's median are left out: trees and buildings.
+Nothing of the simulator or of ground is used. Intervals hold 95 % (Clopper-Pearson).
 """
 
 import argparse
 import json
 import math
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, Final
@@ -29,12 +32,6 @@ from tests.benchmarks.real_frames import COMMAND, report
 from tests.benchmarks.real_frames_exam import frame_of, processed
 from tests.benchmarks.real_frames_table import Row, share_text
 
-LENGTHS_PX: Final = (15.0, 300.0)
-"""Shortest and longest trail, log-uniform."""
-PEAKS: Final = (2.0, 40.0)
-"""Brightest pixel over the scatter around it, log-uniform."""
-WIDER: Final = (1.0, 1.4)
-"""Width of the Gaussian over that of the frame's stars, log-uniform."""
 SIGMAS_PX: Final = (0.7, 1.6)
 """Width of the Gaussian where no stars tell it, log-uniform, px."""
 STAR_SIGMAS_PX: Final = (0.55, 4.0)
@@ -62,9 +59,50 @@ BRIGHTEST_AT: Final = 2.0 / 3.0
 APART_PX: Final = 40.0
 """Middles of trails are so far apart at least, and 0.6 of their length more."""
 TRIES: Final = 200
-LENGTH_EDGES_PX: Final = (15.0, 25.0, 40.0, 80.0, 300.0)
-"""Of the rows of the table, as the next."""
-PEAK_EDGES: Final = (2.0, 4.0, 8.0, 16.0, 40.0)
+BEYOND_PX: Final = 10.0
+"""A trail that crosses the frame is drawn so far beyond its borders."""
+SEEN_AT_BORDER: Final = 0.3
+"""Share of the middle's scatter at both borders that such a trail crosses, at least: an overscan or a black rim has less."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Kind:
+    """What is drawn; all ranges are log-uniform.
+
+    lengths_px : shortest and longest trail. peaks : brightest pixel over the scatter around it. wider : width of the Gaussian
+    over that of the frame's stars. curves : of `CURVES`. crossing : share that goes from border to border.
+    length_edges_px, peak_edges : of the rows of the table.
+    """
+
+    lengths_px: tuple[float, float]
+    peaks: tuple[float, float]
+    wider: tuple[float, float]
+    curves: tuple[str, ...]
+    crossing: float
+    length_edges_px: tuple[float, ...]
+    peak_edges: tuple[float, ...]
+
+
+METEORS: Final = Kind(
+    lengths_px=(15.0, 300.0),
+    peaks=(2.0, 40.0),
+    wider=(1.0, 1.4),
+    curves=("even", "meteor"),
+    crossing=0.0,
+    length_edges_px=(15.0, 25.0, 40.0, 80.0, 300.0),
+    peak_edges=(2.0, 4.0, 8.0, 16.0, 40.0),
+)
+SATELLITES: Final = Kind(
+    lengths_px=(40.0, 4000.0),
+    peaks=(0.7, 30.0),
+    wider=(1.0, 2.0),
+    curves=("even",),
+    crossing=0.4,
+    length_edges_px=(40.0, 100.0, 300.0, 20000.0),
+    peak_edges=(0.7, 1.5, 3.0, 6.0, 12.0, 30.0),
+)
+FITS_SUFFIXES: Final = (".fits", ".fit", ".fts", ".fz")
+KINDS: Final = {"meteors": METEORS, "satellites": SATELLITES}
 
 
 def even(u: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -124,7 +162,21 @@ def star_sigma_px(image: NDArray[np.float64]) -> float | None:
     return sigma if STAR_SIGMAS_PX[0] <= sigma <= STAR_SIGMAS_PX[1] else None
 
 
-def with_trails(image: NDArray[np.float64], number: int, rng: np.random.Generator) -> Iterator[dict[str, Any]]:
+def from_border_to_border(place: tuple[float, float], angle: float, shape: tuple[int, int]) -> tuple[float, float, float, float]:
+    """Row and column of both ends, at the middles of the outermost pixels, of a line of this direction through a place."""
+    steps = (math.sin(angle), math.cos(angle))
+    to_borders = [
+        sorted(((0.0 - at) / step, (side - 1.0 - at) / step))
+        for at, step, side in zip(place, steps, shape, strict=True)
+        if abs(step) > 1e-9
+    ]
+    back, forth = max(each[0] for each in to_borders), min(each[1] for each in to_borders)
+    return (place[0] + back * steps[0], place[1] + back * steps[1], place[0] + forth * steps[0], place[1] + forth * steps[1])
+
+
+def with_trails(
+    image: NDArray[np.float64], number: int, rng: np.random.Generator, kind: Kind = METEORS
+) -> Iterator[dict[str, Any]]:
     """Draw trails into a frame, in place; what each one is. Fewer than asked where the frame has no room."""
     rows, cols = image.shape
     places = rng.uniform(0.0, 1.0, (BOXES, 2)) * (rows, cols)
@@ -136,36 +188,51 @@ def with_trails(image: NDArray[np.float64], number: int, rng: np.random.Generato
     for _ in range(TRIES):
         if len(middles) == number:
             return
-        longest = min(LENGTHS_PX[1], 0.6 * min(rows, cols))
-        length = math.exp(rng.uniform(math.log(LENGTHS_PX[0]), math.log(longest)))
+        longest = min(kind.lengths_px[1], 0.6 * min(rows, cols))
+        length = math.exp(rng.uniform(math.log(kind.lengths_px[0]), math.log(longest)))
         angle, row, col = rng.uniform(0.0, math.pi), rng.uniform(0.0, rows - 1.0), rng.uniform(0.0, cols - 1.0)
         half_row, half_col = 0.5 * length * math.sin(angle), 0.5 * length * math.cos(angle)
         ends = (row - half_row, col - half_col, row + half_row, col + half_col)
-        curve = ("even", "meteor")[int(rng.integers(2))]
-        sigma = math.exp(rng.uniform(*np.log(SIGMAS_PX))) if stars is None else stars * math.exp(rng.uniform(*np.log(WIDER)))
-        peak = math.exp(rng.uniform(*np.log(PEAKS)))
-        if min(ends) < 8.0 or max(ends[0], ends[2]) > rows - 9.0 or max(ends[1], ends[3]) > cols - 9.0:
+        curve = kind.curves[int(rng.integers(len(kind.curves)))]
+        sigma = math.exp(rng.uniform(*np.log(SIGMAS_PX))) if stars is None else stars * math.exp(rng.uniform(*np.log(kind.wider)))
+        peak = math.exp(rng.uniform(*np.log(kind.peaks)))
+        crosses = kind.crossing > 0.0 and rng.uniform() < kind.crossing
+        if crosses:
+            ends = from_border_to_border((row, col), angle, (rows, cols))
+            length = math.hypot(ends[2] - ends[0], ends[3] - ends[1])
+        elif min(ends) < 8.0 or max(ends[0], ends[2]) > rows - 9.0 or max(ends[1], ends[3]) > cols - 9.0:
             continue
         if any(math.hypot(row - r, col - c) < APART_PX + 0.6 * length for r, c in middles):
             continue
         scatter = scatter_at(image, row, col)
         if not 0.0 < scatter < ROUGH * usual:
             continue
-        where, light = drawn((rows, cols), ends, sigma, curve)
+        beyond = (BEYOND_PX * math.sin(angle), BEYOND_PX * math.cos(angle)) if crosses else (0.0, 0.0)
+        if crosses and min(scatter_at(image, *place) for place in (ends[:2], ends[2:])) < SEEN_AT_BORDER * scatter:
+            continue
+        from_to = (ends[0] - beyond[0], ends[1] - beyond[1], ends[2] + beyond[0], ends[3] + beyond[1])
+        where, light = drawn((rows, cols), from_to, sigma, curve)
         image[where] += peak * scatter * light
         if whole:
             np.clip(np.rint(3.0 * image[where]) / 3.0, 0.0, 255.0, out=image[where])
         middles.append((row, col))
-        yield {"ends": [round(e, 2) for e in ends], "length_px": length, "peak": peak, "sigma_px": sigma, "curve": curve}
+        yield {
+            "ends": [round(e, 2) for e in ends],
+            "length_px": length,
+            "peak": peak,
+            "sigma_px": sigma,
+            "curve": curve,
+            "crosses": crosses,
+        }
 
 
-def made(entry: dict[str, Any], source: Path, path: Path, number: int, seed: int) -> dict[str, Any] | None:
+def made(entry: dict[str, Any], source: Path, path: Path, number: int, seed: int, kind: Kind = METEORS) -> dict[str, Any] | None:
     """A frame with trails drawn into it, written to path; its entry, as an exam has it. None where there is no room."""
     image = np.array(fits.getdata(source), dtype=np.float64)
     if image.ndim != 2 or min(image.shape) < 100:
         return None
     rng = np.random.default_rng([seed, int(entry["sha256"][:8], 16)])
-    trails = list(with_trails(image, number, rng))
+    trails = list(with_trails(image, number, rng, kind))
     if not path.exists():
         header = fits.getheader(source)
         for key in ("BZERO", "BSCALE", "BLANK"):
@@ -174,7 +241,7 @@ def made(entry: dict[str, Any], source: Path, path: Path, number: int, seed: int
     return {**entry, "trails": [t["ends"] for t in trails], "drawn": trails} if trails else None
 
 
-def table_text(rows: list[tuple[dict[str, Any], Row]]) -> str:
+def table_text(rows: list[tuple[dict[str, Any], Row]], kind: Kind = METEORS) -> str:
     """Shares that were measured and published, by what the trail and the frame are."""
     each = [
         {"trail": trail, "kind": entry["blank_kind"], **drawn_as}
@@ -188,13 +255,19 @@ def table_text(rows: list[tuple[dict[str, Any], Row]]) -> str:
         return f"| {name} | {share_text(measured, len(trails))} | {share_text(published, len(trails))} |"
 
     lines = ["| trails | measured | published |", "|---|---|---|", line("all", each)]
-    for low, high in pairwise(LENGTH_EDGES_PX):
-        for faint, bright in pairwise(PEAK_EDGES):
+    for low, high in pairwise(kind.length_edges_px):
+        for faint, bright in pairwise(kind.peak_edges):
             some = [one for one in each if low <= one["length_px"] < high and faint <= one["peak"] < bright]
             lines.append(line(f"{low:g} to {high:g} px, brightest pixel {faint:g} to {bright:g}", some))
-    for key, value in (*(("curve", curve) for curve in CURVES), ("kind", "raw"), ("kind", "calibrated")):
-        lines.append(line(value, [one for one in each if one[key] == value]))
-    ends = [inside for one in each if one["trail"].published >= 0.5 for inside in one["trail"].inside]
+    groups: list[tuple[str, str, object]] = [
+        *((curve, "curve", curve) for curve in kind.curves),
+        ("raw", "kind", "raw"),
+        ("calibrated", "kind", "calibrated"),
+    ]
+    groups += [("from border to border", "crosses", True)] if kind.crossing > 0.0 else []
+    lines += [line(name, [one for one in each if one[key] == value]) for name, key, value in groups]
+    # where a border is masked, a trail that crosses it ends before
+    ends = [inside for one in each if one["trail"].published >= 0.5 and not one["crosses"] for inside in one["trail"].inside]
     lines.append(f"Ends within 2 px or their interval: {share_text(sum(ends), len(ends))}.")
     lines.append(f"Published beside the trails: {sum(row.false for _, row in rows)} in {len(rows)} frames.")
     return "\n".join(lines)
@@ -208,21 +281,25 @@ def main() -> None:
     parser.add_argument("--out", type=Path, required=True, help="folder of the frames and runs")
     parser.add_argument("--each", type=int, default=3, help="trails of a frame")
     parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--kind", choices=sorted(KINDS), default="meteors", help="what is drawn")
+    parser.add_argument("--fits", action="store_true", help="frames that came as FITS files alone, and no pictures")
     parser.add_argument("--only", default="", help="part of a file's name")
     parser.add_argument("--sboc", default=" ".join(COMMAND), help="the command that is measured")
     chosen = parser.parse_args()
     # others of these draw other trails, whose frames and runs are not those
-    out = chosen.out / f"seed_{chosen.seed}_each_{chosen.each}"
+    out = chosen.out / f"seed_{chosen.seed}_each_{chosen.each}_{chosen.kind}"
     (out / "frames").mkdir(parents=True, exist_ok=True)
     rows = []
     for entry in (e for exam in chosen.exams for e in json.loads(exam.read_text())):
         if entry["blank_kind"] is None or chosen.only not in entry["file"]:
             continue
+        if chosen.fits and not entry["path"].lower().endswith(FITS_SUFFIXES):
+            continue
         source, path = frame_of(entry, chosen.frames), out / "frames" / entry["file"]
-        full = None if source is None else made(entry, source, path, chosen.each, chosen.seed)
+        full = None if source is None else made(entry, source, path, chosen.each, chosen.seed, KINDS[chosen.kind])
         if full is not None:
             rows.append((full, processed(full, path, out / "runs" / path.stem, chosen.sboc.split())))
-    report(table_text(rows))
+    report(table_text(rows, KINDS[chosen.kind]))
 
 
 if __name__ == "__main__":

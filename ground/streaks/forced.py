@@ -58,10 +58,10 @@ def forced_fit(pixels: StreakPixels, detection: Detection, track_snr: float) -> 
         raise NoTrailError(Reason.NO_LINE)
     start = uniform_trail(0.0, half, edges, width)
     line = score(near, start, (DENSITY,), half_px=half, blur_px=blur, iterations=ITERATIONS)
-    mask, crosses = (
+    mask, covered = (
         intruder_mask(at_median_brightness(line), width, blur, ends_given=True)
         if line.regular
-        else (np.zeros(near.u.size, dtype=bool), False)
+        else (np.zeros(near.u.size, dtype=bool), 0.0)
     )
     near = near.take(~mask)
     line = score(near, start, (DENSITY,), half_px=half, blur_px=blur, iterations=ITERATIONS)
@@ -71,7 +71,7 @@ def forced_fit(pixels: StreakPixels, detection: Detection, track_snr: float) -> 
     if placed.regular and abs(placed.parameters[V_MID]) < ACROSS_PX:
         line = placed
     across = math.sqrt(line.covariance[V_MID, V_MID]) if V_MID in line.free else ACROSS_PX / math.sqrt(3.0)
-    return _record(pixels, detection, line, edges, along, across, crosses)
+    return _record(pixels, detection, line, edges, along, across, covered > 0.0)
 
 
 def has_given_ends(fit: StreakFit) -> bool:

@@ -35,7 +35,8 @@ MOST_MASKED: Final = 0.35
 
 OUTSHINES: Final = 3.0
 """Times the brightness of a trail, as its detection tells it, from which light is none of it where sources cover more than
-`MOST_MASKED` of it. Of 2, 3 and 5 it was chosen at one trail of S/N 470 across a cluster, whose stars are up to 200 times as bright."""
+`MOST_MASKED` of it. Of 2, 3 and 5 it was chosen at one trail of S/N 470 across a cluster, whose stars are up to 200 times as
+bright."""
 OUTSHONE_SIGMAS: Final = 5.0
 """And so many times the noise more: pixels of faint trails are noise."""
 OUTSHONE_WIDTHS: Final = 2.0

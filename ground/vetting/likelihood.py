@@ -60,6 +60,11 @@ LN_BRIGHTEST_SNR_UNKNOWN: Final = math.log(300.0)
 """The class densities cover debris up to some S/N. Other telescopes see satellites; brighter trails count as this bright. If the
 PSF is unknown, the S/N is the main feature that separates bright trails from slopes."""
 
+WIDER_LN_PSF: Final = 0.5
+"""One sigma of ln of the width of a trail over that of the optics, where it is wider, in frames that nobody calibrated: there
+satellites are near and out of focus, and full pixels widen fireballs. With 0 instead eight lines on trails of 364 frames of
+others have less than a half, and two of no trail, in one picture."""
+
 LEAST_LIGHT_SNR: Final = 50.0
 """So bright that noise and chance do not make it; chosen, not measured."""
 UNBROKEN_BINS: Final = 8
@@ -240,11 +245,13 @@ class LikelihoodVetter:
         light = _light(fits, readout)
         sharpest = _sharpest_px(fits, light) if self.model_error > 0.0 else math.inf
         widths = [fit.psf_sigma_px if math.isfinite(fit.psf_sigma_px) and not unknown else psf_sigma_px for fit in fits]
+        may_vary = self.model_error > 0.0
+        wider_error = math.hypot(ln_psf_error, WIDER_LN_PSF) if may_vary else ln_psf_error
+        optics = [min(width, sharpest) for width in widths]
+        errors = [wider_error if fit.width_px > width else ln_psf_error for fit, width in zip(fits, optics, strict=True)]
         features = [
-            features_of(
-                fit, min(width, sharpest), ln_psf_error=ln_psf_error, model_error=model_error, may_vary=self.model_error > 0.0
-            )
-            for fit, width in zip(fits, widths, strict=True)
+            features_of(fit, width, ln_psf_error=error, model_error=model_error, may_vary=may_vary)
+            for fit, width, error in zip(fits, optics, errors, strict=True)
         ]
         if self.model_error > 0.0:
             # on board a full trail is a row of full stars, which it aims at; here `spikes` asks for a star that outshines it

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from ground.streaks import TrailedPsfFitter
+from ground.vetting import likelihood
 from ground.vetting import LikelihoodVetter
 from ground.vetting.class_densities import BINS, FLAG_SHARES, RECURRING, class_densities
 from ground.vetting.features import features_of
@@ -124,6 +125,20 @@ def test_the_width_that_a_frame_reports_is_the_one_that_its_trails_should_have(f
     assert told.min() > 0.9
     assert untold.min() < 0.8
     assert np.median(untold) < np.median(told)
+
+
+def test_a_trail_out_of_focus_is_less_doubted_where_nobody_calibrated(
+    fits: dict[str, list[StreakFit]], frame: DownlinkFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Near satellites are, by twice the optics and more. One that is as sharp as the optics keeps its probability."""
+    bright = replace(max(fits["real"], key=lambda fit: fit.snr), width_err_px=0.01, chi2_nu=3.0)
+    wide, narrow = replace(bright, width_px=2.2 * 0.85), replace(bright, width_px=0.8 * 0.85)
+    vetter, known = LikelihoodVetter(model_error=0.2), replace(frame, psf_sigma_px=0.85)
+    of_wide, of_narrow = (float(vetter.probability([fit], known)[0]) for fit in (wide, narrow))
+    monkeypatch.setattr(likelihood, "WIDER_LN_PSF", 0.0)
+    before, narrow_before = (float(vetter.probability([fit], known)[0]) for fit in (wide, narrow))
+    assert of_wide / (1.0 - of_wide) > 2.0 * before / (1.0 - before)
+    assert of_narrow == narrow_before
 
 
 def test_where_nobody_knows_the_width_any_is_believed_but_not_in_blobs(frame: DownlinkFrame) -> None:

@@ -8,8 +8,7 @@ import numpy as np
 import pytest
 
 from ground.streaks import TrailedPsfFitter
-from ground.vetting import likelihood
-from ground.vetting import LikelihoodVetter
+from ground.vetting import LikelihoodVetter, likelihood
 from ground.vetting.class_densities import BINS, FLAG_SHARES, RECURRING, class_densities
 from ground.vetting.features import features_of
 from ground.vetting.likelihood import LONGEST_PARTICLE_PX, sharpest_light_px, sharpness_of

@@ -65,6 +65,13 @@ WIDER_LN_PSF: Final = 0.5
 satellites are near and out of focus, and full pixels widen fireballs. With 0 instead eight lines on trails of 364 frames of
 others have less than a half, and two of no trail, in one picture."""
 
+FAINT_SNR: Final = 20.0
+"""Lines up to this S/N leave residuals that are noise alone,"""
+FAINT_PX: Final = 15.0
+"""where they are so long at least: shorter ones are stars."""
+FEWEST_FAINT: Final = 5
+"""So many of them tell the frame's noise. Chosen."""
+
 LEAST_LIGHT_SNR: Final = 50.0
 """So bright that noise and chance do not make it; chosen, not measured."""
 UNBROKEN_BINS: Final = 8
@@ -100,6 +107,15 @@ def posterior_of_classes(
         share /= share.sum(axis=1, keepdims=True)
         rate = (rate_per_frame * frames_worth + share.sum(axis=0)) / (frames_worth + 1.0)
     return share
+
+
+def noise_excess(fits: Sequence[StreakFit]) -> float:
+    """Chi-square of what is noise alone in a frame: the median of its faint lines, 1 at least and where too few tell it.
+
+    Hot pixels leave tails of the noise that a robust scatter does not see: in raw frames of an uncooled camera it is 4.
+    """
+    faint = [fit.chi2_nu for fit in fits if fit.snr < FAINT_SNR and fit.length_px >= FAINT_PX and math.isfinite(fit.chi2_nu)]
+    return max(float(np.median(faint)), 1.0) if len(faint) >= FEWEST_FAINT else 1.0
 
 
 def _beyond_knowledge(fit: StreakFit, frame: DownlinkFrame) -> bool:
@@ -234,6 +250,9 @@ class LikelihoodVetter:
         """Probabilities, shape (len(fits),), of being a real object."""
         if not fits:
             return np.zeros(0)
+        if self.model_error > 0.0 and (excess := noise_excess(fits)) > 1.0:
+            root = math.sqrt(excess)
+            fits = [replace(fit, chi2_nu=fit.chi2_nu / excess, snr=fit.snr / root) for fit in fits]
         offset, slope = log_odds_calibration()
         unknown = frame.psf_sigma_px is None
         psf_sigma_px = UNKNOWN_PSF_SIGMA_PX if frame.psf_sigma_px is None else frame.psf_sigma_px

@@ -11,7 +11,7 @@ from ground.streaks import TrailedPsfFitter
 from ground.vetting import LikelihoodVetter, likelihood
 from ground.vetting.class_densities import BINS, FLAG_SHARES, RECURRING, class_densities
 from ground.vetting.features import features_of
-from ground.vetting.likelihood import LONGEST_PARTICLE_PX, sharpest_light_px, sharpness_of
+from ground.vetting.likelihood import LONGEST_PARTICLE_PX, noise_excess, sharpest_light_px, sharpness_of
 from ground.vetting.readout import odds_of_readout
 from ground.vetting.repeated import repeated
 from sboc_e2e.icd.downlink import DownlinkFrame
@@ -138,6 +138,25 @@ def test_a_trail_out_of_focus_is_less_doubted_where_nobody_calibrated(
     before, narrow_before = (float(vetter.probability([fit], known)[0]) for fit in (wide, narrow))
     assert of_wide / (1.0 - of_wide) > 2.0 * before / (1.0 - before)
     assert of_narrow == narrow_before
+
+
+def test_noise_that_a_robust_scatter_does_not_see_is_told_by_faint_lines(
+    fits: dict[str, list[StreakFit]], frame: DownlinkFrame, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Hot pixels leave tails: residuals of faint lines have a chi-square of 4, and a trail's is no evidence against it. Not on
+    board, where the noise of the camera is known."""
+    bright = replace(max(fits["real"], key=lambda fit: fit.snr), chi2_nu=6.0, snr=300.0, width_err_px=0.01)
+    faint = [replace(fit, chi2_nu=4.0, snr=12.0, row1=fit.row0 + 40.0) for fit in fits["noise"][:6]]
+    vetter, known = LikelihoodVetter(model_error=0.2), replace(frame, psf_sigma_px=0.85)
+    assert noise_excess([bright, *faint]) == 4.0
+    assert noise_excess([bright, *faint[:4]]) == 1.0
+    assert noise_excess([bright, *(replace(fit, chi2_nu=0.7) for fit in faint)]) == 1.0
+    same = replace(bright, chi2_nu=1.5, snr=150.0)
+    quiet = [replace(fit, chi2_nu=1.0, snr=6.0) for fit in faint]
+    assert vetter.probability([bright, *faint], known) == pytest.approx(vetter.probability([same, *quiet], known), rel=1e-6)
+    on_board = LikelihoodVetter().probability([bright, *faint], known)
+    monkeypatch.setattr(likelihood, "noise_excess", lambda _: 4.0)
+    assert np.array_equal(LikelihoodVetter().probability([bright, *faint], known), on_board)
 
 
 def test_where_nobody_knows_the_width_any_is_believed_but_not_in_blobs(frame: DownlinkFrame) -> None:

@@ -125,6 +125,17 @@ def _beyond_knowledge(fit: StreakFit, frame: DownlinkFrame) -> bool:
     return fit.snr < LEAST_SNR_UNKNOWN or outside > FARTHEST_OUTSIDE_PX
 
 
+def _told_px(fit: StreakFit, psf_sigma_px: float, *, unknown: bool) -> float:
+    """Width of the optics at a fit. psf_sigma_px : of the frame. unknown : its stars do not tell it.
+
+    Then the pixels' own is a first guess from round sources, which stars that are drawn out give as well: it counts where it is
+    wider than what is assumed.
+    """
+    if not math.isfinite(fit.psf_sigma_px):
+        return psf_sigma_px
+    return max(fit.psf_sigma_px, psf_sigma_px) if unknown else fit.psf_sigma_px
+
+
 def _odds_of_narrow(fits: Sequence[StreakFit], light: Sequence[bool]) -> NDArray[np.float64]:
     """Odds (n,) against lines that no optics made: tracks of particles, by the lengths of all of them, and columns.
 
@@ -263,7 +274,7 @@ class LikelihoodVetter:
         hot = np.ones(len(fits), dtype=np.bool_)
         light = _light(fits, readout)
         sharpest = _sharpest_px(fits, light) if self.model_error > 0.0 else math.inf
-        widths = [fit.psf_sigma_px if math.isfinite(fit.psf_sigma_px) and not unknown else psf_sigma_px for fit in fits]
+        widths = [_told_px(fit, psf_sigma_px, unknown=unknown) for fit in fits]
         may_vary = self.model_error > 0.0
         wider_error = math.hypot(ln_psf_error, WIDER_LN_PSF) if may_vary else ln_psf_error
         optics = [min(width, sharpest) for width in widths]
@@ -290,7 +301,8 @@ class LikelihoodVetter:
             probability = probability / (1.0 + probability * readout)
         if unknown:
             probability = probability / (1.0 + _odds_of_narrow(fits, light))
-        refused = [self._refused(fit, frame, psf_sigma_px, unknown=unknown) for fit in fits]
+        told = widths if unknown else [psf_sigma_px] * len(fits)
+        refused = [self._refused(fit, frame, width, unknown=unknown) for fit, width in zip(fits, told, strict=True)]
         return np.asarray(np.where(refused, 0.0, probability), dtype=np.float64)
 
     def _refused(self, fit: StreakFit, frame: DownlinkFrame, psf_sigma_px: float, *, unknown: bool) -> bool:

@@ -75,8 +75,8 @@ LEAST: Final = 1e-12
 def as_sharp_as(
     short_axis_px: float, fits: Sequence[StreakFit], frame: DownlinkFrame
 ) -> tuple[Sequence[StreakFit], DownlinkFrame]:
-    """Fits and their frame whose optics are as sharp as the short axis of its stars, or sharper."""
-    if frame.psf_sigma_px is not None and frame.psf_sigma_px <= short_axis_px:
+    """Fits and their frame whose optics are as sharp as the short axis of its stars, or sharper; unknown ones stay unknown."""
+    if frame.psf_sigma_px is None or frame.psf_sigma_px <= short_axis_px:
         return fits, frame
     sharp = [replace(fit, psf_sigma_px=min(fit.psf_sigma_px, short_axis_px)) for fit in fits]
     return sharp, replace(frame, psf_sigma_px=short_axis_px)

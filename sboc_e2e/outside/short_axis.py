@@ -25,14 +25,8 @@ START_PX2: Final = 1.0
 
 
 def short_axis_px(view: DetectorView) -> float | None:
-    """Sigma of the short axis of the star images, median of the brightest listed ones, pixel taken off.
-
-    None: too few tell. So it is where they tell no circular width, unless it is because their images are long, by less than
-    trails of moving stars.
-    """
+    """Sigma of the short axis of the star images, median of the brightest listed ones, pixel taken off; None: too few tell."""
     stars = view.stars
-    if stars.psf_sigma_px is None and (stars.motion is not None or not (stars.flags & np.uint8(StarFlag.TRAILED)).any()):
-        return None
     fit_for_it = np.flatnonzero(((stars.flags & np.uint8(NO_STAR)) == 0) & (stars.snr >= LEAST_SNR))[:MOST_STARS]
     peaks = np.rint(np.column_stack((stars.row[fit_for_it], stars.col[fit_for_it]))).astype(np.float32)
     if len(peaks) < LEAST_STARS:

@@ -140,6 +140,18 @@ def test_a_trail_out_of_focus_is_less_doubted_where_nobody_calibrated(
     assert of_narrow == narrow_before
 
 
+def test_where_stars_are_drawn_out_round_sources_still_tell_how_wide_a_trail_may_be(
+    fits: dict[str, list[StreakFit]], frame: DownlinkFrame
+) -> None:
+    """A trail of 4 px and S/N 89 beside stars of 2.9 by 3.4 px was refused as a slope: 1.2 px was assumed for such frames."""
+    bright = max(fits["real"], key=lambda fit: fit.snr)
+    trail = replace(bright, width_px=4.0, width_err_px=0.1, snr=89.0, chi2_nu=1.0, row1=bright.row0 + 120.0)
+    vetter, unknown = LikelihoodVetter(model_error=0.2), replace(frame, psf_sigma_px=None)
+    assert vetter.probability([replace(trail, psf_sigma_px=2.9)], unknown)[0] > 0.5
+    assert vetter.probability([replace(trail, psf_sigma_px=0.8)], unknown)[0] == 0.0
+    assert vetter.probability([replace(trail, psf_sigma_px=math.nan)], unknown)[0] == 0.0
+
+
 def test_noise_that_a_robust_scatter_does_not_see_is_told_by_faint_lines(
     fits: dict[str, list[StreakFit]], frame: DownlinkFrame, monkeypatch: pytest.MonkeyPatch
 ) -> None:

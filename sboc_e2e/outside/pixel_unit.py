@@ -11,8 +11,8 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-ASSUMED_NOISE_E: Final = 15.0
-"""Noise of a pixel of the sky where no gain is known, at least: 5 e- of readout to 50 e- of a bright sky or a stack. Chosen."""
+ASSUMED_NOISE_E: Final = 5.0
+"""Noise of a pixel of the sky where no gain is known, at least: that of a readout. Bright skies and stacks have more. Chosen."""
 LEAST_NOISE_E: Final = 0.3
 """Less noise has no camera of these: the best scientific ones have 0.7 e- of readout, and stacks of several frames a half of it.
 Then the pixels are not in the unit of the header's gain: divided by the exposure, or normalised. Chosen."""

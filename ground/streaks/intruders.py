@@ -31,7 +31,7 @@ CLEAN_SIGMAS: Final = 0.3
 """The mask reaches to where the source's light falls below this part of a pixel's noise."""
 
 MOST_MASKED: Final = 0.35
-"""A larger share of the trail masked means that the model, not the sky, is at fault; then nothing is masked."""
+"""A larger share of the trail masked means that the model, not the sky, is at fault; then only what outshines it can be."""
 
 OUTSHINES: Final = 3.0
 """Times the brightness of a trail, as its detection tells it, from which light is none of it where sources cover more than

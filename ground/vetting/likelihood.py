@@ -112,7 +112,7 @@ def posterior_of_classes(
 def noise_excess(fits: Sequence[StreakFit]) -> float:
     """Chi-square of what is noise alone in a frame: the median of its faint lines, 1 at least and where too few tell it.
 
-    Hot pixels leave tails of the noise that a robust scatter does not see: in raw frames of an uncooled camera it is 4.
+    Hot pixels leave tails of the noise that a robust scatter does not see: in raw frames of an uncooled camera it is 5.
     """
     faint = [fit.chi2_nu for fit in fits if fit.snr < FAINT_SNR and fit.length_px >= FAINT_PX and math.isfinite(fit.chi2_nu)]
     return max(float(np.median(faint)), 1.0) if len(faint) >= FEWEST_FAINT else 1.0

@@ -66,7 +66,8 @@ of 0.3 to 0.6 px were refused as too sharp. So were eleven beside the ridge of a
 
 SHARPEST_LIGHT: Final = -1.25
 """Ln of width over that of the stars, below which a line is no light of optics that are sharper than these told. Of 37 such lines
-in 364 frames of others one lies on a trail; two columns of a raw frame, 0.05 px wide, had p of 0.64 and 0.98."""
+in 364 frames of others one lies on a trail; two columns of a raw frame, 0.05 px wide, had p of 0.64 and 0.98
+while its drawn-out stars told a PSF."""
 
 LEAST: Final = 1e-12
 """Keeps the odds finite."""

@@ -27,7 +27,7 @@ RESOLVED: Final = 0.7
 as a pixel on the corner of four has 0.6."""
 MANY_HOT: Final = 0.5
 """Share of single pixels among round sources from which on they are hot pixels, and not the stars of undersampled optics. In 683
-frames of others seven have more, all with hot pixels; at the next one it is 0.35. Chosen in view of them."""
+frames of others the rule changes the width in nine, all with hot pixels. Chosen in view of them."""
 
 NO_SOURCES: Final = np.zeros(0, dtype=[(name, "f8") for name in ("x", "y", "a", "b", "flux", "peak", "cpeak")] + [("flag", "i8")])
 

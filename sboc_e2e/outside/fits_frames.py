@@ -126,9 +126,10 @@ class FitsFolder:
         Images that cannot be read are left out. Raises `UserError` when none can.
         """
         number, first = 0, None
+        units: dict[str, float] = {}
         for place in self.places:
             try:
-                sourced = read_frame(place, number, use_wcs=self.use_wcs, content=self._opened.pop(place, None))
+                sourced = read_frame(place, number, use_wcs=self.use_wcs, content=self._opened.pop(place, None), units=units)
             except UserError as error:
                 first = first or error
                 self._unread[place.path, place.hdu] = str(error)
@@ -226,18 +227,30 @@ def wcs_of(place: Place) -> "WCS | None":
         return usable_wcs(header, place.rows, place.cols)[0]
 
 
-def read_frame(place: Place, number: int, *, use_wcs: bool = True, content: Content | None = None) -> SourcedFrame:
-    """One image as a frame. content : where it was opened before. Raises `UserError` when its data cannot be read."""
+def read_frame(
+    place: Place,
+    number: int,
+    *,
+    use_wcs: bool = True,
+    content: Content | None = None,
+    units: dict[str, float] | None = None,
+) -> SourcedFrame:
+    """One image as a frame. Raises `UserError` when its data cannot be read.
+
+    content : where it was opened before. units : of the frames before by their cameras, see `usable_unit`; this one's is added.
+    """
     content = content or _content(place)
     header, data, wcs, doubt, blind = content.header, content.data, content.wcs, content.doubt, content.blind
     notes = list(content.notes)
     if data is None or np.shape(data) != (place.rows, place.cols) or data.dtype.kind not in "uif":
         raise UserError(f"{place.path}, HDU {place.hdu}: holds no image of {place.rows} x {place.cols} numbers")
     pixels, saturation = pixels_of(data)
-    unit = usable_unit(pixels)
+    camera = " ".join(f"{header.get(key, '')}".strip() for key in CAMERA_KEYS) + f" HDU {place.hdu}"
+    units = {} if units is None else units
+    unit = units[camera] = usable_unit(pixels, units.get(camera))
     if unit > 1.0:
         pixels = in_unit(pixels, unit)
-        notes.append(Note(kind="unit", text=f"pixels multiplied by {unit:.0e}: their noise is below a thousandth"))
+        notes.append(Note(kind="unit", text=f"pixels multiplied by {unit:.0e}: noise of this camera is below a thousandth"))
     empty = without_data(pixels)
     if empty is not None:
         pixels = _without(pixels, empty)
@@ -267,7 +280,7 @@ def read_frame(place: Place, number: int, *, use_wcs: bool = True, content: Cont
         wcs=wcs if use_wcs else None,
         notes=tuple(notes),
         focal_hints_px=content.hints_px,
-        camera=" ".join(f"{header.get(key, '')}".strip() for key in CAMERA_KEYS) + f" HDU {place.hdu}",
+        camera=camera,
         circle=circle,
     )
 

@@ -102,7 +102,8 @@ def made_camera(
     Raises `UserError` for files that cannot be read and for images of different sizes.
     """
     places = [place for path in paths for place in _images(path)][:FRAMES_USED]
-    frames = [read_frame(place, number, use_wcs=False) for number, place in enumerate(places)]
+    units: dict[str, float] = {}
+    frames = [read_frame(place, number, use_wcs=False, units=units) for number, place in enumerate(places)]
     sizes = {(place.rows, place.cols) for place in places}
     if len(sizes) != 1:
         raise UserError(f"camera make: frames of one size are needed, got {', '.join(f'{r} x {c}' for r, c in sorted(sizes))}")

@@ -24,7 +24,10 @@ SAMPLED_ROWS: Final = 256
 LEAST_NOISE: Final = 1e-3
 """Pixels with less noise are multiplied: the chain has floors of 1e-3 e- and less. Images in erg/(s cm2 A) have 1e-20."""
 UNIT_STEP: Final = 1e6
-"""Multiplied by powers of this number, so that frames of one camera have one unit: their noise differs by less."""
+"""Multiplied by powers of this number."""
+HELD: Final = 30.0
+"""Frames of one camera differ less in their noise: one beyond a border of units by less than this keeps the unit of the others.
+Between their exposures of 1 s and 300 s photon noise grows 17-fold."""
 
 
 def noise_adu(pixels: NDArray[Any]) -> float:
@@ -53,12 +56,17 @@ def is_denied(gain_e_adu: float, pixels: NDArray[Any]) -> bool:
     return 0.0 < gain_e_adu * noise_adu(pixels) < LEAST_NOISE_E
 
 
-def usable_unit(pixels: NDArray[Any]) -> float:
-    """The power of `UNIT_STEP` that brings the noise of pixels to `LEAST_NOISE` or more; 1 where it is, or is not known."""
+def usable_unit(pixels: NDArray[Any], held: float | None = None) -> float:
+    """The power of `UNIT_STEP` that brings the noise of pixels to `LEAST_NOISE` or more; 1 where it is, or is not known.
+
+    held : unit of earlier frames of the camera, which stays where it nearly does: what frames share is in one unit.
+    """
     noise = noise_adu(pixels) if pixels.dtype.kind == "f" else 0.0
-    if not 0.0 < noise < LEAST_NOISE:
-        return 1.0
-    return UNIT_STEP ** math.ceil(math.log(LEAST_NOISE / noise, UNIT_STEP))
+    if not noise > 0.0:
+        return held or 1.0
+    if held is not None and LEAST_NOISE / HELD <= noise * held < LEAST_NOISE * UNIT_STEP * HELD:
+        return held
+    return UNIT_STEP ** max(math.ceil(math.log(LEAST_NOISE / noise, UNIT_STEP)), 0)
 
 
 def in_unit(pixels: NDArray[Any], unit: float) -> NDArray[np.float32]:

@@ -62,5 +62,15 @@ def test_tiny_numbers_are_multiplied_and_that_is_said(tmp_path: Path, scale: flo
     assert np.allclose(found.frame.pixels, image * unit, rtol=1e-6, atol=0.0)
     assert found.frame.header.saturation_adu == pytest.approx(3.0 * unit) if unit < 1e15 else True
     assert [note.text for note in found.notes if note.kind == "unit"] == (
-        [] if unit == 1.0 else [f"pixels multiplied by {unit:.0e}: their noise is below a thousandth"]
+        [] if unit == 1.0 else [f"pixels multiplied by {unit:.0e}: noise of this camera is below a thousandth"]
     )
+
+
+def test_frames_of_one_camera_have_one_unit(tmp_path: Path) -> None:
+    """Noise of 0.9 and of 1.1 thousandths lie on both sides of a border; another camera's frame has its own unit."""
+    for name, noise, camera in (("a", 0.9e-3, "one"), ("b", 1.1e-3, "one"), ("c", 1.1e-3, "two"), ("d", 900.0, "one")):
+        frame = fits.PrimaryHDU(np.asarray((100.0 + NOISE) * noise / 5.0, dtype=np.float32))
+        frame.header["INSTRUME"] = camera
+        frame.writeto(tmp_path / f"{name}.fits")
+    sky = [float(np.median(sourced.frame.pixels)) for sourced in FitsFolder(path=tmp_path).frames()]
+    assert sky == pytest.approx([20.0 * 0.9e3, 20.0 * 1.1e3, 20.0 * 1.1e-3, 20.0 * 900.0], rel=0.01)

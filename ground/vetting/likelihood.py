@@ -186,8 +186,10 @@ def sharpest_light_px(fits: Sequence[StreakFit], believed: Sequence[bool]) -> fl
 
 
 def _sharpest_px(fits: Sequence[StreakFit], light: Sequence[bool]) -> float:
-    """The same, where it is known which fits are light."""
-    widths = [fit.width_px for fit, lit in zip(fits, light, strict=True) if lit]
+    """The same, where it is known which fits are light. Beside lines as wide as round sources, much wider ones do not tell."""
+    lit = [fit for fit, one in zip(fits, light, strict=True) if one]
+    narrow = [fit for fit in lit if fit.width_px <= WIDEST_UNKNOWN * _told_px(fit, UNKNOWN_PSF_SIGMA_PX, unknown=True)]
+    widths = [fit.width_px for fit in narrow or lit]
     return float(np.median(widths)) if widths else math.inf
 
 

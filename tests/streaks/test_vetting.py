@@ -297,6 +297,15 @@ def test_a_band_of_cloud_does_not_tell_how_sharp_the_optics_are(fits: dict[str, 
     assert sharpness_of([trail, band], None, sharpest) == pytest.approx([narrow, 0.0])
 
 
+def test_bands_of_an_aurora_do_not_tell_beside_a_line_as_wide_as_stars(fits: dict[str, list[StreakFit]]) -> None:
+    """Two bands of 10 and 12 px, likely trails by all but their width, told the optics beside a satellite of 1.0 px and S/N 730.
+    Where all lines are wide they tell: satellites out of focus were 6 to 14 px wide."""
+    train = train_of_satellites(fits["real"][0])
+    trail, *bands = [replace(each, width_px=width) for each, width in zip(train, (1.0, 9.7, 12.4), strict=False)]
+    assert sharpest_light_px([*bands, trail], [True] * 3) == 1.0
+    assert sharpest_light_px(bands, [True] * 2) == pytest.approx(0.5 * (9.7 + 12.4))
+
+
 def test_a_train_of_satellites_does_not_recur_and_short_sharp_tracks_do(
     fits: dict[str, list[StreakFit]], frame: DownlinkFrame
 ) -> None:

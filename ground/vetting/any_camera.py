@@ -3,7 +3,7 @@
 A vetter's classes are those of one simulated camera, and a frame's look-alikes are few. How far both can be trusted, and what the
 line's contrast, length and width, the other lines about it and the picture about it add, was fitted to lines of real frames
 (logistic regression). With each repository judged by a fit to the others, 439 of 518 measured trails were published and 26 other
-lines, in 541 frames (docs/exams.md).
+lines, in 541 frames (docs/vetting-record.md).
 """
 
 import math

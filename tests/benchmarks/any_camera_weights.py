@@ -1,11 +1,11 @@
 """The weights of `ground.vetting.any_camera`, fitted again: ``python -m tests.benchmarks.any_camera_weights``.
 
 tests/streaks/lines_of_all_cameras.csv has the measured lines of 541 frames of 368 repositories and of 96 frames of six simulated
-skies (docs/exams.md): repository, frame, the trail by eye that the line lies on (empty for none; 99 for one that only the second
-eye marked), the share of this trail that it covers, whether it was refused outright, its weight in the fit, and what the log
-odds are made of. Lines that the vetter and look-alikes give less than `LEAST_PROBABILITY` are judged by these alone, and are here
-only where they lie on trails. The weights of a repository's trails add up to four at most, those of its other lines to 40. The
-frames themselves are not part of the project.
+skies (docs/vetting-record.md): repository, frame, the trail by eye that the line lies on (empty for none; 99 for one that only
+the second eye marked), the share of this trail that it covers, whether it was refused outright, its weight in the fit, and what
+the log odds are made of. Lines that the vetter and look-alikes give less than `LEAST_PROBABILITY` are judged by these alone,
+and are here only where they lie on trails. The weights of a repository's trails add up to four at most, those of its other lines
+to 40. The frames themselves are not part of the project.
 
 Prints the weights, and how lines are judged by weights that were fitted to the other cameras.
 """

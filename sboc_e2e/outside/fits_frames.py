@@ -237,7 +237,7 @@ def read_frame(
 ) -> SourcedFrame:
     """One image as a frame. Raises `UserError` when its data cannot be read.
 
-    content : where it was opened before. units : of the frames before by their cameras, see `usable_unit`; this one's is added.
+    content : where it was opened before. units : of cameras by their first frames before this one, see `usable_unit`; added to.
     """
     content = content or _content(place)
     header, data, wcs, doubt, blind = content.header, content.data, content.wcs, content.doubt, content.blind
@@ -247,7 +247,9 @@ def read_frame(
     pixels, saturation = pixels_of(data)
     camera = " ".join(f"{header.get(key, '')}".strip() for key in CAMERA_KEYS) + f" HDU {place.hdu}"
     units = {} if units is None else units
-    unit = units[camera] = usable_unit(pixels, units.get(camera))
+    unit = usable_unit(pixels, units.get(camera))
+    if pixels.dtype.kind == "f":
+        units.setdefault(camera, unit)
     if unit > 1.0:
         pixels = in_unit(pixels, unit)
         notes.append(Note(kind="unit", text=f"pixels multiplied by {unit:.0e}: noise of this camera is below a thousandth"))

@@ -57,11 +57,14 @@ def is_denied(gain_e_adu: float, pixels: NDArray[Any]) -> bool:
 
 
 def usable_unit(pixels: NDArray[Any], held: float | None = None) -> float:
-    """The power of `UNIT_STEP` that brings the noise of pixels to `LEAST_NOISE` or more; 1 where it is, or is not known.
+    """The power of `UNIT_STEP` that brings the noise of pixels to `LEAST_NOISE` or more; 1 where it is, and for whole numbers.
 
-    held : unit of earlier frames of the camera, which stays where it nearly does: what frames share is in one unit.
+    held : unit of earlier frames of the camera, which stays where it nearly does, and where all pixels are alike: what frames
+    share is in one unit.
     """
-    noise = noise_adu(pixels) if pixels.dtype.kind == "f" else 0.0
+    if pixels.dtype.kind != "f":
+        return 1.0
+    noise = noise_adu(pixels)
     if not noise > 0.0:
         return held or 1.0
     if held is not None and LEAST_NOISE / HELD <= noise * held < LEAST_NOISE * UNIT_STEP * HELD:

@@ -67,10 +67,13 @@ def test_tiny_numbers_are_multiplied_and_that_is_said(tmp_path: Path, scale: flo
 
 
 def test_frames_of_one_camera_have_one_unit(tmp_path: Path) -> None:
-    """Noise of 0.9 and of 1.1 thousandths lie on both sides of a border; another camera's frame has its own unit."""
+    """0.9 and 1.1 thousandths of noise lie on both sides of a border. Another camera's frame, and a raw one, have their own."""
     for name, noise, camera in (("a", 0.9e-3, "one"), ("b", 1.1e-3, "one"), ("c", 1.1e-3, "two"), ("d", 900.0, "one")):
         frame = fits.PrimaryHDU(np.asarray((100.0 + NOISE) * noise / 5.0, dtype=np.float32))
         frame.header["INSTRUME"] = camera
         frame.writeto(tmp_path / f"{name}.fits")
+    raw = fits.PrimaryHDU(np.rint(100.0 + NOISE).astype(np.uint16))
+    raw.header["INSTRUME"] = "one"
+    raw.writeto(tmp_path / "b_raw.fits")
     sky = [float(np.median(sourced.frame.pixels)) for sourced in FitsFolder(path=tmp_path).frames()]
-    assert sky == pytest.approx([20.0 * 0.9e3, 20.0 * 1.1e3, 20.0 * 1.1e-3, 20.0 * 900.0], rel=0.01)
+    assert sky == pytest.approx([20.0 * 0.9e3, 20.0 * 1.1e3, 100.0, 20.0 * 1.1e-3, 20.0 * 900.0], rel=0.01)

@@ -8,7 +8,7 @@ import pytest
 
 from ground.streaks import TrailedPsfFitter
 from ground.vetting import any_camera
-from ground.vetting.any_camera import as_unmodelled, contrasts_of, others_near, probability_in_any_camera
+from ground.vetting.any_camera import USUAL, as_unmodelled, contrasts_of, others_near, probability_in_any_camera
 from ground.vetting.contrast import TILE_PX, Contrast, Tiles
 from ground.vetting.particles import SHORTEST_PX, THICKNESS_PX, odds_of_particles
 from ground.vetting.repeated import doubled
@@ -207,6 +207,24 @@ def test_a_long_bright_line_that_stands_out_all_along_is_not_refused_for_its_wid
     assert as_unmodelled([bright], np.array([0.9]), [clear]).tolist() == [0.9]
     nothing = np.full(1, np.inf)
     assert probability_in_any_camera([bright], raised[:1], [0.0], [clear], nothing, np.zeros(1), AMONG_STARS)[0] > 0.7
+
+
+def test_the_glow_of_a_fireball_does_not_speak_against_it(line: StreakFit) -> None:
+    """Two of S/N 1,291 and 5,970 had 0.02 and 0.03 for the unrest and the structure about them: their own glow. What speaks for a
+    line still does."""
+    glow = np.array([[2.5, -0.6, -0.97, 0.6, -2.1, 2.1, 0.3]])
+    fireball = replace(line, snr=1291.0)
+    nothing = np.full(1, np.inf)
+
+    def given(fit: StreakFit, contrast: Contrast, picture: np.ndarray) -> float:
+        return float(probability_in_any_camera([fit], np.full(1, 0.7), [0.0], [contrast], nothing, np.zeros(1), picture)[0])
+
+    clear = Contrast(pieces=11, wins=1.0, peak=0.83)
+    silent = given(fireball, clear, np.array([USUAL]))
+    assert given(fireball, clear, glow) == silent > 2.0 * given(replace(fireball, snr=400.0), clear, glow)
+    for other in (replace(clear, wins=0.9), replace(clear, peak=0.7)):
+        assert given(fireball, other, glow) < given(fireball, other, np.array([USUAL]))
+    assert given(fireball, clear, AMONG_STARS) == given(replace(fireball, snr=400.0), clear, AMONG_STARS) > silent
 
 
 @pytest.mark.parametrize("width_px", [2.0, 5.0])

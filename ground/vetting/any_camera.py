@@ -52,12 +52,13 @@ UNMODELLED_PROBABILITY: Final = 0.1
 beside it, had 0.005 for its width and texture. Lines of no more do not tell the optics (`look_alikes.LEAST_TELLING`)."""
 
 GLARING_SNR: Final = 500.0
-"""S/N from which a line's own glow is what the picture about it shows, if nothing there comes near its light:"""
+"""S/N from which a line's own glow is what the picture about it shows, and full pixels widen it, if nothing there comes near its
+light:"""
 GLARING_WINS: Final = 0.99
 """its wins and"""
 GLARING_PEAK: Final = 0.8
-"""its peak, at least. Then the picture says nothing against it. In 371 frames 78 lines on 54 trails have all three. So have 1,029
-that are none, most of them stars: these have 0.10 at most by the other terms."""
+"""its peak, at least. Then neither the picture nor its width speaks against it. In 371 frames 78 lines on 54 trails have all
+three. So have 1,029 that are none, most of them stars: these have 0.18 at most by the other terms."""
 
 CONSTANT: Final = -3.58
 """Weights of the logistic regression follow, to 7,985 lines (489 trails) in frames of 368 repositories, 151 of them with trails,
@@ -149,7 +150,10 @@ def probability_in_any_camera(
             widths = fits[k].length_px / effective_width_px(fits[k].width_px)
             told = sharpness[k] if math.isfinite(sharpness[k]) else 0.0
             given = [own, contrast.pieces, contrast.wins, contrast.peak, widths, readout[k]]
-            picture = USUAL if _is_glaring(fits[k], contrast) and _speaks_against(surroundings[k]) else surroundings[k]
+            picture = surroundings[k]
+            if _is_glaring(fits[k], contrast):
+                told = min(told, 0.0)
+                picture = USUAL if _speaks_against(picture) else picture
             as_told, as_light = (_probability(*given, sharper, others[k], picture) for sharper in (told, max(told, 0.0)))
             # a sharper line is the track of a particle, or light of optics that are sharper than was told
             out[k] = as_told + (as_light - as_told) / (1.0 + tracks[k])

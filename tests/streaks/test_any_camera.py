@@ -209,15 +209,15 @@ def test_a_long_bright_line_that_stands_out_all_along_is_not_refused_for_its_wid
     assert probability_in_any_camera([bright], raised[:1], [0.0], [clear], nothing, np.zeros(1), AMONG_STARS)[0] > 0.7
 
 
-def test_the_glow_of_a_fireball_does_not_speak_against_it(line: StreakFit) -> None:
+def test_glow_and_width_of_a_fireball_do_not_speak_against_it(line: StreakFit) -> None:
     """Two of S/N 1,291 and 5,970 had 0.02 and 0.03 for the unrest and the structure about them: their own glow. What speaks for a
-    line still does."""
+    line still does. Full pixels widen it."""
     glow = np.array([[2.5, -0.6, -0.97, 0.6, -2.1, 2.1, 0.3]])
     fireball = replace(line, snr=1291.0)
     nothing = np.full(1, np.inf)
 
-    def given(fit: StreakFit, contrast: Contrast, picture: np.ndarray) -> float:
-        return float(probability_in_any_camera([fit], np.full(1, 0.7), [0.0], [contrast], nothing, np.zeros(1), picture)[0])
+    def given(fit: StreakFit, contrast: Contrast, picture: np.ndarray, sharpness: float = 0.0) -> float:
+        return float(probability_in_any_camera([fit], np.full(1, 0.7), [sharpness], [contrast], nothing, np.zeros(1), picture)[0])
 
     clear = Contrast(pieces=11, wins=1.0, peak=0.83)
     silent = given(fireball, clear, np.array([USUAL]))
@@ -225,6 +225,8 @@ def test_the_glow_of_a_fireball_does_not_speak_against_it(line: StreakFit) -> No
     for other in (replace(clear, wins=0.9), replace(clear, peak=0.7)):
         assert given(fireball, other, glow) < given(fireball, other, np.array([USUAL]))
     assert given(fireball, clear, AMONG_STARS) == given(replace(fireball, snr=400.0), clear, AMONG_STARS) > silent
+    assert given(fireball, clear, glow, 1.4) == silent > given(fireball, replace(clear, wins=0.9), np.array([USUAL]), 1.4)
+    assert given(fireball, clear, glow, -0.5) < silent
 
 
 @pytest.mark.parametrize("width_px", [2.0, 5.0])

@@ -64,10 +64,12 @@ LEAST_TELLING: Final = 0.1
 sharpness. A band along the rim of a fisheye, 7 px wide and of 0.016 by the vetter, was the only line that told, and nine meteors
 of 0.3 to 0.6 px were refused as too sharp. So were eleven beside the ridge of a hill, 5 px wide, of 0.14 and 0.03."""
 
-SHARPEST_LIGHT: Final = -1.25
-"""Ln of width over that of the stars, below which a line is no light of optics that are sharper than these told. Of 37 such lines
-in 364 frames of others one lies on a trail; two columns of a raw frame, 0.05 px wide, had p of 0.64 and 0.98
-while its drawn-out stars told a PSF."""
+SHARPEST_LIGHT: Final = -1.0
+"""Ln of width over that of the stars, below which a line is no light of optics that are sharper than these told. Of 29 such
+lines in 371 frames of others one lies on a trail; published trails go down to -0.73. Tracks of particles beside stars of FWHM
+2 px have -1.1. Two columns of a raw frame, 0.05 px wide, had p of 0.64 and 0.98 while its drawn-out stars told a PSF."""
+TOO_SHARP: Final = 0.03
+"""Probability of such a line, at most: one in 29."""
 
 LEAST: Final = 1e-12
 """Keeps the odds finite."""
@@ -223,14 +225,16 @@ class LookAlikeVetter:
         sharpness = sharpness_of(sharp, frame.psf_sigma_px, sharpest)
         # stars may be wider than the optics, and long light is not
         by_stars = frame.psf_sigma_px is not None and frame.psf_sigma_px <= sharpest
-        tracks = odds_of_particles(fits, [by_stars and SHARPEST_LIGHT < each < SHARP for each in sharpness])
+        tracks = odds_of_particles(fits, [by_stars and each < SHARP for each in sharpness])
+        no_light = np.less(sharpness, SHARPEST_LIGHT) & by_stars
+        tracks[no_light] = np.inf
         given = probability_in_any_camera(fits, given, sharpness, contrasts, tracks, others, about)
         for k in np.flatnonzero(given >= LEAST_PROBABILITY).tolist():
             # stars rise and fall as meteors do
             rises = 1.0 if short[k] else for_meteor(fits[k], tiles, contrasts[k])
             given[k] = 0.0 if is_border(fits[k], tiles) else with_odds(given[k], rises)
         # such lines win all along them, as trails do: their contrast and length do not outweigh their places
-        at_most = 1.0 / (1.0 + borders + spikes)
+        at_most = 1.0 / (1.0 + borders + spikes + no_light / TOO_SHARP)
         given = np.minimum(given, at_most)
         stands_out = [1.0 if contrast is None else contrast.wins for contrast in contrasts]
         given = np.where(doubled(fits, given, stands_out), 0.0, given)

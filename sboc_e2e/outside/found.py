@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.outside.look_alikes import FWHM_PER_SIGMA
-from sboc_e2e.outside.pixel_unit import noise_adu
 from sboc_e2e.report.words import Row, number
 from sboc_e2e.run.directory import RunDirectory
 from sboc_e2e.run.manifest import Manifest
@@ -90,15 +89,16 @@ class Found:
 
     @cached_property
     def _noise(self) -> tuple[str, str]:
-        """Median over some frames, as their files have them."""
+        """Median over some frames of the scatter of neighbouring pixels' differences, over the square root of two."""
         levels = []
         for frame in islice(self.run, NOISE_FRAMES):
             image = self.image(frame)
-            if image is not None:
-                levels.append(noise_adu(image))
+            if image is not None and image.shape[1] > 1:
+                difference = np.diff(image[:: max(1, image.shape[0] // 256)], axis=1)
+                levels.append(np.subtract(*np.nanpercentile(difference, [75.0, 25.0])) / 1.349 / np.sqrt(2.0))
         if not levels:
             return "-", "the files of the frames are not where they were"
-        return number(float(np.median(levels))), f"median of {len(levels)} frames, from differences of pixels"
+        return number(float(np.median(levels))), f"median of {len(levels)} frames, from neighbouring pixels"
 
     def image(self, frame: ShownFrame) -> NDArray[np.float32] | None:
         """Pixels of a frame, see `image_of`; the last one that was asked for stays in memory."""

@@ -27,7 +27,7 @@ UNIT_STEP: Final = 1e6
 """Multiplied by powers of this number."""
 HELD: Final = 30.0
 """Frames of one camera differ less in their noise: one beyond a border of units by less than this keeps the unit of the others.
-Between their exposures of 1 s and 300 s photon noise grows 17-fold."""
+Between exposures of 1 s and 300 s photon noise grows 17-fold."""
 
 
 def noise_adu(pixels: NDArray[Any]) -> float:
@@ -72,7 +72,7 @@ def usable_unit(pixels: NDArray[Any], held: float | None = None) -> float:
         return held or 1.0
     if held is not None and LEAST_NOISE / HELD <= noise * held < LEAST_NOISE * UNIT_STEP * HELD:
         return held
-    return UNIT_STEP ** max(math.ceil(math.log(LEAST_NOISE / noise, UNIT_STEP)), 0)
+    return UNIT_STEP ** math.ceil(math.log(LEAST_NOISE / noise, UNIT_STEP)) if noise < LEAST_NOISE else 1.0
 
 
 def in_unit(pixels: NDArray[Any], unit: float) -> NDArray[np.float32]:

@@ -150,11 +150,14 @@ def probability_in_any_camera(
             widths = fits[k].length_px / effective_width_px(fits[k].width_px)
             told = sharpness[k] if math.isfinite(sharpness[k]) else 0.0
             given = [own, contrast.pieces, contrast.wins, contrast.peak, widths, readout[k]]
-            picture = surroundings[k]
+            pictures: list[ArrayLike] = [surroundings[k]]
             if _is_glaring(fits[k], contrast):
-                told = min(told, 0.0)
-                picture = USUAL if _speaks_against(picture) else picture
-            as_told, as_light = (_probability(*given, sharper, others[k], picture) for sharper in (told, max(told, 0.0)))
+                # the picture counts where it speaks for the line
+                told, pictures = min(told, 0.0), [*pictures, USUAL]
+            as_told, as_light = (
+                max(_probability(*given, sharper, others[k], picture) for picture in pictures)
+                for sharper in (told, max(told, 0.0))
+            )  # fmt: skip
             # a sharper line is the track of a particle, or light of optics that are sharper than was told
             out[k] = as_told + (as_light - as_told) / (1.0 + tracks[k])
     return out
@@ -163,17 +166,6 @@ def probability_in_any_camera(
 def _is_glaring(fit: StreakFit, contrast: Contrast) -> bool:
     """Whether a line outshines all that is about it."""
     return fit.snr >= GLARING_SNR and contrast.wins >= GLARING_WINS and contrast.peak >= GLARING_PEAK
-
-
-def _speaks_against(surroundings: NDArray[np.float64]) -> bool:
-    """Whether the picture about a line (7,) makes it less probable."""
-    return float(_picture_terms(surroundings)[0] @ PER_SURROUNDINGS) < 0.0
-
-
-def _picture_terms(surroundings: ArrayLike) -> NDArray[np.float64]:
-    """Terms (n, 7) of the picture about lines, 0 where a number is not known."""
-    numbers = np.asarray(surroundings, dtype=np.float64).reshape(-1, len(USUAL))
-    return np.asarray(np.nan_to_num(np.clip(numbers, LOWEST, HIGHEST) - USUAL))
 
 
 def _probability(*terms: ArrayLike) -> float:
@@ -191,9 +183,10 @@ def terms_of(
     odds of a line of the readout. ln_sharpness : ln of the width over that of the optics, 0 where nothing tells these.
     others : number of other long lines about each. surroundings : (n, 7) of the picture about each.
     """
+    picture = np.clip(np.asarray(surroundings, dtype=np.float64).reshape(-1, len(USUAL)), LOWEST, HIGHEST) - USUAL
     columns = (
         np.clip(own, -LARGEST, LARGEST), np.log(pieces) * (np.asarray(wins) - 0.5), peak,
         np.log(np.minimum(widths, LONGEST_WIDTHS) / WIDTHS), ln_readout, np.minimum(ln_sharpness, 0.0),
-        np.maximum(ln_sharpness, 0.0), np.log(np.maximum(others, FEW) / FEW), *_picture_terms(surroundings).T,
+        np.maximum(ln_sharpness, 0.0), np.log(np.maximum(others, FEW) / FEW), *np.nan_to_num(picture).T,
     )  # fmt: skip
     return np.column_stack([np.atleast_1d(np.asarray(column, dtype=np.float64)) for column in columns])

@@ -225,9 +225,8 @@ class LookAlikeVetter:
         sharpness = sharpness_of(sharp, frame.psf_sigma_px, sharpest)
         # stars may be wider than the optics, and long light is not
         by_stars = frame.psf_sigma_px is not None and frame.psf_sigma_px <= sharpest
-        tracks = odds_of_particles(fits, [by_stars and each < SHARP for each in sharpness])
         no_light = np.less(sharpness, SHARPEST_LIGHT) & by_stars
-        tracks[no_light] = np.inf
+        tracks = np.where(no_light, np.inf, odds_of_particles(fits, [by_stars and each < SHARP for each in sharpness]))
         given = probability_in_any_camera(fits, given, sharpness, contrasts, tracks, others, about)
         for k in np.flatnonzero(given >= LEAST_PROBABILITY).tolist():
             # stars rise and fall as meteors do

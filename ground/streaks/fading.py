@@ -15,10 +15,10 @@ from typing import Final
 import numpy as np
 from scipy.special import ndtr
 
+from ground.streaks.arc import Arc
 from ground.streaks.centre_line import effective_width_px
 from ground.streaks.light_blocks import BLOCK_WIDTHS, LIT_WIDTHS, Array, Blocks, blocks_of, light_beside, sums_before, weights_of
 from ground.streaks.light_end import LightEnd, light_end
-from ground.streaks.trail_frame import TrailFrame
 from ground.streaks.trail_pixels import TrailPixels, usable_pixels
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit, StreakPixels
@@ -100,22 +100,20 @@ def with_fading_ends(fit: StreakFit, pixels: StreakPixels) -> StreakFit:
     """
     if fit.flags & (StreakFlag.FIT_FAILED | StreakFlag.POINT_LIKE) or not fit.snr > LEAST_SNR:
         return fit
-    frame = TrailFrame.of_chord(fit.row0, fit.col0, fit.row1, fit.col1)
-    limits = frame.image_limits(pixels.frame_shape)
-    half, width = 0.5 * fit.length_px, effective_width_px(fit.width_px)
-    all_near = usable_pixels(pixels, frame, math.inf)
-    straight = replace(all_near, v=all_near.v - fit.sagitta_px * (1.0 - (all_near.u / max(half, 1.0)) ** 2))
-    for end, (flag, border) in enumerate(((StreakFlag.EDGE0, -limits[0]), (StreakFlag.EDGE1, limits[1]))):
+    arc = Arc.of(fit)
+    width = effective_width_px(fit.width_px)
+    all_near = usable_pixels(pixels, arc.chord, math.inf)
+    straight = replace(all_near, v=all_near.v - arc.height_px(all_near.u))
+    for end, flag in enumerate((StreakFlag.EDGE0, StreakFlag.EDGE1)):
         if flag not in fit.flags:
             outwards = replace(straight, u=straight.u if end else -straight.u)
-            fit = _with_end_followed(fit, end, outwards, half, width, border)
+            fit = _with_end_followed(fit, end, outwards, arc, width, arc.border_px(end, pixels.frame_shape))
     return fit
 
 
-def _with_end_followed(
-    fit: StreakFit, end: int, outwards: TrailPixels, half_px: float, width_px: float, border_px: float
-) -> StreakFit:
-    """The fit with one end followed outwards. half_px : from the middle to the fit's end, before any was moved."""
+def _with_end_followed(fit: StreakFit, end: int, outwards: TrailPixels, arc: Arc, width_px: float, border_px: float) -> StreakFit:
+    """The fit with one end followed outwards. arc : the fit's line before any end was moved."""
+    half_px = arc.half_px
     blocks = blocks_of(outwards, width_px, border_px)
     other = OTHER_LIGHT * max(fit.flux_e, 0.0) / max(fit.length_px, 1.0)
     beyond = np.where(blocks.place > half_px, other, 0.0)
@@ -132,7 +130,7 @@ def _with_end_followed(
         # a fall reaches to the border; where light is lost before the fit's end without one, that end may be right
         inwards_px = 0.0 if fade is None else fade.inwards_px
         reach_px = half_px + own[1] if fade is None else border_px + width_px
-        moved = _with_end(fit, end, (-inwards_px, reach_px - place_px), place_px, border_px, half_px, width_px)
+        moved = _with_end(fit, end, (-inwards_px, reach_px - place_px), place_px, border_px, arc, width_px)
         lit = _with_light_of(moved, blocks, half_px, place_px, width_px)
         fit = _with_curve(lit, end, blocks, half_px, fit.length_px)
     elif seen_px > half_px:  # the trail's light or that of stars: the end stays, and may lie there
@@ -323,7 +321,7 @@ def _last_seen(gains: Array) -> int:
 
 
 def _with_end(
-    fit: StreakFit, end: int, interval_px: tuple[float, float], seen_px: float, border_px: float, half_px: float, width_px: float
+    fit: StreakFit, end: int, interval_px: tuple[float, float], seen_px: float, border_px: float, arc: Arc, width_px: float
 ) -> StreakFit:
     """The fit with one end where its light was last seen, or on the border where it is seen to there.
 
@@ -333,7 +331,6 @@ def _with_end(
     place = border_px if over else seen_px
     along = np.array([fit.row1 - fit.row0, fit.col1 - fit.col0]) / max(fit.length_px, 1e-6)
     across = np.array([-along[1], along[0]])
-    shift = (place - half_px) * (along if end else -along)
     interval = fit.end_interval_px.copy()
     low, high = interval_px
     interval[end] = (0.0, 0.0) if over else (min(low, interval[end, 0]), high)
@@ -346,15 +343,16 @@ def _with_end(
     flags = fit.flags | StreakFlag.ENDS_NOT_GAUSSIAN
     if over:
         flags |= StreakFlag.EDGE1 if end else StreakFlag.EDGE0
-    row, col = (fit.row1, fit.col1) if end else (fit.row0, fit.col0)
-    moved = {"row1" if end else "row0": row + float(shift[0]), "col1" if end else "col0": col + float(shift[1])}
-    return replace(
+    row, col = (float(x) for x in arc.chord.to_pixel(place if end else -place, arc.height_px(place)))
+    moved = replace(
         fit,
-        **moved,  # type: ignore[arg-type]
+        **({"row1": row, "col1": col} if end else {"row0": row, "col0": col}),  # type: ignore[arg-type]
         covariance_px2=covariance,
         end_interval_px=interval,
         flags=flags,
     )
+    longer = moved.length_px / max(fit.length_px, 1e-6)
+    return replace(moved, sagitta_px=fit.sagitta_px * longer**2, sagitta_err_px=fit.sagitta_err_px * longer**2)
 
 
 def _with_curve(fit: StreakFit, end: int, blocks: Blocks, half_px: float, length_px: float) -> StreakFit:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final, TypedDict
 
 import numpy as np
@@ -85,7 +85,8 @@ def in_pixel_order(fit: StreakFit) -> StreakFit:
 def reversed_ends(fit: StreakFit) -> StreakFit:
     """The same trail with end 0 and end 1 exchanged; signed quantities change with the direction."""
     order = [2, 3, 0, 1]
-    return StreakFit(
+    return replace(
+        fit,
         row0=fit.row1,
         col0=fit.col1,
         row1=fit.row0,
@@ -93,24 +94,11 @@ def reversed_ends(fit: StreakFit) -> StreakFit:
         covariance_px2=fit.covariance_px2[np.ix_(order, order)],
         end_interval_px=fit.end_interval_px[::-1],
         light_interval_px=fit.light_interval_px[::-1],
-        sigma_cross_px=fit.sigma_cross_px,
-        flux_e=fit.flux_e,
-        flux_err_e=fit.flux_err_e,
-        snr=fit.snr,
         sagitta_px=-fit.sagitta_px,
-        sagitta_err_px=fit.sagitta_err_px,
         gradient=-fit.gradient,
-        width_px=fit.width_px,
-        width_err_px=fit.width_err_px,
-        chi2_nu=fit.chi2_nu,
-        n_pixels=fit.n_pixels,
         flags=swap_edge_flags(fit.flags),
         light_curve_e_px=fit.light_curve_e_px[::-1],
         light_curve_err_e_px=fit.light_curve_err_e_px[::-1],
-        period_fraction=fit.period_fraction,
-        failure=fit.failure,
-        flash_e=fit.flash_e,
-        track_frames=fit.track_frames,
     )
 
 

@@ -77,10 +77,10 @@ def forced_fit(pixels: StreakPixels, detection: Detection, track_snr: float) -> 
 def has_given_ends(fit: StreakFit) -> bool:
     """Whether the ends along the trail are an on-board track's, so that all of its members are off together.
 
-    A forced fit states the whole width as its error, to the last digit, which no fitted width does. Brightness and place across
-    are the frame's own.
+    A forced fit states the whole width as its error, to the last digit, which no fitted width does; a failed one does too, and
+    is none. Brightness and place across are the frame's own.
     """
-    return fit.width_err_px == fit.width_px and StreakFlag.REFIT not in fit.flags
+    return fit.width_err_px == fit.width_px and not fit.flags & (StreakFlag.REFIT | StreakFlag.FIT_FAILED)
 
 
 def track_error_px(width_px: float, length_px: float, track_snr: float) -> float:

@@ -40,8 +40,8 @@ class TrailFrame:
         drow, dcol = np.asarray(row, dtype=np.float64) - self.row, np.asarray(col, dtype=np.float64) - self.col
         return dcol * self.cos + drow * self.sin, drow * self.cos - dcol * self.sin
 
-    def to_pixel(self, u: float, v: float) -> tuple[float, float]:
-        """(row, col) of a trail position."""
+    def to_pixel(self, u: Any, v: Any) -> tuple[Any, Any]:
+        """(row, col) of trail positions, numbers or arrays."""
         return self.row + u * self.sin + v * self.cos, self.col + u * self.cos - v * self.sin
 
     def turned(self, u: float, v: float, slope: float) -> "TrailFrame":

@@ -4,6 +4,7 @@ Objects follow each other in a line too, but those are as sharp as stars; only l
 a near satellite's size) breaks into pieces where its texture does.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import replace
 from typing import Final
@@ -11,6 +12,8 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from ground.streaks.fit_record import in_pixel_order, reversed_ends
+from ground.streaks.trail_frame import TrailFrame
 from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
 
@@ -90,7 +93,8 @@ def _joined(pieces: Sequence[StreakFit]) -> StreakFit | None:
     """One fit of all pieces; None where none reaches beyond the first, or too little of the line holds light."""
     first = pieces[0]
     along = (_ends(first)[1] - _ends(first)[0]) / first.length_px
-    forward = [piece for piece in pieces if (_ends(piece)[1] - _ends(piece)[0]) @ along > 0.0]
+    # ends go by growing column, so those of nearly vertical pieces may be either way round
+    forward = [piece if (_ends(piece)[1] - _ends(piece)[0]) @ along > 0.0 else reversed_ends(piece) for piece in pieces]
     spans = np.array([(_ends(piece) - _ends(first)[0]) @ along for piece in forward])
     low, high = int(np.argmin(spans[:, 0])), int(np.argmax(spans[:, 1]))
     length = spans[high, 1] - spans[low, 0]
@@ -103,7 +107,8 @@ def _joined(pieces: Sequence[StreakFit]) -> StreakFit | None:
     covariance[:2, :2], covariance[2:, 2:] = forward[low].covariance_px2[:2, :2], forward[high].covariance_px2[2:, 2:]
     edges = forward[low].flags & StreakFlag.EDGE0 | forward[high].flags & StreakFlag.EDGE1
     growth = float(length * lit.mean() / first.length_px)
-    return replace(
+    sagitta, sagitta_err = _sagitta_px(forward, forward[low], forward[high])
+    joined = replace(
         first,
         row0=forward[low].row0,
         col0=forward[low].col0,
@@ -120,4 +125,21 @@ def _joined(pieces: Sequence[StreakFit]) -> StreakFit | None:
         light_curve_e_px=np.zeros(0, dtype=np.float32),
         light_curve_err_e_px=np.zeros(0, dtype=np.float32),
         period_fraction=None,
+        sagitta_px=sagitta,
+        sagitta_err_px=sagitta_err,
     )
+    return in_pixel_order(joined)
+
+
+def _sagitta_px(pieces: Sequence[StreakFit], first: StreakFit, last: StreakFit) -> tuple[float, float]:
+    """Height of the parabola over the chord from the first piece's start to the last one's end, by the ends of all, and its error.
+
+    A piece's own height, carried on to the whole length, would be far more uncertain.
+    """
+    chord = TrailFrame.of_chord(first.row0, first.col0, last.row1, last.col1)
+    ends = np.concatenate([_ends(piece) for piece in pieces])
+    along, across = chord.to_trail(ends[:, 0], ends[:, 1])
+    half = 0.5 * math.hypot(last.row1 - first.row0, last.col1 - first.col0)
+    height = 1.0 - (along / half) ** 2
+    weight = float(height @ height)
+    return float(height @ across) / weight, max(piece.sigma_cross_px for piece in pieces) / math.sqrt(weight)

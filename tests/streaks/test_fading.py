@@ -53,6 +53,41 @@ def both(pixels: StreakPixels, stop: float) -> tuple[StreakFit, StreakFit]:
     return TrailedPsfFitter().fit(pixels, seen(stop)), TrailedPsfFitter(fading_ends=True).fit(pixels, seen(stop))
 
 
+@pytest.mark.parametrize("fold_px", [40.0, 70.0])
+def test_an_end_that_fades_stays_on_the_arc_of_a_bent_trail(fold_px: float) -> None:
+    """A parabola of 14 px over 500 px whose light falls exponentially from column 500 on, drawn column by column.
+
+    The end, the middle of the chord and the height over it are held against that parabola. An end that was moved along the
+    chord lay 4 to 24 px beside it.
+    """
+    rows, cols, height_px, half_px = 160, 700, 14.0, 250.0
+
+    def line(at_col: NDArray[np.float64] | float) -> NDArray[np.float64] | float:
+        return 60.0 + height_px * (1.0 - ((at_col - 300.0) / half_px) ** 2)
+
+    col, root = np.arange(cols, dtype=float), math.sqrt(2.0) * SIGMA_PX
+    row = np.arange(rows, dtype=float)[:, None] - line(col)
+    across = 0.5 * (erf((row + 0.5) / root) - erf((row - 0.5) / root))
+    light = 3000.0 * across * (col >= 50.0) * np.exp(-np.maximum(col - 500.0, 0.0) / fold_px)
+    light += np.random.default_rng(4).normal(0.0, NOISE_E, light.shape)
+    near = np.abs(row) < 30.0
+    places = np.nonzero(near)
+    pixels = StreakPixels(
+        row=places[0].astype(np.int32), col=places[1].astype(np.int32), value_e=light[near].astype(np.float32),
+        variance_e2=np.full(int(near.sum()), NOISE_E**2, np.float32), psf_sigma_px=SIGMA_PX, frame_shape=(rows, cols),
+    )  # fmt: skip
+    found = Detection(
+        row0=float(line(50.0)), col0=50.0, row1=float(line(540.0)), col1=540.0, snr=900.0,
+        sagitta_px=height_px * (490.0 / 500.0) ** 2, flags=StreakFlag.CURVED,
+    )  # fmt: skip
+    before, after = TrailedPsfFitter().fit(pixels, found), TrailedPsfFitter(fading_ends=True).fit(pixels, found)
+    assert after.col1 > before.col1 + 20.0
+    for fit in (before, after):
+        assert fit.row1 == pytest.approx(line(fit.col1), abs=0.5)
+        middle = TrailFrame.of_chord(fit.row0, fit.col0, fit.row1, fit.col1).to_pixel(0.0, fit.sagitta_px)
+        assert middle[0] == pytest.approx(line(middle[1]), abs=0.5)
+
+
 def test_a_trail_that_fades_to_the_border_is_followed_and_its_interval_holds_the_border() -> None:
     """Light that falls exponentially (17 px) from column 200 on. The fits of one brightness stop more than 30 px before the
     border, and none of their intervals says so."""

@@ -5,8 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ground.streaks.fit_record import failed_fit
 from ground.streaks.fitter import TrailedPsfFitter
-from ground.streaks.forced import forced_fit, track_error_px
+from ground.streaks.forced import forced_fit, has_given_ends, track_error_px
 from ground.streaks.no_trail import NoTrailError
 from ground.streaks.trail_frame import cut_ends
 from sboc_e2e.icd.flags import StreakFlag
@@ -117,3 +118,11 @@ def test_a_star_on_two_fifths_of_a_short_trail_leaves_its_light_out() -> None:
         pulls.append((fit.flux_e - truth.flux_e) / fit.flux_err_e)
     assert abs(np.median(pulls)) < 0.5
     assert np.sqrt(np.mean(np.square(pulls))) < 1.4
+
+
+def test_only_a_forced_fit_has_given_ends() -> None:
+    """Its width is stated to be as uncertain as it is large. That of a failed fit is as well, and it was taken for a forced one."""
+    exposure = expose(np.random.default_rng(3), trail_at(np.random.default_rng(3), 100.0), 12.0)
+    assert has_given_ends(forced_fit(exposure.pixels, exposure.detection, 30.0))
+    assert not has_given_ends(TrailedPsfFitter().fit(exposure.pixels, exposure.detection))
+    assert not has_given_ends(failed_fit(exposure.detection, exposure.pixels, "no line"))

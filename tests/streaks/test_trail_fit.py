@@ -103,6 +103,7 @@ def test_ends_run_by_growing_col_and_everything_signed_turns_with_them() -> None
     assert fit.gradient == pytest.approx(other.gradient, abs=0.05)
     turned = reversed_ends(fit)
     assert turned.sagitta_px == -fit.sagitta_px
+    assert reversed_ends(replace(fit, psf_sigma_px=1.3)).psf_sigma_px == 1.3
     again = reversed_ends(turned)
     np.testing.assert_array_equal(again.covariance_px2, fit.covariance_px2)
     np.testing.assert_array_equal(again.light_curve_e_px, fit.light_curve_e_px)

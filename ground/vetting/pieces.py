@@ -132,7 +132,7 @@ def _joined(pieces: Sequence[StreakFit]) -> StreakFit | None:
 
 
 def _sagitta_px(pieces: Sequence[StreakFit], first: StreakFit, last: StreakFit) -> tuple[float, float]:
-    """Height of the parabola over the chord from the first piece's start to the last one's end, by the ends of all, and its error.
+    """Height of the parabola over the chord from the first piece's start to the last one's end, by all ends, and its error.
 
     A piece's own height, carried on to the whole length, would be far more uncertain.
     """

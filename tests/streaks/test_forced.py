@@ -121,7 +121,7 @@ def test_a_star_on_two_fifths_of_a_short_trail_leaves_its_light_out() -> None:
 
 
 def test_only_a_forced_fit_has_given_ends() -> None:
-    """Its width is stated to be as uncertain as it is large. That of a failed fit is as well, and it was taken for a forced one."""
+    """Its width is stated to be as uncertain as it is large. A failed fit was taken for a forced one too."""
     exposure = expose(np.random.default_rng(3), trail_at(np.random.default_rng(3), 100.0), 12.0)
     assert has_given_ends(forced_fit(exposure.pixels, exposure.detection, 30.0))
     assert not has_given_ends(TrailedPsfFitter().fit(exposure.pixels, exposure.detection))

@@ -27,6 +27,9 @@ MOST_LENGTHS: Final = 4.0
 MOST_HIDDEN: Final = 0.35
 """A line as short as that with this share of it on masks of trails is what they left over."""
 
+BEFORE_THE_SEARCH: Final = 0xFF ^ whiten.FOUND_BIT ^ whiten.POINT_BIT
+"""Bits that the search does not set: pixels that must not be used, and trails of listed stars."""
+
 BESIDE_PX: Final = 3.0  # what the fit of a trail misses at its rim lies within the PSF of it, 3.4 sigma. Chosen, not measured
 SURE_SNR: Final = 40.0
 """Points so near to masked pixels are what a mask left over, unless they are brighter."""
@@ -145,12 +148,12 @@ def is_star(detection: Detection, motion: StarMotion) -> bool:
 def is_left_over(detection: Detection, blocked: NDArray[np.uint8], motion: StarMotion) -> bool:
     """Whether much of a line lies on the masks of trails: what they leave of two stars makes one, no longer than they are.
 
-    An object crosses trails; as long as they are sparse enough to be listed, they hide little of its path.
+    blocked : (rows, cols) bits of `whiten`. An object crosses trails; as long as they are sparse enough to be listed, they hide little of its path.
     """
     n = 2 * math.ceil(detection.length_px) + 1
     row = np.clip(np.rint(np.linspace(detection.row0, detection.row1, n)), 0, blocked.shape[0] - 1).astype(np.intp)
     col = np.clip(np.rint(np.linspace(detection.col0, detection.col1, n)), 0, blocked.shape[1] - 1).astype(np.intp)
-    hidden = float(np.mean((blocked[row, col] & 1) != 0))  # masked before the search
+    hidden = float(np.mean((blocked[row, col] & BEFORE_THE_SEARCH) != 0))
     middle = np.array([0.5 * (detection.row0 + detection.row1)]), np.array([0.5 * (detection.col0 + detection.col1)])
     length = math.hypot(*(float(part[0]) for part in motion.at(*middle)))
     return hidden > MOST_HIDDEN and detection.length_px < MOST_LENGTHS * length

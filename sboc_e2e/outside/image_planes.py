@@ -22,8 +22,18 @@ KINDS: Final[dict[str, tuple[str, ...]]] = {
 }
 """Kinds of planes, and words of EXTNAME that name them (HST, JWST, Gemini, LSST, NOIRLab, SWarp, CCDData)."""
 
-SQUARED: Final = re.compile(r"(\*\*|\^)\(?2\b|(adu|electrons?|counts?|dn|e-)2\b", re.IGNORECASE)
-"""Units of a variance."""
+SCALE: Final = re.compile(r"^[\d.]+(e[+-]?\d+)?((\*\*|\^)\(?[+-]?\d+\)?)?[\s*]+", re.IGNORECASE)
+"""A number before a unit, as in `10**-17 erg/cm**2/s` and `1E-17 erg/cm^2/s`."""
+BRACKETED: Final = re.compile(r"[(\[]([^()\[\]]+)[)\]]\s*(\*\*|\^)?\s*[({]?2[)}]?")
+"""The square of a whole unit, as in `(DN/s)^2`."""
+FACTOR: Final = re.compile(r"(e-|[a-z_]+)\s*(?:(?:\*\*|\^)?\s*[({]?\s*([+-]?\d+)\b\s*[)}]?)?", re.IGNORECASE)
+"""A factor of a unit and its power, as in `adu2`, `electron**2`, `s^(-2)`."""
+LIGHT: Final = re.compile(
+    r"adu|dn|e-?|el|elec|electrons?|counts?|cts?|photons?|ph|[numk]?jy|(nano)?(mgy|magg(y|ies?))|nmgy|ergs?|w", re.IGNORECASE
+)
+"""Units of light, without which a square is no variance: column densities come in `cm^-2`, areas in `arcsec^2`."""
+PIXEL: Final = re.compile(r"pix(els?)?", re.IGNORECASE)
+"""A factor that does not count: a variance of a pixel is given for each pixel too."""
 
 NO_LIGHT_PLANES: Final = ("MP_BAD", "MP_NO_DATA", "MP_SUSPECT")
 """Header keys of the LSST pipelines that number the bits of a mask; those of detected sources are others."""
@@ -48,6 +58,9 @@ class Plane:
 def planes_of(hdus: fits.HDUList, images: list[int]) -> list[Plane]:
     """The planes among the image HDUs of a file. A plane belongs to the picture of its size and EXTVER, or to the one before."""
     kinds = {index: kind for index in images if (kind := _kind_of(hdus[index])) is not None}
+    squares = [index for index in images if index not in kinds and is_square_of_light(hdus[index].header.get("BUNIT"))]
+    if len(kinds) + len(squares) < len(images):  # a unit alone leaves no file without a picture
+        kinds |= dict.fromkeys(squares, "variance")
     for index in images:
         beside = [other for other in images if other < index and other not in kinds and hdus[other].shape == hdus[index].shape]
         if index not in kinds and beside and _holds_flags(hdus[index]):
@@ -88,14 +101,29 @@ def with_planes(
 
 
 def _kind_of(hdu: Any) -> str | None:
-    """What an image's name and unit say that it is, if no picture."""
+    """What an image's name says that it is, if no picture."""
     named = f"{hdu.name} {hdu.header.get('EXTTYPE', '')}"  # compressed planes of LSST have EXTTYPE and no EXTNAME
     words = [word for word in re.split(r"[^A-Z]+", named.upper()) if word]
     for kind, names in KINDS.items():
         if any(word in names for word in words):
             return kind
-    unit = hdu.header.get("BUNIT")
-    return "variance" if isinstance(unit, str) and SQUARED.search(unit) else None
+    return None
+
+
+def is_square_of_light(unit: object) -> bool:
+    """Whether a whole unit (a value of BUNIT) is the square of one of light, as that of a variance is: `adu2`, `(MJy/sr)^2`.
+
+    Pictures have squares in their units too: `mJy/arcsec^2`, `erg/s/cm**2/Angstrom`.
+    """
+    if not isinstance(unit, str):
+        return False
+    text = SCALE.sub("", unit.strip())
+    whole = BRACKETED.fullmatch(text)
+    factors = [(m[1], int(m[2] or 1)) for m in FACTOR.finditer(whole[1] if whole else text)]
+    if whole is None and FACTOR.sub("", text).strip(" */.()[]"):
+        return False
+    factors = [(name, power * (2 if whole else 1)) for name, power in factors if not PIXEL.fullmatch(name)]
+    return all(power % 2 == 0 for _, power in factors) and any(abs(p) == 2 and LIGHT.fullmatch(name) for name, p in factors)
 
 
 def _holds_flags(hdu: Any) -> bool:

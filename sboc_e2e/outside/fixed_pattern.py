@@ -46,6 +46,9 @@ sky."""
 LEAST_AGREEMENT: Final = 0.5
 """Correlation of the patterns of two halves of the frames from which on it counts as one camera's."""
 
+FEWEST_STEPS: Final = 200
+"""Differences of neighbouring pixels that tell the noise, to 8 %: 1.17 over their root. The smallest frame has 240."""
+
 LEAST_LEVEL_SIGMAS: Final = 3.0
 """A sky level of less than so much noise of a pixel scales nothing."""
 
@@ -67,13 +70,19 @@ def level_of(pixels: NDArray[Any]) -> float:
     return float(np.nanmedian(pixels))
 
 
-def without_sources(pixels: NDArray[Any]) -> tuple[NDArray[np.float32], float]:
-    """Pixels in units of the sky's level, NaN about everything bright; and the noise of a pixel in that unit."""
+def without_sources(pixels: NDArray[Any]) -> tuple[NDArray[np.float32], float] | None:
+    """Pixels in units of the sky's level, NaN about everything bright; and the noise of a pixel in that unit.
+
+    None where too few pixels have a number beside them for their noise.
+    """
     level = level_of(pixels)
     scaled = np.asarray(pixels, dtype=np.float32) / np.float32(level)
-    known = np.nan_to_num(scaled, nan=1.0)
-    steps = np.abs(np.diff(known, axis=1))
+    steps = np.abs(np.diff(scaled, axis=1))
+    steps = steps[np.isfinite(steps)]  # masked pixels, all alike, would tell a noise of 0
+    if steps.size < FEWEST_STEPS:
+        return None
     noise = 1.4826 * float(np.median(steps)) / np.sqrt(2.0)
+    known = np.nan_to_num(scaled, nan=1.0)
     excess = scipy.ndimage.uniform_filter(known - _tile_medians(known), SOURCE_BOX_PX)
     bright = excess > SOURCE_SIGMAS * noise / SOURCE_BOX_PX
     scaled[scipy.ndimage.binary_dilation(bright, iterations=GROWN_PX)] = np.nan
@@ -93,7 +102,8 @@ def _tile_medians(image: NDArray[np.float32]) -> NDArray[np.float32]:
 
 
 def fixed_pattern(images: Sequence[NDArray[Any]]) -> FixedPattern | None:
-    """The pattern of frames of one camera; None where two halves of them do not agree, or the sky is too faint to scale it.
+    """The pattern of frames of one camera; None where two halves of them do not agree, where the sky is too faint to scale it,
+    and where nearly all pixels are masked.
 
     images : three or more (rows, cols), NaN where there is no number.
     """
@@ -102,7 +112,10 @@ def fixed_pattern(images: Sequence[NDArray[Any]]) -> FixedPattern | None:
         level = level_of(image)
         if not level > 0.0:
             return None
-        one, noise = without_sources(image)
+        told = without_sources(image)
+        if told is None:
+            return None
+        one, noise = told
         if noise * LEAST_LEVEL_SIGMAS > 1.0:
             return None
         scaled.append(one)

@@ -1,7 +1,9 @@
 """Commands for frames from outside: looking at them, making a camera of them."""
 
+import os
+from hashlib import sha256
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Final
 
 import typer
 
@@ -10,6 +12,11 @@ from sboc_e2e.icd.errors import UserError
 
 camera_app = typer.Typer(no_args_is_help=True, rich_markup_mode=None, help="Cameras of frames from outside.")
 app.add_typer(camera_app, name="camera")
+
+ENDINGS: Final = (".fits", ".fit", ".fts", ".fz", ".gz", ".bz2", ".xz", ".z", ".zip")
+"""What names of FITS files and of compressed ones end in; any other dot belongs to the name, as in `m31.r.fits`."""
+MOST_CHARACTERS: Final = 60
+"""Of a file's name in that of its folder: 240 bytes at most, where file systems allow 255."""
 
 
 @app.command()
@@ -41,6 +48,14 @@ def view(
             typer.launch(page.resolve().as_uri())
 
 
+def folder_of(path: Path) -> Path:
+    """The run directory of a FITS file that is viewed: by its name, and by a digest of where it lies."""
+    name = path.name
+    while (ending := next((end for end in ENDINGS if name.lower().endswith(end)), "")) and len(name) > len(ending):
+        name = name[: -len(ending)]
+    return Path("runs") / f"view-{name[:MOST_CHARACTERS]}-{sha256(os.fsencode(path.resolve())).hexdigest()[:8]}"
+
+
 def _processed(path: Path) -> Path:
     """The run of a FITS file, made beside the working directory's other runs."""
     from sboc_e2e import scenario as scenarios
@@ -48,7 +63,7 @@ def _processed(path: Path) -> Path:
     from sboc_e2e.outside.process import base_document, process
     from sboc_e2e.registry import Registry
 
-    registry, out = Registry(), Path("runs") / f"view-{path.name.partition('.')[0]}"
+    registry, out = Registry(), folder_of(path)
     resolved = scenarios.bare("process", base_document("header"), registry=registry)
     with shown_progress() as progress:
         process(

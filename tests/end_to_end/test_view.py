@@ -1,6 +1,7 @@
 """`sboc view`: region files, VOTables, messages to a hub, and the page in a real headless Chromium."""
 
 import json
+import re
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from astropy.io import fits
 from astropy.table import Table
 
 from sboc_e2e import cli
+from sboc_e2e.cli.outside import folder_of
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.view import Hub, RunFrames, send, write_files
 from sboc_e2e.view.page import picture_of
@@ -55,6 +57,34 @@ def test_regions_and_tables_lie_beside_each_frame_and_count_from_one(run: Path) 
         table = Table.read(run / "view" / f"{number:06d}.streaks.vot", format="votable")
         assert np.allclose(table["fits_x0"], mine["col0"] + 1.0)
         assert len(Table.read(run / "view" / f"{number:06d}.stars.vot", format="votable")) >= 0
+
+
+@pytest.mark.parametrize(
+    ("file", "name"),
+    [
+        ("m31.fits", "m31"), ("m31.r.fits", "m31.r"), ("m31.g.FITS", "m31.g"), ("m31.fits.fz", "m31"), ("m31.fit.gz", "m31"),
+        ("2024.03.01.fts.xz", "2024.03.01"), ("m31.fits.bz2", "m31"), ("m31", "m31"), (".fits", ".fits"),
+        ("x" * 250 + ".fits", "x" * 60),
+    ],
+)  # fmt: skip
+def test_a_file_s_run_has_its_name_without_the_endings_of_fits(file: str, name: str) -> None:
+    assert re.fullmatch(f"view-{re.escape(name)}-[0-9a-f]{{8}}", folder_of(Path("frames") / file).name)
+    assert folder_of(Path("frames") / file) == folder_of(Path("frames").absolute() / file)
+
+
+def test_files_that_differ_in_any_part_of_their_path_are_viewed_apart(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """m31.r.fits and m31.g.fits went into one folder, the later over the earlier."""
+    monkeypatch.chdir(tmp_path)
+    paths = [Path("m31.r.fits"), Path("m31.g.fits"), Path("other") / "m31.g.fits"]
+    (tmp_path / "other").mkdir()
+    for number, path in enumerate(paths):
+        fits.PrimaryHDU(np.random.default_rng(number).normal(100.0, 5.0, (48, 48)).astype(np.float32)).writeto(path)
+        for _ in range(2):  # a file that is looked at again has the same run
+            assert cli.run(["view", str(path), "--no-samp"]) == 0
+    assert sorted(p.name.rpartition("-")[0] for p in (tmp_path / "runs").iterdir()) == ["view-m31.g", "view-m31.g", "view-m31.r"]
+    for path in paths:
+        table = Table.read(folder_of(path) / "products" / "frames.ecsv", format="ascii.ecsv")
+        assert list(table["file"]) == [path.name]
 
 
 @pytest.fixture

@@ -27,7 +27,7 @@ from sboc_e2e.outside.image_circle import beyond, image_circle
 from sboc_e2e.outside.image_planes import Plane, planes_of, with_planes
 from sboc_e2e.outside.no_data import without_data
 from sboc_e2e.outside.overscan import without_sky
-from sboc_e2e.outside.pixel_unit import in_unit, is_denied, usable_unit
+from sboc_e2e.outside.pixel_unit import CameraUnits, in_unit, is_denied
 
 if TYPE_CHECKING:
     from astropy.wcs import WCS
@@ -126,7 +126,7 @@ class FitsFolder:
         Images that cannot be read are left out. Raises `UserError` when none can.
         """
         number, first = 0, None
-        units: dict[str, float] = {}
+        units = CameraUnits()
         for place in self.places:
             try:
                 sourced = read_frame(place, number, use_wcs=self.use_wcs, content=self._opened.pop(place, None), units=units)
@@ -233,11 +233,11 @@ def read_frame(
     *,
     use_wcs: bool = True,
     content: Content | None = None,
-    units: dict[str, float] | None = None,
+    units: CameraUnits | None = None,
 ) -> SourcedFrame:
     """One image as a frame. Raises `UserError` when its data cannot be read.
 
-    content : where it was opened before. units : of cameras by their first frames before this one, see `usable_unit`; added to.
+    content : where it was opened before. units : of cameras by the frames before this one.
     """
     content = content or _content(place)
     header, data, wcs, doubt, blind = content.header, content.data, content.wcs, content.doubt, content.blind
@@ -246,10 +246,7 @@ def read_frame(
         raise UserError(f"{place.path}, HDU {place.hdu}: holds no image of {place.rows} x {place.cols} numbers")
     pixels, saturation = pixels_of(data)
     camera = " ".join(f"{header.get(key, '')}".strip() for key in CAMERA_KEYS) + f" HDU {place.hdu}"
-    units = {} if units is None else units
-    unit = usable_unit(pixels, units.get(camera))
-    if pixels.dtype.kind == "f":
-        units.setdefault(camera, unit)
+    unit = (units or CameraUnits()).of_next(camera, pixels)
     if unit > 1.0:
         pixels = in_unit(pixels, unit)
         notes.append(Note(kind="unit", text=f"pixels multiplied by {unit:.0e}: noise of this camera is below a thousandth"))

@@ -24,6 +24,7 @@ from sboc_e2e.outside.frame_source import SourcedFrame
 from sboc_e2e.outside.guessed_camera import ASSUMED_FOCAL_PX, ASSUMED_PSF_SIGMA_PX, ASSUMED_SATURATION_ADU
 from sboc_e2e.outside.one_step import Found, detect
 from sboc_e2e.outside.overscan import without_sky
+from sboc_e2e.outside.pixel_unit import CameraUnits
 from sboc_e2e.score.figures import MEDIAN_OF_CHI2
 
 TILE_PX: Final = 32
@@ -102,7 +103,7 @@ def made_camera(
     Raises `UserError` for files that cannot be read and for images of different sizes.
     """
     places = [place for path in paths for place in _images(path)][:FRAMES_USED]
-    units: dict[str, float] = {}
+    units = CameraUnits()
     frames = [read_frame(place, number, use_wcs=False, units=units) for number, place in enumerate(places)]
     sizes = {(place.rows, place.cols) for place in places}
     if len(sizes) != 1:

@@ -6,6 +6,7 @@ of S/N 367 2.7 px off. Too high a gain forgets photon noise, and the errors of b
 """
 
 import math
+from dataclasses import dataclass, field
 from typing import Any, Final
 
 import numpy as np
@@ -85,6 +86,20 @@ def usable_unit(pixels: NDArray[Any], held: float | None = None) -> float:
     if held is not None and LEAST_NOISE / HELD <= noise * held < LEAST_NOISE * UNIT_STEP * HELD:
         return held
     return UNIT_STEP ** math.ceil(math.log(LEAST_NOISE / noise, UNIT_STEP)) if noise < LEAST_NOISE else 1.0
+
+
+@dataclass(kw_only=True)
+class CameraUnits:
+    """Units of cameras, each that of the camera's first frame of real numbers: frames that share a pattern are in one unit."""
+
+    _of: dict[str, float] = field(default_factory=dict)
+
+    def of_next(self, camera: str, pixels: NDArray[Any]) -> float:
+        """The unit of the next frame (rows, cols) of a camera, see `usable_unit`. Whole numbers set none for others."""
+        unit = usable_unit(pixels, self._of.get(camera))
+        if pixels.dtype.kind == "f":
+            self._of.setdefault(camera, unit)
+        return unit
 
 
 def in_unit(pixels: NDArray[Any], unit: float) -> NDArray[np.float32]:

@@ -11,7 +11,7 @@ from scipy.ndimage import gaussian_filter
 
 from sboc_e2e.outside.fits_frames import FitsFolder
 from sboc_e2e.outside.frame_source import SourcedFrame
-from sboc_e2e.outside.pixel_unit import assumed_gain_e_adu, noise_adu, usable_unit
+from sboc_e2e.outside.pixel_unit import CameraUnits, assumed_gain_e_adu, noise_adu, usable_unit
 
 NOISE = np.random.default_rng(6).normal(0.0, 5.0, (300, 280))
 
@@ -69,6 +69,15 @@ def test_tiny_numbers_are_multiplied_and_that_is_said(tmp_path: Path, scale: flo
     assert [note.text for note in found.notes if note.kind == "unit"] == (
         [] if unit == 1.0 else [f"pixels multiplied by {unit:.0e}: noise of this camera is below a thousandth"]
     )
+
+
+def test_a_camera_keeps_the_unit_of_its_first_frame_of_real_numbers() -> None:
+    units = CameraUnits()
+    raw = np.rint(100.0 + NOISE).astype(np.uint16)
+    tiny, larger = ((100.0 + NOISE) * noise / 5.0 for noise in (0.9e-3, 1.1e-3))
+    assert [units.of_next("one", pixels) for pixels in (raw, tiny, larger, raw)] == [1.0, 1e6, 1e6, 1.0]
+    assert units.of_next("two", larger) == 1.0
+    assert units.of_next("one", np.full((20, 20), np.nan)) == 1e6
 
 
 def test_frames_of_one_camera_have_one_unit(tmp_path: Path) -> None:

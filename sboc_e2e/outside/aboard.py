@@ -1,7 +1,7 @@
 """The on-board half of `sboc process`: frames -> packets, the camera that they are of, and what was learned of them."""
 
 from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
 from ground.vetting.look_alikes import OwnEvidence
@@ -9,6 +9,7 @@ from ground.vetting.rim import ImageCircle
 from onboard.options import OnboardOptions
 from onboard.state import OnboardSteps
 from sboc_e2e.icd.frame import Frame, NominalCamera
+from sboc_e2e.outside.camera import KnownCamera
 from sboc_e2e.outside.first_frame import FirstFrame
 from sboc_e2e.outside.frame_source import FrameSource, SourcedFrame
 from sboc_e2e.outside.guessed_camera import camera_of_frame
@@ -29,7 +30,7 @@ class Orders:
     options: OnboardOptions
     steps: OnboardSteps
     run_id: int
-    known: NominalCamera | None
+    known: KnownCamera | None
     run: RunDirectory
 
 
@@ -59,8 +60,10 @@ class Flight:
 
 
 def nominal_camera(orders: Orders, first: SourcedFrame, star_sigma_px: Callable[[], float | None]) -> NominalCamera:
-    """The camera that was ordered, for frames of this size, else the one that the first frame shows."""
-    return camera_of_frame(first, star_sigma_px()) if orders.known is None else _fitting(orders.known, first.frame)
+    """The camera that was ordered, for frames of this size and unit, else the one that the first frame shows."""
+    if orders.known is None:
+        return camera_of_frame(first, star_sigma_px())
+    return orders.known.for_frame(first.frame, first.unit)
 
 
 def fly(
@@ -133,13 +136,3 @@ def _noted(frames: Iterator[SourcedFrame], seen: Seen) -> Iterator[Frame]:
         for note in sourced.notes:
             seen.notes.setdefault(note.kind, []).append(note.text)
         yield sourced.frame
-
-
-def _fitting(camera: NominalCamera, frame: Frame) -> NominalCamera:
-    """A preset's camera for a frame of another size: same scale, axis in the middle."""
-    header = frame.header
-    if (camera.rows, camera.cols) == (header.rows, header.cols):
-        return camera
-    return replace(
-        camera, rows=header.rows, cols=header.cols, center_row=0.5 * (header.rows - 1), center_col=0.5 * (header.cols - 1)
-    )

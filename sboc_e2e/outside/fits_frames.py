@@ -281,6 +281,7 @@ def read_frame(
         focal_hints_px=content.hints_px,
         camera=camera,
         circle=circle,
+        unit=unit,
     )
 
 

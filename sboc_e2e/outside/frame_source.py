@@ -24,7 +24,7 @@ class SourcedFrame:
 
     focal_hints_px : focal lengths in pixels that the header tells in one way or another, the best first.
     camera : words of the header that tell cameras, detectors and filters apart; frames with equal ones share a fixed pattern.
-    circle : of a lens that does not fill the frame.
+    circle : of a lens that does not fill the frame. unit : what the file's numbers were multiplied by, see `pixel_unit`.
     """
 
     frame: Frame
@@ -35,6 +35,7 @@ class SourcedFrame:
     focal_hints_px: tuple[float, ...] = ()
     camera: str = ""
     circle: "ImageCircle | None" = None
+    unit: float = 1.0
 
 
 class FrameSource(Protocol):

@@ -19,12 +19,13 @@ from ground.astrometry import lost_in_space
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import NominalCamera
+from sboc_e2e.outside.camera import PIXELS_TIMES
 from sboc_e2e.outside.fits_frames import images_of, read_frame
 from sboc_e2e.outside.frame_source import SourcedFrame
 from sboc_e2e.outside.guessed_camera import ASSUMED_FOCAL_PX, ASSUMED_PSF_SIGMA_PX, ASSUMED_SATURATION_ADU
 from sboc_e2e.outside.one_step import Found, detect
 from sboc_e2e.outside.overscan import without_sky
-from sboc_e2e.outside.pixel_unit import CameraUnits
+from sboc_e2e.outside.pixel_unit import CameraUnits, in_unit
 from sboc_e2e.score.figures import MEDIAN_OF_CHI2
 
 TILE_PX: Final = 32
@@ -55,7 +56,9 @@ FRAMES_USED: Final = 8
 
 @dataclass(frozen=True, kw_only=True)
 class PhotonTransfer:
-    """gain_e_adu with its error; read_noise_e with its error, NaN where no bias is known; bias_adu (NaN: unknown)."""
+    """gain_e_adu with its error; read_noise_e with its error, NaN where no bias is known or no variance is left at its level;
+    bias_adu (NaN: unknown).
+    """
 
     gain_e_adu: float
     gain_err: float
@@ -66,7 +69,10 @@ class PhotonTransfer:
 
 @dataclass(frozen=True, kw_only=True)
 class MadeCamera:
-    """Properties of a camera derived from its frames; None where the frames do not determine them."""
+    """Properties of a camera derived from its frames; None where the frames do not determine them.
+
+    unit : ADU here are the numbers of the files times this, as `sboc process` takes them, see `pixel_unit`.
+    """
 
     rows: int
     cols: int
@@ -75,18 +81,24 @@ class MadeCamera:
     saturation_adu: float | None
     focal_px: float | None
     scale_from: str
+    unit: float = 1.0
 
     def words(self) -> list[str]:
-        """One line for each finding."""
-        t = self.transfer
+        """One line for each finding; ADU are the numbers of the files."""
+        t, unit = self.transfer, self.unit
         psf = "unknown: too few stars" if self.psf_sigma_px is None else f"sigma {self.psf_sigma_px:.2f} px"
-        gain = (
-            "unknown: two frames of different levels tell it" if t is None else f"{t.gain_e_adu:.3f} +- {t.gain_err:.3f} e-/ADU"
-        )
-        noise = "unknown: needs the bias (an overscan in the frames, or --bias)"
-        if t is not None and math.isfinite(t.read_noise_e):
-            noise = f"{t.read_noise_e:.2f} +- {t.read_noise_err:.2f} e- (bias {t.bias_adu:.1f} ADU)"
-        full = "not reached" if self.saturation_adu is None else f"{self.saturation_adu:g} ADU"
+        gain, noise = "unknown: two frames of different levels tell it", "unknown, as the gain is"
+        if t is not None:
+            digits = ".3f" if unit == 1.0 else ".4g"
+            gain = f"{t.gain_e_adu * unit:{digits}} +- {t.gain_err * unit:{digits}} e-/ADU"
+            bias = f"bias {t.bias_adu / unit:{'.1f' if unit == 1.0 else '.5g'}} ADU"
+            if math.isnan(t.bias_adu):
+                noise = "unknown: needs the bias (an overscan in the frames, or --bias)"
+            elif math.isnan(t.read_noise_e):
+                noise = f"unknown: no noise is left at the level of the {bias}, which may be too low, or the read noise too small"
+            else:
+                noise = f"{t.read_noise_e:.2f} +- {t.read_noise_err:.2f} e- ({bias})"
+        full = "not reached" if self.saturation_adu is None else f"{self.saturation_adu / unit:g} ADU"
         scale = "unknown"
         if self.focal_px is not None:
             width = lost_in_space.width_of(self.focal_px, self.cols)
@@ -98,7 +110,8 @@ class MadeCamera:
 def made_camera(
     paths: Sequence[Path], *, width_deg: float | None = None, bias_adu: float | None = None, search: bool = False
 ) -> MadeCamera:
-    """A camera of the images in FITS files. search : try all widths of the field where nothing tells it (minutes).
+    """A camera of the images in FITS files. bias_adu : in the numbers of the files. search : try all widths of the field where
+    nothing tells it (minutes).
 
     Raises `UserError` for files that cannot be read and for images of different sizes.
     """
@@ -109,9 +122,9 @@ def made_camera(
     if len(sizes) != 1:
         raise UserError(f"camera make: frames of one size are needed, got {', '.join(f'{r} x {c}' for r, c in sorted(sizes))}")
     ((rows, cols),) = sizes
-    images = [np.asarray(sourced.frame.pixels, dtype=np.float32) for sourced in frames]
-    overscan = [_overscan_of(place) for place in places[:1]]
-    known_bias = bias_adu if bias_adu is not None else overscan[0]
+    unit = frames[0].unit
+    images = [in_unit(sourced.frame.pixels, unit / sourced.unit) for sourced in frames]
+    known_bias = _overscan_of(places[0], unit) if bias_adu is None else bias_adu * unit
     found = [detect(image) for image in images[:3]]
     widths = [f.stars.meta["psf_sigma_px"] for f in found if math.isfinite(f.stars.meta["psf_sigma_px"])]
     focal_px, scale_from = _scale(frames, found, rows, cols, width_deg, search=search)
@@ -123,6 +136,7 @@ def made_camera(
         saturation_adu=saturation_of(images),
         focal_px=focal_px,
         scale_from=scale_from,
+        unit=unit,
     )
 
 
@@ -184,7 +198,9 @@ def toml_text(made: MadeCamera, sources: Sequence[str]) -> str:
     """The camera file: a table `camera`, keys as fields of the nominal camera; comments say what was measured."""
     camera = nominal(made)
     lines = [f"# Made by `sboc camera make` of {', '.join(sources[:FRAMES_USED])}.", *(f"# {words}" for words in made.words())]
-    lines += ["", "[camera]"]
+    if made.unit != 1.0:
+        lines.append(f"# Numbers of the files are tiny: gain and saturation below are of these numbers times {made.unit:g}.")
+    lines += ["", "[camera]", f"{PIXELS_TIMES} = {made.unit!r}"]
     for each in fields(NominalCamera):
         value = getattr(camera, each.name)
         if value is None:
@@ -227,9 +243,12 @@ def _images(path: Path) -> list[Any]:
     return images_of(path)
 
 
-def _overscan_of(place: Any) -> float | None:
-    """Level of the columns without sky, the middle one's of those that are as quiet as noise; None without an overscan."""
-    data = np.asarray(fits.getdata(place.path, place.hdu), dtype=np.float32)
+def _overscan_of(place: Any, unit: float) -> float | None:
+    """Level of the columns without sky, the middle one's of those that are as quiet as noise; None without an overscan.
+
+    unit : the level is of the file's numbers times this.
+    """
+    data = in_unit(fits.getdata(place.path, place.hdu), unit)
     sky = without_sky(data)
     if sky is None:
         return None

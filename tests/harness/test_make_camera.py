@@ -10,6 +10,9 @@ from astropy.io import fits
 from astropy.table import Table
 
 from sboc_e2e import cli
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.icd.frame import Frame, FrameHeader
+from sboc_e2e.outside.camera import camera_of_table
 from sboc_e2e.outside.make_camera import made_camera, photon_transfer, saturation_of
 from sboc_e2e.outside.overscan import without_sky
 
@@ -87,6 +90,69 @@ def test_the_file_is_a_camera_for_process(tmp_path: Path, capsys: pytest.Capture
     assert cli.run(["process", str(paths[0]), "--out", str(tmp_path / "out"), "--camera", str(file)]) == 0
     table = Table.read(tmp_path / "out" / "products" / "frames.ecsv", format="ascii.ecsv")
     assert len(table) == 1
+
+
+@pytest.mark.parametrize("scale", [1e-8, 1e-20])
+def test_a_camera_of_tiny_numbers_is_that_of_the_same_frames_in_counts(
+    tmp_path: Path, scale: float, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Its lines are in the numbers of the files, and `--camera` takes its gain for pixels that are multiplied as it says."""
+    counts = written(tmp_path, [frame(k) for k in range(2)])
+    paths = []
+    for path in counts:
+        paths.append(tmp_path / f"tiny_{path.name}")
+        fits.PrimaryHDU(fits.getdata(path) * scale).writeto(paths[-1])
+    plain, tiny = made_camera(counts), made_camera(paths)
+    assert plain.transfer is not None
+    assert tiny.transfer is not None
+    assert tiny.unit > 1.0 == plain.unit
+    assert tiny.transfer.gain_e_adu * tiny.unit * scale == pytest.approx(plain.transfer.gain_e_adu, rel=1e-4)
+    assert tiny.transfer.bias_adu == pytest.approx(plain.transfer.bias_adu * scale * tiny.unit, rel=1e-4)
+    assert tiny.transfer.read_noise_e == pytest.approx(plain.transfer.read_noise_e, rel=1e-3)
+    given = made_camera(paths, bias_adu=BIAS_ADU * scale)
+    assert given.transfer is not None
+    assert abs(given.transfer.read_noise_e - NOISE_E) < 4.0 * given.transfer.read_noise_err
+    line = next(line for line in tiny.words() if line.startswith("gain: "))
+    assert float(line.split()[1]) == pytest.approx(plain.transfer.gain_e_adu / scale, rel=1e-3)
+    bias = next(line for line in tiny.words() if line.startswith("read noise")).partition("(bias ")[2].split()[0]
+    assert float(bias) == pytest.approx(plain.transfer.bias_adu * scale, rel=1e-3)
+
+    file, out = tmp_path / "tiny.toml", tmp_path / "out"
+    assert cli.run(["camera", "make", *map(str, paths), "--out", str(file)]) == 0
+    assert f"these numbers times {tiny.unit:g}" in file.read_text()
+    assert cli.run(["process", str(paths[0]), "--out", str(out), "--camera", str(file)]) == 0
+    assert f"multiplied by {tiny.unit:.0e}" in "".join(Table.read(out / "products" / "frames.ecsv", format="ascii.ecsv")["notes"])
+    capsys.readouterr()
+
+
+def test_a_camera_fits_frames_in_another_unit() -> None:
+    """Noise on both sides of the border of a thousandth: one electron stays one electron, and what is full stays full."""
+    table = {"name": "made", "rows": 64, "cols": 64, "focal_px": 1e5, "center_row": 31.5, "center_col": 31.5, "psf_sigma_px": 1.2,
+             "gain_e_adu": 5e-3, "read_noise_e": 3.0, "saturation_adu": 4e6, "full_well_e": 2e4, "aperture_m": 1.0}  # fmt: skip
+    pixels = np.zeros((64, 64), dtype=np.float32)
+    one = Frame(header=FrameHeader(frame=0, t_start_tai_ns=0, exposure_ns=0, line_time_ns=0, rows=64, cols=64), pixels=pixels)
+    camera = camera_of_table(table | {"pixels_times": 1e6}, "a.toml")
+    assert camera.for_frame(one, 1e6) == camera.nominal
+    other = camera.for_frame(one, 1.0)
+    assert (other.gain_e_adu, other.saturation_adu) == (pytest.approx(5e3), pytest.approx(4.0))
+    assert (other.read_noise_e, other.full_well_e) == (3.0, 2e4)
+    with pytest.raises(UserError, match=r"made of pixels times 1e\+06, and these frames are pixels times 1e\+18, .*gain_e_adu"):
+        camera.for_frame(one, 1e18)
+    by_hand = camera_of_table(table, "a.toml")
+    assert by_hand.for_frame(one, 1e6) == by_hand.nominal
+    with pytest.raises(UserError, match=r"a.toml: camera.pixels_times: expected a number above 0, got '1e6'"):
+        camera_of_table(table | {"pixels_times": "1e6"}, "a.toml")
+
+
+def test_a_bias_that_leaves_no_noise_is_not_asked_for_again(tmp_path: Path) -> None:
+    """200 ADU below the true bias the line of photon transfer is below zero: (9 / 1.6)^2 - 200 / 1.6 ADU^2."""
+    paths = written(tmp_path, [frame(k, overscan=False) for k in range(2)])
+    for bias_adu, words in ((None, "needs the bias"), (BIAS_ADU - 200.0, "no noise is left at the level of the bias 100.0 ADU")):
+        made = made_camera(paths, bias_adu=bias_adu)
+        assert made.transfer is not None
+        assert math.isnan(made.transfer.read_noise_e)
+        assert f"read noise: unknown: {words}" in "\n".join(made.words())
+    assert "read noise: unknown, as the gain is" in made_camera(paths[:1], bias_adu=BIAS_ADU).words()
 
 
 def test_a_file_with_a_strange_key_is_refused_in_one_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:

@@ -91,7 +91,7 @@ def camera_make(
     from sboc_e2e.outside.make_camera import made_camera, toml_text
 
     made = made_camera(frames, width_deg=width, bias_adu=bias, search=search)
-    text = toml_text(made, [path.name for path in frames])
+    text = toml_text(made)
     from sboc_e2e.files.atomic import write_text
 
     write_text(out, text)

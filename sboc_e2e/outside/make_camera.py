@@ -72,6 +72,7 @@ class MadeCamera:
     """Properties of a camera derived from its frames; None where the frames do not determine them.
 
     unit : ADU here are the numbers of the files times this, as `sboc process` takes them, see `pixel_unit`.
+    sources : files and HDUs of the images that were used. n_left_out : images beyond `FRAMES_USED`.
     """
 
     rows: int
@@ -82,9 +83,11 @@ class MadeCamera:
     focal_px: float | None
     scale_from: str
     unit: float = 1.0
+    sources: tuple[tuple[str, int], ...] = ()
+    n_left_out: int = 0
 
     def words(self) -> list[str]:
-        """One line for each finding; ADU are the numbers of the files."""
+        """One line for each finding, and one on images that were left out; ADU are the numbers of the files."""
         t, unit = self.transfer, self.unit
         psf = "unknown: too few stars" if self.psf_sigma_px is None else f"sigma {self.psf_sigma_px:.2f} px"
         gain, noise = "unknown: two frames of different levels tell it", "unknown, as the gain is"
@@ -104,7 +107,11 @@ class MadeCamera:
             width = lost_in_space.width_of(self.focal_px, self.cols)
             scale = f"{math.degrees(1.0 / self.focal_px) * 3600.0:.4f} arcsec/px, field {width:.4f} deg ({self.scale_from})"
         pairs = (("PSF", psf), ("gain", gain), ("read noise", noise), ("saturation", full), ("plate scale", scale))
-        return [f"{name}: {text}" for name, text in pairs]
+        lines = [f"{name}: {text}" for name, text in pairs]
+        if self.n_left_out:
+            n = len(self.sources)
+            lines.append(f"images: the first {n} of {n + self.n_left_out} were used, {self.n_left_out} left out")
+        return lines
 
 
 def made_camera(
@@ -115,7 +122,8 @@ def made_camera(
 
     Raises `UserError` for files that cannot be read and for images of different sizes.
     """
-    places = [place for path in paths for place in _images(path)][:FRAMES_USED]
+    given = [place for path in paths for place in _images(path)]
+    places = given[:FRAMES_USED]
     units = CameraUnits()
     frames = [read_frame(place, number, use_wcs=False, units=units) for number, place in enumerate(places)]
     sizes = {(place.rows, place.cols) for place in places}
@@ -137,6 +145,8 @@ def made_camera(
         focal_px=focal_px,
         scale_from=scale_from,
         unit=unit,
+        sources=tuple((place.path.name, place.hdu) for place in places),
+        n_left_out=len(given) - len(places),
     )
 
 
@@ -194,10 +204,11 @@ def saturation_of(images: Sequence[NDArray[np.float32]]) -> float | None:
     return top if sum(int(np.count_nonzero(image >= top)) for image in images) >= FULL_PIXELS else None
 
 
-def toml_text(made: MadeCamera, sources: Sequence[str]) -> str:
+def toml_text(made: MadeCamera) -> str:
     """The camera file: a table `camera`, keys as fields of the nominal camera; comments say what was measured."""
     camera = nominal(made)
-    lines = [f"# Made by `sboc camera make` of {', '.join(sources[:FRAMES_USED])}.", *(f"# {words}" for words in made.words())]
+    sources = ", ".join(f"{file} (HDU {hdu})" if hdu else file for file, hdu in made.sources)
+    lines = [f"# Made by `sboc camera make` of {sources}.", *(f"# {words}" for words in made.words())]
     if made.unit != 1.0:
         lines.append(f"# Numbers of the files are tiny: gain and saturation below are of these numbers times {made.unit:g}.")
     lines += ["", "[camera]", f"{PIXELS_TIMES} = {made.unit!r}"]

@@ -92,6 +92,29 @@ def test_the_file_is_a_camera_for_process(tmp_path: Path, capsys: pytest.Capture
     assert len(table) == 1
 
 
+def test_the_camera_file_names_the_images_that_were_used_and_counts_the_others(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Four files of three images each: eight images are taken, of the first three files."""
+    images = [np.random.default_rng(k).normal(100.0, 5.0, (96, 96)).astype(np.float32) for k in range(3)]
+    paths = [tmp_path / f"{name}.fits" for name in "abcd"]
+    for path in paths:
+        fits.HDUList([fits.PrimaryHDU(images[0]), *map(fits.ImageHDU, images[1:])]).writeto(path)
+    made = made_camera(paths)
+    assert made.sources == tuple((f"{file}.fits", hdu) for file in "abc" for hdu in range(3))[:8]
+    assert made.n_left_out == 4
+    assert cli.run(["camera", "make", *map(str, paths), "--out", str(tmp_path / "camera.toml")]) == 0
+    words = "images: the first 8 of 12 were used, 4 left out"
+    assert words in capsys.readouterr().out.splitlines()
+    text = (tmp_path / "camera.toml").read_text()
+    assert text.startswith("# Made by `sboc camera make` of a.fits, a.fits (HDU 1), a.fits (HDU 2), b.fits, ")
+    assert "c.fits (HDU 1).\n" in text
+    assert "d.fits" not in text
+    assert f"# {words}\n" in text
+    assert made_camera(paths[:2]).n_left_out == 0
+    assert not any("left out" in line for line in made_camera(paths[:2]).words())
+
+
 @pytest.mark.parametrize("scale", [1e-8, 1e-20])
 def test_a_camera_of_tiny_numbers_is_that_of_the_same_frames_in_counts(
     tmp_path: Path, scale: float, capsys: pytest.CaptureFixture[str]

@@ -4,8 +4,6 @@ One frame for each HDU that holds a 2-D image, in the order of file names. DATE-
 EXPTIME seconds, GAIN e-/ADU, RDNOISE e-; each may be absent.
 """
 
-import math
-import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
@@ -15,14 +13,16 @@ from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from astropy.io import fits
-from astropy.time import Time
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.errors import ContractError, UserError
 from sboc_e2e.icd.frame import LARGEST_ADU, Frame, FrameHeader
-from sboc_e2e.icd.tai import NS_PER_S, from_jd_parts
+from sboc_e2e.icd.tai import NS_PER_S
 from sboc_e2e.outside.frame_source import Note, SourcedFrame
-from sboc_e2e.outside.header_wcs import COARSEST_DEG, FINEST_DEG, MAX_SHOWN, usable_wcs
+from sboc_e2e.outside.header_scale import focal_hints_px
+from sboc_e2e.outside.header_times import FIRST_ASSUMED_TAI_NS, MJD_KEYS, start_tai_ns
+from sboc_e2e.outside.header_values import merged, missing, number_of, quietly, take_out_illegible
+from sboc_e2e.outside.header_wcs import usable_wcs
 from sboc_e2e.outside.image_circle import beyond, image_circle
 from sboc_e2e.outside.image_planes import Plane, planes_of, with_planes
 from sboc_e2e.outside.no_data import without_data
@@ -43,7 +43,6 @@ MAX_SIDE_PX: Final = 16384  # Chosen: packets count rows and columns to 65,535, 
 MIN_SIDE_PX: Final = 16  # Chosen, not measured: a smaller image has no room for a trail beside its sky.
 MAX_PIXELS: Final = 200_000_000
 """The largest sensors have 151 million (14,208 x 10,656), of which `sboc process` takes 1.3 GB in its largest process. Chosen."""
-MJD_KEYS: Final = ("MJD-OBS", "MJD-STR")
 CAMERA_KEYS: Final = (
     "TELESCOP", "INSTRUME", "DETECTOR", "CAMERA", "CCDNAME", "CCDCHIP", "EXTNAME", "AMPNAME", "FILTER", "CCDSUM", "XBINNING",
     "READMODE",
@@ -52,8 +51,6 @@ CAMERA_KEYS: Final = (
 GAINS_E_ADU: Final = (1e-3, 1e4)
 """Gains that are believed."""
 OTHER_GAIN: Final = "that of --camera is taken, or a guess from the noise"
-FIRST_ASSUMED_TAI_NS: Final = 1_325_376_000 * NS_PER_S
-"""2000-01-01T00:00:00 TAI: frames without a time are numbered from here, one second apart."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -152,7 +149,7 @@ def _survey(path: Path, max_pixels: int) -> tuple[list[Place], list[UserError]]:
     """Pictures of a file, and what is refused of it. Only images that may be flags are read beyond their header."""
     places, refused, planes = [], [], []
     try:
-        with _quietly(), fits.open(path, memmap=False, lazy_load_hdus=False) as hdus:
+        with quietly(), fits.open(path, memmap=False, lazy_load_hdus=False) as hdus:
             for index, hdu in enumerate(hdus):
                 take_out_illegible(hdu.header)
                 shape = _shape(hdu)
@@ -199,10 +196,10 @@ class Content:
 def _content(place: Place) -> Content:
     """Open an image. Raises `UserError` when it cannot be read."""
     try:
-        with _quietly(), fits.open(place.path, memmap=False) as hdus:
+        with quietly(), fits.open(place.path, memmap=False) as hdus:
             hdu = hdus[place.hdu]
             illegible = [keyword for source in (hdus[0].header, hdu.header) for keyword in take_out_illegible(source)]
-            header = _headers(hdus, hdu)
+            header = merged(hdus, hdu)
             data = hdu.data
             wcs, doubt = usable_wcs(hdu.header, place.rows, place.cols)
             blind, notes = with_planes(hdus, place.planes, (place.rows, place.cols))
@@ -221,7 +218,7 @@ def _content(place: Place) -> Content:
 
 def wcs_of(place: Place) -> "WCS | None":
     """The WCS of an image, as `read_frame` gives it."""
-    with _quietly(), fits.open(place.path, memmap=False) as hdus:
+    with quietly(), fits.open(place.path, memmap=False) as hdus:
         header = hdus[place.hdu].header
         take_out_illegible(header)
         return usable_wcs(header, place.rows, place.cols)[0]
@@ -321,78 +318,6 @@ def pixels_of(data: NDArray[Any]) -> tuple[NDArray[np.uint16] | NDArray[np.float
     return pixels, None
 
 
-def number_of(header: Mapping[str, Any], names: tuple[str, ...], low: float, high: float) -> float | None:
-    """The first finite number among header keys that lies in [low, high]; None without one."""
-    for name in names:
-        value = header.get(name)
-        try:
-            number = float(value) if value is not None and not isinstance(value, bool) else math.nan
-        except (TypeError, ValueError, OverflowError):
-            continue
-        if math.isfinite(number) and low <= number <= high:
-            return number
-    return None
-
-
-def focal_hints_px(header: Mapping[str, Any], wcs: "WCS | None") -> tuple[float, ...]:
-    """Distinct focal lengths in pixels: by the WCS, by keys of the pixel scale (arcsec), by focal length (mm) and pixel (um).
-
-    Programs differ on whether XPIXSZ and PIXSIZE1 count binning, so both readings are given.
-    """
-    scales_deg = [] if wcs is None else [_scale_deg(wcs)]
-    scale_arcsec = number_of(header, ("PIXSCALE", "SECPIX", "SECPIX1", "SCALE"), 1e-3, 3600.0)
-    if scale_arcsec is not None:
-        scales_deg.append(scale_arcsec / 3600.0)
-    focal_mm = number_of(header, ("FOCALLEN", "FOCAL"), 1.0, 1e6)
-    pixel_um = number_of(header, ("XPIXSZ", "PIXSIZE1"), 0.1, 1e3)
-    if focal_mm is not None and pixel_um is not None:
-        binning = number_of(header, ("XBINNING", "CCDXBIN"), 1.0, 64.0) or 1.0
-        scales_deg += [math.degrees(1e-3 * pixel_um * factor / focal_mm) for factor in (1.0, binning)]
-    scales_deg.append(abs(number_of(header, ("CDELT1",), -COARSEST_DEG, COARSEST_DEG) or 0.0))
-    hints: list[float] = []
-    for scale_deg in scales_deg:
-        if FINEST_DEG < scale_deg < COARSEST_DEG and all(abs(math.radians(scale_deg) * known - 1.0) > 0.02 for known in hints):
-            hints.append(1.0 / math.radians(scale_deg))
-    return tuple(hints)
-
-
-def _scale_deg(wcs: "WCS") -> float:
-    """Size of a pixel by a WCS, the geometric mean of both axes; 0 where it has none."""
-    from astropy.wcs.utils import proj_plane_pixel_scales
-
-    try:
-        with _quietly():
-            return float(np.sqrt(np.prod(proj_plane_pixel_scales(wcs.celestial))))
-    except Exception:  # noqa: BLE001 - whatever a header holds, the frame is a frame
-        return 0.0
-
-
-def start_tai_ns(header: Mapping[str, Any]) -> int | None:
-    """Start of exposure from DATE-OBS (with TIME-OBS or UT where the date stands alone) or MJD-OBS, UTC; None without one."""
-    date = header.get("DATE-OBS")
-    texts = []
-    if isinstance(date, str) and date.strip():
-        day = date.strip().rstrip("Z")
-        clock = next((str(header[key]).strip() for key in ("TIME-OBS", "UTC-OBS", "UT", "UTSTART") if header.get(key)), "")
-        texts = [day] if "T" in day or not clock else [f"{day}T{clock}", day]
-    for text in texts:
-        try:
-            with _quietly():
-                return _tai_ns(Time(text, format="isot" if "T" in text else "iso", scale="utc"))
-        except (ValueError, TypeError, OverflowError):
-            continue
-    mjd = number_of(header, MJD_KEYS, 36_934.0, 100_000.0)
-    with _quietly():
-        return None if mjd is None else _tai_ns(Time(mjd, format="mjd", scale="utc"))
-
-
-def _tai_ns(utc: Time) -> int | None:
-    """An epoch on the scale of the contract, if headers may hold it."""
-    tai = utc.tai
-    tai_ns = from_jd_parts(float(tai.jd1), float(tai.jd2))
-    return tai_ns if 0 <= tai_ns < 2**62 else None
-
-
 def _frame_header(
     header: Mapping[str, Any], number: int, pixels: NDArray[Any], saturation: float | None, unit: float, notes: list[Note]
 ) -> FrameHeader:
@@ -401,14 +326,14 @@ def _frame_header(
     def known(names: tuple[str, ...], low: float, high: float, without: str, *, quiet: bool = False) -> float | None:
         value = number_of(header, names, low, high)
         if value is None and (not quiet or any(header.get(name) is not None for name in names)):
-            notes.append(_missing(header, names, f"is no number from {low:g} to {high:g}", without))
+            notes.append(missing(header, names, f"is no number from {low:g} to {high:g}", without))
         return value
 
     start = start_tai_ns(header)
     if start is None:
         start = FIRST_ASSUMED_TAI_NS + number * NS_PER_S
         wanted = "is no time from 1958 to 2104"
-        notes.append(_missing(header, ("DATE-OBS", *MJD_KEYS), wanted, "the epoch is a number, not a time"))
+        notes.append(missing(header, ("DATE-OBS", *MJD_KEYS), wanted, "the epoch is a number, not a time"))
     exposure_s = known(("EXPTIME", "EXPOSURE", "EXP_TIME"), 0.0, 9e6, "no magnitudes")
     # amateurs' programs write e-/ADU as EGAIN, and the camera's setting as GAIN
     gain = number_of(header, ("EGAIN",), *GAINS_E_ADU) or known(("GAIN", "EGAIN"), *GAINS_E_ADU, OTHER_GAIN)
@@ -434,50 +359,12 @@ def _frame_header(
         raise UserError(f"frame {number}: {error}") from error
 
 
-def _missing(header: Mapping[str, Any], names: tuple[str, ...], wanted: str, without: str) -> Note:
-    """Note on a value that a header has not, or not as one that can be used; both need another remedy."""
-    given = next((name for name in names if header.get(name) is not None), None)
-    if given is None:
-        return Note(kind=f"no {names[0]}", text=f"no {names[0]}: {without}")
-    return Note(kind=given, text=f"{given} = {str(header[given])[:MAX_SHOWN]!r} {wanted}: {without}")
-
-
-def take_out_illegible(header: fits.Header) -> list[str]:
-    """Delete cards whose value astropy cannot parse, and return their keywords: one odd key that nobody needs costs no frame."""
-    illegible: list[str] = []
-    for index in reversed(range(len(header.cards))):
-        card = header.cards[index]
-        try:
-            _ = card.value
-        except fits.VerifyError:
-            illegible.insert(0, card.keyword)
-            del header[index]
-    return illegible
-
-
-def _headers(hdus: fits.HDUList, hdu: Any) -> dict[str, Any]:
-    """Keys of the primary header under those of the HDU's own."""
-    merged: dict[str, Any] = {}
-    for source in (hdus[0].header, hdu.header):
-        for card in source.cards:
-            if card.keyword and card.keyword not in ("COMMENT", "HISTORY"):
-                merged[card.keyword] = card.value
-    return merged
-
-
 def _shape(hdu: Any) -> tuple[int, int] | None:
     """Rows and columns of an HDU with a 2-D image, None for everything else."""
     if not isinstance(hdu, fits.PrimaryHDU | fits.ImageHDU | fits.CompImageHDU):
         return None
     shape = hdu.shape
     return (int(shape[0]), int(shape[1])) if len(shape) == 2 and all(shape) else None
-
-
-class _quietly(warnings.catch_warnings):
-    """Headers of other people break the standard in ways that do not matter here."""
-
-    def __init__(self) -> None:
-        super().__init__(record=False, action="ignore")
 
 
 def _first_line(error: BaseException) -> str:

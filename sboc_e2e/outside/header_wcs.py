@@ -16,6 +16,7 @@ from astropy.io import fits
 from numpy.typing import NDArray
 
 from sboc_e2e.outside.frame_source import Note
+from sboc_e2e.outside.header_values import MAX_SHOWN
 
 if TYPE_CHECKING:
     from astropy.wcs import WCS
@@ -41,8 +42,6 @@ GRID: Final = 5
 """Points a side at which directions are tried: 25, corners and edges among them. Chosen, not measured."""
 ROUND_TRIP_PX: Final = 0.5
 """Chosen, not measured: astropy's inverse iterates to 1e-4 px; where it misses by half a pixel, it has not converged."""
-MAX_SHOWN: Final = 40
-"""Characters of a header's value that a note repeats: a FITS card holds 68, and a note is one line."""
 
 
 def usable_wcs(header: fits.Header, rows: int, cols: int) -> "tuple[WCS | None, Note | None]":

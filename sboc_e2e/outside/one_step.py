@@ -27,9 +27,10 @@ from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.signals import Detection, DetectorView, StarList
 from sboc_e2e.icd.tai import NS_PER_S
-from sboc_e2e.outside.fits_frames import FIRST_ASSUMED_TAI_NS, MAX_SIDE_PX, MIN_SIDE_PX, pixels_of
+from sboc_e2e.outside.fits_frames import MAX_SIDE_PX, MIN_SIDE_PX, pixels_of
 from sboc_e2e.outside.frame_source import SourcedFrame
 from sboc_e2e.outside.guessed_camera import camera_of_frame
+from sboc_e2e.outside.header_times import FIRST_ASSUMED_TAI_NS
 from sboc_e2e.outside.limits import work_meter
 from sboc_e2e.outside.pixel_unit import in_unit, usable_unit
 from sboc_e2e.outside.process import base_document

@@ -14,9 +14,9 @@ from onboard.options import OnboardOptions
 from onboard.state import OnboardSteps
 from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.tai import NS_PER_S
-from sboc_e2e.outside.fits_frames import FIRST_ASSUMED_TAI_NS
 from sboc_e2e.outside.frame_source import SourcedFrame
 from sboc_e2e.outside.guessed_camera import ASSUMED_PSF_SIGMA_PX, camera_of_frame
+from sboc_e2e.outside.header_times import FIRST_ASSUMED_TAI_NS
 from sboc_e2e.outside.look_alikes import CountingChain
 from sboc_e2e.provenance import SEGMENTS
 

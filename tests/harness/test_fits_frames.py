@@ -1,6 +1,5 @@
 """FITS files of others as frames: forms of data, headers with and without the keys that matter, WCS."""
 
-import warnings
 from pathlib import Path
 
 import numpy as np
@@ -12,9 +11,10 @@ from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.tai import from_jd_parts
 from sboc_e2e.outside import star_width
 from sboc_e2e.outside.first_frame import FirstFrame
-from sboc_e2e.outside.fits_frames import FIRST_ASSUMED_TAI_NS, FitsFolder, _frame_header, start_tai_ns
-from sboc_e2e.outside.frame_source import Note, SourcedFrame
+from sboc_e2e.outside.fits_frames import FitsFolder
+from sboc_e2e.outside.frame_source import SourcedFrame
 from sboc_e2e.outside.guessed_camera import camera_of_frame
+from sboc_e2e.outside.header_times import FIRST_ASSUMED_TAI_NS
 from sboc_e2e.outside.star_width import star_sigma_px
 
 SKY = np.random.default_rng(4).normal(1000.0, 5.0, (65, 71))
@@ -122,23 +122,6 @@ def test_the_pixel_scale_is_read_in_many_forms(tmp_path: Path, keys: dict[str, o
     assert np.degrees(1.0 / np.array(found.focal_hints_px)) * 3600.0 == pytest.approx(scales_arcsec, rel=1e-3)
 
 
-@pytest.mark.parametrize(
-    ("header", "known"),
-    [
-        ({"DATE-OBS": "2024-03-01", "TIME-OBS": "02:03:04.5"}, True),
-        ({"DATE-OBS": "2024-03-01"}, True),
-        ({"MJD-OBS": 60370.0}, True),
-        ({"DATE-OBS": "yesterday"}, False),
-        ({"DATE-OBS": 20240301}, False),
-        ({"MJD-OBS": "soon"}, False),
-        ({"MJD-OBS": float("nan")}, False),
-        ({}, False),
-    ],
-)
-def test_times_are_read_or_known_to_be_unknown(header: dict[str, object], known: bool) -> None:
-    assert (start_tai_ns(header) is not None) == known
-
-
 def test_without_headers_all_is_assumed_and_said(tmp_path: Path) -> None:
     fits.PrimaryHDU(SKY.astype(np.uint16)).writeto(tmp_path / "a.fits")
     (found,) = frames(tmp_path)
@@ -161,21 +144,6 @@ def test_nonsense_in_a_header_counts_as_absent(tmp_path: Path, key: str, value: 
     # What is there and no use is not said to be missing.
     (note,) = (note for note in found.notes if note.kind == key)
     assert note.text.startswith(f"{key} = {str(value)!r} is no number from ")
-
-
-@pytest.mark.parametrize("date", ["yesterday", "1850-06-01T00:00:00", "1850-06-01", "9999-01-01T00:00:00\x1b"])
-def test_a_date_that_cannot_be_is_shown_and_warns_of_nothing_else(
-    tmp_path: Path, date: str, capfd: pytest.CaptureFixture[str]
-) -> None:
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always")
-        header = {"DATE-OBS": date, "EXPTIME": 1.0, "GAIN": 1.0}
-        notes: list[Note] = []
-        made = _frame_header(header, 0, np.zeros((64, 64), np.float32), None, 1.0, notes)
-    assert made.t_start_tai_ns == FIRST_ASSUMED_TAI_NS
-    (note,) = notes
-    assert note.text == f"DATE-OBS = {date!r} is no time from 1958 to 2104: the epoch is a number, not a time"
-    assert not caught
 
 
 def test_what_cannot_be_used_is_one_line(tmp_path: Path) -> None:

@@ -1,7 +1,7 @@
 """FITS files as frames: plain or tile-compressed, integer or float, any number of image HDUs, with or without headers.
 
-One frame for each HDU that holds a 2-D image, in the order of file names. DATE-OBS is the start of exposure (UTC),
-EXPTIME seconds, GAIN e-/ADU, RDNOISE e-; each may be absent.
+One frame for each HDU that holds a 2-D image, in the order of file names. EXPTIME is in seconds, GAIN in e-/ADU,
+RDNOISE in e-; each may be absent, as may the start of exposure (`header_times`).
 """
 
 from collections.abc import Iterator, Mapping
@@ -20,7 +20,7 @@ from sboc_e2e.icd.frame import LARGEST_ADU, Frame, FrameHeader
 from sboc_e2e.icd.tai import NS_PER_S
 from sboc_e2e.outside.frame_source import Note, SourcedFrame
 from sboc_e2e.outside.header_scale import focal_hints_px
-from sboc_e2e.outside.header_times import FIRST_ASSUMED_TAI_NS, MJD_KEYS, start_tai_ns
+from sboc_e2e.outside.header_times import FIRST_ASSUMED_TAI_NS, start_of
 from sboc_e2e.outside.header_values import merged, missing, number_of, quietly, take_out_illegible
 from sboc_e2e.outside.header_wcs import usable_wcs
 from sboc_e2e.outside.image_circle import beyond, image_circle
@@ -329,11 +329,8 @@ def _frame_header(
             notes.append(missing(header, names, f"is no number from {low:g} to {high:g}", without))
         return value
 
-    start = start_tai_ns(header)
-    if start is None:
-        start = FIRST_ASSUMED_TAI_NS + number * NS_PER_S
-        wanted = "is no time from 1958 to 2104"
-        notes.append(missing(header, ("DATE-OBS", *MJD_KEYS), wanted, "the epoch is a number, not a time"))
+    start = start_of(header)
+    notes += start.notes
     exposure_s = known(("EXPTIME", "EXPOSURE", "EXP_TIME"), 0.0, 9e6, "no magnitudes")
     # amateurs' programs write e-/ADU as EGAIN, and the camera's setting as GAIN
     gain = number_of(header, ("EGAIN",), *GAINS_E_ADU) or known(("GAIN", "EGAIN"), *GAINS_E_ADU, OTHER_GAIN)
@@ -345,7 +342,7 @@ def _frame_header(
     try:
         return FrameHeader(
             frame=number,
-            t_start_tai_ns=start,
+            t_start_tai_ns=FIRST_ASSUMED_TAI_NS + number * NS_PER_S if start.tai_ns is None else start.tai_ns,
             exposure_ns=round((exposure_s or 0.0) * NS_PER_S),
             line_time_ns=0,
             rows=pixels.shape[0],

@@ -92,9 +92,10 @@ class MadeCamera:
         psf = "unknown: too few stars" if self.psf_sigma_px is None else f"sigma {self.psf_sigma_px:.2f} px"
         gain, noise = "unknown: two frames of different levels tell it", "unknown, as the gain is"
         if t is not None:
-            digits = ".3f" if unit == 1.0 else ".4g"
-            gain = f"{t.gain_e_adu * unit:{digits}} +- {t.gain_err * unit:{digits}} e-/ADU"
-            bias = f"bias {t.bias_adu / unit:{'.1f' if unit == 1.0 else '.5g'}} ADU"
+            of_file, bias_adu = t.gain_e_adu * unit, t.bias_adu / unit
+            digits = ".3f" if 0.1 <= of_file < 1e4 else ".4g"
+            gain = f"{of_file:{digits}} +- {t.gain_err * unit:{digits}} e-/ADU"
+            bias = f"bias {bias_adu:{'.1f' if abs(bias_adu) >= 10.0 else '.4g'}} ADU"
             if math.isnan(t.bias_adu):
                 noise = "unknown: needs the bias (an overscan in the frames, or --bias)"
             elif math.isnan(t.read_noise_e):

@@ -14,7 +14,10 @@ import atheris
 TARGETS = {
     "packets": ["ground.ingest"],
     "codecs": ["ground.ingest"],
-    "fits": ["sboc_e2e.outside.fits_frames", "astropy.io.fits"],
+    "fits": [
+        *(f"sboc_e2e.outside.{name}" for name in ("fits_frames", "header_times", "header_values", "header_scale")),
+        "astropy.io.fits",
+    ],
     "scenario": ["sboc_e2e.scenario", "sboc_e2e.registry", "tomllib"],
 }
 """Each target and the modules that are instrumented for it."""

@@ -10,6 +10,7 @@ from astropy.io import fits
 from astropy.table import Table
 
 from sboc_e2e import cli
+from sboc_e2e.files import calibration_files
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Frame, FrameHeader
 from sboc_e2e.outside.camera import camera_of_table
@@ -165,6 +166,24 @@ def test_a_camera_fits_frames_in_another_unit() -> None:
     assert by_hand.for_frame(one, 1e6) == by_hand.nominal
     with pytest.raises(UserError, match=r"a.toml: camera.pixels_times: expected a number above 0, got '1e6'"):
         camera_of_table(table | {"pixels_times": "1e6"}, "a.toml")
+
+
+def test_process_converts_a_camera_for_frames_in_another_unit(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Noise of 0.8 and 1.3 thousandths: only the first frames are multiplied, by a million."""
+    paths, file = [], tmp_path / "camera.toml"
+    for name, scale in (("a", 5e-5), ("b", 5e-5), ("c", 8e-5)):
+        paths.append(tmp_path / f"{name}.fits")
+        fits.PrimaryHDU(frame(len(paths)) * scale).writeto(paths[-1])
+    assert cli.run(["camera", "make", *map(str, paths[:2]), "--out", str(file)]) == 0
+    assert "(bias 0.015 ADU)" in capsys.readouterr().out
+    assert "pixels_times = 1000000.0" in file.read_text()
+    cameras = []
+    for path in paths[1:]:
+        out = tmp_path / path.stem
+        assert cli.run(["process", str(path), "--out", str(out), "--camera", str(file)]) == 0
+        cameras.append(calibration_files.read_camera(out / "calibration"))
+    assert cameras[1].gain_e_adu == pytest.approx(1e6 * cameras[0].gain_e_adu)
+    assert cameras[1].saturation_adu == pytest.approx(1e-6 * cameras[0].saturation_adu) == pytest.approx(1.0)
 
 
 def test_a_bias_that_leaves_no_noise_is_not_asked_for_again(tmp_path: Path) -> None:

@@ -7,6 +7,7 @@ import pytest
 from numpy.typing import NDArray
 
 from onboard.detect.line_integral.trains import pieces
+from sboc_e2e.icd.flags import StreakFlag
 from tests.benchmarks import sky_frames
 from tests.benchmarks.bench_detection import score
 from tests.benchmarks.detection_frames import Streak
@@ -40,6 +41,11 @@ def test_every_trail_of_a_row_is_found(n: int) -> None:
     paired, _, false = score(result.detections, streaks)
     assert sum(d is not None for d in paired) >= n - 1
     assert false == 0
+    inner = [
+        d for d in result.detections if min(d.row0, d.col0, d.row1, d.col1) > 30.0 < SIDE - max(d.row0, d.col0, d.row1, d.col1)
+    ]
+    assert len(inner) >= n - 4
+    assert not any(d.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1) for d in inner), "each has the flags of its own ends"
 
 
 def lines(light: NDArray[np.float64], seed: int) -> list[tuple[int, int]]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from onboard.detect.line_integral import varied
 from onboard.detect.line_integral.varied import trail_followed
+from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.signals import Detection
 from tests.benchmarks.tumblers import measure, whole
 
@@ -67,6 +68,14 @@ def test_a_dim_part_of_a_trail_is_followed_where_lines_beside_it_show_nothing() 
     for seed in range(3):
         sky = images(trail(200, 300, 8.0) + trail(301, 360, 0.8), seed)
         assert abs(trail_followed(TRAIL, sky, 1.2, True).length_px - 160.0) < 15.0
+
+
+def test_a_trail_that_is_followed_to_the_border_ends_on_it() -> None:
+    """Its end had no flag of the border, since the flags were those of the detection before it was followed."""
+    found = trail_followed(TRAIL, images(trail(200, SIDE, 16.0), 2), 1.2, False)
+    assert found.col1 > SIDE - 4.0
+    assert found.flags & StreakFlag.EDGE1
+    assert not found.flags & StreakFlag.EDGE0
 
 
 def test_tumblers_come_out_as_one_trail_and_whole() -> None:

@@ -65,6 +65,14 @@ def edge_flags(ends: tuple[float, float, float, float], shape: tuple[int, int], 
     return flags
 
 
+def with_edges(detection: Detection, shape: tuple[int, int]) -> Detection:
+    """A detection whose ends were moved, with the flags that they have now in an image (rows, cols): EDGE0, EDGE1, CURVED."""
+    ends = detection.row0, detection.col0, detection.row1, detection.col1
+    flags = detection.flags & ~(StreakFlag.EDGE0 | StreakFlag.EDGE1 | StreakFlag.CURVED)
+    flags |= edge_flags(ends, shape, detection.snr) | (StreakFlag.CURVED if detection.sagitta_px else StreakFlag(0))
+    return replace(detection, flags=flags)
+
+
 def _inside(ends: NDArray[np.float64], shape: tuple[int, int]) -> tuple[float, float, float, float]:
     """The part inside the frame of a segment (major0, minor0, major1, minor1); along it, so that its direction stays."""
     start = (float(ends[0]), float(ends[1]))

@@ -148,7 +148,8 @@ def is_star(detection: Detection, motion: StarMotion) -> bool:
 def is_left_over(detection: Detection, blocked: NDArray[np.uint8], motion: StarMotion) -> bool:
     """Whether much of a line lies on the masks of trails: what they leave of two stars makes one, no longer than they are.
 
-    blocked : (rows, cols) bits of `whiten`. An object crosses trails; as long as they are sparse enough to be listed, they hide little of its path.
+    blocked : (rows, cols) bits of `whiten`. An object crosses trails; as long as they are sparse enough to be listed, they hide
+    little of its path.
     """
     n = 2 * math.ceil(detection.length_px) + 1
     row = np.clip(np.rint(np.linspace(detection.row0, detection.row1, n)), 0, blocked.shape[0] - 1).astype(np.intp)

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from onboard.detect import whiten
+from onboard.detect.line_integral.segments import with_edges
 from onboard.detect.line_integral.static_sky import lit_pixels
 from sboc_e2e.icd.signals import Detection, DetectorView
 
@@ -96,5 +97,6 @@ def taken_apart(detection: Detection, view: DetectorView, blocked: NDArray[np.ui
         snr = float(signal[first:stop].sum() / math.sqrt(max(float(weight[first:stop].sum()), 1e-9)))
         row0, row1 = (float(np.clip(detection.row0 + x * u_row, 0, rows - 1)) for x in (low, high))
         col0, col1 = (float(np.clip(detection.col0 + x * u_col, 0, cols - 1)) for x in (low, high))
-        out.append(replace(detection, row0=row0, col0=col0, row1=row1, col1=col1, snr=snr, sagitta_px=0.0))
+        piece = replace(detection, row0=row0, col0=col0, row1=row1, col1=col1, snr=snr, sagitta_px=0.0)
+        out.append(with_edges(piece, (rows, cols)))
     return out

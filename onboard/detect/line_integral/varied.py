@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from onboard.detect.line_integral import trains
 from onboard.detect.line_integral.local_noise import NEAREST_PX
+from onboard.detect.line_integral.segments import with_edges
 from onboard.detect.line_integral.star_removal import TILE_PX, WorkingImages
 from onboard.detect.whiten import FOUND_BIT, UNIT
 from sboc_e2e.icd.flags import StreakFlag
@@ -136,7 +137,8 @@ def _step(detection: Detection, images: WorkingImages, psf_sigma_px: float, leas
         row, col = ends[0] + at * u_row + across * u_col, ends[1] + at * u_col - across * u_row
         places += [float(np.clip(row, 0.0, rows - 1.0)), float(np.clip(col, 0.0, cols - 1.0))]
     grown = detection.sagitta_px * ((stop - start) / length) ** 2
-    return replace(detection, row0=places[0], col0=places[1], row1=places[2], col1=places[3], sagitta_px=grown)
+    longer = replace(detection, row0=places[0], col0=places[1], row1=places[2], col1=places[3], sagitta_px=grown)
+    return with_edges(longer, (rows, cols))
 
 
 def _held(

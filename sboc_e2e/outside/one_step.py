@@ -9,7 +9,8 @@
     sky = solve(found.stars)                   # an astropy WCS (extra `solve`)
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -23,7 +24,7 @@ from ground.products import tables
 from onboard.chain import OnboardChain, OnboardResult, OnboardSteps
 from sboc_e2e import scenario as scenarios
 from sboc_e2e.catalogue import StarCatalogue
-from sboc_e2e.icd.errors import UserError
+from sboc_e2e.icd.errors import PluginError, UserError
 from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.signals import Detection, DetectorView, StarList
 from sboc_e2e.icd.tai import NS_PER_S
@@ -32,7 +33,7 @@ from sboc_e2e.outside.frame_source import SourcedFrame
 from sboc_e2e.outside.guessed_camera import camera_of_frame
 from sboc_e2e.outside.header_times import FIRST_ASSUMED_TAI_NS
 from sboc_e2e.outside.limits import work_meter
-from sboc_e2e.outside.pixel_unit import in_unit, usable_unit
+from sboc_e2e.outside.pixel_unit import LEAST_NOISE, in_unit, noise_adu, usable_unit
 from sboc_e2e.outside.process import base_document
 from sboc_e2e.outside.star_width import star_sigma_px
 from sboc_e2e.registry import Registry
@@ -40,6 +41,10 @@ from sboc_e2e.run.ground_stage import ground_chain
 from sboc_e2e.scenario import Scenario
 
 RUN_ID: Final = 0  # Number in the packets of the only run there is; any number serves.
+LEAST_GAIN_E_ADU: Final = 1e-6
+"""Gains that packets carry are this at least, and"""
+LARGEST_GAIN_E_ADU: Final = 1e6
+"""this at most (`FrameHeader`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,7 +53,7 @@ class Found:
 
     detections : table of row0, col0, row1, col1 (px, 0-based, pixel centres at whole numbers), snr (matched filter) and flags.
     stars : table of row, col (px), flux_e (electrons), snr and flags, by falling flux; its meta
-    holds ``rows`` and ``cols`` of the image, ``psf_sigma_px`` (NaN: no star tells it) and ``gain_e_adu``.
+    holds ``rows`` and ``cols`` of the image, ``psf_sigma_px`` (NaN: no star tells it) and ``gain_e_adu`` of the image as given.
     """
 
     detections: Table
@@ -94,10 +99,11 @@ def detect(
     UserError
         One line: what is wrong with the image or an option.
     """
-    frame = _frame(image, gain_e_adu, read_noise_e, saturation_adu, exposure_s)
+    frame, unit = _frame(image, gain_e_adu, read_noise_e, saturation_adu, exposure_s)
     scenario = _scenario(detector)
-    result, (camera, _) = _on_board(frame, scenario, scenario.step("onboard.detector"))
-    return Found(detections=_detection_table(result.detections), stars=_star_table(result.stars, camera))
+    with _computable() if detector is None else nullcontext():
+        result, (camera, _) = _on_board(frame, scenario, scenario.step("onboard.detector"))
+    return Found(detections=_detection_table(result.detections), stars=_star_table(result.stars, camera, unit))
 
 
 def measure(
@@ -118,13 +124,14 @@ def measure(
     detections : a table with columns row0, col0, row1, col1 (px) and, if it has one, snr; or such rows as tuples. From `detect`
         or from any program.
     """
-    frame = _frame(image, gain_e_adu, read_noise_e, saturation_adu, exposure_s)
+    frame, _ = _frame(image, gain_e_adu, read_noise_e, saturation_adu, exposure_s)
     scenario = _scenario(None)
-    _, (camera, packets) = _on_board(frame, scenario, GivenDetections(found=_detections(detections)))
-    chain = ground_chain(scenario, calibration=None, camera=camera, catalogue=StarCatalogue.embedded(), run_id=RUN_ID)
-    frames, report = chain.ingest(packets)
-    _, products = chain.process_frame(chain.initial_state(), frames[0])
-    result = chain.finish(frames, [products], report)
+    with _computable():
+        _, (camera, packets) = _on_board(frame, scenario, GivenDetections(found=_detections(detections)))
+        chain = ground_chain(scenario, calibration=None, camera=camera, catalogue=StarCatalogue.embedded(), run_id=RUN_ID)
+        frames, report = chain.ingest(packets)
+        _, products = chain.process_frame(chain.initial_state(), frames[0])
+        result = chain.finish(frames, [products], report)
     (table,) = tables.streaks_tables(result)
     return table
 
@@ -157,10 +164,22 @@ def solve(stars: Table, *, width_deg: float | None = None) -> WCS:
     return _wcs(match, int(rows), int(cols))
 
 
+@contextmanager
+def _computable() -> Iterator[None]:
+    """Numbers that no computation can end with are the image's, and the user is told so."""
+    try:
+        yield
+    except (ArithmeticError, np.linalg.LinAlgError, PluginError) as error:
+        cause = error.__cause__ if isinstance(error, PluginError) else error
+        if not isinstance(cause, ArithmeticError | np.linalg.LinAlgError):
+            raise
+        raise UserError(f"image: its numbers, with this gain, cannot be computed with ({cause})") from error
+
+
 def _frame(
     image: ArrayLike, gain_e_adu: float | None, read_noise_e: float | None, saturation_adu: float | None, exposure_s: float
-) -> Frame:
-    """An array as a frame of the contract."""
+) -> tuple[Frame, float]:
+    """An array as a frame of the contract, and by what its pixels were multiplied; the frame's gain is that of its own pixels."""
     data = np.asarray(image)
     if data.ndim != 2 or data.dtype.kind not in "uif":
         raise UserError(f"image: expected a two-dimensional array of numbers, got {data.ndim} dimensions of {data.dtype}")
@@ -169,9 +188,11 @@ def _frame(
     if not 0.0 <= exposure_s <= 1e6:
         raise UserError(f"exposure_s: expected 0 to 1e6, got {exposure_s}")
     pixels, full_adu = pixels_of(data)
-    unit = usable_unit(pixels) if gain_e_adu is None else 1.0
+    unit = usable_unit(pixels)
     if unit > 1.0:
         pixels = in_unit(pixels, unit)
+    if gain_e_adu is not None:
+        gain_e_adu = _gain_of_unit(gain_e_adu, pixels, unit)
     header = FrameHeader(
         frame=0,
         t_start_tai_ns=FIRST_ASSUMED_TAI_NS,
@@ -183,7 +204,24 @@ def _frame(
         read_noise_e=read_noise_e,
         saturation_adu=saturation_adu * unit if saturation_adu else full_adu,
     )
-    return Frame(header=header, pixels=pixels)
+    return Frame(header=header, pixels=pixels), unit
+
+
+def _gain_of_unit(gain_e_adu: float, pixels: NDArray[Any], unit: float) -> float:
+    """A gain for pixels that were multiplied by a unit. Raises `UserError` where it leaves them no noise to compute with.
+
+    Real cameras have more (`pixel_unit.is_denied`), but simulated images need not.
+    """
+    gain, noise = gain_e_adu / unit, noise_adu(pixels)
+    if not LEAST_GAIN_E_ADU <= gain <= LARGEST_GAIN_E_ADU:
+        allowed = f"{LEAST_GAIN_E_ADU * unit:g} to {LARGEST_GAIN_E_ADU * unit:g} e-/ADU"
+        raise UserError(f"gain_e_adu: expected {allowed} for pixels with this noise, got {gain_e_adu:g}")
+    if 0.0 < gain * noise < LEAST_NOISE:
+        least = LEAST_NOISE / (noise / unit)
+        raise UserError(
+            f"gain_e_adu: {gain_e_adu:g} leaves pixels a noise of {gain * noise:.1g} e-; expected {least:.2g} or more"
+        )
+    return gain
 
 
 def _scenario(detector: str | None) -> Scenario:
@@ -216,12 +254,13 @@ def _detection_table(found: Iterable[Detection]) -> Table:
     return table
 
 
-def _star_table(stars: StarList, camera: NominalCamera) -> Table:
+def _star_table(stars: StarList, camera: NominalCamera, unit: float) -> Table:
+    """Stars of an image whose pixels were multiplied by a unit, as its camera knows them."""
     table = Table({name: np.array(getattr(stars, name)) for name in ("row", "col", "flux_e", "snr", "flags")})
     table["row"].unit = table["col"].unit = "pix"
     table["flux_e"].unit = "electron"
     width = float("nan") if stars.psf_sigma_px is None else stars.psf_sigma_px
-    table.meta = {"rows": camera.rows, "cols": camera.cols, "psf_sigma_px": width, "gain_e_adu": camera.gain_e_adu}
+    table.meta = {"rows": camera.rows, "cols": camera.cols, "psf_sigma_px": width, "gain_e_adu": unit * camera.gain_e_adu}
     return table
 
 

@@ -118,7 +118,7 @@ def drawn(kind: str, seed: int) -> Drawn:
 
 def streaks_of(pixels: NDArray[np.uint16], *, fading_ends: bool = True) -> Table:
     """Measured streaks of one image, as `sboc process` measures them without its count of look-alikes."""
-    frame = one_step._frame(pixels, 1.0, READ_NOISE_E, None, 1.0)
+    frame, _ = one_step._frame(pixels, 1.0, READ_NOISE_E, None, 1.0)
     document = base_document("none")
     document["ground"]["streak_fitter"]["fading_ends"] = fading_ends
     scenario = scenarios.bare("fading_trails", document, registry=Registry())

@@ -46,7 +46,7 @@ def downlinked() -> tuple[DownlinkFrame, NominalCamera, StarCatalogue]:
     """A frame of stars that came down, for the solution stage."""
     image = content(np.random.default_rng(3), (64, 64), "stars").astype(np.float32)
     scenario = one_step._scenario(None)
-    frame = one_step._frame(image, None, None, None, 0.0)
+    frame, _ = one_step._frame(image, None, None, None, 0.0)
     _, (camera, packets) = one_step._on_board(frame, scenario, one_step.GivenDetections())
     catalogue = StarCatalogue.embedded()
     chain = one_step.ground_chain(scenario, calibration=None, camera=camera, catalogue=catalogue, run_id=one_step.RUN_ID)

@@ -55,6 +55,37 @@ def test_the_unit_of_the_pixels_does_not_matter(scale: float) -> None:
     assert best["flags"] & StreakFlag.GAIN_ASSUMED
 
 
+@pytest.mark.parametrize("scale", [1e-3, 1e-9, 1e-20])
+def test_the_gain_that_detect_tells_is_that_of_the_image_as_given(scale: float) -> None:
+    """The noise of the sky is 20 ADU times the scale, and a guessed gain makes 5 e- of less. What has no gain is measured so."""
+    image = scale * trail_image((30.0, 25.0, 120.0, 170.0), 300.0)
+    found = detect(image)
+    gain = found.stars.meta["gain_e_adu"]
+    assert gain * scale * 20.0 == pytest.approx(5.0 if scale < 0.25 else 20.0, rel=0.1)
+    by_guess, by_gain = measure(image, found.detections), measure(image, found.detections, gain_e_adu=gain)
+    assert len(by_gain) == len(by_guess) > 0
+    for name in ("row0", "col0", "row1", "col1", "flux_e", "flux_err_e", "snr", "probability"):
+        assert by_gain[name].tolist() == pytest.approx(by_guess[name].tolist(), rel=1e-3)
+    assert detect(image, gain_e_adu=gain).stars.meta["gain_e_adu"] == pytest.approx(gain, rel=1e-12)
+
+
+@pytest.mark.parametrize("gain", [1.0, 0.0, -1.0, np.nan, 1e300])
+def test_a_gain_that_leaves_no_numbers_is_refused_in_one_line(gain: float) -> None:
+    image = 1e-9 * trail_image((30.0, 25.0, 120.0, 170.0), 300.0)
+    for step in (lambda: detect(image, gain_e_adu=gain), lambda: measure(image, [], gain_e_adu=gain)):
+        with pytest.raises(UserError, match=r"^gain_e_adu: "):
+            step()
+
+
+def test_numbers_that_cannot_be_computed_with_are_the_image_s(monkeypatch: pytest.MonkeyPatch) -> None:
+    def singular(*_: object) -> None:
+        raise np.linalg.LinAlgError("Singular matrix")
+
+    monkeypatch.setattr("sboc_e2e.outside.one_step.GivenDetections.detect", singular)
+    with pytest.raises(UserError, match=r"^image: .*Singular matrix"):
+        measure(trail_image((30.0, 25.0, 120.0, 170.0), 300.0), [])
+
+
 def test_detections_of_another_program_are_measured_where_they_are() -> None:
     image = trail_image((30.0, 25.0, 120.0, 170.0), 300.0)
     (trail,) = measure(image, [(31.0, 24.0, 118.0, 168.0)])

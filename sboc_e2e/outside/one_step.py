@@ -9,13 +9,13 @@
     sky = solve(found.stars)                   # an astropy WCS (extra `solve`)
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager, nullcontext
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
 import numpy as np
-from astropy.table import Table
+from astropy.table import Column, Table
 from astropy.wcs import WCS
 from numpy.typing import ArrayLike, NDArray
 
@@ -26,13 +26,15 @@ from sboc_e2e import scenario as scenarios
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import PluginError, UserError
 from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
+from sboc_e2e.icd.results import LARGEST_SNR, OUTSIDE_TOLERANCE_PX
 from sboc_e2e.icd.signals import Detection, DetectorView, StarList
 from sboc_e2e.icd.tai import NS_PER_S
+from sboc_e2e.icd.work import UNLIMITED, Work, WorkMeter
 from sboc_e2e.outside.fits_frames import MAX_SIDE_PX, MIN_SIDE_PX, pixels_of
 from sboc_e2e.outside.frame_source import SourcedFrame
 from sboc_e2e.outside.guessed_camera import camera_of_frame
 from sboc_e2e.outside.header_times import FIRST_ASSUMED_TAI_NS
-from sboc_e2e.outside.limits import work_meter
+from sboc_e2e.outside.limits import MOST_DETECTIONS, work_meter
 from sboc_e2e.outside.pixel_unit import LEAST_NOISE, in_unit, noise_adu, usable_unit
 from sboc_e2e.outside.process import base_document
 from sboc_e2e.outside.star_width import star_sigma_px
@@ -45,6 +47,12 @@ LEAST_GAIN_E_ADU: Final = 1e-6
 """Gains that packets carry are this at least, and"""
 LARGEST_GAIN_E_ADU: Final = 1e6
 """this at most (`FrameHeader`)."""
+ENDS: Final = ("row0", "col0", "row1", "col1")
+"""Columns of a table that hold the ends of detections."""
+UNKNOWN_SNR: Final = 10.0
+"""S/N of a detection that comes without one: the fit measures its own. Chosen."""
+NAMED: Final = 5
+"""So many detections are named in an error."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,11 +76,8 @@ class GivenDetections:
     history_frames: int = 0
 
     def detect(self, view: DetectorView) -> tuple[Detection, ...]:
-        """The detections whose middle lies inside the frame."""
-        rows, cols = view.mask.shape
-        return tuple(
-            d for d in self.found if 0.0 <= 0.5 * (d.row0 + d.row1) <= rows - 1 and 0.0 <= 0.5 * (d.col0 + d.col1) <= cols - 1
-        )
+        """All of them."""
+        return self.found
 
 
 def detect(
@@ -116,24 +121,32 @@ def measure(
     exposure_s: float = 0.0,
 ) -> Table:
     """Fitted trails of given detections, in the columns of ``products/streaks.ecsv``: ends with covariance and 68 % intervals
-    (px), width, light (e-), S/N, probability of a real object, flags.
+    (px), width, light (e-), S/N, probability of a real object, flags. One row for each detection, in their order, and its index
+    (from 0) in a first column ``detection``.
+
+    Where the pixels allow no fit, a row has the detection's own ends and `StreakFlag.FIT_FAILED`.
 
     Parameters
     ----------
     image, gain_e_adu, read_noise_e, saturation_adu, exposure_s : as for `detect`.
     detections : a table with columns row0, col0, row1, col1 (px) and, if it has one, snr; or such rows as tuples. From `detect`
-        or from any program.
+        or from any program. At most 1,000. Ends lie in the image or up to 2 px outside it.
+
+    Raises
+    ------
+    UserError
+        One line: what is wrong with the image, an option or which detections; an image without light cannot be measured in.
     """
     frame, _ = _frame(image, gain_e_adu, read_noise_e, saturation_adu, exposure_s)
+    given = _detections(detections, frame.pixels.shape)
     scenario = _scenario(None)
     with _computable():
-        _, (camera, packets) = _on_board(frame, scenario, GivenDetections(found=_detections(detections)))
+        result, (camera, packets) = _on_board(frame, scenario, GivenDetections(found=given), meter=_meter_of_all)
         chain = ground_chain(scenario, calibration=None, camera=camera, catalogue=StarCatalogue.embedded(), run_id=RUN_ID)
         frames, report = chain.ingest(packets)
         _, products = chain.process_frame(chain.initial_state(), frames[0])
-        result = chain.finish(frames, [products], report)
-    (table,) = tables.streaks_tables(result)
-    return table
+        (table,) = tables.streaks_tables(chain.finish(frames, [products], report))
+    return _by_detection(table, given, result)
 
 
 def solve(stars: Table, *, width_deg: float | None = None) -> WCS:
@@ -229,7 +242,15 @@ def _scenario(detector: str | None) -> Scenario:
     return scenarios.bare("one_step", base_document("none"), registry=Registry(), use=use)
 
 
-def _on_board(frame: Frame, scenario: Scenario, detector: Any) -> tuple[OnboardResult, tuple[NominalCamera, bytes]]:
+def _meter_of_all(n_pixels: int) -> WorkMeter:
+    """The meter of a frame in which every region is sent, however many there are: the user asked for them."""
+    usual = work_meter(n_pixels)
+    return replace(usual, limits=usual.limits | {Work.REGIONS: UNLIMITED})
+
+
+def _on_board(
+    frame: Frame, scenario: Scenario, detector: Any, *, meter: Callable[[int], WorkMeter] = work_meter
+) -> tuple[OnboardResult, tuple[NominalCamera, bytes]]:
     """What the on-board chain makes of a frame; the camera guessed from it, and its packets."""
     sourced = SourcedFrame(frame=frame, file="image", hdu=0, wcs=None, notes=())
     camera = camera_of_frame(sourced, star_sigma_px(np.asarray(frame.pixels, dtype=np.float32)))
@@ -239,7 +260,7 @@ def _on_board(frame: Frame, scenario: Scenario, detector: Any) -> tuple[OnboardR
         detector=detector,
         codec=scenario.step("onboard.codec"),
     )
-    chain = OnboardChain(scenario.onboard, steps, calibration=None, camera=camera, run_id=RUN_ID, work_meter=work_meter)
+    chain = OnboardChain(scenario.onboard, steps, calibration=None, camera=camera, run_id=RUN_ID, work_meter=meter)
     _, result = chain.process(chain.initial_state(), frame)
     return result, (camera, result.packets)
 
@@ -264,23 +285,51 @@ def _star_table(stars: StarList, camera: NominalCamera, unit: float) -> Table:
     return table
 
 
-def _detections(given: Table | Iterable[tuple[float, float, float, float]]) -> tuple[Detection, ...]:
-    """Detections of the contract from a table or tuples."""
-    if isinstance(given, Table):
-        missing = [name for name in ("row0", "col0", "row1", "col1") if name not in given.colnames]
-        if missing:
-            raise UserError(f"detections: the table has no {', '.join(missing)}")
-        snr = given["snr"] if "snr" in given.colnames else np.full(len(given), 10.0)
-        ends = np.array([given[name] for name in ("row0", "col0", "row1", "col1")], dtype=np.float64).reshape(4, -1).T
-    else:
-        ends = np.array([tuple(row)[:4] for row in given], dtype=np.float64).reshape(-1, 4)
-        snr = np.full(len(ends), 10.0)
-    if not np.isfinite(ends).all():
-        raise UserError("detections: expected finite ends")
+def _detections(given: Table | Iterable[tuple[float, float, float, float]], shape: tuple[int, ...]) -> tuple[Detection, ...]:
+    """Detections of the contract in an image of a shape, from a table or tuples."""
+    snr: Any = None
+    try:
+        if isinstance(given, Table):
+            missing = [name for name in ENDS if name not in given.colnames]
+            if missing:
+                raise UserError(f"detections: the table has no {', '.join(missing)}")
+            ends = np.array([given[name] for name in ENDS], dtype=np.float64).reshape(4, -1).T
+            snr = given["snr"] if "snr" in given.colnames else None
+        else:
+            ends = np.array([tuple(row)[:4] for row in given], dtype=np.float64).reshape(-1, 4)
+        snr = np.full(len(ends), UNKNOWN_SNR) if snr is None else np.array(snr, dtype=np.float64)
+    except (TypeError, ValueError) as error:
+        raise UserError("detections: expected four numbers each, row0, col0, row1, col1") from error
+    if len(ends) > MOST_DETECTIONS:
+        raise UserError(f"detections: expected {MOST_DETECTIONS} at most, got {len(ends)}")
+    least, most = -OUTSIDE_TOLERANCE_PX, np.tile(shape, 2) - 1.0 + OUTSIDE_TOLERANCE_PX
+    inside = f"ends in the image of {shape[0]} x {shape[1]} px or up to {OUTSIDE_TOLERANCE_PX:g} px outside it"
+    _require(np.isfinite(ends).all(axis=1), "finite ends")
+    _require(((ends >= least) & (ends <= most)).all(axis=1), inside)
+    _require((snr >= 0.0) & (snr <= LARGEST_SNR), f"S/N from 0 to {LARGEST_SNR:g}")
     return tuple(
         Detection(row0=float(e[0]), col0=float(e[1]), row1=float(e[2]), col1=float(e[3]), snr=float(s))
         for e, s in zip(ends, snr, strict=True)
     )
+
+
+def _require(holds: ArrayLike, expected: str) -> None:
+    """Raise a `UserError` that names the detections (n,) of which something does not hold, a few at most."""
+    not_so = np.flatnonzero(np.logical_not(holds)).tolist()
+    if not_so:
+        named = ", ".join(str(k) for k in not_so[:NAMED])
+        more = f" and {len(not_so) - NAMED} more" if len(not_so) > NAMED else ""
+        raise UserError(f"detections: expected {expected}; detection {named}{more} (counted from 0) is not so")
+
+
+def _by_detection(table: Table, given: Sequence[Detection], result: OnboardResult) -> Table:
+    """Rows in the order of the detections that were given, with their index."""
+    place = {id(each): k for k, each in enumerate(given)}
+    of_roi = {group.roi_id: place[id(group.detection)] for group in result.rois}
+    measured = np.array([of_roi[roi_id] for roi_id in table["roi_id"].tolist()], dtype=np.int64)
+    _require(np.isin(np.arange(len(given)), measured), "pixels that differ, and a tenth of them usable")
+    table.add_column(Column(measured, name="detection", description="index of the detection that was given, from 0"), index=0)
+    return table[np.argsort(measured, kind="stable")]
 
 
 def _wcs(match: lost_in_space.PatternMatch, rows: int, cols: int) -> WCS:

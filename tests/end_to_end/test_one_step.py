@@ -1,12 +1,14 @@
 """detect, measure and solve on arrays: what they give, in which units, and what they refuse."""
 
 from pathlib import Path
+from typing import Any
 
 import matplotlib.image
 import numpy as np
 import pytest
 from astropy.coordinates import SkyCoord
 from astropy.io import fits
+from astropy.table import Table
 from astropy.wcs import WCS
 
 from sboc_e2e.api import detect, measure, solve
@@ -90,6 +92,51 @@ def test_detections_of_another_program_are_measured_where_they_are() -> None:
     image = trail_image((30.0, 25.0, 120.0, 170.0), 300.0)
     (trail,) = measure(image, [(31.0, 24.0, 118.0, 168.0)])
     assert np.abs(np.array([trail[name] for name in ("row0", "col0", "row1", "col1")]) - [30, 25, 120, 170]).max() < 1.0
+
+
+def test_each_detection_has_a_row_in_its_place() -> None:
+    """One on a trail, one off it, one without usable pixels, and the same again; whatever their S/N."""
+    image = trail_image((30.0, 25.0, 120.0, 170.0), 300.0)
+    image[:20, 140:] = np.nan
+    ends = [(140.0, 20.0, 150.0, 60.0), (31.0, 24.0, 118.0, 168.0), (5.0, 150.0, 12.0, 190.0), (31.0, 24.0, 118.0, 168.0)]
+    trails = measure(image, Table(rows=[(*each, snr) for each, snr in zip(ends, (5.0, 90.0, 7.0, 3.0), strict=True)],
+                                  names=("row0", "col0", "row1", "col1", "snr")))  # fmt: skip
+    assert trails.colnames[0] == "detection"
+    assert trails["detection"].tolist() == [0, 1, 2, 3]
+    assert [bool(flags & StreakFlag.FIT_FAILED) for flags in trails["flags"][1:]] == [False, True, False]
+    assert tuple(trails[name][2] for name in ("row0", "col0", "row1", "col1")) == ends[2]
+    assert trails["row0"][1] == pytest.approx(30.0, abs=0.5)
+    assert trails["row0"][3] == pytest.approx(30.0, abs=0.5)
+
+
+def test_more_detections_than_a_frame_in_orbit_may_measure_have_a_row_each() -> None:
+    """Of 900 regions of 172 px the work of a frame allowed 199, and the others were left out without a word."""
+    image = trail_image((30.0, 25.0, 120.0, 170.0), 300.0)
+    assert measure(image, [(31.0, 24.0, 118.0, 168.0)] * 300)["detection"].tolist() == list(range(300))
+
+
+@pytest.mark.parametrize(
+    ("detections", "says"),
+    [
+        ([(31, 24, 118, 168), (-30, 20, -10, 40)], r"up to 2 px outside it; detection 1 \("),
+        ([(31, 24, 118, 168), (150, 20, 200, 40)], r"up to 2 px outside it; detection 1 \("),
+        ([(500, 0, 510, 9)] * 8, r"detection 0, 1, 2, 3, 4 and 3 more"),
+        ([(31, 24, np.nan, 168)], r"finite ends; detection 0"),
+        ([(31, 24, 118)], r"four numbers each"),
+        ([("a", 24, 118, 168)], r"four numbers each"),
+        ([(31, 24, 118, 168)] * 1001, r"1000 at most, got 1001"),
+        (Table({"row0": [1.0]}), r"no col0, row1, col1"),
+        (Table({"row0": [9.0], "col0": [9.0], "row1": [30.0], "col1": [30.0], "snr": [np.nan]}), r"S/N from 0 to 1e\+09"),
+    ],
+)
+def test_detections_that_cannot_be_measured_are_named_in_one_line(detections: Any, says: str) -> None:
+    with pytest.raises(UserError, match=rf"^detections: .*{says}"):
+        measure(trail_image((30.0, 25.0, 120.0, 170.0), 300.0), detections)
+
+
+def test_detections_in_an_image_without_light_are_refused() -> None:
+    with pytest.raises(UserError, match=r"^detections: expected pixels that differ"):
+        measure(np.full((64, 64), 100.0), [(10, 10, 30, 30)])
 
 
 @pytest.mark.parametrize("image", [np.zeros(5), np.zeros((8, 40)), np.array([["a"]]), np.zeros((20, 20), dtype=complex)])

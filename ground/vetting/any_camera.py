@@ -138,14 +138,15 @@ def probability_in_any_camera(
     """(n,) of the fits of a frame, given a vetter's own (n,).
 
     sharpness : ln of each fit's width over that of the optics, NaN where nothing tells the optics. contrasts : of the fits, None
-        where they keep their probability. tracks : odds (n,) of a particle's track for lines that are sharper than the optics;
-        infinite for others. others : number (n,) of other long lines about each, see `others_near`. surroundings : numbers (n, 7)
-        of the picture about each, see `surroundings.NAMES`; NaN where they are not known.
+        where they keep their probability; what was refused keeps its 0 whatever it has. tracks : odds (n,) of a particle's track
+        for lines that are sharper than the optics; infinite for others. others : number (n,) of other long lines about each, see
+        `others_near`. surroundings : numbers (n, 7) of the picture about each, see `surroundings.NAMES`; NaN where they are not
+        known.
     """
     readout = np.log1p(odds_of_readout(fits))
     out = probability.astype(np.float64)
     for k, contrast in enumerate(contrasts):
-        if contrast is not None:
+        if contrast is not None and probability[k] > 0.0:
             own = math.log(probability[k] / max(1.0 - probability[k], 1e-9))
             widths = fits[k].length_px / effective_width_px(fits[k].width_px)
             told = sharpness[k] if math.isfinite(sharpness[k]) else 0.0

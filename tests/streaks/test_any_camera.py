@@ -8,7 +8,7 @@ import pytest
 
 from ground.streaks import TrailedPsfFitter
 from ground.vetting import any_camera
-from ground.vetting.any_camera import USUAL, as_unmodelled, contrasts_of, others_near, probability_in_any_camera
+from ground.vetting.any_camera import UNMODELLED_SNR, USUAL, as_unmodelled, contrasts_of, others_near, probability_in_any_camera
 from ground.vetting.contrast import TILE_PX, Contrast, Tiles
 from ground.vetting.look_alikes import TOO_SHARP
 from ground.vetting.particles import SHORTEST_PX, THICKNESS_PX, odds_of_particles
@@ -114,7 +114,8 @@ def test_contrast_lifts_what_a_vetter_doubts_and_lowers_what_has_none(line: Stre
     assert chance(line, 0.2, -0.7, lit) < 0.5, "sharper than the optics"
     assert chance(line, 0.2, -0.7, lit, tracks=0.1) > 0.8, "in a frame without tracks of particles"
     assert chance(line, 0.6, 0.0, tiles(sky(4))) < 0.1
-    assert chance(line, 0.0, 0.0, lit) == 0.0, "what was refused stays so"
+    for snr in (60.0, UNMODELLED_SNR, 600.0):
+        assert chance(replace(line, snr=snr), 0.0, 0.0, lit) == 0.0, "what was refused stays so"
 
 
 def test_a_line_tells_less_where_many_others_are_found(line: StreakFit) -> None:

@@ -153,7 +153,7 @@ def _member_on_line(part: Member, moved: StreakMeasurement, product: FrameProduc
     """The part of a member that was moved onto a line. Its errors along stay those of the fit before."""
     final = replace(moved, flags=moved.flags & ~StreakFlag.REFIT | part.final.flags & StreakFlag.REFIT)
     sky = sky_of(product.header, product.solution, product.wcs)
-    jacobian = jacobian_arcsec(final, product.header, sky)
+    jacobian = jacobian_arcsec(final, sky)
     return replace(part, final=final, jacobian_arcsec=jacobian, shared_cross_arcsec=shared_arcsec)
 
 
@@ -162,7 +162,7 @@ def _in_arcsec(
 ) -> tuple[int, NDArray[np.float64]]:
     """A window's number and its shared errors on the sky, from those in px, which are alike along any axis."""
     sky = sky_of(product.header, product.solution, product.wcs)
-    scale = np.sqrt(abs(float(np.linalg.det(jacobian_arcsec(streak, product.header, sky)[1]))))
+    scale = np.sqrt(abs(float(np.linalg.det(jacobian_arcsec(streak, sky)[1]))))
     return errors[0], scale * errors[1]
 
 
@@ -216,7 +216,7 @@ def _member(
     return Member(
         single=single,
         final=final,
-        jacobian_arcsec=jacobian_arcsec(final, product.header, sky),
+        jacobian_arcsec=jacobian_arcsec(final, sky),
         pointing_arcsec=pointing_sigma_arcsec(product.solution.covariance_rad2),
         sigma_rate_arcsec_s=sigma_rate_arcsec_s,
         end_shake=shake,

@@ -14,7 +14,7 @@ READ, KEEP, DATA = 0, 3, 1
 """Arguments of LLVM's intrinsic: the memory will be read, stays in all caches, and is no code."""
 
 
-def _ask_for(typing_context: Any, array: Any, place: Any) -> Any:
+def _ask_for(typing_context: Any, array: Any, place: Any) -> Any:  # noqa: ARG001 - the signature is Numba's
     """Signature and code of `ask_for`; None for other arguments, as Numba wants it."""
     if not (isinstance(array, types.Array) and isinstance(place, types.UniTuple) and array.ndim == place.count):
         return None

@@ -45,9 +45,7 @@ class Pairs:
     state: Array
 
 
-def pairs_of(
-    arcs: Sequence[ArcOrbit], *, longest_days: float, chi2_limit: float, doubt_km_s: float, eccentricity_limit: float = 0.9
-) -> Pairs:
+def pairs_of(arcs: Sequence[ArcOrbit], *, longest_days: float, chi2_limit: float, doubt_km_s: float) -> Pairs:
     """All pairs that one two-body orbit may explain.
 
     doubt_km_s : one sigma of velocity that two-body motion is wrong by after a day, at the range of geostationary orbits.
@@ -66,7 +64,7 @@ def pairs_of(
     normal /= np.linalg.norm(normal, axis=1, keepdims=True)
     first, second, chi2, state = _search(
         t_s, mean, place, axes, covariance, rate, rate_sigma, normal, _tilts(chosen, states),
-        np.array([a.is_weak for a in chosen]), 86400.0 * longest_days, chi2_limit, doubt_km_s, eccentricity_limit,
+        np.array([a.is_weak for a in chosen]), 86400.0 * longest_days, chi2_limit, doubt_km_s,
     )  # fmt: skip
     return Pairs(first=order[first], second=order[second], chi2=chi2, state=state)
 
@@ -215,7 +213,7 @@ def _joined(
 @njit(cache=True)
 def _search(
     t_s: Array, mean: Array, place: Array, axes: Array, covariance: Array, rate: Array, rate_sigma: Array, normal: Array,
-    tilt: Array, weak: NDArray[np.bool_], longest_s: float, limit: float, doubt: float, eccentricity_limit: float,
+    tilt: Array, weak: NDArray[np.bool_], longest_s: float, limit: float, doubt: float,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], Array, Array]:  # fmt: skip
     """Pairs of arcs in order of time, by index, with chi2 and state."""
     first, second, cost, found = [np.int64(0)], [np.int64(0)], [0.0], [np.zeros(6)]

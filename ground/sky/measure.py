@@ -80,7 +80,7 @@ def pointing_sigma_arcsec(covariance_rad2: Array) -> float:
     return float(np.sqrt(pointing)) / ARCSEC_RAD if np.isfinite(pointing) else 0.0
 
 
-def jacobian_arcsec(streak: StreakMeasurement, header: FrameHeader, sky: PixelSky | None) -> Array:
+def jacobian_arcsec(streak: StreakMeasurement, sky: PixelSky | None) -> Array:
     """Change of direction (3, 2, 2), east and north in arcsec, by row and col in px, at the three points; NaN without a sky."""
     if sky is None:
         return np.full((3, 2, 2), np.nan)

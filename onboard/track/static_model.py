@@ -46,8 +46,8 @@ BLOCK_PX: Final = 64
 
 
 @nb.njit(cache=True)
-def _inside(first: int, base: int, n: int, size: int) -> tuple[int, int]:
-    """Indices [low, high) of n that start at `first` and read `base` onwards with one neighbour, inside `size`."""
+def _inside(base: int, n: int, size: int) -> tuple[int, int]:
+    """Indices [low, high) of n that read `base` onwards with one neighbour, inside `size`."""
     return max(0, -base), min(n, size - 1 - base)
 
 
@@ -181,7 +181,7 @@ def update_model(codes: NDArray[np.int8], transform: NDArray[np.float64], share:
         while first < cols:
             start, (r, to, w) = first, following
             first, following = _readings(transform, float(row), start, 0.0, cols, following)
-            low, high = _inside(start, start + to, first - start, cols)
+            low, high = _inside(start + to, first - start, cols)
             if r < 0 or r >= rows - 1 or high <= low:
                 continue
             low, high = start + low, start + high
@@ -224,8 +224,8 @@ def add_moving(
         while first < cols:
             start, (r, to, w) = first, following
             first, following = _readings(transform, at, start, shift_col, cols, following)
-            low, high = _inside(start, start + to, first - start, cols)
-            low_model, high_model = _inside(start, start + sc, first - start, cols)
+            low, high = _inside(start + to, first - start, cols)
+            low_model, high_model = _inside(start + sc, first - start, cols)
             low, high = start + max(low, low_model), start + min(high, high_model)
             if r < 0 or r >= rows - 1 or high <= low:
                 continue

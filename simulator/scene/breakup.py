@@ -156,7 +156,7 @@ def draw_pieces(options: BreakupOptions, rng: np.random.Generator) -> Pieces:
     area = area_m2_of(length)
     mass = area / 10.0**chi
     broken = _broken_kg(options)
-    dust = _dust_kg(options, rng, slope)
+    dust = _dust_kg(options, rng)
     room = max(broken - dust, 0.0)
     order = np.argsort(mass)
     kept = np.sort(order[np.cumsum(mass[order]) <= room])
@@ -192,7 +192,7 @@ def _broken_kg(options: BreakupOptions) -> float:
     return min(options.projectile_kg * options.impact_km_s**2, options.mass_kg)
 
 
-def _dust_kg(options: BreakupOptions, rng: np.random.Generator, slope: float) -> float:
+def _dust_kg(options: BreakupOptions, rng: np.random.Generator) -> float:
     """Mean mass of the pieces that are too small to be drawn, at most half of what breaks."""
     low = options.smallest_mm * 1e-3
     some = np.geomspace(DUST_M, low, 4000)

@@ -155,7 +155,7 @@ class StarSky:
             self.options.catalogue_errors * stars.sigma_mas.astype(np.float64) * MAS_RAD,
             seed_word(self.seed, Effect.CATALOGUE_ERRORS),
         )
-        faint_direction, faint_v, faint_b_v, faint_id = self._faint_around(direction, radius_deg, stars.b_v)
+        faint_direction, faint_v, faint_b_v, faint_id = self._faint_around(direction, radius_deg)
         v_mag = np.concatenate([stars.v_mag, faint_v]).astype(np.float32)
         b_v = np.concatenate([stars.b_v, faint_b_v]).astype(np.float32)
         camera = self.instrument
@@ -207,9 +207,7 @@ class StarSky:
             b_v=np.concatenate([stars.b_v, stars.b_v[index]]),
         )
 
-    def _faint_around(
-        self, direction: Array, radius_deg: float, colours: NDArray[np.float32]
-    ) -> tuple[Array, Array, Array, NDArray[np.int64]]:
+    def _faint_around(self, direction: Array, radius_deg: float) -> tuple[Array, Array, Array, NDArray[np.int64]]:
         """Synthetic stars between the catalogue's depth and the limit, drawn for whole HEALPix pixels."""
         from_mag, to_mag = self.catalogue.v_max, self.options.faint_limit_mag
         if from_mag >= to_mag:

@@ -1,4 +1,5 @@
-"""The linter refuses what could run code from data: pickle, eval, exec, yaml.load (the project's own settings)."""
+"""The linter refuses what could run code from data (pickle, eval, exec, yaml.load) and parameters without effect: the project's
+own settings."""
 
 import subprocess
 import sys
@@ -16,14 +17,23 @@ FORBIDDEN = {
 }
 
 
+def linted(place: str, source: str) -> str:
+    """What the linter says of a source at a place of the project."""
+    arguments = ["check", "--no-cache", "--output-format", "concise", "--stdin-filename", str(ROOT / place), "-"]
+    command = [sys.executable, "-m", "ruff", *arguments]
+    return subprocess.run(command, cwd=ROOT, input=source, capture_output=True, text=True, check=False).stdout
+
+
 @pytest.mark.parametrize("rule", FORBIDDEN)
 @pytest.mark.parametrize("place", ["ground/x.py", "tests/x.py"])
 def test_code_from_data_is_refused(rule: str, place: str) -> None:
-    arguments = ["check", "--no-cache", "--output-format", "concise", "--stdin-filename", str(ROOT / place), "-"]
-    found = subprocess.run(
-        [sys.executable, "-m", "ruff", *arguments], cwd=ROOT, input=FORBIDDEN[rule], capture_output=True, text=True, check=False
-    )
-    assert f": {rule} " in found.stdout
+    assert f": {rule} " in linted(place, FORBIDDEN[rule])
+
+
+@pytest.mark.parametrize("place", [f"{folder}/x.py" for folder in ("ground", "onboard", "simulator", "sboc_e2e")])
+def test_parameters_without_effect_are_refused(place: str) -> None:
+    """Of functions: methods may have parameters of their Protocol that they do not need."""
+    assert ": ARG001 " in linted(place, "def half(value: float, limit: float) -> float:\n    return 0.5 * value\n")
 
 
 def test_nothing_loads_pickled_arrays() -> None:

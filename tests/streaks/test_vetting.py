@@ -231,6 +231,36 @@ def test_a_trail_is_no_less_real_for_being_brighter_than_any_that_was_simulated(
     assert probability[2] > probability[0] - 0.01
 
 
+def test_what_recurs_speaks_against_its_own_kind_and_not_against_a_long_bright_trail(
+    fits: dict[str, list[StreakFit]], frame: DownlinkFrame
+) -> None:
+    """59 arcs of dust rings, 25 px long at S/N 20, raised one flat rate and vetoed a trail of 1,274 px (p 0.23)."""
+    real = max(fits["real"], key=lambda fit: fit.snr)
+    alike = replace(real, row0=10.0, col0=10.0, row1=25.0, col1=30.0, snr=20.0, width_px=3.0 * real.width_px)
+    arc = replace(alike, flags=real.flags | StreakFlag.STATIC)
+    trail = replace(real, row0=0.0, col0=0.0, row1=900.0, col1=900.0, snr=25.0, width_px=2.0 * real.width_px)
+    vetter = LikelihoodVetter(model_error=0.2)
+    among = vetter.probability([*[arc] * 59, trail], frame)
+    assert among[:59].max() < 0.1
+    assert among[59] > 0.5, "published"
+    assert vetter.probability([*[arc] * 59, alike], frame)[59] < 0.5 * vetter.probability([alike], frame)[0]
+
+
+def test_a_wide_trail_from_border_to_border_of_a_small_frame_is_published(
+    fits: dict[str, list[StreakFit]], frame: DownlinkFrame
+) -> None:
+    """As DECam's of 100 x 100 px: 114 px long, sigma 5 px, S/N 1,100, texture of its own. A slope of the background is as wide,
+    and leaves more than it explains."""
+    small = replace(frame, psf_sigma_px=None, header=replace(frame.header, rows=100, cols=100))
+    trail = replace(
+        fits["real"][0], row0=-0.5, col0=5.0, row1=99.5, col1=60.0, width_px=5.0, snr=1100.0, chi2_nu=12.0, sagitta_px=0.0
+    )
+    slope = replace(trail, snr=147.0, chi2_nu=30.0)
+    vetter = LikelihoodVetter(model_error=0.2)
+    assert vetter.probability([trail], small)[0] > 0.5
+    assert vetter.probability([slope], small)[0] < 0.1
+
+
 def test_a_trail_found_twice_is_published_once(fits: dict[str, list[StreakFit]]) -> None:
     """The fainter of two fits on the same line, and a piece of it; another one beside it stays."""
     bright = max((fit for fit in fits["real"] if fit.length_px > 40.0), key=lambda fit: fit.snr)

@@ -14,7 +14,7 @@ BORDER_PER_REAL: Final = 0.02
 """Expected lines of this kind for each real streak: in 140 frames of 60 cameras two were published, beside 110 trails."""
 DEPTH_PX: Final = 4.0
 """Mean depth of the farther end of such a line: 4 and 5 px of those two. Of trails of 46 px that run 8 px from a border most were
-refused where any depth was taken to be as likely (eight of 600 satellites of an independent simulator)."""
+refused where any depth was taken to be as likely (docs/vetting.md, borders of the picture, counts them)."""
 LEAST_DEPTH_PX: Final = 2.0
 """A place is not known better than this relative to what a border is: half lines of video are one or two pixels high."""
 

@@ -19,8 +19,9 @@ READOUT_WIDTHS: Final = 2.5
 its light farther out. Chosen, not measured."""
 
 READOUT_SPAN: Final = 0.7
-"""Least share of the frame along it. Both together take in one of 500 lines of any direction and place in frames of 4,096 px,
-and one of eight in cut-outs of 100 px (docs/vetting.md). Chosen, not measured."""
+"""Least share of the frame along it. Of lines from border to border in any direction both together take in 10 / pi widths over
+the side of the frame: for a width of 2 px one of 640 in frames of 4,096 px, and one of 16 in cut-outs of 100 px. Chosen, not
+measured."""
 
 READOUT_SHARE: Final = 0.015
 """Share of lines that are the readout's in a frame that shows no others of them. Chosen, so that a trail of 25 px along a row,

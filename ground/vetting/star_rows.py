@@ -43,12 +43,12 @@ CERTAIN_SIGMAS: Final = 3.0
 """Gaps count by what is certain of them: so many standard errors of the part that noise has in them are taken off."""
 
 ROW_GAPS: Final = (0.4, 1.4)
-"""Gaps of rows of stars, any in between alike. Measured: see `Along.gaps`."""
+"""Gaps of rows of stars, any in between alike. Measured: see docs/vetting.md, rows of stars."""
 TRAIL_GAPS: Final = 0.1
-"""Scale of the gaps of trails, whose number falls exponentially with them. Measured: see `Along.gaps`."""
+"""Scale of the gaps of trails, whose number falls exponentially with them. Measured: see docs/vetting.md, rows of stars."""
 UNEVEN_TRAILS: Final = 0.05
 """Share of trails with gaps as rows of stars have: flashes of tumbling objects, fits that run on past the trail's end. Measured
-on injected trails, see `Along.gaps`."""
+on injected trails, see docs/vetting.md, rows of stars."""
 
 FULL_SNR: Final = 1000.0
 """S/N from which a star is full or nearly: it spills, has a tail, and its companions and wings show. Chosen, not measured."""
@@ -246,9 +246,8 @@ class Along:
     def gaps(self) -> float:
         """Rms by which cells fall below what the fit claims, as a share of it.
 
-        Only what is missing counts: stars that a trail crosses add light. The part of the noise is taken off. Of 50 false lines
-        of a crowded field all have 0.30 to 1.3 and 95 % more than 0.44. Of 40 trails of an independent simulator 95 % have less
-        than 0.20 and all less than 0.34. Of 51 trails put into frames of that crowded field 90 % have less than 0.25.
+        Only what is missing counts: stars that a trail crosses add light. The part of the noise is taken off. Trails have less
+        than rows of stars: docs/vetting.md, rows of stars, has the measured ones of both.
         """
         return self._missing_from(np.ones(self.light.size))
 

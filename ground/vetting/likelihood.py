@@ -25,9 +25,10 @@ ITERATIONS: Final = 40
 """Class probabilities and the frame's rates in turn: a budget of work. Chosen, not measured."""
 
 UNKNOWN_PSF_SIGMA_PX: Final = 1.2
-"""PSF sigma where neither stars nor a camera tell it. Cameras sample their PSF: FWHM of 1.4 to 6 px."""
+"""PSF sigma where neither stars nor a camera tell it: an FWHM of 2.8 px, between a sampled and an undersampled camera's.
+Chosen."""
 UNKNOWN_LN_PSF: Final = 0.7
-"""PSF sigma where neither stars nor a camera tell it, and one sigma of its logarithm: half to twice, cameras being sampled."""
+"""One sigma of the logarithm of an unknown PSF's width: half to twice. Cameras sample their PSF: FWHM of 1.4 to 6 px."""
 
 PLACE_LN_PSF: Final = 0.05
 """One sigma of ln of the PSF's width at a place of the field. Stars tell the width at the centre and its growth with the radius;

@@ -23,9 +23,10 @@ FAINT_STARS_PX: Final = 8.0
 PIECE_PX: Final = 32
 """Pixels of a row that are looked at one by one only when some of them exceed the threshold."""
 
-FLAT: Final = 0.00694  # 1 / 144, the determinant of a pixel's own moments, 1 / 12 each, as SExtractor rounds it
+FLAT: Final = 0.00694
+"""Least determinant of a source's second moments: 1 / 144, that of a pixel's own, 1 / 12 each, as SExtractor rounds it."""
 PIXEL_VARIANCE: Final = 0.0833333
-"""Least determinant of a source's second moments, and what is added to both variances below it: SExtractor's constants."""
+"""What is added to both variances of a source below `FLAT`: those of a pixel, 1 / 12, as SExtractor rounds it."""
 
 
 @nb.njit(cache=True)

@@ -4,12 +4,13 @@ from typing import Final
 
 import numpy as np
 
+from ground.vetting.likelihood import UNKNOWN_PSF_SIGMA_PX
 from sboc_e2e.icd.frame import NominalCamera
 from sboc_e2e.outside.frame_source import SourcedFrame
 from sboc_e2e.outside.pixel_unit import assumed_gain_e_adu
 
-ASSUMED_PSF_SIGMA_PX: Final = 1.2
-"""Where stars do not tell it: an FWHM of 2.8 px, between a sampled and an undersampled camera's. Chosen."""
+ASSUMED_PSF_SIGMA_PX: Final = UNKNOWN_PSF_SIGMA_PX
+"""Where stars do not tell it: what the vetter takes then, too."""
 ASSUMED_FOCAL_PX: Final = 1e5
 """Where nothing tells it: 2 arcsec/px. Chosen; without a WCS or a solution by stars, positions are published in pixels only."""
 ASSUMED_SATURATION_ADU: Final = 1e9  # Above the numbers of cameras (16 bits hold 65,535): no pixel counts as full.

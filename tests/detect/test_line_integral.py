@@ -423,7 +423,9 @@ def test_tracks_near_an_axis_are_tracks_although_their_step_is_found_as_a_bend()
         row, col = 100.0 - 0.5 * length_px * np.array([math.sin(angle), math.cos(angle)]) + rng.uniform(-0.5, 0.5, 2)
         e_px = snr * SIGMA * math.sqrt(2.0 * math.sqrt(math.pi) * PSF_SIGMA_PX / length_px)
         track(scene, row, col, angle, length_px, e_px)
-        assert all(d.flags & StreakFlag.COSMIC_LIKE for d in found_in(scene))
+        found = found_in(scene)
+        assert found
+        assert all(d.flags & StreakFlag.COSMIC_LIKE for d in found)
 
 
 def test_bent_trails_of_light_are_not_tracks() -> None:

@@ -88,7 +88,9 @@ def test_tumblers_come_out_as_one_trail_and_whole() -> None:
 
 
 def test_trails_of_even_light_are_followed_no_farther_than_they_go() -> None:
-    for trail, found in measure(2, 4, depth=0.0):
+    measured = measure(2, 4, depth=0.0)
+    assert len(measured) >= 4
+    for trail, found in measured:
         assert whole(found), (trail, found)
 
 

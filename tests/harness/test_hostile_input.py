@@ -118,13 +118,17 @@ def test_inputs_that_once_found_something_find_nothing_more(path: Path) -> None:
 
 @pytest.mark.parametrize("target", sorted(seeds.SEEDS))
 def test_fuzzing_begins_with_inputs_that_are_valid_and_short(target: str) -> None:
-    for data in seeds.SEEDS[target]():
+    inputs = list(seeds.SEEDS[target]())
+    assert inputs
+    for data in inputs:
         assert 0 < len(data) <= seeds.MAX_BYTES[target]
         TARGETS[target].one_input(data)
 
 
 def test_packets_that_the_fuzz_target_frames_itself_are_of_this_contract() -> None:
-    for data in seeds.packets():
+    inputs = list(seeds.packets())
+    assert inputs
+    for data in inputs:
         stream = packets.packet_around(data) if data[0] < len(layout.Apid) else data
         _, report = decode_downlink(stream, packets.DECODERS)
         assert sum(kind["received"] for kind in report.as_dict()["apids"].values()) == 1

@@ -49,7 +49,9 @@ def test_every_default_step_is_installed_and_fits_its_seam() -> None:
 
 def test_every_installed_step_resolves() -> None:
     for seam in SEAMS:
-        for name in Registry().names(seam):
+        names = Registry().names(seam)
+        assert names, seam
+        for name in names:
             assert Registry().resolve(seam, name)() is not None
 
 

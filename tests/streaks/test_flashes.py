@@ -86,5 +86,6 @@ def test_bins_without_pixels_are_not_known() -> None:
     )  # fmt: skip
     middle = (np.arange(len(curve.density_e_px)) + 0.5) * 300.0 / len(curve.density_e_px)
     empty = (middle > 103.0) & (middle < 117.0)
+    assert empty.any()
     assert (curve.sigma_e_px[empty] > 400.0).all()
     assert (curve.sigma_e_px[(middle < 95.0) | (middle > 125.0)] < 50.0).all()

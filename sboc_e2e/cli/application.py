@@ -170,7 +170,7 @@ def report(
     plugin: Plugins = None,
 ) -> None:
     """Write report.html and report.md of a scored run; of frames from outside without truth, a page of what was found."""
-    from sboc_e2e.outside.found import Found, is_unscored
+    from sboc_e2e.outside.found import RunFound, is_unscored
 
     if movie is not None and movie.suffix.lower() != ".gif":
         raise UserError(f'--movie: expected a file name that ends in .gif, got "{movie}"')
@@ -179,7 +179,7 @@ def report(
 
         if movie is not None:
             raise UserError(f"--movie: {run_dir} holds frames from outside, which no run kept; expected a run of `sboc run`")
-        typer.echo(write_page(Found.of(run_dir)))
+        typer.echo(write_page(RunFound.of(run_dir)))
         return
     _stage("report", run_dir, plugin)
     typer.echo(run_dir / "report.html")
@@ -241,10 +241,10 @@ def process(
             registry=registry,
             progress=progress,
         )
-    from sboc_e2e.outside.found import Found, closing_text
+    from sboc_e2e.outside.found import RunFound, closing_text
     from sboc_e2e.outside.page import write_report as write_page
 
-    found = Found.of(out)
+    found = RunFound.of(out)
     typer.echo(closing_text(found))
     typer.echo(write_page(found))
 

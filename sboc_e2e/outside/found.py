@@ -27,14 +27,14 @@ DIRECTIONS: Final = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Found:
+class RunFound:
     """Published tables of a run of `sboc process`, and what its ingest noted."""
 
     run: RunFrames
     _last: dict[str, Any] = field(default_factory=dict, init=False, repr=False, compare=False)
 
     @classmethod
-    def of(cls, path: Path) -> "Found":
+    def of(cls, path: Path) -> "RunFound":
         """Of a run directory. Raises `UserError` where products are absent."""
         return cls(run=RunFrames(path=path))
 
@@ -136,7 +136,7 @@ def is_unscored(run_dir: Path) -> bool:
     return "simulate" not in manifest.stages and not manifest.done("score") and "ground" in manifest.stages
 
 
-def closing_text(found: Found) -> str:
+def closing_text(found: RunFound) -> str:
     """Lines for a terminal, without a newline at the end."""
     rows = found.rows()
     width = max(len(label) for label, _, _ in rows)

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from sboc_e2e.files.atomic import write_text
 from sboc_e2e.icd.flags import StreakFlag
-from sboc_e2e.outside.found import DIRECTIONS, Found
+from sboc_e2e.outside.found import DIRECTIONS, RunFound
 from sboc_e2e.report import pictures
 from sboc_e2e.report.page import simple_page
 from sboc_e2e.view.run_frames import ShownFrame, is_published
@@ -26,7 +26,7 @@ LOOKS_LIKE: Final = {
 }
 
 
-def write_report(found: Found) -> Path:
+def write_report(found: RunFound) -> Path:
     """The page of a run of `sboc process`."""
     run_dir = found.run.path
     shown, cutouts = _pictures(found)
@@ -64,7 +64,7 @@ def _list(title: str, sentences: Sequence[str]) -> Iterator[str]:
         yield f"<h2>{title}</h2><ul>" + "".join(f"<li>{escape(sentence)}</li>" for sentence in sentences) + "</ul>"
 
 
-def _pictures(found: Found) -> tuple[list[str], list[str]]:
+def _pictures(found: RunFound) -> tuple[list[str], list[str]]:
     """Previews of frames, and cut-outs of published streaks with the highest S/N first."""
     frames = list(found.run)
     frames.sort(key=lambda frame: (-sum(is_published(s) for s in frame.streaks), frame.number))
@@ -122,7 +122,7 @@ def _cutout(frame: ShownFrame, streak: Any, image: NDArray[np.float32]) -> str:
     return f"<div class='case'><img src='{uri}' alt='{words}'>{words}<br><small>{float(streak['length_px']):.0f} px</small></div>"
 
 
-def _streak_table(found: Found) -> Iterator[str]:
+def _streak_table(found: RunFound) -> Iterator[str]:
     names = ("frame", "streak_id", "row_mid", "col_mid", "length_px", "angle_deg", "snr", "probability", "mag", "tracklet_id")
     heads = ("frame", "streak", "row", "column", "length (px)", "angle (deg)", "S/N", "probability", "V", "tracklet", "verdict")
     streaks = found.run.streaks

@@ -23,7 +23,7 @@ from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.products import StreakFit
 from sboc_e2e.icd.signals import Detection, DetectorView, StarList
 from sboc_e2e.icd.work import Work
-from sboc_e2e.outside.found import Found
+from sboc_e2e.outside.found import RunFound
 from sboc_e2e.outside.limits import work_meter
 from sboc_e2e.outside.look_alikes import CountingChain, Dark, look_alikes, seen_of, shape_of
 from sboc_e2e.outside.process import base_document
@@ -56,7 +56,7 @@ def test_a_frame_with_dust_rings_has_look_alikes_and_its_weak_lines_are_not_publ
     assert table["frame"][one] == 1
     assert length[one] == pytest.approx(476.3, abs=6.0)
     assert len(table) >= 4, "the frames hold lines to be judged"
-    (row,) = (row for row in Found.of(tmp_path / "out").rows() if "look-alikes" in row[0])
+    (row,) = (row for row in RunFound.of(tmp_path / "out").rows() if "look-alikes" in row[0])
     assert row[1] == str(sum(each["all"] for each in counts))
     assert "at S/N >= 10, 0 at S/N >= 20" in row[2] or "at S/N >= 20" in row[2]
 

@@ -10,7 +10,7 @@ from functools import cached_property, partial
 
 import numpy as np
 
-from sboc_e2e.outside import beside
+from sboc_e2e.outside import second_processor
 from sboc_e2e.outside.border_slopes import WithoutSlopes
 from sboc_e2e.outside.fits_frames import FitsFolder
 from sboc_e2e.outside.fixed_pattern import MutuallyCalibrated
@@ -40,7 +40,7 @@ class FirstFrame:
         frames = calibrated.frames()
         if not isinstance(source, FitsFolder):
             return cls(source=calibrated, is_beside=False, _others=frames, _read=partial(next, frames))
-        is_beside = beside.is_worth(source.places[0].rows * source.places[0].cols)
+        is_beside = second_processor.is_worth(source.places[0].rows * source.places[0].cols)
         if is_beside and source.n_frames == 1:
             source.open_first()
             pool = ThreadPoolExecutor(max_workers=1)
@@ -62,7 +62,7 @@ class FirstFrame:
     def star_sigma_px(self) -> Callable[[], float | None]:
         """Begin to measure the width of the stars; what waits for it. It gives None where they do not tell it."""
         pixels = np.asarray(self.frame.frame.pixels, dtype=np.float32)
-        return (beside.forked if self.is_beside else partial)(star_sigma_px, pixels)
+        return (second_processor.forked if self.is_beside else partial)(star_sigma_px, pixels)
 
     def frames(self) -> Iterator[SourcedFrame]:
         """All frames, once; this one forgets its own."""

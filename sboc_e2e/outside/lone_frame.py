@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from sboc_e2e.outside import beside
+from sboc_e2e.outside import second_processor
 from sboc_e2e.outside.first_frame import FirstFrame
 from sboc_e2e.outside.fits_frames import FitsFolder, wcs_of
 from sboc_e2e.outside.memory import keep_freed_memory, uncollected
@@ -33,10 +33,10 @@ def begun(source: FitsFolder, *, alone: bool, guessed: bool) -> "Iterator[LoneFr
     source without frames.
     """
     places = source.places
-    if not (alone and len(places) == 1 and beside.is_worth(places[0].rows * places[0].cols)):
+    if not (alone and len(places) == 1 and second_processor.is_worth(places[0].rows * places[0].cols)):
         yield FirstFrame.of(source)
         return
-    with beside.companion(_aboard, source, guessed) as aboard:
+    with second_processor.companion(_aboard, source, guessed) as aboard:
         yield LoneFrame(source, aboard)
 
 
@@ -45,7 +45,7 @@ class LoneFrame:
 
     threaded = False
 
-    def __init__(self, source: FitsFolder, aboard: beside.Companion) -> None:
+    def __init__(self, source: FitsFolder, aboard: second_processor.Companion) -> None:
         self.source = source
         self._aboard = aboard
 

@@ -39,7 +39,7 @@ from sboc_e2e.icd.frame import NominalCamera
 from sboc_e2e.icd.results import check_detections
 from sboc_e2e.icd.signals import Detection, DetectorView
 from sboc_e2e.icd.steps import Detector
-from sboc_e2e.outside import beside
+from sboc_e2e.outside import second_processor
 from sboc_e2e.outside.limits import work_meter
 from sboc_e2e.outside.short_axis import short_axis_px
 from sboc_e2e.outside.star_lines import stars_as_lines
@@ -324,8 +324,8 @@ class CountingChain(OnboardChain):
         view = prepared.view
         if not prepared.usable:
             return super().judge(state, prepared)
-        worth = isinstance(self._detector, LineIntegralDetector) and beside.is_worth(view.mask.size)
-        with beside.threaded(worth=worth) as begin:
+        worth = isinstance(self._detector, LineIntegralDetector) and second_processor.is_worth(view.mask.size)
+        with second_processor.threaded(worth=worth) as begin:
             dark = begin(Dark.of, self._detector, view)
             after, result = super().judge(state, prepared)
             found = result.detections

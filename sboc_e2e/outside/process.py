@@ -8,7 +8,7 @@ from ground.astrometry import lost_in_space
 from ground.vetting.short_lines import SHORTEST_PX
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.files import calibration_files
-from sboc_e2e.outside import beside
+from sboc_e2e.outside import second_processor
 from sboc_e2e.outside.aboard import InTurn, Orders
 from sboc_e2e.outside.camera import camera_of_preset, focal_px_by_stars, refuse_narrow_field
 from sboc_e2e.outside.first_frame import FirstFrame
@@ -81,7 +81,7 @@ def process(
     half.begin(Orders(options=scenario.onboard, steps=steps, run_id=run_id(scenario.document()), known=known, run=directory))
     from sboc_e2e.run.ground_stage import GroundStage, Outside, ground_chain  # while the frame is processed on board
 
-    with beside.threaded(worth=half.threaded) as begin:
+    with second_processor.threaded(worth=half.threaded) as begin:
         files = begin(_files, scenario)
         manifest = Manifest.of(directory.manifest, scenario)
         catalogue = files()

@@ -21,7 +21,7 @@ from sboc_e2e import scenario as scenarios
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.checks import synthetic_view
 from sboc_e2e.icd.errors import SbocError, UserError
-from sboc_e2e.outside import beside, fits_frames
+from sboc_e2e.outside import fits_frames, second_processor
 from sboc_e2e.outside.fits_frames import FitsFolder
 from sboc_e2e.outside.ground_rehearsal import rehearse
 from sboc_e2e.outside.limits import work_meter
@@ -33,12 +33,12 @@ from tests.fuzz.outside import run
 
 
 def test_a_forked_call_gives_what_the_call_gives() -> None:
-    assert beside.forked(sorted, [3, 1, 2])() == [1, 2, 3]
+    assert second_processor.forked(sorted, [3, 1, 2])() == [1, 2, 3]
 
 
 def test_a_call_that_fails_beside_fails_here() -> None:
     with pytest.raises(ZeroDivisionError):
-        beside.forked(divmod, 1, 0)()
+        second_processor.forked(divmod, 1, 0)()
 
 
 def test_a_call_whose_process_is_ended_is_made_here() -> None:
@@ -49,7 +49,7 @@ def test_a_call_whose_process_is_ended_is_made_here() -> None:
             os._exit(1)
         return 7
 
-    assert beside.forked(other_than_here)() == 7
+    assert second_processor.forked(other_than_here)() == 7
 
 
 def counted(end: int) -> Iterator[int]:
@@ -81,7 +81,7 @@ def stubborn(_heard: Callable[[], object]) -> Iterator[int]:
 
 
 def test_a_companion_replies_to_what_it_is_told() -> None:
-    with beside.companion(doubled) as other:
+    with second_processor.companion(doubled) as other:
         other.tell(3)
         other.tell(4)
         assert [other.reply(), other.reply()] == [6, 8]
@@ -89,7 +89,7 @@ def test_a_companion_replies_to_what_it_is_told() -> None:
 
 
 def test_what_goes_wrong_in_a_companion_goes_wrong_here_with_its_traceback() -> None:
-    with beside.companion(lambda _heard: counted(2)) as other:
+    with second_processor.companion(lambda _heard: counted(2)) as other:
         assert [other.reply(), other.reply()] == [0, 1]
         with pytest.raises(UserError, match=r"^no more") as caught:
             other.reply()
@@ -98,7 +98,7 @@ def test_what_goes_wrong_in_a_companion_goes_wrong_here_with_its_traceback() -> 
 
 @pytest.mark.parametrize(("function", "said"), [(stubborn, "^Stubborn: 1 and 2$"), (ended, "ended from outside .exit code -9")])
 def test_a_companion_that_cannot_say_what_went_wrong_is_an_error_of_one_line(function: Any, said: str) -> None:
-    with beside.companion(function) as other:
+    with second_processor.companion(function) as other:
         assert other.reply() == 1
         other.tell("go on")
         with pytest.raises(SbocError, match=said):
@@ -116,7 +116,7 @@ def test_a_companion_ends_with_the_process_that_waits_for_it(tmp_path: Path) -> 
 
 
 def _left_alone(path: Path) -> None:
-    with beside.companion(_silent, path) as other:
+    with second_processor.companion(_silent, path) as other:
         other.reply()
 
 
@@ -199,10 +199,12 @@ def test_products_do_not_depend_on_what_is_done_beside(
     monkeypatch.setattr(fits_frames, "read_frame", lambda *given, **more: (read.append(given[1]), read_frame(*given, **more))[1])
     ingest = {}
     for worth in (True, False):
-        monkeypatch.setattr(beside, "is_worth", lambda n_pixels, worth=worth: worth and n_pixels >= beside.LEAST_PX)
+        monkeypatch.setattr(
+            second_processor, "is_worth", lambda n_pixels, worth=worth: worth and n_pixels >= second_processor.LEAST_PX
+        )
         ingest[worth] = run(tmp_path / "in", tmp_path / f"{worth}")
     assert read == [0, 0]
-    monkeypatch.setattr(beside, "is_worth", lambda n_pixels: n_pixels >= beside.LEAST_PX)
+    monkeypatch.setattr(second_processor, "is_worth", lambda n_pixels: n_pixels >= second_processor.LEAST_PX)
     with begun(FitsFolder(path=tmp_path / "in"), alone=True, guessed=True) as first:
         assert isinstance(first, LoneFrame)
         run(tmp_path / "in", tmp_path / "alone", first)

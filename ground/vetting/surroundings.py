@@ -45,6 +45,10 @@ OF_LINE: Final = slice(24, 72)
 WITHIN: Final = slice(28, 68)
 BEFORE: Final = slice(4, 20)
 BEHIND: Final = slice(76, 92)
+SIDES: Final = (slice(0, 11), slice(21, 32))
+"""Rows of the wide strip on both sides of its line."""
+OFF_LINE: Final = np.r_[0:28, 36:64]
+"""Rows of the square off its line, which runs along the middle: peaks within four samples of it may be the line's own."""
 LEAST_LIGHT: Final = 0.2
 """Light of a line counts as this much at least where it is divided by; in the units of samples."""
 SMALL: Final = 0.02
@@ -172,7 +176,7 @@ def numbers_of(picture: Picture, ends: Sequence[float]) -> NDArray[np.float64]:
     own, wide, square = _own_strip(picture, axes), _wide_strip(picture, axes), _square(picture, axes)
     light, own_light = _light(own)
     wide_light, wide_mean = _light(wide)
-    beside = wide[:11], wide[21:]
+    beside = [wide[side] for side in SIDES]
     level, steep = (sum(float(np.abs(np.diff(side, axis=axis)).mean()) for side in beside) for axis in (1, 0))
     highest = ndimage.maximum_filter(square, 3) == square
     peaks = highest & (square - ndimage.median_filter(square, 7) > PEAK_SIGMAS)
@@ -185,7 +189,7 @@ def numbers_of(picture: Picture, ends: Sequence[float]) -> NDArray[np.float64]:
             math.log((level + SMALL) / (steep + SMALL)),
             float(light[WITHIN].std()) / own_light,
             math.log(float(ndimage.gaussian_gradient_magnitude(square, LARGE_SAMPLES).mean()) + 0.5 * SMALL),
-            math.log1p(int(peaks[:28].sum()) + int(peaks[36:].sum())),
+            math.log1p(int(peaks[OFF_LINE].sum())),
             float(min(*place, *(1.0 - place))),
         ]
     )

@@ -8,6 +8,7 @@ short trails either.
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import compress
 from typing import Final
 
@@ -153,6 +154,178 @@ class OwnEvidence:
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class _Optics:
+    """How sharp the lines of a frame are.
+
+    sharpness : ln of each width over that of the optics, NaN where nothing tells these. by_stars : whether stars tell the optics,
+    and no long light is sharper.
+    """
+
+    sharpness: list[float]
+    by_stars: bool
+
+    @property
+    def no_light(self) -> NDArray[np.bool_]:
+        """Which lines (n,) are too sharp to be light."""
+        return np.less(self.sharpness, SHARPEST_LIGHT) & self.by_stars
+
+    def tracks(self, fits: Sequence[StreakFit]) -> NDArray[np.float64]:
+        """Odds (n,) of a particle's track for the lines that are sharper than the optics; infinite where they are no light."""
+        sharp = [self.by_stars and each < SHARP for each in self.sharpness]
+        return np.where(self.no_light, np.inf, odds_of_particles(fits, sharp))
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class _Lines:
+    """Lines of a frame, with what is known of them, and the rules that make probabilities of it, in the order of their use.
+
+    fits : as they were measured. sharp, frame : they and their frame, with optics as sharp as the short axis of its stars.
+    known : what the frame itself says. short : (n,) what may be a blend of stars. own : (n,) the vetter's probabilities.
+    contrasts : of what may be a trail, where there are tiles. stars : motion of the stars where they are lines.
+    """
+
+    fits: Sequence[StreakFit]
+    sharp: Sequence[StreakFit]
+    frame: DownlinkFrame
+    known: OwnEvidence
+    short: NDArray[np.bool_]
+    own: NDArray[np.float64]
+    contrasts: Sequence[Contrast | None]
+    stars: StarMotion | None
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns of the frame."""
+        return self.frame.header.rows, self.frame.header.cols
+
+    @property
+    def round_stars(self) -> bool:
+        """Whether the frame has stars that are points, which told its PSF."""
+        return self.frame.psf_sigma_px is not None
+
+    @cached_property
+    def borders(self) -> NDArray[np.float64]:
+        """Odds (n,) of lines along a border of what was seen."""
+        seen = self.known.seen
+        return np.array([0.0 if seen is None else against_border(fit, seen) for fit in self.fits])
+
+    @cached_property
+    def spikes(self) -> NDArray[np.float64]:
+        """Odds (n,) of arms of stars whose arms show in the picture."""
+        crosses = self.known.crosses
+        return np.array([0.0 if crosses is None else crosses.against(fit) for fit in self.fits])
+
+    def possible(self) -> NDArray[np.float64]:
+        """Probabilities (n,) by the vetter and by all that speaks against lines, whatever the camera; 0 of refused ones."""
+        refused = self._refused()
+        odds_against = (1.0 - self.own) / np.maximum(self.own, LEAST) + self._against_kinds() + self.borders
+        odds_against = self._with_parallels(odds_against, refused)
+        return np.where((self.own > 0.0) & ~refused, 1.0 / (1.0 + odds_against), 0.0)
+
+    def _against_kinds(self) -> NDArray[np.float64]:
+        """Odds (n,) of the kinds of false lines that the frame shows, those along borders apart."""
+        fits, known = self.fits, self.known
+        against = known.look_alikes.near(fits, self.contrasts) / REAL_DENSITY
+        against = against + np.array([of_spilled_charge(fit) for fit in fits])
+        if not known.alone:
+            against = against + np.array([POINTS_PER_REAL * _is_point(fit) for fit in fits])
+        if known.field is not None:
+            gain = self.frame.header.gain_e_adu or 1.0
+            against = against + np.array([known.field.against(fit, gain) for fit in fits])
+        if known.bright is not None:
+            against = against + np.array([known.bright.against(fit) for fit in fits])
+        against = against + self.spikes
+        return against if self.stars is None else against + against_chains(self.stars, fits)
+
+    def _refused(self) -> NDArray[np.bool_]:
+        """Which lines (n,) no odds save: by the frame's own evidence, too short to be told from stars, or moving as these do."""
+        refused = np.array([self.known.refuses(fit, self.frame) for fit in self.fits])
+        # nothing but its contrast tells a short line from a star
+        untold = [c is None or fit.length_px < SHORTEST_PX for fit, c in zip(self.fits, self.contrasts, strict=True)]
+        refused |= self.short & np.array(untold)
+        if self.stars is not None:
+            refused |= move_as(self.stars, self.fits)
+        return refused
+
+    def _with_parallels(self, odds_against: NDArray[np.float64], refused: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Odds against (n,) with those of parallel lines beside each line that may still be a trail."""
+        tiles, out = self.known.tiles, odds_against.copy()
+        if tiles is None:
+            return out
+        area_px2 = float(self.shape[0] * self.shape[1])
+        trails = [fit for fit, no in zip(self.fits, refused, strict=True) if not no]
+        for k in np.flatnonzero((odds_against < 1.0 / LEAST_PROBABILITY) & ~refused).tolist():
+            out[k] += against_beside(self.fits[k], tiles, area_px2, trails)
+        return out
+
+    def in_any_camera(self, possible: NDArray[np.float64], tiles: Tiles) -> NDArray[np.float64]:
+        """Probabilities (n,) with the weights across cameras and the rules of the whole frame, of what is possible so far."""
+        told = zip(self.contrasts, possible.tolist(), strict=True)
+        contrasts = [each if p >= LEAST_PROBABILITY else None for each, p in told]
+        about, others = self.known.surroundings.about(self.fits), others_near(self.fits, self.shape)
+
+        def weighed(sharpness: Sequence[float], tracks: NDArray[np.float64]) -> NDArray[np.float64]:
+            return probability_in_any_camera(self.fits, possible, sharpness, contrasts, tracks, others, about)
+
+        optics = self._optics(possible, weighed)
+        given = self._by_light_along(weighed(optics.sharpness, optics.tracks(self.fits)), contrasts, tiles)
+        # such lines win all along them, as trails do: their contrast and length do not outweigh their places
+        at_most = 1.0 / (1.0 + self.borders + self.spikes + optics.no_light / TOO_SHARP)
+        return self._among_others(given, at_most, [1.0 if contrast is None else contrast.wins for contrast in contrasts])
+
+    def _optics(
+        self,
+        possible: NDArray[np.float64],
+        weighed: Callable[[Sequence[float], NDArray[np.float64]], NDArray[np.float64]],
+    ) -> _Optics:
+        """How sharp the optics are by stars and by lines that may be light. weighed : with a sharpness and odds of tracks."""
+        # half lines of video are as long and bright as light, and no optics made them
+        may_tell = (possible > 0.0) & (self.borders < 1.0)
+        psf_sigma_px = self.frame.psf_sigma_px
+        if psf_sigma_px is None:
+            # lines tell how sharp the optics are that the vetter finds likely, and all else but their sharpness
+            else_told = weighed([math.nan] * len(self.fits), np.full(len(self.fits), math.inf))
+            may_tell &= np.minimum(possible, else_told) > LEAST_TELLING
+        sharpest = sharpest_light_px(self.sharp, may_tell.tolist())
+        # stars may be wider than the optics, and long light is not
+        by_stars = psf_sigma_px is not None and psf_sigma_px <= sharpest
+        return _Optics(sharpness=sharpness_of(self.sharp, psf_sigma_px, sharpest), by_stars=by_stars)
+
+    def _by_light_along(
+        self, given: NDArray[np.float64], contrasts: Sequence[Contrast | None], tiles: Tiles
+    ) -> NDArray[np.float64]:
+        """Probabilities (n,) by how the light of each line goes along and beside it: 0 of borders of areas, more of meteors."""
+        out = given.copy()
+        for k in np.flatnonzero(given >= LEAST_PROBABILITY).tolist():
+            # stars rise and fall as meteors do
+            rises = 1.0 if self.short[k] else for_meteor(self.fits[k], tiles, contrasts[k])
+            out[k] = 0.0 if is_border(self.fits[k], tiles) else with_odds(given[k], rises)
+        return out
+
+    def _among_others(
+        self, given: NDArray[np.float64], at_most: NDArray[np.float64], wins: Sequence[float]
+    ) -> NDArray[np.float64]:
+        """Probabilities (n,) by the rules on all lines of a frame together. at_most : (n,) by their places. wins : of contrasts.
+
+        Repeats go before lines are held against each other, and once more after that, where others may have become the likelier.
+        """
+        fits, round_stars = self.fits, self.round_stars
+        given = _once(fits, np.minimum(given, at_most), wins)
+        given = np.where(of_turning_stars(fits, given, self.shape, round_stars=round_stars), 0.0, given)
+        shower = for_radiant(fits, given, self.shape, round_stars=round_stars)
+        given = np.minimum(with_odds(given, shower), at_most)
+        given = given / (1.0 + given * against_short_lines(fits, self.short))
+        if self.known.crosses is not None:
+            given = np.where(self.known.crosses.crossed(fits, given), 0.0, given)
+        return _once(fits, given, wins)
+
+
+def _once(fits: Sequence[StreakFit], given: NDArray[np.float64], wins: Sequence[float]) -> NDArray[np.float64]:
+    """Probabilities (n,), 0 of lines that repeat others."""
+    return np.where(doubled(fits, given, wins), 0.0, given)
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class LookAlikeVetter:
     """Another vetter's probabilities, with the look-alikes of each frame as one more class of what is not real.
 
@@ -167,83 +340,26 @@ class LookAlikeVetter:
         known = self.evidence.get(frame.header.frame)
         if known is None or not fits:
             return self._of_classes(fits, frame)
-        round_stars = frame.psf_sigma_px is not None
+        lines = self._lines(fits, frame, known)
+        possible = lines.possible()
+        return possible if known.tiles is None else lines.in_any_camera(possible, known.tiles)
+
+    def _lines(self, fits: Sequence[StreakFit], frame: DownlinkFrame, known: OwnEvidence) -> _Lines:
+        """The lines of a frame with the vetter's probabilities and their contrasts."""
+        stars = known.stars_among(fits, round_stars=frame.psf_sigma_px is not None)
         sharp = fits
         if known.short_axis_px is not None:
             sharp, frame = as_sharp_as(known.short_axis_px, fits, frame)
         # what may be a blend of stars says nothing of the rates of longer lines
         short = np.array([known.alone and fit.length_px < SHORT_PX for fit in fits], dtype=np.bool_)
-        probability = self._of_classes(sharp, frame)
+        own = self._of_classes(sharp, frame)
         if short.any() and not short.all():
-            probability[~short] = self._of_classes(list(compress(sharp, ~short)), frame)
+            own[~short] = self._of_classes(list(compress(sharp, ~short)), frame)
         contrasts: list[Contrast | None] = [None] * len(fits)
         if known.tiles is not None:
-            contrasts = contrasts_of(fits, probability, known.tiles)
-            probability = as_unmodelled(fits, probability, contrasts)
-        against = known.look_alikes.near(fits, contrasts) / REAL_DENSITY
-        against = against + np.array([of_spilled_charge(fit) for fit in fits])
-        if not known.alone:
-            against = against + np.array([POINTS_PER_REAL * _is_point(fit) for fit in fits])
-        if known.field is not None:
-            gain = frame.header.gain_e_adu or 1.0
-            against = against + np.array([known.field.against(fit, gain) for fit in fits])
-        if known.bright is not None:
-            against = against + np.array([known.bright.against(fit) for fit in fits])
-        spikes = np.array([0.0 if known.crosses is None else known.crosses.against(fit) for fit in fits])
-        against = against + spikes
-        stars = known.stars_among(fits, round_stars=round_stars)
-        if stars is not None:
-            against = against + against_chains(stars, fits)
-        borders = np.array([0.0 if known.seen is None else against_border(fit, known.seen) for fit in fits])
-        odds_against = (1.0 - probability) / np.maximum(probability, LEAST) + against + borders
-        refused = np.array([known.refuses(fit, frame) for fit in fits])
-        # nothing but its contrast tells a short line from a star
-        untold = [c is None or fit.length_px < SHORTEST_PX for fit, c in zip(fits, contrasts, strict=True)]
-        refused |= short & np.array(untold)
-        if stars is not None:
-            refused |= move_as(stars, fits)
-        if known.tiles is not None:
-            area_px2 = float(frame.header.rows * frame.header.cols)
-            trails = [fit for fit, no in zip(fits, refused, strict=True) if not no]
-            for k in np.flatnonzero((odds_against < 1.0 / LEAST_PROBABILITY) & ~refused).tolist():
-                odds_against[k] += against_beside(fits[k], known.tiles, area_px2, trails)
-        given = np.where((probability > 0.0) & ~refused, 1.0 / (1.0 + odds_against), 0.0)
-        tiles = known.tiles
-        if tiles is None:
-            return given
-        contrasts = [each if p >= LEAST_PROBABILITY else None for each, p in zip(contrasts, given.tolist(), strict=True)]
-        shape = frame.header.rows, frame.header.cols
-        about, others = known.surroundings.about(fits), others_near(fits, shape)
-        # half lines of video are as long and bright as light, and no optics made them
-        may_tell = (given > 0.0) & (borders < 1.0)
-        if frame.psf_sigma_px is None:
-            # lines tell how sharp the optics are that the vetter finds likely, and all else but their sharpness
-            unknown, none = [math.nan] * len(fits), np.full(len(fits), math.inf)
-            else_told = probability_in_any_camera(fits, given, unknown, contrasts, none, others, about)
-            may_tell &= np.minimum(given, else_told) > LEAST_TELLING
-        sharpest = sharpest_light_px(sharp, may_tell.tolist())
-        sharpness = sharpness_of(sharp, frame.psf_sigma_px, sharpest)
-        # stars may be wider than the optics, and long light is not
-        by_stars = frame.psf_sigma_px is not None and frame.psf_sigma_px <= sharpest
-        no_light = np.less(sharpness, SHARPEST_LIGHT) & by_stars
-        tracks = np.where(no_light, np.inf, odds_of_particles(fits, [by_stars and each < SHARP for each in sharpness]))
-        given = probability_in_any_camera(fits, given, sharpness, contrasts, tracks, others, about)
-        for k in np.flatnonzero(given >= LEAST_PROBABILITY).tolist():
-            # stars rise and fall as meteors do
-            rises = 1.0 if short[k] else for_meteor(fits[k], tiles, contrasts[k])
-            given[k] = 0.0 if is_border(fits[k], tiles) else with_odds(given[k], rises)
-        # such lines win all along them, as trails do: their contrast and length do not outweigh their places
-        at_most = 1.0 / (1.0 + borders + spikes + no_light / TOO_SHARP)
-        given = np.minimum(given, at_most)
-        stands_out = [1.0 if contrast is None else contrast.wins for contrast in contrasts]
-        given = np.where(doubled(fits, given, stands_out), 0.0, given)
-        given = np.where(of_turning_stars(fits, given, shape, round_stars=round_stars), 0.0, given)
-        shower = for_radiant(fits, given, shape, round_stars=round_stars)
-        given = np.minimum(with_odds(given, shower), at_most)
-        given = given / (1.0 + given * against_short_lines(fits, short))
-        if known.crosses is not None:
-            given = np.where(known.crosses.crossed(fits, given), 0.0, given)
-        return np.where(doubled(fits, given, stands_out), 0.0, given)
+            contrasts = contrasts_of(fits, own, known.tiles)
+            own = as_unmodelled(fits, own, contrasts)
+        return _Lines(fits=fits, sharp=sharp, frame=frame, known=known, short=short, own=own, contrasts=contrasts, stars=stars)
 
     def _of_classes(self, fits: Sequence[StreakFit], frame: DownlinkFrame) -> NDArray[np.float64]:
         """The other vetter's probabilities (len(fits),), an array of their own."""

@@ -177,6 +177,16 @@ def test_point_like_mover_is_found_and_flagged() -> None:
     assert found[0].flags & StreakFlag.POINT_LIKE
 
 
+def test_two_judgements_of_one_search_give_what_each_gives_alone() -> None:
+    """The first one marks the short trails that it finds, and the second one passed over them."""
+    scene, history = star_scene(8, [Streak(row0=700.0, col0=300.0, row1=700.0, col1=308.0, snr=40.0)])
+    found = found_in(scene, history)
+    assert any(abs(d.row0 - 700.0) < 2.0 for d in found)
+    in_white_noise, again = LineIntegralDetector().detect_in_white_noise(view_of(scene, frame=1, history=history))
+    assert again == found
+    assert set(again) <= set(in_white_noise)
+
+
 @pytest.mark.parametrize("snr", [100.0, 300.0])
 def test_bright_slow_mover_is_found_by_its_shift(snr: float) -> None:
     """One pixel per frame at S/N 100 and more: its light overlaps that of the frame before."""

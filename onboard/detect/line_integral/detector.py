@@ -145,7 +145,8 @@ class LineIntegralDetector:
         if lines is None:
             return (), ()
         work = replace(view.work, done=dict(view.work.done), shed=dict(view.work.shed))
-        in_white_noise = self._judged(view, lines, noise_beside=False)
+        own_mask = replace(lines, images=replace(lines.images, blocked=lines.images.blocked.copy()))
+        in_white_noise = self._judged(view, own_mask, noise_beside=False)
         return in_white_noise, self._judged(replace(view, work=work), lines) if in_white_noise else ()
 
     def search(self, view: DetectorView, seed_sigma: float) -> tuple[tuple[Detection, ...], Searched]:
@@ -173,7 +174,7 @@ class LineIntegralDetector:
         if motion is None:
             images = working_images(view, earlier, halo_px=self.halo_px)
         else:
-            images = trailed_sky.working_images(view, motion)
+            images = trailed_sky.working_images(view, motion, halo_px=self.halo_px)
         n_sigma = self.n_sigma + math.log10(max(1.0, len(images.new) / STORM_ENTRIES))
         usable = max(0.01, 1.0 - float(np.mean(images.blocked[::4, ::4] != 0)))
         taps = whiten.even_taps(s_px)
@@ -226,7 +227,10 @@ class LineIntegralDetector:
         return _Lines(images=images, smooth=smooth, earlier=earlier, n_sigma=n_sigma, table=table, seeds=seeds)
 
     def _judged(self, view: DetectorView, lines: "_Lines", *, noise_beside: bool = True) -> tuple[Detection, ...]:
-        """Detections among the lines of a view, whose images stay as they are. noise_beside : whether `local_noise` judges."""
+        """Detections among the lines of a view. noise_beside : whether `local_noise` judges.
+
+        Where an earlier frame lets short trails be found they are marked in the mask of the lines.
+        """
         images, earlier, n_sigma, table = lines.images, lines.earlier, lines.n_sigma, lines.table
         s_px, motion = view.psf_sigma_px, view.stars.motion
         if noise_beside:

@@ -42,8 +42,11 @@ SIDE_SHARE: Final = 0.2
 NOT_AN_OBJECT: Final = int(StarFlag.TRAILED | StarFlag.EDGE | StarFlag.BLENDED | StarFlag.DEFECT | StarFlag.SATURATED)
 
 
-def working_images(view: DetectorView, motion: StarMotion) -> WorkingImages:
-    """Noise-normalised image of a view without the trails of its stars, and without the points, which are `new`."""
+def working_images(view: DetectorView, motion: StarMotion, *, halo_px: float) -> WorkingImages:
+    """Noise-normalised image of a view without the trails of its stars, and without the points, which are `new`.
+
+    halo_px : growth of the masks of bright points, see `star_mask.mask_radii_px`.
+    """
     stars, psf_sigma_px = view.stars, view.psf_sigma_px
     image = whiten.quantise(view.residual_adu, view.mask, view.background.sigma_adu, view.background.tile_px)
     blocked = whiten.unusable(view.mask)
@@ -76,7 +79,7 @@ def working_images(view: DetectorView, motion: StarMotion) -> WorkingImages:
     )
     sharp |= (stars.flags[new] & int(StarFlag.COSMIC_LIKE)) != 0
     still = np.flatnonzero(~trailed & ~across)
-    radii = star_mask.mask_radii_px(stars.snr[still], psf_sigma_px, 1.0)
+    radii = star_mask.mask_radii_px(stars.snr[still], psf_sigma_px, halo_px)
     whiten.blank_discs(image, blocked, stars.row[still], stars.col[still], radii)
     image[blocked != 0] = 0
     level = whiten.local_level(image, blocked, TILE_PX)

@@ -65,12 +65,27 @@ LEAST_TELLING: Final = 0.1
 sharpness. A band along the rim of a fisheye, 7 px wide and of 0.016 by the vetter, was the only line that told, and nine meteors
 of 0.3 to 0.6 px were refused as too sharp. So were eleven beside the ridge of a hill, 5 px wide, of 0.14 and 0.03."""
 
+LEAST_SNR: Final = 7.0
+"""Fainter lines of a frame that stands alone are refused: white noise has 0.1 of this S/N in 4096 x 4096 px. The detector asks
+for 7.2, but a fit may find less light than it. Of 300 frames of others two had such a line with 0.5 or more, neither on a trail."""
+
 SHARPEST_LIGHT: Final = -1.0
 """Ln of width over that of the stars, below which a line is no light of optics that are sharper than these told. Of 29 such
 lines in 371 frames of others one lies on a trail; published trails go down to -0.73. Tracks of particles beside stars of FWHM
 2 px have -1.1. Two columns of a raw frame, 0.05 px wide, had p of 0.64 and 0.98 while its drawn-out stars told a PSF."""
 TOO_SHARP: Final = 0.03
 """Probability of such a line, at most: one in 29."""
+
+GALAXY_LN: Final = math.log(3.0)
+"""Ln of width over that of the stars from which a line may be a galaxy seen from its edge, ..."""
+GALAXY_WIDTHS: Final = 40.0
+"""... up to so many widths long: their axes are in the ratio of ten and less. Trails out of focus are near, fast, and longer. Of
+8,556 lines of 368 repositories 1,174 are as wide. Of nine on trails three are as short, one of them a group of stars; no weight
+made any of these likely."""
+GALAXY_SNR: Final = 500.0
+"""Brighter ones are fireballs, which full pixels widen (`ground.vetting.any_camera.GLARING_SNR`)."""
+GALAXIES_PER_REAL: Final = 10.0
+"""Odds of a galaxy against a trail for such a line. Chosen."""
 
 LEAST: Final = 1e-12
 """Keeps the odds finite."""
@@ -90,6 +105,13 @@ def of_spilled_charge(fit: StreakFit) -> float:
     """Odds of spilled charge against a trail: charge of full pixels runs along columns, or rows, and a trail seldom does."""
     full = fit.snr > FULL_SNR or StreakFlag.SATURATED in fit.flags
     return SPILLED_PER_REAL / ALIGNED_SHARE if full and follows_readout(fit.row1 - fit.row0, fit.col1 - fit.col0) else 0.0
+
+
+def of_galaxy(fit: StreakFit, ln_sharpness: float) -> float:
+    """Odds of a galaxy seen from its edge: far wider than stars, shorter than trails out of focus, and all of it in the frame."""
+    whole = not fit.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1)
+    like = ln_sharpness > GALAXY_LN and fit.length_px < GALAXY_WIDTHS * fit.width_px and fit.snr < GALAXY_SNR
+    return GALAXIES_PER_REAL if whole and like else 0.0
 
 
 def _is_point(fit: StreakFit) -> bool:
@@ -169,6 +191,10 @@ class _Optics:
         """Which lines (n,) are too sharp to be light."""
         return np.less(self.sharpness, SHARPEST_LIGHT) & self.by_stars
 
+    def galaxies(self, fits: Sequence[StreakFit]) -> NDArray[np.float64]:
+        """Odds (n,) of galaxies, where stars tell the optics."""
+        return np.array([of_galaxy(fit, ln) if self.by_stars else 0.0 for fit, ln in zip(fits, self.sharpness, strict=True)])
+
     def tracks(self, fits: Sequence[StreakFit]) -> NDArray[np.float64]:
         """Odds (n,) of a particle's track for the lines that are sharper than the optics; infinite where they are no light."""
         sharp = [self.by_stars and each < SHARP for each in self.sharpness]
@@ -238,11 +264,15 @@ class _Lines:
         return against if self.stars is None else against + against_chains(self.stars, fits)
 
     def _refused(self) -> NDArray[np.bool_]:
-        """Which lines (n,) no odds save: by the frame's own evidence, too short to be told from stars, or moving as these do."""
+        """Which lines (n,) no odds save: by the frame's own evidence, too short to be told from stars, as faint as noise, or
+        moving as stars do.
+        """
         refused = np.array([self.known.refuses(fit, self.frame) for fit in self.fits])
         # nothing but its contrast tells a short line from a star
         untold = [c is None or fit.length_px < SHORTEST_PX for fit, c in zip(self.fits, self.contrasts, strict=True)]
         refused |= self.short & np.array(untold)
+        if self.known.alone:
+            refused |= np.array([fit.snr < LEAST_SNR for fit in self.fits])
         if self.stars is not None:
             refused |= move_as(self.stars, self.fits)
         return refused
@@ -270,7 +300,7 @@ class _Lines:
         optics = self._optics(possible, weighed)
         given = self._by_light_along(weighed(optics.sharpness, optics.tracks(self.fits)), contrasts, tiles)
         # such lines win all along them, as trails do: their contrast and length do not outweigh their places
-        at_most = 1.0 / (1.0 + self.borders + self.spikes + optics.no_light / TOO_SHARP)
+        at_most = 1.0 / (1.0 + self.borders + self.spikes + optics.no_light / TOO_SHARP + optics.galaxies(self.fits))
         return self._among_others(given, at_most, [1.0 if contrast is None else contrast.wins for contrast in contrasts])
 
     def _optics(

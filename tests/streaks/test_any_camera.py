@@ -10,13 +10,14 @@ from ground.streaks import TrailedPsfFitter
 from ground.vetting import any_camera
 from ground.vetting.any_camera import UNMODELLED_SNR, USUAL, as_unmodelled, contrasts_of, others_near, probability_in_any_camera
 from ground.vetting.contrast import TILE_PX, Contrast, Tiles
-from ground.vetting.look_alikes import TOO_SHARP
+from ground.vetting.look_alikes import TOO_SHARP, of_galaxy
 from ground.vetting.particles import SHORTEST_PX, THICKNESS_PX, odds_of_particles
 from ground.vetting.repeated import doubled
+from sboc_e2e.icd.flags import StreakFlag
 from sboc_e2e.icd.products import StreakFit
 from tests.benchmarks.any_camera_weights import TERMS, Judged, Lines, fitted, judged, out_of_camera
 from tests.streaks.impostors import draw
-from tests.streaks.lit_lines import EVEN, SHAPE, fit_of_a_trail, lit, placed
+from tests.streaks.lit_lines import EVEN, METEOR, SHAPE, fit_of_a_trail, lit, placed
 from tests.streaks.lit_lines import judged as judged_in_frame
 
 SIDE_PX = 200
@@ -262,3 +263,15 @@ def test_tracks_far_sharper_than_the_stars_are_not_published_however_well_they_s
     picture = lit(track, EVEN, 60.0)
     assert judged_in_frame((0.42,), [track], picture, 0.88)[0] <= TOO_SHARP
     assert judged_in_frame((0.42,), [track], picture, 0.5)[0] > TOO_SHARP
+
+
+def test_a_wide_short_line_among_sharp_stars_may_be_a_galaxy() -> None:
+    """NGC 4656, 215 px long and six times as wide as the stars, had p 0.75. Trails out of focus were 180 to 390 widths long."""
+    galaxy = placed(fit_of_a_trail(), (100.0, 100.0, 130.0, 300.0), 6.0, 320.0)
+    light = lit(galaxy, METEOR, 30.0)
+    assert judged_in_frame((0.5,), [galaxy], light, 1.0)[0] < 0.1
+    assert judged_in_frame((0.5,), [galaxy], light)[0] > 0.5, "nothing tells that the stars are sharper"
+    assert of_galaxy(galaxy, math.log(6.0)) > 0.0
+    cut = replace(galaxy, flags=galaxy.flags | StreakFlag.EDGE0)
+    others = replace(galaxy, snr=600.0), replace(galaxy, col1=400.0), replace(galaxy, width_px=3.0), cut
+    assert [of_galaxy(fit, math.log(fit.width_px)) for fit in others] == [0.0, 0.0, 0.0, 0.0]

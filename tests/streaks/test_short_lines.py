@@ -123,3 +123,12 @@ def test_where_stars_are_told_from_movers_short_lines_are_as_others(drawn: Strea
     assert few[0] > 0.3
     just_long = replace(short, col1=short.col1 + 6.0)
     assert judged([just_long], lit(just_long, EVEN, 30.0))[0][0] > 0.5
+
+
+def test_a_line_as_faint_as_noise_is_refused_where_no_other_frame_tells(drawn: StreakFit) -> None:
+    """A chain of galaxies, found by its stars' light, had S/N 6.5 in the fit and p 0.67."""
+    for snr, published in ((6.5, False), (9.0, True)):
+        fit = line(drawn, 120.0, width_px=0.9, snr=snr)
+        assert (judged([fit], lit(fit, EVEN, 30.0))[0][0] > 0.5) == published
+    faint = line(drawn, 120.0, width_px=0.9, snr=6.5)
+    assert judged([faint], lit(faint, EVEN, 30.0), alone=False)[0][0] > 0.0

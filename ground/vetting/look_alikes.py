@@ -24,6 +24,7 @@ from ground.vetting.beside import against_beside
 from ground.vetting.borders import against_border
 from ground.vetting.contrast import Contrast, Tiles
 from ground.vetting.crosses import Crosses
+from ground.vetting.galaxies import of_galaxy
 from ground.vetting.likelihood import sharpest_light_px, sharpness_of
 from ground.vetting.meteors import for_meteor
 from ground.vetting.particles import SHARP, odds_of_particles
@@ -67,7 +68,7 @@ of 0.3 to 0.6 px were refused as too sharp. So were eleven beside the ridge of a
 
 LEAST_SNR: Final = 7.0
 """Fainter lines of a frame that stands alone are refused: white noise has 0.1 of this S/N in 4096 x 4096 px. The detector asks
-for 7.2, but a fit may find less light than it. Of 300 frames of others two had such a line with 0.5 or more, neither on a trail."""
+for 7.2, but a fit may find less light than it. Of 300 frames of others two had such a line with 0.5 or more, none a trail."""
 
 SHARPEST_LIGHT: Final = -1.0
 """Ln of width over that of the stars, below which a line is no light of optics that are sharper than these told. Of 29 such
@@ -75,17 +76,6 @@ lines in 371 frames of others one lies on a trail; published trails go down to -
 2 px have -1.1. Two columns of a raw frame, 0.05 px wide, had p of 0.64 and 0.98 while its drawn-out stars told a PSF."""
 TOO_SHARP: Final = 0.03
 """Probability of such a line, at most: one in 29."""
-
-GALAXY_LN: Final = math.log(3.0)
-"""Ln of width over that of the stars from which a line may be a galaxy seen from its edge, ..."""
-GALAXY_WIDTHS: Final = 40.0
-"""... up to so many widths long: their axes are in the ratio of ten and less. Trails out of focus are near, fast, and longer. Of
-8,556 lines of 368 repositories 1,174 are as wide. Of nine on trails three are as short, one of them a group of stars; no weight
-made any of these likely."""
-GALAXY_SNR: Final = 500.0
-"""Brighter ones are fireballs, which full pixels widen (`ground.vetting.any_camera.GLARING_SNR`)."""
-GALAXIES_PER_REAL: Final = 10.0
-"""Odds of a galaxy against a trail for such a line. Chosen."""
 
 LEAST: Final = 1e-12
 """Keeps the odds finite."""
@@ -105,13 +95,6 @@ def of_spilled_charge(fit: StreakFit) -> float:
     """Odds of spilled charge against a trail: charge of full pixels runs along columns, or rows, and a trail seldom does."""
     full = fit.snr > FULL_SNR or StreakFlag.SATURATED in fit.flags
     return SPILLED_PER_REAL / ALIGNED_SHARE if full and follows_readout(fit.row1 - fit.row0, fit.col1 - fit.col0) else 0.0
-
-
-def of_galaxy(fit: StreakFit, ln_sharpness: float) -> float:
-    """Odds of a galaxy seen from its edge: far wider than stars, shorter than trails out of focus, and all of it in the frame."""
-    whole = not fit.flags & (StreakFlag.EDGE0 | StreakFlag.EDGE1)
-    like = ln_sharpness > GALAXY_LN and fit.length_px < GALAXY_WIDTHS * fit.width_px and fit.snr < GALAXY_SNR
-    return GALAXIES_PER_REAL if whole and like else 0.0
 
 
 def _is_point(fit: StreakFit) -> bool:

@@ -10,7 +10,8 @@ from ground.streaks import TrailedPsfFitter
 from ground.vetting import any_camera
 from ground.vetting.any_camera import UNMODELLED_SNR, USUAL, as_unmodelled, contrasts_of, others_near, probability_in_any_camera
 from ground.vetting.contrast import TILE_PX, Contrast, Tiles
-from ground.vetting.look_alikes import TOO_SHARP, of_galaxy
+from ground.vetting.galaxies import of_galaxy
+from ground.vetting.look_alikes import TOO_SHARP
 from ground.vetting.particles import SHORTEST_PX, THICKNESS_PX, odds_of_particles
 from ground.vetting.repeated import doubled
 from sboc_e2e.icd.flags import StreakFlag

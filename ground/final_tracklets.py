@@ -97,12 +97,14 @@ def final_tracklet(
             own,
             lambda frame: run.products[place[frame]].solution,
             pixels_of,
-            lambda frame: run.rates[place[frame]].sigma_rad_s,
+            lambda frame: run.sigma_rate_arcsec_s(place[frame]) * ARCSEC_RAD,
             run.end_shake,
         )
     frames = [run.products[k] for k in at]
     _, frame_s = _exposure_and_step_s(run.headers)
-    members, foretold = with_track_errors(members, {header.frame: header for header in own}, frame_s)
+    # errors are shared by number: windows of a track have numbers of their own beside the motions of a joint fit
+    first = 1 + max((group for group, _ in shared.values()), default=-1)
+    members, foretold = with_track_errors(members, {header.frame: header for header in own}, frame_s, first)
     placed = [_placed(member, frame, cut.get(member.streak_id)) for member, frame in zip(members, frames, strict=True)]
     shared |= {
         streak.streak_id: _in_arcsec(foretold[streak.streak_id], streak, frame)

@@ -102,7 +102,7 @@ class OnboardChain:
         residual, mask = self._buffers(frame.pixels.shape)
         counts = to_counts(replace(frame, header=header), self._calibration_of(header), mask)
         mark_dead_area(mask, counts.pixels, counts.saturation)
-        state.hot_pixels.mark(mask)
+        state.hot_pixels.in_window(header).mark(mask)
         view, sums, n_masked = calibrated_view(
             header,
             counts,
@@ -174,7 +174,7 @@ class OnboardChain:
         after = OnboardState(
             writer=outbox.writer,
             allowance=outbox.allowance,
-            hot_pixels=state.hot_pixels.after(view.stars, view.mask.shape) if usable else state.hot_pixels,
+            hot_pixels=state.hot_pixels.in_window(header).after(view.stars, view.mask.shape) if usable else state.hot_pixels,
             previous=header,
             history=history,
             recent=(*state.recent, detections)[-RECENT_FRAMES:] if usable else state.recent,

@@ -318,7 +318,9 @@ def _moved(trail: PlacedTrail, units: Array, plane: _Plane, line: Array, covaria
         sigma_cross_px=float(np.sqrt(shared.mean()) * np.linalg.norm(middle)),
         flags=fit.flags | StreakFlag.REFIT,
     )
-    placed = replace(placed, flux_e=fit.flux_e + _light_gained(trail, placed))
+    flux_e = fit.flux_e + _light_gained(trail, placed)
+    # a flash that the light on the line does not hold was noise beside it
+    placed = replace(placed, flux_e=flux_e, flash_e=fit.flash_e if fit.flash_e < flux_e else 0.0)
     row_mid, col_mid = middle_of(placed)
     return replace(streak, fit=placed, row_mid=row_mid, col_mid=col_mid, flags=streak.flags | StreakFlag.REFIT)
 

@@ -26,15 +26,16 @@ SAME_WINDOW_FRAMES: Final = 7
 
 
 def with_track_errors(
-    members: Sequence[StreakMeasurement], headers: Mapping[int, FrameHeader], frame_s: float
+    members: Sequence[StreakMeasurement], headers: Mapping[int, FrameHeader], frame_s: float, first: int = 0
 ) -> tuple[list[StreakMeasurement], dict[int, tuple[int, Array]]]:
     """Members, those that a track foretold with its errors at their epochs; of these the window's number and shared errors.
 
-    members : of one tracklet, in order of time. frame_s : time from frame to frame. The shared errors (2, 3) are in px; both
+    members : of one tracklet, in order of time. frame_s : time from frame to frame. first : number of the first window.
+    The shared errors (2, 3) are in px; both
     rows are alike: of the place in the window's middle, of the way since, and none.
     """
     out, shared = list(members), dict[int, tuple[int, Array]]()
-    for number, window in enumerate(_windows(members)):
+    for number, window in enumerate(_windows(members), start=first):
         last = members[window[-1]]
         duration_s = max(last.fit.track_frames * frame_s, 1e-6)
         for k in window:

@@ -14,8 +14,8 @@ from ground.link.motion import N_PARAMETERS
 from ground.link.search import chi2_gate, gain_of
 
 LOG_ODDS: Final = 5.0
-"""Lower limit of the log odds from the joint test on board, whose threshold passes noise in one frame of fifty. What no frame
-shows by itself is judged once more, by its light (`noise_tracks`)."""
+"""Lower limit of the log odds with which a track from board claims its streaks: its joint test passes noise in one frame of
+fifty. What is published are the odds of its motion, or of its light where no frame shows it by itself (`noise_tracks`)."""
 
 
 def tracked_groups(

@@ -34,8 +34,9 @@ def thumbnail(residual: NDArray[np.float32], level: float, sigma: float, cell_px
     """Cells as uint8 with the offset and unit (ADU above the dark) that turn them back into means."""
     shape = (-(-residual.shape[0] // cell_px), -(-residual.shape[1] // cell_px))
     means = np.empty(shape, dtype=np.float32)
-    cell_means(residual, cell_px, ROW_STEP if cell_px >= 4 * ROW_STEP else 1, means)
-    noise = sigma / max(cell_px / math.sqrt(ROW_STEP), 1.0)
+    row_step = ROW_STEP if cell_px >= 4 * ROW_STEP else 1
+    cell_means(residual, cell_px, row_step, means)
+    noise = sigma / max(cell_px / math.sqrt(row_step), 1.0)
     unit = float(np.float32(max(BRIGHT_SIGMA * noise / 255.0, 1e-3)))
     offset = float(np.float32(level - 16.0 * unit))
     return np.clip(np.rint((means + level - offset) / unit), 0, 255).astype(np.uint8), offset, unit

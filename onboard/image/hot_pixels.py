@@ -1,11 +1,12 @@
 """Hot pixels that are in no map, learned over frames: sharp peaks that do not move."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from sboc_e2e.icd.flags import MaskBit, StarFlag
+from sboc_e2e.icd.frame import FrameHeader
 from sboc_e2e.icd.signals import StarList
 
 SIGHTINGS = 3
@@ -14,24 +15,42 @@ SIGHTINGS = 3
 FORGET_FRAMES = 64  # eight sightings' worth of patience. Chosen, not measured
 PATIENCE_FRAMES = 8
 """A candidate is forgotten when it was not seen for 8 frames per sighting, 64 at most: particle hits must not pile up."""
+LOOKED_AT_FRAMES = 61
+"""A learned pixel is masked, so that it cannot be seen. Once in so many frames it is looked at for one frame: one that is hot no
+more goes. Not all are stars again in the same frame, nor those of a column: the number is prime. Chosen."""
 
 CAPACITY = 50_000
 """Room for candidates, those seen most first: 1 MB, three in a thousand of 4096 x 4096 pixels."""
 
 
+def window_of(header: FrameHeader) -> tuple[int, ...]:
+    """What part of the detector a frame shows, and how it is binned."""
+    return header.rows, header.cols, header.window_row0, header.window_col0, header.bin_rows, header.bin_cols
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HotPixels:
-    """Candidates and learned hot pixels. pixel : flat indices, sorted; seen : sightings; last : frame of the last one."""
+    """Candidates and learned hot pixels of one part of the detector.
+
+    pixel : flat indices, sorted; seen : sightings; last : frame of the last one. window : rows, columns, first row and column of
+    the frames, and detector pixels per pixel along both: indices say nothing in another.
+    """
 
     pixel: NDArray[np.int64]
     seen: NDArray[np.int32]
     last: NDArray[np.int64]
     frames: int = 0
+    window: tuple[int, ...] = ()
 
     @classmethod
-    def empty(cls) -> "HotPixels":
+    def empty(cls, window: tuple[int, ...] = ()) -> "HotPixels":
         """Nothing learned yet."""
-        return cls(pixel=np.zeros(0, np.int64), seen=np.zeros(0, np.int32), last=np.zeros(0, np.int64))
+        return cls(pixel=np.zeros(0, np.int64), seen=np.zeros(0, np.int32), last=np.zeros(0, np.int64), window=window)
+
+    def in_window(self, header: FrameHeader) -> "HotPixels":
+        """These, or none where a frame shows another part of the detector."""
+        window = window_of(header)
+        return self if self.window == window else HotPixels.empty(window)
 
     def after(self, stars: StarList, shape: tuple[int, int]) -> "HotPixels":
         """State after a frame whose star list holds peaks sharper than the PSF."""
@@ -44,17 +63,22 @@ class HotPixels:
         known = np.searchsorted(pixel, self.pixel)
         seen[known], last[known] = self.seen, self.last
         fresh = np.searchsorted(pixel, now)
+        looked_at = np.isin(pixel, self.pixel[self.seen >= SIGHTINGS]) & ~np.isin(pixel, self.learned())
+        seen[looked_at] = SIGHTINGS - 1  # and it is hot again where it is seen
         seen[fresh] += 1
         last[fresh] = self.frames
+        hidden = np.isin(pixel, self.learned())
+        last[hidden] = self.frames  # masked ones could not be seen
         keep = self.frames - last < np.minimum(PATIENCE_FRAMES * seen, FORGET_FRAMES)
         if np.count_nonzero(keep) > CAPACITY:
             keep &= seen >= np.partition(seen[keep], -CAPACITY)[-CAPACITY]
         pixel, seen, last = pixel[keep][:CAPACITY], seen[keep][:CAPACITY], last[keep][:CAPACITY]
-        return HotPixels(pixel=pixel, seen=seen, last=last, frames=self.frames + 1)
+        return replace(self, pixel=pixel, seen=seen, last=last, frames=self.frames + 1)
 
     def learned(self) -> NDArray[np.int64]:
-        """Flat indices of pixels taken for hot."""
-        return self.pixel[self.seen >= SIGHTINGS]
+        """Flat indices of pixels taken for hot, without those whose turn it is to be looked at in the next frame."""
+        looked_at = (self.pixel + self.frames) % LOOKED_AT_FRAMES == 0
+        return self.pixel[(self.seen >= SIGHTINGS) & ~looked_at]
 
     def mark(self, defects: NDArray[np.uint8]) -> None:
         """Set `MaskBit.LEARNED_HOT` on the learned pixels of the map of defects."""

@@ -113,6 +113,7 @@ def find_peaks(
     limit = np.empty(cols, dtype=np.float32)
     hits = np.zeros(-(-cols // 8) * 8, dtype=np.uint8)
     words = hits.view(np.uint64)
+    nodes = np.empty(sigma_nodes.shape[1] + 2, dtype=np.float32)  # with one beyond each edge, as `expand_nodes` wants them
     count, held = 0, -1
     for row in range(-1, rows):
         if row + 1 < rows:
@@ -123,7 +124,9 @@ def find_peaks(
             continue
         tile = min(row // tile_px, sigma_nodes.shape[0] - 1)
         if tile != held:
-            expand_nodes(sigma_nodes[tile], tile_px, limit)
+            nodes[1:-1] = sigma_nodes[tile]
+            nodes[0], nodes[-1] = nodes[1], nodes[-2]
+            expand_nodes(nodes, tile_px, limit)
             limit *= np.float32(threshold)
             held = tile
         here, above, below = ring[row % 3], ring[(row + 2) % 3], ring[(row + 1) % 3]

@@ -88,7 +88,7 @@ class JointAndStackTracker(JointTracker):
     def __post_init__(self) -> None:
         if self.box not in ("given", "blind", *KINDS):
             raise UserError(f"onboard.tracker: box = {self.box!r}; allowed are given, {', '.join(KINDS)}, blind")
-        if self.half_row_px_s * self.half_col_px_s == 0.0:
+        if self.box == "given" and self.half_row_px_s * self.half_col_px_s == 0.0:
             raise UserError("onboard.tracker: half_row and half_col of the box of velocities must be above 0 px/s")
         if self.box in KINDS:
             return

@@ -59,3 +59,5 @@ def test_windows_are_apart_and_other_members_stay_as_they_are() -> None:
     assert members[4] is given[4]
     assert 64 not in shared
     assert shared[63][1][0] == pytest.approx(shared[31][1][0])
+    _, later = with_track_errors(given, {k: header(k) for k in frames}, FRAME_S, 3)
+    assert [later[k][0] for k in frames[:4]] == [3, 3, 4, 4], "motions of a joint fit have the first numbers"

@@ -138,3 +138,6 @@ def test_a_window_ends_at_a_break() -> None:
 def test_a_box_of_velocities_that_is_too_large_is_refused() -> None:
     with pytest.raises(UserError, match=r"onboard\.tracker: the box of velocities needs some \d+ sums, 4000 are allowed"):
         JointAndStackTracker(half_row_px_s=12.0, half_col_px_s=12.0)
+    with pytest.raises(UserError, match="must be above 0"):
+        JointAndStackTracker(half_row_px_s=0.0)
+    assert JointAndStackTracker(box="geo", half_row_px_s=0.0).box == "geo", "the size of the given box is not used there"

@@ -31,8 +31,7 @@ def with_track_errors(
     """Members, those that a track foretold with its errors at their epochs; of these the window's number and shared errors.
 
     members : of one tracklet, in order of time. frame_s : time from frame to frame. first : number of the first window.
-    The shared errors (2, 3) are in px; both
-    rows are alike: of the place in the window's middle, of the way since, and none.
+    The shared errors (2, 3) are in px; both rows are alike: of the place in the window's middle, of the way since, and none.
     """
     out, shared = list(members), dict[int, tuple[int, Array]]()
     for number, window in enumerate(_windows(members), start=first):

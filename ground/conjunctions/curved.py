@@ -16,6 +16,7 @@ from scipy.stats import qmc
 
 from ground.conjunctions.encounter import Encounter, StateEstimate, encounter_of, regular
 from ground.conjunctions.equinoctial import equinoctial_of, partials, state_at
+from ground.conjunctions.probability import over_circle
 from sboc_e2e.icd.errors import UserError
 
 Array = NDArray[np.float64]
@@ -30,6 +31,8 @@ _LARGEST_STEP: Final = 3.0  # sigmas in one step: beyond, the orbits bend too mu
 _RADII: Final = 24
 """Nodes of the disc. With `_ANGLES` good to 1e-11 for sigma of 0.1 hard-body radii and more, 3e-4 at 0.05, 20 % at 0.02."""
 _ANGLES: Final = 72  # see `_RADII`. Half of both numbers: 2e-14 for sigma of 0.3 hard-body radii, 5e-4 at 0.1
+_FINEST_SIGMA: Final = 0.1
+"""Of the hard-body radius: draws with smaller errors in the plane are integrated adaptively (see `_RADII`)."""
 _SLOW: Final = 3.0
 """Sigmas along the motion that the drift must exceed: three of CARA's 53 messages are slow by it (docs/objects.md)."""
 _NEAR_ENOUGH: Final = 1e-3
@@ -139,7 +142,12 @@ def _over_disc(slope: Array, xi: Array, radius: float) -> Array:
     inverse = np.linalg.inv(np.where((det > 0.0)[:, None, None], slope, np.eye(2)))
     there = xi[:, None, :] + np.einsum("nij,kj->nki", inverse, place)
     density = np.exp(-0.5 * (there**2).sum(axis=2)) / (2.0 * np.pi)
-    return np.asarray(np.where(det > 0.0, density @ share / np.where(det > 0.0, det, 1.0), 0.0))
+    out = np.where(det > 0.0, density @ share / np.where(det > 0.0, det, 1.0), 0.0)
+    # about xi the disc is slope @ x near slope @ xi, with x standard normal: singular values are the errors in the plane
+    u, sigma, _ = np.linalg.svd(slope)
+    for k in np.flatnonzero((det > 0.0) & (sigma[:, 1] < _FINEST_SIGMA * radius)):
+        out[k] = over_circle(np.abs(u[k].T @ slope[k] @ xi[k])[::-1], sigma[k, ::-1], radius)
+    return np.asarray(out)
 
 
 def _most_probable_hit(clouds: tuple[Cloud, Cloud], encounter: Encounter) -> tuple[Array, bool]:

@@ -63,7 +63,8 @@ def monte_carlo(
         hits += int(_hits(elements[0], elements[1], hard_body_km, window_s[0], window_s[1]))
         done += n
     low = float(beta.ppf(0.025, hits, done - hits + 1)) if hits else 0.0
-    return Trial(hits=hits, drawn=done, probability=hits / done, low=low, high=float(beta.ppf(0.975, hits + 1, done - hits)))
+    high = float(beta.ppf(0.975, hits + 1, done - hits)) if hits < done else 1.0
+    return Trial(hits=hits, drawn=done, probability=hits / done, low=low, high=high)
 
 
 def _drawn(estimate: StateEstimate, z: Array, *, cartesian: bool) -> Array:

@@ -19,6 +19,8 @@ Array = NDArray[np.float64]
 
 _RADII: Final = 96  # 96 x 720 and half as many each way differ by 2e-14 for sigma of 0.05 hard-body radii and more: a reference
 _ANGLES: Final = 720  # of the polar grid; measured together with `_RADII`
+_FINEST_SIGMA: Final = 0.05
+"""Of the hard-body radius: smaller errors fall between the nodes of the polar grid (see `_RADII`)."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,11 +45,15 @@ def principal(encounter: Encounter) -> tuple[Array, Array]:
 def alfano(encounter: Encounter) -> float:
     """The integral over the circle as one of error functions (Alfano 2005, J. Astronaut. Sci. 53, 103), to 1e-9 of itself."""
     miss, sigma = principal(encounter)
-    return _over_circle(miss, sigma, encounter.hard_body_km)
+    return over_circle(miss, sigma, encounter.hard_body_km)
 
 
-def _over_circle(miss: Array, sigma: Array, radius: float) -> float:
-    """Strips across the circle: exact along the short axis of the ellipse, adaptive along the long one."""
+def over_circle(miss: Array, sigma: Array, radius: float) -> float:
+    """Probability of a circle about the origin: exact along the short axis of the ellipse, adaptive along the long one.
+
+    miss (2,), sigma (2,) : centre of the normal distribution and standard deviations along its principal axes, the shorter first,
+    in the unit of the radius.
+    """
     short, long = 0, 1
 
     def strip(angle: float) -> float:
@@ -77,8 +83,13 @@ def _normal_between(low: float, high: float) -> float:
 
 
 def foster(encounter: Encounter) -> float:
-    """The same integral in polar coordinates about the first object (Foster & Estes 1992, JSC-25898), on a fixed grid."""
+    """The same integral in polar coordinates about the first object (Foster & Estes 1992, JSC-25898), on a fixed grid.
+
+    NaN where an error is below `_FINEST_SIGMA` hard-body radii, which the grid does not resolve.
+    """
     radius = encounter.hard_body_km
+    if principal(encounter)[1][0] < _FINEST_SIGMA * radius:
+        return float("nan")
     node, weight = np.polynomial.legendre.leggauss(_RADII)
     r = 0.5 * radius * (node + 1.0)
     angle = 2.0 * np.pi * np.arange(_ANGLES) / _ANGLES
@@ -108,7 +119,7 @@ def dilution(encounter: Encounter) -> Dilution:
         return Dilution(probability=1.0, scale=0.0, diluted=True)
 
     def minus_log(log_scale: float) -> float:
-        value = _over_circle(miss, sigma * np.exp(log_scale), radius)
+        value = over_circle(miss, sigma * np.exp(log_scale), radius)
         return -float(np.log(value)) if value > 0.0 else 1e6
 
     # of a small circle the worst scale makes the miss sqrt(2) sigma (Alfano 2005); a large one moves it by its own size

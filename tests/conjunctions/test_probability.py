@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from scipy.stats import norm
+from scipy.stats import ncx2, norm
 
 from ground.conjunctions.assess import assess
 from ground.conjunctions.cdm import read_cdm
@@ -131,6 +131,50 @@ def test_forms_agree_where_a_strip_is_all_there_is(sigma_m: tuple[float, float],
     strip = norm.cdf((30.0 + half) / sigma_m[1]) - norm.cdf((30.0 - half) / sigma_m[1])
     brute = np.trapezoid(strip * norm.pdf(x / sigma_m[0]) / sigma_m[0], x)
     assert alfano(encounter) == pytest.approx(brute, rel=1e-6)
+
+
+def crossing(miss_m: float, sigma_m: tuple[float, float]) -> tuple[StateEstimate, StateEstimate]:
+    """Orbits that cross at a right angle, the miss radial; combined errors radial and across, velocities to 0.01 mm/s."""
+    speed = math.sqrt(MU_KM3_S2 / 7000.0)
+    covariance = np.diag([*(0.5e-6 * np.square([sigma_m[0], sigma_m[1], sigma_m[1]])), 1e-16, 1e-16, 1e-16])
+    one = StateEstimate(name="A", state=np.array([7000.0, 0, 0, 0, speed, 0]), covariance=covariance)
+    two = StateEstimate(name="B", state=np.array([7000.0 + 1e-3 * miss_m, 0, 0, 0, 0, speed]), covariance=covariance)
+    return one, two
+
+
+@pytest.mark.parametrize(("sigma_m", "miss_m"), [(0.6, 18.0), (0.1, 18.0), (0.05, 0.0), (1.0, 20.0), (0.3, 20.5)])
+def test_small_round_errors_are_a_noncentral_chi_square(sigma_m: float, miss_m: float) -> None:
+    one, two = crossing(miss_m, (sigma_m, sigma_m))
+    expected = float(ncx2.cdf((20.0 / sigma_m) ** 2, 2, (miss_m / sigma_m) ** 2))
+    found = curved(one, two, 0.02)
+    assert found.reliable
+    assert found.probability == pytest.approx(expected, rel=2e-3)
+    assert alfano(encounter_of(one, two, 0.02)) == pytest.approx(expected, rel=1e-5)
+
+
+def test_small_errors_along_one_axis_are_alfanos() -> None:
+    one, two = crossing(10.0, (0.2, 20.0))
+    # radially the miss is known: half a chord at 10 m from the centre against a normal error of 20 m across
+    expected = 2.0 * norm.cdf(math.sqrt(300.0) / 20.0) - 1.0
+    found = curved(one, two, 0.02)
+    assert found.reliable
+    assert found.probability == pytest.approx(expected, rel=1e-3)
+    assert found.probability == pytest.approx(alfano(encounter_of(one, two, 0.02)), rel=1e-3)
+
+
+def test_foster_says_nothing_where_its_grid_is_too_coarse() -> None:
+    assert math.isnan(foster(plane((18.0, 0.0), (0.9, 50.0), 20.0)))
+    fine = plane((18.0, 0.0), (1.0, 1.0), 20.0)
+    assert foster(fine) == pytest.approx(ncx2.cdf(400.0, 2, 324.0), rel=1e-6)
+
+
+def test_all_hits_have_an_upper_limit_of_one() -> None:
+    one, two = crossing(0.0, (0.1, 0.1))
+    found = monte_carlo(one, two, 0.02, 1000, (-1.0, 1.0))
+    assert found.hits == found.drawn == 1000
+    # Clopper and Pearson 1934: with n of n hits the limits are (alpha / 2)^(1 / n) and 1
+    assert found.low == pytest.approx(0.025 ** (1.0 / 1000.0), rel=1e-9)
+    assert found.high == 1.0
 
 
 def test_chan_holds_for_small_bodies_and_circles() -> None:

@@ -15,15 +15,19 @@ from ground.determination.impulses import PUSH_KM2_S3
 from ground.determination.measurements import Directions
 from ground.determination.propagation import Flight, grown
 from ground.orbit.dynamics import MU_KM3_S2
+from ground.sky.apparent import EARTH_RADIUS_KM
 from ground.store.store import StoredOrbit
 from sboc_e2e.icd.errors import UserError
 
 Array = NDArray[np.float64]
 
 NODES_PER_ORBIT: Final = 24
-"""Cubic Hermite polynomials between them err by (2 pi / 24)^4 / 384 = 1.2e-5 of the radius."""
+"""Equal in time; at perigee, where it is fastest, the orbit turns by a 24th from one to the next.
+
+Cubic Hermite polynomials between them err by (2 pi / 24)^4 / 384 = 1.2e-5 of the radius of a circle.
+"""
 LONGEST_NODE_S: Final = 3600.0
-"""Bound for orbits of more than a day: 24 nodes a day."""
+"""Bound for slow orbits: 24 nodes a day."""
 NEAR_RAD: Final = 2e-3
 """Added to the sieve's radius of six sigma: for the polynomials and the directions' own errors."""
 WIDEST_RAD: Final = 0.5
@@ -117,10 +121,7 @@ def _of_some(night: Tracklets, known: Sequence[KnownOrbit]) -> list[Sighting]:
 
 def _near(one: KnownOrbit, flight: Flight, t: NDArray[np.int64], here: Array, line: Array) -> NDArray[np.intp]:
     """Places in the list of tracklets within six sigma of where the orbit is expected."""
-    radius = float(np.linalg.norm(one.orbit.state[:3]))
-    energy = 0.5 * float(one.orbit.state[3:] @ one.orbit.state[3:]) - MU_KM3_S2 / radius
-    period = 2.0 * math.pi * math.sqrt((-MU_KM3_S2 / (2.0 * energy)) ** 3 / MU_KM3_S2) if energy < 0.0 else math.inf
-    node_ns = round(1e9 * min(period / NODES_PER_ORBIT, LONGEST_NODE_S))
+    node_ns = round(1e9 * min(2.0 * math.pi / (NODES_PER_ORBIT * _fastest_rad_s(one.orbit.state)), LONGEST_NODE_S))
     nodes = np.unique(np.append(np.arange(t[0], t[-1], node_ns, dtype=np.int64), t[-1]))
     arc = flight.at(nodes)
     place_of = arc.partials[:, :3]
@@ -139,6 +140,15 @@ def _near(one: KnownOrbit, flight: Flight, t: NDArray[np.int64], here: Array, li
     rho = np.linalg.norm(away, axis=1)
     limit = np.minimum(6.0 * sigma / rho + NEAR_RAD, WIDEST_RAD)
     return np.flatnonzero(np.einsum("ni,ni->n", away, line) > np.cos(limit) * rho)
+
+
+def _fastest_rad_s(state: Array) -> float:
+    """Angular speed at perigee of a state (6,), or at the Earth's surface if the perigee lies below it."""
+    r, v = state[:3], state[3:]
+    momentum = np.cross(r, v)
+    e = float(np.linalg.norm(np.cross(v, momentum) / MU_KM3_S2 - r / np.linalg.norm(r)))
+    perigee_km = max(float(momentum @ momentum) / (MU_KM3_S2 * (1.0 + e)), EARTH_RADIUS_KM)
+    return math.sqrt(MU_KM3_S2 * (1.0 + e) / perigee_km**3)
 
 
 def _sighting(one: KnownOrbit, flight: Flight, tracklet_id: int, middle_tai_ns: int, data: Directions) -> Sighting:

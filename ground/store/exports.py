@@ -20,7 +20,8 @@ from ground.store.store import ObjectStore, StoredOrbit
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
 
-_OEM_STEP_S: Final = 300.0  # nineteen states in a low revolution, for the interpolation of degree 7 that the message asks for
+_OEM_STEP_S: Final = 300.0  # nineteen states in a low revolution, for the interpolation of `_OEM_DEGREE` that the message asks for
+_OEM_DEGREE: Final = 7  # of the interpolation, which needs one state more
 _MEAN_STATES: Final = 97  # every 15 minutes of a day, and the middle is one of them
 _LARGEST_MEAN_KM: Final = 50.0
 """SGP4 is good to some kilometres over a day; beyond this it describes another orbit. Chosen, not measured."""
@@ -64,10 +65,14 @@ def opm(orbit: StoredOrbit, name: str, originator: str) -> str:
 
 
 def oem(orbit: StoredOrbit, name: str, originator: str, days: float) -> str:
-    """States every five minutes from the epoch on, numerically propagated, with the covariance of the first and the last."""
+    """States every five minutes from the epoch on, numerically propagated, with the covariance of the first and the last.
+
+    Eight states at least, 35 minutes, which the interpolation needs.
+    """
     if not 0.0 < days <= 30.0:
         raise UserError(f"OEM: days: expected more than 0 and at most 30, got {days:g}")
-    t = orbit.epoch_tai_ns + (np.arange(0.0, 86400.0 * days + 1.0, _OEM_STEP_S) * 1e9).astype(np.int64)
+    end_s = max(86400.0 * days, _OEM_DEGREE * _OEM_STEP_S)
+    t = orbit.epoch_tai_ns + (np.arange(0.0, end_s + 1.0, _OEM_STEP_S) * 1e9).astype(np.int64)
     arc = propagate(orbit.state, orbit.epoch_tai_ns, t, forces_of(orbit), partials=True)
     bias = frame_bias()
     states = np.hstack([arc.states[:, :3] @ bias.T, arc.states[:, 3:] @ bias.T])
@@ -76,7 +81,7 @@ def oem(orbit: StoredOrbit, name: str, originator: str, days: float) -> str:
     for k in (0, len(t) - 1):
         propagated = arc.partials[k] @ orbit.state_covariance @ arc.partials[k].T
         covariance += [f"EPOCH = {epochs[k]}", "COV_REF_FRAME = EME2000", *triangle_lines(turned(propagated, bias))]
-    meta = metadata_lines(name, "UNKNOWN", epochs, degree=7)
+    meta = metadata_lines(name, "UNKNOWN", epochs, degree=_OEM_DEGREE)
     rows = state_lines(epochs, states)
     head = [*_head("OEM", orbit, originator), ""]
     return "\n".join([*head, *meta, *rows, "", "COVARIANCE_START", *covariance, "COVARIANCE_STOP"]) + "\n"

@@ -183,7 +183,7 @@ def export(
     out: Annotated[Path, typer.Option("--out", help="folder")],
     store: Store = "objects.db",
     originator: Annotated[str, typer.Option("--originator", help="of the messages")] = "SBOC-E2E",
-    days: Annotated[float, typer.Option("--days", help="length of an OEM from the epoch on")] = 1.0,
+    days: Annotated[float, typer.Option("--days", help="length of an OEM from the epoch on, 35 minutes at least")] = 1.0,
 ) -> None:
     """Write the current orbits as messages or tables."""
     from sboc_e2e.objects.catalogue import export as execute

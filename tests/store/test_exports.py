@@ -34,6 +34,15 @@ def test_an_oem_is_the_orbit() -> None:
     np.testing.assert_allclose(read.position_km, expected[:, :3], atol=1e-5)
 
 
+def test_the_shortest_oem_can_be_interpolated() -> None:
+    text = oem(orbit(), "G", "TEST", 0.001)
+    (read,) = read_oem(text)
+    assert "INTERPOLATION_DEGREE = 7" in text
+    assert len(read.t_tai_ns) == 8  # CCSDS 502.0-B-2, 5.2.4.4: a degree of 7 needs eight states
+    epochs = [line for line in text.splitlines() if line.startswith("EPOCH = ")]
+    assert len(epochs) == len(set(epochs)) == 2
+
+
 def test_messages_are_taken_by_an_independent_reader() -> None:
     ndm = pytest.importorskip("ccsds_ndm.ndm_io", reason="ccsds-ndm is the oracle")
     for text in (opm(orbit(), "G", "TEST"), oem(orbit(), "G", "TEST", 0.1), omm(orbit(), "G", "TEST")):

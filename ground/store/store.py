@@ -65,12 +65,13 @@ class StoredOrbit:
     covariance: Array
     made_tai_ns: int
     made_by: str
+    chi2_nu: float
     parameters: Mapping[str, float] = field(default_factory=dict)
-    chi2_nu: float = float("nan")
     n_used: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "state", validate.finite_array("orbit.state", self.state, (6,)))
+        validate.finite("orbit.chi2_nu", self.chi2_nu)
         size = 6 + len(self.parameters) if len(self.covariance) != 6 else 6
         object.__setattr__(self, "covariance", validate.finite_array("orbit.covariance", self.covariance, (size, size)))
         scale = np.sqrt(np.abs(np.diag(self.covariance)))

@@ -10,6 +10,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -268,8 +269,13 @@ def test_bad_records_are_refused_by_name() -> None:
     with pytest.raises(UserError, match="covariance: not positive"):
         StoredOrbit(
             object_id=1, epoch_tai_ns=T0, state=np.ones(6), covariance=np.eye(6) - 2.0 * np.ones((6, 6)) / 6.0 * 1.5,
-            made_tai_ns=T0, made_by="x",
+            made_tai_ns=T0, made_by="x", chi2_nu=1.0,
         )  # fmt: skip
+    # SQLite takes NaN for NULL, which its table refuses
+    with pytest.raises(UserError, match=r"orbit\.chi2_nu: expected a finite number"):
+        replace(orbit(1), chi2_nu=float("nan"))
+    with pytest.raises(TypeError, match="chi2_nu"):
+        StoredOrbit(object_id=1, epoch_tai_ns=T0, state=np.ones(6), covariance=np.eye(6), made_tai_ns=T0, made_by="x")  # type: ignore[call-arg]
     with pytest.raises(UserError, match="association: probability 2"):
         Association(tracklet_id=1, object_id=1, probability=2.0, state="accepted", decided_by="x", decided_tai_ns=T0)
 

@@ -27,8 +27,9 @@ FORCES = ForceModel(gravity_degree=8, radiation=0.02)
 def divided(one: Survey, chosen: list[int], owner: int) -> Division | None:
     """What some tracklets say, from the true orbit of an owner at the start."""
     start = StoredOrbit(
-        object_id=1, epoch_tai_ns=one.sky.t0_tai_ns, state=one.truth[owner, 0], covariance=np.eye(6), made_tai_ns=0, made_by="t"
-    )
+        object_id=1, epoch_tai_ns=one.sky.t0_tai_ns, state=one.truth[owner, 0], covariance=np.eye(6),
+        made_tai_ns=0, made_by="t", chi2_nu=1.0,
+    )  # fmt: skip
     known = KnownOrbit(orbit=start, forces=FORCES, covariance=start.covariance)
     return division_of({k: directions(one, one.seen[k]) for k in chosen}, known, AssociationOptions())
 

@@ -70,7 +70,7 @@ def provisional(tracklets: dict[int, Directions], number: int) -> Provisional:
     s = associate(list(tracklets.values()))[0].solution
     orbit = StoredOrbit(
         object_id=number, epoch_tai_ns=s.t0_tai_ns, state=s.state, covariance=s.covariance, made_tai_ns=0, made_by="test",
-        parameters={"radiation": s.forces.radiation},
+        parameters={"radiation": s.forces.radiation}, chi2_nu=s.chi2_nu,
     )  # fmt: skip
     return Provisional(orbit=known_orbit(orbit, UpkeepOptions()), tracklets=tracklets, is_new=True)
 

@@ -35,7 +35,7 @@ _SEVERAL_SINE: Final = 0.1
 _LONG_DAYS: Final = 6.0
 """Longer spans are fitted with what the forces leave out, of which six days make 0.2 km: as much as the directions leave."""
 _DOUBT_KM_PER_DAY2: Final = 0.4
-"""One sigma of place after a day that radiation pressure of unknown area leaves; it grows with the square of days."""
+"""One sigma of place after a day that radiation pressure of unknown area leaves; `doubt_of` says how it grows."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,7 +93,10 @@ def innovations(orbit: Orbit, arcs: Sequence[ArcOrbit], forces: ForceModel) -> A
 
 
 def doubt_of(arc: ArcOrbit, days: float) -> Array:
-    """Covariance (6, 6) in an arc's coordinates of what the forces leave out after some days."""
+    """Covariance (6, 6) in an arc's coordinates of what the forces leave out after some days.
+
+    It grows with the square of days up to one day, and linearly from there on.
+    """
     place = _DOUBT_KM_PER_DAY2 * min(days, 1.0) * max(days, 0.02)
     speed = 1e-4 * place
     rho = arc.mean[4]

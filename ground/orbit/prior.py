@@ -30,7 +30,7 @@ LARGEST_A_KM = 60000.0
 class PriorTable(NamedTuple):
     """Element density as cells: probability per (km, 1, rad) in `density` (na, ne, ni), and weights of the analytic parts.
 
-    tail_share : log-uniform in a, uniform in e below the decay limit, isotropic in inclination. ring_share : the
+    tail_share : log-uniform in a, uniform in e^2 below the decay limit, isotropic in inclination. ring_share : the
     geostationary ring and objects that have left it.
     """
 

@@ -25,6 +25,10 @@ _MJD_OF_ZERO: Final = 36204
 _EMPIRICAL: Final = ("sun", "panel", "third", "third_cos", "third_sin")
 _LARGEST_RMS_KM: Final = 0.05
 """Days of GNSS orbits fit to 0.14 m (docs/objects.md): more than 50 m is a manoeuvre or a wrong frame."""
+_MOST_REJECTED: Final = 0.02
+"""Share of epochs that may be bad ones, five of a day's 288: more in a row are another orbit. Chosen."""
+_SIGMA_KM: Final = 1e-4
+"""Of a place along each axis in a fit: the forces that are left out, not the ephemeris' own errors."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -217,18 +221,34 @@ def fitted(ephemeris: Ephemeris, forces: ForceModel, parameters: tuple[str, ...]
     """The orbit through an ephemeris, from its own first places. UserError where the places are no free orbit."""
     if len(ephemeris.t_tai_ns) < 12:
         raise UserError(f"{ephemeris.name}: {len(ephemeris.t_tai_ns)} places; 12 or more are expected")
-    data = ephemeris.positions(1e-4)
+    data = ephemeris.positions(_SIGMA_KM)
     t_s = 1e-9 * (data.t_tai_ns[:9] - data.t_tai_ns[0])
     slope = np.polynomial.polynomial.polyfit(t_s / t_s[-1], data.position_km[:9], 8)[1] / t_s[-1]
     start = np.concatenate([data.position_km[0], slope])
     return fit(start, int(data.t_tai_ns[0]), [data], forces, parameters, None)
 
 
+def free_orbit(ephemeris: Ephemeris, forces: ForceModel) -> Solution:
+    """The fitted orbit, if it is the whole ephemeris'. UserError where it misses places that are more than lone bad ones.
+
+    A fit gives no weight to places after a manoeuvre, so all places are looked at here, whatever their weight.
+    """
+    solution = fitted(ephemeris, forces)
+    away_km = _SIGMA_KM * np.linalg.norm(solution.residuals.reshape(-1, 3), axis=1)
+    rms_km = float(np.sqrt(np.mean(away_km**2)))
+    rejected = (solution.weights.reshape(-1, 3) == 0.0).any(axis=1)
+    # not "<=": a rms that is no number is refused too
+    if not (rms_km <= _LARGEST_RMS_KM and rejected.mean() <= _MOST_REJECTED) or solution.manoeuvre or not solution.converged:
+        raise UserError(
+            f"{ephemeris.name}: no free orbit fits the places: {1e3 * rms_km:.3g} m rms, "
+            f"{rejected.sum()} of {len(rejected)} rejected{'' if solution.converged else ', not converged'}; a manoeuvre, or too large errors"
+        )
+    return solution
+
+
 def orbit_of(ephemeris: Ephemeris, step_s: float = 60.0) -> PreciseOrbit:
-    """States on a fine grid through an ephemeris: the fitted orbit. UserError where that misses the places by more than 50 m."""
-    solution = fitted(ephemeris, ForceModel())
-    if solution.rms * 1e-4 > _LARGEST_RMS_KM:
-        raise UserError(f"{ephemeris.name}: a free orbit misses the places by {1e2 * solution.rms:.3g} m rms")
+    """States on a fine grid through an ephemeris: the fitted orbit. UserError where no free orbit fits (`free_orbit`)."""
+    solution = free_orbit(ephemeris, ForceModel())
     first, last = int(ephemeris.t_tai_ns[0]), int(ephemeris.t_tai_ns[-1])
     grid = np.arange(first, last + 1, round(step_s * 1e9), dtype=np.int64)
     states = propagate(solution.state, solution.t0_tai_ns, grid, solution.forces).states

@@ -208,6 +208,6 @@ def calibrate(
     if (observer is None) == (site is None):
         raise UserError("calibrate: give either --observer (a moving sensor) or --site (a fixed one)")
     place = place_of_site(site) if site is not None else place_of_ephemeris(observer or Path())
-    found = execute(messages, place, orbits, shares_clock=site is None, gap_h=gap, out=out)
-    typer.echo("\n".join(session_line(bias) for bias in found))
+    found, left_out = execute(messages, place, orbits, shares_clock=site is None, gap_h=gap, out=out)
+    typer.echo("\n".join([*(session_line(bias) for bias in found), *(f"left out: {reason}" for reason in left_out)]))
     typer.echo(out)

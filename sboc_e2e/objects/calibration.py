@@ -59,15 +59,25 @@ def place_of_ephemeris(path: Path) -> Place:
 
 def calibrate(
     messages: Sequence[Path], place: Place, orbit_files: Sequence[Path], *, shares_clock: bool, gap_h: float, out: Path
-) -> list[SensorBias]:
-    """Estimate each session's bias and write them. UserError where none has enough known objects."""
+) -> tuple[list[SensorBias], list[str]]:
+    """Estimate each session's bias and write them; also why objects were left out that no free orbit fits.
+
+    UserError where no session has enough known objects.
+    """
     tracks = []
     for path in messages:
         if not path.is_file():
             raise UserError(f"{path}: no such file")
         tracks += [Track(t_tai_ns=s.angle_tai_ns, direction=s.direction) for s in read_tdm(path) if len(s.angle_tai_ns) > 1]
     every = [e for path in orbit_files for e in ephemerides_of(path).values()]
-    orbits: list[PreciseOrbit] = [orbit_of(e) for e in every if _may_be_seen(e, tracks, place)]
+    orbits: list[PreciseOrbit] = []
+    left_out = []
+    for ephemeris in every:
+        if _may_be_seen(ephemeris, tracks, place):
+            try:
+                orbits.append(orbit_of(ephemeris))
+            except UserError as error:
+                left_out.append(str(error))
     found, reasons = [], []
     for session in sessions_of(tracks, 3600.0 * gap_h):
         try:
@@ -75,10 +85,11 @@ def calibrate(
         except UserError as error:
             reasons.append(str(error))
     if not found:
-        raise UserError(reasons[0] if reasons else "calibration: the messages hold no tracks of two or more directions")
+        reason = reasons[0] if reasons else "calibration: the messages hold no tracks of two or more directions"
+        raise UserError("; left out: ".join([reason, *left_out[:3]]))
     out.parent.mkdir(parents=True, exist_ok=True)
     out.write_text(calibration_text(out.stem, found), encoding="utf-8")
-    return found
+    return found, left_out
 
 
 def _may_be_seen(ephemeris: Ephemeris, tracks: Sequence[Track], place: Place) -> bool:

@@ -4,7 +4,7 @@ from pathlib import Path
 from typing import Final
 
 from ground.determination.forces import ForceModel
-from ground.determination.precise import Ephemeris, fitted, read_cpf, read_sp3
+from ground.determination.precise import Ephemeris, free_orbit, read_cpf, read_sp3
 from ground.store.exports import messages, parquet_tables
 from ground.store.store import ObjectStore, StoredOrbit
 from sboc_e2e.icd.errors import UserError
@@ -27,15 +27,22 @@ def ephemerides_of(path: Path) -> dict[str, Ephemeris]:
 
 
 def add_precise(url: str, path: Path, names: list[str]) -> list[str]:
-    """Fit orbits to objects of a precise ephemeris and put them into the store; a line for each."""
+    """Fit orbits to objects of a precise ephemeris and put them into the store; a line for each.
+
+    Objects that no free orbit fits are left out, with a line that says so. UserError where that leaves none.
+    """
     found = ephemerides_of(path)
     unknown = [n for n in names if n not in found]
     if unknown:
         raise UserError(f"{path.name}: no object {', '.join(unknown)}; there are {', '.join(sorted(found))[:200]}")
     store = ObjectStore(url)
-    lines = []
+    lines, left_out = [], []
     for name in names or sorted(found):
-        solution = fitted(found[name], ForceModel(gravity_degree=20))
+        try:
+            solution = free_orbit(found[name], ForceModel(gravity_degree=20))
+        except UserError as error:
+            left_out.append(str(error))
+            continue
         made = int(found[name].t_tai_ns[-1])
         known = {row["name"]: row["object_id"] for row in store.objects()}
         with store.transaction() as writer:
@@ -50,7 +57,9 @@ def add_precise(url: str, path: Path, names: list[str]) -> list[str]:
             ])  # fmt: skip
         lines.append(f"{name}: {len(found[name].t_tai_ns)} places, {173.2 * solution.rms:.2f} mm rms of 100 mm (3-D)")
     store.close()
-    return lines
+    if not lines:
+        raise UserError(f"{path.name}: no object is added: {left_out[0]}")
+    return lines + [f"left out: {reason}" for reason in left_out]
 
 
 def state_lines(url: str) -> list[str]:

@@ -15,6 +15,7 @@ from ground.determination.measurements import Directions, Positions, retarded
 from ground.determination.precise import (
     Ephemeris,
     fitted,
+    free_orbit,
     orbit_of,
     read_cpf,
     read_normal_points,
@@ -294,6 +295,31 @@ def test_a_fine_grid_through_an_ephemeris(navigation: dict[str, Ephemeris]) -> N
     steps = np.searchsorted(orbit.t_tai_ns, navigation["G05"].t_tai_ns)
     expected = navigation["G05"].positions(1.0).position_km
     assert np.abs(orbit.position_km[steps] - expected).max() < 0.5 * METRE
+
+
+def table_of(states: np.ndarray, t: np.ndarray) -> Ephemeris:
+    """States (n, 6) in GCRS axes as an Earth-fixed table."""
+    return Ephemeris(name="G77", t_tai_ns=t, itrs_km=np.einsum("nji,nj->ni", itrs_to_gcrs(t), states[:, :3]))
+
+
+@pytest.mark.parametrize(("share", "burn_km_s"), [(0.9, 1e-2), (0.9, 1e-4), (0.985, 1e-2)])
+def test_a_burn_near_the_end_of_a_table_is_refused(share: float, burn_km_s: float) -> None:
+    t = T0 + 300 * tai.NS_PER_S * np.arange(288)
+    states = propagate(circle(), T0, t, ForceModel()).states
+    k = round(share * len(t))
+    push = np.concatenate([np.zeros(3), burn_km_s * states[k, 3:] / np.linalg.norm(states[k, 3:])])
+    states[k:] = propagate(states[k] + push, int(t[k]), t[k:], ForceModel()).states
+    with pytest.raises(UserError, match=r"G77: no free orbit fits the places: .* a manoeuvre, or too large errors"):
+        orbit_of(table_of(states, t))
+
+
+def test_a_lone_bad_epoch_does_not_cost_the_orbit() -> None:
+    t = T0 + 300 * tai.NS_PER_S * np.arange(288)
+    truth = propagate(circle(), T0, t, ForceModel()).states
+    spoiled = truth.copy()
+    spoiled[100, 0] += 100.0 * METRE
+    solution = free_orbit(table_of(spoiled, t), ForceModel())
+    assert np.linalg.norm(solution.state - truth[0]) < 0.1 * METRE
 
 
 def test_uncompressed_data_pass_as_they_are(tmp_path: Path) -> None:

@@ -23,6 +23,7 @@ from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.objects.calibration import place_of_site
 from tests.conjunctions.reference import folder
+from tests.determination.burnt_table import burnt_table
 
 SITE = "38.2,-6.6,570"
 LATE_S, EAST, NORTH = 0.020, 3.0, -1.5
@@ -191,6 +192,21 @@ def test_the_command_calibrates_from_messages(sky, tmp_path: Path, capsys: pytes
     assert "give either --observer" in capsys.readouterr().err
     assert run([*arguments, "--site", "a,b"]) == 2
     assert "--site: expected LATITUDE,LONGITUDE,HEIGHT" in capsys.readouterr().err
+
+
+def test_objects_that_left_their_orbit_do_not_calibrate_and_are_named(
+    sky, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    _, passes = sky
+    message = tmp_path / "night.tdm"
+    message.write_text(tdm(observed(passes[:4], np.random.default_rng(7))))
+    out = tmp_path / "calibration.json"
+    arguments = ["calibrate", str(message), "--site", SITE, "--out", str(out), "--orbits"]
+    assert run([*arguments, str(burnt_table("G13", tmp_path / "day.sp3"))]) == 0
+    (bias,) = read_calibration(out.read_text(), "file")
+    assert set(bias.objects) == {"G01", "G05", "G11"}
+    assert abs(bias.time_s - LATE_S) < 5.0 * np.sqrt(bias.covariance[0, 0])
+    assert "left out: G13: no free orbit fits the places" in capsys.readouterr().out
 
 
 def true_offsets(rows: np.ndarray, t_tai_ns: np.ndarray, truth: tuple[np.ndarray, np.ndarray, np.ndarray]) -> np.ndarray:

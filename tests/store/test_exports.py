@@ -16,6 +16,7 @@ from ground.store.exports import mean_elements, oem, omm, opm
 from ground.store.store import ObjectStore, StoredOrbit
 from sboc_e2e.cli.main import run
 from tests.conjunctions.reference import folder
+from tests.determination.burnt_table import burnt_table
 
 T0 = 2_150_000_000_000_000_000
 
@@ -79,6 +80,19 @@ def test_the_commands_fill_show_and_export(tmp_path: Path, capsys: pytest.Captur
     again = ObjectStore(store)
     assert len(again.orbits()) == 2
     again.close()
+
+
+def test_objects_that_left_their_orbit_are_not_added_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    store, source = str(tmp_path / "o.db"), str(burnt_table("G01", tmp_path / "day.sp3"))
+    assert run(["objects", "add", source, "--object", "G01", "--object", "E11", "--store", store]) == 0
+    first, second = capsys.readouterr().out.splitlines()
+    assert first.startswith("E11: 288 places")
+    assert second.startswith("left out: G01: no free orbit fits the places")
+    filled = ObjectStore(store)
+    assert [row["name"] for row in filled.objects()] == ["E11"]
+    filled.close()
+    assert run(["objects", "add", source, "--object", "G01", "--store", store]) == 2
+    assert "day.sp3: no object is added: G01: no free orbit" in capsys.readouterr().err
 
 
 @pytest.mark.parametrize(

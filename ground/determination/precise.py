@@ -27,6 +27,8 @@ _LARGEST_RMS_KM: Final = 0.05
 """Days of GNSS orbits fit to 0.14 m (docs/objects.md): more than 50 m is a manoeuvre or a wrong frame."""
 _MOST_REJECTED: Final = 0.02
 """Share of epochs that may be bad ones, five of a day's 288: more in a row are another orbit. Chosen."""
+_BEFORE_START_S: Final = 21_600.0
+"""How long before the start of a pass (CRD, h4) a record may be, such as of weather; others are up to 18 h after it. Chosen."""
 _SIGMA_KM: Final = 1e-4
 """Of a place along each axis in a fit: the forces that are left out, not the ephemeris' own errors."""
 
@@ -174,7 +176,7 @@ def read_normal_points(text: str, where: str) -> NormalPoints:
     """Two-way normal points of a CRD file whose epochs are those of transmission (event 2). UserError for other files."""
     rows: list[tuple[int, float, int, float, float]] = []
     weather: list[tuple[int, int, float, float, float]] = []
-    station, day, wave = -1, -1, float("nan")
+    station, day, start_s, wave = -1, -1, float("nan"), float("nan")
     for number, line in enumerate(text.splitlines(), start=1):
         words = line.split()
         kind = words[0].lower() if words else ""
@@ -183,18 +185,21 @@ def read_normal_points(text: str, where: str) -> NormalPoints:
                 station = int(words[2])
             elif kind == "h4":
                 day = _day_ns(int(words[2]), int(words[3]), int(words[4]))
-                previous = -1.0
+                start_s = int(words[5]) * 3600.0 + int(words[6]) * 60.0 + float(words[7])
             elif kind == "c0":
                 wave = 1e-3 * float(words[2])
             elif kind in ("11", "20"):
+                if np.isnan(start_s):
+                    raise UserError(f"{where}, line {number}: record {kind} before the start of a pass (h4)")
                 second = float(words[1])
-                if second < previous - 43_200.0:
-                    day += tai.NS_PER_DAY
-                previous = second
-                utc = day + round(second * 1e9)
+                # of each record by itself: records of weather and of ranges need not be in the order of their epochs
+                days_after = -int((second - start_s + _BEFORE_START_S) // 86_400.0)
+                utc = day + days_after * tai.NS_PER_DAY + round(second * 1e9)
                 if kind == "20":
                     weather.append((station, _from_utc(utc), float(words[2]), float(words[3]), float(words[4])))
                 else:
+                    if np.isnan(wave):
+                        raise UserError(f"{where}, line {number}: record 11 before the wavelength (c0)")
                     if words[4] != "2":
                         raise UserError(f"{where}, line {number}: epoch event {words[4]}; 2 (transmission) is read")
                     flight = float(words[2])
@@ -241,7 +246,8 @@ def free_orbit(ephemeris: Ephemeris, forces: ForceModel) -> Solution:
     if not (rms_km <= _LARGEST_RMS_KM and rejected.mean() <= _MOST_REJECTED) or solution.manoeuvre or not solution.converged:
         raise UserError(
             f"{ephemeris.name}: no free orbit fits the places: {1e3 * rms_km:.3g} m rms, "
-            f"{rejected.sum()} of {len(rejected)} rejected{'' if solution.converged else ', not converged'}; a manoeuvre, or too large errors"
+            f"{rejected.sum()} of {len(rejected)} rejected{'' if solution.converged else ', not converged'}; "
+            "a manoeuvre, or too large errors"
         )
     return solution
 

@@ -163,6 +163,38 @@ def test_laser_ranges_of_lageos_fit_to_half_a_metre() -> None:
     assert 0.1 * solution.rms < 0.2
 
 
+CRD_HEAD = "h2 Station 7090 5 13 3\nh4 1 {start} 2016 2 15 0 20 0 0 0 0 0 1 0 2 0\nc0 0 532.000 std"
+WEATHER = ["20 86000.0 983.7 301.4 24 0", "20 600.0 982.0 300.0 25 0"]
+RANGES = [f"11 {second:.1f} 0.04 std 2 120.0 94 57.0 0 0 -1 15 0" for second in (86_100.0, 86_350.0, 30.0, 500.0)]
+
+
+@pytest.mark.parametrize(
+    "records",
+    [
+        [*WEATHER, *RANGES],
+        [*RANGES, *WEATHER],
+        [WEATHER[0], *RANGES[:2], WEATHER[1], *RANGES[2:]],
+        [RANGES[0], WEATHER[1], RANGES[1], RANGES[2], WEATHER[0], RANGES[3]],
+    ],
+    ids=["weather first", "ranges first", "in order", "mixed"],
+)
+def test_a_pass_over_midnight_has_its_days_in_any_order_of_records(records: list[str]) -> None:
+    head = CRD_HEAD.format(start="2016 2 14 23 50 0")
+    points = read_normal_points("\n".join([head, *records]), "a.npt")
+    # transmission, and half of 0.04 s later the light is at the object
+    utc = ["2016-02-14T23:55:00.020", "2016-02-14T23:59:10.020", "2016-02-15T00:00:30.020", "2016-02-15T00:08:20.020"]
+    assert [Time(*tai.to_jd_parts(int(t)), format="jd", scale="tai").utc.isot for t in points.t_tai_ns] == utc
+    # at 00:00:30 the record of 23:53:20 is nearer than that of 00:10:00
+    assert points.pressure_hpa.tolist() == [983.7, 983.7, 983.7, 982.0]
+
+
+def test_weather_before_midnight_belongs_to_a_pass_that_starts_after_it() -> None:
+    head = CRD_HEAD.format(start="2016 2 15 0 0 10")
+    points = read_normal_points("\n".join([head, WEATHER[0], *RANGES[2:], "20 43200.0 982.0 300.0 25 0"]), "a.npt")
+    assert points.pressure_hpa.tolist() == [983.7, 983.7]
+    assert Time(*tai.to_jd_parts(int(points.t_tai_ns[0])), format="jd", scale="tai").utc.isot == "2016-02-15T00:00:30.020"
+
+
 def test_zenith_delay_is_that_of_the_conventions() -> None:
     # IERS Conventions (2010), the test case of FCULZD_HPA: McDonald, 798.4188 hPa, 14.322 hPa of vapour, 0.532 um
     found = zenith_delay_m(
@@ -273,6 +305,12 @@ def test_white_accelerations_grow_a_covariance_as_their_integral() -> None:
             "line 2: expected a record",
         ),
         (lambda: read_normal_points("h1 CRD", "a.npt"), "no normal points"),
+        (lambda: read_normal_points(RANGES[0], "a.npt"), r"a.npt, line 1: record 11 before the start of a pass \(h4\)"),
+        (lambda: read_normal_points(f"h1 CRD\n{WEATHER[0]}", "a.npt"), "line 2: record 20 before the start"),
+        (
+            lambda: read_normal_points(f"h4 1 2016 2 14 23 50 0 2016 2 15 0 20 0\n{RANGES[0]}", "a.npt"),
+            r"line 2: record 11 before the wavelength \(c0\)",
+        ),
         (lambda: fit(circle(), T0, [], ForceModel()), "no measurements"),
         (lambda: fit(circle(), T0, [], ForceModel(), ("colour",)), 'parameter "colour" is not known'),
         (lambda: ForceModel(gravity_degree=100), "gravity_degree: expected 2 to 70"),

@@ -90,7 +90,10 @@ def read_sp3(raw: bytes, where: str) -> dict[str, Ephemeris]:
     lines = uncompressed(raw, where).decode("ascii", errors="replace").splitlines()
     if not lines or lines[0][:1] != "#" or lines[0][1:2] not in "acd":
         raise UserError(f"{where}: not an SP3 file of version a, c or d")
-    system = next((line[9:12] for line in lines if line.startswith("%c")), "GPS" if lines[0][1] == "a" else "")
+    system = next((line[9:12] for line in lines if line.startswith("%c")), "")
+    if lines[0][1] == "a" and system in ("", "ccc"):
+        # version a is in GPS time, and has placeholders where later versions name the system
+        system = "GPS"
     behind = {"GPS": GPS_BEHIND_TAI_NS, "GAL": GPS_BEHIND_TAI_NS, "TAI": 0}
     if system not in behind:
         raise UserError(f'{where}: time system "{system}" is not read; expected {", ".join(behind)}')
@@ -106,7 +109,9 @@ def read_sp3(raw: bytes, where: str) -> dict[str, Ephemeris]:
             elif line.startswith("P") and epochs:
                 place = [float(line[k : k + 14]) for k in (4, 18, 32)]
                 if any(place):
-                    found.setdefault(line[1:4], []).append((epochs[-1], place))
+                    # version a writes "  1", later versions "G01"
+                    name = (line[1].replace(" ", "G") + line[2:4].replace(" ", "0")) if lines[0][1] == "a" else line[1:4]
+                    found.setdefault(name, []).append((epochs[-1], place))
         except (ValueError, IndexError) as error:
             raise UserError(f"{where}, line {number}: expected an epoch or a place, got '{line[:40]}'") from error
     return _ephemerides(found, where)

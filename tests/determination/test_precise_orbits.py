@@ -53,6 +53,33 @@ def test_the_compressed_file_is_read_as_published(navigation: dict[str, Ephemeri
     assert navigation["C01"].itrs_km[0] == pytest.approx([-32323.399959, 27093.052654, -172.802215])
 
 
+SP3_A = b"""#aP1994 12 17  0  0  0.00000000       3     d ITR92 FIT  NGS
+##  779 518400.00000000   900.00000000 49703 0.0000000000000
++   25     1  2  4  5  6  7  9 12 14 15 16 17 18 19 20 21 22
+++         7  6  5  5  5  5  5  5  5  6  5  5  5  5  6  5  5
+%c cc cc ccc ccc cccc cccc cccc cccc ccccc ccccc ccccc ccccc
+%c cc cc ccc ccc cccc cccc cccc cccc ccccc ccccc ccccc ccccc
+*  1994 12 17  0  0  0.00000000
+P  1  16258.524750  -3529.015750 -20611.427050    -62.540600
+P 28  13204.937750 -20485.533400  10794.787000     55.200800
+*  1994 12 17  0 15  0.00000000
+P  1  15716.820135  -1169.850490 -21281.578766    -62.542746
+P 28  13416.746195 -22186.753441   6248.864499     55.385492
+EOF
+"""
+"""Lines of the example of version a that NGS published, of 17 December 1994."""
+
+
+def test_version_a_is_in_gps_time_and_numbers_its_satellites() -> None:
+    every = read_sp3(SP3_A, "a.sp3")
+    assert set(every) == {"G01", "G28"}
+    assert every["G28"].itrs_km[1] == pytest.approx([13416.746195, -22186.753441, 6248.864499])
+    # 19 s between GPS time and TAI
+    assert Time(*tai.to_jd_parts(int(every["G01"].t_tai_ns[1])), format="jd", scale="tai").isot == "1994-12-17T00:15:19.000"
+    with pytest.raises(UserError, match='time system "ccc" is not read'):
+        read_sp3(SP3_A.replace(b"#aP", b"#cP"), "c.sp3")
+
+
 @pytest.mark.parametrize("name", ["G01", "G09", "G23", "G32", "E11", "E14", "E19"])
 @pytest.mark.slow
 def test_a_day_of_navigation_satellites_fits_to_decimetres(navigation: dict[str, Ephemeris], name: str) -> None:

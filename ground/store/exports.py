@@ -8,7 +8,7 @@ import erfa
 import numpy as np
 from sgp4.api import Satrec
 
-from ground.determination.forces import ForceModel, propagator
+from ground.determination.forces import propagator
 from ground.determination.propagation import instant, propagate
 from ground.orbit.dynamics import MU_KM3_S2
 from ground.orbit.states import elements_of
@@ -16,6 +16,7 @@ from ground.products.ccsds_covariance import keyword_lines, triangle_lines, turn
 from ground.products.epochs import utc_text
 from ground.products.oem import metadata_lines, state_lines
 from ground.sky.eme2000 import frame_bias
+from ground.store.forces import forces_of
 from ground.store.store import ObjectStore, StoredOrbit
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
@@ -25,11 +26,6 @@ _OEM_DEGREE: Final = 7  # of the interpolation, which needs one state more
 _MEAN_STATES: Final = 97  # every 15 minutes of a day, and the middle is one of them
 _LARGEST_MEAN_KM: Final = 50.0
 """SGP4 is good to some kilometres over a day; beyond this it describes another orbit. Chosen, not measured."""
-
-
-def forces_of(orbit: StoredOrbit) -> ForceModel:
-    """The forces that an orbit was fitted with."""
-    return ForceModel().with_values(tuple(orbit.parameters), list(orbit.parameters.values()))
 
 
 def _head(kind: str, orbit: StoredOrbit, originator: str) -> list[str]:

@@ -9,12 +9,13 @@ from ground.association.associate import associate
 from ground.association.clusters import Cluster, meets_all
 from ground.determination.measurements import Directions
 from ground.determination.propagation import propagate
+from ground.store.forces import forces_of
 from ground.store.store import StoredOrbit
 from ground.upkeep.correlation import Renewed
 from ground.upkeep.division import LEAST_OF_ONE, SETTLED_TRACKLETS
 from ground.upkeep.joins import Provisional, join_of
 from ground.upkeep.sightings import KnownOrbit
-from ground.upkeep.view import UpkeepOptions, View, directions_of, forces_of, known_orbit
+from ground.upkeep.view import UpkeepOptions, View, directions_of, known_orbit
 
 Array = NDArray[np.float64]
 Made = tuple[tuple[int, ...], Cluster]
@@ -118,7 +119,7 @@ def merges_of(made: Sequence[Made], current: Mapping[int, StoredOrbit], options:
                 continue
             arc = propagate(
                 orbit.state, orbit.epoch_tai_ns, np.array([s.t0_tai_ns], dtype=np.int64),
-                forces_of(orbit, options.association), partials=True,
+                forces_of(orbit, options.association.gravity_degree), partials=True,
             )  # fmt: skip
             total = arc.partials[0] @ orbit.state_covariance @ arc.partials[0].T + s.covariance[:6, :6]
             scale = np.sqrt(np.diag(total))

@@ -6,10 +6,11 @@ from typing import Final
 import numpy as np
 
 from ground.association.clusters import AssociationOptions, Cluster
-from ground.determination.forces import ForceModel, step_of
+from ground.determination.forces import step_of
 from ground.determination.measurements import Directions
 from ground.determination.propagation import propagate
 from ground.sky.sphere import east_north
+from ground.store.forces import forces_of
 from ground.store.store import ObjectStore, StoredOrbit, StoredTracklet
 from ground.upkeep.sightings import KnownOrbit
 from sboc_e2e.icd import tai
@@ -93,12 +94,6 @@ def directions_of(stored: StoredTracklet) -> Directions:
     )
 
 
-def forces_of(orbit: StoredOrbit, options: AssociationOptions) -> ForceModel:
-    """Forces that an orbit was fitted with, at the gravity of the association."""
-    model = ForceModel(gravity_degree=options.gravity_degree, radiation=options.radiation_m2_kg)
-    return model.with_values(tuple(orbit.parameters), list(orbit.parameters.values()))
-
-
 def known_orbit(orbit: StoredOrbit, options: UpkeepOptions) -> KnownOrbit:
     """An orbit with its forces. Where only the state has a covariance, radiation has the association's doubt, the rest none."""
     covariance = orbit.covariance
@@ -106,7 +101,7 @@ def known_orbit(orbit: StoredOrbit, options: UpkeepOptions) -> KnownOrbit:
         of_radiation = options.association.radiation_sigma_m2_kg
         doubt = np.array([of_radiation if name == "radiation" else 1e-6 * step_of(name) for name in orbit.parameters]) ** 2
         covariance = np.block([[covariance, np.zeros((6, len(doubt)))], [np.zeros((len(doubt), 6)), np.diag(doubt)]])
-    return KnownOrbit(orbit=orbit, forces=forces_of(orbit, options.association), covariance=covariance)
+    return KnownOrbit(orbit=orbit, forces=forces_of(orbit, options.association.gravity_degree), covariance=covariance)
 
 
 def position_error_km(orbit: StoredOrbit, at_tai_ns: int) -> float:
@@ -115,7 +110,7 @@ def position_error_km(orbit: StoredOrbit, at_tai_ns: int) -> float:
         orbit.state,
         orbit.epoch_tai_ns,
         np.array([at_tai_ns], dtype=np.int64),
-        forces_of(orbit, AssociationOptions()),
+        forces_of(orbit),
         partials=True,
     )
     return float(np.sqrt(np.trace((arc.partials[0] @ orbit.state_covariance @ arc.partials[0].T)[:3, :3])))

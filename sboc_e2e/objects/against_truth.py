@@ -11,10 +11,10 @@ from astropy.table import Table
 from numpy.typing import NDArray
 from scipy.stats import chi2
 
-from ground.association.clusters import AssociationOptions
 from ground.determination.propagation import propagate
+from ground.store.forces import forces_of
 from ground.store.store import ObjectStore, StoredOrbit
-from ground.upkeep.view import UpkeepOptions, forces_of, known_orbit
+from ground.upkeep.view import UpkeepOptions, known_orbit
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.report import plots
@@ -196,7 +196,7 @@ def _place(orbit: StoredOrbit | None, thing: OrbitingObject, truth: Truth, at_ta
     known = known_orbit(orbit, UpkeepOptions())
     try:
         arc = propagate(
-            orbit.state, orbit.epoch_tai_ns, np.array([at_tai_ns], dtype=np.int64), forces_of(orbit, AssociationOptions()),
+            orbit.state, orbit.epoch_tai_ns, np.array([at_tai_ns], dtype=np.int64), forces_of(orbit),
             parameters=known.parameters, partials=True,
         )  # fmt: skip
     except UserError:

@@ -10,15 +10,14 @@ import numpy as np
 from astropy.table import Table
 from numpy.typing import NDArray
 
-from ground.association.clusters import AssociationOptions
 from ground.characterise.judge import Character, characterise
 from ground.characterise.reduced import Pass
 from ground.determination.propagation import propagate
 from ground.orbit.size import sun_direction
 from ground.sensor_bias.estimate import Place
 from ground.sky.sphere import ARCSEC_RAD
+from ground.store.forces import forces_of
 from ground.store.store import ObjectStore, StoredOrbit, StoredTracklet
-from ground.upkeep.view import forces_of
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.score.published.tdm_reader import TdmSegment, read_tdm
 
@@ -103,7 +102,7 @@ def _pass(t_tai_ns: NDArray[np.int64], mag: Array, error: Array, orbit: StoredOr
     if not np.isfinite(observer).all():
         raise UserError(f"{path}: magnitudes at epochs for which the observer's place is not given")
     unique, back = np.unique(t, return_inverse=True)
-    states = propagate(orbit.state, orbit.epoch_tai_ns, unique, forces_of(orbit, AssociationOptions())).states[back]
+    states = propagate(orbit.state, orbit.epoch_tai_ns, unique, forces_of(orbit)).states[back]
     line = observer - states[:, :3]
     away = np.linalg.norm(line, axis=1)
     # the Sun's direction is the same from the Earth and from the object to 0.02 deg

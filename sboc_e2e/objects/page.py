@@ -10,12 +10,12 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from ground.association.clusters import AssociationOptions
 from ground.determination.propagation import propagate
 from ground.orbit.states import elements_of
 from ground.products.epochs import utc_text
+from ground.store.forces import forces_of
 from ground.store.store import ObjectStore, StoredOrbit
-from ground.upkeep.view import directions_of, forces_of, position_error_km
+from ground.upkeep.view import directions_of, position_error_km
 from sboc_e2e.files.atomic import write_text
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
@@ -120,9 +120,7 @@ def _residuals(store: ObjectStore, rows: Sequence[ObjectRow]) -> Array:
         for stored in tracklets[-3:]:
             data = directions_of(stored)
             try:
-                arc = propagate(
-                    row.orbit.state, row.orbit.epoch_tai_ns, data.t_tai_ns, forces_of(row.orbit, AssociationOptions())
-                )
+                arc = propagate(row.orbit.state, row.orbit.epoch_tai_ns, data.t_tai_ns, forces_of(row.orbit))
             except UserError:
                 continue
             value, _ = data.residuals(arc.states)

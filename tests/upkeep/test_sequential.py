@@ -49,7 +49,9 @@ def known_of(cluster: Cluster) -> KnownOrbit:
 @pytest.mark.parametrize("owner", [0, 1, 2])
 def test_a_renewed_orbit_is_the_fit_of_all_directions(one: Survey, owner: int) -> None:
     data = of_owner(one, owner)
-    known = known_of(fitted(one, owner, data[:-1]))
+    before = fitted(one, owner, data[:-1])
+    known = known_of(before)
+    assert known.forces == before.solution.forces
     (seen,) = sightings({5: data[-1]}, [known])
     assert (seen.object_id, seen.tracklet_id) == (1, 5)
     new = sequential.renewed(known, [seen], "test", 0)

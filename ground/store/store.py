@@ -31,7 +31,10 @@ _BUSY_S: Final = 60  # how long a writer waits for another before the user is to
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class StoredTracklet:
-    """Directions (n, 9) of `COLUMNS` at epochs (n,) TAI ns by a sensor. mag : NaN when not known."""
+    """Directions (n, 9) of `COLUMNS` at epochs (n,) TAI ns by a sensor. mag : NaN when not known.
+
+    uid : two with the same are one tracklet; that of all the content where none is given.
+    """
 
     sensor: str
     t_tai_ns: NDArray[np.int64]

@@ -19,6 +19,7 @@ from ground.sky.sphere import ARCSEC_RAD
 from ground.store.forces import forces_of
 from ground.store.store import ObjectStore, StoredOrbit, StoredTracklet
 from sboc_e2e.icd.errors import UserError
+from sboc_e2e.objects.upkeep import uid_of
 from sboc_e2e.score.published.tdm_reader import TdmSegment, read_tdm
 
 Array = NDArray[np.float64]
@@ -70,9 +71,15 @@ def light_of(
 
 
 def _is_same(segment: TdmSegment, tracklet: StoredTracklet) -> bool:
-    """Whether a segment is a stored tracklet: the same first epoch and direction."""
+    """Whether a segment is a stored tracklet: the same uid, or the same first epoch and direction.
+
+    The uid holds for tracklets that a calibration has moved. The second rule holds for rows of earlier stores and for messages
+    that give the same numbers with other digits.
+    """
     if not len(segment.angle_tai_ns):
         return False
+    if uid_of(segment, tracklet.sensor) == tracklet.uid:
+        return True
     first = int(np.argmin(segment.angle_tai_ns))
     same = int(segment.angle_tai_ns[first]) == int(tracklet.t_tai_ns[0])
     return same and float(np.linalg.norm(segment.direction[first] - tracklet.rows[0, :3])) < _SAME_ARCSEC * ARCSEC_RAD

@@ -1,5 +1,6 @@
 """Published tracklets into the store, and the store brought up to a night."""
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -51,7 +52,7 @@ def observe(
     sigma_arcsec: float | None,
     correction: Correction | None = None,
 ) -> str:
-    """Put the tracklets of messages into a store; one that is there already is not put in twice.
+    """Put the tracklets of messages into a store; one that is there already stays as it is, with another calibration too.
 
     sigma_arcsec : one sigma along each axis; None: of the table of errors beside a message, 1 arcsec where there is none.
     correction : takes the nearest session's time and pointing bias off each tracklet, and adds its own errors.
@@ -95,7 +96,14 @@ def _stored(
     if not np.isfinite(observer).all():
         raise UserError(f"{path}: directions at epochs for which the observer's place is not given")
     rows = np.hstack([seen.direction, errors[:, :2] * ARCSEC_RAD, errors[:, 2:], observer])
-    return StoredTracklet(sensor=sensor, t_tai_ns=seen.t_tai_ns, rows=rows)
+    return StoredTracklet(sensor=sensor, t_tai_ns=seen.t_tai_ns, rows=rows, uid=uid_of(segment, sensor))
+
+
+def uid_of(segment: TdmSegment, sensor: str) -> str:
+    """What tells a segment's tracklet from others: its sensor, epochs and directions as published, without any calibration."""
+    order = np.argsort(segment.angle_tai_ns, kind="stable")
+    epochs, directions = segment.angle_tai_ns[order].astype("<i8"), segment.direction[order].astype("<f8")
+    return hashlib.sha256(sensor.encode() + epochs.tobytes() + directions.tobytes()).hexdigest()
 
 
 def bring_up(url: str, at_utc: str, window_days: float, workers: int) -> str:

@@ -13,6 +13,8 @@ from astropy.table import Table
 from ground.determination.forces import ForceModel
 from ground.determination.propagation import propagate
 from ground.products.epochs import utc_text
+from ground.sensor_bias.correct import calibration_text
+from ground.sensor_bias.estimate import SensorBias
 from ground.sky.sphere import spherical_deg
 from ground.store.store import Association, ObjectStore, StoredOrbit
 from sboc_e2e.cli.main import run
@@ -42,19 +44,18 @@ def message(path: Path, number: int, t: np.ndarray, state: np.ndarray) -> None:
     path.write_text("\n".join([*meta, *rows, "DATA_STOP"]) + "\n")
 
 
-def test_light_of_an_object_from_messages_and_trails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def above_the_site() -> np.ndarray:
+    """State of an object at T0, high above the site."""
     place = place_of_site(SITE)(np.array([T0]))[0]
     up = place / np.linalg.norm(place)
     east = np.cross([0.0, 0.0, 1.0], up)
-    state = np.concatenate([42_164.0 * up, 3.07 * east / np.linalg.norm(east)])
-    url, passes = str(tmp_path / "store.db"), [T0 + (k * 10_000 + 2 * np.arange(150)) * 10**9 for k in range(3)]
-    paths = [tmp_path / f"{k}.tdm" for k in range(3)]
-    for k, t in enumerate(passes):
-        message(paths[k], k, t, state)
-    names = [str(p) for p in paths]
-    assert run(["objects", "observe", *names, "--site", SITE, "--store", url]) == 0
+    return np.concatenate([42_164.0 * up, 3.07 * east / np.linalg.norm(east)])
+
+
+def stored_as_one(url: str, state: np.ndarray, tracklets: int) -> None:
+    """Give the first tracklets of a store to an object BODY with an orbit."""
     store = ObjectStore(url)
-    numbers = list(store.tracklets(T0 - 1, T0 + 10**15))
+    numbers = list(store.tracklets(T0 - 10**9, T0 + 10**15))
     with store.transaction() as writer:
         (own,) = writer.add_objects(["BODY"], T0)
         writer.add_orbits([
@@ -67,9 +68,20 @@ def test_light_of_an_object_from_messages_and_trails(tmp_path: Path, capsys: pyt
             Association(
                 tracklet_id=n, object_id=own, probability=1.0, state="accepted", decided_by="test", decided_tai_ns=T0
             )
-            for n in numbers[:2]
+            for n in numbers[:tracklets]
         ])  # fmt: skip
     store.close()
+
+
+def test_light_of_an_object_from_messages_and_trails(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    state = above_the_site()
+    url, passes = str(tmp_path / "store.db"), [T0 + (k * 10_000 + 2 * np.arange(150)) * 10**9 for k in range(3)]
+    paths = [tmp_path / f"{k}.tdm" for k in range(3)]
+    for k, t in enumerate(passes):
+        message(paths[k], k, t, state)
+    names = [str(p) for p in paths]
+    assert run(["objects", "observe", *names, "--site", SITE, "--store", url]) == 0
+    stored_as_one(url, state, 2)
     capsys.readouterr()
     where = ["--site", SITE, "--store", url]
     assert run(["objects", "light", "BODY", *names, *where, "--mag-err", "0.05", "--out", str(tmp_path / "out")]) == 0
@@ -98,3 +110,30 @@ def test_light_of_an_object_from_messages_and_trails(tmp_path: Path, capsys: pyt
     ):
         assert run(["objects", "light", *wrong]) == 2
         assert words in capsys.readouterr().err
+
+
+def test_tracklets_that_a_calibration_has_moved_are_the_same_tracklets(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """They are not stored again, with the calibration or without it, and their magnitudes are found."""
+    state, url, night, file = above_the_site(), str(tmp_path / "store.db"), tmp_path / "night.tdm", tmp_path / "calibration.json"
+    t = T0 + 2 * 10**9 * np.arange(150)
+    message(night, 0, t, state)
+    bias = SensorBias(
+        first_tai_ns=T0, last_tai_ns=T0 + 10**12, time_s=0.02, east_arcsec=3.0, north_arcsec=-1.5,
+        covariance=np.diag([1e-6, 1e-2, 1e-2]), noise_along_arcsec=1.0, noise_cross_arcsec=1.0, common_along_arcsec=0.1,
+        common_cross_arcsec=0.1, along_arcsec=0.0, cross_arcsec=0.0, n_tracks=10, n_used=100, n_clipped=0, objects=("G01",),
+        degrees=np.full(3, 20.0),
+    )  # fmt: skip
+    file.write_text(calibration_text("t", [bias]))
+    where = ["--site", SITE, "--store", url]
+    for more, new in ((["--calibration", str(file)], 1), ([], 0), (["--calibration", str(file)], 0)):
+        assert run(["objects", "observe", str(night), *where, *more]) == 0
+        assert f"1 tracklets read, {new} of them new, 1 in the store" in capsys.readouterr().out
+    store = ObjectStore(url)
+    (stored,) = store.tracklets(0, 2**62).values()
+    store.close()
+    assert int(stored.t_tai_ns[0]) == T0 - 20_000_000
+    stored_as_one(url, state, 1)
+    assert run(["objects", "light", "BODY", str(night), *where]) == 0
+    assert "BODY: tumbling, 1 passes, 150 samples" in capsys.readouterr().out

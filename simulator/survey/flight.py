@@ -108,6 +108,14 @@ class Instants:
         """Time in which the Earth is not in the field."""
         return self.span_s * float(self.watched.mean())
 
+    def in_camera(self, instant: NDArray[np.int64], position_km: Array, velocity_km_s: Array) -> tuple[Array, Array]:
+        """Places and their rates (n, 3), km and km/s in the camera frame, of objects (n, 3), GCRS, at instants (n,)."""
+        attitude = self.attitude[instant]
+        place = np.einsum("nij,nj->ni", attitude, position_km - self.position_km[instant])
+        moves = np.einsum("nij,nj->ni", attitude, velocity_km_s - self.velocity_km_s[instant])
+        # seen from the frame that turns, what rests turns the other way
+        return place, moves - np.cross(self.spin_rad_s[instant], place)
+
 
 def instants_of(flight: Flight, time_s: Array, span_s: float) -> Instants:
     """The camera at times after the epoch (m,)."""

@@ -50,11 +50,7 @@ def looks_of(
     """How passages show in the frames of their stay, or in those from one to another; rng : for how they turn, if they do."""
     window, camera, period = flight.window, flight.camera, 1.0 / flight.options.frame_rate_hz
     exposure, base = camera.exposure_s, at.time_s[p.instant]
-    line = p.position_km - at.position_km[p.instant]
-    relative = p.velocity_km_s - at.velocity_km_s[p.instant]
-    attitude = at.attitude[p.instant]
-    place = np.einsum("nij,nj->ni", attitude, line)
-    moves = np.einsum("nij,nj->ni", attitude, relative) + np.cross(at.spin_rad_s[p.instant], place)
+    place, moves = at.in_camera(p.instant, p.position_km, p.velocity_km_s)
     shift = 1e-6 * flight.carrier.shutter.line_time_us * 0.5 * (camera.shape[0] - 1)
     first = np.ceil((base + p.enter_s - exposure - shift) / period).astype(np.int64)
     last = np.floor((base + p.leave_s - shift) / period).astype(np.int64)

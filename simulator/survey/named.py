@@ -59,9 +59,7 @@ def fleet_block(flight: Flight, fleet: Fleet, block: int, farthest_km: float) ->
     position, velocity = series(states[legs], at.time_s[instant] - middles[minutes[legs]])
     who, exposure = rows[legs], flight.camera.exposure_s
     there = at.watched[instant] & (at.time_s[instant] >= fleet.from_s[who]) & (at.time_s[instant] < fleet.to_s[who])
-    camera = np.einsum("nij,nj->ni", at.attitude[instant], position - at.position_km[instant])
-    moves = np.einsum("nij,nj->ni", at.attitude[instant], velocity - at.velocity_km_s[instant])
-    moves += np.cross(at.spin_rad_s[instant], camera)
+    camera, moves = at.in_camera(instant, position, velocity)
     enter, leave = in_field(camera, moves, flight.window.half_row, flight.window.half_col)
     half = 0.5 * LEG_S + exposure
     there &= (np.maximum(enter, -half) < np.minimum(leave, half)) & (np.linalg.norm(camera, axis=1) < farthest_km)

@@ -60,9 +60,7 @@ def make_passages(
     window = flight.window
     line = position_km - at.position_km[instant]
     relative = velocity_km_s - at.velocity_km_s[instant]
-    attitude = at.attitude[instant]
-    camera = np.einsum("nij,nj->ni", attitude, line)
-    rate = np.einsum("nij,nj->ni", attitude, relative) + np.cross(at.spin_rad_s[instant], camera)
+    camera, rate = at.in_camera(instant, position_km, velocity_km_s)
     range_km = np.linalg.norm(line, axis=1)
     across = relative - np.sum(relative * line, axis=1, keepdims=True) * line / range_km[:, None] ** 2
     rate_rad_s = np.linalg.norm(across, axis=1) / range_km

@@ -12,10 +12,12 @@ from sboc_e2e.registry import Registry
 from simulator.chain import Simulator
 from simulator.randomness import Effect, generator
 from simulator.scene.encounters import draw_candidates, in_field
+from simulator.scene.surface import Surfaces
 from simulator.survey.blocks import Pools, candidate_number, draw_block, pilot_instants
 from simulator.survey.candidates import candidates, pool_of
 from simulator.survey.flight import BLOCK_S, Flight, block_instants, instants_of
 from simulator.survey.looks import looks_of
+from simulator.survey.passages import make_passages
 
 SMALL = ['population.classes=[{from="1 mm", to="3 mm", count=1}]']
 
@@ -82,6 +84,29 @@ def test_passages_lie_in_the_field_and_their_looks_within_the_stay() -> None:
 def test_straight_motion_through_the_field() -> None:
     enter, leave = in_field(np.array([[0.0, 0.0, 100.0]]), np.array([[1.0, 0.0, 0.0]]), 0.05, 0.05)
     assert (enter[0], leave[0]) == pytest.approx((-5.0, 5.0))
+
+
+def test_a_camera_that_turns_sees_the_motion_of_its_own_frame() -> None:
+    """A zenith camera and an object 1,000 km above it on a circle of its plane, against differences over 0.2 s and by hand."""
+    f = flight(*SMALL, 'pointing.law="nadir"')
+    h = 0.1
+    before, at, after = (instants_of(f, np.array([100.0 + t]), BLOCK_S) for t in (-h, 0.0, h))
+    radius = np.linalg.norm(at.position_km)
+    position = at.position_km * (1.0 + 1_000.0 / radius)
+    velocity = at.velocity_km_s * np.sqrt(radius / (radius + 1_000.0))
+    ends = [i.attitude[0] @ (position + t * velocity - i.position_km)[0] for i, t in ((before, -h), (after, h))]
+    expected = (ends[1] - ends[0]) / (2.0 * h)
+    # it falls back by the turn of the vertical over its radius, less its own speed: 8.563 - 7.024 km/s
+    assert np.linalg.norm(expected) == pytest.approx(1.539, abs=0.002)
+    place, moves = at.in_camera(np.zeros(1, np.int64), position, velocity)
+    assert moves[0] == pytest.approx(expected, abs=1e-3)
+    surfaces = Surfaces(albedo=np.ones(1), specular=np.zeros(1), colour=np.ones(1))
+    p = make_passages(f, at, np.zeros(1, np.int64), np.ones(1), surfaces, position, velocity)
+    stay = np.ravel(in_field(place, expected[None], f.window.half_row, f.window.half_col))
+    assert [p.enter_s[0], p.leave_s[0]] == pytest.approx(stay, rel=1e-3)
+    looks = looks_of(f, at, p, np.random.default_rng(1), turns=False)
+    whole = np.median(looks.length_px)
+    assert whole == pytest.approx(np.linalg.norm(expected) / 1_000.0 * f.camera.exposure_s * f.window.focal_px, rel=1e-3)
 
 
 def test_the_earth_ends_the_watch_in_summer() -> None:

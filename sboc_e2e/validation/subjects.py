@@ -8,6 +8,7 @@ import numpy as np
 from astropy.wcs import WCS
 from numpy.typing import NDArray
 
+from ground.sky.apparent import jyear_of, mid_frame_tai_ns
 from sboc_e2e import scenario as scenarios
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
@@ -70,7 +71,7 @@ def from_fits(path: Path, hdu: int | None, catalogue: Callable[[], StarCatalogue
     header = sourced.frame.header
     image = np.ascontiguousarray(sourced.frame.pixels, dtype=np.float32)
     _refuse_empty(image, f"{path}, HDU {chosen.hdu}")
-    epoch_jyear = 2000.0 + (header.t_start_tai_ns * 1e-9 / 86400.0 - 10957.5) / 365.25
+    epoch_jyear = jyear_of(mid_frame_tai_ns(header))
     stars, notes = None, [note.text for note in sourced.notes]
     if sourced.wcs is not None:
         stars = catalogue_stars(sourced.wcs, image.shape, catalogue(), epoch_jyear)

@@ -52,6 +52,23 @@ def test_two_files(compared):
     assert len(picture) < 200_000
 
 
+def test_proper_motion_is_that_of_the_frames_own_date(tmp_path, monkeypatch):
+    image = fits.PrimaryHDU(star_frame(seed=5)[0])
+    image.header.update({"DATE-OBS": "2026-01-01T12:00:00", "EXPTIME": 1.0, "CTYPE1": "RA---TAN", "CTYPE2": "DEC--TAN"})
+    image.header.update({"CRVAL1": 10.0, "CRVAL2": 20.0, "CRPIX1": 100.0, "CRPIX2": 100.0, "CDELT1": -1e-3, "CDELT2": 1e-3})
+    image.writeto(tmp_path / "dated.fits")
+    epochs, cone = [], StarCatalogue.cone
+
+    def noted(self, *place, epoch_jyear):
+        epochs.append(epoch_jyear)
+        return cone(self, *place, epoch_jyear=epoch_jyear)
+
+    monkeypatch.setattr(StarCatalogue, "cone", noted)
+    from_fits(tmp_path / "dated.fits", None, StarCatalogue.embedded)
+    # J2000.0 is noon of 2000 January 1; 26 years with 7 leap days are 9,497 days, a quarter of a day less than 26 Julian years
+    assert epochs == [pytest.approx(2000.0 + 9497.0 / 365.25, abs=1e-5)]
+
+
 @pytest.mark.parametrize("scheme", SCHEMES)
 @pytest.mark.parametrize("width", WIDTHS)
 def test_the_page_fits(chromium, compared, width, scheme):

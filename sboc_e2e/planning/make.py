@@ -1,6 +1,7 @@
 """From a plan's file to a folder: schedule.ecsv, targets.ecsv, windows.ecsv, scenario.toml, prm.xml, pictures, plan.md."""
 
 import gzip
+import zlib
 from pathlib import Path
 from typing import Any, Final
 
@@ -77,7 +78,7 @@ def _objects(request: PlanRequest, path: Path, source: Path) -> KnownObjects:
     try:
         data = source.read_bytes()
         text = (gzip.decompress(data) if source.suffix == ".gz" else data).decode()
-    except (OSError, EOFError, UnicodeDecodeError) as error:
+    except (OSError, EOFError, zlib.error, UnicodeDecodeError) as error:
         raise UserError(f"{path}: objects: {source} cannot be read: {error}") from error
     known = read_elements(text)
     if not known.names:

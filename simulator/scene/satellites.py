@@ -3,6 +3,7 @@
 import csv
 import gzip
 import json
+import zlib
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from io import StringIO
@@ -74,13 +75,12 @@ class Satellite:
 def read_satellites(path: str | Path, names: Iterable[str] = ()) -> list[Satellite]:
     """Element sets of a file; those of the given names or catalogue numbers, or all. SGP4 may refuse them later (`propagate`).
 
-    UserError for a missing file, a malformed set (with its line) and a name that is not there.
+    UserError for a missing or damaged file, a malformed set (with its line) and a name that is not there.
     """
     path = Path(path)
     if not path.is_file():
         raise UserError(f"satellite file {path}: no such file")
-    raw = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
-    text = raw.decode("utf-8", errors="replace")
+    text = _text_of(path, f"satellite file {path}")
     kind = path.with_suffix("").suffix if path.suffix == ".gz" else path.suffix
     found = _read_omm(path, text, kind) if kind in (".csv", ".json", ".xml") else _read_lines(path, text)
     wanted = set(names)
@@ -94,16 +94,24 @@ def read_satellites(path: str | Path, names: Iterable[str] = ()) -> list[Satelli
     return found
 
 
+def _text_of(path: Path, named: str) -> str:
+    """Text of a file, which may be gzipped. UserError, which begins with how the file is named, for one that cannot be read."""
+    try:
+        raw = path.read_bytes()
+        return (gzip.decompress(raw) if path.suffix == ".gz" else raw).decode("utf-8", errors="replace")
+    except (OSError, EOFError, zlib.error) as error:
+        raise UserError(f"{named}: cannot be read: {getattr(error, 'strerror', None) or error}") from error
+
+
 def with_sizes(satellites: list[Satellite], path: str | Path) -> list[Satellite]:
     """Satellites with the diameters of a file, twice its radii; those that it does not know, or only as 0, keep none.
 
-    UserError for a missing file, one without the columns ObjectID and HBR, and a row that holds no numbers.
+    UserError for a missing or damaged file, one without the columns ObjectID and HBR, and a row that holds no numbers.
     """
     path = Path(path)
     if not path.is_file():
         raise UserError(f"objects.satellites.sizes_file: {path}: no such file")
-    raw = gzip.decompress(path.read_bytes()) if path.suffix == ".gz" else path.read_bytes()
-    reader = csv.DictReader(StringIO(raw.decode("utf-8", errors="replace")))
+    reader = csv.DictReader(StringIO(_text_of(path, f"objects.satellites.sizes_file: {path}")))
     if not {"ObjectID", "HBR"} <= set(reader.fieldnames or ()):
         raise UserError(f"objects.satellites.sizes_file: {path}: columns ObjectID and HBR are needed")
     try:

@@ -1,5 +1,6 @@
 """SGP4's own verification set through our reader and propagator; the predictor against brute force."""
 
+import gzip
 from itertools import pairwise
 from pathlib import Path
 
@@ -16,7 +17,7 @@ from simulator.platform import earth
 from simulator.platform.observer import PlatformOptions, make_observer
 from simulator.platform.pointing import PointingOptions, commanded_attitude
 from simulator.scene.prediction import Watch, predict_crossings
-from simulator.scene.satellites import Satellite, gcrs_from_teme, propagate, read_satellites
+from simulator.scene.satellites import Satellite, gcrs_from_teme, propagate, read_satellites, with_sizes
 
 FOLDER = Path(sgp4.__file__).parent
 
@@ -88,6 +89,23 @@ def test_predictor_finds_what_brute_force_finds(shared_data):
     assert len(found) <= len(brute) + 3
     assert brute
     assert predicted.refused  # decayed and absurd sets are named, not dropped
+
+
+def damaged(kind):
+    """A gzipped text cut short, with a byte of its deflate block type overwritten, or not gzipped at all."""
+    text = b"".join(b"%d a line of no element set\n" % k for k in range(500))
+    packed = gzip.compress(text)
+    return {"truncated": packed[: len(packed) // 2], "corrupt": packed[:10] + b"\xff" + packed[11:], "not gzipped": text}[kind]
+
+
+@pytest.mark.parametrize("kind", ["truncated", "corrupt", "not gzipped"])
+def test_damaged_files_are_refused_by_name(kind, tmp_path):
+    file = tmp_path / "sets.3le.gz"
+    file.write_bytes(damaged(kind))
+    with pytest.raises(UserError, match=r"satellite file .*sets\.3le\.gz: cannot be read: "):
+        read_satellites(file)
+    with pytest.raises(UserError, match=r"objects\.satellites\.sizes_file: .*sets\.3le\.gz: cannot be read: "):
+        with_sizes([], file)
 
 
 def test_bad_files_are_refused_by_name(tmp_path):

@@ -1,5 +1,6 @@
 """Plans and surveys that cannot be: one line that names the key, what it asks and what there is; nothing is left on the disk."""
 
+import gzip
 import re
 from itertools import pairwise
 from pathlib import Path
@@ -34,6 +35,8 @@ def folder_of(folder: Path) -> Path:
     (folder / "words.3le").write_text("nothing here\nis an element set\n")
     (folder / "gone.3le").write_text(with_checksums(DECAYED))
     (folder / "sums.3le").write_text(DECAYED)
+    packed = gzip.compress(DECAYED.encode())
+    (folder / "damaged.3le.gz").write_bytes(packed[:10] + b"\xff" + packed[11:])
     (folder / "night.csv").write_text(NIGHT)
     (folder / "span.csv").write_text(SPAN)
     common = ['objects = "ring.3le"', "[plan]", 'size = "4 m"']
@@ -120,6 +123,7 @@ IMPOSSIBLE = [
     ("orbit.toml", ("objects=empty.3le",), "empty.3le holds no element set"),
     ("orbit.toml", ("objects=words.3le",), "words.3le holds no element set"),
     ("orbit.toml", ("objects=none.3le",), "none.3le cannot be read"),
+    ("orbit.toml", ("objects=damaged.3le.gz",), "damaged.3le.gz cannot be read"),
     ("orbit.toml", ("objects=",), "the goal `orbits` needs a file of element sets"),
     ("orbit.toml", ("scenario=none",), 'there is no scenario "none"'),
     ("orbit.toml", ("start_utc=soon",), "start_utc: 'soon' is not an ISO-8601 date"),

@@ -10,6 +10,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Calibration, NominalCamera
 from simulator.optics.halo import make_halo
 from simulator.optics.instrument import InstrumentOptions
@@ -30,7 +31,7 @@ LEAST_GAUSSIAN = 0.4
 class Camera:
     """An instrument and its sensor. `seeing_px` (Gaussian sigma) widens the PSF of a camera on the ground.
 
-    seeing_error : the seeing over that of the camera file, less 1.
+    seeing_error : the seeing over that of the camera file, less 1. UserError for binning that is not square.
     """
 
     def __init__(
@@ -47,6 +48,10 @@ class Camera:
         self._psf, self._vignetting = psf, vignetting
         self.sensor = Sensor(sensor, rows=instrument.rows, cols=instrument.cols, seed=seed)
         self.binning, self._window = sensor.binning, sensor.window
+        if sensor.binning.rows != sensor.binning.cols:  # the nominal camera has one focal length in pixels
+            raise UserError(
+                f"sensor.binning: {sensor.binning.rows} x {sensor.binning.cols} is not square; allowed are equal rows and cols"
+            )
         self.shape = self.sensor.window_shape
         self.projection = instrument.true_projection().delivered(
             bin_rows=1, bin_cols=1, window_row0=sensor.window.row0, window_col0=sensor.window.col0

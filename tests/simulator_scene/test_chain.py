@@ -273,6 +273,7 @@ def test_calibration_is_of_the_nominal_camera(smoke):
             {"shutter": ShutterOptions(line_time_us=100.0, direction="alternating")},
             r"shutter.exposure: 0.2 s .* beside a read-out of 0.0512 s that alternates; allowed is up to 0.1988 s",
         ),
+        ({"sensor": SensorOptions(binning=BinningOptions(rows=2, cols=4))}, r"sensor\.binning: 2 x 4 is not square; .* equal"),
         ({"pointing": PointingOptions(law="object", target="nobody")}, "nobody"),
         ({"objects": ObjectOptions(passing=(PassingOptions(name="x", range_km=9e5),))}, "'x'"),
         ({"objects": ObjectOptions(passing=(), orbit=(OrbitOptions(name="deep", eccentricity=0.5),))}, "inside the Earth"),

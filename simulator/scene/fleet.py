@@ -21,7 +21,7 @@ from simulator.scene.encounters import PopulationOptions
 from simulator.scene.objects import OrbitingObject
 from simulator.scene.prediction import may_cross
 from simulator.scene.satellites import Satellite, propagate, read_satellites, size_of, with_sizes
-from simulator.scene.sources import ObjectOptions, kepler_object
+from simulator.scene.sources import ObjectOptions, kepler_object, own_epoch_tai_ns
 from simulator.scene.surface import Surfaces, draw_surfaces
 from simulator.scene.walker import walker_elements
 
@@ -136,7 +136,8 @@ def make_fleet(
 ) -> Fleet:
     """The objects of a scenario. Pieces have the surfaces of the sampled population; the others are Lambert spheres.
 
-    UserError for a file that cannot be read and for a break-up of an object that is not there.
+    UserError for a file that cannot be read, an orbit that enters the Earth or whose epoch is too far from the run, and for a
+    break-up of an object that is not there.
     """
     listed: list[Satellite] = []
     if options.satellites.file:
@@ -148,12 +149,14 @@ def make_fleet(
     albedo = [options.satellites.albedo] * len(listed)
     kind = [KINDS.index("satellite")] * len(listed)
     parts: list[Elements] = []
+    elements_s: list[float] = []
     for w in options.walker:
         names += [f"{w.name}-{k + 1}" for k in range(w.satellites)]
         size += [w.size_m] * w.satellites
         albedo += [w.albedo] * w.satellites
         kind += [KINDS.index("walker")] * w.satellites
         parts.append(walker_elements(w))
+        elements_s += [0.0] * w.satellites
     for o in options.orbit:
         names.append(o.name)
         size.append(o.size_m)
@@ -161,12 +164,13 @@ def make_fleet(
         kind.append(KINDS.index("orbit"))
         one = elements_deg(o.semi_major_axis_km, o.eccentricity, o.inclination_deg, o.node_deg, o.perigee_deg, o.mean_anomaly_deg)
         parts.append(mean_of(_vector(one)))
+        elements_s.append((own_epoch_tai_ns(o, epoch_tai_ns) - epoch_tai_ns) * 1e-9)
     whole = len(names)
     fleet = Fleet(
         names=tuple(names), kind=np.array(kind, dtype=np.int8), size_m=np.array(size, dtype=np.float64),
         surfaces=Surfaces(albedo=np.array(albedo, dtype=np.float64), specular=np.zeros(whole), colour=np.ones(whole)),
         from_s=np.full(whole, -FOREVER_S), to_s=np.full(whole, FOREVER_S), satellites=tuple(listed),
-        elements=_joined(parts), elements_s=np.zeros(whole - len(listed)), epoch_tai_ns=epoch_tai_ns,
+        elements=_joined(parts), elements_s=np.array(elements_s, dtype=np.float64), epoch_tai_ns=epoch_tai_ns,
     )  # fmt: skip
     for k, b in enumerate(options.breakup):
         fleet = broken_up(fleet, b, population, generator(seed, Effect.BREAKUP, k), colour_factor)

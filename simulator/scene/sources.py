@@ -202,8 +202,8 @@ class ObjectOptions:
     breakup: tuple[BreakupOptions, ...] = field(default=(), metadata={"doc": "break-ups of satellites or orbits"})
 
 
-def orbiting(options: OrbitOptions, run_tai_ns: int) -> OrbitingObject:
-    """An object on the orbit of its options. run_tai_ns : epoch of the run.
+def own_epoch_tai_ns(options: OrbitOptions, run_tai_ns: int) -> int:
+    """Epoch of an orbit's elements; that of the run where it has none of its own.
 
     UserError when the orbit enters the Earth, and for an epoch that is none or too far from the run.
     """
@@ -212,15 +212,22 @@ def orbiting(options: OrbitOptions, run_tai_ns: int) -> OrbitingObject:
         raise UserError(
             f"objects.orbit {options.name!r}: perigee height {perigee_km:.0f} km lies inside the Earth; allowed is above 0 km"
         )
-    elements, since_s, epoch_ns = elements_in(options), 0.0, run_tai_ns
-    if options.epoch_utc:
-        epoch_ns = tai_ns_of_utc(options.epoch_utc)
-        since_s = (epoch_ns - run_tai_ns) * 1e-9
-        if abs(since_s) > LONGEST_DAYS * DAY_S:
-            raise UserError(
-                f"objects.orbit {options.name!r}: epoch_utc: {abs(since_s) / DAY_S:.0f} days from the run; "
-                f"allowed are up to {LONGEST_DAYS:.0f}"
-            )
+    if not options.epoch_utc:
+        return run_tai_ns
+    epoch_ns = tai_ns_of_utc(options.epoch_utc)
+    since_s = (epoch_ns - run_tai_ns) * 1e-9
+    if abs(since_s) > LONGEST_DAYS * DAY_S:
+        raise UserError(
+            f"objects.orbit {options.name!r}: epoch_utc: {abs(since_s) / DAY_S:.0f} days from the run; "
+            f"allowed are up to {LONGEST_DAYS:.0f}"
+        )
+    return epoch_ns
+
+
+def orbiting(options: OrbitOptions, run_tai_ns: int) -> OrbitingObject:
+    """An object on the orbit of its options. run_tai_ns : epoch of the run. UserError as `own_epoch_tai_ns`."""
+    epoch_ns = own_epoch_tai_ns(options, run_tai_ns)
+    elements, since_s = elements_in(options), (epoch_ns - run_tai_ns) * 1e-9
     made = kepler_object(
         options.name, "orbit", options.size_m, options.albedo, elements, since_s, curve=options.light_curve.curve()
     )

@@ -6,12 +6,13 @@ import numpy as np
 import pytest
 
 from sboc_e2e.icd.errors import UserError
+from simulator.platform.earth import tai_ns_of_utc
 from simulator.platform.kepler import elements_deg, state_of
 from simulator.platform.orbit_motion import OrbitMotion
 from simulator.scene.breakup import BreakupOptions, draw_chi, draw_pieces, draw_speed_m_s, mixture_of, number_larger
 from simulator.scene.encounters import PopulationOptions
 from simulator.scene.fleet import make_fleet
-from simulator.scene.sources import ObjectOptions, OrbitOptions
+from simulator.scene.sources import ObjectOptions, OrbitOptions, orbiting
 from simulator.scene.walker import WalkerOptions, walker_elements
 
 COLLISION = BreakupOptions(object="x", cause="collision", mass_kg=950.0, projectile_kg=10.0, impact_km_s=10.0, smallest_mm=10.0)
@@ -102,6 +103,20 @@ def test_mean_orbits_stay_with_integrated_ones(eccentricity: float) -> None:
     apart = np.linalg.norm(fleet.states(np.array([0]), time_s)[0][0] - motion.states(time_s)[0], axis=1)
     # with the osculating axis instead of the mean one: 176 km after a day
     assert (apart < 30.0).all()
+
+
+def test_an_orbit_of_another_epoch_is_where_the_pixel_chain_has_it() -> None:
+    run = tai_ns_of_utc("2027-01-29T00:00:00")
+    walker = WalkerOptions(satellites=2, planes=1, phasing=0)
+    given = OrbitOptions(name="x", semi_major_axis_km=7_500.0, epoch_utc="2027-01-28T05:00:00")
+    fleet = make_fleet(ObjectOptions(passing=(), walker=(walker,), orbit=(given,)), PopulationOptions(), run, 1, None)
+    time_s = np.array([0.0, 3_600.0])
+    apart = fleet.states(np.array([2]), time_s)[0][0] - orbiting(given, run).positions_km(time_s)
+    # mean elements stay within 30 km of integrated ones; in 19 hours of another epoch the object is on another side of the Earth
+    assert (np.linalg.norm(apart, axis=1) < 30.0).all()
+    far = replace(given, epoch_utc="2026-01-01T00:00:00")
+    with pytest.raises(UserError, match=r"objects\.orbit 'x': epoch_utc: 393 days from the run; allowed are up to 60"):
+        make_fleet(ObjectOptions(passing=(), orbit=(far,)), PopulationOptions(), run, 1, None)
 
 
 def test_a_walker_constellation_is_evenly_spaced() -> None:

@@ -59,7 +59,7 @@ class Simulator:
 
     def __init__(self, options: SimulatorOptions, *, seed: int, catalogue: StarCatalogue) -> None:
         options = with_drawn_errors(options, seed)
-        options.refuse_overlap()
+        options.refuse_bad_timing()
         shutter = options.shutter
         if options.sensor.type == "ccd":  # all rows are exposed at once; the line time is that of the store's read-out
             shutter = replace(shutter, line_time_us=0.0)

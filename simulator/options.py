@@ -1,7 +1,9 @@
 """Options of the simulator: each step's own dataclass, gathered. The defaults are the run `sso_antisun`."""
 
 from dataclasses import dataclass, field, replace
+from typing import Final
 
+from sboc_e2e.icd.errors import UserError
 from simulator.optics.instrument import AsBuiltOptions, InstrumentOptions
 from simulator.optics.psf import PsfOptions
 from simulator.optics.vignetting import VignettingOptions
@@ -18,6 +20,9 @@ from simulator.scene.sky import SkyOptions
 from simulator.scene.sources import ObjectOptions
 from simulator.scene.stars import StarOptions
 from simulator.sensor.options import SensorOptions
+
+MOST_ROLL_DEG: Final = 175.0
+"""Farthest roll from mid-exposure. Rotation vectors wrap at 180 deg; the rest is for orbit and jitter."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,10 +54,17 @@ class SimulatorOptions:
     objects: ObjectOptions = field(default_factory=ObjectOptions, metadata={"doc": "objects given one by one"})
     radiation: RadiationOptions = field(default_factory=RadiationOptions, metadata={"doc": "particles"})
 
-    def refuse_overlap(self) -> None:
-        """UserError when the exposure or the read-out of the rows that are read lasts longer than a frame."""
-        window = self.sensor.window
-        self.shutter.refuse_overlap(window.rows or self.instrument.rows - window.row0, self.frame_rate_hz)
+    def refuse_bad_timing(self) -> None:
+        """UserError when exposure or read-out last longer than a frame, and when the camera rolls too far within one."""
+        rows = self.sensor.window.rows or self.instrument.rows - self.sensor.window.row0
+        self.shutter.refuse_overlap(rows, self.frame_rate_hz)
+        readout_s = 0.0 if self.sensor.type == "ccd" else 1e-6 * self.shutter.line_time_us * rows
+        allowed_deg_s = MOST_ROLL_DEG / (0.5 * (self.shutter.exposure_s + readout_s))
+        if abs(self.pointing.roll_rate_deg_s) > allowed_deg_s:
+            raise UserError(
+                f"pointing.roll_rate: {self.pointing.roll_rate_deg_s:g} deg/s turns the camera by more than {MOST_ROLL_DEG:g} "
+                f"deg on one side of the middle of a frame; allowed is up to {allowed_deg_s:.4g} deg/s"
+            )
 
 
 def smoke_options(base: SimulatorOptions | None = None) -> SimulatorOptions:

@@ -299,7 +299,7 @@ def scenarios_show(
 ) -> None:
     """Print a scenario with every key: value, meaning, range, and whether file, preset or command line gave it.
 
-    It ends with a refusal where the exposure or the read-out does not fit the frame rate.
+    It ends with a refusal where the exposure or the read-out does not fit the frame rate, or the camera rolls too far in a frame.
     """
     from sboc_e2e import scenario as scenario_files
     from sboc_e2e.icd.errors import UserError
@@ -308,7 +308,7 @@ def scenarios_show(
     resolved = scenario_files.load(scenario, registry=registry_of(plugin), overrides=overrides or (), use=parsed_uses(use))
     typer.echo(shown.text(resolved), nl=False)
     try:
-        resolved.simulator.refuse_overlap()
+        resolved.simulator.refuse_bad_timing()
     except UserError as error:
         raise UserError(f"scenario {resolved.name}: {resolved.told(str(error))}") from error
 

@@ -1,6 +1,7 @@
 """The chain as a whole: light against truth, bytes, telemetry, refusals."""
 
 from dataclasses import fields, is_dataclass, replace
+from types import SimpleNamespace
 from typing import get_args
 
 import numpy as np
@@ -14,10 +15,11 @@ from simulator.optics.psf import PsfOptions
 from simulator.optics.vignetting import VignettingOptions
 from simulator.options import SimulatorOptions, smoke_options
 from simulator.platform.jitter import JitterOptions
+from simulator.platform.line_of_sight import line_of_sight
 from simulator.platform.observer import PlatformOptions
-from simulator.platform.pointing import PointingOptions
+from simulator.platform.pointing import PointingOptions, commanded_attitude
 from simulator.platform.rotation import rotation_vector_of
-from simulator.platform.shutter import ShutterOptions
+from simulator.platform.shutter import FrameTiming, ShutterOptions
 from simulator.scene.encounters import PopulationOptions
 from simulator.scene.sky import SkyOptions
 from simulator.scene.sources import EncounterOptions, ObjectOptions, OrbitOptions, PassingOptions, PixelPathOptions
@@ -274,6 +276,15 @@ def test_calibration_is_of_the_nominal_camera(smoke):
             r"shutter.exposure: 0.2 s .* beside a read-out of 0.0512 s that alternates; allowed is up to 0.1988 s",
         ),
         ({"sensor": SensorOptions(binning=BinningOptions(rows=2, cols=4))}, r"sensor\.binning: 2 x 4 is not square; .* equal"),
+        (
+            # 175 deg in half of 0.95 s and 512 rows of 80 us
+            {
+                "pointing": PointingOptions(roll_rate_deg_s=-360.0),
+                "frame_rate_hz": 1.0,
+                "shutter": ShutterOptions(exposure_s=0.95, line_time_us=80.0),
+            },
+            r"pointing\.roll_rate: -360 deg/s .* allowed is up to 353\.2 deg/s",
+        ),
         ({"pointing": PointingOptions(law="object", target="nobody")}, "nobody"),
         ({"objects": ObjectOptions(passing=(PassingOptions(name="x", range_km=9e5),))}, "'x'"),
         ({"objects": ObjectOptions(passing=(), orbit=(OrbitOptions(name="deep", eccentricity=0.5),))}, "inside the Earth"),
@@ -286,6 +297,18 @@ def test_impossible_runs_are_refused_by_name(catalogue, changes, words):
     with pytest.raises(UserError, match=words) as caught:
         Simulator(small(**changes), seed=1, catalogue=catalogue)
     assert "\n" not in str(caught.value)
+
+
+def test_a_roll_up_to_the_limit_is_as_commanded():
+    """175 deg on both sides of mid-exposure: the light of the first and the last moment lies where the roll puts it."""
+    roll = PointingOptions(law="inertial", ra_deg=30.0, dec_deg=20.0, roll_rate_deg_s=350.0)
+    attitude = commanded_attitude(roll, None, 0)
+    still = SimpleNamespace(state=lambda _: (np.zeros(3), np.zeros(3)), rotation_vector=lambda t: np.zeros((len(t), 3)))
+    timing = FrameTiming(t_start_tai_ns=0, clock_tai_ns=0, exposure_ns=1_000_000_000, line_time_ns=0, rows=1)
+    sight = line_of_sight(timing, 0, still, attitude, still)
+    star = np.array([[0.7, 0.5, 0.5]])
+    for t in (0.0, 0.25, 0.5, 1.0):
+        assert sight.to_camera(np.array([t]), star)[0] == pytest.approx(attitude(round(t * 1e9)) @ star[0], abs=1e-6)
 
 
 def test_frames_beyond_the_run_are_refused(smoke):

@@ -18,8 +18,8 @@ _NO_MATTER: Final = 1e-10
 class Assessment:
     """All figures of an encounter.
 
-    foster : NaN where its grid does not resolve the errors. stands : "two-dimensional", "curved" or "Monte Carlo"; probability : that one. reason : why the plane does or does not hold.
-    trial : of Monte Carlo, None where it was not needed.
+    foster : NaN where its grid does not resolve the errors. stands : "two-dimensional", "curved" or "Monte Carlo"; probability :
+    that one. reason : why the plane does or does not hold. trial : of Monte Carlo, None where it was not needed.
     """
 
     encounter: Encounter

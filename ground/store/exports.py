@@ -21,7 +21,7 @@ from ground.store.store import ObjectStore, StoredOrbit
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
 
-_OEM_STEP_S: Final = 300.0  # nineteen states in a low revolution, for the interpolation of `_OEM_DEGREE` that the message asks for
+_OEM_STEP_S: Final = 300.0  # nineteen states in a low revolution, for the interpolation that the message asks for
 _OEM_DEGREE: Final = 7  # of the interpolation, which needs one state more
 _MEAN_STATES: Final = 97  # every 15 minutes of a day, and the middle is one of them
 _LARGEST_MEAN_KM: Final = 50.0

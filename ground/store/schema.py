@@ -1,8 +1,11 @@
 """Tables of the store and the steps by which an older one becomes today's."""
 
+import hashlib
 from collections.abc import Callable
 from typing import Final
 
+import numpy as np
+from numpy.typing import NDArray
 from sqlalchemy import (
     BigInteger,
     Boolean,
@@ -17,6 +20,7 @@ from sqlalchemy import (
     String,
     Table,
     Text,
+    bindparam,
     inspect,
     select,
     text,
@@ -26,6 +30,8 @@ from sqlalchemy import (
 from sboc_e2e.icd.errors import UserError
 
 METADATA: Final = MetaData()
+_ROWS_AT_ONCE: Final = 10_000
+"""Tracklets that an upgrade holds in memory, some 10 MB."""
 
 VERSION: Final = Table("store_version", METADATA, Column("version", Integer, primary_key=True))
 
@@ -109,7 +115,39 @@ def _magnitudes_and_merges(connection: Connection) -> None:
         connection.execute(text("ALTER TABLE objects ADD COLUMN merged_into INTEGER"))
 
 
-STEPS: Final[tuple[Callable[[Connection], None], ...]] = (_first, _magnitudes_and_merges)
+def uid_of(sensor: str, t_tai_ns: NDArray[np.int64], direction: NDArray[np.float64]) -> str:
+    """What tells a tracklet from others: its sensor, epochs (n,) and directions (n, 3); not their errors, nor the observer."""
+    content = t_tai_ns.astype("<i8").tobytes() + direction.astype("<f8").tobytes()
+    return hashlib.sha256(sensor.encode() + content).hexdigest()
+
+
+def _uids_of_directions(connection: Connection) -> None:
+    """Version 2 had the errors and the observer in the uid. One that was given from outside stays."""
+    t = TRACKLETS.c
+    done: set[str] = set()
+    last = 0
+    while True:
+        query = select(t.tracklet_id, t.uid, t.sensor, t.epochs, t.rows).where(t.tracklet_id > last)
+        some = connection.execute(query.order_by(t.tracklet_id).limit(_ROWS_AT_ONCE)).all()
+        if not some:
+            return
+        last = some[-1].tracklet_id
+        changed = []
+        for row in some:
+            if row.uid == hashlib.sha256(row.sensor.encode() + row.epochs + row.rows).hexdigest():
+                direction = np.frombuffer(row.rows, dtype="<f8").reshape(-1, 9)[:, :3]
+                uid = uid_of(row.sensor, np.frombuffer(row.epochs, dtype="<i8"), direction)
+                # the same directions were stored twice where their errors differed: the second keeps its uid
+                if uid not in done:
+                    changed.append({"number": row.tracklet_id, "new": uid})
+                done.add(uid)
+        if changed:
+            connection.execute(
+                update(TRACKLETS).where(t.tracklet_id == bindparam("number")).values(uid=bindparam("new")), changed
+            )
+
+
+STEPS: Final[tuple[Callable[[Connection], None], ...]] = (_first, _magnitudes_and_merges, _uids_of_directions)
 """Step k makes version k + 1 of version k; each runs in the transaction that records it."""
 
 

@@ -1,6 +1,5 @@
 """Writing and reading the store: every change is one transaction, every change says who made it."""
 
-import hashlib
 import json
 import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
@@ -33,7 +32,7 @@ _BUSY_S: Final = 60  # how long a writer waits for another before the user is to
 class StoredTracklet:
     """Directions (n, 9) of `COLUMNS` at epochs (n,) TAI ns by a sensor. mag : NaN when not known.
 
-    uid : two with the same are one tracklet; that of all the content where none is given.
+    uid : two with the same are one tracklet; that of sensor, epochs and directions where none is given.
     """
 
     sensor: str
@@ -51,8 +50,7 @@ class StoredTracklet:
         if (self.rows[:, 3:5] <= 0.0).any() or np.abs(np.linalg.norm(self.rows[:, :3], axis=1) - 1.0).max() > 1e-6:
             raise UserError("store: a tracklet whose sigmas are not above 0, or whose directions are no unit vectors")
         if not self.uid:
-            digest = hashlib.sha256(self.sensor.encode() + self.t_tai_ns.tobytes() + self.rows.tobytes()).hexdigest()
-            object.__setattr__(self, "uid", digest)
+            object.__setattr__(self, "uid", schema.uid_of(self.sensor, self.t_tai_ns, self.rows[:, :3]))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -73,8 +73,8 @@ def light_of(
 def _is_same(segment: TdmSegment, tracklet: StoredTracklet) -> bool:
     """Whether a segment is a stored tracklet: the same uid, or the same first epoch and direction.
 
-    The uid holds for tracklets that a calibration has moved. The second rule holds for rows of earlier stores and for messages
-    that give the same numbers with other digits.
+    The uid holds for tracklets that a calibration has moved, the second rule for messages that give their numbers with other
+    digits.
     """
     if not len(segment.angle_tai_ns):
         return False

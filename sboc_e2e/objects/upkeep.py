@@ -1,6 +1,5 @@
 """Published tracklets into the store, and the store brought up to a night."""
 
-import hashlib
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from ground.sensor_bias.correct import corrected, nearest, read_calibration, widened
 from ground.sensor_bias.estimate import Place, SensorBias, Track
 from ground.sky.sphere import ARCSEC_RAD
+from ground.store import schema
 from ground.store.store import ObjectStore, StoredTracklet
 from ground.upkeep.night import update
 from ground.upkeep.view import UpkeepOptions
@@ -102,8 +102,7 @@ def _stored(
 def uid_of(segment: TdmSegment, sensor: str) -> str:
     """What tells a segment's tracklet from others: its sensor, epochs and directions as published, without any calibration."""
     order = np.argsort(segment.angle_tai_ns, kind="stable")
-    epochs, directions = segment.angle_tai_ns[order].astype("<i8"), segment.direction[order].astype("<f8")
-    return hashlib.sha256(sensor.encode() + epochs.tobytes() + directions.tobytes()).hexdigest()
+    return schema.uid_of(sensor, segment.angle_tai_ns[order], segment.direction[order])
 
 
 def bring_up(url: str, at_utc: str, window_days: float, workers: int) -> str:

@@ -1,5 +1,6 @@
 """The store: what is written is there, all of it or nothing, for SQLite and for a PostgreSQL server."""
 
+import hashlib
 import os
 import random
 import shutil
@@ -239,6 +240,29 @@ def test_an_older_store_is_upgraded_and_a_later_one_refused(tmp_path: Path) -> N
     again.close()
     with pytest.raises(UserError, match="version 99 is of a later program"):
         ObjectStore(url)
+
+
+def test_tracklets_of_an_older_store_are_not_stored_again(tmp_path: Path) -> None:
+    """Their uid held their errors as well; two of one sensor, epochs and directions stay two."""
+    url, one, other = str(tmp_path / "store.db"), tracklet(1), tracklet(2)
+    wider = one.rows * np.where(np.isin(np.arange(9), (3, 4)), 2.0, 1.0)
+
+    def older(rows: np.ndarray) -> StoredTracklet:
+        uid = hashlib.sha256(b"telescope" + one.t_tai_ns.tobytes() + rows.tobytes()).hexdigest()
+        return StoredTracklet(sensor="telescope", t_tai_ns=one.t_tai_ns, rows=rows, uid=uid)
+
+    given = StoredTracklet(sensor="telescope", t_tai_ns=other.t_tai_ns, rows=other.rows, uid="of an operator")
+    store = ObjectStore(url)
+    with store.transaction() as writer:
+        first, _, third = writer.add_tracklets([older(one.rows), older(wider), given])
+    with store.engine.begin() as connection:
+        connection.execute(text("UPDATE store_version SET version = 2"))
+    store.close()
+    again = ObjectStore(url)
+    with again.transaction() as writer:
+        assert writer.add_tracklets([one, replace(one, rows=wider, uid=""), given]) == [first, first, third]
+    assert again.counts()["tracklets"] == 3
+    again.close()
 
 
 @pytest.mark.parametrize(

@@ -104,6 +104,14 @@ def test_the_command_judges_and_writes(tmp_path: Path, capsys: pytest.CaptureFix
     assert judged.text_of("COLLISION_PROBABILITY_METHOD") == "ALFANO-2005"
 
 
+def test_the_command_prints_no_foster_that_its_grid_does_not_resolve(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    path = tmp_path / "one.cdm"
+    path.write_text(example())
+    # the shorter error is 17 m
+    assert run(["conjunctions", "assess", str(path), "--hard-body", "3000"]) == 0
+    assert "Foster not valid, Chan" in capsys.readouterr().out
+
+
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [

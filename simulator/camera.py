@@ -168,6 +168,12 @@ class Camera:
         """Electrons per pixel and second of a surface brightness of one V = 0 star per square arcsecond."""
         return float(self.zero_point_e_s * (np.degrees(1.0 / self.projection.focal_px) * 3600.0) ** 2)
 
+    @property
+    def window_offset_px(self) -> tuple[float, float]:
+        """Rows and columns from the middle of the detector to that of the read-out window."""
+        window, built = self._window, self.instrument
+        return window.row0 + 0.5 * (self.shape[0] - built.rows), window.col0 + 0.5 * (self.shape[1] - built.cols)
+
     def direction(self, field_row: float, field_col: float) -> Array:
         """Direction (3,) in the camera frame of a place of the field, -1 to 1 along each axis."""
         row = 0.5 * (self.shape[0] - 1) * (1.0 + field_row)

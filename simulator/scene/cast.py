@@ -80,7 +80,8 @@ def make_cast(
     found, refused = _satellites(given.satellites, carrier, camera, duration_s)
     objects.extend(o for o in found if o.identity.name not in broken)
     if fleet is not None:
-        half = 1.02 * 0.5 * max(camera.shape) / camera.projection.focal_px
+        # about the boresight, as wide as a window off it needs
+        half = 1.02 * (0.5 * max(camera.shape) + np.abs(camera.window_offset_px).max()) / camera.projection.focal_px
         near = passing_now(fleet, carrier, half, half, duration_s)
         drawn_kinds = [KINDS.index("walker"), KINDS.index("fragment")]
         objects.extend(pixel_objects(fleet, near[np.isin(fleet.kind[near], drawn_kinds)]))
@@ -153,6 +154,8 @@ def encounter_window(
         sun_km=earth.sun_position_km(middle),
         half_row=0.5 * camera.shape[0] / camera.projection.focal_px,
         half_col=0.5 * camera.shape[1] / camera.projection.focal_px,
+        mid_row=camera.window_offset_px[0] / camera.projection.focal_px,
+        mid_col=camera.window_offset_px[1] / camera.projection.focal_px,
         duration_s=duration_s,
         exposure_s=camera.exposure_s,
         flux_e_s=camera.zero_point_e_s,

@@ -99,9 +99,9 @@ class PopulationOptions:
 class Window:
     """Field and sensitivity of the camera during the run, for choosing encounters.
 
-    attitude : (3, 3) GCRS to camera at the middle. half_row, half_col : tangents of half the field.
-    flux_e_s : electrons per second of V = 0. noise_variance_e2 : per pixel and exposure. aperture_m : that defocuses near
-    objects. effects : of light on its way.
+    attitude : (3, 3) GCRS to camera at the middle. half_row, half_col : tangents of half the field. mid_row, mid_col : of its
+    middle, which lies off the boresight where the read-out window does. flux_e_s : electrons per second of V = 0.
+    noise_variance_e2 : per pixel and exposure. aperture_m : that defocuses near objects. effects : of light on its way.
     """
 
     observer_km: Array
@@ -118,6 +118,8 @@ class Window:
     noise_variance_e2: float
     aperture_m: float
     effects: LightOptions
+    mid_row: float = 0.0
+    mid_col: float = 0.0
     colour_factor: Callable[[Array], Array] | None = None
     """Electrons of a B-V over those of the Sun's at equal V; None for a grey camera."""
 
@@ -176,6 +178,7 @@ def draw_candidates(
         range_km = np.where(rng.random(n) < even_share, even, range_km)
     per_km = (1.0 - even_share) / (range_km * span) + even_share * range_km**2 / shell_km3
     u, v = rng.uniform(-window.half_col, window.half_col, n), rng.uniform(-window.half_row, window.half_row, n)
+    u, v = u + window.mid_col, v + window.mid_row
     time_s = rng.uniform(-0.5, 0.5, n) * window.duration_s
     slant = np.sqrt(1.0 + u * u + v * v)
     camera = np.stack([u, v, np.ones(n)], axis=1) / slant[:, None] * range_km[:, None]
@@ -303,19 +306,20 @@ def cell_density(position_km: Array, a_km: Array, e: Array, i_rad: Array) -> Arr
 
 def time_in_field(camera_km: Array, rate_km_s: Array, time_s: Array, window: Window) -> Array:
     """Seconds of the run that points (n, 3) of the camera frame, inside the field at `time_s`, spend in it, moving straight."""
-    enter, leave = in_field(camera_km, rate_km_s, window.half_row, window.half_col)
+    enter, leave = in_field(camera_km, rate_km_s, window)
     enter = np.maximum(enter, -0.5 * window.duration_s - time_s)
     leave = np.minimum(leave, 0.5 * window.duration_s - time_s)
     return np.asarray(np.maximum(leave - enter, 0.0))
 
 
-def in_field(camera_km: Array, rate_km_s: Array, half_row: float, half_col: float) -> tuple[Array, Array]:
+def in_field(camera_km: Array, rate_km_s: Array, window: Window) -> tuple[Array, Array]:
     """When points (n, 3) of the camera frame that move straight enter and leave the field: seconds from now, - and +."""
     earliest, latest = np.full(len(camera_km), -np.inf), np.full(len(camera_km), np.inf)
-    for axis, half in ((0, half_col), (1, half_row)):
+    for axis, half, mid in ((0, window.half_col, window.mid_col), (1, window.half_row, window.mid_row)):
+        place, moves = camera_km[:, axis] - mid * camera_km[:, 2], rate_km_s[:, axis] - mid * rate_km_s[:, 2]
         for sign in (1.0, -1.0):
-            inside = half * camera_km[:, 2] + sign * camera_km[:, axis]
-            slope = half * rate_km_s[:, 2] + sign * rate_km_s[:, axis]
+            inside = half * camera_km[:, 2] + sign * place
+            slope = half * rate_km_s[:, 2] + sign * moves
             with np.errstate(divide="ignore", invalid="ignore"):
                 root = -inside / slope
             latest = np.where(slope < 0.0, np.minimum(latest, root), latest)

@@ -66,7 +66,12 @@ def predict_crossings(satellites: list[Satellite], watch: Watch) -> Prediction:
     position, velocity, error = propagate(satellites, epoch_tai_ns, time_s)
     bad = error.any(axis=1)
     refused = {satellites[k].name: int(error[k].max()) for k in np.flatnonzero(bad)}
-    half_row, half_col = (0.5 * side / watch.projection.focal_px * 1.02 for side in watch.shape)
+    # about the boresight, as wide as a window off it needs
+    axis = watch.projection.center_row, watch.projection.center_col
+    half_row, half_col = (
+        (0.5 * side + abs(0.5 * (side - 1) - middle)) / watch.projection.focal_px * 1.02
+        for side, middle in zip(watch.shape, axis, strict=True)
+    )
     possible = np.zeros(len(satellites), dtype=bool)
     for k, t in enumerate(time_s):
         now = epoch_tai_ns + round(t * 1e9)

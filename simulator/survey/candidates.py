@@ -84,6 +84,7 @@ def candidates(flight: Flight, at: Instants, pool: Pool, n: int, rng: np.random.
     range_km[~even] = near[~even] * np.exp(place[~even] * span[~even])
     per_km = (1.0 - EVEN_SHARE) / (range_km * span) + EVEN_SHARE * range_km**2 / shell
     u, v = rng.uniform(-window.half_col, window.half_col, n), rng.uniform(-window.half_row, window.half_row, n)
+    u, v = u + window.mid_col, v + window.mid_row
     slant = np.sqrt(1.0 + u * u + v * v)
     camera = np.stack([u, v, np.ones(n)], axis=1) * (range_km / slant)[:, None]
     instant = rng.integers(len(at.time_s), size=n)

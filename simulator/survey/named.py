@@ -60,7 +60,7 @@ def fleet_block(flight: Flight, fleet: Fleet, block: int, farthest_km: float) ->
     who, exposure = rows[legs], flight.camera.exposure_s
     there = at.watched[instant] & (at.time_s[instant] >= fleet.from_s[who]) & (at.time_s[instant] < fleet.to_s[who])
     camera, moves = at.in_camera(instant, position, velocity)
-    enter, leave = in_field(camera, moves, flight.window.half_row, flight.window.half_col)
+    enter, leave = in_field(camera, moves, flight.window)
     half = 0.5 * LEG_S + exposure
     there &= (np.maximum(enter, -half) < np.minimum(leave, half)) & (np.linalg.norm(camera, axis=1) < farthest_km)
     # the pyramid's mirror image behind the camera
@@ -100,6 +100,7 @@ def series(states: Array, dt_s: Array) -> tuple[Array, Array]:
 def _near_the_field(flight: Flight, fleet: Fleet, coarse: Instants) -> tuple[Indices, Indices, Array]:
     """Objects (k,) that may be in the field in a minute (k,), and their states (k, 6) in the middle of it."""
     rows, minutes, states = [], [], []
+    window = flight.window
     turn = np.linalg.norm(coarse.spin_rad_s, axis=1) * 0.5 * MINUTE_S
     first, last = coarse.time_s[0] - MINUTE_S, coarse.time_s[-1] + MINUTE_S
     present = np.flatnonzero((fleet.from_s < last) & (fleet.to_s > first))
@@ -109,7 +110,7 @@ def _near_the_field(flight: Flight, fleet: Fleet, coarse: Instants) -> tuple[Ind
         for k in np.flatnonzero(coarse.watched):
             camera = (position[:, k] - coarse.position_km[k]) @ coarse.attitude[k].T
             rate = (velocity[:, k] - coarse.velocity_km_s[k]) @ coarse.attitude[k].T
-            half_row, half_col = 1.02 * flight.window.half_row, 1.02 * flight.window.half_col
+            half_row, half_col = 1.02 * (window.half_row + abs(window.mid_row)), 1.02 * (window.half_col + abs(window.mid_col))
             crosses = may_cross(camera, rate, 0.5 * MINUTE_S + 1.0, half_row, half_col, float(turn[k]))
             near = np.flatnonzero(crosses & np.isfinite(camera).all(axis=1))
             rows.append(some[near])

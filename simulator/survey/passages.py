@@ -64,7 +64,7 @@ def make_passages(
     range_km = np.linalg.norm(line, axis=1)
     across = relative - np.sum(relative * line, axis=1, keepdims=True) * line / range_km[:, None] ** 2
     rate_rad_s = np.linalg.norm(across, axis=1) / range_km
-    enter, leave = in_field(camera, rate, window.half_row, window.half_col)
+    enter, leave = in_field(camera, rate, window)
     enter, leave = np.maximum(enter, -LONGEST_STAY_S), np.minimum(leave, LONGEST_STAY_S)
     stay = np.maximum(leave - enter, 0.0)
     flux = light_of(flight, at, instant, size_m, surfaces, position_km)

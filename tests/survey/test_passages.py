@@ -11,6 +11,7 @@ from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import Registry
 from simulator.chain import Simulator
 from simulator.randomness import Effect, generator
+from simulator.scene.cast import encounter_window
 from simulator.scene.encounters import draw_candidates, in_field
 from simulator.scene.surface import Surfaces
 from simulator.survey.blocks import Pools, candidate_number, draw_block, pilot_instants
@@ -82,8 +83,40 @@ def test_passages_lie_in_the_field_and_their_looks_within_the_stay() -> None:
 
 
 def test_straight_motion_through_the_field() -> None:
-    enter, leave = in_field(np.array([[0.0, 0.0, 100.0]]), np.array([[1.0, 0.0, 0.0]]), 0.05, 0.05)
+    field = replace(flight(*SMALL).window, half_row=0.05, half_col=0.05)
+    enter, leave = in_field(np.array([[0.0, 0.0, 100.0]]), np.array([[1.0, 0.0, 0.0]]), field)
     assert (enter[0], leave[0]) == pytest.approx((-5.0, 5.0))
+    enter, leave = in_field(
+        np.array([[1.0, 2.0, 100.0]]), np.array([[1.0, 0.0, 0.0]]), replace(field, mid_row=0.03, mid_col=0.04)
+    )
+    assert (enter[0], leave[0]) == pytest.approx((-2.0, 8.0))
+
+
+def test_objects_pass_a_window_off_the_boresight() -> None:
+    """A corner of 1,024 x 512 pixels; those of a whole detector pass it once in 32 times."""
+    f = flight(*SMALL, *(f"sensor.window.{key}" for key in ("rows=1024", "cols=512", "row0=3072", "col0=0")))
+    at = block_instants(f, 3)
+    rng = generator(5, Effect.SURVEY)
+    p = candidates(f, at, pool_of(f, f.options.population.classes[0], rng), 20_000, rng)
+    place, _ = at.in_camera(p.instant, p.position_km, p.velocity_km_s)
+    row, col = f.camera.projection.to_pixels(place)
+    assert len(row) > 100
+    # distortion and the centre of the built camera move places by up to 10 px
+    assert ((row > -5.0) & (row < 1028.0) & (col > -5.0) & (col < 516.0)).all()
+    assert (row.min(), row.max(), col.min(), col.max()) == pytest.approx((0.0, 1023.0, 0.0, 511.0), abs=50.0)
+    assert (p.enter_s <= 0.0).all()
+    assert (p.leave_s >= 0.0).all()
+
+
+def test_encounters_of_the_pixel_chain_pass_a_window_off_the_boresight() -> None:
+    f = flight(*SMALL, *(f"sensor.window.{key}" for key in ("rows=1024", "cols=512", "row0=3072", "col0=0")))
+    window = encounter_window(f.carrier, f.camera, f.options.light, 3.0, 0.0, 1.0)
+    options = f.options.population
+    drawn = draw_candidates(replace(options, candidates=2_000), options.classes[0], window, np.random.default_rng(1))
+    observer = window.observer_km + drawn.time_s[:, None] * window.velocity_km_s
+    row, col = f.camera.projection.to_pixels((drawn.position_km - observer) @ window.attitude.T)
+    assert ((row > -5.0) & (row < 1028.0) & (col > -5.0) & (col < 516.0)).all()
+    assert (row.min(), row.max(), col.min(), col.max()) == pytest.approx((0.0, 1023.0, 0.0, 511.0), abs=20.0)
 
 
 def test_a_camera_that_turns_sees_the_motion_of_its_own_frame() -> None:
@@ -102,7 +135,7 @@ def test_a_camera_that_turns_sees_the_motion_of_its_own_frame() -> None:
     assert moves[0] == pytest.approx(expected, abs=1e-3)
     surfaces = Surfaces(albedo=np.ones(1), specular=np.zeros(1), colour=np.ones(1))
     p = make_passages(f, at, np.zeros(1, np.int64), np.ones(1), surfaces, position, velocity)
-    stay = np.ravel(in_field(place, expected[None], f.window.half_row, f.window.half_col))
+    stay = np.ravel(in_field(place, expected[None], f.window))
     assert [p.enter_s[0], p.leave_s[0]] == pytest.approx(stay, rel=1e-3)
     looks = looks_of(f, at, p, np.random.default_rng(1), turns=False)
     whole = np.median(looks.length_px)

@@ -63,24 +63,26 @@ class HotPixels:
         known = np.searchsorted(pixel, self.pixel)
         seen[known], last[known] = self.seen, self.last
         fresh = np.searchsorted(pixel, now)
-        looked_at = np.isin(pixel, self.pixel[self.seen >= SIGHTINGS]) & ~np.isin(pixel, self.learned())
-        seen[looked_at] = SIGHTINGS - 1  # and it is hot again where it is seen
+        masked = self._masked()
+        seen[known[(self.seen >= SIGHTINGS) & ~masked]] = SIGHTINGS - 1  # one that is looked at is hot again where it is seen
         seen[fresh] += 1
         last[fresh] = self.frames
-        hidden = np.isin(pixel, self.learned())
-        last[hidden] = self.frames  # masked ones could not be seen
+        last[known[masked]] = self.frames  # they could not be seen
         keep = self.frames - last < np.minimum(PATIENCE_FRAMES * seen, FORGET_FRAMES)
         if np.count_nonzero(keep) > CAPACITY:
             keep &= seen >= np.partition(seen[keep], -CAPACITY)[-CAPACITY]
         pixel, seen, last = pixel[keep][:CAPACITY], seen[keep][:CAPACITY], last[keep][:CAPACITY]
         return replace(self, pixel=pixel, seen=seen, last=last, frames=self.frames + 1)
 
-    def learned(self) -> NDArray[np.int64]:
-        """Flat indices of pixels taken for hot, without those whose turn it is to be looked at in the next frame."""
+    def _masked(self) -> NDArray[np.bool_]:
+        """Which pixels are taken for hot, without those whose turn it is to be looked at in the next frame."""
         looked_at = (self.pixel + self.frames) % LOOKED_AT_FRAMES == 0
-        return self.pixel[(self.seen >= SIGHTINGS) & ~looked_at]
+        return np.asarray((self.seen >= SIGHTINGS) & ~looked_at)
+
+    def learned(self) -> NDArray[np.int64]:
+        """Flat indices of the pixels that are masked in the next frame."""
+        return self.pixel[self._masked()]
 
     def mark(self, defects: NDArray[np.uint8]) -> None:
-        """Set `MaskBit.LEARNED_HOT` on the learned pixels of the map of defects."""
-        learned = self.learned()
-        defects[np.divmod(learned[learned < defects.size], defects.shape[1])] |= np.uint8(MaskBit.LEARNED_HOT)
+        """Set `MaskBit.LEARNED_HOT` on the learned pixels of the map of defects, which has the window's size."""
+        defects[np.divmod(self.learned(), defects.shape[1])] |= np.uint8(MaskBit.LEARNED_HOT)

@@ -11,6 +11,8 @@ from sboc_e2e.icd.errors import ContractError
 
 LARGEST_ADU: Final = 1e15
 """Largest value of a float frame. Squares of values up to here fit into a 32-bit float."""
+GAINS_E_ADU: Final = (1e-6, 1e6)
+"""Least and largest gain of a frame or a camera, e-/ADU."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -91,7 +93,7 @@ class FrameHeader:
         for name in ("window_row0", "window_col0"):
             validate.within(f"header.{name}", getattr(self, name), 0, 65535)
         if self.gain_e_adu is not None:
-            validate.within("header.gain_e_adu", self.gain_e_adu, 1e-6, 1e6)
+            validate.within("header.gain_e_adu", self.gain_e_adu, *GAINS_E_ADU)
         if self.read_noise_e is not None:
             validate.within("header.read_noise_e", self.read_noise_e, 0.0, 1e6)
         if self.saturation_adu is not None:
@@ -172,7 +174,7 @@ class NominalCamera:
     def __post_init__(self) -> None:
         validate.within("camera.focal_px", self.focal_px, 1.0, 1e9)
         validate.within("camera.psf_sigma_px", self.psf_sigma_px, 0.05, 1e3)
-        validate.within("camera.gain_e_adu", self.gain_e_adu, 1e-6, 1e6)
+        validate.within("camera.gain_e_adu", self.gain_e_adu, *GAINS_E_ADU)
         if self.zero_point_e_s is not None:
             validate.within("camera.zero_point_e_s", self.zero_point_e_s, 1e-6, 1e30)
 

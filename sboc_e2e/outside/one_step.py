@@ -25,7 +25,7 @@ from onboard.chain import OnboardChain, OnboardResult, OnboardSteps
 from sboc_e2e import scenario as scenarios
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import PluginError, UserError
-from sboc_e2e.icd.frame import Frame, FrameHeader, NominalCamera
+from sboc_e2e.icd.frame import GAINS_E_ADU, Frame, FrameHeader, NominalCamera
 from sboc_e2e.icd.results import LARGEST_SNR, OUTSIDE_TOLERANCE_PX
 from sboc_e2e.icd.signals import Detection, DetectorView, StarList
 from sboc_e2e.icd.tai import NS_PER_S
@@ -43,10 +43,6 @@ from sboc_e2e.run.ground_stage import ground_chain
 from sboc_e2e.scenario import Scenario
 
 RUN_ID: Final = 0  # Number in the packets of the only run there is; any number serves.
-LEAST_GAIN_E_ADU: Final = 1e-6
-"""Gains that packets carry are this at least, and"""
-LARGEST_GAIN_E_ADU: Final = 1e6
-"""this at most (`FrameHeader`)."""
 ENDS: Final = ("row0", "col0", "row1", "col1")
 """Columns of a table that hold the ends of detections."""
 UNKNOWN_SNR: Final = 10.0
@@ -226,8 +222,9 @@ def _gain_of_unit(gain_e_adu: float, pixels: NDArray[Any], unit: float) -> float
     Real cameras have more (`pixel_unit.is_denied`), but simulated images need not.
     """
     gain, noise = gain_e_adu / unit, noise_adu(pixels)
-    if not LEAST_GAIN_E_ADU <= gain <= LARGEST_GAIN_E_ADU:
-        allowed = f"{LEAST_GAIN_E_ADU * unit:g} to {LARGEST_GAIN_E_ADU * unit:g} e-/ADU"
+    least_gain, largest_gain = GAINS_E_ADU
+    if not least_gain <= gain <= largest_gain:
+        allowed = f"{least_gain * unit:g} to {largest_gain * unit:g} e-/ADU"
         raise UserError(f"gain_e_adu: expected {allowed} for pixels with this noise, got {gain_e_adu:g}")
     if 0.0 < gain * noise < LEAST_NOISE:
         least = LEAST_NOISE / (noise / unit)

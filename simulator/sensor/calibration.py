@@ -41,8 +41,14 @@ def reduce_calibration(
 
     illumination : of the flat field, 1 on axis.
     jumps : row, col and mean electrons of telegraph pixels over the dark frames.
+
+    The dark map of a CCD's on-chip sums is that of frames read as such: charge of all pixels of a sum, one pedestal and one
+    read-out. Its defects and its flat are those of frames whose pixels are read one by one.
     """
     calibration, converter = options.calibration, options.converter
+    known = (converter.true_gain_e_adu, float(converter.pedestal_adu), converter.full_well_e, converter.true_nonlinearity)
+    frames = (float(calibration.dark_frames), float(calibration.flat_frames))
+    word = np.uint64(seed_word(seed, Effect.CALIBRATION))
     flat_e = calibration.flat_level * converter.full_well_e
     dark_adu = np.empty(pixels.response.shape, dtype=np.float32)
     flat = np.empty(pixels.response.shape, dtype=np.float32)
@@ -52,9 +58,9 @@ def reduce_calibration(
         pixels.column_e,
         *illumination,
         flat_e,
-        (converter.true_gain_e_adu, float(converter.pedestal_adu), converter.full_well_e, converter.true_nonlinearity),
-        (float(calibration.dark_frames), float(calibration.flat_frames)),
-        np.uint64(seed_word(seed, Effect.CALIBRATION)),
+        known,
+        frames,
+        word,
         NORMAL_TABLE,
         dark_adu,
         flat,
@@ -70,12 +76,18 @@ def reduce_calibration(
     binning = options.binning
     if binning.rows * binning.cols > 1:
         defects = bin_flags(defects, binning)
-        dark_adu, flat = bin_means(dark_adu, binning), bin_means(flat, binning)
-        if binning.method == "sum":
-            n = binning.rows * binning.cols
-            offset = np.float32(converter.pedestal_adu)
-            # On-chip sums carry one pedestal, sums of converted pixels carry one for each.
-            dark_adu = (dark_adu - offset) * n + (offset if options.type == "ccd" else n * offset)
+        flat = bin_means(flat, binning)
+        if options.on_chip_sum:
+            dark_of_e = np.minimum(pixels.dark_rate_of_e_s * exposure_s, converter.full_well_e).astype(np.float32)
+            charge_e = bin_means(np.take(dark_of_e, pixels.dark), binning) * np.float32(binning.rows * binning.cols)
+            dark_adu = np.empty(charge_e.shape, dtype=np.float32)
+            noise_of_e, column_e = pixels.noise_of_e, pixels.column_e
+            _average_sums(charge_e, pixels.noise, noise_of_e, column_e, known, frames[0], word, NORMAL_TABLE, dark_adu)
+            np.add.at(dark_adu, (row // binning.rows, col // binning.cols), jump_e / np.float32(converter.true_gain_e_adu))
+        else:
+            dark_adu = bin_means(dark_adu, binning)
+            if binning.method == "sum":
+                dark_adu *= np.float32(binning.rows * binning.cols)  # with a pedestal for each pixel
     return CalibrationMaps(dark_adu=dark_adu, flat=flat, defects=defects)
 
 
@@ -152,6 +164,30 @@ def _average_frames(
             signal = flat_e * response_of[response[r, c]] * light[c]
             sigma = np.sqrt((signal + dark_e + read_variance) / flat_frames)
             flat[r, c] = (signal + sigma * normal(mix(position), normals)) / flat_e
+
+
+@numba.njit(cache=True)
+def _average_sums(
+    charge_e: NDArray[np.float32],
+    noise: NDArray[np.uint8],
+    noise_of_e: NDArray[np.float64],
+    column_e: NDArray[np.float64],
+    converter: tuple[float, float, float, float],
+    frames: float,
+    word: np.uint64,
+    normals: NDArray[np.float32],
+    dark_adu: NDArray[np.float32],
+) -> None:
+    """Averages of dark frames of on-chip sums. charge_e : (rows, cols) mean charge of each sum; noise, column_e : as it is read."""
+    gain, pedestal, full_well, bend = converter
+    for r in range(charge_e.shape[0]):
+        position = row_key(word, r)
+        for c in range(charge_e.shape[1]):
+            position += GAMMA
+            dark_e = min(charge_e[r, c], full_well)
+            sigma = np.sqrt(((dark_e + noise_of_e[noise[r, c]] ** 2) / gain**2 + 1.0 / 12.0) / frames)
+            signal = dark_e - bend / full_well * dark_e**2 + column_e[c]
+            dark_adu[r, c] = pedestal + signal / gain + sigma * normal(mix(position), normals)
 
 
 _HOT = int(MaskBit.HOT)

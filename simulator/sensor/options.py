@@ -206,3 +206,8 @@ class SensorOptions:
     binning: BinningOptions = field(default_factory=BinningOptions, metadata={"doc": "binning"})
     window: WindowOptions = field(default_factory=WindowOptions, metadata={"doc": "read-out window"})
     calibration: CalibrationOptions = field(default_factory=CalibrationOptions, metadata={"doc": "calibration frames"})
+
+    @property
+    def on_chip_sum(self) -> bool:
+        """Whether charge of several pixels is joined before it is read, as a CCD that sums does."""
+        return self.type == "ccd" and self.binning.method == "sum" and self.binning.rows * self.binning.cols > 1

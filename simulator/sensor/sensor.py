@@ -76,8 +76,7 @@ class Sensor:
     @property
     def on_chip_sum(self) -> bool:
         """A CCD that sums joins charge before it is read, at the price of one read noise."""
-        binning = self.options.binning
-        return self.options.type == "ccd" and binning.method == "sum" and binning.rows * binning.cols > 1
+        return self.options.on_chip_sum
 
     @cached_property
     def read_noise_e(self) -> float:
@@ -180,16 +179,20 @@ class Sensor:
     def variance_e2(self, mean_e: ArrayLike, exposure_s: float, *, row0: int = 0, col0: int = 0) -> NDArray[np.float32]:
         """Noise variance of detector pixels in electrons squared: photons, dark current, read noise, quantisation.
 
+        A CCD's on-chip sum is read once: each of its pixels has an equal share of that read-out's variance, so that the sum over
+        a delivered pixel is the variance of the delivered pixel.
+
         mean_e : a scalar (then the median pixel is meant) or an image whose first pixel is (row0, col0) of the window; then
             each pixel's own response, dark current and read noise count.
         """
-        converter = self.options.converter
+        converter, binning = self.options.converter, self.options.binning
         shot = 1.0 if self.options.shot_noise else 0.0
-        fixed = self.options.readout.row_noise_e**2 + converter.gain_e_adu**2 / 12.0
+        share = 1.0 / (binning.rows * binning.cols) if self.on_chip_sum else 1.0
+        fixed = (self.options.readout.row_noise_e**2 + converter.gain_e_adu**2 / 12.0) * share
         mean = np.asarray(mean_e, dtype=np.float32)
         if mean.ndim == 0:
             dark = self._pixels.median_dark_e_s * exposure_s
-            return np.asarray(shot * (mean + dark) + self._pixels.median_noise_e**2 + fixed, dtype=np.float32)
+            return np.asarray(shot * (mean + dark) + self._pixels.median_noise_e**2 * share + fixed, dtype=np.float32)
         part = np.s_[row0 : row0 + mean.shape[0], col0 : col0 + mean.shape[1]]
         out = np.empty(mean.shape, dtype=np.float32)
         pixel_variance(
@@ -199,7 +202,7 @@ class Sensor:
             self._pixels.noise[part],
             shot * self._pixels.response_of,
             shot * self._pixels.dark_rate_of_e_s * exposure_s + fixed,
-            self._pixels.noise_of_e**2,
+            self._pixels.noise_of_e**2 * share,
             out,
         )
         return out

@@ -261,3 +261,61 @@ def test_binning_that_does_not_divide_is_refused_with_what_is_allowed():
     with pytest.raises(UserError, match=r"sensor\.binning: 3 x 2 pixels do not divide the 256 x 256 that are read out"):
         Sensor(options, rows=256, cols=256, seed=1)
     assert Sensor(options, rows=258, cols=256, seed=1).delivered.rows == 86
+
+
+def on_chip(**changes):
+    """A CCD that joins 3 x 2 pixels of 10 e- each before one read-out of 6 e-."""
+    options = replace(
+        QUIET,
+        type="ccd",
+        dark=DarkOptions(median_e_s=50.0, spread=0.0, warm_fraction=0.0, hot_fraction=0.0, dead_fraction=0.0, reference_k=263.15),
+        readout=ReadoutOptions(read_noise_e=6.0, read_noise_spread=0.0, row_noise_e=1.5, column_offset_e=2.0),
+        converter=ConverterOptions(nonlinearity=0.0, bits=16, gain_e_adu=0.5, dual_gain=False),
+        binning=BinningOptions(rows=3, cols=2, method="sum"),
+    )
+    return Sensor(replace(options, **changes), rows=96, cols=128, seed=3)
+
+
+def test_the_dark_map_of_on_chip_sums_is_the_average_of_frames_that_are_read_as_sums():
+    sensor = on_chip()
+    mean_e = np.zeros((96, 128), np.float32)
+    frames_e = np.array([(sensor.digitise(mean_e, k, 0.2).astype(float) - 100.0) * 0.5 for k in range(256)])
+    dark_e = (sensor.calibration_maps(0.2).dark_adu.astype(float) - 100.0) * 0.5
+    # 6 pixels of 10 e-, one offset of the column that is read, of which the means of all columns keep 2 e- / sqrt(64)
+    assert dark_e.mean() == pytest.approx(60.0, abs=4.0 * 2.0 / np.sqrt(64.0))
+    assert dark_e.mean() == pytest.approx(frames_e.mean(), abs=0.1)
+    column_e = frames_e.mean(axis=(0, 1))
+    assert column_e.std() == pytest.approx(2.0, rel=0.3)
+    # a column of 32 sums, each the average of 64 frames of variance 60 + 36: 0.22 e-
+    assert np.abs(dark_e.mean(axis=0) - column_e).max() < 5.0 * np.sqrt(96.0 / (64.0 * 32.0))
+    scatter = (dark_e - dark_e.mean(axis=0)).var() * 32.0 / 31.0
+    # closed form: shot noise of 60 e-, one read noise, one rounding, over 64 frames; known to sqrt(2 / 2048) = 3 %
+    assert scatter == pytest.approx((60.0 + 6.0**2 + 0.5**2 / 12.0) / 64.0, rel=0.13)
+
+
+def test_the_noise_model_of_on_chip_sums_counts_one_read_out():
+    sensor = on_chip()
+    mean_e = np.full((96, 128), 5.0, np.float32)
+    frames_e = np.array([sensor.digitise(mean_e, k, 0.2).astype(float) * 0.5 for k in range(300)])
+    # 6 pixels of 15 e-, read once with 6 e-, 1.5 e- of the row and a rounding
+    closed_e2 = 6.0 * 15.0 + 6.0**2 + 1.5**2 + 0.5**2 / 12.0
+    assert frames_e.var(axis=0, ddof=1).mean() == pytest.approx(closed_e2, rel=0.01)
+    assert 6.0 * float(sensor.variance_e2(5.0, 0.2)) == pytest.approx(closed_e2, rel=1e-5)
+    blocks = sensor.variance_e2(mean_e, 0.2).reshape(32, 3, 64, 2).sum(axis=(1, 3))
+    assert blocks == pytest.approx(np.full((32, 64), closed_e2), rel=1e-5)
+
+
+@pytest.mark.parametrize(("kind", "method"), [("cmos", "sum"), ("ccd", "mean")])
+def test_pixels_that_are_read_one_by_one_each_have_a_read_noise(kind, method):
+    sensor = on_chip(type=kind, binning=BinningOptions(rows=3, cols=2, method=method))
+    assert float(sensor.variance_e2(5.0, 0.2)) == pytest.approx(15.0 + 6.0**2 + 1.5**2 + 0.5**2 / 12.0, rel=1e-5)
+
+
+def test_a_telegraph_pixel_lifts_its_on_chip_sum_in_the_dark_map():
+    still, jumping = (
+        on_chip(telegraph=TelegraphOptions(fraction=f, amplitude_e=300.0, dwell_frames=1)).calibration_maps(0.2).dark_adu
+        for f in (0.0, 0.02)
+    )
+    # 246 of the pixels jump, in half of the frames, by 300 e- times a lognormal number of mean exp(0.7^2 / 2)
+    lifted_e = (jumping.astype(float) - still).sum() * 0.5
+    assert lifted_e == pytest.approx(0.02 * 96 * 128 * 0.5 * 300.0 * np.exp(0.5 * 0.7**2), rel=0.25)

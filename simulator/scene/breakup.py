@@ -29,6 +29,7 @@ DUST_M: Final = 1e-4
 """Pieces between this and `smallest` are counted as mass that is not drawn; smaller ones weigh less than 1 % of them."""
 
 MOST_PIECES: Final = 400_000  # a budget of memory and time, refused beyond; chosen, not measured
+LONG_PIECES: Final = 400  # longer than `LARGEST_M`, drawn at a time until the mass is spent: enough for 10 t at once
 SHARE_OF_MASS: Final = 0.999  # where less than a thousandth of the broken mass is left over, it counts as dust
 
 
@@ -140,8 +141,9 @@ def draw_pieces(options: BreakupOptions, rng: np.random.Generator) -> Pieces:
     """Pieces of a break-up whose masses add up to what broke.
 
     Lengths between `smallest` and 1 m follow the law of numbers, to the next whole piece. The rest of the mass goes into longer
-    pieces, one after the other; the last takes what is left. Where the law asks for more mass than there is, the heaviest pieces
-    are left out. UserError for more pieces than can be carried.
+    pieces, one after the other; the last takes what is left. None is longer than 1.5 m or a cube of the parent's mass and
+    100 kg/m^3. Where the law asks for more mass than there is, the heaviest pieces are left out. UserError for more pieces than
+    can be carried.
     """
     low = options.smallest_mm * 1e-3
     expected = float(number_larger(options, low) - number_larger(options, LARGEST_M))
@@ -164,15 +166,18 @@ def draw_pieces(options: BreakupOptions, rng: np.random.Generator) -> Pieces:
     rest = room - float(mass.sum())
     longest = max((options.mass_kg / 100.0) ** (1.0 / 3.0), 1.5)
     if rest > (1.0 - SHARE_OF_MASS) * broken:
-        more = _power_law(rng, 400, LARGEST_M, longest, slope)
-        chi_more = draw_chi(rng, more, options.structure)
-        heavy = area_m2_of(more) / 10.0**chi_more
-        whole = int(np.searchsorted(np.cumsum(heavy), rest))
+        more, chi_more = np.zeros(0), np.zeros(0)
+        heavy = np.zeros(0)
+        while float(heavy.sum()) < rest:
+            some = _power_law(rng, LONG_PIECES, LARGEST_M, longest, slope)
+            more, chi_more = np.concatenate([more, some]), np.concatenate([chi_more, draw_chi(rng, some, options.structure)])
+            heavy = area_m2_of(more) / 10.0**chi_more
+        whole = min(int(np.searchsorted(np.cumsum(heavy), rest)), len(heavy) - 1)
         more, chi_more, heavy = more[: whole + 1], chi_more[: whole + 1], heavy[: whole + 1].copy()
         heavy[-1] = rest - float(heavy[:-1].sum())
-        # the last piece keeps its area over mass and is as long as its mass allows
+        # the last piece keeps its area over mass and is as long as its mass allows, which is no longer than it was drawn
         area_more = heavy * 10.0**chi_more
-        more[-1] = np.sqrt(area_more[-1] / 0.556945)
+        more[-1] = (area_more[-1] / 0.556945) ** (1.0 / 2.0047077)
         length, chi = np.concatenate([length, more]), np.concatenate([chi, chi_more])
         area, mass = np.concatenate([area, area_more]), np.concatenate([mass, heavy])
     else:

@@ -178,7 +178,7 @@ def _average_sums(
     normals: NDArray[np.float32],
     dark_adu: NDArray[np.float32],
 ) -> None:
-    """Averages of dark frames of on-chip sums. charge_e : (rows, cols) mean charge of each sum; noise, column_e : as it is read."""
+    """Averages of dark frames of on-chip sums. charge_e : (rows, cols) mean charge of each; noise, column_e : as it is read."""
     gain, pedestal, full_well, bend = converter
     for r in range(charge_e.shape[0]):
         position = row_key(word, r)

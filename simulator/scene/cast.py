@@ -1,6 +1,6 @@
 """The objects of a run, in the order of the truth table: given ones first, then satellites, then the sampled population."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -63,11 +63,14 @@ def make_cast(
     objects: list[SkyObject | PixelPathObject] = []
     colour_factor = camera.instrument.colour_factor
     fleet = None
-    broken: set[str] = set()
+    orbits_end_s, satellites_end_s = np.full(len(given.orbit), np.inf), dict[tuple[str, int], float]()
     if given.walker or given.breakup:
-        fleet = make_fleet(given, population, carrier.epoch_tai_ns, carrier.seed, colour_factor)
-        broken = {fleet.names[k] for k in np.flatnonzero(fleet.to_s <= 0.0)}
-    objects.extend(sources.orbiting(o, carrier.epoch_tai_ns) for o in given.orbit if o.name not in broken)
+        fleet = make_fleet(given, population, carrier.epoch_tai_ns, carrier.seed, colour_factor, duration_s)
+        orbits_end_s = fleet.to_s[fleet.kind == KINDS.index("orbit")]
+        ends = zip(fleet.satellites, fleet.to_s, strict=False)
+        satellites_end_s = {(s.name, s.record.satnum): float(end_s) for s, end_s in ends if end_s < duration_s}
+    orbits = zip(given.orbit, orbits_end_s.tolist(), strict=True)
+    objects.extend(replace(sources.orbiting(o, carrier.epoch_tai_ns), to_s=end_s) for o, end_s in orbits if end_s > 0.0)
     objects.extend(sources.sky_path(o) for o in given.sky_path)
     objects.extend(sources.pixel_path(o) for o in given.pixel_path)
     for o in given.passing:
@@ -77,8 +80,8 @@ def make_cast(
         when = carrier.tai_ns(e.when * duration_s)
         place = camera.direction(e.field_row, e.field_col)
         objects.append(sources.encounter(e, *carrier.observer.state(when), carrier.attitude(when), place, e.when * duration_s))
-    found, refused = _satellites(given.satellites, carrier, camera, duration_s)
-    objects.extend(o for o in found if o.identity.name not in broken)
+    found, refused = _satellites(given.satellites, carrier, camera, duration_s, satellites_end_s)
+    objects.extend(found)
     if fleet is not None:
         # about the boresight, as wide as a window off it needs
         half = 1.02 * (0.5 * max(camera.shape) + np.abs(camera.window_offset_px).max()) / camera.projection.focal_px
@@ -112,10 +115,11 @@ def _met(options: sources.PassingOptions, carrier: Carrier, camera: Camera, when
 
 
 def _satellites(
-    options: SatelliteOptions, carrier: Carrier, camera: Camera, duration_s: float
+    options: SatelliteOptions, carrier: Carrier, camera: Camera, duration_s: float, end_s: Mapping[tuple[str, int], float]
 ) -> tuple[list[SkyObject], dict[str, int]]:
     """Catalogued satellites that cross the field during the run, each once; and the refused ones.
 
+    end_s : when those break up that do, by name and number; one that did before the run is left out.
     UserError when one that was asked for by name is refused.
     """
     if not options.file:
@@ -138,7 +142,9 @@ def _satellites(
         name, code = next(iter(predicted.refused.items()))
         raise UserError(f"satellite {name!r} of {options.file}: refused by SGP4 ({SGP4_ERRORS.get(code, code)})")
     once = {id(c.satellite): c.satellite for c in predicted.crossings}
-    return [satellite_object(s, options, carrier.epoch_tai_ns) for s in once.values()], predicted.refused
+    whole = [(s, end_s.get((s.name, s.record.satnum), np.inf)) for s in once.values()]
+    epoch = carrier.epoch_tai_ns
+    return [replace(satellite_object(s, options, epoch), to_s=end) for s, end in whole if end > 0.0], predicted.refused
 
 
 def encounter_window(

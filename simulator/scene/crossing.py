@@ -60,8 +60,11 @@ class Interval:
 def exposed_intervals(place: Place, shutter: RowShutter, margin_px: float, from_s: float, to_s: float) -> list[Interval]:
     """Stretches of time within [from_s, to_s] during which the object is exposed and at most `margin_px` outside the frame.
 
-    Their ends are accurate to 1e-9 of the scanned span; stretches shorter than 1/2048 of it may be missed.
+    Their ends are accurate to 1e-9 of the scanned span; stretches shorter than 1/2048 of it may be missed. None where to_s is
+    not after from_s.
     """
+    if to_s <= from_s:
+        return []
 
     def slack(time_s: Array) -> tuple[Array, Array]:
         row, col = place(time_s)

@@ -1,10 +1,11 @@
 """Objects that have names, as one: satellites of a catalogue, constellations, pieces of a break-up, orbits given one by one.
 
 Catalogued ones follow SGP4; the others the mean elements of a J2 orbit, whose node, perigee and phase drift at their secular
-rates (periodic terms, some 10 km, and drag are left out). Where a run of pixels shows one, its motion is integrated.
+rates (periodic terms, some 10 km, and drag are left out). Where a run of pixels shows one, its motion is integrated, and what
+breaks up during the run leaves its pieces where the run shows it.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -21,7 +22,7 @@ from simulator.scene.encounters import PopulationOptions
 from simulator.scene.objects import OrbitingObject
 from simulator.scene.prediction import may_cross
 from simulator.scene.satellites import Satellite, propagate, read_satellites, size_of, with_sizes
-from simulator.scene.sources import ObjectOptions, kepler_object, own_epoch_tai_ns
+from simulator.scene.sources import ObjectOptions, OrbitOptions, kepler_object, orbiting, own_epoch_tai_ns
 from simulator.scene.surface import Surfaces, draw_surfaces
 from simulator.scene.walker import walker_elements
 
@@ -34,6 +35,7 @@ LOWEST_PERIGEE_KM: Final = 120.0
 
 FOREVER_S: Final = 1e12  # 30,000 years: longer than any run
 STEP_S: Final = 10.0  # of the look at who may be in the field; half of it bends a path by 0.25 km, which `may_cross` allows
+VELOCITY_S: Final = 0.1  # to either side, over which positions give a velocity: good to 1e-8 km/s in any orbit
 CHUNK: Final = 15_000  # objects whose states are held at a time; bounds memory only
 
 
@@ -133,9 +135,11 @@ def make_fleet(
     epoch_tai_ns: int,
     seed: int,
     colour_factor: Callable[[Array], Array] | None,
+    run_s: float = 0.0,
 ) -> Fleet:
     """The objects of a scenario. Pieces have the surfaces of the sampled population; the others are Lambert spheres.
 
+    run_s : length of the run of pixels that they are for, 0 for a survey.
     UserError for a file that cannot be read, an orbit that enters the Earth or whose epoch is too far from the run, and for a
     break-up of an object that is not there.
     """
@@ -172,8 +176,9 @@ def make_fleet(
         from_s=np.full(whole, -FOREVER_S), to_s=np.full(whole, FOREVER_S), satellites=tuple(listed),
         elements=_joined(parts), elements_s=np.array(elements_s, dtype=np.float64), epoch_tai_ns=epoch_tai_ns,
     )  # fmt: skip
+    given = dict(zip(np.flatnonzero(fleet.kind == KINDS.index("orbit")).tolist(), options.orbit, strict=True))
     for k, b in enumerate(options.breakup):
-        fleet = broken_up(fleet, b, population, generator(seed, Effect.BREAKUP, k), colour_factor)
+        fleet = broken_up(fleet, b, population, generator(seed, Effect.BREAKUP, k), colour_factor, given, run_s)
     return fleet
 
 
@@ -183,8 +188,14 @@ def broken_up(
     population: PopulationOptions,
     rng: np.random.Generator,
     colour_factor: Callable[[Array], Array] | None,
+    given: Mapping[int, OrbitOptions],
+    run_s: float,
 ) -> Fleet:
-    """The fleet in which an object breaks up: it is there before, its pieces afterwards."""
+    """The fleet in which an object breaks up: it is there before, its pieces afterwards.
+
+    given : orbits by their rows. run_s : within this time from the epoch the object breaks where a run of pixels shows it, and
+    its pieces keep osculating elements: exact at the break-up, up to a kilometre a minute off an integrated orbit afterwards.
+    """
     parent = next((k for k, name in enumerate(fleet.names) if name == options.object), None)
     if parent is None:
         parent = next((k for k, s in enumerate(fleet.satellites) if str(s.record.satnum) == options.object), None)
@@ -194,7 +205,10 @@ def broken_up(
             f"objects.walker and objects.orbit"
         )
     when_s = 3600.0 * options.when_h
+    in_run = 0.0 < when_s < run_s
     position, velocity = fleet.states(np.array([parent]), np.array([when_s]))
+    if in_run and parent >= len(fleet.satellites):
+        position[0, 0], velocity[0, 0] = _shown_state(fleet, parent, when_s, given)
     if not np.isfinite(position).all():
         raise UserError(f"objects.breakup {options.object!r}: SGP4 has no position for it at the time of the break-up")
     pieces = draw_pieces(options, rng)
@@ -204,7 +218,8 @@ def broken_up(
             (orbits.a_km > 0.0) & (orbits.e < 0.98) & (orbits.a_km * (1.0 - orbits.e) > earth.EARTH_RADIUS_KM + LOWEST_PERIGEE_KM)
         )
     kept = np.flatnonzero(stays)
-    orbits = mean_of(Elements(**{name: getattr(orbits, name)[kept] for name in orbits.__dataclass_fields__}))
+    orbits = Elements(**{name: getattr(orbits, name)[kept] for name in orbits.__dataclass_fields__})
+    orbits = orbits if in_run else mean_of(orbits)
     n = len(kept)
     surfaces = draw_surfaces(rng, n, population.albedo, population.surface, colour_factor)
     to_s = fleet.to_s.copy()
@@ -222,6 +237,13 @@ def broken_up(
         elements=_joined([fleet.elements, orbits]),
         elements_s=np.concatenate([fleet.elements_s, np.full(n, when_s)]),
     )
+
+
+def _shown_state(fleet: Fleet, row: int, time_s: float, given: Mapping[int, OrbitOptions]) -> tuple[Array, Array]:
+    """Position and velocity (3,) with which a run of pixels shows an object that is in no catalogue."""
+    thing = orbiting(given[row], fleet.epoch_tai_ns) if row in given else pixel_objects(fleet, np.array([row]))[0]
+    before, now, after = thing.positions_km(time_s + VELOCITY_S * np.array([-1.0, 0.0, 1.0]))
+    return now, (after - before) / (2.0 * VELOCITY_S)
 
 
 def _vector(one: Elements) -> Elements:
@@ -250,25 +272,29 @@ def passing_now(fleet: Fleet, carrier: Carrier, half_row: float, half_col: float
             position, velocity = fleet.states(rows, np.array([t]))
             camera, rate = (position[:, 0] - place) @ frame.T, (velocity[:, 0] - speed) @ frame.T
             near = may_cross(camera, rate, half, half_row, half_col, turn)
-            found[rows] |= near & np.isfinite(position[:, 0]).all(axis=1) & (fleet.from_s[rows] <= t) & (t < fleet.to_s[rows])
+            there = (fleet.from_s[rows] < t + half) & (t - half < fleet.to_s[rows])
+            found[rows] |= near & np.isfinite(position[:, 0]).all(axis=1) & there
     return np.flatnonzero(found)
 
 
 def pixel_objects(fleet: Fleet, rows: Rows) -> list[OrbitingObject]:
-    """Constellation members and pieces as objects of a run of pixels, on integrated orbits from its epoch on."""
+    """Constellation members and pieces as objects of a run of pixels, on integrated orbits.
+
+    They start at its epoch, or where they come into being later.
+    """
     made = []
-    position, velocity = fleet.states(rows, np.zeros(1))
-    for k, row in enumerate(rows):
-        made.append(
-            kepler_object(
-                fleet.names[row],
-                KINDS[fleet.kind[row]],
-                float(fleet.size_m[row]),
-                float(fleet.surfaces.albedo[row]),
-                elements_of(position[k, 0], velocity[k, 0]),
-                0.0,
-                specular=float(fleet.surfaces.specular[row]),
-                colour=float(fleet.surfaces.colour[row]),
-            )
+    for row in rows:
+        start_s = max(float(fleet.from_s[row]), 0.0)
+        position, velocity = fleet.states(np.array([row]), np.array([start_s]))
+        one = kepler_object(
+            fleet.names[row],
+            KINDS[fleet.kind[row]],
+            float(fleet.size_m[row]),
+            float(fleet.surfaces.albedo[row]),
+            elements_of(position[0, 0], velocity[0, 0]),
+            start_s,
+            specular=float(fleet.surfaces.specular[row]),
+            colour=float(fleet.surfaces.colour[row]),
         )
+        made.append(replace(one, from_s=float(fleet.from_s[row]), to_s=float(fleet.to_s[row])))
     return made

@@ -51,7 +51,7 @@ def first_seen_km(paths: list[tuple[int, Path]], shutter: RowShutter, sight: Lin
     """Range of each object that is exposed in a frame, in the middle of the first stretch; not a number where it has none."""
     out = {}
     for k, path in paths:
-        lit = exposed_intervals(path.place, shutter, 0.5, float(sight.node_s[0]), float(sight.node_s[-1]))
+        lit = exposed_intervals(path.place, shutter, 0.5, *path.shown(sight))
         if lit:
             distance_km = path.range_km(np.array([0.5 * (lit[0].start_s + lit[0].end_s)]))[0]
             out[k] = float(distance_km) if np.isfinite(distance_km) else np.nan

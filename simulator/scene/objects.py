@@ -54,6 +54,16 @@ class SkyObject(Protocol):
         """Its variation."""
         ...
 
+    @property
+    def from_s(self) -> float:
+        """When it comes into being, seconds after the epoch of the run."""
+        ...
+
+    @property
+    def to_s(self) -> float:
+        """When it ceases to be."""
+        ...
+
     def seen(self, time_s: Array, observer_km: Array, sun_km: Array, effects: LightOptions) -> Seen:
         """At times (n,) after the epoch of the run, from observer positions (n, 3)."""
         ...
@@ -64,7 +74,7 @@ class OrbitingObject:
     """A sphere whose geocentric positions (n, 3) km a function of time gives.
 
     specular : share of its light that a mirror-like sphere would return, the rest is Lambert's. colour : electrons over those of
-    sunlight of the same V.
+    sunlight of the same V. from_s, to_s : when it is there; positions are asked for at other times too.
     """
 
     identity: Identity
@@ -72,6 +82,8 @@ class OrbitingObject:
     light_curve: LightCurve = STEADY
     specular: float = 0.0
     colour: float = 1.0
+    from_s: float = -np.inf
+    to_s: float = np.inf
 
     def seen(self, time_s: Array, observer_km: Array, sun_km: Array, effects: LightOptions) -> Seen:
         """Light left the object ``range / c`` earlier; two rounds leave (v/c)^2 of the light time, below 1 mm."""
@@ -101,6 +113,8 @@ class SkyPathObject:
     v_mag: float
     brightening_per_s: float = 0.0
     light_curve: LightCurve = STEADY
+    from_s: float = -np.inf
+    to_s: float = np.inf
 
     def seen(self, time_s: Array, observer_km: Array, sun_km: Array, effects: LightOptions) -> Seen:
         """Neither observer nor Sun nor the light's way matter: the path is given."""

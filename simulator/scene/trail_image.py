@@ -12,6 +12,7 @@ from simulator.camera import Camera
 from simulator.exposure import render_trail, render_trail_table
 from simulator.exposure.halos import reach_px, render_halos
 from simulator.optics.psf_field import HALF_PX, LARGEST_DISC_PX
+from simulator.platform.earth import LIGHT_KM_S
 from simulator.platform.line_of_sight import LineOfSight
 from simulator.scene.aberration import aberrate
 from simulator.scene.atmosphere import Atmosphere
@@ -43,6 +44,7 @@ class Path:
     place : rows and cols of the read-out window. steady_v0 : brightness in units of a V = 0 star, without the light curve.
     apparent, published : (n, 3) unit directions, GCRS axes. range_km : distance.
     turbulence : what the air of a site does to the light on the way; place and flux_v0, and so the truth, are without it.
+    from_s, to_s : when its light arrives at all.
     """
 
     place: Place
@@ -52,10 +54,16 @@ class Path:
     published: Callable[[Array], Array]
     range_km: Callable[[Array], Array]
     turbulence: Unsteadiness | None = None
+    from_s: float = -np.inf
+    to_s: float = np.inf
 
     def flux_v0(self, time_s: Array) -> Array:
         """Brightness at times, in units of a V = 0 star."""
         return np.asarray(self.steady_v0(time_s) * self.light_curve.factor(time_s))
+
+    def shown(self, sight: LineOfSight) -> tuple[float, float]:
+        """When it is there among the nodes of a frame; the first is not before the second where it is not."""
+        return max(self.from_s, float(sight.node_s[0])), min(self.to_s, float(sight.node_s[-1]))
 
     def mean_flux_v0(self, start_s: Array, end_s: Array) -> Array:
         """Mean brightness between pairs of times; the light curve is integrated exactly, the rest changes slowly."""
@@ -75,10 +83,15 @@ def sky_path_of(
 
     The vector (direction times range) of unaccelerated motion is linear in time, so that splines lose nothing even where the
     direction turns fast. Aberration is that of the observer's geocentric velocity: the Earth's own cancels for what moves
-    with the Earth. Extinction and clouds are those of the object's own direction. None for an object far outside the field.
+    with the Earth. Extinction and clouds are those of the object's own direction. None for an object far outside the field, or
+    that is not there during the frame.
     """
     seen = thing.seen(sight.node_s, sight.observer_km, sun_km, effects)
     distance = np.linalg.norm(seen.vector_km, axis=-1, keepdims=True)
+    delay_s = distance[:, 0] / LIGHT_KM_S if effects.light_time else np.zeros(len(distance))
+    first_s, last_s = (t + float(np.interp(t, sight.node_s, delay_s)) for t in (thing.from_s, thing.to_s))
+    if first_s >= sight.node_s[-1] or last_s <= sight.node_s[0]:
+        return None
     outside = seen.vector_km / distance
     if effects.orbital_aberration:
         outside = aberrate(outside, sight.velocity_km_s)
@@ -110,6 +123,8 @@ def sky_path_of(
         published=lambda time_s: unit(published(time_s)),
         range_km=range_km,
         turbulence=turbulence,
+        from_s=first_s,
+        to_s=last_s,
     )
 
 
@@ -167,8 +182,7 @@ def add_trail(
     """Add a mover's light to the image; its rows of the truth, numbers of frame and object left open (none if unseen)."""
     blur_px = float(camera.defocus_px(path.range_km(np.array([sight.reference_s])))[0])
     margin_px = 6.0 * float(camera.sigma_at(np.zeros(1), np.zeros(1))[0]) + 0.5 * blur_px + 1.0
-    from_s, to_s = float(sight.node_s[0]), float(sight.node_s[-1])
-    lit = exposed_intervals(path.place, shutter, margin_px, from_s, to_s)
+    lit = exposed_intervals(path.place, shutter, margin_px, *path.shown(sight))
     rows: list[NDArray[np.void]] = []
     for stretch in lit:
         inner = exposed_intervals(path.place, shutter, 0.5, stretch.start_s, stretch.end_s)

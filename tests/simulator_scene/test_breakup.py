@@ -1,17 +1,25 @@
 """NASA's standard break-up model against its published laws, mass against what broke; constellations; mean orbits."""
 
 from dataclasses import replace
+from datetime import datetime, timedelta
+from pathlib import Path
 
 import numpy as np
 import pytest
+from sgp4.api import WGS72, Satrec
+from sgp4.exporter import export_tle
 
+from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
-from simulator.platform.earth import tai_ns_of_utc
-from simulator.platform.kepler import elements_deg, state_of
+from simulator.chain import Simulator
+from simulator.options import SimulatorOptions, smoke_options
+from simulator.platform.earth import LIGHT_KM_S, MU_KM3_S2, tai_ns_of_utc
+from simulator.platform.kepler import elements_deg, elements_of, state_of
 from simulator.platform.orbit_motion import OrbitMotion
 from simulator.scene.breakup import BreakupOptions, draw_chi, draw_pieces, draw_speed_m_s, mixture_of, number_larger
 from simulator.scene.encounters import PopulationOptions
 from simulator.scene.fleet import make_fleet
+from simulator.scene.satellites import SatelliteOptions, gcrs_from_teme
 from simulator.scene.sources import ObjectOptions, OrbitOptions, orbiting
 from simulator.scene.walker import WalkerOptions, walker_elements
 
@@ -47,6 +55,23 @@ def test_mass_is_conserved_and_the_law_of_numbers_kept(options: BreakupOptions) 
         )
     # twelve differences in sigmas, correlated by three
     assert abs(broken["x"]) / 12.0 < 1.5
+
+
+@pytest.mark.parametrize("mass_kg", [800.0, 1e4, 1e5, 1e6])
+@pytest.mark.parametrize("cause", ["explosion", "collision"])
+@pytest.mark.parametrize("structure", ["spacecraft", "rocket_body"])
+def test_no_piece_of_a_heavy_parent_is_longer_than_the_parent(mass_kg: float, cause: str, structure: str) -> None:
+    """What 400 pieces left over became one piece of up to 750 m."""
+    options = BreakupOptions(object="x", mass_kg=mass_kg, cause=cause, structure=structure, projectile_kg=0.02 * mass_kg)
+    pieces = draw_pieces(options, np.random.default_rng(3))
+    # a cube of 100 kg/m^3
+    assert pieces.length_m.max() <= (mass_kg / 100.0) ** (1.0 / 3.0)
+    broken_kg = mass_kg * (1.0 if cause == "explosion" else 1.02)
+    assert pieces.mass_kg.sum() + pieces.dust_kg == pytest.approx(broken_kg, rel=1e-9)
+    assert pieces.mass_kg.max() < 0.5 * broken_kg
+    if cause == "collision" and mass_kg > 1e4:
+        # equation 4 of Johnson 2001 beyond its end: 0.1 M^0.75 pieces above 1 m, which the mass that is left bears out
+        assert 0.3 < np.sum(pieces.length_m > 1.0) / float(number_larger(options, 1.0)) < 6.0
 
 
 def test_area_over_mass_and_speed_have_the_published_medians() -> None:
@@ -127,3 +152,69 @@ def test_a_walker_constellation_is_evenly_spaced() -> None:
     assert node[:, 0] == pytest.approx([0.0, 120.0, 240.0])
     assert np.diff(phase, axis=1) == pytest.approx(np.full((3, 7), 45.0))
     assert phase[:, 0] == pytest.approx([0.0, 15.0, 30.0])
+
+
+def in_the_field(kind: str, folder: Path) -> tuple[SimulatorOptions, str]:
+    """A run of six frames with an object, of an orbit or a catalogue, that crosses the middle of the field; its name."""
+    options = replace(smoke_options(), population=PopulationOptions(classes=()), objects=ObjectOptions(passing=()))
+    carrier = Simulator(options, seed=2, catalogue=StarCatalogue.embedded())._carrier
+    middle = carrier.tai_ns(0.75)
+    place, speed = carrier.observer.state(middle)
+    place = place + 900.0 * carrier.attitude(middle)[2]
+    sideways = np.cross(np.cross(place, speed + carrier.attitude(middle)[0]), place)
+    speed = sideways / np.linalg.norm(sideways) * np.sqrt(MU_KM3_S2 / np.linalg.norm(place))
+    turn = np.eye(3) if kind == "orbit" else gcrs_from_teme(middle)
+    found = elements_of(place @ turn, speed @ turn)
+    degrees = [float(np.degrees(v)) for v in (found.i_rad, found.node_rad, found.argp_rad)]
+    e, motion = float(found.e), float(np.sqrt(MU_KM3_S2 / found.a_km**3))
+    phase = float(found.mean_anomaly_rad - 0.75 * motion) % (2.0 * np.pi)
+    if kind == "orbit":
+        given = OrbitOptions(
+            name="x", semi_major_axis_km=float(found.a_km), eccentricity=e, inclination_deg=degrees[0], node_deg=degrees[1],
+            perigee_deg=degrees[2], mean_anomaly_deg=float(np.degrees(phase)), size_m=3.0,
+        )  # fmt: skip
+        return replace(options, objects=ObjectOptions(passing=(), orbit=(given,))), "x"
+    record = Satrec()
+    days = (datetime.fromisoformat(options.epoch_utc) - datetime(1949, 12, 31)) / timedelta(days=1)
+    angles = [np.radians(v) for v in (degrees[2], degrees[0])]
+    record.sgp4init(WGS72, "i", 90_001, days, 0.0, 0.0, 0.0, e, *angles, phase, motion * 60.0, np.radians(degrees[1]))
+    record.classification, record.intldesg, record.elnum, record.revnum, record.ephtype = "U", "20001A", 1, 1, 0
+    (folder / "x.3le").write_text("0 x\n" + "\n".join(export_tle(record)) + "\n")
+    satellites = SatelliteOptions(file=str(folder / "x.3le"), farthest_km=5_000.0)
+    return replace(options, objects=ObjectOptions(passing=(), satellites=satellites)), "x"
+
+
+@pytest.mark.parametrize("kind", ["orbit", "satellite"])
+def test_a_break_up_within_a_run_ends_the_parent_and_begins_the_pieces(kind: str, tmp_path: Path) -> None:
+    """Pieces were drawn from the first frame on or not at all, and the parent to the last."""
+    options, name = in_the_field(kind, tmp_path)
+    catalogue = StarCatalogue.embedded()
+    whole = [Simulator(options, seed=2, catalogue=catalogue).frame(k)[1].streaks for k in range(6)]
+    assert [len(rows) for rows in whole] == [1] * 6
+    unbroken = whole[3][0]
+    middle_tai_ns = (unbroken["t0_tai_ns"] + unbroken["t1_tai_ns"]) / 2
+    delay_s = float(unbroken["range_km"]) / LIGHT_KM_S
+    when_s = (middle_tai_ns - tai_ns_of_utc(options.epoch_utc)) * 1e-9 - delay_s
+    breakup = BreakupOptions(object=name, when_h=when_s / 3600.0, smallest_mm=300.0)
+    run = Simulator(replace(options, objects=replace(options.objects, breakup=(breakup,))), seed=2, catalogue=catalogue)
+    names = [thing.identity.name for thing in run._cast.objects]
+    assert names.count(name) == 1
+    pieces = 0
+    for k in range(6):
+        streaks = run.frame(k)[1].streaks
+        parents = streaks[streaks["object_id"] == names.index(name)]
+        others = streaks[streaks["object_id"] != names.index(name)]
+        assert len(parents) == (1 if k <= 3 else 0)
+        assert (len(others) > 20) == (k >= 3)
+        assert k >= 3 or len(others) == 0
+        if k == 3:
+            (parent,) = parents
+            # the news travels with the light; whole nanoseconds of 1.8e18 are 256 in a double
+            assert parent["t0_tai_ns"] == unbroken["t0_tai_ns"]
+            assert parent["t1_tai_ns"] == pytest.approx(middle_tai_ns, rel=0.0, abs=2_000)
+            assert others["t0_tai_ns"] - parent["t1_tai_ns"] == pytest.approx(np.zeros(len(others)), abs=2_000)
+            assert parent["flux_e"] == pytest.approx(0.5 * unbroken["flux_e"], rel=0.01)
+            assert others["row0"] == pytest.approx(np.full(len(others), parent["row1"]), abs=0.01)
+            assert others["col0"] == pytest.approx(np.full(len(others), parent["col1"]), abs=0.01)
+        pieces = max(pieces, len(others))
+    assert pieces == len(names) - 1

@@ -45,7 +45,7 @@ def small_rotation(rotation_vector: Array) -> Array:
 
 
 def rotation_vector_of(matrix: Array) -> Array:
-    """Rotation vectors (..., 3) of small frame rotations (..., 3, 3), the inverse of `small_rotation`; below 90 deg."""
+    """Rotation vectors (..., 3) of small frame rotations (..., 3, 3), the inverse of `small_rotation`; below 180 deg."""
     m = np.asarray(matrix)
     axis = 0.5 * np.stack([m[..., 1, 2] - m[..., 2, 1], m[..., 2, 0] - m[..., 0, 2], m[..., 0, 1] - m[..., 1, 0]], axis=-1)
     sine = np.linalg.norm(axis, axis=-1, keepdims=True)

@@ -60,7 +60,7 @@ def _size_cells(flight: Flight, size_class: SizeClass) -> tuple[Array, Array]:
     edges = np.linspace(np.log(size_class.from_mm * 1e-3), np.log(size_class.to_mm * 1e-3), SIZE_CELLS + 1)
     size_m = np.exp(0.5 * (edges[1:] + edges[:-1]))
     one = np.ones(SIZE_CELLS)
-    reach = _reach_km(flight, flight.window, size_m, Surfaces(albedo=options.albedo * one, specular=0.0 * one, colour=one))
+    reach = farthest_km(flight, flight.window, size_m, Surfaces(albedo=options.albedo * one, specular=0.0 * one, colour=one))
     seen = number_density(size_m) * np.clip(reach, options.nearest_km, options.farthest_km) ** 3
     return edges, EVEN_SIZES / SIZE_CELLS + (1.0 - EVEN_SIZES) * seen / seen.sum()
 
@@ -72,7 +72,7 @@ def candidates(flight: Flight, at: Instants, pool: Pool, n: int, rng: np.random.
     size_m = pool.size_m[piece]
     surfaces = draw_surfaces(rng.spawn(1)[0], n, options.albedo, options.surface, window.colour_factor)
     darkest = replace(window, noise_variance_e2=float(at.noise_e2.min()), attitude=at.attitude[0], sun_km=at.sun_km[0])
-    reach = _reach_km(flight, darkest, size_m, surfaces)
+    reach = farthest_km(flight, darkest, size_m, surfaces, at.fastest_turn_rad_s(flight.camera.radius_rad))
     far = np.clip(reach, options.nearest_km * 1.001, options.farthest_km)
     near = np.maximum(options.nearest_km, far / NEAR_SHARE)
     span = np.log(far / near)
@@ -105,11 +105,15 @@ def candidates(flight: Flight, at: Instants, pool: Pool, n: int, rng: np.random.
     )
 
 
-def _reach_km(flight: Flight, window: Window, size_m: Array, surfaces: Surfaces) -> Array:
-    """Range within which a piece can have `snr_min` in a window: at zero phase, in focus, as slow as counts."""
+def farthest_km(flight: Flight, window: Window, size_m: Array, surfaces: Surfaces, turn_rad_s: float = 0.0) -> Array:
+    """Range within which a piece can have `snr_min` in a window: at zero phase, in focus, as slow as counts.
+
+    turn_rad_s : of the camera. It can follow a piece, whose trail is then shorter by so much than its motion against the stars.
+    """
     options = flight.options.population
+    slowest = max(float(np.radians(options.slowest_deg_s)) - turn_rad_s, 0.0)
     still, slow = (
-        expected_snr(np.ones(1), np.radians([rate]), np.array([window.exposure_s]), np.array([1e9]), window)[0]
-        for rate in (0.0, options.slowest_deg_s)
+        expected_snr(np.ones(1), np.array([rate]), np.array([window.exposure_s]), np.array([1e9]), window)[0]
+        for rate in (0.0, slowest)
     )
     return np.asarray(reach_km(size_m, surfaces, options.snr_min, window) * np.sqrt(slow / still))

@@ -15,6 +15,7 @@ from simulator.options import SimulatorOptions
 from simulator.platform import earth
 from simulator.platform.carrier import Carrier
 from simulator.platform.observer import OrbitingObserver, make_observer
+from simulator.platform.rotation import rotation_vector_of
 from simulator.randomness import Effect, generator
 from simulator.scene.backdrop import backdrop_of
 from simulator.scene.cast import encounter_window
@@ -32,7 +33,8 @@ BLOCK_S: Final = 21_600.0
 STEP_S: Final = 60.0
 """Candidates of a block meet the camera at instants, one at random in each step: 4 deg of a low orbit."""
 
-SPIN_S: Final = 1.0  # step of the difference of attitudes; at 0.06 deg/s its sine is its angle to 2e-7
+SPIN_S: Final = 0.25
+"""Step of the difference of attitudes: 90 deg at the fastest roll, 360 deg/s. A rotation vector wraps at 180 deg."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -51,7 +53,7 @@ class Flight:
 
     @classmethod
     def of(cls, options: SimulatorOptions, seed: int) -> "Flight":
-        """The flight of a scenario. UserError for a ground site and for pointing that follows an object."""
+        """The flight of a scenario. UserError for what `refuse_unwatched` names."""
         refuse_unwatched(options)
         options = with_drawn_errors(options, seed)
         epoch = earth.tai_ns_of_utc(options.epoch_utc)
@@ -75,11 +77,12 @@ class Flight:
 
 
 def refuse_unwatched(options: SimulatorOptions) -> None:
-    """UserError for a ground site and for pointing that follows an object."""
+    """UserError for a ground site, for pointing that follows an object, and for timing that the pixel chain refuses."""
     if options.platform.kind == "site":
         raise UserError("platform.kind: a survey needs a camera in orbit: sun_synchronous or kepler, not site")
     if options.pointing.law == "object":
         raise UserError("pointing.law: a survey follows no object; allowed are anti_sun, inertial, sidereal, nadir, schedule")
+    options.refuse_bad_timing()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -108,6 +111,11 @@ class Instants:
         """Time in which the Earth is not in the field."""
         return self.span_s * float(self.watched.mean())
 
+    def fastest_turn_rad_s(self, radius_rad: float) -> float:
+        """Most by which the camera's turn moves a star within a radius about the boresight."""
+        sideways = np.linalg.norm(self.spin_rad_s[:, :2], axis=1)
+        return float(np.max(sideways + np.abs(self.spin_rad_s[:, 2]) * np.sin(radius_rad)))
+
     def in_camera(self, instant: NDArray[np.int64], position_km: Array, velocity_km_s: Array) -> tuple[Array, Array]:
         """Places and their rates (n, 3), km and km/s in the camera frame, of objects (n, 3), GCRS, at instants (n,)."""
         attitude = self.attitude[instant]
@@ -127,12 +135,7 @@ def instants_of(flight: Flight, time_s: Array, span_s: float) -> Instants:
     position, velocity = observer.motion.states(np.asarray(time_s))
     attitude = np.array([carrier.attitude(t) for t in tai_ns])
     later = np.array([carrier.attitude(t + round(SPIN_S * 1e9)) for t in tai_ns])
-    turn = np.einsum("nij,nkj->nik", later, attitude)
-    spin = (
-        -0.5
-        / SPIN_S
-        * np.stack([turn[:, 2, 1] - turn[:, 1, 2], turn[:, 0, 2] - turn[:, 2, 0], turn[:, 1, 0] - turn[:, 0, 1]], axis=1)
-    )
+    spin = rotation_vector_of(np.einsum("nij,nkj->nik", later, attitude)) / SPIN_S
     sun = np.array([earth.sun_position_km(t) for t in tai_ns])
     boresight = attitude[:, 2]
     sky_flux = np.array(

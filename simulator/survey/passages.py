@@ -24,6 +24,7 @@ class Passages:
     """n objects that pass the field, each at an instant (n,) in it: positions and velocities (n, 3), GCRS.
 
     natural (n,) : passages of nature that each stands for. enter_s, leave_s : of the field, from the instant on.
+    rate_deg_s : against the stars. snr : of the best exposure, with the trail that the camera's own turn leaves.
     """
 
     instant: Indices
@@ -59,17 +60,15 @@ def make_passages(
     """Passages of objects in the field at their instants; in_sight_now (n,) : times their stay, of nature's passages."""
     window = flight.window
     line = position_km - at.position_km[instant]
-    relative = velocity_km_s - at.velocity_km_s[instant]
-    camera, rate = at.in_camera(instant, position_km, velocity_km_s)
+    camera, moves = at.in_camera(instant, position_km, velocity_km_s)
     range_km = np.linalg.norm(line, axis=1)
-    across = relative - np.sum(relative * line, axis=1, keepdims=True) * line / range_km[:, None] ** 2
-    rate_rad_s = np.linalg.norm(across, axis=1) / range_km
-    enter, leave = in_field(camera, rate, window)
+    rate_rad_s = _turn_of_line(line, velocity_km_s - at.velocity_km_s[instant])
+    enter, leave = in_field(camera, moves, window)
     enter, leave = np.maximum(enter, -LONGEST_STAY_S), np.minimum(leave, LONGEST_STAY_S)
     stay = np.maximum(leave - enter, 0.0)
     flux = light_of(flight, at, instant, size_m, surfaces, position_km)
     at_noise = replace(window, noise_variance_e2=at.noise_e2[instant])  # type: ignore[arg-type]  # one for each passage
-    snr = expected_snr(flux * window.flux_e_s, rate_rad_s, stay, range_km, at_noise)
+    snr = expected_snr(flux * window.flux_e_s, _turn_of_line(camera, moves), stay, range_km, at_noise)
     seen = (stay > 0.0) & (np.degrees(rate_rad_s) >= flight.options.population.slowest_deg_s)
     return Passages(
         instant=instant,
@@ -84,6 +83,13 @@ def make_passages(
         snr=np.where(seen, snr, 0.0),
         natural=np.where(seen, in_sight_now / np.maximum(stay, 1e-9), 0.0),
     )  # fmt: skip - one line for what, one for where, one for how
+
+
+def _turn_of_line(line_km: Array, moves_km_s: Array) -> Array:
+    """Rates (n,), rad/s, at which the directions of lines (n, 3) turn that change by (n, 3)."""
+    range_km = np.linalg.norm(line_km, axis=1)
+    across = moves_km_s - np.sum(moves_km_s * line_km, axis=1, keepdims=True) * line_km / range_km[:, None] ** 2
+    return np.asarray(np.linalg.norm(across, axis=1) / range_km)
 
 
 def light_of(flight: Flight, at: Instants, instant: Indices, size_m: Array, surfaces: Surfaces, position_km: Array) -> Array:

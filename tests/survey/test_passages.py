@@ -12,13 +12,13 @@ from sboc_e2e.registry import Registry
 from simulator.chain import Simulator
 from simulator.randomness import Effect, generator
 from simulator.scene.cast import encounter_window
-from simulator.scene.encounters import draw_candidates, in_field
+from simulator.scene.encounters import draw_candidates, in_field, reach_km
 from simulator.scene.surface import Surfaces
 from simulator.survey.blocks import Pools, candidate_number, draw_block, pilot_instants
-from simulator.survey.candidates import candidates, pool_of
+from simulator.survey.candidates import candidates, farthest_km, pool_of
 from simulator.survey.flight import BLOCK_S, Flight, block_instants, instants_of
 from simulator.survey.looks import looks_of
-from simulator.survey.passages import make_passages
+from simulator.survey.passages import light_of, make_passages
 
 SMALL = ['population.classes=[{from="1 mm", to="3 mm", count=1}]']
 
@@ -182,3 +182,44 @@ def test_a_site_is_refused() -> None:
     found = scenario.load("ground_site_tracking", registry=Registry())
     with pytest.raises(UserError, match="a survey needs a camera in orbit"):
         Flight.of(found.simulator, 1)
+
+
+@pytest.mark.parametrize("roll_deg_s", [40.0, -360.0])
+def test_a_roll_of_any_rate_is_the_turn_itself(roll_deg_s: float) -> None:
+    f = flight(*SMALL, f'pointing.roll_rate="{roll_deg_s} deg/s"')
+    at = instants_of(f, np.array([100.0]), BLOCK_S)
+    # the anti-Sun point adds 2e-7 rad/s
+    assert at.spin_rad_s[0] == pytest.approx([0.0, 0.0, np.radians(roll_deg_s)], abs=1e-6)
+
+
+def test_snr_is_that_of_the_trail_on_the_detector() -> None:
+    """A camera that turns with the orbit and a piece at rest before it, 100 km below: 0.06 deg/s over the stars."""
+    f = flight(*SMALL, 'pointing.law="nadir"', 'pointing.tilt="0 deg"')
+    at = instants_of(f, np.array([3_600.0]), BLOCK_S)
+    line = 100.0 * at.attitude[0, 2]
+    rests = at.velocity_km_s + np.cross(at.attitude[0].T @ at.spin_rad_s[0], line)
+    surfaces = Surfaces(albedo=np.ones(1), specular=np.zeros(1), colour=np.ones(1))
+    population = replace(f.options.population, slowest_deg_s=0.0)
+    f = replace(f, options=replace(f.options, population=population, light=replace(f.options.light, earth_shadow=False)))
+    p = make_passages(f, at, np.zeros(1, np.int64), np.ones(1), surfaces, at.position_km + line, rests)
+    assert p.rate_deg_s[0] == pytest.approx(np.degrees(np.linalg.norm(at.spin_rad_s[0])), rel=1e-6)
+    assert 0.055 < p.rate_deg_s[0] < 0.065
+    light_e = light_of(f, at, p.instant, p.size_m, p.surfaces, p.position_km)[0] * f.camera.zero_point_e_s * f.camera.exposure_s
+    sigma = np.hypot(f.window.sigma_px, f.window.aperture_m * 1e-5 * f.window.focal_px / 4.0)
+    # a point: the matched filter has the noise of 4 pi sigma^2 pixels
+    assert p.snr[0] == pytest.approx(light_e / np.sqrt(4.0 * np.pi * sigma**2 * at.noise_e2[0]), rel=1e-4)
+
+
+def test_pieces_that_the_camera_follows_are_drawn_as_far_as_they_can_be_seen() -> None:
+    """With a turn of `slowest` and more a piece can rest on the detector: it reaches as far as one at rest."""
+    f = flight(*SMALL, 'pointing.law="nadir"', 'pointing.roll_rate="0.5 deg/s"')
+    at = instants_of(f, np.array([100.0]), BLOCK_S)
+    corners = [f.camera.direction(row, col) for row in (-1.0, 1.0) for col in (-1.0, 1.0)]
+    fastest = max(np.linalg.norm(np.cross(at.spin_rad_s[0], corner)) for corner in corners)
+    assert fastest == pytest.approx(at.fastest_turn_rad_s(f.camera.radius_rad), rel=0.3)
+    assert fastest <= at.fastest_turn_rad_s(f.camera.radius_rad)
+    size_m, surfaces = np.ones(1), Surfaces(albedo=np.ones(1), specular=np.zeros(1), colour=np.ones(1))
+    slowest = np.radians(f.options.population.slowest_deg_s)
+    rests = reach_km(size_m, surfaces, f.options.population.snr_min, f.window)
+    assert farthest_km(f, f.window, size_m, surfaces, slowest) == pytest.approx(rests)
+    assert farthest_km(f, f.window, size_m, surfaces) < 0.9 * rests

@@ -19,6 +19,7 @@ from sboc_e2e.survey.curve import WITH_NOISE, fitted, found_share, mean_share, s
 from sboc_e2e.survey.engine import run_survey
 from sboc_e2e.survey.measure import judge_response
 from sboc_e2e.survey.rows import OBJECT_COLUMNS, STREAK_COLUMNS, columns
+from simulator.survey.flight import Flight
 
 SMALL = ['population.classes=[{from="1 mm", to="3 mm", count=1}]']
 TRUE_CURVE = np.array([7.3, -0.6, 0.4, -0.4, 4.0, 0.0, 0.5, 8.0, -0.7])
@@ -307,3 +308,21 @@ def test_a_dask_cluster_gives_the_bytes_of_one_process(tmp_path: Path) -> None:
     run_survey(found, made, 0.5, tmp_path / "one", here=True)
     run_survey(found, made, 0.5, tmp_path / "two", workers=2, scheduler="local")
     assert shards(tmp_path / "one") == shards(tmp_path / "two")
+
+
+@pytest.mark.parametrize(
+    "overrides",
+    [("shutter.exposure=1 s",), ("pointing.roll_rate=300 deg/s", "shutter.exposure=2 s", "frame_rate=0.4 Hz")],
+    ids=["exposure longer than a frame", "half a turn within a frame"],
+)
+def test_what_a_run_refuses_no_survey_accepts(tmp_path: Path, overrides: tuple[str, ...]) -> None:
+    found = load(*SMALL, *overrides)
+    with pytest.raises(UserError) as of_run:
+        found.simulator.refuse_bad_timing()
+    response = write_response(tmp_path / "response.json", load())
+    with pytest.raises(UserError) as of_survey:
+        run_survey(found, response, 0.25, tmp_path / "out", here=True)
+    assert str(of_survey.value) == str(of_run.value)
+    assert not (tmp_path / "out").exists()
+    with pytest.raises(UserError):
+        Flight.of(found.simulator, 1)

@@ -141,6 +141,11 @@ def dark_rate_of_class_e_s(options: SensorOptions) -> NDArray[np.float64]:
     return out * math.exp(-dark.activation_ev / _BOLTZMANN_EV_K * (1.0 / options.temperature_k - 1.0 / dark.reference_k))
 
 
+def median_pixel(options: SensorOptions) -> tuple[float, float]:
+    """Dark current (e-/s) and read noise (e-) of the median pixel at the sensor's temperature, as a `PixelModel` has them."""
+    return float(dark_rate_of_class_e_s(options)[_MIDDLE]), float(read_noise_of_class_e(options)[_MIDDLE])
+
+
 def read_noise_of_class_e(options: SensorOptions) -> NDArray[np.float64]:
     """Read noise of each class in electrons, reset (kTC) noise included where it is not subtracted.
 

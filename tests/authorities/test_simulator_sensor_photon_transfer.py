@@ -7,7 +7,7 @@ import pytest
 from scipy import stats
 
 from simulator.sensor import Sensor, SensorOptions
-from simulator.sensor.options import ConverterOptions, ReadoutOptions
+from simulator.sensor.options import BinningOptions, ConverterOptions, DarkOptions, ReadoutOptions, TelegraphOptions
 from simulator.sensor.statistics import entropy_bits, pixel_probabilities
 
 LINEAR = replace(SensorOptions(), converter=ConverterOptions(nonlinearity=0.0))
@@ -57,6 +57,23 @@ def test_variance_model_matches_the_scatter_of_frames():
     assert np.median(measured / model) == pytest.approx(stats.chi2.median(59) / 59, rel=0.01)
     patch = sensor.variance_e2(mean_e[20:40, 30:70], 0.2, row0=20, col0=30)
     assert np.array_equal(patch, model[20:40, 30:70])
+
+
+def test_variance_of_charge_summed_on_the_chip_holds_one_read_noise_for_a_block():
+    """A delivered pixel of 4 x 4: 16 shot noises of 3 e- and one read noise of 15 e-, in the model as in frames."""
+    options = replace(
+        LINEAR, type="ccd", prnu=0.0, binning=BinningOptions(rows=4, cols=4, method="sum"),
+        readout=ReadoutOptions(read_noise_e=15.0), dark=DarkOptions(median_e_s=0.0, warm_fraction=0.0, hot_fraction=0.0),
+        telegraph=TelegraphOptions(fraction=0.0),
+    )  # fmt: skip
+    sensor = Sensor(options, rows=512, cols=512, seed=3)
+    mean_e = np.full((512, 512), 3.0, dtype=np.float32)
+    a, b = (sensor.digitise(mean_e, k, 0.2).astype(float) * 1.2 for k in (0, 1))
+    expected = 16 * 3.0 + 15.0**2 + 0.1**2 + 1.2**2 / 12.0
+    # 16,384 pixels: their variance scatters by 1.1 %
+    assert 0.5 * (a - b).var() == pytest.approx(expected, rel=0.04)
+    assert sensor.variance_e2(mean_e, 0.2)[:4, :4].sum() == pytest.approx(expected, rel=1e-4)
+    assert 16.0 * float(sensor.variance_e2(3.0, 0.2)) == pytest.approx(expected, rel=1e-4)
 
 
 def test_sky_noise_of_the_preset_is_2_84_electrons_and_3_29_bits():

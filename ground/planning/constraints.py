@@ -22,6 +22,7 @@ class Visibility:
     """Targets (m) at instants (n).
 
     direction : (m, n, 3) unit vectors from the station. range_km, phase_rad : (m, n). rate_rad_s : (m, n) against the stars.
+    air_mass : (m, n), 0 in orbit.
     free : (m, n) by the name of each constraint, where it forbids nothing. best : by the same names, the angle (deg) or rate
     (deg/s) of the case that comes nearest to being allowed; only for constraints that an option sets.
     """
@@ -30,6 +31,7 @@ class Visibility:
     range_km: Array
     phase_rad: Array
     rate_rad_s: Array
+    air_mass: Array
     free: dict[str, Flags]
     best: dict[str, float]
 
@@ -63,6 +65,7 @@ def visibility_of(position_km: Array, velocity_km_s: Array, sky: Sky, options: C
         "too fast": rate_deg_s <= options.max_rate_deg_s,
     }
     best = {"Moon": _most(moon_deg), "too fast": -_most(-rate_deg_s)}
+    mass = np.zeros(range_km.shape)
     if sky.up is None:
         sun_deg = np.degrees(separation(direction, sky.sun_km - sky.station_km))
         limb_deg = np.degrees(above_limb(direction, sky.station_km))
@@ -70,6 +73,7 @@ def visibility_of(position_km: Array, velocity_km_s: Array, sky: Sky, options: C
         best |= {"Sun": _most(sun_deg), "Earth's limb": _most(limb_deg)}
     else:
         elevation_deg = np.degrees(np.arcsin(np.clip(np.sum(direction * sky.up, axis=-1), -1.0, 1.0)))
+        mass = air_mass(elevation_deg)
         darkness_deg = np.degrees(sun_elevation_rad(sky, sky.up))
         free["elevation"] = elevation_deg >= options.elevation_deg
         free["daylight"] = np.broadcast_to(darkness_deg <= options.darkness_deg, range_km.shape)
@@ -80,6 +84,7 @@ def visibility_of(position_km: Array, velocity_km_s: Array, sky: Sky, options: C
         range_km=range_km,
         phase_rad=np.arccos(np.clip(towards_sun, -1.0, 1.0)),
         rate_rad_s=rate,
+        air_mass=mass,
         free=free,
         best=best,
     )
@@ -88,6 +93,12 @@ def visibility_of(position_km: Array, velocity_km_s: Array, sky: Sky, options: C
 def _most(values: Array) -> float:
     """The largest finite value, minus infinity where there is none."""
     return float(np.max(values, where=np.isfinite(values), initial=-np.inf))
+
+
+def air_mass(elevation_deg: Array) -> Array:
+    """Air mass of elevations (...,), that of the horizon below it (Kasten & Young 1989, Appl. Opt. 28, 4735)."""
+    h = np.maximum(elevation_deg, 0.0)
+    return np.asarray(1.0 / (np.sin(np.radians(h)) + 0.50572 * (h + 6.07995) ** -1.6364))
 
 
 def separation(direction: Array, body: Array) -> Array:

@@ -45,7 +45,7 @@ def plan_visits(
     seen = visibility_of(position[:, 1:], velocity[:, 1:], sky, options.constraints)
     known = seen.free["no position"] & np.isfinite(at_start).all(axis=1)[:, None]
     seen = replace(seen, free={**seen.free, "no position": known})
-    snr = snr_of(magnitudes(targets.size_m, options.albedo, seen), seen.rate_rad_s, camera)
+    snr = snr_of(magnitudes(targets.size_m, options.albedo, seen), seen.rate_rad_s, camera, seen.air_mass)
     with np.errstate(invalid="ignore"):
         bright = snr >= options.faintest_snr
     usable = seen.allowed & bright
@@ -73,7 +73,8 @@ def _views(
 ) -> tuple[Views, Array]:
     """All observations that can be made, and the error of each."""
     slot, target = np.nonzero(usable.T)
-    sigma = angle_sigma_rad(snr[target, slot], seen.rate_rad_s[target, slot], camera, options.exposures)
+    there = target, slot
+    sigma = angle_sigma_rad(snr[there], seen.rate_rad_s[there], camera, options.exposures, seen.air_mass[there])
     line_km = seen.direction[target, slot] * seen.range_km[target, slot, None]
     safe = np.where(np.isfinite(at_start), at_start, 1.0)
     return views_of(safe, middle_s, target, slot, line_km, sigma, options.knowledge), sigma

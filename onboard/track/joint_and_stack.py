@@ -100,7 +100,10 @@ class JointAndStackTracker(JointTracker):
             )
 
     def sums(self, box: Box) -> int:
-        """Sums that a window needs for a box, at four frames a second."""
+        """Tracks of a box that lie 1 px apart at the window's ends, at four frames a second.
+
+        The lattice's lie up to `stack_search.OUTER_PX` apart: a wide box has a sixth as many sums.
+        """
         reach = 0.5 * self.stack_frames * PERIOD_S
         return math.prod(max(1, math.ceil(2.0 * half * reach)) for half in (box.half_row_px_s, box.half_col_px_s))
 

@@ -9,7 +9,7 @@ import pytest
 from onboard.track.false_alarms import expected_above, half_point_sigma, independent_stacks, threshold_sigma
 from onboard.track.joint_and_stack import JointAndStackTracker
 from onboard.track.stack import WARM_UP
-from onboard.track.stack_search import CODED_UNIT, VALUES, group_image
+from onboard.track.stack_search import CODED_UNIT, OUTER_PX, VALUES, filter_sigma_px, group_image, lattice, stack
 from onboard.track.static_model import BRIGHT, READING_PX, SUM_CODES, UNIT, add_moving, static_snr, update_model
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.results import check_tracks
@@ -90,6 +90,44 @@ def test_a_frame_that_has_mostly_moved_out_keeps_its_noise() -> None:
     image = VALUES[(words[..., None] >> (4 * np.arange(16, dtype=np.uint64))) & 15].reshape(256, 256) / CODED_UNIT
     assert image[8:-8, 8:90].std() == pytest.approx(1.0, abs=0.05)
     assert not image[:, 110:].any()
+
+
+@pytest.mark.parametrize("half", [(0.4, 0.88), (3.0, 4.0)])
+def test_tracks_of_the_lattice_lie_as_far_apart_as_its_text_says(half: tuple[float, float]) -> None:
+    epochs = np.linspace(-3.9, 3.9, 32)
+    rates = lattice(*half, epochs)
+    for axis, side in enumerate(half):
+        values = np.unique(rates[:, axis])
+        assert (values[0], values[-1]) == pytest.approx((-side, side))
+        apart = np.diff(values) * 3.9
+        assert (apart <= OUTER_PX + 1e-9).all()
+        assert len(values) == 2 or (len(values) - 1) * OUTER_PX < 2.0 * side * 3.9 + OUTER_PX, "no closer than is needed"
+
+
+@pytest.mark.parametrize(("n", "expected"), [(4, 0.32), (8, 0.26), (32, 0.23)])
+def test_the_lattice_loses_at_the_worst_velocity_what_its_text_says(n: int, expected: float) -> None:
+    """Filtered stars of variance v at u (1.2, 1.2) px, u from -1 to 1: 1 - mean exp(-u^2 1.2^2 / v)."""
+    v = 0.849**2 + 1.0 / 6.0 + filter_sigma_px(0.849) ** 2
+    u = np.linspace(-1.0, 1.0, n)
+    off = 0.5 * OUTER_PX
+    closed = 1.0 - float(np.exp(-((u * off) ** 2) / v).mean())
+    assert closed == pytest.approx(expected, abs=0.005)
+    rng, lost = np.random.default_rng(1), []
+    for _ in range(40):
+        # an object of any place and velocity, and the four tracks about it, each half of the distance away along both axes
+        place, rate = rng.uniform(-0.5, 0.5, 2), rng.uniform(-2.0, 2.0, 2)
+        stars = np.stack([gaussian(place + rate * k, v) for k in u])
+        shifts = np.rint([[(rate + np.array([s, t])) * k for k in u] for s in (-off, off) for t in (-off, off)]).astype(np.int64)
+        best, which = np.empty((31, 41), np.int16), np.empty((31, 41), np.int16)
+        stack(np.rint(120.0 * stars).astype(np.int8), 5, shifts, best, which)
+        lost.append(1.0 - float(best.max()) / (120.0 * n))
+    assert closed - 0.04 < np.mean(lost) < closed + 0.06
+
+
+def gaussian(place: np.ndarray, variance: float) -> np.ndarray:
+    """A star of height 1 in 41 x 41 px, at a place from the middle."""
+    row, col = np.indices((41, 41)) - 20.0
+    return np.asarray(np.exp(-0.5 * ((row - place[0]) ** 2 + (col - place[1]) ** 2) / variance))
 
 
 def run_tracker(

@@ -18,8 +18,9 @@ _NO_MATTER: Final = 1e-10
 class Assessment:
     """All figures of an encounter.
 
-    foster : NaN where its grid does not resolve the errors. stands : "two-dimensional", "curved" or "Monte Carlo"; probability :
-    that one. reason : why the plane does or does not hold. trial : of Monte Carlo, None where it was not needed.
+    foster : NaN where its grid does not resolve the errors. chan : NaN where its equal area may be wrong by more than a per cent.
+    stands : "two-dimensional", "curved" or "Monte Carlo"; probability : that one. reason : why the plane does or does not hold.
+    trial : of Monte Carlo, None where it was not needed.
     """
 
     encounter: Encounter

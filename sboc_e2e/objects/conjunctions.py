@@ -39,13 +39,14 @@ def assessment_lines(message: ConjunctionMessage, judged: Assessment) -> list[st
     """What was found, for a terminal."""
     encounter, worst = judged.encounter, judged.dilution
     sigma = np.sqrt(np.linalg.eigvalsh(encounter.covariance_km2))
-    foster = "not valid" if np.isnan(judged.foster) else f"{judged.foster:.4g}"
+    foster, chan = ("not valid" if np.isnan(value) else f"{value:.4g}" for value in (judged.foster, judged.chan))
+    holds = "" if judged.stands == "two-dimensional" else ", does not stand"
     return [
         f"{message.first.name} and {message.second.name}, TCA {message.text_of('TCA')} UTC",
         f"  miss {1e3 * float(np.linalg.norm(encounter.miss_km)):.1f} m, {1e3 * encounter.speed_km_s:.2f} m/s, "
         f"hard body {1e3 * encounter.hard_body_km:g} m, errors in the plane {1e3 * sigma[1]:.4g} x {1e3 * sigma[0]:.4g} m",
         f"  probability {judged.probability:.4g}: {judged.stands} ({judged.reason})",
-        f"  two-dimensional: Alfano {judged.alfano:.4g}, Foster {foster}, Chan {judged.chan:.4g}",
+        f"  two-dimensional{holds}: Alfano {judged.alfano:.4g}, Foster {foster}, Chan {chan}",
         f"  at most {worst.probability:.3g}, with errors {worst.scale:.3g} times as large"
         + ("; diluted: better tracking may raise the probability" if worst.diluted else ""),
         f"  the message says {message.text_of('COLLISION_PROBABILITY') or 'nothing'}",

@@ -1,6 +1,7 @@
 """Conjunction data messages: read as their standard says, written so that an independent reader takes them, refused by name."""
 
 import re
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ from ground.conjunctions.cdm import MessageObject, cdm_text, new_message, read_c
 from ground.conjunctions.encounter import StateEstimate
 from sboc_e2e.cli.main import run
 from sboc_e2e.icd.errors import UserError
+from sboc_e2e.objects.conjunctions import assess_message, assessment_lines
 from tests.conjunctions.reference import folder
 
 
@@ -104,12 +106,21 @@ def test_the_command_judges_and_writes(tmp_path: Path, capsys: pytest.CaptureFix
     assert judged.text_of("COLLISION_PROBABILITY_METHOD") == "ALFANO-2005"
 
 
-def test_the_command_prints_no_foster_that_its_grid_does_not_resolve(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+def test_the_command_prints_no_form_where_it_is_not_valid(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "one.cdm"
     path.write_text(example())
     # the shorter error is 17 m
     assert run(["conjunctions", "assess", str(path), "--hard-body", "3000"]) == 0
-    assert "Foster not valid, Chan" in capsys.readouterr().out
+    assert "Foster not valid, Chan not valid" in capsys.readouterr().out
+
+
+def test_forms_of_the_plane_are_said_not_to_stand_where_they_do_not(tmp_path: Path) -> None:
+    path = tmp_path / "one.cdm"
+    path.write_text(example())
+    message, judged = assess_message(path, None, 1000)
+    assert "  two-dimensional: Alfano" in "\n".join(assessment_lines(message, judged))
+    bent = replace(judged, stands="curved")
+    assert "  two-dimensional, does not stand: Alfano" in "\n".join(assessment_lines(message, bent))
 
 
 @pytest.mark.parametrize(

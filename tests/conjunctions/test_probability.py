@@ -4,6 +4,7 @@ import math
 
 import numpy as np
 import pytest
+from scipy.special import i0e
 from scipy.stats import ncx2, norm
 
 from ground.conjunctions.assess import assess
@@ -12,7 +13,7 @@ from ground.conjunctions.curved import curved
 from ground.conjunctions.encounter import Encounter, StateEstimate, encounter_of
 from ground.conjunctions.equinoctial import equinoctial_of, state_at
 from ground.conjunctions.monte_carlo import monte_carlo
-from ground.conjunctions.probability import alfano, chan, dilution, foster
+from ground.conjunctions.probability import CHAN_ERROR, alfano, chan, dilution, equal_area_error, foster
 from ground.orbit.dynamics import MU_KM3_S2
 from sboc_e2e.icd.errors import UserError
 from tests.conjunctions.reference import alfano_cases, folder, sheet
@@ -185,6 +186,40 @@ def test_chan_holds_for_small_bodies_and_circles() -> None:
     )
 
 
+def test_chan_says_nothing_where_an_ellipse_of_equal_area_is_another_one() -> None:
+    """Of 2,000 encounters, half of them nearly round: a hundredth off at most, and less than the bound."""
+    rng, said = np.random.default_rng(5), 0
+    for k in range(2000):
+        sigma = 10.0 ** rng.uniform(0.0, 4.0, 2)
+        sigma[1] = sigma[0] * 10.0 ** rng.uniform(-0.3, 0.3) if k % 2 else sigma[1]
+        miss = sigma * np.abs(rng.normal(size=2)) * rng.choice([0.3, 1.0, 3.0, 8.0])
+        encounter = plane(tuple(miss), tuple(sigma), 10.0 ** rng.uniform(-1.0, 3.0))
+        value, expected = chan(encounter), alfano(encounter)
+        if math.isnan(value) or expected < 1e-290:
+            continue
+        said += 1
+        assert value == pytest.approx(expected, rel=min(CHAN_ERROR, equal_area_error(encounter) + 1e-6), abs=0.0)
+    assert said > 500
+    # 20 m body, errors of 5 m and 500 m, 15 m off along the short axis: 0.001 by Chan's form, where it is 0.018
+    assert math.isnan(chan(plane((15.0, 0.0), (5.0, 500.0), 20.0)))
+
+
+def test_chan_is_caras_probability_or_nothing() -> None:
+    values = [(chan(encounter_of(first, second, radius)), row["Pc2D"]) for row, first, second, radius in messages()]
+    assert sum(not math.isnan(value) for value, _ in values) == 6
+    for value, expected in values:
+        assert math.isnan(value) or value == pytest.approx(expected, rel=CHAN_ERROR, abs=0.0)
+
+
+def test_the_error_of_equal_areas_is_its_first_term() -> None:
+    """A small body on the short axis: the closed form against the integrals themselves."""
+    encounter = plane((30.0, 0.0), (10.0, 40.0), 1.0)
+    error = chan(encounter) / alfano(encounter) - 1.0
+    u = 1.0 / 10.0 - 1.0 / 40.0
+    assert error == pytest.approx(-u / 8.0 * (30.0**2 / 10.0**3 - u), rel=0.01)
+    assert abs(error) < equal_area_error(encounter) < 1.2 * abs(error)
+
+
 def test_the_worst_scale_is_that_of_the_closed_form() -> None:
     # small circle, equal errors: P = R^2/(2 s^2) exp(-d^2/2s^2) is largest at s = d/sqrt 2: R^2/(d^2 e)
     worst = dilution(plane((1000.0, 0.0), (2000.0, 2000.0), 1.0))
@@ -195,9 +230,13 @@ def test_the_worst_scale_is_that_of_the_closed_form() -> None:
 
 
 def test_far_tails_do_not_cancel() -> None:
-    value = alfano(plane((0.0, 1000.0), (50.0, 50.0), 5.0))
-    assert value == pytest.approx(chan(plane((0.0, 1000.0), (50.0, 50.0), 5.0)), rel=1e-6)
-    assert 0.0 < value < 1e-80
+    encounter = plane((0.0, 1000.0), (50.0, 50.0), 5.0)
+    # Rice's distribution: r exp(-(r^2 + 20^2) / 2) I0(20 r) up to a tenth of a deviation
+    r = np.linspace(0.0, 0.1, 2001)
+    expected = float(np.trapezoid(r * np.exp(-0.5 * (20.0 - r) ** 2) * i0e(20.0 * r), r))
+    assert 0.0 < expected < 1e-80
+    assert alfano(encounter) == pytest.approx(expected, rel=1e-6, abs=0.0)
+    assert math.isnan(chan(encounter)), "its distribution function gives 0"
 
 
 def test_equinoctial_elements_return_the_state_and_follow_kepler() -> None:

@@ -57,8 +57,9 @@ class Watch:
     """The watched field and time, from headers and solutions that came down.
 
     t_s (n,) : mid-exposures; position_km, velocity_km_s (n, 3) : of the camera, GCRS; attitude (n, 3, 3) : GCRS to camera.
-    sun (3,) : unit vector. half_row, half_col : tangents of half the field. zero_point_mag : of 1 e-/s. noise_e : of a pixel,
-    one exposure. psf_sigma_px : pixel included. frame_s : from one frame to the next; a frame represents the sky for this time.
+    sun (3,) : unit vector. half_row, half_col : tangents of half the field. mid_row, mid_col : of its middle, which lies off the
+    boresight where the read-out window does. zero_point_mag : of 1 e-/s. noise_e : of a pixel, one exposure. psf_sigma_px :
+    pixel included. frame_s : from one frame to the next; a frame represents the sky for this time.
     """
 
     t_s: Array
@@ -75,6 +76,8 @@ class Watch:
     noise_e: float
     psf_sigma_px: float
     aperture_m: float
+    mid_row: float = 0.0
+    mid_col: float = 0.0
 
     @property
     def span_s(self) -> float:
@@ -125,7 +128,8 @@ def crossings(
     volume_like = np.cbrt(cubes[0] + rng.random(n) * (cubes[1] - cubes[0]))
     rho = np.where(rng.random(n) < 0.5, near * np.exp(rng.random(n) * span), volume_like)
     per_km = 0.5 / (rho * span) + 1.5 * rho**2 / (cubes[1] - cubes[0])
-    u, v = rng.uniform(-watch.half_col, watch.half_col, n), rng.uniform(-watch.half_row, watch.half_row, n)
+    u = watch.mid_col + rng.uniform(-watch.half_col, watch.half_col, n)
+    v = watch.mid_row + rng.uniform(-watch.half_row, watch.half_row, n)
     slant = np.sqrt(1.0 + u * u + v * v)
     camera = np.stack([u, v, np.ones(n)], axis=1) / slant[:, None] * rho[:, None]
     position = observer + np.einsum("ni,nij->nj", camera, attitude)
@@ -221,10 +225,11 @@ def _reach_km(size_m: Array, albedo: Array, watch: Watch) -> Array:
 def _stay_s(camera: Array, relative: Array, watch: Watch) -> tuple[Array, Array]:
     """When points that move straight enter and leave the pyramid, seconds from now (negative and positive)."""
     start, stop = np.full(len(camera), -np.inf), np.full(len(camera), np.inf)
-    for axis, half in ((0, watch.half_col), (1, watch.half_row)):
+    for axis, half, middle in ((0, watch.half_col, watch.mid_col), (1, watch.half_row, watch.mid_row)):
         for sign in (1.0, -1.0):
-            inside = half * camera[:, 2] + sign * camera[:, axis]
-            slope = half * relative[:, 2] + sign * relative[:, axis]
+            # the side of the pyramid is the plane on which half z + sign (x - middle z) is 0
+            inside = (half - sign * middle) * camera[:, 2] + sign * camera[:, axis]
+            slope = (half - sign * middle) * relative[:, 2] + sign * relative[:, axis]
             with np.errstate(divide="ignore", invalid="ignore"):
                 root = -inside / slope
             stop = np.where(slope < 0.0, np.minimum(stop, root), stop)

@@ -32,6 +32,7 @@ from ground.population.injection import (
 from ground.records import GroundProducts
 from ground.sky.rotation import matrix_of
 from ground.streaks.trail_model import PIXEL_VARIANCE_PX2
+from sboc_e2e.icd.camera import CameraModel
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.icd.frame import FrameHeader, NominalCamera
@@ -171,10 +172,10 @@ def _watch(products: GroundProducts, frames: Sequence[DownlinkFrame], camera: No
     if len(headers) < 2:
         lacks.append(f"{len(headers)} frame: tracklets and the time watched need two")
         return None
-    placed = [(h, a) for h, s in zip(headers, products.solutions, strict=True) if (a := _attitude(h, s)) is not None]
+    placed = [(h, a, s.camera) for h, s in zip(headers, products.solutions, strict=True) if (a := _attitude(h, s)) is not None]
     if len(placed) < len(headers):
         lacks.append(f"{len(headers) - len(placed)} of {len(headers)} frames without a direction: their time is not counted")
-    known = [(h, a) for h, a in placed if h.observer is not None]
+    known = [entry for entry in placed if entry[0].observer is not None]
     if placed and len(known) < len(placed):
         lacks.append(
             f"{len(placed) - len(known)} of {len(placed)} frames without the observer's state: their time is not counted"
@@ -194,16 +195,19 @@ def _watch(products: GroundProducts, frames: Sequence[DownlinkFrame], camera: No
         lacks.append("no background mesh: no noise, no flux")
         return None
     psf = [frame.psf_sigma_px for frame in frames if frame.psf_sigma_px is not None] or [camera.psf_sigma_px]
-    t_ns = np.array([h.t_start_tai_ns + h.exposure_ns // 2 for h, _ in known], dtype=np.int64)
-    first = known[0][0]
+    t_ns = np.array([h.t_start_tai_ns + h.exposure_ns // 2 for h, *_ in known], dtype=np.int64)
+    first, _, solved = known[0]
+    mid_row, mid_col = _middle_of_field(first, solved)
     return Watch(
         t_s=(t_ns - t_ns[0]) * 1e-9,
-        position_km=np.array([h.observer.position_m for h, _ in known if h.observer is not None]) * 1e-3,
-        velocity_km_s=np.array([h.observer.velocity_m_s for h, _ in known if h.observer is not None]) * 1e-3,
-        attitude=np.array([a for _, a in known]),
+        position_km=np.array([h.observer.position_m for h, *_ in known if h.observer is not None]) * 1e-3,
+        velocity_km_s=np.array([h.observer.velocity_m_s for h, *_ in known if h.observer is not None]) * 1e-3,
+        attitude=np.array([a for _, a, _ in known]),
         sun=sun_direction(int(t_ns[len(t_ns) // 2])),
         half_row=0.5 * first.rows / camera.focal_px,
         half_col=0.5 * first.cols / camera.focal_px,
+        mid_row=mid_row,
+        mid_col=mid_col,
         focal_px=camera.focal_px,
         exposure_s=first.exposure_ns * 1e-9,
         frame_s=float(np.median(np.diff(t_ns))) * 1e-9,
@@ -212,6 +216,12 @@ def _watch(products: GroundProducts, frames: Sequence[DownlinkFrame], camera: No
         psf_sigma_px=float(np.sqrt(np.median(psf) ** 2 + PIXEL_VARIANCE_PX2)),
         aperture_m=camera.aperture_m,
     )
+
+
+def _middle_of_field(header: FrameHeader, camera: CameraModel) -> tuple[float, float]:
+    """Tangents of the middle of a frame along rows and columns: 0 at the boresight."""
+    x, y, z = camera.unproject(np.array([0.5 * (header.rows - 1)]), np.array([0.5 * (header.cols - 1)]))[0]
+    return float(y / z), float(x / z)
 
 
 def _attitude(header: FrameHeader, solution: FrameSolution) -> np.ndarray[Any, np.dtype[np.float64]] | None:

@@ -6,8 +6,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from ground.population.encounters import CELL_KM, crossings, density_of, trail_snr
-from ground.population.flux import ALBEDO, ALBEDO_SIGMA_LN, SIZE_EDGES_M, counted_of, found_shares, light_seen
+from ground.population.encounters import CELL_KM, _stay_s, crossings, density_of, trail_snr
+from ground.population.flux import ALBEDO, ALBEDO_SIGMA_LN, COULD_BE_SEEN_SNR, SIZE_EDGES_M, counted_of, found_shares, light_seen
 from ground.population.injection import (
     DEFAULT_THRESHOLD,
     LENGTHS_PX,
@@ -18,11 +18,12 @@ from ground.population.injection import (
     measured_efficiency,
     threshold_of,
 )
-from ground.products.population import population, population_table
+from ground.products.population import _watch, population, population_table
 from ground.records import GroundProducts
+from sboc_e2e.icd.signals import BackgroundModel
 from sboc_e2e.score.population import published_flux
 from simulator.scene.debris import SizeClass
-from simulator.scene.encounters import PopulationOptions, draw_candidates, natural_number
+from simulator.scene.encounters import PopulationOptions, draw_candidates, natural_flux, natural_number
 from tests.astrometry.test_faulty_steps import fields as fields
 from tests.astrometry.test_ground_chain import chain_of
 from tests.population import worlds
@@ -37,6 +38,55 @@ def test_exposure_is_that_of_the_simulator() -> None:
         drawn = crossings(watch, SIZE_EDGES_M[k : k + 2], 30_000, rng, albedo=ALBEDO, albedo_sigma_ln=ALBEDO_SIGMA_LN)
         ground = float((drawn.weight * found_shares(drawn, found)).sum()) / drawn.flux_km2_s
         assert ground == pytest.approx(worlds.exposure_km2_s(one, rng), rel=0.4 if k == 0 else 0.25)
+
+
+@pytest.mark.parametrize("mid", [(0.0, 0.0), (0.6, 0.0), (-0.6, 0.2)])
+def test_crossings_of_a_window_off_the_boresight_are_those_of_the_simulator(mid: tuple[float, float]) -> None:
+    """Objects of 3 to 10 cm, up or down by 31 deg, that reach S/N 5. About the boresight ground has 2.2 and 8 times as many."""
+    seen, rng = worlds.window(mid), np.random.default_rng(3)
+    edges = (0.03, 0.1)
+    drawn = crossings(worlds.watch_of(seen), edges, 60_000, rng, albedo=ALBEDO, albedo_sigma_ln=0.0)
+    options = PopulationOptions(candidates=200_000, albedo=ALBEDO, snr_min=1.0, surface=worlds.GREY)
+    one = SizeClass(from_mm=30.0, to_mm=100.0, count=1)
+    theirs = draw_candidates(options, one, seen, rng)
+    bright = drawn.snr.max(axis=1) >= COULD_BE_SEEN_SNR
+    theirs_bright = (theirs.snr >= COULD_BE_SEEN_SNR) & (theirs.rate_deg_s >= options.slowest_deg_s)
+    ground = float(drawn.weight[bright].sum()) / drawn.flux_km2_s
+    simulator = float(theirs.natural[theirs_bright].sum()) / natural_flux(options, one, seen, rng)
+    assert ground == pytest.approx(simulator, rel=0.35)
+
+
+def test_straight_motion_through_a_window_off_the_boresight() -> None:
+    """At 100 km a field of +-5 km about (4, 3) km: from (1, 2) at 1 km/s along columns it takes 8 s to the far side."""
+    seen = replace(worlds.watch_of(worlds.window((0.03, 0.04))), half_row=0.05, half_col=0.05)
+    start, stop = _stay_s(np.array([[1.0, 2.0, 100.0]]), np.array([[1.0, 0.0, 0.0]]), seen)
+    assert (start[0], stop[0]) == pytest.approx((-2.0, 8.0))
+
+
+def test_the_field_watched_is_that_of_the_readout_window(fields: list) -> None:
+    """1,024 x 512 px whose first is (3072, 0) of 4096 x 4096: in tangents its middle and half its sides."""
+    products, frames = _finished(fields)
+    products = _with_observer(products)
+    tile = BackgroundModel(
+        tile_px=512, level_adu=np.zeros((8, 8), np.float32), sigma_adu=np.full((8, 8), 3.0, np.float32)
+    )  # fmt: skip
+    frames = [replace(f, background=tile) for f in frames]
+    camera = chain_of(fields[0]).camera
+    whole = _watch(products, frames, camera, [])
+    assert whole is not None
+    # the drawn camera's own centre is 1.8 and -1.3 px off
+    assert (whole.mid_row, whole.mid_col) == pytest.approx((0.0, 0.0), abs=3.0 / camera.focal_px)
+    cut = replace(
+        products,
+        headers=tuple(replace(h, rows=1024, cols=512, window_row0=3072) for h in products.headers),
+        solutions=[replace(s, camera=replace(s.camera, center_row=s.camera.center_row - 3072.0)) for s in products.solutions],
+    )
+    seen = _watch(cut, frames, camera, [])
+    assert seen is not None
+    assert (seen.half_row, seen.half_col) == pytest.approx((512.0 / camera.focal_px, 256.0 / camera.focal_px))
+    # from the whole frame's middle to the window's; distortion and the camera's centre move it by some pixels
+    assert seen.mid_row == pytest.approx((3072.0 + 511.5 - 2047.5) / camera.focal_px, abs=6.0 / camera.focal_px)
+    assert seen.mid_col == pytest.approx((255.5 - 2047.5) / camera.focal_px, abs=6.0 / camera.focal_px)
 
 
 @pytest.mark.parametrize(("a", "e", "i_deg"), [(7078.0, 0.01, 98.0), (9000.0, 0.2, 30.0), (7500.0, 0.001, 63.0)])

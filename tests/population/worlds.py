@@ -41,8 +41,8 @@ class Class:
     flux_km2_s: float
 
 
-def window() -> Window:
-    """A camera in an orbit of 700 km that looks away from the Sun."""
+def window(mid: tuple[float, float] = (0.0, 0.0)) -> Window:
+    """A camera in an orbit of 700 km that looks away from the Sun. mid : tangents of the middle of its read-out window."""
     sun = sun_position_km(TAI_NS)
     ahead = -sun / np.linalg.norm(sun)
     side = np.cross([0.0, 0.0, 1.0], ahead)
@@ -53,7 +53,7 @@ def window() -> Window:
     return Window(
         observer_km=position, velocity_km_s=velocity, attitude=attitude, sun_km=sun, half_row=HALF, half_col=HALF,
         duration_s=FRAMES * FRAME_S, exposure_s=EXPOSURE_S, flux_e_s=ZERO_POINT_E_S, focal_px=FOCAL_PX, sigma_px=PSF_PX,
-        noise_variance_e2=NOISE_E**2, aperture_m=0.2, effects=LightOptions(earth_shadow=False),
+        noise_variance_e2=NOISE_E**2, aperture_m=0.2, effects=LightOptions(earth_shadow=False), mid_row=mid[0], mid_col=mid[1],
     )  # fmt: skip
 
 
@@ -68,6 +68,7 @@ def watch_of(seen: Window) -> Watch:
         attitude=np.broadcast_to(seen.attitude, (n, 3, 3)).copy(),
         sun=seen.sun_km / np.linalg.norm(seen.sun_km), half_row=HALF, half_col=HALF, focal_px=FOCAL_PX, exposure_s=EXPOSURE_S,
         frame_s=FRAME_S, zero_point_mag=2.5 * np.log10(ZERO_POINT_E_S), noise_e=NOISE_E, psf_sigma_px=PSF_PX, aperture_m=0.2,
+        mid_row=seen.mid_row, mid_col=seen.mid_col,
     )  # fmt: skip
 
 

@@ -30,7 +30,12 @@ class MotionLinker:
 
     max_missed_frames: int = field(default=4, metadata={"doc": "frames that may pass without a streak", "min": 0, "max": 100})
     min_log_odds: float = field(
-        default=4.0, metadata={"doc": "natural log odds against chance that a tracklet needs", "min": -20.0, "max": 100.0}
+        default=4.0,
+        metadata={
+            "doc": "natural log odds against chance that a tracklet needs, unless it is a track from board",
+            "min": -20.0,
+            "max": 100.0,
+        },
     )
     pixel_scale_arcsec: float = field(
         default=5.0, metadata={"doc": "assumed where no streak shows the scale", "min": 1e-3, "max": 1e4}

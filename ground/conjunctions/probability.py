@@ -124,7 +124,7 @@ def equal_area_error(encounter: Encounter) -> float:
 
         difference = R^2 / 8 (1/s - 1/l) (x^2/s^3 - y^2/l^3 - (1/s - 1/l))
 
-    All terms are added with the same sign, so that none hides another: of 12,000 random encounters with a bound of 3 % or less
+    All terms are added with the same sign, so that none hides another: of 7,900 random encounters with a bound of 3 % or less
     no error exceeds its bound (tests/conjunctions/test_probability.py has 2,000).
     """
     miss, sigma = principal(encounter)

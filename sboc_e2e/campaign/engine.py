@@ -24,6 +24,8 @@ from sboc_e2e.run.manifest import first_difference
 from sboc_e2e.run.workers import executor, worker_count
 
 IDENTITY: Final = "identity.json"
+IDENTITY_KEYS: Final = frozenset({"scenario", "set", "seed", "paired", "code", "versions"})
+"""Keys by which a campaign's identity is known: those of `Plan.identity`."""
 FOLDERS: Final = ("shards", "failed", "work")
 
 
@@ -155,29 +157,32 @@ def _claim(out: Path, identity: dict[str, Any], outside: dict[str, dict[str, Any
     outside : plug-ins and files that points name; another point may add some.
     """
     path = out / IDENTITY
+    found = _identity(path)
+    for name in FOLDERS:
+        # Without an identity nothing says that this is a campaign's, so that even --force leaves it alone.
+        if found is None and (folder := out / name).is_dir() and any(folder.iterdir()):
+            raise UserError(
+                f"{folder}: holds files of an unknown campaign or of something else (no {IDENTITY}); --out goes elsewhere"
+            )
     if force:
         for name in FOLDERS:
             shutil.rmtree(out / name, ignore_errors=True)
-        path.unlink(missing_ok=True)
+        found = None
     earlier: dict[str, dict[str, Any]] = {}
     way_out = "--out goes elsewhere, --force begins anew here"
     shards = sorted((out / "shards").glob("*.ecsv"))
-    if path.is_file():
-        try:
-            found = json.loads(path.read_text(encoding="utf-8"))
-        except ValueError as error:
-            raise UserError(f"{path}: not readable; {way_out}") from error
+    if found is not None:
         earlier = {name: found.pop(name, {}) for name in outside}
         common = {name: {k: v for k, v in outside[name].items() if k in earlier[name]} for name in outside}
         known = {name: {k: v for k, v in earlier[name].items() if k in outside[name]} for name in outside}
         difference = first_difference(found | known, json.loads(json.dumps(identity | common)))
         if difference:
             raise UserError(f"{out}: holds results of another campaign ({difference}); {way_out}")
-    elif shards:
-        raise UserError(f"{out}: holds shards of an unknown campaign (no {IDENTITY}); {way_out}")
     for shard in shards:
         if _stated_fingerprint(shard) != shard.stem:
             raise UserError(f"{shard}: is the result of another task; {way_out}")
+    # Before the folders: what a kill from here on leaves in them is known as this campaign's.
+    write_json(path, identity | {name: earlier.get(name, {}) | outside[name] for name in outside})
     for name in FOLDERS:
         require_writable(out / name)
     shutil.rmtree(out / "work")
@@ -186,7 +191,19 @@ def _claim(out: Path, identity: dict[str, Any], outside: dict[str, dict[str, Any
     # What failed is tried again, under the numbers that tasks have now.
     for failure in (out / "failed").glob("*.txt"):
         failure.unlink()
-    write_json(path, identity | {name: earlier.get(name, {}) | outside[name] for name in outside})
+
+
+def _identity(path: Path) -> dict[str, Any] | None:
+    """What a campaign wrote down about itself; None without the file. Raises `UserError` for a file that is nobody's."""
+    if not path.exists():
+        return None
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: not readable; --out goes elsewhere") from error
+    if not isinstance(found, dict) or IDENTITY_KEYS - set(found):
+        raise UserError(f"{path}: was not written by a campaign; --out goes elsewhere")
+    return found
 
 
 def _stated_fingerprint(shard: Path) -> str | None:

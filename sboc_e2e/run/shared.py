@@ -5,6 +5,7 @@ Every folder is named by a digest of everything that determines its content: opt
 
 import hashlib
 import json
+import re
 import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -12,7 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from sboc_e2e import provenance
-from sboc_e2e.files.atomic import require_writable, write_text
+from sboc_e2e.files.atomic import TEMPORARY_SUFFIX, require_writable, write_text
 from sboc_e2e.run.begin import begin_or_continue
 from sboc_e2e.run.manifest import run_id, versions
 from sboc_e2e.run.pipeline import Run
@@ -27,6 +28,8 @@ _AFTER: Final = {
 }
 """Tables of a scenario that do not affect a stage or the stages before it."""
 KEPT: Final = ("frames", "downlinks", "runs")
+KEY_DIGITS: Final = 16
+"""Length of a folder's name in hexadecimal digits: 64 bits, so that no two contents of one disk share a name."""
 
 
 def stage_document(scenario: Scenario, stage: str) -> dict[str, Any]:
@@ -54,7 +57,7 @@ def stage_content(scenario: Scenario, stage: str) -> dict[str, Any]:
 
 def key(content: Mapping[str, Any]) -> str:
     """A digest of a document as the name of a folder."""
-    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:16]
+    return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()[:KEY_DIGITS]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -66,9 +69,11 @@ class SharedRuns:
     progress: Progress = field(default_factory=Silent)
 
     def clear(self) -> None:
-        """Forget everything that was kept."""
+        """Forget everything that was kept. Other files in these folders stay: ``--out .`` has the user's own runs in one."""
         for name in KEPT:
-            shutil.rmtree(self.out / name, ignore_errors=True)
+            for entry in (self.out / name).glob("*"):
+                if _is_kept(entry):
+                    shutil.rmtree(entry, ignore_errors=True)
 
     def ground(self, scenario: Scenario) -> Run:
         """A scenario's run up to its products, on frames and packets of earlier ones where they serve: it must keep all."""
@@ -105,6 +110,14 @@ class SharedRuns:
     def _run(self, kind: str, stage: str, scenario: Scenario) -> Run:
         path = self.out / kind / key(stage_content(scenario, stage))
         return begin_or_continue(path, scenario, keyed=True, workers=self.workers, progress=self.progress)
+
+
+def _is_kept(entry: Path) -> bool:
+    """Whether a folder was made here: it is named by a digest and holds a manifest or packets, or nothing yet."""
+    if not re.fullmatch(f"[0-9a-f]{{{KEY_DIGITS}}}", entry.name) or not entry.is_dir():
+        return False
+    names = {path.name for path in entry.iterdir() if path.suffix != TEMPORARY_SUFFIX and path.name != ".writable"}
+    return "manifest.json" in names or names <= {"downlink.bin", "stage.json"}
 
 
 def _link(source: Path, target: Path) -> None:

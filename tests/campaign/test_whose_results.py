@@ -115,6 +115,36 @@ def test_shards_of_other_code_or_of_nobody_are_refused(
         campaign_run(tmp_path, GRID)
 
 
+@pytest.mark.parametrize("force", [False, True])
+@pytest.mark.parametrize("name", ["work/thesis.tex", "failed/notes.txt", "shards/pottery.jpg", "identity.json"])
+def test_files_of_a_stranger_stay(tmp_path: Path, stand_in: list[str], name: str, force: bool) -> None:
+    """A folder is a campaign's by its identity, not by what its folders are called."""
+    own = tmp_path / "out" / name
+    own.parent.mkdir(parents=True)
+    own.write_text('{"name": "somebody"}')
+    with pytest.raises(UserError, match="--out goes elsewhere") as caught:
+        campaign_run(tmp_path, GRID, force=force)
+    assert "\n" not in str(caught.value)
+    assert own.read_text() == '{"name": "somebody"}'
+    assert [path for path in (tmp_path / "out").rglob("*") if path.is_file()] == [own]
+    assert stand_in == []
+
+
+def test_a_campaign_killed_at_its_start_goes_on(tmp_path: Path, stand_in: list[str], monkeypatch: pytest.MonkeyPatch) -> None:
+    """Its identity is there before its folders are, so that half-made ones are known."""
+
+    def killed(folder: Path) -> None:
+        folder.mkdir(parents=True)
+        (folder / ".writable").touch()
+        raise KeyboardInterrupt
+
+    with monkeypatch.context() as patched:
+        patched.setattr(engine, "require_writable", killed)
+        with pytest.raises(KeyboardInterrupt):
+            campaign_run(tmp_path, GRID)
+    assert campaign_run(tmp_path, GRID).done == 2
+
+
 def test_a_shard_under_another_name_is_refused(tmp_path: Path, stand_in: list[str]) -> None:
     one, other = campaign_run(tmp_path, GRID).shards
     one.replace(other)

@@ -1,0 +1,37 @@
+"""What `--force` of a comparison forgets: its own runs, and nothing else in the folder."""
+
+from pathlib import Path
+
+from sboc_e2e.run.shared import SharedRuns
+
+OWN = (
+    "frames/0123456789abcdef/manifest.json",
+    "frames/0123456789abcdef/frames/000000.fits",
+    "downlinks/00112233445566ff/downlink.bin",
+    "downlinks/00112233445566ff/stage.json",
+    "runs/fedcba9876543210/manifest.json",
+    "runs/fedcba9876543210/manifest.json.7.part",
+)
+STRANGERS = (
+    "frames/000000.fits",
+    "frames/2026-03-01/light.fits",
+    "downlinks/pass-7/downlink.bin",
+    "downlinks/0123456789abcdef/thesis.tex",
+    "runs/smoke/manifest.json",
+    "runs/compare-smoke/runs/0123456789abcdef/manifest.json",
+    "runs/0123456789abcdeF/manifest.json",
+    "runs/0123456789abcdee",
+)
+"""As in a folder of work where a user says ``--out .``."""
+
+
+def test_only_what_comparisons_made_is_forgotten(tmp_path: Path) -> None:
+    for name in (*OWN, *STRANGERS):
+        (tmp_path / name).parent.mkdir(parents=True, exist_ok=True)
+        (tmp_path / name).write_text(name)
+    (tmp_path / "runs" / "bbbbbbbbbbbbbbbb").mkdir()
+    SharedRuns(out=tmp_path).clear()
+    left = {path.relative_to(tmp_path).as_posix() for path in tmp_path.rglob("*") if path.is_file()}
+    assert left == set(STRANGERS)
+    assert not (tmp_path / "runs" / "bbbbbbbbbbbbbbbb").exists()
+    assert not (tmp_path / "frames" / "0123456789abcdef").exists()

@@ -5,6 +5,7 @@ ground runs neither the simulator nor the on-board half again, and a second comp
 """
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -27,13 +28,16 @@ from sboc_e2e.run.pipeline import KEEP_KEY, Run
 from sboc_e2e.run.progress import Progress, Silent
 from sboc_e2e.run.shared import SharedRuns
 from sboc_e2e.scenario import Scenario, load
+from sboc_e2e.score.astrometry import streak_astrometry
 from sboc_e2e.score.detection import IMPOSTOR
 from sboc_e2e.score.evaluation import Evaluation
 from sboc_e2e.score.figures import absent, bootstrap, exact, half_point, proportion, pull_width, rate, rms
 from sboc_e2e.score.ideal import ideal_snr50
-from sboc_e2e.score.matching import SNR_IGNORED, distance_to_path
+from sboc_e2e.score.matching import SNR_IGNORED
 
 MAX_GALLERY: Final = 24  # Cut-outs of a page, 96 px PNGs of some 10 kB each. Chosen: more make the page heavier, not clearer.
+BRIGHT_SNR: Final = 8.0
+"""Of figures for bright streaks, as in `score`."""
 MAX_FALSE: Final = 8
 """False alarms shown of each choice."""
 
@@ -121,16 +125,21 @@ def compare(
         "froc": curves,
     }
     write_pages(
-        result, _curves(first[0][1], outcomes, curves), _gallery(runs, onboard), {} if onboard else _false_alarms(runs), out
+        result,
+        _curves([e for _, e in first], outcomes, curves),
+        _gallery(runs, onboard),
+        {} if onboard else _false_alarms(runs),
+        out,
     )
     return result
 
 
-def _curves(e: Evaluation, outcomes: Outcomes, free_response: dict[str, list[list[float]]]) -> dict[str, str]:
-    """Titled SVGs; none of a blank sky, of which no share can be found."""
+def _curves(evaluations: Sequence[Evaluation], outcomes: Outcomes, free_response: dict[str, list[list[float]]]) -> dict[str, str]:
+    """Titled SVGs; none of a blank sky, of which no share can be found. evaluations : of one choice, by seed."""
     if not len(outcomes.snr):
         return {}
-    ideal = ideal_snr50(0.1, *e.shape, float(np.median(e.truth_tables["streaks"]["psf_sigma_px"])))
+    sigma_px = np.concatenate([np.asarray(e.truth_tables["streaks"]["psf_sigma_px"], float) for e in evaluations])
+    ideal = ideal_snr50(0.1, *evaluations[0].shape, float(np.median(sigma_px)))
     return {
         "Completeness": completeness_plot(outcomes.snr, outcomes.found, ideal),
         "Free-response curve": froc_plot(free_response),
@@ -199,13 +208,13 @@ def _froc(evaluations: Sequence[Evaluation], onboard: bool) -> list[list[float]]
 def _choice(pairs: Sequence[tuple[Run, Evaluation]], outcomes: Outcomes, name: str, onboard: bool) -> dict[str, Any]:
     evaluations = [e for _, e in pairs]
     found = outcomes.found[name]
-    bright = outcomes.snr >= 8.0
+    bright = outcomes.snr >= BRIGHT_SNR
     frames = sum(e.n_frames for e in evaluations)
     false = sum(len(e.footprints.false_groups) if onboard else len(e.false_rows) for e in evaluations)
     unflagged = sum(e.footprints.n_false_unflagged for e in evaluations)
     stage = "onboard" if onboard else "ground"
     costs = [run.manifest.stages[stage] for run, _ in pairs]
-    cross = [_cross_ratio(e, row) for e in evaluations for row, t in e.pairs.items() if t.index in e.bounds and t.snr >= 8.0]
+    cross = [ratio for e in evaluations for ratio in _cross_ratios(e)]
     return {
         "completeness_snr8": proportion(int(found[bright].sum()), int(bright.sum()), "no truth streak with S/N >= 8"),
         "snr50": half_point(outcomes.snr, found),
@@ -228,10 +237,12 @@ def _median_cpu_ms(costs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
     return exact(1000.0 * float(np.median([cost["median_frame_cpu_s"] for cost in timed])), sum(c["timed_frames"] for c in timed))
 
 
-def _cross_ratio(e: Evaluation, row: int) -> float:
-    s, truth = e.streaks[row], e.pairs[row]
-    middle = np.array([s["row0"] + s["row1"], s["col0"] + s["col1"]], dtype=float) / 2
-    return distance_to_path(middle, truth.path)[0] / e.bounds[truth.index].cross_px
+def _cross_ratios(e: Evaluation) -> list[float]:
+    """Errors across over their bounds of the streaks that the score's own figure counts."""
+    accepted = set(e.accepted)
+    measured = {row: truth for row, truth in e.pairs.items() if truth.counted and row in accepted}
+    _, residuals = streak_astrometry(e.streaks, measured, e.bounds, {})
+    return [r["cross_ratio"] for r in residuals if not r["snr"] < BRIGHT_SNR and math.isfinite(r["cross_ratio"])]
 
 
 def _gallery(runs: dict[str, list[tuple[Run, Evaluation]]], onboard: bool) -> list[dict[str, Any]]:

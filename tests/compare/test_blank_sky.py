@@ -26,9 +26,15 @@ def test_completeness_is_drawn_where_there_is_something_to_find() -> None:
     """Nothing found of nothing is no curve: the axis would have no limits."""
     for snr, titles in (([], []), ([9.0, 30.0], ["Completeness", "Free-response curve"])):
         e: Any = SimpleNamespace(shape=(64, 64), truth_tables={"streaks": {"psf_sigma_px": np.full(len(snr), 0.9)}})
-        drawn = _curves(e, outcomes(snr), {name: [[0.5, 0.0]] for name in NAMES})
+        drawn = _curves([e], outcomes(snr), {name: [[0.5, 0.0]] for name in NAMES})
         assert list(drawn) == titles
         assert all(svg.startswith("<svg") and "nan" not in svg for svg in drawn.values())
+
+
+def test_a_first_seed_without_a_streak_leaves_the_curves_to_the_others() -> None:
+    skies: Any = [SimpleNamespace(shape=(64, 64), truth_tables={"streaks": {"psf_sigma_px": np.full(n, 0.9)}}) for n in (0, 2)]
+    free_response = {name: [[0.5, 0.0]] for name in NAMES}
+    assert _curves(skies, outcomes([9.0, 30.0]), free_response) == _curves(skies[1:], outcomes([9.0, 30.0]), free_response)
 
 
 @pytest.mark.slow

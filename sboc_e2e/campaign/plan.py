@@ -5,8 +5,10 @@ With ``paired = false`` it depends on the point's values too. Order and worker c
 """
 
 import dataclasses
+import datetime as dt
 import hashlib
 import itertools
+import json
 import tomllib
 from collections.abc import Sequence
 from dataclasses import dataclass, field
@@ -22,6 +24,8 @@ from sboc_e2e.scenario.toml_files import FOLDER
 
 KEYS: Final = ("scenario", "description", "seed", "replicas", "draws", "paired", "set", "vary")
 RANGE_KEYS: Final = {"low", "high", "scale"}
+SEED: Final = "seed"
+"""Key of a scenario that a campaign has of its own: seeds of runs follow from it."""
 MAX_TASKS: Final = 1_000_000
 """Chosen, not measured: all tasks are listed before the first starts, and a larger number is a mistyped grid."""
 
@@ -71,18 +75,26 @@ class Campaign:
         return tuple(out)
 
     def reduced(self, replicas: int | None, overrides: Sequence[str]) -> "Campaign":
-        """The same campaign with fewer replicas or other values of keys that it does not vary (``key=value`` texts)."""
-        constant = dict(self.constant)
+        """The same campaign with fewer replicas or other values of keys that it does not vary (``key=value`` texts).
+
+        ``seed=N`` replaces the campaign's own seed, from which those of its runs follow: other draws, as for a run.
+        """
+        constant, seed = dict(self.constant), self.seed
         for text in overrides:
             key, equals, value = text.partition("=")
             if not equals or not key.strip():
                 raise UserError(f'--set: expected key=value such as frames=3, got "{text[:80]}"')
             if key.strip() in self.vary:
                 raise UserError(f"--set: campaign {self.name} varies {key.strip()}")
-            constant[key.strip()] = value.strip()
+            if key.strip() == SEED:
+                if not value.strip().isdecimal():
+                    raise UserError(f'--set: seed: expected a whole number of 0 or more, got "{value.strip()[:80]}"')
+                seed = int(value)
+            else:
+                constant[key.strip()] = value.strip()
         if replicas is not None and replicas < 1:
             raise UserError(f"--replicas: expected 1 or more, got {replicas}")
-        return dataclasses.replace(self, constant=constant, replicas=replicas or self.replicas)
+        return dataclasses.replace(self, constant=constant, seed=seed, replicas=replicas or self.replicas)
 
     def _seed(self, point: tuple[tuple[str, Any], ...], replica: int) -> int:
         own = () if self.paired else sorted((k, repr(v)) for k, v in point)
@@ -100,7 +112,8 @@ class Campaign:
             # A stream of its own for each draw: more of them leave the first ones as they are.
             rng = np.random.default_rng(np.random.SeedSequence(self.seed, spawn_key=(number,)))
             drawn.append(tuple((k, _draw(r, rng)) for k, r in ranges.items()))
-        return [(*fixed, *draw) for fixed in grid for draw in drawn]
+        # Draws of a narrow range may coincide as texts: one point with its runs twice would pass for more of them.
+        return [(*fixed, *draw) for fixed in grid for draw in dict.fromkeys(drawn)]
 
 
 def _draw(interval: dict[str, Any], rng: np.random.Generator) -> Any:
@@ -147,10 +160,12 @@ def read_campaign(name: str | Path) -> Campaign:
     for name in ("set", "vary"):
         if not isinstance(tables.get(name, {}), dict):
             raise UserError(f"{path}: {name}: expected a table of scenario keys")
+        _require_keys(path, name, tables.get(name, {}))
     vary = tables.get("vary", {})
     draws = _whole(path, tables, "draws", 0)
     for key, value in vary.items():
         if isinstance(value, list) and value:
+            _require_different(path, key, value)
             continue
         if not isinstance(value, dict) or not {"low", "high"} <= set(value) <= RANGE_KEYS:
             raise UserError(f"{path}: vary.{key}: expected a list of values or {{low, high, scale}}")
@@ -177,13 +192,41 @@ def _whole(path: Path, tables: dict[str, Any], key: str, default: int) -> int:
     return value
 
 
+def _require_keys(path: Path, name: str, table: dict[str, Any]) -> None:
+    """Refuse what cannot be a key or a value of a scenario's run."""
+    if SEED in table:
+        raise UserError(f"{path}: {name}.seed: seeds of runs follow from the campaign's own key: write seed = N above [{name}]")
+    for key, value in table.items():
+        if (date := _first_date(value)) is not None:
+            raise UserError(f'{path}: {name}.{key}: a date is a text in quotes, such as "{date}"')
+
+
+def _first_date(value: Any) -> str | None:
+    """The first date or time of TOML in a value, as text."""
+    if isinstance(value, dt.date | dt.time):
+        return value.isoformat()
+    parts = value.values() if isinstance(value, dict) else value if isinstance(value, list) else ()
+    return next((date for part in parts if (date := _first_date(part)) is not None), None)
+
+
+def _require_different(path: Path, key: str, values: list[Any]) -> None:
+    """Refuse a value that is given twice: runs of one point would be counted twice, and intervals be too narrow."""
+    seen: set[str] = set()
+    for value in values:
+        plain = float(value) if type(value) is int and abs(value) < 2**53 else value
+        text = json.dumps(plain)
+        if text in seen:
+            raise UserError(f"{path}: vary.{key}: {json.dumps(value)} is given twice; each value once")
+        seen.add(text)
+
+
 def _draw_check(path: Path, key: str, interval: dict[str, Any]) -> None:
     try:
         low, high = u.Quantity(interval["low"]), u.Quantity(interval["high"])
-        ordered = bool(high >= low)
+        ordered = bool(high > low)
     except (TypeError, ValueError, u.UnitsError) as error:
         raise UserError(f"{path}: vary.{key}: low and high need the same dimension ({error})") from error
     if not ordered or interval.get("scale", "linear") not in ("linear", "log"):
-        raise UserError(f'{path}: vary.{key}: low must not exceed high; scale is "linear" or "log"')
+        raise UserError(f'{path}: vary.{key}: low must be less than high; scale is "linear" or "log"')
     if interval.get("scale") == "log" and float(low.value) <= 0:
         raise UserError(f"{path}: vary.{key}: a log scale needs low > 0")

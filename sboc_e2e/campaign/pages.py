@@ -1,6 +1,7 @@
 """campaign.json, campaign.md and campaign.html from the shards on disk."""
 
 import json
+from html import escape
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,6 +16,7 @@ from sboc_e2e.score.figures import Figure
 
 _HEAD: Final = ("point", "completeness S/N >= 8", "S/N half", "false per frame", "kB per frame", "detections a day")
 GAIN_TITLE: Final = "Completeness minus that of the first point, on the same streaks"
+MAP_TITLE: Final = "Completeness by size and range, number of streaks (S/N >= 3)"
 _GAIN_HEAD: Final = ("point", "difference (S/N >= 5)", "streaks", "objects on which they differ", "p, exact by object")
 _DAY: Final = ("injected_per_day", "detected_per_day", "recovered_per_day")
 
@@ -89,10 +91,10 @@ def _markdown(campaign: Campaign, summary: dict[str, Any], gains: dict[str, Any]
 def _html(
     campaign: Campaign, summary: dict[str, Any], gains: dict[str, Any], failed: list[dict[str, Any]], maps: dict[str, str]
 ) -> str:
-    body = [f"<p>{campaign.description}</p>", table(_HEAD, [[_label(p), *_cells(s)] for p, s in summary.items()])]
+    body = [f"<p>{escape(campaign.description)}</p>", table(_HEAD, [[_label(p), *_cells(s)] for p, s in summary.items()])]
     if gains:
         body += [f"<h2>{GAIN_TITLE}</h2>", table(_GAIN_HEAD, _gain_rows(gains))]
-    body += [f"<p>{line}</p>" for line in _notes(summary)]
+    body += [f"<p>{escape(line)}</p>" for line in _notes(summary)]
     overview = over_keys([(json.loads(point), s) for point, s in summary.items()])
     if overview:
         body.append(f"<figure><figcaption>Over the varied keys</figcaption>{overview}</figure>")
@@ -102,8 +104,8 @@ def _html(
             for c in s["per_day"]["size_classes"]
         ]
         counts = larger_than(s["per_day"])
-        body += [f"<h2>{_label(point)}</h2>", '<div class="plots">']
-        body.append(f"<figure><figcaption>Completeness by size and range, number of streaks</figcaption>{maps[point]}</figure>")
+        body += [f"<h2>{escape(_label(point))}</h2>", '<div class="plots">']
+        body.append(f"<figure><figcaption>{escape(MAP_TITLE)}</figcaption>{maps[point]}</figure>")
         if counts:
             body.append(f"<figure><figcaption>N(&gt; d), injected and recovered</figcaption>{counts}</figure>")
         body += ["</div>", table(("size", "injected a day", "detected a day", "recovered a day"), size)]

@@ -6,10 +6,12 @@ from typing import Any, Final
 import astropy.units as u
 import numpy as np
 from astropy.table import Table
+from numpy.typing import NDArray
 
 from sboc_e2e.campaign.aggregate import RANGE_EDGES_KM, SIZE_EDGES_M
 from sboc_e2e.report import plots
 from sboc_e2e.report.words import number
+from sboc_e2e.score.matching import SNR_IGNORED
 
 HEADLINES: Final = (
     ("completeness_snr8", "completeness, S/N >= 8"),
@@ -21,12 +23,8 @@ LEAST_IN_CELL: Final = 1
 
 
 def heat_map(shards: list[Table]) -> str:
-    """Completeness over size and range, cells with the number of streaks behind them."""
-    size = np.concatenate([np.asarray(s["size_m"], float) for s in shards])
-    distance = np.concatenate([np.asarray(s["range_km"], float) for s in shards])
-    found = np.concatenate([np.asarray(s["detected_ground"], bool) for s in shards])
-    all_n, _, _ = np.histogram2d(size, distance, (SIZE_EDGES_M, RANGE_EDGES_KM))
-    hit_n, _, _ = np.histogram2d(size[found], distance[found], (SIZE_EDGES_M, RANGE_EDGES_KM))
+    """Completeness of streaks with S/N >= 3 over size and range, cells with the number of streaks behind them."""
+    all_n, hit_n = _counts(shards)
     with plots.canvas(5.6, 4.0) as (figure, (ax,)):
         ax.grid(visible=False)
         share = np.where(all_n >= LEAST_IN_CELL, hit_n / np.maximum(all_n, 1), np.nan)
@@ -39,6 +37,16 @@ def heat_map(shards: list[Table]) -> str:
             ax.text(x, y, f"{int(all_n[i, j])}", ha="center", va="center", fontsize=7, color=ink)
         ax.set(xscale="log", yscale="log", xlabel="range (km)", ylabel="size (m)")
         return plots.svg(figure)
+
+
+def _counts(shards: list[Table]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Truth streaks that count, and those of them that ground found, by size and range; (sizes, ranges) each."""
+    snr, size, distance = (np.concatenate([np.asarray(s[name], float) for s in shards]) for name in ("snr", "size_m", "range_km"))
+    counted = snr >= SNR_IGNORED
+    found = counted & np.concatenate([np.asarray(s["detected_ground"], bool) for s in shards])
+    edges = (SIZE_EDGES_M, RANGE_EDGES_KM)
+    all_n, hit_n = (np.histogram2d(size[chosen], distance[chosen], edges)[0] for chosen in (counted, found))
+    return all_n, hit_n
 
 
 def over_keys(points: Sequence[tuple[dict[str, Any], dict[str, Any]]]) -> str | None:
@@ -82,19 +90,21 @@ def _value(item: Any) -> float:
     return float("nan") if value is None else float(value)
 
 
-def _number(value: Any) -> float | None:
-    """A value of a key as a number, without its unit; None for texts."""
-    try:
-        return float(u.Quantity(value).value)
-    except (TypeError, ValueError):
+def _measured(values: Sequence[Any]) -> tuple[NDArray[np.float64], str] | None:
+    """Values of a key as (n,) numbers in the unit of the first, and this unit; None for what has no common dimension."""
+    if any(isinstance(value, bool | list) for value in values):
         return None
+    try:
+        quantities = [u.Quantity(value) for value in values]
+        numbers = np.array([float(each.to_value(quantities[0].unit)) for each in quantities])
+    except (TypeError, ValueError, u.UnitsError):
+        return None
+    return (numbers, str(quantities[0].unit)) if np.isfinite(numbers).all() else None
 
 
 def _curve(ax: Any, key: str, cells: list[tuple[Any, Any]], label: str) -> None:
-    numbers = [_number(value) for value, _ in cells]
-    known = [number for number in numbers if number is not None]
-    measured = len(known) == len(numbers)
-    x = np.array(known, dtype=float) if measured else np.arange(len(cells), dtype=float)
+    measured = _measured([value for value, _ in cells])
+    x, unit = measured or (np.arange(len(cells), dtype=float), "")
     y = np.array([_value(item) for _, item in cells])
     ends = [(item["low"], item["high"]) if isinstance(item, dict) and item["value"] is not None else (v, v)
             for v, (_, item) in zip(y, cells, strict=True)]  # fmt: skip
@@ -105,16 +115,16 @@ def _curve(ax: Any, key: str, cells: list[tuple[Any, Any]], label: str) -> None:
         ax.set_xscale("log")
     if not measured:
         ax.set_xticks(x, [str(value) for value, _ in cells])
-    unit = str(cells[0][0]).partition(" ")[2] if isinstance(cells[0][0], str) and measured else ""
     ax.set(xlabel=f"{key} ({unit})" if unit else key, title=label)
     ax.title.set_fontsize(9)
 
 
 def _grid(figure: Any, ax: Any, keys: list[str], cells: list[tuple[Any, Any, float]], label: str) -> None:
-    first, second = (list(dict.fromkeys(cell[axis] for cell in cells)) for axis in (0, 1))
+    # By their texts: a list cannot be a key, and true is not 1.
+    first, second = (list(dict.fromkeys(str(cell[axis]) for cell in cells)) for axis in (0, 1))
     table = np.full((len(second), len(first)), np.nan)
     for a, b, value in cells:
-        table[second.index(b), first.index(a)] = value
+        table[second.index(str(b)), first.index(str(a))] = value
     ax.grid(visible=False)
     image = ax.imshow(table, origin="lower", aspect="auto", cmap="viridis")
     low, high = np.nanmin(table), np.nanmax(table)
@@ -122,8 +132,8 @@ def _grid(figure: Any, ax: Any, keys: list[str], cells: list[tuple[Any, Any, flo
         if np.isfinite(value):
             ink = "white" if value < low + 0.6 * (high - low) else "black"
             ax.text(i, j, number(float(f"{value:.3g}")), ha="center", va="center", fontsize=8, color=ink)
-    ax.set_xticks(range(len(first)), [str(value) for value in first])
-    ax.set_yticks(range(len(second)), [str(value) for value in second])
+    ax.set_xticks(range(len(first)), first)
+    ax.set_yticks(range(len(second)), second)
     ax.set(xlabel=keys[0], ylabel=keys[1], title=label)
     ax.title.set_fontsize(9)
     figure.colorbar(image, ax=ax)

@@ -117,9 +117,10 @@ def verdict(result: dict[str, Any]) -> list[str]:
 def seam_verdict(result: dict[str, Any]) -> list[str]:
     """A sentence for each pair of a seam that does not decide which streaks are found: its first figure that tells them apart."""
     lines = []
-    asked = [q for q in result["questions"] if all(f["value"] is not None for f in q["choices"].values())]
     for p in result["pairs"]:
         a, b = p["first"], p["second"]
+        # A third choice without a figure takes nothing away from these two.
+        asked = [q for q in result["questions"] if all(q["choices"][name]["value"] is not None for name in (a, b))]
         cost = " against ".join(figure_words(result["choices"][name]["median_cpu_ms_per_frame"])[0] for name in (a, b))
         apart = [q for q in asked if _apart(q["choices"][a], q["choices"][b])]
         if not asked:
@@ -214,8 +215,8 @@ def write_pages(
     for item in gallery:
         body.append(
             f'<figure class="case"><img src="{item["picture"]}" alt="cut-out"><figcaption>S/N {item["snr"]:.1f}, '
-            f"{item['length_px']:.0f} px, frame {item['frame']}: found by {item['found']}, "
-            f"lost by {item['lost']}</figcaption></figure>"
+            f"{item['length_px']:.0f} px, frame {item['frame']}: found by {escape(item['found'])}, "
+            f"lost by {escape(item['lost'])}</figcaption></figure>"
         )
     body += ["</div>"] if gallery else []
     for name, items in false_alarms.items():

@@ -56,6 +56,14 @@ def test_a_verdict_names_the_figure_that_tells_them_apart() -> None:
     assert question_rows(missing) == [["bits per streak", "- (no streak)", "- (no streak)"]]
 
 
+def test_a_third_choice_without_a_figure_silences_no_other_pair() -> None:
+    result = compared(figure(4000.0, 9, 3900.0, 4100.0), figure(3000.0, 9, 2900.0, 3100.0))
+    result["choices"]["c"] = result["choices"]["a"]
+    result["questions"][0]["choices"]["c"] = absent("no streak")
+    result["pairs"] = [{"first": x, "second": y} for x, y in (("a", "b"), ("a", "c"), ("b", "c"))]
+    assert [line.partition(":")[0] for line in seam_verdict(result)] == ["a and b differ", "a and c", "b and c"]
+
+
 def test_completeness_is_split_by_snr_and_length() -> None:
     outcomes = Outcomes(
         snr=np.array([4.0, 7.0, 30.0, 30.0]),

@@ -1,5 +1,6 @@
 """Precise orbits as published, SP3 (also .Z) and CPF, and laser ranges as normal points (CRD): read, and turned to GCRS axes."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from datetime import date
 from typing import Final
@@ -177,8 +178,20 @@ class NormalPoints:
     humidity_percent: Array
 
 
+def _check_ranges(words: Sequence[str], where: str) -> None:
+    """UserError unless a pass (h4) has two-way ranges as measured: the model holds the air and the mirror's place."""
+    for field, name in ((15, "the troposphere's delay"), (16, "the centre of mass")):
+        if words[field] != "0":
+            raise UserError(f"{where}: ranges without a correction for {name} are read (0), got {words[field]}")
+    if words[20] != "2":
+        raise UserError(f"{where}: two-way ranges are read (type 2), got type {words[20]}")
+
+
 def read_normal_points(text: str, where: str) -> NormalPoints:
-    """Two-way normal points of a CRD file whose epochs are those of transmission (event 2). UserError for other files."""
+    """Two-way normal points of a CRD file as they were measured: epochs of transmission (event 2), no correction applied.
+
+    UserError for other files.
+    """
     rows: list[tuple[int, float, int, float, float]] = []
     weather: list[tuple[int, int, float, float, float]] = []
     station, day, start_s, wave = -1, -1, float("nan"), float("nan")
@@ -191,6 +204,7 @@ def read_normal_points(text: str, where: str) -> NormalPoints:
             elif kind == "h4":
                 day = _day_ns(int(words[2]), int(words[3]), int(words[4]))
                 start_s = int(words[5]) * 3600.0 + int(words[6]) * 60.0 + float(words[7])
+                _check_ranges(words, f"{where}, line {number}")
             elif kind == "c0":
                 wave = 1e-3 * float(words[2])
             elif kind in ("11", "20"):

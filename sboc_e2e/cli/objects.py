@@ -83,7 +83,7 @@ def observe(
 ) -> None:
     """Put published tracklets into the catalogue, uncorrelated."""
     from sboc_e2e.icd.errors import UserError
-    from sboc_e2e.objects.calibration import place_of_ephemeris, place_of_site
+    from sboc_e2e.objects.places import place_of_ephemeris, place_of_site
     from sboc_e2e.objects.upkeep import Correction
     from sboc_e2e.objects.upkeep import observe as execute
 
@@ -153,8 +153,8 @@ def light(
 ) -> None:
     """Light curve of an object over its passes: period, amplitude, phase function, stable, tumbling or glinting."""
     from sboc_e2e.icd.errors import UserError
-    from sboc_e2e.objects.calibration import place_of_ephemeris, place_of_site
     from sboc_e2e.objects.light import character_json, character_lines, draw, light_of
+    from sboc_e2e.objects.places import place_of_ephemeris, place_of_site
 
     if (observer is None) == (site is None):
         raise UserError("objects light: give either --observer (a moving sensor) or --site (a fixed one)")
@@ -203,7 +203,8 @@ def calibrate(
     """Time bias, pointing and noise of a sensor from objects with precise orbits, session by session (90 % intervals)."""
     from sboc_e2e.icd.errors import UserError
     from sboc_e2e.objects.calibration import calibrate as execute
-    from sboc_e2e.objects.calibration import place_of_ephemeris, place_of_site, session_line
+    from sboc_e2e.objects.calibration import session_line
+    from sboc_e2e.objects.places import place_of_ephemeris, place_of_site
 
     if (observer is None) == (site is None):
         raise UserError("calibrate: give either --observer (a moving sensor) or --site (a fixed one)")

@@ -4,10 +4,8 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-import erfa
 import numpy as np
 from numpy.typing import NDArray
-from scipy.interpolate import CubicHermiteSpline
 
 from ground.determination.precise import Ephemeris, orbit_of
 from ground.determination.propagation import itrs_to_gcrs
@@ -16,45 +14,12 @@ from ground.sensor_bias.correct import calibration_text
 from ground.sensor_bias.estimate import Place, SensorBias, Track, estimate, sessions_of
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.objects.catalogue import ephemerides_of
-from sboc_e2e.score.published.oem_reader import read_oem
 from sboc_e2e.score.published.tdm_reader import read_tdm
 
 Array = NDArray[np.float64]
 
 _NEAR_COSINE: Final = 0.99
 """Eight degrees: a navigation satellite moves three between epochs of a table."""
-
-
-def place_of_site(text: str) -> Place:
-    """A site from "latitude,longitude,height" (deg, deg, m; WGS84)."""
-    try:
-        latitude, longitude, height_m = (float(part) for part in text.split(","))
-        if not (abs(latitude) <= 90.0 and abs(longitude) <= 360.0 and abs(height_m) < 10_000.0):
-            raise ValueError(text)
-    except ValueError as error:
-        raise UserError(f'--site: expected LATITUDE,LONGITUDE,HEIGHT in deg, deg, m, got "{text[:40]}"') from error
-    fixed = 1e-3 * np.asarray(erfa.gd2gc(1, np.radians(longitude), np.radians(latitude), height_m))
-    return lambda t: np.asarray(itrs_to_gcrs(t) @ fixed)
-
-
-def place_of_ephemeris(path: Path) -> Place:
-    """A moving sensor from its published ephemeris (OEM)."""
-    if not path.is_file():
-        raise UserError(f"{path}: no such file")
-    segments = read_oem(path)
-    origin = int(segments[0].t_tai_ns[0])
-    splines = [
-        CubicHermiteSpline((s.t_tai_ns - origin) * 1e-9, s.state[:, :3], s.state[:, 3:], extrapolate=False) for s in segments
-    ]
-
-    def place(t: NDArray[np.int64]) -> Array:
-        out = np.full((len(t), 3), np.nan)
-        for spline in splines:
-            found = spline((t - origin) * 1e-9)
-            out = np.where(np.isfinite(found), found, out)
-        return out
-
-    return place
 
 
 def calibrate(

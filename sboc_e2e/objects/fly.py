@@ -7,8 +7,8 @@ from typing import Final
 from ground.store.store import ObjectStore
 from sboc_e2e.files.atomic import write_json
 from sboc_e2e.objects.against_truth import Truth, expected_visits, score, sections
-from sboc_e2e.objects.calibration import place_of_ephemeris
 from sboc_e2e.objects.page import write_page
+from sboc_e2e.objects.places import place_of_ephemeris
 from sboc_e2e.objects.upkeep import bring_up, observe
 from sboc_e2e.objects.visits import visits_of
 from sboc_e2e.registry import Registry

@@ -1,10 +1,11 @@
 """Light curves of an object of the store over its passes, from published messages and tables of trails, and what they say."""
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from astropy.table import Table
@@ -134,8 +135,16 @@ def character_lines(name: str, found: Character) -> list[str]:
 
 def character_json(name: str, found: Character) -> str:
     """The same as JSON; numbers that are not known are null."""
-    text = json.dumps({"object": name, **asdict(found)}, sort_keys=True, indent=1, allow_nan=True)
-    return text.replace("NaN", "null").replace("Infinity", "null") + "\n"
+    return json.dumps(_known({"object": name, **asdict(found)}), sort_keys=True, indent=1, allow_nan=False) + "\n"
+
+
+def _known(value: Any) -> Any:
+    """A tree of values with None for numbers that are not known."""
+    if isinstance(value, dict):
+        return {key: _known(each) for key, each in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_known(each) for each in value]
+    return None if isinstance(value, float) and not math.isfinite(value) else value
 
 
 def draw(name: str, found: Character, passes: Sequence[Pass], out: Path) -> None:

@@ -10,6 +10,9 @@ pytest.importorskip("sqlalchemy", reason="the store is on SQLAlchemy (extra `obj
 
 from astropy.table import Table
 
+from ground.characterise.judge import Character
+from ground.characterise.period import Period
+from ground.characterise.reduced import PhaseFunction
 from ground.determination.forces import ForceModel
 from ground.determination.propagation import propagate
 from ground.products.epochs import utc_text
@@ -18,7 +21,8 @@ from ground.sensor_bias.estimate import SensorBias
 from ground.sky.sphere import spherical_deg
 from ground.store.store import Association, ObjectStore, StoredOrbit
 from sboc_e2e.cli.main import run
-from sboc_e2e.objects.calibration import place_of_site
+from sboc_e2e.objects.light import character_json
+from sboc_e2e.objects.places import place_of_site
 
 T0 = 25_000 * 86400 * 10**9
 SITE = "28.3,-16.5,2390"
@@ -137,3 +141,23 @@ def test_tracklets_that_a_calibration_has_moved_are_the_same_tracklets(
     stored_as_one(url, state, 1)
     assert run(["objects", "light", "BODY", str(night), *where]) == 0
     assert "BODY: tumbling, 1 passes, 150 samples" in capsys.readouterr().out
+
+
+def test_numbers_that_are_not_known_are_null_and_names_stay_as_they_are() -> None:
+    nan = float("nan")
+    period = Period(
+        period_s=nan,
+        period_err_s=float("inf"),
+        best_s=3.0,
+        false_alarm=1.0,
+        string_alarm=1.0,
+        left=1.0,
+        amplitude_mag=0.1,
+        terms=1,
+    )
+    phase = PhaseFunction(absolute_mag=nan, mirror_share=0.5, fitted=False)
+    found = Character(kind="stable", period=period, phase=phase, flashes=0, scatter_mag=0.1, passes=1, samples=9)
+    report = json.loads(character_json("NaNoSat-Infinity", found), parse_constant=pytest.fail)
+    assert report["object"] == "NaNoSat-Infinity"
+    assert (report["period"]["period_s"], report["period"]["period_err_s"], report["period"]["best_s"]) == (None, None, 3.0)
+    assert report["phase"]["absolute_mag"] is None

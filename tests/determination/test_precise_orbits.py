@@ -14,6 +14,7 @@ from ground.determination.laser import laser_ranges, zenith_delay_m
 from ground.determination.measurements import Directions, Positions, retarded
 from ground.determination.precise import (
     Ephemeris,
+    NormalPoints,
     fitted,
     free_orbit,
     orbit_of,
@@ -195,6 +196,12 @@ WEATHER = ["20 86000.0 983.7 301.4 24 0", "20 600.0 982.0 300.0 25 0"]
 RANGES = [f"11 {second:.1f} 0.04 std 2 120.0 94 57.0 0 0 -1 15 0" for second in (86_100.0, 86_350.0, 30.0, 500.0)]
 
 
+def pass_of(flags: str) -> NormalPoints:
+    """A pass with these flags: troposphere, centre of mass, amplitude, delays of station and spacecraft; type of range."""
+    head = CRD_HEAD.format(start="2016 2 14 23 50 0").replace("0 0 0 1 0 2 0", f"{flags} 0")
+    return read_normal_points("\n".join([head, *WEATHER, *RANGES]), "a.npt")
+
+
 @pytest.mark.parametrize(
     "records",
     [
@@ -335,9 +342,12 @@ def test_white_accelerations_grow_a_covariance_as_their_integral() -> None:
         (lambda: read_normal_points(RANGES[0], "a.npt"), r"a.npt, line 1: record 11 before the start of a pass \(h4\)"),
         (lambda: read_normal_points(f"h1 CRD\n{WEATHER[0]}", "a.npt"), "line 2: record 20 before the start"),
         (
-            lambda: read_normal_points(f"h4 1 2016 2 14 23 50 0 2016 2 15 0 20 0\n{RANGES[0]}", "a.npt"),
+            lambda: read_normal_points(f"h4 1 2016 2 14 23 50 0 2016 2 15 0 20 0 0 0 0 0 1 0 2 0\n{RANGES[0]}", "a.npt"),
             r"line 2: record 11 before the wavelength \(c0\)",
         ),
+        (lambda: pass_of("1 0 0 1 0 2"), r"a.npt, line 2: ranges without a correction for the troposphere's delay .* got 1"),
+        (lambda: pass_of("0 1 0 1 0 2"), r"a.npt, line 2: ranges without a correction for the centre of mass .* got 1"),
+        (lambda: pass_of("0 0 0 1 0 1"), r"a.npt, line 2: two-way ranges are read \(type 2\), got type 1"),
         (lambda: fit(circle(), T0, [], ForceModel()), "no measurements"),
         (lambda: fit(circle(), T0, [], ForceModel(), ("colour",)), 'parameter "colour" is not known'),
         (lambda: ForceModel(gravity_degree=100), "gravity_degree: expected 2 to 70"),

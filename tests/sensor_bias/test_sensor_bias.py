@@ -21,7 +21,7 @@ from ground.store.store import ObjectStore
 from sboc_e2e.cli.main import run
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
-from sboc_e2e.objects.calibration import place_of_site
+from sboc_e2e.objects.places import place_of_site
 from tests.conjunctions.reference import folder
 from tests.determination.burnt_table import burnt_table
 

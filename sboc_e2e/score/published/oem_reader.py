@@ -19,12 +19,16 @@ Array = NDArray[np.float64]
 class Ephemeris:
     """States of one segment by time: t_tai_ns (n,), state (n, 6) km and km/s, GCRS axes.
 
-    covariance : (n, 6, 6) km2, km2/s, km2/s2, NaN at epochs for which none is given.
+    covariance : (n, 6, 6) km2, km2/s, km2/s2, NaN at epochs for which none is given. centre, interpolation, degree : as the
+    segment says; "" and 0 where it does not.
     """
 
     t_tai_ns: NDArray[np.int64]
     state: Array
     covariance: Array
+    centre: str = ""
+    interpolation: str = ""
+    degree: int = 0
 
 
 def read_oem(path: Path) -> tuple[Ephemeris, ...]:
@@ -49,11 +53,12 @@ def _segment(message: Kvn, lines: tuple[Line, ...]) -> Ephemeris:
             if in_meta:
                 meta[line.keyword] = line.value
             elif in_covariance and line.keyword == "EPOCH":
-                epoch, triangle = line.value, []
+                # each matrix names its own axes, or is on those of the states
+                epoch, triangle, frame = line.value, [], meta.get("REF_FRAME", "")
             elif in_covariance and line.keyword == "COV_REF_FRAME":
                 frame = line.value
         elif line.value == "META_STOP":
-            in_meta, frame = False, meta.get("REF_FRAME", "")
+            in_meta = False
         elif line.value in ("COVARIANCE_START", "COVARIANCE_STOP"):
             in_covariance = line.value == "COVARIANCE_START"
         elif in_covariance:
@@ -87,4 +92,17 @@ def _assembled(
         if k is not None:
             covariance[k] = in_gcrs(symmetric(triangle), frame, state[k, :3], state[k, 3:])
     order = np.argsort(t, kind="stable")
-    return Ephemeris(t_tai_ns=t[order], state=state[order], covariance=covariance[order])
+    return Ephemeris(
+        t_tai_ns=t[order],
+        state=state[order],
+        covariance=covariance[order],
+        centre=meta.get("CENTER_NAME", ""),
+        interpolation=meta.get("INTERPOLATION", ""),
+        degree=_degree(meta.get("INTERPOLATION_DEGREE", "0")),
+    )
+
+
+def _degree(text: str) -> int:
+    if not text.isdecimal():
+        raise UserError(f"expected INTERPOLATION_DEGREE as a whole number, got '{text[:40]}'")
+    return int(text)

@@ -16,6 +16,8 @@ from sboc_e2e.score.published.kvn import Kvn, Line, UnreadableProduct, read_kvn
 Array = NDArray[np.float64]
 
 _NUMBER: Final = re.compile(r"(\d+)$")
+_CORRECTIONS: Final = ("CORRECTION_ANGLE_1", "CORRECTION_ANGLE_2", "CORRECTION_MAG")
+"""Keywords of what is to be added to both angles (deg) and to magnitudes. Those of other quantities are not read."""
 _DEMANDED: Final = {"ANGLE_TYPE": "RADEC", "TIMETAG_REF": "RECEIVE"}
 """What the comparison with the truth takes for granted; a segment that says otherwise is refused, not misread."""
 
@@ -82,12 +84,36 @@ def _segment(message: Kvn, meta: dict[str, str], data: list[Line], end: Line) ->
         axes = gcrs_from(meta.get("REFERENCE_FRAME", "")) if first else np.eye(3)
     except UserError as error:
         raise UnreadableProduct(f"{message.name} segment that ends in line {end.number}: {error}") from error
-    direction = unit_vectors(np.array(list(first.values())), np.array([second[epoch] for epoch in first])) @ axes.T
+    add_1, add_2, add_mag = _corrections(message, meta, end)
+    angle_1, angle_2 = np.array(list(first.values())), np.array([second[epoch] for epoch in first])
+    direction = unit_vectors(angle_1 + add_1, angle_2 + add_2) @ axes.T
     named = _NUMBER.search(meta.get("TRACK_ID", "")) or _NUMBER.search(meta.get("PARTICIPANT_2", ""))
     return TdmSegment(
         tracklet_id=int(named.group(1)) if named else -1,
         angle_tai_ns=angle_tai_ns,
         direction=direction,
         mag_tai_ns=mag_tai_ns,
-        mag=np.array(list(mags.values())),
+        mag=np.array(list(mags.values())) + add_mag,
     )
+
+
+def _corrections(message: Kvn, meta: dict[str, str], end: Line) -> tuple[float, float, float]:
+    """What is to be added to both angles (deg) and to MAG: corrections that the segment states and has not applied."""
+    stated = {key: text for key, text in meta.items() if key.startswith("CORRECTION_")}
+    applied = meta.get("CORRECTIONS_APPLIED", "" if stated else "YES").upper()
+    if applied == "YES":
+        return 0.0, 0.0, 0.0
+    if applied != "NO":
+        raise message.wrong(end, "CORRECTIONS_APPLIED = YES or NO in the segment before it, which states corrections")
+    for key, text in stated.items():
+        if key.startswith("CORRECTION_ABERRATION") and _number(message, end, key, text) != 0.0:
+            raise message.wrong(end, f"{key} applied in the segment before it")
+    first, second, mag = (_number(message, end, key, stated.get(key, "0")) for key in _CORRECTIONS)
+    return first, second, mag
+
+
+def _number(message: Kvn, end: Line, key: str, text: str) -> float:
+    try:
+        return float(text)
+    except ValueError as error:
+        raise message.wrong(end, f"a number as {key} in the segment before it, not '{text[:40]}'") from error

@@ -14,7 +14,7 @@ from sboc_e2e.score.published.epochs import tai_ns
 from sboc_e2e.score.published.kvn import UnreadableProduct
 from sboc_e2e.score.published.oem_reader import read_oem
 from sboc_e2e.score.published.opm_reader import read_opm
-from sboc_e2e.score.published.tdm_reader import read_tdm
+from sboc_e2e.score.published.tdm_reader import TdmSegment, read_tdm
 from tests.score.published.conftest import HandMade
 
 REFERENCE = Path(__file__).parents[2] / "products"
@@ -145,3 +145,43 @@ def test_ephemerides_and_states_that_are_cut_short_are_refused(hand_made: HandMa
     path.write_text("\n".join(line for line in text.splitlines() if not line.startswith("Z_DOT ")))
     with pytest.raises(UnreadableProduct, match="expected Z_DOT"):
         read_opm(path)
+
+
+def test_a_covariance_without_axes_of_its_own_is_on_those_of_the_states(hand_made: HandMade) -> None:
+    """CCSDS 502.0-B-2, 5.2.5: each matrix names its axes, or they are those of REF_FRAME."""
+    path = hand_made.write_oem(covariance=True)
+    blocks = path.read_text().split("COV_REF_FRAME = RTN\n")
+    # the second matrix has no axes of its own, and tells them apart
+    second = blocks[2].replace("2.5e-05", "1e-06", 1)
+    path.write_text("COV_REF_FRAME = RTN\n".join([blocks[0], blocks[1]]) + second)
+    (ephemeris,) = read_oem(path)
+    turn = np.asarray(erfa.bp06(2451545.0, 0.0)[0])
+    np.testing.assert_allclose(turn @ ephemeris.covariance[1, :3, :3] @ turn.T, np.diag([1e-6, 2.5e-5, 2.5e-5]), atol=1e-12)
+
+
+def test_corrections_of_angles_that_were_not_applied_are_added(hand_made: HandMade) -> None:
+    """CCSDS 503.0-B-2, 3.3: what CORRECTIONS_APPLIED = NO leaves to the reader."""
+    path = hand_made.write_tdm()
+    text = path.read_text()
+    plain = read_tdm(path)[0]
+    stated = "CORRECTION_ANGLE_1 = 0.01\nCORRECTION_ANGLE_2 = -0.02\nCORRECTION_MAG = 0.3\n"
+
+    def with_lines(lines: str) -> TdmSegment:
+        path.write_text(text.replace("META_STOP", f"{lines}META_STOP"))
+        return read_tdm(path)[0]
+
+    def angles_of(segment: TdmSegment) -> np.ndarray:
+        unit = segment.direction @ np.asarray(erfa.bp06(2451545.0, 0.0)[0]).T
+        return np.degrees([np.arctan2(unit[:, 1], unit[:, 0]), np.arcsin(unit[:, 2])])
+
+    left = with_lines(f"{stated}CORRECTIONS_APPLIED = NO\n")
+    moved = (angles_of(left) - angles_of(plain) + 180.0) % 360.0 - 180.0
+    np.testing.assert_allclose(moved, [[0.01] * moved.shape[1], [-0.02] * moved.shape[1]], atol=1e-9)
+    np.testing.assert_allclose(left.mag - plain.mag, 0.3)
+    np.testing.assert_array_equal(with_lines(f"{stated}CORRECTIONS_APPLIED = YES\n").direction, plain.direction)
+    with pytest.raises(UnreadableProduct, match="CORRECTIONS_APPLIED = YES or NO"):
+        with_lines(stated)
+    with pytest.raises(UnreadableProduct, match="CORRECTION_ABERRATION_YEARLY applied"):
+        with_lines("CORRECTION_ABERRATION_YEARLY = 0.005\nCORRECTIONS_APPLIED = NO\n")
+    with pytest.raises(UnreadableProduct, match="a number as CORRECTION_ANGLE_1 in the segment before it, not 'much'"):
+        with_lines("CORRECTION_ANGLE_1 = much\nCORRECTIONS_APPLIED = NO\n")

@@ -21,6 +21,7 @@ def scenario_toml(
     """A scenario that begins with the first visit and holds `flown` of them, on the orbit that the plan was made for.
 
     objects : file of the targets; they replace the scenario's own objects.
+    schedule : with the directions of the optical axis.
     """
     visits = schedule.visits[: request.flown]
     first = visits[0].start_tai_ns

@@ -23,7 +23,7 @@ from sboc_e2e.files import atomic, ecsv
 from sboc_e2e.files.frame_fits import utc_text
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.planning.flown import scenario_toml
-from sboc_e2e.planning.instrument import planned_camera, station_of
+from sboc_e2e.planning.instrument import optical_axes, planned_camera, station_of
 from sboc_e2e.planning.pictures import sky_png, timeline_png
 from sboc_e2e.planning.request import PlanRequest
 from sboc_e2e.planning.weather import as_errors_of, instant, with_weather
@@ -57,11 +57,12 @@ def make_plan(request: PlanRequest, path: Path, out: Path, registry: Registry) -
         n = len(names)
         targets = Targets(known=known, weight=np.ones(n), size_m=np.full(n, request.plan.size_m))
         schedule = plan_visits(targets, station, camera, start, request.plan)
+    pointed = optical_axes(schedule, found.simulator)
     out.mkdir(parents=True, exist_ok=True)
-    atomic.write_text(out / "scenario.toml", scenario_toml(request, found, station, source, schedule, registry))
+    atomic.write_text(out / "scenario.toml", scenario_toml(request, found, station, source, pointed, registry))
     if isinstance(station, Orbit):
         roll_deg = found.simulator.pointing.roll_deg
-        atomic.write_bytes(out / "prm.xml", prm_xml(schedule, roll_deg, start, found.ground.products))
+        atomic.write_bytes(out / "prm.xml", prm_xml(pointed, roll_deg, start, found.ground.products))
     ecsv.write_table(out / "schedule.ecsv", _visits(schedule, names))
     if names:
         ecsv.write_table(out / "targets.ecsv", _targets(schedule, names))
@@ -119,7 +120,11 @@ def _visits(schedule: Schedule, names: tuple[str, ...]) -> Table:
     for name, unit, text in (
         ("start_utc", "", "the camera rests on the field from here on"),
         ("end_utc", "", "to here"),
-        ("ra_deg", "deg", "geometric direction of the field's centre from the camera, GCRS axes"),
+        (
+            "ra_deg",
+            "deg",
+            "geometric direction of the field's centre from the camera, GCRS axes; the optical axis stands in scenario.toml",
+        ),
         ("dec_deg", "deg", "its declination"),
         ("gain_nats", "", "half the logarithm of the determinant of what is known after over before, all targets together"),
         ("targets", "", "targets within the circle inscribed in the field"),

@@ -135,6 +135,16 @@ class WindowOptions:
     rows: int = field(default=0, metadata={"doc": "detector rows, 0 for all", "min": 0, "max": 16384})
     cols: int = field(default=0, metadata={"doc": "detector columns, 0 for all", "min": 0, "max": 16384})
 
+    def shape_in(self, rows: int, cols: int) -> tuple[int, int]:
+        """Rows and columns that are read of a detector of so many. UserError for a window that leaves it."""
+        shape = self.rows or rows - self.row0, self.cols or cols - self.col0
+        if self.row0 + shape[0] > rows or self.col0 + shape[1] > cols or min(shape) < 1:
+            raise UserError(
+                f"sensor.window: rows {self.row0} to {self.row0 + shape[0]}, columns {self.col0} to "
+                f"{self.col0 + shape[1]} must lie within a detector of {rows} x {cols} pixels"
+            )
+        return shape
+
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationOptions:

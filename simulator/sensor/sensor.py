@@ -46,13 +46,7 @@ class Sensor:
         window, binning = options.window, options.binning
         self.options = options
         self.seed = seed
-        self.window_rows = window.rows or rows - window.row0
-        self.window_cols = window.cols or cols - window.col0
-        if window.row0 + self.window_rows > rows or window.col0 + self.window_cols > cols or min(self.window_shape) < 1:
-            raise UserError(
-                f"sensor.window: rows {window.row0} to {window.row0 + self.window_rows}, columns {window.col0} to "
-                f"{window.col0 + self.window_cols} must lie within a detector of {rows} x {cols} pixels"
-            )
+        self.window_rows, self.window_cols = window.shape_in(rows, cols)
         if self.window_rows < binning.rows or self.window_cols < binning.cols:
             raise UserError(f"sensor.binning: {binning.rows} x {binning.cols} exceeds the window {self.window_shape}")
         if self.window_rows % binning.rows or self.window_cols % binning.cols:

@@ -8,10 +8,12 @@ from scipy.integrate import solve_ivp
 
 from ground.planning.constraints import air_mass
 from ground.planning.light import snr_of
+from ground.planning.schedule import Schedule, Visit
 from ground.planning.sky import Orbit
 from sboc_e2e import scenario
 from sboc_e2e.catalogue import StarCatalogue
-from sboc_e2e.planning.instrument import planned_camera, station_of
+from sboc_e2e.icd.errors import UserError
+from sboc_e2e.planning.instrument import optical_axes, planned_camera, station_of
 from sboc_e2e.registry import Registry
 from simulator.chain import Simulator
 from simulator.options import SimulatorOptions
@@ -102,3 +104,68 @@ def test_a_plan_meets_the_platform_where_its_orbit_brings_it(start_s: float) -> 
     assert isinstance(station, Orbit)
     assert station.epoch_tai_ns == start
     assert np.linalg.norm(station.state[:3] - want[:3]) < 0.01
+
+
+def schedule_of(ra_deg: float, dec_deg: float) -> Schedule:
+    """One visit."""
+    ra, dec = np.radians([ra_deg, dec_deg])
+    there = (float(np.cos(dec) * np.cos(ra)), float(np.cos(dec) * np.sin(ra)), float(np.sin(dec)))
+    visit = Visit(start_tai_ns=0, end_tai_ns=10**9, boresight=there, targets=(), gain=0.0)
+    return Schedule(visits=(visit,), gain_nats=np.zeros(0), forbidden={}, n_slots=1, notes=())
+
+
+STEADY = (
+    "light.annual_aberration=false", "light.orbital_aberration=false", "jitter.bias_x=0 arcsec", "jitter.bias_y=0 arcsec",
+    "jitter.bias_roll=0 arcsec", "jitter.cross_rms=0 arcsec", "jitter.roll_rms=0 arcsec", "instrument.as_built.center_row=0 px",
+    "instrument.as_built.center_col=0 px",
+)  # fmt: skip
+WINDOW = ("sensor.window.row0=160", "sensor.window.rows=64", "sensor.window.col0=24", "sensor.window.cols=96")
+
+
+@pytest.mark.parametrize(
+    ("cut", "roll_deg", "dec_deg"),
+    [
+        ((), 0.0, 2.5),
+        (WINDOW, 0.0, 2.5),
+        (WINDOW, 130.0, -50.0),
+        (WINDOW, -20.0, 84.0),
+        (("sensor.window.row0=200",), 180.0, 30.0),
+    ],
+)
+def test_a_visit_lays_the_middle_of_the_readout_window_on_its_field(
+    cut: tuple[str, ...], roll_deg: float, dec_deg: float
+) -> None:
+    """An object at rest in the middle of the field, on frames that are cut, to a pixel."""
+    found = options("geo_survey", *STEADY, f"pointing.roll={roll_deg} deg", *cut)
+    (visit,) = optical_axes(schedule_of(77.0, dec_deg), found).visits
+    x, y, z = visit.boresight
+    axis = {"law": "inertial", "ra_deg": np.degrees(np.arctan2(y, x)), "dec_deg": np.degrees(np.arcsin(z))}
+    path = SkyPathOptions(v_mag=12.0, ra_deg=77.0, dec_deg=dec_deg, east_arcsec_s=0.0, range_km=1e5)
+    flown = replace(
+        found, pointing=replace(found.pointing, **axis), objects=ObjectOptions(passing=(), sky_path=(path,))
+    )  # fmt: skip
+    frame, truth = Simulator(flown, seed=3, catalogue=StarCatalogue.embedded()).frame(0)
+    (trail,) = truth.streaks
+    shape = np.array(frame.pixels.shape)
+    middle = [0.5 * (trail["row0"] + trail["row1"]), 0.5 * (trail["col0"] + trail["col1"])]
+    assert middle == pytest.approx(0.5 * (shape - 1.0), abs=1.0)
+
+
+def test_the_field_of_a_plan_is_what_is_read_out() -> None:
+    """4,096 px at 4.6 arcsec; rows 3,000 to 4,095 are 1,096, whose half is 0.71 deg and whose middle is 1.9 deg off the axis."""
+    whole = scenario.load("geo_survey", registry=Registry()).simulator
+    cut = scenario.load("geo_survey", registry=Registry(), overrides=["sensor.window.row0=3000"]).simulator
+    field, part = (planned_camera(found, SKY_MAG).half_field_rad for found in (whole, cut))
+    assert part == pytest.approx(field * 1096.0 / 4096.0, rel=2e-3)
+
+
+def test_a_plan_refuses_windows_that_no_attitude_lays_on_the_field() -> None:
+    turning = options("geo_survey", "pointing.roll_rate=1 deg/s", *WINDOW)
+    with pytest.raises(UserError, match=r"pointing\.roll_rate: 1 deg/s .* allowed for a plan is 0"):
+        optical_axes(schedule_of(77.0, 2.5), turning)
+    aside = options("geo_survey", *WINDOW)
+    with pytest.raises(UserError, match=r"sensor\.window: .* declination 90\.00 deg at pointing\.roll 0 deg; allowed"):
+        optical_axes(schedule_of(77.0, 90.0), aside)
+    outside = options("geo_survey", "sensor.window.row0=256")
+    with pytest.raises(UserError, match=r"sensor\.window: rows 256 to 256"):
+        planned_camera(outside, SKY_MAG)

@@ -141,7 +141,7 @@ def make_fleet(
 
     run_s : length of the run of pixels that they are for, 0 for a survey.
     UserError for a file that cannot be read, an orbit that enters the Earth or whose epoch is too far from the run, and for a
-    break-up of an object that is not there.
+    break-up of an object that is not there, has broken up before, or is a piece that does not yet exist.
     """
     listed: list[Satellite] = []
     if options.satellites.file:
@@ -177,14 +177,55 @@ def make_fleet(
         elements=_joined(parts), elements_s=np.array(elements_s, dtype=np.float64), epoch_tai_ns=epoch_tai_ns,
     )  # fmt: skip
     given = dict(zip(np.flatnonzero(fleet.kind == KINDS.index("orbit")).tolist(), options.orbit, strict=True))
+    broken: dict[int, int] = {}
+    made_by: dict[int, int] = {}
     for k, b in enumerate(options.breakup):
-        fleet = broken_up(fleet, b, population, generator(seed, Effect.BREAKUP, k), colour_factor, given, run_s)
+        parent = _parent_of(fleet, b.object)
+        _refuse_absent(fleet, b, k, parent, broken, made_by)
+        before = len(fleet)
+        fleet = broken_up(fleet, b, parent, population, generator(seed, Effect.BREAKUP, k), colour_factor, given, run_s)
+        broken[parent] = k
+        made_by |= dict.fromkeys(range(before, len(fleet)), k)
     return fleet
+
+
+def _parent_of(fleet: Fleet, wanted: str) -> int:
+    """Row of the object of a name or number. UserError where there is none."""
+    parent = next((k for k, name in enumerate(fleet.names) if name == wanted), None)
+    if parent is None:
+        parent = next((k for k, s in enumerate(fleet.satellites) if str(s.record.satnum) == wanted), None)
+    if parent is None:
+        raise UserError(
+            f"objects.breakup.object: no object {wanted!r}; allowed are names or numbers of objects.satellites, "
+            f"objects.walker and objects.orbit"
+        )
+    return parent
+
+
+def _refuse_absent(
+    fleet: Fleet, options: BreakupOptions, number: int, parent: int, broken: Mapping[int, int], made_by: Mapping[int, int]
+) -> None:
+    """UserError for a break-up of what another break-up ends, or has not yet made.
+
+    broken, made_by : numbers of the entries that end a row of the fleet, and that it comes from.
+    """
+    if parent in broken:
+        raise UserError(
+            f"objects.breakup[{number}].object: {options.object!r} breaks up in objects.breakup[{broken[parent]}] already; "
+            f"allowed is one break-up of each object"
+        )
+    from_h = float(fleet.from_s[parent]) / 3600.0
+    if parent in made_by and options.when_h <= from_h:
+        raise UserError(
+            f"objects.breakup[{number}].when: {options.when_h:g} h; {options.object!r} comes from "
+            f"objects.breakup[{made_by[parent]}] at {from_h:g} h, allowed is later"
+        )
 
 
 def broken_up(
     fleet: Fleet,
     options: BreakupOptions,
+    parent: int,
     population: PopulationOptions,
     rng: np.random.Generator,
     colour_factor: Callable[[Array], Array] | None,
@@ -193,17 +234,10 @@ def broken_up(
 ) -> Fleet:
     """The fleet in which an object breaks up: it is there before, its pieces afterwards.
 
-    given : orbits by their rows. run_s : within this time from the epoch the object breaks where a run of pixels shows it, and
-    its pieces keep osculating elements: exact at the break-up, up to a kilometre a minute off an integrated orbit afterwards.
+    parent : its row. given : orbits by their rows. run_s : within this time from the epoch the object breaks where a run of
+    pixels shows it, and its pieces keep osculating elements: exact at the break-up, up to a kilometre a minute off an integrated
+    orbit afterwards.
     """
-    parent = next((k for k, name in enumerate(fleet.names) if name == options.object), None)
-    if parent is None:
-        parent = next((k for k, s in enumerate(fleet.satellites) if str(s.record.satnum) == options.object), None)
-    if parent is None:
-        raise UserError(
-            f"objects.breakup.object: no object {options.object!r}; allowed are names or numbers of objects.satellites, "
-            f"objects.walker and objects.orbit"
-        )
     when_s = 3600.0 * options.when_h
     in_run = 0.0 < when_s < run_s
     position, velocity = fleet.states(np.array([parent]), np.array([when_s]))

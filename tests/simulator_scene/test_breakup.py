@@ -18,7 +18,7 @@ from simulator.platform.kepler import elements_deg, elements_of, state_of
 from simulator.platform.orbit_motion import OrbitMotion
 from simulator.scene.breakup import BreakupOptions, draw_chi, draw_pieces, draw_speed_m_s, mixture_of, number_larger
 from simulator.scene.encounters import PopulationOptions
-from simulator.scene.fleet import make_fleet
+from simulator.scene.fleet import Fleet, make_fleet
 from simulator.scene.satellites import SatelliteOptions, gcrs_from_teme
 from simulator.scene.sources import ObjectOptions, OrbitOptions, orbiting
 from simulator.scene.walker import WalkerOptions, walker_elements
@@ -114,6 +114,27 @@ def test_too_many_pieces_and_unknown_objects_are_one_line() -> None:
         make_fleet(ObjectOptions(passing=(), breakup=(COLLISION,)), PopulationOptions(), 0, 1, None)
     with pytest.raises(UserError, match="7 satellites do not fill 2 planes"):
         WalkerOptions(satellites=7, planes=2, phasing=1)
+
+
+def test_nothing_breaks_up_twice_or_before_it_exists() -> None:
+    first = BreakupOptions(object="x", when_h=2.0, smallest_mm=300.0)
+
+    def fleet_of(second: BreakupOptions) -> Fleet:
+        given = ObjectOptions(passing=(), orbit=(OrbitOptions(name="x"),), breakup=(first, second))
+        return make_fleet(given, PopulationOptions(), 0, 1, None)
+
+    for when_h in (1.0, 2.0, 5.0):
+        with pytest.raises(UserError, match=r"objects\.breakup\[1\]\.object: 'x' breaks up in objects\.breakup\[0\] already"):
+            fleet_of(replace(first, when_h=when_h))
+    for when_h in (1.0, 2.0):
+        with pytest.raises(
+            UserError, match=rf"objects\.breakup\[1\]\.when: {when_h:g} h; 'x piece 1' comes from objects\.breakup\[0\] at 2 h"
+        ):
+            fleet_of(replace(first, object="x piece 1", when_h=when_h))
+    later = fleet_of(replace(first, object="x piece 1", when_h=2.5))
+    piece = later.names.index("x piece 1")
+    assert (later.from_s[piece], later.to_s[piece]) == (7_200.0, 9_000.0)
+    assert later.from_s[later.names.index("x piece 1 piece 1")] == 9_000.0
 
 
 @pytest.mark.parametrize("eccentricity", [0.001, 0.1])

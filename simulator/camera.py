@@ -161,7 +161,8 @@ class Camera:
     def saturation_e(self) -> float:
         """Signal at which a detector pixel saturates."""
         converter = self.sensor.options.converter
-        return (self.sensor.delivered.saturation_adu - converter.pedestal_adu) * converter.gain_e_adu
+        delivered_e = (self.sensor.delivered.saturation_adu - converter.pedestal_adu) * converter.gain_e_adu
+        return min(delivered_e, converter.full_well_e)  # a sum holds more than each of its pixels
 
     @property
     def surface_rate_e_s(self) -> float:

@@ -133,7 +133,7 @@ class Simulator:
         velocity = observer_velocity_km_s(self.options.light, self._carrier.tai_ns(sight.reference_s), sight.middle_velocity_km_s)
         add_moon(image_e, backdrop, sight, camera, velocity)
         stars = self._add_stars(image_e, sight, shutter, backdrop, velocity, index)
-        entropy_bits = self._camera.sensor.entropy_bits(image_e[::16], self._camera.exposure_s)
+        entropy_bits = self._camera.sensor.entropy_bits(image_e, self._camera.exposure_s, every=16)
         streaks = [truth.empty("streaks")]
         for object_id, path in self._paths(sight, index, range(len(self._cast.objects))):
             trail = add_trail(image_e, path, sight, shutter, camera, epoch_tai_ns=self._epoch)

@@ -47,6 +47,7 @@ def reduce_calibration(
     """
     calibration, converter = options.calibration, options.converter
     known = (converter.true_gain_e_adu, float(converter.pedestal_adu), converter.full_well_e, converter.true_nonlinearity)
+    known_of_sums = (*known[:2], options.read_well_e, known[3])
     frames = (float(calibration.dark_frames), float(calibration.flat_frames))
     word = np.uint64(seed_word(seed, Effect.CALIBRATION))
     flat_e = calibration.flat_level * converter.full_well_e
@@ -82,7 +83,7 @@ def reduce_calibration(
             charge_e = bin_means(np.take(dark_of_e, pixels.dark), binning) * np.float32(binning.rows * binning.cols)
             dark_adu = np.empty(charge_e.shape, dtype=np.float32)
             noise_of_e, column_e = pixels.noise_of_e, pixels.column_e
-            _average_sums(charge_e, pixels.noise, noise_of_e, column_e, known, frames[0], word, NORMAL_TABLE, dark_adu)
+            _average_sums(charge_e, pixels.noise, noise_of_e, column_e, known_of_sums, frames[0], word, NORMAL_TABLE, dark_adu)
             np.add.at(dark_adu, (row // binning.rows, col // binning.cols), jump_e / np.float32(converter.true_gain_e_adu))
         else:
             dark_adu = bin_means(dark_adu, binning)

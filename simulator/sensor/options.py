@@ -1,9 +1,15 @@
 """Options of the detector: every effect can be switched off by its own number."""
 
 from dataclasses import dataclass, field
+from typing import Final
 
 from sboc_e2e.icd.errors import UserError
 from simulator.sensor.structure import StructureOptions
+
+REGISTER_WELLS: Final = 2.0
+"""Full wells of a pixel that a cell of a CCD's serial register holds: usual in good ones (Roper Scientific, "Binning")."""
+SUMMING_WELLS: Final = 4.0
+"""The same of the summing well and the output node behind it: twice the register, from the same source."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,9 +74,17 @@ class ReadoutOptions:
 class ConverterOptions:
     """Full well, linearity, amplifiers and analogue-to-digital conversion."""
 
-    full_well_e: float = field(default=39000.0, metadata={"doc": "charge that a pixel holds", "min": 10.0, "max": 1e7})
+    full_well_e: float = field(
+        default=39000.0,
+        metadata={"doc": "charge that a pixel holds; a CCD's on-chip sum holds up to 4 of it", "min": 10.0, "max": 1e7},
+    )
     nonlinearity: float = field(
-        default=0.01, metadata={"doc": "relative loss of signal at full well, linear in signal", "min": 0.0, "max": 0.4}
+        default=0.01,
+        metadata={
+            "doc": "relative loss of signal at full well, that of the sum for a CCD's on-chip sum; linear in signal",
+            "min": 0.0,
+            "max": 0.4,
+        },
     )
     nonlinearity_error: float = field(
         default=0.0,
@@ -116,13 +130,20 @@ class ConverterOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class BinningOptions:
-    """Joining pixels after conversion (on-chip sums of a CCD happen before it)."""
+    """Joining pixels after conversion (on-chip sums of a CCD happen before it).
+
+    Rows of an on-chip sum are joined in the serial register, which holds `REGISTER_WELLS` full wells of a pixel, columns in the
+    summing well, which holds `SUMMING_WELLS`. Charge beyond is lost.
+    """
 
     rows: int = field(default=1, metadata={"doc": "detector rows per delivered row", "min": 1, "max": 64})
     cols: int = field(default=1, metadata={"doc": "detector columns per delivered column", "min": 1, "max": 64})
     method: str = field(
         default="mean",
-        metadata={"doc": "how pixels are joined", "choices": ("mean", "median", "weighted", "sum")},
+        metadata={
+            "doc": "how pixels are joined; a CCD sums charge, of which its register holds 2 full wells, its summing well 4",
+            "choices": ("mean", "median", "weighted", "sum"),
+        },
     )
 
 
@@ -221,3 +242,11 @@ class SensorOptions:
     def on_chip_sum(self) -> bool:
         """Whether charge of several pixels is joined before it is read, as a CCD that sums does."""
         return self.type == "ccd" and self.binning.method == "sum" and self.binning.rows * self.binning.cols > 1
+
+    @property
+    def read_well_e(self) -> float:
+        """Charge that comes to one read-out at most: full well, or what register and summing well hold of an on-chip sum."""
+        if not self.on_chip_sum:
+            return self.converter.full_well_e
+        in_register = min(float(self.binning.rows), REGISTER_WELLS)
+        return self.converter.full_well_e * min(in_register * self.binning.cols, SUMMING_WELLS)

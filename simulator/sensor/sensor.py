@@ -15,7 +15,7 @@ from simulator.sensor.binning import bin_pixels, noise_factor
 from simulator.sensor.calibration import CalibrationMaps, reduce_calibration
 from simulator.sensor.counter import NORMAL_TABLE
 from simulator.sensor.maps import dark_rate_of_class_e_s, draw_fixed_pattern, pixel_model, telegraph_charge_e
-from simulator.sensor.options import SensorOptions
+from simulator.sensor.options import REGISTER_WELLS, SensorOptions
 from simulator.sensor.poisson import poisson_tables
 from simulator.sensor.statistics import entropy_table, mean_entropy_bits, pixel_variance
 from simulator.sensor.structure import bloom, column_offsets_e, couple, defer_charge, row_offsets_e, spread_charge
@@ -88,7 +88,7 @@ class Sensor:
         top = 2.0**converter.bits - 1.0
         if converter.dual_gain:
             top = (top - converter.pedestal_adu) * converter.low_gain_e_adu / converter.gain_e_adu + converter.pedestal_adu
-        well = converter.full_well_e * (1.0 - converter.nonlinearity)
+        well = self.options.read_well_e * (1.0 - converter.nonlinearity)
         readout = self.options.readout
         noise = readout.low_gain_read_noise_e if converter.dual_gain else readout.read_noise_e
         saturation = min(top, (well - 5.0 * noise) / converter.gain_e_adu + converter.pedestal_adu, 65535.0)
@@ -100,7 +100,7 @@ class Sensor:
             gain_e_adu=converter.gain_e_adu * (n if averaged else 1),
             read_noise_e=self.read_noise_e * (1.0 if self.on_chip_sum else noise_factor(binning)),
             saturation_adu=float(np.floor(saturation)),
-            full_well_e=converter.full_well_e * n,
+            full_well_e=self.options.read_well_e * (1 if self.on_chip_sum else n),
         )
 
     def digitise(
@@ -201,28 +201,52 @@ class Sensor:
         )
         return out
 
-    def entropy_bits(self, mean_e: NDArray[np.float32], exposure_s: float) -> float:
-        """Mean entropy of a detector pixel's ADU given its mean: what no lossless code can undercut.
+    def entropy_bits(self, mean_e: NDArray[np.float32], exposure_s: float, *, every: int = 1) -> float:
+        """Mean entropy of a delivered pixel's ADU given the mean light: what no lossless code can undercut.
+
+        mean_e : (rows, cols) of detector pixels from the window's first on. every : rows of delivered pixels of which one counts.
 
         Exact for Poisson electrons plus the pixel's read noise rounded to the high-gain unit, averaged over the sensor's
         read noises and interpolated in the mean; above 400 e- the entropy of a rounded Gaussian, above the handover in the
-        low-gain unit.
+        low-gain unit. A binned pixel has the electrons of its block, one read noise where a CCD sums on the chip, else those of
+        all its pixels with their roundings, taken as Gaussian. That holds where its noise is above half a unit.
         """
+        options, converter, readout = self.options, self.options.converter, self.options.readout
+        rows, cols = options.binning.rows, options.binning.cols
+        n, delivered = rows * cols, self.delivered
+        joined = n > 1 and not self.on_chip_sum
+        scale = delivered.gain_e_adu / converter.gain_e_adu
+        if n > 1:
+            height, width = mean_e.shape[0] // rows, mean_e.shape[1] // cols
+            mean_e = _blocks_of(mean_e, height, width, rows, cols)[::every].sum(axis=(1, 3))
+        else:
+            mean_e = mean_e[::every]
+
+        def whole(read_noise_e: float, gain_e_adu: float) -> float:
+            return (
+                float(noise_factor(options.binning) * np.hypot(read_noise_e, gain_e_adu / 12.0**0.5)) if joined else read_noise_e
+            )
+
         if self._entropy is None:
             codes = np.sort(self._pixels.noise[::31, ::17].ravel())
             quantiles = codes[((np.arange(9) + 0.5) / 9 * codes.size).astype(int)]
-            self._entropy = entropy_table(tuple(self._pixels.noise_of_e[quantiles].tolist()), self.options.converter.gain_e_adu)
-        converter, readout = self.options.converter, self.options.readout
+            noises = tuple(whole(noise, converter.gain_e_adu) for noise in self._pixels.noise_of_e[quantiles].tolist())
+            self._entropy = entropy_table(noises, delivered.gain_e_adu)
+        pixels = n if joined else 1
         top = converter.gain_e_adu * (2.0**converter.bits - 1.0)
         return mean_entropy_bits(
             mean_e,
-            self._pixels.median_dark_e_s * exposure_s,
+            self._pixels.median_dark_e_s * exposure_s * n,
             *self._entropy,
-            (converter.gain_e_adu, self._pixels.median_noise_e, converter.handover * top if converter.dual_gain else np.inf),
             (
-                converter.low_gain_e_adu,
-                readout.low_gain_read_noise_e,
-                min(converter.full_well_e, np.inf if converter.dual_gain else top),
+                delivered.gain_e_adu,
+                whole(self._pixels.median_noise_e, converter.gain_e_adu),
+                pixels * converter.handover * top if converter.dual_gain else np.inf,
+            ),
+            (
+                converter.low_gain_e_adu * scale,
+                whole(readout.low_gain_read_noise_e, converter.low_gain_e_adu),
+                pixels * min(options.read_well_e, np.inf if converter.dual_gain else top),
             ),
         )
 
@@ -266,8 +290,8 @@ class Sensor:
         converter = self.options.converter
         top = 2.0**converter.bits - 1.0
         return (
-            converter.full_well_e,
-            converter.true_nonlinearity / converter.full_well_e,
+            self.options.read_well_e,
+            converter.true_nonlinearity / self.options.read_well_e,
             converter.true_gain_e_adu,
             top,
             converter.handover * top,
@@ -322,7 +346,9 @@ class Sensor:
         if self.on_chip_sum:
             binning = self.options.binning
             rows, cols = self.window_rows // binning.rows, self.window_cols // binning.cols
-            charge = np.ascontiguousarray(_blocks_of(charge, rows, cols, binning.rows, binning.cols).sum(axis=(1, 3)))
+            register = _blocks_of(charge, rows, cols, binning.rows, binning.cols).sum(axis=1)
+            np.minimum(register, REGISTER_WELLS * self.options.converter.full_well_e, out=register)
+            charge = np.ascontiguousarray(register.sum(axis=2))
             noise, column, row = noise[:rows, :cols], column[:cols], row[:rows]
         out = np.empty(charge.shape, dtype=np.uint16)
         passes.convert_rows(

@@ -305,6 +305,45 @@ def test_the_noise_model_of_on_chip_sums_counts_one_read_out():
     assert blocks == pytest.approx(np.full((32, 64), closed_e2), rel=1e-5)
 
 
+@pytest.mark.parametrize(("rows", "cols", "wells"), [(3, 2, 4.0), (3, 1, 2.0), (1, 4, 4.0), (1, 2, 2.0), (2, 8, 4.0)])
+def test_an_on_chip_sum_holds_two_wells_in_the_register_and_four_in_the_summing_well(rows, cols, wells):
+    """Roper Scientific, "Binning": the register twice a pixel, the summing well twice the register. It held one pixel's."""
+    converter = ConverterOptions(nonlinearity=0.01, bits=16, gain_e_adu=2.5, dual_gain=False, full_well_e=39000.0)
+    sensor = on_chip(
+        converter=converter, binning=BinningOptions(rows=rows, cols=cols, method="sum"), shot_noise=False,
+        readout=ReadoutOptions(read_noise_e=0.0, read_noise_spread=0.0, row_noise_e=0.0, column_offset_e=0.0),
+    )  # fmt: skip
+    assert sensor.delivered.full_well_e == pytest.approx(wells * 39000.0)
+    full = sensor.digitise(np.full((96, 128), 1e6, np.float32), 0, 0.2)[:32]
+    assert (full.astype(float) - 100.0) * 2.5 == pytest.approx(np.full(full.shape, 0.99 * wells * 39000.0), abs=2.5)
+    assert (full >= sensor.delivered.saturation_adu).all()
+    below = 0.9 * wells * 39000.0 / (rows * cols)
+    half = sensor.digitise(np.full((96, 128), below, np.float32), 0, 0.2)[:32]
+    # 10 e- of dark current in each pixel, 0.9 % lost to non-linearity
+    assert (half.astype(float) - 100.0) * 2.5 == pytest.approx(
+        np.full(half.shape, 0.991 * rows * cols * (below + 10.0)), rel=1e-3
+    )
+    assert (half < sensor.delivered.saturation_adu).all()
+
+
+@pytest.mark.parametrize(
+    ("kind", "method", "mean_e"), [("ccd", "sum", 3.0), ("ccd", "sum", 300.0), ("cmos", "mean", 3.0), ("cmos", "sum", 300.0)]
+)
+def test_entropy_of_binned_pixels_is_that_of_what_is_delivered(kind, method, mean_e):
+    """Against the counts of 400,000 drawn pixels, whose entropy is too low by (cells - 1) / (2 n ln 2) (Miller 1955)."""
+    sensor = on_chip(
+        type=kind, binning=BinningOptions(rows=3, cols=2, method=method),
+        readout=ReadoutOptions(read_noise_e=6.0, read_noise_spread=0.0, row_noise_e=0.0, column_offset_e=0.0),
+    )  # fmt: skip
+    light = np.full((96, 128), mean_e, np.float32)
+    drawn = np.concatenate([sensor.digitise(light, k, 0.2).ravel() for k in range(200)])
+    counts = np.bincount(drawn)
+    share = counts[counts > 0] / drawn.size
+    counted = -(share * np.log2(share)).sum() + (share.size - 1) / (2.0 * drawn.size * np.log(2.0))
+    assert sensor.entropy_bits(light, 0.2) == pytest.approx(counted, abs=0.01)
+    assert sensor.entropy_bits(light, 0.2, every=16) == pytest.approx(counted, abs=0.01)
+
+
 @pytest.mark.parametrize(("kind", "method"), [("cmos", "sum"), ("ccd", "mean")])
 def test_pixels_that_are_read_one_by_one_each_have_a_read_noise(kind, method):
     sensor = on_chip(type=kind, binning=BinningOptions(rows=3, cols=2, method=method))

@@ -11,7 +11,7 @@ from simulator.optics.vignetting import IlluminationGrid, even_illumination
 from simulator.radiation.hits import HitList, no_hits
 from simulator.randomness import Effect, seed_word
 from simulator.sensor import digitise as passes
-from simulator.sensor.binning import bin_pixels, noise_factor
+from simulator.sensor.binning import bin_means, bin_pixels, noise_factor
 from simulator.sensor.calibration import CalibrationMaps, reduce_calibration
 from simulator.sensor.counter import NORMAL_TABLE
 from simulator.sensor.maps import dark_rate_of_class_e_s, draw_fixed_pattern, pixel_model, telegraph_charge_e
@@ -212,15 +212,10 @@ class Sensor:
         all its pixels with their roundings, taken as Gaussian. That holds where its noise is above half a unit.
         """
         options, converter, readout = self.options, self.options.converter, self.options.readout
-        rows, cols = options.binning.rows, options.binning.cols
-        n, delivered = rows * cols, self.delivered
+        n, delivered = options.binning.rows * options.binning.cols, self.delivered
         joined = n > 1 and not self.on_chip_sum
         scale = delivered.gain_e_adu / converter.gain_e_adu
-        if n > 1:
-            height, width = mean_e.shape[0] // rows, mean_e.shape[1] // cols
-            mean_e = _blocks_of(mean_e, height, width, rows, cols)[::every].sum(axis=(1, 3))
-        else:
-            mean_e = mean_e[::every]
+        mean_e = bin_means(mean_e, options.binning)[::every] * np.float32(n)
 
         def whole(read_noise_e: float, gain_e_adu: float) -> float:
             return (

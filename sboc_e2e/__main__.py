@@ -8,7 +8,8 @@ def main() -> None:
     try:
         from sboc_e2e.cli import main as command_line
     except KeyboardInterrupt:
-        sys.stderr.write("sboc: interrupted before anything was done\n")
+        if sys.stderr is not None:  # None: the caller has closed it
+            sys.stderr.write("sboc: interrupted before anything was done\n")
         sys.exit(2)
     command_line()
 

@@ -6,6 +6,7 @@
 import errno
 import gc
 import os
+import select
 import sys
 import tempfile
 import traceback
@@ -56,6 +57,11 @@ def run(arguments: list[str]) -> int:
         return result if isinstance(result, int) else DONE
     except typer.Exit as leave:
         return leave.exit_code
+    except SystemExit as leave:
+        # the parser catches a broken pipe itself and leaves with 1, which here means that a check failed
+        if isinstance(leave.__context__, BrokenPipeError):
+            return _without_reader(leave.__context__)
+        raise
     except USAGE_ERROR as error:
         return _complain(error.format_message(), USER_ERROR)
     except (typer.Abort, KeyboardInterrupt):
@@ -66,8 +72,8 @@ def run(arguments: list[str]) -> int:
         return _complain(str(error), USER_ERROR)
     except SbocError as error:
         return _complain(f"{error} (traceback in {_log()})", PROGRAM_ERROR)
-    except BrokenPipeError:
-        return DONE
+    except BrokenPipeError as error:
+        return _without_reader(error)
     except OSError as error:
         if error.errno in MENDABLE:
             where = f"{error.filename}: " if error.filename else ""
@@ -82,8 +88,31 @@ def run(arguments: list[str]) -> int:
 def _complain(text: str, code: int) -> int:
     """One line on standard error."""
     line = " ".join(text.split())
-    sys.stderr.write(f"sboc: {line}\n")
+    if sys.stderr is not None:  # None: the caller has closed it, and the exit code alone tells
+        sys.stderr.write(f"sboc: {line}\n")
     return code
+
+
+def _without_reader(error: BrokenPipeError) -> int:
+    """The exit code after a broken pipe: done where who read the output has enough of it, as `head` has.
+
+    Any other pipe leads to a process of the program, which then has ended too early.
+    """
+    closed = [stream for stream in (sys.__stdout__, sys.__stderr__) if stream is not None and _nobody_reads(stream.fileno())]
+    if not closed:
+        return _complain(f"{type(error).__name__}: {error} (traceback in {_log()})", PROGRAM_ERROR)
+    nowhere = os.open(os.devnull, os.O_WRONLY)
+    for stream in closed:  # what is still in their buffers is written when the interpreter ends, and would fail again
+        os.dup2(nowhere, stream.fileno())
+    os.close(nowhere)
+    return DONE
+
+
+def _nobody_reads(descriptor: int) -> bool:
+    """Whether a descriptor is a pipe whose other end is closed."""
+    watch = select.poll()
+    watch.register(descriptor, select.POLLOUT)
+    return any(event & (select.POLLERR | select.POLLHUP) for _, event in watch.poll(0))
 
 
 def _log() -> Path | str:

@@ -36,8 +36,9 @@ class PlainProgress:
 
     def note(self, text: str) -> None:
         """A line for the reader."""
-        sys.stderr.write(text + "\n")
-        sys.stderr.flush()
+        if sys.stderr is not None:  # None: the caller has closed it
+            sys.stderr.write(text + "\n")
+            sys.stderr.flush()
 
     def close(self) -> None:
         """Nothing to tidy."""
@@ -82,4 +83,4 @@ class BarProgress:
 
 def make_progress() -> PlainProgress | BarProgress:
     """A bar on a terminal, plain lines elsewhere."""
-    return BarProgress() if sys.stderr.isatty() else PlainProgress()
+    return BarProgress() if sys.stderr is not None and sys.stderr.isatty() else PlainProgress()

@@ -40,6 +40,8 @@ MENDABLE: Final = {
     errno.EPERM: "choose an --out that can be written, or change its permissions",
     errno.ENAMETOOLONG: "choose a shorter path",
     errno.ENOTDIR: "choose an --out below a folder",
+    errno.EISDIR: "a file is needed there, not a folder",
+    errno.EEXIST: "a folder is needed there, not a file",
 }
 
 
@@ -76,7 +78,8 @@ def run(arguments: list[str]) -> int:
         return _without_reader(error)
     except OSError as error:
         if error.errno in MENDABLE:
-            where = f"{error.filename}: " if error.filename else ""
+            path = error.filename2 or error.filename  # the second one of a renaming is what the user named
+            where = f"{path}: " if path else ""
             return _complain(f"{where}{error.strerror}; {MENDABLE[error.errno]}", USER_ERROR)
         return _complain(f"{type(error).__name__}: {error} (traceback in {_log()})", PROGRAM_ERROR)
     except MemoryError:

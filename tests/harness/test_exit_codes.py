@@ -8,8 +8,17 @@ from pathlib import Path
 import pytest
 
 from sboc_e2e import cli
+from sboc_e2e.outside import make_camera
+from tests.element_lines import with_checksums
 
 SBOC = f'"{sys.executable}" -m sboc_e2e'
+ELEMENTS = with_checksums(
+    "\n".join(
+        f"1 2554{k}U 98067A   22022.50000000  .00000000  00000-0  00000-0 0  9990\n"
+        f"2 2554{k}  51.6400 1{k}0.0000 0005000  90.0000 270.0000 15.49000000    10"
+        for k in (4, 5)
+    )
+)
 
 
 def shell(line: str, folder: Path) -> list[str]:
@@ -45,3 +54,33 @@ def test_a_pipe_that_breaks_within_the_program_is_an_error(
     monkeypatch.setattr(sys.modules["sboc_e2e.cli.main"], "app", broken)
     assert cli.run(["scenarios"]) == 3
     assert "Broken pipe" in capsys.readouterr().err
+
+
+def made(*_: object, **__: object) -> make_camera.MadeCamera:
+    return make_camera.MadeCamera(
+        rows=64, cols=64, psf_sigma_px=None, transfer=None, saturation_adu=None, focal_px=None, scale_from=""
+    )
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (["figure", "7", "--out", "FILE"], "FILE: File exists; a folder is needed there"),
+        (["figure", "7", "--out", "FILE/below"], "FILE/below: Not a directory; choose an --out below a folder"),
+        (["conjunctions", "screen", "ELEMENTS", "--start", "2022-01-22T00:00:00", "--days", "0.01", "--out", "FOLDER"],
+         "FOLDER: Is a directory; a file is needed there"),
+        (["camera", "make", "FILE", "--out", "FOLDER"], "FOLDER: Is a directory; a file is needed there"),
+    ],
+)  # fmt: skip
+def test_an_out_of_the_wrong_kind_is_one_line(
+    arguments: list[str], words: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(make_camera, "made_camera", made)
+    (tmp_path / "FOLDER").mkdir()
+    (tmp_path / "FILE").write_text("a file")
+    (tmp_path / "ELEMENTS").write_text(ELEMENTS)
+    assert cli.run(arguments) == 2
+    assert f"sboc: {words}" in capsys.readouterr().err
+    assert (tmp_path / "FILE").read_text() == "a file"
+    assert not list((tmp_path / "FOLDER").iterdir())

@@ -5,6 +5,7 @@ Digests are taken once in a process, as sources are loaded once: what runs is wh
 
 import ast
 import hashlib
+import os
 import subprocess
 import sys
 from collections.abc import Iterable, Iterator, Mapping
@@ -13,6 +14,8 @@ from importlib import metadata
 from pathlib import Path
 from typing import Any, Final
 from weakref import WeakKeyDictionary
+
+from sboc_e2e.registry import SEAMS, own_names
 
 ROOT: Final = Path(__file__).resolve().parents[1]
 SEGMENTS: Final = ("simulator", "onboard", "ground")
@@ -90,14 +93,37 @@ def _plugin(module: str) -> dict[str, str] | None:
     }
 
 
-def named_files(document: Any) -> dict[str, str]:
-    """Digests of the files whose paths occur in a document, by path. Their content matters as much as their names."""
-    found: dict[str, str] = {}
-    for text in sorted(set(_texts(document))):
-        path = Path(text)
-        if ("." in text or "/" in text) and len(text) < 1024 and path.is_file():
-            found[text] = hashlib.sha256(path.read_bytes()).hexdigest()[:_DIGITS]
-    return found
+FILE_KEYS: Final = (
+    ("stars", "catalogue_file"),
+    ("objects", "satellites", "file"),
+    ("objects", "satellites", "sizes_file"),
+    ("ground", "catalogue_file"),
+    ("ground", "known_objects_file"),
+    ("ground", "precise_orbits_file"),
+)
+"""Keys of a scenario that name a file. No option of a step of the project does; those of plug-ins may."""
+
+
+def named_files(document: Mapping[str, Any]) -> dict[str, str]:
+    """Digests of the files that a scenario's document names, by path. Their content matters as much as their names.
+
+    Of options of plug-ins, any text that is the path of a file counts as one: nothing says what a plug-in does with it.
+    """
+    texts = {text for keys in FILE_KEYS if isinstance(text := _below(document, keys), str)}
+    for seam in SEAMS:
+        options = _below(document, seam.split("."))
+        if isinstance(options, Mapping) and options.get("use") not in own_names(seam):
+            texts.update(_texts({key: value for key, value in options.items() if key != "use"}))
+    # unlike Path.is_file, os.path.isfile takes a text that is too long for a path as what it is: no file
+    files = [text for text in sorted(texts) if os.path.isfile(text)]  # noqa: PTH113
+    return {text: hashlib.sha256(Path(text).read_bytes()).hexdigest()[:_DIGITS] for text in files}
+
+
+def _below(document: Any, keys: Iterable[str]) -> Any:
+    """What stands under nested keys; None where there is nothing."""
+    for key in keys:
+        document = document.get(key) if isinstance(document, Mapping) else None
+    return document
 
 
 def _texts(node: Any) -> Iterator[str]:

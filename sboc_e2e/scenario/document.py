@@ -1,6 +1,7 @@
 """The resolved scenario: options of the three segments, the chosen steps, what to keep, and back to a document."""
 
 import dataclasses
+import os
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cache, partial
@@ -13,6 +14,7 @@ from ground.options import GroundOptions
 from onboard.options import OnboardOptions
 from sboc_e2e.faults.options import FaultOptions
 from sboc_e2e.icd.errors import UserError
+from sboc_e2e.provenance import FILE_KEYS
 from sboc_e2e.registry import SEAMS, Registry
 from sboc_e2e.scenario import option_models, origin, toml_files
 from simulator.options import SimulatorOptions
@@ -187,20 +189,10 @@ def default_texts() -> dict[str, str]:
     return found
 
 
-FILE_KEYS: Final = (
-    ("stars", "catalogue_file"),
-    ("objects", "satellites", "file"),
-    ("objects", "satellites", "sizes_file"),
-    ("ground", "catalogue_file"),
-    ("ground", "known_objects_file"),
-    ("ground", "precise_orbits_file"),
-)
-"""Keys that name a file. A relative path in a scenario is looked for beside the scenario, then in the working folder."""
-
-
 def tables(path: Path, presets: Iterable[str] = ()) -> dict[str, Any]:
     """The tables of a scenario file with its presets; files that lie beside it by their full path.
 
+    A relative path of `FILE_KEYS` is looked for beside the scenario, then in the working folder.
     presets : texts of ``--set`` that choose presets as if the file did.
     """
     given = toml_files.read(path)
@@ -214,7 +206,8 @@ def tables(path: Path, presets: Iterable[str] = ()) -> dict[str, Any]:
         table: Any = merged
         for parent in parents:
             table = table.get(parent) if isinstance(table, dict) else None
-        if isinstance(table, dict) and isinstance(name := table.get(key), str) and (path.parent / name).is_file():
+        if isinstance(table, dict) and isinstance(name := table.get(key), str) and os.path.isfile(path.parent / name):  # noqa: PTH113
+            # unlike Path.is_file it takes a text that is too long for a path as what it is: no file
             table[key] = str(path.parent / name)
     return merged
 

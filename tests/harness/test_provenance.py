@@ -13,6 +13,7 @@ from sboc_e2e import provenance, scenario
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.manifest import Manifest
 from sboc_e2e.run.shared import key, stage_content
+from sboc_e2e.scenario.document import default_texts
 
 STEP = """
 from dataclasses import dataclass
@@ -121,6 +122,33 @@ def test_a_named_file_is_known_by_its_content(tmp_path: Path) -> None:
     after = provenance.named_files({"ground": {"known_objects_file": str(path), "n": 1}})
     assert list(before) == list(after) == [str(path)]
     assert before != after
+
+
+def test_a_text_is_no_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Only keys that name a file do, whatever their name looks like; a long text is not looked for on the disk."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "elements").write_text("one")
+    text = "A fence that follows the belt. " * 12
+    found = scenario.bare("told", {"description": text, "ground": {"known_objects_file": "elements"}}, registry=Registry())
+    assert list(provenance.named_files(found.document())) == ["elements"]
+    assert provenance.named_files({"description": "elements", "ground": {"known_objects_file": text}}) == {}
+
+
+def test_keys_of_files_are_all_those_whose_name_says_so() -> None:
+    named = {name for name in default_texts() if name.endswith("file")}
+    assert named == {".".join(keys) for keys in provenance.FILE_KEYS}
+
+
+def test_options_of_plugins_may_name_files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "weights").write_text("one")
+    (tmp_path / "header").write_text("one")
+
+    def named(use: str) -> list[str]:
+        return list(provenance.named_files({"onboard": {"detector": {"use": use, "nets": [{"file": "weights"}], "n": 1}}}))
+
+    assert named("my_lab.nets:StreakNet") == ["weights"]
+    assert named("threshold") == []
 
 
 def test_the_manifest_names_plugin_version_file_and_commit(lab: Path, tmp_path: Path) -> None:

@@ -23,12 +23,14 @@ from sboc_e2e.kernel_cache import use_cache_of_these_sources
 use_cache_of_these_sources()
 
 import json
+import os
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from astropy.table import Table
 
 from sboc_e2e import scenario as scenarios
@@ -45,6 +47,7 @@ from sboc_e2e.report.headlines import figure_at, headline_rows
 from sboc_e2e.report.words import figure_words
 from sboc_e2e.run.pipeline import RunRequest
 from sboc_e2e.run.pipeline import run as _run
+from sboc_e2e.scenario.toml_files import value_text
 
 __all__ = ["Comparison", "Found", "RunResult", "Sweep", "compare", "detect", "measure", "open_run", "run", "solve", "sweep"]
 
@@ -200,7 +203,8 @@ def run(
     ----------
     scenario : name of a shipped scenario, or path of a TOML file.
     out : run directory, by default ``runs/<scenario>``.
-    set : keys to change, such as ``{"frames": 3, "shutter.exposure": "0.3 s"}``.
+    set : keys to change, such as ``{"frames": 3, "shutter.exposure": "0.3 s"}``. Values may be of numpy, paths, lists, and
+        tables: ``{"shutter": {"exposure": "0.3 s"}}`` is the same as ``{"shutter.exposure": "0.3 s"}``.
     use : steps to swap by seam, such as ``{"onboard.detector": "my_lab.nets:StreakNet"}``.
     seed : replaces the scenario's.
     workers : simulation processes. More than one start new interpreters that import the script again, which then
@@ -221,13 +225,23 @@ def run(
 
 
 def open_run(folder: str | Path) -> RunResult:
-    """A run that was made earlier. Raises `UserError` when the folder holds no scored run."""
+    """A run that was made earlier. Raises `UserError` when the folder holds no scored run, or a damaged one."""
     path = Path(folder)
+    return RunResult(folder=path, score=_json(path, "score.json"), manifest=_json(path, "manifest.json"))
+
+
+def _json(run: Path, name: str) -> Mapping[str, Any]:
+    """A JSON file of a run."""
+    path = run / name
     try:
-        score, manifest = (json.loads((path / name).read_text(encoding="utf-8")) for name in ("score.json", "manifest.json"))
+        found = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise UserError(f"{error.filename}: not found; a run has it once it is scored (sboc score {path})") from error
-    return RunResult(folder=path, score=score, manifest=manifest)
+        raise UserError(f"{error.filename}: not found; a run has it once it is scored (sboc score {run})") from error
+    except ValueError as error:
+        raise UserError(f"{path}: damaged: {error}; make it again: sboc score {run}") from error
+    if not isinstance(found, dict):
+        raise UserError(f"{path}: damaged: holds a {type(found).__name__}, expected a table; make it again: sboc score {run}")
+    return found
 
 
 def compare(
@@ -288,8 +302,35 @@ def sweep(
 
 
 def _overrides(changed: Mapping[str, Any] | None) -> tuple[str, ...]:
-    """``key=value`` texts as the command line takes them."""
-    return tuple(f"{key}={json.dumps(value)}" for key, value in (changed or {}).items())
+    """``key=value`` texts as the command line takes them; tables of `changed` key by key."""
+    texts: list[str] = []
+    for key, value in (changed or {}).items():
+        if not isinstance(key, str):
+            raise UserError(f"set: expected names of keys such as instrument.rows, got {key!r}"[:300])
+        if isinstance(value, Mapping):
+            texts += _overrides({f"{key}.{below}": inside for below, inside in value.items()})
+            continue
+        try:
+            texts.append(f"{key}={value_text(_plain(value))}")
+        except TypeError as error:
+            raise UserError(
+                f"set: {key}: expected a number, text, path, true or false, or lists and tables of them, got "
+                f"{'None; leave a key out for its default' if value is None else repr(value)} ({error})"[:300]
+            ) from error
+    return tuple(texts)
+
+
+def _plain(value: Any) -> Any:
+    """A value of numpy or a path as one of Python's own; in lists and tables too."""
+    if isinstance(value, os.PathLike):
+        return os.fsdecode(value)
+    if isinstance(value, np.generic) or type(value) is np.ndarray:  # a subclass may hold a unit, which would be lost
+        return value.tolist()
+    if isinstance(value, Mapping):
+        return {str(key): _plain(below) for key, below in value.items()}
+    if isinstance(value, list | tuple):
+        return [_plain(below) for below in value]
+    return value
 
 
 def _table(names: Sequence[str], rows: Sequence[Sequence[str]]) -> Table:

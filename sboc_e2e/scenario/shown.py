@@ -3,8 +3,6 @@
 The text is a scenario file itself: read again, it gives the same run.
 """
 
-import json
-import math
 import typing
 from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
@@ -15,6 +13,7 @@ from sboc_e2e.registry import SEAMS
 from sboc_e2e.scenario.document import HarnessOptions, Scenario
 from sboc_e2e.scenario.option_models import OptionField, is_options, option_fields
 from sboc_e2e.scenario.origin import Layer, source
+from sboc_e2e.scenario.toml_files import value_text
 from simulator.options import SimulatorOptions
 
 
@@ -54,7 +53,7 @@ def _step(scenario: Scenario, seam: str, values: Mapping[str, Any], path: tuple[
     """The table of a seam: the step's name and its options."""
     given_by = source((*path, "use"), layers)
     kind: Any = type(scenario.step(seam))
-    lines = ["", f"[{seam}]", f"use = {_toml(values['use'])}{f'  # from {given_by}' if given_by else ''}"]
+    lines = ["", f"[{seam}]", f"use = {value_text(values['use'])}{f'  # from {given_by}' if given_by else ''}"]
     return lines + _keys(option_fields(kind), values, path, layers)
 
 
@@ -67,7 +66,7 @@ def _keys(fields: Sequence[OptionField], values: Mapping[str, Any], path: tuple[
         if field.key not in values:
             lines.append(f"# {field.key} = (not set)  {comment}")
             continue
-        written = f"{field.key} = {_toml(values[field.key])}"
+        written = f"{field.key} = {value_text(values[field.key])}"
         if isinstance(values[field.key], list) and _of_tables(field):
             lines.append(comment)
             lines += _entries(field.key, values[field.key])
@@ -87,20 +86,5 @@ def _entries(key: str, entries: Sequence[Any]) -> Iterator[str]:
         yield f"{key} = []"
         return
     yield f"{key} = ["
-    yield from (f"  {_toml(entry)}," for entry in entries)
+    yield from (f"  {value_text(entry)}," for entry in entries)
     yield "]"
-
-
-def _toml(value: Any) -> str:
-    """A value as TOML; tables inside arrays as inline tables."""
-    if isinstance(value, bool):
-        return "true" if value else "false"
-    if isinstance(value, str):
-        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
-    if isinstance(value, float) and not math.isfinite(value):
-        return repr(value)
-    if isinstance(value, Mapping):
-        return "{ " + ", ".join(f"{key} = {_toml(below)}" for key, below in value.items()) + " }" if value else "{}"
-    if isinstance(value, Sequence):
-        return "[" + ", ".join(_toml(below) for below in value) + "]"
-    return repr(value)

@@ -2,9 +2,11 @@
 
 import contextlib
 import copy
+import json
+import math
 import re
 import tomllib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -17,6 +19,7 @@ MAX_FILE_BYTES: Final = 1 << 20  # 1 MiB; the largest shipped scenario has 2.3 k
 MAX_DEPTH: Final = 16  # Shipped files nest five deep; what walks tables by recursion stays far from Python's limit of 1,000.
 _UNQUOTED: Final = re.compile(r"([A-Za-z0-9_.-]{1,60})\s*=\s*([A-Za-z0-9+.-][^\"'#\[\]{}=,]{0,60}?)\s*(?:#.*)?")
 """A key with a bare value of letters and digits, such as ``ra = 150 deg``."""
+_BARE_KEY: Final = re.compile(r"[A-Za-z0-9_-]+")
 _PRESET_NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
 
@@ -162,3 +165,26 @@ def _value(text: str) -> Any:
     except (tomllib.TOMLDecodeError, RecursionError, ValueError):
         return text
     return parsed["value"] if set(parsed) == {"value"} else text
+
+
+def value_text(value: Any) -> str:
+    """A value as TOML; tables inside arrays as inline tables. Raises `TypeError` for what TOML does not have."""
+    if isinstance(value, bool):
+        return "true" if value else "false"
+    if isinstance(value, str):
+        return json.dumps(value, ensure_ascii=False).replace("\x7f", "\\u007f")
+    if isinstance(value, float) and not math.isfinite(value):
+        return repr(value)
+    if isinstance(value, Mapping):
+        pairs = (f"{_key_text(key)} = {value_text(below)}" for key, below in value.items())
+        return "{ " + ", ".join(pairs) + " }" if value else "{}"
+    if isinstance(value, Sequence) and not isinstance(value, bytes | bytearray):
+        return "[" + ", ".join(value_text(below) for below in value) + "]"
+    if isinstance(value, int | float):
+        return repr(value)
+    raise TypeError(f"{type(value).__name__} has no form in TOML")
+
+
+def _key_text(key: str) -> str:
+    """A key as TOML, in quotes where it needs some."""
+    return key if _BARE_KEY.fullmatch(key) else value_text(key)

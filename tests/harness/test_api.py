@@ -1,14 +1,18 @@
 """The Python functions work as written: no guard, kernels kept where the command line keeps them, results as tables."""
 
+import math
 import os
 import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+from astropy import units as u
 
 from sboc_e2e import api
 from sboc_e2e.icd.errors import UserError
+from sboc_e2e.scenario import toml_files
 
 SCRIPT = """
 import numba  # a notebook may have imported it first
@@ -50,6 +54,42 @@ def test_numba_that_is_imported_already_learns_the_folder(tmp_path: Path) -> Non
 def test_folders_without_a_run_are_refused(tmp_path: Path) -> None:
     with pytest.raises(UserError, match=r"score\.json: not found"):
         api.open_run(tmp_path)
+
+
+@pytest.mark.parametrize("content", [b'{"detection": ', b"[1]", b"\xff\xfe"])
+def test_a_damaged_score_is_one_line(tmp_path: Path, content: bytes) -> None:
+    (tmp_path / "score.json").write_bytes(content)
+    (tmp_path / "manifest.json").write_text("{}")
+    with pytest.raises(UserError, match=r"score\.json: damaged: .*; make it again: sboc score"):
+        api.open_run(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("given", "stored"),
+    [
+        (np.int64(3), 3),
+        (np.float32(0.5), 0.5),
+        (np.bool_(True), True),
+        (np.arange(2), [0, 1]),
+        (Path("a") / "b", "a/b"),
+        ('caf\u00e9 \U0001f600 \x7f "3"', 'caf\u00e9 \U0001f600 \x7f "3"'),
+        ([{"file name": np.int16(1), "b": []}], [{"file name": 1, "b": []}]),
+        (math.inf, math.inf),
+        ((1, "x = 1"), [1, "x = 1"]),
+    ],
+)
+def test_values_of_python_arrive_as_they_are(given: object, stored: object) -> None:
+    for changed in ({"table.key": given}, {"table": {"key": given}}):
+        (text,) = api._overrides(changed)
+        assert toml_files.with_override({"table": {"other": 1}}, text) == {"table": {"other": 1, "key": stored}}
+
+
+@pytest.mark.parametrize(
+    ("given", "words"), [(None, "leave a key out"), ([1, None], "NoneType"), (b"x", "bytes"), (3 * u.s, "3")]
+)
+def test_values_that_no_scenario_has_are_refused(given: object, words: str) -> None:
+    with pytest.raises(UserError, match=rf"^set: table\.key: expected a number, text.*{words}"):
+        api.run("smoke", set={"table": {"key": given}})
 
 
 def test_figures_by_name() -> None:

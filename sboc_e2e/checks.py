@@ -11,7 +11,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from sboc_e2e.exams import astrometry, codec, detector, fitter, linker, tracker
+from sboc_e2e.exams import astrometry, codec, detector, fitter, ground_steps, linker, tracker
 from sboc_e2e.exams.codec import NOISE_ADU, SLOW_S_PER_MPX
 from sboc_e2e.exams.trails import PSF_SIGMA_PX
 from sboc_e2e.exams.verdict import Verdict, asked, expect
@@ -75,22 +75,27 @@ def _questions(seam: Seam, step: Any, path: str, registry: Registry, shape: tupl
     yield asked("matches the Protocol", lambda: expect(isinstance(step, seam.protocol), f"not a {seam.protocol.__name__}"))
     yield asked("can travel to another process", lambda: ForkingPickler.dumps(step) and None)
     yield asked("options can be written in a scenario", lambda: _options_round_trip(step))
-    if seam.name == "onboard.detector":
-        yield from _detector_questions(step, shape)
-    elif seam.name == "onboard.tracker":
-        yield from tracker.questions(step)
-    elif seam.name == "onboard.star_extractor":
-        yield from _extractor_questions(step, shape)
-    elif seam.name == "onboard.background":
-        yield from _background_questions(step)
-    elif seam.name in ("onboard.codec", "ground.decoder"):
-        yield from _codec_questions(step, path, registry)
-    elif seam.name == "ground.streak_fitter":
-        yield from fitter.questions(step.fit)
-    elif seam.name == "ground.astrometry":
-        yield from astrometry.questions(step)
-    elif seam.name == "ground.linker":
-        yield from linker.questions(step)
+    yield from TRIALS[seam.name](step, path, registry, shape)
+
+
+Trial = Callable[[Any, str, Registry, tuple[int, int]], Iterator[Verdict]]
+"""Questions to a step: the step, what it was asked for by, who finds steps, and the frame of the question of speed."""
+
+TRIALS: Final[dict[str, Trial]] = {
+    "onboard.detector": lambda step, path, registry, shape: _detector_questions(step, shape),
+    "onboard.tracker": lambda step, path, registry, shape: tracker.questions(step),
+    "onboard.star_extractor": lambda step, path, registry, shape: _extractor_questions(step, shape),
+    "onboard.background": lambda step, path, registry, shape: _background_questions(step),
+    "onboard.codec": lambda step, path, registry, shape: _codec_questions(step, path, registry),
+    "ground.decoder": lambda step, path, registry, shape: _codec_questions(step, path, registry),
+    "ground.streak_fitter": lambda step, path, registry, shape: fitter.questions(step.fit),
+    "ground.vetter": lambda step, path, registry, shape: ground_steps.vetter_questions(step),
+    "ground.astrometry": lambda step, path, registry, shape: astrometry.questions(step),
+    "ground.photometry": lambda step, path, registry, shape: ground_steps.photometer_questions(step),
+    "ground.linker": lambda step, path, registry, shape: linker.questions(step),
+    "ground.orbit": lambda step, path, registry, shape: ground_steps.orbit_questions(step),
+}
+"""By seam, every one of them: what is not called is not examined."""
 
 
 def _options_round_trip(step: Any) -> None:

@@ -18,15 +18,17 @@ from sboc_e2e.icd.signals import StarList
 
 SHAPE: Final = (256, 320)  # Rows and columns: unequal, so that exchanged axes show.
 FOCAL_PX: Final = 5000.0  # Focal length: 41 arcsec/px, a field of 2.9 x 3.7 deg that holds catalogue stars enough to be solved.
+ZERO_POINT_E_S: Final = 4.7e8
+"""Electrons a second of a star of V 0 (mag 21.68): about that of `sboc_like`. Stars of all colours have it."""
 ROUND_TRIP_PX: Final = 1e-3  # Chosen, not measured: far below the errors of measured positions, far above what rounding leaves.
 
 
-def _star_frame(catalogue: StarCatalogue) -> tuple[Calibration, DownlinkFrame]:
+def star_frame(catalogue: StarCatalogue) -> tuple[Calibration, DownlinkFrame]:
     """Catalogue stars through a camera without distortion; aberration, which moves all of them alike, is left out."""
     camera = NominalCamera(
         name="exam", rows=SHAPE[0], cols=SHAPE[1], focal_px=FOCAL_PX, center_row=0.5 * (SHAPE[0] - 1),
         center_col=0.5 * (SHAPE[1] - 1), psf_sigma_px=0.85, gain_e_adu=1.0, read_noise_e=2.3, saturation_adu=65535.0,
-        full_well_e=39e3, zero_point_e_s=4.7e8, aperture_m=0.2,
+        full_well_e=39e3, zero_point_e_s=ZERO_POINT_E_S, aperture_m=0.2,
     )  # fmt: skip
     calibration = Calibration(
         camera=camera, dark_adu=np.zeros(SHAPE, np.float32), flat=np.ones(SHAPE, np.float32), defects=np.zeros(SHAPE, np.uint8)
@@ -39,7 +41,7 @@ def _star_frame(catalogue: StarCatalogue) -> tuple[Calibration, DownlinkFrame]:
     row, col = camera.center_row + FOCAL_PX * seen[:, 1] / seen[:, 2], camera.center_col + FOCAL_PX * seen[:, 0] / seen[:, 2]
     inside = np.flatnonzero((row > 1.0) & (row < SHAPE[0] - 2.0) & (col > 1.0) & (col < SHAPE[1] - 2.0))
     inside = inside[np.argsort(stars.v_mag[inside], kind="stable")]
-    flux = 4.7e8 * 0.2 * 10.0 ** (-0.4 * stars.v_mag[inside].astype(np.float64))
+    flux = ZERO_POINT_E_S * 0.2 * 10.0 ** (-0.4 * stars.v_mag[inside].astype(np.float64))
     epoch_ns = 2_179_000_000 * 10**9
     header = FrameHeader(
         frame=7, t_start_tai_ns=epoch_ns, exposure_ns=200_000_000, line_time_ns=0, rows=SHAPE[0], cols=SHAPE[1],
@@ -69,7 +71,7 @@ def _star_frame(catalogue: StarCatalogue) -> tuple[Calibration, DownlinkFrame]:
 def questions(step: Any) -> Iterator[Verdict]:
     """Questions to an astrometry step with default options."""
     catalogue = StarCatalogue.embedded()
-    calibration, frame = _star_frame(catalogue)
+    calibration, frame = star_frame(catalogue)
     shared = {"catalogue": catalogue}
     solutions: list[FrameSolution] = []
 

@@ -1,21 +1,25 @@
 """The exam asks how well a step does: who finds nothing, measures nothing or changes values fails, and the rest is scored."""
 
 import re
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import pytest
 
+from ground.photometry.zero_point import ZeroPoint
 from ground.streaks.fit_record import failed_fit
 from ground.streaks.fitter import TrailedPsfFitter
 from onboard.detect.line_integral.detector import LineIntegralDetector
 from onboard.downlink.codec.planes import PlanesCodec
-from sboc_e2e.checks import examine
+from sboc_e2e.checks import TRIALS, examine
 from sboc_e2e.cli.main import run
-from sboc_e2e.exams import codec, detector, fitter
+from sboc_e2e.exams import codec, detector, fitter, ground_steps
 from sboc_e2e.exams.trails import trail
-from sboc_e2e.registry import Registry
+from sboc_e2e.exams.verdict import Verdict
+from sboc_e2e.icd.products import PhotometricSolution
+from sboc_e2e.registry import SEAMS, Registry
 from sboc_e2e.score.evaluation import SHIPPED_DECODERS
 
 
@@ -88,3 +92,54 @@ def test_the_time_limit_follows_the_frame(capsys: pytest.CaptureFixture[str]) ->
     assert any(v.question.startswith("takes less than 1.31 s for 256 x 512 pixels") for v in verdicts)
     assert run(["check", "onboard.stars.matched:MatchedStars", "--shape", "10x10"]) == 2
     assert "--shape: expected ROWSxCOLS" in capsys.readouterr().err
+
+
+def test_no_seam_is_without_a_trial() -> None:
+    assert set(TRIALS) == set(SEAMS)
+
+
+@dataclass(frozen=True, kw_only=True)
+class Wrong:
+    """Answers every ground seam that judges, and none by the contract."""
+
+    def probability(self, fits: Any, frame: Any) -> Any:
+        return np.full(len(fits), 1.5)
+
+    def calibrate(self, frame: Any, solution: Any, calibration: Any) -> Any:
+        return PhotometricSolution(
+            frame=frame.header.frame, zero_point_mag=20.0, zero_point_err_mag=0.01, colour_term=0.0, n_stars=9, rms_mag=0.01
+        )
+
+    def estimate(self, tracklet: Any, headers: Any) -> Any:
+        return "an orbit"
+
+
+@pytest.mark.parametrize(
+    ("questions", "words"),
+    [
+        (ground_steps.vetter_questions, "expected 8 probabilities from 0 to 1"),
+        (ground_steps.photometer_questions, "is off by -1.680 mag"),
+        (ground_steps.orbit_questions, "returned a str, expected an OrbitEstimate"),
+    ],
+)
+def test_a_step_that_breaks_its_contract_fails(questions: Callable[[Any], Iterator[Verdict]], words: str) -> None:
+    first = next(questions(Wrong()))
+    assert not first.passed
+    assert words in first.detail
+
+
+@pytest.mark.parametrize(
+    "path",
+    ["ground.vetting.likelihood:LikelihoodVetter", "ground.photometry.zero_point:ZeroPoint", "ground.orbit.range_scan:RangeScan"],
+)
+def test_steps_that_judge_on_ground_are_called(path: str) -> None:
+    _, verdicts = examine(path, Registry())
+    assert len(verdicts) >= 6
+    assert all(v.passed for v in verdicts), verdicts
+
+
+def test_the_zero_point_of_the_trial_is_found() -> None:
+    """mag 21.6802 = 2.5 log10(4.7e8)"""
+    verdict = next(ground_steps.photometer_questions(ZeroPoint()))
+    assert verdict.passed
+    assert abs(float(verdict.detail.split()[2])) < 0.002

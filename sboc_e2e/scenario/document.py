@@ -201,7 +201,8 @@ def tables(path: Path, presets: Iterable[str] = ()) -> dict[str, Any]:
         raise UserError(f"{path}: holds no key; a scenario says at least one thing, such as frames = 6")
     for text in presets:
         given = toml_files.with_override(given, text)
-    merged = toml_files.with_presets(given, path.resolve().parent, str(path))
+    typed = {text.partition(".")[0].strip(): f"--set {text}"[:MAX_LABEL] for text in presets}
+    merged = toml_files.with_presets(given, path.resolve().parent, str(path), typed)
     for *parents, key in FILE_KEYS:
         table: Any = merged
         for parent in parents:
@@ -223,9 +224,17 @@ def bare(
     """A scenario without a file: the given tables over the defaults, then overrides and typed steps.
 
     Options that the tables give a step are those of its default. They are gone where ``--set SEAM.use=`` chooses another, as
-    with ``--use``: the user did not write them.
+    with ``--use``: the user did not write them. Raises `UserError` of one line for anything wrong, such as an override that
+    names a preset: it would have to lie under the keys of a file.
     """
     overrides = tuple(overrides)
+    for text in overrides:
+        if toml_files.names_preset(text):
+            table = text.partition(".")[0].strip()
+            raise UserError(
+                f"--set {text[:MAX_LABEL]}: a preset is not taken here, only in a scenario file and where a command takes one; "
+                f"allowed are the keys of [{table}] themselves"
+            )
     tables = dict(document)
     chosen = {text.partition("=")[0].strip() for text in overrides}
     for seam in SEAMS:

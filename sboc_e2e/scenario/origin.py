@@ -27,9 +27,19 @@ def layers_of(path: Path, overrides: Sequence[str], use: Mapping[str, str]) -> l
     layers.append((path.name, own))
     for seam, step in use.items():
         segment, _, key = seam.partition(".")
+        # the options that a preset or the file gives the step are gone with it
+        layers = [(label, _without(tables, segment, key)) for label, tables in layers]
         layers.append(("--use", {segment: {key: {"use": step}}}))
     layers += [("--set", toml_files.with_override({}, override)) for override in overrides if override not in presets]
     return layers
+
+
+def _without(tables: Mapping[str, Any], segment: str, key: str) -> Mapping[str, Any]:
+    """The tables without the one of a step."""
+    table = tables.get(segment)
+    if not isinstance(table, Mapping) or key not in table:
+        return tables
+    return {**tables, segment: {each: value for each, value in table.items() if each != key}}
 
 
 def source(path: tuple[str, ...], layers: Sequence[Layer]) -> str:

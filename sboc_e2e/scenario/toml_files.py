@@ -8,6 +8,7 @@ import re
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any, Final
 
 from sboc_e2e.icd.errors import UserError
@@ -73,22 +74,27 @@ def _refuse_deep(document: dict[str, Any], where: str) -> None:
     raise UserError(f"{where}: tables are nested more than {MAX_DEPTH} deep")
 
 
-def with_presets(document: Mapping[str, Any], origin: Path, where: str) -> dict[str, Any]:
-    """The document over the fragments that its tables name with ``preset = "..."``; the document's own keys win."""
+def with_presets(
+    document: Mapping[str, Any], origin: Path, where: str, typed: Mapping[str, str] = MappingProxyType({})
+) -> dict[str, Any]:
+    """The document over the fragments that its tables name with ``preset = "..."``; the document's own keys win.
+
+    typed : what the user typed to choose a table's preset, by table; a refusal names it instead of the file.
+    """
     own = copy.deepcopy(dict(document))
     result: dict[str, Any] = {}
     if isinstance(own.get("preset"), str):
         raise UserError(f"{where}: preset: stands outside of a table; a preset is named inside one, such as [instrument]")
     for table_name, table in own.items():
         if isinstance(table, dict) and "preset" in table:
-            path = preset_path(table.pop("preset"), table_name, origin, f"{where}: {table_name}.preset")
+            place = typed.get(table_name, f"{where}: {table_name}.preset")
+            path = preset_path(table.pop("preset"), table_name, origin, place)
             preset = read(path)
             meant = _table_of(preset)
             if meant != table_name:
                 known = ", ".join(_presets_of(table_name, origin)) or "none"
                 raise UserError(
-                    f'{where}: {table_name}.preset: "{path.stem}" is a preset of [{meant}], not of [{table_name}]; '
-                    f"presets of [{table_name}]: {known}"
+                    f'{place}: "{path.stem}" is a preset of [{meant}], not of [{table_name}]; presets of [{table_name}]: {known}'
                 )
             result = merged(result, preset)
     return merged(result, own)

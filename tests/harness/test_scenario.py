@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from sboc_e2e import scenario
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import Registry
-from sboc_e2e.scenario import option_models, schema, toml_files
+from sboc_e2e.scenario import option_models, schema, shown, toml_files
 from sboc_e2e.scenario.document import bare, from_document
 
 REGISTRY = Registry()
@@ -172,6 +172,33 @@ def test_a_refusal_names_what_was_typed(tmp_path: Path, typed: dict[str, Any], w
     with pytest.raises(UserError) as caught:
         scenario.load(written(tmp_path, "sed = 1"), registry=REGISTRY, **typed)
     assert str(caught.value).startswith(f"{tmp_path}/mine.toml: ")
+
+
+def test_a_preset_that_was_typed_is_named_as_typed(tmp_path: Path) -> None:
+    assert refusal(tmp_path, "seed = 1", "psf.preset=nope").startswith('--set psf.preset=nope: there is no preset "nope"')
+    assert refusal(tmp_path, "seed = 1", "psf.preset=smoke_wide").startswith('--set psf.preset=smoke_wide: "smoke_wide" is a')
+    assert refusal(tmp_path, '[psf]\npreset = "nope"').startswith(f"{tmp_path}/mine.toml: psf.preset: there is no preset")
+
+
+def test_without_a_file_a_preset_is_refused_by_its_reason() -> None:
+    with pytest.raises(UserError, match=r"^--set psf\.preset=ideal: a preset is not taken here"):
+        bare("process", {}, registry=REGISTRY, overrides=["psf.preset=ideal"])
+
+
+def test_a_step_that_was_typed_hides_the_options_of_the_files(tmp_path: Path) -> None:
+    path = written(tmp_path, '[onboard.detector]\nuse = "threshold"\nn_sigma = 7.5\n')
+    chosen = {"onboard.detector": "threshold"}
+    own = shown.text(scenario.load(path, registry=REGISTRY))
+    used = shown.text(scenario.load(path, registry=REGISTRY, use=chosen))
+    tuned = shown.text(scenario.load(path, registry=REGISTRY, use=chosen, overrides=["onboard.detector.n_sigma=6"]))
+    texts = (text.partition("[onboard.detector]")[2].splitlines() for text in (own, used, tuned))
+    lines = [next(line for line in text if line.startswith("n_sigma = ")) for text in texts]
+    assert lines[0].startswith("n_sigma = 7.5")
+    assert lines[0].endswith("; from mine.toml")
+    assert lines[1].startswith("n_sigma = 3.5")
+    assert "from" not in lines[1]
+    assert lines[2].startswith("n_sigma = 6.0")
+    assert lines[2].endswith("; from --set")
 
 
 def test_missing_large_and_binary_files_are_refused(tmp_path: Path) -> None:

@@ -259,7 +259,7 @@ def check(
     from sboc_e2e.checks import examine
 
     rows, _, cols = shape.partition("x")
-    if not (rows.isdigit() and cols.isdigit() and min(int(rows), int(cols)) >= 256 and max(int(rows), int(cols)) <= 16384):
+    if not (rows.isdecimal() and cols.isdecimal() and min(int(rows), int(cols)) >= 256 and max(int(rows), int(cols)) <= 16384):
         raise UserError(f'--shape: expected ROWSxCOLS from 256x256 to 16384x16384, such as 4096x4096, got "{shape[:40]}"')
     place, verdicts = examine(path, Registry(), seam, (int(rows), int(cols)))
     typer.echo(f"{path} as {place.name}")

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from sboc_e2e.faults.options import FaultOptions, HeaderFaults, PixelFaults
 from sboc_e2e.faults.random import FaultStream, generator
+from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import AttitudeEstimate, Frame, FrameHeader
 from sboc_e2e.icd.tai import NS_PER_S
 
@@ -56,12 +57,16 @@ def _turned(attitude: AttitudeEstimate, angle_deg: float) -> AttitudeEstimate:
 def _damaged_pixels(frame: Frame, options: PixelFaults) -> NDArray[np.uint16] | NDArray[np.float32]:
     """Pixels after the detector's faults; integer frames stay integer."""
     rows, cols = frame.pixels.shape
+    if options.stuck_column >= cols:
+        raise UserError(
+            f"faults.pixels.stuck_column: expected -1 to {cols - 1} in frames of {rows} x {cols} px, got {options.stuck_column}"
+        )
     image = frame.pixels.astype(np.float32)
     if options.stray_light_adu > 0.0:
         image += (options.stray_light_adu * (1.0 - np.arange(cols) / max(cols - 1, 1))).astype(np.float32)
     if options.dead_quadrant:
         image[rows // 2 :, cols // 2 :] = options.dead_level_adu
-    if 0 <= options.stuck_column < cols:
+    if options.stuck_column >= 0:
         image[:, options.stuck_column] = options.stuck_level_adu
     if frame.pixels.dtype == np.uint16:
         return np.clip(np.rint(image), 0, 65535).astype(np.uint16)

@@ -7,8 +7,12 @@ that a file cannot make the program import or run anything.
 import dataclasses
 import io
 import json
+import lzma
+import struct
 import sys
+import tokenize
 import zipfile
+import zlib
 from collections import deque
 from collections.abc import Mapping
 from enum import Enum
@@ -23,6 +27,12 @@ from sboc_e2e.files.atomic import write_bytes
 from sboc_e2e.icd.errors import PluginError, UserError
 
 _TREE: Final = "tree"
+_DAMAGE: Final = (
+    ValueError, LookupError, TypeError, AttributeError, EOFError, OverflowError, SyntaxError, RuntimeError, MemoryError,
+    zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, struct.error, tokenize.TokenError,
+)  # fmt: skip
+"""What the readers of zip files, arrays and trees raise of damaged bytes. RuntimeError: encrypted, a compression that is not known,
+nested too deeply. OSError: a damaged stream of bzip2. MemoryError: a huge shape. TokenError: the header of an array."""
 
 
 def save(path: Path, value: Any, shared: Mapping[str, Any] = MappingProxyType({})) -> None:
@@ -35,9 +45,10 @@ def save(path: Path, value: Any, shared: Mapping[str, Any] = MappingProxyType({}
 
 def load(path: Path, shared: Mapping[str, Any] = MappingProxyType({})) -> Any:
     """The value of a file. Raises `UserError` when the file is no checkpoint of this program."""
+    data = path.read_bytes()
     try:
-        return from_bytes(path.read_bytes(), shared)
-    except (ValueError, KeyError, TypeError, IndexError, AttributeError, EOFError, zipfile.BadZipFile) as error:
+        return from_bytes(data, shared)
+    except _DAMAGE as error:
         raise UserError(f"{path}: not a checkpoint of this program ({type(error).__name__}); run again with --force") from error
 
 

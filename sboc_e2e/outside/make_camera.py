@@ -19,6 +19,7 @@ from ground.astrometry import lost_in_space
 from sboc_e2e.catalogue import StarCatalogue
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import NominalCamera
+from sboc_e2e.icd.results import LARGEST_COUNT
 from sboc_e2e.outside.camera import PIXELS_TIMES
 from sboc_e2e.outside.fits_frames import images_of, read_frame
 from sboc_e2e.outside.frame_source import SourcedFrame
@@ -121,8 +122,12 @@ def made_camera(
     """A camera of the images in FITS files. bias_adu : in the numbers of the files. search : try all widths of the field where
     nothing tells it (minutes).
 
-    Raises `UserError` for files that cannot be read and for images of different sizes.
+    Raises `UserError` for files that cannot be read, for images of different sizes, and for a width or bias that no camera has.
     """
+    if width_deg is not None and not 0.0 < width_deg < 180.0:
+        raise UserError(f"--width: expected more than 0 and less than 180 deg, got {width_deg:g}")
+    if bias_adu is not None and not abs(bias_adu) <= LARGEST_COUNT:
+        raise UserError(f"--bias: expected -{LARGEST_COUNT:.0f} to {LARGEST_COUNT:.0f} ADU, got {bias_adu:g}")
     given = [place for path in paths for place in _images(path)]
     places = given[:FRAMES_USED]
     units = CameraUnits()

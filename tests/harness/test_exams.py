@@ -92,6 +92,8 @@ def test_the_time_limit_follows_the_frame(capsys: pytest.CaptureFixture[str]) ->
     assert any(v.question.startswith("takes less than 1.31 s for 256 x 512 pixels") for v in verdicts)
     assert run(["check", "onboard.stars.matched:MatchedStars", "--shape", "10x10"]) == 2
     assert "--shape: expected ROWSxCOLS" in capsys.readouterr().err
+    assert run(["check", "onboard.stars.matched:MatchedStars", "--shape", "²²²²x1024"]) == 2
+    assert '--shape: expected ROWSxCOLS from 256x256 to 16384x16384, such as 4096x4096, got "²²²²x' in capsys.readouterr().err
 
 
 def test_no_seam_is_without_a_trial() -> None:

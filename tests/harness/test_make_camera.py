@@ -264,3 +264,16 @@ def test_a_real_pair_tells_one_gain_in_both_halves(shared_data: Path, tmp_path: 
     assert whole.gain_err < 0.05 * whole.gain_e_adu
     assert abs(upper.gain_e_adu - lower.gain_e_adu) < 4.0 * np.hypot(upper.gain_err, lower.gain_err)
     assert math.isnan(whole.read_noise_e)
+
+
+@pytest.mark.parametrize(
+    ("option", "value"),
+    [("width", "nan"), ("width", "0"), ("width", "180"), ("bias", "nan"), ("bias", "inf"), ("bias", "-1e30")],
+)
+def test_a_number_that_no_camera_has_is_refused_by_name(
+    option: str, value: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    out = tmp_path / "camera.toml"
+    assert cli.run(["camera", "make", str(tmp_path / "none.fits"), "--out", str(out), f"--{option}={value}"]) == 2
+    assert f"sboc: --{option}: expected " in capsys.readouterr().err
+    assert not out.exists()

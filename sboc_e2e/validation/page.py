@@ -82,6 +82,12 @@ def _sides(result: Validation) -> Sequence[tuple[Side, str, str]]:
     return tuple(zip((result.simulated, result.real), NAMES, COLOURS, strict=True))
 
 
+def _legend(ax: Any, **style: Any) -> None:
+    """A legend where something is drawn; matplotlib warns of one without an entry."""
+    if ax.get_legend_handles_labels()[1]:
+        ax.legend(**style)
+
+
 def _histogram_plot(result: Validation) -> str:
     with canvas(8.0, 3.2, columns=2) as (figure, axes):
         for ax, everything in zip(axes, (False, True), strict=True):
@@ -108,7 +114,7 @@ def _spectrum_plot(result: Validation) -> str:
             axes[1].plot(f, spectrum.along_cols, "--", color=colour, lw=1.0, label=f"{name}, along columns")
         for ax in axes:
             ax.set(xlabel="cycles per px", ylabel="power / white", ylim=(0, None))
-            ax.legend(fontsize=7)
+            _legend(ax, fontsize=7)
         return svg(figure)
 
 
@@ -120,7 +126,7 @@ def _count_plot(result: Validation) -> str:
                 density = np.arange(1, len(flux) + 1) / (side.picture.image.size * 1e-6)
                 ax.step(flux, density, where="post", color=colour, label=name)
         ax.set(xscale="log", yscale="log", xlabel="flux / noise of a pixel", ylabel="N(> F) per Mpx")
-        ax.legend()
+        _legend(ax)
         return svg(figure)
 
 

@@ -29,6 +29,8 @@ def validate(request: Request, out: Path, registry: Registry) -> Validation:
     """Compare and write validation.json, .html and .png into `out`. Raises `UserError` for anything wrong with the input."""
     if out.exists() and not out.is_dir():
         raise UserError(f"--out {out}: is a file; allowed is a folder, which need not exist")
+    if is_fits(request.simulated):
+        _refuse_options_of_scenarios(request, registry)
     real = from_fits(request.real, request.hdu, StarCatalogue.embedded)
     if is_fits(request.simulated):
         simulated = from_fits(Path(request.simulated), None, StarCatalogue.embedded)
@@ -40,3 +42,11 @@ def validate(request: Request, out: Path, registry: Registry) -> Validation:
     write_text(out / "validation.html", page(result))
     write_bytes(out / "validation.png", picture(result))
     return result
+
+
+def _refuse_options_of_scenarios(request: Request, registry: Registry) -> None:
+    """Refuse what changes a scenario where there is none: it would be ignored."""
+    given = {"--set": request.overrides, "--frame": request.frame, "--plugin": registry.trusted_modules}
+    for option, value in given.items():
+        if value:
+            raise UserError(f"{option}: has no effect on a FITS file; allowed with a scenario as SIM, got {request.simulated}")

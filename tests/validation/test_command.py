@@ -88,6 +88,9 @@ def test_the_page_fits(chromium, compared, width, scheme):
         (["SIM", "--against", "NAN"], "hold a number"),
         (["SIM", "--against", "SMALL"], "allowed are sides"),
         (["smoke", "--against", "REAL", "--frame", "99"], "frame 99"),
+        (["SIM", "--against", "REAL", "--frame", "77"], "--frame: has no effect on a FITS file"),
+        (["SIM", "--against", "REAL", "--set", "nonsense"], "--set: has no effect on a FITS file"),
+        (["SIM", "--against", "REAL", "--plugin", "my_lab"], "--plugin: has no effect on a FITS file"),
     ],
 )
 def test_bad_input_is_one_line(arguments, words, real, tmp_path, capsys):
@@ -111,6 +114,16 @@ def test_bad_input_is_one_line(arguments, words, real, tmp_path, capsys):
     assert text.count("\n") == 1
     assert words in text
     assert not (tmp_path / "out").exists()
+
+
+def test_pictures_without_a_star_have_curves_without_a_legend(tmp_path):
+    """matplotlib warns of a legend without an entry, and warnings are errors here."""
+    rng = np.random.default_rng(4)
+    for name in ("one", "two"):
+        fits.PrimaryHDU(rng.normal(100.0, 5.0, (160, 160)).astype(np.float32)).writeto(tmp_path / f"{name}.fits")
+    arguments = ["validate", str(tmp_path / "one.fits"), "--against", str(tmp_path / "two.fits"), "--out", str(tmp_path / "out")]
+    assert run(arguments) == 0
+    assert (tmp_path / "out" / "validation.html").is_file()
 
 
 def test_out_that_is_a_file(real, capsys):

@@ -32,7 +32,7 @@ _DAMAGE: Final = (
     zipfile.BadZipFile, zlib.error, lzma.LZMAError, OSError, struct.error, tokenize.TokenError,
 )  # fmt: skip
 """What the readers of zip files, arrays and trees raise of damaged bytes. RuntimeError: encrypted, a compression that is
-not known, nested too deeply. OSError: a damaged stream of bzip2. MemoryError: a huge shape. TokenError: the header of an array."""
+not known, nested too deeply. OSError: damaged bzip2. MemoryError: a huge shape. TokenError: the header of an array."""
 
 
 def save(path: Path, value: Any, shared: Mapping[str, Any] = MappingProxyType({})) -> None:

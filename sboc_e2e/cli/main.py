@@ -31,6 +31,9 @@ from sboc_e2e.icd.errors import PluginError, SbocError, UserError
 USAGE_ERROR: Final[Any] = typer.BadParameter.__mro__[2]
 """Base of everything that the command-line parser complains about; its public name differs between versions of typer."""
 
+INTERRUPTED: Final = 130
+"""What the parser returns in place of a KeyboardInterrupt, without a word; no command has this exit code."""
+
 MENDABLE: Final = {
     errno.ENOSPC: "free space and start again; a run goes on with --resume",
     errno.EDQUOT: "free space and start again; a run goes on with --resume",
@@ -56,6 +59,8 @@ def run(arguments: list[str]) -> int:
     """Run a command; returns its exit code."""
     try:
         result = app(args=arguments, prog_name="sboc", standalone_mode=False)
+        if result == INTERRUPTED:
+            raise KeyboardInterrupt
         return result if isinstance(result, int) else DONE
     except typer.Exit as leave:
         return leave.exit_code

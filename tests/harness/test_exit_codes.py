@@ -84,3 +84,14 @@ def test_an_out_of_the_wrong_kind_is_one_line(
     assert f"sboc: {words}" in capsys.readouterr().err
     assert (tmp_path / "FILE").read_text() == "a file"
     assert not list((tmp_path / "FOLDER").iterdir())
+
+
+def test_an_interrupted_command_says_so(monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]) -> None:
+    """The parser turns the exception of Ctrl-C into a code of its own, 130, without a word."""
+
+    def interrupted(*_: object, **__: object) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("sboc_e2e.scenario.available", interrupted)
+    assert cli.run(["scenarios"]) == 2
+    assert capsys.readouterr().err == "sboc: interrupted; --resume goes on after the last complete frame\n"

@@ -16,6 +16,7 @@ from ground.upkeep.division import LEAST_OF_ONE, SETTLED_TRACKLETS
 from ground.upkeep.joins import Provisional, join_of
 from ground.upkeep.sightings import KnownOrbit
 from ground.upkeep.view import UpkeepOptions, View, directions_of, known_orbit
+from sboc_e2e.icd.errors import UserError
 
 Array = NDArray[np.float64]
 Made = tuple[tuple[int, ...], Cluster]
@@ -109,25 +110,35 @@ def _provisional(
     return out
 
 
-def merges_of(made: Sequence[Made], current: Mapping[int, StoredOrbit], options: UpkeepOptions) -> dict[int, int]:
-    """Of new clusters (by place) those whose orbit is a known object's, whose tracklets were too far off to be correlated."""
-    out = {}
+def merges_of(
+    made: Sequence[Made], current: Mapping[int, StoredOrbit], options: UpkeepOptions
+) -> tuple[dict[int, int], dict[int, str]]:
+    """Of new clusters (by place) those whose orbit is a known object's, whose tracklets were too far off to be correlated.
+
+    Also known objects whose orbits cannot be propagated to a new one that lies near their plane, with the reason.
+    """
+    out: dict[int, int] = {}
+    not_carried: dict[int, str] = {}
     for place, (_, cluster) in enumerate(made):
         s = cluster.solution
         for object_id, orbit in current.items():
             if not _near_plane(orbit.state, s.state):
                 continue
-            arc = propagate(
-                orbit.state, orbit.epoch_tai_ns, np.array([s.t0_tai_ns], dtype=np.int64),
-                forces_of(orbit, options.association.gravity_degree), partials=True,
-            )  # fmt: skip
+            try:
+                arc = propagate(
+                    orbit.state, orbit.epoch_tai_ns, np.array([s.t0_tai_ns], dtype=np.int64),
+                    forces_of(orbit, options.association.gravity_degree), partials=True,
+                )  # fmt: skip
+            except UserError as error:
+                not_carried[object_id] = str(error)
+                continue
             total = arc.partials[0] @ orbit.state_covariance @ arc.partials[0].T + s.covariance[:6, :6]
             scale = np.sqrt(np.diag(total))
             left = (arc.states[0] - s.state) / scale
             if float(left @ np.linalg.solve(total / np.outer(scale, scale), left)) < options.merge_chi2:
                 out[place] = object_id
                 break
-    return out
+    return out, not_carried
 
 
 def _near_plane(one: Array, other: Array) -> bool:

@@ -9,12 +9,17 @@ from ground.upkeep.new_objects import Made, associated, joined, merges_of
 from ground.upkeep.review import review
 from ground.upkeep.view import MADE_BY, UpkeepOptions, View, position_error_km
 from sboc_e2e.icd import tai
+from sboc_e2e.icd.errors import UserError
 
 
 @dataclass(frozen=True, kw_only=True)
 class NightReport:
     """Numbers of a night: tracklets correlated, ambiguous, left; objects renewed, refused (their new tracklets fit no one orbit),
-    made, merged, split off; tracklets released from objects; objects found again, lost, retired."""
+    made, merged, split off; tracklets released from objects; objects found again, lost, retired.
+
+    not_carried : a line for each object whose orbit cannot be propagated to the night, with its name and the reason. An active
+    one is lost; no new object is held against it.
+    """
 
     correlated: int = 0
     ambiguous: int = 0
@@ -28,6 +33,7 @@ class NightReport:
     reacquired: int = 0
     lost: int = 0
     retired: int = 0
+    not_carried: tuple[str, ...] = ()
 
 
 def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = None) -> NightReport:
@@ -57,21 +63,25 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
     placed = {t for members, _ in made for t in members} | {t for one in renewed for t in one.accepted}
     current = {k: one.orbit for k, one in night.known.items() if k not in absorbed}
     current |= {one.object_id: one.orbit for one in renewed}
-    merges = merges_of(made, current, view.options)
+    merges, not_carried = merges_of(made, current, view.options)
     met = [*(one.object_id for one in renewed), *sorted(set(merges.values()))]
-    lost, retired = _faded(view, current, set(met), night.status)
+    lost, retired, too_far = _faded(view, current, set(met), night.status)
+    not_carried |= too_far
     found_again = [k for k in met if night.status[k] == "lost"]
     with store.transaction() as writer:
         _write(view, writer, renewed, [d for d in known.doubtful if d[:2] not in in_doubt], made, merges)
+        beyond = f"position error beyond {view.options.lost_km:g} km"
         for numbers, name, why in (
             (found_again, "active", "re-acquired: tracklets met its prediction or its orbit"),
-            (lost, "lost", f"position error beyond {view.options.lost_km:g} km"),
+            (lost, "lost", beyond),
             (retired, "retired", f"no tracklet for {view.options.retired_days:g} days"),
         ):
             for number in numbers:
-                writer.set_status(number, name, by=MADE_BY, at_tai_ns=now_tai_ns, why=why)
+                reason = too_far.get(number, why) if name == "lost" else why
+                writer.set_status(number, name, by=MADE_BY, at_tai_ns=now_tai_ns, why=reason)
     if merges or absorbed:
         reviews.append(review(view, store.unproven_merges(), "merged before"))
+    names = {row["object_id"]: row["name"] for row in store.objects()} if not_carried else {}
     return NightReport(
         correlated=sum(len(one.accepted) for one in renewed),
         ambiguous=len({t for t, _, _ in known.doubtful}),
@@ -85,23 +95,35 @@ def update(store: ObjectStore, now_tai_ns: int, options: UpkeepOptions | None = 
         reacquired=len(found_again),
         lost=len(lost),
         retired=len(retired),
+        not_carried=tuple(f"{names[number]}: {reason}" for number, reason in sorted(not_carried.items())),
     )
 
 
 def _faded(
     view: View, current: Mapping[int, StoredOrbit], met: set[int], status: Mapping[int, str]
-) -> tuple[list[int], list[int]]:
-    """Objects to be called lost and to be retired."""
-    lost, retired = [], []
+) -> tuple[list[int], list[int], dict[int, str]]:
+    """Objects to be called lost, to be retired, and why the orbits of some of the lost ones cannot be propagated to the night.
+
+    An object that becomes lost may be retired at once. An orbit of this very night stands, so that the same night again calls
+    nothing lost.
+    """
+    lost, retired, too_far = [], [], {}
     for object_id, orbit in sorted(current.items()):
-        days = (view.now_tai_ns - orbit.epoch_tai_ns) / tai.NS_PER_DAY
-        if object_id in met:
+        if object_id in met or orbit.made_tai_ns == view.now_tai_ns:
             continue
-        if status[object_id] == "lost" and days > view.options.retired_days:
+        is_lost = status[object_id] == "lost"
+        if status[object_id] == "active":
+            try:
+                is_lost = position_error_km(orbit, view.now_tai_ns) > view.options.lost_km
+            except UserError as error:
+                # nobody can say where it is
+                is_lost, too_far[object_id] = True, str(error)
+            if is_lost:
+                lost.append(object_id)
+        days = (view.now_tai_ns - orbit.epoch_tai_ns) / tai.NS_PER_DAY
+        if is_lost and days > view.options.retired_days:
             retired.append(object_id)
-        elif status[object_id] == "active" and position_error_km(orbit, view.now_tai_ns) > view.options.lost_km:
-            lost.append(object_id)
-    return lost, retired
+    return lost, retired, too_far
 
 
 def _write(

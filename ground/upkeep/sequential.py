@@ -11,6 +11,7 @@ from scipy.stats import chi2
 from ground.determination.propagation import propagate
 from ground.store.store import StoredOrbit
 from ground.upkeep.sightings import KnownOrbit, Sighting
+from sboc_e2e.icd.errors import UserError
 
 Array = NDArray[np.float64]
 
@@ -70,7 +71,11 @@ def _is_linear(known: KnownOrbit, last: Sighting, step: Array, covariance: Array
         return True
     forces = known.forces.with_values(tuple(parameters), list(parameters.values()))
     at = np.array([last.t_tai_ns], dtype=np.int64)
-    there = propagate(known.orbit.state + first[:6], known.orbit.epoch_tai_ns, at, forces).states[0]
+    try:
+        there = propagate(known.orbit.state + first[:6], known.orbit.epoch_tai_ns, at, forces).states[0]
+    except UserError:
+        # the moved orbit meets the Earth: the batch fit of all tracklets decides
+        return False
     scale = np.sqrt(np.diag(covariance)[:6])
     off = (there - last.state - step[:6]) / scale
     return bool(off @ np.linalg.solve(covariance[:6, :6] / np.outer(scale, scale), off) <= MOST_CURVED**2)

@@ -106,7 +106,7 @@ def uid_of(segment: TdmSegment, sensor: str) -> str:
 
 
 def bring_up(url: str, at_utc: str, window_days: float, workers: int) -> str:
-    """A night's update; what it did, in a line."""
+    """A night's update; what it did, in a line, and a line for each object whose orbit cannot be propagated to the night."""
     if "://" not in url and not Path(url).is_file():
         raise UserError(f"{url}: no such store")
     if not 0.0 < window_days <= 30.0:
@@ -114,4 +114,7 @@ def bring_up(url: str, at_utc: str, window_days: float, workers: int) -> str:
     store = ObjectStore(url)
     report = update(store, epoch_of(at_utc), UpkeepOptions(window_days=window_days, workers=workers))
     store.close()
-    return ", ".join(f"{name} {number}" for name, number in asdict(report).items())
+    numbers = asdict(report)
+    not_carried = numbers.pop("not_carried")
+    first = ", ".join(f"{name} {number}" for name, number in numbers.items())
+    return "\n".join([first, *(f"cannot be propagated: {line}" for line in not_carried)])

@@ -8,7 +8,7 @@ import pytest
 
 from ground.products.epochs import utc_text
 from ground.sky.sphere import spherical_deg
-from ground.store.store import ObjectStore, StoredTracklet
+from ground.store.store import ObjectStore, StoredOrbit, StoredTracklet
 from ground.upkeep.night import update
 from ground.upkeep.view import UpkeepOptions, directions_of, position_error_km
 from sboc_e2e.cli.main import run
@@ -90,6 +90,54 @@ def test_what_is_not_seen_is_lost_retired_and_found_again(one: Survey, tmp_path:
     assert update(store, start + 40 * DAY_NS, strict).lost == 4
     assert update(store, start + 100 * DAY_NS, strict).retired == 4
     assert [d["kind"] for d in store.decisions()] == ["status"] * 16
+
+
+def test_what_is_lost_and_long_unseen_is_retired_in_the_same_night(one: Survey, tmp_path: Path) -> None:
+    store = ObjectStore(str(tmp_path / "store.db"))
+    start = one.sky.t0_tai_ns
+    put(store, one, 0.0, 2.0)
+    # orbits of this night stand, however wide: the same night again calls none of them lost
+    strict = UpkeepOptions(lost_km=1e-3)
+    assert (update(store, start + 2 * DAY_NS, strict).made, update(store, start + 2 * DAY_NS, strict).lost) == (4, 0)
+    late = update(store, start + 100 * DAY_NS, strict)
+    assert (late.lost, late.retired) == (4, 4)
+    before = store.counts()
+    update(store, start + 100 * DAY_NS, strict)
+    assert store.counts() == before
+
+
+def unreachable(one: Survey, object_id: int, days_before: float) -> StoredOrbit:
+    """An orbit in the plane of owner 0, of an epoch that is further from the night than propagation goes."""
+    epoch = one.sky.t0_tai_ns - round(days_before * DAY_NS)
+    return StoredOrbit(
+        object_id=object_id, epoch_tai_ns=epoch, state=one.truth[0, 0], covariance=np.diag([1e-2] * 3 + [1e-10] * 3),
+        made_tai_ns=epoch, made_by="t", chi2_nu=1.0,
+    )  # fmt: skip
+
+
+def test_an_orbit_that_cannot_be_propagated_stops_no_night(
+    one: Survey, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "store.db"
+    store = ObjectStore(str(path))
+    start = one.sky.t0_tai_ns
+    put(store, one, 0.0, 2.0)
+    with store.transaction() as writer:
+        numbers = writer.add_objects(["ANCIENT", "OLD"], start)
+        writer.add_orbits([unreachable(one, number, 500.0) for number in numbers])
+        writer.set_status(numbers[1], "lost", by="t", at_tai_ns=start, why="not seen")
+    store.close()
+    assert run(["objects", "update", "--store", str(path), "--at", utc_text(np.array([start + 2 * DAY_NS]))[0]]) == 0
+    first, *rest = capsys.readouterr().out.splitlines()
+    assert "made 4" in first
+    assert "lost 1, retired 2" in first
+    # one is called lost; a new object near the plane of both was held against neither
+    reason = "propagation: over more than 400 days from the epoch of the state"
+    assert rest == [f"cannot be propagated: {name}: {reason}" for name in ("ANCIENT", "OLD")]
+    store = ObjectStore(str(path))
+    assert [d["detail"]["why"] for d in store.decisions() if d["detail"]["status"] == "lost"] == ["not seen", reason]
+    assert [row["status"] for row in store.objects()][:2] == ["retired", "retired"]
+    store.close()
 
 
 def test_tracklets_of_the_store_are_the_same_measurements(one: Survey) -> None:

@@ -91,6 +91,16 @@ def test_a_step_in_velocity_that_bends_the_way_is_left_to_the_batch_fit(one: Sur
     assert (sequential.renewed(wide, seen, "test", 0) is not None) == linear
 
 
+def test_a_step_that_cannot_be_followed_is_not_linear(one: Survey) -> None:
+    """Over more days than propagation goes; a step onto a way that meets the Earth ends alike, after a minute's work."""
+    data = of_owner(one, 0)
+    known = known_of(fitted(one, 0, data[:2]))
+    (seen,) = sightings({6: data[2]}, [known])
+    far = replace(seen, t_tai_ns=known.orbit.epoch_tai_ns + 401 * 86_400 * 10**9)
+    step = seen.numbers @ np.concatenate([np.zeros(3), -0.1 * known.orbit.state[3:], [0.0]])
+    assert not sequential._is_linear(known, far, step, known.covariance, known.orbit.parameters)
+
+
 def test_only_tracklets_near_its_way_are_an_orbits(one: Survey) -> None:
     """Alone and by several workers; with tracklets before and after the orbit's epoch."""
     cut = [fitted(one, owner, of_owner(one, owner)[:2]) for owner in range(3)]

@@ -1,7 +1,7 @@
 """Robust, damped least squares for any model that gives whitened residuals and their partial derivatives."""
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -56,6 +56,9 @@ def adjusted(
     best = _Point(np.inf, x, np.empty(0), np.empty((0, 0)), np.empty(0))
     damping, converged, steps, idle = 0.0, False, 0, 0
     for steps in range(1, _MOST_STEPS + 1):
+        if steps == _FAR_STEPS + 1:
+            # costs before and after are of different weights
+            best = _near(best, prior, fixed, huber_sigma, reject_sigma)
         try:
             value, slope = linear(x)
             weights, cost = _weights(value, huber_sigma, reject_sigma, near=steps > _FAR_STEPS)
@@ -64,7 +67,7 @@ def adjusted(
             if not np.isfinite(best.cost):
                 raise
             cost = np.inf
-        if cost > best.cost * (1.0 + _ROUNDING) and steps != _FAR_STEPS + 1:
+        if cost > best.cost * (1.0 + _ROUNDING):
             if damping >= _NO_STEP and _promise(best, prior, fixed) < cost - best.cost < np.inf:
                 # no step lowers the cost by as much as the model's own noise moves it
                 converged = True
@@ -107,6 +110,12 @@ class _Point:
     value: Array
     slope: Array
     weights: Array
+
+
+def _near(point: _Point, prior: Array, fixed: Array, huber_sigma: float, reject_sigma: float) -> _Point:
+    """A point with the weights of a start that is near."""
+    weights, cost = _weights(point.value, huber_sigma, reject_sigma, near=True)
+    return replace(point, weights=weights, cost=cost + float(prior @ (point.x - fixed) ** 2))
 
 
 def _weights(value: Array, huber_sigma: float, reject_sigma: float, *, near: bool) -> tuple[Array, float]:

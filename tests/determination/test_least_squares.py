@@ -84,3 +84,27 @@ def test_a_model_with_noise_of_its_own_settles_where_no_step_can_be_told_from_it
     assert all(one.converged for one in found)
     # the model's noise is 0.3 of a measurement's
     assert all((np.abs(one.unknowns - TRUTH) < 1.5 * np.sqrt(np.diag(one.covariance))).all() for one in found)
+
+
+@pytest.mark.parametrize("scale", [1.0, 2.0, 4.0])
+def test_steps_into_where_there_is_no_model_are_damped(scale: float) -> None:
+    """Newton's steps overshoot the zero of an arctangent; the first one ends where the model fails, as an orbit does that meets
+    the Earth."""
+    zero, sigma, free = 0.55, 0.01, np.array([np.inf])
+    failed_first = 0
+    for start in np.linspace(0.6, 3.0, 25):
+        for edge in np.linspace(0.0, 0.54, 10):
+            calls: list[float] = []
+
+            def model(x: np.ndarray, edge: float = edge, calls: list[float] = calls) -> tuple[np.ndarray, np.ndarray]:
+                calls.append(float(x[0]))
+                if x[0] < edge:
+                    raise UserError("no model")
+                away = scale * (x[0] - zero)
+                return np.full(20, np.arctan(away) / sigma), np.full((20, 1), scale / (1.0 + away**2) / sigma)
+
+            found = adjusted(model, np.array([start]), free, huber_sigma=3.0, reject_sigma=1e6)
+            assert found.converged
+            assert found.unknowns[0] == pytest.approx(zero, abs=0.1 * sigma / scale / np.sqrt(20.0))
+            failed_first += len(calls) > 1 and calls[1] < edge
+    assert failed_first > 100

@@ -26,6 +26,8 @@ _TABLES: Final = 16
 """Tables of Sun, Moon and the Earth's rotation kept at a time, 0.15 MB for each day that they cover."""
 _LONGEST_TABLE_DAYS: Final = 40.0
 """Longer spans are rare, and each makes a table of its own, which is not kept."""
+_GAUSS_2: Final = 3.0**-0.5
+"""Nodes of Gauss's rule of two, as a share of half the piece from its middle."""
 _SHORTEST_PIECE_NS: Final = 3600 * tai.NS_PER_S
 """Tables begin and end at multiples of an hour or more. Chosen: half an hour at each end costs a tenth of a millisecond."""
 
@@ -102,6 +104,38 @@ class Flight:
                 moved, _ = _read(other, t_tai_ns[chosen], False)
                 partials[chosen, :, column] = (moved - states[chosen]) / step_of(name)
         return Arc(t_tai_ns=t_tai_ns, states=states, partials=partials)
+
+    def noise(self, t_tai_ns: NDArray[np.int64], push_km2_s3: float, piece_ns: int) -> Array:
+        """Covariances (n, 6, 6) that white accelerations between the state's epoch and epochs (n,) within the span add there.
+
+        push_km2_s3 : power density along each axis. With transition matrices Phi from the state's epoch and G the columns of
+        velocity, Q(t) is the integral of Phi(t) Phi(s)^-1 G q G^T Phi(s)^-T Phi(t)^T over s (Tapley, Schutz & Born 2004, section
+        4.9). It is summed by Gauss's rule of two nodes over pieces of at most piece_ns, which is exact for free motion.
+        """
+        out = np.zeros((len(t_tai_ns), 6, 6))
+        for ahead in (True, False):
+            chosen = t_tai_ns > self._t0_tai_ns if ahead else t_tai_ns < self._t0_tai_ns
+            if not chosen.any():
+                continue
+            away_ns, place = np.unique(np.abs(t_tai_ns[chosen] - self._t0_tai_ns), return_inverse=True)
+            edges, ends = _edges(away_ns, piece_ns)
+            half, middle = 0.5 * np.diff(edges), 0.5 * (edges[1:] + edges[:-1])
+            nodes = (middle + _GAUSS_2 * half * np.array([[-1.0], [1.0]])).round().astype(np.int64)
+            at_nodes = self.at(self._t0_tai_ns + (nodes if ahead else -nodes).reshape(-1)).partials[:, :, :6]
+            back = np.linalg.inv(at_nodes)[:, :, 3:]
+            each = (back @ back.transpose(0, 2, 1)).reshape(2, -1, 6, 6).sum(axis=0)
+            total = np.cumsum(push_km2_s3 * 1e-9 * half[:, None, None] * each, axis=0)[ends]
+            there = self.at(t_tai_ns[chosen]).partials[:, :, :6]
+            out[chosen] = there @ total[place] @ there.transpose(0, 2, 1)
+        return out
+
+
+def _edges(ends_ns: NDArray[np.int64], piece_ns: int) -> tuple[Array, NDArray[np.intp]]:
+    """Edges of pieces from zero through each of some rising ends, and by place the piece that ends there."""
+    spans = list(pairwise([0, *ends_ns.tolist()]))
+    counts = [-(-(last - first) // piece_ns) for first, last in spans]
+    inner = [np.linspace(first, last, n + 1)[1:] for (first, last), n in zip(spans, counts, strict=True)]
+    return np.concatenate([[0.0], *inner]), np.cumsum(counts) - 1
 
 
 def propagate(
@@ -228,19 +262,3 @@ def _read(run: Any, t_tai_ns: NDArray[np.int64], partials: bool) -> tuple[Array,
     if not np.isfinite(states).all():
         raise UserError("propagation failed: the orbit meets the Earth")
     return states, transition
-
-
-def grown(covariance: Array, transition: Array, dt_s: float, push_km2_s3: float) -> Array:
-    """Covariance (6, 6) carried by a transition matrix, plus white accelerations of a power density along each axis.
-
-    push_km2_s3 : what the forces leave out, km^2/s^3. The noise is integrated as for free motion over the step.
-    """
-    noise = np.zeros((6, 6))
-    one = np.eye(3)
-    noise[:3, :3], noise[:3, 3:], noise[3:, :3], noise[3:, 3:] = (
-        dt_s**3 / 3 * one,
-        dt_s**2 / 2 * one,
-        dt_s**2 / 2 * one,
-        dt_s * one,
-    )
-    return np.asarray(transition @ covariance @ transition.T + push_km2_s3 * noise)

@@ -23,7 +23,7 @@ from ground.determination.precise import (
     read_sp3,
     uncompressed,
 )
-from ground.determination.propagation import grown, itrs_to_gcrs, propagate
+from ground.determination.propagation import itrs_to_gcrs, propagate
 from ground.orbit.dynamics import MU_KM3_S2
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
@@ -313,16 +313,6 @@ def test_what_is_considered_widens_the_covariance() -> None:
     assert ratio.max() > 1.5
     assert estimated.covariance.shape == (7, 7)
     assert estimated.forces.radiation == pytest.approx(0.02, abs=4.0 * np.sqrt(estimated.covariance[6, 6]))
-
-
-def test_white_accelerations_grow_a_covariance_as_their_integral() -> None:
-    free = np.eye(6)
-    free[:3, 3:] = 100.0 * np.eye(3)
-    once = grown(np.zeros((6, 6)), free, 100.0, 1e-12)
-    half = free.copy()
-    half[:3, 3:] = 50.0 * np.eye(3)
-    twice = grown(grown(np.zeros((6, 6)), half, 50.0, 1e-12), half, 50.0, 1e-12)
-    np.testing.assert_allclose(once, twice, rtol=1e-12)
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,11 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy.integrate import solve_ivp
 
 from ground.determination.forces import ForceModel
-from ground.determination.propagation import _settings_with_table, instant, propagate
+from ground.determination.propagation import Flight, _settings_with_table, instant, propagate
+from ground.orbit.dynamics import MU_KM3_S2
 from sboc_e2e.icd import tai
 from tests.association.list_simulator import kepler
 
@@ -54,3 +56,62 @@ def test_results_do_not_depend_on_what_was_propagated_before() -> None:
     again = propagate(ORBITS["navigation"], T0, t, FORCES, partials=True)
     assert (again.states == first.states).all()
     assert (again.partials == first.partials).all()
+
+
+def integrated_noise(state: np.ndarray, days: float, push_km2_s3: float) -> tuple[np.ndarray, np.ndarray]:
+    """Two-body state (6,) and covariance (6, 6) of white accelerations by dP/dt = F P + P F^T + q G G^T."""
+
+    def change(_: float, y: np.ndarray) -> np.ndarray:
+        r, v, p = y[:3], y[3:6], y[6:].reshape(6, 6)
+        size = np.linalg.norm(r)
+        f = np.zeros((6, 6))
+        f[:3, 3:], f[3:, :3] = np.eye(3), MU_KM3_S2 * (3.0 * np.outer(r, r) / size**5 - np.eye(3) / size**3)
+        grows = f @ p + p @ f.T
+        grows[3:, 3:] += push_km2_s3 * np.eye(3)
+        return np.concatenate([v, -MU_KM3_S2 * r / size**3, grows.reshape(-1)])
+
+    # backwards the noise adds too: the same motion with velocity and time reversed
+    sign = np.where(np.arange(6) < 3, 1.0, math.copysign(1.0, days))
+    start = np.concatenate([sign * state, np.zeros(36)])
+    found = solve_ivp(change, (0.0, 86_400.0 * abs(days)), start, method="DOP853", rtol=1e-10, atol=1e-18)
+    return sign * found.y[:6, -1], np.outer(sign, sign) * found.y[6:, -1].reshape(6, 6)
+
+
+def radial_along_across_m(state: np.ndarray, covariance: np.ndarray) -> np.ndarray:
+    """One sigma along radius, way and normal (3,), m."""
+    radial, normal = state[:3] / np.linalg.norm(state[:3]), np.cross(state[:3], state[3:])
+    normal = normal / np.linalg.norm(normal)
+    axes = np.array([radial, np.cross(normal, radial), normal])
+    return 1e3 * np.sqrt(np.diag(axes @ covariance[:3, :3] @ axes.T))
+
+
+PLAIN = ForceModel(gravity_degree=2, tides=False, relativity=False)
+
+
+@pytest.mark.parametrize("name", ["navigation", "geostationary"])
+@pytest.mark.parametrize("days", [0.01, 1.0, 10.0, -3.0])
+def test_noise_of_left_out_forces_is_its_integral(name: str, days: float) -> None:
+    """Sun, Moon and the flattened Earth change the way that noise grows by less than two per cent in ten days."""
+    state, push = ORBITS[name], 1e-18
+    t = T0 + np.round(np.array([0.3, 1.0]) * days * tai.NS_PER_DAY).astype(np.int64)
+    flight = Flight(state, T0, int(t.min()), int(t.max()), PLAIN)
+    noise, states = flight.noise(t, push, 3 * 3600 * tai.NS_PER_S), flight.at(t).states
+    for k, part in enumerate((0.3, 1.0)):
+        expected = radial_along_across_m(*integrated_noise(state, part * days, push))
+        assert radial_along_across_m(states[k], noise[k]) == pytest.approx(expected, rel=0.02)
+    # an epoch asked for alone has the same noise
+    alone = flight.noise(t[1:], push, 3 * 3600 * tai.NS_PER_S)[0]
+    assert np.diag(alone) == pytest.approx(np.diag(noise[1]), rel=1e-3)
+    assert not flight.noise(np.array([T0]), push, tai.NS_PER_S).any()
+
+
+def test_noise_of_ten_geostationary_days_lies_along_the_way() -> None:
+    """Clohessy and Wiltshire's equations with impulses: along the way three times free motion, and no growth elsewhere."""
+    state, push, span_s = ORBITS["geostationary"], 1e-18, 864_000.0
+    t = np.array([T0 + 10 * tai.NS_PER_DAY])
+    flight = Flight(state, T0, T0, int(t[0]), PLAIN)
+    rate = math.sqrt(MU_KM3_S2 / 42_164.0**3)
+    # variances of a whole number of turns: radial 13/2 q T / n^2, along 3 q T^3 + 38 q T / n^2, across q T / (2 n^2)
+    closed = np.sqrt(push * span_s * np.array([6.5 / rate**2, 3.0 * span_s**2 + 38.0 / rate**2, 0.5 / rate**2]))
+    found = radial_along_across_m(flight.at(t).states[0], flight.noise(t, push, 3 * 3600 * tai.NS_PER_S)[0])
+    assert found == pytest.approx(1e3 * closed, rel=0.02)

@@ -89,6 +89,11 @@ ASSOCIATIONS: Final = Table(
     Index("associations_by_tracklet", "tracklet_id"),
     Index("associations_by_object", "object_id"),
 )
+ONE_OBJECT: Final = Index(
+    "associations_accepted_once", ASSOCIATIONS.c.tracklet_id, unique=True,
+    sqlite_where=ASSOCIATIONS.c.state == "accepted", postgresql_where=ASSOCIATIONS.c.state == "accepted",
+)  # fmt: skip
+"""A tracklet is accepted as one object's at a time."""
 
 DECISIONS: Final = Table(
     "decisions",
@@ -147,17 +152,40 @@ def _uids_of_directions(connection: Connection) -> None:
             )
 
 
-STEPS: Final[tuple[Callable[[Connection], None], ...]] = (_first, _magnitudes_and_merges, _uids_of_directions)
+def _accepted_once(connection: Connection) -> None:
+    """Version 3 let two updates at a time accept a tracklet twice: the first decision stands, later ones are rejected."""
+    a = ASSOCIATIONS.c
+    rows = connection.execute(
+        select(a.association_id, a.tracklet_id).where(a.state == "accepted").order_by(a.association_id)
+    ).all()
+    first: dict[int, int] = {}
+    for number, tracklet in rows:
+        first.setdefault(tracklet, number)
+    later = [{"number": number} for number, tracklet in rows if first[tracklet] != number]
+    if later:
+        connection.execute(update(ASSOCIATIONS).where(a.association_id == bindparam("number")).values(state="rejected"), later)
+    ONE_OBJECT.create(connection, checkfirst=True)
+
+
+STEPS: Final[tuple[Callable[[Connection], None], ...]] = (
+    _first, _magnitudes_and_merges, _uids_of_directions, _accepted_once,
+)  # fmt: skip
 """Step k makes version k + 1 of version k; each runs in the transaction that records it."""
 
 
-def upgrade(connection: Connection) -> int:
-    """Bring a store to today's version; the version that it had. UserError for a store of a later program."""
+def version_of(connection: Connection) -> int:
+    """The version of a store, 0 of an empty one. UserError for a store of a later program."""
     known = inspect(connection).has_table("store_version")
     had = int(connection.execute(select(VERSION.c.version)).scalar() or 0) if known else 0
     if had > len(STEPS):
         raise UserError(f"store: version {had} is of a later program; this one knows {len(STEPS)}")
-    if not known:
+    return had
+
+
+def upgrade(connection: Connection) -> int:
+    """Bring a store to today's version; the version that it had. UserError for a store of a later program."""
+    had = version_of(connection)
+    if not inspect(connection).has_table("store_version"):
         VERSION.create(connection)
         connection.execute(VERSION.insert().values(version=0))
     for step in STEPS[had:]:

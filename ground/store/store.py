@@ -5,26 +5,31 @@ import math
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy import Connection, Engine, and_, create_engine, event, exists, func, insert, select, update
 from sqlalchemy.engine import make_url
-from sqlalchemy.exc import ArgumentError, DBAPIError, IntegrityError, NoSuchModuleError
+from sqlalchemy.exc import ArgumentError, DBAPIError, NoSuchModuleError
 
 from ground.store import schema
 from sboc_e2e.icd import validate
 from sboc_e2e.icd.errors import UserError
 
 Array = NDArray[np.float64]
+_T = TypeVar("_T")
 
 COLUMNS: Final = ("x", "y", "z", "sigma_along", "sigma_cross", "motion_angle", "observer_x", "observer_y", "observer_z")
 """Of a row of a tracklet: direction (GCRS), one sigma along and across the motion and its position angle (rad), observer (km)."""
 STATUS: Final = ("active", "lost", "retired", "merged")
 STATES: Final = ("accepted", "ambiguous", "rejected")
+_LONGEST_NAME: Final = 64
+"""Characters of an object's name, as the table has it."""
 _CHUNK: Final = 400
 """Values of an IN clause: SQLite allows 999."""
+_WRITES: Final = {"sboc_writes": True}
+"""Option of connections that change the store: readers never wait for the lock."""
 _BUSY_S: Final = 60  # how long a writer waits for another before the user is told. Chosen, not measured
 
 
@@ -109,11 +114,22 @@ class ObjectStore:
 
     def __init__(self, url: str) -> None:
         self.engine = _engine(url)
+        self._name = _shown(url)
+        with self._told():
+            with self.engine.connect() as connection:
+                self.had_version = schema.version_of(connection)
+            if self.had_version < len(schema.STEPS):
+                with self.engine.connect().execution_options(**_WRITES) as connection, connection.begin():
+                    self.had_version = schema.upgrade(connection)
+
+    @contextmanager
+    def _told(self) -> Iterator[None]:
+        """A database's complaint (locked, damaged, no connection, a name that is taken) as a UserError with the store's name."""
         try:
-            with self.engine.begin() as connection:
-                self.had_version = schema.upgrade(connection)
+            yield
         except DBAPIError as error:
-            raise UserError(f"store {_shown(url)}: {str(error.orig).splitlines()[0][:160]}") from error
+            reason = (str(error.orig).splitlines() or [type(error.orig).__name__])[0]
+            raise UserError(f"store {self._name}: {reason[:160]}") from error
 
     def close(self) -> None:
         """Give connections back."""
@@ -121,17 +137,14 @@ class ObjectStore:
 
     @contextmanager
     def transaction(self) -> Iterator["Writer"]:
-        """Changes that become visible together, at the end, or not at all."""
-        try:
-            with self.engine.begin() as connection:
-                yield Writer(connection)
-        except IntegrityError as error:
-            raise UserError(f"store: {str(error.orig).splitlines()[0][:160]}") from error
+        """Changes that become visible together, at the end, or not at all. UserError for what the database refuses."""
+        with self._told(), self.engine.connect().execution_options(**_WRITES) as connection, connection.begin():
+            yield Writer(connection)
 
     def counts(self) -> dict[str, int]:
         """How many rows each table has."""
         tables = (schema.OBJECTS, schema.TRACKLETS, schema.ORBITS, schema.ASSOCIATIONS, schema.DECISIONS)
-        with self.engine.connect() as connection:
+        with self._told(), self.engine.connect() as connection:
             return {t.name: int(connection.execute(select(func.count()).select_from(t)).scalar_one()) for t in tables}
 
     def objects(self, status: str | None = None) -> list[dict[str, Any]]:
@@ -196,7 +209,8 @@ class ObjectStore:
     def with_few_tracklets(self, fewer_than: int) -> set[int]:
         """Numbers of objects with some accepted tracklets, but fewer than a number."""
         a = schema.ASSOCIATIONS
-        query = select(a.c.object_id).where(a.c.state == "accepted").group_by(a.c.object_id).having(func.count() < fewer_than)
+        few = func.count(a.c.tracklet_id.distinct()) < fewer_than
+        query = select(a.c.object_id).where(a.c.state == "accepted").group_by(a.c.object_id).having(few)
         return {int(row["object_id"]) for row in self._rows(query)}
 
     def unproven_merges(self) -> list[int]:
@@ -214,7 +228,7 @@ class ObjectStore:
         return sorted(k for k, unproven in found.items() if unproven)
 
     def _rows(self, query: Any) -> list[dict[str, Any]]:
-        with self.engine.connect() as connection:
+        with self._told(), self.engine.connect() as connection:
             return [dict(row) for row in connection.execute(query).mappings()]
 
 
@@ -268,6 +282,25 @@ class Writer:
             found.update((str(name), int(number)) for name, number in self._connection.execute(query))
         return [found[n] for n in names]
 
+    def free_names(self, names: Sequence[str]) -> list[str]:
+        """Names for new objects, in their order: a name that is taken gets -2, -3 and so on."""
+        o, out = schema.OBJECTS, list[str]()
+        taken = set[str]()
+        for some in _chunks(names):
+            taken |= {str(name) for name in self._connection.execute(select(o.c.name).where(o.c.name.in_(some))).scalars()}
+        for name in names:
+            free, number = name, 1
+            while free in taken or (number > 1 and self._has_name(free)):
+                number += 1
+                free = f"{name[: _LONGEST_NAME - len(str(number)) - 1]}-{number}"
+            taken.add(free)
+            out.append(free)
+        return out
+
+    def _has_name(self, name: str) -> bool:
+        o = schema.OBJECTS
+        return self._connection.execute(select(o.c.object_id).where(o.c.name == name)).first() is not None
+
     def add_orbits(self, orbits: Sequence[StoredOrbit]) -> None:
         """New current orbits; earlier ones of the same objects stay as history."""
         table = schema.ORBITS
@@ -292,6 +325,19 @@ class Writer:
         ]
         if rows:
             self._connection.execute(insert(table), rows)
+
+    def require_free(self, tracklet_ids: Iterable[int]) -> None:
+        """UserError for tracklets that are accepted as an object's: another update has been here since they were read."""
+        a = schema.ASSOCIATIONS
+        for numbers in _chunks(sorted(set(tracklet_ids))):
+            taken = and_(a.c.tracklet_id.in_(numbers), a.c.state == "accepted")
+            query = select(a.c.tracklet_id, a.c.object_id).where(taken).order_by(a.c.tracklet_id)
+            row = self._connection.execute(query).first()
+            if row is not None:
+                raise UserError(
+                    f"store: another update has accepted tracklet {row.tracklet_id} as object {row.object_id}'s meanwhile; "
+                    "nothing of this one is written, run it again"
+                )
 
     def associate(self, associations: Sequence[Association]) -> None:
         """Record what was decided about tracklets; earlier decisions stay."""
@@ -345,11 +391,12 @@ class Writer:
     ) -> int:
         """Split an object: some of its tracklets go to a new object. Returns the number of the new object.
 
+        name : of the new object; where it is taken it gets a number.
         orbits : of the tracklets that stay and of those that go, each fitted to its own; they become current. The number of the
         object in them is not looked at.
         """
         rows = self._taken_from(object_id, tracklet_ids, "split")
-        (new,) = self.add_objects([name], at_tai_ns)
+        (new,) = self.add_objects(self.free_names([name]), at_tai_ns)
         self.associate([_reassigned(row, new, by, at_tai_ns) for row in rows])
         self.add_orbits([replace(o, object_id=k) for o, k in zip(orbits, (object_id, new), strict=True)])
         moved = sorted(row["tracklet_id"] for row in rows)
@@ -403,9 +450,9 @@ def _reassigned(row: Mapping[str, Any], object_id: int, by: str, at_tai_ns: int)
     )  # fmt: skip
 
 
-def _chunks(numbers: Sequence[int]) -> Iterator[Sequence[int]]:
-    for start in range(0, len(numbers), _CHUNK):
-        yield numbers[start : start + _CHUNK]
+def _chunks(values: Sequence[_T]) -> Iterator[Sequence[_T]]:
+    for start in range(0, len(values), _CHUNK):
+        yield values[start : start + _CHUNK]
 
 
 def _tracklet(row: Mapping[str, Any]) -> StoredTracklet:
@@ -438,7 +485,7 @@ def _orbit(row: Mapping[str, Any]) -> StoredOrbit:
 
 
 def _engine(url: str) -> Engine:
-    """An engine whose SQLite connections log ahead, wait for each other and take the write lock when they begin."""
+    """An engine whose SQLite connections log ahead and wait for each other; those that write take the lock when they begin."""
     full = url if "://" in url else f"sqlite:///{url}"
     try:
         kind = make_url(full).get_backend_name()
@@ -460,7 +507,9 @@ def _engine(url: str) -> Engine:
 
         @event.listens_for(engine, "begin")
         def _begin(connection: Connection) -> None:
-            connection.exec_driver_sql("BEGIN IMMEDIATE")
+            # a transaction that reads first and writes then would find the lock taken in between
+            writes = connection.get_execution_options().get("sboc_writes", False)
+            connection.exec_driver_sql("BEGIN IMMEDIATE" if writes else "BEGIN")
 
     return engine
 

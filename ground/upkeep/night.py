@@ -138,7 +138,8 @@ def _write(
     now = view.now_tai_ns
     links = [_link(t, one.object_id, p, "accepted", now) for one in renewed for t, p in one.accepted.items()]
     links += [_link(t, object_id, p, "ambiguous", now) for t, object_id, p in doubtful]
-    names = [f"U{members[0]:07d}" for members, _ in made]
+    writer.require_free([*(link.tracklet_id for link in links), *(t for members, _ in made for t in members)])
+    names = writer.free_names([f"U{members[0]:07d}" for members, _ in made])
     numbers = writer.add_objects(names, now) if names else []
     orbits = [one.orbit for one in renewed]
     for number, (members, cluster) in zip(numbers, made, strict=True):

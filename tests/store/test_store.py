@@ -142,9 +142,84 @@ def half_done(store: ObjectStore) -> None:
 def test_what_fails_leaves_nothing(store: ObjectStore) -> None:
     with pytest.raises(UserError, match="no object 77"):
         half_done(store)
-    with pytest.raises(UserError, match="store: "), store.transaction() as writer:
+    with pytest.raises(UserError, match="store .*(UNIQUE|unique)"), store.transaction() as writer:
         writer.add_objects(["A", "A"], T0)
     assert store.counts()["objects"] == 0
+
+
+def test_a_name_that_is_taken_gets_a_number(store: ObjectStore) -> None:
+    with store.transaction() as writer:
+        writer.add_objects(["A", "A-2", "L" * 64], T0)
+        assert writer.free_names(["A", "B", "A", "L" * 64]) == ["A-3", "B", "A-4", "L" * 62 + "-2"]
+        (one,) = writer.add_objects(["C"], T0)
+        numbers = writer.add_tracklets([tracklet(k) for k in range(4)])
+        writer.associate([accepted(n, one) for n in numbers])
+        halves = orbit(one, 1.0), orbit(one, 2.0)
+        writer.split(one, numbers[:2], "A", halves, by="t", at_tai_ns=T0, why="two")
+    assert [row["name"] for row in store.objects()] == ["A", "A-2", "L" * 64, "C", "A-3"]
+
+
+def test_a_tracklet_is_accepted_once(store: ObjectStore) -> None:
+    with store.transaction() as writer:
+        numbers = writer.add_tracklets([tracklet(k) for k in range(2)])
+        one, two = writer.add_objects(["A", "B"], T0)
+        writer.require_free(numbers)
+        writer.associate([accepted(numbers[0], one)])
+        writer.require_free(numbers[1:])
+    words = f"another update has accepted tracklet {numbers[0]} as object {one}'s"
+    with pytest.raises(UserError, match=words), store.transaction() as writer:
+        writer.require_free(numbers)
+    with pytest.raises(UserError, match=r"store .*(UNIQUE|unique)"), store.transaction() as writer:
+        writer.associate([accepted(numbers[0], two)])
+    assert store.with_few_tracklets(2) == {one}
+
+
+def test_tracklets_that_an_older_store_accepted_twice_are_the_first_objects(tmp_path: Path) -> None:
+    url = str(tmp_path / "store.db")
+    store = ObjectStore(url)
+    with store.engine.begin() as connection:
+        schema.ONE_OBJECT.drop(connection)
+        connection.execute(text("UPDATE store_version SET version = 3"))
+    with store.transaction() as writer:
+        numbers = writer.add_tracklets([tracklet(k) for k in range(2)])
+        one, two = writer.add_objects(["A", "B"], T0)
+        writer.associate([accepted(numbers[0], k) for k in (one, one, two)] + [accepted(numbers[1], two)])
+    # rows are not tracklets
+    assert store.with_few_tracklets(2) == {one}
+    store.close()
+    again = ObjectStore(url)
+    assert [list(again.tracklets_of(k)) for k in (one, two)] == [numbers[:1], numbers[1:]]
+    assert [a.state for a in again.associations()] == ["accepted", "rejected", "rejected", "accepted"]
+    again.close()
+
+
+def test_readers_pass_a_writer_and_a_second_writer_is_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("ground.store.store._BUSY_S", 0.1)
+    url = str(tmp_path / "store.db")
+    first = ObjectStore(url)
+    with first.transaction() as writer:
+        writer.add_objects(["A"], T0)
+        second = ObjectStore(url)
+        assert (second.objects(), second.counts()["objects"]) == ([], 0)
+        with pytest.raises(UserError, match=r"store .*store\.db: database is locked"), second.transaction() as other:
+            other.add_objects(["B"], T0)
+        second.close()
+    first.close()
+
+
+def test_a_damaged_store_is_named(tmp_path: Path) -> None:
+    path = tmp_path / "store.db"
+    store = ObjectStore(str(path))
+    with store.transaction() as writer:
+        writer.add_tracklets([tracklet(k) for k in range(200)])
+    store.close()
+    whole = path.read_bytes()
+    # the first page, with the tables' names, is whole; the version's own page too
+    path.write_bytes(whole[: 4096 * 12] + b"\xff" * (len(whole) - 4096 * 12))
+    again = ObjectStore(str(path))
+    with pytest.raises(UserError, match=r"store .*store\.db: database disk image is malformed"):
+        again.tracklets(0, 2 * T0)
+    again.close()
 
 
 WRITER = """

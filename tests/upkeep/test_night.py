@@ -9,9 +9,11 @@ import pytest
 from ground.products.epochs import utc_text
 from ground.sky.sphere import spherical_deg
 from ground.store.store import ObjectStore, StoredOrbit, StoredTracklet
+from ground.upkeep.new_objects import merges_of
 from ground.upkeep.night import update
 from ground.upkeep.view import UpkeepOptions, directions_of, position_error_km
 from sboc_e2e.cli.main import run
+from sboc_e2e.icd.errors import UserError
 from simulator.platform.all_forces import DAY_S, between
 from tests.association.list_simulator import Survey, survey
 from tests.association.lists import directions
@@ -104,6 +106,46 @@ def test_what_is_lost_and_long_unseen_is_retired_in_the_same_night(one: Survey, 
     before = store.counts()
     update(store, start + 100 * DAY_NS, strict)
     assert store.counts() == before
+
+
+def test_a_name_that_is_taken_stops_no_night(one: Survey, tmp_path: Path) -> None:
+    start = one.sky.t0_tai_ns
+    names: list[str] = []
+    for expected in ("", "-2"):
+        store = ObjectStore(str(tmp_path / f"store{expected}.db"))
+        put(store, one, 0.0, 2.0)
+        with store.transaction() as writer:
+            writer.add_objects([*names, "OTHER"], start)
+        assert update(store, start + 2 * DAY_NS).made == 4
+        found = [row["name"] for row in store.objects()][len(names) + 1 :]
+        assert [name[8:] for name in found] == [expected] * 4
+        names = found
+        store.close()
+
+
+def test_of_two_updates_at_a_time_one_is_refused(one: Survey, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The second one reads, and the first one writes before the second does."""
+    path = str(tmp_path / "store.db")
+    store = ObjectStore(path)
+    start = one.sky.t0_tai_ns
+    put(store, one, 0.0, 2.0)
+    update(store, start + 2 * DAY_NS)
+    put(store, one, 2.0, 3.0)
+    after: list[dict[str, int]] = []
+
+    def overtaken(*arguments: Any) -> Any:
+        if not after:
+            after.append({})
+            other = ObjectStore(path)
+            assert update(other, start + 3 * DAY_NS).correlated == 4
+            after[0] = other.counts()
+            other.close()
+        return merges_of(*arguments)
+
+    monkeypatch.setattr("ground.upkeep.night.merges_of", overtaken)
+    with pytest.raises(UserError, match="another update has accepted tracklet"):
+        update(store, start + 3 * DAY_NS)
+    assert store.counts() == after[0]
 
 
 def unreachable(one: Survey, object_id: int, days_before: float) -> StoredOrbit:

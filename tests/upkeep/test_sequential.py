@@ -68,7 +68,7 @@ def test_a_renewed_orbit_is_the_fit_of_all_directions(one: Survey, owner: int) -
     assert np.sqrt(np.diag(bare.covariance)) == pytest.approx(sigma, rel=0.15)
     # which the fit of all directions does not have
     assert (np.diag(new.covariance) >= np.diag(bare.covariance)).all()
-    assert np.sqrt(np.diag(new.covariance)) == pytest.approx(sigma, rel=0.25)
+    assert np.sqrt(np.diag(new.covariance)) == pytest.approx(sigma, rel=0.3)
     assert new.n_used == len(every.weights)
 
 

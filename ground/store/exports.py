@@ -1,6 +1,6 @@
 """Orbits of the store as messages that others read: OPM and OEM (CCSDS 502.0-B-2), OMM for SGP4, and parquet tables."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, Final
 
@@ -16,7 +16,7 @@ from ground.products.ccsds_covariance import keyword_lines, triangle_lines, turn
 from ground.products.epochs import utc_text
 from ground.products.oem import metadata_lines, state_lines
 from ground.sky.eme2000 import frame_bias
-from ground.store.forces import forces_of
+from ground.store.forces import carried, forces_of
 from ground.store.store import ObjectStore, StoredOrbit
 from sboc_e2e.icd import tai
 from sboc_e2e.icd.errors import UserError
@@ -65,22 +65,26 @@ def oem(orbit: StoredOrbit, name: str, originator: str, days: float) -> str:
 
     Eight states at least, 35 minutes, which the interpolation needs.
     """
-    if not 0.0 < days <= 30.0:
-        raise UserError(f"OEM: days: expected more than 0 and at most 30, got {days:g}")
+    _check_days(days)
     end_s = max(86400.0 * days, _OEM_DEGREE * _OEM_STEP_S)
     t = orbit.epoch_tai_ns + (np.arange(0.0, end_s + 1.0, _OEM_STEP_S) * 1e9).astype(np.int64)
-    arc = propagate(orbit.state, orbit.epoch_tai_ns, t, forces_of(orbit), partials=True)
+    arc = propagate(orbit.state, orbit.epoch_tai_ns, t, forces_of(orbit))
+    _, covariances = carried(orbit, t[[0, -1]])
     bias = frame_bias()
     states = np.hstack([arc.states[:, :3] @ bias.T, arc.states[:, 3:] @ bias.T])
     epochs = utc_text(t)
     covariance = []
-    for k in (0, len(t) - 1):
-        propagated = arc.partials[k] @ orbit.state_covariance @ arc.partials[k].T
+    for k, propagated in zip((0, -1), covariances, strict=True):
         covariance += [f"EPOCH = {epochs[k]}", "COV_REF_FRAME = EME2000", *triangle_lines(turned(propagated, bias))]
     meta = metadata_lines(name, "UNKNOWN", epochs, degree=_OEM_DEGREE)
     rows = state_lines(epochs, states)
     head = [*_head("OEM", orbit, originator), ""]
     return "\n".join([*head, *meta, *rows, "", "COVARIANCE_START", *covariance, "COVARIANCE_STOP"]) + "\n"
+
+
+def _check_days(days: float) -> None:
+    if not 0.0 < days <= 30.0:
+        raise UserError(f"OEM: days: expected more than 0 and at most 30, got {days:g}")
 
 
 def mean_elements(orbit: StoredOrbit) -> tuple[Satrec, float]:
@@ -98,7 +102,7 @@ def mean_elements(orbit: StoredOrbit) -> tuple[Satrec, float]:
     place, _ = satkit.sgp4(tle, times)
     turned_place = np.array([satkit.frametransform.qteme2gcrf(when) * row for when, row in zip(times, place, strict=True)])
     away = float(np.linalg.norm(1e-3 * turned_place - states[:, :3], axis=1).max())
-    if away > _LARGEST_MEAN_KM:
+    if not away <= _LARGEST_MEAN_KM:
         raise UserError(f"OMM: mean elements miss the orbit by {away:.0f} km; SGP4 does not describe it")
     return Satrec.twoline2rv(*lines[-2:]), away
 
@@ -174,13 +178,22 @@ def parquet_tables(store: ObjectStore, folder: Path) -> list[Path]:
     return written
 
 
-def messages(store: ObjectStore, kind: str, originator: str, days: float) -> Mapping[str, str]:
-    """A message for each active object with an orbit, by file name."""
+def messages(store: ObjectStore, kind: str, originator: str, days: float) -> tuple[dict[str, str], list[str]]:
+    """A message for each active object with an orbit, by file name; and a line for each that has none, with the reason."""
+    if kind == "oem":
+        _check_days(days)
     names = {row["object_id"]: row["name"] for row in store.objects() if row["status"] == "active"}
     chosen: Sequence[StoredOrbit] = [o for o in store.orbits() if o.object_id in names]
-    out = {}
+    out, left_out = {}, []
     for orbit in chosen:
         name = names[orbit.object_id]
-        text = {"opm": opm, "omm": omm}[kind](orbit, name, originator) if kind != "oem" else oem(orbit, name, originator, days)
+        try:
+            if kind == "oem":
+                text = oem(orbit, name, originator, days)
+            else:
+                text = {"opm": opm, "omm": omm}[kind](orbit, name, originator)
+        except UserError as error:
+            left_out.append(f"{name}: {error}")
+            continue
         out[f"{orbit.object_id:06d}.{kind}"] = text
-    return out
+    return out, left_out

@@ -8,8 +8,7 @@ from numpy.typing import NDArray
 from ground.association.associate import associate
 from ground.association.clusters import Cluster, meets_all
 from ground.determination.measurements import Directions
-from ground.determination.propagation import propagate
-from ground.store.forces import forces_of
+from ground.store.forces import carried
 from ground.store.store import StoredOrbit
 from ground.upkeep.correlation import Renewed
 from ground.upkeep.division import LEAST_OF_ONE, SETTLED_TRACKLETS
@@ -125,16 +124,13 @@ def merges_of(
             if not _near_plane(orbit.state, s.state):
                 continue
             try:
-                arc = propagate(
-                    orbit.state, orbit.epoch_tai_ns, np.array([s.t0_tai_ns], dtype=np.int64),
-                    forces_of(orbit, options.association.gravity_degree), partials=True,
-                )  # fmt: skip
+                states, covariances = carried(orbit, np.array([s.t0_tai_ns], dtype=np.int64), options.association)
             except UserError as error:
                 not_carried[object_id] = str(error)
                 continue
-            total = arc.partials[0] @ orbit.state_covariance @ arc.partials[0].T + s.covariance[:6, :6]
+            total = covariances[0] + s.covariance[:6, :6]
             scale = np.sqrt(np.diag(total))
-            left = (arc.states[0] - s.state) / scale
+            left = (states[0] - s.state) / scale
             if float(left @ np.linalg.solve(total / np.outer(scale, scale), left)) < options.merge_chi2:
                 out[place] = object_id
                 break

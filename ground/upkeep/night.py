@@ -114,7 +114,7 @@ def _faded(
         is_lost = status[object_id] == "lost"
         if status[object_id] == "active":
             try:
-                is_lost = position_error_km(orbit, view.now_tai_ns) > view.options.lost_km
+                is_lost = position_error_km(orbit, view.now_tai_ns, view.options.association) > view.options.lost_km
             except UserError as error:
                 # nobody can say where it is
                 is_lost, too_far[object_id] = True, str(error)

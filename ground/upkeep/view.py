@@ -6,11 +6,9 @@ from typing import Final
 import numpy as np
 
 from ground.association.clusters import AssociationOptions, Cluster
-from ground.determination.forces import step_of
 from ground.determination.measurements import Directions
-from ground.determination.propagation import propagate
 from ground.sky.sphere import east_north
-from ground.store.forces import forces_of
+from ground.store.forces import carried, covariance_of, forces_of
 from ground.store.store import ObjectStore, StoredOrbit, StoredTracklet
 from ground.upkeep.sightings import KnownOrbit
 from sboc_e2e.icd import tai
@@ -96,21 +94,11 @@ def directions_of(stored: StoredTracklet) -> Directions:
 
 def known_orbit(orbit: StoredOrbit, options: UpkeepOptions) -> KnownOrbit:
     """An orbit with its forces. Where only the state has a covariance, radiation has the association's doubt, the rest none."""
-    covariance = orbit.covariance
-    if len(covariance) == 6 and orbit.parameters:
-        of_radiation = options.association.radiation_sigma_m2_kg
-        doubt = np.array([of_radiation if name == "radiation" else 1e-6 * step_of(name) for name in orbit.parameters]) ** 2
-        covariance = np.block([[covariance, np.zeros((6, len(doubt)))], [np.zeros((len(doubt), 6)), np.diag(doubt)]])
+    covariance = covariance_of(orbit, options.association.radiation_sigma_m2_kg)
     return KnownOrbit(orbit=orbit, forces=forces_of(orbit, options.association.gravity_degree), covariance=covariance)
 
 
-def position_error_km(orbit: StoredOrbit, at_tai_ns: int) -> float:
-    """One sigma of place, 3-D, at an epoch: carried by the orbit's own transition matrix."""
-    arc = propagate(
-        orbit.state,
-        orbit.epoch_tai_ns,
-        np.array([at_tai_ns], dtype=np.int64),
-        forces_of(orbit),
-        partials=True,
-    )
-    return float(np.sqrt(np.trace((arc.partials[0] @ orbit.state_covariance @ arc.partials[0].T)[:3, :3])))
+def position_error_km(orbit: StoredOrbit, at_tai_ns: int, options: AssociationOptions | None = None) -> float:
+    """One sigma of place, 3-D, at an epoch: carried with the estimated parameters. UserError where the orbit cannot be."""
+    _, covariances = carried(orbit, np.array([at_tai_ns], dtype=np.int64), options)
+    return float(np.sqrt(np.trace(covariances[0, :3, :3])))

@@ -188,7 +188,7 @@ def export(
     """Write the current orbits as messages or tables."""
     from sboc_e2e.objects.catalogue import export as execute
 
-    typer.echo(f"{execute(store, kind, out, originator, days)} files in {out}")
+    typer.echo("\n".join(execute(store, kind, out, originator, days)))
 
 
 @app.command()

@@ -81,20 +81,26 @@ def state_lines(url: str) -> list[str]:
     return lines
 
 
-def export(url: str, kind: str, out: Path, originator: str, days: float) -> int:
-    """Write the store's orbits; how many files."""
+def export(url: str, kind: str, out: Path, originator: str, days: float) -> list[str]:
+    """Write the store's orbits; a line of how many files, and one for each object that no message describes.
+
+    UserError where that leaves none.
+    """
     if kind not in KINDS:
         raise UserError(f'--as: expected {", ".join(KINDS)}, got "{kind[:20]}"')
     if "://" not in url and not Path(url).is_file():
         raise UserError(f"{url}: no such store")
     store = ObjectStore(url)
+    left_out: list[str] = []
     if kind == "parquet":
         written = len(parquet_tables(store, out))
     else:
-        texts = messages(store, kind, originator, days)
+        texts, left_out = messages(store, kind, originator, days)
+        if left_out and not texts:
+            raise UserError(f"export: no orbit is written: {left_out[0]}")
         out.mkdir(parents=True, exist_ok=True)
         for name, text in texts.items():
             (out / name).write_text(text, encoding="utf-8")
         written = len(texts)
     store.close()
-    return written
+    return [f"{written} files in {out}", *(f"left out: {reason}" for reason in left_out)]

@@ -2,6 +2,8 @@
 
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any, cast
 
 import numpy as np
 import pytest
@@ -15,9 +17,10 @@ from ground.determination.propagation import propagate
 from ground.orbit.ephemerides import read_oem
 from ground.orbit.reference import teme_to_gcrs
 from ground.store.exports import mean_elements, oem, omm, opm
-from ground.store.forces import forces_of
+from ground.store.forces import carried, forces_of
 from ground.store.store import ObjectStore, StoredOrbit
-from ground.upkeep.view import UpkeepOptions, known_orbit
+from ground.upkeep.new_objects import merges_of
+from ground.upkeep.view import UpkeepOptions, known_orbit, position_error_km
 from sboc_e2e.cli.main import run
 from sboc_e2e.objects.catalogue import add_precise
 from tests.conjunctions.reference import folder
@@ -56,6 +59,87 @@ def test_an_oem_of_an_orbit_of_tracklets_has_the_forces_of_its_fit() -> None:
     expected = propagate(low.state, T0, read.t_tai_ns, ForceModel(gravity_degree=8, radiation=0.03)).states
     # integrations with and without partials differ by 0.1 m, the two degrees by 100 m and more
     np.testing.assert_allclose(read.position_km, expected[:, :3], atol=1e-3)
+
+
+def of_two_days() -> StoredOrbit:
+    """An orbit from six half hours of directions in 2.2 days: radiation pressure and the state are known together only."""
+    forces = ForceModel(gravity_degree=8, radiation=0.02)
+    hours = np.array([0.0, 3.0, 24.0, 27.0, 48.0, 53.0])
+    t = T0 + np.round((hours[:, None] + [0.0, 0.25, 0.5]).reshape(-1) * 3600e9).astype(np.int64)
+    arc = propagate(orbit().state, T0, t, forces, parameters=("radiation",), partials=True)
+    normal = np.diag([0.0] * 6 + [0.01**-2])
+    for state, partials in zip(arc.states, arc.partials, strict=True):
+        line = state[:3] / np.linalg.norm(state[:3])
+        # half an arcsecond across the line from the Earth's centre
+        across = (np.eye(3) - np.outer(line, line)) @ partials[:3] / (2.4e-6 * np.linalg.norm(state[:3]))
+        normal += across.T @ across
+    scale = np.sqrt(np.diag(normal))
+    covariance = np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
+    return replace(orbit(), parameters={"radiation": 0.02}, covariance=0.5 * (covariance + covariance.T))
+
+
+def by_whole_propagations(given: StoredOrbit, t_tai_ns: int) -> np.ndarray:
+    """Covariance (6, 6) at an epoch from orbits moved along each axis of the covariance (7, 7), radiation pressure included."""
+    scale = np.sqrt(np.diag(given.covariance))
+    value, axes = np.linalg.eigh(given.covariance / np.outer(scale, scale))
+    out = np.zeros((6, 6))
+    for size, axis in zip(np.sqrt(np.maximum(value, 0.0)), axes.T, strict=True):
+        ends = []
+        for sign in (-1.0, 1.0):
+            moved = np.append(given.state, 0.02) + sign * size * scale * axis
+            forces = ForceModel(gravity_degree=8, radiation=float(moved[6]))
+            ends.append(propagate(moved[:6], T0, np.array([t_tai_ns]), forces).states[0])
+        half = 0.5 * (ends[1] - ends[0])
+        out += np.outer(half, half)
+    return out
+
+
+def test_covariances_are_carried_with_the_parameters_of_the_fit() -> None:
+    """In an OEM, in the error of place, and where a new orbit is held against a known one."""
+    given, days = of_two_days(), 30
+    end = T0 + days * 86_400 * 10**9
+    expected = by_whole_propagations(given, end)
+    sigma_km = float(np.sqrt(np.trace(expected[:3, :3])))
+    # the state alone, as if it and the light's push were known apart
+    alone = propagate(given.state, T0, np.array([end]), forces_of(given), partials=True).partials[0]
+    assert np.sqrt(np.trace((alone @ given.state_covariance @ alone.T)[:3, :3])) > 1.5 * sigma_km
+    assert position_error_km(given, end) == pytest.approx(sigma_km, rel=0.01)
+    text = oem(given, "G", "TEST", float(days))
+    rows = text.split("COV_REF_FRAME = EME2000\n")[2].splitlines()
+    assert np.sqrt(sum(float(rows[k].split()[k]) for k in range(3))) == pytest.approx(sigma_km, rel=0.01)
+    # new orbits that are four and six sigma off along the least certain direction that the parameters leave
+    _, axes = np.linalg.eigh(expected[:3, :3])
+    sharp = np.diag([1e-2] * 3 + [1e-10] * 3)
+    states, covariances = carried(given, np.array([end]))
+    total = covariances[0] + sharp
+    for sigmas, merged in ((4.0, {0: 1}), (6.0, {})):
+        off = total[:, :3] @ axes[:, 2]
+        off *= sigmas / np.sqrt(off @ np.linalg.solve(total, off))
+        new = SimpleNamespace(solution=SimpleNamespace(state=states[0] + off, t0_tai_ns=end, covariance=sharp))
+        found, _ = merges_of([((1, 2), cast(Any, new))], {1: given}, UpkeepOptions())
+        assert found == merged
+
+
+def test_an_orbit_that_no_message_describes_is_left_out_and_named(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    url, out = str(tmp_path / "o.db"), tmp_path / "out"
+    store = ObjectStore(url)
+    with store.transaction() as writer:
+        numbers = writer.add_objects(["G", "AWAY"], T0)
+        # the second leaves the Earth
+        away = replace(orbit(), state=np.array([42000.0, 900.0, 100.0, 0.0, 6.0, 0.3]))
+        writer.add_orbits([replace(one, object_id=k) for one, k in zip((orbit(), away), numbers, strict=True)])
+    assert run(["objects", "export", "--as", "omm", "--out", str(out), "--store", url]) == 0
+    first, second = capsys.readouterr().out.splitlines()
+    assert first == f"1 files in {out}"
+    assert second.startswith("left out: AWAY: OMM: ")
+    assert [path.name for path in out.iterdir()] == [f"{numbers[0]:06d}.omm"]
+    with store.transaction() as writer:
+        writer.set_status(numbers[0], "retired", by="t", at_tai_ns=T0, why="t")
+    store.close()
+    assert run(["objects", "export", "--as", "omm", "--out", str(out), "--store", url]) == 2
+    assert "export: no orbit is written: AWAY: OMM: " in capsys.readouterr().err
+    assert run(["objects", "export", "--as", "oem", "--days", "31", "--out", str(out), "--store", url]) == 2
+    assert "OEM: days: expected" in capsys.readouterr().err
 
 
 def test_an_orbit_of_a_precise_ephemeris_follows_its_table(tmp_path: Path) -> None:

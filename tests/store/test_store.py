@@ -142,7 +142,7 @@ def half_done(store: ObjectStore) -> None:
 def test_what_fails_leaves_nothing(store: ObjectStore) -> None:
     with pytest.raises(UserError, match="no object 77"):
         half_done(store)
-    with pytest.raises(UserError, match="store .*(UNIQUE|unique)"), store.transaction() as writer:
+    with pytest.raises(UserError, match=r"store .*(UNIQUE|unique)"), store.transaction() as writer:
         writer.add_objects(["A", "A"], T0)
     assert store.counts()["objects"] == 0
 

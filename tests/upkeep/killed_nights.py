@@ -39,9 +39,9 @@ def remember() -> None:
     correlation.one_orbit_of = remembered(correlation.one_orbit_of)  # type: ignore[assignment]
     correlation.sightings = remembered(correlation.sightings)  # type: ignore[assignment]
     new_objects.associate = remembered(new_objects.associate)  # type: ignore[assignment]
-    new_objects.propagate = remembered(new_objects.propagate)  # type: ignore[assignment]
+    new_objects.carried = remembered(new_objects.carried)
     review.division_of = remembered(review.division_of)  # type: ignore[assignment]
-    view.propagate = remembered(view.propagate)  # type: ignore[assignment]
+    view.carried = remembered(view.carried)
     sequential.renewed = remembered(sequential.renewed)
 
 

@@ -73,6 +73,11 @@ class FrameParts:
             self.stars.append(record)
 
 
+def is_of_track_only(roi_id: int) -> bool:
+    """Whether a region is one of a track over several frames that the detector did not find in the frame alone."""
+    return roi_id >= FIRST_TRACK_ROI
+
+
 def with_tracks(parts: Sequence[FrameParts], failures: list[str]) -> None:
     """Put the members from track packets into their frames. Members of missing frames are listed.
 

@@ -71,7 +71,8 @@ class Counted:
     """Tracklets of a run but those slower than the limit: size_m (n,) estimates, NaN for none; probability (n,) of being real.
 
     range_sigma_ln : typical error of ln(range). n_single : accepted detections of one frame, and how many of them are expected to
-    be false by their own probabilities. n_vetoed : streaks that were rejected. n_slow : tracklets left out.
+    be false by their own probabilities. n_vetoed : streaks that were rejected. n_slow : tracklets left out. n_tracked : tracklets
+    left out because fewer than two of their frames had the object above the threshold: the efficiency does not describe them.
     frames_seen, frames_expected : between the first and the last member of each tracklet, those with a member, and those in
     which the filter would have found it: their ratio is the share that region, fit, vetting and linking keep of a frame's finds.
     """
@@ -85,6 +86,7 @@ class Counted:
     n_slow: int
     frames_seen: float = 0.0
     frames_expected: float = 0.0
+    n_tracked: int = 0
 
     @property
     def kept(self) -> tuple[float, float]:
@@ -244,10 +246,11 @@ def counted_of(
     singles: Sequence[float],
     n_vetoed: int,
     gaps: Sequence[tuple[float, float]] = (),
+    n_tracked: int = 0,
 ) -> Counted:
     """sizes : (size_m, probability, rate_deg_s) of tracklets. ranges : 5 % and 95 % points. singles : probabilities.
 
-    gaps : frames seen and expected between the ends of each tracklet.
+    gaps : frames seen and expected between the ends of each tracklet. n_tracked : tracklets left out, not in `sizes`.
     """
     table = np.array(sizes, dtype=np.float64).reshape(-1, 3)
     kept = ~(table[:, 2] < SLOWEST_DEG_S)
@@ -262,4 +265,5 @@ def counted_of(
         n_slow=int((~kept).sum()),
         frames_seen=float(sum(min(seen, expected) for seen, expected in gaps)),
         frames_expected=float(sum(expected for _, expected in gaps)),
+        n_tracked=n_tracked,
     )

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import binary_dilation, zoom
 from scipy.special import ndtr
 
+from ground.ingest.assembly import is_of_track_only
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
-from sboc_e2e.icd.signals import BackgroundModel
+from sboc_e2e.icd.signals import BackgroundModel, RoiGroup
 
 Array = NDArray[np.float64]
 
@@ -100,18 +101,24 @@ def threshold_of(frames: Sequence[DownlinkFrame]) -> tuple[float, int]:
     """The detector's threshold estimated from its detections, and the number of detections used.
 
     If n detections have S/N above T with a density that falls like S^-3, the least lies T / (2 n) above T. Detections that passed
-    a storm's limit or another channel (hits, spikes, points) are not used.
+    a storm's limit or another channel (hits, spikes, points) are not used. Nor are members that only a track over several frames
+    found: their own S/N may be far below T.
     """
     snr = [
         group.detection.snr
         for frame in frames
         if not frame.flags & FrameFlag.STORM
         for group in frame.rois
-        if not group.detection.flags & NOT_TELLING
+        if not group.detection.flags & NOT_TELLING and _has_own_detection(group)
     ]
     if not snr:
         return DEFAULT_THRESHOLD, 0
     return min(snr) / (1.0 + 0.5 / len(snr)), len(snr)
+
+
+def _has_own_detection(group: RoiGroup) -> bool:
+    """Whether a region's detection is that of its own frame. Where strips of a track's member were lost, it may be the track's."""
+    return not is_of_track_only(group.roi_id) and (group.track < 0 or len(group.strips) >= group.n_strips)
 
 
 def images_of(frames: Sequence[DownlinkFrame], gain_e_adu: float) -> tuple[list[Image], str]:

@@ -7,7 +7,9 @@ from typing import Any, Final
 
 import numpy as np
 from astropy.table import Column, Table
+from numpy.typing import NDArray
 
+from ground.ingest.assembly import is_of_track_only
 from ground.orbit.size import sun_direction
 from ground.population.encounters import SLOWEST_DEG_S, Watch
 from ground.population.flux import (
@@ -36,8 +38,11 @@ from sboc_e2e.icd.camera import CameraModel
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.flags import FrameFlag, StreakFlag
 from sboc_e2e.icd.frame import FrameHeader, NominalCamera
-from sboc_e2e.icd.products import FrameSolution
+from sboc_e2e.icd.products import FrameSolution, Tracklet
 from sboc_e2e.icd.version import CONTRACT_VERSION
+
+_Own = tuple[NDArray[np.int64], NDArray[np.int64]]
+"""Frames and streaks of a tracklet that were found in single frames."""
 
 SEED: Final = 20270129
 """Any number: fixed, so that the same products always give the same flux."""
@@ -64,7 +69,7 @@ COLUMNS: Final = (
 )
 WORDS: Final = (
     "flux: density times relative speed at the camera, of objects in low orbits that move at "
-    f"{SLOWEST_DEG_S:g} deg/s or more; counted: tracklets of two frames or more; exposure: prior orbits of catalogued fragments "
+    f"{SLOWEST_DEG_S:g} deg/s or more; counted: tracklets that the detector found in two single frames or more; exposure: prior orbits of catalogued fragments "
     f"with break-up velocities, Lambert spheres of albedo {ALBEDO:g} with a scatter of {ALBEDO_SIGMA_LN:g} in ln, crossings that "
     f"reach S/N {COULD_BE_SEEN_SNR:g}; share of finds kept by fit, vetting and linking: "
     "from gaps of tracklets; 90 % intervals of the posterior"
@@ -136,6 +141,7 @@ def population_table(found: Population) -> Table:
     if found.counted is not None:
         counted = found.counted
         meta["tracklets_too_slow"] = counted.n_slow
+        meta["tracklets_of_tracks_only"] = counted.n_tracked
         meta["tracklets_without_size"] = int(np.isnan(counted.size_m).sum())
         meta["single_frame_detections"] = counted.n_single
         meta["single_frame_false_expected"] = round(counted.n_single_false, 4)
@@ -236,14 +242,17 @@ def _noise_e(frame: DownlinkFrame, camera: NominalCamera) -> float:
     return float(np.nanmedian(frame.background.sigma_adu)) * gain if frame.background is not None else float("nan")
 
 
-def _gaps(products: GroundProducts, efficiency: Efficiency) -> list[tuple[float, float]]:
-    """Frames between the ends of each tracklet: those with a member, and those in which the filter would have found it."""
+def _gaps(products: GroundProducts, efficiency: Efficiency, own: Sequence[_Own]) -> list[tuple[float, float]]:
+    """Frames between the ends of each tracklet: those with a member, and those in which the filter would have found it.
+
+    own : of each tracklet. Members that only an on-board track found are no finds of the filter: they neither count as members
+    nor end a tracklet.
+    """
     numbers = np.array([h.frame for h in products.headers])
     streaks = {s.streak_id: s for s in products.streaks}
     out = []
-    for tracklet in products.tracklets:
-        members = [streaks[i] for i in tracklet.streak_ids.tolist() if i in streaks]
-        frames = np.unique(tracklet.frames)
+    for tracklet, (frames, streak_ids) in zip(products.tracklets, own, strict=True):
+        members = [streaks[i] for i in streak_ids.tolist() if i in streaks]
         if len(frames) < 2 or not members or tracklet.rate_deg_s < SLOWEST_DEG_S:
             continue
         between = int(((numbers > frames[0]) & (numbers < frames[-1])).sum())
@@ -254,19 +263,34 @@ def _gaps(products: GroundProducts, efficiency: Efficiency) -> list[tuple[float,
     return out
 
 
+def _own(tracklet: Tracklet, tracked: NDArray[np.int64]) -> _Own:
+    """Frames in which the detector itself found the object, and the streaks. tracked : streaks that only tracks found."""
+    own = ~np.isin(tracklet.streak_ids, tracked)
+    return np.unique(tracklet.frames[own]), tracklet.streak_ids[own]
+
+
 def _counted(products: GroundProducts, efficiency: Efficiency) -> Counted:
-    """Tracklets with their sizes, detections of single frames, and what was missed between."""
+    """Tracklets with their sizes, detections of single frames, and what was missed between.
+
+    Injection measures what the detector finds in single frames, two of which make a tracklet. So only those are counted that it
+    found in two frames, with or without a tracker.
+    """
     orbits = {o.tracklet_id: o for o in products.orbits if o.converged}
-    sizes = [
-        (float(orbits[t.tracklet_id].size_m[1]) if t.tracklet_id in orbits else float("nan"), t.probability, t.rate_deg_s)
-        for t in products.tracklets
-        if len(np.unique(t.frames)) > 1
-    ]
-    singles, vetoed = [], 0
+    singles, tracked, vetoed = [], [], 0
     for streak in products.streaks:
+        if is_of_track_only(streak.roi_id):
+            tracked.append(streak.streak_id)
         if streak.flags & StreakFlag.VETOED:
             vetoed += 1
         elif streak.tracklet_id < 0:
             singles.append(streak.probability)
+    of_tracks = np.array(tracked, dtype=np.int64)
+    own = [_own(tracklet, of_tracks) for tracklet in products.tracklets]
+    sizes = [
+        (float(orbits[t.tracklet_id].size_m[1]) if t.tracklet_id in orbits else float("nan"), t.probability, t.rate_deg_s)
+        for t, (frames, _) in zip(products.tracklets, own, strict=True)
+        if len(frames) > 1
+    ]
+    n_tracked = sum(len(np.unique(t.frames)) > 1 for t in products.tracklets) - len(sizes)
     ranges = [(float(o.range_km[0]), float(o.range_km[2])) for o in orbits.values()]
-    return counted_of(sizes, ranges, singles, vetoed, _gaps(products, efficiency))
+    return counted_of(sizes, ranges, singles, vetoed, _gaps(products, efficiency, own), n_tracked)

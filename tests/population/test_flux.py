@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from ground.ingest.assembly import FIRST_TRACK_ROI
 from ground.population.encounters import CELL_KM, _stay_s, crossings, density_of, trail_snr
 from ground.population.flux import ALBEDO, ALBEDO_SIGMA_LN, COULD_BE_SEEN_SNR, SIZE_EDGES_M, counted_of, found_shares, light_seen
 from ground.population.injection import (
@@ -18,9 +19,9 @@ from ground.population.injection import (
     measured_efficiency,
     threshold_of,
 )
-from ground.products.population import _watch, population, population_table
+from ground.products.population import _counted, _watch, population, population_table
 from ground.records import GroundProducts
-from sboc_e2e.icd.signals import BackgroundModel
+from sboc_e2e.icd.signals import BackgroundModel, RoiGroup
 from sboc_e2e.score.population import published_flux
 from simulator.scene.debris import SizeClass
 from simulator.scene.encounters import PopulationOptions, draw_candidates, natural_flux, natural_number
@@ -152,6 +153,43 @@ def test_threshold_is_read_from_what_came_down(fields: list) -> None:
     assert n == len(snr)
     assert min(snr) * 0.6 < value <= min(snr)
     assert threshold_of([replace(f, rois=()) for f in frames]) == (DEFAULT_THRESHOLD, 0)
+
+
+def _of_track(group: RoiGroup, snr: float) -> RoiGroup:
+    """The region as a track over several frames sends it, with this S/N in its own frame."""
+    detection = replace(group.detection, snr=snr)
+    return replace(group, roi_id=FIRST_TRACK_ROI, track=0, track_snr=9.0, detection=detection)
+
+
+def test_threshold_is_that_of_single_frames(fields: list) -> None:
+    """Members that only a track found are below it; a track's member whose own strip was lost may be. Others with a track tell."""
+    frames = [f.frame for f in fields]
+    alone = threshold_of(frames)
+    faint = [replace(f, rois=(*f.rois, _of_track(f.rois[0], 3.7))) for f in frames]
+    assert threshold_of(faint) == alone
+    whole = [f.rois[0] for f in frames]
+    lost = [replace(_of_track(g, 3.7), roi_id=g.roi_id, n_strips=g.n_strips + 1) for g in whole]
+    assert threshold_of([replace(f, rois=(*f.rois, g)) for f, g in zip(frames, lost, strict=True)]) == alone
+    assert threshold_of([replace(f, rois=tuple(replace(g, track=0) for g in f.rois)) for f in frames]) == alone
+
+
+@pytest.mark.parametrize(("tracked", "counted", "gaps"), [((), 1, (2.0, 2.0)), ((1,), 1, (1.0, 2.0)), ((0, 1, 3), 0, (0.0, 0.0))])
+def test_only_what_single_frames_show_is_counted(
+    fields: list, tracked: tuple[int, ...], counted: int, gaps: tuple[float, float]
+) -> None:
+    """A tracklet of four bright frames, `tracked` of them found by a track alone: counted and between its ends, seen of expected."""
+    run, _ = _finished(
+        [
+            replace(f, frame=replace(f.frame, rois=tuple(_of_track(g, g.detection.snr) for g in f.frame.rois)))
+            if k in tracked
+            else f
+            for k, f in enumerate(fields)
+        ]
+    )
+    assert [len(t.frames) for t in run.tracklets] == [4]
+    got = _counted(run, worlds.efficiency(np.random.default_rng(0), trials=2000))
+    assert (len(got.size_m), got.n_tracked) == (counted, 1 - counted)
+    assert (got.frames_seen, got.frames_expected) == pytest.approx(gaps, abs=0.01)
 
 
 def test_signal_to_noise_is_the_closed_form() -> None:

@@ -28,8 +28,6 @@ Array = NDArray[np.float64]
 
 NEAREST_KM: Final = 0.05
 """Where the range scan of tracklets begins, too (`range_scan`: nearest)."""
-FARTHEST_KM: Final = 3000.0
-"""Farthest range from which objects are drawn. Chosen, not measured."""
 NEAR_SHARE: Final = 100.0
 """Ranges below a hundredth of the reach hold a millionth of the volume."""
 
@@ -119,20 +117,24 @@ def crossings(
     observer, ours, attitude = watch.position_km[frame], watch.velocity_km_s[frame], watch.attitude[frame]
     signs = rng.random((2, n)) < 0.5
 
-    reach = _reach_km(size, own, watch)
-    far = np.clip(reach, NEAREST_KM * 1.001, FARTHEST_KM)
-    near = np.maximum(NEAREST_KM, far / NEAR_SHARE)
-    span = np.log(far / near)
-    # Half of them are even in ln(range), for objects that are bright only because they are near, and half even in volume.
-    cubes = near**3, far**3
-    volume_like = np.cbrt(cubes[0] + rng.random(n) * (cubes[1] - cubes[0]))
-    rho = np.where(rng.random(n) < 0.5, near * np.exp(rng.random(n) * span), volume_like)
-    per_km = 0.5 / (rho * span) + 1.5 * rho**2 / (cubes[1] - cubes[0])
     u = watch.mid_col + rng.uniform(-watch.half_col, watch.half_col, n)
     v = watch.mid_row + rng.uniform(-watch.half_row, watch.half_row, n)
     slant = np.sqrt(1.0 + u * u + v * v)
-    camera = np.stack([u, v, np.ones(n)], axis=1) / slant[:, None] * rho[:, None]
-    position = observer + np.einsum("ni,nij->nj", camera, attitude)
+    aim = np.stack([u, v, np.ones(n)], axis=1) / slant[:, None]
+    sight = np.einsum("ni,nij->nj", aim, attitude)
+    reach = _reach_km(size, own, watch)
+    last = np.minimum(farthest_km(ours, a, e), _leaves_km(observer, sight, a * (1.0 + e) + CELL_KM))
+    far = np.maximum(np.minimum(reach, last), NEAREST_KM * 1.001)
+    near = np.maximum(NEAREST_KM, far / NEAR_SHARE)
+    span = np.log(far / near)
+    # Half of them are even in ln(range), for objects that are bright only because they are near, and half even in area, as
+    # crossings of a field are.
+    squares = near**2, far**2
+    area_like = np.sqrt(squares[0] + rng.random(n) * (squares[1] - squares[0]))
+    rho = np.where(rng.random(n) < 0.5, near * np.exp(rng.random(n) * span), area_like)
+    per_km = 0.5 / (rho * span) + rho / (squares[1] - squares[0])
+    camera = aim * rho[:, None]
+    position = observer + sight * rho[:, None]
     volume = 4.0 * watch.half_row * watch.half_col / slant**3 * rho**2 / per_km
     density = density_of(position, a, e, inclination)
     # Most orbits do not come here. Only those that do are processed further.
@@ -144,8 +146,8 @@ def crossings(
     across = relative - camera * (np.sum(relative * camera, axis=1) / rho**2)[:, None]
     rate = np.linalg.norm(across, axis=1) / rho
     start, stop = _stay_s(camera, relative, watch)
-    first, last = watch.t_s[0] - 0.5 * watch.frame_s, watch.t_s[-1] + 0.5 * watch.frame_s
-    start, stop = np.maximum(start, first - t0), np.minimum(stop, last - t0)
+    opens, closes = watch.t_s[0] - 0.5 * watch.frame_s, watch.t_s[-1] + 0.5 * watch.frame_s
+    start, stop = np.maximum(start, opens - t0), np.minimum(stop, closes - t0)
     stay = stop - start
     met = np.isfinite(velocity).all(axis=1) & (stay > 0.0) & (np.degrees(rate) >= SLOWEST_DEG_S)
     weight = np.where(met, density[kept] * volume[kept] * watch.span_s / np.maximum(stay, 1e-9), 0.0) / n
@@ -165,6 +167,22 @@ def crossings(
         weight=weight,
         flux_km2_s=_flux_at_camera(watch, orbits),
     )
+
+
+def farthest_km(velocity_km_s: Array, a: Array, e: Array) -> Array:
+    """Range (n,) beyond which objects on orbits (n,) are slower than `SLOWEST_DEG_S` for a camera of this velocity (n, 3), km/s.
+
+    No relative speed exceeds the camera's and that of the perigee together.
+    """
+    perigee = np.sqrt(MU_KM3_S2 / a * (1.0 + e) / (1.0 - e))
+    return np.asarray((np.linalg.norm(velocity_km_s, axis=1) + perigee) / math.radians(SLOWEST_DEG_S))
+
+
+def _leaves_km(observer: Array, sight: Array, radius_km: Array) -> Array:
+    """Range (n,) at which lines of sight (unit vectors) leave spheres about the Earth, 0 where they miss them."""
+    along = -np.sum(observer * sight, axis=1)
+    inside = along**2 - np.sum(observer * observer, axis=1) + radius_km**2
+    return np.asarray(np.maximum(np.where(inside > 0.0, along + np.sqrt(np.maximum(inside, 0.0)), 0.0), 0.0))
 
 
 def _flux_at_camera(watch: Watch, orbits: Array) -> float:

@@ -30,6 +30,8 @@ TAI_NS = 2_180_000_000_000_000_000  # early 2027, in ns since 1958
 THRESHOLD, FRAME_S, EXPOSURE_S, FRAMES = 7.2, 0.25, 0.2, 24
 FOCAL_PX, HALF, ZERO_POINT_E_S, NOISE_E, PSF_PX = 44444.0, 2048.0 / 44444.0, 4.7e8, 2.84, 0.9
 CANDIDATES = 400_000
+FARTHEST_KM = 11_000.0  # of the simulator's objects: beyond it all are slower than 0.1 deg/s, as nature's are
+EVEN_SHARE = 0.6  # of its candidates have ranges even in volume, since most of the large ones are far
 KEPT = 0.93  # share of what a frame's threshold finds that ends in a tracklet
 
 
@@ -80,12 +82,12 @@ GREY = SurfaceOptions(
 def classes(albedo: float = ALBEDO, *, snr_min: float = 1.0, candidates: int = CANDIDATES) -> list[Class]:
     """Candidates of every class of the product."""
     # Grey Lambert spheres: the scatter of albedos comes in `run`.
-    options = PopulationOptions(candidates=candidates, albedo=albedo, snr_min=snr_min, surface=GREY)
+    options = PopulationOptions(candidates=candidates, albedo=albedo, snr_min=snr_min, surface=GREY, farthest_km=FARTHEST_KM)
     seen, rng = window(), np.random.default_rng(7)
     out = []
     for low, high in pairwise(SIZE_EDGES_M):
         one = SizeClass(from_mm=1e3 * low, to_mm=1e3 * high, count=1)
-        found = draw_candidates(options, one, seen, rng)
+        found = draw_candidates(options, one, seen, rng, even_share=EVEN_SHARE)
         keep = (found.natural > 0.0) & (found.rate_deg_s >= options.slowest_deg_s)
         kept = {name: getattr(found, name)[keep] for name in vars(found) if name != "surfaces"}
         found = replace(found, **kept, surfaces=found.surfaces.taken(np.flatnonzero(keep)))

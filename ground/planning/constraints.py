@@ -1,7 +1,6 @@
 """Which target may be looked at when, and what forbids it where it may not."""
 
 from dataclasses import dataclass
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,12 +8,10 @@ from numpy.typing import NDArray
 from ground.planning.options import ConstraintOptions
 from ground.planning.sky import Sky
 from ground.sky.apparent import EARTH_RADIUS_KM
+from ground.sky.shadow import sunlit
 
 Array = NDArray[np.float64]
 Flags = NDArray[np.bool_]
-
-SUN_RADIUS_KM: Final = 695700.0
-"""Nominal solar radius, IAU 2015 resolution B3."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -118,13 +115,3 @@ def above_limb(direction: Array, station_km: Array) -> Array:
     distance = np.linalg.norm(station_km, axis=-1)
     from_nadir = separation(direction, -station_km)
     return np.asarray(from_nadir - np.arcsin(EARTH_RADIUS_KM / distance))
-
-
-def sunlit(position_km: Array, sun_km: Array) -> Flags:
-    """Whether objects (..., n, 3) are outside the Earth's penumbra (Montenbruck & Gill, Satellite Orbits, section 3.4.2)."""
-    to_sun = sun_km - position_km
-    sun_distance, radius = np.linalg.norm(to_sun, axis=-1), np.linalg.norm(position_km, axis=-1)
-    with np.errstate(invalid="ignore"):
-        sun_disc, earth_disc = np.arcsin(SUN_RADIUS_KM / sun_distance), np.arcsin(np.minimum(EARTH_RADIUS_KM / radius, 1.0))
-        apart = np.arccos(np.clip(-np.sum(position_km * to_sun, axis=-1) / (radius * sun_distance), -1.0, 1.0))
-        return np.asarray(apart >= sun_disc + earth_disc)

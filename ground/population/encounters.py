@@ -15,6 +15,7 @@ from dataclasses import dataclass
 from functools import lru_cache
 from typing import Final
 
+import erfa
 import numpy as np
 from numpy.typing import NDArray
 from scipy.special import erf
@@ -23,11 +24,14 @@ from ground.orbit.breakup import draw_breakup, draw_catalogue
 from ground.orbit.dynamics import MU_KM3_S2
 from ground.orbit.range_scan import SMALL_BELOW_M
 from ground.orbit.size import SUN_V_MAG, lambert_phase, log_size_density
+from ground.sky.shadow import before_the_earth, sunlit
 
 Array = NDArray[np.float64]
 
 NEAREST_KM: Final = 0.05
 """Where the range scan of tracklets begins, too (`range_scan`: nearest)."""
+AU_KM: Final = float(erfa.DAU / 1e3)
+"""IAU 2012 resolution B2. The Sun's distance varies by 1.7 %, which the Earth's shadow does not feel."""
 NEAR_SHARE: Final = 100.0
 """Ranges below a hundredth of the reach hold a millionth of the volume."""
 
@@ -155,6 +159,7 @@ def crossings(
     phase = np.arccos(np.clip(-np.sum((position - observer) * watch.sun, axis=1) / rho, -1.0, 1.0))
     sunlight_e_s = 10.0 ** (-0.4 * (SUN_V_MAG - watch.zero_point_mag))
     light = sunlight_e_s * own * (0.5 * size) ** 2 / (rho * 1e3) ** 2 * lambert_phase(phase)
+    light *= sunlit(position, watch.sun * AU_KM) & before_the_earth(position, observer)
     snr, length, lit = _seen(watch, t0, start, stop, rate, rho, light)
     return Crossings(
         size_m=size,

@@ -117,7 +117,7 @@ def threshold_of(frames: Sequence[DownlinkFrame]) -> tuple[float, int]:
 
 
 def _has_own_detection(group: RoiGroup) -> bool:
-    """Whether a region's detection is that of its own frame. Where strips of a track's member were lost, it may be the track's."""
+    """Whether a region's detection is that of its own frame. Where strips of a track's member are lost it may be the track's."""
     return not is_of_track_only(group.roi_id) and (group.track < 0 or len(group.strips) >= group.n_strips)
 
 

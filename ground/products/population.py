@@ -69,7 +69,8 @@ COLUMNS: Final = (
 )
 WORDS: Final = (
     "flux: density times relative speed at the camera, of objects in low orbits that move at "
-    f"{SLOWEST_DEG_S:g} deg/s or more; counted: tracklets that the detector found in two single frames or more; exposure: prior orbits of catalogued fragments "
+    f"{SLOWEST_DEG_S:g} deg/s or more; counted: tracklets that the detector found in two single frames or more; "
+    "exposure: sunlit places in sight, prior orbits of catalogued fragments "
     f"with break-up velocities, Lambert spheres of albedo {ALBEDO:g} with a scatter of {ALBEDO_SIGMA_LN:g} in ln, crossings that "
     f"reach S/N {COULD_BE_SEEN_SNR:g}; share of finds kept by fit, vetting and linking: "
     "from gaps of tracklets; 90 % intervals of the posterior"
@@ -105,10 +106,13 @@ def population(products: GroundProducts, frames: Sequence[DownlinkFrame], camera
         lacks.append(f"no region tells the detector's threshold: {threshold[0]:g} is assumed")
     efficiency = measured_efficiency(images, kind, threshold, watch.psf_sigma_px, rng)
     counted = _counted(products, efficiency)
-    if not counted.size_m.size:
+    flux = flux_of(counted, watch, efficiency, rng)
+    if not flux.exposure_km2_year.any():
+        lacks.append("no object could be seen (light of the Sun, noise): no exposure, no flux")
+    elif not counted.size_m.size:
         lacks.append("no tracklet: fluxes are upper limits")
     return Population(
-        flux=flux_of(counted, watch, efficiency, rng),
+        flux=flux,
         efficiency=efficiency,
         counted=counted,
         watch=watch,

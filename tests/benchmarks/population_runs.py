@@ -59,7 +59,7 @@ def scenario_text(counts: Sequence[int], albedo: float) -> str:
     smoke = re.sub(r"\n\[population[^\[]*", "\n", smoke)
     return smoke + (
         "\n[onboard.downlink]\nwhole_frame_every = 3\n[objects]\npassing = []\n[population]\n"
-        f"snr_min = {LEAST_SNR}\nalbedo = {albedo}\nclasses = [{classes}]\n"
+        f'farthest = "11000 km"\nsnr_min = {LEAST_SNR}\nalbedo = {albedo}\nclasses = [{classes}]\n'
     )
 
 

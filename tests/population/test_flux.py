@@ -21,6 +21,7 @@ from ground.population.injection import (
 )
 from ground.products.population import _counted, _watch, population, population_table
 from ground.records import GroundProducts
+from ground.sky.shadow import before_the_earth
 from sboc_e2e.icd.signals import BackgroundModel, RoiGroup
 from sboc_e2e.score.population import published_flux
 from simulator.scene.debris import SizeClass
@@ -62,6 +63,28 @@ def test_exposure_goes_as_far_as_the_slowest_counted_are(edges: tuple[float, flo
     """Crossings that reach S/N 5 per flux, of a simulated sky without end. Out to 3,000 km they are 0.76 and 0.63 of these."""
     ground, simulator = _bright_exposures(worlds.window(), edges)
     assert ground == pytest.approx(simulator, rel=0.15)
+
+
+def test_nothing_is_exposed_in_the_shadow() -> None:
+    """From the middle of the night away from the Sun no object has light: no exposure, and the table says why it has no flux."""
+    seen = worlds.window(behind_deg=90.0, earth_shadow=True)
+    ground, simulator = _bright_exposures(seen, (0.1, 0.3))
+    assert (ground, simulator) == (0.0, pytest.approx(0.0, abs=1e-6))
+
+
+def test_exposure_ends_where_the_shadow_begins() -> None:
+    """17 deg down from the terminator the sight enters the shadow after 2,300 km. Without one 20 times as much is seen."""
+    dark = worlds.window((-0.3, 0.0), earth_shadow=True)
+    ground, simulator = _bright_exposures(dark, (0.1, 0.3))
+    assert ground == pytest.approx(simulator, rel=0.15)
+
+
+def test_the_earth_hides_what_is_behind_it() -> None:
+    """A camera at 7,078 km, and a station on a pole, which lies inside the sphere of the equator's radius and looks up."""
+    place = np.array([[7078.0, 0.0, 0.0]] * 4)
+    there = np.array([[-7078.0, 0.0, 0.0], [7078.0, 3000.0, 0.0], [6500.0, 0.0, 0.0], [-2000.0, 6378.0, 0.0]])
+    assert before_the_earth(there, place).tolist() == [False, True, True, False]
+    assert before_the_earth(np.array([[500.0, 0.0, 7000.0]]), np.array([[0.0, 0.0, 6356.8]])).all()
 
 
 def _bright_exposures(seen: Window, edges: tuple[float, float]) -> tuple[float, float]:
@@ -194,7 +217,7 @@ def _of_track(group: RoiGroup, snr: float) -> RoiGroup:
 
 
 def test_threshold_is_that_of_single_frames(fields: list) -> None:
-    """Members that only a track found are below it; a track's member whose own strip was lost may be. Others with a track tell."""
+    """Members that only a track found are below it; a member whose own strip was lost may be. Others with a track tell."""
     frames = [f.frame for f in fields]
     alone = threshold_of(frames)
     faint = [replace(f, rois=(*f.rois, _of_track(f.rois[0], 3.7))) for f in frames]
@@ -209,7 +232,7 @@ def test_threshold_is_that_of_single_frames(fields: list) -> None:
 def test_only_what_single_frames_show_is_counted(
     fields: list, tracked: tuple[int, ...], counted: int, gaps: tuple[float, float]
 ) -> None:
-    """A tracklet of four bright frames, `tracked` of them found by a track alone: counted and between its ends, seen of expected."""
+    """A tracklet of four bright frames, `tracked` of them found by a track alone: seen and expected between its ends."""
     run, _ = _finished(
         [
             replace(f, frame=replace(f.frame, rois=tuple(_of_track(g, g.detection.snr) for g in f.frame.rois)))

@@ -43,19 +43,24 @@ class Class:
     flux_km2_s: float
 
 
-def window(mid: tuple[float, float] = (0.0, 0.0)) -> Window:
-    """A camera in an orbit of 700 km that looks away from the Sun. mid : tangents of the middle of its read-out window."""
+def window(mid: tuple[float, float] = (0.0, 0.0), *, behind_deg: float = 0.0, earth_shadow: bool = False) -> Window:
+    """A camera in an orbit of 700 km that looks away from the Sun. mid : tangents of the middle of its read-out window.
+
+    behind_deg : of its place from the terminator towards the middle of the night.
+    """
     sun = sun_position_km(TAI_NS)
     ahead = -sun / np.linalg.norm(sun)
     side = np.cross([0.0, 0.0, 1.0], ahead)
     side /= np.linalg.norm(side)
     attitude = np.stack([side, np.cross(ahead, side), ahead])
-    position = 7078.0 * attitude[1]
+    behind = np.radians(behind_deg)
+    position = 7078.0 * (np.cos(behind) * attitude[1] + np.sin(behind) * ahead)
     velocity = 7.5044 * np.cross(attitude[1], ahead)
     return Window(
         observer_km=position, velocity_km_s=velocity, attitude=attitude, sun_km=sun, half_row=HALF, half_col=HALF,
         duration_s=FRAMES * FRAME_S, exposure_s=EXPOSURE_S, flux_e_s=ZERO_POINT_E_S, focal_px=FOCAL_PX, sigma_px=PSF_PX,
-        noise_variance_e2=NOISE_E**2, aperture_m=0.2, effects=LightOptions(earth_shadow=False), mid_row=mid[0], mid_col=mid[1],
+        noise_variance_e2=NOISE_E**2, aperture_m=0.2, effects=LightOptions(earth_shadow=earth_shadow),
+        mid_row=mid[0], mid_col=mid[1],
     )  # fmt: skip
 
 

@@ -92,7 +92,7 @@ def classes(albedo: float = ALBEDO, *, snr_min: float = 1.0, candidates: int = C
     out = []
     for low, high in pairwise(SIZE_EDGES_M):
         one = SizeClass(from_mm=1e3 * low, to_mm=1e3 * high, count=1)
-        found = draw_candidates(options, one, seen, rng, even_share=EVEN_SHARE)
+        found = draw_candidates(options, one, seen, rng, even_share=EVEN_SHARE, over_cells=True)
         keep = (found.natural > 0.0) & (found.rate_deg_s >= options.slowest_deg_s)
         kept = {name: getattr(found, name)[keep] for name in vars(found) if name != "surfaces"}
         found = replace(found, **kept, surfaces=found.surfaces.taken(np.flatnonzero(keep)))

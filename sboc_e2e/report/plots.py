@@ -12,13 +12,19 @@ import numpy as np
 from astropy.table import Table
 from matplotlib.axis import Axis
 from matplotlib.figure import Figure as Canvas
-from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
+from matplotlib.ticker import LogLocator, NullFormatter
 from numpy.typing import NDArray
 
 from sboc_e2e.score.figures import proportion
 
 MAX_ORBITS: Final = 12
 """Tracklets in the picture of orbits; more would hide each other."""
+
+LOWEST_SNR: Final = 3.0
+"""Where the bins of completeness begin: fainter truth is not counted (`sboc_e2e.score.matching.SNR_IGNORED`)."""
+
+BINS_PER_DECADE: Final = 7
+"""Bins of completeness in a factor of ten of S/N. Chosen, not measured."""
 
 INK: Final = "#7a7f87"
 BLUE, ORANGE, GREEN, RED = "#3b82c4", "#d9822b", "#3a9d5d", "#c8453b"
@@ -74,9 +80,16 @@ def svg(figure: Canvas) -> str:
     return text[text.index("<svg") :]
 
 
+def _bin_edges(snr: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Seven bins a decade of S/N from 3, to 300 at least, and as many more as hold the brightest."""
+    brightest = max(snr[np.isfinite(snr)].max(initial=LOWEST_SNR), 299.0)
+    n_bins = math.floor(BINS_PER_DECADE * math.log10(brightest / LOWEST_SNR)) + 1
+    return LOWEST_SNR * 10.0 ** (np.arange(n_bins + 1) / BINS_PER_DECADE)
+
+
 def completeness(series: dict[str, tuple[NDArray[np.float64], NDArray[np.bool_]]], ideal_snr50: float | None) -> str:
     """Share detected against true S/N, in bins with Wilson intervals, for each named half or detector."""
-    edges = np.geomspace(3.0, 300.0, 15)
+    edges = _bin_edges(np.concatenate([snr for snr, _ in series.values()]))
     with canvas() as (figure, (ax,)):
         for k, (name, (snr, found)) in enumerate(series.items()):
             x, y, low, high = [], [], [], []
@@ -134,13 +147,15 @@ def magnitudes(rows: list[dict[str, float]]) -> str:
 
 
 def frame_vectors(grids: list[dict[str, Any]]) -> str:
-    """Solved minus true direction over the field, mean of all frames."""
+    """Solved minus true direction over the field, mean of all frames, along the axes of the frame."""
     with canvas() as (figure, (ax,)):
-        east = np.mean([g["east_arcsec"] for g in grids], axis=0)
-        north = np.mean([g["north_arcsec"] for g in grids], axis=0)
+        along_col, along_row = (np.mean([g[name] for g in grids], axis=0) for name in ("along_col_arcsec", "along_row_arcsec"))
         ax.margins(0.2, 0.35)
-        arrows = ax.quiver(grids[0]["col"], grids[0]["row"], east, north, color=BLUE, angles="uv", width=0.004, clip_on=False)
-        size = float(np.hypot(east, north).max())
+        # "xy": an arrow of growing row points down, as the axis does.
+        arrows = ax.quiver(
+            grids[0]["col"], grids[0]["row"], along_col, along_row, color=BLUE, angles="xy", width=0.004, clip_on=False
+        )
+        size = float(np.hypot(along_col, along_row).max())
         ax.quiverkey(arrows, 1.06, 0.96, size, f'{size:.3f}"', labelpos="S", coordinates="axes")
         ax.set(xlabel="col", ylabel="row", aspect="equal")
         ax.invert_yaxis()
@@ -150,14 +165,20 @@ def frame_vectors(grids: list[dict[str, Any]]) -> str:
 def tracklets_on_sky(streaks: Table, frames: Table) -> str:
     """Measured streaks of each tracklet on the sky, unlinked ones in grey, and the outlines and middles of the solved frames."""
     with canvas() as (figure, (ax,)):
-        reference = None
+        reference: float | None = None
+
+        def near(ra_deg: NDArray[np.float64]) -> NDArray[np.float64]:
+            """Right ascensions within 180 deg of the first one drawn, so that nothing jumps at 0."""
+            nonlocal reference
+            reference = float(ra_deg[ra_deg.size // 2]) if reference is None else reference
+            return reference + (ra_deg - reference + 180.0) % 360.0 - 180.0
+
         for s in frames:
             if "grid_ra_app_deg" not in frames.colnames or not np.isfinite(s["grid_ra_app_deg"]).all():
                 continue
             grid_ra, grid_dec = (np.asarray(s[name], float).reshape(-1) for name in ("grid_ra_app_deg", "grid_dec_app_deg"))
             side, middle = math.isqrt(grid_ra.size), grid_ra.size // 2
-            reference = float(grid_ra[middle]) if reference is None else reference
-            grid_ra = reference + (grid_ra - reference + 180.0) % 360.0 - 180.0
+            grid_ra = near(grid_ra)
             index = np.arange(grid_ra.size).reshape(side, side)
             border = np.concatenate([index[0], index[1:, -1], index[-1, -2::-1], index[-2::-1, 0]])
             ax.plot(grid_ra[border], grid_dec[border], color=INK, lw=0.6, alpha=0.5)
@@ -168,7 +189,7 @@ def tracklets_on_sky(streaks: Table, frames: Table) -> str:
                 continue
             tracklet = int(s["tracklet_id"])
             colour = INK if tracklet < 0 else SERIES[tracklet % len(SERIES)]
-            ax.plot(ra, dec, color=colour, lw=0.8 if tracklet < 0 else 1.8)
+            ax.plot(near(np.array(ra)), dec, color=colour, lw=0.8 if tracklet < 0 else 1.8)
         if reference is not None:
             ax.set_aspect(1.0 / max(math.cos(math.radians(float(np.mean(ax.get_ylim())))), 0.05), adjustable="datalim")
         ax.set(xlabel="right ascension (deg)", ylabel="declination (deg)")
@@ -182,7 +203,8 @@ def orbit_spread(samples: Table, orbits: Table, true_range_km: dict[int, float])
     true_range_km : by tracklet, where the truth is known; drawn as a cross.
     """
     with canvas(10.0, 3.4, columns=3) as (figure, axes):
-        for k, tracklet in enumerate(sorted({int(t) for t in samples["tracklet_id"]})[:MAX_ORBITS]):
+        shown = sorted({int(t) for t in samples["tracklet_id"]})[:MAX_ORBITS]
+        for k, tracklet in enumerate(shown):
             mine = samples[samples["tracklet_id"] == tracklet]
             colour = SERIES[k % len(SERIES)]
             for ax, name in ((axes[0], "a_km"), (axes[1], "i_deg")):
@@ -198,7 +220,7 @@ def orbit_spread(samples: Table, orbits: Table, true_range_km: dict[int, float])
             plain_logarithmic(ax.xaxis)
         axes[0].set_yscale("log")
         plain_logarithmic(axes[0].yaxis)
-        axes[2].yaxis.set_major_locator(MaxNLocator(integer=True))
+        axes[2].set_yticks(range(len(shown)), [str(tracklet) for tracklet in shown])
         return svg(figure)
 
 

@@ -151,8 +151,20 @@ def _east(unit: NDArray[np.float64]) -> NDArray[np.float64]:
     return np.asarray(east / max(float(np.linalg.norm(east)), 1e-12))
 
 
+def _axes_of_frame(
+    row: NDArray[np.float64], col: NDArray[np.float64], unit: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Unit vectors (3,) on the sky of growing row and of growing col, mean over the field. row, col : (n,); unit : (n, 3)."""
+    slopes = np.linalg.lstsq(np.stack([np.ones_like(row), row, col], axis=-1), unit, rcond=None)[0][1:]
+    along_row, along_col = slopes / np.maximum(np.linalg.norm(slopes, axis=-1, keepdims=True), 1e-300)
+    return along_row, along_col
+
+
 def frame_astrometry(frames: Table, truth_frames: Table) -> tuple[dict[str, Any], list[dict[str, Any]]]:
-    """`frame_rms_arcsec` and `frame_bias_arcsec` on the 9 x 9 grid of each solved frame, and the grids for plots."""
+    """`frame_rms_arcsec` and `frame_bias_arcsec` on the 9 x 9 grid of each solved frame, and the grids for plots.
+
+    Grids have the offsets (arcsec) along the directions in which row and col grow, which is how a frame is drawn.
+    """
     by_number = {int(t["frame"]): t for t in truth_frames}
     frame_rms, biases, grids = [], [], []
     for s in frames:
@@ -170,7 +182,10 @@ def frame_astrometry(frames: Table, truth_frames: Table) -> tuple[dict[str, Any]
         de, dn = np.einsum("ij,ij->i", offset, east), np.einsum("ij,ij->i", offset, north)
         frame_rms.append(float(np.sqrt(np.mean(de**2 + dn**2))))
         biases.append((float(de.mean()), float(dn.mean())))
-        grids.append({"frame": int(s["frame"]), "row": row, "col": col, "east_arcsec": de, "north_arcsec": dn})
+        along_row, along_col = (offset @ axis for axis in _axes_of_frame(row, col, true))
+        grids.append(
+            {"frame": int(s["frame"]), "row": row, "col": col, "along_row_arcsec": along_row, "along_col_arcsec": along_col}
+        )
     if not frame_rms:
         none = absent("no frame was solved, or the truth has no directions of frames")
         return {"frame_rms_arcsec": none, "frame_bias_arcsec": none}, []

@@ -170,7 +170,7 @@ def _plots(score: dict[str, Any], e: Evaluation, run_dir: Path) -> list[tuple[st
     """Title and SVG of each plot that has something to show."""
     ideal = figure_at(score, "detection.ground.ideal_snr50")["value"]
     out = [("Completeness", plots.completeness(completeness_series(e), ideal))]
-    measured = {row: t for row, t in e.pairs.items() if t.index in e.bounds}
+    measured = {row: t for row, t in e.measured.items() if t.index in e.bounds}
     sky = sky_paths(e.truth_tables["streaks"], sorted({t.index for t in measured.values()}))
     _, residuals = streak_astrometry(e.streaks, measured, e.bounds, sky)
     if residuals:

@@ -74,6 +74,12 @@ class Evaluation:
         return [i for i, flags in enumerate(self.streaks["flags"]) if not int(flags) & StreakFlag.VETOED]
 
     @property
+    def measured(self) -> dict[int, TruthStreak]:
+        """Row of `streaks` -> truth streak, of those whose position and light are judged: accepted, and their truth counted."""
+        accepted = set(self.accepted)
+        return {row: truth for row, truth in self.pairs.items() if truth.counted and row in accepted}
+
+    @property
     def detected_ground(self) -> set[int]:
         """Truth indices matched by a measured streak after vetting."""
         accepted = set(self.accepted)

@@ -47,11 +47,10 @@ def score_evaluation(e: Evaluation, run_dir: Path | None = None) -> dict[str, An
     ground = detection_figures(e.truth, e.detected_ground, len(e.false_rows), e.n_frames, e.shape, sigma_px)
 
     wanted = sorted({t.index for t in e.pairs.values()})
-    measured = {row: t for row, t in e.pairs.items() if t.counted and row in set(e.accepted)}
-    streak_figures, _ = streak_astrometry(e.streaks, measured, e.bounds, sky_paths(e.truth_tables["streaks"], wanted))
+    streak_figures, _ = streak_astrometry(e.streaks, e.measured, e.bounds, sky_paths(e.truth_tables["streaks"], wanted))
     frame_figures, _ = frame_astrometry(e.frames, e.truth_tables["frames"])
     truth_mag = mean_magnitudes(e.truth_tables["streaks"], e.truth)
-    magnitudes, _ = photometry(e.streaks, measured, truth_mag, e.bounds, e.frames, e.truth_tables["frames"])
+    magnitudes, _ = photometry(e.streaks, e.measured, truth_mag, e.bounds, e.frames, e.truth_tables["frames"])
     links, owner = linking(e.streaks, e.pairs, e.n_frames)
 
     frame_rate_hz = float(e.manifest.get("frame_rate_hz") or 1.0)

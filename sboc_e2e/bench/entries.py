@@ -14,6 +14,11 @@ AIMED: Final = "aimed"
 DIRECTIONS: Final = (
     ("*cold_cpu_s", EITHER),  # with compilation, where a kernel is compiled for the first time
     ("*first_frame_cpu_s", EITHER),
+    ("*bias*", AIMED),  # before "*false*": a bias among false stars is a bias
+    ("*pull_std*", AIMED),
+    ("*nees*", AIMED),
+    ("*coverage_68*", AIMED),
+    ("*coverage_90*", AIMED),
     ("*completeness*", HIGHER),
     ("*captured_flux*", HIGHER),
     ("*purity*", HIGHER),
@@ -28,13 +33,8 @@ DIRECTIONS: Final = (
     ("*snr50*", LOWER),
     ("*_ratio*", LOWER),
     ("*rms*", LOWER),
-    ("*bias*", AIMED),
-    ("*pull_std*", AIMED),
-    ("*coverage_68*", AIMED),
-    ("*coverage_90*", AIMED),
     ("*error*", LOWER),
     ("*trivial*", LOWER),
-    ("*nees*", AIMED),
     ("*differs_from_streaks*", LOWER),
     ("*gross_share*", LOWER),
     ("*veto_loss*", LOWER),
@@ -57,7 +57,11 @@ TIMES: Final = "x"
 REAL_TIME: Final = "x real time"
 """Unit of a speed in units of the frame rate."""
 
+EPOCH_MS: Final = "ms of epoch"
+"""Unit of errors of published epochs: milliseconds that no machine makes longer or shorter."""
+
 UNITS: Final = (
+    ("*epoch_rms_ms", EPOCH_MS), ("*epoch_bias_ms", EPOCH_MS),
     ("*realtime_factor*", REAL_TIME), ("*speedup*", TIMES), ("*_over_numpy_floor", TIMES),
     ("*_arcsec", "arcsec"), ("*_mag", "mag"), ("*cpu_s*", "s"), ("*_s_per_frame", "s"), ("*_mb", "MB"), ("*mb_s*", "MB/s"),
     ("*_km_s", "km/s"), ("*_m_s", "m/s"), ("*_rms_m", "m"),

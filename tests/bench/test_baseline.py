@@ -4,8 +4,9 @@ from pathlib import Path
 
 import pytest
 
+from sboc_e2e.bench import yardstick
 from sboc_e2e.bench.baseline import read_baseline, regressions, write_baseline
-from sboc_e2e.bench.entries import Entry, flatten
+from sboc_e2e.bench.entries import AIMED, AIMS, Entry, flatten
 from sboc_e2e.icd.errors import UserError
 
 
@@ -126,3 +127,30 @@ def test_one_part_is_written_anew_and_the_others_stay(tmp_path: Path) -> None:
     write_baseline(path, [entry("x.cpu_s", 1.0), entry("x.old_cpu_s", 1.0), entry("y.cpu_s", 1.0)])
     write_baseline(path, [entry("x.cpu_s", 2.0)], kept=read_baseline(path))
     assert {name: figure["value"] for name, figure in read_baseline(path).items()} == {"x.cpu_s": 2.0, "y.cpu_s": 1.0}
+
+
+@pytest.mark.parametrize("name", ["camera.40_percent_false.bias_x_arcsec", "camera.40_percent_false.zero_point_bias_mag"])
+def test_a_bias_among_false_stars_is_a_bias(name: str, tmp_path: Path) -> None:
+    """It was judged as a rate of false ones: the more negative the better."""
+    path = tmp_path / "baseline.json"
+    write_baseline(path, [entry(name, 0.01, 0.01)])
+    assert [r.name for r in regressions([entry(name, -0.2, 0.01)], read_baseline(path))] == [name]
+    assert regressions([entry(name, -0.01, 0.01)], read_baseline(path)) == []
+
+
+@pytest.mark.parametrize(("pattern", "aim"), AIMS)
+def test_what_has_an_aim_is_judged_by_its_distance_from_there(pattern: str, aim: float) -> None:
+    for words in ("false", "snr50", "rms", "_ratio", "error", "_ms"):
+        figure = entry(f"x.{words}.{pattern.strip('*')}", 1.0)
+        assert (figure.better, figure.aim) == (AIMED, aim)
+
+
+def test_errors_of_epochs_are_no_timings_of_the_machine(tmp_path: Path) -> None:
+    """An rms of 0.06 +- 0.002 ms that became 0.08 is worse on any machine; half as much again is allowed for timings."""
+    path, before, now = tmp_path / "baseline.json", 0.06, 0.08
+    names = ("x.products.angles.epoch_rms_ms", "x.products.angles.epoch_bias_ms")
+    yardsticks = [entry(f"x.{yardstick.NAME}", seconds) for seconds in (1.0, 2.0)]
+    write_baseline(path, [yardsticks[0], *(entry(name, before, 0.002) for name in names)])
+    found = regressions([yardsticks[1], *(entry(name, now, 0.002) for name in names)], read_baseline(path))
+    assert [(r.name, r.before) for r in found] == [(name, before) for name in names]
+    assert regressions([yardsticks[1], *(entry(name, before, 0.002) for name in names)], read_baseline(path)) == []

@@ -24,7 +24,7 @@ def oem_text(headers: Sequence[FrameHeader], names: ProductOptions) -> str | Non
     orbit = observer_orbit(headers)
     if orbit is None:
         return None
-    frames_ns = [(h.t_start_tai_ns, h.t_start_tai_ns + h.exposure_ns + abs(h.line_time_ns) * h.rows) for h in headers]
+    frames_ns = [_exposed_ns(h) for h in headers]
     lines = [
         "CCSDS_OEM_VERS = 2.0",
         f"CREATION_DATE = {utc_text([max(h.t_start_tai_ns for h in headers)], 3)[0]}",
@@ -61,6 +61,12 @@ def state_lines(epochs: Sequence[str], states: NDArray[np.float64]) -> list[str]
         f"{epoch} " + " ".join([f"{x:.6f}" for x in state[:3]] + [f"{v:.9f}" for v in state[3:]])
         for epoch, state in zip(epochs, states, strict=True)
     ]
+
+
+def _exposed_ns(header: FrameHeader) -> tuple[int, int]:
+    """First opening and last closing of the shutter on any row, TAI ns. A frame read from its last row opens there first."""
+    last_row_ns = header.t_start_tai_ns + header.line_time_ns * (header.rows - 1)
+    return min(header.t_start_tai_ns, last_row_ns), max(header.t_start_tai_ns, last_row_ns) + header.exposure_ns
 
 
 def _span(arc: ObserverArc, frames_ns: Sequence[tuple[int, int]]) -> tuple[int, int]:

@@ -280,13 +280,14 @@ def _counted(products: GroundProducts, efficiency: Efficiency) -> Counted:
     found in two frames, with or without a tracker.
     """
     orbits = {o.tracklet_id: o for o in products.orbits if o.converged}
+    linked = {t.tracklet_id for t in products.tracklets if len(np.unique(t.frames)) > 1}
     singles, tracked, vetoed = [], [], 0
     for streak in products.streaks:
         if is_of_track_only(streak.roi_id):
             tracked.append(streak.streak_id)
         if streak.flags & StreakFlag.VETOED:
             vetoed += 1
-        elif streak.tracklet_id < 0:
+        elif streak.tracklet_id not in linked:  # a tracklet of pieces in one frame has no second frame either
             singles.append(streak.probability)
     of_tracks = np.array(tracked, dtype=np.int64)
     own = [_own(tracklet, of_tracks) for tracklet in products.tracklets]
@@ -295,6 +296,6 @@ def _counted(products: GroundProducts, efficiency: Efficiency) -> Counted:
         for t, (frames, _) in zip(products.tracklets, own, strict=True)
         if len(frames) > 1
     ]
-    n_tracked = sum(len(np.unique(t.frames)) > 1 for t in products.tracklets) - len(sizes)
+    n_tracked = len(linked) - len(sizes)
     ranges = [(float(o.range_km[0]), float(o.range_km[2])) for o in orbits.values()]
     return counted_of(sizes, ranges, singles, vetoed, _gaps(products, efficiency, own), n_tracked)

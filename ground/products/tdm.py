@@ -131,7 +131,7 @@ def _segment(
         *comment_lines(
             f"Directions: EME2000 axes (GCRS turned by the IAU 2006 frame bias), observer-centred; {removed}, {CORRECTIONS_KEPT}"
         ),
-        *comment_lines(f"Epochs are {EPOCHS}; of MAG, half way between both ends' epochs"),
+        *comment_lines(f"Epochs are {EPOCHS}; of MAG, when the object passed the middle of its trail"),
         f"COMMENT One sigma along / across the motion, median: {np.median(along):.3f} / {np.median(cross):.3f} arcsec; "
         "of each direction, with correlations: tdm_angles.ecsv"
         if np.isfinite(along).any()

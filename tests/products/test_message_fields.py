@@ -186,3 +186,25 @@ def test_observer_message_has_the_structure_of_the_reference() -> None:
         assert all(len(row.split()) == 7 for row in rows)
         tables.append(fields)
     assert tables[0] == tables[1]
+
+
+@pytest.mark.parametrize(
+    ("line_time_ns", "start", "stop"), [(-10_000_000, "28T23:59:59", "29T00:00:01"), (10_000_000, "29T00:00:00", "29T00:00:02")]
+)
+def test_observer_message_spans_every_row_of_the_frames(line_time_ns: int, start: str, stop: str) -> None:
+    """Frames of 64 rows start 0, 0.25 and 0.5 s after midnight, for 0.2 s. Row 63 starts 0.63 s before row 0, or after it.
+
+    So the first row opens at -0.63 s and the last closes at 0.7 s, or at 0 and 1.33 s.
+    """
+    made = oem_text([replace(h, line_time_ns=line_time_ns) for h in headers()], ProductOptions())
+    assert made is not None
+    epochs = [re.search(rf"^{field} = (\S+)$", made, re.MULTILINE) for field in ("START_TIME", "STOP_TIME")]
+    assert [plain(found[1]).partition(".")[0] if found else "" for found in epochs] == [f"2027-01-{start}", f"2027-01-{stop}"]
+
+
+def test_epoch_of_a_magnitude_is_said_to_be_that_of_the_trails_middle(tmp_path: Path) -> None:
+    """`ground.trail_epochs.with_middle_epoch` dates it; it is not half way between the ends where the object changes its rate."""
+    (segment,) = read(message(tracklet(17)), tmp_path).body.segment
+    comments = " ".join(segment.metadata.comment)
+    assert "of MAG, when the object passed the middle of its trail" in comments
+    assert "half way" not in comments

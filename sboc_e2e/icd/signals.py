@@ -241,7 +241,7 @@ class Strip:
         if self.axis not in (0, 1):
             raise ContractError(f"strip.axis: expected 0 or 1, got {self.axis}")
         validate.within("strip.slope_fp", self.slope_fp, -FIXED_POINT, FIXED_POINT)
-        dtype = np.float32 if np.asarray(self.values_adu).dtype == np.float32 else np.int32
+        dtype = np.float32 if np.asarray(self.values_adu).dtype.kind == "f" else np.int32
         object.__setattr__(self, "values_adu", validate.array("strip.values_adu", self.values_adu, dtype, (None, None)))
 
     def pixel_coordinates(self, rows: int, cols: int) -> tuple[NDArray[np.int32], NDArray[np.int32], NDArray[np.bool_]]:

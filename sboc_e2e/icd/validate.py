@@ -10,11 +10,18 @@ from sboc_e2e.icd.errors import ContractError
 
 
 def array(field: str, value: Any, dtype: DTypeLike, shape: tuple[int | None, ...]) -> NDArray[Any]:
-    """A read-only array of the wanted dtype and shape (None: any length); views are not copied."""
+    """A read-only array of the wanted dtype and shape (None: any length); views are not copied.
+
+    Numbers that are no integers of the wanted dtype are refused, and none is cut to fit. Of floats precision may be lost.
+    """
+    target = np.dtype(dtype)
     try:
-        out = np.asarray(value, dtype=dtype)
-    except (TypeError, ValueError) as error:
-        raise ContractError(f"{field}: expected an array of {np.dtype(dtype)}, got {type(value).__name__}") from error
+        given = np.asarray(value)
+        if target.kind in "iu" and not np.can_cast(given.dtype, target, "safe"):
+            _refuse_other_numbers(field, given, target)
+        out = given.astype(target, copy=False)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise ContractError(f"{field}: expected an array of {target}, got {type(value).__name__}") from error
     fits = out.ndim == len(shape) and all(want is None or want == got for want, got in zip(shape, out.shape, strict=True))
     if not fits:
         wanted = "(" + ", ".join("any" if n is None else str(n) for n in shape) + ")"
@@ -23,6 +30,21 @@ def array(field: str, value: Any, dtype: DTypeLike, shape: tuple[int | None, ...
         out = out.view()
         out.flags.writeable = False
     return out
+
+
+def _refuse_other_numbers(field: str, given: NDArray[Any], target: np.dtype[Any]) -> None:
+    """Raises ContractError unless the integer dtype holds every given number exactly, and TypeError for what is no number."""
+    if given.dtype.kind not in "iuf":
+        raise TypeError(given.dtype)
+    if not given.size:
+        return
+    limits = np.iinfo(target)
+    # As Python numbers: 2**63 and the largest int64 compare equal as float64. NaN is in no range.
+    low, high = given.min().item(), given.max().item()
+    if not (limits.min <= low and high <= limits.max):
+        raise ContractError(f"{field}: expected {target}, {limits.min} to {limits.max}, got {low} to {high}")
+    if given.dtype.kind == "f" and (fractions := np.count_nonzero(given != np.trunc(given))):
+        raise ContractError(f"{field}: expected {target}, got {fractions} numbers that are not whole")
 
 
 def same_length(record: str, **columns: NDArray[Any]) -> int:

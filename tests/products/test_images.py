@@ -122,11 +122,21 @@ def test_every_image_has_the_directions_of_the_solved_camera(seen, opened):
 
 
 def test_headers_say_when_and_from_where(seen, opened):
+    """Row r opens r line times after row 0, so the middle of the frame is exposed half of all line times later than its start.
+
+    Epochs by astropy, whose TAI begins in 1958 as the contract's does.
+    """
     header = seen[0].header
+    assert header.line_time_ns != 0
+    opened_at = Time("1958-01-01", scale="tai") + header.t_start_tai_ns // 10**9 * u.s + header.t_start_tai_ns % 10**9 * u.ns
+    middle = opened_at + (0.5 * header.exposure_ns + header.line_time_ns * 0.5 * (header.rows - 1)) * u.ns
     for cards in (opened[0].header, opened["FRAME"].header):
-        start = Time(cards["DATE-OBS"], scale="utc")
-        assert start.mjd == pytest.approx(cards["MJD-OBS"], abs=1e-9)
+        assert cards["TIMESYS"] == "UTC"
+        for which, epoch in (("OBS", opened_at), ("AVG", middle)):
+            assert abs((Time(cards[f"DATE-{which}"], scale="utc") - epoch).to_value("us")) < 1.0
+            assert cards[f"MJD-{which}"] == pytest.approx(epoch.utc.mjd, abs=1e-9)
         assert cards["EXPTIME"] == header.exposure_ns * 1e-9
+        assert cards["LINETIME"] == header.line_time_ns * 1e-9
         assert [cards[f"GCRS_{axis}"] for axis in "XYZ"] == header.observer.position_m.tolist()
         assert [cards[f"GCRS_V{axis}"] for axis in "XYZ"] == header.observer.velocity_m_s.tolist()
     assert "annual aberration" in "".join(opened[0].header["COMMENT"])

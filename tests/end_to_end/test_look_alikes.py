@@ -58,7 +58,10 @@ def test_a_frame_with_dust_rings_has_look_alikes_and_its_weak_lines_are_not_publ
     assert len(table) >= 4, "the frames hold lines to be judged"
     (row,) = (row for row in RunFound.of(tmp_path / "out").rows() if "look-alikes" in row[0])
     assert row[1] == str(sum(each["all"] for each in counts))
-    assert "at S/N >= 10, 0 at S/N >= 20" in row[2] or "at S/N >= 20" in row[2]
+    levels = sorted(int(key.removeprefix("snr_")) for key in counts[0] if key != "all")
+    assert {10, 20} <= set(levels)
+    told = [part.split(" at S/N >= ") for part in row[2].rpartition("; ")[2].split(", ")]
+    assert told == [[str(sum(each[f"snr_{level}"] for each in counts)), str(level)] for level in levels]
 
 
 def test_clean_frames_have_no_look_alikes_bright_trails_or_not(tmp_path: Path) -> None:

@@ -48,7 +48,8 @@ def test_intervals_hold_the_truth() -> None:
         inside += int(((got.cumulative[:, 0] <= truth) & (truth <= got.cumulative[:, 2])).sum())
         total += len(truth)
         slopes.append(got.slope[1])
-    assert 0.84 <= inside / total <= 1.0
+    # 300 intervals of 90 %, five a run that share its counts: two sigma are 0.035 if they were independent, 0.08 if they were one
+    assert 0.84 <= inside / total <= 0.97
     assert abs(np.median(slopes) - TRUE_SLOPE) < 0.15
 
 

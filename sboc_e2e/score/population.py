@@ -91,14 +91,16 @@ def published_flux(product: Table | None, truth: Mapping[str, Any], placed: Sequ
     """Flux larger than each edge of the simulated classes as products/population.ecsv has it, and the true one.
 
     product : None where a run has no such table. truth : truth/population.json; true: nature's flux x each class's boost of
-    density. placed : sizes of counted tracklets of objects that the scenario placed. `holds_truth` : share of those edges whose
-    90 % interval, systematic term included, holds the true flux; edges with placed objects above them are not judged.
+    density, against a sky that ends nowhere: ground does not know where a simulated one ends. placed : sizes of counted tracklets
+    of objects that the scenario placed. `holds_truth` : share of those edges whose 90 % interval, systematic term included, holds
+    the true flux; edges with placed objects above them are not judged.
     """
     classes = [c for c in truth.get("classes", ()) if c.get("boost") and "flux_km2_year" in c]
     if product is None or not classes:
         none = absent("no products/population.ecsv" if product is None else "no boosted class in truth/population.json")
         return {"larger_than": [], "holds_truth": none, "lacks": "" if product is None else str(product.meta.get("lacks", ""))}
-    true = np.cumsum([(c.get("density_boost") or c["boost"]) * c["flux_km2_year"] for c in classes[::-1]])[::-1]
+    boosts = [c.get("boost_at_any_range") or c.get("density_boost") or c["boost"] for c in classes]
+    true = np.cumsum([boost * c["flux_km2_year"] for boost, c in zip(boosts[::-1], classes[::-1], strict=True)])[::-1]
     edges, rows = np.asarray(product["from_m"], float), []
     for c, value in zip(classes, true, strict=True):
         at = np.flatnonzero(np.isclose(edges, 1e-3 * c["from_mm"]))

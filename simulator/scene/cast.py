@@ -25,7 +25,7 @@ from simulator.scene.encounters import (
     Window,
     draw_encounters,
     natural_flux,
-    natural_number,
+    natural_numbers,
 )
 from simulator.scene.fleet import KINDS, make_fleet, passing_now, pixel_objects
 from simulator.scene.light import LightOptions
@@ -180,11 +180,13 @@ def summary(options: PopulationOptions, cast: Cast) -> dict[str, Any]:
     natural_in_run : detectable objects of nature in the field at some time of the run, as the drawn ones' candidates have it (the
     sum of their weights). natural_expected : the same from an integral of its own, good to 3 %. entering_per_day : that enter it.
     density_boost : drawn over natural_expected, which is how much denser than nature the run's sky is.
+    natural_at_any_range : the same as natural_expected, objects beyond `farthest` included. boost_at_any_range : drawn over it,
+    which is how much denser the run's sky seems to who does not know where it ends.
     flux_km2_year : nature's cross-sectional area flux of all objects of the class at the camera.
     seen_per_day : entering ones of S/N 8 and more; models_low, models_high : what models leave, as factors on it.
     """
     drawn = cast.drawn
-    expected = [natural_number(options, c, cast.window) if c.count else 0.0 for c in options.classes]
+    numbers = [natural_numbers(options, c, cast.window) if c.count else (0.0, 0.0) for c in options.classes]
     seen = [seen_per_day(options, c, cast.window, k) for k, c in enumerate(options.classes)]
     streams = [generator(drawn.seed, Effect.POPULATION, block=FLUX_BLOCK + k) for k in range(len(options.classes))]
     flux = [natural_flux(options, c, cast.window, rng) for c, rng in zip(options.classes, streams, strict=True)]
@@ -195,8 +197,10 @@ def summary(options: PopulationOptions, cast: Cast) -> dict[str, Any]:
             "drawn": int(drawn.drawn_by_class[k]),
             "natural_in_run": float(drawn.natural_by_class[k]),
             "boost": _ratio(drawn.drawn_by_class[k], drawn.natural_by_class[k]),
-            "natural_expected": expected[k],
-            "density_boost": _ratio(drawn.drawn_by_class[k], expected[k]),
+            "natural_expected": numbers[k][0],
+            "density_boost": _ratio(drawn.drawn_by_class[k], numbers[k][0]),
+            "natural_at_any_range": numbers[k][1],
+            "boost_at_any_range": _ratio(drawn.drawn_by_class[k], numbers[k][1]),
             "entering_per_day": float(drawn.per_day_by_class[k]),
             "flux_km2_year": flux[k] * YEAR_S,
             "seen_per_day": seen[k].per_day,

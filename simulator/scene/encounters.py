@@ -39,6 +39,9 @@ TRUTH_ROUNDS = 2  # rounds that are averaged: scatter falls with their root, tim
 TRUTH_EVEN_SHARE = 0.6
 """Streams and rounds of the integral of nature's number, and how many of its candidates have ranges even in volume."""
 
+FARTHEST_FAST_KM = 11_000.0
+"""Nothing is farther that moves by 0.1 deg/s: that takes 19 km/s, and a low orbit and an escape have 18.4 together."""
+
 CELL_KM = 20.0  # wider cells blur shells; in narrower ones a few grazing orbits hold the sum. Chosen, not measured
 CELL_SINE = 0.02
 """Half widths of the cells over which its densities are averaged."""
@@ -225,18 +228,21 @@ def draw_candidates(
     )
 
 
-def natural_number(options: PopulationOptions, size_class: SizeClass, window: Window) -> float:
+def natural_numbers(options: PopulationOptions, size_class: SizeClass, window: Window) -> tuple[float, float]:
     """Objects of a class with S/N of `snr_min` that nature sends through the field during a run: what the truth is made with.
 
-    The candidates of a run give it to 20 % only, because few of them hold most of a class of large objects.
+    Those within `farthest`, and those at any range. The candidates of a run give the first to 20 % only, because few of them hold
+    most of a class of large objects.
     """
-    total = 0.0
+    within = anywhere = 0.0
+    endless = replace(options, farthest_km=max(options.farthest_km, FARTHEST_FAST_KM))
     for block in range(TRUTH_ROUNDS):
         rng = generator(0, Effect.POPULATION, block=TRUTH_BLOCK + block)
-        found = draw_candidates(options, size_class, window, rng, even_share=TRUTH_EVEN_SHARE, over_cells=True)
+        found = draw_candidates(endless, size_class, window, rng, even_share=TRUTH_EVEN_SHARE, over_cells=True)
         kept = (found.snr >= options.snr_min) & (found.rate_deg_s >= options.slowest_deg_s)
-        total += float(found.natural[kept].sum())
-    return total / TRUTH_ROUNDS
+        anywhere += float(found.natural[kept].sum())
+        within += float(found.natural[kept & (found.range_km <= options.farthest_km)].sum())
+    return within / TRUTH_ROUNDS, anywhere / TRUTH_ROUNDS
 
 
 def natural_flux(options: PopulationOptions, size_class: SizeClass, window: Window, rng: np.random.Generator) -> float:

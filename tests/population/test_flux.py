@@ -25,7 +25,7 @@ from ground.sky.shadow import before_the_earth
 from sboc_e2e.icd.signals import BackgroundModel, RoiGroup
 from sboc_e2e.score.population import published_flux
 from simulator.scene.debris import SizeClass
-from simulator.scene.encounters import PopulationOptions, Window, draw_candidates, natural_flux, natural_number
+from simulator.scene.encounters import PopulationOptions, Window, draw_candidates, natural_flux, natural_numbers
 from tests.astrometry.test_faulty_steps import fields as fields
 from tests.astrometry.test_ground_chain import chain_of
 from tests.population import worlds
@@ -332,6 +332,9 @@ def test_score_compares_the_published_flux_with_truth() -> None:
     truth["classes"][1]["density_boost"] = 2.5
     precise = published_flux(table, truth)
     assert [row["true_per_km2_year"] for row in precise["larger_than"]] == [6.5, 2.5]
+    truth["classes"][0]["boost_at_any_range"] = 1.5
+    anywhere = published_flux(table, truth)
+    assert [row["true_per_km2_year"] for row in anywhere["larger_than"]] == [5.5, 2.5]
     placed = published_flux(table, truth, [0.05])
     assert [row["inside"] for row in placed["larger_than"]] == [None, True]
     assert placed["holds_truth"]["n"] == 1
@@ -344,7 +347,7 @@ def test_natural_number_does_not_hang_on_a_run() -> None:
     for seed in range(12):
         found = draw_candidates(options, one, seen, np.random.default_rng(seed), even_share=0.6)
         runs.append(found.natural[(found.snr >= options.snr_min) & (found.rate_deg_s >= options.slowest_deg_s)].sum())
-    assert natural_number(options, one, seen) == pytest.approx(np.mean(runs), abs=3.5 * np.std(runs) / np.sqrt(len(runs)))
+    assert natural_numbers(options, one, seen)[0] == pytest.approx(np.mean(runs), abs=3.5 * np.std(runs) / np.sqrt(len(runs)))
 
 
 def test_share_of_frames_kept_is_read_from_gaps() -> None:

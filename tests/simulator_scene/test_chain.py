@@ -249,6 +249,12 @@ def test_objects_and_summary(smoke):
     assert summary["drawn"] == (objects["kind"] == "population").sum()
     weight = objects["weight"][objects["kind"] == "population"].sum()
     assert weight == pytest.approx(summary["natural_in_run"])
+    # pieces below 1 cm are too faint at 3,000 km, where the sky of the run ends; some of what is larger than 10 cm lies beyond
+    for row in summary["classes"]:
+        share = row["natural_at_any_range"] / row["natural_expected"]
+        assert share == 1.0 if row["to_mm"] <= 10.0 else share >= 1.0
+        assert 1.02 < share < 2.0 or row["from_mm"] < 100.0
+        assert row["boost_at_any_range"] == pytest.approx(row["density_boost"] / share)
 
 
 def test_calibration_is_of_the_nominal_camera(smoke):

@@ -2,7 +2,7 @@
 
 numba looks only at the file that holds a kernel. It looks neither at functions that it inlines from other files, nor at the
 constants of other files, whose values it writes into the machine code. After an edit of one of them the old machine code would
-run. A digest of every source that takes part makes that impossible: of the modules that name numba, and of the modules whose
+run. A digest of every source that takes part makes that impossible: of the modules that import numba, and of the modules whose
 names a statement that uses numba needs, directly or through the statements that bind these names. A report is not among them.
 This module must run before modules with kernels are imported.
 """
@@ -65,8 +65,8 @@ def source_digest(root: Path) -> str:
 
 
 def constant_modules(root: Path) -> list[str]:
-    """Modules without a word of numba whose names kernels use, as paths below `root`, in a fixed order."""
-    return sorted(name for name, text in _Sources(root).deciding().items() if b"numba" not in text)
+    """Modules without numba whose names kernels use, as paths below `root`, in a fixed order."""
+    return sorted(name for name, text in _Sources(root).deciding().items() if not _USES_NUMBA.search(text))
 
 
 class _Module:
@@ -133,15 +133,14 @@ class _Sources:
         self._files: dict[bytes, str | None] = {}
 
     def deciding(self) -> dict[str, bytes]:
-        """Texts of the modules that name numba, and of those whose names kernels use, by path."""
-        found = {name: text for name, text in self._texts.items() if b"numba" in text}
+        """Texts of the modules that import numba, and of those whose names kernels use, by path."""
+        found = {name: text for name, text in self._texts.items() if b"numba" in text and _USES_NUMBA.search(text)}
         waiting: list[tuple[str, bytes]] = []  # modules, and statements in them
         seen: set[tuple[str, bytes]] = set()
-        for name, text in found.items():
-            if _USES_NUMBA.search(text):
-                kernels = self._module(name).kernels()
-                waiting.append((name, b"\n".join(kernels)))
-                seen.update((name, part) for part in kernels)
+        for name in found:
+            kernels = self._module(name).kernels()
+            waiting.append((name, b"\n".join(kernels)))
+            seen.update((name, part) for part in kernels)
         while waiting:
             name, part = waiting.pop()
             new = set(self._used(name, part)) - seen

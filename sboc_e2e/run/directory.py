@@ -105,7 +105,11 @@ class RunDirectory:
         """Make the directory ready after a `check`; True when there is an earlier run of it to resume, else that is removed."""
         occupied = self.check(resume=resume, force=force)
         if occupied and not resume:
-            shutil.rmtree(self.path)
+            for child in self.path.iterdir():  # the folder stays: it may be the working folder, or a link to elsewhere
+                if child.is_dir() and not child.is_symlink():
+                    shutil.rmtree(child)
+                else:
+                    child.unlink()
             occupied = False
         require_writable(self.path)
         if occupied:

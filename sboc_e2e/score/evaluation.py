@@ -140,7 +140,12 @@ def read_table(path: Path) -> Table:
     """A table of a run directory, or one clear line about what is missing."""
     if not path.is_file():
         raise UserError(f"{path}: not found; run the stage that writes it first")
-    return Table.read(path, format="ascii.ecsv")
+    try:
+        return Table.read(path, format="ascii.ecsv")
+    except (ValueError, TypeError) as error:
+        raise UserError(
+            f"{path}: damaged table ({str(error).strip().splitlines()[0]}); run the stage that writes it again"
+        ) from error
 
 
 def read_truth(folder: Path) -> Truth:

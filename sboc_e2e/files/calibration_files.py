@@ -29,6 +29,14 @@ def write(folder: Path, calibration: Calibration) -> None:
     write_json(folder / CAMERA, document)
 
 
+def is_whole(folder: Path) -> bool:
+    """Whether the four files are there and can be read; a folder without a camera, or with a damaged file, is not."""
+    try:
+        return all((folder / f"{name}.fits").is_file() for name in MAPS) and read(folder) is not None
+    except UserError:
+        return False
+
+
 def write_camera(folder: Path, camera: NominalCamera, provenance: str) -> None:
     """Write a camera without maps, for frames from outside."""
     write_json(folder / CAMERA, {"provenance": provenance, "camera": dataclasses.asdict(camera)})

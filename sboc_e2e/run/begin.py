@@ -36,4 +36,5 @@ def begin_or_continue(
         scenario=scenario,
         workers=simulation_processes(workers, scenario),
         progress=progress or Silent(),
+        present=wanted,
     )

@@ -18,6 +18,8 @@ from ground.chain import GroundChain, GroundSteps
 from ground.ingest import IngestReport
 from ground.on_demand import OnDemand
 from ground.options import GroundOptions
+from ground.orbit.catalogue_match import KnownObjects
+from ground.orbit.reference import PreciseOrbit
 from ground.products import tables
 from ground.products.images import frame_images, has_images
 from ground.products.lacking import lacking
@@ -143,18 +145,31 @@ class GroundStage:
     frame_meter: Meter = field(default_factory=Meter)
     """Per-frame share of `meter`."""
     peak_rss_mb: float = 0.0
+    _received: tuple[tuple[DownlinkFrame, ...], IngestReport] | None = None
+    """What `receive` returned."""
+    _known: KnownObjects | None = None
+    _precise: tuple[PreciseOrbit, ...] = ()
 
-    def execute(self, progress: Progress) -> None:
-        """Make all products."""
+    def receive(self, progress: Progress) -> tuple[tuple[DownlinkFrame, ...], IngestReport]:
+        """Frames of the downlink, and what ingest says of it; reads the files beside it too, and writes nothing.
+
+        Raises `UserError` for what gives no products.
+        """
         reset_peak()
-        known, precise = known_objects.known_objects(self.options), known_objects.precise_orbits(self.options)
+        self._known, self._precise = known_objects.known_objects(self.options), known_objects.precise_orbits(self.options)
         try:
             downlink = self.run.downlink.read_bytes()
         except FileNotFoundError as error:
             raise UserError(f"{self.run.downlink}: not found; the onboard stage writes it") from error
         with self.meter:
-            frames, ingest = self.chain.ingest(downlink)
-        _judge(self.run.downlink, ingest, progress)
+            self._received = self.chain.ingest(downlink)
+        _judge(self.run.downlink, self._received[1], progress)
+        return self._received
+
+    def execute(self, progress: Progress) -> None:
+        """Make all products."""
+        frames, ingest = self._received or self.receive(progress)
+        known, precise = self._known, self._precise
         self._process_frames(frames, progress)
         products = OnDemand(len(frames), self._stored, keep=PRODUCTS_KEPT)
         with self.meter:

@@ -23,8 +23,16 @@ VERSIONED: Final = (
     "scipy",
     "astropy",
     "astropy-iers-data",
+    "astropy-healpix",
+    "pyerfa",
+    "sgp4",
     "numba",
+    "llvmlite",
     "opencv-contrib-python-headless",
+    "scikit-image",
+    "photutils",
+    "sep",
+    "tetra3rs",
     "zstandard",
     "imagecodecs",
 )
@@ -59,7 +67,7 @@ class Manifest:
     frame_rate_hz: float
     versions: dict[str, str] = field(default_factory=versions)
     commit: str = ""
-    """Of the project's checkout; "none" for an installed package."""
+    """Of the project's checkout that began the run; "none" for an installed package. Each stage has its own in `made_by`."""
     sources: dict[str, Any] = field(default_factory=dict)
     """Digests of the project's sources and of files that the scenario names; plug-ins stand with their components."""
     stages: dict[str, dict[str, Any]] = field(default_factory=dict)
@@ -89,9 +97,12 @@ class Manifest:
     def read(cls, path: Path) -> "Manifest":
         """The manifest of a run directory."""
         try:
-            tables = json.loads(path.read_text(encoding="utf-8"))
-            return cls(path=path, **tables)
-        except (ValueError, TypeError) as error:
+            made = cls(path=path, **json.loads(path.read_text(encoding="utf-8")))
+            tables = (made.scenario["document"], made.components, made.versions, made.sources, made.stages, *made.stages.values())
+            if not (isinstance(made.scenario["name"], str) and all(isinstance(table, dict) for table in tables)):
+                raise TypeError("expected tables")
+            return made
+        except (ValueError, TypeError, KeyError, AttributeError) as error:
             raise UserError(f"{path}: not a manifest of this program; run again with --force") from error
         except OSError as error:
             raise UserError(f"{path}: cannot be read: {error.strerror or error}") from error
@@ -114,10 +125,30 @@ class Manifest:
             found = first_difference(getattr(self, name), getattr(other, name))
             if found:
                 return found
+        for stage, record in self.stages.items():
+            if "made_by" in record:
+                found = first_difference(decisive(record["made_by"]), decisive(other.made_by(stage)), f"stages.{stage}")
+                if found:
+                    return found
         return None
 
-    def begin(self, stage: str, **figures: int) -> None:
-        """Note that a stage runs, and on what; time of an interrupted attempt is kept and added to."""
+    def made_by(self, stage: str) -> dict[str, Any]:
+        """What decides the bytes of a stage that the program makes now, and its commit; for a manifest made by `of`."""
+        reached = {"simulate": (), "onboard": ("onboard",)}.get(stage, ("onboard", "ground"))
+        return {
+            "commit": self.commit,
+            "code": provenance.code_digest("score" if stage == "report" else stage),
+            "versions": self.versions,
+            "plugins": {
+                seam: component
+                for seam, component in self.components.items()
+                if "source_sha256" in component and seam.partition(".")[0] in reached
+            },
+            "files": self.sources["files"],
+        }
+
+    def begin(self, stage: str, **figures: Any) -> None:
+        """Note that a stage runs, on what and by what; time of an interrupted attempt is kept and added to."""
         self.stages.setdefault(stage, {}).update(figures, state="running")
         self.save()
 
@@ -130,6 +161,11 @@ class Manifest:
         """Stages that have to run again."""
         for stage in stages:
             self.stages.pop(stage, None)
+
+
+def decisive(made_by: Mapping[str, Any]) -> dict[str, Any]:
+    """What of `Manifest.made_by` decides bytes: not the commit, which edits of documents change."""
+    return {name: value for name, value in made_by.items() if name != "commit"}
 
 
 def sources(document: Mapping[str, Any]) -> dict[str, Any]:

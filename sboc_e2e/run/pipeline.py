@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from sboc_e2e.faults import damaged_frame, delivered_frames
 from sboc_e2e.files import calibration_files, frame_fits
@@ -16,7 +16,7 @@ from sboc_e2e.run import disk, onboard_stage, truth_files
 from sboc_e2e.run.decoders import decoders_of, require_decoder
 from sboc_e2e.run.directory import STAGES, RunDirectory
 from sboc_e2e.run.ground_stage import GroundStage, ground_chain, require_files, star_catalogue
-from sboc_e2e.run.manifest import Manifest
+from sboc_e2e.run.manifest import Manifest, decisive, first_difference
 from sboc_e2e.run.onboard_stage import OnboardStage, onboard_chain
 from sboc_e2e.run.progress import Progress, Silent
 from sboc_e2e.run.simulation import FrameMaker, FrameStream, SimulationCost
@@ -49,6 +49,8 @@ class Run:
     scenario: Scenario
     workers: int
     progress: Progress = field(default_factory=Silent)
+    present: Manifest | None = None
+    """The manifest that this program would begin the run with, where the caller has it already."""
     _evaluation: Evaluation | None = None
     """What the score stage found, for the report that follows it."""
 
@@ -72,9 +74,12 @@ class Run:
         """All frames and their truth; frames stay on disk as the scenario says."""
         maker, simulator = self._maker(), self.open_simulator()
         self._write_calibration(simulator.calibration)
+        self._drop_work_of_other_code("simulate")
         todo = [index for index in range(self.manifest.n_frames) if not maker.complete(index)]
         self.manifest.forget(STAGES)
-        self.manifest.begin("simulate")
+        for later in ("onboard", "ground"):
+            self.directory.clear_work(later)
+        self._begin("simulate")
         self.progress.stage("simulate", self.manifest.n_frames, self.manifest.n_frames - len(todo))
         stream = FrameStream(maker=maker, indices=todo, workers=self.workers, hand_over=False, simulator=simulator)
         for _ in stream:
@@ -88,7 +93,7 @@ class Run:
         if missing:
             raise UserError(
                 f"{self.directory.frames}: {len(missing)} of {self.manifest.n_frames} frames were not kept; "
-                f"simulate again with --set {KEEP_KEY}=1, or use `sboc run`, which hands frames on without keeping them"
+                f"keep all of them: sboc run SCENARIO --out {self.directory.path} --force --set {KEEP_KEY}=1"
             )
         self.directory.clear_work("onboard")
         stage = self._onboard_stage()
@@ -109,8 +114,13 @@ class Run:
         maker = self._maker()
         simulator = simulator or self.open_simulator()
         self._write_calibration(simulator.calibration)
+        if self._drop_work_of_other_code("simulate") or self._drop_work_of_other_code("onboard"):
+            self.directory.clear_work("onboard")  # its states follow frames whose truth is in the other folder
         stage = self._onboard_stage()
-        self.manifest.begin("simulate")
+        # Truth that is joined is not joined again: that of frames before the on-board state is no longer there by frame.
+        simulated = self.manifest.done("simulate")
+        if not simulated:
+            self._begin("simulate")
         self._begin_onboard(stage)
         plan = self._plan()
         indices = range(_next_to_make(plan, stage.first), self.manifest.n_frames)
@@ -124,7 +134,9 @@ class Run:
                     yield self._as_delivered(frame)
 
         n_onboard = stage.take(frames(), self.progress)
-        self._finish_simulation(maker, simulator.objects(), simulator.population_summary(), stream.cost)
+        if not simulated:
+            self._finish_simulation(maker, simulator.objects(), simulator.population_summary(), stream.cost)
+        self.directory.clear_work("simulate")
         self._finish_onboard(stage, n_onboard)
 
     # -- ground -----------------------------------------------------------------------------------------------------
@@ -137,10 +149,12 @@ class Run:
         catalogue = star_catalogue(self.scenario)
         chain = ground_chain(self.scenario, calibration=calibration, camera=camera, catalogue=catalogue, run_id=wanted)
         stage = GroundStage(run=self.directory, chain=chain, options=self.scenario.ground, catalogue=catalogue)
+        stage.receive(self.progress)  # what is refused leaves finished results as they are
         if self.manifest.stages.get("ground", {}).get("run_id", self.manifest.run_id) != wanted:
             self.directory.clear_work("ground")  # an interrupted attempt at another run's packets
+        self._drop_work_of_other_code("ground")
         self.manifest.forget(("score", "report"))
-        self.manifest.begin("ground", run_id=wanted)
+        self._begin("ground", run_id=wanted)
         stage.execute(self.progress)
         self.manifest.finish("ground", **stage.figures())
         self.directory.clear_work("ground")
@@ -162,7 +176,7 @@ class Run:
         self._evaluation = found or self.evaluation(truth)
         figures = score_evaluation(self._evaluation, self.directory.path)
         self.manifest.forget(("score", "report"))
-        self.manifest.begin("score")
+        self._begin("score")
         write_json(self.directory.score, figures)
         self.manifest.finish("score", **({"truth": str(truth.resolve())} if truth else {}))
         self.progress.advance()
@@ -171,9 +185,9 @@ class Run:
         """report.html and report.md."""
         self._require("score")
         self.progress.stage("report", 1)
-        self.manifest.begin("report")
         truth = self.manifest.stages["score"].get("truth")
         evaluation = self._evaluation or self.evaluation(Path(truth) if truth else None)
+        self._begin("report")
         write_report(self.directory.path, evaluation)
         self.manifest.finish("report")
         self.progress.advance()
@@ -183,6 +197,31 @@ class Run:
     def _require(self, stage: str) -> None:
         if not self.manifest.done(stage):
             raise UserError(f"{self.directory.path}: stage {stage} is not done; run: sboc {stage} {self.directory.path}")
+
+    def _made_by(self, stage: str) -> dict[str, Any]:
+        """What decides the bytes of a stage that this process makes."""
+        if self.present is None:
+            self.present = Manifest.of(self.directory.manifest, self.scenario)
+        return self.present.made_by(stage)
+
+    def _begin(self, stage: str, **figures: int) -> None:
+        """Note that a stage runs, on what and by which code."""
+        self.manifest.begin(stage, made_by=self._made_by(stage), **figures)
+
+    def _drop_work_of_other_code(self, stage: str) -> bool:
+        """Begin an interrupted stage anew whose attempt was made by other code; whether there was such an attempt."""
+        if not self.directory.work(stage).is_dir():
+            return False
+        earlier = self.manifest.stages.get(stage, {}).get("made_by")
+        difference = (
+            first_difference(decisive(earlier), decisive(self._made_by(stage))) if earlier else "of which nothing is known"
+        )
+        if difference is not None:
+            self.progress.note(
+                f"{self.directory.path}: stage {stage} begins anew; an attempt by other code was interrupted ({difference})"
+            )
+            self.directory.clear_work(stage)
+        return difference is not None
 
     def _maker(self) -> FrameMaker:
         return FrameMaker(
@@ -201,8 +240,8 @@ class Run:
         return damaged_frame(frame, self.scenario.faults, self.scenario.seed)
 
     def _write_calibration(self, make: Callable[[], object]) -> None:
-        """Calibration is made once; a folder with a camera is complete."""
-        if not (self.directory.calibration / calibration_files.CAMERA).exists():
+        """Calibration is made once, and again where one of its four files is missing or damaged."""
+        if not calibration_files.is_whole(self.directory.calibration):
             calibration_files.write(self.directory.calibration, make())  # type: ignore[arg-type]
 
     def _onboard_stage(self) -> OnboardStage:
@@ -214,7 +253,7 @@ class Run:
     def _begin_onboard(self, stage: OnboardStage) -> None:
         self.manifest.forget(("ground", "score", "report"))
         self.directory.clear_work("ground")
-        self.manifest.begin("onboard")
+        self._begin("onboard")
         self.progress.stage("simulate + onboard", len(self._plan()), stage.first)
 
     def _finish_onboard(self, stage: OnboardStage, n_frames: int) -> None:
@@ -238,7 +277,7 @@ def run(request: RunRequest, progress: Progress | None = None) -> Run:
     require_files(request.scenario)
     require_decoder(request.scenario)
     disk.check(request.out, request.scenario, shown)
-    made = Run(directory=directory, manifest=wanted, scenario=request.scenario, workers=workers, progress=shown)
+    made = Run(directory=directory, manifest=wanted, scenario=request.scenario, workers=workers, progress=shown, present=wanted)
     # What the simulator refuses leaves no folder behind, and with --force the earlier run stays.
     simulator = None if request.resume else made.open_simulator()
     if directory.prepare(resume=request.resume, force=request.force):

@@ -69,13 +69,14 @@ def test_another_run_of_a_downlink_can_be_chosen_and_is_scored_as_chosen(copy: P
 
 
 def test_a_downlink_of_other_runs_only_is_one_line(copy: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    """Products of before stay."""
-    before = digest(copy)
+    """Products of before stay, and the manifest says so."""
+    before = digest(copy) | {"manifest": (copy / "manifest.json").read_text()}
     own = split_packets((copy / "downlink.bin").read_bytes())
     (copy / "downlink.bin").write_bytes(b"".join(of_run(own, OTHER)))
     assert cli.run(["ground", str(copy)]) == 2
     assert f"only of others: {OTHER} ({len(own)} packets); --run-id NUMBER takes one of them" in capfd.readouterr().err
-    assert digest(copy) | {"downlink.bin": ""} == before | {"downlink.bin": ""}
+    after = digest(copy) | {"manifest": (copy / "manifest.json").read_text()}
+    assert after | {"downlink.bin": ""} == before | {"downlink.bin": ""}
 
 
 @pytest.mark.parametrize(
@@ -90,14 +91,24 @@ def test_a_downlink_of_other_runs_only_is_one_line(copy: Path, capfd: pytest.Cap
 def test_a_downlink_without_packets_is_one_line(
     copy: Path, capfd: pytest.CaptureFixture[str], content: bytes, words: str
 ) -> None:
-    """Products of before stay."""
-    before = digest(copy)
+    """Products of before stay, and the manifest says so."""
+    before = digest(copy) | {"manifest": (copy / "manifest.json").read_text()}
     (copy / "downlink.bin").write_bytes(content)
     assert cli.run(["ground", str(copy)]) == 2
     stderr = capfd.readouterr().err
     assert f"sboc: {copy}/downlink.bin: {words}" in stderr
     assert "Warning" not in stderr
-    assert digest(copy) | {"downlink.bin": ""} == before | {"downlink.bin": ""}
+    after = digest(copy) | {"manifest": (copy / "manifest.json").read_text()}
+    assert after | {"downlink.bin": ""} == before | {"downlink.bin": ""}
+
+
+def test_a_refused_run_number_or_a_missing_downlink_leaves_finished_results(copy: Path) -> None:
+    before = (copy / "manifest.json").read_text()
+    assert cli.run(["ground", str(copy), "--run-id", "7"]) == 2
+    assert (copy / "manifest.json").read_text() == before
+    (copy / "downlink.bin").unlink()
+    assert cli.run(["ground", str(copy)]) == 2
+    assert (copy / "manifest.json").read_text() == before
 
 
 def test_packets_without_any_header_give_empty_products_and_a_score_of_absent_numbers(

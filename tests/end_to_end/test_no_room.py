@@ -19,6 +19,7 @@ from sboc_e2e.bench import run_bench
 from sboc_e2e.campaign import engine, read_campaign
 from sboc_e2e.campaign.worker import Outcome
 from sboc_e2e.files import atomic
+from sboc_e2e.run import RunDirectory, onboard_stage, states
 from sboc_e2e.run.pipeline import Run
 from tests.end_to_end.conftest import command, digest, tiny
 
@@ -89,6 +90,32 @@ def test_a_run_on_a_full_disk_goes_on_to_the_same_bytes(
     assert leftovers(out) == []
     assert cli.run([*arguments, "--resume"] if (out / "manifest.json").exists() else arguments) == 0
     assert digest(out, "truth", "frames") == digest(finished.directory.path, "truth", "frames")
+
+
+@pytest.mark.parametrize("again", [False, True], ids=["resumed", "simulated again"])
+@pytest.mark.parametrize("where", ["join", "keep"])
+def test_a_run_whose_downlink_did_not_fit_goes_on_to_the_same_bytes(
+    finished: Run, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], where: str, again: bool
+) -> None:
+    """The truth of its frames may be joined already: at the end of the simulation, or by `sboc simulate` in between."""
+    out = tmp_path / "run"
+    arguments = ["run", str(tiny(tmp_path)), "--out", str(out), "--workers", "1"]
+    original = getattr(onboard_stage, where)
+
+    def full(run: RunDirectory, position: int, *rest: Any) -> None:
+        if where == "join" or position == 3:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC), str(run.downlink))
+        original(run, position, *rest)
+
+    monkeypatch.setattr(states, "WORK_PER_COST", 0.0)
+    with monkeypatch.context() as patch:
+        patch.setattr(onboard_stage, where, full)
+        refused(arguments, capsys)
+    if again:
+        assert cli.run(["simulate", str(out), "--workers", "1"]) == 0
+    assert cli.run([*arguments, "--resume"]) == 0
+    assert digest(out, "truth", "frames", "calibration") == digest(finished.directory.path, "truth", "frames", "calibration")
+    assert not (out / ".work").exists()
 
 
 @pytest.mark.parametrize("stage", ["ground", "score", "report", "onboard"])

@@ -3,6 +3,7 @@
 import json
 import os
 import shutil
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -10,11 +11,12 @@ import pytest
 from astropy.io import fits
 from astropy.table import Table
 
-from sboc_e2e import cli, scenario
+from sboc_e2e import cli, provenance, scenario
 from sboc_e2e.files import frame_fits
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import Registry
-from sboc_e2e.run import run
+from sboc_e2e.run import RunDirectory, run
+from sboc_e2e.run.manifest import VERSIONED
 from sboc_e2e.run.pipeline import Run
 from sboc_e2e.run.workers import simulation_processes, worker_count
 from sboc_e2e.truth import TABLES
@@ -133,7 +135,7 @@ def test_stages_one_by_one_give_the_same_bytes(copy: Path) -> None:
 
 def test_a_stage_whose_inputs_were_not_kept_names_the_key(copy: Path) -> None:
     (copy / "frames" / "000001.fits").unlink()
-    with pytest.raises(UserError, match=r"1 of 4 frames were not kept; .*--set output.keep_frames_every=1"):
+    with pytest.raises(UserError, match=r"not kept; .*: sboc run SCENARIO --out .* --force --set output.keep"):
         Run.open(copy, Registry()).onboard()
 
 
@@ -171,9 +173,91 @@ def test_damaged_files_of_a_run_are_one_line(copy: Path) -> None:
     (copy / "calibration" / "camera.json").write_text("{}")
     with pytest.raises(UserError, match=r"camera.json: not a camera file"):
         Run.open(copy, Registry()).ground()
-    (copy / "manifest.json").write_text("{")
-    with pytest.raises(UserError, match=r"manifest.json: not a manifest of this program"):
-        Run.open(copy, Registry())
+    whole = json.loads((copy / "manifest.json").read_text())
+    for damaged in ("{", "[]", json.dumps(whole | {"scenario": {}}), json.dumps(whole | {"stages": {"ground": 1}})):
+        (copy / "manifest.json").write_text(damaged)
+        with pytest.raises(UserError, match=r"manifest.json: not a manifest of this program"):
+            Run.open(copy, Registry())
+
+
+@pytest.mark.parametrize("name", ["truth/streaks.ecsv", "truth/objects.ecsv", "products/streaks.ecsv", "products/frames.ecsv"])
+def test_a_table_that_is_cut_short_is_one_line(copy: Path, name: str, capsys: pytest.CaptureFixture[str]) -> None:
+    text = (copy / name).read_bytes()
+    rows = text.index(b"schema")
+    for end in (0, rows // 2, rows, len(text) - len(text.rstrip().rpartition(b" ")[2]) - 2):
+        (copy / name).write_bytes(text[:end])
+        assert cli.run(["score", str(copy)]) == 2
+        (line,) = [line for line in capsys.readouterr().err.splitlines() if line.startswith("sboc: ")]
+        assert f"{copy / name}: " in line
+
+
+def test_each_stage_says_by_which_code_it_was_made_and_other_code_does_not_go_on_with_it(
+    copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    before = json.loads((copy / "manifest.json").read_text())["stages"]
+    assert before["ground"]["made_by"]["code"] == provenance.code_digest("ground")
+    assert before["ground"]["made_by"]["versions"]["numpy"] == np.__version__
+    expected = digest(copy)
+    with monkeypatch.context() as patch:
+        patch.setattr(provenance, "code_digest", lambda stage: f"edited {stage}")
+        patch.setattr(provenance, "commit", lambda: "later")
+        assert cli.run(["ground", str(copy)]) == 0
+    after = json.loads((copy / "manifest.json").read_text())["stages"]
+    assert after["simulate"] == before["simulate"]
+    assert (after["ground"]["made_by"]["code"], after["ground"]["made_by"]["commit"]) == ("edited ground", "later")
+    with pytest.raises(UserError, match=r"another run \(stages.ground.code was 'edited ground'"):
+        run(request(tiny(tmp_path), copy, resume=True))
+    # An interrupted attempt by the edited code, with a state that the present one could not go on from.
+    manifest = json.loads((copy / "manifest.json").read_text())
+    manifest["stages"]["ground"]["state"] = "running"
+    (copy / "manifest.json").write_text(json.dumps(manifest))
+    (copy / ".work" / "ground").mkdir(parents=True)
+    (copy / ".work" / "ground" / "000002.state").write_bytes(b"of other code")
+    capfd.readouterr()
+    assert cli.run(["ground", str(copy)]) == 0
+    assert (
+        "stage ground begins anew; an attempt by other code was interrupted (code was 'edited ground'" in capfd.readouterr().err
+    )
+    assert digest(copy) == expected
+
+
+def test_libraries_that_decide_bytes_have_their_versions_in_the_manifest() -> None:
+    """Every library that the three segments import, but those of the object catalogue and of pictures."""
+    distributions = {"cv2": "opencv-contrib-python-headless", "erfa": "pyerfa", "skimage": "scikit-image"}
+    others = {"matplotlib", "pyarrow", "satkit", "sqlalchemy"}
+    root = Path(provenance.ROOT)
+    found = {"sep"}  # of `sboc process`
+    for segment in provenance.SEGMENTS:
+        for path in (root / segment).rglob("*.py"):
+            found |= provenance._imports(path)
+    foreign = found - set(sys.stdlib_module_names) - {"sboc_e2e", *provenance.SEGMENTS} - others
+    assert {distributions.get(name, name).replace("_", "-") for name in foreign} <= {*VERSIONED}
+    assert {"sgp4", "photutils", "scikit-image", "pyerfa", "sep", "tetra3rs"} <= {*VERSIONED}
+
+
+def test_a_run_is_replaced_where_it_lies(copy: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The working folder and the target of a link stay; what a link inside points to is not touched."""
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    (elsewhere / "kept").write_text("kept")
+    (copy / "link").symlink_to(elsewhere)
+    monkeypatch.chdir(copy)
+    RunDirectory(path=Path()).prepare(resume=False, force=True)
+    assert list(copy.iterdir()) == []
+    assert (elsewhere / "kept").read_text() == "kept"
+    (copy / "manifest.json").write_text("{}")
+    (tmp_path / "linked").symlink_to(copy)
+    RunDirectory(path=tmp_path / "linked").prepare(resume=False, force=True)
+    assert (tmp_path / "linked").is_symlink()
+    assert list(copy.iterdir()) == []
+
+
+def test_calibration_files_that_are_missing_or_damaged_are_made_again(copy: Path) -> None:
+    expected = digest(copy, "calibration", "truth")
+    (copy / "calibration" / "flat.fits").unlink()
+    (copy / "calibration" / "dark.fits").write_bytes(b"no FITS")
+    assert cli.run(["simulate", str(copy), "--workers", "1"]) == 0
+    assert digest(copy, "calibration", "truth") == expected
 
 
 def test_no_disk_space_is_said_before_anything_is_written(tmp_path: Path) -> None:

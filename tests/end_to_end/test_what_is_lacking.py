@@ -116,5 +116,5 @@ def test_tracklets_of_one_streak_say_what_one_streak_cannot_tell(lone: Path) -> 
     assert set(table(lone, "orbits.ecsv")["tracklet_id"]) == set(range(1, n, 2))
     assert len(table(lone, "orbit_samples.ecsv")) > 0
     assert not np.ma.filled(table(lone, "orbits.ecsv")["gaussian"], False).any()
-    # a detection without a second one counts as nothing: the flux is of tracklets of two frames or more
-    assert "tracklets of two frames or more" in table(lone, "population.ecsv").meta["definition"]
+    # a detection without a second one counts as nothing: the flux is of tracklets that were found in two frames or more
+    assert "tracklets that the detector found in two single frames or more" in table(lone, "population.ecsv").meta["definition"]

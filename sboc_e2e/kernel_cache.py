@@ -124,7 +124,7 @@ class _Sources:
         self._texts: dict[str, bytes] = {}
         for package in PACKAGES:
             for folder, _, files in os.walk(root / package):
-                inside = folder[len(str(root)) + 1 :].replace(os.sep, "/")
+                inside = os.path.relpath(folder, root).replace(os.sep, "/")
                 for file in files:
                     if file.endswith(".py"):
                         with open(f"{folder}/{file}", "rb") as stream:  # noqa: PTH123  paths take as long to make as files to read

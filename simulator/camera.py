@@ -172,8 +172,7 @@ class Camera:
     @property
     def window_offset_px(self) -> tuple[float, float]:
         """Rows and columns from the middle of the detector to that of the read-out window."""
-        window, built = self._window, self.instrument
-        return window.row0 + 0.5 * (self.shape[0] - built.rows), window.col0 + 0.5 * (self.shape[1] - built.cols)
+        return self._window.offset_px_in(self.instrument.rows, self.instrument.cols)
 
     def direction(self, field_row: float, field_col: float) -> Array:
         """Direction (3,) in the camera frame of a place of the field, -1 to 1 along each axis."""

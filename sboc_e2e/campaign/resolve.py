@@ -14,6 +14,7 @@ from sboc_e2e.run.decoders import require_decoder
 from sboc_e2e.run.manifest import versions
 from sboc_e2e.run.shared import key, stage_content
 from sboc_e2e.scenario import Scenario
+from sboc_e2e.scenario.toml_files import value_text
 
 SURROUNDINGS: Final = ("versions", "code", "plugins", "files")
 """What decides a result beside the scenario."""
@@ -135,4 +136,4 @@ class Plan:
 def overrides(campaign: Campaign, point: tuple[tuple[str, Any], ...]) -> list[str]:
     """The ``key=value`` texts that turn the campaign's scenario into a point's."""
     values = campaign.constant | dict(point)
-    return [f"{key}={value if isinstance(value, str) else json.dumps(value)}" for key, value in values.items()]
+    return [f"{key}={value if isinstance(value, str) else value_text(value)}" for key, value in values.items()]

@@ -1,7 +1,6 @@
 """Camera and station of a scenario, as the planner takes them."""
 
 from dataclasses import replace
-from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +16,9 @@ from simulator.platform.observer import OrbitingObserver, make_observer
 from simulator.platform.rotation import matrix_of_boresight
 from simulator.sensor.binning import noise_factor
 from simulator.sensor.maps import median_pixel
+from simulator.trail_noise import PIXEL_VARIANCE_PX2
 
 Array = NDArray[np.float64]
-
-PIXEL_VARIANCE_PX2: Final = 1.0 / 12.0
-"""Of a pixel's width, which adds to that of the PSF: a square of side 1."""
 
 
 def planned_camera(options: SimulatorOptions, sky_mag_arcsec2: float) -> PlannedCamera:
@@ -56,10 +53,9 @@ def planned_camera(options: SimulatorOptions, sky_mag_arcsec2: float) -> Planned
 
 def window_middle(options: SimulatorOptions) -> Array:
     """Unit vector (3,), camera frame, of the middle of what is read out; +Z where no read-out window moves it."""
-    instrument, window = options.instrument, options.sensor.window
-    rows, cols = window.shape_in(instrument.rows, instrument.cols)
+    instrument = options.instrument
+    row, col = options.sensor.window.offset_px_in(instrument.rows, instrument.cols)
     per_px = instrument.pixel_um * 1e-3 / instrument.focal_length_mm
-    col, row = window.col0 + 0.5 * (cols - instrument.cols), window.row0 + 0.5 * (rows - instrument.rows)
     vector = np.array([per_px * col, per_px * row, 1.0])
     return np.asarray(vector / np.linalg.norm(vector))
 

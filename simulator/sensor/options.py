@@ -166,6 +166,11 @@ class WindowOptions:
             )
         return shape
 
+    def offset_px_in(self, rows: int, cols: int) -> tuple[float, float]:
+        """Rows and columns from the middle of a detector of so many to that of the window. UserError as `shape_in`."""
+        shape = self.shape_in(rows, cols)
+        return self.row0 + 0.5 * (shape[0] - rows), self.col0 + 0.5 * (shape[1] - cols)
+
 
 @dataclass(frozen=True, kw_only=True)
 class CalibrationOptions:

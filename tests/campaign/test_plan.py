@@ -1,5 +1,6 @@
 """Campaign files: points, seeds that depend on nothing but the task, and errors of one line."""
 
+import tomllib
 from pathlib import Path
 
 import numpy as np
@@ -171,3 +172,16 @@ def test_points_on_the_same_frames_are_compared_streak_by_streak() -> None:
     assert gains["b"]["completeness"]["value"] == pytest.approx(0.2)
     assert gains["b"]["mcnemar"]["objects_disagreeing"] == 2
     assert gains["b"]["mcnemar"]["p_value"] == pytest.approx(0.5)
+
+
+def test_values_of_a_campaign_arrive_as_they_are_in_its_file(tmp_path: Path) -> None:
+    """Texts outside the first plane of Unicode, tables in lists and infinity have no common form in JSON and TOML."""
+    values = {"a.texts": ["café 😀", "b"], "a.tables": [{"from": "1 mm", "count": 3}], "a.largest": float("inf"), "a.on": True}
+    path = tmp_path / "c.toml"
+    path.write_text(
+        'scenario = "smoke"\ndescription = "texts"\nreplicas = 1\nseed = 1\n[set]\n"a.texts" = ["café 😀", "b"]\n'
+        '"a.tables" = [{from = "1 mm", count = 3}]\n"a.largest" = inf\n"a.on" = true\n[vary]\nframes = [1, 2]\n'
+    )
+    texts = overrides(read_campaign(path), (("frames", 2),))
+    read = tomllib.loads("\n".join(f'"{key}" = {text}' for key, _, text in (each.partition("=") for each in texts)))
+    assert read == {**values, "frames": 2}

@@ -10,6 +10,7 @@ import numpy as np
 from astropy.table import Table
 
 from sboc_e2e.compare.paired import PAIR_SNR, Outcomes, difference, mcnemar
+from sboc_e2e.score.detection import LEAST_DETECTABLE_SNR
 from sboc_e2e.score.figures import half_point, proportion, rate
 from sboc_e2e.score.population import detections_per_day
 from sboc_e2e.score.recovery import Counted, recovery, together
@@ -40,7 +41,7 @@ def summarise(shards: list[Table]) -> dict[str, Any]:
     found = np.concatenate([np.asarray(s["detected_ground"], bool) for s in shards])
     frames = sum(int(s.meta["n_frames"]) for s in shards)
     rate_hz = float(shards[0].meta["frame_rate_hz"])
-    bright = snr >= 8.0
+    bright = snr >= LEAST_DETECTABLE_SNR
     by_axis = {}
     for axis, edges in AXES:
         value = np.concatenate([np.asarray(s[axis], float) for s in shards])

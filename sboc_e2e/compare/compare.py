@@ -29,15 +29,13 @@ from sboc_e2e.run.progress import Progress, Silent
 from sboc_e2e.run.shared import SharedRuns
 from sboc_e2e.scenario import Scenario, load
 from sboc_e2e.score.astrometry import streak_astrometry
-from sboc_e2e.score.detection import IMPOSTOR
+from sboc_e2e.score.detection import IMPOSTOR, LEAST_DETECTABLE_SNR
 from sboc_e2e.score.evaluation import Evaluation
 from sboc_e2e.score.figures import absent, bootstrap, exact, half_point, proportion, pull_width, rate, rms
 from sboc_e2e.score.ideal import ideal_snr50
 from sboc_e2e.score.matching import SNR_IGNORED
 
 MAX_GALLERY: Final = 24  # Cut-outs of a page, 96 px PNGs of some 10 kB each. Chosen: more make the page heavier, not clearer.
-BRIGHT_SNR: Final = 8.0
-"""Of figures for bright streaks, as in `score`."""
 MAX_FALSE: Final = 8
 """False alarms shown of each choice."""
 
@@ -208,7 +206,7 @@ def _froc(evaluations: Sequence[Evaluation], onboard: bool) -> list[list[float]]
 def _choice(pairs: Sequence[tuple[Run, Evaluation]], outcomes: Outcomes, name: str, onboard: bool) -> dict[str, Any]:
     evaluations = [e for _, e in pairs]
     found = outcomes.found[name]
-    bright = outcomes.snr >= BRIGHT_SNR
+    bright = outcomes.snr >= LEAST_DETECTABLE_SNR
     frames = sum(e.n_frames for e in evaluations)
     false = sum(len(e.footprints.false_groups) if onboard else len(e.false_rows) for e in evaluations)
     unflagged = sum(e.footprints.n_false_unflagged for e in evaluations)
@@ -239,10 +237,8 @@ def _median_cpu_ms(costs: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
 
 def _cross_ratios(e: Evaluation) -> list[float]:
     """Errors across over their bounds of the streaks that the score's own figure counts."""
-    accepted = set(e.accepted)
-    measured = {row: truth for row, truth in e.pairs.items() if truth.counted and row in accepted}
-    _, residuals = streak_astrometry(e.streaks, measured, e.bounds, {})
-    return [r["cross_ratio"] for r in residuals if not r["snr"] < BRIGHT_SNR and math.isfinite(r["cross_ratio"])]
+    _, residuals = streak_astrometry(e.streaks, e.measured, e.bounds, {})
+    return [r["cross_ratio"] for r in residuals if not r["snr"] < LEAST_DETECTABLE_SNR and math.isfinite(r["cross_ratio"])]
 
 
 def _gallery(runs: dict[str, list[tuple[Run, Evaluation]]], onboard: bool) -> list[dict[str, Any]]:

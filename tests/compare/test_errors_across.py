@@ -9,6 +9,7 @@ from astropy.table import Table
 
 from sboc_e2e.compare.compare import _cross_ratios
 from sboc_e2e.score.bounds import TrailBounds
+from sboc_e2e.score.evaluation import Evaluation
 from sboc_e2e.score.matching import TruthStreak
 from sboc_e2e.score.trail import TruePath
 
@@ -37,10 +38,12 @@ def evaluation(shift_px: list[float], sagitta_px: list[float], snr: list[float],
         for d, s in zip(shift_px, sagitta_px, strict=True)
     ]  # fmt: skip
     bound = TrailBounds(cross_px=BOUND_PX, end0_px=0.1, end1_px=0.1, angle_rad=1e-3, flux_relative=0.05, attainable_end_px=0.1)
-    return SimpleNamespace(
+    made = SimpleNamespace(
         streaks=Table(rows=rows), pairs={k: arc(k, snr[k]) for k in range(n)}, bounds=dict.fromkeys(range(n), bound),
         accepted=accepted,
     )  # fmt: skip
+    made.measured = Evaluation.measured.fget(made)  # type: ignore[attr-defined]
+    return made
 
 
 def test_a_perfect_fit_of_an_arc_has_no_error() -> None:

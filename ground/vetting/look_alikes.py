@@ -119,6 +119,7 @@ class OwnEvidence:
     circle : of a lens that does not fill the frame; None: it does, or is not known.
     tiles : counts around the lines; None: the lines are not held against their neighbourhood.
     short_axis_px : of the images of the stars (sigma, the pixel's own taken off); None: they do not tell.
+    points : whether the images of the stars are far from lines, told or not how sharp the optics are.
     """
 
     look_alikes: LookAlikes = field(default_factory=LookAlikes)
@@ -134,6 +135,7 @@ class OwnEvidence:
     circle: ImageCircle | None = None
     tiles: Tiles | None = None
     short_axis_px: float | None = None
+    points: bool = False
 
     def stars_among(self, fits: Sequence[StreakFit], *, round_stars: bool) -> StarMotion | None:
         """Motion of the stars where they are lines. In a dense field detections of several run together, and fits part them.
@@ -325,7 +327,7 @@ class _Lines:
         fits, round_stars = self.fits, self.round_stars
         given = _once(fits, np.minimum(given, at_most), wins)
         given = np.where(of_turning_stars(fits, given, self.shape, round_stars=round_stars), 0.0, given)
-        shower = for_radiant(fits, given, self.shape, round_stars=round_stars)
+        shower = for_radiant(fits, given, self.shape, round_stars=round_stars or self.known.points)
         given = np.minimum(with_odds(given, shower), at_most)
         given = given / (1.0 + given * against_short_lines(fits, self.short))
         if self.known.crosses is not None:

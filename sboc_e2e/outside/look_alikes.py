@@ -41,7 +41,7 @@ from sboc_e2e.icd.signals import Detection, DetectorView
 from sboc_e2e.icd.steps import Detector
 from sboc_e2e.outside import second_processor
 from sboc_e2e.outside.limits import work_meter
-from sboc_e2e.outside.short_axis import short_axis_px
+from sboc_e2e.outside.star_axes import StarAxes
 from sboc_e2e.outside.star_lines import stars_as_lines
 
 IN_WHITE_NOISE: Final = 1.0 / 3.0
@@ -331,6 +331,7 @@ class CountingChain(OnboardChain):
             found = result.detections
             seen = Sky.of(prepared) if found else None
             field, bright = seen.stars(prepared, found) if seen else (None, None)
+            axes = StarAxes.of(view) if seen else None
             self.evidence[view.header.frame] = OwnEvidence(
                 look_alikes=look_alikes(dark(), view, found),
                 alone=self.looks_back and not view.history,
@@ -343,7 +344,8 @@ class CountingChain(OnboardChain):
                 crosses=Crosses.of(seen.counts, seen.unusable, bright) if seen and bright else None,
                 tiles=seen.tiles(found) if seen else None,
                 surroundings=seen.surroundings(found) if seen else Surroundings(),
-                short_axis_px=short_axis_px(view) if seen else None,
+                short_axis_px=None if axes is None else axes.short_px,
+                points=axes is not None and axes.are_points,
             )
         return after, result
 

@@ -133,3 +133,14 @@ def test_a_faint_meteor_of_a_shower_is_published(drawn: StreakFit) -> None:
     assert p[:4].min() > 0.5
     assert p[4] > 0.8
     assert p[5] < 0.5, "as bright, but it points elsewhere"
+
+
+def test_a_large_shower_counts_where_the_stars_are_no_lines_whether_or_not_they_tell_a_width(drawn: StreakFit) -> None:
+    """A photograph of 38 meteors: its stars, drawn out by 3 px, told no width, and its faint meteors had p of 0.07 to 0.37."""
+    lines = [*(way(drawn, 30.0 + 9.0 * k, 90.0 + 85.0 * (k % 3), 60.0) for k in range(9)), way(drawn, 71.0, 95.0, 60.0)]
+    pixels = sum((lit(line, EVEN, 9.0) for line in lines[1:]), lit(lines[0], EVEN, 9.0)) - 100.0 * (len(lines) - 1)
+    told = (*[0.9] * 9, 0.05)
+    as_lines, as_points = judged(told, lines, pixels), judged(told, lines, pixels, points=True)
+    assert np.count_nonzero(as_lines[:9] > 0.5) >= 8
+    odds = [p[9] / (1.0 - p[9]) for p in (as_lines, as_points)]
+    assert odds[1] > 20.0 * odds[0]

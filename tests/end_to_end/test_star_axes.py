@@ -9,7 +9,7 @@ import pytest
 from ground.vetting.look_alikes import as_sharp_as
 from sboc_e2e.icd.flags import StarFlag
 from sboc_e2e.icd.signals import DetectorView, StarList
-from sboc_e2e.outside.short_axis import short_axis_px
+from sboc_e2e.outside.star_axes import StarAxes
 from tests.benchmarks.detection_frames import Scene, view_of
 
 SIDE, STARS = 256, 40
@@ -34,13 +34,26 @@ def view_with_stars(sigma_px: float, drawn_px: float, flags: int = 0, n: int = S
 @pytest.mark.parametrize(("sigma_px", "drawn_px"), [(0.7, 0.0), (0.7, 4.0), (1.2, 5.0), (1.5, 0.0)])
 def test_the_short_axis_is_that_of_the_optics(sigma_px: float, drawn_px: float) -> None:
     """To 8 %, whatever the stars are drawn out by: half of them are as sharp as this or sharper, noise in it."""
-    short = short_axis_px(view_with_stars(sigma_px, drawn_px))
-    assert short == pytest.approx(sigma_px, rel=0.08)
+    axes = StarAxes.of(view_with_stars(sigma_px, drawn_px))
+    assert axes is not None
+    assert axes.short_px == pytest.approx(sigma_px, rel=0.08)
+
+
+@pytest.mark.parametrize(("drawn_px", "points"), [(0.0, True), (3.0, True), (4.0, True), (8.0, False), (30.0, False)])
+def test_stars_that_are_drawn_out_by_half_the_shortest_line_are_none_of_the_lines(drawn_px: float, points: bool) -> None:
+    """Stars of sigma 1.2 px; the length is 1.0 to 1.35 times the true one, and noise gives a round star 1 px at most."""
+    axes = StarAxes.of(view_with_stars(1.2, drawn_px))
+    if drawn_px > 20.0:
+        assert axes is None or not axes.are_points, "no image of a long trail settles"
+        return
+    assert axes is not None
+    assert axes.are_points is points
+    assert drawn_px <= axes.drawn_px <= max(1.35 * drawn_px, 1.0)
 
 
 def test_few_stars_and_hot_pixels_tell_nothing() -> None:
-    assert short_axis_px(view_with_stars(0.7, 4.0, n=3)) is None
-    assert short_axis_px(view_with_stars(0.7, 4.0, flags=StarFlag.COSMIC_LIKE)) is None
+    assert StarAxes.of(view_with_stars(0.7, 4.0, n=3)) is None
+    assert StarAxes.of(view_with_stars(0.7, 4.0, flags=StarFlag.COSMIC_LIKE)) is None
 
 
 @pytest.mark.parametrize(("psf_sigma_px", "told"), [(1.4, 0.6), (0.5, 0.5), (None, None)])

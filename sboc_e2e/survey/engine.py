@@ -24,6 +24,8 @@ from simulator.scene.fleet import is_given
 from simulator.survey.flight import BLOCK_S, refuse_unwatched
 
 IDENTITY: Final = "survey.json"
+IDENTITY_KEYS: Final = frozenset({"identity", "days", "block_s", "epoch_utc", "candidates"})
+"""Keys by which a survey's own file is known: those that every survey writes."""
 FOLDERS: Final = ("tracklets", "truth", "sums", "failed")
 EPHEMERIS_END: Final = 2100.0
 """Of ERFA's Earth ephemeris. A camera in orbit needs no orientation of the Earth, whose predictions reach a year only."""
@@ -181,20 +183,25 @@ def _known(out: Path, scenario: Scenario, response: Response, days: float, *, fo
     A longer survey goes on in the folder of a shorter one.
     """
     path = out / IDENTITY
-    if force:
+    found = _identity(path)
+    for name in FOLDERS:
+        # Without an identity nothing says that this is a survey's, so that even --force leaves it alone: runs have a truth/, too.
+        if found is None and (folder := out / name).is_dir() and any(folder.iterdir()):
+            raise UserError(
+                f"{folder}: holds files of an unknown survey or of something else (no {IDENTITY}); --out goes elsewhere"
+            )
+    if force and found is not None:
         for name in FOLDERS:
             shutil.rmtree(out / name, ignore_errors=True)
         path.unlink(missing_ok=True)
-    way_out = "--out goes elsewhere, --force begins anew here"
-    if not path.is_file():
-        if (out / "sums").exists() and any((out / "sums").iterdir()):
-            raise UserError(f"{out}: holds shards of an unknown survey; {way_out}")
+        found = None
+    if found is None:
         return None
     wanted = identity_of(scenario, response)
+    way_out = "--out goes elsewhere, --force begins anew here"
     try:
-        found = json.loads(path.read_text(encoding="utf-8"))
         numbers = tuple(int(n) for n in found["candidates"])
-    except (ValueError, KeyError, TypeError) as error:
+    except (ValueError, TypeError) as error:
         raise UserError(f"{path}: not readable; {way_out}") from error
     differs = next((name for name in wanted if found["identity"].get(name) != wanted[name]), None)
     if differs:
@@ -202,6 +209,19 @@ def _known(out: Path, scenario: Scenario, response: Response, days: float, *, fo
     if days > found["days"]:
         write_json(path, found | {"days": days})
     return numbers
+
+
+def _identity(path: Path) -> dict[str, Any] | None:
+    """What a survey wrote down about itself; None without the file. Raises `UserError` for a file that is nobody's."""
+    if not path.exists():
+        return None
+    try:
+        found = json.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise UserError(f"{path}: not readable; --out goes elsewhere") from error
+    if not isinstance(found, dict) or IDENTITY_KEYS - set(found) or not isinstance(found["identity"], dict):
+        raise UserError(f"{path}: was not written by a survey; --out goes elsewhere")
+    return found
 
 
 def _begun(out: Path, scenario: Scenario, response: Response, days: float, numbers: tuple[int, ...]) -> tuple[int, ...]:

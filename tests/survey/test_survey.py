@@ -227,6 +227,34 @@ def test_a_folder_of_another_survey_is_refused(tmp_path: Path) -> None:
         run_survey(load(*SMALL, "population.albedo=0.2"), made, 0.25, tmp_path / "one", here=True)
 
 
+@pytest.mark.parametrize("force", [False, True])
+@pytest.mark.parametrize("name", ["truth/objects.ecsv", "failed/notes.txt", "tracklets/pottery.jpg", "sums/tax.json", "survey.json"])
+def test_files_of_a_stranger_stay(tmp_path: Path, name: str, force: bool) -> None:
+    """A folder is a survey's by its identity, not by what its folders are called; a run has a truth/, too."""
+    own, bystander = tmp_path / "out" / name, tmp_path / "out" / "truth" / "light.ecsv"
+    for path in (own, bystander):
+        path.parent.mkdir(parents=True, exist_ok=True)
+        path.write_text('{"identity": "of somebody"}')
+    found = load(*SMALL)
+    with pytest.raises(UserError, match="--out goes elsewhere") as caught:
+        run_survey(found, write_response(tmp_path / "r.json", found), 0.25, tmp_path / "out", here=True, force=force)
+    assert "\n" not in str(caught.value)
+    assert {path for path in (tmp_path / "out").rglob("*") if path.is_file()} == {own, bystander}
+    assert own.read_text() == '{"identity": "of somebody"}'
+
+
+def test_force_begins_a_survey_anew(tmp_path: Path) -> None:
+    """The folders of a survey, known by its identity, are emptied; other files beside them stay."""
+    found, out = load(*SMALL), tmp_path / "out"
+    response = write_response(tmp_path / "r.json", found)
+    engine._begun(out, found, response, 0.25, (7,))
+    for name in ("sums/000000.json", "truth/000000.parquet", "notes.txt"):
+        (out / name).write_text("earlier")
+    assert engine._known(out, found, response, 0.25, force=False) == (7,)
+    assert engine._known(out, found, response, 0.25, force=True) is None
+    assert [path.name for path in out.rglob("*")] == ["notes.txt"]
+
+
 @pytest.mark.parametrize(
     ("days", "overrides", "words"),
     [

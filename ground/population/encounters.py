@@ -6,7 +6,8 @@ it. An orbit (a, e, i) of uniform node, perigee and anomaly has at radius r and 
 
     1 / (2 pi^3 r a sqrt((sin^2 i - sin^2 b) (r - q) (Q - r)))        objects / km^3
 
-and an object that stays in the field for D of the W seconds watched is met at a random instant with probability D / W.
+and an object that stays in the field for D of the W seconds watched is met at a random instant with probability D / W. Time
+between frames that did not come down belongs to neither.
 """
 
 import math
@@ -46,11 +47,13 @@ CELL_KM: Final = 25.0
 CELL_SINE: Final = 0.02
 """Half widths of the cell over which the density of an orbit is averaged."""
 
+SAME_STEP_S: Final = 1e-6
+"""Steps between frames that differ less are the same: epochs are whole nanoseconds, cadences seldom are."""
+
 FLUX_ROUNDS: Final = 4
 """Each orbit is met at this many random instants; a mean over all orbits needs few of each. Chosen, not measured."""
 
 BREAKUP_SHARE: Final = (0.8, 0.1)
-"""Share of objects below and above `SMALL_BELOW_M` that carry the velocities of a break-up, as `range_scan` has them."""
 """Share of objects below and above `SMALL_BELOW_M` that carry the velocities of a break-up, as `range_scan` has them."""
 
 
@@ -85,6 +88,22 @@ class Watch:
     def span_s(self) -> float:
         """Time watched."""
         return self.frame_s * len(self.t_s)
+
+    def unwatched_s(self, start_s: Array, stop_s: Array) -> Array:
+        """Seconds (n,) of intervals (n,) between frames that did not come down, beyond the `frame_s` of those that did.
+
+        Negative where frames follow sooner and represent the same time twice.
+        """
+        step = np.diff(self.t_s)
+        lost = step - self.frame_s
+        lost[np.abs(lost) < SAME_STEP_S] = 0.0
+        if not lost.any():
+            return np.zeros(len(start_s))
+        # Such a time lies half-way between two frames.
+        half, middle = 0.5 * np.minimum(np.abs(lost), step), 0.5 * (self.t_s[1:] + self.t_s[:-1])
+        at = np.stack([middle - half, middle + half], axis=1).ravel()
+        total = np.cumsum(np.stack([np.zeros(len(lost)), lost], axis=1).ravel())
+        return np.asarray(np.interp(stop_s, at, total) - np.interp(start_s, at, total))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -153,6 +172,7 @@ def crossings(
     opens, closes = watch.t_s[0] - 0.5 * watch.frame_s, watch.t_s[-1] + 0.5 * watch.frame_s
     start, stop = np.maximum(start, opens - t0), np.minimum(stop, closes - t0)
     stay = stop - start
+    stay -= np.where(stay > 0.0, watch.unwatched_s(t0 + start, t0 + stop), 0.0)
     met = np.isfinite(velocity).all(axis=1) & (stay > 0.0) & (np.degrees(rate) >= SLOWEST_DEG_S)
     weight = np.where(met, density[kept] * volume[kept] * watch.span_s / np.maximum(stay, 1e-9), 0.0) / n
 

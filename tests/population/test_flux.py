@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from ground.ingest.assembly import FIRST_TRACK_ROI
-from ground.population.encounters import CELL_KM, _leaves_km, _stay_s, crossings, density_of, farthest_km, trail_snr
+from ground.population import encounters
+from ground.population.encounters import CELL_KM, Watch, _leaves_km, _stay_s, crossings, density_of, farthest_km, trail_snr
 from ground.population.flux import ALBEDO, ALBEDO_SIGMA_LN, COULD_BE_SEEN_SNR, SIZE_EDGES_M, counted_of, found_shares, light_seen
 from ground.population.injection import (
     DEFAULT_THRESHOLD,
@@ -100,6 +101,57 @@ def _bright_exposures(seen: Window, edges: tuple[float, float]) -> tuple[float, 
     theirs_bright = (theirs.snr >= COULD_BE_SEEN_SNR) & (theirs.rate_deg_s >= options.slowest_deg_s)
     simulator = float(theirs.natural[theirs_bright].sum()) / natural_flux(options, one, seen, rng)
     return float(drawn.weight[bright].sum()) / drawn.flux_km2_s, simulator
+
+
+def _watch_at(t_s: np.ndarray) -> Watch:
+    """A camera that stays where it is, so that every frame has the same sky."""
+    seen, n = worlds.window(), len(t_s)
+    place, velocity, attitude = (
+        np.repeat(x[None], n, axis=0) for x in (seen.observer_km, seen.velocity_km_s, seen.attitude)
+    )  # fmt: skip
+    return replace(worlds.watch_of(seen), t_s=t_s, position_km=place, velocity_km_s=velocity, attitude=attitude)
+
+
+def _counted_crossings(watch: Watch) -> float:
+    """Expected crossings of 10 to 30 cm that could be seen; candidates are the same for every watch."""
+    drawn = crossings(watch, (0.1, 0.3), 60_000, np.random.default_rng(3), albedo=ALBEDO, albedo_sigma_ln=0.0)
+    return float(drawn.weight[(drawn.snr.max(axis=1) >= COULD_BE_SEEN_SNR) & (drawn.frames_lit >= 2)].sum())
+
+
+def test_two_visits_far_apart_count_as_two() -> None:
+    """Nothing of 0.1 deg/s or more stays for 200 s in 5 degrees: both together have the crossings of one twice."""
+    t = worlds.FRAME_S * np.arange(worlds.FRAMES)
+    one = _counted_crossings(_watch_at(t))
+    assert _counted_crossings(_watch_at(np.concatenate([t, 200.0 + t]))) == pytest.approx(2.0 * one, rel=0.02)
+
+
+@pytest.mark.parametrize("lost", [0.1, 0.2, 0.3, 0.6])
+def test_frames_lost_inside_a_run_cost_the_crossings_that_they_cost(lost: float, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Four minutes of frames, some dropped at random, against objects let in one after another at random times.
+
+    Of those of the whole run 1.00, 1.00, 1.00 and 0.98 are left: most stay for seconds. Gaps taken as watched left 1 - lost.
+    """
+    stays = []
+
+    def noted(camera: np.ndarray, relative: np.ndarray, watch: Watch) -> tuple[np.ndarray, np.ndarray]:
+        stays.append(_stay_s(camera, relative, watch))
+        return stays[-1]
+
+    t = worlds.FRAME_S * np.arange(960)
+    kept = t[np.random.default_rng(8).random(960) >= lost]
+    with monkeypatch.context() as patched:
+        patched.setattr(encounters, "_stay_s", noted)
+        drawn = crossings(_watch_at(t), (0.1, 0.3), 60_000, np.random.default_rng(3), albedo=ALBEDO, albedo_sigma_ln=0.0)
+    good = np.flatnonzero((drawn.snr.max(axis=1) >= COULD_BE_SEEN_SNR) & (drawn.weight > 0.0))
+    stay = stays[0][1][good] - stays[0][0][good]
+    rng, half, seen = np.random.default_rng(9), 0.5 * worlds.EXPOSURE_S, np.zeros(2)
+    for _ in range(40):
+        enters = rng.uniform(t[0] - stay, t[-1])
+        for k, frames in enumerate((t, kept)):
+            lit = np.searchsorted(frames, enters + stay + half, side="right") - np.searchsorted(frames, enters - half)
+            seen[k] += float(drawn.weight[good] @ (lit >= 2))
+    told = _counted_crossings(_watch_at(kept)) / _counted_crossings(_watch_at(t))
+    assert told == pytest.approx(seen[1] / seen[0], rel=0.02)
 
 
 def test_where_objects_become_too_slow_and_where_a_line_of_sight_leaves_a_shell() -> None:

@@ -228,7 +228,9 @@ def test_a_folder_of_another_survey_is_refused(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize("force", [False, True])
-@pytest.mark.parametrize("name", ["truth/objects.ecsv", "failed/notes.txt", "tracklets/pottery.jpg", "sums/tax.json", "survey.json"])
+@pytest.mark.parametrize(
+    "name", ["truth/objects.ecsv", "failed/notes.txt", "tracklets/pottery.jpg", "sums/tax.json", "survey.json"]
+)
 def test_files_of_a_stranger_stay(tmp_path: Path, name: str, force: bool) -> None:
     """A folder is a survey's by its identity, not by what its folders are called; a run has a truth/, too."""
     own, bystander = tmp_path / "out" / name, tmp_path / "out" / "truth" / "light.ecsv"

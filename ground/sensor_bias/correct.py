@@ -46,10 +46,15 @@ def read_calibration(text: str, where: str) -> tuple[SensorBias, ...]:
 
 
 def nearest(sessions: Sequence[SensorBias], t_tai_ns: int) -> SensorBias:
-    """The session whose middle is nearest to an epoch. UserError without any."""
+    """The session that holds an epoch, else the one whose nearer end is nearest. UserError without any."""
     if not sessions:
         raise UserError("calibration: no session")
-    return min(sessions, key=lambda s: abs((s.first_tai_ns + s.last_tai_ns) // 2 - t_tai_ns))
+
+    def away_ns(session: SensorBias) -> tuple[int, int]:
+        outside = max(session.first_tai_ns - t_tai_ns, t_tai_ns - session.last_tai_ns, 0)
+        return outside, abs((session.first_tai_ns + session.last_tai_ns) // 2 - t_tai_ns)
+
+    return min(sessions, key=away_ns)
 
 
 def corrected(track: Track, bias: SensorBias) -> Track:

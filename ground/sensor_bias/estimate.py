@@ -20,6 +20,8 @@ Place = Callable[[NDArray[np.int64]], Array]
 _HALF_STEP_S: Final = 0.5  # half the step of the central difference for the rate; at 0.1 deg/s it errs by 1e-7 of the rate
 _CLIP_SIGMA: Final = 4.5  # a right direction in 150,000 is beyond it on each axis
 _ROUNDS: Final = 8  # rounds of weights and clipping, after which they have settled; chosen, not measured
+_SAME_ARCSEC: Final = 5.0
+"""Orbits that are nearer to each other, as an angle at the sensor, are of one object: files name it differently. Chosen."""
 _FEWEST_TRACKS: Final = 3  # one track gives three numbers to three unknowns; three show the scatter between tracks
 
 
@@ -89,14 +91,23 @@ def sessions_of(tracks: Sequence[Track], gap_s: float) -> list[list[Track]]:
 
 
 def identified(track: Track, here: Array, orbits: Sequence[PreciseOrbit], within_arcsec: float) -> PreciseOrbit | None:
-    """The orbit that is the only one near a track, seen from places (n, 3), all along; None near none or several."""
-    near = []
+    """The orbit of the only object near a track, seen from places (n, 3), all along; None near none or several.
+
+    Orbits of one name, and those that agree, are of one object. Of these the one whose table begins last is taken: of predictions
+    the newest, of ultra-rapid orbits the half that was observed; of tables that begin together the shortest.
+    """
+    near: list[tuple[PreciseOrbit, Array]] = []
     for orbit in orbits:
-        computed, _ = seen_from(orbit.states, track.t_tai_ns, here)
+        computed, rho = seen_from(orbit.states, track.t_tai_ns, here)
         away = np.linalg.norm(track.direction - computed, axis=1).max() / ARCSEC_RAD
         if np.isfinite(away) and away < within_arcsec:
-            near.append(orbit)
-    return near[0] if len(near) == 1 else None
+            near.append((orbit, computed * rho[:, None]))
+    if not near:
+        return None
+    best, line = max(near, key=lambda found: (int(found[0].t_tai_ns[0]), -int(found[0].t_tai_ns[-1])))
+    same = _SAME_ARCSEC * ARCSEC_RAD * np.linalg.norm(line, axis=1)
+    names = {orbit.name for orbit, other in near if (np.linalg.norm(other - line, axis=1) < same).all()}
+    return best if names.issuperset(orbit.name for orbit, _ in near) else None
 
 
 def estimate(

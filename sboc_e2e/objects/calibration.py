@@ -14,6 +14,7 @@ from ground.sensor_bias.correct import calibration_text
 from ground.sensor_bias.estimate import Place, SensorBias, Track, estimate, sessions_of
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.objects.catalogue import ephemerides_of
+from sboc_e2e.objects.places import known_place
 from sboc_e2e.score.published.tdm_reader import read_tdm
 
 Array = NDArray[np.float64]
@@ -27,13 +28,16 @@ def calibrate(
 ) -> tuple[list[SensorBias], list[str]]:
     """Estimate each session's bias and write them; also why objects were left out that no free orbit fits.
 
-    UserError where no session has enough known objects.
+    UserError where no session has enough known objects, and for directions at epochs for which no place is given.
     """
     tracks = []
     for path in messages:
         if not path.is_file():
             raise UserError(f"{path}: no such file")
-        tracks += [Track(t_tai_ns=s.angle_tai_ns, direction=s.direction) for s in read_tdm(path) if len(s.angle_tai_ns) > 1]
+        for segment in read_tdm(path):
+            if len(segment.angle_tai_ns) > 1:
+                known_place(place, segment.angle_tai_ns, path)
+                tracks.append(Track(t_tai_ns=segment.angle_tai_ns, direction=segment.direction))
     every = [e for path in orbit_files for e in ephemerides_of(path).values()]
     orbits: list[PreciseOrbit] = []
     left_out = []

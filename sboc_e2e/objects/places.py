@@ -60,6 +60,14 @@ def place_of_ephemeris(path: Path) -> Place:
     return place
 
 
+def known_place(place: Place, t_tai_ns: NDArray[np.int64], path: Path) -> Array:
+    """Where the sensor was, (n, 3) km, at epochs (n,) of directions of a message. UserError where nothing tells it."""
+    here = place(t_tai_ns)
+    if not np.isfinite(here).all():
+        raise UserError(f"{path}: directions at epochs for which the observer's place is not given")
+    return here
+
+
 def _nodes_of(segment: Ephemeris, where: str = "") -> tuple[int, bool]:
     """Number of states that a polynomial goes through, and whether it has their velocities too."""
     method = segment.interpolation.upper()

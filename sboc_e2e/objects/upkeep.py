@@ -18,6 +18,7 @@ from ground.upkeep.view import UpkeepOptions
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.objects.conjunctions import epoch_of
 from sboc_e2e.objects.direction_errors import ERRORS_NAME, errors_of
+from sboc_e2e.objects.places import known_place
 from sboc_e2e.objects.texts import text_of
 from sboc_e2e.score.published.tdm_reader import TdmSegment, read_tdm
 
@@ -86,15 +87,13 @@ def _stored(
     """Directions in order of time. errors : (n, 3) sigma along, across (arcsec), angle of the motion (rad)."""
     order = np.argsort(segment.angle_tai_ns, kind="stable")
     seen = Track(t_tai_ns=segment.angle_tai_ns[order], direction=segment.direction[order])
-    observer = place(seen.t_tai_ns)
+    observer = known_place(place, seen.t_tai_ns, path)
     if correction is not None:
         bias = nearest(correction.sessions, int(seen.t_tai_ns[0]))
         errors = widened(errors, seen, bias)
         seen = corrected(seen, bias)
         if not correction.shares_clock:
-            observer = place(seen.t_tai_ns)
-    if not np.isfinite(observer).all():
-        raise UserError(f"{path}: directions at epochs for which the observer's place is not given")
+            observer = known_place(place, seen.t_tai_ns, path)
     rows = np.hstack([seen.direction, errors[:, :2] * ARCSEC_RAD, errors[:, 2:], observer])
     return StoredTracklet(sensor=sensor, t_tai_ns=seen.t_tai_ns, rows=rows, uid=uid_of(segment, sensor))
 

@@ -16,7 +16,7 @@ from ground.determination.precise import Ephemeris, orbit_of, read_sp3
 from ground.orbit.reference import PreciseOrbit
 from ground.products.epochs import utc_text
 from ground.sensor_bias.correct import calibration_text, corrected, nearest, read_calibration, widened
-from ground.sensor_bias.estimate import Track, estimate, sessions_of
+from ground.sensor_bias.estimate import Track, estimate, identified, sessions_of
 from ground.store.store import ObjectStore
 from sboc_e2e.cli.main import run
 from sboc_e2e.icd import tai
@@ -24,6 +24,7 @@ from sboc_e2e.icd.errors import UserError
 from sboc_e2e.objects.places import place_of_site
 from tests.conjunctions.reference import folder
 from tests.determination.burnt_table import burnt_table
+from tests.sensor_bias.test_places import message as oem
 
 SITE = "38.2,-6.6,570"
 LATE_S, EAST, NORTH = 0.020, 3.0, -1.5
@@ -148,6 +149,71 @@ def test_outliers_are_clipped_and_strangers_left_out(sky) -> None:
     assert found.n_clipped == 1
     with pytest.raises(UserError, match="0 of 1 tracks belong to one precise orbit"):
         estimate([stranger], place_of_site(SITE), orbits, shares_clock=False)
+
+
+def part_of(orbit: PreciseOrbit, first_h: float, last_h: float, name: str = "", off_km: float = 0.0) -> PreciseOrbit:
+    """Some hours of an orbit, under another name, moved along one axis."""
+    hours = (orbit.t_tai_ns - orbit.t_tai_ns[0]) / 3.6e12
+    these = (hours >= first_h) & (hours <= last_h)
+    moved = orbit.position_km[these] + [0.0, 0.0, off_km]
+    return PreciseOrbit(
+        name=name or orbit.name, t_tai_ns=orbit.t_tai_ns[these], position_km=moved, velocity_km_s=orbit.velocity_km_s[these]
+    )
+
+
+def test_an_object_that_several_files_hold_is_one(sky) -> None:
+    """The track is at 3.3 h. At 20,000 km 5 arcsec are 0.5 km and 600 arcsec are 60 km."""
+    orbits, passes = sky
+    track = observed(passes, np.random.default_rng(5))[0]
+    whole, here = orbits[0], place_of_site(SITE)(track.t_tai_ns)
+    old, new = part_of(whole, 0.0, 20.0, off_km=3.0), part_of(whole, 2.0, 22.0)
+    other_name = part_of(whole, 1.0, 24.0, "gps63", off_km=0.1)
+    stranger = part_of(whole, 0.0, 24.0, "G99", off_km=3.0)
+    assert identified(track, here, [old, new], 600.0) is new
+    assert identified(track, here, [new, old, other_name, orbits[1]], 600.0) is new
+    assert (
+        identified(track, here, [whole, old, new, part_of(whole, 2.0, 9.0, off_km=0.01)], 600.0).t_tai_ns[-1] < new.t_tai_ns[-1]
+    )
+    assert identified(track, here, [new, stranger], 600.0) is None
+    assert identified(track, here, [old, new, stranger], 600.0) is None
+    # a table that ends before the track says nothing of it
+    assert identified(track, here, [old, part_of(whole, 2.5, 3.0)], 600.0) is old
+    assert identified(track, here, [orbits[1]], 600.0) is None
+
+
+def test_orbits_of_overlapping_files_calibrate_as_those_of_one(sky) -> None:
+    orbits, passes = sky
+    tracks = observed(passes, np.random.default_rng(5))
+    twice = [*orbits, *(part_of(orbit, 0.0, 30.0) for orbit in orbits)]
+    one, both = (estimate(tracks, place_of_site(SITE), given, shares_clock=False) for given in (orbits, twice))
+    assert (both.n_tracks, both.objects, both.time_s) == (10, one.objects, one.time_s)
+
+
+def test_a_track_is_corrected_by_the_session_that_holds_it(sky) -> None:
+    """Sessions of 0 to 10 h and 12 to 12.2 h: at 9 h and at 10.9 h the first, at 11.1 h the second."""
+    orbits, passes = sky
+    found = estimate(observed(passes, np.random.default_rng(3)), place_of_site(SITE), orbits, shares_clock=False)
+    first, second = (
+        replace(found, first_tai_ns=round(3.6e12 * a), last_tai_ns=round(3.6e12 * b)) for a, b in ((0.0, 10.0), (12.0, 12.2))
+    )
+    at_h = {-3.0: first, 9.0: first, 10.9: first, 11.1: second, 12.1: second, 40.0: second}
+    for hour, session in at_h.items():
+        assert nearest([first, second], round(3.6e12 * hour)) is session
+    with pytest.raises(UserError, match="no session"):
+        nearest([], 0)
+
+
+def test_an_observer_whose_ephemeris_does_not_cover_the_tracks_is_named(
+    sky, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The tracks are of 2018, the states of 2027."""
+    message = tmp_path / "night.tdm"
+    message.write_text(tdm(observed(sky[1][:4], np.random.default_rng(7))))
+    eye = oem(tmp_path / "eye.oem", 60.0, "INTERPOLATION = HERMITE\nINTERPOLATION_DEGREE = 7")
+    orbits = str(folder("sp3") / "gbm18432.sp3.Z")
+    assert run(["calibrate", str(message), "--orbits", orbits, "--observer", str(eye), "--out", str(tmp_path / "c.json")]) == 2
+    assert f"{message.name}: directions at epochs for which the observer's place is not given" in capsys.readouterr().err
+    assert not (tmp_path / "c.json").exists()
 
 
 def test_sessions_are_cut_at_gaps(sky) -> None:

@@ -14,8 +14,8 @@ from scipy.interpolate import CubicHermiteSpline, CubicSpline
 
 from ground.orbit.dynamics import propagate
 from ground.sky.apparent import EARTH_SPIN_RAD_S, TT_MINUS_TAI_DAYS
+from ground.sky.orientation_data import refuse_outside_orientation
 from sboc_e2e.icd import tai
-from sboc_e2e.icd.errors import UserError
 
 Array = NDArray[np.float64]
 
@@ -121,11 +121,10 @@ def _tt(t_tai_ns: NDArray[np.int64]) -> tuple[Array, Array]:
 
 def _on_ground(site: Site, t_tai_ns: NDArray[np.int64]) -> tuple[Array, Array, Array]:
     """Position, velocity and zenith (n, 3) of a site; polar motion (0.3 arcsec) is left out."""
+    # Beyond its tables astropy holds the last UT1 - UTC without a word.
+    refuse_outside_orientation(t_tai_ns, "plan")
     with iers.conf.set_temp("auto_download", False), iers.conf.set_temp("auto_max_age", None):
-        try:
-            ut1 = Time(*tai.jd_parts_of(t_tai_ns), format="jd", scale="tai").ut1
-        except iers.IERSRangeError as error:
-            raise UserError("plan: the Earth-orientation data that are installed do not cover its days") from error
+        ut1 = Time(*tai.jd_parts_of(t_tai_ns), format="jd", scale="tai").ut1
     intermediate_from_celestial = erfa.c2ixys(*_smooth(_pole, t_tai_ns).T)
     still = erfa.pom00(0.0, 0.0, 0.0)
     fixed_from_celestial = erfa.c2tcio(intermediate_from_celestial, erfa.era00(ut1.jd1, ut1.jd2), still)

@@ -10,6 +10,7 @@ from scipy.interpolate import KroghInterpolator
 
 from ground.determination.propagation import itrs_to_gcrs
 from ground.sensor_bias.estimate import Place
+from ground.sky.orientation_data import refuse_outside_orientation
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.score.published.oem_reader import Ephemeris, read_oem
 
@@ -22,7 +23,10 @@ _LARGEST_DEGREE: Final = 27
 
 
 def place_of_site(text: str) -> Place:
-    """A site from "latitude,longitude,height" (deg, deg, m; WGS84)."""
+    """A site from "latitude,longitude,height" (deg, deg, m; WGS84).
+
+    Its places raise UserError for epochs that the installed Earth-orientation data do not cover.
+    """
     try:
         latitude, longitude, height_m = (float(part) for part in text.split(","))
         if not (abs(latitude) <= 90.0 and abs(longitude) <= 360.0 and abs(height_m) < 10_000.0):
@@ -30,7 +34,12 @@ def place_of_site(text: str) -> Place:
     except ValueError as error:
         raise UserError(f'--site: expected LATITUDE,LONGITUDE,HEIGHT in deg, deg, m, got "{text[:40]}"') from error
     fixed = 1e-3 * np.asarray(erfa.gd2gc(1, np.radians(longitude), np.radians(latitude), height_m))
-    return lambda t: np.asarray(itrs_to_gcrs(t) @ fixed)
+
+    def place(t: NDArray[np.int64]) -> Array:
+        refuse_outside_orientation(t, "--site")
+        return np.asarray(itrs_to_gcrs(t) @ fixed)
+
+    return place
 
 
 def place_of_ephemeris(path: Path) -> Place:

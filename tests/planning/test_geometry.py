@@ -6,6 +6,8 @@ from astroplan import Observer
 from astropy import units as u
 from astropy.coordinates import TEME, AltAz, CartesianRepresentation, EarthLocation, SkyCoord, get_body, get_sun
 from astropy.time import Time
+from astropy.utils import iers
+from erfa import DJM0
 from scipy.optimize import brentq
 from sgp4.api import Satrec
 
@@ -15,7 +17,9 @@ from ground.planning.options import ConstraintOptions
 from ground.planning.sky import Orbit, Site, sky_of
 from ground.planning.targets import states_at, states_of
 from ground.planning.windows import windows_of
+from ground.sky.orientation_data import covered_mjd, refuse_outside_orientation
 from sboc_e2e.icd import tai
+from sboc_e2e.icd.errors import UserError
 from tests.element_lines import with_checksums
 
 LINES = with_checksums(
@@ -65,6 +69,32 @@ def test_sun_and_moon_stand_where_astropy_has_them() -> None:
             want = get_body(name, time_of(int(t))).gcrs.cartesian.xyz.to_value(u.km)
             cosine = body @ want / np.linalg.norm(body) / np.linalg.norm(want)
             assert np.degrees(np.arccos(min(cosine, 1.0))) * 3600 < 60.0, name  # constraints are whole degrees
+
+
+@pytest.mark.parametrize("date", ["1972-06-01", "2027-12-01", "2030-01-01", "2040-01-01"])
+def test_a_site_outside_the_earth_orientation_data_is_refused(date: str) -> None:
+    """Tables of today end in autumn 2027 or later; those of a later package may hold the first dates, and then give a place."""
+    table = iers.earth_orientation_table.get()
+    atomic = Time(date, scale="tai")
+    instants = tai.from_jd_parts(atomic.jd1, atomic.jd2) + 60 * 10**9 * np.arange(3, dtype=np.int64)
+    if table["MJD"][0].value <= atomic.mjd < table["MJD"][-1].value - 1.0:
+        assert np.isfinite(sky_of(SITE, instants).station_km).all()
+        return
+    with pytest.raises(UserError, match=f"plan: {date} lies outside the installed Earth-orientation data"):
+        sky_of(SITE, instants)
+    orbit = Orbit(state=np.array([7078.0, 0, 0, 0, -1.06, 7.43]), epoch_tai_ns=int(instants[0]))
+    assert np.isfinite(sky_of(orbit, instants).station_km).all()
+
+
+def test_the_earth_orientation_data_end_where_astropy_has_them_end() -> None:
+    table = iers.earth_orientation_table.get()
+    assert covered_mjd() == (table["MJD"][0].value, table["MJD"][-1].value)
+    first, last = (tai.from_jd_parts(DJM0 + day, 0.0) for day in covered_mjd())
+    refuse_outside_orientation(np.array([first, last]), "x")
+    refuse_outside_orientation(np.zeros(0, dtype=np.int64), "x")
+    for outside in (first - 10**9, last + 10**9):
+        with pytest.raises(UserError, match=r"^x: "):
+            refuse_outside_orientation(np.array([first, outside]), "x")
 
 
 @pytest.mark.parametrize("station", [SITE, Orbit(state=np.array([7078.0, 0, 0, 0, -1.06, 7.43]), epoch_tai_ns=start_ns())])

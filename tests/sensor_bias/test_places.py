@@ -5,8 +5,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from ground.determination.forces import propagator
+from ground.sky.orientation_data import covered_mjd
 from sboc_e2e.icd.errors import UserError
-from sboc_e2e.objects.places import place_of_ephemeris
+from sboc_e2e.objects.places import place_of_ephemeris, place_of_site
 from sboc_e2e.score.published.axes import gcrs_from
 from sboc_e2e.score.published.epochs import tai_ns
 
@@ -62,6 +64,25 @@ def test_ephemerides_are_interpolated_as_they_say(tmp_path: Path, step_s: float,
         assert error_m.max() == pytest.approx(1e3 * (step_s * RATE_RAD_S) ** 4 * RADIUS_KM / 384.0, rel=0.02)
     if "LINEAR" in method:
         assert error_m.max() == pytest.approx(1e3 * (step_s * RATE_RAD_S) ** 2 * RADIUS_KM / 8.0, rel=0.02)
+
+
+@pytest.mark.parametrize("years", [-60, 80])
+def test_a_site_has_no_place_outside_the_earth_orientation_data(years: int) -> None:
+    """Before 1973 UT1 would be UTC, and after the last prediction (2027 and later) what it was then: 0.5 s are 0.2 km."""
+    pytest.importorskip("satkit", reason="satkit turns Earth-fixed axes (extra `objects`)")
+    place = place_of_site("38.2,-6.6,570")
+    now = START_TAI_NS - 365 * 86_400 * 10**9
+    assert np.linalg.norm(place(np.array([now]))) == pytest.approx(6370.0, abs=5.0)
+    late = now + round(years * 365.25 * 86400) * 10**9
+    with pytest.raises(UserError, match=r"--site: [0-9-]* lies outside the installed Earth-orientation data") as caught:
+        place(np.array([now, late]))
+    assert "\n" not in str(caught.value)
+
+
+def test_the_propagator_reads_the_same_earth_orientation_data() -> None:
+    pytest.importorskip("satkit", reason="satkit turns Earth-fixed axes (extra `objects`)")
+    first, _, last = propagator().frametransform.eop_coverage()
+    assert covered_mjd() == (first.to_mjd(), last.to_mjd())
 
 
 def test_no_place_is_told_outside_an_ephemeris(tmp_path: Path) -> None:

@@ -18,6 +18,7 @@ from sboc_e2e.campaign.plan import Campaign, Task
 from sboc_e2e.campaign.resolve import Plan, Resolved
 from sboc_e2e.campaign.worker import Job, Outcome, run_job, shard_file
 from sboc_e2e.files.atomic import UNWRITABLE, remove_leftovers, require_writable, write_json, write_text
+from sboc_e2e.files.identity import identity_in, refuse_strangers
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.registry import Registry
 from sboc_e2e.run.manifest import first_difference
@@ -157,13 +158,9 @@ def _claim(out: Path, identity: dict[str, Any], outside: dict[str, dict[str, Any
     outside : plug-ins and files that points name; another point may add some.
     """
     path = out / IDENTITY
-    found = _identity(path)
-    for name in FOLDERS:
-        # Without an identity nothing says that this is a campaign's, so that even --force leaves it alone.
-        if found is None and (folder := out / name).is_dir() and any(folder.iterdir()):
-            raise UserError(
-                f"{folder}: holds files of an unknown campaign or of something else (no {IDENTITY}); --out goes elsewhere"
-            )
+    found = identity_in(path, IDENTITY_KEYS, "a campaign")
+    if found is None:
+        refuse_strangers(out, FOLDERS, IDENTITY, "campaign")
     if force:
         for name in FOLDERS:
             shutil.rmtree(out / name, ignore_errors=True)
@@ -191,19 +188,6 @@ def _claim(out: Path, identity: dict[str, Any], outside: dict[str, dict[str, Any
     # What failed is tried again, under the numbers that tasks have now.
     for failure in (out / "failed").glob("*.txt"):
         failure.unlink()
-
-
-def _identity(path: Path) -> dict[str, Any] | None:
-    """What a campaign wrote down about itself; None without the file. Raises `UserError` for a file that is nobody's."""
-    if not path.exists():
-        return None
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path}: not readable; --out goes elsewhere") from error
-    if not isinstance(found, dict) or IDENTITY_KEYS - set(found):
-        raise UserError(f"{path}: was not written by a campaign; --out goes elsewhere")
-    return found
 
 
 def _stated_fingerprint(shard: Path) -> str | None:

@@ -1,6 +1,5 @@
 """Run the blocks of a survey: local processes or a dask cluster, two parquet shards for each block, resumable."""
 
-import json
 import shutil
 import time
 from collections.abc import Callable, Iterator, Mapping
@@ -12,6 +11,7 @@ from typing import Any, Final
 
 from sboc_e2e import provenance
 from sboc_e2e.files.atomic import UNWRITABLE, remove_leftovers, require_writable, write_bytes, write_json, write_text
+from sboc_e2e.files.identity import identity_in, refuse_strangers
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.run.manifest import versions
 from sboc_e2e.run.workers import executor
@@ -183,45 +183,29 @@ def _known(out: Path, scenario: Scenario, response: Response, days: float, *, fo
     A longer survey goes on in the folder of a shorter one.
     """
     path = out / IDENTITY
-    found = _identity(path)
-    for name in FOLDERS:
-        # Without an identity nothing says that this is a survey's, so that even --force leaves it alone: runs have a truth/, too.
-        if found is None and (folder := out / name).is_dir() and any(folder.iterdir()):
-            raise UserError(
-                f"{folder}: holds files of an unknown survey or of something else (no {IDENTITY}); --out goes elsewhere"
-            )
-    if force and found is not None:
+    found = identity_in(path, IDENTITY_KEYS, "a survey")
+    if found is None:
+        # such as the truth/ of a run
+        refuse_strangers(out, FOLDERS, IDENTITY, "survey")
+        return None
+    if force:
         for name in FOLDERS:
             shutil.rmtree(out / name, ignore_errors=True)
         path.unlink(missing_ok=True)
-        found = None
-    if found is None:
         return None
     wanted = identity_of(scenario, response)
     way_out = "--out goes elsewhere, --force begins anew here"
     try:
         numbers = tuple(int(n) for n in found["candidates"])
+        stated, longest = dict(found["identity"]), float(found["days"])
     except (ValueError, TypeError) as error:
         raise UserError(f"{path}: not readable; {way_out}") from error
-    differs = next((name for name in wanted if found["identity"].get(name) != wanted[name]), None)
+    differs = next((name for name in wanted if stated.get(name) != wanted[name]), None)
     if differs:
         raise UserError(f"{out}: holds a survey with another {differs}; {way_out}")
-    if days > found["days"]:
+    if days > longest:
         write_json(path, found | {"days": days})
     return numbers
-
-
-def _identity(path: Path) -> dict[str, Any] | None:
-    """What a survey wrote down about itself; None without the file. Raises `UserError` for a file that is nobody's."""
-    if not path.exists():
-        return None
-    try:
-        found = json.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise UserError(f"{path}: not readable; --out goes elsewhere") from error
-    if not isinstance(found, dict) or IDENTITY_KEYS - set(found) or not isinstance(found["identity"], dict):
-        raise UserError(f"{path}: was not written by a survey; --out goes elsewhere")
-    return found
 
 
 def _begun(out: Path, scenario: Scenario, response: Response, days: float, numbers: tuple[int, ...]) -> tuple[int, ...]:

@@ -67,11 +67,6 @@ class Sensor:
         """Detector rows and columns that are read out."""
         return self.window_rows, self.window_cols
 
-    @property
-    def on_chip_sum(self) -> bool:
-        """A CCD that sums joins charge before it is read, at the price of one read noise."""
-        return self.options.on_chip_sum
-
     @cached_property
     def read_noise_e(self) -> float:
         """Rms read noise of a detector pixel over the sensor, row noise and (without CDS) reset noise included."""
@@ -92,15 +87,15 @@ class Sensor:
         readout = self.options.readout
         noise = readout.low_gain_read_noise_e if converter.dual_gain else readout.read_noise_e
         saturation = min(top, (well - 5.0 * noise) / converter.gain_e_adu + converter.pedestal_adu, 65535.0)
-        if n > 1 and binning.method == "sum" and not self.on_chip_sum:
+        if n > 1 and binning.method == "sum" and not self.options.on_chip_sum:
             saturation = min(saturation * n, 65535.0)
         return DeliveredPixels(
             rows=self.window_rows // binning.rows,
             cols=self.window_cols // binning.cols,
             gain_e_adu=converter.gain_e_adu * (n if averaged else 1),
-            read_noise_e=self.read_noise_e * (1.0 if self.on_chip_sum else noise_factor(binning)),
+            read_noise_e=self.read_noise_e * (1.0 if self.options.on_chip_sum else noise_factor(binning)),
             saturation_adu=float(np.floor(saturation)),
-            full_well_e=self.options.read_well_e * (1 if self.on_chip_sum else n),
+            full_well_e=self.options.read_well_e * (1 if self.options.on_chip_sum else n),
         )
 
     def digitise(
@@ -131,7 +126,7 @@ class Sensor:
         mean_e = np.ascontiguousarray(mean_e, dtype=np.float32)
         if self.options.type == "ccd":
             adu = self._read_ccd(mean_e, frame, exposure_s, hits or no_hits())
-            return adu if self.on_chip_sum else bin_pixels(adu, self.options.binning, self._weight(exposure_s))
+            return adu if self.options.on_chip_sum else bin_pixels(adu, self.options.binning, self._weight(exposure_s))
         structure = self.options.structure
         part = np.s_[first_row : first_row + n]
         out = np.empty(mean_e.shape, dtype=np.uint16)
@@ -181,7 +176,7 @@ class Sensor:
         """
         converter, binning = self.options.converter, self.options.binning
         shot = 1.0 if self.options.shot_noise else 0.0
-        share = 1.0 / (binning.rows * binning.cols) if self.on_chip_sum else 1.0
+        share = 1.0 / (binning.rows * binning.cols) if self.options.on_chip_sum else 1.0
         fixed = (self.options.readout.row_noise_e**2 + converter.gain_e_adu**2 / 12.0) * share
         mean = np.asarray(mean_e, dtype=np.float32)
         if mean.ndim == 0:
@@ -213,7 +208,7 @@ class Sensor:
         """
         options, converter, readout = self.options, self.options.converter, self.options.readout
         n, delivered = options.binning.rows * options.binning.cols, self.delivered
-        joined = n > 1 and not self.on_chip_sum
+        joined = n > 1 and not self.options.on_chip_sum
         scale = delivered.gain_e_adu / converter.gain_e_adu
         mean_e = bin_means(mean_e, options.binning)[::every] * np.float32(n)
 
@@ -338,7 +333,7 @@ class Sensor:
         noise = self._pixels.noise
         column = self._pixels.column_e + column_offsets_e(structure, self.seed, frame, self.window_cols)
         row = row_offsets_e(structure, self.seed, frame, self.window_rows)
-        if self.on_chip_sum:
+        if self.options.on_chip_sum:
             binning = self.options.binning
             rows, cols = self.window_rows // binning.rows, self.window_cols // binning.cols
             register = _blocks_of(charge, rows, cols, binning.rows, binning.cols).sum(axis=1)

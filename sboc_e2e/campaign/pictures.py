@@ -127,13 +127,17 @@ def _grid(figure: Any, ax: Any, keys: list[str], cells: list[tuple[Any, Any, flo
         table[second.index(str(b)), first.index(str(a))] = value
     ax.grid(visible=False)
     image = ax.imshow(table, origin="lower", aspect="auto", cmap="viridis")
-    low, high = np.nanmin(table), np.nanmax(table)
+    known = table[np.isfinite(table)]
+    if not len(known):
+        # a bar of colours would show numbers that nobody measured
+        ax.text(0.5, 0.5, "nothing measured", transform=ax.transAxes, ha="center", va="center", fontsize=8)
+    else:
+        figure.colorbar(image, ax=ax)
     for (j, i), value in np.ndenumerate(table):
         if np.isfinite(value):
-            ink = "white" if value < low + 0.6 * (high - low) else "black"
+            ink = "white" if value < known.min() + 0.6 * (known.max() - known.min()) else "black"
             ax.text(i, j, number(float(f"{value:.3g}")), ha="center", va="center", fontsize=8, color=ink)
     ax.set_xticks(range(len(first)), first)
     ax.set_yticks(range(len(second)), second)
     ax.set(xlabel=keys[0], ylabel=keys[1], title=label)
     ax.title.set_fontsize(9)
-    figure.colorbar(image, ax=ax)

@@ -88,13 +88,15 @@ def camera_make(
     search: Annotated[bool, typer.Option("--search", help="try all widths of 1.6 to 60 deg by star patterns: minutes")] = False,
 ) -> None:
     """Make a camera of its frames: PSF, gain and noise, saturation, plate scale."""
+    from sboc_e2e.files.atomic import require_writable, write_text
     from sboc_e2e.outside.make_camera import made_camera, toml_text
 
+    # before the work, which takes minutes
+    if out.is_dir():
+        raise UserError(f"--out: {out} is a folder; expected a file to write (.toml)")
+    require_writable(out.parent)
     made = made_camera(frames, width_deg=width, bias_adu=bias, search=search)
-    text = toml_text(made)
-    from sboc_e2e.files.atomic import write_text
-
-    write_text(out, text)
+    write_text(out, toml_text(made))
     for line in made.words():
         typer.echo(line)
     typer.echo(out)

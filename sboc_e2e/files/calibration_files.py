@@ -16,6 +16,8 @@ from sboc_e2e.icd.frame import Calibration, NominalCamera
 
 CAMERA: Final = "camera.json"
 MAPS: Final = ("dark", "flat", "defects")
+MOST_FLAGS: Final = 255
+"""All eight bits of a defect map's byte."""
 
 
 def write(folder: Path, calibration: Calibration) -> None:
@@ -32,7 +34,8 @@ def write(folder: Path, calibration: Calibration) -> None:
 def is_whole(folder: Path) -> bool:
     """Whether the four files are there and can be read; a folder without a camera, or with a damaged file, is not."""
     try:
-        return all((folder / f"{name}.fits").is_file() for name in MAPS) and read(folder) is not None
+        read_camera(folder)
+        return all(_map(folder / f"{name}.fits") is not None for name in MAPS)
     except UserError:
         return False
 
@@ -57,7 +60,7 @@ def read(folder: Path) -> Calibration | None:
         camera=camera,
         dark_adu=maps["dark"].astype(np.float32),
         flat=maps["flat"].astype(np.float32),
-        defects=maps["defects"].astype(np.uint8),
+        defects=_flags(maps["defects"], folder / "defects.fits"),
         provenance=provenance,
     )
 
@@ -78,3 +81,14 @@ def _map(path: Path) -> NDArray[Any]:
         return np.asarray(fits.getdata(path))
     except (OSError, ValueError, TypeError) as error:
         raise UserError(f"{path}: missing or damaged calibration map; run the simulate stage again") from error
+
+
+def _flags(values: NDArray[Any], path: Path) -> NDArray[np.uint8]:
+    """A map of `MaskBit` in one byte a pixel; UserError for values that would become other flags in it."""
+    if values.dtype == np.uint8:
+        return values
+    wrong = np.argwhere(~((values >= 0) & (values <= MOST_FLAGS) & (values == np.floor(values))))
+    if len(wrong):
+        place = tuple(wrong[0].tolist())
+        raise UserError(f"{path}: expected whole numbers from 0 to {MOST_FLAGS}, got {values[place]:g} at pixel {place}")
+    return values.astype(np.uint8)

@@ -53,6 +53,17 @@ def test_lists_and_truth_values_have_cells_of_their_own() -> None:
     assert (over_keys(points) or "").startswith("<svg")
 
 
+def test_a_map_without_any_value_says_so() -> None:
+    """As where no point has an object of S/N 8: NaN has neither a least value nor a scale, and numpy warns of it."""
+    nothing = {"value": None, "low": None, "high": None, "n": 0}
+    points = [({"a": a, "b": b}, dict.fromkeys(NONE, nothing)) for a in (1, 2) for b in (3, 4)]
+    empty = over_keys(points)
+    full = over_keys([(values, NONE) for values, _ in points])
+    assert empty is not None
+    assert full is not None
+    assert (empty.count("nothing measured"), full.count("nothing measured")) == (3, 0)
+
+
 def test_streaks_that_nobody_can_see_do_not_count_as_missed() -> None:
     """Three streaks of one cell: S/N 2 missed, 4 found, 9 missed."""
     table = Table({"snr": [2.0, 4.0, 9.0], "size_m": [0.03] * 3, "range_km": [200.0] * 3})

@@ -1,5 +1,6 @@
 """`sboc camera make`: what it measures of cameras whose numbers are known, and that `--camera` takes its file."""
 
+import errno
 import lzma
 import math
 from pathlib import Path
@@ -10,7 +11,7 @@ from astropy.io import fits
 from astropy.table import Table
 
 from sboc_e2e import cli
-from sboc_e2e.files import calibration_files
+from sboc_e2e.files import atomic, calibration_files
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.frame import Frame, FrameHeader
 from sboc_e2e.outside.camera import camera_of_table
@@ -44,6 +45,30 @@ def written(folder: Path, images: list[np.ndarray]) -> list[Path]:
         paths.append(folder / f"frame{number}.fits")
         fits.PrimaryHDU(image).writeto(paths[-1])
     return paths
+
+
+@pytest.mark.parametrize("kind", ["a folder", "below a file", "in a folder of others"])
+def test_a_place_that_cannot_be_written_is_named_before_the_work(
+    tmp_path: Path, kind: str, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """The frames are not even looked for."""
+    if kind == "a folder":
+        out = tmp_path
+    elif kind == "below a file":
+        (tmp_path / "notes").write_text("mine")
+        out = tmp_path / "notes" / "camera.toml"
+    else:
+        out = tmp_path / "theirs" / "camera.toml"
+
+        def refused(folder: Path) -> None:
+            raise PermissionError(errno.EACCES, "Permission denied", str(folder))
+
+        monkeypatch.setattr(atomic, "require_writable", refused)
+    assert cli.run(["camera", "make", str(tmp_path / "missing.fits"), "--out", str(out)]) == 2
+    told = capsys.readouterr().err
+    assert str(out if kind == "a folder" else out.parent) in told
+    assert "missing.fits" not in told
+    assert told.count("\n") == 1
 
 
 def test_a_known_camera_is_measured(tmp_path: Path) -> None:

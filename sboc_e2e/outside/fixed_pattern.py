@@ -122,7 +122,9 @@ def fixed_pattern(images: Sequence[NDArray[Any]]) -> FixedPattern | None:
         noises.append(noise)
     cube, noise = np.array(scaled), float(np.median(noises))
     halves = [_smooth(_median(cube[k::2])) for k in (0, 1)]
-    if np.ptp(halves[0]) == 0.0 or np.corrcoef(halves[0].ravel(), halves[1].ravel())[0, 1] < LEAST_AGREEMENT:
+    if not all(np.ptp(half) > 0.0 for half in halves):  # blank frames have no correlation with others
+        return None
+    if not np.corrcoef(halves[0].ravel(), halves[1].ravel())[0, 1] >= LEAST_AGREEMENT:
         return None
     median = _median(cube)
     smooth = _smooth(median)

@@ -9,7 +9,7 @@ from astropy.table import Table
 
 from sboc_e2e.outside.fits_frames import FitsFolder
 from sboc_e2e.outside.fixed_pattern import MutuallyCalibrated, fixed_pattern
-from tests.end_to_end.raw_camera import CLEAN, TRAIL, dusty, raw_frame, streaks_of, write
+from tests.end_to_end.raw_camera import CLEAN, TRAIL, Pattern, dusty, raw_frame, streaks_of, write
 from tests.fuzz.outside import run
 
 
@@ -115,6 +115,14 @@ def test_frames_of_next_to_no_pixels_have_no_pattern() -> None:
     frames = np.full((3, 64, 64), np.nan, dtype=np.float32)
     frames[:, :12, :12] = 1000.0 - 10.0 * np.arange(12.0) + np.random.default_rng(2).normal(0.0, 5.0, (3, 12, 12))
     assert fixed_pattern(list(frames)) is None
+
+
+@pytest.mark.parametrize("pattern", [dusty(1), CLEAN])
+def test_a_blank_frame_agrees_with_no_pattern(pattern: Pattern) -> None:
+    """Of three frames the one that makes a half alone has the same number everywhere; what the others show is not confirmed."""
+    images = [raw_frame(k, pattern, sky=k) for k in range(3)]
+    images[1] = np.full_like(images[1], 1800)
+    assert fixed_pattern(images) is None
 
 
 def test_stars_of_a_sky_that_stays_are_no_pattern(tmp_path: Path) -> None:

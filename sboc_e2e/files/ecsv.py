@@ -16,6 +16,7 @@ from astropy.table import Table
 from numpy.typing import NDArray
 
 from sboc_e2e.files.atomic import replacing
+from sboc_e2e.icd.errors import UserError
 
 _QUOTED: Final = frozenset(' "\t\r\n')
 
@@ -33,6 +34,18 @@ class TableColumn:
 def column(name: str, dtype: Any, unit: str, text: str) -> TableColumn:
     """A column from anything numpy takes as a dtype."""
     return TableColumn(name=name, dtype=np.dtype(dtype), unit=unit, text=text)
+
+
+def read(path: Path) -> Table:
+    """A table of a run. Raises `UserError` where there is none, or a damaged one."""
+    if not path.is_file():
+        raise UserError(f"{path}: not found; run the stage that writes it first")
+    try:
+        return Table.read(path, format="ascii.ecsv")
+    except (ValueError, TypeError) as error:
+        raise UserError(
+            f"{path}: damaged table ({str(error).strip().splitlines()[0]}); run the stage that writes it again"
+        ) from error
 
 
 def header(columns: Sequence[TableColumn], meta: Sequence[tuple[str, str]] = (), *, empty: bool = False) -> str:

@@ -13,7 +13,7 @@ from ground.ingest import decode_downlink
 from ground.ingest.codecs import Ccsds121Decoder, PlanesDecoder, RawDecoder, SqrtPlanesDecoder
 from ground.ingest.rans import RansDecoder
 from ground.ingest.report import IngestReport
-from sboc_e2e.files import calibration_files
+from sboc_e2e.files import calibration_files, ecsv
 from sboc_e2e.icd.downlink import DownlinkFrame
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.flags import StreakFlag
@@ -136,21 +136,9 @@ def measured_streaks(table: Table) -> list[MeasuredStreak]:
     ]
 
 
-def read_table(path: Path) -> Table:
-    """A table of a run directory, or one clear line about what is missing."""
-    if not path.is_file():
-        raise UserError(f"{path}: not found; run the stage that writes it first")
-    try:
-        return Table.read(path, format="ascii.ecsv")
-    except (ValueError, TypeError) as error:
-        raise UserError(
-            f"{path}: damaged table ({str(error).strip().splitlines()[0]}); run the stage that writes it again"
-        ) from error
-
-
 def read_truth(folder: Path) -> Truth:
     """Truth tables a score needs; a table without the contract's columns is refused by name."""
-    tables = {name: read_table(folder / f"{name}.ecsv") for name in ("frames", "streaks", "objects")}
+    tables = {name: ecsv.read(folder / f"{name}.ecsv") for name in ("frames", "streaks", "objects")}
     for name, table in tables.items():
         missing = [c for c in dtype_of(name).names or () if c not in table.colnames]
         if missing:
@@ -166,7 +154,7 @@ def evaluate(run_dir: Path, truth: Path | None = None, decoders: Sequence[Decode
     counted in the notes. Raises `UserError`.
     """
     manifest = json.loads((run_dir / "manifest.json").read_text())
-    products = {name: read_table(run_dir / "products" / f"{name}.ecsv") for name in ("streaks", "frames", "orbits", "tracklets")}
+    products = {name: ecsv.read(run_dir / "products" / f"{name}.ecsv") for name in ("streaks", "frames", "orbits", "tracklets")}
     downlink = (run_dir / "downlink.bin").read_bytes()
     run_id = manifest.get("stages", {}).get("ground", {}).get("run_id")
     given = {decoder.number for decoder in decoders}

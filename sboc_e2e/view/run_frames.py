@@ -1,6 +1,5 @@
 """The frames of a run with what was measured in each: pixels from where they lie, rows of the published tables."""
 
-import json
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,8 +11,10 @@ from astropy.io import fits
 from astropy.table import Table
 from numpy.typing import NDArray
 
+from sboc_e2e.files import ecsv
 from sboc_e2e.icd.errors import UserError
 from sboc_e2e.icd.flags import StreakFlag
+from sboc_e2e.run.manifest import Manifest
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -68,12 +69,13 @@ class RunFrames:
         return self._table("stars")
 
     def _table(self, name: str) -> Table:
-        return Table.read(self.path / "products" / f"{name}.ecsv", format="ascii.ecsv")
+        """Raises `UserError` for a damaged file."""
+        return ecsv.read(self.path / "products" / f"{name}.ecsv")
 
     @cached_property
     def _source(self) -> Path | None:
-        """Folder of the FITS files that `sboc process` read."""
-        folder = json.loads((self.path / "manifest.json").read_text(encoding="utf-8")).get("sources", {}).get("frames")
+        """Folder of the FITS files that `sboc process` read. Raises `UserError` for a damaged manifest."""
+        folder = Manifest.read(self.path / "manifest.json").sources.get("frames")
         return Path(folder) if isinstance(folder, str) else None
 
     def __iter__(self) -> Iterator[ShownFrame]:

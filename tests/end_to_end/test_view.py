@@ -2,6 +2,7 @@
 
 import json
 import re
+import shutil
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
@@ -169,6 +170,30 @@ def test_without_a_hub_one_line_says_so(run: Path, tmp_path: Path, monkeypatch: 
 def test_what_is_no_run_is_refused(tmp_path: Path, capsys: Any) -> None:
     assert cli.run(["view", str(tmp_path)]) == 2
     assert "manifest.json" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize(
+    ("file", "kept", "words"),
+    [
+        ("products/streaks.ecsv", 3000, "damaged table"),
+        ("products/streaks.ecsv", 0, "damaged table"),
+        ("products/stars.ecsv", "2/3", "damaged table"),
+        ("products/frames.ecsv", "2/3", "damaged table"),
+        ("manifest.json", 100, "not a manifest of this program"),
+    ],
+)
+def test_a_damaged_file_of_a_run_is_one_line_with_its_name(
+    run: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str], file: str, kept: int | str, words: str
+) -> None:
+    """kept : bytes from its beginning."""
+    damaged = tmp_path / "run"
+    shutil.copytree(run, damaged)
+    whole = (damaged / file).read_bytes()
+    (damaged / file).write_bytes(whole[: 2 * len(whole) // 3 if kept == "2/3" else int(kept)])
+    capsys.readouterr()
+    assert cli.run(["view", str(damaged), "--no-samp"]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert f"{damaged / file}: {words}" in line
 
 
 def test_levels_of_a_picture_give_the_numbers_back() -> None:

@@ -83,6 +83,10 @@ def _processed(path: Path) -> Path:
 def camera_make(
     frames: Annotated[list[Path], typer.Argument(metavar="FITS...", help="frames of one camera, two or more for gain and noise")],
     out: Annotated[Path, typer.Option("--out", help="camera file to write (.toml), for `sboc process --camera`")],
+    hdu: Annotated[
+        list[int] | None,
+        typer.Option("--hdu", help="image of each file, by its HDU; may be repeated for exposures of one camera"),
+    ] = None,
     width: Annotated[float | None, typer.Option("--width", help="width of the field over its columns (deg), if known")] = None,
     bias: Annotated[float | None, typer.Option("--bias", help="level without light in ADU, if no overscan tells it")] = None,
     search: Annotated[bool, typer.Option("--search", help="try all widths of 1.6 to 60 deg by star patterns: minutes")] = False,
@@ -95,7 +99,7 @@ def camera_make(
     if out.is_dir():
         raise UserError(f"--out: {out} is a folder; expected a file to write (.toml)")
     require_writable(out.parent)
-    made = made_camera(frames, width_deg=width, bias_adu=bias, search=search)
+    made = made_camera(frames, hdus=hdu or (), width_deg=width, bias_adu=bias, search=search)
     write_text(out, toml_text(made))
     for line in made.words():
         typer.echo(line)

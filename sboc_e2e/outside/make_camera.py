@@ -54,6 +54,9 @@ FULL_PIXELS: Final = 10
 FRAMES_USED: Final = 8
 """Seven pairs; the error of the gain falls with their root, memory grows with their number. Chosen, not measured."""
 
+CAMERA_CHARACTERS: Final = 60
+"""Of the words of a header that name a camera, in an error."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class PhotonTransfer:
@@ -117,18 +120,25 @@ class MadeCamera:
 
 
 def made_camera(
-    paths: Sequence[Path], *, width_deg: float | None = None, bias_adu: float | None = None, search: bool = False
+    paths: Sequence[Path],
+    *,
+    hdus: Sequence[int] = (),
+    width_deg: float | None = None,
+    bias_adu: float | None = None,
+    search: bool = False,
 ) -> MadeCamera:
-    """A camera of the images in FITS files. bias_adu : in the numbers of the files. search : try all widths of the field where
-    nothing tells it (minutes).
+    """A camera of the images in FITS files. hdus : of each file take these alone, as frames of one camera; without them all
+    images must be of one HDU. bias_adu : in the numbers of the files. search : try all widths of the field where nothing tells
+    it (minutes).
 
-    Raises `UserError` for files that cannot be read, for images of different sizes, and for a width or bias that no camera has.
+    Raises `UserError` for files that cannot be read or lack an HDU, for images of different sizes or cameras, and for a width or
+    bias that no camera has.
     """
     if width_deg is not None and not 0.0 < width_deg < 180.0:
         raise UserError(f"--width: expected more than 0 and less than 180 deg, got {width_deg:g}")
     if bias_adu is not None and not abs(bias_adu) <= LARGEST_COUNT:
         raise UserError(f"--bias: expected -{LARGEST_COUNT:.0f} to {LARGEST_COUNT:.0f} ADU, got {bias_adu:g}")
-    given = [place for path in paths for place in _images(path)]
+    given = [place for path in paths for place in _images(path, hdus)]
     places = given[:FRAMES_USED]
     units = CameraUnits()
     frames = [read_frame(place, number, use_wcs=False, units=units) for number, place in enumerate(places)]
@@ -136,6 +146,7 @@ def made_camera(
     if len(sizes) != 1:
         raise UserError(f"camera make: frames of one size are needed, got {', '.join(f'{r} x {c}' for r, c in sorted(sizes))}")
     ((rows, cols),) = sizes
+    _require_one_camera(frames, told=bool(hdus))
     unit = frames[0].unit
     images = [in_unit(sourced.frame.pixels, unit / sourced.unit) for sourced in frames]
     known_bias = _overscan_of(places[0], unit) if bias_adu is None else bias_adu * unit
@@ -254,10 +265,34 @@ def nominal(made: MadeCamera) -> NominalCamera:
     )
 
 
-def _images(path: Path) -> list[Any]:
+def _images(path: Path, hdus: Sequence[int]) -> list[Any]:
+    """Images of a file, those of some HDUs where these are given."""
     if not path.is_file():
         raise UserError(f"{path}: no such file")
-    return images_of(path)
+    places = images_of(path)
+    absent = sorted(set(hdus) - {place.hdu for place in places})
+    if absent:
+        there = ", ".join(str(place.hdu) for place in places)
+        raise UserError(f"{path}: --hdu {absent[0]}: no picture is in this HDU; there are pictures in {there}")
+    return [place for place in places if not hdus or place.hdu in hdus]
+
+
+def _require_one_camera(frames: Sequence[SourcedFrame], *, told: bool) -> None:
+    """Raises `UserError` for frames of several cameras, whose gains and levels have nothing in common.
+
+    told : the user says that the HDUs of each file are one camera's, so that cameras are told apart within each HDU alone.
+    """
+    seen: dict[int, dict[str, str]] = {}
+    for sourced in frames:
+        place = f"{sourced.file} (HDU {sourced.hdu})"
+        seen.setdefault(sourced.hdu if told else 0, {}).setdefault(sourced.camera, place)
+    for first in seen.values():
+        if len(first) > 1:
+            listed = ", ".join(f"{place}: {' '.join(camera.split())[:CAMERA_CHARACTERS]}" for camera, place in first.items())
+            raise UserError(
+                f"camera make: frames of one camera, filter and mode are needed, got {len(first)} by their headers ({listed}); "
+                "--hdu N takes one image of each file"
+            )
 
 
 def _overscan_of(place: Any, unit: float) -> float | None:

@@ -121,15 +121,16 @@ def test_the_file_is_a_camera_for_process(tmp_path: Path, capsys: pytest.Capture
 def test_the_camera_file_names_the_images_that_were_used_and_counts_the_others(
     tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    """Four files of three images each: eight images are taken, of the first three files."""
+    """Four files of three images each, said to be of one camera: eight images are taken, of the first three files."""
     images = [np.random.default_rng(k).normal(100.0, 5.0, (96, 96)).astype(np.float32) for k in range(3)]
     paths = [tmp_path / f"{name}.fits" for name in "abcd"]
     for path in paths:
         fits.HDUList([fits.PrimaryHDU(images[0]), *map(fits.ImageHDU, images[1:])]).writeto(path)
-    made = made_camera(paths)
+    made = made_camera(paths, hdus=(0, 1, 2))
     assert made.sources == tuple((f"{file}.fits", hdu) for file in "abc" for hdu in range(3))[:8]
     assert made.n_left_out == 4
-    assert cli.run(["camera", "make", *map(str, paths), "--out", str(tmp_path / "camera.toml")]) == 0
+    hdus = [word for hdu in "012" for word in ("--hdu", hdu)]
+    assert cli.run(["camera", "make", *map(str, paths), *hdus, "--out", str(tmp_path / "camera.toml")]) == 0
     words = "images: the first 8 of 12 were used, 4 left out"
     assert words in capsys.readouterr().out.splitlines()
     text = (tmp_path / "camera.toml").read_text()
@@ -137,8 +138,43 @@ def test_the_camera_file_names_the_images_that_were_used_and_counts_the_others(
     assert "c.fits (HDU 1).\n" in text
     assert "d.fits" not in text
     assert f"# {words}\n" in text
-    assert made_camera(paths[:2]).n_left_out == 0
-    assert not any("left out" in line for line in made_camera(paths[:2]).words())
+    two = made_camera(paths[:2], hdus=(0, 1, 2))
+    assert two.n_left_out == 0
+    assert not any("left out" in line for line in two.words())
+
+
+def chip(seed: int, gain_e_adu: float, bias_adu: float) -> np.ndarray:
+    """Light of 200 to 2,000 e- on a detector of known gain and bias, in whole ADU."""
+    light = np.linspace(200.0, 2000.0, 256)[:, None] * np.ones((256, 256))
+    return np.round(np.random.default_rng(seed).poisson(light) / gain_e_adu + bias_adu).astype(np.uint16)
+
+
+def test_chips_of_a_file_are_measured_one_by_one(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    """Gains of 1 and 4 e-/ADU: each within 4 % by its HDU, and both together are refused; paired they gave 1.25."""
+    paths = [tmp_path / f"{k}.fits" for k in range(2)]
+    for k, path in enumerate(paths):
+        chips = [fits.ImageHDU(chip(2 * k, 1.0, 1000.0), name="CHIP1"), fits.ImageHDU(chip(2 * k + 1, 4.0, 500.0), name="CHIP2")]
+        fits.HDUList([fits.PrimaryHDU(), *chips]).writeto(path)
+    for hdu, gain in ((1, 1.0), (2, 4.0)):
+        made = made_camera(paths, hdus=(hdu,))
+        assert made.transfer is not None
+        assert abs(made.transfer.gain_e_adu / gain - 1.0) < 0.04
+        assert made.sources == (("0.fits", hdu), ("1.fits", hdu))
+    assert cli.run(["camera", "make", *map(str, paths), "--out", str(tmp_path / "camera.toml")]) == 2
+    (line,) = capsys.readouterr().err.splitlines()
+    assert "got 2 by their headers (0.fits (HDU 1): CHIP1 HDU 1, 0.fits (HDU 2): CHIP2 HDU 2); --hdu N takes one" in line
+    assert not (tmp_path / "camera.toml").exists()
+    with pytest.raises(UserError, match=r"0\.fits: --hdu 3: no picture is in this HDU; there are pictures in 1, 2"):
+        made_camera(paths, hdus=(3,))
+
+
+@pytest.mark.parametrize("hdus", [(), (0,)])
+def test_two_cameras_are_named_and_refused(tmp_path: Path, hdus: tuple[int, ...]) -> None:
+    paths = [tmp_path / f"{name}.fits" for name in "ab"]
+    for name, gain, path in zip("AB", (1.0, 4.0), paths, strict=True):
+        fits.PrimaryHDU(chip(5, gain, 500.0), fits.Header({"INSTRUME": name})).writeto(path)
+    with pytest.raises(UserError, match=r"got 2 by their headers \(a.fits \(HDU 0\): A HDU 0, b.fits \(HDU 0\): B HDU 0\)"):
+        made_camera(paths, hdus=hdus)
 
 
 @pytest.mark.parametrize("scale", [1e-8, 1e-20])

@@ -45,8 +45,22 @@ const curves = {
   log: (v) => Math.log1p(1000 * v) / Math.log1p(1000),
 };
 
+// What a level stands for, see picture_of.
+function value(frame, level) {
+  const at = frame.bottom + (level - 1) * frame.step;
+  return frame.soft === null ? at : frame.middle + frame.soft * Math.sinh(at);
+}
+
+// The value of a level with the digits that it has.
+function words(frame, level) {
+  if (level === 0) return "no number";
+  const number = value(frame, level), step = value(frame, level + 0.5) - value(frame, level - 0.5);
+  const digits = Math.ceil(Math.log10(Math.abs(number) / step));
+  return Number(number.toPrecision(Math.min(Math.max(digits, 1), 15)));
+}
+
 function limits(frame) {
-  const span = Math.max(frame.high - frame.low, 1e-9);
+  const span = frame.high - frame.low;
   const low = frame.low + span * element("low").value / 50;
   const high = frame.high * 1 + span * (Math.pow(10, element("high").value / 50) - 1);
   return [low, Math.max(high, low + 1e-6 * span)];
@@ -58,7 +72,7 @@ function paint() {
   const [low, high] = limits(frame), curve = curves[element("stretch").value];
   const table = new Uint8Array(65536);
   for (let level = 1; level < 65536; level++) {
-    const share = (frame.bottom + (level - 1) * frame.step - low) / (high - low);
+    const share = (value(frame, level) - low) / (high - low);
     table[level] = 255 * curve(Math.min(Math.max(share, 0), 1));
   }
   picture.width = frame.cols; picture.height = frame.rows;
@@ -183,9 +197,7 @@ stage.addEventListener("pointermove", (event) => {
   const col = Math.floor((event.clientX - box.left - state.x) / state.zoom);
   const row = frame.rows - 1 - Math.floor((event.clientY - box.top - state.y) / state.zoom);
   if (col < 0 || row < 0 || col >= frame.cols || row >= frame.rows) return;
-  const level = frame.levels[row * frame.cols + col];
-  const value = level === 0 ? "no number" : Number((frame.bottom + (level - 1) * frame.step).toPrecision(6));
-  element("status").textContent = `row ${row}, col ${col}: ${value}`;
+  element("status").textContent = `row ${row}, col ${col}: ${words(frame, frame.levels[row * frame.cols + col])}`;
 });
 stage.addEventListener("keydown", (event) => {
   const stretch = element("stretch");

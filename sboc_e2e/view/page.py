@@ -20,6 +20,12 @@ from sboc_e2e.icd.errors import UserError
 from sboc_e2e.view.run_frames import RunFrames, ShownFrame, is_published
 
 LEVELS: Final = 65535  # Levels of a picture of 16 bits, 2**16 - 1; level 0 is a pixel without number.
+LARGEST: Final = float(np.finfo(np.float32).max)
+"""Of the numbers of pixels: what is more is no number to the chain either."""
+STEP_NOISE: Final = 0.1
+"""Of the noise of the sky, which steps between levels may be: rounding then adds 0.04 % to it. Chosen."""
+SHOWN_PERCENT: Final = (0.5, 99.5)
+"""Percentiles of the pixels that are black and white at first. Chosen."""
 PAGE: Final = "index.html"
 
 
@@ -45,22 +51,31 @@ def write_page(run: RunFrames, folder: Path) -> Path:
 
 
 def picture_of(pixels: NDArray[Any]) -> dict[str, Any]:
-    """A frame's numbers for the page: PNG (base64) of levels, value of level 0 and of one level, percentiles of the sky.
+    """A frame (rows, cols) for the page: PNG (base64) of levels, what they mean, and percentiles of the sky.
 
-    Level 0 is a pixel without number. The finest sky structure stays: 65,535 levels between the extremes, or from
-    far below the sky to the brightest where the extremes are absurd.
+    Level 0 is a pixel without number. Level k is `bottom` + (k - 1) `step` where that resolves the sky. Else this number is
+    u = arsinh((value - `middle`) / `soft`): steps are fine about the sky, and a fixed share of the light of bright pixels.
     """
     values = np.asarray(pixels, dtype=np.float64)
-    finite = np.isfinite(values)
+    finite = np.abs(values) <= LARGEST  # NaN is not
     sample = values[finite][:: max(int(finite.sum()) // 200_000, 1)]
     if sample.size == 0:
         sample = np.zeros(1)
-    low, middle, high = (float(v) for v in np.percentile(sample, (0.5, 50.0, 99.5)))
-    bottom = max(float(values[finite].min(initial=middle)), middle - 100.0 * max(middle - low, 1e-9))
-    top = max(float(values[finite].max(initial=middle)), bottom + 1e-9)
-    step = (top - bottom) / (LEVELS - 1)
-    levels = np.where(finite, np.clip(np.round((np.where(finite, values, bottom) - bottom) / step), 0, LEVELS - 1) + 1, 0)
-    levels = levels.astype(np.uint16)
+    below, middle = (float(v) for v in np.percentile(sample, (15.87, 50.0)))
+    low, high = _limits(sample, middle)
+    bottom, top = float(values[finite].min(initial=middle)), float(values[finite].max(initial=middle))
+    noise = middle - below or high - low
+    step, soft = (top - bottom) / (LEVELS - 1), None
+    if pixels.dtype.kind in "ui" and top - bottom <= LEVELS:
+        step = max(step, 1.0)
+    elif step > STEP_NOISE * noise:
+        soft = noise
+        bottom, top = (float(np.arcsinh((v - middle) / soft)) for v in (bottom, top))
+        step = (top - bottom) / (LEVELS - 1)
+    known = np.where(finite, values, middle)
+    at = known if soft is None else np.arcsinh((known - middle) / soft)
+    # all is of one level where all is alike
+    levels = np.where(finite, np.clip(np.round((at - bottom) / (step or 1.0)), 0, LEVELS - 1) + 1, 0).astype(np.uint16)
     # OpenCV stores blue, green, red
     low_byte, high_byte = (levels & 255).astype(np.uint8), (levels >> 8).astype(np.uint8)
     channels = np.stack((np.zeros_like(low_byte), low_byte, high_byte), axis=-1)
@@ -68,9 +83,21 @@ def picture_of(pixels: NDArray[Any]) -> dict[str, Any]:
     if not done:
         raise UserError(f"a frame of {values.shape[0]} x {values.shape[1]} pixels cannot be made a picture")
     return {
-        "png": base64.b64encode(png.tobytes()).decode(), "bottom": bottom, "step": step,
-        "low": low, "high": high, "rows": values.shape[0], "cols": values.shape[1],
+        "png": base64.b64encode(png.tobytes()).decode(), "bottom": bottom, "step": step or 1.0,
+        "middle": middle, "soft": soft, "low": low, "high": high, "rows": values.shape[0], "cols": values.shape[1],
     }  # fmt: skip
+
+
+def _limits(sample: NDArray[np.float64], middle: float) -> tuple[float, float]:
+    """Values shown as black and as white at first: percentiles of the sky, the latter above the former."""
+    low, high = (float(v) for v in np.percentile(sample, SHOWN_PERCENT))
+    if not high > low:  # nearly all is alike, as a sky that is cut off at black
+        others = sample[sample != middle]
+        if others.size:
+            low, high = min(middle, float(others.min())), max(middle, float(np.median(others)))
+        else:
+            high = low + (abs(low) or 1.0)
+    return low, high
 
 
 def layers_of(frame: ShownFrame) -> dict[str, Any]:

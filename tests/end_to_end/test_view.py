@@ -1,5 +1,6 @@
 """`sboc view`: region files, VOTables, messages to a hub, and the page in a real headless Chromium."""
 
+import base64
 import json
 import re
 import shutil
@@ -7,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 import pytest
 from astropy.io import fits
@@ -15,7 +17,7 @@ from astropy.table import Table
 from sboc_e2e import cli
 from sboc_e2e.cli.outside import folder_of
 from sboc_e2e.icd.errors import UserError
-from sboc_e2e.view import Hub, RunFrames, send, write_files
+from sboc_e2e.view import Hub, RunFrames, send, write_files, write_page
 from sboc_e2e.view.page import picture_of
 from tests.browser import SCHEMES, WIDTHS, excess_and_errors
 
@@ -196,24 +198,48 @@ def test_a_damaged_file_of_a_run_is_one_line_with_its_name(
     assert f"{damaged / file}: {words}" in line
 
 
+def read(picture: dict[str, Any]) -> np.ndarray:
+    """Numbers of a picture of the page, NaN where it has none."""
+    image = cv2.imdecode(np.frombuffer(base64.b64decode(picture["png"]), dtype=np.uint8), cv2.IMREAD_COLOR).astype(int)
+    levels = image[..., 2] * 256 + image[..., 1]
+    at = picture["bottom"] + (levels - 1) * picture["step"]
+    return np.where(levels > 0, at if picture["soft"] is None else picture["middle"] + picture["soft"] * np.sinh(at), np.nan)
+
+
 def test_levels_of_a_picture_give_the_numbers_back() -> None:
     """16-bit frames exactly; NaN as level 0; one absurd pixel costs the sky no more than 1/100 of its noise."""
-    import base64
-
-    import cv2
-
-    def read(picture: dict[str, Any]) -> np.ndarray:
-        image = cv2.imdecode(np.frombuffer(base64.b64decode(picture["png"]), dtype=np.uint8), cv2.IMREAD_COLOR).astype(int)
-        levels = image[..., 2] * 256 + image[..., 1]
-        return np.where(levels > 0, picture["bottom"] + (levels - 1) * picture["step"], np.nan)
-
     rng = np.random.default_rng(0)
     sky = rng.normal(500.0, 10.0, (64, 64)).round()
-    assert np.allclose(read(picture_of(sky.astype(np.uint16))), sky, atol=0.01)
+    full = sky.astype(np.uint16)
+    full[1, 2] = 65500
+    assert np.array_equal(read(picture_of(full)), full)
     sky[3, 4] = np.nan
     assert np.isnan(read(picture_of(sky))[3, 4])
     sky[3, 4] = -1e9
-    assert np.abs(read(picture_of(sky)) - sky)[5:].max() < 0.5
+    assert np.abs(read(picture_of(sky)) - sky)[5:].max() < 0.1
+
+
+@pytest.mark.parametrize("unit", [1.0, 1e-20])
+@pytest.mark.parametrize("star", [1e3, 1e20, -1e9])
+def test_a_bright_pixel_and_the_sky_are_both_kept(unit: float, star: float) -> None:
+    """The sky to a twentieth of its noise of 0.001, the pixel to 1 %, in any unit."""
+    sky = np.random.default_rng(1).normal(0.2, 1e-3, (64, 64))
+    sky[10, 10] = star
+    given = (sky * unit).astype(np.float32)
+    picture = picture_of(given)
+    back = read(picture) / unit
+    sky = given.astype(np.float64) / unit
+    assert abs(back[10, 10] / sky[10, 10] - 1.0) < 0.01
+    assert np.abs(back - sky)[20:].max() < 5e-5
+    assert picture["low"] / unit == pytest.approx(0.2 - 2.6e-3, abs=2e-4)
+    assert picture["high"] / unit == pytest.approx(0.2 + 2.6e-3, abs=2e-4)
+
+
+@pytest.mark.parametrize("level", [0.0, 1e9, 1e-20, -3.0])
+def test_a_frame_of_one_number_has_one_level(level: float) -> None:
+    picture = picture_of(np.full((32, 32), level, dtype=np.float32))
+    assert np.all(read(picture) == np.float32(level))
+    assert picture["high"] > picture["low"]
 
 
 @pytest.fixture(scope="module")
@@ -297,6 +323,31 @@ def test_blink_goes_through_the_frames(page: Any) -> None:
     page.wait_for_function("document.getElementById('which').textContent.startsWith('frame 1 ')", timeout=5000)
     page.click("#blink")
     assert page.errors == []
+
+
+@pytest.mark.parametrize(("scale", "offset", "spot"), [(1e-20, 0.0, 1.234e-17), (2e-4, -0.04, 1e20)])
+def test_the_trail_is_seen_in_any_unit_and_beside_an_absurd_pixel(
+    chromium: Any, run: Path, tmp_path: Path, scale: float, offset: float, spot: float
+) -> None:
+    """The frames times a number, with one pixel of their own: the trail is brighter than the sky, and the pixel says its value."""
+    copied, frames = tmp_path / "run", tmp_path / "frames"
+    shutil.copytree(run, copied, ignore=shutil.ignore_patterns("view"))
+    frames.mkdir()
+    manifest = json.loads((copied / "manifest.json").read_text())
+    for path in Path(manifest["sources"]["frames"]).iterdir():
+        image = fits.getdata(path) * scale + offset
+        image[5, 7] = spot
+        fits.PrimaryHDU(image.astype(np.float32)).writeto(frames / path.name)
+    manifest["sources"]["frames"] = str(frames)
+    (copied / "manifest.json").write_text(json.dumps(manifest))
+    tab = chromium.new_page(viewport={"width": 1000, "height": 700})
+    tab.goto(write_page(RunFrames(path=copied), tmp_path / "view").as_uri())
+    tab.wait_for_function("document.getElementById('which').textContent.startsWith('frame 0 ')")
+    assert grey(tab, 5, 7) == 255
+    assert grey(tab, 60, 80) > 100 > grey(tab, 100, 20)
+    told = tab.evaluate("words(loaded.get('000000'), loaded.get('000000').levels[5 * 160 + 7])")
+    assert told == pytest.approx(spot, rel=1e-3)
+    tab.close()
 
 
 @pytest.mark.parametrize("scheme", SCHEMES)

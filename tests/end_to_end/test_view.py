@@ -329,7 +329,7 @@ def test_blink_goes_through_the_frames(page: Any) -> None:
 def test_the_trail_is_seen_in_any_unit_and_beside_an_absurd_pixel(
     chromium: Any, run: Path, tmp_path: Path, scale: float, offset: float, spot: float
 ) -> None:
-    """The frames times a number, with one pixel of their own: the trail is brighter than the sky, and the pixel says its value."""
+    """The frames times a number, with one pixel of their own: the trail is brighter than the sky; the pixel says its value."""
     copied, frames = tmp_path / "run", tmp_path / "frames"
     shutil.copytree(run, copied, ignore=shutil.ignore_patterns("view"))
     frames.mkdir()
